@@ -1,0 +1,1 @@
+"""Readers and writers: the only place that opens files or reads clocks."""

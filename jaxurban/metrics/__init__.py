@@ -1,0 +1,1 @@
+"""One metric a file: its parameters, its equation, its map."""

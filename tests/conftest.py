@@ -1,0 +1,16 @@
+"""Shared fixtures: where the real data lie."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+DATA = Path(os.environ.get("JAXURBAN_DATA", Path(__file__).parents[2] / "shared" / "data"))
+
+
+@pytest.fixture(scope="session")
+def data_dir() -> Path:
+    """The folder of real data files; the test is skipped where it is missing."""
+    if not DATA.is_dir():
+        pytest.skip(f"real data not found at {DATA}: set JAXURBAN_DATA")
+    return DATA
