@@ -1,0 +1,168 @@
+"""City: what stands and who lives in a region, as vectors in one projected CRS."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import IntEnum
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import shapely
+
+from jaxurban.errors import InputError
+
+OTHER_DISTRICT = 13  # the paper's label for every block that no district claims
+
+
+class HeightOrigin(IntEnum):
+    """Where a building's height came from."""
+
+    HEIGHT = 0  # a height tag or column
+    LEVELS = 1  # number of levels x level height
+    DEFAULT = 2  # neither: the default height
+    RASTER = 3  # a height raster
+    GENERATED = 4  # the embedded city
+
+
+class Zoning(IntEnum):
+    """What a district is for: decides how its population changes by day."""
+
+    OTHER = 0  # district 13 and districts on neither list; counted with the residential ones
+    RESIDENTIAL = 1
+    COMMERCIAL = 2
+
+
+@dataclass(frozen=True)
+class Buildings:
+    """Building outlines as prisms from the ground to a flat roof. ``B`` buildings.
+
+    Attributes:
+      polygons: ``[B]`` object array of valid shapely Polygons or MultiPolygons, in the city's CRS.
+      height_m: ``[B]`` float64 roof height above ground, > 0.
+      min_height_m: ``[B]`` float64 height of the underside (0 for most); the engine lets every
+        part reach the ground and only counts those that do not.
+      origin: ``[B]`` uint8, a `HeightOrigin` each.
+      is_part: ``[B]`` bool, from ``building:part``.
+    """
+
+    polygons: np.ndarray
+    height_m: np.ndarray
+    min_height_m: np.ndarray
+    origin: np.ndarray
+    is_part: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.polygons)
+
+    def take(self, index: np.ndarray) -> "Buildings":
+        """Return the buildings at ``index`` (integers or a mask)."""
+        return Buildings(
+            self.polygons[index],
+            self.height_m[index],
+            self.min_height_m[index],
+            self.origin[index],
+            self.is_part[index],
+        )
+
+    def origin_counts(self) -> dict[str, int]:
+        """Return the number of buildings by origin of height, only origins that occur."""
+        return {o.name.lower(): int(n) for o in HeightOrigin if (n := np.sum(self.origin == o))}
+
+
+@dataclass(frozen=True)
+class Raster:
+    """A single-band raster read from a file, north-up, on its own grid and CRS.
+
+    Attributes:
+      values: ``[R, C]`` float32, row 0 in the north, NaN where the file declares no data.
+      transform: affine coefficients (a, b, c, d, e, f): x = a * col + b * row + c, y = d * col + e * row + f,
+        with the file's own row and col.
+      crs: the raster's CRS.
+      first_row, first_col: the file's row and column of ``values[0, 0]``. A window keeps the file's transform, so
+        that a pixel's place does not depend on the window by rounding.
+    """
+
+    values: np.ndarray
+    transform: tuple[float, float, float, float, float, float]
+    crs: str
+    first_row: int = 0
+    first_col: int = 0
+
+
+@dataclass(frozen=True)
+class Blocks:
+    """Census blocks with their night population. ``N`` blocks.
+
+    Attributes:
+      polygons: ``[N]`` object array of shapely Polygons or MultiPolygons, in the city's CRS.
+      night_count: ``[N]`` float64 people at night (the census count).
+      district: ``[N]`` int32 label of the district of largest overlap, `OTHER_DISTRICT` where none.
+      zoning: ``[N]`` uint8, a `Zoning` each.
+      block_id: ``[N]`` object array of identifiers.
+    """
+
+    polygons: np.ndarray
+    night_count: np.ndarray
+    district: np.ndarray
+    zoning: np.ndarray
+    block_id: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.polygons)
+
+    @property
+    def area_m2(self) -> np.ndarray:
+        """Area of each block in the projected CRS, ``[N]``."""
+        return shapely.area(self.polygons)
+
+    def take(self, index: np.ndarray) -> "Blocks":
+        """Return the blocks at ``index`` (integers or a mask)."""
+        return Blocks(
+            self.polygons[index],
+            self.night_count[index],
+            self.district[index],
+            self.zoning[index],
+            self.block_id[index],
+        )
+
+    def touches(self, bounds_m: tuple[float, float, float, float]) -> np.ndarray:
+        """Return ``[N]`` bool: which blocks touch the box x_min, y_min, x_max, y_max of the CRS."""
+        return shapely.intersects(self.polygons, shapely.box(*bounds_m))
+
+
+@dataclass(frozen=True)
+class City:
+    """A city in one projected CRS: buildings or a height raster, and optionally blocks and terrain.
+
+    Attributes:
+      crs: projected CRS in metres of every polygon.
+      extent_m: x_min, y_min, x_max, y_max that the building source covers: beyond it nothing is known.
+      buildings: outlines with heights, or None where ``roofs`` is given.
+      roofs: raster of roof heights above ground, or None.
+      blocks: census blocks, or None without population data.
+      terrain: raster of ground elevation, or None for flat ground.
+      faults: what the readers met and left out, counted by name.
+      counts: what the building source holds, counted by name.
+      sources: path by role, for provenance (empty for a generated city).
+    """
+
+    crs: str
+    extent_m: tuple[float, float, float, float]
+    buildings: Buildings | None = None
+    roofs: Raster | None = None
+    blocks: Blocks | None = None
+    terrain: Raster | None = None
+    faults: Mapping[str, int] = field(default_factory=dict)
+    counts: Mapping[str, int] = field(default_factory=dict)
+    sources: Mapping[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if (self.buildings is None) == (self.roofs is None):
+            raise InputError("a City needs either buildings (outlines) or roofs (a height raster), and not both")
+
+    @classmethod
+    def from_files(cls, buildings: str | Path, **options: Any) -> "City":
+        """Return the city in a set of files; `jaxurban.io.city.read_city` says which and how."""
+        from jaxurban.io.city import read_city  # the one import against the layers, for the user's sake
+
+        return read_city(buildings, **options)

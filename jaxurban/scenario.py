@@ -1,0 +1,268 @@
+"""Scenario: the validated settings of one job, to and from TOML."""
+
+import tomllib
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import tomli_w
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PrivateAttr, ValidationError, model_validator
+
+from jaxurban.errors import InputError, nearest_name
+from jaxurban.grid import check_bounds, projected_crs
+
+SYNTHETIC = "synthetic"
+NOMINAL = "nominal"
+PLANNERS = ("ptp", "astar-dist", "astar-plus", "bitstar-dist", "bitstar-plus")
+
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+PositiveInt = Annotated[int, Field(gt=0)]
+
+
+def _as_list(value: Any) -> Any:
+    return value if isinstance(value, list | tuple) else [value]
+
+
+PositiveList = Annotated[tuple[Positive, ...], BeforeValidator(_as_list), Field(min_length=1)]
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Region(_Section):
+    """Where, how fine and how high."""
+
+    bounds: tuple[float, float, float, float]
+    crs: str | None = None
+    resolution_m: PositiveList = (5.0,)
+    altitudes_m: PositiveList = (20.0, 60.0, 122.0, 600.0)
+
+    @model_validator(mode="after")
+    def _check(self) -> "Region":
+        check_bounds(self.bounds)
+        if self.crs is not None:
+            projected_crs(self.crs)
+        for name in ("resolution_m", "altitudes_m"):
+            values = getattr(self, name)
+            if len(set(values)) != len(values):
+                raise ValueError(f"{name} names a value twice")
+        return self
+
+
+class BuildingSettings(_Section):
+    """Where buildings come from and what stands in for missing heights."""
+
+    source: str
+    default_height_m: Positive = 10.0
+    level_height_m: Positive = 3.0
+    all_touched: bool = False
+    allow_none: bool = False
+
+
+class TerrainSettings(_Section):
+    """Ground elevation; left out: flat."""
+
+    source: str | None = None
+
+
+class GpsSettings(_Section):
+    """Satellites, epochs and the DOP threshold."""
+
+    orbits: str = NOMINAL
+    times: tuple[datetime, ...] = (datetime(2020, 4, 27, 16, tzinfo=UTC),)
+    start: datetime | None = None
+    stop: datetime | None = None
+    step_s: Positive | None = None
+    mask_deg: Annotated[float, Field(ge=0, lt=90)] = 5.0
+    gdop_threshold: Annotated[float, Field(gt=1, allow_inf_nan=False)] = 20.0
+    max_age_days: Positive = 90.0
+    reference: tuple[float, float] | None = None
+
+    @model_validator(mode="after")
+    def _check(self) -> "GpsSettings":
+        series = (self.start, self.stop, self.step_s)
+        if any(value is not None for value in series):
+            if any(value is None for value in series):
+                raise ValueError("a series of epochs needs all of start, stop and step_s")
+            if "times" in self.model_fields_set:
+                raise ValueError("give either times or start, stop and step_s, not both")
+            if self.start and self.stop and self.stop < self.start:
+                raise ValueError("stop is before start")
+        if not self.times:
+            raise ValueError("times is empty: give at least one UTC time such as 2020-04-27T16:00:00Z")
+        if self.reference is not None and not (abs(self.reference[0]) <= 180 and abs(self.reference[1]) <= 90):
+            raise ValueError("reference is longitude, latitude in degrees")
+        return self
+
+    @property
+    def epochs(self) -> tuple[str, ...]:
+        """The UTC epochs, ISO 8601 with a trailing Z."""
+        if self.start is not None and self.stop is not None and self.step_s is not None:
+            count = int((self.stop - self.start).total_seconds() // self.step_s) + 1
+            times = [self.start + timedelta(seconds=self.step_s * i) for i in range(count)]
+        else:
+            times = list(self.times)
+        return tuple(iso_utc(time) for time in times)
+
+
+class LidarSettings(_Section):
+    """The scanner."""
+
+    beams: PositiveInt = 16
+    field_of_view_deg: tuple[float, float] = (-15.0, 15.0)
+    azimuths: PositiveInt = 360
+    range_m: Positive = 100.0
+
+
+class PopulationSettings(_Section):
+    """Census blocks, districts, and how day differs from night."""
+
+    blocks: str | None = None
+    block_field: str = "GEOID10"
+    table: str | None = None
+    districts: str | None = None
+    district_field: str = "BoroCD"
+    commercial: tuple[int, ...] = (101, 102, 103, 104, 105, 106)
+    gamma_commercial: NonNegative = 3.0
+    gamma_residential: NonNegative = 0.5
+    time_of_day: Annotated[tuple[str, ...], BeforeValidator(_as_list), Field(min_length=1)] = ("day", "night")
+    quantity: Literal["density", "count"] = "density"
+    normalise: str | Positive = "max"
+
+
+class RiskSettings(_Section):
+    """How near is dangerous."""
+
+    threshold_m: Positive = 50.0
+    distance: Literal["slice", "solid"] = "slice"
+
+
+class WeightSettings(_Section):
+    """The weights of the cost."""
+
+    distance: NonNegative = 0.1
+    gps: NonNegative = 1.0
+    lidar: NonNegative = 1.0
+    population: NonNegative = 1.0
+    risk: NonNegative = 1.0
+
+
+class PlanningSettings(_Section):
+    """How paths are sought."""
+
+    planner: str = "astar-plus"
+    cost_model: Literal["cell", "line"] = "cell"
+    objective: Literal["weighted", "distance"] = "weighted"
+    connectivity: Literal[4, 8] = 8
+    diagonal: Literal["both-free", "always"] = "both-free"
+    reference_length_m: Positive = 5.0
+    budget_s: Positive = 180.0
+    seed: int = 0
+
+
+class StudySettings(_Section):
+    """A Monte Carlo study."""
+
+    instances: PositiveInt = 200
+    planners: tuple[str, ...] = PLANNERS
+    altitudes_m: PositiveList | None = None
+    weights: str | tuple[WeightSettings, ...] = "dirichlet"
+    budget_s: Positive = 2.0
+    seed: int = 0
+
+
+class Scenario(_Section):
+    """All settings of one job. Only ``region`` and ``buildings`` are required."""
+
+    region: Region
+    buildings: BuildingSettings
+    terrain: TerrainSettings = TerrainSettings()
+    gps: GpsSettings = GpsSettings()
+    lidar: LidarSettings = LidarSettings()
+    population: PopulationSettings = PopulationSettings()
+    risk: RiskSettings = RiskSettings()
+    weights: WeightSettings = WeightSettings()
+    planning: PlanningSettings = PlanningSettings()
+    study: StudySettings = StudySettings()
+    _folder: Path = PrivateAttr(default=Path())
+
+    @classmethod
+    def from_toml(cls, path: str | Path) -> "Scenario":
+        """Return the scenario in a TOML file; relative paths in it are relative to the file.
+
+        Raises:
+          InputError: no such file, not TOML, an unknown key (names the nearest one) or a bad value.
+        """
+        path = Path(path)
+        try:
+            settings = tomllib.loads(path.read_text(encoding="utf-8"))
+        except OSError as error:
+            raise InputError(f"cannot read the scenario {str(path)!r}: {error.strerror or error}") from error
+        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+            raise InputError(f"{str(path)!r} is not a scenario in TOML: {error}") from error
+        scenario = cls.from_dict(settings, name=str(path))
+        scenario._folder = path.resolve().parent
+        return scenario
+
+    @classmethod
+    def from_dict(cls, settings: dict[str, Any], name: str = "the scenario") -> "Scenario":
+        """Return the scenario in nested dicts, sections by name.
+
+        Raises:
+          InputError: an unknown key (names the nearest one), a missing one or a bad value.
+        """
+        try:
+            return cls.model_validate(settings)
+        except ValidationError as error:
+            raise InputError(f"{name}: {_sentence(error)}") from error
+
+    def to_toml(self) -> str:
+        """Return the scenario as TOML, every setting written out."""
+        return tomli_w.dumps(_without_none(self.model_dump(mode="python")))
+
+    def path_of(self, name: str) -> Path:
+        """Return the path that a setting names, relative ones taken from the scenario's folder."""
+        return self._folder / name
+
+    @property
+    def is_synthetic(self) -> bool:
+        """Whether the embedded city is asked for."""
+        return self.buildings.source == SYNTHETIC
+
+
+def iso_utc(time: datetime) -> str:
+    """Return a time as ISO 8601 UTC with a trailing Z; a naive time is UTC already."""
+    time = time.replace(tzinfo=UTC) if time.tzinfo is None else time.astimezone(UTC)
+    return time.isoformat(timespec="seconds" if time.microsecond == 0 else "microseconds").replace("+00:00", "Z")
+
+
+def _without_none(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _without_none(item) for key, item in value.items() if item is not None}
+    if isinstance(value, tuple | list):
+        return [_without_none(item) for item in value]
+    return value
+
+
+def _sentence(error: ValidationError) -> str:
+    """Return the first fault of a validation as one sentence."""
+    fault = error.errors()[0]
+    where = ".".join(str(part) for part in fault["loc"])
+    if fault["type"] == "extra_forbidden":
+        *section, key = fault["loc"]
+        model: type[BaseModel] = Scenario
+        for part in section:
+            annotation = model.model_fields[str(part)].annotation
+            if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+                model = annotation
+        valid = list(model.model_fields)
+        kind = "key" if section else "section"
+        hint = nearest_name(str(key), valid) or f"; the valid ones are {', '.join(valid)}"
+        return f"unknown {kind} {where!r}{hint}"
+    if fault["type"] == "missing":
+        return f"{where!r} is required and missing"
+    message = fault["msg"].removeprefix("Value error, ")
+    given = "" if fault["type"] in ("value_error", "model_type") else f", got {fault['input']!r}"
+    return f"{where}: {message[0].lower() + message[1:]}{given}"

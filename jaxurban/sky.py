@@ -1,0 +1,38 @@
+"""Sky: where the satellites stand, seen from one reference point."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Sky:
+    """Look angles of every satellite at every epoch. ``T`` epochs, ``S`` satellites.
+
+    Attributes:
+      times: ``[T]`` UTC epochs, ISO 8601 with a trailing ``Z``.
+      names: ``[S]`` satellite names.
+      azimuth_rad: ``[T, S]`` float64, clockwise from **grid** north.
+      elevation_rad: ``[T, S]`` float64 above the horizon, negative below it, no refraction.
+      systems: ``[S]`` name of the constellation of each satellite ("gps").
+      element_age_days: ``[T, S]`` float64 age of each element set at each epoch (0 for nominal orbits).
+    """
+
+    times: tuple[str, ...]
+    names: tuple[str, ...]
+    azimuth_rad: np.ndarray
+    elevation_rad: np.ndarray
+    systems: tuple[str, ...]
+    element_age_days: np.ndarray
+
+    def above(self, mask_rad: float) -> "Sky":
+        """Return the satellites that are at or above the elevation mask at any epoch."""
+        keep = (self.elevation_rad >= mask_rad).any(axis=0)
+        return Sky(
+            self.times,
+            tuple(n for n, k in zip(self.names, keep, strict=True) if k),
+            self.azimuth_rad[:, keep],
+            self.elevation_rad[:, keep],
+            tuple(s for s, k in zip(self.systems, keep, strict=True) if k),
+            self.element_age_days[:, keep],
+        )

@@ -1,0 +1,59 @@
+"""Surface: a city as rasters on one grid, the region plus the margin that shadows and endangers it."""
+
+from dataclasses import dataclass, field
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxurban.grid import Grid
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Surface:
+    """Rasters of a city. ``Y, X`` cells of ``grid`` (region and margin), ``y, x`` cells of ``region``.
+
+    Row 0 is the southernmost row.
+
+    Attributes:
+      roof_m: height of the highest roof in each cell above the ground there, 0 without a building, float32.
+      terrain_m: ground elevation, float32; None for flat ground.
+      has_data: where the building (or terrain) source knows anything; None where it does everywhere.
+      block: index of the census block under each cell of the region, -1 without one; None without blocks.
+      grid: grid of ``roof_m``, ``terrain_m`` and ``has_data``.
+      region: the part of ``grid`` that maps report, grid of ``block``.
+    """
+
+    roof_m: Float[Array, "Y X"]
+    terrain_m: Float[Array, "Y X"] | None
+    has_data: Bool[Array, "Y X"] | None
+    block: Int[Array, "y x"] | None
+    grid: Grid = field(metadata={"static": True})
+    region: Grid = field(metadata={"static": True})
+
+    @property
+    def top_m(self) -> Float[Array, "Y X"]:
+        """Absolute height of roofs and bare ground: terrain plus roof."""
+        return self.roof_m if self.terrain_m is None else self.terrain_m + self.roof_m
+
+    @property
+    def window(self) -> tuple[slice, slice]:
+        """Slices that cut the region out of arrays on ``grid``."""
+        return self.region.window_in(self.grid)
+
+    def crop(self, values: jax.Array) -> jax.Array:
+        """Return the region's part of an array whose last two axes are on ``grid``."""
+        rows, cols = self.window
+        return jnp.asarray(values)[..., rows, cols]
+
+    def crop_with_halo(self, values: jax.Array, halo: int) -> jax.Array:
+        """Return the region's part of an array on ``grid`` with ``halo`` more cells on each side.
+
+        0 where the surface ends: beyond it nothing stands.
+        """
+        rows, cols = self.window
+        ends = [(rows.start, rows.stop, self.grid.num_rows), (cols.start, cols.stop, self.grid.num_cols)]
+        inner = tuple(slice(max(start - halo, 0), min(stop + halo, size)) for start, stop, size in ends)
+        pad = [(max(halo - start, 0), max(stop + halo - size, 0)) for start, stop, size in ends]
+        return jnp.pad(jnp.asarray(values)[inner], pad)

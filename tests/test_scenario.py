@@ -1,0 +1,85 @@
+"""Scenario: defaults, TOML there and back, one sentence a fault."""
+
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from jaxurban.errors import InputError
+from jaxurban.scenario import Scenario
+
+MINIMAL = {"region": {"bounds": [-74.02, 40.70, -73.98, 40.73]}, "buildings": {"source": "synthetic"}}
+
+
+def test_only_region_and_buildings_are_required():
+    scenario = Scenario.from_dict(MINIMAL)
+    assert scenario.region.altitudes_m == (20.0, 60.0, 122.0, 600.0)
+    assert scenario.gps.epochs == ("2020-04-27T16:00:00Z",)
+    assert scenario.weights.distance == 0.1
+    assert scenario.is_synthetic
+
+
+def test_toml_round_trip_keeps_every_setting(tmp_path):
+    scenario = Scenario.from_dict(MINIMAL | {"gps": {"times": ["2020-04-27T12:00:00-04:00"], "reference": [-74.0, 40.7]}})
+    path = tmp_path / "scenario.toml"
+    path.write_text(scenario.to_toml())
+    again = Scenario.from_toml(path)
+    assert again.model_dump() == scenario.model_dump()
+    assert again.gps.epochs == ("2020-04-27T16:00:00Z",)
+
+
+def test_paths_are_relative_to_the_file(tmp_path):
+    path = tmp_path / "scenario.toml"
+    path.write_text(tomllib_text({"buildings": 'source = "city.osm.pbf"'}))
+    scenario = Scenario.from_toml(path)
+    assert scenario.path_of(scenario.buildings.source) == tmp_path.resolve() / "city.osm.pbf"
+    assert scenario.path_of("/elsewhere/x.tle") == Path("/elsewhere/x.tle")
+
+
+def tomllib_text(extra: dict[str, str]) -> str:
+    text = "[region]\nbounds = [-74.02, 40.70, -73.98, 40.73]\n"
+    text += "".join(f"[{section}]\n{line}\n" for section, line in extra.items())
+    tomllib.loads(text)
+    return text
+
+
+def test_a_series_of_epochs_includes_both_ends():
+    series = {"start": "2020-04-27T00:00:00Z", "stop": "2020-04-27T00:10:00Z", "step_s": 300}
+    epochs = Scenario.from_dict(MINIMAL | {"gps": series}).gps.epochs
+    assert epochs == ("2020-04-27T00:00:00Z", "2020-04-27T00:05:00Z", "2020-04-27T00:10:00Z")
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"region": {"bounds": [-74.02, 40.70, -73.98, 40.73], "resolution": 5}}, "'resolution_m'"),
+        ({"regoin": {}}, "did you mean 'region'"),
+        ({"lidar": {"bems": 3}}, "did you mean 'beams'"),
+        ({"region": {"bounds": [-74.02, 40.70, -73.98, 40.73], "resolution_m": -5}}, "greater than 0"),
+        ({"region": {"bounds": [-74.02, 40.70, -73.98, 40.73], "altitudes_m": [20, 20]}}, "twice"),
+        ({"region": {"bounds": [40.70, -120.0, 40.73, -73.98]}}, "longitude first"),
+        ({"region": {"bounds": [-74.02, 40.70, -73.98, 40.73], "crs": "EPSG:4326"}}, "not a projected CRS"),
+        ({"gps": {"times": []}}, "times is empty"),
+        ({"gps": {"times": ["noon"]}}, "gps.times"),
+        ({"gps": {"start": "2020-04-27T00:00:00Z"}}, "needs all of start, stop and step_s"),
+        ({"gps": {"mask_deg": 90}}, "less than 90"),
+        ({"weights": {"risk": -1}}, "greater than or equal to 0"),
+        ({"risk": {"distance": "round"}}, "'slice' or 'solid'"),
+    ],
+)
+def test_a_bad_setting_is_one_sentence(settings, words):
+    with pytest.raises(InputError, match=words) as caught:
+        Scenario.from_dict(MINIMAL | settings)
+    assert "\n" not in str(caught.value)
+
+
+def test_missing_and_broken_files_are_one_sentence(tmp_path):
+    with pytest.raises(InputError, match="cannot read the scenario"):
+        Scenario.from_toml(tmp_path / "none.toml")
+    broken = tmp_path / "broken.toml"
+    broken.write_text("[region\n")
+    with pytest.raises(InputError, match="not a scenario in TOML"):
+        Scenario.from_toml(broken)
+    broken.write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(InputError, match="not a scenario in TOML"):
+        Scenario.from_toml(broken)
