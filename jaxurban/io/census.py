@@ -1,0 +1,186 @@
+"""Census blocks: polygons joined to a population table and to districts."""
+
+import re
+from collections import Counter
+from collections.abc import Collection
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from jaxurban.city import OTHER_DISTRICT, Blocks
+from jaxurban.errors import InputError
+from jaxurban.io.districts import (
+    Bounds,
+    clean_polygons,
+    largest_overlap,
+    open_polygons,
+    read_districts,
+    require_field,
+    zoning_of,
+)
+
+# Names of the column of total population, the first found wins, case ignored: 2010 SF1 (data.census.gov, American
+# FactFinder), 2020 P1 and DHC, TIGER with counts, GIS joins, and plain tables.
+COUNT_COLUMNS = (
+    *("p001001", "d001", "p1_001n", "p0010001", "pop10", "pop20", "pop100", "u7h001", "h7v001"),
+    *("population", "total_population", "pop_total", "pop", "total", "count"),
+)
+GEO_ID_PREFIX = re.compile(r"^\w{7}US(?=\d)")  # summary level, variant and component, before the digits of the id
+COUNT = re.compile(r"\s*(\d[\d,]*(?:\.\d*)?)\s*(\(.*\))?\s*")  # a number, with a note such as (r45678) or none
+
+
+def read_blocks(
+    blocks_path: str | Path,
+    table_path: str | Path | None,
+    crs: str,
+    *,
+    block_field: str = "GEOID10",
+    districts_path: str | Path | None = None,
+    district_field: str = "BoroCD",
+    commercial: Collection[int] = (101, 102, 103, 104, 105, 106),
+    residential: Collection[int] | None = None,
+    bounds_m: Bounds | None = None,
+) -> tuple[Blocks, dict[str, int]]:
+    """Return census blocks with their people and districts, and a count of the faults met.
+
+    Args:
+      blocks_path: block polygons, any vector format.
+      table_path: CSV of population with one header row or two (the second is words where the first names columns).
+        Its id column is the one that joins most blocks, its count column is found by `COUNT_COLUMNS`, or else is
+        the only other column of whole numbers. None: the count is a field of the blocks file, found by
+        `COUNT_COLUMNS`.
+      crs: projected CRS of the result, in metres.
+      block_field: field of the blocks file with one id a block.
+      districts_path: district polygons; left out, every block is in district 13.
+      district_field: their label, a whole number.
+      commercial: labels of commercial districts.
+      residential: labels of residential districts; left out, see `jaxurban.io.districts.zoning_of`.
+      bounds_m: keep only blocks that touch this box of ``crs``; left out, all.
+
+    Returns:
+      The blocks, in the order of their file, and faults: ``blocks_without_count`` (kept with 0 people: no row, or a
+      count that is no number), ``blocks_without_polygon`` (left out), ``blocks_without_district`` (district 13),
+      ``invalid_block_polygons`` and ``invalid_district_polygons`` (repaired), ``counts_with_note``, and
+      ``counts_without_block`` (rows of the table for blocks that the whole blocks file does not hold).
+
+    Raises:
+      InputError: a file or field is missing or unreadable, ids are not unique, no row joins any block, or no block
+        touches the box.
+    """
+    role = "[population] blocks"
+    frame = open_polygons(blocks_path, role)
+    require_field(frame, block_field, role, blocks_path, "[population] block_field")
+    block_id, frame["_key"] = _ids(frame[block_field]), _keys(frame[block_field])
+    twice = frame["_key"].duplicated()
+    if twice.any():
+        raise InputError(
+            f"{role} {str(blocks_path)!r} has the id {block_id[twice].iloc[0]!r} more than once in {block_field!r}: "
+            "set [population] block_field to the field with one id a block (a 15-digit GEOID for US blocks)"
+        )
+    if table_path is None:
+        counts = _counts_in_blocks(frame.drop(columns=[block_field, "geometry"]), blocks_path)
+    else:
+        counts = _counts_in_table(table_path, frame["_key"], f"{block_field!r} of {str(blocks_path)!r}")
+    frame = frame.assign(_id=block_id, _count=frame["_key"].map(counts.number), _note=frame["_key"].map(counts.note))
+    counts_without_block = int((~counts.index.isin(frame["_key"])).sum())
+    frame, polygon_faults = clean_polygons(frame, crs, bounds_m)
+    if frame.empty:
+        raise InputError(f"{role} {str(blocks_path)!r} has no block that touches the region: check [region] bounds")
+    district, labels, district_faults = np.full(len(frame), OTHER_DISTRICT, np.int32), np.empty(0, int), Counter[str]()
+    if districts_path is not None:
+        polygons, labels, district_faults = read_districts(districts_path, crs, district_field)
+        district = largest_overlap(frame.geometry.to_numpy(), polygons, labels)
+    blocks = Blocks(
+        polygons=frame.geometry.to_numpy(),
+        night_count=frame["_count"].fillna(0.0).to_numpy(np.float64),
+        district=district,
+        zoning=zoning_of(district, commercial, residential, labels.tolist()),
+        block_id=frame["_id"].to_numpy(object),
+    )
+    faults = {
+        "blocks_without_count": int(frame["_count"].isna().sum()),
+        "blocks_without_polygon": polygon_faults["without_polygon"],
+        "blocks_without_district": int((district == OTHER_DISTRICT).sum()),
+        "invalid_block_polygons": polygon_faults["invalid_polygons"],
+        "invalid_district_polygons": district_faults["invalid_polygons"],
+        "counts_with_note": int(frame["_note"].eq(True).sum()),
+        "counts_without_block": counts_without_block,
+    }
+    return blocks, faults
+
+
+def _ids(column: pd.Series) -> pd.Series:
+    """Return identifiers as text: numbers without decimals, census GEO_IDs without what stands before the digits."""
+    if pd.api.types.is_float_dtype(column):  # whole numbers with a gap are read as floats
+        column = column.astype("Int64")
+    return column.astype(str).str.strip().str.replace(GEO_ID_PREFIX, "", regex=True)
+
+
+def _keys(column: pd.Series) -> pd.Series:
+    """Return identifiers to join by: spreadsheets drop leading zeros, so no zero leads here."""
+    return _ids(column).str.lstrip("0")
+
+
+def _parse_counts(column: pd.Series, key: pd.Series) -> pd.DataFrame:
+    """Return ``number`` (NaN where unreadable) and ``note`` (whether the count carries one) by key."""
+    parts = column.astype(str).str.extract(f"^{COUNT.pattern}$")
+    number = pd.to_numeric(parts[0].str.replace(",", ""), errors="coerce").to_numpy(np.float64)
+    return pd.DataFrame({"number": number, "note": parts[1].notna().to_numpy()}, index=pd.Index(key))
+
+
+def _count_column(columns: pd.Index) -> str | None:
+    """Return the first column that `COUNT_COLUMNS` names, None where it names none."""
+    by_name = {str(column).lower(): str(column) for column in columns[::-1]}
+    return next((by_name[name] for name in COUNT_COLUMNS if name in by_name), None)
+
+
+def _counts_in_blocks(fields: pd.DataFrame, path: str | Path) -> pd.DataFrame:
+    """Return the counts that the blocks file itself holds, by key."""
+    column = _count_column(fields.columns)
+    if column is None:
+        raise InputError(
+            f"[population] blocks {str(path)!r} has no field of population (such as POP10): set [population] table "
+            f"to the table that has it; the file's fields are {', '.join(fields.columns.drop('_key'))}"
+        )
+    return _parse_counts(fields[column], fields["_key"])
+
+
+def _counts_in_table(path: str | Path, block_keys: pd.Series, wanted: str) -> pd.DataFrame:
+    """Return the counts of a CSV by key; ``wanted`` names the field that they are to join, for messages."""
+    name = f"[population] table {str(path)!r}"
+    try:
+        table = pd.read_csv(
+            path, dtype=str, encoding="utf-8-sig", encoding_errors="replace", keep_default_na=False, index_col=False
+        )
+    except (OSError, ValueError) as error:  # pandas' parser errors are ValueErrors
+        reason = getattr(error, "strerror", None) or str(error).strip()
+        raise InputError(f"{name} cannot be read as CSV ({reason}): check the path and the file") from error
+    num_joined = {str(column): int(_keys(table[column]).isin(block_keys).sum()) for column in table}
+    count = _count_column(table.columns)
+    id_column = max((column for column in num_joined if column != count), key=num_joined.__getitem__, default=None)
+    if id_column is None or num_joined[id_column] == 0:
+        shown = table.iloc[-1].to_dict() if len(table) else list(table.columns)
+        raise InputError(
+            f"{name} joins no block: no column holds ids such as {block_keys.iloc[0]!r} from {wanted}; "
+            f"its last row is {shown}: check [population] block_field and that the table is of the same census"
+        )
+    if count is None:
+        numeric = [c for c in num_joined if c != id_column and table[c].iloc[1:].str.fullmatch(COUNT.pattern).all()]
+        if len(numeric) != 1:
+            raise InputError(
+                f"{name} has no column of population that can be told from its name: "
+                f"name one of {', '.join(repr(column) for column in num_joined if column != id_column)} 'population'"
+            )
+        count = numeric[0]
+    if not COUNT.fullmatch(table[count].iloc[0]) and not _keys(table[id_column][:1]).isin(block_keys).any():
+        table = table.iloc[1:]  # the second header row
+    counts = _parse_counts(table[count], _keys(table[id_column]))
+    counts = counts[~(counts.index.duplicated() & counts.reset_index().duplicated().to_numpy())]
+    twice = counts.index[counts.index.duplicated() & counts.index.isin(block_keys)]
+    if len(twice):
+        raise InputError(
+            f"{name} has more than one count for the block {twice[0]!r}: give a table with one row of total "
+            "population a block"
+        )
+    return counts[~counts.index.duplicated()]
