@@ -1,0 +1,240 @@
+"""Population: how many people a flight is over, by day and by night."""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int, Integer
+
+from jaxurban.city import Blocks, Zoning
+from jaxurban.errors import InputError, nearest_name
+
+M2_PER_KM2 = 1e6
+Bounds = tuple[float, float, float, float]  # x_min, y_min, x_max, y_max in the city's CRS, metres
+TIME_OF_DAY = re.compile(r"(weekday|weekend)-([01]\d|2[0-3])")
+
+# Share of the change from night to day that has happened at each hour, 0 to 23. Full from 9 to 17 (the paper's
+# "9-to-5"); the linear ramps before and after are our assumption.
+WEEKDAY_PROFILE = (0.0,) * 7 + (1 / 3, 2 / 3) + (1.0,) * 9 + (0.8, 0.6, 0.4, 0.2) + (0.0,) * 2
+# Moss and Qing, The Dynamic Population of Manhattan (2012), as the paper quotes it: in millions 2.05 at night,
+# 3.94 on a working day, 2.90 on a weekend day.
+WEEKEND_SHARE = (2.90 - 2.05) / (3.94 - 2.05)
+WEEKEND_PROFILE = tuple(WEEKEND_SHARE * share for share in WEEKDAY_PROFILE)
+
+
+@dataclass(frozen=True)
+class PopulationParams:
+    """Settings of the population metric.
+
+    Attributes:
+      gamma_commercial: day population over night population in commercial districts, >= 0.
+      gamma_residential: the same everywhere else, >= 0.
+      quantity: ``"density"``, people per km2, or ``"count"``, people per block (the paper's literal wording).
+      normalise: where m is 1: ``"max"``, the highest block of the region at that time of day (the paper);
+        ``"p95"`` or another percentile of its inhabited blocks; or a number of people per km2 (per block
+        under ``"count"``). Blocks above a percentile or a number get 1.
+      weekday, weekend: 24 shares in [0, 1], one an hour: 0 is the night population, 1 the day population.
+    """
+
+    gamma_commercial: float = 3.0
+    gamma_residential: float = 0.5
+    quantity: Literal["density", "count"] = "density"
+    normalise: str | float = "max"
+    weekday: tuple[float, ...] = WEEKDAY_PROFILE
+    weekend: tuple[float, ...] = WEEKEND_PROFILE
+
+    def __post_init__(self) -> None:
+        for name in ("gamma_commercial", "gamma_residential"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value >= 0):
+                raise InputError(f"{name} must be finite and not negative, got {value}")
+        if self.quantity not in ("density", "count"):
+            raise InputError(f"quantity must be 'density' or 'count', got {self.quantity!r}")
+        _percentile(self.normalise)
+        for name in ("weekday", "weekend"):
+            shares = getattr(self, name)
+            if len(shares) != 24 or not all(0 <= share <= 1 for share in shares):
+                raise InputError(f"{name} must be 24 shares in [0, 1], one an hour from 0 to 23, got {shares}")
+
+
+class PopulationMaps(NamedTuple):
+    """Population over a region. ``T`` times of day, ``y, x`` cells; cells without a block hold 0.
+
+    Attributes:
+      m: ``[T, y, x]`` float32 metric in [0, 1]; the cost c equals it.
+      density_per_km2: ``[T, y, x]`` float32 people per km2.
+      norm_per_km2: ``[T]`` float32 value at which m is 1 (people per block under ``quantity="count"``).
+    """
+
+    m: jax.Array
+    density_per_km2: jax.Array
+    norm_per_km2: jax.Array
+
+
+def _percentile(normalise: str | float) -> float | None:
+    """Return the percentile that ``normalise`` names (100 for the maximum), None where it is a number."""
+    if isinstance(normalise, str):
+        if normalise == "max":
+            return 100.0
+        match = re.fullmatch(r"p(\d+(?:\.\d+)?)", normalise)
+        if match and 0 < float(match[1]) <= 100:
+            return float(match[1])
+    elif np.isfinite(normalise) and normalise > 0:
+        return None
+    raise InputError(
+        f"normalise must be 'max', a percentile such as 'p95', or a positive number per km2, got {normalise!r}"
+    )
+
+
+def day_share(time_of_day: str, params: PopulationParams | None = None) -> float:
+    """Return how far the population has moved from night (0) to day (1).
+
+    Args:
+      time_of_day: ``"day"``, ``"night"``, or an hour of the week such as ``"weekday-08"`` or ``"weekend-14"``.
+      params: hold the profiles of the week; left out, the default ones.
+
+    Raises:
+      InputError: no such time of day.
+    """
+    if time_of_day in ("day", "night"):
+        return float(time_of_day == "day")
+    match = TIME_OF_DAY.fullmatch(time_of_day)
+    if match is None:
+        hint = nearest_name(time_of_day, ("day", "night"))
+        raise InputError(
+            f"time_of_day must be 'day', 'night' or an hour such as 'weekday-08' or 'weekend-23', "
+            f"got {time_of_day!r}{hint}"
+        )
+    params = params or PopulationParams()
+    return float((params.weekday if match[1] == "weekday" else params.weekend)[int(match[2])])
+
+
+def block_people(
+    night_count: Float[Array, " N"],
+    zoning: Integer[Array, " N"],
+    share: Float[Array, ""] | float,
+    gamma_commercial: Float[Array, ""] | float,
+    gamma_residential: Float[Array, ""] | float,
+) -> Float[Array, " N"]:
+    """Return the people in each block: night count x (1 + share x (gamma - 1)).
+
+    Share 0 is night and 1 is day, the two cases of the paper's equation (popgamma). Linear, so the
+    gradient is exact in everything.
+
+    Args:
+      night_count: ``[N]`` people by the census.
+      zoning: ``[N]`` a `Zoning` each; all but COMMERCIAL take ``gamma_residential``.
+      share: from `day_share`.
+      gamma_commercial: day over night population in commercial blocks.
+      gamma_residential: the same everywhere else.
+    """
+    gamma = jnp.where(zoning == Zoning.COMMERCIAL, gamma_commercial, gamma_residential)
+    return night_count * (1.0 + share * (gamma - 1.0))
+
+
+def block_density_per_km2(
+    night_count: Float[Array, " N"],
+    area_m2: Float[Array, " N"],
+    zoning: Integer[Array, " N"],
+    share: Float[Array, ""] | float,
+    gamma_commercial: Float[Array, ""] | float,
+    gamma_residential: Float[Array, ""] | float,
+) -> Float[Array, " N"]:
+    """Return people per km2 of each block, 0 where its area is 0; the other arguments as in `block_people`."""
+    people = block_people(night_count, zoning, share, gamma_commercial, gamma_residential)
+    return jnp.where(area_m2 > 0, people * M2_PER_KM2 / jnp.where(area_m2 > 0, area_m2, 1.0), 0.0)
+
+
+def normaliser(values: Float[Array, " N"], normalise: str | float = "max") -> Float[Array, ""]:
+    """Return the value at which m is 1, the paper's pop_norm; 0 where nobody lives.
+
+    Percentiles are taken over inhabited blocks, or a city's empty ones (water, parks) would decide them.
+    The gradient is that of the block (or two) that sets the value.
+    """
+    percentile = _percentile(normalise)
+    if percentile is None:
+        return jnp.asarray(normalise, values.dtype)
+    if values.size == 0:
+        return jnp.zeros((), values.dtype)
+    if percentile == 100.0:
+        return values.max()
+    inhabited = jnp.where(values > 0, values, jnp.nan)
+    return jnp.where(jnp.any(values > 0), jnp.nanpercentile(inhabited, percentile), 0.0)
+
+
+def block_metric(values: Float[Array, " N"], norm: Float[Array, ""]) -> Float[Array, " N"]:
+    """Return m of each block, equation (metric_pop), clipped to 1; 0 everywhere where ``norm`` is 0.
+
+    Where the clip acts the gradient is 0.
+    """
+    return jnp.minimum(values / jnp.where(norm > 0, norm, 1.0), 1.0)
+
+
+def map_blocks(block: Int[Array, "y x"], values: Float[Array, " N"]) -> Float[Array, "y x"]:
+    """Return the value of the block under each cell, 0 in cells without one (index -1)."""
+    return jnp.append(values, jnp.zeros((), values.dtype))[block]  # -1 is the last entry, the 0 appended here
+
+
+def population_maps(
+    block: Int[Array, "y x"],
+    blocks: Blocks,
+    times_of_day: Sequence[str] = ("day", "night"),
+    params: PopulationParams | None = None,
+    bounds_m: Bounds | None = None,
+) -> PopulationMaps:
+    """Return the metric and the density over a region at each time of day.
+
+    Args:
+      block: index into ``blocks`` of the block under each cell, -1 without one.
+      blocks: the census blocks.
+      times_of_day: see `day_share`.
+      params: left out, the paper's.
+      bounds_m: the region's box, to normalise by the blocks that touch it; left out, by all of them.
+
+    Raises:
+      InputError: no such time of day.
+    """
+    params = params or PopulationParams()
+    gammas = params.gamma_commercial, params.gamma_residential
+    in_region = slice(None) if bounds_m is None else blocks.touches(bounds_m)
+    night_count, area_m2 = (jnp.asarray(values, jnp.float32) for values in (blocks.night_count, blocks.area_m2))
+    zoning = jnp.asarray(blocks.zoning)
+    layers = []
+    for time_of_day in times_of_day:
+        share = day_share(time_of_day, params)
+        density_per_km2 = block_density_per_km2(night_count, area_m2, zoning, share, *gammas)
+        values = density_per_km2
+        if params.quantity == "count":
+            values = block_people(night_count, zoning, share, *gammas)
+        norm = normaliser(values[in_region], params.normalise)
+        m = map_blocks(block, block_metric(values, norm))
+        layers.append((m, map_blocks(block, density_per_km2), norm))
+    return PopulationMaps(*(jnp.stack(layer) for layer in zip(*layers, strict=True)))
+
+
+def population_totals(
+    blocks: Blocks, params: PopulationParams | None = None, bounds_m: Bounds | None = None
+) -> dict[str, dict[str, float]]:
+    """Return the people of the blocks by time of day and zoning, for run.json.
+
+    Keys are ``night`` and ``day``, under each ``commercial``, ``residential``, ``other`` and ``total``.
+    Every block counts whole, also where only a part of it lies in the box. float64.
+
+    Args:
+      blocks: the census blocks.
+      params: their gammas count; left out, the paper's.
+      bounds_m: count only the blocks that touch this box; left out, all.
+    """
+    params = params or PopulationParams()
+    in_region = np.ones(len(blocks), bool) if bounds_m is None else blocks.touches(bounds_m)
+    night = {
+        zoning.name.lower(): float(blocks.night_count[in_region & (blocks.zoning == zoning)].sum())
+        for zoning in (Zoning.COMMERCIAL, Zoning.RESIDENTIAL, Zoning.OTHER)
+    }
+    gamma = {"commercial": params.gamma_commercial}
+    day = {name: count * gamma.get(name, params.gamma_residential) for name, count in night.items()}
+    return {name: {**counts, "total": sum(counts.values())} for name, counts in (("night", night), ("day", day))}

@@ -1,0 +1,184 @@
+from dataclasses import replace
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import shapely
+from affine import Affine
+from rasterio.features import rasterize
+
+from jaxurban.city import Blocks, Zoning
+from jaxurban.errors import InputError
+from jaxurban.io.census import read_blocks
+from jaxurban.metrics.population import (
+    PopulationParams,
+    block_density_per_km2,
+    block_metric,
+    block_people,
+    day_share,
+    map_blocks,
+    normaliser,
+    population_maps,
+    population_totals,
+)
+
+# Four blocks of 100 m x 100 m in a row: commercial, residential, other, empty.
+BLOCKS = Blocks(
+    polygons=shapely.box(np.arange(4) * 100.0, 0.0, np.arange(4) * 100.0 + 100.0, 100.0),
+    night_count=np.array([100.0, 400.0, 200.0, 0.0]),
+    district=np.array([101, 107, 13, 102], np.int32),
+    zoning=np.array([Zoning.COMMERCIAL, Zoning.RESIDENTIAL, Zoning.OTHER, Zoning.COMMERCIAL], np.uint8),
+    block_id=np.array(["a", "b", "c", "d"], object),
+)
+BLOCK = jnp.array([[0, 1, 2], [3, -1, 0]])
+
+
+def test_night_is_the_census_and_day_multiplies_by_gamma():
+    maps = population_maps(BLOCK, BLOCKS, ("night", "day"))
+    np.testing.assert_allclose(maps.density_per_km2[0], [[1e4, 4e4, 2e4], [0, 0, 1e4]])
+    np.testing.assert_allclose(maps.density_per_km2[1], [[3e4, 2e4, 1e4], [0, 0, 3e4]])
+
+
+def test_the_densest_block_of_the_time_of_day_has_m_one_and_cells_without_a_block_zero():
+    maps = population_maps(BLOCK, BLOCKS, ("night", "day"))
+    np.testing.assert_allclose(maps.norm_per_km2, [4e4, 3e4])
+    np.testing.assert_allclose(maps.m[0], [[0.25, 1, 0.5], [0, 0, 0.25]])
+    np.testing.assert_allclose(maps.m[1], [[1, 2 / 3, 1 / 3], [0, 0, 1]], rtol=1e-6)
+    assert maps.m.dtype == jnp.float32
+
+
+def test_only_blocks_that_touch_the_region_set_the_maximum():
+    maps = population_maps(BLOCK, BLOCKS, ("night",), bounds_m=(210, 10, 290, 90))
+    np.testing.assert_allclose(maps.norm_per_km2, [2e4])
+    np.testing.assert_allclose(maps.m[0], [[0.5, 1, 1], [0, 0, 0.5]])
+
+
+def test_a_number_or_a_percentile_normalises_and_clips():
+    by_number = population_maps(BLOCK, BLOCKS, ("night",), PopulationParams(normalise=2e4))
+    np.testing.assert_allclose(by_number.m[0], [[0.5, 1, 1], [0, 0, 0.5]])
+    by_percentile = population_maps(BLOCK, BLOCKS, ("night",), PopulationParams(normalise="p50"))
+    np.testing.assert_allclose(by_percentile.norm_per_km2, [2e4])  # the median of the three inhabited blocks
+    np.testing.assert_allclose(by_percentile.m[0], by_number.m[0])
+
+
+def test_counts_ignore_the_area():
+    unequal = replace(
+        BLOCKS, polygons=shapely.box(np.arange(4) * 100.0, 0.0, np.arange(4) * 100.0 + 100.0, [9, 1, 4, 1])
+    )
+    maps = population_maps(BLOCK, unequal, ("night",), PopulationParams(quantity="count"))
+    np.testing.assert_allclose(maps.norm_per_km2, [400])
+    np.testing.assert_allclose(maps.m[0], [[0.25, 1, 0.5], [0, 0, 0.25]])
+
+
+def test_a_region_without_people_has_m_zero_everywhere():
+    empty = replace(BLOCKS, night_count=np.zeros(4))
+    for normalise in ("max", "p95"):
+        maps = population_maps(BLOCK, empty, ("day",), PopulationParams(normalise=normalise))
+        assert not np.any(maps.m)
+    nobody = population_maps(BLOCK, BLOCKS, ("day",), bounds_m=(5000, 5000, 5001, 5001))
+    assert np.all(np.isfinite(nobody.m))
+
+
+def test_a_block_without_area_has_density_zero_and_finite_gradients():
+    def density(area_m2):
+        return block_density_per_km2(jnp.array([5.0]), area_m2, jnp.array([2]), 1.0, 3.0, 0.5).sum()
+
+    assert density(jnp.zeros(1)) == 0
+    assert jax.grad(density)(jnp.zeros(1)) == 0
+
+
+def test_hours_of_the_week_move_between_night_and_day():
+    assert day_share("night") == day_share("weekday-03") == 0.0
+    assert day_share("day") == day_share("weekday-12") == 1.0
+    assert 0.0 < day_share("weekday-08") < 1.0
+    # Moss and Qing (2012), in millions: 2.05 at night, 2.90 on a weekend day, 3.94 on a working day.
+    assert 2.05 + day_share("weekend-12") * (3.94 - 2.05) == pytest.approx(2.90)
+    own = PopulationParams(weekday=(0.25,) * 24)
+    night, hour = population_maps(BLOCK, BLOCKS, ("night", "weekday-12"), own).density_per_km2
+    np.testing.assert_allclose(hour[0], night[0] * np.array([1.5, 0.875, 0.875]))
+
+
+def test_totals_add_up_by_zoning():
+    totals = population_totals(BLOCKS)
+    assert totals["night"] == {"commercial": 100.0, "residential": 400.0, "other": 200.0, "total": 700.0}
+    assert totals["day"] == {"commercial": 300.0, "residential": 200.0, "other": 100.0, "total": 600.0}
+    assert population_totals(BLOCKS, bounds_m=(110, 10, 190, 90))["night"]["total"] == 400.0
+
+
+def test_gradients_with_respect_to_the_gammas_equal_finite_differences():
+    rng = np.random.default_rng(3)
+    with jax.enable_x64(True):
+        night, area = jnp.asarray(rng.uniform(1, 100, 20)), jnp.asarray(rng.uniform(1e3, 1e4, 20))
+        zoning, block = jnp.asarray(rng.integers(0, 3, 20)), jnp.asarray(rng.integers(-1, 20, (4, 5)))
+
+        @partial(jax.jit, static_argnums=1)
+        def total(gammas, normalise):
+            values = block_density_per_km2(night, area, zoning, 0.7, *gammas)
+            return (map_blocks(block, block_metric(values, normaliser(values, normalise))) ** 2).sum()
+
+        at, step = jnp.array([2.0, 0.6]), 1e-6
+        for normalise in ("max", "p80"):
+            gradient = jax.grad(total)(at, normalise)
+            by_difference = [
+                (total(at + e, normalise) - total(at - e, normalise)) / (2 * step) for e in step * np.eye(2)
+            ]
+            np.testing.assert_allclose(gradient, by_difference, rtol=1e-6, atol=1e-9)
+
+
+def test_people_run_under_jit_and_vmap():
+    people = jax.jit(jax.vmap(block_people, in_axes=(None, None, 0, None, None)))
+    result = people(jnp.asarray(BLOCKS.night_count), jnp.asarray(BLOCKS.zoning), jnp.array([0.0, 1.0]), 3.0, 0.5)
+    np.testing.assert_allclose(result, [[100, 400, 200, 0], [300, 200, 100, 0]])
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"gamma_commercial": -1.0}, "gamma_commercial must be finite"),
+        ({"gamma_residential": float("nan")}, "gamma_residential must be finite"),
+        ({"quantity": "people"}, "'density' or 'count'"),
+        ({"normalise": "median"}, "a percentile such as 'p95'"),
+        ({"normalise": "p0"}, "a percentile such as 'p95'"),
+        ({"normalise": 0.0}, "a positive number per km2"),
+        ({"weekday": (1.0,) * 23}, "24 shares"),
+    ],
+)
+def test_wrong_settings_are_refused(settings, message):
+    with pytest.raises(InputError, match=message):
+        PopulationParams(**settings)
+
+
+def test_an_unknown_time_of_day_names_the_nearest():
+    with pytest.raises(InputError, match="did you mean 'night'"):
+        day_share("nigth")
+    with pytest.raises(InputError, match="weekday-08"):
+        day_share("weekday-24")
+
+
+@pytest.mark.data
+def test_the_night_density_map_of_manhattan_sums_to_its_census(data_dir):
+    blocks, _ = read_blocks(
+        data_dir / "census/tl_2010_36061_tabblock10.shp",
+        data_dir / "census/DECENNIALSF12010.P1_nyc_blocks.csv",
+        "EPSG:32618",
+    )
+    x_min, y_min, x_max, y_max = shapely.total_bounds(blocks.polygons)
+    x_min, y_max, size = np.floor(x_min / 10) * 10, np.ceil(y_max / 10) * 10, 10.0
+    shape = int((y_max - y_min) / size) + 1, int((x_max - x_min) / size) + 1
+    block = rasterize(
+        zip(blocks.polygons, range(len(blocks)), strict=True),
+        shape,
+        fill=-1,
+        transform=Affine(size, 0, x_min, 0, -size, y_max),
+        dtype="int32",
+    )
+    maps = population_maps(jnp.asarray(block), blocks, ("night",))
+    people = np.asarray(maps.density_per_km2, np.float64).sum() * size**2 / 1e6
+    assert people == pytest.approx(1_585_873, rel=0.005)
+    # The design's figure: one block of 1,820 m2 sets the maximum, so a median inhabited block gets 0.06.
+    assert float(maps.norm_per_km2[0]) == pytest.approx(709_326, abs=1)
+    density = blocks.night_count / blocks.area_m2 * 1e6
+    assert blocks.area_m2[density.argmax()] == pytest.approx(1820, abs=1)
+    assert np.median(density[density > 0]) / density.max() == pytest.approx(0.06, abs=0.005)
