@@ -1,0 +1,144 @@
+"""The bitmap lidar against a marcher that follows one beam of one ray at a time."""
+
+import math
+
+import jax.numpy as jnp
+import numba
+import numpy as np
+import pytest
+
+from jaxurban.kernels.lidar import (
+    count_returns,
+    count_returns_on_terrain,
+    flat_thresholds,
+    lowest_heights,
+    num_steps,
+    ray_offsets,
+    round_up,
+)
+
+
+@numba.njit
+def march_rays(roof_m, terrain_m, halo, altitude_m, elevations_rad, num_azimuths, range_m, resolution_m):
+    """Return how many scan positions return from each cell inside the halo; one beam after the other."""
+    rows, cols = roof_m.shape[0] - 2 * halo, roof_m.shape[1] - 2 * halo
+    counts = np.zeros((rows, cols), np.int32)
+    slopes, reaches_m = np.tan(elevations_rad), range_m * np.cos(elevations_rad)
+    for k in range(num_azimuths):
+        north, east = math.cos(2 * np.pi * k / num_azimuths), math.sin(2 * np.pi * k / num_azimuths)
+        for row in range(halo, halo + rows):
+            for col in range(halo, halo + cols):
+                hit = False
+                for beam in range(len(slopes)):
+                    slope, reach_m = slopes[beam], reaches_m[beam]
+                    n = 0
+                    while not hit:
+                        near_m, far_m = max(n - 0.5, 0.0) * resolution_m, min((n + 0.5) * resolution_m, reach_m)
+                        if near_m > reach_m:
+                            break  # out of range
+                        i = row + int(math.copysign(math.floor(abs(n * north) + 0.5 + 1e-9), north))
+                        j = col + int(math.copysign(math.floor(abs(n * east) + 0.5 + 1e-9), east))
+                        height_m = altitude_m + (far_m if slope < 0 else near_m) * slope
+                        ground_m = terrain_m[i, j] - terrain_m[row, col]
+                        hit = roof_m[i, j] > 0 and height_m <= ground_m + roof_m[i, j]
+                        if height_m <= ground_m:
+                            break  # met the ground
+                        n += 1
+                    if hit:
+                        counts[row - halo, col - halo] += 1
+                        break
+    return counts
+
+
+def random_city(size: int, halo: int, seed: int) -> np.ndarray:
+    """Return roofs in eighths of a metre (their sums are exact), blocks of cells with streets between."""
+    rng = np.random.default_rng(seed)
+    shape = (size + 2 * halo, size + 2 * halo)
+    coarse = rng.gamma(1.0, 20.0, (shape[0] // 4 + 1, shape[1] // 4 + 1))
+    coarse *= rng.random(coarse.shape) < 0.3
+    blocks = np.kron(coarse, np.ones((4, 4)))[: shape[0], : shape[1]]
+    single = np.where(rng.random(shape) < 0.01, rng.uniform(1, 80, shape), 0)
+    return (np.round(8 * np.maximum(blocks, single)) / 8).astype(np.float32)
+
+
+def counts_of(roof_m, terrain_m, altitudes_m, elevations_rad, num_azimuths, range_m, resolution_m):
+    steps = num_steps(resolution_m, range_m)
+    lowest_m = lowest_heights(np.array(altitudes_m), elevations_rad, resolution_m, range_m, steps)
+    offsets = jnp.asarray(ray_offsets(num_azimuths, steps))
+    if terrain_m is None:
+        return np.asarray(count_returns(roof_m, round_up(flat_thresholds(lowest_m), np.float32), offsets))
+    return np.asarray(count_returns_on_terrain(roof_m, terrain_m, round_up(lowest_m, np.float32), offsets))
+
+
+CASES = {
+    "the default puck at fewer azimuths": ([2.0, 20.0, 60.0], (-15, 15, 16), 22, 100.0, 5.0),
+    "all beams up": ([1.0, 10.0, 30.0], (2, 40, 5), 33, 47.0, 2.5),
+    "all beams down": ([1.0, 10.0, 30.0], (-60, -5, 7), 30, 47.0, 2.5),
+    "one level beam": ([2.0, 20.0, 60.0], (0, 0, 1), 7, 97.5, 5.0),
+    "a range under half a cell": ([2.0, 20.0, 60.0], (-80, 15, 4), 4, 2.0, 5.0),
+    "the default puck": ([2.0, 20.0, 60.0], (-15, 15, 16), 360, 100.0, 5.0),
+}
+PARAMS = [pytest.param(name, marks=[pytest.mark.slow] if name == "the default puck" else []) for name in CASES]
+
+
+@pytest.mark.parametrize("name", PARAMS)
+def test_counts_equal_a_marcher_of_single_beams_in_every_cell(name):
+    altitudes_m, (low, high, num_beams), num_azimuths, range_m, resolution_m = CASES[name]
+    elevations_rad = np.linspace(np.deg2rad(low), np.deg2rad(high), num_beams)
+    halo = num_steps(resolution_m, range_m) - 1
+    roof_m = random_city(200, halo, seed=len(name))
+    counts = counts_of(roof_m, None, altitudes_m, elevations_rad, num_azimuths, range_m, resolution_m)
+    flat = np.zeros_like(roof_m)
+    for altitude_m, count in zip(altitudes_m, counts, strict=True):
+        expected = march_rays(roof_m, flat, halo, altitude_m, elevations_rad, num_azimuths, range_m, resolution_m)
+        np.testing.assert_array_equal(count, expected)
+    assert counts.min() < counts.max()
+
+
+def test_counts_on_hills_equal_the_marcher_in_every_cell():
+    elevations_rad, halo = np.deg2rad(np.linspace(-15, 15, 16)), 20
+    roof_m = random_city(50, halo, seed=3)
+    row, col = np.indices(roof_m.shape)
+    terrain_m = (np.round(8 * (12 * np.sin(row / 9) + 8 * np.cos(col / 6) + 30)) / 8).astype(np.float32)
+    altitudes_m = [3.0, 20.0, 400.0]
+    counts = counts_of(roof_m, terrain_m, altitudes_m, elevations_rad, 31, 100.0, 5.0)
+    for altitude_m, count in zip(altitudes_m, counts, strict=True):
+        expected = march_rays(roof_m, terrain_m, halo, altitude_m, elevations_rad, 31, 100.0, 5.0)
+        np.testing.assert_array_equal(count, expected)
+    assert counts[0].max() > 0
+    assert counts[2].max() == 0
+    flat = counts_of(roof_m, None, altitudes_m, elevations_rad, 31, 100.0, 5.0)
+    assert (counts[0] < flat[0]).any()  # hills hide buildings
+    plateau_m = np.full_like(roof_m, 33.3)
+    np.testing.assert_array_equal(
+        counts_of(roof_m, plateau_m, altitudes_m, elevations_rad, 31, 100.0, 5.0), flat
+    )  # constant terrain is flat
+
+
+def test_a_long_wall_returns_the_share_of_azimuths_that_reach_it():
+    # A level beam reaches a wall d away where its azimuth is within arccos(d / r) of the normal.
+    halo, resolution_m, range_m = 100, 1.0, 100.0
+    roof_m = np.zeros((33 + 2 * halo, 8 + 2 * halo), np.float32)
+    roof_m[halo + 33 :] = 30.0  # north of every cell that answers
+    counts = counts_of(roof_m, None, [10.0], np.array([0.0]), 720, range_m, resolution_m)[0]
+    distance_m = (33 - np.arange(33)) * resolution_m - resolution_m / 2
+    expected = np.arccos(distance_m / range_m) / np.pi
+    np.testing.assert_allclose(counts / 720, np.broadcast_to(expected[:, None], counts.shape), atol=0.01)
+
+
+def test_new_heights_altitudes_and_azimuths_of_known_shapes_compile_nothing():
+    elevations_rad = np.deg2rad(np.linspace(-60, -5, 7))
+    roof_m = random_city(200, 19, seed=1)
+    counts_of(roof_m, None, [1.0, 10.0, 30.0], elevations_rad, 30, 47.0, 2.5)
+    compiled = count_returns._cache_size()
+    counts_of(roof_m + 1, None, [2.0, 15.0, 90.0], -elevations_rad[::-1], 30, 46.5, 2.5)
+    assert count_returns._cache_size() == compiled
+
+
+@pytest.mark.parametrize("num_azimuths", [8, 360])
+def test_rays_have_the_symmetry_of_the_grid(num_azimuths):
+    offsets = ray_offsets(num_azimuths, 51)
+    quarter = np.stack([-offsets[..., 1], offsets[..., 0]], axis=-1)  # turned by 90 degrees, clockwise
+    np.testing.assert_array_equal(quarter, np.roll(offsets, -num_azimuths // 4, axis=0))
+    np.testing.assert_array_equal(offsets[0, -1], [50, 0])  # grid north first
+    np.testing.assert_array_equal(offsets[num_azimuths // 4, -1], [0, 50])  # then east

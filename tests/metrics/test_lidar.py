@@ -1,0 +1,99 @@
+"""The lidar metric on a surface."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxurban.errors import InputError
+from jaxurban.grid import Grid
+from jaxurban.metrics.lidar import LidarParams, compute_lidar, reach_m
+from jaxurban.surface import Surface
+
+GRID = Grid("EPSG:32618", 5.0, 901_000, 116_000, 110, 120)
+PARAMS = LidarParams(num_azimuths=60)
+MARGIN = 20  # cells of 5 m in a range of 100 m
+
+
+def random_roof(seed: int = 0) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    blocks = np.kron(rng.gamma(1.0, 20.0, (22, 24)) * (rng.random((22, 24)) < 0.3), np.ones((5, 5)))
+    return blocks.astype(np.float32)
+
+
+def surface_of(roof_m: np.ndarray, grid: Grid, region: Grid, terrain_m=None) -> Surface:
+    terrain = None if terrain_m is None else jnp.asarray(terrain_m, jnp.float32)
+    return Surface(jnp.asarray(roof_m), terrain, None, None, grid, region)
+
+
+def inner(grid: Grid, cells: int) -> Grid:
+    return grid.padded(-cells, -cells, -cells, -cells)
+
+
+def test_lidar_is_a_share_zero_inside_obstacles_and_above_every_reach():
+    roof_m = random_roof()
+    region = inner(GRID, MARGIN)
+    m = np.asarray(compute_lidar(surface_of(roof_m, GRID, region), [20.0, 60.0, 600.0], PARAMS))
+    assert m.shape == (3, *region.shape)
+    assert m.dtype == np.float32
+    assert m.min() == 0
+    assert 0.5 < m.max() <= 1
+    assert (m[0][roof_m[MARGIN:-MARGIN, MARGIN:-MARGIN] >= 20] == 0).all()
+    assert (m[2] == 0).all()
+    np.testing.assert_allclose(m * 60, np.round(m * 60), atol=1e-4)
+
+
+@pytest.mark.parametrize("is_hilly", [False, True])
+def test_the_map_of_a_sub_box_equals_the_crop_of_the_larger_map(is_hilly):
+    roof_m = random_roof()
+    terrain_m = 20 + 10 * np.sin(np.indices(roof_m.shape).sum(0) / 11) if is_hilly else None
+    params = LidarParams(num_beams=4, num_azimuths=12)
+    whole = compute_lidar(surface_of(roof_m, GRID, inner(GRID, MARGIN), terrain_m), [20.0], params)
+    grid = GRID.padded(-7, -3, -2, -11)  # cells cut off in the west, south, east and north
+    region = inner(grid, MARGIN)
+    rows, cols = grid.window_in(GRID)
+    cut_terrain_m = None if terrain_m is None else terrain_m[rows, cols]
+    part = compute_lidar(surface_of(roof_m[rows, cols], grid, region, cut_terrain_m), [20.0], params)
+    np.testing.assert_array_equal(part, whole[(slice(None), *region.window_in(inner(GRID, MARGIN)))])
+
+
+def test_nothing_stands_beyond_the_surface():
+    roof_m = random_roof()
+    padded = GRID.padded(30, 30, 30, 30)
+    alone = compute_lidar(surface_of(roof_m, GRID, GRID), [20.0], PARAMS)
+    among_nothing = compute_lidar(surface_of(np.pad(roof_m, 30), padded, GRID), [20.0], PARAMS)
+    np.testing.assert_array_equal(alone, among_nothing)
+
+
+def test_terrain_hides_what_lies_behind_a_ridge():
+    roof_m = np.zeros((41, 41), np.float32)
+    roof_m[20, 32] = 25.0
+    terrain_m = np.zeros((41, 41))
+    terrain_m[:, 26] = 60.0
+    grid = Grid("EPSG:32618", 5.0, 0, 0, 41, 41)
+    params = LidarParams(num_azimuths=4)
+    flat = compute_lidar(surface_of(roof_m, grid, grid), [20.0], params)
+    hidden = compute_lidar(surface_of(roof_m, grid, grid, terrain_m), [20.0], params)
+    assert flat[0, 20, 20] == hidden[0, 20, 30] == 0.25  # due east, 60 and 10 m away
+    assert hidden[0, 20, 20] == 0
+
+
+def test_a_single_beam_lies_in_the_middle_and_several_at_equal_steps():
+    np.testing.assert_allclose(LidarParams(num_beams=1, field_of_view_deg=(-10, 20)).elevations_rad, np.deg2rad([5]))
+    np.testing.assert_allclose(np.rad2deg(LidarParams().elevations_rad), np.arange(-15, 16, 2), atol=1e-12)
+    assert reach_m(LidarParams(range_m=70.0)) == 70.0
+
+
+@pytest.mark.parametrize(
+    ("settings", "name"),
+    [
+        ({"num_beams": 0}, "num_beams"),
+        ({"num_azimuths": 2.5}, "num_azimuths"),
+        ({"field_of_view_deg": (15.0, -15.0)}, "field_of_view_deg"),
+        ({"field_of_view_deg": (-90.0, 15.0)}, "field_of_view_deg"),
+        ({"range_m": float("nan")}, "range_m"),
+        ({"range_m": 0.0}, "range_m"),
+    ],
+)
+def test_impossible_lidars_are_refused_by_name(settings, name):
+    with pytest.raises(InputError, match=name):
+        LidarParams(**settings)
