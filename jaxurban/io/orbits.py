@@ -1,0 +1,278 @@
+"""Orbits: element sets from files, or the nominal constellation, to look angles."""
+
+import csv
+import io
+import json
+import math
+import warnings
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+from sgp4 import omm
+from sgp4.io import verify_checksum
+from skyfield.api import EarthSatellite, Timescale, load, wgs84
+
+from jaxurban.errors import InputError, StaleElementsWarning
+from jaxurban.io.nominal import TABLE_DATE, nominal_satellites
+from jaxurban.sky import Sky
+
+NOMINAL = "nominal"
+WARN_AGE_DAYS = 14.0  # SGP4 keeps GPS satellites within about 0.1 degree for two weeks
+TLE_LENGTH = 69
+# Fields of an OMM that the standard leaves optional and SGP4 does not need.
+OPTIONAL_FIELDS = {
+    "OBJECT_ID": "",
+    "CLASSIFICATION_TYPE": "U",
+    "EPHEMERIS_TYPE": "0",
+    "ELEMENT_SET_NO": "0",
+    "REV_AT_EPOCH": "0",
+    "BSTAR": "0",
+    "MEAN_MOTION_DOT": "0",
+    "MEAN_MOTION_DDOT": "0",
+}
+SYSTEM_PREFIXES = {
+    "gps": ("GPS", "NAVSTAR"),
+    "galileo": ("GALILEO", "GSAT"),
+    "glonass": ("GLONASS", "COSMOS"),
+    "beidou": ("BEIDOU",),
+}
+REMEDY = 'give a TLE file or an OMM file (csv, json or xml) such as CelesTrak\'s gps-ops, or "nominal"'
+
+
+@dataclass(frozen=True)
+class Orbits:
+    """Satellites that can be moved to a time.
+
+    Attributes:
+      source: the file, or ``"nominal"``.
+      satellites: one element set each; for the nominal constellation those of its table's date
+        (`look_angles` takes each day's own).
+    """
+
+    source: str
+    satellites: tuple[EarthSatellite, ...]
+
+    @property
+    def is_nominal(self) -> bool:
+        """Whether this is the nominal constellation."""
+        return self.source == NOMINAL
+
+
+@lru_cache(maxsize=1)
+def _timescale() -> Timescale:
+    return load.timescale(builtin=True)  # the copy inside Skyfield: no network
+
+
+def read_orbits(source: str | Path) -> Orbits:
+    """Return the satellites of a file, or the nominal GPS constellation for ``"nominal"``.
+
+    Read are two-line elements with or without name lines and orbit mean-elements messages (OMM) as
+    CSV, JSON or XML; the content decides, not the file's name.
+
+    Raises:
+      InputError: no such file, another kind of file, a cut or damaged element set, or two of one satellite.
+    """
+    if source == NOMINAL:
+        return Orbits(NOMINAL, nominal_satellites(TABLE_DATE, _timescale()))
+    try:
+        text = Path(source).read_bytes().decode("utf-8-sig")
+    except OSError as error:
+        raise InputError(f"the orbits file {source} cannot be read ({error.strerror}): {REMEDY}") from error
+    except UnicodeDecodeError as error:
+        raise InputError(f"the orbits file {source} is not text: {REMEDY}") from error
+    start = text.lstrip()[:1]
+    first_line = text.lstrip().partition("\n")[0]
+    if start in ("{", "["):
+        satellites = _from_omms(_json_fields(text, source), source)
+    elif start == "<":
+        satellites = _from_omms(_xml_fields(text, source), source)
+    elif "MEAN_MOTION" in first_line and "," in first_line:
+        satellites = _from_omms(csv.DictReader(io.StringIO(text.lstrip())), source)
+    else:
+        satellites = _from_tles(text, source)
+    if not satellites:
+        raise InputError(f"the orbits file {source} holds no element set: {REMEDY}")
+    numbers = [satellite.model.satnum for satellite in satellites]
+    for number in numbers:
+        if numbers.count(number) > 1:
+            raise InputError(
+                f"the orbits file {source} holds {numbers.count(number)} element sets of satellite {number}: "
+                "keep the one nearest in time"
+            )
+    return Orbits(str(source), tuple(satellites))
+
+
+def _from_tles(text: str, source: str | Path) -> list[EarthSatellite]:
+    """Return the satellites of two-line elements."""
+    lines = [(n, line.rstrip()) for n, line in enumerate(text.splitlines(), start=1) if line.strip()]
+    satellites: list[EarthSatellite] = []
+    name = ""
+    rest = iter(lines)
+    for number, line in rest:
+        if not line.startswith(("1 ", "2 ")):
+            name = line.removeprefix("0 ").strip()
+            continue
+        _, second = next(rest, (number, ""))
+        try:
+            if not (line.startswith("1 ") and second.startswith("2 ") and line[2:7] == second[2:7]):
+                raise ValueError("a line 1 and a line 2 of one satellite must follow each other")
+            if len(line) < TLE_LENGTH or len(second) < TLE_LENGTH:
+                raise ValueError(f"a line is shorter than {TLE_LENGTH} characters")
+            verify_checksum(line, second)
+            satellite = EarthSatellite(line, second, name or f"catalogue number {line[2:7].strip()}", _timescale())
+        except ValueError as error:
+            reason = str(error).splitlines()[0].rstrip(":")
+            raise InputError(
+                f"the element set at line {number} of {source} is cut or damaged ({reason}): download the file again"
+            ) from error
+        satellites.append(satellite)
+        name = ""
+    if satellites and name:
+        raise InputError(f"the orbits file {source} ends after the name {name!r}: download the file again")
+    return satellites
+
+
+def _json_fields(text: str, source: str | Path) -> list[Any]:
+    try:
+        parsed = json.loads(text)
+    except ValueError as error:
+        raise InputError(f"the orbits file {source} is cut or damaged JSON ({error}): {REMEDY}") from error
+    return parsed if isinstance(parsed, list) else [parsed]
+
+
+def _xml_fields(text: str, source: str | Path) -> list[dict[str, Any]]:
+    try:
+        return list(omm.parse_xml(io.StringIO(text)))
+    except ElementTree.ParseError as error:
+        raise InputError(f"the orbits file {source} is cut or damaged XML ({error}): {REMEDY}") from error
+    except (AttributeError, TypeError) as error:  # a segment without its parts
+        raise InputError(f"the orbits file {source} has an OMM segment without elements: {REMEDY}") from error
+
+
+def _from_omms(messages: Iterable[Any], source: str | Path) -> list[EarthSatellite]:
+    """Return the satellites of orbit mean-elements messages."""
+    satellites = []
+    for number, message in enumerate(messages, start=1):
+        try:
+            fields = {**OPTIONAL_FIELDS, **message}
+            # SGP4's reader wants the fraction of a second, which the standard leaves optional.
+            epoch = datetime.fromisoformat(fields["EPOCH"]).replace(tzinfo=None)
+            fields["EPOCH"] = epoch.strftime("%Y-%m-%dT%H:%M:%S.%f")
+            satellite = EarthSatellite.from_omm(_timescale(), fields)
+            model = satellite.model
+            if not all(
+                map(math.isfinite, (model.no_kozai, model.ecco, model.inclo, model.nodeo, model.argpo, model.mo))
+            ):
+                raise ValueError("an element is not finite")
+        except (KeyError, TypeError, ValueError) as error:
+            reason = f"no {error.args[0]}" if isinstance(error, KeyError) else str(error)
+            raise InputError(f"element set {number} of {source} is cut or no OMM ({reason}): {REMEDY}") from error
+        satellite.name = str(fields.get("OBJECT_NAME") or f"catalogue number {model.satnum}").strip()
+        satellites.append(satellite)
+    return satellites
+
+
+def parse_time(time: str | datetime) -> datetime:
+    """Return a time in UTC; without an offset it is taken as UTC.
+
+    Raises:
+      InputError: not an ISO 8601 date and time.
+    """
+    try:
+        parsed = time if isinstance(time, datetime) else datetime.fromisoformat(time)
+        return parsed.replace(tzinfo=UTC) if parsed.tzinfo is None else parsed.astimezone(UTC)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise InputError(f"{time!r} is not a time: write it as 2020-04-27T16:00:00Z") from error
+
+
+def look_angles(
+    orbits: Orbits,
+    times: Sequence[str | datetime],
+    lon_deg: float,
+    lat_deg: float,
+    height_m: float = 0.0,
+    convergence_rad: float = 0.0,
+    max_age_days: float = 90.0,
+) -> Sky:
+    """Return where every satellite stands at every time, seen from one point.
+
+    Args:
+      orbits: from `read_orbits`.
+      times: UTC, as ISO 8601 text or datetimes.
+      lon_deg: longitude of the point, WGS 84.
+      lat_deg: its latitude.
+      height_m: its height above the ellipsoid.
+      convergence_rad: meridian convergence there: azimuths come out clockwise from grid north.
+      max_age_days: oldest elements accepted, before or after the time.
+
+    Warns:
+      StaleElementsWarning: elements older than `WARN_AGE_DAYS` at a time.
+
+    Raises:
+      InputError: text that is no time, a point off the Earth, elements too old, or ones that SGP4
+        cannot carry to a time.
+    """
+    if not (abs(lat_deg) <= 90 and abs(lon_deg) <= 360):
+        raise InputError(
+            f"the point of the look angles must be a longitude and a latitude in degrees, got {lon_deg}, {lat_deg}"
+        )
+    utc = [parse_time(time) for time in times]
+    point = wgs84.latlon(lat_deg, lon_deg, elevation_m=height_m)
+    azimuth_rad, elevation_rad, age_days = np.zeros((3, len(utc), len(orbits.satellites)))
+    for index, satellites in _satellites_at(orbits, utc):
+        at = _timescale().from_datetimes([utc[i] for i in index])
+        for s, satellite in enumerate(satellites):
+            elevation, azimuth, _ = (satellite - point).at(at).altaz()
+            elevation_rad[index, s] = elevation.radians
+            azimuth_rad[index, s] = azimuth.radians
+            if not orbits.is_nominal:
+                age_days[index, s] = np.abs(at.tt - satellite.epoch.tt)
+    names = tuple(satellite.name for satellite in orbits.satellites)
+    iso = tuple(time.replace(tzinfo=None).isoformat() + "Z" for time in utc)
+    _check_age(orbits.source, iso, names, age_days, max_age_days)
+    if not np.all(np.isfinite(elevation_rad)):
+        t, s = np.argwhere(~np.isfinite(elevation_rad))[0]
+        raise InputError(f"SGP4 cannot carry {names[s]} of {orbits.source} to {iso[t]}: remove it from the file")
+    return Sky(
+        times=iso,
+        names=names,
+        azimuth_rad=(azimuth_rad - convergence_rad) % math.tau,
+        elevation_rad=elevation_rad,
+        systems=tuple(_system(name) for name in names),
+        element_age_days=age_days,
+    )
+
+
+def _satellites_at(orbits: Orbits, utc: list[datetime]) -> Iterator[tuple[list[int], tuple[EarthSatellite, ...]]]:
+    """Yield the times (by index) that one set of elements serves, with its satellites."""
+    if not orbits.is_nominal:
+        yield list(range(len(utc))), orbits.satellites
+        return
+    for day in sorted({time.date() for time in utc}):
+        yield [i for i, time in enumerate(utc) if time.date() == day], nominal_satellites(day, _timescale())
+
+
+def _check_age(
+    source: str, iso: Sequence[str], names: Sequence[str], age_days: np.ndarray, max_age_days: float
+) -> None:
+    """Warn of stale elements, refuse those older than ``max_age_days``."""
+    oldest_days = age_days.max(initial=0.0)
+    if oldest_days <= min(WARN_AGE_DAYS, max_age_days):
+        return
+    t, s = np.argwhere(age_days == oldest_days)[0]
+    remedy = f'use elements of that date (CelesTrak, Space-Track) or orbits = "{NOMINAL}"'
+    found = f"the elements of {names[s]} in {source} are {oldest_days:.0f} days away from {iso[t]}"
+    if oldest_days > max_age_days:
+        raise InputError(f"{found}, more than max_age_days = {max_age_days:g}: {remedy}")
+    warnings.warn(f"{found}, so its place in the sky is uncertain: {remedy}", StaleElementsWarning, stacklevel=3)
+
+
+def _system(name: str) -> str:
+    """Return the constellation that a satellite's name tells, or ``"unknown"``."""
+    return next((system for system, starts in SYSTEM_PREFIXES.items() if name.upper().startswith(starts)), "unknown")

@@ -1,0 +1,258 @@
+"""Orbits against Skyfield's own reading, the published constellation, and damaged files."""
+
+import csv
+import json
+import math
+import warnings
+from datetime import UTC, datetime, timedelta
+from xml.etree import ElementTree as Xml
+
+import numpy as np
+import pytest
+from skyfield.api import EarthSatellite, load, wgs84
+from skyfield.framelib import itrs
+
+from jaxurban.errors import InputError, StaleElementsWarning
+from jaxurban.io.nominal import LATITUDE_RATE_DEG, SLOTS, nominal_satellites
+from jaxurban.io.orbits import look_angles, parse_time, read_orbits
+
+LON_DEG, LAT_DEG = -74.0, 40.715
+MILLIDEGREE_RAD = math.radians(1e-3)
+
+# Two real sets in both spellings (CelesTrak, 2012-12-07; public), line 1 then line 2.
+TLE = """GPS BIIA-10 (PRN 32)
+1 20959U 90103A   12342.96616720  .00000021  00000-0  10000-3 0  8005
+2 20959  54.4469 231.6153 0118336 333.5218  25.9562  2.00548867161374
+"""
+TIME = "2012-12-08T00:00:00Z"
+
+
+def skyfield_angles(satellites, time):
+    """Azimuth and elevation as Skyfield gives them, radians, [2, S]."""
+    timescale = load.timescale(builtin=True)
+    at = timescale.from_datetime(parse_time(time))
+    point = wgs84.latlon(LAT_DEG, LON_DEG)
+    found = [(satellite - point).at(at).altaz() for satellite in satellites]
+    return np.array([[azimuth.radians, altitude.radians] for altitude, azimuth, _ in found]).T
+
+
+def written(tmp_path, text, name="orbits.txt"):
+    path = tmp_path / name
+    path.write_text(text)
+    return path
+
+
+def omm_xml(rows):
+    """The rows of an OMM CSV as CCSDS XML (unqualified, as CelesTrak writes it)."""
+    root = Xml.Element("ndm")
+    for row in rows:
+        segment = Xml.SubElement(Xml.SubElement(Xml.SubElement(root, "omm"), "body"), "segment")
+        data = Xml.SubElement(segment, "data")
+        parts = {
+            Xml.SubElement(segment, "metadata"): ("OBJECT_NAME", "OBJECT_ID"),
+            Xml.SubElement(data, "meanElements"): (
+                *("EPOCH", "MEAN_MOTION", "ECCENTRICITY", "INCLINATION"),
+                *("RA_OF_ASC_NODE", "ARG_OF_PERICENTER", "MEAN_ANOMALY"),
+            ),
+            Xml.SubElement(data, "tleParameters"): (
+                *("EPHEMERIS_TYPE", "CLASSIFICATION_TYPE", "NORAD_CAT_ID", "ELEMENT_SET_NO"),
+                *("REV_AT_EPOCH", "BSTAR", "MEAN_MOTION_DOT", "MEAN_MOTION_DDOT"),
+            ),
+        }
+        for part, fields in parts.items():
+            for field in fields:
+                Xml.SubElement(part, field).text = row[field]
+    return Xml.tostring(root, encoding="unicode", xml_declaration=True)
+
+
+@pytest.mark.data
+@pytest.mark.parametrize(
+    ("file", "count", "time"),
+    [
+        ("gps-ops_2012-12-07.tle", 32, "2012-12-07T05:30:00Z"),
+        ("gps-ops_2020-04-27.tle", 31, "2020-04-27T16:00:00Z"),
+        ("gps-ops_2026-08-07.tle", 32, "2026-08-07T23:59:59.5+02:00"),
+    ],
+)
+def test_look_angles_from_tle_equal_skyfields_to_a_millidegree(data_dir, file, count, time):
+    sky = look_angles(read_orbits(data_dir / "gps" / file), [time], LON_DEG, LAT_DEG)
+    with load.open(str(data_dir / "gps" / file)) as lines:
+        text = [line.decode().rstrip() for line in lines]
+    satellites = [EarthSatellite(*text[i + 1 : i + 3], text[i]) for i in range(0, len(text), 3)]
+    assert len(sky.names) == count
+    assert set(sky.systems) == {"gps"}
+    expected = skyfield_angles(satellites, time)
+    np.testing.assert_allclose([sky.azimuth_rad[0], sky.elevation_rad[0]], expected, atol=MILLIDEGREE_RAD)
+
+
+@pytest.mark.data
+def test_omm_csv_json_and_xml_give_the_same_sky(data_dir, tmp_path):
+    path = data_dir / "gps" / "gps-ops_2024-03-31_omm.csv"
+    time = "2024-03-31T16:00:00Z"
+    with path.open() as lines:
+        rows = list(csv.DictReader(lines))
+    timescale = load.timescale(builtin=True)
+    expected = skyfield_angles([EarthSatellite.from_omm(timescale, row) for row in rows], time)
+    as_numbers = [
+        {k: v if k in ("EPOCH", "OBJECT_NAME", "OBJECT_ID") else _number(v) for k, v in r.items()} for r in rows
+    ]
+    files = [
+        path,
+        written(tmp_path, json.dumps(rows), "text.json"),
+        written(tmp_path, json.dumps(as_numbers), "numbers.json"),
+        written(tmp_path, omm_xml(rows), "omm.xml"),
+    ]
+    for file in files:
+        sky = look_angles(read_orbits(file), [time], LON_DEG, LAT_DEG)
+        assert len(sky.names) == 31
+        np.testing.assert_allclose([sky.azimuth_rad[0], sky.elevation_rad[0]], expected, atol=MILLIDEGREE_RAD)
+
+
+def _number(text):
+    try:
+        return float(text) if "." in text else int(text)
+    except ValueError:
+        return text
+
+
+def test_name_lines_are_optional_and_blank_lines_ignored(tmp_path):
+    lines = TLE.splitlines()
+    bare = read_orbits(written(tmp_path, "\n".join(lines[1:]), "bare"))
+    zero = read_orbits(written(tmp_path, f"\n0 {lines[0]}\r\n{lines[1]}\r\n{lines[2]}\r\n\n", "zero"))
+    assert bare.satellites[0].name == "catalogue number 20959"
+    assert zero.satellites[0].name == "GPS BIIA-10 (PRN 32)"
+    skies = [look_angles(orbits, [TIME], LON_DEG, LAT_DEG) for orbits in (bare, zero)]
+    np.testing.assert_array_equal(skies[0].elevation_rad, skies[1].elevation_rad)
+    assert skies[0].systems == ("unknown",)
+
+
+def test_azimuth_counts_from_grid_north():
+    orbits = read_orbits("nominal")
+    true, grid = (look_angles(orbits, [TIME], LON_DEG, LAT_DEG, convergence_rad=c) for c in (0.0, 0.01))
+    turned = (true.azimuth_rad - grid.azimuth_rad) % math.tau
+    np.testing.assert_allclose(turned, 0.01, atol=1e-12)
+
+
+@pytest.mark.parametrize("text", ["2020-04-27T16:00:00Z", "2020-04-27T16:00:00", "2020-04-27T12:00:00-04:00"])
+def test_times_are_utc_unless_they_carry_an_offset(text):
+    sky = look_angles(read_orbits("nominal"), [text], LON_DEG, LAT_DEG)
+    assert sky.times == ("2020-04-27T16:00:00Z",)
+
+
+@pytest.mark.parametrize("text", ["yesterday", "2020-13-01T00:00:00Z", "", 5, "9999-12-31T23:59:59-12:00"])
+def test_text_that_is_no_time_is_refused(text):
+    with pytest.raises(InputError, match="is not a time: write it as"):
+        look_angles(read_orbits("nominal"), [text], LON_DEG, LAT_DEG)
+
+
+def test_elements_warn_after_14_days_and_are_refused_after_max_age(tmp_path):
+    orbits = read_orbits(written(tmp_path, TLE))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        sky = look_angles(orbits, ["2012-12-20T00:00:00Z"], LON_DEG, LAT_DEG)
+    np.testing.assert_allclose(sky.element_age_days, 12.0338, atol=1e-4)
+    for time in ("2012-12-22T00:00:00Z", "2012-11-22T00:00:00Z"):
+        with pytest.warns(StaleElementsWarning, match="14 days away|16 days away"):
+            look_angles(orbits, [time], LON_DEG, LAT_DEG)
+    for time, limit in (("2013-12-07T00:00:00Z", 90.0), ("2012-12-14T00:00:00Z", 5.0)):
+        with pytest.raises(InputError, match=r"PRN 32.* days away from .* more than max_age_days = .*nominal"):
+            look_angles(orbits, [TIME, time], LON_DEG, LAT_DEG, max_age_days=limit)
+
+
+def test_a_point_off_the_earth_is_refused():
+    with pytest.raises(InputError, match="longitude and a latitude"):
+        look_angles(read_orbits("nominal"), [TIME], LAT_DEG, 174.0)
+
+
+def earth_fixed(time):
+    """Radius (km, [S]) and unit vectors ([S, 3], fixed to the Earth) of the nominal satellites."""
+    timescale = load.timescale(builtin=True)
+    at = timescale.from_datetime(time)
+    vectors = np.array([s.at(at).frame_xyz(itrs).km for s in nominal_satellites(time.date(), timescale)])
+    radius = np.linalg.norm(vectors, axis=1)
+    return radius, vectors / radius[:, None]
+
+
+def separation_deg(a, b):
+    return np.degrees(2 * np.arcsin(np.linalg.norm(a - b, axis=1) / 2))
+
+
+def test_the_nominal_constellation_stands_as_published_at_its_epoch():
+    node, latitude = np.radians(list(SLOTS.values())).T
+    tilt, greenwich = math.radians(55), math.radians(15 * (18 + 36 / 60 + 14.4 / 3600))  # Table 3-1 of the standard
+    lon = node - greenwich + np.arctan2(np.cos(tilt) * np.sin(latitude), np.cos(latitude))
+    lat = np.arcsin(np.sin(tilt) * np.sin(latitude))
+    expected = np.column_stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)])
+    radius, found = earth_fixed(datetime(1993, 7, 1, tzinfo=UTC))
+    np.testing.assert_allclose(radius, 26559.7, atol=10)  # km; the standard allows 17
+    assert separation_deg(found, expected).max() < 0.1  # SGP4 adds the pull of Moon and Sun
+
+
+@pytest.mark.parametrize("num_turns", [1, 10_000, 25_000])
+def test_the_nominal_ground_track_repeats_for_decades(num_turns):
+    start = datetime(1993, 7, 1, tzinfo=UTC)
+    # Twice round the Earth; UT1 stays within 6 s of UTC until then: 0.03 degrees.
+    later = start + timedelta(days=num_turns * 720 / LATITUDE_RATE_DEG)
+    (_, before), (radius, after) = earth_fixed(start), earth_fixed(later)
+    np.testing.assert_allclose(radius, 26559.7, atol=17)
+    assert separation_deg(before, after).max() < 0.2
+
+
+def test_the_nominal_constellation_never_grows_old_and_moves_smoothly_over_midnight():
+    midnight = datetime(2051, 3, 1, tzinfo=UTC)
+    times = [midnight + timedelta(seconds=s) for s in (-2, -1, 0, 1)]
+    sky = look_angles(read_orbits("nominal"), times, LON_DEG, LAT_DEG)
+    assert np.all(sky.element_age_days == 0)
+    assert sky.systems == ("gps",) * 24
+    before, over, after = np.degrees(np.diff(sky.elevation_rad, axis=0))
+    np.testing.assert_allclose(over, (before + after) / 2, atol=0.01)
+
+
+def test_two_sets_of_one_satellite_are_refused(tmp_path):
+    with pytest.raises(InputError, match="2 element sets of satellite 20959"):
+        read_orbits(written(tmp_path, TLE + TLE))
+
+
+def cut_json():
+    return json.dumps([{"OBJECT_NAME": "GPS", "EPOCH": "2024-03-31T12:00:07"}])
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"\x00\x00\x00\x0d\x0a\x09OSMHeader\x18\xff\xfe", "is not text"),
+        (b"", "holds no element set"),
+        (b"No GP data found\n", "holds no element set"),
+        (b'{"type": "FeatureCollection", "features": []}', "no OMM .no EPOCH"),
+        (b"[]", "holds no element set"),
+        (b"[1, 2]", "no OMM"),
+        (b'[{"OBJECT_NAME": ', "damaged JSON"),
+        (cut_json().encode(), "no MEAN_MOTION|no ARG_OF_PERICENTER"),
+        (b"<html><body>Not found</body></html>", "holds no element set"),
+        (b"<ndm><omm>", "damaged XML"),
+        (b"<ndm><segment><data/></segment></ndm>", "segment without elements"),
+        (b"OBJECT_NAME,EPOCH,MEAN_MOTION\nGPS,2024-03-31T12:00:07,2.0", "element set 1 .* is cut"),
+        (TLE[:-20].encode(), "line 2 of .* is cut or damaged .a line is shorter than 69"),
+        (TLE[:90].encode(), "line 2 of .* must follow each other"),
+        (TLE.replace("54.4469", "54.4569").encode(), "line 2 of .* checksum"),
+        (TLE.encode() + b"GPS BIIA-14 (PRN 26)\n", "ends after the name"),
+    ],
+)
+def test_a_file_that_is_no_orbits_is_refused_in_one_sentence(tmp_path, content, message):
+    path = tmp_path / "orbits"
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=message) as caught:
+        read_orbits(path)
+    assert "\n" not in str(caught.value)
+    assert str(path) in str(caught.value)
+
+
+@pytest.mark.data
+def test_an_osm_extract_given_as_orbits_is_refused(data_dir):
+    with pytest.raises(InputError, match="is not text"):
+        read_orbits(data_dir / "osm" / "helsinki.osm.pbf")
+
+
+def test_a_missing_file_is_named(tmp_path):
+    with pytest.raises(InputError, match=r"none\.tle cannot be read .No such file"):
+        read_orbits(tmp_path / "none.tle")
