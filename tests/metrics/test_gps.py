@@ -1,0 +1,186 @@
+"""The GPS metric and its maps: equations, crops, obstacles, terrain."""
+
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxurban.errors import InputError
+from jaxurban.grid import Grid
+from jaxurban.io.orbits import look_angles, read_orbits
+from jaxurban.kernels.occlusion import digital_line, shadow_height
+from jaxurban.metrics.gps import GpsParams, Rating, compute_gps, gps_metric, rating, shadow_reach_m, visibility
+from jaxurban.surface import Surface
+
+ALTITUDES_M = [20.0, 60.0]
+# Axes, diagonals and directions a hair beside them, high and low.
+AZIMUTH_DEG = [0.0, 90.0, 180.0, 270.0, 45.0, 135.0, 225.0, 315.0, 44.999, 89.999, 200.0, 20.0, 155.0]
+ELEVATION_DEG = [35.0, 50.0, 15.0, 60.0, 30.0, 40.0, 70.0, 25.0, 55.0, 20.0, 80.0, 10.0, 45.0]
+AZIMUTH_RAD, ELEVATION_RAD = np.radians(AZIMUTH_DEG), np.radians(ELEVATION_DEG)
+
+
+def surface_of(roof_m, grid, region, terrain_m=None):
+    terrain_m = None if terrain_m is None else jnp.asarray(terrain_m, jnp.float32)
+    return Surface(jnp.asarray(roof_m, jnp.float32), terrain_m, None, None, grid, region)
+
+
+def random_city(num_rows=200, num_cols=220, share=0.02, seed=0):
+    """Roofs of up to 60 m on a grid far from the CRS's origin."""
+    rng = np.random.default_rng(seed)
+    roof_m = np.where(rng.random((num_rows, num_cols)) < share, rng.uniform(5, 60, (num_rows, num_cols)), 0)
+    return roof_m, Grid("EPSG:32618", 5.0, 901_000, 116_000, num_rows, num_cols)
+
+
+def seen_by_eye(words, num):
+    """The words' bits as booleans, [S, A, y, x]."""
+    return np.array([(np.asarray(words)[s // 32] >> np.uint32(s % 32)) & 1 == 1 for s in range(num)])
+
+
+def test_m_falls_from_1_at_gdop_1_to_0_at_the_threshold():
+    gdop = jnp.array([0.5, 1.0, 10.5, 20.0, 40.0, jnp.inf])
+    np.testing.assert_allclose(gps_metric(gdop, 20.0), [1, 1, 0.5, 0, 0, 0], rtol=1e-6)
+    assert np.all(np.isfinite(jax.vmap(jax.grad(gps_metric), (0, None))(gdop, 20.0)))
+
+
+def test_ratings_follow_the_papers_table():
+    gdop = np.array([[0.9, 1.0, 1.1, 4.0], [4.1, 6.0, 7.9, 8.1], [20.0, 20.1, 300.0, np.inf]])
+    names = [["IDEAL", "IDEAL", "EXCELLENT", "EXCELLENT"], ["GOOD", "GOOD", "MODERATE", "FAIR"]]
+    names.append(["FAIR", "POOR", "POOR", "POOR"])
+    assert [[Rating(r).name for r in row] for row in rating(gdop)] == names
+
+
+@pytest.mark.data
+@pytest.mark.parametrize(
+    ("file", "time"),
+    [
+        ("gps-ops_2012-12-07.tle", "2012-12-07T05:30:00Z"),
+        ("gps-ops_2020-04-27.tle", "2020-04-27T16:00:00Z"),
+        ("gps-ops_2024-03-31_omm.csv", "2024-03-31T20:00:00Z"),
+    ],
+)
+def test_dops_under_open_sky_equal_an_independent_computation(data_dir, file, time):
+    sky = look_angles(read_orbits(data_dir / "gps" / file), [time], -74.0, 40.715).above(math.radians(5))
+    grid = Grid("EPSG:32618", 5.0, 900_000, 116_000, 4, 5)
+    maps = compute_gps(surface_of(np.zeros(grid.shape), grid, grid), sky.azimuth_rad[0], sky.elevation_rad[0], [20.0])
+    azimuth, elevation = sky.azimuth_rad[0], sky.elevation_rad[0]
+    matrix = np.array(
+        [
+            [math.cos(e) * math.sin(a), math.cos(e) * math.cos(a), math.sin(e), -1]
+            for a, e in zip(azimuth, elevation, strict=True)
+        ]
+    )
+    variance = np.diag(np.linalg.inv(matrix.T @ matrix))
+    expected = {
+        "gdop": variance.sum(),
+        "pdop": variance[:3].sum(),
+        "hdop": variance[:2].sum(),
+        "vdop": variance[2],
+        "tdop": variance[3],
+    }
+    for name, value in expected.items():
+        np.testing.assert_allclose(getattr(maps, name), math.sqrt(value), rtol=1e-5)
+    np.testing.assert_allclose(maps.m, (20 - math.sqrt(variance.sum())) / 19, rtol=1e-5)
+    assert np.all(maps.num_visible == len(azimuth))
+
+
+@pytest.mark.parametrize("terrain", [False, True])
+def test_maps_of_a_sub_box_equal_the_crop_of_the_larger_map_bit_for_bit(terrain):
+    roof_m, grid = random_city()
+    ground_m = (
+        15 * np.sin(np.arange(200)[:, None] / 20) * np.cos(np.arange(220) / 30) if terrain else np.zeros((200, 220))
+    )
+    large = Grid(grid.crs, 5.0, grid.first_row + 75, grid.first_col + 80, 50, 60)
+    small = Grid(grid.crs, 5.0, large.first_row + 11, large.first_col + 7, 20, 31)
+    highest_m = 60 + np.ptp(ground_m)
+    # The small box's surface reaches just as far as its satellites ask for.
+    margins_m = shadow_reach_m(AZIMUTH_RAD, ELEVATION_RAD, highest_m, min(ALTITUDES_M), 5.0)
+    around = small.padded(*(math.ceil(margin / 5.0) for margin in margins_m))
+    rows, cols = around.window_in(grid)
+    maps = [
+        compute_gps(
+            surface_of(roof_m[where], on, region, ground_m[where] if terrain else None),
+            AZIMUTH_RAD,
+            ELEVATION_RAD,
+            ALTITUDES_M,
+        )
+        for where, on, region in (((slice(None), slice(None)), grid, large), ((rows, cols), around, small))
+    ]
+    window = small.window_in(large)
+    for whole, part in zip(jax.tree.leaves(maps[0]), jax.tree.leaves(maps[1]), strict=True):
+        np.testing.assert_array_equal(whole[:, *window], part)
+    assert len(np.unique(maps[1].num_visible)) > 3
+
+
+def test_shadow_reach_is_the_length_of_the_longest_shadow_by_side():
+    west, south, east, north = shadow_reach_m(np.radians([90.0, 225.0]), np.radians([45.0, 45.0]), 120.0, 20.0, 5.0)
+    np.testing.assert_allclose([west, south, east], [100 / math.sqrt(2) + 5, 100 / math.sqrt(2) + 5, 105])
+    assert north < 5.1  # cos 90 degrees is not quite 0
+    assert shadow_reach_m(np.radians([90.0]), np.radians([45.0]), 20.0, 20.0, 5.0) == (0, 0, 0, 0)
+    assert shadow_reach_m(np.array([1.0]), np.array([0.0]), 30.0, 20.0, 5.0) == (0, 0, math.inf, math.inf)
+
+
+def test_each_bit_is_a_shadow_height_compared_with_the_altitude():
+    roof_m, grid = random_city(60, 70)
+    region = Grid(grid.crs, 5.0, grid.first_row + 9, grid.first_col + 4, 40, 50)
+    azimuth, elevation = np.resize(AZIMUTH_RAD, 35), np.resize(ELEVATION_RAD, 35)
+    words = visibility(surface_of(roof_m, grid, region), azimuth, elevation, ALTITUDES_M)
+    assert words.shape == (2, 2, 40, 50)
+    for s in (0, 7, 31, 32, 34):
+        line = digital_line(azimuth[s], elevation[s], 5.0, grid.first_row, grid.first_col, grid.shape)
+        shadow_m = np.asarray(shadow_height(jnp.asarray(roof_m, jnp.float32), line))[9:49, 4:54]
+        np.testing.assert_array_equal(seen_by_eye(words, 35)[s], shadow_m <= np.array(ALTITUDES_M)[:, None, None])
+
+
+def test_inside_obstacles_nothing_is_seen():
+    roof_m, grid = random_city(40, 50)
+    maps = compute_gps(surface_of(roof_m, grid, grid), AZIMUTH_RAD, ELEVATION_RAD, ALTITUDES_M)
+    inside = roof_m >= np.array(ALTITUDES_M)[:, None, None]
+    assert inside.any()
+    assert np.all(np.asarray(maps.m)[inside] == 0)
+    assert np.all(np.asarray(maps.num_visible)[inside] == 0)
+    assert np.all(np.isinf(np.asarray(maps.gdop)[inside]))
+    assert np.all(np.isfinite(maps.m))
+
+
+def test_fewer_than_four_satellites_give_m_0():
+    roof_m, grid = random_city(40, 50, share=0.3)
+    maps = compute_gps(surface_of(roof_m, grid, grid), AZIMUTH_RAD, ELEVATION_RAD, [5.0])
+    few = np.asarray(maps.num_visible) < 4
+    assert few.any()
+    assert not few.all()
+    assert np.all(np.asarray(maps.m)[few] == 0)
+    assert np.all(np.isinf(np.asarray(maps.tdop)[few]))
+
+
+def test_without_satellites_m_is_0():
+    roof_m, grid = random_city(6, 7)
+    maps = compute_gps(surface_of(roof_m, grid, grid), np.zeros(0), np.zeros(0), ALTITUDES_M)
+    assert maps.m.shape == (2, 6, 7)
+    assert np.all(maps.m == 0)
+    assert np.all(maps.num_visible == 0)
+
+
+def test_a_hill_hides_a_low_satellite_from_the_valley_and_not_from_its_top():
+    grid = Grid("EPSG:32618", 5.0, 900_000, 116_000, 60, 4)
+    ground_m = np.zeros(grid.shape)
+    ground_m[30:35] = 100.0
+    words = visibility(surface_of(np.zeros(grid.shape), grid, grid, ground_m), [0.0], np.radians([30.0]), [20.0])
+    sees = np.asarray(words)[0, 0, :, 0] == 1
+    shadow_cells = (100 - 20) / math.tan(math.radians(30)) / 5  # 27.7 cells south of row 30
+    assert sees[:2].all()
+    assert not sees[30 - int(shadow_cells) : 30].any()
+    assert sees[30:].all()
+
+
+def test_a_satellite_below_the_horizon_is_refused():
+    roof_m, grid = random_city(6, 7)
+    with pytest.raises(InputError, match=r"3\.0 degrees below the horizon"):
+        compute_gps(surface_of(roof_m, grid, grid), [0.0], np.radians([-3.0]), ALTITUDES_M)
+
+
+@pytest.mark.parametrize("threshold", [1.0, math.nan, math.inf, -3.0])
+def test_a_threshold_of_1_or_less_is_refused(threshold):
+    with pytest.raises(InputError, match="gdop_threshold must be a number above 1"):
+        GpsParams(gdop_threshold=threshold)
