@@ -27,12 +27,12 @@ class Sky:
 
     def above(self, mask_rad: float) -> "Sky":
         """Return the satellites that are at or above the elevation mask at any epoch."""
-        keep = (self.elevation_rad >= mask_rad).any(axis=0)
+        keep = np.flatnonzero((self.elevation_rad >= mask_rad).any(axis=0))
         return Sky(
             self.times,
-            tuple(n for n, k in zip(self.names, keep, strict=True) if k),
+            tuple(self.names[i] for i in keep),
             self.azimuth_rad[:, keep],
             self.elevation_rad[:, keep],
-            tuple(s for s, k in zip(self.systems, keep, strict=True) if k),
+            tuple(self.systems[i] for i in keep),
             self.element_age_days[:, keep],
         )

@@ -1,0 +1,109 @@
+"""Files to City."""
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import shapely
+
+from jaxurban.city import City
+from jaxurban.errors import InputError
+from jaxurban.grid import WGS84, check_bounds, projected_crs, transformer, utm_crs
+from jaxurban.io.buildings import read_buildings
+from jaxurban.io.census import read_blocks
+from jaxurban.io.raster import read_raster
+
+TALLEST_M = 1000.0  # no roof stands higher; bounds how far away a shadow can come from
+
+
+def read_city(
+    buildings: str | Path,
+    *,
+    bounds: Sequence[float],
+    crs: str | None = None,
+    blocks: str | Path | None = None,
+    table: str | Path | None = None,
+    districts: str | Path | None = None,
+    terrain: str | Path | None = None,
+    block_field: str = "GEOID10",
+    district_field: str = "BoroCD",
+    commercial: Sequence[int] = (101, 102, 103, 104, 105, 106),
+    default_height_m: float = 10.0,
+    level_height_m: float = 3.0,
+    mask_deg: float = 5.0,
+    allow_none: bool = False,
+) -> City:
+    """Return the city in a set of files, around a region.
+
+    Args:
+      buildings: ``.osm.pbf``, ``.osm``, ``.geojson``, ``.gpkg``, ``.shp``, ``.parquet`` or a height raster.
+      bounds: west, south, east, north of the region in degrees. Buildings are kept as far around it
+        as one of 1,000 m could shadow it from a satellite at the elevation mask.
+      crs: projected CRS in metres; left out, the UTM zone of the region's centre.
+      blocks, table: census blocks (any vector format) and their population table (CSV).
+      districts: district polygons; blocks take the one of largest overlap.
+      terrain: ground elevation raster; left out, flat.
+      block_field, district_field: identifying columns.
+      commercial: labels of the commercial districts.
+      default_height_m, level_height_m: for buildings without a height.
+      mask_deg: lowest satellite elevation that will be used.
+      allow_none: accept a region without a single building.
+
+    Raises:
+      InputError: a file that is missing, unreadable or of the wrong kind, or no building in the region.
+    """
+    west, south, east, north = check_bounds(bounds)
+    if crs is None:
+        crs = utm_crs((west + east) / 2, (south + north) / 2)
+    projected_crs(crs)
+    box_m = transformer(WGS84, crs).transform_bounds(west, south, east, north, densify_pts=101)
+    reach_m = TALLEST_M / math.tan(math.radians(max(mask_deg, 0.5)))
+    wide_m = (box_m[0] - reach_m, box_m[1] - reach_m, box_m[2] + reach_m, box_m[3] + reach_m)
+    source = read_buildings(
+        buildings, crs, bounds_m=wide_m, default_height_m=default_height_m, level_height_m=level_height_m
+    )
+    if source.buildings is not None and not allow_none:
+        near = shapely.intersects(source.buildings.polygons, shapely.box(*box_m))
+        if not near.any():
+            raise InputError(_no_building(buildings, bounds, source.extent_m, crs))
+    faults = dict(source.faults)
+    census = None
+    if blocks is not None:
+        census, block_faults = read_blocks(
+            blocks,
+            table,
+            crs,
+            block_field=block_field,
+            districts_path=districts,
+            district_field=district_field,
+            commercial=tuple(commercial),
+            bounds_m=wide_m,
+        )
+        faults.update(block_faults)
+    ground = read_raster(terrain, crs, wide_m) if terrain is not None else None
+    roles = {"buildings": buildings, "blocks": blocks, "table": table, "districts": districts, "terrain": terrain}
+    return City(
+        crs=crs,
+        extent_m=source.extent_m,
+        buildings=source.buildings,
+        roofs=source.roofs,
+        blocks=census,
+        terrain=ground,
+        faults=faults,
+        counts=source.counts,
+        sources={role: str(path) for role, path in roles.items() if path is not None},
+    )
+
+
+def _no_building(
+    path: str | Path, bounds: Sequence[float], extent_m: tuple[float, float, float, float], crs: str
+) -> str:
+    west, south, east, north = transformer(crs, WGS84).transform_bounds(*extent_m)
+    box = shapely.box(west, south, east, north)
+    swapped = shapely.box(bounds[1], bounds[0], bounds[3], bounds[2])
+    hint = "; latitude and longitude look swapped (longitude comes first)" if shapely.intersects(box, swapped) else ""
+    return (
+        f"{str(path)!r} has no building in the region {list(bounds)}: it covers about {west:.3f}, {south:.3f}, "
+        f"{east:.3f}, {north:.3f} (west, south, east, north){hint}; move [region] bounds there, or set "
+        "[buildings] allow_none = true if none is right"
+    )

@@ -1,0 +1,118 @@
+"""City to Surface: outlines burnt into cells, rasters brought onto the grid."""
+
+import math
+
+import jax.numpy as jnp
+import numpy as np
+import shapely
+from affine import Affine
+from rasterio.features import rasterize
+
+from jaxurban.city import City
+from jaxurban.errors import InputError
+from jaxurban.grid import Grid
+from jaxurban.io.raster import resample_raster
+from jaxurban.surface import Surface
+
+NO_BLOCK = -1
+UNKNOWN_GROUND_M = -500.0  # below all real ground: what stands where the terrain is unknown shadows nothing
+Margins = tuple[float, float, float, float]  # west, south, east, north, metres
+
+
+def north_up(grid: Grid) -> Affine:
+    """Return the affine transform of a north-up raster on ``grid`` (row 0 in the north)."""
+    return Affine(grid.resolution_m, 0.0, grid.x_min_m, 0.0, -grid.resolution_m, grid.y_max_m)
+
+
+def burn(polygons: np.ndarray, values: np.ndarray, grid: Grid, fill: float, dtype: str, all_touched: bool = False):
+    """Return ``values`` burnt at the cells of ``polygons``, the highest value where they overlap.
+
+    Args:
+      polygons: ``[N]`` shapely polygons in the grid's CRS.
+      values: ``[N]`` numbers.
+      grid: where to burn.
+      fill: value of cells that no polygon holds.
+      dtype: of the result.
+      all_touched: burn every touched cell, not only those whose centre is inside.
+
+    Returns:
+      ``[Y, X]`` array of ``dtype``, row 0 in the south.
+    """
+    near = np.flatnonzero(shapely.intersects(polygons, shapely.box(*grid.bounds_m)))
+    if near.size == 0:
+        return np.full(grid.shape, fill, dtype)
+    near = near[np.argsort(values[near], kind="stable")]  # later ones win, so the highest comes last
+    shapes = zip(polygons[near], values[near].tolist(), strict=True)
+    burnt = rasterize(shapes, grid.shape, fill=fill, transform=north_up(grid), all_touched=all_touched, dtype=dtype)
+    return burnt[::-1]
+
+
+def highest_top_m(city: City) -> float:
+    """Return how far the highest roof can stand above the lowest ground, metres."""
+    if city.buildings is not None:
+        roof_m = float(city.buildings.height_m.max(initial=0.0))
+    else:
+        assert city.roofs is not None
+        roof_m = float(np.nanmax(city.roofs.values, initial=0.0))
+    if city.terrain is None:
+        return roof_m
+    return roof_m + float(np.nanmax(city.terrain.values) - np.nanmin(city.terrain.values))
+
+
+def surface_grid(city: City, region: Grid, always_m: float, toward_m: Margins) -> Grid:
+    """Return the region's grid grown by the margins that its maps need.
+
+    Args:
+      city: its extent bounds the margin toward the satellites.
+      region: the grid that maps report.
+      always_m: margin on every side (lidar range, risk threshold), also beyond the data.
+      toward_m: west, south, east, north margins toward the satellites, as far as the data reach.
+    """
+    x_min, y_min, x_max, y_max = city.extent_m
+    reach_m = (region.x_min_m - x_min, region.y_min_m - y_min, x_max - region.x_max_m, y_max - region.y_max_m)
+    cells = (
+        math.ceil(max(always_m, min(toward, reach)) / region.resolution_m)
+        for toward, reach in zip(toward_m, reach_m, strict=True)
+    )
+    return region.padded(*cells)
+
+
+def build_surface(city: City, region: Grid, grid: Grid, all_touched: bool = False) -> Surface:
+    """Return the city as rasters on ``grid``, of which ``region`` is the part that maps report.
+
+    A roof covers the cells whose centre lies in its outline (``all_touched``: every cell it touches).
+
+    Raises:
+      InputError: the terrain or the height raster does not cover any of the region.
+    """
+    has_data = None
+    if city.buildings is not None:
+        roof_m = burn(city.buildings.polygons, city.buildings.height_m, grid, 0.0, "float32", all_touched)
+    else:
+        assert city.roofs is not None
+        roof_m = resample_raster(city.roofs, grid, "max" if all_touched else "nearest")
+        has_data = np.isfinite(roof_m)
+        roof_m = np.where(has_data, np.maximum(roof_m, 0.0), 0.0).astype(np.float32)
+    terrain_m = None
+    if city.terrain is not None:
+        terrain_m = resample_raster(city.terrain, grid, "bilinear")
+        known = np.isfinite(terrain_m)
+        has_data = known if has_data is None else has_data & known
+        terrain_m = np.where(known, terrain_m, UNKNOWN_GROUND_M).astype(np.float32)
+    if has_data is not None:
+        if not has_data[region.window_in(grid)].any():
+            raise InputError("the rasters hold no data in the region: check [region] bounds and the raster's CRS")
+        if has_data.all():
+            has_data = None
+    block = None
+    if city.blocks is not None:
+        numbers = np.arange(len(city.blocks))
+        block = burn(city.blocks.polygons, numbers, region, NO_BLOCK, "int32")
+    return Surface(
+        roof_m=jnp.asarray(roof_m),
+        terrain_m=None if terrain_m is None else jnp.asarray(terrain_m),
+        has_data=None if has_data is None else jnp.asarray(has_data),
+        block=None if block is None else jnp.asarray(block),
+        grid=grid,
+        region=region,
+    )
