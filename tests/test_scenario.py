@@ -20,7 +20,9 @@ def test_only_region_and_buildings_are_required():
 
 
 def test_toml_round_trip_keeps_every_setting(tmp_path):
-    scenario = Scenario.from_dict(MINIMAL | {"gps": {"times": ["2020-04-27T12:00:00-04:00"], "reference": [-74.0, 40.7]}})
+    scenario = Scenario.from_dict(
+        MINIMAL | {"gps": {"times": ["2020-04-27T12:00:00-04:00"], "reference": [-74.0, 40.7]}}
+    )
     path = tmp_path / "scenario.toml"
     path.write_text(scenario.to_toml())
     again = Scenario.from_toml(path)

@@ -1,0 +1,147 @@
+"""MetricMaps: the metric maps of one region at one resolution; save and open."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+import xarray as xr
+
+from jaxurban.cost import METRICS, metric_cost, normalised_map, total_map
+from jaxurban.errors import InputError
+from jaxurban.grid import Grid
+from jaxurban.io import store
+
+
+@dataclass(frozen=True)
+class MetricMaps:
+    """The metric maps of one region at one resolution, as an xarray Dataset.
+
+    Variables (values are m; rows run south to north): ``obstacle`` and ``lidar`` and ``risk``
+    [altitude, y, x]; ``gps``, ``gdop``, ``pdop``, ``hdop``, ``vdop``, ``tdop`` and ``num_visible``
+    [time, altitude, y, x]; ``population`` and ``density`` (people per km2) [time_of_day, y, x], only
+    with population data; ``roof`` and ``terrain`` (only if not flat) [y, x] in metres; ``has_data`` [y, x].
+    DOPs are inf with fewer than four satellites. Metrics are NaN only where ``has_data`` is False.
+
+    Attributes:
+      ds: the dataset; ``ds.attrs`` hold CRS, resolution and provenance.
+    """
+
+    ds: xr.Dataset
+
+    @property
+    def grid(self) -> Grid:
+        """The grid of every map."""
+        attrs = self.ds.attrs
+        return Grid(
+            attrs["crs"],
+            float(attrs["resolution_m"]),
+            int(attrs["first_row"]),
+            int(attrs["first_col"]),
+            self.ds.sizes["y"],
+            self.ds.sizes["x"],
+        )
+
+    @property
+    def altitudes_m(self) -> tuple[float, ...]:
+        """Altitudes above ground of the maps."""
+        return tuple(float(value) for value in self.ds["altitude"].values)
+
+    @property
+    def times(self) -> tuple[str, ...]:
+        """UTC epochs of the GPS maps, ISO 8601."""
+        return tuple(f"{value}Z" for value in np.datetime_as_string(self.ds["time"].values, unit="s"))
+
+    @property
+    def times_of_day(self) -> tuple[str, ...]:
+        """Times of day of the population maps, empty without population."""
+        return tuple(str(value) for value in self.ds["time_of_day"].values) if "population" in self.ds else ()
+
+    @property
+    def metrics(self) -> tuple[str, ...]:
+        """The cost metrics that these maps hold, in the order of the cost's layers."""
+        return tuple(name for name in METRICS if name in self.ds)
+
+    def _pick(self, name: str, value, given: Sequence, shown: Sequence) -> int:
+        if value is None:
+            return 0
+        if value not in given:
+            listed = ", ".join(str(item) for item in shown)
+            raise InputError(f"there are no maps for {name} {value}: these maps hold {listed}")
+        return list(given).index(value)
+
+    def m(
+        self, name: str, altitude_m: float | None = None, *, time: str | None = None, time_of_day: str | None = None
+    ) -> np.ndarray:
+        """Return one map ``[y, x]``, rows south to north.
+
+        Args:
+          name: a variable, such as ``"gps"`` or ``"hdop"``.
+          altitude_m: one of `altitudes_m`; the lowest listed first if left out.
+          time: one of `times`; the first if left out.
+          time_of_day: one of `times_of_day`; the first if left out.
+
+        Raises:
+          InputError: no such variable, altitude, time or time of day in these maps.
+        """
+        if name not in self.ds:
+            raise InputError(f"these maps hold no {name!r}: they hold {', '.join(map(str, self.ds.data_vars))}")
+        wanted = {
+            "altitude": self._pick("altitude", altitude_m, self.altitudes_m, self.altitudes_m),
+            "time": self._pick("time", _utc_seconds(time), self.times, self.times),
+            "time_of_day": self._pick("time of day", time_of_day, self.times_of_day, self.times_of_day),
+        }
+        array = self.ds[name]
+        return array.isel({dim: index for dim, index in wanted.items() if dim in array.dims}).values
+
+    def is_free(self, altitude_m: float) -> np.ndarray:
+        """Return ``[y, x]`` bool: no obstacle at this altitude, and data there."""
+        return (self.m("obstacle", altitude_m) == 0) & self.ds["has_data"].values
+
+    def costs(self, altitude_m: float, *, time: str | None = None, time_of_day: str | None = None) -> dict:
+        """Return the cost layers c in [0, 1] by metric, ``[y, x]`` each."""
+        return {
+            name: metric_cost(name, self.m(name, altitude_m, time=time, time_of_day=time_of_day))
+            for name in self.metrics
+        }
+
+    def total(self, altitude_m: float, *, time: str | None = None, time_of_day: str | None = None) -> np.ndarray:
+        """Return H_total, the unweighted sum of the cost layers, ``[y, x]``."""
+        return np.asarray(total_map(self.costs(altitude_m, time=time, time_of_day=time_of_day)))
+
+    def normalised(self, altitude_m: float, *, time: str | None = None, time_of_day: str | None = None) -> np.ndarray:
+        """Return H_norm, H_total brought to [0, 1] over free cells, NaN elsewhere, ``[y, x]``."""
+        total = self.total(altitude_m, time=time, time_of_day=time_of_day)
+        return np.asarray(normalised_map(jnp.asarray(total), jnp.asarray(self.is_free(altitude_m))))
+
+    def prefers_gps(self, altitude_m: float, *, time: str | None = None) -> np.ndarray:
+        """Return the sensor-choice map ``[y, x]`` bool: m_gps > m_lidar."""
+        return self.m("gps", altitude_m, time=time) > self.m("lidar", altitude_m)
+
+    def save(self, folder: str | Path) -> None:
+        """Write Zarr and cloud-optimised GeoTIFF under ``folder`` (`jaxurban.io.store` says which files)."""
+        store.write_zarr(self.ds, Path(folder))
+        store.write_geotiffs(self.ds, Path(folder))
+
+
+def open_maps(folder: str | Path, resolution_m: float | None = None) -> MetricMaps:
+    """Return the maps that ``MetricMaps.save`` or ``jaxurban maps`` wrote under ``folder``.
+
+    Args:
+      folder: the output folder.
+      resolution_m: which of them; may be left out when there is one.
+
+    Raises:
+      InputError: no maps there, or several and none chosen.
+    """
+    return MetricMaps(store.open_zarr(Path(folder), resolution_m))
+
+
+def _utc_seconds(time: str | None) -> str | None:
+    if time is None:
+        return None
+    try:
+        return f"{np.datetime_as_string(np.datetime64(time.removesuffix('Z')), unit='s')}Z"
+    except ValueError as error:
+        raise InputError(f"time {time!r} is not a UTC time such as 2020-04-27T16:00:00Z") from error
