@@ -1,0 +1,111 @@
+"""The exact set of cells that a polyline crosses, with the length in each."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from jaxurban.errors import InputError
+
+TOUCH_CELLS = 1e-9  # in cell sides: a cut this short is rounding of a touched corner or border, not a crossing
+
+
+class Crossings(NamedTuple):
+    """Cells crossed by a polyline, in the order of travel. ``M`` pieces.
+
+    Attributes:
+      segment: ``[M]`` int64, which segment of the polyline each piece belongs to, ascending.
+      row, col: ``[M]`` int64 cell of each piece; outside the map's range where the path leaves the map.
+      length_m: ``[M]`` float64 length of each piece.
+    """
+
+    segment: np.ndarray
+    row: np.ndarray
+    col: np.ndarray
+    length_m: np.ndarray
+
+
+def in_cell_sides(points_m: np.ndarray, resolution_m: float) -> np.ndarray:
+    """Return points in cell sides; a coordinate within ``TOUCH_CELLS`` of a border lies on it exactly.
+
+    Raises:
+      InputError: the points are not ``[N, 2]`` with ``N >= 1``, or not finite.
+    """
+    points = np.array(points_m, np.float64, ndmin=1)
+    if points.ndim != 2 or points.shape[1] != 2 or len(points) == 0 or not np.isfinite(points).all():
+        raise InputError(f"points_m must be [N, 2] finite metres with N >= 1, got shape {points.shape}: mend the path")
+    points /= resolution_m
+    border = np.rint(points)
+    return np.where(np.abs(points - border) < TOUCH_CELLS, border, points)
+
+
+def crossed_cells(points_m: np.ndarray, resolution_m: float) -> Crossings:
+    """Return the cells whose interior a polyline crosses, with the length in each.
+
+    Cell (row, col) covers ``[col, col + 1) x [row, row + 1)`` cell sides: a stretch that runs exactly
+    along a border belongs to the cell north or east of it (the floor rule of the grid). A cell that is
+    only touched, at a corner or by a vertex of the polyline on its border, is not crossed. A piece
+    shorter than ``TOUCH_CELLS`` at a corner counts as touching. Segments of no length cross nothing,
+    but a path of no length at all lies in the cell that holds it, with length 0.
+
+    Args:
+      points_m: ``[N, 2]`` x, y in metres from the map's southwest corner, ``N >= 1``.
+      resolution_m: side of a cell.
+
+    Raises:
+      InputError: the points are not ``[N, 2]`` with ``N >= 1``, or not finite.
+    """
+    points = in_cell_sides(points_m, resolution_m)
+    if np.all(points == points[0]):
+        col, row = np.floor(points[0]).astype(np.int64)
+        return Crossings(np.zeros(1, np.int64), np.array([row]), np.array([col]), np.zeros(1))
+    most_pieces = int(np.abs(np.diff(np.floor(points), axis=0)).sum()) + len(points)
+    segment, row, col, length = _walk(points, most_pieces)
+    return Crossings(segment, row, col, length * resolution_m)
+
+
+@njit(cache=True)
+def _walk(points, most_pieces):
+    """Walk each segment from border to border; the number of borders is counted, so the walk always ends."""
+    segment = np.empty(most_pieces, np.int64)
+    row = np.empty(most_pieces, np.int64)
+    col = np.empty(most_pieces, np.int64)
+    length = np.empty(most_pieces, np.float64)
+    count = 0
+    for s in range(len(points) - 1):
+        x0, y0 = points[s]
+        x1, y1 = points[s + 1]
+        dx, dy = x1 - x0, y1 - y0
+        total = np.hypot(dx, dy)
+        if total == 0.0:
+            continue
+        # Borders strictly inside the segment. Going west or south from a border starts beyond it.
+        if dx >= 0.0:
+            step_x, c, num_x = 1, int(np.floor(x0)), int(np.ceil(x1)) - int(np.floor(x0)) - 1
+        else:
+            step_x, c, num_x = -1, int(np.ceil(x0)) - 1, int(np.ceil(x0)) - int(np.floor(x1)) - 1
+        if dy >= 0.0:
+            step_y, r, num_y = 1, int(np.floor(y0)), int(np.ceil(y1)) - int(np.floor(y0)) - 1
+        else:
+            step_y, r, num_y = -1, int(np.ceil(y0)) - 1, int(np.ceil(y0)) - int(np.floor(y1)) - 1
+        at = 0.0
+        while True:
+            next_x = (c + (step_x > 0) - x0) / dx * total if num_x > 0 else np.inf
+            next_y = (r + (step_y > 0) - y0) / dy * total if num_y > 0 else np.inf
+            end = min(next_x, next_y, total)
+            segment[count] = s
+            row[count] = r
+            col[count] = c
+            length[count] = end - at
+            count += 1
+            if num_x <= 0 and num_y <= 0:
+                break
+            is_corner = abs(next_x - next_y) < TOUCH_CELLS
+            if is_corner or next_x < next_y:
+                c += step_x
+                num_x -= 1
+            if is_corner or next_y < next_x:
+                r += step_y
+                num_y -= 1
+            at = end
+    return segment[:count], row[:count], col[:count], length[:count]

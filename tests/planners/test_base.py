@@ -1,0 +1,89 @@
+"""What a problem accepts and refuses."""
+
+import numpy as np
+import pytest
+
+from jaxurban.errors import InputError
+from jaxurban.planners.base import Problem, Status
+from jaxurban.planners.moves import STEPS, allowed_moves
+
+FREE = np.array([[True, True, True], [True, False, True]])
+LAYERS = np.ones((2, 2, 3))
+
+
+def make(layers=LAYERS, is_free=FREE, start=(0, 0), goal=(0, 2), resolution_m=1.0, distance_weight=1.0, **options):
+    return Problem(layers, is_free, start, goal, resolution_m, distance_weight, **options)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"layers": LAYERS[0]}, r"layers must be \[L, Y, X\]"),
+        ({"layers": np.where(FREE, np.nan, 0)[None]}, "costs must be finite"),
+        ({"layers": np.array([-np.ones((2, 3)), 2 * np.ones((2, 3))])}, "not negative"),
+        ({"layers": np.full((1, 2, 3), np.inf)}, "costs must be finite"),
+        ({"start": (0, 3)}, "outside the map"),
+        ({"goal": (-1, 0)}, "outside the map"),
+        ({"goal": (1, 1)}, "inside an obstacle"),
+        ({"resolution_m": 0.0}, "resolution_m must be a positive"),
+        ({"reference_length_m": np.nan}, "reference_length_m must be a positive"),
+        ({"distance_weight": -0.1}, "distance weight"),
+        ({"distance_weight": np.nan}, "distance weight"),
+        ({"connectivity": 6}, "connectivity must be 4 or 8"),
+        ({"cost_model": "cells"}, "cost_model must be"),
+        ({"diagonal": "never"}, "diagonal must be"),
+    ],
+)
+def test_a_wrong_problem_is_refused_with_a_sentence_that_names_it(changes, message):
+    with pytest.raises(InputError, match=message):
+        make(**changes)
+
+
+def test_costs_inside_obstacles_may_be_anything():
+    layers = np.where(FREE, LAYERS, np.nan)
+    assert make(layers).cost[0, 0] == 2
+
+
+def test_arguments_stay_writable_and_unaltered():
+    layers, is_free = LAYERS.copy(), FREE.copy()
+    make(layers, is_free)
+    layers[0, 0, 0] = 7
+    is_free[0, 0] = False
+
+
+def test_between_asks_the_same_map_between_other_cells():
+    problem = make()
+    other = problem.between((1, 0), (1, 2))
+    assert (problem.start, other.start, other.goal) == ((0, 0), (1, 0), (1, 2))
+    assert other.cost is problem.cost
+    with pytest.raises(InputError, match="inside an obstacle"):
+        problem.between((0, 0), (1, 1))
+
+
+@pytest.mark.parametrize("connectivity", [4, 8])
+@pytest.mark.parametrize("needs_both_free", [True, False])
+def test_allowed_moves_equal_the_rule_written_out(connectivity, needs_both_free):
+    is_free = np.random.default_rng(2).random((9, 11)) < 0.6
+    moves = allowed_moves(is_free, connectivity, needs_both_free)
+
+    def free(row, col):
+        return 0 <= row < 9 and 0 <= col < 11 and bool(is_free[row, col])
+
+    for row, col in np.ndindex(9, 11):
+        for k, (rows, cols) in enumerate(STEPS):
+            expected = k < connectivity and free(row, col) and free(row + rows, col + cols)
+            if rows and cols and needs_both_free:
+                expected = expected and free(row + rows, col) and free(row, col + cols)
+            assert bool(moves[row, col] >> k & 1) == expected
+
+
+def test_every_status_has_a_sentence_and_an_exit_code():
+    assert {status: status.exit_code for status in Status} == {
+        Status.OPTIMAL: 0,
+        Status.FEASIBLE: 0,
+        Status.BUDGET_FEASIBLE: 0,
+        Status.NO_PATH: 3,
+        Status.BLOCKED: 3,
+        Status.BUDGET_EMPTY: 4,
+    }
+    assert all(status.sentence.endswith(".") for status in Status)
