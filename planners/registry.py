@@ -1,0 +1,54 @@
+"""The planners by name."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+
+from jaxurban.errors import InputError, nearest_name
+from jaxurban.planners.astar import astar_dist, astar_plus
+from jaxurban.planners.base import Path, Planner
+from jaxurban.planners.heuristics import HEURISTICS
+from jaxurban.planners.ptp import ptp
+
+
+@dataclass(frozen=True)
+class PlannerEntry:
+    """A planner and the heuristics that it takes.
+
+    Attributes:
+      run: the planner; takes ``heuristic=`` beside the contract's arguments if it has heuristics.
+      summary: one line for help texts and tables.
+      default_heuristic: ``"none"`` for a planner that uses none.
+      heuristics: names it accepts as ``heuristic=``; empty for a planner that uses none.
+    """
+
+    run: Callable[..., Path]
+    summary: str
+    default_heuristic: str = "none"
+    heuristics: tuple[str, ...] = ()
+
+
+PLANNERS = {
+    "ptp": PlannerEntry(ptp, "the straight segment from start to goal"),
+    "astar-dist": PlannerEntry(astar_dist, "A* guided by the straight distance", "euclidean", HEURISTICS),
+    "astar-plus": PlannerEntry(astar_plus, "A* guided by distance and map costs", "plus", HEURISTICS),
+}
+
+
+def find_planner(name: str, heuristic: str | None = None) -> Planner:
+    """Return the planner of a name, with its own heuristic or the one given.
+
+    Raises:
+      InputError: an unknown planner, or a heuristic that it does not take.
+    """
+    if name not in PLANNERS:
+        raise InputError(f"unknown planner {name!r}{nearest_name(name, PLANNERS)}: choose one of {', '.join(PLANNERS)}")
+    entry = PLANNERS[name]
+    if heuristic is None:
+        return entry.run
+    if heuristic not in entry.heuristics:
+        accepted = f"choose one of {', '.join(entry.heuristics)}" if entry.heuristics else "leave it out"
+        raise InputError(
+            f"planner {name!r} takes no heuristic {heuristic!r}{nearest_name(heuristic, entry.heuristics)}: {accepted}"
+        )
+    return partial(entry.run, heuristic=heuristic)

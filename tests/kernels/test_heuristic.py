@@ -1,0 +1,60 @@
+"""Map-cost bounds, against reductions over boxes and sums over rows written out."""
+
+import numpy as np
+import pytest
+
+from jaxurban.kernels.heuristic import cell_line_bound, line_line_bound, line_minima, printed_plus_field
+
+
+def box_reduction(layers, goal, first_index):
+    """The printed s_k, node by node, straight from the equations."""
+    _, num_rows, num_cols = layers.shape
+    values = np.zeros((num_rows, num_cols))
+    for row in range(num_rows):
+        for col in range(num_cols):
+            (south, north), (west, east) = sorted((row, goal[0])), sorted((col, goal[1]))
+            box = layers[:, south : north + 1, west : east + 1]
+            dx, dy = east - west, north - south
+            columns = box.min(axis=1)[:, first_index : first_index + dx].sum(axis=1)
+            rows = box.min(axis=2)[:, first_index : first_index + dy].sum(axis=1)
+            values[row, col] = np.maximum(columns, rows).sum()
+    return values
+
+
+@pytest.mark.parametrize("first_index", [1, 0])
+def test_the_printed_field_equals_a_box_reduction_at_every_node(first_index):
+    rng = np.random.default_rng(5)
+    for shape in [(1, 1), (1, 7), (6, 1), (2, 2), (9, 12), (13, 8)]:
+        layers = rng.random((3, *shape))
+        for _ in range(4):
+            goal = (int(rng.integers(shape[0])), int(rng.integers(shape[1])))
+            expected = box_reduction(layers, goal, first_index)
+            np.testing.assert_allclose(printed_plus_field(layers, goal, first_index), expected, atol=1e-12)
+
+
+def test_the_printed_field_charges_the_nodes_own_column_where_the_goal_lies_west():
+    layers = np.array([[[1.0, 0.0, 5.0]]])  # goal, free ground, node
+    assert printed_plus_field(layers, (0, 0), 1)[0, 2] == 5.0  # the true map cost of going west is 0 + 1
+    assert printed_plus_field(layers[..., ::-1], (0, 2), 1)[0, 0] == 1.0  # mirrored it is right
+
+
+def test_cell_bounds_count_the_lines_entered():
+    minima = np.array([1.0, 2.0, 4.0, 8.0])
+    np.testing.assert_array_equal(cell_line_bound(minima, 2), [6, 4, 0, 4])
+    np.testing.assert_array_equal(cell_line_bound(minima, 0), [0, 1, 3, 7])
+    np.testing.assert_array_equal(cell_line_bound(minima[:1], 0), [0])
+
+
+def test_line_bounds_count_the_end_lines_half():
+    minima = np.array([1.0, 2.0, 4.0, 8.0])
+    np.testing.assert_array_equal(line_line_bound(minima, 2, 1.0), [0.5 + 2 + 2, 3, 0, 6])
+    np.testing.assert_array_equal(line_line_bound(minima, 3, 2.0), [21, 18, 12, 0])
+
+
+def test_a_line_of_obstacles_bounds_what_lies_beyond_by_infinity():
+    is_free = np.array([[True, False, True], [True, False, True]])
+    rows, cols = line_minima(np.full((2, 3), 2.0), is_free)
+    np.testing.assert_array_equal(rows, [2, 2])
+    np.testing.assert_array_equal(cols, [2, np.inf, 2])
+    np.testing.assert_array_equal(cell_line_bound(cols, 0), [0, 2, np.inf])
+    np.testing.assert_array_equal(line_line_bound(cols, 2, 1.0), [np.inf, np.inf, 0])
