@@ -246,6 +246,7 @@ def compute_maps(
             "first_row": region.first_row,
             "first_col": region.first_col,
             "satellites": list(sky.names),
+            **({"attribution": city.attribution} if city.attribution else {}),
             **attrs,
         },
     )

@@ -144,6 +144,7 @@ class City:
       faults: what the readers met and left out, counted by name.
       counts: what the building source holds, counted by name.
       sources: path by role, for provenance (empty for a generated city).
+      attribution: the credit that the licence of the sources asks for wherever pictures are shown.
     """
 
     crs: str
@@ -155,6 +156,7 @@ class City:
     faults: Mapping[str, int] = field(default_factory=dict)
     counts: Mapping[str, int] = field(default_factory=dict)
     sources: Mapping[str, str] = field(default_factory=dict)
+    attribution: str = ""
 
     def __post_init__(self) -> None:
         if (self.buildings is None) == (self.roofs is None):

@@ -13,6 +13,8 @@ from jaxurban.io.buildings import read_buildings
 from jaxurban.io.census import read_blocks
 from jaxurban.io.raster import read_raster
 
+OSM_SUFFIXES = (".pbf", ".osm")
+OSM_CREDIT = "© OpenStreetMap contributors"  # asked for by the ODbL
 TALLEST_M = 1000.0  # no roof stands higher; bounds how far away a shadow can come from
 
 
@@ -91,6 +93,7 @@ def read_city(
         terrain=ground,
         faults=faults,
         counts=source.counts,
+        attribution=OSM_CREDIT if str(buildings).lower().endswith(OSM_SUFFIXES) else "",
         sources={role: str(path) for role, path in roles.items() if path is not None},
     )
 
