@@ -1,0 +1,189 @@
+"""Planned paths as files for other programs: GeoJSON, KML, QGroundControl plan."""
+
+import json
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, Protocol
+from xml.etree import ElementTree
+
+import numpy as np
+import shapely
+
+from jaxurban.errors import InputError
+from jaxurban.io.store import whole_file
+from jaxurban.planners.base import Status
+
+DECIMALS = 7  # of a degree: about a centimetre
+STRAIGHT_M = 0.01  # a waypoint closer than this to the line through its neighbours is left out of a .plan
+
+# MAVLink common message set, and the values that QGroundControl's plan format takes from it
+MAV_CMD_NAV_WAYPOINT, MAV_CMD_NAV_TAKEOFF = 16, 22
+MAV_FRAME_GLOBAL_RELATIVE_ALT = 3
+MAV_AUTOPILOT_PX4, MAV_TYPE_QUADROTOR = 12, 2
+ALTITUDE_RELATIVE = 1
+
+
+class Route(Protocol):
+    """What is written: a `PlannedPath`. ``N`` points."""
+
+    @property
+    def status(self) -> Status:
+        """How the planner ended."""
+
+    @property
+    def xy_m(self) -> np.ndarray:
+        """``[N, 2]`` easting, northing in a projected CRS."""
+
+    @property
+    def lonlat(self) -> np.ndarray:
+        """``[N, 2]`` longitude, latitude in degrees."""
+
+    @property
+    def altitude_m(self) -> float:
+        """Altitude above ground."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Everything but the points, JSON-ready."""
+
+
+def write_path(route: Route, file: str | Path) -> bool:
+    """Write a path in the format that the file's suffix names; return False, writing nothing, if there is no path.
+
+    ``.geojson`` (RFC 7946): a FeatureCollection of one LineString. Coordinates are longitude and latitude
+    only, since a third one would be a height above the ellipsoid; the altitude above ground and all else
+    that is known of the path are properties (``altitude_m``, ``cost``, ``metrics`` ...).
+    ``.kml``: a LineString at its altitude above ground (``relativeToGround``), the same facts as data.
+    ``.plan`` (QGroundControl): take-off at the first point, then a waypoint at every turn; points within
+    a centimetre of the straight line between their neighbours are left out, so that a grid path is not a
+    mission of thousands. Altitudes are relative to the home position, which equals above ground only over
+    level ground; the home position is the first point at 0 m, its true elevation being unknown. There is
+    no landing: a pilot adds it. The file appears whole or not at all; an older one is replaced.
+
+    Args:
+      route: from `plan`.
+      file: where to; several formats are several calls.
+
+    Raises:
+      InputError: another suffix, or a folder that does not exist or cannot be written to.
+    """
+    file = Path(file)
+    encode = _encoder(file)
+    if not route.status.has_path:
+        return False
+    content = encode(route)
+    try:
+        with whole_file(file) as scratch:
+            scratch.write_bytes(content)
+    except OSError as error:
+        raise InputError(f"cannot write {str(file)!r}: {error.strerror or error}") from error
+    return True
+
+
+def check_export(file: str | Path) -> None:
+    """Raise InputError unless `write_path` can write this file: call it before a long search."""
+    _encoder(Path(file))
+
+
+def _encoder(file: Path) -> Callable[[Route], bytes]:
+    encode = ENCODERS.get(file.suffix.lower())
+    if encode is None:
+        raise InputError(f"cannot tell the format of {str(file)!r}: end its name in one of {', '.join(ENCODERS)}")
+    if not file.parent.is_dir():
+        raise InputError(f"the folder of {str(file)!r} does not exist: make it first, or name another file")
+    if file.is_dir():
+        raise InputError(f"{str(file)!r} is a folder: name a file")
+    return encode
+
+
+def _positions(lonlat: np.ndarray) -> list[list[float]]:
+    """Return longitude, latitude pairs; a lone point twice, since a line needs two positions."""
+    pairs = np.round(lonlat, DECIMALS).tolist()
+    return pairs * 2 if len(pairs) == 1 else pairs
+
+
+def _geojson(route: Route) -> bytes:
+    feature = {
+        "type": "Feature",
+        "properties": route.to_dict(),
+        "geometry": {"type": "LineString", "coordinates": _positions(route.lonlat)},
+    }
+    collection = {"type": "FeatureCollection", "features": [feature]}
+    return (json.dumps(collection, allow_nan=False) + "\n").encode()
+
+
+def _kml(route: Route) -> bytes:
+    facts = route.to_dict()
+    root = ElementTree.Element("kml", xmlns="http://www.opengis.net/kml/2.2")
+    placemark = ElementTree.SubElement(ElementTree.SubElement(root, "Document"), "Placemark")
+    ElementTree.SubElement(placemark, "name").text = f"{facts['planner']}, {route.altitude_m:g} m above ground"
+    ElementTree.SubElement(placemark, "description").text = facts["message"]
+    data = ElementTree.SubElement(placemark, "ExtendedData")
+    for name, value in _flat(facts):
+        ElementTree.SubElement(ElementTree.SubElement(data, "Data", name=name), "value").text = str(value)
+    line = ElementTree.SubElement(placemark, "LineString")
+    ElementTree.SubElement(line, "altitudeMode").text = "relativeToGround"
+    ElementTree.SubElement(line, "coordinates").text = " ".join(
+        f"{lon:.{DECIMALS}f},{lat:.{DECIMALS}f},{route.altitude_m:g}" for lon, lat in _positions(route.lonlat)
+    )
+    ElementTree.indent(root)
+    return ElementTree.tostring(root, encoding="utf-8", xml_declaration=True)
+
+
+def _flat(facts: Mapping[str, Any], prefix: str = "") -> list[tuple[str, Any]]:
+    """Return nested facts as dotted names with plain values, those without a value left out."""
+    pairs: list[tuple[str, Any]] = []
+    for name, value in facts.items():
+        if isinstance(value, Mapping):
+            pairs += _flat(value, f"{prefix}{name}.")
+        elif value is not None:
+            pairs.append((prefix + name, value))
+    return pairs
+
+
+def _turns(xy_m: np.ndarray) -> np.ndarray:
+    """Return the indices of the points that bend the path, first and last included, ``[W]``."""
+    if len(xy_m) < 3:
+        return np.arange(len(xy_m))
+    # The index rides along as z, which simplifying ignores.
+    line = shapely.LineString(np.column_stack([xy_m, np.arange(len(xy_m))]))
+    return shapely.get_coordinates(line.simplify(STRAIGHT_M), include_z=True)[:, 2].astype(int)
+
+
+def _qgc_plan(route: Route) -> bytes:
+    corners = np.round(route.lonlat[_turns(route.xy_m)], DECIMALS).tolist()
+    commands = [MAV_CMD_NAV_TAKEOFF] + [MAV_CMD_NAV_WAYPOINT] * (len(corners) - 1)
+    items = [
+        {
+            "type": "SimpleItem",
+            "autoContinue": True,
+            "command": command,
+            "doJumpId": number,
+            "frame": MAV_FRAME_GLOBAL_RELATIVE_ALT,
+            "Altitude": route.altitude_m,
+            "AltitudeMode": ALTITUDE_RELATIVE,
+            "AMSLAltAboveTerrain": None,
+            "params": [0, 0, 0, None, lat, lon, route.altitude_m],  # the fourth: yaw as the autopilot sees fit
+        }
+        for number, (command, (lon, lat)) in enumerate(zip(commands, corners, strict=True), start=1)
+    ]
+    plan = {
+        "fileType": "Plan",
+        "version": 1,
+        "groundStation": "QGroundControl",
+        "mission": {
+            "version": 2,
+            "firmwareType": MAV_AUTOPILOT_PX4,
+            "vehicleType": MAV_TYPE_QUADROTOR,
+            "globalPlanAltitudeMode": ALTITUDE_RELATIVE,
+            "cruiseSpeed": 15,  # m/s, QGroundControl's defaults
+            "hoverSpeed": 5,
+            "plannedHomePosition": [corners[0][1], corners[0][0], 0],
+            "items": items,
+        },
+        "geoFence": {"version": 2, "circles": [], "polygons": []},
+        "rallyPoints": {"version": 2, "points": []},
+    }
+    return (json.dumps(plan, indent=2, allow_nan=False) + "\n").encode()
+
+
+ENCODERS: dict[str, Callable[[Route], bytes]] = {".geojson": _geojson, ".kml": _kml, ".plan": _qgc_plan}
