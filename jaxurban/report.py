@@ -1,0 +1,308 @@
+"""summary.md: what the maps and paths of a run show, in words and tables for a reader new to them."""
+
+from collections.abc import Callable, Mapping, Sequence
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from jaxurban.maps import MetricMaps
+from jaxurban.metrics.gps import Rating, rating
+from jaxurban.planning import PlannedPath
+
+Paths = Mapping[float, Sequence[PlannedPath]]
+Facts = Mapping[str, float]
+
+ORIGINS = {  # of heights, by the names that run.json uses
+    "height": "a height tag",
+    "levels": "their number of levels",
+    "default": "the default",
+    "raster": "a height raster",
+    "generated": "the generator",
+}
+
+
+def summary_markdown(maps: MetricMaps, paths: Paths, run: Mapping[str, Any] | None = None) -> str:
+    """Return the summary of one region's maps and paths as Markdown; every number is taken from them.
+
+    Pictures are named as `jaxurban.plotting.save_figures` names them, in a folder ``figures`` beside the
+    summary. Means and shares by altitude are over free cells, at the first epoch.
+
+    Args:
+      maps: from `build_maps` or `open_maps`.
+      paths: paths by altitude; may be empty.
+      run: what run.json holds; what it lacks is left out.
+    """
+    facts = [_facts(maps, z) for z in maps.altitudes_m]
+    sections = [
+        "# Metric maps and paths: summary",
+        _opening(facts),
+        "![Metric maps and paths](figures/overview.png)",
+        _region_section(maps, run or {}),
+        _altitude_section(facts),
+        _population_section(maps, run or {}),
+        _path_section(maps, paths),
+        _figure_section(maps, facts, paths),
+        _limit_section(run or {}),
+    ]
+    return "\n\n".join(section for section in sections if section) + "\n"
+
+
+def _look_up(run: Mapping[str, Any], *keys: str) -> Any:
+    """Return a value of nested dicts, None where a key is missing."""
+    value: Any = run
+    for key in keys:
+        value = value.get(key) if isinstance(value, Mapping) else None
+    return value
+
+
+def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    lines = [head, ["---"] + ["---:"] * (len(head) - 1), *rows]
+    return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
+
+
+def _percent(share: float) -> str:
+    return "-" if np.isnan(share) else f"{100 * share:.1f} %"
+
+
+def _thousandths(value: float) -> str:
+    return "-" if np.isnan(value) else f"{value:.3f}"
+
+
+def _listed(items: Sequence[str]) -> str:
+    return items[0] if len(items) == 1 else f"{', '.join(items[:-1])} and {items[-1]}"
+
+
+def _facts(maps: MetricMaps, altitude_m: float) -> Facts:
+    """Return the means over free cells at an altitude, NaN without a free cell."""
+    is_free = maps.is_free(altitude_m)
+    has_data = maps.ds["has_data"].values
+    facts = {"altitude_m": altitude_m, "obstacle": 1 - float(is_free[has_data].mean())}
+
+    def mean(values: np.ndarray) -> float:
+        return float(values[is_free].mean(dtype=np.float64)) if is_free.any() else float("nan")
+
+    gps, lidar = maps.m("gps", altitude_m), maps.m("lidar", altitude_m)
+    facts |= {"gps": mean(gps), "lidar": mean(lidar), "risk": mean(maps.m("risk", altitude_m))}
+    facts["gps_preferred"] = mean(maps.prefers_gps(altitude_m))
+    facts["good"] = mean(rating(maps.m("gdop", altitude_m)) <= Rating.GOOD)
+    facts["undetermined"] = mean(~np.isfinite(maps.m("gdop", altitude_m)))
+    spread = gps[is_free], lidar[is_free]
+    varies = is_free.any() and all(np.ptp(values) > 0 for values in spread)
+    facts["correlation"] = float(np.corrcoef(*spread)[0, 1]) if varies else float("nan")
+    return facts
+
+
+def _opening(facts: Sequence[Facts]) -> str:
+    low, high = (choose(facts, key=lambda fact: fact["altitude_m"]) for choose in (min, max))
+    sentences = []
+    for fact in [low] if len(facts) == 1 else [low, high]:
+        free = "none is free"
+        if np.isfinite(fact["gps"]):
+            share = _percent(fact["gps_preferred"])
+            free = f"in the free ones GPS is the better sensor in {share}, lidar in the rest"
+        sentences.append(
+            f"At {fact['altitude_m']:g} m, obstacles take {_percent(fact['obstacle'])} of the cells; {free}."
+        )
+    return " ".join(sentences)
+
+
+def _region_section(maps: MetricMaps, run: Mapping[str, Any]) -> str:
+    grid = maps.grid
+    west, south = grid.lonlat_of_xy(grid.x_min_m, grid.y_min_m)
+    east, north = grid.lonlat_of_xy(grid.x_max_m, grid.y_max_m)
+    roof_m = maps.m("roof")[maps.ds["has_data"].values]
+    width_km, height_km = (grid.x_max_m - grid.x_min_m) / 1000, (grid.y_max_m - grid.y_min_m) / 1000
+    altitudes = _listed([f"{z:g}" for z in maps.altitudes_m])
+    lines = [
+        "## The region",
+        "",
+        f"- **Place:** {width_km:.2f} km east to west by {height_km:.2f} km south to north, from about {west:.4f}, "
+        f"{south:.4f} to {east:.4f}, {north:.4f} (longitude, latitude), drawn in {grid.crs}.",
+        f"- **Cells:** {grid.num_cols} x {grid.num_rows} of {grid.resolution_m:g} m, at {altitudes} m above ground.",
+        f"- **Buildings:** {_percent(float((roof_m > 0).mean()))} of the cells carry a roof, the highest "
+        f"{roof_m.max():.0f} m above ground.{_building_sentence(run)}",
+        f"- **Satellites:** {len(maps.ds.attrs['satellites'])} stand above the elevation mask at "
+        f"{_listed([time.replace('T', ' ').replace('Z', ' UTC') for time in maps.times[:3]])}"
+        + (f" and {len(maps.times) - 3} more epochs." if len(maps.times) > 3 else "."),
+    ]
+    sources = _look_up(run, "inputs")
+    if sources:
+        named = [f"{role} from `{source['path']}`" for role, source in sources.items()]
+        lines.append(f"- **Sources:** {_listed(named)}.")
+    seconds = _look_up(run, "elapsed_s")
+    if seconds:
+        slowest = max(seconds, key=seconds.get)
+        lines.append(
+            f"- **Time:** {sum(seconds.values()):.1f} s in all, most of it in `{slowest}` ({seconds[slowest]:.1f} s)."
+        )
+    return "\n".join(lines)
+
+
+def _building_sentence(run: Mapping[str, Any]) -> str:
+    number, origins = _look_up(run, "buildings", "in_region"), _look_up(run, "buildings", "height_origin_counts")
+    if not number:
+        return ""
+    counts = [f"{count:,} from {ORIGINS.get(name, name)}" for name, count in (origins or {}).items()]
+    return f" {number:,} buildings stand in the region" + (f", heights of {_listed(counts)}." if counts else ".")
+
+
+def _altitude_section(facts: Sequence[Facts]) -> str:
+    head = ["altitude (m)", "obstacle cells", "mean m_gps", "GPS good or better", "mean m_lidar", "GPS better"]
+    rows = [
+        [
+            f"{fact['altitude_m']:g}",
+            _percent(fact["obstacle"]),
+            _thousandths(fact["gps"]),
+            _percent(fact["good"]),
+            _thousandths(fact["lidar"]),
+            _percent(fact["gps_preferred"]),
+            _thousandths(fact["risk"]),
+        ]
+        for fact in facts
+    ]
+    words = (
+        "Every metric m lies between 0 and 1. Except for population, more is better: m_gps is 1 for the best satellite "
+        "geometry, m_lidar is the share of a scan that returns from a building, m_risk is 0 at an obstacle and 1 "
+        "far from all. Shares and means are over the free cells; *GPS better* is the share with m_gps > m_lidar."
+    )
+    return "\n\n".join(("## By altitude", words, _table([*head, "mean m_risk"], rows)))
+
+
+def _population_section(maps: MetricMaps, run: Mapping[str, Any]) -> str:
+    if not maps.times_of_day:
+        return ""
+    cell_km2 = maps.grid.resolution_m**2 / 1e6
+    rows = []
+    for item in maps.times_of_day:
+        density = maps.m("density", time_of_day=item)
+        people = np.nansum(density, dtype=np.float64) * cell_km2
+        zones = [_look_up(run, "population", item, zone) for zone in ("commercial", "residential", "other")]
+        shown = ["-" if count is None else f"{count:,.0f}" for count in zones]
+        rows.append([item, f"{people:,.0f}", f"{np.nanmax(density):,.0f}", *shown])
+    head = ["time of day", "people in the maps", "densest cell (per km²)", "commercial", "residential", "other"]
+    words = "The last three columns count whole census blocks that touch the region, by what their district is for."
+    return "\n\n".join(("## Population", words, _table(head, rows)))
+
+
+def _path_section(maps: MetricMaps, paths: Paths) -> str:
+    planned = [path for z in maps.altitudes_m for path in paths.get(z, ())]
+    if not planned:
+        return ""
+    rows = []
+    for path in planned:
+        cells = [f"{path.altitude_m:g}", path.settings["time_of_day"] or "-", path.search.planner, path.status.value]
+        if path.status.has_path:
+            cells += [f"{path.cost:,.1f}", f"{path.length_m:,.0f}"]
+            cells += [f"{path.metrics[name]:.3f}" for name in maps.metrics]
+        else:
+            cells += ["-"] * (2 + len(maps.metrics))
+        rows.append([*cells, f"{path.search.elapsed_s:.3f}"])
+    head = ["altitude (m)", "time of day", "planner", "status", "cost", "length (m)"]
+    head += [f"mean m_{name}" for name in maps.metrics] + ["search (s)"]
+    words = "Means are along the path, by length. The cost is the weighted sum that all planners are judged by."
+    sentences = [f"- {_path_sentence(z, paths[z])}" for z in maps.altitudes_m if paths.get(z)]
+    return "\n\n".join(("## Paths", words, _table(head, rows), "\n".join(sentences)))
+
+
+def _path_sentence(altitude_m: float, planned: Sequence[PlannedPath]) -> str:
+    """Return which planners did best at an altitude, by how much, and which found nothing."""
+    found = [path for path in planned if path.status.has_path]
+    failed = [f"{path.search.planner} ended as *{path.status.value}*" for path in planned if not path.status.has_path]
+    parts = []
+    if found:
+        best = min(path.cost for path in found)
+        winners = [path for path in found if path.cost <= best * (1 + 1e-9)]
+        names = _listed([path.search.planner for path in winners])
+        parts.append(f"the cheapest path costs {best:,.1f} over {winners[0].length_m / 1000:.2f} km ({names})")
+        parts += [
+            f"{path.search.planner} pays {100 * (path.cost / best - 1):.1f} % more over {path.length_m / 1000:.2f} km"
+            for path in found
+            if all(path is not winner for winner in winners)
+        ]
+    return f"At {altitude_m:g} m " + "; ".join(parts + failed) + "."
+
+
+def _trend(values: Sequence[float], show: Callable[[float], str]) -> str:
+    """Return how numbers change from the first to the last, with both named; differences that do not show count not."""
+    first, last = show(values[0]), show(values[-1])
+    steps = [after - before for before, after in pairwise(values) if show(before) != show(after)]
+    if not steps:
+        return f"stays at {first}"
+    word = "rises" if min(steps) >= 0 else "falls" if max(steps) <= 0 else "varies"
+    return f"{word} from {first} to {last}"
+
+
+def _figure_section(maps: MetricMaps, facts: Sequence[Facts], paths: Paths) -> str:
+    facts = sorted(facts, key=lambda fact: fact["altitude_m"])
+    low, high = facts[0], facts[-1]
+    between = f"at {low['altitude_m']:g} m"
+    if len(facts) > 1:
+        between = f"between {low['altitude_m']:g} m and {high['altitude_m']:g} m"
+
+    def trend(name: str, show: Callable[[float], str] = _thousandths) -> str:
+        return _trend([fact[name] for fact in facts], show)
+
+    texts = {
+        "heights": "roof heights on a square-root scale, so that houses and towers can both be told apart.",
+        "obstacle": f"the cells that no path may cross. Their share {trend('obstacle', _percent)} {between}.",
+        "gps": f"how well satellites fix a position. The mean {trend('gps')} {between}; at {low['altitude_m']:g} m "
+        f"{_percent(low['undetermined'])} of the free cells see too few satellites for a fix.",
+        "gps_rating": "the same as classes of GDOP. The share rated good or better "
+        f"{trend('good', _percent)} {between}.",
+        "lidar": f"how much of a scan returns from buildings. The mean {trend('lidar')} {between}: lidar needs walls "
+        "within its range.",
+        "sensor_choice": f"which of the two serves better. The share of free cells where GPS does "
+        f"{trend('gps_preferred', _percent)} {between}.{_correlation_sentence(low)}",
+        "risk": f"the distance to the nearest obstacle, up to the threshold. The mean {trend('risk')} {between}.",
+    }
+    if maps.times_of_day:
+        texts["population"] = _population_sentence(maps)
+    over = ", with every planner's path over it; where paths coincide, the later one is drawn narrower" if paths else ""
+    texts["paths"] = (
+        f"the sum of the costs of {_listed(maps.metrics)}, brought to 0 (black, best) to 1 (white, worst) over the "
+        f"free cells{over}."
+    )
+    lines = [f"- [`{name}.png`](figures/{name}.png): {text}" for name, text in texts.items()]
+    return "\n\n".join(("## What each picture shows", "\n".join(lines)))
+
+
+def _correlation_sentence(fact: Facts) -> str:
+    correlation = fact["correlation"]
+    if not np.isfinite(correlation):
+        return ""
+    meaning = (
+        "one tends to be strong where the other is weak"
+        if correlation < -0.1
+        else (
+            "both tend to be strong in the same places" if correlation > 0.1 else "neither tells much about the other"
+        )
+    )
+    return f" At {fact['altitude_m']:g} m their correlation over free cells is {correlation:.2f}: {meaning}."
+
+
+def _population_sentence(maps: MetricMaps) -> str:
+    totals = {name: np.nansum(maps.m("density", time_of_day=name), dtype=np.float64) for name in maps.times_of_day}
+    cell_km2 = maps.grid.resolution_m**2 / 1e6
+    listed = _listed([f"{total * cell_km2:,.0f} ({name})" for name, total in totals.items()])
+    return f"people per km² on a logarithmic scale, the same for every time of day; in all {listed}."
+
+
+def _limit_section(run: Mapping[str, Any]) -> str:
+    lines = [
+        "## Limits",
+        "",
+        "- A satellite counts when the straight line to it is clear: no multipath, no diffraction, no receiver noise.",
+        "- Buildings are prisms from the ground to a flat roof, on square cells; bridges, trees and wires are missing.",
+        "- Population is a census with factors for day and night, not a count of who is there now.",
+        "- A path is a line over these maps: it is no airspace approval, and it knows no wind and no vehicle.",
+    ]
+    shares = _look_up(run, "rays_leave_data_share")
+    if shares and max(shares.values()) > 0:
+        worst = max(shares, key=shares.get)
+        lines.append(
+            f"- At {worst} m, {_percent(shares[worst])} of the cells have a satellite ray that leaves the building "
+            "data before it is above every roof; GPS may look better there than it is."
+        )
+    lines += [f"- Warned during the run: {message}" for message in _look_up(run, "warnings") or ()]
+    return "\n".join(lines)
