@@ -1,0 +1,77 @@
+"""The demo: maps of the embedded city, paths over them, pictures, and a summary in words."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from jaxurban.io.export import write_path
+from jaxurban.io.store import whole_file
+from jaxurban.maps import MetricMaps
+from jaxurban.pipeline import RUN_FILE, run_scenario
+from jaxurban.planning import PlannedPath, plan
+from jaxurban.plotting import save_figures
+from jaxurban.report import summary_markdown
+from jaxurban.scenario import Scenario
+
+BOUNDS = (-74.0, 40.755, -73.955, 40.80)  # about 3.8 x 5 km: the embedded city scales itself to the box
+RESOLUTION_M = 5.0
+PLANNERS = ("ptp", "astar-dist", "astar-plus")
+
+
+def run_demo(folder: Path, on_stage: Callable[[str], None], overwrite: bool = False) -> dict[str, Any]:
+    """Write the demo under ``folder`` and return what it made.
+
+    Raises:
+      InputError: the folder cannot be written to, or holds maps of other settings.
+    """
+    scenario = Scenario.from_dict(
+        {
+            "region": {"bounds": BOUNDS, "resolution_m": RESOLUTION_M},
+            "buildings": {"source": "synthetic"},
+        }
+    )
+    run = run_scenario(scenario, folder, on_stage=on_stage, overwrite=overwrite)
+    with whole_file(folder / "scenario.toml") as scratch:
+        scratch.write_text(scenario.to_toml(), encoding="utf-8")
+    maps = run.maps[RESOLUTION_M]
+    on_stage("paths")
+    paths = demo_paths(maps)
+    (folder / "paths").mkdir(exist_ok=True)
+    for altitude_m, planned in paths.items():
+        for path in planned:
+            write_path(path, folder / "paths" / f"{path.search.planner}_{altitude_m:g}m.geojson")
+    on_stage("figures")
+    figures = save_figures(maps, paths, folder / "figures")
+    with whole_file(folder / "summary.md") as scratch:
+        scratch.write_text(summary_markdown(maps, paths, run.record), encoding="utf-8")
+    return {
+        "folder": str(folder),
+        "record": str(folder / RUN_FILE),
+        "figures": [str(figure) for figure in figures],
+        "paths": [path.to_dict() for planned in paths.values() for path in planned],
+    }
+
+
+def demo_paths(maps: MetricMaps) -> dict[float, list[PlannedPath]]:
+    """Return paths of every planner across the city, southwest to northeast, by altitude.
+
+    Day at the two lower altitudes, night above, as in the paper's figures.
+    """
+    grid = maps.grid
+    start = (grid.x_min_m + 0.30 * (grid.x_max_m - grid.x_min_m), grid.y_min_m + 0.12 * (grid.y_max_m - grid.y_min_m))
+    goal = (grid.x_min_m + 0.62 * (grid.x_max_m - grid.x_min_m), grid.y_min_m + 0.80 * (grid.y_max_m - grid.y_min_m))
+    return {
+        altitude_m: [
+            plan(
+                maps,
+                start_xy_m=start,
+                goal_xy_m=goal,
+                altitude_m=altitude_m,
+                planner=planner,
+                time_of_day="day" if altitude_m <= 60 else "night",
+                snap=True,
+            )
+            for planner in PLANNERS
+        ]
+        for altitude_m in maps.altitudes_m
+    }
