@@ -2,7 +2,7 @@
 # Installs the wheel beside the pinned packages of the environment and uses it from an empty folder.
 # usage: try_wheel.sh PYTHON DIST_FOLDER
 set -eu
-python=$(realpath "$1")
+python=$(cd "$(dirname "$1")" && pwd)/$(basename "$1")  # not realpath: a venv is known by its link
 wheel=$(realpath "$2"/jaxurban-*.whl)
 place=$(mktemp -d)
 trap 'rm -rf "$place"' EXIT
