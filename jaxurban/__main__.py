@@ -1,0 +1,5 @@
+"""``python -m jaxurban`` is the command line."""
+
+from jaxurban.cli import main
+
+main()
