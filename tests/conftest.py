@@ -4,6 +4,10 @@ import os
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
+
+settings.register_profile("shared-machine", deadline=None)  # a busy machine is no failure
+settings.load_profile("shared-machine")
 
 DATA = Path(os.environ.get("JAXURBAN_DATA", Path(__file__).parents[2] / "shared" / "data"))
 

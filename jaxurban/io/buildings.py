@@ -8,12 +8,13 @@ import shapely
 
 from jaxurban.city import Buildings, Raster
 from jaxurban.errors import InputError
-from jaxurban.grid import projected_crs
+from jaxurban.grid import Bounds, projected_crs
 from jaxurban.io.heights import MAX_HEIGHT_M
 from jaxurban.io.osm import read_osm
-from jaxurban.io.outlines import Bounds, count_tags, to_buildings
+from jaxurban.io.outlines import count_tags, to_buildings
 from jaxurban.io.raster import raster_extent_m, read_raster
-from jaxurban.io.vector import PARQUET_SUFFIXES, read_vector
+from jaxurban.io.vector import read_vector
+from jaxurban.io.vectorfile import PARQUET_SUFFIXES
 
 OSM_FORMATS = {".pbf": "pbf", ".osm": "osm"}
 VECTOR_SUFFIXES = (".geojson", ".json", ".gpkg", ".shp", *PARQUET_SUFFIXES)

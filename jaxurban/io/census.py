@@ -14,11 +14,11 @@ from jaxurban.io.districts import (
     Bounds,
     clean_polygons,
     largest_overlap,
-    open_polygons,
     read_districts,
     require_field,
     zoning_of,
 )
+from jaxurban.io.vectorfile import open_frame
 
 # Names of the column of total population, the first found wins, case ignored: 2010 SF1 (data.census.gov, American
 # FactFinder), 2020 P1 and DHC, TIGER with counts, GIS joins, and plain tables.
@@ -68,8 +68,8 @@ def read_blocks(
       InputError: a file or field is missing or unreadable, ids are not unique, no row joins any block, or no block
         touches the box.
     """
-    role = "[population] blocks"
-    frame = open_polygons(blocks_path, role)
+    role = "blocks"
+    frame = open_frame(blocks_path, role)
     require_field(frame, block_field, role, blocks_path, "[population] block_field")
     block_id, frame["_key"] = _ids(frame[block_field]), _keys(frame[block_field])
     twice = frame["_key"].duplicated()

@@ -7,51 +7,16 @@ from pathlib import Path
 import geopandas as gpd
 import numpy as np
 import pandas as pd
-import pyogrio
 import shapely
 
 from jaxurban.city import OTHER_DISTRICT, Zoning
 from jaxurban.errors import InputError, nearest_name
-from jaxurban.grid import projected_crs, transformer
+from jaxurban.grid import Bounds, projected_crs, transformer
+from jaxurban.io.outlines import polygonal
+from jaxurban.io.vectorfile import open_frame
 
-Bounds = tuple[float, float, float, float]  # x_min, y_min, x_max, y_max, metres
-
-PARQUET_SUFFIXES = (".parquet", ".geoparquet")
 AREAL = (shapely.GeometryType.POLYGON, shapely.GeometryType.MULTIPOLYGON)
 PAPER_DISTRICTS = tuple(range(101, 113))  # Manhattan's twelve; 164 is Central Park
-
-
-def open_polygons(path: str | Path, role: str) -> gpd.GeoDataFrame:
-    """Return the features of a vector file (any format of GDAL, or GeoParquet), as they are.
-
-    Args:
-      path: the file.
-      role: what it is for, for messages, such as ``"[population] blocks"``.
-
-    Raises:
-      InputError: no such file, not a readable vector file, no features, no CRS, or coordinates beyond its CRS.
-    """
-    path = Path(path)
-    name = f"{role} {str(path)!r}"
-    if not path.exists():
-        raise InputError(f"{name} does not exist: check the path")
-    try:
-        frame = gpd.read_parquet(path) if path.suffix.lower() in PARQUET_SUFFIXES else gpd.read_file(path)
-    except (pyogrio.errors.DataSourceError, pyogrio.errors.DataLayerError, ValueError, OSError) as error:
-        raise InputError(
-            f"{name} cannot be read as a vector file ({error}): is it whole, with its companions?"
-        ) from error
-    if not isinstance(frame, gpd.GeoDataFrame) or frame.empty or frame.geometry.isna().all():
-        raise InputError(f"{name} holds no polygons: give a file of polygons")
-    if frame.crs is None:
-        raise InputError(f"{name} states no CRS: add one (for a shapefile, its .prj file)")
-    west, south, east, north = frame.total_bounds
-    if frame.crs.is_geographic and (max(-west, east) > 360 or max(-south, north) > 90):
-        raise InputError(
-            f"{name} is in degrees by its CRS but has coordinates such as {east:.0f}, {north:.0f}: "
-            "write it in the CRS that it declares (GeoJSON is always longitude, latitude)"
-        )
-    return frame
 
 
 def require_field(frame: pd.DataFrame, field: str, role: str, path: str | Path, setting: str) -> None:
@@ -85,7 +50,7 @@ def clean_polygons(
         near = transformer(crs, frame.crs.to_wkt()).transform_bounds(*bounds_m, densify_pts=21)
         frame = frame.cx[near[0] : near[2], near[1] : near[3]]
     frame = frame.to_crs(projected_crs(crs))
-    polygons, invalid = polygonal(frame.geometry.to_numpy())
+    polygons, invalid = valid_polygons(frame.geometry.to_numpy())
     kept = shapely.area(polygons) > 0
     faults = Counter(without_polygon=int((~kept).sum()), invalid_polygons=int(invalid.sum()))
     frame = frame.set_geometry(gpd.GeoSeries(polygons, index=frame.index, crs=frame.crs))
@@ -94,14 +59,13 @@ def clean_polygons(
     return frame[kept], faults
 
 
-def polygonal(geometries: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def valid_polygons(geometries: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the valid polygonal part of each geometry (None where there is none), and which were invalid."""
     invalid = ~shapely.is_valid(geometries) & ~shapely.is_missing(geometries)
     polygons = geometries.copy()
     polygons[invalid] = shapely.make_valid(geometries[invalid], method="structure")
     for i in np.flatnonzero(shapely.get_type_id(polygons) == shapely.GeometryType.GEOMETRYCOLLECTION):
-        parts = shapely.get_parts(polygons[i])
-        polygons[i] = shapely.union_all(parts[shapely.get_dimensions(parts) == 2])
+        polygons[i] = polygonal(polygons[i])
     polygons[~np.isin(shapely.get_type_id(polygons), AREAL)] = None
     return polygons, invalid
 
@@ -114,8 +78,8 @@ def read_districts(path: str | Path, crs: str, field: str = "BoroCD") -> tuple[n
     Raises:
       InputError: an unreadable file, no such field (names the nearest one), or a label that is no whole number.
     """
-    role = "[population] districts"
-    frame = open_polygons(path, role)
+    role = "districts"
+    frame = open_frame(path, role)
     require_field(frame, field, role, path, "[population] district_field")
     labels = pd.to_numeric(frame[field], errors="coerce").to_numpy(np.float64)
     unusable = ~((labels % 1 == 0) & (np.abs(labels) < 2**31))  # NaN too

@@ -9,8 +9,8 @@ import shapely
 from osmium.filter import IdFilter, KeyFilter
 
 from jaxurban.errors import InputError
-from jaxurban.grid import WGS84
-from jaxurban.io.outlines import Bounds, Outlines
+from jaxurban.grid import WGS84, Bounds
+from jaxurban.io.outlines import Outlines
 
 TAGS = {
     "building": ("building",),

@@ -9,10 +9,8 @@ import shapely
 
 from jaxurban.city import Buildings, HeightOrigin
 from jaxurban.errors import InputError
-from jaxurban.grid import transformer
+from jaxurban.grid import Bounds, transformer
 from jaxurban.io.heights import Heights, estimate_heights, is_given
-
-Bounds = tuple[float, float, float, float]
 
 REPLACED_SHARE = 0.9  # an outline covered at least so far by its parts is dropped (design, section 3)
 BELONGING_SHARE = 0.5  # a part is an outline's own if at least so much of it lies inside

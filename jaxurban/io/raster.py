@@ -17,9 +17,8 @@ from rasterio.windows import Window
 
 from jaxurban.city import Raster
 from jaxurban.errors import InputError
-from jaxurban.grid import Grid, transformer
+from jaxurban.grid import Bounds, Grid, transformer
 
-Bounds = tuple[float, float, float, float]
 Resampling = Literal["nearest", "bilinear", "max"]
 
 TERRAIN_LIMITS_M = (-500.0, 9000.0)  # the shore of the Dead Sea lies at -430 m, the top of Everest at 8,849 m

@@ -12,9 +12,9 @@ from jaxtyping import Array, Float, Int, Integer
 
 from jaxurban.city import Blocks, Zoning
 from jaxurban.errors import InputError, nearest_name
+from jaxurban.grid import Bounds
 
 M2_PER_KM2 = 1e6
-Bounds = tuple[float, float, float, float]  # x_min, y_min, x_max, y_max in the city's CRS, metres
 TIME_OF_DAY = re.compile(r"(weekday|weekend)-([01]\d|2[0-3])")
 
 # Share of the change from night to day that has happened at each hour, 0 to 23. Full from 9 to 17 (the paper's

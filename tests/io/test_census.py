@@ -132,7 +132,7 @@ def test_a_table_that_cannot_serve_says_why(tmp_path, text, message):
 
 
 def test_missing_files_are_named(tmp_path, sf1):
-    with pytest.raises(InputError, match=r"\[population\] blocks .*none.shp' does not exist"):
+    with pytest.raises(InputError, match=r"the blocks file .*none.shp' does not exist"):
         read_blocks(tmp_path / "none.shp", sf1, CRS)
     with pytest.raises(InputError, match=r"\[population\] table .*none.csv' cannot be read .*No such file"):
         read_blocks(write_blocks(tmp_path / "b.gpkg"), tmp_path / "none.csv", CRS)

@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 
 from jaxurban.city import OTHER_DISTRICT, Zoning
 from jaxurban.errors import InputError
-from jaxurban.io.districts import clean_polygons, largest_overlap, open_polygons, read_districts, zoning_of
+from jaxurban.io.districts import clean_polygons, largest_overlap, read_districts, zoning_of
+from jaxurban.io.vectorfile import open_frame
 
 CRS = "EPSG:32618"
 COMMERCIAL = (101, 102, 103, 104, 105, 106)
@@ -104,18 +105,18 @@ def test_only_what_touches_the_box_is_kept():
 
 def test_files_that_cannot_serve_say_why(tmp_path):
     with pytest.raises(InputError, match="does not exist"):
-        open_polygons(tmp_path / "none.shp", "districts")
+        open_frame(tmp_path / "none.shp", "districts")
     (tmp_path / "torn.gpkg").write_bytes(b"SQLite format 3\x00 torn")
     with pytest.raises(InputError, match="cannot be read as a vector file"):
-        open_polygons(tmp_path / "torn.gpkg", "districts")
+        open_frame(tmp_path / "torn.gpkg", "districts")
     (tmp_path / "empty.geojson").write_text('{"type": "FeatureCollection", "features": []}')
     with pytest.raises(InputError, match="holds no polygons"):
-        open_polygons(tmp_path / "empty.geojson", "districts")
+        open_frame(tmp_path / "empty.geojson", "districts")
     metres = gpd.GeoSeries(boxes((0, 0, 1, 1))).to_json()  # UTM coordinates in a file that says degrees
     (tmp_path / "metres.geojson").write_text(metres)
     with pytest.raises(InputError, match="in degrees by its CRS but has coordinates such as 585001, 4510001"):
-        open_polygons(tmp_path / "metres.geojson", "districts")
+        open_frame(tmp_path / "metres.geojson", "districts")
     write(tmp_path / "bare.shp", boxes((0, 0, 1, 1)), code=[1])
     (tmp_path / "bare.prj").unlink()
-    with pytest.raises(InputError, match="states no CRS"):
-        open_polygons(tmp_path / "bare.shp", "districts")
+    with pytest.raises(InputError, match="declares no CRS"):
+        open_frame(tmp_path / "bare.shp", "districts")
