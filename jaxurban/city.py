@@ -136,7 +136,8 @@ class City:
 
     Attributes:
       crs: projected CRS in metres of every polygon.
-      extent_m: x_min, y_min, x_max, y_max that the building source covers: beyond it nothing is known.
+      extent_m: x_min, y_min, x_max, y_max that the building source covers: beyond it no building is known.
+      terrain_extent_m: the same of the terrain, None for flat ground.
       buildings: outlines with heights, or None where ``roofs`` is given.
       roofs: raster of roof heights above ground, or None.
       blocks: census blocks, or None without population data.
@@ -155,12 +156,21 @@ class City:
     terrain: Raster | None = None
     faults: Mapping[str, int] = field(default_factory=dict)
     counts: Mapping[str, int] = field(default_factory=dict)
+    terrain_extent_m: tuple[float, float, float, float] | None = None
     sources: Mapping[str, str] = field(default_factory=dict)
     attribution: str = ""
 
     def __post_init__(self) -> None:
         if (self.buildings is None) == (self.roofs is None):
             raise InputError("a City needs either buildings (outlines) or roofs (a height raster), and not both")
+
+    @property
+    def known_extent_m(self) -> tuple[float, float, float, float]:
+        """The box that holds everything known, buildings and terrain: beyond it nothing can shadow."""
+        if self.terrain_extent_m is None:
+            return self.extent_m
+        (a, b, c, d), (e, f, g, h) = self.extent_m, self.terrain_extent_m
+        return min(a, e), min(b, f), max(c, g), max(d, h)
 
     @classmethod
     def from_files(cls, buildings: str | Path, **options: Any) -> "City":

@@ -14,6 +14,7 @@ from pyproj.database import query_utm_crs_info
 from jaxurban.errors import InputError
 
 WGS84 = "EPSG:4326"
+Bounds = tuple[float, float, float, float]  # x_min, y_min, x_max, y_max in a projected CRS, metres
 
 
 def utm_crs(lon_deg: float, lat_deg: float) -> str:
@@ -51,6 +52,8 @@ def projected_crs(crs: str) -> pyproj.CRS:
         raise InputError(f"{crs!r} is not a known CRS: use a projected one such as 'EPSG:32618'") from error
     if not parsed.is_projected or any(abs(axis.unit_conversion_factor - 1.0) > 1e-12 for axis in parsed.axis_info[:2]):
         raise InputError(f"{crs!r} is not a projected CRS in metres: use one such as 'EPSG:32618'")
+    if {axis.direction for axis in parsed.axis_info[:2]} != {"east", "north"}:
+        raise InputError(f"the axes of {crs!r} do not point east and north: use a CRS such as a UTM zone, 'EPSG:32618'")
     return parsed
 
 

@@ -314,7 +314,7 @@ def check_memory(scenario: Scenario, grids: list[Grid]) -> None:
 
 def rays_leaving_share(city: City, region: Grid, sky: Sky, altitude_m: float, mask_deg: float) -> float:
     """Return the share of cells with a ray that leaves the data while a roof could still block it."""
-    x_min, y_min, x_max, y_max = city.extent_m
+    x_min, y_min, x_max, y_max = city.known_extent_m
     x_m, y_m = region.x_m, region.y_m[:, None]
     leaves = np.zeros(region.shape, bool)
     climb_m = max(highest_top_m(city) - altitude_m, 0.0)

@@ -8,14 +8,15 @@ import shapely
 
 from jaxurban.city import City
 from jaxurban.errors import InputError
-from jaxurban.grid import WGS84, check_bounds, projected_crs, transformer, utm_crs
-from jaxurban.io.buildings import read_buildings
+from jaxurban.grid import WGS84, Bounds, check_bounds, projected_crs, transformer, utm_crs
+from jaxurban.io.buildings import BuildingSource, read_buildings
 from jaxurban.io.census import read_blocks
-from jaxurban.io.raster import read_raster
+from jaxurban.io.raster import raster_extent_m, read_raster
 
 OSM_SUFFIXES = (".pbf", ".osm")
 OSM_CREDIT = "© OpenStreetMap contributors"  # asked for by the ODbL
-TALLEST_M = 1000.0  # no roof stands higher; bounds how far away a shadow can come from
+TALLEST_M = 1000.0  # no roof stands higher; bounds how far away its shadow can come from
+RELIEF_M = 1000.0  # terrain is read as far as a hill this much higher could shadow the region
 
 
 def read_city(
@@ -59,15 +60,14 @@ def read_city(
         crs = utm_crs((west + east) / 2, (south + north) / 2)
     projected_crs(crs)
     box_m = transformer(WGS84, crs).transform_bounds(west, south, east, north, densify_pts=101)
-    reach_m = TALLEST_M / math.tan(math.radians(max(mask_deg, 0.5)))
+    rise_m = TALLEST_M if terrain is None else TALLEST_M + RELIEF_M
+    reach_m = rise_m / math.tan(math.radians(max(mask_deg, 0.5)))
     wide_m = (box_m[0] - reach_m, box_m[1] - reach_m, box_m[2] + reach_m, box_m[3] + reach_m)
     source = read_buildings(
         buildings, crs, bounds_m=wide_m, default_height_m=default_height_m, level_height_m=level_height_m
     )
-    if source.buildings is not None and not allow_none:
-        near = shapely.intersects(source.buildings.polygons, shapely.box(*box_m))
-        if not near.any():
-            raise InputError(_no_building(buildings, bounds, source.extent_m, crs))
+    if not (allow_none or _has_building(source, box_m)):
+        raise InputError(_no_building(buildings, bounds, source.extent_m, crs))
     faults = dict(source.faults)
     census = None
     if blocks is not None:
@@ -91,11 +91,19 @@ def read_city(
         roofs=source.roofs,
         blocks=census,
         terrain=ground,
+        terrain_extent_m=None if terrain is None else raster_extent_m(terrain, crs),
         faults=faults,
         counts=source.counts,
         attribution=OSM_CREDIT if str(buildings).lower().endswith(OSM_SUFFIXES) else "",
         sources={role: str(path) for role, path in roles.items() if path is not None},
     )
+
+
+def _has_building(source: BuildingSource, box_m: Bounds) -> bool:
+    if source.buildings is not None:
+        return bool(shapely.intersects(source.buildings.polygons, shapely.box(*box_m)).any())
+    assert source.roofs is not None
+    return bool((source.roofs.values > 0).any())
 
 
 def _no_building(

@@ -19,11 +19,6 @@ UNKNOWN_GROUND_M = -500.0  # below all real ground: what stands where the terrai
 Margins = tuple[float, float, float, float]  # west, south, east, north, metres
 
 
-def north_up(grid: Grid) -> Affine:
-    """Return the affine transform of a north-up raster on ``grid`` (row 0 in the north)."""
-    return Affine(grid.resolution_m, 0.0, grid.x_min_m, 0.0, -grid.resolution_m, grid.y_max_m)
-
-
 def burn(polygons: np.ndarray, values: np.ndarray, grid: Grid, fill: float, dtype: str, all_touched: bool = False):
     """Return ``values`` burnt at the cells of ``polygons``, the highest value where they overlap.
 
@@ -42,9 +37,19 @@ def burn(polygons: np.ndarray, values: np.ndarray, grid: Grid, fill: float, dtyp
     if near.size == 0:
         return np.full(grid.shape, fill, dtype)
     near = near[np.argsort(values[near], kind="stable")]  # later ones win, so the highest comes last
-    shapes = zip(polygons[near], values[near].tolist(), strict=True)
-    burnt = rasterize(shapes, grid.shape, fill=fill, transform=north_up(grid), all_touched=all_touched, dtype=dtype)
-    return burnt[::-1]
+    # In cells rather than metres: subtracting whole numbers is exact, so a border that runs through cell
+    # centres falls to the same side whatever part of the grid is burnt. (Rows run north, as ours do.)
+    corner = np.array([grid.first_col, grid.first_row])
+    in_cells = shapely.transform(polygons[near], lambda xy_m: xy_m / grid.resolution_m - corner)
+    if all_touched:
+        # An outline that ends exactly on a cell border does not touch the next cell.
+        in_cells = shapely.buffer(in_cells, -1e-6, join_style="mitre")
+        kept = ~shapely.is_empty(in_cells)
+        in_cells, near = in_cells[kept], near[kept]
+    shapes = list(zip(in_cells, values[near].tolist(), strict=True))
+    if not shapes:
+        return np.full(grid.shape, fill, dtype)
+    return rasterize(shapes, grid.shape, fill=fill, transform=Affine.identity(), all_touched=all_touched, dtype=dtype)
 
 
 def highest_top_m(city: City) -> float:
@@ -68,7 +73,7 @@ def surface_grid(city: City, region: Grid, always_m: float, toward_m: Margins) -
       always_m: margin on every side (lidar range, risk threshold), also beyond the data.
       toward_m: west, south, east, north margins toward the satellites, as far as the data reach.
     """
-    x_min, y_min, x_max, y_max = city.extent_m
+    x_min, y_min, x_max, y_max = city.known_extent_m
     reach_m = (region.x_min_m - x_min, region.y_min_m - y_min, x_max - region.x_max_m, y_max - region.y_max_m)
     cells = (
         math.ceil(max(always_m, min(toward, reach)) / region.resolution_m)
