@@ -1,14 +1,45 @@
 """jaxurban: urban metric maps for small drones, as differentiable JAX, and planning on them."""
 
-from jaxurban.build import build_maps as build_maps
-from jaxurban.city import City as City
-from jaxurban.cost import Weights as Weights
-from jaxurban.demo import demo_city as demo_city
-from jaxurban.errors import InputError as InputError
-from jaxurban.errors import JaxurbanError as JaxurbanError
-from jaxurban.grid import Grid as Grid
-from jaxurban.maps import MetricMaps as MetricMaps
-from jaxurban.maps import open_maps as open_maps
-from jaxurban.planning import PlannedPath as PlannedPath
-from jaxurban.planning import plan as plan
-from jaxurban.scenario import Scenario as Scenario
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from jaxurban.build import build_maps as build_maps
+    from jaxurban.city import City as City
+    from jaxurban.cost import Weights as Weights
+    from jaxurban.demo import demo_city as demo_city
+    from jaxurban.errors import InputError as InputError
+    from jaxurban.errors import JaxurbanError as JaxurbanError
+    from jaxurban.grid import Grid as Grid
+    from jaxurban.maps import MetricMaps as MetricMaps
+    from jaxurban.maps import open_maps as open_maps
+    from jaxurban.planning import PlannedPath as PlannedPath
+    from jaxurban.planning import plan as plan
+    from jaxurban.scenario import Scenario as Scenario
+
+# Names are fetched when they are first used: JAX, Numba and the readers take seconds to import, and the command
+# line must answer, to --help and to Ctrl-C, before that.
+_HOMES = {
+    "build_maps": "build",
+    "City": "city",
+    "Weights": "cost",
+    "demo_city": "demo",
+    "InputError": "errors",
+    "JaxurbanError": "errors",
+    "Grid": "grid",
+    "MetricMaps": "maps",
+    "open_maps": "maps",
+    "PlannedPath": "planning",
+    "plan": "planning",
+    "Scenario": "scenario",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *_HOMES])

@@ -7,6 +7,7 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 import pyproj
+import shapely
 import xarray as xr
 
 from jaxurban.city import City
@@ -95,6 +96,13 @@ def build_maps(
       InputError: settings that do not fit the city, or too few satellites.
     """
     region = grid if grid is not None else _region(city, bounds, resolution_m)
+    check_altitudes(altitudes_m)
+    if region.crs != city.crs:
+        raise InputError(f"the grid is in {region.crs} and the city in {city.crs}: build the grid in the city's CRS")
+    if not shapely.intersects(shapely.box(*region.bounds_m), shapely.box(*city.known_extent_m)):
+        raise InputError("the region and the city do not meet: check the bounds (west, south, east, north)")
+    if not len(times):
+        raise InputError("times is empty: give at least one UTC time such as 2020-04-27T16:00:00Z")
     sky = view_sky(region, orbits, times, mask_deg=mask_deg, reference=reference, max_age_days=max_age_days)
     surface = make_surface(
         city, region, sky, altitudes_m, mask_deg=mask_deg, lidar=lidar, risk=risk, all_touched=all_touched
@@ -112,6 +120,13 @@ def build_maps(
         times_of_day=times_of_day,
         stage=stage,
     )
+
+
+def check_altitudes(altitudes_m: Sequence[float]) -> None:
+    """Raise InputError unless the altitudes are finite, above the ground and each named once."""
+    values = [float(value) for value in altitudes_m]
+    if not values or not all(0 < value < np.inf for value in values) or len(set(values)) != len(values):
+        raise InputError(f"altitudes_m must be different positive numbers of metres above ground, got {values}")
 
 
 def _region(city: City, bounds: Sequence[float] | None, resolution_m: float) -> Grid:

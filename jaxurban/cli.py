@@ -128,8 +128,6 @@ def plan(
     planning = defaults.get("planning", {})
     chosen = {name: given[name] if given[name] is not None else planning.get(name) for name in given}
     chosen |= {name: planning[name] for name in ("connectivity", "diagonal", "reference_length_m") if name in planning}
-    if given["heuristic"] is None and given["planner"] is not None:
-        chosen["heuristic"] = None
     planned = plan_path(
         open_maps(folder, resolution_m),
         weights=Weights.parse(weights_text or "", Weights(**defaults.get("weights", {}))),
@@ -201,8 +199,8 @@ def _use_compilation_cache() -> None:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line and exit with its code."""
     warnings.showwarning = lambda message, *_, **__: _tell(f"warning: {message}")
-    _use_compilation_cache()
     try:
+        _use_compilation_cache()
         code = app.main(args=arguments, prog_name="jaxurban", standalone_mode=False)
     except InputError as error:
         code = _fail(str(error))
@@ -212,6 +210,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         code = _fail(error.format_message())
     except MemoryError:
         code = _fail("memory ran out: use a smaller region, a coarser [region] resolution_m, or fewer altitudes")
+    except BrokenPipeError:  # the reader of stdout left, as `head` does
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        code = 0
     except (KeyboardInterrupt, click.Abort):
         _tell("interrupted; finished files are kept, and the same command resumes")
         code = EXIT_INTERRUPTED

@@ -1,5 +1,6 @@
 """A scenario carried out: files in, metric maps and run.json out, resumable."""
 
+import glob
 import hashlib
 import importlib.metadata
 import json
@@ -12,10 +13,12 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
 import psutil
+import pyproj
+import rasterio
 import shapely
-import xarray as xr
 
 from jaxurban.build import compute_maps, make_surface, view_sky
 from jaxurban.city import City
@@ -27,13 +30,12 @@ from jaxurban.io.city import read_city
 from jaxurban.io.rasterise import highest_top_m
 from jaxurban.maps import MetricMaps
 from jaxurban.metrics.gps import GpsParams
-from jaxurban.metrics.lidar import LidarParams
-from jaxurban.metrics.population import PopulationParams, population_totals
-from jaxurban.metrics.risk import RiskParams
+from jaxurban.metrics.population import population_totals
 from jaxurban.scenario import NOMINAL, Scenario
 from jaxurban.sky import Sky
 
-RUN_FILE = "run.json"
+OUTSIDE_TOLERANCE = 0.01  # a box in degrees and its projection differ by less
+COMPANIED_SUFFIXES = (".shp", ".tif", ".tiff", ".asc", ".img", ".vrt")
 REPORTED_VERSIONS = (
     "jaxurban",
     "jax",
@@ -133,6 +135,12 @@ def run_scenario(
         prepare_folder(folder, key, overwrite)
         with watch.stage("read"):
             city = load_city(scenario)
+        if (outside := outside_share(city, grids[0])) > OUTSIDE_TOLERANCE:
+            warnings.warn(
+                f"{outside:.0%} of the region lies beyond what the building source covers and is taken as free of "
+                "buildings: give a source that covers it, or a smaller region",
+                stacklevel=2,
+            )
         maps, sky = {}, None
         for grid in grids:
             with watch.stage("orbits"):
@@ -143,7 +151,7 @@ def run_scenario(
         "started_utc": started_utc,
         "elapsed_s": {name: round(seconds, 3) for name, seconds in watch.elapsed_s.items()},
         "run_key": key,
-        "versions": {name: importlib.metadata.version(name) for name in REPORTED_VERSIONS},
+        "versions": versions(),
         "settings": json.loads(scenario.model_dump_json(exclude_none=True)),
         "inputs": inputs,
         "region": _region_record(grids),
@@ -156,7 +164,7 @@ def run_scenario(
         "population": population_record(scenario, city, grids[0]),
         "warnings": list(dict.fromkeys(str(item.message) for item in caught)),
     }
-    with store.whole_file(folder / RUN_FILE) as scratch:
+    with store.whole_file(folder / store.RUN_FILE) as scratch:
         scratch.write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
     return Run(maps, record)
 
@@ -190,9 +198,7 @@ def _maps_of(
 
 
 def _compute(scenario: Scenario, city: City, grid: Grid, sky: Sky, watch: Stopwatch) -> MetricMaps:
-    region, lidar = scenario.region, scenario.lidar
-    lidar_params = LidarParams(lidar.beams, lidar.field_of_view_deg, lidar.azimuths, lidar.range_m)
-    risk_params = RiskParams(scenario.risk.threshold_m, scenario.risk.distance)
+    region, lidar_params, risk_params = scenario.region, scenario.lidar.params(), scenario.risk.params()
     with watch.stage("surface"):
         surface = make_surface(
             city,
@@ -213,20 +219,9 @@ def _compute(scenario: Scenario, city: City, grid: Grid, sky: Sky, watch: Stopwa
         gps=GpsParams(scenario.gps.gdop_threshold),
         lidar=lidar_params,
         risk=risk_params,
-        population=population_params(scenario),
+        population=scenario.population.params(),
         times_of_day=scenario.population.time_of_day,
         stage=watch.stage,
-    )
-
-
-def population_params(scenario: Scenario) -> PopulationParams:
-    """Return the population metric's parameters of a scenario."""
-    people = scenario.population
-    return PopulationParams(
-        gamma_commercial=people.gamma_commercial,
-        gamma_residential=people.gamma_residential,
-        quantity=people.quantity,
-        normalise=people.normalise,
     )
 
 
@@ -254,9 +249,9 @@ def hash_inputs(scenario: Scenario) -> dict[str, dict[str, str]]:
 
 def _sha256(path: Path, role: str) -> str:
     digest = hashlib.sha256()
-    parts = sorted(path.parent.glob(f"{path.stem}.*")) if path.suffix.lower() == ".shp" and path.exists() else [path]
     try:
-        for part in parts:
+        for part in _companions(path):
+            digest.update(f"{part.name} {part.stat().st_size}\n".encode())
             with part.open("rb") as file:
                 while chunk := file.read(1 << 20):
                     digest.update(chunk)
@@ -265,19 +260,54 @@ def _sha256(path: Path, role: str) -> str:
     return digest.hexdigest()
 
 
+def _companions(path: Path) -> list[Path]:
+    """Return a file and those that belong to it (.dbf of a Shapefile, .tfw or .aux.xml of a raster), sorted."""
+    if not path.is_file() or path.suffix.lower() not in COMPANIED_SUFFIXES:
+        return [path]
+    names = (f"{glob.escape(path.stem)}.*", f"{glob.escape(path.name)}.*")
+    return sorted({path, *(part for name in names for part in path.parent.glob(name) if part.is_file())})
+
+
+def code_hash() -> str:
+    """Return a SHA-256 over this package's source files, so that maps of other code are not taken for ours."""
+    digest = hashlib.sha256()
+    package = Path(__file__).parent
+    for folder in (package, package / "kernels", package / "planners", package / "io", package / "metrics"):
+        for path in sorted(folder.glob("*.py")):
+            digest.update(path.name.encode() + path.read_bytes())
+    return digest.hexdigest()
+
+
 def run_key(scenario: Scenario, inputs: dict[str, dict[str, str]]) -> str:
-    """Return a short hash of everything the maps depend on: settings, input bytes, our version."""
+    """Return a short hash of everything the maps depend on: settings, input bytes, our code, the libraries."""
     settings = scenario.model_dump(mode="json", exclude={"weights", "planning", "study"})
-    facts = {"settings": settings, "inputs": inputs, "version": importlib.metadata.version("jaxurban")}
+    facts = {
+        "settings": settings,
+        "inputs": inputs,
+        "code": code_hash(),
+        "versions": versions(),
+        "backend": jax.default_backend(),
+    }
     return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()[:16]
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of the packages that the maps depend on."""
+    return {name: importlib.metadata.version(name) for name in REPORTED_VERSIONS} | {
+        "GDAL": rasterio.__gdal_version__,
+        "GEOS": shapely.geos_version_string,
+        "PROJ": pyproj.proj_version_str,
+    }
 
 
 def stored_key(folder: Path, resolution_m: float) -> str | None:
     """Return the run key of the maps that lie under ``folder``, None without any."""
-    path = store.zarr_path(folder, resolution_m)
-    if not (path / "zarr.json").is_file():
+    if resolution_m not in store.stored_resolutions(folder):
         return None
-    return xr.open_zarr(path, consolidated=False, chunks=None).attrs.get("run_key")
+    try:
+        return store.open_zarr(folder, resolution_m).attrs.get("run_key")
+    except InputError:  # torn by something else: no maps of this job
+        return None
 
 
 def prepare_folder(folder: Path, key: str, overwrite: bool) -> None:
@@ -315,22 +345,27 @@ def check_memory(scenario: Scenario, grids: list[Grid]) -> None:
 def rays_leaving_share(city: City, region: Grid, sky: Sky, altitude_m: float, mask_deg: float) -> float:
     """Return the share of cells with a ray that leaves the data while a roof could still block it."""
     x_min, y_min, x_max, y_max = city.known_extent_m
-    x_m, y_m = region.x_m, region.y_m[:, None]
-    leaves = np.zeros(region.shape, bool)
     climb_m = max(highest_top_m(city) - altitude_m, 0.0)
     above = sky.elevation_rad >= np.radians(mask_deg)
-    for azimuth_rad, elevation_rad in zip(sky.azimuth_rad[above], sky.elevation_rad[above], strict=True):
-        run_m = climb_m / np.tan(elevation_rad)
-        x_end_m, y_end_m = x_m + run_m * np.sin(azimuth_rad), y_m + run_m * np.cos(azimuth_rad)
-        leaves |= (x_end_m < x_min) | (x_end_m > x_max) | (y_end_m < y_min) | (y_end_m > y_max)
-    return float(leaves.mean())
+    # A ray leaves sideways or lengthways, by a run that is the same for all cells: the extremes decide.
+    run_m = climb_m / np.tan(sky.elevation_rad[above])
+    east_m, north_m = run_m * np.sin(sky.azimuth_rad[above]), run_m * np.cos(sky.azimuth_rad[above])
+    col_leaves = (region.x_m + east_m.min() < x_min) | (region.x_m + east_m.max() > x_max)
+    row_leaves = (region.y_m + north_m.min() < y_min) | (region.y_m + north_m.max() > y_max)
+    return float(1.0 - (1.0 - row_leaves.mean()) * (1.0 - col_leaves.mean()))
+
+
+def outside_share(city: City, region: Grid) -> float:
+    """Return the share of the region that lies beyond what the building source covers."""
+    covered = shapely.intersection(shapely.box(*region.bounds_m), shapely.box(*city.extent_m))
+    return 1.0 - float(covered.area) / float(shapely.box(*region.bounds_m).area)
 
 
 def population_record(scenario: Scenario, city: City, region: Grid) -> dict[str, Any] | None:
     """Return night and day population by zoning of the blocks that touch the region."""
     if city.blocks is None:
         return None
-    return population_totals(city.blocks, population_params(scenario), region.bounds_m)
+    return population_totals(city.blocks, scenario.population.params(), region.bounds_m)
 
 
 def _region_record(grids: list[Grid]) -> dict[str, Any]:

@@ -1,12 +1,12 @@
 """plan: a path between two places over metric maps, evaluated the same way for every planner."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from jaxurban.cost import Weights
+from jaxurban.cost import METRICS, Weights
 from jaxurban.errors import InputError
 from jaxurban.grid import Grid
 from jaxurban.maps import MetricMaps
@@ -152,6 +152,9 @@ def plan(
         diagonal=diagonal,
     )
     found = search(problem, budget_s=budget_s, seed=seed)
+    if unpaid := [name for name in METRICS if name not in costs and getattr(weights, name) > 0]:
+        note = f"These maps hold no {' and no '.join(unpaid)}, so that weight is ignored."
+        found = replace(found, note=" ".join(filter(None, (found.note, note))))
     xy_m = found.points_m + np.array([grid.x_min_m, grid.y_min_m])
     paid = None
     if found.status.has_path:

@@ -6,14 +6,27 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import tomli_w
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PrivateAttr, ValidationError, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    PrivateAttr,
+    ValidationError,
+    model_validator,
+)
 
 from jaxurban.errors import InputError, nearest_name
 from jaxurban.grid import check_bounds, projected_crs
+from jaxurban.metrics.lidar import LidarParams
+from jaxurban.metrics.population import PopulationParams, day_share
+from jaxurban.metrics.risk import RiskParams
+from jaxurban.planners.registry import find_planner
 
 SYNTHETIC = "synthetic"
 NOMINAL = "nominal"
-PLANNERS = ("ptp", "astar-dist", "astar-plus", "bitstar-dist", "bitstar-plus")
+PAPER_PLANNERS = ("ptp", "astar-dist", "astar-plus", "bitstar-dist", "bitstar-plus")
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -24,7 +37,19 @@ def _as_list(value: Any) -> Any:
     return value if isinstance(value, list | tuple) else [value]
 
 
+def _known_planner(name: str) -> str:
+    find_planner(name)
+    return name
+
+
+PlannerName = Annotated[str, AfterValidator(_known_planner)]
 PositiveList = Annotated[tuple[Positive, ...], BeforeValidator(_as_list), Field(min_length=1)]
+
+
+def iso_utc(time: datetime) -> str:
+    """Return a time as ISO 8601 UTC with a trailing Z; a naive time is UTC already."""
+    time = time.replace(tzinfo=UTC) if time.tzinfo is None else time.astimezone(UTC)
+    return time.isoformat(timespec="seconds" if time.microsecond == 0 else "microseconds").replace("+00:00", "Z")
 
 
 class _Section(BaseModel):
@@ -46,8 +71,8 @@ class Region(_Section):
             projected_crs(self.crs)
         for name in ("resolution_m", "altitudes_m"):
             values = getattr(self, name)
-            if len(set(values)) != len(values):
-                raise ValueError(f"{name} names a value twice")
+            if len({f"{value:g}" for value in values}) != len(values):
+                raise ValueError(f"{name} names a value twice (file names carry six digits)")
         return self
 
 
@@ -92,6 +117,10 @@ class GpsSettings(_Section):
                 raise ValueError("stop is before start")
         if not self.times:
             raise ValueError("times is empty: give at least one UTC time such as 2020-04-27T16:00:00Z")
+        if len(set(self.epochs)) != len(self.epochs):
+            raise ValueError("the epochs name a time twice")
+        if not all(len(epoch) == len("2020-04-27T16:00:00Z") for epoch in self.epochs):
+            raise ValueError("epochs must be whole seconds, as file names carry them")
         if self.reference is not None and not (abs(self.reference[0]) <= 180 and abs(self.reference[1]) <= 90):
             raise ValueError("reference is longitude, latitude in degrees")
         return self
@@ -115,6 +144,15 @@ class LidarSettings(_Section):
     azimuths: PositiveInt = 360
     range_m: Positive = 100.0
 
+    @model_validator(mode="after")
+    def _check(self) -> "LidarSettings":
+        self.params()
+        return self
+
+    def params(self) -> LidarParams:
+        """Return the lidar metric's parameters."""
+        return LidarParams(self.beams, self.field_of_view_deg, self.azimuths, self.range_m)
+
 
 class PopulationSettings(_Section):
     """Census blocks, districts, and how day differs from night."""
@@ -129,7 +167,25 @@ class PopulationSettings(_Section):
     gamma_residential: NonNegative = 0.5
     time_of_day: Annotated[tuple[str, ...], BeforeValidator(_as_list), Field(min_length=1)] = ("day", "night")
     quantity: Literal["density", "count"] = "density"
-    normalise: str | Positive = "max"
+    normalise: str | float = "max"
+
+    @model_validator(mode="after")
+    def _check(self) -> "PopulationSettings":
+        params = self.params()
+        for time_of_day in self.time_of_day:
+            day_share(time_of_day, params)
+        if len(set(self.time_of_day)) != len(self.time_of_day):
+            raise ValueError("time_of_day names a time twice")
+        return self
+
+    def params(self) -> PopulationParams:
+        """Return the population metric's parameters."""
+        return PopulationParams(
+            gamma_commercial=self.gamma_commercial,
+            gamma_residential=self.gamma_residential,
+            quantity=self.quantity,
+            normalise=self.normalise,
+        )
 
 
 class RiskSettings(_Section):
@@ -137,6 +193,10 @@ class RiskSettings(_Section):
 
     threshold_m: Positive = 50.0
     distance: Literal["slice", "solid"] = "slice"
+
+    def params(self) -> RiskParams:
+        """Return the risk metric's parameters."""
+        return RiskParams(self.threshold_m, self.distance)
 
 
 class WeightSettings(_Section):
@@ -152,7 +212,7 @@ class WeightSettings(_Section):
 class PlanningSettings(_Section):
     """How paths are sought."""
 
-    planner: str = "astar-plus"
+    planner: PlannerName = "astar-plus"
     cost_model: Literal["cell", "line"] = "cell"
     objective: Literal["weighted", "distance"] = "weighted"
     connectivity: Literal[4, 8] = 8
@@ -166,9 +226,9 @@ class StudySettings(_Section):
     """A Monte Carlo study."""
 
     instances: PositiveInt = 200
-    planners: tuple[str, ...] = PLANNERS
+    planners: tuple[PlannerName, ...] = PAPER_PLANNERS
     altitudes_m: PositiveList | None = None
-    weights: str | tuple[WeightSettings, ...] = "dirichlet"
+    weights: Literal["dirichlet"] | tuple[WeightSettings, ...] = "dirichlet"
     budget_s: Positive = 2.0
     seed: int = 0
 
@@ -230,12 +290,6 @@ class Scenario(_Section):
     def is_synthetic(self) -> bool:
         """Whether the embedded city is asked for."""
         return self.buildings.source == SYNTHETIC
-
-
-def iso_utc(time: datetime) -> str:
-    """Return a time as ISO 8601 UTC with a trailing Z; a naive time is UTC already."""
-    time = time.replace(tzinfo=UTC) if time.tzinfo is None else time.astimezone(UTC)
-    return time.isoformat(timespec="seconds" if time.microsecond == 0 else "microseconds").replace("+00:00", "Z")
 
 
 def _without_none(value: Any) -> Any:

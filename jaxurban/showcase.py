@@ -5,9 +5,9 @@ from pathlib import Path
 from typing import Any
 
 from jaxurban.io.export import write_path
-from jaxurban.io.store import whole_file
+from jaxurban.io.store import RUN_FILE, whole_file
 from jaxurban.maps import MetricMaps
-from jaxurban.pipeline import RUN_FILE, run_scenario
+from jaxurban.pipeline import run_scenario
 from jaxurban.planning import PlannedPath, plan
 from jaxurban.plotting import save_figures
 from jaxurban.report import summary_markdown

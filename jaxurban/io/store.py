@@ -1,22 +1,26 @@
 """Metric maps on disk: Zarr and cloud-optimised GeoTIFF, each file whole or not there at all."""
 
 import os
+import re
 import shutil
 import tempfile
 import uuid
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import numpy as np
 import rasterio
 import xarray as xr
 from affine import Affine
+from rasterio.io import MemoryFile
 
 from jaxurban.errors import InputError
 
+RUN_FILE = "run.json"
 ZARR_FOLDER = "maps.zarr"
 GEOTIFF_FOLDER = "geotiff"
+SCRATCH_SUFFIX = ".jaxurban-part"  # of what is being written: ours to sweep, and nobody else's
 GEOTIFF_METRICS = ("obstacle", "gps", "lidar", "population", "risk")
 
 
@@ -34,24 +38,32 @@ def whole_file(path: Path) -> Iterator[Path]:
     Raises:
       InputError: the folder cannot be written to.
     """
-    scratch = path.with_name(f".{path.name}.{uuid.uuid4().hex[:8]}.part")
+    scratch = path.with_name(f".{path.name}.{uuid.uuid4().hex[:8]}{SCRATCH_SUFFIX}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         yield scratch
         if path.is_dir():
-            old = scratch.with_suffix(".old")
+            old = scratch.with_name(f"{scratch.stem}.old{SCRATCH_SUFFIX}")
             path.rename(old)
             scratch.rename(path)
             shutil.rmtree(old)
         else:
             os.replace(scratch, path)
-    except PermissionError as error:
-        raise InputError(f"cannot write {str(path)!r}: {error.strerror}; choose a folder you may write to") from error
+    except OSError as error:
+        raise InputError(
+            f"cannot write {str(path)!r}: {error.strerror or error}; free space there, or choose another folder"
+        ) from error
     finally:
-        if scratch.is_dir():
-            shutil.rmtree(scratch, ignore_errors=True)
-        else:
-            scratch.unlink(missing_ok=True)
+        _remove(scratch)
+
+
+def _remove(path: Path) -> None:
+    """Remove a file or a folder, if it is there and can be."""
+    if path.is_dir():
+        shutil.rmtree(path, ignore_errors=True)
+    else:
+        with suppress(OSError):
+            path.unlink()
 
 
 def zarr_path(folder: Path, resolution_m: float) -> Path:
@@ -61,9 +73,8 @@ def zarr_path(folder: Path, resolution_m: float) -> Path:
 
 def stored_resolutions(folder: Path) -> dict[float, Path]:
     """Return where the maps under ``folder`` lie, by resolution in metres."""
-    return {
-        float(path.name[:-1]): path for path in (folder / ZARR_FOLDER).glob("[0-9]*m") if (path / "zarr.json").is_file()
-    }
+    named = ((re.fullmatch(r"([0-9.e+-]+)m", path.name), path) for path in sorted((folder / ZARR_FOLDER).glob("*m")))
+    return {float(match[1]): path for match, path in named if match and (path / "zarr.json").is_file()}
 
 
 def check_writable(folder: Path) -> None:
@@ -81,17 +92,17 @@ def check_writable(folder: Path) -> None:
 def sweep_scraps(folder: Path) -> None:
     """Remove what a killed run left half-written under ``folder``."""
     for part in (folder, folder / ZARR_FOLDER, folder / GEOTIFF_FOLDER):
-        for scrap in (*part.glob(".*.part"), *part.glob(".*.old")):
-            if scrap.is_dir():
-                shutil.rmtree(scrap)
-            else:
-                scrap.unlink()
+        for scrap in part.glob(f".*{SCRATCH_SUFFIX}"):
+            _remove(scrap)
 
 
 def remove_maps(folder: Path) -> None:
-    """Remove the maps that a job wrote under ``folder``, and nothing else."""
-    for part in (ZARR_FOLDER, GEOTIFF_FOLDER):
-        shutil.rmtree(folder / part, ignore_errors=True)
+    """Remove the maps that a job wrote under ``folder`` and its record, and nothing else.
+
+    The Zarr goes last: while it stands the folder is known to hold that job's maps.
+    """
+    for part in (RUN_FILE, GEOTIFF_FOLDER, ZARR_FOLDER):
+        _remove(folder / part)
 
 
 def write_zarr(ds: xr.Dataset, folder: Path) -> Path:
@@ -121,7 +132,12 @@ def open_zarr(folder: Path, resolution_m: float | None) -> xr.Dataset:
     if resolution_m is not None and resolution_m not in found:
         raise InputError(f"{str(folder)!r} holds no maps at {short_number(resolution_m)} m, only at {listed} m")
     path = found[resolution_m] if resolution_m is not None else next(iter(found.values()))
-    return xr.open_zarr(path, consolidated=False, chunks=None).load()
+    try:
+        return xr.open_zarr(path, consolidated=False, chunks=None).load()
+    except (OSError, ValueError, KeyError) as error:
+        raise InputError(
+            f"the maps in {str(path)!r} cannot be read ({error}): remove them and make them again"
+        ) from error
 
 
 def geotiff_layers(ds: xr.Dataset) -> Iterator[tuple[str, str, xr.DataArray]]:
@@ -183,25 +199,26 @@ def write_geotiffs(ds: xr.Dataset, folder: Path, skip_key: str | None = None) ->
 def _write_cog(
     path: Path, values: np.ndarray, transform: Affine, crs: str, tags: dict[str, str], overviews: str
 ) -> None:
-    with rasterio.open(
-        path,
-        "w",
-        driver="COG",
-        width=values.shape[1],
-        height=values.shape[0],
-        count=1,
-        dtype="float32",
-        crs=crs,
-        transform=transform,
-        nodata=float("nan"),
-        compress="ZSTD",
-        predictor="YES",
-        blocksize=512,
-        overview_resampling=overviews,
-        num_threads="ALL_CPUS",
-    ) as file:
-        file.write(values, 1)
-        file.update_tags(**tags)
+    # In memory first: where the disk is full GDAL tells nobody, and Python's own writing does.
+    with MemoryFile() as memory:
+        with memory.open(
+            driver="COG",
+            width=values.shape[1],
+            height=values.shape[0],
+            count=1,
+            dtype="float32",
+            crs=crs,
+            transform=transform,
+            nodata=float("nan"),
+            compress="ZSTD",
+            predictor="YES",
+            blocksize=512,
+            overview_resampling=overviews,
+            num_threads="ALL_CPUS",
+        ) as file:
+            file.write(values, 1)
+            file.update_tags(**tags)
+        path.write_bytes(memory.getbuffer())
 
 
 def _run_key(path: Path) -> str | None:

@@ -14,6 +14,7 @@ from jaxtyping import Array, Bool, Float, UInt, UInt8
 from jaxurban.errors import InputError
 from jaxurban.kernels.dop import Geometry, dops_of_words, geometry, unit_vectors
 from jaxurban.kernels.occlusion import WORD_BITS, digital_line, mark_visible
+from jaxurban.metrics.obstacle import obstacle_mask
 from jaxurban.surface import Surface
 
 SATELLITES_STEP = 8  # the DOP program is compiled for 8, 16, 24 ... satellites
@@ -203,6 +204,6 @@ def compute_gps(
     params = params or GpsParams()
     words = visibility(surface, azimuth_rad, elevation_rad, altitudes_m)
     altitudes = jnp.asarray(altitudes_m, surface.roof_m.dtype)
-    is_obstacle = surface.crop(surface.roof_m) >= altitudes[:, None, None]
+    is_obstacle = obstacle_mask(surface.crop(surface.roof_m), altitudes)
     satellites = geometry(unit_vectors(azimuth_rad, elevation_rad), multiple_of=SATELLITES_STEP)
     return _maps(words, is_obstacle, satellites, params.gdop_threshold)
