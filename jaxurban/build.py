@@ -95,14 +95,23 @@ def build_maps(
     Raises:
       InputError: settings that do not fit the city, or too few satellites.
     """
+    if not resolution_m > 0:
+        raise InputError(f"resolution_m must be a positive number of metres, got {resolution_m}")
+    if grid is not None and bounds is not None:
+        raise InputError("give either bounds or grid, and not both")
     region = grid if grid is not None else _region(city, bounds, resolution_m)
     check_altitudes(altitudes_m)
+    times, times_of_day = _as_names(times), _as_names(times_of_day)
     if region.crs != city.crs:
         raise InputError(f"the grid is in {region.crs} and the city in {city.crs}: build the grid in the city's CRS")
     if not shapely.intersects(shapely.box(*region.bounds_m), shapely.box(*city.known_extent_m)):
         raise InputError("the region and the city do not meet: check the bounds (west, south, east, north)")
-    if not len(times):
-        raise InputError("times is empty: give at least one UTC time such as 2020-04-27T16:00:00Z")
+    if not times or len(set(times)) != len(times):
+        raise InputError(f"times must be different UTC times such as 2020-04-27T16:00:00Z, got {list(times)}")
+    if not times_of_day or len(set(times_of_day)) != len(times_of_day):
+        raise InputError(f"times_of_day must be different names such as day and night, got {list(times_of_day)}")
+    if not 0 <= mask_deg < 90:
+        raise InputError(f"mask_deg must lie in 0 to 90 degrees, got {mask_deg}")
     sky = view_sky(region, orbits, times, mask_deg=mask_deg, reference=reference, max_age_days=max_age_days)
     surface = make_surface(
         city, region, sky, altitudes_m, mask_deg=mask_deg, lidar=lidar, risk=risk, all_touched=all_touched
@@ -120,6 +129,10 @@ def build_maps(
         times_of_day=times_of_day,
         stage=stage,
     )
+
+
+def _as_names(names: str | Sequence[str]) -> tuple[str, ...]:
+    return (names,) if isinstance(names, str) else tuple(names)
 
 
 def check_altitudes(altitudes_m: Sequence[float]) -> None:
@@ -235,7 +248,9 @@ def compute_maps(
             people = population_maps(surface.block, city.blocks, times_of_day, population, region.bounds_m)
             data["population"] = (("time_of_day", "y", "x"), np.asarray(people.m))
             data["density"] = (("time_of_day", "y", "x"), np.asarray(people.density_per_km2))
-        attrs["pop_norm_per_km2"] = [float(value) for value in people.norm_per_km2]
+        is_count = population is not None and population.quantity == "count"
+        norm_name = "pop_norm_per_block" if is_count else "pop_norm_per_km2"
+        attrs[norm_name] = [float(value) for value in people.norm_per_km2]
     data["roof"] = (("y", "x"), np.asarray(roof_m))
     if surface.terrain_m is not None:
         data["terrain"] = (("y", "x"), np.asarray(surface.crop(surface.terrain_m)))
@@ -270,6 +285,8 @@ def compute_maps(
             ds[name].attrs.update(
                 {"units": units, "grid_mapping": "spatial_ref", **({"one_means": one_means} if one_means else {})}
             )
+    if "pop_norm_per_block" in ds.attrs:
+        ds["population"].attrs["one_means"] = "as many people in the block as the norm (pop_norm_per_block)"
     return MetricMaps(ds)
 
 

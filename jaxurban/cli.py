@@ -6,16 +6,21 @@ Exit codes: 0 a path or a finished job; 2 bad input or usage; 3 no path; 4 budge
 
 import json
 import os
+import signal
 import sys
+import threading
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from jaxurban.errors import InputError
+
+if TYPE_CHECKING:
+    from jaxurban.cost import Weights
 
 EXIT_BAD_INPUT, EXIT_INTERRUPTED = 2, 130
 
@@ -130,7 +135,7 @@ def plan(
     chosen |= {name: planning[name] for name in ("connectivity", "diagonal", "reference_length_m") if name in planning}
     planned = plan_path(
         open_maps(folder, resolution_m),
-        weights=Weights.parse(weights_text or "", Weights(**defaults.get("weights", {}))),
+        weights=Weights.parse(weights_text or "", _stored_weights(folder, defaults)),
         **{name: value for name, value in chosen.items() if value is not None},
     )
     for file in files:
@@ -146,12 +151,25 @@ def plan(
 
 def _stored_settings(folder: Path) -> Settings:
     """Return the settings that made the maps in ``folder``, empty where they were saved from Python."""
+    if folder.is_file():
+        raise InputError(f"{str(folder)!r} is a file: give the folder that holds the maps")
     try:
         return json.loads((folder / "run.json").read_text(encoding="utf-8"))["settings"]
     except FileNotFoundError:
         return {}
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise InputError(f"{str(folder / 'run.json')!r} cannot be read: make the maps again") from error
+
+
+def _stored_weights(folder: Path, settings: Settings) -> "Weights":
+    from jaxurban.cost import Weights
+
+    try:
+        return Weights(**settings.get("weights", {}))
+    except TypeError as error:
+        raise InputError(
+            f"{str(folder / 'run.json')!r} names weights that do not exist: make the maps again"
+        ) from error
 
 
 def _path_table(facts: Settings) -> str:
@@ -172,6 +190,8 @@ def _stages(title: str) -> Iterator[Callable[[str], None]]:
     with tqdm(desc=title, unit="stage", file=sys.stderr, disable=None) as bar:
 
         def on_stage(name: str) -> None:
+            if _interrupted.is_set():
+                raise KeyboardInterrupt
             bar.set_postfix_str(name)
             bar.update()
 
@@ -199,11 +219,15 @@ def _use_compilation_cache() -> None:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line and exit with its code."""
     warnings.showwarning = lambda message, *_, **__: _tell(f"warning: {message}")
+    signal.signal(signal.SIGINT, _interrupt)
     try:
         _use_compilation_cache()
         code = app.main(args=arguments, prog_name="jaxurban", standalone_mode=False)
     except InputError as error:
         code = _fail(str(error))
+    except click.exceptions.NoArgsIsHelpError as help_text:
+        print(help_text.format_message())
+        code = 0
     except click.UsageError as error:
         code = _fail(f"{error.format_message().rstrip('.')} (see jaxurban --help)")
     except click.ClickException as error:
@@ -217,6 +241,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
         _tell("interrupted; finished files are kept, and the same command resumes")
         code = EXIT_INTERRUPTED
     sys.exit(code or 0)
+
+
+_interrupted = threading.Event()
+
+
+def _interrupt(*_: object) -> None:
+    """Remember Ctrl-C beside raising it: raised inside a callback of JAX it would be lost."""
+    _interrupted.set()
+    raise KeyboardInterrupt
 
 
 def _fail(sentence: str) -> int:

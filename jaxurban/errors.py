@@ -17,6 +17,6 @@ class StaleElementsWarning(UserWarning):
 
 
 def nearest_name(name: str, valid: Iterable[str]) -> str:
-    """Return ``", did you mean 'x'?"`` for the valid name closest to ``name``, or ``""``."""
+    """Return ``" (did you mean 'x'?)"`` for the valid name closest to ``name``, or ``""``."""
     close = difflib.get_close_matches(name, list(valid), n=1, cutoff=0.5)
-    return f", did you mean {close[0]!r}?" if close else ""
+    return f" (did you mean {close[0]!r}?)" if close else ""

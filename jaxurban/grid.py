@@ -14,6 +14,8 @@ from pyproj.database import query_utm_crs_info
 from jaxurban.errors import InputError
 
 WGS84 = "EPSG:4326"
+MAX_SCALE_ERROR = 0.01  # of a projection at the region: within a UTM zone it stays below 0.001
+MAX_SNAP_CELLS = 1000  # of the coarsest resolution that the region may be snapped to
 Bounds = tuple[float, float, float, float]  # x_min, y_min, x_max, y_max in a projected CRS, metres
 
 
@@ -55,6 +57,17 @@ def projected_crs(crs: str) -> pyproj.CRS:
     if {axis.direction for axis in parsed.axis_info[:2]} != {"east", "north"}:
         raise InputError(f"the axes of {crs!r} do not point east and north: use a CRS such as a UTM zone, 'EPSG:32618'")
     return parsed
+
+
+def check_scale(crs: str, lon_deg: float, lat_deg: float) -> None:
+    """Raise InputError unless a metre of the CRS is a metre on the ground, within 1 %, at a point."""
+    factors = pyproj.Proj(crs).get_factors(lon_deg, lat_deg)
+    scale = max(factors.meridional_scale, factors.parallel_scale, key=lambda value: abs(value - 1.0))
+    if not abs(scale - 1.0) < MAX_SCALE_ERROR:
+        raise InputError(
+            f"a metre of {crs} is {1.0 / scale:.3g} m on the ground at {lon_deg:.3f}, {lat_deg:.3f} (longitude, latitude): "
+            f"use a CRS made for that place, such as {utm_crs(lon_deg, lat_deg)}"
+        )
 
 
 def check_bounds(bounds: Sequence[float]) -> tuple[float, float, float, float]:
@@ -141,10 +154,13 @@ class Grid:
         if crs is None:
             crs = utm_crs((west + east) / 2, (south + north) / 2)
         projected_crs(crs)
+        check_scale(crs, (west + east) / 2, (south + north) / 2)
         x_min, y_min, x_max, y_max = transformer(WGS84, crs).transform_bounds(west, south, east, north, densify_pts=101)
         if not all(math.isfinite(value) for value in (x_min, y_min, x_max, y_max)):
             raise InputError(f"bounds {list(bounds)} lie outside the area of use of {crs}: choose another CRS")
         snap_m = _common_multiple_m(resolutions_m)
+        if snap_m > MAX_SNAP_CELLS * max(resolutions_m):
+            raise InputError(f"the resolutions {resolutions_m} m have no common grid: choose such as 2, 5, 10")
         per_snap = round(snap_m / resolution_m)
         # Bounds that were snapped before must not grow by rounding: a millionth of a cell is nothing.
         first_col, end_col = math.floor(x_min / snap_m + 1e-6), math.ceil(x_max / snap_m - 1e-6)
@@ -225,7 +241,8 @@ class Grid:
             x_bad, y_bad = (float(np.asarray(v, float)[~inside].flat[0]) for v in np.broadcast_arrays(x_m, y_m))
             raise InputError(
                 f"the point {x_bad:.1f}, {y_bad:.1f} ({self.crs}) is outside the region, which spans "
-                f"{self.x_min_m:.1f} to {self.x_max_m:.1f} east and {self.y_min_m:.1f} to {self.y_max_m:.1f} north"
+                f"{self.x_min_m:.1f} to {self.x_max_m:.1f} east and {self.y_min_m:.1f} to {self.y_max_m:.1f} north "
+                "(its east and north borders left out)"
             )
         row, col = self._floor_cell(x_m, y_m)
         return row.astype(np.int64), col.astype(np.int64)

@@ -12,6 +12,7 @@ from jaxurban.cost import METRICS, metric_cost, normalised_map, total_map
 from jaxurban.errors import InputError
 from jaxurban.grid import Grid
 from jaxurban.io import store
+from jaxurban.io.orbits import iso_utc, parse_time
 
 
 @dataclass(frozen=True)
@@ -89,7 +90,7 @@ class MetricMaps:
             raise InputError(f"these maps hold no {name!r}: they hold {', '.join(map(str, self.ds.data_vars))}")
         wanted = {
             "altitude": self._pick("altitude", altitude_m, self.altitudes_m, self.altitudes_m),
-            "time": self._pick("time", _utc_seconds(time), self.times, self.times),
+            "time": self._pick("time", _utc(time), self.times, self.times),
             "time_of_day": self._pick("time of day", time_of_day, self.times_of_day, self.times_of_day),
         }
         array = self.ds[name]
@@ -138,10 +139,5 @@ def open_maps(folder: str | Path, resolution_m: float | None = None) -> MetricMa
     return MetricMaps(store.open_zarr(Path(folder), resolution_m))
 
 
-def _utc_seconds(time: str | None) -> str | None:
-    if time is None:
-        return None
-    try:
-        return f"{np.datetime_as_string(np.datetime64(time.removesuffix('Z')), unit='s')}Z"
-    except ValueError as error:
-        raise InputError(f"time {time!r} is not a UTC time such as 2020-04-27T16:00:00Z") from error
+def _utc(time: str | None) -> str | None:
+    return None if time is None else iso_utc(parse_time(time))

@@ -132,21 +132,20 @@ def run_scenario(
         check_memory(scenario, grids)
         inputs = hash_inputs(scenario)
         key = run_key(scenario, inputs)
-        prepare_folder(folder, key, overwrite)
         with watch.stage("read"):
             city = load_city(scenario)
+        with watch.stage("orbits"):
+            skies = [_sky(scenario, grid) for grid in grids]
+        prepare_folder(folder, key, overwrite)
         if (outside := outside_share(city, grids[0])) > OUTSIDE_TOLERANCE:
             warnings.warn(
                 f"{outside:.0%} of the region lies beyond what the building source covers and is taken as free of "
                 "buildings: give a source that covers it, or a smaller region",
                 stacklevel=2,
             )
-        maps, sky = {}, None
-        for grid in grids:
-            with watch.stage("orbits"):
-                sky = _sky(scenario, grid)
+        maps, sky = {}, skies[0]
+        for grid, sky in zip(grids, skies, strict=True):
             maps[grid.resolution_m] = _maps_of(scenario, city, grid, sky, folder, key, watch)
-    assert sky is not None
     record = {
         "started_utc": started_utc,
         "elapsed_s": {name: round(seconds, 3) for name, seconds in watch.elapsed_s.items()},
@@ -156,6 +155,7 @@ def run_scenario(
         "inputs": inputs,
         "region": _region_record(grids),
         "buildings": _building_record(city, grids[0]),
+        "epochs": list(sky.times),
         "satellites": _satellite_record(sky),
         "rays_leave_data_share": {
             store.short_number(z): round(rays_leaving_share(city, grids[0], sky, z, scenario.gps.mask_deg), 4)

@@ -9,6 +9,7 @@ import numpy as np
 from jaxurban.cost import METRICS, Weights
 from jaxurban.errors import InputError
 from jaxurban.grid import Grid
+from jaxurban.io.orbits import iso_utc, parse_time
 from jaxurban.maps import MetricMaps
 from jaxurban.planners.base import Cell, CostModel, Diagonal, Path, Problem, Status
 from jaxurban.planners.evaluate import PathCost, evaluate
@@ -137,8 +138,8 @@ def plan(
     ]
     layers = np.zeros((len(costs), *grid.shape))
     for layer, (name, cost) in zip(layers, costs.items(), strict=True):
-        layer[:] = getattr(weights, name) * np.nan_to_num(cost.astype(np.float64))
-    is_weighted = objective == "weighted"
+        layer[:] = getattr(weights, name) * np.where(is_free, cost, np.nan_to_num(cost)).astype(np.float64)
+    is_weighted = objective == "weighted" and (weights.distance > 0 or layers.any())
     problem = Problem(
         layers=layers if is_weighted else np.zeros((1, *grid.shape)),
         is_free=is_free,
@@ -152,6 +153,8 @@ def plan(
         diagonal=diagonal,
     )
     found = search(problem, budget_s=budget_s, seed=seed)
+    if objective == "weighted" and not is_weighted:
+        found = replace(found, note="All weights are zero, so every path is as cheap: this is the shortest one.")
     if unpaid := [name for name in METRICS if name not in costs and getattr(weights, name) > 0]:
         note = f"These maps hold no {' and no '.join(unpaid)}, so that weight is ignored."
         found = replace(found, note=" ".join(filter(None, (found.note, note))))
@@ -185,7 +188,7 @@ def plan(
             "connectivity": connectivity,
             "diagonal": diagonal,
             "weights": {name: float(getattr(weights, name)) for name in ("distance", *costs)},
-            "time": time or maps.times[0],
+            "time": maps.times[0] if time is None else iso_utc(parse_time(time)),
             "time_of_day": time_of_day or next(iter(maps.times_of_day), None),
             "resolution_m": grid.resolution_m,
             "budget_s": budget_s,

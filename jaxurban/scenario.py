@@ -19,12 +19,14 @@ from pydantic import (
 
 from jaxurban.errors import InputError, nearest_name
 from jaxurban.grid import check_bounds, projected_crs
+from jaxurban.io.orbits import iso_utc
 from jaxurban.metrics.lidar import LidarParams
 from jaxurban.metrics.population import PopulationParams, day_share
 from jaxurban.metrics.risk import RiskParams
 from jaxurban.planners.registry import find_planner
 
 SYNTHETIC = "synthetic"
+PAPER_TIME = datetime(2020, 4, 27, 16, tzinfo=UTC)  # when no time is given
 NOMINAL = "nominal"
 PAPER_PLANNERS = ("ptp", "astar-dist", "astar-plus", "bitstar-dist", "bitstar-plus")
 
@@ -46,14 +48,16 @@ PlannerName = Annotated[str, AfterValidator(_known_planner)]
 PositiveList = Annotated[tuple[Positive, ...], BeforeValidator(_as_list), Field(min_length=1)]
 
 
-def iso_utc(time: datetime) -> str:
-    """Return a time as ISO 8601 UTC with a trailing Z; a naive time is UTC already."""
-    time = time.replace(tzinfo=UTC) if time.tzinfo is None else time.astimezone(UTC)
-    return time.isoformat(timespec="seconds" if time.microsecond == 0 else "microseconds").replace("+00:00", "Z")
-
-
 class _Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _no_truth_for_a_number(cls, values: Any) -> Any:
+        for name, value in values.items() if isinstance(values, dict) else ():
+            if isinstance(value, bool) and name in cls.model_fields and cls.model_fields[name].annotation is not bool:
+                raise ValueError(f"{name} cannot be {str(value).lower()}: give a number, a text or a list")
+        return values
 
 
 class Region(_Section):
@@ -96,7 +100,7 @@ class GpsSettings(_Section):
     """Satellites, epochs and the DOP threshold."""
 
     orbits: str = NOMINAL
-    times: tuple[datetime, ...] = (datetime(2020, 4, 27, 16, tzinfo=UTC),)
+    times: tuple[datetime, ...] | None = None
     start: datetime | None = None
     stop: datetime | None = None
     step_s: Positive | None = None
@@ -111,11 +115,11 @@ class GpsSettings(_Section):
         if any(value is not None for value in series):
             if any(value is None for value in series):
                 raise ValueError("a series of epochs needs all of start, stop and step_s")
-            if "times" in self.model_fields_set:
+            if self.times is not None:
                 raise ValueError("give either times or start, stop and step_s, not both")
             if self.start and self.stop and self.stop < self.start:
                 raise ValueError("stop is before start")
-        if not self.times:
+        if self.times is not None and not self.times:
             raise ValueError("times is empty: give at least one UTC time such as 2020-04-27T16:00:00Z")
         if len(set(self.epochs)) != len(self.epochs):
             raise ValueError("the epochs name a time twice")
@@ -132,7 +136,7 @@ class GpsSettings(_Section):
             count = int((self.stop - self.start).total_seconds() // self.step_s) + 1
             times = [self.start + timedelta(seconds=self.step_s * i) for i in range(count)]
         else:
-            times = list(self.times)
+            times = list(self.times or (PAPER_TIME,))
         return tuple(iso_utc(time) for time in times)
 
 
@@ -171,6 +175,8 @@ class PopulationSettings(_Section):
 
     @model_validator(mode="after")
     def _check(self) -> "PopulationSettings":
+        if self.blocks is None and (self.table is not None or self.districts is not None):
+            raise ValueError("table and districts need blocks, the polygons of the census blocks")
         params = self.params()
         for time_of_day in self.time_of_day:
             day_share(time_of_day, params)
@@ -247,6 +253,15 @@ class Scenario(_Section):
     planning: PlanningSettings = PlanningSettings()
     study: StudySettings = StudySettings()
     _folder: Path = PrivateAttr(default=Path())
+
+    @model_validator(mode="after")
+    def _check(self) -> "Scenario":
+        if self.is_synthetic and (self.population.blocks or self.terrain.source):
+            raise ValueError(
+                "the embedded city (source = 'synthetic') has its own people and flat ground: leave out "
+                "population.blocks and terrain.source, or name a source of real buildings"
+            )
+        return self
 
     @classmethod
     def from_toml(cls, path: str | Path) -> "Scenario":

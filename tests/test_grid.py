@@ -108,7 +108,12 @@ def test_bad_bounds_are_refused_in_one_sentence(bounds, words):
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("crs", ["EPSG:4326", "EPSG:2263", "nonsense"])
+@pytest.mark.parametrize("crs", ["EPSG:4326", "EPSG:2263", "nonsense", "EPSG:2048", "EPSG:3857"])
 def test_crs_must_be_projected_in_metres(crs):
     with pytest.raises(InputError, match="EPSG:32618"):
         Grid.from_bounds(LOWER_MANHATTAN, 5.0, crs)
+
+
+def test_resolutions_without_a_common_grid_are_refused():
+    with pytest.raises(InputError, match="no common grid"):
+        Grid.from_bounds(LOWER_MANHATTAN, 3.14159265, nest_with_m=(7.0,))

@@ -96,6 +96,21 @@ def test_wrong_arguments_are_named(maps, ends, changed, words):
         ju.plan(maps, **({"altitude_m": 20.0} | ends | changed))
 
 
+def test_with_all_weights_zero_the_shortest_path_is_given_and_said_so(maps, ends):
+    nothing = ju.Weights(distance=0.0, gps=0.0, lidar=0.0, population=0.0, risk=0.0)
+    path = ju.plan(maps, **ends, altitude_m=20.0, weights=nothing)
+    shortest = ju.plan(maps, **ends, altitude_m=20.0, objective="distance")
+    assert path.cost == 0.0
+    assert path.length_m == pytest.approx(shortest.length_m)
+    assert "All weights are zero" in path.to_dict()["message"]
+
+
+def test_a_weight_without_a_layer_is_ignored_with_a_message(maps, ends):
+    empty = ju.MetricMaps(maps.ds.drop_vars(["population", "density"]))
+    path = ju.plan(empty, **ends, altitude_m=20.0)
+    assert "hold no population" in path.to_dict()["message"]
+
+
 def test_facts_are_json_ready(maps, ends):
     import json
 

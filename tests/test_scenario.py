@@ -45,6 +45,12 @@ def tomllib_text(extra: dict[str, str]) -> str:
     return text
 
 
+def test_a_time_series_survives_toml(tmp_path):
+    series = {"start": "2020-04-27T00:00:00Z", "stop": "2020-04-27T01:00:00Z", "step_s": 600}
+    (tmp_path / "s.toml").write_text(Scenario.from_dict(MINIMAL | {"gps": series}).to_toml())
+    assert len(Scenario.from_toml(tmp_path / "s.toml").gps.epochs) == 7
+
+
 def test_a_series_of_epochs_includes_both_ends():
     series = {"start": "2020-04-27T00:00:00Z", "stop": "2020-04-27T00:10:00Z", "step_s": 300}
     epochs = Scenario.from_dict(MINIMAL | {"gps": series}).gps.epochs
@@ -62,6 +68,17 @@ def test_a_series_of_epochs_includes_both_ends():
         ({"region": {"bounds": [40.70, -120.0, 40.73, -73.98]}}, "longitude first"),
         ({"region": {"bounds": [-74.02, 40.70, -73.98, 40.73], "crs": "EPSG:4326"}}, "not a projected CRS"),
         ({"gps": {"times": []}}, "times is empty"),
+        ({"gps": {"times": ["2020-04-27T16:00:00Z", "2020-04-27T12:00:00-04:00"]}}, "twice"),
+        ({"gps": {"times": ["2020-04-27T16:00:00.5Z"]}}, "whole seconds"),
+        ({"population": {"time_of_day": ["day", "day"]}}, "twice"),
+        ({"population": {"time_of_day": ["noon"]}}, "noon"),
+        ({"population": {"normalise": "mx"}}, "normalise"),
+        ({"population": {"normalise": True}}, "normalise cannot be true"),
+        ({"population": {"table": "P1.csv"}}, "need blocks"),
+        ({"population": {"blocks": "b.shp"}}, "own people"),
+        ({"terrain": {"source": "dem.tif"}}, "flat ground"),
+        ({"lidar": {"field_of_view_deg": [15, -15]}}, "field_of_view_deg"),
+        ({"planning": {"planner": "astr-plus"}}, "did you mean 'astar-plus'"),
         ({"gps": {"times": ["noon"]}}, "gps.times"),
         ({"gps": {"start": "2020-04-27T00:00:00Z"}}, "needs all of start, stop and step_s"),
         ({"gps": {"mask_deg": 90}}, "less than 90"),

@@ -191,6 +191,12 @@ def parse_time(time: str | datetime) -> datetime:
         raise InputError(f"{time!r} is not a time: write it as 2020-04-27T16:00:00Z") from error
 
 
+def iso_utc(time: datetime) -> str:
+    """Return a time as ISO 8601 UTC with a trailing Z; a naive time is UTC already."""
+    time = time.replace(tzinfo=UTC) if time.tzinfo is None else time.astimezone(UTC)
+    return time.isoformat(timespec="seconds" if time.microsecond == 0 else "microseconds").replace("+00:00", "Z")
+
+
 def look_angles(
     orbits: Orbits,
     times: Sequence[str | datetime],

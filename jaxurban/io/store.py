@@ -21,6 +21,7 @@ RUN_FILE = "run.json"
 ZARR_FOLDER = "maps.zarr"
 GEOTIFF_FOLDER = "geotiff"
 SCRATCH_SUFFIX = ".jaxurban-part"  # of what is being written: ours to sweep, and nobody else's
+NEEDED = ("obstacle", "gps", "has_data")  # without these it is no folder of maps
 GEOTIFF_METRICS = ("obstacle", "gps", "lidar", "population", "risk")
 
 
@@ -42,6 +43,8 @@ def whole_file(path: Path) -> Iterator[Path]:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         yield scratch
+        if path.is_dir() and not scratch.is_dir():
+            raise InputError(f"cannot write {str(path)!r}: a folder of that name is in the way; move it")
         if path.is_dir():
             old = scratch.with_name(f"{scratch.stem}.old{SCRATCH_SUFFIX}")
             path.rename(old)
@@ -133,7 +136,10 @@ def open_zarr(folder: Path, resolution_m: float | None) -> xr.Dataset:
         raise InputError(f"{str(folder)!r} holds no maps at {short_number(resolution_m)} m, only at {listed} m")
     path = found[resolution_m] if resolution_m is not None else next(iter(found.values()))
     try:
-        return xr.open_zarr(path, consolidated=False, chunks=None).load()
+        ds = xr.open_zarr(path, consolidated=False, chunks=None).load()
+        if lost := [name for name in NEEDED if name not in ds]:
+            raise ValueError(f"no {', no '.join(lost)} there")
+        return ds
     except (OSError, ValueError, KeyError) as error:
         raise InputError(
             f"the maps in {str(path)!r} cannot be read ({error}): remove them and make them again"
@@ -176,7 +182,8 @@ def write_geotiffs(ds: xr.Dataset, folder: Path, skip_key: str | None = None) ->
     resolution_m, has_data = ds.attrs["resolution_m"], ds["has_data"].values
     y_max_m = (ds.attrs["first_row"] + ds.sizes["y"]) * resolution_m
     transform = Affine(resolution_m, 0, ds.attrs["first_col"] * resolution_m, 0, -resolution_m, y_max_m)
-    norms = dict(zip(ds["time_of_day"].values, ds.attrs["pop_norm_per_km2"], strict=True)) if "population" in ds else {}
+    norm_name = next((name for name in ("pop_norm_per_km2", "pop_norm_per_block") if name in ds.attrs), "")
+    norms = dict(zip(ds["time_of_day"].values, ds.attrs[norm_name], strict=True)) if norm_name else {}
     files = []
     for name, metric, layer in geotiff_layers(ds):
         path = folder / GEOTIFF_FOLDER / name
@@ -186,7 +193,7 @@ def write_geotiffs(ds: xr.Dataset, folder: Path, skip_key: str | None = None) ->
         values = np.where(has_data, layer.values.astype(np.float32), np.float32(np.nan))
         tags = {"metric": metric, "units": ds[metric].attrs["units"], "one_means": ds[metric].attrs["one_means"]}
         if metric == "population":
-            tags["pop_norm_per_km2"] = repr(float(norms[layer["time_of_day"].item()]))
+            tags[norm_name] = repr(float(norms[layer["time_of_day"].item()]))
         if skip_key is not None:
             tags["run_key"] = skip_key
         with whole_file(path) as scratch:

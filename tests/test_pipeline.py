@@ -1,0 +1,178 @@
+"""Jobs: what makes maps current, what is swept, what a full disk and a damaged folder do."""
+
+import errno
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import shapely
+
+import jaxurban as ju
+from jaxurban import pipeline
+from jaxurban.city import Raster
+from jaxurban.errors import InputError
+from jaxurban.io import store
+from jaxurban.io.rasterise import burn
+from jaxurban.scenario import Scenario
+from tests.cli_runs import assert_one_sentence, run
+
+REGION = {"bounds": [-74.0, 40.755, -73.993, 40.761], "resolution_m": 20, "altitudes_m": [20]}
+CORNER = np.array([110_000, 900_000])  # column and row of a cell somewhere in New York
+SETTINGS = {"region": REGION, "buildings": {"source": "synthetic"}}
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("finished")
+    pipeline.run_scenario(Scenario.from_dict(SETTINGS), folder)
+    return folder
+
+
+@pytest.fixture
+def job(finished, tmp_path) -> Path:
+    return Path(shutil.copytree(finished, tmp_path / "job"))
+
+
+def test_maps_of_other_code_are_not_current(job, monkeypatch):
+    inputs: dict = {}
+    key = pipeline.run_key(Scenario.from_dict(SETTINGS), inputs)
+    assert pipeline.stored_key(job, 20.0) == key
+    monkeypatch.setattr(pipeline, "code_hash", lambda: "other code")
+    assert pipeline.run_key(Scenario.from_dict(SETTINGS), inputs) != key
+
+
+def test_weights_and_planning_do_not_make_maps_stale():
+    key = pipeline.run_key(Scenario.from_dict(SETTINGS), {})
+    assert pipeline.run_key(Scenario.from_dict(SETTINGS | {"weights": {"gps": 3}}), {}) == key
+    assert pipeline.run_key(Scenario.from_dict(SETTINGS | {"gps": {"mask_deg": 6}}), {}) != key
+
+
+def test_a_name_with_brackets_is_hashed_with_its_companions(tmp_path):
+    shape = tmp_path / "b[1].shp"
+    for suffix in (".shp", ".dbf"):
+        shape.with_suffix(suffix).write_bytes(suffix.encode())
+    scenario = Scenario.from_dict({"region": REGION, "buildings": {"source": str(shape)}})
+    first = pipeline.hash_inputs(scenario)["buildings"]["sha256"]
+    shape.with_suffix(".dbf").write_bytes(b"changed")
+    assert pipeline.hash_inputs(scenario)["buildings"]["sha256"] != first
+
+
+def test_only_our_own_scraps_are_swept(tmp_path):
+    theirs = [tmp_path / ".movie.mkv.part", tmp_path / ".backup.old" / "letter.txt"]
+    ours = tmp_path / "geotiff" / f".gps_20m_5m.tif.0a1b2c3d{store.SCRATCH_SUFFIX}"
+    for path in (*theirs, ours):
+        path.parent.mkdir(exist_ok=True)
+        path.write_text("x")
+    store.sweep_scraps(tmp_path)
+    assert all(path.exists() for path in theirs)
+    assert not ours.exists()
+
+
+def test_a_folder_in_the_way_of_a_file_is_kept(tmp_path, capsys):
+    (tmp_path / "run.json" / "letters").mkdir(parents=True)
+    with pytest.raises(InputError, match="in the way"):
+        pipeline.run_scenario(Scenario.from_dict(SETTINGS), tmp_path)
+    assert (tmp_path / "run.json" / "letters").is_dir()
+
+
+def test_a_full_disk_is_one_sentence_and_leaves_nothing_half_written(tmp_path, monkeypatch):
+    def no_space(self, data):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_bytes", no_space)
+    with pytest.raises(InputError, match="No space left on device"):
+        pipeline.run_scenario(Scenario.from_dict(SETTINGS), tmp_path)
+    assert not list((tmp_path / "geotiff").iterdir())
+
+
+@pytest.mark.parametrize("damage", ["torn", "stray", "file"])
+def test_a_damaged_folder_is_made_again_or_named(job, capsys, damage):
+    if damage == "torn":
+        (job / "maps.zarr" / "20m" / "zarr.json").write_text("junk")
+    elif damage == "stray":
+        (job / "maps.zarr" / "20 copym").mkdir()
+    else:
+        (job / "geotiff" / "gps_20m_20m.tif").unlink()
+    pipeline.run_scenario(Scenario.from_dict(SETTINGS), job, overwrite=True)
+    assert ju.open_maps(job).m("gps", 20.0).shape == ju.open_maps(job).grid.shape
+    assert (job / "geotiff" / "gps_20m_20m.tif").exists()
+
+
+def test_torn_maps_are_named_when_planning(job, capsys):
+    (job / "maps.zarr" / "20m" / "zarr.json").write_text("junk")
+    code, _, err = run(capsys, "plan", job, "--start", "-73.999,40.756", "--goal", "-73.994,40.76", "--altitude", 20)
+    assert code == 2
+    assert_one_sentence(err, "cannot be read")
+
+
+def test_a_free_cell_without_a_value_is_never_free_of_charge(job):
+    maps = ju.open_maps(job)
+    maps.ds["gps"][:] = np.nan
+    free = np.argwhere(maps.is_free(20.0))
+    ends = [(float(maps.grid.x_m[col]), float(maps.grid.y_m[row])) for row, col in (free[0], free[-1])]
+    with pytest.raises(InputError, match="finite"):
+        ju.plan(maps, start_xy_m=ends[0], goal_xy_m=ends[1], altitude_m=20.0)
+
+
+def test_a_failed_job_leaves_no_empty_folder(tmp_path):
+    with pytest.raises(InputError):
+        pipeline.run_scenario(
+            Scenario.from_dict({"region": REGION, "buildings": {"source": "none.osm"}}), tmp_path / "out"
+        )
+    assert not (tmp_path / "out").exists()
+
+
+def test_overwriting_takes_the_old_record_first(job):
+    store.remove_maps(job)
+    assert not list(job.iterdir())
+
+
+def test_a_region_beyond_the_data_warns(tmp_path, capsys):
+    west, south, east, north = -74.0, 40.755, -73.993, 40.761
+    ring = [[west, south], [west + 0.001, south], [west + 0.001, north], [west, north], [west, south]]
+    (tmp_path / "city.geojson").write_text(
+        '{"type": "FeatureCollection", "features": [{"type": "Feature", "properties": {"height": 30}, '
+        f'"geometry": {{"type": "Polygon", "coordinates": [{ring}]}}}}]}}'
+    )
+    (tmp_path / "scenario.toml").write_text(
+        f"[region]\nbounds = [{west}, {south}, {east}, {north}]\nresolution_m = 20\naltitudes_m = 20\n"
+        '[buildings]\nsource = "city.geojson"\n'
+    )
+    code, _, err = run(capsys, "maps", tmp_path / "scenario.toml", "-o", tmp_path / "out")
+    assert code == 0
+    assert "of the region lies beyond" in err
+
+
+def test_a_hill_beyond_the_buildings_hides_low_satellites():
+    x, y = 500_000.0, 4_500_000.0
+    heights = np.zeros((120, 120), np.float32)
+    heights[80:90] = 3_000.0  # a ridge 1.5 to 2 km south of the region
+    zero = np.zeros(1)
+    city = ju.City(
+        "EPSG:32618",
+        (x, y, x + 400.0, y + 400.0),
+        ju.city.Buildings(
+            np.array([shapely.box(x, y, x + 20, y + 20)], object), zero + 5, zero, zero.astype(np.uint8), zero > 0
+        ),
+        terrain=Raster(heights, (50.0, 0.0, x - 2_800.0, 0.0, -50.0, y + 2_600.0), "EPSG:32618"),
+        terrain_extent_m=(x - 2_800.0, y - 3_400.0, x + 3_200.0, y + 2_600.0),
+    )
+    seen = ju.build_maps(city, resolution_m=20.0, altitudes_m=(20.0,)).m("num_visible", 20.0)
+    flat = ju.City(city.crs, city.extent_m, city.buildings)
+    assert seen.mean() < ju.build_maps(flat, resolution_m=20.0, altitudes_m=(20.0,)).m("num_visible", 20.0).mean()
+
+
+@pytest.mark.parametrize("all_touched", [False, True])
+@pytest.mark.parametrize("resolution_m", [5.0, 0.7])
+def test_burning_a_part_equals_the_crop_even_on_cell_borders(all_touched, resolution_m):
+    rng = np.random.default_rng(0)
+    outer = ju.Grid("EPSG:32618", resolution_m, 900_000, 110_000, 40, 40)
+    inner = ju.Grid("EPSG:32618", resolution_m, 900_007, 110_013, 20, 17)
+    for _ in range(40):
+        cells = rng.integers(0, 80, (4, 2)) / 2.0  # vertices on cell borders and centres
+        polygon = shapely.convex_hull(shapely.multipoints((cells + CORNER) * resolution_m))
+        if polygon.area == 0:
+            continue
+        whole, part = (burn(np.array([polygon]), np.ones(1), g, 0.0, "float32", all_touched) for g in (outer, inner))
+        np.testing.assert_array_equal(part, whole[inner.window_in(outer)])
