@@ -220,6 +220,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line and exit with its code."""
     warnings.showwarning = lambda message, *_, **__: _tell(f"warning: {message}")
     signal.signal(signal.SIGINT, _interrupt)
+    sys.unraisablehook = _show_unraisable
     try:
         _use_compilation_cache()
         code = app.main(args=arguments, prog_name="jaxurban", standalone_mode=False)
@@ -250,6 +251,12 @@ def _interrupt(*_: object) -> None:
     """Remember Ctrl-C beside raising it: raised inside a callback of JAX it would be lost."""
     _interrupted.set()
     raise KeyboardInterrupt
+
+
+def _show_unraisable(fault: Any) -> None:
+    """Show what Python could not raise, but not a Ctrl-C that is remembered anyway."""
+    if not issubclass(fault.exc_type, KeyboardInterrupt):
+        sys.__unraisablehook__(fault)
 
 
 def _fail(sentence: str) -> int:

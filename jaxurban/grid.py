@@ -65,7 +65,7 @@ def check_scale(crs: str, lon_deg: float, lat_deg: float) -> None:
     scale = max(factors.meridional_scale, factors.parallel_scale, key=lambda value: abs(value - 1.0))
     if not abs(scale - 1.0) < MAX_SCALE_ERROR:
         raise InputError(
-            f"a metre of {crs} is {1.0 / scale:.3g} m on the ground at {lon_deg:.3f}, {lat_deg:.3f} (longitude, latitude): "
+            f"a metre of {crs} is {1.0 / scale:.3g} m on the ground at {lon_deg:.2f}, {lat_deg:.2f} (lon, lat): "
             f"use a CRS made for that place, such as {utm_crs(lon_deg, lat_deg)}"
         )
 
