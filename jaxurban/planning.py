@@ -70,6 +70,10 @@ class PlannedPath:
             "heuristic": self.search.heuristic,
             "backend": self.search.backend,
             "num_points": len(self.xy_m),
+            "batches": [
+                {"elapsed_s": seconds, "samples": samples, "cost": _number(cost)}
+                for seconds, samples, cost in self.search.history
+            ],
             "crs": self.crs,
             "settings": dict(self.settings),
         }

@@ -169,6 +169,7 @@ class Path:
       elapsed_s: wall time of the search, compilation left out where it can be.
       planner, heuristic, backend: what ran.
       note: one more sentence, where there is something to say.
+      history: of an anytime planner, after each batch: seconds, samples drawn, cost of the best path.
     """
 
     status: Status
@@ -181,6 +182,7 @@ class Path:
     heuristic: str = "none"
     backend: str = "numpy"
     note: str = ""
+    history: tuple[tuple[float, int, float], ...] = ()
 
 
 class Planner(Protocol):

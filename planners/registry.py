@@ -7,6 +7,8 @@ from functools import partial
 from jaxurban.errors import InputError, nearest_name
 from jaxurban.planners.astar import astar_dist, astar_plus
 from jaxurban.planners.base import Path, Planner
+from jaxurban.planners.bitstar import bitstar_dist, bitstar_plus
+from jaxurban.planners.bitstar_bounds import HEURISTICS as OFF_GRID_HEURISTICS
 from jaxurban.planners.heuristics import HEURISTICS
 from jaxurban.planners.ptp import ptp
 
@@ -32,6 +34,12 @@ PLANNERS = {
     "ptp": PlannerEntry(ptp, "the straight segment from start to goal"),
     "astar-dist": PlannerEntry(astar_dist, "A* guided by the straight distance", "euclidean", HEURISTICS),
     "astar-plus": PlannerEntry(astar_plus, "A* guided by distance and map costs", "plus", HEURISTICS),
+    "bitstar-dist": PlannerEntry(
+        bitstar_dist, "batch informed trees guided by the straight distance", "euclidean", OFF_GRID_HEURISTICS
+    ),
+    "bitstar-plus": PlannerEntry(
+        bitstar_plus, "batch informed trees guided by distance and map costs", "plus", OFF_GRID_HEURISTICS
+    ),
 }
 
 
