@@ -200,7 +200,17 @@ def _path_section(maps: MetricMaps, paths: Paths) -> str:
         rows.append([*cells, f"{path.search.elapsed_s:.3f}"])
     head = ["altitude (m)", "time of day", "planner", "status", "cost", "length (m)"]
     head += [f"mean m_{name}" for name in maps.metrics] + ["search (s)"]
-    words = "Means are along the path, by length. The cost is the weighted sum that all planners are judged by."
+    settings = planned[0].settings
+    weights = ", ".join(f"{name} {value:g}" for name, value in settings["weights"].items())
+    words = (
+        "Means are along the path, by length. The cost is the weighted sum that all planners are judged by "
+        f"(model `{settings['cost_model']}`; weights: {weights}; it has no unit)."
+    )
+    if settings["cost_model"] == "cell" and any(path.search.planner.startswith("bitstar") for path in planned):
+        words += (
+            " The model charges the maps once a step, and a grid planner's diagonal step is one step of 1.41 cells, "
+            "so grid paths look cheaper than straight ones: the model `line` compares planners fairly."
+        )
     sentences = [f"- {_path_sentence(z, paths[z])}" for z in maps.altitudes_m if paths.get(z)]
     return "\n\n".join(("## Paths", words, _table(head, rows), "\n".join(sentences)))
 

@@ -11,11 +11,11 @@ from jaxurban.pipeline import run_scenario
 from jaxurban.planning import PlannedPath, plan
 from jaxurban.plotting import save_figures
 from jaxurban.report import summary_markdown
-from jaxurban.scenario import Scenario
+from jaxurban.scenario import PAPER_PLANNERS, Scenario
 
 BOUNDS = (-74.0, 40.755, -73.955, 40.80)  # about 3.8 x 5 km: the embedded city scales itself to the box
 RESOLUTION_M = 5.0
-PLANNERS = ("ptp", "astar-dist", "astar-plus")
+BUDGET_S = 2.0  # what the sampling planners use up; the others need less
 
 
 def run_demo(folder: Path, on_stage: Callable[[str], None], overwrite: bool = False) -> dict[str, Any]:
@@ -70,8 +70,9 @@ def demo_paths(maps: MetricMaps) -> dict[float, list[PlannedPath]]:
                 planner=planner,
                 time_of_day="day" if altitude_m <= 60 else "night",
                 snap=True,
+                budget_s=BUDGET_S,
             )
-            for planner in PLANNERS
+            for planner in PAPER_PLANNERS
         ]
         for altitude_m in maps.altitudes_m
     }
