@@ -59,7 +59,12 @@ def make_path(planner: str, status: Status, cost: float = np.inf, altitude_m: fl
         metrics={name: 0.25 for name in names} if status.has_path else {},
         snap_distance_m=(0.0, 0.0),
         search=Path(status, xy_m, cost, -np.inf, 10, 0.5, planner),
-        settings={"time": "2020-04-27T16:00:00Z", "time_of_day": "day"},
+        settings={
+            "time": "2020-04-27T16:00:00Z",
+            "time_of_day": "day",
+            "cost_model": "cell",
+            "weights": {"distance": 0.1, "gps": 1.0},
+        },
         crs="EPSG:32618",
     )
 

@@ -211,5 +211,5 @@ def plot_overview(maps: MetricMaps, paths: Paths, *, altitude_m: float | None = 
         )
         for path in planned
     ]
-    add_key(frame, [*obstacle_patches(maps), ("obstacle, in the cost panel", BLOCKED_COLOUR), *lines])
+    add_key(frame, [*obstacle_patches(maps), ("obstacle (cost)", BLOCKED_COLOUR), *lines])
     return frame.figure
