@@ -13,7 +13,7 @@ from jaxtyping import Array, Bool, Float, UInt, UInt8
 
 from jaxurban.errors import InputError
 from jaxurban.kernels.dop import Geometry, dops_of_words, geometry, unit_vectors
-from jaxurban.kernels.occlusion import WORD_BITS, digital_line, mark_visible
+from jaxurban.kernels.occlusion import NORTH, SOUTH, WORD_BITS, digital_line, mark_visible
 from jaxurban.surface import Surface
 
 SATELLITES_STEP = 8  # the DOP program is compiled for 8, 16, 24 ... satellites
@@ -145,11 +145,20 @@ def visibility(
     top_m = surface.top_m
     ground_m = None if surface.terrain_m is None else surface.crop(surface.terrain_m)
     num_words = max(1, -(-len(azimuth) // WORD_BITS))
-    words = jnp.zeros((num_words, *altitudes.shape, *region.shape), jnp.uint32)
-    for s in range(len(azimuth)):
-        line = digital_line(azimuth[s], elevation[s], grid.resolution_m, grid.first_row, grid.first_col, grid.shape)
-        words = mark_visible(words, top_m, ground_m, altitudes, line, s, (rows.start, cols.start))
-    return words
+    lines = [
+        digital_line(*angles, grid.resolution_m, grid.first_row, grid.first_col, grid.shape)
+        for angles in zip(azimuth, elevation, strict=True)
+    ]
+    along_rows = jnp.zeros((num_words, *altitudes.shape, *region.shape), jnp.uint32)
+    along_cols = along_rows.mT  # lines that head east or west are swept on transposed arrays, made once
+    turned_top_m, turned_ground_m = top_m.T, None if ground_m is None else ground_m.T
+    for s, line in enumerate(lines):
+        if line.heading in (NORTH, SOUTH):
+            along_rows = mark_visible(along_rows, top_m, ground_m, altitudes, line, s, (rows.start, cols.start))
+        else:
+            cell = (cols.start, rows.start)
+            along_cols = mark_visible(along_cols, turned_top_m, turned_ground_m, altitudes, line, s, cell)
+    return along_rows | along_cols.mT
 
 
 @jax.jit
