@@ -31,7 +31,7 @@ notebooks: $(VENV)/.dev
 	$(BIN)/python notebooks/run_all.py
 
 bench: $(VENV)/.dev
-	$(BIN)/python benchmarks/run_all.py
+	$(BIN)/python -m benchmarks.run_all
 
 clean:
 	rm -rf $(VENV) build dist out *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
