@@ -30,7 +30,7 @@ wheel: $(VENV)/.dev
 notebooks: $(VENV)/.dev
 	$(BIN)/python notebooks/run_all.py
 
-bench: $(VENV)/.dev
+bench: $(VENV)/.bench
 	$(BIN)/python -m benchmarks.run_all
 
 clean:
@@ -48,4 +48,8 @@ $(VENV)/.run: $(VENV)/bin/python $(SOURCES)
 
 $(VENV)/.dev: $(VENV)/.run
 	$(PIP) install -c constraints.txt --no-build-isolation -e '.[dev]'
+	touch $@
+
+$(VENV)/.bench: $(VENV)/.run
+	$(PIP) install -c constraints.txt --no-build-isolation -e '.[bench]'
 	touch $@

@@ -1,11 +1,10 @@
-"""Exact distance, capped at 50 m, against three distance transforms."""
+"""Exact distance, capped at 50 m, against SciPy, and against OpenCV and `edt` where they are installed."""
 
 import importlib.util
 import os
 from collections.abc import Callable
 from functools import partial
 
-import cv2
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -28,12 +27,15 @@ def scipy_edt(is_obstacle: np.ndarray, resolution_m: float) -> np.ndarray:
 
 
 def opencv(is_obstacle: np.ndarray, resolution_m: float) -> np.ndarray:
+    import cv2  # bundles FFmpeg under the LGPL: only for those who ask for the extra
+
+    cv2.setNumThreads(os.cpu_count() or 1)
     cells = cv2.distanceTransform((~is_obstacle).view(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
     return cells * np.float32(resolution_m)
 
 
 def edt_edt(is_obstacle: np.ndarray, resolution_m: float) -> np.ndarray:
-    import edt  # LGPL, so nothing depends on it
+    import edt  # LGPL: the same
 
     return edt.edt(~is_obstacle, (resolution_m, resolution_m), parallel=os.cpu_count())
 
@@ -41,12 +43,10 @@ def edt_edt(is_obstacle: np.ndarray, resolution_m: float) -> np.ndarray:
 def measure(scene: Scene, num_runs: int) -> list[Row]:
     """Return a row for each peer and resolution; notes say how far the capped distances differ."""
     peers: dict[str, tuple[Callable[[np.ndarray, float], np.ndarray], float | None]] = {
-        "SciPy distance_transform_edt": (scipy_edt, 3.0),
-        "OpenCV distanceTransform": (opencv, None),
+        "SciPy distance_transform_edt": (scipy_edt, 3.0)
     }
-    if importlib.util.find_spec("edt"):
-        peers["edt"] = (edt_edt, None)
-    cv2.setNumThreads(os.cpu_count() or 1)
+    optional = {"cv2": ("OpenCV distanceTransform", opencv), "edt": ("edt", edt_edt)}
+    peers |= {name: (peer, None) for module, (name, peer) in optional.items() if importlib.util.find_spec(module)}
     rows = []
     for resolution_m in (5.0, 2.0):
         surface = scene.surface(resolution_m)

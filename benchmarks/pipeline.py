@@ -1,12 +1,13 @@
 """The whole pipeline, and how the time of every metric grows from 2 to 50 million cells."""
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
+import jax
 import jax.numpy as jnp
-import numpy as np
 
-from benchmarks.common import Growth, Row, Timing, clocked, in_turn, row
+from benchmarks.common import Growth, Row, Side, Timing, clocked, in_turn, row
 from benchmarks.scenes import ALTITUDES_M, MASK_DEG, Scene
 from jaxurban.build import compute_maps
 from jaxurban.demo import demo_city
@@ -19,8 +20,9 @@ from jaxurban.metrics.population import population_maps
 from jaxurban.metrics.risk import RiskParams, compute_risk
 from jaxurban.surface import Surface
 
-GROWTH_CELLS = (2e6, 6e6, 18e6, 50e6)
 GROWTH_RESOLUTION_M = 2.0
+TILE_SHAPE = (2000, 1000)  # 2 M cells
+NUM_TILES = ((1, 1), (3, 1), (3, 3), (5, 5))  # 50 M cells are the whole city
 GROWTH_ALTITUDE_M = 60.0
 MOST_SLOPE = 1.10
 
@@ -53,41 +55,67 @@ def whole(scene: Scene, parts: list[Row], num_runs: int) -> list[Row]:
     return [row("all maps", "Embree + NumPy + SciPy", unit, (units, times["ours"]), (units, peers), note=note)]
 
 
-def cut(surface: Surface, num_cells: float) -> Surface:
-    """Return the middle of a surface, of its proportions, all of it the region."""
-    grid = surface.grid
-    share = math.sqrt(num_cells / (grid.num_rows * grid.num_cols))
-    rows, cols = (min(size, round(size * share)) for size in grid.shape)
-    row, col = (grid.num_rows - rows) // 2, (grid.num_cols - cols) // 2
-    part = Grid(grid.crs, grid.resolution_m, grid.first_row + row, grid.first_col + col, rows, cols)
-    window = slice(row, row + rows), slice(col, col + cols)
+def cut(surface: Surface, rows: slice, cols: slice) -> Surface:
+    """Return a part of the surface as a region; what stands around it still counts."""
     assert surface.block is not None
-    return replace(
-        surface, roof_m=jnp.asarray(surface.roof_m[window]), block=surface.block[window], grid=part, region=part
-    )
+    grid = surface.grid
+    size = rows.stop - rows.start, cols.stop - cols.start
+    region = Grid(grid.crs, grid.resolution_m, grid.first_row + rows.start, grid.first_col + cols.start, *size)
+    return replace(surface, block=surface.block[rows, cols], region=region)
+
+
+def tiles_of(surface: Surface, num_down: int, num_across: int) -> list[Surface]:
+    """Return tiles around the middle of the surface."""
+    down, across = TILE_SHAPE
+    row, col = (surface.grid.num_rows - num_down * down) // 2, (surface.grid.num_cols - num_across * across) // 2
+    return [
+        cut(surface, slice(row + i * down, row + (i + 1) * down), slice(col + j * across, col + (j + 1) * across))
+        for i in range(num_down)
+        for j in range(num_across)
+    ]
+
+
+def alone(surface: Surface, num_down: int, num_across: int) -> Surface:
+    """Return the same area in one piece, and nothing around it."""
+    first, last = (tiles_of(surface, num_down, num_across)[k].region.window_in(surface.grid) for k in (0, -1))
+    rows, cols = (slice(start.start, end.stop) for start, end in zip(first, last, strict=True))
+    part = cut(surface, rows, cols)
+    return replace(part, roof_m=jnp.array(surface.roof_m[rows, cols]), grid=part.region)
 
 
 def growth(scene: Scene, num_runs: int) -> list[Growth]:
-    """Return the growth of every metric on the embedded city, one altitude at a time, under 8 GiB."""
+    """Return the growth of every metric on the embedded city at 2 m, one altitude.
+
+    GPS sweeps whole areas; the others are computed tile by tile, as a region of that size must be.
+    """
     city = demo_city()
-    region = Grid(city.crs, GROWTH_RESOLUTION_M, 0, 0, 1, 1)
-    x_min, y_min, x_max, y_max = (round(edge / region.resolution_m) for edge in city.extent_m)
-    region = replace(region, first_row=y_min, first_col=x_min, num_rows=y_max - y_min, num_cols=x_max - x_min)
+    x_min, y_min, x_max, y_max = (round(edge / GROWTH_RESOLUTION_M) for edge in city.extent_m)
+    region = Grid(city.crs, GROWTH_RESOLUTION_M, y_min, x_min, y_max - y_min, x_max - x_min)
     largest = build_surface(city, region, region)
     assert city.blocks is not None
     blocks, z_m = city.blocks, jnp.asarray([GROWTH_ALTITUDE_M])
-    metrics = {
-        "obstacle": lambda s: obstacle_mask(s.roof_m, z_m),
-        "gps": lambda s: compute_gps(s, scene.azimuth_rad, scene.elevation_rad, z_m),
-        "lidar": lambda s: compute_lidar(s, [GROWTH_ALTITUDE_M], LidarParams()),
-        "population": lambda s: population_maps(s.block, blocks, ("day",)),
-        "risk": lambda s: compute_risk(s, z_m, RiskParams()),
+    metrics: dict[str, Callable[[Surface], object]] = {
+        "obstacle": lambda tile: obstacle_mask(tile.crop(tile.roof_m), z_m),
+        "gps": lambda tile: compute_gps(tile, scene.azimuth_rad, scene.elevation_rad, z_m),
+        "lidar": lambda tile: compute_lidar(tile, [GROWTH_ALTITUDE_M], LidarParams()),
+        "population": lambda tile: population_maps(tile.block, blocks, ("day",)),
+        "risk": lambda tile: compute_risk(tile, z_m, RiskParams()),
     }
-    surfaces = [cut(largest, num_cells) for num_cells in GROWTH_CELLS]
-    cells = [int(np.prod(surface.region.shape)) for surface in surfaces]
+
+    def each(metric: Callable[[Surface], object], pieces: list[Surface]) -> Side:
+        def run() -> None:  # keeps no result: a tile is written and dropped
+            for piece in pieces:
+                jax.block_until_ready(metric(piece))
+
+        return clocked(run)
+
+    cells = [math.prod(TILE_SHAPE) * down * across for down, across in NUM_TILES]
     found = []
     for name, metric in metrics.items():
-        sides = {str(k): clocked(lambda s=surface, m=metric: m(s)) for k, surface in enumerate(surfaces)}
+        sides = {}
+        for size in NUM_TILES:
+            pieces = [alone(largest, *size)] if name == "gps" else tiles_of(largest, *size)
+            sides[str(size)] = each(metric, pieces)
         times = in_turn(sides, num_runs).values()
         found.append(Growth(name, cells, [t.median_s for t in times], [t.median_cpu_s for t in times], MOST_SLOPE))
     return found
