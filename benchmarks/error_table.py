@@ -130,7 +130,11 @@ def compare(scene: Scene, pool: EmbreePool, resolution_m: float, lines: dict[str
 
 
 ADVICE = """\
-ADVICE"""
+Between buildings (20 m up) 2 m cells halve the errors of 5 m ones: m_gps is off by 0.013 instead of 0.025 on average,
+m_lidar by 0.004 instead of 0.009, m_risk by 0.012 instead of 0.034; from 60 m up 5 m cells are enough, as every mean
+error is 0.014 or less. Use 10 m for surveys and not for routes: 20 m up it calls 5 % of all points wrongly free or
+blocked and misses 18 % of the truly blocked satellite answers, and at every resolution errors are on the optimistic
+side (satellites called visible, walls taken to be farther than they are: by 1.6 m on average at 5 m, 20 m up)."""
 HEADS = {
     "gps": "answers right, % | of those blocked | of those clear | error of m at centres | error of m anywhere",
     "lidar": "error of m at centres | its bias | error of m anywhere | its bias",
@@ -145,7 +149,7 @@ TITLES = {
 }
 
 
-def document(scene: Scene, lines: dict[str, list[str]]) -> str:
+def document(scene: Scene, commit: object, lines: dict[str, list[str]]) -> str:
     """Return docs/error_table.md."""
     about = f"""\
 # How far the maps are from exact geometry
@@ -157,7 +161,7 @@ extruded outlines (GPS, lidar) and Shapely distances to them (risk). *At centres
 ({NUM_LIDAR_POINTS:,} for lidar), truth at the cell's centre, where the map was computed. *Anywhere*: as many random
 points that are free in truth and on the map, truth at the point, the map read at the cell that holds it.
 Errors of m are mean absolute errors, bias is map less truth, ± is one standard error.
-Made by `python -m benchmarks.error_table` at commit {machine()["commit"]}.
+Made by `python -m benchmarks.error_table` at commit {commit}.
 """
     tables = []
     for name, head in HEADS.items():
@@ -179,13 +183,13 @@ def main() -> None:
     parser.add_argument("-o", "--output", type=Path, default=ROOT / "docs" / "error_table.md")
     parser.add_argument("--resolutions", type=float, nargs="+", default=RESOLUTIONS_M, help="metres")
     options = parser.parse_args()
-    scene = load_scene()
+    scene, commit = load_scene(), machine()["commit"]
     lines: dict[str, list[str]] = {name: [] for name in HEADS}
     assert scene.city.buildings is not None
     with EmbreePool(scene.city.buildings) as pool:
         for resolution_m in options.resolutions:
             compare(scene, pool, resolution_m, lines)
-    options.output.write_text(document(scene, lines))
+    options.output.write_text(document(scene, commit, lines))
 
 
 if __name__ == "__main__":
