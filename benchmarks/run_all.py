@@ -31,7 +31,7 @@ def main() -> None:
         print(f"{name}: {time.perf_counter() - start_s:.0f} s, load {loads[-1]}", file=sys.stderr)
 
     scene = load_scene()
-    for part in (dilution, distances, against_embree):
+    for part in (against_embree, dilution, distances):
         stage(part.__name__, lambda part=part: rows.extend(part.measure(scene, options.runs)))
     stage("pipeline", lambda: rows.extend(pipeline.whole(scene, rows, options.runs)))
     if not options.no_growth:
