@@ -151,7 +151,7 @@ def visibility(
         for angles in zip(azimuth, elevation, strict=True)
     ]
     words = jnp.zeros((num_words, *altitudes.shape, *region.shape), jnp.uint32)
-    has_x64 = bool(jax.config.jax_enable_x64)
+    has_x64 = jnp.result_type(float) == jnp.float64
 
     def mark_all(headings: tuple[int, int], words: Array, top_m: Array, ground_m: Array | None, cell: tuple) -> Array:
         with jax.enable_x64(has_x64):  # a new thread knows only the global setting
