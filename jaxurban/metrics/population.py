@@ -174,9 +174,11 @@ def block_metric(values: Float[Array, " N"], norm: Float[Array, ""]) -> Float[Ar
     return jnp.minimum(values / jnp.where(norm > 0, norm, 1.0), 1.0)
 
 
-def map_blocks(block: Int[Array, "y x"], values: Float[Array, " N"]) -> Float[Array, "y x"]:
-    """Return the value of the block under each cell, 0 in cells without one (index -1)."""
-    return jnp.append(values, jnp.zeros((), values.dtype))[block]  # -1 is the last entry, the 0 appended here
+@jax.jit
+def map_blocks(block: Int[Array, "y x"], values: Float[Array, "*T N"]) -> Float[Array, "*T y x"]:
+    """Return the values of the block under each cell, 0 in cells without one (index -1)."""
+    padded = jnp.pad(values, [(0, 0)] * (values.ndim - 1) + [(0, 1)])
+    return padded[..., block]  # -1 is the last entry, the 0 added here
 
 
 def population_maps(
@@ -211,9 +213,9 @@ def population_maps(
         if params.quantity == "count":
             values = block_people(night_count, zoning, share, *gammas)
         norm = normaliser(values[in_region], params.normalise)
-        m = map_blocks(block, block_metric(values, norm))
-        layers.append((m, map_blocks(block, density_per_km2), norm))
-    return PopulationMaps(*(jnp.stack(layer) for layer in zip(*layers, strict=True)))
+        layers.append((block_metric(values, norm), density_per_km2, norm))
+    m, density_per_km2, norm = (jnp.stack(layer) for layer in zip(*layers, strict=True))
+    return PopulationMaps(map_blocks(block, m), map_blocks(block, density_per_km2), norm)
 
 
 def population_totals(

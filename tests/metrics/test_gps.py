@@ -133,6 +133,19 @@ def test_each_bit_is_a_shadow_height_compared_with_the_altitude():
         np.testing.assert_array_equal(seen_by_eye(words, 35)[s], shadow_m <= np.array(ALTITUDES_M)[:, None, None])
 
 
+def test_visibility_keeps_float64_where_only_the_caller_enabled_it():
+    roof_m, grid = random_city(40, 50)
+    with jax.enable_x64(True):
+        roof_m = jnp.asarray(np.where(roof_m > 20, 20 + 1e-9, 0.0))  # one nanometre above the altitude hides
+        surface = Surface(roof_m, None, None, None, grid, grid)
+        for azimuth_rad in (0.0, np.pi / 2):
+            words = visibility(surface, [azimuth_rad], [0.0], [20.0])
+            line = digital_line(azimuth_rad, 0.0, 5.0, grid.first_row, grid.first_col, grid.shape)
+            expected = np.asarray(shadow_height(surface.roof_m, line)) <= 20.0
+            assert 0 < expected.sum() < expected.size
+            np.testing.assert_array_equal(np.asarray(words)[0, 0] == 1, expected)
+
+
 def test_inside_obstacles_nothing_is_seen():
     roof_m, grid = random_city(40, 50)
     maps = compute_gps(surface_of(roof_m, grid, grid), AZIMUTH_RAD, ELEVATION_RAD, ALTITUDES_M)

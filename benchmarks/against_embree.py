@@ -1,0 +1,90 @@
+"""GPS occlusion and lidar against Embree rays through the exact outlines."""
+
+import jax
+import numpy as np
+
+from benchmarks.common import Row, Side, clocked, in_turn, row
+from benchmarks.embree_peer import Answers, EmbreePool, scan_every_beam, scan_until_first_return, see_satellites
+from benchmarks.scenes import ALTITUDES_M, Scene
+from jaxurban.grid import Grid
+from jaxurban.kernels.dop import unit_vectors
+from jaxurban.metrics.gps import visibility
+from jaxurban.metrics.lidar import LidarParams, compute_lidar
+
+RESOLUTION_M = 5.0
+LIDAR_ALTITUDE_M = 20.0
+NUM_LIDAR_CELLS = 2000  # of Embree's share; 11.5 M rays
+PEER = "Embree"
+
+
+def cell_centres(grid: Grid) -> np.ndarray:
+    """Return ``[y * x, 2]`` metres, row by row."""
+    x_m, y_m = np.meshgrid(grid.x_m, grid.y_m)
+    return np.column_stack([x_m.ravel(), y_m.ravel()])
+
+
+def peer_side(pool: EmbreePool, found: dict[str, np.ndarray], name: str, *job: object) -> Side:
+    """Return a run of a job by Embree that keeps what it found."""
+
+    def run() -> tuple[float, float]:
+        answers: Answers = pool.run(*job)
+        found[name] = answers.found
+        return answers.wall_s, answers.cpu_s
+
+    return run
+
+
+def occlusion(scene: Scene, pool: EmbreePool, num_runs: int) -> Row:
+    """Return the row of line-of-sight answers: cells x satellites x altitudes."""
+    surface = scene.surface(RESOLUTION_M)
+    found: dict[str, np.ndarray] = {}
+    directions = unit_vectors(scene.azimuth_rad, scene.elevation_rad)
+
+    def ours() -> jax.Array:
+        return visibility(surface, scene.azimuth_rad, scene.elevation_rad, ALTITUDES_M)
+
+    job = (see_satellites, cell_centres(surface.region), np.array(ALTITUDES_M), directions)
+    times = in_turn({"ours": clocked(ours), PEER: peer_side(pool, found, "seen", *job)}, num_runs)
+    words = np.asarray(ours())[0].reshape(len(ALTITUDES_M), 1, -1)
+    seen = (words >> np.arange(len(directions), dtype=np.uint32)[:, None]) & 1 == 1
+    free = np.asarray(surface.crop(surface.roof_m)).ravel() < np.array(ALTITUDES_M)[:, None]
+    agree = [np.mean((seen == found["seen"])[k][:, free[k]]) for k in range(len(ALTITUDES_M))]
+    note = f"{scene.name}, 5 m; in free cells {' / '.join(f'{100 * a:.1f}' for a in agree)} % agree at 20 / 60 / 122 m"
+    num_answers = found["seen"].size
+    return row(
+        "GPS occlusion", PEER, "answers", (num_answers, times["ours"]), (num_answers, times[PEER]), bar=40, note=note
+    )
+
+
+def lidar(scene: Scene, pool: EmbreePool, num_runs: int) -> list[Row]:
+    """Return the rows of lidar: rays, every beam traced; and scan positions, Embree stopping at the first return."""
+    surface, params = scene.surface(RESOLUTION_M), LidarParams()
+    centres_m = cell_centres(surface.region)
+    chosen = np.sort(np.random.default_rng(0).choice(len(centres_m), NUM_LIDAR_CELLS, replace=False))
+    found: dict[str, np.ndarray] = {}
+
+    def ours() -> jax.Array:
+        return compute_lidar(surface, [LIDAR_ALTITUDE_M], params)
+
+    sides = {"ours": clocked(ours)}
+    for name, function in (("rays", scan_every_beam), ("positions", scan_until_first_return)):
+        sides[name] = peer_side(pool, found, name, function, centres_m[chosen], LIDAR_ALTITUDE_M, params)
+    times = in_turn(sides, num_runs)
+    assert np.array_equal(found["rays"], found["positions"])
+    free = np.asarray(surface.crop(surface.roof_m)).ravel()[chosen] < LIDAR_ALTITUDE_M
+    error = (np.asarray(ours()).ravel()[chosen] - found["rays"])[free]
+    scene_note = f"{scene.name}, 5 m, 20 m up; mean absolute difference of m {np.abs(error).mean():.4f}"
+    num_positions = params.num_azimuths
+    rows = []
+    for name, peer, unit, beams, bar, note in (
+        ("rays", PEER, "rays", params.num_beams, 300, scene_note),
+        ("positions", f"{PEER}, to the first return", "scan positions", 1, None, ""),
+    ):
+        ours_units, peer_units = (cells * num_positions * beams for cells in (len(centres_m), NUM_LIDAR_CELLS))
+        rows.append(row("lidar", peer, unit, (ours_units, times["ours"]), (peer_units, times[name]), bar, note))
+    return rows
+
+
+def measure(scene: Scene, num_runs: int) -> list[Row]:
+    with EmbreePool(scene.city.buildings) as pool:
+        return [occlusion(scene, pool, num_runs), *lidar(scene, pool, num_runs)]

@@ -1,0 +1,196 @@
+"""How far the maps are from exact geometry, by metric, altitude and resolution; writes docs/error_table.md.
+
+Run as ``python -m benchmarks.error_table``. Exact geometry is the outlines extruded to their roofs: Embree rays for GPS
+and lidar, Shapely distances for risk. Two kinds of points: cell centres, where the map was computed, and points
+anywhere in free space, where a user looks the map up.
+"""
+
+import argparse
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import shapely
+
+from benchmarks.common import ROOT, machine
+from benchmarks.embree_peer import EmbreePool, scan_until_first_return, see_satellites
+from benchmarks.scenes import ALTITUDES_M, TIME, Scene, load_scene
+from jaxurban.kernels.dop import LEAST_SATELLITES, unit_vectors
+from jaxurban.metrics.gps import GpsParams, compute_gps, visibility
+from jaxurban.metrics.lidar import LidarParams, compute_lidar
+from jaxurban.metrics.risk import RiskParams, compute_risk
+
+RESOLUTIONS_M = (10.0, 5.0, 2.0, 1.0)
+NUM_GPS_POINTS, NUM_LIDAR_POINTS = 20_000, 2_000
+GPS, LIDAR, RISK = GpsParams(), LidarParams(), RiskParams()
+
+
+@dataclass(frozen=True)
+class Maps:
+    """What the engine computed at one resolution. ``A`` altitudes, ``y, x`` cells."""
+
+    seen: np.ndarray  # [A, y, x] uint32, a bit a satellite
+    gps: np.ndarray
+    lidar: np.ndarray
+    risk: np.ndarray
+    roof_m: np.ndarray
+
+
+def compute(scene: Scene, resolution_m: float) -> Maps:
+    surface, sky = scene.surface(resolution_m), (scene.azimuth_rad, scene.elevation_rad)
+    return Maps(
+        np.asarray(visibility(surface, *sky, ALTITUDES_M))[0],
+        np.asarray(compute_gps(surface, *sky, ALTITUDES_M, GPS).m),
+        np.asarray(compute_lidar(surface, ALTITUDES_M, LIDAR)),
+        np.asarray(compute_risk(surface, ALTITUDES_M, RISK)),
+        np.asarray(surface.crop(surface.roof_m)),
+    )
+
+
+def exact_gps(directions: np.ndarray, seen: np.ndarray) -> np.ndarray:
+    """Return ``[N]`` m_gps of ``[S, N]`` visibility, in float64."""
+    matrix = np.column_stack([directions, -np.ones(len(directions))])
+    gdop = np.full(seen.shape[1], np.inf)
+    enough = np.flatnonzero(seen.sum(axis=0) >= LEAST_SATELLITES)
+    normal = np.einsum("sn,si,sj->nij", seen[:, enough].astype(float), matrix, matrix)
+    gdop[enough] = np.sqrt(np.trace(np.linalg.inv(normal), axis1=1, axis2=2))
+    threshold = GPS.gdop_threshold
+    return np.clip((threshold - np.minimum(gdop, threshold)) / (threshold - 1), 0, 1)
+
+
+def exact_risk(slice_tree: shapely.STRtree, xy_m: np.ndarray) -> np.ndarray:
+    """Return ``[N]`` m_risk of points by their distance to the nearest outline of the slice."""
+    points = shapely.points(xy_m)
+    pairs, distance_m = slice_tree.query_nearest(
+        points, max_distance=RISK.threshold_m, return_distance=True, all_matches=False
+    )
+    m = np.ones(len(points))
+    m[pairs[0]] = np.minimum(distance_m / RISK.threshold_m, 1.0)
+    return m
+
+
+def mean_of(values: np.ndarray, scale: float = 1.0, digits: int = 4) -> str:
+    """Return a mean with its standard error."""
+    error = values.std() / np.sqrt(len(values))
+    return f"{scale * values.mean():.{digits}f} ± {scale * error:.{digits}f}"
+
+
+def share(is_right: np.ndarray, among: np.ndarray) -> str:
+    """Return the percentage of right answers ``[S, N]`` among some.
+
+    Its standard error is by points, because a point's answers hang together.
+    """
+    right, asked = (is_right & among).sum(axis=0), among.sum(axis=0)
+    part = right.sum() / asked.sum()
+    error = np.sqrt(np.sum((right - part * asked) ** 2)) / asked.sum()
+    return f"{100 * part:.2f} ± {100 * error:.2f}"
+
+
+def compare(scene: Scene, pool: EmbreePool, resolution_m: float, lines: dict[str, list[str]]) -> None:
+    """Add the lines of one resolution to each metric's table."""
+    maps, region = compute(scene, resolution_m), scene.region(resolution_m)
+    directions = unit_vectors(scene.azimuth_rad, scene.elevation_rad)
+    buildings = scene.city.buildings
+    assert buildings is not None
+    for k, altitude_m in enumerate(ALTITUDES_M):
+        rng = np.random.default_rng(k)
+        slice_tree = shapely.STRtree(buildings.polygons[buildings.height_m >= altitude_m])
+        row, col = rng.choice(np.argwhere(maps.roof_m < altitude_m), NUM_GPS_POINTS).T
+        centres_m = np.column_stack([region.x_m[col], region.y_m[row]])
+        x_min, y_min, x_max, y_max = region.bounds_m
+        anywhere_m = rng.uniform((x_min, y_min), (x_max, y_max), (2 * NUM_GPS_POINTS, 2))
+        inside = np.zeros(len(anywhere_m), bool)
+        inside[slice_tree.query(shapely.points(anywhere_m), predicate="intersects")[0]] = True
+        cell = ((anywhere_m - (x_min, y_min)) / resolution_m).astype(int)
+        called = maps.roof_m[cell[:, 1], cell[:, 0]] >= altitude_m
+        free = np.flatnonzero(~inside & ~called)[:NUM_GPS_POINTS]
+        start = f"| {altitude_m:.0f} m | {resolution_m:g} m |"
+        lines["obstacle"].append(f"{start} {mean_of(called != inside, 100, 2)} |")
+
+        kinds = {"centre": (centres_m, row, col), "anywhere": (anywhere_m[free], cell[free, 1], cell[free, 0])}
+        errors: dict[tuple[str, str], np.ndarray] = {}
+        for kind, (xy_m, y, x) in kinds.items():
+            seen = pool.run(see_satellites, xy_m, np.array([altitude_m]), directions).found[0]
+            errors["gps", kind] = maps.gps[k, y, x] - exact_gps(directions, seen)
+            if kind == "centre":
+                answers = (maps.seen[k, y, x] >> np.arange(len(directions), dtype=np.uint32)[:, None]) & 1 == 1
+                right = answers == seen
+                shares = " | ".join(share(right, among) for among in (np.ones_like(seen), ~seen, seen))
+            few = slice(NUM_LIDAR_POINTS)
+            scan = pool.run(scan_until_first_return, xy_m[few], altitude_m, LIDAR).found
+            errors["lidar", kind] = maps.lidar[k, y[few], x[few]] - scan
+            errors["risk", kind] = maps.risk[k, y, x] - exact_risk(slice_tree, xy_m)
+        far = " | ".join(mean_of(np.abs(errors["gps", kind])) for kind in kinds)
+        lines["gps"].append(f"{start} {shares} | {far} |")
+        for name in ("lidar", "risk"):
+            centre, anywhere = errors[name, "centre"], errors[name, "anywhere"]
+            cells = (np.abs(centre), centre, np.abs(anywhere), anywhere)
+            lines[name].append(f"{start} {' | '.join(mean_of(values) for values in cells)} |")
+        print(*(table[-1] for table in lines.values()), sep="\n", flush=True)
+
+
+ADVICE = """\
+Between buildings (20 m up) 2 m cells halve the errors of 5 m ones: m_gps is off by 0.013 instead of 0.025 on average,
+m_lidar by 0.004 instead of 0.009, m_risk by 0.012 instead of 0.034; from 60 m up 5 m cells are enough, as every mean
+error is 0.014 or less. Use 10 m for surveys and not for routes: 20 m up it calls 5 % of all points wrongly free or
+blocked and misses 18 % of the truly blocked satellite answers, and at every resolution errors are on the optimistic
+side (satellites called visible, walls taken to be farther than they are: by 1.6 m on average at 5 m, 20 m up)."""
+HEADS = {
+    "gps": "answers right, % | of those blocked | of those clear | error of m at centres | error of m anywhere",
+    "lidar": "error of m at centres | its bias | error of m anywhere | its bias",
+    "risk": "error of m at centres | its bias | error of m anywhere | its bias",
+    "obstacle": "points called wrongly, %",
+}
+TITLES = {
+    "gps": "GPS: satellite answers and m_gps",
+    "lidar": "Lidar: m_lidar, 16 beams x 360 azimuths, 100 m",
+    "risk": "Risk: m_risk, 50 m, by distance to the outlines of the slice",
+    "obstacle": "Obstacle: free or not",
+}
+
+
+def document(scene: Scene, commit: object, lines: dict[str, list[str]]) -> str:
+    """Return docs/error_table.md."""
+    about = f"""\
+# How far the maps are from exact geometry
+
+{ADVICE}
+
+{scene.name}, {TIME}, {len(scene.azimuth_rad)} satellites above 5 degrees. Witnesses: Embree rays through the exact,
+extruded outlines (GPS, lidar) and Shapely distances to them (risk). *At centres*: {NUM_GPS_POINTS:,} random free cells
+({NUM_LIDAR_POINTS:,} for lidar), truth at the cell's centre, where the map was computed. *Anywhere*: as many random
+points that are free in truth and on the map, truth at the point, the map read at the cell that holds it.
+Errors of m are mean absolute errors, bias is map less truth, ± is one standard error.
+Made by `python -m benchmarks.error_table` at commit {commit}.
+"""
+    tables = []
+    for name, head in HEADS.items():
+        columns = head.count("|") + 3
+        rows = "\n".join(sorted(lines[name], key=order))
+        tables.append(f"\n## {TITLES[name]}\n\n| altitude | cells | {head} |\n{'|---' * columns}|\n{rows}\n")
+    return about + "".join(tables)
+
+
+def order(line: str) -> tuple[float, float]:
+    """Return what a line is sorted by: its altitude, then its cells from coarse to fine."""
+    altitude, cells = (float(part.split()[0]) for part in line.split("|")[1:3])
+    return altitude, -cells
+
+
+def main() -> None:
+    """Make the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("-o", "--output", type=Path, default=ROOT / "docs" / "error_table.md")
+    parser.add_argument("--resolutions", type=float, nargs="+", default=RESOLUTIONS_M, help="metres")
+    options = parser.parse_args()
+    scene, commit = load_scene(), machine()["commit"]
+    lines: dict[str, list[str]] = {name: [] for name in HEADS}
+    assert scene.city.buildings is not None
+    with EmbreePool(scene.city.buildings) as pool:
+        for resolution_m in options.resolutions:
+            compare(scene, pool, resolution_m, lines)
+    options.output.write_text(document(scene, commit, lines))
+
+
+if __name__ == "__main__":
+    main()

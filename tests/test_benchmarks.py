@@ -1,0 +1,65 @@
+"""The benchmarks' arithmetic, and Embree's two ways to scan, on what can be worked out by hand."""
+
+import numpy as np
+import pytest
+import shapely
+
+from benchmarks.common import Growth, Timing, in_turn, markdown, row
+from benchmarks.embree_peer import Caster, scan_every_beam, scan_until_first_return, see_satellites
+from jaxurban.metrics.lidar import LidarParams
+from tests.embree_scene import roof_triangles, wall_triangles
+
+
+def caster_of_one_tower() -> Caster:
+    """A tower of 10 m x 10 m x 100 m around x = 55, y = 5."""
+    polygons, height_m = np.array([shapely.box(50, 0, 60, 10)]), np.array([100.0])
+    triangles = np.concatenate([wall_triangles(polygons, height_m), roof_triangles(polygons, height_m)])
+    return Caster(triangles.astype(np.float32))
+
+
+def test_a_ratio_is_ours_over_theirs_by_medians():
+    ours = Timing([1.0, 9.0, 2.0], [1.0, 1.0, 1.0])
+    theirs = Timing([4.0, 3.0, 50.0], [8.0, 8.0, 8.0])
+    found = row("a", "b", "cells", (100, ours), (10, theirs))
+    assert found.ours_per_s == 50
+    assert found.ratio == pytest.approx(50 / 2.5)
+    assert found.ratio_cpu == pytest.approx(80)
+
+
+def test_sides_run_in_turn_after_a_first_run_of_each():
+    calls: list[str] = []
+
+    def side(name: str):
+        def run():
+            calls.append(name)
+            return (5.0 if len(calls) <= 2 else 2.0), 1.0
+
+        return run
+
+    times = in_turn({"a": side("a"), "b": side("b")}, 3)
+    assert calls == ["a", "b"] * 4
+    assert times["a"] == Timing([2.0] * 3, [1.0] * 3, 3.0)
+
+
+def test_the_slope_of_time_that_grows_with_the_square_of_cells_is_2():
+    growth = Growth("a", [2, 4, 8], [4.0, 16.0, 64.0], [2.0, 4.0, 8.0], 1.1)
+    assert growth.slope == pytest.approx(2)
+    assert growth.slope_cpu == pytest.approx(1)
+    assert "| 2.00 | 1.00 |" in markdown([], [growth])
+
+
+def test_a_tower_hides_a_satellite_behind_it_and_from_no_other_side():
+    directions = np.array([[1.0, 0, 0.5], [-1.0, 0, 0.5]]) / np.sqrt(1.25)
+    seen = see_satellites(caster_of_one_tower(), np.array([[0.0, 5.0]]), np.array([20.0, 90.0]), directions)
+    np.testing.assert_array_equal(seen[..., 0], [[False, True], [True, True]])
+
+
+def test_a_scan_returns_over_the_angle_that_a_tower_fills():
+    points_m = np.array([[0.0, 5.0], [-200.0, 5.0]])
+    params = LidarParams()
+    every, first = (
+        scan(caster_of_one_tower(), points_m, 20.0, params) for scan in (scan_every_beam, scan_until_first_return)
+    )
+    num_azimuths = 2 * np.floor(np.rad2deg(np.arctan(5 / 50))) + 1  # whole degrees within the near wall
+    np.testing.assert_allclose(every, [num_azimuths / 360, 0])
+    np.testing.assert_array_equal(every, first)
