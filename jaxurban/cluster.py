@@ -145,7 +145,7 @@ def cluster_client(address: str | None, num_workers: int | None) -> Iterator[Any
             n_workers=num_workers,
             threads_per_worker=1,
             processes=True,
-            memory_limit=None,
+            memory_limit=0,
             dashboard_address=None,
             env={**environment, "PYTHONPATH": os.environ.get("PYTHONPATH", "")},
         ) as cluster,

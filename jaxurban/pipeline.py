@@ -366,7 +366,7 @@ def make_zarr(maker: Maker, tell: Callable[[str], None], shape: tuple[int, int] 
 
 
 def _no_values(shape: tuple[int, ...], dtype: Any) -> dask.array.Array:
-    return dask.array.zeros(shape, dtype, chunks=-1)
+    return dask.array.zeros(shape, dtype=dtype, chunks=-1)
 
 
 def stored_key(folder: Path, resolution_m: float) -> str | None:

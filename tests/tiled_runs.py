@@ -49,9 +49,9 @@ def city(with_terrain: bool = False) -> City:
 
 
 def region(of: City) -> Grid:
-    """Return a region of 41 x 53 cells inside a city, with buildings all around."""
+    """Return a region of 47 x 39 cells inside a city, with buildings all around."""
     first_col, first_row = (int(np.ceil(value / RESOLUTION_M)) for value in of.extent_m[:2])
-    return Grid(of.crs, RESOLUTION_M, first_row + 17, first_col + 11, 41, 53)
+    return Grid(of.crs, RESOLUTION_M, first_row + RAGGED[0], first_col + RAGGED[1], 47, 39)
 
 
 def params(series: str = "epochs") -> MapParams:

@@ -7,6 +7,7 @@ import uuid
 from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -206,7 +207,7 @@ def write_geotiffs(ds: xr.Dataset, folder: Path, skip_key: str | None = None, nu
     """Write each metric map as a cloud-optimised GeoTIFF (float32, ZSTD, north-up, NaN = no data).
 
     Args:
-      ds: the maps; read band by band of rows, so that they need not fit in memory.
+      ds: the maps; read chunk by chunk, so that they need not fit in memory.
       folder: files go to its ``geotiff`` folder.
       skip_key: leave a file alone whose ``run_key`` tag says this already.
       num_threads: files written at the same time.
@@ -234,8 +235,19 @@ def write_geotiffs(ds: xr.Dataset, folder: Path, skip_key: str | None = None, nu
         return list(pool.map(write, geotiff_layers(ds)))
 
 
+def _windows(shape: tuple[int, int]) -> Iterator[tuple[slice, slice]]:
+    """Yield the rows and columns of the chunks of maps of a shape."""
+    starts = (range(0, size, side) for size, side in zip(shape, tile_shape(shape), strict=True))
+    for corner in product(*starts):
+        rows, cols = (
+            slice(start, min(start + side, size))
+            for start, side, size in zip(corner, tile_shape(shape), shape, strict=True)
+        )
+        yield rows, cols
+
+
 def _write_cog(path: Path, layer: xr.DataArray, ds: xr.Dataset, tags: dict[str, str]) -> None:
-    """Write one map: band by band into a plain tiled file, which GDAL then turns into a cloud-optimised one."""
+    """Write one map: chunk by chunk into a plain tiled file, which GDAL then turns into a cloud-optimised one."""
     num_rows, num_cols, resolution_m = ds.sizes["y"], ds.sizes["x"], ds.attrs["resolution_m"]
     y_max_m = (ds.attrs["first_row"] + num_rows) * resolution_m
     plain = path.with_name(f"{path.name.removesuffix('.part')}.plain.part")
@@ -257,12 +269,12 @@ def _write_cog(path: Path, layer: xr.DataArray, ds: xr.Dataset, tags: dict[str, 
                 blockysize=512,
                 bigtiff="IF_SAFER",
             ) as file:
-                step = tile_shape((num_rows, num_cols))[0]
-                for start in range(0, num_rows, step):
-                    rows = slice(start, min(start + step, num_rows))
-                    values = layer.isel(y=rows).values.astype(np.float32)
-                    values = np.where(ds["has_data"].isel(y=rows).values, values, np.float32(np.nan))
-                    file.write(values[::-1], 1, window=Window(0, num_rows - rows.stop, num_cols, len(values)))
+                for rows, cols in _windows((num_rows, num_cols)):
+                    part = {"y": rows, "x": cols}
+                    values = layer.isel(part).values.astype(np.float32)
+                    values[~ds["has_data"].isel(part).values] = np.nan
+                    window = Window(cols.start, num_rows - rows.stop, cols.stop - cols.start, rows.stop - rows.start)
+                    file.write(values[::-1], 1, window=window)
                 file.update_tags(**tags)
             copy_raster(
                 plain,
