@@ -1,57 +1,30 @@
 """build_maps: a city and a sky in, the metric maps of a region out."""
 
-from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Sequence
 from pathlib import Path
 
-import jax.numpy as jnp
+import jax
 import numpy as np
-import pyproj
 import shapely
-import xarray as xr
 
 from jaxurban.city import City
 from jaxurban.errors import InputError
 from jaxurban.grid import Grid
 from jaxurban.io.orbits import look_angles, read_orbits
 from jaxurban.io.rasterise import build_surface, highest_top_m, surface_grid
+from jaxurban.layers import PAPER_ALTITUDES_M, MapParams, Stage, empty_dataset, make_layers, untimed, with_series
 from jaxurban.maps import MetricMaps
 from jaxurban.metrics import lidar as lidar_metric
 from jaxurban.metrics import risk as risk_metric
-from jaxurban.metrics.gps import GpsParams, compute_gps, shadow_reach_m
-from jaxurban.metrics.lidar import LidarParams, compute_lidar
-from jaxurban.metrics.obstacle import obstacle_mask
-from jaxurban.metrics.population import PopulationParams, population_maps
-from jaxurban.metrics.risk import RiskParams, compute_risk
+from jaxurban.metrics.availability import EpochTotals
+from jaxurban.metrics.gps import GpsParams, shadow_reach_m, visibility
+from jaxurban.metrics.lidar import LidarParams
+from jaxurban.metrics.population import BlockLayers, PopulationParams, block_layers
+from jaxurban.metrics.risk import RiskParams
 from jaxurban.sky import Sky
 from jaxurban.surface import Surface
 
-PAPER_ALTITUDES_M = (20.0, 60.0, 122.0, 600.0)
 PAPER_TIME = "2020-04-27T16:00:00Z"
-DOP_VARIABLES = ("gdop", "pdop", "hdop", "vdop", "tdop", "num_visible")
-UNITS = {  # units and what a value of one means, by variable
-    "obstacle": ("1", "a roof reaches this altitude"),
-    "gps": ("1", "GDOP of 1, the best possible"),
-    "lidar": ("1", "every scan position returns"),
-    "population": ("1", "as many people per area as the norm (pop_norm_per_km2)"),
-    "risk": ("1", "no obstacle within the threshold"),
-    "gdop": ("1", ""),
-    "pdop": ("1", ""),
-    "hdop": ("1", ""),
-    "vdop": ("1", ""),
-    "tdop": ("1", ""),
-    "num_visible": ("1", ""),
-    "density": ("km-2", ""),
-    "roof": ("m", ""),
-    "terrain": ("m", ""),
-}
-
-Stage = Callable[[str], AbstractContextManager[None]]
-
-
-def untimed(name: str) -> AbstractContextManager[None]:
-    """Return a context that does nothing with the stage it is told."""
-    return nullcontext()
 
 
 def build_maps(
@@ -113,22 +86,17 @@ def build_maps(
     if not 0 <= mask_deg < 90:
         raise InputError(f"mask_deg must lie in 0 to 90 degrees, got {mask_deg}")
     sky = view_sky(region, orbits, times, mask_deg=mask_deg, reference=reference, max_age_days=max_age_days)
-    surface = make_surface(
-        city, region, sky, altitudes_m, mask_deg=mask_deg, lidar=lidar, risk=risk, all_touched=all_touched
-    )
-    return compute_maps(
-        city,
-        surface,
-        sky,
-        altitudes_m,
+    params = MapParams(
+        altitudes_m=tuple(altitudes_m),
         mask_deg=mask_deg,
-        gps=gps,
-        lidar=lidar,
-        risk=risk,
-        population=population,
-        times_of_day=times_of_day,
-        stage=stage,
+        gps=gps or GpsParams(),
+        lidar=lidar or LidarParams(),
+        risk=risk or RiskParams(),
+        population=population or PopulationParams(),
+        times_of_day=tuple(times_of_day),
+        all_touched=all_touched,
     )
+    return compute_maps(city, make_surface(city, region, sky, params), sky, params, stage)
 
 
 def _as_names(names: str | Sequence[str]) -> tuple[str, ...]:
@@ -183,115 +151,42 @@ def view_sky(
     return sky
 
 
-def make_surface(
-    city: City,
-    region: Grid,
-    sky: Sky,
-    altitudes_m: Sequence[float],
-    *,
-    mask_deg: float,
-    lidar: LidarParams | None = None,
-    risk: RiskParams | None = None,
-    all_touched: bool = False,
-) -> Surface:
-    """Return the city's rasters on the region and the margin that its metrics need."""
-    above = sky.elevation_rad >= np.radians(mask_deg)
+def margin_of(city: City, region: Grid, sky: Sky, params: MapParams) -> Grid:
+    """Return the region's grid grown by the margin that its metrics need."""
+    above = sky.elevation_rad >= np.radians(params.mask_deg)
     toward_m = shadow_reach_m(
         sky.azimuth_rad[above],
         sky.elevation_rad[above],
         highest_top_m(city),
-        float(min(altitudes_m)),
+        float(min(params.altitudes_m)),
         region.resolution_m,
     )
-    always_m = max(lidar_metric.reach_m(lidar or LidarParams()), risk_metric.reach_m(risk or RiskParams()))
-    return build_surface(city, region, surface_grid(city, region, always_m, toward_m), all_touched)
+    always_m = max(lidar_metric.reach_m(params.lidar), risk_metric.reach_m(params.risk))
+    return surface_grid(city, region, always_m, toward_m)
 
 
-def compute_maps(
-    city: City,
-    surface: Surface,
-    sky: Sky,
-    altitudes_m: Sequence[float],
-    *,
-    mask_deg: float = 5.0,
-    gps: GpsParams | None = None,
-    lidar: LidarParams | None = None,
-    risk: RiskParams | None = None,
-    population: PopulationParams | None = None,
-    times_of_day: Sequence[str] = ("day", "night"),
-    stage: Stage = untimed,
-) -> MetricMaps:
+def make_surface(city: City, region: Grid, sky: Sky, params: MapParams) -> Surface:
+    """Return the city's rasters on the region and the margin that its metrics need."""
+    return build_surface(city, region, margin_of(city, region, sky, params), params.all_touched)
+
+
+def compute_maps(city: City, surface: Surface, sky: Sky, params: MapParams, stage: Stage = untimed) -> MetricMaps:
     """Return the metric maps of a surface under a sky; `build_maps` makes both from a city."""
-    region = surface.region
-    z_m = jnp.asarray(altitudes_m, jnp.float32)
-    has_data = np.ones(region.shape, bool) if surface.has_data is None else np.asarray(surface.crop(surface.has_data))
-    data: dict[str, tuple[tuple[str, ...], np.ndarray]] = {}
-    flown = ("altitude", "y", "x")
+    people = block_layers_of(city, surface.region, params)
 
-    roof_m = surface.crop(surface.roof_m)
-    with stage("obstacle"):
-        data["obstacle"] = (flown, np.asarray(obstacle_mask(roof_m, z_m)).astype(np.uint8))
-    with stage("gps"):
-        epochs = []
-        for azimuth_rad, elevation_rad in zip(sky.azimuth_rad, sky.elevation_rad, strict=True):
-            above = elevation_rad >= np.radians(mask_deg)
-            epochs.append(compute_gps(surface, azimuth_rad[above], elevation_rad[above], z_m, gps or GpsParams()))
-        for name, field in (("gps", "m"), *((name, name) for name in DOP_VARIABLES)):
-            data[name] = (("time", *flown), np.stack([np.asarray(getattr(maps, field)) for maps in epochs]))
-    with stage("lidar"):
-        data["lidar"] = (flown, np.asarray(compute_lidar(surface, z_m, lidar or LidarParams())))
-    with stage("risk"):
-        data["risk"] = (flown, np.asarray(compute_risk(surface, z_m, risk or RiskParams())))
-    attrs: dict[str, object] = {}
-    if city.blocks is not None and surface.block is not None:
-        with stage("population"):
-            people = population_maps(surface.block, city.blocks, times_of_day, population, region.bounds_m)
-            data["population"] = (("time_of_day", "y", "x"), np.asarray(people.m))
-            data["density"] = (("time_of_day", "y", "x"), np.asarray(people.density_per_km2))
-        is_count = population is not None and population.quantity == "count"
-        norm_name = "pop_norm_per_block" if is_count else "pop_norm_per_km2"
-        attrs[norm_name] = [float(value) for value in people.norm_per_km2]
-    data["roof"] = (("y", "x"), np.asarray(roof_m))
-    if surface.terrain_m is not None:
-        data["terrain"] = (("y", "x"), np.asarray(surface.crop(surface.terrain_m)))
-    data = {name: (dims, _without_data(name, values, has_data)) for name, (dims, values) in data.items()}
-    data["has_data"] = (("y", "x"), has_data)
-    ds = xr.Dataset(
-        data,
-        coords={
-            "y": ("y", region.y_m, {"units": "m", "standard_name": "projection_y_coordinate"}),
-            "x": ("x", region.x_m, {"units": "m", "standard_name": "projection_x_coordinate"}),
-            "altitude": ("altitude", np.asarray(altitudes_m, float), {"units": "m", "long_name": "above ground"}),
-            "time": ("time", np.array([time.removesuffix("Z") for time in sky.times], "datetime64[ns]")),
-            "spatial_ref": ((), 0, pyproj.CRS(region.crs).to_cf()),
-            **(
-                {"time_of_day": ("time_of_day", np.asarray(times_of_day, np.dtypes.StringDType()))}
-                if "population" in data
-                else {}
-            ),
-        },
-        attrs={
-            "crs": region.crs,
-            "resolution_m": region.resolution_m,
-            "first_row": region.first_row,
-            "first_col": region.first_col,
-            "satellites": list(sky.names),
-            **({"attribution": city.attribution} if city.attribution else {}),
-            **attrs,
-        },
-    )
-    for name, (units, one_means) in UNITS.items():
-        if name in ds:
-            ds[name].attrs.update(
-                {"units": units, "grid_mapping": "spatial_ref", **({"one_means": one_means} if one_means else {})}
-            )
-    if "pop_norm_per_block" in ds.attrs:
-        ds["population"].attrs["one_means"] = "as many people in the block as the norm (pop_norm_per_block)"
-    return MetricMaps(ds)
+    def words(epoch: int) -> jax.Array:
+        seen = params.satellites_at(sky, epoch)
+        return visibility(surface, sky.azimuth_rad[epoch, seen], sky.elevation_rad[epoch, seen], params.altitudes_m)
+
+    ds = empty_dataset(surface.region, sky, params, people, surface.terrain_m is not None, city.attribution)
+    totals = EpochTotals.zero(len(sky.times), len(params.altitudes_m))
+    for name, index, values in make_layers(surface, sky, params, people, words, totals, stage):
+        ds[name].values[index] = values
+    return MetricMaps(ds if "gps" in ds else with_series(ds, totals))
 
 
-def _without_data(name: str, values: np.ndarray, has_data: np.ndarray) -> np.ndarray:
-    """Return ``values`` with NaN where nothing is known (integers keep 0)."""
-    if has_data.all() or not np.issubdtype(values.dtype, np.floating):
-        return values
-    return np.where(has_data, values, np.nan).astype(values.dtype)
+def block_layers_of(city: City, region: Grid, params: MapParams) -> BlockLayers | None:
+    """Return the population of every block, normalised over a region; None without population data."""
+    if city.blocks is None:
+        return None
+    return block_layers(city.blocks, params.times_of_day, params.population, region.bounds_m)

@@ -24,6 +24,9 @@ class MetricMaps:
     [time, altitude, y, x]; ``population`` and ``density`` (people per km2) [time_of_day, y, x], only
     with population data; ``roof`` and ``terrain`` (only if not flat) [y, x] in metres; ``has_data`` [y, x].
     DOPs are inf with fewer than four satellites. Metrics are NaN only where ``has_data`` is False.
+    Of a long series of epochs, instead of ``gps`` and the DOPs: ``gps_availability``, ``gps_median`` and ``gps_p05``
+    [altitude, y, x], ``gps_epoch_mean`` [time, altitude] (mean m over free cells) and ``gps_worst_time`` [altitude].
+    Maps that were opened from a folder are read when they are looked at.
 
     Attributes:
       ds: the dataset; ``ds.attrs`` hold CRS, resolution and provenance.
@@ -62,7 +65,7 @@ class MetricMaps:
     @property
     def metrics(self) -> tuple[str, ...]:
         """The cost metrics that these maps hold, in the order of the cost's layers."""
-        return tuple(name for name in METRICS if name in self.ds)
+        return tuple(name for name in METRICS if name in self.ds or (name == "gps" and "gps_median" in self.ds))
 
     def _pick(self, name: str, value, given: Sequence, shown: Sequence) -> int:
         if value is None:
@@ -78,7 +81,7 @@ class MetricMaps:
         """Return one map ``[y, x]``, rows south to north.
 
         Args:
-          name: a variable, such as ``"gps"`` or ``"hdop"``.
+          name: a variable, such as ``"gps"`` or ``"hdop"``; ``"gps"`` of a long series is its median.
           altitude_m: one of `altitudes_m`; the lowest listed first if left out.
           time: one of `times`; the first if left out.
           time_of_day: one of `times_of_day`; the first if left out.
@@ -86,6 +89,13 @@ class MetricMaps:
         Raises:
           InputError: no such variable, altitude, time or time of day in these maps.
         """
+        if name == "gps" and "gps_median" in self.ds:
+            if time is not None:
+                raise InputError(
+                    f"these maps hold GPS statistics over {len(self.times)} epochs and no map of {time}: leave time "
+                    'out (m is then the median), or make them with [gps] series = "epochs"'
+                )
+            name = "gps_median"
         if name not in self.ds:
             raise InputError(f"these maps hold no {name!r}: they hold {', '.join(map(str, self.ds.data_vars))}")
         wanted = {

@@ -1,53 +1,42 @@
 """A scenario carried out: files in, metric maps and run.json out, resumable."""
 
-import glob
-import hashlib
-import importlib.metadata
 import json
+import os
+import shutil
 import time
 import warnings
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-import jax
-import numpy as np
-import psutil
-import pyproj
-import rasterio
-import shapely
+import dask.array
+import xarray as xr
 
-from jaxurban.build import compute_maps, make_surface, view_sky
+from jaxurban.build import block_layers_of, margin_of, view_sky
 from jaxurban.city import City
+from jaxurban.cluster import cluster_client, work_in_threads, work_on_cluster
 from jaxurban.demo import demo_city_for_bounds
 from jaxurban.errors import InputError
 from jaxurban.grid import Grid
 from jaxurban.io import store
 from jaxurban.io.city import read_city
-from jaxurban.io.rasterise import highest_top_m
+from jaxurban.io.rasterise import check_has_data, rasterise
+from jaxurban.io.workfolder import WorkFolder
+from jaxurban.layers import MapParams, empty_dataset, with_series
 from jaxurban.maps import MetricMaps
+from jaxurban.memory import MemoryPlan, gib, plan_memory, shape_of_tiles, tile_bytes
+from jaxurban.metrics.availability import EpochTotals
 from jaxurban.metrics.gps import GpsParams
-from jaxurban.metrics.population import population_totals
+from jaxurban.record import hash_inputs, run_key, run_record, warn_of_unknown_ground
 from jaxurban.scenario import NOMINAL, Scenario
 from jaxurban.sky import Sky
+from jaxurban.tiled import TileJob
+from jaxurban.tiles import Tiling
 
-OUTSIDE_TOLERANCE = 0.01  # a box in degrees and its projection differ by less
-COMPANIED_SUFFIXES = (".shp", ".tif", ".tiff", ".asc", ".img", ".vrt")
-REPORTED_VERSIONS = (
-    "jaxurban",
-    "jax",
-    "numpy",
-    "osmium",
-    "pyproj",
-    "rasterio",
-    "shapely",
-    "skyfield",
-    "xarray",
-    "zarr",
-)
+SCRATCH_BYTES_PER_CELL = 12  # rasters of an unfinished run, and one plain GeoTIFF: the least disk that a run takes
 
 
 @dataclass
@@ -57,16 +46,24 @@ class Stopwatch:
     elapsed_s: dict[str, float] = field(default_factory=dict)
     on_stage: Callable[[str], None] | None = None
 
+    def add(self, name: str, seconds: float) -> None:
+        """Add to the time of a stage."""
+        self.elapsed_s[name] = self.elapsed_s.get(name, 0.0) + seconds
+
+    def tell(self, name: str) -> None:
+        """Say what is being done."""
+        if self.on_stage:
+            self.on_stage(name)
+
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
         """Time the block under ``name``."""
-        if self.on_stage:
-            self.on_stage(name)
+        self.tell(name)
         began = time.perf_counter()
         try:
             yield
         finally:
-            self.elapsed_s[name] = self.elapsed_s.get(name, 0.0) + time.perf_counter() - began
+            self.add(name, time.perf_counter() - began)
 
 
 @dataclass(frozen=True)
@@ -75,6 +72,27 @@ class Run:
 
     maps: dict[float, MetricMaps]
     record: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Resources:
+    """What a run may use.
+
+    Attributes:
+      memory_bytes: ceiling on the memory of all processes together; None for half of what is free.
+      num_processes: worker processes of a new local Dask cluster; None to work in threads of this process.
+      cluster: address of a Dask scheduler, whose workers see the output folder under the same path, instead.
+    """
+
+    memory_bytes: int | None = None
+    num_processes: int | None = None
+    cluster: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.num_processes is not None and self.num_processes < 1:
+            raise InputError(f"--workers must be at least 1, got {self.num_processes}")
+        if self.num_processes is not None and self.cluster is not None:
+            raise InputError("give either --workers, for a cluster of this machine's own, or --cluster, not both")
 
 
 def load_city(scenario: Scenario) -> City:
@@ -114,56 +132,79 @@ def grids_of(scenario: Scenario) -> list[Grid]:
     return [Grid.from_bounds(region.bounds, r, region.crs, region.resolution_m) for r in region.resolution_m]
 
 
+def map_params(scenario: Scenario) -> MapParams:
+    """Return the maps' parameters of a scenario."""
+    gps = scenario.gps
+    return MapParams(
+        altitudes_m=scenario.region.altitudes_m,
+        mask_deg=gps.mask_deg,
+        gps=GpsParams(gps.gdop_threshold, gps.series, gps.availability_threshold),
+        lidar=scenario.lidar.params(),
+        risk=scenario.risk.params(),
+        population=scenario.population.params(),
+        times_of_day=scenario.population.time_of_day,
+        all_touched=scenario.buildings.all_touched,
+    )
+
+
 def run_scenario(
-    scenario: Scenario, folder: Path, on_stage: Callable[[str], None] | None = None, overwrite: bool = False
+    scenario: Scenario,
+    folder: Path,
+    on_stage: Callable[[str], None] | None = None,
+    overwrite: bool = False,
+    resources: Resources | None = None,
+    tell: Callable[[str], None] | None = None,
 ) -> Run:
     """Make the maps of a scenario under ``folder`` and return them with the record of the run.
 
-    Finished resolutions and files of the same inputs are kept; nothing half-written is left behind.
+    Finished resolutions, tiles and files of the same inputs are kept; nothing half-written is taken for finished.
+
+    Args:
+      scenario: the settings.
+      folder: where the maps go.
+      on_stage: told what is being done.
+      overwrite: replace maps of other settings.
+      resources: what the run may use; left out, half of the free memory and a thread a core.
+      tell: told one sentence on size and memory before the work begins.
 
     Raises:
       InputError: bad settings or sources, too little memory, or a folder that holds another job's maps.
     """
     started_utc = datetime.now(UTC).isoformat(timespec="seconds")
-    watch = Stopwatch(on_stage=on_stage)
+    watch, resources, params = Stopwatch(on_stage=on_stage), resources or Resources(), map_params(scenario)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", UserWarning)
         grids = grids_of(scenario)
-        check_memory(scenario, grids)
         inputs = hash_inputs(scenario)
         key = run_key(scenario, inputs)
         with watch.stage("read"):
             city = load_city(scenario)
         with watch.stage("orbits"):
             skies = [_sky(scenario, grid) for grid in grids]
-        prepare_folder(folder, key, overwrite)
-        if (outside := outside_share(city, grids[0])) > OUTSIDE_TOLERANCE:
-            warnings.warn(
-                f"{outside:.0%} of the region lies beyond what the building source covers and is taken as free of "
-                "buildings: give a source that covers it, or a smaller region",
-                stacklevel=2,
-            )
-        maps, sky = {}, skies[0]
-        for grid, sky in zip(grids, skies, strict=True):
-            maps[grid.resolution_m] = _maps_of(scenario, city, grid, sky, folder, key, watch)
-    record = {
-        "started_utc": started_utc,
-        "elapsed_s": {name: round(seconds, 3) for name, seconds in watch.elapsed_s.items()},
-        "run_key": key,
-        "versions": versions(),
-        "settings": json.loads(scenario.model_dump_json(exclude_none=True)),
-        "inputs": inputs,
-        "region": _region_record(grids),
-        "buildings": _building_record(city, grids[0]),
-        "epochs": list(sky.times),
-        "satellites": _satellite_record(sky),
-        "rays_leave_data_share": {
-            store.short_number(z): round(rays_leaving_share(city, grids[0], sky, z, scenario.gps.mask_deg), 4)
-            for z in scenario.region.altitudes_m
-        },
-        "population": population_record(scenario, city, grids[0]),
-        "warnings": list(dict.fromkeys(str(item.message) for item in caught)),
-    }
+        warn_of_unknown_ground(city, grids[0])
+        prepare_folder(folder, key, overwrite, grids)
+        plan = _plan(city, grids, params, len(scenario.gps.epochs), resources, folder)
+        if tell:
+            tell(_plan_sentence(grids, plan))
+        with _client(resources) as client:
+            maps = {
+                grid.resolution_m: _maps_of(
+                    Maker(city, grid, sky, params, folder, key, plan.num_workers, client), watch
+                )
+                for grid, sky in zip(grids, skies, strict=True)
+            }
+    record = run_record(
+        scenario,
+        city,
+        grids,
+        skies[-1],
+        params.population,
+        inputs,
+        key,
+        watch.elapsed_s,
+        started_utc,
+        [str(item.message) for item in caught],
+    )
     with store.whole_file(folder / store.RUN_FILE) as scratch:
         scratch.write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
     return Run(maps, record)
@@ -182,122 +223,142 @@ def _sky(scenario: Scenario, grid: Grid) -> Sky:
     )
 
 
-def _maps_of(
-    scenario: Scenario, city: City, grid: Grid, sky: Sky, folder: Path, key: str, watch: Stopwatch
-) -> MetricMaps:
-    """Return the maps at one resolution: those on disk if they are this job's, else computed and saved."""
-    if stored_key(folder, grid.resolution_m) == key:
-        ds = store.open_zarr(folder, grid.resolution_m)
-    else:
-        ds = _compute(scenario, city, grid, sky, watch).ds.assign_attrs(run_key=key)
-        with watch.stage("write_zarr"):
-            store.write_zarr(ds, folder)
-    with watch.stage("write_geotiff"):
-        store.write_geotiffs(ds, folder, skip_key=key)
-    return MetricMaps(ds)
+def _client(resources: Resources) -> Any:
+    """Return a context that gives the client of a Dask cluster, None where threads do the work."""
+    if resources.cluster is None and resources.num_processes is None:
+        return nullcontext()
+    return cluster_client(resources.cluster, resources.num_processes)
 
 
-def _compute(scenario: Scenario, city: City, grid: Grid, sky: Sky, watch: Stopwatch) -> MetricMaps:
-    region, lidar_params, risk_params = scenario.region, scenario.lidar.params(), scenario.risk.params()
-    with watch.stage("surface"):
-        surface = make_surface(
-            city,
-            grid,
-            sky,
-            region.altitudes_m,
-            mask_deg=scenario.gps.mask_deg,
-            lidar=lidar_params,
-            risk=risk_params,
-            all_touched=scenario.buildings.all_touched,
+def num_cores() -> int:
+    """Return how many cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _plan(
+    city: City, grids: list[Grid], params: MapParams, num_epochs: int, resources: Resources, folder: Path
+) -> MemoryPlan:
+    """Return how the run keeps under its memory ceiling.
+
+    Raises:
+      InputError: it cannot, or the disk is too small.
+    """
+    most_bytes = max(
+        tile_bytes(
+            shape_of_tiles(grid.shape, params, num_epochs),
+            grid.resolution_m,
+            params,
+            num_epochs,
+            city.terrain is not None,
         )
-    return compute_maps(
-        city,
-        surface,
-        sky,
-        region.altitudes_m,
-        mask_deg=scenario.gps.mask_deg,
-        gps=GpsParams(scenario.gps.gdop_threshold),
-        lidar=lidar_params,
-        risk=risk_params,
-        population=scenario.population.params(),
-        times_of_day=scenario.population.time_of_day,
-        stage=watch.stage,
+        for grid in grids
+    )
+    if resources.cluster is not None:  # the workers' machines are not ours to measure
+        return MemoryPlan(0, 0, num_cores())
+    plan = plan_memory(
+        resources.memory_bytes,
+        most_bytes,
+        resources.num_processes or num_cores(),
+        has_processes=resources.num_processes is not None,
+    )
+    disk_bytes = SCRATCH_BYTES_PER_CELL * max(grid.num_rows * grid.num_cols for grid in grids)
+    free_bytes = shutil.disk_usage(folder).free
+    if disk_bytes > free_bytes:
+        raise InputError(
+            f"the maps need at least {gib(disk_bytes)} of disk and {gib(free_bytes)} are free in {str(folder)!r}: use "
+            "a smaller region, a coarser [region] resolution_m, or another folder"
+        )
+    return plan
+
+
+def _plan_sentence(grids: list[Grid], plan: MemoryPlan) -> str:
+    cells = sum(grid.num_rows * grid.num_cols for grid in grids) / 1e6
+    if not plan.ceiling_bytes:
+        return f"{cells:.2f} million cells on a Dask cluster"
+    return (
+        f"{cells:.2f} million cells, {plan.num_workers} tile{'s' * (plan.num_workers > 1)} at a time: about "
+        f"{gib(plan.needed_bytes)} of memory at most, of {gib(plan.ceiling_bytes)} allowed"
     )
 
 
-def hash_inputs(scenario: Scenario) -> dict[str, dict[str, str]]:
-    """Return path and SHA-256 of every file that a scenario names (a Shapefile with its companions).
+@dataclass(frozen=True)
+class Maker:
+    """What the maps of one resolution are made from, where they go and who works on them."""
+
+    city: City
+    grid: Grid
+    sky: Sky
+    params: MapParams
+    folder: Path
+    key: str
+    num_workers: int
+    client: Any
+
+
+def _maps_of(maker: Maker, watch: Stopwatch) -> MetricMaps:
+    """Return the maps at one resolution: those on disk if they are this job's, else made tile by tile."""
+    folder, resolution_m = maker.folder, maker.grid.resolution_m
+    if stored_key(folder, resolution_m) != maker.key:
+        began = time.perf_counter()
+        seconds = make_zarr(maker, watch.tell)
+        # Tiles are worked on side by side: a stage gets its share of the time that passed.
+        scale = (time.perf_counter() - began) / (sum(seconds.values()) or 1.0)
+        for name, busy_s in seconds.items():
+            watch.add(name, busy_s * scale)
+    ds = store.open_zarr(folder, resolution_m)
+    with watch.stage("write_geotiff"):
+        store.write_geotiffs(ds, folder, skip_key=maker.key, num_threads=maker.num_workers)
+    return MetricMaps(ds)
+
+
+def make_zarr(maker: Maker, tell: Callable[[str], None], shape: tuple[int, int] | None = None) -> dict[str, float]:
+    """Make the Zarr of one resolution tile by tile and return the seconds that all workers spent on each stage.
+
+    Args:
+      maker: what from and where to.
+      tell: told how many tiles are done.
+      shape: of the tiles; left out, `shape_of_tiles`.
 
     Raises:
-      InputError: a file that is missing or cannot be read.
+      InputError: rasters without data in the region, or workers that are killed again and again.
     """
-    people = scenario.population
-    named = {
-        "buildings": None if scenario.is_synthetic else scenario.buildings.source,
-        "terrain": scenario.terrain.source,
-        "orbits": None if scenario.gps.orbits == NOMINAL else scenario.gps.orbits,
-        "blocks": people.blocks,
-        "table": people.table,
-        "districts": people.districts,
-    }
-    return {
-        role: {"path": name, "sha256": _sha256(scenario.path_of(name), role)}
-        for role, name in named.items()
-        if name is not None
-    }
+    city, grid, sky, params = maker.city, maker.grid, maker.sky, maker.params
+    shape = shape or shape_of_tiles(grid.shape, params, len(sky.times))
+    tiling = Tiling.over(grid, margin_of(city, grid, sky, params), shape)
+    if city.roofs is not None or city.terrain is not None:
+        check_has_data(rasterise(city, tiling.grid_of(tile)).has_data for tile in tiling.region_tiles)
+    work = WorkFolder(store.work_path(maker.folder, grid.resolution_m))
+    work.begin(f"{maker.key} {shape}")
+    people = block_layers_of(city, grid, params)
+    if not work.zarr.exists():
+        empty = empty_dataset(grid, sky, params, people, city.terrain is not None, city.attribution, _no_values)
+        store.create_zarr(empty.assign_attrs(run_key=maker.key), work.zarr, shape)
+    job = TileJob(work, tiling, sky, params, people, city)
+    seconds: dict[str, float] = {}
+    totals, num_done = EpochTotals.zero(len(sky.times), len(params.altitudes_m)), 0
+
+    def take(found: dict[str, Any]) -> None:
+        nonlocal totals, num_done
+        for name, busy_s in found["seconds"].items():
+            seconds[name] = seconds.get(name, 0.0) + busy_s
+        if "num_free" in found:
+            totals += EpochTotals.of(found)
+            num_done += 1
+            tell(f"{store.short_number(grid.resolution_m)} m, tile {num_done} of {len(tiling.region_tiles)}")
+
+    if maker.client is None:
+        work_in_threads(job, maker.num_workers, take)
+    else:
+        work_on_cluster(job, maker.client, take)
+    if not params.gps.keeps_epochs(len(sky.times)):
+        made = with_series(xr.open_zarr(work.zarr, consolidated=False, chunks=None), totals)
+        store.add_to_zarr(made[["gps_epoch_mean", "gps_worst_time"]], work.zarr)
+    work.finish(store.zarr_path(maker.folder, grid.resolution_m))
+    return seconds
 
 
-def _sha256(path: Path, role: str) -> str:
-    digest = hashlib.sha256()
-    try:
-        for part in _companions(path):
-            digest.update(f"{part.name} {part.stat().st_size}\n".encode())
-            with part.open("rb") as file:
-                while chunk := file.read(1 << 20):
-                    digest.update(chunk)
-    except OSError as error:
-        raise InputError(f"cannot read the {role} file {str(path)!r}: {error.strerror or error}") from error
-    return digest.hexdigest()
-
-
-def _companions(path: Path) -> list[Path]:
-    """Return a file and those that belong to it (.dbf of a Shapefile, .tfw or .aux.xml of a raster), sorted."""
-    if not path.is_file() or path.suffix.lower() not in COMPANIED_SUFFIXES:
-        return [path]
-    names = (f"{glob.escape(path.stem)}.*", f"{glob.escape(path.name)}.*")
-    return sorted({path, *(part for name in names for part in path.parent.glob(name) if part.is_file())})
-
-
-def code_hash() -> str:
-    """Return a SHA-256 over this package's source files, so that maps of other code are not taken for ours."""
-    digest = hashlib.sha256()
-    package = Path(__file__).parent
-    for folder in (package, package / "kernels", package / "planners", package / "io", package / "metrics"):
-        for path in sorted(folder.glob("*.py")):
-            digest.update(path.name.encode() + path.read_bytes())
-    return digest.hexdigest()
-
-
-def run_key(scenario: Scenario, inputs: dict[str, dict[str, str]]) -> str:
-    """Return a short hash of everything the maps depend on: settings, input bytes, our code, the libraries."""
-    settings = scenario.model_dump(mode="json", exclude={"weights", "planning", "study"})
-    facts = {
-        "settings": settings,
-        "inputs": inputs,
-        "code": code_hash(),
-        "versions": versions(),
-        "backend": jax.default_backend(),
-    }
-    return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()[:16]
-
-
-def versions() -> dict[str, str]:
-    """Return the versions of the packages that the maps depend on."""
-    return {name: importlib.metadata.version(name) for name in REPORTED_VERSIONS} | {
-        "GDAL": rasterio.__gdal_version__,
-        "GEOS": shapely.geos_version_string,
-        "PROJ": pyproj.proj_version_str,
-    }
+def _no_values(shape: tuple[int, ...], dtype: Any) -> dask.array.Array:
+    return dask.array.zeros(shape, dtype=dtype, chunks=-1)
 
 
 def stored_key(folder: Path, resolution_m: float) -> str | None:
@@ -310,14 +371,14 @@ def stored_key(folder: Path, resolution_m: float) -> str | None:
         return None
 
 
-def prepare_folder(folder: Path, key: str, overwrite: bool) -> None:
-    """Make the output folder ready: refuse another job's maps, sweep what a killed run left.
+def prepare_folder(folder: Path, key: str, overwrite: bool, grids: list[Grid]) -> None:
+    """Make the output folder ready: refuse another job's maps, sweep what a killed run left but for its tiles.
 
     Raises:
       InputError: the folder cannot be written to, or holds maps of other settings or inputs.
     """
     store.check_writable(folder)
-    store.sweep_scraps(folder)
+    store.sweep_scraps(folder, keep=[store.work_path(folder, grid.resolution_m) for grid in grids])
     keys = {stored_key(folder, r) for r in store.stored_resolutions(folder)}
     if keys - {key}:
         if not overwrite:
@@ -326,80 +387,3 @@ def prepare_folder(folder: Path, key: str, overwrite: bool) -> None:
                 "or pass --overwrite to replace them"
             )
         store.remove_maps(folder)
-
-
-def check_memory(scenario: Scenario, grids: list[Grid]) -> None:
-    """Raise InputError if the maps of the finest grid clearly cannot fit in free memory."""
-    altitudes, epochs = len(scenario.region.altitudes_m), len(scenario.gps.epochs)
-    cells = max(grid.num_rows * grid.num_cols for grid in grids)
-    needed = cells * (altitudes * (epochs * 25 + 9) + 8 * len(scenario.population.time_of_day) + 5) * 2
-    free = psutil.virtual_memory().available
-    if needed > free:
-        raise InputError(
-            f"{cells / 1e6:.0f} million cells at {altitudes} altitudes and {epochs} epochs need about "
-            f"{needed / 2**30:.1f} GiB of memory and {free / 2**30:.1f} GiB are free: use a smaller region, "
-            "a coarser [region] resolution_m, or fewer altitudes or epochs"
-        )
-
-
-def rays_leaving_share(city: City, region: Grid, sky: Sky, altitude_m: float, mask_deg: float) -> float:
-    """Return the share of cells with a ray that leaves the data while a roof could still block it."""
-    x_min, y_min, x_max, y_max = city.known_extent_m
-    climb_m = max(highest_top_m(city) - altitude_m, 0.0)
-    above = sky.elevation_rad >= np.radians(mask_deg)
-    # A ray leaves sideways or lengthways, by a run that is the same for all cells: the extremes decide.
-    run_m = climb_m / np.tan(sky.elevation_rad[above])
-    east_m, north_m = run_m * np.sin(sky.azimuth_rad[above]), run_m * np.cos(sky.azimuth_rad[above])
-    col_leaves = (region.x_m + east_m.min() < x_min) | (region.x_m + east_m.max() > x_max)
-    row_leaves = (region.y_m + north_m.min() < y_min) | (region.y_m + north_m.max() > y_max)
-    return float(1.0 - (1.0 - row_leaves.mean()) * (1.0 - col_leaves.mean()))
-
-
-def outside_share(city: City, region: Grid) -> float:
-    """Return the share of the region that lies beyond what the building source covers."""
-    covered = shapely.intersection(shapely.box(*region.bounds_m), shapely.box(*city.extent_m))
-    return 1.0 - float(covered.area) / float(shapely.box(*region.bounds_m).area)
-
-
-def population_record(scenario: Scenario, city: City, region: Grid) -> dict[str, Any] | None:
-    """Return night and day population by zoning of the blocks that touch the region."""
-    if city.blocks is None:
-        return None
-    return population_totals(city.blocks, scenario.population.params(), region.bounds_m)
-
-
-def _region_record(grids: list[Grid]) -> dict[str, Any]:
-    first = grids[0]
-    return {
-        "crs": first.crs,
-        "bounds_m": list(first.bounds_m),
-        "cells": {store.short_number(g.resolution_m): list(g.shape) for g in grids},
-    }
-
-
-def _building_record(city: City, region: Grid) -> dict[str, Any]:
-    record: dict[str, Any] = {"faults": dict(city.faults), "source_counts": dict(city.counts)}
-    if city.buildings is not None:
-        inside = city.buildings.take(shapely.intersects(city.buildings.polygons, shapely.box(*region.bounds_m)))
-        counts = inside.origin_counts()
-        record |= {
-            "in_region": len(inside),
-            "height_origin_counts": counts,
-            "height_origin_shares": {name: round(n / max(len(inside), 1), 4) for name, n in counts.items()},
-            "highest_m": float(inside.height_m.max(initial=0.0)),
-            "hanging_parts": int((inside.min_height_m > 0).sum()),
-        }
-    return record
-
-
-def _satellite_record(sky: Sky) -> list[dict[str, Any]]:
-    return [
-        {
-            "name": name,
-            "system": system,
-            "azimuth_grid_deg": np.degrees(sky.azimuth_rad[:, i]).round(3).tolist(),
-            "elevation_deg": np.degrees(sky.elevation_rad[:, i]).round(3).tolist(),
-            "element_age_days": sky.element_age_days[:, i].round(3).tolist(),
-        }
-        for i, (name, system) in enumerate(zip(sky.names, sky.systems, strict=True))
-    ]

@@ -108,6 +108,8 @@ class GpsSettings(_Section):
     gdop_threshold: Annotated[float, Field(gt=1, allow_inf_nan=False)] = 20.0
     max_age_days: Positive = 90.0
     reference: tuple[float, float] | None = None
+    series: Literal["auto", "epochs", "statistics"] = "auto"
+    availability_threshold: Annotated[float, Field(ge=0, lt=1)] = 0.5
 
     @model_validator(mode="after")
     def _check(self) -> "GpsSettings":

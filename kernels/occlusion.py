@@ -36,6 +36,20 @@ class Line(NamedTuple):
     heading: np.ndarray
 
 
+class Ring(NamedTuple):
+    """``max(raised, sweep)`` on the ring of cells around a grid, -inf where nothing is handed on.
+
+    Attributes:
+      south, north: ``[X + 2]`` rows, corners included.
+      west, east: ``[Y]`` columns.
+    """
+
+    south: Array
+    north: Array
+    west: Array
+    east: Array
+
+
 def digital_line(
     azimuth_rad: float,
     elevation_rad: float,
@@ -111,8 +125,14 @@ def sweep(raised_m: Float[Array, "Y X"], line: Line) -> Float[Array, "Y X"]:
     )
 
 
+def _within(raised_m: Array, ring: Ring) -> Array:
+    """Return a grid inside the ring of one cell that its neighbours hand on, ``[Y + 2, X + 2]``."""
+    rows = jnp.concatenate([ring.west[:, None], raised_m, ring.east[:, None]], axis=1)
+    return jnp.concatenate([ring.south[None], rows, ring.north[None]])
+
+
 @jax.jit
-def shadow_height(top_m: Float[Array, "Y X"], line: Line) -> Float[Array, "Y X"]:
+def shadow_height(top_m: Float[Array, "Y X"], line: Line, ring: Ring | None = None) -> Float[Array, "Y X"]:
     """Return the height below which each cell's centre does not see the source, ``[Y, X]``.
 
     ``S = max over the cells on the ray of (top - run x tan(elevation))``, the cell itself left out:
@@ -128,9 +148,22 @@ def shadow_height(top_m: Float[Array, "Y X"], line: Line) -> Float[Array, "Y X"]
 
     Args:
       top_m: absolute height of roofs and bare ground, row 0 in the south.
-      line: from `digital_line`, for the same shape.
+      line: from `digital_line`, for the same shape; with a ring, for the grid grown by one cell on each side.
+      ring: what the grids around this one hand on; left out, nothing stands there.
     """
-    return sweep(top_m + ENTRY_STEPS * jnp.asarray(line.drop_m, top_m.dtype), line)
+    raised_m = top_m + ENTRY_STEPS * jnp.asarray(line.drop_m, top_m.dtype)
+    return sweep(raised_m, line) if ring is None else sweep(_within(raised_m, ring), line)[1:-1, 1:-1]
+
+
+@jax.jit
+def hand_on(top_m: Float[Array, "Y X"], line: Line, ring: Ring) -> Ring:
+    """Return what a grid hands on to its neighbours: max(raised, sweep) in its outermost cells.
+
+    The rows are ``[X]`` here, a part of the neighbours' rings. Arguments as in `shadow_height`.
+    """
+    raised_m = top_m + ENTRY_STEPS * jnp.asarray(line.drop_m, top_m.dtype)
+    carried_m = jnp.maximum(raised_m, sweep(_within(raised_m, ring), line)[1:-1, 1:-1])
+    return Ring(carried_m[0], carried_m[-1], carried_m[:, 0], carried_m[:, -1])
 
 
 @partial(jax.jit, donate_argnames="words")
@@ -192,3 +225,30 @@ def mark_visible(
     nothing = jnp.full(top_m.shape[1] + 2, -jnp.inf, top_m.dtype)
     beyond_m = lax.fori_loop(0, num_before, lambda i, beyond_m: cast(i, beyond_m)[2], nothing)
     return lax.fori_loop(num_before, num_before + num_rows, mark, (beyond_m, words))[1]
+
+
+@partial(jax.jit, donate_argnames="words")
+def mark_visible_within(
+    words: UInt[Array, "W A y x"],
+    top_m: Float[Array, "y x"],
+    ground_m: Float[Array, "y x"] | None,
+    altitudes_m: Float[Array, " A"],
+    line: Line,
+    satellite: Int[Array, ""] | int,
+    ring: Ring,
+) -> UInt[Array, "W A y x"]:
+    """Return what `mark_visible` does, for a grid inside the ring that its neighbours hand on; nothing is transposed.
+
+    Args:
+      words: as in `mark_visible`.
+      top_m: absolute height of roofs and bare ground.
+      ground_m: terrain; None for flat ground.
+      altitudes_m: heights above the ground.
+      line: from `digital_line`, for the grid grown by one cell on each side.
+      satellite: its number.
+      ring: what the grids around this one hand on.
+    """
+    z_m = altitudes_m[:, None, None]
+    seen = shadow_height(top_m, line, ring) <= (z_m if ground_m is None else ground_m + z_m)
+    word, bit = satellite // WORD_BITS, jnp.asarray(satellite % WORD_BITS, jnp.uint32)
+    return words.at[word].set(words[word] | (seen.astype(jnp.uint32) << bit))

@@ -197,6 +197,49 @@ def test_bad_scenarios_are_one_sentence_and_exit_two(tmp_path, capsys, old, new,
     assert not list((tmp_path / "out").rglob("*.tif"))
 
 
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--memory", "much"), ("4GiB", "much")),
+        (("--memory", "100MiB"), ("raise --memory", "0.1 GiB", "resolution_m")),
+        (("--workers", 0), ("--workers", "at least 1")),
+        (("--workers", 2, "--memory", "1GiB"), ("raise --memory", "fewer --workers")),
+        (("--workers", 2, "--cluster", "tcp://localhost:8786"), ("not both",)),
+    ],
+)
+def test_what_a_run_may_not_use_is_refused_in_one_sentence(tmp_path, capsys, options, words):
+    scenario = tmp_path / "scenario.toml"
+    scenario.write_text(SCENARIO)
+    code, out, err = run(capsys, "maps", scenario, "-o", tmp_path / "out", *options)
+    assert (code, out) == (2, "")
+    assert_one_sentence(err, *words)
+
+
+def test_the_size_of_the_job_is_told_before_it_begins(made, capsys):
+    _, _, err = run(capsys, "maps", made.parent / "scenario.toml", "-o", made, "--memory", "2GiB")
+    assert "million cells" in err.splitlines()[0]
+    assert "of 2.0 GiB allowed" in err.splitlines()[0]
+
+
+def test_a_long_series_of_epochs_is_kept_as_statistics(tmp_path, capsys):
+    scenario = tmp_path / "scenario.toml"
+    series = '[gps]\nstart = "2020-04-27T00:00:00Z"\nstop = "2020-04-27T23:59:00Z"\nstep_s = 3000\n'
+    scenario.write_text(SCENARIO + series)
+    assert run(capsys, "maps", scenario, "-o", tmp_path / "out")[0] == 0
+    names = {path.name for path in (tmp_path / "out" / "geotiff").iterdir()}
+    assert {f"gps_{kind}_{z}m_20m.tif" for kind in ("availability", "median", "p05") for z in (20, 60)} <= names
+    assert not {name for name in names if name.startswith("gps_20m")}
+    code, out, _ = run(
+        capsys, "plan", tmp_path / "out", "--start", START, "--goal", GOAL, "--altitude", 60, "--snap", "--json"
+    )
+    assert (code, json.loads(out)["cost_by_layer"]["gps"] > 0) == (0, True)
+    code, _, err = run(
+        capsys, "plan", tmp_path / "out", "--start", START, "--goal", GOAL, "--altitude", 60, "--time", "2020-04-27"
+    )
+    assert code == 2
+    assert_one_sentence(err, "statistics over 29 epochs", 'series = "epochs"')
+
+
 def test_an_output_folder_that_is_a_file_is_refused(tmp_path, capsys):
     scenario = tmp_path / "scenario.toml"
     scenario.write_text(SCENARIO)
@@ -229,11 +272,13 @@ def test_ctrl_c_exits_130_leaves_no_scrap_and_resumes(tmp_path):
     assert process.returncode == 130, err
     assert "interrupted" in err
     assert "Traceback" not in err
-    assert not [path for path in out.rglob("*") if path.name.endswith((".part", ".old"))]
+    work = out / "maps.zarr" / ".2m.jaxurban-part"  # what the next run goes on with
+    assert not [path for path in out.rglob("*") if path.name.endswith(".jaxurban-part") and path != work]
     assert not (out / "run.json").exists()
-    kept = files_of(out)
+    kept = {name: data for name, data in files_of(out).items() if ".jaxurban-part" not in name}
     assert kept
     assert subprocess.run(command, stderr=subprocess.PIPE, timeout=200, check=False).returncode == 0
     finished = files_of(out)
     assert all(finished[name] == data for name, data in kept.items())
     assert (out / "run.json").exists()
+    assert not work.exists()

@@ -1,7 +1,9 @@
 """Jobs: what makes maps current, what is swept, what a full disk and a damaged folder do."""
 
-import errno
+import os
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +11,7 @@ import pytest
 import shapely
 
 import jaxurban as ju
-from jaxurban import pipeline
+from jaxurban import pipeline, record
 from jaxurban.city import Raster
 from jaxurban.errors import InputError
 from jaxurban.io import store
@@ -36,16 +38,16 @@ def job(finished, tmp_path) -> Path:
 
 def test_maps_of_other_code_are_not_current(job, monkeypatch):
     inputs: dict = {}
-    key = pipeline.run_key(Scenario.from_dict(SETTINGS), inputs)
+    key = record.run_key(Scenario.from_dict(SETTINGS), inputs)
     assert pipeline.stored_key(job, 20.0) == key
-    monkeypatch.setattr(pipeline, "code_hash", lambda: "other code")
-    assert pipeline.run_key(Scenario.from_dict(SETTINGS), inputs) != key
+    monkeypatch.setattr(record, "code_hash", lambda: "other code")
+    assert record.run_key(Scenario.from_dict(SETTINGS), inputs) != key
 
 
 def test_weights_and_planning_do_not_make_maps_stale():
-    key = pipeline.run_key(Scenario.from_dict(SETTINGS), {})
-    assert pipeline.run_key(Scenario.from_dict(SETTINGS | {"weights": {"gps": 3}}), {}) == key
-    assert pipeline.run_key(Scenario.from_dict(SETTINGS | {"gps": {"mask_deg": 6}}), {}) != key
+    key = record.run_key(Scenario.from_dict(SETTINGS), {})
+    assert record.run_key(Scenario.from_dict(SETTINGS | {"weights": {"gps": 3}}), {}) == key
+    assert record.run_key(Scenario.from_dict(SETTINGS | {"gps": {"mask_deg": 6}}), {}) != key
 
 
 def test_a_name_with_brackets_is_hashed_with_its_companions(tmp_path):
@@ -53,9 +55,9 @@ def test_a_name_with_brackets_is_hashed_with_its_companions(tmp_path):
     for suffix in (".shp", ".dbf"):
         shape.with_suffix(suffix).write_bytes(suffix.encode())
     scenario = Scenario.from_dict({"region": REGION, "buildings": {"source": str(shape)}})
-    first = pipeline.hash_inputs(scenario)["buildings"]["sha256"]
+    first = record.hash_inputs(scenario)["buildings"]["sha256"]
     shape.with_suffix(".dbf").write_bytes(b"changed")
-    assert pipeline.hash_inputs(scenario)["buildings"]["sha256"] != first
+    assert record.hash_inputs(scenario)["buildings"]["sha256"] != first
 
 
 def test_only_our_own_scraps_are_swept(tmp_path):
@@ -76,14 +78,19 @@ def test_a_folder_in_the_way_of_a_file_is_kept(tmp_path, capsys):
     assert (tmp_path / "run.json" / "letters").is_dir()
 
 
-def test_a_full_disk_is_one_sentence_and_leaves_nothing_half_written(tmp_path, monkeypatch):
-    def no_space(self, data):
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    monkeypatch.setattr(Path, "write_bytes", no_space)
-    with pytest.raises(InputError, match="No space left on device"):
-        pipeline.run_scenario(Scenario.from_dict(SETTINGS), tmp_path)
-    assert not list((tmp_path / "geotiff").iterdir())
+def test_a_disk_that_fills_up_is_one_sentence_and_leaves_nothing_half_written(tmp_path):
+    (tmp_path / "scenario.toml").write_text(Scenario.from_dict(SETTINGS).to_toml())
+    limited = (
+        "import resource, signal, sys; signal.signal(signal.SIGXFSZ, signal.SIG_IGN); "
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096)); from jaxurban.cli import main; main(sys.argv[1:])"
+    )
+    command = [sys.executable, "-c", limited, "maps", str(tmp_path / "scenario.toml"), "-o", str(tmp_path / "out")]
+    environment = os.environ | {"JAX_COMPILATION_CACHE_DIR": str(tmp_path / "cache")}
+    ended = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=200, check=False)
+    assert ended.returncode == 2, ended.stderr
+    assert "cannot write" in ended.stderr.splitlines()[-1]
+    assert "Traceback" not in ended.stderr
+    assert not (tmp_path / "out" / "run.json").exists()
 
 
 @pytest.mark.parametrize("damage", ["torn", "stray", "file"])

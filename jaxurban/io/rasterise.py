@@ -1,6 +1,9 @@
 """City to Surface: outlines burnt into cells, rasters brought onto the grid."""
 
 import math
+import threading
+from collections.abc import Iterable
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -16,6 +19,7 @@ from jaxurban.surface import Surface
 
 NO_BLOCK = -1
 UNKNOWN_GROUND_M = -500.0  # below all real ground: what stands where the terrain is unknown shadows nothing
+_BURNING = threading.Lock()  # rasterio silences a warning meanwhile, which threads may not do at the same time
 Margins = tuple[float, float, float, float]  # west, south, east, north, metres
 
 
@@ -33,7 +37,9 @@ def burn(polygons: np.ndarray, values: np.ndarray, grid: Grid, fill: float, dtyp
     Returns:
       ``[Y, X]`` array of ``dtype``, row 0 in the south.
     """
-    near = np.flatnonzero(shapely.intersects(polygons, shapely.box(*grid.bounds_m)))
+    x_min, y_min, x_max, y_max = grid.bounds_m
+    west, south, east, north = shapely.bounds(polygons).T
+    near = np.flatnonzero((west <= x_max) & (east >= x_min) & (south <= y_max) & (north >= y_min))
     if near.size == 0:
         return np.full(grid.shape, fill, dtype)
     near = near[np.argsort(values[near], kind="stable")]  # later ones win, so the highest comes last
@@ -49,7 +55,10 @@ def burn(polygons: np.ndarray, values: np.ndarray, grid: Grid, fill: float, dtyp
     shapes = list(zip(in_cells, values[near].tolist(), strict=True))
     if not shapes:
         return np.full(grid.shape, fill, dtype)
-    return rasterize(shapes, grid.shape, fill=fill, transform=Affine.identity(), all_touched=all_touched, dtype=dtype)
+    with _BURNING:
+        return rasterize(
+            shapes, grid.shape, fill=fill, transform=Affine.identity(), all_touched=all_touched, dtype=dtype
+        )
 
 
 def highest_top_m(city: City) -> float:
@@ -82,14 +91,16 @@ def surface_grid(city: City, region: Grid, always_m: float, toward_m: Margins) -
     return region.padded(*cells)
 
 
-def build_surface(city: City, region: Grid, grid: Grid, all_touched: bool = False) -> Surface:
-    """Return the city as rasters on ``grid``, of which ``region`` is the part that maps report.
+class Rasters(NamedTuple):
+    """A city on one grid, as `Surface` holds it, in host memory; ``has_data`` is None where data are everywhere."""
 
-    A roof covers the cells whose centre lies in its outline (``all_touched``: every cell it touches).
+    roof_m: np.ndarray
+    terrain_m: np.ndarray | None
+    has_data: np.ndarray | None
 
-    Raises:
-      InputError: the terrain or the height raster does not cover any of the region.
-    """
+
+def rasterise(city: City, grid: Grid, all_touched: bool = False) -> Rasters:
+    """Return roofs, terrain and where they are known. Every cell depends on its own place alone."""
     has_data = None
     if city.buildings is not None:
         roof_m = burn(city.buildings.polygons, city.buildings.height_m, grid, 0.0, "float32", all_touched)
@@ -104,15 +115,33 @@ def build_surface(city: City, region: Grid, grid: Grid, all_touched: bool = Fals
         known = np.isfinite(terrain_m)
         has_data = known if has_data is None else has_data & known
         terrain_m = np.where(known, terrain_m, UNKNOWN_GROUND_M).astype(np.float32)
-    if has_data is not None:
-        if not has_data[region.window_in(grid)].any():
-            raise InputError("the rasters hold no data in the region: check [region] bounds and the raster's CRS")
-        if has_data.all():
-            has_data = None
-    block = None
-    if city.blocks is not None:
-        numbers = np.arange(len(city.blocks))
-        block = burn(city.blocks.polygons, numbers, region, NO_BLOCK, "int32")
+    return Rasters(roof_m, terrain_m, None if has_data is None or has_data.all() else has_data)
+
+
+def rasterise_blocks(city: City, grid: Grid) -> np.ndarray | None:
+    """Return the index of the census block under each cell, `NO_BLOCK` without one; None without blocks."""
+    if city.blocks is None:
+        return None
+    return burn(city.blocks.polygons, np.arange(len(city.blocks)), grid, NO_BLOCK, "int32")
+
+
+def check_has_data(has_data: Iterable[np.ndarray | None]) -> None:
+    """Raise InputError unless a part of the region has data; stops at the first one."""
+    if not any(part is None or part.any() for part in has_data):
+        raise InputError("the rasters hold no data in the region: check [region] bounds and the raster's CRS")
+
+
+def build_surface(city: City, region: Grid, grid: Grid, all_touched: bool = False) -> Surface:
+    """Return the city as rasters on ``grid``, of which ``region`` is the part that maps report.
+
+    A roof covers the cells whose centre lies in its outline (``all_touched``: every cell it touches).
+
+    Raises:
+      InputError: the terrain or the height raster does not cover any of the region.
+    """
+    roof_m, terrain_m, has_data = rasterise(city, grid, all_touched)
+    check_has_data([None if has_data is None else has_data[region.window_in(grid)]])
+    block = rasterise_blocks(city, region)
     return Surface(
         roof_m=jnp.asarray(roof_m),
         terrain_m=None if terrain_m is None else jnp.asarray(terrain_m),

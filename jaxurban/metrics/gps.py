@@ -1,9 +1,11 @@
 """GPS: how well the satellites seen from each cell fix a position."""
 
 import math
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import Literal
 
 import jax
 import jax.numpy as jnp
@@ -12,14 +14,27 @@ from jax import lax
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, UInt, UInt8
 
-from jaxurban.errors import InputError
+from jaxurban.errors import InputError, nearest_name
 from jaxurban.kernels.dop import Geometry, dops_of_words, geometry, unit_vectors
-from jaxurban.kernels.occlusion import EAST, NORTH, SOUTH, WEST, WORD_BITS, digital_line, mark_visible
+from jaxurban.kernels.occlusion import (
+    EAST,
+    NORTH,
+    SOUTH,
+    WEST,
+    WORD_BITS,
+    Ring,
+    digital_line,
+    mark_visible,
+    mark_visible_within,
+)
 from jaxurban.metrics.obstacle import obstacle_mask
 from jaxurban.surface import Surface
 
 SATELLITES_STEP = 8  # the DOP program is compiled for 8, 16, 24 ... satellites
 BLOCK_CELLS = 2**14  # cells whose DOPs are made at once: what they need in between fits a core's cache
+TABLE_SATELLITES = 16  # up to here the maps of all subsets are made once and looked up
+MAX_STORED_EPOCHS = 24  # a longer series keeps statistics over time instead of every epoch's maps
+SERIES = ("auto", "epochs", "statistics")
 RATING_UPPER_GDOP = (1.0, 4.0, 6.0, 8.0, 20.0)  # the paper's table of DOP ratings, Poor above the last
 
 
@@ -40,19 +55,39 @@ class GpsParams:
 
     Attributes:
       gdop_threshold: GDOP at and above which m is 0, > 1.
+      series: what is kept of several epochs: every one of them (``"epochs"``), statistics over time
+        (``"statistics"``, see `jaxurban.metrics.availability`), or statistics above `MAX_STORED_EPOCHS`
+        (``"auto"``).
+      availability_threshold: m above which a position counts as available, in [0, 1).
+
+    Raises:
+      InputError: a value that is none of these.
     """
 
     gdop_threshold: float = 20.0
+    series: Literal["auto", "epochs", "statistics"] = "auto"
+    availability_threshold: float = 0.5
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.gdop_threshold) and self.gdop_threshold > 1):
             raise InputError(f"gdop_threshold must be a number above 1 (such as 20), got {self.gdop_threshold}")
+        if self.series not in SERIES:
+            hint = nearest_name(str(self.series), SERIES)
+            raise InputError(f"gps series must be one of {', '.join(SERIES)}, got {self.series!r}{hint}")
+        if not 0 <= self.availability_threshold < 1:
+            raise InputError(
+                f"availability_threshold must be a value of m from 0 to below 1, got {self.availability_threshold}"
+            )
+
+    def keeps_epochs(self, num_epochs: int) -> bool:
+        """Return whether the maps of every epoch are kept, not statistics over them."""
+        return self.series == "epochs" or (self.series == "auto" and num_epochs <= MAX_STORED_EPOCHS)
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class GpsMaps:
-    """GPS maps of one epoch. ``A`` altitudes, ``y, x`` cells of the region, row 0 in the south.
+    """GPS maps of one epoch. ``C`` stands for any axes of cells.
 
     Inside obstacles m and num_visible are 0 and the DOPs inf.
 
@@ -63,13 +98,13 @@ class GpsMaps:
       num_visible: satellites seen.
     """
 
-    m: Float[Array, "A y x"]
-    gdop: Float[Array, "A y x"]
-    pdop: Float[Array, "A y x"]
-    hdop: Float[Array, "A y x"]
-    vdop: Float[Array, "A y x"]
-    tdop: Float[Array, "A y x"]
-    num_visible: UInt8[Array, "A y x"]
+    m: Float[Array, "*C"]
+    gdop: Float[Array, "*C"]
+    pdop: Float[Array, "*C"]
+    hdop: Float[Array, "*C"]
+    vdop: Float[Array, "*C"]
+    tdop: Float[Array, "*C"]
+    num_visible: UInt8[Array, "*C"]
 
 
 def gps_metric(gdop: Float[Array, "*C"], gdop_threshold: float | Array) -> Float[Array, "*C"]:
@@ -118,7 +153,11 @@ def shadow_reach_m(
 
 
 def visibility(
-    surface: Surface, azimuth_rad: ArrayLike, elevation_rad: ArrayLike, altitudes_m: ArrayLike
+    surface: Surface,
+    azimuth_rad: ArrayLike,
+    elevation_rad: ArrayLike,
+    altitudes_m: ArrayLike | Sequence[float],
+    rings: Sequence[Ring] | None = None,
 ) -> UInt[Array, "W A y x"]:
     """Return which satellites are seen from each cell's centre, as bits.
 
@@ -131,6 +170,8 @@ def visibility(
       azimuth_rad: ``[S]`` clockwise from grid north.
       elevation_rad: ``[S]`` above the horizon.
       altitudes_m: ``[A]`` heights above the ground.
+      rings: ``[S]`` what the grids around the region hand on, by satellite; the surface's own margin is
+        not looked at then.
 
     Raises:
       InputError: a satellite below the horizon.
@@ -141,10 +182,12 @@ def visibility(
             f"elevation_rad holds a satellite {-math.degrees(elevation.min()):.1f} degrees below the horizon: "
             "give those at or above the elevation mask only"
         )
-    grid, region = surface.grid, surface.region
+    region = surface.region
     rows, cols = surface.window
+    grid, top_m = surface.grid, surface.top_m
+    if rings is not None:
+        grid, top_m = region.padded(1, 1, 1, 1), surface.crop(top_m)
     altitudes = jnp.asarray(altitudes_m, surface.roof_m.dtype)
-    top_m = surface.top_m
     ground_m = None if surface.terrain_m is None else surface.crop(surface.terrain_m)
     num_words = max(1, -(-len(azimuth) // WORD_BITS))
     lines = [
@@ -152,6 +195,10 @@ def visibility(
         for angles in zip(azimuth, elevation, strict=True)
     ]
     words = jnp.zeros((num_words, *altitudes.shape, *region.shape), jnp.uint32)
+    if rings is not None:
+        for s, (line, ring) in enumerate(zip(lines, rings, strict=True)):
+            words = mark_visible_within(words, top_m, ground_m, altitudes, line, s, ring)
+        return words
     has_x64 = jnp.result_type(float) == jnp.float64
 
     def mark_all(headings: tuple[int, int], words: Array, top_m: Array, ground_m: Array | None, cell: tuple) -> Array:
@@ -170,17 +217,12 @@ def visibility(
 
 
 @jax.jit
-def _maps(
-    words: UInt[Array, "W A y x"],
-    is_obstacle: Bool[Array, "A y x"],
-    satellites: Geometry,
-    gdop_threshold: float | Array,
-) -> GpsMaps:
-    """Return the maps of the satellites seen from free cells, made block by block of cells."""
-    shape = is_obstacle.shape
-    num = max(is_obstacle.size, BLOCK_CELLS)
-    flat = jnp.where(is_obstacle, jnp.uint32(0), words).reshape(len(words), -1)
-    flat = jnp.pad(flat, ((0, 0), (0, num - is_obstacle.size)))  # less than a block becomes one
+def _computed(words: UInt[Array, "W ..."], satellites: Geometry, gdop_threshold: float | Array) -> GpsMaps:
+    """Return the maps of the satellites seen, made block by block of cells."""
+    shape = words.shape[1:]
+    size = math.prod(shape)
+    num = max(size, BLOCK_CELLS)
+    flat = jnp.pad(words.reshape(len(words), -1), ((0, 0), (0, num - size)))  # less than a block becomes one
 
     def fill(block: Array, maps: list[Array]) -> list[Array]:
         start = jnp.minimum(block * BLOCK_CELLS, num - BLOCK_CELLS)  # the last block laps over the one before
@@ -192,8 +234,54 @@ def _maps(
 
     empty = [*[jnp.zeros(num, satellites.basis.dtype)] * 6, jnp.zeros(num, jnp.uint8)]
     maps = lax.fori_loop(0, -(-num // BLOCK_CELLS), fill, empty)
-    m, gdop, pdop, hdop, vdop, tdop, num_visible = (values[: is_obstacle.size].reshape(shape) for values in maps)
-    return GpsMaps(m, gdop, pdop, hdop, vdop, tdop, num_visible)
+    return GpsMaps(*(values[:size].reshape(shape) for values in maps))
+
+
+@dataclass(frozen=True)
+class Epoch:
+    """The satellites of one epoch, made ready to turn visibility words into maps.
+
+    Attributes:
+      satellites: their geometry.
+      table: the maps of every subset of up to `TABLE_SATELLITES` satellites, by its word: a city has
+        far more cells than subsets. None for more satellites.
+      gdop_threshold: of the metric.
+    """
+
+    satellites: Geometry
+    table: GpsMaps | None
+    gdop_threshold: float
+
+    @classmethod
+    def of(cls, azimuth_rad: ArrayLike, elevation_rad: ArrayLike, params: GpsParams) -> "Epoch":
+        """Return the epoch of satellites at ``[S]`` azimuths and elevations."""
+        directions = unit_vectors(azimuth_rad, elevation_rad)
+        satellites = geometry(directions, multiple_of=SATELLITES_STEP)
+        table = None
+        if len(directions) <= TABLE_SATELLITES:
+            num = max(BLOCK_CELLS, 2 ** len(directions))
+            subsets = jnp.arange(num, dtype=jnp.uint32)[None]
+            table = _computed(subsets, satellites, params.gdop_threshold)
+        return cls(satellites, table, params.gdop_threshold)
+
+    def maps(self, words: UInt[Array, "W ..."], is_obstacle: Bool[Array, "..."]) -> GpsMaps:
+        """Return the maps of the satellites seen; inside obstacles none is."""
+        words = jnp.where(is_obstacle, jnp.uint32(0), words)
+        if self.table is None:
+            return _computed(words, self.satellites, self.gdop_threshold)
+        return _looked_up(self.table, words[0])
+
+    def m(self, words: UInt[Array, "W ..."], is_obstacle: Bool[Array, "..."]) -> Float[Array, "*C"]:
+        """Return the metric alone."""
+        if self.table is None:
+            return self.maps(words, is_obstacle).m
+        return _looked_up(self.table.m, jnp.where(is_obstacle, jnp.uint32(0), words[0]))
+
+
+@jax.jit
+def _looked_up(table, index: UInt[Array, "..."]):
+    """Return the entries of a table (or of each of a tree of tables) at ``index``."""
+    return jax.tree.map(lambda values: values[index], table)
 
 
 def compute_gps(
@@ -203,7 +291,7 @@ def compute_gps(
     altitudes_m: ArrayLike,
     params: GpsParams | None = None,
 ) -> GpsMaps:
-    """Return the GPS maps of the region at every altitude, for one epoch.
+    """Return the GPS maps of the region at every altitude, for one epoch, ``[A, y, x]``.
 
     Without satellites m is 0 everywhere. The hard maps have zero derivative in heights.
 
@@ -217,9 +305,6 @@ def compute_gps(
     Raises:
       InputError: a satellite below the horizon.
     """
-    params = params or GpsParams()
     words = visibility(surface, azimuth_rad, elevation_rad, altitudes_m)
-    altitudes = jnp.asarray(altitudes_m, surface.roof_m.dtype)
-    is_obstacle = obstacle_mask(surface.crop(surface.roof_m), altitudes)
-    satellites = geometry(unit_vectors(azimuth_rad, elevation_rad), multiple_of=SATELLITES_STEP)
-    return _maps(words, is_obstacle, satellites, params.gdop_threshold)
+    is_obstacle = obstacle_mask(surface.crop(surface.roof_m), jnp.asarray(altitudes_m, surface.roof_m.dtype))
+    return Epoch.of(azimuth_rad, elevation_rad, params or GpsParams()).maps(words, is_obstacle)

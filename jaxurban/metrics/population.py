@@ -61,6 +61,20 @@ class PopulationParams:
                 raise InputError(f"{name} must be 24 shares in [0, 1], one an hour from 0 to 23, got {shares}")
 
 
+class BlockLayers(NamedTuple):
+    """Population of every block. ``T`` times of day, ``N`` blocks.
+
+    Attributes:
+      m: ``[T, N]`` float32 metric in [0, 1].
+      density_per_km2: ``[T, N]`` float32 people per km2.
+      norm_per_km2: ``[T]`` float32 value at which m is 1 (people per block under ``quantity="count"``).
+    """
+
+    m: jax.Array
+    density_per_km2: jax.Array
+    norm_per_km2: jax.Array
+
+
 class PopulationMaps(NamedTuple):
     """Population over a region. ``T`` times of day, ``y, x`` cells; cells without a block hold 0.
 
@@ -181,6 +195,30 @@ def map_blocks(block: Int[Array, "y x"], values: Float[Array, "*T N"]) -> Float[
     return padded[..., block]  # -1 is the last entry, the 0 added here
 
 
+def block_layers(
+    blocks: Blocks,
+    times_of_day: Sequence[str] = ("day", "night"),
+    params: PopulationParams | None = None,
+    bounds_m: Bounds | None = None,
+) -> BlockLayers:
+    """Return the metric and the density of every block at each time of day; arguments as in `population_maps`."""
+    params = params or PopulationParams()
+    gammas = params.gamma_commercial, params.gamma_residential
+    in_region = slice(None) if bounds_m is None else blocks.touches(bounds_m)
+    night_count, area_m2 = (jnp.asarray(values, jnp.float32) for values in (blocks.night_count, blocks.area_m2))
+    zoning = jnp.asarray(blocks.zoning)
+    layers = []
+    for time_of_day in times_of_day:
+        share = day_share(time_of_day, params)
+        density_per_km2 = block_density_per_km2(night_count, area_m2, zoning, share, *gammas)
+        values = density_per_km2
+        if params.quantity == "count":
+            values = block_people(night_count, zoning, share, *gammas)
+        norm = normaliser(values[in_region], params.normalise)
+        layers.append((block_metric(values, norm), density_per_km2, norm))
+    return BlockLayers(*(jnp.stack(layer) for layer in zip(*layers, strict=True)))
+
+
 def population_maps(
     block: Int[Array, "y x"],
     blocks: Blocks,
@@ -200,21 +238,7 @@ def population_maps(
     Raises:
       InputError: no such time of day.
     """
-    params = params or PopulationParams()
-    gammas = params.gamma_commercial, params.gamma_residential
-    in_region = slice(None) if bounds_m is None else blocks.touches(bounds_m)
-    night_count, area_m2 = (jnp.asarray(values, jnp.float32) for values in (blocks.night_count, blocks.area_m2))
-    zoning = jnp.asarray(blocks.zoning)
-    layers = []
-    for time_of_day in times_of_day:
-        share = day_share(time_of_day, params)
-        density_per_km2 = block_density_per_km2(night_count, area_m2, zoning, share, *gammas)
-        values = density_per_km2
-        if params.quantity == "count":
-            values = block_people(night_count, zoning, share, *gammas)
-        norm = normaliser(values[in_region], params.normalise)
-        layers.append((block_metric(values, norm), density_per_km2, norm))
-    m, density_per_km2, norm = (jnp.stack(layer) for layer in zip(*layers, strict=True))
+    m, density_per_km2, norm = block_layers(blocks, times_of_day, params, bounds_m)
     return PopulationMaps(map_blocks(block, m), map_blocks(block, density_per_km2), norm)
 
 

@@ -41,12 +41,13 @@ def save_figures(maps: MetricMaps, paths: Mapping[float, Sequence[PlannedPath]],
         "heights": lambda: plot_heights(maps),
         "obstacle": lambda: plot_obstacles(maps),
         "gps": lambda: plot_metric(maps, "gps"),
-        "gps_rating": lambda: plot_gps_rating(maps),
         "lidar": lambda: plot_metric(maps, "lidar"),
         "sensor_choice": lambda: plot_sensor_choice(maps),
         "risk": lambda: plot_metric(maps, "risk"),
         "paths": lambda: plot_paths(maps, paths),
     }
+    if "gdop" in maps.ds:  # statistics over a long series hold none
+        figures["gps_rating"] = lambda: plot_gps_rating(maps)
     if "density" in maps.ds:
         figures["population"] = lambda: plot_population(maps)
     files = []

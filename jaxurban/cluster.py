@@ -1,0 +1,154 @@
+"""Who works on the tiles: threads of this process, processes of this machine, or a Dask cluster."""
+
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import lru_cache, partial
+from pathlib import Path
+from typing import Any
+
+import dask
+import jax
+from dask.callbacks import Callback
+from dask.delayed import Delayed, delayed
+
+from jaxurban.errors import InputError
+from jaxurban.io.workfolder import load_job
+from jaxurban.tiled import TileJob, finish_tile, raster_tile, sweep_tile
+from jaxurban.tiles import QUADRANTS, Quadrant, Tile
+
+RETRIES = 3  # of a task whose worker was killed
+Tell = Callable[[Any], None]
+
+
+def tile_graph(job: TileJob, call: Callable[..., Any]) -> list[Delayed]:
+    """Return the tasks of a job, each with those it stands on.
+
+    A tile's maps need the rasters around it and the shadows that its neighbours hand on; shadows run from
+    tile to tile, away from the satellites of each quadrant.
+
+    Args:
+      job: the job.
+      call: calls ``raster_tile``, ``sweep_tile`` or ``finish_tile`` with the job and further arguments.
+    """
+    tiling = job.tiling
+    rasters: dict[Tile, Delayed] = {}
+    sweeps: dict[tuple[Tile, Quadrant], Delayed] = {}
+
+    def task(function: Callable, name: str, *arguments: Any, after: list[Delayed]) -> Delayed:
+        key = f"{function.__name__}-{name}"
+        return delayed(partial(_after, call, function, arguments), pure=False)(after, dask_key_name=key)
+
+    for tile in tiling.tiles:
+        rasters[tile] = task(raster_tile, f"{tile}", tile, after=[])
+
+    def sweep(tile: Tile, quadrant: Quadrant) -> list[Delayed]:
+        """Return the task, if there is one, made after those upstream."""
+        return [sweeps[tile, quadrant]] if (tile, quadrant) in sweeps else []
+
+    for quadrant in QUADRANTS:
+        for tile in sorted(tiling.tiles, key=lambda tile: -tile[0] * quadrant[0] - tile[1] * quadrant[1]):
+            if job.hands_on(tile, quadrant):
+                before = [each for near in tiling.upstream(tile, quadrant) for each in sweep(near, quadrant)]
+                sweeps[tile, quadrant] = task(
+                    sweep_tile, f"{tile}-{quadrant}", tile, quadrant, after=[rasters[tile], *before]
+                )
+    finished = []
+    for tile in tiling.region_tiles:
+        around = [rasters[near] for near in tiling.touching(job.haloed(tile))]
+        shadows = [each for q in QUADRANTS for near in tiling.upstream(tile, q) for each in sweep(near, q)]
+        finished.append(task(finish_tile, f"{tile}", tile, after=[*around, *shadows]))
+    return [*rasters.values(), *sweeps.values(), *finished]
+
+
+def _after(call: Callable, function: Callable, arguments: tuple, before: list[Any]) -> Any:
+    """Return what a task makes; the results of those ``before`` it are awaited, not used."""
+    return call(function, *arguments)
+
+
+def _call_in_worker(path: Path, function: Callable, *arguments: Any) -> Any:
+    return function(_job_in(path), *arguments)
+
+
+@lru_cache(maxsize=1)
+def _job_in(path: Path) -> TileJob:
+    return load_job(path)
+
+
+def work_in_threads(job: TileJob, num_threads: int, on_result: Tell) -> None:
+    """Do a job in threads of this process; ``on_result`` is told every task's result."""
+
+    class Listener(Callback):
+        def _posttask(self, key, result, dsk, state, worker_id):
+            on_result(result)
+
+    with Listener():
+        dask.compute(*tile_graph(job, partial(_call, job)), scheduler="threads", num_workers=num_threads)
+
+
+def _call(job: TileJob, function: Callable, *arguments: Any) -> Any:
+    return function(job, *arguments)
+
+
+def work_on_cluster(job: TileJob, client: Any, on_result: Tell) -> None:
+    """Do a job on a Dask cluster whose workers see the work folder under the same path.
+
+    Dask starts what a killed worker held again on another one.
+
+    Raises:
+      InputError: workers are killed again and again on the same tile.
+    """
+    from distributed import KilledWorker, as_completed
+
+    path = job.work.save_job(job)
+    futures = client.compute(tile_graph(job, partial(_call_in_worker, path.resolve())), retries=RETRIES)
+    try:
+        for future in as_completed(futures):
+            on_result(future.result())
+            future.release()
+    except KilledWorker as error:
+        raise InputError(
+            "worker processes were killed again and again on the same tile, most likely for lack of memory: use fewer "
+            "--workers or a larger machine; finished tiles are kept"
+        ) from error
+
+
+@contextmanager
+def cluster_client(address: str | None, num_workers: int | None) -> Iterator[Any]:
+    """Yield a client of the Dask scheduler at an address, or of a new local cluster of processes.
+
+    Raises:
+      InputError: ``distributed`` is not installed, or no scheduler answers.
+    """
+    try:
+        from distributed import Client, LocalCluster
+    except ImportError as error:
+        raise InputError(
+            "--cluster and --workers need Dask's distributed scheduler, which is not installed: "
+            "pip install 'jaxurban[cluster]', or leave them out to work in threads"
+        ) from error
+    if address is not None:
+        try:
+            client = Client(address, timeout=10)
+        except (OSError, ValueError, TimeoutError) as error:
+            raise InputError(f"no Dask scheduler answers at --cluster {address!r}: {error}") from error
+        with client:
+            yield client
+        return
+    # Compiled programs are kept where this process keeps them.
+    cache = jax.config.values.get("jax_compilation_cache_dir")
+    environment = {"JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0"}
+    if cache:
+        environment["JAX_COMPILATION_CACHE_DIR"] = str(cache)
+    with (
+        LocalCluster(
+            n_workers=num_workers,
+            threads_per_worker=1,
+            processes=True,
+            memory_limit=0,
+            dashboard_address=None,
+            env={**environment, "PYTHONPATH": os.environ.get("PYTHONPATH", "")},
+        ) as cluster,
+        Client(cluster) as client,
+    ):
+        yield client

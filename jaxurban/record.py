@@ -1,0 +1,217 @@
+"""run.json: what went into a run's maps, what was met on the way, and how long each stage took."""
+
+import glob
+import hashlib
+import importlib.metadata
+import json
+import warnings
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+import pyproj
+import rasterio
+import shapely
+
+from jaxurban.city import City
+from jaxurban.errors import InputError
+from jaxurban.grid import Grid
+from jaxurban.io.rasterise import highest_top_m
+from jaxurban.io.store import short_number
+from jaxurban.metrics.population import PopulationParams, population_totals
+from jaxurban.scenario import NOMINAL, Scenario
+from jaxurban.sky import Sky
+
+OUTSIDE_TOLERANCE = 0.01  # a box in degrees and its projection differ by less
+COMPANIED_SUFFIXES = (".shp", ".tif", ".tiff", ".asc", ".img", ".vrt")
+REPORTED_VERSIONS = (
+    "jaxurban",
+    "jax",
+    "jaxlib",
+    "numpy",
+    "osmium",
+    "pyproj",
+    "rasterio",
+    "shapely",
+    "skyfield",
+    "xarray",
+    "zarr",
+)
+
+
+def run_record(
+    scenario: Scenario,
+    city: City,
+    grids: Sequence[Grid],
+    sky: Sky,
+    population: PopulationParams,
+    inputs: Mapping[str, Mapping[str, str]],
+    key: str,
+    elapsed_s: Mapping[str, float],
+    started_utc: str,
+    messages: Sequence[str],
+) -> dict[str, Any]:
+    """Return what run.json holds; the arguments are what `run_scenario` worked with."""
+    region = grids[0]
+    people = None if city.blocks is None else population_totals(city.blocks, population, region.bounds_m)
+    return {
+        "started_utc": started_utc,
+        "elapsed_s": {name: round(seconds, 3) for name, seconds in elapsed_s.items()},
+        "run_key": key,
+        "versions": versions(),
+        "settings": json.loads(scenario.model_dump_json(exclude_none=True)),
+        "inputs": inputs,
+        "region": _region_record(grids),
+        "buildings": _building_record(city, region),
+        "epochs": list(sky.times),
+        "satellites": _satellite_record(sky),
+        "rays_leave_data_share": {
+            short_number(z): round(rays_leaving_share(city, region, sky, z, scenario.gps.mask_deg), 4)
+            for z in scenario.region.altitudes_m
+        },
+        "population": people,
+        "warnings": list(dict.fromkeys(messages)),
+    }
+
+
+def hash_inputs(scenario: Scenario) -> dict[str, dict[str, str]]:
+    """Return path and SHA-256 of every file that a scenario names (a Shapefile with its companions).
+
+    Raises:
+      InputError: a file that is missing or cannot be read.
+    """
+    people = scenario.population
+    named = {
+        "buildings": None if scenario.is_synthetic else scenario.buildings.source,
+        "terrain": scenario.terrain.source,
+        "orbits": None if scenario.gps.orbits == NOMINAL else scenario.gps.orbits,
+        "blocks": people.blocks,
+        "table": people.table,
+        "districts": people.districts,
+    }
+    return {
+        role: {"path": name, "sha256": _sha256(scenario.path_of(name), role)}
+        for role, name in named.items()
+        if name is not None
+    }
+
+
+def _sha256(path: Path, role: str) -> str:
+    digest = hashlib.sha256()
+    try:
+        for part in _companions(path):
+            digest.update(f"{part.name} {part.stat().st_size}\n".encode())
+            with part.open("rb") as file:
+                while chunk := file.read(1 << 20):
+                    digest.update(chunk)
+    except OSError as error:
+        raise InputError(f"cannot read the {role} file {str(path)!r}: {error.strerror or error}") from error
+    return digest.hexdigest()
+
+
+def _companions(path: Path) -> list[Path]:
+    """Return a file and those that belong to it (.dbf of a Shapefile, .tfw or .aux.xml of a raster), sorted."""
+    if not path.is_file() or path.suffix.lower() not in COMPANIED_SUFFIXES:
+        return [path]
+    names = (f"{glob.escape(path.stem)}.*", f"{glob.escape(path.name)}.*")
+    return sorted({path, *(part for name in names for part in path.parent.glob(name) if part.is_file())})
+
+
+def code_hash() -> str:
+    """Return a SHA-256 over this package's source files, so that maps of other code are not taken for ours."""
+    digest = hashlib.sha256()
+    package = Path(__file__).parent
+    for folder in (package, package / "kernels", package / "planners", package / "io", package / "metrics"):
+        for path in sorted(folder.glob("*.py")):
+            digest.update(path.name.encode() + path.read_bytes())
+    return digest.hexdigest()
+
+
+def run_key(scenario: Scenario, inputs: dict[str, dict[str, str]]) -> str:
+    """Return a short hash of everything the maps depend on: settings, input bytes, our code, the libraries."""
+    settings = scenario.model_dump(mode="json", exclude={"weights", "planning", "study"})
+    facts = {
+        "settings": settings,
+        "inputs": inputs,
+        "code": code_hash(),
+        "versions": versions(),
+        "backend": jax.default_backend(),
+    }
+    return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()[:16]
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of the packages that the maps depend on."""
+    return {name: importlib.metadata.version(name) for name in REPORTED_VERSIONS} | {
+        "GDAL": rasterio.__gdal_version__,
+        "GEOS": shapely.geos_version_string,
+        "PROJ": pyproj.proj_version_str,
+    }
+
+
+def rays_leaving_share(city: City, region: Grid, sky: Sky, altitude_m: float, mask_deg: float) -> float:
+    """Return the share of cells with a ray that leaves the data while a roof could still block it."""
+    x_min, y_min, x_max, y_max = city.known_extent_m
+    climb_m = max(highest_top_m(city) - altitude_m, 0.0)
+    above = sky.elevation_rad >= np.radians(mask_deg)
+    # A ray leaves sideways or lengthways, by a run that is the same for all cells: the extremes decide.
+    run_m = climb_m / np.tan(sky.elevation_rad[above])
+    east_m, north_m = run_m * np.sin(sky.azimuth_rad[above]), run_m * np.cos(sky.azimuth_rad[above])
+    col_leaves = (region.x_m + east_m.min() < x_min) | (region.x_m + east_m.max() > x_max)
+    row_leaves = (region.y_m + north_m.min() < y_min) | (region.y_m + north_m.max() > y_max)
+    return float(1.0 - (1.0 - row_leaves.mean()) * (1.0 - col_leaves.mean()))
+
+
+def outside_share(city: City, region: Grid) -> float:
+    """Return the share of the region that lies beyond what the building source covers."""
+    covered = shapely.intersection(shapely.box(*region.bounds_m), shapely.box(*city.extent_m))
+    return 1.0 - float(covered.area) / float(shapely.box(*region.bounds_m).area)
+
+
+def warn_of_unknown_ground(city: City, region: Grid) -> None:
+    """Warn where the region reaches beyond what the building source covers."""
+    if (outside := outside_share(city, region)) > OUTSIDE_TOLERANCE:
+        warnings.warn(
+            f"{outside:.0%} of the region lies beyond what the building source covers and is taken as free of "
+            "buildings: give a source that covers it, or a smaller region",
+            stacklevel=2,
+        )
+
+
+def _region_record(grids: Sequence[Grid]) -> dict[str, Any]:
+    first = grids[0]
+    return {
+        "crs": first.crs,
+        "bounds_m": list(first.bounds_m),
+        "cells": {short_number(g.resolution_m): list(g.shape) for g in grids},
+    }
+
+
+def _building_record(city: City, region: Grid) -> dict[str, Any]:
+    record: dict[str, Any] = {"faults": dict(city.faults), "source_counts": dict(city.counts)}
+    if city.buildings is not None:
+        inside = city.buildings.take(shapely.intersects(city.buildings.polygons, shapely.box(*region.bounds_m)))
+        counts = inside.origin_counts()
+        record |= {
+            "in_region": len(inside),
+            "height_origin_counts": counts,
+            "height_origin_shares": {name: round(n / max(len(inside), 1), 4) for name, n in counts.items()},
+            "highest_m": float(inside.height_m.max(initial=0.0)),
+            "hanging_parts": int((inside.min_height_m > 0).sum()),
+        }
+    return record
+
+
+def _satellite_record(sky: Sky) -> list[dict[str, Any]]:
+    return [
+        {
+            "name": name,
+            "system": system,
+            "azimuth_grid_deg": np.degrees(sky.azimuth_rad[:, i]).round(3).tolist(),
+            "elevation_deg": np.degrees(sky.elevation_rad[:, i]).round(3).tolist(),
+            "element_age_days": sky.element_age_days[:, i].round(3).tolist(),
+        }
+        for i, (name, system) in enumerate(zip(sky.names, sky.systems, strict=True))
+    ]
