@@ -17,13 +17,21 @@ from jaxurban.io.rasterise import build_surface, highest_top_m, surface_grid
 from jaxurban.maps import MetricMaps
 from jaxurban.metrics import lidar as lidar_metric
 from jaxurban.metrics import risk as risk_metric
-from jaxurban.metrics.gps import GpsParams, compute_gps, shadow_reach_m
+from jaxurban.metrics.gps import GpsParams, compute_gps, gps_of_words, shadow_reach_m
 from jaxurban.metrics.lidar import LidarParams, compute_lidar
 from jaxurban.metrics.obstacle import obstacle_mask
 from jaxurban.metrics.population import PopulationParams, population_maps
 from jaxurban.metrics.risk import RiskParams, compute_risk
+from jaxurban.oversample import (
+    build_fine_surface,
+    compute_gps_bounds,
+    lidar_at_centres,
+    plain_bands,
+    visibility_at_centres,
+)
 from jaxurban.sky import Sky
 from jaxurban.surface import Surface
+from jaxurban.uncertainty import HeightStd, metric_spread
 
 PAPER_ALTITUDES_M = (20.0, 60.0, 122.0, 600.0)
 PAPER_TIME = "2020-04-27T16:00:00Z"
@@ -60,7 +68,7 @@ def build_maps(
     grid: Grid | None = None,
     resolution_m: float = 5.0,
     altitudes_m: Sequence[float] = PAPER_ALTITUDES_M,
-    orbits: str | Path = "nominal",
+    orbits: str | Path | Sequence[str | Path] = "nominal",
     times: Sequence[str] = (PAPER_TIME,),
     mask_deg: float = 5.0,
     reference: tuple[float, float] | None = None,
@@ -71,6 +79,11 @@ def build_maps(
     population: PopulationParams | None = None,
     times_of_day: Sequence[str] = ("day", "night"),
     all_touched: bool = False,
+    oversample: int = 1,
+    gps_bounds: bool = False,
+    height_std: HeightStd | None = None,
+    height_samples: int = 0,
+    height_seed: int = 0,
     stage: Stage = untimed,
 ) -> MetricMaps:
     """Return the metric maps of a city.
@@ -81,7 +94,7 @@ def build_maps(
       grid: the region's grid, instead of bounds and resolution.
       resolution_m: side of a cell.
       altitudes_m: flight altitudes above ground.
-      orbits: ``"nominal"``, or a TLE or OMM file.
+      orbits: ``"nominal"``, a TLE or OMM file, or several of these (other constellations).
       times: UTC epochs, ISO 8601.
       mask_deg: elevation mask; lower satellites are not used.
       reference: longitude, latitude where look angles are taken; left out, the region's centre.
@@ -89,6 +102,11 @@ def build_maps(
       gps, lidar, risk, population: parameters of each metric.
       times_of_day: for population.
       all_touched: let a roof cover every cell it touches.
+      oversample: n: occlusion and lidar on a surface n times finer (odd is best).
+      gps_bounds: also make ``gps_lower`` and ``gps_upper``, which bracket the true m (n odd).
+      height_std: how well heights are known; left out, `HeightStd`'s defaults.
+      height_samples: also make the spread of the metrics over this many draws of heights; 0: not.
+      height_seed: of the draws.
       stage: called with each stage's name, gives the context that the stage runs in (timing, progress).
 
     Raises:
@@ -110,6 +128,12 @@ def build_maps(
         risk=risk,
         population=population,
         times_of_day=times_of_day,
+        all_touched=all_touched,
+        oversample=oversample,
+        gps_bounds=gps_bounds,
+        height_std=height_std,
+        height_samples=height_samples,
+        height_seed=height_seed,
         stage=stage,
     )
 
@@ -124,7 +148,7 @@ def _region(city: City, bounds: Sequence[float] | None, resolution_m: float) -> 
 
 def view_sky(
     region: Grid,
-    orbits: str | Path,
+    orbits: str | Path | Sequence[str | Path],
     times: Sequence[str],
     *,
     mask_deg: float,
@@ -191,6 +215,12 @@ def compute_maps(
     risk: RiskParams | None = None,
     population: PopulationParams | None = None,
     times_of_day: Sequence[str] = ("day", "night"),
+    all_touched: bool = False,
+    oversample: int = 1,
+    gps_bounds: bool = False,
+    height_std: HeightStd | None = None,
+    height_samples: int = 0,
+    height_seed: int = 0,
     stage: Stage = untimed,
 ) -> MetricMaps:
     """Return the metric maps of a surface under a sky; `build_maps` makes both from a city."""
@@ -202,16 +232,35 @@ def compute_maps(
 
     roof_m = surface.crop(surface.roof_m)
     with stage("obstacle"):
-        data["obstacle"] = (flown, np.asarray(obstacle_mask(roof_m, z_m)).astype(np.uint8))
+        is_obstacle = obstacle_mask(roof_m, z_m)
+        data["obstacle"] = (flown, np.asarray(is_obstacle).astype(np.uint8))
+    if oversample > 1:
+        with stage("surface"):
+            fine = build_fine_surface(city, region, surface.grid, oversample, all_touched)
     with stage("gps"):
+        bands = plain_bands(fine, oversample) if oversample > 1 else None
         epochs = []
-        for azimuth_rad, elevation_rad in zip(sky.azimuth_rad, sky.elevation_rad, strict=True):
-            above = elevation_rad >= np.radians(mask_deg)
-            epochs.append(compute_gps(surface, azimuth_rad[above], elevation_rad[above], z_m, gps or GpsParams()))
+        for azimuth_rad, elevation_rad in epochs_above(sky, mask_deg):
+            if bands is None:
+                epochs.append(compute_gps(surface, azimuth_rad, elevation_rad, z_m, gps))
+            else:
+                words = visibility_at_centres(bands, azimuth_rad, elevation_rad, z_m)
+                epochs.append(gps_of_words(words, is_obstacle, azimuth_rad, elevation_rad, gps))
         for name, field in (("gps", "m"), *((name, name) for name in DOP_VARIABLES)):
             data[name] = (("time", *flown), np.stack([np.asarray(getattr(maps, field)) for maps in epochs]))
+    if gps_bounds:
+        with stage("gps_bounds"):
+            bounds = compute_gps_bounds(
+                city, region, surface.grid, oversample, is_obstacle, epochs_above(sky, mask_deg), z_m, gps
+            )
+            data |= {name: (("time", *flown), values) for name, values in bounds.items()}
     with stage("lidar"):
-        data["lidar"] = (flown, np.asarray(compute_lidar(surface, z_m, lidar or LidarParams())))
+        params = lidar or LidarParams()
+        if oversample > 1:
+            scanned = lidar_at_centres(fine, oversample, is_obstacle, z_m, params)
+        else:
+            scanned = compute_lidar(surface, z_m, params)
+        data["lidar"] = (flown, np.asarray(scanned))
     with stage("risk"):
         data["risk"] = (flown, np.asarray(compute_risk(surface, z_m, risk or RiskParams())))
     attrs: dict[str, object] = {}
@@ -221,6 +270,24 @@ def compute_maps(
             data["population"] = (("time_of_day", "y", "x"), np.asarray(people.m))
             data["density"] = (("time_of_day", "y", "x"), np.asarray(people.density_per_km2))
         attrs["pop_norm_per_km2"] = [float(value) for value in people.norm_per_km2]
+    if height_samples:
+        with stage("height_spread"):
+            spread = metric_spread(
+                city,
+                region,
+                sky,
+                altitudes_m,
+                height_std=height_std,
+                mask_deg=mask_deg,
+                gps=gps,
+                lidar=lidar,
+                risk=risk,
+                all_touched=all_touched,
+                oversample=oversample,
+                num_samples=height_samples,
+                seed=height_seed,
+            )
+            data |= {str(name): (tuple(map(str, array.dims)), array.values) for name, array in spread.items()}
     data["roof"] = (("y", "x"), np.asarray(roof_m))
     if surface.terrain_m is not None:
         data["terrain"] = (("y", "x"), np.asarray(surface.crop(surface.terrain_m)))
@@ -250,12 +317,19 @@ def compute_maps(
             **attrs,
         },
     )
-    for name, (units, one_means) in UNITS.items():
-        if name in ds:
-            ds[name].attrs.update(
+    for variable in ds.data_vars:
+        if variable != "has_data":
+            units, one_means = UNITS.get(str(variable), ("1", ""))
+            ds[variable].attrs.update(
                 {"units": units, "grid_mapping": "spatial_ref", **({"one_means": one_means} if one_means else {})}
             )
     return MetricMaps(ds)
+
+
+def epochs_above(sky: Sky, mask_deg: float) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Return azimuths and elevations of the satellites at or above the mask, by epoch."""
+    above = sky.elevation_rad >= np.radians(mask_deg)
+    return [(a[up], e[up]) for a, e, up in zip(sky.azimuth_rad, sky.elevation_rad, above, strict=True)]
 
 
 def _without_data(name: str, values: np.ndarray, has_data: np.ndarray) -> np.ndarray:

@@ -32,6 +32,7 @@ from jaxurban.metrics.population import PopulationParams, population_totals
 from jaxurban.metrics.risk import RiskParams
 from jaxurban.scenario import NOMINAL, Scenario
 from jaxurban.sky import Sky
+from jaxurban.uncertainty import HeightStd
 
 RUN_FILE = "run.json"
 REPORTED_VERSIONS = (
@@ -149,6 +150,7 @@ def run_scenario(
         "region": _region_record(grids),
         "buildings": _building_record(city, grids[0]),
         "satellites": _satellite_record(sky),
+        "satellites_above_mask": sky.count_by_system(np.radians(scenario.gps.mask_deg)),
         "rays_leave_data_share": {
             store.short_number(z): round(rays_leaving_share(city, grids[0], sky, z, scenario.gps.mask_deg), 4)
             for z in scenario.region.altitudes_m
@@ -163,7 +165,7 @@ def run_scenario(
 
 def _sky(scenario: Scenario, grid: Grid) -> Sky:
     gps = scenario.gps
-    orbits = gps.orbits if gps.orbits == NOMINAL else scenario.path_of(gps.orbits)
+    orbits = [name if name == NOMINAL else scenario.path_of(name) for name in gps.orbits]
     return view_sky(
         grid,
         orbits,
@@ -215,6 +217,12 @@ def _compute(scenario: Scenario, city: City, grid: Grid, sky: Sky, watch: Stopwa
         risk=risk_params,
         population=population_params(scenario),
         times_of_day=scenario.population.time_of_day,
+        all_touched=scenario.buildings.all_touched,
+        oversample=region.oversample,
+        gps_bounds=scenario.gps.bounds,
+        height_std=HeightStd(**scenario.buildings.height_std_m.model_dump()),
+        height_samples=scenario.buildings.height_samples,
+        height_seed=scenario.buildings.height_seed,
         stage=watch.stage,
     )
 
@@ -240,7 +248,7 @@ def hash_inputs(scenario: Scenario) -> dict[str, dict[str, str]]:
     named = {
         "buildings": None if scenario.is_synthetic else scenario.buildings.source,
         "terrain": scenario.terrain.source,
-        "orbits": None if scenario.gps.orbits == NOMINAL else scenario.gps.orbits,
+        **_orbit_files(scenario),
         "blocks": people.blocks,
         "table": people.table,
         "districts": people.districts,
@@ -250,6 +258,12 @@ def hash_inputs(scenario: Scenario) -> dict[str, dict[str, str]]:
         for role, name in named.items()
         if name is not None
     }
+
+
+def _orbit_files(scenario: Scenario) -> dict[str, str]:
+    """Return the orbit files by role: ``orbits``, and ``orbits_2`` ... where there are several."""
+    files = [name for name in scenario.gps.orbits if name != NOMINAL]
+    return {"orbits" if i == 1 else f"orbits_{i}": name for i, name in enumerate(files, start=1)}
 
 
 def _sha256(path: Path, role: str) -> str:
@@ -353,6 +367,12 @@ def _building_record(city: City, region: Grid) -> dict[str, Any]:
             "height_origin_shares": {name: round(n / max(len(inside), 1), 4) for name, n in counts.items()},
             "highest_m": float(inside.height_m.max(initial=0.0)),
             "hanging_parts": int((inside.min_height_m > 0).sum()),
+        }
+    else:
+        assert city.roofs is not None
+        record |= {
+            "height_origin_shares": {"raster": 1.0},
+            "highest_m": float(np.nanmax(city.roofs.values, initial=0.0)),
         }
     return record
 

@@ -24,6 +24,7 @@ def _as_list(value: Any) -> Any:
     return value if isinstance(value, list | tuple) else [value]
 
 
+StrList = Annotated[tuple[str, ...], BeforeValidator(_as_list), Field(min_length=1)]
 PositiveList = Annotated[tuple[Positive, ...], BeforeValidator(_as_list), Field(min_length=1)]
 
 
@@ -38,6 +39,7 @@ class Region(_Section):
     crs: str | None = None
     resolution_m: PositiveList = (5.0,)
     altitudes_m: PositiveList = (20.0, 60.0, 122.0, 600.0)
+    oversample: PositiveInt = 1
 
     @model_validator(mode="after")
     def _check(self) -> "Region":
@@ -51,14 +53,32 @@ class Region(_Section):
         return self
 
 
+class HeightStdSettings(_Section):
+    """Standard deviation of heights by their origin, metres (`jaxurban.uncertainty.HeightStd` says why these)."""
+
+    height: NonNegative = 1.0
+    levels: NonNegative = 3.0
+    default: NonNegative = 5.0
+    raster: NonNegative = 1.0
+
+
 class BuildingSettings(_Section):
-    """Where buildings come from and what stands in for missing heights."""
+    """Where buildings come from, what stands in for missing heights, and how well heights are known."""
 
     source: str
     default_height_m: Positive = 10.0
     level_height_m: Positive = 3.0
     all_touched: bool = False
     allow_none: bool = False
+    height_std_m: HeightStdSettings = HeightStdSettings()
+    height_samples: Annotated[int, Field(ge=0)] = 0  # of the spread maps; 0: none are made
+    height_seed: int = 0
+
+    @model_validator(mode="after")
+    def _check(self) -> "BuildingSettings":
+        if self.height_samples == 1:
+            raise ValueError("height_samples is 1: a spread needs at least 2 samples (0 makes none)")
+        return self
 
 
 class TerrainSettings(_Section):
@@ -70,7 +90,7 @@ class TerrainSettings(_Section):
 class GpsSettings(_Section):
     """Satellites, epochs and the DOP threshold."""
 
-    orbits: str = NOMINAL
+    orbits: StrList = (NOMINAL,)
     times: tuple[datetime, ...] = (datetime(2020, 4, 27, 16, tzinfo=UTC),)
     start: datetime | None = None
     stop: datetime | None = None
@@ -79,6 +99,7 @@ class GpsSettings(_Section):
     gdop_threshold: Annotated[float, Field(gt=1, allow_inf_nan=False)] = 20.0
     max_age_days: Positive = 90.0
     reference: tuple[float, float] | None = None
+    bounds: bool = False  # also make gps_lower and gps_upper
 
     @model_validator(mode="after")
     def _check(self) -> "GpsSettings":
@@ -187,6 +208,12 @@ class Scenario(_Section):
     planning: PlanningSettings = PlanningSettings()
     study: StudySettings = StudySettings()
     _folder: Path = PrivateAttr(default=Path())
+
+    @model_validator(mode="after")
+    def _check(self) -> "Scenario":
+        if self.gps.bounds and self.region.oversample % 2 == 0:
+            raise ValueError(f"[gps] bounds need an odd [region] oversample, got {self.region.oversample}: use 3 or 5")
+        return self
 
     @classmethod
     def from_toml(cls, path: str | Path) -> "Scenario":

@@ -14,6 +14,7 @@ from jaxtyping import Array, Bool, Float, UInt, UInt8
 from jaxurban.errors import InputError
 from jaxurban.kernels.dop import Geometry, dops_of_words, geometry, unit_vectors
 from jaxurban.kernels.occlusion import WORD_BITS, digital_line, mark_visible
+from jaxurban.metrics.obstacle import obstacle_mask
 from jaxurban.surface import Surface
 
 SATELLITES_STEP = 8  # the DOP program is compiled for 8, 16, 24 ... satellites
@@ -200,9 +201,26 @@ def compute_gps(
     Raises:
       InputError: a satellite below the horizon.
     """
-    params = params or GpsParams()
     words = visibility(surface, azimuth_rad, elevation_rad, altitudes_m)
     altitudes = jnp.asarray(altitudes_m, surface.roof_m.dtype)
-    is_obstacle = surface.crop(surface.roof_m) >= altitudes[:, None, None]
+    is_obstacle = obstacle_mask(surface.crop(surface.roof_m), altitudes)
+    return gps_of_words(words, is_obstacle, azimuth_rad, elevation_rad, params)
+
+
+def gps_of_words(
+    words: UInt[Array, "W A y x"],
+    is_obstacle: Bool[Array, "A y x"],
+    azimuth_rad: ArrayLike,
+    elevation_rad: ArrayLike,
+    params: GpsParams | None = None,
+) -> GpsMaps:
+    """Return the GPS maps of satellites seen as `visibility` says, from the cells that are no obstacle.
+
+    Args:
+      words: satellite ``s`` is bit ``s % 32`` of word ``s // 32``.
+      is_obstacle: where nobody flies.
+      azimuth_rad, elevation_rad: ``[S]`` as for `compute_gps`.
+      params: settings; left out, the paper's.
+    """
     satellites = geometry(unit_vectors(azimuth_rad, elevation_rad), multiple_of=SATELLITES_STEP)
-    return _maps(words, is_obstacle, satellites, params.gdop_threshold)
+    return _maps(words, is_obstacle, satellites, (params or GpsParams()).gdop_threshold)
