@@ -10,7 +10,8 @@ ray may cross in each row, from where it enters the row: who is seen under these
 lets roofs cover the fine cells whose eight neighbours they cover as well, and a ray meet the lowest of the three:
 who is hidden under these is hidden in truth (but for gaps narrower than a fine cell between outlines, which
 centres of fine cells may miss). Both hold for flat-topped prisms, over terrain taken as the surface's steps. As one
-satellite more never makes a GDOP larger, m under the two brackets the true m. On plain cells (n = 1) the bounds
+satellite more never makes a GDOP larger, m under the two brackets the true m (the map's own m, an estimate between the
+two rules, may lie outside where it errs). On plain cells (n = 1) the bounds
 are valid but wide: a cell on each side closes streets.
 """
 

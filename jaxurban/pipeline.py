@@ -317,6 +317,8 @@ def check_memory(scenario: Scenario, grids: list[Grid]) -> None:
     altitudes, epochs = len(scenario.region.altitudes_m), len(scenario.gps.epochs)
     cells = max(grid.num_rows * grid.num_cols for grid in grids)
     needed = cells * (altitudes * (epochs * 25 + 9) + 8 * len(scenario.population.time_of_day) + 5) * 2
+    if scenario.region.oversample > 1 or scenario.gps.bounds:
+        needed += cells * scenario.region.oversample**2 * 20  # the fine surface, and its tops for both directions
     free = psutil.virtual_memory().available
     if needed > free:
         raise InputError(

@@ -34,12 +34,15 @@ TAIL = 0.05  # the percentiles reported are the 5th and the 95th
 class HeightStd:
     """Standard deviation of a building's height by its origin, metres; 0: known exactly.
 
-    The defaults are rules of thumb for roofs that one flat top stands for; give your source's own where it states them.
+    The defaults are rules of thumb for low and middle heights; give your source's own where it states them. Among OSM
+    buildings that carry both, height minus 3 m x levels varies by 4.5 m (robust; mean +6.6 m) in Lower Manhattan, by
+    7.4 m (+3.2 m) up to 8 levels there and by 5.6 m (+4.8 m) in Boston, most of it from towers and from counts that
+    leave parts out. Offsets are no matter of this class: change ``level_height_m`` and ``default_height_m`` instead.
 
     Attributes:
       height: a tag or column: values are rounded to a metre and leave open whether a parapet or a machine room counts.
       levels: number of levels x level height: a storey more or less (ground floors and roofs differ).
-      default: nothing known but that a building stands: half the default height of 10 m.
+      default: nothing known but that a building stands: half the default height of 10 m; more among towers.
       raster: a height raster, where a component of touching pixels above 0 counts as one building.
 
     Raises:

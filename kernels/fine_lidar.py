@@ -11,7 +11,8 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-WORD_BITS = 32
+WORD_BITS = 8  # few, as each band of rows carries its own halo
+STEPS_AT_ONCE = 5  # bitmaps combined per pass over the answers
 
 
 def halo_cells(steps: int, per_cell: int) -> int:
@@ -66,27 +67,34 @@ def _count_fn(roof_m: jax.Array, threshold_m: jax.Array, starts: jax.Array, *, h
     band = -(-rows // WORD_BITS)
     padded_m = jnp.pad(roof_m, ((0, 0), (0, WORD_BITS * band - rows), (0, 0)))
     num_words = band + 2 * halo
-    is_live = threshold_m <= jnp.max(roof_m)
+    highest_m = jnp.max(roof_m)
 
-    def look(n, returned):
-        words = jnp.zeros((len(roof_m), num_words, roof_m.shape[2]), jnp.uint32)
-        for bit in range(WORD_BITS):
-            meets = padded_m[:, bit * band : bit * band + num_words] >= threshold_m[n]
-            words = words | (meets.astype(jnp.uint32) << bit)
+    def look(first, returned):
+        steps_here = [jnp.minimum(first + i, steps - 1) for i in range(STEPS_AT_ONCE)]  # the last again does no harm
+        bitmaps = [pack(threshold_m[n]) for n in steps_here]
 
         def add_azimuth(k, returned):
-            seen = lax.dynamic_slice(words, tuple(starts[k, n]), (1, band, cols))
-            old = lax.dynamic_slice(returned, (k, 0, 0), (1, band, cols))
-            return lax.dynamic_update_slice(returned, old | seen, (k, 0, 0))
+            seen = lax.dynamic_slice(returned, (k, 0, 0), (1, band, cols))
+            for n, words in zip(steps_here, bitmaps, strict=True):
+                seen = seen | lax.dynamic_slice(words, tuple(starts[k, n]), (1, band, cols))
+            return lax.dynamic_update_slice(returned, seen, (k, 0, 0))
 
         return lax.fori_loop(0, num_azimuths, add_azimuth, returned)
 
-    returned = lax.fori_loop(
-        0,
-        steps,
-        lambda n, returned: lax.cond(is_live[n], look, lambda _, same: same, n, returned),
-        jnp.zeros((num_azimuths, band, cols), jnp.uint32),
-    )
+    def pack(least_m):
+        words = jnp.zeros((len(roof_m), num_words, roof_m.shape[2]), jnp.uint8)
+        for bit in range(WORD_BITS):
+            meets = padded_m[:, bit * band : bit * band + num_words] >= least_m
+            words = words | (meets.astype(jnp.uint8) << bit)
+        return words
+
+    def look_if_live(i, returned):
+        first = i * STEPS_AT_ONCE
+        is_live = jnp.any((threshold_m <= highest_m) & (jnp.arange(steps) // STEPS_AT_ONCE == i))
+        return lax.cond(is_live, look, lambda _, same: same, first, returned)
+
+    empty = jnp.zeros((num_azimuths, band, cols), jnp.uint8)
+    returned = lax.fori_loop(0, -(-steps // STEPS_AT_ONCE), look_if_live, empty)
     counts = [jnp.sum((returned >> bit) & 1, axis=0, dtype=jnp.int32) for bit in range(WORD_BITS)]
     return jnp.concatenate(counts)[:rows]
 
