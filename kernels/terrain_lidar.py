@@ -18,7 +18,7 @@ from jax import lax
 from jaxtyping import Array, Float, Int
 
 WORD_BITS = 32
-TILE = (64, 256)  # receivers taken together: what they need fits a core's cache; rows a multiple of 32
+TILE = (32, 128)  # receivers taken together: what they need fits a core's cache; rows a multiple of 32
 BEAMS_AT_ONCE = 4  # programs are made for 4, 8, 12 ... beams compared
 
 
