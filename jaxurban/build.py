@@ -8,21 +8,30 @@ import numpy as np
 import shapely
 
 from jaxurban.city import City
+from jaxurban.detail import RegionDetail
 from jaxurban.errors import InputError
 from jaxurban.grid import Grid
 from jaxurban.io.orbits import look_angles, read_orbits
-from jaxurban.io.rasterise import build_surface, highest_top_m, surface_grid
-from jaxurban.layers import PAPER_ALTITUDES_M, MapParams, Stage, empty_dataset, make_layers, untimed, with_series
+from jaxurban.io.rasterise import build_surface
+from jaxurban.layers import (
+    PAPER_ALTITUDES_M,
+    MapParams,
+    Stage,
+    empty_dataset,
+    make_layers,
+    margin_of,
+    untimed,
+    with_series,
+)
 from jaxurban.maps import MetricMaps
-from jaxurban.metrics import lidar as lidar_metric
-from jaxurban.metrics import risk as risk_metric
 from jaxurban.metrics.availability import EpochTotals
-from jaxurban.metrics.gps import GpsParams, shadow_reach_m, visibility
+from jaxurban.metrics.gps import GpsParams, visibility
 from jaxurban.metrics.lidar import LidarParams
 from jaxurban.metrics.population import BlockLayers, PopulationParams, block_layers
 from jaxurban.metrics.risk import RiskParams
 from jaxurban.sky import Sky
 from jaxurban.surface import Surface
+from jaxurban.uncertainty import HeightStd
 
 PAPER_TIME = "2020-04-27T16:00:00Z"
 
@@ -34,7 +43,7 @@ def build_maps(
     grid: Grid | None = None,
     resolution_m: float = 5.0,
     altitudes_m: Sequence[float] = PAPER_ALTITUDES_M,
-    orbits: str | Path = "nominal",
+    orbits: str | Path | Sequence[str | Path] = "nominal",
     times: Sequence[str] = (PAPER_TIME,),
     mask_deg: float = 5.0,
     reference: tuple[float, float] | None = None,
@@ -45,6 +54,11 @@ def build_maps(
     population: PopulationParams | None = None,
     times_of_day: Sequence[str] = ("day", "night"),
     all_touched: bool = False,
+    oversample: int = 1,
+    gps_bounds: bool = False,
+    height_std: HeightStd | None = None,
+    height_samples: int = 0,
+    height_seed: int = 0,
     stage: Stage = untimed,
 ) -> MetricMaps:
     """Return the metric maps of a city.
@@ -55,7 +69,7 @@ def build_maps(
       grid: the region's grid, instead of bounds and resolution.
       resolution_m: side of a cell.
       altitudes_m: flight altitudes above ground.
-      orbits: ``"nominal"``, or a TLE or OMM file.
+      orbits: ``"nominal"``, a TLE or OMM file, or several of these (other constellations).
       times: UTC epochs, ISO 8601.
       mask_deg: elevation mask; lower satellites are not used.
       reference: longitude, latitude where look angles are taken; left out, the region's centre.
@@ -63,6 +77,11 @@ def build_maps(
       gps, lidar, risk, population: parameters of each metric.
       times_of_day: for population.
       all_touched: let a roof cover every cell it touches.
+      oversample: n: occlusion and lidar on a surface n times finer (odd is best).
+      gps_bounds: also make ``gps_lower`` and ``gps_upper``, which bracket the true m (n odd).
+      height_std: how well heights are known; left out, `HeightStd`'s defaults.
+      height_samples: also make the spread of the metrics over this many draws of heights; 0: not.
+      height_seed: of the draws.
       stage: called with each stage's name, gives the context that the stage runs in (timing, progress).
 
     Raises:
@@ -95,6 +114,11 @@ def build_maps(
         population=population or PopulationParams(),
         times_of_day=tuple(times_of_day),
         all_touched=all_touched,
+        oversample=oversample,
+        gps_bounds=gps_bounds,
+        height_std=height_std or HeightStd(),
+        height_samples=height_samples,
+        height_seed=height_seed,
     )
     return compute_maps(city, make_surface(city, region, sky, params), sky, params, stage)
 
@@ -120,7 +144,7 @@ def _region(city: City, bounds: Sequence[float] | None, resolution_m: float) -> 
 
 def view_sky(
     region: Grid,
-    orbits: str | Path,
+    orbits: str | Path | Sequence[str | Path],
     times: Sequence[str],
     *,
     mask_deg: float,
@@ -151,20 +175,6 @@ def view_sky(
     return sky
 
 
-def margin_of(city: City, region: Grid, sky: Sky, params: MapParams) -> Grid:
-    """Return the region's grid grown by the margin that its metrics need."""
-    above = sky.elevation_rad >= np.radians(params.mask_deg)
-    toward_m = shadow_reach_m(
-        sky.azimuth_rad[above],
-        sky.elevation_rad[above],
-        highest_top_m(city),
-        float(min(params.altitudes_m)),
-        region.resolution_m,
-    )
-    always_m = max(lidar_metric.reach_m(params.lidar), risk_metric.reach_m(params.risk))
-    return surface_grid(city, region, always_m, toward_m)
-
-
 def make_surface(city: City, region: Grid, sky: Sky, params: MapParams) -> Surface:
     """Return the city's rasters on the region and the margin that its metrics need."""
     return build_surface(city, region, margin_of(city, region, sky, params), params.all_touched)
@@ -174,13 +184,17 @@ def compute_maps(city: City, surface: Surface, sky: Sky, params: MapParams, stag
     """Return the metric maps of a surface under a sky; `build_maps` makes both from a city."""
     people = block_layers_of(city, surface.region, params)
 
+    detail = RegionDetail.wanted(city, surface.region, surface.grid, sky, params)
+
     def words(epoch: int) -> jax.Array:
+        if detail is not None and params.oversample > 1:
+            return detail.words(epoch)
         seen = params.satellites_at(sky, epoch)
         return visibility(surface, sky.azimuth_rad[epoch, seen], sky.elevation_rad[epoch, seen], params.altitudes_m)
 
     ds = empty_dataset(surface.region, sky, params, people, surface.terrain_m is not None, city.attribution)
     totals = EpochTotals.zero(len(sky.times), len(params.altitudes_m))
-    for name, index, values in make_layers(surface, sky, params, people, words, totals, stage):
+    for name, index, values in make_layers(surface, sky, params, people, words, totals, stage, detail):
         ds[name].values[index] = values
     return MetricMaps(ds if "gps" in ds else with_series(ds, totals))
 

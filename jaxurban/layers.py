@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import jax
 import jax.numpy as jnp
@@ -11,15 +11,21 @@ import numpy as np
 import pyproj
 import xarray as xr
 
+from jaxurban.city import City
+from jaxurban.errors import InputError
 from jaxurban.grid import Grid
+from jaxurban.io.rasterise import highest_top_m, surface_grid
+from jaxurban.metrics import lidar as lidar_metric
+from jaxurban.metrics import risk as risk_metric
 from jaxurban.metrics.availability import SCALE, STATISTICS, EpochTotals, series_statistics
-from jaxurban.metrics.gps import Epoch, GpsParams
+from jaxurban.metrics.gps import Epoch, GpsParams, shadow_reach_m
 from jaxurban.metrics.lidar import LidarParams, compute_lidar
 from jaxurban.metrics.obstacle import obstacle_mask
 from jaxurban.metrics.population import BlockLayers, PopulationParams, map_blocks
 from jaxurban.metrics.risk import RiskParams, compute_risk
 from jaxurban.sky import Sky
 from jaxurban.surface import Surface
+from jaxurban.uncertainty import SPREAD, HeightStd
 
 PAPER_ALTITUDES_M = (20.0, 60.0, 122.0, 600.0)
 DOP_VARIABLES = ("gdop", "pdop", "hdop", "vdop", "tdop", "num_visible")
@@ -66,10 +72,45 @@ class MapParams:
     population: PopulationParams = field(default_factory=PopulationParams)
     times_of_day: tuple[str, ...] = ("day", "night")
     all_touched: bool = False
+    oversample: int = 1
+    gps_bounds: bool = False
+    height_std: HeightStd = field(default_factory=HeightStd)
+    height_samples: int = 0
+    height_seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.oversample < 1:
+            raise InputError(f"oversample must be a whole number from 1 up, got {self.oversample}")
+        if self.height_samples == 1:
+            raise InputError("height_samples is 1: a spread needs at least 2 samples (0 makes none)")
 
     def satellites_at(self, sky: Sky, epoch: int) -> np.ndarray:
         """Return the numbers of the satellites at or above the mask at an epoch."""
         return np.flatnonzero(sky.elevation_rad[epoch] >= np.radians(self.mask_deg))
+
+
+def margin_of(city: City, region: Grid, sky: Sky, params: MapParams) -> Grid:
+    """Return the region's grid grown by the margin that its metrics need."""
+    above = sky.elevation_rad >= np.radians(params.mask_deg)
+    toward_m = shadow_reach_m(
+        sky.azimuth_rad[above],
+        sky.elevation_rad[above],
+        highest_top_m(city),
+        float(min(params.altitudes_m)),
+        region.resolution_m,
+    )
+    always_m = max(lidar_metric.reach_m(params.lidar), risk_metric.reach_m(params.risk))
+    return surface_grid(city, region, always_m, toward_m)
+
+
+class Detail(Protocol):
+    """What `jaxurban.detail` adds to the layers of a region."""
+
+    def lidar(self, is_obstacle: jax.Array, altitude_m: float) -> jax.Array:
+        """Return m_lidar on the finer surface, ``[1, y, x]``."""
+
+    def layers(self, is_obstacle: jax.Array, stage: Stage) -> Iterator[tuple[str, tuple[int, ...], np.ndarray]]:
+        """Yield bounds and spreads, place by place."""
 
 
 class Layer(NamedTuple):
@@ -91,6 +132,16 @@ def variables(
     else:
         names |= dict.fromkeys(STATISTICS, (FLOWN, np.float32))
     names |= {"lidar": (FLOWN, np.float32), "risk": (FLOWN, np.float32)}
+    if (params.gps_bounds or params.height_samples) and not params.gps.keeps_epochs(num_epochs):
+        raise InputError(
+            "bounds and height_samples need the maps of every epoch: ask for fewer, or set [gps] series = 'epochs'"
+        )
+    if params.gps_bounds:
+        names |= dict.fromkeys(("gps_lower", "gps_upper"), (("time", *FLOWN), np.float32))
+    if params.height_samples:
+        for metric, dims in (("gps", ("time", *FLOWN)), ("lidar", FLOWN), ("risk", FLOWN)):
+            names |= dict.fromkeys((f"{metric}_{what}" for what in SPREAD), (dims, np.float32))
+        names["obstacle_share"] = (FLOWN, np.float32)
     if has_people:
         names |= dict.fromkeys(("population", "density"), (("time_of_day", "y", "x"), np.float32))
     names["roof"] = (("y", "x"), np.float32)
@@ -164,8 +215,9 @@ def with_series(ds: xr.Dataset, totals: EpochTotals) -> xr.Dataset:
 
 
 def _described(ds: xr.Dataset) -> xr.Dataset:
-    for name, (units, one_means) in UNITS.items():
-        if name in ds:
+    for name in (str(variable) for variable in ds.data_vars):
+        units, one_means = UNITS.get(name, ("1", ""))
+        if name != "has_data" and ds[name].dtype.kind != "M":  # times have units of their own
             ds[name].attrs["units"] = units
             if {"y", "x"} <= set(ds[name].dims):
                 ds[name].attrs["grid_mapping"] = "spatial_ref"
@@ -184,6 +236,7 @@ def make_layers(
     words: Words,
     totals: EpochTotals,
     stage: Stage = untimed,
+    detail: Detail | None = None,
 ) -> Iterator[Layer]:
     """Yield every layer of a surface's region, one at a time, so that few of them need be in memory.
 
@@ -195,6 +248,7 @@ def make_layers(
       words: which satellites each cell sees at an epoch.
       totals: takes up the region's sums over free cells, where statistics over time are kept.
       stage: gives the context that the work on each stage runs in.
+      detail: finer answers and uncertainty, where they are asked for.
     """
     has_data = None if surface.has_data is None else np.asarray(surface.crop(surface.has_data))
     roof_m = surface.crop(surface.roof_m)
@@ -215,11 +269,17 @@ def make_layers(
         yield layer(name, index, values)
     for a, altitude_m in enumerate(params.altitudes_m):
         with stage("lidar"):
-            m = np.asarray(compute_lidar(surface, [altitude_m], params.lidar))[0]
+            if detail is not None and params.oversample > 1:
+                m = np.asarray(detail.lidar(is_obstacle[a : a + 1], altitude_m))[0]
+            else:
+                m = np.asarray(compute_lidar(surface, [altitude_m], params.lidar))[0]
         yield layer("lidar", [a], m)
         with stage("risk"):
             m = np.asarray(compute_risk(surface, [altitude_m], params.risk))[0]
         yield layer("risk", [a], m)
+    if detail is not None:
+        for name, index, values in detail.layers(is_obstacle, stage):
+            yield layer(name, index, values)
     if people is not None:
         assert surface.block is not None
         for t in range(len(params.times_of_day)):

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import psutil
 
 from jaxurban.errors import InputError
+from jaxurban.grid import Grid
 from jaxurban.kernels.lidar import num_steps
 from jaxurban.layers import MapParams
 from jaxurban.tiled import halo_cells
@@ -17,6 +18,8 @@ SERIES_BYTES = 384 * 2**20  # a tile's metric at every epoch of a long series ta
 
 # Measured on the paper's set (see docs/scale.md) and rounded up.
 COMPILING_BYTES = 400 * 2**20  # what JAX and the other libraries take once they work
+FINE_CELL_BYTES = 24  # rasters of the finer surface, and its tops for both directions
+SPREAD_CELL_BYTES = 4 * 10 * 3  # about ten arrays of each of three metrics
 PROGRAM_BYTES = 120 * 2**20  # the programs compiled for the tiles of one resolution
 WORKER_BYTES = 700 * 2**20  # a worker process with everything imported, before its first tile
 
@@ -58,6 +61,21 @@ def tile_bytes(
     if not params.gps.keeps_epochs(num_epochs):
         gps += cells * 4 * num_epochs * altitudes
     return int(around + lidar + gps)
+
+
+def detail_bytes(surface: Grid, params: MapParams) -> int:
+    """Return about how many bytes finer answers and spreads add to a tile.
+
+    Args:
+      surface: the tile and the margin that shadows it.
+      params: settings.
+    """
+    cells, needed = surface.num_rows * surface.num_cols, 0
+    if params.oversample > 1 or params.gps_bounds:
+        needed += cells * params.oversample**2 * FINE_CELL_BYTES
+    if params.height_samples:
+        needed += cells * len(params.altitudes_m) * SPREAD_CELL_BYTES
+    return needed
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ import time
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ from typing import Any
 import dask.array
 import xarray as xr
 
-from jaxurban.build import block_layers_of, margin_of, view_sky
+from jaxurban.build import block_layers_of, view_sky
 from jaxurban.city import City
 from jaxurban.cluster import cluster_client, work_in_threads, work_on_cluster
 from jaxurban.demo import demo_city_for_bounds
@@ -25,9 +25,9 @@ from jaxurban.io import store
 from jaxurban.io.city import read_city
 from jaxurban.io.rasterise import check_has_data, rasterise
 from jaxurban.io.workfolder import WorkFolder
-from jaxurban.layers import MapParams, empty_dataset, with_series
+from jaxurban.layers import MapParams, empty_dataset, margin_of, with_series
 from jaxurban.maps import MetricMaps
-from jaxurban.memory import MemoryPlan, gib, plan_memory, shape_of_tiles, tile_bytes
+from jaxurban.memory import MemoryPlan, detail_bytes, gib, plan_memory, shape_of_tiles, tile_bytes
 from jaxurban.metrics.availability import EpochTotals
 from jaxurban.metrics.gps import GpsParams
 from jaxurban.record import hash_inputs, run_key, run_record, warn_of_unknown_ground
@@ -35,6 +35,7 @@ from jaxurban.scenario import NOMINAL, Scenario
 from jaxurban.sky import Sky
 from jaxurban.tiled import TileJob
 from jaxurban.tiles import Tiling
+from jaxurban.uncertainty import HeightStd
 
 SCRATCH_BYTES_PER_CELL = 12  # rasters of an unfinished run, and one plain GeoTIFF: the least disk that a run takes
 
@@ -144,6 +145,11 @@ def map_params(scenario: Scenario) -> MapParams:
         population=scenario.population.params(),
         times_of_day=scenario.population.time_of_day,
         all_touched=scenario.buildings.all_touched,
+        oversample=scenario.region.oversample,
+        gps_bounds=gps.bounds,
+        height_std=HeightStd(**scenario.buildings.height_std_m.model_dump()),
+        height_samples=scenario.buildings.height_samples,
+        height_seed=scenario.buildings.height_seed,
     )
 
 
@@ -183,7 +189,7 @@ def run_scenario(
             skies = [_sky(scenario, grid) for grid in grids]
         warn_of_unknown_ground(city, grids[0])
         prepare_folder(folder, key, overwrite, grids)
-        plan = _plan(city, grids, params, len(scenario.gps.epochs), resources, folder)
+        plan = _plan(city, grids, skies, params, resources, folder)
         if tell:
             tell(_plan_sentence(grids, plan))
         with _client(resources) as client:
@@ -212,7 +218,7 @@ def run_scenario(
 
 def _sky(scenario: Scenario, grid: Grid) -> Sky:
     gps = scenario.gps
-    orbits = gps.orbits if gps.orbits == NOMINAL else scenario.path_of(gps.orbits)
+    orbits = [name if name == NOMINAL else scenario.path_of(name) for name in gps.orbits]
     return view_sky(
         grid,
         orbits,
@@ -236,23 +242,19 @@ def num_cores() -> int:
 
 
 def _plan(
-    city: City, grids: list[Grid], params: MapParams, num_epochs: int, resources: Resources, folder: Path
+    city: City, grids: list[Grid], skies: list[Sky], params: MapParams, resources: Resources, folder: Path
 ) -> MemoryPlan:
     """Return how the run keeps under its memory ceiling.
 
     Raises:
       InputError: it cannot, or the disk is too small.
     """
-    most_bytes = max(
-        tile_bytes(
-            shape_of_tiles(grid.shape, params, num_epochs),
-            grid.resolution_m,
-            params,
-            num_epochs,
-            city.terrain is not None,
-        )
-        for grid in grids
-    )
+    num_epochs, most_bytes = len(skies[0].times), 0
+    for grid, sky in zip(grids, skies, strict=True):
+        shape = shape_of_tiles(grid.shape, params, num_epochs)
+        tile = replace(grid, num_rows=shape[0], num_cols=shape[1])
+        plain = tile_bytes(shape, grid.resolution_m, params, num_epochs, city.terrain is not None)
+        most_bytes = max(most_bytes, plain + detail_bytes(margin_of(city, tile, sky, params), params))
     if resources.cluster is not None:  # the workers' machines are not ours to measure
         return MemoryPlan(0, 0, num_cores())
     plan = plan_memory(

@@ -66,6 +66,7 @@ def run_record(
         "region": _region_record(grids),
         "buildings": _building_record(city, region),
         "epochs": list(sky.times),
+        "satellites_above_mask": sky.count_by_system(np.radians(scenario.gps.mask_deg)),
         "satellites": _satellite_record(sky),
         "rays_leave_data_share": {
             short_number(z): round(rays_leaving_share(city, region, sky, z, scenario.gps.mask_deg), 4)
@@ -86,7 +87,7 @@ def hash_inputs(scenario: Scenario) -> dict[str, dict[str, str]]:
     named = {
         "buildings": None if scenario.is_synthetic else scenario.buildings.source,
         "terrain": scenario.terrain.source,
-        "orbits": None if scenario.gps.orbits == NOMINAL else scenario.gps.orbits,
+        **_orbit_files(scenario),
         "blocks": people.blocks,
         "table": people.table,
         "districts": people.districts,
@@ -96,6 +97,12 @@ def hash_inputs(scenario: Scenario) -> dict[str, dict[str, str]]:
         for role, name in named.items()
         if name is not None
     }
+
+
+def _orbit_files(scenario: Scenario) -> dict[str, str]:
+    """Return the orbit files by role: ``orbits``, and ``orbits_2`` ... where there are several."""
+    files = [name for name in scenario.gps.orbits if name != NOMINAL]
+    return {"orbits" if i == 1 else f"orbits_{i}": name for i, name in enumerate(files, start=1)}
 
 
 def _sha256(path: Path, role: str) -> str:
@@ -200,6 +207,12 @@ def _building_record(city: City, region: Grid) -> dict[str, Any]:
             "height_origin_shares": {name: round(n / max(len(inside), 1), 4) for name, n in counts.items()},
             "highest_m": float(inside.height_m.max(initial=0.0)),
             "hanging_parts": int((inside.min_height_m > 0).sum()),
+        }
+    else:
+        assert city.roofs is not None
+        record |= {
+            "height_origin_shares": {"raster": 1.0},
+            "highest_m": float(np.nanmax(city.roofs.values, initial=0.0)),
         }
     return record
 

@@ -45,6 +45,7 @@ def _known_planner(name: str) -> str:
 
 
 PlannerName = Annotated[str, AfterValidator(_known_planner)]
+StrList = Annotated[tuple[str, ...], BeforeValidator(_as_list), Field(min_length=1)]
 PositiveList = Annotated[tuple[Positive, ...], BeforeValidator(_as_list), Field(min_length=1)]
 
 
@@ -67,6 +68,7 @@ class Region(_Section):
     crs: str | None = None
     resolution_m: PositiveList = (5.0,)
     altitudes_m: PositiveList = (20.0, 60.0, 122.0, 600.0)
+    oversample: PositiveInt = 1
 
     @model_validator(mode="after")
     def _check(self) -> "Region":
@@ -80,14 +82,32 @@ class Region(_Section):
         return self
 
 
+class HeightStdSettings(_Section):
+    """Standard deviation of heights by their origin, metres (`jaxurban.uncertainty.HeightStd` says why these)."""
+
+    height: NonNegative = 1.0
+    levels: NonNegative = 3.0
+    default: NonNegative = 5.0
+    raster: NonNegative = 1.0
+
+
 class BuildingSettings(_Section):
-    """Where buildings come from and what stands in for missing heights."""
+    """Where buildings come from, what stands in for missing heights, and how well heights are known."""
 
     source: str
     default_height_m: Positive = 10.0
     level_height_m: Positive = 3.0
     all_touched: bool = False
     allow_none: bool = False
+    height_std_m: HeightStdSettings = HeightStdSettings()
+    height_samples: Annotated[int, Field(ge=0)] = 0  # of the spread maps; 0: none are made
+    height_seed: int = 0
+
+    @model_validator(mode="after")
+    def _check(self) -> "BuildingSettings":
+        if self.height_samples == 1:
+            raise ValueError("height_samples is 1: a spread needs at least 2 samples (0 makes none)")
+        return self
 
 
 class TerrainSettings(_Section):
@@ -99,7 +119,7 @@ class TerrainSettings(_Section):
 class GpsSettings(_Section):
     """Satellites, epochs and the DOP threshold."""
 
-    orbits: str = NOMINAL
+    orbits: StrList = (NOMINAL,)
     times: tuple[datetime, ...] | None = None
     start: datetime | None = None
     stop: datetime | None = None
@@ -110,6 +130,7 @@ class GpsSettings(_Section):
     reference: tuple[float, float] | None = None
     series: Literal["auto", "epochs", "statistics"] = "auto"
     availability_threshold: Annotated[float, Field(ge=0, lt=1)] = 0.5
+    bounds: bool = False  # also make gps_lower and gps_upper
 
     @model_validator(mode="after")
     def _check(self) -> "GpsSettings":
@@ -263,6 +284,8 @@ class Scenario(_Section):
                 "the embedded city (source = 'synthetic') has its own people and flat ground: leave out "
                 "population.blocks and terrain.source, or name a source of real buildings"
             )
+        if self.gps.bounds and self.region.oversample % 2 == 0:
+            raise ValueError(f"[gps] bounds need an odd [region] oversample, got {self.region.oversample}: use 3 or 5")
         return self
 
     @classmethod

@@ -14,7 +14,7 @@ class Sky:
       names: ``[S]`` satellite names.
       azimuth_rad: ``[T, S]`` float64, clockwise from **grid** north.
       elevation_rad: ``[T, S]`` float64 above the horizon, negative below it, no refraction.
-      systems: ``[S]`` name of the constellation of each satellite ("gps").
+      systems: ``[S]`` constellation of each satellite: "gps", "galileo", "glonass", "beidou" ... or "unknown".
       element_age_days: ``[T, S]`` float64 age of each element set at each epoch (0 for nominal orbits).
     """
 
@@ -36,3 +36,8 @@ class Sky:
             tuple(self.systems[i] for i in keep),
             self.element_age_days[:, keep],
         )
+
+    def count_by_system(self, mask_rad: float) -> dict[str, list[int]]:
+        """Return how many satellites of each constellation are at or above the mask, by epoch."""
+        is_above, systems = self.elevation_rad >= mask_rad, np.asarray(self.systems)
+        return {name: is_above[:, systems == name].sum(axis=1).tolist() for name in sorted(set(self.systems))}

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxurban.city import City
+from jaxurban.detail import RegionDetail
 from jaxurban.grid import Grid
 from jaxurban.io.rasterise import rasterise, rasterise_blocks
 from jaxurban.io.store import write_layer
@@ -19,7 +20,7 @@ from jaxurban.io.workfolder import WorkFolder
 from jaxurban.kernels.distance import window_cells
 from jaxurban.kernels.lidar import num_steps
 from jaxurban.kernels.occlusion import Ring, digital_line, hand_on
-from jaxurban.layers import MapParams, make_layers
+from jaxurban.layers import MapParams, make_layers, margin_of
 from jaxurban.metrics.availability import EpochTotals
 from jaxurban.metrics.gps import visibility
 from jaxurban.metrics.population import BlockLayers
@@ -74,6 +75,8 @@ class TileJob:
     def order(self) -> dict[Quadrant, list[tuple[int, int]]]:
         """Epoch and number of every satellite above the mask, by the quadrant that it stands in."""
         order: dict[Quadrant, list[tuple[int, int]]] = {quadrant: [] for quadrant in QUADRANTS}
+        if self.params.oversample > 1:  # finer surfaces look beyond the tile by themselves: nothing is handed on
+            return order
         for t in range(len(self.sky.times)):
             for s in self.params.satellites_at(self.sky, t):
                 azimuth_rad = self.sky.azimuth_rad[t, s]
@@ -179,7 +182,13 @@ def finish_tile(job: TileJob, tile: Tile) -> dict[str, Any]:
             for seen, ring in zip(job.order[quadrant], _rings(job, tile, quadrant), strict=True)
         }
 
+    region = job.tiling.grid_of(tile)
+    margin = margin_of(job.city, region, job.sky, job.params)
+    detail = RegionDetail.wanted(job.city, region, margin, job.sky, job.params)
+
     def words(t: int) -> jax.Array:
+        if detail is not None and job.params.oversample > 1:
+            return detail.words(t)
         seen = job.params.satellites_at(job.sky, t)
         return visibility(
             surface,
@@ -191,7 +200,7 @@ def finish_tile(job: TileJob, tile: Tile) -> dict[str, Any]:
 
     totals = EpochTotals.zero(len(job.sky.times), len(job.params.altitudes_m))
     window = job.tiling.reported(tile)
-    for layer in make_layers(surface, job.sky, job.params, job.people, words, totals, timer.stage):
+    for layer in make_layers(surface, job.sky, job.params, job.people, words, totals, timer.stage, detail):
         with timer.stage("write_zarr"):
             write_layer(job.work.zarr, layer.name, layer.place, window, layer.values)
     job.work.mark_done(name, totals.facts)

@@ -4,6 +4,7 @@ import csv
 import io
 import json
 import math
+import re
 import warnings
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -36,11 +37,15 @@ OPTIONAL_FIELDS = {
     "MEAN_MOTION_DOT": "0",
     "MEAN_MOTION_DDOT": "0",
 }
-SYSTEM_PREFIXES = {
-    "gps": ("GPS", "NAVSTAR"),
-    "galileo": ("GALILEO", "GSAT"),
-    "glonass": ("GLONASS", "COSMOS"),
-    "beidou": ("BEIDOU",),
+# How CelesTrak and Space-Track name navigation satellites. GSAT with fewer than four digits is an Indian
+# communications satellite, and Cosmos any Soviet or Russian one: an element file is taken to hold those that navigate.
+SYSTEM_NAMES = {
+    "gps": re.compile(r"GPS|NAVSTAR"),
+    "galileo": re.compile(r"GALILEO|GSAT ?\d{4}|.*\(GALILEO"),
+    "glonass": re.compile(r"GLONASS|COSMOS|.*\(GLONASS"),
+    "beidou": re.compile(r"BEIDOU|BDS"),
+    "qzss": re.compile(r"QZS"),
+    "navic": re.compile(r"IRNSS|NVS"),
 }
 REMEDY = 'give a TLE file or an OMM file (csv, json or xml) such as CelesTrak\'s gps-ops, or "nominal"'
 
@@ -50,18 +55,17 @@ class Orbits:
     """Satellites that can be moved to a time.
 
     Attributes:
-      source: the file, or ``"nominal"``.
       satellites: one element set each; for the nominal constellation those of its table's date
         (`look_angles` takes each day's own).
+      sources: for each satellite the file that it is from, or ``"nominal"``.
     """
 
-    source: str
     satellites: tuple[EarthSatellite, ...]
+    sources: tuple[str, ...]
 
-    @property
-    def is_nominal(self) -> bool:
-        """Whether this is the nominal constellation."""
-        return self.source == NOMINAL
+    def of(self, source: str) -> list[int]:
+        """Return the numbers of the satellites from one source."""
+        return [s for s, name in enumerate(self.sources) if name == source]
 
 
 @lru_cache(maxsize=1)
@@ -69,17 +73,52 @@ def _timescale() -> Timescale:
     return load.timescale(builtin=True)  # the copy inside Skyfield: no network
 
 
-def read_orbits(source: str | Path) -> Orbits:
-    """Return the satellites of a file, or the nominal GPS constellation for ``"nominal"``.
+def read_orbits(source: str | Path | Sequence[str | Path]) -> Orbits:
+    """Return the satellites of a file, or the nominal GPS constellation for ``"nominal"``, or of several of these.
 
     Read are two-line elements with or without name lines and orbit mean-elements messages (OMM) as
-    CSV, JSON or XML; the content decides, not the file's name.
+    CSV, JSON or XML; the content decides, not the file's name. Each satellite's constellation is told by its name.
 
     Raises:
-      InputError: no such file, another kind of file, a cut or damaged element set, or two of one satellite.
+      InputError: no source, no such file, another kind of file, a cut or damaged element set, two of one satellite,
+        or GPS satellites beside the nominal ones.
     """
-    if source == NOMINAL:
-        return Orbits(NOMINAL, nominal_satellites(TABLE_DATE, _timescale()))
+    sources = [source] if isinstance(source, str | Path) else list(source)
+    if not sources or len(set(map(str, sources))) < len(sources):
+        raise InputError(
+            f"orbits must name at least one source and none twice, got {list(map(str, sources))}: {REMEDY}"
+        )
+    satellites: list[EarthSatellite] = []
+    origins: list[str] = []
+    for name in map(str, sources):
+        found = nominal_satellites(TABLE_DATE, _timescale()) if name == NOMINAL else _read_file(name)
+        satellites += found
+        origins += [name] * len(found)
+    orbits = Orbits(tuple(satellites), tuple(origins))
+    _check_twice(orbits)
+    return orbits
+
+
+def _check_twice(orbits: Orbits) -> None:
+    """Raise InputError where a satellite comes twice, or GPS satellites beside the nominal ones."""
+    nominal = orbits.of(NOMINAL)
+    from_files: dict[int, str] = {}
+    for satellite, source in zip(orbits.satellites, orbits.sources, strict=True):
+        if source == NOMINAL:
+            continue
+        if nominal and _system(satellite.name) == "gps":
+            raise InputError(
+                f'orbits names "{NOMINAL}", which is GPS, and {source} with GPS satellites: leave one of the two out'
+            )
+        number = satellite.model.satnum
+        if number in from_files:
+            places = " and ".join(dict.fromkeys([from_files[number], source]))
+            raise InputError(f"2 element sets of satellite {number} are in {places}: keep the one nearest in time")
+        from_files[number] = source
+
+
+def _read_file(source: str | Path) -> list[EarthSatellite]:
+    """Return the satellites of one file."""
     try:
         text = Path(source).read_bytes().decode("utf-8-sig")
     except OSError as error:
@@ -98,14 +137,7 @@ def read_orbits(source: str | Path) -> Orbits:
         satellites = _from_tles(text, source)
     if not satellites:
         raise InputError(f"the orbits file {source} holds no element set: {REMEDY}")
-    numbers = [satellite.model.satnum for satellite in satellites]
-    for number in numbers:
-        if numbers.count(number) > 1:
-            raise InputError(
-                f"the orbits file {source} holds {numbers.count(number)} element sets of satellite {number}: "
-                "keep the one nearest in time"
-            )
-    return Orbits(str(source), tuple(satellites))
+    return satellites
 
 
 def _from_tles(text: str, source: str | Path) -> list[EarthSatellite]:
@@ -233,18 +265,18 @@ def look_angles(
     azimuth_rad, elevation_rad, age_days = np.zeros((3, len(utc), len(orbits.satellites)))
     for index, satellites in _satellites_at(orbits, utc):
         at = _timescale().from_datetimes([utc[i] for i in index])
-        for s, satellite in enumerate(satellites):
+        for s, satellite in satellites:
             elevation, azimuth, _ = (satellite - point).at(at).altaz()
             elevation_rad[index, s] = elevation.radians
             azimuth_rad[index, s] = azimuth.radians
-            if not orbits.is_nominal:
+            if orbits.sources[s] != NOMINAL:
                 age_days[index, s] = np.abs(at.tt - satellite.epoch.tt)
     names = tuple(satellite.name for satellite in orbits.satellites)
     iso = tuple(time.replace(tzinfo=None).isoformat() + "Z" for time in utc)
-    _check_age(orbits.source, iso, names, age_days, max_age_days)
+    _check_age(orbits.sources, iso, names, age_days, max_age_days)
     if not np.all(np.isfinite(elevation_rad)):
         t, s = np.argwhere(~np.isfinite(elevation_rad))[0]
-        raise InputError(f"SGP4 cannot carry {names[s]} of {orbits.source} to {iso[t]}: remove it from the file")
+        raise InputError(f"SGP4 cannot carry {names[s]} of {orbits.sources[s]} to {iso[t]}: remove it from the file")
     return Sky(
         times=iso,
         names=names,
@@ -255,17 +287,19 @@ def look_angles(
     )
 
 
-def _satellites_at(orbits: Orbits, utc: list[datetime]) -> Iterator[tuple[list[int], tuple[EarthSatellite, ...]]]:
-    """Yield the times (by index) that one set of elements serves, with its satellites."""
-    if not orbits.is_nominal:
-        yield list(range(len(utc))), orbits.satellites
-        return
-    for day in sorted({time.date() for time in utc}):
-        yield [i for i, time in enumerate(utc) if time.date() == day], nominal_satellites(day, _timescale())
+def _satellites_at(orbits: Orbits, utc: list[datetime]) -> Iterator[tuple[list[int], list[tuple[int, EarthSatellite]]]]:
+    """Yield the times (by index) that one set of elements serves, with its numbered satellites."""
+    nominal = orbits.of(NOMINAL)
+    from_files = [(s, orbits.satellites[s]) for s in range(len(orbits.satellites)) if orbits.sources[s] != NOMINAL]
+    if from_files:
+        yield list(range(len(utc))), from_files
+    for day in sorted({time.date() for time in utc}) if nominal else ():
+        of_day = zip(nominal, nominal_satellites(day, _timescale()), strict=True)
+        yield [i for i, time in enumerate(utc) if time.date() == day], list(of_day)
 
 
 def _check_age(
-    source: str, iso: Sequence[str], names: Sequence[str], age_days: np.ndarray, max_age_days: float
+    sources: Sequence[str], iso: Sequence[str], names: Sequence[str], age_days: np.ndarray, max_age_days: float
 ) -> None:
     """Warn of stale elements, refuse those older than ``max_age_days``."""
     oldest_days = age_days.max(initial=0.0)
@@ -273,7 +307,7 @@ def _check_age(
         return
     t, s = np.argwhere(age_days == oldest_days)[0]
     remedy = f'use elements of that date (CelesTrak, Space-Track) or orbits = "{NOMINAL}"'
-    found = f"the elements of {names[s]} in {source} are {oldest_days:.0f} days away from {iso[t]}"
+    found = f"the elements of {names[s]} in {sources[s]} are {oldest_days:.0f} days away from {iso[t]}"
     if oldest_days > max_age_days:
         raise InputError(f"{found}, more than max_age_days = {max_age_days:g}: {remedy}")
     warnings.warn(f"{found}, so its place in the sky is uncertain: {remedy}", StaleElementsWarning, stacklevel=3)
@@ -281,4 +315,4 @@ def _check_age(
 
 def _system(name: str) -> str:
     """Return the constellation that a satellite's name tells, or ``"unknown"``."""
-    return next((system for system, starts in SYSTEM_PREFIXES.items() if name.upper().startswith(starts)), "unknown")
+    return next((system for system, names in SYSTEM_NAMES.items() if names.match(name.upper())), "unknown")

@@ -307,4 +307,22 @@ def compute_gps(
     """
     words = visibility(surface, azimuth_rad, elevation_rad, altitudes_m)
     is_obstacle = obstacle_mask(surface.crop(surface.roof_m), jnp.asarray(altitudes_m, surface.roof_m.dtype))
+    return gps_of_words(words, is_obstacle, azimuth_rad, elevation_rad, params)
+
+
+def gps_of_words(
+    words: UInt[Array, "W A y x"],
+    is_obstacle: Bool[Array, "A y x"],
+    azimuth_rad: ArrayLike,
+    elevation_rad: ArrayLike,
+    params: GpsParams | None = None,
+) -> GpsMaps:
+    """Return the GPS maps of satellites seen as `visibility` says, from the cells that are no obstacle.
+
+    Args:
+      words: satellite ``s`` is bit ``s % 32`` of word ``s // 32``.
+      is_obstacle: where nobody flies.
+      azimuth_rad, elevation_rad: ``[S]`` as for `compute_gps`.
+      params: settings; left out, the paper's.
+    """
     return Epoch.of(azimuth_rad, elevation_rad, params or GpsParams()).maps(words, is_obstacle)

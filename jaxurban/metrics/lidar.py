@@ -11,6 +11,8 @@ from jaxtyping import Array, Float
 
 from jaxurban.errors import InputError
 from jaxurban.kernels import lidar as kernel
+from jaxurban.kernels.fine_lidar import phase_starts
+from jaxurban.kernels.terrain_lidar import count_returns_on_terrain, distinct_looks
 from jaxurban.metrics.obstacle import obstacle_mask
 from jaxurban.surface import Surface
 
@@ -81,17 +83,18 @@ def compute_lidar(
     """
     resolution_m = surface.grid.resolution_m
     steps = kernel.num_steps(resolution_m, params.range_m)
-    offsets = jnp.asarray(kernel.ray_offsets(params.num_azimuths, steps))
+    offsets = kernel.ray_offsets(params.num_azimuths, steps)
     lowest_m = kernel.lowest_heights(
         np.asarray(altitudes_m, float), params.elevations_rad, resolution_m, params.range_m, steps
     )
     roof_m = surface.crop_with_halo(surface.roof_m, steps - 1)
     if surface.terrain_m is None:
         thresholds_m = kernel.round_up(kernel.flat_thresholds(lowest_m), roof_m.dtype)
-        returns = kernel.count_returns(roof_m, jnp.asarray(thresholds_m), offsets)
+        returns = kernel.count_returns(roof_m, jnp.asarray(thresholds_m), jnp.asarray(offsets))
     else:
         terrain_m = surface.crop_with_halo(surface.terrain_m, steps - 1)
         beams_m = jnp.asarray(kernel.round_up(lowest_m, roof_m.dtype))
-        returns = kernel.count_returns_on_terrain(roof_m, terrain_m, beams_m, offsets)
+        looks = distinct_looks(phase_starts(offsets, 1))
+        returns = count_returns_on_terrain(roof_m[None], terrain_m[None], beams_m, looks, halo=steps - 1)
     share = returns.astype(roof_m.dtype) / params.num_azimuths
     return jnp.where(obstacle_mask(surface.crop(surface.roof_m), altitudes_m), 0.0, share)

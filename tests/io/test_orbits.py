@@ -9,6 +9,8 @@ from xml.etree import ElementTree as Xml
 
 import numpy as np
 import pytest
+from sgp4.api import WGS72, Satrec
+from sgp4.exporter import export_tle
 from skyfield.api import EarthSatellite, load, wgs84
 from skyfield.framelib import itrs
 
@@ -256,3 +258,95 @@ def test_an_osm_extract_given_as_orbits_is_refused(data_dir):
 def test_a_missing_file_is_named(tmp_path):
     with pytest.raises(InputError, match=r"none\.tle cannot be read .No such file"):
         read_orbits(tmp_path / "none.tle")
+
+
+# Semi-major axis (km), inclination (degrees), planes, satellites a plane; names as CelesTrak writes them.
+# Sources: OS-SIS-ICD (Galileo), GLONASS ICD, BDS-SIS-ICD (its medium orbits).
+WALKER = {
+    "galileo": (29_600.3, 56.0, 3, 8, "GSAT02{:02d} (GALILEO {})"),
+    "glonass": (25_508.2, 64.8, 3, 8, "COSMOS 24{:02d} (GLONASS)"),
+    "beidou": (27_906.1, 55.0, 3, 8, "BEIDOU-3 M{}"),
+}
+EARTH_MU_KM3_S2 = 398_600.8  # WGS 72, as SGP4 has it
+
+
+def walker_tle(system: str, first_number: int) -> str:
+    """Return element sets of 2020-04-27 00:00 UTC of a Walker constellation, through SGP4's exporter."""
+    axis_km, inclination_deg, num_planes, per_plane, name = WALKER[system]
+    motion = math.sqrt(EARTH_MU_KM3_S2 / axis_km**3) * 60  # radians a minute
+    epoch_days = (datetime(2020, 4, 27, tzinfo=UTC) - datetime(1949, 12, 31, tzinfo=UTC)).days
+    lines = []
+    for i in range(num_planes * per_plane):
+        plane, slot = divmod(i, per_plane)
+        model = Satrec()
+        node = math.tau * plane / num_planes
+        anomaly = math.tau * (slot / per_plane + plane / (num_planes * per_plane))
+        angles = math.radians(inclination_deg), anomaly, motion, node
+        model.sgp4init(WGS72, "i", first_number + i, epoch_days, 0.0, 0.0, 0.0, 1e-4, 0.0, *angles)
+        lines += [name.format(i + 1, i + 1), *export_tle(model)]
+    return "\n".join(lines) + "\n"
+
+
+@pytest.fixture(scope="module")
+def four_systems(tmp_path_factory):
+    """Return the sources of nominal GPS and three synthetic constellations."""
+    folder = tmp_path_factory.mktemp("orbits")
+    sources = ["nominal"]
+    for i, system in enumerate(WALKER):
+        (folder / f"{system}.tle").write_text(walker_tle(system, 40_000 + 100 * i))
+        sources.append(folder / f"{system}.tle")
+    return sources
+
+
+def test_several_constellations_are_read_together_and_counted_by_system(four_systems):
+    times = ["2020-04-27T16:00:00Z", "2020-04-28T04:00:00Z"]
+    orbits = read_orbits(four_systems)
+    sky = look_angles(orbits, times, LON_DEG, LAT_DEG)
+    systems = np.asarray(sky.systems)
+    assert {name: int(np.sum(systems == name)) for name in set(systems)} == dict.fromkeys(("gps", *WALKER), 24)
+    counts = sky.count_by_system(math.radians(5))
+    assert all(5 <= count <= 12 for by_epoch in counts.values() for count in by_epoch)  # a third is in view
+    at = load.timescale(builtin=True).from_datetime(parse_time(times[0]))
+    for system, (axis_km, *_) in WALKER.items():
+        number = int(np.flatnonzero(systems == system)[0])
+        assert orbits.satellites[number].at(at).distance().km == pytest.approx(axis_km, rel=2e-3)
+
+
+def test_each_source_gives_the_same_sky_alone_and_together(four_systems):
+    times = ["2020-04-27T23:00:00Z", "2020-04-28T01:00:00Z"]  # nominal elements change over midnight
+    together = look_angles(read_orbits(four_systems), times, LON_DEG, LAT_DEG)
+    alone = [look_angles(read_orbits(source), times, LON_DEG, LAT_DEG) for source in four_systems]
+    assert together.names == sum((sky.names for sky in alone), ())
+    for field in ("azimuth_rad", "elevation_rad", "element_age_days"):
+        parts = [getattr(sky, field) for sky in alone]
+        np.testing.assert_array_equal(getattr(together, field), np.concatenate(parts, axis=1))
+
+
+@pytest.mark.parametrize(
+    ("name", "system"),
+    [
+        ("GPS BIIR-2  (PRN 13)", "gps"),
+        ("NAVSTAR 43 (USA 132)", "gps"),
+        ("GSAT0101 (GALILEO-PFM)", "galileo"),
+        ("COSMOS 2456 (GLONASS)", "glonass"),
+        ("BEIDOU-3 M1", "beidou"),
+        ("QZS-2 (MICHIBIKI-2)", "qzss"),
+        ("IRNSS-1B", "navic"),
+        ("GSAT-10", "unknown"),
+        ("ISS (ZARYA)", "unknown"),
+    ],
+)
+def test_names_tell_the_system(tmp_path, name, system):
+    source = written(tmp_path, TLE.replace("GPS BIIA-10 (PRN 32)", name))
+    assert look_angles(read_orbits(source), [TIME], LON_DEG, LAT_DEG).systems == (system,)
+
+
+def test_a_satellite_given_twice_is_refused(tmp_path, four_systems):
+    gps, copy = written(tmp_path, TLE), written(tmp_path, TLE, "copy.tle")
+    with pytest.raises(InputError, match=r"2 element sets of satellite 20959 are in .*orbits\.txt and .*copy\.tle"):
+        read_orbits([gps, copy])
+    with pytest.raises(InputError, match="leave one of the two out"):
+        read_orbits(["nominal", gps])
+    for sources in ([], ["nominal", "nominal"]):
+        with pytest.raises(InputError, match="at least one source and none twice"):
+            read_orbits(sources)

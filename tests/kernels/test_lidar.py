@@ -7,15 +7,16 @@ import numba
 import numpy as np
 import pytest
 
+from jaxurban.kernels.fine_lidar import count_returns_at_centres, halo_cells, phase_starts, phases
 from jaxurban.kernels.lidar import (
     count_returns,
-    count_returns_on_terrain,
     flat_thresholds,
     lowest_heights,
     num_steps,
     ray_offsets,
     round_up,
 )
+from jaxurban.kernels.terrain_lidar import count_returns_on_terrain, distinct_looks
 
 
 @numba.njit
@@ -67,7 +68,8 @@ def counts_of(roof_m, terrain_m, altitudes_m, elevations_rad, num_azimuths, rang
     offsets = jnp.asarray(ray_offsets(num_azimuths, steps))
     if terrain_m is None:
         return np.asarray(count_returns(roof_m, round_up(flat_thresholds(lowest_m), np.float32), offsets))
-    return np.asarray(count_returns_on_terrain(roof_m, terrain_m, round_up(lowest_m, np.float32), offsets))
+    beams_m, looks = round_up(lowest_m, np.float32), distinct_looks(phase_starts(np.asarray(offsets), 1))
+    return np.asarray(count_returns_on_terrain(roof_m[None], terrain_m[None], beams_m, looks, halo=steps - 1))
 
 
 CASES = {
@@ -142,3 +144,44 @@ def test_rays_have_the_symmetry_of_the_grid(num_azimuths):
     np.testing.assert_array_equal(quarter, np.roll(offsets, -num_azimuths // 4, axis=0))
     np.testing.assert_array_equal(offsets[0, -1], [50, 0])  # grid north first
     np.testing.assert_array_equal(offsets[num_azimuths // 4, -1], [0, 50])  # then east
+
+
+@pytest.mark.parametrize(("per_cell", "on_terrain"), [(3, False), (2, False), (3, True)])
+def test_receivers_of_a_coarser_map_get_the_counts_of_their_fine_cells(per_cell, on_terrain):
+    elevations_rad, fine_m, range_m, num_azimuths = np.deg2rad(np.linspace(-15, 15, 5)), 2.0, 30.0, 24
+    steps = num_steps(fine_m, range_m)
+    halo = halo_cells(steps, per_cell) * per_cell
+    roof_m = random_city(12 * per_cell, halo, seed=per_cell)
+    row, col = np.indices(roof_m.shape)
+    terrain_m = (np.round(8 * (9 * np.sin(row / 9) + 6 * np.cos(col / 6) + 30)) / 8).astype(np.float32)
+    altitudes_m = [2.0, 10.0]
+    cut = slice(halo - (steps - 1), steps - 1 - halo or None)
+    near_roof, near_terrain = roof_m[cut, cut], terrain_m[cut, cut] if on_terrain else None
+    dense = counts_of(near_roof, near_terrain, altitudes_m, elevations_rad, num_azimuths, range_m, fine_m)
+    lowest_m = lowest_heights(np.array(altitudes_m), elevations_rad, fine_m, range_m, steps)
+    starts = phase_starts(ray_offsets(num_azimuths, steps), per_cell)
+    coarse_halo, centre = halo // per_cell, per_cell // 2
+    if on_terrain:
+        found = count_returns_on_terrain(
+            phases(jnp.asarray(roof_m), per_cell),
+            phases(jnp.asarray(terrain_m), per_cell),
+            round_up(lowest_m, np.float32),
+            distinct_looks(starts),
+            halo=coarse_halo,
+            receiver_phase=centre * (per_cell + 1),
+        )
+    else:
+        thresholds_m = round_up(flat_thresholds(lowest_m), np.float32)
+        found = count_returns_at_centres(phases(jnp.asarray(roof_m), per_cell), thresholds_m, starts, coarse_halo)
+    np.testing.assert_array_equal(found, dense[:, centre::per_cell, centre::per_cell])
+    assert found.min() < found.max()
+
+
+def test_terrain_counts_of_a_sub_box_equal_the_crop_over_several_tiles():
+    elevations_rad, halo = np.deg2rad(np.linspace(-15, 15, 4)), 6
+    roof_m = random_city(150, halo, seed=8)
+    row, col = np.indices(roof_m.shape)
+    terrain_m = (20 * np.sin(row / 15) + 12 * np.cos(col / 11)).astype(np.float32)
+    whole = counts_of(roof_m, terrain_m, [5.0, 30.0], elevations_rad, 12, 30.0, 5.0)
+    part = counts_of(roof_m[41:, :90], terrain_m[41:, :90], [5.0, 30.0], elevations_rad, 12, 30.0, 5.0)
+    np.testing.assert_array_equal(part, whole[:, 41:, : 90 - 2 * halo])

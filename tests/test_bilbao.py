@@ -1,0 +1,61 @@
+"""Bilbao: a building raster and a terrain raster that do not align, end to end."""
+
+import json
+
+import numpy as np
+import pytest
+
+import jaxurban as ju
+from jaxurban import cli
+
+pytestmark = pytest.mark.data
+
+SCENARIO = """
+[region]
+bounds = [-2.992, 43.308, -2.982, 43.314]
+crs = "EPSG:25830"
+resolution_m = 10
+altitudes_m = [20, 60, 122]
+[buildings]
+source = "{folder}/bilbao_building_heights.tif"
+[terrain]
+source = "{folder}/bilbao_dem.tif"
+[lidar]
+azimuths = 60
+"""
+
+
+@pytest.fixture(scope="module")
+def folder(data_dir, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("bilbao")
+    (folder / "bilbao.toml").write_text(SCENARIO.format(folder=(data_dir / "raster").resolve()))
+    with pytest.raises(SystemExit) as ended:
+        cli.main(["maps", str(folder / "bilbao.toml"), "-o", str(folder / "out")])
+    assert ended.value.code == 0
+    return folder / "out"
+
+
+def test_rasters_that_do_not_align_become_maps(folder):
+    maps = ju.open_maps(folder)
+    assert maps.ds["has_data"].all()
+    for name in ("gps", "lidar", "risk"):
+        values = maps.ds[name].values
+        assert np.isfinite(values).all()
+        assert 0 <= values.min() < values.max() <= 1
+    means = [float(maps.m("gps", z).mean()) for z in maps.altitudes_m]
+    assert means == sorted(means)
+    assert 0 < maps.m("roof").max() <= 52
+    assert -2 <= maps.m("terrain").min() < maps.m("terrain").max() <= 103
+    assert maps.m("lidar", 122.0).mean() < 0.05 < maps.m("lidar", 20.0).mean()
+    # Up the hill the horizon is open: over bare ground, the highest tenth sees no fewer satellites than the lowest.
+    seen, ground, bare = maps.m("num_visible", 20.0), maps.m("terrain"), maps.m("roof") == 0
+    low, high = np.quantile(ground, [0.1, 0.9])
+    assert seen[bare & (ground >= high)].mean() >= seen[bare & (ground <= low)].mean()
+
+
+def test_run_json_tells_of_the_rasters(folder):
+    record = json.loads((folder / "run.json").read_text())
+    assert record["buildings"]["height_origin_shares"] == {"raster": 1.0}
+    assert 0 < record["buildings"]["highest_m"] <= 52
+    assert set(record["inputs"]) == {"buildings", "terrain"}
+    assert all(0 <= share <= 1 for share in record["rays_leave_data_share"].values())
