@@ -16,8 +16,9 @@ DEFAULT_SHARE = 0.5  # of the memory that is free when a run begins
 SERIES_BYTES = 384 * 2**20  # a tile's metric at every epoch of a long series takes at most this
 
 # Measured on the paper's set (see docs/scale.md) and rounded up.
-COMPILING_BYTES = 500 * 2**20  # what compiling every program of a run leaves behind, and the libraries' own threads
-WORKER_BYTES = 700 * 2**20  # a worker process with everything imported and compiled, before its first tile
+COMPILING_BYTES = 400 * 2**20  # what JAX and the other libraries take once they work
+PROGRAM_BYTES = 120 * 2**20  # the programs compiled for the tiles of one resolution
+WORKER_BYTES = 700 * 2**20  # a worker process with everything imported, before its first tile
 
 
 def parse_bytes(text: str) -> int:
@@ -74,7 +75,9 @@ class MemoryPlan:
     num_workers: int
 
 
-def plan_memory(ceiling_bytes: int | None, per_tile_bytes: int, num_workers: int, has_processes: bool) -> MemoryPlan:
+def plan_memory(
+    ceiling_bytes: int | None, per_tile_bytes: int, num_workers: int, has_processes: bool, num_resolutions: int = 1
+) -> MemoryPlan:
     """Return how many tiles to work on at a time, at most ``num_workers``.
 
     Args:
@@ -82,6 +85,7 @@ def plan_memory(ceiling_bytes: int | None, per_tile_bytes: int, num_workers: int
       per_tile_bytes: from `tile_bytes`.
       num_workers: wanted.
       has_processes: whether every worker is a process of its own, not a thread.
+      num_resolutions: whose tiles are made one after the other.
 
     Raises:
       InputError: not even one tile fits (or not all processes asked for do).
@@ -89,8 +93,9 @@ def plan_memory(ceiling_bytes: int | None, per_tile_bytes: int, num_workers: int
     own = psutil.Process().memory_info().rss
     if ceiling_bytes is None:
         ceiling_bytes = int(own + DEFAULT_SHARE * psutil.virtual_memory().available)
-    base = own if has_processes else own + COMPILING_BYTES
-    each = per_tile_bytes + (WORKER_BYTES if has_processes else 0)
+    programs = num_resolutions * PROGRAM_BYTES
+    base = own if has_processes else own + COMPILING_BYTES + programs
+    each = per_tile_bytes + (WORKER_BYTES + programs if has_processes else 0)
     fitting = int((ceiling_bytes - base) // each)
     if fitting < (num_workers if has_processes else 1):
         least = base + each * (num_workers if has_processes else 1)

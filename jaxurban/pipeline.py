@@ -268,6 +268,7 @@ def _plan(
         most_bytes,
         resources.num_processes or num_cores(),
         has_processes=resources.num_processes is not None,
+        num_resolutions=len(grids),
     )
     disk_bytes = SCRATCH_BYTES_PER_CELL * max(grid.num_rows * grid.num_cols for grid in grids)
     free_bytes = shutil.disk_usage(folder).free

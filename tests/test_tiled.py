@@ -129,7 +129,8 @@ def tear_unfinished(folder: Path) -> None:
     finished = {f"tile_{1 + int(i)}_{1 + int(j)}.json": (i, j) for i in "0123" for j in "012"}  # after one of margin
     kept = {finished[name] for name in done_tiles(folder)}
     for chunk in (folder / WORK / "zarr").rglob("c/**/*"):
-        if chunk.is_file() and chunk.parts[-2:] not in kept:
+        is_map = chunk.is_file() and chunk.parts[-2] != "c"  # c/0 is a coordinate's
+        if is_map and chunk.parts[-2:] not in kept:
             chunk.write_bytes(chunk.read_bytes()[:5])
 
 

@@ -27,14 +27,22 @@ class WorkFolder:
     def begin(self, key: str) -> None:
         """Make the folder ready for the job of ``key``: keep that job's work, remove any other's."""
         if (self.path / KEY_FILE).is_file() and (self.path / KEY_FILE).read_text(encoding="utf-8") == key:
-            for scrap in self.path.rglob(".*.part"):
-                scrap.unlink(missing_ok=True)
+            self._sweep()
             return
         shutil.rmtree(self.path, ignore_errors=True)
         for name in (ARRAY_FOLDER, DONE_FOLDER):
             (self.path / name).mkdir(parents=True)
         with whole_file(self.path / KEY_FILE) as scratch:
             scratch.write_text(key, encoding="utf-8")
+
+    def _sweep(self) -> None:
+        """Remove what killed processes left half-written: our own scraps and those of the Zarr library."""
+        for pattern in (".*.part", "*.partial"):
+            for scrap in list(self.path.rglob(pattern)):
+                if scrap.is_dir():
+                    shutil.rmtree(scrap)
+                else:
+                    scrap.unlink()
 
     @property
     def zarr(self) -> Path:
@@ -76,6 +84,7 @@ class WorkFolder:
 
     def finish(self, target: Path) -> None:
         """Give the assembled maps their name and remove the rest."""
+        self._sweep()
         target.parent.mkdir(parents=True, exist_ok=True)
         self.zarr.rename(target)
         shutil.rmtree(self.path)
