@@ -11,7 +11,7 @@ from jaxurban.grid import Grid
 Tile = tuple[int, int]  # row and column of a tile in its tiling, the southwest one first
 Quadrant = tuple[int, int]  # 1 or -1 each: the source stands in the north (1) or south, in the east (1) or west
 QUADRANTS: tuple[Quadrant, ...] = ((1, 1), (1, -1), (-1, 1), (-1, -1))
-MAX_SIDE = 1024  # cells of a tile's side at most: what most kernels need in between stays near a core's cache
+MAX_SIDE = 1024  # cells of a tile's side at most: about 0.2 GiB of work at four altitudes
 
 
 def tile_shape(shape: tuple[int, int], max_side: int = MAX_SIDE) -> tuple[int, int]:
