@@ -28,7 +28,7 @@ def require_field(frame: pd.DataFrame, field: str, role: str, path: str | Path, 
     fields = [str(column) for column in frame.columns if column != "geometry"]
     if field not in fields:
         hint = nearest_name(field, fields) or f"; it has {', '.join(fields) or 'none'}"
-        raise InputError(f"{role} {str(path)!r} has no field {field!r} (set by {setting}){hint}")
+        raise InputError(f"{role} {str(path)!r} has no field {field!r}{hint}: {setting} names it")
 
 
 def clean_polygons(
