@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 
 from benchmarks.common import Growth, Row, Side, Timing, clocked, in_turn, row
-from benchmarks.scenes import ALTITUDES_M, MASK_DEG, Scene
+from benchmarks.scenes import ALTITUDES_M, PARAMS, Scene
 from jaxurban.build import compute_maps
 from jaxurban.demo import demo_city
 from jaxurban.grid import Grid
@@ -30,9 +30,7 @@ MOST_SLOPE = 1.10
 def whole(scene: Scene, parts: list[Row], num_runs: int) -> list[Row]:
     """Return the row of all maps from a surface in memory, against the peers' rates in the rows before, added up."""
     surface, sky = scene.surface(5.0), scene.sky()
-    times = in_turn(
-        {"ours": clocked(lambda: compute_maps(scene.city, surface, sky, ALTITUDES_M, mask_deg=MASK_DEG))}, num_runs
-    )
+    times = in_turn({"ours": clocked(lambda: compute_maps(scene.city, surface, sky, PARAMS))}, num_runs)
     num_cells, num_altitudes = surface.region.num_rows * surface.region.num_cols, len(ALTITUDES_M)
     units = num_cells * len(scene.azimuth_rad) * num_altitudes
     flown = num_cells * num_altitudes

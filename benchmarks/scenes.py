@@ -12,6 +12,7 @@ from jaxurban.city import City
 from jaxurban.demo import demo_city_for_bounds
 from jaxurban.grid import Grid
 from jaxurban.io.buildings import read_buildings
+from jaxurban.layers import MapParams
 from jaxurban.surface import Surface
 
 DATA = Path(os.environ.get("JAXURBAN_DATA", ROOT / ".." / "shared" / "data"))
@@ -21,6 +22,7 @@ TIME = "2020-04-27T16:00:00Z"
 MASK_DEG = 5.0
 ALTITUDES_M = (20.0, 60.0, 122.0)
 REACH_M = 2000.0  # the real buildings end about here
+PARAMS = MapParams(altitudes_m=ALTITUDES_M, mask_deg=MASK_DEG)
 
 
 @dataclass(frozen=True)
@@ -46,9 +48,7 @@ class Scene:
         )
 
     def surface(self, resolution_m: float) -> Surface:
-        return make_surface(
-            self.city, self.region(resolution_m), self.sky(resolution_m), ALTITUDES_M, mask_deg=MASK_DEG
-        )
+        return make_surface(self.city, self.region(resolution_m), self.sky(resolution_m), PARAMS)
 
 
 def load_scene() -> Scene:
