@@ -125,7 +125,7 @@ def maps(
 @click.option("--cost-model", type=click.Choice(["cell", "line"]), help="cell (the paper) or line.")
 @click.option("--weights", "weights_text", help="As gps=1,risk=2; those not named keep their values.")
 @click.option("--budget", "budget_s", type=float, help="Seconds that the search may take.")
-@click.option("--seed", type=int)
+@click.option("--seed", type=click.IntRange(min=0))
 @click.option("--snap", is_flag=True, help="Move a start or goal inside an obstacle to the nearest free cell.")
 @click.option(
     "-o", "files", type=click.Path(path_type=Path), multiple=True, help=".geojson, .kml or .plan; repeatable."

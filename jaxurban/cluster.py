@@ -146,7 +146,7 @@ def cluster_client(address: str | None, num_workers: int | None) -> Iterator[Any
             threads_per_worker=1,
             processes=True,
             memory_limit=0,
-            dashboard_address=None,
+            dashboard_address="127.0.0.1:0",  # any free port: two runs may work side by side
             env={**environment, "PYTHONPATH": os.environ.get("PYTHONPATH", "")},
         ) as cluster,
         Client(cluster) as client,

@@ -58,6 +58,11 @@ class MetricMaps:
         return tuple(f"{value}Z" for value in np.datetime_as_string(self.ds["time"].values, unit="s"))
 
     @property
+    def default_time(self) -> str | None:
+        """The first epoch; None where a long series keeps statistics over time instead of every epoch's maps."""
+        return None if "gps_median" in self.ds else self.times[0]
+
+    @property
     def times_of_day(self) -> tuple[str, ...]:
         """Times of day of the population maps, empty without population."""
         return tuple(str(value) for value in self.ds["time_of_day"].values) if "population" in self.ds else ()
@@ -89,13 +94,12 @@ class MetricMaps:
         Raises:
           InputError: no such variable, altitude, time or time of day in these maps.
         """
-        if name == "gps" and "gps_median" in self.ds:
-            if time is not None:
-                raise InputError(
-                    f"these maps hold GPS statistics over {len(self.times)} epochs and no map of {time}: leave time "
-                    'out (m is then the median), or make them with [gps] series = "epochs"'
-                )
-            name = "gps_median"
+        if name == "gps" and "gps_median" in self.ds and time is not None:
+            raise InputError(
+                f"these maps hold GPS statistics over {len(self.times)} epochs and no map of {time}: leave time "
+                'out (m is then the median), or make them with [gps] series = "epochs"'
+            )
+        name = self.variable(name)
         if name not in self.ds:
             raise InputError(f"these maps hold no {name!r}: they hold {', '.join(map(str, self.ds.data_vars))}")
         wanted = {
@@ -105,6 +109,10 @@ class MetricMaps:
         }
         array = self.ds[name]
         return array.isel({dim: index for dim, index in wanted.items() if dim in array.dims}).values
+
+    def variable(self, name: str) -> str:
+        """Return the variable that holds a metric: the median stands for GPS where a long series keeps statistics."""
+        return "gps_median" if name == "gps" and "gps_median" in self.ds else name
 
     def is_free(self, altitude_m: float) -> np.ndarray:
         """Return ``[y, x]`` bool: no obstacle at this altitude, and data there."""

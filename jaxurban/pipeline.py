@@ -183,16 +183,23 @@ def run_scenario(
         grids = grids_of(scenario)
         inputs = hash_inputs(scenario)
         key = run_key(scenario, inputs)
+        if has_other_maps(folder, key) and not overwrite:
+            raise InputError(
+                f"{str(folder)!r} holds maps of other settings or inputs: choose another folder, "
+                "or pass --overwrite to replace them"
+            )
         with watch.stage("read"):
             city = load_city(scenario)
         with watch.stage("orbits"):
             skies = [_sky(scenario, grid) for grid in grids]
         warn_of_unknown_ground(city, grids[0])
-        prepare_folder(folder, key, overwrite, grids)
+        store.check_writable(folder)
         plan = _plan(city, grids, skies, params, resources, folder)
         if tell:
             tell(_plan_sentence(grids, plan))
-        with _client(resources) as client:
+        # Nothing of an older job is touched before this one can begin.
+        with store.only_writer(folder), _client(resources) as client:
+            prepare_folder(folder, key, grids)
             maps = {
                 grid.resolution_m: _maps_of(
                     Maker(city, grid, sky, params, folder, key, plan.num_workers, client), watch
@@ -374,19 +381,14 @@ def stored_key(folder: Path, resolution_m: float) -> str | None:
         return None
 
 
-def prepare_folder(folder: Path, key: str, overwrite: bool, grids: list[Grid]) -> None:
-    """Make the output folder ready: refuse another job's maps, sweep what a killed run left but for its tiles.
+def has_other_maps(folder: Path, key: str) -> bool:
+    """Return whether a folder holds maps of other settings or inputs."""
+    return any(stored_key(folder, resolution_m) != key for resolution_m in store.stored_resolutions(folder))
 
-    Raises:
-      InputError: the folder cannot be written to, or holds maps of other settings or inputs.
-    """
-    store.check_writable(folder)
-    store.sweep_scraps(folder, keep=[store.work_path(folder, grid.resolution_m) for grid in grids])
-    keys = {stored_key(folder, r) for r in store.stored_resolutions(folder)}
-    if keys - {key}:
-        if not overwrite:
-            raise InputError(
-                f"{str(folder)!r} holds maps of other settings or inputs: choose another folder, "
-                "or pass --overwrite to replace them"
-            )
+
+def prepare_folder(folder: Path, key: str, grids: list[Grid]) -> None:
+    """Make the output folder ready: remove another job's maps, sweep what a killed run left but for its tiles."""
+    unfinished = [grid.resolution_m for grid in grids if stored_key(folder, grid.resolution_m) != key]
+    store.sweep_scraps(folder, keep=[store.work_path(folder, resolution_m) for resolution_m in unfinished])
+    if has_other_maps(folder, key):
         store.remove_maps(folder)

@@ -192,7 +192,7 @@ def plan(
             "connectivity": connectivity,
             "diagonal": diagonal,
             "weights": {name: float(getattr(weights, name)) for name in ("distance", *costs)},
-            "time": maps.times[0] if time is None else iso_utc(parse_time(time)),
+            "time": maps.default_time if time is None else iso_utc(parse_time(time)),
             "time_of_day": time_of_day or next(iter(maps.times_of_day), None),
             "resolution_m": grid.resolution_m,
             "budget_s": budget_s,

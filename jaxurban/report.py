@@ -85,8 +85,9 @@ def _facts(maps: MetricMaps, altitude_m: float) -> Facts:
     gps, lidar = maps.m("gps", altitude_m), maps.m("lidar", altitude_m)
     facts |= {"gps": mean(gps), "lidar": mean(lidar), "risk": mean(maps.m("risk", altitude_m))}
     facts["gps_preferred"] = mean(maps.prefers_gps(altitude_m))
-    facts["good"] = mean(rating(maps.m("gdop", altitude_m)) <= Rating.GOOD)
-    facts["undetermined"] = mean(~np.isfinite(maps.m("gdop", altitude_m)))
+    gdop = maps.m("gdop", altitude_m) if "gdop" in maps.ds else None  # a long series keeps no DOPs
+    facts["good"] = float("nan") if gdop is None else mean(rating(gdop) <= Rating.GOOD)
+    facts["undetermined"] = float("nan") if gdop is None else mean(~np.isfinite(gdop))
     spread = gps[is_free], lidar[is_free]
     varies = is_free.any() and all(np.ptp(values) > 0 for values in spread)
     facts["correlation"] = float(np.corrcoef(*spread)[0, 1]) if varies else float("nan")

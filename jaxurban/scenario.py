@@ -20,12 +20,14 @@ from pydantic import (
 from jaxurban.errors import InputError, nearest_name
 from jaxurban.grid import check_bounds, projected_crs
 from jaxurban.io.orbits import iso_utc
+from jaxurban.metrics.gps import GpsParams
 from jaxurban.metrics.lidar import LidarParams
 from jaxurban.metrics.population import PopulationParams, day_share
 from jaxurban.metrics.risk import RiskParams
 from jaxurban.planners.registry import find_planner
 
 SYNTHETIC = "synthetic"
+MOST_EPOCHS = 100_000  # a year in steps of five minutes
 PAPER_TIME = datetime(2020, 4, 27, 16, tzinfo=UTC)  # when no time is given
 NOMINAL = "nominal"
 PAPER_PLANNERS = ("ptp", "astar-dist", "astar-plus", "bitstar-dist", "bitstar-plus")
@@ -45,6 +47,14 @@ def _known_planner(name: str) -> str:
 
 
 PlannerName = Annotated[str, AfterValidator(_known_planner)]
+
+
+def _as_utc(time: datetime) -> datetime:
+    return time.replace(tzinfo=UTC) if time.tzinfo is None else time.astimezone(UTC)
+
+
+Utc = Annotated[datetime, AfterValidator(_as_utc)]  # a naive time is UTC already
+Seed = Annotated[int, Field(ge=0)]
 StrList = Annotated[tuple[str, ...], BeforeValidator(_as_list), Field(min_length=1)]
 PositiveList = Annotated[tuple[Positive, ...], BeforeValidator(_as_list), Field(min_length=1)]
 
@@ -101,7 +111,7 @@ class BuildingSettings(_Section):
     allow_none: bool = False
     height_std_m: HeightStdSettings = HeightStdSettings()
     height_samples: Annotated[int, Field(ge=0)] = 0  # of the spread maps; 0: none are made
-    height_seed: int = 0
+    height_seed: Seed = 0
 
     @model_validator(mode="after")
     def _check(self) -> "BuildingSettings":
@@ -120,10 +130,10 @@ class GpsSettings(_Section):
     """Satellites, epochs and the DOP threshold."""
 
     orbits: StrList = (NOMINAL,)
-    times: tuple[datetime, ...] | None = None
-    start: datetime | None = None
-    stop: datetime | None = None
-    step_s: Positive | None = None
+    times: tuple[Utc, ...] | None = None
+    start: Utc | None = None
+    stop: Utc | None = None
+    step_s: PositiveInt | None = None
     mask_deg: Annotated[float, Field(ge=0, lt=90)] = 5.0
     gdop_threshold: Annotated[float, Field(gt=1, allow_inf_nan=False)] = 20.0
     max_age_days: Positive = 90.0
@@ -140,6 +150,10 @@ class GpsSettings(_Section):
                 raise ValueError("a series of epochs needs all of start, stop and step_s")
             if self.times is not None:
                 raise ValueError("give either times or start, stop and step_s, not both")
+            if self.start and self.stop and self.step_s:
+                count = (self.stop - self.start).total_seconds() / self.step_s + 1
+                if count > MOST_EPOCHS:
+                    raise ValueError(f"start, stop and step_s make {count:.3g} epochs: make step_s longer")
             if self.start and self.stop and self.stop < self.start:
                 raise ValueError("stop is before start")
         if self.times is not None and not self.times:
@@ -248,7 +262,7 @@ class PlanningSettings(_Section):
     diagonal: Literal["both-free", "always"] = "both-free"
     reference_length_m: Positive = 5.0
     budget_s: Positive = 180.0
-    seed: int = 0
+    seed: Seed = 0
 
 
 class StudySettings(_Section):
@@ -259,7 +273,7 @@ class StudySettings(_Section):
     altitudes_m: PositiveList | None = None
     weights: Literal["dirichlet"] | tuple[WeightSettings, ...] = "dirichlet"
     budget_s: Positive = 2.0
-    seed: int = 0
+    seed: Seed = 0
 
 
 class Scenario(_Section):
@@ -283,6 +297,12 @@ class Scenario(_Section):
             raise ValueError(
                 "the embedded city (source = 'synthetic') has its own people and flat ground: leave out "
                 "population.blocks and terrain.source, or name a source of real buildings"
+            )
+        keeps_epochs = GpsParams(series=self.gps.series).keeps_epochs(len(self.gps.epochs))
+        if (self.gps.bounds or self.buildings.height_samples) and not keeps_epochs:
+            raise ValueError(
+                "[gps] bounds and [buildings] height_samples need the maps of every epoch: give fewer epochs, or set "
+                "[gps] series = 'epochs'"
             )
         if self.gps.bounds and self.region.oversample % 2 == 0:
             raise ValueError(f"[gps] bounds need an odd [region] oversample, got {self.region.oversample}: use 3 or 5")
@@ -359,4 +379,5 @@ def _sentence(error: ValidationError) -> str:
         return f"{where!r} is required and missing"
     message = fault["msg"].removeprefix("Value error, ")
     given = "" if fault["type"] in ("value_error", "model_type") else f", got {fault['input']!r}"
-    return f"{where}: {message[0].lower() + message[1:]}{given}"
+    prefix = f"{where}: " if where else ""
+    return f"{prefix}{message[0].lower() + message[1:]}{given}"

@@ -183,3 +183,47 @@ def test_burning_a_part_equals_the_crop_even_on_cell_borders(all_touched, resolu
             continue
         whole, part = (burn(np.array([polygon]), np.ones(1), g, 0.0, "float32", all_touched) for g in (outer, inner))
         np.testing.assert_array_equal(part, whole[inner.window_in(outer)])
+
+
+LONG = {"gps": {"start": "2020-04-27T00:00:00Z", "stop": "2020-04-27T06:00:00Z", "step_s": 900}}
+
+
+def test_a_refused_job_leaves_the_old_maps_alone_even_with_overwrite(job, capsys):
+    (job / "other.toml").write_text(Scenario.from_dict(SETTINGS | {"gps": {"mask_deg": 6.0}}).to_toml())
+    before = {path: path.read_bytes() for path in job.rglob("*") if path.is_file()}
+    code, _, err = run(capsys, "maps", job / "other.toml", "-o", job, "--overwrite", "--memory", "100MiB")
+    assert code == 2
+    assert "--memory" in err
+    assert {path: path.read_bytes() for path in job.rglob("*") if path.is_file()} == before
+
+
+def test_a_second_run_in_the_same_folder_is_refused(job):
+    with (
+        store.only_writer(job),
+        pytest.raises(InputError, match="another run is writing"),
+    ):
+        pipeline.run_scenario(Scenario.from_dict(SETTINGS), job)
+    pipeline.run_scenario(Scenario.from_dict(SETTINGS), job)
+
+
+def test_a_long_series_can_be_drawn_summed_up_and_planned_on(tmp_path):
+    from jaxurban.plotting import save_figures
+    from jaxurban.report import summary_markdown
+
+    done = pipeline.run_scenario(Scenario.from_dict(SETTINGS | LONG), tmp_path)
+    maps = done.maps[20.0]
+    free = np.argwhere(maps.is_free(20.0))
+    ends = [(float(maps.grid.x_m[col]), float(maps.grid.y_m[row])) for row, col in (free[0], free[-1])]
+    path = ju.plan(maps, start_xy_m=ends[0], goal_xy_m=ends[1], altitude_m=20.0)
+    assert path.settings["time"] is None
+    names = {file.name for file in save_figures(maps, {20.0: [path]}, tmp_path / "figures")}
+    assert {"gps.png", "sensor_choice.png", "paths.png", "overview.png"} <= names
+    assert "mean m_gps" in summary_markdown(maps, {20.0: [path]}, done.record)
+
+
+def test_spreads_are_not_taken_for_statistics_over_time(tmp_path):
+    pipeline.run_scenario(
+        Scenario.from_dict(SETTINGS | {"buildings": {"source": "synthetic", "height_samples": 2}}), tmp_path
+    )
+    assert "gps_p05" in ju.open_maps(tmp_path).ds
+    assert not list((tmp_path / "geotiff").glob("gps_p05*"))

@@ -81,6 +81,16 @@ def test_a_series_of_epochs_includes_both_ends():
         ({"planning": {"planner": "astr-plus"}}, "did you mean 'astar-plus'"),
         ({"gps": {"times": ["noon"]}}, "gps.times"),
         ({"gps": {"start": "2020-04-27T00:00:00Z"}}, "needs all of start, stop and step_s"),
+        (
+            {"gps": {"start": "2020-04-27T00:00:00", "stop": "2020-04-26T00:00:00Z", "step_s": 60}},
+            "stop is before start",
+        ),
+        ({"gps": {"start": "2010-04-27T00:00:00Z", "stop": "2020-04-26T00:00:00Z", "step_s": 1}}, "make step_s longer"),
+        (
+            {"gps": {"bounds": True, "start": "2020-04-27T00:00:00Z", "stop": "2020-04-28T00:00:00Z", "step_s": 60}},
+            "every epoch",
+        ),
+        ({"planning": {"seed": -1}}, "greater than or equal to 0"),
         ({"gps": {"mask_deg": 90}}, "less than 90"),
         ({"weights": {"risk": -1}}, "greater than or equal to 0"),
         ({"risk": {"distance": "round"}}, "'slice' or 'solid'"),

@@ -25,6 +25,7 @@ from jaxurban.errors import InputError
 from jaxurban.tiles import tile_shape
 
 RUN_FILE = "run.json"
+LOCK_FILE = ".jaxurban.lock"
 ZARR_FOLDER = "maps.zarr"
 GEOTIFF_FOLDER = "geotiff"
 SCRATCH_SUFFIX = ".jaxurban-part"  # of what is being written: ours to sweep, and nobody else's
@@ -112,6 +113,31 @@ def check_writable(folder: Path) -> None:
 def work_path(folder: Path, resolution_m: float) -> Path:
     """Return where the unfinished maps of one resolution lie under an output folder."""
     return folder / ZARR_FOLDER / f".{short_number(resolution_m)}m{SCRATCH_SUFFIX}"
+
+
+@contextmanager
+def only_writer(folder: Path) -> Iterator[None]:
+    """Hold a folder for one run; the hold goes with the process, however it ends.
+
+    Raises:
+      InputError: another run holds it.
+    """
+    try:
+        import fcntl
+    except ImportError:  # not a Unix: two runs in one folder are the user's to avoid
+        yield
+        return
+    with (folder / LOCK_FILE).open("w") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            raise InputError(
+                f"another run is writing to {str(folder)!r}: wait for it, or choose another folder"
+            ) from error
+        try:
+            yield
+        finally:
+            (folder / LOCK_FILE).unlink(missing_ok=True)
 
 
 def sweep_scraps(folder: Path, keep: Iterable[Path] = ()) -> None:
@@ -207,7 +233,8 @@ def geotiff_layers(ds: xr.Dataset) -> Iterator[tuple[str, str, xr.DataArray]]:
     resolution = f"{short_number(ds.attrs['resolution_m'])}m.tif"
     several_times = ds.sizes["time"] > 1
     for metric in GEOTIFF_METRICS:
-        if metric not in ds:
+        # Spreads by uncertain heights, whose 5th percentile has that name too, stay in the Zarr.
+        if metric not in ds or (metric == "gps_p05" and "gps_median" not in ds):
             continue
         array = ds[metric]
         outer = array.dims[:-2]

@@ -60,6 +60,8 @@ def colour_map(name: str) -> Colormap:
 def frame_note(maps: MetricMaps, time: str | None = None) -> str:
     """Return the second line of a figure: epoch, size of a cell, CRS."""
     epoch = [] if time is None else [f"{time[:10]} {time[11:16]} UTC"]
+    if "gps_median" in maps.ds:
+        epoch = [f"GPS: median of {len(maps.times)} epochs"]
     credit = [maps.ds.attrs["attribution"]] if "attribution" in maps.ds.attrs else []
     return "  ·  ".join([*epoch, f"{maps.grid.resolution_m:g} m cells", maps.grid.crs, *credit])
 
@@ -96,7 +98,7 @@ def metric_style(maps: MetricMaps, name: str) -> Style:
         return Style(colour_map(COLOUR_MAPS[name]), 0, max(4, int(maps.ds[name].max())), "satellites in view")
     if name not in COLOUR_MAPS:
         return Style(colour_map(DOP_COLOUR_MAP), 1, MAX_DOP, f"{name.upper()} (lower is better)", "max")
-    one_means = maps.ds[name].attrs.get("one_means", "")
+    one_means = maps.ds[maps.variable(name)].attrs.get("one_means", "")
     label = f"$m_\\mathrm{{{name}}}$" + (f"\n(1: {one_means})" if one_means else "")
     return Style(colour_map(COLOUR_MAPS[name]), 0, 1, label)
 
@@ -128,8 +130,8 @@ def plot_metric(
     Raises:
       InputError: a name, altitude, time or time of day that these maps do not hold.
     """
-    if name not in NAMES or name not in maps.ds:
-        drawn = ", ".join(known for known in NAMES if known in maps.ds)
+    if name not in NAMES or maps.variable(name) not in maps.ds:
+        drawn = ", ".join(known for known in NAMES if maps.variable(known) in maps.ds)
         raise InputError(f"{name!r} cannot be drawn from these maps: choose one of {drawn}")
     if name == "obstacle":
         return plot_obstacles(maps, altitudes_m=altitudes_m)
@@ -142,7 +144,7 @@ def plot_metric(
         add_key(frame, obstacle_patches(maps)[1:], style.scale, style.label)
         return frame.figure
     shown = maps.altitudes_m if altitudes_m is None else tuple(altitudes_m)
-    time = (time or maps.times[0]) if "time" in maps.ds[name].dims else None
+    time = (time or maps.times[0]) if "time" in maps.ds[maps.variable(name)].dims else None
     layers = [free_layer(maps, name, z, time=time) for z in shown]
     titles = [f"{z:g} m  ·  {_middle_of(maps, name, z, time)}" for z in shown]
     frame = make_frame(maps.grid, titles, f"{NAMES[name]}, by altitude above ground", frame_note(maps, time))
@@ -190,7 +192,7 @@ def percent(share: float) -> str:
 def _plot_classes(
     maps: MetricMaps,
     heading: str,
-    time: str,
+    time: str | None,
     panels: Sequence[tuple[float, str, np.ndarray]],
     names: Sequence[tuple[str, str]],
 ) -> Figure:
@@ -240,7 +242,7 @@ def plot_sensor_choice(
       InputError: an altitude or time that these maps do not hold.
     """
     shown = maps.altitudes_m if altitudes_m is None else tuple(altitudes_m)
-    time = time or maps.times[0]
+    time = time or maps.default_time
     is_gps = [maps.prefers_gps(z, time=time) for z in shown]
     titles = [f"{z:g} m  ·  GPS in {percent(_share(g, maps, z))}" for z, g in zip(shown, is_gps, strict=True)]
     names = [("GPS\n($m_\\mathrm{gps}$ > $m_\\mathrm{lidar}$)", GPS_COLOUR), ("lidar\n(otherwise)", LIDAR_COLOUR)]

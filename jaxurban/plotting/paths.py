@@ -104,16 +104,16 @@ def plot_paths(maps: MetricMaps, paths: Paths, *, altitudes_m: Sequence[float] |
 
 def _panels_at(
     maps: MetricMaps, altitude_m: float, planned: Sequence[PlannedPath]
-) -> list[tuple[float, str, str | None, list[PlannedPath]]]:
+) -> list[tuple[float, str | None, str | None, list[PlannedPath]]]:
     """Return a panel (altitude, time, time of day, paths) for each map that paths were planned on."""
     if not planned:
-        return [(altitude_m, maps.times[0], paper_time_of_day(maps, altitude_m), [])]
+        return [(altitude_m, maps.default_time, paper_time_of_day(maps, altitude_m), [])]
 
     def planned_on(path: PlannedPath) -> tuple[str, str]:
-        return path.settings["time"], path.settings["time_of_day"] or ""
+        return path.settings["time"] or "", path.settings["time_of_day"] or ""
 
     groups = groupby(sorted(planned, key=planned_on), key=planned_on)
-    return [(altitude_m, time, time_of_day or None, list(group)) for (time, time_of_day), group in groups]
+    return [(altitude_m, time or None, time_of_day or None, list(group)) for (time, time_of_day), group in groups]
 
 
 def cost_layers(maps: MetricMaps, altitude_m: float, time: str | None, time_of_day: str | None) -> list[Layer]:
