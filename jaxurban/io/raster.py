@@ -156,9 +156,9 @@ def resample_raster(raster: Raster, grid: Grid, how: Resampling = "nearest") -> 
 def _points_a_side(grid: Grid, to_raster: pyproj.Transformer, to_pixel: Affine) -> int:
     """Return how many points along a cell's side look at every pixel, one more than a power of two.
 
-    Measured at the grid's centre; the power keeps the number the same for grids near each other.
+    Measured at the file's first pixel, so that it is the same for every part of a larger grid.
     """
-    x_m, y_m = (grid.x_min_m + grid.x_max_m) / 2, (grid.y_min_m + grid.y_max_m) / 2
+    x_m, y_m = to_raster.transform(*_apply(~to_pixel, np.zeros(()), np.zeros(())), direction="INVERSE")
     east_m, north_m = grid.resolution_m * np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
     col, row = _apply(to_pixel, *to_raster.transform(x_m + east_m, y_m + north_m))
     pixels_a_side = max(float(np.abs(v[1:] - v[0]).max()) for v in (col, row))

@@ -9,8 +9,8 @@ from affine import Affine
 
 from jaxurban.city import Raster
 from jaxurban.errors import InputError
-from jaxurban.grid import Grid
-from jaxurban.io.raster import raster_extent_m, read_raster, resample_raster
+from jaxurban.grid import Grid, transformer
+from jaxurban.io.raster import _points_a_side, raster_extent_m, read_raster, resample_raster
 
 UTM = "EPSG:32618"
 X, Y = 583000.0, 4506000.0  # southwest corner
@@ -210,3 +210,11 @@ def test_bilbaos_heights_and_terrain_are_as_its_readme_says(data_dir):
     terrain = read_raster(data_dir / "raster" / "bilbao_dem.tif", "EPSG:25830").values
     assert (heights.min(), heights.max()) == (0, 52)
     assert (terrain.min(), terrain.max()) == (-2, 103)
+
+
+def test_the_points_that_look_at_pixels_do_not_depend_on_the_part_of_the_grid():
+    raster = Raster(np.zeros((400, 400), np.float32), (2.4, 0.0, 500_000.0, 0.0, -2.4, 4_800_000.0), "EPSG:32630")
+    to_raster, to_pixel = transformer("EPSG:32629", raster.crs), ~Affine(*raster.transform)
+    whole = Grid("EPSG:32629", 4.8, 990_000, 200_000, 4_000, 4_000)
+    parts = [Grid("EPSG:32629", 4.8, 990_000 + k, 200_000 + k, 10, 10) for k in range(0, 3_990, 570)]
+    assert len({_points_a_side(grid, to_raster, to_pixel) for grid in (whole, *parts)}) == 1
