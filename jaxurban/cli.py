@@ -254,7 +254,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
         code = 0
     except (KeyboardInterrupt, click.Abort):
         _tell("interrupted; finished files are kept, and the same command resumes")
-        code = EXIT_INTERRUPTED
+        sys.stdout.flush()
+        sys.stderr.flush()
+        # At once: libraries' threads that were writing would only complain of the interpreter's end.
+        os._exit(EXIT_INTERRUPTED)
     sys.exit(code or 0)
 
 
