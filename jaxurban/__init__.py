@@ -13,9 +13,11 @@ if TYPE_CHECKING:
     from jaxurban.grid import Grid as Grid
     from jaxurban.maps import MetricMaps as MetricMaps
     from jaxurban.maps import open_maps as open_maps
-    from jaxurban.planning import PlannedPath as PlannedPath
+    from jaxurban.planned import PlannedPath as PlannedPath
     from jaxurban.planning import plan as plan
     from jaxurban.scenario import Scenario as Scenario
+    from jaxurban.weighted import WeightedMap as WeightedMap
+    from jaxurban.weighted import weigh as weigh
 
 # Names are fetched when they are first used: JAX, Numba and the readers take seconds to import, and the command
 # line must answer, to --help and to Ctrl-C, before that.
@@ -29,9 +31,11 @@ _HOMES = {
     "Grid": "grid",
     "MetricMaps": "maps",
     "open_maps": "maps",
-    "PlannedPath": "planning",
+    "PlannedPath": "planned",
     "plan": "planning",
     "Scenario": "scenario",
+    "WeightedMap": "weighted",
+    "weigh": "weighted",
 }
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from jaxurban.maps import MetricMaps
 from jaxurban.metrics.gps import Rating, rating
-from jaxurban.planning import PlannedPath
+from jaxurban.planned import PlannedPath
 
 Paths = Mapping[float, Sequence[PlannedPath]]
 Facts = Mapping[str, float]

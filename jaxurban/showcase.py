@@ -8,7 +8,8 @@ from jaxurban.io.export import write_path
 from jaxurban.io.store import RUN_FILE, whole_file
 from jaxurban.maps import MetricMaps
 from jaxurban.pipeline import run_scenario
-from jaxurban.planning import PlannedPath, plan
+from jaxurban.planned import PlannedPath
+from jaxurban.planning import plan
 from jaxurban.plotting import save_figures
 from jaxurban.report import summary_markdown
 from jaxurban.scenario import PAPER_PLANNERS, Scenario

@@ -18,8 +18,8 @@ from jaxurban import plotting
 from jaxurban.errors import InputError
 from jaxurban.grid import Grid
 from jaxurban.maps import MetricMaps
+from jaxurban.planned import PlannedPath
 from jaxurban.planners.base import Path, Status
-from jaxurban.planning import PlannedPath
 from jaxurban.plotting import files
 from jaxurban.plotting.frame import OBSTACLE_COLOUR, make_frame, round_length_m, thin, true_north
 from jaxurban.plotting.metrics import GPS_COLOUR, LIDAR_COLOUR, percent
@@ -78,6 +78,7 @@ def make_path(maps, planner, altitude_m, status=Status.OPTIMAL, time_of_day="day
         status=status,
         xy_m=xy_m,
         lonlat=xy_m,
+        z_m=np.full(len(xy_m), altitude_m),
         altitude_m=altitude_m,
         cost=1234.56 if status.has_path else np.inf,
         cost_by_layer={},

@@ -5,8 +5,8 @@ import pytest
 import xarray as xr
 
 from jaxurban.maps import MetricMaps
+from jaxurban.planned import PlannedPath
 from jaxurban.planners.base import Path, Status
-from jaxurban.planning import PlannedPath
 from jaxurban.report import summary_markdown
 
 ROWS, COLS, RESOLUTION_M = 4, 5, 10.0
@@ -52,6 +52,7 @@ def make_path(planner: str, status: Status, cost: float = np.inf, altitude_m: fl
         status=status,
         xy_m=xy_m,
         lonlat=xy_m,
+        z_m=np.full(len(xy_m), altitude_m),
         altitude_m=altitude_m,
         cost=cost,
         cost_by_layer={},

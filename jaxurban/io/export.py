@@ -14,6 +14,7 @@ from jaxurban.io.store import whole_file
 from jaxurban.planners.base import Status
 
 DECIMALS = 7  # of a degree: about a centimetre
+Z_DECIMALS = 2  # of a metre
 STRAIGHT_M = 0.01  # a waypoint closer than this to the line through its neighbours is left out of a .plan
 
 # MAVLink common message set, and the values that QGroundControl's plan format takes from it
@@ -39,8 +40,12 @@ class Route(Protocol):
         """``[N, 2]`` longitude, latitude in degrees."""
 
     @property
+    def z_m(self) -> np.ndarray:
+        """``[N]`` altitude above ground of each point."""
+
+    @property
     def altitude_m(self) -> float:
-        """Altitude above ground."""
+        """Altitude above ground at the start."""
 
     def to_dict(self) -> dict[str, Any]:
         """Everything but the points, JSON-ready."""
@@ -50,8 +55,8 @@ def write_path(route: Route, file: str | Path) -> bool:
     """Write a path in the format that the file's suffix names; return False, writing nothing, if there is no path.
 
     ``.geojson`` (RFC 7946): a FeatureCollection of one LineString. Coordinates are longitude and latitude
-    only, since a third one would be a height above the ellipsoid; the altitude above ground and all else
-    that is known of the path are properties (``altitude_m``, ``cost``, ``metrics`` ...).
+    only, since a third one would be a height above the ellipsoid; the altitudes above ground and all else
+    that is known of the path are properties (``altitude_m``, ``z_m`` of each point, ``cost``, ``metrics`` ...).
     ``.kml``: a LineString at its altitude above ground (``relativeToGround``), the same facts as data.
     ``.plan`` (QGroundControl): take-off at the first point, then a waypoint at every turn; points within
     a centimetre of the straight line between their neighbours are left out, so that a grid path is not a
@@ -95,16 +100,16 @@ def _encoder(file: Path) -> Callable[[Route], bytes]:
     return encode
 
 
-def _positions(lonlat: np.ndarray) -> list[list[float]]:
-    """Return longitude, latitude pairs; a lone point twice, since a line needs two positions."""
-    pairs = np.round(lonlat, DECIMALS).tolist()
-    return pairs * 2 if len(pairs) == 1 else pairs
+def _positions(points: np.ndarray) -> list[list[float]]:
+    """Return rounded coordinates; a lone point twice, since a line needs two positions."""
+    listed = np.round(points, DECIMALS).tolist()
+    return listed * 2 if len(listed) == 1 else listed
 
 
 def _geojson(route: Route) -> bytes:
     feature = {
         "type": "Feature",
-        "properties": route.to_dict(),
+        "properties": route.to_dict() | {"z_m": np.round(route.z_m, Z_DECIMALS).tolist()},
         "geometry": {"type": "LineString", "coordinates": _positions(route.lonlat)},
     }
     collection = {"type": "FeatureCollection", "features": [feature]}
@@ -123,7 +128,8 @@ def _kml(route: Route) -> bytes:
     line = ElementTree.SubElement(placemark, "LineString")
     ElementTree.SubElement(line, "altitudeMode").text = "relativeToGround"
     ElementTree.SubElement(line, "coordinates").text = " ".join(
-        f"{lon:.{DECIMALS}f},{lat:.{DECIMALS}f},{route.altitude_m:g}" for lon, lat in _positions(route.lonlat)
+        f"{lon:.{DECIMALS}f},{lat:.{DECIMALS}f},{z_m:.{Z_DECIMALS}f}"
+        for lon, lat, z_m in _positions(np.column_stack([route.lonlat, route.z_m]))
     )
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="utf-8", xml_declaration=True)
@@ -140,17 +146,24 @@ def _flat(facts: Mapping[str, Any], prefix: str = "") -> list[tuple[str, Any]]:
     return pairs
 
 
-def _turns(xy_m: np.ndarray) -> np.ndarray:
-    """Return the indices of the points that bend the path, first and last included, ``[W]``."""
+def _turns(xy_m: np.ndarray, z_m: np.ndarray) -> np.ndarray:
+    """Return the indices of the points that bend the path, in plan or in profile, first and last included, ``[W]``."""
     if len(xy_m) < 3:
         return np.arange(len(xy_m))
-    # The index rides along as z, which simplifying ignores.
-    line = shapely.LineString(np.column_stack([xy_m, np.arange(len(xy_m))]))
-    return shapely.get_coordinates(line.simplify(STRAIGHT_M), include_z=True)[:, 2].astype(int)
+    along_m = np.append(0.0, np.cumsum(np.hypot(*np.diff(xy_m, axis=0).T)))
+    bends = [
+        # The index rides along as z, which simplifying ignores.
+        shapely.LineString(np.column_stack([drawn, np.arange(len(drawn))])).simplify(STRAIGHT_M)
+        for drawn in (xy_m, np.column_stack([along_m, z_m]))
+    ]
+    return np.unique(np.concatenate([shapely.get_coordinates(line, include_z=True)[:, 2] for line in bends])).astype(
+        int
+    )
 
 
 def _qgc_plan(route: Route) -> bytes:
-    corners = np.round(route.lonlat[_turns(route.xy_m)], DECIMALS).tolist()
+    turns = _turns(route.xy_m, route.z_m)
+    corners = np.round(np.column_stack([route.lonlat, route.z_m])[turns], DECIMALS).tolist()
     commands = [MAV_CMD_NAV_TAKEOFF] + [MAV_CMD_NAV_WAYPOINT] * (len(corners) - 1)
     items = [
         {
@@ -159,12 +172,12 @@ def _qgc_plan(route: Route) -> bytes:
             "command": command,
             "doJumpId": number,
             "frame": MAV_FRAME_GLOBAL_RELATIVE_ALT,
-            "Altitude": route.altitude_m,
+            "Altitude": z_m,
             "AltitudeMode": ALTITUDE_RELATIVE,
             "AMSLAltAboveTerrain": None,
-            "params": [0, 0, 0, None, lat, lon, route.altitude_m],  # the fourth: yaw as the autopilot sees fit
+            "params": [0, 0, 0, None, lat, lon, z_m],  # the fourth: yaw as the autopilot sees fit
         }
-        for number, (command, (lon, lat)) in enumerate(zip(commands, corners, strict=True), start=1)
+        for number, (command, (lon, lat, z_m)) in enumerate(zip(commands, corners, strict=True), start=1)
     ]
     plan = {
         "fileType": "Plan",

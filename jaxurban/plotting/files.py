@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 
 from jaxurban.io.store import whole_file
 from jaxurban.maps import MetricMaps
-from jaxurban.planning import PlannedPath
+from jaxurban.planned import PlannedPath
 from jaxurban.plotting.metrics import (
     plot_gps_rating,
     plot_heights,

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from jaxurban.maps import MetricMaps
-from jaxurban.planning import PlannedPath
+from jaxurban.planned import PlannedPath
 from jaxurban.plotting.frame import (
     SMALL_PT,
     Frame,

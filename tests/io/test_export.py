@@ -27,6 +27,12 @@ class Route:
     status: Status = Status.OPTIMAL
     altitude_m: float = 60.0
     facts: dict[str, Any] = field(default_factory=dict)
+    climb_m: float = 0.0
+
+    @property
+    def z_m(self):
+        """Rises by ``climb_m`` at the fourth point, and stays there."""
+        return self.altitude_m + self.climb_m * (np.arange(len(self.xy_m)) >= 3)
 
     @property
     def lonlat(self):
@@ -156,3 +162,16 @@ def test_a_file_that_cannot_be_is_refused_in_one_sentence(name, fault, route, tm
         with pytest.raises(InputError, match=fault):
             call(tmp_path / name)
     assert [file.name for file in tmp_path.iterdir()] == ["folder.kml"]
+
+
+def test_a_climb_on_a_straight_line_is_a_waypoint_with_its_altitude_in_every_format(tmp_path):
+    east = np.column_stack([np.linspace(0, 45, 10), np.zeros(10)]) + staircase()[0]
+    route = Route(east, climb_m=12.25)
+    for suffix in (".geojson", ".kml", ".plan"):
+        write_path(route, tmp_path / f"path{suffix}")
+    items = json.loads((tmp_path / "path.plan").read_text())["mission"]["items"]
+    assert [item["Altitude"] for item in items] == [60.0, 60.0, 72.25, 72.25]
+    frame = geopandas.read_file(tmp_path / "path.geojson")
+    assert list(frame["z_m"][0]) == route.z_m.tolist()
+    text = ElementTree.parse(tmp_path / "path.kml").find(".//{*}coordinates").text
+    assert [float(point.split(",")[2]) for point in text.split()] == route.z_m.tolist()

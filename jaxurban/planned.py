@@ -1,0 +1,76 @@
+"""PlannedPath: a path over metric maps with its cost, metrics and settings."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from jaxurban.planners.base import Path, Status
+
+
+@dataclass(frozen=True)
+class PlannedPath:
+    """A path over metric maps with its cost and metrics. ``N`` points.
+
+    Attributes:
+      status: how the planner ended; `Status.has_path` tells whether there is a path.
+      xy_m: ``[N, 2]`` easting, northing of the path's points in the maps' CRS; empty without a path.
+      lonlat: ``[N, 2]`` longitude, latitude in degrees.
+      z_m: ``[N]`` altitude above ground of each point.
+      altitude_m: flight altitude above ground; of a path that climbs or descends, the one that it starts at.
+      cost: weighted cost under ``cost_model``, whatever the objective was; inf without a path.
+      cost_by_layer: parts of ``cost``: "distance" and each metric.
+      length_m: length of the path.
+      metrics: mean of each metric m along the path, weighted by length, by name.
+      snap_distance_m: how far start and goal were moved to the centres of their cells (or, with
+        ``snap``, out of an obstacle).
+      search: what the planner itself reported: bound, expansions, time, heuristic, backend, note.
+      settings: planner, weights, cost model, objective and the like, for the record.
+      crs: CRS of ``xy_m``.
+    """
+
+    status: Status
+    xy_m: np.ndarray
+    lonlat: np.ndarray
+    z_m: np.ndarray
+    altitude_m: float
+    cost: float
+    cost_by_layer: Mapping[str, float]
+    length_m: float
+    metrics: Mapping[str, float]
+    snap_distance_m: tuple[float, float]
+    search: Path
+    settings: Mapping[str, Any]
+    crs: str
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return everything but the points' arrays as plain, JSON-ready values (None for no number)."""
+        return {
+            "status": self.status.value,
+            "message": " ".join(filter(None, (self.status.sentence, self.search.note))),
+            "cost": _number(self.cost),
+            "cost_by_layer": {name: _number(value) for name, value in self.cost_by_layer.items()},
+            "length_m": _number(self.length_m),
+            "metrics": {name: _number(value) for name, value in self.metrics.items()},
+            "altitude_m": self.altitude_m,
+            "snap_distance_m": {"start": self.snap_distance_m[0], "goal": self.snap_distance_m[1]},
+            "objective_cost": _number(self.search.cost),
+            "lower_bound": _number(self.search.lower_bound),
+            "num_expanded": self.search.num_expanded,
+            "elapsed_s": self.search.elapsed_s,
+            "planner": self.search.planner,
+            "heuristic": self.search.heuristic,
+            "backend": self.search.backend,
+            "num_points": len(self.xy_m),
+            "batches": [
+                {"elapsed_s": seconds, "samples": samples, "cost": _number(cost)}
+                for seconds, samples, cost in self.search.history
+            ],
+            "crs": self.crs,
+            "settings": dict(self.settings),
+        }
+
+
+def _number(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None

@@ -1,0 +1,293 @@
+"""WeightedMap: the maps at one altitude and time under weights, ready for any number of queries."""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from jaxurban.cost import METRICS, Weights
+from jaxurban.errors import InputError
+from jaxurban.grid import Grid
+from jaxurban.io.orbits import iso_utc, parse_time
+from jaxurban.maps import MetricMaps
+from jaxurban.planned import PlannedPath
+from jaxurban.planners.base import Cell, CostModel, Diagonal, Path, Problem
+from jaxurban.planners.evaluate import PathCost, evaluate
+from jaxurban.planners.registry import find_planner
+
+Point = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a query starts or ends.
+
+    Attributes:
+      cell: row and column.
+      snap_distance_m: from the place that was given to the centre of the cell.
+    """
+
+    cell: Cell
+    snap_distance_m: float
+
+
+@dataclass(frozen=True, eq=False)
+class WeightedMap:
+    """Metric maps at one altitude and time under weights. ``L`` metrics, ``Y`` rows, ``X`` columns.
+
+    Queries share it, and with it what planners derive from the map.
+
+    Attributes:
+      maps: where it comes from.
+      altitude_m: altitude above ground.
+      time: epoch of the GPS map; None where a long series keeps statistics over time.
+      time_of_day: of the population map; None without one.
+      weights: as floats.
+      objective: ``"weighted"`` or ``"distance"``.
+      cost_model, reference_length_m, connectivity, diagonal: see `Problem`.
+      names: the metrics of the layers.
+      m: ``[L, Y, X]`` float32 the metrics; 0 where there are no data.
+      layers: ``[L, Y, X]`` float64 weighted costs w_j c_j, whatever the objective is.
+      is_free: ``[Y, X]`` bool, where a path may fly.
+    """
+
+    maps: MetricMaps
+    altitude_m: float
+    time: str | None
+    time_of_day: str | None
+    weights: Weights
+    objective: str
+    cost_model: CostModel
+    reference_length_m: float
+    connectivity: int
+    diagonal: Diagonal
+    names: tuple[str, ...]
+    m: np.ndarray
+    layers: np.ndarray
+    is_free: np.ndarray
+
+    @cached_property
+    def grid(self) -> Grid:
+        """The grid of the maps."""
+        return self.maps.grid
+
+    @cached_property
+    def is_weighed(self) -> bool:
+        """Whether anything but the shortest path is asked for: not with all weights zero."""
+        return self.objective == "weighted" and bool(self.weights.distance > 0 or self.layers.any())
+
+    @cached_property
+    def problem(self) -> Problem:
+        """The planners' view of the map, from its first free cell to itself; `Problem.between` asks for others.
+
+        Raises:
+          InputError: no cell is free.
+        """
+        if not self.is_free.any():
+            raise InputError(f"no cell is free at {self.altitude_m:g} m: fly higher")
+        row, col = np.unravel_index(np.argmax(self.is_free), self.is_free.shape)
+        free_cell = (int(row), int(col))
+        return Problem(
+            layers=self.layers if self.is_weighed else np.zeros((1, *self.is_free.shape)),
+            is_free=self.is_free,
+            start=free_cell,
+            goal=free_cell,
+            resolution_m=self.grid.resolution_m,
+            distance_weight=float(self.weights.distance) if self.is_weighed else 1.0,
+            cost_model=self.cost_model,
+            reference_length_m=self.reference_length_m,
+            connectivity=self.connectivity,
+            diagonal=self.diagonal,
+        )
+
+    def locate(self, name: str, lonlat: Point | None = None, xy_m: Point | None = None, *, snap: bool = False) -> Place:
+        """Return the cell of a place given in degrees or in metres.
+
+        Args:
+          name: ``"start"`` or ``"goal"``, for messages.
+          lonlat: longitude, latitude in degrees.
+          xy_m: easting, northing in the maps' CRS, instead.
+          snap: move out of an obstacle to the nearest free cell.
+
+        Raises:
+          InputError: none or both are given, a place outside the maps, or inside an obstacle without ``snap``
+            (names the nearest free cell).
+        """
+        grid = self.grid
+        try:
+            if lonlat is not None and xy_m is None:
+                x_m, y_m = (float(value) for value in grid.xy_of_lonlat(*lonlat))
+                row, col = grid.cell_of_lonlat(*lonlat)
+            elif xy_m is not None and lonlat is None:
+                x_m, y_m = xy_m
+                row, col = grid.cell_of_xy(x_m, y_m)
+            else:
+                raise InputError(f"give it either as longitude, latitude or as {name}_xy_m, and not both")
+        except InputError as error:
+            raise InputError(f"{name}: {error}") from error
+        cell = (int(row), int(col))
+        if not self.is_free[cell]:
+            nearest = _nearest_free(cell, self.is_free)
+            if nearest is None:
+                raise InputError(f"{name} is inside an obstacle and no cell is free at this altitude: fly higher")
+            near_lon, near_lat = grid.lonlat_of_cell(*nearest)
+            if not snap:
+                away_m = np.hypot(nearest[0] - cell[0], nearest[1] - cell[1]) * grid.resolution_m
+                raise InputError(
+                    f"{name} is inside an obstacle (or where there are no data) at this altitude; the nearest free "
+                    f"cell is at {near_lon:.6f},{near_lat:.6f}, {away_m:.0f} m away: start there, fly higher, or "
+                    "pass --snap (snap=True) to move there"
+                )
+            cell = nearest
+        centre_x_m, centre_y_m = grid.xy_of_cell(*cell)
+        return Place(cell, float(np.hypot(centre_x_m - x_m, centre_y_m - y_m)))
+
+    def plan(
+        self,
+        start: Point | None = None,
+        goal: Point | None = None,
+        *,
+        start_xy_m: Point | None = None,
+        goal_xy_m: Point | None = None,
+        planner: str = "astar-plus",
+        heuristic: str | None = None,
+        budget_s: float = 180.0,
+        seed: int = 0,
+        snap: bool = False,
+    ) -> PlannedPath:
+        """Return a path between two places (arguments and errors as in `jaxurban.plan`)."""
+        search = find_planner(planner, heuristic)
+        ends = (
+            self.locate("start", start, start_xy_m, snap=snap),
+            self.locate("goal", goal, goal_xy_m, snap=snap),
+        )
+        found = search(self.problem.between(ends[0].cell, ends[1].cell), budget_s=budget_s, seed=seed)
+        return self.finish(found, ends, budget_s=budget_s, seed=seed)
+
+    def finish(self, found: Path, ends: tuple[Place, Place], *, budget_s: float, seed: int) -> PlannedPath:
+        """Return a planner's path with its weighted cost, its metrics, its coordinates and its settings."""
+        grid = self.grid
+        notes = (
+            [found.note]
+            if self.is_weighed or self.objective == "distance"
+            else ["All weights are zero, so every path is as cheap: this is the shortest one."]
+        )
+        if unpaid := [name for name in METRICS if name not in self.names and getattr(self.weights, name) > 0]:
+            notes.append(f"These maps hold no {' and no '.join(unpaid)}, so that weight is ignored.")
+        xy_m = found.points_m + np.array([grid.x_min_m, grid.y_min_m])
+        paid = self.evaluate(found.points_m) if found.status.has_path else None
+        return PlannedPath(
+            status=found.status,
+            xy_m=xy_m,
+            lonlat=np.stack(grid.lonlat_of_xy(xy_m[:, 0], xy_m[:, 1]), axis=-1) if len(xy_m) else np.empty((0, 2)),
+            z_m=np.full(len(xy_m), float(self.altitude_m)),
+            altitude_m=float(self.altitude_m),
+            cost=float("inf") if paid is None else paid.total,
+            cost_by_layer={} if paid is None else self._by_layer(paid),
+            length_m=float("inf") if paid is None else paid.length_m,
+            metrics={} if paid is None else self._means(paid),
+            snap_distance_m=(ends[0].snap_distance_m, ends[1].snap_distance_m),
+            search=replace(found, note=" ".join(filter(None, notes))),
+            settings={
+                "objective": self.objective,
+                "cost_model": self.cost_model,
+                "reference_length_m": self.reference_length_m,
+                "connectivity": self.connectivity,
+                "diagonal": self.diagonal,
+                "weights": {name: float(getattr(self.weights, name)) for name in ("distance", *self.names)},
+                "time": self.time,
+                "time_of_day": self.time_of_day,
+                "resolution_m": grid.resolution_m,
+                "budget_s": budget_s,
+                "seed": seed,
+            },
+            crs=grid.crs,
+        )
+
+    def evaluate(self, points_m: np.ndarray) -> PathCost:
+        """Return the weighted cost of a polyline ``[N, 2]`` in metres from the map's southwest corner."""
+        return evaluate(
+            points_m,
+            self.layers,
+            self.is_free,
+            self.grid.resolution_m,
+            float(self.weights.distance),
+            self.cost_model,
+            self.reference_length_m,
+        )
+
+    def _by_layer(self, paid: PathCost) -> dict[str, float]:
+        metrics = dict(zip(self.names, (float(value) for value in paid.per_layer), strict=True))
+        return {"distance": paid.total - sum(metrics.values()), **metrics}
+
+    def _means(self, paid: PathCost) -> dict[str, float]:
+        """Return the mean of each metric along a path, by the exact length in each cell."""
+        crossed = paid.crossings
+        length_m = crossed.length_m if paid.length_m > 0 else np.ones(1)
+        along = self.m[:, crossed.row, crossed.col].astype(np.float64)
+        return {name: float(value) for name, value in zip(self.names, along @ length_m / length_m.sum(), strict=True)}
+
+
+def weigh(
+    maps: MetricMaps,
+    altitude_m: float,
+    *,
+    weights: Weights | None = None,
+    objective: str = "weighted",
+    cost_model: CostModel = "cell",
+    time: str | None = None,
+    time_of_day: str | None = None,
+    connectivity: int = 8,
+    diagonal: Diagonal = "both-free",
+    reference_length_m: float = 5.0,
+) -> WeightedMap:
+    """Return the maps at one altitude under weights, on which any number of paths can be planned.
+
+    Args:
+      maps: from `build_maps` or `open_maps`.
+      altitude_m: one of the maps' altitudes.
+      weights: default `Weights()`.
+      objective: ``"weighted"``, or ``"distance"`` for the shortest path (its weighted cost is reported).
+      cost_model: ``"cell"`` (the paper) or ``"line"``.
+      time: epoch of the GPS map; the first if left out.
+      time_of_day: of the population map; the first if left out.
+      connectivity, diagonal: neighbours of the grid planners.
+      reference_length_m: l_0 of the line model.
+
+    Raises:
+      InputError: an unknown altitude, time, time of day or objective, or a wrong weight.
+    """
+    weights = (weights or Weights()).checked()
+    if objective not in ("weighted", "distance"):
+        raise InputError(f"objective must be 'weighted' or 'distance', got {objective!r}")
+    is_free = maps.is_free(altitude_m)
+    costs = maps.costs(altitude_m, time=time, time_of_day=time_of_day)
+    m = np.zeros((len(costs), *is_free.shape), np.float32)
+    layers = np.zeros(m.shape)
+    for row, (name, cost) in enumerate(costs.items()):
+        m[row] = np.nan_to_num(maps.m(name, altitude_m, time=time, time_of_day=time_of_day))
+        layers[row] = getattr(weights, name) * np.where(is_free, cost, np.nan_to_num(cost)).astype(np.float64)
+    return WeightedMap(
+        maps=maps,
+        altitude_m=float(altitude_m),
+        time=maps.default_time if time is None else iso_utc(parse_time(time)),
+        time_of_day=time_of_day or next(iter(maps.times_of_day), None),
+        weights=weights,
+        objective=objective,
+        cost_model=cost_model,
+        reference_length_m=reference_length_m,
+        connectivity=connectivity,
+        diagonal=diagonal,
+        names=tuple(costs),
+        m=m,
+        layers=layers,
+        is_free=is_free,
+    )
+
+
+def _nearest_free(cell: Cell, is_free: np.ndarray) -> Cell | None:
+    rows, cols = np.nonzero(is_free)
+    if rows.size == 0:
+        return None
+    nearest = np.argmin((rows - cell[0]) ** 2 + (cols - cell[1]) ** 2)
+    return int(rows[nearest]), int(cols[nearest])
