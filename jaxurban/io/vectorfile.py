@@ -1,5 +1,6 @@
 """Vector files of any format, opened the same way for every use."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import geopandas as gpd
@@ -26,14 +27,33 @@ def open_frame(path: str | Path, role: str, *, allow_empty: bool = False) -> gpd
       InputError: no such file, not a readable vector file, no geometry, no CRS, coordinates beyond the globe though
         the CRS is in degrees, or several layers of polygons of which none is called ``role``.
     """
+    (frame,) = _read(path, role, lambda: [_polygon_layer(path, role)], on_invalid="ignore")
+    if not allow_empty and (frame.empty or frame.geometry.isna().all()):
+        raise InputError(f"the {role} file {str(path)!r} holds no polygons: give a file of polygons")
+    return frame
+
+
+def open_layers(path: str | Path, role: str) -> list[gpd.GeoDataFrame]:
+    """Return the features of every layer of a vector file, those without geometry left out.
+
+    Every folder of a KML file is a layer. Nothing is passed over: a ring of too few points is an error.
+
+    Raises:
+      InputError: as `open_frame`, but for several layers.
+    """
+    return _read(path, role, lambda: [str(layer) for layer, _ in pyogrio.list_layers(path)], on_invalid="raise")
+
+
+def _read(path: str | Path, role: str, pick_layers: Callable[[], list[str]], on_invalid: str) -> list[gpd.GeoDataFrame]:
+    """Return the picked layers of a file, checked."""
     name = f"the {role} file {str(path)!r}"
     if not Path(path).exists():
         raise InputError(f"{name} does not exist: check the path")
     try:
         if Path(path).suffix.lower() in PARQUET_SUFFIXES:
-            frame = gpd.read_parquet(path)
+            frames = [gpd.read_parquet(path)]
         else:
-            frame = pyogrio.read_dataframe(path, layer=_polygon_layer(path, role), on_invalid="ignore")
+            frames = [pyogrio.read_dataframe(path, layer=layer, on_invalid=on_invalid) for layer in pick_layers()]
     except InputError:
         raise
     except (RuntimeError, ValueError, OSError, shapely.errors.ShapelyError) as error:
@@ -41,17 +61,17 @@ def open_frame(path: str | Path, role: str, *, allow_empty: bool = False) -> gpd
         raise InputError(
             f"{name} cannot be read as a vector file ({reason}): give a whole one, with its companions"
         ) from error
-    if not isinstance(frame, gpd.GeoDataFrame):
+    frames = [frame for frame in frames if isinstance(frame, gpd.GeoDataFrame)]
+    if not frames:
         raise InputError(f"{name} holds no geometry: give a file of polygons")
-    if not allow_empty and (frame.empty or frame.geometry.isna().all()):
-        raise InputError(f"{name} holds no polygons: give a file of polygons")
-    if frame.crs is None:
-        raise InputError(
-            f"{name} declares no CRS: write it into the file, as with `ogr2ogr -a_srs EPSG:... OUT IN` "
-            "(a Shapefile has it in its .prj)"
-        )
-    _check_degrees(name, frame)
-    return frame
+    for frame in frames:
+        if frame.crs is None:
+            raise InputError(
+                f"{name} declares no CRS: write it into the file, as with `ogr2ogr -a_srs EPSG:... OUT IN` "
+                "(a Shapefile has it in its .prj)"
+            )
+        _check_degrees(name, frame)
+    return frames
 
 
 def _polygon_layer(path: str | Path, wanted: str) -> str:
