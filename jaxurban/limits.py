@@ -4,7 +4,7 @@ import math
 import operator
 import re
 import warnings
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -68,10 +68,11 @@ class Bound:
     ) -> np.ndarray:
         """Return ``[Y, X]`` bool: the bound holds. Nothing holds where there are no data; a DOP may be inf.
 
+        Between two altitudes of the maps it must hold at both, or at the upper one over a wall of the lower.
+
         Raises:
           InputError: no such map.
         """
-        # A Python float compares in the map's own float32, so that gps>=0.7 holds where the map says 0.7.
         variable = maps.variable(self.variable)
         if variable not in maps.ds or maps.ds[variable].dims[-2:] != ("y", "x"):
             held = [str(name) for name, array in maps.ds.data_vars.items() if array.dims[-2:] == ("y", "x")]
@@ -79,8 +80,16 @@ class Bound:
                 f"the bound {self} is on a map that these maps do not hold{nearest_name(self.variable, held)}: "
                 f"they hold {', '.join(held)}"
             )
-        values = maps.m(self.variable, altitude_m, time=time, time_of_day=time_of_day)
-        return OPERATORS[self.comparison](values, self.value) & maps.ds["has_data"].values
+        is_kept = maps.ds["has_data"].values.copy()
+        below = [z_m for z_m in maps.altitudes_m if z_m <= altitude_m]
+        above = [z_m for z_m in maps.altitudes_m if z_m >= altitude_m]
+        around = {max(below), min(above)} if below and above else {altitude_m}  # the maps refuse an altitude beyond
+        for z_m in around:
+            values = maps.m(self.variable, z_m, time=time, time_of_day=time_of_day)
+            # A Python float compares in the map's own float32, so that gps>=0.7 holds where the map says 0.7.
+            holds = OPERATORS[self.comparison](values, self.value)
+            is_kept &= holds | (maps.m("obstacle", z_m) == 1) if z_m < altitude_m else holds
+        return is_kept
 
 
 @dataclass(frozen=True)
@@ -142,34 +151,45 @@ class Limits:
 
         Args:
           maps: the metric maps.
-          altitude_m: above ground; with bounds, one of the maps' altitudes.
+          altitude_m: above ground; with bounds, within the range of the maps' altitudes.
           time: epoch of the GPS map; the first if left out.
           time_of_day: of the population map; the first if left out.
 
         Raises:
           InputError: a bound on a map that is not there, or an unknown altitude, time or time of day.
         """
-        closed = self.zones_between(maps, altitude_m, altitude_m)
-        for bound in self.bounds:
-            closed |= ~bound.is_kept(maps, altitude_m, time, time_of_day)
-        return closed
+        return self.closed_levels(maps, [altitude_m], time=time, time_of_day=time_of_day)[0]
 
-    def zones_between(self, maps: MetricMaps, low_m: float, high_m: float) -> np.ndarray:
-        """Return ``[Y, X]`` bool: cells that a zone touches at any altitude between two, both included.
+    def closed_levels(
+        self, maps: MetricMaps, levels_m: Sequence[float], *, time: str | None = None, time_of_day: str | None = None
+    ) -> np.ndarray:
+        """Return ``[K, Y, X]`` bool: cells that these limits close at levels between which a path may climb.
 
-        A climb or descent from ``low_m`` to ``high_m`` is closed there, also by a zone that lies in between.
+        A zone that lies wholly between two levels closes the lower one too, so that no climb or descent passes it.
+
+        Args:
+          maps: the metric maps.
+          levels_m: ``[K]`` ascending, within the range of the maps' altitudes.
+          time, time_of_day: as in `closed`.
         """
-        closed = np.zeros(maps.grid.shape, bool)
+        grid = maps.grid
+        closed = np.zeros((len(levels_m), *grid.shape), bool)
+        levels, next_m = np.asarray(levels_m, float), np.append(levels_m[1:], levels_m[-1])
         is_near = False
         for zone in self.zones:
-            part = zone.on(maps.grid)
+            part = zone.on(grid)
             is_near |= not part.is_empty
-            if zone.is_active(low_m, high_m):
-                closed |= touched_cells(part, maps.grid)
+            is_at = (zone.floor_m <= levels) & (levels <= zone.ceiling_m)
+            is_between = (levels < zone.floor_m) & (zone.ceiling_m < next_m)
+            if np.any(is_at | is_between):
+                closed[is_at | is_between] |= touched_cells(part, grid)
         if self.zones and not is_near:
             files = ", ".join(sorted({repr(zone.source) for zone in self.zones}))
             sentence = f"no zone of {files} lies in the maps' region: check that it is the right file"
             warnings.warn(sentence, IgnoredLimitWarning, stacklevel=2)
+        for bound in self.bounds:
+            for level_closed, z_m in zip(closed, levels_m, strict=True):
+                level_closed |= ~bound.is_kept(maps, z_m, time, time_of_day)
         return closed
 
     def reasons(
@@ -180,7 +200,7 @@ class Limits:
         zones = [
             f"the no-fly zone {zone.label} ({zone.heights})"
             for zone in self.zones
-            if zone.is_active(altitude_m, altitude_m) and zone.on(maps.grid).intersects(box)
+            if zone.floor_m <= altitude_m <= zone.ceiling_m and zone.on(maps.grid).intersects(box)
         ]
         bounds = []
         for bound in self.bounds:

@@ -54,7 +54,8 @@ def cut_route(points_m: np.ndarray, z_m: np.ndarray, resolution_m: float) -> Pie
     crossed = crossed_cells(states[:, :2], resolution_m)
     is_level = crossed.length_m > 0  # not so for a route that goes nowhere, or only up and down
     step, row, col, over_m = (np.asarray(values)[is_level] for values in crossed)
-    climbs = np.flatnonzero((ground_m == 0) & (air_m > 0))  # straight up or down: within one cell
+    # Straight up or down: within one cell, half of it nearer to either end's altitude.
+    climbs = np.repeat(np.flatnonzero((ground_m == 0) & (air_m > 0)), 2)
     climb_cells = np.floor(states[climbs, :2] / resolution_m).astype(np.int64)
     step, row, col = (
         np.concatenate(both) for both in ((step, climbs), (row, climb_cells[:, 1]), (col, climb_cells[:, 0]))
@@ -66,7 +67,7 @@ def cut_route(points_m: np.ndarray, z_m: np.ndarray, resolution_m: float) -> Pie
         here, none = states[:1], np.zeros(1)
         return Pieces(here, np.zeros(1, np.int64), crossed.row, crossed.col, none, none, np.stack([here, here], 1))
     is_climb = ground_m[step] == 0
-    share = np.where(is_climb, 1.0, over_m / np.where(is_climb, 1.0, ground_m[step]))
+    share = np.where(is_climb, 0.5, over_m / np.where(is_climb, 1.0, ground_m[step]))
     done = np.cumsum(share)
     is_first = np.append(True, step[1:] != step[:-1])
     before = done - share
@@ -127,8 +128,7 @@ def _is_surrounded(is_obstacle: np.ndarray) -> np.ndarray:
     return padded[:-2, 1:-1] & padded[2:, 1:-1] & padded[1:-1, :-2] & padded[1:-1, 2:]
 
 
-def by_altitude(z_m: np.ndarray, altitudes_m: Sequence[float]) -> np.ndarray:
-    """Return ``[M]`` the number of the nearest of the maps' altitudes, the lower one where two are as near."""
-    order = np.argsort(altitudes_m, kind="stable")
-    nearest = np.argmin(np.abs(z_m[:, None] - np.asarray(altitudes_m)[order]), axis=1)
-    return order[nearest]
+def nearest_level_m(z_m: np.ndarray, levels_m: Sequence[float]) -> np.ndarray:
+    """Return ``[M]`` the nearest of some levels, the lower one where two are as near."""
+    ascending_m = np.sort(np.asarray(levels_m, float))
+    return ascending_m[np.argmin(np.abs(z_m[:, None] - ascending_m), axis=1)]

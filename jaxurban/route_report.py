@@ -13,7 +13,7 @@ from jaxurban.errors import InputError
 from jaxurban.maps import MetricMaps
 from jaxurban.metrics.population import M2_PER_KM2
 from jaxurban.planned import PlannedPath
-from jaxurban.route_pieces import Pieces, by_altitude, cut_evenly, cut_route, nearest_wall_m
+from jaxurban.route_pieces import Pieces, cut_evenly, cut_route, nearest_level_m, nearest_wall_m
 
 FEWEST_SATELLITES = 4  # below, no position fix
 SECONDS_PER_HOUR = 3600.0
@@ -29,6 +29,8 @@ SEGMENT_HEADS = {  # what a terminal has room for; `RouteReport.segments` has mo
     "cost_of_lidar": "+lidar",
     "cost_of_population": "+popul.",
     "cost_of_risk": "+risk",
+    "cost_of_climb": "+climb",
+    "cost_of_descent": "+descent",
     "min_gps": "min gps",
     "people_overflown": "people",
     "under_4_satellites_m": "<4 sat m",
@@ -114,7 +116,7 @@ def explain(
     route crosses. Who lives under two passes counts twice. Time is length / speed, energy time x power: no wind,
     no acceleration, the same power in climb and descent. The nearest wall is the exact distance from the route
     to the square of the nearest cell with a roof at the route's altitude (see `nearest_wall_m`). Where a
-    route climbs, each piece takes the maps of the nearest altitude.
+    route climbs, each piece takes the maps of the level nearest to it, as the planner did.
 
     Args:
       planned: from `plan`; its settings tell weights, cost model, epoch and time of day.
@@ -131,8 +133,9 @@ def explain(
     _check_path(planned, maps, num_segments)
     grid = maps.grid
     pieces = cut_route(planned.xy_m - [grid.x_min_m, grid.y_min_m], planned.z_m, grid.resolution_m)
-    profile = _profile(planned, maps, pieces)
-    step_costs = _step_costs(planned, maps, pieces)
+    levels = _Levels(planned, maps)
+    profile = _profile(levels, maps, pieces)
+    step_costs = _step_costs(levels, maps, pieces)
     segment = cut_evenly(pieces.states, num_segments)
     rows = _Rows(profile, pieces.ground_m, maps.metrics, speed_m_s, power_w, swath_m)
     of_piece = segment[pieces.step] if len(segment) else np.full(len(profile), -1)
@@ -179,56 +182,83 @@ def _check_path(planned: PlannedPath, maps: MetricMaps, num_segments: int) -> No
         raise InputError(f"num_segments must be at least 1, got {num_segments}")
 
 
-def _sampler(planned: PlannedPath, maps: MetricMaps, z_m: np.ndarray, row: np.ndarray, col: np.ndarray):
-    """Return a function that looks a map up at cells, each at the maps' altitude nearest to its own."""
-    layer = by_altitude(z_m, maps.altitudes_m)
-    time, time_of_day = planned.settings["time"], planned.settings["time_of_day"]
+@dataclass(frozen=True, eq=False)
+class _Levels:
+    """The maps at the levels of a path: its one altitude, or those that it climbs and descends between."""
 
-    def sample(name: str) -> np.ndarray:
+    planned: PlannedPath
+    maps: MetricMaps
+
+    def of(self, z_m: np.ndarray) -> np.ndarray:
+        """Return the level whose maps count at altitudes."""
+        return nearest_level_m(z_m, self.planned.settings.get("levels_m") or [self.planned.altitude_m])
+
+    def sample(self, name: str, level_m: np.ndarray, row: np.ndarray, col: np.ndarray) -> np.ndarray:
+        """Return the values of a map at cells, float64, each at its own level."""
         values = np.empty(len(row))
-        for number in np.unique(layer):
-            here = layer == number
-            shown = maps.m(name, maps.altitudes_m[number], time=time, time_of_day=time_of_day)
-            values[here] = shown[row[here], col[here]]
+        for z_m in np.unique(level_m):
+            here = level_m == z_m
+            values[here] = self._map(name, float(z_m), (row[here], col[here]))
         return values
 
-    return sample
+    def is_obstacle(self, z_m: float) -> np.ndarray:
+        """Return ``[Y, X]`` bool: a roof reaches a level."""
+        return self.maps.m("obstacle", z_m) == 1 if z_m in self.maps.altitudes_m else self.maps.m("roof") >= z_m
+
+    def _map(self, name: str, z_m: float, cells: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+        """Return a map at cells of a level, linear between the altitudes around it; the upper's over a lower wall."""
+        maps, settings = self.maps, self.planned.settings
+
+        def at(altitude_m: float | None) -> np.ndarray:
+            shown = maps.m(name, altitude_m, time=settings["time"], time_of_day=settings["time_of_day"])
+            return shown[cells]
+
+        if "altitude" not in maps.ds[maps.variable(name)].dims:
+            return at(None)
+        if z_m in maps.altitudes_m:
+            return at(z_m)
+        low_m = max(altitude_m for altitude_m in maps.altitudes_m if altitude_m < z_m)
+        high_m = min(altitude_m for altitude_m in maps.altitudes_m if altitude_m > z_m)
+        share = (z_m - low_m) / (high_m - low_m)
+        return np.where(maps.is_free(low_m)[cells], (1 - share) * at(low_m) + share * at(high_m), at(high_m))
 
 
-def _profile(planned: PlannedPath, maps: MetricMaps, pieces: Pieces) -> pd.DataFrame:
+def _profile(levels: _Levels, maps: MetricMaps, pieces: Pieces) -> pd.DataFrame:
     grid, middle = maps.grid, pieces.middle
     lon, lat = grid.lonlat_of_xy(middle[:, 0] + grid.x_min_m, middle[:, 1] + grid.y_min_m)
     to_m = np.cumsum(pieces.length_m)
     columns = {"from_m": to_m - pieces.length_m, "to_m": to_m, "lon": lon, "lat": lat, "z_m": middle[:, 2]}
-    sample = _sampler(planned, maps, middle[:, 2], pieces.row, pieces.col)
-    columns |= {name: sample(name) for name in maps.metrics}
-    columns |= {column: sample(name) for name, column in EXTRA_MAPS.items() if name in maps.ds}
-    layer = by_altitude(middle[:, 2], maps.altitudes_m)
-    columns[WALL] = np.empty(len(layer))
-    for number in np.unique(layer):
-        is_obstacle = maps.m("obstacle", maps.altitudes_m[number]) == 1
-        lines = pieces.ends[layer == number, :, :2]
-        columns[WALL][layer == number] = nearest_wall_m(lines, is_obstacle, grid.resolution_m)
+    level_m = levels.of(middle[:, 2])
+    shown = {name: name for name in maps.metrics} | EXTRA_MAPS
+    for name, column in shown.items():
+        if maps.variable(name) in maps.ds:
+            columns[column] = levels.sample(name, level_m, pieces.row, pieces.col)
+    columns[WALL] = np.empty(len(level_m))
+    for z_m in np.unique(level_m):
+        lines = pieces.ends[level_m == z_m, :, :2]
+        columns[WALL][level_m == z_m] = nearest_wall_m(lines, levels.is_obstacle(float(z_m)), grid.resolution_m)
     return pd.DataFrame(columns)
 
 
-def _step_costs(planned: PlannedPath, maps: MetricMaps, pieces: Pieces) -> dict[str, np.ndarray]:
-    """Return ``[S]`` what distance and each metric charge for every step, as `jaxurban.planners.evaluate` does."""
-    settings, num_steps = planned.settings, len(pieces.states) - 1
-    air_m = np.linalg.norm(np.diff(pieces.states, axis=0), axis=1)
-    costs = {"distance": settings["weights"]["distance"] * air_m}
-    if num_steps == 0:
-        return {name: np.zeros(0) for name in ("distance", *maps.metrics)}
+def _step_costs(levels: _Levels, maps: MetricMaps, pieces: Pieces) -> dict[str, np.ndarray]:
+    """Return ``[S]`` what distance, each metric and climbing charge for every step, as the planners do."""
+    settings, num_steps = levels.planned.settings, len(pieces.states) - 1
+    moved_m = np.diff(pieces.states, axis=0)
+    costs = {"distance": settings["weights"]["distance"] * np.linalg.norm(moved_m, axis=1)}
     if settings["cost_model"] == "line":
-        charged, z_m = np.ones(len(pieces.step), bool), pieces.middle[:, 2]
-        share = pieces.length_m / settings["reference_length_m"]
+        charged = np.full(len(pieces.step), num_steps > 0)
+        z_m, share = pieces.middle[charged, 2], pieces.length_m[charged] / settings["reference_length_m"]
     else:
-        charged = np.append(pieces.step[1:] != pieces.step[:-1], True)  # the cell in which a step ends
-        z_m, share = pieces.states[1:, 2], np.ones(num_steps)
-    sample = _sampler(planned, maps, z_m, pieces.row[charged], pieces.col[charged])
+        charged = np.append(pieces.step[1:] != pieces.step[:-1], num_steps > 0)  # the cell in which a step ends
+        z_m, share = pieces.states[1:, 2][pieces.step[charged]], np.ones(charged.sum())
+    level_m = levels.of(z_m)
     for name in maps.metrics:
-        cost = metric_cost(name, sample(name).astype(np.float32)).astype(float)  # in the maps' own precision
+        m = levels.sample(name, level_m, pieces.row[charged], pieces.col[charged])
+        cost = metric_cost(name, m.astype(np.float32)).astype(float)  # in the maps' own precision
         costs[name] = np.bincount(pieces.step[charged], settings["weights"][name] * cost * share, num_steps)
+    for name, height_m in (("climb", moved_m[:, 2]), ("descent", -moved_m[:, 2])):
+        if f"{name}_cost" in settings:
+            costs[name] = settings[f"{name}_cost"] * np.maximum(height_m, 0.0)
     return costs
 
 
@@ -256,7 +286,7 @@ class _Rows:
             row["people_overflown"] = float(part["density_per_km2"].to_numpy() @ ground_m) * self.swath_m / M2_PER_KM2
         if "num_visible" in part:
             row["under_4_satellites_m"] = float(length_m[part["num_visible"] < FEWEST_SATELLITES].sum())
-        row[WALL] = part[WALL].min()
+        row[WALL] = float(part[WALL].min())
         if self.speed_m_s is not None:
             row["time_s"] = total_m / self.speed_m_s
             if self.power_w is not None:

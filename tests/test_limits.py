@@ -52,8 +52,20 @@ def test_a_zone_closes_from_its_floor_to_its_ceiling_both_included(maps):
     limits = ju.Limits((zone_of_cells(maps, 40, 30, 5, floor_m=30.0, ceiling_m=50.0),))
     for altitude_m, is_closed in ((29.9, False), (30.0, True), (50.0, True), (50.1, False)):
         assert limits.closed(maps, altitude_m).any() == is_closed
-    assert limits.zones_between(maps, 20.0, 60.0).sum() == 25  # a climb past it is closed
-    assert not limits.zones_between(maps, 51.0, 60.0).any()
+    counts = [closed.sum() for closed in limits.closed_levels(maps, [20.0, 30.0, 55.0, 60.0])]
+    assert counts == [0, 25, 0, 0]
+    counts = [closed.sum() for closed in limits.closed_levels(maps, [20.0, 25.0, 55.0, 60.0])]
+    assert counts == [0, 25, 0, 0]  # between 25 and 55 m: no climb passes it
+
+
+def test_between_two_altitudes_a_bound_must_hold_at_both_or_above_a_wall(maps):
+    bound = Bound("lidar", ">=", 0.4)
+    low, high = (maps.m("lidar", z_m) >= 0.4 for z_m in (20.0, 60.0))
+    by_hand = (low | (maps.m("obstacle", 20.0) == 1)) & high
+    assert np.array_equal(bound.is_kept(maps, 35.0), by_hand)
+    assert np.array_equal(bound.is_kept(maps, 60.0), high)
+    with pytest.raises(InputError, match="no maps for altitude 61"):
+        bound.is_kept(maps, 61.0)
 
 
 def test_where_there_are_no_data_no_bound_holds(maps):

@@ -7,7 +7,7 @@ import pytest
 import shapely
 from scipy.ndimage import distance_transform_edt
 
-from jaxurban.route_pieces import by_altitude, cut_evenly, cut_route, nearest_wall_m
+from jaxurban.route_pieces import cut_evenly, cut_route, nearest_level_m, nearest_wall_m
 
 WALLS = np.random.default_rng(3).random((30, 40)) < 0.08
 RES = 5.0
@@ -38,8 +38,8 @@ def test_a_climb_is_longer_in_the_air_than_over_the_ground():
     assert pieces.ground_m.sum() == pytest.approx(50 + 0 + 30)
     assert pieces.length_m.sum() == pytest.approx(50 + 40 + 50)
     straight_up = pieces.ground_m == 0
-    assert [(r, c) for r, c in zip(pieces.row[straight_up], pieces.col[straight_up], strict=True)] == [(8, 6)]
-    np.testing.assert_allclose(pieces.ends[straight_up][0], [[32.5, 42.5, 20], [32.5, 42.5, 60]])
+    assert [(r, c) for r, c in zip(pieces.row[straight_up], pieces.col[straight_up], strict=True)] == [(8, 6)] * 2
+    np.testing.assert_allclose(pieces.ends[straight_up][0], [[32.5, 42.5, 20], [32.5, 42.5, 40]])
     np.testing.assert_allclose(np.diff(pieces.ends[:, :, 2], axis=1)[:, 0].sum(), 0.0, atol=1e-9)
 
 
@@ -98,4 +98,4 @@ def test_a_wall_is_found_however_far_and_none_is_told():
 
 
 def test_the_lower_of_two_altitudes_as_near_is_taken():
-    assert by_altitude(np.array([20.0, 40.0, 41.0, 500.0]), (60.0, 20.0)).tolist() == [1, 1, 0, 0]
+    assert nearest_level_m(np.array([20.0, 40.0, 41.0, 500.0]), (60.0, 20.0)).tolist() == [20, 20, 60, 60]

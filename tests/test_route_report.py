@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -204,3 +205,37 @@ def test_the_command_line_prints_writes_and_draws_the_report(maps, ends, tmp_pat
         code, out, err = run(capsys, *arguments, *wrong)
         assert (code, out) == (2, "")
         assert_one_sentence(err, *words)
+
+
+@pytest.mark.parametrize("cost_model", ["cell", "line"])
+def test_a_climb_is_charged_at_the_levels_it_joins(maps, ends, cost_model):
+    flat = route(maps, {"start_xy_m": ends["start_xy_m"], "goal_xy_m": ends["start_xy_m"]}, cost_model=cost_model)
+    xy_m = flat.xy_m[[0, 0, 0]] + [[0, 0], [0, 0], [10, 0]]
+    settings = flat.settings | {"levels_m": [20.0, 60.0], "climb_cost": 0.3, "descent_cost": 0.05}
+    z_m = np.array([20.0, 60.0, 60.0])
+    climbing = replace(flat, xy_m=xy_m, z_m=z_m, settings=settings)
+    totals = ju.explain(climbing, maps, speed_m_s=5.0).totals
+    row, col = (int(value) for value in maps.grid.cell_of_xy(*xy_m[0]))
+    low, high, beside = (
+        1 - float(maps.m("lidar", z)[row, at]) for z, at in ((20.0, col), (60.0, col), (60.0, col + 1))
+    )
+    by_hand = high + beside if cost_model == "cell" else (20 * low + 25 * high + 5 * beside) / 5.0
+    assert totals["length_m"] == pytest.approx(50.0)
+    assert totals["time_s"] == pytest.approx(10.0)
+    assert totals["cost_of_climb"] == pytest.approx(0.3 * 40)
+    assert totals["cost_of_descent"] == 0.0
+    assert totals["cost_of_lidar"] == pytest.approx(2.0 * by_hand)
+    assert totals["cost_of_distance"] == pytest.approx(0.2 * 50.0)
+
+
+def test_between_two_altitudes_the_maps_are_linear_and_walls_stand_to_their_roofs(maps, ends):
+    flat = route(maps, {"start_xy_m": ends["start_xy_m"], "goal_xy_m": ends["start_xy_m"]})
+    between = replace(flat, z_m=np.array([31.0]), settings=flat.settings | {"levels_m": [31.0]})
+    report = ju.explain(between, maps)
+    cell = tuple(int(value) for value in maps.grid.cell_of_xy(*flat.xy_m[0]))
+    low, high = (float(maps.m("gps", z)[cell]) for z in (20.0, 60.0))
+    assert report.totals["mean_gps"] == pytest.approx(low + (31 - 20) / 40 * (high - low), rel=1e-6)
+    row, col = np.nonzero(maps.m("roof") >= 31.0)
+    x_m, y_m = maps.grid.xy_of_cell(row, col)
+    walls = shapely.union_all(shapely.box(x_m - 5, y_m - 5, x_m + 5, y_m + 5))
+    assert report.totals["nearest_wall_m"] == pytest.approx(shapely.Point(flat.xy_m[0]).distance(walls), abs=1e-6)

@@ -1,5 +1,6 @@
 """No-fly zones: polygons with a floor and a ceiling, from GeoJSON, KML and other vector files."""
 
+import math
 import re
 import warnings
 from collections.abc import Mapping, Sequence
@@ -80,10 +81,6 @@ class Zone:
             return f"from {self.floor_m:g} m up"
         return f"up to {self.ceiling_m:g} m" if np.isinf(self.floor_m) else f"{self.floor_m:g} to {self.ceiling_m:g} m"
 
-    def is_active(self, low_m: float, high_m: float) -> bool:
-        """Whether the zone holds any altitude between two (metres above ground, both included)."""
-        return self.floor_m <= high_m and low_m <= self.ceiling_m
-
     def on(self, grid: Grid) -> shapely.Geometry:
         """Return the part of the zone near a grid, in the grid's CRS; empty where it is elsewhere."""
         to_file = transformer(grid.crs, self.crs)
@@ -144,7 +141,13 @@ def touched_cells(polygon: shapely.Geometry, grid: Grid) -> np.ndarray:
     if polygon.is_empty:
         return closed
     shapely.prepare(polygon)
-    blocks = np.indices([-(-size // BLOCK) for size in grid.shape]).reshape(2, -1).T * BLOCK
+    west, south, east, north = np.array(polygon.bounds) / grid.resolution_m
+    near = ((south - grid.first_row, north - grid.first_row), (west - grid.first_col, east - grid.first_col))
+    rows, cols = (
+        np.arange(max(math.floor(low) // BLOCK - 1, 0), min(math.floor(high) // BLOCK + 2, -(-size // BLOCK))) * BLOCK
+        for (low, high), size in zip(near, grid.shape, strict=True)
+    )
+    blocks = np.stack(np.meshgrid(rows, cols, indexing="ij"), axis=-1).reshape(-1, 2)
     blocks = blocks[shapely.intersects(polygon, cell_boxes(grid, blocks, BLOCK))]
     is_whole = shapely.covers(polygon, cell_boxes(grid, blocks, BLOCK))
     for row, col in blocks[is_whole]:

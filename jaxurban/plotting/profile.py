@@ -48,7 +48,7 @@ def plot_profile(planned: PlannedPath, maps: MetricMaps, report: RouteReport | N
     figure.text(0.075, 0.975, heading, va="top", size=12, weight="bold", color=INK)
     times = " · ".join(filter(None, (frame_note(maps, planned.settings["time"]), planned.settings["time_of_day"])))
     figure.text(0.075, 0.94, times, va="top", size=TEXT_PT, color=FAINT_INK)
-    _draw_heights(axes[0], profile, edges_km)
+    _draw_heights(axes[0], planned, profile, edges_km)
     for name in maps.metrics:
         label, colour = METRIC_LINES[name]
         axes[1].stairs(profile[name], edges_km, baseline=None, color=colour, linewidth=1.3, label=label)
@@ -69,13 +69,12 @@ def plot_profile(planned: PlannedPath, maps: MetricMaps, report: RouteReport | N
     return figure
 
 
-def _draw_heights(panel: Axes, profile: pd.DataFrame, edges_km: np.ndarray) -> None:
+def _draw_heights(panel: Axes, planned: PlannedPath, profile: pd.DataFrame, edges_km: np.ndarray) -> None:
     panel.stairs(profile["roof_m"], edges_km, fill=True, color=BUILT_COLOUR, label="roofs beneath")
-    centres_km = (edges_km[:-1] + edges_km[1:]) / 2
-    along_km, flown_m = (np.concatenate([v[:1], v, v[-1:]]) for v in (centres_km, profile["z_m"].to_numpy()))
-    along_km[0], along_km[-1] = edges_km[0], edges_km[-1]
-    panel.plot(along_km, flown_m, color=ALTITUDE_COLOUR, linewidth=1.6, label="flight altitude")
-    top_m = max(flown_m.max(), profile["roof_m"].max())
+    moved_m = np.diff(np.column_stack([planned.xy_m, planned.z_m]), axis=0)
+    along_km = np.append(0.0, np.cumsum(np.linalg.norm(moved_m, axis=1))) / 1000
+    panel.plot(along_km, planned.z_m, color=ALTITUDE_COLOUR, linewidth=1.6, label="flight altitude")
+    top_m = max(planned.z_m.max(), profile["roof_m"].max())
     panel.set(ylim=(0, 1.15 * max(top_m, 1.0)), ylabel="height above ground (m)")
 
 
