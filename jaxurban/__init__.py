@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from jaxurban.planned import PlannedPath as PlannedPath
     from jaxurban.planning import plan as plan
     from jaxurban.scenario import Scenario as Scenario
+    from jaxurban.volume import plan_volume as plan_volume
     from jaxurban.weighted import WeightedMap as WeightedMap
     from jaxurban.weighted import weigh as weigh
 
@@ -34,6 +35,7 @@ _HOMES = {
     "PlannedPath": "planned",
     "plan": "planning",
     "Scenario": "scenario",
+    "plan_volume": "volume",
     "WeightedMap": "weighted",
     "weigh": "weighted",
 }

@@ -127,6 +127,13 @@ def maps(
 @click.option("--budget", "budget_s", type=float, help="Seconds that the search may take.")
 @click.option("--seed", type=click.IntRange(min=0))
 @click.option("--snap", is_flag=True, help="Move a start or goal inside an obstacle to the nearest free cell.")
+@click.option("--volume", "is_volume", is_flag=True, help="Climb and descend on the way; --altitude is the start's.")
+@click.option("--goal-altitude", "goal_altitude_m", type=float, help="With --volume.  [default: --altitude]")
+@click.option("--min-altitude", "min_altitude_m", type=float, help="With --volume.  [default: the maps' lowest]")
+@click.option("--max-altitude", "max_altitude_m", type=float, help="With --volume.  [default: the maps' highest]")
+@click.option("--level-step", "level_step_m", type=float, help="With --volume: fly between the maps' altitudes too.")
+@click.option("--climb-cost", type=float, help="With --volume: per metre.  [default: the distance weight]")
+@click.option("--descent-cost", type=float, help="With --volume: per metre.  [default: 0]")
 @click.option(
     "-o", "files", type=click.Path(path_type=Path), multiple=True, help=".geojson, .kml or .plan; repeatable."
 )
@@ -139,15 +146,21 @@ def plan(
     from jaxurban.io.export import check_export, write_path
     from jaxurban.maps import open_maps
     from jaxurban.planning import plan as plan_path
+    from jaxurban.volume import plan_volume
 
-    as_json = given.pop("as_json")
+    as_json, is_volume = given.pop("as_json"), given.pop("is_volume")
+    _check_volume_options(is_volume, given)
     for file in files:
         check_export(file)
     defaults = _stored_settings(folder)
     planning = defaults.get("planning", {})
     chosen = {name: given[name] if given[name] is not None else planning.get(name) for name in given}
     chosen |= {name: planning[name] for name in ("connectivity", "diagonal", "reference_length_m") if name in planning}
-    planned = plan_path(
+    if is_volume:
+        chosen = {name: value for name, value in chosen.items() if name not in ("planner", "seed")}
+        chosen["start_altitude_m"] = altitude_m = chosen.pop("altitude_m")
+        chosen["goal_altitude_m"] = altitude_m if chosen["goal_altitude_m"] is None else chosen["goal_altitude_m"]
+    planned = (plan_volume if is_volume else plan_path)(
         open_maps(folder, resolution_m),
         weights=Weights.parse(weights_text or "", _stored_weights(folder, defaults)),
         **{name: value for name, value in chosen.items() if value is not None},
@@ -157,10 +170,20 @@ def plan(
             _tell(f"wrote {file}")
     facts = planned.to_dict()
     if as_json:
-        _print_json(facts | {"lonlat": planned.lonlat.tolist(), "xy_m": planned.xy_m.tolist()})
+        _print_json(facts | {name: getattr(planned, name).tolist() for name in ("lonlat", "xy_m", "z_m")})
     else:
         print(_path_table(facts))
     return planned.status.exit_code
+
+
+def _check_volume_options(is_volume: bool, given: Settings) -> None:
+    """Raise unless the options of --volume come with it, and another planner without it."""
+    volume_only = ("goal_altitude_m", "min_altitude_m", "max_altitude_m", "level_step_m", "climb_cost", "descent_cost")
+    for name in volume_only if not is_volume else ():
+        if given[name] is not None:
+            raise click.UsageError(f"--{name.removesuffix('_m').replace('_', '-')} belongs to --volume: add that")
+    if is_volume and given["planner"]:
+        raise click.UsageError("--volume has a planner of its own, astar-volume: leave --planner out")
 
 
 def _stored_settings(folder: Path) -> Settings:
