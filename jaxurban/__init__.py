@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from jaxurban.route_report import RouteReport as RouteReport
     from jaxurban.route_report import explain as explain
     from jaxurban.scenario import Scenario as Scenario
+    from jaxurban.volume import plan_volume as plan_volume
     from jaxurban.weighted import WeightedMap as WeightedMap
     from jaxurban.weighted import weigh as weigh
 
@@ -40,6 +41,7 @@ _HOMES = {
     "RouteReport": "route_report",
     "explain": "route_report",
     "Scenario": "scenario",
+    "plan_volume": "volume",
     "WeightedMap": "weighted",
     "weigh": "weighted",
 }
