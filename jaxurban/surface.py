@@ -1,12 +1,28 @@
 """Surface: a city as rasters on one grid, the region plus the margin that shadows and endangers it."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxurban.grid import Grid
+
+NO_BUILDING = -1  # in a raster of building indices
+
+
+def roofs_of(height_m: Float[Array, " B"], building: Int[Array, "Y X"]) -> Float[Array, "Y X"]:
+    """Return the roof of each cell, 0 without a building, in the type of ``height_m``.
+
+    With the heights of the city the roofs are the surface's own, exactly. Linear in the heights, so the gradient is
+    exact as long as the order of overlapping buildings stays: a building that grows above another one in the same cell
+    is not seen there until its index is burnt anew, and at equal heights the gradient is the last one's.
+
+    Args:
+      height_m: ``[B]`` height of each building.
+      building: ``[Y, X]`` from `jaxurban.io.rasterise.building_index`.
+    """
+    return jnp.append(height_m, jnp.zeros(1, height_m.dtype))[building]  # NO_BUILDING, -1, is the last entry
 
 
 @jax.tree_util.register_dataclass
@@ -36,6 +52,10 @@ class Surface:
     def top_m(self) -> Float[Array, "Y X"]:
         """Absolute height of roofs and bare ground: terrain plus roof."""
         return self.roof_m if self.terrain_m is None else self.terrain_m + self.roof_m
+
+    def with_heights(self, height_m: Float[Array, " B"], building: Int[Array, "Y X"]) -> "Surface":
+        """Return this surface with other heights of its buildings; arguments as in `roofs_of`."""
+        return replace(self, roof_m=roofs_of(height_m, building))
 
     @property
     def window(self) -> tuple[slice, slice]:

@@ -15,7 +15,7 @@ from jaxurban.city import City
 from jaxurban.errors import InputError
 from jaxurban.grid import Grid
 from jaxurban.io.raster import resample_raster
-from jaxurban.surface import Surface
+from jaxurban.surface import NO_BUILDING, Surface
 
 NO_BLOCK = -1
 UNKNOWN_GROUND_M = -500.0  # below all real ground: what stands where the terrain is unknown shadows nothing
@@ -116,6 +116,23 @@ def rasterise(city: City, grid: Grid, all_touched: bool = False) -> Rasters:
         has_data = known if has_data is None else has_data & known
         terrain_m = np.where(known, terrain_m, UNKNOWN_GROUND_M).astype(np.float32)
     return Rasters(roof_m, terrain_m, None if has_data is None or has_data.all() else has_data)
+
+
+def building_index(city: City, grid: Grid, all_touched: bool = False) -> np.ndarray:
+    """Return the index of the building whose roof is the highest in each cell, `NO_BUILDING` without one, int32.
+
+    `jaxurban.surface.roofs_of` makes of it, with the buildings' heights, the roofs that `rasterise` burns.
+
+    Raises:
+      InputError: a city without outlines, whose roofs are a raster.
+    """
+    if city.buildings is None:
+        raise InputError("this city's roofs are a height raster: gradients by building need outlines as its source")
+    by_height = np.argsort(city.buildings.height_m, kind="stable")
+    rank = np.empty_like(by_height)
+    rank[by_height] = np.arange(len(rank))
+    burnt = burn(city.buildings.polygons, rank, grid, NO_BUILDING, "int32", all_touched)
+    return np.append(by_height, NO_BUILDING).astype(np.int32)[burnt]  # NO_BUILDING, -1, is the last entry
 
 
 def rasterise_blocks(city: City, grid: Grid) -> np.ndarray | None:

@@ -1,6 +1,5 @@
 """Lidar visibility: the share of a spinning lidar's scan positions that see a building."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -14,12 +13,14 @@ from jaxurban.kernels import lidar as kernel
 from jaxurban.kernels.fine_lidar import phase_starts
 from jaxurban.kernels.terrain_lidar import count_returns_on_terrain, distinct_looks
 from jaxurban.metrics.obstacle import obstacle_mask
+from jaxurban.metrics.settings import differentiable, holds
 from jaxurban.surface import Surface
 
 
+@differentiable("range_m")
 @dataclass(frozen=True)
 class LidarParams:
-    """A puck lidar that turns about the vertical.
+    """A puck lidar that turns about the vertical. A pytree whose leaf is the range.
 
     Attributes:
       num_beams: beams of a scan position, b.
@@ -49,7 +50,7 @@ class LidarParams:
                 "lidar field_of_view_deg must be the lowest and the highest beam's elevation, ascending and "
                 f"within -90 and 90 degrees, such as (-15.0, 15.0), got {self.field_of_view_deg}"
             )
-        if not (math.isfinite(self.range_m) and self.range_m > 0):
+        if not holds(self.range_m, lambda range_m: np.isfinite(range_m) & (range_m > 0)):
             raise InputError(f"lidar range_m must be a positive number of metres, got {self.range_m}")
 
     @property

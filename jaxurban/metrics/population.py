@@ -13,6 +13,7 @@ from jaxtyping import Array, Float, Int, Integer
 from jaxurban.city import Blocks, Zoning
 from jaxurban.errors import InputError, nearest_name
 from jaxurban.grid import Bounds
+from jaxurban.metrics.settings import differentiable, holds
 
 M2_PER_KM2 = 1e6
 TIME_OF_DAY = re.compile(r"(weekday|weekend)-([01]\d|2[0-3])")
@@ -26,9 +27,10 @@ WEEKEND_SHARE = (2.90 - 2.05) / (3.94 - 2.05)
 WEEKEND_PROFILE = tuple(WEEKEND_SHARE * share for share in WEEKDAY_PROFILE)
 
 
+@differentiable("gamma_commercial", "gamma_residential")
 @dataclass(frozen=True)
 class PopulationParams:
-    """Settings of the population metric.
+    """Settings of the population metric. A pytree whose leaves are the gammas.
 
     Attributes:
       gamma_commercial: day population over night population in commercial districts, >= 0.
@@ -50,7 +52,7 @@ class PopulationParams:
     def __post_init__(self) -> None:
         for name in ("gamma_commercial", "gamma_residential"):
             value = getattr(self, name)
-            if not (np.isfinite(value) and value >= 0):
+            if not holds(value, lambda gamma: np.isfinite(gamma) & (gamma >= 0)):
                 raise InputError(f"{name} must be finite and not negative, got {value}")
         if self.quantity not in ("density", "count"):
             raise InputError(f"quantity must be 'density' or 'count', got {self.quantity!r}")
@@ -189,10 +191,39 @@ def block_metric(values: Float[Array, " N"], norm: Float[Array, ""]) -> Float[Ar
 
 
 @jax.jit
-def map_blocks(block: Int[Array, "y x"], values: Float[Array, "*T N"]) -> Float[Array, "*T y x"]:
-    """Return the values of the block under each cell, 0 in cells without one (index -1)."""
+def map_blocks(block: Int[Array, "..."], values: Float[Array, "*T N"]) -> Float[Array, "..."]:
+    """Return the values of the block under each cell, ``[*T, *block.shape]``, 0 in cells without one (index -1)."""
     padded = jnp.pad(values, [(0, 0)] * (values.ndim - 1) + [(0, 1)])
     return padded[..., block]  # -1 is the last entry, the 0 added here
+
+
+def block_values(
+    night_count: Float[Array, " N"],
+    area_m2: Float[Array, " N"],
+    zoning: Integer[Array, " N"],
+    in_region: Integer[Array | np.ndarray, " M"],
+    share: Float[Array, ""] | float,
+    params: PopulationParams,
+) -> tuple[Float[Array, " N"], Float[Array, " N"], Float[Array, ""]]:
+    """Return metric and density per km2 of each block at one time of day, and the value at which the metric is 1.
+
+    Args:
+      night_count, area_m2, zoning, share: as in `block_density_per_km2`.
+      in_region: ``[M]`` index of the blocks that set the norm.
+      params: gammas, quantity and norm.
+    """
+    gammas = params.gamma_commercial, params.gamma_residential
+    density_per_km2 = block_density_per_km2(night_count, area_m2, zoning, share, *gammas)
+    values = density_per_km2
+    if params.quantity == "count":
+        values = block_people(night_count, zoning, share, *gammas)
+    norm = normaliser(values[in_region], params.normalise)
+    return block_metric(values, norm), density_per_km2, norm
+
+
+def region_blocks(blocks: Blocks, bounds_m: Bounds | None = None) -> Int[np.ndarray, " M"]:
+    """Return the index of the blocks that touch a box, all of them without one."""
+    return np.arange(len(blocks)) if bounds_m is None else np.flatnonzero(blocks.touches(bounds_m))
 
 
 def block_layers(
@@ -203,19 +234,13 @@ def block_layers(
 ) -> BlockLayers:
     """Return the metric and the density of every block at each time of day; arguments as in `population_maps`."""
     params = params or PopulationParams()
-    gammas = params.gamma_commercial, params.gamma_residential
-    in_region = slice(None) if bounds_m is None else blocks.touches(bounds_m)
+    in_region = region_blocks(blocks, bounds_m)
     night_count, area_m2 = (jnp.asarray(values, jnp.float32) for values in (blocks.night_count, blocks.area_m2))
     zoning = jnp.asarray(blocks.zoning)
-    layers = []
-    for time_of_day in times_of_day:
-        share = day_share(time_of_day, params)
-        density_per_km2 = block_density_per_km2(night_count, area_m2, zoning, share, *gammas)
-        values = density_per_km2
-        if params.quantity == "count":
-            values = block_people(night_count, zoning, share, *gammas)
-        norm = normaliser(values[in_region], params.normalise)
-        layers.append((block_metric(values, norm), density_per_km2, norm))
+    layers = [
+        block_values(night_count, area_m2, zoning, in_region, day_share(time_of_day, params), params)
+        for time_of_day in times_of_day
+    ]
     return BlockLayers(*(jnp.stack(layer) for layer in zip(*layers, strict=True)))
 
 

@@ -1,25 +1,27 @@
 """Proximity risk: how far the nearest building is."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from jaxurban.errors import InputError, nearest_name
 from jaxurban.kernels import distance as kernel
 from jaxurban.metrics.obstacle import obstacle_mask
+from jaxurban.metrics.settings import differentiable, holds
 from jaxurban.surface import Surface
 
 DISTANCES = ("slice", "solid")
 
 
+@differentiable("threshold_m")
 @dataclass(frozen=True)
 class RiskParams:
-    """What counts as close.
+    """What counts as close. A pytree whose leaf is the threshold.
 
     Attributes:
       threshold_m: distance from which there is no risk, d_thresh.
@@ -34,7 +36,7 @@ class RiskParams:
     distance: Literal["slice", "solid"] = "slice"
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.threshold_m) and self.threshold_m > 0):
+        if not holds(self.threshold_m, lambda threshold_m: np.isfinite(threshold_m) & (threshold_m > 0)):
             raise InputError(f"risk threshold_m must be a positive number of metres, got {self.threshold_m}")
         if self.distance not in DISTANCES:
             hint = nearest_name(str(self.distance), DISTANCES)
