@@ -285,5 +285,5 @@ def test_a_volume_flies_over_a_zone_with_a_ceiling_and_around_one_without():
     assert planned(np.inf).status is Status.NO_PATH
     middle = centre(maps, (grid.num_rows // 2, 47))
     limits = ju.Limits((Zone("wall", wall, grid.crs, 0.0, 70.0, "made"),))
-    with pytest.raises(InputError, match="closed by the no-fly zone 'wall'.*lowest free level there is 90 m"):
+    with pytest.raises(InputError, match=r"closed by the no-fly zone 'wall'.*lowest free level there is 90 m"):
         ju.plan_volume(maps, limits=limits, **(ends | {"start_xy_m": middle, "start_altitude_m": 60.0}))
