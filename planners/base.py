@@ -137,6 +137,26 @@ class Problem:
         other._check_endpoints()
         return other
 
+    def reweighted(self, layer_factors: np.ndarray, distance_weight: float) -> "Problem":
+        """Return the same question with each layer multiplied by a factor ``[L]``, and another distance weight.
+
+        What does not depend on costs is shared.
+
+        Raises:
+          InputError: a factor or the distance weight is negative or not finite.
+        """
+        factors = np.asarray(layer_factors, np.float64)
+        if not (np.all((factors >= 0) & (factors < np.inf)) and 0 <= distance_weight < np.inf):
+            raise InputError(f"weights must be finite and not negative, got {distance_weight} and {factors.tolist()}")
+        other = copy.copy(self)
+        layers = self.layers * factors[:, None, None]
+        for name, value in (("layers", layers), ("cost", layers.sum(axis=0))):
+            object.__setattr__(other, name, _read_only(value, np.float64))
+        object.__setattr__(other, "distance_weight", float(distance_weight))
+        object.__setattr__(other, "line_minima", None)
+        del other.__dict__["line_minima"]
+        return other
+
     @cached_property
     def moves(self) -> np.ndarray:
         """``[Y, X]`` uint8: bit k is set where step k of `moves.STEPS` is allowed."""

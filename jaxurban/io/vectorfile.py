@@ -1,6 +1,7 @@
 """Vector files of any format, opened the same way for every use."""
 
 from pathlib import Path
+from typing import Literal
 
 import geopandas as gpd
 import pyogrio
@@ -8,23 +9,27 @@ import shapely
 
 from jaxurban.errors import InputError
 
+Shapes = Literal["polygons", "lines"]
+KINDS = {"polygons": ("Polygon", "Surface", "Unknown"), "lines": ("LineString", "Unknown")}  # parts of GDAL's names
 PARQUET_SUFFIXES = (".parquet", ".geoparquet")
 
 
-def open_frame(path: str | Path, role: str, *, allow_empty: bool = False) -> gpd.GeoDataFrame:
+def open_frame(
+    path: str | Path, role: str, *, allow_empty: bool = False, shapes: Shapes = "polygons"
+) -> gpd.GeoDataFrame:
     """Return the features of a vector file (any format of GDAL, or GeoParquet), as they are.
 
     A ring of too few points becomes an empty place, and no error.
 
     Args:
       path: the file.
-      role: what it holds, for messages; the layer of this name is taken where several hold polygons.
-
+      role: what it holds, for messages; the layer of this name is taken where several hold its shapes.
       allow_empty: accept a file without a single feature.
+      shapes: what it must hold.
 
     Raises:
       InputError: no such file, not a readable vector file, no geometry, no CRS, coordinates beyond the globe though
-        the CRS is in degrees, or several layers of polygons of which none is called ``role``.
+        the CRS is in degrees, or several layers of such shapes of which none is called ``role``.
     """
     name = f"the {role} file {str(path)!r}"
     if not Path(path).exists():
@@ -33,7 +38,7 @@ def open_frame(path: str | Path, role: str, *, allow_empty: bool = False) -> gpd
         if Path(path).suffix.lower() in PARQUET_SUFFIXES:
             frame = gpd.read_parquet(path)
         else:
-            frame = pyogrio.read_dataframe(path, layer=_polygon_layer(path, role), on_invalid="ignore")
+            frame = pyogrio.read_dataframe(path, layer=_layer(path, role, shapes), on_invalid="ignore")
     except InputError:
         raise
     except (RuntimeError, ValueError, OSError, shapely.errors.ShapelyError) as error:
@@ -42,9 +47,9 @@ def open_frame(path: str | Path, role: str, *, allow_empty: bool = False) -> gpd
             f"{name} cannot be read as a vector file ({reason}): give a whole one, with its companions"
         ) from error
     if not isinstance(frame, gpd.GeoDataFrame):
-        raise InputError(f"{name} holds no geometry: give a file of polygons")
+        raise InputError(f"{name} holds no geometry: give a file of {shapes}")
     if not allow_empty and (frame.empty or frame.geometry.isna().all()):
-        raise InputError(f"{name} holds no polygons: give a file of polygons")
+        raise InputError(f"{name} holds no {shapes}: give a file of {shapes}")
     if frame.crs is None:
         raise InputError(
             f"{name} declares no CRS: write it into the file, as with `ogr2ogr -a_srs EPSG:... OUT IN` "
@@ -54,20 +59,21 @@ def open_frame(path: str | Path, role: str, *, allow_empty: bool = False) -> gpd
     return frame
 
 
-def _polygon_layer(path: str | Path, wanted: str) -> str:
-    """Return the name of the layer of polygons: the only one, the only one of polygons, or ``wanted``."""
+def _layer(path: str | Path, wanted: str, shapes: Shapes) -> str:
+    """Return the name of the layer of such shapes: the only layer, the only one of them, or ``wanted``."""
     layers = {str(layer): str(kind) for layer, kind in pyogrio.list_layers(path)}
     if len(layers) == 1:
         return next(iter(layers))
-    areal = [layer for layer, kind in layers.items() if "Polygon" in kind or "Unknown" in kind or "Surface" in kind]
-    if len(areal) != 1:
-        areal = [layer for layer in areal if layer.lower() == wanted]
-    if len(areal) != 1:
+    kinds = KINDS[shapes]
+    fitting = [layer for layer, kind in layers.items() if any(name in kind for name in kinds)]
+    if len(fitting) != 1:
+        fitting = [layer for layer in fitting if layer.lower() == wanted]
+    if len(fitting) != 1:
         raise InputError(
-            f"{str(path)!r} has the layers {', '.join(layers) or 'none'}: call the one of polygons "
+            f"{str(path)!r} has the layers {', '.join(layers) or 'none'}: call the one of {shapes} "
             f"{wanted!r}, or write it to a file of its own with `ogr2ogr OUT IN LAYER`"
         )
-    return areal[0]
+    return fitting[0]
 
 
 def _check_degrees(name: str, frame: gpd.GeoDataFrame) -> None:
