@@ -1,7 +1,7 @@
 """What every planner takes and gives: Problem, Path, Status, and the planner contract."""
 
 import copy
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from functools import cached_property
 from typing import Literal, Protocol
@@ -137,25 +137,29 @@ class Problem:
         other._check_endpoints()
         return other
 
-    def reweighted(self, layer_factors: np.ndarray, distance_weight: float) -> "Problem":
-        """Return the same question with each layer multiplied by a factor ``[L]``, and another distance weight.
+    def with_layers(self, layers: np.ndarray, distance_weight: float) -> "Problem":
+        """Return the same question with other cost layers ``[L, Y, X]`` and distance weight.
 
         What does not depend on costs is shared.
+
+        Raises:
+          InputError: layers of another shape, or a cost on a free cell or the weight is negative or not finite.
+        """
+        moves = self.moves
+        other = replace(self, layers=layers, distance_weight=float(distance_weight))
+        other.__dict__["moves"] = moves
+        return other
+
+    def reweighted(self, layer_factors: np.ndarray, distance_weight: float) -> "Problem":
+        """Return the same question with each layer multiplied by a factor ``[L]``, and another distance weight.
 
         Raises:
           InputError: a factor or the distance weight is negative or not finite.
         """
         factors = np.asarray(layer_factors, np.float64)
-        if not (np.all((factors >= 0) & (factors < np.inf)) and 0 <= distance_weight < np.inf):
-            raise InputError(f"weights must be finite and not negative, got {distance_weight} and {factors.tolist()}")
-        other = copy.copy(self)
-        layers = self.layers * factors[:, None, None]
-        for name, value in (("layers", layers), ("cost", layers.sum(axis=0))):
-            object.__setattr__(other, name, _read_only(value, np.float64))
-        object.__setattr__(other, "distance_weight", float(distance_weight))
-        object.__setattr__(other, "line_minima", None)
-        del other.__dict__["line_minima"]
-        return other
+        if not np.all((factors >= 0) & (factors < np.inf)):
+            raise InputError(f"factors of layers must be finite and not negative, got {factors.tolist()}")
+        return self.with_layers(self.layers * factors[:, None, None], distance_weight)
 
     @cached_property
     def moves(self) -> np.ndarray:

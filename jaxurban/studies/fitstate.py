@@ -38,8 +38,9 @@ def save_state(
             "settings": np.array(json.dumps(settings)),
             "rows": np.array(json.dumps(rows)),
             "log_weights": log_weights,
+            **pool.to_arrays(),
         }
-        np.savez_compressed(stream, **arrays, **pool.to_arrays())
+        np.savez_compressed(stream, allow_pickle=False, **arrays)
 
 
 def load_state(file: str | Path | None, settings: Mapping[str, Any], pool: RoutePool) -> FitState | None:

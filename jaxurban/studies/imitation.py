@@ -32,6 +32,7 @@ FIRST_NOISE, LAST_NOISE = 0.3, 0.03  # standard deviation of log weights: first 
 NUM_NOISE, NUM_PROBES = 32, 2  # noises a query in the loss; searches a query and round under perturbed weights
 STEPS, BOOTSTRAP_STEPS, BOOTSTRAP_NOISE = 200, 100, 8
 LEAST_REGRET = 1e-4  # examples within this of the cheapest are never distrusted
+SETTLED = 1e-5  # a round that betters no known route by more has nothing to add
 OPTIMAL_REGRET = 0.005  # on average beyond this, the examples are not optimal under any weights
 
 
@@ -52,7 +53,7 @@ class WeightFit:
       warnings: sentences a reader must know.
       num_plans: searches made.
       elapsed_s: wall time.
-      is_settled: the last round found no new route.
+      is_settled: the last round bettered no known route by more than 1e-5.
     """
 
     names: tuple[str, ...]
@@ -104,7 +105,7 @@ def fit_weights(
 
     A perturbed Fenchel-Young loss (see `fenchel_young.loss`) is brought down by gradient in log weights, over the
     routes found so far; rounds of searches under the current and under perturbed weights find more, until a
-    round finds none. The noise shrinks from round to round: wide noise leads from anywhere, narrow noise ends
+    round betters none. The noise shrinks from round to round: wide noise leads from anywhere, narrow noise ends
     in the middle of the weights that explain the examples. Examples that stay far costlier than most are
     trusted less (a redescending weight on their regret), so that some detours do not bend the fit.
 
@@ -114,7 +115,7 @@ def fit_weights(
     Args:
       examples: from `example_from_path`, `example_from_line` or `read_examples`; of one or several maps.
       scale: ``"simplex"``: weights sum to 1; ``"distance"``: the distance weight is 1.
-      max_rounds: of searches; fewer where a round at the least noise finds nothing new.
+      max_rounds: of searches; fewer where a round at the least noise betters nothing.
       bootstrap: fits on examples drawn anew, for intervals; 0 for none.
       seed: of all noise.
       budget_s: seconds; the fit ends after the round in which they run out.
@@ -170,14 +171,17 @@ def fit_weights(
             probes = np.exp(rng.normal(size=(len(demo), 1 + NUM_PROBES, len(names))) * noise)
             probes[:, 0] = 1.0
             known = pool.num_routes
-            pool.cheapest(full(log_weights) * probes)
+            probed = full(log_weights) * probes
+            expected = np.min(np.einsum("qmk,qrk->qmr", probed, pool.features), axis=-1)
+            searched = np.einsum("qmk,qmk->qm", probed, pool.cheapest(probed)[0])
+            worst_gap = float(np.max(expected / searched - 1))
             here = task(NUM_NOISE, noise, rng)
             regret = np.asarray(regrets(weights_of(jnp.asarray(log_weights)), here))
             trust = _trust(regret) if number else trust
             here = here._replace(trust=jnp.asarray(trust))
             ended, reached = descend(jnp.asarray(log_weights), here, loss, STEPS)
             log_weights = np.asarray(ended)
-            is_settled = pool.num_routes == known and noise <= LAST_NOISE * 1.001
+            is_settled = worst_gap <= SETTLED and noise <= LAST_NOISE * 1.001
             rows.append(
                 {
                     "round": number + 1,
@@ -272,7 +276,7 @@ def _warnings(examples, constant, indistinct, best: float, trust: np.ndarray, is
     if num := int((trust < 0.1).sum()):
         said.append(f"{num} of {len(trust)} examples cost far more than the others' weights explain, and hardly count.")
     if not is_settled:
-        said.append("The last round still found new routes: allow more rounds (or a larger budget) for a settled fit.")
+        said.append("The last round still found better routes: allow more rounds or a larger budget.")
     said += [
         f"Example {example.query.name or number!r}: {example.note}."
         for number, example in enumerate(examples, 1)

@@ -47,11 +47,19 @@ class RoutePool:
     @property
     def features(self) -> np.ndarray:
         """``[Q, R, K]`` features of all routes, filled up with `NOT_A_ROUTE`; R is a multiple of `BLOCK`."""
+        return self._filled(0)
+
+    @property
+    def integrals(self) -> np.ndarray:
+        """``[Q, R, K]`` integrals of all routes, filled up like `features`."""
+        return self._filled(1)
+
+    def _filled(self, part: int) -> np.ndarray:
         most = max(1, *map(len, self._routes))
         filled = np.full((len(self._routes), -(-most // BLOCK) * BLOCK, len(self.queries[0].names)), NOT_A_ROUTE)
         for rows, routes in zip(filled, self._routes, strict=True):
             for row, route in zip(rows, routes, strict=False):
-                row[:] = route[0]
+                row[:] = route[part]
         return filled
 
     def cheapest(self, weights: np.ndarray) -> np.ndarray:
