@@ -11,11 +11,15 @@ if TYPE_CHECKING:
     from jaxurban.errors import InputError as InputError
     from jaxurban.errors import JaxurbanError as JaxurbanError
     from jaxurban.grid import Grid as Grid
+    from jaxurban.limits import Limits as Limits
     from jaxurban.maps import MetricMaps as MetricMaps
     from jaxurban.maps import open_maps as open_maps
     from jaxurban.planned import PlannedPath as PlannedPath
     from jaxurban.planning import plan as plan
+    from jaxurban.route_report import RouteReport as RouteReport
+    from jaxurban.route_report import explain as explain
     from jaxurban.scenario import Scenario as Scenario
+    from jaxurban.volume import plan_volume as plan_volume
     from jaxurban.weighted import WeightedMap as WeightedMap
     from jaxurban.weighted import weigh as weigh
 
@@ -29,11 +33,15 @@ _HOMES = {
     "InputError": "errors",
     "JaxurbanError": "errors",
     "Grid": "grid",
+    "Limits": "limits",
     "MetricMaps": "maps",
     "open_maps": "maps",
     "PlannedPath": "planned",
     "plan": "planning",
+    "RouteReport": "route_report",
+    "explain": "route_report",
     "Scenario": "scenario",
+    "plan_volume": "volume",
     "WeightedMap": "weighted",
     "weigh": "weighted",
 }

@@ -1,6 +1,7 @@
 """plan: a path between two places over metric maps, evaluated the same way for every planner."""
 
 from jaxurban.cost import Weights
+from jaxurban.limits import Limits
 from jaxurban.maps import MetricMaps
 from jaxurban.planned import PlannedPath
 from jaxurban.planners.base import CostModel, Diagonal
@@ -29,6 +30,7 @@ def plan(
     budget_s: float = 180.0,
     seed: int = 0,
     snap: bool = False,
+    limits: Limits | None = None,
 ) -> PlannedPath:
     """Return a path from ``start`` to ``goal`` at one altitude.
 
@@ -51,10 +53,11 @@ def plan(
       reference_length_m: l_0 of the line model.
       budget_s: seconds that the search may take.
       seed: for sampling planners.
-      snap: move a start or goal inside an obstacle to the nearest free cell instead of failing.
+      snap: move a start or goal inside an obstacle or closed by a limit to the nearest free cell instead of failing.
+      limits: no-fly zones and bounds on maps, from `Limits.read`; no path enters a cell that they close.
 
     Raises:
-      InputError: a place outside the maps or inside an obstacle (names the nearest free cell), or an
+      InputError: a place outside the maps or inside an obstacle or a limit (names it and the nearest free cell), or an
         unknown altitude, planner, heuristic or objective.
     """
     find_planner(planner, heuristic)  # a wrong name is told before the maps are read
@@ -69,6 +72,7 @@ def plan(
         connectivity=connectivity,
         diagonal=diagonal,
         reference_length_m=reference_length_m,
+        limits=limits,
     )
     return weighted.plan(
         start,

@@ -1,6 +1,6 @@
 """WeightedMap: the maps at one altitude and time under weights, ready for any number of queries."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -9,6 +9,7 @@ from jaxurban.cost import METRICS, Weights
 from jaxurban.errors import InputError
 from jaxurban.grid import Grid
 from jaxurban.io.orbits import iso_utc, parse_time
+from jaxurban.limits import Limits
 from jaxurban.maps import MetricMaps
 from jaxurban.planned import PlannedPath
 from jaxurban.planners.base import Cell, CostModel, Diagonal, Path, Problem
@@ -48,7 +49,8 @@ class WeightedMap:
       names: the metrics of the layers.
       m: ``[L, Y, X]`` float32 the metrics; 0 where there are no data.
       layers: ``[L, Y, X]`` float64 weighted costs w_j c_j, whatever the objective is.
-      is_free: ``[Y, X]`` bool, where a path may fly.
+      is_free: ``[Y, X]`` bool, where a path may fly: no obstacle, data there, and within the limits.
+      limits: what closes cells beside obstacles.
     """
 
     maps: MetricMaps
@@ -65,6 +67,7 @@ class WeightedMap:
     m: np.ndarray
     layers: np.ndarray
     is_free: np.ndarray
+    limits: Limits = field(default_factory=Limits)
 
     @cached_property
     def grid(self) -> Grid:
@@ -84,7 +87,7 @@ class WeightedMap:
           InputError: no cell is free.
         """
         if not self.is_free.any():
-            raise InputError(f"no cell is free at {self.altitude_m:g} m: fly higher")
+            raise InputError(f"no cell is free at {self.altitude_m:g} m: {self._remedy}")
         row, col = np.unravel_index(np.argmax(self.is_free), self.is_free.shape)
         free_cell = (int(row), int(col))
         return Problem(
@@ -110,8 +113,8 @@ class WeightedMap:
           snap: move out of an obstacle to the nearest free cell.
 
         Raises:
-          InputError: none or both are given, a place outside the maps, or inside an obstacle without ``snap``
-            (names the nearest free cell).
+          InputError: none or both are given, a place outside the maps, or inside an obstacle or
+            closed by a limit without ``snap`` (names the limit and the nearest free cell).
         """
         grid = self.grid
         try:
@@ -127,20 +130,32 @@ class WeightedMap:
             raise InputError(f"{name}: {error}") from error
         cell = (int(row), int(col))
         if not self.is_free[cell]:
+            where = self._why_closed(cell)
             nearest = _nearest_free(cell, self.is_free)
             if nearest is None:
-                raise InputError(f"{name} is inside an obstacle and no cell is free at this altitude: fly higher")
+                raise InputError(f"{name} is {where} and no cell is free at this altitude: {self._remedy}")
             near_lon, near_lat = grid.lonlat_of_cell(*nearest)
             if not snap:
                 away_m = np.hypot(nearest[0] - cell[0], nearest[1] - cell[1]) * grid.resolution_m
                 raise InputError(
-                    f"{name} is inside an obstacle (or where there are no data) at this altitude; the nearest free "
-                    f"cell is at {near_lon:.6f},{near_lat:.6f}, {away_m:.0f} m away: start there, fly higher, or "
-                    "pass --snap (snap=True) to move there"
+                    f"{name} is {where} at this altitude; the nearest free cell is at {near_lon:.6f},"
+                    f"{near_lat:.6f}, {away_m:.0f} m away: start there, fly higher, or pass --snap (snap=True) to "
+                    "move there"
                 )
             cell = nearest
         centre_x_m, centre_y_m = grid.xy_of_cell(*cell)
         return Place(cell, float(np.hypot(centre_x_m - x_m, centre_y_m - y_m)))
+
+    @property
+    def _remedy(self) -> str:
+        return f"fly higher, or loosen the limits ({self.limits})" if self.limits else "fly higher"
+
+    def _why_closed(self, cell: Cell) -> str:
+        """Return what closes a cell: an obstacle, or each limit by name."""
+        if not self.maps.is_free(self.altitude_m)[cell]:
+            return "inside an obstacle (or where there are no data)"
+        reasons = self.limits.reasons(self.maps, self.altitude_m, cell, self.time, self.time_of_day)
+        return "closed by " + " and ".join(reasons)
 
     def plan(
         self,
@@ -172,6 +187,9 @@ class WeightedMap:
             if self.is_weighed or self.objective == "distance"
             else ["All weights are zero, so every path is as cheap: this is the shortest one."]
         )
+        if self.limits and not found.status.has_path:
+            share = 1 - self.is_free.sum() / self.maps.is_free(self.altitude_m).sum()
+            notes.append(f"Limits were on ({self.limits}): they close {share:.1%} of the cells without an obstacle.")
         if unpaid := [name for name in METRICS if name not in self.names and getattr(self.weights, name) > 0]:
             notes.append(f"These maps hold no {' and no '.join(unpaid)}, so that weight is ignored.")
         xy_m = found.points_m + np.array([grid.x_min_m, grid.y_min_m])
@@ -197,6 +215,7 @@ class WeightedMap:
                 "weights": {name: float(getattr(self.weights, name)) for name in ("distance", *self.names)},
                 "time": self.time,
                 "time_of_day": self.time_of_day,
+                "limits": self.limits.to_dict(),
                 "resolution_m": grid.resolution_m,
                 "budget_s": budget_s,
                 "seed": seed,
@@ -240,6 +259,7 @@ def weigh(
     connectivity: int = 8,
     diagonal: Diagonal = "both-free",
     reference_length_m: float = 5.0,
+    limits: Limits | None = None,
 ) -> WeightedMap:
     """Return the maps at one altitude under weights, on which any number of paths can be planned.
 
@@ -253,13 +273,16 @@ def weigh(
       time_of_day: of the population map; the first if left out.
       connectivity, diagonal: neighbours of the grid planners.
       reference_length_m: l_0 of the line model.
+      limits: no-fly zones and bounds that close cells to every planner.
 
     Raises:
-      InputError: an unknown altitude, time, time of day or objective, or a wrong weight.
+      InputError: an unknown altitude, time, time of day or objective, a wrong weight, or a bound on a map that
+        is not there.
     """
     weights = (weights or Weights()).checked()
     if objective not in ("weighted", "distance"):
         raise InputError(f"objective must be 'weighted' or 'distance', got {objective!r}")
+    limits = limits or Limits()
     is_free = maps.is_free(altitude_m)
     costs = maps.costs(altitude_m, time=time, time_of_day=time_of_day)
     m = np.zeros((len(costs), *is_free.shape), np.float32)
@@ -267,6 +290,8 @@ def weigh(
     for row, (name, cost) in enumerate(costs.items()):
         m[row] = np.nan_to_num(maps.m(name, altitude_m, time=time, time_of_day=time_of_day))
         layers[row] = getattr(weights, name) * np.where(is_free, cost, np.nan_to_num(cost)).astype(np.float64)
+    if limits:
+        is_free &= ~limits.closed(maps, altitude_m, time=time, time_of_day=time_of_day)
     return WeightedMap(
         maps=maps,
         altitude_m=float(altitude_m),
@@ -282,6 +307,7 @@ def weigh(
         m=m,
         layers=layers,
         is_free=is_free,
+        limits=limits,
     )
 
 

@@ -185,8 +185,8 @@ class Path:
 
     Attributes:
       status: how the planner ended.
-      points_m: ``[N, 2]`` float64 x, y from the map's southwest corner; empty without a path.
-        Grid planners give every cell centre, `ptp` every sample.
+      points_m: ``[N, 2]`` float64 x, y from the map's southwest corner (through a volume ``[N, 3]``: x, y,
+        altitude); empty without a path. Grid planners give every cell centre, `ptp` every sample.
       cost: cost of the path under the problem's own model and objective; inf without a path.
       lower_bound: no path of this planner's graph is cheaper than this (-inf: nothing known).
       num_expanded: nodes expanded (edges evaluated for sampling planners).

@@ -1,7 +1,7 @@
 """Planned paths as files for other programs: GeoJSON, KML, QGroundControl plan."""
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 from xml.etree import ElementTree
@@ -51,12 +51,27 @@ class Route(Protocol):
         """Everything but the points, JSON-ready."""
 
 
-def write_path(route: Route, file: str | Path) -> bool:
+class Report(Protocol):
+    """What is known of the route beside: a `RouteReport`."""
+
+    @property
+    def lines(self) -> Sequence[np.ndarray]:
+        """Longitude, latitude ``[K, 2]`` of each segment."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Its facts, JSON-ready; ``"segments"`` holds those of each line."""
+
+
+Encode = Callable[[Route, Report | None], bytes]
+
+
+def write_path(route: Route, file: str | Path, report: Report | None = None) -> bool:
     """Write a path in the format that the file's suffix names; return False, writing nothing, if there is no path.
 
     ``.geojson`` (RFC 7946): a FeatureCollection of one LineString. Coordinates are longitude and latitude
     only, since a third one would be a height above the ellipsoid; the altitudes above ground and all else
     that is known of the path are properties (``altitude_m``, ``z_m`` of each point, ``cost``, ``metrics`` ...).
+    With a report its facts are properties too, and each of its segments is a LineString more (``segment``: 1, 2 ...).
     ``.kml``: a LineString at its altitude above ground (``relativeToGround``), the same facts as data.
     ``.plan`` (QGroundControl): take-off at the first point, then a waypoint at every turn; points within
     a centimetre of the straight line between their neighbours are left out, so that a grid path is not a
@@ -67,6 +82,7 @@ def write_path(route: Route, file: str | Path) -> bool:
     Args:
       route: from `plan`.
       file: where to; several formats are several calls.
+      report: from `jaxurban.explain`; its speed becomes the cruise speed of a ``.plan``.
 
     Raises:
       InputError: another suffix, or a folder that does not exist or cannot be written to.
@@ -75,7 +91,7 @@ def write_path(route: Route, file: str | Path) -> bool:
     encode = _encoder(file)
     if not route.status.has_path:
         return False
-    content = encode(route)
+    content = encode(route, report)
     try:
         with whole_file(file) as scratch:
             scratch.write_bytes(content)
@@ -89,7 +105,7 @@ def check_export(file: str | Path) -> None:
     _encoder(Path(file))
 
 
-def _encoder(file: Path) -> Callable[[Route], bytes]:
+def _encoder(file: Path) -> Encode:
     encode = ENCODERS.get(file.suffix.lower())
     if encode is None:
         raise InputError(f"cannot tell the format of {str(file)!r}: end its name in one of {', '.join(ENCODERS)}")
@@ -106,18 +122,29 @@ def _positions(points: np.ndarray) -> list[list[float]]:
     return listed * 2 if len(listed) == 1 else listed
 
 
-def _geojson(route: Route) -> bytes:
-    feature = {
-        "type": "Feature",
-        "properties": route.to_dict() | {"z_m": np.round(route.z_m, Z_DECIMALS).tolist()},
-        "geometry": {"type": "LineString", "coordinates": _positions(route.lonlat)},
-    }
-    collection = {"type": "FeatureCollection", "features": [feature]}
+def _facts(route: Route, report: Report | None) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+    """Return what is known of the whole path, and of each segment."""
+    told = {} if report is None else report.to_dict()
+    segments = told.pop("segments", [])
+    return told | route.to_dict(), segments
+
+
+def _feature(properties: Mapping[str, Any], lonlat: np.ndarray) -> dict[str, Any]:
+    geometry = {"type": "LineString", "coordinates": _positions(lonlat)}
+    return {"type": "Feature", "properties": properties, "geometry": geometry}
+
+
+def _geojson(route: Route, report: Report | None) -> bytes:
+    facts, segments = _facts(route, report)
+    features = [_feature(facts | {"z_m": np.round(route.z_m, Z_DECIMALS).tolist()}, route.lonlat)]
+    if report is not None:
+        features += [_feature(segment, line) for segment, line in zip(segments, report.lines, strict=True)]
+    collection = {"type": "FeatureCollection", "features": features}
     return (json.dumps(collection, allow_nan=False) + "\n").encode()
 
 
-def _kml(route: Route) -> bytes:
-    facts = route.to_dict()
+def _kml(route: Route, report: Report | None) -> bytes:
+    facts, _ = _facts(route, report)
     root = ElementTree.Element("kml", xmlns="http://www.opengis.net/kml/2.2")
     placemark = ElementTree.SubElement(ElementTree.SubElement(root, "Document"), "Placemark")
     ElementTree.SubElement(placemark, "name").text = f"{facts['planner']}, {route.altitude_m:g} m above ground"
@@ -161,7 +188,8 @@ def _turns(xy_m: np.ndarray, z_m: np.ndarray) -> np.ndarray:
     )
 
 
-def _qgc_plan(route: Route) -> bytes:
+def _qgc_plan(route: Route, report: Report | None) -> bytes:
+    speed_m_s = _facts(route, report)[0].get("speed_m_s")
     turns = _turns(route.xy_m, route.z_m)
     corners = np.round(np.column_stack([route.lonlat, route.z_m])[turns], DECIMALS).tolist()
     commands = [MAV_CMD_NAV_TAKEOFF] + [MAV_CMD_NAV_WAYPOINT] * (len(corners) - 1)
@@ -188,8 +216,8 @@ def _qgc_plan(route: Route) -> bytes:
             "firmwareType": MAV_AUTOPILOT_PX4,
             "vehicleType": MAV_TYPE_QUADROTOR,
             "globalPlanAltitudeMode": ALTITUDE_RELATIVE,
-            "cruiseSpeed": 15,  # m/s, QGroundControl's defaults
-            "hoverSpeed": 5,
+            "cruiseSpeed": speed_m_s or 15,  # m/s; else QGroundControl's defaults
+            "hoverSpeed": speed_m_s or 5,
             "plannedHomePosition": [corners[0][1], corners[0][0], 0],
             "items": items,
         },
@@ -199,4 +227,4 @@ def _qgc_plan(route: Route) -> bytes:
     return (json.dumps(plan, indent=2, allow_nan=False) + "\n").encode()
 
 
-ENCODERS: dict[str, Callable[[Route], bytes]] = {".geojson": _geojson, ".kml": _kml, ".plan": _qgc_plan}
+ENCODERS: dict[str, Encode] = {".geojson": _geojson, ".kml": _kml, ".plan": _qgc_plan}

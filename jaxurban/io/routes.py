@@ -11,7 +11,7 @@ import pandas as pd
 import shapely
 
 from jaxurban.errors import InputError
-from jaxurban.io.vectorfile import open_frame
+from jaxurban.io.vectorfile import open_layers
 
 ALTITUDE_PROPERTY, TIME_OF_DAY_PROPERTY, TIME_PROPERTY = "altitude_m", "time_of_day", "time"
 
@@ -40,9 +40,10 @@ def read_routes(file: str | Path) -> list[Route]:
     Raises:
       InputError: no such file, no line in it, or an altitude that is no number.
     """
-    frame = open_frame(file, "routes", shapes="lines").to_crs("EPSG:4326")
     routes: list[Route] = []
-    for number, (_, row) in enumerate(frame.iterrows(), start=1):
+    layers = (frame.to_crs("EPSG:4326") for frame in open_layers(file, "routes"))
+    features = (row for frame in layers for _, row in frame.iterrows())
+    for number, row in enumerate(features, start=1):
         geometry = row.geometry
         if geometry is None or geometry.geom_type not in ("LineString", "MultiLineString"):
             continue

@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 from scipy.spatial import cKDTree
 
+from jaxurban.errors import InputError
 from jaxurban.io.store import whole_file
 from jaxurban.maps import MetricMaps
 from jaxurban.planned import PlannedPath
@@ -21,6 +22,8 @@ from jaxurban.plotting.metrics import (
     plot_sensor_choice,
 )
 from jaxurban.plotting.paths import plot_overview, plot_paths
+from jaxurban.plotting.profile import plot_profile
+from jaxurban.route_report import RouteReport
 
 DPI, NUM_COLOURS, NUM_ROUNDS = 110, 256, 10
 
@@ -57,6 +60,27 @@ def save_figures(maps: MetricMaps, paths: Mapping[float, Sequence[PlannedPath]],
             write_png(draw(), scratch)
         files.append(file)
     return files
+
+
+def check_picture(file: str | Path) -> None:
+    """Raise InputError unless `save_profile` can write this file: call it before a long search."""
+    file = Path(file)
+    if file.suffix.lower() != ".png":
+        raise InputError(f"cannot draw {str(file)!r}: end its name in .png")
+    if not file.parent.is_dir() or file.is_dir():
+        raise InputError(f"cannot write {str(file)!r}: name a file in a folder that is there")
+
+
+def save_profile(planned: PlannedPath, maps: MetricMaps, file: str | Path, report: RouteReport | None = None) -> None:
+    """Write the profile of a route (`plot_profile`) as PNG; the file appears whole or not at all.
+
+    Raises:
+      InputError: there is no path, the maps are others, or the file cannot be written.
+    """
+    check_picture(file)
+    figure = plot_profile(planned, maps, report)
+    with whole_file(Path(file)) as scratch:
+        write_png(figure, scratch)
 
 
 def write_png(figure: Figure, file: Path) -> None:

@@ -175,3 +175,43 @@ def test_a_climb_on_a_straight_line_is_a_waypoint_with_its_altitude_in_every_for
     assert list(frame["z_m"][0]) == route.z_m.tolist()
     text = ElementTree.parse(tmp_path / "path.kml").find(".//{*}coordinates").text
     assert [float(point.split(",")[2]) for point in text.split()] == route.z_m.tolist()
+
+
+@dataclass(frozen=True)
+class Report:
+    """What `explain` tells, without the explaining."""
+
+    lines: tuple[np.ndarray, ...]
+
+    def to_dict(self):
+        segments = [{"segment": 1, "cost": 5.0, "people_overflown": None}, {"segment": 2, "cost": 7.5}]
+        return {"speed_m_s": 12.0, "people_overflown": 31.5, "extremes": {"gps": {"min": 0.25}}, "segments": segments}
+
+
+@pytest.fixture
+def report(route) -> Report:
+    return Report((route.lonlat[:150], route.lonlat[149:]))
+
+
+def test_geojson_with_a_report_holds_the_path_and_a_line_for_each_segment(route, report, tmp_path):
+    file = tmp_path / "path.geojson"
+    assert write_path(route, file, report)
+    path, first, second = json.loads(file.read_text(), parse_constant=pytest.fail)["features"]
+    assert (path["properties"]["cost"], path["properties"]["people_overflown"]) == (12.5, 31.5)
+    assert path["properties"]["extremes"] == {"gps": {"min": 0.25}}
+    assert "segments" not in path["properties"]
+    assert (first["properties"]["segment"], second["properties"]["cost"]) == (1, 7.5)
+    frame = geopandas.read_file(file)
+    assert frame["segment"].tolist()[1:] == [1, 2]
+    whole = shapely.line_merge(shapely.union_all(frame.geometry[1:].to_list()))
+    assert whole.equals(frame.geometry[0])
+
+
+def test_kml_and_plan_take_the_facts_of_a_report(route, report, tmp_path):
+    write_path(route, tmp_path / "path.kml", report)
+    root = ElementTree.parse(tmp_path / "path.kml").getroot()
+    assert root.findtext(".//k:Data[@name='people_overflown']/k:value", namespaces=KML) == "31.5"
+    assert root.findtext(".//k:Data[@name='extremes.gps.min']/k:value", namespaces=KML) == "0.25"
+    write_path(route, tmp_path / "path.plan", report)
+    mission = json.loads((tmp_path / "path.plan").read_text())["mission"]
+    assert (mission["cruiseSpeed"], mission["hoverSpeed"]) == (12.0, 12.0)

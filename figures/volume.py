@@ -1,0 +1,133 @@
+"""Draw what climbing is worth: over a wall or around it, and across the embedded city. Writes figures/volume.png.
+
+Above: a wall of 30 m with a door at its far end; a route that pays little for climbing goes over it, one that pays
+much goes around. Below: the same two choices across the city, with the roofs under each route.
+"""
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.collections import LineCollection
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+
+import jaxurban as ju
+from jaxurban.planners.volume import VolumeProblem
+from jaxurban.planners.volume_astar import volume_astar
+from jaxurban.plotting.files import write_png
+from jaxurban.volume import weigh_volume
+
+FILE = Path(__file__).with_suffix(".png")
+ROOF, COLOURS = "#8a8a8a", "plasma"
+START_M, GOAL_M = np.array([200.0, 130.0]), np.array([800.0, 620.0])  # in the embedded city
+
+
+def wall() -> tuple[np.ndarray, float, dict[str, np.ndarray], np.ndarray]:
+    """Return roofs, resolution, a path for each price of climbing, and the levels."""
+    roof_m = np.zeros((41, 41))
+    roof_m[:33, 20] = 30.0
+    levels_m = np.arange(10.0, 51.0, 10.0)
+    is_free = roof_m < levels_m[:, None, None]
+    paths = {}
+    for climb_cost in (1.0, 10.0):
+        problem = VolumeProblem(
+            np.zeros(is_free.shape), is_free, levels_m, (0, 8, 3), (0, 8, 37), 5.0, 1.0, climb_cost=climb_cost
+        )
+        paths[f"climb {climb_cost:g} per m"] = volume_astar(problem).points_m
+    return roof_m, 5.0, paths, levels_m
+
+
+def city() -> tuple[np.ndarray, float, dict[str, np.ndarray], np.ndarray]:
+    """Return the same for the embedded city."""
+    maps = ju.build_maps(ju.demo_city(1_200, 1_200), resolution_m=5.0, altitudes_m=(20.0, 40.0, 60.0, 80.0))
+    grid, paths = maps.grid, {}
+    corner = np.array([grid.x_min_m, grid.y_min_m])
+    for climb_cost in (0.1, 2.0):
+        volume = weigh_volume(maps, level_step_m=10.0, climb_cost=climb_cost, weights=ju.Weights(lidar=0.3))
+        path = volume.plan(start_xy_m=tuple(corner + START_M), goal_xy_m=tuple(corner + GOAL_M), snap=True)
+        paths[f"climb {climb_cost:g} per m"] = np.column_stack([path.xy_m - corner, path.z_m])
+        print(f"climb cost {climb_cost:g}: cost {path.cost:.1f}, {path.length_m:.0f} m, up to {path.z_m.max():g} m")
+    return maps.m("roof"), grid.resolution_m, paths, volume.problem.levels_m
+
+
+def draw_plan(panel: Axes, roof_m: np.ndarray, resolution_m: float, paths, norm: Normalize) -> None:
+    """Draw the roofs, darker where higher, and the paths coloured by altitude."""
+    size_m = resolution_m * np.array(roof_m.shape[::-1])
+    shade = np.where(roof_m > 0, roof_m, np.nan)
+    panel.imshow(shade, origin="lower", extent=(0, size_m[0], 0, size_m[1]), cmap="Greys", vmin=-30, vmax=90)
+    for letter, points in zip("AB", paths.values(), strict=True):
+        pieces = np.stack([points[:-1, :2], points[1:, :2]], axis=1)
+        panel.plot(*points[:, :2].T, color="black", linewidth=4.2, solid_capstyle="round")
+        middle_m = (points[:-1, 2] + points[1:, 2]) / 2
+        panel.add_collection(LineCollection(pieces, array=middle_m, cmap=COLOURS, norm=norm, linewidth=2.8, zorder=3))
+        look = {"boxstyle": "circle,pad=0.2", "facecolor": "white", "linewidth": 0.8}
+        panel.text(
+            *points[_farthest(points, paths), :2], letter, size=10, weight="bold", ha="center", va="center", bbox=look
+        )
+    ends = next(iter(paths.values()))[[0, -1], :2]
+    panel.plot(*ends[0], "o", color="white", markeredgecolor="black", markersize=7, zorder=5)
+    panel.plot(*ends[1], "*", color="white", markeredgecolor="black", markersize=13, zorder=5)
+    panel.set(aspect="equal", xlim=(0, size_m[0]), ylim=(0, size_m[1]), xlabel="east (m)", ylabel="north (m)")
+
+
+def _farthest(points: np.ndarray, paths: dict[str, np.ndarray]) -> int:
+    """Return the point that lies farthest from all other paths: its label covers none of them."""
+    others = np.concatenate([other for other in paths.values() if other is not points])
+    apart_m = np.hypot(*(points[:, None, :2] - others[None, :, :2]).transpose(2, 0, 1)).min(axis=1)
+    return int(apart_m.argmax())
+
+
+def draw_profile(panel: Axes, roof_m: np.ndarray, resolution_m: float, points: np.ndarray, norm: Normalize) -> None:
+    """Draw one path's altitude over the way flown, with the roofs beneath it."""
+    along_m = np.append(0.0, np.cumsum(np.hypot(*np.diff(points[:, :2], axis=0).T)))
+    cols, rows = np.floor(points[:, :2] / resolution_m).astype(int).T
+    panel.fill_between(along_m, roof_m[rows, cols], step="mid", color=ROOF, linewidth=0)
+    pieces = np.stack([points[:-1], points[1:]], axis=1)[:, :, [0, 2]]
+    pieces[:, 0, 0], pieces[:, 1, 0] = along_m[:-1], along_m[1:]
+    middle_m = (points[:-1, 2] + points[1:, 2]) / 2
+    panel.plot(along_m, points[:, 2], color="black", linewidth=3.6)
+    panel.add_collection(LineCollection(pieces, array=middle_m, cmap=COLOURS, norm=norm, linewidth=2.2, zorder=3))
+    climbed_m = np.maximum(np.diff(points[:, 2]), 0).sum()
+    length_m = np.linalg.norm(np.diff(points, axis=0), axis=1).sum()
+    panel.text(
+        0.99,
+        0.95,
+        f"{length_m:,.0f} m flown, {climbed_m:.0f} m climbed",
+        transform=panel.transAxes,
+        ha="right",
+        va="top",
+    )
+
+
+def main() -> None:
+    figure = Figure(figsize=(10.5, 9.6), facecolor="white", layout="constrained")
+    for row, (name, (roof_m, resolution_m, paths, levels_m)) in zip(
+        figure.subfigures(2, 1, height_ratios=(1, 1)),
+        {"a wall of 30 m": wall(), "the embedded city": city()}.items(),
+        strict=True,
+    ):
+        row.suptitle(f"Across {name}: what a metre of climb costs decides", size=11.5, weight="bold")
+        norm = Normalize(levels_m[0], max(points[:, 2].max() for points in paths.values()))
+        panels = row.subplot_mosaic([["plan", "0"], ["plan", "1"]], width_ratios=(1, 1.25))
+        draw_plan(panels["plan"], roof_m, resolution_m, paths, norm)
+        panels["plan"].set_title("from above", size=10, loc="left")
+        for number, (label, points) in enumerate(paths.items()):
+            panel = panels[str(number)]
+            draw_profile(panel, roof_m, resolution_m, points, norm)
+            panel.set_ylim(0, 1.25 * levels_m[-1])
+            panel.set_title(f"{'AB'[number]}: {label}", size=10, loc="left")
+            panel.set_ylabel("above ground (m)")
+            panel.set_xlim(left=0)
+            for z_m in levels_m:
+                panel.axhline(z_m, color="#bbbbbb", linewidth=0.5, zorder=0)
+        panels["1"].set_xlabel("distance flown, seen from above (m)")
+        row.colorbar(
+            ScalarMappable(norm, COLOURS), ax=panels["plan"], label="altitude above ground (m)", location="left"
+        )
+    write_png(figure, FILE)
+
+
+if __name__ == "__main__":
+    main()

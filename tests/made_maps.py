@@ -1,0 +1,53 @@
+"""Metric maps made up by NumPy alone: a city of blocks with smooth random metrics, for tests that need no real ones."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import xarray as xr
+from scipy.ndimage import gaussian_filter
+
+from jaxurban.grid import Grid
+from jaxurban.maps import MetricMaps
+
+FLOWN = ("altitude", "y", "x")
+
+
+def made_maps(
+    num_rows: int = 80, num_cols: int = 100, altitudes_m: Sequence[float] = (20.0, 60.0), resolution_m: float = 10.0
+) -> MetricMaps:
+    """Return maps with streets between blocks of 0 to 80 m; every metric takes all values from 0 to 1."""
+    rng = np.random.default_rng(7)
+    grid = Grid("EPSG:32618", resolution_m, 450_000, 58_000, num_rows, num_cols)
+    row, col = np.indices(grid.shape)
+    block_m = rng.choice([0.0, 12.0, 30.0, 80.0], (num_rows // 6 + 1, num_cols // 8 + 1))
+    roof_m = np.where((row % 6 < 3) & (col % 8 < 5), block_m[row // 6, col // 8], 0.0).astype(np.float32)
+    obstacle = np.stack([roof_m >= z for z in altitudes_m]).astype(np.uint8)
+
+    def smooth(*sizes: int) -> np.ndarray:
+        values = gaussian_filter(rng.normal(size=(*sizes, *grid.shape)), [0] * len(sizes) + [6, 6])
+        return ((values - values.min()) / np.ptp(values)).astype(np.float32)
+
+    a, flown = len(altitudes_m), {name: smooth(len(altitudes_m)) * (1 - obstacle) for name in ("lidar", "risk")}
+    gps, visible = smooth(1, a) * (1 - obstacle), smooth(1, a) * (1 - obstacle)
+    people = smooth(2)
+    data = {
+        "obstacle": (FLOWN, obstacle),
+        "gps": (("time", *FLOWN), gps),
+        "num_visible": (("time", *FLOWN), (9 * visible).astype(np.uint8)),
+        "hdop": (("time", *FLOWN), np.where(gps > 0.3, 1 / np.maximum(gps, 0.1), np.inf).astype(np.float32)),
+        **{name: (FLOWN, values) for name, values in flown.items()},
+        "population": (("time_of_day", "y", "x"), people),
+        "density": (("time_of_day", "y", "x"), 50_000 * people),
+        "roof": (("y", "x"), roof_m),
+        "has_data": (("y", "x"), np.ones(grid.shape, bool)),
+    }
+    coords = {
+        "y": grid.y_m,
+        "x": grid.x_m,
+        "altitude": np.asarray(altitudes_m, float),
+        "time": np.array(["2020-04-27T16:00:00"], "datetime64[ns]"),
+        "time_of_day": np.array(["day", "night"], np.dtypes.StringDType()),
+        "spatial_ref": 0,
+    }
+    attrs = {"crs": grid.crs, "resolution_m": resolution_m, "first_row": grid.first_row, "first_col": grid.first_col}
+    return MetricMaps(xr.Dataset(data, coords, attrs))
