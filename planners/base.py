@@ -1,7 +1,7 @@
 """What every planner takes and gives: Problem, Path, Status, and the planner contract."""
 
 import copy
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from functools import cached_property
 from typing import Literal, Protocol
@@ -136,6 +136,30 @@ class Problem:
         object.__setattr__(other, "goal", goal)
         other._check_endpoints()
         return other
+
+    def with_layers(self, layers: np.ndarray, distance_weight: float) -> "Problem":
+        """Return the same question with other cost layers ``[L, Y, X]`` and distance weight.
+
+        What does not depend on costs is shared.
+
+        Raises:
+          InputError: layers of another shape, or a cost on a free cell or the weight is negative or not finite.
+        """
+        moves = self.moves
+        other = replace(self, layers=layers, distance_weight=float(distance_weight))
+        other.__dict__["moves"] = moves
+        return other
+
+    def reweighted(self, layer_factors: np.ndarray, distance_weight: float) -> "Problem":
+        """Return the same question with each layer multiplied by a factor ``[L]``, and another distance weight.
+
+        Raises:
+          InputError: a factor or the distance weight is negative or not finite.
+        """
+        factors = np.asarray(layer_factors, np.float64)
+        if not np.all((factors >= 0) & (factors < np.inf)):
+            raise InputError(f"factors of layers must be finite and not negative, got {factors.tolist()}")
+        return self.with_layers(self.layers * factors[:, None, None], distance_weight)
 
     @cached_property
     def moves(self) -> np.ndarray:

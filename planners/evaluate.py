@@ -100,14 +100,32 @@ def evaluate(
     is_inside = (row >= 0) & (row < num_rows) & (col >= 0) & (col < num_cols)
     if not is_inside.all() or not np.all(is_free[row, col]):
         return PathCost(np.inf, length_m, np.full(len(layers), np.inf), False, crossings)
-    if cost_model == "line":
-        per_layer = np.asarray(layers[:, row, col], np.float64) @ (crossings.length_m / reference_length_m)
-    else:
-        states = crossed_cells(path_states(points_m, resolution_m), resolution_m)
-        is_last = np.append(states.segment[1:] != states.segment[:-1], states.length_m[-1] > 0)
-        per_layer = np.asarray(layers[:, states.row[is_last], states.col[is_last]], np.float64).sum(axis=1)
+    charged = _charged_cells(points_m, crossings, resolution_m, cost_model, reference_length_m)
+    per_layer = np.asarray(layers[:, charged[0], charged[1]], np.float64) @ charged[2]
     total = distance_weight * length_m + float(per_layer.sum())
     return PathCost(total, length_m, per_layer, True, crossings)
+
+
+def _charged_cells(
+    points_m: np.ndarray, crossings: Crossings, resolution_m: float, cost_model: CostModel, reference_length_m: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return row and column of the cells whose layers are charged, and how often each is, ``[C]`` each."""
+    if cost_model == "line":
+        return crossings.row, crossings.col, crossings.length_m / reference_length_m
+    states = crossed_cells(path_states(points_m, resolution_m), resolution_m)
+    is_last = np.append(states.segment[1:] != states.segment[:-1], states.length_m[-1] > 0)
+    return states.row[is_last], states.col[is_last], np.ones(int(is_last.sum()))
+
+
+def charge_map(problem: Problem, points_m: np.ndarray) -> np.ndarray:
+    """Return ``[Y, X]`` how often a valid path is charged each cell: the derivative of its cost by the cell's cost."""
+    crossings = crossed_cells(points_m, problem.resolution_m)
+    row, col, times = _charged_cells(
+        points_m, crossings, problem.resolution_m, problem.cost_model, problem.reference_length_m
+    )
+    charges = np.zeros(problem.is_free.shape)
+    np.add.at(charges, (row, col), times)
+    return charges
 
 
 def evaluate_on(problem: Problem, points_m: np.ndarray) -> PathCost:

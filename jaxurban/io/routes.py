@@ -1,0 +1,94 @@
+"""Routes from files: lines that someone flew, drew or planned."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import shapely
+
+from jaxurban.errors import InputError
+from jaxurban.io.vectorfile import open_layers
+
+ALTITUDE_PROPERTY, TIME_OF_DAY_PROPERTY, TIME_PROPERTY = "altitude_m", "time_of_day", "time"
+
+
+@dataclass(frozen=True, eq=False)
+class Route:
+    """A line from a file. ``N`` points.
+
+    Attributes:
+      lonlat: ``[N, 2]`` longitude, latitude in degrees.
+      name: its ``name`` property, or its number in the file, from 1.
+      altitude_m, time_of_day, time: of the feature's properties (of paths that jaxurban wrote: of their
+        ``settings``), None where they are not given.
+    """
+
+    lonlat: np.ndarray
+    name: str
+    altitude_m: float | None = None
+    time_of_day: str | None = None
+    time: str | None = None
+
+
+def read_routes(file: str | Path) -> list[Route]:
+    """Return the lines of a vector file, each part of a MultiLineString a route of its own.
+
+    Raises:
+      InputError: no such file, no line in it, or an altitude that is no number.
+    """
+    routes: list[Route] = []
+    layers = (frame.to_crs("EPSG:4326") for frame in open_layers(file, "routes"))
+    features = (row for frame in layers for _, row in frame.iterrows())
+    for number, row in enumerate(features, start=1):
+        geometry = row.geometry
+        if geometry is None or geometry.geom_type not in ("LineString", "MultiLineString"):
+            continue
+        facts = _facts(row)
+        parts = [part for part in shapely.get_parts(geometry) if part.length > 0]
+        for part_number, part in enumerate(parts, start=1):
+            name = str(facts.get("name") or number) + (f".{part_number}" if len(parts) > 1 else "")
+            routes.append(
+                Route(
+                    shapely.get_coordinates(part),
+                    name,
+                    _altitude(facts.get(ALTITUDE_PROPERTY), name, file),
+                    facts.get(TIME_OF_DAY_PROPERTY),
+                    facts.get(TIME_PROPERTY),
+                )
+            )
+    if not routes:
+        raise InputError(f"{str(file)!r} holds no line: give routes as LineString features")
+    return routes
+
+
+def _facts(row: Any) -> Mapping[str, Any]:
+    """Return what is read of a feature; jaxurban's own paths keep some of it under ``settings``."""
+    settings = row.get("settings")
+    if isinstance(settings, str):
+        try:
+            settings = json.loads(settings)
+        except ValueError:
+            settings = None
+    found = dict(settings) if isinstance(settings, dict) else {}
+    for name in ("name", ALTITUDE_PROPERTY, TIME_OF_DAY_PROPERTY, TIME_PROPERTY):
+        if not pd.isna(row.get(name)):
+            found[name] = row[name]
+    return found
+
+
+def _altitude(value: Any, name: str, file: str | Path) -> float | None:
+    if value is None:
+        return None
+    try:
+        altitude_m = float(value)
+    except (TypeError, ValueError):
+        altitude_m = float("nan")
+    if not np.isfinite(altitude_m):
+        raise InputError(
+            f"route {name!r} of {str(file)!r}: {ALTITUDE_PROPERTY} must be a number of metres, got {value!r}"
+        )
+    return altitude_m

@@ -1,0 +1,121 @@
+"""RoutePool: the cheapest routes of many queries under any weights, with all that were found kept.
+
+The cheapest cost of a query is a concave, piecewise linear function of W: the lower envelope of W . features over
+routes. Routes found so far bound it from above, at the price of a few multiplications, and equal it wherever
+the cheapest is among them.
+"""
+
+import os
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+
+from jaxurban.errors import InputError
+from jaxurban.planners.astar import astar
+from jaxurban.studies.queries import Query, RouteFacts, route_facts
+
+SAME = 1e-9  # relative: routes whose features differ by less cost the same under every W
+BLOCK = 64  # routes a query: arrays grow by so many at once, so that compiled code meets few shapes
+NOT_A_ROUTE = 1e12  # features that fill up the arrays: never the cheapest
+
+
+class RoutePool:
+    """Routes of ``Q`` queries as features and integrals (see `RouteFacts`) of ``K`` weights; at most ``R`` a query.
+
+    Attributes:
+      queries: what is asked.
+      num_plans: searches made so far.
+    """
+
+    def __init__(
+        self, queries: Sequence[Query], known: Sequence[RouteFacts] | None = None, workers: int | None = None
+    ) -> None:
+        """Begin with a known route of each query, or with none; search in ``workers`` threads (default: one a core)."""
+        self.queries = tuple(queries)
+        self.num_plans = 0
+        self._workers = workers or os.cpu_count() or 1
+        self._routes: list[list[np.ndarray]] = [[] for _ in self.queries]  # [2, K]: features, integrals
+        for query, facts in enumerate(known or ()):
+            self._add(query, np.stack([facts.features, facts.integrals]))
+
+    @property
+    def num_routes(self) -> int:
+        """Different routes found so far, of all queries."""
+        return sum(map(len, self._routes))
+
+    @property
+    def features(self) -> np.ndarray:
+        """``[Q, R, K]`` features of all routes, filled up with `NOT_A_ROUTE`; R is a multiple of `BLOCK`."""
+        return self._filled(0)
+
+    @property
+    def integrals(self) -> np.ndarray:
+        """``[Q, R, K]`` integrals of all routes, filled up like `features`."""
+        return self._filled(1)
+
+    def _filled(self, part: int) -> np.ndarray:
+        most = max(1, *map(len, self._routes))
+        filled = np.full((len(self._routes), -(-most // BLOCK) * BLOCK, len(self.queries[0].names)), NOT_A_ROUTE)
+        for rows, routes in zip(filled, self._routes, strict=True):
+            for row, route in zip(rows, routes, strict=False):
+                row[:] = route[part]
+        return filled
+
+    def cheapest(self, weights: np.ndarray) -> np.ndarray:
+        """Return ``[2, Q, M, K]`` features and integrals of the cheapest routes, by search; new ones join the pool.
+
+        Args:
+          weights: ``[Q, M, K]`` not negative, M weights for each query.
+
+        Raises:
+          InputError: a query's start and goal are not connected.
+        """
+        jobs = [(query, w) for query, each in enumerate(weights) for w in each]
+        with ThreadPoolExecutor(self._workers) as threads:
+            found = list(threads.map(lambda job: self._search(*job), jobs))
+        self.num_plans += len(jobs)
+        for (query, _), route in zip(jobs, found, strict=True):
+            self._add(query, route)
+        return np.moveaxis(np.reshape(found, (*weights.shape[:2], 2, -1)), 2, 0)
+
+    def to_arrays(self) -> dict[str, np.ndarray]:
+        """Return the pool as arrays, for a file."""
+        return {
+            "pool_routes": np.concatenate(self._routes),
+            "pool_counts": np.array([len(routes) for routes in self._routes]),
+            "pool_num_plans": np.array(self.num_plans),
+        }
+
+    def restore(self, arrays: dict[str, np.ndarray]) -> None:
+        """Take over what `to_arrays` gave, where it begins with the routes that this pool knows.
+
+        Raises:
+          InputError: the arrays belong to other queries.
+        """
+        split = np.split(arrays["pool_routes"], np.cumsum(arrays["pool_counts"])[:-1])
+        if len(split) != len(self.queries) or any(
+            not np.array_equal(kept[: len(known)], known)
+            for kept, known in zip(split, self._routes, strict=True)
+            if known
+        ):
+            raise InputError("the state to resume belongs to other routes or maps: remove it, or name another folder")
+        self._routes = [list(routes) for routes in split]
+        self.num_plans = int(arrays["pool_num_plans"])
+
+    def _search(self, query: int, weights: np.ndarray) -> np.ndarray:
+        asked = self.queries[query]
+        problem = asked.unit.problem.between(asked.start, asked.goal).reweighted(weights[1:], float(weights[0]))
+        found = astar(problem)
+        if not found.status.has_path:
+            raise InputError(f"no path joins the ends of route {asked.name or query + 1!r}: leave it out")
+        facts = route_facts(asked.unit, found.points_m)
+        return np.stack([facts.features, facts.integrals])
+
+    def _add(self, query: int, route: np.ndarray) -> None:
+        if self._routes[query]:
+            known = np.array(self._routes[query])[:, 0]
+            scale = np.maximum(np.abs(known), np.abs(route[0])) + 1e-12
+            if np.any(np.all(np.abs(known - route[0]) <= SAME * scale, axis=1)):
+                return
+        self._routes[query].append(route)

@@ -1,0 +1,86 @@
+"""The planned cost's gradient agrees with finite differences of replanned costs."""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxurban.errors import InputError
+from jaxurban.planners.astar import astar
+from jaxurban.planners.base import Problem
+from jaxurban.planners.envelope import planned_cost
+from jaxurban.planners.ptp import ptp
+
+EXACT = partial(astar, heuristic="octile")
+
+
+def make(cost_model="cell", seed=0, shape=(12, 15)):
+    rng = np.random.default_rng(seed)
+    is_free = rng.random(shape) > 0.15
+    is_free[0, 0] = is_free[-1, -1] = True
+    layers = rng.random((2, *shape)) + 0.1
+    return Problem(layers, is_free, (0, 0), (shape[0] - 1, shape[1] - 1), 5.0, 0.1, cost_model)
+
+
+@pytest.mark.parametrize("cost_model", ["cell", "line"])
+def test_the_gradient_of_the_optimal_cost_is_that_of_replanned_costs(cost_model):
+    problem = make(cost_model)
+    with jax.enable_x64(True):
+        cost = planned_cost(problem, EXACT)
+        layers, w0 = jnp.asarray(problem.layers), jnp.asarray(0.1)
+        value, (by_layers, by_distance) = jax.value_and_grad(cost, (0, 1))(layers, w0)
+        assert value == EXACT(problem).cost
+        rng = np.random.default_rng(1)
+        for direction in rng.normal(size=(5, *layers.shape)):
+            step = 1e-6 * direction
+            slope = (cost(layers + step, w0) - cost(layers - step, w0)) / 2e-6
+            np.testing.assert_allclose(jnp.vdot(by_layers, direction), slope, rtol=1e-6)
+        slope = (cost(layers, w0 + 1e-6) - cost(layers, w0 - 1e-6)) / 2e-6
+        np.testing.assert_allclose(by_distance, slope, rtol=1e-6)
+
+
+def test_weights_and_maps_meet_in_one_gradient_under_jit():
+    problem = make("line")
+
+    with jax.enable_x64(True):
+        cost = planned_cost(problem, EXACT)
+        layers = jnp.asarray(problem.layers)
+
+        @jax.jit
+        def of_weights(weights):
+            return cost(weights[1:, None, None] * layers, weights[0])
+
+        weights = jnp.array([0.2, 1.0, 0.5])
+        by_weights = jax.grad(of_weights)(weights)
+        # The optimal cost is homogeneous in the weights (Euler).
+        np.testing.assert_allclose(jnp.vdot(by_weights, weights), of_weights(weights), rtol=1e-12)
+        several = jax.vmap(of_weights)(jnp.stack([weights, 2 * weights]))
+        np.testing.assert_allclose(several[1], 2 * several[0], rtol=1e-12)
+
+
+def test_another_planners_gradient_is_that_of_its_own_path():
+    problem = Problem(np.ones((1, 4, 9)), np.ones((4, 9), bool), (0, 0), (3, 8), 1.0, 1.0, "line", 1.0)
+    cost = planned_cost(problem, ptp)
+    by_layer = jax.grad(cost)(jnp.ones((1, 4, 9)), jnp.float32(1.0))
+    np.testing.assert_allclose(by_layer.sum(), np.hypot(3, 8), rtol=1e-6)
+
+
+def test_without_a_path_the_cost_is_infinite_and_its_gradient_zero():
+    is_free = np.ones((3, 5), bool)
+    is_free[:, 2] = False
+    problem = Problem(np.zeros((1, 3, 5)), is_free, (0, 0), (0, 4), 1.0, 1.0)
+    value, by_layer = jax.value_and_grad(planned_cost(problem, EXACT))(jnp.ones((1, 3, 5)), jnp.float32(1.0))
+    assert value == np.inf
+    assert not by_layer.any()
+
+
+def test_reweighting_shares_what_does_not_depend_on_costs():
+    problem = make()
+    other = problem.reweighted(np.array([2.0, 0.0]), 0.5)
+    assert other.moves is problem.moves
+    np.testing.assert_array_equal(other.cost, 2 * problem.layers[0])
+    assert (other.distance_weight, other.start, other.goal) == (0.5, problem.start, problem.goal)
+    with pytest.raises(InputError, match="factors of layers"):
+        problem.reweighted(np.array([-1.0, 0.0]), 0.5)
