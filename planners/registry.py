@@ -11,6 +11,7 @@ from jaxurban.planners.bitstar import bitstar_dist, bitstar_plus
 from jaxurban.planners.bitstar_bounds import HEURISTICS as OFF_GRID_HEURISTICS
 from jaxurban.planners.heuristics import HEURISTICS
 from jaxurban.planners.ptp import ptp
+from jaxurban.planners.theta import theta_star
 
 
 @dataclass(frozen=True)
@@ -39,6 +40,9 @@ PLANNERS = {
     ),
     "bitstar-plus": PlannerEntry(
         bitstar_plus, "batch informed trees guided by distance and map costs", "plus", OFF_GRID_HEURISTICS
+    ),
+    "theta-star": PlannerEntry(
+        theta_star, "any-angle search, for the line cost model only", "plus", OFF_GRID_HEURISTICS
     ),
 }
 

@@ -242,7 +242,7 @@ def test_reopening_mends_part_of_what_an_inconsistent_heuristic_breaks():
 
 
 def test_planners_by_name_run_with_their_own_heuristic():
-    problem = random_problem(2, "cell", "both-free", 8)
+    problem = random_problem(2, "line", "both-free", 8)
     assert {name: find_planner(name)(problem, budget_s=0.2, seed=0).heuristic for name in PLANNERS} == {
         name: entry.default_heuristic for name, entry in PLANNERS.items()
     }
