@@ -118,3 +118,13 @@ def test_facts_are_json_ready(maps, ends):
     assert json.loads(json.dumps(facts)) == facts
     assert facts["status"] == "optimal"
     assert facts["settings"]["weights"]["distance"] == 0.1
+
+
+def test_a_refined_path_leaves_the_grid_and_is_never_costlier(maps, ends):
+    drawn = ju.plan(maps, altitude_m=20.0, cost_model="line", **ends)
+    refined = ju.plan(maps, altitude_m=20.0, cost_model="line", refine=True, **ends)
+    assert refined.cost < drawn.cost
+    assert refined.status is Status.FEASIBLE
+    assert "refine" in refined.to_dict()["message"].lower()
+    with pytest.raises(ju.InputError, match="cost_model='line'"):
+        ju.plan(maps, altitude_m=20.0, cost_model="cell", refine=True, **ends)
