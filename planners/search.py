@@ -3,16 +3,25 @@
 All that is compiled together stays in this file: Numba's cache looks only at the file of the outer function.
 """
 
+import time
 from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
+from jaxurban.planners.base import Cell, Problem
+from jaxurban.planners.moves import STEPS
+
 FOUND, EXHAUSTED, PAUSED, HEAP_FULL = 0, 1, 2, 3  # how a chunk of search ended
 PARENT_STEP = 0x0F  # bits of a node's state: the step by which it was reached ...
 NO_PARENT = 0x08  # ... or this, at the start
 CLOSED = 0x10
+LATER = 0x20  # a cheaper way turned up after the node was closed, to be followed when `requeue` opens it again
+KEEP, REOPEN, DEFER = 0, 1, 2  # what a cheaper way to a closed node does: nothing, opens it, marks it LATER
 MAX_STEPS = 8
+NOWHERE = -1  # a goal that is never met
+CHUNK = 200_000  # expansions between two looks at the clock: some 50 ms
+FIRST_HEAP = 4096  # entries; doubled when full
 ROUNDING = 1 - 1e-12  # a closed node is not worth expanding again for a gain that rounding explains
 
 
@@ -36,6 +45,89 @@ class Graph(NamedTuple):
     step_cost: np.ndarray
     from_share: np.ndarray
     to_share: np.ndarray
+
+
+class LandmarkBound(NamedTuple):
+    """Costs to a few cells, which bound the cost to the goal (see `landmarks`). ``K`` landmarks.
+
+    The bound is the greatest ``|costs[r, c, k] - at_goal[k]|``, plus ``goal_term - cost_share * cost[r, c]``.
+
+    Attributes:
+      costs: ``[Y, X, K]`` float64, inf where there is no way.
+      at_goal: ``[K]`` the same at the goal.
+      cost: ``[Y, X]`` the problem's map cost.
+      cost_share, goal_term: what turns symmetric costs into those of the problem's steps.
+    """
+
+    costs: np.ndarray
+    at_goal: np.ndarray
+    cost: np.ndarray
+    cost_share: float
+    goal_term: float
+
+
+class Heuristic(NamedTuple):
+    """A bound ``h(n)`` on the cost to the goal, evaluated node by node. ``Y`` rows, ``X`` columns.
+
+    With ``dr, dc`` rows and columns to the goal: a distance part ``euclidean * hypot(dr, dc)
+    + straight * max(dr, dc) + diagonal * min(dr, dc)``, plus a map part ``max(rows[r], cols[c])``
+    or, where ``field`` has any cells, ``field[r, c]``. Landmarks may raise it.
+
+    Attributes:
+      euclidean, straight, diagonal: cost per cell side.
+      rows, cols: ``[Y]``, ``[X]`` float64 map cost from each row and column to the goal's.
+      field: ``[Y, X]`` float64 map cost to the goal, or ``[0, 0]``. With a distance part of 0 it may hold
+        the whole cost to go; inf proves that there is no way.
+      landmarks: a second bound, of which the larger counts. A type of its own where there is one, so
+        that the search is compiled without it for all others.
+    """
+
+    euclidean: float
+    straight: float
+    diagonal: float
+    rows: np.ndarray
+    cols: np.ndarray
+    field: np.ndarray
+    landmarks: LandmarkBound | None = None
+
+
+def zero_heuristic(problem: Problem) -> Heuristic:
+    """Return the bound 0, which makes A* Dijkstra's search."""
+    return Heuristic(
+        euclidean=0.0,
+        straight=0.0,
+        diagonal=0.0,
+        rows=np.zeros(problem.is_free.shape[0]),
+        cols=np.zeros(problem.is_free.shape[1]),
+        field=np.empty((0, 0)),
+    )
+
+
+def graph_of(problem: Problem, *, is_symmetric: bool = False) -> Graph:
+    """Return the problem's map as the search sees it.
+
+    Args:
+      problem: the question.
+      is_symmetric: under the ``cell`` model, charge half of each of a step's two cells instead of the one
+        entered. A path from P to Q then costs ``(cost[P] - cost[Q]) / 2`` more than it does in truth.
+    """
+    steps = np.array(STEPS)
+    length_m = np.hypot(*steps.T) * problem.resolution_m
+    if problem.cost_model == "line":
+        # Half of an edge lies in each of its two cells.
+        from_share = to_share = length_m / (2 * problem.reference_length_m)
+    else:
+        from_share = np.full(len(steps), 0.5 if is_symmetric else 0.0)
+        to_share = 1.0 - from_share
+    return Graph(
+        cost=problem.cost.reshape(-1),
+        moves=problem.moves.reshape(-1),
+        num_cols=problem.cost.shape[1],
+        steps=steps,
+        step_cost=problem.distance_weight * length_m,
+        from_share=from_share,
+        to_share=to_share,
+    )
 
 
 @njit(cache=True)
@@ -77,29 +169,45 @@ def _drop_top(heap_f, heap_node, size):
 
 
 @njit(cache=True)
+def _raised(value, landmarks, row, col):
+    """Return the larger of a bound and the landmarks', where there are any."""
+    if landmarks is None:  # decided when it is compiled
+        return value
+    apart = 0.0
+    for k in range(landmarks.at_goal.size):
+        # A landmark that reaches only one of the two proves that there is no way (inf); one that reaches
+        # neither says nothing (inf - inf is NaN, and greater than nothing).
+        difference = abs(landmarks.costs[row, col, k] - landmarks.at_goal[k])
+        if difference > apart:
+            apart = difference
+    return max(value, apart + landmarks.goal_term - landmarks.cost_share * landmarks.cost[row, col])
+
+
+@njit(cache=True)
 def estimate(heuristic, row, col, goal_row, goal_col):
-    """Return ``h`` at a cell (fields: see `heuristics.Heuristic`)."""
+    """Return ``h`` at a cell (see `Heuristic`)."""
     dr, dc = abs(row - goal_row), abs(col - goal_col)
     value = heuristic.straight * max(dr, dc) + heuristic.diagonal * min(dr, dc)
     if heuristic.euclidean > 0.0:
         value += heuristic.euclidean * np.sqrt(float(dr * dr + dc * dc))
     if heuristic.field.size:
         return value + heuristic.field[row, col]
-    return value + max(heuristic.rows[row], heuristic.cols[col])
+    value += max(heuristic.rows[row], heuristic.cols[col])
+    return _raised(value, heuristic.landmarks, row, col)
 
 
-@njit(cache=True)
-def advance(graph, heuristic, goal, may_reopen, g, state, heap_f, heap_node, size, max_expanded):
-    """Expand nodes in order of f until the goal is met, none is open, or ``max_expanded`` are done.
+@njit(cache=True, nogil=True)
+def advance(graph, heuristic, inflation, goal, upper, closed, g, state, heap_f, heap_node, size, max_expanded):
+    """Expand nodes in order of f until the goal is met, no open f is below ``upper``, or ``max_expanded`` are done.
 
-    The heap holds outdated entries, which are skipped: a node's newest entry is its lowest. Equal f
-    come in an order that only the problem decides, so runs repeat.
+    ``f = g + inflation * h``. The heap holds outdated entries, which are skipped: a node's newest entry is
+    its lowest. Equal f come in an order that only the problem decides, so runs repeat.
 
     Returns: how the chunk ended, the entries left in the heap, and the nodes expanded.
     """
     goal_row, goal_col = goal // graph.num_cols, goal % graph.num_cols
     num_expanded = 0
-    while size > 0:
+    while size > 0 and heap_f[0] < upper:
         if num_expanded >= max_expanded:
             return PAUSED, size, num_expanded
         if size + MAX_STEPS > heap_f.size:
@@ -121,14 +229,136 @@ def advance(graph, heuristic, goal, may_reopen, g, state, heap_f, heap_node, siz
             to_row, to_col = row + graph.steps[k, 0], col + graph.steps[k, 1]
             to = to_row * graph.num_cols + to_col
             is_closed = state[to] & CLOSED
-            if is_closed and not may_reopen:
+            if is_closed and closed == KEEP:
                 continue
             to_g = g[node] + (
                 graph.step_cost[k] + graph.from_share[k] * graph.cost[node] + graph.to_share[k] * graph.cost[to]
             )
             if to_g < (g[to] * ROUNDING if is_closed else g[to]):
                 g[to] = to_g
+                if is_closed and closed == DEFER:
+                    state[to] = k | CLOSED | LATER
+                    continue
                 state[to] = k
-                _push(heap_f, heap_node, size, to_g + estimate(heuristic, to_row, to_col, goal_row, goal_col), to)
+                to_h = estimate(heuristic, to_row, to_col, goal_row, goal_col)
+                _push(heap_f, heap_node, size, to_g + inflation * to_h, to)
                 size += 1
     return EXHAUSTED, size, num_expanded
+
+
+@njit(cache=True, nogil=True)
+def lowest_open(graph, heuristic, goal, g, state):
+    """Return the least ``g + h`` of a node that is open or marked LATER, inf without one, and their number."""
+    goal_row, goal_col = goal // graph.num_cols, goal % graph.num_cols
+    low, num_open = np.inf, 0
+    for node in range(g.size):
+        if g[node] < np.inf and (not state[node] & CLOSED or state[node] & LATER):
+            num_open += 1
+            h = estimate(heuristic, node // graph.num_cols, node % graph.num_cols, goal_row, goal_col)
+            low = min(low, g[node] + h)
+    return low, num_open
+
+
+@njit(cache=True, nogil=True)
+def requeue(graph, heuristic, inflation, goal, g, state, heap_f, heap_node):
+    """Open every node marked LATER, let closed ones be opened again, and fill the heap anew; return its entries."""
+    goal_row, goal_col = goal // graph.num_cols, goal % graph.num_cols
+    size = 0
+    for node in range(g.size):
+        if g[node] < np.inf and (not state[node] & CLOSED or state[node] & LATER):
+            h = estimate(heuristic, node // graph.num_cols, node % graph.num_cols, goal_row, goal_col)
+            _push(heap_f, heap_node, size, g[node] + inflation * h, node)
+            size += 1
+        state[node] &= PARENT_STEP
+    return size
+
+
+class Search:
+    """A search in progress: what is known of each node, and the heap of open ones. ``M`` nodes.
+
+    Attributes:
+      graph, heuristic: what is searched, by which bound.
+      start, goal: nodes; the goal `NOWHERE` is never met.
+      g: ``[M]`` float64 cost of the cheapest way found to each node, inf without one.
+      state: ``[M]`` uint8 (see `PARENT_STEP` and the names after it).
+      num_expanded: nodes expanded so far.
+    """
+
+    def __init__(self, graph: Graph, heuristic: Heuristic, start: Cell, goal: Cell | None) -> None:
+        self.graph, self.heuristic = graph, heuristic
+        self.start = start[0] * graph.num_cols + start[1]
+        self.goal = NOWHERE if goal is None else goal[0] * graph.num_cols + goal[1]
+        self.g = np.full(graph.cost.size, np.inf)
+        self.state = np.full(graph.cost.size, NO_PARENT, np.uint8)
+        self.num_expanded = 0
+        self._heap_f, self._heap_node = np.empty(FIRST_HEAP), np.empty(FIRST_HEAP, np.int32)
+        self._size = 1
+        self.g[self.start] = 0.0
+        self._heap_f[0] = 0.0 if goal is None else estimate(heuristic, *start, *goal)
+        self._heap_node[0] = self.start
+
+    @property
+    def low_f(self) -> float:
+        """The least f in the heap, inf where it is empty."""
+        return float(self._heap_f[0]) if self._size else np.inf
+
+    def run(self, *, closed: int = KEEP, inflation: float = 1.0, upper: float = np.inf, end_s: float = np.inf) -> int:
+        """Search on and return FOUND (the goal was met), EXHAUSTED (no open f is below ``upper``) or PAUSED.
+
+        Args:
+          closed: `KEEP`, `REOPEN` or `DEFER`: what a cheaper way to a closed node does.
+          inflation: what h is multiplied by to order the nodes.
+          upper: f from which on nodes are of no use.
+          end_s: time of `time.perf_counter` at which to pause; heeded within some 50 ms.
+        """
+        while True:
+            ended, self._size, num_done = advance(
+                self.graph,
+                self.heuristic,
+                inflation,
+                self.goal,
+                upper,
+                closed,
+                self.g,
+                self.state,
+                self._heap_f,
+                self._heap_node,
+                self._size,
+                CHUNK,
+            )
+            self.num_expanded += num_done
+            if ended in (FOUND, EXHAUSTED):
+                return int(ended)
+            if ended == HEAP_FULL:
+                self._grow_heap(2 * self._heap_f.size)
+            if time.perf_counter() >= end_s:
+                return PAUSED
+
+    def lower_bound(self) -> tuple[float, int]:
+        """Return the least ``g + h`` among nodes still of use, which no path undercuts, and their number."""
+        low, num_open = lowest_open(self.graph, self.heuristic, self.goal, self.g, self.state)
+        return float(low), int(num_open)
+
+    def requeue(self, inflation: float, num_open: int) -> None:
+        """Order the open nodes, and those marked `LATER`, by another inflation; all may be expanded again."""
+        self._grow_heap(num_open)
+        self._size = int(
+            requeue(self.graph, self.heuristic, inflation, self.goal, self.g, self.state, self._heap_f, self._heap_node)
+        )
+
+    def _grow_heap(self, num_entries: int) -> None:
+        """Make room for that many entries in all."""
+        num_more = max(0, num_entries - self._heap_f.size)
+        self._heap_f = np.concatenate([self._heap_f, np.empty(num_more)])
+        self._heap_node = np.concatenate([self._heap_node, np.empty(num_more, np.int32)])
+
+    def points_m(self, resolution_m: float) -> np.ndarray:
+        """Return ``[N, 2]`` the cell centres from start to goal, by the steps that led to each cell."""
+        node = self.goal
+        nodes = [node]
+        while node != self.start:
+            num_rows, num_cols = STEPS[self.state[node] & PARENT_STEP]
+            node -= num_rows * self.graph.num_cols + num_cols
+            nodes.append(node)
+        rows, cols = np.divmod(nodes[::-1], self.graph.num_cols)
+        return (np.stack([cols, rows], axis=1) + 0.5) * resolution_m
