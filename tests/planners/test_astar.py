@@ -10,6 +10,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from jaxurban.errors import InputError
 from jaxurban.planners import search as search_module
+from jaxurban.planners.anytime import astar_anytime
 from jaxurban.planners.astar import astar, astar_dist, astar_plus
 from jaxurban.planners.base import Problem, Status
 from jaxurban.planners.evaluate import evaluate_on
@@ -110,7 +111,11 @@ def test_better_bounds_expand_fewer_nodes():
 
 @pytest.mark.data
 @pytest.mark.parametrize("name", ["NewYork_0_512", "Berlin_0_256"])
-def test_every_published_length_of_movingai_is_reproduced(data_dir, name):
+@pytest.mark.parametrize(
+    "search",
+    [astar, pytest.param(astar_plus, marks=pytest.mark.slow), pytest.param(astar_anytime, marks=pytest.mark.slow)],
+)
+def test_every_published_length_of_movingai_is_reproduced(data_dir, name, search):
     rows = (data_dir / "movingai" / f"{name}.map").read_text().splitlines()[4:]
     is_free = np.array([list(row) for row in rows[::-1]]) == "."  # the file's first row is the northern one
     problem = None
@@ -120,7 +125,7 @@ def test_every_published_length_of_movingai_is_reproduced(data_dir, name):
         start, goal = (len(rows) - 1 - int(y0), int(x0)), (len(rows) - 1 - int(y1), int(x1))
         if problem is None:
             problem = Problem(np.zeros((1, *is_free.shape)), is_free, start, goal, 1.0, 1.0)
-        path = astar(problem.between(start, goal))
+        path = search(problem.between(start, goal))
         assert path.status is Status.OPTIMAL
         assert path.cost == pytest.approx(float(length), abs=1e-3)
         num_checked += 1
