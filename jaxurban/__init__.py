@@ -4,6 +4,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from jaxurban.answers import PlannedPaths as PlannedPaths
     from jaxurban.build import build_maps as build_maps
     from jaxurban.city import City as City
     from jaxurban.cost import Weights as Weights
@@ -12,6 +13,7 @@ if TYPE_CHECKING:
     from jaxurban.errors import JaxurbanError as JaxurbanError
     from jaxurban.grid import Grid as Grid
     from jaxurban.limits import Limits as Limits
+    from jaxurban.many import plan_many as plan_many
     from jaxurban.maps import MetricMaps as MetricMaps
     from jaxurban.maps import open_maps as open_maps
     from jaxurban.planned import PlannedPath as PlannedPath
@@ -34,6 +36,8 @@ _HOMES = {
     "JaxurbanError": "errors",
     "Grid": "grid",
     "Limits": "limits",
+    "PlannedPaths": "answers",
+    "plan_many": "many",
     "MetricMaps": "maps",
     "open_maps": "maps",
     "PlannedPath": "planned",
