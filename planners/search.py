@@ -1,4 +1,4 @@
-"""The compiled A* search: a 4-ary heap, run in bounded chunks that the caller resumes.
+"""The compiled A* search: a heap behind buckets, run in bounded chunks that the caller resumes.
 
 All that is compiled together stays in this file: Numba's cache looks only at the file of the outer function.
 """
@@ -12,7 +12,7 @@ from numba import njit
 from jaxurban.planners.base import Cell, Problem
 from jaxurban.planners.moves import STEPS
 
-FOUND, EXHAUSTED, PAUSED, HEAP_FULL = 0, 1, 2, 3  # how a chunk of search ended
+FOUND, EXHAUSTED, PAUSED, QUEUE_FULL = 0, 1, 2, 3  # how a chunk of search ended
 PARENT_STEP = 0x0F  # bits of a node's state: the step by which it was reached ...
 NO_PARENT = 0x08  # ... or this, at the start
 CLOSED = 0x10
@@ -21,7 +21,11 @@ KEEP, REOPEN, DEFER = 0, 1, 2  # what a cheaper way to a closed node does: nothi
 MAX_STEPS = 8
 NOWHERE = -1  # a goal that is never met
 CHUNK = 200_000  # expansions between two looks at the clock: some 50 ms
-FIRST_HEAP = 4096  # entries; doubled when full
+FIRST_ENTRIES = 4096  # of a queue; doubled when full
+NUM_BUCKETS = 2048
+BUCKETS_PER_STEP = 512  # in the cost of a typical step: some five entries a bucket on city maps
+NUM_NEAR, NUM_FAR, FREE_SLOT, BUCKET = 0, 1, 2, 3  # places in a queue's ``tally``
+NO_SLOT = -1
 ROUNDING = 1 - 1e-12  # a closed node is not worth expanding again for a gain that rounding explains
 
 
@@ -130,6 +134,62 @@ def graph_of(problem: Problem, *, is_symmetric: bool = False) -> Graph:
     )
 
 
+class Queue(NamedTuple):
+    """Open nodes by f: a 4-ary heap of the lowest, and buckets of equal width for the rest. ``Q`` entries.
+
+    A heap of all open nodes took two thirds of a search, most of it in mispredicted branches on the way
+    down. Here an entry waits unsorted in its bucket until all of lower buckets are taken, and the heap
+    stays a dozen entries high. The order is that of one heap, but among equal f.
+
+    Attributes:
+      near_f, near_node: ``[Q]`` float64, int32 heap of the buckets up to the current one.
+      far_f, far_node, far_next: ``[Q]`` slots of the linked lists of later buckets; the next slot, int32.
+      first: ``[B + 1]`` int32 first slot of each bucket, and of what lies beyond them. Once they are empty
+        they begin again at the lowest f beyond.
+      tally: ``[4]`` int64 entries in the heap and in the lists, first free slot, current bucket.
+      scale: ``[2]`` f where the buckets begin, and buckets per cost; 0: all is in the heap.
+    """
+
+    near_f: np.ndarray
+    near_node: np.ndarray
+    far_f: np.ndarray
+    far_node: np.ndarray
+    far_next: np.ndarray
+    first: np.ndarray
+    tally: np.ndarray
+    scale: np.ndarray
+
+
+def empty_queue(graph: Graph, num_entries: int) -> Queue:
+    """Return a queue with room for that many entries, its buckets fitted to the graph's costs (the order never is)."""
+    stride = max(1, graph.cost.size // 4093)
+    sample = graph.cost[::stride][graph.moves[::stride] > 0]
+    cost = float(sample.mean()) if sample.size else 0.0
+    step = float(np.mean(graph.step_cost + (graph.from_share + graph.to_share) * cost))
+    return Queue(
+        near_f=np.empty(num_entries),
+        near_node=np.empty(num_entries, np.int32),
+        far_f=np.empty(num_entries),
+        far_node=np.empty(num_entries, np.int32),
+        far_next=np.arange(1, num_entries + 1, dtype=np.int32),
+        first=np.full(NUM_BUCKETS + 1, NO_SLOT, np.int32),
+        tally=np.zeros(4, np.int64),
+        scale=np.array([0.0, BUCKETS_PER_STEP / step if step > 0 else 0.0]),
+    )
+
+
+def grown(queue: Queue) -> Queue:
+    """Return the queue with room for twice as many entries."""
+    near_f, near_node, far_f, far_node = (
+        np.concatenate([values, np.empty_like(values)])
+        for values in (queue.near_f, queue.near_node, queue.far_f, queue.far_node)
+    )
+    size = queue.far_next.size
+    # The last free slot leads to the first new one.
+    far_next = np.concatenate([queue.far_next, np.arange(size + 1, 2 * size + 1, dtype=np.int32)])
+    return queue._replace(near_f=near_f, near_node=near_node, far_f=far_f, far_node=far_node, far_next=far_next)
+
+
 @njit(cache=True)
 def _push(heap_f, heap_node, size, f, node):
     """Put a node into a heap of ``size`` entries."""
@@ -169,6 +229,50 @@ def _drop_top(heap_f, heap_node, size):
 
 
 @njit(cache=True)
+def insert(queue, f, node):
+    """Put a node into a queue that has room."""
+    tally = queue.tally
+    bucket = (f - queue.scale[0]) * queue.scale[1]
+    if not bucket >= tally[BUCKET] + 1:  # NaN, of an infinite f, comes here too
+        _push(queue.near_f, queue.near_node, tally[NUM_NEAR], f, node)
+        tally[NUM_NEAR] += 1
+        return
+    place = int(min(bucket, NUM_BUCKETS))
+    slot = tally[FREE_SLOT]
+    tally[FREE_SLOT] = queue.far_next[slot]
+    queue.far_f[slot] = f
+    queue.far_node[slot] = node
+    queue.far_next[slot] = queue.first[place]
+    queue.first[place] = slot
+    tally[NUM_FAR] += 1
+
+
+@njit(cache=True)
+def refill(queue):
+    """Bring the next bucket's entries into an empty heap; it stays empty where none is left."""
+    tally = queue.tally
+    while tally[NUM_NEAR] == 0 and tally[NUM_FAR] > 0:
+        place = tally[BUCKET] + 1
+        tally[BUCKET] = place
+        if place == NUM_BUCKETS:
+            tally[BUCKET] = 0
+            queue.scale[0] = np.inf
+            slot = queue.first[place]
+            while slot != NO_SLOT:
+                queue.scale[0] = min(queue.scale[0], queue.far_f[slot])
+                slot = queue.far_next[slot]
+        slot = queue.first[place]
+        queue.first[place] = NO_SLOT
+        while slot != NO_SLOT:
+            next_slot = queue.far_next[slot]
+            queue.far_next[slot] = tally[FREE_SLOT]
+            tally[FREE_SLOT] = slot
+            tally[NUM_FAR] -= 1
+            insert(queue, queue.far_f[slot], queue.far_node[slot])
+            slot = next_slot
+
+
+@njit(cache=True)
 def _raised(value, landmarks, row, col):
     """Return the larger of a bound and the landmarks', where there are any."""
     if landmarks is None:  # decided when it is compiled
@@ -197,53 +301,56 @@ def estimate(heuristic, row, col, goal_row, goal_col):
 
 
 @njit(cache=True, nogil=True)
-def advance(graph, heuristic, inflation, goal, upper, closed, g, state, heap_f, heap_node, size, max_expanded):
+def advance(graph, heuristic, inflation, goal, upper, closed, g, state, queue, max_expanded):
     """Expand nodes in order of f until the goal is met, no open f is below ``upper``, or ``max_expanded`` are done.
 
-    ``f = g + inflation * h``. The heap holds outdated entries, which are skipped: a node's newest entry is
+    ``f = g + inflation * h``. The queue holds outdated entries, which are skipped: a node's newest entry is
     its lowest. Equal f come in an order that only the problem decides, so runs repeat.
 
-    Returns: how the chunk ended, the entries left in the heap, and the nodes expanded.
+    Returns: how the chunk ended, and the nodes expanded.
     """
     goal_row, goal_col = goal // graph.num_cols, goal % graph.num_cols
+    offsets = graph.steps[:, 0] * graph.num_cols + graph.steps[:, 1]
+    tally = queue.tally
     num_expanded = 0
-    while size > 0 and heap_f[0] < upper:
+    while True:
+        if tally[NUM_NEAR] == 0:
+            refill(queue)
+        if tally[NUM_NEAR] == 0 or queue.near_f[0] >= upper:
+            return EXHAUSTED, num_expanded
         if num_expanded >= max_expanded:
-            return PAUSED, size, num_expanded
-        if size + MAX_STEPS > heap_f.size:
-            return HEAP_FULL, size, num_expanded
-        node = heap_node[0]
-        _drop_top(heap_f, heap_node, size)
-        size -= 1
+            return PAUSED, num_expanded
+        if tally[NUM_NEAR] + tally[NUM_FAR] + MAX_STEPS > queue.far_f.size:
+            return QUEUE_FULL, num_expanded
+        node = queue.near_node[0]
+        _drop_top(queue.near_f, queue.near_node, tally[NUM_NEAR])
+        tally[NUM_NEAR] -= 1
         if state[node] & CLOSED:
             continue
         state[node] |= CLOSED
         if node == goal:
-            return FOUND, size, num_expanded
+            return FOUND, num_expanded
         num_expanded += 1
         row, col = node // graph.num_cols, node % graph.num_cols
-        moves = graph.moves[node]
+        moves, node_g, node_cost = graph.moves[node], g[node], graph.cost[node]
         for k in range(MAX_STEPS):
             if not (moves >> k) & 1:
                 continue
-            to_row, to_col = row + graph.steps[k, 0], col + graph.steps[k, 1]
-            to = to_row * graph.num_cols + to_col
-            is_closed = state[to] & CLOSED
-            if is_closed and closed == KEEP:
+            to = node + offsets[k]
+            to_g = node_g + (graph.step_cost[k] + graph.from_share[k] * node_cost + graph.to_share[k] * graph.cost[to])
+            if to_g >= g[to]:
                 continue
-            to_g = g[node] + (
-                graph.step_cost[k] + graph.from_share[k] * graph.cost[node] + graph.to_share[k] * graph.cost[to]
-            )
-            if to_g < (g[to] * ROUNDING if is_closed else g[to]):
-                g[to] = to_g
-                if is_closed and closed == DEFER:
+            if state[to] & CLOSED:
+                if closed == KEEP or to_g >= g[to] * ROUNDING:
+                    continue
+                if closed == DEFER:
+                    g[to] = to_g
                     state[to] = k | CLOSED | LATER
                     continue
-                state[to] = k
-                to_h = estimate(heuristic, to_row, to_col, goal_row, goal_col)
-                _push(heap_f, heap_node, size, to_g + inflation * to_h, to)
-                size += 1
-    return EXHAUSTED, size, num_expanded
+            g[to] = to_g
+            state[to] = k
+            to_h = estimate(heuristic, row + graph.steps[k, 0], col + graph.steps[k, 1], goal_row, goal_col)
+            insert(queue, to_g + inflation * to_h, to)
 
 
 @njit(cache=True, nogil=True)
@@ -260,21 +367,18 @@ def lowest_open(graph, heuristic, goal, g, state):
 
 
 @njit(cache=True, nogil=True)
-def requeue(graph, heuristic, inflation, goal, g, state, heap_f, heap_node):
-    """Open every node marked LATER, let closed ones be opened again, and fill the heap anew; return its entries."""
+def requeue(graph, heuristic, inflation, goal, g, state, queue):
+    """Open every node marked LATER, let closed ones be opened again, and put the open ones into an empty queue."""
     goal_row, goal_col = goal // graph.num_cols, goal % graph.num_cols
-    size = 0
     for node in range(g.size):
         if g[node] < np.inf and (not state[node] & CLOSED or state[node] & LATER):
             h = estimate(heuristic, node // graph.num_cols, node % graph.num_cols, goal_row, goal_col)
-            _push(heap_f, heap_node, size, g[node] + inflation * h, node)
-            size += 1
+            insert(queue, g[node] + inflation * h, node)
         state[node] &= PARENT_STEP
-    return size
 
 
 class Search:
-    """A search in progress: what is known of each node, and the heap of open ones. ``M`` nodes.
+    """A search in progress: what is known of each node, and the queue of open ones. ``M`` nodes.
 
     Attributes:
       graph, heuristic: what is searched, by which bound.
@@ -291,16 +395,16 @@ class Search:
         self.g = np.full(graph.cost.size, np.inf)
         self.state = np.full(graph.cost.size, NO_PARENT, np.uint8)
         self.num_expanded = 0
-        self._heap_f, self._heap_node = np.empty(FIRST_HEAP), np.empty(FIRST_HEAP, np.int32)
-        self._size = 1
         self.g[self.start] = 0.0
-        self._heap_f[0] = 0.0 if goal is None else estimate(heuristic, *start, *goal)
-        self._heap_node[0] = self.start
+        self._queue = empty_queue(graph, FIRST_ENTRIES)
+        insert(self._queue, 0.0 if goal is None else estimate(heuristic, *start, *goal), self.start)
 
     @property
     def low_f(self) -> float:
-        """The least f in the heap, inf where it is empty."""
-        return float(self._heap_f[0]) if self._size else np.inf
+        """The least f in the queue, inf where it is empty."""
+        if self._queue.tally[NUM_NEAR] == 0:
+            refill(self._queue)
+        return float(self._queue.near_f[0]) if self._queue.tally[NUM_NEAR] else np.inf
 
     def run(self, *, closed: int = KEEP, inflation: float = 1.0, upper: float = np.inf, end_s: float = np.inf) -> int:
         """Search on and return FOUND (the goal was met), EXHAUSTED (no open f is below ``upper``) or PAUSED.
@@ -312,7 +416,7 @@ class Search:
           end_s: time of `time.perf_counter` at which to pause; heeded within some 50 ms.
         """
         while True:
-            ended, self._size, num_done = advance(
+            ended, num_done = advance(
                 self.graph,
                 self.heuristic,
                 inflation,
@@ -321,16 +425,14 @@ class Search:
                 closed,
                 self.g,
                 self.state,
-                self._heap_f,
-                self._heap_node,
-                self._size,
+                self._queue,
                 CHUNK,
             )
             self.num_expanded += num_done
             if ended in (FOUND, EXHAUSTED):
                 return int(ended)
-            if ended == HEAP_FULL:
-                self._grow_heap(2 * self._heap_f.size)
+            if ended == QUEUE_FULL:
+                self._queue = grown(self._queue)
             if time.perf_counter() >= end_s:
                 return PAUSED
 
@@ -341,16 +443,8 @@ class Search:
 
     def requeue(self, inflation: float, num_open: int) -> None:
         """Order the open nodes, and those marked `LATER`, by another inflation; all may be expanded again."""
-        self._grow_heap(num_open)
-        self._size = int(
-            requeue(self.graph, self.heuristic, inflation, self.goal, self.g, self.state, self._heap_f, self._heap_node)
-        )
-
-    def _grow_heap(self, num_entries: int) -> None:
-        """Make room for that many entries in all."""
-        num_more = max(0, num_entries - self._heap_f.size)
-        self._heap_f = np.concatenate([self._heap_f, np.empty(num_more)])
-        self._heap_node = np.concatenate([self._heap_node, np.empty(num_more, np.int32)])
+        self._queue = empty_queue(self.graph, max(FIRST_ENTRIES, num_open))
+        requeue(self.graph, self.heuristic, inflation, self.goal, self.g, self.state, self._queue)
 
     def points_m(self, resolution_m: float) -> np.ndarray:
         """Return ``[N, 2]`` the cell centres from start to goal, by the steps that led to each cell."""

@@ -220,14 +220,27 @@ def test_a_spent_budget_leaves_a_lower_bound_and_no_path(monkeypatch):
     assert astar(problem, heuristic="octile", budget_s=1e-9).lower_bound > 59 * np.sqrt(2)
 
 
-def test_chunks_and_a_growing_heap_change_nothing(monkeypatch):
+def test_chunks_and_a_growing_queue_change_nothing(monkeypatch):
     problem = random_problem(3, "cell", "always", 8, shape=(60, 70))
     whole = astar(problem)
     monkeypatch.setattr(search_module, "CHUNK", 7)
-    monkeypatch.setattr(search_module, "FIRST_HEAP", 8)
+    monkeypatch.setattr(search_module, "FIRST_ENTRIES", 8)
     pieces = astar(problem)
     np.testing.assert_array_equal(pieces.points_m, whole.points_m)
     assert pieces.num_expanded == whole.num_expanded
+
+
+@pytest.mark.parametrize("cost_model", ["cell", "line"])
+def test_costs_orders_of_magnitude_apart_are_taken_in_their_order(cost_model):
+    rng = np.random.default_rng(6)
+    layers = 10 ** rng.uniform(-6, 9, (1, 12, 60))
+    for distance_weight in (0.0, 1e-3, 1e6):
+        problem = Problem(layers, np.ones((12, 60), bool), (1, 2), (10, 55), 2.0, distance_weight, cost_model, 3.0)
+        optimum = exact_cost_to_go(problem)[problem.start]
+        for name in ("none", "plus"):
+            path = astar(problem, heuristic=name)
+            assert path.cost == pytest.approx(optimum, rel=1e-12)
+            assert path.num_expanded < problem.cost.size
 
 
 def test_the_clock_is_read_often_enough_for_a_small_budget():
