@@ -131,7 +131,10 @@ def _check_volume_options(is_volume: bool, given: Settings) -> None:
 def _path_table(facts: Settings) -> str:
     rows = [("planner", f"{facts['planner']} ({facts['heuristic']}, {facts['backend']})"), ("status", facts["status"])]
     if facts["cost"] is not None:
-        rows += [("cost", f"{facts['cost']:.3f}"), ("length", f"{facts['length_m']:.1f} m")]
+        rows += [("cost", f"{facts['cost']:.3f}")]
+        if facts["gap"]:
+            rows += [("above the best", f"at most {100 * facts['gap']:.2f} %")]
+        rows += [("length", f"{facts['length_m']:.1f} m")]
         rows += [(f"cost of {name}", f"{value:.3f}") for name, value in facts["cost_by_layer"].items()]
         rows += [(f"mean m_{name}", f"{value:.3f}") for name, value in facts["metrics"].items()]
     rows += [("expansions", f"{facts['num_expanded']}"), ("search time", f"{facts['elapsed_s']:.3f} s")]
