@@ -58,7 +58,7 @@ def astar_anytime(
         )
     if inflation is not None and not 1 <= inflation < np.inf:
         raise InputError(f"inflation must be a finite number of at least 1, got {inflation}")
-    warm_up(heuristic)
+    warm_up(heuristic, is_anytime=True)
     prepared = prepare(heuristic, problem, budget_s)
     begin_s = time.perf_counter()
     bound = make_heuristic(prepared.name if prepared.is_ready else "octile", problem)

@@ -121,10 +121,13 @@ def free_ride(problem: Problem, cost: float) -> str:
 
 
 @cache
-def warm_up(heuristic: str) -> None:
+def warm_up(heuristic: str, is_anytime: bool = False) -> None:
     """Compile what a search with this heuristic runs, so that its time is the search's own."""
     problem = Problem(np.zeros((1, 1, 2)), np.ones((1, 2), bool), (0, 0), (0, 1), 1.0, 1.0)
-    name = prepare(heuristic, problem, np.inf).name
-    search = Search(graph_of(problem), make_heuristic(name, problem), problem.start, problem.goal)
-    search.run()
+    for name in ("plus", "landmarks") if heuristic == AUTO else (heuristic,):
+        bound = make_heuristic(prepare(name, problem, np.inf).name, problem)
+        search = Search(graph_of(problem), bound, problem.start, problem.goal)
+        search.run()
+        if is_anytime:
+            search.requeue(1.0, search.lower_bound()[1])
     warm_up_evaluation()
