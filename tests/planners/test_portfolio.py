@@ -5,13 +5,12 @@ from functools import cache, partial
 import numpy as np
 import pytest
 from scipy.ndimage import label
-from shapely import LineString, STRtree, box, intersection, length
 
-import jaxurban as ju
 from jaxurban.errors import InputError
 from jaxurban.planners.base import Path, Problem, Status
 from jaxurban.planners.evaluate import evaluate_on
 from jaxurban.planners.registry import PLANNERS
+from tests.free_space import Obstacles
 
 OCTILE = np.sqrt(4 - 2 * np.sqrt(2)) - 1  # 8.24 %: paths of eight directions, at 22.5 degrees between two of them
 EXACT = 1e-9
@@ -41,22 +40,6 @@ def run(name: str, problem: Problem, seed: int = 0, num_samples: int = 300) -> P
 def problem_on(is_free, start, goal, layers=None, model="line", distance_weight=1.0, **options) -> Problem:
     layers = np.zeros((1, *is_free.shape)) if layers is None else layers
     return Problem(layers, is_free, start, goal, SIDE_M, distance_weight, model, **options)
-
-
-class Obstacles:
-    """Boxes of the cells that are not free, and all around the map, as Shapely sees them."""
-
-    def __init__(self, is_free: np.ndarray, side_m: float, x_m: float = 0.0, y_m: float = 0.0) -> None:
-        frame = np.pad(is_free, 1)
-        rows, cols = np.nonzero(~frame)
-        west, south = x_m + (cols - 1) * side_m, y_m + (rows - 1) * side_m
-        self._tree = STRtree(box(west, south, west + side_m, south + side_m))
-
-    def crossed_m(self, points_m: np.ndarray) -> float:
-        """Length of a path within obstacles; one point counts as a path of no length."""
-        line = LineString(points_m if len(points_m) > 1 else np.repeat(points_m, 2, axis=0))
-        near = self._tree.geometries[self._tree.query(line)]
-        return float(length(intersection(near, line)).sum()) if len(near) else 0.0
 
 
 @cache
@@ -261,31 +244,3 @@ def test_costs_never_rise_and_seeds_repeat(name, model):
     assert all(np.less_equal(costs[1:], costs[:-1]))
     if costs:
         assert first.cost == pytest.approx(costs[-1], rel=1e-9)
-
-
-@pytest.fixture(scope="module")
-def maps() -> ju.MetricMaps:
-    return ju.build_maps(ju.demo_city(1_000, 1_000), resolution_m=10.0, altitudes_m=(20.0,))
-
-
-@pytest.mark.parametrize("name", PLANNERS)
-def test_plans_over_the_embedded_city_keep_to_free_cells_by_shapely(maps, name):
-    is_free, grid = maps.is_free(20.0), maps.grid
-    obstacles = Obstacles(is_free, grid.resolution_m, grid.x_min_m, grid.y_min_m)
-    islands = label(is_free)[0]
-    joined = np.argwhere(islands == np.bincount(islands[is_free]).argmax())
-    for start, goal in np.random.default_rng(7).choice(joined, (3, 2)):
-        ends = {"start_xy_m": grid.xy_of_cell(*start), "goal_xy_m": grid.xy_of_cell(*goal)}
-        path = ju.plan(maps, **ends, altitude_m=20.0, planner=name, cost_model="line", budget_s=0.3)
-        assert path.status.has_path or path.status in (Status.BLOCKED, Status.BUDGET_EMPTY)
-        if path.status.has_path:
-            assert obstacles.crossed_m(path.xy_m) < 1e-6
-            assert sum(path.cost_by_layer.values()) == pytest.approx(path.cost)
-
-
-@pytest.mark.parametrize("name", PLANNERS)
-@pytest.mark.parametrize("wrong", [np.nan, -1.0])
-def test_a_plan_refuses_weights_that_are_no_weights(maps, name, wrong):
-    place = maps.grid.xy_of_cell(*np.argwhere(maps.is_free(20.0))[0])
-    with pytest.raises(InputError, match="weight risk must be a finite number >= 0"):
-        ju.plan(maps, start_xy_m=place, goal_xy_m=place, altitude_m=20.0, planner=name, weights=ju.Weights(risk=wrong))
