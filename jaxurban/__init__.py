@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from jaxurban.route_report import RouteReport as RouteReport
     from jaxurban.route_report import explain as explain
     from jaxurban.scenario import Scenario as Scenario
+    from jaxurban.sensitivity_report import save_sensitivity as save_sensitivity
+    from jaxurban.studies.sensitivity import sensitivity as sensitivity
     from jaxurban.volume import plan_volume as plan_volume
     from jaxurban.weighted import WeightedMap as WeightedMap
     from jaxurban.weighted import weigh as weigh
@@ -45,6 +47,8 @@ _HOMES = {
     "RouteReport": "route_report",
     "explain": "route_report",
     "Scenario": "scenario",
+    "save_sensitivity": "sensitivity_report",
+    "sensitivity": "studies.sensitivity",
     "plan_volume": "volume",
     "WeightedMap": "weighted",
     "weigh": "weighted",
