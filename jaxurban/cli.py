@@ -16,6 +16,7 @@ import click
 
 from jaxurban.commands.common import interrupted, tell
 from jaxurban.commands.demo import demo
+from jaxurban.commands.fetch import fetch
 from jaxurban.commands.maps import maps
 from jaxurban.commands.plan import plan
 from jaxurban.commands.sensitivity import sensitivity
@@ -30,7 +31,7 @@ def app() -> None:
     """Metric maps for small drones over cities, and paths planned on them."""
 
 
-for command in (demo, maps, plan, sensitivity):
+for command in (demo, fetch, maps, plan, sensitivity):
     app.add_command(command)
 
 
