@@ -1,10 +1,13 @@
 """A server in this process that answers as it is told: well, late, cut off, in circles, without end."""
 
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from urllib.parse import urlsplit
+
+LONGEST_S = 20.0  # so that a client which waits for ever fails its test and does not hang it
 
 Reply = Callable[[BaseHTTPRequestHandler], None]
 
@@ -53,11 +56,12 @@ def unless_known(etag: str, body: bytes) -> Reply:
 
 
 def drip(server: Server, piece: bytes, every_s: float) -> Reply:
-    """Reply with a piece again and again; an empty one is silence."""
+    """Reply with a piece again and again, for `LONGEST_S` at most; an empty one is silence."""
 
     def reply(handler: BaseHTTPRequestHandler) -> None:
         send(b"", Content_Length="")(handler)
-        while not server.ended.wait(every_s):
+        begun_s = time.monotonic()
+        while not server.ended.wait(every_s) and time.monotonic() < begun_s + LONGEST_S:
             handler.wfile.write(piece)
 
     return reply

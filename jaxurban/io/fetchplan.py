@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import date
+from functools import cached_property
 from pathlib import Path
 from urllib.parse import urlsplit
 
@@ -102,7 +103,7 @@ class FetchJob:
         """Whether the districts are New York City's, whose commercial ones the scenario knows by default."""
         return self.district_field == NYC_FIELD and _touches(self.bounds, (NYC_BOX,))
 
-    @property
+    @cached_property
     def crs(self) -> str:
         """The region's UTM zone."""
         west, south, east, north = self.bounds
