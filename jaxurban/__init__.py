@@ -19,6 +19,14 @@ if TYPE_CHECKING:
     from jaxurban.route_report import RouteReport as RouteReport
     from jaxurban.route_report import explain as explain
     from jaxurban.scenario import Scenario as Scenario
+    from jaxurban.studies.examples import Example as Example
+    from jaxurban.studies.imitation import fit_weights as fit_weights
+    from jaxurban.studies.queries import make_queries as make_queries
+    from jaxurban.studies.queries import unit_map as unit_map
+    from jaxurban.studies.reading import examples_from_paths as examples_from_paths
+    from jaxurban.studies.reading import read_examples as read_examples
+    from jaxurban.studies.targets import Wish as Wish
+    from jaxurban.studies.targets import fit_targets as fit_targets
     from jaxurban.volume import plan_volume as plan_volume
     from jaxurban.weighted import WeightedMap as WeightedMap
     from jaxurban.weighted import weigh as weigh
@@ -41,6 +49,14 @@ _HOMES = {
     "RouteReport": "route_report",
     "explain": "route_report",
     "Scenario": "scenario",
+    "Wish": "studies.targets",
+    "Example": "studies.examples",
+    "examples_from_paths": "studies.reading",
+    "fit_targets": "studies.targets",
+    "fit_weights": "studies.imitation",
+    "make_queries": "studies.queries",
+    "read_examples": "studies.reading",
+    "unit_map": "studies.queries",
     "plan_volume": "volume",
     "WeightedMap": "weighted",
     "weigh": "weighted",

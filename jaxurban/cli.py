@@ -18,6 +18,7 @@ from jaxurban.commands.common import interrupted, tell
 from jaxurban.commands.demo import demo
 from jaxurban.commands.maps import maps
 from jaxurban.commands.plan import plan
+from jaxurban.commands.tune import tune
 from jaxurban.errors import InputError
 
 EXIT_BAD_INPUT, EXIT_INTERRUPTED = 2, 130
@@ -29,7 +30,7 @@ def app() -> None:
     """Metric maps for small drones over cities, and paths planned on them."""
 
 
-for command in (demo, maps, plan):
+for command in (demo, maps, plan, tune):
     app.add_command(command)
 
 
