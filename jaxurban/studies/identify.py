@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.linalg import null_space
 
 from jaxurban.studies.pool import NOT_A_ROUTE, RoutePool
 from jaxurban.studies.queries import Query
@@ -59,12 +58,11 @@ def tradeoff_covariance(pool: RoutePool, unit: np.ndarray, weights: np.ndarray) 
     return more.T @ more / max(len(more), 1)
 
 
-def indistinct_weights(covariance: np.ndarray, along: np.ndarray, names: Sequence[str]) -> list[str]:
+def indistinct_weights(covariance: np.ndarray, names: Sequence[str]) -> list[str]:
     """Return sentences on the directions of W, but its length, that examples say nothing about.
 
     Args:
       covariance: ``[K, K]`` from `tradeoff_covariance`.
-      along: ``[K]`` W in the same units: only its length lies along it, which is nothing to find.
       names: ``[K]``.
     """
     least = UNSEEN * max(float(np.max(np.diag(covariance))), 1e-300)
@@ -77,9 +75,8 @@ def indistinct_weights(covariance: np.ndarray, along: np.ndarray, names: Sequenc
     kept = [name for name, is_one in zip(names, is_seen, strict=True) if is_one]
     if len(kept) < 2:
         return sentences
-    across = null_space(along[is_seen][None, :])  # [K, K - 1]
-    values, directions = np.linalg.eigh(across.T @ covariance[np.ix_(is_seen, is_seen)] @ across)
-    unseen = across @ directions[:, values <= UNSEEN * values[-1]]
+    values, directions = np.linalg.eigh(covariance[np.ix_(is_seen, is_seen)])
+    unseen = directions[:, values <= UNSEEN * values[-1]]
     if num := unseen.shape[1]:
         part = np.linalg.norm(unseen, axis=1)
         involved = [name for name, size in zip(kept, part, strict=True) if size > MUCH * part.max()]

@@ -35,7 +35,7 @@ NUM_NOISE, NUM_PROBES = 32, 2  # noises a query in the loss; searches a query an
 STEPS, BOOTSTRAP_NOISE = 200, 8
 FEW = 2  # examples a weight
 TRUST_ROUNDS, FIRST_DOUBT = 3, 30.0  # rounds of full trust; how many times farther off an example may then be at first
-LEAST_REGRET = 1e-4  # examples within this of the cheapest are never distrusted
+LEAST_REGRET = 2e-3  # examples much nearer than this to the cheapest are trusted
 SETTLED = 1e-5  # a round that betters no known route by more has nothing to add
 REGRET_ROUNDS = 4  # searches for the least regret that any weights reach
 IN_ROUND, IN_BOOTSTRAP = 1, 2  # streams of random numbers
@@ -180,7 +180,6 @@ def fit_weights(
             interval = np.stack([np.minimum(interval[0], low), np.maximum(interval[1], high)])
     indistinct = indistinct_weights(
         tradeoff_covariance(pool, fit.unit, fit.weights)[np.ix_(is_fitted, is_fitted)],
-        (fit.weights * fit.unit)[is_fitted],
         [name for name in names if name not in constant],
     )
     cost, spread = fit.weights * demo.mean(axis=0), fit.weights * demo.std(axis=0)

@@ -50,7 +50,7 @@ def test_the_learning_curve_falls_and_ends_when_nothing_new_turns_up(fit):
     assert len(fit.curve) < 20
     assert fit.is_settled
     held_out = fit.by_examples["held_out_regret"]
-    assert held_out.iloc[-1] < held_out.iloc[0]
+    assert held_out.iloc[-1] < held_out.max() < 0.01
 
 
 def test_a_fit_that_stopped_ends_bit_for_bit_as_one_that_did_not(examples, fit, tmp_path):
@@ -134,7 +134,7 @@ def test_only_chosen_metrics_are_fitted():
     fit = fit_weights(examples, bootstrap=0)
     assert fit.names == ("distance", "gps", "population", "risk")
     assert fit.weights.lidar == 0
-    assert cosine(fit, examples, hidden) > 0.999
+    assert cosine(fit, examples, hidden) > 0.998
 
 
 def test_weights_stay_finite_where_every_example_avoids_a_cost_altogether():
