@@ -193,7 +193,9 @@ def fit_targets(
     else:
         first = np.maximum([float(getattr(start, name)) for name in names], 1e-6)
     log_first = np.log(first / first.sum())
-    search = _Search(pool, names, shortest_sums, log_first, max_rounds, seed, begin_s + budget_s, on_round)
+    search = _Search(
+        pool, names, tuple(wishes), shortest_sums, log_first, max_rounds, seed, begin_s + budget_s, on_round
+    )
     search.explore()
     with jax.enable_x64(True):
         best = search.run(wishes)
@@ -259,10 +261,11 @@ class _Found:
 
 @dataclass(frozen=True, eq=False)
 class _Search:
-    """What searches for different wishes share: above all the routes that they find."""
+    """What searches for different wishes share: the routes that they find, and compiled code."""
 
     pool: RoutePool
     names: tuple[str, ...]
+    wishes: tuple[Wish, ...]
     shortest: np.ndarray
     log_start: np.ndarray
     max_rounds: int
@@ -271,9 +274,9 @@ class _Search:
     on_round: Callable[[pd.DataFrame], None] | None
 
     def run(self, wishes: Sequence[Wish]) -> _Found:
-        """Return the best weights for some wishes."""
-        bounds = _Bounds.of(wishes)
-        outcomes = tuple(wish.outcome for wish in wishes)
+        """Return the best weights for some of the wishes; the others count as met."""
+        bounds = _Bounds.of(self.wishes, wishes)
+        outcomes = tuple(wish.outcome for wish in self.wishes)
         rng = np.random.default_rng(self.seed)
         drawn = jnp.asarray(draw_pairs(self.seed, NUM_NOISE, len(self.names)))
         best: _Found | None = None
@@ -294,11 +297,11 @@ class _Search:
                 reached = self._planned(log_weights, outcomes)
                 missed = np.asarray(bounds.missed(jnp.asarray(reached)))
                 if best is None or np.sum(missed**2) < np.sum(best.missed**2):
-                    best = _Found(tuple(wishes), log_weights, reached, missed, rows)
+                    best = _Found(self.wishes, log_weights, reached, missed, rows)
             assert best is not None
             rows.append(
                 {"round": number + 1, "loss": float(np.sum(best.missed**2)), "num_plans": self.pool.num_plans}
-                | dict(zip(map(str, wishes), best.reached.tolist(), strict=True))
+                | dict(zip(map(str, self.wishes), best.reached.tolist(), strict=True))
             )
             if self.on_round:
                 self.on_round(pd.DataFrame(rows))
@@ -332,18 +335,18 @@ class _Search:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class _Bounds:
-    """Wishes as arrays ``[N]``: the bound, +1 for at least and -1 for at most, and the size of the bound."""
+    """Wishes as arrays ``[N]``: the bound, +1 (at least), -1 (at most) or 0 (not now), and the size of the bound."""
 
     bound: Array
     sign: Array
     size: Array
 
     @classmethod
-    def of(cls, wishes: Sequence[Wish]) -> "_Bounds":
+    def of(cls, wishes: Sequence[Wish], active: Sequence[Wish]) -> "_Bounds":
         bound = jnp.array([wish.value for wish in wishes])
         return cls(
             bound,
-            jnp.array([1.0 if wish.sense == ">=" else -1.0 for wish in wishes]),
+            jnp.array([float(wish in active) * (1.0 if wish.sense == ">=" else -1.0) for wish in wishes]),
             jnp.maximum(jnp.abs(bound), 1e-3),
         )
 
