@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     from jaxurban.studies.queries import unit_map as unit_map
     from jaxurban.studies.reading import examples_from_paths as examples_from_paths
     from jaxurban.studies.reading import read_examples as read_examples
-    from jaxurban.studies.targets import Wish as Wish
     from jaxurban.studies.targets import fit_targets as fit_targets
+    from jaxurban.studies.wishes import Wish as Wish
     from jaxurban.volume import plan_volume as plan_volume
     from jaxurban.weighted import WeightedMap as WeightedMap
     from jaxurban.weighted import weigh as weigh
@@ -49,7 +49,7 @@ _HOMES = {
     "RouteReport": "route_report",
     "explain": "route_report",
     "Scenario": "scenario",
-    "Wish": "studies.targets",
+    "Wish": "studies.wishes",
     "Example": "studies.examples",
     "examples_from_paths": "studies.reading",
     "fit_targets": "studies.targets",

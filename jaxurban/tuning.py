@@ -17,7 +17,8 @@ from jaxurban.studies.compare import Comparison, compare
 from jaxurban.studies.examples import Example
 from jaxurban.studies.imitation import WeightFit, fit_weights
 from jaxurban.studies.reading import read_examples
-from jaxurban.studies.targets import TargetFit, Wish, fit_targets
+from jaxurban.studies.targets import TargetFit, fit_targets
+from jaxurban.studies.wishes import Wish
 from jaxurban.tuning_report import (
     Asked,
     imitation_report,

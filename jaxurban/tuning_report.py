@@ -9,7 +9,8 @@ import pandas as pd
 from jaxurban.cost import Weights
 from jaxurban.studies.compare import Comparison
 from jaxurban.studies.imitation import WeightFit
-from jaxurban.studies.targets import TargetFit, Wish
+from jaxurban.studies.targets import TargetFit
+from jaxurban.studies.wishes import Wish
 from jaxurban.weighted import WeightedMap
 
 EXPLAINED = 1e-4  # an example within this share of the cheapest route is explained

@@ -53,7 +53,7 @@ def tune(
     **given: Any,
 ) -> int:
     """Fit weights to example ROUTES (GeoJSON lines) over the maps in DIR, or to wishes on outcomes."""
-    from jaxurban.studies.targets import Wish
+    from jaxurban.studies.wishes import Wish
     from jaxurban.tuning import Source, TuneSettings, run_tuning
 
     if wishes and (scale or bootstrap is not None):

@@ -1,7 +1,6 @@
 """Targets: the weights under which routes are as wished, and which wishes conflict."""
 
 import itertools
-import re
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -13,17 +12,17 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 import pandas as pd
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
-from jaxurban.cost import METRICS, AnyArray, Weights
-from jaxurban.errors import InputError, nearest_name
+from jaxurban.cost import METRICS, Weights
+from jaxurban.errors import InputError
 from jaxurban.studies.identify import feature_units
 from jaxurban.studies.journal import Journal, fingerprint
 from jaxurban.studies.perturbed import draw_pairs, known_route_sums
 from jaxurban.studies.pool import RoutePool
 from jaxurban.studies.queries import Query, check_alike, weights_from
+from jaxurban.studies.wishes import Wish, outcome_values
 
-OUTCOMES = ("detour", "length_m", "people", *(f"mean_{name}" for name in METRICS))
 FIRST_RATE, LAST_RATE = 0.2, 0.02  # of Adam, in log weight a step
 FIRST_NOISE, LAST_NOISE = 0.7, 0.05  # of the perturbed planner, from the first to the last step
 NUM_NOISE, NUM_STEPS = 128, 100
@@ -34,49 +33,6 @@ NUM_TRIED, NUM_PROBES = 3, 8  # weights planned for, and searches around the bes
 PROBE_NOISE = (0.05, 0.8)  # of those searches' log weights, from the nearest to the farthest
 PATIENCE = 3  # rounds that better nothing
 MET = 0.02  # a wish is met if it is missed by no more than this share
-
-
-@dataclass(frozen=True)
-class Wish:
-    """A bound on an outcome of routes, averaged over a set of queries.
-
-    Attributes:
-      outcome: one of `OUTCOMES`. ``detour``: mean of length over the shortest route's, less 1. ``mean_gps`` and
-        the like: mean over queries of the mean m along the route. ``people``: sum over queries of the
-        integral of m_population along the route, as a share of the shortest routes'. ``length_m``: mean length.
-      sense: ``">="`` or ``"<="``.
-      value: the bound.
-    """
-
-    outcome: str
-    sense: str
-    value: float
-
-    @classmethod
-    def parse(cls, text: str) -> "Wish":
-        """Return the wish in ``"mean_gps>=0.8"``.
-
-        Raises:
-          InputError: another form, an unknown outcome, or a value that is no number.
-        """
-        match = re.fullmatch(r"\s*(\w+)\s*(>=|<=)\s*(\S+)\s*", text)
-        if not match:
-            raise InputError(f"wish {text!r} must read like mean_gps>=0.8 or detour<=0.15")
-        outcome, sense, number = match.groups()
-        if outcome not in OUTCOMES:
-            raise InputError(
-                f"unknown outcome {outcome!r}{nearest_name(outcome, OUTCOMES)}: choose one of {', '.join(OUTCOMES)}"
-            )
-        try:
-            value = float(number)
-        except ValueError:
-            value = np.nan
-        if not np.isfinite(value):
-            raise InputError(f"wish {text!r} must end in a finite number")
-        return cls(outcome, sense, value)
-
-    def __str__(self) -> str:
-        return f"{self.outcome} {self.sense} {self.value:g}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,27 +178,6 @@ def fit_targets(
         num_plans=pool.num_plans,
         elapsed_s=time.perf_counter() - begin_s,
     )
-
-
-def outcome_values(
-    sums: Float[AnyArray, "Q J"], shortest: Float[AnyArray, "Q J"], names: Sequence[str], outcomes: Sequence[str]
-) -> Float[Array, " N"]:
-    """Return outcomes of routes from their features and integrals ``[Q, 2 K]``, beside the shortest routes' sums."""
-    num = len(names)
-    length, base = sums[:, num], shortest[:, num]
-    values = []
-    for outcome in outcomes:
-        if outcome == "detour":
-            values.append(jnp.mean(length / base) - 1)
-        elif outcome == "length_m":
-            values.append(jnp.mean(length))
-        elif outcome == "people":
-            column = num + list(names).index("population")
-            values.append(jnp.sum(sums[:, column]) / jnp.maximum(jnp.sum(shortest[:, column]), 1e-9))
-        else:
-            column = num + list(names).index(outcome.removeprefix("mean_"))
-            values.append(jnp.mean(sums[:, column] / length))
-    return jnp.stack(values)
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,7 +6,8 @@ import pytest
 from jaxurban.errors import InputError
 from jaxurban.studies.pool import RoutePool
 from jaxurban.studies.queries import unit_map
-from jaxurban.studies.targets import Wish, fit_targets, outcome_values
+from jaxurban.studies.targets import fit_targets
+from jaxurban.studies.wishes import Wish, outcome_values
 from tests.studies.routes_made import made_queries, small_maps
 
 NUM = 6
