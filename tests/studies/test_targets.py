@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+import jaxurban as ju
 from jaxurban.errors import InputError
 from jaxurban.studies.pool import RoutePool
 from jaxurban.studies.queries import unit_map
@@ -86,3 +87,16 @@ def test_a_wish_for_a_metric_left_out_is_refused(queries):
         fit_targets(queries, wishes("mean_risk>=0.5"))
     with pytest.raises(InputError, match="no wishes"):
         fit_targets(queries, [])
+
+
+@pytest.mark.slow
+def test_on_the_embedded_city_a_reachable_pair_is_met_and_an_unreachable_one_told():
+    maps = ju.build_maps(ju.demo_city(3000, 3000), resolution_m=10.0, altitudes_m=(60.0,))
+    queries = made_queries(unit_map(maps, 60.0, cost_model="line"), 12, apart=60.0)
+    reachable = fit_targets(queries, wishes("mean_lidar>=0.07", "detour<=0.2"))
+    assert reachable.is_met
+    assert reachable.outcomes["missed_by"].max() <= 0.02
+    unreachable = fit_targets(queries, wishes("mean_lidar>=0.06", "detour<=0.005"))
+    assert not unreachable.is_met
+    assert unreachable.conflicts == (("mean_lidar >= 0.06", "detour <= 0.005"),)
+    assert unreachable.outcomes["reached"].iloc[0] > 0.05  # the best trade-off found, from 0.027 of the shortest routes
