@@ -15,7 +15,10 @@ import numpy as np
 import psutil
 
 ROOT = Path(__file__).resolve().parents[1]
-PACKAGES = ("jaxurban", "jax", "jaxlib", "numpy", "scipy", "embreex", "opencv-python-headless", "edt")
+PACKAGES = (
+    *("jaxurban", "jax", "jaxlib", "numba", "numpy", "scipy"),
+    *("embreex", "opencv-python-headless", "edt", "pyastar2d", "scikit-image", "tcod"),
+)
 
 
 @dataclass(frozen=True)

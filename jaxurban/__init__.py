@@ -4,6 +4,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from jaxurban.answers import PlannedPaths as PlannedPaths
     from jaxurban.build import build_maps as build_maps
     from jaxurban.city import City as City
     from jaxurban.cost import Weights as Weights
@@ -12,6 +13,7 @@ if TYPE_CHECKING:
     from jaxurban.errors import JaxurbanError as JaxurbanError
     from jaxurban.grid import Grid as Grid
     from jaxurban.limits import Limits as Limits
+    from jaxurban.many import plan_many as plan_many
     from jaxurban.maps import MetricMaps as MetricMaps
     from jaxurban.maps import open_maps as open_maps
     from jaxurban.planned import PlannedPath as PlannedPath
@@ -19,12 +21,14 @@ if TYPE_CHECKING:
     from jaxurban.route_report import RouteReport as RouteReport
     from jaxurban.route_report import explain as explain
     from jaxurban.scenario import Scenario as Scenario
+    from jaxurban.sensitivity_report import save_sensitivity as save_sensitivity
     from jaxurban.studies.examples import Example as Example
     from jaxurban.studies.imitation import fit_weights as fit_weights
     from jaxurban.studies.queries import make_queries as make_queries
     from jaxurban.studies.queries import unit_map as unit_map
     from jaxurban.studies.reading import examples_from_paths as examples_from_paths
     from jaxurban.studies.reading import read_examples as read_examples
+    from jaxurban.studies.sensitivity import sensitivity as sensitivity
     from jaxurban.studies.targets import fit_targets as fit_targets
     from jaxurban.studies.wishes import Wish as Wish
     from jaxurban.volume import plan_volume as plan_volume
@@ -42,6 +46,8 @@ _HOMES = {
     "JaxurbanError": "errors",
     "Grid": "grid",
     "Limits": "limits",
+    "PlannedPaths": "answers",
+    "plan_many": "many",
     "MetricMaps": "maps",
     "open_maps": "maps",
     "PlannedPath": "planned",
@@ -57,6 +63,8 @@ _HOMES = {
     "make_queries": "studies.queries",
     "read_examples": "studies.reading",
     "unit_map": "studies.queries",
+    "save_sensitivity": "sensitivity_report",
+    "sensitivity": "studies.sensitivity",
     "plan_volume": "volume",
     "WeightedMap": "weighted",
     "weigh": "weighted",

@@ -18,6 +18,7 @@ from jaxurban.commands.common import interrupted, tell
 from jaxurban.commands.demo import demo
 from jaxurban.commands.maps import maps
 from jaxurban.commands.plan import plan
+from jaxurban.commands.sensitivity import sensitivity
 from jaxurban.commands.tune import tune
 from jaxurban.errors import InputError
 
@@ -30,7 +31,7 @@ def app() -> None:
     """Metric maps for small drones over cities, and paths planned on them."""
 
 
-for command in (demo, maps, plan, tune):
+for command in (demo, maps, plan, sensitivity, tune):
     app.add_command(command)
 
 

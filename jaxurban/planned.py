@@ -57,15 +57,18 @@ class PlannedPath:
             "snap_distance_m": {"start": self.snap_distance_m[0], "goal": self.snap_distance_m[1]},
             "objective_cost": _number(self.search.cost),
             "lower_bound": _number(self.search.lower_bound),
+            "gap": _number(self.search.gap),
             "num_expanded": self.search.num_expanded,
             "elapsed_s": self.search.elapsed_s,
+            "setup_s": self.search.setup_s,
             "planner": self.search.planner,
             "heuristic": self.search.heuristic,
             "backend": self.search.backend,
             "num_points": len(self.xy_m),
             "batches": [
                 {"elapsed_s": seconds, "samples": samples, "cost": _number(cost)}
-                for seconds, samples, cost in self.search.history
+                | ({"lower_bound": _number(self.search.bounds[at])} if self.search.bounds else {})
+                for at, (seconds, samples, cost) in enumerate(self.search.history)
             ],
             "crs": self.crs,
             "settings": dict(self.settings),

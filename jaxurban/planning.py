@@ -30,6 +30,7 @@ def plan(
     budget_s: float = 180.0,
     seed: int = 0,
     snap: bool = False,
+    refine: bool = False,
     limits: Limits | None = None,
 ) -> PlannedPath:
     """Return a path from ``start`` to ``goal`` at one altitude.
@@ -54,6 +55,8 @@ def plan(
       budget_s: seconds that the search may take.
       seed: for sampling planners.
       snap: move a start or goal inside an obstacle or closed by a limit to the nearest free cell instead of failing.
+      refine: move the waypoints of what the planner found downhill, off the grid (`planners.refine`); within what
+        is left of the budget. It takes the ``line`` cost model, or the ``distance`` objective.
       limits: no-fly zones and bounds on maps, from `Limits.read`; no path enters a cell that they close.
 
     Raises:
@@ -84,4 +87,5 @@ def plan(
         budget_s=budget_s,
         seed=seed,
         snap=snap,
+        refine=refine,
     )

@@ -14,7 +14,9 @@ from jaxurban.maps import MetricMaps
 from jaxurban.planned import PlannedPath
 from jaxurban.planners.base import Cell, CostModel, Diagonal, Path, Problem
 from jaxurban.planners.evaluate import PathCost, evaluate
+from jaxurban.planners.refine import refine as refine_path
 from jaxurban.planners.registry import find_planner
+from jaxurban.planners.theta import check_line_model
 
 Point = tuple[float, float]
 
@@ -169,6 +171,7 @@ class WeightedMap:
         budget_s: float = 180.0,
         seed: int = 0,
         snap: bool = False,
+        refine: bool = False,
     ) -> PlannedPath:
         """Return a path between two places (arguments and errors as in `jaxurban.plan`)."""
         search = find_planner(planner, heuristic)
@@ -176,7 +179,12 @@ class WeightedMap:
             self.locate("start", start, start_xy_m, snap=snap),
             self.locate("goal", goal, goal_xy_m, snap=snap),
         )
-        found = search(self.problem.between(ends[0].cell, ends[1].cell), budget_s=budget_s, seed=seed)
+        problem = self.problem.between(ends[0].cell, ends[1].cell)
+        if refine:
+            check_line_model(problem, "refinement")
+        found = search(problem, budget_s=budget_s, seed=seed)
+        if refine and found.status.has_path and budget_s > found.elapsed_s:
+            found = refine_path(problem, found, budget_s=budget_s - found.elapsed_s)
         return self.finish(found, ends, budget_s=budget_s, seed=seed)
 
     def finish(self, found: Path, ends: tuple[Place, Place], *, budget_s: float, seed: int) -> PlannedPath:

@@ -1,10 +1,10 @@
 """What every planner takes and gives: Problem, Path, Status, and the planner contract."""
 
 import copy
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from enum import Enum
-from functools import cached_property
-from typing import Literal, Protocol
+from typing import Any, Literal, Protocol, TypeVar
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from jaxurban.planners.moves import allowed_moves
 CostModel = Literal["cell", "line"]
 Diagonal = Literal["both-free", "always"]
 Cell = tuple[int, int]  # row, column; row 0 in the south
+T = TypeVar("T")
 
 EXIT_PATH, EXIT_NO_PATH, EXIT_BUDGET = 0, 3, 4
 
@@ -91,6 +92,7 @@ class Problem:
     connectivity: int = 8
     diagonal: Diagonal = "both-free"
     cost: np.ndarray = field(init=False, repr=False)  # [Y, X] float64: the sum of the layers
+    shared: dict[str, Any] = field(init=False, repr=False, default_factory=dict)  # what `once` made
 
     def __post_init__(self) -> None:
         layers = _read_only(self.layers, np.float64)
@@ -145,9 +147,8 @@ class Problem:
         Raises:
           InputError: layers of another shape, or a cost on a free cell or the weight is negative or not finite.
         """
-        moves = self.moves
         other = replace(self, layers=layers, distance_weight=float(distance_weight))
-        other.__dict__["moves"] = moves
+        other.shared["moves"] = self.moves
         return other
 
     def reweighted(self, layer_factors: np.ndarray, distance_weight: float) -> "Problem":
@@ -161,15 +162,25 @@ class Problem:
             raise InputError(f"factors of layers must be finite and not negative, got {factors.tolist()}")
         return self.with_layers(self.layers * factors[:, None, None], distance_weight)
 
-    @cached_property
+    def once(self, name: str, make: Callable[[], T]) -> T:
+        """Return what ``make`` gives, made once for all queries on this map (see `between`)."""
+        if name not in self.shared:
+            self.shared[name] = make()
+        made: T = self.shared[name]
+        return made
+
+    @property
     def moves(self) -> np.ndarray:
         """``[Y, X]`` uint8: bit k is set where step k of `moves.STEPS` is allowed."""
-        return _read_only(allowed_moves(self.is_free, self.connectivity, self.diagonal == "both-free"), np.uint8)
+        return self.once(
+            "moves",
+            lambda: _read_only(allowed_moves(self.is_free, self.connectivity, self.diagonal == "both-free"), np.uint8),
+        )
 
-    @cached_property
+    @property
     def line_minima(self) -> tuple[np.ndarray, np.ndarray]:
         """Cheapest free cell of every row ``[Y]`` and of every column ``[X]``."""
-        return line_minima(self.cost, self.is_free)
+        return self.once("line_minima", lambda: line_minima(self.cost, self.is_free))
 
 
 def _read_only(values: np.ndarray, dtype: type) -> np.ndarray:
@@ -190,10 +201,14 @@ class Path:
       cost: cost of the path under the problem's own model and objective; inf without a path.
       lower_bound: no path of this planner's graph is cheaper than this (-inf: nothing known).
       num_expanded: nodes expanded (edges evaluated for sampling planners).
-      elapsed_s: wall time of the search, compilation left out where it can be.
+      elapsed_s: wall time of the search, compilation left out where it can be, and ``setup_s`` too.
       planner, heuristic, backend: what ran.
       note: one more sentence, where there is something to say.
-      history: of an anytime planner, after each batch: seconds, samples drawn, cost of the best path.
+      history: of an anytime planner, after each batch: seconds, samples drawn (of `astar-anytime`: nodes
+        expanded), cost of the best path.
+      bounds: of `astar-anytime`: the lower bound proven by each entry of ``history``.
+      setup_s: what later queries on the same map (or goal) are spared: seconds spent on tables before the
+        search; they count towards the budget.
     """
 
     status: Status
@@ -207,6 +222,20 @@ class Path:
     backend: str = "numpy"
     note: str = ""
     history: tuple[tuple[float, int, float], ...] = ()
+    bounds: tuple[float, ...] = ()
+    setup_s: float = 0.0
+
+    @property
+    def gap(self) -> float:
+        """How much costlier the path may be than the best one: (cost - lower_bound) / lower_bound.
+
+        0 where the bound is met (both 0 included); inf without a path, or where the bound is not positive.
+        """
+        if not self.status.has_path:
+            return np.inf
+        if self.cost <= self.lower_bound:
+            return 0.0
+        return (self.cost - self.lower_bound) / self.lower_bound if self.lower_bound > 0 else np.inf
 
 
 class Planner(Protocol):

@@ -2,7 +2,7 @@
 
 import time
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -11,8 +11,18 @@ from scipy.ndimage import label
 from jaxurban.errors import InputError, nearest_name
 from jaxurban.planners.base import Path, Problem, Status
 from jaxurban.planners.bitstar_bounds import HEURISTICS, Bounds, make_bounds
+from jaxurban.planners.bitstar_bulk import BULK, BulkCosts, chosen_backend
 from jaxurban.planners.bitstar_samples import InformedSet, graph_radius
-from jaxurban.planners.bitstar_search import BATCH_DONE, NOT_COSTED, QUEUE_FULL, Ground, Queue, advance
+from jaxurban.planners.bitstar_search import (
+    BATCH_DONE,
+    COSTS_WANTED,
+    NOT_COSTED,
+    QUEUE_FULL,
+    Ground,
+    Queue,
+    advance,
+    put_back,
+)
 from jaxurban.planners.bitstar_tree import Tree
 from jaxurban.planners.evaluate import evaluate_on
 from jaxurban.planners.evaluate import warm_up as warm_up_evaluation
@@ -90,6 +100,7 @@ def bitstar(
     max_samples: int | None = None,
     target_cost: float = 0.0,
     min_improvement: float = 0.0,
+    backend: str = "numba",
     planner: str = "bitstar",
 ) -> Path:
     """Return the best path found through random samples of the free cells, better the longer it runs.
@@ -121,10 +132,12 @@ def bitstar(
       max_batches, max_samples: end after so many; samples outside the free or informed set do not count.
       target_cost: end with a path this cheap.
       min_improvement: end with the first batch that improves a path by a smaller share of its cost.
+      backend: what costs the edges: ``"numba"`` one by one as each comes first in the queue, ``"jax"`` up to
+        1024 at a time on JAX's device, some of them in vain; ``"auto"`` picks (`bitstar_bulk.chosen_backend`).
       planner: the name that the path carries.
 
     Raises:
-      InputError: an unknown heuristic, a number out of its range, or no limit of time, batches or samples.
+      InputError: an unknown heuristic or backend, a number out of its range, or no limit of time, batches or samples.
     """
     if heuristic not in HEURISTICS:
         raise InputError(
@@ -132,6 +145,7 @@ def bitstar(
             f"choose one of {', '.join(HEURISTICS)}"
         )
     settings = Settings(budget_s, batch_samples, growth, eta, max_batches, max_samples, target_cost, min_improvement)
+    backend = chosen_backend(backend)
     _warm_up()
     begin_s = time.perf_counter()
     points_m, cost, note = np.empty((0, 2)), np.inf, ""
@@ -146,7 +160,13 @@ def bitstar(
         if problem.start == problem.goal:
             found = Found(bounds.start[None], False, 0, [])
         else:
-            found = _search(problem, bounds, is_reachable, settings, seed, begin_s)
+            ground = _ground(problem, is_reachable)
+            bulk = None
+            if backend == "jax":
+                compile_s = time.perf_counter()
+                bulk = BulkCosts(ground)
+                begin_s += time.perf_counter() - compile_s
+            found = _search(ground, bounds, is_reachable, settings, seed, begin_s, bulk)
         points_m = found.xy * problem.resolution_m
         if len(points_m):
             cost = evaluate_on(problem, points_m).total
@@ -167,61 +187,30 @@ def bitstar(
         elapsed_s=time.perf_counter() - begin_s,
         planner=planner,
         heuristic=heuristic,
-        backend="numba",
+        backend=backend,
         note=note,
         history=tuple(found.history),
     )
 
 
-def bitstar_dist(
-    problem: Problem,
-    *,
-    budget_s: float = 10.0,
-    seed: int = 0,
-    heuristic: str = "euclidean",
-    max_batches: int | None = None,
-    max_samples: int | None = None,
-) -> Path:
-    """Return the best path found, guided by the straight distance (the paper's BIT*-dist; see `bitstar`)."""
-    return bitstar(
-        problem,
-        budget_s=budget_s,
-        seed=seed,
-        heuristic=heuristic,
-        max_batches=max_batches,
-        max_samples=max_samples,
-        planner="bitstar-dist",
-    )
-
-
-def bitstar_plus(
-    problem: Problem,
-    *,
-    budget_s: float = 10.0,
-    seed: int = 0,
-    heuristic: str = "plus",
-    max_batches: int | None = None,
-    max_samples: int | None = None,
-) -> Path:
-    """Return the best path found, guided by distance and map costs (the paper's BIT*-plus; see `bitstar`)."""
-    return bitstar(
-        problem,
-        budget_s=budget_s,
-        seed=seed,
-        heuristic=heuristic,
-        max_batches=max_batches,
-        max_samples=max_samples,
-        planner="bitstar-plus",
-    )
+# The paper's two: guided by the straight distance, and by distance and map costs.
+bitstar_dist = partial(bitstar, heuristic="euclidean", planner="bitstar-dist")
+bitstar_plus = partial(bitstar, heuristic="plus", planner="bitstar-plus")
 
 
 def _search(
-    problem: Problem, bounds: Bounds, is_reachable: np.ndarray, settings: Settings, seed: int, begin_s: float
+    ground: Ground,
+    bounds: Bounds,
+    is_reachable: np.ndarray,
+    settings: Settings,
+    seed: int,
+    begin_s: float,
+    bulk: BulkCosts | None,
 ) -> Found:
     """Return what the batches found, until something ends them."""
     end_s = begin_s + settings.budget_s
     good_cost = max(bounds.from_start_to_goal() * ROUNDING, settings.target_cost)
-    ground = _ground(problem, is_reachable)
+    wanted = np.empty((0 if bulk is None else BULK, 2), np.int32)
     informed = InformedSet(bounds, is_reachable)
     rng = np.random.default_rng(seed)
     tree, start, goal, radius = Tree.of_ends(bounds), 0, 1, np.inf
@@ -234,10 +223,15 @@ def _search(
         nodes = tree.nodes(radius, buckets)
         queue, size = _filled(queue, nodes.g[nodes.state > 0] + nodes.to_goal[nodes.state > 0])
         while True:
-            ended, size, num_new = advance(ground, nodes, queue, size, goal, buckets, radius, bounds.per_side, CHUNK)
+            ended, size, num_new = advance(
+                ground, nodes, queue, size, goal, buckets, radius, bounds.per_side, CHUNK, wanted
+            )
             num_costed += num_new
             if ended == QUEUE_FULL:
                 queue = Queue(*(np.concatenate([values, np.empty_like(values)]) for values in queue))
+            if ended == COSTS_WANTED and bulk is not None:
+                edges = wanted[:num_new]
+                size = put_back(nodes, queue, size, goal, edges, bulk(tree.xy[edges[:, 0]], tree.xy[edges[:, 1]]))
             if ended == BATCH_DONE or time.perf_counter() >= end_s:
                 break
         path = tree.path(goal)
@@ -291,5 +285,6 @@ def _warm_up() -> None:
     is_reachable = np.ones((1, 2), bool)
     bounds = make_bounds("plus", problem, is_reachable)
     bounds.through_cells(np.flatnonzero(is_reachable))
-    _search(problem, bounds, is_reachable, Settings(np.inf, 1, 0.0, 1.1, 0, 0, 0.0, 0.0), 0, 0.0)
+    settings = Settings(np.inf, 1, 0.0, 1.1, 0, 0, 0.0, 0.0)
+    _search(_ground(problem, is_reachable), bounds, is_reachable, settings, 0, 0.0, None)
     warm_up_evaluation()

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-BATCH_DONE, PAUSED, QUEUE_FULL = 0, 1, 2  # how a chunk of search ended
+BATCH_DONE, PAUSED, QUEUE_FULL, COSTS_WANTED = 0, 1, 2, 3  # how a chunk of search ended
 SAMPLE, OLD, FRESH, EXPANDED = 0, 1, 2, 3  # a node's state; all but SAMPLE are in the tree
 NO_PARENT = -1
 NOT_COSTED = -1.0  # a queued edge whose cost is not known yet
@@ -212,8 +212,8 @@ def _queue_edges(nodes, queue, size, node, goal, begin, num_cols, bucket, radius
 
 
 @njit(cache=True)
-def _expand(nodes, queue, size, node, goal, buckets, radius, per_side):
-    """Queue what a node leads to; return the new size, or -1, with nothing done, where the queue is too short.
+def _expand(nodes, queue, size, most, node, goal, buckets, radius, per_side):
+    """Queue what a node leads to; return the new size, or -1, with nothing done, where it would pass ``most``.
 
     A node known from earlier batches leads to samples only: its edges to the tree were weighed before. A
     node that is new or was improved leads to both, and to its children that lie beyond the radius.
@@ -224,7 +224,7 @@ def _expand(nodes, queue, size, node, goal, buckets, radius, per_side):
     num_most = _num_near(nodes.sample_begin, buckets.num_cols, bucket)
     if is_fresh:
         num_most += _num_near(nodes.tree_begin, buckets.num_cols, bucket) + nodes.long_child.size
-    if size + num_most > queue.f.size:
+    if size + num_most > most:
         return -1
     nodes.state[node] = EXPANDED
     size = _queue_edges(nodes, queue, size, node, goal, nodes.sample_begin, buckets.num_cols, bucket, radius, per_side)
@@ -244,7 +244,7 @@ def _expand(nodes, queue, size, node, goal, buckets, radius, per_side):
 
 
 @njit(cache=True)
-def advance(ground, nodes, queue, size, goal, buckets, radius, per_side, max_taken):
+def advance(ground, nodes, queue, size, goal, buckets, radius, per_side, max_taken, wanted):
     """Take edges from the queue until none can improve the solution, or ``max_taken`` entries are done.
 
     An edge is queued by its lower bound and costed when it comes first; where its true cost no longer
@@ -260,12 +260,17 @@ def advance(ground, nodes, queue, size, goal, buckets, radius, per_side, max_tak
       radius: of the graph.
       per_side: lower bound of an edge's cost per cell side.
       max_taken: entries of the queue.
+      wanted: ``[W, 2]`` int32 room for edges, origin and target, that the caller is to cost in bulk and
+        to give to `put_back`; ``[0, 2]``: each is costed here. Taking many before any is costed tries
+        some more, and finds as good a path.
 
-    Returns: how the chunk ended, the entries left in the queue, and the edges costed.
+    Returns: how the chunk ended, the entries left in the queue, and the edges costed, or wanted.
     """
-    num_costed = 0
+    num_costed = num_wanted = 0
     for _ in range(max_taken):
         if size == 0 or queue.f[0] >= nodes.g[goal]:
+            if num_wanted:
+                return COSTS_WANTED, size, num_wanted
             return BATCH_DONE, 0, num_costed
         node, target, cost = queue.origin[0], queue.target[0], queue.cost[0]
         _drop_top(queue, size)
@@ -273,9 +278,12 @@ def advance(ground, nodes, queue, size, goal, buckets, radius, per_side, max_tak
         if node == target:
             if nodes.state[node] == EXPANDED:
                 continue
-            new_size = _expand(nodes, queue, size, node, goal, buckets, radius, per_side)
+            most = queue.f.size - num_wanted
+            new_size = _expand(nodes, queue, size, most, node, goal, buckets, radius, per_side)
             if new_size < 0:
                 _push(queue, size, nodes.g[node] + nodes.to_goal[node], node, node, NOT_COSTED)
+                if num_wanted:
+                    return COSTS_WANTED, size + 1, num_wanted
                 return QUEUE_FULL, size + 1, num_costed
             size = new_size
             continue
@@ -283,6 +291,12 @@ def advance(ground, nodes, queue, size, goal, buckets, radius, per_side, max_tak
         if cost == NOT_COSTED:
             limit = min(nodes.best[target], nodes.best[goal] - nodes.to_goal[target]) - g
             if limit <= 0.0:
+                continue
+            if len(wanted):
+                wanted[num_wanted, 0], wanted[num_wanted, 1] = node, target
+                num_wanted += 1
+                if num_wanted == len(wanted):
+                    return COSTS_WANTED, size, num_wanted
                 continue
             x, y = nodes.xy[node]
             cost = edge_cost(ground, x, y, nodes.xy[target, 0], nodes.xy[target, 1], limit)
@@ -305,4 +319,20 @@ def advance(ground, nodes, queue, size, goal, buckets, radius, per_side, max_tak
             nodes.state[target] = FRESH
             _push(queue, size, g + cost + nodes.to_goal[target], target, target, NOT_COSTED)
             size += 1
+    if num_wanted:
+        return COSTS_WANTED, size, num_wanted
     return PAUSED, size, num_costed
+
+
+@njit(cache=True)
+def put_back(nodes, queue, size, goal, edges, costs):
+    """Queue edges ``[W, 2]`` that `advance` wanted costed, with their ``[W]`` costs; return the new size."""
+    for k in range(len(edges)):
+        node, target = edges[k]
+        reach = nodes.g[node] + costs[k]
+        f = reach + nodes.to_goal[target]
+        if reach < nodes.best[target] and f < nodes.best[goal]:
+            nodes.best[target] = reach
+            _push(queue, size, f, node, target, costs[k])
+            size += 1
+    return size

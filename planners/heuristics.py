@@ -1,5 +1,6 @@
 """Estimates of the cost to the goal, by name, in the form that the search evaluates."""
 
+import time
 from typing import NamedTuple
 
 import numpy as np
@@ -7,32 +8,71 @@ import numpy as np
 from jaxurban.errors import InputError, nearest_name
 from jaxurban.kernels.heuristic import cell_line_bound, line_line_bound, printed_plus_field
 from jaxurban.planners.base import Cell, Problem
-from jaxurban.planners.search import estimate
+from jaxurban.planners.landmarks import (
+    cost_to_go,
+    cost_to_go_within,
+    landmark_bound,
+    landmarks_within,
+    make_landmarks,
+    should_use,
+)
+from jaxurban.planners.search import Heuristic, estimate, zero_heuristic
 
-ADMISSIBLE = ("none", "euclidean", "octile", "plus")  # all of them consistent too
+ADMISSIBLE = ("none", "euclidean", "octile", "plus", "landmarks", "exact")  # all of them consistent too
 PRINTED = ("plus-printed", "plus-printed-from-0")
 HEURISTICS = ADMISSIBLE + PRINTED
+AUTO = "auto"  # "landmarks" where they serve the query best, else "plus"
 
 
-class Heuristic(NamedTuple):
-    """A bound ``h(n)``: a distance part plus a map part, evaluated node by node. ``Y`` rows, ``X`` columns.
-
-    With ``dr, dc`` rows and columns to the goal: the distance part is ``euclidean * hypot(dr, dc)
-    + straight * max(dr, dc) + diagonal * min(dr, dc)``, the map part ``max(rows[r], cols[c])``
-    or, where ``field`` has any cells, ``field[r, c]``.
+class Prepared(NamedTuple):
+    """What a search will run with.
 
     Attributes:
-      euclidean, straight, diagonal: cost per cell side.
-      rows, cols: ``[Y]``, ``[X]`` float64 map cost from each row and column to the goal's.
-      field: ``[Y, X]`` float64 map cost to the goal, or ``[0, 0]``.
+      name: the heuristic.
+      is_ready: whether its tables were made within the budget.
+      setup_s: what making them took; 0 where they were there already or there are none.
+      note: what to tell, where there is something.
     """
 
-    euclidean: float
-    straight: float
-    diagonal: float
-    rows: np.ndarray
-    cols: np.ndarray
-    field: np.ndarray
+    name: str
+    is_ready: bool
+    setup_s: float
+    note: str
+
+
+def prepare(name: str, problem: Problem, budget_s: float) -> Prepared:
+    """Return the heuristic to run, with the tables made that all queries on the map (or to the goal) share.
+
+    `AUTO` spends at most half of the budget on landmarks and runs with ``plus`` if that is not enough.
+
+    Raises:
+      InputError: an unknown name.
+    """
+    accepted = (AUTO, *HEURISTICS)
+    if name not in accepted:
+        raise InputError(
+            f"unknown heuristic {name!r}{nearest_name(name, accepted)}: choose one of {', '.join(accepted)}"
+        )
+    is_auto = name == AUTO
+    note = ""
+    if is_auto:
+        is_better, note = should_use(problem, budget_s)
+        name = "landmarks" if is_better else "plus"
+    begin_s = time.perf_counter()
+    end_s = begin_s + (0.5 if is_auto else 1.0) * budget_s
+    if name == "landmarks" and "landmarks" not in problem.shared:
+        is_ready = landmarks_within(problem, end_s) is not None
+        what = "The landmarks, which all queries on this map share,"
+    elif name == "exact" and problem.shared.get("cost_to_go", (None,))[0] != problem.goal:
+        is_ready = cost_to_go_within(problem, end_s) is not None
+        what = "The costs to the goal, which all queries to it share,"
+    else:
+        return Prepared(name, True, 0.0, note)
+    setup_s = time.perf_counter() - begin_s
+    done = "took" if is_ready else "were not done in"
+    if is_auto and not is_ready:
+        name, is_ready = "plus", True
+    return Prepared(name, is_ready, setup_s, f"{what} {done} {setup_s:.3g} s.")
 
 
 def make_heuristic(name: str, problem: Problem) -> Heuristic:
@@ -42,6 +82,8 @@ def make_heuristic(name: str, problem: Problem) -> Heuristic:
     - ``euclidean``: ``distance_weight`` times the straight distance (the paper's h_dist).
     - ``octile``: the least length of an 8-connected path; Manhattan distance at connectivity 4.
     - ``plus``: octile, plus whole-row and whole-column minima of the map cost (admissible, consistent).
+    - ``landmarks``: octile or, where larger, the best landmark's bound (admissible, consistent).
+    - ``exact``: the cost to go itself.
     - ``plus-printed``, ``plus-printed-from-0``: octile, plus the paper's box minima, summed over indices
       1..dx or 0..dx-1: **not** admissible. Under the ``line`` model every line counts in full.
 
@@ -52,17 +94,17 @@ def make_heuristic(name: str, problem: Problem) -> Heuristic:
         raise InputError(
             f"unknown heuristic {name!r}{nearest_name(name, HEURISTICS)}: choose one of {', '.join(HEURISTICS)}"
         )
+    heuristic = zero_heuristic(problem)
+    if name in ("none", "exact"):
+        return heuristic if name == "none" else heuristic._replace(field=cost_to_go(problem))
     per_side = problem.distance_weight * problem.resolution_m
-    heuristic = Heuristic(
-        euclidean=per_side if name == "euclidean" else 0.0,
-        straight=0.0 if name in ("none", "euclidean") else per_side,
-        diagonal=0.0
-        if name in ("none", "euclidean")
-        else per_side * (np.sqrt(2) - 1 if problem.connectivity == 8 else 1),
-        rows=np.zeros(problem.is_free.shape[0]),
-        cols=np.zeros(problem.is_free.shape[1]),
-        field=np.empty((0, 0)),
+    if name == "euclidean":
+        return heuristic._replace(euclidean=per_side)
+    heuristic = heuristic._replace(
+        straight=per_side, diagonal=per_side * (np.sqrt(2) - 1 if problem.connectivity == 8 else 1)
     )
+    if name == "landmarks":
+        return heuristic._replace(landmarks=landmark_bound(problem, make_landmarks(problem)))
     sides_per_reference = problem.resolution_m / problem.reference_length_m
     if name == "plus":
         bounds = (
@@ -76,6 +118,8 @@ def make_heuristic(name: str, problem: Problem) -> Heuristic:
         field = printed_plus_field(problem.layers, problem.goal, first_index=1 if name == "plus-printed" else 0)
         if problem.cost_model == "line":
             field *= sides_per_reference
+        # Inf comes of NaN inside obstacles here; the search would take it for a proof that there is no way.
+        np.minimum(field, np.finfo(np.float64).max / 2, out=field)
         heuristic = heuristic._replace(field=field)
     return heuristic
 

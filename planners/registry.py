@@ -5,12 +5,14 @@ from dataclasses import dataclass
 from functools import partial
 
 from jaxurban.errors import InputError, nearest_name
+from jaxurban.planners.anytime import astar_anytime
 from jaxurban.planners.astar import astar_dist, astar_plus
 from jaxurban.planners.base import Path, Planner
 from jaxurban.planners.bitstar import bitstar_dist, bitstar_plus
 from jaxurban.planners.bitstar_bounds import HEURISTICS as OFF_GRID_HEURISTICS
-from jaxurban.planners.heuristics import HEURISTICS
+from jaxurban.planners.heuristics import ADMISSIBLE, AUTO, HEURISTICS
 from jaxurban.planners.ptp import ptp
+from jaxurban.planners.theta import theta_star
 
 
 @dataclass(frozen=True)
@@ -32,13 +34,19 @@ class PlannerEntry:
 
 PLANNERS = {
     "ptp": PlannerEntry(ptp, "the straight segment from start to goal"),
-    "astar-dist": PlannerEntry(astar_dist, "A* guided by the straight distance", "euclidean", HEURISTICS),
-    "astar-plus": PlannerEntry(astar_plus, "A* guided by distance and map costs", "plus", HEURISTICS),
+    "astar-dist": PlannerEntry(astar_dist, "A* guided by the straight distance", "euclidean", (AUTO, *HEURISTICS)),
+    "astar-plus": PlannerEntry(astar_plus, "A* guided by distance and map costs", AUTO, (AUTO, *HEURISTICS)),
+    "astar-anytime": PlannerEntry(
+        astar_anytime, "A* in a hurry first, then ever closer to the best path", AUTO, (AUTO, *ADMISSIBLE)
+    ),
     "bitstar-dist": PlannerEntry(
         bitstar_dist, "batch informed trees guided by the straight distance", "euclidean", OFF_GRID_HEURISTICS
     ),
     "bitstar-plus": PlannerEntry(
         bitstar_plus, "batch informed trees guided by distance and map costs", "plus", OFF_GRID_HEURISTICS
+    ),
+    "theta-star": PlannerEntry(
+        theta_star, "any-angle search, for the line cost model only", "plus", OFF_GRID_HEURISTICS
     ),
 }
 

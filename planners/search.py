@@ -1,18 +1,31 @@
-"""The compiled A* search: a 4-ary heap, run in bounded chunks that the caller resumes.
+"""The compiled A* search: a heap behind buckets, run in bounded chunks that the caller resumes.
 
 All that is compiled together stays in this file: Numba's cache looks only at the file of the outer function.
 """
 
+import time
 from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
-FOUND, EXHAUSTED, PAUSED, HEAP_FULL = 0, 1, 2, 3  # how a chunk of search ended
+from jaxurban.planners.base import Cell, Problem
+from jaxurban.planners.moves import STEPS
+
+FOUND, EXHAUSTED, PAUSED, QUEUE_FULL = 0, 1, 2, 3  # how a chunk of search ended
 PARENT_STEP = 0x0F  # bits of a node's state: the step by which it was reached ...
 NO_PARENT = 0x08  # ... or this, at the start
 CLOSED = 0x10
+LATER = 0x20  # a cheaper way turned up after the node was closed, to be followed when `requeue` opens it again
+KEEP, REOPEN, DEFER = 0, 1, 2  # what a cheaper way to a closed node does: nothing, opens it, marks it LATER
 MAX_STEPS = 8
+NOWHERE = -1  # a goal that is never met
+CHUNK = 200_000  # expansions between two looks at the clock: some 50 ms
+FIRST_ENTRIES = 4096  # of a queue; doubled when full
+NUM_BUCKETS = 2048
+BUCKETS_PER_STEP = 512  # in the cost of a typical step: some five entries a bucket on city maps
+NUM_NEAR, NUM_FAR, FREE_SLOT, BUCKET = 0, 1, 2, 3  # places in a queue's ``tally``
+NO_SLOT = -1
 ROUNDING = 1 - 1e-12  # a closed node is not worth expanding again for a gain that rounding explains
 
 
@@ -36,6 +49,145 @@ class Graph(NamedTuple):
     step_cost: np.ndarray
     from_share: np.ndarray
     to_share: np.ndarray
+
+
+class LandmarkBound(NamedTuple):
+    """Costs to a few cells, which bound the cost to the goal (see `landmarks`). ``K`` landmarks.
+
+    The bound is the greatest ``|costs[r, c, k] - at_goal[k]|``, plus ``goal_term - cost_share * cost[r, c]``.
+
+    Attributes:
+      costs: ``[Y, X, K]`` float64, inf where there is no way.
+      at_goal: ``[K]`` the same at the goal.
+      cost: ``[Y, X]`` the problem's map cost.
+      cost_share, goal_term: what turns symmetric costs into those of the problem's steps.
+    """
+
+    costs: np.ndarray
+    at_goal: np.ndarray
+    cost: np.ndarray
+    cost_share: float
+    goal_term: float
+
+
+class Heuristic(NamedTuple):
+    """A bound ``h(n)`` on the cost to the goal, evaluated node by node. ``Y`` rows, ``X`` columns.
+
+    With ``dr, dc`` rows and columns to the goal: a distance part ``euclidean * hypot(dr, dc)
+    + straight * max(dr, dc) + diagonal * min(dr, dc)``, plus a map part ``max(rows[r], cols[c])``
+    or, where ``field`` has any cells, ``field[r, c]``. Landmarks may raise it.
+
+    Attributes:
+      euclidean, straight, diagonal: cost per cell side.
+      rows, cols: ``[Y]``, ``[X]`` float64 map cost from each row and column to the goal's.
+      field: ``[Y, X]`` float64 map cost to the goal, or ``[0, 0]``. With a distance part of 0 it may hold
+        the whole cost to go; inf proves that there is no way.
+      landmarks: a second bound, of which the larger counts. A type of its own where there is one, so
+        that the search is compiled without it for all others.
+    """
+
+    euclidean: float
+    straight: float
+    diagonal: float
+    rows: np.ndarray
+    cols: np.ndarray
+    field: np.ndarray
+    landmarks: LandmarkBound | None = None
+
+
+def zero_heuristic(problem: Problem) -> Heuristic:
+    """Return the bound 0, which makes A* Dijkstra's search."""
+    return Heuristic(
+        euclidean=0.0,
+        straight=0.0,
+        diagonal=0.0,
+        rows=np.zeros(problem.is_free.shape[0]),
+        cols=np.zeros(problem.is_free.shape[1]),
+        field=np.empty((0, 0)),
+    )
+
+
+def graph_of(problem: Problem, *, is_symmetric: bool = False) -> Graph:
+    """Return the problem's map as the search sees it.
+
+    Args:
+      problem: the question.
+      is_symmetric: under the ``cell`` model, charge half of each of a step's two cells instead of the one
+        entered. A path from P to Q then costs ``(cost[P] - cost[Q]) / 2`` more than it does in truth.
+    """
+    steps = np.array(STEPS)
+    length_m = np.hypot(*steps.T) * problem.resolution_m
+    if problem.cost_model == "line":
+        # Half of an edge lies in each of its two cells.
+        from_share = to_share = length_m / (2 * problem.reference_length_m)
+    else:
+        from_share = np.full(len(steps), 0.5 if is_symmetric else 0.0)
+        to_share = 1.0 - from_share
+    return Graph(
+        cost=problem.cost.reshape(-1),
+        moves=problem.moves.reshape(-1),
+        num_cols=problem.cost.shape[1],
+        steps=steps,
+        step_cost=problem.distance_weight * length_m,
+        from_share=from_share,
+        to_share=to_share,
+    )
+
+
+class Queue(NamedTuple):
+    """Open nodes by f: a 4-ary heap of the lowest, and buckets of equal width for the rest. ``Q`` entries.
+
+    A heap of all open nodes took two thirds of a search, most of it in mispredicted branches on the way
+    down. Here an entry waits unsorted in its bucket until all of lower buckets are taken, and the heap
+    stays a dozen entries high. The order is that of one heap, but among equal f.
+
+    Attributes:
+      near_f, near_node: ``[Q]`` float64, int32 heap of the buckets up to the current one.
+      far_f, far_node, far_next: ``[Q]`` slots of the linked lists of later buckets; the next slot, int32.
+      first: ``[B + 1]`` int32 first slot of each bucket, and of what lies beyond them. Once they are empty
+        they begin again at the lowest f beyond.
+      tally: ``[4]`` int64 entries in the heap and in the lists, first free slot, current bucket.
+      scale: ``[2]`` f where the buckets begin, and buckets per cost; 0: all is in the heap.
+    """
+
+    near_f: np.ndarray
+    near_node: np.ndarray
+    far_f: np.ndarray
+    far_node: np.ndarray
+    far_next: np.ndarray
+    first: np.ndarray
+    tally: np.ndarray
+    scale: np.ndarray
+
+
+def empty_queue(graph: Graph, num_entries: int) -> Queue:
+    """Return a queue with room for that many entries, its buckets fitted to the graph's costs (the order never is)."""
+    stride = max(1, graph.cost.size // 4093)
+    sample = graph.cost[::stride][graph.moves[::stride] > 0]
+    cost = float(sample.mean()) if sample.size else 0.0
+    step = float(np.mean(graph.step_cost + (graph.from_share + graph.to_share) * cost))
+    return Queue(
+        near_f=np.empty(num_entries),
+        near_node=np.empty(num_entries, np.int32),
+        far_f=np.empty(num_entries),
+        far_node=np.empty(num_entries, np.int32),
+        far_next=np.arange(1, num_entries + 1, dtype=np.int32),
+        first=np.full(NUM_BUCKETS + 1, NO_SLOT, np.int32),
+        tally=np.zeros(4, np.int64),
+        scale=np.array([0.0, BUCKETS_PER_STEP / step if step > 0 else 0.0]),
+    )
+
+
+def grown(queue: Queue) -> Queue:
+    """Return the queue with room for twice as many entries."""
+    near_f, near_node, far_f, far_node = (
+        np.concatenate([values, np.empty_like(values)])
+        for values in (queue.near_f, queue.near_node, queue.far_f, queue.far_node)
+    )
+    size = queue.far_next.size
+    # The last free slot leads to the first new one.
+    far_next = np.concatenate([queue.far_next, np.arange(size + 1, 2 * size + 1, dtype=np.int32)])
+    return queue._replace(near_f=near_f, near_node=near_node, far_f=far_f, far_node=far_node, far_next=far_next)
 
 
 @njit(cache=True)
@@ -77,58 +229,230 @@ def _drop_top(heap_f, heap_node, size):
 
 
 @njit(cache=True)
+def insert(queue, f, node):
+    """Put a node into a queue that has room."""
+    tally = queue.tally
+    bucket = (f - queue.scale[0]) * queue.scale[1]
+    if not bucket >= tally[BUCKET] + 1:  # NaN, of an infinite f, comes here too
+        _push(queue.near_f, queue.near_node, tally[NUM_NEAR], f, node)
+        tally[NUM_NEAR] += 1
+        return
+    place = int(min(bucket, NUM_BUCKETS))
+    slot = tally[FREE_SLOT]
+    tally[FREE_SLOT] = queue.far_next[slot]
+    queue.far_f[slot] = f
+    queue.far_node[slot] = node
+    queue.far_next[slot] = queue.first[place]
+    queue.first[place] = slot
+    tally[NUM_FAR] += 1
+
+
+@njit(cache=True)
+def refill(queue):
+    """Bring the next bucket's entries into an empty heap; it stays empty where none is left."""
+    tally = queue.tally
+    while tally[NUM_NEAR] == 0 and tally[NUM_FAR] > 0:
+        place = tally[BUCKET] + 1
+        tally[BUCKET] = place
+        if place == NUM_BUCKETS:
+            tally[BUCKET] = 0
+            queue.scale[0] = np.inf
+            slot = queue.first[place]
+            while slot != NO_SLOT:
+                queue.scale[0] = min(queue.scale[0], queue.far_f[slot])
+                slot = queue.far_next[slot]
+        slot = queue.first[place]
+        queue.first[place] = NO_SLOT
+        while slot != NO_SLOT:
+            next_slot = queue.far_next[slot]
+            queue.far_next[slot] = tally[FREE_SLOT]
+            tally[FREE_SLOT] = slot
+            tally[NUM_FAR] -= 1
+            insert(queue, queue.far_f[slot], queue.far_node[slot])
+            slot = next_slot
+
+
+@njit(cache=True)
+def _raised(value, landmarks, row, col):
+    """Return the larger of a bound and the landmarks', where there are any."""
+    if landmarks is None:  # decided when it is compiled
+        return value
+    apart = 0.0
+    for k in range(landmarks.at_goal.size):
+        # A landmark that reaches only one of the two proves that there is no way (inf); one that reaches
+        # neither says nothing (inf - inf is NaN, and greater than nothing).
+        difference = abs(landmarks.costs[row, col, k] - landmarks.at_goal[k])
+        if difference > apart:
+            apart = difference
+    return max(value, apart + landmarks.goal_term - landmarks.cost_share * landmarks.cost[row, col])
+
+
+@njit(cache=True)
 def estimate(heuristic, row, col, goal_row, goal_col):
-    """Return ``h`` at a cell (fields: see `heuristics.Heuristic`)."""
+    """Return ``h`` at a cell (see `Heuristic`)."""
     dr, dc = abs(row - goal_row), abs(col - goal_col)
     value = heuristic.straight * max(dr, dc) + heuristic.diagonal * min(dr, dc)
     if heuristic.euclidean > 0.0:
         value += heuristic.euclidean * np.sqrt(float(dr * dr + dc * dc))
     if heuristic.field.size:
         return value + heuristic.field[row, col]
-    return value + max(heuristic.rows[row], heuristic.cols[col])
+    value += max(heuristic.rows[row], heuristic.cols[col])
+    return _raised(value, heuristic.landmarks, row, col)
 
 
-@njit(cache=True)
-def advance(graph, heuristic, goal, may_reopen, g, state, heap_f, heap_node, size, max_expanded):
-    """Expand nodes in order of f until the goal is met, none is open, or ``max_expanded`` are done.
+@njit(cache=True, nogil=True)
+def advance(graph, heuristic, inflation, goal, upper, closed, g, state, queue, max_expanded):
+    """Expand nodes in order of f until the goal is met, no open f is below ``upper``, or ``max_expanded`` are done.
 
-    The heap holds outdated entries, which are skipped: a node's newest entry is its lowest. Equal f
-    come in an order that only the problem decides, so runs repeat.
+    ``f = g + inflation * h``. The queue holds outdated entries, which are skipped: a node's newest entry is
+    its lowest. Equal f come in an order that only the problem decides, so runs repeat.
 
-    Returns: how the chunk ended, the entries left in the heap, and the nodes expanded.
+    Returns: how the chunk ended, and the nodes expanded.
     """
     goal_row, goal_col = goal // graph.num_cols, goal % graph.num_cols
+    offsets = graph.steps[:, 0] * graph.num_cols + graph.steps[:, 1]
+    tally = queue.tally
     num_expanded = 0
-    while size > 0:
+    while True:
+        if tally[NUM_NEAR] == 0:
+            refill(queue)
+        if tally[NUM_NEAR] == 0 or queue.near_f[0] >= upper:
+            return EXHAUSTED, num_expanded
         if num_expanded >= max_expanded:
-            return PAUSED, size, num_expanded
-        if size + MAX_STEPS > heap_f.size:
-            return HEAP_FULL, size, num_expanded
-        node = heap_node[0]
-        _drop_top(heap_f, heap_node, size)
-        size -= 1
+            return PAUSED, num_expanded
+        if tally[NUM_NEAR] + tally[NUM_FAR] + MAX_STEPS > queue.far_f.size:
+            return QUEUE_FULL, num_expanded
+        node = queue.near_node[0]
+        _drop_top(queue.near_f, queue.near_node, tally[NUM_NEAR])
+        tally[NUM_NEAR] -= 1
         if state[node] & CLOSED:
             continue
         state[node] |= CLOSED
         if node == goal:
-            return FOUND, size, num_expanded
+            return FOUND, num_expanded
         num_expanded += 1
         row, col = node // graph.num_cols, node % graph.num_cols
-        moves = graph.moves[node]
+        moves, node_g, node_cost = graph.moves[node], g[node], graph.cost[node]
         for k in range(MAX_STEPS):
             if not (moves >> k) & 1:
                 continue
-            to_row, to_col = row + graph.steps[k, 0], col + graph.steps[k, 1]
-            to = to_row * graph.num_cols + to_col
-            is_closed = state[to] & CLOSED
-            if is_closed and not may_reopen:
+            to = node + offsets[k]
+            to_g = node_g + (graph.step_cost[k] + graph.from_share[k] * node_cost + graph.to_share[k] * graph.cost[to])
+            if to_g >= g[to]:
                 continue
-            to_g = g[node] + (
-                graph.step_cost[k] + graph.from_share[k] * graph.cost[node] + graph.to_share[k] * graph.cost[to]
+            if state[to] & CLOSED:
+                if closed == KEEP or to_g >= g[to] * ROUNDING:
+                    continue
+                if closed == DEFER:
+                    g[to] = to_g
+                    state[to] = k | CLOSED | LATER
+                    continue
+            g[to] = to_g
+            state[to] = k
+            to_h = estimate(heuristic, row + graph.steps[k, 0], col + graph.steps[k, 1], goal_row, goal_col)
+            insert(queue, to_g + inflation * to_h, to)
+
+
+@njit(cache=True, nogil=True)
+def lowest_open(graph, heuristic, goal, g, state):
+    """Return the least ``g + h`` of a node that is open or marked LATER, inf without one, and their number."""
+    goal_row, goal_col = goal // graph.num_cols, goal % graph.num_cols
+    low, num_open = np.inf, 0
+    for node in range(g.size):
+        if g[node] < np.inf and (not state[node] & CLOSED or state[node] & LATER):
+            num_open += 1
+            h = estimate(heuristic, node // graph.num_cols, node % graph.num_cols, goal_row, goal_col)
+            low = min(low, g[node] + h)
+    return low, num_open
+
+
+@njit(cache=True, nogil=True)
+def requeue(graph, heuristic, inflation, goal, g, state, queue):
+    """Open every node marked LATER, let closed ones be opened again, and put the open ones into an empty queue."""
+    goal_row, goal_col = goal // graph.num_cols, goal % graph.num_cols
+    for node in range(g.size):
+        if g[node] < np.inf and (not state[node] & CLOSED or state[node] & LATER):
+            h = estimate(heuristic, node // graph.num_cols, node % graph.num_cols, goal_row, goal_col)
+            insert(queue, g[node] + inflation * h, node)
+        state[node] &= PARENT_STEP
+
+
+class Search:
+    """A search in progress: what is known of each node, and the queue of open ones. ``M`` nodes.
+
+    Attributes:
+      graph, heuristic: what is searched, by which bound.
+      start, goal: nodes; the goal `NOWHERE` is never met.
+      g: ``[M]`` float64 cost of the cheapest way found to each node, inf without one.
+      state: ``[M]`` uint8 (see `PARENT_STEP` and the names after it).
+      num_expanded: nodes expanded so far.
+    """
+
+    def __init__(self, graph: Graph, heuristic: Heuristic, start: Cell, goal: Cell | None) -> None:
+        self.graph, self.heuristic = graph, heuristic
+        self.start = start[0] * graph.num_cols + start[1]
+        self.goal = NOWHERE if goal is None else goal[0] * graph.num_cols + goal[1]
+        self.g = np.full(graph.cost.size, np.inf)
+        self.state = np.full(graph.cost.size, NO_PARENT, np.uint8)
+        self.num_expanded = 0
+        self.g[self.start] = 0.0
+        self._queue = empty_queue(graph, FIRST_ENTRIES)
+        insert(self._queue, 0.0 if goal is None else estimate(heuristic, *start, *goal), self.start)
+
+    @property
+    def low_f(self) -> float:
+        """The least f in the queue, inf where it is empty."""
+        if self._queue.tally[NUM_NEAR] == 0:
+            refill(self._queue)
+        return float(self._queue.near_f[0]) if self._queue.tally[NUM_NEAR] else np.inf
+
+    def run(self, *, closed: int = KEEP, inflation: float = 1.0, upper: float = np.inf, end_s: float = np.inf) -> int:
+        """Search on and return FOUND (the goal was met), EXHAUSTED (no open f is below ``upper``) or PAUSED.
+
+        Args:
+          closed: `KEEP`, `REOPEN` or `DEFER`: what a cheaper way to a closed node does.
+          inflation: what h is multiplied by to order the nodes.
+          upper: f from which on nodes are of no use.
+          end_s: time of `time.perf_counter` at which to pause; heeded within some 50 ms.
+        """
+        while True:
+            ended, num_done = advance(
+                self.graph,
+                self.heuristic,
+                inflation,
+                self.goal,
+                upper,
+                closed,
+                self.g,
+                self.state,
+                self._queue,
+                CHUNK,
             )
-            if to_g < (g[to] * ROUNDING if is_closed else g[to]):
-                g[to] = to_g
-                state[to] = k
-                _push(heap_f, heap_node, size, to_g + estimate(heuristic, to_row, to_col, goal_row, goal_col), to)
-                size += 1
-    return EXHAUSTED, size, num_expanded
+            self.num_expanded += num_done
+            if ended in (FOUND, EXHAUSTED):
+                return int(ended)
+            if ended == QUEUE_FULL:
+                self._queue = grown(self._queue)
+            if time.perf_counter() >= end_s:
+                return PAUSED
+
+    def lower_bound(self) -> tuple[float, int]:
+        """Return the least ``g + h`` among nodes still of use, which no path undercuts, and their number."""
+        low, num_open = lowest_open(self.graph, self.heuristic, self.goal, self.g, self.state)
+        return float(low), int(num_open)
+
+    def requeue(self, inflation: float, num_open: int) -> None:
+        """Order the open nodes, and those marked `LATER`, by another inflation; all may be expanded again."""
+        self._queue = empty_queue(self.graph, max(FIRST_ENTRIES, num_open))
+        requeue(self.graph, self.heuristic, inflation, self.goal, self.g, self.state, self._queue)
+
+    def points_m(self, resolution_m: float) -> np.ndarray:
+        """Return ``[N, 2]`` the cell centres from start to goal, by the steps that led to each cell."""
+        node = self.goal
+        nodes = [node]
+        while node != self.start:
+            num_rows, num_cols = STEPS[self.state[node] & PARENT_STEP]
+            node -= num_rows * self.graph.num_cols + num_cols
+            nodes.append(node)
+        rows, cols = np.divmod(nodes[::-1], self.graph.num_cols)
+        return (np.stack([cols, rows], axis=1) + 0.5) * resolution_m

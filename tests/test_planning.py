@@ -2,10 +2,13 @@
 
 import numpy as np
 import pytest
+from scipy.ndimage import label
 
 import jaxurban as ju
 from jaxurban.errors import InputError
 from jaxurban.planners.base import Status
+from jaxurban.planners.registry import PLANNERS
+from tests.free_space import Obstacles
 
 
 @pytest.fixture(scope="module")
@@ -118,3 +121,36 @@ def test_facts_are_json_ready(maps, ends):
     assert json.loads(json.dumps(facts)) == facts
     assert facts["status"] == "optimal"
     assert facts["settings"]["weights"]["distance"] == 0.1
+
+
+def test_a_refined_path_leaves_the_grid_and_is_never_costlier(maps, ends):
+    drawn = ju.plan(maps, altitude_m=20.0, cost_model="line", **ends)
+    refined = ju.plan(maps, altitude_m=20.0, cost_model="line", refine=True, **ends)
+    assert refined.cost < drawn.cost
+    assert refined.status is Status.FEASIBLE
+    assert "refine" in refined.to_dict()["message"].lower()
+    with pytest.raises(ju.InputError, match="cost_model='line'"):
+        ju.plan(maps, altitude_m=20.0, cost_model="cell", refine=True, **ends)
+
+
+@pytest.mark.parametrize("name", PLANNERS)
+def test_plans_over_the_embedded_city_keep_to_free_cells_by_shapely(maps, name):
+    is_free, grid = maps.is_free(20.0), maps.grid
+    obstacles = Obstacles(is_free, grid.resolution_m, grid.x_min_m, grid.y_min_m)
+    islands = label(is_free)[0]
+    joined = np.argwhere(islands == np.bincount(islands[is_free]).argmax())
+    for start, goal in np.random.default_rng(7).choice(joined, (3, 2)):
+        ends = {"start_xy_m": grid.xy_of_cell(*start), "goal_xy_m": grid.xy_of_cell(*goal)}
+        path = ju.plan(maps, **ends, altitude_m=20.0, planner=name, cost_model="line", budget_s=0.3)
+        assert path.status.has_path or path.status in (Status.BLOCKED, Status.BUDGET_EMPTY)
+        if path.status.has_path:
+            assert obstacles.crossed_m(path.xy_m) < 1e-6
+            assert sum(path.cost_by_layer.values()) == pytest.approx(path.cost)
+
+
+@pytest.mark.parametrize("name", PLANNERS)
+@pytest.mark.parametrize("wrong", [np.nan, -1.0])
+def test_a_plan_refuses_weights_that_are_no_weights(maps, name, wrong):
+    place = maps.grid.xy_of_cell(*np.argwhere(maps.is_free(20.0))[0])
+    with pytest.raises(InputError, match="weight risk must be a finite number >= 0"):
+        ju.plan(maps, start_xy_m=place, goal_xy_m=place, altitude_m=20.0, planner=name, weights=ju.Weights(risk=wrong))

@@ -33,6 +33,7 @@ from jaxurban.commands.common import (
 @click.option("--budget", "budget_s", type=float, help="Seconds that the search may take.")
 @click.option("--seed", type=click.IntRange(min=0))
 @click.option("--snap", is_flag=True, help="Move a start or goal inside an obstacle to the nearest free cell.")
+@click.option("--refine", is_flag=True, help="Then move the waypoints downhill; needs --cost-model line.")
 @click.option("--volume", "is_volume", is_flag=True, help="Climb and descend on the way; --altitude is the start's.")
 @click.option("--goal-altitude", "goal_altitude_m", type=float, help="With --volume.  [default: --altitude]")
 @click.option("--min-altitude", "min_altitude_m", type=float, help="With --volume.  [default: the maps' lowest]")
@@ -88,7 +89,7 @@ def plan(
     chosen = {name: given[name] if given[name] is not None else planning.get(name) for name in given}
     chosen |= {name: planning[name] for name in ("connectivity", "diagonal", "reference_length_m") if name in planning}
     if is_volume:
-        chosen = {name: value for name, value in chosen.items() if name not in ("planner", "seed")}
+        chosen = {name: value for name, value in chosen.items() if name not in ("planner", "seed", "refine")}
         chosen["start_altitude_m"] = altitude_m = chosen.pop("altitude_m")
         chosen["goal_altitude_m"] = altitude_m if chosen["goal_altitude_m"] is None else chosen["goal_altitude_m"]
     maps = open_maps(folder, resolution_m)
@@ -123,12 +124,17 @@ def _check_volume_options(is_volume: bool, given: Settings) -> None:
             raise click.UsageError(f"--{name.removesuffix('_m').replace('_', '-')} belongs to --volume: add that")
     if is_volume and given["planner"]:
         raise click.UsageError("--volume has a planner of its own, astar-volume: leave --planner out")
+    if is_volume and given["refine"]:
+        raise click.UsageError("--refine moves waypoints at one altitude: leave it or --volume out")
 
 
 def _path_table(facts: Settings) -> str:
     rows = [("planner", f"{facts['planner']} ({facts['heuristic']}, {facts['backend']})"), ("status", facts["status"])]
     if facts["cost"] is not None:
-        rows += [("cost", f"{facts['cost']:.3f}"), ("length", f"{facts['length_m']:.1f} m")]
+        rows += [("cost", f"{facts['cost']:.3f}")]
+        if facts["gap"]:
+            rows += [("above the best", f"at most {100 * facts['gap']:.2f} %")]
+        rows += [("length", f"{facts['length_m']:.1f} m")]
         rows += [(f"cost of {name}", f"{value:.3f}") for name, value in facts["cost_by_layer"].items()]
         rows += [(f"mean m_{name}", f"{value:.3f}") for name, value in facts["metrics"].items()]
     rows += [("expansions", f"{facts['num_expanded']}"), ("search time", f"{facts['elapsed_s']:.3f} s")]

@@ -28,6 +28,7 @@ from jaxurban.kernels.occlusion import (
     mark_visible_within,
 )
 from jaxurban.metrics.obstacle import obstacle_mask
+from jaxurban.metrics.settings import differentiable, holds
 from jaxurban.surface import Surface
 
 SATELLITES_STEP = 8  # the DOP program is compiled for 8, 16, 24 ... satellites
@@ -49,9 +50,10 @@ class Rating(IntEnum):
     POOR = 5  # above 20, or undetermined
 
 
+@differentiable("gdop_threshold")
 @dataclass(frozen=True)
 class GpsParams:
-    """Settings of the GPS metric.
+    """Settings of the GPS metric. A pytree whose leaf is the threshold.
 
     Attributes:
       gdop_threshold: GDOP at and above which m is 0, > 1.
@@ -69,7 +71,7 @@ class GpsParams:
     availability_threshold: float = 0.5
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.gdop_threshold) and self.gdop_threshold > 1):
+        if not holds(self.gdop_threshold, lambda threshold: np.isfinite(threshold) & (threshold > 1)):
             raise InputError(f"gdop_threshold must be a number above 1 (such as 20), got {self.gdop_threshold}")
         if self.series not in SERIES:
             hint = nearest_name(str(self.series), SERIES)

@@ -22,6 +22,7 @@ from jaxurban.weighted import WeightedMap
 
 COLOURS = {"distance": "#555555", "gps": GPS_COLOUR, "lidar": LIDAR_COLOUR, "population": "#cc79a7", "risk": "#009e73"}
 EXAMPLE_COLOUR, PLANNED_COLOUR, SHORTEST_COLOUR = "#f0a030", "#0b4f9e", "#999999"
+PALE = 1.6  # the scale goes on so far beyond the map's costs, so that routes stand out
 LEAST_SHOWN = 1e-6  # of a regret or a loss, on logarithmic scales
 WIDTH_IN = 9.0
 
@@ -82,6 +83,7 @@ def plot_learning(fit: WeightFit | TargetFit) -> Figure:
             shown = np.maximum(curve[name], LEAST_SHOWN)
             panels[0].plot(curve["round"], shown, "o-", color=colour, markersize=3, linewidth=1.2, label=label)
     panels[0].set(yscale="log", xlabel="round", ylabel="share of the cost" if "noise" in curve else "squared misses")
+    _plain_log(panels[0].yaxis)
     if "noise" in curve:
         for name in (name for name in fit.names if curve[name].any()):
             ratio = curve[name] / curve[name].iloc[-1]
@@ -173,7 +175,8 @@ def plot_routes(comparison: Comparison, unit: WeightedMap, weights: np.ndarray) 
     frame = make_frame(grid, [title], "Example routes and routes under the fitted weights", note)
     cost = np.einsum("l,lyx->yx", weights[1:], unit.layers)
     free = cost[unit.is_free]
-    norm = Normalize(float(free.min()), max(float(np.percentile(free, 99)), float(free.min()) + 1e-12))
+    least, most = float(free.min()), float(np.percentile(free, 99))
+    norm = Normalize(least, least + max(PALE * (most - least), 1e-12))
     layers = [
         Layer(np.where(unit.is_free, cost, np.nan), colour_map("gray_r"), norm),
         obstacle_layer(maps, unit.altitude_m, BLOCKED_COLOUR),

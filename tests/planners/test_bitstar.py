@@ -3,6 +3,7 @@
 import time
 from functools import partial
 
+import jax
 import numpy as np
 import pytest
 from scipy.ndimage import label
@@ -72,6 +73,28 @@ def test_one_batch_finds_the_best_path_of_its_graph(cost_model, heuristic):
         assert path.cost == pytest.approx(best, rel=1e-9)
         num_found += np.isfinite(best)
     assert num_found > 1
+
+
+@pytest.mark.parametrize("cost_model", MODELS)
+def test_edges_costed_in_bulk_by_jax_lead_to_the_same_costs(cost_model):
+    for seed in range(3):
+        problem = walled_problem(seed, cost_model)
+        run = partial(bitstar_plus, problem, budget_s=np.inf, max_samples=1500, seed=seed)
+        in_turn, in_bulk, again = run(), run(backend="jax"), run(backend="jax")
+        assert (in_turn.backend, in_bulk.backend) == ("numba", "jax")
+        for (_, num_samples, cost), (_, num_in_bulk, cost_in_bulk) in zip(
+            in_turn.history[:4], in_bulk.history[:4], strict=True
+        ):
+            assert (num_samples, cost) == (num_in_bulk, pytest.approx(cost_in_bulk, rel=1e-9))
+        assert in_bulk.cost == pytest.approx(in_turn.cost, rel=0.02)
+        assert in_bulk.cost == evaluate_on(problem, in_bulk.points_m).total
+        np.testing.assert_array_equal(in_bulk.points_m, again.points_m)
+        assert in_bulk.num_expanded >= in_turn.num_expanded
+
+
+def test_auto_picks_numba_where_jax_has_a_cpu_only():
+    expected = "numba" if jax.default_backend() == "cpu" else "jax"
+    assert bitstar_dist(open_problem((4, 4), (0, 0), (3, 2)), backend="auto").backend == expected
 
 
 def test_each_later_batch_finds_the_best_path_of_its_graph_or_a_better_one():
@@ -246,6 +269,7 @@ def test_the_budget_is_heeded_on_a_large_map():
     ("options", "message"),
     [
         ({"heuristic": "pluss"}, "unknown heuristic 'pluss'.*did you mean 'plus'"),
+        ({"backend": "jaxx"}, "unknown backend 'jaxx'.*did you mean 'jax'"),
         ({"budget_s": 0.0}, "budget_s must be a positive number of seconds"),
         ({"budget_s": np.inf}, "nothing else ends the search"),
         ({"batch_samples": 0}, "batch_samples must be a whole number >= 1, got 0"),

@@ -64,21 +64,70 @@ def graph_of(problem: Problem) -> csr_array:
     return csr_array((np.concatenate(weights), edges), shape=(number.size, number.size))
 
 
+def day_problem(maps: MetricMaps, cost_model: str) -> Problem:
+    """The map by day under the default weights."""
+    weights, is_free = Weights(), maps.is_free(ALTITUDE_M)
+    costs = maps.costs(ALTITUDE_M, time_of_day="day")
+    layers = np.stack([getattr(weights, name) * np.asarray(cost, np.float64) for name, cost in costs.items()])
+    first = tuple(int(v) for v in np.argwhere(is_free)[0])
+    return Problem(layers, is_free, first, first, maps.grid.resolution_m, weights.distance, cost_model)
+
+
 @pytest.mark.slow
 @pytest.mark.data
 @pytest.mark.parametrize("cost_model", ["cell", "line"])
 def test_every_cost_over_lower_manhattan_equals_dijkstra(maps, cost_model):
-    weights, is_free = Weights(), maps.is_free(ALTITUDE_M)
-    costs = maps.costs(ALTITUDE_M, time_of_day="day")
-    layers = np.stack([getattr(weights, name) * np.asarray(cost, np.float64) for name, cost in costs.items()])
+    problem = day_problem(maps, cost_model)
+    is_free = problem.is_free
     free = [tuple(int(v) for v in cell) for cell in np.argwhere(is_free)]
-    problem = Problem(layers, is_free, free[0], free[0], maps.grid.resolution_m, weights.distance, cost_model)
     graph = graph_of(problem)
     rng = np.random.default_rng(9)
     for start in (free[k] for k in rng.integers(len(free), size=20)):
         distances = dijkstra(graph, indices=start[0] * is_free.shape[1] + start[1]).reshape(is_free.shape)
         for goal in (free[k] for k in rng.integers(len(free), size=10)):
-            for name in ("astar-dist", "astar-plus"):
-                path = find_planner(name)(problem.between(start, goal), budget_s=60.0, seed=0)
+            for name, heuristic in (
+                ("astar-dist", None),
+                ("astar-plus", "plus"),
+                ("astar-plus", "landmarks"),
+                ("astar-plus", "exact"),
+                ("astar-anytime", "landmarks"),
+            ):
+                path = find_planner(name, heuristic)(problem.between(start, goal), budget_s=60.0, seed=0)
                 assert path.status is (Status.NO_PATH if np.isinf(distances[goal]) else Status.OPTIMAL)
                 assert path.cost == pytest.approx(distances[goal], rel=1e-12)
+
+
+@pytest.mark.slow
+@pytest.mark.data
+def test_landmarks_and_the_first_anytime_path_need_a_quarter_of_octiles_expansions(maps):
+    problem = day_problem(maps, "cell")
+    rng = np.random.default_rng(0)
+    free = np.argwhere(problem.is_free)
+    shares: dict[str, list[float]] = {
+        "landmarks": [],
+        "first": [],
+        "first, one-off": [],
+        "excess": [],
+        "excess, one-off": [],
+    }
+    while len(shares["landmarks"]) < 200:
+        start, goal = (tuple(int(v) for v in free[k]) for k in rng.choice(len(free), 2, replace=False))
+        query = problem.between(start, goal)
+        plain = find_planner("astar-dist", "octile")(query, budget_s=60.0, seed=0)
+        if not plain.status.has_path:
+            continue
+        guided = find_planner("astar-plus", "landmarks")(query, budget_s=60.0, seed=0)
+        assert guided.cost == pytest.approx(plain.cost, rel=1e-12)
+        shares["landmarks"].append(guided.num_expanded / plain.num_expanded)
+        for suffix, heuristic in (("", "landmarks"), (", one-off", "plus")):
+            path = find_planner("astar-anytime", heuristic)(query, budget_s=60.0, seed=0)
+            gaps = [cost / bound - 1 for (_, _, cost), bound in zip(path.history, path.bounds, strict=True)]
+            assert gaps == sorted(gaps, reverse=True)
+            assert gaps[-1] == path.gap == 0
+            assert all(bound <= plain.cost * (1 + 1e-12) for bound in path.bounds)
+            shares[f"first{suffix}"].append(path.history[0][1] / plain.num_expanded)
+            shares[f"excess{suffix}"].append(path.history[0][2] / plain.cost - 1)
+    means = {name: np.mean(values) for name, values in shares.items()}
+    assert means["landmarks"] <= 0.25
+    assert max(means["first"], means["first, one-off"]) <= 0.25
+    assert max(means["excess"], means["excess, one-off"]) <= 0.04

@@ -1,0 +1,275 @@
+"""A* on a city of 2000 x 4000 cells against pyastar2d, scikit-image's MCP and tcod, each on its own cost model.
+
+``python -m benchmarks.grid_peers`` needs the ``bench`` extra. One run times every side on the same random
+queries, in turn, and checks query by query that both find the same cost. Prints a Markdown table and writes
+JSON. Each peer stops at the goal, and what it needs once for a map is made before the clock starts.
+"""
+
+import argparse
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.ndimage import label
+from tqdm import tqdm
+
+import jaxurban as ju
+from benchmarks.common import ROOT, Row, Timing, load, machine, markdown, row, write_json
+from jaxurban.kernels.heuristic import printed_plus_field
+from jaxurban.planners.astar import astar
+from jaxurban.planners.base import Cell, Problem
+from jaxurban.planners.moves import STEPS
+from jaxurban.planners.search import Graph, Heuristic, Search, graph_of, zero_heuristic
+
+CITY_M = (10_000.0, 20_000.0)
+RESOLUTION_M = 5.0
+ALTITUDE_M = 20.0
+FIELD_BAR_S = 0.5
+FLOAT32_ROUNDING = 1e-5  # pyastar2d adds float32 costs over some thousand steps
+TCOD_CARDINAL, TCOD_DIAGONAL = 5, 7
+TCOD_UNIT = 1000  # of cost 1, in tcod's whole numbers: the longest paths stay below 2^31
+
+
+@dataclass(frozen=True)
+class City:
+    """Weighted layers ``[L, Y, X]``, free cells ``[Y, X]``, and what entering each cell of 5 m costs ``[Y, X]``."""
+
+    layers: np.ndarray
+    is_free: np.ndarray
+    enter: np.ndarray
+    distance_weight: float
+
+
+def load_city(side_m: tuple[float, float]) -> City:
+    """Return the embedded city by day, at the default weights."""
+    maps = ju.build_maps(ju.demo_city(*side_m), resolution_m=RESOLUTION_M, altitudes_m=(ALTITUDE_M,))
+    weights, costs = ju.Weights().checked(), maps.costs(ALTITUDE_M, time_of_day="day")
+    layers = [getattr(weights, name) * np.nan_to_num(np.asarray(cost, float), nan=1.0) for name, cost in costs.items()]
+    distance_weight = float(weights.distance)
+    enter = distance_weight * RESOLUTION_M + np.sum(layers, axis=0)
+    return City(np.stack(layers), maps.is_free(ALTITUDE_M), enter, distance_weight)
+
+
+def random_queries(is_free: np.ndarray, num_queries: int, seed: int) -> list[tuple[Cell, Cell]]:
+    """Return pairs of cells of the largest free part that hangs together by sides."""
+    parts, _ = label(is_free)
+    cells = np.argwhere(parts == np.bincount(parts[is_free]).argmax())
+    pairs = np.random.default_rng(seed).choice(len(cells), (num_queries, 2))
+    return [tuple(tuple(int(v) for v in cells[k]) for k in pair) for pair in pairs]
+
+
+@dataclass(frozen=True)
+class Contest:
+    """A peer and A* set to its cost model. Each solver takes start and goal and returns the path's cost.
+
+    Attributes:
+      peer: its name and function.
+      model: what a step costs.
+      bar: how many times faster ours is asked to be.
+      ours, theirs: the solvers; ``prepare`` is theirs too, and left out of the time.
+      rtol: how far the costs may differ.
+    """
+
+    peer: str
+    model: str
+    bar: float | None
+    ours: Callable[[Cell, Cell], float]
+    theirs: Callable[[Cell, Cell], float]
+    rtol: float
+    prepare: Callable[[], object] = lambda: None
+
+
+def against_pyastar2d(city: City) -> Contest:
+    """Entering a cell costs its weight, diagonal or not. The weights are scaled so that the least is 1.
+
+    That is the least that pyastar2d takes, and what its bound counts for each step. Its compiled function is
+    called without the wrapper, which checks and copies the weights.
+    """
+    import pyastar2d
+
+    weights = np.where(city.is_free, city.enter / city.enter[city.is_free].min(), np.inf).astype(np.float32)
+    height, width = weights.shape
+    flat = weights.reshape(-1)
+
+    def theirs(start: Cell, goal: Cell) -> float:
+        ends = (row * width + col for row, col in (start, goal))
+        cells = pyastar2d.astar.astar(flat, height, width, *ends, True, 0)
+        return float(weights[tuple(cells[1:].T)].sum(dtype=np.float64))
+
+    problem = problem_of(weights, city.is_free, 1.0, 0.0)
+    return Contest("pyastar2d", "the cell entered, diagonals alike", 1.0, solver(problem), theirs, FLOAT32_ROUNDING)
+
+
+def against_mcp(city: City) -> Contest:
+    """As pyastar2d's model, in float64."""
+    from skimage.graph import MCP
+
+    mcp = MCP(np.where(city.is_free, city.enter, np.inf))
+    problem = problem_of(city.enter, city.is_free, 1.0, 0.0)
+    return Contest("scikit-image MCP", "the cell entered, diagonals alike", 5.0, solver(problem), mcp_solver(mcp), 1e-9)
+
+
+def against_mcp_geometric(city: City) -> Contest:
+    """A step costs its length times the mean of its two cells: the `line` model."""
+    from skimage.graph import MCP_Geometric
+
+    per_metre = city.enter / RESOLUTION_M
+    mcp = MCP_Geometric(np.where(city.is_free, per_metre, np.inf), sampling=(RESOLUTION_M, RESOLUTION_M))
+    cost = city.layers.sum(axis=0)
+    problem = problem_of(cost, city.is_free, RESOLUTION_M, city.distance_weight, "line")
+    return Contest(
+        "scikit-image MCP_Geometric", "length x mean of both cells", 5.0, solver(problem), mcp_solver(mcp), 1e-9
+    )
+
+
+def mcp_solver(mcp) -> Callable[[Cell, Cell], float]:
+    """Return a solver that stops at the goal; MCP charges the start's cell too, which is taken off again."""
+
+    def solve(start: Cell, goal: Cell) -> float:
+        costs, _ = mcp.find_costs([start], [goal], find_all_ends=False)
+        mcp.traceback(goal)
+        return float(costs[goal] - costs[start])
+
+    return solve
+
+
+def against_tcod(city: City) -> Contest:
+    """Entering a cell costs its whole number, times 5 straight and times 7 diagonally.
+
+    tcod's bound is set to the least cost of a cell, as its manual advises, and ours is the same. Making its
+    arrays anew for each query is left out of its time; making ours is in.
+    """
+    import tcod.path
+
+    cost = np.where(city.is_free, np.rint(city.enter * TCOD_UNIT), 0).astype(np.int32)
+    least = int(cost[city.is_free].min())
+    graph = tcod.path.SimpleGraph(cost=cost, cardinal=TCOD_CARDINAL, diagonal=TCOD_DIAGONAL, greed=least)
+    finder = tcod.path.Pathfinder(graph)
+
+    def theirs(start: Cell, goal: Cell) -> float:
+        finder.add_root(start)
+        finder.path_to(goal)
+        return float(finder.distance[goal])
+
+    problem = problem_of(cost, city.is_free, 1.0, 0.0)
+    bound = zero_heuristic(problem)._replace(
+        straight=float(TCOD_CARDINAL * least), diagonal=float((TCOD_DIAGONAL - TCOD_CARDINAL) * least)
+    )
+    is_diagonal = np.abs(STEPS).sum(axis=1) == 2
+    ours_graph = graph_of(problem)._replace(
+        step_cost=np.zeros(len(STEPS)),
+        from_share=np.zeros(len(STEPS)),
+        to_share=np.where(is_diagonal, float(TCOD_DIAGONAL), float(TCOD_CARDINAL)),
+    )
+    model = "the cell entered x 5, diagonally x 7, whole numbers"
+    return Contest("tcod", model, 3.0, lambda *ends: solve_graph(ours_graph, bound, *ends), theirs, 0.0, finder.clear)
+
+
+def problem_of(cost: np.ndarray, is_free: np.ndarray, resolution_m, distance_weight, cost_model="cell") -> Problem:
+    """Return a problem whose diagonals may cut corners, as all peers' do; costs inside obstacles are left out."""
+    anywhere = tuple(int(v) for v in np.argwhere(is_free)[0])
+    layer = np.where(is_free, cost, 0.0).astype(np.float64)
+    problem = Problem(
+        layer[None],
+        is_free,
+        anywhere,
+        anywhere,
+        resolution_m,
+        distance_weight,
+        cost_model,
+        reference_length_m=RESOLUTION_M,
+        diagonal="always",
+    )
+    astar(problem, heuristic="plus")  # what serves all queries on the map is made now
+    return problem
+
+
+def solver(problem: Problem) -> Callable[[Cell, Cell], float]:
+    return lambda start, goal: astar(problem.between(start, goal), heuristic="plus").cost
+
+
+def solve_graph(graph: Graph, bound: Heuristic, start: Cell, goal: Cell) -> float:
+    """Return the cost of the cheapest path over a graph whose steps are charged as no problem's are."""
+    search = Search(graph, bound, start, goal)
+    search.run()
+    search.points_m(1.0)
+    return float(search.g[search.goal])
+
+
+def timed(work: Callable[[Cell, Cell], float], query: tuple[Cell, Cell]) -> tuple[float, float, float]:
+    """Return what a solver found, its wall and its CPU seconds."""
+    wall_s, cpu_s = time.perf_counter(), time.process_time()
+    cost = work(*query)
+    return cost, time.perf_counter() - wall_s, time.process_time() - cpu_s
+
+
+def run(contest: Contest, queries: list[tuple[Cell, Cell]]) -> Row:
+    """Return the row of one peer over all queries; the last one warms both sides up and does not count.
+
+    Raises:
+      AssertionError: the costs differ.
+    """
+    seconds: dict[str, list[tuple[float, float]]] = {"ours": [], "theirs": []}
+    worst = 0.0
+    for k, query in enumerate(tqdm([queries[-1], *queries[:-1]], desc=contest.peer, file=sys.stderr)):
+        contest.prepare()
+        costs = {}
+        for side in ("ours", "theirs"):
+            costs[side], wall_s, cpu_s = timed(getattr(contest, side), query)
+            if k:
+                seconds[side].append((wall_s, cpu_s))
+        worst = max(worst, abs(costs["ours"] / costs["theirs"] - 1))
+        assert worst <= contest.rtol, f"{contest.peer}: {costs} from {query[0]} to {query[1]}"
+    ours, theirs = (Timing(*(list(values) for values in zip(*pairs, strict=True))) for pairs in seconds.values())
+    ratios = np.divide(theirs.wall_s, ours.wall_s)
+    note = f"{contest.model}; costs differ by {worst:.1e} at most; ratio by query {np.median(ratios):.3g} (median), "
+    note += f"{ratios.min():.3g} to {ratios.max():.3g}; ours {1e3 * ours.median_s:.0f} ms"
+    return row("A*", contest.peer, "searches", (1, ours), (1, theirs), contest.bar, note)
+
+
+def field_seconds(city: City, num_runs: int) -> float:
+    """Return the median time of the printed h_plus for every cell, both index ranges in turn."""
+    goal = tuple(size // 2 for size in city.is_free.shape)
+    printed_plus_field(city.layers[:, :2, :2], (0, 0), 1)
+    wall_s = []
+    for k in range(num_runs):
+        begin_s = time.perf_counter()
+        printed_plus_field(city.layers, goal, k % 2)
+        wall_s.append(time.perf_counter() - begin_s)
+    return float(np.median(wall_s))
+
+
+def main() -> None:
+    """Run the contests that the command line asks for."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("-o", "--output", type=Path, default=ROOT / "out" / "grid_peers.json")
+    parser.add_argument("--queries", type=int, default=50)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--size", type=float, nargs=2, default=CITY_M, metavar="METRES", help="width and height")
+    options = parser.parse_args()
+    begin_load = load()
+    city = load_city(tuple(options.size))
+    queries = random_queries(city.is_free, options.queries + 1, options.seed)
+    contests = (against_pyastar2d, against_mcp, against_mcp_geometric, against_tcod)
+    rows = [run(contest(city), queries) for contest in contests]
+    field_s = field_seconds(city, 6)
+    size = " x ".join(map(str, city.is_free.shape[::-1]))
+    print(f"Embedded city, {size} cells of 5 m, 20 m up, by day, default weights; {options.queries} queries.\n")
+    print(markdown(rows, []))
+    print(f"\nPrinted h_plus of all cells, {len(city.layers)} layers: {field_s:.3f} s (bar {FIELD_BAR_S} s).")
+    report = {
+        "machine": machine(),
+        "load_averages": [begin_load, load()],
+        "cells": size,
+        "queries": options.queries,
+        "printed_plus_field_s": field_s,
+    }
+    print(f"\n{report}")
+    write_json(options.output, report, rows, [])
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,78 @@
+"""Draws why the paper's h_plus is not admissible: on nine cells it counts a wall that the best path goes around.
+
+``python figures/heuristic_counterexample.py`` writes heuristic_counterexample.png beside it.
+"""
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+
+from jaxurban.planners.astar import astar
+from jaxurban.planners.base import Problem
+from jaxurban.planners.heuristics import heuristic_at, make_heuristic
+
+COST = np.array([[0.0, 5.0, 0.0], [0.0, 5.0, 0.0], [0.0, 0.0, 0.0]])  # row 0 in the south
+START, CULPRIT, GOAL = (0, 0), (1, 0), (0, 2)
+BEST, PRINTED = "#0072b2", "#d55e00"  # told apart by readers with any colour vision, and in grey
+
+
+def counterexample() -> dict[str, object]:
+    """Return both paths, their costs, and what the culprit node's value is and should be."""
+    problem = Problem(COST[None], np.ones(COST.shape, bool), START, GOAL, resolution_m=1.0, distance_weight=1.0)
+    best, printed = astar(problem), astar(problem, heuristic="plus-printed", reopen=True)
+    return {
+        "best": best,
+        "printed": printed,
+        "h_printed": heuristic_at(make_heuristic("plus-printed", problem), CULPRIT, GOAL),
+        "cost_to_go": astar(problem.between(CULPRIT, GOAL)).cost,
+        "g": astar(problem.between(START, CULPRIT)).cost,
+    }
+
+
+def draw(found: dict) -> Figure:
+    """Return the figure."""
+    figure = Figure(figsize=(7.2, 3.1), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.add_subplot()
+    for (row, col), cost in np.ndenumerate(COST):
+        axes.add_patch(Rectangle((col, row), 1, 1, facecolor=str(1 - 0.07 * cost), edgecolor="0.55"))
+        axes.text(
+            col + (0.15, 0.15, 0.85)[col], row + 0.9, f"{cost:g}", ha="center", va="top", fontsize=11, color="0.15"
+        )
+    box = Rectangle((0.04, 0.04), 2.92, 1.92, fill=False, linestyle=(0, (4, 3)), linewidth=1.8, edgecolor="0.2")
+    axes.add_patch(box)
+    for path, colour, shift in ((found["best"], BEST, 0.06), (found["printed"], PRINTED, -0.06)):
+        axes.plot(path.points_m[:, 0], path.points_m[:, 1] + shift, "-o", color=colour, linewidth=3, markersize=5)
+    row, col = CULPRIT
+    axes.plot(col + 0.5, row + 0.56, "o", markersize=15, markerfacecolor="none", markeredgecolor="black", linewidth=2)
+    for (row, col), name in ((START, "start"), (GOAL, "goal")):
+        axes.text(col + 0.5, row + 0.14, name, ha="center", fontsize=12, weight="bold")
+    axes.text(0.24, 1.54, "n", fontsize=14, style="italic", weight="bold", ha="center", va="center")
+    lines = [
+        ("around the wall: cost " + f"{found['best'].cost:.2f}", BEST),
+        ("through it, A* with the printed $h_{plus}$: cost " + f"{found['printed'].cost:.2f}", PRINTED),
+        ("", "black"),
+        (f"At $n$ the true cost to go is {found['cost_to_go']:.2f}.", "black"),
+        ("The middle column has no cheap cell in the box of $n$", "black"),
+        (f"and the goal (dashed): $h_{{plus}}(n)$ = 5 + 1 + $\\sqrt{{2}}$ = {found['h_printed']:.2f}.", "black"),
+        (
+            f"$f(n)$ = {found['g']:.0f} + {found['h_printed']:.2f} = {found['g'] + found['h_printed']:.2f} exceeds "
+            f"{found['printed'].cost:.2f}: $n$ is never expanded.",
+            "black",
+        ),
+        ("", "black"),
+        ("A number in a cell: the cost of entering it;", "0.35"),
+        ("distance costs 1 a metre, cells are 1 m.", "0.35"),
+    ]
+    for k, (text, colour) in enumerate(lines):
+        axes.text(3.25, 2.85 - 0.3 * k, text, color=colour, fontsize=10.5, va="center")
+    axes.set(xlim=(-0.05, 7.4), ylim=(-0.05, 3.05), aspect="equal")
+    axes.axis("off")
+    return figure
+
+
+if __name__ == "__main__":
+    draw(counterexample()).savefig(Path(__file__).with_suffix(".png"), dpi=150)

@@ -1,0 +1,34 @@
+"""The table of a batch's results on disk: one Parquet file, always whole."""
+
+from pathlib import Path
+
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from jaxurban.errors import InputError
+from jaxurban.io.store import whole_file
+
+
+def write_results(path: Path, rows: pd.DataFrame) -> None:
+    """Write a table as Parquet; the file that was there stays until the new one is complete.
+
+    Raises:
+      InputError: the folder cannot be written to.
+    """
+    with whole_file(path) as scratch:
+        pq.write_table(pa.Table.from_pandas(rows, preserve_index=False), scratch, compression="zstd")
+
+
+def read_results(path: Path) -> pd.DataFrame:
+    """Return the table that `write_results` wrote.
+
+    Raises:
+      InputError: the file is no Parquet table, or cannot be read.
+    """
+    try:
+        return pq.read_table(path).to_pandas()
+    except (OSError, pa.ArrowException) as error:
+        raise InputError(
+            f"cannot read results from {str(path)!r} ({error}): name another file, or remove this one"
+        ) from error

@@ -1,0 +1,233 @@
+"""Exact search of many grid queries at once: all open cells near each query's lowest f are expanded together."""
+
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+ROUNDING = 1 - 1e-12  # a gain that rounding explains is none
+NO_STEP = 255  # in `Frontier.reached_by`: the start, or not reached
+
+
+class Grids(NamedTuple):
+    """Maps to search, cells numbered row by row. ``M`` maps, ``N`` cells, ``K`` steps.
+
+    Step k from P to Q costs ``step_cost[k] + from_share[k] * cost[P] + to_share[k] * cost[Q]``.
+
+    Attributes:
+      cost: ``[M, N]`` float64 map cost, >= 0.
+      moves: ``[M, N]`` uint8, bit k: step k is allowed.
+      step_cost, from_share, to_share: ``[M, K]`` float64.
+      straight, diagonal: ``[M]`` float64, cost bound: with dr, dc rows and columns to the goal no path is
+        cheaper than ``straight * max(dr, dc) + diagonal * min(dr, dc)``.
+      steps: ``[K, 2]`` int32 rows and columns of each step.
+      num_cols: int32 cells in a row.
+    """
+
+    cost: Array
+    moves: Array
+    step_cost: Array
+    from_share: Array
+    to_share: Array
+    straight: Array
+    diagonal: Array
+    steps: Array
+    num_cols: Array
+
+
+class Frontier(NamedTuple):
+    """The searches of ``Q`` queries over ``N`` cells, with one list of ``B`` open cells for all of them.
+
+    Attributes:
+      map_index, start, goal: ``[Q]`` int32; cells are flat numbers.
+      band: ``[Q]`` float64, how far above the query's lowest f cells are expanded.
+      g: ``[Q, N]`` float64 lowest cost found from the start, inf where none.
+      reached_by: ``[Q, N]`` uint8 the step that led there, or `NO_STEP`.
+      lowest_f: ``[Q]`` float64 lowest f still open, inf where nothing is: that query is done.
+      num_expanded: ``[Q]`` int64.
+      open_query, open_cell: ``[B]`` int32, in the first ``num_open`` places.
+      open_g, open_f: ``[B]`` float64, as they were when the cell was opened; f is inf in empty places.
+      num_open: int32.
+    """
+
+    map_index: Array
+    start: Array
+    goal: Array
+    band: Array
+    g: Array
+    reached_by: Array
+    lowest_f: Array
+    num_expanded: Array
+    open_query: Array
+    open_cell: Array
+    open_g: Array
+    open_f: Array
+    num_open: Array
+
+
+def empty_frontier(num_queries: int, num_cells: int, list_size: int) -> Frontier:
+    """Return a frontier with nothing open: every query is done until `begin` gives it a start and a goal."""
+    return Frontier(
+        map_index=jnp.zeros(num_queries, jnp.int32),
+        start=jnp.zeros(num_queries, jnp.int32),
+        goal=jnp.zeros(num_queries, jnp.int32),
+        band=jnp.zeros(num_queries),
+        g=jnp.full((num_queries, num_cells), jnp.inf),
+        reached_by=jnp.full((num_queries, num_cells), NO_STEP, jnp.uint8),
+        lowest_f=jnp.full(num_queries, jnp.inf),
+        num_expanded=jnp.zeros(num_queries, jnp.int64),
+        open_query=jnp.zeros(list_size, jnp.int32),
+        open_cell=jnp.zeros(list_size, jnp.int32),
+        open_g=jnp.full(list_size, jnp.inf),
+        open_f=jnp.full(list_size, jnp.inf),
+        num_open=jnp.int32(0),
+    )
+
+
+def _bound(grids: Grids, map_index: Array, cell: Array, goal: Array) -> Array:
+    """Return the least cost between two cells, by distance alone."""
+    rows = jnp.abs(cell // grids.num_cols - goal // grids.num_cols)
+    cols = jnp.abs(cell % grids.num_cols - goal % grids.num_cols)
+    return grids.straight[map_index] * jnp.maximum(rows, cols) + grids.diagonal[map_index] * jnp.minimum(rows, cols)
+
+
+@partial(jax.jit, donate_argnums=0)
+def begin(
+    frontier: Frontier, grids: Grids, query: Array, map_index: Array, start: Array, goal: Array, band: Array
+) -> Frontier:
+    """Return the frontier with a query begun; it must be done or dropped, and the list have a place left."""
+    f = _bound(grids, map_index, start, goal)
+    place = frontier.num_open
+    return frontier._replace(
+        map_index=frontier.map_index.at[query].set(map_index),
+        start=frontier.start.at[query].set(start),
+        goal=frontier.goal.at[query].set(goal),
+        band=frontier.band.at[query].set(band),
+        g=frontier.g.at[query].set(jnp.inf).at[query, start].set(0.0),
+        reached_by=frontier.reached_by.at[query].set(NO_STEP),
+        lowest_f=frontier.lowest_f.at[query].set(f),
+        num_expanded=frontier.num_expanded.at[query].set(0),
+        open_query=frontier.open_query.at[place].set(query),
+        open_cell=frontier.open_cell.at[place].set(start),
+        open_g=frontier.open_g.at[place].set(0.0),
+        open_f=frontier.open_f.at[place].set(f),
+        num_open=place + 1,
+    )
+
+
+@partial(jax.jit, donate_argnums=0)
+def drop(frontier: Frontier, query: Array) -> Frontier:
+    """Return the frontier with nothing of one query open any more."""
+    is_dropped = frontier.open_query == query
+    return frontier._replace(
+        lowest_f=frontier.lowest_f.at[query].set(jnp.inf),
+        open_f=jnp.where(is_dropped, jnp.inf, frontier.open_f),
+    )
+
+
+def with_list_of(list_size: int, frontier: Frontier) -> Frontier:
+    """Return the frontier with room for more open cells."""
+    more = (0, list_size - frontier.open_f.size)
+    return frontier._replace(
+        open_query=jnp.pad(frontier.open_query, more),
+        open_cell=jnp.pad(frontier.open_cell, more),
+        open_g=jnp.pad(frontier.open_g, more, constant_values=jnp.inf),
+        open_f=jnp.pad(frontier.open_f, more, constant_values=jnp.inf),
+    )
+
+
+@partial(jax.jit, donate_argnums=0, static_argnames="num_together")
+def advance(frontier: Frontier, grids: Grids, max_rounds: Array, num_together: int) -> Frontier:
+    """Return the frontier after up to ``max_rounds`` rounds, fewer where nothing is open any more.
+
+    A round expands up to ``num_together`` of the open cells whose f lies within the band above the lowest
+    f of their query. What is left over, or turns out to be cheaper later, is expanded in a later round;
+    a query is done when no open f is below the cost of its goal. So the goal's g is exact for every band.
+    Rounds also end where the list might overflow (see `is_crowded`).
+    """
+
+    def may_go_on(carry: tuple[Frontier, Array]) -> Array:
+        frontier, num_rounds = carry
+        return (num_rounds < max_rounds) & (frontier.num_open > 0) & ~is_crowded(frontier, grids, num_together)
+
+    def go_on(carry: tuple[Frontier, Array]) -> tuple[Frontier, Array]:
+        return _round(carry[0], grids, num_together), carry[1] + 1
+
+    frontier, _ = jax.lax.while_loop(may_go_on, go_on, (frontier, jnp.int32(0)))
+    return frontier._replace(lowest_f=_lowest_f(frontier)[0])
+
+
+def is_crowded(frontier: Frontier, grids: Grids, num_together: int) -> Array:
+    """Return whether the list lacks room for one more round and the begin of every query: see `with_list_of`."""
+    needed = grids.steps.shape[0] * num_together + frontier.goal.size
+    return frontier.num_open + needed > frontier.open_f.size
+
+
+def _lowest_f(frontier: Frontier) -> tuple[Array, Array]:
+    """Return ``[Q]`` the lowest open f of each query, and ``[B]`` each entry's f, inf where it cannot help any more."""
+    num_queries = frontier.goal.size
+    goal_g = frontier.g[jnp.arange(num_queries), frontier.goal] * ROUNDING
+    f = jnp.where(frontier.open_f < goal_g[frontier.open_query], frontier.open_f, jnp.inf)
+    return jnp.full(num_queries, jnp.inf).at[frontier.open_query].min(f), f
+
+
+def _round(frontier: Frontier, grids: Grids, num_together: int) -> Frontier:
+    num_queries = frontier.goal.size
+    list_size = frontier.open_f.size
+    goal_g = frontier.g[jnp.arange(num_queries), frontier.goal] * ROUNDING
+    lowest_f, f = _lowest_f(frontier)
+    is_open = f < jnp.inf
+    is_near = is_open & (f <= (lowest_f + frontier.band)[frontier.open_query])
+
+    chosen = jnp.nonzero(is_near, size=num_together, fill_value=list_size)[0]
+    query = frontier.open_query.at[chosen].get(mode="fill", fill_value=num_queries)
+    cell = frontier.open_cell.at[chosen].get(mode="fill", fill_value=0)
+    g = frontier.open_g.at[chosen].get(mode="fill", fill_value=jnp.inf)
+    # An entry is outdated once its cell was reached at a lower cost: the newer entry stands for it.
+    is_current = (query < num_queries) & (g == frontier.g.at[query, cell].get(mode="fill", fill_value=-1.0))
+    num_expanded = frontier.num_expanded.at[query].add(is_current, mode="drop")
+    map_index = frontier.map_index.at[query].get(mode="fill", fill_value=0)
+    goal = frontier.goal.at[query].get(mode="fill", fill_value=0)
+
+    step = jnp.arange(grids.steps.shape[0], dtype=jnp.uint8)
+    offset = grids.steps[:, 0] * grids.num_cols + grids.steps[:, 1]
+    is_allowed = ((grids.moves[map_index, cell][:, None] >> step) & 1 == 1) & is_current[:, None]
+    to = jnp.where(is_allowed, cell[:, None] + offset, 0)
+    to_g = g[:, None] + (
+        grids.step_cost[map_index]
+        + grids.from_share[map_index] * grids.cost[map_index, cell][:, None]
+        + grids.to_share[map_index] * grids.cost[map_index[:, None], to]
+    )
+    to_f = to_g + _bound(grids, map_index[:, None], to, goal[:, None])
+    to_query = jnp.broadcast_to(query[:, None], to.shape)
+    is_better = is_allowed & (to_g < frontier.g.at[to_query, to].get(mode="fill", fill_value=-1.0))
+    is_better &= to_f < goal_g.at[to_query].get(mode="fill", fill_value=0.0)
+    better_query = jnp.where(is_better, to_query, num_queries)  # out of bounds, hence dropped
+    new_g = frontier.g.at[better_query, to].min(to_g, mode="drop")
+    # Of several steps to one cell at the same cost the one that the array keeps opens it, so that it opens once.
+    is_best = is_better & (to_g == new_g.at[better_query, to].get(mode="fill", fill_value=-1.0))
+    best_query = jnp.where(is_best, to_query, num_queries)
+    steps = jnp.broadcast_to(step, to.shape)
+    reached_by = frontier.reached_by.at[best_query, to].set(steps, mode="drop")
+    opens = is_best & (reached_by.at[best_query, to].get(mode="fill", fill_value=NO_STEP) == steps)
+
+    stays = is_open.at[chosen].set(False, mode="drop")
+    is_kept = jnp.concatenate([stays, opens.ravel()])
+    kept = jnp.nonzero(is_kept, size=list_size, fill_value=is_kept.size)[0]
+
+    def listed(old: Array, new: Array, empty: float) -> Array:
+        return jnp.concatenate([old, new.ravel()]).at[kept].get(mode="fill", fill_value=empty)
+
+    return frontier._replace(
+        g=new_g,
+        reached_by=reached_by,
+        lowest_f=lowest_f,
+        num_expanded=num_expanded,
+        open_query=listed(frontier.open_query, to_query, 0),
+        open_cell=listed(frontier.open_cell, to, 0),
+        open_g=listed(frontier.open_g, to_g, jnp.inf),
+        open_f=listed(frontier.open_f, to_f, jnp.inf),
+        num_open=jnp.sum(is_kept, dtype=jnp.int32),
+    )

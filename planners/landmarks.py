@@ -1,0 +1,153 @@
+"""Landmarks: distances from a few cells to all others, which bound the cost between any two (differential heuristics).
+
+With S(L, n) the cost between landmark L and node n, the triangle inequality gives |S(L, n) - S(L, t)| as a
+bound from n to t, admissible and consistent (Goldberg & Harrelson 2005; Sturtevant et al. 2009). S must be
+symmetric. The ``line`` model is; under ``cell`` a step charges the cell entered, so S charges half of each of
+its two cells, and a path from n to t costs S plus (c(t) - c(n)) / 2: one field serves both ways.
+"""
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import label
+
+from jaxurban.planners.base import Cell, Problem
+from jaxurban.planners.search import EXHAUSTED, LandmarkBound, Search, graph_of, zero_heuristic
+
+NUM_LANDMARKS = 8  # 8 float64 fill a cache line
+# Queries on one map and weights after which landmarks are built. On Lower Manhattan building costs what some 50
+# queries save (`benchmarks/landmarks.py`); who has asked this many is taken to go on asking.
+FEW_QUERIES = 16
+NODES_PER_S = 3e6  # of one field, cautious: 7e6 on half a million cells, less where the map outgrows the cache
+
+
+@dataclass(frozen=True, eq=False)
+class Landmarks:
+    """Costs between each landmark and every cell. ``Y`` rows, ``X`` columns, ``K`` landmarks.
+
+    Attributes:
+      cells: the landmarks.
+      costs: ``[Y, X, K]`` float64 symmetric costs S; inf where there is no way.
+      slack: what the bound is lowered by, so that rounding never lifts it above the true cost: one unit in
+        the last place of the largest cost, for every cell, more than the sums along any path can lose.
+      elapsed_s: wall time of building.
+    """
+
+    cells: tuple[Cell, ...]
+    costs: np.ndarray
+    slack: float
+    elapsed_s: float
+
+
+def make_landmarks(problem: Problem, num: int = NUM_LANDMARKS) -> Landmarks:
+    """Return landmarks for a problem's map and weights, built once for all its queries (`Problem.between`).
+
+    Landmarks that are there already are returned, whatever their number.
+    """
+    made = landmarks_within(problem, np.inf, num)
+    assert made is not None
+    return made
+
+
+def landmarks_within(problem: Problem, end_s: float, num: int = NUM_LANDMARKS) -> Landmarks | None:
+    """Return a problem's landmarks, built by ``end_s`` of `time.perf_counter` if need be, or None if time ran out."""
+    if "landmarks" not in problem.shared:
+        begin_s = time.perf_counter()
+        cells = landmark_cells(problem, num)
+        costs = np.empty((*problem.is_free.shape, len(cells)))
+        for k, cell in enumerate(cells):
+            costs_k = symmetric_costs(problem, cell, end_s)
+            if costs_k is None:
+                return None
+            costs[..., k] = costs_k
+        largest = np.max(costs, where=np.isfinite(costs), initial=0.0)
+        slack = float(largest) * problem.is_free.size * np.finfo(np.float64).eps
+        problem.shared["landmarks"] = Landmarks(tuple(cells), costs, slack, time.perf_counter() - begin_s)
+    made: Landmarks = problem.shared["landmarks"]
+    return made
+
+
+def landmark_cells(problem: Problem, num: int) -> list[Cell]:
+    """Return up to ``num`` cells of the largest connected part of the map, far from its middle and from each other.
+
+    The first is the cell farthest from the mean, each next one the cell farthest from all before, in a
+    straight line. Choosing by cost instead, or by the share of shortest paths left uncovered (avoid, Goldberg
+    & Werneck 2005), saved no more expansions on Lower Manhattan and needs searches of its own.
+    """
+    # A diagonal step between two free neighbours joins what they join already.
+    joins_corners = problem.connectivity == 8 and problem.diagonal == "always"
+    parts, _ = label(problem.is_free, np.ones((3, 3)) if joins_corners else None)
+    rows, cols = np.nonzero(parts == 1 + np.argmax(np.bincount(parts.ravel())[1:]))
+    away = np.hypot(rows - rows.mean(), cols - cols.mean())
+    cells: list[Cell] = []
+    nearest = np.full(rows.size, np.inf)
+    while len(cells) < min(num, rows.size):
+        i = np.argmax(nearest if cells else away)
+        cells.append((int(rows[i]), int(cols[i])))
+        nearest = np.minimum(nearest, np.hypot(rows - rows[i], cols - cols[i]))
+    return cells
+
+
+def symmetric_costs(problem: Problem, cell: Cell, end_s: float) -> np.ndarray | None:
+    """Return ``[Y, X]`` the cost S between a cell and every other, inf without a way, or None if time ran out."""
+    search = Search(graph_of(problem, is_symmetric=True), zero_heuristic(problem), cell, None)
+    if search.run(end_s=end_s) != EXHAUSTED:
+        return None
+    return search.g.reshape(problem.is_free.shape)
+
+
+def landmark_bound(problem: Problem, landmarks: Landmarks) -> LandmarkBound:
+    """Return the landmarks' bound on the cost to a problem's goal."""
+    cost_share = 0.5 if problem.cost_model == "cell" else 0.0
+    return LandmarkBound(
+        costs=landmarks.costs,
+        at_goal=landmarks.costs[problem.goal],
+        cost=problem.cost,
+        cost_share=cost_share,
+        goal_term=cost_share * float(problem.cost[problem.goal]) - landmarks.slack,
+    )
+
+
+def cost_to_go(problem: Problem) -> np.ndarray:
+    """Return ``[Y, X]`` the exact cost from every cell to the goal, inf where there is no way.
+
+    The field of the last goal is kept for further queries to it.
+    """
+    field = cost_to_go_within(problem, np.inf)
+    assert field is not None
+    return field
+
+
+def cost_to_go_within(problem: Problem, end_s: float) -> np.ndarray | None:
+    """Return `cost_to_go`, made by ``end_s`` of `time.perf_counter` if need be, or None if time ran out."""
+    goal, field = problem.shared.get("cost_to_go", (None, None))
+    if goal != problem.goal:
+        field = symmetric_costs(problem, problem.goal, end_s)
+        if field is None:
+            return None
+        if problem.cost_model == "cell":
+            half = 0.5 * (problem.cost[problem.goal] - np.where(problem.is_free, problem.cost, 0.0))
+            field = np.maximum(field + half, 0.0)  # rounding might leave less
+        problem.shared["cost_to_go"] = problem.goal, field
+    return field
+
+
+def should_use(problem: Problem, budget_s: float) -> tuple[bool, str]:
+    """Return whether landmarks serve the next query best, with a note where the budget forbids them.
+
+    They do where they are there already, and from the query after the first `FEW_QUERIES` on one map and
+    weights; building them must not be expected to take more than half of the budget.
+    """
+    if "landmarks" in problem.shared:
+        return True, ""
+    problem.shared["num_queries"] = problem.shared.get("num_queries", 0) + 1
+    if problem.shared["num_queries"] <= FEW_QUERIES:
+        return False, ""
+    expected_s = NUM_LANDMARKS * problem.is_free.size / NODES_PER_S
+    if expected_s <= 0.5 * budget_s:
+        return True, ""
+    return False, (
+        f"Landmarks would speed up this map's many queries, but building them takes some {expected_s:.2g} s: "
+        f"allow one query {2 * expected_s:.2g} s."
+    )

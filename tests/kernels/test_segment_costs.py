@@ -1,0 +1,67 @@
+"""Segments costed in bulk: against Shapely's intersections, the compiled edge costs, and cases done by hand."""
+
+import jax
+import numpy as np
+import pytest
+from shapely import LineString, box
+
+from jaxurban.kernels.segment_costs import segment_costs
+from jaxurban.planners.bitstar_search import Ground, edge_cost
+
+SHAPE = (9, 12)
+NUM_SEGMENTS = 200
+CHARGE = np.where(np.random.default_rng(1).random(SHAPE) < 0.9, np.random.default_rng(2).random(SHAPE), np.inf)
+
+
+def costs_of(start, end, is_line=True, charge=CHARGE, per_side=0.3):
+    """Costs of segments, filled up to a fixed number so that all tests share what is compiled."""
+    padded = np.full((2, NUM_SEGMENTS, 2), 0.5)
+    padded[0, : len(start)], padded[1, : len(end)] = start, end
+    with jax.enable_x64(True):
+        return np.asarray(segment_costs(charge, *padded, per_side, is_line))[: len(start)]
+
+
+def random_segments(seed):
+    """Half of them between cell centres, whose borders and corners they hit exactly."""
+    rng = np.random.default_rng(seed)
+    ends = rng.uniform(0, SHAPE[::-1], (2, NUM_SEGMENTS, 2))
+    ends[:, ::2] = np.floor(ends[:, ::2]) + 0.5
+    return ends
+
+
+def test_line_costs_are_charges_times_lengths_in_cells_by_shapely():
+    start, end = random_segments(3)
+    for k, cost in enumerate(costs_of(start, end)):
+        segment = LineString([start[k], end[k]])
+        inside = np.array(
+            [[segment.intersection(box(c, r, c + 1, r + 1)).length for c in range(SHAPE[1])] for r in range(SHAPE[0])]
+        )
+        is_crossed = inside > 1e-8
+        expected = 0.3 * segment.length + (CHARGE[is_crossed] * inside[is_crossed]).sum()
+        assert cost == pytest.approx(expected, abs=1e-7)
+
+
+@pytest.mark.parametrize("is_line", [True, False])
+def test_bulk_costs_equal_those_of_the_compiled_search(is_line):
+    start, end = random_segments(4)
+    ground = Ground(CHARGE, 0.3, is_line)
+    expected = [edge_cost(ground, *a, *b, np.inf) for a, b in zip(start, end, strict=True)]
+    assert 20 < np.isfinite(expected).sum() < NUM_SEGMENTS - 20
+    np.testing.assert_allclose(costs_of(start, end, is_line), expected, rtol=1e-12)
+
+
+def test_a_touched_corner_is_free_a_cut_one_is_not():
+    charge = np.zeros(SHAPE)
+    charge[3, 4] = np.inf  # its southwest corner is at x = 4, y = 3
+    start, end = np.array([[3.5, 3.5], [3.5, 3.5]]), np.array([[4.5, 2.5], [4.5, 2.5 + 1e-6]])
+    costs = costs_of(start, end, charge=charge, per_side=1.0)
+    np.testing.assert_allclose(costs, [np.sqrt(2), np.inf])
+
+
+def test_no_length_costs_nothing_and_no_way_leads_off_the_map():
+    start = np.array([[2.5, 2.5], [0.5, 4.5], [0.5, 4.5]])
+    end = np.array([[2.5, 2.5], [-3.5, 4.5], [0.5, 60.5]])
+    for is_line in (True, False):
+        np.testing.assert_array_equal(
+            costs_of(start, end, is_line, charge=np.zeros(SHAPE), per_side=1.0), [0.0, np.inf, np.inf]
+        )

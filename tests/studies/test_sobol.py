@@ -1,0 +1,83 @@
+"""Sobol indices against the known ones of the Ishigami function, and of weights."""
+
+import numpy as np
+import pytest
+
+from jaxurban.errors import InputError
+from jaxurban.studies.pool import RoutePool
+from jaxurban.studies.queries import Query, unit_map
+from jaxurban.studies.sobol import sobol_indices, sobol_of_weights
+from tests.made_maps import made_maps
+
+GIVEN = np.array([0.1, 1.0, 1.0, 1.0, 1.0])
+NAMES = ("x1", "x2", "x3")
+
+
+@pytest.fixture(scope="module")
+def queries() -> list[Query]:
+    unit = unit_map(made_maps(30, 36), 20.0, cost_model="line")
+    return [Query(unit, (4, 1), (28, 34)), Query(unit, (4, 34), (28, 1))]
+
+
+def test_indices_of_the_ishigami_function_are_the_known_ones():
+    a, b, pi = 7.0, 0.1, np.pi
+
+    def evaluate(x):
+        return {"y": np.sin(x[:, 0]) + a * np.sin(x[:, 1]) ** 2 + b * x[:, 2] ** 4 * np.sin(x[:, 0])}
+
+    found = sobol_indices(evaluate, NAMES, -pi * np.ones(3), pi * np.ones(3), num_samples=1024, seed=0)
+    # Parts of the variance in closed form (Ishigami and Homma, ISUMA 1990).
+    one, two, both = 0.5 * (1 + b * pi**4 / 5) ** 2, a**2 / 8, b**2 * pi**8 * (1 / 18 - 1 / 50)
+    total = one + two + both
+    table = found.table.loc["y"]
+    for kind, known in (("first", (one, two, 0)), ("total", (one + both, two, both))):
+        off = np.abs(table[kind].to_numpy() - np.array(known) / total)
+        assert np.all(off < 0.03), (kind, off)
+        assert np.all(off < table[f"{kind}_ci"])
+        assert np.all(table[f"{kind}_ci"] < 0.1)
+
+
+def test_a_product_of_log_uniform_factors_has_equal_first_order_indices_in_its_logarithm():
+    low, high = np.array([0.1, 1.0]), np.array([10.0, 100.0])
+    found = sobol_indices(lambda x: {"y": np.log(x[:, 0] * x[:, 1])}, NAMES[:2], low, high, is_log=True)
+    np.testing.assert_allclose(found.table["first"], 0.5, atol=0.05)
+    assert found.spread.loc["y", "mean"] == pytest.approx(np.log(10), abs=0.05)
+
+
+def test_an_outcome_that_does_not_vary_has_no_indices():
+    found = sobol_indices(lambda x: {"y": np.ones(len(x))}, NAMES[:2], np.zeros(2), np.ones(2), num_samples=4)
+    assert found.table.isna().all().all()
+
+
+def test_the_same_seed_gives_the_same_indices_and_intervals():
+    def once():
+        return sobol_indices(lambda x: {"y": x[:, 0] * x[:, 1]}, NAMES[:2], np.zeros(2), np.ones(2), num_samples=8)
+
+    assert once().table.equals(once().table)
+
+
+def test_indices_of_weights_come_with_intervals_and_take_n_times_factors_plus_2_plans(queries):
+    pool = RoutePool(queries)
+    told: list[int] = []
+    found = sobol_of_weights(pool, GIVEN, ("population", "risk"), num_samples=16, on_plans=told.append)
+    assert found.num_evaluations == 16 * 4
+    assert pool.num_plans == told[-1] == 2 * 16 * 4
+    assert list(found.table.loc["people"].index) == ["population", "risk"]
+    assert np.isfinite(found.table.loc["people"]).all().all()
+    assert (found.spread["lowest"] <= found.spread["highest"]).all()
+
+
+@pytest.mark.parametrize(
+    ("vary", "options", "word"),
+    [
+        (("rsk",), {}, "did you mean 'risk'"),
+        ((), {}, "at least one"),
+        (("gps",), {}, "weight gps is 0"),
+        (("risk",), {"factors": (2.0, 3.0)}, "range"),
+        (("risk",), {"num_samples": 12}, "power of two"),
+    ],
+)
+def test_wrong_settings_are_refused(queries, vary, options, word):
+    weights = np.array([0.1, 0.0, 1.0, 1.0, 1.0])
+    with pytest.raises(InputError, match=word):
+        sobol_of_weights(RoutePool(queries[:1]), weights, vary, **options)
