@@ -22,7 +22,15 @@ if TYPE_CHECKING:
     from jaxurban.route_report import explain as explain
     from jaxurban.scenario import Scenario as Scenario
     from jaxurban.sensitivity_report import save_sensitivity as save_sensitivity
+    from jaxurban.studies.examples import Example as Example
+    from jaxurban.studies.imitation import fit_weights as fit_weights
+    from jaxurban.studies.queries import make_queries as make_queries
+    from jaxurban.studies.queries import unit_map as unit_map
+    from jaxurban.studies.reading import examples_from_paths as examples_from_paths
+    from jaxurban.studies.reading import read_examples as read_examples
     from jaxurban.studies.sensitivity import sensitivity as sensitivity
+    from jaxurban.studies.targets import fit_targets as fit_targets
+    from jaxurban.studies.wishes import Wish as Wish
     from jaxurban.volume import plan_volume as plan_volume
     from jaxurban.weighted import WeightedMap as WeightedMap
     from jaxurban.weighted import weigh as weigh
@@ -47,6 +55,14 @@ _HOMES = {
     "RouteReport": "route_report",
     "explain": "route_report",
     "Scenario": "scenario",
+    "Wish": "studies.wishes",
+    "Example": "studies.examples",
+    "examples_from_paths": "studies.reading",
+    "fit_targets": "studies.targets",
+    "fit_weights": "studies.imitation",
+    "make_queries": "studies.queries",
+    "read_examples": "studies.reading",
+    "unit_map": "studies.queries",
     "save_sensitivity": "sensitivity_report",
     "sensitivity": "studies.sensitivity",
     "plan_volume": "volume",

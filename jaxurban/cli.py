@@ -20,6 +20,7 @@ from jaxurban.commands.fetch import fetch
 from jaxurban.commands.maps import maps
 from jaxurban.commands.plan import plan
 from jaxurban.commands.sensitivity import sensitivity
+from jaxurban.commands.tune import tune
 from jaxurban.errors import InputError
 
 EXIT_BAD_INPUT, EXIT_INTERRUPTED = 2, 130
@@ -31,7 +32,7 @@ def app() -> None:
     """Metric maps for small drones over cities, and paths planned on them."""
 
 
-for command in (demo, fetch, maps, plan, sensitivity):
+for command in (demo, fetch, maps, plan, sensitivity, tune):
     app.add_command(command)
 
 

@@ -13,6 +13,8 @@ import click
 from jaxurban.errors import InputError
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from jaxurban.cost import Weights
 
 Settings = dict[str, Any]
@@ -78,6 +80,26 @@ def stages(title: str) -> Iterator[Callable[[str], None]]:
             bar.update()
 
         yield on_stage
+
+
+@contextmanager
+def rounds(title: str) -> Iterator[tuple[Callable[[str], None], Callable[["pd.DataFrame"], None]]]:
+    """Yield functions that show the stage, and the learning curve after each round, as a progress bar on stderr."""
+    from tqdm import tqdm
+
+    with tqdm(desc=title, unit="round", file=sys.stderr, disable=None) as bar:
+
+        def on_stage(name: str) -> None:
+            if interrupted.is_set():
+                raise KeyboardInterrupt
+            bar.set_postfix_str(name)
+
+        def on_round(curve: "pd.DataFrame") -> None:
+            last = curve.iloc[-1]
+            on_stage(f"loss {last['loss']:.3g}, {last['num_plans']:.0f} searches")
+            bar.update()
+
+        yield on_stage, on_round
 
 
 def tell(message: str) -> None:

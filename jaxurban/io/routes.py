@@ -13,6 +13,7 @@ import shapely
 from jaxurban.errors import InputError
 from jaxurban.io.vectorfile import open_layers
 
+SEGMENT_PROPERTY = "segment"  # of lines that repeat a part of jaxurban's own route, for its report
 ALTITUDE_PROPERTY, TIME_OF_DAY_PROPERTY, TIME_PROPERTY = "altitude_m", "time_of_day", "time"
 
 
@@ -37,6 +38,8 @@ class Route:
 def read_routes(file: str | Path) -> list[Route]:
     """Return the lines of a vector file, each part of a MultiLineString a route of its own.
 
+    Segments that jaxurban wrote beside a route, for its report, are left out.
+
     Raises:
       InputError: no such file, no line in it, or an altitude that is no number.
     """
@@ -46,6 +49,8 @@ def read_routes(file: str | Path) -> list[Route]:
     for number, row in enumerate(features, start=1):
         geometry = row.geometry
         if geometry is None or geometry.geom_type not in ("LineString", "MultiLineString"):
+            continue
+        if not pd.isna(row.get(SEGMENT_PROPERTY)):
             continue
         facts = _facts(row)
         parts = [part for part in shapely.get_parts(geometry) if part.length > 0]

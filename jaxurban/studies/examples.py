@@ -1,15 +1,18 @@
 """Example routes: what each of them crosses, measured as the planners' own routes are."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 import shapely
 
+from jaxurban.cost import Weights
 from jaxurban.errors import InputError
 from jaxurban.planned import PlannedPath
 from jaxurban.planners.astar import astar
 from jaxurban.planners.base import Cell, Problem
+from jaxurban.studies.pool import cheapest_route
 from jaxurban.studies.queries import Query, RouteFacts, route_facts
 from jaxurban.weighted import WeightedMap
 
@@ -25,20 +28,41 @@ class Example:
     Attributes:
       query: the route's ends on its map.
       route: what it crosses.
+      points_m: ``[N, 2]`` the route on the grid, metres from the map's southwest corner.
       note: what had to be done to the route; empty where nothing had.
     """
 
     query: Query
     route: RouteFacts
+    points_m: np.ndarray
     note: str = ""
+
+
+def optimal_examples(queries: Sequence[Query], weights: Weights) -> list[Example]:
+    """Return the cheapest route of each query under weights as an example.
+
+    Raises:
+      InputError: no path joins the ends of a query.
+    """
+    examples = []
+    for query in queries:
+        vector = np.array([float(getattr(weights, name)) for name in query.names])
+        points_m = cheapest_route(query, vector)
+        examples.append(Example(query, route_facts(query.unit, points_m), points_m))
+    return examples
 
 
 def example_from_path(unit: WeightedMap, planned: PlannedPath, name: str = "") -> Example:
     """Return a planned path as an example (see `example_from_line`).
 
     Raises:
-      InputError: the path has no points.
+      InputError: the path has no points, or is of another altitude than the map.
     """
+    if planned.altitude_m != unit.altitude_m:
+        raise InputError(
+            f"example {name or 'route'!r} is a path at {planned.altitude_m:g} m and the map is of "
+            f"{unit.altitude_m:g} m: give the map of its own altitude"
+        )
     if len(planned.xy_m) == 0:
         raise InputError(f"example {name or 'route'!r} is a path without points ({planned.status.value}): leave it out")
     return example_from_line(unit, planned.xy_m, name)
@@ -58,8 +82,8 @@ def example_from_line(unit: WeightedMap, xy_m: np.ndarray, name: str = "") -> Ex
       name: for messages and reports.
 
     Raises:
-      InputError: fewer than two points, points that are not finite, or a route that leaves the maps or
-        cannot be followed through free cells.
+      InputError: fewer than two points, points that are not finite, or a route that leaves the maps, ends where
+        it starts, or cannot be followed through free cells.
     """
     grid = unit.grid
     points = np.asarray(xy_m, np.float64)
@@ -70,22 +94,28 @@ def example_from_line(unit: WeightedMap, xy_m: np.ndarray, name: str = "") -> Ex
     if np.any(local < 0) or np.any(local >= (grid.num_cols, grid.num_rows)):
         raise InputError(f"{label} leaves the maps: clip it to their region, or make maps of a larger one")
     note = ""
-    if not _is_grid_path(unit, local):
+    if _is_grid_path(unit, local):
+        local = np.floor(local) + 0.5  # decimals lost in a file must not make a diagonal step graze a third cell
+    else:
         local, widest = _follow(unit, local, label)
         if widest > CORRIDOR_CELLS:
             note = f"followed within {widest * grid.resolution_m:.0f} m, since obstacles close the way nearer to it"
     (start_col, start_row), (goal_col, goal_row) = np.floor(local[[0, -1]]).astype(int).tolist()
+    if (start_row, start_col) == (goal_row, goal_col):
+        raise InputError(f"{label} starts and ends in one cell: leave it out, or cut it in two")
     query = Query(unit, (start_row, start_col), (goal_row, goal_col), name)
-    return Example(query, route_facts(unit, local * grid.resolution_m), note)
+    on_grid_m = local * grid.resolution_m
+    return Example(query, route_facts(unit, on_grid_m), on_grid_m, note)
 
 
 def _is_grid_path(unit: WeightedMap, local: np.ndarray) -> bool:
     """Return whether points, in cell sides, are the centres of cells of a valid path of neighbours."""
     cells = np.floor(local)
     is_centre = np.abs(local - cells - 0.5) < ON_CENTRE
-    steps = np.abs(np.diff(cells, axis=0)).max(axis=1)
+    steps = np.abs(np.diff(cells, axis=0))
+    sizes = steps.sum(axis=1) if unit.connectivity == 4 else steps.max(axis=1)
     return (
-        bool(is_centre.all() and np.all(steps <= 1)) and unit.evaluate((cells + 0.5) * unit.grid.resolution_m).is_valid
+        bool(is_centre.all() and np.all(sizes == 1)) and unit.evaluate((cells + 0.5) * unit.grid.resolution_m).is_valid
     )
 
 
@@ -120,8 +150,6 @@ def _follow(unit: WeightedMap, local: np.ndarray, label: str) -> tuple[np.ndarra
                 )
         widest = max(widest, width)
         points.extend(path[1:])
-    if len(points) == 1:
-        raise InputError(f"{label} stays within one cell: leave it out")
     return np.array(points), widest
 
 
@@ -139,5 +167,16 @@ def _shortest_within(
     ends = [(cell[0] - int(low[0]), cell[1] - int(low[1])) for cell in (start, goal)]
     if not all(is_free[end] for end in ends):
         return None
-    found = astar(Problem(np.zeros((1, *is_free.shape)), is_free, ends[0], ends[1], 1.0, 1.0))
+    found = astar(
+        Problem(
+            np.zeros((1, *is_free.shape)),
+            is_free,
+            start=ends[0],
+            goal=ends[1],
+            resolution_m=1.0,
+            distance_weight=1.0,
+            connectivity=unit.connectivity,
+            diagonal=unit.diagonal,
+        )
+    )
     return found.points_m + low[::-1] if found.status.has_path else None

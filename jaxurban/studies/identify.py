@@ -9,8 +9,9 @@ from jaxurban.studies.queries import Query
 
 FLAT = 1e-6  # a layer that varies by less over free cells is constant
 NEAR_OPTIMAL = 0.1  # routes within this share of the cheapest are those that weights choose between
-UNSEEN = 1e-4  # of the largest eigenvalue: a direction of W with less leaves every comparison as it is
-MUCH = 0.5  # of the largest: a weight with such a part in a direction belongs to it
+UNSEEN = 1e-6  # of the largest variance: a direction of W with less leaves every comparison as it is
+MUCH = 0.1  # of the largest: a weight with such a part in a direction belongs to it
+LEAST_SHARE = 0.01
 
 
 def constant_layers(queries: Sequence[Query]) -> tuple[str, ...]:
@@ -26,13 +27,29 @@ def constant_layers(queries: Sequence[Query]) -> tuple[str, ...]:
     return tuple(flat)
 
 
-def tradeoff_covariance(pool: RoutePool, demo: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Return ``[K, K]`` the covariance of what routes that compete with the examples have more or less of each feature.
+def feature_units(queries: Sequence[Query], demo: np.ndarray) -> np.ndarray:
+    """Return ``[K]`` the size of each feature: its mean over examples, never under 1 % of a random walk's as long.
 
-    Features are in units of their means over the examples. A direction v with v C v = 0 can be added to W without
-    changing any comparison between these routes.
+    The floor keeps weights finite where every example avoids a cost altogether.
     """
-    unit = np.maximum(demo.mean(axis=0), 1e-12)
+    num_steps = demo[:, 0].mean() / queries[0].unit.grid.resolution_m
+    if queries[0].unit.cost_model == "line":
+        num_steps = demo[:, 0].mean() / queries[0].unit.reference_length_m
+    units = {id(query.unit): query.unit for query in queries}.values()
+    usual = np.mean([unit.layers[:, unit.is_free].mean(axis=1) for unit in units], axis=0) * num_steps
+    return np.maximum(demo.mean(axis=0), np.append(0.0, np.maximum(LEAST_SHARE * usual, 1e-12)))
+
+
+def tradeoff_covariance(pool: RoutePool, unit: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Return ``[K, K]`` the covariance of what routes that compete with the cheapest have more or less of each feature.
+
+    A direction v with v C v = 0 can be added to W without changing any comparison between these routes.
+
+    Args:
+      pool: the routes.
+      unit: ``[K]`` in which features are counted, and 1 / weights.
+      weights: ``[K]`` W of features in their own units.
+    """
     routes = pool.features
     cost = np.where(routes[..., 0] < NOT_A_ROUTE, routes @ weights, np.inf)
     competes = cost <= cost.min(axis=1, keepdims=True) * (1 + NEAR_OPTIMAL)
@@ -41,29 +58,29 @@ def tradeoff_covariance(pool: RoutePool, demo: np.ndarray, weights: np.ndarray) 
     return more.T @ more / max(len(more), 1)
 
 
-def indistinct_weights(
-    pool: RoutePool, demo: np.ndarray, weights: np.ndarray, names: Sequence[str], fitted: np.ndarray
-) -> list[str]:
-    """Return a sentence for each direction of W, but its length, that the examples say nothing about."""
-    unit = np.maximum(demo.mean(axis=0), 1e-12)[fitted]
-    kept = [name for name, is_fitted in zip(names, fitted, strict=True) if is_fitted]
-    covariance = tradeoff_covariance(pool, demo, weights)[np.ix_(fitted, fitted)]
-    # W itself is no direction to find: only its length lies along it.
-    along = weights[fitted] * unit
-    along /= np.linalg.norm(along)
-    across = np.eye(len(kept)) - np.outer(along, along)
-    values, directions = np.linalg.eigh(across @ covariance @ across)
-    sentences = []
-    for value, direction in list(zip(values, directions.T, strict=True)):
-        if abs(direction @ along) > 0.99 or value > UNSEEN * max(values[-1], 1e-300):
-            continue
-        part = np.abs(direction)
+def indistinct_weights(covariance: np.ndarray, names: Sequence[str]) -> list[str]:
+    """Return sentences on the directions of W, but its length, that examples say nothing about.
+
+    Args:
+      covariance: ``[K, K]`` from `tradeoff_covariance`.
+      names: ``[K]``.
+    """
+    least = UNSEEN * max(float(np.max(np.diag(covariance))), 1e-300)
+    is_seen = np.diag(covariance) > least
+    sentences = [
+        f"The weight of {name} cannot be identified: no competing route differs in it."
+        for name, is_one in zip(names, is_seen, strict=True)
+        if not is_one
+    ]
+    kept = [name for name, is_one in zip(names, is_seen, strict=True) if is_one]
+    if len(kept) < 2:
+        return sentences
+    values, directions = np.linalg.eigh(covariance[np.ix_(is_seen, is_seen)])
+    unseen = directions[:, values <= UNSEEN * values[-1]]
+    if num := unseen.shape[1]:
+        part = np.linalg.norm(unseen, axis=1)
         involved = [name for name, size in zip(kept, part, strict=True) if size > MUCH * part.max()]
-        if len(involved) == 1:
-            sentences.append(f"The weight of {involved[0]} cannot be identified: no competing route differs in it.")
-        else:
-            sentences.append(
-                f"The weights of {', '.join(involved[:-1])} and {involved[-1]} cannot be told apart: competing routes "
-                "trade them at one rate."
-            )
+        listed = f"{', '.join(involved[:-1])} and {involved[-1]}"
+        why = "competing routes trade them at one rate" if num == 1 else f"{num} of their mixtures change no comparison"
+        sentences.append(f"The weights of {listed} cannot be told apart: {why}.")
     return sentences

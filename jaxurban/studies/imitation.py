@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ import pandas as pd
 
 from jaxurban.cost import Weights
 from jaxurban.errors import InputError
+from jaxurban.studies.confidence import as_good, refit
 from jaxurban.studies.examples import Example
 from jaxurban.studies.fenchel_young import (
     Task,
@@ -23,16 +24,21 @@ from jaxurban.studies.fenchel_young import (
     regrets,
     weights_of,
 )
-from jaxurban.studies.fitstate import load_state, save_state
-from jaxurban.studies.identify import constant_layers, indistinct_weights
+from jaxurban.studies.identify import constant_layers, feature_units, indistinct_weights, tradeoff_covariance
+from jaxurban.studies.journal import Journal, fingerprint
 from jaxurban.studies.pool import RoutePool
-from jaxurban.studies.queries import check_alike
+from jaxurban.studies.queries import check_alike, weights_from
 
 FIRST_NOISE, LAST_NOISE = 0.3, 0.03  # standard deviation of log weights: first far, in the end close to the minimum
+NOISE_ROUNDS = 10  # in which the noise shrinks
 NUM_NOISE, NUM_PROBES = 32, 2  # noises a query in the loss; searches a query and round under perturbed weights
-STEPS, BOOTSTRAP_STEPS, BOOTSTRAP_NOISE = 200, 100, 8
-LEAST_REGRET = 1e-4  # examples within this of the cheapest are never distrusted
+STEPS, BOOTSTRAP_NOISE = 200, 8
+FEW = 2  # examples a weight
+TRUST_ROUNDS, FIRST_DOUBT = 3, 30.0  # rounds of full trust; how many times farther off an example may then be at first
+LEAST_REGRET = 2e-3  # examples much nearer than this to the cheapest are trusted
 SETTLED = 1e-5  # a round that betters no known route by more has nothing to add
+REGRET_ROUNDS = 4  # searches for the least regret that any weights reach
+IN_ROUND, IN_BOOTSTRAP = 1, 2  # streams of random numbers
 OPTIMAL_REGRET = 0.005  # on average beyond this, the examples are not optimal under any weights
 
 
@@ -45,14 +51,18 @@ class WeightFit:
       weights: scaled as asked; 0 for a metric whose weight cannot be identified.
       shares: ``[K]`` part of the examples' cost that each weight makes up; they sum to 1.
       spread: ``[K]`` w_j x std(phi_j) over the examples, scaled to length 1: what fits are compared by.
-      interval: ``[2, K]`` 5th and 95th percentile of the weights over bootstrap fits; NaN without.
+      interval: ``[2, K]`` 5th and 95th percentile of the weights over bootstrap fits, widened to all weights that
+        explain the examples as well (`confidence.as_good`); NaN without bootstrap.
       regret: ``[Q]`` by which share each example is costlier than the cheapest route under the weights, by search.
       trust: ``[Q]`` in [0, 1] weight that each example had in the end.
       best_mean_regret: the least mean regret that any weights were found to reach.
-      curve: a row a round: noise, loss, mean_regret, new_routes, num_plans, elapsed_s and each weight.
-      warnings: sentences a reader must know.
+      curve: a row a round: noise, loss, mean_regret, worst_gap (by which share a searched route was cheaper than
+        all known ones), new_routes, num_plans, elapsed_s and each weight.
+      by_examples: what fewer examples would have given (see `confidence.refit`).
+      unidentified: sentences on weights that the examples say nothing about.
+      warnings: further sentences that a reader must know.
       num_plans: searches made.
-      elapsed_s: wall time.
+      elapsed_s: wall time of this run; a resumed one answers its first searches from the state file.
       is_settled: the last round bettered no known route by more than 1e-5.
     """
 
@@ -65,6 +75,8 @@ class WeightFit:
     trust: np.ndarray
     best_mean_regret: float
     curve: pd.DataFrame
+    by_examples: pd.DataFrame
+    unidentified: tuple[str, ...]
     warnings: tuple[str, ...]
     num_plans: int
     elapsed_s: float
@@ -76,7 +88,7 @@ class WeightFit:
         return np.array([float(getattr(self.weights, name)) for name in self.names])
 
     def table(self) -> pd.DataFrame:
-        """Return a row a weight: weight, its 5 to 95 % interval, share of cost, spread."""
+        """Return a row a weight: weight, its interval, share of cost, spread."""
         return pd.DataFrame(
             {
                 "weight": self.vector,
@@ -93,7 +105,7 @@ def fit_weights(
     examples: Sequence[Example],
     *,
     scale: str = "simplex",
-    max_rounds: int = 12,
+    max_rounds: int = 20,
     bootstrap: int = 200,
     seed: int = 0,
     budget_s: float = np.inf,
@@ -115,12 +127,13 @@ def fit_weights(
     Args:
       examples: from `example_from_path`, `example_from_line` or `read_examples`; of one or several maps.
       scale: ``"simplex"``: weights sum to 1; ``"distance"``: the distance weight is 1.
-      max_rounds: of searches; fewer where a round at the least noise betters nothing.
+      max_rounds: of searches; fewer where a round at the least noise betters nothing. The noise shrinks over 10.
       bootstrap: fits on examples drawn anew, for intervals; 0 for none.
       seed: of all noise.
       budget_s: seconds; the fit ends after the round in which they run out.
       workers: threads of search; a thread a core if left out.
-      state_file: kept after every round; a fit of the same examples and settings goes on from it.
+      state_file: searches are kept in it; a fit of the same examples and settings goes on from it, to the same
+        weights, bit for bit, as if it had not stopped.
       on_round: is told the learning curve after every round.
 
     Raises:
@@ -128,108 +141,158 @@ def fit_weights(
     """
     if scale not in ("simplex", "distance"):
         raise InputError(f"scale must be 'simplex' or 'distance', got {scale!r}")
-    if not (max_rounds >= 1 and bootstrap >= 0 and budget_s > 0):
+    if not (max_rounds >= 1 and bootstrap >= 0 and budget_s > 0 and seed >= 0):
         raise InputError(
-            f"max_rounds must be >= 1, bootstrap >= 0 and budget_s > 0, got {max_rounds}, {bootstrap} and {budget_s}"
+            "max_rounds must be >= 1, bootstrap >= 0, budget_s > 0 and seed >= 0, got "
+            f"{max_rounds}, {bootstrap}, {budget_s} and {seed}"
         )
     begin_s = time.perf_counter()
     queries = [example.query for example in examples]
     names = check_alike(queries)
     constant = constant_layers(queries)
-    fitted = np.array([name not in constant for name in names])
+    is_fitted = np.array([name not in constant for name in names])
     demo = np.array([example.route.features for example in examples])
-    unit = np.where(fitted, np.maximum(demo.mean(axis=0), 1e-12), 1.0)
-    pool = RoutePool(queries, [example.route for example in examples], workers)
-    settings = {"names": list(names), "seed": seed, "max_rounds": max_rounds}
-    state = load_state(state_file, settings, pool)
-    log_weights = np.zeros(fitted.sum()) if state is None else state.log_weights
-    rows: list[dict[str, Any]] = [] if state is None else state.rows
-    before_s = rows[-1]["elapsed_s"] if rows else 0.0
-    trust = np.ones(len(demo))
-
-    def task(num_noise: int, noise: float, rng: np.random.Generator) -> Task:
-        shape = (len(demo), num_noise, int(fitted.sum()))
-        return Task(
-            jnp.asarray((demo / unit)[:, fitted]),
-            jnp.asarray((pool.features / unit)[:, :, fitted]),
-            jnp.asarray(draw_log_noise(rng, shape, noise)),
-            jnp.asarray(trust),
-        )
-
-    def full(log_weights: np.ndarray) -> np.ndarray:
-        """The weights of features in their own units."""
-        weights = np.zeros(len(names))
-        weights[fitted] = np.asarray(weights_of(jnp.asarray(log_weights)))
-        return weights / unit
-
+    noise_rounds = min(max_rounds, NOISE_ROUNDS)
+    settings = {"fit": "imitation", "seed": seed, "noise_rounds": noise_rounds, "of": fingerprint(queries, demo)}
+    journal = None if state_file is None else Journal(state_file, settings)
+    pool = RoutePool(queries, [example.route for example in examples], workers, journal)
+    fit = _Fit(pool, demo, np.where(is_fitted, feature_units(queries, demo), 1.0), is_fitted, seed)
+    rows: list[dict[str, Any]] = []
     with jax.enable_x64(True):
-        is_settled = False
-        while len(rows) < max_rounds:
-            number = len(rows)
-            rng = np.random.default_rng([seed, number])
-            noise = FIRST_NOISE * (LAST_NOISE / FIRST_NOISE) ** min(number / max(1, max_rounds - 3), 1.0)
-            probes = np.exp(rng.normal(size=(len(demo), 1 + NUM_PROBES, len(names))) * noise)
-            probes[:, 0] = 1.0
-            known = pool.num_routes
-            probed = full(log_weights) * probes
-            expected = np.min(np.einsum("qmk,qrk->qmr", probed, pool.features), axis=-1)
-            searched = np.einsum("qmk,qmk->qm", probed, pool.cheapest(probed)[0])
-            worst_gap = float(np.max(expected / searched - 1))
-            here = task(NUM_NOISE, noise, rng)
-            regret = np.asarray(regrets(weights_of(jnp.asarray(log_weights)), here))
-            trust = _trust(regret) if number else trust
-            here = here._replace(trust=jnp.asarray(trust))
-            ended, reached = descend(jnp.asarray(log_weights), here, loss, STEPS)
-            log_weights = np.asarray(ended)
-            is_settled = worst_gap <= SETTLED and noise <= LAST_NOISE * 1.001
-            rows.append(
-                {
-                    "round": number + 1,
-                    "noise": noise,
-                    "loss": float(reached),
-                    "mean_regret": float(np.mean(np.asarray(regrets(weights_of(ended), here)))),
-                    "new_routes": pool.num_routes - known,
-                    "num_plans": pool.num_plans,
-                    "elapsed_s": before_s + time.perf_counter() - begin_s,
-                }
-                | dict(zip(names, (_scaled(full(log_weights), scale)).tolist(), strict=True))
-            )
-            save_state(state_file, settings, pool, log_weights, rows)
+        for number in range(max_rounds):
+            noise = FIRST_NOISE * (LAST_NOISE / FIRST_NOISE) ** min(number / max(1, noise_rounds - 1), 1.0)
+            facts = fit.run_round(number, noise)
+            scaled = _scaled(fit.weights, scale)
+            rows.append(facts | {"elapsed_s": time.perf_counter() - begin_s} | dict(zip(names, scaled, strict=True)))
             if on_round:
                 on_round(pd.DataFrame(rows))
+            is_settled = facts["worst_gap"] <= SETTLED and number + 1 >= noise_rounds
             if is_settled or time.perf_counter() - begin_s > budget_s:
                 break
-        final = task(NUM_NOISE, LAST_NOISE, np.random.default_rng([seed, max_rounds]))
-        lowest, _ = descend(jnp.asarray(log_weights), final, mean_regret, STEPS)
-        regret = _searched_regret(pool, demo, full(log_weights))
-        best = min(float(regret.mean()), float(_searched_regret(pool, demo, full(np.asarray(lowest))).mean()))
-        resampled = _bootstrap(
-            log_weights, task(BOOTSTRAP_NOISE, LAST_NOISE, np.random.default_rng(seed)), bootstrap, seed
-        )
-        indistinct = indistinct_weights(pool, demo, full(log_weights), names, fitted)
-    weights = full(log_weights)
-    drawn = np.array([_scaled(full(row), scale) for row in resampled]).reshape(-1, len(names))
-    interval = np.percentile(drawn, [5, 95], axis=0) if len(drawn) else np.full((2, len(names)), np.nan)
-    cost = weights * demo.mean(axis=0)
-    spread = weights * demo.std(axis=0)
+        regret = fit.searched_regret(fit.log_weights)
+        best = fit.least_mean_regret(float(regret.mean()))
+        rng = np.random.default_rng([IN_BOOTSTRAP, 0, seed])
+        drawn, by_examples = refit(fit.log_weights, fit.task(BOOTSTRAP_NOISE, LAST_NOISE, rng), bootstrap, rng)
+        interval = np.full((2, len(names)), np.nan)
+        if len(drawn):
+            interval = np.percentile([_scaled(fit.weights_of(row), scale) for row in drawn], [5, 95], axis=0)
+            low, high = fit.as_good(np.ones(len(names)) if scale == "simplex" else np.eye(len(names))[0])
+            interval = np.stack([np.minimum(interval[0], low), np.maximum(interval[1], high)])
+    indistinct = indistinct_weights(
+        tradeoff_covariance(pool, fit.unit, fit.weights)[np.ix_(is_fitted, is_fitted)],
+        [name for name in names if name not in constant],
+    )
+    cost, spread = fit.weights * demo.mean(axis=0), fit.weights * demo.std(axis=0)
     return WeightFit(
         names=names,
-        weights=Weights(
-            **dict.fromkeys(Weights.__dataclass_fields__, 0.0)
-            | dict(zip(names, _scaled(weights, scale).tolist(), strict=True))
-        ),
+        weights=weights_from(names, _scaled(fit.weights, scale)),
         shares=cost / cost.sum(),
         spread=spread / max(float(np.linalg.norm(spread)), 1e-300),
         interval=interval,
         regret=regret,
-        trust=trust,
+        trust=fit.trust,
         best_mean_regret=best,
         curve=pd.DataFrame(rows),
-        warnings=tuple(_warnings(examples, constant, indistinct, best, trust, is_settled)),
+        by_examples=by_examples,
+        unidentified=tuple([_said_of_constant(name) for name in constant] + indistinct),
+        warnings=tuple(_warnings(examples, len(names), best, fit.trust, is_settled)),
         num_plans=pool.num_plans,
-        elapsed_s=before_s + time.perf_counter() - begin_s,
+        elapsed_s=time.perf_counter() - begin_s,
         is_settled=is_settled,
     )
+
+
+@dataclass(eq=False)
+class _Fit:
+    """A fit under way. ``F`` of the ``K`` weights are fitted; the others are 0."""
+
+    pool: RoutePool
+    demo: np.ndarray  # [Q, K]
+    unit: np.ndarray  # [K] what features are counted in
+    is_fitted: np.ndarray  # [K]
+    seed: int
+    log_weights: np.ndarray = field(init=False)  # [F] of features in those units
+    trust: np.ndarray = field(init=False)  # [Q]
+
+    def __post_init__(self) -> None:
+        self.log_weights = np.zeros(int(self.is_fitted.sum()))
+        self.trust = np.ones(len(self.demo))
+
+    @property
+    def weights(self) -> np.ndarray:
+        """``[K]`` the weights of features in their own units."""
+        return self.weights_of(self.log_weights)
+
+    def weights_of(self, log_weights: np.ndarray) -> np.ndarray:
+        weights = np.zeros(len(self.unit))
+        weights[self.is_fitted] = np.asarray(weights_of(jnp.asarray(log_weights)))
+        return weights / self.unit
+
+    def task(self, num_noise: int, noise: float, rng: np.random.Generator) -> Task:
+        """Return what the loss looks at now."""
+        shape = (len(self.demo), num_noise, len(self.log_weights))
+        return Task(
+            jnp.asarray((self.demo / self.unit)[:, self.is_fitted]),
+            jnp.asarray((self.pool.features / self.unit)[:, :, self.is_fitted]),
+            jnp.asarray(draw_log_noise(rng, shape, noise)),
+            jnp.asarray(self.trust),
+        )
+
+    def run_round(self, number: int, noise: float) -> dict[str, Any]:
+        """Search under perturbed weights, trust examples anew, and descend."""
+        rng = np.random.default_rng([IN_ROUND, number, self.seed])
+        probes = np.exp(rng.normal(size=(len(self.demo), 1 + NUM_PROBES, len(self.unit))) * noise)
+        probes[:, 0] = 1.0
+        probed = self.weights * probes
+        num_known = self.pool.num_routes
+        expected = np.min(np.einsum("qmk,qrk->qmr", probed, self.pool.features), axis=-1)
+        searched = np.einsum("qmk,qmk->qm", probed, self.pool.cheapest(probed)[0])
+        here = self.task(NUM_NOISE, noise, rng)
+        if number >= TRUST_ROUNDS:
+            patience = FIRST_DOUBT ** max(0.0, 1 - (number - TRUST_ROUNDS) / (NOISE_ROUNDS - 2 - TRUST_ROUNDS))
+            regret = np.asarray(regrets(weights_of(jnp.asarray(self.log_weights)), here))
+            self.trust = _trust(regret, patience)
+            here = here._replace(trust=jnp.asarray(self.trust))
+        ended, reached = descend(jnp.asarray(self.log_weights), here, loss, STEPS)
+        self.log_weights = np.asarray(ended)
+        return {
+            "round": number + 1,
+            "noise": noise,
+            "loss": float(reached),
+            "mean_regret": float(np.mean(np.asarray(regrets(weights_of(ended), here)))),
+            "worst_gap": float(np.max(expected / searched - 1)),
+            "new_routes": self.pool.num_routes - num_known,
+            "num_plans": self.pool.num_plans,
+        }
+
+    def searched_regret(self, log_weights: np.ndarray) -> np.ndarray:
+        """Return ``[Q]`` the regret of each example under weights, against the cheapest route by search."""
+        weights = self.weights_of(log_weights)
+        cheapest = self.pool.cheapest(np.broadcast_to(weights, (len(self.demo), 1, len(weights))))[0, :, 0]
+        return (self.demo @ weights) / (cheapest @ weights) - 1
+
+    def as_good(self, scale: np.ndarray) -> np.ndarray:
+        """Return ``[2, K]`` the range of each weight, a . W = 1 for ``scale`` a, that explains the examples as well."""
+        unit = self.unit[self.is_fitted]
+        here = self.task(2, LAST_NOISE, np.random.default_rng(self.seed))
+        ends = np.zeros((2, len(self.unit)))
+        scaled = (self.weights * self.unit)[self.is_fitted]
+        ends[:, self.is_fitted] = as_good(scaled, here, scale[self.is_fitted] / unit, SETTLED) / unit
+        return ends
+
+    def least_mean_regret(self, best: float) -> float:
+        """Return the least mean regret over all examples that any weights are found to reach, at most ``best``."""
+        lowest = self.log_weights
+        for _ in range(REGRET_ROUNDS):
+            everyone = self.task(2, LAST_NOISE, np.random.default_rng(self.seed))
+            everyone = everyone._replace(trust=jnp.ones(len(self.demo)))
+            ended, expected = descend(jnp.asarray(lowest), everyone, mean_regret, STEPS)
+            lowest = np.asarray(ended)
+            reached = float(self.searched_regret(lowest).mean())
+            best = min(best, reached)
+            if reached <= float(expected) + SETTLED:
+                break
+        return best
 
 
 def _scaled(weights: np.ndarray, scale: str) -> np.ndarray:
@@ -237,37 +300,28 @@ def _scaled(weights: np.ndarray, scale: str) -> np.ndarray:
     return weights / (weights.sum() if scale == "simplex" else weights[0])
 
 
-def _trust(regret: np.ndarray) -> np.ndarray:
-    """Return ``[Q]`` in (0, 1] how far each example is trusted: little where its regret is far above most others'."""
-    usual = max(3 * float(np.median(regret)), LEAST_REGRET)
+def _trust(regret: np.ndarray, patience: float) -> np.ndarray:
+    """Return ``[Q]`` in (0, 1] how far each example is trusted: little where its regret is far above most others'.
+
+    Patience falls to 1 over the rounds (graduated non-convexity): doubt at first sight would make wrong weights
+    believe only the examples that suit them.
+    """
+    usual = max(3 * float(np.median(regret)), LEAST_REGRET) * patience
     return 1 / (1 + (np.maximum(regret, 0) / usual) ** 2) ** 2
 
 
-def _searched_regret(pool: RoutePool, demo: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Return ``[Q]`` the regret of each example under weights, against the cheapest route by search."""
-    cheapest = pool.cheapest(np.broadcast_to(weights, (len(demo), 1, len(weights))))[0, :, 0]
-    return (demo @ weights) / (cheapest @ weights) - 1
-
-
-def _bootstrap(log_weights: np.ndarray, task: Task, num: int, seed: int) -> np.ndarray:
-    """Return ``[num, K]`` log weights fitted to examples drawn anew with replacement, over the known routes."""
-    if num == 0 or len(task.demo) < 2:
-        return np.empty((0, len(log_weights)))
-    rng = np.random.default_rng([seed, 1])
-    counts = rng.multinomial(len(task.demo), np.full(len(task.demo), 1 / len(task.demo)), size=num)
-
-    def fit(trust: jax.Array) -> jax.Array:
-        return descend(jnp.asarray(log_weights), task._replace(trust=trust), loss, BOOTSTRAP_STEPS)[0]
-
-    return np.asarray(jax.lax.map(fit, jnp.asarray(counts * np.asarray(task.trust) + 1e-12)))
-
-
-def _warnings(examples, constant, indistinct, best: float, trust: np.ndarray, is_settled: bool) -> list[str]:
-    said = [
+def _said_of_constant(name: str) -> str:
+    return (
         f"The {name} layer is the same everywhere on these maps, so its weight cannot be identified and is left at 0."
-        for name in constant
-    ]
-    said += indistinct
+    )
+
+
+def _warnings(
+    examples: Sequence[Example], num_weights: int, best: float, trust: np.ndarray, is_settled: bool
+) -> list[str]:
+    said = []
+    if len(examples) < FEW * num_weights:
+        said.append(f"{len(examples)} examples are few for {num_weights} weights: the intervals may be too narrow.")
     if best > OPTIMAL_REGRET:
         said.append(
             f"The examples are not optimal under any weights: at best they cost {100 * best:.2f} % more than the "

@@ -13,6 +13,7 @@ import numpy as np
 
 from jaxurban.errors import InputError
 from jaxurban.planners.astar import astar
+from jaxurban.studies.journal import Journal
 from jaxurban.studies.queries import Query, RouteFacts, route_facts
 
 SAME = 1e-9  # relative: routes whose features differ by less cost the same under every W
@@ -29,11 +30,23 @@ class RoutePool:
     """
 
     def __init__(
-        self, queries: Sequence[Query], known: Sequence[RouteFacts] | None = None, workers: int | None = None
+        self,
+        queries: Sequence[Query],
+        known: Sequence[RouteFacts] | None = None,
+        workers: int | None = None,
+        journal: Journal | None = None,
     ) -> None:
-        """Begin with a known route of each query, or with none; search in ``workers`` threads (default: one a core)."""
+        """Begin with no route.
+
+        Args:
+          queries: what is asked.
+          known: a route of each query to begin with.
+          workers: threads of search; one a core if left out.
+          journal: answers the searches that it holds, and takes down the others.
+        """
         self.queries = tuple(queries)
         self.num_plans = 0
+        self._journal = journal
         self._workers = workers or os.cpu_count() or 1
         self._routes: list[list[np.ndarray]] = [[] for _ in self.queries]  # [2, K]: features, integrals
         for query, facts in enumerate(known or ()):
@@ -71,45 +84,27 @@ class RoutePool:
         Raises:
           InputError: a query's start and goal are not connected.
         """
+        found = None if self._journal is None else self._journal.recall(weights)
+        if found is None:
+            found = self._search_all(weights)
+            if self._journal is not None:
+                self._journal.keep(weights, found)
+        self.num_plans += weights.shape[0] * weights.shape[1]
+        for query, routes in enumerate(np.moveaxis(found, 0, 2)):
+            for route in routes:
+                self._add(query, route)
+        return found
+
+    def _search_all(self, weights: np.ndarray) -> np.ndarray:
+        """Return ``[2, Q, M, K]`` as `cheapest` does: the one place where routes are searched for."""
         jobs = [(query, w) for query, each in enumerate(weights) for w in each]
         with ThreadPoolExecutor(self._workers) as threads:
             found = list(threads.map(lambda job: self._search(*job), jobs))
-        self.num_plans += len(jobs)
-        for (query, _), route in zip(jobs, found, strict=True):
-            self._add(query, route)
         return np.moveaxis(np.reshape(found, (*weights.shape[:2], 2, -1)), 2, 0)
-
-    def to_arrays(self) -> dict[str, np.ndarray]:
-        """Return the pool as arrays, for a file."""
-        return {
-            "pool_routes": np.concatenate(self._routes),
-            "pool_counts": np.array([len(routes) for routes in self._routes]),
-            "pool_num_plans": np.array(self.num_plans),
-        }
-
-    def restore(self, arrays: dict[str, np.ndarray]) -> None:
-        """Take over what `to_arrays` gave, where it begins with the routes that this pool knows.
-
-        Raises:
-          InputError: the arrays belong to other queries.
-        """
-        split = np.split(arrays["pool_routes"], np.cumsum(arrays["pool_counts"])[:-1])
-        if len(split) != len(self.queries) or any(
-            not np.array_equal(kept[: len(known)], known)
-            for kept, known in zip(split, self._routes, strict=True)
-            if known
-        ):
-            raise InputError("the state to resume belongs to other routes or maps: remove it, or name another folder")
-        self._routes = [list(routes) for routes in split]
-        self.num_plans = int(arrays["pool_num_plans"])
 
     def _search(self, query: int, weights: np.ndarray) -> np.ndarray:
         asked = self.queries[query]
-        problem = asked.unit.problem.between(asked.start, asked.goal).reweighted(weights[1:], float(weights[0]))
-        found = astar(problem)
-        if not found.status.has_path:
-            raise InputError(f"no path joins the ends of route {asked.name or query + 1!r}: leave it out")
-        facts = route_facts(asked.unit, found.points_m)
+        facts = route_facts(asked.unit, cheapest_route(asked, weights))
         return np.stack([facts.features, facts.integrals])
 
     def _add(self, query: int, route: np.ndarray) -> None:
@@ -118,4 +113,17 @@ class RoutePool:
             scale = np.maximum(np.abs(known), np.abs(route[0])) + 1e-12
             if np.any(np.all(np.abs(known - route[0]) <= SAME * scale, axis=1)):
                 return
-        self._routes[query].append(route)
+        self._routes[query].append(np.array(route))
+
+
+def cheapest_route(query: Query, weights: np.ndarray) -> np.ndarray:
+    """Return ``[N, 2]`` the cheapest route under weights ``[K]``, in metres from the map's southwest corner.
+
+    Raises:
+      InputError: the query's start and goal are not connected.
+    """
+    problem = query.unit.problem.between(query.start, query.goal).reweighted(weights[1:], float(weights[0]))
+    found = astar(problem)
+    if not found.status.has_path:
+        raise InputError(f"no path joins the ends of route {query.name!r}: leave it out")
+    return found.points_m

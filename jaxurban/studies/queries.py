@@ -1,15 +1,15 @@
 """Queries of a study, and what a route on their maps adds up, whatever the weights are."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from jaxurban.cost import Weights
-from jaxurban.errors import InputError
+from jaxurban.cost import METRICS, Weights
+from jaxurban.errors import InputError, nearest_name
 from jaxurban.maps import MetricMaps
-from jaxurban.planners.base import Cell, CostModel
-from jaxurban.weighted import WeightedMap, weigh
+from jaxurban.planners.base import Cell, CostModel, Diagonal
+from jaxurban.weighted import Point, WeightedMap, weigh
 
 UNIT_WEIGHTS = Weights(1.0, 1.0, 1.0, 1.0, 1.0)
 
@@ -61,13 +61,33 @@ def unit_map(
     maps: MetricMaps,
     altitude_m: float,
     *,
+    metrics: Sequence[str] | None = None,
     cost_model: CostModel = "cell",
     time: str | None = None,
     time_of_day: str | None = None,
     reference_length_m: float = 5.0,
+    connectivity: int = 8,
+    diagonal: Diagonal = "both-free",
 ) -> WeightedMap:
-    """Return the maps at one altitude with every weight 1 (arguments and errors as in `weigh`)."""
-    return weigh(
+    """Return the maps at one altitude with every weight 1.
+
+    Args:
+      maps: from `build_maps` or `open_maps`.
+      altitude_m: one of the maps' altitudes.
+      metrics: which of the maps' metrics routes pay for; all if left out. The others have the weight 0.
+      cost_model, time, time_of_day, reference_length_m, connectivity, diagonal: as in `weigh`.
+
+    Raises:
+      InputError: a metric that the maps lack, or as in `weigh`.
+    """
+    names = maps.metrics if metrics is None else tuple(metrics)
+    for name in names:
+        if name not in maps.metrics:
+            hint = nearest_name(name, METRICS) or f": they hold {', '.join(maps.metrics)}"
+            raise InputError(f"these maps hold no metric {name!r}{hint}")
+    if not names or len(set(names)) < len(names):
+        raise InputError(f"metrics must name different metrics, and at least one, got {', '.join(names) or 'none'}")
+    whole = weigh(
         maps,
         altitude_m,
         weights=UNIT_WEIGHTS,
@@ -75,7 +95,40 @@ def unit_map(
         time=time,
         time_of_day=time_of_day,
         reference_length_m=reference_length_m,
+        connectivity=connectivity,
+        diagonal=diagonal,
     )
+    kept = [row for row, name in enumerate(whole.names) if name in names]
+    if len(kept) == len(whole.names):
+        return whole
+    return replace(whole, names=tuple(whole.names[row] for row in kept), m=whole.m[kept], layers=whole.layers[kept])
+
+
+def make_queries(unit: WeightedMap, pairs: Iterable[tuple[Point, Point]], *, snap: bool = False) -> list[Query]:
+    """Return a query for each pair of a start and a goal, as longitude and latitude in degrees.
+
+    Args:
+      unit: from `unit_map`.
+      pairs: start and goal of each query.
+      snap: move an end inside an obstacle to the nearest free cell instead of failing.
+
+    Raises:
+      InputError: a place outside the maps or inside an obstacle; names the pair.
+    """
+    queries = []
+    for number, (start, goal) in enumerate(pairs, start=1):
+        try:
+            ends = (unit.locate("start", start, snap=snap), unit.locate("goal", goal, snap=snap))
+        except InputError as error:
+            raise InputError(f"pair {number}: {error}") from error
+        queries.append(Query(unit, ends[0].cell, ends[1].cell, f"{number}"))
+    return queries
+
+
+def weights_from(names: Sequence[str], values: np.ndarray) -> Weights:
+    """Return the weights with these values ``[K]``, those not named 0."""
+    named = dict(zip(names, (float(value) for value in values), strict=True))
+    return Weights(**{item.name: named.get(item.name, 0.0) for item in fields(Weights)})
 
 
 def check_alike(queries: Sequence[Query]) -> tuple[str, ...]:
@@ -114,6 +167,8 @@ def check_alike(queries: Sequence[Query]) -> tuple[str, ...]:
 def _norms(unit: WeightedMap) -> float | None:
     """Return what population is divided by at the map's time of day; None without population."""
     attrs = unit.maps.ds.attrs
+    if "population" not in unit.names:
+        return None
     for name in ("pop_norm_per_km2", "pop_norm_per_block"):
         if name in attrs and unit.time_of_day is not None:
             norms = np.atleast_1d(attrs[name])

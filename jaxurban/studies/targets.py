@@ -1,75 +1,38 @@
 """Targets: the weights under which routes are as wished, and which wishes conflict."""
 
 import itertools
-import re
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
 import pandas as pd
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
-from jaxurban.cost import METRICS, AnyArray, Weights
-from jaxurban.errors import InputError, nearest_name
+from jaxurban.cost import METRICS, Weights
+from jaxurban.errors import InputError
+from jaxurban.studies.identify import feature_units
+from jaxurban.studies.journal import Journal, fingerprint
 from jaxurban.studies.perturbed import draw_pairs, known_route_sums
 from jaxurban.studies.pool import RoutePool
-from jaxurban.studies.queries import Query, check_alike
+from jaxurban.studies.queries import Query, check_alike, weights_from
+from jaxurban.studies.wishes import Wish, outcome_values
 
-OUTCOMES = ("detour", "length_m", "people", *(f"mean_{name}" for name in METRICS))
 FIRST_RATE, LAST_RATE = 0.2, 0.02  # of Adam, in log weight a step
 FIRST_NOISE, LAST_NOISE = 0.7, 0.05  # of the perturbed planner, from the first to the last step
 NUM_NOISE, NUM_STEPS = 128, 100
 NUM_EXPLORED, CORNER = 16, 30.0  # weights planned under at first; how much more a corner cares for one thing
-NUM_TRIED, NUM_PROBES, PROBE_NOISE = 3, 4, 0.2  # descents planned for, and searches around the best, a round
+NUM_CANDIDATES, NUM_STARTS = 1000, 6  # weights looked up in known routes, and descended from, a round
+FAR_SPREAD, NEAR_SPREAD = 3.0, 0.1  # of the candidates' log weights about the best
+NUM_TRIED, NUM_PROBES = 3, 8  # weights planned for, and searches around the best, a round
+PROBE_NOISE = (0.05, 0.8)  # of those searches' log weights, from the nearest to the farthest
+PATIENCE = 3  # rounds that better nothing
 MET = 0.02  # a wish is met if it is missed by no more than this share
-
-
-@dataclass(frozen=True)
-class Wish:
-    """A bound on an outcome of routes, averaged over a set of queries.
-
-    Attributes:
-      outcome: one of `OUTCOMES`. ``detour``: mean of length over the shortest route's, less 1. ``mean_gps`` and
-        the like: mean over queries of the mean m along the route. ``people``: sum over queries of the
-        integral of m_population along the route, as a share of the shortest routes'. ``length_m``: mean length.
-      sense: ``">="`` or ``"<="``.
-      value: the bound.
-    """
-
-    outcome: str
-    sense: str
-    value: float
-
-    @classmethod
-    def parse(cls, text: str) -> "Wish":
-        """Return the wish in ``"mean_gps>=0.8"``.
-
-        Raises:
-          InputError: another form, an unknown outcome, or a value that is no number.
-        """
-        match = re.fullmatch(r"\s*(\w+)\s*(>=|<=)\s*(\S+)\s*", text)
-        if not match:
-            raise InputError(f"wish {text!r} must read like mean_gps>=0.8 or detour<=0.15")
-        outcome, sense, number = match.groups()
-        if outcome not in OUTCOMES:
-            raise InputError(
-                f"unknown outcome {outcome!r}{nearest_name(outcome, OUTCOMES)}: choose one of {', '.join(OUTCOMES)}"
-            )
-        try:
-            value = float(number)
-        except ValueError:
-            value = np.nan
-        if not np.isfinite(value):
-            raise InputError(f"wish {text!r} must end in a finite number")
-        return cls(outcome, sense, value)
-
-    def __str__(self) -> str:
-        return f"{self.outcome} {self.sense} {self.value:g}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,11 +42,12 @@ class TargetFit:
     Attributes:
       names: ``"distance"`` and the metrics.
       weights: they sum to 1.
-      outcomes: a row a wish: wished, reached, missed_by (share of the bound), is_met; by planned routes,
-        without noise.
+      outcomes: a row a wish: wished, shortest (what the shortest routes give), reached, missed_by (share of the
+        bound), is_met; by planned routes, without noise.
       alone: a row a wish: the best that was reached when it was wished for alone.
       conflicts: pairs of wishes, each met alone or nearly so, that were not met together.
       is_met: all wishes are met within 2 %.
+      is_in_budget: the search ended by itself; a larger budget would find no more.
       curve: a row a round: the least loss so far, its outcomes, and the searches made.
       num_plans, elapsed_s: searches and wall time.
     """
@@ -94,6 +58,7 @@ class TargetFit:
     alone: pd.DataFrame
     conflicts: tuple[tuple[str, str], ...]
     is_met: bool
+    is_in_budget: bool
     curve: pd.DataFrame
     num_plans: int
     elapsed_s: float
@@ -109,9 +74,13 @@ class TargetFit:
         said = f"Not all wishes can be met; the best trade-off found misses {missed}."
         if self.conflicts:
             said += " These conflict: " + "; ".join(f"{one} with {other}" for one, other in self.conflicts) + "."
+        elif self.alone["is_met"].all():
+            said += " Each two of them can be met together, but not all."
         for wish, row in self.alone.iterrows():
             if not row.is_met:
                 said += f" Even alone, {wish} was not reached: at best {row.reached:.4g}."
+        if not self.is_in_budget:
+            said += " The budget ended the search: a larger one may find better."
         return said
 
 
@@ -120,18 +89,21 @@ def fit_targets(
     wishes: Sequence[Wish],
     *,
     start: Weights | None = None,
-    max_rounds: int = 8,
+    max_rounds: int = 20,
     seed: int = 0,
     budget_s: float = np.inf,
     workers: int | None = None,
+    state_file: str | Path | None = None,
+    on_round: Callable[[pd.DataFrame], None] | None = None,
 ) -> TargetFit:
     """Return weights under which planned routes are as wished, or the best trade-off and which wishes conflict.
 
     The sum of squared misses (each as a share of its bound) is brought down by gradient in log weights, through
-    the perturbed planner over the routes found so far (`perturbed.known_route_sums`), from several starts and with
-    noise that shrinks. Routes under the best weights are then planned without noise, and more around them, until
-    nothing new turns up; the best weights by planned routes are returned. If they miss, each wish is tried
-    alone, and then each pair of those that can be met. Not met is not proven unreachable: it is the best found.
+    the perturbed planner over the routes found so far (`perturbed.known_route_sums`), with noise that shrinks, from
+    the best of many random weights. Routes under the best weights are then planned without noise, and more
+    around them, until three rounds better nothing; the best weights by planned routes are returned. If they miss,
+    each wish is tried alone, and then each pair of those that can be met. Not met is not proven unreachable: it is
+    the best found.
 
     Args:
       queries: from several maps if liked.
@@ -141,6 +113,9 @@ def fit_targets(
       seed: of the noise.
       budget_s: seconds for everything; what was found by then is returned.
       workers: threads of search.
+      state_file: searches are kept in it; a fit of the same queries, wishes and settings goes on from it, to the
+        same weights, bit for bit, as if it had not stopped.
+      on_round: is told the curve after every round, of whichever wishes are tried.
 
     Raises:
       InputError: no queries or wishes, a wish for a metric that the maps lack, or a wrong setting.
@@ -152,16 +127,32 @@ def fit_targets(
     for wish in wishes:
         metric = {"people": "population"}.get(wish.outcome, wish.outcome.removeprefix("mean_"))
         if metric in METRICS and metric not in names:
-            raise InputError(f"wish {str(wish)!r}: these maps hold no {metric}")
-    pool = RoutePool(queries, workers=workers)
+            raise InputError(f"wish {str(wish)!r}: {metric} is not among the metrics, {', '.join(names[1:])}")
+    if not (max_rounds >= 1 and budget_s > 0 and seed >= 0):
+        raise InputError(
+            f"max_rounds must be >= 1, budget_s > 0 and seed >= 0, got {max_rounds}, {budget_s} and {seed}"
+        )
+    settings = {
+        "fit": "targets",
+        "wishes": [str(wish) for wish in wishes],
+        "seed": seed,
+        "max_rounds": max_rounds,
+        "start": None if start is None else [float(getattr(start, name)) for name in names],
+        "of": fingerprint(queries),
+    }
+    pool = RoutePool(queries, workers=workers, journal=None if state_file is None else Journal(state_file, settings))
     only_distance = np.eye(len(names))[0]
     shortest = pool.cheapest(np.broadcast_to(only_distance, (len(queries), 1, len(names))))[:, :, 0]
     shortest_sums = np.concatenate(shortest, axis=-1)
     if start is None:
-        first = 1 / np.maximum(shortest[0].mean(axis=0), 1e-9)
+        first = 1 / feature_units(queries, shortest[0])
     else:
         first = np.maximum([float(getattr(start, name)) for name in names], 1e-6)
-    search = _Search(pool, names, shortest_sums, np.log(first / first.sum()), max_rounds, seed, begin_s + budget_s)
+    log_first = np.log(first / first.sum())
+    search = _Search(
+        pool, names, tuple(wishes), shortest_sums, log_first, max_rounds, seed, begin_s + budget_s, on_round
+    )
+    search.explore()
     with jax.enable_x64(True):
         best = search.run(wishes)
         is_met = bool(np.all(best.missed <= MET))
@@ -173,42 +164,20 @@ def fit_targets(
                 both = best if len(wishes) == 2 else search.run(pair)
                 if max(both.missed_by(wish) for wish in pair) > MET:
                     conflicts.append((str(pair[0]), str(pair[1])))
-    weights = np.exp(best.log_weights)
-    weights /= weights.sum()
+        outcomes = [wish.outcome for wish in wishes]
+        at_shortest = np.asarray(outcome_values(shortest_sums, shortest_sums, names, outcomes))
     return TargetFit(
         names=names,
-        weights=Weights(
-            **dict.fromkeys(Weights.__dataclass_fields__, 0.0) | dict(zip(names, weights.tolist(), strict=True))
-        ),
-        outcomes=_outcome_table(wishes, dict.fromkeys(wishes, best)),
-        alone=_outcome_table(wishes, single),
+        weights=weights_from(names, np.exp(best.log_weights) / np.exp(best.log_weights).sum()),
+        outcomes=_outcome_table(wishes, dict.fromkeys(wishes, best), at_shortest),
+        alone=_outcome_table(wishes, single, at_shortest),
         conflicts=tuple(conflicts),
         is_met=is_met,
         curve=pd.DataFrame(best.rows),
+        is_in_budget=time.perf_counter() - begin_s <= budget_s,
         num_plans=pool.num_plans,
         elapsed_s=time.perf_counter() - begin_s,
     )
-
-
-def outcome_values(
-    sums: Float[AnyArray, "Q J"], shortest: Float[AnyArray, "Q J"], names: Sequence[str], outcomes: Sequence[str]
-) -> Float[Array, " N"]:
-    """Return outcomes of routes from their features and integrals ``[Q, 2 K]``, beside the shortest routes' sums."""
-    num = len(names)
-    length, base = sums[:, num], shortest[:, num]
-    values = []
-    for outcome in outcomes:
-        if outcome == "detour":
-            values.append(jnp.mean(length / base) - 1)
-        elif outcome == "length_m":
-            values.append(jnp.mean(length))
-        elif outcome == "people":
-            column = num + list(names).index("population")
-            values.append(jnp.sum(sums[:, column]) / jnp.maximum(jnp.sum(shortest[:, column]), 1e-9))
-        else:
-            column = num + list(names).index(outcome.removeprefix("mean_"))
-            values.append(jnp.mean(sums[:, column] / length))
-    return jnp.stack(values)
 
 
 @dataclass(frozen=True, eq=False)
@@ -227,49 +196,57 @@ class _Found:
 
 @dataclass(frozen=True, eq=False)
 class _Search:
-    """What searches for different wishes share: above all the routes that they find."""
+    """What searches for different wishes share: the routes that they find, and compiled code."""
 
     pool: RoutePool
     names: tuple[str, ...]
+    wishes: tuple[Wish, ...]
     shortest: np.ndarray
     log_start: np.ndarray
     max_rounds: int
     seed: int
     end_s: float
+    on_round: Callable[[pd.DataFrame], None] | None
 
     def run(self, wishes: Sequence[Wish]) -> _Found:
-        """Return the best weights for some wishes."""
-        bounds = _Bounds.of(wishes)
-        outcomes = tuple(wish.outcome for wish in wishes)
+        """Return the best weights for some of the wishes; the others count as met."""
+        bounds = _Bounds.of(self.wishes, wishes)
+        outcomes = tuple(wish.outcome for wish in self.wishes)
         rng = np.random.default_rng(self.seed)
         drawn = jnp.asarray(draw_pairs(self.seed, NUM_NOISE, len(self.names)))
         best: _Found | None = None
         rows: list[dict] = []
         for number in range(self.max_rounds):
-            starts = np.array([self.log_start, *self._corners(), *([] if best is None else [best.log_weights])])
             features, sums = self.pool.features, np.concatenate([self.pool.features, self.pool.integrals], axis=-1)
             setting = (jnp.asarray(features), jnp.asarray(sums), drawn)
-            ended, misses = _descend(jnp.asarray(starts), bounds, setting, self.shortest, self.names, outcomes)
-            tried = np.asarray(ended)[np.argsort(np.asarray(misses))[:NUM_TRIED]]
-            for log_weights in tried:
+            about = self.log_start if best is None else best.log_weights
+            spread = FAR_SPREAD * np.geomspace(1.0, NEAR_SPREAD / FAR_SPREAD, NUM_CANDIDATES)[:, None]
+            anywhere = about + spread * rng.normal(size=(NUM_CANDIDATES, len(about)))
+            candidates = np.array([about, self.log_start, *self._corners(), *anywhere])
+            misses = _known_misses(jnp.asarray(candidates), bounds, setting, self.shortest, self.names, outcomes)
+            starts = candidates[np.argsort(np.asarray(misses), kind="stable")[:NUM_STARTS]]
+            ended = np.asarray(_descend(jnp.asarray(starts), bounds, setting, self.shortest, self.names, outcomes))
+            tried = np.concatenate([ended, starts])
+            misses = _known_misses(jnp.asarray(tried), bounds, setting, self.shortest, self.names, outcomes)
+            for log_weights in tried[np.argsort(np.asarray(misses), kind="stable")[:NUM_TRIED]]:
                 reached = self._planned(log_weights, outcomes)
                 missed = np.asarray(bounds.missed(jnp.asarray(reached)))
                 if best is None or np.sum(missed**2) < np.sum(best.missed**2):
-                    best = _Found(tuple(wishes), log_weights, reached, missed, rows)
+                    best = _Found(self.wishes, log_weights, reached, missed, rows)
             assert best is not None
             rows.append(
                 {"round": number + 1, "loss": float(np.sum(best.missed**2)), "num_plans": self.pool.num_plans}
-                | dict(zip(map(str, wishes), best.reached.tolist(), strict=True))
+                | dict(zip(map(str, self.wishes), best.reached.tolist(), strict=True))
             )
-            known = self.pool.num_routes
-            if not np.any(best.missed) or time.perf_counter() > self.end_s:
+            if self.on_round:
+                self.on_round(pd.DataFrame(rows))
+            is_stuck = number >= PATIENCE and rows[-1]["loss"] >= rows[-1 - PATIENCE]["loss"]
+            if not np.any(best.missed) or is_stuck or time.perf_counter() > self.end_s:
                 break
-            near = best.log_weights + rng.normal(size=(NUM_PROBES, len(self.names))) * PROBE_NOISE
+            wide = np.geomspace(*PROBE_NOISE, NUM_PROBES)[:, None]
+            near = best.log_weights + wide * rng.normal(size=(NUM_PROBES, len(self.names)))
             self.pool.cheapest(np.broadcast_to(np.exp(near), (len(self.shortest), *near.shape)))
-            if self.pool.num_routes == known:
-                break
-        if best is None:
-            raise InputError(f"max_rounds must be at least 1, got {self.max_rounds}")
+        assert best is not None
         return best
 
     def explore(self) -> None:
@@ -293,18 +270,18 @@ class _Search:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class _Bounds:
-    """Wishes as arrays ``[N]``: the bound, +1 for at least and -1 for at most, and the size of the bound."""
+    """Wishes as arrays ``[N]``: the bound, +1 (at least), -1 (at most) or 0 (not now), and the size of the bound."""
 
     bound: Array
     sign: Array
     size: Array
 
     @classmethod
-    def of(cls, wishes: Sequence[Wish]) -> "_Bounds":
+    def of(cls, wishes: Sequence[Wish], active: Sequence[Wish]) -> "_Bounds":
         bound = jnp.array([wish.value for wish in wishes])
         return cls(
             bound,
-            jnp.array([1.0 if wish.sense == ">=" else -1.0 for wish in wishes]),
+            jnp.array([float(wish in active) * (1.0 if wish.sense == ">=" else -1.0) for wish in wishes]),
             jnp.maximum(jnp.abs(bound), 1e-3),
         )
 
@@ -314,8 +291,8 @@ class _Bounds:
 
 
 @partial(jax.jit, static_argnames=("names", "outcomes"))
-def _descend(starts, bounds: _Bounds, setting, shortest, names, outcomes) -> tuple[Array, Array]:
-    """Return log weights ``[S, K]`` after descents from each start over known routes, and the squared misses there."""
+def _descend(starts, bounds: _Bounds, setting, shortest, names, outcomes) -> Array:
+    """Return log weights ``[S, K]`` after descents from each start over known routes."""
     features, sums, drawn = setting
     optimiser = optax.adam(optax.exponential_decay(FIRST_RATE, NUM_STEPS, LAST_RATE / FIRST_RATE))
 
@@ -332,16 +309,30 @@ def _descend(starts, bounds: _Bounds, setting, shortest, names, outcomes) -> tup
 
         noises = jnp.geomspace(FIRST_NOISE, LAST_NOISE, NUM_STEPS)
         (ended, _), _ = jax.lax.scan(step, (start, optimiser.init(start)), noises)
-        return ended, squared(ended, noises[-1] * 1e-3)
+        return ended
 
     return jax.lax.map(descend, starts)
 
 
-def _outcome_table(wishes: Sequence[Wish], found: dict[Wish, _Found]) -> pd.DataFrame:
+@partial(jax.jit, static_argnames=("names", "outcomes"))
+def _known_misses(candidates, bounds: _Bounds, setting, shortest, names, outcomes) -> Array:
+    """Return ``[S]`` the squared misses of the cheapest known routes under log weights ``[S, K]``."""
+    features, sums, _ = setting
+
+    def squared(log_weights):
+        cheapest = jnp.argmin(features @ jnp.exp(log_weights), axis=-1)
+        chosen = jnp.take_along_axis(sums, cheapest[:, None, None], axis=1)[:, 0]
+        return jnp.sum(bounds.missed(outcome_values(chosen, shortest, names, outcomes)) ** 2)
+
+    return jax.lax.map(squared, candidates, batch_size=64)
+
+
+def _outcome_table(wishes: Sequence[Wish], found: dict[Wish, _Found], at_shortest: np.ndarray) -> pd.DataFrame:
     rows = [(found[wish].reached[found[wish].wishes.index(wish)], found[wish].missed_by(wish)) for wish in wishes]
     return pd.DataFrame(
         {
             "wished": [wish.value for wish in wishes],
+            "shortest": at_shortest,
             "reached": [reached for reached, _ in rows],
             "missed_by": [missed for _, missed in rows],
             "is_met": [missed <= MET for _, missed in rows],

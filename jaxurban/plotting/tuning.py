@@ -1,0 +1,232 @@
+"""Pictures of fitted weights: how sure they are, how the fit went, and what routes they lead to."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.axis import Axis
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
+
+from jaxurban.planners.base import Cell
+from jaxurban.plotting.frame import FAINT_INK, INK, SMALL_PT, TEXT_PT, Layer, add_key, draw_layers, make_frame
+from jaxurban.plotting.metrics import GPS_COLOUR, LIDAR_COLOUR, colour_map, frame_note, obstacle_layer, obstacle_patches
+from jaxurban.plotting.paths import BLOCKED_COLOUR
+from jaxurban.studies.compare import Comparison
+from jaxurban.studies.imitation import WeightFit
+from jaxurban.studies.targets import TargetFit
+from jaxurban.weighted import WeightedMap
+
+COLOURS = {"distance": "#555555", "gps": GPS_COLOUR, "lidar": LIDAR_COLOUR, "population": "#cc79a7", "risk": "#009e73"}
+EXAMPLE_COLOUR, PLANNED_COLOUR, SHORTEST_COLOUR = "#f0a030", "#0b4f9e", "#999999"
+PALE = 1.6  # the scale goes on so far beyond the map's costs, so that routes stand out
+LEAST_SHOWN = 1e-6  # of a regret or a loss, on logarithmic scales
+WIDTH_IN = 9.0
+
+
+def plot_weights(fit: WeightFit | TargetFit, units: Sequence[str]) -> Figure:
+    """Return each fitted weight with its interval, and what share of the examples' cost it makes up.
+
+    Args:
+      fit: from `fit_weights`, or from `fit_targets`, which has neither intervals nor shares.
+      units: a unit for each weight.
+    """
+    values = np.array([float(getattr(fit.weights, name)) for name in fit.names])
+    low, high = fit.interval if isinstance(fit, WeightFit) else np.full((2, len(values)), np.nan)
+    has_interval = bool(np.isfinite(low).all())
+    subtitle = "bars: 5 to 95 % of resampled fits, and all weights that explain the examples as well"
+    figure = _figure(0.75 + 0.55 * len(values), "Fitted weights", subtitle if has_interval else "")
+    is_imitation = isinstance(fit, WeightFit)
+    axes = figure.subplots(1, 2, width_ratios=(1.6, 1))[:] if is_imitation else np.array([figure.subplots()])
+    figure.subplots_adjust(left=0.2, right=0.97, wspace=0.1)
+    places = np.arange(len(values))[::-1]
+    is_shown = values > 0
+    ends = np.concatenate([values[is_shown], high[np.isfinite(high)], np.maximum(low, values / 100)[np.isfinite(low)]])
+    ends = ends[ends > 0]
+    least, most = ends.min() / 1.6, ends.max() * 1.6
+    for place, name, value, *interval in zip(places, fit.names, values, low, high, strict=True):
+        if value == 0:
+            axes[0].text(least * 1.1, place, "0 (cannot be identified)", va="center", size=SMALL_PT, color=FAINT_INK)
+            continue
+        if has_interval:
+            axes[0].plot(np.clip(interval, least, most), [place] * 2, color=COLOURS[name], linewidth=5, alpha=0.35)
+        axes[0].plot(value, place, "o", color=COLOURS[name], markersize=6)
+        axes[0].annotate(f"{value:.3g}", (value, place), (0, 8), textcoords="offset points", ha="center", size=SMALL_PT)
+    axes[0].set(xscale="log", xlim=(least, most), ylim=(-0.5, len(values) - 0.4), xlabel="weight (each in its unit)")
+    axes[0].set_yticks(places, [f"{name}\n({unit})" for name, unit in zip(fit.names, units, strict=True)])
+    _plain_log(axes[0].xaxis)
+    if isinstance(fit, WeightFit):
+        axes[1].barh(places, 100 * fit.shares, color=[COLOURS[name] for name in fit.names], height=0.55)
+        for place, share in zip(places, fit.shares, strict=True):
+            axes[1].text(100 * share + 1.0, place, f"{100 * share:.2g}", va="center", size=SMALL_PT)
+        axes[1].set(xlabel="share of the examples' cost (%)", ylim=axes[0].get_ylim(), yticks=[])
+        axes[1].set_xlim(0, 115 * float(fit.shares.max()))
+    return _dressed(figure)
+
+
+def plot_learning(fit: WeightFit | TargetFit) -> Figure:
+    """Return the fit's course by round, and, of imitation, what fewer examples would have given."""
+    curve = fit.curve
+    figure = _figure(3.4, "Learning curves", f"{fit.num_plans:,} searches; rounds: {len(curve)}")
+    by_examples = fit.by_examples if isinstance(fit, WeightFit) else pd.DataFrame()
+    panels = figure.subplots(1, 3 if len(by_examples) else 2)
+    figure.subplots_adjust(left=0.08, right=0.985, wspace=0.36)
+    for name, colour, label in (
+        ("mean_regret", PLANNED_COLOUR, "mean regret of examples"),
+        ("worst_gap", SHORTEST_COLOUR, "largest gain by a new route"),
+        ("loss", EXAMPLE_COLOUR, "loss"),
+    ):
+        if name in curve:
+            shown = np.maximum(curve[name], LEAST_SHOWN)
+            panels[0].plot(curve["round"], shown, "o-", color=colour, markersize=3, linewidth=1.2, label=label)
+    panels[0].set(yscale="log", xlabel="round", ylabel="share of the cost" if "noise" in curve else "squared misses")
+    _plain_log(panels[0].yaxis)
+    if "noise" in curve:
+        for name in (name for name in fit.names if curve[name].any()):
+            ratio = curve[name] / curve[name].iloc[-1]
+            panels[1].plot(curve["round"], ratio, "o-", color=COLOURS[name], markersize=3, linewidth=1.2, label=name)
+        panels[1].set(yscale="log", xlabel="round", ylabel="weight / its last value")
+        _plain_log(panels[1].yaxis)
+    else:
+        for wish, row in fit.outcomes.iterrows() if isinstance(fit, TargetFit) else ():
+            ratio = curve[wish] / row.wished if row.wished else curve[wish]
+            panels[1].plot(curve["round"], ratio, "o-", markersize=3, linewidth=1.2, label=wish)
+        panels[1].axhline(1.0, color=FAINT_INK, linewidth=0.6)
+        panels[1].set(xlabel="round", ylabel="outcome / its bound")
+    if len(by_examples):
+        for name, style, label in (("held_out_regret", "o-", "mean"), ("worst_held_out_regret", "o:", "worst of 8")):
+            shown = np.maximum(100 * by_examples[name], 100 * LEAST_SHOWN)
+            panels[2].plot(by_examples["num_examples"], shown, style, color=PLANNED_COLOUR, markersize=3, label=label)
+        panels[2].set(yscale="log", xlabel="examples fitted", ylabel="regret of the others (%)")
+        panels[2].set_xscale("log", base=2)
+        panels[2].set_xticks(by_examples["num_examples"], [f"{num}" for num in by_examples["num_examples"]])
+    for panel in panels:
+        panel.legend(fontsize=SMALL_PT - 0.5, frameon=False)
+        if panel is not panels[-1] or not len(by_examples):
+            panel.xaxis.set_major_locator(MaxNLocator(integer=True))
+            panel.set_xlim(0.5, len(curve) + 0.5)
+    return _dressed(figure)
+
+
+def plot_regret(fit: WeightFit, names: Sequence[str]) -> Figure:
+    """Return by how much each example is costlier than the cheapest route, coloured by how far it was trusted."""
+    note = f"mean {100 * fit.regret.mean():.3g} %; at best, under any weights, {100 * fit.best_mean_regret:.3g} %"
+    figure = _figure(3.2, "Regret of each example: its cost above the cheapest route's", note)
+    panel = figure.subplots()
+    figure.subplots_adjust(left=0.08, right=0.95)
+    norm, cmap = Normalize(-0.25, 1), colour_map("Blues")  # what is not trusted is pale
+    places = np.arange(1, len(names) + 1)
+    panel.bar(places, 100 * fit.regret, color=cmap(norm(fit.trust)), edgecolor=FAINT_INK, linewidth=0.3)
+    top = 100 * max(float(fit.regret.max()), LEAST_SHOWN)
+    panel.set(ylabel="regret (%)", xlabel="example", xlim=(0.2, len(names) + 0.8), ylim=(-0.02 * top, 1.1 * top))
+    if len(names) <= 40:
+        panel.set_xticks(places, [name[:12] for name in names])
+        if max(map(len, names)) > 3:
+            panel.tick_params(axis="x", rotation=60)
+    bar = figure.colorbar(ScalarMappable(norm, cmap), ax=panel, pad=0.015, fraction=0.03, ticks=[0, 0.5, 1])
+    bar.ax.set_ylim(0, 1)
+    bar.set_label("trust (1: full)", size=SMALL_PT)
+    return _dressed(figure)
+
+
+def plot_targets(fit: TargetFit) -> Figure:
+    """Return for each wish its bound, and what the shortest routes, the fit, and the wish alone reach."""
+    figure = _figure(0.9 + 0.75 * len(fit.outcomes), "Wishes and outcomes", "green: where the wish is met")
+    panels = figure.subplots(len(fit.outcomes), 1, squeeze=False)[:, 0]
+    figure.subplots_adjust(left=0.2, right=0.78, hspace=1.1)
+    rows = zip(panels, fit.outcomes.iterrows(), fit.alone["reached"], strict=True)
+    for panel, (wish, row), alone in rows:
+        marks = (
+            ("shortest routes", row.shortest, "s", SHORTEST_COLOUR),
+            ("wished for alone", alone, "D", EXAMPLE_COLOUR),
+            ("all wishes together", row.reached, "o", PLANNED_COLOUR),
+        )
+        shown = np.array([row.wished, *(value for _, value, _, _ in marks)])
+        pad = 0.12 * max(float(np.ptp(shown)), 0.05 * abs(row.wished), 1e-6)
+        low, high = shown.min() - pad, shown.max() + pad
+        panel.axvspan(*((row.wished, high) if ">=" in str(wish) else (low, row.wished)), color="#d9efdc", linewidth=0)
+        panel.axvline(row.wished, color="#2a7a3b", linewidth=1.2, label="bound")
+        for label, value, marker, colour in marks:
+            panel.plot(value, 0, marker, color=colour, markersize=7, label=label, markeredgecolor="white")
+        panel.set(xlim=(low, high), ylim=(-1, 1), yticks=[])
+        panel.set_ylabel(
+            f"{wish}\n{'met' if row.is_met else 'missed'}", rotation=0, ha="right", va="center", labelpad=8
+        )
+    panels[0].legend(loc="upper left", bbox_to_anchor=(1.01, 1.15), fontsize=SMALL_PT, frameon=False)
+    return _dressed(figure)
+
+
+def plot_routes(comparison: Comparison, unit: WeightedMap, weights: np.ndarray) -> Figure:
+    """Return a map of the cost under weights with the examples on it and the routes that the weights lead to.
+
+    Args:
+      comparison: from `compare`.
+      unit: one of its examples' maps; only examples on it are drawn.
+      weights: ``[K]`` distance and the map's metrics.
+    """
+    grid, maps = unit.grid, unit.maps
+    shown = [k for k, example in enumerate(comparison.examples) if example.query.unit is unit]
+    title = " · ".join(filter(None, (f"{unit.altitude_m:g} m", unit.time_of_day)))
+    overlap = comparison.table["overlap"].iloc[shown].mean()
+    note = f"{frame_note(maps, unit.time)}  ·  {100 * overlap:.0f} % of the examples' cells shared"
+    frame = make_frame(grid, [title], "Example routes and routes under the fitted weights", note)
+    cost = np.einsum("l,lyx->yx", weights[1:], unit.layers)
+    free = cost[unit.is_free]
+    least, most = float(free.min()), float(np.percentile(free, 99))
+    norm = Normalize(least, least + max(PALE * (most - least), 1e-12))
+    layers = [
+        Layer(np.where(unit.is_free, cost, np.nan), colour_map("gray_r"), norm),
+        obstacle_layer(maps, unit.altitude_m, BLOCKED_COLOUR),
+    ]
+    panel = frame.axes[0]
+    draw_layers(panel, grid, layers)
+    corner = np.array([grid.x_min_m, grid.y_min_m])
+    for routes, colour, width, order in (
+        (comparison.examples, EXAMPLE_COLOUR, 3.4, 3),
+        (comparison.planned, PLANNED_COLOUR, 1.1, 4),
+    ):
+        for k in shown:
+            panel.plot(*(routes[k].points_m + corner).T, color=colour, linewidth=width, zorder=order, alpha=0.95)
+    for k in shown:
+        query = comparison.examples[k].query
+        _draw_end(panel, unit, query.start, "o", 4.0)
+        _draw_end(panel, unit, query.goal, "*", 7.5)
+    patches = [("example", EXAMPLE_COLOUR), ("fitted weights", PLANNED_COLOUR), *obstacle_patches(maps, BLOCKED_COLOUR)]
+    add_key(frame, patches, (colour_map("gray_r"), norm), "cost of a cell\nunder the weights", extend="max")
+    return frame.figure
+
+
+def _draw_end(panel: Axes, unit: WeightedMap, cell: Cell, marker: str, size: float) -> None:
+    x_m, y_m = unit.grid.xy_of_cell(*cell)
+    panel.plot(x_m, y_m, marker, markersize=size, markerfacecolor="white", markeredgecolor="black", zorder=6)
+
+
+def _figure(height_in: float, heading: str, note: str) -> Figure:
+    """Return an empty figure with a heading; ``height_in`` is what is left for its panels."""
+    total_in = height_in + 1.2
+    figure = Figure(figsize=(WIDTH_IN, total_in), facecolor="white")
+    figure.text(0.02, 1 - 0.1 / total_in, heading, va="top", size=12, weight="bold", color=INK)
+    figure.text(0.02, 1 - 0.36 / total_in, note, va="top", size=TEXT_PT, color=FAINT_INK)
+    figure.subplots_adjust(top=1 - 0.68 / total_in, bottom=0.55 / total_in)
+    return figure
+
+
+def _plain_log(axis: Axis) -> None:
+    """Label a logarithmic axis with plain numbers, 1, 2 and 5 times powers of ten; only powers over a wide range."""
+    low, high = axis.get_view_interval()
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < 1e3 * low else (1.0,)))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())
+
+
+def _dressed(figure: Figure) -> Figure:
+    for panel in figure.axes:
+        panel.tick_params(labelsize=SMALL_PT, length=3, color=FAINT_INK)
+        panel.xaxis.label.set_fontsize(SMALL_PT)
+        panel.yaxis.label.set_fontsize(SMALL_PT)
+        for spine in panel.spines.values():
+            spine.set(linewidth=0.6, color=FAINT_INK)
+    return figure

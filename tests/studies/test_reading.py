@@ -1,0 +1,118 @@
+"""Examples from files and from planned paths: taken as they are where they can be, refused in one sentence else."""
+
+import json
+
+import numpy as np
+import pytest
+
+import jaxurban as ju
+from jaxurban.errors import InputError
+from jaxurban.io.export import write_path
+from jaxurban.studies.examples import example_from_line, optimal_examples
+from jaxurban.studies.pool import RoutePool
+from jaxurban.studies.queries import check_alike, unit_map
+from tests.studies.routes_made import HIDDEN, made_queries, small_maps, write_geojson
+
+
+@pytest.fixture(scope="module")
+def maps():
+    return small_maps()
+
+
+@pytest.fixture(scope="module")
+def examples(maps):
+    return optimal_examples(made_queries(unit_map(maps, 20.0), 4), HIDDEN)
+
+
+def test_routes_come_back_from_a_file_as_they_were(maps, examples, tmp_path):
+    read = ju.read_examples(write_geojson(tmp_path / "routes.geojson", examples), maps)
+    for one, other in zip(read, examples, strict=True):
+        np.testing.assert_array_equal(one.points_m, other.points_m)
+        np.testing.assert_allclose(one.route.features, other.route.features, rtol=1e-12)
+        assert one.note == ""
+    assert len({id(example.query.unit) for example in read}) == 1
+
+
+def test_planned_paths_are_examples_of_zero_regret(maps, examples, tmp_path):
+    ends = [[maps.grid.xy_of_cell(*cell) for cell in (e.query.start, e.query.goal)] for e in examples]
+    paths = [ju.plan(maps, start_xy_m=a, goal_xy_m=b, altitude_m=20.0, weights=HIDDEN) for a, b in ends]
+    taken = ju.examples_from_paths(paths, maps)
+    cheapest = RoutePool([e.query for e in taken]).cheapest(np.tile(_vector(), (4, 1, 1)))[0, :, 0]
+    for example, path, best in zip(taken, paths, cheapest, strict=True):
+        assert example.route.features @ _vector() == pytest.approx(path.cost)
+        assert best @ _vector() == pytest.approx(path.cost)
+    write_path(paths[0], tmp_path / "path.geojson")
+    (read,) = ju.read_examples(tmp_path / "path.geojson", maps)
+    np.testing.assert_allclose(read.route.features, taken[0].route.features, rtol=1e-12)
+
+
+def test_a_drawn_line_is_followed_on_the_grid_around_obstacles(maps):
+    unit = unit_map(maps, 20.0)
+    grid = unit.grid
+    free = np.argwhere(unit.is_free)
+    a, b = (np.array(grid.xy_of_cell(*map(int, free[k]))) for k in (0, -1))
+    drawn = example_from_line(unit, np.array([a, (a + b) / 2 + 3.0, b]), "drawn")
+    assert unit.evaluate(drawn.points_m).is_valid
+    steps = np.abs(np.diff(drawn.points_m, axis=0)).max(axis=1)
+    np.testing.assert_allclose(steps, grid.resolution_m)
+    straight_m = np.hypot(*(b - a))
+    assert straight_m <= drawn.route.integrals[0] < 1.5 * straight_m
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"altitude_m": None}, "has no altitude"),
+        ({"altitude_m": 33.0}, "20.0, 60.0"),
+        ({"altitude_m": "high"}, "number of metres"),
+        ({"time_of_day": "noon"}, "day, night"),
+    ],
+)
+def test_routes_on_no_map_are_refused(maps, examples, tmp_path, change, words):
+    file = write_geojson(tmp_path / "routes.geojson", examples, **change)
+    with pytest.raises(InputError, match=words):
+        ju.read_examples(file, maps)
+    if change == {"altitude_m": None}:
+        assert len(ju.read_examples(file, maps, altitude_m=60.0)) == 4
+
+
+def test_routes_outside_the_maps_or_nowhere_are_refused(maps, tmp_path):
+    def file(*lonlat):
+        feature = {"type": "Feature", "properties": {}, "geometry": {"type": "LineString", "coordinates": lonlat}}
+        (tmp_path / "line.geojson").write_text(json.dumps({"type": "FeatureCollection", "features": [feature]}))
+        return tmp_path / "line.geojson"
+
+    with pytest.raises(InputError, match="leaves the maps"):
+        ju.read_examples(file((-10.0, 40.0), (-10.1, 40.0)), maps, 60.0)
+    row, col = np.argwhere(unit_map(maps, 60.0).is_free)[0]
+    x_m, y_m = maps.grid.xy_of_cell(int(row), int(col))
+    ends = [maps.grid.lonlat_of_xy(x_m + shift, y_m) for shift in (0.0, 2.0)]
+    with pytest.raises(InputError, match="one cell"):
+        ju.read_examples(file(*[tuple(map(float, end)) for end in ends]), maps, 60.0)
+    with pytest.raises(InputError, match="no metric 'gsp'"):
+        ju.read_examples(file((-10.0, 40.0), (-10.1, 40.0)), maps, 60.0, metrics=["gsp"])
+
+
+def test_maps_with_other_units_of_population_are_not_mixed():
+    cities = [small_maps(), small_maps()]
+    for norm, maps in zip((1e4, 2e4), cities, strict=True):
+        maps.ds.attrs["pop_norm_per_km2"] = [norm, norm]
+    queries = [query for maps in cities for query in made_queries(unit_map(maps, 20.0), 2)]
+    with pytest.raises(InputError, match="normalise"):
+        check_alike(queries)
+    chosen = [query for maps in cities for query in made_queries(unit_map(maps, 20.0, metrics=["gps"]), 2)]
+    assert check_alike(chosen) == ("distance", "gps")
+
+
+def test_queries_between_places_name_the_pair_that_is_wrong(maps):
+    unit = unit_map(maps, 20.0)
+    (query,) = made_queries(unit, 1)
+    start, goal = (maps.grid.lonlat_of_cell(*cell) for cell in (query.start, query.goal))
+    (made,) = ju.make_queries(unit, [(start, goal)])
+    assert (made.start, made.goal) == (query.start, query.goal)
+    with pytest.raises(InputError, match="pair 2"):
+        ju.make_queries(unit, [(start, goal), (start, (0.0, 0.0))])
+
+
+def _vector() -> np.ndarray:
+    return np.array([HIDDEN.distance, HIDDEN.gps, HIDDEN.lidar, HIDDEN.population, HIDDEN.risk])
