@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from jaxurban.answers import PlannedPaths as PlannedPaths
     from jaxurban.build import build_maps as build_maps
+    from jaxurban.case_study import study as study
     from jaxurban.city import City as City
     from jaxurban.cost import Weights as Weights
     from jaxurban.demo import demo_city as demo_city
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from jaxurban.scenario import Scenario as Scenario
     from jaxurban.sensitivity_report import save_sensitivity as save_sensitivity
     from jaxurban.studies.sensitivity import sensitivity as sensitivity
+    from jaxurban.studies.sampling import sample_instances as sample_instances
     from jaxurban.volume import plan_volume as plan_volume
     from jaxurban.weighted import WeightedMap as WeightedMap
     from jaxurban.weighted import weigh as weigh
@@ -31,6 +33,7 @@ if TYPE_CHECKING:
 # line must answer, to --help and to Ctrl-C, before that.
 _HOMES = {
     "build_maps": "build",
+    "study": "case_study",
     "City": "city",
     "Weights": "cost",
     "demo_city": "demo",
@@ -49,6 +52,7 @@ _HOMES = {
     "Scenario": "scenario",
     "save_sensitivity": "sensitivity_report",
     "sensitivity": "studies.sensitivity",
+    "sample_instances": "studies.sampling",
     "plan_volume": "volume",
     "WeightedMap": "weighted",
     "weigh": "weighted",

@@ -19,6 +19,7 @@ from jaxurban.commands.demo import demo
 from jaxurban.commands.maps import maps
 from jaxurban.commands.plan import plan
 from jaxurban.commands.sensitivity import sensitivity
+from jaxurban.commands.study import study
 from jaxurban.errors import InputError
 
 EXIT_BAD_INPUT, EXIT_INTERRUPTED = 2, 130
@@ -30,7 +31,7 @@ def app() -> None:
     """Metric maps for small drones over cities, and paths planned on them."""
 
 
-for command in (demo, maps, plan, sensitivity):
+for command in (demo, maps, plan, sensitivity, study):
     app.add_command(command)
 
 
