@@ -2,7 +2,7 @@
 
 import sys
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -94,28 +94,34 @@ def solve(
 def solve_on(
     client: Any, tasks: Sequence[Task], source: Source, settings: Settings
 ) -> Iterator[tuple[Task, list[dict[str, Any]]]]:
-    """Yield tasks that a Dask cluster has done. A worker killed thrice over a task costs that task's rows alone."""
+    """Yield tasks that a Dask cluster has done. A run that kills its workers again and again costs its own row alone.
+
+    Dask blames every task that a killed worker held. Those it gives up are asked once more at the end, run by run, each
+    alone on the cluster, so that only the guilty one is a crash.
+    """
     from distributed import KilledWorker, as_completed
 
-    def submit(some: Iterable[Task]) -> dict[Any, Task]:
-        return {client.submit(_put_in_worker, source, settings, task, pure=False): task for task in some}
+    def submit(task: Task) -> Any:
+        return client.submit(_put_in_worker, source, settings, task, pure=False)
 
-    waiting = submit(tasks)
-    done = as_completed(list(waiting))
-    for future in done:
+    waiting = {submit(task): task for task in tasks}
+    suspects: list[Task] = []
+    for future in as_completed(list(waiting)):
         task = waiting.pop(future)
         try:
             rows = future.result()
         except KilledWorker:
-            if len(task.runs) > 1:  # one of its planners is to blame: ask them one by one
-                again = submit(replace(task, runs=(run,)) for run in task.runs)
-                waiting |= again
-                done.update(list(again))
-                continue
+            suspects += [replace(task, runs=(run,)) for run in task.runs]
+            continue
+        future.release()
+        yield task, rows
+    for task in suspects:
+        try:
+            rows = submit(task).result()
+        except KilledWorker:
             head = {name: task.instance[name] for name in KEY}
             note = "Its worker process was killed again and again, most likely for lack of memory."
-            rows = [row_of(head, run, status=CRASHED, note=note) for run in task.runs]
-        future.release()
+            rows = [row_of(head, task.runs[0], status=CRASHED, note=note)]
         yield task, rows
 
 
