@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from jaxurban.route_report import explain as explain
     from jaxurban.scenario import Scenario as Scenario
     from jaxurban.sensitivity_report import save_sensitivity as save_sensitivity
-    from jaxurban.studies.sensitivity import sensitivity as sensitivity
     from jaxurban.studies.sampling import sample_instances as sample_instances
+    from jaxurban.studies.sensitivity import sensitivity as sensitivity
     from jaxurban.volume import plan_volume as plan_volume
     from jaxurban.weighted import WeightedMap as WeightedMap
     from jaxurban.weighted import weigh as weigh

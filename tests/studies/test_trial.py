@@ -76,6 +76,19 @@ def test_an_iteration_budget_repeats_exactly_but_for_the_time(maps, instances):
     assert any(row["num_samples"] == 300 for row in first)
 
 
+def test_a_row_does_not_depend_on_what_was_asked_before(maps, instances):
+    runs = [Run("astar-plus", "distance"), Run("astar-anytime", "weighted"), Run("astar-plus", "weighted")]
+    used = Ground(maps, 20.0, None, None, FEW_SAMPLES)
+    for _ in range(20):  # more than `landmarks.FEW_QUERIES`
+        put_to(used, instances[0], runs)
+    for again, first in zip(
+        put_to(used, instances[0], runs),
+        put_to(Ground(maps, 20.0, None, None, FEW_SAMPLES), instances[0], runs),
+        strict=True,
+    ):
+        assert again | {"elapsed_s": 0} == first | {"elapsed_s": 0}
+
+
 def crashing(problem, *, budget_s, seed):
     raise RuntimeError("out of ideas")
 
