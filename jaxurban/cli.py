@@ -20,6 +20,7 @@ from jaxurban.commands.fetch import fetch
 from jaxurban.commands.maps import maps
 from jaxurban.commands.plan import plan
 from jaxurban.commands.sensitivity import sensitivity
+from jaxurban.commands.study import study
 from jaxurban.commands.tune import tune
 from jaxurban.errors import InputError
 
@@ -32,7 +33,7 @@ def app() -> None:
     """Metric maps for small drones over cities, and paths planned on them."""
 
 
-for command in (demo, fetch, maps, plan, sensitivity, tune):
+for command in (demo, fetch, maps, plan, sensitivity, study, tune):
     app.add_command(command)
 
 

@@ -266,13 +266,16 @@ class PlanningSettings(_Section):
 
 
 class StudySettings(_Section):
-    """A Monte Carlo study."""
+    """A Monte Carlo study; planners are compared under the line model, which depends on no resolution."""
 
     instances: PositiveInt = 200
     planners: tuple[PlannerName, ...] = PAPER_PLANNERS
+    distance_only: tuple[PlannerName, ...] = ("astar-dist",)  # run for the shortest path too
     altitudes_m: PositiveList | None = None
-    weights: Literal["dirichlet"] | tuple[WeightSettings, ...] = "dirichlet"
+    weights: Literal["dirichlet"] | Annotated[tuple[WeightSettings, ...], Field(min_length=1)] = "dirichlet"
+    cost_model: Literal["cell", "line"] = "line"
     budget_s: Positive = 2.0
+    budget_iterations: PositiveInt | None = None
     seed: Seed = 0
 
 
