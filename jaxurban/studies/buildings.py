@@ -77,58 +77,6 @@ def building_costs(
     Raises:
       InputError: there is no route, or it lies on another grid.
     """
-    region = soft.surface.region
-    if not planned.status.has_path:
-        raise InputError("there is no route, so no building costs it anything: plan one that reaches its goal")
-    if planned.crs != region.crs or planned.settings["resolution_m"] != region.resolution_m:
-        raise InputError(
-            f"the route lies on cells of {planned.settings['resolution_m']:g} m in {planned.crs} and the soft city on "
-            f"cells of {region.resolution_m:g} m in {region.crs}: make both from the same maps"
-        )
-    points_m = planned.xy_m - np.array([region.x_min_m, region.y_min_m])
-    return path_charges(
-        points_m,
-        region.shape,
-        region.resolution_m,
-        planned.settings["cost_model"],
-        planned.settings["reference_length_m"],
-    )
-
-
-def weights_of(planned: PlannedPath) -> Weights:
-    """Return the weights that a route was planned under; 0 for metrics that its maps did not hold."""
-    used: Mapping[str, float] = planned.settings["weights"]
-    return Weights(*(float(used.get(name, 0.0)) for name in ("distance", "gps", "lidar", "population", "risk")))
-
-
-def building_costs(
-    city: City, soft: SoftCity, planned: PlannedPath, params: SoftParams, weights: Weights | None = None
-) -> pd.DataFrame:
-    """Return what one more metre of each building's height costs a route, the costliest building first.
-
-    The route stays where it is: for an optimal route this is also the gradient of the optimal cost, as long as no other
-    route becomes cheaper; for any other planner's route it is the gradient of that route's cost. Costs are those of the
-    soft maps (see docs/gradients/path_cost.md), whose softness says how many metres of clearance count: the exact cost
-    changes by jumps, when a shadow's edge or a lidar beam passes a cell of the route.
-
-    Only buildings with any effect are listed; a negative one means that more height helps (walls are landmarks for the
-    lidar). People do not depend on heights.
-
-    Args:
-      city: from which ``soft`` was made.
-      soft: from `jaxurban.build.soft_city`, at the route's resolution, epoch and time of day.
-      planned: the route.
-      params: altitude and softness, and the metrics' settings.
-      weights: left out, the ones that the route was planned under.
-
-    Returns:
-      A table by ``rank`` of ``building`` (its number in the city), ``per_metre`` (cost per metre of height) and its
-      parts ``gps``, ``lidar`` and ``risk``; ``height_m``, ``origin`` of the height, ``lon``, ``lat`` of a point inside, ``distance_m``
-      from the route to its outline. ``attrs``: the route's ``cost`` on exact maps, its ``soft_cost``, ``softness_m``.
-
-    Raises:
-      InputError: there is no route, or it lies on another grid.
-    """
     assert city.buildings is not None
     charges = route_charges(soft, planned)
     weights = weights or weights_of(planned)
