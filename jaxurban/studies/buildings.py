@@ -69,9 +69,10 @@ def building_costs(
       weights: left out, the ones that the route was planned under.
 
     Returns:
-      A table by ``rank`` of ``building`` (its number in the city), ``per_metre`` (cost per metre of height) and its parts ``gps``,
-      ``lidar`` and ``risk``; ``height_m``, ``origin`` of the height, ``lon``, ``lat`` of a point inside, ``distance_m``
-      from the route to its outline. ``attrs``: the route's ``cost`` on exact maps, its ``soft_cost``, ``softness_m``.
+      A table by ``rank`` of ``building`` (its number in the city), ``per_metre`` (cost per metre of height) and its
+      parts ``gps``, ``lidar`` and ``risk``; ``height_m``, ``origin`` of the height, ``lon``, ``lat`` of a point inside,
+      ``distance_m`` from the route to its outline. ``attrs``: the route's ``cost`` on exact maps, its ``soft_cost``,
+      ``softness_m``.
 
     Raises:
       InputError: there is no route, or it lies on another grid.
