@@ -113,7 +113,10 @@ def imitation_report(fit: WeightFit, comparison: Comparison, asked: Asked) -> st
         "## Warnings",
         _bullets(fit.warnings) or "None.",
         _use(fit, unit),
-        _files(("examples", "each example: regret, trust, what it crosses and what the planned route crosses")),
+        _files(
+            ("examples", "each example: regret, trust, what it crosses and what the planned route crosses"),
+            ("fewer_examples", "the regret of examples left out, by the number of those fitted"),
+        ),
         f"Made by `{asked.command}` in {fit.elapsed_s:.0f} s with {fit.num_plans:,} searches.",
     ]
     return "\n\n".join(sections) + "\n"

@@ -34,6 +34,7 @@ SHARED = ("cost_model", "reference_length_m", "connectivity", "diagonal")  # set
 @click.option("--scale", type=click.Choice(["simplex", "distance"]), help="Weights sum to 1, or distance weighs 1.")
 @click.option("--bootstrap", type=click.IntRange(min=0), help="Fits for the intervals.  [default: 200]")
 @click.option("--rounds", "max_rounds", type=click.IntRange(min=1), help="Of searches, at most.")
+@click.option("--backend", type=click.Choice(["numba", "jax"]), help="Of A*; jax pays on a GPU.  [default: numba]")
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
 @click.option("--budget", "budget_s", type=float, help="Seconds; the round under way is finished.")
 @click.option("--overwrite", is_flag=True, help="Forget a fit of other routes or settings in the output folder.")
@@ -65,7 +66,7 @@ def tune(
     if metrics is not None:
         on_maps["metrics"] = [name.strip() for name in metrics.split(",") if name.strip()]
     of_fit = {"scale": scale, "bootstrap": bootstrap} | {
-        name: given.pop(name) for name in ("max_rounds", "seed", "budget_s")
+        name: given.pop(name) for name in ("max_rounds", "seed", "budget_s", "backend")
     }
     settings = TuneSettings(
         **given,

@@ -4,7 +4,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
@@ -110,6 +110,7 @@ def fit_weights(
     seed: int = 0,
     budget_s: float = np.inf,
     workers: int | None = None,
+    backend: Literal["numba", "jax"] = "numba",
     state_file: str | Path | None = None,
     on_round: Callable[[pd.DataFrame], None] | None = None,
 ) -> WeightFit:
@@ -132,6 +133,7 @@ def fit_weights(
       seed: of all noise.
       budget_s: seconds; the fit ends after the round in which they run out.
       workers: threads of search; a thread a core if left out.
+      backend: of A*: see `RoutePool`.
       state_file: searches are kept in it; a fit of the same examples and settings goes on from it, to the same
         weights, bit for bit, as if it had not stopped.
       on_round: is told the learning curve after every round.
@@ -155,7 +157,7 @@ def fit_weights(
     noise_rounds = min(max_rounds, NOISE_ROUNDS)
     settings = {"fit": "imitation", "seed": seed, "noise_rounds": noise_rounds, "of": fingerprint(queries, demo)}
     journal = None if state_file is None else Journal(state_file, settings)
-    pool = RoutePool(queries, [example.route for example in examples], workers, journal)
+    pool = RoutePool(queries, [example.route for example in examples], workers, journal, backend)
     fit = _Fit(pool, demo, np.where(is_fitted, feature_units(queries, demo), 1.0), is_fitted, seed)
     rows: list[dict[str, Any]] = []
     with jax.enable_x64(True):

@@ -8,16 +8,20 @@ the cheapest is among them.
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from typing import Literal
 
 import numpy as np
 
 from jaxurban.errors import InputError
 from jaxurban.planners.astar import astar
+from jaxurban.planners.base import Path, Problem
+from jaxurban.planners.batch import solve_many
 from jaxurban.studies.journal import Journal
 from jaxurban.studies.queries import Query, RouteFacts, route_facts
 
 SAME = 1e-9  # relative: routes whose features differ by less cost the same under every W
 BLOCK = 64  # routes a query: arrays grow by so many at once, so that compiled code meets few shapes
+TOGETHER = 32  # searches at a time of JAX: each holds a cost map of its own
 NOT_A_ROUTE = 1e12  # features that fill up the arrays: never the cheapest
 
 
@@ -35,6 +39,7 @@ class RoutePool:
         known: Sequence[RouteFacts] | None = None,
         workers: int | None = None,
         journal: Journal | None = None,
+        backend: Literal["numba", "jax"] = "numba",
     ) -> None:
         """Begin with no route.
 
@@ -43,7 +48,14 @@ class RoutePool:
           known: a route of each query to begin with.
           workers: threads of search; one a core if left out.
           journal: answers the searches that it holds, and takes down the others.
+          backend: of A*: ``"numba"``, or ``"jax"`` for many searches together, which pays on a GPU.
+
+        Raises:
+          InputError: another backend.
         """
+        if backend not in ("numba", "jax"):
+            raise InputError(f"backend must be 'numba' or 'jax', got {backend!r}")
+        self._backend = backend
         self.queries = tuple(queries)
         self.num_plans = 0
         self._journal = journal
@@ -97,15 +109,16 @@ class RoutePool:
 
     def _search_all(self, weights: np.ndarray) -> np.ndarray:
         """Return ``[2, Q, M, K]`` as `cheapest` does: the one place where routes are searched for."""
-        jobs = [(query, w) for query, each in enumerate(weights) for w in each]
-        with ThreadPoolExecutor(self._workers) as threads:
-            found = list(threads.map(lambda job: self._search(*job), jobs))
-        return np.moveaxis(np.reshape(found, (*weights.shape[:2], 2, -1)), 2, 0)
-
-    def _search(self, query: int, weights: np.ndarray) -> np.ndarray:
-        asked = self.queries[query]
-        facts = route_facts(asked.unit, cheapest_route(asked, weights))
-        return np.stack([facts.features, facts.integrals])
+        jobs = [(self.queries[query], w) for query, each in enumerate(weights) for w in each]
+        if self._backend == "jax":
+            batches = (jobs[k : k + TOGETHER] for k in range(0, len(jobs), TOGETHER))
+            routes = [route for batch in batches for route in _routes_together(batch)]
+        else:
+            with ThreadPoolExecutor(self._workers) as threads:
+                routes = list(threads.map(lambda job: cheapest_route(*job), jobs))
+        facts = [route_facts(query.unit, route) for (query, _), route in zip(jobs, routes, strict=True)]
+        found = np.array([(each.features, each.integrals) for each in facts])
+        return np.moveaxis(found.reshape(*weights.shape[:2], 2, -1), 2, 0)
 
     def _add(self, query: int, route: np.ndarray) -> None:
         if self._routes[query]:
@@ -116,14 +129,29 @@ class RoutePool:
         self._routes[query].append(np.array(route))
 
 
+def _routes_together(jobs: Sequence[tuple[Query, np.ndarray]]) -> list[np.ndarray]:
+    """Return what `cheapest_route` returns for each query and weights, all searched for at once by JAX."""
+    problems = [_problem(*job) for job in jobs]
+    found = dict(solve_many(problems, planner="astar-dist", backend="jax"))
+    return [_points(query, found[k]) for k, (query, _) in enumerate(jobs)]
+
+
 def cheapest_route(query: Query, weights: np.ndarray) -> np.ndarray:
     """Return ``[N, 2]`` the cheapest route under weights ``[K]``, in metres from the map's southwest corner.
 
     Raises:
       InputError: the query's start and goal are not connected.
     """
-    problem = query.unit.problem.between(query.start, query.goal).reweighted(weights[1:], float(weights[0]))
-    found = astar(problem)
+    return _points(query, astar(_problem(query, weights)))
+
+
+def _problem(query: Query, weights: np.ndarray) -> Problem:
+    return query.unit.problem.between(query.start, query.goal).reweighted(weights[1:], float(weights[0]))
+
+
+def _points(query: Query, found: Path | Exception) -> np.ndarray:
+    if isinstance(found, Exception):
+        raise found
     if not found.status.has_path:
         raise InputError(f"no path joins the ends of route {query.name!r}: leave it out")
     return found.points_m

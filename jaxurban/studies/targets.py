@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Literal
 
 import jax
 import jax.numpy as jnp
@@ -93,6 +94,7 @@ def fit_targets(
     seed: int = 0,
     budget_s: float = np.inf,
     workers: int | None = None,
+    backend: Literal["numba", "jax"] = "numba",
     state_file: str | Path | None = None,
     on_round: Callable[[pd.DataFrame], None] | None = None,
 ) -> TargetFit:
@@ -112,7 +114,8 @@ def fit_targets(
       max_rounds: of searches, for each set of wishes that is tried.
       seed: of the noise.
       budget_s: seconds for everything; what was found by then is returned.
-      workers: threads of search.
+      workers: threads of search; a thread a core if left out.
+      backend: of A*: see `RoutePool`.
       state_file: searches are kept in it; a fit of the same queries, wishes and settings goes on from it, to the
         same weights, bit for bit, as if it had not stopped.
       on_round: is told the curve after every round, of whichever wishes are tried.
@@ -140,7 +143,8 @@ def fit_targets(
         "start": None if start is None else [float(getattr(start, name)) for name in names],
         "of": fingerprint(queries),
     }
-    pool = RoutePool(queries, workers=workers, journal=None if state_file is None else Journal(state_file, settings))
+    journal = None if state_file is None else Journal(state_file, settings)
+    pool = RoutePool(queries, workers=workers, journal=journal, backend=backend)
     only_distance = np.eye(len(names))[0]
     shortest = pool.cheapest(np.broadcast_to(only_distance, (len(queries), 1, len(names))))[:, :, 0]
     shortest_sums = np.concatenate(shortest, axis=-1)

@@ -46,6 +46,16 @@ def test_planned_paths_are_examples_of_zero_regret(maps, examples, tmp_path):
     np.testing.assert_allclose(read.route.features, taken[0].route.features, rtol=1e-12)
 
 
+@pytest.mark.slow
+def test_both_backends_find_routes_of_one_cost(maps, examples):
+    queries = [example.query for example in examples]
+    asked = np.broadcast_to(_vector(), (4, 1, 5))
+    costs = [RoutePool(queries, backend=backend).cheapest(asked)[0] @ _vector() for backend in ("numba", "jax")]
+    np.testing.assert_allclose(costs[0], costs[1], rtol=1e-9)
+    with pytest.raises(InputError, match="backend"):
+        RoutePool(queries, backend="cuda")
+
+
 def test_a_drawn_line_is_followed_on_the_grid_around_obstacles(maps):
     unit = unit_map(maps, 20.0)
     grid = unit.grid
