@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, NullFormatter, PercentFormatter
+from matplotlib.ticker import FuncFormatter, MaxNLocator, NullFormatter, PercentFormatter
 
 from jaxurban.cost import METRICS
 from jaxurban.maps import MetricMaps
@@ -107,6 +107,7 @@ def plot_costs(table: pd.DataFrame) -> Figure:
             panel.step(*ends, where="post", color=colours[planner], label=planner, linewidth=1.6)
         panel.set(xlim=(1 - 0.01 * (end - 1), end), ylim=(0, 1.02))
         panel.set_xlabel("cost / cheapest known", size=SMALL_PT)
+        panel.xaxis.set_major_locator(MaxNLocator(5, prune="upper"))
         panel.set_title(f"{altitude_m:g} m", size=TEXT_PT, loc="left")
         panel.yaxis.set_major_formatter(PercentFormatter(1.0))
     _legend(figure, axes)
