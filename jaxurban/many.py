@@ -1,6 +1,7 @@
 """plan_many: thousands of queries over metric maps, none of which is lost once it is done."""
 
 import hashlib
+import inspect
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import closing
@@ -14,17 +15,18 @@ from tqdm import tqdm
 
 from jaxurban.answers import BAD_INPUT, CRASHED, NOT_RUN, Answer, AnswerBook, PlannedPaths
 from jaxurban.cost import Weights
-from jaxurban.errors import InputError
+from jaxurban.errors import InputError, nearest_name
 from jaxurban.maps import MetricMaps
 from jaxurban.planned import PlannedPath
 from jaxurban.planners.base import Path
 from jaxurban.planners.batch import Backend, solve_many
-from jaxurban.planners.registry import find_planner
+from jaxurban.planners.registry import check_seed, find_planner
 from jaxurban.queries import Point, Query, read_queries
 from jaxurban.weighted import Place, WeightedMap, weigh
 
 HELD_BYTES = 2 * 2**30  # of weighed maps at a time
 BYTES_A_CELL = 160  # of a weighed map: layers, metrics, landmarks
+OPTIONS = tuple(inspect.signature(weigh).parameters)  # of a map, beside those of the batch
 
 
 def plan_many(
@@ -76,6 +78,11 @@ def plan_many(
         ``strict`` any query's fault too.
     """
     find_planner(planner, heuristic)
+    check_seed(seed)
+    if file is not None and (FilePath(file).suffix != ".parquet" or not FilePath(file).parent.is_dir()):
+        raise InputError(f"file {str(file)!r} must end in .parquet and lie in a folder that exists")
+    if unknown := set(map_options) - set(OPTIONS):
+        raise InputError(f"plan_many has no option {min(unknown)!r}{nearest_name(min(unknown), OPTIONS)}")
     asked = read_queries(queries, altitude_m=altitude_m, time=time, time_of_day=time_of_day, weights=weights)
     search = {"planner": planner, "heuristic": heuristic, "backend": backend, "budget_s": budget_s, "seed": seed}
     book = AnswerBook(asked, None if file is None else FilePath(file))
@@ -159,6 +166,8 @@ class _Job:
                     self.book.add(k, Answer(planned.status.value, planned.to_dict()["message"], planned, key))
                 elif self.strict:
                     raise outcome
+                elif isinstance(outcome, InputError):
+                    self.book.add(k, Answer(BAD_INPUT, str(outcome), key=key))
                 else:
                     self.book.add(k, Answer(CRASHED, f"{type(outcome).__name__}: {outcome}", key=key))
                 yield k

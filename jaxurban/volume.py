@@ -187,7 +187,9 @@ def weigh_volume(
         reference_length_m=reference_length_m,
     )
     weights = flat.weights
-    is_weighed = objective == "weighted" and any(getattr(weights, name) > 0 for name in ("distance", *flat.names))
+    climb_cost = float(weights.distance) if climb_cost is None else float(climb_cost)
+    paid = [getattr(weights, name) for name in ("distance", *flat.names)] + [climb_cost, descent_cost]
+    is_weighed = objective == "weighted" and max(paid) > 0
     flat = replace(
         flat,
         is_free=np.ones(flat.is_free.shape, bool),
@@ -207,7 +209,6 @@ def weigh_volume(
     for at_level, z_m in zip(cost, levels_m, strict=True):
         for name in flat.names if is_weighed else ():
             at_level += getattr(weights, name) * metric_cost(name, stack.metric(name, z_m)).astype(np.float64)
-    climb_cost = float(weights.distance) if climb_cost is None else float(climb_cost)
     problem = VolumeProblem(
         cost=cost,
         is_free=is_free,

@@ -15,10 +15,11 @@ from jaxurban.planned import PlannedPath
 from jaxurban.planners.base import Cell, CostModel, Diagonal, Path, Problem
 from jaxurban.planners.evaluate import PathCost, evaluate
 from jaxurban.planners.refine import refine as refine_path
-from jaxurban.planners.registry import find_planner
+from jaxurban.planners.registry import check_seed, find_planner
 from jaxurban.planners.theta import check_line_model
 
 Point = tuple[float, float]
+REFINING_SHARE = 0.25  # of the budget, kept for refinement where it is asked for
 
 
 @dataclass(frozen=True)
@@ -175,6 +176,7 @@ class WeightedMap:
     ) -> PlannedPath:
         """Return a path between two places (arguments and errors as in `jaxurban.plan`)."""
         search = find_planner(planner, heuristic)
+        check_seed(seed)
         ends = (
             self.locate("start", start, start_xy_m, snap=snap),
             self.locate("goal", goal, goal_xy_m, snap=snap),
@@ -182,9 +184,11 @@ class WeightedMap:
         problem = self.problem.between(ends[0].cell, ends[1].cell)
         if refine:
             check_line_model(problem, "refinement")
-        found = search(problem, budget_s=budget_s, seed=seed)
-        if refine and found.status.has_path and budget_s > found.elapsed_s:
-            found = refine_path(problem, found, budget_s=budget_s - found.elapsed_s)
+        # An anytime planner would leave nothing of the budget to refine with.
+        found = search(problem, budget_s=budget_s * (1 - REFINING_SHARE) if refine else budget_s, seed=seed)
+        if refine and found.status.has_path:
+            left_s = budget_s - found.elapsed_s - found.setup_s
+            found = refine_path(problem, found, budget_s=max(left_s, budget_s * REFINING_SHARE / 2))
         return self.finish(found, ends, budget_s=budget_s, seed=seed)
 
     def finish(self, found: Path, ends: tuple[Place, Place], *, budget_s: float, seed: int) -> PlannedPath:
@@ -193,8 +197,10 @@ class WeightedMap:
         notes = (
             [found.note]
             if self.is_weighed or self.objective == "distance"
-            else ["All weights are zero, so every path is as cheap: this is the shortest one."]
+            else ["All weights are zero, so every path is as cheap: the distance was minimised instead."]
         )
+        if self.is_weighed and self.weights.distance == 0 and not found.note and found.status.has_path:
+            notes.append("The distance weighs nothing, so the path may be far longer than it need be.")
         if self.limits and not found.status.has_path:
             share = 1 - self.is_free.sum() / self.maps.is_free(self.altitude_m).sum()
             notes.append(f"Limits were on ({self.limits}): they close {share:.1%} of the cells without an obstacle.")
@@ -225,7 +231,7 @@ class WeightedMap:
                 "time_of_day": self.time_of_day,
                 "limits": self.limits.to_dict(),
                 "resolution_m": grid.resolution_m,
-                "budget_s": budget_s,
+                "budget_s": budget_s if np.isfinite(budget_s) else None,
                 "seed": seed,
             },
             crs=grid.crs,

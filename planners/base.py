@@ -49,9 +49,9 @@ class Status(Enum):
             Status.OPTIMAL: "The path is the cheapest one that this planner's graph holds.",
             Status.FEASIBLE: "A path was found; it is not proven to be the cheapest.",
             Status.BUDGET_FEASIBLE: "The budget ended with a path in hand; a larger one may find a cheaper path.",
-            Status.NO_PATH: "No path joins start and goal at this altitude: fly higher, or move one of them.",
+            Status.NO_PATH: "No path of this planner's graph joins start and goal: fly higher, or move one of them.",
             Status.BLOCKED: "The straight line crosses an obstacle: fly higher, or use a search such as astar-dist.",
-            Status.BUDGET_EMPTY: "The budget ended before a path was found: raise it, or try astar-dist.",
+            Status.BUDGET_EMPTY: "The budget ended before a path was found: raise it, or try astar-anytime.",
         }[self]
 
 

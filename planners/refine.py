@@ -99,7 +99,7 @@ def refine(problem: Problem, path: Path, *, budget_s: float = np.inf, moves: tup
     refined = replace(
         path, status=status, points_m=points_m, cost=best.total, lower_bound=lower_bound, elapsed_s=elapsed_s
     )
-    return _noted(refined, f"Refinement lowered the cost by {1 - best.total / before.total:.2%}.")
+    return _noted(refined, f"Refinement lowered what the search minimises by {1 - best.total / before.total:.2%}.")
 
 
 def smooth_gradient(ground: Ground, layer: jax.Array, xy: np.ndarray) -> np.ndarray:

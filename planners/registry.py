@@ -4,6 +4,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
+import numpy as np
+
 from jaxurban.errors import InputError, nearest_name
 from jaxurban.planners.anytime import astar_anytime
 from jaxurban.planners.astar import astar_dist, astar_plus
@@ -49,6 +51,16 @@ PLANNERS = {
         theta_star, "any-angle search, for the line cost model only", "plus", OFF_GRID_HEURISTICS
     ),
 }
+
+
+def check_seed(seed: int) -> None:
+    """Refuse a seed that no generator of random numbers takes.
+
+    Raises:
+      InputError: it is no whole number, or negative.
+    """
+    if not isinstance(seed, (int, np.integer)) or seed < 0:
+        raise InputError(f"seed must be a whole number >= 0, got {seed!r}")
 
 
 def find_planner(name: str, heuristic: str | None = None) -> Planner:

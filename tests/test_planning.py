@@ -6,6 +6,7 @@ from scipy.ndimage import label
 
 import jaxurban as ju
 from jaxurban.errors import InputError
+from jaxurban.io.export import write_path
 from jaxurban.planners.base import Status
 from jaxurban.planners.registry import PLANNERS
 from tests.free_space import Obstacles
@@ -154,3 +155,27 @@ def test_a_plan_refuses_weights_that_are_no_weights(maps, name, wrong):
     place = maps.grid.xy_of_cell(*np.argwhere(maps.is_free(20.0))[0])
     with pytest.raises(InputError, match="weight risk must be a finite number >= 0"):
         ju.plan(maps, start_xy_m=place, goal_xy_m=place, altitude_m=20.0, planner=name, weights=ju.Weights(risk=wrong))
+
+
+def test_an_unbounded_budget_is_written_as_none(maps, ends, tmp_path):
+    planned = ju.plan(maps, altitude_m=20.0, budget_s=float("inf"), **ends)
+    assert write_path(planned, tmp_path / "path.geojson")
+    assert planned.to_dict()["settings"]["budget_s"] is None
+
+
+def test_refinement_has_its_share_of_an_anytime_planners_budget(maps, ends):
+    planned = ju.plan(
+        maps, altitude_m=20.0, cost_model="line", planner="bitstar-dist", budget_s=1.0, refine=True, **ends
+    )
+    assert "refine" in planned.search.note.lower()
+
+
+@pytest.mark.parametrize("seed", [-1, 1.5])
+def test_a_seed_that_is_no_whole_number_is_refused(maps, ends, seed):
+    with pytest.raises(ju.InputError, match="seed must be a whole number"):
+        ju.plan(maps, altitude_m=20.0, planner="bitstar-dist", seed=seed, **ends)
+
+
+def test_a_free_distance_is_told(maps, ends):
+    planned = ju.plan(maps, altitude_m=20.0, weights=ju.Weights(distance=0.0), **ends)
+    assert "distance weighs nothing" in planned.to_dict()["message"]

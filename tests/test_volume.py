@@ -287,3 +287,9 @@ def test_a_volume_flies_over_a_zone_with_a_ceiling_and_around_one_without():
     limits = ju.Limits((Zone("wall", wall, grid.crs, 0.0, 70.0, "made"),))
     with pytest.raises(InputError, match=r"closed by the no-fly zone 'wall'.*lowest free level there is 90 m"):
         ju.plan_volume(maps, limits=limits, **(ends | {"start_xy_m": middle, "start_altitude_m": 60.0}))
+
+
+def test_climbing_alone_can_be_what_costs(maps, ends):
+    free = ju.Weights(0.0, 0.0, 0.0, 0.0, 0.0)
+    level = ju.plan_volume(maps, weights=free, climb_cost=5.0, **ends)
+    assert level.cost == 5.0 * max(0.0, level.z_m[-1] - level.z_m[0])

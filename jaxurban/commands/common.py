@@ -109,4 +109,4 @@ def tell(message: str) -> None:
 
 def print_json(value: Any) -> None:
     """Print one machine-readable object on stdout."""
-    print(json.dumps(value))
+    print(json.dumps(value, allow_nan=False))

@@ -48,7 +48,7 @@ from jaxurban.commands.common import (
 @click.option("--report", "with_report", is_flag=True, help="Explain the route: costs, people, walls, by segment.")
 @click.option("--speed", "speed_m_s", type=float, help="Metres per second, for the report's times.")
 @click.option("--power", "power_w", type=float, help="Watts in flight, for the report's energy.")
-@click.option("--swath", "swath_m", type=float, default=10.0, show_default=True, help="Of people overflown, metres.")
+@click.option("--swath", "swath_m", type=float, help="Of people overflown, metres.  [default: 10]")
 @click.option("--profile", type=click.Path(path_type=Path), help="Draw what the route meets, as PNG.")
 @click.option(
     "-o", "files", type=click.Path(path_type=Path), multiple=True, help=".geojson, .kml or .plan; repeatable."
@@ -75,6 +75,10 @@ def plan(
 
     as_json, with_report, is_volume = (given.pop(name) for name in ("as_json", "with_report", "is_volume"))
     asked = {name: given.pop(name) for name in ("speed_m_s", "power_w", "swath_m")}
+    if asked["swath_m"] is None:
+        del asked["swath_m"]
+    elif not (with_report or profile is not None or asked["speed_m_s"] is not None):
+        raise click.UsageError("--swath is the report's: add --report")
     _check_volume_options(is_volume, given)
     for file in files:
         check_export(file)
@@ -104,6 +108,8 @@ def plan(
     for file in files:
         if write_path(planned, file, report if with_report else None):
             tell(f"wrote {file}")
+        else:
+            tell(f"no path, so {file} was not written" + (" (an older one is still there)" if file.exists() else ""))
     if report is not None and profile is not None:
         save_profile(planned, maps, profile, report)
         tell(f"wrote {profile}")

@@ -42,9 +42,7 @@ NAMED = {"vary": "vary", "triangle": "triangle", "wishes": "pareto"}  # lists of
 )
 @click.option("--pareto", default="", metavar="A,B[,C]", help="What to trade.  [default: distance, the two dearest]")
 @click.option("--tolerance", type=float, default=1e-3, show_default=True, help="Of triangle and front; 1e-9 is exact.")
-@click.option(
-    "--buildings", "with_buildings", is_flag=True, help="Also rank buildings by what they cost the route."
-)
+@click.option("--buildings", "with_buildings", is_flag=True, help="Also rank buildings by what they cost the route.")
 @click.option(
     "--scenario", type=click.Path(path_type=Path), help="That made the maps, where --buildings needs its folder."
 )

@@ -112,6 +112,8 @@ def read_zones(path: str | Path) -> tuple[Zone, ...]:
       InputError: a file that is missing, cannot be read, has no CRS or no polygon, a polygon without area, or
         a floor or ceiling that is no number, or the wrong way round.
     """
+    if Path(path).is_dir():
+        raise InputError(f"{str(path)!r} is a folder: name each file of no-fly zones in it")
     file = Path(path).name
     zones: list[Zone] = []
     num_others = 0
