@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from jaxurban.answers import PlannedPaths as PlannedPaths
     from jaxurban.build import build_maps as build_maps
+    from jaxurban.case_study import study as study
     from jaxurban.city import City as City
     from jaxurban.cost import Weights as Weights
     from jaxurban.demo import demo_city as demo_city
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     from jaxurban.studies.queries import unit_map as unit_map
     from jaxurban.studies.reading import examples_from_paths as examples_from_paths
     from jaxurban.studies.reading import read_examples as read_examples
+    from jaxurban.studies.sampling import sample_instances as sample_instances
     from jaxurban.studies.sensitivity import sensitivity as sensitivity
     from jaxurban.studies.targets import fit_targets as fit_targets
     from jaxurban.studies.wishes import Wish as Wish
@@ -39,6 +41,7 @@ if TYPE_CHECKING:
 # line must answer, to --help and to Ctrl-C, before that.
 _HOMES = {
     "build_maps": "build",
+    "study": "case_study",
     "City": "city",
     "Weights": "cost",
     "demo_city": "demo",
@@ -65,6 +68,7 @@ _HOMES = {
     "unit_map": "studies.queries",
     "save_sensitivity": "sensitivity_report",
     "sensitivity": "studies.sensitivity",
+    "sample_instances": "studies.sampling",
     "plan_volume": "volume",
     "WeightedMap": "weighted",
     "weigh": "weighted",

@@ -1,18 +1,21 @@
 """build_maps: a city and a sky in, the metric maps of a region out."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import shapely
+from jaxtyping import DTypeLike
 
 from jaxurban.city import City
 from jaxurban.detail import RegionDetail
 from jaxurban.errors import InputError
 from jaxurban.grid import Grid
 from jaxurban.io.orbits import look_angles, read_orbits
-from jaxurban.io.rasterise import build_surface
+from jaxurban.io.rasterise import build_surface, building_index
 from jaxurban.layers import (
     PAPER_ALTITUDES_M,
     MapParams,
@@ -30,6 +33,9 @@ from jaxurban.metrics.lidar import LidarParams
 from jaxurban.metrics.population import BlockLayers, PopulationParams, block_layers
 from jaxurban.metrics.risk import RiskParams
 from jaxurban.sky import Sky
+from jaxurban.soft.engine import SoftCity
+from jaxurban.soft.gps import GpsView
+from jaxurban.soft.population import People
 from jaxurban.surface import Surface
 from jaxurban.uncertainty import HeightStd
 
@@ -204,3 +210,49 @@ def block_layers_of(city: City, region: Grid, params: MapParams) -> BlockLayers 
     if city.blocks is None:
         return None
     return block_layers(city.blocks, params.times_of_day, params.population, region.bounds_m)
+
+
+def soft_city(
+    city: City,
+    region: Grid,
+    sky: Sky,
+    params: MapParams,
+    *,
+    epoch: int = 0,
+    time_of_day: str = "day",
+    dtype: DTypeLike = np.float32,
+) -> SoftCity:
+    """Return a city made ready for soft, differentiable cost layers (on cells of the region, never oversampled).
+
+    Args:
+      city: from `City.from_files` or `demo_city`, with outlines.
+      region: the grid of the layers.
+      sky: from `view_sky`.
+      params: settings of the maps. Their lidar range and d_thresh, their lowest altitude and the city's highest roof
+        are as far as is looked: parameters may not go beyond.
+      epoch: which of the sky's.
+      time_of_day: of the population.
+      dtype: float32, or float64 under ``jax.enable_x64(True)``.
+
+    Raises:
+      InputError: a city whose roofs are a height raster, or no such epoch.
+    """
+    if not 0 <= epoch < len(sky.times):
+        raise InputError(f"epoch must be 0 to {len(sky.times) - 1}, one of the sky's times, got {epoch}")
+    grid = margin_of(city, region, sky, params)
+    building = building_index(city, grid, params.all_touched)
+    assert city.buildings is not None
+    surface = build_surface(city, region, grid, params.all_touched)
+    terrain_m = None if surface.terrain_m is None else jnp.asarray(surface.terrain_m, dtype)
+    surface = replace(surface, roof_m=jnp.asarray(surface.roof_m, dtype), terrain_m=terrain_m)
+    seen = params.satellites_at(sky, epoch)
+    return SoftCity(
+        surface=surface,
+        building=jnp.asarray(building),
+        height_m=jnp.asarray(city.buildings.height_m, dtype),
+        view=GpsView.of(surface, sky.azimuth_rad[epoch, seen], sky.elevation_rad[epoch, seen]),
+        people=None if city.blocks is None else People.of(city.blocks, region.bounds_m, dtype),
+        time_of_day=time_of_day,
+        lidar_reach_m=float(params.lidar.range_m),
+        risk_reach_m=float(params.risk.threshold_m),
+    )

@@ -16,9 +16,11 @@ import click
 
 from jaxurban.commands.common import interrupted, tell
 from jaxurban.commands.demo import demo
+from jaxurban.commands.fetch import fetch
 from jaxurban.commands.maps import maps
 from jaxurban.commands.plan import plan
 from jaxurban.commands.sensitivity import sensitivity
+from jaxurban.commands.study import study
 from jaxurban.commands.tune import tune
 from jaxurban.errors import InputError
 
@@ -31,7 +33,7 @@ def app() -> None:
     """Metric maps for small drones over cities, and paths planned on them."""
 
 
-for command in (demo, maps, plan, sensitivity, tune):
+for command in (demo, fetch, maps, plan, sensitivity, study, tune):
     app.add_command(command)
 
 

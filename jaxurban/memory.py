@@ -24,7 +24,7 @@ PROGRAM_BYTES = 120 * 2**20  # the programs compiled for the tiles of one resolu
 WORKER_BYTES = 700 * 2**20  # a worker process with everything imported, before its first tile
 
 
-def parse_bytes(text: str) -> int:
+def parse_bytes(text: str, name: str = "memory") -> int:
     """Return the bytes in a size such as ``"4GiB"``, ``"512 MB"`` or ``"4g"``; all units are powers of 1,024.
 
     Raises:
@@ -32,7 +32,7 @@ def parse_bytes(text: str) -> int:
     """
     match = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([KMGT]?)(?:i?B)?\s*", text, re.IGNORECASE)
     if match is None or float(match[1]) == 0:
-        raise InputError(f"memory must be a size such as 4GiB or 800MiB, got {text!r}")
+        raise InputError(f"{name} must be a size such as 4GiB or 800MiB, got {text!r}")
     return int(float(match[1]) * UNITS[match[2].upper()])
 
 

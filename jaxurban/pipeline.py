@@ -191,7 +191,7 @@ def run_scenario(
         with watch.stage("read"):
             city = load_city(scenario)
         with watch.stage("orbits"):
-            skies = [_sky(scenario, grid) for grid in grids]
+            skies = [sky_of(scenario, grid) for grid in grids]
         warn_of_unknown_ground(city, grids[0])
         store.check_writable(folder)
         plan = _plan(city, grids, skies, params, resources, folder)
@@ -223,7 +223,8 @@ def run_scenario(
     return Run(maps, record)
 
 
-def _sky(scenario: Scenario, grid: Grid) -> Sky:
+def sky_of(scenario: Scenario, grid: Grid) -> Sky:
+    """Return the satellites of a scenario, as `view_sky` does."""
     gps = scenario.gps
     orbits = [name if name == NOMINAL else scenario.path_of(name) for name in gps.orbits]
     return view_sky(

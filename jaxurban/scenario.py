@@ -266,13 +266,16 @@ class PlanningSettings(_Section):
 
 
 class StudySettings(_Section):
-    """A Monte Carlo study."""
+    """A Monte Carlo study; planners are compared under the line model, which depends on no resolution."""
 
     instances: PositiveInt = 200
     planners: tuple[PlannerName, ...] = PAPER_PLANNERS
+    distance_only: tuple[PlannerName, ...] = ("astar-dist",)  # run for the shortest path too
     altitudes_m: PositiveList | None = None
-    weights: Literal["dirichlet"] | tuple[WeightSettings, ...] = "dirichlet"
+    weights: Literal["dirichlet"] | Annotated[tuple[WeightSettings, ...], Field(min_length=1)] = "dirichlet"
+    cost_model: Literal["cell", "line"] = "line"
     budget_s: Positive = 2.0
+    budget_iterations: PositiveInt | None = None
     seed: Seed = 0
 
 
@@ -322,21 +325,22 @@ class Scenario(_Section):
             raise InputError(f"cannot read the scenario {str(path)!r}: {error.strerror or error}") from error
         except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
             raise InputError(f"{str(path)!r} is not a scenario in TOML: {error}") from error
-        scenario = cls.from_dict(settings, name=str(path))
-        scenario._folder = path.resolve().parent
-        return scenario
+        return cls.from_dict(settings, name=str(path), folder=path.resolve().parent)
 
     @classmethod
-    def from_dict(cls, settings: dict[str, Any], name: str = "the scenario") -> "Scenario":
-        """Return the scenario in nested dicts, sections by name.
+    def from_dict(cls, settings: dict[str, Any], name: str = "the scenario", folder: Path | None = None) -> "Scenario":
+        """Return the scenario in nested dicts, sections by name; relative paths are relative to ``folder``.
 
         Raises:
           InputError: an unknown key (names the nearest one), a missing one or a bad value.
         """
         try:
-            return cls.model_validate(settings)
+            scenario = cls.model_validate(settings)
         except ValidationError as error:
             raise InputError(f"{name}: {_sentence(error)}") from error
+        if folder is not None:
+            scenario._folder = folder
+        return scenario
 
     def to_toml(self) -> str:
         """Return the scenario as TOML, every setting written out."""

@@ -63,7 +63,7 @@ def line_integrals(
     begin, along = points[:-1], jnp.diff(points, axis=0)  # [S, 2]
     square = (along**2).sum(axis=-1)
     length = jnp.sqrt(jnp.where(square > 0, square, 1.0)) * (square > 0)
-    at = _cuts(jax.lax.stop_gradient(begin), jax.lax.stop_gradient(along), num_cuts)  # [S, P + 1]
+    at = cuts(jax.lax.stop_gradient(begin), jax.lax.stop_gradient(along), num_cuts)  # [S, P + 1]
     middle, half = (at[:, 1:] + at[:, :-1]) / 2, (at[:, 1:] - at[:, :-1]) / 2
     total = jnp.zeros((len(layers), len(begin)), jnp.result_type(layers, points))
     for node in (-NODE, NODE):
@@ -98,7 +98,7 @@ def line_smooth(
     return distance_weight * integrals.length_m + integrals.per_layer_m.sum() / reference_length_m
 
 
-def _cuts(begin: Array, along: Array, num_cuts: int) -> Array:
+def cuts(begin: Array, along: Array, num_cuts: int) -> Array:
     """Return ``[S, 2 num_cuts + 2]`` where segments cross whole numbers, as ascending shares of them, 0 and 1 too."""
     low = jnp.minimum(begin, begin + along)
     number = jnp.floor(low)[..., None] + jnp.arange(1, num_cuts + 1, dtype=begin.dtype)  # [S, 2, num_cuts]

@@ -139,6 +139,12 @@ class Problem:
         other._check_endpoints()
         return other
 
+    def alone(self) -> "Problem":
+        """Return the same question with nothing made for it but its moves, so that no earlier search helps this one."""
+        other = copy.copy(self)
+        object.__setattr__(other, "shared", {"moves": self.moves})
+        return other
+
     def with_layers(self, layers: np.ndarray, distance_weight: float) -> "Problem":
         """Return the same question with other cost layers ``[L, Y, X]`` and distance weight.
 

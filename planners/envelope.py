@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 
 from jaxurban.planners.base import Path, Problem
 from jaxurban.planners.evaluate import charge_map, evaluate_on
+from jaxurban.planners.host import call_on_host
 
 CostFunction = Callable[[Float[Array, "L Y X"], Float[Array, ""]], Float[Array, ""]]
 
@@ -56,7 +57,7 @@ def planned_cost(problem: Problem, planner: Callable[[Problem], Path]) -> CostFu
     def call(layers, distance_weight):
         cell_shape = problem.is_free.shape
         shapes = tuple(jax.ShapeDtypeStruct(shape, layers.dtype) for shape in ((), (), cell_shape))
-        return jax.pure_callback(search, shapes, layers, distance_weight, vmap_method="sequential")
+        return call_on_host(search, shapes, layers, jnp.asarray(distance_weight))
 
     @jax.custom_vjp
     def cost(layers, distance_weight):

@@ -42,6 +42,12 @@ NAMED = {"vary": "vary", "triangle": "triangle", "wishes": "pareto"}  # lists of
 )
 @click.option("--pareto", default="", metavar="A,B[,C]", help="What to trade.  [default: distance, the two dearest]")
 @click.option("--tolerance", type=float, default=1e-3, show_default=True, help="Of triangle and front; 1e-9 is exact.")
+@click.option(
+    "--buildings", "with_buildings", is_flag=True, help="Also rank buildings by what they cost the route."
+)
+@click.option(
+    "--scenario", type=click.Path(path_type=Path), help="That made the maps, where --buildings needs its folder."
+)
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
 @click.option("-o", "output", type=click.Path(path_type=Path), default=Path("out/sensitivity"), show_default=True)
 @JSON_FLAG
@@ -52,6 +58,8 @@ def sensitivity(
     factors_text: str,
     output: Path,
     as_json: bool,
+    with_buildings: bool,
+    scenario: Path | None,
     **given: Any,
 ) -> int:
     """Tell what would change the route between two places over the maps in DIR, and what would not."""
@@ -90,6 +98,11 @@ def sensitivity(
         )
         on_stage("report")
         save_sensitivity(found, output)
+        if with_buildings:
+            from jaxurban.costly_buildings import write_buildings
+
+            on_stage("buildings")
+            write_buildings(folder, first, output / "buildings", scenario=scenario)
     tell(f"sensitivity finished: read {output / 'report.md'}, look at {output / 'figures'}")
     if as_json:
         tables = {name: table.reset_index().to_dict("records") for name, table in found.tables().items()}

@@ -1,28 +1,68 @@
-"""Tables of a study as files."""
+"""Plain tables as files: Parquet or CSV by the name's end."""
 
 from collections.abc import Mapping
 from pathlib import Path
 
 import pandas as pd
 
+from jaxurban.errors import InputError
 from jaxurban.io.store import whole_file
+
+SUFFIXES = (".parquet", ".csv")
+
+
+def write_table(table: pd.DataFrame, file: str | Path) -> Path:
+    """Write a table, whole or not at all, and return its file.
+
+    Raises:
+      InputError: the name ends neither in .parquet nor in .csv, or the folder cannot be written to.
+    """
+    file = Path(file)
+    suffix = _suffix(file)
+    with whole_file(file) as scratch:
+        if suffix == ".parquet":
+            table.to_parquet(scratch, index=False, compression="zstd")
+        else:
+            table.to_csv(scratch, index=False, lineterminator="\n")
+    return file
 
 
 def write_tables(tables: Mapping[str, pd.DataFrame], folder: Path) -> list[Path]:
-    """Write each table as CSV and as Parquet under ``folder`` and return the files; each appears whole or not at all.
+    """Write each table, index included, as CSV and as Parquet under ``folder`` and return the files.
 
     Raises:
       InputError: the folder cannot be written to.
     """
-    files = []
-    for name, table in tables.items():
-        plain = table.reset_index()
-        for suffix in (".csv", ".parquet"):
-            file = folder / f"{name}{suffix}"
-            with whole_file(file) as scratch:
-                if suffix == ".csv":
-                    plain.to_csv(scratch, index=False)
-                else:
-                    plain.to_parquet(scratch, index=False)
-            files.append(file)
-    return files
+    return [
+        write_table(table.reset_index(), folder / f"{name}{suffix}")
+        for name, table in tables.items()
+        for suffix in (".csv", ".parquet")
+    ]
+
+
+def read_table(file: str | Path, role: str) -> pd.DataFrame:
+    """Return the table in a file.
+
+    Args:
+      file: a .parquet or .csv file.
+      role: what it holds, for messages.
+
+    Raises:
+      InputError: no such file, or it cannot be read.
+    """
+    file = Path(file)
+    suffix = _suffix(file)
+    try:
+        return pd.read_parquet(file) if suffix == ".parquet" else pd.read_csv(file)
+    except FileNotFoundError as error:
+        raise InputError(f"the {role} file {str(file)!r} does not exist: check the path") from error
+    except (OSError, ValueError) as error:
+        reason = " ".join(str(error).split())
+        raise InputError(f"the {role} file {str(file)!r} cannot be read as {suffix[1:]} ({reason})") from error
+
+
+def _suffix(file: Path) -> str:
+    suffix = file.suffix.lower()
+    if suffix not in SUFFIXES:
+        raise InputError(f"cannot tell the format of {str(file)!r}: end its name in {' or '.join(SUFFIXES)}")
+    return suffix

@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxurban.errors import InputError
+from jaxurban.planners.host import call_on_host
 from jaxurban.studies.pool import RoutePool
 
 RouteSums = Callable[[Float[Array, " K"]], Float[Array, "Q J"]]
@@ -56,7 +57,7 @@ def perturbed_sums(pool: RoutePool, noise: float = 0.1, num_noise: int = 32, see
             jax.ShapeDtypeStruct(out, weights.dtype),
             jax.ShapeDtypeStruct((*out, num_weights), weights.dtype),
         )
-        return jax.pure_callback(search, shapes, weights, vmap_method="sequential")
+        return call_on_host(search, shapes, weights)
 
     @jax.custom_jvp
     def sums(weights):

@@ -84,3 +84,14 @@ def test_reweighting_shares_what_does_not_depend_on_costs():
     assert (other.distance_weight, other.start, other.goal) == (0.5, problem.start, problem.goal)
     with pytest.raises(InputError, match="factors of layers"):
         problem.reweighted(np.array([-1.0, 0.0]), 0.5)
+
+
+def test_a_large_program_of_doubles_loses_no_digit_on_its_way_to_the_planner():
+    # Programs of some size run in threads of their own, which do not know of enable_x64.
+    problem = make("line", shape=(150, 160))
+    with jax.enable_x64(True):
+        cost = planned_cost(problem, EXACT)
+        grown = jax.jit(jax.value_and_grad(lambda layers: cost(jnp.sin(layers) + 1, jnp.asarray(0.1))))
+        value, slope = grown(jnp.asarray(problem.layers))
+    assert (value.dtype, slope.dtype) == (np.float64, np.float64)
+    np.testing.assert_allclose(value, EXACT(problem.with_layers(np.sin(problem.layers) + 1, 0.1)).cost, rtol=1e-13)

@@ -1,0 +1,154 @@
+"""jaxurban fetch."""
+
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from jaxurban.commands.common import JSON_FLAG, print_json, tell
+from jaxurban.errors import InputError
+
+if TYPE_CHECKING:
+    from jaxurban.io.download import Client
+    from jaxurban.io.fetchplan import FetchJob
+
+SCENARIO_FILE = "scenario.toml"
+
+
+class BoxType(click.ParamType):
+    """``W,S,E,N`` in degrees."""
+
+    name = "W,S,E,N"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, ...]:
+        """Return the four numbers of ``value``."""
+        try:
+            west, south, east, north = (float(part) for part in str(value).split(","))
+        except ValueError:
+            self.fail(
+                f"{value!r} must be west,south,east,north in degrees, as in -74.02,40.70,-73.98,40.73", param, ctx
+            )
+        return west, south, east, north
+
+
+@click.command()
+@click.option("--bounds", type=BoxType(), required=True, help="West, south, east, north of the region in degrees.")
+@click.option("-o", "folder", type=click.Path(path_type=Path), required=True, help="Folder for the files.")
+@click.option("--what", default="osm,census,districts,orbits", show_default=True, help="What to fetch.")
+@click.option("--date", "day", type=click.DateTime(["%Y-%m-%d"]), help="Day of the GPS maps (UTC).  [default: today]")
+@click.option("--extract", metavar="URL", help="OSM extract (.osm.pbf or .osm) to use instead of the Overpass API.")
+@click.option("--districts", metavar="URL", help="District polygons (GeoJSON).")
+@click.option("--district-field", default="BoroCD", show_default=True, help="Field of their labels, whole numbers.")
+@click.option("--census", "census_year", type=click.Choice(["2020", "2010"]), default="2020", show_default=True)
+@click.option("--county", "counties", multiple=True, help="Five digits, such as 36061; repeatable.")
+@click.option("--margin", "margin_m", type=float, default=1000.0, show_default=True, help="Of buildings, metres.")
+@click.option("--source", "sources", metavar="NAME=URL", multiple=True, help="Use another place (see docs/fetch.md).")
+@click.option("--max-size", default="500MB", show_default=True, help="The largest file accepted.")
+@click.option(
+    "--timeout",
+    "timeout_s",
+    type=click.FloatRange(min=0, min_open=True),
+    default=200.0,
+    show_default=True,
+    help="The longest silence of a server, seconds.",
+)
+@click.option("--offline", "is_offline", is_flag=True, help="Make no request: use what the cache has.")
+@click.option("--overwrite", is_flag=True, help="Replace a scenario.toml that is there.")
+@click.option("--dry-run", "is_dry_run", is_flag=True, help="List the requests, and make none.")
+@JSON_FLAG
+def fetch(
+    bounds: tuple[float, float, float, float],
+    folder: Path,
+    what: str,
+    day: datetime | None,
+    sources: Sequence[str],
+    max_size: str,
+    timeout_s: float,
+    is_offline: bool,
+    overwrite: bool,
+    is_dry_run: bool,
+    as_json: bool,
+    **given: Any,
+) -> int:
+    """Download what the maps of a region need from public sources, and write a scenario that uses it."""
+    from jaxurban.io.download import open_client
+    from jaxurban.io.fetchplan import FetchJob
+    from jaxurban.memory import parse_bytes
+
+    today = datetime.now(UTC).date()
+    shorthand = {"osm": given.pop("extract"), "districts": given.pop("districts")}
+    job = FetchJob(
+        bounds=bounds,
+        what=tuple(name.strip() for name in what.split(",") if name.strip()),
+        day=today if day is None else day.date(),
+        today=today,
+        given_urls=_named_urls(sources) | {name: url for name, url in shorthand.items() if url},
+        most_bytes=parse_bytes(max_size, "--max-size"),
+        **given,
+    )
+    if not (overwrite or is_dry_run) and (folder / SCENARIO_FILE).exists():
+        raise InputError(
+            f"{str(folder / SCENARIO_FILE)!r} is there already: choose another folder with -o, or replace "
+            "it with --overwrite"
+        )
+    with open_client(most_bytes=job.most_bytes, timeout_s=timeout_s, is_offline=is_offline, tell=tell) as client:
+        return _list(job, client, as_json) if is_dry_run else _fetch(job, folder, client, as_json)
+
+
+def _named_urls(sources: Sequence[str]) -> dict[str, str]:
+    """Return URL templates by source."""
+    if bad := [text for text in sources if "=" not in text]:
+        raise InputError(f"--source must be NAME=URL, such as osm=https://a.mirror/api?data={{query}}, got {bad[0]!r}")
+    return {name.strip(): url.strip() for name, _, url in (text.partition("=") for text in sources)}
+
+
+def _list(job: "FetchJob", client: "Client", as_json: bool) -> int:
+    """Show the requests that would be made."""
+    from jaxurban.io.download import is_fresh
+    from jaxurban.io.fetchplan import plan_fetch
+
+    plan = plan_fetch(job)
+    rows = []
+    for wanted in plan.requests:
+        kept = client.find(wanted.url)
+        state = "new" if kept is None else "none: in the cache" if is_fresh(kept, wanted) else "only if it has changed"
+        if wanted.md5_url and state != "none: in the cache":
+            rows.append({"source": "checksum", "request": "new", "url": wanted.md5_url})
+        rows.append({"source": wanted.source, "request": state, "url": wanted.url})
+    if as_json:
+        print_json({"requests": rows, "left_out": plan.left_out})
+    else:
+        for row in rows:
+            print(f"{row['source']}: {row['url']} (request: {row['request']})")
+    for note in plan.left_out:
+        tell(note)
+    return 0
+
+
+def _fetch(job: "FetchJob", folder: Path, client: "Client", as_json: bool) -> int:
+    """Get the files and write the scenario."""
+    import tomli_w
+
+    from jaxurban.io.fetch import fetch
+    from jaxurban.io.store import whole_file
+    from jaxurban.scenario import Scenario
+
+    settings, record = fetch(job, folder, client)
+    scenario = folder / SCENARIO_FILE if "buildings" in settings else None
+    if scenario is not None:
+        Scenario.from_dict(settings, name=str(scenario))
+        credits = sorted({f"# {file['source']}: {file['credit']} ({file['licence']})" for file in record["files"]})
+        head = "\n".join(["# Made by jaxurban fetch; fetch.json says where each file is from.", *credits])
+        with whole_file(scenario) as scratch:
+            scratch.write_text(f"{head}\n\n{tomli_w.dumps(settings)}", encoding="utf-8")
+    for note in record["left_out"]:
+        tell(note)
+    if scenario is None:
+        tell(f"fetched into {folder}; no scenario is written without osm, as maps need buildings")
+    else:
+        tell(f"fetched into {folder}: run `jaxurban maps {scenario} -o OUT`")
+    if as_json:
+        print_json(record | {"scenario": None if scenario is None else str(scenario)})
+    return 0

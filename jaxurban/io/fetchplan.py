@@ -1,0 +1,233 @@
+"""What to fetch for a region: the job as it was asked for, and the requests that follow from it."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import date
+from functools import cached_property
+from pathlib import Path
+from urllib.parse import urlsplit
+
+import shapely
+
+from jaxurban.errors import InputError, nearest_name
+from jaxurban.grid import WGS84, Bounds, check_bounds, transformer, utm_crs
+from jaxurban.io.arrived import check_geojson, orbits_suffix, osm_box, osm_suffix, read_block_zip, read_counts
+from jaxurban.io.districts import read_districts
+from jaxurban.io.download import UnfitError, Wanted
+from jaxurban.io.orbits import WARN_AGE_DAYS, read_orbits
+from jaxurban.io.sources import (
+    CENSUS_YEARS,
+    MOST_OVERPASS_KM2,
+    Source,
+    chosen_urls,
+    fill,
+    known_sources,
+    overpass_query,
+)
+
+WHAT = ("osm", "census", "districts", "orbits")
+CHECKSUM_HOST = "download.geofabrik.de"
+MOST_AGE_DAYS = 90  # of element sets: what a scenario accepts unless told otherwise
+BLOCK_MARGIN_M = 100.0  # the maps' box is snapped outward and densified, and NAD83 is a metre or two off WGS 84
+# Where the Census Bureau counts people, roughly (its own answer decides): the states, Hawaii, Alaska, Puerto Rico.
+CENSUS_BOXES = (
+    (-125.0, 24.0, -66.5, 49.5),
+    (-161.0, 18.5, -154.0, 22.5),
+    (-180.0, 51.0, -129.0, 72.0),
+    (172.0, 51.0, 180.0, 54.0),
+    (-68.0, 17.5, -64.0, 19.0),
+)
+NYC_FIELD = "BoroCD"
+NYC_BOX = (-74.26, 40.49, -73.70, 40.92)
+
+
+@dataclass(frozen=True)
+class FetchJob:
+    """What is asked for; checked when made.
+
+    Attributes:
+      bounds: west, south, east, north of the region in degrees.
+      what: of `WHAT`.
+      day: of the GPS maps.
+      today: tells whether current element sets serve that day.
+      given_urls: URL templates by source that replace the known ones.
+      margin_m: how far around the region buildings are fetched.
+      census_year: of `CENSUS_YEARS`.
+      counties: five-digit ids; empty: those of the blocks that touch the region.
+      district_field: the districts' label.
+      most_bytes: the largest file accepted, also when unpacked.
+    """
+
+    bounds: tuple[float, float, float, float]
+    day: date
+    today: date
+    what: tuple[str, ...] = WHAT
+    given_urls: Mapping[str, str] = field(default_factory=dict)
+    margin_m: float = 1000.0
+    census_year: str = CENSUS_YEARS[0]
+    counties: tuple[str, ...] = ()
+    district_field: str = NYC_FIELD
+    most_bytes: int = 500 * 2**20
+
+    def __post_init__(self) -> None:
+        check_bounds(self.bounds)
+        for name in self.what:
+            if name not in WHAT:
+                hint = nearest_name(name, WHAT) or f"; there are {', '.join(WHAT)}"
+                raise InputError(f"--what names {name!r}, which nothing is known of{hint}")
+        if not self.what:
+            raise InputError(f"--what names nothing: choose of {', '.join(WHAT)}")
+        if self.census_year not in CENSUS_YEARS:
+            raise InputError(f"the census year must be one of {', '.join(CENSUS_YEARS)}, got {self.census_year!r}")
+        if bad := [county for county in self.counties if not (len(county) == 5 and county.isdigit())]:
+            raise InputError(f"the county {bad[0]!r} must be five digits, state and county (36061 is Manhattan)")
+        if not 0 <= self.margin_m <= 20_000:
+            raise InputError(f"the margin must be from 0 to 20,000 m, got {self.margin_m:g}")
+        chosen_urls(self.sources, self.given_urls)
+
+    @property
+    def sources(self) -> dict[str, Source]:
+        """The known sources by name."""
+        return known_sources(self.census_year)
+
+    def url(self, name: str) -> str:
+        """Return the URL template of a source."""
+        return chosen_urls(self.sources, self.given_urls).get(name, self.sources[name].url)
+
+    def is_given(self, name: str) -> bool:
+        """Return whether the user named another place for a source."""
+        return name in chosen_urls(self.sources, self.given_urls)
+
+    @property
+    def has_nyc_labels(self) -> bool:
+        """Whether the districts are New York City's, whose commercial ones the scenario knows by default."""
+        return self.district_field == NYC_FIELD and _touches(self.bounds, (NYC_BOX,))
+
+    @cached_property
+    def crs(self) -> str:
+        """The region's UTM zone."""
+        west, south, east, north = self.bounds
+        return utm_crs((west + east) / 2, (south + north) / 2)
+
+    def box(self, margin_m: float) -> Bounds:
+        """Return west, south, east, north of the region's projected box, grown by a margin."""
+        to_m = transformer(WGS84, self.crs)
+        x_min, y_min, x_max, y_max = to_m.transform_bounds(*self.bounds, densify_pts=21)
+        grown = (x_min - margin_m, y_min - margin_m, x_max + margin_m, y_max + margin_m)
+        return transformer(self.crs, WGS84).transform_bounds(*grown, densify_pts=21)
+
+
+@dataclass(frozen=True)
+class Plan:
+    """The requests for a job, as far as they are known before the first answer, and what is left out and why."""
+
+    osm: Wanted | None = None
+    population: Wanted | None = None
+    blocks: tuple[Wanted, ...] = ()
+    districts: Wanted | None = None
+    orbits: Wanted | None = None
+    left_out: tuple[str, ...] = ()
+
+    @property
+    def requests(self) -> list[Wanted]:
+        """All of them, in order; a ``{county}`` in a URL is not known yet."""
+        return [one for one in (self.osm, self.population, *self.blocks, self.districts, self.orbits) if one]
+
+
+def plan_fetch(job: FetchJob) -> Plan:
+    """Return the requests that a job makes.
+
+    Raises:
+      InputError: the region is too large for the Overpass API.
+    """
+    left_out: list[str] = []
+    osm = _want_osm(job) if "osm" in job.what else None
+    population = districts = orbits = None
+    blocks: tuple[Wanted, ...] = ()
+    has_census = job.is_given("population") or _touches(job.bounds, CENSUS_BOXES)
+    if "census" in job.what and not has_census:
+        left_out.append(
+            "population: no source is known outside the United States, so the layer is left out; "
+            "set [population] blocks and table to files of your own"
+        )
+    elif "census" in job.what:
+        population = want_population(job, 0)
+        blocks = tuple(want_blocks(job, county) for county in job.counties or ("{county}",))
+    if "districts" in job.what and population is not None:
+        if job.is_given("districts") or _touches(job.bounds, (NYC_BOX,)):
+            districts = _want(job, "districts", job.url("districts"), lambda path: _check_districts(path, job))
+        else:
+            left_out.append(
+                "districts: none are known for this region (only New York City's), so every block counts "
+                "as residential; name a GeoJSON file with --districts URL"
+            )
+    if "orbits" in job.what:
+        if job.is_given("orbits") or abs((job.day - job.today).days) <= WARN_AGE_DAYS:
+            orbits = _want(job, "orbits", job.url("orbits"), lambda path: _check_orbits(path, job.day))
+        else:
+            left_out.append(
+                f"element sets: CelesTrak has the current ones only, and {job.day} is not within "
+                f"{WARN_AGE_DAYS:.0f} days; historical ones need a login at space-track.org (free), so "
+                "the nominal constellation stands in; set [gps] orbits to a file of your own"
+            )
+    return Plan(osm, population, blocks, districts, orbits, tuple(left_out))
+
+
+def _touches(bounds: Bounds, boxes: Sequence[Bounds]) -> bool:
+    return any(shapely.box(*bounds).intersects(shapely.box(*box)) for box in boxes)
+
+
+def _want(job: FetchJob, name: str, url: str, check: Callable[[Path], object]) -> Wanted:
+    source = job.sources[name]
+    return Wanted(name, url, check, source.fresh_s, source.num_tries)
+
+
+def _want_osm(job: FetchJob) -> Wanted:
+    template = job.url("osm")
+    box = job.box(job.margin_m)
+    wanted = _want(job, "osm", fill(template, box, query=overpass_query(box)), _check_osm)
+    if "{" in template:
+        x_min, y_min, x_max, y_max = transformer(WGS84, job.crs).transform_bounds(*box)
+        area_km2 = (x_max - x_min) * (y_max - y_min) / 1e6
+        if area_km2 > MOST_OVERPASS_KM2:
+            raise InputError(
+                f"the region with its margin of {job.margin_m:g} m has {area_km2:,.0f} km2, and the Overpass API, a "
+                f"shared server, is asked for {MOST_OVERPASS_KM2:g} km2 at most: give an extract that covers it with "
+                "--extract URL (download.geofabrik.de has them), or a smaller region"
+            )
+        return wanted
+    has_checksum = job.is_given("checksum") or urlsplit(template).hostname == CHECKSUM_HOST
+    md5_url = fill(job.url("checksum"), url=template) if has_checksum else None
+    return Wanted("osm", wanted.url, wanted.check, wanted.fresh_s, wanted.num_tries, md5_url)
+
+
+def want_population(job: FetchJob, offset: int) -> Wanted:
+    """Return the request for the counts of the region's blocks, from a row on."""
+    url = fill(job.url("population"), job.box(BLOCK_MARGIN_M), offset=str(offset))
+    return _want(job, "population", url, read_counts)
+
+
+def want_blocks(job: FetchJob, county: str) -> Wanted:
+    """Return the request for the blocks of a county."""
+    return _want(
+        job, "blocks", fill(job.url("blocks"), county=county), lambda path: read_block_zip(path, job.most_bytes)
+    )
+
+
+def _check_osm(path: Path) -> None:
+    osm_box(path, osm_suffix(path))
+
+
+def _check_districts(path: Path, job: FetchJob) -> None:
+    check_geojson(path)
+    read_districts(path, job.crs, job.district_field)
+
+
+def _check_orbits(path: Path, day: date) -> None:
+    orbits_suffix(path)
+    age_days = max(abs((one.epoch.utc_datetime().date() - day).days) for one in read_orbits(path).satellites)
+    if age_days > MOST_AGE_DAYS:
+        raise UnfitError(
+            f"it has elements {age_days} days away from {day}, and SGP4 is not trusted beyond "
+            f"{MOST_AGE_DAYS}: choose a --date near them, or leave orbits out of --what"
+        )

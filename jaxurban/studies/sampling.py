@@ -1,0 +1,195 @@
+"""Instances of a study: starts and goals by stratum and range, times of day and weights, all from one seed."""
+
+import itertools
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from scipy.ndimage import label
+
+from jaxurban.cost import METRICS, Weights
+from jaxurban.errors import InputError
+from jaxurban.io.tables import read_table
+from jaxurban.maps import MetricMaps
+from jaxurban.studies.strata import STRATA, strata_of
+
+# Straight distance between start and goal, as shares of the region's diagonal.
+RANGES = {"short": (0.05, 0.15), "middle": (0.15, 0.35), "long": (0.35, 0.8)}
+DIRICHLET = "dirichlet"
+NUM_TRIES, NUM_GOALS = 200, 256  # starts, and goals for each, before a kind of instance is passed over
+
+PLACES = ("start_x_m", "start_y_m", "goal_x_m", "goal_y_m")
+WEIGHTS = ("w_distance", *(f"w_{name}" for name in METRICS))
+NEEDED = ("instance", "altitude_m", "crs", *PLACES, *WEIGHTS)
+TOLD = ("time", "time_of_day", "start_stratum", "goal_stratum", "range", "is_connected")  # None where a file holds none
+KEY = ("instance", "altitude_m")
+
+
+def sample_instances(
+    maps: MetricMaps,
+    num: int = 200,
+    *,
+    altitudes_m: Sequence[float] | None = None,
+    weights: str | Sequence[Weights] = DIRICHLET,
+    reference_length_m: float = 5.0,
+    seed: int = 0,
+) -> pd.DataFrame:
+    """Return the instances of a study, ``num`` at each altitude, as a table.
+
+    The same places, time and weights are asked at every altitude, so that altitudes can be compared pair by pair. Kinds
+    (stratum of the start x stratum of the goal x range) take turns in a shuffled order, so that each is asked about
+    equally often; a kind that the maps do not offer is passed over. Instance ``k`` depends on the seed and ``k``, not
+    on ``num``. Starts and goals are centres of cells that are free at every altitude. Pairs that no path joins are kept
+    and marked (``is_connected``).
+
+    Columns: ``instance``, ``altitude_m``, ``crs``, ``start_x_m``, ``start_y_m``, ``goal_x_m``, ``goal_y_m``,
+    ``start_lon``, ``start_lat``, ``goal_lon``, ``goal_lat``, ``time``, ``time_of_day``, ``start_stratum``,
+    ``goal_stratum``, ``range``, ``distance_m`` (straight), ``is_connected``, ``w_distance`` (per metre), ``w_gps``,
+    ``w_lidar``, ``w_population``, ``w_risk`` (0 where the maps hold no such metric).
+
+    Args:
+      maps: from `build_maps` or `open_maps`.
+      num: instances at each altitude.
+      altitudes_m: of the maps' altitudes; all if left out.
+      weights: ``"dirichlet"``: uniform on the simplex of shares, distance counted per reference length and metrics as
+        they are; or weights, which take turns.
+      reference_length_m: what the share of distance is divided by.
+      seed: of everything.
+
+    Raises:
+      InputError: ``num`` below 1, an unknown altitude, no weights, or too few free cells for any pair of places.
+    """
+    altitudes_m = maps.altitudes_m if altitudes_m is None else tuple(float(z) for z in altitudes_m)
+    listed = None if isinstance(weights, str) else [each.checked() for each in weights]
+    if num < 1:
+        raise InputError(f"a study needs at least 1 instance, got {num}")
+    if listed is None and weights != DIRICHLET:
+        raise InputError(f"weights must be {DIRICHLET!r} or a list of Weights, got {weights!r}")
+    if listed is not None and not listed:
+        raise InputError(f"weights is an empty list: give at least one, or {DIRICHLET!r}")
+    free = [maps.is_free(z) for z in altitudes_m]
+    places = _Places(maps, np.logical_and.reduce(free))
+    names = ("distance", *maps.metrics)
+    kinds = _kinds(places, seed)
+    rows = []
+    for k in range(num):
+        rng = np.random.default_rng([seed, 1, k])
+        rows.append({"instance": k, **places.draw(kinds, rng)})
+        rows[-1]["time"] = None if maps.default_time is None else str(rng.choice(maps.times))
+        rows[-1]["time_of_day"] = str(rng.choice(maps.times_of_day)) if maps.times_of_day else None
+        shares = rng.dirichlet(np.ones(len(names)))
+        shares[0] /= reference_length_m
+        asked = Weights(**dict.fromkeys(METRICS, 0.0) | dict(zip(names, shares.tolist(), strict=True)))
+        if listed is not None:
+            asked = listed[k % len(listed)]
+        rows[-1] |= {f"w_{name}": getattr(asked, name) for name in ("distance", *METRICS)}
+    table = pd.concat(
+        [_at_altitude(pd.DataFrame(rows), maps, z, is_free) for z, is_free in zip(altitudes_m, free, strict=True)]
+    )
+    return table.reset_index(drop=True)
+
+
+def _kinds(places: "_Places", seed: int) -> Iterator[tuple[int, int, str]]:
+    """Yield kinds (stratum of start and goal, range) for ever, shuffled anew each time all were dealt."""
+    kinds = list(itertools.product(places.present, places.present, RANGES))
+    for turn in itertools.count():
+        for number in np.random.default_rng([seed, 0, turn]).permutation(len(kinds)):
+            yield kinds[number]
+
+
+class _Places:
+    """Free cells by stratum, from which pairs are drawn."""
+
+    def __init__(self, maps: MetricMaps, is_free: np.ndarray) -> None:
+        self.grid = maps.grid
+        strata = np.where(is_free, strata_of(maps), -1).ravel()
+        self.cells = [np.flatnonzero(strata == number) for number in range(len(STRATA))]
+        self.present = [number for number, cells in enumerate(self.cells) if len(cells)]
+        if sum(map(len, self.cells)) < 2:
+            raise InputError("fewer than two cells are free at every altitude of the study: leave out the lowest one")
+        rows, cols = self.grid.shape
+        self.diagonal_m = float(np.hypot(rows, cols)) * self.grid.resolution_m
+        self.num_kinds = len(self.present) ** 2 * len(RANGES)
+
+    def draw(self, kinds: Iterator[tuple[int, int, str]], rng: np.random.Generator) -> dict[str, object]:
+        """Return a pair of places of the next kind that the maps offer."""
+        for _ in range(self.num_kinds):
+            first, second, name = next(kinds)
+            pair = self._pair(first, second, RANGES[name], rng)
+            if pair is not None:
+                facts = {"start_stratum": STRATA[first], "goal_stratum": STRATA[second], "range": name}
+                return self._facts(*pair) | facts
+        raise InputError("no two free cells of these maps lie far enough apart for a study: use a larger region")
+
+    def _pair(
+        self, first: int, second: int, limits: tuple[float, float], rng: np.random.Generator
+    ) -> tuple[tuple[int, int], tuple[int, int]] | None:
+        low_m, high_m = (share * self.diagonal_m for share in limits)
+        for _ in range(NUM_TRIES):
+            row, col = divmod(int(rng.choice(self.cells[first])), self.grid.num_cols)
+            rows, cols = np.divmod(rng.choice(self.cells[second], NUM_GOALS), self.grid.num_cols)
+            away_m = np.hypot(rows - row, cols - col) * self.grid.resolution_m
+            fits = np.flatnonzero((away_m >= low_m) & (away_m < high_m))
+            if len(fits):
+                return (row, col), (int(rows[fits[0]]), int(cols[fits[0]]))
+        return None
+
+    def _facts(self, start: tuple[int, int], goal: tuple[int, int]) -> dict[str, object]:
+        facts: dict[str, object] = {}
+        for name, cell in (("start", start), ("goal", goal)):
+            x_m, y_m = self.grid.xy_of_cell(*cell)
+            lon, lat = self.grid.lonlat_of_xy(x_m, y_m)
+            facts |= {f"{name}_x_m": float(x_m), f"{name}_y_m": float(y_m)}
+            facts |= {f"{name}_lon": float(lon), f"{name}_lat": float(lat)}
+        away = np.hypot(start[0] - goal[0], start[1] - goal[1])
+        return facts | {"distance_m": float(away) * self.grid.resolution_m}
+
+
+def _at_altitude(pairs: pd.DataFrame, maps: MetricMaps, altitude_m: float, is_free: np.ndarray) -> pd.DataFrame:
+    """Return the instances at one altitude."""
+    # A diagonal step needs both orthogonal neighbours free, so what the grid joins are the islands of orthogonal steps.
+    islands, _ = label(is_free)
+    ends = [
+        islands[maps.grid.cell_of_xy(pairs[f"{end}_x_m"].to_numpy(), pairs[f"{end}_y_m"].to_numpy())]
+        for end in ("start", "goal")
+    ]
+    table = pairs.assign(crs=maps.grid.crs, is_connected=ends[0] == ends[1])
+    table.insert(1, "altitude_m", float(altitude_m))
+    return table
+
+
+def read_instances(file: str | Path) -> pd.DataFrame:
+    """Return the instances in a Parquet or CSV file (columns: see `sample_instances`).
+
+    ``instance``, ``altitude_m``, ``crs``, the places in metres and the weights must be there; times default to the
+    maps' first.
+
+    Raises:
+      InputError: the file cannot be read, lacks a column, holds no row, a number that is none, or an instance twice.
+    """
+    table = read_table(file, "instances")
+    name = f"the instances file {str(file)!r}"
+    if lost := [column for column in NEEDED if column not in table]:
+        raise InputError(f"{name} lacks the column {lost[0]!r}: it needs {', '.join(NEEDED)}")
+    if table.empty:
+        raise InputError(f"{name} holds no row: give at least one instance")
+    for column in ("instance", "altitude_m", *PLACES, *WEIGHTS):
+        values = pd.to_numeric(table[column], errors="coerce").to_numpy(np.float64)
+        wrong = ~np.isfinite(values) | ((values < 0) if column in WEIGHTS else False)
+        if column == "instance":
+            wrong |= values != np.floor(values)
+        if wrong.any():
+            row = int(np.argmax(wrong))
+            kind = "a number >= 0" if column in WEIGHTS else "a whole number" if column == "instance" else "a number"
+            raise InputError(f"{name}, row {row + 1}: {column} must be {kind}, got {table[column].iloc[row]!r}")
+        table[column] = values.astype(np.int64) if column == "instance" else values
+    twice = table.duplicated(list(KEY))
+    if twice.any():
+        number, altitude_m = table.loc[twice, list(KEY)].to_numpy()[0]
+        raise InputError(f"{name} holds instance {number:g} at {altitude_m:g} m twice: number them anew")
+    for column in TOLD:
+        table[column] = table[column].astype(object).where(table[column].notna(), None) if column in table else None
+    if "distance_m" not in table:
+        table["distance_m"] = np.hypot(table.goal_x_m - table.start_x_m, table.goal_y_m - table.start_y_m)
+    return table

@@ -1,0 +1,235 @@
+"""The report of a study: tables, figures, and the sentence that each supports, under one folder."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from jaxurban.case_study import StudyResult
+from jaxurban.cost import METRICS
+from jaxurban.io.store import whole_file
+from jaxurban.io.tables import write_table
+from jaxurban.plotting.files import write_png
+from jaxurban.plotting.study import study_figures
+from jaxurban.studies import analysis
+from jaxurban.studies.analysis import each
+from jaxurban.studies.complementarity import complementarity, findings, verdict
+from jaxurban.studies.trial import CRASHED
+
+REPORT_FILE, TABLES, FIGURES = "report.md", "tables", "figures"
+
+
+def tables_of(result: StudyResult) -> dict[str, pd.DataFrame]:
+    """Return the tables of a study by name; complementarity only where the maps hold gps and lidar."""
+    table = result.table
+    tables = {
+        "choices": analysis.choices(table),
+        "success": analysis.success(table),
+        "costs": analysis.costs(table),
+        "paired": analysis.paired(table),
+        "times": analysis.times(table),
+        "usage": analysis.usage(table),
+        "objectives": analysis.objectives(table),
+    }
+    if {"gps", "lidar"} <= set(result.maps.metrics):
+        tables["complementarity"] = complementarity(result.maps)
+    return tables
+
+
+def write_analysis(result: StudyResult, folder: str | Path) -> Path:
+    """Write report.md with its tables (CSV) and figures (PNG) under ``folder`` and return the report's file.
+
+    Raises:
+      InputError: the folder cannot be written to.
+    """
+    folder = Path(folder)
+    tables = tables_of(result)
+    for name, table in tables.items():
+        write_table(table, folder / TABLES / f"{name}.csv")
+    figures = study_figures(result.maps, result.table, tables)
+    for name, figure in figures.items():
+        with whole_file(folder / FIGURES / f"{name}.png") as scratch:
+            write_png(figure, scratch)
+    with whole_file(folder / REPORT_FILE) as scratch:
+        scratch.write_text(report_markdown(result, tables, list(figures)), encoding="utf-8")
+    return folder / REPORT_FILE
+
+
+def report_markdown(result: StudyResult, tables: dict[str, pd.DataFrame], figures: Sequence[str] = ()) -> str:
+    """Return the report; ``figures`` are the names of the pictures beside it."""
+    table = result.table
+    writers: dict[str, tuple[str, Callable[[pd.DataFrame, pd.DataFrame], str]]] = {
+        "choices": ("Which planner, when", _choices_text),
+        "success": ("How often a path is found", _success_text),
+        "costs": ("Cost", _costs_text),
+        "paired": ("Planners two by two", _paired_text),
+        "times": ("Time", _times_text),
+        "usage": ("Metrics along the paths", _usage_text),
+        "objectives": ("Shortest path against cheapest path", _objectives_text),
+        "complementarity": ("GPS and lidar", _complementarity_text),
+    }
+    parts = ["# Study", _head(result, table)]
+    for name, (title, text) in writers.items():
+        if name not in tables or tables[name].empty:
+            continue
+        picture = [f"![{title}]({FIGURES}/{name}.png)"] if name in figures else []
+        parts += [f"## {title}", text(tables[name], table), *picture, markdown(_shown(name, tables[name]))]
+    return "\n\n".join(parts) + "\n"
+
+
+def _head(result: StudyResult, table: pd.DataFrame) -> str:
+    settings, grid = result.settings, result.maps.grid
+    pairs = table.drop_duplicates(["instance", "altitude_m"])
+    budget = (
+        f"{settings.budget_s:g} s a run"
+        if settings.budget_iterations is None
+        else f"{settings.budget_iterations} samples a run, other planners to their end"
+    )
+    crashed, odd = (table.status == CRASHED).sum(), table.status.isin(["invalid", "bad-input"]).sum()
+    joined = pairs.groupby("altitude_m").is_joined.mean()
+    lines = [
+        f"- {table.instance.nunique()} instances at {_listed([f'{z:g} m' for z in joined.index])}, "
+        f"{len(table)} runs of {_listed(sorted(table.planner.unique()))}; {grid.num_cols} x {grid.num_rows} cells of "
+        f"{grid.resolution_m:g} m.",
+        f"- Budget: {budget}. Cost model `{settings.cost_model}`, reference length {settings.reference_length_m:g} m.",
+        f"- Pairs that some path joins: {_listed([f'{share:.1%} at {z:g} m' for z, share in joined.items()])}.",
+        f"- Crashed runs: {crashed}; paths or questions that were not valid: {odd}.",
+        "- Intervals are 95 %, by bootstrap over instances (over tiles of 500 m for maps).",
+    ]
+    return "\n".join(lines)
+
+
+def _choices_text(choices: pd.DataFrame, table: pd.DataFrame) -> str:
+    best = choices.cheapest[choices.cheapest != "none"]
+    straight = choices.straight_enough.dropna()
+    parts = []
+    if len(best):
+        name, times = best.value_counts().index[0], best.value_counts().iloc[0]
+        parts.append(f"**`{name}` is the cheapest reliable planner in {times} of {len(choices)} cells of this table.**")
+    if len(straight):
+        parts.append(
+            f"The straight line is there and within {analysis.NEAR - 1:.0%} of the cheapest path for "
+            f"{straight.min():.0%} to {straight.max():.0%} of the pairs, cell by cell (`straight_enough`)."
+        )
+    parts.append(
+        f"Reliable: answers at least {analysis.RELIABLE:.0%} of the joined pairs. `cheapest`: least mean cost over the "
+        "cheapest known. `fastest_near_best`: least median time among those within 5 % of the cheapest on nine of ten "
+        "pairs."
+    )
+    return " ".join(parts)
+
+
+def _success_text(success: pd.DataFrame, table: pd.DataFrame) -> str:
+    by = success.groupby("planner")[["paths", "joined"]].sum()
+    share = (by.paths / by.joined).sort_values(ascending=False)
+    low = success[success.altitude_m == success.altitude_m.min()].groupby("planner")[["paths", "joined"]].sum()
+    low_share = (low.paths / low.joined).reindex(share.index)
+    listed = _listed([f"`{name}` answers {value:.0%}" for name, value in share.items()])
+    return (
+        f"**Of the pairs that some path joins, {listed}; at {success.altitude_m.min():g} m "
+        f"{_listed([f'{value:.0%}' for value in low_share])} in the same order.**"
+    )
+
+
+def _costs_text(costs: pd.DataFrame, table: pd.DataFrame) -> str:
+    rows = analysis.weighted_rows(table)
+    rows = rows[rows.has_path]
+    median = rows.groupby("planner").ratio.median().sort_values()
+    best = rows.groupby("planner").ratio.apply(lambda ratio: (ratio <= analysis.CLOSE).mean()).reindex(median.index)
+    shares = zip(median.items(), best, strict=True)
+    listed = _listed([f"`{name}` {value:.3f} (within 1 % on {share:.0%})" for (name, value), share in shares])
+    return f"**Where it finds a path, a planner's median cost over the cheapest known is: {listed}.**"
+
+
+def _paired_text(paired: pd.DataFrame, table: pd.DataFrame) -> str:
+    told = paired[np.isfinite(paired.cost_ratio)]
+    clear = told[(told.low > 1) | (told.high < 1)]
+    equal = len(told) - len(clear)
+    sentences = [
+        f"`{row.first if row.cost_ratio < 1 else row.second}` is cheaper than "
+        f"`{row.second if row.cost_ratio < 1 else row.first}` by {abs(1 - min(row.cost_ratio, 1 / row.cost_ratio)):.1%}"
+        for row in clear.reindex(
+            clear.cost_ratio.map(lambda ratio: -abs(np.log(ratio))).sort_values().index
+        ).itertuples()
+    ]
+    unclear = (
+        f" For {equal} of {len(told)} pairs of planners the interval holds 1: no difference is shown." if equal else ""
+    )
+    return (f"**On the pairs that both solved, {'; '.join(sentences[:6])}.**" if sentences else "") + unclear
+
+
+def _times_text(times: pd.DataFrame, table: pd.DataFrame) -> str:
+    rows = analysis.weighted_rows(table)
+    median = rows.groupby("planner").elapsed_s.median().sort_values()
+    listed = _listed([f"`{name}` {value:.3g} s" for name, value in median.items()])
+    return f"**Median search time: {listed}.** Times are of the machine that ran the study, with its other load."
+
+
+def _usage_text(usage: pd.DataFrame, table: pd.DataFrame) -> str:
+    sentences = []
+    for metric in METRICS:
+        column = usage[usage.objective == "weighted"].groupby("planner")[f"m_{metric}"].mean().dropna()
+        if len(column):
+            ends = f"{column.min():.3f} (`{column.idxmin()}`) to {column.max():.3f} (`{column.idxmax()}`)"
+            sentences.append(f"m_{metric} from {ends}")
+    least = int(usage.instances.min())
+    return (
+        f"**Mean over altitudes along the paths: {'; '.join(sentences)}.** Only instances that all runs solved count "
+        f"({least} to {int(usage.instances.max())} an altitude)."
+    )
+
+
+def _objectives_text(objectives: pd.DataFrame, table: pd.DataFrame) -> str:
+    sentences = [
+        f"at {row.altitude_m:g} m the shortest path costs {row.cost_ratio - 1:.0%} more "
+        f"({row.cost_ratio_low - 1:.0%} to {row.cost_ratio_high - 1:.0%}) and is {1 - row.length_ratio:.1%} shorter"
+        for row in each(objectives[objectives.planner == objectives.planner.iloc[0]])
+    ]
+    return f"**Against the cheapest path of `{objectives.planner.iloc[0]}`: {'; '.join(sentences)}.**"
+
+
+def _complementarity_text(found: pd.DataFrame, table: pd.DataFrame) -> str:
+    words = {True: "holds", False: "does not hold", None: "cannot be told"}
+    claims = [f"- *{each.claim}*: **{words[each.holds]}**. {each.evidence}." for each in findings(found)]
+    return f"**{verdict(found)}**\n\n" + "\n".join(claims)
+
+
+SHOWN = {
+    "paired": ["first", "second", "both", "only_first", "only_second", "cost_ratio", "low", "high", "time_ratio"],
+    "complementarity": [
+        "altitude_m", "gps", "lidar", "correlation", "gps_poor", "lidar_where_gps_poor", "lidar_where_gps_good",
+        "gps_serves", "lidar_serves", "either_serves",
+    ],
+    "objectives": ["planner", "altitude_m", "pairs", "cost_ratio", "length_ratio", *(f"m_{n}_change" for n in METRICS)],
+}  # fmt: skip
+
+
+def _shown(name: str, table: pd.DataFrame) -> pd.DataFrame:
+    """Return what the report shows of a table; the CSV holds all."""
+    if name == "success":
+        shares = table.pivot(index=["planner", "range"], columns="altitude_m", values="share_joined")
+        ranges = analysis.range_names(table)
+        shares = shares.reindex([(planner, each) for planner in sorted(table.planner.unique()) for each in ranges])
+        return shares.rename(columns=lambda z: f"{z:g} m").reset_index()
+    wanted = SHOWN.get(name)
+    return table if wanted is None else table[[column for column in wanted if column in table]]
+
+
+def markdown(table: pd.DataFrame) -> str:
+    """Return a table in Markdown, numbers with three digits."""
+    head = "| " + " | ".join(str(name) for name in table.columns) + " |"
+    rows = ["| " + " | ".join(_cell(value) for value in row) + " |" for row in table.itertuples(index=False, name=None)]
+    return "\n".join([head, "|" + "---|" * len(table.columns), *rows])
+
+
+def _cell(value: Any) -> str:
+    if not isinstance(value, float):
+        return str(value)
+    return "" if not np.isfinite(value) else f"{value:.0f}" if abs(value) >= 1000 else f"{value:.3g}"
+
+
+def _listed(items: Sequence[str]) -> str:
+    items = list(items)
+    return items[0] if len(items) == 1 else f"{', '.join(items[:-1])} and {items[-1]}"

@@ -1,0 +1,270 @@
+"""The polite client, against a server that misbehaves: what enters the cache is whole and what was asked for."""
+
+import gzip
+import hashlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from datetime import UTC, datetime, timedelta
+from email.utils import format_datetime
+
+import pytest
+
+from jaxurban.errors import InputError
+from jaxurban.io import download
+from jaxurban.io.download import UnfitError, Wanted, cache_folder, open_client
+from tests.misbehaving_server import drip, send, serve, unless_known
+
+BODY = b"good " * 2000
+MB = 10**6
+
+
+@pytest.fixture
+def server(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setenv("NO_PROXY", "127.0.0.1")
+    monkeypatch.setattr(download, "FIRST_WAIT_S", 0.01)
+    with serve() as running:
+        yield running
+
+
+def is_good(path):
+    if not path.read_bytes().startswith(b"good"):
+        raise UnfitError("it is not good")
+
+
+def get(url, *, most_bytes=MB, timeout_s=5.0, is_offline=False, said=None, **options):
+    tell = [].append if said is None else said.append
+    with open_client(most_bytes=most_bytes, timeout_s=timeout_s, is_offline=is_offline, tell=tell) as client:
+        return client.get(Wanted("osm", url, is_good, **options))
+
+
+def files_in_cache():
+    return sorted(path.name for path in cache_folder().iterdir())
+
+
+def assert_refused(url, match, **options):
+    """Check that a download is refused in one sentence and leaves nothing at all in the cache."""
+    with pytest.raises(InputError, match=match) as caught:
+        get(url, **options)
+    assert "\n" not in str(caught.value)
+    assert files_in_cache() == []
+
+
+def test_a_file_arrives_whole_and_says_what_it_is(server):
+    kept = get(server.put("/a", send(BODY, ETag='"1"')))
+    assert kept.path.read_bytes() == BODY
+    assert (kept.num_bytes, kept.sha256) == (len(BODY), hashlib.sha256(BODY).hexdigest())
+    assert len(files_in_cache()) == 2  # the body and what is known of it
+
+
+def test_the_client_names_itself_and_asks_once(server):
+    get(server.put("/a", send(BODY)))
+    ((_, headers),) = server.asked
+    assert headers["User-Agent"].startswith("jaxurban/0.")
+
+
+def test_a_packed_answer_is_unpacked(server):
+    kept = get(server.put("/a", send(gzip.compress(BODY), Content_Encoding="gzip")))
+    assert kept.path.read_bytes() == BODY
+
+
+def test_a_fresh_copy_makes_no_request(server):
+    url = server.put("/a", send(BODY))
+    assert get(url).path == get(url, fresh_s=3600.0).path
+    assert len(server.asked) == 1
+
+
+def test_an_old_copy_is_asked_after_and_kept_if_it_has_not_changed(server):
+    url = server.put("/a", unless_known('"7"', BODY))
+    first, second = get(url), get(url)
+    assert [headers.get("If-None-Match") for _, headers in server.asked] == [None, '"7"']
+    assert (second.path.read_bytes(), second.fetched_utc) == (BODY, first.fetched_utc)
+
+
+def test_a_changed_file_replaces_the_old_copy(server):
+    url = server.put("/a", send(BODY, Last_Modified="Mon, 27 Apr 2020 16:00:00 GMT"), send(b"good, and new"))
+    get(url)
+    assert get(url).path.read_bytes() == b"good, and new"
+    assert server.asked[1][1]["If-Modified-Since"] == "Mon, 27 Apr 2020 16:00:00 GMT"
+    assert len(files_in_cache()) == 2
+
+
+@pytest.mark.parametrize("damage", [lambda path: path.write_bytes(BODY[:-1]), lambda path: path.unlink()])
+def test_a_copy_that_is_not_as_it_was_is_fetched_again(server, damage):
+    url = server.put("/a", send(BODY))
+    damage(get(url).path)
+    assert get(url, fresh_s=3600.0).path.read_bytes() == BODY
+    assert len(server.asked) == 2
+
+
+def test_a_refused_new_version_leaves_the_old_copy(server):
+    url = server.put("/a", send(BODY), send(b"<html>maintenance</html>"))
+    get(url)
+    with pytest.raises(InputError, match="not good"):
+        get(url)
+    assert get(url, is_offline=True).path.read_bytes() == BODY
+
+
+def test_a_file_cut_off_is_asked_for_again_and_then_refused(server):
+    cut = send(BODY[:5000], Content_Length=str(len(BODY)))
+    assert get(server.put("/once", cut, send(BODY))).path.read_bytes() == BODY
+    (cache_folder() / files_in_cache()[0]).unlink()
+    (cache_folder() / files_in_cache()[0]).unlink()
+    assert_refused(server.put("/always", cut), "broke off in the middle .*asked 3 times", num_tries=3)
+    assert server.paths() == ["/once"] * 2 + ["/always"] * 3
+
+
+def test_a_packed_file_cut_off_is_refused(server):
+    packed = gzip.compress(os.urandom(20_000))
+    url = server.put("/a", send(packed[:9000], Content_Length=str(len(packed)), Content_Encoding="gzip"))
+    assert_refused(url, "broke off", num_tries=1)
+
+
+def test_a_silent_server_is_left(server):
+    begun_s = time.monotonic()
+    assert_refused(server.put("/a", drip(server, b"", 10.0)), "sends nothing, .* longer --timeout", timeout_s=0.3)
+    assert time.monotonic() - begun_s < 5.0
+    assert len(server.asked) == 1
+
+
+def test_a_server_that_drips_is_left(server):
+    url = server.put("/a", drip(server, b"good", 0.05))
+    assert_refused(url, "sends nothing, or next to nothing, for 0.4 s", timeout_s=0.4)
+
+
+def test_a_declared_giant_is_refused_before_it_is_read(server):
+    url = server.put("/a", send(b"good", Content_Length="900000000"))
+    assert_refused(url, r"larger than 1.0 MB \(900.0 MB or more\): .*--max-size")
+
+
+def test_an_undeclared_giant_is_stopped_at_the_limit(server):
+    assert_refused(server.put("/a", drip(server, b"good" * 50_000, 0.0)), "larger than 1.0 MB")
+
+
+def test_a_packed_giant_is_stopped_at_the_limit(server):
+    packed = gzip.compress(b"good" + bytes(50 * MB))
+    assert len(packed) < MB
+    assert_refused(server.put("/a", send(packed, Content_Encoding="gzip")), "larger than 1.0 MB")
+
+
+def test_a_web_page_instead_of_the_file_is_refused(server):
+    assert_refused(server.put("/a", send(b"<html>log in</html>")), "not the osm file that was asked for: it is not")
+
+
+def test_an_empty_answer_is_refused(server):
+    assert_refused(server.put("/a", send(b"")), "not the osm file")
+
+
+@pytest.mark.parametrize("status", [403, 404, 410, 500])
+def test_a_refusal_is_taken_at_once(server, status):
+    assert_refused(server.put("/a", send(b"no", status)), f"answers {status} .*--source")
+    assert len(server.asked) == 1
+
+
+@pytest.mark.parametrize("status", [429, 502, 503, 504])
+def test_a_busy_server_is_asked_again(server, status):
+    said = []
+    kept = get(server.put("/a", send(b"", status), send(b"", status), send(BODY)), said=said)
+    assert kept.path.read_bytes() == BODY
+    assert sum("trying again in" in line for line in said) == 2
+
+
+def test_a_busy_server_is_not_asked_for_ever(server):
+    assert_refused(server.put("/a", send(b"", 503)), r"busy \(503 .*asked 4 times\): run the same command later")
+    assert len(server.asked) == 4
+
+
+def test_a_busy_server_is_asked_once_where_it_wants_that(server):
+    assert_refused(server.put("/a", send(b"", 503)), "asked once", num_tries=1)
+    assert len(server.asked) == 1
+
+
+def test_a_server_is_given_the_time_it_asks_for(server):
+    begun_s = time.monotonic()
+    get(server.put("/a", send(b"", 429, Retry_After="1"), send(BODY)))
+    assert time.monotonic() - begun_s >= 1.0
+
+
+@pytest.mark.parametrize("wait", ["3600", format_datetime(datetime.now(UTC) + timedelta(hours=1), usegmt=True)])
+def test_a_long_wait_is_the_users_to_make(server, wait):
+    assert_refused(server.put("/a", send(b"", 429, Retry_After=wait)), r"asks to wait 3[56]\d\d s")
+    assert len(server.asked) == 1
+
+
+def test_redirects_are_followed_but_not_in_circles(server):
+    server.put("/here", send(b"", 302, Location="/there"))
+    server.put("/there", send(BODY))
+    assert get(server.url + "/here").path.read_bytes() == BODY
+    for name in files_in_cache():
+        (cache_folder() / name).unlink()
+    server.put("/there", send(b"", 302, Location="/here"))
+    assert_refused(server.url + "/here", "leads in circles")
+    assert len(server.asked) == 2 + download.MOST_REDIRECTS + 1
+
+
+def test_no_redirect_leads_from_https_to_http():
+    answer = download.requests.Response()
+    answer.status_code, answer.url = 302, "https://a.example/x"
+    answer.headers["Location"] = "http://a.example/x"
+    with pytest.raises(InputError, match="not encrypted"):
+        download._Session().get_redirect_target(answer)
+
+
+def test_a_published_checksum_is_compared(server):
+    url = server.put("/a.pbf", send(BODY))
+    right = server.put("/a.pbf.md5", send(hashlib.md5(BODY).hexdigest().encode() + b"  a.pbf\n"))
+    wrong = server.put("/wrong.md5", send(b"0" * 32 + b"  a.pbf\n"))
+    assert_refused(url, "does not match its published MD5", md5_url=wrong)
+    assert_refused(url, "is no MD5 checksum", md5_url=url)
+    assert get(url, md5_url=right).path.read_bytes() == BODY
+
+
+def test_a_missing_checksum_is_told(server):
+    said = []
+    get(server.put("/a", send(BODY)), md5_url=server.url + "/none.md5", said=said)
+    assert any("checksum: none is published" in line for line in said)
+
+
+def test_without_a_network_the_remedy_is_named(server):
+    url = server.put("/a", send(BODY))
+    nowhere = "http://127.0.0.1:9/a"  # the discard port: nobody listens
+    assert_refused(nowhere, "127.0.0.1 cannot be reached: check the network .*--offline")
+    assert_refused(url, "is not in the cache .*without --offline", is_offline=True)
+    get(url)
+    assert get(url, is_offline=True).path.read_bytes() == BODY
+
+
+def test_two_runs_do_not_share_the_cache_at_a_time(server):
+    url = server.put("/a", send(BODY))
+    with (
+        open_client(most_bytes=MB, timeout_s=5.0, is_offline=False, tell=print),
+        pytest.raises(InputError, match="another run is writing"),
+    ):
+        get(url)
+
+
+def test_a_killed_run_leaves_nothing_that_is_used(server):
+    url = server.put("/a", drip(server, b"good" * 1000, 0.02))
+    code = (
+        "from jaxurban.io.download import *\n"
+        "with open_client(most_bytes=10**9, timeout_s=60.0, is_offline=False, tell=print) as client:\n"
+        f"    client.get(Wanted('osm', {url!r}, print))\n"
+    )
+    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.DEVNULL) as process:
+        while not (server.asked and any(cache_folder().glob(".*"))):
+            time.sleep(0.02)
+        process.send_signal(signal.SIGKILL)
+    assert not list(cache_folder().glob("*.json"))
+    server.put("/a", send(BODY))
+    assert get(url).path.read_bytes() == BODY
+    assert len(files_in_cache()) == 2
+
+
+def test_what_is_known_of_a_file_is_json(server):
+    url = server.put("/a", send(BODY))
+    facts = json.loads(get(url).path.with_suffix(".json").read_text())
+    assert facts["url"] == url

@@ -1,0 +1,453 @@
+"""From a region to files and a scenario that runs: real formats, made here, from a server in this process."""
+
+import hashlib
+import io
+import json
+import tomllib
+import zipfile
+from datetime import UTC, date, datetime, timedelta
+
+import geopandas as gpd
+import numpy as np
+import osmium
+import pytest
+import shapely
+from sgp4.exporter import export_tle
+
+from jaxurban.errors import InputError
+from jaxurban.io import arrived
+from jaxurban.io.buildings import read_buildings
+from jaxurban.io.census import read_blocks
+from jaxurban.io.download import UnfitError
+from jaxurban.io.fetchplan import FetchJob, plan_fetch
+from jaxurban.io.nominal import nominal_satellites
+from jaxurban.io.orbits import _timescale
+from jaxurban.io.osmcut import cut_buildings
+from jaxurban.pipeline import run_scenario
+from jaxurban.scenario import Scenario
+from tests.cli_runs import assert_one_sentence, run
+from tests.misbehaving_server import send, serve
+
+BOUNDS = (-74.010, 40.710, -74.008, 40.7115)
+REGION = ",".join(map(str, BOUNDS))
+COUNTY = "36061"
+TODAY = date(2026, 11, 20)
+HOUSES = ((-74.0095, 40.7103, 40), (-74.0088, 40.7110, 25))  # south-west corner, height
+SIDE_DEG = 0.0002
+
+
+def osm_xml():
+    """Two buildings in the order in which the Overpass API writes: ways, then their nodes."""
+    ways, nodes = [], []
+    for number, (lon, lat, height_m) in enumerate(HOUSES, start=1):
+        corners = [(lon, lat), (lon + SIDE_DEG, lat), (lon + SIDE_DEG, lat + SIDE_DEG), (lon, lat + SIDE_DEG)]
+        ids = [10 * number + i for i in range(4)]
+        nodes += [f'<node id="{i}" lat="{y}" lon="{x}"/>' for i, (x, y) in zip(ids, corners, strict=True)]
+        refs = "".join(f'<nd ref="{i}"/>' for i in (*ids, ids[0]))
+        ways.append(f'<way id="{number}">{refs}<tag k="building" v="yes"/><tag k="height" v="{height_m}"/></way>')
+    parts = ('<?xml version="1.0" encoding="UTF-8"?>\n<osm version="0.6">', *ways, *nodes, "</osm>\n")
+    return "\n".join(parts).encode()
+
+
+def pbf(tmp_path, xml=None):
+    """The same as a PBF file, nodes first."""
+    (tmp_path / "in.osm").write_bytes(xml or osm_xml())
+    path = tmp_path / "extract.osm.pbf"
+    path.unlink(missing_ok=True)
+    with osmium.SimpleWriter(str(path)) as writer:
+        for kind in (osmium.osm.NODE, osmium.osm.WAY):
+            for item in osmium.FileProcessor(str(tmp_path / "in.osm"), kind):
+                writer.add(item)
+    return path.read_bytes()
+
+
+def block_ids(count, county=COUNTY):
+    return [f"{county}000100{1000 + i}" for i in range(count)]
+
+
+def block_zip(folder, ids, x=-74.011, width=0.001, field="GEOID20"):
+    """A zipped Shapefile of blocks in a row from west to east, in NAD83 as the Census has it."""
+    west = x + width * np.arange(len(ids))
+    frame = gpd.GeoDataFrame({field: ids}, geometry=shapely.box(west, 40.709, west + width, 40.712), crs="EPSG:4269")
+    folder.mkdir(parents=True, exist_ok=True)
+    frame.to_file(folder / "tl.shp")
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
+        for path in sorted(folder.glob("tl.*")):
+            archive.write(path, path.name)
+    return packed.getvalue()
+
+
+def counts_json(ids, has_more=False):
+    rows = [{"attributes": {"GEOID": block, "POP100": 100 + i}} for i, block in enumerate(ids)]
+    return json.dumps({"features": rows} | ({"exceededTransferLimit": True} if has_more else {})).encode()
+
+
+def districts_geojson():
+    box = shapely.box(-74.02, 40.70, -74.0, 40.72)
+    return gpd.GeoDataFrame({"BoroCD": [101]}, geometry=[box], crs="EPSG:4326").to_json().encode()
+
+
+def tle(day):
+    """The nominal satellites as two-line elements of a day."""
+    satellites = nominal_satellites(day, _timescale())
+    return "".join(f"{s.name}\n" + "\n".join(export_tle(s.model)) + "\n" for s in satellites).encode()
+
+
+@pytest.fixture
+def server(tmp_path, monkeypatch):
+    """A server with every file of the region; the sources are pointed at it."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setenv("NO_PROXY", "127.0.0.1")
+    with serve() as running:
+        today = datetime.now(UTC).date()
+        places = {
+            "osm": ("/overpass?data={query}", osm_xml()),
+            "population": ("/counts?box={west},{south},{east},{north}&from={offset}", counts_json(block_ids(4))),
+            "blocks": ("/blocks_{county}.zip", block_zip(tmp_path / "blocks", block_ids(4))),
+            "districts": ("/districts", districts_geojson()),
+            "orbits": ("/gp", tle(today)),
+        }
+        for name, (template, body) in places.items():
+            running.put(template.partition("?")[0].replace("{county}", COUNTY), send(body))
+            monkeypatch.setenv(f"JAXURBAN_SOURCE_{name.upper()}", running.url + template)
+        yield running
+
+
+def fetch(capsys, folder, *options):
+    return run(capsys, "fetch", f"--bounds={REGION}", "-o", folder, *options)
+
+
+def cached(tmp_path):
+    return [path for path in (tmp_path / "cache").rglob("*") if path.is_file() and "fetch" in path.parts]
+
+
+def test_what_is_fetched_makes_maps(server, tmp_path, capsys):
+    folder = tmp_path / "town"
+    code, out, err = fetch(capsys, folder, "--json")
+    assert (code, "error" in err) == (0, False)
+    record = json.loads(out)
+    assert {file["source"]: file["file"] for file in record["files"]} == {
+        "osm": "buildings.osm",
+        "orbits": "gps-ops.tle",
+        "population": "population.csv",
+        "blocks": "blocks.parquet",
+        "districts": "districts.geojson",
+    }
+    assert record["num_requests"] == len(server.asked) == 5
+    assert "OpenStreetMap contributors" in (folder / "scenario.toml").read_text(encoding="utf-8")
+    moved = folder.rename(tmp_path / "moved")  # paths are relative
+    made = run_scenario(Scenario.from_toml(moved / "scenario.toml"), tmp_path / "out")
+    ds = next(iter(made.maps.values())).ds
+    assert float(ds["obstacle"].sel(altitude=20).sum()) > float(ds["obstacle"].sel(altitude=60).sum()) == 0
+    assert made.record["population"]["night"]["commercial"] == 100 + 101 + 102 + 103
+    assert len(made.record["satellites"]) > 0
+    assert float(ds["gps"].max()) > 0
+
+
+def test_a_second_run_asks_nothing_while_the_copies_are_fresh(server, tmp_path, capsys):
+    fetch(capsys, tmp_path / "a")
+    num_asked = len(server.asked)
+    code, out, _ = fetch(capsys, tmp_path / "b", "--json")
+    assert (code, len(server.asked), json.loads(out)["num_requests"]) == (0, num_asked, 0)
+    for name in ("scenario.toml", "buildings.osm", "population.csv", "blocks.parquet", "districts.geojson"):
+        assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
+
+
+def test_a_dry_run_lists_the_requests_and_makes_none(server, tmp_path, capsys):
+    code, out, _ = fetch(capsys, tmp_path / "a", "--dry-run")
+    assert (code, server.asked, (tmp_path / "a").exists()) == (0, [], False)
+    assert [line.partition(":")[0] for line in out.splitlines()] == [
+        "osm",
+        "population",
+        "blocks",
+        "districts",
+        "orbits",
+    ]
+    assert "blocks_{county}.zip" in out
+    fetch(capsys, tmp_path / "a", "--county", COUNTY)
+    _, out, _ = fetch(capsys, tmp_path / "a", "--dry-run", "--json", "--county", COUNTY)
+    assert {row["request"] for row in json.loads(out)["requests"]} == {"none: in the cache"}
+
+
+def test_only_what_is_asked_for_is_fetched(server, tmp_path, capsys):
+    code, _, err = fetch(capsys, tmp_path / "a", "--what", "orbits")
+    assert (code, server.paths()) == (0, ["/gp"])
+    assert "no scenario is written without osm" in err
+    assert not (tmp_path / "a" / "scenario.toml").exists()
+    assert fetch(capsys, tmp_path / "b", "--what", "osm")[0] == 0
+    settings = tomllib.loads((tmp_path / "b" / "scenario.toml").read_text(encoding="utf-8"))
+    assert (set(settings), settings["gps"]["orbits"]) == ({"region", "buildings", "gps"}, "nominal")
+
+
+def test_a_failure_keeps_what_has_arrived_and_the_same_command_goes_on(server, tmp_path, capsys):
+    server.put(f"/blocks_{COUNTY}.zip", send(b"<html>Log in</html>"), send(block_zip(tmp_path / "z", block_ids(4))))
+    code, _, err = fetch(capsys, tmp_path / "a")
+    assert code == 2
+    assert "web page ('Log in')" in err.splitlines()[-1]
+    assert not (tmp_path / "a" / "scenario.toml").exists()
+    assert len(cached(tmp_path)) == 2 * 3  # osm, orbits and the counts, each with what is known of it
+    assert fetch(capsys, tmp_path / "a")[0] == 0
+    assert server.paths().count("/overpass") == 1
+
+
+def test_a_scenario_is_not_replaced_unless_asked(server, tmp_path, capsys):
+    (tmp_path / "a").mkdir()
+    (tmp_path / "a" / "scenario.toml").write_text("mine")
+    code, out, err = fetch(capsys, tmp_path / "a")
+    assert (code, out, server.asked) == (2, "", [])
+    assert_one_sentence(err, "--overwrite")
+    assert fetch(capsys, tmp_path / "a", "--overwrite")[0] == 0
+
+
+def test_old_element_sets_serve_their_own_date_only(server, tmp_path, capsys):
+    server.put("/gp", send(tle(date(2020, 4, 27))))
+    code, _, err = fetch(capsys, tmp_path / "a", "--what", "osm,orbits")
+    assert code == 2
+    assert "choose a --date near them" in err.splitlines()[-1]
+    assert fetch(capsys, tmp_path / "a", "--what", "osm,orbits", "--date", "2020-04-28")[0] == 0
+    assert Scenario.from_toml(tmp_path / "a/scenario.toml").gps.epochs == ("2020-04-28T12:00:00Z",)
+
+
+def test_without_a_network_it_is_one_sentence_and_exit_two(server, tmp_path, capsys):
+    code, _, err = fetch(capsys, tmp_path / "a", "--source", "osm=http://127.0.0.1:9/x?data={query}")
+    assert code == 2
+    assert "cannot be reached: check the network" in err.splitlines()[-1]
+    code, _, err = fetch(capsys, tmp_path / "a", "--offline")
+    assert code == 2
+    assert_one_sentence(err, "is not in the cache", "without --offline")
+    assert cached(tmp_path) == []
+
+
+def test_an_extract_is_checked_and_cut_to_the_region(server, tmp_path, capsys, monkeypatch):
+    far = osm_xml().replace(b"</osm>", b"").decode()
+    for number in (1, 2):  # the same houses again, 5 km to the north
+        far += (
+            f'<way id="{number + 5}">'
+            + "".join(f'<nd ref="{10 * number + i + 50}"/>' for i in (0, 1, 2, 3, 0))
+            + '<tag k="building" v="yes"/></way>'
+        )
+        lon, lat, _ = HOUSES[number - 1]
+        for i, (x, y) in enumerate([(0, 0), (1, 0), (1, 1), (0, 1)]):
+            place = f'lat="{lat + 0.05 + y * SIDE_DEG}" lon="{lon + x * SIDE_DEG}"'
+            far += f'<node id="{10 * number + i + 50}" {place}/>'
+    body = pbf(tmp_path, (far + "</osm>").encode())
+    url = server.put("/state.osm.pbf", send(body))
+    server.put("/state.osm.pbf.md5", send(hashlib.md5(body).hexdigest().encode()))
+    monkeypatch.setenv("JAXURBAN_SOURCE_CHECKSUM", "{url}.md5")
+    _, out, _ = fetch(capsys, tmp_path / "a", "--what", "osm", "--extract", url, "--dry-run")
+    assert [line.partition(": ")[0] for line in out.splitlines()] == ["checksum", "osm"]
+    code, _, err = fetch(capsys, tmp_path / "a", "--what", "osm", "--extract", url)
+    assert (code, server.paths()) == (0, ["/state.osm.pbf.md5", "/state.osm.pbf"]), err
+    found = read_buildings(tmp_path / "a" / "buildings.osm.pbf", "EPSG:32618").buildings
+    assert sorted(found.height_m.tolist()) == [25, 40]
+
+
+@pytest.mark.data
+def test_a_cut_extract_holds_the_same_buildings(data_dir, tmp_path):
+    source, cut = data_dir / "osm/lower-manhattan.osm.pbf", tmp_path / "cut.osm.pbf"
+    cut_buildings(source, cut, (-74.0150, 40.7020, -74.0080, 40.7080))
+    inside_m = (583_400.0, 4_506_200.0, 583_700.0, 4_506_600.0)
+    whole, part = (read_buildings(path, "EPSG:32618", bounds_m=inside_m).buildings for path in (source, cut))
+    assert len(part.polygons) == len(whole.polygons) > 50
+    np.testing.assert_array_equal(np.sort(part.height_m), np.sort(whole.height_m))
+    assert shapely.area(part.polygons).sum() == pytest.approx(shapely.area(whole.polygons).sum(), rel=1e-9)
+
+
+def test_an_extract_of_another_place_is_refused(server, tmp_path, capsys):
+    xml = osm_xml().replace(b'version="0.6">', b'version="0.6"><bounds minlon="1" minlat="1" maxlon="2" maxlat="2"/>')
+    url = server.put("/elsewhere.osm", send(xml))
+    code, _, err = fetch(capsys, tmp_path / "a", "--what", "osm", "--extract", url)
+    assert code == 2
+    assert "not all of the region" in err.splitlines()[-1]
+
+
+def test_an_answer_without_buildings_is_told(server, tmp_path, capsys):
+    server.put("/overpass", send(b'<?xml version="1.0"?><osm version="0.6"></osm>'))
+    code, _, err = fetch(capsys, tmp_path / "a", "--what", "osm")
+    assert code == 2
+    assert "has no building in" in err.splitlines()[-1]
+
+
+def test_blocks_of_several_counties_and_pages_come_together(server, tmp_path, capsys):
+    east = block_ids(3, "36047")
+    server.put(
+        "/counts", send(counts_json(block_ids(4), has_more=True)), send(counts_json(east)), send(counts_json([]))
+    )
+    server.put("/blocks_36047.zip", send(block_zip(tmp_path / "east", east, x=-74.0085)))
+    assert fetch(capsys, tmp_path / "a", "--what", "osm,census")[0] == 0
+    assert [path.partition("from=")[2] for path, _ in server.asked if path.startswith("/counts")] == ["0", "4"]
+    blocks, faults = read_blocks(
+        tmp_path / "a/blocks.parquet", tmp_path / "a/population.csv", "EPSG:32618", block_field="GEOID"
+    )
+    # The third block from the east begins 120 m beyond the region: it is left out.
+    assert blocks.block_id.tolist() == east[:2] + block_ids(4)
+    assert faults["blocks_without_count"] == 0
+
+
+def test_where_the_census_counts_nobody_the_layer_is_left_out(server, tmp_path, capsys):
+    server.put("/counts", send(counts_json([])))
+    code, _, err = fetch(capsys, tmp_path / "a", "--what", "osm,census")
+    assert code == 0
+    assert "the census has no block in this region" in err
+    assert Scenario.from_toml(tmp_path / "a/scenario.toml").population.blocks is None
+
+
+def test_a_table_of_many_counties_needs_a_choice(server, tmp_path, capsys):
+    server.put("/counts", send(counts_json([f"360{i:02d}0001001000" for i in range(1, 15)])))
+    code, _, err = fetch(capsys, tmp_path / "a", "--what", "osm,census")
+    assert code == 2
+    assert "names 14 counties: say with --county" in err.splitlines()[-1]
+
+
+def test_a_damaged_extract_is_told(server, tmp_path, capsys):
+    body = bytearray(pbf(tmp_path))
+    body[-40:-20] = bytes(20)  # within the last blob's packed data
+    code, _, err = fetch(
+        capsys, tmp_path / "a", "--what", "osm", "--extract", server.put("/a.osm.pbf", send(bytes(body)))
+    )
+    assert code == 2
+    assert "is damaged" in err.splitlines()[-1]
+
+
+def test_the_population_may_be_a_csv_table(server, tmp_path, capsys):
+    rows = "".join(f'"1000000US{block}","Block","{50 + i}"\n' for i, block in enumerate(block_ids(4)))
+    url = server.put("/P1.csv", send(f'"GEO_ID","NAME","P001001"\n"id","Name","Total"\n{rows}'.encode()))
+    server.put("/old.zip", send(block_zip(tmp_path / "old", block_ids(4), field="GEOID10")))
+    places = ("--source", f"population={url}", "--source", f"blocks={server.url}/old.zip")
+    assert fetch(capsys, tmp_path / "a", "--what", "osm,census", *places)[0] == 0
+    blocks, _ = read_blocks(
+        tmp_path / "a/blocks.parquet", tmp_path / "a/population.csv", "EPSG:32618", block_field="GEOID"
+    )
+    assert blocks.night_count.sum() == 50 + 51 + 52 + 53
+
+
+def test_districts_of_ones_own_mark_nothing_commercial(server, tmp_path, capsys):
+    body = districts_geojson().replace(b"BoroCD", b"ward")
+    url = server.put("/wards.geojson", send(body))
+    code, _, err = fetch(capsys, tmp_path / "a", "--districts", url)
+    assert code == 2
+    assert "has no field 'BoroCD'" in err.splitlines()[-1]
+    code, _, err = fetch(capsys, tmp_path / "a", "--districts", url, "--district-field", "ward")
+    assert code == 0
+    assert "[population] commercial" in err
+    assert Scenario.from_toml(tmp_path / "a/scenario.toml").population.commercial == ()
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--what", "osm,sensus"), ("'sensus'", "did you mean 'census'")),
+        (("--what", ","), ("--what names nothing",)),
+        (("--source", "osm"), ("--source must be NAME=URL",)),
+        (("--source", "orbit=http://x.example"), ("did you mean 'orbits'",)),
+        (("--source", "osm=ftp://x.example/{query}"), ("must begin with https:// or http://",)),
+        (("--source", "osm=http://x.example/{town}"), ("placeholder {town}", "{query}")),
+        (("--source", "osm=http://x.example/{"), ("odd brace",)),
+        (("--county", "61"), ("five digits",)),
+        (("--margin", "-5"), ("margin",)),
+        (("--max-size", "big"), ("--max-size must be a size",)),
+        (("--timeout", "0"), ("--timeout",)),
+        (("--date", "20.11.2026"), ("--date",)),
+        (("--bounds", "1,2,3"), ("west,south,east,north",)),
+        (("--bounds", "-73.9,40.7,-74.0,40.8"), ("west must be below east",)),
+        (("--bounds=-74.2,40.6,-73.8,40.9",), ("km2", "100 km2 at most", "--extract")),
+    ],
+)
+def test_bad_input_is_one_sentence_and_makes_no_request(server, tmp_path, capsys, options, words):
+    code, out, err = fetch(capsys, tmp_path / "a", *options)
+    assert (code, out, server.asked) == (2, "", [])
+    assert_one_sentence(err, *words)
+
+
+def job(**settings):
+    return FetchJob(**({"bounds": BOUNDS, "day": TODAY, "today": TODAY} | settings))
+
+
+def test_the_known_sources_are_asked_by_name():
+    requests = {wanted.source: wanted for wanted in plan_fetch(job(counties=(COUNTY,))).requests}
+    assert requests["osm"].url.startswith("https://overpass-api.de/api/interpreter?data=%5Bout%3Axml%5D")
+    assert requests["blocks"].url.endswith("/TIGER2020PL/LAYER/TABBLOCK/2020/tl_2020_36061_tabblock20.zip")
+    assert "tigerWMS_Census2020/MapServer/10/query" in requests["population"].url
+    assert requests["orbits"].num_tries == 1  # CelesTrak wants programs to stop at a refusal
+    of_2010 = {wanted.source: wanted for wanted in plan_fetch(job(counties=(COUNTY,), census_year="2010")).requests}
+    assert of_2010["blocks"].url.endswith("/TIGER2010/TABBLOCK/2010/tl_2010_36061_tabblock10.zip")
+
+
+def test_geofabrik_publishes_a_checksum_and_others_are_not_asked_for_one():
+    there = "https://download.geofabrik.de/north-america/us/new-york-latest.osm.pbf"
+    assert plan_fetch(job(given_urls={"osm": there})).osm.md5_url == f"{there}.md5"
+    assert plan_fetch(job(given_urls={"osm": "https://a.example/town.osm.pbf"})).osm.md5_url is None
+
+
+def test_a_large_region_needs_an_extract_and_takes_one_of_any_size():
+    wide = (-74.2, 40.6, -73.8, 40.9)
+    with pytest.raises(InputError, match="100 km2 at most"):
+        plan_fetch(job(bounds=wide))
+    assert plan_fetch(job(bounds=wide, given_urls={"osm": "https://a.example/town.osm.pbf"})).osm is not None
+
+
+def test_abroad_no_population_is_known_and_that_is_said():
+    plan = plan_fetch(job(bounds=(24.93, 60.16, 24.96, 60.18)))
+    assert [wanted.source for wanted in plan.requests] == ["osm", "orbits"]
+    assert any("no source is known outside the United States" in note for note in plan.left_out)
+
+
+def test_old_dates_get_the_nominal_satellites_and_the_reason():
+    plan = plan_fetch(job(day=TODAY - timedelta(days=2000)))
+    assert plan.orbits is None
+    assert any("login at space-track.org" in note for note in plan.left_out)
+
+
+def test_an_overpass_message_in_place_of_data_is_refused(tmp_path):
+    (tmp_path / "a").write_bytes(
+        osm_xml().replace(b"</osm>", b"<remark> runtime error: Query timed out </remark>\n</osm>")
+    )
+    with pytest.raises(UnfitError, match="the server says 'runtime error: Query timed out'"):
+        arrived.osm_suffix(tmp_path / "a")
+
+
+def cut_in_half(body):
+    return body[: len(body) // 2 + 9]  # no boundary of two element sets
+
+
+@pytest.mark.parametrize(
+    ("check", "make"),
+    [
+        (arrived.osm_suffix, lambda folder: osm_xml()),
+        (arrived.osm_suffix, lambda folder: pbf(folder)),
+        (lambda path: arrived.read_block_zip(path, 10**6), lambda folder: block_zip(folder / "b", block_ids(4))),
+        (arrived.read_counts, lambda folder: counts_json(block_ids(4))),
+        (arrived.check_geojson, lambda folder: districts_geojson()),
+        (arrived.orbits_suffix, lambda folder: tle(TODAY)),
+    ],
+    ids=["osm", "pbf", "blocks", "counts", "districts", "orbits"],
+)
+def test_half_a_file_a_web_page_and_nothing_are_told_from_a_whole_file(tmp_path, check, make):
+    path, body = tmp_path / "it", make(tmp_path)
+    path.write_bytes(body)
+    check(path)
+    for wrong in (cut_in_half(body), b"<!DOCTYPE html><html><body>Sorry</body></html>", b"", b"\x00\x01\x02" * 99):
+        path.write_bytes(wrong)
+        with pytest.raises((UnfitError, InputError)):
+            check(path)
+
+
+@pytest.mark.parametrize("missing", [1, 5, 100])
+def test_a_pbf_that_lacks_its_end_is_cut_off(tmp_path, missing):
+    body = pbf(tmp_path)
+    (tmp_path / "a").write_bytes(body[:-missing])
+    with pytest.raises(UnfitError, match="cut off"):
+        arrived.osm_suffix(tmp_path / "a")
+
+
+def test_a_zip_that_unpacks_to_too_much_is_refused(tmp_path):
+    (tmp_path / "a").write_bytes(block_zip(tmp_path / "b", block_ids(4)))
+    with pytest.raises(UnfitError, match="unpacks to more than"):
+        arrived.read_block_zip(tmp_path / "a", 100)
+
+
+def test_a_message_of_tigerweb_in_place_of_counts_is_refused(tmp_path):
+    (tmp_path / "a").write_text('{"error": {"code": 400, "message": "Failed to execute query."}}')
+    with pytest.raises(UnfitError, match="Failed to execute query"):
+        arrived.read_counts(tmp_path / "a")

@@ -1,0 +1,47 @@
+"""MovingAI's files: written and read back, and the published ones read."""
+
+import numpy as np
+import pytest
+
+from jaxurban.errors import InputError
+from jaxurban.io.movingai import GridProblem, read_map, read_scenarios, write_map, write_scenarios
+
+
+def test_a_map_is_written_north_first_and_read_back(tmp_path):
+    is_free = np.array([[True, True, False], [True, False, False]])
+    write_map(is_free, tmp_path / "a.map")
+    assert (tmp_path / "a.map").read_text() == "type octile\nheight 2\nwidth 3\nmap\n.@@\n..@\n"
+    np.testing.assert_array_equal(read_map(tmp_path / "a.map"), is_free)
+
+
+def test_problems_are_sorted_by_length_and_read_back(tmp_path):
+    problems = [GridProblem((0, 0), (1, 2), 9.5), GridProblem((1, 1), (0, 1), 1.0)]
+    write_scenarios(problems, (2, 3), "a.map", tmp_path / "a.map.scen")
+    lines = (tmp_path / "a.map.scen").read_text().splitlines()
+    assert lines[0] == "version 1"
+    assert lines[1].split("\t") == ["0", "a.map", "3", "2", "1", "0", "1", "1", "1.00000000"]
+    assert lines[2].startswith("2\t")
+    assert read_scenarios(tmp_path / "a.map.scen") == problems[::-1]
+
+
+@pytest.mark.data
+def test_a_published_map_and_its_scenarios_are_read(data_dir):
+    is_free = read_map(data_dir / "movingai" / "Berlin_0_256.map")
+    problems = read_scenarios(data_dir / "movingai" / "Berlin_0_256.map.scen")
+    assert is_free.shape == (256, 256)
+    assert len(problems) == 930
+    assert all(is_free[problem.start] and is_free[problem.goal] for problem in problems)
+    assert problems[0] == GridProblem((255 - 165, 248), (255 - 164, 249), 2.0)
+
+
+@pytest.mark.parametrize("text", ["", "type octile\nheight 2\nwidth 3\nmap\n...\n", "type octile\nheight x\n"])
+def test_a_broken_map_is_named(tmp_path, text):
+    (tmp_path / "bad.map").write_text(text)
+    with pytest.raises(InputError, match=r"bad\.map"):
+        read_map(tmp_path / "bad.map")
+
+
+def test_broken_scenarios_are_named(tmp_path):
+    (tmp_path / "bad.scen").write_text("version 1\n0\ta.map\t3\n")
+    with pytest.raises(InputError, match=r"bad\.scen"):
+        read_scenarios(tmp_path / "bad.scen")

@@ -1,0 +1,63 @@
+"""RowStore: each row once or not at all, whatever was killed when."""
+
+import json
+
+import pandas as pd
+
+from jaxurban.io.rowstore import RowStore
+
+COLUMNS = {"k": "int64", "name": "object", "value": "float64"}
+
+
+def row(k: int, name: str, value: float | None = None) -> dict:
+    return {"k": k, "name": name, "value": value}
+
+
+def test_rows_are_there_again_after_any_end(tmp_path):
+    store = RowStore(tmp_path, ("k", "name"))
+    store.add([row(2, "a", 0.1), row(1, "b")])
+    again = RowStore(tmp_path, ("k", "name"))
+    assert again.rows == [row(1, "b"), row(2, "a", 0.1)]
+    assert (2, "a") in again
+    assert (2, "b") not in again
+
+
+def test_compacting_joins_all_parts_into_one_table_in_order(tmp_path):
+    store = RowStore(tmp_path, ("k", "name"))
+    store.add([row(2, "a", 0.1)])
+    store.add([row(1, "b")])
+    table = store.compact(COLUMNS)
+    assert not list((tmp_path / "parts").iterdir())
+    pd.testing.assert_frame_equal(pd.read_parquet(tmp_path / "rows.parquet"), table)
+    assert table.k.tolist() == [1, 2]
+    assert RowStore(tmp_path, ("k", "name")).rows == store.rows
+
+
+def test_a_kill_between_table_and_parts_doubles_nothing(tmp_path):
+    store = RowStore(tmp_path, ("k", "name"))
+    store.add([row(1, "a", 0.5)])
+    part = next((tmp_path / "parts").glob("*.json"))
+    text = part.read_text()
+    store.compact(COLUMNS)
+    part.write_text(text)  # as if it had not been removed yet
+    again = RowStore(tmp_path, ("k", "name"))
+    assert len(again) == 1
+    assert len(again.compact(COLUMNS)) == 1
+    assert not list((tmp_path / "parts").iterdir())
+
+
+def test_what_was_being_written_is_swept(tmp_path):
+    RowStore(tmp_path, ("k", "name")).add([row(1, "a")])
+    half = tmp_path / "parts" / ".x.json.0.jaxurban-part"
+    half.write_text(json.dumps([row(2, "a")])[:9])
+    assert len(RowStore(tmp_path, ("k", "name"))) == 1
+    assert not half.exists()
+
+
+def test_numbers_survive_bit_for_bit(tmp_path):
+    values = [0.1 + 0.2, 1e-300, 2**53 + 1.0, None]
+    store = RowStore(tmp_path, ("k",))
+    store.add([row(k, "a", value) for k, value in enumerate(values)])
+    assert [each["value"] for each in RowStore(tmp_path, ("k",)).rows] == values
+    store.compact(COLUMNS)
+    assert [each["value"] for each in RowStore(tmp_path, ("k",)).rows] == values

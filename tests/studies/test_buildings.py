@@ -1,0 +1,101 @@
+"""What buildings cost a route: against finite differences of the soft cost, and against the exact model."""
+
+import json
+from dataclasses import replace
+
+import jax
+import numpy as np
+import pandas as pd
+import pytest
+
+import jaxurban as ju
+from jaxurban.build import soft_city
+from jaxurban.costly_buildings import write_buildings
+from jaxurban.errors import InputError
+from jaxurban.io.store import RUN_FILE
+from jaxurban.pipeline import grids_of, load_city, map_params, run_scenario, sky_of
+from jaxurban.scenario import Scenario
+from jaxurban.soft.engine import SoftParams
+from jaxurban.studies.buildings import building_costs
+
+SETTINGS = {
+    "region": {"bounds": (-74.0, 40.75, -73.993, 40.756), "resolution_m": 10.0, "altitudes_m": [25.0]},
+    "buildings": {"source": "synthetic"},
+    "lidar": {"beams": 3, "azimuths": 24, "range_m": 60.0},
+}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("maps")
+    run_scenario(Scenario.from_dict(SETTINGS), folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def route(folder):
+    maps = ju.open_maps(folder)
+    grid = maps.grid
+    ends = [
+        (grid.x_min_m + share * (grid.x_max_m - grid.x_min_m), grid.y_min_m + share * (grid.y_max_m - grid.y_min_m))
+        for share in (0.1, 0.9)
+    ]
+    return ju.plan(maps, start_xy_m=ends[0], goal_xy_m=ends[1], altitude_m=25.0, snap=True)
+
+
+@pytest.fixture(scope="module")
+def table(folder, route, tmp_path_factory):
+    return write_buildings(folder, route, tmp_path_factory.mktemp("out"))
+
+
+def test_the_table_agrees_with_finite_differences_of_the_soft_cost(route, table):
+    scenario = Scenario.from_dict(SETTINGS)
+    grid, city, maps = grids_of(scenario)[0], load_city(scenario), map_params(scenario)
+    params = SoftParams(25.0, 2.0, maps.gps, maps.lidar, maps.risk, maps.population)
+    with jax.enable_x64(True):
+        soft = soft_city(city, grid, sky_of(scenario, grid), maps, dtype=np.float64)
+
+        def cost(height_m):
+            return building_costs(city, replace(soft, height_m=height_m), route, params).attrs["soft_cost"]
+
+        np.testing.assert_allclose(cost(soft.height_m), table.attrs["soft_cost"], rtol=1e-12)
+        assert len(table) > 12
+        assert table.per_metre.is_monotonic_decreasing
+        np.testing.assert_allclose(table.per_metre, table.gps + table.lidar + table.risk)
+        for row in table.reindex(table.per_metre.abs().sort_values(ascending=False).index).head(12).itertuples():
+            step = 1e-5 * np.eye(len(soft.height_m))[row.building]
+            slope = (cost(soft.height_m + step) - cost(soft.height_m - step)) / 2e-5
+            np.testing.assert_allclose(row.per_metre, slope, rtol=1e-4, atol=1e-6)
+
+
+def test_a_folder_of_maps_gives_table_and_picture(folder, route, tmp_path):
+    table = write_buildings(folder, route, tmp_path)
+    pd.testing.assert_frame_equal(pd.read_csv(tmp_path / "buildings.csv", index_col="rank"), table, check_like=True)
+    assert len(pd.read_parquet(tmp_path / "buildings.parquet")) == len(table)
+    assert (tmp_path / "buildings.png").stat().st_size > 10_000
+    lon, lat = route.lonlat[0]
+    assert table.lon.between(lon - 0.02, lon + 0.02).all()
+    assert table.lat.between(lat - 0.02, lat + 0.02).all()
+
+
+def test_other_sources_than_those_of_the_maps_are_refused(folder, route, tmp_path):
+    with pytest.raises(InputError, match=r"cannot read .*run.json"):
+        write_buildings(tmp_path, route, tmp_path)
+    record = json.loads((folder / RUN_FILE).read_text())
+    record["inputs"]["orbits"] = {"path": "sky.tle", "sha256": "0"}
+    record["settings"]["gps"]["orbits"] = ["sky.tle"]
+    (tmp_path / RUN_FILE).write_text(json.dumps(record))
+    with pytest.raises(InputError, match=r"'sky.tle'\) were not found"):
+        write_buildings(tmp_path, route, tmp_path)
+    (tmp_path / "sky.tle").write_text("another sky")
+    with pytest.raises(InputError, match=r"'sky.tle' is not the file"):
+        write_buildings(tmp_path, route, tmp_path)
+
+
+def test_without_a_route_no_building_costs_anything(folder, route, tmp_path):
+    nowhere = replace(route, status=type(route.status).NO_PATH)
+    with pytest.raises(InputError, match="there is no route"):
+        write_buildings(folder, nowhere, tmp_path)
+    coarse = replace(route, settings={**route.settings, "resolution_m": 20.0})
+    with pytest.raises(InputError, match="20 m"):
+        write_buildings(folder, coarse, tmp_path)

@@ -1,0 +1,132 @@
+"""One instance put to planners: rows against `plan`, and whatever may go wrong as a row."""
+
+import numpy as np
+import pytest
+
+import jaxurban as ju
+from jaxurban.planners.base import Path, Status
+from jaxurban.planners.ptp import ptp
+from jaxurban.planners.registry import PLANNERS, PlannerEntry
+from jaxurban.studies.sampling import sample_instances
+from jaxurban.studies.trial import COLUMNS, Ground, Run, Settings, put_to
+from tests.made_maps import made_maps
+
+WEIGHTED = [Run(name, "weighted") for name in ("ptp", "astar-dist", "astar-plus")]
+FEW_SAMPLES = Settings(budget_iterations=300)
+
+
+@pytest.fixture(scope="module")
+def maps():
+    return made_maps()
+
+
+@pytest.fixture(scope="module")
+def instances(maps):
+    table = sample_instances(maps, 12, altitudes_m=[20.0])
+    return table[table.is_connected].to_dict("records")
+
+
+@pytest.mark.parametrize("cost_model", ["cell", "line"])
+def test_rows_say_what_plan_says(maps, instances, cost_model):
+    settings = Settings(cost_model=cost_model)
+    for instance in instances[:4]:
+        ground = Ground(maps, 20.0, None, instance["time_of_day"], settings)
+        for run, row in zip(WEIGHTED, put_to(ground, instance, WEIGHTED), strict=True):
+            asked = {
+                "start_xy_m": (instance["start_x_m"], instance["start_y_m"]),
+                "goal_xy_m": (instance["goal_x_m"], instance["goal_y_m"]),
+                "altitude_m": 20.0,
+                "time_of_day": instance["time_of_day"],
+                "planner": run.planner,
+                "weights": ju.Weights(
+                    *(instance[f"w_{n}"] for n in ("distance", "gps", "lidar", "population", "risk"))
+                ),
+            }
+            planned = {model: ju.plan(maps, **asked, cost_model=model) for model in {cost_model, "cell", "line"}}
+            told = planned[cost_model]
+            assert row["status"] == told.status.value
+            assert row["num_expanded"] == told.search.num_expanded
+            if not told.status.has_path:
+                assert row["cost"] is None
+                continue
+            assert row["cost"] == row[f"cost_{cost_model}"] == pytest.approx(told.cost, rel=1e-12)
+            assert row["length_m"] == pytest.approx(told.length_m)
+            assert row["detour"] == pytest.approx(told.length_m / instance["distance_m"])
+            assert {name: row[f"m_{name}"] for name in told.metrics} == pytest.approx(dict(told.metrics), abs=1e-6)
+            if run.planner == "ptp":  # the same path under either model
+                assert row["cost_cell"] == pytest.approx(planned["cell"].cost, rel=1e-12)
+                assert row["cost_line"] == pytest.approx(planned["line"].cost, rel=1e-12)
+
+
+def test_the_shortest_path_is_no_longer_and_no_cheaper_than_the_cheapest(maps, instances):
+    runs = [Run("astar-dist", "weighted"), Run("astar-dist", "distance")]
+    for instance in instances:
+        cheapest, shortest = put_to(Ground(maps, 20.0, None, None, Settings()), instance, runs)
+        assert cheapest["cost"] <= shortest["cost"] * (1 + 1e-12)
+        assert shortest["length_m"] <= cheapest["length_m"] * (1 + 1e-12)
+        assert shortest["search_cost"] == pytest.approx(shortest["length_m"])
+
+
+def test_an_iteration_budget_repeats_exactly_but_for_the_time(maps, instances):
+    runs = [Run("bitstar-dist", "weighted"), Run("bitstar-plus", "weighted")]
+    first, again = (put_to(Ground(maps, 20.0, None, None, FEW_SAMPLES), instances[0], runs) for _ in range(2))
+    for one, other in zip(first, again, strict=True):
+        assert one | {"elapsed_s": 0} == other | {"elapsed_s": 0}
+        assert one["num_samples"] <= 300
+    assert any(row["num_samples"] == 300 for row in first)
+
+
+def test_a_row_does_not_depend_on_what_was_asked_before(maps, instances):
+    runs = [Run("astar-plus", "distance"), Run("astar-anytime", "weighted"), Run("astar-plus", "weighted")]
+    used = Ground(maps, 20.0, None, None, FEW_SAMPLES)
+    for _ in range(20):  # more than `landmarks.FEW_QUERIES`
+        put_to(used, instances[0], runs)
+    for again, first in zip(
+        put_to(used, instances[0], runs),
+        put_to(Ground(maps, 20.0, None, None, FEW_SAMPLES), instances[0], runs),
+        strict=True,
+    ):
+        assert again | {"elapsed_s": 0} == first | {"elapsed_s": 0}
+
+
+def crashing(problem, *, budget_s, seed):
+    raise RuntimeError("out of ideas")
+
+
+def cheating(problem, *, budget_s, seed):
+    found = ptp(problem)
+    corners = np.array([[0.0, 0.0], [problem.is_free.shape[1], problem.is_free.shape[0]]]) * problem.resolution_m
+    return Path(Status.FEASIBLE, corners, 1.0, 0.0, 1, found.elapsed_s, "cheating")
+
+
+def test_a_planner_that_crashes_or_cheats_is_a_row_and_the_next_one_is_asked(maps, instances, monkeypatch):
+    monkeypatch.setitem(PLANNERS, "crashing", PlannerEntry(crashing, ""))
+    monkeypatch.setitem(PLANNERS, "cheating", PlannerEntry(cheating, ""))
+    runs = [Run(name, "weighted") for name in ("crashing", "cheating", "astar-dist")]
+    rows = put_to(Ground(maps, 20.0, None, None, Settings()), instances[0], runs)
+    assert [row["status"] for row in rows] == ["crashed", "invalid", "optimal"]
+    assert rows[0]["note"] == "RuntimeError: out of ideas"
+    assert rows[1]["cost"] is None
+    assert all(set(row) == set(COLUMNS) for row in rows)
+
+
+def test_a_start_in_an_obstacle_or_off_the_map_is_a_row(maps, instances):
+    row, col = np.argwhere(~maps.is_free(20.0))[0]
+    x_m, y_m = (float(value) for value in maps.grid.xy_of_cell(row, col))
+    ground = Ground(maps, 20.0, None, None, Settings())
+    for place, word in (((x_m, y_m), "obstacle"), ((0.0, 0.0), "outside")):
+        asked = instances[0] | {"start_x_m": place[0], "start_y_m": place[1]}
+        (found,) = put_to(ground, asked, [Run("ptp", "weighted")])
+        assert found["status"] == "bad-input"
+        assert word in found["note"]
+
+
+def test_a_pair_that_no_path_joins_is_a_row_without_numbers(maps, instances):
+    walled = made_maps()
+    row, col = (int(v) for v in walled.grid.cell_of_xy(instances[0]["goal_x_m"], instances[0]["goal_y_m"]))
+    walled.ds["obstacle"][0, max(0, row - 1) : row + 2, max(0, col - 1) : col + 2] = 1
+    walled.ds["obstacle"][0, row, col] = 0
+    (found,) = put_to(Ground(walled, 20.0, None, None, Settings()), instances[0], [Run("astar-plus", "weighted")])
+    assert found["status"] == "no-path"
+    assert found["cost"] is None
+    assert found["lower_bound"] is None  # infinite: JSON has no such number
