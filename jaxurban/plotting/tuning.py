@@ -23,6 +23,7 @@ from jaxurban.weighted import WeightedMap
 COLOURS = {"distance": "#555555", "gps": GPS_COLOUR, "lidar": LIDAR_COLOUR, "population": "#cc79a7", "risk": "#009e73"}
 EXAMPLE_COLOUR, PLANNED_COLOUR, SHORTEST_COLOUR = "#f0a030", "#0b4f9e", "#999999"
 PALE = 1.6  # the scale goes on so far beyond the map's costs, so that routes stand out
+LEAST_TOP = 1e-4  # of the scale of regrets
 LEAST_SHOWN = 1e-6  # of a regret or a loss, on logarithmic scales
 WIDTH_IN = 9.0
 
@@ -113,14 +114,15 @@ def plot_learning(fit: WeightFit | TargetFit) -> Figure:
 
 def plot_regret(fit: WeightFit, names: Sequence[str]) -> Figure:
     """Return by how much each example is costlier than the cheapest route, coloured by how far it was trusted."""
-    note = f"mean {100 * fit.regret.mean():.3g} %; at best, under any weights, {100 * fit.best_mean_regret:.3g} %"
+    mean, best = (100 * max(value, LEAST_SHOWN) for value in (float(fit.regret.mean()), fit.best_mean_regret))
+    note = f"mean {mean:.3g} %; at best, under any weights, {best:.3g} % (no less than {100 * LEAST_SHOWN:g} % is told)"
     figure = _figure(3.2, "Regret of each example: its cost above the cheapest route's", note)
     panel = figure.subplots()
-    figure.subplots_adjust(left=0.08, right=0.95)
+    figure.subplots_adjust(left=0.09, right=0.95)
     norm, cmap = Normalize(-0.25, 1), colour_map("Blues")  # what is not trusted is pale
     places = np.arange(1, len(names) + 1)
     panel.bar(places, 100 * fit.regret, color=cmap(norm(fit.trust)), edgecolor=FAINT_INK, linewidth=0.3)
-    top = 100 * max(float(fit.regret.max()), LEAST_SHOWN)
+    top = 100 * max(float(fit.regret.max()), LEAST_TOP)
     panel.set(ylabel="regret (%)", xlabel="example", xlim=(0.2, len(names) + 0.8), ylim=(-0.02 * top, 1.1 * top))
     if len(names) <= 40:
         panel.set_xticks(places, [name[:12] for name in names])
