@@ -21,8 +21,9 @@ from benchmarks.common import ROOT, Row, Timing, load, machine, markdown, row, w
 from jaxurban.kernels.heuristic import printed_plus_field
 from jaxurban.planners.astar import astar
 from jaxurban.planners.base import Cell, Problem
+from jaxurban.planners.graph import Graph, Heuristic, graph_of, zero_heuristic
 from jaxurban.planners.moves import STEPS
-from jaxurban.planners.search import Graph, Heuristic, Search, graph_of, zero_heuristic
+from jaxurban.planners.search import Search
 
 CITY_M = (10_000.0, 20_000.0)
 RESOLUTION_M = 5.0

@@ -10,8 +10,9 @@ from jaxurban.errors import InputError
 from jaxurban.planners.astar import check_budget, free_ride, warm_up
 from jaxurban.planners.base import Path, Problem, Status
 from jaxurban.planners.evaluate import evaluate_on
+from jaxurban.planners.graph import graph_of
 from jaxurban.planners.heuristics import ADMISSIBLE, AUTO, make_heuristic, prepare
-from jaxurban.planners.search import DEFER, PAUSED, Search, graph_of
+from jaxurban.planners.search import DEFER, PAUSED, Search
 
 # Chosen on Lower Manhattan over the default weights and 20 random ones (docs/heuristics.md).
 LANDMARK_INFLATION = 1.07  # landmarks miss a few percent of the cost to go

@@ -9,8 +9,9 @@ from jaxurban.errors import InputError
 from jaxurban.planners.base import Path, Problem, Status
 from jaxurban.planners.evaluate import evaluate_on
 from jaxurban.planners.evaluate import warm_up as warm_up_evaluation
+from jaxurban.planners.graph import graph_of
 from jaxurban.planners.heuristics import ADMISSIBLE, AUTO, heuristic_at, make_heuristic, prepare
-from jaxurban.planners.search import EXHAUSTED, FOUND, KEEP, PAUSED, REOPEN, Search, graph_of
+from jaxurban.planners.search import EXHAUSTED, FOUND, KEEP, PAUSED, REOPEN, Search
 
 
 def astar(

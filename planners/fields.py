@@ -8,9 +8,9 @@ import numpy as np
 
 from jaxurban.kernels.cost_to_go import cost_to_go
 from jaxurban.planners.base import Problem
+from jaxurban.planners.graph import graph_of
 from jaxurban.planners.landmarks import cost_to_go_within
 from jaxurban.planners.moves import STEPS
-from jaxurban.planners.search import graph_of
 
 ROUNDS_AT_ONCE = 4  # between two looks at the clock
 

@@ -12,9 +12,9 @@ from jaxurban.kernels.frontier import Grids, advance, begin, drop, empty_frontie
 from jaxurban.planners.astar import free_ride
 from jaxurban.planners.base import Path, Problem, Status, cell_centre_m
 from jaxurban.planners.evaluate import evaluate_on
+from jaxurban.planners.graph import graph_of
 from jaxurban.planners.heuristics import make_heuristic
 from jaxurban.planners.moves import STEPS
-from jaxurban.planners.search import graph_of
 
 BAND_STEPS = 8.0  # a band that spans this many steps over the map's median cell
 ROUNDS_AT_ONCE = 64  # between two looks at the clock: some 0.1 s

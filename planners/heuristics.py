@@ -8,6 +8,7 @@ import numpy as np
 from jaxurban.errors import InputError, nearest_name
 from jaxurban.kernels.heuristic import cell_line_bound, line_line_bound, printed_plus_field
 from jaxurban.planners.base import Cell, Problem
+from jaxurban.planners.graph import Heuristic, zero_heuristic
 from jaxurban.planners.landmarks import (
     cost_to_go,
     cost_to_go_within,
@@ -16,7 +17,7 @@ from jaxurban.planners.landmarks import (
     make_landmarks,
     should_use,
 )
-from jaxurban.planners.search import Heuristic, estimate, zero_heuristic
+from jaxurban.planners.search import estimate
 
 ADMISSIBLE = ("none", "euclidean", "octile", "plus", "landmarks", "exact")  # all of them consistent too
 PRINTED = ("plus-printed", "plus-printed-from-0")

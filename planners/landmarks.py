@@ -13,7 +13,8 @@ import numpy as np
 from scipy.ndimage import label
 
 from jaxurban.planners.base import Cell, Problem
-from jaxurban.planners.search import EXHAUSTED, LandmarkBound, Search, graph_of, zero_heuristic
+from jaxurban.planners.graph import LandmarkBound, graph_of, zero_heuristic
+from jaxurban.planners.search import EXHAUSTED, Search
 
 NUM_LANDMARKS = 8  # 8 float64 fill a cache line
 # Queries on one map and weights after which landmarks are built. On Lower Manhattan building costs what some 50
