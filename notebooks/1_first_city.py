@@ -13,12 +13,13 @@
 #
 # **Which way would a drone fly through a city, and why not straight?**
 #
-# The city is the embedded one: generated, shaped like Manhattan, nothing to download. The ten lines build it, make its maps on
-# cells of 10 m, and plan from one end to the other at 20 m above ground, with three planners:
+# The city is the embedded one: generated, shaped like Manhattan, nothing to download. The ten lines build it, make its
+# maps on cells of 10 m, and plan from one end to the other at 20 m above ground, with three planners:
 #
 # - `ptp` (point to point) flies straight, and fails where a building stands in the way;
-# - `astar-dist` and `astar-plus` search for the path of least **cost**: metres flown, plus what each cell on the way costs in
-#   GPS quality, lidar quality, people below and nearness of walls. They find equally cheap paths and differ in how fast they do.
+# - `astar-dist` and `astar-plus` search for the path of least **cost**: metres flown, plus what each cell on the way
+#   costs in GPS quality, lidar quality, people below and nearness of walls. They find equally cheap paths and differ in
+#   how fast they do.
 
 # %%
 # %matplotlib inline
@@ -36,9 +37,9 @@ for path in paths:
 # %% [markdown]
 # ## What the planner sees
 #
-# All that the path is charged for, at 20 m. Quality is 1 at best and 0 at worst; a planner pays for what is missing from 1, and
-# for people as they are. The last panel adds the four up: dark is good to fly over, and the circle is the start, the star the
-# goal.
+# All that the path is charged for, at 20 m. Quality is 1 at best and 0 at worst; a planner pays for what is missing
+# from 1, and for people as they are. The last panel adds the four up: dark is good to fly over, and the circle is the
+# start, the star the goal.
 
 # %%
 plot_overview(maps, {20.0: paths})
@@ -46,8 +47,8 @@ plot_overview(maps, {20.0: paths})
 # %% [markdown]
 # ## The paths, closer
 #
-# The two A\* paths coincide where both are drawn: the wider line lies beneath the narrower one. The maps hold four altitudes; here
-# is the one that was asked for.
+# The two A\* paths coincide where both are drawn: the wider line lies beneath the narrower one. The maps hold four
+# altitudes; here is the one that was asked for.
 
 # %%
 plot_paths(maps, {20.0: paths}, altitudes_m=[20.0])
@@ -55,8 +56,8 @@ plot_paths(maps, {20.0: paths}, altitudes_m=[20.0])
 # %% [markdown]
 # ## Why this way
 #
-# `explain` takes the route apart: what each layer cost (`=distance` and so on add up to `cost`), how few satellites were in
-# view, how near the walls came.
+# `explain` takes the route apart: what each layer cost (`=distance` and so on add up to `cost`), how few satellites
+# were in view, how near the walls came.
 
 # %%
 report = ju.explain(paths[-1], maps)

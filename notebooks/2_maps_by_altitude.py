@@ -39,8 +39,8 @@ plot_heights(maps)
 # %% [markdown]
 # ## GPS: what the roofs leave of the sky
 #
-# A satellite counts where the straight line to it clears every roof. With few of them, or all on one side, an error in range
-# becomes a larger error in position: by the factor GDOP. `m_gps` is 1 at GDOP 1 and 0 at GDOP 20.
+# A satellite counts where the straight line to it clears every roof. With few of them, or all on one side, an error in
+# range becomes a larger error in position: by the factor GDOP. `m_gps` is 1 at GDOP 1 and 0 at GDOP 20.
 
 # %%
 plot_metric(maps, "num_visible", altitudes_m=shown)
@@ -57,7 +57,8 @@ plot_gps_rating(maps, altitudes_m=shown)
 # %% [markdown]
 # ## Lidar: the other way round
 #
-# A lidar finds its place by walls. Between them it sees in nearly all directions; above the roofs there is nothing left to see.
+# A lidar finds its place by walls. Between them it sees in nearly all directions; above the roofs there is nothing left
+# to see.
 
 # %%
 plot_metric(maps, "lidar", altitudes_m=shown)
@@ -71,8 +72,8 @@ plot_sensor_choice(maps, altitudes_m=shown)
 # %% [markdown]
 # ## People: they do not change with altitude, but with the hour
 #
-# By day offices fill and homes empty: commercial districts (the south) hold three times as many people as at night, all others half
-# as many. Colours are logarithmic.
+# By day offices fill and homes empty: commercial districts (the south) hold three times as many people as at night, all
+# others half as many. Colours are logarithmic.
 
 # %%
 plot_population(maps)
@@ -86,9 +87,9 @@ plot_metric(maps, "risk", altitudes_m=shown)
 # %% [markdown]
 # ## All of it in one picture
 #
-# Means over the free cells of each altitude. GPS rises as lidar falls, and the two lines cross: the paper's main finding, that
-# the two sensors make up for each other. A mean over *free* cells is also a mean over other places, as the share of free cells
-# grows with altitude.
+# Means over the free cells of each altitude. GPS rises as lidar falls, and the two lines cross: the paper's main
+# finding, that the two sensors make up for each other. A mean over *free* cells is also a mean over other places, as
+# the share of free cells grows with altitude.
 
 # %%
 means = pd.DataFrame(

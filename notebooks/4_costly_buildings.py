@@ -13,11 +13,12 @@
 #
 # **If one building were a metre higher, how much dearer would the route be?**
 #
-# A building hides satellites from some cells (GPS), stands close to others (risk), and is a landmark for the lidar. What a route
-# costs is a function of the heights of all buildings, so its **gradient** answers the question for all of them at once.
+# A building hides satellites from some cells (GPS), stands close to others (risk), and is a landmark for the lidar.
+# What a route costs is a function of the heights of all buildings, so its **gradient** answers the question for all of
+# them at once.
 #
-# The maps themselves change by jumps: a cell's centre lies on one side of a shadow's edge or on the other. So the gradient is taken
-# on *soft* maps, where a roof fades over some 2 m of height instead of ending at once.
+# The maps themselves change by jumps: a cell's centre lies on one side of a shadow's edge or on the other. So the
+# gradient is taken on *soft* maps, where a roof fades over some 2 m of height instead of ending at once.
 
 # %%
 # %matplotlib inline
@@ -45,9 +46,9 @@ print(f"{len(city.buildings):,} buildings; the route costs {route.cost:.1f} over
 # %% [markdown]
 # ## One gradient for all buildings
 #
-# `soft_city` holds the city ready to be differentiated; `building_costs` ranks the buildings by what a metre more of each costs
-# the route, and says through which map. Negative numbers are buildings that help: walls that the lidar sees. Doubles (`x64`) keep
-# small effects from drowning in rounding.
+# `soft_city` holds the city ready to be differentiated; `building_costs` ranks the buildings by what a metre more of
+# each costs the route, and says through which map. Negative numbers are buildings that help: walls that the lidar sees.
+# Doubles (`x64`) keep small effects from drowning in rounding.
 
 # %%
 sky = view_sky(maps.grid, "nominal", maps.times, mask_deg=5.0, reference=None, max_age_days=90.0)
@@ -64,8 +65,8 @@ plot_building_costs(city, route, table, maps.grid)
 # %% [markdown]
 # ## Which of the buildings matter
 #
-# Heights near the route's altitude decide: much lower roofs are below all rays, and of much higher ones a metre more changes only
-# long shadows.
+# Heights near the route's altitude decide: much lower roofs are below all rays, and of much higher ones a metre more
+# changes only long shadows.
 
 # %%
 figure, axes = plt.subplots(figsize=(7.5, 4.0), layout="constrained")
@@ -80,9 +81,9 @@ plt.show()
 # %% [markdown]
 # ## Does the gradient tell the truth?
 #
-# Raise each of the three costliest buildings, and of the two that help most, by 4 m, make the **exact** maps again, and weigh
-# the same route on them. The sign should agree and the size roughly: a gradient is a promise about small changes, and the exact
-# maps answer in jumps.
+# Raise each of the three costliest buildings, and of the two that help most, by 4 m, make the **exact** maps again, and
+# weigh the same route on them. The sign should agree and the size roughly: a gradient is a promise about small changes,
+# and the exact maps answer in jumps.
 
 # %%
 STEP_M = 4.0

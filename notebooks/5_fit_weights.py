@@ -13,96 +13,94 @@
 #
 # **A pilot has shown some routes. Which weights would make a planner choose as the pilot does?**
 #
-# A route says what its pilot cares about: who flies around a crowd accepts metres to spare people. Here the pilot is a planner
-# with weights that we keep to ourselves, so that the answer can be checked. In real work the routes come from a file
-# (`jaxurban.studies.examples`).
+# A route says what its pilot cares about: who flies around a crowd spends metres to spare people. Here the pilot is a
+# planner with weights of its own, so that the answer can be checked. In real work the routes come from a file
+# (`ju.read_examples`, or `jaxurban tune` on the command line: [tuning.md](../docs/tuning.md)).
 
 # %%
 # %matplotlib inline
-import matplotlib.pyplot as plt
 import numpy as np
 
 import jaxurban as ju
 from jaxurban.plotting import plot_paths
-from jaxurban.studies.examples import example_from_path
-from jaxurban.studies.imitation import fit_weights
-from jaxurban.studies.queries import unit_map
+from jaxurban.plotting.tuning import plot_learning, plot_routes, plot_weights
+from jaxurban.studies.compare import compare
+from jaxurban.tuning_report import weight_units
 
 city = ju.demo_city(width_m=2_000, height_m=3_000)
 maps = ju.build_maps(city, resolution_m=20.0, altitudes_m=(20.0,))
-hidden = ju.Weights(distance=0.05, gps=0.4, lidar=0.3, population=4.0, risk=1.0)
-pilot = ju.weigh(maps, 20.0, weights=hidden)
+own = ju.Weights(distance=0.05, gps=0.4, lidar=0.3, population=4.0, risk=1.0)
+pilot = ju.weigh(maps, 20.0, weights=own)
 
 # %% [markdown]
 # ## The routes that the pilot shows
 #
-# Sixteen flights between random free cells.
+# Sixteen flights, short and long, from and to all kinds of places.
 
 # %%
-free = np.argwhere(pilot.is_free)
-shown = []
-for a, b in np.random.default_rng(1).choice(free, (16, 2)):
-    flown = pilot.plan(start_xy_m=maps.grid.xy_of_cell(*a), goal_xy_m=maps.grid.xy_of_cell(*b))
-    if flown.status.has_path and flown.length_m > 500:
-        shown.append(flown)
+asked = ju.sample_instances(maps, 20, weights=[own], seed=1).query("is_connected")[:16]
+shown = [
+    pilot.plan(start_xy_m=(row.start_x_m, row.start_y_m), goal_xy_m=(row.goal_x_m, row.goal_y_m))
+    for row in asked.itertuples()
+]
+examples = ju.examples_from_paths(shown, maps)
 print(f"{len(shown)} routes of {min(p.length_m for p in shown):,.0f} to {max(p.length_m for p in shown):,.0f} m")
 
 # %% [markdown]
 # ## The fit
 #
-# Only ratios of weights can be found: twice all weights choose the same routes. So they are scaled to sum to 1, here and in the
-# pilot's own. `low` and `high` bound the weight in 90 % of fits to routes drawn anew from the sixteen.
+# Only ratios of weights can be found: twice all weights choose the same routes. So they are scaled to sum to 1, the
+# pilot's own too. The weight of `distance` is paid per metre, the others per cell that the route enters.
 
 # %%
-unit = unit_map(maps, 20.0)
-fit = fit_weights([example_from_path(unit, flown) for flown in shown], bootstrap=50)
-for warning in fit.warnings:
-    print(warning)
-own = np.array([getattr(hidden, name) for name in fit.names])
-table = fit.table().drop(columns="spread")
-table.insert(0, "pilot's own", own / own.sum())
+fit = ju.fit_weights(examples, bootstrap=50)
+for sentence in (*fit.unidentified, *fit.warnings):
+    print(sentence)
+table = fit.table()
+vector = np.array([getattr(own, name) for name in fit.names])
+table.insert(0, "pilot's own", vector / vector.sum())
 table.round(4)
 
 # %%
-figure, axes = plt.subplots(figsize=(7.5, 3.6), layout="constrained")
-place = np.arange(len(fit.names))
-reach = np.abs(fit.interval - fit.vector)
-axes.errorbar(place, fit.vector, yerr=reach, fmt="o", capsize=4, label="fitted, 5 to 95 %")
-axes.plot(place, own / own.sum(), "kx", markersize=9, label="the pilot's own")
-axes.set_xticks(place, fit.names)
-axes.set(yscale="log", ylabel="weight, all summing to 1", xlabel="what is weighed (distance: a metre; others: a cell)")
-axes.legend(frameon=False)
-plt.show()
+unit = examples[0].query.unit
+plot_weights(fit, [weight_units(unit)[name] for name in fit.names])
 
 # %% [markdown]
-# ## How it was found
+# ## How it was found, and how many routes it takes
 #
-# Each round searches for routes under the weights so far and moves these until the pilot's routes are as near to the cheapest as
-# they can be. *Regret* is by how much they are dearer than the cheapest routes known.
+# Each round searches for routes under the weights so far, and moves these until the pilot's routes are as near to the
+# cheapest as they can be. *Regret* is by how much they are dearer than the cheapest route. On the right: fits to fewer
+# routes, judged by the routes that they have not seen.
 
 # %%
-figure, axes = plt.subplots(figsize=(7.5, 3.2), layout="constrained")
-axes.plot(fit.curve["round"], 100 * fit.curve["mean_regret"], "o-")
-axes.set(xlabel="round of searches", ylabel="mean regret of the pilot's routes (%)", yscale="log")
-axes.set_xticks(fit.curve["round"])
-plt.show()
-print(f"{fit.num_plans} searches in {fit.elapsed_s:.1f} s; regret in the end {100 * fit.regret.mean():.4f} %")
+plot_learning(fit)
+
+# %%
+plot_routes(compare(examples, fit.weights), unit, fit.vector)
 
 # %% [markdown]
 # ## Would it choose as the pilot does?
 #
-# A flight that was not among the examples: the default weights, and the fitted ones. The lines are drawn under each planner's
-# name: `astar-dist` carries the default weights here and `astar-plus` the fitted ones. (Their costs cannot be compared, since each is
-# in its own weights.)
+# Twenty flights that were not among the examples, planned under the default weights and under the fitted ones, and
+# charged as the pilot would.
+
+# %%
+corner_m = np.array([maps.grid.x_min_m, maps.grid.y_min_m])
+others = ju.sample_instances(maps, 20, weights=[own], seed=2).query("is_connected")
+for name, weights in (("default weights", ju.Weights()), ("fitted weights", fit.weights)):
+    weighted = ju.weigh(maps, 20.0, weights=weights)
+    regret = []
+    for row in others.itertuples():
+        ends = {"start_xy_m": (row.start_x_m, row.start_y_m), "goal_xy_m": (row.goal_x_m, row.goal_y_m)}
+        paid = pilot.evaluate(weighted.plan(**ends).xy_m - corner_m).total
+        regret.append(100 * (paid / pilot.plan(**ends).cost - 1))
+    print(f"{name}: {np.mean(regret):.2f} % dearer than the pilot's routes on average, {max(regret):.2f} % at worst")
+
+# %% [markdown]
+# One of them. `astar-dist` stands for the default weights here and `astar-plus` for the fitted ones; the costs below
+# are each in its own weights and cannot be compared.
 
 # %%
 x_m, y_m = maps.grid.x_m, maps.grid.y_m
 ends = {"start_xy_m": (x_m[30], y_m[20]), "goal_xy_m": (x_m[62], y_m[120]), "altitude_m": 20.0, "snap": True}
-default = ju.plan(maps, **ends, planner="astar-dist")
-fitted = ju.plan(maps, **ends, weights=fit.weights)
-asked = ju.plan(maps, **ends, weights=hidden)
-corner_m = np.array([maps.grid.x_min_m, maps.grid.y_min_m])
-for name, path in (("default", default), ("fitted", fitted), ("the pilot", asked)):
-    paid = pilot.evaluate(path.xy_m - corner_m).total
-    print(f"{name:10} in the pilot's own weights {paid:7.2f}, {100 * (paid / asked.cost - 1):5.2f} % above the pilot's route")
-plot_paths(maps, {20.0: [default, fitted]})
+plot_paths(maps, {20.0: [ju.plan(maps, **ends, planner="astar-dist"), ju.plan(maps, **ends, weights=fit.weights)]})

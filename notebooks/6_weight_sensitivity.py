@@ -13,12 +13,15 @@
 #
 # **How far may a weight be off before the drone flies another way?**
 #
-# Weights are judgement: nobody measures how many metres a pedestrian is worth. So what matters is where the answer changes. The
-# cheapest route stays the same over a range of weights, then **switches** to another at once. `ju.sensitivity` finds every switch,
-# each weight from a tenth to ten times its value, and proves by searches that none is missing.
+# Weights are judgement: nobody measures how many metres a pedestrian is worth. So what matters is where the answer
+# changes. The cheapest route stays the same over a range of weights, then **switches** to another at once.
+# `ju.sensitivity` finds every switch, each weight from a tenth to ten times its value, and proves by searches that none
+# is missing.
 
 # %%
 # %matplotlib inline
+from IPython.display import display
+
 import jaxurban as ju
 from jaxurban.plotting import plot_paths
 from jaxurban.plotting.sensitivity import (
@@ -39,8 +42,8 @@ print(f"{found.num_plans:,} searches in {found.elapsed_s:.1f} s")
 # %% [markdown]
 # ## What the route is made of
 #
-# `gradient` is what one more unit of a weight would cost. `elasticity` is the weight's share of the cost: a weight with a small
-# share can hardly matter, whatever it is.
+# `gradient` is what one more unit of a weight would cost. `elasticity` is the weight's share of the cost: a weight with
+# a small share can hardly matter, whatever it is.
 
 # %%
 found.local.cost.round(3)
@@ -57,8 +60,8 @@ plot_switches(found)
 plot_switch_routes(found)
 
 # %% [markdown]
-# The switches of one weight as a table: each row is a route, cheapest `from` one value of the weight `to` another; `is_given` marks
-# the route under the given weights.
+# The switches of one weight as a table: each row is a route, cheapest `from` one value of the weight `to` another;
+# `is_given` marks the route under the given weights.
 
 # %%
 found.switches("lidar").drop(columns="weight_name").round(3)
@@ -77,8 +80,8 @@ plot_triangle_routes(found)
 # %% [markdown]
 # ## All weights at once
 #
-# Sobol indices: the share of the variation in what the route is like that a weight explains alone (first-order), and with all its
-# interactions (total). With 32 samples the confidence intervals are wide; `num_samples=256` narrows them.
+# Sobol indices: the share of the variation in what the route is like that a weight explains alone (first-order), and
+# with all its interactions (total). With 32 samples the confidence intervals are wide; `num_samples=256` narrows them.
 
 # %%
 plot_sobol(found)
@@ -94,8 +97,8 @@ plot_pareto(found)
 # %% [markdown]
 # ## Try it yourself
 #
-# Drag a slider, and the route is planned anew; the shortest way, whatever the weights are, stays for comparison. It needs a
-# running notebook and `ipywidgets`; without them this cell draws the given weights once.
+# Drag a slider, and the route is planned anew; the shortest way, whatever the weights are, stays for comparison. It
+# needs a running notebook and `ipywidgets`; without them this cell draws the given weights once.
 
 # %%
 shortest = ju.plan(maps, start, goal, altitude_m=20.0, planner="astar-dist", objective="distance", snap=True)
