@@ -28,7 +28,7 @@ wheel: $(VENV)/.dev
 	sh tests/try_wheel.sh $(BIN)/python dist
 
 notebooks: $(VENV)/.dev
-	$(BIN)/python notebooks/run_all.py
+	$(BIN)/python notebooks/run_all.py -o out/notebooks
 
 bench: $(VENV)/.bench
 	$(BIN)/python -m benchmarks.run_all

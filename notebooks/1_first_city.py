@@ -1,0 +1,73 @@
+# ---
+# jupyter:
+#   jupytext:
+#     formats: ipynb,py:percent
+#   kernelspec:
+#     display_name: Python 3
+#     language: python
+#     name: python3
+# ---
+
+# %% [markdown]
+# # 1. A first city in ten lines
+#
+# **Which way would a drone fly through a city, and why not straight?**
+#
+# The city is the embedded one: generated, shaped like Manhattan, nothing to download. The ten lines build it, make its
+# maps on cells of 10 m, and plan from one end to the other at 20 m above ground, with three planners:
+#
+# - `ptp` (point to point) flies straight, and fails where a building stands in the way;
+# - `astar-dist` and `astar-plus` search for the path of least **cost**: metres flown, plus what each cell on the way
+#   costs in GPS quality, lidar quality, people below and nearness of walls. They find equally cheap paths and differ in
+#   how fast they do.
+
+# %%
+# %matplotlib inline
+import jaxurban as ju
+from jaxurban.plotting import plot_overview, plot_paths, plot_profile
+
+city = ju.demo_city(width_m=2_000, height_m=3_000)
+maps = ju.build_maps(city, resolution_m=10.0)
+x_m, y_m = maps.grid.x_m, maps.grid.y_m
+ends = {"start_xy_m": (x_m[60], y_m[40]), "goal_xy_m": (x_m[125], y_m[240])}
+paths = [ju.plan(maps, **ends, altitude_m=20.0, planner=p, snap=True) for p in ("ptp", "astar-dist", "astar-plus")]
+for path in paths:
+    print(f"{path.search.planner:12}{path.status.value:10} cost {path.cost:8.1f}  length {path.length_m:7.0f} m")
+
+# %% [markdown]
+# ## What the planner sees
+#
+# All that the path is charged for, at 20 m. Quality is 1 at best and 0 at worst; a planner pays for what is missing
+# from 1, and for people as they are. The last panel adds the four up: dark is good to fly over, and the circle is the
+# start, the star the goal.
+
+# %%
+plot_overview(maps, {20.0: paths})
+
+# %% [markdown]
+# ## The paths, closer
+#
+# The two A\* paths coincide where both are drawn: the wider line lies beneath the narrower one. The maps hold four
+# altitudes; here is the one that was asked for.
+
+# %%
+plot_paths(maps, {20.0: paths}, altitudes_m=[20.0])
+
+# %% [markdown]
+# ## Why this way
+#
+# `explain` takes the route apart: what each layer cost (`=distance` and so on add up to `cost`), how few satellites
+# were in view, how near the walls came.
+
+# %%
+report = ju.explain(paths[-1], maps)
+print(report.table())
+plot_profile(paths[-1], maps, report)
+
+# %% [markdown]
+# ## Where to go from here
+#
+# - What the maps show, altitude by altitude: notebook 2.
+# - Other planners, and how they compare: notebook 3.
+# - What would change this route: buildings (notebook 4), weights (notebooks 5 and 6).
+# - A city of your own: notebook 7.

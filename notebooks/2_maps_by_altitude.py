@@ -1,0 +1,112 @@
+# ---
+# jupyter:
+#   jupytext:
+#     formats: ipynb,py:percent
+#   kernelspec:
+#     display_name: Python 3
+#     language: python
+#     name: python3
+# ---
+
+# %% [markdown]
+# # 2. GPS, lidar, people and walls by altitude
+#
+# **What does a drone have to go by at 10 m, and what at 600 m?**
+#
+# Five maps, each a number between 0 and 1 for every cell of 10 m, at every altitude:
+#
+# | map | 1 means | 0 means |
+# |---|---|---|
+# | GPS | the best satellite geometry there is | fewer than four satellites in view, or hopeless geometry |
+# | lidar | a building returns the beam in every direction | nothing within the lidar's range of 100 m |
+# | population | as many people below as anywhere in the region | nobody |
+# | risk | no wall within 50 m | at a wall |
+# | obstacle | a building is here: nobody may fly | free |
+
+# %%
+# %matplotlib inline
+import matplotlib.pyplot as plt
+import pandas as pd
+
+import jaxurban as ju
+from jaxurban.plotting import plot_gps_rating, plot_heights, plot_metric, plot_population, plot_sensor_choice
+
+city = ju.demo_city(width_m=2_000, height_m=3_000)
+maps = ju.build_maps(city, resolution_m=10.0, altitudes_m=(10, 20, 40, 60, 90, 122, 200, 600))
+shown = (20, 60, 122, 600)  # the paper's altitudes
+plot_heights(maps)
+
+# %% [markdown]
+# ## GPS: what the roofs leave of the sky
+#
+# A satellite counts where the straight line to it clears every roof. With few of them, or all on one side, an error in
+# range becomes a larger error in position: by the factor GDOP. `m_gps` is 1 at GDOP 1 and 0 at GDOP 20.
+
+# %%
+plot_metric(maps, "num_visible", altitudes_m=shown)
+
+# %%
+plot_metric(maps, "gps", altitudes_m=shown)
+
+# %% [markdown]
+# The same in words that pilots use: the rating of the paper.
+
+# %%
+plot_gps_rating(maps, altitudes_m=shown)
+
+# %% [markdown]
+# ## Lidar: the other way round
+#
+# A lidar finds its place by walls. Between them it sees in nearly all directions; above the roofs there is nothing left
+# to see.
+
+# %%
+plot_metric(maps, "lidar", altitudes_m=shown)
+
+# %% [markdown]
+# ## Which of the two to trust
+
+# %%
+plot_sensor_choice(maps, altitudes_m=shown)
+
+# %% [markdown]
+# ## People: they do not change with altitude, but with the hour
+#
+# By day offices fill and homes empty: commercial districts (the south) hold three times as many people as at night, all
+# others half as many. Colours are logarithmic.
+
+# %%
+plot_population(maps)
+
+# %% [markdown]
+# ## Walls: how much room there is
+
+# %%
+plot_metric(maps, "risk", altitudes_m=shown)
+
+# %% [markdown]
+# ## All of it in one picture
+#
+# Means over the free cells of each altitude. GPS rises as lidar falls, and the two lines cross: the paper's main
+# finding, that the two sensors make up for each other. A mean over *free* cells is also a mean over other places, as
+# the share of free cells grows with altitude.
+
+# %%
+means = pd.DataFrame(
+    {
+        z: {name: maps.m(name, z)[maps.is_free(z)].mean() for name in ("gps", "lidar", "risk")}
+        | {"free cells": maps.is_free(z).mean(), "GPS better": maps.prefers_gps(z)[maps.is_free(z)].mean()}
+        for z in maps.altitudes_m
+    }
+).T.rename_axis("altitude (m)")
+means.round(3)
+
+# %%
+figure, axes = plt.subplots(figsize=(7.5, 4.2), layout="constrained")
+for name, style in (("gps", "o-"), ("lidar", "s-"), ("risk", "^-"), ("free cells", "k:"), ("GPS better", "k--")):
+    axes.plot(means.index, means[name], style, label=name)
+axes.set(xscale="log", xlabel="altitude above ground (m)", ylabel="mean m, or share of cells (1)", ylim=(0, 1.03))
+axes.set_xticks(means.index, [f"{z:g}" for z in means.index])
+axes.minorticks_off()
+axes.legend(frameon=False, loc="center left", bbox_to_anchor=(1, 0.5))
+plt.show()

@@ -1,0 +1,106 @@
+# ---
+# jupyter:
+#   jupytext:
+#     formats: ipynb,py:percent
+#   kernelspec:
+#     display_name: Python 3
+#     language: python
+#     name: python3
+# ---
+
+# %% [markdown]
+# # 5. Fitting weights from routes
+#
+# **A pilot has shown some routes. Which weights would make a planner choose as the pilot does?**
+#
+# A route says what its pilot cares about: who flies around a crowd spends metres to spare people. Here the pilot is a
+# planner with weights of its own, so that the answer can be checked. In real work the routes come from a file
+# (`ju.read_examples`, or `jaxurban tune` on the command line: [tuning.md](../docs/tuning.md)).
+
+# %%
+# %matplotlib inline
+import numpy as np
+
+import jaxurban as ju
+from jaxurban.plotting import plot_paths
+from jaxurban.plotting.tuning import plot_learning, plot_routes, plot_weights
+from jaxurban.studies.compare import compare
+from jaxurban.tuning_report import weight_units
+
+city = ju.demo_city(width_m=2_000, height_m=3_000)
+maps = ju.build_maps(city, resolution_m=20.0, altitudes_m=(20.0,))
+own = ju.Weights(distance=0.05, gps=0.4, lidar=0.3, population=4.0, risk=1.0)
+pilot = ju.weigh(maps, 20.0, weights=own)
+
+# %% [markdown]
+# ## The routes that the pilot shows
+#
+# Sixteen flights, short and long, from and to all kinds of places.
+
+# %%
+asked = ju.sample_instances(maps, 20, weights=[own], seed=1).query("is_connected")[:16]
+shown = [
+    pilot.plan(start_xy_m=(row.start_x_m, row.start_y_m), goal_xy_m=(row.goal_x_m, row.goal_y_m))
+    for row in asked.itertuples()
+]
+examples = ju.examples_from_paths(shown, maps)
+print(f"{len(shown)} routes of {min(p.length_m for p in shown):,.0f} to {max(p.length_m for p in shown):,.0f} m")
+
+# %% [markdown]
+# ## The fit
+#
+# Only ratios of weights can be found: twice all weights choose the same routes. So they are scaled to sum to 1, the
+# pilot's own too. The weight of `distance` is paid per metre, the others per cell that the route enters.
+
+# %%
+fit = ju.fit_weights(examples, bootstrap=50)
+for sentence in (*fit.unidentified, *fit.warnings):
+    print(sentence)
+table = fit.table()
+vector = np.array([getattr(own, name) for name in fit.names])
+table.insert(0, "pilot's own", vector / vector.sum())
+table.round(4)
+
+# %%
+unit = examples[0].query.unit
+plot_weights(fit, [weight_units(unit)[name] for name in fit.names])
+
+# %% [markdown]
+# ## How it was found, and how many routes it takes
+#
+# Each round searches for routes under the weights so far, and moves these until the pilot's routes are as near to the
+# cheapest as they can be. *Regret* is by how much they are dearer than the cheapest route. On the right: fits to fewer
+# routes, judged by the routes that they have not seen.
+
+# %%
+plot_learning(fit)
+
+# %%
+plot_routes(compare(examples, fit.weights), unit, fit.vector)
+
+# %% [markdown]
+# ## Would it choose as the pilot does?
+#
+# Twenty flights that were not among the examples, planned under the default weights and under the fitted ones, and
+# charged as the pilot would.
+
+# %%
+corner_m = np.array([maps.grid.x_min_m, maps.grid.y_min_m])
+others = ju.sample_instances(maps, 20, weights=[own], seed=2).query("is_connected")
+for name, weights in (("default weights", ju.Weights()), ("fitted weights", fit.weights)):
+    weighted = ju.weigh(maps, 20.0, weights=weights)
+    regret = []
+    for row in others.itertuples():
+        ends = {"start_xy_m": (row.start_x_m, row.start_y_m), "goal_xy_m": (row.goal_x_m, row.goal_y_m)}
+        paid = pilot.evaluate(weighted.plan(**ends).xy_m - corner_m).total
+        regret.append(100 * (paid / pilot.plan(**ends).cost - 1))
+    print(f"{name}: {np.mean(regret):.2f} % dearer than the pilot's routes on average, {max(regret):.2f} % at worst")
+
+# %% [markdown]
+# One of them. `astar-dist` stands for the default weights here and `astar-plus` for the fitted ones; the costs below
+# are each in its own weights and cannot be compared.
+
+# %%
+x_m, y_m = maps.grid.x_m, maps.grid.y_m
+ends = {"start_xy_m": (x_m[30], y_m[20]), "goal_xy_m": (x_m[62], y_m[120]), "altitude_m": 20.0, "snap": True}
+plot_paths(maps, {20.0: [ju.plan(maps, **ends, planner="astar-dist"), ju.plan(maps, **ends, weights=fit.weights)]})

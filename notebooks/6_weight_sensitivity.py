@@ -1,0 +1,123 @@
+# ---
+# jupyter:
+#   jupytext:
+#     formats: ipynb,py:percent
+#   kernelspec:
+#     display_name: Python 3
+#     language: python
+#     name: python3
+# ---
+
+# %% [markdown]
+# # 6. What would change this route?
+#
+# **How far may a weight be off before the drone flies another way?**
+#
+# Weights are judgement: nobody measures how many metres a pedestrian is worth. So what matters is where the answer
+# changes. The cheapest route stays the same over a range of weights, then **switches** to another at once.
+# `ju.sensitivity` finds every switch, each weight from a tenth to ten times its value, and proves by searches that none
+# is missing.
+
+# %%
+# %matplotlib inline
+from IPython.display import display
+
+import jaxurban as ju
+from jaxurban.plotting import plot_paths
+from jaxurban.plotting.sensitivity import (
+    plot_pareto,
+    plot_sobol,
+    plot_switch_routes,
+    plot_switches,
+    plot_triangle,
+    plot_triangle_routes,
+)
+
+city = ju.demo_city(width_m=2_000, height_m=3_000)
+maps = ju.build_maps(city, resolution_m=20.0, altitudes_m=(20.0,))
+start, goal = maps.grid.lonlat_of_cell(20, 30), maps.grid.lonlat_of_cell(120, 62)
+found = ju.sensitivity(maps, start, goal, altitude_m=20.0, cost_model="line", num_samples=32, snap=True)
+print(f"{found.num_plans:,} searches in {found.elapsed_s:.1f} s")
+
+# %% [markdown]
+# ## What the route is made of
+#
+# `gradient` is what one more unit of a weight would cost. `elasticity` is the weight's share of the cost: a weight with
+# a small share can hardly matter, whatever it is.
+
+# %%
+found.local.cost.round(3)
+
+# %% [markdown]
+# ## One weight at a time
+#
+# Along each weight the cheapest cost bends at every switch.
+
+# %%
+plot_switches(found)
+
+# %%
+plot_switch_routes(found)
+
+# %% [markdown]
+# The switches of one weight as a table: each row is a route, cheapest `from` one value of the weight `to` another;
+# `is_given` marks the route under the given weights.
+
+# %%
+found.switches("lidar").drop(columns="weight_name").round(3)
+
+# %% [markdown]
+# ## Three weights against each other
+#
+# Three weights share their sum in all ways. Each colour is a kind of route; the star is where the given weights lie.
+
+# %%
+plot_triangle(found)
+
+# %%
+plot_triangle_routes(found)
+
+# %% [markdown]
+# ## All weights at once
+#
+# Sobol indices: the share of the variation in what the route is like that a weight explains alone (first-order), and
+# with all its interactions (total). With 32 samples the confidence intervals are wide; `num_samples=256` narrows them.
+
+# %%
+plot_sobol(found)
+
+# %% [markdown]
+# ## What can be had for what
+#
+# No route on this front can be bettered in one wish without giving up some of another.
+
+# %%
+plot_pareto(found)
+
+# %% [markdown]
+# ## Try it yourself
+#
+# Drag a slider, and the route is planned anew; the shortest way, whatever the weights are, stays for comparison. It
+# needs a running notebook and `ipywidgets`; without them this cell draws the given weights once.
+
+# %%
+shortest = ju.plan(maps, start, goal, altitude_m=20.0, planner="astar-dist", objective="distance", snap=True)
+
+
+def redraw(distance=0.1, gps=1.0, lidar=1.0, population=1.0, risk=1.0):
+    """Return the map with the cheapest route under these weights."""
+    weights = ju.Weights(distance, gps, lidar, population, risk)
+    return plot_paths(maps, {20.0: [shortest, ju.plan(maps, start, goal, altitude_m=20.0, weights=weights, snap=True)]})
+
+
+try:
+    import ipywidgets
+except ModuleNotFoundError:
+    print("ipywidgets is not installed (pip install ipywidgets), so there are no sliders: the given weights")
+    display(redraw())
+else:
+    sliders = {
+        name: ipywidgets.FloatLogSlider(value, base=10, min=-2, max=1, step=0.1, continuous_update=False)
+        for name, value in {"distance": 0.1, "gps": 1.0, "lidar": 1.0, "population": 1.0, "risk": 1.0}.items()
+    }
+    display(ipywidgets.interactive(redraw, **sliders))
