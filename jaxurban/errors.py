@@ -20,6 +20,10 @@ class IgnoredLimitWarning(UserWarning):
     """Something in a file of no-fly zones is not read, or is read more cautiously: one sentence for the user."""
 
 
+class LeftOutWarning(UserWarning):
+    """Something in a file of routes is not read: one sentence for the user."""
+
+
 def nearest_name(name: str, valid: Iterable[str]) -> str:
     """Return ``" (did you mean 'x'?)"`` for the valid name closest to ``name``, or ``""``."""
     close = difflib.get_close_matches(name, list(valid), n=1, cutoff=0.5)

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 
 from jaxurban.io.store import check_writable, whole_file
 from jaxurban.io.tables import write_tables
@@ -15,6 +16,8 @@ from jaxurban.studies.sensitivity import Sensitivity
 ALIKE = 0.05  # routes are much the same where no outcome differs by more than this share
 MORE = 1.1  # the change of a weight that the report tells about: 10 %
 CLEAR = 2.0  # standard errors from 0
+FEW_PLANS = 300  # for Sobol indices: with fewer their intervals mean little
+TOP_BUILDINGS = 10
 
 
 def save_sensitivity(found: Sensitivity, folder: str | Path) -> list[Path]:
@@ -34,6 +37,39 @@ def save_sensitivity(found: Sensitivity, folder: str | Path) -> list[Path]:
     with whole_file(files[-1]) as scratch:
         scratch.write_text(sensitivity_markdown(found), encoding="utf-8")
     return files
+
+
+def add_buildings(folder: Path, costs: pd.DataFrame) -> None:
+    """Add to the report in a folder what `jaxurban.costly_buildings.write_buildings` wrote beside it.
+
+    Args:
+      folder: that `save_sensitivity` wrote.
+      costs: the table of buildings, ranked.
+    """
+    rows = [
+        [
+            f"{rank}",
+            f"{row.per_metre:+.3g}",
+            f"{row.height_m:.1f} m",
+            f"{row.lon:.5f},{row.lat:.5f}",
+            f"{row.distance_m:.0f} m",
+        ]
+        for rank, row in costs.head(TOP_BUILDINGS).iterrows()
+    ]
+    section = "\n\n".join(
+        [
+            "## Which buildings cost the route most",
+            "By how much the route's cost would change if a building were a metre higher, the route kept: a gradient "
+            "through soft maps, so that it tells of small changes, and is no forecast of a building's removal.",
+            _table(["rank", "cost per metre", "height", "longitude, latitude", "from the route"], rows),
+            "![Buildings by what a metre of each costs](buildings/buildings.png)",
+            "`buildings/buildings.csv` and `.parquet` list them all, with the parts of gps, lidar and risk.",
+        ]
+    )
+    report = folder / "report.md"
+    text = report.read_text(encoding="utf-8")
+    with whole_file(report) as scratch:
+        scratch.write_text(f"{text.rstrip()}\n\n{section}\n", encoding="utf-8")
 
 
 def sensitivity_markdown(found: Sensitivity) -> str:
@@ -90,12 +126,12 @@ def _answer(found: Sensitivity) -> str:
             lines.append(f"- **{name}** does not change the route at all.")
             continue
         ends = (at["alike_from"] / weight, at["alike_to"] / weight)
-        below = f"below {ends[0]:.2g} times its value" if ends[0] > low * 1.001 else ""
-        above = f"above {ends[1]:.2g} times its value" if ends[1] < high * 0.999 else ""
+        below = f"below {ends[0]:.3g} times its value" if ends[0] > low * 1.001 else ""
+        above = f"above {ends[1]:.4g} times its value" if ends[1] < high * 0.999 else ""
         changes = " or ".join(filter(None, (below, above)))
         said = f"makes it another route {changes}" if changes else "leaves it much the same over the whole range"
         lines.append(
-            f"- **{name}** {said} (exactly the same route from {at['same_from']:.3g} to {at['same_to']:.3g}; "
+            f"- **{name}** {said} (exactly the same route from {at['same_from']:.4g} to {at['same_to']:.4g}; "
             f"given: {weight:g})."
         )
     return lines[0] + "\n\n" + "\n".join(lines[1:])
@@ -192,8 +228,11 @@ def _sobol(found: Sensitivity) -> str:
         ranked = rows["total"].sort_values(ascending=False)
         parts = [f"{name} {value:.2f} ± {rows.loc[name, 'total_ci']:.2f}" for name, value in ranked.items()]
         lines.append(f"- {about}: {', '.join(parts)}.")
+    few = found.sobol.num_evaluations < FEW_PLANS
+    together = "The weights vary together and independently, each" if len(found.vary) > 1 else "The weight varies"
     return (
-        f"All weights vary together and independently, each between {low:g} and {high:g} times its value (evenly "
+        ("**These are too few plans for such indices: take more `--samples`.**\n\n" if few else "")
+        + f"{together} between {low:g} and {high:g} times its value (evenly "
         f"in the logarithm), over {found.sobol.num_evaluations:,} plans. The total Sobol index of a weight is the "
         "share of an outcome's variance that would remain if all other weights were known; 95 % confidence:\n\n"
         + "\n".join(lines)

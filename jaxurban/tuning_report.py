@@ -109,7 +109,7 @@ def imitation_report(fit: WeightFit, comparison: Comparison, asked: Asked) -> st
         "![Learning curves](figures/learning_curve.png)",
         "## What the examples cannot tell",
         _bullets(fit.unidentified)
-        or "Nothing: every weight changes which of the competing routes is cheapest, and no two do so alike.",
+        or "Nothing: every weight decides between competing routes, no two do so alike, and no interval is wide.",
         "## Warnings",
         _bullets(fit.warnings) or "None.",
         _use(fit, unit),

@@ -77,6 +77,10 @@ class WeightedMap:
         """The grid of the maps."""
         return self.maps.grid
 
+    def cost_of(self, name: str) -> float:
+        """Return the largest weighted cost of a metric over free cells; 0 where it costs nothing anywhere."""
+        return float(self.layers[self.names.index(name)][self.is_free].max(initial=0.0))
+
     @cached_property
     def is_weighed(self) -> bool:
         """Whether anything but the shortest path is asked for: not with all weights zero."""

@@ -5,6 +5,7 @@ sums are those of `jaxurban.kernels.traversal`; unlike a walk from border to bor
 once it is over, they are made of arrays of fixed size and can be differentiated backward.
 """
 
+import math
 from functools import partial
 
 import jax
@@ -87,4 +88,4 @@ def _border_shares(begin: Array, along: Array, num_borders: int) -> Array:
     span = jnp.where(is_crossed, along[..., None], 1.0)
     share = jnp.where(is_crossed, (number - begin[..., None]) / span, 1.0)
     ends = jnp.stack([jnp.zeros_like(low[:, 0]), jnp.ones_like(low[:, 0])], axis=-1)
-    return jnp.sort(jnp.concatenate([ends, share.reshape(len(begin), -1)], axis=-1), axis=-1)
+    return jnp.sort(jnp.concatenate([ends, share.reshape(len(begin), math.prod(share.shape[1:]))], axis=-1), axis=-1)

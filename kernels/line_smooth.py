@@ -106,7 +106,7 @@ def cuts(begin: Array, along: Array, num_cuts: int) -> Array:
     share = (number - begin[..., None]) / jnp.where(span == 0, 1.0, span)
     share = jnp.where((share > 0) & (share < 1) & (span != 0), share, 1.0)
     ends = jnp.stack([jnp.zeros_like(low[:, 0]), jnp.ones_like(low[:, 0])], axis=-1)
-    return jnp.sort(jnp.concatenate([ends, share.reshape(len(begin), -1)], axis=-1), axis=-1)
+    return jnp.sort(jnp.concatenate([ends, share.reshape(len(begin), math.prod(share.shape[1:]))], axis=-1), axis=-1)
 
 
 def _bilinear(layers: Array, xy: Array) -> Array:

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxurban.errors import InputError
 from jaxurban.planners.base import Path, Problem
 from jaxurban.planners.evaluate import charge_map, evaluate_on
 from jaxurban.planners.host import call_on_host
@@ -56,6 +57,8 @@ def planned_cost(problem: Problem, planner: Callable[[Problem], Path]) -> CostFu
 
     def call(layers, distance_weight):
         cell_shape = problem.is_free.shape
+        if layers.shape[1:] != cell_shape:
+            raise InputError(f"layers must be [L, Y, X] over {cell_shape} cells, got shape {layers.shape}")
         shapes = tuple(jax.ShapeDtypeStruct(shape, layers.dtype) for shape in ((), (), cell_shape))
         return call_on_host(search, shapes, layers, jnp.asarray(distance_weight))
 

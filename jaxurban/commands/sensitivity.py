@@ -44,7 +44,9 @@ NAMED = {"vary": "vary", "triangle": "triangle", "wishes": "pareto"}  # lists of
 @click.option("--tolerance", type=float, default=1e-3, show_default=True, help="Of triangle and front; 1e-9 is exact.")
 @click.option("--buildings", "with_buildings", is_flag=True, help="Also rank buildings by what they cost the route.")
 @click.option(
-    "--scenario", type=click.Path(path_type=Path), help="That made the maps, where --buildings needs its folder."
+    "--scenario",
+    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    help="That made the maps, where --buildings needs its folder.",
 )
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
 @click.option("-o", "output", type=click.Path(path_type=Path), default=Path("out/sensitivity"), show_default=True)
@@ -65,9 +67,11 @@ def sensitivity(
     from jaxurban.io.store import check_writable
     from jaxurban.maps import open_maps
     from jaxurban.planning import plan
-    from jaxurban.sensitivity_report import ranges, save_sensitivity
+    from jaxurban.sensitivity_report import add_buildings, ranges, save_sensitivity
     from jaxurban.studies.sensitivity import sensitivity as study
 
+    if scenario is not None and not with_buildings:
+        raise click.UsageError("--scenario belongs to --buildings: add that")
     settings = stored_settings(folder)
     planning = settings.get("planning", {})
     weights = Weights.parse(weights_text, stored_weights(folder, settings))
@@ -100,7 +104,7 @@ def sensitivity(
             from jaxurban.costly_buildings import write_buildings
 
             on_stage("buildings")
-            write_buildings(folder, first, output / "buildings", scenario=scenario)
+            add_buildings(output, write_buildings(folder, first, output / "buildings", scenario=scenario))
     tell(f"sensitivity finished: read {output / 'report.md'}, look at {output / 'figures'}")
     if as_json:
         tables = {name: table.reset_index().to_dict("records") for name, table in found.tables().items()}

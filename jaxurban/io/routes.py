@@ -1,6 +1,7 @@
 """Routes from files: lines that someone flew, drew or planned."""
 
 import json
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,7 +11,7 @@ import numpy as np
 import pandas as pd
 import shapely
 
-from jaxurban.errors import InputError
+from jaxurban.errors import InputError, LeftOutWarning
 from jaxurban.io.vectorfile import open_layers
 
 SEGMENT_PROPERTY = "segment"  # of lines that repeat a part of jaxurban's own route, for its report
@@ -44,11 +45,13 @@ def read_routes(file: str | Path) -> list[Route]:
       InputError: no such file, no line in it, or an altitude that is no number.
     """
     routes: list[Route] = []
+    num_others = 0
     layers = (frame.to_crs("EPSG:4326") for frame in open_layers(file, "routes"))
     features = (row for frame in layers for _, row in frame.iterrows())
     for number, row in enumerate(features, start=1):
         geometry = row.geometry
-        if geometry is None or geometry.geom_type not in ("LineString", "MultiLineString"):
+        if geometry is None or geometry.geom_type not in ("LineString", "MultiLineString") or not _is_finite(geometry):
+            num_others += 1
             continue
         if not pd.isna(row.get(SEGMENT_PROPERTY)):
             continue
@@ -66,8 +69,16 @@ def read_routes(file: str | Path) -> list[Route]:
                 )
             )
     if not routes:
-        raise InputError(f"{str(file)!r} holds no line: give routes as LineString features")
+        raise InputError(f"{str(file)!r} holds no line of finite places: give routes as LineString features")
+    if num_others:
+        said = f"{num_others} of the features of {str(file)!r} are no lines of finite places and were left out"
+        warnings.warn(said, LeftOutWarning, stacklevel=2)
     return routes
+
+
+def _is_finite(geometry: shapely.Geometry) -> bool:
+    """Return whether every coordinate is a number."""
+    return bool(np.isfinite(shapely.get_coordinates(geometry)).all())
 
 
 def _facts(row: Any) -> Mapping[str, Any]:

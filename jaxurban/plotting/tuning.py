@@ -62,7 +62,7 @@ def plot_weights(fit: WeightFit | TargetFit, units: Sequence[str]) -> Figure:
     if isinstance(fit, WeightFit):
         axes[1].barh(places, 100 * fit.shares, color=[COLOURS[name] for name in fit.names], height=0.55)
         for place, share in zip(places, fit.shares, strict=True):
-            axes[1].text(100 * share + 1.0, place, f"{100 * share:.2g}", va="center", size=SMALL_PT)
+            axes[1].text(100 * share + 1.0, place, f"{100 * share:.3g}", va="center", size=SMALL_PT)
         axes[1].set(xlabel="share of the examples' cost (%)", ylim=axes[0].get_ylim(), yticks=[])
         axes[1].set_xlim(0, 115 * float(fit.shares.max()))
     return _dressed(figure)

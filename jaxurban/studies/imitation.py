@@ -39,6 +39,7 @@ LEAST_REGRET = 2e-3  # examples much nearer than this to the cheapest are truste
 SETTLED = 1e-5  # a round that betters no known route by more has nothing to add
 REGRET_ROUNDS = 4  # searches for the least regret that any weights reach
 IN_ROUND, IN_BOOTSTRAP = 1, 2  # streams of random numbers
+WIDE = 10  # a weight whose interval spans a larger factor is hardly pinned down
 OPTIMAL_REGRET = 0.005  # on average beyond this, the examples are not optimal under any weights
 
 
@@ -122,8 +123,9 @@ def fit_weights(
     in the middle of the weights that explain the examples. Examples that stay far costlier than most are
     trusted less (a redescending weight on their regret), so that some detours do not bend the fit.
 
-    Only the direction of W can be found; its length is set by ``scale``. A layer that is constant over the maps
-    cannot be told from distance (or from nothing), so its weight is left at 0 and a warning says so.
+    Only the direction of W can be found; its length is set by ``scale``. The weight of a layer that is constant
+    over the maps cannot be identified, and ``unidentified`` says so: under ``line`` (or where it costs nothing) it
+    is left at 0; under ``cell`` such a layer counts steps, which diagonals save, and the fit takes that into account.
 
     Args:
       examples: from `example_from_path`, `example_from_line` or `read_examples`; of one or several maps.
@@ -152,7 +154,10 @@ def fit_weights(
     queries = [example.query for example in examples]
     names = check_alike(queries)
     constant = constant_layers(queries)
-    is_fitted = np.array([name not in constant for name in names])
+    # Under `cell` a constant cost still counts steps, and diagonals save some: left out, it would bend the others.
+    silent = () if queries[0].unit.cost_model == "cell" else constant
+    silent += tuple(name for name in constant if not np.any([query.unit.cost_of(name) for query in queries]))
+    is_fitted = np.array([name not in silent for name in names])
     demo = np.array([example.route.features for example in examples])
     noise_rounds = min(max_rounds, NOISE_ROUNDS)
     settings = {"fit": "imitation", "seed": seed, "noise_rounds": noise_rounds, "of": fingerprint(queries, demo)}
@@ -176,13 +181,14 @@ def fit_weights(
         rng = np.random.default_rng([IN_BOOTSTRAP, 0, seed])
         drawn, by_examples = refit(fit.log_weights, fit.task(BOOTSTRAP_NOISE, LAST_NOISE, rng), bootstrap, rng)
         interval = np.full((2, len(names)), np.nan)
+        if bootstrap:
+            interval = fit.as_good(np.ones(len(names)) if scale == "simplex" else np.eye(len(names))[0])
         if len(drawn):
-            interval = np.percentile([_scaled(fit.weights_of(row), scale) for row in drawn], [5, 95], axis=0)
-            low, high = fit.as_good(np.ones(len(names)) if scale == "simplex" else np.eye(len(names))[0])
-            interval = np.stack([np.minimum(interval[0], low), np.maximum(interval[1], high)])
+            by_draw = np.percentile([_scaled(fit.weights_of(row), scale) for row in drawn], [5, 95], axis=0)
+            interval = np.stack([np.minimum(by_draw[0], interval[0]), np.maximum(by_draw[1], interval[1])])
     indistinct = indistinct_weights(
         tradeoff_covariance(pool, fit.unit, fit.weights)[np.ix_(is_fitted, is_fitted)],
-        [name for name in names if name not in constant],
+        [name for name in names if name not in silent],
     )
     cost, spread = fit.weights * demo.mean(axis=0), fit.weights * demo.std(axis=0)
     return WeightFit(
@@ -196,7 +202,11 @@ def fit_weights(
         best_mean_regret=best,
         curve=pd.DataFrame(rows),
         by_examples=by_examples,
-        unidentified=tuple([_said_of_constant(name) for name in constant] + indistinct),
+        unidentified=(
+            *(_said_of_constant(name, name in silent) for name in constant),
+            *_open(names, constant, interval),
+            *indistinct,
+        ),
         warnings=tuple(_warnings(examples, len(names), best, fit.trust, is_settled)),
         num_plans=pool.num_plans,
         elapsed_s=time.perf_counter() - begin_s,
@@ -312,10 +322,23 @@ def _trust(regret: np.ndarray, patience: float) -> np.ndarray:
     return 1 / (1 + (np.maximum(regret, 0) / usual) ** 2) ** 2
 
 
-def _said_of_constant(name: str) -> str:
+def _said_of_constant(name: str, is_left_out: bool) -> str:
+    said = f"The {name} layer is the same everywhere on these maps, so its weight cannot be identified"
+    if is_left_out:
+        return f"{said} and is left at 0."
     return (
-        f"The {name} layer is the same everywhere on these maps, so its weight cannot be identified and is left at 0."
+        f"{said} as a weight of {name}: under the cost model 'cell' it only counts steps, of which diagonals save "
+        "some, and the value given here stands for that."
     )
+
+
+def _open(names: Sequence[str], constant: Sequence[str], interval: np.ndarray) -> list[str]:
+    """Return a sentence for each weight that the examples leave open within a wide range."""
+    return [
+        f"The weight of {name} is hardly pinned down: anything from {low:.3g} to {high:.3g} explains such examples."
+        for name, low, high in zip(names, *interval, strict=True)
+        if name not in constant and np.isfinite(high) and high > 0 and low < high / WIDE
+    ]
 
 
 def _warnings(
@@ -323,11 +346,12 @@ def _warnings(
 ) -> list[str]:
     said = []
     if len(examples) < FEW * num_weights:
-        said.append(f"{len(examples)} examples are few for {num_weights} weights: the intervals may be too narrow.")
+        many = "1 example is" if len(examples) == 1 else f"{len(examples)} examples are"
+        said.append(f"{many} few for {num_weights} weights: others of the same kind may ask for quite other ones.")
     if best > OPTIMAL_REGRET:
         said.append(
-            f"The examples are not optimal under any weights: at best they cost {100 * best:.2f} % more than the "
-            "cheapest routes on average."
+            f"The examples are not optimal under any weights that were found: at best they cost {100 * best:.2f} % "
+            "more than the cheapest routes on average."
         )
     if num := int((trust < 0.1).sum()):
         said.append(f"{num} of {len(trust)} examples cost far more than the others' weights explain, and hardly count.")

@@ -72,9 +72,13 @@ class TargetFit:
         missed = ", ".join(
             f"{wish} (reached {row.reached:.4g})" for wish, row in self.outcomes.iterrows() if not row.is_met
         )
-        said = f"Not all wishes can be met; the best trade-off found misses {missed}."
+        said = f"Not all wishes were met; the best trade-off found misses {missed}."
         if self.conflicts:
-            said += " These conflict: " + "; ".join(f"{one} with {other}" for one, other in self.conflicts) + "."
+            said += (
+                " These conflict, as far as the search could find: "
+                + "; ".join(f"{one} with {other}" for one, other in self.conflicts)
+                + "."
+            )
         elif self.alone["is_met"].all():
             said += " Each two of them can be met together, but not all."
         for wish, row in self.alone.iterrows():

@@ -30,6 +30,20 @@ class Wish:
     sense: str
     value: float
 
+    def __post_init__(self) -> None:
+        if self.outcome not in OUTCOMES:
+            raise InputError(
+                f"unknown outcome {self.outcome!r}{nearest_name(self.outcome, OUTCOMES)}: choose one of "
+                f"{', '.join(OUTCOMES)}"
+            )
+        if self.sense not in (">=", "<="):
+            raise InputError(f"a wish's sense must be '>=' or '<=', got {self.sense!r}")
+        if not np.isfinite(self.value):
+            raise InputError(f"wish {str(self)!r} must end in a finite number")
+        least, most = (0.0, 1.0) if self.outcome.startswith("mean_") else (0.0, np.inf)
+        if (self.sense == ">=" and self.value > most) or (self.sense == "<=" and self.value < least):
+            raise InputError(f"wish {str(self)!r} cannot be met: {self.outcome} lies between {least:g} and {most:g}")
+
     @classmethod
     def parse(cls, text: str) -> "Wish":
         """Return the wish in ``"mean_gps>=0.8"``.
@@ -41,16 +55,10 @@ class Wish:
         if not match:
             raise InputError(f"wish {text!r} must read like mean_gps>=0.8 or detour<=0.15")
         outcome, sense, number = match.groups()
-        if outcome not in OUTCOMES:
-            raise InputError(
-                f"unknown outcome {outcome!r}{nearest_name(outcome, OUTCOMES)}: choose one of {', '.join(OUTCOMES)}"
-            )
         try:
             value = float(number)
         except ValueError:
             value = np.nan
-        if not np.isfinite(value):
-            raise InputError(f"wish {text!r} must end in a finite number")
         return cls(outcome, sense, value)
 
     def __str__(self) -> str:
