@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check -q
 SOURCES := pyproject.toml constraints.txt
 
-.PHONY: demo test test-slow lint wheel notebooks bench clean
+.PHONY: demo test test-slow test-docs lint wheel notebooks bench docs clean
 
 demo: $(VENV)/.run
 	$(BIN)/jaxurban demo -o out/demo --overwrite
@@ -15,6 +15,9 @@ test: $(VENV)/.dev
 
 test-slow: $(VENV)/.dev
 	$(BIN)/python -m pytest -m slow
+
+test-docs: $(VENV)/.dev
+	$(BIN)/python -m pytest -m 'slow or not slow' tests/test_docs.py
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff check .
@@ -29,6 +32,9 @@ wheel: $(VENV)/.dev
 
 notebooks: $(VENV)/.dev
 	$(BIN)/python notebooks/run_all.py -o out/notebooks
+
+docs: $(VENV)/.docs
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict
 
 bench: $(VENV)/.bench
 	$(BIN)/python -m benchmarks.run_all
@@ -52,4 +58,8 @@ $(VENV)/.dev: $(VENV)/.run
 
 $(VENV)/.bench: $(VENV)/.run
 	$(PIP) install -c constraints.txt --no-build-isolation -e '.[bench]'
+	touch $@
+
+$(VENV)/.docs: $(VENV)/.run
+	$(PIP) install -c constraints.txt --no-build-isolation -e '.[docs]'
 	touch $@

@@ -38,7 +38,7 @@ def volume_line_integrals(
       levels_m: ``[K]`` ascending altitudes.
       resolution_m: side of a cell.
       num_cuts: rows (columns) of centres that a segment may cross, else NaN
-      (`jaxurban.kernels.line_smooth.cuts_needed`).
+        (`jaxurban.kernels.line_smooth.cuts_needed`).
     """
     points = jnp.concatenate([points_m[:, :2] / resolution_m - 0.5, points_m[:, 2:]], axis=1)
     begin, along = points[:-1], jnp.diff(points, axis=0)  # [S, 3]

@@ -1,0 +1,241 @@
+"""Every code block of README and docs does what it says.
+
+The blocks of a page run in order, in one folder and one Python namespace. The folder holds what pages take for
+granted: a small `scenario.toml` of the embedded city over Lower Manhattan's bounds, its maps in `out/manhattan`, and
+files of zones, outlines, blocks and routes made here.
+"""
+
+import re
+import shlex
+import shutil
+import textwrap
+import tomllib
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import geopandas as gpd
+import pandas as pd
+import pytest
+import shapely
+
+import jaxurban as ju
+from jaxurban.cli import app
+from jaxurban.scenario import Scenario
+from tests.cli_runs import run
+
+ROOT = Path(__file__).parents[1]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+BLOCK = re.compile(r"^( *)```([\w-]*)[^\n]*\n(.*?)^\1```[ \t]*$", re.MULTILINE | re.DOTALL)
+LONG_PAGES = {"docs/sensitivity.md", "docs/study.md", "docs/tuning.md"}  # 5 to 20 s each: `make test-docs`
+
+SCENARIO = """
+[region]
+bounds = [-74.02, 40.70, -73.98, 40.73]
+resolution_m = 25.0
+altitudes_m = [20, 60, 122]
+[buildings]
+source = "synthetic"
+[study]
+instances = 2
+planners = ["ptp", "astar-plus"]
+budget_s = 0.5
+"""
+
+
+@dataclass(frozen=True)
+class Block:
+    """One fenced block: its language, its text without indent, and the line of the page on which the text begins."""
+
+    language: str
+    text: str
+    line: int
+
+
+def blocks_of(page: Path) -> list[Block]:
+    text = page.read_text(encoding="utf-8")
+    return [
+        Block(found[2], textwrap.dedent(found[3]), text.count("\n", 0, found.start(3)) + 1)
+        for found in BLOCK.finditer(text)
+    ]
+
+
+def name_of(page: Path) -> str:
+    return page.relative_to(ROOT).as_posix()
+
+
+def with_code(is_long: bool) -> list[Any]:
+    """Return the pages that have blocks to run."""
+    return [
+        pytest.param(page, id=name_of(page))
+        for page in PAGES
+        if (name_of(page) in LONG_PAGES) == is_long and {block.language for block in blocks_of(page)} & set(RUNNERS)
+    ]
+
+
+@pytest.fixture(scope="module")
+def prepared(tmp_path_factory) -> Path:
+    """The folder that pages start from."""
+    folder = tmp_path_factory.mktemp("docs")
+    (folder / "town").mkdir()
+    for name in ("scenario.toml", "town/scenario.toml"):
+        (folder / name).write_text(SCENARIO, encoding="utf-8")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        app.main(["maps", "scenario.toml", "-o", "out/manhattan"], standalone_mode=False)
+    write(folder / "heliports.kml", [shapely.Point(-74.009, 40.701).buffer(0.0005)], {"Name": ["Heliport"]})
+    write(folder / "parks.geojson", [shapely.box(-73.999, 40.712, -73.997, 40.714)], {"ceiling_m": [50.0]})
+    houses = [shapely.box(x, y, x + 0.0008, y + 0.0006) for x in (-74.013, -74.010) for y in (40.706, 40.709)]
+    write(folder / "buildings.geojson", houses, {"height": [12.0, 30.0, 55.0, 90.0]})
+    ids = ["360610001001000", "360610001001001"]
+    write(
+        folder / "blocks.geojson",
+        [shapely.box(-74.016, 40.704, -74.011, 40.712), shapely.box(-74.011, 40.704, -74.006, 40.712)],
+        {"GEOID10": ids},
+    )
+    pd.DataFrame({"GEOID10": ids, "P001001": [400, 1200]}).to_csv(folder / "population.csv", index=False)
+    maps = ju.open_maps(folder / "out/manhattan")
+    ends = [
+        ((-74.016, 40.704), (-73.99, 40.729)),
+        ((-74.01, 40.705), (-73.985, 40.725)),
+        ((-74, 40.71), (-74.01, 40.725)),
+    ]
+    routes = [ju.plan(maps, start, goal, altitude_m=60.0, snap=True) for start, goal in ends]
+    write(folder / "routes.geojson", [shapely.LineString(path.lonlat) for path in routes], {"altitude_m": [60.0] * 3})
+    return folder
+
+
+def write(file: Path, shapes: list, columns: dict[str, list]) -> None:
+    gpd.GeoDataFrame(columns, geometry=shapes, crs="EPSG:4326").to_file(file, driver={".kml": "KML"}.get(file.suffix))
+
+
+@pytest.fixture
+def folder(prepared, tmp_path, monkeypatch) -> Path:
+    shutil.copytree(prepared, tmp_path / "page")
+    monkeypatch.chdir(tmp_path / "page")
+    return tmp_path / "page"
+
+
+def run_python(block: Block, page: Path, namespace: dict[str, Any], capsys) -> None:
+    source = "\n" * (block.line - 1) + block.text  # so that a traceback names the page's own line
+    exec(compile(source, str(page), "exec"), namespace)
+
+
+def keep_toml(block: Block, page: Path, namespace: dict[str, Any], capsys) -> None:
+    """Check settings, and save them where their first line names a file."""
+    settings = tomllib.loads(block.text)
+    if "region" not in settings:
+        settings |= {"region": {"bounds": (0.0, 0.0, 0.1, 0.1)}, "buildings": {"source": "synthetic"}}
+    Scenario.from_dict(settings)
+    if named := re.match(r"# (\w+\.toml)\n", block.text):
+        Path(named[1]).write_text(block.text, encoding="utf-8")
+
+
+def run_shell(block: Block, page: Path, namespace: dict[str, Any], capsys) -> None:
+    for words in commands_of(block):
+        match words:
+            case ["jaxurban", *arguments]:
+                if reason := why_not_run(arguments):
+                    parse(arguments, reason)
+                else:
+                    code, _, err = run(capsys, *arguments)
+                    assert code == 0, f"{name_of(page)}:{block.line}: {shlex.join(words)}\n{err}"
+            case ["make", *targets]:
+                made = re.findall(r"^([\w-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
+                assert targets
+                assert set(targets) <= set(made)
+            case ["python", "-m", module, *_] if module.startswith("benchmarks."):
+                assert (ROOT / module.replace(".", "/")).with_suffix(".py").is_file()
+            case ["python", "-m", "pip", "install", "-c", "constraints.txt", "-e", target]:
+                extras = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+                assert target.strip(".[]") in extras["optional-dependencies"]
+            case _:
+                assert words == [".", ".venv/bin/activate"], (
+                    f"{name_of(page)} asks for {shlex.join(words)!r}: not known here"
+                )
+
+
+def commands_of(block: Block) -> Iterator[list[str]]:
+    for line in block.text.replace("\\\n", " ").splitlines():
+        if words := shlex.split(line, comments=True):
+            yield words
+
+
+def why_not_run(arguments: list[str]) -> str:
+    """Return why a command's options are only parsed, or nothing."""
+    if arguments[0] == "fetch" and "--dry-run" not in arguments:
+        return "it asks servers; tests/io/test_fetch.py asks a local one"
+    if arguments[0] == "demo" or "--cluster" in arguments:
+        return "it has tests of its own: tests/test_demo.py, tests/test_tiled.py"
+    return ""
+
+
+def parse(arguments: list[str], reason: str) -> None:
+    command, *options = arguments
+    assert app.commands[command].make_context(command, options), reason
+
+
+Runner = Callable[[Block, Path, dict[str, Any], Any], None]
+RUNNERS: dict[str, Runner] = {"python": run_python, "toml": keep_toml, "sh": run_shell}
+NOT_RUN = {"text", "math"}  # diagrams, and formulas, which `make docs` turns into MathML or fails
+
+
+def run_page(page: Path, capsys) -> None:
+    namespace: dict[str, Any] = {"__name__": "__main__"}
+    for block in blocks_of(page):
+        if block.language not in NOT_RUN:
+            RUNNERS[block.language](block, page, namespace, capsys)
+
+
+@pytest.mark.parametrize("page", with_code(is_long=False))
+def test_the_blocks_of_a_page_run_in_their_order(page, folder, capsys):
+    run_page(page, capsys)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", with_code(is_long=True))
+def test_the_blocks_of_a_page_that_takes_long_run_in_their_order(page, folder, capsys):
+    run_page(page, capsys)
+
+
+@pytest.mark.parametrize("page", with_code(is_long=True))
+def test_a_page_that_takes_long_compiles_and_its_commands_parse(page, folder, capsys):
+    for block in blocks_of(page):
+        if block.language == "python":
+            compile(block.text, str(page), "exec")
+        elif block.language == "toml":
+            keep_toml(block, page, {}, capsys)
+        elif block.language == "sh":
+            for words in commands_of(block):
+                if words[0] == "jaxurban":
+                    parse(words[1:], "see the test above")
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_every_block_says_what_it_is_and_is_known_here(page):
+    text = page.read_text(encoding="utf-8")
+    blocks = blocks_of(page)
+    assert text.count("```") == 2 * len(blocks), "a fence is not closed, or stands within a line"
+    for block in blocks:
+        assert block.language in {*RUNNERS, *NOT_RUN}, f"{name_of(page)}:{block.line}: language {block.language!r}"
+        is_hidden_code = block.language in NOT_RUN and re.search(r"\b(jaxurban |ju\.|import )", block.text)
+        assert not is_hidden_code, f"{name_of(page)}:{block.line} holds code that no test runs"
+
+
+def test_the_scenario_page_names_every_setting_with_its_default():
+    (block,) = [block for block in blocks_of(ROOT / "docs/reference/scenario.md") if block.language == "toml"]
+    shown = tomllib.loads(block.text)
+    left_out = {"region": {"bounds", "crs"}, "buildings": {"source"}, "terrain": {"source"}}
+    left_out |= {"gps": {"times", "start", "stop", "step_s", "reference"}}
+    left_out |= {"population": {"blocks", "table", "districts"}}  # without a default: examples are shown
+    whole = Scenario.from_dict(shown).model_dump(mode="python")
+    bare = {"region": {"bounds": shown["region"]["bounds"]}, "buildings": {"source": "x.geojson"}}
+    defaults = Scenario.from_dict(bare).model_dump(mode="python")
+    for section, settings in defaults.items():
+        if section == "study":
+            continue
+        wanted = settings.keys() - {"start", "stop", "step_s"}
+        assert set(shown[section]) == wanted, section
+        for key in wanted - left_out.get(section, set()):
+            assert whole[section][key] == settings[key], f"[{section}] {key}"
