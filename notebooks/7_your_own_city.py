@@ -73,7 +73,7 @@ for row, col in np.ndindex(10, 10):
     if (row + col) % 3 == 0:
         house["building:levels"] = str(rng.integers(2, 8))
     else:
-        house["height"] = "90" if (row, col) == (4, 5) else str(rng.integers(8, 35))
+        house["height"] = "90" if (row, col) == (4, 6) else str(rng.integers(8, 35))
     houses.append(house)
 gpd.GeoDataFrame(houses, crs="EPSG:4326").to_file(folder / "buildings.geojson")
 pd.DataFrame(houses).drop(columns="geometry").head(4)
