@@ -56,11 +56,11 @@ pd.DataFrame(
     {
         name: {
             "status": path.status.value,
-            "cost": round(path.cost, 1),
-            "gap (%)": round(100 * path.search.gap, 1),
-            "length (m)": round(path.length_m),
-            "time (s)": round(path.search.elapsed_s, 3),
-            "expanded": path.search.num_expanded,
+            "cost": f"{path.cost:.1f}",
+            "gap (%)": f"{100 * path.search.gap:.1f}",
+            "length (m)": f"{path.length_m:,.0f}",
+            "time (s)": f"{path.search.elapsed_s:.3f}",
+            "expanded": f"{path.search.num_expanded:,}",
         }
         for name, path in paths.items()
     }

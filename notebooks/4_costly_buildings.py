@@ -65,38 +65,46 @@ plot_building_costs(city, route, table, maps.grid)
 # %% [markdown]
 # ## Which of the buildings matter
 #
-# Heights near the route's altitude decide: much lower roofs are below all rays, and of much higher ones a metre more
-# changes only long shadows.
+# Those whose roofs end near the route's altitude cost most: a metre more, and they stand in the way. Higher ones only
+# lengthen shadows (GPS); lower ones are landmarks that would be better for being higher (lidar, below zero). Effects
+# under 0.001 are left out.
 
 # %%
 figure, axes = plt.subplots(figsize=(7.5, 4.0), layout="constrained")
-for name, colour in (("gps", "#0072b2"), ("lidar", "#e69f00"), ("risk", "#009e73")):
-    axes.scatter(table["height_m"], table[name], s=16, color=colour, label=name)
+for name, colour, marker in (("risk", "#009e73", "^"), ("gps", "#0072b2", "o"), ("lidar", "#e69f00", "s")):
+    felt = table[table[name].abs() >= 1e-3]
+    axes.scatter(felt["height_m"], felt[name], s=20, color=colour, marker=marker, label=name)
 axes.axvline(route.altitude_m, color="black", linewidth=0.8, linestyle=":", label="altitude of the route")
+axes.axhline(0, color="black", linewidth=0.5)
 axes.set(xlabel="height of the building (m)", ylabel="cost per metre of height (1/m)", xscale="log")
+axes.set_xticks([5, 10, 20, 50, 100], ["5", "10", "20", "50", "100"])
+axes.minorticks_off()
 axes.set_yscale("symlog", linthresh=1e-2)
+axes.set_ylim(-0.2, 10)
 axes.legend(frameon=False, loc="center left", bbox_to_anchor=(1, 0.5))
 plt.show()
 
 # %% [markdown]
 # ## Does the gradient tell the truth?
 #
-# Raise each of the three costliest buildings, and of the two that help most, by 4 m, make the **exact** maps again, and
-# weigh the same route on them. The sign should agree and the size roughly: a gradient is a promise about small changes,
-# and the exact maps answer in jumps.
+# Raise some buildings by 4 m, one at a time, make the **exact** maps again, and weigh the same route on them. A
+# gradient is a promise about small changes, and the exact maps answer in jumps: expect the sign to agree, and the size
+# roughly. `inf` means that the roof now reaches the route, which no cost can pay for; planned anew, the drone flies
+# around it and is dearer by the last column.
 
 # %%
 STEP_M = 4.0
 corner_m = np.array([maps.grid.x_min_m, maps.grid.y_min_m])
 rows = {}
-for row in pd.concat([table.head(3), table.tail(2)]).itertuples():
+for row in table.iloc[[0, 1, 2, 6, 7, -2, -1]].itertuples():
     height_m = city.buildings.height_m.copy()
     height_m[row.building] += STEP_M
     higher = replace(city, buildings=replace(city.buildings, height_m=height_m))
     again = ju.weigh(ju.build_maps(higher, resolution_m=10.0, altitudes_m=(25.0,)), 25.0)
-    rows[row.building] = {
+    rows[row.Index] = {
         "height (m)": row.height_m,
-        "foretold by the gradient": STEP_M * row.per_metre,
-        "exact maps": again.evaluate(route.xy_m - corner_m).total - route.cost,
+        "gradient x 4 m": STEP_M * row.per_metre,
+        "same route, exact maps": again.evaluate(route.xy_m - corner_m).total - route.cost,
+        "planned anew": again.plan(**ends, snap=True).cost - route.cost,
     }
-pd.DataFrame(rows).T.rename_axis("building, 4 m higher").round(3)
+pd.DataFrame(rows).T.rename_axis("rank").round(3)

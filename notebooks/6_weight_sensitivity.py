@@ -20,8 +20,6 @@
 
 # %%
 # %matplotlib inline
-from IPython.display import display
-
 import jaxurban as ju
 from jaxurban.plotting import plot_paths
 from jaxurban.plotting.sensitivity import (
@@ -61,7 +59,8 @@ plot_switch_routes(found)
 
 # %% [markdown]
 # The switches of one weight as a table: each row is a route, cheapest `from` one value of the weight `to` another;
-# `is_given` marks the route under the given weights.
+# `is_given` marks the route under the given weights. `people` is metres flown at the region's highest density; `mean_*`
+# the mean of a map along the route.
 
 # %%
 found.switches("lidar").drop(columns="weight_name").round(3)
@@ -97,27 +96,32 @@ plot_pareto(found)
 # %% [markdown]
 # ## Try it yourself
 #
-# Drag a slider, and the route is planned anew; the shortest way, whatever the weights are, stays for comparison. It
-# needs a running notebook and `ipywidgets`; without them this cell draws the given weights once.
+# The cheapest route under weights of your own, beside the shortest one (`astar-dist` here), which no weight changes.
 
 # %%
-shortest = ju.plan(maps, start, goal, altitude_m=20.0, planner="astar-dist", objective="distance", snap=True)
+given = {"distance": 0.1, "gps": 1.0, "lidar": 1.0, "population": 1.0, "risk": 1.0}
+ends = {"start": start, "goal": goal, "altitude_m": 20.0, "snap": True}
+shortest = ju.plan(maps, **ends, planner="astar-dist", objective="distance")
 
 
-def redraw(distance=0.1, gps=1.0, lidar=1.0, population=1.0, risk=1.0):
+def redraw(**weights: float):
     """Return the map with the cheapest route under these weights."""
-    weights = ju.Weights(distance, gps, lidar, population, risk)
-    return plot_paths(maps, {20.0: [shortest, ju.plan(maps, start, goal, altitude_m=20.0, weights=weights, snap=True)]})
+    return plot_paths(maps, {20.0: [shortest, ju.plan(maps, **ends, weights=ju.Weights(**weights))]})
 
 
+redraw(**given)
+
+# %% [markdown]
+# With `ipywidgets` and a running notebook, sliders: let one go, and the route is planned anew.
+
+# %%
 try:
-    import ipywidgets
+    from ipywidgets import FloatLogSlider, interact
 except ModuleNotFoundError:
-    print("ipywidgets is not installed (pip install ipywidgets), so there are no sliders: the given weights")
-    display(redraw())
+    print("no sliders without ipywidgets: pip install ipywidgets, or call redraw(distance=0.1, gps=5, ...)")
 else:
     sliders = {
-        name: ipywidgets.FloatLogSlider(value, base=10, min=-2, max=1, step=0.1, continuous_update=False)
-        for name, value in {"distance": 0.1, "gps": 1.0, "lidar": 1.0, "population": 1.0, "risk": 1.0}.items()
+        name: FloatLogSlider(value, base=10, min=-2, max=1, step=0.1, continuous_update=False)
+        for name, value in given.items()
     }
-    display(ipywidgets.interactive(redraw, **sliders))
+    interact(redraw, **sliders)

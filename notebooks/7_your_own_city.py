@@ -101,10 +101,10 @@ pd.DataFrame({"block": blocks["block"], "population": rng.integers(0, 400, len(b
 # error that names the right one.
 
 # %%
-east, north = WEST + 10 * STEP_LON, SOUTH + 10 * STEP_LAT
+_, _, east, north = box(0, 0, 9.5, 9.66).bounds  # as far as the houses go
 (folder / "scenario.toml").write_text(f"""
 [region]
-bounds = [{WEST}, {SOUTH}, {east:.4f}, {north:.4f}]   # west, south, east, north, degrees
+bounds = [{WEST}, {SOUTH}, {east:.6f}, {north:.6f}]   # west, south, east, north, degrees
 resolution_m = 5.0
 altitudes_m = [20, 60]
 [buildings]

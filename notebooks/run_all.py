@@ -14,6 +14,7 @@ import nbformat
 from nbclient import NotebookClient
 
 MOST_S = 600  # a cell
+QUIET = ["--IPKernelApp.log_level=CRITICAL"]  # it tells of its own transport and end
 
 
 def main() -> int:
@@ -36,7 +37,8 @@ def main() -> int:
     for source in sources:
         began = time.perf_counter()
         notebook = jupytext.read(source)
-        NotebookClient(notebook, timeout=MOST_S, resources={"metadata": {"path": str(folder)}}).execute()
+        where = {"metadata": {"path": str(folder)}}
+        NotebookClient(notebook, timeout=MOST_S, resources=where, extra_arguments=QUIET).execute()
         print(f"{source.name}: ran in {time.perf_counter() - began:.0f} s", flush=True)
         if asked.out is not None:
             nbformat.write(notebook, asked.out / f"{source.stem}.ipynb")

@@ -102,6 +102,7 @@ def plot_learning(fit: WeightFit | TargetFit) -> Figure:
             shown = np.maximum(100 * by_examples[name], 100 * LEAST_SHOWN)
             panels[2].plot(by_examples["num_examples"], shown, style, color=PLANNED_COLOUR, markersize=3, label=label)
         panels[2].set(yscale="log", xlabel="examples fitted", ylabel="regret of the others (%)")
+        _plain_log(panels[2].yaxis)
         panels[2].set_xscale("log", base=2)
         panels[2].set_xticks(by_examples["num_examples"], [f"{num}" for num in by_examples["num_examples"]])
     for panel in panels:
