@@ -34,7 +34,7 @@ from jaxurban.plotting.sensitivity import (
 city = ju.demo_city(width_m=2_000, height_m=3_000)
 maps = ju.build_maps(city, resolution_m=20.0, altitudes_m=(20.0,))
 start, goal = maps.grid.lonlat_of_cell(20, 30), maps.grid.lonlat_of_cell(120, 62)
-found = ju.sensitivity(maps, start, goal, altitude_m=20.0, cost_model="line", num_samples=32, snap=True)
+found = ju.sensitivity(maps, start, goal, altitude_m=20.0, cost_model="line", num_samples=128, snap=True)
 print(f"{found.num_plans:,} searches in {found.elapsed_s:.1f} s")
 
 # %% [markdown]
@@ -80,7 +80,7 @@ plot_triangle_routes(found)
 # ## All weights at once
 #
 # Sobol indices: the share of the variation in what the route is like that a weight explains alone (first-order), and
-# with all its interactions (total). With 32 samples the confidence intervals are wide; `num_samples=256` narrows them.
+# with all its interactions (total). The bars are 95 % confidence intervals; more samples (`num_samples`) narrow them.
 
 # %%
 plot_sobol(found)
