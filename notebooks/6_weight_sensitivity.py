@@ -20,6 +20,10 @@
 
 # %%
 # %matplotlib inline
+import io
+
+from IPython.display import display
+
 import jaxurban as ju
 from jaxurban.plotting import plot_paths
 from jaxurban.plotting.sensitivity import (
@@ -116,12 +120,22 @@ redraw(**given)
 
 # %%
 try:
-    from ipywidgets import FloatLogSlider, interact
+    from ipywidgets import FloatLogSlider, Image, VBox
 except ModuleNotFoundError:
     print("no sliders without ipywidgets: pip install ipywidgets, or call redraw(distance=0.1, gps=5, ...)")
 else:
-    sliders = {
-        name: FloatLogSlider(value, base=10, min=-2, max=1, step=0.1, continuous_update=False)
-        for name, value in given.items()
-    }
-    interact(redraw, **sliders)
+    look = {"base": 10, "min": -2, "max": 1, "step": 0.1, "continuous_update": False}
+    sliders = {name: FloatLogSlider(value, description=name, **look) for name, value in given.items()}
+    picture = Image()
+
+    def show(_=None) -> None:
+        """Draw the route of the sliders' weights into the picture."""
+        drawn = io.BytesIO()
+        redraw(**{name: slider.value for name, slider in sliders.items()}).savefig(drawn)
+        picture.value = drawn.getvalue()
+
+    for slider in sliders.values():
+        slider.observe(show, "value")
+    show()
+    # An Image, as the Output that `interact` draws into can hang a notebook run without a browser (nbclient issue 312).
+    display(VBox([*sliders.values(), picture]))
