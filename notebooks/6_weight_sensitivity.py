@@ -104,7 +104,7 @@ plot_pareto(found)
 
 # %%
 given = {"distance": 0.1, "gps": 1.0, "lidar": 1.0, "population": 1.0, "risk": 1.0}
-ends = {"start": start, "goal": goal, "altitude_m": 20.0, "snap": True}
+ends = {"start": start, "goal": goal, "altitude_m": 20.0, "cost_model": "line", "snap": True}
 shortest = ju.plan(maps, **ends, planner="astar-dist", objective="distance")
 
 
