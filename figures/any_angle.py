@@ -64,12 +64,12 @@ def draw(axes: Axes, problem: Problem, paths: dict[str, Path], has_points: bool 
         colour, width = STYLES[label]
         style = {"marker": ".", "markersize": 4} if has_points else {}
         axes.plot(*path.points_m.T, color=colour, lw=width, label=f"{label}: {path.cost:.2f}", **style)
-    axes.set(xlabel="x (m)", ylabel="y (m)", aspect="equal")
+    axes.set(xlabel="east (m)", ylabel="north (m)", aspect="equal")
 
 
 def main() -> None:
     """Draw the figure beside this script."""
-    figure, (left, middle, right) = plt.subplots(1, 3, figsize=(17, 5.4), layout="constrained")
+    figure, (left, middle, right) = plt.subplots(1, 3, figsize=(17, 4.7), layout="constrained")
     problem, bent_m = two_media()
     paths = paths_of(problem)
     draw(left, problem, paths)
@@ -81,7 +81,7 @@ def main() -> None:
     paths = paths_of(problem)
     draw(middle, problem, paths)
     middle.set_title(f"Embedded city, {ALTITUDE_M:g} m, default weights, line model")
-    middle.legend(loc="upper left", fontsize=8)
+    middle.legend(loc="lower right", fontsize=8)  # where no path runs
     draw(right, problem, paths, has_points=True)
     x_m, y_m = paths["A* on the grid"].points_m[len(paths["A* on the grid"].points_m) // 2]
     right.set(xlim=(x_m - 110, x_m + 110), ylim=(y_m - 110, y_m + 110), title="A part of it, with waypoints")
