@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check -q
 SOURCES := pyproject.toml constraints.txt
 
-.PHONY: demo test test-slow test-docs lint wheel notebooks bench docs clean
+.PHONY: demo test test-slow test-docs lint wheel notebooks figures bench docs clean
 
 demo: $(VENV)/.run
 	$(BIN)/jaxurban demo -o out/demo --overwrite
@@ -32,6 +32,9 @@ wheel: $(VENV)/.dev
 
 notebooks: $(VENV)/.dev
 	$(BIN)/python notebooks/run_all.py -o out/notebooks
+
+figures: $(VENV)/.run
+	$(BIN)/python -m figures
 
 docs: $(VENV)/.docs
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict

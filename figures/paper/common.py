@@ -1,0 +1,167 @@
+"""What the paper's figures and tables share: two cities, the caption beneath, and files to look at and to print.
+
+`TOWNS` are the embedded city, over the paper's 10 x 20 km, and Lower Manhattan, where the data files are at hand
+(``JAXURBAN_DATA``, default ``../shared/data``). Their maps are made once, under out/figures.
+"""
+
+import os
+import textwrap
+from collections.abc import Mapping, Sequence
+from functools import cache
+from pathlib import Path
+from typing import NamedTuple
+
+import pandas as pd
+from matplotlib.figure import Figure
+
+import jaxurban as ju
+from jaxurban.city import Blocks
+from jaxurban.io.census import read_blocks
+from jaxurban.pipeline import Run, run_scenario
+from jaxurban.plotting.files import write_png
+from jaxurban.plotting.frame import FAINT_INK, INK, SMALL_PT
+from jaxurban.scenario import Scenario
+from jaxurban.study_report import markdown
+
+ROOT = Path(__file__).parents[2]
+HERE, OUT = ROOT / "figures" / "paper", ROOT / "out" / "figures"
+DATA = Path(os.environ.get("JAXURBAN_DATA", ROOT.parent / "shared" / "data"))
+MAP_M, PATH_M = 2.0, 5.0  # the paper's cells: of its maps, of its paths
+ALTITUDES_M = (20.0, 60.0, 122.0, 600.0)
+BOUNDS = (-74.03, 40.68, -73.9107, 40.86)  # the paper's region: 10 x 20 km around Manhattan
+EPOCH = "2020-04-27T16:00:00Z"
+OSM, ORBITS = DATA / "osm/lower-manhattan.osm.pbf", DATA / "gps/gps-ops_2020-04-27.tle"
+CENSUS = {
+    "blocks": DATA / "census/tl_2010_36061_tabblock10.shp",
+    "table": DATA / "census/DECENNIALSF12010.P1_nyc_blocks.csv",
+    "districts": DATA / "districts/nyc_community_districts.geojson",
+}
+CREDIT = "buildings © OpenStreetMap contributors (ODbL); US Census Bureau; NYC Open Data"
+HEADS = ("The paper", "Here", "Why they differ")
+CAPTION_COLUMN_IN, LINE_IN, LETTERS_PER_IN = 1.25, 0.148, 15.0
+
+
+class Town(NamedTuple):
+    """A city that the figures are drawn of: its name in files, its name in sentences, and its scenario."""
+
+    name: str
+    title: str
+    scenario: dict
+
+    def run(self) -> Run:
+        """Return the maps by resolution, made if they are not there yet, and the record of how."""
+        return _run(self.name)
+
+    def maps(self, resolution_m: float) -> ju.MetricMaps:
+        """Return the maps of one resolution."""
+        return self.run().maps[resolution_m]
+
+
+class Caption(NamedTuple):
+    """What stands beneath a figure or table: what the paper shows, what is seen here, and why they differ."""
+
+    paper: str
+    here: str
+    why: str
+
+
+_REGION = {"resolution_m": [MAP_M, PATH_M], "altitudes_m": list(ALTITUDES_M)}
+EMBEDDED = Town(
+    "embedded",
+    "the embedded city",
+    {"region": {"bounds": BOUNDS, **_REGION}, "buildings": {"source": "synthetic"}, "gps": {"times": [EPOCH]}},
+)
+MANHATTAN = Town(
+    "manhattan",
+    "Lower Manhattan",
+    {
+        "region": {"bounds": (-74.02, 40.70, -73.98, 40.73), **_REGION},
+        "buildings": {"source": str(OSM)},
+        "gps": {"orbits": str(ORBITS), "times": [EPOCH]},
+        "population": {name: str(file) for name, file in CENSUS.items()},
+    },
+)
+HAS_CENSUS = all(file.exists() for file in CENSUS.values())
+TOWNS = (EMBEDDED, MANHATTAN) if HAS_CENSUS and OSM.exists() and ORBITS.exists() else (EMBEDDED,)
+
+
+@cache
+def _run(name: str) -> Run:
+    town = next(town for town in TOWNS if town.name == name)
+    return run_scenario(
+        Scenario.from_dict(town.scenario),
+        OUT / name,
+        on_stage=lambda stage: None if "tile" in stage else print(f"  {town.title}: {stage}", flush=True),
+        overwrite=True,
+    )
+
+
+@cache
+def manhattan_blocks() -> Blocks:
+    """Return the census blocks of all Manhattan with their districts, in UTM 18N."""
+    commercial = Scenario.from_dict(EMBEDDED.scenario).population.commercial
+    blocks, _ = read_blocks(
+        CENSUS["blocks"], CENSUS["table"], "EPSG:32618", districts_path=CENSUS["districts"], commercial=commercial
+    )
+    return blocks
+
+
+def by_altitude(values: Mapping[float, float], form: str = ".2f") -> str:
+    """Return ``0.84 / 0.88 / 0.89 at 20 / 60 / 122 m``."""
+    shown = " / ".join(format(value, form) for value in values.values())
+    return f"{shown} at {' / '.join(f'{altitude_m:g}' for altitude_m in values)} m"
+
+
+def free_means(maps: ju.MetricMaps, metric: str, altitudes_m: Sequence[float]) -> dict[float, float]:
+    """Return the mean of a metric over the free cells, by altitude."""
+    return {z: float(maps.m(metric, z)[maps.is_free(z)].mean(dtype=float)) for z in altitudes_m}
+
+
+def save(figure: Figure, name: str, caption: Caption) -> None:
+    """Write a figure with its caption beneath: figures/paper/NAME.png to look at, out/figures/NAME.pdf to print."""
+    write_beneath(figure, caption)
+    write_png(figure, HERE / f"{name}.png")
+    OUT.mkdir(parents=True, exist_ok=True)
+    figure.savefig(OUT / f"{name}.pdf", dpi=300, metadata={"CreationDate": None})
+    print(f"  {name}.png", flush=True)
+
+
+def write_beneath(figure: Figure, caption: Caption) -> None:
+    """Make the figure taller at its foot and write the caption there."""
+    width_in, height_in = figure.get_size_inches()
+    letters = int((width_in - CAPTION_COLUMN_IN - 0.3) * LETTERS_PER_IN)
+    paragraphs = [textwrap.fill(text, letters) for text in caption]
+    room_in = sum(LINE_IN * (text.count("\n") + 1) + 0.07 for text in paragraphs) + 0.16
+    total_in = height_in + room_in
+    if (layout := figure.get_layout_engine()) is not None:
+        figure.set_size_inches(width_in, total_in)
+        layout.set(rect=(0, room_in / total_in, 1, 1 - room_in / total_in))
+    else:
+        boxes = [axes.get_position(original=True) for axes in figure.axes]
+        figure.set_size_inches(width_in, total_in)
+        for axes, box in zip(figure.axes, boxes, strict=True):
+            bottom = (box.y0 * height_in + room_in) / total_in
+            axes.set_position((box.x0, bottom, box.width, box.height * height_in / total_in))
+        for item in (*figure.texts, *figure.legends):
+            _lift(item, height_in, room_in, total_in)
+    y_in = room_in - 0.08
+    for head, text in zip(HEADS, paragraphs, strict=True):
+        look = {"va": "top", "size": SMALL_PT + 0.5, "in_layout": False, "linespacing": 1.2}
+        figure.text(0.15 / width_in, y_in / total_in, head, weight="bold", color=INK, **look)
+        figure.text(CAPTION_COLUMN_IN / width_in, y_in / total_in, text, color=FAINT_INK, **look)
+        y_in -= LINE_IN * (text.count("\n") + 1) + 0.07
+
+
+def _lift(item, height_in: float, room_in: float, total_in: float) -> None:
+    if hasattr(item, "get_position"):
+        x, y = item.get_position()
+        item.set_position((x, (y * height_in + room_in) / total_in))
+    else:  # a legend of the figure, which stands at its foot
+        item.set_bbox_to_anchor((0, room_in / total_in, 1, 1 - room_in / total_in))
+
+
+def save_table(table: pd.DataFrame, name: str, title: str, caption: Caption) -> None:
+    """Write a table with its caption beneath as figures/paper/NAME.md."""
+    beneath = [f"**{head}.** {text}" for head, text in zip(HEADS, caption, strict=True)]
+    (HERE / f"{name}.md").write_text("\n\n".join([f"### {title}", markdown(table), *beneath]) + "\n", encoding="utf-8")
+    print(f"  {name}.md", flush=True)
