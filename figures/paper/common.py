@@ -6,11 +6,12 @@
 
 import os
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
@@ -21,6 +22,7 @@ from jaxurban.pipeline import Run, run_scenario
 from jaxurban.plotting.files import write_png
 from jaxurban.plotting.frame import FAINT_INK, INK, SMALL_PT
 from jaxurban.scenario import Scenario
+from jaxurban.studies.strata import STRATA, strata_of
 from jaxurban.study_report import markdown
 
 ROOT = Path(__file__).parents[2]
@@ -42,11 +44,12 @@ CAPTION_COLUMN_IN, LINE_IN, LETTERS_PER_IN = 1.25, 0.148, 15.0
 
 
 class Town(NamedTuple):
-    """A city that the figures are drawn of: its name in files, its name in sentences, and its scenario."""
+    """A city that the figures are drawn of: its name in files and in sentences, its scenario, the altitudes drawn."""
 
     name: str
     title: str
     scenario: dict
+    drawn_m: tuple[float, ...]
 
     def run(self) -> Run:
         """Return the maps by resolution, made if they are not there yet, and the record of how."""
@@ -70,6 +73,7 @@ EMBEDDED = Town(
     "embedded",
     "the embedded city",
     {"region": {"bounds": BOUNDS, **_REGION}, "buildings": {"source": "synthetic"}, "gps": {"times": [EPOCH]}},
+    (20.0, 60.0, 122.0),
 )
 MANHATTAN = Town(
     "manhattan",
@@ -80,6 +84,7 @@ MANHATTAN = Town(
         "gps": {"orbits": str(ORBITS), "times": [EPOCH]},
         "population": {name: str(file) for name, file in CENSUS.items()},
     },
+    ALTITUDES_M,
 )
 HAS_CENSUS = all(file.exists() for file in CENSUS.values())
 TOWNS = (EMBEDDED, MANHATTAN) if HAS_CENSUS and OSM.exists() and ORBITS.exists() else (EMBEDDED,)
@@ -115,6 +120,25 @@ def by_altitude(values: Mapping[float, float], form: str = ".2f") -> str:
 def free_means(maps: ju.MetricMaps, metric: str, altitudes_m: Sequence[float]) -> dict[float, float]:
     """Return the mean of a metric over the free cells, by altitude."""
     return {z: float(maps.m(metric, z)[maps.is_free(z)].mean(dtype=float)) for z in altitudes_m}
+
+
+def shares(
+    maps: ju.MetricMaps, altitudes_m: Sequence[float], is_so: Callable[[float], np.ndarray]
+) -> dict[float, float]:
+    """Return the share of the free cells of which something is so, by altitude."""
+    return {z: float(is_so(z)[maps.is_free(z)].mean()) for z in altitudes_m}
+
+
+def in_strata(maps: ju.MetricMaps, metric: str, altitude_m: float) -> dict[str, float]:
+    """Return the mean of a metric over the free cells of each stratum (`studies.strata`) that the maps hold."""
+    strata, is_free, m = strata_of(maps), maps.is_free(altitude_m), maps.m(metric, altitude_m)
+    chosen = {name: is_free & (strata == number) for number, name in enumerate(STRATA)}
+    return {name: float(m[cells].mean(dtype=float)) for name, cells in chosen.items() if cells.any()}
+
+
+def listed(values: Mapping[str, float], form: str = ".2f") -> str:
+    """Return ``high-rise 0.93, low-rise 0.61``, the last name first."""
+    return ", ".join(f"{name} {value:{form}}" for name, value in reversed(values.items()))
 
 
 def save(figure: Figure, name: str, caption: Caption) -> None:
