@@ -9,7 +9,7 @@ import time
 from pathlib import Path
 
 HERE = Path(__file__).parent
-HELPERS = {"__main__", "common"}
+HELPERS = {"__main__", "common", "example_paths"}
 
 
 def names() -> list[str]:

@@ -211,10 +211,16 @@ def add_key(
     label: str = "",
     extend: str = "neither",
     ticks: Sequence[float] | None = None,
+    has_scale: bool = True,
 ) -> None:
-    """Fill the key column: legend patches (name, colour), colour bar with its label, north arrow, scale bar."""
+    """Fill the key column: legend patches (name, colour), colour bar with its label, north arrow, scale bar.
+
+    ``has_scale``: not where panels show windows of different sizes, which each want a scale bar of their own.
+    """
     _, top = frame.key.get_ylim()
-    add_north_and_scale(frame)
+    add_north(frame)
+    if has_scale:
+        add_scale(frame.key, (frame.grid.x_max_m - frame.grid.x_min_m) / frame.panel_in[0])
     if patches:
         handles = [Patch(facecolor=colour, edgecolor=FAINT_INK, linewidth=0.4) for _, colour in patches]
         frame.key.legend(
@@ -232,7 +238,7 @@ def add_key(
         lines = sum(1 + name.count("\n") for name, _ in patches)
         top -= 0.175 * lines + 0.06 * len(patches) + 0.1
     if mappable is not None:
-        height = min(3.0, top - 1.25)
+        height = min(3.0, top - 1.4)
         add_colour_bar(frame.figure, _key_box(frame, 0.02, top - height, 0.16, height), mappable, label, extend, ticks)
 
 
@@ -300,24 +306,23 @@ def round_length_m(length_m: float, down: bool = True) -> float:
     return max(fits) if down else min(fits)
 
 
-def add_north_and_scale(frame: Frame) -> None:
-    """Draw the arrow to true north and the scale bar at the foot of the key column.
+def add_north(frame: Frame) -> None:
+    """Draw the arrow to true north, at grid azimuth minus the meridian convergence of the region's centre."""
+    key, (east, north) = frame.key, true_north(frame.grid)
+    x_in, y_in, half_in = 0.3, 0.82, 0.22
+    tip, tail = (x_in + half_in * east, y_in + half_in * north), (x_in - half_in * east, y_in - half_in * north)
+    key.annotate("", tip, tail, arrowprops={"arrowstyle": "-|>", "color": INK, "lw": 1.2})
+    key.text(x_in + 0.3 * east, y_in + 0.3 * north, "N", ha="center", va="center", size=TEXT_PT, color=INK)
 
-    True north lies at grid azimuth minus the meridian convergence, taken at the region's centre.
-    """
-    key, grid = frame.key, frame.grid
-    metres_per_in = (grid.x_max_m - grid.x_min_m) / frame.panel_in[0]
+
+def add_scale(key: Axes, metres_per_in: float) -> None:
+    """Draw a scale bar at the foot of axes over inches."""
     length_m = round_length_m(1.1 * metres_per_in)
     length_in = length_m / metres_per_in
     name = f"{length_m / 1000:g} km" if length_m >= 1000 else f"{length_m:g} m"
     for start_in, colour in ((0.05, INK), (0.05 + length_in / 2, "white")):
         key.add_patch(Rectangle((start_in, 0.12), length_in / 2, 0.07, facecolor=colour, edgecolor=INK, linewidth=0.7))
     key.text(0.05 + length_in / 2, 0.23, name, ha="center", va="bottom", size=SMALL_PT, color=INK, gid="scale")
-    east, north = true_north(grid)
-    x_in, y_in, half_in = 0.3, 0.82, 0.22
-    tip, tail = (x_in + half_in * east, y_in + half_in * north), (x_in - half_in * east, y_in - half_in * north)
-    key.annotate("", tip, tail, arrowprops={"arrowstyle": "-|>", "color": INK, "lw": 1.2})
-    key.text(x_in + 0.3 * east, y_in + 0.3 * north, "N", ha="center", va="center", size=TEXT_PT, color=INK)
 
 
 def true_north(grid: Grid) -> tuple[float, float]:

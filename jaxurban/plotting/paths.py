@@ -96,7 +96,7 @@ def plot_paths(maps: MetricMaps, paths: Paths, *, altitudes_m: Sequence[float] |
         draw_layers(panel, maps.grid, cost_layers(maps, z, time, time_of_day))
         handles = [draw_path(panel, path, colours, rank, len(planned)) for rank, path in enumerate(planned)]
         draw_ends(panel, planned)
-        _legend_below(panel, frame, handles)
+        legend_below(panel, frame, handles)
     norm = (colour_map("gray"), Normalize(0, 1))
     add_key(frame, obstacle_patches(maps, BLOCKED_COLOUR), norm, "$H_\\mathrm{norm}$\n(0: best free cell, 1: worst)")
     return frame.figure
@@ -145,7 +145,8 @@ def draw_ends(panel: Axes, paths: Sequence[PlannedPath]) -> None:
     panel.plot(*found.xy_m[-1], marker="*", markersize=12, **look)
 
 
-def _legend_below(panel: Axes, frame: Frame, handles: Sequence[Line2D]) -> None:
+def legend_below(panel: Axes, frame: Frame, handles: Sequence[Line2D]) -> None:
+    """Write a panel's legend, if it has one, in its footer."""
     if handles:
         panel.legend(
             handles=list(handles),

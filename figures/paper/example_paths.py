@@ -1,0 +1,184 @@
+"""Example paths: three questions at one altitude, each put to the paper's five planners (Figures 10 to 13).
+
+Panels show the normalised total cost of the paper around the paths, day at 20 and 60 m, night above.
+"""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+
+from figures.paper.common import PATH_M, TOWNS, Caption, Town, save
+from jaxurban.grid import Grid
+from jaxurban.planned import PlannedPath
+from jaxurban.planners.registry import find_planner
+from jaxurban.plotting.frame import NO_DATA_COLOUR, Frame, Layer, add_key, add_scale, draw_layers, make_frame
+from jaxurban.plotting.metrics import colour_map, obstacle_patches
+from jaxurban.plotting.paths import (
+    BLOCKED_COLOUR,
+    LINE_IN,
+    cost_layers,
+    draw_ends,
+    draw_path,
+    legend_below,
+    paper_time_of_day,
+    planner_colours,
+)
+from jaxurban.scenario import PAPER_PLANNERS
+from jaxurban.studies.trial import draws_samples
+from jaxurban.weighted import WeightedMap, weigh
+
+NUM_SAMPLES = 10_000  # of BIT*: the pictures repeat exactly, as under a budget in seconds they would not
+MARGIN, SCALE_IN = 0.12, 0.38
+Share = tuple[float, float]  # of the region's width and height, from its southwest corner
+
+
+class Case(NamedTuple):
+    """A question: what it stands for, and where it starts and ends."""
+
+    title: str
+    start: Share
+    goal: Share
+
+
+def weighed(town: Town, altitude_m: float) -> WeightedMap:
+    """Return the map that the planners of one figure share, under the default weights and the line model."""
+    maps = town.maps(PATH_M)
+    return weigh(maps, altitude_m, cost_model="line", time_of_day=paper_time_of_day(maps, altitude_m))
+
+
+def plan_case(shared: WeightedMap, case: Case) -> list[PlannedPath]:
+    """Return the path of each of the paper's planners."""
+    ends = (place(shared, "start", case.start), place(shared, "goal", case.goal))
+    problem = shared.problem.between(ends[0].cell, ends[1].cell)
+    paths = []
+    for planner in PAPER_PLANNERS:
+        limits = {"max_samples": NUM_SAMPLES} if draws_samples(planner) else {}
+        found = find_planner(planner)(problem, budget_s=math.inf, seed=0, **limits)
+        paths.append(shared.finish(found, ends, budget_s=math.inf, seed=0))
+    return paths
+
+
+def place(shared: WeightedMap, name: str, share: Share):
+    grid = shared.grid
+    x_m = grid.x_min_m + share[0] * (grid.x_max_m - grid.x_min_m)
+    y_m = grid.y_min_m + share[1] * (grid.y_max_m - grid.y_min_m)
+    return shared.locate(name, xy_m=(x_m, y_m), snap=True)
+
+
+def window(grid: Grid, paths: Sequence[PlannedPath]) -> Grid:
+    """Return the square part of a grid around paths; it may reach beyond the grid."""
+    points = np.concatenate([path.xy_m for path in paths if path.status.has_path])
+    low, high = points.min(axis=0), points.max(axis=0)
+    half = math.ceil((0.5 + MARGIN) * float((high - low).max()) / grid.resolution_m)
+    row, col = grid.cell_of_xy(*((low + high) / 2))
+    return replace(
+        grid,
+        first_row=grid.first_row + int(row) - half,
+        first_col=grid.first_col + int(col) - half,
+        num_rows=2 * half,
+        num_cols=2 * half,
+    )
+
+
+def crop(layer: Layer, grid: Grid, part: Grid) -> Layer:
+    """Return what a layer on ``grid`` shows in ``part``; NaN, or class -1, beyond the grid."""
+    beyond = np.int8(-1) if layer.is_classes else np.float32(np.nan)
+    values = np.full(part.shape, beyond, layer.values.dtype)
+    row, col = part.first_row - grid.first_row, part.first_col - grid.first_col
+    rows = slice(max(row, 0), min(row + part.num_rows, grid.num_rows))
+    cols = slice(max(col, 0), min(col + part.num_cols, grid.num_cols))
+    values[rows.start - row : rows.stop - row, cols.start - col : cols.stop - col] = layer.values[rows, cols]
+    return replace(layer, values=values)
+
+
+def draw(town: Town, shared: WeightedMap, cases: Sequence[Case], answers: Sequence[list[PlannedPath]]) -> Figure:
+    maps, altitude_m = shared.maps, shared.altitude_m
+    parts = [window(maps.grid, paths) for paths in answers]
+    titles = [f"({letter}) {case.title}" for letter, case in zip("abc", cases, strict=True)]
+    heading = f"Example paths {altitude_m:g} m above ground: {town.title}"
+    credit = [maps.ds.attrs["attribution"]] if "attribution" in maps.ds.attrs else []
+    note = ["each panel around its paths", f"{PATH_M:g} m cells", f"{shared.time_of_day}time people", *credit]
+    footer_in = len(PAPER_PLANNERS) * LINE_IN + SCALE_IN
+    frame = make_frame(parts[0], titles, heading, "  ·  ".join(note), footer_in=footer_in, with_ticks=False)
+    colours = planner_colours(answers[0])
+    layers = cost_layers(maps, altitude_m, shared.time, shared.time_of_day)
+    for panel, part, paths in zip(frame.axes, parts, answers, strict=True):
+        panel.set(xlim=(part.x_min_m, part.x_max_m), ylim=(part.y_min_m, part.y_max_m))
+        draw_layers(panel, part, [crop(layer, maps.grid, part) for layer in layers])
+        handles = [draw_path(panel, path, colours, rank, len(paths)) for rank, path in enumerate(paths)]
+        draw_ends(panel, paths)
+        legend_below(panel, frame, handles)
+        draw_scale(frame, panel, part)
+    norm = (colour_map("gray"), Normalize(0, 1))
+    label = "$H_\\mathrm{norm}$\n(0: best free cell, 1: worst)"
+    patches = obstacle_patches(maps, BLOCKED_COLOUR)
+    if any(not _holds(maps.grid, part) for part in parts):
+        patches = [*patches[:1], ("beyond the\nregion, or\nno data", NO_DATA_COLOUR)]
+    add_key(frame, patches, norm, label, has_scale=False)
+    return frame.figure
+
+
+def _holds(grid: Grid, part: Grid) -> bool:
+    outer, inner = grid.bounds_m, part.bounds_m
+    return outer[0] <= inner[0] and outer[1] <= inner[1] and inner[2] <= outer[2] and inner[3] <= outer[3]
+
+
+def draw_scale(frame: Frame, panel, part: Grid) -> None:
+    """Draw a panel's scale bar under its legend."""
+    width_in, height_in = frame.figure.get_size_inches()
+    box = panel.get_position()
+    bottom_in = box.y0 * height_in - len(PAPER_PLANNERS) * LINE_IN - SCALE_IN
+    size_in = (frame.panel_in[0], SCALE_IN)
+    axes = frame.figure.add_axes((box.x0, bottom_in / height_in, size_in[0] / width_in, size_in[1] / height_in))
+    axes.set(xlim=(0, size_in[0]), ylim=(0, size_in[1]))
+    axes.set_axis_off()
+    add_scale(axes, (part.x_max_m - part.x_min_m) / frame.panel_in[0])
+
+
+def by_planner(paths: Sequence[PlannedPath]) -> dict[str, PlannedPath]:
+    """Return paths by the planner's name."""
+    return {path.search.planner: path for path in paths}
+
+
+def found_by(paths: Sequence[PlannedPath]) -> str:
+    """Return which planners found a path and how their costs compare, in words."""
+    found = [path for path in paths if path.status.has_path]
+    missing = [path.search.planner for path in paths if not path.status.has_path]
+    who = "all find a path" if not missing else f"all but {', '.join(missing)} find a path"
+    best, worst = (choose(found, key=lambda path: path.cost) for choose in (min, max))
+    if worst.cost <= best.cost * (1 + 1e-9):
+        return f"{who}, all at the same cost"
+    return f"{who}, {best.search.planner} the cheapest, {worst.search.planner} {worst.cost / best.cost - 1:.1%} dearer"
+
+
+def found_text(answers: Sequence[list[PlannedPath]]) -> str:
+    """Return `found_by` for the three questions."""
+    return "; ".join(f"({letter}) {found_by(paths)}" for letter, paths in zip("abc", answers, strict=True)) + "."
+
+
+def detour_of(path: PlannedPath) -> float:
+    """Return how much longer a path is than the straight line between its ends, as a share."""
+    return path.length_m / float(np.hypot(*(path.xy_m[-1] - path.xy_m[0]))) - 1
+
+
+def make(
+    number: int,
+    altitude_m: float,
+    cases: Mapping[str, Sequence[Case]],
+    caption: Callable[[Sequence[dict[str, PlannedPath]], str], Caption],
+) -> None:
+    """Draw a figure for every town; ``caption`` has the three questions' paths by planner, and `found_text`."""
+    for town in TOWNS:
+        asked, shared = cases[town.name], weighed(town, altitude_m)
+        answers = [plan_case(shared, case) for case in asked]
+        for paths in answers:  # two exact searches
+            dist, plus = (by_planner(paths)[name].cost for name in ("astar-dist", "astar-plus"))
+            if not math.isclose(dist, plus, rel_tol=1e-12):
+                raise ArithmeticError(f"astar-dist found {dist}, astar-plus {plus}")
+        told = caption([by_planner(paths) for paths in answers], found_text(answers))
+        save(draw(town, shared, asked, answers), f"fig_{number}_paths_{altitude_m:g}m_{town.name}", told)
