@@ -20,12 +20,8 @@
 
 # %%
 # %matplotlib inline
-import io
-
-from IPython.display import display
-
 import jaxurban as ju
-from jaxurban.plotting import plot_paths
+from jaxurban.plotting import route_under, weight_sliders
 from jaxurban.plotting.sensitivity import (
     plot_pareto,
     plot_sobol,
@@ -103,39 +99,11 @@ plot_pareto(found)
 # The cheapest route under weights of your own, beside the shortest one (`astar-dist` here), which no weight changes.
 
 # %%
-given = {"distance": 0.1, "gps": 1.0, "lidar": 1.0, "population": 1.0, "risk": 1.0}
-ends = {"start": start, "goal": goal, "altitude_m": 20.0, "cost_model": "line", "snap": True}
-shortest = ju.plan(maps, **ends, planner="astar-dist", objective="distance")
-
-
-def redraw(**weights: float):
-    """Return the map with the cheapest route under these weights."""
-    return plot_paths(maps, {20.0: [shortest, ju.plan(maps, **ends, weights=ju.Weights(**weights))]})
-
-
-redraw(**given)
+redraw = route_under(maps, start, goal, altitude_m=20.0, cost_model="line", snap=True)
+redraw(distance=0.1, gps=1.0, lidar=1.0, population=1.0, risk=1.0)
 
 # %% [markdown]
 # With `ipywidgets` and a running notebook, sliders: let one go, and the route is planned anew.
 
 # %%
-try:
-    from ipywidgets import FloatLogSlider, Image, VBox
-except ModuleNotFoundError:
-    print("no sliders without ipywidgets: pip install ipywidgets, or call redraw(distance=0.1, gps=5, ...)")
-else:
-    look = {"base": 10, "min": -2, "max": 1, "step": 0.1, "continuous_update": False}
-    sliders = {name: FloatLogSlider(value, description=name, **look) for name, value in given.items()}
-    picture = Image()
-
-    def show(_=None) -> None:
-        """Draw the route of the sliders' weights into the picture."""
-        drawn = io.BytesIO()
-        redraw(**{name: slider.value for name, slider in sliders.items()}).savefig(drawn)
-        picture.value = drawn.getvalue()
-
-    for slider in sliders.values():
-        slider.observe(show, "value")
-    show()
-    # An Image, as the Output that `interact` draws into can hang a notebook run without a browser (nbclient issue 312).
-    display(VBox([*sliders.values(), picture]))
+weight_sliders(maps, start, goal, altitude_m=20.0, cost_model="line", snap=True)

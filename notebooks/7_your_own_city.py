@@ -38,7 +38,7 @@ import pandas as pd
 import shapely
 
 import jaxurban as ju
-from jaxurban.plotting import plot_heights, plot_overview
+from jaxurban.plotting import plot_heights, plot_overview, weight_sliders
 
 folder = Path(tempfile.mkdtemp(prefix="my-town-"))
 os.environ["XDG_CACHE_HOME"] = str(folder / "cache")  # so that nothing is kept elsewhere; leave this out at home
@@ -161,6 +161,15 @@ start, goal = (WEST + 0.00090, SOUTH + 0.00060), (east - 0.00030, north - 0.0003
 route = ju.plan(maps, start, goal, altitude_m=20.0)
 print(f"{route.status.value}: {route.length_m:,.0f} m, cost {route.cost:.1f}")
 plot_overview(maps, {20.0: [route]})
+
+# %% [markdown]
+# Other weights, other routes: let a slider go, and the route is planned anew beside the shortest one.
+
+# %%
+weight_sliders(maps, start, goal, altitude_m=20.0)
+
+# %% [markdown]
+# The same route from the command line:
 
 # %%
 ends = f"--start={start[0]:.5f},{start[1]:.5f} --goal={goal[0]:.5f},{goal[1]:.5f}"

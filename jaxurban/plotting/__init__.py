@@ -11,3 +11,5 @@ from jaxurban.plotting.metrics import plot_sensor_choice as plot_sensor_choice
 from jaxurban.plotting.paths import plot_overview as plot_overview
 from jaxurban.plotting.paths import plot_paths as plot_paths
 from jaxurban.plotting.profile import plot_profile as plot_profile
+from jaxurban.plotting.sliders import route_under as route_under
+from jaxurban.plotting.sliders import weight_sliders as weight_sliders
