@@ -193,8 +193,8 @@ def caption(maps: ju.MetricMaps, problem: Problem, batches: Sequence[Batch]) -> 
         f"a cheaper path; by distance alone it would be {sides[1]}.",
         "Ours leaves out what distance and the cheapest map costs on the way rule out (solid line), not distance alone "
         f"(dashed). A metre weighs {WEIGHTS.distance:g} here: with our usual {ju.Weights().distance:g} the maps rule "
-        f"the cost, and {percent(share_left(usual, usual_cost))} of the free cells are left after {NUM_BATCHES} batches. "
-        "A batch of ours does not end with its first solution, but when no edge left can improve it.",
+        f"the cost, and {percent(share_left(usual, usual_cost))} of the free cells are left after {NUM_BATCHES} "
+        "batches. A batch of ours does not end with its first solution, but when no edge left can improve it.",
     )
 
 
