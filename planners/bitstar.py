@@ -1,6 +1,7 @@
 """BIT*: batch informed trees, an anytime planner that leaves the grid (Gammell, Srinivasa & Barfoot 2015)."""
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, partial
 from typing import NamedTuple
@@ -87,6 +88,25 @@ class Found(NamedTuple):
     history: list[tuple[float, int, float]]
 
 
+class Batch(NamedTuple):
+    """What an observer is shown when a batch ends. ``K`` samples, ``P`` nodes of the path.
+
+    Attributes:
+      number: 0 for the straight segment, then 1, 2 ...
+      samples: ``[K, 2]`` x, y of what the batch added, in cell sides, as all of the tree.
+      tree: start, goal and samples as the search left them, before any is pruned; those with an infinite ``g``
+        are not joined. Not to be altered.
+      path: ``[P]`` nodes of the best path, the start first; none without a path.
+      cost: of that path, inf without one.
+    """
+
+    number: int
+    samples: np.ndarray
+    tree: Tree
+    path: np.ndarray
+    cost: float
+
+
 def bitstar(
     problem: Problem,
     *,
@@ -102,6 +122,7 @@ def bitstar(
     min_improvement: float = 0.0,
     backend: str = "numba",
     planner: str = "bitstar",
+    on_batch: Callable[[Batch], None] | None = None,
 ) -> Path:
     """Return the best path found through random samples of the free cells, better the longer it runs.
 
@@ -135,6 +156,7 @@ def bitstar(
       backend: what costs the edges: ``"numba"`` one by one as each comes first in the queue, ``"jax"`` up to
         1024 at a time on JAX's device, some of them in vain; ``"auto"`` picks (`bitstar_bulk.chosen_backend`).
       planner: the name that the path carries.
+      on_batch: called with each `Batch` when it ends, to draw or record it; its time counts towards the budget.
 
     Raises:
       InputError: an unknown heuristic or backend, a number out of its range, or no limit of time, batches or samples.
@@ -166,7 +188,7 @@ def bitstar(
                 compile_s = time.perf_counter()
                 bulk = BulkCosts(ground)
                 begin_s += time.perf_counter() - compile_s
-            found = _search(ground, bounds, is_reachable, settings, seed, begin_s, bulk)
+            found = _search(ground, bounds, is_reachable, settings, seed, begin_s, bulk, on_batch)
         points_m = found.xy * problem.resolution_m
         if len(points_m):
             cost = evaluate_on(problem, points_m).total
@@ -206,6 +228,7 @@ def _search(
     seed: int,
     begin_s: float,
     bulk: BulkCosts | None,
+    on_batch: Callable[[Batch], None] | None = None,
 ) -> Found:
     """Return what the batches found, until something ends them."""
     end_s = begin_s + settings.budget_s
@@ -217,7 +240,7 @@ def _search(
     queue = _queue(FIRST_QUEUE)
     history: list[tuple[float, int, float]] = []
     num_costed = num_drawn = 0
-    cost, is_spent = np.inf, False
+    cost, is_spent, xy = np.inf, False, np.empty((0, 2))
     while True:
         tree, start, goal, buckets = tree.in_buckets(radius, start, goal)
         nodes = tree.nodes(radius, buckets)
@@ -237,6 +260,8 @@ def _search(
         path = tree.path(goal)
         last_cost, cost = cost, min(cost, tree.path_cost(path))
         history.append((time.perf_counter() - begin_s, num_drawn, cost))
+        if on_batch is not None:
+            on_batch(Batch(len(history) - 1, xy, tree, path, cost))
         if cost <= good_cost:
             break
         if cost < np.inf and last_cost < np.inf and last_cost - cost < settings.min_improvement * last_cost:

@@ -114,6 +114,21 @@ def test_each_later_batch_finds_the_best_path_of_its_graph_or_a_better_one():
     assert np.isfinite(path.cost)
 
 
+def test_an_observer_sees_every_batch_and_changes_none():
+    problem, seen = walled_problem(1, "line"), []
+    run = partial(bitstar, problem, seed=5, batch_samples=60, growth=0, max_batches=4)
+    path = run(on_batch=seen.append)
+    np.testing.assert_array_equal(path.points_m, run().points_m)
+    assert [batch.number for batch in seen] == [0, 1, 2, 3, 4]
+    for batch, (_, num_drawn, cost) in zip(seen, path.history, strict=True):
+        assert batch.cost == cost
+        assert sum(len(earlier.samples) for earlier in seen[: batch.number + 1]) == num_drawn
+        assert np.isin(batch.samples, batch.tree.xy).all()
+        assert (len(batch.path) > 0) == np.isfinite(cost)
+    last = seen[-1]
+    np.testing.assert_array_equal(last.tree.xy[last.path] * problem.resolution_m, path.points_m)
+
+
 @pytest.mark.parametrize(("planner", "cost_model"), PAIRS)
 def test_cost_never_rises_from_batch_to_batch_and_is_that_of_the_path(planner, cost_model):
     for seed in range(5):
