@@ -22,7 +22,7 @@ from jaxurban.plotting.frame import (
     SMALL_PT,
     Frame,
     Layer,
-    add_north_and_scale,
+    add_key,
     draw_layers,
     flat_layer,
     make_frame,
@@ -177,7 +177,7 @@ def add_legend(frame: Frame) -> None:
         borderpad=0.2,
         labelspacing=0.6,
     )
-    add_north_and_scale(frame)
+    add_key(frame)
 
 
 def caption(maps: ju.MetricMaps, problem: Problem, batches: Sequence[Batch]) -> Caption:

@@ -1,0 +1,103 @@
+"""The paper's figures and tables: each has its script and what it drew, with what the paper shows beneath."""
+
+import re
+import subprocess
+import sys
+from dataclasses import replace
+from importlib import import_module
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from figures.paper import common, example_paths
+from jaxurban.grid import Grid
+from jaxurban.plotting.frame import classes_layer, make_frame
+
+ROOT = Path(__file__).parents[1]
+PAPER = ROOT / "figures" / "paper"
+SCRIPTS = sorted([*PAPER.glob("fig_*.py"), *PAPER.glob("table_*.py")])
+CAPTION = common.Caption("What it shows. " * 20, "What we see. " * 20, "Why they differ. " * 20)
+GRID = Grid("EPSG:32618", 10.0, 450_000, 58_000, 60, 50)
+
+
+def test_every_figure_and_table_of_the_paper_has_one_script():
+    tex = common.DATA.parent / "paper" / "urban-metric-maps.tex"
+    figures, tables = 13, 7
+    if tex.exists():
+        text = tex.read_text(encoding="utf-8")
+        figures, tables = (len(re.findall(rf"\\begin{{{kind}\*?}}", text)) for kind in ("figure", "table"))
+    numbers = [(kind, int(number)) for kind, number in (script.stem.split("_")[:2] for script in SCRIPTS)]
+    assert sorted(numbers) == [("fig", n) for n in range(1, figures + 1)] + [("table", n) for n in range(1, tables + 1)]
+
+
+@pytest.mark.parametrize("script", SCRIPTS, ids=lambda script: script.stem)
+def test_a_script_names_its_figure_and_what_it_drew_is_small(script):
+    kind, number = script.stem.split("_")[:2]
+    first = script.read_text(encoding="utf-8").splitlines()[0]
+    assert first.startswith(f'"""{"Figure" if kind == "fig" else "Table"} {int(number)} of the paper: ')
+    drawn = [path for path in PAPER.glob(f"{script.stem}*") if path.suffix in {".png", ".md"}]
+    assert drawn, f"{script.stem} drew nothing that is kept"
+    assert max(path.stat().st_size for path in drawn) < 300_000
+    for table in (path for path in drawn if path.suffix == ".md"):
+        text = table.read_text(encoding="utf-8")
+        assert all(f"**{head}.** " in text for head in common.HEADS)
+
+
+@pytest.mark.parametrize("layout", ["frame", "constrained"])
+def test_a_caption_stands_beneath_the_figure_and_inside_the_page(layout):
+    if layout == "frame":
+        figure = make_frame(GRID, ["a", "b"], "Heading", "note").figure
+    else:
+        figure = Figure(layout="constrained", figsize=(8, 4))
+        figure.subplots(1, 2)
+    before_in = figure.get_figheight()
+    sizes_in = [axes.get_position().height * before_in for axes in figure.axes]
+    common.write_beneath(figure, CAPTION)
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    texts = figure.texts[-6:]
+    boxes = [text.get_window_extent(canvas.get_renderer()) for text in texts]
+    assert [text.get_text() for text in texts[::2]] == list(common.HEADS)
+    assert min(box.y0 for box in boxes) > 0
+    assert min(box.x0 for box in boxes) > 0
+    assert max(box.x1 for box in boxes) < figure.bbox.x1
+    assert all(upper.y0 >= lower.y1 for upper, lower in zip(boxes[1::2], boxes[3::2], strict=False))
+    floor = min(axes.get_tightbbox(canvas.get_renderer()).y0 for axes in figure.axes if axes.axison)
+    assert max(box.y1 for box in boxes) <= floor
+    if layout == "frame":
+        assert [axes.get_position().height * figure.get_figheight() for axes in figure.axes] == pytest.approx(sizes_in)
+
+
+def test_a_window_shows_the_grid_where_it_is_and_nothing_beyond():
+    layer = classes_layer(np.arange(GRID.num_rows * GRID.num_cols).reshape(GRID.shape) % 7, list("rgbcmyk"))
+    part = replace(GRID, first_row=GRID.first_row - 5, first_col=GRID.first_col + 30, num_rows=40, num_cols=40)
+    shown = example_paths.crop(layer, GRID, part).values
+    assert np.array_equal(shown[5:, :20], layer.values[:35, 30:])
+    assert (shown[:5] == -1).all()
+    assert (shown[:, 20:] == -1).all()
+    plain = replace(layer, values=layer.values.astype(np.float32), is_classes=False)
+    assert np.isnan(example_paths.crop(plain, GRID, part).values[:5]).all()
+
+
+def test_a_figure_is_drawn_anew_as_picture_and_for_print(tmp_path, monkeypatch):
+    monkeypatch.setattr(common, "HERE", tmp_path)
+    monkeypatch.setattr(common, "OUT", tmp_path / "print")
+    common.save(make_frame(GRID, ["a"], "Heading", "note").figure, "fig_99_try", CAPTION)
+    assert (tmp_path / "fig_99_try.png").read_bytes()[:4] == b"\x89PNG"
+    assert (tmp_path / "print" / "fig_99_try.pdf").read_bytes()[:4] == b"%PDF"
+
+
+def test_an_unknown_figure_is_answered_with_those_there_are():
+    done = subprocess.run([sys.executable, "-m", "figures", "nosuch"], cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 2
+    assert "no figure has nosuch in its name" in done.stderr
+    assert "fig_06_gps" in done.stderr
+
+
+def test_every_script_of_figures_can_be_run():
+    names = import_module("figures.__main__").names()
+    assert len(names) >= 24
+    assert all((ROOT / name.replace(".", "/")).with_suffix(".py").exists() for name in names)
