@@ -14,6 +14,7 @@ import jaxurban
 from jaxurban.cli import app
 
 ROOT = Path(__file__).parents[1]
+TABLE_LINK = re.compile(r"^\[[^\]]+\]\((?:\.\./)+(figures/\S+\.md)\)$", re.MULTILINE)  # alone on its line
 FIGURE_LINK = re.compile(r"\]\(((?:\.\./)*)\.\./figures/")  # as files of the repository see it
 LISTING = re.compile(r"^<!-- (commands|public names|modules): ?(.*) -->$", re.MULTILINE)
 
@@ -27,13 +28,15 @@ def on_config(config: MkDocsConfig) -> MkDocsConfig:
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Return the site's files with the pictures of figures/, which lies beside docs/."""
-    for picture in sorted((ROOT / "figures").glob("*.png")):
-        files.append(File.generated(config, f"figures/{picture.name}", abs_src_path=str(picture)))
+    for picture in sorted((ROOT / "figures").rglob("*.png")):
+        name = picture.relative_to(ROOT).as_posix()
+        files.append(File.generated(config, name, abs_src_path=str(picture)))
     return files
 
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
-    """Return the page with links to figures as the site has them, and with its listings written out."""
+    """Return the page with its tables and listings written out, and with links to figures as the site has them."""
+    markdown = TABLE_LINK.sub(lambda found: (ROOT / found[1]).read_text(encoding="utf-8"), markdown)
     return LISTING.sub(_listing, FIGURE_LINK.sub(r"](\1figures/", markdown))
 
 

@@ -113,7 +113,7 @@ def manhattan_blocks() -> Blocks:
 
 def by_altitude(values: Mapping[float, float], form: str = ".2f") -> str:
     """Return ``0.84 / 0.88 / 0.89 at 20 / 60 / 122 m``."""
-    shown = " / ".join(format(value, form) for value in values.values())
+    shown = " / ".join(format(value, form).replace("%", " %") for value in values.values())
     return f"{shown} at {' / '.join(f'{altitude_m:g}' for altitude_m in values)} m"
 
 

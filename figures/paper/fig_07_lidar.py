@@ -21,9 +21,8 @@ from jaxurban.studies.complementarity import GOOD
 
 PAPER = (
     "Maps without a number. Lidar is best low down: at 20 m in the dense high-rise quarters, weak over low and "
-    "residential "
-    "ones; at 60 m it drops, and of the strong areas only Midtown remains; poor GPS and good lidar lie in the same "
-    "places."
+    "residential ones; at 60 m it drops, and of the strong areas only Midtown remains; poor GPS and good lidar lie in "
+    "the same places."
 )
 HOUSE_M = 8.0  # a house of two floors
 
@@ -36,15 +35,13 @@ def caption(town: Town) -> Caption:
     return Caption(
         PAPER,
         f"The drop is there in {town.title}. Mean over free cells: "
-        f"{by_altitude(free_means(maps, 'lidar', ALTITUDES_M))}; "
-        f"good ({GOOD:g} and above): {by_altitude(good, '.1%')}. By surroundings at 20 m: "
-        f"{listed(in_strata(maps, 'lidar', 20.0))}; at 60 m: {listed(in_strata(maps, 'lidar', 60.0))}.",
+        f"{by_altitude(free_means(maps, 'lidar', ALTITUDES_M))}; good ({GOOD:g} and above): "
+        f"{by_altitude(good, '.1%')}. By surroundings at 20 m: {listed(in_strata(maps, 'lidar', 20.0))}; at 60 m: "
+        f"{listed(in_strata(maps, 'lidar', 60.0))}.",
         f"The paper gives neither beams, nor angles, nor range. Here the lowest of {lidar.num_beams} beams falls by "
-        f"{-low_deg:g} "
-        f"degrees and reaches {lidar.range_m:g} m: from 20 m up it meets a house of {HOUSE_M:g} m that stands "
-        f"{(20 - HOUSE_M) / math.tan(math.radians(-low_deg)):.0f} m away or farther, so low quarters are weaker, "
-        "not blind. "
-        "A fan that looked level only would deepen the paper's contrast.",
+        f"{-low_deg:g} degrees and reaches {lidar.range_m:g} m: from 20 m up it meets a house of {HOUSE_M:g} m that "
+        f"stands {(20 - HOUSE_M) / math.tan(math.radians(-low_deg)):.0f} m away or farther, so low quarters are "
+        "weaker, not blind. A fan that looked level only would deepen the paper's contrast.",
     )
 
 

@@ -16,9 +16,8 @@ from jaxurban.plotting.metrics import EMPTY_COLOUR, colour_map, density_layers
 
 PAPER = (
     "Two maps of m_pop at 2 m without a number. By day the southern, commercial districts (factor 3.0) are the "
-    "densest, by "
-    "night the northern, residential ones (by day factor 0.5): people go to work in the morning and home in the "
-    "evening."
+    "densest, by night the northern, residential ones (by day factor 0.5): people go to work in the morning and home "
+    "in the evening."
 )
 CELL_M = 10.0  # of all Manhattan
 
@@ -77,8 +76,7 @@ def main() -> None:
             "by night.",
             "Drawn is density on a logarithmic scale, not m: m is density over the largest one in the region, and "
             f"{norm_text(maps.m('density', time_of_day='night'))}, so m would show one bright block on black. The "
-            "city and "
-            "its people are made up, with Manhattan's districts.",
+            "city and its people are made up, with Manhattan's districts.",
         ),
     )
     if not HAS_CENSUS:
@@ -90,14 +88,10 @@ def main() -> None:
         Caption(
             PAPER,
             f"The same swing from the same census: commercial {totals['night']['commercial'] / 1e6:.2f} million "
-            "people by "
-            f"night and {totals['day']['commercial'] / 1e6:.2f} by day, residential "
-            f"{totals['night']['residential'] / 1e6:.2f} "
-            f"and {totals['day']['residential'] / 1e6:.2f}.",
+            f"people by night and {totals['day']['commercial'] / 1e6:.2f} by day, residential "
+            f"{totals['night']['residential'] / 1e6:.2f} and {totals['day']['residential'] / 1e6:.2f}.",
             "Drawn is density on a logarithmic scale: m is density over the largest one, and "
-            f"{norm_text(found.density[1])}. The paper's region holds the "
-            "Bronx, Queens "
-            "and New Jersey too; the census file at hand is New York County alone. Commercial numbers differ: Table "
-            "7.",
+            f"{norm_text(found.density[1])}. The paper's region holds the Bronx, Queens and New Jersey too; the "
+            "census file at hand is New York County alone. Commercial numbers differ: Table 7.",
         ),
     )

@@ -28,15 +28,14 @@ def caption(town: Town) -> Caption:
     return Caption(
         PAPER,
         f"Cells {threshold_m:g} m or more from any wall: {by_altitude(clear, '.1%')} of the free ones in "
-        f"{town.title}; mean "
-        f"m_risk {by_altitude(free_means(maps, 'risk', ALTITUDES_M))}. A wall within {NEAR_M:g} m at 20 m: "
-        + ", ".join(f"{share:.0%} of {name}" for name, share in near.items() if not np.isnan(share))
+        f"{town.title}; mean m_risk {by_altitude(free_means(maps, 'risk', ALTITUDES_M))}. A wall within {NEAR_M:g} m "
+        "at 20 m: "
+        + ", ".join(f"{100 * share:.0f} % of {name}" for name, share in near.items() if not np.isnan(share))
         + " cells.",
         "What is drawn is m, which is 0 at a wall and 1 in the clear; the sentence that risk is one at the building "
-        "is about "
-        f"the cost 1 - m. The paper names no threshold (here {threshold_m:g} m) and measures from any building; "
-        "here a roof "
-        "below the drone is no wall (as its obstacle map has it), so low quarters are clear at 20 m.",
+        f"is about the cost 1 - m. The paper names no threshold (here {threshold_m:g} m) and measures from any "
+        "building; here a roof below the drone is no wall (as its obstacle map has it), so houses lower than the "
+        "flight do not count.",
     )
 
 

@@ -7,9 +7,9 @@ from figures.paper.example_paths import NUM_SAMPLES, Case, make
 from jaxurban.planned import PlannedPath
 
 PAPER = (
-    "(a) A long flight through Manhattan: only astar-dist ends within three minutes. (b) A short one over New "
-    "Jersey: all "
-    "five find a path. (c) A middle one from Queens: three of five do; the BIT* variants go more directly than A*."
+    "(a) A long flight through Manhattan: only astar-dist ends within three minutes. (b) A short one over New Jersey: "
+    "all five find a path. (c) A middle one from Queens: three of five do; the BIT* variants go more directly than "
+    "A*."
 )
 CASES = {
     "embedded": [
@@ -29,11 +29,9 @@ def caption(paths: Sequence[dict[str, PlannedPath]], found: str) -> Caption:
     return Caption(
         PAPER,
         f"{found} The two A* cost the same to the last digit, as two exact searches must.",
-        "The paper's astar-plus reduces a box of cells at every node and runs out of three minutes; here all "
-        "bounds come "
-        "from a few sweeps over the map, so both A* end on every question. ptp is blocked by a single roof above "
-        "the line, "
-        f"also over low houses. BIT* has {NUM_SAMPLES:,} samples a question, no time limit.",
+        "The paper's astar-plus reduces a box of cells at every node and runs out of three minutes; here all bounds "
+        "come from a few sweeps over the map, so both A* end on every question. ptp is blocked by a single roof "
+        f"above the line, also over low houses. BIT* has {NUM_SAMPLES:,} samples a question, no time limit.",
     )
 
 

@@ -8,9 +8,8 @@ from jaxurban.planned import PlannedPath
 
 PAPER = (
     "(a) From New Jersey over the Hudson into Midtown, far: only astar-dist and the BIT* variants end. (b) A short "
-    "flight into "
-    "Midtown: astar-plus ends too, and flies safer. (c) Far: the two BIT* paths differ, bitstar-plus having had "
-    "fewer batches."
+    "flight into Midtown: astar-plus ends too, and flies safer. (c) Far: the two BIT* paths differ, bitstar-plus "
+    "having had fewer batches."
 )
 CASES = {
     "embedded": [
@@ -31,15 +30,13 @@ def caption(paths: Sequence[dict[str, PlannedPath]], found: str) -> Caption:
     both = c["bitstar-plus"].status.has_path and c["bitstar-dist"].status.has_path
     return Caption(
         PAPER,
-        f"{found} On (c) bitstar-plus is {c['bitstar-plus'].cost / c['bitstar-dist'].cost - 1:+.2%} against "
+        f"{found} On (c) bitstar-plus is {100 * (c['bitstar-plus'].cost / c['bitstar-dist'].cost - 1):+.2f} % against "
         "bitstar-dist."
         if both
         else found,
         "Here astar-plus ends on all three: the heuristic's cost, not the range, stopped the paper's. With the same "
-        "number of "
-        f"samples ({NUM_SAMPLES:,}) bitstar-plus has as many batches as bitstar-dist: the paper's had fewer because "
-        "its bound "
-        "took longer to compute.",
+        f"number of samples ({NUM_SAMPLES:,}) bitstar-plus has as many batches as bitstar-dist: the paper's had "
+        "fewer because its bound took longer to compute.",
     )
 
 

@@ -8,8 +8,7 @@ from jaxurban.planned import PlannedPath
 
 PAPER = (
     "Only distance and people cost anything. (a) Short: all do well. (b) Along the Hudson distance alone counts and "
-    "ptp is the "
-    "best planner. (c) Into Manhattan bitstar-plus is the better choice, over fewer people."
+    "ptp is the best planner. (c) Into Manhattan bitstar-plus is the better choice, over fewer people."
 )
 CASES = {
     "embedded": [
@@ -31,12 +30,10 @@ def caption(paths: Sequence[dict[str, PlannedPath]], found: str) -> Caption:
         PAPER,
         f"{found} Mean m_pop under the path on (c): ptp {c['ptp'].metrics['population']:.3f}, bitstar-plus "
         f"{c['bitstar-plus'].metrics['population']:.3f}, at "
-        f"{c['bitstar-plus'].length_m / c['ptp'].length_m - 1:+.1%} length.",
-        "At this height GPS and lidar cost the same everywhere and nothing blocks. A* pays for its eight "
-        "directions; the "
-        "straight line is hard to beat, because m_pop is relative to the densest block of the region, so that most "
-        "people "
-        "weigh little.",
+        f"{100 * (c['bitstar-plus'].length_m / c['ptp'].length_m - 1):+.1f} % length.",
+        "At this height GPS and lidar cost the same everywhere and nothing blocks. A* pays for its eight directions; "
+        "the straight line is hard to beat, because m_pop is relative to the densest block of the region, so that "
+        "most people weigh little.",
     )
 
 
