@@ -153,7 +153,8 @@ def found_by(paths: Sequence[PlannedPath]) -> str:
     best, worst = (choose(found, key=lambda path: path.cost) for choose in (min, max))
     if worst.cost <= best.cost * (1 + 1e-9):
         return f"{who}, all at the same cost"
-    return f"{who}, {best.search.planner} the cheapest, {worst.search.planner} {100 * (worst.cost / best.cost - 1):.1f} % dearer"
+    excess = 100 * (worst.cost / best.cost - 1)
+    return f"{who}, {best.search.planner} the cheapest, {worst.search.planner} {excess:.1f} % dearer"
 
 
 def found_text(answers: Sequence[list[PlannedPath]]) -> str:
