@@ -185,8 +185,8 @@ def run_scenario(
         key = run_key(scenario, inputs)
         if has_other_maps(folder, key) and not overwrite:
             raise InputError(
-                f"{str(folder)!r} holds maps of other settings or inputs: choose another folder, "
-                "or pass --overwrite to replace them"
+                f"{str(folder)!r} holds maps of other settings or inputs, or made by another version of jaxurban "
+                "or its libraries: choose another folder, or pass --overwrite to replace them"
             )
         with watch.stage("read"):
             city = load_city(scenario)
