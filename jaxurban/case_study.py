@@ -9,14 +9,19 @@ from typing import Any
 
 import pandas as pd
 
+from jaxurban.city import LandCover
 from jaxurban.cost import Weights
+from jaxurban.demo import demo_cover_for_bounds
 from jaxurban.errors import InputError
+from jaxurban.grid import Grid
+from jaxurban.io.city import OSM_SUFFIXES
+from jaxurban.io.landcover import read_land_cover
 from jaxurban.io.store import check_writable, only_writer, whole_file
 from jaxurban.io.tables import write_table
 from jaxurban.maps import MetricMaps, open_maps
 from jaxurban.planners.base import CostModel, Diagonal
 from jaxurban.planners.registry import find_planner
-from jaxurban.scenario import PAPER_PLANNERS
+from jaxurban.scenario import PAPER_PLANNERS, Scenario
 from jaxurban.studies.analysis import joined
 from jaxurban.studies.montecarlo import Source, run_study
 from jaxurban.studies.sampling import DIRICHLET, sample_instances
@@ -56,6 +61,7 @@ def study(
     instances: pd.DataFrame | None = None,
     num_instances: int = 200,
     altitudes_m: Sequence[float] | None = None,
+    cover: LandCover | None = None,
     weights: str | Sequence[Weights] = DIRICHLET,
     planners: Sequence[str] = PAPER_PLANNERS,
     distance_only: Sequence[str] = ("astar-dist",),
@@ -82,7 +88,7 @@ def study(
       maps: from `build_maps` or `open_maps`, or the folder of maps, which several workers need.
       folder: where the study is kept.
       instances: from `sample_instances` or `studies.sampling.read_instances`; left out, sampled.
-      num_instances, altitudes_m, weights: of the sampling (see `sample_instances`).
+      num_instances, altitudes_m, cover, weights: of the sampling (see `sample_instances`).
       planners: each is asked every instance.
       distance_only: planners that are asked for the shortest path too; its weighted cost is reported.
       cost_model: ``"line"``, which depends on no resolution, or ``"cell"`` (the paper); costs are reported under both.
@@ -115,6 +121,7 @@ def study(
             opened,
             num_instances,
             altitudes_m=altitudes_m,
+            cover=cover,
             weights=weights,
             reference_length_m=reference_length_m,
             seed=seed,
@@ -130,6 +137,26 @@ def study(
             instances, runs, source, folder, settings, num_workers=workers, cluster=cluster, progress=progress
         )
     return StudyResult(folder, opened, instances, rows, settings)
+
+
+def land_cover_of(scenario: Scenario) -> LandCover | None:
+    """Return the water and the parks that the study of a scenario tells apart, None where nothing tells them.
+
+    From ``[study] land_cover``; left out, from the buildings' source where that is an OSM file, or the embedded city's.
+
+    Raises:
+      InputError: the file cannot be read, or is no OSM file.
+    """
+    region, named = scenario.region, scenario.study.land_cover
+    if named is None and scenario.is_synthetic:
+        return demo_cover_for_bounds(region.bounds, region.crs)
+    source = named or scenario.buildings.source
+    if not source.lower().endswith(OSM_SUFFIXES):
+        if named is not None:
+            raise InputError(f"[study] land_cover must be an OpenStreetMap file (.osm.pbf or .osm), got {named!r}")
+        return None
+    grid = Grid.from_bounds(region.bounds, region.resolution_m[0], region.crs, region.resolution_m)
+    return read_land_cover(scenario.path_of(source), grid.crs, grid.bounds_m)
 
 
 def _check_instances(instances: pd.DataFrame, maps: MetricMaps) -> None:

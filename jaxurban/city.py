@@ -131,6 +131,14 @@ class Blocks:
 
 
 @dataclass(frozen=True)
+class LandCover:
+    """Where there is water and where there are parks: polygons in a city's CRS, empty where there are none."""
+
+    water: shapely.Geometry
+    park: shapely.Geometry
+
+
+@dataclass(frozen=True)
 class City:
     """A city in one projected CRS: buildings or a height raster, and optionally blocks and terrain.
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 import shapely
 
-from jaxurban.city import OTHER_DISTRICT, Blocks, Buildings, City, HeightOrigin, Zoning
+from jaxurban.city import OTHER_DISTRICT, Blocks, Buildings, City, HeightOrigin, LandCover, Zoning
 from jaxurban.demo_plan import DOWNTOWN, MIDTOWN, Box, Frame, Part, Plan
 from jaxurban.errors import InputError
 from jaxurban.grid import WGS84, check_bounds, projected_crs, transformer, utm_crs
@@ -75,13 +75,31 @@ def demo_city_for_bounds(bounds: Sequence[float], crs: str | None = None, *, see
     Raises:
       InputError: bounds that are no box, too large or too small, or a CRS that is unknown or not projected in metres.
     """
+    return _build(*_box_around(bounds, crs), seed)
+
+
+def demo_cover_for_bounds(bounds: Sequence[float], crs: str | None = None) -> LandCover:
+    """Return the rivers and the park of `demo_city_for_bounds`, in its CRS; arguments and errors are the same."""
+    extent_m, _ = _box_around(bounds, crs)
+    return demo_cover(extent_m)
+
+
+def demo_cover(extent_m: Box) -> LandCover:
+    """Return the rivers and the park of an embedded city, by its ``extent_m``."""
+    plan = Plan(extent_m)
+    land = shapely.union_all([part.land for part in plan.parts()])
+    return LandCover(shapely.difference(plan.box, land), shapely.intersection(plan.park(), plan.box))
+
+
+def _box_around(bounds: Sequence[float], crs: str | None) -> tuple[Box, str]:
+    """Return the embedded city's box around geographic bounds, and its CRS."""
     west, south, east, north = check_bounds(bounds)
     crs = crs or utm_crs((west + east) / 2, (south + north) / 2)
     projected_crs(crs)
     box = np.array(transformer(WGS84, crs).transform_bounds(west, south, east, north, densify_pts=101))
     _check_size(box[2] - box[0], box[3] - box[1], f"bounds {list(bounds)}")
     low, high = np.floor(box[:2] / SNAP_M) * SNAP_M, np.ceil(box[2:] / SNAP_M) * SNAP_M
-    return _build((float(low[0]), float(low[1]), float(high[0]), float(high[1])), crs, seed)
+    return (float(low[0]), float(low[1]), float(high[0]), float(high[1])), crs
 
 
 def _check_size(width_m: float, height_m: float, what: str) -> None:

@@ -272,6 +272,7 @@ class StudySettings(_Section):
     planners: tuple[PlannerName, ...] = PAPER_PLANNERS
     distance_only: tuple[PlannerName, ...] = ("astar-dist",)  # run for the shortest path too
     altitudes_m: PositiveList | None = None
+    land_cover: str | None = None  # OSM file with water and parks; left out, the buildings' source where that is one
     weights: Literal["dirichlet"] | Annotated[tuple[WeightSettings, ...], Field(min_length=1)] = "dirichlet"
     cost_model: Literal["cell", "line"] = "line"
     budget_s: Positive = 2.0

@@ -27,6 +27,7 @@ def tables_of(result: StudyResult) -> dict[str, pd.DataFrame]:
     tables = {
         "choices": analysis.choices(table),
         "success": analysis.success(table),
+        "surroundings": analysis.surroundings(table),
         "costs": analysis.costs(table),
         "paired": analysis.paired(table),
         "times": analysis.times(table),
@@ -63,6 +64,7 @@ def report_markdown(result: StudyResult, tables: dict[str, pd.DataFrame], figure
     writers: dict[str, tuple[str, Callable[[pd.DataFrame, pd.DataFrame], str]]] = {
         "choices": ("Which planner, when", _choices_text),
         "success": ("How often a path is found", _success_text),
+        "surroundings": ("Where it starts and ends", _surroundings_text),
         "costs": ("Cost", _costs_text),
         "paired": ("Planners two by two", _paired_text),
         "times": ("Time", _times_text),
@@ -130,6 +132,16 @@ def _success_text(success: pd.DataFrame, table: pd.DataFrame) -> str:
     return (
         f"**Of the pairs that some path joins, {listed}; at {success.altitude_m.min():g} m "
         f"{_listed([f'{value:.0%}' for value in low_share])} in the same order.**"
+    )
+
+
+def _surroundings_text(found: pd.DataFrame, table: pd.DataFrame) -> str:
+    low = found[found.altitude_m == found.altitude_m.min()]
+    share = low.groupby("stratum").share.mean().sort_values()
+    return (
+        f"**At {low.altitude_m.iloc[0]:g} m the hardest places to start from or to reach are *{share.index[0]}* ones, "
+        f"where the planners answer {share.iloc[0]:.0%} of the joined pairs on average, the easiest "
+        f"*{share.index[-1]}* ones ({share.iloc[-1]:.0%}).** Shares at that altitude, each pair counted in both of its strata:"
     )
 
 
@@ -213,6 +225,9 @@ def _shown(name: str, table: pd.DataFrame) -> pd.DataFrame:
         ranges = analysis.range_names(table)
         shares = shares.reindex([(planner, each) for planner in sorted(table.planner.unique()) for each in ranges])
         return shares.rename(columns=lambda z: f"{z:g} m").reset_index()
+    if name == "surroundings":
+        low = table[table.altitude_m == table.altitude_m.min()]
+        return low.pivot(index=["stratum", "pairs"], columns="planner", values="share").reset_index()
     wanted = SHOWN.get(name)
     return table if wanted is None else table[[column for column in wanted if column in table]]
 

@@ -70,6 +70,7 @@ def _run(
     cluster: str | None,
     overwrite: bool,
 ) -> "StudyResult":
+    from jaxurban.case_study import land_cover_of
     from jaxurban.case_study import study as run_study
     from jaxurban.cost import Weights
     from jaxurban.pipeline import run_scenario
@@ -79,6 +80,7 @@ def _run(
         raise InputError("give either --workers, for processes of this machine, or --cluster, not both")
     settings, planning = scenario.study, scenario.planning
     instances = None if instances_file is None else read_instances(instances_file)
+    cover = None if instances_file is not None else land_cover_of(scenario)
     with stages("maps") as on_stage:
         run_scenario(scenario, folder, on_stage, overwrite, tell=tell)
     weights = settings.weights
@@ -88,6 +90,7 @@ def _run(
         instances=instances,
         num_instances=settings.instances,
         altitudes_m=settings.altitudes_m,
+        cover=cover,
         weights=weights if isinstance(weights, str) else [Weights(**each.model_dump()) for each in weights],
         planners=settings.planners,
         distance_only=settings.distance_only,

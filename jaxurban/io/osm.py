@@ -100,6 +100,12 @@ def _read(file: osmium.io.File, *, nodes_may_follow: bool) -> Outlines:
     )
 
 
+def open_osm(path: str | Path) -> osmium.FileProcessor:
+    """Return a processor of an OSM file, PBF or XML by its name, that knows every node's place."""
+    is_xml = str(path).lower().endswith(".osm")
+    return _open(osmium.io.File(str(path), "osm" if is_xml else "pbf"), nodes_may_follow=is_xml)
+
+
 def _open(file: osmium.io.File, nodes_may_follow: bool) -> osmium.FileProcessor:
     """Return a processor that knows every node's place when a way comes by, even if the nodes follow the ways."""
     locations: Any = osmium.index.create_map("flex_mem")  # Any: the package's own annotation says str

@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 from scipy.ndimage import label
 
+from jaxurban.city import LandCover
 from jaxurban.cost import METRICS, Weights
 from jaxurban.errors import InputError
 from jaxurban.io.tables import read_table
@@ -33,6 +34,7 @@ def sample_instances(
     altitudes_m: Sequence[float] | None = None,
     weights: str | Sequence[Weights] = DIRICHLET,
     reference_length_m: float = 5.0,
+    cover: LandCover | None = None,
     seed: int = 0,
 ) -> pd.DataFrame:
     """Return the instances of a study, ``num`` at each altitude, as a table.
@@ -55,6 +57,7 @@ def sample_instances(
       weights: ``"dirichlet"``: uniform on the simplex of shares, distance counted per reference length and metrics as
         they are; or weights, which take turns.
       reference_length_m: what the share of distance is divided by.
+      cover: water and parks, which are strata of their own then (`demo.demo_cover`, `io.landcover.read_land_cover`).
       seed: of everything.
 
     Raises:
@@ -69,7 +72,7 @@ def sample_instances(
     if listed is not None and not listed:
         raise InputError(f"weights is an empty list: give at least one, or {DIRICHLET!r}")
     free = [maps.is_free(z) for z in altitudes_m]
-    places = _Places(maps, np.logical_and.reduce(free))
+    places = _Places(maps, np.logical_and.reduce(free), cover)
     names = ("distance", *maps.metrics)
     kinds = _kinds(places, seed)
     rows = []
@@ -101,9 +104,9 @@ def _kinds(places: "_Places", seed: int) -> Iterator[tuple[int, int, str]]:
 class _Places:
     """Free cells by stratum, from which pairs are drawn."""
 
-    def __init__(self, maps: MetricMaps, is_free: np.ndarray) -> None:
+    def __init__(self, maps: MetricMaps, is_free: np.ndarray, cover: LandCover | None) -> None:
         self.grid = maps.grid
-        strata = np.where(is_free, strata_of(maps), -1).ravel()
+        strata = np.where(is_free, strata_of(maps, cover), -1).ravel()
         self.cells = [np.flatnonzero(strata == number) for number in range(len(STRATA))]
         self.present = [number for number, cells in enumerate(self.cells) if len(cells)]
         if sum(map(len, self.cells)) < 2:

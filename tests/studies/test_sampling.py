@@ -3,8 +3,10 @@
 import numpy as np
 import pandas as pd
 import pytest
+import shapely
 from scipy.ndimage import label
 
+from jaxurban.city import LandCover
 from jaxurban.cost import Weights
 from jaxurban.errors import InputError
 from jaxurban.io.tables import write_table
@@ -40,6 +42,18 @@ def test_places_are_free_at_every_altitude_and_the_same_at_each(maps, instances)
         cells = maps.grid.cell_of_xy(instances[f"{end}_x_m"].to_numpy(), instances[f"{end}_y_m"].to_numpy())
         assert all(maps.is_free(z)[cells].all() for z in maps.altitudes_m)
         assert (np.array(STRATA)[strata_of(maps)[cells]] == instances[f"{end}_stratum"]).all()
+
+
+def test_water_and_parks_are_strata_where_the_land_cover_is_known(maps):
+    grid = maps.grid
+    lake = shapely.box(grid.x_max_m - 300, grid.y_min_m, grid.x_max_m, grid.y_max_m)
+    park = shapely.box(grid.x_min_m, grid.y_max_m - 200, grid.x_min_m + 400, grid.y_max_m)
+    found = sample_instances(maps, 60, cover=LandCover(lake, park))
+    assert {"water", "park"} <= set(found.start_stratum) & set(found.goal_stratum)
+    for name, shape in (("water", lake), ("park", park)):
+        for end in ("start", "goal"):
+            at = found[found[f"{end}_stratum"] == name]
+            assert shapely.contains_xy(shape, at[f"{end}_x_m"], at[f"{end}_y_m"]).all()
 
 
 def test_straight_distances_lie_within_the_limits_of_their_range(maps, instances):

@@ -1,0 +1,107 @@
+"""Water and parks from OpenStreetMap files: what the strata of a study need beside the maps."""
+
+from pathlib import Path
+
+import numpy as np
+import osmium
+import shapely
+from osmium.filter import TagFilter
+
+from jaxurban.city import LandCover
+from jaxurban.errors import InputError
+from jaxurban.grid import WGS84, Bounds, transformer
+from jaxurban.io.osm import open_osm
+
+WATER = (("natural", "water"), ("waterway", "riverbank"), ("waterway", "dock"), ("landuse", "reservoir"))
+PARK = (
+    *(("leisure", value) for value in ("park", "nature_reserve", "golf_course")),
+    *(("landuse", value) for value in ("cemetery", "forest", "recreation_ground")),
+)
+COAST = ("natural", "coastline")
+GAP_M = 500.0  # a coast that ends nearer than this to the region's border was cut there
+
+
+def read_land_cover(path: str | Path, crs: str, bounds_m: Bounds) -> LandCover:
+    """Return the water and the parks of an OSM file within a box.
+
+    Water is what is tagged so, and the sea: OSM draws its coast as lines with the land on their left, which are joined
+    and cut out of the box here. Parks are parks, nature reserves, golf courses, cemeteries, forests and recreation
+    grounds. Areas that cannot be assembled are left out.
+
+    Args:
+      path: ``.osm.pbf`` or ``.osm``.
+      crs: projected CRS of the result, metres.
+      bounds_m: x_min, y_min, x_max, y_max of the box in that CRS.
+
+    Raises:
+      InputError: the file cannot be read to its end.
+    """
+    water: list[str] = []  # WKB in hexadecimal
+    parks: list[str] = []
+    coast: list[shapely.LineString] = []
+    to_wkb = osmium.geom.WKBFactory()
+    try:
+        wanted = TagFilter(*WATER, *PARK, COAST)
+        for item in open_osm(path).with_areas(wanted).with_filter(wanted):
+            if isinstance(item, osmium.osm.Area) and item.num_rings()[0]:
+                is_water = any(item.tags.get(key) == value for key, value in WATER)
+                (water if is_water else parks).append(to_wkb.create_multipolygon(item))
+            elif isinstance(item, osmium.osm.Way) and item.tags.get(COAST[0]) == COAST[1]:
+                points = [(node.lon, node.lat) for node in item.nodes if node.location.valid()]
+                coast += [shapely.LineString(points)] if len(points) > 1 else []
+    except (RuntimeError, ValueError, OSError) as error:
+        raise InputError(
+            f"{str(path)!r} cannot be read as OpenStreetMap data ({' '.join(str(error).split())}): fetch it again, or "
+            "name another file in [study] land_cover"
+        ) from error
+    box = shapely.box(*bounds_m)
+    project = transformer(WGS84, crs)
+
+    def projected(shapes: list) -> np.ndarray:
+        array = np.array(shapes, object)
+        return shapely.transform(array, lambda points: np.column_stack(project.transform(*points.T)))
+
+    def joined(shapes: list) -> shapely.Geometry:
+        polygons = shapely.make_valid(projected([shapely.from_wkb(shape) for shape in shapes]))
+        return shapely.intersection(shapely.union_all(polygons), box)
+
+    return LandCover(water=shapely.union(joined(water), sea(list(projected(coast)), box)), park=joined(parks))
+
+
+def sea(coast: list[shapely.LineString], box: shapely.Polygon) -> shapely.Geometry:
+    """Return the part of a box on the right of coast lines, which have the land on their left.
+
+    Lines that end inside the box, no farther than `GAP_M` from its border, are led on to it: extracts are cut so.
+    """
+    if not coast:
+        return shapely.Polygon()
+    whole = shapely.get_parts(shapely.line_merge(shapely.union_all(coast), directed=True))
+    ends = shapely.points(
+        np.concatenate(
+            [shapely.get_coordinates(line)[[0, -1]] for line in whole if not line.is_ring] or [np.empty((0, 2))]
+        )
+    )
+    near = ends[shapely.contains_properly(box, ends) & (shapely.distance(box.exterior, ends) < GAP_M)]
+    bridges = shapely.shortest_line(near, box.exterior)
+    # Into the box's border too, so that polygonize sees one network.
+    network = shapely.union_all([*shapely.intersection(whole, box), *bridges, box.exterior])
+    faces = shapely.get_parts(shapely.polygonize([network]))
+    faces = faces[shapely.contains(box, shapely.point_on_surface(faces))]
+    pieces = np.concatenate([_pieces(line) for line in coast])
+    start, end = pieces[:, 0], pieces[:, 1]
+    length_m = np.hypot(*(end - start).T)
+    kept = length_m > 0
+    start, end, length_m = start[kept], end[kept], length_m[kept]
+    right = (end - start)[:, ::-1] * [1, -1] / length_m[:, None]
+    tree = shapely.STRtree(faces)
+    wetness = np.zeros(len(faces))
+    for side in (1.0, -1.0):  # half a metre into the water, and into the land
+        point, face = tree.query(shapely.points((start + end) / 2 + 0.5 * side * right), predicate="within")
+        np.add.at(wetness, face, side * length_m[point])
+    return shapely.union_all(faces[wetness > 0])
+
+
+def _pieces(line: shapely.LineString) -> np.ndarray:
+    """Return the segments of a line ``[n, 2 (from, to), 2 (x, y)]``."""
+    points = shapely.get_coordinates(line)
+    return np.stack([points[:-1], points[1:]], axis=1)

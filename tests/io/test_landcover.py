@@ -1,0 +1,143 @@
+"""Water and parks from OSM: tagged areas, and the sea, which OSM draws as a coast with the land on its left."""
+
+import numpy as np
+import pytest
+import shapely
+
+from jaxurban.case_study import land_cover_of
+from jaxurban.demo import demo_city, demo_cover
+from jaxurban.errors import InputError
+from jaxurban.grid import WGS84, transformer
+from jaxurban.io.landcover import read_land_cover, sea
+from jaxurban.scenario import Scenario
+
+BOX = shapely.box(0, 0, 3000, 2000)
+CRS = "EPSG:32618"
+
+
+def line(*points: tuple[float, float]) -> shapely.LineString:
+    return shapely.LineString(points)
+
+
+def test_the_sea_is_on_the_right_of_a_coast_that_crosses_the_box():
+    northward = line((1000, -500), (1000, 900), (1200, 2500))
+    wet = sea([northward], BOX)
+    assert shapely.contains_xy(wet, 2000, 1000)
+    assert not shapely.contains_xy(wet, 500, 1000)
+    dry = sea([shapely.reverse(northward)], BOX)
+    assert shapely.contains_xy(dry, 500, 1000)
+    assert shapely.area(wet) + shapely.area(dry) == pytest.approx(BOX.area)
+
+
+def test_an_island_is_land_in_the_sea_and_the_coast_may_come_in_pieces():
+    pieces = [line((1000, 500), (2000, 500), (2000, 1500)), line((2000, 1500), (1000, 1500), (1000, 500))]
+    assert shapely.equals(sea(pieces, BOX), shapely.difference(BOX, shapely.box(1000, 500, 2000, 1500)))
+
+
+def test_a_coast_that_was_cut_shortly_before_the_border_is_led_on_to_it():
+    cut = [line((1000, 120), (1000, 1000)), line((1000, 1000), (1000, 1850))]
+    assert shapely.area(sea(cut, BOX)) == pytest.approx(2000 * 2000)
+    assert sea([line((1000, 900), (1000, 1000))], BOX).is_empty  # a scrap in the middle parts nothing
+
+
+def test_two_shores_of_a_river_leave_the_water_between_them():
+    west, east = line((1000, -10), (1000, 2010)), line((1600, 2010), (1600, -10))
+    assert shapely.area(sea([west, east], BOX)) == pytest.approx(600 * 2000)
+
+
+def test_no_coast_is_no_sea():
+    assert sea([], BOX).is_empty
+
+
+def osm_file(tmp_path, ways: dict[int, tuple[dict[str, str], list[tuple[float, float]]]]):
+    """Write an OSM XML file of ways, points in metres from a corner in Lower Manhattan."""
+    to_degrees = transformer(CRS, WGS84)
+    nodes, bodies = [], []
+    for way, (tags, points) in ways.items():
+        refs = {}
+        for number, (x_m, y_m) in enumerate(points):
+            refs.setdefault((x_m, y_m), way * 100 + number)
+        for (x_m, y_m), ref in refs.items():
+            lon, lat = to_degrees.transform(583_000 + x_m, 4_507_000 + y_m)
+            nodes.append(f'<node id="{ref}" version="1" lat="{lat:.9f}" lon="{lon:.9f}"/>')
+        nds = "".join(f'<nd ref="{refs[point]}"/>' for point in points)
+        bodies.append(
+            f'<way id="{way}" version="1">{nds}'
+            + "".join(f'<tag k="{k}" v="{v}"/>' for k, v in tags.items())
+            + "</way>"
+        )
+    file = tmp_path / "cover.osm"
+    file.write_text('<osm version="0.6">' + "".join(nodes + bodies) + "</osm>", encoding="utf-8")
+    return file
+
+
+def square(x_m: float, y_m: float, side_m: float) -> list[tuple[float, float]]:
+    return [(x_m, y_m), (x_m + side_m, y_m), (x_m + side_m, y_m + side_m), (x_m, y_m + side_m), (x_m, y_m)]
+
+
+def test_tagged_water_parks_and_the_sea_are_read_within_the_box(tmp_path):
+    file = osm_file(
+        tmp_path,
+        {
+            1: ({"natural": "water"}, square(100, 100, 100)),
+            2: ({"leisure": "park"}, square(400, 100, 200)),
+            3: ({"landuse": "cemetery"}, square(900, 900, 200)),
+            4: ({"natural": "coastline"}, [(300, -50), (300, 1050)]),
+            5: ({"building": "yes"}, square(700, 300, 50)),
+            6: ({"natural": "coastline"}, [(0, -50), (0, -20)]),
+        },
+    )
+    cover = read_land_cover(file, CRS, (583_000, 4_507_000, 584_000, 4_508_000))
+    assert shapely.area(cover.park) == pytest.approx(200**2 + 100**2, rel=1e-4)  # the cemetery reaches out of the box
+    assert shapely.area(cover.water) == pytest.approx(100**2 + 700 * 1000, rel=1e-3)
+    assert np.allclose(shapely.bounds(cover.water), (583_100, 4_507_000, 584_000, 4_508_000), atol=0.1)
+
+
+def test_a_file_without_water_or_parks_has_none(tmp_path):
+    file = osm_file(tmp_path, {1: ({"building": "yes"}, square(100, 100, 100))})
+    cover = read_land_cover(file, CRS, (583_000, 4_507_000, 584_000, 4_508_000))
+    assert cover.water.is_empty
+    assert cover.park.is_empty
+
+
+def test_a_damaged_file_names_the_remedy(tmp_path):
+    file = tmp_path / "broken.osm.pbf"
+    file.write_bytes(b"not a pbf at all")
+    with pytest.raises(InputError, match=r"fetch it again, or name another file in \[study\] land_cover"):
+        read_land_cover(file, CRS, (583_000, 4_507_000, 584_000, 4_508_000))
+
+
+def test_the_embedded_citys_water_holds_no_building_and_its_park_none():
+    city = demo_city(3000, 4000)
+    cover = demo_cover(city.extent_m)
+    assert not shapely.intersects(city.buildings.polygons, cover.park).any()
+    assert shapely.area(shapely.intersection(city.buildings.polygons, cover.water)).sum() == 0
+    assert shapely.area(cover.water) > 1e6
+    assert shapely.area(cover.park) > 1e5
+
+
+def scenario(source: str, **study) -> Scenario:
+    return Scenario.from_dict(
+        {"region": {"bounds": (-74.0, 40.755, -73.99, 40.762)}, "buildings": {"source": source}, "study": study}
+    )
+
+
+def test_a_study_takes_the_land_cover_from_where_there_is_one(tmp_path):
+    assert land_cover_of(scenario("synthetic")) is not None
+    assert land_cover_of(scenario("heights.tif")) is None
+    file = osm_file(tmp_path, {1: ({"leisure": "park"}, square(100, 100, 100))})
+    assert land_cover_of(scenario("heights.tif", land_cover=str(file))) is not None
+    with pytest.raises(InputError, match="land_cover must be an OpenStreetMap file"):
+        land_cover_of(scenario("heights.tif", land_cover="cover.tif"))
+
+
+@pytest.mark.data
+def test_places_of_lower_manhattan_are_where_they_are(data_dir):
+    west, south, east, north = 582_500, 4_506_000, 585_800, 4_509_000
+    cover = read_land_cover(data_dir / "osm/lower-manhattan.osm.pbf", CRS, (west, south, east, north))
+    project = transformer(WGS84, CRS)
+    for name, lonlat in {"water": (-73.995, 40.7035), "park": (-74.0068, 40.7127)}.items():
+        assert shapely.contains_xy(getattr(cover, name), *project.transform(*lonlat))
+    wall_street = project.transform(-74.0095, 40.7065)
+    assert not shapely.contains_xy(cover.water, *wall_street)
+    assert not shapely.contains_xy(cover.park, *wall_street)
