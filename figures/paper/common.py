@@ -6,19 +6,25 @@
 
 import os
 import textwrap
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
+import shapely
+from matplotlib.axes import Axes
+from matplotlib.collections import PathCollection
 from matplotlib.figure import Figure
+from matplotlib.path import Path as Outline
 
 import jaxurban as ju
-from jaxurban.city import Blocks
+from jaxurban.city import Blocks, City
+from jaxurban.grid import Grid
 from jaxurban.io.census import read_blocks
-from jaxurban.pipeline import Run, run_scenario
+from jaxurban.io.districts import read_districts
+from jaxurban.pipeline import Run, load_city, run_scenario
 from jaxurban.plotting.files import write_png
 from jaxurban.plotting.frame import FAINT_INK, INK, SMALL_PT
 from jaxurban.scenario import Scenario
@@ -109,6 +115,37 @@ def manhattan_blocks() -> Blocks:
         CENSUS["blocks"], CENSUS["table"], "EPSG:32618", districts_path=CENSUS["districts"], commercial=commercial
     )
     return blocks
+
+
+@cache
+def new_york_districts() -> tuple[np.ndarray, np.ndarray]:
+    """Return the community districts of all New York, cut at the shore, in UTM 18N, and their labels."""
+    polygons, labels, _ = read_districts(CENSUS["districts"], "EPSG:32618")
+    return polygons, labels
+
+
+@cache
+def embedded_city() -> City:
+    """Return the embedded city over the paper's region, in UTM 18N."""
+    return load_city(Scenario.from_dict(EMBEDDED.scenario))
+
+
+@cache
+def region_grid(resolution_m: float = 10.0) -> Grid:
+    """Return the grid of the paper's region, all of it, whatever a town's data cover."""
+    return Grid.from_bounds(BOUNDS, resolution_m)
+
+
+def add_polygons(panel: Axes, polygons: Iterable[shapely.Geometry], **look) -> PathCollection:
+    """Draw polygons with their holes into a panel and return them; ``look`` as for matplotlib's collections."""
+    outlines = []
+    for polygon in polygons:
+        parts = [shapely.orient_polygons(part) for part in shapely.get_parts(polygon)]
+        rings = [ring for part in parts for ring in (part.exterior, *part.interiors)]
+        outlines.append(Outline.make_compound_path(*(Outline(np.asarray(ring.coords), closed=True) for ring in rings)))
+    drawn = PathCollection(outlines, **look)
+    panel.add_collection(drawn, autolim=False)
+    return drawn
 
 
 def by_altitude(values: Mapping[float, float], form: str = ".2f") -> str:

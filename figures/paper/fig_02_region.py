@@ -1,0 +1,199 @@
+"""Figure 2 of the paper: the region of the study, 10 x 20 km around Manhattan."""
+
+import numpy as np
+import osmium
+import shapely
+from matplotlib.colors import PowerNorm
+from matplotlib.patches import Patch
+
+from figures.paper.common import (
+    BOUNDS,
+    CREDIT,
+    MANHATTAN,
+    OSM,
+    TOWNS,
+    Caption,
+    add_polygons,
+    embedded_city,
+    manhattan_blocks,
+    new_york_districts,
+    region_grid,
+    save,
+)
+from jaxurban.city import OTHER_DISTRICT
+from jaxurban.demo_plan import Plan
+from jaxurban.grid import WGS84, Grid, transformer
+from jaxurban.plotting.frame import FAINT_INK, INK, SMALL_PT, Frame, add_bar_below, add_key, make_frame
+from jaxurban.plotting.metrics import ROOF_TICKS_M, colour_map
+
+WATER, LAND, FAR_LAND, PARK = "#dbe6ee", "#ffffff", "#ececec", "#b9d8a8"
+BOX, EXTRACT, STUDY = "#111111", "#0072b2", "#d55e00"
+BORDER, ROOFS = "#7a4b8c", "cividis_r"  # dark towers over pale houses
+MANHATTAN_LABELS, CENTRAL_PARK = range(101, 113), 164
+AROUND_M = (900, 900, 900, 2600)  # shown beyond the region: west, south, east, north
+PAPER = (
+    "The box L, 10 km wide and 20 km tall, centred in Manhattan, over a street map. Its corners are not given, and no "
+    "other data are shown."
+)
+
+
+def shown_grid() -> Grid:
+    """Return what both towns' pictures show: the region and a little more."""
+    grid = region_grid()
+    return grid.padded(*(round(metres / grid.resolution_m) for metres in AROUND_M))
+
+
+def box_of(bounds: tuple[float, float, float, float]) -> shapely.Polygon:
+    """Return a box of longitudes and latitudes in the region's CRS; its sides bend with the projection."""
+    edges = shapely.segmentize(shapely.box(*bounds), 0.005)
+    return shapely.transform(edges, transformer(WGS84, region_grid().crs).transform, interleaved=False)
+
+
+def extract_bounds() -> tuple[float, float, float, float]:
+    """Return the box that the OSM extract says it holds."""
+    with osmium.io.Reader(str(OSM), osmium.osm.NOTHING) as reader:
+        box = reader.header().box()
+    return box.bottom_left.lon, box.bottom_left.lat, box.top_right.lon, box.top_right.lat
+
+
+def begin(title: str, credit: str = "", footer_in: float = 0.0) -> Frame:
+    """Return the frame of a picture, its water drawn, with room for a colour bar beneath."""
+    grid = region_grid()
+    width_km, height_km = (grid.x_max_m - grid.x_min_m) / 1e3, (grid.y_max_m - grid.y_min_m) / 1e3
+    note = "  ·  ".join([f"L: {width_km:.1f} x {height_km:.1f} km", grid.crs, *([credit] if credit else [])])
+    frame = make_frame(shown_grid(), [title], "The region of the study", note, footer_in)
+    frame.axes[0].set_facecolor(WATER)
+    corner = {"size": 13, "weight": "bold", "ha": "left", "va": "top", "color": INK, "zorder": 10}
+    frame.axes[0].text(grid.x_min_m + 250, grid.y_max_m - 200, "L", bbox={"facecolor": "white", "pad": 2}, **corner)
+    return frame
+
+
+def add_legend(frame: Frame, entries: dict[str, dict]) -> None:
+    """Write the key column: the entries, each with the look of its patch, then north and scale."""
+    add_key(frame)
+    frame.key.legend(
+        [Patch(**look) for look in entries.values()],
+        list(entries),
+        loc="upper left",
+        bbox_to_anchor=(-0.04, 1.02),
+        fontsize=SMALL_PT,
+        frameon=False,
+        handlelength=1.4,
+        labelspacing=0.7,
+    )
+
+
+def draw_box(frame: Frame, polygon: shapely.Polygon, colour: str, style: str, width: float) -> dict:
+    """Draw a box's outline and return its look in the legend."""
+    look = {"facecolor": "none", "edgecolor": colour, "linestyle": style, "linewidth": width}
+    add_polygons(frame.axes[0], [polygon], zorder=9, **look)
+    return look
+
+
+def draw_manhattan() -> None:
+    polygons, labels = new_york_districts()
+    blocks, is_ours = manhattan_blocks(), np.isin(labels, [*MANHATTAN_LABELS, CENTRAL_PARK])
+    frame = begin("Manhattan: census blocks and districts", CREDIT.split("; ", 1)[1])
+    panel, region = frame.axes[0], shapely.box(*region_grid().bounds_m)
+    seen = shapely.intersects(polygons, shapely.box(*shown_grid().bounds_m))
+    flat = {"linewidth": 0, "rasterized": True}
+    add_polygons(panel, polygons[seen & ~is_ours], facecolor=FAR_LAND, **flat)
+    add_polygons(panel, polygons[is_ours], facecolor=LAND, **flat)
+    add_polygons(panel, polygons[labels == CENTRAL_PARK], facecolor=PARK, **flat)
+    ashore = blocks.polygons[shapely.intersects(blocks.polygons, shapely.union_all(polygons[is_ours]))]
+    add_polygons(panel, ashore, facecolor="none", edgecolor="#9a9a9a", linewidth=0.2, rasterized=True)
+    add_polygons(panel, polygons[is_ours], facecolor="none", edgecolor=BORDER, linewidth=1.0)
+    extract, study = box_of(extract_bounds()), box_of(MANHATTAN.scenario["region"]["bounds"])
+    add_legend(
+        frame,
+        {
+            "region L": draw_box(frame, region, BOX, "--", 1.6),
+            "OSM extract\nat hand": draw_box(frame, extract, EXTRACT, "-", 1.2),
+            "box of our\nLower Manhattan\nmaps": draw_box(frame, study, STUDY, "-", 2.2),
+            "district": {"facecolor": LAND, "edgecolor": BORDER, "linewidth": 1.0},
+            "census block": {"facecolor": LAND, "edgecolor": "#9a9a9a", "linewidth": 0.4},
+            "Central Park": {"facecolor": PARK, "edgecolor": FAINT_INK, "linewidth": 0.4},
+            "other boroughs": {"facecolor": FAR_LAND, "edgecolor": FAINT_INK, "linewidth": 0.4},
+            "water, or land\nwithout data\n(New Jersey)": {
+                "facecolor": WATER,
+                "edgecolor": FAINT_INK,
+                "linewidth": 0.4,
+            },
+        },
+    )
+    island = shapely.union_all(polygons[is_ours])
+    land_km2 = {
+        name: shapely.area(shapely.intersection(island, box)) / 1e6 for name, box in (("L", region), ("study", study))
+    }
+    all_km2 = shapely.area(island) / 1e6
+    centre = shapely.point_on_surface(blocks.polygons)
+    people_in = blocks.night_count[shapely.contains(region, centre)].sum() / blocks.night_count.sum()
+    north_m = shapely.bounds(island)[3] - region_grid().y_max_m
+    south_m = shapely.bounds(polygons[labels == MANHATTAN_LABELS[0]]).min(axis=0)[1] - region_grid().y_min_m
+    here = (
+        f"L drawn to scale over the census and district data. It holds {100 * land_km2['L'] / all_km2:.0f} % of "
+        f"Manhattan's {all_km2:.1f} km² of land and {100 * people_in:.0f} % of its residents; the northern "
+        f"{north_m / 1e3:.1f} km stick out, while {south_m / 1e3:.1f} km lie free in the south. Buildings are at hand "
+        f"for the blue box alone, and our maps of Lower Manhattan, the orange one, cover {land_km2['study']:.1f} km² "
+        "of its land."
+    )
+    why = (
+        f"The paper gives no corners: L here is {BOUNDS[0]} to {BOUNDS[2]}° in longitude and {BOUNDS[1]} to "
+        f"{BOUNDS[3]}° in latitude, snapped outward to whole cells. A box further north would hold all of Manhattan. "
+        "OpenStreetMap's file of the whole planet, which the paper cut, is not at hand, so the whole of L is tried "
+        "on the embedded city only."
+    )
+    save(frame.figure, "fig_02_region_manhattan", Caption(PAPER, here, why))
+
+
+def draw_embedded() -> None:
+    city, frame = embedded_city(), begin("The embedded city: land, park, districts and roofs", footer_in=0.4)
+    plan, panel = Plan(city.extent_m), frame.axes[0]
+    region = shapely.box(*region_grid().bounds_m)
+    buildings = city.buildings.take(shapely.intersects(city.buildings.polygons, region))
+    blocks, parts = city.blocks, plan.parts()
+    flat = {"linewidth": 0, "rasterized": True}
+    for part in parts:
+        land = shapely.intersection(part.land, plan.box)
+        add_polygons(panel, [land], facecolor=LAND if part.is_island else FAR_LAND, **flat)
+    add_polygons(panel, [plan.park()], facecolor=PARK, **flat)
+    order = np.argsort(buildings.height_m, kind="stable")
+    norm = PowerNorm(0.5, 0, float(buildings.height_m.max()))
+    heights = {"array": buildings.height_m[order], "cmap": colour_map(ROOFS), "norm": norm}
+    add_polygons(panel, buildings.polygons[order], **heights, **flat)
+    numbers = [number for number in np.unique(blocks.district) if number != OTHER_DISTRICT]
+    districts = [shapely.union_all(blocks.polygons[blocks.district == number].copy()).buffer(2) for number in numbers]
+    add_polygons(panel, districts, facecolor="none", edgecolor=BORDER, linewidth=1.2, zorder=5)
+    add_legend(
+        frame,
+        {
+            "region L, all of\nit mapped": draw_box(frame, region, BOX, "--", 1.6),
+            "district 1 to 12": {"facecolor": LAND, "edgecolor": BORDER, "linewidth": 1.2},
+            "park": {"facecolor": PARK, "edgecolor": FAINT_INK, "linewidth": 0.4},
+            "suburb": {"facecolor": FAR_LAND, "edgecolor": FAINT_INK, "linewidth": 0.4},
+            "water": {"facecolor": WATER, "edgecolor": FAINT_INK, "linewidth": 0.4},
+        },
+    )
+    ticks = [tick for tick in ROOF_TICKS_M if tick <= buildings.height_m.max()]
+    add_bar_below(frame, panel, (colour_map(ROOFS), norm), ticks=ticks)
+    panel.text(0.5, -0.115, "roof above ground (m)", transform=panel.transAxes, ha="center", size=SMALL_PT, color=INK)
+    island_km2 = sum(shapely.area(part.land) for part in parts if part.is_island) / 1e6
+    land_km2 = sum(shapely.area(shapely.intersection(part.land, plan.box)) for part in parts) / 1e6
+    num_towers = int((buildings.height_m > 122).sum())
+    here = (
+        f"The same box holds an invented city: {len(buildings):,} buildings on {land_km2:.0f} km² of land. An island "
+        f"of {island_km2:.0f} km² carries a park, twelve districts and two clusters of towers; {num_towers} roofs "
+        f"are above 122 m, the highest at {buildings.height_m.max():.0f} m."
+    )
+    why = (
+        "It is no map of New York. It stands in for the buildings of the whole region, which are not at hand, and "
+        "comes with the package, so that every figure of the full 10 x 20 km can be drawn by anyone. Nothing is "
+        "built beyond the box."
+    )
+    save(frame.figure, "fig_02_region_embedded", Caption(PAPER, here, why))
+
+
+def main() -> None:
+    draw_embedded()
+    if MANHATTAN in TOWNS:
+        draw_manhattan()
