@@ -141,7 +141,8 @@ def _surroundings_text(found: pd.DataFrame, table: pd.DataFrame) -> str:
     return (
         f"**At {low.altitude_m.iloc[0]:g} m the hardest places to start from or to reach are *{share.index[0]}* ones, "
         f"where the planners answer {share.iloc[0]:.0%} of the joined pairs on average, the easiest "
-        f"*{share.index[-1]}* ones ({share.iloc[-1]:.0%}).** Shares at that altitude, each pair counted in both of its strata:"
+        f"*{share.index[-1]}* ones ({share.iloc[-1]:.0%}).** Shares at that altitude, each pair counted in both of its "
+        "strata:"
     )
 
 
