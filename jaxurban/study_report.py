@@ -15,6 +15,7 @@ from jaxurban.plotting.files import write_png
 from jaxurban.plotting.study import study_figures
 from jaxurban.studies import analysis
 from jaxurban.studies.analysis import each
+from jaxurban.studies.bootstrap import FEWEST_GROUPS
 from jaxurban.studies.complementarity import complementarity, findings, verdict
 from jaxurban.studies.trial import CRASHED
 
@@ -35,7 +36,7 @@ def tables_of(result: StudyResult) -> dict[str, pd.DataFrame]:
         "objectives": analysis.objectives(table),
     }
     if {"gps", "lidar"} <= set(result.maps.metrics):
-        tables["complementarity"] = complementarity(result.maps)
+        tables["complementarity"] = complementarity(result.maps, altitudes_m=sorted(table.altitude_m.unique()))
     return tables
 
 
@@ -92,13 +93,14 @@ def _head(result: StudyResult, table: pd.DataFrame) -> str:
     crashed, odd = (table.status == CRASHED).sum(), table.status.isin(["invalid", "bad-input"]).sum()
     joined = pairs.groupby("altitude_m").is_joined.mean()
     lines = [
-        f"- {table.instance.nunique()} instances at {_listed([f'{z:g} m' for z in joined.index])}, "
+        f"- {counted(table.instance.nunique(), 'instance')} at {_listed([f'{z:g} m' for z in joined.index])}, "
         f"{len(table)} runs of {_listed(sorted(table.planner.unique()))}; {grid.num_cols} x {grid.num_rows} cells of "
         f"{grid.resolution_m:g} m.",
         f"- Budget: {budget}. Cost model `{settings.cost_model}`, reference length {settings.reference_length_m:g} m.",
         f"- Pairs that some path joins: {_listed([f'{share:.1%} at {z:g} m' for z, share in joined.items()])}.",
         f"- Crashed runs: {crashed}; paths or questions that were not valid: {odd}.",
-        "- Intervals are 95 %, by bootstrap over instances (over tiles of 500 m for maps).",
+        f"- Intervals are 95 %, by bootstrap over instances (over tiles of 500 m for maps); none with fewer than "
+        f"{FEWEST_GROUPS} of them.",
     ]
     return "\n".join(lines)
 
@@ -129,10 +131,11 @@ def _success_text(success: pd.DataFrame, table: pd.DataFrame) -> str:
     low = success[success.altitude_m == success.altitude_m.min()].groupby("planner")[["paths", "joined"]].sum()
     low_share = (low.paths / low.joined).reindex(share.index)
     listed = _listed([f"`{name}` answers {value:.0%}" for name, value in share.items()])
-    return (
-        f"**Of the pairs that some path joins, {listed}; at {success.altitude_m.min():g} m "
-        f"{_listed([f'{value:.0%}' for value in low_share])} in the same order.**"
-    )
+    if success.altitude_m.nunique() == 1:
+        return f"**Of the pairs that some path joins, {listed}.**"
+    order = " in the same order" if len(share) > 1 else ""
+    shares = _listed([f"{value:.0%}" for value in low_share])
+    return f"**Of the pairs that some path joins, {listed}; at {success.altitude_m.min():g} m {shares}{order}.**"
 
 
 def _surroundings_text(found: pd.DataFrame, table: pd.DataFrame) -> str:
@@ -158,6 +161,9 @@ def _costs_text(costs: pd.DataFrame, table: pd.DataFrame) -> str:
 
 def _paired_text(paired: pd.DataFrame, table: pd.DataFrame) -> str:
     told = paired[np.isfinite(paired.cost_ratio)]
+    if told.low.isna().all():
+        return "No two planners solved enough pairs in common for an interval: nothing is said of which is cheaper."
+    told = told[told.low.notna()]
     clear = told[(told.low > 1) | (told.high < 1)]
     equal = len(told) - len(clear)
     sentences = [
@@ -185,22 +191,32 @@ def _usage_text(usage: pd.DataFrame, table: pd.DataFrame) -> str:
     for metric in METRICS:
         column = usage[usage.objective == "weighted"].groupby("planner")[f"m_{metric}"].mean().dropna()
         if len(column):
-            ends = f"{column.min():.3f} (`{column.idxmin()}`) to {column.max():.3f} (`{column.idxmax()}`)"
-            sentences.append(f"m_{metric} from {ends}")
-    least = int(usage.instances.min())
+            ends = f"from {column.min():.3f} (`{column.idxmin()}`) to {column.max():.3f} (`{column.idxmax()}`)"
+            is_one = f"{column.min():.3f}" == f"{column.max():.3f}"
+            sentences.append(f"m_{metric} {f'{column.min():.3f} for all' if is_one else ends}")
+    least, most = int(usage.instances.min()), int(usage.instances.max())
+    left_out = [f"`{name}`" for name in sorted(set(table.planner) - set(usage.planner))]
     return (
-        f"**Mean over altitudes along the paths: {'; '.join(sentences)}.** Only instances that all runs solved count "
-        f"({least} to {int(usage.instances.max())} an altitude)."
+        f"**Mean over altitudes along the paths: {'; '.join(sentences)}.** Only instances that all of these planners "
+        f"solved count ({least if least == most else f'{least} to {most}'} an altitude)"
+        + (f"; {_listed(left_out)}, answering fewer than four joined pairs in five, left out." if left_out else ".")
     )
 
 
 def _objectives_text(objectives: pd.DataFrame, table: pd.DataFrame) -> str:
-    sentences = [
-        f"at {row.altitude_m:g} m the shortest path costs {row.cost_ratio - 1:.0%} more "
-        f"({row.cost_ratio_low - 1:.0%} to {row.cost_ratio_high - 1:.0%}) and is {1 - row.length_ratio:.1%} shorter"
-        for row in each(objectives[objectives.planner == objectives.planner.iloc[0]])
-    ]
-    return f"**Against the cheapest path of `{objectives.planner.iloc[0]}`: {'; '.join(sentences)}.**"
+    planner = objectives.planner.iloc[0]
+    rows = objectives[(objectives.planner == planner) & np.isfinite(objectives.get("cost_ratio", np.nan))]
+    if rows.empty:
+        return f"`{planner}` answered no question both ways at a cost above 0: nothing to compare."
+    sentences = []
+    for row in each(rows):
+        known = np.isfinite(row.cost_ratio_low)
+        ends = f" ({row.cost_ratio_low - 1:.0%} to {row.cost_ratio_high - 1:.0%})" if known else ""
+        sentences.append(
+            f"at {row.altitude_m:g} m the shortest path costs {row.cost_ratio - 1:.0%} more{ends} and is "
+            f"{1 - row.length_ratio:.1%} shorter"
+        )
+    return f"**Against the cheapest path of `{planner}`: {'; '.join(sentences)}.**"
 
 
 def _complementarity_text(found: pd.DataFrame, table: pd.DataFrame) -> str:
@@ -244,6 +260,11 @@ def _cell(value: Any) -> str:
     if not isinstance(value, float):
         return str(value)
     return "" if not np.isfinite(value) else f"{value:.0f}" if abs(value) >= 1000 else f"{value:.3g}"
+
+
+def counted(number: int, noun: str) -> str:
+    """Return ``1 instance``, ``2 instances``."""
+    return f"{number} {noun}" + ("" if number == 1 else "s")
 
 
 def _listed(items: Sequence[str]) -> str:

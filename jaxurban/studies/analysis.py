@@ -15,7 +15,7 @@ from jaxurban.cost import METRICS
 from jaxurban.planners.base import Status
 from jaxurban.studies.bootstrap import mean_interval
 from jaxurban.studies.sampling import KEY, RANGES
-from jaxurban.studies.trial import DISTANCE, WEIGHTED
+from jaxurban.studies.trial import BAD_INPUT, DISTANCE, WEIGHTED
 
 HAS_PATH = frozenset(status.value for status in Status if status.has_path)
 CLOSE, NEAR = 1.01, 1.05  # ratios that count as the best, and as near it
@@ -27,7 +27,8 @@ FACTS = ("length_m", *(f"m_{name}" for name in METRICS))
 def joined(rows: pd.DataFrame, instances: pd.DataFrame) -> pd.DataFrame:
     """Return every row with its instance, and ``has_path``, ``is_joined`` (some path exists), ``ratio``, ``range``.
 
-    A pair counts as joined if any planner found a path, or none proved that there is none.
+    A pair counts as joined if any planner found a path, or none proved that there is none; a pair with a place that is
+    not free on these maps (``bad-input``) does not.
     """
     wanted = [*KEY, "range", "start_stratum", "goal_stratum", "time_of_day", "distance_m"]
     table = rows.merge(instances[[name for name in wanted if name in instances]], on=list(KEY), validate="many_to_one")
@@ -35,7 +36,8 @@ def joined(rows: pd.DataFrame, instances: pd.DataFrame) -> pd.DataFrame:
     table["has_path"] = table.status.isin(HAS_PATH)
     one = table.groupby(list(KEY), sort=False)
     refuted = (table.status == Status.NO_PATH.value).groupby([table[name] for name in KEY]).transform("any")
-    table["is_joined"] = one.has_path.transform("any") | ~refuted
+    is_bad = (table.status == BAD_INPUT).groupby([table[name] for name in KEY]).transform("all")
+    table["is_joined"] = (one.has_path.transform("any") | ~refuted) & ~is_bad
     best = table.groupby(list(KEY), sort=False).cost.transform("min")
     # A path of no cost at all is the best one, whatever is divided.
     table["ratio"] = np.where(table.cost == best, 1.0, table.cost / best.where(best > 0))
@@ -228,6 +230,7 @@ def choices(table: pd.DataFrame) -> pd.DataFrame:
                 "median_s": grouped.elapsed_s.median(),
             }
         )
+        facts = facts.sort_values("median_s")  # of equals the faster one is named
         reliable = facts[facts.share >= RELIABLE]
         near = facts[facts.near >= 0.9]
         found.append(
@@ -235,8 +238,8 @@ def choices(table: pd.DataFrame) -> pd.DataFrame:
                 "altitude_m": altitude_m,
                 "range": name,
                 "joined_pairs": int(grouped.size().max()),
-                "reliable": ", ".join(reliable.index) or "none",
-                "cheapest": reliable.ratio.idxmin() if len(reliable) else "none",
+                "reliable": ", ".join(sorted(reliable.index)) or "none",
+                "cheapest": reliable.ratio.round(9).idxmin() if len(reliable) else "none",
                 "cheapest_ratio": reliable.ratio.min() if len(reliable) else np.nan,
                 "fastest_near_best": near.median_s.idxmin() if len(near) else "none",
                 "fastest_s": near.median_s.min() if len(near) else np.nan,

@@ -10,11 +10,11 @@ from tests.made_maps import made_maps
 @pytest.fixture
 def maps():
     """Maps where GPS is poor in the west, lidar good there; higher up less of both."""
-    made = made_maps(150, 120)
+    made = made_maps(300, 240)
     rng = np.random.default_rng(5)
     for level, share in enumerate((0.5, 0.2)):
-        is_west = np.arange(120) < share * 120
-        shape = (150, 120)
+        is_west = np.arange(240) < share * 240
+        shape = (300, 240)
         made.ds["gps"][0, level] = np.where(is_west, 0.3, 0.9) + rng.uniform(-0.1, 0.1, shape)
         made.ds["lidar"][level] = np.where(is_west, 0.8, 0.1 - 0.05 * level) + rng.uniform(0, 0.05, shape)
     return made
@@ -36,17 +36,53 @@ def test_numbers_are_those_of_numpy_over_the_free_cells(maps):
 
 def test_maps_made_to_complement_each_other_hold_the_finding(maps):
     table = complementarity(maps)
-    rises, coexists, _ = findings(table)
+    rises, coexists, falls = findings(table)
     assert rises.holds
     assert coexists.holds
-    assert "complement each other holds" in verdict(table)
+    step = table.step.iloc[1]
+    assert step == pytest.approx(table.correlation.iloc[1] - table.correlation.iloc[0])
+    assert table.step_low.iloc[1] <= step <= table.step_high.iloc[1]
+    # The third claim needs every step's interval on one side of 0.
+    assert falls.holds is (True if table.step_high.iloc[1] < 0 else False if table.step_low.iloc[1] > 0 else None)
+    words = {
+        True: "complement each other holds:",
+        False: "holds in part:",
+        None: "holds as far as these maps can tell:",
+    }
+    assert words[falls.holds] in verdict(table)
 
 
 def test_maps_made_to_agree_refute_it(maps):
     maps.ds["lidar"][:] = maps.ds["gps"][0].values
     table = complementarity(maps)
-    assert [each.holds for each in findings(table)[:2]] == [False, False]
-    assert "is refuted" in verdict(table)
+    assert [each.holds for each in findings(table)] == [False, False, None]
+    assert "is not borne out as far as these maps can tell" in verdict(table)
+
+
+def test_a_correlation_that_rises_refutes_the_third_claim(maps):
+    rng = np.random.default_rng(2)
+    maps.ds["lidar"][1] = np.clip(maps.ds["gps"][0, 1].values - 0.2 + rng.uniform(0, 0.05, (300, 240)), 0, 1)
+    table = complementarity(maps)
+    assert findings(table)[2].holds is False
+    assert table.step_low.iloc[1] > 0
+
+
+def test_lidar_that_is_better_but_not_good_does_not_fill_the_gap(maps):
+    maps.ds["lidar"][:] = maps.ds["lidar"].values * 0.5  # 0.4 where GPS is poor, 0.05 elsewhere
+    table = complementarity(maps)
+    assert (table.difference_low > 0).all()
+    assert findings(table)[1].holds is False
+
+
+def test_altitudes_can_be_chosen(maps):
+    assert complementarity(maps, altitudes_m=[60]).altitude_m.tolist() == [60.0]
+
+
+def test_a_few_tiles_give_no_interval_and_no_verdict():
+    table = complementarity(made_maps(100, 90))
+    assert table.correlation.notna().all()
+    assert table.correlation_low.isna().all()
+    assert findings(table)[2].holds is None
 
 
 def test_nothing_is_said_of_a_sky_without_buildings(maps):
