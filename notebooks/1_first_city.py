@@ -17,9 +17,9 @@
 # maps on cells of 10 m, and plan from one end to the other at 20 m above ground, with three planners:
 #
 # - `ptp` (point to point) flies straight, and fails where a building stands in the way;
-# - `astar-dist` and `astar-plus` search for the path of least **cost**: metres flown, plus what each cell on the way
-#   costs in GPS quality, lidar quality, people below and nearness of walls. They find equally cheap paths and differ in
-#   how fast they do.
+# - `astar-dist` and `astar-plus` search for the path of least **cost**: 0.1 a metre flown, plus what each cell on
+#   the way costs in GPS quality, lidar quality, people below and nearness of walls. They find equally cheap paths by
+#   different estimates of what is still to come (notebook 3).
 
 # %%
 # %matplotlib inline

@@ -48,8 +48,8 @@ paths = {name: weighted.plan(**ends, planner=name, budget_s=2.0) for name in pla
 
 # %% [markdown]
 # `optimal` means proven, **on this planner's own graph**: A\* knows the eight directions of the grid only, so BIT\* and
-# Theta\* may find cheaper paths. `gap` is how much dearer than the best one the path can be at most; inf where a
-# planner proves nothing. A\* and Theta\* stop when they are done, BIT\* when its 2 s are over.
+# Theta\* may find cheaper paths. `gap` is how much dearer than the best path **of that graph** the path can be at most;
+# inf where a planner proves nothing. A\* and Theta\* stop when they are done, BIT\* when its 2 s are over.
 
 # %%
 pd.DataFrame(

@@ -66,7 +66,7 @@ plot_building_costs(city, route, table, maps.grid)
 # ## Which of the buildings matter
 #
 # Those whose roofs end near the route's altitude cost most: a metre more, and they stand in the way. Higher ones only
-# lengthen shadows (GPS); lower ones are landmarks that would be better for being higher (lidar, below zero). Effects
+# lengthen shadows (GPS); lower ones are landmarks that would mostly be better for being higher (lidar, below zero). Effects
 # under 0.001 are left out.
 
 # %%
@@ -89,7 +89,7 @@ plt.show()
 #
 # Raise some buildings by 4 m, one at a time, make the **exact** maps again, and weigh the same route on them. A
 # gradient is a promise about small changes, and the exact maps answer in jumps: expect the sign to agree, and the size
-# roughly. `inf` means that the roof now reaches the route, which no cost can pay for; planned anew, the drone flies
+# within a factor of a few. `inf` means that the roof now reaches the route, which no cost can pay for; planned anew, the drone flies
 # around it and is dearer by the last column.
 
 # %%
