@@ -13,7 +13,7 @@ import jupytext
 import nbformat
 from nbclient import NotebookClient
 
-MOST_S = 180  # a cell
+MOST_S = 480  # a cell; seconds on an idle machine, minutes on a busy one
 QUIET = ["--IPKernelApp.log_level=CRITICAL"]  # it tells of its own transport and end
 
 
