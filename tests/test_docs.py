@@ -147,6 +147,9 @@ def run_shell(block: Block, page: Path, namespace: dict[str, Any], capsys) -> No
                 assert set(targets) <= set(made)
             case ["python", "-m", module, *_] if module.startswith("benchmarks."):
                 assert (ROOT / module.replace(".", "/")).with_suffix(".py").is_file()
+            case ["python", "-m", "figures", *parts]:
+                drawn = [*(ROOT / "figures").rglob("*.py")]
+                assert all(any(part in file.stem for file in drawn) for part in parts)
             case ["python", "-m", "pip", "install", "-c", "constraints.txt", "-e", target]:
                 extras = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
                 assert target.strip(".[]") in extras["optional-dependencies"]
