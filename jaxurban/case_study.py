@@ -1,12 +1,12 @@
 """study: a Monte Carlo study of planners over metric maps, kept in a folder and resumable."""
 
-import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
 from jaxurban.city import LandCover
@@ -16,6 +16,7 @@ from jaxurban.errors import InputError
 from jaxurban.grid import Grid
 from jaxurban.io.city import OSM_SUFFIXES
 from jaxurban.io.landcover import read_land_cover
+from jaxurban.io.rowstore import PARTS_FOLDER, ROWS_FILE
 from jaxurban.io.store import check_writable, only_writer, whole_file
 from jaxurban.io.tables import write_table
 from jaxurban.maps import MetricMaps, open_maps
@@ -24,8 +25,16 @@ from jaxurban.planners.registry import find_planner
 from jaxurban.scenario import PAPER_PLANNERS, Scenario
 from jaxurban.studies.analysis import joined
 from jaxurban.studies.montecarlo import Source, run_study
-from jaxurban.studies.sampling import DIRICHLET, sample_instances
-from jaxurban.studies.trial import DISTANCE, WEIGHTED, Run, Settings
+from jaxurban.studies.sampling import (
+    DIRICHLET,
+    KEY,
+    QUESTION,
+    checked_instances,
+    read_instances,
+    sample_instances,
+    with_connection,
+)
+from jaxurban.studies.trial import DISTANCE, WEIGHTED, Run, Settings, free_cell
 
 SETTINGS_FILE, INSTANCES_FILE = "study.json", "instances.parquet"
 
@@ -81,13 +90,14 @@ def study(
     """Return every planner's answer to every instance, under equal budgets.
 
     Rows are kept in ``folder`` (``rows.parquet``, one a planner, objective, instance and altitude) as they come; the
-    same call after any end, ``kill -9`` included, asks only what is missing, and planners may be added. A planner that
-    crashes is a row with the status ``crashed``.
+    same call after any end, ``kill -9`` included, asks only what is missing; planners and instances may be added. A
+    planner that crashes is a row with the status ``crashed``, a place that is not free here one with ``bad-input``.
 
     Args:
       maps: from `build_maps` or `open_maps`, or the folder of maps, which several workers need.
       folder: where the study is kept.
-      instances: from `sample_instances` or `studies.sampling.read_instances`; left out, sampled.
+      instances: from `sample_instances` or `studies.sampling.read_instances`; left out, sampled. Their
+        ``is_connected`` is told anew from these maps.
       num_instances, altitudes_m, cover, weights: of the sampling (see `sample_instances`).
       planners: each is asked every instance.
       distance_only: planners that are asked for the shortest path too; its weighted cost is reported.
@@ -104,15 +114,18 @@ def study(
       progress: show a bar with running totals on stderr, where that is a terminal.
 
     Raises:
-      InputError: a wrong argument, instances for other maps, or a folder that holds a study of other settings.
+      InputError: a wrong argument, instances for other maps or none that can be asked, or a folder that holds a study
+        of other settings or other instances.
     """
     folder = Path(folder)
+    if not planners:
+        raise InputError("planners is empty: name at least one planner")
     for planner in (*planners, *distance_only):
         find_planner(planner)
     if workers < 1:
         raise InputError(f"workers must be at least 1, got {workers}")
     settings = Settings(
-        cost_model, reference_length_m, connectivity, diagonal, float(budget_s), budget_iterations, seed
+        cost_model, float(reference_length_m), connectivity, diagonal, float(budget_s), budget_iterations, seed
     )
     opened = maps if isinstance(maps, MetricMaps) else open_maps(maps, resolution_m)
     source = maps if isinstance(maps, MetricMaps) else Source(Path(maps).resolve(), opened.grid.resolution_m)
@@ -126,7 +139,11 @@ def study(
             reference_length_m=reference_length_m,
             seed=seed,
         )
-    _check_instances(instances, opened)
+    else:
+        instances = checked_instances(instances, "instances")
+        _check_instances(instances, opened)
+        instances = with_connection(instances, opened)
+        _check_places(instances, opened)
     runs = [Run(name, WEIGHTED) for name in dict.fromkeys(planners)]
     runs += [Run(name, DISTANCE) for name in dict.fromkeys(distance_only)]
     check_writable(folder)
@@ -172,32 +189,104 @@ def _check_instances(instances: pd.DataFrame, maps: MetricMaps) -> None:
             raise InputError(f"the instances ask for {name} {lost[0]}, and these maps hold {listed}")
 
 
+def _check_places(instances: pd.DataFrame, maps: MetricMaps) -> None:
+    """Raise InputError if not one instance starts and ends on a free cell; a few that do not are rows."""
+    if instances.is_connected.notna().any():
+        return
+    first = instances.iloc[0]
+    for end in ("start", "goal"):
+        try:
+            free_cell(maps.grid, maps.is_free(first.altitude_m), first[f"{end}_x_m"], first[f"{end}_y_m"])
+        except InputError as error:
+            raise InputError(
+                f"no instance can be asked on these maps, from the first one on, instance {first.instance} at "
+                f"{first.altitude_m:g} m, whose {end} is no free place ({error}): use the maps that they are for"
+            ) from error
+
+
 def _claim(folder: Path, settings: Settings, maps: MetricMaps, instances: pd.DataFrame, overwrite: bool) -> None:
     """Make the folder this study's, or raise InputError if it is another's."""
     told = asdict(settings) | {
         "maps": {name: str(maps.ds.attrs[name]) for name in ("crs", "resolution_m", "first_row", "first_col")}
         | {"run_key": str(maps.ds.attrs.get("run_key"))},
-        "instances": hashlib.sha256(instances.to_csv(index=False).encode()).hexdigest()[:16],
     }
     file = folder / SETTINGS_FILE
     held = _held(file)
-    if held is not None and held != told:
+    other = None if held is None else _other_settings(held, told) or _other_instances(folder, instances)
+    if other is not None:
         if not overwrite:
-            changed = next(name for name in {**held, **told} if held.get(name) != told.get(name))
             raise InputError(
-                f"{str(folder)!r} holds a study with another {changed}: choose another folder, or pass --overwrite "
-                "(overwrite=True) to replace it"
+                f"{str(folder)!r} holds a study {other}: choose another folder, or pass --overwrite (overwrite=True) "
+                "to replace it"
             )
-        for old in (folder / "rows.parquet", *(folder / "parts").glob("*.json")):
+        for old in (folder / ROWS_FILE, folder / INSTANCES_FILE, *(folder / PARTS_FOLDER).glob("*.json")):
             old.unlink(missing_ok=True)
     with whole_file(file) as scratch:
         scratch.write_text(json.dumps(told, indent=2) + "\n", encoding="utf-8")
 
 
+def _in_words(told: Mapping[str, Any]) -> dict[str, str]:
+    """Return what decides a study's rows, for a person to read."""
+    iterations, maps = told.get("budget_iterations"), told.get("maps") or {}
+    return {
+        "cost model": f"{told.get('cost_model')}",
+        "reference length": f"{told.get('reference_length_m')} m",
+        "number of neighbours (connectivity)": f"{told.get('connectivity')}",
+        "rule for diagonal steps": f"{told.get('diagonal')}",
+        "budget": f"{told.get('budget_s')} s" if iterations is None else f"{iterations} samples",
+        "seed": f"{told.get('seed')}",
+        "maps' CRS": f"{maps.get('crs')}",
+        "maps' resolution": f"{maps.get('resolution_m')} m",
+        "maps' first row and column": f"{maps.get('first_row')}, {maps.get('first_col')}",
+        "key of the maps' settings, inputs and code": f"{maps.get('run_key')}",
+    }
+
+
+def _other_settings(held: Mapping[str, Any], told: Mapping[str, Any]) -> str | None:
+    """Return how the held study is asked otherwise than this one, None if it is asked alike."""
+    before, now = _in_words(held), _in_words(told)
+    differing = (
+        f"that was asked otherwise (its {name} is {before[name]}, and {now[name]} is asked for now)"
+        for name in now
+        if before[name] != now[name]
+    )
+    return next(differing, None)
+
+
+def _other_instances(folder: Path, instances: pd.DataFrame) -> str | None:
+    """Return which instance of the held study is not among these or not the same, None if the study only grows."""
+    try:
+        held = read_instances(folder / INSTANCES_FILE).set_index(list(KEY))
+    except InputError as error:
+        has_rows = (folder / ROWS_FILE).exists() or any((folder / PARTS_FOLDER).glob("*.json"))
+        return f"whose instances are lost ({error})" if has_rows else None
+    asked = instances.set_index(list(KEY))
+    lost = held.index.difference(asked.index)
+    if len(lost):
+        number, altitude_m = lost[0]
+        return (
+            f"of {len(held)} instances, counted at each altitude, of which {len(lost)} are not asked now (instance "
+            f"{number} at {altitude_m:g} m is the first), and a study can be made longer but not shorter"
+        )
+    before, now = held[list(QUESTION)], asked[list(QUESTION)].reindex(held.index)
+    differs = np.argwhere(~((before == now) | (before.isna() & now.isna())).to_numpy())
+    if not len(differs):
+        return None
+    row, col = differs[0]
+    number, altitude_m = held.index[row]
+    return (
+        f"of other instances (instance {number} at {altitude_m:g} m has the {QUESTION[col]} {before.iloc[row, col]}, "
+        f"and {now.iloc[row, col]} is asked for now)"
+    )
+
+
 def _held(file: Path) -> dict[str, Any] | None:
     try:
-        return json.loads(file.read_text(encoding="utf-8"))
+        held = json.loads(file.read_text(encoding="utf-8"))
     except FileNotFoundError:
         return None
     except (OSError, ValueError) as error:
         raise InputError(f"{str(file)!r} cannot be read: remove the folder and run the study anew") from error
+    if not isinstance(held, dict):
+        raise InputError(f"{str(file)!r} says nothing of a study: remove the folder and run the study anew")
+    return held

@@ -12,6 +12,7 @@ from jaxurban.errors import InputError, nearest_name
 
 AnyArray = Array | np.ndarray
 METRICS = ("gps", "lidar", "population", "risk")  # the layers of the cost, in the paper's order
+MOST_WEIGHT = 1e30  # no path's cost overflows up to here, not even in float32
 
 
 @jax.tree_util.register_dataclass
@@ -53,12 +54,12 @@ class Weights:
         """Return the same weights as floats.
 
         Raises:
-          InputError: a weight that is negative or not finite.
+          InputError: a weight that is negative, above `MOST_WEIGHT` or not finite.
         """
         values = {item.name: float(getattr(self, item.name)) for item in fields(self)}
         for name, value in values.items():
-            if not 0 <= value < float("inf"):
-                raise InputError(f"weight {name} must be a finite number >= 0, got {value}")
+            if not 0 <= value <= MOST_WEIGHT:
+                raise InputError(f"weight {name} must be a finite number >= 0, at most {MOST_WEIGHT:g}, got {value}")
         return Weights(**values)
 
 

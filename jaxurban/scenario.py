@@ -17,7 +17,9 @@ from pydantic import (
     model_validator,
 )
 
-from jaxurban.errors import InputError, nearest_name
+from jaxurban.cost import MOST_WEIGHT
+from jaxurban.errors import InputError
+from jaxurban.faults import sentence_of
 from jaxurban.grid import check_bounds, projected_crs
 from jaxurban.io.orbits import iso_utc
 from jaxurban.metrics.gps import GpsParams
@@ -35,6 +37,15 @@ PAPER_PLANNERS = ("ptp", "astar-dist", "astar-plus", "bitstar-dist", "bitstar-pl
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 PositiveInt = Annotated[int, Field(gt=0)]
+
+
+def _not_too_heavy(weight: float) -> float:
+    if weight > MOST_WEIGHT:
+        raise ValueError(f"a weight must be at most {MOST_WEIGHT:g}, got {weight:g}")
+    return weight
+
+
+Weight = Annotated[NonNegative, AfterValidator(_not_too_heavy)]
 
 
 def _as_list(value: Any) -> Any:
@@ -245,11 +256,11 @@ class RiskSettings(_Section):
 class WeightSettings(_Section):
     """The weights of the cost."""
 
-    distance: NonNegative = 0.1
-    gps: NonNegative = 1.0
-    lidar: NonNegative = 1.0
-    population: NonNegative = 1.0
-    risk: NonNegative = 1.0
+    distance: Weight = 0.1
+    gps: Weight = 1.0
+    lidar: Weight = 1.0
+    population: Weight = 1.0
+    risk: Weight = 1.0
 
 
 class PlanningSettings(_Section):
@@ -265,6 +276,12 @@ class PlanningSettings(_Section):
     seed: Seed = 0
 
 
+def _dirichlet_or_list(value: Any) -> Any:
+    if value == "dirichlet" or (isinstance(value, list | tuple) and value):
+        return value
+    raise ValueError(f"must be 'dirichlet' or a list such as [{{ distance = 0.1, gps = 1.0 }}], got {value!r}")
+
+
 class StudySettings(_Section):
     """A Monte Carlo study; planners are compared under the line model, which depends on no resolution."""
 
@@ -273,11 +290,21 @@ class StudySettings(_Section):
     distance_only: tuple[PlannerName, ...] = ("astar-dist",)  # run for the shortest path too
     altitudes_m: PositiveList | None = None
     land_cover: str | None = None  # OSM file with water and parks; left out, the buildings' source where that is one
-    weights: Literal["dirichlet"] | Annotated[tuple[WeightSettings, ...], Field(min_length=1)] = "dirichlet"
+    weights: Annotated[tuple[WeightSettings, ...] | Literal["dirichlet"], BeforeValidator(_dirichlet_or_list)] = (
+        "dirichlet"
+    )
     cost_model: Literal["cell", "line"] = "line"
     budget_s: Positive = 2.0
     budget_iterations: PositiveInt | None = None
     seed: Seed = 0
+
+    @model_validator(mode="after")
+    def _check(self) -> "StudySettings":
+        if not self.planners:
+            raise ValueError("planners is empty: name at least one planner")
+        if self.altitudes_m is not None and len(set(self.altitudes_m)) != len(self.altitudes_m):
+            raise ValueError("altitudes_m names a value twice")
+        return self
 
 
 class Scenario(_Section):
@@ -338,7 +365,7 @@ class Scenario(_Section):
         try:
             scenario = cls.model_validate(settings)
         except ValidationError as error:
-            raise InputError(f"{name}: {_sentence(error)}") from error
+            raise InputError(f"{name}: {sentence_of(error, cls)}") from error
         if folder is not None:
             scenario._folder = folder
         return scenario
@@ -363,26 +390,3 @@ def _without_none(value: Any) -> Any:
     if isinstance(value, tuple | list):
         return [_without_none(item) for item in value]
     return value
-
-
-def _sentence(error: ValidationError) -> str:
-    """Return the first fault of a validation as one sentence."""
-    fault = error.errors()[0]
-    where = ".".join(str(part) for part in fault["loc"])
-    if fault["type"] == "extra_forbidden":
-        *section, key = fault["loc"]
-        model: type[BaseModel] = Scenario
-        for part in section:
-            annotation = model.model_fields[str(part)].annotation
-            if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-                model = annotation
-        valid = list(model.model_fields)
-        kind = "key" if section else "section"
-        hint = nearest_name(str(key), valid) or f"; the valid ones are {', '.join(valid)}"
-        return f"unknown {kind} {where!r}{hint}"
-    if fault["type"] == "missing":
-        return f"{where!r} is required and missing"
-    message = fault["msg"].removeprefix("Value error, ")
-    given = "" if fault["type"] in ("value_error", "model_type") else f", got {fault['input']!r}"
-    prefix = f"{where}: " if where else ""
-    return f"{prefix}{message[0].lower() + message[1:]}{given}"

@@ -80,18 +80,54 @@ def test_planners_may_be_added_and_nothing_is_asked_twice(folder, tmp_path):
 def test_a_folder_keeps_one_study(folder, tmp_path):
     few = ASKED | {"num_instances": 1, "planners": ["ptp"], "distance_only": ()}
     ju.study(folder, tmp_path, **few)
-    with pytest.raises(InputError, match=r"another cost_model.*--overwrite"):
+    with pytest.raises(InputError, match=r"its cost model is line, and cell is asked for now.*--overwrite"):
         ju.study(folder, tmp_path, **few, cost_model="cell")
-    with pytest.raises(InputError, match="another instances"):
-        ju.study(folder, tmp_path, **few | {"num_instances": 2})
+    with pytest.raises(InputError, match=r"its budget is 200 samples, and 2.0 s is asked for now"):
+        ju.study(folder, tmp_path, **few | {"budget_iterations": None})
+    with pytest.raises(InputError, match=r"instance 0 at 20 m has the w_distance .*, and 0.1 is asked"):
+        ju.study(folder, tmp_path, **few, weights=[ju.Weights()])
+    ju.study(folder, tmp_path, **few, budget_s=9.0)  # says nothing where samples are counted
     found = ju.study(folder, tmp_path, **few, cost_model="cell", overwrite=True)
     assert (found.rows.cost.dropna() == found.rows.cost_cell.dropna()).all()
+
+
+def test_a_longer_study_keeps_the_rows_of_the_shorter_one(folder, tmp_path):
+    few = ASKED | {"planners": ["ptp"], "distance_only": (), "num_instances": 2}
+    first = ju.study(folder, tmp_path, **few).rows
+    longer = ju.study(folder, tmp_path, **few | {"num_instances": 3}).rows
+    assert longer.groupby("altitude_m").instance.apply(list).tolist() == [[0, 1, 2]] * 2
+    pd.testing.assert_frame_equal(longer[longer.instance < 2].reset_index(drop=True), first)  # times and all
+    with pytest.raises(InputError, match=r"of 6 instances.* 2 are not asked now .*longer but not shorter"):
+        ju.study(folder, tmp_path, **few)
+
+
+def test_instances_of_a_file_are_joined_as_these_maps_have_it(folder, result, tmp_path):
+    asked = result.instances.assign(is_connected=~result.instances.is_connected)
+    wall = np.argwhere(~made_maps().is_free(20.0))[0]
+    asked.loc[0, ["start_x_m", "start_y_m"]] = made_maps().grid.xy_of_cell(*wall)
+    asked.loc[1, "goal_x_m"] = 1e12
+    found = ju.study(folder, tmp_path, instances=asked, planners=["ptp"], distance_only=(), budget_iterations=9)
+    assert found.instances.is_connected.tolist() == [None, None, *result.instances.is_connected[2:]]
+    bad = found.rows.set_index(["instance", "altitude_m"]).status == "bad-input"
+    assert bad[bad].index.tolist() == [(0, 20.0), (1, 20.0)]
+
+
+def test_a_study_that_cannot_be_asked_is_refused_before_it_runs(folder, result, tmp_path):
+    for asked, words in (
+        ({"instances": result.instances.assign(start_x_m=0.0)}, "instance 0 at 20 m, whose start .* outside"),
+        ({"instances": result.instances.assign(instance=-3)}, "row 1: instance must be a whole number >= 0, got -3"),
+        ({"planners": []}, "name at least one planner"),
+        ({"altitudes_m": [60, 60]}, "none twice, got 60, 60"),
+    ):
+        with pytest.raises(InputError, match=words):
+            ju.study(folder, tmp_path / "out", **asked)
+    assert not (tmp_path / "out").exists()
 
 
 def test_instances_for_other_maps_are_refused(folder, result, tmp_path):
     for change, word in (
         ({"crs": "EPSG:25830"}, "EPSG:25830"),
-        ({"altitude_m": 33.0}, "altitude_m 33"),
+        ({"altitude_m": result.instances.altitude_m + 13.0}, "altitude_m 33"),
         ({"time_of_day": "dusk"}, "dusk"),
     ):
         with pytest.raises(InputError, match=word):

@@ -94,6 +94,18 @@ def test_a_series_of_epochs_includes_both_ends():
         ({"gps": {"mask_deg": 90}}, "less than 90"),
         ({"weights": {"risk": -1}}, "greater than or equal to 0"),
         ({"risk": {"distance": "round"}}, "'slice' or 'solid'"),
+        ({"weights": {"gps": 1e308}}, r"weights.gps: a weight must be at most 1e\+30, got 1e\+308"),
+        ({"study": {"weights": ["dirichlet"]}}, "study.weights.0: must be a table of settings, got 'dirichlet'"),
+        ({"population": {"normalise": [1]}}, "^the scenario: population.normalise: .*"),
+        ({"study": {"planners": []}}, "name at least one planner"),
+        ({"study": {"altitudes_m": [60, 60]}}, "twice"),
+        ({"study": {"weights": []}}, "study.weights: must be 'dirichlet' or a list"),
+        ({"study": {"weights": "uniform"}}, "must be 'dirichlet' or a list such as .*, got 'uniform'"),
+        (
+            {"study": {"weights": [{"gps": 1.0}, {"riks": 4.0}]}},
+            r"unknown key 'study.weights.1.riks' \(did you mean 'risk'",
+        ),
+        ({"study": {"weights": [{"gps": -1.0}]}}, "study.weights.0.gps: input should be greater than or equal to 0"),
     ],
 )
 def test_a_bad_setting_is_one_sentence(settings, words):

@@ -2,12 +2,14 @@
 
 import json
 import uuid
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
+from jaxurban.errors import InputError
 from jaxurban.io.store import sweep_scraps, whole_file
 from jaxurban.io.tables import read_table, write_table
 
@@ -22,17 +24,23 @@ class RowStore:
     """
 
     def __init__(self, folder: Path, key: Sequence[str]) -> None:
-        """Open the store in ``folder``; ``key`` are the columns that name a row."""
+        """Open the store in ``folder``; ``key`` are the columns that name a row.
+
+        Raises:
+          InputError: a file of it cannot be read.
+        """
         self.folder, self.key = folder, tuple(key)
         (folder / PARTS_FOLDER).mkdir(parents=True, exist_ok=True)
         sweep_scraps(folder)
         sweep_scraps(folder / PARTS_FOLDER)
         self._rows: dict[tuple, dict[str, Any]] = {}
         for part in self._parts():
-            self._take(json.loads(part.read_text(encoding="utf-8")))
+            with _remedy(part):
+                self._take(json.loads(part.read_text(encoding="utf-8")))
         if (folder / ROWS_FILE).is_file():
-            table = read_table(folder / ROWS_FILE, "rows")
-            self._take(table.astype(object).where(table.notna(), None).to_dict("records"))
+            with _remedy(folder / ROWS_FILE):
+                table = read_table(folder / ROWS_FILE, "rows")
+                self._take(table.astype(object).where(table.notna(), None).to_dict("records"))
 
     def _parts(self) -> list[Path]:
         return sorted((self.folder / PARTS_FOLDER).glob("*.json"))
@@ -70,3 +78,13 @@ class RowStore:
         for part in parts:
             part.unlink()
         return read_table(self.folder / ROWS_FILE, "rows")
+
+
+@contextmanager
+def _remedy(file: Path) -> Iterator[None]:
+    try:
+        yield
+    except (ValueError, KeyError, TypeError) as error:
+        raise InputError(
+            f"{str(file)!r} is damaged: remove it and run the same again, which makes anew the rows that it held"
+        ) from error

@@ -9,8 +9,9 @@ import pandas as pd
 from scipy.ndimage import label
 
 from jaxurban.city import LandCover
-from jaxurban.cost import METRICS, Weights
+from jaxurban.cost import METRICS, MOST_WEIGHT, Weights
 from jaxurban.errors import InputError
+from jaxurban.grid import Grid
 from jaxurban.io.tables import read_table
 from jaxurban.maps import MetricMaps
 from jaxurban.studies.strata import STRATA, strata_of
@@ -25,6 +26,9 @@ WEIGHTS = ("w_distance", *(f"w_{name}" for name in METRICS))
 NEEDED = ("instance", "altitude_m", "crs", *PLACES, *WEIGHTS)
 TOLD = ("time", "time_of_day", "start_stratum", "goal_stratum", "range", "is_connected")  # None where a file holds none
 KEY = ("instance", "altitude_m")
+QUESTION = ("crs", *PLACES, *WEIGHTS, "time", "time_of_day")  # what planners are asked; all else is told of it
+TRUTHS = {"true": True, "false": False}
+MOST_NUMBER = 2**53  # of an instance: as far as float64 counts
 
 
 def sample_instances(
@@ -61,10 +65,14 @@ def sample_instances(
       seed: of everything.
 
     Raises:
-      InputError: ``num`` below 1, an unknown altitude, no weights, or too few free cells for any pair of places.
+      InputError: ``num`` below 1, an unknown altitude, none or one twice, no weights, or too few free cells for any
+        pair of places.
     """
     altitudes_m = maps.altitudes_m if altitudes_m is None else tuple(float(z) for z in altitudes_m)
     listed = None if isinstance(weights, str) else [each.checked() for each in weights]
+    if not altitudes_m or len(set(altitudes_m)) != len(altitudes_m):
+        listing = ", ".join(f"{z:g}" for z in altitudes_m) or "none"
+        raise InputError(f"altitudes_m must name at least one altitude and none twice, got {listing}")
     if num < 1:
         raise InputError(f"a study needs at least 1 instance, got {num}")
     if listed is None and weights != DIRICHLET:
@@ -151,41 +159,69 @@ class _Places:
 
 def _at_altitude(pairs: pd.DataFrame, maps: MetricMaps, altitude_m: float, is_free: np.ndarray) -> pd.DataFrame:
     """Return the instances at one altitude."""
-    # A diagonal step needs both orthogonal neighbours free, so what the grid joins are the islands of orthogonal steps.
-    islands, _ = label(is_free)
-    ends = [
-        islands[maps.grid.cell_of_xy(pairs[f"{end}_x_m"].to_numpy(), pairs[f"{end}_y_m"].to_numpy())]
-        for end in ("start", "goal")
-    ]
-    table = pairs.assign(crs=maps.grid.crs, is_connected=ends[0] == ends[1])
+    table = pairs.assign(crs=maps.grid.crs, is_connected=_connection(pairs, maps.grid, is_free).astype(bool))
     table.insert(1, "altitude_m", float(altitude_m))
     return table
 
 
+def _connection(pairs: pd.DataFrame, grid: Grid, is_free: np.ndarray) -> np.ndarray:
+    """Return whether the grid joins each pair: True, False, or None where a place is not a free cell of the maps."""
+    # A diagonal step needs both orthogonal neighbours free, so what the grid joins are the islands of orthogonal steps.
+    islands, _ = label(is_free)
+    start, goal = np.zeros((2, len(pairs)), islands.dtype)  # 0: the island of what is not free
+    for end, on in (("start", start), ("goal", goal)):
+        x_m, y_m = (pairs[f"{end}_{axis}_m"].to_numpy() for axis in "xy")
+        inside = grid.contains_xy(x_m, y_m)
+        on[inside] = islands[grid.cell_of_xy(x_m[inside], y_m[inside])]
+    joined = (start == goal).astype(object)
+    joined[(start == 0) | (goal == 0)] = None
+    return joined
+
+
+def with_connection(instances: pd.DataFrame, maps: MetricMaps) -> pd.DataFrame:
+    """Return instances with ``is_connected`` as these maps have it, None where a place is not a free cell of them."""
+    told = pd.Series(None, index=instances.index, dtype=object)
+    for _, at in instances.groupby("altitude_m"):
+        told[at.index] = _connection(at, maps.grid, maps.is_free(float(at.altitude_m.iloc[0])))
+    return instances.assign(is_connected=told.infer_objects())
+
+
 def read_instances(file: str | Path) -> pd.DataFrame:
-    """Return the instances in a Parquet or CSV file (columns: see `sample_instances`).
+    """Return the instances in a Parquet or CSV file (`checked_instances`).
+
+    Raises:
+      InputError: the file cannot be read, or its table is wrong.
+    """
+    return checked_instances(read_table(file, "instances"), f"the instances file {str(file)!r}")
+
+
+def checked_instances(table: pd.DataFrame, name: str) -> pd.DataFrame:
+    """Return a table of instances (columns: see `sample_instances`) with all columns and their types.
 
     ``instance``, ``altitude_m``, ``crs``, the places in metres and the weights must be there; times default to the
     maps' first.
 
+    Args:
+      table: from a person.
+      name: of the table, for messages.
+
     Raises:
-      InputError: the file cannot be read, lacks a column, holds no row, a number that is none, or an instance twice.
+      InputError: it lacks a column, holds no row, a value that is none of its column's, or an instance twice.
     """
-    table = read_table(file, "instances")
-    name = f"the instances file {str(file)!r}"
+    table = table.reset_index(drop=True)
     if lost := [column for column in NEEDED if column not in table]:
         raise InputError(f"{name} lacks the column {lost[0]!r}: it needs {', '.join(NEEDED)}")
     if table.empty:
         raise InputError(f"{name} holds no row: give at least one instance")
     for column in ("instance", "altitude_m", *PLACES, *WEIGHTS):
         values = pd.to_numeric(table[column], errors="coerce").to_numpy(np.float64)
-        wrong = ~np.isfinite(values) | ((values < 0) if column in WEIGHTS else False)
-        if column == "instance":
-            wrong |= values != np.floor(values)
-        if wrong.any():
-            row = int(np.argmax(wrong))
-            kind = "a number >= 0" if column in WEIGHTS else "a whole number" if column == "instance" else "a number"
-            raise InputError(f"{name}, row {row + 1}: {column} must be {kind}, got {table[column].iloc[row]!r}")
+        wrong, kind = ~np.isfinite(values), "a number"
+        if column in WEIGHTS:
+            wrong, kind = ~((values >= 0) & (values <= MOST_WEIGHT)), f"a number >= 0, at most {MOST_WEIGHT:g}"
+        elif column == "instance":
+            wrong = ~((values >= 0) & (values <= MOST_NUMBER) & (values == np.floor(values)))
+            kind = "a whole number >= 0"
+        _refuse(wrong, table[column], kind, name)
         table[column] = values.astype(np.int64) if column == "instance" else values
     twice = table.duplicated(list(KEY))
     if twice.any():
@@ -193,6 +229,18 @@ def read_instances(file: str | Path) -> pd.DataFrame:
         raise InputError(f"{name} holds instance {number:g} at {altitude_m:g} m twice: number them anew")
     for column in TOLD:
         table[column] = table[column].astype(object).where(table[column].notna(), None) if column in table else None
+    truths = table["is_connected"].map(lambda value: TRUTHS.get(str(value).lower()))
+    _refuse((truths.isna() & table["is_connected"].notna()).to_numpy(), table["is_connected"], "true or false", name)
+    table["is_connected"] = truths.astype(object).where(truths.notna(), None)
     if "distance_m" not in table:
         table["distance_m"] = np.hypot(table.goal_x_m - table.start_x_m, table.goal_y_m - table.start_y_m)
     return table
+
+
+def _refuse(wrong: np.ndarray, column: pd.Series, kind: str, name: str) -> None:
+    """Raise InputError for the first wrong value ``[N]`` of a column, if there is any."""
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        value = column.iloc[row]
+        plain = value.item() if isinstance(value, np.generic) else value
+        raise InputError(f"{name}, row {row + 1}: {column.name} must be {kind}, got {plain!r}")

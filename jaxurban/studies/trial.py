@@ -11,6 +11,7 @@ import numpy as np
 
 from jaxurban.cost import METRICS
 from jaxurban.errors import InputError
+from jaxurban.grid import Grid
 from jaxurban.maps import MetricMaps
 from jaxurban.planners.base import Cell, CostModel, Diagonal, Path, Problem
 from jaxurban.planners.evaluate import evaluate
@@ -112,15 +113,8 @@ class Ground:
         return self.shortest.with_layers(total, float(weights[0]))
 
     def cell_of(self, x_m: float, y_m: float) -> Cell:
-        """Return the cell of a place.
-
-        Raises:
-          InputError: it is outside the maps, or not free.
-        """
-        row, col = (int(value) for value in self.grid.cell_of_xy(x_m, y_m))
-        if not self.is_free[row, col]:
-            raise InputError(f"the place {x_m:.1f}, {y_m:.1f} is inside an obstacle (or where there are no data)")
-        return row, col
+        """Return the cell of a place (`free_cell`)."""
+        return free_cell(self.grid, self.is_free, x_m, y_m)
 
     def facts(self, points_m: np.ndarray, weights: np.ndarray) -> dict[str, float] | None:
         """Return cost under both models, length and mean metrics of a path ``[N, 2]``; None if it is not valid."""
@@ -144,6 +138,18 @@ class Ground:
             m = along if name == "population" else 1.0 - along
             facts[f"m_{name}"] = float(m @ length_m / length_m.sum())
         return facts | {"length_m": paid.length_m}
+
+
+def free_cell(grid: Grid, is_free: np.ndarray, x_m: float, y_m: float) -> Cell:
+    """Return the cell of a place.
+
+    Raises:
+      InputError: it is outside the grid, or not free.
+    """
+    row, col = (int(value) for value in grid.cell_of_xy(x_m, y_m))
+    if not is_free[row, col]:
+        raise InputError(f"the place {x_m:.1f}, {y_m:.1f} is inside an obstacle (or where there are no data)")
+    return row, col
 
 
 def put_to(ground: Ground, instance: Mapping[str, Any], runs: Sequence[Run]) -> list[dict[str, Any]]:

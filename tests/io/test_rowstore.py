@@ -3,7 +3,9 @@
 import json
 
 import pandas as pd
+import pytest
 
+from jaxurban.errors import InputError
 from jaxurban.io.rowstore import RowStore
 
 COLUMNS = {"k": "int64", "name": "object", "value": "float64"}
@@ -61,3 +63,17 @@ def test_numbers_survive_bit_for_bit(tmp_path):
     assert [each["value"] for each in RowStore(tmp_path, ("k",)).rows] == values
     store.compact(COLUMNS)
     assert [each["value"] for each in RowStore(tmp_path, ("k",)).rows] == values
+
+
+@pytest.mark.parametrize("damage", [lambda data: data[: len(data) // 2], lambda data: b""])
+def test_a_damaged_table_is_refused_with_the_remedy_that_works(tmp_path, damage):
+    store = RowStore(tmp_path, ("k", "name"))
+    store.add([row(1, "a")])
+    store.compact(COLUMNS)
+    store.add([row(2, "b")])
+    for file in (tmp_path / "rows.parquet", next((tmp_path / "parts").glob("*.json"))):
+        file.write_bytes(damage(file.read_bytes()))
+        with pytest.raises(InputError, match="is damaged: remove it"):
+            RowStore(tmp_path, ("k", "name"))
+        file.unlink()
+    assert len(RowStore(tmp_path, ("k", "name"))) == 0

@@ -103,6 +103,9 @@ def test_given_weights_take_turns(maps):
         ({"weights": "uniform"}, "uniform"),
         ({"weights": []}, "empty"),
         ({"altitudes_m": [33]}, "33"),
+        ({"altitudes_m": [60, 60]}, "twice"),
+        ({"altitudes_m": []}, "none"),
+        ({"weights": [Weights(gps=1e308)]}, "at most 1e[+]30"),
     ],
 )
 def test_wrong_arguments_are_named(maps, arguments, word):
@@ -130,7 +133,11 @@ def test_instances_survive_their_file(instances, tmp_path, suffix):
     [
         (lambda table: table.drop(columns="w_gps"), ["lacks", "w_gps"]),
         (lambda table: table.assign(w_gps=-1.0), ["row 1", "w_gps", ">= 0", "-1.0"]),
+        (lambda table: table.assign(w_gps=1e308), ["row 1", "w_gps", "at most 1e+30", "1e+308"]),
+        (lambda table: table.assign(w_gps=[1.0, None]), ["row 2", "got nan"]),
         (lambda table: table.assign(instance=0.5), ["whole number"]),
+        (lambda table: table.assign(instance=-3), ["whole number >= 0", "got -3"]),
+        (lambda table: table.assign(is_connected=["True", "maybe"]), ["row 2", "true or false", "'maybe'"]),
         (lambda table: table.assign(start_x_m="west"), ["start_x_m", "west"]),
         (lambda table: pd.concat([table, table]), ["instance 0 at 20 m twice"]),
         (lambda table: table[:0], ["no row"]),
