@@ -157,7 +157,11 @@ def _interval(low: float, high: float) -> str:
 
 
 def _is_good(told: pd.DataFrame) -> bool | None:
-    """Return whether lidar is good where GPS is poor, and better than elsewhere; None where intervals cannot tell."""
+    """Return whether lidar is good where GPS is poor, and better than elsewhere; None where intervals cannot tell.
+
+    Altitudes at which no interval is known, as GPS is poor in too few cells, are passed over.
+    """
+    told = told[np.isfinite(told.difference_low)]
     if ((told.lidar_where_gps_poor < GOOD) | (told.difference_high < 0)).any():
         return False
     return True if len(told) and (told.difference_low > 0).all() else None
@@ -187,7 +191,8 @@ def verdict(table: pd.DataFrame) -> str:
     low = table.iloc[0]
     return (
         f"The paper's finding that GPS and lidar complement each other {word}: of its three claims "
-        f"{told.count(True)} hold, {told.count(False)} do not, {told.count(None)} cannot be told; at "
+        f"{told.count(True)} {'holds' if told.count(True) == 1 else 'hold'}, {told.count(False)} "
+        f"{'does' if told.count(False) == 1 else 'do'} not, {told.count(None)} cannot be told; at "
         f"{low.altitude_m:g} m GPS serves (m >= {GOOD:g}) in {low.gps_serves:.1%} of the free cells, lidar in "
         f"{low.lidar_serves:.1%}, and one or the other in {low.either_serves:.1%}."
     )
