@@ -66,8 +66,8 @@ plot_building_costs(city, route, table, maps.grid)
 # ## Which of the buildings matter
 #
 # Those whose roofs end near the route's altitude cost most: a metre more, and they stand in the way. Higher ones only
-# lengthen shadows (GPS); lower ones are landmarks that would mostly be better for being higher (lidar, below zero). Effects
-# under 0.001 are left out.
+# lengthen shadows (GPS); lower ones are landmarks that would mostly be better for being higher (lidar, below zero).
+# Effects under 0.001 are left out.
 
 # %%
 figure, axes = plt.subplots(figsize=(7.5, 4.0), layout="constrained")
@@ -89,8 +89,8 @@ plt.show()
 #
 # Raise some buildings by 4 m, one at a time, make the **exact** maps again, and weigh the same route on them. A
 # gradient is a promise about small changes, and the exact maps answer in jumps: expect the sign to agree, and the size
-# within a factor of a few. `inf` means that the roof now reaches the route, which no cost can pay for; planned anew, the drone flies
-# around it and is dearer by the last column.
+# within a factor of a few. `inf` means that the roof now reaches the route, which no cost can pay for; planned anew, the
+# drone flies around it and is dearer by the last column.
 
 # %%
 STEP_M = 4.0

@@ -92,3 +92,11 @@ def test_nothing_is_said_of_a_sky_without_buildings(maps):
     assert table.correlation.isna().all()
     assert table.lidar_where_gps_poor.isna().all()
     assert [each.holds for each in findings(table)[1:]] == [None, None]
+
+
+def test_an_altitude_without_an_interval_is_passed_over(maps):
+    table = complementarity(maps)
+    table.loc[1, ["difference_low", "difference_high"]] = np.nan
+    assert findings(table)[1].holds
+    table.loc[0, "difference_low"] = -0.1
+    assert findings(table)[1].holds is None
