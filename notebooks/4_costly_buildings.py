@@ -89,8 +89,8 @@ plt.show()
 #
 # Raise some buildings by 4 m, one at a time, make the **exact** maps again, and weigh the same route on them. A
 # gradient is a promise about small changes, and the exact maps answer in jumps: expect the sign to agree, and the size
-# within a factor of a few. `inf` means that the roof now reaches the route, which no cost can pay for; planned anew, the
-# drone flies around it and is dearer by the last column.
+# within a factor of a few. `inf` means that the roof now reaches the route, which no cost can pay for; planned anew,
+# the drone flies around it and is dearer by the last column.
 
 # %%
 STEP_M = 4.0

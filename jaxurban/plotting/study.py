@@ -96,7 +96,7 @@ def plot_costs(table: pd.DataFrame) -> Figure:
     )
     end = float(np.clip(rows.ratio.quantile(0.98), *RATIO_AXIS))
     for panel, altitude_m in zip(axes, altitudes, strict=True):
-        for planner in planners:
+        for rank, planner in enumerate(planners):
             asked = rows[(rows.planner == planner) & (rows.altitude_m == altitude_m)].ratio.to_numpy()
             ratio = np.sort(asked[np.isfinite(asked)])
             share = np.arange(1, len(ratio) + 1) / max(1, len(asked))
@@ -104,7 +104,8 @@ def plot_costs(table: pd.DataFrame) -> Figure:
                 np.append(ratio, max(end, ratio.max(initial=1.0))),
                 np.append(share, share[-1] if len(share) else 0.0),
             )
-            panel.step(*ends, where="post", color=colours[planner], label=planner, linewidth=1.6)
+            width = 1.4 + 0.9 * (len(planners) - 1 - rank)  # where curves coincide all are seen
+            panel.step(*ends, where="post", color=colours[planner], label=planner, linewidth=width)
         panel.set(xlim=(1 - 0.01 * (end - 1), end), ylim=(0, 1.02))
         panel.set_xlabel("cost / cheapest known", size=SMALL_PT)
         panel.xaxis.set_major_locator(MaxNLocator(5, prune="upper"))
