@@ -51,7 +51,7 @@ def fetch(job: FetchJob, folder: Path, client: Client) -> tuple[dict[str, Any], 
         "bounds": list(job.bounds),
         "files": parts.files,
         "left_out": parts.left_out,
-        "num_requests": client.num_requests,
+        "num_requests": client.asker.num_requests,
     }
     with whole_file(folder / RECORD_FILE) as scratch:
         scratch.write_text(json.dumps(record, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
