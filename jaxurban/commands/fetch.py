@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,8 +14,6 @@ from jaxurban.errors import InputError
 if TYPE_CHECKING:
     from jaxurban.io.download import Client
     from jaxurban.io.fetchplan import FetchJob
-
-SCENARIO_FILE = "scenario.toml"
 
 
 class BoxType(click.ParamType):
@@ -45,17 +44,17 @@ class BoxType(click.ParamType):
 @click.option("--county", "counties", multiple=True, help="Five digits, such as 36061; repeatable.")
 @click.option("--margin", "margin_m", type=float, default=1000.0, show_default=True, help="Of buildings, metres.")
 @click.option("--source", "sources", metavar="NAME=URL", multiple=True, help="Use another place (see docs/fetch.md).")
-@click.option("--max-size", default="500MB", show_default=True, help="The largest file accepted.")
+@click.option("--max-size", default="500MB", show_default=True, help="The largest file accepted (units of 1,024).")
 @click.option(
     "--timeout",
     "timeout_s",
-    type=click.FloatRange(min=0, min_open=True),
+    type=float,
     default=200.0,
     show_default=True,
     help="The longest silence of a server, seconds.",
 )
 @click.option("--offline", "is_offline", is_flag=True, help="Make no request: use what the cache has.")
-@click.option("--overwrite", is_flag=True, help="Replace a scenario.toml that is there.")
+@click.option("--overwrite", is_flag=True, help="Replace files that are there.")
 @click.option("--dry-run", "is_dry_run", is_flag=True, help="List the requests, and make none.")
 @JSON_FLAG
 def fetch(
@@ -74,7 +73,9 @@ def fetch(
 ) -> int:
     """Download what the maps of a region need from public sources, and write a scenario that uses it."""
     from jaxurban.io.download import open_client
+    from jaxurban.io.fetch import targets
     from jaxurban.io.fetchplan import FetchJob
+    from jaxurban.io.landing import SCENARIO_FILE, landing
     from jaxurban.memory import parse_bytes
 
     today = datetime.now(UTC).date()
@@ -88,13 +89,25 @@ def fetch(
         most_bytes=parse_bytes(max_size, "--max-size"),
         **given,
     )
-    if not (overwrite or is_dry_run) and (folder / SCENARIO_FILE).exists():
-        raise InputError(
-            f"{str(folder / SCENARIO_FILE)!r} is there already: choose another folder with -o, or replace "
-            "it with --overwrite"
-        )
-    with open_client(most_bytes=job.most_bytes, timeout_s=timeout_s, is_offline=is_offline, tell=tell) as client:
-        return _list(job, client, as_json) if is_dry_run else _fetch(job, folder, client, as_json)
+    client_of = partial(open_client, most_bytes=job.most_bytes, timeout_s=timeout_s, tell=tell)
+    if is_dry_run:
+        with client_of(is_offline=True) as client:
+            return _list(job, client, as_json)
+    with (
+        landing(folder, targets(job.what), overwrite=overwrite) as stage,
+        client_of(is_offline=is_offline) as client,
+    ):
+        record, has_scenario = _fetch(job, stage, client)
+    scenario = folder / SCENARIO_FILE if has_scenario else None
+    for note in record["left_out"]:
+        tell(note)
+    if scenario is None:
+        tell(f"fetched into {folder}; no scenario is written without osm, as maps need buildings")
+    else:
+        tell(f"fetched into {folder}: run `jaxurban maps {scenario} -o OUT`")
+    if as_json:
+        print_json(record | {"scenario": None if scenario is None else str(scenario)})
+    return 0
 
 
 def _named_urls(sources: Sequence[str]) -> dict[str, str]:
@@ -127,28 +140,21 @@ def _list(job: "FetchJob", client: "Client", as_json: bool) -> int:
     return 0
 
 
-def _fetch(job: "FetchJob", folder: Path, client: "Client", as_json: bool) -> int:
-    """Get the files and write the scenario."""
+def _fetch(job: "FetchJob", folder: Path, client: "Client") -> tuple[dict[str, Any], bool]:
+    """Get the files and write the scenario; return the record, and whether there is a scenario."""
     import tomli_w
 
     from jaxurban.io.fetch import fetch
+    from jaxurban.io.landing import SCENARIO_FILE
     from jaxurban.io.store import whole_file
     from jaxurban.scenario import Scenario
 
     settings, record = fetch(job, folder, client)
-    scenario = folder / SCENARIO_FILE if "buildings" in settings else None
-    if scenario is not None:
-        Scenario.from_dict(settings, name=str(scenario))
+    has_scenario = "buildings" in settings
+    if has_scenario:
+        Scenario.from_dict(settings, name=SCENARIO_FILE)
         credits = sorted({f"# {file['source']}: {file['credit']} ({file['licence']})" for file in record["files"]})
         head = "\n".join(["# Made by jaxurban fetch; fetch.json says where each file is from.", *credits])
-        with whole_file(scenario) as scratch:
+        with whole_file(folder / SCENARIO_FILE) as scratch:
             scratch.write_text(f"{head}\n\n{tomli_w.dumps(settings)}", encoding="utf-8")
-    for note in record["left_out"]:
-        tell(note)
-    if scenario is None:
-        tell(f"fetched into {folder}; no scenario is written without osm, as maps need buildings")
-    else:
-        tell(f"fetched into {folder}: run `jaxurban maps {scenario} -o OUT`")
-    if as_json:
-        print_json(record | {"scenario": None if scenario is None else str(scenario)})
-    return 0
+    return record, has_scenario

@@ -1,7 +1,7 @@
 """What arrived from a public source, looked at before it enters the cache: its kind, and whether it is whole."""
 
 import json
-import mmap
+import math
 import re
 import tempfile
 import zipfile
@@ -10,20 +10,27 @@ from pathlib import Path
 from typing import BinaryIO
 
 import geopandas as gpd
+import numpy as np
 import osmium
 import pandas as pd
+import shapely
 
+from jaxurban.errors import InputError
 from jaxurban.grid import Bounds
+from jaxurban.io.districts import read_districts
 from jaxurban.io.download import UnfitError
 from jaxurban.io.orbits import read_orbits
+from jaxurban.io.osm import read_osm
 from jaxurban.io.vectorfile import open_frame
+from jaxurban.io.webrequest import megabytes
 
 HEAD_BYTES = 1000
 PBF_MOST_HEADER_BYTES = 64 << 10  # of a blob's header, by the format's rules
 PBF_LENGTH_FIELD = 3  # of a blob's header: how many bytes of data follow
 SHAPEFILE_PARTS = (".shp", ".shx", ".dbf", ".prj")
-BLOCK_ID = re.compile(r"(\d{15})$")  # state 2, county 3, tract 6, block 4 digits; anything may stand before
+BLOCK_ID = re.compile(r"([0-9]{15})$")  # state 2, county 3, tract 6, block 4 digits; anything may stand before
 COUNTY_DIGITS = 5
+COUNT = re.compile(r"[0-9]+(\.0*)?")
 BLOCK_FIELDS = ("GEOID20", "GEOID10", "GEOID")
 
 
@@ -96,10 +103,40 @@ def _number_in(message: bytes, wanted_field: int) -> int | None:
     return None
 
 
-def has_ways(path: Path) -> bool:
-    """Return whether an OSM XML file holds a single way."""
-    with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as text:
-        return text.find(b"<way ") >= 0
+def check_osm(path: Path) -> None:
+    """Check that an OpenStreetMap file can be read to its end, and, in XML, that it holds buildings.
+
+    An extract, which is PBF, is cut to the region first: `check_buildings` then looks at what is left.
+
+    Raises:
+      UnfitError: another kind of file, a damaged one, or one without a whole building.
+      InputError: the XML is damaged.
+    """
+    suffix = osm_suffix(path)
+    osm_box(path, suffix)
+    if suffix == ".osm":
+        check_buildings(path, "osm")
+        return
+    try:
+        with osmium.io.Reader(osmium.io.File(str(path), "pbf")) as reader:
+            osmium.apply(reader, osmium.filter.EmptyTagFilter())  # unpacks every block; each bears its own checksum
+    except (RuntimeError, ValueError, osmium.InvalidLocationError) as error:
+        raise UnfitError(f"it is an OSM PBF file that is damaged ({error})") from error
+
+
+def check_buildings(path: Path, file_format: str) -> None:
+    """Check that an OpenStreetMap file, read as the maps will read it, holds a building.
+
+    Raises:
+      UnfitError: it holds none, or none with its nodes.
+      InputError: it cannot be read to its end.
+    """
+    outlines = read_osm(path, file_format)
+    if any(polygon is not None and not polygon.is_empty for polygon in outlines.polygons):
+        return
+    if num_bare := outlines.faults["ways_with_missing_nodes"]:
+        raise UnfitError(f"it has {num_bare:,} buildings but not their nodes: ask for them too, as with (._;>;)")
+    raise UnfitError("it has no building in the region: check --bounds, longitude first")
 
 
 def osm_box(path: Path, suffix: str) -> Bounds | None:
@@ -111,7 +148,7 @@ def osm_box(path: Path, suffix: str) -> Bounds | None:
     try:
         with osmium.io.Reader(osmium.io.File(str(path), suffix.rpartition(".")[2]), osmium.osm.NOTHING) as reader:
             box = reader.header().box()
-    except RuntimeError as error:
+    except (RuntimeError, ValueError, osmium.InvalidLocationError) as error:
         raise UnfitError(f"its header cannot be read ({error})") from error
     if not box.valid():
         return None
@@ -127,23 +164,34 @@ def read_block_zip(path: Path, most_bytes: int) -> gpd.GeoDataFrame:
     """
     if not zipfile.is_zipfile(path):
         raise UnfitError(f"it is no zip file, but {_what(path.read_bytes()[:HEAD_BYTES])}")
-    with zipfile.ZipFile(path) as archive, tempfile.TemporaryDirectory() as folder:
+    with tempfile.TemporaryDirectory() as folder:
+        try:
+            _unpack(path, Path(folder), most_bytes)
+        except (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, OSError, ValueError) as error:
+            reason = str(error).replace(f"{folder}/", "")
+            raise UnfitError(f"it is a zip file that is damaged or cannot be unpacked ({reason})") from error
+        try:
+            frame = open_frame(next(Path(folder).rglob("*.[sS][hH][pP]")), "blocks")
+        except InputError as error:
+            raise UnfitError(str(error).replace(f"{folder}/", "")) from error
+    field = next((name for name in BLOCK_FIELDS if name in frame.columns), None)
+    if field is None:
+        raise UnfitError(f"its fields are {', '.join(map(str, frame.columns))}, none of {', '.join(BLOCK_FIELDS)}")
+    _check_ids(frame[field])
+    return frame[[field, "geometry"]].rename(columns={field: "GEOID"})
+
+
+def _unpack(path: Path, folder: Path, most_bytes: int) -> None:
+    """Unpack the Shapefile of a zip, checking the CRC of each part."""
+    with zipfile.ZipFile(path) as archive:
         parts = [info for info in archive.infolist() if Path(info.filename).suffix.lower() in SHAPEFILE_PARTS]
         if sorted(Path(info.filename).suffix.lower() for info in parts) != sorted(SHAPEFILE_PARTS):
             raise UnfitError(
                 f"the zip does not hold one Shapefile, but {', '.join(archive.namelist()[:8]) or 'nothing'}"
             )
         if sum(info.file_size for info in parts) > most_bytes:
-            raise UnfitError(f"it unpacks to more than {most_bytes / 1e6:,.0f} MB: raise --max-size")
-        try:
-            archive.extractall(folder, parts)  # checks the CRC of each
-        except (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError) as error:
-            raise UnfitError(f"the zip is damaged ({error})") from error
-        frame = open_frame(next(Path(folder).rglob("*.[sS][hH][pP]")), "blocks")
-    field = next((name for name in BLOCK_FIELDS if name in frame.columns), None)
-    if field is None:
-        raise UnfitError(f"its fields are {', '.join(map(str, frame.columns))}, none of {', '.join(BLOCK_FIELDS)}")
-    return frame[[field, "geometry"]].rename(columns={field: "GEOID"})
+            raise UnfitError(f"it unpacks to more than {megabytes(most_bytes)}: raise --max-size")
+        archive.extractall(folder, parts)
 
 
 def read_counts(path: Path) -> tuple[pd.DataFrame, bool]:
@@ -152,7 +200,7 @@ def read_counts(path: Path) -> tuple[pd.DataFrame, bool]:
     It is what TIGERweb answers (JSON), or a CSV with a column of 15-digit block ids.
 
     Raises:
-      UnfitError: neither, or an error message of TIGERweb.
+      UnfitError: neither, an error message of TIGERweb, or ids or counts of it that are none.
     """
     text = path.read_bytes().decode("utf-8-sig", "replace")
     if text.lstrip()[:1] in ("{", "["):
@@ -164,7 +212,11 @@ def read_counts(path: Path) -> tuple[pd.DataFrame, bool]:
             rows = [(str(row["attributes"]["GEOID"]), str(row["attributes"]["POP100"])) for row in answer["features"]]
         except (KeyError, TypeError) as error:
             raise UnfitError(f"a feature of it lacks GEOID and POP100 ({error})") from error
-        return pd.DataFrame(rows, columns=["GEOID", "POP100"]), bool(answer.get("exceededTransferLimit"))
+        table = pd.DataFrame(rows, columns=["GEOID", "POP100"], dtype=str)
+        _check_ids(table["GEOID"])
+        if bad := [f"{count!r} in block {block}" for block, count in rows if not COUNT.fullmatch(count)]:
+            raise UnfitError(f"its POP100 is {bad[0]}: it must be a number of people")
+        return table, bool(answer.get("exceededTransferLimit"))
     try:
         table = pd.read_csv(path, dtype=str, keep_default_na=False, encoding="utf-8-sig", index_col=False)
     except (ValueError, OSError) as error:
@@ -184,16 +236,30 @@ def _block_ids(table: pd.DataFrame) -> pd.Series:
     return max(columns, key=len, default=pd.Series(dtype=str))
 
 
-def check_geojson(path: Path) -> None:
-    """Check that a file is GeoJSON with features, and whole.
+def _check_ids(column: pd.Series) -> None:
+    if bad := [block for block in column.astype(str) if not BLOCK_ID.fullmatch(block)]:
+        raise UnfitError(f"it has the block id {bad[0][:40]!r}: a block's id has 15 digits")
+
+
+def check_districts(path: Path, crs: str, field: str) -> None:
+    """Check that a file is GeoJSON, whole, with polygons and their labels.
+
+    Args:
+      path: the file.
+      crs: projected CRS of the region.
+      field: of the labels.
 
     Raises:
       UnfitError: it is not.
+      InputError: it cannot be read, or its labels are no whole numbers.
     """
     text = path.read_bytes().decode("utf-8-sig", "replace")
     answer = _json(text) if text.lstrip()[:1] == "{" else None
     if not isinstance(answer, dict) or not answer.get("features"):
         raise UnfitError(f"it is no GeoJSON with features, but {_what(text.encode())}")
+    polygons, _, _ = read_districts(path, crs, field)
+    if not (len(polygons) and np.isfinite(shapely.get_coordinates(polygons)).all()):
+        raise UnfitError("it holds no polygons on this globe")
 
 
 def orbits_suffix(path: Path) -> str:
@@ -212,8 +278,18 @@ def orbits_suffix(path: Path) -> str:
 
 
 def _json(text: str) -> object:
+    """Return what a JSON text says; other than Python's reader it takes no NaN and no infinite number."""
+
+    def refuse(word: str) -> float:
+        raise ValueError(f"{word[:20]} is no number of JSON")
+
+    def finite(digits: str) -> float:
+        return value if math.isfinite(value := float(digits)) else refuse(digits)
+
     try:
-        return json.loads(text)
+        return json.loads(text, parse_constant=refuse, parse_float=finite)
+    except RecursionError as error:
+        raise UnfitError("it is JSON that is nested too deep") from error
     except ValueError as error:
         raise UnfitError(f"it is JSON that is cut off or damaged ({error})") from error
 

@@ -2,8 +2,11 @@
 
 import json
 import shutil
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -12,16 +15,37 @@ import pandas as pd
 import shapely
 
 from jaxurban.errors import InputError
-from jaxurban.io.arrived import counties_of, has_ways, orbits_suffix, osm_box, osm_suffix, read_block_zip, read_counts
-from jaxurban.io.download import Client, Kept, Wanted
+from jaxurban.io.arrived import (
+    check_buildings,
+    counties_of,
+    orbits_suffix,
+    osm_box,
+    osm_suffix,
+    read_block_zip,
+    read_counts,
+)
+from jaxurban.io.download import Client, Kept, UnfitError, Wanted
 from jaxurban.io.fetchplan import BLOCK_MARGIN_M, FetchJob, plan_fetch, want_blocks, want_population
+from jaxurban.io.landing import RECORD_FILE, SCENARIO_FILE, sha256_of
 from jaxurban.io.orbits import NOMINAL
 from jaxurban.io.osmcut import cut_buildings
-from jaxurban.io.store import check_writable, whole_file
+from jaxurban.io.store import whole_file
 
-RECORD_FILE = "fetch.json"
 UTC_HOUR = "12:00:00"
 MOST_COUNTIES, MOST_PAGES = 12, 20
+TARGETS = MappingProxyType(
+    {
+        "osm": ("buildings.osm", "buildings.osm.pbf"),
+        "census": ("population.csv", "blocks.parquet"),
+        "districts": ("districts.geojson",),
+        "orbits": tuple(f"gps-ops{suffix}" for suffix in (".csv", ".json", ".xml", ".tle")),
+    }
+)
+
+
+def targets(what: Sequence[str]) -> list[str]:
+    """Return the names of the files that a job may write."""
+    return [*chain.from_iterable(TARGETS[name] for name in what), RECORD_FILE, SCENARIO_FILE]
 
 
 def fetch(job: FetchJob, folder: Path, client: Client) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -35,7 +59,8 @@ def fetch(job: FetchJob, folder: Path, client: Client) -> tuple[dict[str, Any], 
       InputError: something cannot be had, or the folder cannot be written to. What has arrived stays in the cache.
     """
     plan = plan_fetch(job)
-    check_writable(folder)
+    if not plan.requests:
+        raise InputError(f"nothing of --what can be fetched here ({'; '.join(plan.left_out)})")
     parts = _Fetching(job, folder, client, left_out=list(plan.left_out))
     settings: dict[str, Any] = {"region": {"bounds": list(job.bounds)}}
     if plan.osm is not None:
@@ -45,13 +70,16 @@ def fetch(job: FetchJob, folder: Path, client: Client) -> tuple[dict[str, Any], 
         settings["gps"]["orbits"] = parts.orbits(plan.orbits)
     if plan.population is not None and (population := parts.census()):
         settings["population"] = population
-        if plan.districts is not None:
-            population |= parts.districts(plan.districts)
+    if plan.districts is not None:
+        found = parts.districts(plan.districts)
+        if "population" in settings:
+            settings["population"] |= found
     record = {
         "bounds": list(job.bounds),
         "files": parts.files,
         "left_out": parts.left_out,
-        "num_requests": client.num_requests,
+        "num_requests": client.asker.num_requests,
+        "written": {path.name: sha256_of(path) for path in sorted(folder.iterdir())},
     }
     with whole_file(folder / RECORD_FILE) as scratch:
         scratch.write_text(json.dumps(record, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
@@ -103,19 +131,18 @@ class _Fetching:
             )
         name = f"buildings{suffix}"
         if suffix == ".osm":
-            if not has_ways(kept.path):
-                raise InputError(
-                    f"OpenStreetMap has no building in {list(self.job.bounds)} (west, south, east, north): "
-                    "check --bounds, longitude first"
-                )
             return self._copy(kept, "osm", name)
         self.client.tell(f"osm: cutting the region and {self.job.margin_m:g} m around it out of the extract")
         with whole_file(self.folder / name) as scratch:
             try:
                 cut_buildings(kept.path, scratch, self.job.box(self.job.margin_m))
+                check_buildings(scratch, "pbf")
+            except UnfitError as error:
+                raise InputError(f"the region was cut out of {wanted.url}, and {error}") from error
             except RuntimeError as error:
                 raise InputError(
-                    f"{wanted.url} is damaged ({error}): remove {str(kept.path)!r} and run the same command again"
+                    f"{wanted.url} cannot be cut ({error}): put it in order with `osmium sort`, or name another "
+                    "extract with --extract"
                 ) from error
         self._note(kept, "osm", name)
         return name
@@ -154,6 +181,7 @@ class _Fetching:
     def _counts(self) -> pd.DataFrame:
         """Return the whole table of population, which may come in pages."""
         pages: list[pd.DataFrame] = []
+        seen: set[str] = set()
         has_more = True
         while has_more:
             if len(pages) == MOST_PAGES:
@@ -162,6 +190,13 @@ class _Fetching:
             page, has_more = read_counts(kept.path)
             if has_more and page.empty:
                 raise InputError(f"{kept.url} says that there is more to send, but sends nothing: run it again later")
+            ids = set(page.get("GEOID", ()))
+            if not seen.isdisjoint(ids):
+                raise InputError(
+                    f"{kept.url} sends again what an earlier page of it held: its pages must go on from {{offset}} in "
+                    "the URL; give another place, or a table of the whole region, with --source population=URL"
+                )
+            seen |= ids
             self._note(kept, "population", "population.csv")
             pages.append(page)
         return pd.concat(pages, ignore_index=True)

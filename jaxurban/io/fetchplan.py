@@ -11,8 +11,7 @@ import shapely
 
 from jaxurban.errors import InputError, nearest_name
 from jaxurban.grid import WGS84, Bounds, check_bounds, transformer, utm_crs
-from jaxurban.io.arrived import check_geojson, orbits_suffix, osm_box, osm_suffix, read_block_zip, read_counts
-from jaxurban.io.districts import read_districts
+from jaxurban.io.arrived import check_districts, check_osm, orbits_suffix, read_block_zip, read_counts
 from jaxurban.io.download import UnfitError, Wanted
 from jaxurban.io.orbits import WARN_AGE_DAYS, read_orbits
 from jaxurban.io.sources import (
@@ -153,9 +152,12 @@ def plan_fetch(job: FetchJob) -> Plan:
     elif "census" in job.what:
         population = want_population(job, 0)
         blocks = tuple(want_blocks(job, county) for county in job.counties or ("{county}",))
-    if "districts" in job.what and population is not None:
+    if "districts" in job.what:
         if job.is_given("districts") or _touches(job.bounds, (NYC_BOX,)):
-            districts = _want(job, "districts", job.url("districts"), lambda path: _check_districts(path, job))
+            field = job.district_field
+            districts = _want(
+                job, "districts", job.url("districts"), lambda path: check_districts(path, job.crs, field)
+            )
         else:
             left_out.append(
                 "districts: none are known for this region (only New York City's), so every block counts "
@@ -185,7 +187,7 @@ def _want(job: FetchJob, name: str, url: str, check: Callable[[Path], object]) -
 def _want_osm(job: FetchJob) -> Wanted:
     template = job.url("osm")
     box = job.box(job.margin_m)
-    wanted = _want(job, "osm", fill(template, box, query=overpass_query(box)), _check_osm)
+    wanted = _want(job, "osm", fill(template, box, query=overpass_query(box)), check_osm)
     if "{" in template:
         x_min, y_min, x_max, y_max = transformer(WGS84, job.crs).transform_bounds(*box)
         area_km2 = (x_max - x_min) * (y_max - y_min) / 1e6
@@ -212,15 +214,6 @@ def want_blocks(job: FetchJob, county: str) -> Wanted:
     return _want(
         job, "blocks", fill(job.url("blocks"), county=county), lambda path: read_block_zip(path, job.most_bytes)
     )
-
-
-def _check_osm(path: Path) -> None:
-    osm_box(path, osm_suffix(path))
-
-
-def _check_districts(path: Path, job: FetchJob) -> None:
-    check_geojson(path)
-    read_districts(path, job.crs, job.district_field)
 
 
 def _check_orbits(path: Path, day: date) -> None:

@@ -116,24 +116,26 @@ def work_path(folder: Path, resolution_m: float) -> Path:
 
 
 @contextmanager
-def only_writer(folder: Path) -> Iterator[None]:
+def only_writer(folder: Path, remedy: str = "choose another folder") -> Iterator[None]:
     """Hold a folder for one run; the hold goes with the process, however it ends.
 
     Raises:
-      InputError: another run holds it.
+      InputError: another run holds it, or it cannot be written to; ``remedy`` ends the sentence.
     """
     try:
         import fcntl
     except ImportError:  # not a Unix: two runs in one folder are the user's to avoid
         yield
         return
-    with (folder / LOCK_FILE).open("w") as file:
+    try:
+        file = (folder / LOCK_FILE).open("w")
+    except OSError as error:
+        raise InputError(f"cannot write to {str(folder)!r} ({error.strerror or error}): {remedy}") from error
+    with file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
-            raise InputError(
-                f"another run is writing to {str(folder)!r}: wait for it, or choose another folder"
-            ) from error
+            raise InputError(f"another run is writing to {str(folder)!r}: wait for it, or {remedy}") from error
         try:
             yield
         finally:

@@ -14,12 +14,14 @@ from email.utils import format_datetime
 import pytest
 
 from jaxurban.errors import InputError
-from jaxurban.io import download
+from jaxurban.io import download, webrequest
 from jaxurban.io.download import UnfitError, Wanted, cache_folder, open_client
+from jaxurban.io.store import LOCK_FILE
+from jaxurban.memory import parse_bytes
 from tests.misbehaving_server import drip, send, serve, unless_known
 
 BODY = b"good " * 2000
-MB = 10**6
+MB = 2**20
 
 
 @pytest.fixture
@@ -137,7 +139,7 @@ def test_a_server_that_drips_is_left(server):
 
 
 def test_a_declared_giant_is_refused_before_it_is_read(server):
-    url = server.put("/a", send(b"good", Content_Length="900000000"))
+    url = server.put("/a", send(b"good", Content_Length=str(900 * MB)))
     assert_refused(url, r"larger than 1.0 MB \(900.0 MB or more\): .*--max-size")
 
 
@@ -204,15 +206,98 @@ def test_redirects_are_followed_but_not_in_circles(server):
         (cache_folder() / name).unlink()
     server.put("/there", send(b"", 302, Location="/here"))
     assert_refused(server.url + "/here", "leads in circles")
-    assert len(server.asked) == 2 + download.MOST_REDIRECTS + 1
+    assert len(server.asked) == 2 + webrequest.MOST_REDIRECTS + 1
 
 
-def test_no_redirect_leads_from_https_to_http():
-    answer = download.requests.Response()
+def redirect(location):
+    return send(b"", 302, Location=location)
+
+
+@pytest.mark.parametrize(
+    ("location", "words"),
+    [("http://a.example/x", "not encrypted"), ("http://[::", "no http://"), ("file:///etc/passwd", "no http://")],
+)
+def test_no_redirect_leads_astray(location, words):
+    answer = webrequest.requests.Response()
     answer.status_code, answer.url = 302, "https://a.example/x"
-    answer.headers["Location"] = "http://a.example/x"
-    with pytest.raises(InputError, match="not encrypted"):
-        download._Session().get_redirect_target(answer)
+    answer.headers["Location"] = location
+    with pytest.raises(InputError, match=words):
+        webrequest._target(answer)
+
+
+def test_the_body_of_a_redirect_is_not_read(server):
+    def endless(handler):
+        send(b"", 302, Location="/there", Content_Length="")(handler)
+        while not server.ended.wait(0.01):
+            handler.wfile.write(b"x" * 1000)
+
+    server.put("/there", send(BODY))
+    begun_s = time.monotonic()
+    assert get(server.put("/a", endless)).path.read_bytes() == BODY
+    assert time.monotonic() - begun_s < 3.0
+
+
+def test_the_head_of_an_answer_must_come_in_time(server):
+    def letter_by_letter(handler):
+        handler.wfile.write(b"HTTP/1.0 200 OK\r\nX-Long: ")
+        while not server.ended.wait(0.05):
+            handler.wfile.write(b"x")
+
+    begun_s = time.monotonic()
+    assert_refused(server.put("/a", letter_by_letter), "sends nothing, or next to nothing", timeout_s=0.3)
+    assert time.monotonic() - begun_s < 5.0
+
+
+def test_a_server_that_breaks_off_before_it_answers_is_asked_again(server):
+    def garbage(handler):
+        handler.wfile.write(b"\x00\x01 hello\r\n\r\n")
+
+    def nothing(handler):
+        """Close at once."""
+
+    assert get(server.put("/a", nothing, garbage, send(BODY))).path.read_bytes() == BODY
+    assert len(server.asked) == 3
+
+
+def test_a_dead_end_of_a_redirect_is_the_one_blamed(server):
+    url = server.put("/a", redirect("http://localhost:9/x"))
+    assert_refused(url, rf"localhost, where {url} leads, cannot be reached")
+
+
+@pytest.mark.parametrize("length", ["\xb2", "-5"])
+def test_a_length_that_is_none_is_passed_over(server, length):
+    assert get(server.put("/a", send(BODY, Content_Length=length))).path.read_bytes() == BODY
+
+
+def test_a_length_of_many_digits_is_too_large(server):
+    assert_refused(server.put("/a", send(BODY, Content_Length="9" * 5000)), "larger than 1.0 MB")
+
+
+def test_a_size_is_told_as_it_was_given():
+    assert webrequest.megabytes(parse_bytes("500MB")) == "500.0 MB"
+
+
+def test_no_password_of_netrc_is_sent_but_that_of_the_url(server, tmp_path, monkeypatch):
+    (tmp_path / "netrc").write_text("machine 127.0.0.1 login me password secret\n")
+    monkeypatch.setenv("NETRC", str(tmp_path / "netrc"))
+    url = server.put("/a", send(BODY))
+    get(url)
+    get(url.replace("//", "//me:mine@"))
+    assert [headers.get("Authorization") for _, headers in server.asked] == [None, "Basic bWU6bWluZQ=="]
+
+
+def test_proxies_are_used(server, monkeypatch):
+    for name in ("NO_PROXY", "no_proxy", "http_proxy"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("HTTP_PROXY", server.url)
+    server.put("/a", send(BODY))
+    assert get("http://far.invalid/a").path.read_bytes() == BODY
+    assert server.asked[0][0] == "http://far.invalid/a"
+
+
+def test_a_wait_that_makes_no_sense_is_passed_over(server):
+    assert webrequest._seconds("-5") is webrequest._seconds("\xb2") is webrequest._seconds("soon") is None
+    assert_refused(server.put("/a", send(b"", 429, Retry_After="9" * 400)), "asks to wait more than a day: run")
 
 
 def test_a_published_checksum_is_compared(server):
@@ -222,6 +307,17 @@ def test_a_published_checksum_is_compared(server):
     assert_refused(url, "does not match its published MD5", md5_url=wrong)
     assert_refused(url, "is no MD5 checksum", md5_url=url)
     assert get(url, md5_url=right).path.read_bytes() == BODY
+
+
+def test_a_checksum_may_arrive_in_pieces(server):
+    def pieces(handler):
+        text = hashlib.md5(BODY).hexdigest().encode()
+        send(text[:10], Content_Length="")(handler)
+        time.sleep(0.1)
+        handler.wfile.write(text[10:])
+
+    url = server.put("/a.pbf", send(BODY))
+    assert get(url, md5_url=server.put("/a.md5", pieces)).path.read_bytes() == BODY
 
 
 def test_a_missing_checksum_is_told(server):
@@ -243,7 +339,7 @@ def test_two_runs_do_not_share_the_cache_at_a_time(server):
     url = server.put("/a", send(BODY))
     with (
         open_client(most_bytes=MB, timeout_s=5.0, is_offline=False, tell=print),
-        pytest.raises(InputError, match="another run is writing"),
+        pytest.raises(InputError, match=r"another run is writing .*XDG_CACHE_HOME"),
     ):
         get(url)
 
@@ -269,3 +365,44 @@ def test_what_is_known_of_a_file_is_json(server):
     url = server.put("/a", send(BODY))
     facts = json.loads(get(url).path.with_suffix(".json").read_text())
     assert facts["url"] == url
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        {"checked_utc": "yesterday"},
+        {"checked_utc": "2026-11-20T10:00:00"},
+        {"checked_utc": 5},
+        {"etag": 5},
+        {"etag": "a\nb"},
+        {"num_bytes": "many"},
+        {"colour": "red"},
+    ],
+)
+def test_a_damaged_entry_of_the_cache_is_fetched_again(server, damage):
+    url = server.put("/a", send(BODY))
+    facts_file = get(url).path.with_suffix(".json")
+    facts_file.write_text(json.dumps(json.loads(facts_file.read_text()) | damage))
+    assert get(url, fresh_s=3600.0).path.read_bytes() == BODY
+    assert len(server.asked) == 2
+    facts_file.write_text("[" * 100_000)
+    assert get(url, fresh_s=3600.0).path.read_bytes() == BODY
+
+
+def test_a_copy_that_fails_its_check_is_asked_for_anew(server, monkeypatch):
+    url = server.put("/a", send(b"bad"), unless_known('"7"', BODY))
+    with monkeypatch.context() as patch:
+        patch.setitem(globals(), "is_good", lambda path: None)  # an earlier version saw no fault
+        get(url)
+    with pytest.raises(InputError, match=r"has a copy that does not serve .it is not good"):
+        get(url, is_offline=True)
+    assert get(url, fresh_s=3600.0).path.read_bytes() == BODY
+
+
+def test_a_cache_that_cannot_be_written_to_can_be_read(server):
+    url = server.put("/a", send(BODY))
+    get(url)
+    (cache_folder() / LOCK_FILE).mkdir()
+    with pytest.raises(InputError, match=r"cannot write to .*set XDG_CACHE_HOME"):
+        get(url)
+    assert get(url, is_offline=True).path.read_bytes() == BODY

@@ -3,6 +3,8 @@
 import hashlib
 import io
 import json
+import re
+import tempfile
 import tomllib
 import zipfile
 from datetime import UTC, date, datetime, timedelta
@@ -200,6 +202,40 @@ def test_a_scenario_is_not_replaced_unless_asked(server, tmp_path, capsys):
     assert fetch(capsys, tmp_path / "a", "--overwrite")[0] == 0
 
 
+def files(folder):
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+def test_files_of_ones_own_are_not_replaced_unless_asked(server, tmp_path, capsys):
+    (tmp_path / "a").mkdir()
+    (tmp_path / "a" / "population.csv").write_text("mine")
+    code, out, err = fetch(capsys, tmp_path / "a")
+    assert (code, out, server.asked) == (2, "", [])
+    assert_one_sentence(err, "population.csv", "--overwrite", "-o")
+    assert files(tmp_path / "a") == {"population.csv": b"mine"}
+    assert fetch(capsys, tmp_path / "a", "--what", "osm")[0] == 0  # its own names are free
+    (tmp_path / "a" / "scenario.toml").unlink()
+    assert fetch(capsys, tmp_path / "a", "--what", "osm")[0] == 0  # what an earlier fetch wrote is not one's own
+    (tmp_path / "a" / "scenario.toml").unlink()
+    (tmp_path / "a" / "buildings.osm").write_text("mine, too")
+    assert fetch(capsys, tmp_path / "a", "--what", "osm")[0] == 2
+    assert fetch(capsys, tmp_path / "a", "--overwrite")[0] == 0
+    (tmp_path / "a" / "fetch.json").unlink()
+    (tmp_path / "a" / "fetch.json").mkdir()
+    assert_one_sentence(fetch(capsys, tmp_path / "a", "--overwrite")[2], "folder is in the way", "fetch.json")
+
+
+def test_a_run_that_fails_leaves_the_folder_as_it_was(server, tmp_path, capsys):
+    fetch(capsys, tmp_path / "a")
+    before = files(tmp_path / "a")
+    server.put("/gp", send(tle(datetime.now(UTC).date() - timedelta(days=1))))
+    server.put("/districts", send(b"<html>Log in</html>"))
+    places = ("--source", f"orbits={server.url}/gp?new", "--source", f"districts={server.url}/districts?new")
+    assert fetch(capsys, tmp_path / "a", "--overwrite", *places)[0] == 2
+    assert "/gp?new" in [path for path, _ in server.asked]
+    assert files(tmp_path / "a") == before
+
+
 def test_old_element_sets_serve_their_own_date_only(server, tmp_path, capsys):
     server.put("/gp", send(tle(date(2020, 4, 27))))
     code, _, err = fetch(capsys, tmp_path / "a", "--what", "osm,orbits")
@@ -267,6 +303,69 @@ def test_an_answer_without_buildings_is_told(server, tmp_path, capsys):
     code, _, err = fetch(capsys, tmp_path / "a", "--what", "osm")
     assert code == 2
     assert "has no building in" in err.splitlines()[-1]
+    assert cached(tmp_path) == []
+
+
+def test_an_extract_without_buildings_there_is_told(server, tmp_path, capsys):
+    url = server.put("/a.osm.pbf", send(pbf(tmp_path, osm_xml().replace(b'k="building"', b'k="highway"'))))
+    code, _, err = fetch(capsys, tmp_path / "a", "--what", "osm", "--extract", url)
+    assert code == 2
+    assert "has no building in" in err.splitlines()[-1]
+    assert files(tmp_path / "a") == {}
+
+
+def without(pattern, text):
+    return re.sub(pattern, b"", text)
+
+
+@pytest.mark.parametrize(
+    ("damaged", "words"),
+    [
+        (osm_xml().replace(b'<way id="2">', b'<way id="2" & <<'), "not well-formed"),
+        (osm_xml().replace(b'lat="40.7103"', b'lat="abc"'), "'abc'"),
+        (osm_xml().replace(b'lat="40.7103"', b'lat="NaN"'), "'NaN'"),
+        (osm_xml().replace(b'k="building"', b'k="highway"'), "has no building"),
+        (without(rb"<node [^>]*/>\n?", osm_xml()), "has 2 buildings but not their nodes"),
+    ],
+    ids=["syntax", "word", "nan", "highways", "bare"],
+)
+def test_osm_xml_is_read_to_its_end(tmp_path, damaged, words):
+    (tmp_path / "a").write_bytes(damaged)
+    with pytest.raises((UnfitError, InputError), match=words):
+        arrived.check_osm(tmp_path / "a")
+
+
+def test_every_block_of_a_pbf_is_unpacked(tmp_path):
+    body = pbf(tmp_path)
+    for place in range(len(body) // 2, len(body), 9):
+        damaged = bytearray(body)
+        damaged[place] ^= 1
+        (tmp_path / "a").write_bytes(damaged)
+        with pytest.raises(UnfitError):
+            arrived.check_osm(tmp_path / "a")
+
+
+def test_damaged_content_is_told_without_the_paths_of_scratch_files(server, tmp_path, capsys):
+    body = bytearray(block_zip(tmp_path / "b", block_ids(4)))
+    broken = {
+        "osm": osm_xml().replace(b'lat="40.7103"', b'lat="abc"'),
+        "orbits": b"\xff\xfe" * 99,
+        "blocks": without(b"PK\x05\x06.*", bytes(body)),
+        "districts": districts_geojson().replace(b"101", b'"one"'),
+    }
+    for name, content in broken.items():
+        url = server.put(f"/bad/{name}", send(content))
+        source = ("--source", f"{name}={url}")
+        what = "census" if name == "blocks" else name
+        code, _, err = fetch(capsys, tmp_path / "a", "--what", what, *source)
+        assert code == 2
+        last = err.splitlines()[-1]
+        assert url in last
+        assert "jaxurban-part" not in last
+        assert "what arrived" not in last
+        assert str(tmp_path) not in last
+        assert tempfile.gettempdir() not in last
+    assert len(cached(tmp_path)) == 2  # the counts, which were whole
 
 
 def test_blocks_of_several_counties_and_pages_come_together(server, tmp_path, capsys):
@@ -283,6 +382,24 @@ def test_blocks_of_several_counties_and_pages_come_together(server, tmp_path, ca
     # The third block from the east begins 120 m beyond the region: it is left out.
     assert blocks.block_id.tolist() == east[:2] + block_ids(4)
     assert faults["blocks_without_count"] == 0
+
+
+def test_pages_without_end_are_told(server, tmp_path, capsys):
+    server.put("/counts", send(counts_json(block_ids(4), has_more=True)))
+    code, _, err = fetch(capsys, tmp_path / "a", "--what", "census")
+    assert code == 2
+    assert "sends again what an earlier page of it held" in err.splitlines()[-1]
+    assert server.paths() == ["/counts"] * 2
+
+
+def test_districts_where_none_are_known_are_told(server, tmp_path, capsys, monkeypatch):
+    monkeypatch.delenv("JAXURBAN_SOURCE_DISTRICTS")
+    code, _, err = run(capsys, "fetch", "--bounds=-100.01,40.0,-100.0,40.01", "-o", tmp_path / "a", "--what=districts")
+    assert (code, server.asked) == (2, [])
+    assert "only New York City's" in err.splitlines()[-1]
+    url = f"{server.url}/districts"
+    assert fetch(capsys, tmp_path / "b", "--what", "districts", "--districts", url)[0] == 0
+    assert (tmp_path / "b" / "districts.geojson").read_bytes() == districts_geojson()
 
 
 def test_where_the_census_counts_nobody_the_layer_is_left_out(server, tmp_path, capsys):
@@ -347,7 +464,7 @@ def test_districts_of_ones_own_mark_nothing_commercial(server, tmp_path, capsys)
         (("--county", "61"), ("five digits",)),
         (("--margin", "-5"), ("margin",)),
         (("--max-size", "big"), ("--max-size must be a size",)),
-        (("--timeout", "0"), ("--timeout",)),
+        *((("--timeout", value), ("--timeout must be above 0 and at most 3,600 s",)) for value in ("0", "nan", "1e12")),
         (("--date", "20.11.2026"), ("--date",)),
         (("--bounds", "1,2,3"), ("west,south,east,north",)),
         (("--bounds", "-73.9,40.7,-74.0,40.8"), ("west must be below east",)),
@@ -418,7 +535,7 @@ def cut_in_half(body):
         (arrived.osm_suffix, lambda folder: pbf(folder)),
         (lambda path: arrived.read_block_zip(path, 10**6), lambda folder: block_zip(folder / "b", block_ids(4))),
         (arrived.read_counts, lambda folder: counts_json(block_ids(4))),
-        (arrived.check_geojson, lambda folder: districts_geojson()),
+        (lambda path: arrived.check_districts(path, "EPSG:32618", "BoroCD"), lambda folder: districts_geojson()),
         (arrived.orbits_suffix, lambda folder: tle(TODAY)),
     ],
     ids=["osm", "pbf", "blocks", "counts", "districts", "orbits"],
@@ -439,6 +556,45 @@ def test_a_pbf_that_lacks_its_end_is_cut_off(tmp_path, missing):
     (tmp_path / "a").write_bytes(body[:-missing])
     with pytest.raises(UnfitError, match="cut off"):
         arrived.osm_suffix(tmp_path / "a")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        (b'"POP100": 101', b'"POP100": null', "POP100 is 'None' in block"),
+        (b'"POP100": 101', b'"POP100": -7', "POP100 is '-7' in block"),
+        (b'"POP100": 101', b'"POP100": 1e999', "no number of JSON"),
+        (b"36061", b"ABCDE", "block id 'ABCDE0001001000'"),
+        (b"[", b"[" * 100_000, "nested too deep"),
+    ],
+    ids=["null", "negative", "infinite", "letters", "deep"],
+)
+def test_counts_are_numbers_of_people_by_block(tmp_path, old, new, words):
+    (tmp_path / "a").write_bytes(counts_json(block_ids(4)).replace(old, new))
+    with pytest.raises(UnfitError, match=words):
+        arrived.read_counts(tmp_path / "a")
+
+
+@pytest.mark.parametrize("coordinate", [b"NaN", b"Infinity", b"1e999", b"9" * 400])
+def test_districts_are_on_this_globe(tmp_path, coordinate):
+    (tmp_path / "a").write_bytes(districts_geojson().replace(b"-74.02", coordinate))
+    with pytest.raises((UnfitError, InputError)):
+        arrived.check_districts(tmp_path / "a", "EPSG:32618", "BoroCD")
+
+
+def test_a_zip_with_a_damaged_list_of_parts_is_refused(tmp_path):
+    body = block_zip(tmp_path / "b", block_ids(4))
+    place = body.rfind(b"PK\x01\x02")
+    for damaged in (body[100:], body[:place] + b"XXXX" + body[place + 4 :]):
+        (tmp_path / "a").write_bytes(damaged)
+        with pytest.raises(UnfitError, match="damaged or cannot be unpacked"):
+            arrived.read_block_zip(tmp_path / "a", 10**6)
+
+
+def test_blocks_bear_ids_of_blocks(tmp_path):
+    (tmp_path / "a").write_bytes(block_zip(tmp_path / "b", ["36061ABC0001000"]))
+    with pytest.raises(UnfitError, match="block id '36061ABC0001000'"):
+        arrived.read_block_zip(tmp_path / "a", 10**6)
 
 
 def test_a_zip_that_unpacks_to_too_much_is_refused(tmp_path):
