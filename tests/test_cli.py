@@ -216,9 +216,9 @@ def test_what_a_run_may_not_use_is_refused_in_one_sentence(tmp_path, capsys, opt
 
 
 def test_the_size_of_the_job_is_told_before_it_begins(made, capsys):
-    _, _, err = run(capsys, "maps", made.parent / "scenario.toml", "-o", made, "--memory", "2GiB")
+    _, _, err = run(capsys, "maps", made.parent / "scenario.toml", "-o", made, "--memory", "8GiB")
     assert "million cells" in err.splitlines()[0]
-    assert "of 2.0 GiB allowed" in err.splitlines()[0]
+    assert "of 8.0 GiB allowed" in err.splitlines()[0]
 
 
 def test_a_long_series_of_epochs_is_kept_as_statistics(tmp_path, capsys):
