@@ -74,5 +74,9 @@ def draw(found: dict) -> Figure:
     return figure
 
 
-if __name__ == "__main__":
+def main() -> None:
     draw(counterexample()).savefig(Path(__file__).with_suffix(".png"), dpi=150)
+
+
+if __name__ == "__main__":
+    main()

@@ -5,6 +5,7 @@
 """
 
 import os
+import re
 import textwrap
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cache
@@ -45,6 +46,7 @@ CENSUS = {
     "districts": DATA / "districts/nyc_community_districts.geojson",
 }
 CREDIT = "buildings © OpenStreetMap contributors (ODbL); US Census Bureau; NYC Open Data"
+UNIT = re.compile(r"(?<=\d) (?=(%|m|km|s)\b|%)")
 HEADS = ("The paper", "Here", "Why they differ")
 CAPTION_COLUMN_IN, LINE_IN, LETTERS_PER_IN = 1.25, 0.148, 15.0
 
@@ -191,7 +193,7 @@ def write_beneath(figure: Figure, caption: Caption) -> None:
     """Make the figure taller at its foot and write the caption there."""
     width_in, height_in = figure.get_size_inches()
     letters = int((width_in - CAPTION_COLUMN_IN - 0.3) * LETTERS_PER_IN)
-    paragraphs = [textwrap.fill(text, letters) for text in caption]
+    paragraphs = [textwrap.fill(UNIT.sub("\u00a0", text), letters) for text in caption]  # no line begins with a unit
     room_in = sum(LINE_IN * (text.count("\n") + 1) + 0.07 for text in paragraphs) + 0.16
     total_in = height_in + room_in
     if (layout := figure.get_layout_engine()) is not None:

@@ -102,7 +102,13 @@ def draw(town: Town, shared: WeightedMap, cases: Sequence[Case], answers: Sequen
     titles = [f"({letter}) {case.title}" for letter, case in zip("abc", cases, strict=True)]
     heading = f"Example paths {altitude_m:g} m above ground: {town.title}"
     credit = [maps.ds.attrs["attribution"]] if "attribution" in maps.ds.attrs else []
-    note = ["each panel around its paths", f"{PATH_M:g} m cells", f"{shared.time_of_day}time people", *credit]
+    note = [
+        "each panel around its paths",
+        f"{PATH_M:g} m cells",
+        f"{shared.time_of_day}time people",
+        "below: cost, length",
+        *credit,
+    ]
     footer_in = len(PAPER_PLANNERS) * LINE_IN + SCALE_IN
     frame = make_frame(parts[0], titles, heading, "  ·  ".join(note), footer_in=footer_in, with_ticks=False)
     colours = planner_colours(answers[0])
