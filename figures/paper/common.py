@@ -183,10 +183,15 @@ def listed(values: Mapping[str, float], form: str = ".2f") -> str:
 def save(figure: Figure, name: str, caption: Caption) -> None:
     """Write a figure with its caption beneath: figures/paper/NAME.png to look at, out/figures/NAME.pdf to print."""
     write_beneath(figure, caption)
-    write_png(figure, HERE / f"{name}.png")
     OUT.mkdir(parents=True, exist_ok=True)
+    write_png(figure, kept(name) / f"{name}.png")
     figure.savefig(OUT / f"{name}.pdf", dpi=300, metadata={"CreationDate": None})
     print(f"  {name}.png", flush=True)
+
+
+def kept(name: str) -> Path:
+    """Return where a picture or table is kept: not beside the scripts if it lacks the other city's part."""
+    return HERE if len(TOWNS) > 1 or name.endswith(f"_{EMBEDDED.name}") else OUT
 
 
 def write_beneath(figure: Figure, caption: Caption) -> None:
@@ -226,5 +231,8 @@ def _lift(item, height_in: float, room_in: float, total_in: float) -> None:
 def save_table(table: pd.DataFrame, name: str, title: str, caption: Caption) -> None:
     """Write a table with its caption beneath as figures/paper/NAME.md."""
     beneath = [f"**{head}.** {text}" for head, text in zip(HEADS, caption, strict=True)]
-    (HERE / f"{name}.md").write_text("\n\n".join([f"### {title}", markdown(table), *beneath]) + "\n", encoding="utf-8")
+    OUT.mkdir(parents=True, exist_ok=True)
+    (kept(name) / f"{name}.md").write_text(
+        "\n\n".join([f"### {title}", markdown(table), *beneath]) + "\n", encoding="utf-8"
+    )
     print(f"  {name}.md", flush=True)
