@@ -44,6 +44,7 @@ def test_a_script_names_its_figure_and_what_it_drew_is_small(script):
     for table in (path for path in drawn if path.suffix == ".md"):
         text = table.read_text(encoding="utf-8")
         assert all(f"**{head}.** " in text for head in common.HEADS)
+        assert all(line.endswith((".", ")", "|")) for line in text.splitlines() if line and line[0] != "#")
 
 
 @pytest.mark.parametrize("layout", ["frame", "constrained"])

@@ -46,7 +46,7 @@ CENSUS = {
     "districts": DATA / "districts/nyc_community_districts.geojson",
 }
 CREDIT = "buildings © OpenStreetMap contributors (ODbL); US Census Bureau; NYC Open Data"
-UNIT = re.compile(r"(?<=\d) (?=(%|m|km|s)\b|%)")
+UNIT = re.compile(r"(?<=\d) (?=(m|km|s|km²)\b|%)|(?<=\d) (?=x \d)|(?<=\d x) (?=\d)|(?<=\b1) (?=- m)|(?<=\b1 -) (?=m)")
 HEADS = ("The paper", "Here", "Why they differ")
 CAPTION_COLUMN_IN, LINE_IN, LETTERS_PER_IN = 1.25, 0.148, 15.0
 

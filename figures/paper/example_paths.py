@@ -33,6 +33,8 @@ from jaxurban.studies.trial import draws_samples
 from jaxurban.weighted import WeightedMap, weigh
 
 NUM_SAMPLES = 10_000  # of BIT*: the pictures repeat exactly, as under a budget in seconds they would not
+# Beside colours, for print in black and white; dashes let the line beneath show.
+DASHES = {"ptp": ":", "astar-plus": (0, (5, 2.5)), "bitstar-plus": (0, (2, 1.2))}
 MARGIN, SCALE_IN = 0.12, 0.38
 Share = tuple[float, float]  # of the region's width and height, from its southwest corner
 
@@ -116,7 +118,12 @@ def draw(town: Town, shared: WeightedMap, cases: Sequence[Case], answers: Sequen
     for panel, part, paths in zip(frame.axes, parts, answers, strict=True):
         panel.set(xlim=(part.x_min_m, part.x_max_m), ylim=(part.y_min_m, part.y_max_m))
         draw_layers(panel, part, [crop(layer, maps.grid, part) for layer in layers])
-        handles = [draw_path(panel, path, colours, rank, len(paths)) for rank, path in enumerate(paths)]
+        handles = []
+        for rank, path in enumerate(paths):
+            handles.append(draw_path(panel, path, colours, rank, len(paths)))
+            dash = DASHES.get(path.search.planner, "-")
+            for line in (handles[-1], *panel.lines[-1:]) if path.status.has_path else ():
+                line.set_linestyle(dash)
         draw_ends(panel, paths)
         legend_below(panel, frame, handles)
         draw_scale(frame, panel, part)

@@ -32,8 +32,9 @@ def caption(town: Town) -> Caption:
     return Caption(
         PAPER,
         f"The same order in {town.title}. Mean over free cells: {by_altitude(free_means(maps, 'gps', ALTITUDES_M))}. "
-        f"Poor (below {GOOD:g}): {by_altitude(poor, '.1%')}. By surroundings at 20 m: "
-        f"{listed(in_strata(maps, 'gps', 20.0))}. No cell is above {best:.2f}.",
+        f"Poor (below {GOOD:g}): {by_altitude(poor, '.1%')}. By surroundings at 20 m (open: hardly a roof within 125 "
+        f"m; wide-open: none within 250 m, mostly river): {listed(in_strata(maps, 'gps', 20.0))}. No cell is above "
+        f"{best:.2f}.",
         "The paper gives no date, no mask angle and no scale. Here satellites count from 5 degrees up, on "
         f"{maps.times[0][:10]} at {maps.times[0][11:16]} UTC ({orbits(town)}); their best geometry under an open sky "
         f"is a GDOP of {gdop:.1f}, and m is 1 only at a GDOP of 1, which no real sky reaches."

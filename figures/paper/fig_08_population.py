@@ -44,12 +44,16 @@ def draw_island(found: Island) -> Figure:
         f"{name}  ·  {np.nansum(density) * cells_km2 / 1e6:.2f} million people"
         for name, density in zip(("day", "night"), found.density, strict=True)
     ]
-    note = f"Manhattan, 2010 census blocks  ·  {CELL_M:g} m cells  ·  {found.grid.crs}"
+    note = f"Manhattan, 2010 census blocks (US Census Bureau)  ·  {CELL_M:g} m cells  ·  {found.grid.crs}"
     frame = make_frame(found.grid, titles, "Population density", note)
     for panel, density in zip(frame.axes, found.density, strict=True):
         draw_layers(panel, found.grid, density_layers(density, *style))
     add_key(
-        frame, [("nobody", EMPTY_COLOUR), ("no census\nat hand", NO_DATA_COLOUR)], style, "people per km²", extend="min"
+        frame,
+        [("nobody, or water", EMPTY_COLOUR), ("no census\nat hand", NO_DATA_COLOUR)],
+        style,
+        "people per km²",
+        extend="min",
     )
     return frame.figure
 
@@ -74,9 +78,9 @@ def main() -> None:
             PAPER,
             f"The same swing in the embedded city: {people['day']:.2f} million people by day, {people['night']:.2f} "
             "by night.",
-            "Drawn is density on a logarithmic scale, not m: m is density over the largest one in the region, and "
-            f"{norm_text(maps.m('density', time_of_day='night'))}, so m would show one bright block on black. The "
-            "city and its people are made up, with Manhattan's districts.",
+            "Drawn is density on a logarithmic scale, not m: m is density over the largest one in the region, and at "
+            f"night {norm_text(maps.m('density', time_of_day='night'))}, so m would show one bright block on black. "
+            "The city and its people are made up, with Manhattan's districts.",
         ),
     )
     if not HAS_CENSUS:
@@ -89,8 +93,9 @@ def main() -> None:
             PAPER,
             f"The same swing from the same census: commercial {totals['night']['commercial'] / 1e6:.2f} million "
             f"people by night and {totals['day']['commercial'] / 1e6:.2f} by day, residential "
-            f"{totals['night']['residential'] / 1e6:.2f} and {totals['day']['residential'] / 1e6:.2f}.",
-            "Drawn is density on a logarithmic scale: m is density over the largest one, and "
+            f"{totals['night']['residential'] / 1e6:.2f} and {totals['day']['residential'] / 1e6:.2f} (all of "
+            "Manhattan; the titles count what lies in the region).",
+            "Drawn is density on a logarithmic scale: m is density over the largest one, and at night "
             f"{norm_text(found.density[1])}. The paper's region holds the Bronx, Queens and New Jersey too; the "
             "census file at hand is New York County alone. Commercial numbers differ: Table 7.",
         ),

@@ -29,8 +29,8 @@ def caption(paths: Sequence[dict[str, PlannedPath]], found: str) -> Caption:
     return Caption(
         PAPER,
         f"{found} The two A* cost the same to the last digit, as two exact searches must.",
-        "The paper's astar-plus reduces a box of cells at every node and runs out of three minutes; here all bounds "
-        "come from a few sweeps over the map, so both A* end on every question. ptp is blocked by a single roof "
+        "The paper's astar-plus runs out of three minutes, we suppose for reducing a box of cells at every node; here "
+        "its bound, another one, takes one pass over the map, and both A* end. ptp is blocked by a single roof "
         f"above the line, also over low houses. BIT* has {NUM_SAMPLES:,} samples a question, no time limit.",
     )
 

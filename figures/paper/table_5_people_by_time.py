@@ -48,8 +48,10 @@ def main() -> None:
             for name, by in rows.items()
         ]
     )
-    here = f"The embedded city's {embedded['weekday-00']:.2f} million at night and {embedded['weekday-12']:.2f} by "
-    "day are invented."
+    here = (
+        f"The embedded city's {embedded['weekday-00']:.2f} million at night and {embedded['weekday-12']:.2f} by day "
+        "are invented."
+    )
     why = "A census counts residents: visitors in hotels and commuters who work at night are not in it."
     if HAS_CENSUS:
         night, day = census["weekday-00"], census["weekday-12"]

@@ -1,5 +1,6 @@
 """Water and parks from OpenStreetMap files: what the strata of a study need beside the maps."""
 
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ PARK = (
     *(("landuse", value) for value in ("cemetery", "forest", "recreation_ground")),
 )
 COAST = ("natural", "coastline")
+MIXED = 0.2  # share of the shore on a face's other side, above which land and sea were not parted
 GAP_M = 500.0  # a coast that ends nearer than this to the region's border was cut there
 
 
@@ -41,14 +43,14 @@ def read_land_cover(path: str | Path, crs: str, bounds_m: Bounds) -> LandCover:
     coast: list[shapely.LineString] = []
     to_wkb = osmium.geom.WKBFactory()
     try:
-        wanted = TagFilter(*WATER, *PARK, COAST)
-        for item in open_osm(path).with_areas(wanted).with_filter(wanted):
-            if isinstance(item, osmium.osm.Area) and item.num_rings()[0]:
-                is_water = any(item.tags.get(key) == value for key, value in WATER)
-                (water if is_water else parks).append(to_wkb.create_multipolygon(item))
-            elif isinstance(item, osmium.osm.Way) and item.tags.get(COAST[0]) == COAST[1]:
-                points = [(node.lon, node.lat) for node in item.nodes if node.location.valid()]
-                coast += [shapely.LineString(points)] if len(points) > 1 else []
+        areas = TagFilter(*WATER, *PARK)
+        for item in open_osm(path).with_areas(areas).with_filter(TagFilter(*WATER, *PARK, COAST)):
+            if isinstance(item, osmium.osm.Area):
+                named = None if not item.num_rings()[0] else water if _has(item, WATER) else parks
+                if named is not None and _has(item, WATER + PARK):
+                    named.append(to_wkb.create_multipolygon(item))
+            elif isinstance(item, osmium.osm.Way) and _has(item, (COAST,)):
+                coast += _runs(item)
     except (RuntimeError, ValueError, OSError) as error:
         raise InputError(
             f"{str(path)!r} cannot be read as OpenStreetMap data ({' '.join(str(error).split())}): fetch it again, or "
@@ -68,10 +70,27 @@ def read_land_cover(path: str | Path, crs: str, bounds_m: Bounds) -> LandCover:
     return LandCover(water=shapely.union(joined(water), sea(list(projected(coast)), box)), park=joined(parks))
 
 
+def _has(item: osmium.osm.OSMObject, tags: tuple[tuple[str, str], ...]) -> bool:
+    return any(item.tags.get(key) == value for key, value in tags)
+
+
+def _runs(way: osmium.osm.Way) -> list[shapely.LineString]:
+    """Return the stretches of a way between nodes that the file lacks."""
+    runs: list[list[tuple[float, float]]] = [[]]
+    for node in way.nodes:
+        if node.location.valid():
+            runs[-1].append((node.lon, node.lat))
+        else:
+            runs.append([])
+    return [shapely.LineString(points) for points in runs if len(points) > 1]
+
+
 def sea(coast: list[shapely.LineString], box: shapely.Polygon) -> shapely.Geometry:
     """Return the part of a box on the right of coast lines, which have the land on their left.
 
-    Lines that end inside the box, no farther than `GAP_M` from its border, are led on to it: extracts are cut so.
+    Lines that end inside the box, no farther than `GAP_M` from its border, are led on to it: extracts are cut so. A box
+    that no line parts is wet or dry by the side of the nearest line. Warns where the lines have a gap, so that land and
+    sea cannot be told apart.
     """
     if not coast:
         return shapely.Polygon()
@@ -94,11 +113,22 @@ def sea(coast: list[shapely.LineString], box: shapely.Polygon) -> shapely.Geomet
     start, end, length_m = start[kept], end[kept], length_m[kept]
     right = (end - start)[:, ::-1] * [1, -1] / length_m[:, None]
     tree = shapely.STRtree(faces)
-    wetness = np.zeros(len(faces))
-    for side in (1.0, -1.0):  # half a metre into the water, and into the land
+    shore_m = np.zeros((2, len(faces)))  # how much of each face's shore has it on the right, and on the left
+    for row, side in enumerate((1.0, -1.0)):  # half a metre into the water, and into the land
         point, face = tree.query(shapely.points((start + end) / 2 + 0.5 * side * right), predicate="within")
-        np.add.at(wetness, face, side * length_m[point])
-    return shapely.union_all(faces[wetness > 0])
+        np.add.at(shore_m[row], face, length_m[point])
+    wet_m, dry_m = shore_m
+    if not shore_m.any():
+        middle = np.array(shapely.get_coordinates(box.centroid)[0])
+        nearest = int(np.argmin(shapely.distance(shapely.linestrings(pieces[kept]), box.centroid)))
+        return box if right[nearest] @ (middle - start[nearest]) > 0 else shapely.Polygon()
+    if (np.minimum(wet_m, dry_m) > MIXED * np.maximum(wet_m, dry_m)).any():
+        warnings.warn(
+            "the coast lines have a gap, so that land and sea cannot be told apart everywhere: fetch an extract with "
+            "complete ways, or name another file in [study] land_cover",
+            stacklevel=2,
+        )
+    return shapely.union_all(faces[wet_m > dry_m])
 
 
 def _pieces(line: shapely.LineString) -> np.ndarray:

@@ -1,6 +1,7 @@
 """Sliders for the weights in a notebook: let one go, and the route is planned and drawn anew."""
 
 import io
+import math
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
@@ -30,8 +31,8 @@ def weight_sliders(
 ) -> "VBox":
     """Return a slider for each weight over a map with the cheapest route under them, beside the shortest one.
 
-    What a notebook shows when it is the last line of a cell. The sliders run from 0.001 to 100; one at its left end
-    weighs nothing. `route_under` draws the same for weights given in code.
+    What a notebook shows when it is the last line of a cell. The sliders run from 0.001 to 100, or to the largest
+    weight given; one at its left end weighs nothing. `route_under` draws the same for weights given in code.
 
     Args:
       maps: from `build_maps` or `open_maps`.
@@ -48,12 +49,13 @@ def weight_sliders(
     except ModuleNotFoundError as error:
         raise InputError("sliders need ipywidgets: pip install 'jaxurban[notebook]'") from error
     names = ["distance", *(name for name in METRICS if name in maps.metrics)]
-    given = weights or Weights()
+    given = (weights or Weights()).checked()
+    top = max(HIGHEST, *(math.ceil(math.log10(max(getattr(given, name), 1.0))) for name in names))
     draw = route_under(maps, start, goal, altitude_m=altitude_m, **options)
     look = {
         "base": 10,
         "min": LOWEST,
-        "max": HIGHEST,
+        "max": top,
         "step": STEP,
         "continuous_update": False,
         "readout_format": ".3g",
@@ -81,6 +83,8 @@ def route_under(
 
     Weights that are not named are 0. Arguments and errors as for `weight_sliders`.
     """
+    if "objective" in options:
+        raise InputError("the sliders weigh the route, so that its objective cannot be chosen: leave it out")
     ends = {"start": start, "goal": goal, "altitude_m": altitude_m, **options}
     # Another name than the planner's own, so that the picture tells the two apart.
     shortest = plan(

@@ -37,12 +37,23 @@ def test_an_island_is_land_in_the_sea_and_the_coast_may_come_in_pieces():
 def test_a_coast_that_was_cut_shortly_before_the_border_is_led_on_to_it():
     cut = [line((1000, 120), (1000, 1000)), line((1000, 1000), (1000, 1850))]
     assert shapely.area(sea(cut, BOX)) == pytest.approx(2000 * 2000)
-    assert sea([line((1000, 900), (1000, 1000))], BOX).is_empty  # a scrap in the middle parts nothing
 
 
 def test_two_shores_of_a_river_leave_the_water_between_them():
     west, east = line((1000, -10), (1000, 2010)), line((1600, 2010), (1600, -10))
     assert shapely.area(sea([west, east], BOX)) == pytest.approx(600 * 2000)
+
+
+def test_a_coast_with_a_gap_in_the_middle_warns():
+    broken = [line((1000, -10), (1000, 900)), line((1000, 901), (1000, 2010))]
+    with pytest.warns(UserWarning, match="the coast lines have a gap"):
+        sea(broken, BOX)
+
+
+def test_a_box_without_a_shore_is_wet_or_dry_by_the_nearest_coast():
+    west = line((-1000, -5000), (-1000, 5000))
+    assert shapely.equals(sea([west], BOX), BOX)  # the box lies on its right
+    assert sea([shapely.reverse(west)], BOX).is_empty
 
 
 def test_no_coast_is_no_sea():
@@ -91,6 +102,13 @@ def test_tagged_water_parks_and_the_sea_are_read_within_the_box(tmp_path):
     assert shapely.area(cover.park) == pytest.approx(200**2 + 100**2, rel=1e-4)  # the cemetery reaches out of the box
     assert shapely.area(cover.water) == pytest.approx(100**2 + 700 * 1000, rel=1e-3)
     assert np.allclose(shapely.bounds(cover.water), (583_100, 4_507_000, 584_000, 4_508_000), atol=0.1)
+
+
+def test_an_island_drawn_as_one_closed_coast_is_neither_park_nor_water(tmp_path):
+    file = osm_file(tmp_path, {1: ({"natural": "coastline"}, square(300, 300, 200))})  # land on the left: inside
+    cover = read_land_cover(file, CRS, (583_000, 4_507_000, 584_000, 4_508_000))
+    assert cover.park.is_empty
+    assert shapely.area(cover.water) == pytest.approx(1e6 - 200**2, rel=1e-3)
 
 
 def test_a_file_without_water_or_parks_has_none(tmp_path):
