@@ -15,7 +15,7 @@ from jaxurban.metrics.gps import visibility
 from jaxurban.oversample import build_fine_surface, lower_bands, plain_bands, upper_bands, visibility_at_centres
 from tests.embree_scene import CityScene
 
-pytestmark = pytest.mark.data
+pytestmark = [pytest.mark.data, pytest.mark.slow]
 
 REFERENCE = (-74.0, 40.715)
 TIME = "2020-04-27T00:20:00Z"  # one satellite stands at 8 degrees
