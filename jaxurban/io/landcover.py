@@ -45,10 +45,8 @@ def read_land_cover(path: str | Path, crs: str, bounds_m: Bounds) -> LandCover:
     try:
         areas = TagFilter(*WATER, *PARK)
         for item in open_osm(path).with_areas(areas).with_filter(TagFilter(*WATER, *PARK, COAST)):
-            if isinstance(item, osmium.osm.Area):
-                named = None if not item.num_rings()[0] else water if _has(item, WATER) else parks
-                if named is not None and _has(item, WATER + PARK):
-                    named.append(to_wkb.create_multipolygon(item))
+            if isinstance(item, osmium.osm.Area) and item.num_rings()[0] and _has(item, WATER + PARK):
+                (water if _has(item, WATER) else parks).append(to_wkb.create_multipolygon(item))
             elif isinstance(item, osmium.osm.Way) and _has(item, (COAST,)):
                 coast += _runs(item)
     except (RuntimeError, ValueError, OSError) as error:
