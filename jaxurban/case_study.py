@@ -19,7 +19,7 @@ from jaxurban.io.landcover import read_land_cover
 from jaxurban.io.rowstore import PARTS_FOLDER, ROWS_FILE
 from jaxurban.io.store import check_writable, only_writer, whole_file
 from jaxurban.io.tables import write_table
-from jaxurban.maps import MetricMaps, open_maps
+from jaxurban.maps import MetricMaps, Obstacles, open_maps
 from jaxurban.planners.base import CostModel, Diagonal
 from jaxurban.planners.registry import find_planner
 from jaxurban.scenario import PAPER_PLANNERS, Scenario
@@ -84,6 +84,7 @@ def study(
     workers: int = 1,
     cluster: str | None = None,
     resolution_m: float | None = None,
+    obstacles: Obstacles = "touched",
     overwrite: bool = False,
     progress: bool = True,
 ) -> StudyResult:
@@ -110,6 +111,7 @@ def study(
       workers: processes of this machine; 1 works in this process.
       cluster: address of a Dask scheduler instead, whose workers see the maps' folder under the same path.
       resolution_m: which maps, where a folder holds several.
+      obstacles: where planners may fly on the maps of a folder (see `MetricMaps`, which carry their own rule).
       overwrite: replace a study of other settings.
       progress: show a bar with running totals on stderr, where that is a terminal.
 
@@ -127,8 +129,8 @@ def study(
     settings = Settings(
         cost_model, float(reference_length_m), connectivity, diagonal, float(budget_s), budget_iterations, seed
     )
-    opened = maps if isinstance(maps, MetricMaps) else open_maps(maps, resolution_m)
-    source = maps if isinstance(maps, MetricMaps) else Source(Path(maps).resolve(), opened.grid.resolution_m)
+    opened = maps if isinstance(maps, MetricMaps) else open_maps(maps, resolution_m, obstacles=obstacles)
+    source = maps if isinstance(maps, MetricMaps) else Source(Path(maps).resolve(), opened.grid.resolution_m, obstacles)
     if instances is None:
         instances = sample_instances(
             opened,
@@ -208,7 +210,7 @@ def _claim(folder: Path, settings: Settings, maps: MetricMaps, instances: pd.Dat
     """Make the folder this study's, or raise InputError if it is another's."""
     told = asdict(settings) | {
         "maps": {name: str(maps.ds.attrs[name]) for name in ("crs", "resolution_m", "first_row", "first_col")}
-        | {"run_key": str(maps.ds.attrs.get("run_key"))},
+        | {"run_key": str(maps.ds.attrs.get("run_key")), "obstacles": maps.obstacles},
     }
     file = folder / SETTINGS_FILE
     held = _held(file)
@@ -235,6 +237,7 @@ def _in_words(told: Mapping[str, Any]) -> dict[str, str]:
         "rule for diagonal steps": f"{told.get('diagonal')}",
         "budget": f"{told.get('budget_s')} s" if iterations is None else f"{iterations} samples",
         "seed": f"{told.get('seed')}",
+        "rule of obstacles": f"{maps.get('obstacles')}",
         "maps' CRS": f"{maps.get('crs')}",
         "maps' resolution": f"{maps.get('resolution_m')} m",
         "maps' first row and column": f"{maps.get('first_row')}, {maps.get('first_col')}",

@@ -48,6 +48,7 @@ UNITS = {  # units and what a value of one means, by variable
     "num_visible": ("1", ""),
     "density": ("km-2", ""),
     "roof": ("m", ""),
+    "roof_touched": ("m", ""),
     "terrain": ("m", ""),
 }
 
@@ -144,7 +145,7 @@ def variables(
         names["obstacle_share"] = (FLOWN, np.float32)
     if has_people:
         names |= dict.fromkeys(("population", "density"), (("time_of_day", "y", "x"), np.float32))
-    names["roof"] = (("y", "x"), np.float32)
+    names |= dict.fromkeys(("roof", "roof_touched"), (("y", "x"), np.float32))
     if has_terrain:
         names["terrain"] = (("y", "x"), np.float32)
     names["has_data"] = (("y", "x"), np.bool_)
@@ -288,6 +289,8 @@ def make_layers(
                     m = np.asarray(map_blocks(surface.block, values[t]))
                 yield layer(name, [t], m)
     yield layer("roof", [], roof_m)
+    assert surface.roof_touched_m is not None
+    yield layer("roof_touched", [], surface.roof_touched_m)
     if surface.terrain_m is not None:
         yield layer("terrain", [], surface.crop(surface.terrain_m))
     yield Layer("has_data", (), np.ones(surface.region.shape, bool) if has_data is None else has_data)

@@ -4,12 +4,10 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 
 from jaxurban.errors import InputError
 from jaxurban.maps import MetricMaps
-from jaxurban.metrics.obstacle import obstacle_mask
 
 SAME_M = 1e-6  # altitudes this close are one
 MOST_LEVELS = 10_000
@@ -21,7 +19,7 @@ class Stack:
 
     Attributes:
       altitudes_m: ``[A]`` ascending.
-      is_free: ``[A, Y, X]`` bool.
+      is_free: ``[A, Y, X]`` bool, where the metrics are defined: no roof reaches the altitude at the cell's centre.
       m: by name ``[A, Y, X]`` float32, or ``[1, Y, X]`` where a metric is the same at all altitudes.
     """
 
@@ -98,15 +96,7 @@ def read_stack(
     for name in names:
         read = altitudes if "altitude" in maps.ds[maps.variable(name)].dims else altitudes[:1]
         m[name] = np.stack([maps.m(name, z_m, time=time, time_of_day=time_of_day) for z_m in read])
-    return Stack(np.array(altitudes), np.stack([maps.is_free(z_m) for z_m in altitudes]), m)
-
-
-def is_free_at(maps: MetricMaps, z_m: float) -> np.ndarray:
-    """Return ``[Y, X]`` bool: no obstacle at an altitude, be it one of the maps' or between, and data there."""
-    if z_m in maps.altitudes_m:
-        return maps.is_free(z_m)
-    is_obstacle = np.asarray(obstacle_mask(jnp.asarray(maps.m("roof")), [z_m])[0])
-    return ~is_obstacle & maps.ds["has_data"].values
+    return Stack(np.array(altitudes), np.stack([maps.is_free(z_m, "centre") for z_m in altitudes]), m)
 
 
 def listed(altitudes_m: np.ndarray) -> str:

@@ -1,8 +1,9 @@
 """MetricMaps: the metric maps of one region at one resolution; save and open."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Literal, get_args
 
 import jax.numpy as jnp
 import numpy as np
@@ -13,6 +14,9 @@ from jaxurban.errors import InputError
 from jaxurban.grid import Grid
 from jaxurban.io import store
 from jaxurban.io.orbits import iso_utc, parse_time
+from jaxurban.metrics.obstacle import obstacle_mask
+
+Obstacles = Literal["touched", "centre"]
 
 
 @dataclass(frozen=True)
@@ -22,7 +26,8 @@ class MetricMaps:
     Variables (values are m; rows run south to north): ``obstacle`` and ``lidar`` and ``risk``
     [altitude, y, x]; ``gps``, ``gdop``, ``pdop``, ``hdop``, ``vdop``, ``tdop`` and ``num_visible``
     [time, altitude, y, x]; ``population`` and ``density`` (people per km2) [time_of_day, y, x], only
-    with population data; ``roof`` and ``terrain`` (only if not flat) [y, x] in metres; ``has_data`` [y, x].
+    with population data; ``roof`` (at the cell's centre), ``roof_touched`` (the highest that shares area with the
+    cell) and ``terrain`` (only if not flat) [y, x] in metres; ``has_data`` [y, x].
     DOPs are inf with fewer than four satellites. Metrics are NaN only where ``has_data`` is False.
     Of a long series of epochs, instead of ``gps`` and the DOPs: ``gps_availability``, ``gps_median`` and ``gps_p05``
     [altitude, y, x], ``gps_epoch_mean`` [time, altitude] (mean m over free cells) and ``gps_worst_time`` [altitude].
@@ -30,9 +35,20 @@ class MetricMaps:
 
     Attributes:
       ds: the dataset; ``ds.attrs`` hold CRS, resolution and provenance.
+      obstacles: where every planner may fly. ``"touched"``: in cells that share no area with a roof that reaches the
+        altitude. ``"centre"``: in cells whose centre no such roof covers, the paper's rule, which is that of
+        ``obstacle`` and of every metric; paths then cut true outlines.
+
+    Raises:
+      InputError: an unknown rule of obstacles.
     """
 
     ds: xr.Dataset
+    obstacles: Obstacles = "touched"
+
+    def __post_init__(self) -> None:
+        if self.obstacles not in get_args(Obstacles):
+            raise InputError(f"obstacles must be 'touched' or 'centre', got {self.obstacles!r}")
 
     @property
     def grid(self) -> Grid:
@@ -114,9 +130,40 @@ class MetricMaps:
         """Return the variable that holds a metric: the median stands for GPS where a long series keeps statistics."""
         return "gps_median" if name == "gps" and "gps_median" in self.ds else name
 
-    def is_free(self, altitude_m: float) -> np.ndarray:
-        """Return ``[y, x]`` bool: no obstacle at this altitude, and data there."""
-        return (self.m("obstacle", altitude_m) == 0) & self.ds["has_data"].values
+    def is_free(self, altitude_m: float, obstacles: Obstacles | None = None) -> np.ndarray:
+        """Return ``[y, x]`` bool: no obstacle at an altitude, and data there.
+
+        At one of the maps' altitudes a cell that ``obstacle`` blocks is never free, whatever the roofs say.
+
+        Args:
+          altitude_m: above ground; one of the maps' altitudes, or any other.
+          obstacles: left out, the maps' own rule: where planners may fly. ``"centre"``: where metrics are defined.
+
+        Raises:
+          InputError: maps that hold no touched roofs.
+        """
+        rule = obstacles or self.obstacles
+        is_free = self.ds["has_data"].values
+        is_held = altitude_m in self.altitudes_m
+        if is_held:
+            is_free = is_free & (self.m("obstacle", altitude_m) == 0)
+        if rule == "touched" or not is_held:
+            is_free = is_free & ~np.asarray(obstacle_mask(jnp.asarray(self.m(self._roof(rule))), [altitude_m])[0])
+        return is_free
+
+    def _roof(self, rule: Obstacles) -> str:
+        if rule == "centre":
+            return "roof"
+        if "roof_touched" not in self.ds:
+            raise InputError(
+                "these maps hold no 'roof_touched', the roofs that planners keep clear of: make them again, or plan "
+                'with obstacles = "centre" (--obstacles centre), under which paths cut true outlines'
+            )
+        return "roof_touched"
+
+    def with_obstacles(self, obstacles: Obstacles) -> "MetricMaps":
+        """Return the same maps with another rule of where planners may fly (see ``obstacles``)."""
+        return replace(self, obstacles=obstacles)
 
     def costs(self, altitude_m: float, *, time: str | None = None, time_of_day: str | None = None) -> dict:
         """Return the cost layers c in [0, 1] by metric, ``[y, x]`` each."""
@@ -132,7 +179,7 @@ class MetricMaps:
     def normalised(self, altitude_m: float, *, time: str | None = None, time_of_day: str | None = None) -> np.ndarray:
         """Return H_norm, H_total brought to [0, 1] over free cells, NaN elsewhere, ``[y, x]``."""
         total = self.total(altitude_m, time=time, time_of_day=time_of_day)
-        return np.asarray(normalised_map(jnp.asarray(total), jnp.asarray(self.is_free(altitude_m))))
+        return np.asarray(normalised_map(jnp.asarray(total), jnp.asarray(self.is_free(altitude_m, "centre"))))
 
     def prefers_gps(self, altitude_m: float, *, time: str | None = None) -> np.ndarray:
         """Return the sensor-choice map ``[y, x]`` bool: m_gps > m_lidar."""
@@ -144,17 +191,18 @@ class MetricMaps:
         store.write_geotiffs(self.ds, Path(folder))
 
 
-def open_maps(folder: str | Path, resolution_m: float | None = None) -> MetricMaps:
+def open_maps(folder: str | Path, resolution_m: float | None = None, *, obstacles: Obstacles = "touched") -> MetricMaps:
     """Return the maps that ``MetricMaps.save`` or ``jaxurban maps`` wrote under ``folder``.
 
     Args:
       folder: the output folder.
       resolution_m: which of them; may be left out when there is one.
+      obstacles: where planners may fly (see `MetricMaps`).
 
     Raises:
-      InputError: no maps there, or several and none chosen.
+      InputError: no maps there, or several and none chosen, or an unknown rule of obstacles.
     """
-    return MetricMaps(store.open_zarr(Path(folder), resolution_m))
+    return MetricMaps(store.open_zarr(Path(folder), resolution_m), obstacles)
 
 
 def _utc(time: str | None) -> str | None:

@@ -61,9 +61,10 @@ def build_fine_surface(city: City, region: Grid, grid: Grid, oversample: int, al
       InputError: as for `build_surface`, or an ``oversample`` that is no whole number of at least 1.
     """
     without_blocks = replace(city, blocks=None)
-    return build_surface(
+    fine = build_surface(
         without_blocks, fine_grid(region, oversample), fine_grid(grid, oversample), all_touched=all_touched
     )
+    return replace(fine, roof_touched_m=None)
 
 
 @dataclass(frozen=True)

@@ -203,7 +203,7 @@ def run_scenario(
             maps = {
                 grid.resolution_m: _maps_of(
                     Maker(city, grid, sky, params, folder, key, plan.num_workers, client), watch
-                )
+                ).with_obstacles(scenario.planning.obstacles)
                 for grid, sky in zip(grids, skies, strict=True)
             }
     record = run_record(

@@ -75,7 +75,7 @@ def _listed(items: Sequence[str]) -> str:
 
 def _facts(maps: MetricMaps, altitude_m: float) -> Facts:
     """Return the means over free cells at an altitude, NaN without a free cell."""
-    is_free = maps.is_free(altitude_m)
+    is_free = maps.is_free(altitude_m, "centre")
     has_data = maps.ds["has_data"].values
     facts = {"altitude_m": altitude_m, "obstacle": 1 - float(is_free[has_data].mean())}
 

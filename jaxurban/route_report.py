@@ -220,7 +220,7 @@ class _Levels:
         low_m = max(altitude_m for altitude_m in maps.altitudes_m if altitude_m < z_m)
         high_m = min(altitude_m for altitude_m in maps.altitudes_m if altitude_m > z_m)
         share = (z_m - low_m) / (high_m - low_m)
-        return np.where(maps.is_free(low_m)[cells], (1 - share) * at(low_m) + share * at(high_m), at(high_m))
+        return np.where(maps.is_free(low_m, "centre")[cells], (1 - share) * at(low_m) + share * at(high_m), at(high_m))
 
 
 def _profile(levels: _Levels, maps: MetricMaps, pieces: Pieces) -> pd.DataFrame:

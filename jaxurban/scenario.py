@@ -267,6 +267,7 @@ class PlanningSettings(_Section):
     """How paths are sought."""
 
     planner: PlannerName = "astar-plus"
+    obstacles: Literal["touched", "centre"] = "touched"
     cost_model: Literal["cell", "line"] = "cell"
     objective: Literal["weighted", "distance"] = "weighted"
     connectivity: Literal[4, 8] = 8

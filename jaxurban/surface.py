@@ -38,7 +38,9 @@ class Surface:
       has_data: where the building (or terrain) source knows anything; None where it does everywhere.
       block: index of the census block under each cell of the region, -1 without one; None without blocks.
       grid: grid of ``roof_m``, ``terrain_m`` and ``has_data``.
-      region: the part of ``grid`` that maps report, grid of ``block``.
+      region: the part of ``grid`` that maps report, grid of ``block`` and ``roof_touched_m``.
+      roof_touched_m: height of the highest roof that shares area with each cell of the region, what planners keep
+        clear of; None where nobody plans (on finer surfaces, and those made by hand).
     """
 
     roof_m: Float[Array, "Y X"]
@@ -47,6 +49,7 @@ class Surface:
     block: Int[Array, "y x"] | None
     grid: Grid = field(metadata={"static": True})
     region: Grid = field(metadata={"static": True})
+    roof_touched_m: Float[Array, "y x"] | None = None
 
     @property
     def top_m(self) -> Float[Array, "Y X"]:
@@ -54,8 +57,8 @@ class Surface:
         return self.roof_m if self.terrain_m is None else self.terrain_m + self.roof_m
 
     def with_heights(self, height_m: Float[Array, " B"], building: Int[Array, "Y X"]) -> "Surface":
-        """Return this surface with other heights of its buildings; arguments as in `roofs_of`."""
-        return replace(self, roof_m=roofs_of(height_m, building))
+        """Return this surface with other heights of its buildings, to look at; arguments as in `roofs_of`."""
+        return replace(self, roof_m=roofs_of(height_m, building), roof_touched_m=None)
 
     @property
     def window(self) -> tuple[slice, slice]:

@@ -106,8 +106,11 @@ def raster_tile(job: TileJob, tile: Tile) -> dict[str, Seconds]:
         with timer.stage("surface"):
             grid = job.tiling.grid_of(tile)
             rasters = rasterise(job.city, grid, job.params.all_touched)
-            block = rasterise_blocks(job.city, grid) if tile in job.tiling.region_tiles else None
-            arrays = {**rasters._asdict(), "block": block}
+            arrays = rasters._asdict()
+            if tile in job.tiling.region_tiles:
+                arrays["block"] = rasterise_blocks(job.city, grid)
+            else:
+                del arrays["roof_touched_m"]
             job.work.save_arrays(name, **{key: values for key, values in arrays.items() if values is not None})
     return {"seconds": timer.seconds}
 
@@ -226,7 +229,8 @@ def _surface(job: TileJob, tile: Tile) -> Surface:
     rows, cols = (halo + part.stop - part.start for part in job.tiling.reported(tile))
     kinds["has_data"][rows : grid.num_rows - halo] = False
     kinds["has_data"][:, cols : grid.num_cols - halo] = False
-    block = job.work.load_arrays(_name("raster", tile), "block").get("block")
+    own = job.work.load_arrays(_name("raster", tile), "block", "roof_touched_m")
+    block = own.get("block")
     return Surface(
         roof_m=jnp.asarray(kinds["roof_m"]),
         terrain_m=jnp.asarray(kinds["terrain_m"]) if "terrain_m" in kinds else None,
@@ -234,4 +238,5 @@ def _surface(job: TileJob, tile: Tile) -> Surface:
         block=None if block is None else jnp.asarray(block),
         grid=grid,
         region=region,
+        roof_touched_m=jnp.asarray(own["roof_touched_m"]),
     )

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from jaxurban.errors import InputError
 from jaxurban.io.store import whole_file
-from jaxurban.maps import open_maps
+from jaxurban.maps import Obstacles, open_maps
 from jaxurban.plotting.files import write_png
 from jaxurban.plotting.tuning import plot_learning, plot_regret, plot_routes, plot_targets, plot_weights
 from jaxurban.studies.compare import Comparison, compare
@@ -46,6 +46,7 @@ class TuneSettings:
 
     Attributes:
       resolution_m: of the maps; needed where a folder holds several.
+      obstacles: where routes may fly (see `jaxurban.maps.MetricMaps`).
       altitude_m, time, time_of_day: of every route; left out, the routes' own.
       maps: further settings of `read_examples`: metrics, cost_model ...
       wishes: fit to these, instead of to the routes.
@@ -53,6 +54,7 @@ class TuneSettings:
     """
 
     resolution_m: float | None = None
+    obstacles: Obstacles = "touched"
     altitude_m: float | None = None
     time: str | None = None
     time_of_day: str | None = None
@@ -95,7 +97,7 @@ def run_tuning(
     for source in sources:
         examples += read_examples(
             source.routes,
-            open_maps(source.maps, settings.resolution_m),
+            open_maps(source.maps, settings.resolution_m, obstacles=settings.obstacles),
             settings.altitude_m,
             settings.time,
             settings.time_of_day,

@@ -6,17 +6,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import psutil
+from scipy.ndimage import label
 
 from jaxurban.cost import Weights, metric_cost
 from jaxurban.errors import InputError
-from jaxurban.levels import SAME_M, Stack, is_free_at, listed, read_stack, volume_levels
+from jaxurban.levels import SAME_M, Stack, listed, read_stack, volume_levels
 from jaxurban.limits import Limits
 from jaxurban.maps import MetricMaps
 from jaxurban.memory import gib
 from jaxurban.planned import PlannedPath
-from jaxurban.planners.base import Cell, CostModel, Diagonal
+from jaxurban.planners.base import Cell, CostModel, Diagonal, Status
 from jaxurban.planners.volume import Node, VolumeCost, VolumeProblem, charge
 from jaxurban.planners.volume_astar import volume_astar
+from jaxurban.reachability import CENTRE_REMEDY, joined_sentence
 from jaxurban.weighted import Place, Point, WeightedMap, weigh
 
 NODE_BYTES = 48  # of a volume and a search that visits all of it; 37 measured over Lower Manhattan (docs/volume.md)
@@ -64,7 +66,9 @@ class WeightedVolume:
         problem = self.problem.between(ends[0][0], ends[1][0])
         found = volume_astar(problem, budget_s=budget_s, heuristic=heuristic)
         seen_from_above = replace(found, points_m=found.points_m[:, :2])
-        planned = self.flat.finish(seen_from_above, (ends[0][1], ends[1][1]), budget_s=budget_s, seed=0)
+        remedy = self._what_would_join(problem) if found.status is Status.NO_PATH else ""
+        places = ends[0][1], ends[1][1]
+        planned = self.flat.finish(seen_from_above, places, budget_s=budget_s, seed=0, remedy=remedy)
         planned = replace(
             planned,
             z_m=found.points_m[:, 2],
@@ -119,6 +123,18 @@ class WeightedVolume:
         higher = [z for z in sorted(maps.altitudes_m) if z > levels_m[-1] and maps.is_free(z)[cell]]
         remedy = f"the lowest free altitude there is {higher[0]:g} m: raise" if higher else "raise"
         return f"{where} at every level from {levels_m[0]:g} to {levels_m[-1]:g} m; {remedy} max_altitude_m"
+
+    def _what_would_join(self, problem: VolumeProblem) -> str:
+        """Return a sentence on what would join two nodes that nothing joins (cuts of corners left aside)."""
+        maps, levels_m = self.flat.maps, problem.levels_m
+        tried = {}
+        if maps.obstacles == "touched":
+            times = (self.flat.time, self.flat.time_of_day)
+            islands, _ = label(free_levels(maps.with_obstacles("centre"), levels_m, self.limits, *times))
+            tried[CENTRE_REMEDY] = bool(islands[problem.start] == islands[problem.goal] != 0)
+        higher_m = [z_m for z_m in sorted(maps.altitudes_m) if z_m > levels_m[-1]]
+        remedy = f"raise max_altitude_m above {levels_m[-1]:g} m" if higher_m else "make maps of greater altitudes"
+        return f"{joined_sentence(tried)} Else {remedy}, or make finer maps.".strip()
 
     def _charged(self, planned: PlannedPath, paid: VolumeCost) -> PlannedPath:
         """Return a path with its weighted cost and its metrics."""
@@ -197,10 +213,8 @@ def weigh_volume(
         layers=np.broadcast_to(np.float64(is_weighed), flat.layers.shape),  # for what it says of the weights
     )
     stack = read_stack(maps, flat.names, levels_m, time=flat.time, time_of_day=flat.time_of_day)
-    is_free = np.stack([is_free_at(maps, z_m) for z_m in levels_m.tolist()])
     limits = limits or Limits()
-    if limits:
-        is_free &= ~limits.closed_levels(maps, levels_m.tolist(), time=flat.time, time_of_day=flat.time_of_day)
+    is_free = free_levels(maps, levels_m, limits, flat.time, flat.time_of_day)
     if not is_free.any():
         remedy = "raise max_altitude_m, or loosen the limits" if limits else "raise max_altitude_m"
         raise InputError(f"no cell is free from {levels_m[0]:g} to {levels_m[-1]:g} m: {remedy}")
@@ -226,6 +240,16 @@ def weigh_volume(
     )
     asked = {"min_altitude_m": min_altitude_m, "max_altitude_m": max_altitude_m, "level_step_m": level_step_m}
     return WeightedVolume(flat, stack, problem, climb_cost, float(descent_cost), limits, asked)
+
+
+def free_levels(
+    maps: MetricMaps, levels_m: np.ndarray, limits: Limits, time: str | None, time_of_day: str | None
+) -> np.ndarray:
+    """Return ``[K, Y, X]`` bool: where a path may fly, by level."""
+    is_free = np.stack([maps.is_free(z_m) for z_m in levels_m.tolist()])
+    if limits:
+        is_free &= ~limits.closed_levels(maps, levels_m.tolist(), time=time, time_of_day=time_of_day)
+    return is_free
 
 
 def plan_volume(

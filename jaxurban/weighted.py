@@ -12,11 +12,12 @@ from jaxurban.io.orbits import iso_utc, parse_time
 from jaxurban.limits import Limits
 from jaxurban.maps import MetricMaps
 from jaxurban.planned import PlannedPath
-from jaxurban.planners.base import Cell, CostModel, Diagonal, Path, Problem
+from jaxurban.planners.base import Cell, CostModel, Diagonal, Path, Problem, Status
 from jaxurban.planners.evaluate import PathCost, evaluate
 from jaxurban.planners.refine import refine as refine_path
 from jaxurban.planners.registry import check_seed, find_planner
 from jaxurban.planners.theta import check_line_model
+from jaxurban.reachability import Reachability
 
 Point = tuple[float, float]
 REFINING_SHARE = 0.25  # of the budget, kept for refinement where it is asked for
@@ -160,6 +161,8 @@ class WeightedMap:
     def _why_closed(self, cell: Cell) -> str:
         """Return what closes a cell: an obstacle, or each limit by name."""
         if not self.maps.is_free(self.altitude_m)[cell]:
+            if self.maps.is_free(self.altitude_m, "centre")[cell]:
+                return "in a cell that an obstacle touches"
             return "inside an obstacle (or where there are no data)"
         reasons = self.limits.reasons(self.maps, self.altitude_m, cell, self.time, self.time_of_day)
         return "closed by " + " and ".join(reasons)
@@ -195,8 +198,23 @@ class WeightedMap:
             found = refine_path(problem, found, budget_s=max(left_s, budget_s * REFINING_SHARE / 2))
         return self.finish(found, ends, budget_s=budget_s, seed=seed)
 
-    def finish(self, found: Path, ends: tuple[Place, Place], *, budget_s: float, seed: int) -> PlannedPath:
-        """Return a planner's path with its weighted cost, its metrics, its coordinates and its settings."""
+    @cached_property
+    def reachability(self) -> Reachability:
+        """What joins places on these maps."""
+        cuts_corners = self.connectivity == 8 and self.diagonal == "always"
+        return Reachability(self.maps, self.limits, self.time, self.time_of_day, cuts_corners)
+
+    def finish(
+        self, found: Path, ends: tuple[Place, Place], *, budget_s: float, seed: int, remedy: str | None = None
+    ) -> PlannedPath:
+        """Return a planner's path with its weighted cost, its metrics, its coordinates and its settings.
+
+        Args:
+          found: from a planner.
+          ends: from `locate`.
+          budget_s, seed: for the record.
+          remedy: sentence on what would join start and goal where nothing does; left out, it is found here.
+        """
         grid = self.grid
         notes = (
             [found.note]
@@ -208,6 +226,10 @@ class WeightedMap:
         if self.limits and not found.status.has_path:
             share = 1 - self.is_free.sum() / self.maps.is_free(self.altitude_m).sum()
             notes.append(f"Limits were on ({self.limits}): they close {share:.1%} of the cells without an obstacle.")
+        if found.status is Status.NO_PATH:
+            if remedy is None:
+                remedy = self.reachability.what_would_join(ends[0].cell, ends[1].cell, self.altitude_m)
+            notes.append(remedy)
         if unpaid := [name for name in METRICS if name not in self.names and getattr(self.weights, name) > 0]:
             notes.append(f"These maps hold no {' and no '.join(unpaid)}, so that weight is ignored.")
         xy_m = found.points_m + np.array([grid.x_min_m, grid.y_min_m])
@@ -234,6 +256,7 @@ class WeightedMap:
                 "time": self.time,
                 "time_of_day": self.time_of_day,
                 "limits": self.limits.to_dict(),
+                "obstacles": self.maps.obstacles,
                 "resolution_m": grid.resolution_m,
                 "budget_s": budget_s if np.isfinite(budget_s) else None,
                 "seed": seed,

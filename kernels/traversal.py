@@ -8,6 +8,7 @@ from numba import njit
 from jaxurban.errors import InputError
 
 TOUCH_CELLS = 1e-9  # in cell sides: a cut this short is rounding of a touched corner or border, not a crossing
+SNAP_CELLS = 1e-6  # an outline's corner this close to a border of cells lies on it: micrometres, by rounding of metres
 
 
 class Crossings(NamedTuple):
@@ -109,3 +110,39 @@ def _walk(points, most_pieces):
                 num_y -= 1
             at = end
     return segment[:count], row[:count], col[:count], length[:count]
+
+
+@njit(cache=True, nogil=True)
+def burn_edges(points, ring_start, values, burnt):
+    """Raise the cells of ``burnt`` whose interior an edge of a ring crosses to at least the ring's value, in place.
+
+    With the cells whose centre lies in an outline these are all that the outline shares area with: a cell that is
+    neither crossed by its border nor holds it is in or out as a whole. An edge along a border of cells crosses none.
+
+    Args:
+      points: ``[P, 2]`` float64 x, y of the rings' corners in cell sides from the corner of ``burnt``, first and last
+        of a ring the same; within ``SNAP_CELLS`` of a border they are taken to lie on it.
+      ring_start: ``[R + 1]`` int64 where each ring begins in ``points``, and the end.
+      values: ``[R]`` of the rings, in the type of ``burnt``.
+      burnt: ``[Y, X]``, row 0 in the south; what lies outside is left out.
+    """
+    num_rows, num_cols = burnt.shape
+    edge = np.empty((2, 2))
+    for ring in range(len(values)):
+        for at in range(ring_start[ring], ring_start[ring + 1] - 1):
+            for k in range(2):
+                for axis in range(2):
+                    value = points[at + k, axis]
+                    border = np.rint(value)
+                    edge[k, axis] = border if abs(value - border) < SNAP_CELLS else value
+            (x0, y0), (x1, y1) = edge
+            if max(x0, x1) < 0 or max(y0, y1) < 0 or min(x0, x1) > num_cols or min(y0, y1) > num_rows:
+                continue
+            if (x0 == x1 and x0 == np.rint(x0)) or (y0 == y1 and y0 == np.rint(y0)):
+                continue
+            most_pieces = int(abs(np.floor(x1) - np.floor(x0)) + abs(np.floor(y1) - np.floor(y0))) + 2
+            _, rows, cols, lengths = _walk(edge, most_pieces)
+            for piece in range(len(rows)):
+                row, col = rows[piece], cols[piece]
+                if lengths[piece] > TOUCH_CELLS and 0 <= row < num_rows and 0 <= col < num_cols:
+                    burnt[row, col] = max(burnt[row, col], values[ring])

@@ -92,7 +92,7 @@ plot_metric(maps, "risk", altitudes_m=shown)
 # main finding.
 
 # %%
-is_street = maps.is_free(10.0) & (maps.m("risk", 10.0) < 1)
+is_street = maps.is_free(10.0, "centre") & (maps.m("risk", 10.0) < 1)
 means = pd.DataFrame(
     {
         z: {name: maps.m(name, z)[is_street].mean() for name in ("gps", "lidar", "risk")}

@@ -38,7 +38,7 @@ def made_maps(
         **{name: (FLOWN, values) for name, values in flown.items()},
         "population": (("time_of_day", "y", "x"), people),
         "density": (("time_of_day", "y", "x"), 50_000 * people),
-        "roof": (("y", "x"), roof_m),
+        **dict.fromkeys(("roof", "roof_touched"), (("y", "x"), roof_m)),
         "has_data": (("y", "x"), np.ones(grid.shape, bool)),
     }
     coords = {

@@ -75,7 +75,7 @@ def test_places_may_be_given_in_metres(maps, pairs):
 
 
 def test_a_query_that_cannot_be_asked_is_a_row_with_its_sentence(maps, pairs):
-    wall = maps.grid.lonlat_of_cell(*np.argwhere(~maps.is_free(20.0))[0])
+    wall = maps.grid.lonlat_of_cell(*np.argwhere(~maps.is_free(20.0, "centre"))[0])
     table = pd.DataFrame([[*start, *goal] for start, goal in pairs], columns=list(LONLAT))
     table.loc[1, ["start_lon", "start_lat"]] = wall
     table.loc[2, "goal_lat"] = np.nan

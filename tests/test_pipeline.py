@@ -15,12 +15,10 @@ from jaxurban import pipeline, record
 from jaxurban.city import Raster
 from jaxurban.errors import InputError
 from jaxurban.io import store
-from jaxurban.io.rasterise import burn
 from jaxurban.scenario import Scenario
 from tests.cli_runs import assert_one_sentence, run
 
 REGION = {"bounds": [-74.0, 40.755, -73.993, 40.761], "resolution_m": 20, "altitudes_m": [20]}
-CORNER = np.array([110_000, 900_000])  # column and row of a cell somewhere in New York
 SETTINGS = {"region": REGION, "buildings": {"source": "synthetic"}}
 
 
@@ -168,21 +166,6 @@ def test_a_hill_beyond_the_buildings_hides_low_satellites():
     seen = ju.build_maps(city, resolution_m=20.0, altitudes_m=(20.0,)).m("num_visible", 20.0)
     flat = ju.City(city.crs, city.extent_m, city.buildings)
     assert seen.mean() < ju.build_maps(flat, resolution_m=20.0, altitudes_m=(20.0,)).m("num_visible", 20.0).mean()
-
-
-@pytest.mark.parametrize("all_touched", [False, True])
-@pytest.mark.parametrize("resolution_m", [5.0, 0.7])
-def test_burning_a_part_equals_the_crop_even_on_cell_borders(all_touched, resolution_m):
-    rng = np.random.default_rng(0)
-    outer = ju.Grid("EPSG:32618", resolution_m, 900_000, 110_000, 40, 40)
-    inner = ju.Grid("EPSG:32618", resolution_m, 900_007, 110_013, 20, 17)
-    for _ in range(40):
-        cells = rng.integers(0, 80, (4, 2)) / 2.0  # vertices on cell borders and centres
-        polygon = shapely.convex_hull(shapely.multipoints((cells + CORNER) * resolution_m))
-        if polygon.area == 0:
-            continue
-        whole, part = (burn(np.array([polygon]), np.ones(1), g, 0.0, "float32", all_touched) for g in (outer, inner))
-        np.testing.assert_array_equal(part, whole[inner.window_in(outer)])
 
 
 LONG = {"gps": {"start": "2020-04-27T00:00:00Z", "stop": "2020-04-27T06:00:00Z", "step_s": 900}}

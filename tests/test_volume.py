@@ -14,7 +14,7 @@ import jaxurban as ju
 from jaxurban.errors import InputError
 from jaxurban.io.airspace import Zone
 from jaxurban.io.export import write_path
-from jaxurban.levels import is_free_at, read_stack, volume_levels
+from jaxurban.levels import read_stack, volume_levels
 from jaxurban.planners.base import Status
 from jaxurban.volume import weigh_volume
 from tests.cli_runs import assert_one_sentence, run
@@ -116,7 +116,7 @@ def test_paths_keep_their_bounds_and_fly_above_every_roof(maps, ends):
     # Over the cells of both ends of a step, and the cells beside a diagonal one, the lower end is above the roof.
     rows, cols = cells_of(maps, path)
     low_m = np.minimum(path.z_m[:-1], path.z_m[1:])
-    roof_m = maps.m("roof")
+    roof_m = maps.m("roof_touched")
     for row, col in ((rows[:-1], cols[:-1]), (rows[1:], cols[1:]), (rows[:-1], cols[1:]), (rows[1:], cols[:-1])):
         assert np.all(roof_m[row, col] < low_m)
 
@@ -125,14 +125,14 @@ def test_metrics_between_altitudes_run_linearly_but_not_out_of_buildings(maps):
     stack = read_stack(maps, ["gps", "population"], np.array([30.0]), time=None, time_of_day="night")
     np.testing.assert_array_equal(stack.altitudes_m, [20, 60])
     low, high = (maps.m("gps", z_m) for z_m in (20.0, 60.0))
-    is_free = maps.is_free(20.0)
+    is_free = maps.is_free(20.0, "centre")
     between = stack.metric("gps", 30.0)
     np.testing.assert_allclose(between[is_free], (0.75 * low + 0.25 * high)[is_free], rtol=1e-6)
     np.testing.assert_array_equal(between[~is_free], high[~is_free])
     np.testing.assert_array_equal(stack.metric("population", 30.0), maps.m("population", time_of_day="night"))
-    roof_m = maps.m("roof")
-    for z_m in (30.0, 60.0):
-        np.testing.assert_array_equal(is_free_at(maps, z_m), roof_m < z_m)
+    for rule, roof_m in (("centre", maps.m("roof")), ("touched", maps.m("roof_touched"))):
+        for z_m in (30.0, 60.0):
+            np.testing.assert_array_equal(maps.is_free(z_m, rule), roof_m < z_m)
 
 
 def test_the_shortest_path_leaves_climb_and_descent_out(maps, ends):
@@ -270,7 +270,7 @@ def test_a_volume_flies_over_a_zone_with_a_ceiling_and_around_one_without():
     low_x, low_y = grid.xy_of_cell(0, 45)
     high_x, high_y = grid.xy_of_cell(grid.num_rows - 1, 50)
     wall = shapely.box(low_x, low_y - 100, high_x, high_y + 100)
-    free = np.argwhere(is_free_at(maps, 20.0))
+    free = np.argwhere(maps.is_free(20.0))
     start, goal = (tuple(free[free[:, 1] == col][0]) for col in (5, 95))
     ends = {"start_xy_m": centre(maps, start), "goal_xy_m": centre(maps, goal), "start_altitude_m": 20.0}
 

@@ -77,10 +77,16 @@ class Caption(NamedTuple):
 
 
 _REGION = {"resolution_m": [MAP_M, PATH_M], "altitudes_m": list(ALTITUDES_M)}
+_PLANNING = {"obstacles": "centre"}  # the paper's rule
 EMBEDDED = Town(
     "embedded",
     "the embedded city",
-    {"region": {"bounds": BOUNDS, **_REGION}, "buildings": {"source": "synthetic"}, "gps": {"times": [EPOCH]}},
+    {
+        "region": {"bounds": BOUNDS, **_REGION},
+        "buildings": {"source": "synthetic"},
+        "gps": {"times": [EPOCH]},
+        "planning": _PLANNING,
+    },
     (20.0, 60.0, 122.0),
 )
 MANHATTAN = Town(
@@ -91,6 +97,7 @@ MANHATTAN = Town(
         "buildings": {"source": str(OSM)},
         "gps": {"orbits": str(ORBITS), "times": [EPOCH]},
         "population": {name: str(file) for name, file in CENSUS.items()},
+        "planning": _PLANNING,
     },
     ALTITUDES_M,
 )
@@ -158,19 +165,19 @@ def by_altitude(values: Mapping[float, float], form: str = ".2f") -> str:
 
 def free_means(maps: ju.MetricMaps, metric: str, altitudes_m: Sequence[float]) -> dict[float, float]:
     """Return the mean of a metric over the free cells, by altitude."""
-    return {z: float(maps.m(metric, z)[maps.is_free(z)].mean(dtype=float)) for z in altitudes_m}
+    return {z: float(maps.m(metric, z)[maps.is_free(z, "centre")].mean(dtype=float)) for z in altitudes_m}
 
 
 def shares(
     maps: ju.MetricMaps, altitudes_m: Sequence[float], is_so: Callable[[float], np.ndarray]
 ) -> dict[float, float]:
     """Return the share of the free cells of which something is so, by altitude."""
-    return {z: float(is_so(z)[maps.is_free(z)].mean()) for z in altitudes_m}
+    return {z: float(is_so(z)[maps.is_free(z, "centre")].mean()) for z in altitudes_m}
 
 
 def in_strata(maps: ju.MetricMaps, metric: str, altitude_m: float) -> dict[str, float]:
     """Return the mean of a metric over the free cells of each stratum (`studies.strata`) that the maps hold."""
-    strata, is_free, m = strata_of(maps), maps.is_free(altitude_m), maps.m(metric, altitude_m)
+    strata, is_free, m = strata_of(maps), maps.is_free(altitude_m, "centre"), maps.m(metric, altitude_m)
     chosen = {name: is_free & (strata == number) for number, name in enumerate(STRATA)}
     return {name: float(m[cells].mean(dtype=float)) for name, cells in chosen.items() if cells.any()}
 

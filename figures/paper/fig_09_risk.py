@@ -21,7 +21,7 @@ def caption(town: Town) -> Caption:
     maps = town.maps(MAP_M)
     threshold_m = RiskParams().threshold_m
     is_near = maps.m("risk", 20.0) <= NEAR_M / threshold_m
-    is_free = maps.is_free(20.0)
+    is_free = maps.is_free(20.0, "centre")
     strata = strata_of(maps)
     near = {name: is_near[is_free & (strata == number)].mean() for number, name in enumerate(STRATA)}
     clear = shares(maps, ALTITUDES_M, lambda z: maps.m("risk", z) >= 1)

@@ -18,7 +18,7 @@ NOT_MAPPED = "no"
 def measured(town: Town) -> dict[str, str]:
     """Return what the maps of a town say of each risk, by the name of its row."""
     run, maps = town.run(), town.maps(MAP_M)
-    is_free, settings = maps.is_free(ALTITUDE_M), Scenario.from_dict(town.scenario)
+    is_free, settings = maps.is_free(ALTITUDE_M, "centre"), Scenario.from_dict(town.scenario)
 
     def percent(is_so: np.ndarray) -> str:
         return f"{100 * is_so[is_free].mean():.1f} %"

@@ -15,7 +15,7 @@ def shares(town: Town) -> dict[float, np.ndarray]:
     """Return the percentages of the free cells in each rating, and last of those without any fix, by altitude."""
     maps, found = town.maps(MAP_M), {}
     for z in ALTITUDES_M:
-        gdop = maps.m("gdop", z)[maps.is_free(z)]
+        gdop = maps.m("gdop", z)[maps.is_free(z, "centre")]
         count = np.bincount(rating(gdop), minlength=len(Rating))
         found[z] = 100 * np.append(count, np.isinf(gdop).sum()) / gdop.size
         assert np.isclose(found[z][:-1].sum(), 100), "the ratings leave cells out"

@@ -39,6 +39,12 @@ class LonLat(click.ParamType):
 
 
 LONLAT = LonLat()
+OBSTACLES = click.option(
+    "--obstacles",
+    type=click.Choice(["touched", "centre"]),
+    help="Cells that no path enters: all that a building touches, or (the paper) only where it covers the centre; "
+    "paths then cut true outlines.  [default: the scenario's, else touched]",
+)
 JSON_FLAG = click.option("--json", "as_json", is_flag=True, help="Print one machine-readable object on stdout.")
 
 

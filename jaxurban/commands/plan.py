@@ -9,6 +9,7 @@ import click
 from jaxurban.commands.common import (
     JSON_FLAG,
     LONLAT,
+    OBSTACLES,
     Settings,
     print_json,
     stored_settings,
@@ -29,6 +30,7 @@ from jaxurban.commands.common import (
 @click.option("--heuristic", help="Left out: the planner's own.")
 @click.option("--objective", type=click.Choice(["weighted", "distance"]), help="What to minimise.")
 @click.option("--cost-model", type=click.Choice(["cell", "line"]), help="cell (the paper) or line.")
+@OBSTACLES
 @click.option("--weights", "weights_text", help="As gps=1,risk=2; those not named keep their values.")
 @click.option("--budget", "budget_s", type=float, help="Seconds that the search may take.")
 @click.option("--seed", type=click.IntRange(min=0))
@@ -96,7 +98,7 @@ def plan(
         chosen = {name: value for name, value in chosen.items() if name not in ("planner", "seed", "refine")}
         chosen["start_altitude_m"] = altitude_m = chosen.pop("altitude_m")
         chosen["goal_altitude_m"] = altitude_m if chosen["goal_altitude_m"] is None else chosen["goal_altitude_m"]
-    maps = open_maps(folder, resolution_m)
+    maps = open_maps(folder, resolution_m, obstacles=chosen.pop("obstacles") or "touched")
     planned = (plan_volume if is_volume else plan_path)(
         maps,
         limits=Limits.read(no_fly, require),

@@ -8,6 +8,7 @@ import click
 from jaxurban.commands.common import (
     JSON_FLAG,
     LONLAT,
+    OBSTACLES,
     print_json,
     stages,
     stored_settings,
@@ -28,6 +29,7 @@ NAMED = {"vary": "vary", "triangle": "triangle", "wishes": "pareto"}  # lists of
 @click.option("--time", "epoch", help="Epoch of the GPS map, UTC; the first if left out.")
 @click.option("--resolution", "resolution_m", type=float, help="Of the maps, metres; needed where DIR holds several.")
 @click.option("--cost-model", type=click.Choice(["cell", "line"]), help="cell (the paper) or line.")
+@OBSTACLES
 @click.option("--weights", "weights_text", default="", help="As gps=1,risk=2; those not named keep their values.")
 @click.option("--snap", is_flag=True, help="Move a start or goal inside an obstacle to the nearest free cell.")
 @click.option(
@@ -81,7 +83,8 @@ def sensitivity(
     how: dict[str, Any] = {name: given.pop(name) for name in study_only}
     how |= {name: _names(given.pop(option)) for name, option in NAMED.items()}
     factors = _factors(factors_text)
-    maps = open_maps(folder, resolution_m)
+    obstacles = given.pop("obstacles") or planning.get("obstacles", "touched")
+    maps = open_maps(folder, resolution_m, obstacles=obstacles)
     check_writable(output)
     asked = {"weights": weights, **given}
     first = plan(maps, time=asked["epoch"], **{name: value for name, value in asked.items() if name != "epoch"})

@@ -8,7 +8,7 @@ from typing import Any
 import click
 from click.core import ParameterSource
 
-from jaxurban.commands.common import JSON_FLAG, print_json, rounds, stored_settings, tell
+from jaxurban.commands.common import JSON_FLAG, OBSTACLES, print_json, rounds, stored_settings, tell
 
 SHARED = ("cost_model", "reference_length_m", "connectivity", "diagonal")  # settings of planning, of the scenario
 
@@ -31,6 +31,7 @@ SHARED = ("cost_model", "reference_length_m", "connectivity", "diagonal")  # set
 @click.option("--time", help="Epoch of the GPS map, UTC.  [default: the routes' own, else the first]")
 @click.option("--resolution", "resolution_m", type=float, help="Of the maps, metres; needed where DIR holds several.")
 @click.option("--cost-model", type=click.Choice(["cell", "line"]), help="[default: the scenario's, else cell]")
+@OBSTACLES
 @click.option("--scale", type=click.Choice(["simplex", "distance"]), help="Weights sum to 1, or distance weighs 1.")
 @click.option("--bootstrap", type=click.IntRange(min=0), help="Fits for the intervals.  [default: 200]")
 @click.option("--rounds", "max_rounds", type=click.IntRange(min=1), help="Of searches, at most.")
@@ -69,6 +70,7 @@ def tune(
         name: given.pop(name) for name in ("max_rounds", "seed", "budget_s", "backend")
     }
     settings = TuneSettings(
+        obstacles=given.pop("obstacles") or planning.get("obstacles", "touched"),
         **given,
         maps=on_maps,
         wishes=tuple(Wish.parse(text) for text in wishes),

@@ -15,6 +15,7 @@ from jaxurban.city import City
 from jaxurban.errors import InputError
 from jaxurban.grid import Grid
 from jaxurban.io.raster import resample_raster
+from jaxurban.kernels.traversal import burn_edges
 from jaxurban.surface import NO_BUILDING, Surface
 
 NO_BLOCK = -1
@@ -23,8 +24,8 @@ _BURNING = threading.Lock()  # rasterio silences a warning meanwhile, which thre
 Margins = tuple[float, float, float, float]  # west, south, east, north, metres
 
 
-def burn(polygons: np.ndarray, values: np.ndarray, grid: Grid, fill: float, dtype: str, all_touched: bool = False):
-    """Return ``values`` burnt at the cells of ``polygons``, the highest value where they overlap.
+def burn(polygons: np.ndarray, values: np.ndarray, grid: Grid, fill: float, dtype: str) -> np.ndarray:
+    """Return ``values`` burnt at the cells whose centre lies in ``polygons``, the highest value where they overlap.
 
     Args:
       polygons: ``[N]`` shapely polygons in the grid's CRS.
@@ -32,33 +33,54 @@ def burn(polygons: np.ndarray, values: np.ndarray, grid: Grid, fill: float, dtyp
       grid: where to burn.
       fill: value of cells that no polygon holds.
       dtype: of the result.
-      all_touched: burn every touched cell, not only those whose centre is inside.
 
     Returns:
       ``[Y, X]`` array of ``dtype``, row 0 in the south.
     """
-    x_min, y_min, x_max, y_max = grid.bounds_m
-    west, south, east, north = shapely.bounds(polygons).T
-    near = np.flatnonzero((west <= x_max) & (east >= x_min) & (south <= y_max) & (north >= y_min))
+    near = _near(polygons, grid)
     if near.size == 0:
         return np.full(grid.shape, fill, dtype)
     near = near[np.argsort(values[near], kind="stable")]  # later ones win, so the highest comes last
-    # In cells rather than metres: subtracting whole numbers is exact, so a border that runs through cell
-    # centres falls to the same side whatever part of the grid is burnt. (Rows run north, as ours do.)
-    corner = np.array([grid.first_col, grid.first_row])
-    in_cells = shapely.transform(polygons[near], lambda xy_m: xy_m / grid.resolution_m - corner)
-    if all_touched:
-        # An outline that ends exactly on a cell border does not touch the next cell.
-        in_cells = shapely.buffer(in_cells, -1e-6, join_style="mitre")
-        kept = ~shapely.is_empty(in_cells)
-        in_cells, near = in_cells[kept], near[kept]
+    in_cells = shapely.transform(polygons[near], lambda xy_m: _cells_of(xy_m, grid))
     shapes = list(zip(in_cells, values[near].tolist(), strict=True))
-    if not shapes:
-        return np.full(grid.shape, fill, dtype)
     with _BURNING:
-        return rasterize(
-            shapes, grid.shape, fill=fill, transform=Affine.identity(), all_touched=all_touched, dtype=dtype
-        )
+        return rasterize(shapes, grid.shape, fill=fill, transform=Affine.identity(), dtype=dtype)
+
+
+def widen(burnt: np.ndarray, polygons: np.ndarray, values: np.ndarray, grid: Grid) -> np.ndarray:
+    """Return what `burn` gave, raised to the highest value among the polygons that share area with each cell.
+
+    A polygon that ends on a border of cells does not touch the next one. GDAL's ``all_touched`` is not used: it
+    misses cells that an edge enters by less than a hundredth of a side, along up to a whole side.
+
+    Args:
+      burnt: ``[Y, X]`` from `burn`.
+      polygons, values, grid: as there.
+    """
+    widened = burnt.copy()
+    near = _near(polygons, grid)
+    if near.size:
+        _, points, (ring_start, polygon_start, *outer) = shapely.to_ragged_array(polygons[near])
+        num_rings = np.diff(polygon_start[outer[0]] if outer else polygon_start)
+        ring_values = np.repeat(values[near], num_rings).astype(burnt.dtype)
+        burn_edges(_cells_of(points, grid), ring_start.astype(np.int64), ring_values, widened)
+    return widened
+
+
+def _near(polygons: np.ndarray, grid: Grid) -> np.ndarray:
+    """Return the numbers of the polygons whose box meets a grid."""
+    x_min, y_min, x_max, y_max = grid.bounds_m
+    west, south, east, north = shapely.bounds(polygons).T
+    return np.flatnonzero((west <= x_max) & (east >= x_min) & (south <= y_max) & (north >= y_min))
+
+
+def _cells_of(xy_m: np.ndarray, grid: Grid) -> np.ndarray:
+    """Return coordinates in cell sides from the grid's southwest corner.
+
+    Subtracting whole numbers is exact, so a border that runs through cell centres falls to the same side whatever
+    part of the grid is burnt.
+    """
+    return xy_m / grid.resolution_m - np.array([grid.first_col, grid.first_row])
 
 
 def highest_top_m(city: City) -> float:
@@ -95,27 +117,37 @@ class Rasters(NamedTuple):
     """A city on one grid, as `Surface` holds it, in host memory; ``has_data`` is None where data are everywhere."""
 
     roof_m: np.ndarray
+    roof_touched_m: np.ndarray
     terrain_m: np.ndarray | None
     has_data: np.ndarray | None
 
 
 def rasterise(city: City, grid: Grid, all_touched: bool = False) -> Rasters:
-    """Return roofs, terrain and where they are known. Every cell depends on its own place alone."""
+    """Return roofs, terrain and where they are known. Every cell depends on its own place alone.
+
+    Args:
+      city: with outlines or a height raster.
+      grid: where to burn.
+      all_touched: ``roof_m`` is ``roof_touched_m`` too.
+    """
     has_data = None
     if city.buildings is not None:
-        roof_m = burn(city.buildings.polygons, city.buildings.height_m, grid, 0.0, "float32", all_touched)
+        outlines = city.buildings.polygons, city.buildings.height_m, grid
+        roof_m = burn(*outlines, 0.0, "float32")
+        touched_m = widen(roof_m, *outlines)
     else:
         assert city.roofs is not None
-        roof_m = resample_raster(city.roofs, grid, "max" if all_touched else "nearest")
-        has_data = np.isfinite(roof_m)
-        roof_m = np.where(has_data, np.maximum(roof_m, 0.0), 0.0).astype(np.float32)
+        centre_m, touched_m = (resample_raster(city.roofs, grid, how) for how in ("nearest", "max"))
+        has_data = np.isfinite(touched_m if all_touched else centre_m)
+        roof_m, touched_m = (np.fmax(roof, np.float32(0)) for roof in (centre_m, touched_m))
     terrain_m = None
     if city.terrain is not None:
         terrain_m = resample_raster(city.terrain, grid, "bilinear")
         known = np.isfinite(terrain_m)
         has_data = known if has_data is None else has_data & known
         terrain_m = np.where(known, terrain_m, UNKNOWN_GROUND_M).astype(np.float32)
-    return Rasters(roof_m, terrain_m, None if has_data is None or has_data.all() else has_data)
+    has_data = None if has_data is None or has_data.all() else has_data
+    return Rasters(touched_m if all_touched else roof_m, touched_m, terrain_m, has_data)
 
 
 def building_index(city: City, grid: Grid, all_touched: bool = False) -> np.ndarray:
@@ -131,7 +163,9 @@ def building_index(city: City, grid: Grid, all_touched: bool = False) -> np.ndar
     by_height = np.argsort(city.buildings.height_m, kind="stable")
     rank = np.empty_like(by_height)
     rank[by_height] = np.arange(len(rank))
-    burnt = burn(city.buildings.polygons, rank, grid, NO_BUILDING, "int32", all_touched)
+    burnt = burn(city.buildings.polygons, rank, grid, NO_BUILDING, "int32")
+    if all_touched:
+        burnt = widen(burnt, city.buildings.polygons, rank, grid)
     return np.append(by_height, NO_BUILDING).astype(np.int32)[burnt]  # NO_BUILDING, -1, is the last entry
 
 
@@ -151,13 +185,14 @@ def check_has_data(has_data: Iterable[np.ndarray | None]) -> None:
 def build_surface(city: City, region: Grid, grid: Grid, all_touched: bool = False) -> Surface:
     """Return the city as rasters on ``grid``, of which ``region`` is the part that maps report.
 
-    A roof covers the cells whose centre lies in its outline (``all_touched``: every cell it touches).
+    A roof covers the cells whose centre lies in its outline (``all_touched``: every cell that it shares area with).
 
     Raises:
       InputError: the terrain or the height raster does not cover any of the region.
     """
-    roof_m, terrain_m, has_data = rasterise(city, grid, all_touched)
-    check_has_data([None if has_data is None else has_data[region.window_in(grid)]])
+    roof_m, touched_m, terrain_m, has_data = rasterise(city, grid, all_touched)
+    window = region.window_in(grid)
+    check_has_data([None if has_data is None else has_data[window]])
     block = rasterise_blocks(city, region)
     return Surface(
         roof_m=jnp.asarray(roof_m),
@@ -166,4 +201,5 @@ def build_surface(city: City, region: Grid, grid: Grid, all_touched: bool = Fals
         block=None if block is None else jnp.asarray(block),
         grid=grid,
         region=region,
+        roof_touched_m=jnp.asarray(touched_m[window]),
     )

@@ -107,7 +107,7 @@ def free_layer(maps: MetricMaps, name: str, altitude_m: float, time: str | None 
     """Return a metric at one altitude as it is drawn: free cells only, DOPs cut at the end of their scale."""
     style = metric_style(maps, name)
     values = np.minimum(maps.m(name, altitude_m, time=time).astype(np.float32), np.float32(style.high))
-    return Layer(np.where(maps.is_free(altitude_m), values, np.float32(np.nan)), *style.scale)
+    return Layer(np.where(maps.is_free(altitude_m, "centre"), values, np.float32(np.nan)), *style.scale)
 
 
 def plot_metric(
@@ -156,7 +156,7 @@ def plot_metric(
 
 def _middle_of(maps: MetricMaps, name: str, altitude_m: float, time: str | None) -> str:
     """Return the mean over free cells in words; the median for DOPs, which may be inf."""
-    values = maps.m(name, altitude_m, time=time)[maps.is_free(altitude_m)]
+    values = maps.m(name, altitude_m, time=time)[maps.is_free(altitude_m, "centre")]
     if values.size == 0:
         return "no free cell"
     if name not in COLOUR_MAPS:
@@ -200,7 +200,7 @@ def _plot_classes(
     titles = [title for _, title, _ in panels]
     frame = make_frame(maps.grid, titles, f"{heading}, by altitude above ground", frame_note(maps, time))
     for panel, (z, _, numbers) in zip(frame.axes, panels, strict=True):
-        layer = classes_layer(np.where(maps.is_free(z), numbers, -1), [colour for _, colour in names])
+        layer = classes_layer(np.where(maps.is_free(z, "centre"), numbers, -1), [colour for _, colour in names])
         draw_layers(panel, maps.grid, [layer, obstacle_layer(maps, z)])
     add_key(frame, [*names, *obstacle_patches(maps)])
     return frame.figure
@@ -229,7 +229,7 @@ def plot_gps_rating(maps: MetricMaps, *, altitudes_m: Sequence[float] | None = N
 
 
 def _share(is_so: np.ndarray, maps: MetricMaps, altitude_m: float) -> float:
-    is_free = maps.is_free(altitude_m)
+    is_free = maps.is_free(altitude_m, "centre")
     return float(is_so[is_free].mean()) if is_free.any() else 0.0
 
 

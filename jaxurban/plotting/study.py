@@ -262,7 +262,7 @@ def plot_complementarity(maps: MetricMaps, table: pd.DataFrame, *, time: str | N
     first.set_ylim(-0.03, 1.05)
     bins = np.linspace(0, 1, 41)
     for panel, row in zip(panels, each(table), strict=True):
-        is_free = maps.is_free(row.altitude_m)
+        is_free = maps.is_free(row.altitude_m, "centre")
         gps, lidar = maps.m("gps", row.altitude_m, time=time)[is_free], maps.m("lidar", row.altitude_m)[is_free]
         share = np.histogram2d(gps, lidar, [bins, bins])[0].T / len(gps)
         panel.pcolormesh(bins, bins, np.log10(np.where(share > 0, share, np.nan)), cmap="Greys", vmin=-6, vmax=-0.5)

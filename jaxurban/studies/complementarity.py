@@ -37,7 +37,7 @@ def complementarity(
     side = max(1, round(TILE_M / maps.grid.resolution_m))
     rows, cols = np.indices(maps.grid.shape, np.int32) // side
     tile = rows * (int(cols.max()) + 1) + cols
-    free_tiles = np.unique(tile[np.logical_or.reduce([maps.is_free(z) for z in maps.altitudes_m])])
+    free_tiles = np.unique(tile[np.logical_or.reduce([maps.is_free(z, "centre") for z in maps.altitudes_m])])
     tile = np.searchsorted(free_tiles, tile)
     draws = draws_of(len(free_tiles))
     found: list[dict[str, float]] = []
@@ -60,7 +60,7 @@ def _at_altitude(
     maps: MetricMaps, altitude_m: float, time: str | None, tile: np.ndarray, num_tiles: int
 ) -> tuple[dict[str, float], np.ndarray]:
     """Return shares and means over the free cells, and the sums over each tile ``[T, S]``."""
-    is_free = maps.is_free(altitude_m)
+    is_free = maps.is_free(altitude_m, "centre")
     gps = maps.m("gps", altitude_m, time=time)[is_free].astype(np.float64)
     lidar = maps.m("lidar", altitude_m)[is_free].astype(np.float64)
     is_poor = gps < GOOD

@@ -14,7 +14,7 @@ from tqdm import tqdm
 from jaxurban.cluster import cluster_client
 from jaxurban.errors import InputError
 from jaxurban.io.rowstore import RowStore
-from jaxurban.maps import MetricMaps, open_maps
+from jaxurban.maps import MetricMaps, Obstacles, open_maps
 from jaxurban.planners.base import Status
 from jaxurban.studies.sampling import KEY
 from jaxurban.studies.trial import COLUMNS, CRASHED, Ground, Run, Settings, put_to, row_of
@@ -30,10 +30,16 @@ class Source:
     Attributes:
       folder: of the maps, as `open_maps` takes it.
       resolution_m: which of them.
+      obstacles: where planners may fly (see `jaxurban.maps.MetricMaps`).
     """
 
     folder: Path
     resolution_m: float
+    obstacles: Obstacles
+
+    def open(self) -> MetricMaps:
+        """Return the maps."""
+        return open_maps(self.folder, self.resolution_m, obstacles=self.obstacles)
 
 
 @dataclass(frozen=True)
@@ -130,7 +136,7 @@ class _Grounds:
 
     def __init__(self, source: Source | MetricMaps, settings: Settings) -> None:
         self.settings = settings
-        self.maps = source if isinstance(source, MetricMaps) else open_maps(source.folder, source.resolution_m)
+        self.maps = source if isinstance(source, MetricMaps) else source.open()
         self._at = lru_cache(maxsize=1)(self._read)
 
     def _read(self, altitude_m: float, time: str | None, time_of_day: str | None) -> Ground:

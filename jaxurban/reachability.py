@@ -1,0 +1,87 @@
+"""Whether two places are joined by free cells, and what would join them where they are not."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from scipy.ndimage import generate_binary_structure, label
+
+from jaxurban.io.store import short_number, stored_resolutions
+from jaxurban.limits import Limits
+from jaxurban.maps import MetricMaps, open_maps
+from jaxurban.planners.base import Cell
+
+CENTRE_REMEDY = "under obstacles = centre (--obstacles centre; such a path cuts true outlines)"
+
+
+@dataclass(frozen=True, eq=False)
+class Reachability:
+    """Which places of maps are joined by free cells, by altitude; each altitude's labels are made once.
+
+    Attributes:
+      maps: under their own rule of obstacles.
+      limits: what closes cells beside obstacles.
+      time, time_of_day: of the maps that bounds are on.
+      cuts_corners: whether a diagonal step needs no free neighbour (``diagonal="always"``).
+    """
+
+    maps: MetricMaps
+    limits: Limits
+    time: str | None
+    time_of_day: str | None
+    cuts_corners: bool
+    _labels: dict[float, np.ndarray] = field(default_factory=dict, repr=False)
+
+    def joins(self, start: Cell, goal: Cell, altitude_m: float) -> bool:
+        """Return whether free cells join two cells at one altitude."""
+        if altitude_m not in self._labels:
+            is_free = self.maps.is_free(altitude_m)
+            if self.limits:
+                is_free &= ~self.limits.closed(self.maps, altitude_m, time=self.time, time_of_day=self.time_of_day)
+            self._labels[altitude_m] = label(is_free, generate_binary_structure(2, 2 if self.cuts_corners else 1))[0]
+        labels = self._labels[altitude_m]
+        return bool(labels[start] == labels[goal] != 0)
+
+    def what_would_join(self, start: Cell, goal: Cell, altitude_m: float) -> str:
+        """Return a sentence on what would join two cells that nothing joins at an altitude.
+
+        Tried are the paper's rule of obstacles, the finer maps of the same folder, and the maps' greater altitudes.
+        """
+
+        def joins_on(maps: MetricMaps) -> bool:
+            """Return whether the cells of other maps that hold the two cells' centres are joined."""
+            ends = (maps.grid.cell_of_xy(*self.maps.grid.xy_of_cell(*cell)) for cell in (start, goal))
+            first, second = ((int(row), int(col)) for row, col in ends)
+            return replace(self, maps=maps, _labels={}).joins(first, second, altitude_m)
+
+        tried = {}
+        if self.maps.obstacles == "touched":
+            tried[CENTRE_REMEDY] = joins_on(self.maps.with_obstacles("centre"))
+        finer = _finer_maps(self.maps)
+        for maps in finer:
+            is_there = altitude_m in maps.altitudes_m
+            tried[f"in cells of {short_number(maps.grid.resolution_m)} m"] = is_there and joins_on(maps)
+        if higher_m := sorted(z_m for z_m in self.maps.altitudes_m if z_m > altitude_m):
+            lowest_m = next((z_m for z_m in higher_m if self.joins(start, goal, z_m)), None)
+            tried["at a greater altitude of these maps" if lowest_m is None else f"at {lowest_m:g} m"] = bool(lowest_m)
+        unknown = "" if finer else " Finer maps, of which there are none here, may join them too."
+        return joined_sentence(tried) + unknown
+
+
+def joined_sentence(tried: Mapping[str, bool]) -> str:
+    """Return the sentence on what joins start and goal and what does not, from phrases and whether each does."""
+    joined, apart = ([what for what, is_so in tried.items() if is_so is wanted] for wanted in (True, False))
+    told = [f"joined {' and '.join(joined)}"] if joined else []
+    told += [f"not joined {' nor '.join(apart)}"] if apart else []
+    return f"Start and goal are {', but '.join(told)}." if told else ""
+
+
+def _finer_maps(maps: MetricMaps) -> list[MetricMaps]:
+    """Return the finer maps of the folder that maps were opened from, the finest last."""
+    source = maps.ds.encoding.get("source")
+    if source is None:
+        return []
+    folder = Path(source).parent.parent
+    finer = sorted((r for r in stored_resolutions(folder) if r < maps.grid.resolution_m), reverse=True)
+    return [open_maps(folder, resolution_m, obstacles=maps.obstacles) for resolution_m in finer]
