@@ -37,7 +37,7 @@ from jaxurban.tiled import TileJob
 from jaxurban.tiles import Tiling
 from jaxurban.uncertainty import HeightStd
 
-SCRATCH_BYTES_PER_CELL = 12  # rasters of an unfinished run, and one plain GeoTIFF: the least disk that a run takes
+SCRATCH_BYTES_PER_CELL = 16  # rasters of an unfinished run, and one plain GeoTIFF: the least disk that a run takes
 
 
 @dataclass
