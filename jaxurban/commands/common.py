@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from jaxurban.cost import Weights
+    from jaxurban.maps import Obstacles
+    from jaxurban.planners.base import CostModel
 
 Settings = dict[str, Any]
 
@@ -70,6 +72,23 @@ def stored_weights(folder: Path, settings: Settings) -> "Weights":
         raise InputError(
             f"{str(folder / 'run.json')!r} names weights that do not exist: make the maps again"
         ) from error
+
+
+def stored_cost_model(settings: Settings, kind: str | None) -> "CostModel":
+    """Return the cost model of those settings' ``[planning]``, of another kind where one is given.
+
+    Raises:
+      InputError: a value that is none of a cost model's.
+    """
+    from jaxurban.planners.base import CostModel
+
+    planning = settings.get("planning", {})
+    return CostModel.from_settings(planning if kind is None else {**planning, "cost_model": kind})
+
+
+def stored_obstacles(settings: Settings, given: "Obstacles | None") -> "Obstacles":
+    """Return the rule of obstacles that is given, else that of those settings' ``[planning]``."""
+    return given or settings.get("planning", {}).get("obstacles", "touched")
 
 
 @contextmanager

@@ -12,6 +12,8 @@ from jaxurban.commands.common import (
     OBSTACLES,
     Settings,
     print_json,
+    stored_cost_model,
+    stored_obstacles,
     stored_settings,
     stored_weights,
     tell,
@@ -93,12 +95,14 @@ def plan(
     defaults = stored_settings(folder)
     planning = defaults.get("planning", {})
     chosen = {name: given[name] if given[name] is not None else planning.get(name) for name in given}
-    chosen |= {name: planning[name] for name in ("connectivity", "diagonal", "reference_length_m") if name in planning}
+    del chosen["obstacles"]
+    chosen["cost_model"] = stored_cost_model(defaults, given["cost_model"])
     if is_volume:
         chosen = {name: value for name, value in chosen.items() if name not in ("planner", "seed", "refine")}
         chosen["start_altitude_m"] = altitude_m = chosen.pop("altitude_m")
         chosen["goal_altitude_m"] = altitude_m if chosen["goal_altitude_m"] is None else chosen["goal_altitude_m"]
-    maps = open_maps(folder, resolution_m, obstacles=chosen.pop("obstacles") or "touched")
+    obstacles = stored_obstacles(defaults, given["obstacles"])
+    maps = open_maps(folder, resolution_m, obstacles=obstacles)
     planned = (plan_volume if is_volume else plan_path)(
         maps,
         limits=Limits.read(no_fly, require),

@@ -11,6 +11,8 @@ from jaxurban.commands.common import (
     OBSTACLES,
     print_json,
     stages,
+    stored_cost_model,
+    stored_obstacles,
     stored_settings,
     stored_weights,
     tell,
@@ -75,15 +77,13 @@ def sensitivity(
     if scenario is not None and not with_buildings:
         raise click.UsageError("--scenario belongs to --buildings: add that")
     settings = stored_settings(folder)
-    planning = settings.get("planning", {})
     weights = Weights.parse(weights_text, stored_weights(folder, settings))
-    given["cost_model"] = given["cost_model"] or planning.get("cost_model", "cell")
-    given |= {name: planning[name] for name in ("reference_length_m",) if name in planning}
+    given["cost_model"] = stored_cost_model(settings, given["cost_model"])
     study_only = ("num_samples", "tolerance", "seed")
     how: dict[str, Any] = {name: given.pop(name) for name in study_only}
     how |= {name: _names(given.pop(option)) for name, option in NAMED.items()}
     factors = _factors(factors_text)
-    obstacles = given.pop("obstacles") or planning.get("obstacles", "touched")
+    obstacles = stored_obstacles(settings, given.pop("obstacles"))
     maps = open_maps(folder, resolution_m, obstacles=obstacles)
     check_writable(output)
     asked = {"weights": weights, **given}
