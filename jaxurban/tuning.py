@@ -47,7 +47,7 @@ class TuneSettings:
     Attributes:
       resolution_m: of the maps; needed where a folder holds several.
       altitude_m, time, time_of_day: of every route; left out, the routes' own.
-      maps: further settings of `read_examples`: metrics, cost_model ...
+      maps: further settings of `read_examples`: metrics, cost_model, limits ...
       wishes: fit to these, instead of to the routes.
       fit: further settings of `fit_weights` or `fit_targets`.
     """
