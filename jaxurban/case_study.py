@@ -19,6 +19,7 @@ from jaxurban.io.landcover import read_land_cover
 from jaxurban.io.rowstore import PARTS_FOLDER, ROWS_FILE
 from jaxurban.io.store import check_writable, only_writer, whole_file
 from jaxurban.io.tables import write_table
+from jaxurban.limits import Limits, limits_said
 from jaxurban.maps import MetricMaps, Obstacles, open_maps
 from jaxurban.planners.base import CostKind, CostModel
 from jaxurban.planners.registry import find_planner
@@ -75,6 +76,7 @@ def study(
     planners: Sequence[str] = PAPER_PLANNERS,
     distance_only: Sequence[str] = ("astar-dist",),
     cost_model: CostModel | CostKind = "line",
+    limits: Limits | None = None,
     budget_s: float = 2.0,
     budget_iterations: int | None = None,
     seed: int = 0,
@@ -100,6 +102,7 @@ def study(
       planners: each is asked every instance.
       distance_only: planners that are asked for the shortest path too; its weighted cost is reported.
       cost_model: as in `plan`; ``"line"`` depends on no resolution. Costs are reported under both kinds.
+      limits: no-fly zones and bounds that close cells to starts, goals and every planner.
       budget_s: seconds for each run.
       budget_iterations: instead, samples for planners that draw any, while the others run to their end: rows then
         repeat exactly, whatever the number of workers, but for ``elapsed_s``.
@@ -122,7 +125,7 @@ def study(
         find_planner(planner)
     if workers < 1:
         raise InputError(f"workers must be at least 1, got {workers}")
-    settings = Settings(CostModel.of(cost_model), float(budget_s), budget_iterations, seed)
+    settings = Settings(CostModel.of(cost_model), float(budget_s), budget_iterations, seed, limits or Limits())
     opened = maps if isinstance(maps, MetricMaps) else open_maps(maps, resolution_m, obstacles=obstacles)
     source = maps if isinstance(maps, MetricMaps) else Source(Path(maps).resolve(), opened.grid.resolution_m, obstacles)
     if instances is None:
@@ -132,14 +135,15 @@ def study(
             altitudes_m=altitudes_m,
             cover=cover,
             weights=weights,
-            reference_length_m=settings.cost_model.reference_length_m,
+            cost_model=settings.cost_model,
+            limits=settings.limits,
             seed=seed,
         )
     else:
         instances = checked_instances(instances, "instances")
         _check_instances(instances, opened)
-        instances = with_connection(instances, opened)
-        _check_places(instances, opened)
+        instances = with_connection(instances, opened, settings.cost_model, settings.limits)
+        _check_places(instances, opened, settings.limits)
     runs = [Run(name, WEIGHTED) for name in dict.fromkeys(planners)]
     runs += [Run(name, DISTANCE) for name in dict.fromkeys(distance_only)]
     check_writable(folder)
@@ -185,14 +189,15 @@ def _check_instances(instances: pd.DataFrame, maps: MetricMaps) -> None:
             raise InputError(f"the instances ask for {name} {lost[0]}, and these maps hold {listed}")
 
 
-def _check_places(instances: pd.DataFrame, maps: MetricMaps) -> None:
+def _check_places(instances: pd.DataFrame, maps: MetricMaps, limits: Limits) -> None:
     """Raise InputError if not one instance starts and ends on a free cell; a few that do not are rows."""
     if instances.is_connected.notna().any():
         return
     first = instances.iloc[0]
+    is_free = limits.is_free(maps, first.altitude_m, time=first.time, time_of_day=first.time_of_day)
     for end in ("start", "goal"):
         try:
-            free_cell(maps.grid, maps.is_free(first.altitude_m), first[f"{end}_x_m"], first[f"{end}_y_m"])
+            free_cell(maps.grid, is_free, first[f"{end}_x_m"], first[f"{end}_y_m"])
         except InputError as error:
             raise InputError(
                 f"no instance can be asked on these maps, from the first one on, instance {first.instance} at "
@@ -224,6 +229,7 @@ def _claim(folder: Path, settings: Settings, maps: MetricMaps, instances: pd.Dat
 def _in_words(told: Mapping[str, Any]) -> dict[str, str]:
     """Return what decides a study's rows, for a person to read."""
     iterations, maps = told.get("budget_iterations"), told.get("maps") or {}
+    limits = told.get("limits") or {}
     return {
         "cost model": f"{told.get('cost_model')}",
         "reference length": f"{told.get('reference_length_m')} m",
@@ -232,6 +238,8 @@ def _in_words(told: Mapping[str, Any]) -> dict[str, str]:
         "budget": f"{told.get('budget_s')} s" if iterations is None else f"{iterations} samples",
         "seed": f"{told.get('seed')}",
         "rule of obstacles": f"{maps.get('obstacles')}",
+        "set of limits": limits_said(limits) or "none",
+        "outlines of no-fly zones": ", ".join(zone.get("outline", "") for zone in limits.get("no_fly", ())),
         "maps' CRS": f"{maps.get('crs')}",
         "maps' resolution": f"{maps.get('resolution_m')} m",
         "maps' first row and column": f"{maps.get('first_row')}, {maps.get('first_col')}",

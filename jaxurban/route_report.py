@@ -13,6 +13,7 @@ from jaxurban.errors import InputError
 from jaxurban.maps import MetricMaps
 from jaxurban.metrics.population import M2_PER_KM2
 from jaxurban.planned import PlannedPath
+from jaxurban.planners.base import CostModel
 from jaxurban.route_pieces import Pieces, cut_evenly, cut_route, nearest_level_m, nearest_wall_m
 
 FEWEST_SATELLITES = 4  # below, no position fix
@@ -245,9 +246,10 @@ def _step_costs(levels: _Levels, maps: MetricMaps, pieces: Pieces) -> dict[str, 
     settings, num_steps = levels.planned.settings, len(pieces.states) - 1
     moved_m = np.diff(pieces.states, axis=0)
     costs = {"distance": settings["weights"]["distance"] * np.linalg.norm(moved_m, axis=1)}
-    if settings["cost_model"] == "line":
+    model = CostModel.from_settings(settings)
+    if model.kind == "line":
         charged = np.full(len(pieces.step), num_steps > 0)
-        z_m, share = pieces.middle[charged, 2], pieces.length_m[charged] / settings["reference_length_m"]
+        z_m, share = pieces.middle[charged, 2], pieces.length_m[charged] / model.reference_length_m
     else:
         charged = np.append(pieces.step[1:] != pieces.step[:-1], num_steps > 0)  # the cell in which a step ends
         z_m, share = pieces.states[1:, 2][pieces.step[charged]], np.ones(charged.sum())

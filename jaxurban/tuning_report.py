@@ -211,8 +211,9 @@ def _setting(comparison: Comparison, names: Sequence[str]) -> str:
     )
     cells = ", ".join(f"{value:g}" for value in sorted({unit.grid.resolution_m for unit in units}))
     first = next(iter(units))
+    limits = f" Limits: {first.limits}." if first.limits else ""
     return (
-        f"Weights fitted: {', '.join(names)}. Cost model: `{first.cost_model.kind}` on cells of {cells} m. Altitudes "
+        f"Weights fitted: {', '.join(names)}. Cost model: {first.cost_model} on cells of {cells} m.{limits} Altitudes "
         f"and times: {flown}."
     )
 

@@ -132,7 +132,7 @@ class WeightedMap:
             raise InputError(f"{name}: {error}") from error
         cell = (int(row), int(col))
         if not self.is_free[cell]:
-            where = self._why_closed(cell)
+            where = self.why_closed(cell)
             nearest = _nearest_free(cell, self.is_free)
             if nearest is None:
                 raise InputError(f"{name} is {where} and no cell is free at this altitude: {self._remedy}")
@@ -152,7 +152,7 @@ class WeightedMap:
     def _remedy(self) -> str:
         return f"fly higher, or loosen the limits ({self.limits})" if self.limits else "fly higher"
 
-    def _why_closed(self, cell: Cell) -> str:
+    def why_closed(self, cell: Cell) -> str:
         """Return what closes a cell: an obstacle, or each limit by name."""
         if not self.maps.is_free(self.altitude_m)[cell]:
             if self.maps.is_free(self.altitude_m, "centre")[cell]:
@@ -310,15 +310,13 @@ def weigh(
     if objective not in ("weighted", "distance"):
         raise InputError(f"objective must be 'weighted' or 'distance', got {objective!r}")
     limits = limits or Limits()
-    is_free = maps.is_free(altitude_m)
+    is_free = limits.is_free(maps, altitude_m, time=time, time_of_day=time_of_day)
     costs = maps.costs(altitude_m, time=time, time_of_day=time_of_day)
     m = np.zeros((len(costs), *is_free.shape), np.float32)
     layers = np.zeros(m.shape)
     for row, (name, cost) in enumerate(costs.items()):
         m[row] = np.nan_to_num(maps.m(name, altitude_m, time=time, time_of_day=time_of_day))
         layers[row] = getattr(weights, name) * np.where(is_free, cost, np.nan_to_num(cost)).astype(np.float64)
-    if limits:
-        is_free &= ~limits.closed(maps, altitude_m, time=time, time_of_day=time_of_day)
     return WeightedMap(
         maps=maps,
         altitude_m=float(altitude_m),

@@ -100,6 +100,17 @@ class CostModel:
         parts = asdict(self)
         return {"cost_model": parts.pop("kind"), **parts}
 
+    @property
+    def joins_corners(self) -> bool:
+        """Whether a step may pass between two blocked cells that touch at a corner."""
+        return self.connectivity == 8 and self.diagonal == "always"
+
+    def __str__(self) -> str:
+        return (
+            f"{self.kind!r} (reference length {self.reference_length_m:g} m, {self.connectivity} neighbours, "
+            f"diagonal steps {self.diagonal!r})"
+        )
+
 
 def positive_m(name: str, value: Any) -> float:
     """Return a length as a float.

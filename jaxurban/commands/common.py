@@ -50,6 +50,15 @@ OBSTACLES = click.option(
 JSON_FLAG = click.option("--json", "as_json", is_flag=True, help="Print one machine-readable object on stdout.")
 
 
+def limit_options(command: Callable) -> Callable:
+    """Add --no-fly and --require, which `Limits.read` takes, to a command."""
+    require = click.option("--require", multiple=True, help="What must hold all along, such as gps>=0.3; repeatable.")
+    no_fly = click.option(
+        "--no-fly", type=click.Path(path_type=Path), multiple=True, help="Closed polygons (GeoJSON, KML); repeatable."
+    )
+    return no_fly(require(command))
+
+
 def stored_settings(folder: Path) -> Settings:
     """Return the settings that made the maps in ``folder``, empty where they were saved from Python."""
     if folder.is_file():

@@ -11,6 +11,7 @@ from jaxurban.commands.common import (
     LONLAT,
     OBSTACLES,
     Settings,
+    limit_options,
     print_json,
     stored_cost_model,
     stored_obstacles,
@@ -45,10 +46,7 @@ from jaxurban.commands.common import (
 @click.option("--level-step", "level_step_m", type=float, help="With --volume: fly between the maps' altitudes too.")
 @click.option("--climb-cost", type=float, help="With --volume: per metre.  [default: the distance weight]")
 @click.option("--descent-cost", type=float, help="With --volume: per metre.  [default: 0]")
-@click.option(
-    "--no-fly", type=click.Path(path_type=Path), multiple=True, help="Closed polygons (GeoJSON, KML); repeatable."
-)
-@click.option("--require", multiple=True, help="What must hold all along, such as gps>=0.3; repeatable.")
+@limit_options
 @click.option("--report", "with_report", is_flag=True, help="Explain the route: costs, people, walls, by segment.")
 @click.option("--speed", "speed_m_s", type=float, help="Metres per second, for the report's times.")
 @click.option("--power", "power_w", type=float, help="Watts in flight, for the report's energy.")

@@ -1,5 +1,6 @@
 """jaxurban sensitivity."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +10,7 @@ from jaxurban.commands.common import (
     JSON_FLAG,
     LONLAT,
     OBSTACLES,
+    limit_options,
     print_json,
     stages,
     stored_cost_model,
@@ -33,6 +35,7 @@ NAMED = {"vary": "vary", "triangle": "triangle", "wishes": "pareto"}  # lists of
 @click.option("--cost-model", type=click.Choice(["cell", "line"]), help="cell (the paper) or line.")
 @OBSTACLES
 @click.option("--weights", "weights_text", default="", help="As gps=1,risk=2; those not named keep their values.")
+@limit_options
 @click.option("--snap", is_flag=True, help="Move a start or goal inside an obstacle to the nearest free cell.")
 @click.option(
     "--vary", default="", metavar="NAME,...", help="Weights that vary.  [default: every metric with a weight]"
@@ -64,11 +67,14 @@ def sensitivity(
     as_json: bool,
     with_buildings: bool,
     scenario: Path | None,
+    no_fly: Sequence[Path],
+    require: Sequence[str],
     **given: Any,
 ) -> int:
     """Tell what would change the route between two places over the maps in DIR, and what would not."""
     from jaxurban.cost import Weights
     from jaxurban.io.store import check_writable
+    from jaxurban.limits import Limits
     from jaxurban.maps import open_maps
     from jaxurban.planning import plan
     from jaxurban.sensitivity_report import add_buildings, ranges, save_sensitivity
@@ -79,6 +85,7 @@ def sensitivity(
     settings = stored_settings(folder)
     weights = Weights.parse(weights_text, stored_weights(folder, settings))
     given["cost_model"] = stored_cost_model(settings, given["cost_model"])
+    given["limits"] = Limits.read(no_fly, require)
     study_only = ("num_samples", "tolerance", "seed")
     how: dict[str, Any] = {name: given.pop(name) for name in study_only}
     how |= {name: _names(given.pop(option)) for name, option in NAMED.items()}

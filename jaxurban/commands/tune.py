@@ -11,6 +11,7 @@ from click.core import ParameterSource
 from jaxurban.commands.common import (
     JSON_FLAG,
     OBSTACLES,
+    limit_options,
     print_json,
     rounds,
     stored_cost_model,
@@ -37,8 +38,11 @@ from jaxurban.commands.common import (
 @click.option("--time-of-day", help="Of the population map.  [default: the routes' own, else the first]")
 @click.option("--time", help="Epoch of the GPS map, UTC.  [default: the routes' own, else the first]")
 @click.option("--resolution", "resolution_m", type=float, help="Of the maps, metres; needed where DIR holds several.")
-@click.option("--cost-model", type=click.Choice(["cell", "line"]), help="[default: the scenario's, else cell]")
+@click.option(
+    "--cost-model", type=click.Choice(["cell", "line"]), help="[default: the routes' own, else the scenario's]"
+)
 @OBSTACLES
+@limit_options
 @click.option("--scale", type=click.Choice(["simplex", "distance"]), help="Weights sum to 1, or distance weighs 1.")
 @click.option("--bootstrap", type=click.IntRange(min=0), help="Fits for the intervals.  [default: 200]")
 @click.option("--rounds", "max_rounds", type=click.IntRange(min=1), help="Of searches, at most.")
@@ -55,6 +59,8 @@ def tune(
     wishes: Sequence[str],
     metrics: str | None,
     cost_model: str | None,
+    no_fly: Sequence[Path],
+    require: Sequence[str],
     scale: str | None,
     bootstrap: int | None,
     overwrite: bool,
@@ -62,13 +68,18 @@ def tune(
     **given: Any,
 ) -> int:
     """Fit weights to example ROUTES (GeoJSON lines) over the maps in DIR, or to wishes on outcomes."""
+    from jaxurban.limits import Limits
     from jaxurban.studies.wishes import Wish
     from jaxurban.tuning import Source, TuneSettings, run_tuning
 
     if wishes and (scale or bootstrap is not None):
         raise click.UsageError("--scale and --bootstrap belong to fits without --wish: leave them out")
     stored = stored_settings(folder)
-    on_maps: dict[str, Any] = {"cost_model": stored_cost_model(stored, cost_model)}
+    on_maps: dict[str, Any] = {
+        "cost_model": None if cost_model is None else stored_cost_model(stored, cost_model),
+        "default_cost_model": stored_cost_model(stored, None),
+        "limits": Limits.read(no_fly, require),
+    }
     if metrics is not None:
         on_maps["metrics"] = [name.strip() for name in metrics.split(",") if name.strip()]
     of_fit = {"scale": scale, "bootstrap": bootstrap} | {

@@ -7,6 +7,7 @@ import numpy as np
 
 from jaxurban.cost import METRICS, Weights
 from jaxurban.errors import InputError, nearest_name
+from jaxurban.limits import Limits
 from jaxurban.maps import MetricMaps
 from jaxurban.planners.base import Cell, CostKind, CostModel
 from jaxurban.weighted import Point, WeightedMap, weigh
@@ -65,6 +66,7 @@ def unit_map(
     cost_model: CostModel | CostKind = "cell",
     time: str | None = None,
     time_of_day: str | None = None,
+    limits: Limits | None = None,
 ) -> WeightedMap:
     """Return the maps at one altitude with every weight 1.
 
@@ -72,7 +74,7 @@ def unit_map(
       maps: from `build_maps` or `open_maps`.
       altitude_m: one of the maps' altitudes.
       metrics: which of the maps' metrics routes pay for; all if left out. The others have the weight 0.
-      cost_model, time, time_of_day: as in `weigh`.
+      cost_model, time, time_of_day, limits: as in `weigh`.
 
     Raises:
       InputError: a metric that the maps lack, or as in `weigh`.
@@ -91,6 +93,7 @@ def unit_map(
         cost_model=cost_model,
         time=time,
         time_of_day=time_of_day,
+        limits=limits,
     )
     kept = [row for row, name in enumerate(whole.names) if name in names]
     if len(kept) == len(whole.names):
@@ -141,7 +144,10 @@ def check_alike(queries: Sequence[Query]) -> tuple[str, ...]:
                 f"{', '.join(query.names)}: make all maps from the same kinds of sources"
             )
         if query.unit.cost_model != first.unit.cost_model:
-            raise InputError("the routes are costed by different cost models: use one for all")
+            raise InputError(
+                f"the routes are costed by different cost models, {first.unit.cost_model} and "
+                f"{query.unit.cost_model}: name one for all (--cost-model, cost_model=)"
+            )
         if query.unit.grid.resolution_m != first.unit.grid.resolution_m and first.unit.cost_model.kind == "cell":
             raise InputError(
                 "the routes lie on maps of different resolutions, on which the 'cell' cost model charges differently: "

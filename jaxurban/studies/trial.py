@@ -3,7 +3,7 @@
 import inspect
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import Any
 
@@ -12,6 +12,7 @@ import numpy as np
 from jaxurban.cost import METRICS
 from jaxurban.errors import InputError
 from jaxurban.grid import Grid
+from jaxurban.limits import Limits
 from jaxurban.maps import MetricMaps
 from jaxurban.planners.base import Cell, CostKind, CostModel, Path, Problem
 from jaxurban.planners.evaluate import evaluate
@@ -40,18 +41,19 @@ class Settings:
       budget_s: seconds for each run.
       budget_iterations: instead, samples for planners that draw any; the others run to their end.
       seed: of sampling planners, mixed with the instance's number.
+      limits: no-fly zones and bounds that close cells to every planner.
     """
 
     cost_model: CostModel = field(default_factory=lambda: CostModel("line"))
     budget_s: float = 2.0
     budget_iterations: int | None = None
     seed: int = 0
+    limits: Limits = field(default_factory=Limits)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the settings as plain, JSON-ready values."""
-        rest = asdict(self)
-        del rest["cost_model"]
-        return {**self.cost_model.settings, **rest}
+        told = {name: getattr(self, name) for name in ("budget_s", "budget_iterations", "seed")}
+        return {**self.cost_model.settings, **told, "limits": self.limits.to_dict()}
 
 
 NUMBERS = ("cost", "cost_cell", "cost_line", "search_cost", "lower_bound", "gap", "length_m", "detour")
@@ -71,7 +73,7 @@ class Ground:
     Attributes:
       names: the metrics.
       costs: ``[L, Y, X]`` float32 the costs c_j, 0 where there are no data.
-      is_free: ``[Y, X]`` bool.
+      is_free: ``[Y, X]`` bool, where a path may fly.
     """
 
     def __init__(
@@ -79,7 +81,7 @@ class Ground:
     ) -> None:
         """Read the maps; arguments and errors as in `weigh`."""
         self.grid, self.settings = maps.grid, settings
-        self.is_free = maps.is_free(altitude_m)
+        self.is_free = settings.limits.is_free(maps, altitude_m, time=time, time_of_day=time_of_day)
         costs = maps.costs(altitude_m, time=time, time_of_day=time_of_day)
         self.names = tuple(costs)
         self.costs = np.stack([np.nan_to_num(np.asarray(cost, np.float32)) for cost in costs.values()])
@@ -92,7 +94,7 @@ class Ground:
           InputError: no cell is free.
         """
         if not self.is_free.any():
-            raise InputError("no cell is free at this altitude: fly higher")
+            raise InputError("no cell is free at this altitude: fly higher, or loosen the limits")
         row, col = np.unravel_index(np.argmax(self.is_free), self.is_free.shape)
         return Problem(
             layers=np.zeros((1, *self.is_free.shape)),
@@ -147,7 +149,9 @@ def free_cell(grid: Grid, is_free: np.ndarray, x_m: float, y_m: float) -> Cell:
     """
     row, col = (int(value) for value in grid.cell_of_xy(x_m, y_m))
     if not is_free[row, col]:
-        raise InputError(f"the place {x_m:.1f}, {y_m:.1f} is inside an obstacle (or where there are no data)")
+        raise InputError(
+            f"the place {x_m:.1f}, {y_m:.1f} is inside an obstacle, where there are no data, or closed by a limit"
+        )
     return row, col
 
 
