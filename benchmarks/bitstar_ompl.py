@@ -29,7 +29,7 @@ from jaxurban.planners.evaluate import evaluate_on
 def ground_of(problem: Problem) -> Ground:
     """Return what edges cost under the line model."""
     charge = np.where(problem.is_free, problem.cost, np.inf) * (problem.resolution_m / problem.reference_length_m)
-    return Ground(charge, problem.distance_weight * problem.resolution_m, True)
+    return Ground(charge, problem.distance_weight * problem.resolution_m, True, problem.passes_corners)
 
 
 def far_apart(problem: Problem, seed: int) -> Problem:

@@ -251,6 +251,7 @@ class WeightedMap:
             float(self.weights.distance),
             self.cost_model,
             self.reference_length_m,
+            self.diagonal,
         )
 
     def _by_layer(self, paid: PathCost) -> dict[str, float]:

@@ -7,6 +7,7 @@ from enum import Enum
 from typing import Any, Literal, Protocol, TypeVar
 
 import numpy as np
+from scipy.ndimage import label
 
 from jaxurban.errors import InputError
 from jaxurban.kernels.heuristic import line_minima
@@ -182,6 +183,16 @@ class Problem:
             "moves",
             lambda: _read_only(allowed_moves(self.is_free, self.connectivity, self.diagonal == "both-free"), np.uint8),
         )
+
+    @property
+    def passes_corners(self) -> bool:
+        """Whether a path may pass between two blocked cells that touch at a corner."""
+        return self.diagonal == "always"
+
+    @property
+    def islands(self) -> np.ndarray:
+        """``[Y, X]`` the number of the part of the map in which paths off the grid join a cell; 0: blocked."""
+        return np.asarray(label(self.is_free, np.ones((3, 3)) if self.passes_corners else None)[0])
 
     @property
     def line_minima(self) -> tuple[np.ndarray, np.ndarray]:

@@ -6,8 +6,8 @@ from functools import cache
 import numpy as np
 
 from jaxurban.errors import InputError
-from jaxurban.kernels.traversal import Crossings, crossed_cells
-from jaxurban.planners.base import CostModel, Problem
+from jaxurban.kernels.traversal import Crossings, crossed_cells, is_free_way
+from jaxurban.planners.base import CostModel, Diagonal, Problem
 
 ROUNDING = 1e-9  # relative: lengths this close are equal
 
@@ -20,7 +20,7 @@ class PathCost:
       total: ``distance_weight * length_m + per_layer.sum()``; inf for a path that is not valid.
       length_m: Euclidean length.
       per_layer: ``[L]`` float64 what each layer charges, weights included; inf for a path that is not valid.
-      is_valid: every crossed cell is on the map and free.
+      is_valid: every crossed cell is on the map and free, and so is the way through corners (`is_free_way`).
       crossings: the cells that the path crosses.
     """
 
@@ -70,6 +70,7 @@ def evaluate(
     distance_weight: float,
     cost_model: CostModel = "cell",
     reference_length_m: float = 5.0,
+    diagonal: Diagonal = "both-free",
 ) -> PathCost:
     """Return the cost of a polyline, its parts, and whether it is valid.
 
@@ -87,6 +88,7 @@ def evaluate(
       distance_weight: cost per metre.
       cost_model: ``"cell"`` or ``"line"``.
       reference_length_m: ``l_0`` of the line model.
+      diagonal: with ``"always"`` a path may pass between two blocked cells that touch at a corner.
 
     Raises:
       InputError: points that are not ``[N, 2]`` finite metres, or an unknown cost model.
@@ -95,10 +97,7 @@ def evaluate(
         raise InputError(f"cost_model must be 'cell' or 'line', got {cost_model!r}")
     crossings = crossed_cells(points_m, resolution_m)
     length_m = float(np.hypot(*np.diff(np.asarray(points_m, np.float64), axis=0).T).sum())
-    row, col = crossings.row, crossings.col
-    num_rows, num_cols = is_free.shape
-    is_inside = (row >= 0) & (row < num_rows) & (col >= 0) & (col < num_cols)
-    if not is_inside.all() or not np.all(is_free[row, col]):
+    if not is_free_way(crossings, is_free, diagonal == "always"):
         return PathCost(np.inf, length_m, np.full(len(layers), np.inf), False, crossings)
     charged = _charged_cells(points_m, crossings, resolution_m, cost_model, reference_length_m)
     per_layer = np.asarray(layers[:, charged[0], charged[1]], np.float64) @ charged[2]
@@ -138,6 +137,7 @@ def evaluate_on(problem: Problem, points_m: np.ndarray) -> PathCost:
         problem.distance_weight,
         problem.cost_model,
         problem.reference_length_m,
+        problem.diagonal,
     )
 
 

@@ -77,7 +77,7 @@ def landmark_cells(problem: Problem, num: int) -> list[Cell]:
     & Werneck 2005), saved no more expansions on Lower Manhattan and needs searches of its own.
     """
     # A diagonal step between two free neighbours joins what they join already.
-    joins_corners = problem.connectivity == 8 and problem.diagonal == "always"
+    joins_corners = problem.connectivity == 8 and problem.passes_corners
     parts, _ = label(problem.is_free, np.ones((3, 3)) if joins_corners else None)
     rows, cols = np.nonzero(parts == 1 + np.argmax(np.bincount(parts.ravel())[1:]))
     away = np.hypot(rows - rows.mean(), cols - cols.mean())

@@ -128,6 +128,7 @@ class Ground:
                 1.0,
                 model,
                 self.settings.reference_length_m,
+                self.settings.diagonal,
             )
             if not paid.is_valid:
                 return None

@@ -24,7 +24,8 @@ def problem_on(cost, cost_model, start, goal, is_free=None, distance_weight=0.3)
 def ground_of(problem):
     per_side = problem.resolution_m / problem.reference_length_m if problem.cost_model == "line" else 1.0
     charge = np.where(problem.is_free, problem.cost, np.inf) * per_side
-    return Ground(charge, problem.distance_weight * problem.resolution_m, problem.cost_model == "line")
+    per_side_of_length = problem.distance_weight * problem.resolution_m
+    return Ground(charge, per_side_of_length, problem.cost_model == "line", problem.passes_corners)
 
 
 def true_cost(problem, *xy):
