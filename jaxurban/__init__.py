@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from jaxurban.maps import MetricMaps as MetricMaps
     from jaxurban.maps import open_maps as open_maps
     from jaxurban.planned import PlannedPath as PlannedPath
+    from jaxurban.planners.base import CostModel as CostModel
     from jaxurban.planning import plan as plan
     from jaxurban.route_report import RouteReport as RouteReport
     from jaxurban.route_report import explain as explain
@@ -54,6 +55,7 @@ _HOMES = {
     "MetricMaps": "maps",
     "open_maps": "maps",
     "PlannedPath": "planned",
+    "CostModel": "planners.base",
     "plan": "planning",
     "RouteReport": "route_report",
     "explain": "route_report",

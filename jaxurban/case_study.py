@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,7 @@ from jaxurban.io.rowstore import PARTS_FOLDER, ROWS_FILE
 from jaxurban.io.store import check_writable, only_writer, whole_file
 from jaxurban.io.tables import write_table
 from jaxurban.maps import MetricMaps, open_maps
-from jaxurban.planners.base import CostModel, Diagonal
+from jaxurban.planners.base import CostKind, CostModel
 from jaxurban.planners.registry import find_planner
 from jaxurban.scenario import PAPER_PLANNERS, Scenario
 from jaxurban.studies.analysis import joined
@@ -74,10 +74,7 @@ def study(
     weights: str | Sequence[Weights] = DIRICHLET,
     planners: Sequence[str] = PAPER_PLANNERS,
     distance_only: Sequence[str] = ("astar-dist",),
-    cost_model: CostModel = "line",
-    reference_length_m: float = 5.0,
-    connectivity: int = 8,
-    diagonal: Diagonal = "both-free",
+    cost_model: CostModel | CostKind = "line",
     budget_s: float = 2.0,
     budget_iterations: int | None = None,
     seed: int = 0,
@@ -101,8 +98,7 @@ def study(
       num_instances, altitudes_m, cover, weights: of the sampling (see `sample_instances`).
       planners: each is asked every instance.
       distance_only: planners that are asked for the shortest path too; its weighted cost is reported.
-      cost_model: ``"line"``, which depends on no resolution, or ``"cell"`` (the paper); costs are reported under both.
-      reference_length_m, connectivity, diagonal: as in `plan`.
+      cost_model: as in `plan`; ``"line"`` depends on no resolution. Costs are reported under both kinds.
       budget_s: seconds for each run.
       budget_iterations: instead, samples for planners that draw any, while the others run to their end: rows then
         repeat exactly, whatever the number of workers, but for ``elapsed_s``.
@@ -124,9 +120,7 @@ def study(
         find_planner(planner)
     if workers < 1:
         raise InputError(f"workers must be at least 1, got {workers}")
-    settings = Settings(
-        cost_model, float(reference_length_m), connectivity, diagonal, float(budget_s), budget_iterations, seed
-    )
+    settings = Settings(CostModel.of(cost_model), float(budget_s), budget_iterations, seed)
     opened = maps if isinstance(maps, MetricMaps) else open_maps(maps, resolution_m)
     source = maps if isinstance(maps, MetricMaps) else Source(Path(maps).resolve(), opened.grid.resolution_m)
     if instances is None:
@@ -136,7 +130,7 @@ def study(
             altitudes_m=altitudes_m,
             cover=cover,
             weights=weights,
-            reference_length_m=reference_length_m,
+            reference_length_m=settings.cost_model.reference_length_m,
             seed=seed,
         )
     else:
@@ -206,7 +200,7 @@ def _check_places(instances: pd.DataFrame, maps: MetricMaps) -> None:
 
 def _claim(folder: Path, settings: Settings, maps: MetricMaps, instances: pd.DataFrame, overwrite: bool) -> None:
     """Make the folder this study's, or raise InputError if it is another's."""
-    told = asdict(settings) | {
+    told = settings.to_dict() | {
         "maps": {name: str(maps.ds.attrs[name]) for name in ("crs", "resolution_m", "first_row", "first_col")}
         | {"run_key": str(maps.ds.attrs.get("run_key"))},
     }

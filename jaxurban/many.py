@@ -71,7 +71,7 @@ def plan_many(
       file: where to keep the answers, named ``.parquet``.
       num_threads: of the ``"numba"`` backend.
       progress: show the bar.
-      map_options: ``objective``, ``cost_model``, ``connectivity``, ... of `weigh`, for all queries.
+      map_options: ``objective``, ``cost_model``, ``limits`` of `weigh`, for all queries.
 
     Raises:
       InputError: an argument that is wrong for all queries, a file that holds answers to other questions; with
@@ -203,6 +203,5 @@ class _Job:
         digest = hashlib.sha256()
         for array in (weighted.layers, weighted.is_free):
             digest.update(np.ascontiguousarray(array).data)
-        model = (weighted.cost_model, weighted.reference_length_m, weighted.connectivity, weighted.diagonal)
-        digest.update(repr((weighted.weights, weighted.objective, *model, self.search)).encode())
+        digest.update(repr((weighted.weights, weighted.objective, weighted.cost_model, self.search)).encode())
         return digest.hexdigest()

@@ -90,13 +90,14 @@ def _head(result: StudyResult, table: pd.DataFrame) -> str:
         if settings.budget_iterations is None
         else f"{settings.budget_iterations} samples a run, other planners to their end"
     )
+    model = settings.cost_model
     crashed, odd = (table.status == CRASHED).sum(), table.status.isin(["invalid", "bad-input"]).sum()
     joined = pairs.groupby("altitude_m").is_joined.mean()
     lines = [
         f"- {counted(table.instance.nunique(), 'instance')} at {_listed([f'{z:g} m' for z in joined.index])}, "
         f"{len(table)} runs of {_listed(sorted(table.planner.unique()))}; {grid.num_cols} x {grid.num_rows} cells of "
         f"{grid.resolution_m:g} m.",
-        f"- Budget: {budget}. Cost model `{settings.cost_model}`, reference length {settings.reference_length_m:g} m.",
+        f"- Budget: {budget}. Cost model `{model.kind}`, reference length {model.reference_length_m:g} m.",
         f"- Pairs that some path joins: {_listed([f'{share:.1%} at {z:g} m' for z, share in joined.items()])}.",
         f"- Crashed runs: {crashed}; paths or questions that were not valid: {odd}.",
         f"- Intervals are 95 %, by bootstrap over instances (over tiles of 500 m for maps); none with fewer than "

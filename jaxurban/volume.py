@@ -14,7 +14,7 @@ from jaxurban.limits import Limits
 from jaxurban.maps import MetricMaps
 from jaxurban.memory import gib
 from jaxurban.planned import PlannedPath
-from jaxurban.planners.base import Cell, CostModel, Diagonal
+from jaxurban.planners.base import Cell, CostKind, CostModel
 from jaxurban.planners.volume import Node, VolumeCost, VolumeProblem, charge
 from jaxurban.planners.volume_astar import volume_astar
 from jaxurban.weighted import Place, Point, WeightedMap, weigh
@@ -157,12 +157,9 @@ def weigh_volume(
     descent_cost: float = 0.0,
     weights: Weights | None = None,
     objective: str = "weighted",
-    cost_model: CostModel = "cell",
+    cost_model: CostModel | CostKind = "cell",
     time: str | None = None,
     time_of_day: str | None = None,
-    connectivity: int = 8,
-    diagonal: Diagonal = "both-free",
-    reference_length_m: float = 5.0,
     limits: Limits | None = None,
 ) -> WeightedVolume:
     """Return the maps of several altitudes as a volume, in which any number of paths can be planned.
@@ -182,9 +179,6 @@ def weigh_volume(
         cost_model=cost_model,
         time=time,
         time_of_day=time_of_day,
-        connectivity=connectivity,
-        diagonal=diagonal,
-        reference_length_m=reference_length_m,
     )
     weights = flat.weights
     climb_cost = float(weights.distance) if climb_cost is None else float(climb_cost)
@@ -219,10 +213,7 @@ def weigh_volume(
         distance_weight=float(weights.distance) if is_weighed else 1.0,
         climb_cost=climb_cost if is_weighed else 0.0,
         descent_cost=float(descent_cost) if is_weighed else 0.0,
-        cost_model=cost_model,
-        reference_length_m=reference_length_m,
-        connectivity=connectivity,
-        diagonal=diagonal,
+        cost_model=flat.cost_model,
     )
     asked = {"min_altitude_m": min_altitude_m, "max_altitude_m": max_altitude_m, "level_step_m": level_step_m}
     return WeightedVolume(flat, stack, problem, climb_cost, float(descent_cost), limits, asked)
@@ -245,12 +236,9 @@ def plan_volume(
     weights: Weights | None = None,
     heuristic: str = "plus",
     objective: str = "weighted",
-    cost_model: CostModel = "cell",
+    cost_model: CostModel | CostKind = "cell",
     time: str | None = None,
     time_of_day: str | None = None,
-    connectivity: int = 8,
-    diagonal: Diagonal = "both-free",
-    reference_length_m: float = 5.0,
     budget_s: float = 180.0,
     snap: bool = False,
     limits: Limits | None = None,
@@ -272,8 +260,8 @@ def plan_volume(
       climb_cost, descent_cost: cost per metre of height, beside the length. Left out, a metre of climb costs
         ``weights.distance``: hovering aside, lifting a small multirotor by a metre takes about the energy of
         one metre of level flight.
-      weights, objective, cost_model, time, time_of_day, connectivity, diagonal, reference_length_m: as in
-        `jaxurban.plan`; 8 neighbours are 26 in a volume. ``objective="distance"`` leaves climb and descent out too.
+      weights, objective, cost_model, time, time_of_day: as in `jaxurban.plan`; 8 neighbours are 26 in a volume.
+        ``objective="distance"`` leaves climb and descent out too.
       heuristic: a name of `VOLUME_HEURISTICS`.
       budget_s: seconds that the search may take.
       snap: move a start or goal inside an obstacle to the nearest free cell of its level instead of failing.
@@ -295,9 +283,6 @@ def plan_volume(
         cost_model=cost_model,
         time=time,
         time_of_day=time_of_day,
-        connectivity=connectivity,
-        diagonal=diagonal,
-        reference_length_m=reference_length_m,
         limits=limits,
     )
     return volume.plan(

@@ -12,7 +12,7 @@ from jaxurban.io.orbits import iso_utc, parse_time
 from jaxurban.limits import Limits
 from jaxurban.maps import MetricMaps
 from jaxurban.planned import PlannedPath
-from jaxurban.planners.base import Cell, CostModel, Diagonal, Path, Problem
+from jaxurban.planners.base import Cell, CostKind, CostModel, Path, Problem
 from jaxurban.planners.evaluate import PathCost, evaluate
 from jaxurban.planners.refine import refine as refine_path
 from jaxurban.planners.registry import check_seed, find_planner
@@ -48,7 +48,7 @@ class WeightedMap:
       time_of_day: of the population map; None without one.
       weights: as floats.
       objective: ``"weighted"`` or ``"distance"``.
-      cost_model, reference_length_m, connectivity, diagonal: see `Problem`.
+      cost_model: see `Problem`.
       names: the metrics of the layers.
       m: ``[L, Y, X]`` float32 the metrics; 0 where there are no data.
       layers: ``[L, Y, X]`` float64 weighted costs w_j c_j, whatever the objective is.
@@ -63,9 +63,6 @@ class WeightedMap:
     weights: Weights
     objective: str
     cost_model: CostModel
-    reference_length_m: float
-    connectivity: int
-    diagonal: Diagonal
     names: tuple[str, ...]
     m: np.ndarray
     layers: np.ndarray
@@ -105,9 +102,6 @@ class WeightedMap:
             resolution_m=self.grid.resolution_m,
             distance_weight=float(self.weights.distance) if self.is_weighed else 1.0,
             cost_model=self.cost_model,
-            reference_length_m=self.reference_length_m,
-            connectivity=self.connectivity,
-            diagonal=self.diagonal,
         )
 
     def locate(self, name: str, lonlat: Point | None = None, xy_m: Point | None = None, *, snap: bool = False) -> Place:
@@ -226,10 +220,7 @@ class WeightedMap:
             search=replace(found, note=" ".join(filter(None, notes))),
             settings={
                 "objective": self.objective,
-                "cost_model": self.cost_model,
-                "reference_length_m": self.reference_length_m,
-                "connectivity": self.connectivity,
-                "diagonal": self.diagonal,
+                **self.cost_model.settings,
                 "weights": {name: float(getattr(self.weights, name)) for name in ("distance", *self.names)},
                 "time": self.time,
                 "time_of_day": self.time_of_day,
@@ -250,8 +241,6 @@ class WeightedMap:
             self.grid.resolution_m,
             float(self.weights.distance),
             self.cost_model,
-            self.reference_length_m,
-            self.diagonal,
         )
 
     def _by_layer(self, paid: PathCost) -> dict[str, float]:
@@ -272,12 +261,9 @@ def weigh(
     *,
     weights: Weights | None = None,
     objective: str = "weighted",
-    cost_model: CostModel = "cell",
+    cost_model: CostModel | CostKind = "cell",
     time: str | None = None,
     time_of_day: str | None = None,
-    connectivity: int = 8,
-    diagonal: Diagonal = "both-free",
-    reference_length_m: float = 5.0,
     limits: Limits | None = None,
 ) -> WeightedMap:
     """Return the maps at one altitude under weights, on which any number of paths can be planned.
@@ -287,11 +273,10 @@ def weigh(
       altitude_m: one of the maps' altitudes.
       weights: default `Weights()`.
       objective: ``"weighted"``, or ``"distance"`` for the shortest path (its weighted cost is reported).
-      cost_model: ``"cell"`` (the paper) or ``"line"``.
+      cost_model: how steps are charged and which are allowed, or its kind alone: ``"cell"`` (the paper) or
+        ``"line"``.
       time: epoch of the GPS map; the first if left out.
       time_of_day: of the population map; the first if left out.
-      connectivity, diagonal: neighbours of the grid planners.
-      reference_length_m: l_0 of the line model.
       limits: no-fly zones and bounds that close cells to every planner.
 
     Raises:
@@ -318,10 +303,7 @@ def weigh(
         time_of_day=time_of_day or next(iter(maps.times_of_day), None),
         weights=weights,
         objective=objective,
-        cost_model=cost_model,
-        reference_length_m=reference_length_m,
-        connectivity=connectivity,
-        diagonal=diagonal,
+        cost_model=CostModel.of(cost_model),
         names=tuple(costs),
         m=m,
         layers=layers,

@@ -281,10 +281,12 @@ def _search(
 
 
 def _ground(problem: Problem, is_reachable: np.ndarray) -> Ground:
-    is_line = problem.cost_model == "line"
-    per_side = problem.resolution_m / problem.reference_length_m if is_line else 1.0
+    is_line = problem.cost_model.kind == "line"
+    per_side = problem.resolution_m / problem.cost_model.reference_length_m if is_line else 1.0
     charge = np.where(is_reachable, problem.cost, np.inf) * per_side
-    return Ground(charge, float(problem.distance_weight * problem.resolution_m), is_line, problem.passes_corners)
+    return Ground(
+        charge, float(problem.distance_weight * problem.resolution_m), is_line, problem.cost_model.passes_corners
+    )
 
 
 def _queue(size: int) -> Queue:

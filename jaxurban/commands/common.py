@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from jaxurban.cost import Weights
+    from jaxurban.planners.base import CostModel
 
 Settings = dict[str, Any]
 
@@ -64,6 +65,18 @@ def stored_weights(folder: Path, settings: Settings) -> "Weights":
         raise InputError(
             f"{str(folder / 'run.json')!r} names weights that do not exist: make the maps again"
         ) from error
+
+
+def stored_cost_model(settings: Settings, kind: str | None) -> "CostModel":
+    """Return the cost model of those settings' ``[planning]``, of another kind where one is given.
+
+    Raises:
+      InputError: a value that is none of a cost model's.
+    """
+    from jaxurban.planners.base import CostModel
+
+    planning = settings.get("planning", {})
+    return CostModel.from_settings(planning if kind is None else {**planning, "cost_model": kind})
 
 
 @contextmanager

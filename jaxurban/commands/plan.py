@@ -11,6 +11,7 @@ from jaxurban.commands.common import (
     LONLAT,
     Settings,
     print_json,
+    stored_cost_model,
     stored_settings,
     stored_weights,
     tell,
@@ -91,7 +92,7 @@ def plan(
     defaults = stored_settings(folder)
     planning = defaults.get("planning", {})
     chosen = {name: given[name] if given[name] is not None else planning.get(name) for name in given}
-    chosen |= {name: planning[name] for name in ("connectivity", "diagonal", "reference_length_m") if name in planning}
+    chosen["cost_model"] = stored_cost_model(defaults, given["cost_model"])
     if is_volume:
         chosen = {name: value for name, value in chosen.items() if name not in ("planner", "seed", "refine")}
         chosen["start_altitude_m"] = altitude_m = chosen.pop("altitude_m")

@@ -10,6 +10,7 @@ from jaxurban.commands.common import (
     LONLAT,
     print_json,
     stages,
+    stored_cost_model,
     stored_settings,
     stored_weights,
     tell,
@@ -73,10 +74,8 @@ def sensitivity(
     if scenario is not None and not with_buildings:
         raise click.UsageError("--scenario belongs to --buildings: add that")
     settings = stored_settings(folder)
-    planning = settings.get("planning", {})
     weights = Weights.parse(weights_text, stored_weights(folder, settings))
-    given["cost_model"] = given["cost_model"] or planning.get("cost_model", "cell")
-    given |= {name: planning[name] for name in ("reference_length_m",) if name in planning}
+    given["cost_model"] = stored_cost_model(settings, given["cost_model"])
     study_only = ("num_samples", "tolerance", "seed")
     how: dict[str, Any] = {name: given.pop(name) for name in study_only}
     how |= {name: _names(given.pop(option)) for name, option in NAMED.items()}

@@ -74,6 +74,7 @@ def _run(
     from jaxurban.case_study import study as run_study
     from jaxurban.cost import Weights
     from jaxurban.pipeline import run_scenario
+    from jaxurban.planners.base import CostModel
     from jaxurban.studies.sampling import read_instances
 
     if workers is not None and cluster is not None:
@@ -94,10 +95,7 @@ def _run(
         weights=weights if isinstance(weights, str) else [Weights(**each.model_dump()) for each in weights],
         planners=settings.planners,
         distance_only=settings.distance_only,
-        cost_model=settings.cost_model,
-        reference_length_m=planning.reference_length_m,
-        connectivity=planning.connectivity,
-        diagonal=planning.diagonal,
+        cost_model=CostModel.from_settings({**planning.model_dump(), "cost_model": settings.cost_model}),
         budget_s=settings.budget_s,
         budget_iterations=budget_iterations or settings.budget_iterations,
         seed=settings.seed,

@@ -8,9 +8,7 @@ from typing import Any
 import click
 from click.core import ParameterSource
 
-from jaxurban.commands.common import JSON_FLAG, print_json, rounds, stored_settings, tell
-
-SHARED = ("cost_model", "reference_length_m", "connectivity", "diagonal")  # settings of planning, of the scenario
+from jaxurban.commands.common import JSON_FLAG, print_json, rounds, stored_cost_model, stored_settings, tell
 
 
 @click.command()
@@ -59,10 +57,7 @@ def tune(
 
     if wishes and (scale or bootstrap is not None):
         raise click.UsageError("--scale and --bootstrap belong to fits without --wish: leave them out")
-    planning = stored_settings(folder).get("planning", {})
-    on_maps = {name: planning[name] for name in SHARED if name in planning}
-    if cost_model is not None:
-        on_maps["cost_model"] = cost_model
+    on_maps: dict[str, Any] = {"cost_model": stored_cost_model(stored_settings(folder), cost_model)}
     if metrics is not None:
         on_maps["metrics"] = [name.strip() for name in metrics.split(",") if name.strip()]
     of_fit = {"scale": scale, "bootstrap": bootstrap} | {

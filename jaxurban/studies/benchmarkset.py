@@ -114,7 +114,8 @@ def _page(maps: MetricMaps, name: str, settings: Settings, counts: dict[str, int
     grid = maps.grid
     credit = maps.ds.attrs.get("attribution", "")
     cell = "plus w_j c_j(Q) summed over j, Q the cell in which the step ends"
-    line = f"plus the integral of w_j c_j along it over {settings.reference_length_m:g} m, cut exactly at cell borders"
+    model = settings.cost_model
+    line = f"plus the integral of w_j c_j along it over {model.reference_length_m:g} m, cut exactly at cell borders"
     return f"""# {name}: planning over an urban metric map
 
 {grid.num_cols} x {grid.num_rows} cells of {grid.resolution_m:g} m, {grid.crs}; southwest corner {grid.x_min_m:.1f},
@@ -139,10 +140,10 @@ One row a problem: `instance`, `altitude_m`, `time`, `time_of_day`; `start_x_m`,
 [row, column], `resolution_m`, `x_min_m`, `y_min_m`. Row 0 is the southern one.
 
 A step of length d from cell P to cell Q costs w_distance x d
-{cell if settings.cost_model == "cell" else line} (`{settings.cost_model}` model).
+{cell if model.kind == "cell" else line} (`{model.kind}` model).
 A path is valid if every cell that it crosses is free.
 
-- `grid_optimum`: cost of the cheapest {settings.connectivity}-connected path (diagonal steps: {settings.diagonal});
+- `grid_optimum`: cost of the cheapest {model.connectivity}-connected path (diagonal steps: {model.diagonal});
   empty where not proven in the study's budget. Paths that leave the grid may be cheaper.
 - `best_known`, `best_planner`: the cheapest path found by any planner of the study; beat it.
 """

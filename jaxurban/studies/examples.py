@@ -113,7 +113,7 @@ def _is_grid_path(unit: WeightedMap, local: np.ndarray) -> bool:
     cells = np.floor(local)
     is_centre = np.abs(local - cells - 0.5) < ON_CENTRE
     steps = np.abs(np.diff(cells, axis=0))
-    sizes = steps.sum(axis=1) if unit.connectivity == 4 else steps.max(axis=1)
+    sizes = steps.sum(axis=1) if unit.cost_model.connectivity == 4 else steps.max(axis=1)
     return (
         bool(is_centre.all() and np.all(sizes == 1)) and unit.evaluate((cells + 0.5) * unit.grid.resolution_m).is_valid
     )
@@ -175,8 +175,7 @@ def _shortest_within(
             goal=ends[1],
             resolution_m=1.0,
             distance_weight=1.0,
-            connectivity=unit.connectivity,
-            diagonal=unit.diagonal,
+            cost_model=unit.cost_model,
         )
     )
     return found.points_m + low[::-1] if found.status.has_path else None

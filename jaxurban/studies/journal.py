@@ -86,8 +86,7 @@ def fingerprint(queries: Sequence[Query], *arrays: np.ndarray) -> str:
     digest = hashlib.sha256()
     for unit in {id(query.unit): query.unit for query in queries}.values():
         problem = unit.problem
-        digest.update(repr((unit.names, unit.cost_model, unit.reference_length_m, unit.connectivity)).encode())
-        digest.update(repr((unit.diagonal, unit.grid.resolution_m, unit.layers.shape)).encode())
+        digest.update(repr((unit.names, unit.cost_model, unit.grid.resolution_m, unit.layers.shape)).encode())
         digest.update(np.ascontiguousarray(problem.layers).tobytes())
         digest.update(np.ascontiguousarray(problem.is_free).tobytes())
     for query in queries:

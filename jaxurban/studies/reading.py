@@ -10,6 +10,7 @@ from jaxurban.errors import InputError
 from jaxurban.io.routes import read_routes
 from jaxurban.maps import MetricMaps
 from jaxurban.planned import PlannedPath
+from jaxurban.planners.base import CostModel
 from jaxurban.studies.examples import Example, example_from_line, example_from_path
 from jaxurban.studies.queries import unit_map
 from jaxurban.weighted import WeightedMap
@@ -49,7 +50,7 @@ def read_examples(
       maps: from `build_maps` or `open_maps`.
       altitude_m, time, time_of_day: of every route.
       settings: ``metrics`` (those whose weights are to be fitted; all if left out), ``cost_model`` (default
-        ``"cell"``), ``reference_length_m``, ``connectivity`` and ``diagonal``, as in `queries.unit_map`.
+        ``"cell"``), as in `queries.unit_map`.
 
     Raises:
       InputError: no lines, or a route without altitude, on no map, outside the maps or through obstacles.
@@ -85,8 +86,7 @@ def examples_from_paths(paths: Sequence[PlannedPath], maps: MetricMaps, **settin
     """
     if not paths:
         raise InputError("there are no paths: give at least one")
-    shared = ("cost_model", "reference_length_m", "connectivity", "diagonal")
-    units = UnitMaps(maps, **{name: paths[0].settings[name] for name in shared} | settings)
+    units = UnitMaps(maps, **{"cost_model": CostModel.from_settings(paths[0].settings)} | settings)
     return [
         example_from_path(
             units(path.altitude_m, path.settings["time"], path.settings["time_of_day"]), path, f"{number}"

@@ -13,7 +13,7 @@ from jaxurban.errors import InputError
 from jaxurban.maps import MetricMaps
 from jaxurban.planned import PlannedPath
 from jaxurban.planners.astar import astar
-from jaxurban.planners.base import CostModel
+from jaxurban.planners.base import CostKind, CostModel
 from jaxurban.studies.kinds import sort_into_kinds
 from jaxurban.studies.local import LocalSensitivity, local_sensitivity
 from jaxurban.studies.outcomes import outcomes_of
@@ -119,8 +119,7 @@ def sensitivity(
     weights: Weights | None = None,
     time_of_day: str | None = None,
     epoch: str | None = None,
-    cost_model: CostModel = "cell",
-    reference_length_m: float = 5.0,
+    cost_model: CostModel | CostKind = "cell",
     vary: Sequence[str] = (),
     factors: tuple[float, float] = (0.1, 10.0),
     num_samples: int = 128,
@@ -143,7 +142,7 @@ def sensitivity(
       altitude_m: one of the maps' altitudes.
       weights: default `Weights()`.
       time_of_day, epoch: of the population and the GPS map; the first if left out.
-      cost_model, reference_length_m: see `Problem`.
+      cost_model: as in `plan`.
       vary: names of weights; left out: all metrics with a weight above 0. The distance keeps its weight as the
         unit unless it is named, since only ratios of weights choose a route.
       factors: each varies from the first to the second of these times its value.
@@ -163,9 +162,7 @@ def sensitivity(
     """
     begin_s = time.perf_counter()
     on_stage = on_stage or (lambda _: None)
-    query, weighed, route = _plan(
-        maps, start, goal, altitude_m, weights, epoch, time_of_day, cost_model, reference_length_m, snap
-    )
+    query, weighed, route = _plan(maps, start, goal, altitude_m, weights, epoch, time_of_day, cost_model, snap)
     names = query.names
     pool = RoutePool([query])
     varied = tuple(vary) or tuple(name for name in names[1:] if weighed[names.index(name)] > 0)
@@ -233,14 +230,9 @@ def routes_under(query: Query, weights: np.ndarray) -> list[np.ndarray]:
         return list(threads.map(search, weights))
 
 
-def _plan(maps, start, goal, altitude_m, weights, epoch, time_of_day, cost_model, reference_length_m, snap):
+def _plan(maps, start, goal, altitude_m, weights, epoch, time_of_day, cost_model, snap):
     """Return the query, the weights ``[K]`` and the planned route."""
-    setting = {
-        "cost_model": cost_model,
-        "time": epoch,
-        "time_of_day": time_of_day,
-        "reference_length_m": reference_length_m,
-    }
+    setting = {"cost_model": cost_model, "time": epoch, "time_of_day": time_of_day}
     weights = (weights or Weights()).checked()
     weighted = weigh(maps, altitude_m, weights=weights, **setting)
     route = weighted.plan(start, goal, snap=snap)

@@ -3,7 +3,7 @@
 import inspect
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property, partial
 from typing import Any
 
@@ -13,14 +13,14 @@ from jaxurban.cost import METRICS
 from jaxurban.errors import InputError
 from jaxurban.grid import Grid
 from jaxurban.maps import MetricMaps
-from jaxurban.planners.base import Cell, CostModel, Diagonal, Path, Problem
+from jaxurban.planners.base import Cell, CostKind, CostModel, Path, Problem
 from jaxurban.planners.evaluate import evaluate
 from jaxurban.planners.registry import PLANNERS, find_planner
 
 WEIGHTED, DISTANCE = "weighted", "distance"
 CRASHED, BAD_INPUT, INVALID = "crashed", "bad-input", "invalid"  # beside the names of `Status`
 BLOCK_ROWS = 32  # of a map, weighed at a time, so that they stay in the cache
-COST_MODELS: tuple[CostModel, ...] = ("cell", "line")
+COST_KINDS: tuple[CostKind, ...] = ("cell", "line")
 
 
 @dataclass(frozen=True)
@@ -36,19 +36,22 @@ class Settings:
     """How every instance is asked.
 
     Attributes:
-      cost_model, reference_length_m, connectivity, diagonal: see `Problem`.
+      cost_model: see `Problem`.
       budget_s: seconds for each run.
       budget_iterations: instead, samples for planners that draw any; the others run to their end.
       seed: of sampling planners, mixed with the instance's number.
     """
 
-    cost_model: CostModel = "line"
-    reference_length_m: float = 5.0
-    connectivity: int = 8
-    diagonal: Diagonal = "both-free"
+    cost_model: CostModel = field(default_factory=lambda: CostModel("line"))
     budget_s: float = 2.0
     budget_iterations: int | None = None
     seed: int = 0
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the settings as plain, JSON-ready values."""
+        rest = asdict(self)
+        del rest["cost_model"]
+        return {**self.cost_model.settings, **rest}
 
 
 NUMBERS = ("cost", "cost_cell", "cost_line", "search_cost", "lower_bound", "gap", "length_m", "detour")
@@ -99,9 +102,6 @@ class Ground:
             resolution_m=self.grid.resolution_m,
             distance_weight=1.0,
             cost_model=self.settings.cost_model,
-            reference_length_m=self.settings.reference_length_m,
-            connectivity=self.settings.connectivity,
-            diagonal=self.settings.diagonal,
         )
 
     def weighed(self, weights: np.ndarray) -> Problem:
@@ -119,20 +119,18 @@ class Ground:
     def facts(self, points_m: np.ndarray, weights: np.ndarray) -> dict[str, float] | None:
         """Return cost under both models, length and mean metrics of a path ``[N, 2]``; None if it is not valid."""
         facts: dict[str, float] = {}
-        for model in COST_MODELS:
+        for kind in COST_KINDS:
             paid = evaluate(
                 points_m,
                 self.costs,
                 self.is_free,
                 self.grid.resolution_m,
                 1.0,
-                model,
-                self.settings.reference_length_m,
-                self.settings.diagonal,
+                replace(self.settings.cost_model, kind=kind),
             )
             if not paid.is_valid:
                 return None
-            facts[f"cost_{model}"] = float(weights[0] * paid.length_m + weights[1:] @ paid.per_layer)
+            facts[f"cost_{kind}"] = float(weights[0] * paid.length_m + weights[1:] @ paid.per_layer)
         crossed = paid.crossings
         length_m = crossed.length_m if paid.length_m > 0 else np.ones(1)
         for name, along in zip(self.names, self.costs[:, crossed.row, crossed.col].astype(np.float64), strict=True):
@@ -213,7 +211,7 @@ def _facts(ground: Ground, found: Path, weights: np.ndarray, run: Run) -> dict[s
         facts
         | paid
         | {
-            "cost": paid[f"cost_{ground.settings.cost_model}"],
+            "cost": paid[f"cost_{ground.settings.cost_model.kind}"],
             "search_cost": found.cost,
             "gap": found.gap,
             "detour": paid["length_m"] / straight_m if straight_m > 0 else None,

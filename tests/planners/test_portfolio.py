@@ -7,7 +7,7 @@ import pytest
 from scipy.ndimage import label
 
 from jaxurban.errors import InputError
-from jaxurban.planners.base import Path, Problem, Status
+from jaxurban.planners.base import CostModel, Path, Problem, Status
 from jaxurban.planners.evaluate import evaluate_on
 from jaxurban.planners.registry import PLANNERS
 from tests.free_space import Obstacles
@@ -39,7 +39,7 @@ def run(name: str, problem: Problem, seed: int = 0, num_samples: int = 300) -> P
 
 def problem_on(is_free, start, goal, layers=None, model="line", distance_weight=1.0, **options) -> Problem:
     layers = np.zeros((1, *is_free.shape)) if layers is None else layers
-    return Problem(layers, is_free, start, goal, SIDE_M, distance_weight, model, **options)
+    return Problem(layers, is_free, start, goal, SIDE_M, distance_weight, CostModel(model, **options))
 
 
 @cache

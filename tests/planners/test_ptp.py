@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jaxurban.planners.base import Problem, Status
+from jaxurban.planners.base import CostModel, Problem, Status
 from jaxurban.planners.ptp import ptp
 
 
@@ -49,7 +49,7 @@ def test_it_is_blocked_between_two_cells_that_touch_at_a_corner_unless_always_is
     is_free[0, 5] = is_free[1, 4] = False  # either side of where the line leaves row 0
     problem = Problem(np.zeros((1, 2, 10)), is_free, (0, 0), (1, 9), 1.0, 1.0)
     assert ptp(problem).status is Status.BLOCKED
-    assert ptp(replace(problem, diagonal="always")).status is Status.FEASIBLE
+    assert ptp(replace(problem, cost_model=CostModel(diagonal="always"))).status is Status.FEASIBLE
 
 
 def test_a_sliver_of_an_obstacle_blocks_though_no_sample_falls_in_it():

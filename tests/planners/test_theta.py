@@ -11,7 +11,7 @@ from shapely import LineString, MultiPoint, box, union_all
 
 from jaxurban.errors import InputError
 from jaxurban.planners.astar import astar
-from jaxurban.planners.base import Problem, Status
+from jaxurban.planners.base import CostModel, Problem, Status
 from jaxurban.planners.evaluate import evaluate_on
 from jaxurban.planners.theta import line_ground, shortened, subdivided, theta_star
 from jaxurban.planners.theta_search import segment_cost
@@ -20,7 +20,7 @@ from tests.free_space import pinched_corners
 
 def line_problem(layers, start, goal, is_free=None, distance_weight=0.2, resolution_m=2.0, **options):
     is_free = np.ones(layers.shape[1:], bool) if is_free is None else is_free
-    return Problem(layers, is_free, start, goal, resolution_m, distance_weight, "line", 4.0, **options)
+    return Problem(layers, is_free, start, goal, resolution_m, distance_weight, CostModel("line", 4.0, **options))
 
 
 def random_problem(seed, shape=(20, 24), share_free=0.8, **options):

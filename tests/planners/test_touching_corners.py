@@ -12,7 +12,7 @@ from shapely import LineString
 from jaxurban.errors import InputError
 from jaxurban.kernels.segment_costs import segment_costs
 from jaxurban.planners import bitstar_search, theta_search
-from jaxurban.planners.base import Path, Problem, Status
+from jaxurban.planners.base import CostModel, Path, Problem, Status
 from jaxurban.planners.evaluate import evaluate
 from jaxurban.planners.refine import refine
 from jaxurban.planners.registry import PLANNERS
@@ -58,7 +58,12 @@ def by_evaluation(seed, cost_model, diagonal):
     is_free = pinched_map(seed)
     layers = np.random.default_rng(seed).random((1, *SHAPE))
     segments = segments_by_corners(seed)
-    return np.array([evaluate(ends, layers, is_free, 1.0, 0.3, cost_model, 1.0, diagonal).total for ends in segments])
+    return np.array(
+        [
+            evaluate(ends, layers, is_free, 1.0, 0.3, CostModel(cost_model, 1.0, diagonal=diagonal)).total
+            for ends in segments
+        ]
+    )
 
 
 def charge_of(seed):
@@ -108,7 +113,7 @@ def test_a_segment_with_an_end_on_a_border_is_never_taken_where_the_evaluation_f
             costs = [theta_search.segment_cost(ground, *a, *b, np.inf) for a, b in itertools.pairwise(points)]
             if np.isfinite(costs).all():
                 taken += 1
-                assert evaluate(points, np.zeros((1, *SHAPE)), is_free, 1.0, 1.0).is_valid
+                assert evaluate(points, np.zeros((1, *SHAPE)), is_free, 1.0, 1.0, CostModel()).is_valid
     assert taken > 100
 
 
@@ -118,11 +123,15 @@ def run(name: str, problem: Problem) -> Path:
     return PLANNERS[name].run(problem, budget_s=60.0)
 
 
+def always(problem: Problem) -> Problem:
+    return replace(problem, cost_model=replace(problem.cost_model, diagonal="always"))
+
+
 def walled_problem(is_free, model="line", **options):
     """From one side of the wall to the other, straight through the corner of its middle cells."""
     at = SIZE // 2
     layers = np.random.default_rng(0).random((1, *is_free.shape))
-    return Problem(layers, is_free, (at + 2, at - 1), (at - 1, at + 2), 5.0, 0.1, model, **options)
+    return Problem(layers, is_free, (at + 2, at - 1), (at - 1, at + 2), 5.0, 0.1, CostModel(model, **options))
 
 
 @pytest.mark.parametrize(("name", "model"), PLAIN)
@@ -140,11 +149,11 @@ def test_neither_a_planner_nor_refinement_takes_a_short_cut_through_a_diagonal_w
     is_free = WALL.copy()
     is_free[-1, -1] = True  # the way around
     problem = walled_problem(is_free)
-    through = run(name, replace(problem, diagonal="always"))
+    through = run(name, always(problem))
     with pytest.raises(InputError, match="passes between two that touch at a corner"):
         refine(problem, through)
     by_compass = partial(refine, moves=("compass",))
-    assert by_compass(replace(problem, diagonal="always"), through).cost <= through.cost < np.inf
+    assert by_compass(always(problem), through).cost <= through.cost < np.inf
     path = run(name, problem)
     if name == "ptp":
         assert path.status is Status.BLOCKED
@@ -165,11 +174,12 @@ def test_paths_on_maps_full_of_touching_corners_are_found_free_again():
             is_free[row : row + 6, col : col + 6] = ~np.eye(6, dtype=bool)[:: rng.choice([-1, 1])]
         start, goal = (tuple(int(v) for v in cell) for cell in rng.choice(np.argwhere(is_free), 2))
         for diagonal in ("both-free", "always"):
-            problem = Problem(rng.random((1, 24, 24)), is_free, start, goal, 5.0, 0.2, "line", diagonal=diagonal)
+            model = CostModel("line", diagonal=diagonal)
+            problem = Problem(rng.random((1, 24, 24)), is_free, start, goal, 5.0, 0.2, model)
             for name in PLANNERS:
                 path = run(name, problem)
                 for found in (path, refine(problem, path, moves=("compass",))) if path.status.has_path else ():
-                    paid = evaluate(found.points_m, problem.layers, is_free, 5.0, 0.2, "line", 5.0, diagonal)
+                    paid = evaluate(found.points_m, problem.layers, is_free, 5.0, 0.2, model)
                     assert paid.is_valid
                     assert found.cost == pytest.approx(paid.total, rel=1e-12)
                     obstacles = Obstacles(is_free, 5.0)
@@ -183,7 +193,13 @@ def test_a_diagonal_wall_through_all_levels_closes_a_volume_and_a_path_through_i
     def problem(diagonal, is_free):
         ends = (0, 6, 3), (0, 3, 6)
         return VolumeProblem(
-            np.ones((2, *WALL.shape)), is_free, np.array([20.0, 30.0]), *ends, 5.0, 1.0, diagonal=diagonal
+            np.ones((2, *WALL.shape)),
+            is_free,
+            np.array([20.0, 30.0]),
+            *ends,
+            5.0,
+            1.0,
+            cost_model=CostModel(diagonal=diagonal),
         )
 
     walled = np.stack([WALL, WALL])
