@@ -31,7 +31,7 @@ def ground_of(problem: Problem) -> Ground:
     charge = np.where(problem.is_free, problem.cost, np.inf) * (
         problem.resolution_m / problem.cost_model.reference_length_m
     )
-    return Ground(charge, problem.distance_weight * problem.resolution_m, True)
+    return Ground(charge, problem.distance_weight * problem.resolution_m, True, problem.cost_model.passes_corners)
 
 
 def far_apart(problem: Problem, seed: int) -> Problem:

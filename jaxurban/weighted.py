@@ -195,8 +195,7 @@ class WeightedMap:
     @cached_property
     def reachability(self) -> Reachability:
         """What joins places on these maps."""
-        cuts_corners = self.cost_model.connectivity == 8 and self.cost_model.diagonal == "always"
-        return Reachability(self.maps, self.limits, self.time, self.time_of_day, cuts_corners)
+        return Reachability(self.maps, self.limits, self.time, self.time_of_day, self.cost_model.joins_corners)
 
     def finish(
         self, found: Path, ends: tuple[Place, Place], *, budget_s: float, seed: int, remedy: str | None = None

@@ -7,6 +7,7 @@ from enum import Enum
 from typing import Any, Literal, Protocol, TypeVar
 
 import numpy as np
+from scipy.ndimage import label
 
 from jaxurban.errors import InputError
 from jaxurban.kernels.heuristic import line_minima
@@ -63,7 +64,8 @@ class CostModel:
       kind: ``"cell"`` (the paper) or ``"line"`` (see `Problem`).
       reference_length_m: ``l_0`` of the line model.
       connectivity: 4 or 8 neighbours, for grid planners.
-      diagonal: ``"both-free"`` allows a diagonal step only where both orthogonal neighbours are free.
+      diagonal: ``"both-free"`` allows a diagonal step only where both orthogonal neighbours are free, and no path of
+        any planner between two blocked cells that touch at a corner; ``"always"`` allows either.
 
     Raises:
       InputError: a value that is none of these.
@@ -93,6 +95,11 @@ class CostModel:
         """Return the model that settings give under the names of `settings`; what they leave out is the default."""
         given = {name: settings.get(name, default) for name, default in cls().settings.items()}
         return cls(given.pop("cost_model"), **given)
+
+    @property
+    def passes_corners(self) -> bool:
+        """Whether a path may pass between two blocked cells that touch at a corner."""
+        return self.diagonal == "always"
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -243,6 +250,11 @@ class Problem:
                 np.uint8,
             ),
         )
+
+    @property
+    def islands(self) -> np.ndarray:
+        """``[Y, X]`` the number of the part of the map in which paths off the grid join a cell; 0: blocked."""
+        return np.asarray(label(self.is_free, np.ones((3, 3)) if self.cost_model.passes_corners else None)[0])
 
     @property
     def line_minima(self) -> tuple[np.ndarray, np.ndarray]:

@@ -5,7 +5,7 @@ from functools import cache
 
 import numpy as np
 
-from jaxurban.kernels.traversal import Crossings, crossed_cells
+from jaxurban.kernels.traversal import Crossings, crossed_cells, is_free_way
 from jaxurban.planners.base import CostModel, Problem
 
 ROUNDING = 1e-9  # relative: lengths this close are equal
@@ -19,7 +19,7 @@ class PathCost:
       total: ``distance_weight * length_m + per_layer.sum()``; inf for a path that is not valid.
       length_m: Euclidean length.
       per_layer: ``[L]`` float64 what each layer charges, weights included; inf for a path that is not valid.
-      is_valid: every crossed cell is on the map and free.
+      is_valid: every crossed cell is on the map and free, and so is the way through corners (`is_free_way`).
       crossings: the cells that the path crosses.
     """
 
@@ -83,17 +83,14 @@ def evaluate(
       is_free: ``[Y, X]`` bool.
       resolution_m: side of a cell.
       distance_weight: cost per metre.
-      model: how steps are charged.
+      model: how steps are charged, and whether a path may pass between blocked cells that touch at a corner.
 
     Raises:
       InputError: points that are not ``[N, 2]`` finite metres.
     """
     crossings = crossed_cells(points_m, resolution_m)
     length_m = float(np.hypot(*np.diff(np.asarray(points_m, np.float64), axis=0).T).sum())
-    row, col = crossings.row, crossings.col
-    num_rows, num_cols = is_free.shape
-    is_inside = (row >= 0) & (row < num_rows) & (col >= 0) & (col < num_cols)
-    if not is_inside.all() or not np.all(is_free[row, col]):
+    if not is_free_way(crossings, is_free, model.passes_corners):
         return PathCost(np.inf, length_m, np.full(len(layers), np.inf), False, crossings)
     charged = _charged_cells(points_m, crossings, resolution_m, model)
     per_layer = np.asarray(layers[:, charged[0], charged[1]], np.float64) @ charged[2]

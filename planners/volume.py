@@ -8,7 +8,7 @@ import numpy as np
 
 from jaxurban.errors import InputError
 from jaxurban.planners.base import CostModel, positive_m
-from jaxurban.planners.moves import allowed_moves
+from jaxurban.planners.moves import STEPS, allowed_moves
 
 Node = tuple[int, int, int]  # level, row, column; level 0 is the lowest, row 0 in the south
 
@@ -97,7 +97,7 @@ class VolumeCost(NamedTuple):
     """What a path from node to node costs. ``N`` nodes.
 
     Attributes:
-      total: all of it.
+      total: all of it; inf where a step is not allowed.
       length_m: length in space.
       climb_m, descent_m: metres climbed and descended.
       nodes: ``[N, 3]`` int64 level, row, column.
@@ -115,7 +115,10 @@ class VolumeCost(NamedTuple):
 
 
 def charge(problem: VolumeProblem, points_m: np.ndarray) -> VolumeCost:
-    """Return the cost of a path of neighbouring nodes, given as points ``[N, 3]`` (x, y, altitude; ``N >= 1``)."""
+    """Return the cost of a path of neighbouring nodes, given as points ``[N, 3]`` (x, y, altitude; ``N >= 1``).
+
+    Its total is inf where a step is not one that the search may take (see `VolumeProblem`).
+    """
     cells = np.floor(points_m[:, 1::-1] / problem.resolution_m).astype(np.int64)
     nodes = np.column_stack([np.searchsorted(problem.levels_m, points_m[:, 2]), cells])
     length_m = np.linalg.norm(np.diff(points_m, axis=0), axis=1)
@@ -131,4 +134,17 @@ def charge(problem: VolumeProblem, points_m: np.ndarray) -> VolumeCost:
         + problem.descent_cost * descent_m
         + charged @ problem.cost[tuple(nodes.T)]
     )
+    if not _is_allowed(problem, nodes):
+        total = np.inf
     return VolumeCost(float(total), float(length_m.sum()), climb_m, descent_m, nodes, charged, node_length_m)
+
+
+def _is_allowed(problem: VolumeProblem, nodes: np.ndarray) -> bool:
+    """Return whether every step between nodes ``[N, 3]`` leads to a neighbour and is allowed on both of its levels."""
+    steps = np.diff(nodes, axis=0)
+    if np.abs(steps).max(initial=0) > 1 or not problem.is_free[tuple(nodes.T)].all():
+        return False
+    # The bit of the horizontal part of each step; 0 straight up or down.
+    bit = (steps[:, None, 1:] == np.array(STEPS)).all(axis=2) @ (1 << np.arange(len(STEPS)))
+    level, row, col = nodes[:-1].T
+    return bool(np.all(problem.moves[level, row, col] & problem.moves[nodes[1:, 0], row, col] & bit == bit))

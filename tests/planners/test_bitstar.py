@@ -1,6 +1,7 @@
 """BIT*: against Dijkstra on the same samples, closed forms, and small maps done by hand."""
 
 import time
+from dataclasses import replace
 from functools import partial
 
 import jax
@@ -41,7 +42,7 @@ def walled_problem(seed, cost_model, shape=(24, 30)):
 
 
 def reachable(problem):
-    islands, _ = label(problem.is_free, np.ones((3, 3)))
+    islands, _ = label(problem.is_free)
     return islands == islands[problem.start]
 
 
@@ -223,7 +224,9 @@ def test_a_goal_in_a_closed_court_has_no_path():
 def test_a_corner_that_no_sample_can_hit_leaves_the_budget_empty():
     is_free = np.zeros((8, 8), bool)
     is_free[:4, :4] = is_free[4:, 4:] = True
-    through_corner = open_problem((8, 8), (1, 1), (6, 6), is_free=is_free)
+    through_corner = replace(
+        open_problem((8, 8), (1, 1), (6, 6), is_free=is_free), cost_model=CostModel("line", diagonal="always")
+    )
     assert bitstar_dist(through_corner).status is Status.OPTIMAL  # the straight line runs through the corner itself
     path = bitstar_dist(through_corner.between((1, 1), (6, 5)), budget_s=np.inf, max_samples=2000)
     assert path.status is Status.BUDGET_EMPTY

@@ -26,7 +26,9 @@ def ground_of(problem):
         problem.resolution_m / problem.cost_model.reference_length_m if problem.cost_model.kind == "line" else 1.0
     )
     charge = np.where(problem.is_free, problem.cost, np.inf) * per_side
-    return Ground(charge, problem.distance_weight * problem.resolution_m, problem.cost_model.kind == "line")
+    per_side_of_length = problem.distance_weight * problem.resolution_m
+    model = problem.cost_model
+    return Ground(charge, per_side_of_length, model.kind == "line", model.passes_corners)
 
 
 def true_cost(problem, *xy):

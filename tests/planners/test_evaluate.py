@@ -68,16 +68,16 @@ def test_line_cost_does_not_depend_on_how_a_path_is_cut():
 @pytest.mark.parametrize("cost_model", ["cell", "line"])
 def test_a_path_is_valid_where_every_crossed_cell_is_free(cost_model):
     is_free = FREE.copy()
-    is_free[[1, 2], [2, 1]] = False
+    is_free[2, 1] = False
     is_free[1, 5] = False
     layers = np.where(is_free, LAYERS, np.nan)
 
     def at(*points):
         return evaluate(np.array(points), layers, is_free, 5.0, 1.0, CostModel(cost_model))
 
-    between = at(centre_m(1, 1), centre_m(2, 2))  # touches the two blocked cells at their common corner
-    assert between.is_valid
-    assert np.isfinite(between.total)
+    touching = at(centre_m(1, 1), centre_m(2, 2))  # touches the blocked cell at its corner
+    assert touching.is_valid
+    assert np.isfinite(touching.total)
     grazing = at([7.5, 7.5], [12.5, 12.6])
     assert not grazing.is_valid
     assert grazing.total == np.inf
@@ -87,6 +87,22 @@ def test_a_path_is_valid_where_every_crossed_cell_is_free(cost_model):
     assert at(centre_m(0, 7), [39.0, 30.0]).is_valid  # ends on the map's northern border, from within
     assert not at([36.0, 30.0], [39.0, 30.0]).is_valid  # runs along it, which the floor rule puts outside
     assert not at(centre_m(1, 5)).is_valid
+
+
+@pytest.mark.parametrize("cost_model", ["cell", "line"])
+def test_two_blocked_cells_that_touch_at_a_corner_leave_no_gap(cost_model):
+    is_free = FREE.copy()
+    is_free[[1, 2], [2, 1]] = False
+    between = np.array([centre_m(1, 1), centre_m(2, 2)])
+    in_two = np.array([centre_m(1, 1), [10.0, 10.0], centre_m(2, 2)])  # a vertex on the corner itself
+    for points in (between, in_two, in_two[::-1]):
+        closed = evaluate(points, LAYERS, is_free, 5.0, 1.0, CostModel(cost_model))
+        assert not closed.is_valid
+        assert closed.total == np.inf
+        assert np.isinf(closed.per_layer).all()
+        passed = evaluate(points, LAYERS, is_free, 5.0, 1.0, CostModel(cost_model, diagonal="always"))
+        assert passed.is_valid
+        assert np.isfinite(passed.total)
 
 
 @pytest.mark.parametrize("cost_model", ["cell", "line"])
