@@ -39,7 +39,19 @@ class LonLat(click.ParamType):
 
 
 LONLAT = LonLat()
+SNAP_FLAG = click.option(
+    "--snap", is_flag=True, help="Move a start or goal inside an obstacle to the nearest free cell, by 50 m at most."
+)
+SNAP_DISTANCE = click.option(
+    "--snap-distance", "snap_distance_m", type=float, metavar="METRES", help="--snap by at most so far instead of 50 m."
+)
 JSON_FLAG = click.option("--json", "as_json", is_flag=True, help="Print one machine-readable object on stdout.")
+
+
+def take_snap(given: Settings) -> bool | float:
+    """Take the options of snapping out of ``given``; return what `jaxurban.plan` takes as ``snap``."""
+    is_asked, distance_m = given.pop("snap"), given.pop("snap_distance_m")
+    return is_asked if distance_m is None else distance_m
 
 
 def stored_settings(folder: Path) -> Settings:

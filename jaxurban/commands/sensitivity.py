@@ -8,10 +8,13 @@ import click
 from jaxurban.commands.common import (
     JSON_FLAG,
     LONLAT,
+    SNAP_DISTANCE,
+    SNAP_FLAG,
     print_json,
     stages,
     stored_settings,
     stored_weights,
+    take_snap,
     tell,
 )
 from jaxurban.errors import InputError
@@ -29,7 +32,8 @@ NAMED = {"vary": "vary", "triangle": "triangle", "wishes": "pareto"}  # lists of
 @click.option("--resolution", "resolution_m", type=float, help="Of the maps, metres; needed where DIR holds several.")
 @click.option("--cost-model", type=click.Choice(["cell", "line"]), help="cell (the paper) or line.")
 @click.option("--weights", "weights_text", default="", help="As gps=1,risk=2; those not named keep their values.")
-@click.option("--snap", is_flag=True, help="Move a start or goal inside an obstacle to the nearest free cell.")
+@SNAP_FLAG
+@SNAP_DISTANCE
 @click.option(
     "--vary", default="", metavar="NAME,...", help="Weights that vary.  [default: every metric with a weight]"
 )
@@ -72,6 +76,7 @@ def sensitivity(
 
     if scenario is not None and not with_buildings:
         raise click.UsageError("--scenario belongs to --buildings: add that")
+    given["snap"] = take_snap(given)
     settings = stored_settings(folder)
     planning = settings.get("planning", {})
     weights = Weights.parse(weights_text, stored_weights(folder, settings))
