@@ -69,6 +69,7 @@ def plan(
     **given: Any,
 ) -> int:
     """Plan a path over the maps in DIR."""
+    from jaxurban.cautions import cautions
     from jaxurban.cost import Weights
     from jaxurban.io.export import check_export, height_note, write_path
     from jaxurban.limits import Limits
@@ -119,6 +120,10 @@ def plan(
         save_profile(planned, maps, profile, report)
         tell(f"wrote {profile}")
     facts = planned.to_dict()
+    if planned.status.has_path:
+        facts["cautions"] = cautions(planned, maps, None if report is None else report.profile)
+        for sentence in facts["cautions"]:
+            tell(sentence)
     if as_json:
         told = {"report": report.to_dict()} if report is not None else {}
         print_json(facts | told | {name: getattr(planned, name).tolist() for name in ("lonlat", "xy_m", "z_m")})
