@@ -185,6 +185,8 @@ def empty_dataset(
         "first_row": region.first_row,
         "first_col": region.first_col,
         "satellites": list(sky.names),
+        "risk_threshold_m": params.risk.threshold_m,
+        "risk_distance": params.risk.distance,
     }
     if attribution:
         attrs["attribution"] = attribution

@@ -26,7 +26,7 @@ def plan(
     time_of_day: str | None = None,
     budget_s: float = 180.0,
     seed: int = 0,
-    snap: bool = False,
+    snap: bool | float = False,
     refine: bool = False,
     limits: Limits | None = None,
 ) -> PlannedPath:
@@ -50,7 +50,8 @@ def plan(
       time_of_day: of the population map; the first if left out.
       budget_s: seconds that the search may take.
       seed: for sampling planners.
-      snap: move a start or goal inside an obstacle or closed by a limit to the nearest free cell instead of failing.
+      snap: move a start or goal inside an obstacle or closed by a limit to the nearest free cell instead of failing:
+        True by at most 50 m, a number by at most so many metres. The path's message says how far.
       refine: move the waypoints of what the planner found downhill, off the grid (`planners.refine`); within what
         is left of the budget. It takes the ``line`` cost model, or the ``distance`` objective.
       limits: no-fly zones and bounds on maps, from `Limits.read`; no path enters a cell that they close.

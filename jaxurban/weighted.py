@@ -8,6 +8,7 @@ import numpy as np
 from jaxurban.cost import METRICS, Weights
 from jaxurban.errors import InputError
 from jaxurban.grid import Grid
+from jaxurban.ground import Ground, ground_along
 from jaxurban.io.orbits import iso_utc, parse_time
 from jaxurban.limits import Limits
 from jaxurban.maps import MetricMaps
@@ -18,22 +19,11 @@ from jaxurban.planners.refine import refine as refine_path
 from jaxurban.planners.registry import check_seed, find_planner
 from jaxurban.planners.theta import check_line_model
 from jaxurban.reachability import Reachability
+from jaxurban.snapping import Place as Place
+from jaxurban.snapping import free_place, snap_note
 
 Point = tuple[float, float]
 REFINING_SHARE = 0.25  # of the budget, kept for refinement where it is asked for
-
-
-@dataclass(frozen=True)
-class Place:
-    """Where a query starts or ends.
-
-    Attributes:
-      cell: row and column.
-      snap_distance_m: from the place that was given to the centre of the cell.
-    """
-
-    cell: Cell
-    snap_distance_m: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,6 +65,11 @@ class WeightedMap:
         """The grid of the maps."""
         return self.maps.grid
 
+    @cached_property
+    def terrain_m(self) -> np.ndarray | None:
+        """``[Y, X]`` elevation of the ground; None where the maps hold no terrain."""
+        return self.maps.m("terrain") if "terrain" in self.maps.ds else None
+
     def cost_of(self, name: str) -> float:
         """Return the largest weighted cost of a metric over free cells; 0 where it costs nothing anywhere."""
         return float(self.layers[self.names.index(name)][self.is_free].max(initial=0.0))
@@ -105,19 +100,29 @@ class WeightedMap:
             cost_model=self.cost_model,
         )
 
-    def locate(self, name: str, lonlat: Point | None = None, xy_m: Point | None = None, *, snap: bool = False) -> Place:
+    def locate(
+        self, name: str, lonlat: Point | None = None, xy_m: Point | None = None, *, snap: bool | float = False
+    ) -> Place:
         """Return the cell of a place given in degrees or in metres.
 
         Args:
           name: ``"start"`` or ``"goal"``, for messages.
           lonlat: longitude, latitude in degrees.
           xy_m: easting, northing in the maps' CRS, instead.
-          snap: move out of an obstacle to the nearest free cell.
+          snap: move out of a closed cell to the nearest free one, by at most 50 m, or so many metres (`free_place`).
 
         Raises:
           InputError: none or both are given, a place outside the maps, or inside an obstacle or
-            closed by a limit without ``snap`` (names the limit and the nearest free cell).
+            closed by a limit, unless ``snap`` reaches a free cell (names the limit and the nearest free cell).
         """
+        (x_m, y_m), cell = self.cell_of(name, lonlat, xy_m)
+        why = "" if self.is_free[cell] else self.why_closed(cell)
+        return free_place(
+            name, (x_m, y_m), cell, self.is_free, self.grid, snap=snap, why_closed=why, remedy=self._remedy
+        )
+
+    def cell_of(self, name: str, lonlat: Point | None = None, xy_m: Point | None = None) -> tuple[Point, Cell]:
+        """Return easting, northing and the cell of a place, free or not (arguments and errors as in `locate`)."""
         grid = self.grid
         try:
             if lonlat is not None and xy_m is None:
@@ -130,23 +135,7 @@ class WeightedMap:
                 raise InputError(f"give it either as longitude, latitude or as {name}_xy_m, and not both")
         except InputError as error:
             raise InputError(f"{name}: {error}") from error
-        cell = (int(row), int(col))
-        if not self.is_free[cell]:
-            where = self.why_closed(cell)
-            nearest = _nearest_free(cell, self.is_free)
-            if nearest is None:
-                raise InputError(f"{name} is {where} and no cell is free at this altitude: {self._remedy}")
-            near_lon, near_lat = grid.lonlat_of_cell(*nearest)
-            if not snap:
-                away_m = np.hypot(nearest[0] - cell[0], nearest[1] - cell[1]) * grid.resolution_m
-                raise InputError(
-                    f"{name} is {where} at this altitude; the nearest free cell is at {near_lon:.6f},"
-                    f"{near_lat:.6f}, {away_m:.0f} m away: start there, fly higher, or pass --snap (snap=True) to "
-                    "move there"
-                )
-            cell = nearest
-        centre_x_m, centre_y_m = grid.xy_of_cell(*cell)
-        return Place(cell, float(np.hypot(centre_x_m - x_m, centre_y_m - y_m)))
+        return (float(x_m), float(y_m)), (int(row), int(col))
 
     @property
     def _remedy(self) -> str:
@@ -156,10 +145,10 @@ class WeightedMap:
         """Return what closes a cell: an obstacle, or each limit by name."""
         if not self.maps.is_free(self.altitude_m)[cell]:
             if self.maps.is_free(self.altitude_m, "centre")[cell]:
-                return "in a cell that an obstacle touches"
-            return "inside an obstacle (or where there are no data)"
+                return f"in a cell that an obstacle touches at {self.altitude_m:g} m"
+            return f"inside an obstacle (or where there are no data) at {self.altitude_m:g} m"
         reasons = self.limits.reasons(self.maps, self.altitude_m, cell, self.time, self.time_of_day)
-        return "closed by " + " and ".join(reasons)
+        return f"closed by {' and '.join(reasons)} at {self.altitude_m:g} m"
 
     def plan(
         self,
@@ -172,7 +161,7 @@ class WeightedMap:
         heuristic: str | None = None,
         budget_s: float = 180.0,
         seed: int = 0,
-        snap: bool = False,
+        snap: bool | float = False,
         refine: bool = False,
     ) -> PlannedPath:
         """Return a path between two places (arguments and errors as in `jaxurban.plan`)."""
@@ -214,6 +203,7 @@ class WeightedMap:
             if self.is_weighed or self.objective == "distance"
             else ["All weights are zero, so every path is as cheap: the distance was minimised instead."]
         )
+        notes.append(snap_note(*ends))
         if self.is_weighed and self.weights.distance == 0 and not found.note and found.status.has_path:
             notes.append("The distance weighs nothing, so the path may be far longer than it need be.")
         if self.limits and not found.status.has_path:
@@ -252,7 +242,13 @@ class WeightedMap:
                 "seed": seed,
             },
             crs=grid.crs,
+            ground=self._ground_under(found),
         )
+
+    def _ground_under(self, found: Path) -> Ground | None:
+        if self.terrain_m is None or not found.status.has_path:
+            return None
+        return ground_along(found.points_m, self.terrain_m, self.grid)
 
     def evaluate(self, points_m: np.ndarray) -> PathCost:
         """Return the weighted cost of a polyline ``[N, 2]`` in metres from the map's southwest corner."""
@@ -330,11 +326,3 @@ def weigh(
         is_free=is_free,
         limits=limits,
     )
-
-
-def _nearest_free(cell: Cell, is_free: np.ndarray) -> Cell | None:
-    rows, cols = np.nonzero(is_free)
-    if rows.size == 0:
-        return None
-    nearest = np.argmin((rows - cell[0]) ** 2 + (cols - cell[1]) ** 2)
-    return int(rows[nearest]), int(cols[nearest])

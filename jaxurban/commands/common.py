@@ -47,6 +47,12 @@ OBSTACLES = click.option(
     help="Cells that no path enters: all that a building touches, or (the paper) only where it covers the centre; "
     "paths then cut true outlines.  [default: the scenario's, else touched]",
 )
+SNAP_FLAG = click.option(
+    "--snap", is_flag=True, help="Move a start or goal inside an obstacle to the nearest free cell, by 50 m at most."
+)
+SNAP_DISTANCE = click.option(
+    "--snap-distance", "snap_distance_m", type=float, metavar="METRES", help="--snap by at most so far instead of 50 m."
+)
 JSON_FLAG = click.option("--json", "as_json", is_flag=True, help="Print one machine-readable object on stdout.")
 
 
@@ -57,6 +63,12 @@ def limit_options(command: Callable) -> Callable:
         "--no-fly", type=click.Path(path_type=Path), multiple=True, help="Closed polygons (GeoJSON, KML); repeatable."
     )
     return no_fly(require(command))
+
+
+def take_snap(given: Settings) -> bool | float:
+    """Take the options of snapping out of ``given``; return what `jaxurban.plan` takes as ``snap``."""
+    is_asked, distance_m = given.pop("snap"), given.pop("snap_distance_m")
+    return is_asked if distance_m is None else distance_m
 
 
 def stored_settings(folder: Path) -> Settings:

@@ -10,6 +10,8 @@ from jaxurban.commands.common import (
     JSON_FLAG,
     LONLAT,
     OBSTACLES,
+    SNAP_DISTANCE,
+    SNAP_FLAG,
     limit_options,
     print_json,
     stages,
@@ -17,6 +19,7 @@ from jaxurban.commands.common import (
     stored_obstacles,
     stored_settings,
     stored_weights,
+    take_snap,
     tell,
 )
 from jaxurban.errors import InputError
@@ -36,7 +39,8 @@ NAMED = {"vary": "vary", "triangle": "triangle", "wishes": "pareto"}  # lists of
 @OBSTACLES
 @click.option("--weights", "weights_text", default="", help="As gps=1,risk=2; those not named keep their values.")
 @limit_options
-@click.option("--snap", is_flag=True, help="Move a start or goal inside an obstacle to the nearest free cell.")
+@SNAP_FLAG
+@SNAP_DISTANCE
 @click.option(
     "--vary", default="", metavar="NAME,...", help="Weights that vary.  [default: every metric with a weight]"
 )
@@ -82,6 +86,7 @@ def sensitivity(
 
     if scenario is not None and not with_buildings:
         raise click.UsageError("--scenario belongs to --buildings: add that")
+    given["snap"] = take_snap(given)
     settings = stored_settings(folder)
     weights = Weights.parse(weights_text, stored_weights(folder, settings))
     given["cost_model"] = stored_cost_model(settings, given["cost_model"])
@@ -96,7 +101,7 @@ def sensitivity(
     asked = {"weights": weights, **given}
     first = plan(maps, time=asked["epoch"], **{name: value for name, value in asked.items() if name != "epoch"})
     if not first.status.has_path:
-        tell(first.status.sentence)
+        tell(first.to_dict()["message"])
         if as_json:
             print_json(first.to_dict())
         return first.status.exit_code

@@ -115,7 +115,7 @@ def _run(
         workers=workers or _default_workers(cluster),
         cluster=cluster,
         resolution_m=resolution_m or scenario.region.resolution_m[0],
-        obstacles=planning.obstacles,
+        obstacles=scenario.planning.obstacles,
         overwrite=overwrite,
     )
 

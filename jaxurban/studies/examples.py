@@ -127,7 +127,7 @@ def _follow(unit: WeightedMap, local: np.ndarray, label: str) -> tuple[np.ndarra
     for which, cell in (("start", cells[0]), ("goal", cells[-1])):
         if not unit.is_free[cell]:
             raise InputError(
-                f"{label}: its {which} is {unit.why_closed(cell)} at {unit.altitude_m:g} m: clip the route, or give "
+                f"{label}: its {which} is {unit.why_closed(cell)}: clip the route, or give "
                 "its altitude"
             )
     # A corner inside an obstacle is skipped: the legs around it are one.

@@ -101,13 +101,13 @@ def unit_map(
     return replace(whole, names=tuple(whole.names[row] for row in kept), m=whole.m[kept], layers=whole.layers[kept])
 
 
-def make_queries(unit: WeightedMap, pairs: Iterable[tuple[Point, Point]], *, snap: bool = False) -> list[Query]:
+def make_queries(unit: WeightedMap, pairs: Iterable[tuple[Point, Point]], *, snap: bool | float = False) -> list[Query]:
     """Return a query for each pair of a start and a goal, as longitude and latitude in degrees.
 
     Args:
       unit: from `unit_map`.
       pairs: start and goal of each query.
-      snap: move an end inside an obstacle to the nearest free cell instead of failing.
+      snap: move an end inside an obstacle to the nearest free cell, by at most 50 m, or so many metres.
 
     Raises:
       InputError: a place outside the maps or inside an obstacle; names the pair.

@@ -127,7 +127,7 @@ def sensitivity(
     num_samples: int = 128,
     triangle: Sequence[str] = (),
     wishes: Sequence[str] = (),
-    snap: bool = False,
+    snap: bool | float = False,
     tolerance: float = 1e-3,
     max_plans: int = 5000,
     seed: int = 0,
@@ -152,7 +152,7 @@ def sensitivity(
       triangle: three weights; left out: the three varied ones with the largest shares of the route's cost.
       wishes: two or three features for the Pareto front; left out: distance and the two varied metrics with the
         largest shares.
-      snap: move a start or goal inside an obstacle to the nearest free cell.
+      snap: move a start or goal inside an obstacle to the nearest free cell, by at most 50 m, or so many metres.
       tolerance: of the triangle and the front, a share of the cost.
       max_plans: searches that the triangle, and the front, may take each.
       seed: of the Sobol sequence and the noise.
