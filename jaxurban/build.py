@@ -27,6 +27,7 @@ from jaxurban.layers import (
     with_series,
 )
 from jaxurban.maps import MetricMaps
+from jaxurban.memory import check_fits
 from jaxurban.metrics.availability import EpochTotals
 from jaxurban.metrics.gps import GpsParams, visibility
 from jaxurban.metrics.lidar import LidarParams
@@ -91,7 +92,7 @@ def build_maps(
       stage: called with each stage's name, gives the context that the stage runs in (timing, progress).
 
     Raises:
-      InputError: settings that do not fit the city, or too few satellites.
+      InputError: settings that do not fit the city, too few satellites, or too little memory.
     """
     if not resolution_m > 0:
         raise InputError(f"resolution_m must be a positive number of metres, got {resolution_m}")
@@ -126,6 +127,7 @@ def build_maps(
         height_samples=height_samples,
         height_seed=height_seed,
     )
+    check_fits(city, region, sky, params)
     return compute_maps(city, make_surface(city, region, sky, params), sky, params, stage)
 
 
