@@ -124,6 +124,7 @@ def load_city(scenario: Scenario) -> City:
         level_height_m=scenario.buildings.level_height_m,
         mask_deg=scenario.gps.mask_deg,
         allow_none=scenario.buildings.allow_none,
+        kind=scenario.buildings.kind,
     )
 
 
