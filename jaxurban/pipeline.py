@@ -124,6 +124,7 @@ def load_city(scenario: Scenario) -> City:
         level_height_m=scenario.buildings.level_height_m,
         mask_deg=scenario.gps.mask_deg,
         allow_none=scenario.buildings.allow_none,
+        kind=scenario.buildings.kind,
     )
 
 
@@ -257,10 +258,11 @@ def _plan(
     Raises:
       InputError: it cannot, or the disk is too small.
     """
-    num_epochs, most_bytes = len(skies[0].times), 0
+    num_epochs, most_bytes, num_tiles = len(skies[0].times), 0, 1
     for grid, sky in zip(grids, skies, strict=True):
         shape = shape_of_tiles(grid.shape, params, num_epochs)
         tile = replace(grid, num_rows=shape[0], num_cols=shape[1])
+        num_tiles = max(num_tiles, -(-grid.num_rows // shape[0]) * -(-grid.num_cols // shape[1]))
         plain = tile_bytes(shape, grid.resolution_m, params, num_epochs, city.terrain is not None)
         most_bytes = max(most_bytes, plain + detail_bytes(margin_of(city, tile, sky, params), params))
     if resources.cluster is not None:  # the workers' machines are not ours to measure
@@ -271,6 +273,7 @@ def _plan(
         resources.num_processes or num_cores(),
         has_processes=resources.num_processes is not None,
         num_resolutions=len(grids),
+        num_tiles=num_tiles,
     )
     disk_bytes = SCRATCH_BYTES_PER_CELL * max(grid.num_rows * grid.num_cols for grid in grids)
     free_bytes = shutil.disk_usage(folder).free

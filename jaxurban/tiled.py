@@ -17,10 +17,8 @@ from jaxurban.grid import Grid
 from jaxurban.io.rasterise import rasterise, rasterise_blocks
 from jaxurban.io.store import write_layer
 from jaxurban.io.workfolder import WorkFolder
-from jaxurban.kernels.distance import window_cells
-from jaxurban.kernels.lidar import num_steps
 from jaxurban.kernels.occlusion import Ring, digital_line, hand_on
-from jaxurban.layers import MapParams, make_layers, margin_of
+from jaxurban.layers import MapParams, halo_cells, make_layers, margin_of
 from jaxurban.metrics.availability import EpochTotals
 from jaxurban.metrics.gps import visibility
 from jaxurban.metrics.population import BlockLayers
@@ -45,12 +43,6 @@ class Timer:
             yield
         finally:
             self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - began
-
-
-def halo_cells(resolution_m: float, params: MapParams) -> int:
-    """Return how many cells around a tile its lidar and risk maps look at."""
-    steps = num_steps(resolution_m, params.lidar.range_m)
-    return max(steps - 1, window_cells(params.risk.threshold_m, resolution_m))
 
 
 @dataclass(frozen=True)
