@@ -12,6 +12,7 @@ from jaxurban.cost import METRICS, metric_cost, normalised_map, total_map
 from jaxurban.errors import InputError
 from jaxurban.grid import Grid
 from jaxurban.io import store
+from jaxurban.io.geotiff import write_geotiffs
 from jaxurban.io.orbits import iso_utc, parse_time
 
 
@@ -141,7 +142,7 @@ class MetricMaps:
     def save(self, folder: str | Path) -> None:
         """Write Zarr and cloud-optimised GeoTIFF under ``folder`` (`jaxurban.io.store` says which files)."""
         store.write_zarr(self.ds, Path(folder))
-        store.write_geotiffs(self.ds, Path(folder))
+        write_geotiffs(self.ds, Path(folder))
 
 
 def open_maps(folder: str | Path, resolution_m: float | None = None) -> MetricMaps:

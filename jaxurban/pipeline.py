@@ -23,6 +23,7 @@ from jaxurban.errors import InputError
 from jaxurban.grid import Grid
 from jaxurban.io import store
 from jaxurban.io.city import read_city
+from jaxurban.io.geotiff import write_geotiffs
 from jaxurban.io.rasterise import check_has_data, rasterise
 from jaxurban.io.workfolder import WorkFolder
 from jaxurban.layers import MapParams, empty_dataset, margin_of, with_series
@@ -318,7 +319,7 @@ def _maps_of(maker: Maker, watch: Stopwatch) -> MetricMaps:
             watch.add(name, busy_s * scale)
     ds = store.open_zarr(folder, resolution_m)
     with watch.stage("write_geotiff"):
-        store.write_geotiffs(ds, folder, skip_key=maker.key, num_threads=maker.num_workers)
+        write_geotiffs(ds, folder, skip_key=maker.key, num_threads=maker.num_workers)
     return MetricMaps(ds)
 
 

@@ -1,4 +1,4 @@
-"""Metric maps on disk: Zarr and cloud-optimised GeoTIFF, each file whole or not there at all."""
+"""Metric maps on disk as Zarr, each file whole or not there at all."""
 
 import os
 import re
@@ -6,20 +6,13 @@ import shutil
 import tempfile
 import uuid
 from collections.abc import Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
-from itertools import product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import rasterio
 import xarray as xr
 import zarr
-from affine import Affine
-from rasterio.errors import RasterioError
-from rasterio.shutil import copy as copy_raster
-from rasterio.windows import Window
 
 from jaxurban.errors import InputError
 from jaxurban.tiles import tile_shape
@@ -30,17 +23,6 @@ ZARR_FOLDER = "maps.zarr"
 GEOTIFF_FOLDER = "geotiff"
 SCRATCH_SUFFIX = ".jaxurban-part"  # of what is being written: ours to sweep, and nobody else's
 NEEDED = ("obstacle", "has_data")  # without these it is no folder of maps
-GEOTIFF_METRICS = (
-    "obstacle",
-    "gps",
-    "gps_availability",
-    "gps_median",
-    "gps_p05",
-    "lidar",
-    "population",
-    "risk",
-)
-GDAL_CACHE_MIB = 64
 
 
 def short_number(value: float) -> str:
@@ -228,134 +210,3 @@ def open_zarr(folder: Path, resolution_m: float | None) -> xr.Dataset:
     if lost := [name for name in NEEDED if name not in ds]:
         raise InputError(f"the maps in {str(path)!r} hold no {', no '.join(lost)}: remove them and make them again")
     return ds
-
-
-def geotiff_layers(ds: xr.Dataset) -> Iterator[tuple[str, str, xr.DataArray]]:
-    """Yield file name, metric and ``[y, x]`` array of each GeoTIFF of a dataset."""
-    resolution = f"{short_number(ds.attrs['resolution_m'])}m.tif"
-    several_times = ds.sizes["time"] > 1
-    for metric in GEOTIFF_METRICS:
-        # Spreads by uncertain heights, whose 5th percentile has that name too, stay in the Zarr.
-        if metric not in ds or (metric == "gps_p05" and "gps_median" not in ds):
-            continue
-        array = ds[metric]
-        outer = array.dims[:-2]
-        for index in np.ndindex(*(array.sizes[dim] for dim in outer)):
-            layer = array.isel(dict(zip(outer, index, strict=True)))  # stacking would read all of them
-            parts = [metric]
-            if "altitude" in array.dims:
-                parts.append(f"{short_number(float(layer['altitude']))}m")
-            if "time_of_day" in array.dims:
-                parts.append(str(layer["time_of_day"].item()))
-            if "time" in array.dims and several_times:
-                time = str(np.datetime_as_string(layer["time"].values, unit="s"))
-                parts.append(time.translate({45: None, 58: None}) + "Z")
-            yield "_".join((*parts, resolution)), metric, layer
-
-
-def write_geotiffs(ds: xr.Dataset, folder: Path, skip_key: str | None = None, num_threads: int = 1) -> list[Path]:
-    """Write each metric map as a cloud-optimised GeoTIFF (float32, ZSTD, north-up, NaN = no data).
-
-    Args:
-      ds: the maps; read chunk by chunk, so that they need not fit in memory.
-      folder: files go to its ``geotiff`` folder.
-      skip_key: leave a file alone whose ``run_key`` tag says this already.
-      num_threads: files written at the same time.
-
-    Returns:
-      The files, written or left alone.
-    """
-    norm_name = next((name for name in ("pop_norm_per_km2", "pop_norm_per_block") if name in ds.attrs), "")
-    norms = dict(zip(ds["time_of_day"].values, ds.attrs[norm_name], strict=True)) if norm_name else {}
-
-    def write(named: tuple[str, str, xr.DataArray]) -> Path:
-        name, metric, layer = named
-        path = folder / GEOTIFF_FOLDER / name
-        if skip_key is not None and _run_key(path) == skip_key:
-            return path
-        tags = {"metric": metric, "units": ds[metric].attrs["units"], "one_means": ds[metric].attrs["one_means"]}
-        if metric == "population":
-            tags[norm_name] = repr(float(norms[layer["time_of_day"].item()]))
-        if skip_key is not None:
-            tags["run_key"] = skip_key
-        with whole_file(path) as scratch:
-            _write_cog(scratch, layer, ds, tags)
-        return path
-
-    with ThreadPoolExecutor(num_threads) as pool:
-        return list(pool.map(write, geotiff_layers(ds)))
-
-
-def _windows(shape: tuple[int, int]) -> Iterator[tuple[slice, slice]]:
-    """Yield the rows and columns of the chunks of maps of a shape."""
-    starts = (range(0, size, side) for size, side in zip(shape, tile_shape(shape), strict=True))
-    for corner in product(*starts):
-        rows, cols = (
-            slice(start, min(start + side, size))
-            for start, side, size in zip(corner, tile_shape(shape), shape, strict=True)
-        )
-        yield rows, cols
-
-
-def _write_cog(path: Path, layer: xr.DataArray, ds: xr.Dataset, tags: dict[str, str]) -> None:
-    """Write one map: chunk by chunk into a plain tiled file, which GDAL then turns into a cloud-optimised one."""
-    num_rows, num_cols, resolution_m = ds.sizes["y"], ds.sizes["x"], ds.attrs["resolution_m"]
-    y_max_m = (ds.attrs["first_row"] + num_rows) * resolution_m
-    plain = path.with_name(f"{path.name.removesuffix(SCRATCH_SUFFIX)}.plain{SCRATCH_SUFFIX}")
-    try:
-        with rasterio.Env(GDAL_CACHEMAX=GDAL_CACHE_MIB):
-            with rasterio.open(
-                plain,
-                "w",
-                driver="GTiff",
-                width=num_cols,
-                height=num_rows,
-                count=1,
-                dtype="float32",
-                crs=ds.attrs["crs"],
-                transform=Affine(resolution_m, 0, ds.attrs["first_col"] * resolution_m, 0, -resolution_m, y_max_m),
-                nodata=float("nan"),
-                tiled=True,
-                blockxsize=512,
-                blockysize=512,
-                bigtiff="IF_SAFER",
-            ) as file:
-                for rows, cols in _windows((num_rows, num_cols)):
-                    part = {"y": rows, "x": cols}
-                    values = layer.isel(part).values.astype(np.float32)
-                    values[~ds["has_data"].isel(part).values] = np.nan
-                    window = Window(cols.start, num_rows - rows.stop, cols.stop - cols.start, rows.stop - rows.start)
-                    file.write(values[::-1], 1, window=window)
-                file.update_tags(**tags)
-            copy_raster(
-                plain,
-                path,
-                driver="COG",
-                compress="ZSTD",
-                level=1,  # on these maps a predictor takes more time and more bytes, a higher level twice the time
-                predictor="NO",
-                blocksize=512,
-                bigtiff="IF_SAFER",
-                # Averaged obstacles would be neither 0 nor 1 in the overviews.
-                overview_resampling="nearest" if tags["metric"] == "obstacle" else "average",
-                num_threads=1,
-            )
-            _check_whole(path)
-    except (RasterioError, SystemError) as error:
-        raise OSError(f"GDAL could not write it ({error})") from error
-    finally:
-        plain.unlink(missing_ok=True)
-
-
-def _check_whole(path: Path) -> None:
-    """Raise RasterioError unless every block of a file can be read: GDAL tells nobody of a disk that fills up."""
-    with rasterio.open(path) as file:
-        file.checksum(1)
-
-
-def _run_key(path: Path) -> str | None:
-    try:
-        with rasterio.open(path) as file:
-            return file.tags().get("run_key")
-    except rasterio.RasterioIOError:
-        return None

@@ -7,6 +7,7 @@ import xarray as xr
 
 from jaxurban.errors import InputError
 from jaxurban.io import store
+from jaxurban.io.geotiff import write_geotiffs
 
 
 @pytest.fixture
@@ -47,7 +48,7 @@ def test_zarr_reopens_equal(ds, tmp_path):
 
 
 def test_geotiffs_are_named_tagged_and_north_up(ds, tmp_path):
-    files = store.write_geotiffs(ds, tmp_path)
+    files = write_geotiffs(ds, tmp_path)
     assert {file.name for file in files} == {
         "obstacle_20m_2.5m.tif",
         "obstacle_60.5m_2.5m.tif",
@@ -70,14 +71,14 @@ def test_geotiffs_are_named_tagged_and_north_up(ds, tmp_path):
 
 
 def test_one_epoch_is_left_out_of_names(ds, tmp_path):
-    names = {file.name for file in store.write_geotiffs(ds.isel(time=[0]), tmp_path)}
+    names = {file.name for file in write_geotiffs(ds.isel(time=[0]), tmp_path)}
     assert "gps_20m_2.5m.tif" in names
 
 
 def test_same_maps_give_the_same_bytes(ds, tmp_path):
     def files(folder):
         store.write_zarr(ds, folder)
-        store.write_geotiffs(ds, folder)
+        write_geotiffs(ds, folder)
         return {path.relative_to(folder): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
     assert files(tmp_path / "a") == files(tmp_path / "b")
@@ -99,19 +100,19 @@ def test_a_failed_write_leaves_the_old_file_and_no_scrap(tmp_path):
 
 
 def test_files_of_the_same_run_are_left_alone(ds, tmp_path):
-    (first, *_) = store.write_geotiffs(ds, tmp_path, skip_key="a")
+    (first, *_) = write_geotiffs(ds, tmp_path, skip_key="a")
     before = first.stat().st_mtime_ns
-    store.write_geotiffs(ds, tmp_path, skip_key="a")
+    write_geotiffs(ds, tmp_path, skip_key="a")
     assert first.stat().st_mtime_ns == before
-    store.write_geotiffs(ds, tmp_path, skip_key="b")
+    write_geotiffs(ds, tmp_path, skip_key="b")
     assert first.stat().st_mtime_ns > before
 
 
 def test_a_torn_file_of_the_same_run_is_written_again(ds, tmp_path):
-    (first, *_) = store.write_geotiffs(ds, tmp_path, skip_key="a")
+    (first, *_) = write_geotiffs(ds, tmp_path, skip_key="a")
     whole = first.read_bytes()
     first.write_bytes(whole[:100])
-    store.write_geotiffs(ds, tmp_path, skip_key="a")
+    write_geotiffs(ds, tmp_path, skip_key="a")
     assert first.read_bytes() == whole
 
 
