@@ -339,7 +339,7 @@ def make_zarr(maker: Maker, tell: Callable[[str], None], shape: tuple[int, int] 
     tiling = Tiling.over(grid, margin_of(city, grid, sky, params), shape)
     if city.roofs is not None or city.terrain is not None:
         check_has_data(rasterise(city, tiling.grid_of(tile)).has_data for tile in tiling.region_tiles)
-    work = WorkFolder(store.work_path(maker.folder, grid.resolution_m))
+    work = WorkFolder(store.work_path(maker.folder.resolve(), grid.resolution_m))
     work.begin(f"{maker.key} {shape}")
     people = block_layers_of(city, grid, params)
     if not work.zarr.exists():

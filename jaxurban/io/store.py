@@ -8,7 +8,7 @@ import uuid
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 import xarray as xr
@@ -109,19 +109,32 @@ def only_writer(folder: Path, remedy: str = "choose another folder") -> Iterator
     except ImportError:  # not a Unix: two runs in one folder are the user's to avoid
         yield
         return
-    try:
-        file = (folder / LOCK_FILE).open("w")
-    except OSError as error:
-        raise InputError(f"cannot write to {str(folder)!r} ({error.strerror or error}): {remedy}") from error
+    file = _locked(folder, remedy, fcntl)
     with file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError as error:
-            raise InputError(f"another run is writing to {str(folder)!r}: wait for it, or {remedy}") from error
         try:
             yield
         finally:
             (folder / LOCK_FILE).unlink(missing_ok=True)
+
+
+def _locked(folder: Path, remedy: str, fcntl: Any) -> IO[str]:
+    """Return the folder's lock file, open and locked."""
+    while True:
+        try:
+            file = (folder / LOCK_FILE).open("a")
+        except OSError as error:
+            raise InputError(f"cannot write to {str(folder)!r} ({error.strerror or error}): {remedy}") from error
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            # An earlier holder may have removed the file between our opening and locking it: the lock on a file
+            # without a name holds nothing.
+            with suppress(FileNotFoundError):
+                if os.path.samestat(os.fstat(file.fileno()), (folder / LOCK_FILE).stat()):
+                    return file
+            file.close()
+        except BlockingIOError as error:
+            file.close()
+            raise InputError(f"another run is writing to {str(folder)!r}: wait for it, or {remedy}") from error
 
 
 def sweep_scraps(folder: Path, keep: Iterable[Path] = ()) -> None:

@@ -1,7 +1,6 @@
 """The work of an unfinished run: arrays and finished marks on disk, each whole or not there at all."""
 
 import json
-import pickle
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,7 +10,7 @@ import numpy as np
 
 from jaxurban.io.store import SCRATCH_SUFFIX, whole_file
 
-KEY_FILE, ZARR_NAME, ARRAY_FOLDER, DONE_FOLDER, JOB_FILE = "key.txt", "zarr", "arrays", "done", "job.pkl"
+KEY_FILE, ZARR_NAME, ARRAY_FOLDER, DONE_FOLDER = "key.txt", "zarr", "arrays", "done"
 
 
 @dataclass(frozen=True)
@@ -76,20 +75,9 @@ class WorkFolder:
         path = self.path / DONE_FOLDER / f"{name}.json"
         return json.loads(path.read_text(encoding="utf-8")) if path.is_file() else None
 
-    def save_job(self, job: object) -> Path:
-        """Keep the job for other processes and return its file."""
-        with whole_file(self.path / JOB_FILE) as scratch:
-            scratch.write_bytes(pickle.dumps(job))
-        return self.path / JOB_FILE
-
     def finish(self, target: Path) -> None:
         """Give the assembled maps their name and remove the rest."""
         self._sweep()
         target.parent.mkdir(parents=True, exist_ok=True)
         self.zarr.rename(target)
         shutil.rmtree(self.path)
-
-
-def load_job(path: Path) -> Any:
-    """Return the job that `WorkFolder.save_job` kept in a file of our own."""
-    return pickle.loads(path.read_bytes())

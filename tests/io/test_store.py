@@ -1,5 +1,7 @@
 """Maps on disk: reopened equal, named by the contract, whole or not there."""
 
+import fcntl
+
 import numpy as np
 import pytest
 import rasterio
@@ -125,3 +127,24 @@ def test_opening_says_what_there_is(ds, tmp_path):
         store.open_zarr(tmp_path, None)
     with pytest.raises(InputError, match="holds no maps at 3 m"):
         store.open_zarr(tmp_path, 3.0)
+
+
+def test_a_lock_on_a_removed_file_holds_nothing(tmp_path, monkeypatch):
+    """Between our opening and our locking of the file the first holder leaves and another run comes."""
+    first, second = store.only_writer(tmp_path), store.only_writer(tmp_path)
+    lock = fcntl.flock
+
+    def lock_late(file, how):
+        monkeypatch.setattr(fcntl, "flock", lock)
+        first.__exit__(None, None, None)
+        second.__enter__()
+        lock(file, how)
+
+    first.__enter__()
+    monkeypatch.setattr(fcntl, "flock", lock_late)
+    with pytest.raises(InputError, match="another run is writing"), store.only_writer(tmp_path):
+        pytest.fail("two runs hold one folder")
+    second.__exit__(None, None, None)
+    with store.only_writer(tmp_path):
+        pass
+    assert not list(tmp_path.iterdir())
