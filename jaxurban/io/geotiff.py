@@ -1,6 +1,7 @@
 """Metric maps as cloud-optimised GeoTIFF, each file whole or not there at all."""
 
-from collections.abc import Iterator
+import os
+from collections.abc import Collection, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from itertools import product
 from pathlib import Path
@@ -13,6 +14,7 @@ from rasterio.errors import RasterioError
 from rasterio.shutil import copy as copy_raster
 from rasterio.windows import Window
 
+from jaxurban.io.seal import BLANK, FIELD, is_whole, seal
 from jaxurban.io.store import GEOTIFF_FOLDER, SCRATCH_SUFFIX, short_number, whole_file
 from jaxurban.tiles import tile_shape
 
@@ -52,17 +54,48 @@ def geotiff_layers(ds: xr.Dataset) -> Iterator[tuple[str, str, xr.DataArray]]:
             yield "_".join((*parts, resolution)), metric, layer
 
 
-def write_geotiffs(ds: xr.Dataset, folder: Path, skip_key: str | None = None, num_threads: int = 1) -> list[Path]:
+def _path_of(ds: xr.Dataset, folder: Path) -> dict[str, Path]:
+    return {name: folder / GEOTIFF_FOLDER / name for name, _, _ in geotiff_layers(ds)}
+
+
+def missing_geotiffs(ds: xr.Dataset, folder: Path) -> list[Path]:
+    """Return the GeoTIFFs of maps that are not there, or empty."""
+    sizes = {}
+    if (folder / GEOTIFF_FOLDER).is_dir():
+        with os.scandir(folder / GEOTIFF_FOLDER) as entries:
+            sizes = {entry.name: entry.stat().st_size for entry in entries}
+    return [path for name, path in _path_of(ds, folder).items() if not sizes.get(name)]
+
+
+def stale_geotiffs(ds: xr.Dataset, folder: Path, run_key: str, num_threads: int = 1) -> list[Path]:
+    """Return the GeoTIFFs of maps that are missing, damaged, or not of this run; every byte is read."""
+
+    def is_stale(path: Path) -> bool:
+        return not is_whole(path) or _run_key(path) != run_key
+
+    paths = list(_path_of(ds, folder).values())
+    with ThreadPoolExecutor(num_threads) as pool:
+        return [path for path, stale in zip(paths, pool.map(is_stale, paths), strict=True) if stale]
+
+
+def write_geotiffs(
+    ds: xr.Dataset,
+    folder: Path,
+    run_key: str | None = None,
+    num_threads: int = 1,
+    only: Collection[Path] | None = None,
+) -> list[Path]:
     """Write each metric map as a cloud-optimised GeoTIFF (float32, ZSTD, north-up, NaN = no data).
 
     Args:
       ds: the maps; read chunk by chunk, so that they need not fit in memory.
       folder: files go to its ``geotiff`` folder.
-      skip_key: leave a file alone whose ``run_key`` tag says this already.
+      run_key: what the tag of this name says; None for no such tag.
       num_threads: files written at the same time.
+      only: leave the others alone.
 
     Returns:
-      The files, written or left alone.
+      The files written.
     """
     norm_name = next((name for name in ("pop_norm_per_km2", "pop_norm_per_block") if name in ds.attrs), "")
     norms = dict(zip(ds["time_of_day"].values, ds.attrs[norm_name], strict=True)) if norm_name else {}
@@ -70,19 +103,19 @@ def write_geotiffs(ds: xr.Dataset, folder: Path, skip_key: str | None = None, nu
     def write(named: tuple[str, str, xr.DataArray]) -> Path:
         name, metric, layer = named
         path = folder / GEOTIFF_FOLDER / name
-        if skip_key is not None and _run_key(path) == skip_key:
-            return path
         tags = {"metric": metric, "units": ds[metric].attrs["units"], "one_means": ds[metric].attrs["one_means"]}
         if metric == "population":
             tags[norm_name] = repr(float(norms[layer["time_of_day"].item()]))
-        if skip_key is not None:
-            tags["run_key"] = skip_key
+        if run_key is not None:
+            tags["run_key"] = run_key
         with whole_file(path) as scratch:
-            _write_cog(scratch, layer, ds, tags)
+            _write_cog(scratch, layer, ds, tags | {FIELD: BLANK})
+            seal(scratch)
         return path
 
+    layers = (each for each in geotiff_layers(ds) if only is None or folder / GEOTIFF_FOLDER / each[0] in only)
     with ThreadPoolExecutor(num_threads) as pool:
-        return list(pool.map(write, geotiff_layers(ds)))
+        return list(pool.map(write, layers))
 
 
 def _windows(shape: tuple[int, int]) -> Iterator[tuple[slice, slice]]:

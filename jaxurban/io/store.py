@@ -8,13 +8,14 @@ import uuid
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, Literal
 
 import numpy as np
 import xarray as xr
 import zarr
 
 from jaxurban.errors import InputError
+from jaxurban.io.damage import encoding_of, open_whole, seal_metadata
 from jaxurban.tiles import tile_shape
 
 RUN_FILE = "run.json"
@@ -45,19 +46,24 @@ def whole_file(path: Path) -> Iterator[Path]:
         yield scratch
         if path.is_dir() and not scratch.is_dir():
             raise InputError(f"cannot write {str(path)!r}: a folder of that name is in the way; move it")
-        if path.is_dir():
-            old = scratch.with_name(f"{scratch.stem}.old{SCRATCH_SUFFIX}")
-            path.rename(old)
-            scratch.rename(path)
-            shutil.rmtree(old)
-        else:
-            os.replace(scratch, path)
+        put_in_place(scratch, path)
     except OSError as error:
         raise InputError(
             f"cannot write {str(path)!r}: {error.strerror or error}; free space there, or choose another folder"
         ) from error
     finally:
         _remove(scratch)
+
+
+def put_in_place(made: Path, path: Path) -> None:
+    """Give what was made its name, in place of an older file or folder."""
+    if not path.is_dir():
+        os.replace(made, path)
+        return
+    old = path.with_name(f".{path.name}.{uuid.uuid4().hex[:8]}.old{SCRATCH_SUFFIX}")
+    path.rename(old)
+    made.rename(path)
+    shutil.rmtree(old)
 
 
 def _remove(path: Path) -> None:
@@ -77,7 +83,7 @@ def zarr_path(folder: Path, resolution_m: float) -> Path:
 def stored_resolutions(folder: Path) -> dict[float, Path]:
     """Return where the maps under ``folder`` lie, by resolution in metres."""
     named = ((re.fullmatch(r"([0-9.e+-]+)m", path.name), path) for path in sorted((folder / ZARR_FOLDER).glob("*m")))
-    return {float(match[1]): path for match, path in named if match and (path / "zarr.json").is_file()}
+    return {float(match[1]): path for match, path in named if match and path.is_dir()}
 
 
 def check_writable(folder: Path) -> None:
@@ -155,21 +161,27 @@ def remove_maps(folder: Path) -> None:
         _remove(folder / part)
 
 
-def _chunks(ds: xr.Dataset) -> dict[str, dict[str, tuple[int, ...]]]:
-    """Return the encoding that cuts every map into the tiles of its region, one layer a chunk."""
-    tile = tile_shape((ds.sizes["y"], ds.sizes["x"]))
-    return {
-        str(name): {"chunks": (*(1 for _ in array.dims[:-2]), *tile)}
-        for name, array in ds.data_vars.items()
-        if array.dims[-2:] == ("y", "x")
-    }
+def _encoding(ds: xr.Dataset, tile: tuple[int, int] | None = None) -> dict[str, dict[str, Any]]:
+    """Return how every variable is written: maps in the tiles of their region, one layer a chunk."""
+    tile = tile or tile_shape((ds.sizes["y"], ds.sizes["x"]))
+    encoding = {str(name): encoding_of(str(name), array.dtype) for name, array in ds.variables.items()}
+    for name, array in ds.data_vars.items():
+        if array.dims[-2:] == ("y", "x"):
+            encoding[str(name)]["chunks"] = (*(1 for _ in array.dims[:-2]), *tile)
+    return encoding
+
+
+def _to_zarr(ds: xr.Dataset, path: Path, mode: Literal["w", "a"], **options: Any) -> None:
+    ds.to_zarr(path, mode=mode, zarr_format=3, consolidated=False, write_empty_chunks=True, **options)
+    seal_metadata(path)
 
 
 def write_zarr(ds: xr.Dataset, folder: Path) -> Path:
     """Write a dataset of maps under ``folder`` and return its place (``maps.zarr/5m``)."""
     path = zarr_path(folder, ds.attrs["resolution_m"])
+    plain = ds.drop_encoding()  # of the files that maps were opened from
     with whole_file(path) as scratch:
-        ds.to_zarr(scratch, mode="w", zarr_format=3, consolidated=False, encoding=_chunks(ds))
+        _to_zarr(plain, scratch, "w", encoding=_encoding(plain))
     return path
 
 
@@ -181,29 +193,29 @@ def create_zarr(ds: xr.Dataset, path: Path, tile: tuple[int, int]) -> None:
       path: where to.
       tile: rows and columns of a chunk, what one `write_layer` fills.
     """
-    encoding = {name: {"chunks": (*each["chunks"][:-2], *tile)} for name, each in _chunks(ds).items()}
     with whole_file(path) as scratch:
-        ds.to_zarr(scratch, mode="w", zarr_format=3, consolidated=False, encoding=encoding, compute=False)
+        _to_zarr(ds, scratch, "w", encoding=_encoding(ds, tile), compute=False)
 
 
 def write_layer(path: Path, name: str, index: tuple[int, ...], window: tuple[slice, slice], values: np.ndarray) -> None:
     """Write a tile of one map into a Zarr: its values, as far as the window reaches."""
     rows, cols = window
-    array = zarr.open_array(path / name, mode="r+")
+    array = zarr.open_array(path / name, mode="r+", config={"write_empty_chunks": True})
     place: Any = (*index, rows, cols)
     array[place] = values[: rows.stop - rows.start, : cols.stop - cols.start]
 
 
 def add_to_zarr(ds: xr.Dataset, path: Path) -> None:
     """Add the variables of a dataset to a Zarr."""
-    ds.to_zarr(path, mode="a", zarr_format=3, consolidated=False)
+    encoding = {str(name): encoding_of(str(name), array.dtype) for name, array in ds.data_vars.items()}
+    _to_zarr(ds.drop_vars(list(ds.coords)), path, "a", encoding=encoding)
 
 
 def open_zarr(folder: Path, resolution_m: float | None) -> xr.Dataset:
     """Return the maps under ``folder``; values are read when they are looked at.
 
     Raises:
-      InputError: no maps there, or several resolutions and none chosen.
+      InputError: no maps there, several resolutions and none chosen, or maps that are damaged (see `open_whole`).
     """
     found = stored_resolutions(folder)
     listed = ", ".join(short_number(value) for value in sorted(found)) or "none"
@@ -214,12 +226,7 @@ def open_zarr(folder: Path, resolution_m: float | None) -> xr.Dataset:
     if resolution_m is not None and resolution_m not in found:
         raise InputError(f"{str(folder)!r} holds no maps at {short_number(resolution_m)} m, only at {listed} m")
     path = found[resolution_m] if resolution_m is not None else next(iter(found.values()))
-    try:
-        ds = xr.open_zarr(path, consolidated=False, chunks=None)
-    except (OSError, ValueError, KeyError) as error:
-        raise InputError(
-            f"the maps in {str(path)!r} cannot be read ({error}): remove them and make them again"
-        ) from error
+    ds = open_whole(path)
     if lost := [name for name in NEEDED if name not in ds]:
         raise InputError(f"the maps in {str(path)!r} hold no {', no '.join(lost)}: remove them and make them again")
     return ds
