@@ -68,7 +68,8 @@ def _after(call: Callable, function: Callable, arguments: tuple, before: list[An
 def _call_in_worker(job_name: str, function: Callable, *arguments: Any) -> Any:
     from distributed import get_worker
 
-    return function(get_worker().plugins[job_name].job, *arguments)
+    holder: Any = get_worker().plugins[job_name]
+    return function(holder.job, *arguments)
 
 
 def work_in_threads(job: TileJob, num_threads: int, on_result: Tell) -> None:

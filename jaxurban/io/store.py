@@ -86,6 +86,12 @@ def stored_resolutions(folder: Path) -> dict[float, Path]:
     return {float(match[1]): path for match, path in named if match and path.is_dir()}
 
 
+def are_of_a_run(folder: Path) -> bool:
+    """Return whether maps under ``folder`` are those of ``jaxurban maps``, which writes `RUN_FILE` too."""
+    files = (path / "zarr.json" for path in stored_resolutions(folder).values())
+    return any(b'"run_key"' in file.read_bytes() for file in files if file.is_file())
+
+
 def check_writable(folder: Path) -> None:
     """Make ``folder`` and raise InputError if nothing can be written there."""
     try:
