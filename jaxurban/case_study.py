@@ -1,6 +1,5 @@
 """study: a Monte Carlo study of planners over metric maps, kept in a folder and resumable."""
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +16,7 @@ from jaxurban.grid import Grid
 from jaxurban.io.city import OSM_SUFFIXES
 from jaxurban.io.landcover import read_land_cover
 from jaxurban.io.rowstore import PARTS_FOLDER, ROWS_FILE
+from jaxurban.io.seal import read_json, write_json
 from jaxurban.io.store import check_writable, only_writer, whole_file
 from jaxurban.io.tables import write_table
 from jaxurban.limits import Limits, limits_said
@@ -223,7 +223,7 @@ def _claim(folder: Path, settings: Settings, maps: MetricMaps, instances: pd.Dat
         for old in (folder / ROWS_FILE, folder / INSTANCES_FILE, *(folder / PARTS_FOLDER).glob("*.json")):
             old.unlink(missing_ok=True)
     with whole_file(file) as scratch:
-        scratch.write_text(json.dumps(told, indent=2) + "\n", encoding="utf-8")
+        write_json(scratch, told, indent=2)
 
 
 def _in_words(told: Mapping[str, Any]) -> dict[str, str]:
@@ -287,11 +287,14 @@ def _other_instances(folder: Path, instances: pd.DataFrame) -> str | None:
 
 def _held(file: Path) -> dict[str, Any] | None:
     try:
-        held = json.loads(file.read_text(encoding="utf-8"))
+        held = read_json(file)
     except FileNotFoundError:
+        if foreign := [name for name in (ROWS_FILE, INSTANCES_FILE, PARTS_FOLDER) if (file.parent / name).exists()]:
+            raise InputError(
+                f"{str(file.parent / foreign[0])!r} is there already, and nothing says that it is a study's: choose "
+                "another folder, or remove it"
+            ) from None
         return None
     except (OSError, ValueError) as error:
         raise InputError(f"{str(file)!r} cannot be read: remove the folder and run the study anew") from error
-    if not isinstance(held, dict):
-        raise InputError(f"{str(file)!r} says nothing of a study: remove the folder and run the study anew")
     return held

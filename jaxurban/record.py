@@ -18,9 +18,10 @@ import shapely
 from jaxurban.city import City
 from jaxurban.errors import InputError
 from jaxurban.grid import Grid
+from jaxurban.io import seal
 from jaxurban.io.knownarea import rays_leaving
 from jaxurban.io.rasterise import highest_top_m
-from jaxurban.io.store import short_number
+from jaxurban.io.store import short_number, whole_file
 from jaxurban.metrics.population import PopulationParams, population_totals
 from jaxurban.scenario import NOMINAL, Scenario
 from jaxurban.sky import Sky
@@ -76,6 +77,28 @@ def run_record(
         "population": people,
         "warnings": list(dict.fromkeys(messages)),
     }
+
+
+def write_record(file: Path, record: dict[str, Any], is_kept: bool) -> dict[str, Any]:
+    """Write run.json, unless it says the same already, and return what it holds.
+
+    Args:
+      file: run.json.
+      record: from `run_record`.
+      is_kept: whether nothing was made: times and warnings then stay those of the run that made the maps.
+    """
+    try:
+        held = seal.read_json(file)
+    except (OSError, ValueError):
+        held = {}
+    record = json.loads(json.dumps(record))
+    if is_kept and held.get("run_key") == record["run_key"]:
+        record |= {name: held[name] for name in ("started_utc", "elapsed_s")}
+        record["warnings"] = list(dict.fromkeys([*held["warnings"], *record["warnings"]]))
+    if record != held:
+        with whole_file(file) as scratch:
+            seal.write_json(scratch, record, indent=2)
+    return record
 
 
 def hash_inputs(scenario: Scenario) -> dict[str, dict[str, str]]:

@@ -72,15 +72,27 @@ def take_snap(given: Settings) -> bool | float:
 
 
 def stored_settings(folder: Path) -> Settings:
-    """Return the settings that made the maps in ``folder``, empty where they were saved from Python."""
+    """Return the settings that made the maps in ``folder``, empty where they were saved from Python.
+
+    Raises:
+      InputError: the record of the run that made them is damaged or missing, and with it their weights.
+    """
+    from jaxurban.io.seal import read_json
+    from jaxurban.io.store import RUN_FILE, are_of_a_run
+
     if folder.is_file():
         raise InputError(f"{str(folder)!r} is a file: give the folder that holds the maps")
+    remedy = "run the same `jaxurban maps` command again, which writes it anew"
     try:
-        return json.loads((folder / "run.json").read_text(encoding="utf-8"))["settings"]
-    except FileNotFoundError:
+        return read_json(folder / RUN_FILE)["settings"]
+    except FileNotFoundError as error:
+        if are_of_a_run(folder):
+            raise InputError(
+                f"{str(folder / RUN_FILE)!r}, with the settings of the maps, is missing: {remedy}"
+            ) from error
         return {}
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputError(f"{str(folder / 'run.json')!r} cannot be read: make the maps again") from error
+        raise InputError(f"{str(folder / RUN_FILE)!r} cannot be read ({error}): {remedy}") from error
 
 
 def stored_weights(folder: Path, settings: Settings) -> "Weights":
