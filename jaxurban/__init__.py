@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from jaxurban.maps import open_maps as open_maps
     from jaxurban.planned import PlannedPath as PlannedPath
     from jaxurban.planning import plan as plan
+    from jaxurban.route_cautions import cautions as cautions
     from jaxurban.route_report import RouteReport as RouteReport
     from jaxurban.route_report import explain as explain
     from jaxurban.scenario import Scenario as Scenario
@@ -55,6 +56,7 @@ _HOMES = {
     "open_maps": "maps",
     "PlannedPath": "planned",
     "plan": "planning",
+    "cautions": "route_cautions",
     "RouteReport": "route_report",
     "explain": "route_report",
     "Scenario": "scenario",
