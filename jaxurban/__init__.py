@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from jaxurban.planned import PlannedPath as PlannedPath
     from jaxurban.planners.base import CostModel as CostModel
     from jaxurban.planning import plan as plan
+    from jaxurban.route_cautions import cautions as cautions
     from jaxurban.route_report import RouteReport as RouteReport
     from jaxurban.route_report import explain as explain
     from jaxurban.scenario import Scenario as Scenario
@@ -57,6 +58,7 @@ _HOMES = {
     "PlannedPath": "planned",
     "CostModel": "planners.base",
     "plan": "planning",
+    "cautions": "route_cautions",
     "RouteReport": "route_report",
     "explain": "route_report",
     "Scenario": "scenario",

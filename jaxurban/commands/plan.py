@@ -71,12 +71,12 @@ def plan(
     **given: Any,
 ) -> int:
     """Plan a path over the maps in DIR."""
-    from jaxurban.cautions import cautions
     from jaxurban.cost import Weights
     from jaxurban.io.export import check_export, height_note, write_path
     from jaxurban.limits import Limits
     from jaxurban.maps import open_maps
     from jaxurban.planning import plan as plan_path
+    from jaxurban.route_cautions import cautions
     from jaxurban.route_report import check_flight, explain
     from jaxurban.volume import plan_volume
 

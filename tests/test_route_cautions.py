@@ -8,7 +8,6 @@ import pytest
 from scipy.ndimage import distance_transform_edt
 
 import jaxurban as ju
-from jaxurban.cautions import cautions
 from jaxurban.errors import InputError
 from jaxurban.io.store import write_zarr
 from tests.cli_runs import run
@@ -45,30 +44,30 @@ def straight(maps, first=10, last=90, **options) -> ju.PlannedPath:
 
 
 def test_stretches_without_a_fix_are_told_with_their_places(maps):
-    assert cautions(straight(maps), maps)[0] == (
+    assert ju.cautions(straight(maps), maps)[0] == (
         "GPS: no fix (fewer than four satellites) on 210 of 800 m: from 295 to 395 m, 595 to 645 m, 745 to 775 m "
         "along the route and 2 shorter stretches."
     )
     always = ju.MetricMaps(maps.ds.assign(num_visible=maps.ds["num_visible"] * 0 + 9))
-    assert not any(sentence.startswith("GPS") for sentence in cautions(straight(always), always))
+    assert not any(sentence.startswith("GPS") for sentence in ju.cautions(straight(always), always))
     series = ju.MetricMaps(maps.ds.drop_vars("num_visible"))
-    assert "GPS: these maps hold no satellite counts, so where there is no fix is not known." in cautions(
+    assert "GPS: these maps hold no satellite counts, so where there is no fix is not known." in ju.cautions(
         straight(maps), series
     )
 
 
 def test_the_nearest_building_and_the_least_height_over_a_roof_are_told(maps):
-    told = cautions(straight(maps), maps)
+    told = ju.cautions(straight(maps), maps)
     assert re.match(r"Buildings: the nearest at flight height is 35\.0 m away, (49|5\d)\d m along the route\.", told[1])
     assert re.match(r"Roofs: the least height over one is 8\.0 m, [12]\d\d m .* \(a roof of 12\.0 m\)\.", told[2])
     assert not any("The start" in line or "The goal" in line for line in told)
 
 
 def test_an_end_over_a_roof_is_told(maps):
-    told = cautions(straight(maps, first=33), maps)
+    told = ju.cautions(straight(maps, first=33), maps)
     assert "The start is over a roof of 12.0 m, not over the ground." in told
     assert not any("The goal" in line for line in told)
-    assert "The goal is over a roof of 12.0 m, not over the ground." in cautions(straight(maps, last=33), maps)
+    assert "The goal is over a roof of 12.0 m, not over the ground." in ju.cautions(straight(maps, last=33), maps)
 
 
 def test_roofs_that_touch_a_cell_count_where_the_maps_hold_them(maps):
@@ -101,7 +100,7 @@ def test_walls_just_outside_the_region_count():
     for first, last, true_m in ((3, 8, 15.0), (16, 21, 35.0), (30, 35, np.hypot(35.0, 100.0))):
         ends = {"start_xy_m": grid.xy_of_cell(first, 38), "goal_xy_m": grid.xy_of_cell(last, 38)}
         path = ju.plan(maps, **ends, altitude_m=20.0, objective="distance")
-        totals, (told, *_) = ju.explain(path, maps).totals, cautions(path, maps)
+        totals, (told, *_) = ju.explain(path, maps).totals, ju.cautions(path, maps)
         assert totals["nearest_wall_m"] == np.inf
         if true_m < 50.0:
             assert true_m - 10.0 < totals["walls_outside_m"] <= true_m  # less than a diagonal is lost
@@ -110,7 +109,7 @@ def test_walls_just_outside_the_region_count():
         else:
             assert told.startswith("Buildings: none at flight height is within 35.9 m")  # the threshold less a diagonal
             assert told.endswith(unknown)
-        assert cautions(path, solid)[0].endswith(unknown)  # that risk counts roofs below too
+        assert ju.cautions(path, solid)[0].endswith(unknown)  # that risk counts roofs below too
 
 
 def test_satellites_are_whole_numbers_everywhere(maps):
@@ -160,4 +159,4 @@ def test_without_a_path_there_is_nothing_to_caution_of(maps):
     zone[:, :, 50] = 1
     cut = ju.MetricMaps(maps.ds.assign(obstacle=(("altitude", "y", "x"), zone)))
     with pytest.raises(InputError, match="there is no path"):
-        cautions(straight(cut), cut)
+        ju.cautions(straight(cut), cut)
