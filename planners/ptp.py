@@ -9,7 +9,7 @@ from jaxurban.planners.evaluate import evaluate_on, sample_segment, warm_up
 
 
 def ptp(problem: Problem, *, budget_s: float = np.inf, seed: int = 0) -> Path:
-    """Return the straight path, sampled every resolution step, or BLOCKED where a cell it crosses is not free.
+    """Return the straight path, sampled every resolution step, or BLOCKED where that is no free way (`is_free_way`).
 
     Neither the budget nor the seed plays a part. The status is FEASIBLE, never OPTIMAL: nothing else was
     tried. The lower bound is the distance alone and holds for any path.
