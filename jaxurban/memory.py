@@ -25,6 +25,7 @@ COMPILING_BYTES = 400 * 2**20  # what JAX and the other libraries take once they
 SURFACE_CELL_BYTES = 20  # rasters on the host and for JAX, and what puts them together
 TERRAIN_CELL_BYTES = 16  # the same of the terrain, and the sum of both
 LIDAR_CELL_BYTES = 16  # of cells within the lidar's range: crops, with their halo, and padded
+LIDAR_WORD_BYTES = 4.4  # 32 answers of a step, and a tenth
 RISK_CELL_BYTES = 64  # of cells within the risk's threshold: squared distances and what a pass over them holds
 LOOK_BYTES = 1024  # over terrain: a look (see `jaxurban.kernels.terrain_lidar`), and what joins them
 FINE_CELL_BYTES = 48  # rasters of the finer surface, its tops for both directions, and the lidar's order of them
@@ -97,7 +98,7 @@ def _metric_bytes(
     if has_terrain:
         lidar += steps * params.lidar.num_azimuths * LOOK_BYTES
     else:
-        lidar += steps * (band + 2 * halo) * (shape[1] + 2 * halo) * 4
+        lidar += steps * (band + 2 * halo) * (shape[1] + 2 * halo) * LIDAR_WORD_BYTES
     risk = _around(shape, window_cells(params.risk.threshold_m, resolution_m)) * RISK_CELL_BYTES
     gps = cells * (16 * altitudes + 48)  # words, before and after a satellite; one altitude's maps
     if not params.gps.keeps_epochs(num_epochs):

@@ -215,9 +215,10 @@ def pixel_xy(raster: Raster, row: np.ndarray, col: np.ndarray, crs: str) -> tupl
 def thinned(raster: Raster, most_pixels: int) -> Raster:
     """Return every k-th pixel of every k-th row, as pixels around the same centres: about ``most_pixels`` of them."""
     k = max(1, math.ceil(math.sqrt(raster.values.size / most_pixels)))
-    first = Affine.translation(raster.first_col + 0.5 - k / 2, raster.first_row + 0.5 - k / 2)
-    transform = Affine(*raster.transform) @ first @ Affine.scale(k)
-    return Raster(raster.values[::k, ::k], tuple(transform)[:6], raster.crs)
+    a, b, c, d, e, f = raster.transform
+    col, row = raster.first_col + 0.5 - k / 2, raster.first_row + 0.5 - k / 2
+    transform = a * k, b * k, a * col + b * row + c, d * k, e * k, d * col + e * row + f
+    return Raster(raster.values[::k, ::k], transform, raster.crs)
 
 
 def heights_above(surface: Raster, ground: Raster) -> Raster:

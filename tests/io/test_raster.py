@@ -1,5 +1,7 @@
 """Rasters: what is read, what is refused, and how values come onto a Grid."""
 
+from dataclasses import replace
+
 import numpy as np
 import pyproj
 import pytest
@@ -11,7 +13,7 @@ from affine import Affine
 from jaxurban.city import Raster
 from jaxurban.errors import InputError
 from jaxurban.grid import Grid
-from jaxurban.io.raster import heights_above, raster_extent_m, read_raster, resample_raster
+from jaxurban.io.raster import heights_above, pixel_xy, raster_extent_m, read_raster, resample_raster, thinned
 
 UTM = "EPSG:32618"
 X, Y = 583000.0, 4506000.0  # southwest corner
@@ -281,7 +283,8 @@ def test_heights_above_a_terrain_of_another_grid_are_those_of_the_surface():
 
     def plane(transform, shape, above_m=0.0):
         col, row = np.meshgrid(np.arange(shape[1]) + 0.5, np.arange(shape[0]) + 0.5)
-        x_m, y_m = transform @ (col, row)
+        a, b, c, d, e, f = tuple(transform)[:6]
+        x_m, y_m = a * col + b * row + c, d * col + e * row + f
         return raster(100 + 0.1 * (x_m - X) - 0.05 * (y_m - Y) + above_m, transform)
 
     surface = plane(Affine(2, 0, X + 30, 0, -2, Y + 170), (60, 50), above_m=12.0)
@@ -289,3 +292,12 @@ def test_heights_above_a_terrain_of_another_grid_are_those_of_the_surface():
     heights = heights_above(surface, terrain)
     assert heights.transform == surface.transform
     np.testing.assert_allclose(heights.values, 12.0, atol=1e-4)
+
+
+def test_a_thinned_raster_has_every_kth_pixel_where_it_was():
+    pixels = np.random.default_rng(4).random((90, 120)).astype(np.float32)
+    whole = replace(raster(pixels), first_row=5, first_col=7)
+    some = thinned(whole, 90 * 120 // 9)
+    x_m, y_m = pixel_xy(some, np.array(10.5), np.array(20.5), UTM)
+    assert some.values[10, 20] == pixels[30, 60]
+    np.testing.assert_allclose([x_m, y_m], pixel_xy(whole, np.array(30.5), np.array(60.5), UTM))
