@@ -15,12 +15,13 @@ from typing import Any
 import dask.array
 import xarray as xr
 
-from jaxurban.build import block_layers_of, view_sky
+from jaxurban.build import block_layers_of, map_guesses, view_sky
 from jaxurban.city import City
 from jaxurban.cluster import cluster_client, work_in_threads, work_on_cluster
 from jaxurban.demo import demo_city_for_bounds
 from jaxurban.errors import InputError
 from jaxurban.grid import Grid
+from jaxurban.guesses import Guesses, draws_guesses, warn_of
 from jaxurban.io import store
 from jaxurban.io.city import read_city
 from jaxurban.io.rasterise import check_has_data, rasterise
@@ -30,7 +31,7 @@ from jaxurban.maps import MetricMaps
 from jaxurban.memory import MemoryPlan, detail_bytes, gib, plan_memory, shape_of_tiles, tile_bytes
 from jaxurban.metrics.availability import EpochTotals
 from jaxurban.metrics.gps import GpsParams
-from jaxurban.record import hash_inputs, run_key, run_record, warn_of_unknown_ground
+from jaxurban.record import hash_inputs, run_key, run_record
 from jaxurban.scenario import NOMINAL, Scenario
 from jaxurban.sky import Sky
 from jaxurban.tiled import TileJob
@@ -192,7 +193,8 @@ def run_scenario(
             city = load_city(scenario)
         with watch.stage("orbits"):
             skies = [sky_of(scenario, grid) for grid in grids]
-        warn_of_unknown_ground(city, grids[0])
+        guesses = map_guesses(city, grids[0], skies[0], params)
+        warn_of(guesses, told=city.guesses)
         store.check_writable(folder)
         plan = _plan(city, grids, skies, params, resources, folder)
         if tell:
@@ -202,7 +204,7 @@ def run_scenario(
             prepare_folder(folder, key, grids)
             maps = {
                 grid.resolution_m: _maps_of(
-                    Maker(city, grid, sky, params, folder, key, plan.num_workers, client), watch
+                    Maker(city, grid, sky, params, folder, key, plan.num_workers, client, guesses), watch
                 )
                 for grid, sky in zip(grids, skies, strict=True)
             }
@@ -304,6 +306,7 @@ class Maker:
     key: str
     num_workers: int
     client: Any
+    guesses: Guesses = field(default_factory=dict)
 
 
 def _maps_of(maker: Maker, watch: Stopwatch) -> MetricMaps:
@@ -342,8 +345,9 @@ def make_zarr(maker: Maker, tell: Callable[[str], None], shape: tuple[int, int] 
     work.begin(f"{maker.key} {shape}")
     people = block_layers_of(city, grid, params)
     if not work.zarr.exists():
-        empty = empty_dataset(grid, sky, params, people, city.terrain is not None, city.attribution, _no_values)
-        store.create_zarr(empty.assign_attrs(run_key=maker.key), work.zarr, shape)
+        known = people, city.terrain is not None, city.attribution
+        empty = empty_dataset(grid, sky, params, *known, _no_values, has_guessed=draws_guesses(city, grid))
+        store.create_zarr(empty.assign_attrs(run_key=maker.key, guesses=maker.guesses), work.zarr, shape)
     job = TileJob(work, tiling, sky, params, people, city)
     seconds: dict[str, float] = {}
     totals, num_done = EpochTotals.zero(len(sky.times), len(params.altitudes_m)), 0
