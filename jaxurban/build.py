@@ -14,7 +14,8 @@ from jaxurban.city import City
 from jaxurban.detail import RegionDetail
 from jaxurban.errors import InputError
 from jaxurban.grid import Grid
-from jaxurban.io.orbits import look_angles, read_orbits
+from jaxurban.guesses import Guesses, guessed_roofs, guesses_of, nominal_guess, time_guess, warn_of
+from jaxurban.io.orbits import NOMINAL, look_angles, middle_epoch, read_orbits
 from jaxurban.io.rasterise import build_surface, building_index
 from jaxurban.layers import (
     PAPER_ALTITUDES_M,
@@ -51,7 +52,7 @@ def build_maps(
     resolution_m: float = 5.0,
     altitudes_m: Sequence[float] = PAPER_ALTITUDES_M,
     orbits: str | Path | Sequence[str | Path] = "nominal",
-    times: Sequence[str] = (PAPER_TIME,),
+    times: str | Sequence[str] | None = None,
     mask_deg: float = 5.0,
     reference: tuple[float, float] | None = None,
     max_age_days: float = 90.0,
@@ -77,7 +78,7 @@ def build_maps(
       resolution_m: side of a cell.
       altitudes_m: flight altitudes above ground.
       orbits: ``"nominal"``, a TLE or OMM file, or several of these (other constellations).
-      times: UTC epochs, ISO 8601.
+      times: UTC epochs, ISO 8601; left out, see `view_sky`.
       mask_deg: elevation mask; lower satellites are not used.
       reference: longitude, latitude where look angles are taken; left out, the region's centre.
       max_age_days: older element sets are refused.
@@ -91,6 +92,9 @@ def build_maps(
       height_seed: of the draws.
       stage: called with each stage's name, gives the context that the stage runs in (timing, progress).
 
+    Warns:
+      GuessWarning: of each guess behind the maps (``ds.attrs["guesses"]``) that reading the city has not warned of.
+
     Raises:
       InputError: settings that do not fit the city, too few satellites, or too little memory.
     """
@@ -100,13 +104,13 @@ def build_maps(
         raise InputError("give either bounds or grid, and not both")
     region = grid if grid is not None else _region(city, bounds, resolution_m)
     check_altitudes(altitudes_m)
-    times, times_of_day = _as_names(times), _as_names(times_of_day)
+    times, times_of_day = None if times is None else _as_names(times), _as_names(times_of_day)
     if region.crs != city.crs:
         raise InputError(f"the grid is in {region.crs} and the city in {city.crs}: build the grid in the city's CRS")
     is_own = grid is None and bounds is None  # accepted when the city was read
     if not (is_own or shapely.intersects(shapely.box(*region.bounds_m), shapely.box(*city.known_extent_m))):
         raise InputError("the region and the city do not meet: check the bounds (west, south, east, north)")
-    if not times or len(set(times)) != len(times):
+    if times is not None and (not times or len(set(times)) != len(times)):
         raise InputError(f"times must be different UTC times such as 2020-04-27T16:00:00Z, got {list(times)}")
     if not times_of_day or len(set(times_of_day)) != len(times_of_day):
         raise InputError(f"times_of_day must be different names such as day and night, got {list(times_of_day)}")
@@ -155,7 +159,7 @@ def _region(city: City, bounds: Sequence[float] | None, resolution_m: float) -> 
 def view_sky(
     region: Grid,
     orbits: str | Path | Sequence[str | Path],
-    times: Sequence[str],
+    times: Sequence[str] | None,
     *,
     mask_deg: float,
     reference: tuple[float, float] | None,
@@ -163,12 +167,23 @@ def view_sky(
 ) -> Sky:
     """Return the satellites at or above the mask at any epoch, seen from the reference point.
 
+    Without times, elements from files stand at the middle of their own epochs, the nominal ones at the paper's time.
+
     Raises:
       InputError: unreadable or stale orbits, or no satellite above the mask at some epoch.
     """
     lon_deg, lat_deg = reference if reference is not None else region.centre_lonlat
+    satellites = read_orbits(orbits)
+    guesses: Guesses = {}
+    is_papers = False
+    if times is None and (own_time := middle_epoch(satellites)) is not None:
+        times, guesses = [own_time], time_guess(own_time)
+    elif times is None:
+        times, is_papers = [PAPER_TIME], True
+    if satellites.of(NOMINAL):
+        guesses |= nominal_guess(times, is_papers)
     sky = look_angles(
-        read_orbits(orbits),
+        satellites,
         times,
         lon_deg,
         lat_deg,
@@ -182,7 +197,20 @@ def view_sky(
                 f"no satellite is above the elevation mask of {mask_deg} degrees at {time}: "
                 "lower [gps] mask_deg, choose another time, or check the orbits"
             )
-    return sky
+    return replace(sky, guesses=guesses)
+
+
+def map_guesses(city: City, region: Grid, sky: Sky, params: MapParams) -> Guesses:
+    """Return every guess behind the maps of a region."""
+    return guesses_of(
+        city,
+        region,
+        sky,
+        altitudes_m=params.altitudes_m,
+        mask_deg=params.mask_deg,
+        people=block_layers_of(city, region, params),
+        population=params.population,
+    )
 
 
 def make_surface(city: City, region: Grid, sky: Sky, params: MapParams) -> Surface:
@@ -202,9 +230,15 @@ def compute_maps(city: City, surface: Surface, sky: Sky, params: MapParams, stag
         seen = params.satellites_at(sky, epoch)
         return visibility(surface, sky.azimuth_rad[epoch, seen], sky.elevation_rad[epoch, seen], params.altitudes_m)
 
-    ds = empty_dataset(surface.region, sky, params, people, surface.terrain_m is not None, city.attribution)
+    guesses = map_guesses(city, surface.region, sky, params)
+    warn_of(guesses, told=city.guesses)
+    guessed = guessed_roofs(city, surface.region, surface.region, params.all_touched)
+    has_terrain = surface.terrain_m is not None
+    ds = empty_dataset(
+        surface.region, sky, params, people, has_terrain, city.attribution, has_guessed=guessed is not None
+    ).assign_attrs(guesses=guesses)
     totals = EpochTotals.zero(len(sky.times), len(params.altitudes_m))
-    for name, index, values in make_layers(surface, sky, params, people, words, totals, stage, detail):
+    for name, index, values in make_layers(surface, sky, params, people, words, totals, stage, detail, guessed):
         ds[name].values[index] = values
     return MetricMaps(ds if "gps" in ds else with_series(ds, totals))
 

@@ -64,6 +64,11 @@ class Buildings:
             self.is_part[index],
         )
 
+    @property
+    def is_guessed(self) -> np.ndarray:
+        """``[B]`` bool: no height is known, and levels or the default stand in."""
+        return np.isin(self.origin, (HeightOrigin.LEVELS, HeightOrigin.DEFAULT))
+
     def origin_counts(self) -> dict[str, int]:
         """Return the number of buildings by origin of height, only origins that occur."""
         return {o.name.lower(): int(n) for o in HeightOrigin if (n := np.sum(self.origin == o))}
@@ -153,6 +158,7 @@ class City:
       faults: what the readers met and left out, counted by name.
       counts: what the building source holds, counted by name.
       sources: path by role, for provenance (empty for a generated city).
+      guesses: what was supposed where the sources are silent, see `jaxurban.guesses`.
       attribution: the credit that the licence of the sources asks for wherever pictures are shown.
       bounds: west, south, east, north in degrees that the city was read for; None for all that there is.
       area: where the building source knows what stands, within ``extent_m``; None for all of it.
@@ -171,6 +177,7 @@ class City:
     attribution: str = ""
     bounds: tuple[float, float, float, float] | None = None
     area: shapely.Geometry | None = None
+    guesses: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if (self.buildings is None) == (self.roofs is None):

@@ -16,6 +16,10 @@ class StaleElementsWarning(UserWarning):
     """Orbital elements are old at the chosen time: one sentence for the user."""
 
 
+class GuessWarning(UserWarning):
+    """Maps rest on something that their files do not say: one sentence for the user, with the remedy."""
+
+
 class IgnoredLimitWarning(UserWarning):
     """Something in a file of no-fly zones is not read, or is read more cautiously: one sentence for the user."""
 

@@ -131,7 +131,7 @@ class Layer(NamedTuple):
 
 
 def variables(
-    params: MapParams, num_epochs: int, has_people: bool, has_terrain: bool
+    params: MapParams, num_epochs: int, has_people: bool, has_terrain: bool, has_guessed: bool = False
 ) -> dict[str, tuple[tuple[str, ...], np.dtype]]:
     """Return dims and type of every variable that maps hold."""
     names: dict[str, tuple[tuple[str, ...], type]] = {"obstacle": (FLOWN, np.uint8)}
@@ -154,6 +154,8 @@ def variables(
     if has_people:
         names |= dict.fromkeys(("population", "density"), (("time_of_day", "y", "x"), np.float32))
     names |= dict.fromkeys(("roof", "roof_touched"), (("y", "x"), np.float32))
+    if has_guessed:
+        names["roof_guessed"] = (("y", "x"), np.bool_)
     if has_terrain:
         names["terrain"] = (("y", "x"), np.float32)
     names["has_data"] = (("y", "x"), np.bool_)
@@ -168,6 +170,7 @@ def empty_dataset(
     has_terrain: bool,
     attribution: str = "",
     make: Callable[[tuple[int, ...], np.dtype], object] = np.zeros,
+    has_guessed: bool = False,
 ) -> xr.Dataset:
     """Return the dataset that the layers of a region go into, with coordinates and attributes, all values zero.
 
@@ -179,6 +182,7 @@ def empty_dataset(
       has_terrain: whether the ground is not flat.
       attribution: credit of the sources.
       make: gives the array of a shape and a type.
+      has_guessed: whether roofs whose height is guessed are told apart.
     """
     coords: dict[str, Any] = {
         "y": ("y", region.y_m, {"units": "m", "standard_name": "projection_y_coordinate"}),
@@ -203,7 +207,7 @@ def empty_dataset(
         is_count = params.population.quantity == "count"
         norm_name = "pop_norm_per_block" if is_count else "pop_norm_per_km2"
         attrs[norm_name] = [float(value) for value in people.norm_per_km2]
-    held = variables(params, len(sky.times), people is not None, has_terrain)
+    held = variables(params, len(sky.times), people is not None, has_terrain, has_guessed)
     if "gps" not in held:
         attrs["gps_availability_threshold"] = params.gps.availability_threshold
     sizes = {
@@ -248,6 +252,7 @@ def make_layers(
     totals: EpochTotals,
     stage: Stage = untimed,
     detail: Detail | None = None,
+    guessed: np.ndarray | None = None,
 ) -> Iterator[Layer]:
     """Yield every layer of a surface's region, one at a time, so that few of them need be in memory.
 
@@ -260,6 +265,7 @@ def make_layers(
       totals: takes up the region's sums over free cells, where statistics over time are kept.
       stage: gives the context that the work on each stage runs in.
       detail: finer answers and uncertainty, where they are asked for.
+      guessed: from `jaxurban.guesses.guessed_roofs`.
     """
     has_data = None if surface.has_data is None else np.asarray(surface.crop(surface.has_data))
     roof_m = surface.crop(surface.roof_m)
@@ -301,6 +307,8 @@ def make_layers(
     yield layer("roof", [], roof_m)
     assert surface.roof_touched_m is not None
     yield layer("roof_touched", [], surface.roof_touched_m)
+    if guessed is not None:
+        yield layer("roof_guessed", [], guessed)
     if surface.terrain_m is not None:
         yield layer("terrain", [], surface.crop(surface.terrain_m))
     yield Layer("has_data", (), np.ones(surface.region.shape, bool) if has_data is None else has_data)

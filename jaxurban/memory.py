@@ -94,7 +94,7 @@ def _metric_bytes(
     cells, altitudes = shape[0] * shape[1], len(params.altitudes_m)
     steps = num_steps(resolution_m, params.lidar.range_m)
     halo, band = steps - 1, -(-shape[0] // WORD_BITS)
-    lidar = _around(shape, halo) * LIDAR_CELL_BYTES * (1 + has_terrain) + 24 * cells
+    lidar: float = _around(shape, halo) * LIDAR_CELL_BYTES * (1 + has_terrain) + 24 * cells
     if has_terrain:
         lidar += steps * params.lidar.num_azimuths * LOOK_BYTES
     else:

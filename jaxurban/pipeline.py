@@ -13,12 +13,13 @@ from typing import Any
 
 import dask.array
 
-from jaxurban.build import block_layers_of, view_sky
+from jaxurban.build import block_layers_of, map_guesses, view_sky
 from jaxurban.city import City
 from jaxurban.cluster import cluster_client, work_in_threads, work_on_cluster
 from jaxurban.demo import demo_city_for_bounds
 from jaxurban.errors import InputError
 from jaxurban.grid import Grid
+from jaxurban.guesses import Guesses, draws_guesses, warn_of
 from jaxurban.io import store
 from jaxurban.io.city import read_city
 from jaxurban.io.damage import open_whole
@@ -31,7 +32,7 @@ from jaxurban.maps import MetricMaps
 from jaxurban.memory import MemoryPlan, detail_bytes, gib, plan_memory, shape_of_tiles, tile_bytes
 from jaxurban.metrics.availability import EpochTotals
 from jaxurban.metrics.gps import GpsParams
-from jaxurban.record import hash_inputs, run_key, run_record, warn_of_unknown_ground, write_record
+from jaxurban.record import hash_inputs, run_key, run_record, write_record
 from jaxurban.scenario import NOMINAL, Scenario
 from jaxurban.sky import Sky
 from jaxurban.tiled import TileJob, unmark_damaged
@@ -195,7 +196,8 @@ def run_scenario(
             city = load_city(scenario)
         with watch.stage("orbits"):
             skies = [sky_of(scenario, grid) for grid in grids]
-        warn_of_unknown_ground(city, grids[0])
+        guesses = map_guesses(city, grids[0], skies[0], params)
+        warn_of(guesses, told=city.guesses)
         store.check_writable(folder)
         plan = _plan(city, grids, skies, params, resources, folder)
         if tell:
@@ -203,10 +205,9 @@ def run_scenario(
         # Nothing of an older job is touched before this one can begin.
         with store.only_writer(folder), _client(resources) as client:
             prepare_folder(folder, key, [grid.resolution_m for grid in grids])
+            say = tell or _say_nothing
             made = [
-                _maps_of(
-                    Maker(city, grid, sky, params, folder, key, plan.num_workers, client, tell or _say_nothing), watch
-                )
+                _maps_of(Maker(city, grid, sky, params, folder, key, plan.num_workers, client, say, guesses), watch)
                 for grid, sky in zip(grids, skies, strict=True)
             ]
             record = run_record(
@@ -316,6 +317,7 @@ class Maker:
     num_workers: int
     client: Any
     tell: Callable[[str], None] = _say_nothing
+    guesses: Guesses = field(default_factory=dict)
 
 
 def _maps_of(maker: Maker, watch: Stopwatch) -> tuple[MetricMaps, bool]:
@@ -368,8 +370,9 @@ def make_zarr(maker: Maker, tell: Callable[[str], None], shape: tuple[int, int] 
     for path in [*damaged, *unmark_damaged(job, maker.num_workers)]:
         maker.tell(f"{str(path)!r} of the unfinished maps is damaged: making it again")
     if not work.zarr.exists():
-        empty = empty_dataset(grid, sky, params, people, city.terrain is not None, city.attribution, _no_values)
-        store.create_zarr(empty.assign_attrs(run_key=maker.key), work.zarr, shape)
+        known = people, city.terrain is not None, city.attribution
+        empty = empty_dataset(grid, sky, params, *known, _no_values, has_guessed=draws_guesses(city, grid))
+        store.create_zarr(empty.assign_attrs(run_key=maker.key, guesses=maker.guesses), work.zarr, shape)
     seconds: dict[str, float] = {}
     totals, num_done = EpochTotals.zero(len(sky.times), len(params.altitudes_m)), 0
 

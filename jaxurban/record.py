@@ -4,7 +4,6 @@ import glob
 import hashlib
 import importlib.metadata
 import json
-import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -18,15 +17,13 @@ import shapely
 from jaxurban.city import City
 from jaxurban.errors import InputError
 from jaxurban.grid import Grid
+from jaxurban.guesses import answers_leaving_share, rays_leaving_share
 from jaxurban.io import seal
-from jaxurban.io.knownarea import rays_leaving
-from jaxurban.io.rasterise import highest_top_m
 from jaxurban.io.store import short_number, whole_file
 from jaxurban.metrics.population import PopulationParams, population_totals
 from jaxurban.scenario import NOMINAL, Scenario
 from jaxurban.sky import Sky
 
-OUTSIDE_TOLERANCE = 0.01  # a box in degrees and its projection differ by less
 COMPANIED_SUFFIXES = (".shp", ".tif", ".tiff", ".asc", ".img", ".vrt")
 REPORTED_VERSIONS = (
     "jaxurban",
@@ -57,7 +54,10 @@ def run_record(
 ) -> dict[str, Any]:
     """Return what run.json holds; the arguments are what `run_scenario` worked with."""
     region = grids[0]
-    people = None if city.blocks is None else population_totals(city.blocks, population, region.bounds_m)
+    people = inside = None
+    if city.blocks is not None:
+        people = population_totals(city.blocks, population, region.bounds_m)
+        inside = population_totals(city.blocks, population, region.bounds_m, is_cut=True)
     return {
         "started_utc": started_utc,
         "elapsed_s": {name: round(seconds, 3) for name, seconds in elapsed_s.items()},
@@ -74,7 +74,12 @@ def run_record(
             short_number(z): round(rays_leaving_share(city, region, sky, z, scenario.gps.mask_deg), 4)
             for z in scenario.region.altitudes_m
         },
+        "answers_leave_data_share": {
+            short_number(z): round(answers_leaving_share(city, region, sky, z, scenario.gps.mask_deg), 4)
+            for z in scenario.region.altitudes_m
+        },
         "population": people,
+        "population_in_region": inside,
         "warnings": list(dict.fromkeys(messages)),
     }
 
@@ -180,31 +185,6 @@ def versions() -> dict[str, str]:
         "GEOS": shapely.geos_version_string,
         "PROJ": pyproj.proj_version_str,
     }
-
-
-def rays_leaving_share(city: City, region: Grid, sky: Sky, altitude_m: float, mask_deg: float) -> float:
-    """Return the share of cells with a ray that leaves the data while a roof could still block it."""
-    climb_m = max(highest_top_m(city) - altitude_m, 0.0)
-    above = sky.elevation_rad >= np.radians(mask_deg)
-    run_m = climb_m / np.tan(sky.elevation_rad[above])
-    east_m, north_m = run_m * np.sin(sky.azimuth_rad[above]), run_m * np.cos(sky.azimuth_rad[above])
-    return float(rays_leaving(city, region, east_m, north_m).any(axis=1).mean())
-
-
-def outside_share(city: City, region: Grid) -> float:
-    """Return the share of the region that lies beyond what the building source covers."""
-    whole = shapely.box(*region.bounds_m)
-    return 1.0 - float(shapely.intersection(whole, city.known_area).area) / float(whole.area)
-
-
-def warn_of_unknown_ground(city: City, region: Grid) -> None:
-    """Warn where the region reaches beyond what the building source covers."""
-    if (outside := outside_share(city, region)) > OUTSIDE_TOLERANCE:
-        warnings.warn(
-            f"{outside:.0%} of the region lies beyond what the building source covers and is taken as free of "
-            "buildings: give a source that covers it, or a smaller region",
-            stacklevel=2,
-        )
 
 
 def _region_record(grids: Sequence[Grid]) -> dict[str, Any]:

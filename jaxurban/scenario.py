@@ -30,7 +30,6 @@ from jaxurban.planners.registry import find_planner
 
 SYNTHETIC = "synthetic"
 MOST_EPOCHS = 100_000  # a year in steps of five minutes
-PAPER_TIME = datetime(2020, 4, 27, 16, tzinfo=UTC)  # when no time is given
 NOMINAL = "nominal"
 PAPER_PLANNERS = ("ptp", "astar-dist", "astar-plus", "bitstar-dist", "bitstar-plus")
 
@@ -170,22 +169,25 @@ class GpsSettings(_Section):
                 raise ValueError("stop is before start")
         if self.times is not None and not self.times:
             raise ValueError("times is empty: give at least one UTC time such as 2020-04-27T16:00:00Z")
-        if len(set(self.epochs)) != len(self.epochs):
+        epochs = self.epochs or ()
+        if len(set(epochs)) != len(epochs):
             raise ValueError("the epochs name a time twice")
-        if not all(len(epoch) == len("2020-04-27T16:00:00Z") for epoch in self.epochs):
+        if not all(len(epoch) == len("2020-04-27T16:00:00Z") for epoch in epochs):
             raise ValueError("epochs must be whole seconds, as file names carry them")
         if self.reference is not None and not (abs(self.reference[0]) <= 180 and abs(self.reference[1]) <= 90):
             raise ValueError("reference is longitude, latitude in degrees")
         return self
 
     @property
-    def epochs(self) -> tuple[str, ...]:
-        """The UTC epochs, ISO 8601 with a trailing Z."""
+    def epochs(self) -> tuple[str, ...] | None:
+        """The UTC epochs, ISO 8601 with a trailing Z; None where `jaxurban.build.view_sky` chooses."""
         if self.start is not None and self.stop is not None and self.step_s is not None:
             count = int((self.stop - self.start).total_seconds() // self.step_s) + 1
             times = [self.start + timedelta(seconds=self.step_s * i) for i in range(count)]
+        elif self.times is not None:
+            times = list(self.times)
         else:
-            times = list(self.times or (PAPER_TIME,))
+            return None
         return tuple(iso_utc(time) for time in times)
 
 
@@ -215,7 +217,7 @@ class PopulationSettings(_Section):
     table: str | None = None
     districts: str | None = None
     district_field: str = "BoroCD"
-    commercial: tuple[int, ...] = (101, 102, 103, 104, 105, 106)
+    commercial: tuple[int, ...] | None = None  # `jaxurban.io.districts.default_commercial`
     gamma_commercial: NonNegative = 3.0
     gamma_residential: NonNegative = 0.5
     time_of_day: Annotated[tuple[str, ...], BeforeValidator(_as_list), Field(min_length=1)] = ("day", "night")
@@ -331,7 +333,7 @@ class Scenario(_Section):
                 "the embedded city (source = 'synthetic') has its own people and flat ground: leave out "
                 "population.blocks and terrain.source, or name a source of real buildings"
             )
-        keeps_epochs = GpsParams(series=self.gps.series).keeps_epochs(len(self.gps.epochs))
+        keeps_epochs = GpsParams(series=self.gps.series).keeps_epochs(len(self.gps.epochs or (None,)))
         if (self.gps.bounds or self.buildings.height_samples) and not keeps_epochs:
             raise ValueError(
                 "[gps] bounds and [buildings] height_samples need the maps of every epoch: give fewer epochs, or set "

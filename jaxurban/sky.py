@@ -1,6 +1,7 @@
 """Sky: where the satellites stand, seen from one reference point."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -16,6 +17,7 @@ class Sky:
       elevation_rad: ``[T, S]`` float64 above the horizon, negative below it, no refraction.
       systems: ``[S]`` constellation of each satellite: "gps", "galileo", "glonass", "beidou" ... or "unknown".
       element_age_days: ``[T, S]`` float64 age of each element set at each epoch (0 for nominal orbits).
+      guesses: what was supposed of time and satellites, see `jaxurban.guesses`.
     """
 
     times: tuple[str, ...]
@@ -24,17 +26,18 @@ class Sky:
     elevation_rad: np.ndarray
     systems: tuple[str, ...]
     element_age_days: np.ndarray
+    guesses: Mapping[str, str] = field(default_factory=dict)
 
     def above(self, mask_rad: float) -> "Sky":
         """Return the satellites that are at or above the elevation mask at any epoch."""
         keep = np.flatnonzero((self.elevation_rad >= mask_rad).any(axis=0))
-        return Sky(
-            self.times,
-            tuple(self.names[i] for i in keep),
-            self.azimuth_rad[:, keep],
-            self.elevation_rad[:, keep],
-            tuple(self.systems[i] for i in keep),
-            self.element_age_days[:, keep],
+        return replace(
+            self,
+            names=tuple(self.names[i] for i in keep),
+            azimuth_rad=self.azimuth_rad[:, keep],
+            elevation_rad=self.elevation_rad[:, keep],
+            systems=tuple(self.systems[i] for i in keep),
+            element_age_days=self.element_age_days[:, keep],
         )
 
     def count_by_system(self, mask_rad: float) -> dict[str, list[int]]:

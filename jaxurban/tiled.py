@@ -15,6 +15,7 @@ import numpy as np
 from jaxurban.city import City
 from jaxurban.detail import RegionDetail
 from jaxurban.grid import Grid
+from jaxurban.guesses import guessed_roofs
 from jaxurban.io.damage import broken_chunks, has_whole_metadata
 from jaxurban.io.rasterise import rasterise, rasterise_blocks
 from jaxurban.io.store import write_layer
@@ -215,9 +216,11 @@ def finish_tile(job: TileJob, tile: Tile) -> dict[str, Any]:
             [ring_of[t, int(s)] for s in seen],
         )
 
+    with timer.stage("surface"):
+        guessed = guessed_roofs(job.city, job.tiling.region, region, job.params.all_touched)
     totals = EpochTotals.zero(len(job.sky.times), len(job.params.altitudes_m))
     window = job.tiling.reported(tile)
-    for layer in make_layers(surface, job.sky, job.params, job.people, words, totals, timer.stage, detail):
+    for layer in make_layers(surface, job.sky, job.params, job.people, words, totals, timer.stage, detail, guessed):
         with timer.stage("write_zarr"):
             write_layer(job.work.zarr, layer.name, layer.place, window, layer.values)
     job.work.mark_done(name, totals.facts)

@@ -14,7 +14,7 @@ MINIMAL = {"region": {"bounds": [-74.02, 40.70, -73.98, 40.73]}, "buildings": {"
 def test_only_region_and_buildings_are_required():
     scenario = Scenario.from_dict(MINIMAL)
     assert scenario.region.altitudes_m == (20.0, 60.0, 122.0, 600.0)
-    assert scenario.gps.epochs == ("2020-04-27T16:00:00Z",)
+    assert scenario.gps.epochs is None
     assert scenario.weights.distance == 0.1
     assert scenario.is_synthetic
 

@@ -160,6 +160,12 @@ def rounds(title: str) -> Iterator[tuple[Callable[[str], None], Callable[["pd.Da
         yield on_stage, on_round
 
 
+def tell_warnings(record: Settings) -> None:
+    """Print the warnings of a run on stderr, a line each."""
+    for warning in record["warnings"]:
+        tell(f"warning: {warning}")
+
+
 def tell(message: str) -> None:
     """Print a message on stderr."""
     print(f"jaxurban: {message}", file=sys.stderr)

@@ -36,7 +36,12 @@ class BoxType(click.ParamType):
 @click.option("--bounds", type=BoxType(), required=True, help="West, south, east, north of the region in degrees.")
 @click.option("-o", "folder", type=click.Path(path_type=Path), required=True, help="Folder for the files.")
 @click.option("--what", default="osm,census,districts,orbits", show_default=True, help="What to fetch.")
-@click.option("--date", "day", type=click.DateTime(["%Y-%m-%d"]), help="Day of the GPS maps (UTC).  [default: today]")
+@click.option(
+    "--date",
+    "day",
+    type=click.DateTime(["%Y-%m-%d"]),
+    help="Day of the GPS maps (UTC).  [default: that of the element sets]",
+)
 @click.option("--extract", metavar="URL", help="OSM extract (.osm.pbf or .osm) to use instead of the Overpass API.")
 @click.option("--districts", metavar="URL", help="District polygons (GeoJSON).")
 @click.option("--district-field", default="BoroCD", show_default=True, help="Field of their labels, whole numbers.")
@@ -83,7 +88,7 @@ def fetch(
     job = FetchJob(
         bounds=bounds,
         what=tuple(name.strip() for name in what.split(",") if name.strip()),
-        day=today if day is None else day.date(),
+        day=None if day is None else day.date(),
         today=today,
         given_urls=_named_urls(sources) | {name: url for name, url in shorthand.items() if url},
         most_bytes=parse_bytes(max_size, "--max-size"),

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from jaxurban.commands.common import JSON_FLAG, print_json, stages, tell
+from jaxurban.commands.common import JSON_FLAG, print_json, stages, tell, tell_warnings
 
 
 @click.command()
@@ -41,8 +41,7 @@ def maps(
             on_stage("figures")
             for resolution_m, made in run.maps.items():
                 save_figures(made, {}, folder / "figures" / f"{resolution_m:g}m")
-    for warning in run.record["warnings"]:
-        tell(f"warning: {warning}")
+    tell_warnings(run.record)
     tell(f"maps finished: {folder} (run.json tells what went in)")
     if as_json:
         print_json(run.record)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from jaxurban.commands.common import JSON_FLAG, limit_options, print_json, stages, tell
+from jaxurban.commands.common import JSON_FLAG, limit_options, print_json, stages, tell, tell_warnings
 from jaxurban.errors import InputError
 
 if TYPE_CHECKING:
@@ -95,7 +95,8 @@ def _run(
     instances = None if instances_file is None else read_instances(instances_file)
     cover = None if instances_file is not None else land_cover_of(scenario)
     with stages("maps") as on_stage:
-        run_scenario(scenario, folder, on_stage, overwrite, tell=tell)
+        run = run_scenario(scenario, folder, on_stage, overwrite, tell=tell)
+    tell_warnings(run.record)
     weights = settings.weights
     return run_study(
         folder,

@@ -13,6 +13,7 @@ from jaxurban.errors import InputError
 from jaxurban.io.districts import (
     Bounds,
     clean_polygons,
+    default_commercial,
     largest_overlap,
     read_districts,
     require_field,
@@ -38,7 +39,7 @@ def read_blocks(
     block_field: str = "GEOID10",
     districts_path: str | Path | None = None,
     district_field: str = "BoroCD",
-    commercial: Collection[int] = (101, 102, 103, 104, 105, 106),
+    commercial: Collection[int] | None = None,
     residential: Collection[int] | None = None,
     bounds_m: Bounds | None = None,
 ) -> tuple[Blocks, dict[str, int]]:
@@ -54,15 +55,16 @@ def read_blocks(
       block_field: field of the blocks file with one id a block.
       districts_path: district polygons; left out, every block is in district 13.
       district_field: their label, a whole number.
-      commercial: labels of commercial districts.
+      commercial: labels of commercial districts; left out, see `jaxurban.io.districts.default_commercial`.
       residential: labels of residential districts; left out, see `jaxurban.io.districts.zoning_of`.
       bounds_m: keep only blocks that touch this box of ``crs``; left out, all.
 
     Returns:
       The blocks, in the order of their file, and faults: ``blocks_without_count`` (kept with 0 people: no row, or a
-      count that is no number), ``blocks_without_polygon`` (left out), ``blocks_without_district`` (district 13),
-      ``invalid_block_polygons`` and ``invalid_district_polygons`` (repaired), ``counts_with_note``, and
-      ``counts_without_block`` (rows of the table for blocks that the whole blocks file does not hold).
+      count that is no number), ``counts_unreadable`` (the latter), ``blocks_without_polygon`` (left out),
+      ``blocks_without_district`` (district 13), ``invalid_block_polygons`` and ``invalid_district_polygons``
+      (repaired), ``counts_with_note``, ``counts_without_block`` (rows of the table for blocks that the whole blocks
+      file does not hold), and ``commercial_not_found`` (labels on the commercial list that no district has).
 
     Raises:
       InputError: a file or field is missing or unreadable, ids are not unique, no row joins any block, or no block
@@ -83,6 +85,7 @@ def read_blocks(
     else:
         counts = _counts_in_table(table_path, frame["_key"], f"{block_field!r} of {str(blocks_path)!r}")
     frame = frame.assign(_id=block_id, _count=frame["_key"].map(counts.number), _note=frame["_key"].map(counts.note))
+    frame["_has_row"] = frame["_key"].isin(counts.index)
     counts_without_block = int((~counts.index.isin(frame["_key"])).sum())
     frame, polygon_faults = clean_polygons(frame, crs, bounds_m)
     if frame.empty:
@@ -91,6 +94,8 @@ def read_blocks(
     if districts_path is not None:
         polygons, labels, district_faults = read_districts(districts_path, crs, district_field)
         district = largest_overlap(frame.geometry.to_numpy(), polygons, labels)
+    if commercial is None:
+        commercial = default_commercial(district_field)
     blocks = Blocks(
         polygons=frame.geometry.to_numpy(),
         night_count=frame["_count"].fillna(0.0).to_numpy(np.float64),
@@ -100,12 +105,14 @@ def read_blocks(
     )
     faults = {
         "blocks_without_count": int(frame["_count"].isna().sum()),
+        "counts_unreadable": int((frame["_count"].isna() & frame["_has_row"]).sum()),
         "blocks_without_polygon": polygon_faults["without_polygon"],
         "blocks_without_district": int((district == OTHER_DISTRICT).sum()),
         "invalid_block_polygons": polygon_faults["invalid_polygons"],
         "invalid_district_polygons": district_faults["invalid_polygons"],
         "counts_with_note": int(frame["_note"].eq(True).sum()),
         "counts_without_block": counts_without_block,
+        "commercial_not_found": int((~np.isin(list(commercial), labels)).sum()) if districts_path is not None else 0,
     }
     return blocks, faults
 

@@ -9,8 +9,10 @@ import shapely
 from jaxurban.city import City
 from jaxurban.errors import InputError
 from jaxurban.grid import WGS84, Bounds, check_bounds, projected_crs, transformer, utm_crs
+from jaxurban.guesses import count_guesses, district_guesses, height_guesses, warn_of
 from jaxurban.io.buildings import BuildingSource, Kind, read_buildings
 from jaxurban.io.census import read_blocks
+from jaxurban.io.districts import default_commercial
 from jaxurban.io.raster import raster_extent_m, read_raster
 
 OSM_SUFFIXES = (".pbf", ".osm")
@@ -30,7 +32,7 @@ def read_city(
     terrain: str | Path | None = None,
     block_field: str = "GEOID10",
     district_field: str = "BoroCD",
-    commercial: Sequence[int] = (101, 102, 103, 104, 105, 106),
+    commercial: Sequence[int] | None = None,
     default_height_m: float = 10.0,
     level_height_m: float = 3.0,
     mask_deg: float = 5.0,
@@ -48,12 +50,15 @@ def read_city(
       districts: district polygons; blocks take the one of largest overlap.
       terrain: ground elevation raster; left out, flat.
       block_field, district_field: identifying columns.
-      commercial: labels of the commercial districts.
+      commercial: labels of the commercial districts; left out, 101 to 106 of New York's (``BoroCD``), else none.
       default_height_m, level_height_m: for buildings without a height.
       mask_deg: lowest satellite elevation that will be used.
       allow_none: accept a region without a single building.
       kind: of a raster of buildings: ``"height"`` above ground, or ``"surface"`` (a DSM), from which the terrain is
         taken; trees are in it too.
+
+    Warns:
+      GuessWarning: of each of the city's ``guesses``.
 
     Raises:
       InputError: a file that is missing, unreadable or of the wrong kind, or no building in the region.
@@ -88,11 +93,18 @@ def read_city(
             block_field=block_field,
             districts_path=districts,
             district_field=district_field,
-            commercial=tuple(commercial),
+            commercial=None if commercial is None else tuple(commercial),
             bounds_m=wide_m,
         )
         faults.update(block_faults)
     roles = {"buildings": buildings, "blocks": blocks, "table": table, "districts": districts, "terrain": terrain}
+    guesses = height_guesses(source.buildings, box_m, default_height_m, level_height_m)
+    if census is not None:
+        guesses |= count_guesses(faults, census)
+        if districts is not None:
+            known = default_commercial(district_field)
+            guesses |= district_guesses(faults, districts, district_field, commercial, known)
+    warn_of(guesses)
     return City(
         crs=crs,
         extent_m=source.area.bounds,
@@ -104,6 +116,7 @@ def read_city(
         faults=faults,
         counts=source.counts,
         attribution=OSM_CREDIT if str(buildings).lower().endswith(OSM_SUFFIXES) else "",
+        guesses=guesses,
         sources={role: str(path) for role, path in roles.items() if path is not None},
         bounds=(west, south, east, north),
         area=source.area,

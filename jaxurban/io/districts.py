@@ -17,6 +17,16 @@ from jaxurban.io.vectorfile import open_frame
 
 AREAL = (shapely.GeometryType.POLYGON, shapely.GeometryType.MULTIPOLYGON)
 PAPER_DISTRICTS = tuple(range(101, 113))  # Manhattan's twelve; 164 is Central Park
+PAPER_COMMERCIAL = PAPER_DISTRICTS[:6]
+
+
+def default_commercial(field: str) -> tuple[int, ...]:
+    """Return the districts that are commercial where nobody says which: the paper's, of New York's own labels only.
+
+    Args:
+      field: of the labels; New York calls it ``BoroCD`` (``boro_cd`` in some exports). Any other gives none.
+    """
+    return PAPER_COMMERCIAL if field.lower().replace("_", "") == "borocd" else ()
 
 
 def require_field(frame: pd.DataFrame, field: str, role: str, path: str | Path, setting: str) -> None:

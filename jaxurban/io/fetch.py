@@ -27,7 +27,7 @@ from jaxurban.io.arrived import (
 from jaxurban.io.download import Client, Kept, UnfitError, Wanted
 from jaxurban.io.fetchplan import BLOCK_MARGIN_M, FetchJob, plan_fetch, want_blocks, want_population
 from jaxurban.io.landing import RECORD_FILE, SCENARIO_FILE, sha256_of
-from jaxurban.io.orbits import NOMINAL
+from jaxurban.io.orbits import NOMINAL, middle_epoch, read_orbits
 from jaxurban.io.osmcut import cut_buildings
 from jaxurban.io.store import whole_file
 
@@ -65,9 +65,14 @@ def fetch(job: FetchJob, folder: Path, client: Client) -> tuple[dict[str, Any], 
     settings: dict[str, Any] = {"region": {"bounds": list(job.bounds)}}
     if plan.osm is not None:
         settings["buildings"] = {"source": parts.buildings(plan.osm)}
-    settings["gps"] = {"orbits": NOMINAL, "times": [f"{job.day}T{UTC_HOUR}Z"]}
+    settings["gps"] = {"orbits": NOMINAL, "times": [f"{job.day or job.today}T{UTC_HOUR}Z"]}
     if plan.orbits is not None:
         settings["gps"]["orbits"] = parts.orbits(plan.orbits)
+        if job.day is None:
+            settings["gps"]["times"] = [middle_epoch(read_orbits(folder / settings["gps"]["orbits"]))]
+            client.tell(
+                f"orbits: the GPS maps are of {settings['gps']['times'][0]}, the middle of the elements' epochs"
+            )
     if plan.population is not None and (population := parts.census()):
         settings["population"] = population
     if plan.districts is not None:

@@ -47,7 +47,7 @@ class FetchJob:
     Attributes:
       bounds: west, south, east, north of the region in degrees.
       what: of `WHAT`.
-      day: of the GPS maps.
+      day: of the GPS maps; None for the elements' own time (of nominal ones: today).
       today: tells whether current element sets serve that day.
       given_urls: URL templates by source that replace the known ones.
       margin_m: how far around the region buildings are fetched.
@@ -58,7 +58,7 @@ class FetchJob:
     """
 
     bounds: tuple[float, float, float, float]
-    day: date
+    day: date | None
     today: date
     what: tuple[str, ...] = WHAT
     given_urls: Mapping[str, str] = field(default_factory=dict)
@@ -164,7 +164,7 @@ def plan_fetch(job: FetchJob) -> Plan:
                 "as residential; name a GeoJSON file with --districts URL"
             )
     if "orbits" in job.what:
-        if job.is_given("orbits") or abs((job.day - job.today).days) <= WARN_AGE_DAYS:
+        if job.is_given("orbits") or job.day is None or abs((job.day - job.today).days) <= WARN_AGE_DAYS:
             orbits = _want(job, "orbits", job.url("orbits"), lambda path: _check_orbits(path, job.day))
         else:
             left_out.append(
@@ -216,8 +216,10 @@ def want_blocks(job: FetchJob, county: str) -> Wanted:
     )
 
 
-def _check_orbits(path: Path, day: date) -> None:
+def _check_orbits(path: Path, day: date | None) -> None:
     orbits_suffix(path)
+    if day is None:
+        return
     age_days = max(abs((one.epoch.utc_datetime().date() - day).days) for one in read_orbits(path).satellites)
     if age_days > MOST_AGE_DAYS:
         raise UnfitError(

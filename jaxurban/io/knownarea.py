@@ -75,7 +75,7 @@ def rays_leaving(city: City, region: Grid, east_m: np.ndarray, north_m: np.ndarr
         known = shapely.intersection(known, shapely.box(*city.terrain_extent_m))
     shapely.prepare(known)
     stride = math.ceil(math.sqrt(region.num_rows * region.num_cols * max(len(east_m), 1) / MOST_RAYS))
-    x_m, y_m = np.meshgrid(region.x_m[stride // 2 :: stride], region.y_m[stride // 2 :: stride])
+    x_m, y_m = np.meshgrid(*(at_m[min(stride, len(at_m)) // 2 :: stride] for at_m in (region.x_m, region.y_m)))
     start_m = np.stack([x_m.ravel(), y_m.ravel()], axis=-1)[:, None]
     rays = np.stack(np.broadcast_arrays(start_m, start_m + np.stack([east_m, north_m], axis=-1)), axis=-2)
     return ~shapely.covers(known, shapely.linestrings(rays))

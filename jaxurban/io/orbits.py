@@ -8,7 +8,7 @@ import re
 import warnings
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -97,6 +97,17 @@ def read_orbits(source: str | Path | Sequence[str | Path]) -> Orbits:
     orbits = Orbits(tuple(satellites), tuple(origins))
     _check_twice(orbits)
     return orbits
+
+
+def middle_epoch(orbits: Orbits) -> str | None:
+    """Return the median of the epochs of the elements from files, to the minute, ISO 8601 UTC; None without a file."""
+    epochs = [
+        s.epoch.utc_datetime() for s, name in zip(orbits.satellites, orbits.sources, strict=True) if name != NOMINAL
+    ]
+    if not epochs:
+        return None
+    middle = sorted(epochs)[len(epochs) // 2]
+    return iso_utc((middle + timedelta(seconds=30)).replace(second=0, microsecond=0))
 
 
 def _check_twice(orbits: Orbits) -> None:
@@ -194,7 +205,7 @@ def _from_omms(messages: Iterable[Any], source: str | Path) -> list[EarthSatelli
         try:
             fields = {**OPTIONAL_FIELDS, **message}
             # SGP4's reader wants the fraction of a second, which the standard leaves optional.
-            epoch = datetime.fromisoformat(fields["EPOCH"]).replace(tzinfo=None)
+            epoch = parse_time(fields["EPOCH"]).replace(tzinfo=None)
             fields["EPOCH"] = epoch.strftime("%Y-%m-%dT%H:%M:%S.%f")
             satellite = EarthSatellite.from_omm(_timescale(), fields)
             model = satellite.model
@@ -205,9 +216,20 @@ def _from_omms(messages: Iterable[Any], source: str | Path) -> list[EarthSatelli
         except (KeyError, TypeError, ValueError) as error:
             reason = f"no {error.args[0]}" if isinstance(error, KeyError) else str(error)
             raise InputError(f"element set {number} of {source} is cut or no OMM ({reason}): {REMEDY}") from error
+        _check_time_system(fields.get("TIME_SYSTEM"), number, source)
         satellite.name = str(fields.get("OBJECT_NAME") or f"catalogue number {model.satnum}").strip()
         satellites.append(satellite)
     return satellites
+
+
+def _check_time_system(time_system: Any, number: int, source: str | Path) -> None:
+    """Raise InputError unless an OMM's times are UTC, which they are where it does not say."""
+    name = str(time_system or "UTC").strip() or "UTC"
+    if name.upper() != "UTC":
+        raise InputError(
+            f"element set {number} of {source} has TIME_SYSTEM {name}, and only UTC is read: turn its EPOCH into UTC "
+            "(GPS time is 18 s ahead of it since 2017)"
+        )
 
 
 def parse_time(time: str | datetime) -> datetime:

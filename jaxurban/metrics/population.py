@@ -8,6 +8,7 @@ from typing import Literal, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+import shapely
 from jaxtyping import Array, Float, Int, Integer
 
 from jaxurban.city import Blocks, Zoning
@@ -268,22 +269,26 @@ def population_maps(
 
 
 def population_totals(
-    blocks: Blocks, params: PopulationParams | None = None, bounds_m: Bounds | None = None
+    blocks: Blocks, params: PopulationParams | None = None, bounds_m: Bounds | None = None, is_cut: bool = False
 ) -> dict[str, dict[str, float]]:
     """Return the people of the blocks by time of day and zoning, for run.json.
 
     Keys are ``night`` and ``day``, under each ``commercial``, ``residential``, ``other`` and ``total``.
-    Every block counts whole, also where only a part of it lies in the box. float64.
+    Every block counts whole, also where only a part of it lies in the box, unless ``is_cut``. float64.
 
     Args:
       blocks: the census blocks.
       params: their gammas count; left out, the paper's.
       bounds_m: count only the blocks that touch this box; left out, all.
+      is_cut: of a block that reaches beyond the box count only the people inside, spread evenly over its area.
     """
     params = params or PopulationParams()
-    in_region = np.ones(len(blocks), bool) if bounds_m is None else blocks.touches(bounds_m)
+    count = blocks.night_count if bounds_m is None else blocks.night_count * blocks.touches(bounds_m)
+    if is_cut and bounds_m is not None:
+        inside_m2 = shapely.area(shapely.intersection(blocks.polygons, shapely.box(*bounds_m)))
+        count = count * inside_m2 / np.where(blocks.area_m2 > 0, blocks.area_m2, 1.0)
     night = {
-        zoning.name.lower(): float(blocks.night_count[in_region & (blocks.zoning == zoning)].sum())
+        zoning.name.lower(): float(count[blocks.zoning == zoning].sum())
         for zoning in (Zoning.COMMERCIAL, Zoning.RESIDENTIAL, Zoning.OTHER)
     }
     gamma = {"commercial": params.gamma_commercial}

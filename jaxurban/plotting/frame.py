@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colorbar import Colorbar
@@ -26,9 +27,11 @@ HEAD_IN, LEFT_IN, BOTTOM_IN = 0.62, 0.72, 0.52
 TITLE_IN, GAP_IN, KEY_IN = 0.27, 0.22, 1.55
 SLOT_IN, MIN_WIDTH_IN = 1.95, 7.2  # room for a panel's title and footer; for the heading
 TEXT_PT, SMALL_PT = 9.0, 8.0
+LETTERS_PER_IN, LINE_IN = 14.0, 0.15  # of TEXT_PT
 OBSTACLE_COLOUR, NO_DATA_COLOUR = "#c4c4c4", "#efe4d6"
 NO_DATA_PATCH = ("no data", NO_DATA_COLOUR)
 INK, FAINT_INK = "#1a1a1a", "#555555"
+HATCH, HATCH_COLOUR, HATCHED_GROUND = "////////", "#ffffff", "#7d7c78"
 
 Box = tuple[float, float, float, float]  # left, bottom, width, height in figure fractions
 
@@ -101,7 +104,7 @@ def make_frame(
       grid: the map's grid; panels keep its proportions.
       titles: one a panel.
       heading: first line of the figure, bold.
-      note: second line.
+      note: the lines below it, broken where they are too long.
       footer_in: room under each panel.
       with_ticks: whether eastings and northings are shown.
     """
@@ -109,17 +112,20 @@ def make_frame(
     num_rows, num_cols, width, height = _best_layout(len(titles), tall, footer_in)
     slot = max(width, SLOT_IN, (MIN_WIDTH_IN - LEFT_IN - KEY_IN) / num_cols - GAP_IN)
     total_w = LEFT_IN + num_cols * (slot + GAP_IN) + KEY_IN
+    letters = int((total_w - LEFT_IN) * LETTERS_PER_IN)
+    lines = [part for line in note.splitlines() for part in textwrap.wrap(line, letters)]
+    head_in = HEAD_IN + LINE_IN * (len(lines) - 1)
     row_in = TITLE_IN + height + footer_in
     bottom_in = BOTTOM_IN if with_ticks else 0.12
-    total_h = HEAD_IN + num_rows * row_in + bottom_in
+    total_h = head_in + num_rows * row_in + bottom_in
     figure = Figure(figsize=(total_w, total_h), facecolor="white")
     figure.text(LEFT_IN / total_w, 1 - 0.10 / total_h, heading, va="top", size=12, weight="bold", color=INK)
-    figure.text(LEFT_IN / total_w, 1 - 0.36 / total_h, note, va="top", size=TEXT_PT, color=FAINT_INK)
+    figure.text(LEFT_IN / total_w, 1 - 0.36 / total_h, "\n".join(lines), va="top", size=TEXT_PT, color=FAINT_INK)
     axes = []
     for number, title in enumerate(titles):
         row, col = divmod(number, num_cols)
         x_in = LEFT_IN + col * (slot + GAP_IN) + (slot - width) / 2
-        y_in = total_h - HEAD_IN - row * row_in - TITLE_IN - height
+        y_in = total_h - head_in - row * row_in - TITLE_IN - height
         panel = figure.add_axes((x_in / total_w, y_in / total_h, width / total_w, height / total_h))
         _dress(panel, grid, title, width, height)
         is_left, is_bottom = col == 0 and with_ticks, number + num_cols >= len(titles) and with_ticks
@@ -127,7 +133,7 @@ def make_frame(
         panel.set_ylabel("northing (km)" if is_left else "", size=SMALL_PT)
         panel.set_xlabel("easting (km)" if is_bottom else "", size=SMALL_PT)
         axes.append(panel)
-    key_h = total_h - HEAD_IN - TITLE_IN - bottom_in
+    key_h = total_h - head_in - TITLE_IN - bottom_in
     key_w = KEY_IN - 0.12
     key = figure.add_axes((1 - (key_w + 0.04) / total_w, bottom_in / total_h, key_w / total_w, key_h / total_h))
     key.set(xlim=(0, key_w), ylim=(0, key_h))
@@ -193,6 +199,17 @@ def draw_layers(panel: Axes, grid: Grid, layers: Sequence[Layer]) -> None:
     panel.imshow(image, extent=extent, origin="lower", interpolation="auto", aspect="equal")
 
 
+def draw_hatch(panel: Axes, grid: Grid, is_hatched: np.ndarray) -> None:
+    """Hatch the cells of a mask ``[Y, X]`` in a panel."""
+    marks, high, wide = thin(is_hatched.astype(np.float32))
+    x_m, y_m = (
+        start_m + (np.arange(size) + 0.5) * step * grid.resolution_m
+        for start_m, size, step in ((grid.x_min_m, marks.shape[1], wide), (grid.y_min_m, marks.shape[0], high))
+    )
+    with rc_context({"hatch.linewidth": 0.5, "hatch.color": HATCH_COLOUR}):
+        panel.contourf(x_m, y_m, marks, [0.5, 1.5], colors="none", hatches=[HATCH])
+
+
 def classes_layer(values: np.ndarray, colours: Sequence[str]) -> Layer:
     """Return class numbers 0, 1, ... as a layer with a colour each; negative ones are not drawn."""
     cmap = ListedColormap(list(colours)).with_extremes(under=(0, 0, 0, 0))
@@ -212,9 +229,11 @@ def add_key(
     extend: str = "neither",
     ticks: Sequence[float] | None = None,
     has_scale: bool = True,
+    hatched: str = "",
 ) -> None:
     """Fill the key column: legend patches (name, colour), colour bar with its label, north arrow, scale bar.
 
+    ``hatched``: a legend entry of its own for what `draw_hatch` marks.
     ``has_scale``: not where panels show windows of different sizes, which each want a scale bar of their own.
     """
     _, top = frame.key.get_ylim()
@@ -223,9 +242,13 @@ def add_key(
         add_scale(frame.key, (frame.grid.x_max_m - frame.grid.x_min_m) / frame.panel_in[0])
     if patches:
         handles = [Patch(facecolor=colour, edgecolor=FAINT_INK, linewidth=0.4) for _, colour in patches]
+        names = [name for name, _ in patches]
+        if hatched:
+            handles.append(Patch(facecolor=HATCHED_GROUND, edgecolor=HATCH_COLOUR, hatch=HATCH, linewidth=0.4))
+            names.append(hatched)
         frame.key.legend(
             handles,
-            [name for name, _ in patches],
+            names,
             loc="upper left",
             bbox_to_anchor=(-0.04, 1.02),
             fontsize=SMALL_PT,
@@ -235,8 +258,8 @@ def add_key(
             borderpad=0.2,
             labelspacing=0.45,
         )
-        lines = sum(1 + name.count("\n") for name, _ in patches)
-        top -= 0.175 * lines + 0.06 * len(patches) + 0.1
+        lines = sum(1 + name.count("\n") for name in names)
+        top -= 0.175 * lines + 0.06 * len(names) + 0.1
     if mappable is not None:
         height = min(3.0, top - 1.4)
         add_colour_bar(frame.figure, _key_box(frame, 0.02, top - height, 0.16, height), mappable, label, extend, ticks)

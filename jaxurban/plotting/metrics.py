@@ -18,6 +18,7 @@ from jaxurban.plotting.frame import (
     add_bar_below,
     add_key,
     classes_layer,
+    draw_hatch,
     draw_layers,
     flat_layer,
     make_frame,
@@ -58,12 +59,13 @@ def colour_map(name: str) -> Colormap:
 
 
 def frame_note(maps: MetricMaps, time: str | None = None) -> str:
-    """Return the second line of a figure: epoch, size of a cell, CRS."""
+    """Return the lines below a figure's heading: guesses, if there are any; epoch, size of a cell, CRS, credit."""
     epoch = [] if time is None else [f"{time[:10]} {time[11:16]} UTC"]
     if "gps_median" in maps.ds:
         epoch = [f"GPS: median of {len(maps.times)} epochs"]
     credit = [maps.ds.attrs["attribution"]] if "attribution" in maps.ds.attrs else []
-    return "  ·  ".join([*epoch, f"{maps.grid.resolution_m:g} m cells", maps.grid.crs, *credit])
+    guessed = f"Guessed: {', '.join(guesses)}\n" if (guesses := maps.ds.attrs.get("guesses")) else ""
+    return guessed + "  ·  ".join([*epoch, f"{maps.grid.resolution_m:g} m cells", maps.grid.crs, *credit])
 
 
 def obstacle_patches(maps: MetricMaps, colour: str = OBSTACLE_COLOUR) -> list[tuple[str, str]]:
@@ -306,7 +308,10 @@ def roof_ticks(maps: MetricMaps) -> list[float]:
 
 
 def plot_heights(maps: MetricMaps) -> Figure:
-    """Return roof heights above ground and, where it is not flat, the terrain's elevation."""
+    """Return roof heights above ground and, where it is not flat, the terrain's elevation.
+
+    Roofs of guessed height are hatched where they are many (`jaxurban.guesses.DRAWN_SHARE`).
+    """
     roofs = roof_layers(maps)
     titles = [f"roofs above ground, up to {np.nanmax(maps.m('roof')):.0f} m"]
     if "terrain" in maps.ds:
@@ -316,9 +321,14 @@ def plot_heights(maps: MetricMaps) -> Figure:
         ground = Layer(terrain_m, colour_map(HEIGHT_COLOUR_MAP), Normalize(low_m, max(high_m, low_m + 1)))
     frame = make_frame(maps.grid, titles, "Heights (m)", frame_note(maps), footer_in=0.4)
     draw_layers(frame.axes[0], maps.grid, roofs)
+    hatched = ""
+    if "roof_guessed" in maps.ds:
+        is_guessed = maps.m("roof_guessed")
+        draw_hatch(frame.axes[0], maps.grid, is_guessed)
+        hatched = f"height guessed\n({percent(is_guessed.sum() / max((maps.m('roof') > 0).sum(), 1))} of roofs)"
     add_bar_below(frame, frame.axes[0], (roofs[1].cmap, roofs[1].norm), ticks=roof_ticks(maps))
     if "terrain" in maps.ds:
         draw_layers(frame.axes[1], maps.grid, [ground])
         add_bar_below(frame, frame.axes[1], (ground.cmap, ground.norm))
-    add_key(frame, [("no building", EMPTY_COLOUR), *obstacle_patches(maps)[1:]])
+    add_key(frame, [("no building", EMPTY_COLOUR), *obstacle_patches(maps)[1:]], hatched=hatched)
     return frame.figure

@@ -238,9 +238,13 @@ def test_a_run_that_fails_leaves_the_folder_as_it_was(server, tmp_path, capsys):
 
 def test_old_element_sets_serve_their_own_date_only(server, tmp_path, capsys):
     server.put("/gp", send(tle(date(2020, 4, 27))))
-    code, _, err = fetch(capsys, tmp_path / "a", "--what", "osm,orbits")
+    today = datetime.now(UTC).date()
+    code, _, err = fetch(capsys, tmp_path / "a", "--what", "osm,orbits", "--date", today)
     assert code == 2
     assert "choose a --date near them" in err.splitlines()[-1]
+    code, _, err = fetch(capsys, tmp_path / "own", "--what", "osm,orbits")
+    assert (code, "the GPS maps are of 2020-04-27T12:00:00Z" in err) == (0, True)
+    assert Scenario.from_toml(tmp_path / "own/scenario.toml").gps.epochs == ("2020-04-27T12:00:00Z",)
     assert fetch(capsys, tmp_path / "a", "--what", "osm,orbits", "--date", "2020-04-28")[0] == 0
     assert Scenario.from_toml(tmp_path / "a/scenario.toml").gps.epochs == ("2020-04-28T12:00:00Z",)
 

@@ -1,6 +1,7 @@
 """Orbits against Skyfield's own reading, the published constellation, and damaged files."""
 
 import csv
+import io
 import json
 import math
 import warnings
@@ -10,13 +11,13 @@ from xml.etree import ElementTree as Xml
 import numpy as np
 import pytest
 from sgp4.api import WGS72, Satrec
-from sgp4.exporter import export_tle
+from sgp4.exporter import export_omm, export_tle
 from skyfield.api import EarthSatellite, load, wgs84
 from skyfield.framelib import itrs
 
 from jaxurban.errors import InputError, StaleElementsWarning
 from jaxurban.io.nominal import LATITUDE_RATE_DEG, SLOTS, nominal_satellites
-from jaxurban.io.orbits import look_angles, parse_time, read_orbits
+from jaxurban.io.orbits import look_angles, middle_epoch, parse_time, read_orbits
 
 LON_DEG, LAT_DEG = -74.0, 40.715
 MILLIDEGREE_RAD = math.radians(1e-3)
@@ -350,3 +351,48 @@ def test_a_satellite_given_twice_is_refused(tmp_path, four_systems):
     for sources in ([], ["nominal", "nominal"]):
         with pytest.raises(InputError, match="at least one source and none twice"):
             read_orbits(sources)
+
+
+def omm_row(epoch, **fields):
+    """The fields of an OMM as CelesTrak writes it, all text."""
+    satellite = Satrec.twoline2rv(*TLE.splitlines()[1:])
+    row = {name: str(value) for name, value in export_omm(satellite, "GPS BIIA-10 (PRN 32)").items()}
+    return row | {"EPOCH": epoch} | fields
+
+
+def omm_files(tmp_path, row):
+    """The same message as CSV, JSON and XML."""
+    table = io.StringIO()
+    writer = csv.DictWriter(table, row.keys())
+    writer.writeheader()
+    writer.writerow(row)
+    xml = omm_xml([row])
+    if "TIME_SYSTEM" in row:
+        xml = xml.replace("</metadata>", f"<TIME_SYSTEM>{row['TIME_SYSTEM']}</TIME_SYSTEM></metadata>")
+    texts = {"omm.csv": table.getvalue(), "omm.json": json.dumps([row]), "omm.xml": xml}
+    return [written(tmp_path, text, name) for name, text in texts.items()]
+
+
+@pytest.mark.parametrize(
+    "epoch", ["2024-03-31T12:00:00+09:00", "2024-03-31T03:00:00Z", "2024-03-31T03:00:00", "2024-03-30T22:00:00.0-05:00"]
+)
+def test_the_epoch_of_an_omm_may_bear_an_offset(tmp_path, epoch):
+    for file in omm_files(tmp_path, omm_row(epoch, TIME_SYSTEM="utc")):
+        orbits = read_orbits(file)
+        assert abs(orbits.satellites[0].epoch.utc_datetime() - datetime(2024, 3, 31, 3, tzinfo=UTC)) < timedelta(
+            milliseconds=1
+        )
+        assert middle_epoch(orbits) == "2024-03-31T03:00:00Z"
+
+
+@pytest.mark.parametrize("system", ["GPS", "TAI"])
+def test_an_omm_in_another_time_system_is_refused(tmp_path, system):
+    for file in omm_files(tmp_path, omm_row("2024-03-31T12:00:00", TIME_SYSTEM=system)):
+        with pytest.raises(InputError, match=f"has TIME_SYSTEM {system}, and only UTC is read"):
+            read_orbits(file)
+
+
+def test_the_middle_epoch_is_that_of_the_files_to_the_minute(tmp_path):
+    orbits = read_orbits(["nominal", written(tmp_path, TLE.replace("GPS BIIA-10 (PRN 32)", "GALILEO 5"))])
+    assert middle_epoch(orbits) == "2012-12-07T23:11:00Z"  # day 342.9661672: 23:11:16.8
+    assert middle_epoch(read_orbits("nominal")) is None
