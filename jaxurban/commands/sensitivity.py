@@ -1,5 +1,6 @@
 """jaxurban sensitivity."""
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -50,6 +51,7 @@ NAMED = {"vary": "vary", "triangle": "triangle", "wishes": "pareto"}  # lists of
 )
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
 @click.option("-o", "output", type=click.Path(path_type=Path), default=Path("out/sensitivity"), show_default=True)
+@click.option("--overwrite", is_flag=True, help="Replace another run of sensitivity in the output folder.")
 @JSON_FLAG
 def sensitivity(
     folder: Path,
@@ -60,14 +62,16 @@ def sensitivity(
     as_json: bool,
     with_buildings: bool,
     scenario: Path | None,
+    overwrite: bool,
     **given: Any,
 ) -> int:
     """Tell what would change the route between two places over the maps in DIR, and what would not."""
     from jaxurban.cost import Weights
+    from jaxurban.io.ownfolder import own_folder
     from jaxurban.io.store import check_writable
     from jaxurban.maps import open_maps
     from jaxurban.planning import plan
-    from jaxurban.sensitivity_report import add_buildings, ranges, save_sensitivity
+    from jaxurban.sensitivity_report import add_buildings, ranges, write_sensitivity
     from jaxurban.studies.sensitivity import sensitivity as study
 
     if scenario is not None and not with_buildings:
@@ -90,7 +94,18 @@ def sensitivity(
         if as_json:
             print_json(first.to_dict())
         return first.status.exit_code
-    with stages("sensitivity") as on_stage:
+    of_maps = {
+        name: str(maps.ds.attrs.get(name)) for name in ("run_key", "crs", "resolution_m", "first_row", "first_col")
+    }
+    question = {
+        "maps": of_maps,
+        "buildings": with_buildings,
+        **asked,
+        "weights": asdict(weights),
+        "range": factors,
+        **how,
+    }
+    with own_folder(output, "sensitivity", question, overwrite=overwrite), stages("sensitivity") as on_stage:
         found = study(
             maps,
             **asked,
@@ -99,7 +114,7 @@ def sensitivity(
             on_stage=on_stage,
         )
         on_stage("report")
-        save_sensitivity(found, output)
+        write_sensitivity(found, output)
         if with_buildings:
             from jaxurban.costly_buildings import write_buildings
 
