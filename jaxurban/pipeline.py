@@ -222,7 +222,8 @@ def run_scenario(
                 started_utc,
                 [str(item.message) for item in caught],
             )
-            record = write_record(folder / store.RUN_FILE, record, is_kept=not any(is_new for _, is_new in made))
+            is_kept = not any(is_new for _, is_new in made)
+            record = write_record(folder / store.RUN_FILE, record, is_kept, say)
     rule = scenario.planning.obstacles
     return Run(
         {grid.resolution_m: maps.with_obstacles(rule) for grid, (maps, _) in zip(grids, made, strict=True)}, record

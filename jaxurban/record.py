@@ -4,7 +4,7 @@ import glob
 import hashlib
 import importlib.metadata
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -84,18 +84,23 @@ def run_record(
     }
 
 
-def write_record(file: Path, record: dict[str, Any], is_kept: bool) -> dict[str, Any]:
+def write_record(
+    file: Path, record: dict[str, Any], is_kept: bool, tell: Callable[[str], None] = lambda sentence: None
+) -> dict[str, Any]:
     """Write run.json, unless it says the same already, and return what it holds.
 
     Args:
       file: run.json.
       record: from `run_record`.
-      is_kept: whether nothing was made: times and warnings then stay those of the run that made the maps.
+      is_kept: whether no map was made: times and warnings then stay those of the run that made them.
+      tell: told if the record of kept maps is missing or damaged.
     """
     try:
         held = seal.read_json(file)
     except (OSError, ValueError):
         held = {}
+        if is_kept:
+            tell(f"{str(file)!r} is missing or damaged: writing it again")
     record = json.loads(json.dumps(record))
     if is_kept and held.get("run_key") == record["run_key"]:
         record |= {name: held[name] for name in ("started_utc", "elapsed_s")}

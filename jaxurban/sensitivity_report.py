@@ -1,12 +1,14 @@
 """report.md of a sensitivity study: what would change the route and what would not, for a reader new to it."""
 
+import json
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
-from jaxurban.io.store import check_writable, whole_file
+from jaxurban.io.ownfolder import own_folder
+from jaxurban.io.store import whole_file
 from jaxurban.io.tables import write_tables
 from jaxurban.limits import limits_said
 from jaxurban.planners.base import CostModel
@@ -22,14 +24,26 @@ FEW_PLANS = 300  # for Sobol indices: with fewer their intervals mean little
 TOP_BUILDINGS = 10
 
 
-def save_sensitivity(found: Sensitivity, folder: str | Path) -> list[Path]:
+def save_sensitivity(found: Sensitivity, folder: str | Path, overwrite: bool = False) -> list[Path]:
     """Write the report, tables (CSV, Parquet) and figures (PNG) of a study into a folder and return the files.
 
+    Args:
+      found: the study.
+      folder: where to; made if it is not there.
+      overwrite: replace another study in it.
+
     Raises:
-      InputError: the folder cannot be written to.
+      InputError: the folder cannot be written to, or holds another study or other files.
     """
-    folder = Path(folder)
-    check_writable(folder)
+    folder, route = Path(folder), found.route
+    asked = {"route": route.settings, "lonlat": route.lonlat[[0, -1]].tolist(), "weights": found.weights.tolist()}
+    asked |= {"vary": found.vary, "factors": found.factors, "triangle": found.triangle_names}
+    with own_folder(folder, "sensitivity", json.loads(json.dumps(asked, default=str)), overwrite=overwrite):
+        return write_sensitivity(found, folder)
+
+
+def write_sensitivity(found: Sensitivity, folder: Path) -> list[Path]:
+    """Write what `save_sensitivity` writes, into a folder that is held already."""
     files = write_tables(found.tables(), folder / "tables")
     for name, draw in sensitivity_figures(found).items():
         files.append(folder / "figures" / f"{name}.png")

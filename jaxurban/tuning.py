@@ -9,6 +9,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from jaxurban.errors import InputError
+from jaxurban.io.ownfolder import own_folder
 from jaxurban.io.store import whole_file
 from jaxurban.maps import Obstacles, open_maps
 from jaxurban.plotting.files import write_png
@@ -88,7 +89,7 @@ def run_tuning(
 
     Raises:
       InputError: routes or maps that cannot be read or do not go together, a wrong setting, or a folder that holds
-        another fit or cannot be written to.
+        another fit or other files, or cannot be written to.
     """
     if folder.exists() and not folder.is_dir():
         raise InputError(f"cannot write to the output folder {str(folder)!r}: it is a file")
@@ -103,20 +104,19 @@ def run_tuning(
             settings.time_of_day,
             **settings.maps,
         )
-    state_file = folder / STATE_FILE
-    if overwrite:
-        state_file.unlink(missing_ok=True)
-    given: dict[str, Any] = {**settings.fit, "state_file": state_file, "on_round": on_round}
-    on_stage("fit")
+    given: dict[str, Any] = {**settings.fit, "state_file": folder / STATE_FILE, "on_round": on_round}
     fit: WeightFit | TargetFit
-    if settings.wishes:
-        fit = fit_targets([example.query for example in examples], settings.wishes, **given)
-    else:
-        fit = fit_weights(examples, **given)
-    on_stage("routes under the fitted weights")
-    comparison = compare(examples, fit.weights)
-    on_stage("figures and report")
-    write_fit(fit, comparison, sources, settings.wishes, folder, command)
+    # What is asked is told apart by the state of the fit, which holds its settings.
+    with own_folder(folder, "tune", {}, overwrite=overwrite):
+        on_stage("fit")
+        if settings.wishes:
+            fit = fit_targets([example.query for example in examples], settings.wishes, **given)
+        else:
+            fit = fit_weights(examples, **given)
+        on_stage("routes under the fitted weights")
+        comparison = compare(examples, fit.weights)
+        on_stage("figures and report")
+        write_fit(fit, comparison, sources, settings.wishes, folder, command)
     return _facts(fit, folder)
 
 

@@ -1,7 +1,5 @@
 """build_maps: what the maps of a whole city obey."""
 
-import json
-
 import numpy as np
 import pytest
 import shapely
@@ -10,6 +8,7 @@ import xarray as xr
 import jaxurban as ju
 from jaxurban.city import Buildings
 from jaxurban.errors import InputError
+from jaxurban.io.seal import read_json
 from jaxurban.pipeline import run_scenario
 from jaxurban.scenario import Scenario
 
@@ -145,7 +144,7 @@ def test_one_run_over_several_resolutions_shares_its_box(tmp_path):
     )
     run = run_scenario(scenario, tmp_path)
     assert len({maps.grid.bounds_m for maps in run.maps.values()}) == 1
-    assert json.loads((tmp_path / "run.json").read_text()) == json.loads(json.dumps(run.record))
+    assert read_json(tmp_path / "run.json") == run.record
     with pytest.raises(InputError, match="choose one"):
         ju.open_maps(tmp_path)
     assert ju.open_maps(tmp_path, 10.0).grid.resolution_m == 10.0

@@ -94,6 +94,24 @@ def test_bad_input_is_one_sentence_and_exit_two(made, tmp_path, capsys, options,
     assert_one_sentence(err, *words)
 
 
+def test_a_fit_replaces_no_file_that_it_did_not_make(made, tmp_path, capsys):
+    fit = ("-o", tmp_path, "--rounds", 1, "--wish", "mean_gps>=0.9", "--metrics", "gps")
+    (tmp_path / "report.md").write_text("mine")
+    code, _, err = tune(capsys, made, *fit, "--overwrite")
+    assert code == 2
+    assert_one_sentence(err, "report.md", "not from `jaxurban tune`", "choose another folder")
+    assert [(path.name, path.read_text()) for path in tmp_path.iterdir()] == [("report.md", "mine")]
+    (tmp_path / "report.md").unlink()
+    assert tune(capsys, made, *fit)[0] == 0
+    for name in ("weights.toml", "notes.txt"):
+        (tmp_path / name).write_text("mine")
+        code, _, err = tune(capsys, made, *fit, "--overwrite")
+        assert code == 2
+        assert_one_sentence(err, name, "is not as `jaxurban tune` wrote it")
+        assert (tmp_path / name).read_text() == "mine"
+        (tmp_path / name).unlink()
+
+
 def test_an_output_folder_that_is_a_file_is_refused(made, tmp_path, capsys):
     (tmp_path / "out").write_text("a file")
     code, _, err = tune(capsys, made, "-o", tmp_path / "out")

@@ -62,10 +62,13 @@ def params(series: str = "epochs") -> MapParams:
     )
 
 
+def maker(folder: Path, of: City, series: str = "epochs", num_workers: int = 2, client=None, **options) -> Maker:
+    return Maker(of, region(of), sky(), params(series), folder, "key", num_workers, client, **options)
+
+
 def make(folder: Path, of: City, shape=RAGGED, series: str = "epochs", num_workers: int = 2, client=None) -> Path:
     """Make the job's Zarr under ``folder``."""
-    maker = Maker(of, region(of), sky(), params(series), folder, "key", num_workers, client)
-    make_zarr(maker, lambda sentence: None, shape)
+    make_zarr(maker(folder, of, series, num_workers, client), lambda sentence: None, shape)
     return folder / "maps.zarr" / "20m"
 
 

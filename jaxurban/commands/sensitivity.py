@@ -1,6 +1,7 @@
 """jaxurban sensitivity."""
 
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -61,6 +62,7 @@ NAMED = {"vary": "vary", "triangle": "triangle", "wishes": "pareto"}  # lists of
 )
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
 @click.option("-o", "output", type=click.Path(path_type=Path), default=Path("out/sensitivity"), show_default=True)
+@click.option("--overwrite", is_flag=True, help="Replace another run of sensitivity in the output folder.")
 @JSON_FLAG
 def sensitivity(
     folder: Path,
@@ -73,15 +75,17 @@ def sensitivity(
     scenario: Path | None,
     no_fly: Sequence[Path],
     require: Sequence[str],
+    overwrite: bool,
     **given: Any,
 ) -> int:
     """Tell what would change the route between two places over the maps in DIR, and what would not."""
     from jaxurban.cost import Weights
+    from jaxurban.io.ownfolder import own_folder
     from jaxurban.io.store import check_writable
     from jaxurban.limits import Limits
     from jaxurban.maps import open_maps
     from jaxurban.planning import plan
-    from jaxurban.sensitivity_report import add_buildings, ranges, save_sensitivity
+    from jaxurban.sensitivity_report import add_buildings, ranges, write_sensitivity
     from jaxurban.studies.sensitivity import sensitivity as study
 
     if scenario is not None and not with_buildings:
@@ -105,7 +109,21 @@ def sensitivity(
         if as_json:
             print_json(first.to_dict())
         return first.status.exit_code
-    with stages("sensitivity") as on_stage:
+    of_maps = {
+        name: str(maps.ds.attrs.get(name)) for name in ("run_key", "crs", "resolution_m", "first_row", "first_col")
+    }
+    question = {
+        "maps": of_maps,
+        "buildings": with_buildings,
+        **asked,
+        **given["cost_model"].settings,
+        "limits": given["limits"].to_dict(),
+        "obstacles": obstacles,
+        "weights": asdict(weights),
+        "range": factors,
+        **how,
+    }
+    with own_folder(output, "sensitivity", question, overwrite=overwrite), stages("sensitivity") as on_stage:
         found = study(
             maps,
             **asked,
@@ -114,7 +132,7 @@ def sensitivity(
             on_stage=on_stage,
         )
         on_stage("report")
-        save_sensitivity(found, output)
+        write_sensitivity(found, output)
         if with_buildings:
             from jaxurban.costly_buildings import write_buildings
 

@@ -12,6 +12,7 @@ import jaxurban as ju
 from jaxurban.build import soft_city
 from jaxurban.costly_buildings import write_buildings
 from jaxurban.errors import InputError
+from jaxurban.io.seal import write_json
 from jaxurban.io.store import RUN_FILE
 from jaxurban.pipeline import grids_of, load_city, map_params, run_scenario, sky_of
 from jaxurban.scenario import Scenario
@@ -84,7 +85,7 @@ def test_other_sources_than_those_of_the_maps_are_refused(folder, route, tmp_pat
     record = json.loads((folder / RUN_FILE).read_text())
     record["inputs"]["orbits"] = {"path": "sky.tle", "sha256": "0"}
     record["settings"]["gps"]["orbits"] = ["sky.tle"]
-    (tmp_path / RUN_FILE).write_text(json.dumps(record))
+    write_json(tmp_path / RUN_FILE, record)
     with pytest.raises(InputError, match=r"'sky.tle'\) were not found"):
         write_buildings(tmp_path, route, tmp_path)
     (tmp_path / "sky.tle").write_text("another sky")

@@ -1,5 +1,6 @@
 """Local derivatives, and the whole study with its report, figures and command."""
 
+import dataclasses
 import json
 
 import numpy as np
@@ -96,6 +97,9 @@ def test_report_names_every_weight_and_every_file_that_it_shows(found, tmp_path)
     for name, table in found.tables().items():
         for read, suffix in ((pd.read_csv, "csv"), (pd.read_parquet, "parquet")):
             assert len(read(tmp_path / "out" / "tables" / f"{name}.{suffix}")) == len(table)
+    save_sensitivity(found, tmp_path / "out")
+    with pytest.raises(InputError, match="another run of `jaxurban sensitivity`"):
+        save_sensitivity(dataclasses.replace(found, factors=(0.5, 2.0)), tmp_path / "out")
 
 
 def test_no_text_of_a_figure_leaves_the_page(found):

@@ -1,0 +1,71 @@
+"""Files that tell whether they are as they were written: any flipped bit is told, or changes nothing."""
+
+import random
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from jaxurban.errors import InputError
+from jaxurban.io import seal
+from jaxurban.io.results import read_results, write_results
+
+
+def flips(data: bytes, num: int) -> list[bytes]:
+    found = []
+    for bit in random.Random(0).sample(range(8 * len(data)), min(num, 8 * len(data))):
+        damaged = bytearray(data)
+        damaged[bit // 8] ^= 1 << bit % 8
+        found.append(bytes(damaged))
+    return found
+
+
+def test_any_flipped_bit_of_sealed_json_is_told(tmp_path):
+    file, value = tmp_path / "a.json", {"rows": [{"cost": 0.1 + 0.2, "name": "ä"}], "none": None}
+    seal.write_json(file, value)
+    assert seal.read_json(file) == value
+    whole = file.read_bytes()
+    for data in [*flips(whole, 8 * len(whole)), whole[:-1], whole[:20], b""]:
+        file.write_bytes(data)
+        with pytest.raises(ValueError, match="not as it was written"):
+            seal.read_json(file)
+
+
+def test_no_flipped_bit_of_arrays_changes_them_or_loses_one(tmp_path):
+    file, arrays = tmp_path / "a.npz", {"roof_m": np.arange(6.0), "terrain_m": np.ones(5, np.float32)}
+    np.savez(file, allow_pickle=False, **arrays)
+    whole, told = file.read_bytes(), 0
+    for data in flips(whole, 1500):
+        file.write_bytes(data)
+        try:
+            found = seal.read_npz(file)
+        except ValueError:
+            told += 1
+            continue
+        assert found.keys() == arrays.keys()
+        assert all(np.array_equal(found[name], values) for name, values in arrays.items())
+    assert told > 500
+
+
+def test_any_flipped_bit_of_a_table_of_results_is_told(tmp_path):
+    file, rows = tmp_path / "a.parquet", pd.DataFrame({"k": [1, 2], "x_m": [[0.5, 1.5], None], "name": ["a", "b"]})
+    write_results(file, rows)
+    pd.testing.assert_frame_equal(pd.read_parquet(file), read_results(file))
+    whole = file.read_bytes()
+    for data in [*flips(whole, 300), whole[:-9], b""]:
+        file.write_bytes(data)
+        with pytest.raises(InputError, match="is damaged, or no file of such results"):
+            read_results(file)
+
+
+def test_files_that_belong_together_are_sealed_together(tmp_path):
+    first, second = tmp_path / "a.json", tmp_path / "b.json"
+    first.write_text(f'{{"checksum": "{seal.BLANK}"}}')
+    second.write_text("[1]")
+    seal.seal(first, second)
+    assert seal.is_whole(first, second)
+    assert not seal.is_whole(first)
+    second.write_text("[2]")
+    assert not seal.is_whole(first, second)
+    second.unlink()
+    assert not seal.is_whole(first, second)

@@ -1,0 +1,188 @@
+"""A finished folder, file by file deleted, cut and flipped: told, and mended by the same command, byte for byte."""
+
+import json
+import random
+import shutil
+import warnings
+from pathlib import Path
+
+import pytest
+
+import jaxurban as ju
+from jaxurban import pipeline
+from jaxurban.errors import InputError
+from jaxurban.scenario import Scenario
+from tests import tiled_runs
+from tests.cli_runs import assert_one_sentence, run
+from tests.tiled_runs import files_of
+
+SETTINGS = {
+    "region": {"bounds": [-74.0, 40.755, -73.993, 40.761], "resolution_m": 20, "altitudes_m": [20]},
+    "buildings": {"source": "synthetic"},
+}
+ENDS = ("--start", "-73.999,40.756", "--goal", "-73.994,40.76", "--altitude", 20, "--snap")
+DAMAGES = ("deleted", "cut", "flipped")
+Told = list[str]
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("finished")
+    pipeline.run_scenario(Scenario.from_dict(SETTINGS), folder)
+    (folder.parent / "scenario.toml").write_text(Scenario.from_dict(SETTINGS).to_toml())
+    return folder
+
+
+@pytest.fixture
+def job(finished, tmp_path) -> Path:
+    return Path(shutil.copytree(finished, tmp_path / "job"))
+
+
+def harm(file: Path, damage: str, rng: random.Random) -> None:
+    data = bytearray(file.read_bytes())
+    if damage == "deleted":
+        file.unlink()
+    elif damage == "cut":
+        file.write_bytes(data[: rng.randrange(len(data))])
+    else:
+        bit = rng.randrange(8 * len(data))
+        data[bit // 8] ^= 1 << bit % 8
+        file.write_bytes(bytes(data))
+
+
+def values_of(folder: Path) -> dict[str, bytes]:
+    maps = ju.open_maps(folder).ds.load()
+    return {str(name): array.values.tobytes() for name, array in maps.variables.items() if array.dtype.kind != "T"}
+
+
+def told_on_use(job: Path) -> str:
+    """Return the error or warning of opening and reading everything."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        try:
+            values_of(job)
+            json.loads((job / "run.json").read_text())
+        except (InputError, UserWarning) as fault:
+            return str(fault)
+        except (OSError, ValueError):
+            return "run.json"
+    return ""
+
+
+def mend(job: Path) -> Told:
+    told: Told = []
+    pipeline.run_scenario(Scenario.from_dict(SETTINGS), job, tell=told.append)
+    return told[1:]  # after size and memory
+
+
+def without_times(files: dict[str, bytes]) -> dict[str, bytes]:
+    return {name: data for name, data in files.items() if name != "run.json"}
+
+
+def test_an_untouched_folder_is_kept_to_the_last_byte(job):
+    before = files_of(job)
+    stamps = {path: path.stat().st_mtime_ns for path in job.rglob("*")}
+    assert mend(job) == []
+    assert files_of(job) == before
+    assert {path: path.stat().st_mtime_ns for path in job.rglob("*") if path != job} == {
+        path: stamp for path, stamp in stamps.items() if path != job
+    }
+
+
+def test_new_weights_change_the_record_and_not_its_times(job):
+    before = json.loads((job / "run.json").read_text())
+    pipeline.run_scenario(Scenario.from_dict(SETTINGS | {"weights": {"gps": 3.0}}), job)
+    after = json.loads((job / "run.json").read_text())
+    assert after["settings"]["weights"]["gps"] == 3.0
+    assert (after["started_utc"], after["elapsed_s"]) == (before["started_utc"], before["elapsed_s"])
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
+@pytest.mark.parametrize("part", ["c/*", "zarr.json", "geotiff", "run.json"])
+def test_damage_to_every_file_of_a_kind_is_told_and_mended(job, damage, part):
+    before, values, rng = files_of(job), values_of(job), random.Random(0)
+    files = [path for path in job.rglob("*") if path.is_file() and _is_of(path.relative_to(job), part)]
+    assert len(files) >= {"c/*": 20, "zarr.json": 20, "geotiff": 6, "run.json": 1}[part]
+    for path in files:
+        harm(path, damage, rng)
+        if part != "geotiff" or damage == "deleted":
+            assert told_on_use(job) or (part == "run.json" and damage == "flipped")
+    told = mend(job)
+    assert len(told) == (len(files) if part == "geotiff" else 1)
+    assert without_times(files_of(job)) == without_times(before)
+    assert values_of(job) == values
+    assert mend(job) == []
+    assert json.loads((job / "run.json").read_text()).keys() == json.loads(before["run.json"]).keys()
+
+
+def _is_of(path: Path, part: str) -> bool:
+    return ("c" in path.parts) if part == "c/*" else part in path.parts
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_every_single_file_is_told_and_mended(job, damage):
+    """The only damage that nobody tells of changes no value: bits of a chunk's frame that mean nothing."""
+    before, values, rng = files_of(job), values_of(job), random.Random(1)
+    for name in before:
+        harm(job / name, damage, rng)
+        told = mend(job)
+        assert told or (damage == "flipped" and "/c" in name), name
+        assert values_of(job) == values
+        after = files_of(job)
+        assert without_times(after).keys() == without_times(before).keys()
+        lasting = {other for other, data in without_times(before).items() if after[other] != data}
+        assert lasting <= ({name} if not told else set()), name
+        for other in lasting:
+            (job / other).write_bytes(before[other])
+
+
+@pytest.mark.parametrize("part", ["obstacle/c/0/0/0", "y/c/0", "zarr.json", "gps/zarr.json"])
+@pytest.mark.parametrize("damage", ["deleted", "cut"])
+def test_planning_on_damaged_maps_is_one_sentence(job, capsys, part, damage):
+    harm(job / "maps.zarr" / "20m" / part, damage, random.Random(2))
+    code, out, err = run(capsys, "plan", job, *ENDS)
+    assert (code, out) == (2, "")
+    assert_one_sentence(err, "run the same `jaxurban maps` command again", str(job))
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_planning_under_a_damaged_record_is_one_sentence(job, capsys, damage):
+    harm(job / "run.json", damage, random.Random(3))
+    code, out, err = run(capsys, "plan", job, *ENDS)
+    assert (code, out) == (2, "")
+    assert_one_sentence(err, "run.json", "run the same `jaxurban maps` command again")
+
+
+def test_damaged_maps_of_another_job_are_not_taken_for_ours(job):
+    (job / "maps.zarr" / "20m" / "zarr.json").unlink()
+    before = files_of(job)
+    with pytest.raises(InputError, match="--overwrite"):
+        pipeline.run_scenario(Scenario.from_dict(SETTINGS | {"gps": {"mask_deg": 6.0}}), job)
+    assert files_of(job) == before
+
+
+@pytest.mark.parametrize("damage", ["cut", "flipped"])
+def test_damage_to_unfinished_work_is_told_and_made_again(tmp_path, monkeypatch, damage):
+    city, told, rng = tiled_runs.city(), [], random.Random(4)
+    whole = files_of(tiled_runs.make(tmp_path / "whole", city).parents[1])
+    with monkeypatch.context() as patched:
+        patched.setattr(pipeline.WorkFolder, "finish", _interrupt)
+        with pytest.raises(KeyboardInterrupt):
+            tiled_runs.make(tmp_path / "job", city)
+    work = tmp_path / "job" / "maps.zarr" / ".20m.jaxurban-part"
+    parts = {
+        "an array": next((work / "arrays").glob("raster_1_*.npz")),
+        "a mark": work / "done" / "tile_2_2.json",
+        "a chunk": work / "zarr" / "obstacle" / "c" / "0" / "0" / "0",
+    }
+    for file in parts.values():
+        harm(file, damage, rng)
+    maker = tiled_runs.maker(tmp_path / "job", city, tell=told.append)
+    pipeline.make_zarr(maker, lambda sentence: None, tiled_runs.RAGGED)
+    assert sorted(sentence.split("'")[1] for sentence in told) == sorted(map(str, parts.values()))
+    assert files_of(tmp_path / "job") == whole
+
+
+def _interrupt(*_) -> None:
+    raise KeyboardInterrupt
