@@ -17,7 +17,7 @@ from printed_heuristic import made_up_problem, problem_of_arrays, problem_of_map
 from tqdm import tqdm
 
 from jaxurban.planners.astar import astar
-from jaxurban.planners.base import Path, Problem, Status
+from jaxurban.planners.base import CostModel, Path, Problem, Status
 from jaxurban.planners.bitstar import bitstar_plus
 from jaxurban.planners.evaluate import evaluate_on
 from jaxurban.planners.refine import refine
@@ -50,8 +50,7 @@ def on_finer_cells(problem: Problem, factor: int = 3) -> Path:
         goal,
         problem.resolution_m / factor,
         problem.distance_weight,
-        "line",
-        problem.reference_length_m,
+        CostModel("line", problem.cost_model.reference_length_m),
     )
     return refine(problem, theta_star(fine))
 

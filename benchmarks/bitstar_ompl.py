@@ -20,7 +20,7 @@ from tqdm import tqdm
 
 from benchmarks.printed_heuristic import made_up_problem, problem_of_maps
 from jaxurban.planners.astar import astar
-from jaxurban.planners.base import Path, Problem
+from jaxurban.planners.base import CostModel, Path, Problem
 from jaxurban.planners.bitstar import bitstar_dist, bitstar_plus
 from jaxurban.planners.bitstar_search import Ground, edge_cost
 from jaxurban.planners.evaluate import evaluate_on
@@ -28,8 +28,10 @@ from jaxurban.planners.evaluate import evaluate_on
 
 def ground_of(problem: Problem) -> Ground:
     """Return what edges cost under the line model."""
-    charge = np.where(problem.is_free, problem.cost, np.inf) * (problem.resolution_m / problem.reference_length_m)
-    return Ground(charge, problem.distance_weight * problem.resolution_m, True)
+    charge = np.where(problem.is_free, problem.cost, np.inf) * (
+        problem.resolution_m / problem.cost_model.reference_length_m
+    )
+    return Ground(charge, problem.distance_weight * problem.resolution_m, True, problem.cost_model.passes_corners)
 
 
 def far_apart(problem: Problem, seed: int) -> Problem:
@@ -120,8 +122,7 @@ def any_angle_reference(problem: Problem, factor: int = 2, reach: int = 200) -> 
         goal,
         problem.resolution_m / factor,
         problem.distance_weight,
-        "line",
-        problem.reference_length_m,
+        CostModel("line", problem.cost_model.reference_length_m),
     )
     points = astar(fine).points_m / problem.resolution_m
     points[[0, -1]] = [[col + 0.5, row + 0.5] for row, col in (problem.start, problem.goal)]

@@ -20,7 +20,7 @@ import jaxurban as ju
 from benchmarks.common import ROOT, Row, Timing, load, machine, markdown, row, write_json
 from jaxurban.kernels.heuristic import printed_plus_field
 from jaxurban.planners.astar import astar
-from jaxurban.planners.base import Cell, Problem
+from jaxurban.planners.base import Cell, CostModel, Problem
 from jaxurban.planners.graph import Graph, Heuristic, graph_of, zero_heuristic
 from jaxurban.planners.moves import STEPS
 from jaxurban.planners.search import Search
@@ -180,9 +180,7 @@ def problem_of(cost: np.ndarray, is_free: np.ndarray, resolution_m, distance_wei
         anywhere,
         resolution_m,
         distance_weight,
-        cost_model,
-        reference_length_m=RESOLUTION_M,
-        diagonal="always",
+        CostModel(cost_model, reference_length_m=RESOLUTION_M, diagonal="always"),
     )
     astar(problem, heuristic="plus")  # what serves all queries on the map is made now
     return problem

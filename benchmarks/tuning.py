@@ -63,7 +63,7 @@ def run(unit: WeightedMap, number: int, options: argparse.Namespace) -> tuple[fl
     rng = np.random.default_rng(number)
     hidden = FLOOR + (1 - 4 * FLOOR) * rng.dirichlet(np.ones(4))
     if options.unit == "step":
-        step_m = unit.grid.resolution_m if options.cost_model == "cell" else unit.reference_length_m
+        step_m = unit.grid.resolution_m if options.cost_model == "cell" else unit.cost_model.reference_length_m
         hidden[0] /= step_m
     examples = optimal_examples(draw_queries(unit, rng, NUM_EXAMPLES), weights_of(unit, hidden))
     for k in rng.choice(NUM_EXAMPLES, round(options.detours * NUM_EXAMPLES), replace=False):

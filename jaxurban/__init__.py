@@ -18,7 +18,9 @@ if TYPE_CHECKING:
     from jaxurban.maps import MetricMaps as MetricMaps
     from jaxurban.maps import open_maps as open_maps
     from jaxurban.planned import PlannedPath as PlannedPath
+    from jaxurban.planners.base import CostModel as CostModel
     from jaxurban.planning import plan as plan
+    from jaxurban.route_cautions import cautions as cautions
     from jaxurban.route_report import RouteReport as RouteReport
     from jaxurban.route_report import explain as explain
     from jaxurban.scenario import Scenario as Scenario
@@ -54,7 +56,9 @@ _HOMES = {
     "MetricMaps": "maps",
     "open_maps": "maps",
     "PlannedPath": "planned",
+    "CostModel": "planners.base",
     "plan": "planning",
+    "cautions": "route_cautions",
     "RouteReport": "route_report",
     "explain": "route_report",
     "Scenario": "scenario",

@@ -27,6 +27,7 @@ from jaxurban.layers import (
     with_series,
 )
 from jaxurban.maps import MetricMaps
+from jaxurban.memory import check_fits
 from jaxurban.metrics.availability import EpochTotals
 from jaxurban.metrics.gps import GpsParams, visibility
 from jaxurban.metrics.lidar import LidarParams
@@ -71,7 +72,7 @@ def build_maps(
 
     Args:
       city: from `City.from_files` or `demo_city`.
-      bounds: west, south, east, north in degrees; left out, what the buildings cover.
+      bounds: west, south, east, north in degrees; left out, those of the city, else what its buildings cover.
       grid: the region's grid, instead of bounds and resolution.
       resolution_m: side of a cell.
       altitudes_m: flight altitudes above ground.
@@ -91,7 +92,7 @@ def build_maps(
       stage: called with each stage's name, gives the context that the stage runs in (timing, progress).
 
     Raises:
-      InputError: settings that do not fit the city, or too few satellites.
+      InputError: settings that do not fit the city, too few satellites, or too little memory.
     """
     if not resolution_m > 0:
         raise InputError(f"resolution_m must be a positive number of metres, got {resolution_m}")
@@ -102,7 +103,8 @@ def build_maps(
     times, times_of_day = _as_names(times), _as_names(times_of_day)
     if region.crs != city.crs:
         raise InputError(f"the grid is in {region.crs} and the city in {city.crs}: build the grid in the city's CRS")
-    if not shapely.intersects(shapely.box(*region.bounds_m), shapely.box(*city.known_extent_m)):
+    is_own = grid is None and bounds is None  # accepted when the city was read
+    if not (is_own or shapely.intersects(shapely.box(*region.bounds_m), shapely.box(*city.known_extent_m))):
         raise InputError("the region and the city do not meet: check the bounds (west, south, east, north)")
     if not times or len(set(times)) != len(times):
         raise InputError(f"times must be different UTC times such as 2020-04-27T16:00:00Z, got {list(times)}")
@@ -126,6 +128,7 @@ def build_maps(
         height_samples=height_samples,
         height_seed=height_seed,
     )
+    check_fits(city, region, sky, params)
     return compute_maps(city, make_surface(city, region, sky, params), sky, params, stage)
 
 
@@ -141,6 +144,7 @@ def check_altitudes(altitudes_m: Sequence[float]) -> None:
 
 
 def _region(city: City, bounds: Sequence[float] | None, resolution_m: float) -> Grid:
+    bounds = bounds if bounds is not None else city.bounds
     if bounds is not None:
         return Grid.from_bounds(bounds, resolution_m, city.crs)
     first = np.floor(np.asarray(city.extent_m[:2]) / resolution_m + 1e-6).astype(int)

@@ -1,8 +1,7 @@
 """study: a Monte Carlo study of planners over metric maps, kept in a folder and resumable."""
 
-import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,10 +16,12 @@ from jaxurban.grid import Grid
 from jaxurban.io.city import OSM_SUFFIXES
 from jaxurban.io.landcover import read_land_cover
 from jaxurban.io.rowstore import PARTS_FOLDER, ROWS_FILE
+from jaxurban.io.seal import read_json, write_json
 from jaxurban.io.store import check_writable, only_writer, whole_file
 from jaxurban.io.tables import write_table
+from jaxurban.limits import Limits, limits_said
 from jaxurban.maps import MetricMaps, Obstacles, open_maps
-from jaxurban.planners.base import CostModel, Diagonal
+from jaxurban.planners.base import CostKind, CostModel
 from jaxurban.planners.registry import find_planner
 from jaxurban.scenario import PAPER_PLANNERS, Scenario
 from jaxurban.studies.analysis import joined
@@ -74,10 +75,8 @@ def study(
     weights: str | Sequence[Weights] = DIRICHLET,
     planners: Sequence[str] = PAPER_PLANNERS,
     distance_only: Sequence[str] = ("astar-dist",),
-    cost_model: CostModel = "line",
-    reference_length_m: float = 5.0,
-    connectivity: int = 8,
-    diagonal: Diagonal = "both-free",
+    cost_model: CostModel | CostKind = "line",
+    limits: Limits | None = None,
     budget_s: float = 2.0,
     budget_iterations: int | None = None,
     seed: int = 0,
@@ -102,8 +101,8 @@ def study(
       num_instances, altitudes_m, cover, weights: of the sampling (see `sample_instances`).
       planners: each is asked every instance.
       distance_only: planners that are asked for the shortest path too; its weighted cost is reported.
-      cost_model: ``"line"``, which depends on no resolution, or ``"cell"`` (the paper); costs are reported under both.
-      reference_length_m, connectivity, diagonal: as in `plan`.
+      cost_model: as in `plan`; ``"line"`` depends on no resolution. Costs are reported under both kinds.
+      limits: no-fly zones and bounds that close cells to starts, goals and every planner.
       budget_s: seconds for each run.
       budget_iterations: instead, samples for planners that draw any, while the others run to their end: rows then
         repeat exactly, whatever the number of workers, but for ``elapsed_s``.
@@ -126,9 +125,7 @@ def study(
         find_planner(planner)
     if workers < 1:
         raise InputError(f"workers must be at least 1, got {workers}")
-    settings = Settings(
-        cost_model, float(reference_length_m), connectivity, diagonal, float(budget_s), budget_iterations, seed
-    )
+    settings = Settings(CostModel.of(cost_model), float(budget_s), budget_iterations, seed, limits or Limits())
     opened = maps if isinstance(maps, MetricMaps) else open_maps(maps, resolution_m, obstacles=obstacles)
     source = maps if isinstance(maps, MetricMaps) else Source(Path(maps).resolve(), opened.grid.resolution_m, obstacles)
     if instances is None:
@@ -138,14 +135,15 @@ def study(
             altitudes_m=altitudes_m,
             cover=cover,
             weights=weights,
-            reference_length_m=reference_length_m,
+            cost_model=settings.cost_model,
+            limits=settings.limits,
             seed=seed,
         )
     else:
         instances = checked_instances(instances, "instances")
         _check_instances(instances, opened)
-        instances = with_connection(instances, opened)
-        _check_places(instances, opened)
+        instances = with_connection(instances, opened, settings.cost_model, settings.limits)
+        _check_places(instances, opened, settings.limits)
     runs = [Run(name, WEIGHTED) for name in dict.fromkeys(planners)]
     runs += [Run(name, DISTANCE) for name in dict.fromkeys(distance_only)]
     check_writable(folder)
@@ -191,14 +189,15 @@ def _check_instances(instances: pd.DataFrame, maps: MetricMaps) -> None:
             raise InputError(f"the instances ask for {name} {lost[0]}, and these maps hold {listed}")
 
 
-def _check_places(instances: pd.DataFrame, maps: MetricMaps) -> None:
+def _check_places(instances: pd.DataFrame, maps: MetricMaps, limits: Limits) -> None:
     """Raise InputError if not one instance starts and ends on a free cell; a few that do not are rows."""
     if instances.is_connected.notna().any():
         return
     first = instances.iloc[0]
+    is_free = limits.is_free(maps, first.altitude_m, time=first.time, time_of_day=first.time_of_day)
     for end in ("start", "goal"):
         try:
-            free_cell(maps.grid, maps.is_free(first.altitude_m), first[f"{end}_x_m"], first[f"{end}_y_m"])
+            free_cell(maps.grid, is_free, first[f"{end}_x_m"], first[f"{end}_y_m"])
         except InputError as error:
             raise InputError(
                 f"no instance can be asked on these maps, from the first one on, instance {first.instance} at "
@@ -208,7 +207,7 @@ def _check_places(instances: pd.DataFrame, maps: MetricMaps) -> None:
 
 def _claim(folder: Path, settings: Settings, maps: MetricMaps, instances: pd.DataFrame, overwrite: bool) -> None:
     """Make the folder this study's, or raise InputError if it is another's."""
-    told = asdict(settings) | {
+    told = settings.to_dict() | {
         "maps": {name: str(maps.ds.attrs[name]) for name in ("crs", "resolution_m", "first_row", "first_col")}
         | {"run_key": str(maps.ds.attrs.get("run_key")), "obstacles": maps.obstacles},
     }
@@ -224,12 +223,13 @@ def _claim(folder: Path, settings: Settings, maps: MetricMaps, instances: pd.Dat
         for old in (folder / ROWS_FILE, folder / INSTANCES_FILE, *(folder / PARTS_FOLDER).glob("*.json")):
             old.unlink(missing_ok=True)
     with whole_file(file) as scratch:
-        scratch.write_text(json.dumps(told, indent=2) + "\n", encoding="utf-8")
+        write_json(scratch, told, indent=2)
 
 
 def _in_words(told: Mapping[str, Any]) -> dict[str, str]:
     """Return what decides a study's rows, for a person to read."""
     iterations, maps = told.get("budget_iterations"), told.get("maps") or {}
+    limits = told.get("limits") or {}
     return {
         "cost model": f"{told.get('cost_model')}",
         "reference length": f"{told.get('reference_length_m')} m",
@@ -238,6 +238,8 @@ def _in_words(told: Mapping[str, Any]) -> dict[str, str]:
         "budget": f"{told.get('budget_s')} s" if iterations is None else f"{iterations} samples",
         "seed": f"{told.get('seed')}",
         "rule of obstacles": f"{maps.get('obstacles')}",
+        "set of limits": limits_said(limits) or "none",
+        "outlines of no-fly zones": ", ".join(zone.get("outline", "") for zone in limits.get("no_fly", ())),
         "maps' CRS": f"{maps.get('crs')}",
         "maps' resolution": f"{maps.get('resolution_m')} m",
         "maps' first row and column": f"{maps.get('first_row')}, {maps.get('first_col')}",
@@ -285,11 +287,14 @@ def _other_instances(folder: Path, instances: pd.DataFrame) -> str | None:
 
 def _held(file: Path) -> dict[str, Any] | None:
     try:
-        held = json.loads(file.read_text(encoding="utf-8"))
+        held = read_json(file)
     except FileNotFoundError:
+        if foreign := [name for name in (ROWS_FILE, INSTANCES_FILE, PARTS_FOLDER) if (file.parent / name).exists()]:
+            raise InputError(
+                f"{str(file.parent / foreign[0])!r} is there already, and nothing says that it is a study's: choose "
+                "another folder, or remove it"
+            ) from None
         return None
     except (OSError, ValueError) as error:
         raise InputError(f"{str(file)!r} cannot be read: remove the folder and run the study anew") from error
-    if not isinstance(held, dict):
-        raise InputError(f"{str(file)!r} says nothing of a study: remove the folder and run the study anew")
     return held

@@ -154,6 +154,8 @@ class City:
       counts: what the building source holds, counted by name.
       sources: path by role, for provenance (empty for a generated city).
       attribution: the credit that the licence of the sources asks for wherever pictures are shown.
+      bounds: west, south, east, north in degrees that the city was read for; None for all that there is.
+      area: where the building source knows what stands, within ``extent_m``; None for all of it.
     """
 
     crs: str
@@ -167,6 +169,8 @@ class City:
     terrain_extent_m: tuple[float, float, float, float] | None = None
     sources: Mapping[str, str] = field(default_factory=dict)
     attribution: str = ""
+    bounds: tuple[float, float, float, float] | None = None
+    area: shapely.Geometry | None = None
 
     def __post_init__(self) -> None:
         if (self.buildings is None) == (self.roofs is None):
@@ -179,6 +183,11 @@ class City:
             return self.extent_m
         (a, b, c, d), (e, f, g, h) = self.extent_m, self.terrain_extent_m
         return min(a, e), min(b, f), max(c, g), max(d, h)
+
+    @property
+    def known_area(self) -> shapely.Geometry:
+        """Where the building source knows what stands: a building far off does not make the land between known."""
+        return shapely.box(*self.extent_m) if self.area is None else self.area
 
     @classmethod
     def from_files(cls, buildings: str | Path, **options: Any) -> "City":

@@ -1,10 +1,10 @@
 """Who works on the tiles: threads of this process, processes of this machine, or a Dask cluster."""
 
 import os
+import uuid
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from functools import lru_cache, partial
-from pathlib import Path
+from functools import partial
 from typing import Any
 
 import dask
@@ -13,7 +13,6 @@ from dask.callbacks import Callback
 from dask.delayed import Delayed, delayed
 
 from jaxurban.errors import InputError
-from jaxurban.io.workfolder import load_job
 from jaxurban.tiled import TileJob, finish_tile, raster_tile, sweep_tile
 from jaxurban.tiles import QUADRANTS, Quadrant, Tile
 
@@ -66,13 +65,11 @@ def _after(call: Callable, function: Callable, arguments: tuple, before: list[An
     return call(function, *arguments)
 
 
-def _call_in_worker(path: Path, function: Callable, *arguments: Any) -> Any:
-    return function(_job_in(path), *arguments)
+def _call_in_worker(job_name: str, function: Callable, *arguments: Any) -> Any:
+    from distributed import get_worker
 
-
-@lru_cache(maxsize=1)
-def _job_in(path: Path) -> TileJob:
-    return load_job(path)
+    holder: Any = get_worker().plugins[job_name]
+    return function(holder.job, *arguments)
 
 
 def work_in_threads(job: TileJob, num_threads: int, on_result: Tell) -> None:
@@ -98,10 +95,17 @@ def work_on_cluster(job: TileJob, client: Any, on_result: Tell) -> None:
     Raises:
       InputError: workers are killed again and again on the same tile.
     """
-    from distributed import KilledWorker, as_completed
+    from distributed import KilledWorker, WorkerPlugin, as_completed
 
-    path = job.work.save_job(job)
-    futures = client.compute(tile_graph(job, partial(_call_in_worker, path.resolve())), retries=RETRIES)
+    class JobHolder(WorkerPlugin):
+        """What the scheduler gives every worker before its first task, those that take a killed one's place too."""
+
+        def __init__(self, job: TileJob) -> None:
+            self.job = job
+
+    name = f"jaxurban-job-{uuid.uuid4().hex}"
+    client.register_plugin(JobHolder(job), name)
+    futures = client.compute(tile_graph(job, partial(_call_in_worker, name)), retries=RETRIES)
     try:
         for future in as_completed(futures):
             on_result(future.result())
@@ -111,6 +115,8 @@ def work_on_cluster(job: TileJob, client: Any, on_result: Tell) -> None:
             "worker processes were killed again and again on the same tile, most likely for lack of memory: use fewer "
             "--workers or a larger machine; finished tiles are kept"
         ) from error
+    finally:
+        client.unregister_worker_plugin(name)
 
 
 @contextmanager

@@ -1,6 +1,5 @@
 """What buildings cost a route over a folder of maps: the sources read again, a table and a map written."""
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -10,6 +9,7 @@ import pandas as pd
 
 from jaxurban.build import soft_city
 from jaxurban.errors import InputError
+from jaxurban.io.seal import read_json
 from jaxurban.io.store import RUN_FILE, whole_file
 from jaxurban.io.tables import write_tables
 from jaxurban.pipeline import grids_of, load_city, map_params, sky_of
@@ -33,14 +33,16 @@ def scenario_of(folder: Path, scenario: Path | None = None) -> Scenario:
     """
     file = Path(folder) / RUN_FILE
     try:
-        record = json.loads(file.read_text(encoding="utf-8"))
+        record = read_json(file)
     except OSError as error:
         raise InputError(
             f"cannot read {str(file)!r} ({error.strerror or error}): gradients by building need the record of the "
             "run, as `jaxurban maps` writes it"
         ) from error
     except ValueError as error:
-        raise InputError(f"{str(file)!r} is no record of a run: make the maps again") from error
+        raise InputError(
+            f"{str(file)!r} is no record of a run ({error}): run the same `jaxurban maps` command again"
+        ) from error
     tried = (scenario.parent,) if scenario is not None else (Path(), folder, folder.parent)
     return _with_sources(record, [path.resolve() for path in tried], str(file))
 

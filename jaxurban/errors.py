@@ -24,6 +24,10 @@ class LeftOutWarning(UserWarning):
     """Something in a file of routes is not read: one sentence for the user."""
 
 
+class OtherSettingsWarning(UserWarning):
+    """Routes are fitted under other settings than they were planned under: one sentence for the user."""
+
+
 def nearest_name(name: str, valid: Iterable[str]) -> str:
     """Return ``" (did you mean 'x'?)"`` for the valid name closest to ``name``, or ``""``."""
     close = difflib.get_close_matches(name, list(valid), n=1, cutoff=0.5)

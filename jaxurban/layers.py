@@ -15,6 +15,8 @@ from jaxurban.city import City
 from jaxurban.errors import InputError
 from jaxurban.grid import Grid
 from jaxurban.io.rasterise import highest_top_m, surface_grid
+from jaxurban.kernels.distance import window_cells
+from jaxurban.kernels.lidar import num_steps
 from jaxurban.metrics import lidar as lidar_metric
 from jaxurban.metrics import risk as risk_metric
 from jaxurban.metrics.availability import SCALE, STATISTICS, EpochTotals, series_statistics
@@ -104,6 +106,12 @@ def margin_of(city: City, region: Grid, sky: Sky, params: MapParams) -> Grid:
     return surface_grid(city, region, always_m, toward_m)
 
 
+def halo_cells(resolution_m: float, params: MapParams) -> int:
+    """Return how many cells around a tile its lidar and risk maps look at."""
+    steps = num_steps(resolution_m, params.lidar.range_m)
+    return max(steps - 1, window_cells(params.risk.threshold_m, resolution_m))
+
+
 class Detail(Protocol):
     """What `jaxurban.detail` adds to the layers of a region."""
 
@@ -185,6 +193,8 @@ def empty_dataset(
         "first_row": region.first_row,
         "first_col": region.first_col,
         "satellites": list(sky.names),
+        "risk_threshold_m": params.risk.threshold_m,
+        "risk_distance": params.risk.distance,
     }
     if attribution:
         attrs["attribution"] = attribution

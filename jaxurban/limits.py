@@ -126,8 +126,7 @@ class Limits:
         return bool(self.zones or self.bounds)
 
     def __str__(self) -> str:
-        zones = [f"{len(self.zones)} no-fly zone" + "s" * (len(self.zones) > 1)] if self.zones else []
-        return ", ".join([*zones, *map(str, self.bounds)])
+        return limits_said(self.to_dict())
 
     def to_dict(self) -> dict[str, list]:
         """Return the limits as plain, JSON-ready values; floors and ceilings are None where there are none."""
@@ -138,11 +137,22 @@ class Limits:
                     "file": zone.source,
                     "floor_m": zone.floor_m if math.isfinite(zone.floor_m) else None,
                     "ceiling_m": zone.ceiling_m if math.isfinite(zone.ceiling_m) else None,
+                    "outline": zone.outline,
                 }
                 for zone in self.zones
             ],
             "require": [str(bound) for bound in self.bounds],
         }
+
+    def is_free(
+        self, maps: MetricMaps, altitude_m: float, *, time: str | None = None, time_of_day: str | None = None
+    ) -> np.ndarray:
+        """Return ``[Y, X]`` bool: where a path may fly: no obstacle, data there, and closed by none of these limits.
+
+        Arguments and errors are those of `closed`.
+        """
+        is_free = maps.is_free(altitude_m)
+        return is_free & ~self.closed(maps, altitude_m, time=time, time_of_day=time_of_day) if self else is_free
 
     def closed(
         self, maps: MetricMaps, altitude_m: float, *, time: str | None = None, time_of_day: str | None = None
@@ -208,6 +218,13 @@ class Limits:
                 value = maps.m(bound.variable, altitude_m, time=time, time_of_day=time_of_day)[cell]
                 bounds.append(f"the bound {bound} (it is {value:g} there)")
         return zones + bounds
+
+
+def limits_said(told: Mapping[str, Sequence]) -> str:
+    """Return limits as `Limits.to_dict` tells them, for a person to read; empty where there are none."""
+    num = len(told.get("no_fly", ()))
+    zones = [f"{num} no-fly zone" + "s" * (num > 1)] if num else []
+    return ", ".join([*zones, *told.get("require", ())])
 
 
 def _bound(name: str, given: object) -> Bound:

@@ -22,7 +22,8 @@ from jaxurban.planners.base import Path
 from jaxurban.planners.batch import Backend, solve_many
 from jaxurban.planners.registry import check_seed, find_planner
 from jaxurban.queries import Point, Query, read_queries
-from jaxurban.weighted import Place, WeightedMap, weigh
+from jaxurban.snapping import Place, snap_limit_m
+from jaxurban.weighted import WeightedMap, weigh
 
 HELD_BYTES = 2 * 2**30  # of weighed maps at a time
 BYTES_A_CELL = 160  # of a weighed map: layers, metrics, landmarks
@@ -42,7 +43,7 @@ def plan_many(
     backend: Backend = "auto",
     budget_s: float = 180.0,
     seed: int = 0,
-    snap: bool = False,
+    snap: bool | float = False,
     strict: bool = False,
     file: str | FilePath | None = None,
     num_threads: int | None = None,
@@ -66,12 +67,12 @@ def plan_many(
       backend: ``"numba"``, ``"jax"`` or ``"auto"`` (see `solve_many`).
       budget_s: seconds for each query.
       seed: for sampling planners, the same for each query.
-      snap: move starts and goals out of obstacles.
+      snap: move starts and goals out of obstacles, by at most 50 m, or so many metres.
       strict: raise the first fault or crash instead.
       file: where to keep the answers, named ``.parquet``.
       num_threads: of the ``"numba"`` backend.
       progress: show the bar.
-      map_options: ``objective``, ``cost_model``, ``connectivity``, ... of `weigh`, for all queries.
+      map_options: ``objective``, ``cost_model``, ``limits`` of `weigh`, for all queries.
 
     Raises:
       InputError: an argument that is wrong for all queries, a file that holds answers to other questions; with
@@ -83,6 +84,7 @@ def plan_many(
         raise InputError(f"file {str(file)!r} must end in .parquet and lie in a folder that exists")
     if unknown := set(map_options) - set(OPTIONS):
         raise InputError(f"plan_many has no option {min(unknown)!r}{nearest_name(min(unknown), OPTIONS)}")
+    snap_limit_m(snap)  # a wrong one is told once, not with every query
     asked = read_queries(queries, altitude_m=altitude_m, time=time, time_of_day=time_of_day, weights=weights)
     search = {"planner": planner, "heuristic": heuristic, "backend": backend, "budget_s": budget_s, "seed": seed}
     book = AnswerBook(asked, None if file is None else FilePath(file))
@@ -112,7 +114,7 @@ class _Job:
         asked: list[Query],
         search: dict[str, Any],
         num_threads: int | None,
-        snap: bool,
+        snap: bool | float,
         strict: bool,
         map_options: dict[str, Any],
         book: AnswerBook,
@@ -203,6 +205,5 @@ class _Job:
         digest = hashlib.sha256()
         for array in (weighted.layers, weighted.is_free):
             digest.update(np.ascontiguousarray(array).data)
-        model = (weighted.cost_model, weighted.reference_length_m, weighted.connectivity, weighted.diagonal)
-        digest.update(repr((weighted.weights, weighted.objective, *model, self.search)).encode())
+        digest.update(repr((weighted.weights, weighted.objective, weighted.cost_model, self.search)).encode())
         return digest.hexdigest()

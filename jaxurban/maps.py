@@ -1,5 +1,6 @@
 """MetricMaps: the metric maps of one region at one resolution; save and open."""
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,6 +14,7 @@ from jaxurban.cost import METRICS, metric_cost, normalised_map, total_map
 from jaxurban.errors import InputError
 from jaxurban.grid import Grid
 from jaxurban.io import store
+from jaxurban.io.geotiff import missing_geotiffs, write_geotiffs
 from jaxurban.io.orbits import iso_utc, parse_time
 from jaxurban.metrics.obstacle import obstacle_mask
 
@@ -188,11 +190,14 @@ class MetricMaps:
     def save(self, folder: str | Path) -> None:
         """Write Zarr and cloud-optimised GeoTIFF under ``folder`` (`jaxurban.io.store` says which files)."""
         store.write_zarr(self.ds, Path(folder))
-        store.write_geotiffs(self.ds, Path(folder))
+        write_geotiffs(self.ds, Path(folder))
 
 
 def open_maps(folder: str | Path, resolution_m: float | None = None, *, obstacles: Obstacles = "touched") -> MetricMaps:
     """Return the maps that ``MetricMaps.save`` or ``jaxurban maps`` wrote under ``folder``.
+
+    Every file is looked for; those of the maps are read, and compared with their checksums, when values are.
+    A GeoTIFF that ``jaxurban maps`` wrote and that is missing is a warning, as nothing here reads it.
 
     Args:
       folder: the output folder.
@@ -200,9 +205,17 @@ def open_maps(folder: str | Path, resolution_m: float | None = None, *, obstacle
       obstacles: where planners may fly (see `MetricMaps`).
 
     Raises:
-      InputError: no maps there, or several and none chosen, or an unknown rule of obstacles.
+      InputError: no maps there, or several and none chosen, or an unknown rule of obstacles; damaged ones (later too,
+        when values are read).
     """
-    return MetricMaps(store.open_zarr(Path(folder), resolution_m), obstacles)
+    ds = store.open_zarr(Path(folder), resolution_m)
+    if "run_key" in ds.attrs and (lost := missing_geotiffs(ds, Path(folder))):
+        others = f" (and {len(lost) - 1} more)" if len(lost) > 1 else ""
+        warnings.warn(
+            f"{str(lost[0])!r}{others} is missing or empty: the same `jaxurban maps` command writes it again",
+            stacklevel=2,
+        )
+    return MetricMaps(ds, obstacles)
 
 
 def _utc(time: str | None) -> str | None:

@@ -1,27 +1,37 @@
 """How much memory the work on tiles takes, and how many tiles at a time fit under a ceiling."""
 
+import math
 import re
 from dataclasses import dataclass
+from pathlib import Path
 
 import psutil
 
+from jaxurban.city import City
 from jaxurban.errors import InputError
 from jaxurban.grid import Grid
-from jaxurban.kernels.lidar import num_steps
-from jaxurban.layers import MapParams
-from jaxurban.tiled import halo_cells
+from jaxurban.kernels.distance import window_cells
+from jaxurban.kernels.lidar import WORD_BITS, num_steps
+from jaxurban.layers import MapParams, halo_cells, margin_of, variables
+from jaxurban.sky import Sky
 from jaxurban.tiles import max_side_for, tile_shape
 
 UNITS = {"": 1, "K": 2**10, "M": 2**20, "G": 2**30, "T": 2**40}
 DEFAULT_SHARE = 0.5  # of the memory that is free when a run begins
 SERIES_BYTES = 384 * 2**20  # a tile's metric at every epoch of a long series takes at most this
 
-# Measured on the paper's set (see docs/scale.md) and rounded up.
+# Measured (see docs/scale.md) and rounded up.
 COMPILING_BYTES = 400 * 2**20  # what JAX and the other libraries take once they work
-FINE_CELL_BYTES = 24  # rasters of the finer surface, and its tops for both directions
+SURFACE_CELL_BYTES = 20  # rasters on the host and for JAX, and what puts them together
+TERRAIN_CELL_BYTES = 16  # the same of the terrain, and the sum of both
+LIDAR_CELL_BYTES = 16  # of cells within the lidar's range: crops, with their halo, and padded
+RISK_CELL_BYTES = 64  # of cells within the risk's threshold: squared distances and what a pass over them holds
+LOOK_BYTES = 1024  # over terrain: a look (see `jaxurban.kernels.terrain_lidar`), and what joins them
+FINE_CELL_BYTES = 48  # rasters of the finer surface, its tops for both directions, and the lidar's order of them
 SPREAD_CELL_BYTES = 4 * 10 * 3  # about ten arrays of each of three metrics
 PROGRAM_BYTES = 120 * 2**20  # the programs compiled for the tiles of one resolution
 WORKER_BYTES = 700 * 2**20  # a worker process with everything imported, before its first tile
+CGROUP = Path("/sys/fs/cgroup")  # what a container may use, under Linux
 
 
 def parse_bytes(text: str, name: str = "memory") -> int:
@@ -52,15 +62,47 @@ def tile_bytes(
     shape: tuple[int, int], resolution_m: float, params: MapParams, num_epochs: int, has_terrain: bool
 ) -> int:
     """Return about how many bytes the work on one tile takes at its highest."""
-    halo = halo_cells(resolution_m, params)
-    cells, haloed = shape[0] * shape[1], (shape[0] + 2 * halo) * (shape[1] + 2 * halo)
-    altitudes = len(params.altitudes_m)
-    around = haloed * (24 + 24 * has_terrain)  # rasters, on the host and for JAX, and what pads them
-    lidar = cells * (num_steps(resolution_m, params.lidar.range_m) / 8 + 24)  # a bitmap a step, counts
-    gps = cells * (10 * altitudes + 48)  # words, before and after a satellite; one altitude's maps
+    around = _around(shape, halo_cells(resolution_m, params)) * (SURFACE_CELL_BYTES + TERRAIN_CELL_BYTES * has_terrain)
+    return around + _metric_bytes(shape, resolution_m, params, num_epochs, has_terrain)
+
+
+def whole_bytes(city: City, region: Grid, sky: Sky, params: MapParams) -> int:
+    """Return about how many bytes the maps of a region take at their highest, made at once as `build_maps` does."""
+    surface, num_epochs, has_terrain = margin_of(city, region, sky, params), len(sky.times), city.terrain is not None
+    cells = region.num_rows * region.num_cols
+    needed = surface.num_rows * surface.num_cols * (SURFACE_CELL_BYTES + TERRAIN_CELL_BYTES * has_terrain)
+    needed += _metric_bytes(region.shape, region.resolution_m, params, num_epochs, has_terrain)
+    sizes = {"time": num_epochs, "altitude": len(params.altitudes_m), "time_of_day": len(params.times_of_day)}
+    held = variables(params, num_epochs, city.blocks is not None, has_terrain).values()
+    needed += sum(cells * kind.itemsize * math.prod(sizes.get(dim, 1) for dim in dims) for dims, kind in held)
+    return needed + detail_bytes(surface, params)
+
+
+def _around(shape: tuple[int, int], halo: int) -> int:
+    return (shape[0] + 2 * halo) * (shape[1] + 2 * halo)
+
+
+def _metric_bytes(
+    shape: tuple[int, int], resolution_m: float, params: MapParams, num_epochs: int, has_terrain: bool
+) -> int:
+    """Return about how many bytes the metrics of some cells take, beside the rasters that they look at.
+
+    On fine cells the lidar decides: it keeps a bit a step for every cell within its range, and as words are bands of
+    rows, each with a halo of its own, these bits are up to 32 times the cells around.
+    """
+    cells, altitudes = shape[0] * shape[1], len(params.altitudes_m)
+    steps = num_steps(resolution_m, params.lidar.range_m)
+    halo, band = steps - 1, -(-shape[0] // WORD_BITS)
+    lidar = _around(shape, halo) * LIDAR_CELL_BYTES * (1 + has_terrain) + 24 * cells
+    if has_terrain:
+        lidar += steps * params.lidar.num_azimuths * LOOK_BYTES
+    else:
+        lidar += steps * (band + 2 * halo) * (shape[1] + 2 * halo) * 4
+    risk = _around(shape, window_cells(params.risk.threshold_m, resolution_m)) * RISK_CELL_BYTES
+    gps = cells * (16 * altitudes + 48)  # words, before and after a satellite; one altitude's maps
     if not params.gps.keeps_epochs(num_epochs):
         gps += cells * 4 * num_epochs * altitudes
-    return int(around + lidar + gps)
+    return int(lidar + risk + gps)
 
 
 def detail_bytes(surface: Grid, params: MapParams) -> int:
@@ -73,6 +115,8 @@ def detail_bytes(surface: Grid, params: MapParams) -> int:
     cells, needed = surface.num_rows * surface.num_cols, 0
     if params.oversample > 1 or params.gps_bounds:
         needed += cells * params.oversample**2 * FINE_CELL_BYTES
+        steps = num_steps(surface.resolution_m / params.oversample, params.lidar.range_m)
+        needed += steps * params.lidar.num_azimuths * LOOK_BYTES
     if params.height_samples:
         needed += cells * len(params.altitudes_m) * SPREAD_CELL_BYTES
     return needed
@@ -93,8 +137,40 @@ class MemoryPlan:
     num_workers: int
 
 
+def free_bytes() -> int:
+    """Return how much memory this process may still take: what the machine has, or its container if that is less."""
+    free = psutil.virtual_memory().available
+    try:
+        limit = int((CGROUP / "memory.max").read_text())
+        used = int(dict(line.split() for line in (CGROUP / "memory.stat").read_text().splitlines())["anon"])
+    except (OSError, ValueError, KeyError):  # another system, or "max": no limit
+        return free
+    return min(free, limit - used)
+
+
+def check_fits(city: City, region: Grid, sky: Sky, params: MapParams) -> int:
+    """Return about how many bytes this process will take while it makes the maps of a region at once.
+
+    Raises:
+      InputError: more than there are.
+    """
+    needed, free = COMPILING_BYTES + PROGRAM_BYTES + whole_bytes(city, region, sky, params), free_bytes()
+    if needed > free:
+        raise InputError(
+            f"the maps of {region.num_rows:,} x {region.num_cols:,} cells of {region.resolution_m:g} m need about "
+            f"{gib(needed)} of memory at once and {gib(free)} are free: choose a smaller region, a coarser "
+            "resolution_m or a shorter lidar range_m, or make them with `jaxurban maps`, which works tile by tile"
+        )
+    return psutil.Process().memory_info().rss + needed
+
+
 def plan_memory(
-    ceiling_bytes: int | None, per_tile_bytes: int, num_workers: int, has_processes: bool, num_resolutions: int = 1
+    ceiling_bytes: int | None,
+    per_tile_bytes: int,
+    num_workers: int,
+    has_processes: bool,
+    num_resolutions: int = 1,
+    num_tiles: int | None = None,
 ) -> MemoryPlan:
     """Return how many tiles to work on at a time, at most ``num_workers``.
 
@@ -104,13 +180,14 @@ def plan_memory(
       num_workers: wanted.
       has_processes: whether every worker is a process of its own, not a thread.
       num_resolutions: whose tiles are made one after the other.
+      num_tiles: that have maps; None if there are more than workers.
 
     Raises:
       InputError: not even one tile fits (or not all processes asked for do).
     """
     own = psutil.Process().memory_info().rss
     if ceiling_bytes is None:
-        ceiling_bytes = int(own + DEFAULT_SHARE * psutil.virtual_memory().available)
+        ceiling_bytes = int(own + DEFAULT_SHARE * free_bytes())
     programs = num_resolutions * PROGRAM_BYTES
     base = own if has_processes else own + COMPILING_BYTES + programs
     each = per_tile_bytes + (WORKER_BYTES + programs if has_processes else 0)
@@ -123,4 +200,5 @@ def plan_memory(
             f"{remedy}, a shorter [lidar] range_m, or fewer altitudes or epochs"
         )
     num = min(num_workers, fitting)
-    return MemoryPlan(ceiling_bytes, int(base + num * each), num)
+    at_once = num if has_processes or num_tiles is None else min(num, num_tiles)
+    return MemoryPlan(ceiling_bytes, int(base + at_once * each), num)

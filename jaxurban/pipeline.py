@@ -1,6 +1,5 @@
 """A scenario carried out: files in, metric maps and run.json out, resumable."""
 
-import json
 import os
 import shutil
 import time
@@ -13,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import dask.array
-import xarray as xr
 
 from jaxurban.build import block_layers_of, view_sky
 from jaxurban.city import City
@@ -23,6 +21,9 @@ from jaxurban.errors import InputError
 from jaxurban.grid import Grid
 from jaxurban.io import store
 from jaxurban.io.city import read_city
+from jaxurban.io.damage import open_whole
+from jaxurban.io.finished import broken_files, has_other_maps, prepare_folder, stored_key
+from jaxurban.io.geotiff import stale_geotiffs, write_geotiffs
 from jaxurban.io.rasterise import check_has_data, rasterise
 from jaxurban.io.workfolder import WorkFolder
 from jaxurban.layers import MapParams, empty_dataset, margin_of, with_series
@@ -30,14 +31,14 @@ from jaxurban.maps import MetricMaps
 from jaxurban.memory import MemoryPlan, detail_bytes, gib, plan_memory, shape_of_tiles, tile_bytes
 from jaxurban.metrics.availability import EpochTotals
 from jaxurban.metrics.gps import GpsParams
-from jaxurban.record import hash_inputs, run_key, run_record, warn_of_unknown_ground
+from jaxurban.record import hash_inputs, run_key, run_record, warn_of_unknown_ground, write_record
 from jaxurban.scenario import NOMINAL, Scenario
 from jaxurban.sky import Sky
-from jaxurban.tiled import TileJob
+from jaxurban.tiled import TileJob, unmark_damaged
 from jaxurban.tiles import Tiling
 from jaxurban.uncertainty import HeightStd
 
-SCRATCH_BYTES_PER_CELL = 12  # rasters of an unfinished run, and one plain GeoTIFF: the least disk that a run takes
+SCRATCH_BYTES_PER_CELL = 16  # rasters of an unfinished run, and one plain GeoTIFF: the least disk that a run takes
 
 
 @dataclass
@@ -124,6 +125,7 @@ def load_city(scenario: Scenario) -> City:
         level_height_m=scenario.buildings.level_height_m,
         mask_deg=scenario.gps.mask_deg,
         allow_none=scenario.buildings.allow_none,
+        kind=scenario.buildings.kind,
     )
 
 
@@ -163,7 +165,8 @@ def run_scenario(
 ) -> Run:
     """Make the maps of a scenario under ``folder`` and return them with the record of the run.
 
-    Finished resolutions, tiles and files of the same inputs are kept; nothing half-written is taken for finished.
+    Finished resolutions, tiles and files of the same inputs are kept, once all of them have been read; what is
+    damaged or missing is told and made anew, and nothing half-written is taken for finished.
 
     Args:
       scenario: the settings.
@@ -171,7 +174,7 @@ def run_scenario(
       on_stage: told what is being done.
       overwrite: replace maps of other settings.
       resources: what the run may use; left out, half of the free memory and a thread a core.
-      tell: told one sentence on size and memory before the work begins.
+      tell: told one sentence on size and memory before the work begins, and one for each damaged file.
 
     Raises:
       InputError: bad settings or sources, too little memory, or a folder that holds another job's maps.
@@ -199,28 +202,34 @@ def run_scenario(
             tell(_plan_sentence(grids, plan))
         # Nothing of an older job is touched before this one can begin.
         with store.only_writer(folder), _client(resources) as client:
-            prepare_folder(folder, key, grids)
-            maps = {
-                grid.resolution_m: _maps_of(
-                    Maker(city, grid, sky, params, folder, key, plan.num_workers, client), watch
-                ).with_obstacles(scenario.planning.obstacles)
+            prepare_folder(folder, key, [grid.resolution_m for grid in grids])
+            made = [
+                _maps_of(
+                    Maker(city, grid, sky, params, folder, key, plan.num_workers, client, tell or _say_nothing), watch
+                )
                 for grid, sky in zip(grids, skies, strict=True)
-            }
-    record = run_record(
-        scenario,
-        city,
-        grids,
-        skies[-1],
-        params.population,
-        inputs,
-        key,
-        watch.elapsed_s,
-        started_utc,
-        [str(item.message) for item in caught],
+            ]
+            record = run_record(
+                scenario,
+                city,
+                grids,
+                skies[-1],
+                params.population,
+                inputs,
+                key,
+                watch.elapsed_s,
+                started_utc,
+                [str(item.message) for item in caught],
+            )
+            record = write_record(folder / store.RUN_FILE, record, is_kept=not any(is_new for _, is_new in made))
+    rule = scenario.planning.obstacles
+    return Run(
+        {grid.resolution_m: maps.with_obstacles(rule) for grid, (maps, _) in zip(grids, made, strict=True)}, record
     )
-    with store.whole_file(folder / store.RUN_FILE) as scratch:
-        scratch.write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
-    return Run(maps, record)
+
+
+def _say_nothing(sentence: str) -> None:
+    pass
 
 
 def sky_of(scenario: Scenario, grid: Grid) -> Sky:
@@ -257,10 +266,11 @@ def _plan(
     Raises:
       InputError: it cannot, or the disk is too small.
     """
-    num_epochs, most_bytes = len(skies[0].times), 0
+    num_epochs, most_bytes, num_tiles = len(skies[0].times), 0, 1
     for grid, sky in zip(grids, skies, strict=True):
         shape = shape_of_tiles(grid.shape, params, num_epochs)
         tile = replace(grid, num_rows=shape[0], num_cols=shape[1])
+        num_tiles = max(num_tiles, -(-grid.num_rows // shape[0]) * -(-grid.num_cols // shape[1]))
         plain = tile_bytes(shape, grid.resolution_m, params, num_epochs, city.terrain is not None)
         most_bytes = max(most_bytes, plain + detail_bytes(margin_of(city, tile, sky, params), params))
     if resources.cluster is not None:  # the workers' machines are not ours to measure
@@ -271,6 +281,7 @@ def _plan(
         resources.num_processes or num_cores(),
         has_processes=resources.num_processes is not None,
         num_resolutions=len(grids),
+        num_tiles=num_tiles,
     )
     disk_bytes = SCRATCH_BYTES_PER_CELL * max(grid.num_rows * grid.num_cols for grid in grids)
     free_bytes = shutil.disk_usage(folder).free
@@ -304,12 +315,20 @@ class Maker:
     key: str
     num_workers: int
     client: Any
+    tell: Callable[[str], None] = _say_nothing
 
 
-def _maps_of(maker: Maker, watch: Stopwatch) -> MetricMaps:
-    """Return the maps at one resolution: those on disk if they are this job's, else made tile by tile."""
+def _maps_of(maker: Maker, watch: Stopwatch) -> tuple[MetricMaps, bool]:
+    """Return the maps at one resolution, and whether they were made: those on disk are kept if whole and this job's."""
     folder, resolution_m = maker.folder, maker.grid.resolution_m
-    if stored_key(folder, resolution_m) != maker.key:
+    with watch.stage("verify"):
+        broken = broken_files(folder, resolution_m, maker.num_workers)
+        is_kept = not broken and stored_key(folder, resolution_m) == maker.key
+    if broken:
+        others = f" (and {len(broken) - 1} more)" if len(broken) > 1 else ""
+        again = f"making the maps at {store.short_number(resolution_m)} m again"
+        maker.tell(f"{str(broken[0])!r}{others} is missing or damaged: {again}")
+    if not is_kept:
         began = time.perf_counter()
         seconds = make_zarr(maker, watch.tell)
         # Tiles are worked on side by side: a stage gets its share of the time that passed.
@@ -317,9 +336,13 @@ def _maps_of(maker: Maker, watch: Stopwatch) -> MetricMaps:
         for name, busy_s in seconds.items():
             watch.add(name, busy_s * scale)
     ds = store.open_zarr(folder, resolution_m)
+    with watch.stage("verify"):
+        stale = stale_geotiffs(ds, folder, maker.key, maker.num_workers)
+        for path in stale if is_kept else ():
+            maker.tell(f"{str(path)!r} is missing or damaged: writing it again")
     with watch.stage("write_geotiff"):
-        store.write_geotiffs(ds, folder, skip_key=maker.key, num_threads=maker.num_workers)
-    return MetricMaps(ds)
+        write_geotiffs(ds, folder, maker.key, maker.num_workers, only=stale)
+    return MetricMaps(ds), not is_kept
 
 
 def make_zarr(maker: Maker, tell: Callable[[str], None], shape: tuple[int, int] | None = None) -> dict[str, float]:
@@ -338,13 +361,15 @@ def make_zarr(maker: Maker, tell: Callable[[str], None], shape: tuple[int, int] 
     tiling = Tiling.over(grid, margin_of(city, grid, sky, params), shape)
     if city.roofs is not None or city.terrain is not None:
         check_has_data(rasterise(city, tiling.grid_of(tile)).has_data for tile in tiling.region_tiles)
-    work = WorkFolder(store.work_path(maker.folder, grid.resolution_m))
-    work.begin(f"{maker.key} {shape}")
+    work = WorkFolder(store.work_path(maker.folder.resolve(), grid.resolution_m))
+    damaged = work.begin(f"{maker.key} {shape}")
     people = block_layers_of(city, grid, params)
+    job = TileJob(work, tiling, sky, params, people, city)
+    for path in [*damaged, *unmark_damaged(job, maker.num_workers)]:
+        maker.tell(f"{str(path)!r} of the unfinished maps is damaged: making it again")
     if not work.zarr.exists():
         empty = empty_dataset(grid, sky, params, people, city.terrain is not None, city.attribution, _no_values)
         store.create_zarr(empty.assign_attrs(run_key=maker.key), work.zarr, shape)
-    job = TileJob(work, tiling, sky, params, people, city)
     seconds: dict[str, float] = {}
     totals, num_done = EpochTotals.zero(len(sky.times), len(params.altitudes_m)), 0
 
@@ -362,7 +387,7 @@ def make_zarr(maker: Maker, tell: Callable[[str], None], shape: tuple[int, int] 
     else:
         work_on_cluster(job, maker.client, take)
     if not params.gps.keeps_epochs(len(sky.times)):
-        made = with_series(xr.open_zarr(work.zarr, consolidated=False, chunks=None), totals)
+        made = with_series(open_whole(work.zarr), totals)
         store.add_to_zarr(made[["gps_epoch_mean", "gps_worst_time"]], work.zarr)
     work.finish(store.zarr_path(maker.folder, grid.resolution_m))
     return seconds
@@ -370,26 +395,3 @@ def make_zarr(maker: Maker, tell: Callable[[str], None], shape: tuple[int, int] 
 
 def _no_values(shape: tuple[int, ...], dtype: Any) -> dask.array.Array:
     return dask.array.zeros(shape, dtype=dtype, chunks=-1)
-
-
-def stored_key(folder: Path, resolution_m: float) -> str | None:
-    """Return the run key of the maps that lie under ``folder``, None without any."""
-    if resolution_m not in store.stored_resolutions(folder):
-        return None
-    try:
-        return store.open_zarr(folder, resolution_m).attrs.get("run_key")
-    except InputError:  # torn by something else: no maps of this job
-        return None
-
-
-def has_other_maps(folder: Path, key: str) -> bool:
-    """Return whether a folder holds maps of other settings or inputs."""
-    return any(stored_key(folder, resolution_m) != key for resolution_m in store.stored_resolutions(folder))
-
-
-def prepare_folder(folder: Path, key: str, grids: list[Grid]) -> None:
-    """Make the output folder ready: remove another job's maps, sweep what a killed run left but for its tiles."""
-    unfinished = [grid.resolution_m for grid in grids if stored_key(folder, grid.resolution_m) != key]
-    store.sweep_scraps(folder, keep=[store.work_path(folder, resolution_m) for resolution_m in unfinished])
-    if has_other_maps(folder, key):
-        store.remove_maps(folder)

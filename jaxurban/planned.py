@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxurban.ground import Ground
 from jaxurban.planners.base import Path, Status
 
 
@@ -24,10 +25,11 @@ class PlannedPath:
       length_m: length of the path.
       metrics: mean of each metric m along the path, weighted by length, by name.
       snap_distance_m: how far start and goal were moved to the centres of their cells (or, with
-        ``snap``, out of an obstacle).
+        ``snap``, of the nearest free cells; the message tells which of them).
       search: what the planner itself reported: bound, expansions, time, heuristic, backend, note.
       settings: planner, weights, cost model, objective and the like, for the record.
       crs: CRS of ``xy_m``.
+      ground: the ground under the path; None without a path, or over maps without terrain.
     """
 
     status: Status
@@ -43,6 +45,7 @@ class PlannedPath:
     search: Path
     settings: Mapping[str, Any]
     crs: str
+    ground: Ground | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything but the points' arrays as plain, JSON-ready values (None for no number)."""

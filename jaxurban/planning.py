@@ -4,7 +4,7 @@ from jaxurban.cost import Weights
 from jaxurban.limits import Limits
 from jaxurban.maps import MetricMaps
 from jaxurban.planned import PlannedPath
-from jaxurban.planners.base import CostModel, Diagonal
+from jaxurban.planners.base import CostKind, CostModel
 from jaxurban.planners.registry import find_planner
 from jaxurban.weighted import Point, weigh
 
@@ -21,15 +21,12 @@ def plan(
     planner: str = "astar-plus",
     heuristic: str | None = None,
     objective: str = "weighted",
-    cost_model: CostModel = "cell",
+    cost_model: CostModel | CostKind = "cell",
     time: str | None = None,
     time_of_day: str | None = None,
-    connectivity: int = 8,
-    diagonal: Diagonal = "both-free",
-    reference_length_m: float = 5.0,
     budget_s: float = 180.0,
     seed: int = 0,
-    snap: bool = False,
+    snap: bool | float = False,
     refine: bool = False,
     limits: Limits | None = None,
 ) -> PlannedPath:
@@ -47,14 +44,14 @@ def plan(
       planner: ``"ptp"``, ``"astar-dist"``, ``"astar-plus"`` ...
       heuristic: left out, the planner's own.
       objective: ``"weighted"``, or ``"distance"`` for the shortest path (its weighted cost is reported).
-      cost_model: ``"cell"`` (the paper) or ``"line"``.
+      cost_model: how steps are charged and which are allowed, or its kind alone: ``"cell"`` (the paper) or
+        ``"line"``.
       time: epoch of the GPS map; the first if left out.
       time_of_day: of the population map; the first if left out.
-      connectivity, diagonal: neighbours of the grid planners.
-      reference_length_m: l_0 of the line model.
       budget_s: seconds that the search may take.
       seed: for sampling planners.
-      snap: move a start or goal inside an obstacle or closed by a limit to the nearest free cell instead of failing.
+      snap: move a start or goal inside an obstacle or closed by a limit to the nearest free cell instead of failing:
+        True by at most 50 m, a number by at most so many metres. The path's message says how far.
       refine: move the waypoints of what the planner found downhill, off the grid (`planners.refine`); within what
         is left of the budget. It takes the ``line`` cost model, or the ``distance`` objective.
       limits: no-fly zones and bounds on maps, from `Limits.read`; no path enters a cell that they close.
@@ -72,9 +69,6 @@ def plan(
         cost_model=cost_model,
         time=time,
         time_of_day=time_of_day,
-        connectivity=connectivity,
-        diagonal=diagonal,
-        reference_length_m=reference_length_m,
         limits=limits,
     )
     return weighted.plan(

@@ -18,8 +18,10 @@ import shapely
 from jaxurban.city import City
 from jaxurban.errors import InputError
 from jaxurban.grid import Grid
+from jaxurban.io import seal
+from jaxurban.io.knownarea import rays_leaving
 from jaxurban.io.rasterise import highest_top_m
-from jaxurban.io.store import short_number
+from jaxurban.io.store import short_number, whole_file
 from jaxurban.metrics.population import PopulationParams, population_totals
 from jaxurban.scenario import NOMINAL, Scenario
 from jaxurban.sky import Sky
@@ -75,6 +77,28 @@ def run_record(
         "population": people,
         "warnings": list(dict.fromkeys(messages)),
     }
+
+
+def write_record(file: Path, record: dict[str, Any], is_kept: bool) -> dict[str, Any]:
+    """Write run.json, unless it says the same already, and return what it holds.
+
+    Args:
+      file: run.json.
+      record: from `run_record`.
+      is_kept: whether nothing was made: times and warnings then stay those of the run that made the maps.
+    """
+    try:
+        held = seal.read_json(file)
+    except (OSError, ValueError):
+        held = {}
+    record = json.loads(json.dumps(record))
+    if is_kept and held.get("run_key") == record["run_key"]:
+        record |= {name: held[name] for name in ("started_utc", "elapsed_s")}
+        record["warnings"] = list(dict.fromkeys([*held["warnings"], *record["warnings"]]))
+    if record != held:
+        with whole_file(file) as scratch:
+            seal.write_json(scratch, record, indent=2)
+    return record
 
 
 def hash_inputs(scenario: Scenario) -> dict[str, dict[str, str]]:
@@ -160,21 +184,17 @@ def versions() -> dict[str, str]:
 
 def rays_leaving_share(city: City, region: Grid, sky: Sky, altitude_m: float, mask_deg: float) -> float:
     """Return the share of cells with a ray that leaves the data while a roof could still block it."""
-    x_min, y_min, x_max, y_max = city.known_extent_m
     climb_m = max(highest_top_m(city) - altitude_m, 0.0)
     above = sky.elevation_rad >= np.radians(mask_deg)
-    # A ray leaves sideways or lengthways, by a run that is the same for all cells: the extremes decide.
     run_m = climb_m / np.tan(sky.elevation_rad[above])
     east_m, north_m = run_m * np.sin(sky.azimuth_rad[above]), run_m * np.cos(sky.azimuth_rad[above])
-    col_leaves = (region.x_m + east_m.min() < x_min) | (region.x_m + east_m.max() > x_max)
-    row_leaves = (region.y_m + north_m.min() < y_min) | (region.y_m + north_m.max() > y_max)
-    return float(1.0 - (1.0 - row_leaves.mean()) * (1.0 - col_leaves.mean()))
+    return float(rays_leaving(city, region, east_m, north_m).any(axis=1).mean())
 
 
 def outside_share(city: City, region: Grid) -> float:
     """Return the share of the region that lies beyond what the building source covers."""
-    covered = shapely.intersection(shapely.box(*region.bounds_m), shapely.box(*city.extent_m))
-    return 1.0 - float(covered.area) / float(shapely.box(*region.bounds_m).area)
+    whole = shapely.box(*region.bounds_m)
+    return 1.0 - float(shapely.intersection(whole, city.known_area).area) / float(whole.area)
 
 
 def warn_of_unknown_ground(city: City, region: Grid) -> None:

@@ -13,12 +13,15 @@ from jaxurban.errors import InputError
 from jaxurban.maps import MetricMaps
 from jaxurban.metrics.population import M2_PER_KM2
 from jaxurban.planned import PlannedPath
+from jaxurban.planners.base import CostModel
 from jaxurban.route_pieces import Pieces, cut_evenly, cut_route, nearest_level_m, nearest_wall_m
 
 FEWEST_SATELLITES = 4  # below, no position fix
 SECONDS_PER_HOUR = 3600.0
-EXTRA_MAPS = {"num_visible": "num_visible", "density": "density_per_km2", "roof": "roof_m", "terrain": "terrain_m"}
-WALL = "nearest_wall_m"
+VISIBLE = "num_visible"
+EXTRA_MAPS = {VISIBLE: VISIBLE, "density": "density_per_km2", "terrain": "terrain_m"}
+TOUCHED = "roof_touched"
+WALL, OUTSIDE, OVER_ROOF = "nearest_wall_m", "walls_outside_m", "least_over_roofs_m"
 UNITS = {"_m": "m", "_s": "s", "_wh": "Wh"}  # by the end of a name
 SEGMENT_HEADS = {  # what a terminal has room for; `RouteReport.segments` has more
     "from_m": "from m",
@@ -47,12 +50,14 @@ class RouteReport:
     Attributes:
       totals: of the whole route: ``length_m``, ``cost`` and ``cost_of_*`` (distance and each metric),
         ``mean_*`` of each metric m (over the length), ``people_overflown`` (see `explain`),
-        ``under_4_satellites_m`` (length with no position fix), ``nearest_wall_m``, ``time_s``, ``energy_wh``.
+        ``under_4_satellites_m`` (length with no position fix), ``nearest_wall_m``, ``walls_outside_m`` (see
+        `explain`), ``least_over_roofs_m`` (above the roofs beneath; NaN over none), ``time_s``, ``energy_wh``.
         What the maps or the arguments do not tell is left out.
       segments: a row for each of a few stretches of nearly equal length: the same, ``from_m`` and ``to_m`` along
         the route, and ``min_*`` and ``max_*`` of each metric. The sums of costs, lengths and people are the totals.
-      extremes: a row for each metric, the satellites in view, people per km2 and the nearest wall: ``mean``,
-        ``min`` and ``max``, and where along the route (``*_at_m``) and on the map (``*_lon``, ``*_lat``) they are.
+      extremes: a row for each metric, the satellites in view, people per km2 and the nearest wall: ``mean`` over
+        the length (of the satellites, a whole number, the ``median`` instead), ``min`` and ``max``, and where along
+        the route (``*_at_m``) and on the map (``*_lon``, ``*_lat``) they are.
       profile: a row for each piece of the route within one cell, in order: ``from_m`` and ``to_m``, the
         middle's ``lon``, ``lat`` and ``z_m``, and the value of every map.
       lines: longitude and latitude ``[K, 2]`` of each segment.
@@ -71,7 +76,9 @@ class RouteReport:
         return {
             **_plain(self.settings),
             **_plain(self.totals),
-            "extremes": {str(name): _plain(row) for name, row in self.extremes.to_dict("index").items()},
+            "extremes": {
+                str(name): _plain_extremes(str(name), row) for name, row in self.extremes.to_dict("index").items()
+            },
             "segments": [{"segment": number, **_plain(row)} for number, row in self.segments.to_dict("index").items()],
         }
 
@@ -91,7 +98,8 @@ class RouteReport:
         yield f"{'along the route':<18}{'mean':>10}{'min':>10}{'at m':>9}{'max':>10}{'at m':>9}"
         for name, row in self.extremes.iterrows():
             ends = "".join(f"{_short(row[end]):>10}{row[f'{end}_at_m']:>9,.0f}" for end in ("min", "max"))
-            yield f"{name!s:<18}{_short(row['mean']):>10}{ends}"
+            middle = f"median {row['median']:.0f}" if name == VISIBLE else _short(row["mean"])
+            yield f"{name!s:<18}{middle:>10}{ends}"
 
     def _segments(self) -> Iterator[str]:
         shown = {name: head for name, head in SEGMENT_HEADS.items() if name in self.segments}
@@ -115,8 +123,10 @@ def explain(
     ``swath_m`` over the length on the ground, where the strip is taken to be as dense as the cell that the
     route crosses. Who lives under two passes counts twice. Time is length / speed, energy time x power: no wind,
     no acceleration, the same power in climb and descent. The nearest wall is the exact distance from the route
-    to the square of the nearest cell with a roof at the route's altitude (see `nearest_wall_m`). Where a
-    route climbs, each piece takes the maps of the level nearest to it, as the planner did.
+    to the square of the nearest cell with a roof at the route's altitude (see `nearest_wall_m`); of the highest roof
+    that touches a cell, where the maps hold it, so that 0 is contact. What stands outside the region they do not
+    hold, but risk was made with it: ``walls_outside_m`` is how far at least the walls out there are. Where a
+    route climbs, each piece takes the maps of the level nearest to it, as the planner did; of satellites, that below.
 
     Args:
       planned: from `plan`; its settings tell weights, cost model, epoch and time of day.
@@ -134,7 +144,7 @@ def explain(
     grid = maps.grid
     pieces = cut_route(planned.xy_m - [grid.x_min_m, grid.y_min_m], planned.z_m, grid.resolution_m)
     levels = _Levels(planned, maps)
-    profile = _profile(levels, maps, pieces)
+    profile = _profile(levels, maps, pieces, {name: name for name in maps.metrics} | EXTRA_MAPS)
     step_costs = _step_costs(levels, maps, pieces)
     segment = cut_evenly(pieces.states, num_segments)
     rows = _Rows(profile, pieces.ground_m, maps.metrics, speed_m_s, power_w, swath_m)
@@ -159,6 +169,23 @@ def explain(
         lines=tuple(lines),
         settings={"swath_m": swath_m, "speed_m_s": speed_m_s, "power_w": power_w},
     )
+
+
+def cautious_profile(planned: PlannedPath, maps: MetricMaps) -> pd.DataFrame:
+    """Return the profile of a report without metrics and people: satellites, roofs, walls (errors as in `explain`)."""
+    _check_path(planned, maps, 1)
+    grid = maps.grid
+    pieces = cut_route(planned.xy_m - [grid.x_min_m, grid.y_min_m], planned.z_m, grid.resolution_m)
+    return _profile(_Levels(planned, maps), maps, pieces, {VISIBLE: VISIBLE})
+
+
+def without_fix(profile: pd.DataFrame) -> list[tuple[float, float]]:
+    """Return begin and end along the route of each stretch with too few satellites for a fix, metres."""
+    if VISIBLE not in profile:
+        return []
+    is_short = np.concatenate([[False], profile[VISIBLE] < FEWEST_SATELLITES, [False]])
+    changes = np.flatnonzero(is_short[1:] != is_short[:-1]).reshape(-1, 2)
+    return [(float(profile["from_m"].iloc[a]), float(profile["to_m"].iloc[b - 1])) for a, b in changes]
 
 
 def check_flight(speed_m_s: float | None = None, power_w: float | None = None, swath_m: float = 10.0) -> None:
@@ -201,8 +228,15 @@ class _Levels:
             values[here] = self._map(name, float(z_m), (row[here], col[here]))
         return values
 
+    @property
+    def roofs(self) -> str:
+        """The variable of roofs: the highest that touches a cell where the maps hold it, else that at its middle."""
+        return TOUCHED if TOUCHED in self.maps.ds else "roof"
+
     def is_obstacle(self, z_m: float) -> np.ndarray:
         """Return ``[Y, X]`` bool: a roof reaches a level."""
+        if self.roofs == TOUCHED:
+            return self.maps.m(TOUCHED) >= z_m
         return self.maps.m("obstacle", z_m) == 1 if z_m in self.maps.altitudes_m else self.maps.m("roof") >= z_m
 
     def _map(self, name: str, z_m: float, cells: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
@@ -220,19 +254,25 @@ class _Levels:
         low_m = max(altitude_m for altitude_m in maps.altitudes_m if altitude_m < z_m)
         high_m = min(altitude_m for altitude_m in maps.altitudes_m if altitude_m > z_m)
         share = (z_m - low_m) / (high_m - low_m)
-        return np.where(maps.is_free(low_m, "centre")[cells], (1 - share) * at(low_m) + share * at(high_m), at(high_m))
+        # Satellites are whole; the lower map's are in view above it too.
+        between = at(low_m) if name == VISIBLE else (1 - share) * at(low_m) + share * at(high_m)
+        return np.where(maps.is_free(low_m, "centre")[cells], between, at(high_m))
 
 
-def _profile(levels: _Levels, maps: MetricMaps, pieces: Pieces) -> pd.DataFrame:
+def _profile(levels: _Levels, maps: MetricMaps, pieces: Pieces, shown: Mapping[str, str]) -> pd.DataFrame:
     grid, middle = maps.grid, pieces.middle
     lon, lat = grid.lonlat_of_xy(middle[:, 0] + grid.x_min_m, middle[:, 1] + grid.y_min_m)
     to_m = np.cumsum(pieces.length_m)
     columns = {"from_m": to_m - pieces.length_m, "to_m": to_m, "lon": lon, "lat": lat, "z_m": middle[:, 2]}
     level_m = levels.of(middle[:, 2])
-    shown = {name: name for name in maps.metrics} | EXTRA_MAPS
-    for name, column in shown.items():
+    for name, column in {**shown, levels.roofs: "roof_m"}.items():
         if maps.variable(name) in maps.ds:
             columns[column] = levels.sample(name, level_m, pieces.row, pieces.col)
+    if VISIBLE in columns:
+        columns[VISIBLE] = columns[VISIBLE].astype(int)
+    is_over = columns["roof_m"] > 0
+    columns[OVER_ROOF] = np.where(is_over, pieces.ends[:, :, 2].min(axis=1) - columns["roof_m"], np.nan)
+    columns[OUTSIDE] = _walls_outside_m(levels, maps, pieces, level_m)
     columns[WALL] = np.empty(len(level_m))
     for z_m in np.unique(level_m):
         lines = pieces.ends[level_m == z_m, :, :2]
@@ -240,14 +280,31 @@ def _profile(levels: _Levels, maps: MetricMaps, pieces: Pieces) -> pd.DataFrame:
     return pd.DataFrame(columns)
 
 
+def _walls_outside_m(levels: _Levels, maps: MetricMaps, pieces: Pieces, level_m: np.ndarray) -> np.ndarray:
+    """Return ``[M]`` how far at least each piece is from the walls outside the region.
+
+    They stand beyond its border; and, since the risk metric counts them up to its threshold and measures between
+    the middles of cells, at least its distance less two half diagonals away.
+    """
+    grid = maps.grid
+    side_m = np.array([grid.num_cols, grid.num_rows]) * grid.resolution_m
+    border_m = np.minimum(pieces.ends[:, :, :2], side_m - pieces.ends[:, :, :2]).min(axis=(1, 2))
+    if "risk_threshold_m" not in maps.ds.attrs or "risk" not in maps.ds:
+        return border_m
+    below_m = np.sort(maps.altitudes_m)[np.searchsorted(np.sort(maps.altitudes_m), level_m, side="right") - 1]
+    risk = levels.sample("risk", below_m, pieces.row, pieces.col)  # between two maps, the lower one has all walls
+    return np.maximum(border_m, risk * maps.ds.attrs["risk_threshold_m"] - math.sqrt(2) * grid.resolution_m)
+
+
 def _step_costs(levels: _Levels, maps: MetricMaps, pieces: Pieces) -> dict[str, np.ndarray]:
     """Return ``[S]`` what distance, each metric and climbing charge for every step, as the planners do."""
     settings, num_steps = levels.planned.settings, len(pieces.states) - 1
     moved_m = np.diff(pieces.states, axis=0)
     costs = {"distance": settings["weights"]["distance"] * np.linalg.norm(moved_m, axis=1)}
-    if settings["cost_model"] == "line":
+    model = CostModel.from_settings(settings)
+    if model.kind == "line":
         charged = np.full(len(pieces.step), num_steps > 0)
-        z_m, share = pieces.middle[charged, 2], pieces.length_m[charged] / settings["reference_length_m"]
+        z_m, share = pieces.middle[charged, 2], pieces.length_m[charged] / model.reference_length_m
     else:
         charged = np.append(pieces.step[1:] != pieces.step[:-1], num_steps > 0)  # the cell in which a step ends
         z_m, share = pieces.states[1:, 2][pieces.step[charged]], np.ones(charged.sum())
@@ -284,9 +341,9 @@ class _Rows:
         row |= {f"mean_{name}": mean_along(part[name].to_numpy(), length_m) for name in self.metrics}
         if "density_per_km2" in part:
             row["people_overflown"] = float(part["density_per_km2"].to_numpy() @ ground_m) * self.swath_m / M2_PER_KM2
-        if "num_visible" in part:
-            row["under_4_satellites_m"] = float(length_m[part["num_visible"] < FEWEST_SATELLITES].sum())
-        row[WALL] = float(part[WALL].min())
+        if VISIBLE in part:
+            row["under_4_satellites_m"] = float(length_m[part[VISIBLE] < FEWEST_SATELLITES].sum())
+        row |= {name: float(part[name].min()) for name in (WALL, OUTSIDE, OVER_ROOF)}
         if self.speed_m_s is not None:
             row["time_s"] = total_m / self.speed_m_s
             if self.power_w is not None:
@@ -305,13 +362,22 @@ def mean_along(values: np.ndarray, length_m: np.ndarray) -> float:
     return float(values @ weights / weights.sum()) if len(values) else math.nan
 
 
+def _median_along(values: np.ndarray, length_m: np.ndarray) -> float:
+    """Return the value that at least half of the length does not exceed; one of the values."""
+    order = np.argsort(values)
+    done_m = np.cumsum(length_m[order])
+    return values[order][np.searchsorted(done_m, done_m[-1] / 2)]
+
+
 def _extremes(profile: pd.DataFrame, metrics: tuple[str, ...]) -> pd.DataFrame:
-    names = [name for name in (*metrics, "num_visible", "density_per_km2", WALL) if name in profile]
+    names = [name for name in (*metrics, VISIBLE, "density_per_km2", WALL) if name in profile]
     length_m = (profile["to_m"] - profile["from_m"]).to_numpy()
     rows = {}
     for name in names:
         values = profile[name].to_numpy()
-        rows[name] = {"mean": mean_along(values, length_m)}
+        is_count = name == VISIBLE
+        rows[name] = {"mean": math.nan if is_count else mean_along(values, length_m)}
+        rows[name] |= {"median": float(_median_along(values, length_m)) if is_count else math.nan}
         for end, place in (("min", np.argmin(values)), ("max", np.argmax(values))):
             at = profile.iloc[place]
             rows[name] |= {end: values[place], f"{end}_at_m": (at["from_m"] + at["to_m"]) / 2}
@@ -322,6 +388,12 @@ def _extremes(profile: pd.DataFrame, metrics: tuple[str, ...]) -> pd.DataFrame:
 def _plain(values: Mapping[Any, Any]) -> dict[str, float | None]:
     """Return numbers as JSON takes them: None for none, and for no number."""
     return {str(key): None if v is None or not math.isfinite(v) else float(v) for key, v in values.items()}
+
+
+def _plain_extremes(name: str, row: Mapping[Any, Any]) -> dict[str, float | None]:
+    """Return a row of extremes: satellites as whole numbers with their median, all else with its mean."""
+    plain = _plain({key: value for key, value in row.items() if key != ("mean" if name == VISIBLE else "median")})
+    return plain | ({key: int(row[key]) for key in ("median", "min", "max")} if name == VISIBLE else {})
 
 
 def _short(value: float) -> str:

@@ -116,6 +116,7 @@ class BuildingSettings(_Section):
     """Where buildings come from, what stands in for missing heights, and how well heights are known."""
 
     source: str
+    kind: Literal["height", "surface"] = "height"  # of a raster: above ground, or a surface model, above sea level
     default_height_m: Positive = 10.0
     level_height_m: Positive = 3.0
     all_touched: bool = False

@@ -8,6 +8,8 @@ import pandas as pd
 
 from jaxurban.io.store import check_writable, whole_file
 from jaxurban.io.tables import write_tables
+from jaxurban.limits import limits_said
+from jaxurban.planners.base import CostModel
 from jaxurban.plotting.files import write_png
 from jaxurban.plotting.sensitivity import LABELS, sensitivity_figures
 from jaxurban.studies.outcomes import UNITS
@@ -145,7 +147,8 @@ def _route(found: Sensitivity) -> str:
         f"{route.altitude_m:g} m above ground",
         *([settings["time_of_day"]] if settings["time_of_day"] else []),
         f"{settings['resolution_m']:g} m cells",
-        f"cost model `{settings['cost_model']}`",
+        f"cost model {CostModel.from_settings(settings)}",
+        *([f"limits: {said}"] if (said := limits_said(settings["limits"])) else []),
     ]
     rows = [
         (name, f"{row.weight:g}", f"{row.gradient:.4g}", f"{row.elasticity:.1%}")

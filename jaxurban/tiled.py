@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -14,13 +15,12 @@ import numpy as np
 from jaxurban.city import City
 from jaxurban.detail import RegionDetail
 from jaxurban.grid import Grid
+from jaxurban.io.damage import broken_chunks, has_whole_metadata
 from jaxurban.io.rasterise import rasterise, rasterise_blocks
 from jaxurban.io.store import write_layer
 from jaxurban.io.workfolder import WorkFolder
-from jaxurban.kernels.distance import window_cells
-from jaxurban.kernels.lidar import num_steps
 from jaxurban.kernels.occlusion import Ring, digital_line, hand_on
-from jaxurban.layers import MapParams, make_layers, margin_of
+from jaxurban.layers import MapParams, halo_cells, make_layers, margin_of
 from jaxurban.metrics.availability import EpochTotals
 from jaxurban.metrics.gps import visibility
 from jaxurban.metrics.population import BlockLayers
@@ -45,12 +45,6 @@ class Timer:
             yield
         finally:
             self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - began
-
-
-def halo_cells(resolution_m: float, params: MapParams) -> int:
-    """Return how many cells around a tile its lidar and risk maps look at."""
-    steps = num_steps(resolution_m, params.lidar.range_m)
-    return max(steps - 1, window_cells(params.risk.threshold_m, resolution_m))
 
 
 @dataclass(frozen=True)
@@ -97,6 +91,26 @@ class TileJob:
 def _name(kind: str, tile: Tile, quadrant: Quadrant | None = None) -> str:
     side = "" if quadrant is None else ("_n" if quadrant[0] > 0 else "_s") + ("e" if quadrant[1] > 0 else "w")
     return f"{kind}_{tile[0]}_{tile[1]}{side}"
+
+
+def unmark_damaged(job: TileJob, num_threads: int) -> list[Path]:
+    """Return what is damaged of the finished tiles that an earlier run left, and make them unfinished."""
+    path, tiles = job.work.zarr, {tile: _name("tile", tile) for tile in job.tiling.region_tiles}
+    if not path.exists():
+        job.work.unmark(tiles.values())
+        return []
+    if not has_whole_metadata(path):
+        job.work.remove_maps(tiles.values())
+        return [path / "zarr.json"]
+    broken = broken_chunks(path, num_threads)
+    if lost := [chunk.file for chunk in broken if len(chunk.place) < 2]:  # coordinates
+        job.work.remove_maps(tiles.values())
+        return lost
+    row, col = job.tiling.first
+    at = {(chunk.place[-2] + row, chunk.place[-1] + col): chunk.file for chunk in broken}
+    done = {tile: name for tile, name in tiles.items() if tile in at and job.work.done(name) is not None}
+    job.work.unmark(done.values())
+    return [at[tile] for tile in done]
 
 
 def raster_tile(job: TileJob, tile: Tile) -> dict[str, Seconds]:

@@ -48,7 +48,7 @@ class TuneSettings:
       resolution_m: of the maps; needed where a folder holds several.
       obstacles: where routes may fly (see `jaxurban.maps.MetricMaps`).
       altitude_m, time, time_of_day: of every route; left out, the routes' own.
-      maps: further settings of `read_examples`: metrics, cost_model ...
+      maps: further settings of `read_examples`: metrics, cost_model, limits ...
       wishes: fit to these, instead of to the routes.
       fit: further settings of `fit_weights` or `fit_targets`.
     """

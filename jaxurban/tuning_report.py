@@ -38,7 +38,7 @@ class Asked:
 
 def weight_units(unit: WeightedMap) -> dict[str, str]:
     """Return the unit of each weight on a map."""
-    per = "cell entered" if unit.cost_model == "cell" else f"{unit.reference_length_m:g} m flown"
+    per = "cell entered" if unit.cost_model.kind == "cell" else f"{unit.cost_model.reference_length_m:g} m flown"
     return {"distance": "per metre"} | dict.fromkeys(unit.names, f"per {per}")
 
 
@@ -51,8 +51,8 @@ def weights_toml(fit: WeightFit | TargetFit, unit: WeightedMap) -> str:
     """Return a [weights] table for a scenario, with how to use it as comments."""
     lines = [
         "# Weights fitted by `jaxurban tune`; report.md says how sure they are. Paste the table into a scenario.",
-        f"# They belong to the cost model {unit.cost_model!r}{_where(unit)}: plan with",
-        f"#   --cost-model {unit.cost_model} --weights {weights_option(fit.weights)}",
+        f"# They belong to the cost model {unit.cost_model.kind!r}{_where(unit)}: plan with",
+        f"#   --cost-model {unit.cost_model.kind} --weights {weights_option(fit.weights)}",
         "[weights]",
         *(f"{name} = {_toml_number(value)}" for name, value in asdict(fit.weights).items()),
     ]
@@ -65,11 +65,11 @@ def _toml_number(value: float) -> str:
 
 
 def _where(unit: WeightedMap) -> str:
-    if unit.cost_model == "cell":
+    if unit.cost_model.kind == "cell":
         return (
             f" on cells of {unit.grid.resolution_m:g} m (a step is charged by the cell, so other sizes need other ones)"
         )
-    return f" with a reference length of {unit.reference_length_m:g} m"
+    return f" with a reference length of {unit.cost_model.reference_length_m:g} m"
 
 
 def imitation_report(fit: WeightFit, comparison: Comparison, asked: Asked) -> str:
@@ -211,9 +211,10 @@ def _setting(comparison: Comparison, names: Sequence[str]) -> str:
     )
     cells = ", ".join(f"{value:g}" for value in sorted({unit.grid.resolution_m for unit in units}))
     first = next(iter(units))
+    limits = f" Limits: {first.limits}." if first.limits else ""
     return (
-        f"Weights fitted: {', '.join(names)}. Cost model: `{first.cost_model}` on cells of {cells} m. Altitudes and "
-        f"times: {flown}."
+        f"Weights fitted: {', '.join(names)}. Cost model: {first.cost_model} on cells of {cells} m.{limits} Altitudes "
+        f"and times: {flown}."
     )
 
 
@@ -231,8 +232,8 @@ def _use(fit: WeightFit | TargetFit, unit: WeightedMap) -> str:
     return (
         "## How to use the weights\n\n`weights.toml` holds a `[weights]` table to paste into a scenario. On the "
         f"command line:\n\n```sh\njaxurban plan DIR --start LON,LAT --goal LON,LAT --altitude {unit.altitude_m:g} \\\n"
-        f"    --cost-model {unit.cost_model} --weights {weights_option(fit.weights)}\n```\n\nThey belong to the cost "
-        f"model `{unit.cost_model}`{_where(unit)}."
+        f"    --cost-model {unit.cost_model.kind} --weights {weights_option(fit.weights)}\n```\n\nThey belong to the "
+        f"cost model `{unit.cost_model.kind}`{_where(unit)}."
     )
 
 

@@ -15,11 +15,12 @@ from jaxurban.limits import Limits
 from jaxurban.maps import MetricMaps
 from jaxurban.memory import gib
 from jaxurban.planned import PlannedPath
-from jaxurban.planners.base import Cell, CostModel, Diagonal, Status
+from jaxurban.planners.base import Cell, CostKind, CostModel, Status
 from jaxurban.planners.volume import Node, VolumeCost, VolumeProblem, charge
 from jaxurban.planners.volume_astar import volume_astar
 from jaxurban.reachability import CENTRE_REMEDY, joined_sentence
-from jaxurban.weighted import Place, Point, WeightedMap, weigh
+from jaxurban.snapping import Place, free_place
+from jaxurban.weighted import Point, WeightedMap, weigh
 
 NODE_BYTES = 48  # of a volume and a search that visits all of it; 37 measured over Lower Manhattan (docs/volume.md)
 
@@ -56,7 +57,7 @@ class WeightedVolume:
         goal_altitude_m: float | None = None,
         heuristic: str = "plus",
         budget_s: float = 180.0,
-        snap: bool = False,
+        snap: bool | float = False,
     ) -> PlannedPath:
         """Return a path between two places (arguments and errors as in `plan_volume`)."""
         ends = (
@@ -87,12 +88,12 @@ class WeightedVolume:
         return self._charged(planned, charge(problem, found.points_m)) if found.status.has_path else planned
 
     def _locate(
-        self, name: str, lonlat: Point | None, xy_m: Point | None, altitude_m: float | None, snap: bool
+        self, name: str, lonlat: Point | None, xy_m: Point | None, altitude_m: float | None, snap: bool | float
     ) -> tuple[Node, Place]:
         """Return the node of a place and how far it lies from it."""
         levels_m, is_free = self.problem.levels_m, self.problem.is_free
-        place = self.flat.locate(name, lonlat, xy_m)
-        free = np.flatnonzero(is_free[(slice(None), *place.cell)])
+        place_xy_m, cell = self.flat.cell_of(name, lonlat, xy_m)
+        free = np.flatnonzero(is_free[(slice(None), *cell)])
         if altitude_m is None:
             level = int(free[0]) if free.size else 0
         else:
@@ -101,13 +102,11 @@ class WeightedVolume:
                 raise InputError(
                     f"{name} altitude {altitude_m:g} m is none of the levels {listed(levels_m)} m: choose one of them"
                 )
-        if not is_free[(level, *place.cell)]:
-            if not snap:
-                raise InputError(
-                    f"{name} is {self._why_closed(level, free, place.cell)}, or pass --snap "
-                    "(snap=True) to move to the nearest free cell"
-                )
-            place = replace(self.flat, is_free=is_free[level]).locate(name, lonlat, xy_m, snap=True)
+        why = "" if is_free[(level, *cell)] else self._why_closed(level, free, cell)
+        remedy = "fly at another level, or loosen the limits" if self.limits else "fly at another level"
+        place = free_place(
+            name, place_xy_m, cell, is_free[level], self.flat.grid, snap=snap, why_closed=why, remedy=remedy
+        )
         return (level, *place.cell), place
 
     def _why_closed(self, level: int, free: np.ndarray, cell: Cell) -> str:
@@ -117,12 +116,10 @@ class WeightedVolume:
         closing = self.limits.reasons(maps, float(levels_m[level]), cell, *times) if self.limits else []
         where = f"closed by {' and '.join(closing)}" if closing else "inside an obstacle (or where there are no data)"
         if free.size:
-            return (
-                f"{where} at {levels_m[level]:g} m; the lowest free level there is {levels_m[free[0]]:g} m: fly there"
-            )
+            return f"{where} at {levels_m[level]:g} m; the lowest free level there is {levels_m[free[0]]:g} m"
         higher = [z for z in sorted(maps.altitudes_m) if z > levels_m[-1] and maps.is_free(z)[cell]]
-        remedy = f"the lowest free altitude there is {higher[0]:g} m: raise" if higher else "raise"
-        return f"{where} at every level from {levels_m[0]:g} to {levels_m[-1]:g} m; {remedy} max_altitude_m"
+        above = f"; the lowest free altitude there is {higher[0]:g} m (raise max_altitude_m)" if higher else ""
+        return f"{where} at every level from {levels_m[0]:g} to {levels_m[-1]:g} m{above}"
 
     def _what_would_join(self, problem: VolumeProblem) -> str:
         """Return a sentence on what would join two nodes that nothing joins (cuts of corners left aside)."""
@@ -173,12 +170,9 @@ def weigh_volume(
     descent_cost: float = 0.0,
     weights: Weights | None = None,
     objective: str = "weighted",
-    cost_model: CostModel = "cell",
+    cost_model: CostModel | CostKind = "cell",
     time: str | None = None,
     time_of_day: str | None = None,
-    connectivity: int = 8,
-    diagonal: Diagonal = "both-free",
-    reference_length_m: float = 5.0,
     limits: Limits | None = None,
 ) -> WeightedVolume:
     """Return the maps of several altitudes as a volume, in which any number of paths can be planned.
@@ -198,9 +192,6 @@ def weigh_volume(
         cost_model=cost_model,
         time=time,
         time_of_day=time_of_day,
-        connectivity=connectivity,
-        diagonal=diagonal,
-        reference_length_m=reference_length_m,
     )
     weights = flat.weights
     climb_cost = float(weights.distance) if climb_cost is None else float(climb_cost)
@@ -233,10 +224,7 @@ def weigh_volume(
         distance_weight=float(weights.distance) if is_weighed else 1.0,
         climb_cost=climb_cost if is_weighed else 0.0,
         descent_cost=float(descent_cost) if is_weighed else 0.0,
-        cost_model=cost_model,
-        reference_length_m=reference_length_m,
-        connectivity=connectivity,
-        diagonal=diagonal,
+        cost_model=flat.cost_model,
     )
     asked = {"min_altitude_m": min_altitude_m, "max_altitude_m": max_altitude_m, "level_step_m": level_step_m}
     return WeightedVolume(flat, stack, problem, climb_cost, float(descent_cost), limits, asked)
@@ -269,14 +257,11 @@ def plan_volume(
     weights: Weights | None = None,
     heuristic: str = "plus",
     objective: str = "weighted",
-    cost_model: CostModel = "cell",
+    cost_model: CostModel | CostKind = "cell",
     time: str | None = None,
     time_of_day: str | None = None,
-    connectivity: int = 8,
-    diagonal: Diagonal = "both-free",
-    reference_length_m: float = 5.0,
     budget_s: float = 180.0,
-    snap: bool = False,
+    snap: bool | float = False,
     limits: Limits | None = None,
 ) -> PlannedPath:
     """Return the cheapest path from ``start`` to ``goal`` that may climb and descend on its way.
@@ -296,11 +281,12 @@ def plan_volume(
       climb_cost, descent_cost: cost per metre of height, beside the length. Left out, a metre of climb costs
         ``weights.distance``: hovering aside, lifting a small multirotor by a metre takes about the energy of
         one metre of level flight.
-      weights, objective, cost_model, time, time_of_day, connectivity, diagonal, reference_length_m: as in
-        `jaxurban.plan`; 8 neighbours are 26 in a volume. ``objective="distance"`` leaves climb and descent out too.
+      weights, objective, cost_model, time, time_of_day: as in `jaxurban.plan`; 8 neighbours are 26 in a volume.
+        ``objective="distance"`` leaves climb and descent out too.
       heuristic: a name of `VOLUME_HEURISTICS`.
       budget_s: seconds that the search may take.
-      snap: move a start or goal inside an obstacle to the nearest free cell of its level instead of failing.
+      snap: move a start or goal inside an obstacle to the nearest free cell of its level instead of failing, by at
+        most 50 m, or so many metres.
       limits: no-fly zones and bounds at every node; a zone between two levels closes the lower one.
 
     Raises:
@@ -319,9 +305,6 @@ def plan_volume(
         cost_model=cost_model,
         time=time,
         time_of_day=time_of_day,
-        connectivity=connectivity,
-        diagonal=diagonal,
-        reference_length_m=reference_length_m,
         limits=limits,
     )
     return volume.plan(

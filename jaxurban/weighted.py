@@ -8,32 +8,22 @@ import numpy as np
 from jaxurban.cost import METRICS, Weights
 from jaxurban.errors import InputError
 from jaxurban.grid import Grid
+from jaxurban.ground import Ground, ground_along
 from jaxurban.io.orbits import iso_utc, parse_time
 from jaxurban.limits import Limits
 from jaxurban.maps import MetricMaps
 from jaxurban.planned import PlannedPath
-from jaxurban.planners.base import Cell, CostModel, Diagonal, Path, Problem, Status
+from jaxurban.planners.base import Cell, CostKind, CostModel, Path, Problem, Status
 from jaxurban.planners.evaluate import PathCost, evaluate
 from jaxurban.planners.refine import refine as refine_path
 from jaxurban.planners.registry import check_seed, find_planner
 from jaxurban.planners.theta import check_line_model
 from jaxurban.reachability import Reachability
+from jaxurban.snapping import Place as Place
+from jaxurban.snapping import free_place, snap_note
 
 Point = tuple[float, float]
 REFINING_SHARE = 0.25  # of the budget, kept for refinement where it is asked for
-
-
-@dataclass(frozen=True)
-class Place:
-    """Where a query starts or ends.
-
-    Attributes:
-      cell: row and column.
-      snap_distance_m: from the place that was given to the centre of the cell.
-    """
-
-    cell: Cell
-    snap_distance_m: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +39,7 @@ class WeightedMap:
       time_of_day: of the population map; None without one.
       weights: as floats.
       objective: ``"weighted"`` or ``"distance"``.
-      cost_model, reference_length_m, connectivity, diagonal: see `Problem`.
+      cost_model: see `Problem`.
       names: the metrics of the layers.
       m: ``[L, Y, X]`` float32 the metrics; 0 where there are no data.
       layers: ``[L, Y, X]`` float64 weighted costs w_j c_j, whatever the objective is.
@@ -64,9 +54,6 @@ class WeightedMap:
     weights: Weights
     objective: str
     cost_model: CostModel
-    reference_length_m: float
-    connectivity: int
-    diagonal: Diagonal
     names: tuple[str, ...]
     m: np.ndarray
     layers: np.ndarray
@@ -77,6 +64,11 @@ class WeightedMap:
     def grid(self) -> Grid:
         """The grid of the maps."""
         return self.maps.grid
+
+    @cached_property
+    def terrain_m(self) -> np.ndarray | None:
+        """``[Y, X]`` elevation of the ground; None where the maps hold no terrain."""
+        return self.maps.m("terrain") if "terrain" in self.maps.ds else None
 
     def cost_of(self, name: str) -> float:
         """Return the largest weighted cost of a metric over free cells; 0 where it costs nothing anywhere."""
@@ -106,24 +98,31 @@ class WeightedMap:
             resolution_m=self.grid.resolution_m,
             distance_weight=float(self.weights.distance) if self.is_weighed else 1.0,
             cost_model=self.cost_model,
-            reference_length_m=self.reference_length_m,
-            connectivity=self.connectivity,
-            diagonal=self.diagonal,
         )
 
-    def locate(self, name: str, lonlat: Point | None = None, xy_m: Point | None = None, *, snap: bool = False) -> Place:
+    def locate(
+        self, name: str, lonlat: Point | None = None, xy_m: Point | None = None, *, snap: bool | float = False
+    ) -> Place:
         """Return the cell of a place given in degrees or in metres.
 
         Args:
           name: ``"start"`` or ``"goal"``, for messages.
           lonlat: longitude, latitude in degrees.
           xy_m: easting, northing in the maps' CRS, instead.
-          snap: move out of an obstacle to the nearest free cell.
+          snap: move out of a closed cell to the nearest free one, by at most 50 m, or so many metres (`free_place`).
 
         Raises:
           InputError: none or both are given, a place outside the maps, or inside an obstacle or
-            closed by a limit without ``snap`` (names the limit and the nearest free cell).
+            closed by a limit, unless ``snap`` reaches a free cell (names the limit and the nearest free cell).
         """
+        (x_m, y_m), cell = self.cell_of(name, lonlat, xy_m)
+        why = "" if self.is_free[cell] else self.why_closed(cell)
+        return free_place(
+            name, (x_m, y_m), cell, self.is_free, self.grid, snap=snap, why_closed=why, remedy=self._remedy
+        )
+
+    def cell_of(self, name: str, lonlat: Point | None = None, xy_m: Point | None = None) -> tuple[Point, Cell]:
+        """Return easting, northing and the cell of a place, free or not (arguments and errors as in `locate`)."""
         grid = self.grid
         try:
             if lonlat is not None and xy_m is None:
@@ -136,36 +135,20 @@ class WeightedMap:
                 raise InputError(f"give it either as longitude, latitude or as {name}_xy_m, and not both")
         except InputError as error:
             raise InputError(f"{name}: {error}") from error
-        cell = (int(row), int(col))
-        if not self.is_free[cell]:
-            where = self._why_closed(cell)
-            nearest = _nearest_free(cell, self.is_free)
-            if nearest is None:
-                raise InputError(f"{name} is {where} and no cell is free at this altitude: {self._remedy}")
-            near_lon, near_lat = grid.lonlat_of_cell(*nearest)
-            if not snap:
-                away_m = np.hypot(nearest[0] - cell[0], nearest[1] - cell[1]) * grid.resolution_m
-                raise InputError(
-                    f"{name} is {where} at this altitude; the nearest free cell is at {near_lon:.6f},"
-                    f"{near_lat:.6f}, {away_m:.0f} m away: start there, fly higher, or pass --snap (snap=True) to "
-                    "move there"
-                )
-            cell = nearest
-        centre_x_m, centre_y_m = grid.xy_of_cell(*cell)
-        return Place(cell, float(np.hypot(centre_x_m - x_m, centre_y_m - y_m)))
+        return (float(x_m), float(y_m)), (int(row), int(col))
 
     @property
     def _remedy(self) -> str:
         return f"fly higher, or loosen the limits ({self.limits})" if self.limits else "fly higher"
 
-    def _why_closed(self, cell: Cell) -> str:
+    def why_closed(self, cell: Cell) -> str:
         """Return what closes a cell: an obstacle, or each limit by name."""
         if not self.maps.is_free(self.altitude_m)[cell]:
             if self.maps.is_free(self.altitude_m, "centre")[cell]:
-                return "in a cell that an obstacle touches"
-            return "inside an obstacle (or where there are no data)"
+                return f"in a cell that an obstacle touches at {self.altitude_m:g} m"
+            return f"inside an obstacle (or where there are no data) at {self.altitude_m:g} m"
         reasons = self.limits.reasons(self.maps, self.altitude_m, cell, self.time, self.time_of_day)
-        return "closed by " + " and ".join(reasons)
+        return f"closed by {' and '.join(reasons)} at {self.altitude_m:g} m"
 
     def plan(
         self,
@@ -178,7 +161,7 @@ class WeightedMap:
         heuristic: str | None = None,
         budget_s: float = 180.0,
         seed: int = 0,
-        snap: bool = False,
+        snap: bool | float = False,
         refine: bool = False,
     ) -> PlannedPath:
         """Return a path between two places (arguments and errors as in `jaxurban.plan`)."""
@@ -201,8 +184,7 @@ class WeightedMap:
     @cached_property
     def reachability(self) -> Reachability:
         """What joins places on these maps."""
-        cuts_corners = self.connectivity == 8 and self.diagonal == "always"
-        return Reachability(self.maps, self.limits, self.time, self.time_of_day, cuts_corners)
+        return Reachability(self.maps, self.limits, self.time, self.time_of_day, self.cost_model.joins_corners)
 
     def finish(
         self, found: Path, ends: tuple[Place, Place], *, budget_s: float, seed: int, remedy: str | None = None
@@ -221,6 +203,7 @@ class WeightedMap:
             if self.is_weighed or self.objective == "distance"
             else ["All weights are zero, so every path is as cheap: the distance was minimised instead."]
         )
+        notes.append(snap_note(*ends))
         if self.is_weighed and self.weights.distance == 0 and not found.note and found.status.has_path:
             notes.append("The distance weighs nothing, so the path may be far longer than it need be.")
         if self.limits and not found.status.has_path:
@@ -248,10 +231,7 @@ class WeightedMap:
             search=replace(found, note=" ".join(filter(None, notes))),
             settings={
                 "objective": self.objective,
-                "cost_model": self.cost_model,
-                "reference_length_m": self.reference_length_m,
-                "connectivity": self.connectivity,
-                "diagonal": self.diagonal,
+                **self.cost_model.settings,
                 "weights": {name: float(getattr(self.weights, name)) for name in ("distance", *self.names)},
                 "time": self.time,
                 "time_of_day": self.time_of_day,
@@ -262,7 +242,13 @@ class WeightedMap:
                 "seed": seed,
             },
             crs=grid.crs,
+            ground=self._ground_under(found),
         )
+
+    def _ground_under(self, found: Path) -> Ground | None:
+        if self.terrain_m is None or not found.status.has_path:
+            return None
+        return ground_along(found.points_m, self.terrain_m, self.grid)
 
     def evaluate(self, points_m: np.ndarray) -> PathCost:
         """Return the weighted cost of a polyline ``[N, 2]`` in metres from the map's southwest corner."""
@@ -273,7 +259,6 @@ class WeightedMap:
             self.grid.resolution_m,
             float(self.weights.distance),
             self.cost_model,
-            self.reference_length_m,
         )
 
     def _by_layer(self, paid: PathCost) -> dict[str, float]:
@@ -294,12 +279,9 @@ def weigh(
     *,
     weights: Weights | None = None,
     objective: str = "weighted",
-    cost_model: CostModel = "cell",
+    cost_model: CostModel | CostKind = "cell",
     time: str | None = None,
     time_of_day: str | None = None,
-    connectivity: int = 8,
-    diagonal: Diagonal = "both-free",
-    reference_length_m: float = 5.0,
     limits: Limits | None = None,
 ) -> WeightedMap:
     """Return the maps at one altitude under weights, on which any number of paths can be planned.
@@ -309,11 +291,10 @@ def weigh(
       altitude_m: one of the maps' altitudes.
       weights: default `Weights()`.
       objective: ``"weighted"``, or ``"distance"`` for the shortest path (its weighted cost is reported).
-      cost_model: ``"cell"`` (the paper) or ``"line"``.
+      cost_model: how steps are charged and which are allowed, or its kind alone: ``"cell"`` (the paper) or
+        ``"line"``.
       time: epoch of the GPS map; the first if left out.
       time_of_day: of the population map; the first if left out.
-      connectivity, diagonal: neighbours of the grid planners.
-      reference_length_m: l_0 of the line model.
       limits: no-fly zones and bounds that close cells to every planner.
 
     Raises:
@@ -324,15 +305,13 @@ def weigh(
     if objective not in ("weighted", "distance"):
         raise InputError(f"objective must be 'weighted' or 'distance', got {objective!r}")
     limits = limits or Limits()
-    is_free = maps.is_free(altitude_m)
+    is_free = limits.is_free(maps, altitude_m, time=time, time_of_day=time_of_day)
     costs = maps.costs(altitude_m, time=time, time_of_day=time_of_day)
     m = np.zeros((len(costs), *is_free.shape), np.float32)
     layers = np.zeros(m.shape)
     for row, (name, cost) in enumerate(costs.items()):
         m[row] = np.nan_to_num(maps.m(name, altitude_m, time=time, time_of_day=time_of_day))
         layers[row] = getattr(weights, name) * np.where(is_free, cost, np.nan_to_num(cost)).astype(np.float64)
-    if limits:
-        is_free &= ~limits.closed(maps, altitude_m, time=time, time_of_day=time_of_day)
     return WeightedMap(
         maps=maps,
         altitude_m=float(altitude_m),
@@ -340,21 +319,10 @@ def weigh(
         time_of_day=time_of_day or next(iter(maps.times_of_day), None),
         weights=weights,
         objective=objective,
-        cost_model=cost_model,
-        reference_length_m=reference_length_m,
-        connectivity=connectivity,
-        diagonal=diagonal,
+        cost_model=CostModel.of(cost_model),
         names=tuple(costs),
         m=m,
         layers=layers,
         is_free=is_free,
         limits=limits,
     )
-
-
-def _nearest_free(cell: Cell, is_free: np.ndarray) -> Cell | None:
-    rows, cols = np.nonzero(is_free)
-    if rows.size == 0:
-        return None
-    nearest = np.argmin((rows - cell[0]) ** 2 + (cols - cell[1]) ** 2)
-    return int(rows[nearest]), int(cols[nearest])

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from jaxurban.kernels.traversal import TOUCH_CELLS
 
@@ -30,14 +30,15 @@ def segment_costs(
     end: Float[Array, "E 2"],
     per_side: float | Float[Array, ""],
     is_line: bool,
+    passes_corners: bool | Bool[Array, ""],
 ) -> Float[Array, " E"]:
-    """Return the cost of each of ``E`` segments, inf where it crosses a cell of infinite charge or leaves the map.
+    """Return the cost of each of ``E`` segments, inf where it is no free way, infinite charges being blocked cells.
 
-    Segments are cut exactly at cell borders, as in `kernels.traversal`: a corner passed within
-    ``TOUCH_CELLS`` counts as touched, so that the cells beside it are not crossed. ``line``: the charge
-    is integrated along the segment. ``cell``: every state is charged that of the cell in which it lies;
-    states stand one cell side apart, the end is one, the start is none, and a segment up to a diagonal
-    long has no other. A segment of no length costs nothing.
+    Segments are cut exactly at cell borders, as in `kernels.traversal`, and are free by the law of its `is_free_way`:
+    a corner passed within ``TOUCH_CELLS`` counts as touched, so that the cells beside it are not crossed.
+    ``line``: the charge is integrated along the segment. ``cell``: every state is charged that of the cell in which it
+    lies; states stand one cell side apart, the end is one, the start is none, and a segment up to a diagonal long has
+    no other. A segment of no length costs nothing.
 
     It takes as many rounds as the segment with most cells has cells. The precision is that of the
     coordinates: call it under ``jax.enable_x64(True)``, since float32 tells no corners apart.
@@ -47,11 +48,15 @@ def segment_costs(
       start, end: x, y in cell sides, off the borders of their cells, finite.
       per_side: distance cost per cell side.
       is_line: which cost model.
+      passes_corners: segments may pass between two blocked cells that touch at a corner.
     """
-    return jax.vmap(partial(_cost, is_line=is_line), in_axes=(None, 0, 0, None))(charge, start, end, per_side)
+    in_axes = (None, 0, 0, None, None)
+    return jax.vmap(partial(_cost, is_line=is_line), in_axes)(charge, start, end, per_side, passes_corners)
 
 
-def _cost(charge: Array, start: Array, end: Array, per_side: float | Array, *, is_line: bool) -> Array:
+def _cost(
+    charge: Array, start: Array, end: Array, per_side: float | Array, passes_corners: bool | Array, *, is_line: bool
+) -> Array:
     delta = end - start
     length = jnp.hypot(*delta)
     col, row = jnp.floor(start).astype(int)
@@ -78,6 +83,8 @@ def _cost(charge: Array, start: Array, end: Array, per_side: float | Array, *, i
         here = charge_at(walk.row, walk.col)
         paid = jnp.where(jnp.isinf(here), jnp.inf, share * jnp.where(jnp.isinf(here), 0.0, here))
         is_corner = jnp.abs(next_x - next_y) < TOUCH_CELLS
+        beside = jnp.minimum(charge_at(walk.row + step_y, walk.col), charge_at(walk.row, walk.col + step_x))
+        paid = jnp.where(is_corner & jnp.isinf(beside) & ~passes_corners, jnp.inf, paid)
         go_x, go_y = is_corner | (next_x < next_y), is_corner | (next_y < next_x)
         return _Walk(
             walk.row + go_y * step_y,

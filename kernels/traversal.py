@@ -65,6 +65,31 @@ def crossed_cells(points_m: np.ndarray, resolution_m: float) -> Crossings:
     return Crossings(segment, row, col, length * resolution_m)
 
 
+def is_free_way(crossings: Crossings, is_free: np.ndarray, passes_corners: bool) -> bool:
+    """Return whether a path may lead where it does: the law that every planner and every evaluation keeps.
+
+    Each cell that it crosses is on the map and free. And where it goes from a cell to a diagonal neighbour, through
+    their corner, be it within a segment or at a vertex, at least one of the two cells beside is free: two blocked cells
+    that touch at a corner leave no gap. One blocked cell beside the corner is only touched.
+
+    A stretch along a border lies in the cell north or east of it, as in `crossed_cells`, so it is not free where that
+    one is blocked, whatever the cell on the other side is; where both are, no stretch between them is free.
+
+    Args:
+      crossings: of the path, from `crossed_cells`.
+      is_free: ``[Y, X]`` bool.
+      passes_corners: a path may pass between two blocked cells that touch at a corner.
+    """
+    row, col = crossings.row, crossings.col
+    num_rows, num_cols = is_free.shape
+    if row.min() < 0 or row.max() >= num_rows or col.min() < 0 or col.max() >= num_cols or not is_free[row, col].all():
+        return False
+    if passes_corners:
+        return True
+    corner = np.flatnonzero((row[1:] != row[:-1]) & (col[1:] != col[:-1]))
+    return bool(np.all(is_free[row[corner], col[corner + 1]] | is_free[row[corner + 1], col[corner]]))
+
+
 @njit(cache=True)
 def _walk(points, most_pieces):
     """Walk each segment from border to border; the number of borders is counted, so the walk always ends."""

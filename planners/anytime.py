@@ -113,7 +113,7 @@ def first_inflation(heuristic: str, problem: Problem) -> float:
     """
     if heuristic in ("landmarks", "exact"):
         return LANDMARK_INFLATION if heuristic == "landmarks" else 1.0
-    share = 1.0 if problem.cost_model == "cell" else problem.resolution_m / problem.reference_length_m
+    share = 1.0 if problem.cost_model.kind == "cell" else problem.resolution_m / problem.cost_model.reference_length_m
     typical = share * problem.once("median_cost", lambda: float(np.median(problem.cost[problem.is_free])))
     counted = 0.0
     if heuristic == "plus":

@@ -1,18 +1,19 @@
 """What every planner takes and gives: Problem, Path, Status, and the planner contract."""
 
 import copy
-from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, field, replace
 from enum import Enum
 from typing import Any, Literal, Protocol, TypeVar
 
 import numpy as np
+from scipy.ndimage import label
 
 from jaxurban.errors import InputError
 from jaxurban.kernels.heuristic import line_minima
 from jaxurban.planners.moves import allowed_moves
 
-CostModel = Literal["cell", "line"]
+CostKind = Literal["cell", "line"]
 Diagonal = Literal["both-free", "always"]
 Cell = tuple[int, int]  # row, column; row 0 in the south
 T = TypeVar("T")
@@ -55,6 +56,84 @@ class Status(Enum):
         }[self]
 
 
+@dataclass(frozen=True)
+class CostModel:
+    """How steps are charged, and which steps the grid allows: one argument, so that none of it is lost on the way.
+
+    Attributes:
+      kind: ``"cell"`` (the paper) or ``"line"`` (see `Problem`).
+      reference_length_m: ``l_0`` of the line model.
+      connectivity: 4 or 8 neighbours, for grid planners.
+      diagonal: ``"both-free"`` allows a diagonal step only where both orthogonal neighbours are free, and no path of
+        any planner between two blocked cells that touch at a corner; ``"always"`` allows either.
+
+    Raises:
+      InputError: a value that is none of these.
+    """
+
+    kind: CostKind = "cell"
+    reference_length_m: float = 5.0
+    connectivity: Literal[4, 8] = 8
+    diagonal: Diagonal = "both-free"
+
+    def __post_init__(self) -> None:
+        if self.kind not in ("cell", "line"):
+            raise InputError(f"cost_model must be 'cell' or 'line', got {self.kind!r}")
+        if self.connectivity not in (4, 8):
+            raise InputError(f"connectivity must be 4 or 8, got {self.connectivity}")
+        if self.diagonal not in ("both-free", "always"):
+            raise InputError(f"diagonal must be 'both-free' or 'always', got {self.diagonal!r}")
+        object.__setattr__(self, "reference_length_m", positive_m("reference_length_m", self.reference_length_m))
+
+    @classmethod
+    def of(cls, given: "CostModel | CostKind") -> "CostModel":
+        """Return a cost model as it is, or the one of a kind that is named."""
+        return given if isinstance(given, CostModel) else cls(given)
+
+    @classmethod
+    def from_settings(cls, settings: Mapping[str, Any]) -> "CostModel":
+        """Return the model that settings give under the names of `settings`; what they leave out is the default."""
+        given = {name: settings.get(name, default) for name, default in cls().settings.items()}
+        return cls(given.pop("cost_model"), **given)
+
+    @property
+    def passes_corners(self) -> bool:
+        """Whether a path may pass between two blocked cells that touch at a corner."""
+        return self.diagonal == "always"
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """The model under the names of its parts in scenarios and files, ``kind`` as ``cost_model``."""
+        parts = asdict(self)
+        return {"cost_model": parts.pop("kind"), **parts}
+
+    @property
+    def joins_corners(self) -> bool:
+        """Whether a step may pass between two blocked cells that touch at a corner."""
+        return self.connectivity == 8 and self.diagonal == "always"
+
+    def __str__(self) -> str:
+        return (
+            f"{self.kind!r} (reference length {self.reference_length_m:g} m, {self.connectivity} neighbours, "
+            f"diagonal steps {self.diagonal!r})"
+        )
+
+
+def positive_m(name: str, value: Any) -> float:
+    """Return a length as a float.
+
+    Raises:
+      InputError: it is not a positive number of metres.
+    """
+    try:
+        length_m = float(value)
+    except (TypeError, ValueError):
+        length_m = np.nan
+    if not 0 < length_m < np.inf:
+        raise InputError(f"{name} must be a positive number of metres, got {value}")
+    return length_m
+
+
 @dataclass(frozen=True, eq=False)
 class Problem:
     """One planning question on one map, as plain arrays. ``Y`` rows, ``X`` columns, ``L`` layers.
@@ -75,10 +154,7 @@ class Problem:
       start, goal: cells; paths begin and end at their centres.
       resolution_m: side of a cell.
       distance_weight: ``w_0``, cost per metre, >= 0.
-      cost_model: ``"cell"`` or ``"line"``.
-      reference_length_m: ``l_0`` of the line model.
-      connectivity: 4 or 8 neighbours, for grid planners.
-      diagonal: ``"both-free"`` allows a diagonal step only where both orthogonal neighbours are free.
+      cost_model: how steps are charged, and which are allowed; its kind stands for the rest's defaults.
     """
 
     layers: np.ndarray
@@ -87,10 +163,7 @@ class Problem:
     goal: Cell
     resolution_m: float
     distance_weight: float
-    cost_model: CostModel = "cell"
-    reference_length_m: float = 5.0
-    connectivity: int = 8
-    diagonal: Diagonal = "both-free"
+    cost_model: CostModel = CostModel()
     cost: np.ndarray = field(init=False, repr=False)  # [Y, X] float64: the sum of the layers
     shared: dict[str, Any] = field(init=False, repr=False, default_factory=dict)  # what `once` made
 
@@ -99,16 +172,8 @@ class Problem:
         is_free = _read_only(self.is_free, np.bool_)
         if layers.ndim != 3 or layers.shape[1:] != is_free.shape:
             raise InputError(f"layers must be [L, Y, X] over is_free [Y, X], got {layers.shape} and {is_free.shape}")
-        if self.cost_model not in ("cell", "line"):
-            raise InputError(f"cost_model must be 'cell' or 'line', got {self.cost_model!r}")
-        if self.connectivity not in (4, 8):
-            raise InputError(f"connectivity must be 4 or 8, got {self.connectivity}")
-        if self.diagonal not in ("both-free", "always"):
-            raise InputError(f"diagonal must be 'both-free' or 'always', got {self.diagonal!r}")
-        for name in ("resolution_m", "reference_length_m"):
-            value = getattr(self, name)
-            if not (np.isfinite(value) and value > 0):
-                raise InputError(f"{name} must be a positive number of metres, got {value}")
+        object.__setattr__(self, "cost_model", CostModel.of(self.cost_model))
+        positive_m("resolution_m", self.resolution_m)
         if not (np.isfinite(self.distance_weight) and self.distance_weight >= 0):
             raise InputError(f"the distance weight must be finite and not negative, got {self.distance_weight}")
         # Each layer, not only the sum, so that a negative one cannot hide behind another; NaN fails too.
@@ -180,8 +245,16 @@ class Problem:
         """``[Y, X]`` uint8: bit k is set where step k of `moves.STEPS` is allowed."""
         return self.once(
             "moves",
-            lambda: _read_only(allowed_moves(self.is_free, self.connectivity, self.diagonal == "both-free"), np.uint8),
+            lambda: _read_only(
+                allowed_moves(self.is_free, self.cost_model.connectivity, self.cost_model.diagonal == "both-free"),
+                np.uint8,
+            ),
         )
+
+    @property
+    def islands(self) -> np.ndarray:
+        """``[Y, X]`` the number of the part of the map in which paths off the grid join a cell; 0: blocked."""
+        return np.asarray(label(self.is_free, np.ones((3, 3)) if self.cost_model.passes_corners else None)[0])
 
     @property
     def line_minima(self) -> tuple[np.ndarray, np.ndarray]:

@@ -7,7 +7,6 @@ from functools import cache, partial
 from typing import NamedTuple
 
 import numpy as np
-from scipy.ndimage import label
 
 from jaxurban.errors import InputError, nearest_name
 from jaxurban.planners.base import Path, Problem, Status
@@ -133,8 +132,9 @@ def bitstar(
     20 ms of search, and between batches.
 
     The status is OPTIMAL where the cost meets the lower bound, NO_PATH where obstacles part start and
-    goal, FEASIBLE where ``target_cost`` or ``min_improvement`` ended the search. ``connectivity`` and
-    ``diagonal`` play no part. Under the ``cell`` model a step of any length is charged one cell, so that
+    goal, FEASIBLE where ``target_cost`` or ``min_improvement`` ended the search. Of ``diagonal`` only
+    ``"always"`` plays a part: then a path may pass between two obstacles that touch at a corner.
+    ``connectivity`` plays none. Under the ``cell`` model a step of any length is charged one cell, so that
     A*'s diagonals, of 1.41 cell sides, are cheaper than any longer edge, which is charged every cell
     side: to compare planners use ``line``.
 
@@ -171,8 +171,7 @@ def bitstar(
     _warm_up()
     begin_s = time.perf_counter()
     points_m, cost, note = np.empty((0, 2)), np.inf, ""
-    # Cells that touch at a corner count as joined: a path may run through the corner itself.
-    islands, _ = label(problem.is_free, np.ones((3, 3)))
+    islands = problem.islands
     if islands[problem.start] != islands[problem.goal]:
         status, lower_bound, found = Status.NO_PATH, np.inf, Found(points_m, False, 0, [])
     else:
@@ -282,10 +281,12 @@ def _search(
 
 
 def _ground(problem: Problem, is_reachable: np.ndarray) -> Ground:
-    is_line = problem.cost_model == "line"
-    per_side = problem.resolution_m / problem.reference_length_m if is_line else 1.0
+    is_line = problem.cost_model.kind == "line"
+    per_side = problem.resolution_m / problem.cost_model.reference_length_m if is_line else 1.0
     charge = np.where(is_reachable, problem.cost, np.inf) * per_side
-    return Ground(charge, float(problem.distance_weight * problem.resolution_m), is_line)
+    return Ground(
+        charge, float(problem.distance_weight * problem.resolution_m), is_line, problem.cost_model.passes_corners
+    )
 
 
 def _queue(size: int) -> Queue:

@@ -131,8 +131,8 @@ def make_bounds(heuristic: str, problem: Problem, is_reachable: np.ndarray) -> B
         return bounds
     cheapest = problem.cost[is_reachable].min()
     minima = [np.where(np.isfinite(m), m - cheapest, 0.0) for m in line_minima(problem.cost, is_reachable)]
-    if problem.cost_model == "line":
-        sides_per_reference = problem.resolution_m / problem.reference_length_m
+    if problem.cost_model.kind == "line":
+        sides_per_reference = problem.resolution_m / problem.cost_model.reference_length_m
         row_sum, col_sum = (np.append(0.0, np.cumsum(m)) * sides_per_reference for m in minima)
         return bounds._replace(
             per_side=bounds.per_side + cheapest * sides_per_reference, row_sum=row_sum, col_sum=col_sum

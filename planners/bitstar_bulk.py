@@ -32,7 +32,7 @@ class BulkCosts:
     """What edges cost over one map, in float64; the map stays on JAX's device."""
 
     def __init__(self, ground: Ground) -> None:
-        self._per_side, self._is_line = ground.per_side, ground.is_line
+        self._per_side, self._is_line, self._passes_corners = ground.per_side, ground.is_line, ground.passes_corners
         with jax.enable_x64(True):
             self._charge = jnp.asarray(ground.charge)
         self(np.full((1, 2), 0.5), np.full((1, 2), 0.5))  # compiles
@@ -42,5 +42,7 @@ class BulkCosts:
         padded = np.full((2, BULK, 2), 0.5)
         padded[0, : len(start)], padded[1, : len(end)] = start, end
         with jax.enable_x64(True):
-            costs = segment_costs(self._charge, padded[0], padded[1], self._per_side, self._is_line)
+            costs = segment_costs(
+                self._charge, padded[0], padded[1], self._per_side, self._is_line, self._passes_corners
+            )
         return np.asarray(costs)[: len(start)]

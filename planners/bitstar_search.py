@@ -24,11 +24,13 @@ class Ground(NamedTuple):
         where no path can lead.
       per_side: distance cost per cell side.
       is_line: which cost model.
+      passes_corners: edges may pass between two blocked cells that touch at a corner.
     """
 
     charge: np.ndarray
     per_side: float
     is_line: bool
+    passes_corners: bool
 
 
 class Nodes(NamedTuple):
@@ -85,11 +87,19 @@ class Queue(NamedTuple):
 
 
 @njit(cache=True)
+def _is_pinched(ground, row, col, to_row, to_col):
+    """Whether the cells beside a step to a diagonal neighbour leave no gap between them."""
+    if ground.passes_corners:
+        return False
+    return ground.charge[to_row, col] == np.inf and ground.charge[row, to_col] == np.inf
+
+
+@njit(cache=True)
 def edge_cost(ground, x0, y0, x1, y1, limit):
     """Return the cost of a segment between two points inside cells, or inf: blocked, or not below ``limit``.
 
-    The walk from border to border is that of `kernels.traversal`; the charges are those of
-    `evaluate`. Both ends lie off the borders of their cells.
+    The walk from border to border is that of `kernels.traversal` and the law that of its `is_free_way`;
+    the charges are those of `evaluate`. Both ends lie off the borders of their cells.
     """
     dx, dy = x1 - x0, y1 - y0
     length = np.sqrt(dx * dx + dy * dy)
@@ -124,6 +134,8 @@ def edge_cost(ground, x0, y0, x1, y1, limit):
         if num_x <= 0 and num_y <= 0:
             break
         is_corner = abs(next_x - next_y) < TOUCH_SIDES
+        if is_corner and _is_pinched(ground, row, col, row + step_y, col + step_x):
+            return np.inf
         go_x, go_y = is_corner or next_x < next_y, is_corner or next_y < next_x
         if go_x:
             col += step_x

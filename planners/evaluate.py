@@ -5,8 +5,7 @@ from functools import cache
 
 import numpy as np
 
-from jaxurban.errors import InputError
-from jaxurban.kernels.traversal import Crossings, crossed_cells
+from jaxurban.kernels.traversal import Crossings, crossed_cells, is_free_way
 from jaxurban.planners.base import CostModel, Problem
 
 ROUNDING = 1e-9  # relative: lengths this close are equal
@@ -20,7 +19,7 @@ class PathCost:
       total: ``distance_weight * length_m + per_layer.sum()``; inf for a path that is not valid.
       length_m: Euclidean length.
       per_layer: ``[L]`` float64 what each layer charges, weights included; inf for a path that is not valid.
-      is_valid: every crossed cell is on the map and free.
+      is_valid: every crossed cell is on the map and free, and so is the way through corners (`is_free_way`).
       crossings: the cells that the path crosses.
     """
 
@@ -68,8 +67,7 @@ def evaluate(
     is_free: np.ndarray,
     resolution_m: float,
     distance_weight: float,
-    cost_model: CostModel = "cell",
-    reference_length_m: float = 5.0,
+    model: CostModel,
 ) -> PathCost:
     """Return the cost of a polyline, its parts, and whether it is valid.
 
@@ -77,7 +75,7 @@ def evaluate(
     cell in which it ends, whatever its length; states are the path's points, and samples every
     resolution step of segments longer than a diagonal step. A step that ends on a border ends in the
     cell that it came through. Under ``line`` the layers are integrated along the path, cut exactly at
-    cell borders, per ``reference_length_m``. A path of one point, or of no length, costs nothing.
+    cell borders, per reference length. A path of one point, or of no length, costs nothing.
 
     Args:
       points_m: ``[N, 2]`` x, y in metres from the map's southwest corner, ``N >= 1``.
@@ -85,33 +83,27 @@ def evaluate(
       is_free: ``[Y, X]`` bool.
       resolution_m: side of a cell.
       distance_weight: cost per metre.
-      cost_model: ``"cell"`` or ``"line"``.
-      reference_length_m: ``l_0`` of the line model.
+      model: how steps are charged, and whether a path may pass between blocked cells that touch at a corner.
 
     Raises:
-      InputError: points that are not ``[N, 2]`` finite metres, or an unknown cost model.
+      InputError: points that are not ``[N, 2]`` finite metres.
     """
-    if cost_model not in ("cell", "line"):
-        raise InputError(f"cost_model must be 'cell' or 'line', got {cost_model!r}")
     crossings = crossed_cells(points_m, resolution_m)
     length_m = float(np.hypot(*np.diff(np.asarray(points_m, np.float64), axis=0).T).sum())
-    row, col = crossings.row, crossings.col
-    num_rows, num_cols = is_free.shape
-    is_inside = (row >= 0) & (row < num_rows) & (col >= 0) & (col < num_cols)
-    if not is_inside.all() or not np.all(is_free[row, col]):
+    if not is_free_way(crossings, is_free, model.passes_corners):
         return PathCost(np.inf, length_m, np.full(len(layers), np.inf), False, crossings)
-    charged = _charged_cells(points_m, crossings, resolution_m, cost_model, reference_length_m)
+    charged = _charged_cells(points_m, crossings, resolution_m, model)
     per_layer = np.asarray(layers[:, charged[0], charged[1]], np.float64) @ charged[2]
     total = distance_weight * length_m + float(per_layer.sum())
     return PathCost(total, length_m, per_layer, True, crossings)
 
 
 def _charged_cells(
-    points_m: np.ndarray, crossings: Crossings, resolution_m: float, cost_model: CostModel, reference_length_m: float
+    points_m: np.ndarray, crossings: Crossings, resolution_m: float, model: CostModel
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return row and column of the cells whose layers are charged, and how often each is, ``[C]`` each."""
-    if cost_model == "line":
-        return crossings.row, crossings.col, crossings.length_m / reference_length_m
+    if model.kind == "line":
+        return crossings.row, crossings.col, crossings.length_m / model.reference_length_m
     states = crossed_cells(path_states(points_m, resolution_m), resolution_m)
     is_last = np.append(states.segment[1:] != states.segment[:-1], states.length_m[-1] > 0)
     return states.row[is_last], states.col[is_last], np.ones(int(is_last.sum()))
@@ -120,9 +112,7 @@ def _charged_cells(
 def charge_map(problem: Problem, points_m: np.ndarray) -> np.ndarray:
     """Return ``[Y, X]`` how often a valid path is charged each cell: the derivative of its cost by the cell's cost."""
     crossings = crossed_cells(points_m, problem.resolution_m)
-    row, col, times = _charged_cells(
-        points_m, crossings, problem.resolution_m, problem.cost_model, problem.reference_length_m
-    )
+    row, col, times = _charged_cells(points_m, crossings, problem.resolution_m, problem.cost_model)
     charges = np.zeros(problem.is_free.shape)
     np.add.at(charges, (row, col), times)
     return charges
@@ -137,7 +127,6 @@ def evaluate_on(problem: Problem, points_m: np.ndarray) -> PathCost:
         problem.resolution_m,
         problem.distance_weight,
         problem.cost_model,
-        problem.reference_length_m,
     )
 
 

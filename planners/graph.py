@@ -96,9 +96,9 @@ def graph_of(problem: Problem, *, is_symmetric: bool = False) -> Graph:
     """
     steps = np.array(STEPS)
     length_m = np.hypot(*steps.T) * problem.resolution_m
-    if problem.cost_model == "line":
+    if problem.cost_model.kind == "line":
         # Half of an edge lies in each of its two cells.
-        from_share = to_share = length_m / (2 * problem.reference_length_m)
+        from_share = to_share = length_m / (2 * problem.cost_model.reference_length_m)
     else:
         from_share = np.full(len(steps), 0.5 if is_symmetric else 0.0)
         to_share = 1.0 - from_share

@@ -102,22 +102,22 @@ def make_heuristic(name: str, problem: Problem) -> Heuristic:
     if name == "euclidean":
         return heuristic._replace(euclidean=per_side)
     heuristic = heuristic._replace(
-        straight=per_side, diagonal=per_side * (np.sqrt(2) - 1 if problem.connectivity == 8 else 1)
+        straight=per_side, diagonal=per_side * (np.sqrt(2) - 1 if problem.cost_model.connectivity == 8 else 1)
     )
     if name == "landmarks":
         return heuristic._replace(landmarks=landmark_bound(problem, make_landmarks(problem)))
-    sides_per_reference = problem.resolution_m / problem.reference_length_m
+    sides_per_reference = problem.resolution_m / problem.cost_model.reference_length_m
     if name == "plus":
         bounds = (
             cell_line_bound(minima, goal)
-            if problem.cost_model == "cell"
+            if problem.cost_model.kind == "cell"
             else line_line_bound(minima, goal, sides_per_reference)
             for minima, goal in zip(problem.line_minima, problem.goal, strict=True)
         )
         heuristic = heuristic._replace(rows=next(bounds), cols=next(bounds))
     elif name in PRINTED:
         field = printed_plus_field(problem.layers, problem.goal, first_index=1 if name == "plus-printed" else 0)
-        if problem.cost_model == "line":
+        if problem.cost_model.kind == "line":
             field *= sides_per_reference
         # Inf comes of NaN inside obstacles here; the search would take it for a proof that there is no way.
         np.minimum(field, np.finfo(np.float64).max / 2, out=field)

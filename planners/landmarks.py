@@ -77,8 +77,7 @@ def landmark_cells(problem: Problem, num: int) -> list[Cell]:
     & Werneck 2005), saved no more expansions on Lower Manhattan and needs searches of its own.
     """
     # A diagonal step between two free neighbours joins what they join already.
-    joins_corners = problem.connectivity == 8 and problem.diagonal == "always"
-    parts, _ = label(problem.is_free, np.ones((3, 3)) if joins_corners else None)
+    parts, _ = label(problem.is_free, np.ones((3, 3)) if problem.cost_model.joins_corners else None)
     rows, cols = np.nonzero(parts == 1 + np.argmax(np.bincount(parts.ravel())[1:]))
     away = np.hypot(rows - rows.mean(), cols - cols.mean())
     cells: list[Cell] = []
@@ -100,7 +99,7 @@ def symmetric_costs(problem: Problem, cell: Cell, end_s: float) -> np.ndarray | 
 
 def landmark_bound(problem: Problem, landmarks: Landmarks) -> LandmarkBound:
     """Return the landmarks' bound on the cost to a problem's goal."""
-    cost_share = 0.5 if problem.cost_model == "cell" else 0.0
+    cost_share = 0.5 if problem.cost_model.kind == "cell" else 0.0
     return LandmarkBound(
         costs=landmarks.costs,
         at_goal=landmarks.costs[problem.goal],
@@ -127,7 +126,7 @@ def cost_to_go_within(problem: Problem, end_s: float) -> np.ndarray | None:
         field = symmetric_costs(problem, problem.goal, end_s)
         if field is None:
             return None
-        if problem.cost_model == "cell":
+        if problem.cost_model.kind == "cell":
             half = 0.5 * (problem.cost[problem.goal] - np.where(problem.is_free, problem.cost, 0.0))
             field = np.maximum(field + half, 0.0)  # rounding might leave less
         problem.shared["cost_to_go"] = problem.goal, field

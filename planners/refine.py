@@ -8,7 +8,7 @@ from functools import cache
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.ndimage import label, uniform_filter
+from scipy.ndimage import uniform_filter
 
 from jaxurban.errors import InputError
 from jaxurban.kernels.line_smooth import line_smooth
@@ -61,11 +61,14 @@ def refine(problem: Problem, path: Path, *, budget_s: float = np.inf, moves: tup
         return path
     before = evaluate_on(problem, path.points_m)
     if not before.is_valid:
-        raise InputError("the path crosses an obstacle or leaves the map: give one that was planned for this problem")
+        raise InputError(
+            "the path crosses an obstacle, passes between two that touch at a corner, or leaves the map: give one "
+            "that was planned for this problem"
+        )
     _warm_up((1, *problem.is_free.shape) if "gradient" in moves else None)
     begin_s = time.perf_counter()
     end_s = begin_s + budget_s
-    islands, _ = label(problem.is_free, np.ones((3, 3)))
+    islands = problem.islands
     is_reachable = islands == islands[problem.start]
     ground = line_ground(problem, is_reachable)
     # A point on the map's outer border belongs to no cell.
@@ -157,7 +160,7 @@ def _noted(path: Path, note: str) -> Path:
 @cache
 def _warm_up(shape: tuple[int, ...] | None) -> None:
     """Compile what a refinement runs, the gradient for layers of this shape (None: not at all)."""
-    ground = Ground(np.ones((1, 2)), 1.0)
+    ground = Ground(np.ones((1, 2)), 1.0, False)
     xy = np.array([[0.5, 0.5], [1.0, 0.5], [1.5, 0.5]])
     if shape is not None:
         smooth_gradient(ground, jnp.zeros(shape), xy)

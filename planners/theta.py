@@ -4,10 +4,9 @@ import time
 from functools import cache
 
 import numpy as np
-from scipy.ndimage import label
 
 from jaxurban.errors import InputError, nearest_name
-from jaxurban.planners.base import Path, Problem, Status
+from jaxurban.planners.base import CostModel, Path, Problem, Status
 from jaxurban.planners.bitstar_bounds import HEURISTICS, Bounds, make_bounds
 from jaxurban.planners.evaluate import evaluate_on
 from jaxurban.planners.evaluate import warm_up as warm_up_evaluation
@@ -37,8 +36,8 @@ def theta_star(problem: Problem, *, budget_s: float = np.inf, seed: int = 0, heu
     Theta* lets a cell hang from the parent of its neighbour, by the straight segment, where that is
     cheaper than the step; then the path is cut short between points along it, at their best (dynamic
     programming). Segments are costed, and tested for obstacles, over the exact cells that
-    they cross. Never costlier than the cheapest grid path, whatever its connectivity and diagonal rule,
-    which play no part here: a path may pass between two obstacles that touch at a corner.
+    they cross. Never costlier than the cheapest grid path. Of ``diagonal`` only ``"always"`` plays a part: then a
+    path may pass between two obstacles that touch at a corner. ``connectivity`` plays none.
 
     Differs from the paper: with map costs the straight segment may be the dearer one, so both ways are
     costed and compared; the paper always takes the segment where it is free, which can end above A*.
@@ -66,8 +65,7 @@ def theta_star(problem: Problem, *, budget_s: float = np.inf, seed: int = 0, heu
     _warm_up()
     begin_s = time.perf_counter()
     points_m, cost, note, num_expanded = np.empty((0, 2)), np.inf, "", 0
-    # Cells that touch at a corner count as joined: a path may run through the corner itself.
-    islands, _ = label(problem.is_free, np.ones((3, 3)))
+    islands = problem.islands
     if islands[problem.start] != islands[problem.goal]:
         status, lower_bound = Status.NO_PATH, np.inf
     else:
@@ -104,7 +102,7 @@ def check_line_model(problem: Problem, what: str) -> None:
     Raises:
       InputError: the problem's cost model is ``cell``, and its map has costs.
     """
-    if problem.cost_model == "cell" and problem.cost[problem.is_free].any():
+    if problem.cost_model.kind == "cell" and problem.cost[problem.is_free].any():
         raise InputError(
             f"{what} weighs straight segments of any direction by the length in each cell, which is not how "
             "cost_model='cell' charges: choose cost_model='line' (--cost-model line)"
@@ -113,9 +111,9 @@ def check_line_model(problem: Problem, what: str) -> None:
 
 def line_ground(problem: Problem, is_reachable: np.ndarray) -> Ground:
     """Return the map as segments see it, closed outside the cells ``[Y, X]`` that paths may cross."""
-    per_side = problem.resolution_m / problem.reference_length_m
+    per_side = problem.resolution_m / problem.cost_model.reference_length_m
     charge = np.where(is_reachable, problem.cost * per_side, np.inf)
-    return Ground(charge, float(problem.distance_weight * problem.resolution_m))
+    return Ground(charge, float(problem.distance_weight * problem.resolution_m), problem.cost_model.passes_corners)
 
 
 def subdivided(xy: np.ndarray, longest: float) -> np.ndarray:
@@ -180,7 +178,7 @@ def _search(problem: Problem, ground: Ground, bounds: Bounds, end_s: float) -> t
 @cache
 def _warm_up() -> None:
     """Compile what a search runs, so that its time is its own."""
-    problem = Problem(np.zeros((1, 1, 3)), np.ones((1, 3), bool), (0, 0), (0, 2), 1.0, 1.0, "line")
+    problem = Problem(np.zeros((1, 1, 3)), np.ones((1, 3), bool), (0, 0), (0, 2), 1.0, 1.0, CostModel("line"))
     ground = line_ground(problem, problem.is_free)
     xy, _ = _search(problem, ground, make_bounds("plus", problem, problem.is_free), np.inf)
     shortened(ground, xy)

@@ -24,10 +24,12 @@ class Ground(NamedTuple):
     Attributes:
       charge: ``[Y, X]`` float64 map cost per cell side crossed; inf where no path can lead.
       per_side: distance cost per cell side.
+      passes_corners: segments may pass between two blocked cells that touch at a corner.
     """
 
     charge: np.ndarray
     per_side: float
+    passes_corners: bool
 
 
 class Estimate(NamedTuple):
@@ -60,11 +62,20 @@ class Nodes(NamedTuple):
 
 
 @njit(cache=True)
+def _is_pinched(ground, row, col, to_row, to_col):
+    """Whether the cells beside a step to a diagonal neighbour leave no gap between them."""
+    if ground.passes_corners:
+        return False
+    return ground.charge[to_row, col] == np.inf and ground.charge[row, to_col] == np.inf
+
+
+@njit(cache=True)
 def segment_cost(ground, x0, y0, x1, y1, limit):
     """Return the cost of a segment, or inf: blocked, or not below ``limit``.
 
-    The walk from border to border is that of `kernels.traversal`, but an end on a border counts as lying
-    in the cell north or east of it: a segment that only touches an obstacle with its end may count as blocked.
+    The walk from border to border is that of `kernels.traversal` and the law that of its `is_free_way`, but an end on
+    a border counts as lying in the cell north or east of it: a segment that only touches an obstacle with its end may
+    count as blocked.
     """
     dx, dy = x1 - x0, y1 - y0
     length = np.sqrt(dx * dx + dy * dy)
@@ -91,6 +102,8 @@ def segment_cost(ground, x0, y0, x1, y1, limit):
         if num_x <= 0 and num_y <= 0:
             return total
         is_corner = abs(next_x - next_y) < TOUCH_SIDES
+        if is_corner and _is_pinched(ground, row, col, row + step_y, col + step_x):
+            return np.inf
         go_x, go_y = is_corner or next_x < next_y, is_corner or next_y < next_x
         if go_x:
             col += step_x
@@ -172,7 +185,11 @@ def advance(ground, estimate, nodes, goal, heap_f, heap_node, size, max_expanded
                 charge = ground.charge[to_row, to_col]
                 if nodes.is_closed[to] or charge == np.inf:
                     continue
-                length = np.sqrt(2.0) if to_row != row and to_col != col else 1.0
+                length = 1.0
+                if to_row != row and to_col != col:
+                    length = np.sqrt(2.0)
+                    if _is_pinched(ground, row, col, to_row, to_col):
+                        continue
                 best, best_parent = nodes.g[to], NO_PARENT
                 g = nodes.g[node] + length * (ground.per_side + 0.5 * (ground.charge[row, col] + charge))
                 if g < best:

@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxurban.errors import InputError
-from jaxurban.planners.base import CostModel, Diagonal
-from jaxurban.planners.moves import allowed_moves
+from jaxurban.planners.base import CostModel, positive_m
+from jaxurban.planners.moves import STEPS, allowed_moves
 
 Node = tuple[int, int, int]  # level, row, column; level 0 is the lowest, row 0 in the south
 
@@ -33,7 +33,7 @@ class VolumeProblem:
       resolution_m: side of a cell.
       distance_weight: cost per metre of path.
       climb_cost, descent_cost: cost per metre climbed and descended, beside the distance; >= 0.
-      cost_model, reference_length_m, connectivity, diagonal: see `base.Problem`.
+      cost_model: see `base.Problem`.
       moves: ``[K, Y, X]`` uint8: bit j is set where horizontal step j of `moves.STEPS` is allowed on its level.
     """
 
@@ -46,10 +46,7 @@ class VolumeProblem:
     distance_weight: float
     climb_cost: float = 0.0
     descent_cost: float = 0.0
-    cost_model: CostModel = "cell"
-    reference_length_m: float = 5.0
-    connectivity: int = 8
-    diagonal: Diagonal = "both-free"
+    cost_model: CostModel = field(default_factory=CostModel)
     moves: np.ndarray = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -61,22 +58,16 @@ class VolumeProblem:
             )
         if not (np.isfinite(levels_m).all() and np.all(np.diff(levels_m) > 0)):
             raise InputError(f"levels_m must be finite and ascending, got {levels_m.tolist()}")
-        if self.cost_model not in ("cell", "line"):
-            raise InputError(f"cost_model must be 'cell' or 'line', got {self.cost_model!r}")
-        if self.connectivity not in (4, 8):
-            raise InputError(f"connectivity must be 4 or 8, got {self.connectivity}")
-        if self.diagonal not in ("both-free", "always"):
-            raise InputError(f"diagonal must be 'both-free' or 'always', got {self.diagonal!r}")
-        for name in ("resolution_m", "reference_length_m"):
-            if not 0 < getattr(self, name) < np.inf:
-                raise InputError(f"{name} must be a positive number of metres, got {getattr(self, name)}")
+        model = CostModel.of(self.cost_model)
+        object.__setattr__(self, "cost_model", model)
+        positive_m("resolution_m", self.resolution_m)
         for name in ("distance_weight", "climb_cost", "descent_cost"):
             if not 0 <= getattr(self, name) < np.inf:
                 raise InputError(f"{name} must be a finite cost per metre >= 0, got {getattr(self, name)}")
         cost = np.where(is_free, np.asarray(self.cost, np.float64), np.inf)
         if not np.all((cost >= 0) & ((cost < np.inf) == is_free)):
             raise InputError("costs must be finite and not negative on free cells: check the weights and the maps")
-        moves = np.stack([allowed_moves(free, self.connectivity, self.diagonal == "both-free") for free in is_free])
+        moves = np.stack([allowed_moves(free, model.connectivity, model.diagonal == "both-free") for free in is_free])
         for name, array in (("cost", cost), ("is_free", is_free), ("levels_m", levels_m), ("moves", moves)):
             object.__setattr__(self, name, array)
         self._check_endpoints()
@@ -106,7 +97,7 @@ class VolumeCost(NamedTuple):
     """What a path from node to node costs. ``N`` nodes.
 
     Attributes:
-      total: all of it.
+      total: all of it; inf where a step is not allowed.
       length_m: length in space.
       climb_m, descent_m: metres climbed and descended.
       nodes: ``[N, 3]`` int64 level, row, column.
@@ -124,7 +115,10 @@ class VolumeCost(NamedTuple):
 
 
 def charge(problem: VolumeProblem, points_m: np.ndarray) -> VolumeCost:
-    """Return the cost of a path of neighbouring nodes, given as points ``[N, 3]`` (x, y, altitude; ``N >= 1``)."""
+    """Return the cost of a path of neighbouring nodes, given as points ``[N, 3]`` (x, y, altitude; ``N >= 1``).
+
+    Its total is inf where a step is not one that the search may take (see `VolumeProblem`).
+    """
     cells = np.floor(points_m[:, 1::-1] / problem.resolution_m).astype(np.int64)
     nodes = np.column_stack([np.searchsorted(problem.levels_m, points_m[:, 2]), cells])
     length_m = np.linalg.norm(np.diff(points_m, axis=0), axis=1)
@@ -132,12 +126,25 @@ def charge(problem: VolumeProblem, points_m: np.ndarray) -> VolumeCost:
     climb_m, descent_m = float(np.maximum(rise_m, 0).sum()), float(np.maximum(-rise_m, 0).sum())
     node_length_m = (np.append(length_m, 0.0) + np.append(0.0, length_m)) / 2
     charged = np.append(0.0, np.ones(len(length_m)))
-    if problem.cost_model == "line":
-        charged = node_length_m / problem.reference_length_m
+    if problem.cost_model.kind == "line":
+        charged = node_length_m / problem.cost_model.reference_length_m
     total = (
         problem.distance_weight * length_m.sum()
         + problem.climb_cost * climb_m
         + problem.descent_cost * descent_m
         + charged @ problem.cost[tuple(nodes.T)]
     )
+    if not _is_allowed(problem, nodes):
+        total = np.inf
     return VolumeCost(float(total), float(length_m.sum()), climb_m, descent_m, nodes, charged, node_length_m)
+
+
+def _is_allowed(problem: VolumeProblem, nodes: np.ndarray) -> bool:
+    """Return whether every step between nodes ``[N, 3]`` leads to a neighbour and is allowed on both of its levels."""
+    steps = np.diff(nodes, axis=0)
+    if np.abs(steps).max(initial=0) > 1 or not problem.is_free[tuple(nodes.T)].all():
+        return False
+    # The bit of the horizontal part of each step; 0 straight up or down.
+    bit = (steps[:, None, 1:] == np.array(STEPS)).all(axis=2) @ (1 << np.arange(len(STEPS)))
+    level, row, col = nodes[:-1].T
+    return bool(np.all(problem.moves[level, row, col] & problem.moves[nodes[1:, 0], row, col] & bit == bit))

@@ -104,7 +104,7 @@ def make_bound(name: str, problem: VolumeProblem, end_s: float = np.inf) -> Volu
     per_side = problem.distance_weight * problem.resolution_m
     return VolumeBound(
         straight=per_side,
-        diagonal=per_side * (np.sqrt(2) - 1 if problem.connectivity == 8 else 1),
+        diagonal=per_side * (np.sqrt(2) - 1 if problem.cost_model.connectivity == 8 else 1),
         plan=_seen_from_above(problem, end_s) if name == "plus" else np.empty((0, 0)),
         rise=_costs_of_rising(problem),
     )
@@ -129,7 +129,7 @@ def _height_costs(problem: VolumeProblem) -> np.ndarray:
 
 def _costs_of_rising(problem: VolumeProblem) -> np.ndarray:
     """Return ``[K]`` the least that changing from each level to the goal's costs beside horizontal length."""
-    longest_m = problem.resolution_m * (np.sqrt(2) if problem.connectivity == 8 else 1)
+    longest_m = problem.resolution_m * (np.sqrt(2) if problem.cost_model.connectivity == 8 else 1)
     extra_m = np.hypot(longest_m, _rises_m(problem)) - longest_m
     change = problem.distance_weight * extra_m + _height_costs(problem)
     goal_level = problem.goal[0]
@@ -158,7 +158,7 @@ def _seen_from_above(problem: VolumeProblem, end_s: float) -> np.ndarray:
     from_share, to_share = _shares(problem, length_m)
     backwards = _make_graph(
         problem.cost.min(axis=0)[None],
-        allowed_moves(is_free, problem.connectivity, problem.diagonal == "both-free")[None],
+        allowed_moves(is_free, problem.cost_model.connectivity, problem.cost_model.diagonal == "both-free")[None],
         problem.distance_weight * length_m,
         to_share,
         from_share,
@@ -176,9 +176,9 @@ def _seen_from_above(problem: VolumeProblem, end_s: float) -> np.ndarray:
 
 def _shares(problem: VolumeProblem, length_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return how much of the map cost of its first and of its last node a step of each length is charged."""
-    if problem.cost_model == "cell":
+    if problem.cost_model.kind == "cell":
         return np.zeros(length_m.shape), np.ones(length_m.shape)
-    half = length_m / (2 * problem.reference_length_m)
+    half = length_m / (2 * problem.cost_model.reference_length_m)
     return half, half
 
 

@@ -1,7 +1,16 @@
 """Whether a path keeps to free cells, as Shapely sees it."""
 
 import numpy as np
-from shapely import LineString, STRtree, box, intersection, length
+from shapely import LineString, STRtree, box, intersection, length, points
+
+
+def pinched_corners(is_free: np.ndarray) -> np.ndarray:
+    """``[P, 2]`` x, y, in cell sides, of corners at which two obstacles touch and the two cells beside are free."""
+    south_west, south_east, north_west, north_east = (
+        is_free[rows, cols] for rows in (np.s_[:-1], np.s_[1:]) for cols in (np.s_[:-1], np.s_[1:])
+    )
+    is_pinched = (south_west == north_east) & (south_east == north_west) & (south_west != south_east)
+    return np.argwhere(is_pinched)[:, ::-1] + 1.0
 
 
 class Obstacles:
@@ -12,6 +21,13 @@ class Obstacles:
         rows, cols = np.nonzero(~frame)
         west, south = x_m + (cols - 1) * side_m, y_m + (rows - 1) * side_m
         self._tree = STRtree(box(west, south, west + side_m, south + side_m))
+        self._pinches = STRtree(points(pinched_corners(is_free) * side_m + (x_m, y_m)))
+        self._touch_m = 1e-9 * side_m
+
+    def is_pinched(self, points_m: np.ndarray) -> bool:
+        """Whether a path runs through a corner at which two obstacles touch that have none beside it."""
+        line = LineString(points_m if len(points_m) > 1 else np.repeat(points_m, 2, axis=0))
+        return len(self._pinches.query(line, "dwithin", self._touch_m)) > 0
 
     def crossed_m(self, points_m: np.ndarray) -> float:
         """Length of a path within obstacles; one point counts as a path of no length."""

@@ -4,9 +4,13 @@ import json
 
 import numpy as np
 import pytest
+import shapely
 
 import jaxurban as ju
 from jaxurban import cli
+from jaxurban.io.export import GROUND_TOLERANCE_M, write_path
+from jaxurban.weighted import weigh
+from tests.mavlink import mission_reader
 
 pytestmark = pytest.mark.data
 
@@ -59,3 +63,26 @@ def test_run_json_tells_of_the_rasters(folder):
     assert 0 < record["buildings"]["highest_m"] <= 52
     assert set(record["inputs"]) == {"buildings", "terrain"}
     assert all(0 <= share <= 1 for share in record["rays_leave_data_share"].values())
+
+
+def test_missions_over_the_hills_keep_their_height_above_ground_as_mavsdk_reads_them(folder, tmp_path):
+    maps, file, apart_m, rng = ju.open_maps(folder), tmp_path / "path.plan", [], np.random.default_rng(5)
+    free, terrain_m = np.argwhere(maps.is_free(60.0)), maps.m("terrain")
+    weighted = weigh(maps, 60.0)
+    with mission_reader() as reader:
+        uphill = free[np.argsort(terrain_m[tuple(free.T)])[-200:]]
+        for start, goal in zip(rng.permutation(free)[:10], rng.permutation(uphill)[:10], strict=True):
+            ends = {"start_xy_m": maps.grid.xy_of_cell(*start), "goal_xy_m": maps.grid.xy_of_cell(*goal)}
+            path = weighted.plan(**ends, planner="astar-dist")
+            write_path(path, file)
+            _, places = reader.read(file)
+            home_m = json.loads(file.read_text())["mission"]["plannedHomePosition"][2]
+            assert home_m == pytest.approx(terrain_m[tuple(start)], abs=0.01)
+            flown = shapely.LineString(np.column_stack([*maps.grid.xy_of_lonlat(*places[:, :2].T), places[:, 2]]))
+            assert flown.hausdorff_distance(shapely.LineString(path.xy_m)) < 0.05
+            for xy_m in path.xy_m:  # the middles of cells, where the raster says how high the ground is
+                above_m = home_m + flown.interpolate(flown.project(shapely.Point(xy_m))).z
+                above_m -= terrain_m[maps.grid.cell_of_xy(*xy_m)]
+                assert above_m == pytest.approx(60.0, abs=GROUND_TOLERANCE_M + 0.02)
+            apart_m.append(abs(places[-1, 2] - 60.0))
+    assert max(apart_m) > 20.0  # what it would be off the ground were the ground's difference left out

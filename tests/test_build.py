@@ -48,6 +48,10 @@ def test_values_are_metrics_and_obstacles_hold_zero(maps):
             assert (maps.m(name, altitude_m)[blocked] == 0.0).all()
 
 
+def test_the_maps_say_how_far_risk_looked(maps):
+    assert (maps.ds.attrs["risk_threshold_m"], maps.ds.attrs["risk_distance"]) == (50.0, "slice")
+
+
 def test_a_cell_is_an_obstacle_exactly_where_a_roof_reaches_it(maps):
     for altitude_m in maps.altitudes_m:
         np.testing.assert_array_equal(maps.m("obstacle", altitude_m) == 1, maps.m("roof") >= altitude_m)

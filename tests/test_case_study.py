@@ -231,7 +231,7 @@ def test_the_benchmark_can_be_solved_by_its_page_alone(result, tmp_path):
             ]
             layers = weights[:, None, None] * kept["costs"].astype(np.float64)
             problem = Problem(
-                layers, kept["is_free"], ends[0], ends[1], float(kept["resolution_m"]), row.w_distance, "line", 5.0
+                layers, kept["is_free"], ends[0], ends[1], float(kept["resolution_m"]), row.w_distance, "line"
             )
         assert astar(problem).cost == pytest.approx(row.grid_optimum, rel=1e-9)
         assert row.best_known <= row.grid_optimum * (1 + 1e-12)

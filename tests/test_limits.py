@@ -83,7 +83,7 @@ def test_no_planner_enters_a_zone_or_breaks_a_bound(maps, ends, planner, require
     outline = middle.buffer(120.0, quad_segs=3)
     limits = ju.Limits((Zone("heliport", outline, maps.grid.crs),), (Bound.parse(require),))
     path = ju.plan(
-        maps, **ends, altitude_m=ALTITUDE_M, planner=planner, limits=limits, snap=True, cost_model="line", budget_s=0.5
+        maps, **ends, altitude_m=ALTITUDE_M, planner=planner, limits=limits, snap=500.0, cost_model="line", budget_s=0.5
     )
     assert path.status.has_path == (planner != "ptp")
     if path.status.has_path:

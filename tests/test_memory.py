@@ -1,10 +1,13 @@
 """The memory plan: what fits, what is refused, and that a real run stays under its ceiling."""
 
+import re
 import subprocess
 import sys
 
 import pytest
 
+import jaxurban as ju
+from jaxurban import memory
 from jaxurban.errors import InputError
 from jaxurban.layers import MapParams
 from jaxurban.maps import open_maps
@@ -50,18 +53,83 @@ def test_tiles_do_not_depend_on_the_machine_and_shrink_for_long_series():
     assert tile_bytes((rows, cols), 5.0, long, 288, False) < 3 * tile_bytes((1000, 1000), 2.0, short, 1, True)
 
 
+@pytest.mark.parametrize("cell_m", [0.2, 0.1, 0.05])
+def test_a_region_of_fine_cells_that_cannot_fit_is_refused_before_it_begins(cell_m, monkeypatch):
+    """At 0.05 m the lidar looks 2,000 cells far in as many steps: its bits are 30 GB even for a yard."""
+    monkeypatch.setattr(memory, "free_bytes", lambda: 4 * GIB)
+    city = ju.demo_city(700, 700)
+    x_m, y_m = city.extent_m[0] + 300, city.extent_m[1] + 300
+    num = round(200 / cell_m)
+    grid = ju.Grid(city.crs, cell_m, round(y_m / cell_m), round(x_m / cell_m), num, num)
+    with pytest.raises(
+        InputError, match=r"cells of 0\.\d+ m need about .* GiB of memory at once and 4\.0 GiB are free: "
+    ):
+        ju.build_maps(city, grid=grid)
+
+
+@pytest.mark.parametrize("cell_m", [0.1, 0.05])
+def test_the_command_refuses_fine_cells_that_cannot_fit(cell_m, tmp_path, capsys):
+    (tmp_path / "fine.toml").write_text(
+        f"[region]\nbounds = [-73.985, 40.755, -73.979, 40.759]\nresolution_m = {cell_m}\n"
+        '[buildings]\nsource = "synthetic"\n'
+    )
+    from jaxurban.cli import main
+
+    with pytest.raises(SystemExit) as ended:
+        main(["maps", str(tmp_path / "fine.toml"), "-o", str(tmp_path / "out"), "--memory", "8GiB"])
+    assert ended.value.code == 2
+    assert re.search(
+        r"needs about \d+ GiB of memory and may take 8\.0 GiB: raise --memory.*range_m", capsys.readouterr().err
+    )
+    assert not (tmp_path / "out" / "run.json").exists()
+
+
+def test_a_containers_limit_counts(tmp_path, monkeypatch):
+    monkeypatch.setattr(memory, "CGROUP", tmp_path)
+    free = memory.free_bytes()
+    (tmp_path / "memory.stat").write_text("anon 1073741824\nfile 5000000000\n")
+    (tmp_path / "memory.max").write_text("max\n")
+    assert memory.free_bytes() > free / 2
+    (tmp_path / "memory.max").write_text(f"{GIB + 5_000_000}\n")
+    assert memory.free_bytes() == 5_000_000
+
+
+PEAK = (
+    "import resource, sys; from jaxurban.cli import main\n"
+    "try: main(sys.argv[1:])\n"
+    "finally: print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)"
+)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("cell_m", "range_m", "threshold_m"), [(0.4, 100, 50), (0.2, 40, 10), (0.1, 30, 10)])
+def test_the_estimate_of_fine_cells_is_above_the_truth_and_not_twice_it(tmp_path, cell_m, range_m, threshold_m):
+    """Measured in a process of its own, on the yard of a tower, whose walls the lidar sees."""
+    (tmp_path / "fine.toml").write_text(
+        f"[region]\nbounds = [-73.98, 40.75, -73.9795, 40.7504]\nresolution_m = {cell_m}\naltitudes_m = 20\n"
+        '[buildings]\nsource = "tower.geojson"\n'
+        f"[lidar]\nrange_m = {range_m}\n[risk]\nthreshold_m = {threshold_m}\n"
+    )
+    ring = [[-73.98, 40.75], [-73.9799, 40.75], [-73.9799, 40.7501], [-73.98, 40.7501], [-73.98, 40.75]]
+    (tmp_path / "tower.geojson").write_text(
+        '{"type": "FeatureCollection", "features": [{"type": "Feature", "properties": {"height": 25}, '
+        f'"geometry": {{"type": "Polygon", "coordinates": [{ring}]}}}}]}}'
+    )
+    arguments = ["maps", tmp_path / "fine.toml", "-o", tmp_path / "out"]
+    done = subprocess.run([sys.executable, "-c", PEAK, *arguments], capture_output=True, text=True, check=True)
+    told = float(re.search(r"about ([\d.]+) GiB of memory at most", done.stderr)[1]) * GIB
+    peak = int(done.stdout.split()[-1]) * 1024
+    assert peak < told + 0.05 * GIB  # told to a tenth
+    assert told < 2 * peak
+
+
 @pytest.mark.slow
 def test_a_run_stays_under_its_ceiling_on_a_region_that_needs_several_times_more_at_once(tmp_path):
     """20 million cells at 4 altitudes: 3.1 GB of maps alone, under 1.25 GiB, of which libraries take the half."""
     (tmp_path / "scenario.toml").write_text(
         '[region]\nbounds = [-74.03, 40.69, -73.912, 40.76]\nresolution_m = 2\n[buildings]\nsource = "synthetic"\n'
     )
-    code = (
-        "import resource, sys; from jaxurban.cli import main\n"
-        "try: main(sys.argv[1:])\n"
-        "finally: print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)"
-    )
     arguments = ["maps", tmp_path / "scenario.toml", "-o", tmp_path / "out", "--memory", "1.25GiB"]
-    done = subprocess.run([sys.executable, "-c", code, *arguments], capture_output=True, text=True, check=True)
+    done = subprocess.run([sys.executable, "-c", PEAK, *arguments], capture_output=True, text=True, check=True)
     assert int(done.stdout.split()[-1]) * 1024 < 1.25 * GIB
     assert open_maps(tmp_path / "out").ds.nbytes > 2 * 1.25 * GIB

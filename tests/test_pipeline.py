@@ -99,7 +99,7 @@ def test_a_damaged_folder_is_made_again_or_named(job, capsys, damage):
         (job / "maps.zarr" / "20 copym").mkdir()
     else:
         (job / "geotiff" / "gps_20m_20m.tif").unlink()
-    pipeline.run_scenario(Scenario.from_dict(SETTINGS), job, overwrite=True)
+    pipeline.run_scenario(Scenario.from_dict(SETTINGS), job)
     assert ju.open_maps(job).m("gps", 20.0).shape == ju.open_maps(job).grid.shape
     assert (job / "geotiff" / "gps_20m_20m.tif").exists()
 
@@ -108,7 +108,7 @@ def test_torn_maps_are_named_when_planning(job, capsys):
     (job / "maps.zarr" / "20m" / "zarr.json").write_text("junk")
     code, _, err = run(capsys, "plan", job, "--start", "-73.999,40.756", "--goal", "-73.994,40.76", "--altitude", 20)
     assert code == 2
-    assert_one_sentence(err, "cannot be read")
+    assert_one_sentence(err, "zarr.json", "not as they were written", "jaxurban maps")
 
 
 def test_a_free_cell_without_a_value_is_never_free_of_charge(job):

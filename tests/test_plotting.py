@@ -375,3 +375,11 @@ def test_a_single_panel_keeps_the_maps_proportions():
 def test_drawing_does_not_import_pyplot():
     code = "import sys, jaxurban.plotting; sys.exit('matplotlib.pyplot' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code]).returncode == 0
+
+
+def test_satellites_are_drawn_in_whole_numbers(maps):
+    figure = plotting.plot_metric(maps, "num_visible")
+    assert "median 7" in texts_of(figure)
+    assert "median 7.0" not in texts_of(figure)
+    (bar,) = [panel for panel in figure.axes if panel.get_ylabel() == "satellites in view"]
+    assert [tick % 1 for tick in bar.get_yticks()] == [0] * len(bar.get_yticks())

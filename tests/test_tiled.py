@@ -101,12 +101,20 @@ def test_a_chunk_is_a_tile(made):
 
 
 @pytest.mark.parametrize("num_workers", [1, 2, 4])
-def test_any_number_of_dask_workers_gives_the_same_bytes(city, whole, tmp_path, num_workers):
+def test_any_number_of_dask_workers_gives_the_same_bytes(city, whole, tmp_path, num_workers, monkeypatch):
+    suffixes, finish = set(), WorkFolder.finish
+
+    def look_and_finish(work, target):
+        suffixes.update(path.suffix for path in work.path.rglob("*") if path.is_file())
+        finish(work, target)
+
+    monkeypatch.setattr(WorkFolder, "finish", look_and_finish)
     distributed = pytest.importorskip("distributed", reason="needs the cluster extra")
     options = {"processes": False, "dashboard_address": "127.0.0.1:0", "threads_per_worker": 1}
     with distributed.LocalCluster(n_workers=num_workers, **options) as cluster, distributed.Client(cluster) as client:
         make(tmp_path, city, client=client)
     assert files_of(tmp_path) == whole
+    assert suffixes == {"", ".txt", ".npz", ".json"}  # plain data: workers get the job itself from the scheduler
 
 
 def start(folder: Path, cache: str) -> subprocess.Popen:

@@ -30,7 +30,7 @@ def test_maps_weighed_once_give_the_paths_of_separate_plans(maps):
 
 
 def test_the_metrics_of_a_path_are_the_means_over_the_length_in_each_cell(maps):
-    weighted = ju.weigh(maps, 20.0, cost_model="line", reference_length_m=1.0, weights=ju.Weights(0, 1, 1, 1, 1))
+    weighted = ju.weigh(maps, 20.0, cost_model=ju.CostModel("line", 1.0), weights=ju.Weights(0, 1, 1, 1, 1))
     rows, cols = np.nonzero(weighted.is_free)
     planned = weighted.plan(
         start_xy_m=weighted.grid.xy_of_cell(rows[0], cols[0]), goal_xy_m=weighted.grid.xy_of_cell(rows[-1], cols[-1])

@@ -69,7 +69,7 @@ def place(shared: WeightedMap, name: str, share: Share):
     grid = shared.grid
     x_m = grid.x_min_m + share[0] * (grid.x_max_m - grid.x_min_m)
     y_m = grid.y_min_m + share[1] * (grid.y_max_m - grid.y_min_m)
-    return shared.locate(name, xy_m=(x_m, y_m), snap=True)
+    return shared.locate(name, xy_m=(x_m, y_m), snap=math.inf)  # a share of the region may lie in any building
 
 
 def window(grid: Grid, paths: Sequence[PlannedPath]) -> Grid:

@@ -9,7 +9,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
 
 from figures.paper.common import PATH_M, TOWNS, Caption, save
-from jaxurban.planners.base import Cell, Problem
+from jaxurban.planners.base import Cell, CostModel, Problem
 from jaxurban.planners.graph import graph_of
 from jaxurban.planners.moves import STEPS, allowed_moves
 from jaxurban.plotting.frame import FAINT_INK, INK, SMALL_PT, TEXT_PT
@@ -58,7 +58,7 @@ def question(obstacles: tuple[int, ...], diagonal: str) -> Problem:
     for node in obstacles:
         is_free[NODES[node]] = False
     centre = NODES[0]
-    return Problem(np.zeros((1, 3, 3)), is_free, centre, centre, PATH_M, 1.0, connectivity=8, diagonal=diagonal)
+    return Problem(np.zeros((1, 3, 3)), is_free, centre, centre, PATH_M, 1.0, CostModel(diagonal=diagonal))
 
 
 def draw(panel: Axes, title: str, problem: Problem, lost: set[tuple[Cell, Cell]]) -> None:

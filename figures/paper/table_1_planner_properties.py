@@ -44,7 +44,7 @@ def trial() -> pd.DataFrame:
     """Return every planner's answer to the same questions, joined with them; it repeats exactly but for the times."""
     maps = EMBEDDED.maps(PATH_M)
     questions = ju.sample_instances(maps, NUM_QUESTIONS, altitudes_m=(ALTITUDE_M,), seed=SEED)
-    settings = Settings(cost_model="line", budget_iterations=NUM_SAMPLES, seed=SEED)
+    settings = Settings(budget_iterations=NUM_SAMPLES, seed=SEED)
     rows = []
     for (time, time_of_day), asked in questions.groupby(["time", "time_of_day"]):
         ground = Ground(maps, ALTITUDE_M, time, time_of_day, settings)

@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from jaxurban.cost import Weights
+    from jaxurban.maps import Obstacles
+    from jaxurban.planners.base import CostModel
 
 Settings = dict[str, Any]
 
@@ -45,19 +47,52 @@ OBSTACLES = click.option(
     help="Cells that no path enters: all that a building touches, or (the paper) only where it covers the centre; "
     "paths then cut true outlines.  [default: the scenario's, else touched]",
 )
+SNAP_FLAG = click.option(
+    "--snap", is_flag=True, help="Move a start or goal inside an obstacle to the nearest free cell, by 50 m at most."
+)
+SNAP_DISTANCE = click.option(
+    "--snap-distance", "snap_distance_m", type=float, metavar="METRES", help="--snap by at most so far instead of 50 m."
+)
 JSON_FLAG = click.option("--json", "as_json", is_flag=True, help="Print one machine-readable object on stdout.")
 
 
+def limit_options(command: Callable) -> Callable:
+    """Add --no-fly and --require, which `Limits.read` takes, to a command."""
+    require = click.option("--require", multiple=True, help="What must hold all along, such as gps>=0.3; repeatable.")
+    no_fly = click.option(
+        "--no-fly", type=click.Path(path_type=Path), multiple=True, help="Closed polygons (GeoJSON, KML); repeatable."
+    )
+    return no_fly(require(command))
+
+
+def take_snap(given: Settings) -> bool | float:
+    """Take the options of snapping out of ``given``; return what `jaxurban.plan` takes as ``snap``."""
+    is_asked, distance_m = given.pop("snap"), given.pop("snap_distance_m")
+    return is_asked if distance_m is None else distance_m
+
+
 def stored_settings(folder: Path) -> Settings:
-    """Return the settings that made the maps in ``folder``, empty where they were saved from Python."""
+    """Return the settings that made the maps in ``folder``, empty where they were saved from Python.
+
+    Raises:
+      InputError: the record of the run that made them is damaged or missing, and with it their weights.
+    """
+    from jaxurban.io.seal import read_json
+    from jaxurban.io.store import RUN_FILE, are_of_a_run
+
     if folder.is_file():
         raise InputError(f"{str(folder)!r} is a file: give the folder that holds the maps")
+    remedy = "run the same `jaxurban maps` command again, which writes it anew"
     try:
-        return json.loads((folder / "run.json").read_text(encoding="utf-8"))["settings"]
-    except FileNotFoundError:
+        return read_json(folder / RUN_FILE)["settings"]
+    except FileNotFoundError as error:
+        if are_of_a_run(folder):
+            raise InputError(
+                f"{str(folder / RUN_FILE)!r}, with the settings of the maps, is missing: {remedy}"
+            ) from error
         return {}
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputError(f"{str(folder / 'run.json')!r} cannot be read: make the maps again") from error
+        raise InputError(f"{str(folder / RUN_FILE)!r} cannot be read ({error}): {remedy}") from error
 
 
 def stored_weights(folder: Path, settings: Settings) -> "Weights":
@@ -70,6 +105,23 @@ def stored_weights(folder: Path, settings: Settings) -> "Weights":
         raise InputError(
             f"{str(folder / 'run.json')!r} names weights that do not exist: make the maps again"
         ) from error
+
+
+def stored_cost_model(settings: Settings, kind: str | None) -> "CostModel":
+    """Return the cost model of those settings' ``[planning]``, of another kind where one is given.
+
+    Raises:
+      InputError: a value that is none of a cost model's.
+    """
+    from jaxurban.planners.base import CostModel
+
+    planning = settings.get("planning", {})
+    return CostModel.from_settings(planning if kind is None else {**planning, "cost_model": kind})
+
+
+def stored_obstacles(settings: Settings, given: "Obstacles | None") -> "Obstacles":
+    """Return the rule of obstacles that is given, else that of those settings' ``[planning]``."""
+    return given or settings.get("planning", {}).get("obstacles", "touched")
 
 
 @contextmanager

@@ -10,10 +10,16 @@ from jaxurban.commands.common import (
     JSON_FLAG,
     LONLAT,
     OBSTACLES,
+    SNAP_DISTANCE,
+    SNAP_FLAG,
     Settings,
+    limit_options,
     print_json,
+    stored_cost_model,
+    stored_obstacles,
     stored_settings,
     stored_weights,
+    take_snap,
     tell,
 )
 
@@ -34,7 +40,8 @@ from jaxurban.commands.common import (
 @click.option("--weights", "weights_text", help="As gps=1,risk=2; those not named keep their values.")
 @click.option("--budget", "budget_s", type=float, help="Seconds that the search may take.")
 @click.option("--seed", type=click.IntRange(min=0))
-@click.option("--snap", is_flag=True, help="Move a start or goal inside an obstacle to the nearest free cell.")
+@SNAP_FLAG
+@SNAP_DISTANCE
 @click.option("--refine", is_flag=True, help="Then move the waypoints downhill; needs --cost-model line.")
 @click.option("--volume", "is_volume", is_flag=True, help="Climb and descend on the way; --altitude is the start's.")
 @click.option("--goal-altitude", "goal_altitude_m", type=float, help="With --volume.  [default: --altitude]")
@@ -43,10 +50,7 @@ from jaxurban.commands.common import (
 @click.option("--level-step", "level_step_m", type=float, help="With --volume: fly between the maps' altitudes too.")
 @click.option("--climb-cost", type=float, help="With --volume: per metre.  [default: the distance weight]")
 @click.option("--descent-cost", type=float, help="With --volume: per metre.  [default: 0]")
-@click.option(
-    "--no-fly", type=click.Path(path_type=Path), multiple=True, help="Closed polygons (GeoJSON, KML); repeatable."
-)
-@click.option("--require", multiple=True, help="What must hold all along, such as gps>=0.3; repeatable.")
+@limit_options
 @click.option("--report", "with_report", is_flag=True, help="Explain the route: costs, people, walls, by segment.")
 @click.option("--speed", "speed_m_s", type=float, help="Metres per second, for the report's times.")
 @click.option("--power", "power_w", type=float, help="Watts in flight, for the report's energy.")
@@ -68,14 +72,16 @@ def plan(
 ) -> int:
     """Plan a path over the maps in DIR."""
     from jaxurban.cost import Weights
-    from jaxurban.io.export import check_export, write_path
+    from jaxurban.io.export import check_export, height_note, write_path
     from jaxurban.limits import Limits
     from jaxurban.maps import open_maps
     from jaxurban.planning import plan as plan_path
+    from jaxurban.route_cautions import cautions
     from jaxurban.route_report import check_flight, explain
     from jaxurban.volume import plan_volume
 
     as_json, with_report, is_volume = (given.pop(name) for name in ("as_json", "with_report", "is_volume"))
+    given["snap"] = take_snap(given)
     asked = {name: given.pop(name) for name in ("speed_m_s", "power_w", "swath_m")}
     if asked["swath_m"] is None:
         del asked["swath_m"]
@@ -93,12 +99,14 @@ def plan(
     defaults = stored_settings(folder)
     planning = defaults.get("planning", {})
     chosen = {name: given[name] if given[name] is not None else planning.get(name) for name in given}
-    chosen |= {name: planning[name] for name in ("connectivity", "diagonal", "reference_length_m") if name in planning}
+    del chosen["obstacles"]
+    chosen["cost_model"] = stored_cost_model(defaults, given["cost_model"])
     if is_volume:
         chosen = {name: value for name, value in chosen.items() if name not in ("planner", "seed", "refine")}
         chosen["start_altitude_m"] = altitude_m = chosen.pop("altitude_m")
         chosen["goal_altitude_m"] = altitude_m if chosen["goal_altitude_m"] is None else chosen["goal_altitude_m"]
-    maps = open_maps(folder, resolution_m, obstacles=chosen.pop("obstacles") or "touched")
+    obstacles = stored_obstacles(defaults, given["obstacles"])
+    maps = open_maps(folder, resolution_m, obstacles=obstacles)
     planned = (plan_volume if is_volume else plan_path)(
         maps,
         limits=Limits.read(no_fly, require),
@@ -109,13 +117,17 @@ def plan(
     report = explain(planned, maps, **asked) if is_explained else None
     for file in files:
         if write_path(planned, file, report if with_report else None):
-            tell(f"wrote {file}")
+            tell(f"wrote {file}" + (f": {height_note(planned)}" if file.suffix.lower() == ".plan" else ""))
         else:
             tell(f"no path, so {file} was not written" + (" (an older one is still there)" if file.exists() else ""))
     if report is not None and profile is not None:
         save_profile(planned, maps, profile, report)
         tell(f"wrote {profile}")
     facts = planned.to_dict()
+    if planned.status.has_path:
+        facts["cautions"] = cautions(planned, maps, None if report is None else report.profile)
+        for sentence in facts["cautions"]:
+            tell(sentence)
     if as_json:
         told = {"report": report.to_dict()} if report is not None else {}
         print_json(facts | told | {name: getattr(planned, name).tolist() for name in ("lonlat", "xy_m", "z_m")})
@@ -143,6 +155,8 @@ def _path_table(facts: Settings) -> str:
         if facts["gap"]:
             rows += [("above the best", f"at most {100 * facts['gap']:.2f} %")]
         rows += [("length", f"{facts['length_m']:.1f} m")]
+        moved = [f"{name} {moved_m:.1f} m" for name, moved_m in facts["snap_distance_m"].items()]
+        rows += [("moved to cells", ", ".join(moved))]
         rows += [(f"cost of {name}", f"{value:.3f}") for name, value in facts["cost_by_layer"].items()]
         rows += [(f"mean m_{name}", f"{value:.3f}") for name, value in facts["metrics"].items()]
     rows += [("expansions", f"{facts['num_expanded']}"), ("search time", f"{facts['elapsed_s']:.3f} s")]

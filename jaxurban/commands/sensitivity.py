@@ -1,5 +1,6 @@
 """jaxurban sensitivity."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -9,10 +10,16 @@ from jaxurban.commands.common import (
     JSON_FLAG,
     LONLAT,
     OBSTACLES,
+    SNAP_DISTANCE,
+    SNAP_FLAG,
+    limit_options,
     print_json,
     stages,
+    stored_cost_model,
+    stored_obstacles,
     stored_settings,
     stored_weights,
+    take_snap,
     tell,
 )
 from jaxurban.errors import InputError
@@ -31,7 +38,9 @@ NAMED = {"vary": "vary", "triangle": "triangle", "wishes": "pareto"}  # lists of
 @click.option("--cost-model", type=click.Choice(["cell", "line"]), help="cell (the paper) or line.")
 @OBSTACLES
 @click.option("--weights", "weights_text", default="", help="As gps=1,risk=2; those not named keep their values.")
-@click.option("--snap", is_flag=True, help="Move a start or goal inside an obstacle to the nearest free cell.")
+@limit_options
+@SNAP_FLAG
+@SNAP_DISTANCE
 @click.option(
     "--vary", default="", metavar="NAME,...", help="Weights that vary.  [default: every metric with a weight]"
 )
@@ -62,11 +71,14 @@ def sensitivity(
     as_json: bool,
     with_buildings: bool,
     scenario: Path | None,
+    no_fly: Sequence[Path],
+    require: Sequence[str],
     **given: Any,
 ) -> int:
     """Tell what would change the route between two places over the maps in DIR, and what would not."""
     from jaxurban.cost import Weights
     from jaxurban.io.store import check_writable
+    from jaxurban.limits import Limits
     from jaxurban.maps import open_maps
     from jaxurban.planning import plan
     from jaxurban.sensitivity_report import add_buildings, ranges, save_sensitivity
@@ -74,22 +86,22 @@ def sensitivity(
 
     if scenario is not None and not with_buildings:
         raise click.UsageError("--scenario belongs to --buildings: add that")
+    given["snap"] = take_snap(given)
     settings = stored_settings(folder)
-    planning = settings.get("planning", {})
     weights = Weights.parse(weights_text, stored_weights(folder, settings))
-    given["cost_model"] = given["cost_model"] or planning.get("cost_model", "cell")
-    given |= {name: planning[name] for name in ("reference_length_m",) if name in planning}
+    given["cost_model"] = stored_cost_model(settings, given["cost_model"])
+    given["limits"] = Limits.read(no_fly, require)
     study_only = ("num_samples", "tolerance", "seed")
     how: dict[str, Any] = {name: given.pop(name) for name in study_only}
     how |= {name: _names(given.pop(option)) for name, option in NAMED.items()}
     factors = _factors(factors_text)
-    obstacles = given.pop("obstacles") or planning.get("obstacles", "touched")
+    obstacles = stored_obstacles(settings, given.pop("obstacles"))
     maps = open_maps(folder, resolution_m, obstacles=obstacles)
     check_writable(output)
     asked = {"weights": weights, **given}
     first = plan(maps, time=asked["epoch"], **{name: value for name, value in asked.items() if name != "epoch"})
     if not first.status.has_path:
-        tell(first.status.sentence)
+        tell(first.to_dict()["message"])
         if as_json:
             print_json(first.to_dict())
         return first.status.exit_code

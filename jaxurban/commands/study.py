@@ -1,15 +1,18 @@
 """jaxurban study."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from jaxurban.commands.common import JSON_FLAG, print_json, stages, tell
+from jaxurban.commands.common import JSON_FLAG, limit_options, print_json, stages, tell
 from jaxurban.errors import InputError
 
 if TYPE_CHECKING:
     from jaxurban.case_study import StudyResult
+    from jaxurban.limits import Limits
+    from jaxurban.planners.base import CostModel
     from jaxurban.scenario import Scenario
 
 
@@ -19,6 +22,7 @@ if TYPE_CHECKING:
 @click.option("--instances", "instances_file", type=click.Path(path_type=Path), help="Ask these (.parquet, .csv).")
 @click.option("--resolution", "resolution_m", type=float, help="Of the maps, metres.  [default: the scenario's first]")
 @click.option("--budget-iterations", type=click.IntRange(min=1), help="Samples a run instead of [study] budget_s.")
+@limit_options
 @click.option(
     "--workers", type=click.IntRange(min=1), help="Processes.  [default: one a core, where Dask is installed]"
 )
@@ -32,22 +36,29 @@ def study(
     scenario_file: Path,
     folder: Path,
     benchmark_folder: Path | None,
+    no_fly: Sequence[Path],
+    require: Sequence[str],
     as_json: bool,
     **given: Any,
 ) -> int:
     """Ask every planner of SCENARIO's [study] many random questions over its maps, and say what came out."""
+    from jaxurban.limits import Limits
+    from jaxurban.planners.base import CostModel
     from jaxurban.scenario import Scenario
+    from jaxurban.studies.benchmarkset import check_exportable, export_benchmark
     from jaxurban.study_report import write_analysis
 
     scenario = Scenario.from_toml(scenario_file)
-    result = _run(scenario, folder, **given)
+    model = CostModel.from_settings({**scenario.planning.model_dump(), "cost_model": scenario.study.cost_model})
+    limits = Limits.read(no_fly, require)
+    if benchmark_folder is not None:
+        check_exportable(model, limits)
+    result = _run(scenario, folder, model, limits, **given)
     report = write_analysis(result, folder / "analysis")
     tell(f"study finished: read {report}")
     made: dict[str, Any] = {"folder": str(folder), "report": str(report), "rows": str(result.folder / "rows.parquet")}
     made |= {"num_rows": len(result.rows), "statuses": result.rows.status.value_counts().to_dict()}
     if benchmark_folder is not None:
-        from jaxurban.studies.benchmarkset import export_benchmark
-
         counts = export_benchmark(
             result.maps, result.instances, result.rows, benchmark_folder, result.settings, scenario_file.stem
         )
@@ -63,6 +74,8 @@ def study(
 def _run(
     scenario: "Scenario",
     folder: Path,
+    model: "CostModel",
+    limits: "Limits",
     instances_file: Path | None,
     resolution_m: float | None,
     budget_iterations: int | None,
@@ -78,7 +91,7 @@ def _run(
 
     if workers is not None and cluster is not None:
         raise InputError("give either --workers, for processes of this machine, or --cluster, not both")
-    settings, planning = scenario.study, scenario.planning
+    settings = scenario.study
     instances = None if instances_file is None else read_instances(instances_file)
     cover = None if instances_file is not None else land_cover_of(scenario)
     with stages("maps") as on_stage:
@@ -94,17 +107,15 @@ def _run(
         weights=weights if isinstance(weights, str) else [Weights(**each.model_dump()) for each in weights],
         planners=settings.planners,
         distance_only=settings.distance_only,
-        cost_model=settings.cost_model,
-        reference_length_m=planning.reference_length_m,
-        connectivity=planning.connectivity,
-        diagonal=planning.diagonal,
+        cost_model=model,
+        limits=limits,
         budget_s=settings.budget_s,
         budget_iterations=budget_iterations or settings.budget_iterations,
         seed=settings.seed,
         workers=workers or _default_workers(cluster),
         cluster=cluster,
         resolution_m=resolution_m or scenario.region.resolution_m[0],
-        obstacles=planning.obstacles,
+        obstacles=scenario.planning.obstacles,
         overwrite=overwrite,
     )
 

@@ -8,9 +8,17 @@ from typing import Any
 import click
 from click.core import ParameterSource
 
-from jaxurban.commands.common import JSON_FLAG, OBSTACLES, print_json, rounds, stored_settings, tell
-
-SHARED = ("cost_model", "reference_length_m", "connectivity", "diagonal")  # settings of planning, of the scenario
+from jaxurban.commands.common import (
+    JSON_FLAG,
+    OBSTACLES,
+    limit_options,
+    print_json,
+    rounds,
+    stored_cost_model,
+    stored_obstacles,
+    stored_settings,
+    tell,
+)
 
 
 @click.command()
@@ -30,8 +38,11 @@ SHARED = ("cost_model", "reference_length_m", "connectivity", "diagonal")  # set
 @click.option("--time-of-day", help="Of the population map.  [default: the routes' own, else the first]")
 @click.option("--time", help="Epoch of the GPS map, UTC.  [default: the routes' own, else the first]")
 @click.option("--resolution", "resolution_m", type=float, help="Of the maps, metres; needed where DIR holds several.")
-@click.option("--cost-model", type=click.Choice(["cell", "line"]), help="[default: the scenario's, else cell]")
+@click.option(
+    "--cost-model", type=click.Choice(["cell", "line"]), help="[default: the routes' own, else the scenario's]"
+)
 @OBSTACLES
+@limit_options
 @click.option("--scale", type=click.Choice(["simplex", "distance"]), help="Weights sum to 1, or distance weighs 1.")
 @click.option("--bootstrap", type=click.IntRange(min=0), help="Fits for the intervals.  [default: 200]")
 @click.option("--rounds", "max_rounds", type=click.IntRange(min=1), help="Of searches, at most.")
@@ -48,6 +59,8 @@ def tune(
     wishes: Sequence[str],
     metrics: str | None,
     cost_model: str | None,
+    no_fly: Sequence[Path],
+    require: Sequence[str],
     scale: str | None,
     bootstrap: int | None,
     overwrite: bool,
@@ -55,22 +68,25 @@ def tune(
     **given: Any,
 ) -> int:
     """Fit weights to example ROUTES (GeoJSON lines) over the maps in DIR, or to wishes on outcomes."""
+    from jaxurban.limits import Limits
     from jaxurban.studies.wishes import Wish
     from jaxurban.tuning import Source, TuneSettings, run_tuning
 
     if wishes and (scale or bootstrap is not None):
         raise click.UsageError("--scale and --bootstrap belong to fits without --wish: leave them out")
-    planning = stored_settings(folder).get("planning", {})
-    on_maps = {name: planning[name] for name in SHARED if name in planning}
-    if cost_model is not None:
-        on_maps["cost_model"] = cost_model
+    stored = stored_settings(folder)
+    on_maps: dict[str, Any] = {
+        "cost_model": None if cost_model is None else stored_cost_model(stored, cost_model),
+        "default_cost_model": stored_cost_model(stored, None),
+        "limits": Limits.read(no_fly, require),
+    }
     if metrics is not None:
         on_maps["metrics"] = [name.strip() for name in metrics.split(",") if name.strip()]
     of_fit = {"scale": scale, "bootstrap": bootstrap} | {
         name: given.pop(name) for name in ("max_rounds", "seed", "budget_s", "backend")
     }
     settings = TuneSettings(
-        obstacles=given.pop("obstacles") or planning.get("obstacles", "touched"),
+        obstacles=stored_obstacles(stored, given.pop("obstacles")),
         **given,
         maps=on_maps,
         wishes=tuple(Wish.parse(text) for text in wishes),

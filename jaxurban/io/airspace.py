@@ -1,5 +1,6 @@
 """No-fly zones: polygons with a floor and a ceiling, from GeoJSON, KML and other vector files."""
 
+import hashlib
 import math
 import re
 import warnings
@@ -34,7 +35,7 @@ BLOCK = 16  # cells a side that are asked for at once
 ROLE = "no-fly"
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Zone:
     """A place where no flight may go, from a floor to a ceiling, both included.
 
@@ -66,6 +67,11 @@ class Zone:
                 f"the no-fly zone {self.label} has floor {self.floor_m:g} m and ceiling {self.ceiling_m:g} m: give two "
                 "numbers of metres above ground, the floor not above the ceiling"
             )
+
+    @property
+    def outline(self) -> str:
+        """What stands for the outline and its CRS: a hash that differs where they do."""
+        return hashlib.sha256(f"{self.crs} {shapely.to_wkb(self.polygon, hex=True)}".encode()).hexdigest()[:16]
 
     @property
     def label(self) -> str:

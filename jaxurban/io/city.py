@@ -9,7 +9,7 @@ import shapely
 from jaxurban.city import City
 from jaxurban.errors import InputError
 from jaxurban.grid import WGS84, Bounds, check_bounds, projected_crs, transformer, utm_crs
-from jaxurban.io.buildings import BuildingSource, read_buildings
+from jaxurban.io.buildings import BuildingSource, Kind, read_buildings
 from jaxurban.io.census import read_blocks
 from jaxurban.io.raster import raster_extent_m, read_raster
 
@@ -35,6 +35,7 @@ def read_city(
     level_height_m: float = 3.0,
     mask_deg: float = 5.0,
     allow_none: bool = False,
+    kind: Kind = "height",
 ) -> City:
     """Return the city in a set of files, around a region.
 
@@ -51,6 +52,8 @@ def read_city(
       default_height_m, level_height_m: for buildings without a height.
       mask_deg: lowest satellite elevation that will be used.
       allow_none: accept a region without a single building.
+      kind: of a raster of buildings: ``"height"`` above ground, or ``"surface"`` (a DSM), from which the terrain is
+        taken; trees are in it too.
 
     Raises:
       InputError: a file that is missing, unreadable or of the wrong kind, or no building in the region.
@@ -63,11 +66,18 @@ def read_city(
     rise_m = TALLEST_M if terrain is None else TALLEST_M + RELIEF_M
     reach_m = rise_m / math.tan(math.radians(max(mask_deg, 0.5)))
     wide_m = (box_m[0] - reach_m, box_m[1] - reach_m, box_m[2] + reach_m, box_m[3] + reach_m)
+    ground = read_raster(terrain, crs, wide_m) if terrain is not None else None
     source = read_buildings(
-        buildings, crs, bounds_m=wide_m, default_height_m=default_height_m, level_height_m=level_height_m
+        buildings,
+        crs,
+        bounds_m=wide_m,
+        default_height_m=default_height_m,
+        level_height_m=level_height_m,
+        kind=kind,
+        terrain=ground,
     )
     if not (allow_none or _has_building(source, box_m)):
-        raise InputError(_no_building(buildings, bounds, source.extent_m, crs))
+        raise InputError(_no_building(buildings, bounds, source.file_extent_m, crs))
     faults = dict(source.faults)
     census = None
     if blocks is not None:
@@ -82,11 +92,10 @@ def read_city(
             bounds_m=wide_m,
         )
         faults.update(block_faults)
-    ground = read_raster(terrain, crs, wide_m) if terrain is not None else None
     roles = {"buildings": buildings, "blocks": blocks, "table": table, "districts": districts, "terrain": terrain}
     return City(
         crs=crs,
-        extent_m=source.extent_m,
+        extent_m=source.area.bounds,
         buildings=source.buildings,
         roofs=source.roofs,
         blocks=census,
@@ -96,6 +105,8 @@ def read_city(
         counts=source.counts,
         attribution=OSM_CREDIT if str(buildings).lower().endswith(OSM_SUFFIXES) else "",
         sources={role: str(path) for role, path in roles.items() if path is not None},
+        bounds=(west, south, east, north),
+        area=source.area,
     )
 
 

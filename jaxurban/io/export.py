@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable, Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Protocol
 from xml.etree import ElementTree
@@ -10,12 +11,16 @@ import numpy as np
 import shapely
 
 from jaxurban.errors import InputError
+from jaxurban.ground import Ground
 from jaxurban.io.store import whole_file
 from jaxurban.planners.base import Status
 
 DECIMALS = 7  # of a degree: about a centimetre
 Z_DECIMALS = 2  # of a metre
 STRAIGHT_M = 0.01  # a waypoint closer than this to the line through its neighbours is left out of a .plan
+GROUND_TOLERANCE_M = 1.0  # by which the straight lines of a .plan may miss the planned height above ground
+HEIGHT_REFERENCE = "altitude_m and z_m are metres above the ground below each point, not above sea level"
+GROUND_REFERENCE = "ground_m is in metres above the zero of the terrain file, whatever its vertical datum is"
 
 # MAVLink common message set, and the values that QGroundControl's plan format takes from it
 MAV_CMD_NAV_WAYPOINT, MAV_CMD_NAV_TAKEOFF = 16, 22
@@ -47,6 +52,10 @@ class Route(Protocol):
     def altitude_m(self) -> float:
         """Altitude above ground at the start."""
 
+    @property
+    def ground(self) -> Ground | None:
+        """The ground under it; None where it is not known."""
+
     def to_dict(self) -> dict[str, Any]:
         """Everything but the points, JSON-ready."""
 
@@ -70,14 +79,17 @@ def write_path(route: Route, file: str | Path, report: Report | None = None) -> 
 
     ``.geojson`` (RFC 7946): a FeatureCollection of one LineString. Coordinates are longitude and latitude
     only, since a third one would be a height above the ellipsoid; the altitudes above ground and all else
-    that is known of the path are properties (``altitude_m``, ``z_m`` of each point, ``cost``, ``metrics`` ...).
+    that is known of the path are properties (``altitude_m``, ``z_m`` of each point, ``cost``, ``metrics`` ...;
+    ``height_reference`` says what the heights count from; over terrain, ``ground_m`` is the elevation below each).
     With a report its facts are properties too, and each of its segments is a LineString more (``segment``: 1, 2 ...).
     ``.kml``: a LineString at its altitude above ground (``relativeToGround``), the same facts as data.
     ``.plan`` (QGroundControl): take-off at the first point, then a waypoint at every turn; points within
     a centimetre of the straight line between their neighbours are left out, so that a grid path is not a
-    mission of thousands. Altitudes are relative to the home position, which equals above ground only over
-    level ground; the home position is the first point at 0 m, its true elevation being unknown. There is
-    no landing: a pilot adds it. The file appears whole or not at all; an older one is replaced.
+    mission of thousands. Altitudes are relative to the home position, the first point. Over maps with terrain
+    they follow the ground: points are added until the straight lines between waypoints miss the planned height
+    above ground by at most `GROUND_TOLERANCE_M`, and home has the terrain file's elevation. Without terrain
+    level ground is assumed, and home is at 0 m; `height_note` says which, and the file holds it as ``note``.
+    There is no landing: a pilot adds it. The file appears whole or not at all; an older one is replaced.
 
     Args:
       route: from `plan`.
@@ -126,7 +138,7 @@ def _facts(route: Route, report: Report | None) -> tuple[dict[str, Any], list[di
     """Return what is known of the whole path, and of each segment."""
     told = {} if report is None else report.to_dict()
     segments = told.pop("segments", [])
-    return told | route.to_dict(), segments
+    return told | route.to_dict() | {"height_reference": HEIGHT_REFERENCE}, segments
 
 
 def _feature(properties: Mapping[str, Any], lonlat: np.ndarray) -> dict[str, Any]:
@@ -136,7 +148,11 @@ def _feature(properties: Mapping[str, Any], lonlat: np.ndarray) -> dict[str, Any
 
 def _geojson(route: Route, report: Report | None) -> bytes:
     facts, segments = _facts(route, report)
-    features = [_feature(facts | {"z_m": np.round(route.z_m, Z_DECIMALS).tolist()}, route.lonlat)]
+    heights: dict[str, Any] = {"z_m": np.round(route.z_m, Z_DECIMALS).tolist()}
+    if route.ground is not None:
+        elevation_m = np.interp(np.arange(len(route.z_m)), route.ground.at, route.ground.elevation_m)
+        heights |= {"ground_m": np.round(elevation_m, Z_DECIMALS).tolist(), "ground_reference": GROUND_REFERENCE}
+    features = [_feature(facts | heights, route.lonlat)]
     if report is not None:
         features += [_feature(segment, line) for segment, line in zip(segments, report.lines, strict=True)]
     collection = {"type": "FeatureCollection", "features": features}
@@ -188,10 +204,58 @@ def _turns(xy_m: np.ndarray, z_m: np.ndarray) -> np.ndarray:
     )
 
 
+def _with_bends(kept: np.ndarray, along_m: np.ndarray, height_m: np.ndarray) -> np.ndarray:
+    """Return the indices to keep and more, so that straight lines miss no height by more than the tolerance, ``[W]``.
+
+    Args:
+      kept: indices that stay, first and last included.
+      along_m: ``[G]`` length flown.
+      height_m: ``[G]`` height to keep to.
+    """
+    bends, spans = set(kept.tolist()), list(pairwise(kept.tolist()))
+    while spans:
+        first, last = spans.pop()
+        inner = np.arange(first + 1, last)
+        line_m = np.interp(along_m[inner], along_m[[first, last]], height_m[[first, last]])
+        missed_m = np.abs(height_m[inner] - line_m)
+        if missed_m.max(initial=0.0) > GROUND_TOLERANCE_M:
+            worst = int(inner[np.argmax(missed_m)])
+            bends.add(worst)
+            spans += [(first, worst), (worst, last)]
+    return np.array(sorted(bends))
+
+
+def _waypoints(route: Route) -> np.ndarray:
+    """Return ``[W, 3]`` longitude, latitude and height above the first point's ground of a mission's waypoints."""
+    if route.ground is None:
+        return np.column_stack([route.lonlat, route.z_m])[_turns(route.xy_m, route.z_m)]
+    ground, number = route.ground, np.arange(len(route.z_m))
+    xyz_m = np.column_stack([np.interp(ground.at, number, values) for values in (*route.xy_m.T, route.z_m)])
+    along_m = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(xyz_m, axis=0), axis=1)))
+    height_m = xyz_m[:, 2] + ground.elevation_m - ground.elevation_m[0]
+    kept = _with_bends(_turns(xyz_m[:, :2], xyz_m[:, 2]), along_m, height_m)
+    return np.column_stack([ground.lonlat, height_m])[kept]
+
+
+def height_note(route: Route) -> str:
+    """Return what the altitudes of a ``.plan`` take the ground for, in a sentence or two."""
+    if route.ground is None:
+        return (
+            "These maps hold no terrain, so level ground is assumed: altitudes are relative to home, and equal heights "
+            "above ground only where the ground is as high as there. Home's elevation is not known and written as 0."
+        )
+    return (
+        f"Altitudes are relative to home and follow the ground: straight lines between waypoints keep the planned "
+        f"height above it within {GROUND_TOLERANCE_M:g} m. Home is at {route.ground.elevation_m[0]:.1f} m above the "
+        "zero of the terrain file, whose vertical datum need not be mean sea level."
+    )
+
+
 def _qgc_plan(route: Route, report: Report | None) -> bytes:
-    speed_m_s = _facts(route, report)[0].get("speed_m_s")
-    turns = _turns(route.xy_m, route.z_m)
-    corners = np.round(np.column_stack([route.lonlat, route.z_m])[turns], DECIMALS).tolist()
+    facts, _ = _facts(route, report)
+    speed_m_s = facts.get("speed_m_s")
+    home_m = 0.0 if route.ground is None else float(route.ground.elevation_m[0])
+    corners = np.round(_waypoints(route), DECIMALS).tolist()
     commands = [MAV_CMD_NAV_TAKEOFF] + [MAV_CMD_NAV_WAYPOINT] * (len(corners) - 1)
     items = [
         {
@@ -211,6 +275,7 @@ def _qgc_plan(route: Route, report: Report | None) -> bytes:
         "fileType": "Plan",
         "version": 1,
         "groundStation": "QGroundControl",
+        "note": f"{height_note(route)} {facts['message']}".strip(),  # no key of the format: readers leave it alone
         "mission": {
             "version": 2,
             "firmwareType": MAV_AUTOPILOT_PX4,
@@ -218,7 +283,7 @@ def _qgc_plan(route: Route, report: Report | None) -> bytes:
             "globalPlanAltitudeMode": ALTITUDE_RELATIVE,
             "cruiseSpeed": speed_m_s or 15,  # m/s; else QGroundControl's defaults
             "hoverSpeed": speed_m_s or 5,
-            "plannedHomePosition": [corners[0][1], corners[0][0], 0],
+            "plannedHomePosition": [corners[0][1], corners[0][0], round(home_m, Z_DECIMALS)],
             "items": items,
         },
         "geoFence": {"version": 2, "circles": [], "polygons": []},

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 import osmium
@@ -29,7 +30,7 @@ _AREA_RELATIONS = ("multipolygon", "boundary")  # what libosmium makes areas of
 def read_osm(path: str | Path, file_format: str) -> Outlines:
     """Return the areas tagged ``building`` or ``building:part`` of an OSM file, ways and multipolygon relations.
 
-    Coordinates are longitude and latitude; ``box`` is the file header's, None without one. Areas that
+    Coordinates are longitude and latitude; ``boxes`` are the file header's. Areas that
     libosmium cannot assemble (rings that cross themselves) are rebuilt from their lines, each loop filled.
     Nodes and ways with negative ids (an editor's, not yet uploaded) are unknown to pyosmium: their nodes are missing.
 
@@ -45,7 +46,7 @@ def read_osm(path: str | Path, file_format: str) -> Outlines:
       InputError: the file cannot be read to its end.
     """
     try:
-        return _read(osmium.io.File(str(path), file_format), nodes_may_follow=file_format == "osm")
+        return _read(path, osmium.io.File(str(path), file_format), nodes_may_follow=file_format == "osm")
     except (RuntimeError, ValueError, OSError, osmium.InvalidLocationError) as error:
         reason = " ".join(str(error).split())  # some libraries' messages have several lines
         raise InputError(
@@ -54,7 +55,7 @@ def read_osm(path: str | Path, file_format: str) -> Outlines:
         ) from error
 
 
-def _read(file: osmium.io.File, *, nodes_may_follow: bool) -> Outlines:
+def _read(path: str | Path, file: osmium.io.File, *, nodes_may_follow: bool) -> Outlines:
     columns: dict[str, list[str | None]] = {name: [] for name in TAGS}
     shapes: list[str | None] = []  # WKB in hexadecimal, None where libosmium gave up
     broken: dict[int, tuple[bool, int]] = {}  # of those, place in `shapes`: whether it is a way, and its id
@@ -89,7 +90,7 @@ def _read(file: osmium.io.File, *, nodes_may_follow: bool) -> Outlines:
         polygons=polygons,
         tags={name: np.array(column, object) for name, column in columns.items()},
         crs=WGS84,
-        box=_header_box(file),
+        boxes=_xml_boxes(path) if nodes_may_follow else _header_box(file),
         faults={
             "open_ways": len(open_ways),
             "ways_with_missing_nodes": len(missing),
@@ -125,9 +126,24 @@ def _read_lines(processor: osmium.FileProcessor, ids: set[int]) -> dict[int, sha
     return lines
 
 
-def _header_box(file: osmium.io.File) -> Bounds | None:
+def _header_box(file: osmium.io.File) -> tuple[Bounds, ...]:
     with osmium.io.Reader(file, osmium.osm.NOTHING) as reader:
         box = reader.header().box()
     if not box.valid():
-        return None
-    return box.bottom_left.lon, box.bottom_left.lat, box.top_right.lon, box.top_right.lat
+        return ()
+    return ((box.bottom_left.lon, box.bottom_left.lat, box.top_right.lon, box.top_right.lat),)
+
+
+def _xml_boxes(path: str | Path) -> tuple[Bounds, ...]:
+    """Return the boxes that an XML file declares; pyosmium gives the first one only."""
+    boxes = []
+    with open(path, "rb") as file:
+        for _, element in ElementTree.iterparse(file, events=("start",)):
+            if element.tag == "bounds":
+                west, south, east, north = (
+                    float(element.get(name, "")) for name in ("minlon", "minlat", "maxlon", "maxlat")
+                )
+                boxes.append((west, south, east, north))
+            elif element.tag in ("node", "way", "relation"):
+                break
+    return tuple(boxes)

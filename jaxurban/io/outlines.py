@@ -27,14 +27,14 @@ class Outlines:
         ``roof_levels``, ``min_height``, ``min_level``, ``location``, ``layer``. All are optional; without
         ``building`` every outline is a building.
       crs: CRS of the coordinates, x before y.
-      box: x_min, y_min, x_max, y_max in ``crs`` that the file says it covers, or None.
+      boxes: x_min, y_min, x_max, y_max in ``crs`` each, that the file says it covers.
       faults: what the reader met, counted by name.
     """
 
     polygons: np.ndarray
     tags: Mapping[str, np.ndarray]
     crs: str
-    box: Bounds | None
+    boxes: tuple[Bounds, ...]
     faults: Mapping[str, int]
 
     def column(self, name: str) -> np.ndarray:
@@ -63,8 +63,8 @@ def count_tags(outlines: Outlines) -> dict[str, int]:
 
 def to_buildings(
     path: str | Path, outlines: Outlines, crs: str, *, default_height_m: float, level_height_m: float
-) -> tuple[Buildings, Bounds, dict[str, int]]:
-    """Return the buildings that stand, the box in ``crs`` that the file covers, and its faults.
+) -> tuple[Buildings, list[Bounds], dict[str, int]]:
+    """Return the buildings that stand, the boxes in ``crs`` that the file declares to cover, and its faults.
 
     Left out are ``building=no`` without ``building:part`` (``not_buildings``), and ``location=underground`` or
     ``layer`` below 0 (``underground``). An outline that its own parts cover to at least 90 % gives way to them
@@ -72,9 +72,6 @@ def to_buildings(
     without usable height takes that of its highest outline, if it is known (``parts_given_outline_height``). An
     underside (``parts_hanging`` counts those above 0) at or above the roof raises a roof that was only
     estimated from levels or by default, and is set to 0 under a roof with a height (``min_heights_above_roof``).
-
-    The box is the one that the file declares, else that of the buildings: nodes and neighbouring
-    features of an extract may lie far outside of what it covers.
 
     Args:
       path: the file, for messages.
@@ -91,11 +88,9 @@ def to_buildings(
     index = np.flatnonzero(stands)
     polygons, is_sound = _project(outlines.polygons[index], outlines.crs, crs, faults)
     polygons, index = polygons[is_sound], index[is_sound]
-    if outlines.box is not None:
-        x_min, y_min, x_max, y_max = transformer(outlines.crs, crs).transform_bounds(*outlines.box, densify_pts=101)
-    elif len(index):
-        x_min, y_min, x_max, y_max = (float(value) for value in shapely.total_bounds(polygons))
-    else:
+    to_city = transformer(outlines.crs, crs)
+    boxes_m = [to_city.transform_bounds(*box, densify_pts=101) for box in outlines.boxes]
+    if not (boxes_m or len(index)):
         raise InputError(f"{str(path)!r} holds no building: give a file with polygons of buildings")
 
     is_part = is_part[index]
@@ -109,7 +104,7 @@ def to_buildings(
     faults["outlines_replaced_by_parts"] = int(np.sum(is_replaced))
     buildings = Buildings(polygons, height_m, min_height_m, origin, is_part).take(~is_replaced)
     faults["parts_hanging"] = int(np.sum(buildings.min_height_m > 0))
-    return buildings, (x_min, y_min, x_max, y_max), faults
+    return buildings, boxes_m, faults
 
 
 def _standing(outlines: Outlines, faults: dict[str, int]) -> tuple[np.ndarray, np.ndarray]:

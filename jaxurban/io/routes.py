@@ -3,7 +3,7 @@
 import json
 import warnings
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +27,7 @@ class Route:
       name: its ``name`` property, or its number in the file, from 1.
       altitude_m, time_of_day, time: of the feature's properties (of paths that jaxurban wrote: of their
         ``settings``), None where they are not given.
+      settings: of paths that jaxurban wrote, those they were planned under; else empty.
     """
 
     lonlat: np.ndarray
@@ -34,6 +35,7 @@ class Route:
     altitude_m: float | None = None
     time_of_day: str | None = None
     time: str | None = None
+    settings: Mapping[str, Any] = field(default_factory=dict)
 
 
 def read_routes(file: str | Path) -> list[Route]:
@@ -55,7 +57,8 @@ def read_routes(file: str | Path) -> list[Route]:
             continue
         if not pd.isna(row.get(SEGMENT_PROPERTY)):
             continue
-        facts = _facts(row)
+        settings = _settings(row)
+        facts = settings | _facts(row)
         parts = [part for part in shapely.get_parts(geometry) if part.length > 0]
         for part_number, part in enumerate(parts, start=1):
             name = str(facts.get("name") or number) + (f".{part_number}" if len(parts) > 1 else "")
@@ -66,6 +69,7 @@ def read_routes(file: str | Path) -> list[Route]:
                     _altitude(facts.get(ALTITUDE_PROPERTY), name, file),
                     facts.get(TIME_OF_DAY_PROPERTY),
                     facts.get(TIME_PROPERTY),
+                    settings,
                 )
             )
     if not routes:
@@ -81,19 +85,21 @@ def _is_finite(geometry: shapely.Geometry) -> bool:
     return bool(np.isfinite(shapely.get_coordinates(geometry)).all())
 
 
-def _facts(row: Any) -> Mapping[str, Any]:
-    """Return what is read of a feature; jaxurban's own paths keep some of it under ``settings``."""
+def _settings(row: Any) -> dict[str, Any]:
+    """Return what jaxurban's own paths keep under ``settings``."""
     settings = row.get("settings")
     if isinstance(settings, str):
         try:
             settings = json.loads(settings)
         except ValueError:
             settings = None
-    found = dict(settings) if isinstance(settings, dict) else {}
-    for name in ("name", ALTITUDE_PROPERTY, TIME_OF_DAY_PROPERTY, TIME_PROPERTY):
-        if not pd.isna(row.get(name)):
-            found[name] = row[name]
-    return found
+    return dict(settings) if isinstance(settings, dict) else {}
+
+
+def _facts(row: Any) -> dict[str, Any]:
+    """Return the properties of a feature that are read."""
+    names = ("name", ALTITUDE_PROPERTY, TIME_OF_DAY_PROPERTY, TIME_PROPERTY)
+    return {name: row[name] for name in names if not pd.isna(row.get(name))}
 
 
 def _altitude(value: Any, name: str, file: str | Path) -> float | None:

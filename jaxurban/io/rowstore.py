@@ -2,18 +2,18 @@
 
 import json
 import uuid
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+import warnings
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
-from jaxurban.errors import InputError
+from jaxurban.io.seal import is_whole, write_json
 from jaxurban.io.store import sweep_scraps, whole_file
 from jaxurban.io.tables import read_table, write_table
 
-ROWS_FILE, PARTS_FOLDER = "rows.parquet", "parts"
+ROWS_FILE, PARTS_FOLDER, ASIDE_SUFFIX = "rows.parquet", "parts", ".damaged"
 Row = Mapping[str, Any]
 
 
@@ -26,6 +26,8 @@ class RowStore:
     def __init__(self, folder: Path, key: Sequence[str]) -> None:
         """Open the store in ``folder``; ``key`` are the columns that name a row.
 
+        A damaged file is told of by a warning and set aside, so that the job makes its rows again.
+
         Raises:
           InputError: a file of it cannot be read.
         """
@@ -35,12 +37,12 @@ class RowStore:
         sweep_scraps(folder / PARTS_FOLDER)
         self._rows: dict[tuple, dict[str, Any]] = {}
         for part in self._parts():
-            with _remedy(part):
-                self._take(json.loads(part.read_text(encoding="utf-8")))
-        if (folder / ROWS_FILE).is_file():
-            with _remedy(folder / ROWS_FILE):
-                table = read_table(folder / ROWS_FILE, "rows")
-                self._take(table.astype(object).where(table.notna(), None).to_dict("records"))
+            if _is_sound(part):
+                self._take(json.loads(part.read_text(encoding="utf-8"))["rows"])
+        table_file = folder / ROWS_FILE
+        if table_file.is_file() and _is_sound(table_file):
+            table = read_table(table_file, "rows")
+            self._take(table.astype(object).where(table.notna(), None).to_dict("records"))
 
     def _parts(self) -> list[Path]:
         return sorted((self.folder / PARTS_FOLDER).glob("*.json"))
@@ -63,7 +65,7 @@ class RowStore:
     def add(self, rows: Sequence[Row]) -> None:
         """Keep rows: all of them are on disk when this returns, or none."""
         with whole_file(self.folder / PARTS_FOLDER / f"{uuid.uuid4().hex}.json") as scratch:
-            scratch.write_text(json.dumps(list(rows)), encoding="utf-8")
+            write_json(scratch, {"rows": list(rows)})
         self._take(rows)
 
     def compact(self, columns: Mapping[str, str]) -> pd.DataFrame:
@@ -80,11 +82,13 @@ class RowStore:
         return read_table(self.folder / ROWS_FILE, "rows")
 
 
-@contextmanager
-def _remedy(file: Path) -> Iterator[None]:
-    try:
-        yield
-    except (ValueError, KeyError, TypeError) as error:
-        raise InputError(
-            f"{str(file)!r} is damaged: remove it and run the same again, which makes anew the rows that it held"
-        ) from error
+def _is_sound(file: Path) -> bool:
+    """Return whether a file is as it was written; set it aside if not."""
+    if is_whole(file):
+        return True
+    aside = file.with_name(f"{file.name}{ASIDE_SUFFIX}")
+    warnings.warn(
+        f"{str(file)!r} is damaged: it is now {aside.name!r}, and the rows that it held are made again", stacklevel=3
+    )
+    file.replace(aside)
+    return False

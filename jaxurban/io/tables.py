@@ -4,8 +4,11 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
 
 from jaxurban.errors import InputError
+from jaxurban.io.seal import BLANK, FIELD, seal
 from jaxurban.io.store import whole_file
 
 SUFFIXES = (".parquet", ".csv")
@@ -21,10 +24,18 @@ def write_table(table: pd.DataFrame, file: str | Path) -> Path:
     suffix = _suffix(file)
     with whole_file(file) as scratch:
         if suffix == ".parquet":
-            table.to_parquet(scratch, index=False, compression="zstd")
+            write_parquet(table, scratch)
         else:
             table.to_csv(scratch, index=False, lineterminator="\n")
     return file
+
+
+def write_parquet(table: pd.DataFrame, scratch: Path) -> None:
+    """Write a table as Parquet, with its checksum, into a scratch file."""
+    made = pa.Table.from_pandas(table, preserve_index=False)
+    made = made.replace_schema_metadata({**(made.schema.metadata or {}), FIELD: BLANK})
+    pq.write_table(made, scratch, compression="zstd")
+    seal(scratch)
 
 
 def write_tables(tables: Mapping[str, pd.DataFrame], folder: Path) -> list[Path]:

@@ -48,7 +48,7 @@ def read_vector(path: str | Path) -> Outlines:
         polygons=shapes[is_polygon],
         tags=_tags(frame[is_polygon]),
         crs=frame.crs.to_wkt(),
-        box=None,
+        boxes=(),
         faults={"non_polygons": int(np.sum(~is_polygon))},
     )
 

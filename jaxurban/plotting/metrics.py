@@ -150,15 +150,19 @@ def plot_metric(
     frame = make_frame(maps.grid, titles, f"{NAMES[name]}, by altitude above ground", frame_note(maps, time))
     for panel, z, layer in zip(frame.axes, shown, layers, strict=True):
         draw_layers(panel, maps.grid, [layer, obstacle_layer(maps, z)])
-    add_key(frame, obstacle_patches(maps), style.scale, style.label, style.extend)
+    most = style.high if name == "num_visible" else 0
+    ticks = range(0, int(most) + 1, max(1, int(most) // 5)) if most else None
+    add_key(frame, obstacle_patches(maps), style.scale, style.label, style.extend, ticks)
     return frame.figure
 
 
 def _middle_of(maps: MetricMaps, name: str, altitude_m: float, time: str | None) -> str:
-    """Return the mean over free cells in words; the median for DOPs, which may be inf."""
+    """Return the mean over free cells in words; the median for DOPs, which may be inf, and for satellites."""
     values = maps.m(name, altitude_m, time=time)[maps.is_free(altitude_m, "centre")]
     if values.size == 0:
         return "no free cell"
+    if name == "num_visible":
+        return f"median {np.quantile(values, 0.5, method='lower'):.0f}"
     if name not in COLOUR_MAPS:
         return f"median {np.median(values):.2f}"
     return f"mean {values.mean(dtype=np.float64):.2f}"

@@ -11,7 +11,7 @@ from jaxurban.maps import MetricMaps
 from jaxurban.planned import PlannedPath
 from jaxurban.plotting.frame import FAINT_INK, INK, SMALL_PT, TEXT_PT
 from jaxurban.plotting.metrics import BUILT_COLOUR, GPS_COLOUR, LIDAR_COLOUR, frame_note
-from jaxurban.route_report import FEWEST_SATELLITES, WALL, RouteReport, explain
+from jaxurban.route_report import WALL, RouteReport, explain, without_fix
 
 METRIC_LINES = {  # name, colour
     "gps": ("GPS quality", GPS_COLOUR),
@@ -99,11 +99,7 @@ def _draw_walls(panel: Axes, profile: pd.DataFrame, edges_km: np.ndarray) -> Non
 
 def _no_fix_km(profile: pd.DataFrame) -> list[tuple[float, float]]:
     """Return begin and end of each stretch with too few satellites for a fix, kilometres."""
-    if "num_visible" not in profile:
-        return []
-    is_short = np.concatenate([[False], profile["num_visible"] < FEWEST_SATELLITES, [False]])
-    changes = np.flatnonzero(is_short[1:] != is_short[:-1]).reshape(-1, 2)
-    return [(profile["from_m"].iloc[a] / 1000, profile["to_m"].iloc[b - 1] / 1000) for a, b in changes]
+    return [(from_m / 1000, to_m / 1000) for from_m, to_m in without_fix(profile)]
 
 
 def _dress(panel: Axes, edges_km: np.ndarray, with_no_fix: bool) -> None:

@@ -152,8 +152,7 @@ def path_charges(
     points_m: np.ndarray,
     shape: tuple[int, int],
     resolution_m: float,
-    cost_model: CostModel = "cell",
-    reference_length_m: float = 5.0,
+    cost_model: CostModel,
 ) -> PathCharges:
     """Return what a path is charged, on the host.
 
@@ -161,14 +160,12 @@ def path_charges(
       points_m: ``[N, 2]`` x, y in metres from the map's southwest corner, on the map.
       shape: rows and columns of the map.
       resolution_m: side of a cell.
-      cost_model, reference_length_m: see `jaxurban.planners.base.Problem`.
+      cost_model: see `jaxurban.planners.base.Problem`.
 
     Raises:
-      InputError: points that are no path, or an unknown cost model.
+      InputError: points that are no path.
     """
-    asked = Problem(
-        np.zeros((1, *shape)), np.ones(shape, bool), (0, 0), (0, 0), resolution_m, 0.0, cost_model, reference_length_m
-    )
+    asked = Problem(np.zeros((1, *shape)), np.ones(shape, bool), (0, 0), (0, 0), resolution_m, 0.0, cost_model)
     charged = charge_map(asked, points_m)
     cells = np.argwhere(charged > 0)
     times = charged[tuple(cells.T)]

@@ -10,8 +10,9 @@ from jaxurban.errors import InputError
 from jaxurban.io.movingai import GridProblem, write_map, write_scenarios
 from jaxurban.io.store import short_number, whole_file
 from jaxurban.io.tables import write_table
+from jaxurban.limits import Limits
 from jaxurban.maps import MetricMaps
-from jaxurban.planners.base import Status
+from jaxurban.planners.base import CostModel, Status
 from jaxurban.studies.analysis import each
 from jaxurban.studies.sampling import KEY
 from jaxurban.studies.trial import DISTANCE, WEIGHTED, Ground, Settings
@@ -38,14 +39,16 @@ def export_benchmark(
       name: of the city, for file names; letters, digits and hyphens.
 
     Raises:
-      InputError: a name of other characters, or a folder that cannot be written to.
+      InputError: a name of other characters, a folder that cannot be written to, or what `check_exportable` refuses.
     """
     folder = Path(folder)
+    check_exportable(settings.cost_model, settings.limits)
     if not name.replace("-", "").isalnum():
         raise InputError(f"the benchmark's name must be of letters, digits and hyphens, got {name!r}")
     num_shortest = 0
     for altitude_m in sorted(instances.altitude_m.unique()):
-        num_shortest += _write_grid(maps, instances, rows, folder, altitude_m, f"{name}_{short_number(altitude_m)}m")
+        stem = f"{name}_{short_number(altitude_m)}m"
+        num_shortest += _write_grid(maps, instances, rows, folder, altitude_m, stem, settings.limits)
     for key, _ in instances.groupby(["altitude_m", "time", "time_of_day"], dropna=False):
         _write_costs(maps, folder, key, name, settings)
     told = instances.merge(_references(rows), on=list(KEY), how="left")
@@ -57,11 +60,32 @@ def export_benchmark(
     return counts
 
 
+def check_exportable(model: CostModel, limits: Limits) -> None:
+    """Raise InputError unless the shortest paths of a study are those of MovingAI's format: call it before a study."""
+    if (model.connectivity, model.diagonal) != (8, "both-free"):
+        raise InputError(
+            "a benchmark's shortest paths have 8 neighbours and no diagonal steps past blocked cells: plan with "
+            f"connectivity 8 and diagonal 'both-free', not {model.connectivity} and {model.diagonal!r}, or leave "
+            "--benchmark out"
+        )
+    if limits.bounds:
+        raise InputError(
+            "a benchmark holds one map of free cells an altitude, and bounds on maps close other cells at other times: "
+            "leave --require or --benchmark out"
+        )
+
+
 def _write_grid(
-    maps: MetricMaps, instances: pd.DataFrame, rows: pd.DataFrame, folder: Path, altitude_m: float, stem: str
+    maps: MetricMaps,
+    instances: pd.DataFrame,
+    rows: pd.DataFrame,
+    folder: Path,
+    altitude_m: float,
+    stem: str,
+    limits: Limits,
 ) -> int:
     """Write the ``.map`` and ``.scen`` of one altitude and return the number of problems."""
-    is_free, grid = maps.is_free(altitude_m), maps.grid
+    is_free, grid = limits.is_free(maps, altitude_m), maps.grid
     proven = rows[
         (rows.objective == DISTANCE) & (rows.status == Status.OPTIMAL.value) & rows.planner.isin(GRID_PLANNERS)
     ]
@@ -114,7 +138,8 @@ def _page(maps: MetricMaps, name: str, settings: Settings, counts: dict[str, int
     grid = maps.grid
     credit = maps.ds.attrs.get("attribution", "")
     cell = "plus w_j c_j(Q) summed over j, Q the cell in which the step ends"
-    line = f"plus the integral of w_j c_j along it over {settings.reference_length_m:g} m, cut exactly at cell borders"
+    model = settings.cost_model
+    line = f"plus the integral of w_j c_j along it over {model.reference_length_m:g} m, cut exactly at cell borders"
     return f"""# {name}: planning over an urban metric map
 
 {grid.num_cols} x {grid.num_rows} cells of {grid.resolution_m:g} m, {grid.crs}; southwest corner {grid.x_min_m:.1f},
@@ -139,10 +164,10 @@ One row a problem: `instance`, `altitude_m`, `time`, `time_of_day`; `start_x_m`,
 [row, column], `resolution_m`, `x_min_m`, `y_min_m`. Row 0 is the southern one.
 
 A step of length d from cell P to cell Q costs w_distance x d
-{cell if settings.cost_model == "cell" else line} (`{settings.cost_model}` model).
+{cell if model.kind == "cell" else line} (`{model.kind}` model).
 A path is valid if every cell that it crosses is free.
 
-- `grid_optimum`: cost of the cheapest {settings.connectivity}-connected path (diagonal steps: {settings.diagonal});
+- `grid_optimum`: cost of the cheapest {model.connectivity}-connected path (diagonal steps: {model.diagonal});
   empty where not proven in the study's budget. Paths that leave the grid may be cheaper.
 - `best_known`, `best_planner`: the cheapest path found by any planner of the study; beat it.
 """

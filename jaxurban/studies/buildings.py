@@ -13,6 +13,7 @@ from jaxurban.city import City, HeightOrigin
 from jaxurban.cost import Weights
 from jaxurban.errors import InputError
 from jaxurban.planned import PlannedPath
+from jaxurban.planners.base import CostModel
 from jaxurban.soft.engine import PathCharges, SoftCity, SoftParams, path_charges
 
 BY_HEIGHT = ("gps", "lidar", "risk")  # the metrics that buildings decide
@@ -37,8 +38,7 @@ def route_charges(soft: SoftCity, planned: PlannedPath) -> PathCharges:
         points_m,
         region.shape,
         region.resolution_m,
-        planned.settings["cost_model"],
-        planned.settings["reference_length_m"],
+        CostModel.from_settings(planned.settings),
     )
 
 

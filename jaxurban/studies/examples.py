@@ -113,7 +113,7 @@ def _is_grid_path(unit: WeightedMap, local: np.ndarray) -> bool:
     cells = np.floor(local)
     is_centre = np.abs(local - cells - 0.5) < ON_CENTRE
     steps = np.abs(np.diff(cells, axis=0))
-    sizes = steps.sum(axis=1) if unit.connectivity == 4 else steps.max(axis=1)
+    sizes = steps.sum(axis=1) if unit.cost_model.connectivity == 4 else steps.max(axis=1)
     return (
         bool(is_centre.all() and np.all(sizes == 1)) and unit.evaluate((cells + 0.5) * unit.grid.resolution_m).is_valid
     )
@@ -126,10 +126,7 @@ def _follow(unit: WeightedMap, local: np.ndarray, label: str) -> tuple[np.ndarra
     cells = [(int(row), int(col)) for col, row in np.floor(corners)]
     for which, cell in (("start", cells[0]), ("goal", cells[-1])):
         if not unit.is_free[cell]:
-            raise InputError(
-                f"{label}: its {which} is inside an obstacle at {unit.altitude_m:g} m: clip the route, or give "
-                "its altitude"
-            )
+            raise InputError(f"{label}: its {which} is {unit.why_closed(cell)}: clip the route, or give its altitude")
     # A corner inside an obstacle is skipped: the legs around it are one.
     kept = [k for k, cell in enumerate(cells) if unit.is_free[cell]]
     points, widest = [np.array(cells[0][::-1]) + 0.5], CORRIDOR_CELLS
@@ -175,8 +172,7 @@ def _shortest_within(
             goal=ends[1],
             resolution_m=1.0,
             distance_weight=1.0,
-            connectivity=unit.connectivity,
-            diagonal=unit.diagonal,
+            cost_model=unit.cost_model,
         )
     )
     return found.points_m + low[::-1] if found.status.has_path else None

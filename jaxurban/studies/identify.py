@@ -33,8 +33,8 @@ def feature_units(queries: Sequence[Query], demo: np.ndarray) -> np.ndarray:
     The floor keeps weights finite where every example avoids a cost altogether.
     """
     num_steps = demo[:, 0].mean() / queries[0].unit.grid.resolution_m
-    if queries[0].unit.cost_model == "line":
-        num_steps = demo[:, 0].mean() / queries[0].unit.reference_length_m
+    if queries[0].unit.cost_model.kind == "line":
+        num_steps = demo[:, 0].mean() / queries[0].unit.cost_model.reference_length_m
     units = {id(query.unit): query.unit for query in queries}.values()
     usual = np.mean([unit.layers[:, unit.is_free].mean(axis=1) for unit in units], axis=0) * num_steps
     return np.maximum(demo.mean(axis=0), np.append(0.0, np.maximum(LEAST_SHARE * usual, 1e-12)))

@@ -155,7 +155,7 @@ def fit_weights(
     names = check_alike(queries)
     constant = constant_layers(queries)
     # Under `cell` a constant cost still counts steps, and diagonals save some: left out, it would bend the others.
-    silent = () if queries[0].unit.cost_model == "cell" else constant
+    silent = () if queries[0].unit.cost_model.kind == "cell" else constant
     silent += tuple(name for name in constant if not np.any([query.unit.cost_of(name) for query in queries]))
     is_fitted = np.array([name not in silent for name in names])
     demo = np.array([example.route.features for example in examples])

@@ -6,7 +6,6 @@ searches in the same order; those in the journal are answered from it, bit for b
 
 import hashlib
 import json
-import zipfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -14,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from jaxurban.errors import InputError
+from jaxurban.io.seal import read_npz
 from jaxurban.io.store import whole_file
 from jaxurban.studies.queries import Query
 
@@ -65,11 +65,10 @@ class Journal:
 
     def _read(self) -> None:
         try:
-            with np.load(self._file, allow_pickle=False) as stored:
-                settings = json.loads(str(stored["settings"]))
-                num = sum(name.startswith("asked_") for name in stored.files)
-                self._kept = [(stored[f"asked_{k}"], stored[f"found_{k}"]) for k in range(num)]
-        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+            stored = read_npz(self._file)
+            settings = json.loads(str(stored["settings"]))
+            self._kept = [(stored[f"asked_{k}"], stored[f"found_{k}"]) for k in range(len(stored) // 2)]
+        except (OSError, ValueError, KeyError) as error:
             raise InputError(
                 f"{str(self._file)!r} cannot be read as the state of a fit: remove it, pass --overwrite, or name "
                 "another folder"
@@ -86,8 +85,7 @@ def fingerprint(queries: Sequence[Query], *arrays: np.ndarray) -> str:
     digest = hashlib.sha256()
     for unit in {id(query.unit): query.unit for query in queries}.values():
         problem = unit.problem
-        digest.update(repr((unit.names, unit.cost_model, unit.reference_length_m, unit.connectivity)).encode())
-        digest.update(repr((unit.diagonal, unit.grid.resolution_m, unit.layers.shape)).encode())
+        digest.update(repr((unit.names, unit.cost_model, unit.grid.resolution_m, unit.layers.shape)).encode())
         digest.update(np.ascontiguousarray(problem.layers).tobytes())
         digest.update(np.ascontiguousarray(problem.is_free).tobytes())
     for query in queries:

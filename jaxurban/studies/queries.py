@@ -7,8 +7,9 @@ import numpy as np
 
 from jaxurban.cost import METRICS, Weights
 from jaxurban.errors import InputError, nearest_name
+from jaxurban.limits import Limits
 from jaxurban.maps import MetricMaps
-from jaxurban.planners.base import Cell, CostModel, Diagonal
+from jaxurban.planners.base import Cell, CostKind, CostModel
 from jaxurban.weighted import Point, WeightedMap, weigh
 
 UNIT_WEIGHTS = Weights(1.0, 1.0, 1.0, 1.0, 1.0)
@@ -62,12 +63,10 @@ def unit_map(
     altitude_m: float,
     *,
     metrics: Sequence[str] | None = None,
-    cost_model: CostModel = "cell",
+    cost_model: CostModel | CostKind = "cell",
     time: str | None = None,
     time_of_day: str | None = None,
-    reference_length_m: float = 5.0,
-    connectivity: int = 8,
-    diagonal: Diagonal = "both-free",
+    limits: Limits | None = None,
 ) -> WeightedMap:
     """Return the maps at one altitude with every weight 1.
 
@@ -75,7 +74,7 @@ def unit_map(
       maps: from `build_maps` or `open_maps`.
       altitude_m: one of the maps' altitudes.
       metrics: which of the maps' metrics routes pay for; all if left out. The others have the weight 0.
-      cost_model, time, time_of_day, reference_length_m, connectivity, diagonal: as in `weigh`.
+      cost_model, time, time_of_day, limits: as in `weigh`.
 
     Raises:
       InputError: a metric that the maps lack, or as in `weigh`.
@@ -94,9 +93,7 @@ def unit_map(
         cost_model=cost_model,
         time=time,
         time_of_day=time_of_day,
-        reference_length_m=reference_length_m,
-        connectivity=connectivity,
-        diagonal=diagonal,
+        limits=limits,
     )
     kept = [row for row, name in enumerate(whole.names) if name in names]
     if len(kept) == len(whole.names):
@@ -104,13 +101,13 @@ def unit_map(
     return replace(whole, names=tuple(whole.names[row] for row in kept), m=whole.m[kept], layers=whole.layers[kept])
 
 
-def make_queries(unit: WeightedMap, pairs: Iterable[tuple[Point, Point]], *, snap: bool = False) -> list[Query]:
+def make_queries(unit: WeightedMap, pairs: Iterable[tuple[Point, Point]], *, snap: bool | float = False) -> list[Query]:
     """Return a query for each pair of a start and a goal, as longitude and latitude in degrees.
 
     Args:
       unit: from `unit_map`.
       pairs: start and goal of each query.
-      snap: move an end inside an obstacle to the nearest free cell instead of failing.
+      snap: move an end inside an obstacle to the nearest free cell, by at most 50 m, or so many metres.
 
     Raises:
       InputError: a place outside the maps or inside an obstacle; names the pair.
@@ -146,12 +143,12 @@ def check_alike(queries: Sequence[Query]) -> tuple[str, ...]:
                 f"the routes lie on maps of different metrics, {', '.join(first.names)} and "
                 f"{', '.join(query.names)}: make all maps from the same kinds of sources"
             )
-        if (query.unit.cost_model, query.unit.reference_length_m) != (
-            first.unit.cost_model,
-            first.unit.reference_length_m,
-        ):
-            raise InputError("the routes are costed by different cost models: use one for all")
-        if query.unit.grid.resolution_m != first.unit.grid.resolution_m and first.unit.cost_model == "cell":
+        if query.unit.cost_model != first.unit.cost_model:
+            raise InputError(
+                f"the routes are costed by different cost models, {first.unit.cost_model} and "
+                f"{query.unit.cost_model}: name one for all (--cost-model, cost_model=)"
+            )
+        if query.unit.grid.resolution_m != first.unit.grid.resolution_m and first.unit.cost_model.kind == "cell":
             raise InputError(
                 "the routes lie on maps of different resolutions, on which the 'cell' cost model charges differently: "
                 "use cost_model='line'"

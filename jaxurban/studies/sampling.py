@@ -13,7 +13,9 @@ from jaxurban.cost import METRICS, MOST_WEIGHT, Weights
 from jaxurban.errors import InputError
 from jaxurban.grid import Grid
 from jaxurban.io.tables import read_table
+from jaxurban.limits import Limits
 from jaxurban.maps import MetricMaps
+from jaxurban.planners.base import CostKind, CostModel
 from jaxurban.studies.strata import STRATA, strata_of
 
 # Straight distance between start and goal, as shares of the region's diagonal.
@@ -26,6 +28,7 @@ WEIGHTS = ("w_distance", *(f"w_{name}" for name in METRICS))
 NEEDED = ("instance", "altitude_m", "crs", *PLACES, *WEIGHTS)
 TOLD = ("time", "time_of_day", "start_stratum", "goal_stratum", "range", "is_connected")  # None where a file holds none
 KEY = ("instance", "altitude_m")
+TIMES = ("time", "time_of_day")
 QUESTION = ("crs", *PLACES, *WEIGHTS, "time", "time_of_day")  # what planners are asked; all else is told of it
 TRUTHS = {"true": True, "false": False}
 MOST_NUMBER = 2**53  # of an instance: as far as float64 counts
@@ -37,7 +40,8 @@ def sample_instances(
     *,
     altitudes_m: Sequence[float] | None = None,
     weights: str | Sequence[Weights] = DIRICHLET,
-    reference_length_m: float = 5.0,
+    cost_model: CostModel | CostKind = "line",
+    limits: Limits | None = None,
     cover: LandCover | None = None,
     seed: int = 0,
 ) -> pd.DataFrame:
@@ -46,8 +50,8 @@ def sample_instances(
     The same places, time and weights are asked at every altitude, so that altitudes can be compared pair by pair. Kinds
     (stratum of the start x stratum of the goal x range) take turns in a shuffled order, so that each is asked about
     equally often; a kind that the maps do not offer is passed over. Instance ``k`` depends on the seed and ``k``, not
-    on ``num``. Starts and goals are centres of cells that are free at every altitude. Pairs that no path joins are kept
-    and marked (``is_connected``).
+    on ``num``. Starts and goals are centres of cells that are free at every altitude and time. Pairs that no path joins
+    are kept and marked (``is_connected``).
 
     Columns: ``instance``, ``altitude_m``, ``crs``, ``start_x_m``, ``start_y_m``, ``goal_x_m``, ``goal_y_m``,
     ``start_lon``, ``start_lat``, ``goal_lon``, ``goal_lat``, ``time``, ``time_of_day``, ``start_stratum``,
@@ -60,7 +64,9 @@ def sample_instances(
       altitudes_m: of the maps' altitudes; all if left out.
       weights: ``"dirichlet"``: uniform on the simplex of shares, distance counted per reference length and metrics as
         they are; or weights, which take turns.
-      reference_length_m: what the share of distance is divided by.
+      cost_model: its reference length is what the share of distance is divided by; its rule for diagonal steps
+        tells which pairs are joined.
+      limits: no-fly zones and bounds that close cells to starts, goals and paths.
       cover: water and parks, which are strata of their own then (`demo.demo_cover`, `io.landcover.read_land_cover`).
       seed: of everything.
 
@@ -79,8 +85,8 @@ def sample_instances(
         raise InputError(f"weights must be {DIRICHLET!r} or a list of Weights, got {weights!r}")
     if listed is not None and not listed:
         raise InputError(f"weights is an empty list: give at least one, or {DIRICHLET!r}")
-    free = [maps.is_free(z) for z in altitudes_m]
-    places = _Places(maps, np.logical_and.reduce(free), cover)
+    model, limits = CostModel.of(cost_model), limits or Limits()
+    places = _Places(maps, np.logical_and.reduce([_always_free(maps, z, limits) for z in altitudes_m]), cover)
     names = ("distance", *maps.metrics)
     kinds = _kinds(places, seed)
     rows = []
@@ -90,14 +96,12 @@ def sample_instances(
         rows[-1]["time"] = None if maps.default_time is None else str(rng.choice(maps.times))
         rows[-1]["time_of_day"] = str(rng.choice(maps.times_of_day)) if maps.times_of_day else None
         shares = rng.dirichlet(np.ones(len(names)))
-        shares[0] /= reference_length_m
+        shares[0] /= model.reference_length_m
         asked = Weights(**dict.fromkeys(METRICS, 0.0) | dict(zip(names, shares.tolist(), strict=True)))
         if listed is not None:
             asked = listed[k % len(listed)]
         rows[-1] |= {f"w_{name}": getattr(asked, name) for name in ("distance", *METRICS)}
-    table = pd.concat(
-        [_at_altitude(pd.DataFrame(rows), maps, z, is_free) for z, is_free in zip(altitudes_m, free, strict=True)]
-    )
+    table = pd.concat([_at_altitude(pd.DataFrame(rows), maps, z, model, limits) for z in altitudes_m])
     return table.reset_index(drop=True)
 
 
@@ -118,7 +122,10 @@ class _Places:
         self.cells = [np.flatnonzero(strata == number) for number in range(len(STRATA))]
         self.present = [number for number, cells in enumerate(self.cells) if len(cells)]
         if sum(map(len, self.cells)) < 2:
-            raise InputError("fewer than two cells are free at every altitude of the study: leave out the lowest one")
+            raise InputError(
+                "fewer than two cells are free at every altitude of the study: leave out the lowest one, or loosen the "
+                "limits"
+            )
         rows, cols = self.grid.shape
         self.diagonal_m = float(np.hypot(rows, cols)) * self.grid.resolution_m
         self.num_kinds = len(self.present) ** 2 * len(RANGES)
@@ -157,17 +164,31 @@ class _Places:
         return facts | {"distance_m": float(away) * self.grid.resolution_m}
 
 
-def _at_altitude(pairs: pd.DataFrame, maps: MetricMaps, altitude_m: float, is_free: np.ndarray) -> pd.DataFrame:
+def _always_free(maps: MetricMaps, altitude_m: float, limits: Limits) -> np.ndarray:
+    """Return ``[Y, X]`` bool: cells that are free at every time of the maps."""
+    times: Sequence[str | None] = maps.times if limits.bounds and maps.default_time is not None else (None,)
+    times_of_day: Sequence[str | None] = (limits.bounds and maps.times_of_day) or (None,)
+    free = [
+        limits.is_free(maps, altitude_m, time=time, time_of_day=time_of_day)
+        for time, time_of_day in itertools.product(times, times_of_day)
+    ]
+    return np.logical_and.reduce(free)
+
+
+def _at_altitude(
+    pairs: pd.DataFrame, maps: MetricMaps, altitude_m: float, model: CostModel, limits: Limits
+) -> pd.DataFrame:
     """Return the instances at one altitude."""
-    table = pairs.assign(crs=maps.grid.crs, is_connected=_connection(pairs, maps.grid, is_free).astype(bool))
+    table = pairs.assign(crs=maps.grid.crs)
     table.insert(1, "altitude_m", float(altitude_m))
-    return table
+    table = with_connection(table, maps, model, limits)
+    return table.assign(is_connected=table.is_connected.astype(bool))
 
 
-def _connection(pairs: pd.DataFrame, grid: Grid, is_free: np.ndarray) -> np.ndarray:
+def _connection(pairs: pd.DataFrame, grid: Grid, is_free: np.ndarray, model: CostModel) -> np.ndarray:
     """Return whether the grid joins each pair: True, False, or None where a place is not a free cell of the maps."""
-    # A diagonal step needs both orthogonal neighbours free, so what the grid joins are the islands of orthogonal steps.
-    islands, _ = label(is_free)
+    # Where a diagonal step needs both orthogonal neighbours free, the islands of orthogonal steps are what is joined.
+    islands, _ = label(is_free, np.ones((3, 3)) if model.joins_corners else None)
     start, goal = np.zeros((2, len(pairs)), islands.dtype)  # 0: the island of what is not free
     for end, on in (("start", start), ("goal", goal)):
         x_m, y_m = (pairs[f"{end}_{axis}_m"].to_numpy() for axis in "xy")
@@ -178,11 +199,15 @@ def _connection(pairs: pd.DataFrame, grid: Grid, is_free: np.ndarray) -> np.ndar
     return joined
 
 
-def with_connection(instances: pd.DataFrame, maps: MetricMaps) -> pd.DataFrame:
+def with_connection(instances: pd.DataFrame, maps: MetricMaps, model: CostModel, limits: Limits) -> pd.DataFrame:
     """Return instances with ``is_connected`` as these maps have it, None where a place is not a free cell of them."""
     told = pd.Series(None, index=instances.index, dtype=object)
-    for _, at in instances.groupby("altitude_m"):
-        told[at.index] = _connection(at, maps.grid, maps.is_free(float(at.altitude_m.iloc[0])))
+    # Only bounds close other cells at other times.
+    for _, at in instances.groupby(["altitude_m", *(TIMES if limits.bounds else ())], dropna=False):
+        first = at.iloc[0]
+        when = {name: None if pd.isna(first[name]) else str(first[name]) for name in TIMES}
+        is_free = limits.is_free(maps, float(first.altitude_m), **when)
+        told[at.index] = _connection(at, maps.grid, is_free, model)
     return instances.assign(is_connected=told.infer_objects())
 
 

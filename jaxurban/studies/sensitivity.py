@@ -10,10 +10,11 @@ import pandas as pd
 
 from jaxurban.cost import Weights
 from jaxurban.errors import InputError
+from jaxurban.limits import Limits
 from jaxurban.maps import MetricMaps
 from jaxurban.planned import PlannedPath
 from jaxurban.planners.astar import astar
-from jaxurban.planners.base import CostModel
+from jaxurban.planners.base import CostKind, CostModel
 from jaxurban.studies.kinds import sort_into_kinds
 from jaxurban.studies.local import LocalSensitivity, local_sensitivity
 from jaxurban.studies.outcomes import outcomes_of
@@ -119,14 +120,14 @@ def sensitivity(
     weights: Weights | None = None,
     time_of_day: str | None = None,
     epoch: str | None = None,
-    cost_model: CostModel = "cell",
-    reference_length_m: float = 5.0,
+    cost_model: CostModel | CostKind = "cell",
+    limits: Limits | None = None,
     vary: Sequence[str] = (),
     factors: tuple[float, float] = (0.1, 10.0),
     num_samples: int = 128,
     triangle: Sequence[str] = (),
     wishes: Sequence[str] = (),
-    snap: bool = False,
+    snap: bool | float = False,
     tolerance: float = 1e-3,
     max_plans: int = 5000,
     seed: int = 0,
@@ -143,7 +144,7 @@ def sensitivity(
       altitude_m: one of the maps' altitudes.
       weights: default `Weights()`.
       time_of_day, epoch: of the population and the GPS map; the first if left out.
-      cost_model, reference_length_m: see `Problem`.
+      cost_model, limits: as in `plan`.
       vary: names of weights; left out: all metrics with a weight above 0. The distance keeps its weight as the
         unit unless it is named, since only ratios of weights choose a route.
       factors: each varies from the first to the second of these times its value.
@@ -151,7 +152,7 @@ def sensitivity(
       triangle: three weights; left out: the three varied ones with the largest shares of the route's cost.
       wishes: two or three features for the Pareto front; left out: distance and the two varied metrics with the
         largest shares.
-      snap: move a start or goal inside an obstacle to the nearest free cell.
+      snap: move a start or goal inside an obstacle to the nearest free cell, by at most 50 m, or so many metres.
       tolerance: of the triangle and the front, a share of the cost.
       max_plans: searches that the triangle, and the front, may take each.
       seed: of the Sobol sequence and the noise.
@@ -163,9 +164,7 @@ def sensitivity(
     """
     begin_s = time.perf_counter()
     on_stage = on_stage or (lambda _: None)
-    query, weighed, route = _plan(
-        maps, start, goal, altitude_m, weights, epoch, time_of_day, cost_model, reference_length_m, snap
-    )
+    query, weighed, route = _plan(maps, start, goal, altitude_m, weights, epoch, time_of_day, cost_model, limits, snap)
     names = query.names
     pool = RoutePool([query])
     varied = tuple(vary) or tuple(name for name in names[1:] if weighed[names.index(name)] > 0)
@@ -233,14 +232,9 @@ def routes_under(query: Query, weights: np.ndarray) -> list[np.ndarray]:
         return list(threads.map(search, weights))
 
 
-def _plan(maps, start, goal, altitude_m, weights, epoch, time_of_day, cost_model, reference_length_m, snap):
+def _plan(maps, start, goal, altitude_m, weights, epoch, time_of_day, cost_model, limits, snap):
     """Return the query, the weights ``[K]`` and the planned route."""
-    setting = {
-        "cost_model": cost_model,
-        "time": epoch,
-        "time_of_day": time_of_day,
-        "reference_length_m": reference_length_m,
-    }
+    setting = {"cost_model": cost_model, "time": epoch, "time_of_day": time_of_day, "limits": limits}
     weights = (weights or Weights()).checked()
     weighted = weigh(maps, altitude_m, weights=weights, **setting)
     route = weighted.plan(start, goal, snap=snap)

@@ -3,7 +3,7 @@
 import inspect
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import Any
 
@@ -12,15 +12,16 @@ import numpy as np
 from jaxurban.cost import METRICS
 from jaxurban.errors import InputError
 from jaxurban.grid import Grid
+from jaxurban.limits import Limits
 from jaxurban.maps import MetricMaps
-from jaxurban.planners.base import Cell, CostModel, Diagonal, Path, Problem
+from jaxurban.planners.base import Cell, CostKind, CostModel, Path, Problem
 from jaxurban.planners.evaluate import evaluate
 from jaxurban.planners.registry import PLANNERS, find_planner
 
 WEIGHTED, DISTANCE = "weighted", "distance"
 CRASHED, BAD_INPUT, INVALID = "crashed", "bad-input", "invalid"  # beside the names of `Status`
 BLOCK_ROWS = 32  # of a map, weighed at a time, so that they stay in the cache
-COST_MODELS: tuple[CostModel, ...] = ("cell", "line")
+COST_KINDS: tuple[CostKind, ...] = ("cell", "line")
 
 
 @dataclass(frozen=True)
@@ -36,19 +37,23 @@ class Settings:
     """How every instance is asked.
 
     Attributes:
-      cost_model, reference_length_m, connectivity, diagonal: see `Problem`.
+      cost_model: see `Problem`.
       budget_s: seconds for each run.
       budget_iterations: instead, samples for planners that draw any; the others run to their end.
       seed: of sampling planners, mixed with the instance's number.
+      limits: no-fly zones and bounds that close cells to every planner.
     """
 
-    cost_model: CostModel = "line"
-    reference_length_m: float = 5.0
-    connectivity: int = 8
-    diagonal: Diagonal = "both-free"
+    cost_model: CostModel = field(default_factory=lambda: CostModel("line"))
     budget_s: float = 2.0
     budget_iterations: int | None = None
     seed: int = 0
+    limits: Limits = field(default_factory=Limits)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the settings as plain, JSON-ready values."""
+        told = {name: getattr(self, name) for name in ("budget_s", "budget_iterations", "seed")}
+        return {**self.cost_model.settings, **told, "limits": self.limits.to_dict()}
 
 
 NUMBERS = ("cost", "cost_cell", "cost_line", "search_cost", "lower_bound", "gap", "length_m", "detour")
@@ -68,7 +73,7 @@ class Ground:
     Attributes:
       names: the metrics.
       costs: ``[L, Y, X]`` float32 the costs c_j, 0 where there are no data.
-      is_free: ``[Y, X]`` bool.
+      is_free: ``[Y, X]`` bool, where a path may fly.
     """
 
     def __init__(
@@ -76,7 +81,7 @@ class Ground:
     ) -> None:
         """Read the maps; arguments and errors as in `weigh`."""
         self.grid, self.settings = maps.grid, settings
-        self.is_free = maps.is_free(altitude_m)
+        self.is_free = settings.limits.is_free(maps, altitude_m, time=time, time_of_day=time_of_day)
         costs = maps.costs(altitude_m, time=time, time_of_day=time_of_day)
         self.names = tuple(costs)
         self.costs = np.stack([np.nan_to_num(np.asarray(cost, np.float32)) for cost in costs.values()])
@@ -89,7 +94,7 @@ class Ground:
           InputError: no cell is free.
         """
         if not self.is_free.any():
-            raise InputError("no cell is free at this altitude: fly higher")
+            raise InputError("no cell is free at this altitude: fly higher, or loosen the limits")
         row, col = np.unravel_index(np.argmax(self.is_free), self.is_free.shape)
         return Problem(
             layers=np.zeros((1, *self.is_free.shape)),
@@ -99,9 +104,6 @@ class Ground:
             resolution_m=self.grid.resolution_m,
             distance_weight=1.0,
             cost_model=self.settings.cost_model,
-            reference_length_m=self.settings.reference_length_m,
-            connectivity=self.settings.connectivity,
-            diagonal=self.settings.diagonal,
         )
 
     def weighed(self, weights: np.ndarray) -> Problem:
@@ -119,19 +121,18 @@ class Ground:
     def facts(self, points_m: np.ndarray, weights: np.ndarray) -> dict[str, float] | None:
         """Return cost under both models, length and mean metrics of a path ``[N, 2]``; None if it is not valid."""
         facts: dict[str, float] = {}
-        for model in COST_MODELS:
+        for kind in COST_KINDS:
             paid = evaluate(
                 points_m,
                 self.costs,
                 self.is_free,
                 self.grid.resolution_m,
                 1.0,
-                model,
-                self.settings.reference_length_m,
+                replace(self.settings.cost_model, kind=kind),
             )
             if not paid.is_valid:
                 return None
-            facts[f"cost_{model}"] = float(weights[0] * paid.length_m + weights[1:] @ paid.per_layer)
+            facts[f"cost_{kind}"] = float(weights[0] * paid.length_m + weights[1:] @ paid.per_layer)
         crossed = paid.crossings
         length_m = crossed.length_m if paid.length_m > 0 else np.ones(1)
         for name, along in zip(self.names, self.costs[:, crossed.row, crossed.col].astype(np.float64), strict=True):
@@ -148,7 +149,9 @@ def free_cell(grid: Grid, is_free: np.ndarray, x_m: float, y_m: float) -> Cell:
     """
     row, col = (int(value) for value in grid.cell_of_xy(x_m, y_m))
     if not is_free[row, col]:
-        raise InputError(f"the place {x_m:.1f}, {y_m:.1f} is inside an obstacle (or where there are no data)")
+        raise InputError(
+            f"the place {x_m:.1f}, {y_m:.1f} is inside an obstacle, where there are no data, or closed by a limit"
+        )
     return row, col
 
 
@@ -212,7 +215,7 @@ def _facts(ground: Ground, found: Path, weights: np.ndarray, run: Run) -> dict[s
         facts
         | paid
         | {
-            "cost": paid[f"cost_{ground.settings.cost_model}"],
+            "cost": paid[f"cost_{ground.settings.cost_model.kind}"],
             "search_cost": found.cost,
             "gap": found.gap,
             "detour": paid["length_m"] / straight_m if straight_m > 0 else None,

@@ -12,6 +12,7 @@ import shapely
 
 from jaxurban.errors import InputError
 from jaxurban.grid import Grid
+from jaxurban.ground import Ground
 from jaxurban.io.export import check_export, write_path
 from jaxurban.planners.base import Status
 
@@ -28,6 +29,7 @@ class Route:
     altitude_m: float = 60.0
     facts: dict[str, Any] = field(default_factory=dict)
     climb_m: float = 0.0
+    ground: Ground | None = None
 
     @property
     def z_m(self):

@@ -128,10 +128,12 @@ def test_an_area_that_cannot_be_rebuilt_is_an_empty_place(read):
         to_buildings("city.osm", outlines, "EPSG:32618", default_height_m=10.0, level_height_m=3.0)
 
 
-def test_the_header_gives_the_box(read):
-    bounds = '<bounds minlat="40.6" minlon="-74.1" maxlat="40.8" maxlon="-73.9"/>'
-    assert read(bounds, square(1)).box == pytest.approx((-74.1, 40.6, -73.9, 40.8))
-    assert read(square(1)).box is None
+def test_the_header_gives_the_boxes(read):
+    boxes = [(-74.1, 40.6, -73.9, 40.8), (-73.8, 40.5, -73.7, 40.9)]
+    bounds = [f'<bounds minlat="{b}" minlon="{a}" maxlat="{d}" maxlon="{c}"/>' for a, b, c, d in boxes]
+    assert read(bounds[0], square(1)).boxes == (boxes[0],)
+    assert read(*bounds, square(1)).boxes == tuple(boxes)
+    assert read(square(1)).boxes == ()
 
 
 @pytest.mark.parametrize(
@@ -188,7 +190,7 @@ def test_counts_of_a_real_file_agree_with_its_readme(data_dir, name):
     assert shapely.is_valid(buildings.polygons).all()
     assert np.all(buildings.height_m > buildings.min_height_m)
     if name == "lower-manhattan":  # One World Trade Center: spire and tower
-        assert outlines.box == pytest.approx((-74.031, 40.695, -73.968, 40.730), abs=1e-6)
+        assert outlines.boxes[0] == pytest.approx((-74.031, 40.695, -73.968, 40.730), abs=1e-6)
         spire = buildings.polygons[np.argmax(buildings.height_m)]
         near = buildings.take(shapely.dwithin(buildings.polygons, spire.centroid, 40.0))
         assert near.height_m.max() == 541.0

@@ -21,7 +21,7 @@ def stand(polygons, box=None, **columns):
         polygons=np.array(polygons, object),
         tags={name: np.array(values, object) for name, values in columns.items()},
         crs=UTM,
-        box=box,
+        boxes=() if box is None else (box,),
         faults={"open_ways": 7},
     )
     return to_buildings("city.osm", outlines, UTM, default_height_m=10.0, level_height_m=3.0)
@@ -174,21 +174,21 @@ def test_polygonal_keeps_polygons_only():
 
 def test_outlines_that_the_crs_cannot_hold_are_left_out_and_counted():
     outlines = Outlines(
-        np.array([shapely.box(-74, 40.7, -73.9, 40.8), shapely.box(15, 0, 16, 1)]), {}, "EPSG:4326", None, {}
+        np.array([shapely.box(-74, 40.7, -73.9, 40.8), shapely.box(15, 0, 16, 1)]), {}, "EPSG:4326", (), {}
     )
     buildings, _, faults = to_buildings("x", outlines, UTM, default_height_m=10.0, level_height_m=3.0)
     assert (len(buildings), faults["outside_crs"]) == (1, 1)
 
 
-def test_the_extent_is_the_files_box_else_that_of_its_buildings():
-    assert stand([box(1, 2, 3, 4)], box=(X, Y, X + 9, Y + 9))[1] == pytest.approx((X, Y, X + 9, Y + 9))
-    assert stand([box(1, 2, 3, 4)])[1] == pytest.approx((X + 1, Y + 2, X + 3, Y + 4))
+def test_the_boxes_that_a_file_declares_come_in_the_citys_crs():
+    assert stand([box(1, 2, 3, 4)], box=(X, Y, X + 9, Y + 9))[1] == [pytest.approx((X, Y, X + 9, Y + 9))]
+    assert stand([box(1, 2, 3, 4)])[1] == []
 
 
 def test_a_declared_box_without_buildings_is_an_empty_city():
-    buildings, extent_m, _ = stand([], box=(X, Y, X + 9, Y + 9))
+    buildings, boxes_m, _ = stand([], box=(X, Y, X + 9, Y + 9))
     assert len(buildings) == 0
-    assert extent_m == pytest.approx((X, Y, X + 9, Y + 9))
+    assert boxes_m == [pytest.approx((X, Y, X + 9, Y + 9))]
 
 
 def test_a_file_without_building_or_box_is_refused():

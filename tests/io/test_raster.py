@@ -5,12 +5,13 @@ import pyproj
 import pytest
 import rasterio
 import rasterio.warp
+import shapely
 from affine import Affine
 
 from jaxurban.city import Raster
 from jaxurban.errors import InputError
-from jaxurban.grid import Grid, transformer
-from jaxurban.io.raster import _points_a_side, raster_extent_m, read_raster, resample_raster
+from jaxurban.grid import Grid
+from jaxurban.io.raster import heights_above, raster_extent_m, read_raster, resample_raster
 
 UTM = "EPSG:32618"
 X, Y = 583000.0, 4506000.0  # southwest corner
@@ -20,7 +21,7 @@ X, Y = 583000.0, 4506000.0  # southwest corner
 def write(tmp_path):
     """Write values (row 0 in the north) as a GeoTIFF of 10 m cells, or on another transform."""
 
-    def write_values(values, *, crs=UTM, transform=None, nodata=None, scale=1.0, offset=0.0):
+    def write_values(values, *, crs=UTM, transform=None, nodata=None, scale=1.0, offset=0.0, units=None):
         path = tmp_path / "heights.tif"
         bands = np.atleast_3d(np.asarray(values)).transpose(2, 0, 1)
         transform = transform or Affine(10, 0, X, 0, -10, Y + 10 * bands.shape[1])
@@ -28,6 +29,8 @@ def write(tmp_path):
         with rasterio.open(path, "w", driver="GTiff", crs=crs, transform=transform, nodata=nodata, **shape) as target:
             target.write(bands)
             target.scales, target.offsets = [scale] * len(bands), [offset] * len(bands)
+            if units:
+                target.units = [units]
         return path
 
     return write_values
@@ -212,9 +215,77 @@ def test_bilbaos_heights_and_terrain_are_as_its_readme_says(data_dir):
     assert (terrain.min(), terrain.max()) == (-2, 103)
 
 
-def test_the_points_that_look_at_pixels_do_not_depend_on_the_part_of_the_grid():
-    raster = Raster(np.zeros((400, 400), np.float32), (2.4, 0.0, 500_000.0, 0.0, -2.4, 4_800_000.0), "EPSG:32630")
-    to_raster, to_pixel = transformer("EPSG:32629", raster.crs), ~Affine(*raster.transform)
-    whole = Grid("EPSG:32629", 4.8, 990_000, 200_000, 4_000, 4_000)
-    parts = [Grid("EPSG:32629", 4.8, 990_000 + k, 200_000 + k, 10, 10) for k in range(0, 3_990, 570)]
-    assert len({_points_a_side(grid, to_raster, to_pixel) for grid in (whole, *parts)}) == 1
+@pytest.mark.parametrize("turn_deg", [0.0, 7.0, 29.0, 45.0])
+def test_max_misses_no_pixel_that_overlaps_a_turned_cell_and_takes_no_other(turn_deg):
+    cos_m, sin_m = 4 * np.cos(np.radians(turn_deg)), 4 * np.sin(np.radians(turn_deg))
+    transform = Affine(cos_m, -sin_m, X, -sin_m, -cos_m, Y + 100)
+    pixels = np.random.default_rng(3).random((40, 40)).astype(np.float32)
+    on = grid(10.0, 6, 6, east_m=20, north_m=20)
+    found = resample_raster(raster(pixels, transform), on, "max")
+    col, row = np.meshgrid(np.arange(40), np.arange(40))
+    a, b, c, d, e, f = tuple(transform)[:6]
+    corners = [(col + i, row + j) for i, j in ((0, 0), (1, 0), (1, 1), (0, 1))]
+    shapes = shapely.polygons(
+        np.stack([[a * u + b * v + c, d * u + e * v + f] for u, v in corners]).transpose(2, 3, 0, 1)
+    )
+    for i in range(6):
+        for j in range(6):
+            x_m, y_m = on.x_min_m + 10 * j, on.y_min_m + 10 * i
+            shared_m2 = shapely.area(shapely.intersection(shapes, shapely.box(x_m, y_m, x_m + 10, y_m + 10)))
+            expected = pixels[shared_m2 > 1e-5].max(initial=-1.0)
+            assert found[i, j] == expected or (expected == -1.0 and np.isnan(found[i, j]))
+
+
+@pytest.mark.parametrize("pixel_m", [2.5, 5.0])  # 4 and 2 to a cell's side
+@pytest.mark.parametrize("offset_m", [0.0, 2.5, 5.0])
+def test_a_block_stays_where_it_is_at_even_ratios(pixel_m, offset_m):
+    """A building that mirrors itself gives a map that does, and its middle stays."""
+    size = round(200 / pixel_m)
+    pixels = np.zeros((size, size), np.float32)
+    low, high = round((60 + offset_m) // pixel_m), round((140 - offset_m) // pixel_m)
+    pixels[low:high, low:high] = 30.0
+    values = resample_raster(raster(pixels, Affine(pixel_m, 0, X, 0, -pixel_m, Y + 200)), grid(10.0, 20, 20))
+    np.testing.assert_array_equal(values, values[::-1, ::-1])
+    assert values.max() == 30.0
+
+
+@pytest.mark.parametrize(("unit", "metres"), [("m", 1.0), ("ft", 0.3048), ("US survey foot", 1200 / 3937), (None, 1.0)])
+def test_the_bands_unit_is_honoured(write, unit, metres):
+    np.testing.assert_allclose(read_raster(write(RAMP, units=unit), UTM).values, RAMP * metres, rtol=1e-6)
+
+
+@pytest.mark.parametrize(("crs", "metres"), [("EPSG:32618+5703", 1.0), ("EPSG:32618+8228", 0.3048)])
+def test_the_unit_of_a_vertical_axis_is_honoured(write, crs, metres):
+    read = read_raster(write(RAMP, crs=crs), UTM)
+    np.testing.assert_allclose(read.values, RAMP * metres, rtol=1e-6)
+    np.testing.assert_allclose(resample_raster(read, grid(10, 3, 4)), RAMP[::-1] * metres, rtol=1e-6)
+
+
+def test_survey_feet_on_the_ground_and_above_it_are_honoured_and_guessed_nowhere(write):
+    """New York's state plane: in feet on the ground, which says nothing of heights."""
+    place = Affine(10, 0, 980_000, 0, -10, 200_000)
+    read = read_raster(write(RAMP, crs="EPSG:2263+6360", transform=place), UTM)
+    np.testing.assert_allclose(read.values, RAMP * 1200 / 3937, rtol=1e-6)
+    with pytest.raises(InputError, match=r"US survey foot on the ground and does not say.*gdal_edit\.py -units m"):
+        read_raster(write(RAMP, crs="EPSG:2263", transform=place), UTM)
+    np.testing.assert_allclose(read_raster(write(RAMP, crs="EPSG:2263", transform=place, units="m"), UTM).values, RAMP)
+
+
+def test_a_unit_that_is_none_or_contradicts_the_crs_is_refused(write):
+    with pytest.raises(InputError, match=r"'furlong'.*-units m"):
+        read_raster(write(RAMP, units="furlong"), UTM)
+
+
+def test_heights_above_a_terrain_of_another_grid_are_those_of_the_surface():
+    """A plane is exact between pixel centres, so a surface 12 m above it stands at 12 m."""
+
+    def plane(transform, shape, above_m=0.0):
+        col, row = np.meshgrid(np.arange(shape[1]) + 0.5, np.arange(shape[0]) + 0.5)
+        x_m, y_m = transform @ (col, row)
+        return raster(100 + 0.1 * (x_m - X) - 0.05 * (y_m - Y) + above_m, transform)
+
+    surface = plane(Affine(2, 0, X + 30, 0, -2, Y + 170), (60, 50), above_m=12.0)
+    terrain = plane(Affine(7, 0, X - 11, 0, -7, Y + 233), (40, 40))
+    heights = heights_above(surface, terrain)
+    assert heights.transform == surface.transform
+    np.testing.assert_allclose(heights.values, 12.0, atol=1e-4)

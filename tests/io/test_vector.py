@@ -34,7 +34,7 @@ def test_every_format_in_every_crs_gives_the_same_building(tmp_path, suffix, crs
     expected = frame({"height": [0]}).to_crs(UTM).geometry[0]
     assert source.buildings.height_m.tolist() == [21.5]
     assert shapely.hausdorff_distance(source.buildings.polygons[0], expected) < 0.01  # GeoJSON rounds to 1e-7 degrees
-    assert source.extent_m == pytest.approx(expected.bounds, abs=0.01)
+    assert source.area.bounds == pytest.approx(expected.bounds, abs=0.01)
 
 
 @pytest.mark.parametrize(

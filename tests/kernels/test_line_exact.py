@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from jaxurban.kernels.line_exact import borders_needed, exact_integrals, exact_line_cost
+from jaxurban.planners.base import CostModel
 from jaxurban.planners.evaluate import evaluate
 
 RESOLUTION_M = 4.0
@@ -23,7 +24,7 @@ def double():
 
 def walked(points_m):
     """Length and integrals of the exact walk from border to border."""
-    paid = evaluate(points_m, LAYERS, np.ones((9, 11), bool), RESOLUTION_M, 0.0, "line", 1.0)
+    paid = evaluate(points_m, LAYERS, np.ones((9, 11), bool), RESOLUTION_M, 0.0, CostModel("line", 1.0))
     return paid.length_m, paid.per_layer
 
 

@@ -13,12 +13,12 @@ NUM_SEGMENTS = 200
 CHARGE = np.where(np.random.default_rng(1).random(SHAPE) < 0.9, np.random.default_rng(2).random(SHAPE), np.inf)
 
 
-def costs_of(start, end, is_line=True, charge=CHARGE, per_side=0.3):
+def costs_of(start, end, is_line=True, charge=CHARGE, per_side=0.3, passes_corners=False):
     """Costs of segments, filled up to a fixed number so that all tests share what is compiled."""
     padded = np.full((2, NUM_SEGMENTS, 2), 0.5)
     padded[0, : len(start)], padded[1, : len(end)] = start, end
     with jax.enable_x64(True):
-        return np.asarray(segment_costs(charge, *padded, per_side, is_line))[: len(start)]
+        return np.asarray(segment_costs(charge, *padded, per_side, is_line, passes_corners))[: len(start)]
 
 
 def random_segments(seed):
@@ -44,18 +44,25 @@ def test_line_costs_are_charges_times_lengths_in_cells_by_shapely():
 @pytest.mark.parametrize("is_line", [True, False])
 def test_bulk_costs_equal_those_of_the_compiled_search(is_line):
     start, end = random_segments(4)
-    ground = Ground(CHARGE, 0.3, is_line)
+    ground = Ground(CHARGE, 0.3, is_line, False)
     expected = [edge_cost(ground, *a, *b, np.inf) for a, b in zip(start, end, strict=True)]
     assert 20 < np.isfinite(expected).sum() < NUM_SEGMENTS - 20
     np.testing.assert_allclose(costs_of(start, end, is_line), expected, rtol=1e-12)
 
 
-def test_a_touched_corner_is_free_a_cut_one_is_not():
+def test_a_corner_touched_on_one_side_is_free_one_cut_or_touched_on_both_is_not():
     charge = np.zeros(SHAPE)
     charge[3, 4] = np.inf  # its southwest corner is at x = 4, y = 3
     start, end = np.array([[3.5, 3.5], [3.5, 3.5]]), np.array([[4.5, 2.5], [4.5, 2.5 + 1e-6]])
-    costs = costs_of(start, end, charge=charge, per_side=1.0)
-    np.testing.assert_allclose(costs, [np.sqrt(2), np.inf])
+    for is_line in (True, False):
+        charge[2, 3] = 0.0
+        costs = costs_of(start, end, is_line, charge=charge, per_side=1.0)
+        np.testing.assert_allclose(costs, [np.sqrt(2), np.inf])
+        charge[2, 3] = np.inf  # the cell on the other side
+        costs = costs_of(start, end, is_line, charge=charge, per_side=1.0)
+        np.testing.assert_allclose(costs, [np.inf, np.inf])
+        costs = costs_of(start, end, is_line, charge=charge, per_side=1.0, passes_corners=True)
+        np.testing.assert_allclose(costs, [np.sqrt(2), np.inf])
 
 
 def test_no_length_costs_nothing_and_no_way_leads_off_the_map():

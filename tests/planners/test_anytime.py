@@ -8,7 +8,7 @@ import pytest
 from jaxurban.errors import InputError
 from jaxurban.planners.anytime import LANDMARK_INFLATION, LEAST_INFLATION, astar_anytime, first_inflation
 from jaxurban.planners.astar import astar
-from jaxurban.planners.base import Path, Problem, Status
+from jaxurban.planners.base import CostModel, Path, Problem, Status
 from jaxurban.planners.evaluate import evaluate_on
 from tests.planners.test_astar import exact_cost_to_go, random_problem
 from tests.planners.test_landmarks import city
@@ -89,7 +89,7 @@ def test_the_first_inflation_brings_the_bound_up_to_what_paths_pay():
     assert first_inflation("octile", problem(0, 1.0)) == LEAST_INFLATION
     assert first_inflation("octile", problem(4, 1.0)) == pytest.approx(1 + 0.65 * 4 / 2)
     assert first_inflation("plus", problem(4, 1.0)) == LEAST_INFLATION  # it counts an even cost in full
-    line = problem(4, 1.0, cost_model="line", reference_length_m=4.0)
+    line = problem(4, 1.0, cost_model=CostModel("line", 4.0))
     assert first_inflation("octile", line) == pytest.approx(1 + 0.65 * (4 * 2 / 4) / 2)
     assert first_inflation("octile", problem(4, 0.0)) == LEAST_INFLATION
 

@@ -12,7 +12,7 @@ from jaxurban.errors import InputError
 from jaxurban.planners import search as search_module
 from jaxurban.planners.anytime import astar_anytime
 from jaxurban.planners.astar import astar, astar_dist, astar_plus
-from jaxurban.planners.base import Problem, Status
+from jaxurban.planners.base import CostModel, Problem, Status
 from jaxurban.planners.evaluate import evaluate_on
 from jaxurban.planners.heuristics import ADMISSIBLE, HEURISTICS, heuristic_at, make_heuristic
 from jaxurban.planners.registry import PLANNERS, find_planner
@@ -27,7 +27,7 @@ def random_problem(seed, cost_model, diagonal, connectivity, shape=(13, 17)):
     start, goal = (tuple(int(v) for v in free[k]) for k in rng.choice(len(free), 2, replace=False))
     layers = rng.random((3, *shape)) ** 3 * np.array([2.0, 1.0, 0.5])[:, None, None]
     layers = np.where(is_free, layers, np.nan) if seed % 2 else layers
-    return Problem(layers, is_free, start, goal, 2.0, 0.3, cost_model, 3.0, connectivity, diagonal)
+    return Problem(layers, is_free, start, goal, 2.0, 0.3, CostModel(cost_model, 3.0, connectivity, diagonal))
 
 
 def graph_of(problem):
@@ -43,15 +43,19 @@ def graph_of(problem):
         for rows, cols in itertools.product((-1, 0, 1), repeat=2):
             to = (row + rows, col + cols)
             is_diagonal = rows != 0 and cols != 0
-            if (rows, cols) == (0, 0) or not free(*to) or (is_diagonal and problem.connectivity == 4):
+            if (rows, cols) == (0, 0) or not free(*to) or (is_diagonal and problem.cost_model.connectivity == 4):
                 continue
-            if is_diagonal and problem.diagonal == "both-free" and not (free(row, to[1]) and free(to[0], col)):
+            if (
+                is_diagonal
+                and problem.cost_model.diagonal == "both-free"
+                and not (free(row, to[1]) and free(to[0], col))
+            ):
                 continue
             length_m = problem.resolution_m * np.hypot(rows, cols)
-            if problem.cost_model == "cell":
+            if problem.cost_model.kind == "cell":
                 map_cost = cost[to]
             else:
-                map_cost = length_m * (cost[row, col] + cost[to]) / 2 / problem.reference_length_m
+                map_cost = length_m * (cost[row, col] + cost[to]) / 2 / problem.cost_model.reference_length_m
             origins.append(row * num_cols + col)
             targets.append(to[0] * num_cols + to[1])
             weights.append(problem.distance_weight * length_m + map_cost)
@@ -193,7 +197,7 @@ def test_a_diagonal_slips_between_obstacles_only_where_allowed():
     is_free = np.eye(3, dtype=bool)
     options = {"layers": np.zeros((1, 3, 3)), "is_free": is_free, "start": (0, 0), "goal": (2, 2)}
     assert astar(Problem(**options, resolution_m=1.0, distance_weight=1.0)).status is Status.NO_PATH
-    path = astar(Problem(**options, resolution_m=1.0, distance_weight=1.0, diagonal="always"))
+    path = astar(Problem(**options, resolution_m=1.0, distance_weight=1.0, cost_model=CostModel(diagonal="always")))
     assert path.cost == pytest.approx(2 * np.sqrt(2))
 
 
@@ -235,7 +239,9 @@ def test_costs_orders_of_magnitude_apart_are_taken_in_their_order(cost_model):
     rng = np.random.default_rng(6)
     layers = 10 ** rng.uniform(-6, 9, (1, 12, 60))
     for distance_weight in (0.0, 1e-3, 1e6):
-        problem = Problem(layers, np.ones((12, 60), bool), (1, 2), (10, 55), 2.0, distance_weight, cost_model, 3.0)
+        problem = Problem(
+            layers, np.ones((12, 60), bool), (1, 2), (10, 55), 2.0, distance_weight, CostModel(cost_model, 3.0)
+        )
         optimum = exact_cost_to_go(problem)[problem.start]
         for name in ("none", "plus"):
             path = astar(problem, heuristic=name)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from jaxurban.errors import InputError
-from jaxurban.planners.base import Problem, Status
+from jaxurban.planners.base import CostModel, Problem, Status
 from jaxurban.planners.moves import STEPS, allowed_moves
 
 FREE = np.array([[True, True, True], [True, False, True]])
@@ -26,12 +26,9 @@ def make(layers=LAYERS, is_free=FREE, start=(0, 0), goal=(0, 2), resolution_m=1.
         ({"goal": (-1, 0)}, "outside the map"),
         ({"goal": (1, 1)}, "inside an obstacle"),
         ({"resolution_m": 0.0}, "resolution_m must be a positive"),
-        ({"reference_length_m": np.nan}, "reference_length_m must be a positive"),
         ({"distance_weight": -0.1}, "distance weight"),
         ({"distance_weight": np.nan}, "distance weight"),
-        ({"connectivity": 6}, "connectivity must be 4 or 8"),
         ({"cost_model": "cells"}, "cost_model must be"),
-        ({"diagonal": "never"}, "diagonal must be"),
     ],
 )
 def test_a_wrong_problem_is_refused_with_a_sentence_that_names_it(changes, message):
@@ -87,3 +84,25 @@ def test_every_status_has_a_sentence_and_an_exit_code():
         Status.BUDGET_EMPTY: 4,
     }
     assert all(status.sentence.endswith(".") for status in Status)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"cost_model": "cells"}, "cost_model must be 'cell' or 'line', got 'cells'"),
+        ({"reference_length_m": np.nan}, "reference_length_m must be a positive number of metres, got nan"),
+        ({"reference_length_m": "far"}, "reference_length_m must be a positive number of metres, got far"),
+        ({"connectivity": 26}, "connectivity must be 4 or 8"),
+        ({"diagonal": "never"}, "diagonal must be 'both-free' or 'always'"),
+    ],
+)
+def test_a_wrong_cost_model_is_refused_with_a_sentence_that_names_it(settings, message):
+    with pytest.raises(InputError, match=message):
+        CostModel.from_settings(settings)
+
+
+def test_a_cost_model_is_read_back_from_its_settings_and_takes_no_others():
+    model = CostModel("line", 2, 4, "always")
+    assert model.settings == {"cost_model": "line", "reference_length_m": 2, "connectivity": 4, "diagonal": "always"}
+    assert CostModel.from_settings(model.settings | {"planner": "ptp"}) == model
+    assert CostModel.from_settings({}) == CostModel.of("cell") == CostModel()

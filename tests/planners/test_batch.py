@@ -12,7 +12,7 @@ from jaxurban.errors import InputError
 from jaxurban.planners import batch as batch_module
 from jaxurban.planners import frontier as frontier_module
 from jaxurban.planners.astar import astar
-from jaxurban.planners.base import Problem, Status
+from jaxurban.planners.base import CostModel, Problem, Status
 from jaxurban.planners.batch import FEW_TO_ONE_GOAL, GPU_BATCH, solve_many
 from jaxurban.planners.evaluate import evaluate_on
 from jaxurban.planners.fields import share_cost_to_go
@@ -33,7 +33,8 @@ def random_map(seed, cost_model="cell", diagonal="both-free", connectivity=8, sh
     if seed % 2:
         layers = np.where(is_free, layers, np.nan)
     anywhere = tuple(int(v) for v in np.argwhere(is_free)[0])
-    return Problem(layers, is_free, anywhere, anywhere, 2.0, 0.2 * (seed % 3), cost_model, 3.0, connectivity, diagonal)
+    model = CostModel(cost_model, 3.0, connectivity, diagonal)
+    return Problem(layers, is_free, anywhere, anywhere, 2.0, 0.2 * (seed % 3), model)
 
 
 def random_queries(problem, num, seed=0):
@@ -48,18 +49,18 @@ def dijkstra_to_goal(problem):
     number = np.arange(num_rows * num_cols).reshape(num_rows, num_cols)
     framed = np.pad(problem.is_free, 1)
     edges = []
-    for rows, cols in STEPS[: problem.connectivity]:
+    for rows, cols in STEPS[: problem.cost_model.connectivity]:
         window = (slice(1 + rows, 1 + rows + num_rows), slice(1 + cols, 1 + cols + num_cols))
         is_allowed = problem.is_free & framed[window]
-        if rows and cols and problem.diagonal == "both-free":
+        if rows and cols and problem.cost_model.diagonal == "both-free":
             is_allowed &= framed[window[0], 1:-1] & framed[1:-1, window[1]]
         here = number[is_allowed]
         there = here + rows * num_cols + cols
         length_m = problem.resolution_m * np.hypot(rows, cols)
         cost = problem.cost.ravel()
         paid = cost[there]
-        if problem.cost_model == "line":
-            paid = length_m * (cost[here] + cost[there]) / 2 / problem.reference_length_m
+        if problem.cost_model.kind == "line":
+            paid = length_m * (cost[here] + cost[there]) / 2 / problem.cost_model.reference_length_m
         # SciPy takes an edge of cost 0 for none.
         edges.append((here, there, np.maximum(problem.distance_weight * length_m + paid, 1e-300)))
     here, there, weight = (np.concatenate(part) for part in zip(*edges, strict=True))

@@ -1,6 +1,7 @@
 """BIT*: against Dijkstra on the same samples, closed forms, and small maps done by hand."""
 
 import time
+from dataclasses import replace
 from functools import partial
 
 import jax
@@ -12,7 +13,7 @@ from scipy.sparse.csgraph import dijkstra
 from shapely import LineString, box, union_all
 
 from jaxurban.errors import InputError
-from jaxurban.planners.base import Problem, Status
+from jaxurban.planners.base import CostModel, Problem, Status
 from jaxurban.planners.bitstar import bitstar, bitstar_dist, bitstar_plus
 from jaxurban.planners.bitstar_bounds import HEURISTICS, make_bounds
 from jaxurban.planners.bitstar_samples import InformedSet, graph_radius
@@ -26,7 +27,7 @@ PAIRS = [(bitstar_dist, "line"), (bitstar_plus, "line"), (bitstar_dist, "cell"),
 def open_problem(shape, start, goal, layers=None, cost_model="line", distance_weight=1.0, is_free=None):
     is_free = np.ones(shape, bool) if is_free is None else is_free
     layers = np.zeros((1, *shape)) if layers is None else layers
-    return Problem(layers, is_free, start, goal, 2.0, distance_weight, cost_model, 4.0)
+    return Problem(layers, is_free, start, goal, 2.0, distance_weight, CostModel(cost_model, 4.0))
 
 
 def walled_problem(seed, cost_model, shape=(24, 30)):
@@ -41,7 +42,7 @@ def walled_problem(seed, cost_model, shape=(24, 30)):
 
 
 def reachable(problem):
-    islands, _ = label(problem.is_free, np.ones((3, 3)))
+    islands, _ = label(problem.is_free)
     return islands == islands[problem.start]
 
 
@@ -100,7 +101,7 @@ def test_auto_picks_numba_where_jax_has_a_cpu_only():
 def test_each_later_batch_finds_the_best_path_of_its_graph_or_a_better_one():
     problem = walled_problem(1, "line")
     # With hardly a distance weight nothing is pruned, so all samples stay in the graph.
-    problem = Problem(problem.layers, problem.is_free, problem.start, problem.goal, 2.0, 1e-6, "line", 4.0)
+    problem = Problem(problem.layers, problem.is_free, problem.start, problem.goal, 2.0, 1e-6, CostModel("line", 4.0))
     path = bitstar(problem, heuristic="euclidean", seed=5, batch_samples=60, growth=0, max_batches=4)
     is_joined = reachable(problem)
     informed = InformedSet(make_bounds("euclidean", problem, is_joined), is_joined)
@@ -223,7 +224,9 @@ def test_a_goal_in_a_closed_court_has_no_path():
 def test_a_corner_that_no_sample_can_hit_leaves_the_budget_empty():
     is_free = np.zeros((8, 8), bool)
     is_free[:4, :4] = is_free[4:, 4:] = True
-    through_corner = open_problem((8, 8), (1, 1), (6, 6), is_free=is_free)
+    through_corner = replace(
+        open_problem((8, 8), (1, 1), (6, 6), is_free=is_free), cost_model=CostModel("line", diagonal="always")
+    )
     assert bitstar_dist(through_corner).status is Status.OPTIMAL  # the straight line runs through the corner itself
     path = bitstar_dist(through_corner.between((1, 1), (6, 5)), budget_s=np.inf, max_samples=2000)
     assert path.status is Status.BUDGET_EMPTY
@@ -248,7 +251,7 @@ def test_weights_of_zero_are_no_trouble(planner, cost_model):
     path = run(nothing)
     assert (path.status, path.cost) == (Status.OPTIMAL, 0.0)
     assert "costs nothing" in path.note
-    map_only = Problem(walled.layers, walled.is_free, walled.start, walled.goal, 2.0, 0.0, cost_model, 4.0)
+    map_only = Problem(walled.layers, walled.is_free, walled.start, walled.goal, 2.0, 0.0, CostModel(cost_model, 4.0))
     assert run(map_only).status is Status.BUDGET_FEASIBLE
 
 

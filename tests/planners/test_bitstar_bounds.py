@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.sparse.csgraph import dijkstra
 
-from jaxurban.planners.base import Problem
+from jaxurban.planners.base import CostModel, Problem
 from jaxurban.planners.bitstar_bounds import HEURISTICS, make_bounds
 from jaxurban.planners.bitstar_samples import InformedSet, graph_radius
 from jaxurban.planners.bitstar_search import Ground, edge_cost
@@ -18,13 +18,17 @@ RESOLUTION_M = 2.0
 
 def problem_on(cost, cost_model, start, goal, is_free=None, distance_weight=0.3):
     is_free = np.ones(cost.shape, bool) if is_free is None else is_free
-    return Problem(cost[None], is_free, start, goal, RESOLUTION_M, distance_weight, cost_model, 3.0)
+    return Problem(cost[None], is_free, start, goal, RESOLUTION_M, distance_weight, CostModel(cost_model, 3.0))
 
 
 def ground_of(problem):
-    per_side = problem.resolution_m / problem.reference_length_m if problem.cost_model == "line" else 1.0
+    per_side = (
+        problem.resolution_m / problem.cost_model.reference_length_m if problem.cost_model.kind == "line" else 1.0
+    )
     charge = np.where(problem.is_free, problem.cost, np.inf) * per_side
-    return Ground(charge, problem.distance_weight * problem.resolution_m, problem.cost_model == "line")
+    per_side_of_length = problem.distance_weight * problem.resolution_m
+    model = problem.cost_model
+    return Ground(charge, per_side_of_length, model.kind == "line", model.passes_corners)
 
 
 def true_cost(problem, *xy):

@@ -9,7 +9,7 @@ import pytest
 
 from jaxurban.errors import InputError
 from jaxurban.planners.astar import astar
-from jaxurban.planners.base import Problem
+from jaxurban.planners.base import CostModel, Problem
 from jaxurban.planners.envelope import planned_cost
 from jaxurban.planners.ptp import ptp
 
@@ -61,7 +61,7 @@ def test_weights_and_maps_meet_in_one_gradient_under_jit():
 
 
 def test_another_planners_gradient_is_that_of_its_own_path():
-    problem = Problem(np.ones((1, 4, 9)), np.ones((4, 9), bool), (0, 0), (3, 8), 1.0, 1.0, "line", 1.0)
+    problem = Problem(np.ones((1, 4, 9)), np.ones((4, 9), bool), (0, 0), (3, 8), 1.0, 1.0, CostModel("line", 1.0))
     cost = planned_cost(problem, ptp)
     by_layer = jax.grad(cost)(jnp.ones((1, 4, 9)), jnp.float32(1.0))
     np.testing.assert_allclose(by_layer.sum(), np.hypot(3, 8), rtol=1e-6)

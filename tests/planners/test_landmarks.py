@@ -7,7 +7,7 @@ import pytest
 
 from jaxurban.planners import landmarks as landmarks_module
 from jaxurban.planners.astar import astar, astar_dist, astar_plus
-from jaxurban.planners.base import Problem, Status
+from jaxurban.planners.base import CostModel, Problem, Status
 from jaxurban.planners.heuristics import heuristic_at, make_heuristic
 from jaxurban.planners.landmarks import FEW_QUERIES, landmark_cells, make_landmarks
 from tests.planners.test_astar import exact_cost_to_go, random_problem
@@ -24,7 +24,7 @@ def city(seed=0, shape=(60, 70), **options):
 
 @pytest.mark.parametrize(("cost_model", "connectivity"), list(itertools.product(["cell", "line"], [8, 4])))
 def test_one_field_gives_the_cost_between_a_landmark_and_a_cell_both_ways(cost_model, connectivity):
-    problem = city(cost_model=cost_model, connectivity=connectivity)
+    problem = city(cost_model=CostModel(cost_model, connectivity=connectivity))
     made = make_landmarks(problem, 3)
     for k, cell in enumerate(made.cells):
         to_landmark = exact_cost_to_go(problem.between(problem.start, cell))

@@ -55,8 +55,8 @@ def graph_of(problem: Problem) -> csr_array:
             is_edge &= problem.is_free[from_rows, to_cols] & problem.is_free[to_rows, from_cols]
         length_m = problem.resolution_m * np.hypot(rows, cols)
         entered, left = problem.cost[to_rows, to_cols], problem.cost[from_rows, from_cols]
-        is_cell = problem.cost_model == "cell"
-        map_cost = entered if is_cell else length_m * (entered + left) / 2 / problem.reference_length_m
+        is_cell = problem.cost_model.kind == "cell"
+        map_cost = entered if is_cell else length_m * (entered + left) / 2 / problem.cost_model.reference_length_m
         origins.append(number[from_rows, from_cols][is_edge])
         targets.append(number[to_rows, to_cols][is_edge])
         weights.append((problem.distance_weight * length_m + map_cost)[is_edge])

@@ -1,9 +1,11 @@
 """The straight segment: its samples, its cost, and when it is blocked."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from jaxurban.planners.base import Problem, Status
+from jaxurban.planners.base import CostModel, Problem, Status
 from jaxurban.planners.ptp import ptp
 
 
@@ -35,10 +37,19 @@ def test_it_is_blocked_by_a_crossed_cell_and_not_by_a_touched_one():
         return ptp(Problem(np.zeros((1, 2, 10)), is_free, (0, 0), (1, 9), 1.0, 1.0))
 
     assert path_around(5).status is Status.FEASIBLE  # the line leaves row 0 at x = 5: it touches this cell
+    assert path_around(5).cost == pytest.approx(np.hypot(9, 1))
     path = path_around(4)
     assert path.status is Status.BLOCKED
     assert path.points_m.shape == (0, 2)
     assert path.cost == np.inf
+
+
+def test_it_is_blocked_between_two_cells_that_touch_at_a_corner_unless_always_is_set():
+    is_free = np.ones((2, 10), bool)
+    is_free[0, 5] = is_free[1, 4] = False  # either side of where the line leaves row 0
+    problem = Problem(np.zeros((1, 2, 10)), is_free, (0, 0), (1, 9), 1.0, 1.0)
+    assert ptp(problem).status is Status.BLOCKED
+    assert ptp(replace(problem, cost_model=CostModel(diagonal="always"))).status is Status.FEASIBLE
 
 
 def test_a_sliver_of_an_obstacle_blocks_though_no_sample_falls_in_it():

@@ -11,7 +11,7 @@ from shapely import LineString, box, union_all
 
 from jaxurban.errors import InputError
 from jaxurban.planners.astar import astar
-from jaxurban.planners.base import Problem, Status
+from jaxurban.planners.base import CostModel, Problem, Status
 from jaxurban.planners.bitstar import bitstar
 from jaxurban.planners.evaluate import evaluate_on
 from jaxurban.planners.ptp import ptp
@@ -23,7 +23,7 @@ SHAPE = (48, 48)  # one shape, so that the gradient is compiled once
 
 def line_problem(layers, start, goal, is_free=None, distance_weight=0.2):
     is_free = np.ones(SHAPE, bool) if is_free is None else is_free
-    return Problem(layers, is_free, start, goal, 2.0, distance_weight, "line", 4.0)
+    return Problem(layers, is_free, start, goal, 2.0, distance_weight, CostModel("line", 4.0))
 
 
 def random_problem(seed, share_free=0.8):

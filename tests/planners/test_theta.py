@@ -7,19 +7,20 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize_scalar
 from scipy.sparse.csgraph import dijkstra
-from shapely import LineString, box, union_all
+from shapely import LineString, MultiPoint, box, union_all
 
 from jaxurban.errors import InputError
 from jaxurban.planners.astar import astar
-from jaxurban.planners.base import Problem, Status
+from jaxurban.planners.base import CostModel, Problem, Status
 from jaxurban.planners.evaluate import evaluate_on
 from jaxurban.planners.theta import line_ground, shortened, subdivided, theta_star
 from jaxurban.planners.theta_search import segment_cost
+from tests.free_space import pinched_corners
 
 
 def line_problem(layers, start, goal, is_free=None, distance_weight=0.2, resolution_m=2.0, **options):
     is_free = np.ones(layers.shape[1:], bool) if is_free is None else is_free
-    return Problem(layers, is_free, start, goal, resolution_m, distance_weight, "line", 4.0, **options)
+    return Problem(layers, is_free, start, goal, resolution_m, distance_weight, CostModel("line", 4.0, **options))
 
 
 def random_problem(seed, shape=(20, 24), share_free=0.8, **options):
@@ -43,8 +44,11 @@ def obstacles(problem):
 
 
 def visibility_optimum(problem):
-    """Least length of a polyline that keeps out of the obstacles' interiors, over their corners."""
-    blocked = obstacles(problem)
+    """Least length of a polyline that keeps out of the obstacles' interiors, over their corners.
+
+    A dot stops what would pass between two obstacles that touch at a corner.
+    """
+    blocked = union_all([obstacles(problem), MultiPoint(pinched_corners(problem.is_free)).buffer(1e-6)])
     rows, cols = problem.is_free.shape
     corners = sorted({(c + i, r + j) for r, c in np.argwhere(~problem.is_free) for i in (0, 1) for j in (0, 1)})
     corners = [(x, y) for x, y in corners if 0 < x < cols and 0 < y < rows]
@@ -122,10 +126,14 @@ def test_it_bends_at_the_border_of_two_media_near_snells_angle():
     assert astar(problem).cost > 1.02 * best
 
 
-def test_a_path_may_pass_between_two_obstacles_that_touch_at_a_corner():
-    is_free = np.array([[True, False], [False, True]])
+def test_a_path_passes_one_obstacle_at_its_corner_and_two_that_touch_there_only_where_always_is_set():
+    is_free = np.array([[True, False], [True, True]])
     problem = line_problem(np.zeros((1, 2, 2)), (0, 0), (1, 1), is_free)
     assert theta_star(problem).cost == pytest.approx(0.2 * 2 * np.sqrt(2))
+    is_free[1, 0] = False
+    assert theta_star(line_problem(np.zeros((1, 2, 2)), (0, 0), (1, 1), is_free)).status is Status.NO_PATH
+    always = line_problem(np.zeros((1, 2, 2)), (0, 0), (1, 1), is_free, diagonal="always")
+    assert theta_star(always).cost == pytest.approx(0.2 * 2 * np.sqrt(2))
 
 
 def test_a_segments_cost_is_that_of_the_evaluation():

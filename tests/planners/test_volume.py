@@ -10,7 +10,7 @@ from scipy.sparse.csgraph import dijkstra
 from jaxurban.errors import InputError
 from jaxurban.planners import volume_astar as volume_module
 from jaxurban.planners.astar import astar
-from jaxurban.planners.base import Problem, Status
+from jaxurban.planners.base import CostModel, Problem, Status
 from jaxurban.planners.volume import VolumeProblem, charge
 from jaxurban.planners.volume_astar import VOLUME_HEURISTICS, bound_at, make_bound, volume_astar
 
@@ -31,7 +31,9 @@ def random_volume(seed, cost_model, diagonal, connectivity, shape=(5, 6)):
     start, goal = (tuple(int(v) for v in free[k]) for k in rng.choice(len(free), 2, replace=False))
     cost = np.where(is_free, 3 * rng.random(is_free.shape) ** 3, np.nan)
     weights = rng.uniform(0, 0.5, 3) * (rng.random(3) < 0.8)
-    return VolumeProblem(cost, is_free, LEVELS_M, start, goal, 5.0, *weights, cost_model, 3.0, connectivity, diagonal)
+    return VolumeProblem(
+        cost, is_free, LEVELS_M, start, goal, 5.0, *weights, CostModel(cost_model, 3.0, connectivity, diagonal)
+    )
 
 
 def graph_of(problem):
@@ -47,18 +49,20 @@ def graph_of(problem):
     for level, row, col in np.argwhere(problem.is_free):
         for up, rows, cols in itertools.product((-1, 0, 1), repeat=3):
             to = (level + up, row + rows, col + cols)
-            if (up, rows, cols) == (0, 0, 0) or (rows and cols and problem.connectivity == 4):
+            if (up, rows, cols) == (0, 0, 0) or (rows and cols and problem.cost_model.connectivity == 4):
                 continue
             passed = {(row, col), to[1:]}
-            if problem.diagonal == "both-free":
+            if problem.cost_model.diagonal == "both-free":
                 passed |= {(row, to[2]), (to[1], col)}
             if not all(is_free(z, *cell) for z in (level, to[0]) for cell in passed):
                 continue
             rise_m = z_m[to[0]] - z_m[level]
             length_m = np.sqrt((rows**2 + cols**2) * problem.resolution_m**2 + rise_m**2)
             map_cost = problem.cost[to]
-            if problem.cost_model == "line":
-                map_cost = length_m * (problem.cost[level, row, col] + map_cost) / 2 / problem.reference_length_m
+            if problem.cost_model.kind == "line":
+                map_cost = (
+                    length_m * (problem.cost[level, row, col] + map_cost) / 2 / problem.cost_model.reference_length_m
+                )
             height_cost = problem.climb_cost * max(rise_m, 0) + problem.descent_cost * max(-rise_m, 0)
             origins.append(np.ravel_multi_index((level, row, col), shape))
             targets.append(np.ravel_multi_index(to, shape))
@@ -96,10 +100,19 @@ def test_one_level_equals_2d(cost_model, connectivity):
     is_free = rng.random((40, 50)) < 0.75
     cost = rng.random(is_free.shape) ** 2
     free = [tuple(int(v) for v in cell) for cell in np.argwhere(is_free)]
-    flat = Problem(cost[None], is_free, free[0], free[0], 5.0, 0.1, cost_model, 4.0, connectivity)
+    flat = Problem(cost[None], is_free, free[0], free[0], 5.0, 0.1, CostModel(cost_model, 4.0, connectivity))
     node = (0, *free[0])
     volume = VolumeProblem(
-        cost[None], is_free[None], np.array([60.0]), node, node, 5.0, 0.1, 3.0, 3.0, cost_model, 4.0, connectivity
+        cost[None],
+        is_free[None],
+        np.array([60.0]),
+        node,
+        node,
+        5.0,
+        0.1,
+        3.0,
+        3.0,
+        CostModel(cost_model, 4.0, connectivity),
     )
     for _ in range(150):
         start, goal = (free[k] for k in rng.choice(len(free), 2))
@@ -113,7 +126,7 @@ def test_one_level_equals_2d(cost_model, connectivity):
 def test_a_climb_on_the_spot_pays_its_height_and_the_nodes_it_enters(cost_model, map_cost):
     cost, levels_m = np.array([1.0, 2.0, 3.0])[:, None, None], np.array([10.0, 40.0, 100.0])
     problem = VolumeProblem(
-        cost, np.ones((3, 1, 1), bool), levels_m, (0, 0, 0), (2, 0, 0), 5.0, 0.1, 0.5, 0.25, cost_model, 4.0
+        cost, np.ones((3, 1, 1), bool), levels_m, (0, 0, 0), (2, 0, 0), 5.0, 0.1, 0.5, 0.25, CostModel(cost_model, 4.0)
     )
     up = volume_astar(problem)
     assert up.cost == pytest.approx((0.1 + 0.5) * 90 + map_cost)
@@ -212,9 +225,7 @@ def test_what_costs_nothing_says_that_its_shape_means_nothing():
         ({"descent_cost": np.nan}, "descent_cost"),
         ({"distance_weight": np.inf}, "distance_weight"),
         ({"resolution_m": 0.0}, "resolution_m"),
-        ({"connectivity": 26}, "4 or 8"),
         ({"cost_model": "cells"}, "'cell' or 'line'"),
-        ({"diagonal": "never"}, "both-free"),
         ({"start": (2, 0, 0)}, "outside the volume"),
         ({"is_free": np.zeros((2, 3, 3), bool)}, "inside an obstacle"),
     ],

@@ -14,7 +14,7 @@ from jaxurban.metrics.lidar import LidarParams, compute_lidar
 from jaxurban.metrics.population import PopulationParams
 from jaxurban.metrics.risk import RiskParams, compute_risk
 from jaxurban.planners.astar import astar
-from jaxurban.planners.base import Problem
+from jaxurban.planners.base import CostModel, Problem
 from jaxurban.planners.envelope import planned_cost
 from jaxurban.planners.evaluate import evaluate_on
 from jaxurban.soft.engine import CELLS_STEP, SoftCity, SoftParams, path_charges
@@ -87,7 +87,7 @@ def test_a_path_on_chosen_cells_costs_what_the_whole_maps_charge(cost_model):
         soft = city()
         problem = problem_of(soft, cost_model=cost_model)
         found = astar(problem)
-        charges = path_charges(found.points_m, REGION.shape, REGION.resolution_m, cost_model)
+        charges = path_charges(found.points_m, REGION.shape, REGION.resolution_m, CostModel(cost_model))
         assert charges.cells.shape == (CELLS_STEP, 2)
         cost, _ = cost_and_slopes(soft, soft.height_m, PARAMS, WEIGHTS, charges)
         np.testing.assert_allclose(cost, found.cost, rtol=1e-12)
@@ -98,7 +98,7 @@ def test_the_gradient_of_a_path_agrees_with_finite_differences_in_everything():
     with jax.enable_x64(True):
         soft = city()
         points_m = astar(problem_of(soft)).points_m
-        charges = path_charges(points_m, REGION.shape, REGION.resolution_m)
+        charges = path_charges(points_m, REGION.shape, REGION.resolution_m, CostModel())
         leaves, shape = jax.tree.flatten((PARAMS, WEIGHTS))
         names = [jax.tree_util.keystr(path) for path, _ in jax.tree_util.tree_flatten_with_path((PARAMS, WEIGHTS))[0]]
         inputs = {"heights": soft.height_m} | dict(zip(names, map(jnp.asarray, leaves), strict=True))
@@ -119,7 +119,7 @@ def test_the_gradient_of_the_path_is_that_of_replanned_costs():
     with jax.enable_x64(True):
         soft = city()
         problem = problem_of(soft)
-        charges = path_charges(astar(problem).points_m, REGION.shape, REGION.resolution_m)
+        charges = path_charges(astar(problem).points_m, REGION.shape, REGION.resolution_m, CostModel())
         _, (by_height, by_params, _) = cost_and_slopes(soft, soft.height_m, PARAMS, WEIGHTS, charges)
         factors = np.asarray(soft.layer_weights(WEIGHTS))[:, None, None]
 
@@ -149,7 +149,7 @@ def test_the_gradient_through_the_planner_and_the_whole_maps_is_that_of_the_path
 
         inputs = (soft.height_m, PARAMS, WEIGHTS)
         through_maps = jax.jit(jax.grad(optimal, (0, 1, 2)))(*inputs)
-        charges = path_charges(astar(problem).points_m, REGION.shape, REGION.resolution_m)
+        charges = path_charges(astar(problem).points_m, REGION.shape, REGION.resolution_m, CostModel())
         _, of_the_path = cost_and_slopes(soft, *inputs, charges)
         jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-12), through_maps, of_the_path)
 

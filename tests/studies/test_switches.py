@@ -41,7 +41,7 @@ def dijkstra_cost(query: Query, weights: np.ndarray) -> float:
         length_m = np.hypot(rows, cols) * unit.grid.resolution_m
         tails.append(r * num_cols + c)
         heads.append(a * num_cols + b)
-        costs.append(length_m * (weights[0] + (charge[r, c] + charge[a, b]) / (2 * unit.reference_length_m)))
+        costs.append(length_m * (weights[0] + (charge[r, c] + charge[a, b]) / (2 * unit.cost_model.reference_length_m)))
     size = num_rows * num_cols
     edges = coo_matrix((np.concatenate(costs), (np.concatenate(tails), np.concatenate(heads))), (size, size)).tocsr()
     start, goal = (r * num_cols + c for r, c in (query.start, query.goal))

@@ -28,7 +28,7 @@ def instances(maps):
 
 @pytest.mark.parametrize("cost_model", ["cell", "line"])
 def test_rows_say_what_plan_says(maps, instances, cost_model):
-    settings = Settings(cost_model=cost_model)
+    settings = Settings(cost_model=ju.CostModel(cost_model))
     for instance in instances[:4]:
         ground = Ground(maps, 20.0, None, instance["time_of_day"], settings)
         for run, row in zip(WEIGHTED, put_to(ground, instance, WEIGHTED), strict=True):

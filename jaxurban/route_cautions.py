@@ -1,0 +1,86 @@
+"""What a pilot should know of a planned route before it is flown, in short sentences."""
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+import pandas as pd
+
+from jaxurban.maps import MetricMaps
+from jaxurban.planned import PlannedPath
+from jaxurban.route_report import OUTSIDE, OVER_ROOF, VISIBLE, WALL, cautious_profile, without_fix
+
+MOST_STRETCHES = 3  # that a terminal line lists
+
+
+def cautions(planned: PlannedPath, maps: MetricMaps, profile: pd.DataFrame | None = None) -> list[str]:
+    """Return where GPS has no fix, how near buildings and roofs are, and which end is over a roof, a sentence each.
+
+    Distances are measured from the route to the edges of cells, so that 0 is contact; walls outside the region count
+    as far as the risk map knows them (`explain`).
+
+    Args:
+      planned: a path, from `plan` or `plan_volume`.
+      maps: the maps it was planned on.
+      profile: of `explain`; made here if left out.
+
+    Raises:
+      InputError: there is no path, or the maps are others.
+    """
+    profile = cautious_profile(planned, maps) if profile is None else profile
+    return [*_fix(profile), _walls(profile, maps), *_roofs(profile), *_ends(profile)]
+
+
+def _fix(profile: pd.DataFrame) -> Iterator[str]:
+    if VISIBLE not in profile:
+        yield "GPS: these maps hold no satellite counts, so where there is no fix is not known."
+        return
+    stretches = without_fix(profile)
+    if not stretches:
+        return
+    lengths_m = [to_m - from_m for from_m, to_m in stretches]
+    longest = sorted(sorted(range(len(stretches)), key=lambda k: -lengths_m[k])[:MOST_STRETCHES])
+    where = ", ".join(f"{stretches[k][0]:.0f} to {stretches[k][1]:.0f} m" for k in longest)
+    left = len(stretches) - len(longest)
+    more = f" and {left} shorter stretch{'es' * (left > 1)}" if left else ""
+    yield (
+        f"GPS: no fix (fewer than four satellites) on {sum(lengths_m):.0f} of {profile['to_m'].iloc[-1]:.0f} m: "
+        f"from {where} along the route{more}."
+    )
+
+
+def _walls(profile: pd.DataFrame, maps: MetricMaps) -> str:
+    inside, outside = (int(np.argmin(profile[name])) for name in (WALL, OUTSIDE))
+    inside_m, outside_m = float(profile[WALL].iloc[inside]), float(profile[OUTSIDE].iloc[outside])
+    if inside_m <= outside_m:
+        return f"Buildings: the nearest at flight height is {inside_m:.1f} m away, {_at(profile, inside)}."
+    within_m = outside_m + math.sqrt(2) * maps.grid.resolution_m  # what risk takes for its distance, at most
+    is_told = within_m < maps.ds.attrs.get("risk_threshold_m", 0.0) and maps.ds.attrs["risk_distance"] == "slice"
+    if is_told and profile[WALL].iloc[outside] > within_m + maps.grid.resolution_m:
+        return (
+            f"Buildings: the nearest at flight height stands outside the region, {outside_m:.1f} to {within_m:.1f} m "
+            f"away, {_at(profile, outside)}."
+        )
+    known = f"; in the region the nearest is {inside_m:.1f} m away" if math.isfinite(inside_m) else ""
+    return (
+        f"Buildings: none at flight height is within {outside_m:.1f} m, {_at(profile, outside)}; what stands farther "
+        f"outside the region is not known{known}."
+    )
+
+
+def _roofs(profile: pd.DataFrame) -> Iterator[str]:
+    if profile[OVER_ROOF].notna().any():
+        least = int(np.nanargmin(profile[OVER_ROOF]))
+        over_m, roof_m = (float(profile[name].iloc[least]) for name in (OVER_ROOF, "roof_m"))
+        yield f"Roofs: the least height over one is {over_m:.1f} m, {_at(profile, least)} (a roof of {roof_m:.1f} m)."
+
+
+def _ends(profile: pd.DataFrame) -> Iterator[str]:
+    for name, place in (("start", 0), ("goal", -1)):
+        roof_m = float(profile["roof_m"].iloc[place])
+        if roof_m > 0:
+            yield f"The {name} is over a roof of {roof_m:.1f} m, not over the ground."
+
+
+def _at(profile: pd.DataFrame, place: int) -> str:
+    return f"{(profile['from_m'].iloc[place] + profile['to_m'].iloc[place]) / 2:.0f} m along the route"

@@ -1,0 +1,132 @@
+"""Where a city's sources know what stands: joined over boxes and buildings, and not stretched by what is far off."""
+
+import geopandas as gpd
+import numpy as np
+import pytest
+import shapely
+
+import jaxurban as ju
+from jaxurban.city import Raster
+from jaxurban.io.buildings import read_buildings
+from jaxurban.io.knownarea import area_of_outlines, area_of_raster, rays_leaving
+from jaxurban.record import outside_share, rays_leaving_share
+
+UTM = "EPSG:32618"
+X, Y = 583000.0, 4506000.0
+BOUNDS = (-74.016, 40.704, -74.010, 40.708)
+
+
+def house(x_m, y_m, side_m=20.0):
+    return shapely.box(X + x_m, Y + y_m, X + x_m + side_m, Y + y_m + side_m)
+
+
+def box(*sides_m):
+    return X + sides_m[0], Y + sides_m[1], X + sides_m[2], Y + sides_m[3]
+
+
+def write(path, lonlat_boxes, height_m=30.0):
+    boxes = [shapely.box(*each) for each in lonlat_boxes]
+    gpd.GeoDataFrame({"height": [height_m] * len(boxes)}, geometry=boxes, crs="EPSG:4326").to_file(path)
+    return path
+
+
+def test_boxes_are_joined_and_buildings_beyond_them_count():
+    boxes = [box(0, 0, 400, 400), box(3_000, 0, 3_400, 400)]
+    area = area_of_outlines(np.array([house(10, 10), house(390, 100), house(0, 2_000)]), boxes)
+    inside = shapely.union_all([shapely.box(*each) for each in boxes])
+    assert shapely.covers(area, inside)
+    assert shapely.covers(area, house(390, 100))  # across the border
+    assert shapely.covers(area, house(0, 2_000))
+    assert area.area == pytest.approx(inside.area + 10 * 20 + 400)
+    assert not shapely.intersects(area, shapely.Point(X + 1_700, Y + 200))  # between the boxes
+
+
+def test_a_wreck_far_off_is_known_but_not_the_way_there():
+    town = [house(x, y) for x in range(0, 900, 300) for y in range(0, 900, 300)]
+    area = area_of_outlines(np.array([*town, house(30_000, 0)]), [])
+    assert area.bounds == pytest.approx(box(0, 0, 30_020, 620))
+    assert area.area == pytest.approx(620**2 + 400)
+
+
+def test_a_raster_is_known_where_it_holds_data():
+    values = np.zeros((100, 100), np.float32)
+    raster = Raster(values, (10.0, 0, X, 0, -10.0, Y + 1_000), UTM)
+    assert area_of_raster(raster, UTM).equals(shapely.box(*box(0, 0, 1_000, 1_000)))
+    values[:, 50:] = np.nan
+    area = area_of_raster(raster, UTM)
+    assert area.area == pytest.approx(500 * 1_000, rel=0.05)
+    assert not shapely.intersects(area, shapely.Point(X + 600, Y + 500))
+
+
+def test_rays_leave_where_no_data_are_even_if_they_end_where_some_are():
+    area = shapely.union_all([shapely.box(*box(0, 0, 100, 100)), shapely.box(*box(300, 0, 400, 100))])
+    zero = np.zeros(0)
+    city = ju.City(
+        UTM,
+        area.bounds,
+        ju.city.Buildings(np.array([], object), zero, zero, zero.astype(np.uint8), zero > 0),
+        area=area,
+    )
+    region = ju.Grid(UTM, 10.0, round(Y / 10), round(X / 10), 10, 10)
+    east_m, north_m = np.array([4.0, 300.0, 8.0]), np.array([0.0, 0.0, 0.0])
+    leaves = rays_leaving(city, region, east_m, north_m).reshape(10, 10, 3)
+    assert not leaves[:, :, 0].any()
+    assert leaves[:, :, 1].all()
+    np.testing.assert_array_equal(leaves[:, :, 2], np.broadcast_to(np.arange(10) == 9, (10, 10)))
+
+
+def test_a_city_keeps_its_bounds_and_a_wreck_does_not_stretch_its_maps(tmp_path):
+    path = write(tmp_path / "city.geojson", [(-74.0159, 40.7041, -74.0140, 40.7060), (-72.0, 42.0, -71.999, 42.001)])
+    city = ju.City.from_files(path, bounds=BOUNDS, crs=UTM)
+    assert city.bounds == BOUNDS
+    maps = ju.build_maps(city, resolution_m=20.0, altitudes_m=(20.0,), times_of_day=("day",))
+    assert maps.grid == ju.Grid.from_bounds(BOUNDS, 20.0, UTM)
+    assert 0.5 < outside_share(city, maps.grid) < 0.9  # the wreck makes nothing known
+    x_min, y_min, x_max, y_max = city.extent_m
+    assert (x_max - x_min) * (y_max - y_min) < 1e6
+
+
+def test_what_is_kept_beyond_a_declared_box_still_shadows(tmp_path):
+    """Two boxes, of which libosmium tells the first: a tower in the second shadows the first's streets."""
+    corners = [(-74.0120, 40.7000), (-74.0100, 40.7000), (-74.0100, 40.7020), (-74.0120, 40.7020)]
+    nodes = "".join(f'<node id="{i}" lat="{lat}" lon="{lon}"/>' for i, (lon, lat) in enumerate(corners, 1))
+    way = "".join(f'<nd ref="{i}"/>' for i in (1, 2, 3, 4, 1))
+    tags = '<tag k="building" v="yes"/><tag k="height" v="500"/>'
+    elements = f'{nodes}<way id="9">{way}{tags}</way>'
+    first, second = ((-74.016, 40.704, -74.010, 40.708), (-74.016, 40.699, -74.010, 40.703))
+
+    def seen(name, *boxes):
+        declared = "".join(f'<bounds minlon="{a}" minlat="{b}" maxlon="{c}" maxlat="{d}"/>' for a, b, c, d in boxes)
+        (tmp_path / name).write_text(f'<osm version="0.6">{declared}{elements}</osm>')
+        city = ju.City.from_files(tmp_path / name, bounds=BOUNDS, crs=UTM, allow_none=True)
+        return ju.build_maps(city, resolution_m=20.0, altitudes_m=(20.0,)).m("num_visible", 20.0)
+
+    both = seen("both.osm", first, second)
+    assert both.min() < both.max()  # the tower shadows
+    np.testing.assert_array_equal(seen("swapped.osm", second, first), both)
+    np.testing.assert_array_equal(seen("small.osm", first), both)
+    np.testing.assert_array_equal(seen("none.osm"), both)
+
+
+def test_rays_are_told_to_leave_a_town_beside_a_wreck(tmp_path):
+    town = [
+        (-74.016 + i / 2000, 40.704 + j / 2000, -74.0158 + i / 2000, 40.7042 + j / 2000)
+        for i in range(13)
+        for j in range(9)
+    ]
+    alone = ju.City.from_files(write(tmp_path / "a.geojson", town), bounds=BOUNDS, crs=UTM)
+    wrecks = [(-74.12, 40.62, -74.119, 40.621), (-73.92, 40.79, -73.919, 40.791)]
+    beside = ju.City.from_files(write(tmp_path / "b.geojson", [*town, *wrecks]), bounds=BOUNDS, crs=UTM)
+    grid = ju.Grid.from_bounds(BOUNDS, 20.0, UTM)
+    sky = ju.build.view_sky(grid, "nominal", ("2020-04-27T16:00:00Z",), mask_deg=5.0, reference=None, max_age_days=90.0)
+    shares = [rays_leaving_share(city, grid, sky, 20.0, 5.0) for city in (alone, beside)]
+    assert shares[0] == shares[1] > 0.1
+
+
+def test_the_kept_area_of_a_file_is_that_of_its_part(tmp_path):
+    path = write(tmp_path / "c.geojson", [(-74.0159, 40.7041, -74.0150, 40.7050), (-72.0, 42.0, -71.999, 42.001)])
+    bounds_m = ju.Grid.from_bounds(BOUNDS, 20.0, UTM).bounds_m
+    part, whole = read_buildings(path, UTM, bounds_m=bounds_m), read_buildings(path, UTM)
+    assert part.area.area < 2e4
+    assert whole.area.area < 4e4
+    assert part.file_extent_m == whole.file_extent_m == whole.area.bounds
