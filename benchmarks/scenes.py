@@ -1,4 +1,4 @@
-"""The city that the benchmarks fly over: Lower Manhattan where the real data are at hand, else the embedded one."""
+"""The cities that the benchmarks fly over: those whose real data are at hand, and the embedded one."""
 
 import os
 from dataclasses import dataclass
@@ -10,9 +10,10 @@ from benchmarks.common import ROOT
 from jaxurban.build import make_surface, view_sky
 from jaxurban.city import City
 from jaxurban.demo import demo_city_for_bounds
-from jaxurban.grid import Grid
+from jaxurban.grid import Bounds, Grid
 from jaxurban.io.buildings import read_buildings
 from jaxurban.layers import MapParams
+from jaxurban.sky import Sky
 from jaxurban.surface import Surface
 
 DATA = Path(os.environ.get("JAXURBAN_DATA", ROOT / ".." / "shared" / "data"))
@@ -21,8 +22,39 @@ BOUNDS, CRS, REFERENCE = (-74.02, 40.70, -73.98, 40.73), "EPSG:32618", (-74.0, 4
 TIME = "2020-04-27T16:00:00Z"
 MASK_DEG = 5.0
 ALTITUDES_M = (20.0, 60.0, 122.0)
-REACH_M = 2000.0  # the real buildings end about here
+REACH_M = 2000.0  # the real buildings of Lower Manhattan end about here
 PARAMS = MapParams(altitudes_m=ALTITUDES_M, mask_deg=MASK_DEG)
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a city's buildings and its sky come from; ``buildings`` is None for the embedded city."""
+
+    name: str
+    buildings: Path | None = None
+    bounds: Bounds = BOUNDS
+    crs: str = CRS
+    reference: tuple[float, float] = REFERENCE
+    orbits: Path = ORBITS
+    time: str = TIME
+
+    @property
+    def is_here(self) -> bool:
+        return self.buildings is None or self.buildings.exists()
+
+
+MANHATTAN = Place("Lower Manhattan", OSM)
+EMBEDDED = Place("embedded city")
+TOKYO = Place(
+    "Tokyo (Shinjuku)",
+    DATA / "tokyo" / "tokyo-central-lod2.parquet",
+    (139.69, 35.685, 139.71, 35.70),
+    "EPSG:32654",
+    (139.70, 35.6925),
+    DATA / "tokyo" / "gps_2018-12-19.tle",
+    "2018-12-19T06:20:00Z",
+)
+PLACES = {"manhattan": MANHATTAN, "tokyo": TOKYO, "embedded": EMBEDDED}
 
 
 @dataclass(frozen=True)
@@ -33,17 +65,18 @@ class Scene:
     city: City
     azimuth_rad: np.ndarray
     elevation_rad: np.ndarray
+    place: Place = MANHATTAN
 
     def region(self, resolution_m: float) -> Grid:
-        return Grid.from_bounds(BOUNDS, resolution_m, CRS, nest_with_m=(2, 5, 10))
+        return Grid.from_bounds(self.place.bounds, resolution_m, self.place.crs, nest_with_m=(2, 5, 10))
 
-    def sky(self, resolution_m: float = 5.0):
+    def sky(self, resolution_m: float = 5.0) -> Sky:
         return view_sky(
             self.region(resolution_m),
-            ORBITS if ORBITS.exists() else "nominal",
-            [TIME],
+            self.place.orbits if self.place.orbits.exists() else "nominal",
+            [self.place.time],
             mask_deg=MASK_DEG,
-            reference=REFERENCE,
+            reference=self.place.reference,
             max_age_days=90,
         )
 
@@ -51,13 +84,19 @@ class Scene:
         return make_surface(self.city, self.region(resolution_m), self.sky(resolution_m), PARAMS)
 
 
+def load_place(place: Place) -> Scene:
+    """Return a city whose files are at hand, its real buildings as far as ``REACH_M`` around the box."""
+    if place.buildings is None:
+        city = demo_city_for_bounds(place.bounds, place.crs)
+    else:
+        extent_m = Grid.from_bounds(place.bounds, 10.0, place.crs).padded(*(int(REACH_M / 10),) * 4).bounds_m
+        source = read_buildings(place.buildings, place.crs, bounds_m=extent_m)
+        city = City(place.crs, extent_m, buildings=source.buildings)
+    scene = Scene(place.name, city, np.empty(0), np.empty(0), place)
+    sky = scene.sky()
+    return Scene(place.name, city, sky.azimuth_rad[0], sky.elevation_rad[0], place)
+
+
 def load_scene() -> Scene:
     """Return Lower Manhattan, or the embedded city in its box where the real files are missing."""
-    if OSM.exists():
-        extent_m = Grid.from_bounds(BOUNDS, 10.0, CRS).padded(*(int(REACH_M / 10),) * 4).bounds_m
-        name, city = "Lower Manhattan", City(CRS, extent_m, buildings=read_buildings(OSM, CRS).buildings)
-    else:
-        name, city = "embedded city (no real data found)", demo_city_for_bounds(BOUNDS, CRS)
-    scene = Scene(name, city, np.empty(0), np.empty(0))
-    sky = scene.sky()
-    return Scene(name, city, sky.azimuth_rad[0], sky.elevation_rad[0])
+    return load_place(MANHATTAN if MANHATTAN.is_here else EMBEDDED)
