@@ -16,6 +16,7 @@ import jaxurban as ju
 from jaxurban.errors import OtherSettingsWarning
 from jaxurban.io.export import write_path
 from jaxurban.io.store import write_zarr
+from jaxurban.studies import local
 from jaxurban.studies.pool import cheapest_route
 from jaxurban.studies.queries import route_facts
 from jaxurban.studies.trial import Settings
@@ -101,7 +102,9 @@ def test_each_part_of_a_cost_model_and_limits_change_the_cost(plans):
 
 @pytest.mark.parametrize("limited", ["none", "limits"])
 @pytest.mark.parametrize("model", MODELS, ids=str)
-def test_every_way_gives_one_path_one_cost(maps, ends, plans, closing, model, limited, tmp_path):
+def test_every_way_gives_one_path_one_cost(maps, ends, plans, closing, model, limited, tmp_path, monkeypatch):
+    monkeypatch.setattr(local, "NUM_REPEATS", 2)
+    monkeypatch.setattr(local, "NUM_NOISE", 2)
     planned, limits = plans[model, limited], closing[limited]
     under = {"cost_model": model, "limits": limits}
     costs = {}

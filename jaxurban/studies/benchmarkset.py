@@ -149,9 +149,10 @@ the grid) and {counts["shortest"]} shortest-path problems with optimal lengths. 
 ## Shortest paths: `movingai/`
 
 `{name}_20m.map` and `.map.scen` at each altitude above ground, in the format of Sturtevant (2012),
-movingai.com/benchmarks/formats: `.` is free, `@` an obstacle; the first row is the northern one; a problem is a line of
-bucket, map, width, height, start x, start y, goal x, goal y and optimal length in cell sides. Diagonal steps cost the
-square root of 2 and need both orthogonal neighbours free. Pairs without a proven length are left out.
+movingai.com/benchmarks/formats: `.` is free, `@` an obstacle or closed by a no-fly zone; the first row is the northern
+one; a problem is a line of bucket, map, width, height, start x, start y, goal x, goal y and optimal length in cell
+sides. Diagonal steps cost the square root of 2 and need both orthogonal neighbours free. Pairs without a proven length
+are left out.
 
 ## Weighted paths: `instances.parquet` (and `.csv`), `costs/`
 
