@@ -36,9 +36,7 @@ class Reachability:
     def joins(self, start: Cell, goal: Cell, altitude_m: float) -> bool:
         """Return whether free cells join two cells at one altitude."""
         if altitude_m not in self._labels:
-            is_free = self.maps.is_free(altitude_m)
-            if self.limits:
-                is_free &= ~self.limits.closed(self.maps, altitude_m, time=self.time, time_of_day=self.time_of_day)
+            is_free = self.limits.is_free(self.maps, altitude_m, time=self.time, time_of_day=self.time_of_day)
             self._labels[altitude_m] = label(is_free, generate_binary_structure(2, 2 if self.cuts_corners else 1))[0]
         labels = self._labels[altitude_m]
         return bool(labels[start] == labels[goal] != 0)
