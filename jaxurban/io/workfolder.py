@@ -76,8 +76,8 @@ class WorkFolder:
 
     def save_arrays(self, name: str, **arrays: np.ndarray) -> None:
         """Keep arrays under a name."""
-        with whole_file(self._array_path(name)) as scratch, scratch.open("wb") as file:
-            np.savez(file, allow_pickle=False, **arrays)
+        with whole_file(self._array_path(name)) as scratch:
+            seal.write_npz(scratch, arrays)
 
     def load_arrays(self, name: str, *wanted: str) -> dict[str, np.ndarray]:
         """Return those of the ``wanted`` arrays that were kept under a name.

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from jaxurban.errors import InputError
-from jaxurban.io.seal import read_npz
+from jaxurban.io.seal import read_npz, write_npz
 from jaxurban.io.store import whole_file
 from jaxurban.studies.queries import Query
 
@@ -58,10 +58,9 @@ class Journal:
         self._next += 1
         arrays = {f"asked_{k}": asked for k, (asked, _) in enumerate(self._kept)}
         arrays |= {f"found_{k}": found for k, (_, found) in enumerate(self._kept)}
-        with whole_file(self._file) as scratch, scratch.open("wb") as stream:
-            np.savez_compressed(
-                stream, allow_pickle=False, settings=np.array(json.dumps(self._settings, sort_keys=True)), **arrays
-            )
+        arrays["settings"] = np.array(json.dumps(self._settings, sort_keys=True))
+        with whole_file(self._file) as scratch:
+            write_npz(scratch, arrays, is_compressed=True)
 
     def _read(self) -> None:
         try:
