@@ -6,6 +6,8 @@ import shapely
 
 from benchmarks.common import Growth, Timing, in_turn, markdown, row
 from benchmarks.embree_peer import Caster, scan_every_beam, scan_until_first_return, see_satellites
+from benchmarks.route_soundness import Outlines, Route, by_planner, price
+from jaxurban.city import Buildings
 from jaxurban.metrics.lidar import LidarParams
 from tests.embree_scene import roof_triangles, wall_triangles
 
@@ -63,3 +65,38 @@ def test_a_scan_returns_over_the_angle_that_a_tower_fills():
     num_azimuths = 2 * np.floor(np.rad2deg(np.arctan(5 / 50))) + 1  # whole degrees within the near wall
     np.testing.assert_allclose(every, [num_azimuths / 360, 0])
     np.testing.assert_array_equal(every, first)
+
+
+def test_what_a_route_cuts_is_measured_once_on_the_outline_and_at_the_lower_end_of_a_climb():
+    polygons = np.array([shapely.box(50, 0, 60, 10), shapely.box(55, 0, 60, 10)])  # the second lies in the first
+    zero = np.zeros(2)
+    outlines = Outlines(Buildings(polygons, zero + 30.0, zero, zero.astype(np.uint8), zero > 0))
+    through = [[0, 4, 20], [100, 4, 20]]
+    assert outlines.cut(np.array(through, float)) == pytest.approx((10.0, 4.0), abs=1e-4)
+    assert outlines.cut(np.array([[0, 10, 20], [100, 10, 20]], float)) == (0.0, 0.0)  # along the wall
+    assert outlines.cut(np.array([[0, 4, 31], [100, 4, 31]], float)) == (0.0, 0.0)
+    assert outlines.cut(np.array([[0, 4, 31], [58, 4, 31], [100, 4, 20]], float))[0] == pytest.approx(2.0, abs=1e-4)
+
+
+def test_shares_count_paths_alone_and_prices_pairs_with_both():
+    def route(rule: str, length_m: float, inside_m: float) -> Route:
+        return Route(rule, "astar-plus", "", length_m, 2 * length_m, inside_m, inside_m / 2)
+
+    none = np.inf
+    centre = [route("centre", length_m, inside_m) for length_m, inside_m in ((100, 4), (200, 0), (none, 0))]
+    touched = [route("touched", length_m, 0) for length_m in (110, 200, none, 400)]
+    others = [
+        Route(rule, planner, "", 10, 10, 0, 0) for rule in ("touched", "centre") for planner in ("theta-star", "volume")
+    ]
+    figures = by_planner(centre + touched + others)
+    assert figures["centre"]["astar-plus"] == {
+        "paths": 2,
+        "share_cutting": 0.5,
+        "mean_inside_of_those_m": 4.0,
+        "most_inside_m": 4.0,
+        "deepest_m": 2.0,
+    }
+    assert figures["touched"]["astar-plus"]["share_cutting"] == 0.0
+    prices = price(centre + touched + others)["astar-plus"]
+    assert prices["length_mean"] == pytest.approx(5.0)
+    assert prices["length_most"] == prices["cost_most"] == pytest.approx(10.0)
