@@ -150,7 +150,8 @@ class MetricMaps:
         if is_held:
             is_free = is_free & (self.m("obstacle", altitude_m) == 0)
         if rule == "touched" or not is_held:
-            is_free = is_free & ~np.asarray(obstacle_mask(jnp.asarray(self.m(self._roof(rule))), [altitude_m])[0])
+            roof_m = self.m(self._roof(rule))  # NaN, an unknown height, is never free
+            is_free = is_free & ~np.asarray(obstacle_mask(jnp.asarray(roof_m), [altitude_m])[0]) & ~np.isnan(roof_m)
         return is_free
 
     def _roof(self, rule: Obstacles) -> str:
