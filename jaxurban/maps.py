@@ -98,6 +98,10 @@ class MetricMaps:
             raise InputError(f"there are no maps for {name} {value}: these maps hold {listed}")
         return list(given).index(value)
 
+    def check_altitude(self, altitude_m: float) -> None:
+        """Raise InputError unless these maps hold an altitude."""
+        self._pick("altitude", altitude_m, self.altitudes_m, self.altitudes_m)
+
     def m(
         self, name: str, altitude_m: float | None = None, *, time: str | None = None, time_of_day: str | None = None
     ) -> np.ndarray:
