@@ -31,7 +31,7 @@ def maps() -> ju.MetricMaps:
     return ju.MetricMaps(
         maps.ds.assign(
             obstacle=(("altitude", "y", "x"), obstacle),
-            roof=(("y", "x"), roof_m),
+            **dict.fromkeys(("roof", "roof_touched"), (("y", "x"), roof_m)),
             num_visible=maps.ds["num_visible"] * 0 + visible,
         )
     )
@@ -80,6 +80,16 @@ def test_roofs_that_touch_a_cell_count_where_the_maps_hold_them(maps):
     assert totals["least_over_roofs_m"] == pytest.approx(5.0)
 
 
+def test_a_route_through_cells_that_a_building_touches_is_not_told_as_over_its_roof(maps):
+    touched_m = maps.m("roof").copy()
+    touched_m[ROW, 40:51] = 30.0
+    by_centre = ju.MetricMaps(maps.ds.assign(roof_touched=(("y", "x"), touched_m)), "centre")
+    told = ju.cautions(straight(by_centre, last=50), by_centre)
+    assert "Buildings: 105.0 m of the route lie in cells that one as high touches, maybe inside its outline." in told
+    assert "The goal is in a cell that a building of 30.0 m touches." in told
+    assert any(sentence.startswith("Roofs: the least height over one is 8.0 m") for sentence in told)
+
+
 def test_walls_just_outside_the_region_count():
     """Routes 15 m inside the east border: past a tower on it, past one 20 m outside it, and 100 m from that one."""
     wide = np.zeros((40, 60), bool)  # 20 columns of 10 m more than the region has
@@ -90,7 +100,7 @@ def test_walls_just_outside_the_region_count():
         maps.ds.assign(
             risk=(("altitude", "y", "x"), risk),
             obstacle=maps.ds["obstacle"] * 0,
-            roof=(("y", "x"), open_air),
+            **dict.fromkeys(("roof", "roof_touched"), (("y", "x"), open_air)),
             num_visible=maps.ds["num_visible"] * 0 + 9,
         ).assign_attrs(risk_threshold_m=50.0, risk_distance="slice")
     )
