@@ -20,7 +20,7 @@ from jaxurban.planners.volume import Node, VolumeCost, VolumeProblem, charge
 from jaxurban.planners.volume_astar import volume_astar
 from jaxurban.reachability import CENTRE_REMEDY, joined_sentence
 from jaxurban.snapping import Place, free_place
-from jaxurban.weighted import Point, WeightedMap, weigh
+from jaxurban.weighted import Point, WeightedMap, weigh, why_blocked
 
 NODE_BYTES = 48  # of a volume and a search that visits all of it; 37 measured over Lower Manhattan (docs/volume.md)
 
@@ -114,7 +114,8 @@ class WeightedVolume:
         levels_m, maps = self.problem.levels_m, self.flat.maps
         times = (self.flat.time, self.flat.time_of_day)
         closing = self.limits.reasons(maps, float(levels_m[level]), cell, *times) if self.limits else []
-        where = f"closed by {' and '.join(closing)}" if closing else "inside an obstacle (or where there are no data)"
+        how = why_blocked(maps, float(levels_m[level]), cell)
+        where = f"closed by {' and '.join(closing)}" if closing else how
         if free.size:
             return f"{where} at {levels_m[level]:g} m; the lowest free level there is {levels_m[free[0]]:g} m"
         higher = [z for z in sorted(maps.altitudes_m) if z > levels_m[-1] and maps.is_free(z)[cell]]

@@ -151,3 +151,21 @@ def test_maps_without_touched_roofs_are_refused_for_planning(gap):
     assert ju.plan(old.with_obstacles("centre"), **ENDS, altitude_m=20.0).status.has_path
     with pytest.raises(InputError, match="'touched' or 'centre'"):
         replace(gap, obstacles="edges")
+
+
+def test_an_example_that_only_a_touch_closes_names_the_rule_under_which_it_is_free(gap):
+    row, col = np.argwhere(gap.is_free(20.0, "centre") & ~gap.is_free(20.0))[0]
+    by_centre = gap.with_obstacles("centre")
+    start_xy_m = tuple(map(float, gap.grid.xy_of_cell(row, col)))
+    path = ju.plan(by_centre, start_xy_m=start_xy_m, goal_xy_m=ENDS["goal_xy_m"], altitude_m=20.0)
+    assert ju.examples_from_paths([path], by_centre)
+    with pytest.raises(InputError, match="choose obstacles = centre"):
+        ju.examples_from_paths([path], gap)
+
+
+def test_a_start_in_a_volume_that_only_a_touch_closes_is_told_apart(gap):
+    row, col = np.argwhere(gap.is_free(20.0, "centre") & ~gap.is_free(20.0))[0]
+    start_xy_m = tuple(map(float, gap.grid.xy_of_cell(row, col)))
+    ends = {"start_xy_m": start_xy_m, "goal_xy_m": ENDS["goal_xy_m"]}
+    with pytest.raises(InputError, match="in a cell that an obstacle touches at 20 m; the lowest free level there"):
+        ju.plan_volume(gap, **ends, start_altitude_m=20.0)
