@@ -66,8 +66,9 @@ class Reachability:
         if self._by_centre is not None:
             tried[CENTRE_REMEDY] = self._by_centre.joins(start, goal, altitude_m)
         for finer in self._finer:
-            ends = [tuple(map(int, finer.maps.grid.cell_of_xy(*self.maps.grid.xy_of_cell(*at)))) for at in (start, goal)]
-            is_joined = altitude_m in finer.maps.altitudes_m and finer.joins(*ends, altitude_m)
+            ends = (finer.maps.grid.cell_of_xy(*self.maps.grid.xy_of_cell(*cell)) for cell in (start, goal))
+            first, second = ((int(row), int(col)) for row, col in ends)
+            is_joined = altitude_m in finer.maps.altitudes_m and finer.joins(first, second, altitude_m)
             tried[f"in cells of {short_number(finer.maps.grid.resolution_m)} m"] = is_joined
             if is_joined:
                 break

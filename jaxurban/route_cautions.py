@@ -72,7 +72,7 @@ def _roofs(profile: pd.DataFrame) -> Iterator[str]:
     is_beside = profile[OVER_ROOF] <= 0  # of a cell that a building only touches
     if is_beside.any():
         beside_m = float((profile["to_m"] - profile["from_m"])[is_beside].sum())
-        yield f"Buildings: {beside_m:.1f} m of the route lie in cells that one as high touches, maybe inside its outline."
+        yield f"Buildings: {beside_m:.1f} m of the route lie in cells that one as high touches, maybe in its outline."
     over_m = profile[OVER_ROOF].where(~is_beside)
     if over_m.notna().any():
         least = int(np.nanargmin(over_m))

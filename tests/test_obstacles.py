@@ -124,7 +124,12 @@ def test_what_would_join_is_found_once_for_a_batch(tmp_path, monkeypatch):
         walled((-50, 97.6, 97.4, 102.4), (103.5, 97.6, 250, 102.4), resolution_m=resolution_m).save(tmp_path)
     maps = ju.open_maps(tmp_path, 5.0)
     opened = []
-    monkeypatch.setattr(reachability, "open_maps", lambda *args, **how: opened.append(args) or ju.open_maps(*args, **how))
+
+    def open_and_count(*args, **how):
+        opened.append(args)
+        return ju.open_maps(*args, **how)
+
+    monkeypatch.setattr(reachability, "open_maps", open_and_count)
     ends = pd.DataFrame([[*ENDS["start_xy_m"], *ENDS["goal_xy_m"]]] * 3, columns=list(XY))
     answers = ju.plan_many(maps, ends, altitude_m=20.0, progress=False).to_dataframe()
     assert all("in cells of 1 m" in message for message in answers["message"])

@@ -85,7 +85,7 @@ def test_a_route_through_cells_that_a_building_touches_is_not_told_as_over_its_r
     touched_m[ROW, 40:51] = 30.0
     by_centre = ju.MetricMaps(maps.ds.assign(roof_touched=(("y", "x"), touched_m)), "centre")
     told = ju.cautions(straight(by_centre, last=50), by_centre)
-    assert "Buildings: 105.0 m of the route lie in cells that one as high touches, maybe inside its outline." in told
+    assert "Buildings: 105.0 m of the route lie in cells that one as high touches, maybe in its outline." in told
     assert "The goal is in a cell that a building of 30.0 m touches." in told
     assert any(sentence.startswith("Roofs: the least height over one is 8.0 m") for sentence in told)
 

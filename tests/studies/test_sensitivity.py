@@ -167,6 +167,7 @@ def test_a_start_that_was_moved_is_told_on_the_terminal_and_in_the_report(maps, 
     assert code == 0, err
     for text in (err, (tmp_path / "out" / "report.md").read_text()):
         assert "The start was not free: it was moved 30.0 m, to the nearest free cell." in text
+    assert "obstacles: touched" in (tmp_path / "out" / "report.md").read_text()
 
 
 def test_a_walled_goal_is_exit_3_and_in_python_an_error(maps, ends, tmp_path, capsys):
