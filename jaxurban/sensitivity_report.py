@@ -162,8 +162,8 @@ def _route(found: Sensitivity) -> str:
         *([settings["time_of_day"]] if settings["time_of_day"] else []),
         f"{settings['resolution_m']:g} m cells",
         f"cost model {CostModel.from_settings(settings)}",
-        f"obstacles: {settings['obstacles']}",
         *([f"limits: {said}"] if (said := limits_said(settings["limits"])) else []),
+        f"obstacles: {settings['obstacles']}",
     ]
     rows = [
         (name, f"{row.weight:g}", f"{row.gradient:.4g}", f"{row.elasticity:.1%}")

@@ -15,6 +15,7 @@ from scipy.ndimage import label
 import jaxurban as ju
 from jaxurban.errors import OtherSettingsWarning
 from jaxurban.io.export import write_path
+from jaxurban.io.seal import write_json
 from jaxurban.io.store import write_zarr
 from jaxurban.studies import local
 from jaxurban.studies.pool import cheapest_route
@@ -141,7 +142,7 @@ def folder(maps, tmp_path_factory):
     write_zarr(maps.ds, folder)
     planning = ju.CostModel("line", 4.0, 4, "always").settings
     settings = {"planning": planning, "weights": dataclasses.asdict(WEIGHTS)}
-    (folder / "run.json").write_text(json.dumps({"settings": settings}))
+    write_json(folder / "run.json", {"settings": settings})
     return folder
 
 
