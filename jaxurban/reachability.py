@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -41,29 +42,38 @@ class Reachability:
         labels = self._labels[altitude_m]
         return bool(labels[start] == labels[goal] != 0)
 
+    @cached_property
+    def _by_centre(self) -> "Reachability | None":
+        """Under the paper's rule of obstacles; None where these maps are under it."""
+        if self.maps.obstacles == "centre":
+            return None
+        return replace(self, maps=self.maps.with_obstacles("centre"), _labels={})
+
+    @cached_property
+    def _finer(self) -> "tuple[Reachability, ...]":
+        """On the finer maps of the same folder, the finest last."""
+        return tuple(replace(self, maps=maps, _labels={}) for maps in _finer_maps(self.maps))
+
     def what_would_join(self, start: Cell, goal: Cell, altitude_m: float) -> str:
         """Return a sentence on what would join two cells that nothing joins at an altitude.
 
-        Tried are the paper's rule of obstacles, the finer maps of the same folder, and the maps' greater altitudes.
+        Tried are the paper's rule of obstacles, the finer maps of the same folder until one joins them, and the maps'
+        greater altitudes.
         """
-
-        def joins_on(maps: MetricMaps) -> bool:
-            """Return whether the cells of other maps that hold the two cells' centres are joined."""
-            ends = (maps.grid.cell_of_xy(*self.maps.grid.xy_of_cell(*cell)) for cell in (start, goal))
-            first, second = ((int(row), int(col)) for row, col in ends)
-            return replace(self, maps=maps, _labels={}).joins(first, second, altitude_m)
-
         tried = {}
-        if self.maps.obstacles == "touched":
-            tried[CENTRE_REMEDY] = joins_on(self.maps.with_obstacles("centre"))
-        finer = _finer_maps(self.maps)
-        for maps in finer:
-            is_there = altitude_m in maps.altitudes_m
-            tried[f"in cells of {short_number(maps.grid.resolution_m)} m"] = is_there and joins_on(maps)
+        if self._by_centre is not None:
+            tried[CENTRE_REMEDY] = self._by_centre.joins(start, goal, altitude_m)
+        for finer in self._finer:
+            ends = (finer.maps.grid.cell_of_xy(*self.maps.grid.xy_of_cell(*cell)) for cell in (start, goal))
+            first, second = ((int(row), int(col)) for row, col in ends)
+            is_joined = altitude_m in finer.maps.altitudes_m and finer.joins(first, second, altitude_m)
+            tried[f"in cells of {short_number(finer.maps.grid.resolution_m)} m"] = is_joined
+            if is_joined:
+                break
         if higher_m := sorted(z_m for z_m in self.maps.altitudes_m if z_m > altitude_m):
             lowest_m = next((z_m for z_m in higher_m if self.joins(start, goal, z_m)), None)
             tried["at a greater altitude of these maps" if lowest_m is None else f"at {lowest_m:g} m"] = bool(lowest_m)
-        unknown = "" if finer else " Finer maps, of which there are none here, may join them too."
+        unknown = "" if self._finer else " Finer maps, of which there are none here, may join them too."
         return joined_sentence(tried) + unknown
 
 

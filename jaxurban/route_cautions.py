@@ -69,16 +69,26 @@ def _walls(profile: pd.DataFrame, maps: MetricMaps) -> str:
 
 
 def _roofs(profile: pd.DataFrame) -> Iterator[str]:
-    if profile[OVER_ROOF].notna().any():
-        least = int(np.nanargmin(profile[OVER_ROOF]))
-        over_m, roof_m = (float(profile[name].iloc[least]) for name in (OVER_ROOF, "roof_m"))
-        yield f"Roofs: the least height over one is {over_m:.1f} m, {_at(profile, least)} (a roof of {roof_m:.1f} m)."
+    is_beside = profile[OVER_ROOF] <= 0  # of a cell that a building only touches
+    if is_beside.any():
+        beside_m = float((profile["to_m"] - profile["from_m"])[is_beside].sum())
+        yield f"Buildings: {beside_m:.1f} m of the route lie in cells that one as high touches, maybe in its outline."
+    over_m = profile[OVER_ROOF].where(~is_beside)
+    if over_m.notna().any():
+        least = int(np.nanargmin(over_m))
+        roof_m = float(profile["roof_m"].iloc[least])
+        yield (
+            f"Roofs: the least height over one is {over_m.iloc[least]:.1f} m, {_at(profile, least)} "
+            f"(a roof of {roof_m:.1f} m)."
+        )
 
 
 def _ends(profile: pd.DataFrame) -> Iterator[str]:
     for name, place in (("start", 0), ("goal", -1)):
         roof_m = float(profile["roof_m"].iloc[place])
-        if roof_m > 0:
+        if roof_m >= float(profile["z_m"].iloc[place]):
+            yield f"The {name} is in a cell that a building of {roof_m:.1f} m touches."
+        elif roof_m > 0:
             yield f"The {name} is over a roof of {roof_m:.1f} m, not over the ground."
 
 

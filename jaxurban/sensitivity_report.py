@@ -163,6 +163,7 @@ def _route(found: Sensitivity) -> str:
         f"{settings['resolution_m']:g} m cells",
         f"cost model {CostModel.from_settings(settings)}",
         *([f"limits: {said}"] if (said := limits_said(settings["limits"])) else []),
+        f"obstacles: {settings['obstacles']}",
     ]
     rows = [
         (name, f"{row.weight:g}", f"{row.gradient:.4g}", f"{row.elasticity:.1%}")
@@ -172,7 +173,8 @@ def _route(found: Sensitivity) -> str:
     outcomes = {name: values[name] for name in LABELS if name in values}
     return (
         ", ".join(where)
-        + f". It is {route.length_m:,.0f} m long and costs {route.cost:,.1f}.\n\n"
+        + " ".join([f". It is {route.length_m:,.0f} m long and costs {route.cost:,.1f}.", route.search.note]).rstrip()
+        + "\n\n"
         + _table(("weight", "value", "derivative of the cost", "share of the cost"), rows)
         + "\n\nThe derivative of the cheapest cost by a weight is what the route adds up of it (metres; the sum of the "
         "metric's cost c), exactly, by the envelope theorem. The share is also the elasticity: the cost grows by so "

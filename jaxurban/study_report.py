@@ -96,7 +96,7 @@ def _head(result: StudyResult, table: pd.DataFrame) -> str:
         f"- {counted(table.instance.nunique(), 'instance')} at {_listed([f'{z:g} m' for z in joined.index])}, "
         f"{len(table)} runs of {_listed(sorted(table.planner.unique()))}; {grid.num_cols} x {grid.num_rows} cells of "
         f"{grid.resolution_m:g} m.",
-        f"- Budget: {budget}. Cost model {settings.cost_model}.",
+        f"- Budget: {budget}. Cost model {settings.cost_model}. Obstacles: {result.maps.obstacles}.",
         *([f"- Limits: {settings.limits}."] if settings.limits else []),
         f"- Pairs that some path joins: {_listed([f'{share:.1%} at {z:g} m' for z, share in joined.items()])}.",
         f"- Crashed runs: {crashed}; paths or questions that were not valid: {odd}.",

@@ -213,8 +213,8 @@ def _setting(comparison: Comparison, names: Sequence[str]) -> str:
     first = next(iter(units))
     limits = f" Limits: {first.limits}." if first.limits else ""
     return (
-        f"Weights fitted: {', '.join(names)}. Cost model: {first.cost_model} on cells of {cells} m.{limits} Altitudes "
-        f"and times: {flown}."
+        f"Weights fitted: {', '.join(names)}. Cost model: {first.cost_model} on cells of {cells} m.{limits} "
+        f"Obstacles: {first.maps.obstacles}. Altitudes and times: {flown}."
     )
 
 

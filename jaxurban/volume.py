@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import psutil
-from scipy.ndimage import label
+from scipy.ndimage import generate_binary_structure, label
 
 from jaxurban.cost import Weights, metric_cost
 from jaxurban.errors import InputError
@@ -20,7 +20,7 @@ from jaxurban.planners.volume import Node, VolumeCost, VolumeProblem, charge
 from jaxurban.planners.volume_astar import volume_astar
 from jaxurban.reachability import CENTRE_REMEDY, joined_sentence
 from jaxurban.snapping import Place, free_place
-from jaxurban.weighted import Point, WeightedMap, weigh
+from jaxurban.weighted import Point, WeightedMap, weigh, why_blocked
 
 NODE_BYTES = 48  # of a volume and a search that visits all of it; 37 measured over Lower Manhattan (docs/volume.md)
 
@@ -114,7 +114,8 @@ class WeightedVolume:
         levels_m, maps = self.problem.levels_m, self.flat.maps
         times = (self.flat.time, self.flat.time_of_day)
         closing = self.limits.reasons(maps, float(levels_m[level]), cell, *times) if self.limits else []
-        where = f"closed by {' and '.join(closing)}" if closing else "inside an obstacle (or where there are no data)"
+        how = why_blocked(maps, float(levels_m[level]), cell)
+        where = f"closed by {' and '.join(closing)}" if closing else how
         if free.size:
             return f"{where} at {levels_m[level]:g} m; the lowest free level there is {levels_m[free[0]]:g} m"
         higher = [z for z in sorted(maps.altitudes_m) if z > levels_m[-1] and maps.is_free(z)[cell]]
@@ -122,16 +123,26 @@ class WeightedVolume:
         return f"{where} at every level from {levels_m[0]:g} to {levels_m[-1]:g} m{above}"
 
     def _what_would_join(self, problem: VolumeProblem) -> str:
-        """Return a sentence on what would join two nodes that nothing joins (cuts of corners left aside)."""
+        """Return a sentence on what would join two nodes that nothing joins: the paper's obstacles, higher levels."""
         maps, levels_m = self.flat.maps, problem.levels_m
+        # On one level as at one altitude; from level to level straight up and down, which all climbs come to.
+        touching = generate_binary_structure(3, 1)
+        touching[1] = generate_binary_structure(2, 2 if problem.cost_model.joins_corners else 1)
+
+        def joins(maps: MetricMaps, levels_m: np.ndarray) -> bool:
+            is_free = free_levels(maps, levels_m, self.limits, self.flat.time, self.flat.time_of_day)
+            islands, _ = label(is_free, touching)
+            return bool(islands[problem.start] == islands[problem.goal] != 0)
+
         tried = {}
         if maps.obstacles == "touched":
-            times = (self.flat.time, self.flat.time_of_day)
-            islands, _ = label(free_levels(maps.with_obstacles("centre"), levels_m, self.limits, *times))
-            tried[CENTRE_REMEDY] = bool(islands[problem.start] == islands[problem.goal] != 0)
-        higher_m = [z_m for z_m in sorted(maps.altitudes_m) if z_m > levels_m[-1]]
-        remedy = f"raise max_altitude_m above {levels_m[-1]:g} m" if higher_m else "make maps of greater altitudes"
-        return f"{joined_sentence(tried)} Else {remedy}, or make finer maps.".strip()
+            tried[CENTRE_REMEDY] = joins(maps.with_obstacles("centre"), levels_m)
+        if higher_m := [z_m for z_m in sorted(maps.altitudes_m) if z_m > levels_m[-1]]:
+            tops = (k for k in range(len(higher_m)) if joins(maps, np.append(levels_m, higher_m[: k + 1])))
+            top = next(tops, None)
+            told = "at any greater altitude of these maps" if top is None else f"with max_altitude_m {higher_m[top]:g}"
+            tried[told] = top is not None
+        return f"{joined_sentence(tried)} Finer maps may join them too.".strip()
 
     def _charged(self, planned: PlannedPath, paid: VolumeCost) -> PlannedPath:
         """Return a path with its weighted cost and its metrics."""

@@ -144,9 +144,7 @@ class WeightedMap:
     def why_closed(self, cell: Cell) -> str:
         """Return what closes a cell: an obstacle, or each limit by name."""
         if not self.maps.is_free(self.altitude_m)[cell]:
-            if self.maps.is_free(self.altitude_m, "centre")[cell]:
-                return f"in a cell that an obstacle touches at {self.altitude_m:g} m"
-            return f"inside an obstacle (or where there are no data) at {self.altitude_m:g} m"
+            return f"{why_blocked(self.maps, self.altitude_m, cell)} at {self.altitude_m:g} m"
         reasons = self.limits.reasons(self.maps, self.altitude_m, cell, self.time, self.time_of_day)
         return f"closed by {' and '.join(reasons)} at {self.altitude_m:g} m"
 
@@ -271,6 +269,13 @@ class WeightedMap:
         length_m = crossed.length_m if paid.length_m > 0 else np.ones(1)
         along = self.m[:, crossed.row, crossed.col].astype(np.float64)
         return {name: float(value) for name, value in zip(self.names, along @ length_m / length_m.sum(), strict=True)}
+
+
+def why_blocked(maps: MetricMaps, altitude_m: float, cell: Cell) -> str:
+    """Return how the rule of obstacles blocks a cell: by its centre or, under ``"touched"``, only by its edge."""
+    if maps.is_free(altitude_m, "centre")[cell]:
+        return "in a cell that an obstacle touches"
+    return "inside an obstacle (or where there are no data)"
 
 
 def weigh(

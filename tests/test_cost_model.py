@@ -14,8 +14,8 @@ from scipy.ndimage import label
 
 import jaxurban as ju
 from jaxurban.errors import OtherSettingsWarning
-from jaxurban.io import seal
 from jaxurban.io.export import write_path
+from jaxurban.io.seal import write_json
 from jaxurban.io.store import write_zarr
 from jaxurban.studies import local
 from jaxurban.studies.pool import cheapest_route
@@ -46,7 +46,8 @@ def maps() -> ju.MetricMaps:
     for row, col in (START, GOAL):
         is_wall[row - 1 : row + 2, col - 1 : col + 2] = False
     maps.ds["obstacle"][:] = is_wall.astype(np.uint8)
-    maps.ds["roof_touched"][:] = 0
+    for name in ("roof", "roof_touched"):
+        maps.ds[name][:] = np.where(is_wall, np.float32(80.0), np.float32(0.0))
     for name in ("gps", "lidar", "population", "risk"):
         maps.ds[name][:] = rng.uniform(0.05, 1.0, maps.ds[name].shape).astype(np.float32)
     return maps
@@ -141,7 +142,7 @@ def folder(maps, tmp_path_factory):
     write_zarr(maps.ds, folder)
     planning = ju.CostModel("line", 4.0, 4, "always").settings
     settings = {"planning": planning, "weights": dataclasses.asdict(WEIGHTS)}
-    seal.write_json(folder / "run.json", {"settings": settings})
+    write_json(folder / "run.json", {"settings": settings})
     return folder
 
 
@@ -226,7 +227,7 @@ def test_tune_takes_cost_model_and_limits_from_its_routes_and_options(folder, pl
     assert code == 0, err
     assert "other limits" not in err
     report = (tmp_path / "fit" / "report.md").read_text()
-    assert f"Cost model: {model} on cells of 10 m. Limits: 1 no-fly zone, risk>=0.08." in report
+    assert f"Cost model: {model} on cells of 10 m. Limits: 1 no-fly zone, risk>=0.08. Obstacles: touched." in report
     assert "--cost-model cell" in (tmp_path / "fit" / "weights.toml").read_text()
     line = routes_file(tmp_path / "line.geojson", [plans[ju.CostModel("line", 4.0), "none"]])
     with warnings.catch_warnings():

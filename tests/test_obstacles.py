@@ -3,14 +3,17 @@
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 import shapely
 
 import jaxurban as ju
+from jaxurban import reachability
 from jaxurban.city import Buildings
 from jaxurban.errors import InputError
 from jaxurban.planners.base import Status
 from jaxurban.planners.registry import PLANNERS
+from jaxurban.queries import XY
 
 CRS = "EPSG:32618"
 X_M, Y_M = 500_000.0, 4_500_000.0  # southwest corner of the region
@@ -110,7 +113,40 @@ def test_a_climb_between_cells_that_only_a_touch_closes_says_so():
     path = ju.plan_volume(maps, **ENDS, max_altitude_m=20.0)
     assert path.status is Status.NO_PATH
     assert "joined under obstacles = centre" in path.to_dict()["message"]
-    assert "raise max_altitude_m" in path.to_dict()["message"]
+    assert "and with max_altitude_m 60." in path.to_dict()["message"]
+    assert ju.plan_volume(maps, **ENDS, max_altitude_m=60.0).status is Status.OPTIMAL
+
+
+def test_a_climb_that_no_greater_altitude_joins_says_so():
+    maps = walled((-50, 95.0, 250, 105.0), height_m=90.0, altitudes_m=(20.0, 40.0, 60.0))
+    message = ju.plan_volume(maps, **ENDS, max_altitude_m=40.0).to_dict()["message"]
+    assert "nor at any greater altitude of these maps" in message
+    top = ju.plan_volume(maps, **ENDS).to_dict()["message"]
+    assert "altitude of these maps" not in top
+
+
+def test_what_would_join_is_found_once_for_a_batch(tmp_path, monkeypatch):
+    for resolution_m in (5.0, 1.0):
+        walled((-50, 97.6, 97.4, 102.4), (103.5, 97.6, 250, 102.4), resolution_m=resolution_m).save(tmp_path)
+    maps = ju.open_maps(tmp_path, 5.0)
+    opened = []
+
+    def open_and_count(*args, **how):
+        opened.append(args)
+        return ju.open_maps(*args, **how)
+
+    monkeypatch.setattr(reachability, "open_maps", open_and_count)
+    ends = pd.DataFrame([[*ENDS["start_xy_m"], *ENDS["goal_xy_m"]]] * 3, columns=list(XY))
+    answers = ju.plan_many(maps, ends, altitude_m=20.0, progress=False).to_dataframe()
+    assert all("in cells of 1 m" in message for message in answers["message"])
+    assert len(opened) == 1
+
+
+def test_a_study_of_a_route_that_is_not_there_says_what_would_join_its_ends():
+    maps = walled((-50, 97.6, 97.4, 102.4), (103.5, 97.6, 250, 102.4))
+    ends = {name.removesuffix("_xy_m"): maps.grid.lonlat_of_xy(*xy_m) for name, xy_m in ENDS.items()}
+    with pytest.raises(InputError, match="joined under obstacles = centre"):
+        ju.sensitivity(maps, **ends, altitude_m=20.0)
 
 
 def test_a_start_that_only_a_touch_closes_is_told_apart(gap):
@@ -126,3 +162,21 @@ def test_maps_without_touched_roofs_are_refused_for_planning(gap):
     assert ju.plan(old.with_obstacles("centre"), **ENDS, altitude_m=20.0).status.has_path
     with pytest.raises(InputError, match="'touched' or 'centre'"):
         replace(gap, obstacles="edges")
+
+
+def test_an_example_that_only_a_touch_closes_names_the_rule_under_which_it_is_free(gap):
+    row, col = np.argwhere(gap.is_free(20.0, "centre") & ~gap.is_free(20.0))[0]
+    by_centre = gap.with_obstacles("centre")
+    start_xy_m = tuple(map(float, gap.grid.xy_of_cell(row, col)))
+    path = ju.plan(by_centre, start_xy_m=start_xy_m, goal_xy_m=ENDS["goal_xy_m"], altitude_m=20.0)
+    assert ju.examples_from_paths([path], by_centre)
+    with pytest.raises(InputError, match="choose obstacles = centre"):
+        ju.examples_from_paths([path], gap)
+
+
+def test_a_start_in_a_volume_that_only_a_touch_closes_is_told_apart(gap):
+    row, col = np.argwhere(gap.is_free(20.0, "centre") & ~gap.is_free(20.0))[0]
+    start_xy_m = tuple(map(float, gap.grid.xy_of_cell(row, col)))
+    ends = {"start_xy_m": start_xy_m, "goal_xy_m": ENDS["goal_xy_m"]}
+    with pytest.raises(InputError, match="in a cell that an obstacle touches at 20 m; the lowest free level there"):
+        ju.plan_volume(gap, **ends, start_altitude_m=20.0)

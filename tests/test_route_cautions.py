@@ -31,8 +31,7 @@ def maps() -> ju.MetricMaps:
     return ju.MetricMaps(
         maps.ds.assign(
             obstacle=(("altitude", "y", "x"), obstacle),
-            roof=(("y", "x"), roof_m),
-            roof_touched=(("y", "x"), roof_m),
+            **dict.fromkeys(("roof", "roof_touched"), (("y", "x"), roof_m)),
             num_visible=maps.ds["num_visible"] * 0 + visible,
         )
     )
@@ -79,6 +78,16 @@ def test_roofs_that_touch_a_cell_count_where_the_maps_hold_them(maps):
     totals = ju.explain(straight(maps), both).totals
     assert totals["nearest_wall_m"] == pytest.approx(25.0)
     assert totals["least_over_roofs_m"] == pytest.approx(5.0)
+
+
+def test_a_route_through_cells_that_a_building_touches_is_not_told_as_over_its_roof(maps):
+    touched_m = maps.m("roof").copy()
+    touched_m[ROW, 40:51] = 30.0
+    by_centre = ju.MetricMaps(maps.ds.assign(roof_touched=(("y", "x"), touched_m)), "centre")
+    told = ju.cautions(straight(by_centre, last=50), by_centre)
+    assert "Buildings: 105.0 m of the route lie in cells that one as high touches, maybe in its outline." in told
+    assert "The goal is in a cell that a building of 30.0 m touches." in told
+    assert any(sentence.startswith("Roofs: the least height over one is 8.0 m") for sentence in told)
 
 
 def test_walls_just_outside_the_region_count():

@@ -109,6 +109,8 @@ def sensitivity(
         if as_json:
             print_json(first.to_dict())
         return first.status.exit_code
+    if first.search.note:
+        tell(first.search.note)
     of_maps = {
         name: str(maps.ds.attrs.get(name)) for name in ("run_key", "crs", "resolution_m", "first_row", "first_col")
     }

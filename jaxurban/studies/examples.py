@@ -126,7 +126,10 @@ def _follow(unit: WeightedMap, local: np.ndarray, label: str) -> tuple[np.ndarra
     cells = [(int(row), int(col)) for col, row in np.floor(corners)]
     for which, cell in (("start", cells[0]), ("goal", cells[-1])):
         if not unit.is_free[cell]:
-            raise InputError(f"{label}: its {which} is {unit.why_closed(cell)}: clip the route, or give its altitude")
+            remedy = "clip the route, or give its altitude"
+            if unit.maps.obstacles == "touched" and unit.maps.is_free(unit.altitude_m, "centre")[cell]:
+                remedy += ", or, if it was planned so, choose obstacles = centre (--obstacles centre)"
+            raise InputError(f"{label}: its {which} is {unit.why_closed(cell)}: {remedy}")
     # A corner inside an obstacle is skipped: the legs around it are one.
     kept = [k for k, cell in enumerate(cells) if unit.is_free[cell]]
     points, widest = [np.array(cells[0][::-1]) + 0.5], CORRIDOR_CELLS

@@ -239,7 +239,7 @@ def _plan(maps, start, goal, altitude_m, weights, epoch, time_of_day, cost_model
     weighted = weigh(maps, altitude_m, weights=weights, **setting)
     route = weighted.plan(start, goal, snap=snap)
     if not route.status.has_path:
-        raise InputError(f"there is no route to study: {route.status.sentence}")
+        raise InputError(f"there is no route to study: {route.to_dict()['message']}")
     ends = (weighted.locate("start", start, snap=snap).cell, weighted.locate("goal", goal, snap=snap).cell)
     if ends[0] == ends[1]:
         raise InputError("start and goal lie in one cell, so there is no route to study: set them further apart")

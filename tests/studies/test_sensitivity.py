@@ -158,6 +158,18 @@ def test_wrong_options_are_one_sentence_and_exit_2(folder, ends, tmp_path, capsy
     assert_one_sentence(err, *words)
 
 
+def test_a_start_that_was_moved_is_told_on_the_terminal_and_in_the_report(maps, folder, ends, tmp_path, capsys):
+    row, col = np.argwhere(~maps.is_free(20.0))[0]
+    start = "{:.9f},{:.9f}".format(*maps.grid.lonlat_of_cell(row, col))
+    places = [f"--start={start}", "--goal={},{}".format(*ends[1]), "--altitude", 20, "--snap"]
+    options = ["--vary", "risk", "--samples", 2, "--pareto", "distance,risk", "-o", tmp_path / "out"]
+    code, _, err = run(capsys, "sensitivity", folder, *places, *options)
+    assert code == 0, err
+    for text in (err, (tmp_path / "out" / "report.md").read_text()):
+        assert "The start was not free: it was moved 30.0 m, to the nearest free cell." in text
+    assert "obstacles: touched" in (tmp_path / "out" / "report.md").read_text()
+
+
 def test_a_walled_goal_is_exit_3_and_in_python_an_error(maps, ends, tmp_path, capsys):
     ds = maps.ds.copy(deep=True)
     ds["obstacle"].values[:, 15, :] = 1
