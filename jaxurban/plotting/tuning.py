@@ -98,10 +98,12 @@ def plot_learning(fit: WeightFit | TargetFit) -> Figure:
         panels[1].axhline(1.0, color=FAINT_INK, linewidth=0.6)
         panels[1].set(xlabel="round", ylabel="outcome / its bound")
     if len(by_examples):
-        for name, style, label in (("held_out_regret", "o-", "mean"), ("worst_held_out_regret", "o:", "worst of 8")):
-            shown = np.maximum(100 * by_examples[name], 100 * LEAST_SHOWN)
+        regrets = 100 * by_examples[["held_out_regret", "worst_held_out_regret"]].clip(lower=LEAST_SHOWN)
+        for (_, shown), style, label in zip(regrets.items(), ("o-", "o:"), ("mean", "worst of 8"), strict=True):
             panels[2].plot(by_examples["num_examples"], shown, style, color=PLANNED_COLOUR, markersize=3, label=label)
-        panels[2].set(yscale="log", xlabel="examples fitted", ylabel="regret of the others (%)")
+        # Limits of their own, since all regrets may be the same.
+        limits = regrets.to_numpy().min() / 2, regrets.to_numpy().max() * 2
+        panels[2].set(yscale="log", ylim=limits, xlabel="examples fitted", ylabel="regret of the others (%)")
         _plain_log(panels[2].yaxis)
         panels[2].set_xscale("log", base=2)
         panels[2].set_xticks(by_examples["num_examples"], [f"{num}" for num in by_examples["num_examples"]])
