@@ -125,6 +125,14 @@ def test_a_folder_in_the_place_of_a_chunk_is_told_and_mended(job):
     assert without_times(files_of(job)) == without_times(before)
 
 
+@pytest.mark.parametrize("name", ["maps.zarr", "geotiff"])
+def test_a_file_in_the_place_of_a_folder_of_maps_is_one_sentence(tmp_path, name):
+    (tmp_path / name).write_text("mine")
+    with pytest.raises(InputError, match=f"{name}' is a file .* move it"):
+        mend(tmp_path)
+    assert (tmp_path / name).read_text() == "mine"
+
+
 def _is_of(path: Path, part: str) -> bool:
     return ("c" in path.parts) if part == "c/*" else part in path.parts
 
