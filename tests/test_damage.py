@@ -125,6 +125,12 @@ def test_a_folder_in_the_place_of_a_chunk_is_told_and_mended(job):
     assert without_times(files_of(job)) == without_times(before)
 
 
+def test_a_damaged_coordinate_is_told_when_maps_are_opened(job):
+    harm(job / "maps.zarr/20m/spatial_ref/c", "cut", random.Random(0))
+    with pytest.raises(InputError, match="spatial_ref/c' is damaged"):
+        ju.open_maps(job)
+
+
 @pytest.mark.parametrize("name", ["maps.zarr", "geotiff"])
 def test_a_file_in_the_place_of_a_folder_of_maps_is_one_sentence(tmp_path, name):
     (tmp_path / name).write_text("mine")

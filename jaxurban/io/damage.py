@@ -149,7 +149,7 @@ class _Maps(BackendEntrypoint):
             for name in ds.data_vars
         }
         attrs = {name: value for name, value in ds.attrs.items() if name != FIELD}
-        return xr.Dataset(maps, ds.coords, attrs)
+        return xr.Dataset(maps, ds.coords.to_dataset().load().coords, attrs)  # small, and damage is told at once
 
 
 def open_whole(path: Path) -> xr.Dataset:
