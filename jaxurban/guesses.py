@@ -193,14 +193,13 @@ def _coverage_guesses(city: City, region: Grid) -> Guesses:
     return guesses
 
 
-def rays_leaving_share(city: City, region: Grid, sky: Sky, altitude_m: float, mask_deg: float) -> float:
-    """Return the share of cells with a ray that leaves the data while a roof could still block it."""
-    return float(rays_leaving(city, region, *_runs_m(city, sky, altitude_m, mask_deg)).any(axis=1).mean())
+def leaving_shares(city: City, region: Grid, sky: Sky, altitude_m: float, mask_deg: float) -> tuple[float, float]:
+    """Return the shares of cells and of answers whose rays leave the data while a roof could still block them.
 
-
-def answers_leaving_share(city: City, region: Grid, sky: Sky, altitude_m: float, mask_deg: float) -> float:
-    """Return the share of answers (a cell, a satellite, an epoch) whose ray leaves the data below the highest roof."""
-    return float(rays_leaving(city, region, *_runs_m(city, sky, altitude_m, mask_deg)).mean())
+    Of cells: those with any such ray. Of answers: a cell, a satellite, an epoch each.
+    """
+    leaves = rays_leaving(city, region, *_runs_m(city, sky, altitude_m, mask_deg))
+    return float(leaves.any(axis=1).mean()), float(leaves.mean())
 
 
 def _runs_m(city: City, sky: Sky, altitude_m: float, mask_deg: float) -> tuple[np.ndarray, np.ndarray]:
@@ -211,7 +210,8 @@ def _runs_m(city: City, sky: Sky, altitude_m: float, mask_deg: float) -> tuple[n
 
 
 def _answer_guesses(city: City, region: Grid, sky: Sky, altitude_m: float, mask_deg: float) -> Guesses:
-    if (share := answers_leaving_share(city, region, sky, altitude_m, mask_deg)) < TOLD_SHARE:
+    _, share = leaving_shares(city, region, sky, altitude_m, mask_deg)
+    if share < TOLD_SHARE:
         return {}
     return {
         f"{percent(share)} of satellite answers beyond the data": (

@@ -1,12 +1,10 @@
 """A scenario carried out: files in, metric maps and run.json out, resumable."""
 
-import os
-import shutil
 import time
 import warnings
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext
-from dataclasses import dataclass, field, replace
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -15,7 +13,7 @@ import dask.array
 
 from jaxurban.build import block_layers_of, map_guesses, view_sky
 from jaxurban.city import City
-from jaxurban.cluster import cluster_client, work_in_threads, work_on_cluster
+from jaxurban.cluster import work_in_threads, work_on_cluster
 from jaxurban.demo import demo_city_for_bounds
 from jaxurban.errors import InputError
 from jaxurban.grid import Grid
@@ -29,17 +27,16 @@ from jaxurban.io.rasterise import check_has_data, rasterise
 from jaxurban.io.workfolder import WorkFolder
 from jaxurban.layers import MapParams, empty_dataset, margin_of, with_series
 from jaxurban.maps import MetricMaps
-from jaxurban.memory import MemoryPlan, detail_bytes, gib, plan_memory, shape_of_tiles, tile_bytes
+from jaxurban.memory import shape_of_tiles
 from jaxurban.metrics.availability import EpochTotals
 from jaxurban.metrics.gps import GpsParams
 from jaxurban.record import hash_inputs, run_key, run_record, write_record
+from jaxurban.resources import Resources, plan_run, plan_sentence
 from jaxurban.scenario import NOMINAL, Scenario
 from jaxurban.sky import Sky
 from jaxurban.tiled import TileJob, unmark_damaged
 from jaxurban.tiles import Tiling
 from jaxurban.uncertainty import HeightStd
-
-SCRATCH_BYTES_PER_CELL = 16  # rasters of an unfinished run, and one plain GeoTIFF: the least disk that a run takes
 
 
 @dataclass
@@ -75,27 +72,6 @@ class Run:
 
     maps: dict[float, MetricMaps]
     record: dict[str, Any]
-
-
-@dataclass(frozen=True)
-class Resources:
-    """What a run may use.
-
-    Attributes:
-      memory_bytes: ceiling on the memory of all processes together; None for half of what is free.
-      num_processes: worker processes of a new local Dask cluster; None to work in threads of this process.
-      cluster: address of a Dask scheduler, whose workers see the output folder under the same path, instead.
-    """
-
-    memory_bytes: int | None = None
-    num_processes: int | None = None
-    cluster: str | None = None
-
-    def __post_init__(self) -> None:
-        if self.num_processes is not None and self.num_processes < 1:
-            raise InputError(f"--workers must be at least 1, got {self.num_processes}")
-        if self.num_processes is not None and self.cluster is not None:
-            raise InputError("give either --workers, for a cluster of this machine's own, or --cluster, not both")
 
 
 def load_city(scenario: Scenario) -> City:
@@ -199,11 +175,11 @@ def run_scenario(
         guesses = map_guesses(city, grids[0], skies[0], params)
         warn_of(guesses, told=city.guesses)
         store.check_writable(folder)
-        plan = _plan(city, grids, skies, params, resources, folder)
+        plan = plan_run(city, grids, skies, params, resources, folder)
         if tell:
-            tell(_plan_sentence(grids, plan))
+            tell(plan_sentence(grids, plan))
         # Nothing of an older job is touched before this one can begin.
-        with store.only_writer(folder), _client(resources) as client:
+        with store.only_writer(folder), resources.client() as client:
             prepare_folder(folder, key, [grid.resolution_m for grid in grids])
             say = tell or _say_nothing
             made = [
@@ -245,63 +221,6 @@ def sky_of(scenario: Scenario, grid: Grid) -> Sky:
         mask_deg=gps.mask_deg,
         reference=gps.reference,
         max_age_days=gps.max_age_days,
-    )
-
-
-def _client(resources: Resources) -> Any:
-    """Return a context that gives the client of a Dask cluster, None where threads do the work."""
-    if resources.cluster is None and resources.num_processes is None:
-        return nullcontext()
-    return cluster_client(resources.cluster, resources.num_processes)
-
-
-def num_cores() -> int:
-    """Return how many cores this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-def _plan(
-    city: City, grids: list[Grid], skies: list[Sky], params: MapParams, resources: Resources, folder: Path
-) -> MemoryPlan:
-    """Return how the run keeps under its memory ceiling.
-
-    Raises:
-      InputError: it cannot, or the disk is too small.
-    """
-    num_epochs, most_bytes, num_tiles = len(skies[0].times), 0, 1
-    for grid, sky in zip(grids, skies, strict=True):
-        shape = shape_of_tiles(grid.shape, params, num_epochs)
-        tile = replace(grid, num_rows=shape[0], num_cols=shape[1])
-        num_tiles = max(num_tiles, -(-grid.num_rows // shape[0]) * -(-grid.num_cols // shape[1]))
-        plain = tile_bytes(shape, grid.resolution_m, params, num_epochs, city.terrain is not None)
-        most_bytes = max(most_bytes, plain + detail_bytes(margin_of(city, tile, sky, params), params))
-    if resources.cluster is not None:  # the workers' machines are not ours to measure
-        return MemoryPlan(0, 0, num_cores())
-    plan = plan_memory(
-        resources.memory_bytes,
-        most_bytes,
-        resources.num_processes or num_cores(),
-        has_processes=resources.num_processes is not None,
-        num_resolutions=len(grids),
-        num_tiles=num_tiles,
-    )
-    disk_bytes = SCRATCH_BYTES_PER_CELL * max(grid.num_rows * grid.num_cols for grid in grids)
-    free_bytes = shutil.disk_usage(folder).free
-    if disk_bytes > free_bytes:
-        raise InputError(
-            f"the maps need at least {gib(disk_bytes)} of disk and {gib(free_bytes)} are free in {str(folder)!r}: use "
-            "a smaller region, a coarser [region] resolution_m, or another folder"
-        )
-    return plan
-
-
-def _plan_sentence(grids: list[Grid], plan: MemoryPlan) -> str:
-    cells = sum(grid.num_rows * grid.num_cols for grid in grids) / 1e6
-    if not plan.ceiling_bytes:
-        return f"{cells:.2f} million cells on a Dask cluster"
-    return (
-        f"{cells:.2f} million cells, {plan.num_workers} tile{'s' * (plan.num_workers > 1)} at a time: about "
-        f"{gib(plan.needed_bytes)} of memory at most, of {gib(plan.ceiling_bytes)} allowed"
     )
 
 

@@ -17,7 +17,7 @@ import shapely
 from jaxurban.city import City
 from jaxurban.errors import InputError
 from jaxurban.grid import Grid
-from jaxurban.guesses import answers_leaving_share, rays_leaving_share
+from jaxurban.guesses import leaving_shares
 from jaxurban.io import seal
 from jaxurban.io.store import short_number, whole_file
 from jaxurban.metrics.population import PopulationParams, population_totals
@@ -54,6 +54,10 @@ def run_record(
 ) -> dict[str, Any]:
     """Return what run.json holds; the arguments are what `run_scenario` worked with."""
     region = grids[0]
+    leaving = {
+        short_number(z): leaving_shares(city, region, sky, z, scenario.gps.mask_deg)
+        for z in scenario.region.altitudes_m
+    }
     people = inside = None
     if city.blocks is not None:
         people = population_totals(city.blocks, population, region.bounds_m)
@@ -70,14 +74,8 @@ def run_record(
         "epochs": list(sky.times),
         "satellites_above_mask": sky.count_by_system(np.radians(scenario.gps.mask_deg)),
         "satellites": _satellite_record(sky),
-        "rays_leave_data_share": {
-            short_number(z): round(rays_leaving_share(city, region, sky, z, scenario.gps.mask_deg), 4)
-            for z in scenario.region.altitudes_m
-        },
-        "answers_leave_data_share": {
-            short_number(z): round(answers_leaving_share(city, region, sky, z, scenario.gps.mask_deg), 4)
-            for z in scenario.region.altitudes_m
-        },
+        "rays_leave_data_share": {z: round(cells, 4) for z, (cells, _) in leaving.items()},
+        "answers_leave_data_share": {z: round(answers, 4) for z, (_, answers) in leaving.items()},
         "population": people,
         "population_in_region": inside,
         "warnings": list(dict.fromkeys(messages)),

@@ -41,8 +41,10 @@ def job(finished, tmp_path) -> Path:
 
 def harm(file: Path, damage: str, rng: random.Random) -> None:
     data = bytearray(file.read_bytes())
-    if damage == "deleted":
+    if damage in ("deleted", "a folder"):
         file.unlink()
+        if damage == "a folder":
+            file.mkdir()
     elif damage == "cut":
         file.write_bytes(data[: rng.randrange(len(data))])
     else:
@@ -115,6 +117,28 @@ def test_damage_to_every_file_of_a_kind_is_told_and_mended(job, part):
     assert json.loads((job / "run.json").read_text()).keys() == json.loads(before["run.json"]).keys()
 
 
+def test_a_folder_in_the_place_of_a_chunk_is_told_and_mended(job):
+    before, chunk = files_of(job), job / "maps.zarr/20m/lidar/c/0/0/0"
+    harm(chunk, "a folder", random.Random(0))
+    assert str(chunk) in told_on_use(job)
+    assert [sentence.split("'")[1] for sentence in mend(job)] == [str(chunk)]
+    assert without_times(files_of(job)) == without_times(before)
+
+
+def test_a_damaged_coordinate_is_told_when_maps_are_opened(job):
+    harm(job / "maps.zarr/20m/spatial_ref/c", "cut", random.Random(0))
+    with pytest.raises(InputError, match="spatial_ref/c' is damaged"):
+        ju.open_maps(job)
+
+
+@pytest.mark.parametrize("name", ["maps.zarr", "geotiff"])
+def test_a_file_in_the_place_of_a_folder_of_maps_is_one_sentence(tmp_path, name):
+    (tmp_path / name).write_text("mine")
+    with pytest.raises(InputError, match=f"{name}' is a file .* move it"):
+        mend(tmp_path)
+    assert (tmp_path / name).read_text() == "mine"
+
+
 def _is_of(path: Path, part: str) -> bool:
     return ("c" in path.parts) if part == "c/*" else part in path.parts
 
@@ -173,10 +197,11 @@ def test_damage_to_unfinished_work_is_told_and_made_again(tmp_path, monkeypatch)
     work = tmp_path / "job" / "maps.zarr" / ".20m.jaxurban-part"
     parts = {
         "an array": next((work / "arrays").glob("raster_1_*.npz")),
+        "an array as a folder": next((work / "arrays").glob("raster_2_*.npz")),
         "a mark": work / "done" / "tile_2_2.json",
         "a chunk": work / "zarr" / "obstacle" / "c" / "0" / "0" / "0",
     }
-    for file, damage in zip(parts.values(), ("flipped", "flipped", "cut"), strict=True):
+    for file, damage in zip(parts.values(), ("flipped", "a folder", "flipped", "cut"), strict=True):
         harm(file, damage, rng)
     maker = tiled_runs.maker(tmp_path / "job", city, tell=told.append)
     pipeline.make_zarr(maker, lambda sentence: None, tiled_runs.RAGGED)

@@ -28,7 +28,8 @@ def maps(
 ) -> int:
     """Make the metric maps of SCENARIO (TOML) as Zarr and GeoTIFF."""
     from jaxurban.memory import parse_bytes
-    from jaxurban.pipeline import Resources, run_scenario
+    from jaxurban.pipeline import run_scenario
+    from jaxurban.resources import Resources
     from jaxurban.scenario import Scenario
 
     scenario = Scenario.from_toml(scenario_file)

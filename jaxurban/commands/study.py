@@ -125,7 +125,7 @@ def _default_workers(cluster: str | None) -> int:
     """Return a process a core, or one where Dask's scheduler is not installed, which is told."""
     from importlib.util import find_spec
 
-    from jaxurban.pipeline import num_cores
+    from jaxurban.resources import num_cores
 
     if cluster is not None or find_spec("distributed") is not None:
         return num_cores()

@@ -82,12 +82,13 @@ def missing_chunks(path: Path) -> Iterator[Chunk]:
 
 
 def _is_decodable(chunk: Chunk) -> bool:
+    if not chunk.file.is_file():  # it would be read as its fill value
+        return False
     try:
-        size = chunk.file.stat().st_size
         _ = chunk.array.get_block_selection(chunk.place) if chunk.place else chunk.array[()]
     except Exception:  # what decoders raise at damaged bytes is in no list
         return False
-    return size > 0  # a missing chunk reads as its fill value
+    return chunk.file.stat().st_size > 0
 
 
 def broken_chunks(path: Path, num_threads: int = 1, name: str | None = None) -> list[Chunk]:
@@ -148,7 +149,7 @@ class _Maps(BackendEntrypoint):
             for name in ds.data_vars
         }
         attrs = {name: value for name, value in ds.attrs.items() if name != FIELD}
-        return xr.Dataset(maps, ds.coords, attrs)
+        return xr.Dataset(maps, ds.coords.to_dataset().load().coords, attrs)  # small, and damage is told at once
 
 
 def open_whole(path: Path) -> xr.Dataset:

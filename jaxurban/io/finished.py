@@ -49,7 +49,14 @@ def has_other_maps(folder: Path, key: str) -> bool:
 
 
 def prepare_folder(folder: Path, key: str, resolutions_m: Iterable[float]) -> None:
-    """Make the output folder ready: remove another job's maps, sweep what a killed run left but for its tiles."""
+    """Make the output folder ready: remove another job's maps, sweep what a killed run left but for its tiles.
+
+    Raises:
+      InputError: a file is where a folder of maps belongs.
+    """
+    for path in (folder / store.ZARR_FOLDER, folder / store.GEOTIFF_FOLDER):
+        if path.exists() and not path.is_dir():
+            raise InputError(f"{str(path)!r} is a file where the maps' folder belongs: move it")
     unfinished = [resolution_m for resolution_m in resolutions_m if stored_key(folder, resolution_m) != key]
     store.sweep_scraps(folder, keep=[store.work_path(folder, resolution_m) for resolution_m in unfinished])
     if has_other_maps(folder, key):

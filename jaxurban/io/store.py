@@ -52,7 +52,7 @@ def whole_file(path: Path) -> Iterator[Path]:
             f"cannot write {str(path)!r}: {error.strerror or error}; free space there, or choose another folder"
         ) from error
     finally:
-        _remove(scratch)
+        remove(scratch)
 
 
 def put_in_place(made: Path, path: Path) -> None:
@@ -66,7 +66,7 @@ def put_in_place(made: Path, path: Path) -> None:
     shutil.rmtree(old)
 
 
-def _remove(path: Path) -> None:
+def remove(path: Path) -> None:
     """Remove a file or a folder, if it is there and can be."""
     if path.is_dir():
         shutil.rmtree(path, ignore_errors=True)
@@ -155,7 +155,7 @@ def sweep_scraps(folder: Path, keep: Iterable[Path] = ()) -> None:
     for part in (folder, folder / ZARR_FOLDER, folder / GEOTIFF_FOLDER):
         for scrap in part.glob(f".*{SCRATCH_SUFFIX}"):
             if scrap not in kept:
-                _remove(scrap)
+                remove(scrap)
 
 
 def remove_maps(folder: Path) -> None:
@@ -164,7 +164,7 @@ def remove_maps(folder: Path) -> None:
     The Zarr goes last: while it stands the folder is known to hold that job's maps.
     """
     for part in (RUN_FILE, GEOTIFF_FOLDER, ZARR_FOLDER):
-        _remove(folder / part)
+        remove(folder / part)
 
 
 def _encoding(ds: xr.Dataset, tile: tuple[int, int] | None = None) -> dict[str, dict[str, Any]]:

@@ -48,8 +48,9 @@ def heights_of_surface(name: str, surface: Raster, terrain: Raster | None, crs: 
         )
     if (raised := _raised_share(above, crs)) > MOST_RAISED:
         raise InputError(
-            f"{name} stands more than {GROUND_M:g} m above the terrain all over {raised:.0%} of its blocks of "
-            f"{BLOCK_M:g} m, streets and yards included: bring both to one vertical datum and unit"
+            f"{name} is more than {GROUND_M:g} m off the terrain all over {raised:.0%} of its blocks of {BLOCK_M:g} m, "
+            "streets and yards included: bring both to one vertical datum and unit, and check which of them is the "
+            "terrain"
         )
     warnings.warn(
         f"heights are {name} less the terrain: trees, bridges and cranes in it count as buildings, and what is lower "

@@ -10,7 +10,7 @@ import numpy as np
 
 from jaxurban.errors import InputError
 from jaxurban.io import seal
-from jaxurban.io.store import SCRATCH_SUFFIX, put_in_place, whole_file
+from jaxurban.io.store import SCRATCH_SUFFIX, put_in_place, remove, whole_file
 
 KEY_FILE, ZARR_NAME, ARRAY_FOLDER, DONE_FOLDER = "key.txt", "zarr", "arrays", "done"
 
@@ -50,17 +50,14 @@ class WorkFolder:
                     read(path)
                 except (OSError, ValueError):
                     damaged.append(path)
-                    path.unlink()
+                    remove(path)
         return damaged
 
     def _sweep(self) -> None:
         """Remove what killed processes left half-written: our own scraps and those of the Zarr library."""
         for pattern in (f".*{SCRATCH_SUFFIX}", "*.partial"):
             for scrap in list(self.path.rglob(pattern)):
-                if scrap.is_dir():
-                    shutil.rmtree(scrap)
-                else:
-                    scrap.unlink()
+                remove(scrap)
 
     @property
     def zarr(self) -> Path:

@@ -7,9 +7,9 @@ import shapely
 
 import jaxurban as ju
 from jaxurban.city import Raster
+from jaxurban.guesses import leaving_shares, outside_share
 from jaxurban.io.buildings import read_buildings
 from jaxurban.io.knownarea import area_of_outlines, area_of_raster, rays_leaving
-from jaxurban.record import outside_share, rays_leaving_share
 
 UTM = "EPSG:32618"
 X, Y = 583000.0, 4506000.0
@@ -119,7 +119,7 @@ def test_rays_are_told_to_leave_a_town_beside_a_wreck(tmp_path):
     beside = ju.City.from_files(write(tmp_path / "b.geojson", [*town, *wrecks]), bounds=BOUNDS, crs=UTM)
     grid = ju.Grid.from_bounds(BOUNDS, 20.0, UTM)
     sky = ju.build.view_sky(grid, "nominal", ("2020-04-27T16:00:00Z",), mask_deg=5.0, reference=None, max_age_days=90.0)
-    shares = [rays_leaving_share(city, grid, sky, 20.0, 5.0) for city in (alone, beside)]
+    shares = [leaving_shares(city, grid, sky, 20.0, 5.0)[0] for city in (alone, beside)]
     assert shares[0] == shares[1] > 0.1
 
 

@@ -80,7 +80,7 @@ def test_a_surface_needs_terrain_and_one_that_goes_with_it():
         heights_of_surface("s.tif", surface, None, UTM)
     with pytest.raises(InputError, match=r"s\.tif lies below the terrain in \d+% of its cells.*leave out"):
         heights_of_surface("s.tif", heights, hills(), UTM)
-    with pytest.raises(InputError, match=r"s\.tif stands more than 2 m above the terrain.*100%.*vertical datum"):
+    with pytest.raises(InputError, match=r"s\.tif is more than 2 m off the terrain.*100%.*datum.*which of them"):
         heights_of_surface("s.tif", replace(surface, values=surface.values + 34), hills(), UTM)
 
 
