@@ -69,9 +69,9 @@ def interpolation(maps: ju.MetricMaps) -> list[str]:
     held = [20.0, 60.0, 122.0]
     coarse = ju.MetricMaps(maps.ds.sel(altitude=held))
     for z_m in (z_m for z_m in maps.altitudes_m if z_m not in held and z_m < held[-1]):
-        free = maps.is_free(z_m)
+        free = maps.is_free(z_m, "centre")
         low_m = max(held_m for held_m in held if held_m < z_m)
-        over_roofs = free & ~maps.is_free(low_m)
+        over_roofs = free & ~maps.is_free(low_m, "centre")
         stack = read_stack(coarse, ("gps", "lidar", "risk"), np.array([z_m]), time=None, time_of_day=None)
         for name in stack.m:
             error = stack.metric(name, z_m) - maps.m(name, z_m)

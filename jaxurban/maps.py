@@ -98,6 +98,10 @@ class MetricMaps:
             raise InputError(f"there are no maps for {name} {value}: these maps hold {listed}")
         return list(given).index(value)
 
+    def check_altitude(self, altitude_m: float) -> None:
+        """Raise InputError unless these maps hold an altitude."""
+        self._pick("altitude", altitude_m, self.altitudes_m, self.altitudes_m)
+
     def m(
         self, name: str, altitude_m: float | None = None, *, time: str | None = None, time_of_day: str | None = None
     ) -> np.ndarray:
@@ -150,7 +154,8 @@ class MetricMaps:
         if is_held:
             is_free = is_free & (self.m("obstacle", altitude_m) == 0)
         if rule == "touched" or not is_held:
-            is_free = is_free & ~np.asarray(obstacle_mask(jnp.asarray(self.m(self._roof(rule))), [altitude_m])[0])
+            roof_m = self.m(self._roof(rule))  # NaN, an unknown height, is never free
+            is_free = is_free & ~np.asarray(obstacle_mask(jnp.asarray(roof_m), [altitude_m])[0]) & ~np.isnan(roof_m)
         return is_free
 
     def _roof(self, rule: Obstacles) -> str:

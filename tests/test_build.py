@@ -42,7 +42,7 @@ def test_values_are_metrics_and_obstacles_hold_zero(maps):
         assert values.min() >= 0.0
         assert values.max() <= 1.0
     for altitude_m in maps.altitudes_m:
-        blocked = ~maps.is_free(altitude_m)
+        blocked = ~maps.is_free(altitude_m, "centre")
         for name in ("gps", "lidar", "risk"):
             assert (maps.m(name, altitude_m)[blocked] == 0.0).all()
 
@@ -130,7 +130,7 @@ def test_no_satellite_above_the_mask_is_an_error(city):
 
 def test_normalised_map_spans_free_cells(maps):
     h = maps.normalised(20.0, time_of_day="day")
-    free = maps.is_free(20.0)
+    free = maps.is_free(20.0, "centre")
     assert np.isnan(h[~free]).all()
     np.testing.assert_allclose((h[free].min(), h[free].max()), (0.0, 1.0), atol=1e-6)
 

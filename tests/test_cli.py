@@ -162,7 +162,7 @@ def test_a_start_inside_a_building_names_the_nearest_free_cell(made, capsys):
     import jaxurban as ju
 
     maps = ju.open_maps(made)
-    blocked = [int(value[0]) for value in (~maps.is_free(20.0)).nonzero()]
+    blocked = [int(value[0]) for value in (~maps.is_free(20.0, "centre")).nonzero()]
     lon, lat = maps.grid.lonlat_of_cell(*blocked)
     arguments = ("plan", made, "--start", f"{lon},{lat}", "--goal", GOAL, "--altitude", 20)
     code, _, err = run(capsys, *arguments)

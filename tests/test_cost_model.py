@@ -14,6 +14,7 @@ from scipy.ndimage import label
 
 import jaxurban as ju
 from jaxurban.errors import OtherSettingsWarning
+from jaxurban.io import seal
 from jaxurban.io.export import write_path
 from jaxurban.io.store import write_zarr
 from jaxurban.studies import local
@@ -45,6 +46,7 @@ def maps() -> ju.MetricMaps:
     for row, col in (START, GOAL):
         is_wall[row - 1 : row + 2, col - 1 : col + 2] = False
     maps.ds["obstacle"][:] = is_wall.astype(np.uint8)
+    maps.ds["roof_touched"][:] = 0
     for name in ("gps", "lidar", "population", "risk"):
         maps.ds[name][:] = rng.uniform(0.05, 1.0, maps.ds[name].shape).astype(np.float32)
     return maps
@@ -139,7 +141,7 @@ def folder(maps, tmp_path_factory):
     write_zarr(maps.ds, folder)
     planning = ju.CostModel("line", 4.0, 4, "always").settings
     settings = {"planning": planning, "weights": dataclasses.asdict(WEIGHTS)}
-    (folder / "run.json").write_text(json.dumps({"settings": settings}))
+    seal.write_json(folder / "run.json", {"settings": settings})
     return folder
 
 

@@ -69,6 +69,12 @@ def test_what_is_blocked_by_hand_is_blocked(gap):
     assert not closed.is_free(20.0).any()
 
 
+def test_a_roof_of_unknown_height_is_blocked(gap):
+    unknown = ju.MetricMaps(gap.ds.assign(roof_touched=gap.ds["roof_touched"] * np.float32(np.nan)))
+    assert not unknown.is_free(20.0).any()
+    assert not unknown.is_free(21.0).any()
+
+
 def test_no_path_says_what_would_join_start_and_goal():
     maps = walled((-50, 97.6, 97.4, 102.4), (103.5, 97.6, 250, 102.4))  # a gap of 6.1 m: one cell by centres
     path = ju.plan(maps, **ENDS, altitude_m=20.0)

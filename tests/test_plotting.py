@@ -128,7 +128,7 @@ def test_each_cell_has_its_metric_colour_at_its_place(maps):
     assert len(panels) == 4
     for panel, z in zip(panels, ALTITUDES_M, strict=True):
         colours, gps = drawn(panel), maps.m("gps", z)
-        is_free = maps.is_free(z)
+        is_free = maps.is_free(z, "centre")
         expected = matplotlib.colormaps["viridis"](gps[is_free], bytes=True)[:, :3]
         assert colours[is_free].tolist() == [to_hex(colour / 255) for colour in expected]
         assert set(colours[~is_free].tolist()) <= {OBSTACLE_COLOUR}
@@ -138,14 +138,14 @@ def test_each_cell_has_its_metric_colour_at_its_place(maps):
 
 def test_titles_name_altitude_time_resolution_and_frame(maps):
     text = texts_of(plotting.plot_metric(maps, "gps", altitudes_m=[60.0]))
-    mean = maps.m("gps", 60.0)[maps.is_free(60.0)].mean()
+    mean = maps.m("gps", 60.0)[maps.is_free(60.0, "centre")].mean()
     for part in (f"60 m  ·  mean {mean:.2f}", "2020-04-27 16:00 UTC", "100 m cells", "EPSG:32618", "1: GDOP of 1"):
         assert part in text
 
 
 def test_dops_beyond_the_scale_are_drawn_as_its_end():
     maps = make_maps()
-    row, col = np.argwhere(maps.is_free(20.0))[7]
+    row, col = np.argwhere(maps.is_free(20.0, "centre"))[7]
     maps.ds["gdop"][0, 0, row, col] = np.inf
     panel = panels_of(plotting.plot_metric(maps, "gdop", altitudes_m=[20.0]))[0]
     assert drawn(panel)[row, col] == to_hex(matplotlib.colormaps["viridis_r"](1.0))
@@ -155,7 +155,7 @@ def test_gps_rating_has_the_papers_classes(maps):
     figure = plotting.plot_gps_rating(maps)
     for name in ("Ideal", "Excellent", "Good", "Moderate", "Fair", "Poor"):
         assert name in texts_of(figure)
-    gdop, is_free = maps.m("gdop", 20.0), maps.is_free(20.0)
+    gdop, is_free = maps.m("gdop", 20.0), maps.is_free(20.0, "centre")
     assert f"20 m  ·  {percent((gdop[is_free] <= 6).mean())} good or better" in texts_of(figure)
     colours = drawn(panels_of(figure)[0])
     steps = matplotlib.colormaps["viridis"](np.linspace(1, 0, 6))
@@ -166,7 +166,7 @@ def test_gps_rating_has_the_papers_classes(maps):
 def test_sensor_choice_is_gps_where_it_beats_lidar(maps):
     figure = plotting.plot_sensor_choice(maps)
     for panel, z in zip(panels_of(figure), ALTITUDES_M, strict=True):
-        is_gps, is_free = maps.m("gps", z) > maps.m("lidar", z), maps.is_free(z)
+        is_gps, is_free = maps.m("gps", z) > maps.m("lidar", z), maps.is_free(z, "centre")
         colours = drawn(panel)
         assert set(colours[is_free & is_gps].tolist()) <= {GPS_COLOUR}
         assert set(colours[is_free & ~is_gps].tolist()) <= {LIDAR_COLOUR}
@@ -221,7 +221,7 @@ def test_paths_planned_by_day_and_by_night_get_a_panel_each(maps):
 
 def test_cost_is_black_where_best_and_white_where_worst(maps):
     colours = drawn(panels_of(plotting.plot_paths(maps, {}, altitudes_m=[20.0]))[0])
-    total = np.where(maps.is_free(20.0), maps.total(20.0, time_of_day="day"), np.nan)
+    total = np.where(maps.is_free(20.0, "centre"), maps.total(20.0, time_of_day="day"), np.nan)
     assert colours[np.unravel_index(np.nanargmin(total), total.shape)] == "#000000"
     assert colours[np.unravel_index(np.nanargmax(total), total.shape)] == "#ffffff"
 

@@ -32,6 +32,7 @@ def maps() -> ju.MetricMaps:
         maps.ds.assign(
             obstacle=(("altitude", "y", "x"), obstacle),
             roof=(("y", "x"), roof_m),
+            roof_touched=(("y", "x"), roof_m),
             num_visible=maps.ds["num_visible"] * 0 + visible,
         )
     )
@@ -90,7 +91,7 @@ def test_walls_just_outside_the_region_count():
         maps.ds.assign(
             risk=(("altitude", "y", "x"), risk),
             obstacle=maps.ds["obstacle"] * 0,
-            roof=(("y", "x"), open_air),
+            **dict.fromkeys(("roof", "roof_touched"), (("y", "x"), open_air)),
             num_visible=maps.ds["num_visible"] * 0 + 9,
         ).assign_attrs(risk_threshold_m=50.0, risk_distance="slice")
     )

@@ -49,7 +49,9 @@ def report(planned, maps) -> ju.RouteReport:
 @pytest.mark.parametrize("num_segments", [1, 10])
 def test_segments_add_up_to_the_paths_cost_layer_by_layer(maps, ends, planner, cost_model, num_segments):
     altitude_m = 60.0 if planner == "ptp" else ALTITUDE_M
-    open_maps = ju.MetricMaps(maps.ds.assign(obstacle=maps.ds["obstacle"] * 0)) if planner == "ptp" else maps
+    open_maps = maps
+    if planner == "ptp":
+        open_maps = ju.MetricMaps(maps.ds.assign({name: maps.ds[name] * 0 for name in ("obstacle", "roof_touched")}))
     path = route(open_maps, ends, planner=planner, cost_model=cost_model, altitude_m=altitude_m, budget_s=0.3)
     report = ju.explain(path, open_maps, num_segments=num_segments)
     assert len(report.segments) == num_segments
@@ -141,7 +143,8 @@ def test_a_route_of_one_place_costs_nothing_and_still_tells_where_it_is(maps, en
 
 
 def test_what_the_maps_do_not_hold_is_left_out(maps, planned):
-    bare = ju.MetricMaps(maps.ds.drop_vars(["density", "num_visible", "hdop"]).assign(obstacle=maps.ds["obstacle"] * 0))
+    without_walls = {name: maps.ds[name] * 0 for name in ("obstacle", "roof", "roof_touched")}
+    bare = ju.MetricMaps(maps.ds.drop_vars(["density", "num_visible", "hdop"]).assign(without_walls))
     report = ju.explain(planned, bare)
     assert not {"people_overflown", "under_4_satellites_m"} & set(report.totals)
     assert math.isinf(report.totals["nearest_wall_m"])

@@ -85,6 +85,8 @@ def sample_instances(
         raise InputError(f"weights must be {DIRICHLET!r} or a list of Weights, got {weights!r}")
     if listed is not None and not listed:
         raise InputError(f"weights is an empty list: give at least one, or {DIRICHLET!r}")
+    for altitude_m in altitudes_m:
+        maps.check_altitude(altitude_m)
     model, limits = CostModel.of(cost_model), limits or Limits()
     places = _Places(maps, np.logical_and.reduce([_always_free(maps, z, limits) for z in altitudes_m]), cover)
     names = ("distance", *maps.metrics)

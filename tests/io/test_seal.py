@@ -25,7 +25,7 @@ def test_any_flipped_bit_of_sealed_json_is_told(tmp_path):
     seal.write_json(file, value)
     assert seal.read_json(file) == value
     whole = file.read_bytes()
-    for data in [*flips(whole, 8 * len(whole)), whole[:-1], whole[:20], b""]:
+    for data in [*flips(whole, 300), whole[:-1], whole[:20], b""]:
         file.write_bytes(data)
         with pytest.raises(ValueError, match="not as it was written"):
             seal.read_json(file)
@@ -39,7 +39,7 @@ def test_any_flipped_bit_of_arrays_is_told(tmp_path, is_compressed):
     with np.load(file) as kept:  # NumPy's own format still
         assert kept.files == [*arrays]
     whole = file.read_bytes()
-    for data in [*flips(whole, 400), whole[:-1], b""]:
+    for data in [*flips(whole, 200), whole[:-1], b""]:
         file.write_bytes(data)
         with pytest.raises(ValueError, match="not as it was written"):
             seal.read_npz(file)
@@ -50,7 +50,7 @@ def test_any_flipped_bit_of_a_table_of_results_is_told(tmp_path):
     write_results(file, rows)
     pd.testing.assert_frame_equal(pd.read_parquet(file), read_results(file))
     whole = file.read_bytes()
-    for data in [*flips(whole, 300), whole[:-9], b""]:
+    for data in [*flips(whole, 100), whole[:-9], b""]:
         file.write_bytes(data)
         with pytest.raises(InputError, match="is damaged, or no file of such results"):
             read_results(file)

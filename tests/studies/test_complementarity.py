@@ -23,7 +23,7 @@ def maps():
 def test_numbers_are_those_of_numpy_over_the_free_cells(maps):
     found = complementarity(maps).set_index("altitude_m")
     for altitude_m in maps.altitudes_m:
-        is_free = maps.is_free(altitude_m)
+        is_free = maps.is_free(altitude_m, "centre")
         gps, lidar = (maps.m(name, altitude_m)[is_free].astype(float) for name in ("gps", "lidar"))
         row = found.loc[altitude_m]
         assert row.gps == pytest.approx(gps.mean())
