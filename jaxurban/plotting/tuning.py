@@ -102,8 +102,8 @@ def plot_learning(fit: WeightFit | TargetFit) -> Figure:
         for (_, shown), style, label in zip(regrets.items(), ("o-", "o:"), ("mean", "worst of 8"), strict=True):
             panels[2].plot(by_examples["num_examples"], shown, style, color=PLANNED_COLOUR, markersize=3, label=label)
         # Limits of their own, since all regrets may be the same.
-        limits = regrets.to_numpy().min() / 2, regrets.to_numpy().max() * 2
-        panels[2].set(yscale="log", ylim=limits, xlabel="examples fitted", ylabel="regret of the others (%)")
+        panels[2].set_ylim(regrets.to_numpy().min() / 2, regrets.to_numpy().max() * 2)
+        panels[2].set(yscale="log", xlabel="examples fitted", ylabel="regret of the others (%)")
         _plain_log(panels[2].yaxis)
         panels[2].set_xscale("log", base=2)
         panels[2].set_xticks(by_examples["num_examples"], [f"{num}" for num in by_examples["num_examples"]])
