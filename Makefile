@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check -q
 SOURCES := pyproject.toml constraints.txt
 
-.PHONY: demo test test-slow test-docs lint wheel notebooks figures bench docs clean
+.PHONY: demo test test-slow test-soundness test-docs lint wheel notebooks figures bench docs clean
 
 demo: $(VENV)/.run
 	$(BIN)/jaxurban demo -o out/demo --overwrite
@@ -15,6 +15,9 @@ test: $(VENV)/.dev
 
 test-slow: $(VENV)/.dev
 	$(BIN)/python -m pytest -m slow
+
+test-soundness: $(VENV)/.dev
+	$(BIN)/python -m pytest -n 2 -m slow tests/test_damage.py tests/planners/test_walls.py
 
 test-docs: $(VENV)/.dev
 	$(BIN)/python -m pytest -m 'slow or not slow' tests/test_docs.py

@@ -187,6 +187,7 @@ def test_damaged_maps_of_another_job_are_not_taken_for_ours(job):
     assert files_of(job) == before
 
 
+@pytest.mark.slow
 def test_damage_to_unfinished_work_is_told_and_made_again(tmp_path, monkeypatch):
     city, told, rng = tiled_runs.city(), [], random.Random(4)
     whole = files_of(tiled_runs.make(tmp_path / "whole", city).parents[1])
