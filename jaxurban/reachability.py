@@ -1,6 +1,7 @@
 """Whether two places are joined by free cells, and what would join them where they are not."""
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -8,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from scipy.ndimage import generate_binary_structure, label
 
+from jaxurban.errors import InputError
 from jaxurban.io.store import short_number, stored_resolutions
 from jaxurban.limits import Limits
 from jaxurban.maps import MetricMaps, open_maps
@@ -63,17 +65,22 @@ class Reachability:
         tried = {}
         if self._by_centre is not None:
             tried[CENTRE_REMEDY] = self._by_centre.joins(start, goal, altitude_m)
+        has_finer = False
         for finer in self._finer:
             ends = (finer.maps.grid.cell_of_xy(*self.maps.grid.xy_of_cell(*cell)) for cell in (start, goal))
             first, second = ((int(row), int(col)) for row, col in ends)
-            is_joined = altitude_m in finer.maps.altitudes_m and finer.joins(first, second, altitude_m)
+            try:
+                is_joined = altitude_m in finer.maps.altitudes_m and finer.joins(first, second, altitude_m)
+            except InputError:  # damaged: what they would say is not known, and the answer stands without it
+                continue
+            has_finer = True
             tried[f"in cells of {short_number(finer.maps.grid.resolution_m)} m"] = is_joined
             if is_joined:
                 break
         if higher_m := sorted(z_m for z_m in self.maps.altitudes_m if z_m > altitude_m):
             lowest_m = next((z_m for z_m in higher_m if self.joins(start, goal, z_m)), None)
             tried["at a greater altitude of these maps" if lowest_m is None else f"at {lowest_m:g} m"] = bool(lowest_m)
-        unknown = "" if self._finer else " Finer maps, of which there are none here, may join them too."
+        unknown = "" if has_finer else " Finer maps, of which there are none here, may join them too."
         return joined_sentence(tried) + unknown
 
 
@@ -86,10 +93,13 @@ def joined_sentence(tried: Mapping[str, bool]) -> str:
 
 
 def _finer_maps(maps: MetricMaps) -> list[MetricMaps]:
-    """Return the finer maps of the folder that maps were opened from, the finest last."""
+    """Return the whole finer maps of the folder that maps were opened from, the finest last."""
     source = maps.ds.encoding.get("source")
     if source is None:
         return []
     folder = Path(source).parent.parent
-    finer = sorted((r for r in stored_resolutions(folder) if r < maps.grid.resolution_m), reverse=True)
-    return [open_maps(folder, resolution_m, obstacles=maps.obstacles) for resolution_m in finer]
+    found = []
+    for resolution_m in sorted((r for r in stored_resolutions(folder) if r < maps.grid.resolution_m), reverse=True):
+        with suppress(InputError):  # damaged ones are no help
+            found.append(open_maps(folder, resolution_m, obstacles=maps.obstacles))
+    return found

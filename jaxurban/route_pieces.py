@@ -9,6 +9,8 @@ import shapely
 from jaxurban.kernels.traversal import crossed_cells
 from jaxurban.planners.evaluate import path_states
 
+SAME_HEIGHT_M = 1e-6  # rounding of heights along a step
+
 
 @dataclass(frozen=True, eq=False)
 class Pieces:
@@ -126,6 +128,12 @@ def _is_surrounded(is_obstacle: np.ndarray) -> np.ndarray:
     """Return ``[Y, X]`` bool: all four neighbours within the map are obstacles, so another wall is nearer."""
     padded = np.pad(is_obstacle, 1, constant_values=True)
     return padded[:-2, 1:-1] & padded[2:, 1:-1] & padded[1:-1, :-2] & padded[1:-1, 2:]
+
+
+def level_below_m(z_m: np.ndarray, levels_m: Sequence[float]) -> np.ndarray:
+    """Return ``[M]`` the highest of some levels that is not above each height; the lowest one beneath all of them."""
+    ascending_m = np.sort(np.asarray(levels_m, float))
+    return ascending_m[np.maximum(np.searchsorted(ascending_m, z_m + SAME_HEIGHT_M, side="right") - 1, 0)]
 
 
 def nearest_level_m(z_m: np.ndarray, levels_m: Sequence[float]) -> np.ndarray:

@@ -14,13 +14,12 @@ from jaxurban.maps import MetricMaps
 from jaxurban.metrics.population import M2_PER_KM2
 from jaxurban.planned import PlannedPath
 from jaxurban.planners.base import CostModel
-from jaxurban.route_pieces import Pieces, cut_evenly, cut_route, nearest_level_m, nearest_wall_m
+from jaxurban.route_levels import VISIBLE, RouteLevels
+from jaxurban.route_pieces import Pieces, cut_evenly, cut_route, level_below_m, nearest_wall_m
 
 FEWEST_SATELLITES = 4  # below, no position fix
 SECONDS_PER_HOUR = 3600.0
-VISIBLE = "num_visible"
 EXTRA_MAPS = {VISIBLE: VISIBLE, "density": "density_per_km2", "terrain": "terrain_m"}
-TOUCHED = "roof_touched"
 WALL, OUTSIDE, OVER_ROOF = "nearest_wall_m", "walls_outside_m", "least_over_roofs_m"
 UNITS = {"_m": "m", "_s": "s", "_wh": "Wh"}  # by the end of a name
 SEGMENT_HEADS = {  # what a terminal has room for; `RouteReport.segments` has more
@@ -126,7 +125,8 @@ def explain(
     to the square of the nearest cell with a roof at the route's altitude (see `nearest_wall_m`); of the highest roof
     that touches a cell, where the maps hold it, so that 0 is contact. What stands outside the region they do not
     hold, but risk was made with it: ``walls_outside_m`` is how far at least the walls out there are. Where a
-    route climbs, each piece takes the maps of the level nearest to it, as the planner did; of satellites, that below.
+    route climbs, each piece takes the maps of the level nearest to it, as the planner did; of satellites and walls,
+    that below, where there are fewer of the ones and more of the others.
 
     Args:
       planned: from `plan`; its settings tell weights, cost model, epoch and time of day.
@@ -143,7 +143,7 @@ def explain(
     _check_path(planned, maps, num_segments)
     grid = maps.grid
     pieces = cut_route(planned.xy_m - [grid.x_min_m, grid.y_min_m], planned.z_m, grid.resolution_m)
-    levels = _Levels(planned, maps)
+    levels = RouteLevels(planned, maps)
     profile = _profile(levels, maps, pieces, {name: name for name in maps.metrics} | EXTRA_MAPS)
     step_costs = _step_costs(levels, maps, pieces)
     segment = cut_evenly(pieces.states, num_segments)
@@ -176,7 +176,7 @@ def cautious_profile(planned: PlannedPath, maps: MetricMaps) -> pd.DataFrame:
     _check_path(planned, maps, 1)
     grid = maps.grid
     pieces = cut_route(planned.xy_m - [grid.x_min_m, grid.y_min_m], planned.z_m, grid.resolution_m)
-    return _profile(_Levels(planned, maps), maps, pieces, {VISIBLE: VISIBLE})
+    return _profile(RouteLevels(planned, maps), maps, pieces, {VISIBLE: VISIBLE})
 
 
 def without_fix(profile: pd.DataFrame) -> list[tuple[float, float]]:
@@ -209,57 +209,7 @@ def _check_path(planned: PlannedPath, maps: MetricMaps, num_segments: int) -> No
         raise InputError(f"num_segments must be at least 1, got {num_segments}")
 
 
-@dataclass(frozen=True, eq=False)
-class _Levels:
-    """The maps at the levels of a path: its one altitude, or those that it climbs and descends between."""
-
-    planned: PlannedPath
-    maps: MetricMaps
-
-    def of(self, z_m: np.ndarray) -> np.ndarray:
-        """Return the level whose maps count at altitudes."""
-        return nearest_level_m(z_m, self.planned.settings.get("levels_m") or [self.planned.altitude_m])
-
-    def sample(self, name: str, level_m: np.ndarray, row: np.ndarray, col: np.ndarray) -> np.ndarray:
-        """Return the values of a map at cells, float64, each at its own level."""
-        values = np.empty(len(row))
-        for z_m in np.unique(level_m):
-            here = level_m == z_m
-            values[here] = self._map(name, float(z_m), (row[here], col[here]))
-        return values
-
-    @property
-    def roofs(self) -> str:
-        """The variable of roofs: the highest that touches a cell where the maps hold it, else that at its middle."""
-        return TOUCHED if TOUCHED in self.maps.ds else "roof"
-
-    def is_obstacle(self, z_m: float) -> np.ndarray:
-        """Return ``[Y, X]`` bool: a roof reaches a level."""
-        if self.roofs == TOUCHED:
-            return self.maps.m(TOUCHED) >= z_m
-        return self.maps.m("obstacle", z_m) == 1 if z_m in self.maps.altitudes_m else self.maps.m("roof") >= z_m
-
-    def _map(self, name: str, z_m: float, cells: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
-        """Return a map at cells of a level, linear between the altitudes around it; the upper's over a lower wall."""
-        maps, settings = self.maps, self.planned.settings
-
-        def at(altitude_m: float | None) -> np.ndarray:
-            shown = maps.m(name, altitude_m, time=settings["time"], time_of_day=settings["time_of_day"])
-            return shown[cells]
-
-        if "altitude" not in maps.ds[maps.variable(name)].dims:
-            return at(None)
-        if z_m in maps.altitudes_m:
-            return at(z_m)
-        low_m = max(altitude_m for altitude_m in maps.altitudes_m if altitude_m < z_m)
-        high_m = min(altitude_m for altitude_m in maps.altitudes_m if altitude_m > z_m)
-        share = (z_m - low_m) / (high_m - low_m)
-        # Satellites are whole; the lower map's are in view above it too.
-        between = at(low_m) if name == VISIBLE else (1 - share) * at(low_m) + share * at(high_m)
-        return np.where(maps.is_free(low_m, "centre")[cells], between, at(high_m))
-
-
-def _profile(levels: _Levels, maps: MetricMaps, pieces: Pieces, shown: Mapping[str, str]) -> pd.DataFrame:
+def _profile(levels: RouteLevels, maps: MetricMaps, pieces: Pieces, shown: Mapping[str, str]) -> pd.DataFrame:
     grid, middle = maps.grid, pieces.middle
     lon, lat = grid.lonlat_of_xy(middle[:, 0] + grid.x_min_m, middle[:, 1] + grid.y_min_m)
     to_m = np.cumsum(pieces.length_m)
@@ -272,31 +222,31 @@ def _profile(levels: _Levels, maps: MetricMaps, pieces: Pieces, shown: Mapping[s
         columns[VISIBLE] = columns[VISIBLE].astype(int)
     is_over = columns["roof_m"] > 0
     columns[OVER_ROOF] = np.where(is_over, pieces.ends[:, :, 2].min(axis=1) - columns["roof_m"], np.nan)
-    columns[OUTSIDE] = _walls_outside_m(levels, maps, pieces, level_m)
-    columns[WALL] = np.empty(len(level_m))
-    for z_m in np.unique(level_m):
-        lines = pieces.ends[level_m == z_m, :, :2]
-        columns[WALL][level_m == z_m] = nearest_wall_m(lines, levels.is_obstacle(float(z_m)), grid.resolution_m)
+    below_m = level_below_m(pieces.ends[:, :, 2].min(axis=1), levels.held_m)
+    columns[OUTSIDE] = _walls_outside_m(levels, maps, pieces, level_below_m(below_m, maps.altitudes_m))
+    columns[WALL] = np.empty(len(below_m))
+    for z_m in np.unique(below_m):
+        lines = pieces.ends[below_m == z_m, :, :2]
+        columns[WALL][below_m == z_m] = nearest_wall_m(lines, levels.is_obstacle(float(z_m)), grid.resolution_m)
     return pd.DataFrame(columns)
 
 
-def _walls_outside_m(levels: _Levels, maps: MetricMaps, pieces: Pieces, level_m: np.ndarray) -> np.ndarray:
+def _walls_outside_m(levels: RouteLevels, maps: MetricMaps, pieces: Pieces, below_m: np.ndarray) -> np.ndarray:
     """Return ``[M]`` how far at least each piece is from the walls outside the region.
 
     They stand beyond its border; and, since the risk metric counts them up to its threshold and measures between
-    the middles of cells, at least its distance less two half diagonals away.
+    the middles of cells, at least its distance less two half diagonals away; ``below_m`` names the maps below each.
     """
     grid = maps.grid
     side_m = np.array([grid.num_cols, grid.num_rows]) * grid.resolution_m
     border_m = np.minimum(pieces.ends[:, :, :2], side_m - pieces.ends[:, :, :2]).min(axis=(1, 2))
     if "risk_threshold_m" not in maps.ds.attrs or "risk" not in maps.ds:
         return border_m
-    below_m = np.sort(maps.altitudes_m)[np.searchsorted(np.sort(maps.altitudes_m), level_m, side="right") - 1]
     risk = levels.sample("risk", below_m, pieces.row, pieces.col)  # between two maps, the lower one has all walls
     return np.maximum(border_m, risk * maps.ds.attrs["risk_threshold_m"] - math.sqrt(2) * grid.resolution_m)
 
 
-def _step_costs(levels: _Levels, maps: MetricMaps, pieces: Pieces) -> dict[str, np.ndarray]:
+def _step_costs(levels: RouteLevels, maps: MetricMaps, pieces: Pieces) -> dict[str, np.ndarray]:
     """Return ``[S]`` what distance, each metric and climbing charge for every step, as the planners do."""
     settings, num_steps = levels.planned.settings, len(pieces.states) - 1
     moved_m = np.diff(pieces.states, axis=0)

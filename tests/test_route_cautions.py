@@ -170,3 +170,20 @@ def test_without_a_path_there_is_nothing_to_caution_of(maps):
     cut = ju.MetricMaps(maps.ds.assign(obstacle=(("altitude", "y", "x"), zone)))
     with pytest.raises(InputError, match="there is no path"):
         ju.cautions(straight(cut), cut)
+
+
+def test_a_wall_beside_a_climb_counts_as_soon_as_it_reaches_above_the_route(maps):
+    roof_m = np.zeros(maps.grid.shape, np.float32)
+    roof_m[ROW + 4 : ROW + 9, 40:45] = 55.0  # beside the climb from 20 to 60 m, nearer to 60 than to 20 at its top
+    around = ju.MetricMaps(
+        maps.ds.assign(
+            obstacle=(("altitude", "y", "x"), np.stack([roof_m >= 20.0, roof_m >= 60.0]).astype(np.uint8)),
+            **dict.fromkeys(("roof", "roof_touched"), (("y", "x"), roof_m)),
+        )
+    )
+    ends = {"start_xy_m": maps.grid.xy_of_cell(ROW, 41), "goal_xy_m": maps.grid.xy_of_cell(ROW, 43)}
+    path = ju.plan_volume(around, **ends, start_altitude_m=20.0, goal_altitude_m=60.0, objective="distance")
+    climbing = ju.explain(path, around).profile
+    is_low = (climbing["z_m"] > 41.0) & (climbing["z_m"] < 55.0)
+    assert (climbing.loc[is_low, "nearest_wall_m"] == 35.0).all()
+    assert is_low.any()
