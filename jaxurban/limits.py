@@ -215,8 +215,9 @@ class Limits:
         bounds = []
         for bound in self.bounds:
             if not bound.is_kept(maps, altitude_m, time, time_of_day)[cell]:
-                value = maps.m(bound.variable, altitude_m, time=time, time_of_day=time_of_day)[cell]
-                bounds.append(f"the bound {bound} (it is {value:g} there)")
+                held_m = min(maps.altitudes_m, key=lambda z_m: abs(z_m - altitude_m))  # between two, the nearer map's
+                value = maps.m(bound.variable, held_m, time=time, time_of_day=time_of_day)[cell]
+                bounds.append(f"the bound {bound} (it is {value:g} there{_at(held_m, altitude_m)})")
         return zones + bounds
 
 
@@ -225,6 +226,10 @@ def limits_said(told: Mapping[str, Sequence]) -> str:
     num = len(told.get("no_fly", ()))
     zones = [f"{num} no-fly zone" + "s" * (num > 1)] if num else []
     return ", ".join([*zones, *told.get("require", ())])
+
+
+def _at(held_m: float, altitude_m: float) -> str:
+    return "" if held_m == altitude_m else f" at {held_m:g} m"
 
 
 def _bound(name: str, given: object) -> Bound:

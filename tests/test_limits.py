@@ -209,3 +209,12 @@ def test_the_command_line_takes_files_and_bounds(maps, ends, tmp_path, capsys):
         code, out, err = run(capsys, *arguments, *wrong)
         assert (code, out) == (2, "")
         assert_one_sentence(err, *words)
+
+
+def test_a_bound_that_closes_a_level_between_two_altitudes_is_named_with_the_nearer_maps_value(maps):
+    limits = ju.Limits.read(require="gps>=0.4")
+    row, col = np.argwhere((maps.m("gps", 20.0) < 0.3) & (maps.m("gps", 60.0) < 0.3) & maps.is_free(20.0))[0]
+    (reason,) = limits.reasons(maps, 30.0, (row, col))
+    assert reason == f"the bound gps>=0.4 (it is {maps.m('gps', 20.0)[row, col]:g} there at 20 m)"
+    (reason,) = limits.reasons(maps, 20.0, (row, col))
+    assert reason.endswith("there)")
