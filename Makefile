@@ -17,7 +17,8 @@ test-slow: $(VENV)/.dev
 	$(BIN)/python -m pytest -m slow
 
 test-soundness: $(VENV)/.dev
-	$(BIN)/python -m pytest -n 2 -m slow tests/test_damage.py tests/planners/test_walls.py
+	$(BIN)/python -m pytest -n 2 -m slow tests/test_damage.py tests/test_cost_model.py tests/planners/test_walls.py \
+	  tests/io/test_knownarea.py
 
 test-docs: $(VENV)/.dev
 	$(BIN)/python -m pytest -m 'slow or not slow' tests/test_docs.py

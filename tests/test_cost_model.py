@@ -33,6 +33,7 @@ MODELS = [
     ju.CostModel(kind, 4.0, connectivity, diagonal)
     for kind, connectivity, diagonal in itertools.product(("cell", "line"), (4, 8), ("both-free", "always"))
 ]
+QUICK_MODELS = [MODELS[k] for k in (0, 3, 5, 6)]  # each value of each part with each other's; the rest is slow
 QUICK = {"vary": ("gps",), "num_samples": 2, "wishes": ("distance", "gps"), "max_plans": 10}
 REQUIRE = "risk>=0.08"
 
@@ -104,7 +105,9 @@ def test_each_part_of_a_cost_model_and_limits_change_the_cost(plans):
 
 
 @pytest.mark.parametrize("limited", ["none", "limits"])
-@pytest.mark.parametrize("model", MODELS, ids=str)
+@pytest.mark.parametrize(
+    "model", [pytest.param(m, marks=() if m in QUICK_MODELS else pytest.mark.slow) for m in MODELS], ids=str
+)
 def test_every_way_gives_one_path_one_cost(maps, ends, plans, closing, model, limited, tmp_path, monkeypatch):
     monkeypatch.setattr(local, "NUM_REPEATS", 2)
     monkeypatch.setattr(local, "NUM_NOISE", 2)

@@ -40,7 +40,7 @@ def gap():
 def test_no_planner_enters_a_cell_that_a_building_touches(gap, planner):
     heights_m = gap.m("roof_touched")
     assert (heights_m > gap.m("roof")).any()
-    path = ju.plan(gap, **ENDS, altitude_m=20.0, planner=planner, cost_model="line", budget_s=0.5)
+    path = ju.plan(gap, **ENDS, altitude_m=20.0, planner=planner, cost_model="line", budget_s=0.2)
     assert path.settings["obstacles"] == "touched"
     if path.status.has_path:
         line = shapely.LineString(path.xy_m)
