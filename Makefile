@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check -q
 SOURCES := pyproject.toml constraints.txt
 
-.PHONY: demo test test-slow test-soundness test-docs lint wheel notebooks figures bench docs clean
+.PHONY: demo test test-slow test-long test-docs lint wheel notebooks figures bench docs clean
 
 demo: $(VENV)/.run
 	$(BIN)/jaxurban demo -o out/demo --overwrite
@@ -16,9 +16,9 @@ test: $(VENV)/.dev
 test-slow: $(VENV)/.dev
 	$(BIN)/python -m pytest -m slow
 
-test-soundness: $(VENV)/.dev
-	$(BIN)/python -m pytest -n 2 -m slow tests/test_damage.py tests/test_cost_model.py tests/planners/test_walls.py \
-	  tests/io/test_knownarea.py
+test-long: $(VENV)/.dev
+	$(BIN)/python -m pytest -n 2 --dist loadfile -m slow tests/test_damage.py tests/test_cost_model.py tests/test_tiled.py \
+	  tests/test_manhattan.py tests/metrics/test_gps_embree.py tests/planners/test_walls.py tests/io/test_knownarea.py
 
 test-docs: $(VENV)/.dev
 	$(BIN)/python -m pytest -m 'slow or not slow' tests/test_docs.py

@@ -20,6 +20,7 @@ ORBITS = "gps/gps-ops_2020-04-27.tle"
 REFERENCE = (-74.0, 40.715)
 
 
+@pytest.mark.slow
 def test_the_census_of_all_manhattan_adds_up(data_dir, tmp_path, capsys):
     scenario = tmp_path / "manhattan.toml"
     scenario.write_text(
@@ -35,6 +36,7 @@ def test_the_census_of_all_manhattan_adds_up(data_dir, tmp_path, capsys):
     assert people == pytest.approx(1_585_873, rel=0.005)
 
 
+@pytest.mark.slow
 def test_maps_of_a_sub_box_equal_the_crop_of_lower_manhattan(data_dir):
     def maps_of(bounds):
         city = ju.City.from_files(data_dir / BUILDINGS, bounds=bounds)

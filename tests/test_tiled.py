@@ -162,6 +162,7 @@ def kill_and_resume(folder: Path, cache: str, seed: int, num_kills: int, whole: 
     assert files_of(folder) == whole
 
 
+@pytest.mark.slow
 def test_kill_9_of_the_run_loses_no_finished_tile_and_changes_no_byte(tmp_path, cache, whole):
     kill_and_resume(tmp_path, cache, 0, 2, whole)
 
@@ -194,6 +195,7 @@ def kill_workers(folder: Path, cache: str, seed: int, num_kills: int, whole: dic
     assert files_of(folder) == whole
 
 
+@pytest.mark.slow
 def test_kill_9_of_a_worker_costs_only_its_tile(tmp_path, cache, whole):
     pytest.importorskip("distributed", reason="needs the cluster extra")
     kill_workers(tmp_path, cache, 0, 1, whole)

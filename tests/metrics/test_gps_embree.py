@@ -46,7 +46,7 @@ def manhattan(data_dir):
     [
         ("2020-04-27T16:00:00Z", 5.0, BARS_5M, 18),
         ("2020-04-27T00:20:00Z", 5.0, BARS_5M, 8),
-        ("2020-04-27T16:00:00Z", 2.0, BARS_2M, 18),
+        pytest.param("2020-04-27T16:00:00Z", 2.0, BARS_2M, 18, marks=pytest.mark.slow),
     ],
 )
 def test_visibility_agrees_with_embree(data_dir, manhattan, time, resolution_m, bars, lowest_deg):
