@@ -3,7 +3,7 @@
 import os
 import uuid
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import partial
 from typing import Any
 
@@ -104,7 +104,13 @@ def work_on_cluster(job: TileJob, client: Any, on_result: Tell) -> None:
             self.job = job
 
     name = f"jaxurban-job-{uuid.uuid4().hex}"
-    client.register_plugin(JobHolder(job), name)
+    for attempt in range(1 + RETRIES):
+        try:
+            client.register_plugin(JobHolder(job), name)
+            break
+        except OSError:  # a worker died while it was told; the scheduler tells the next one
+            if attempt == RETRIES:
+                raise
     futures = client.compute(tile_graph(job, partial(_call_in_worker, name)), retries=RETRIES)
     try:
         for future in as_completed(futures):
@@ -116,7 +122,8 @@ def work_on_cluster(job: TileJob, client: Any, on_result: Tell) -> None:
             "--workers or a larger machine; finished tiles are kept"
         ) from error
     finally:
-        client.unregister_worker_plugin(name)
+        with suppress(OSError):  # a worker died while it was told: nothing of the job is left in it
+            client.unregister_worker_plugin(name)
 
 
 @contextmanager
