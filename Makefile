@@ -17,10 +17,10 @@ test-slow: $(VENV)/.dev
 	$(BIN)/python -m pytest -m slow
 
 test-long: $(VENV)/.dev
-	$(BIN)/python -m pytest -n 2 --dist loadfile -m slow tests/test_damage.py tests/test_cost_model.py \
-	  tests/test_manhattan.py tests/metrics/test_gps_embree.py tests/planners/test_walls.py tests/io/test_knownarea.py \
-	  tests/test_tiled.py::test_kill_9_of_the_run_loses_no_finished_tile_and_changes_no_byte \
-	  tests/test_tiled.py::test_kill_9_of_a_worker_costs_only_its_tile
+	$(BIN)/python -m pytest -n 2 --dist loadfile -m slow tests/test_damage.py tests/paths/test_cost_model.py \
+	  tests/maps/test_own_layers.py tests/test_manhattan.py tests/metrics/test_gps_embree.py tests/planners/test_walls.py tests/io/test_knownarea.py \
+	  tests/maps/test_tiled.py::test_kill_9_of_the_run_loses_no_finished_tile_and_changes_no_byte \
+	  tests/maps/test_tiled.py::test_kill_9_of_a_worker_costs_only_its_tile
 
 test-docs: $(VENV)/.dev
 	$(BIN)/python -m pytest -m 'slow or not slow' tests/test_docs.py

@@ -1,89 +1,113 @@
 """jaxurban: urban metric maps for small drones, as differentiable JAX, and planning on them."""
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from importlib import import_module as _import_module
+from typing import TYPE_CHECKING as _TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from jaxurban.answers import PlannedPaths as PlannedPaths
-    from jaxurban.build import build_maps as build_maps
-    from jaxurban.case_study import study as study
-    from jaxurban.city import City as City
-    from jaxurban.cost import Weights as Weights
-    from jaxurban.demo import demo_city as demo_city
+if _TYPE_CHECKING:
     from jaxurban.errors import InputError as InputError
     from jaxurban.errors import JaxurbanError as JaxurbanError
-    from jaxurban.grid import Grid as Grid
-    from jaxurban.limits import Limits as Limits
-    from jaxurban.many import plan_many as plan_many
-    from jaxurban.maps import MetricMaps as MetricMaps
-    from jaxurban.maps import open_maps as open_maps
-    from jaxurban.planned import PlannedPath as PlannedPath
+    from jaxurban.maps.build import build_maps as build_maps
+    from jaxurban.maps.build import soft_city as soft_city
+    from jaxurban.maps.differentiable import SoftCity as SoftCity
+    from jaxurban.maps.differentiable import SoftParams as SoftParams
+    from jaxurban.maps.levels import Levels as Levels
+    from jaxurban.maps.metric_maps import MetricMaps as MetricMaps
+    from jaxurban.maps.metric_maps import open_maps as open_maps
+    from jaxurban.metrics.custom import Layer as Layer
+    from jaxurban.metrics.gps import GpsParams as GpsParams
+    from jaxurban.metrics.lidar import LidarParams as LidarParams
+    from jaxurban.metrics.population import PopulationParams as PopulationParams
+    from jaxurban.metrics.risk import RiskParams as RiskParams
+    from jaxurban.metrics.weights import Weights as Weights
+    from jaxurban.paths.batch import plan_many as plan_many
+    from jaxurban.paths.cautions import cautions as cautions
+    from jaxurban.paths.constraints import Constraints as Constraints
+    from jaxurban.paths.cost_map import CostMap as CostMap
+    from jaxurban.paths.cost_map import cost_map as cost_map
+    from jaxurban.paths.explain import RouteReport as RouteReport
+    from jaxurban.paths.explain import explain as explain
+    from jaxurban.paths.path import PlannedPath as PlannedPath
+    from jaxurban.paths.plan import plan as plan
+    from jaxurban.paths.results import PlannedPaths as PlannedPaths
+    from jaxurban.paths.snapping import XY as XY
     from jaxurban.planners.base import CostModel as CostModel
-    from jaxurban.planning import plan as plan
-    from jaxurban.route_cautions import cautions as cautions
-    from jaxurban.route_report import RouteReport as RouteReport
-    from jaxurban.route_report import explain as explain
-    from jaxurban.scenario import Scenario as Scenario
-    from jaxurban.sensitivity_report import save_sensitivity as save_sensitivity
-    from jaxurban.studies.examples import Example as Example
-    from jaxurban.studies.imitation import fit_weights as fit_weights
+    from jaxurban.planners.envelope import planned_cost as planned_cost
+    from jaxurban.report.buildings import write_buildings as write_buildings
+    from jaxurban.report.run_montecarlo import study as study
+    from jaxurban.report.sensitivity import save_sensitivity as save_sensitivity
+    from jaxurban.scenario.settings import Scenario as Scenario
+    from jaxurban.studies.demonstrations import Demonstration as Demonstration
+    from jaxurban.studies.montecarlo.run import MapsFolder as MapsFolder
+    from jaxurban.studies.montecarlo.sampling import sample_instances as sample_instances
+    from jaxurban.studies.montecarlo.trial import BenchmarkSettings as BenchmarkSettings
     from jaxurban.studies.queries import make_queries as make_queries
-    from jaxurban.studies.queries import unit_map as unit_map
-    from jaxurban.studies.reading import examples_from_paths as examples_from_paths
-    from jaxurban.studies.reading import read_examples as read_examples
-    from jaxurban.studies.sampling import sample_instances as sample_instances
-    from jaxurban.studies.sensitivity import sensitivity as sensitivity
-    from jaxurban.studies.targets import fit_targets as fit_targets
-    from jaxurban.studies.wishes import Wish as Wish
-    from jaxurban.volume import plan_volume as plan_volume
-    from jaxurban.weighted import WeightedMap as WeightedMap
-    from jaxurban.weighted import weigh as weigh
+    from jaxurban.studies.read_demonstrations import demonstrations_from_paths as demonstrations_from_paths
+    from jaxurban.studies.read_demonstrations import read_demonstrations as read_demonstrations
+    from jaxurban.studies.sensitivity.buildings import building_costs as building_costs
+    from jaxurban.studies.sensitivity.study import SensitivitySettings as SensitivitySettings
+    from jaxurban.studies.sensitivity.study import sensitivity as sensitivity
+    from jaxurban.studies.tuning.fit_settings import FitSettings as FitSettings
+    from jaxurban.studies.tuning.target_fit import fit_targets as fit_targets
+    from jaxurban.studies.tuning.targets import Target as Target
+    from jaxurban.studies.tuning.weight_fit import fit_weights as fit_weights
+    from jaxurban.world.city import City as City
+    from jaxurban.world.grid import Grid as Grid
+    from jaxurban.world.synthetic import demo_city as demo_city
 
 # Names are fetched when they are first used: JAX, Numba and the readers take seconds to import, and the command
-# line must answer, to --help and to Ctrl-C, before that.
-_HOMES = {
-    "build_maps": "build",
-    "study": "case_study",
-    "City": "city",
-    "Weights": "cost",
-    "demo_city": "demo",
-    "InputError": "errors",
-    "JaxurbanError": "errors",
-    "Grid": "grid",
-    "Limits": "limits",
-    "PlannedPaths": "answers",
-    "plan_many": "many",
-    "MetricMaps": "maps",
-    "open_maps": "maps",
-    "PlannedPath": "planned",
-    "CostModel": "planners.base",
-    "plan": "planning",
-    "cautions": "route_cautions",
-    "RouteReport": "route_report",
-    "explain": "route_report",
-    "Scenario": "scenario",
-    "Wish": "studies.wishes",
-    "Example": "studies.examples",
-    "examples_from_paths": "studies.reading",
-    "fit_targets": "studies.targets",
-    "fit_weights": "studies.imitation",
-    "make_queries": "studies.queries",
-    "read_examples": "studies.reading",
-    "unit_map": "studies.queries",
-    "save_sensitivity": "sensitivity_report",
-    "sensitivity": "studies.sensitivity",
-    "sample_instances": "studies.sampling",
-    "plan_volume": "volume",
-    "WeightedMap": "weighted",
-    "weigh": "weighted",
+# line must react, to --help and to Ctrl-C, before that. A test compares this list with the one above.
+_NAMES = {
+    "errors": "InputError JaxurbanError",
+    "maps.build": "build_maps soft_city",
+    "maps.differentiable": "SoftCity SoftParams",
+    "maps.levels": "Levels",
+    "maps.metric_maps": "MetricMaps open_maps",
+    "metrics.custom": "Layer",
+    "metrics.gps": "GpsParams",
+    "metrics.lidar": "LidarParams",
+    "metrics.population": "PopulationParams",
+    "metrics.risk": "RiskParams",
+    "metrics.weights": "Weights",
+    "paths.batch": "plan_many",
+    "paths.cautions": "cautions",
+    "paths.constraints": "Constraints",
+    "paths.cost_map": "CostMap cost_map",
+    "paths.explain": "RouteReport explain",
+    "paths.path": "PlannedPath",
+    "paths.plan": "plan",
+    "paths.results": "PlannedPaths",
+    "paths.snapping": "XY",
+    "planners.base": "CostModel",
+    "planners.envelope": "planned_cost",
+    "report.buildings": "write_buildings",
+    "report.run_montecarlo": "study",
+    "report.sensitivity": "save_sensitivity",
+    "scenario.settings": "Scenario",
+    "studies.demonstrations": "Demonstration",
+    "studies.montecarlo.run": "MapsFolder",
+    "studies.montecarlo.sampling": "sample_instances",
+    "studies.montecarlo.trial": "BenchmarkSettings",
+    "studies.queries": "make_queries",
+    "studies.read_demonstrations": "demonstrations_from_paths read_demonstrations",
+    "studies.sensitivity.buildings": "building_costs",
+    "studies.sensitivity.study": "SensitivitySettings sensitivity",
+    "studies.tuning.fit_settings": "FitSettings",
+    "studies.tuning.target_fit": "fit_targets",
+    "studies.tuning.targets": "Target",
+    "studies.tuning.weight_fit": "fit_weights",
+    "world.city": "City",
+    "world.grid": "Grid",
+    "world.synthetic": "demo_city",
 }
+_HOMES = {name: f"{__name__}.{module}" for module, names in _NAMES.items() for name in names.split()}
+__all__ = sorted(_HOMES)
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> object:
     if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
+    return getattr(_import_module(_HOMES[name]), name)
 
 
 def __dir__() -> list[str]:
-    return sorted([*globals(), *_HOMES])
+    return __all__

@@ -1,6 +1,6 @@
 """``python -m jaxurban`` is the command line."""
 
-from jaxurban.cli import main
+from jaxurban.cli.main import main
 
 if __name__ == "__main__":  # worker processes import this module too
     main()

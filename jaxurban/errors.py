@@ -1,7 +1,12 @@
 """The exceptions of jaxurban, all under one root."""
 
 import difflib
-from collections.abc import Iterable
+import math
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from typing import Any, TypeVar
+
+Choice = TypeVar("Choice")
 
 
 class JaxurbanError(Exception):
@@ -20,7 +25,7 @@ class GuessWarning(UserWarning):
     """Maps rest on something that their files do not say: one sentence for the user, with the remedy."""
 
 
-class IgnoredLimitWarning(UserWarning):
+class IgnoredZoneWarning(UserWarning):
     """Something in a file of no-fly zones is not read, or is read more cautiously: one sentence for the user."""
 
 
@@ -34,5 +39,92 @@ class OtherSettingsWarning(UserWarning):
 
 def nearest_name(name: str, valid: Iterable[str]) -> str:
     """Return ``" (did you mean 'x'?)"`` for the valid name closest to ``name``, or ``""``."""
-    close = difflib.get_close_matches(name, list(valid), n=1, cutoff=0.5)
+    close = difflib.get_close_matches(str(name), list(valid), n=1, cutoff=0.5)
     return f" (did you mean {close[0]!r}?)" if close else ""
+
+
+def check_type(name: str, value: Any, kind: type, such_as: str = "") -> None:
+    """Raise InputError unless a value is of a type.
+
+    Args:
+      name: of the argument.
+      value: of it.
+      kind: that it must be of.
+      such_as: where such a value comes from, for the message.
+    """
+    if not isinstance(value, kind):
+        hint = such_as and f", from {such_as}"
+        raise InputError(f"{name} must be a {kind.__name__}{hint}, got {type(value).__name__}")
+
+
+def one_of(name: str, value: Choice, choices: Iterable[Choice]) -> Choice:
+    """Return a value that must be one of some choices.
+
+    Raises:
+      InputError: it is none of them (lists them, and names the nearest one).
+    """
+    valid = list(choices)
+    if value not in valid:
+        hint = nearest_name(str(value), [str(choice) for choice in valid])
+        *others, last = map(repr, valid)
+        listed = f"{', '.join(others)} or {last}" if others else last
+        raise InputError(f"{name} must be {listed}, got {value!r}{hint}")
+    return value
+
+
+def positive(name: str, value: Any, unit: str = "") -> float:
+    """Return a number that must be above 0, as a float.
+
+    Raises:
+      InputError: it is 0 or below, not finite, or not a number.
+    """
+    number = _number(value)
+    if not 0 < number < math.inf:
+        raise InputError(f"{name} must be a positive number{unit and f' of {unit}'}, got {value!r}")
+    return number
+
+
+def finite(name: str, value: Any, unit: str = "") -> float:
+    """Return a number (or the one that a text spells) that must be finite, as a float.
+
+    Raises:
+      InputError: it is not, or is not a number.
+    """
+    number = _number(value, bool)
+    if not math.isfinite(number):
+        raise InputError(f"{name} must be a finite number{unit and f' of {unit}'}, got {value!r}")
+    return number
+
+
+def _number(value: Any, refused: Any = bool | str) -> float:
+    """Return a value as a float; NaN where it is none, or of a type that is refused."""
+    try:
+        return math.nan if isinstance(value, refused) else float(value)
+    except (TypeError, ValueError, OverflowError):
+        return math.nan
+
+
+def reason_of(error: BaseException) -> str:
+    """Return what an error of the system or of a library says, on one line."""
+    return getattr(error, "strerror", None) or " ".join(str(error).split())
+
+
+@contextmanager
+def readable(what: str, kind: str, remedy: str, *errors: type[Exception]) -> Iterator[None]:
+    """Turn errors of the block, which reads a file, into an InputError: what it is, the reason and the remedy.
+
+    Args:
+      what: the file, for the message.
+      kind: what it cannot be read as.
+      remedy: ends the sentence.
+      errors: what a damaged file raises, beside OSError and ValueError; an InputError passes as it is.
+    """
+    caught: tuple[type[Exception], ...] = (OSError, ValueError, *errors)
+    try:
+        yield
+    except InputError:
+        raise
+    except FileNotFoundError as error:
+        raise InputError(f"{what} does not exist: check the path") from error
+    except caught as error:
+        raise InputError(f"{what} cannot be read as {kind} ({reason_of(error)}): {remedy}") from error

@@ -9,7 +9,7 @@ from jax import lax
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float, UInt
 
-from jaxurban.kernels.occlusion import WORD_BITS
+from jaxurban.kernels.shadows.sweep import WORD_BITS
 
 LEAST_SATELLITES = 4  # three coordinates and the clock
 
@@ -90,7 +90,7 @@ def dops(satellites: Geometry, weights: Float[Array, "S ..."]) -> Dops:
 
     ``GDOP = sqrt(trace((G^T W G)^-1))``, its east, north, up and clock terms in the others (Langley
     1999, the paper's PDOP equation with the square left out). Exact derivatives by the weights; zero
-    where the answer is inf: where a pivot is below `LEAST_PIVOT` (fewer than four satellites, or all
+    where the result is inf: where a pivot is below `LEAST_PIVOT` (fewer than four satellites, or all
     on one cone; rounding may turn this inf into a DOP of several hundreds).
 
     Args:

@@ -13,7 +13,7 @@
 #
 # **Which way would a drone fly through a city, and why not straight?**
 #
-# The city is the embedded one: generated, shaped like Manhattan, nothing to download. The ten lines build it, make its
+# The city is synthetic: shaped like Manhattan, nothing to download. The ten lines build it, make its
 # maps on cells of 10 m, and plan from one end to the other at 20 m above ground, with three planners:
 #
 # - `ptp` (point to point) flies straight, and fails where a building stands in the way;
@@ -24,7 +24,7 @@
 # %%
 # %matplotlib inline
 import jaxurban as ju
-from jaxurban.plotting import plot_overview, plot_paths, plot_profile
+from jaxurban.report.figures import plot_overview, plot_paths, plot_profile
 
 city = ju.demo_city(width_m=2_000, height_m=3_000)
 maps = ju.build_maps(city, resolution_m=10.0)
@@ -37,7 +37,7 @@ for path in paths:
 # %% [markdown]
 # ## What the planner sees
 #
-# All that the path is charged for, at 20 m. Quality is 1 at best and 0 at worst; a planner pays for what is missing
+# All that costs the path, at 20 m. Quality is 1 at best and 0 at worst; a planner pays for what is missing
 # from 1, and for people as they are. The last panel adds the four up: dark is good to fly over, and the circle is the
 # start, the star the goal.
 

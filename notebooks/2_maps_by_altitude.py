@@ -29,7 +29,7 @@ import matplotlib.pyplot as plt
 import pandas as pd
 
 import jaxurban as ju
-from jaxurban.plotting import plot_gps_rating, plot_heights, plot_metric, plot_population, plot_sensor_choice
+from jaxurban.report.figures import plot_gps_rating, plot_heights, plot_metric, plot_population, plot_sensor_choice
 
 city = ju.demo_city(width_m=2_000, height_m=3_000)
 maps = ju.build_maps(city, resolution_m=10.0, altitudes_m=(10, 20, 40, 60, 90, 122, 200, 600))

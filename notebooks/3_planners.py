@@ -11,7 +11,7 @@
 # %% [markdown]
 # # 3. Five planners on one map, and why the printed heuristic fails
 #
-# **Which planner finds the cheapest path, how soon, and can its answer be trusted?**
+# **Which planner finds the cheapest path, how soon, and can its result be trusted?**
 #
 # The paper's five planners, and two more that this package adds, on one query at 20 m:
 #
@@ -19,12 +19,12 @@
 # |---|---|
 # | `ptp` | the straight line |
 # | `astar-dist` | A\* from cell to cell, guided by the straight distance to the goal |
-# | `astar-plus` | A\* guided by distance and by what the maps charge at least |
+# | `astar-plus` | A\* guided by distance and by what the maps cost at least |
 # | `bitstar-dist`, `bitstar-plus` | BIT\*: random points joined to a tree, better with every batch; bounds as above |
 # | `astar-anytime` | A\* in a hurry first, then ever closer to the best path, with a proven gap |
 # | `theta-star` | A\* whose legs may point anywhere, not only to the eight neighbours |
 #
-# All pay the same: the cost model `line` charges every path by the exact length in each cell.
+# All pay the same: the cost model `line` costs every path by the exact length in each cell.
 
 # %%
 # %matplotlib inline
@@ -36,15 +36,15 @@ import jaxurban as ju
 from jaxurban.planners.astar import astar
 from jaxurban.planners.base import Problem
 from jaxurban.planners.heuristics import heuristic_at, make_heuristic
-from jaxurban.plotting import plot_paths
+from jaxurban.report.figures import plot_paths
 
 city = ju.demo_city(width_m=2_000, height_m=3_000)
 maps = ju.build_maps(city, resolution_m=10.0, altitudes_m=(20.0,))
-weighted = ju.weigh(maps, 20.0, cost_model="line")
+weighted = ju.cost_map(maps, 20.0, cost_model="line")
 x_m, y_m = maps.grid.x_m, maps.grid.y_m
-ends = {"start_xy_m": (x_m[60], y_m[40]), "goal_xy_m": (x_m[125], y_m[240]), "snap": True}
+ends = ju.XY(x_m[60], y_m[40]), ju.XY(x_m[125], y_m[240])
 planners = ("ptp", "astar-dist", "astar-plus", "bitstar-dist", "bitstar-plus", "astar-anytime", "theta-star")
-paths = {name: weighted.plan(**ends, planner=name, budget_s=2.0) for name in planners}
+paths = {name: weighted.plan(*ends, planner=name, budget_s=2.0, snap=True) for name in planners}
 
 # %% [markdown]
 # `optimal` means proven, **on this planner's own graph**: A\* knows the eight directions of the grid only, so BIT\* and
@@ -98,7 +98,7 @@ plt.show()
 # %%
 cost = np.array([[0, 5, 0], [0, 5, 0], [0, 0, 0]], float)  # row 0 in the south
 start, goal = (0, 0), (0, 2)
-nine = Problem(cost[None], np.ones((3, 3), bool), start, goal, resolution_m=1.0, distance_weight=1.0)
+nine = Problem(cost[None], np.ones((3, 3), bool), start, goal, resolution_m=1.0, weights=1.0)
 printed, truth = make_heuristic("plus-printed", nine), make_heuristic("exact", nine)
 
 
@@ -136,11 +136,11 @@ for name in ("plus-printed", "plus"):
 # [heuristics.md](../docs/heuristics.md) has the proof, and the figures for 200 queries on Lower Manhattan.
 
 # %%
-by_cell = ju.weigh(maps, 20.0)
+by_cell = ju.cost_map(maps, 20.0)
 rows = []
 for row in ju.sample_instances(maps, 40, weights=[ju.Weights()]).query("is_connected").itertuples():
-    ends = {"start_xy_m": (row.start_x_m, row.start_y_m), "goal_xy_m": (row.goal_x_m, row.goal_y_m)}
-    best, found = (by_cell.plan(**ends, heuristic=name) for name in ("plus", "plus-printed"))
+    ends = ju.XY(row.start_x_m, row.start_y_m), ju.XY(row.goal_x_m, row.goal_y_m)
+    best, found = (by_cell.plan(*ends, heuristic=name) for name in ("plus", "plus-printed"))
     rows.append((100 * (found.cost / best.cost - 1), found.search.num_expanded / best.search.num_expanded))
 excess, expanded = np.array(rows).T
 print(f"{len(rows)} queries: the printed heuristic's is dearer in {np.mean(excess > 1e-6):.0%} of them,")

@@ -11,7 +11,7 @@
 # %% [markdown]
 # # 4. Which buildings cost this route most?
 #
-# **If one building were a metre higher, how much dearer would the route be?**
+# **If one building were a metre higher, how much more would the route cost?**
 #
 # A building hides satellites from some cells (GPS), stands close to others (risk), and is a landmark for the lidar.
 # What a route costs is a function of the heights of all buildings, so its **gradient** answers the question for all of
@@ -30,17 +30,13 @@ import numpy as np
 import pandas as pd
 
 import jaxurban as ju
-from jaxurban.build import soft_city, view_sky
-from jaxurban.layers import MapParams
-from jaxurban.plotting.buildings import plot_building_costs
-from jaxurban.soft.engine import SoftParams
-from jaxurban.studies.buildings import building_costs
+from jaxurban.report.figures.buildings import plot_building_costs
 
 city = ju.demo_city(width_m=1_600, height_m=1_600)
 maps = ju.build_maps(city, resolution_m=10.0, altitudes_m=(25.0,))
 x_m, y_m = maps.grid.x_m, maps.grid.y_m
-ends = {"start_xy_m": (x_m[48], y_m[20]), "goal_xy_m": (x_m[100], y_m[140])}
-route = ju.plan(maps, **ends, altitude_m=25.0, snap=True)
+ends = ju.XY(x_m[48], y_m[20]), ju.XY(x_m[100], y_m[140])
+route = ju.cost_map(maps, 25.0).plan(*ends, snap=True)
 print(f"{len(city.buildings):,} buildings; the route costs {route.cost:.1f} over {route.length_m:,.0f} m")
 
 # %% [markdown]
@@ -51,10 +47,10 @@ print(f"{len(city.buildings):,} buildings; the route costs {route.cost:.1f} over
 # Doubles (`x64`) keep small effects from drowning in rounding.
 
 # %%
-sky = view_sky(maps.grid, "nominal", maps.times, mask_deg=5.0, reference=None, max_age_days=90.0)
+params = ju.SoftParams(altitude_m=25.0)
 with jax.enable_x64(True):
-    soft = soft_city(city, maps.grid, sky, MapParams(altitudes_m=(25.0,)), dtype=np.float64)
-    table = building_costs(city, soft, route, SoftParams(25.0))
+    soft = ju.soft_city(city, maps.grid, params)
+    table = ju.building_costs(city, soft, route, params)
 columns = ["building", "per_metre", "gps", "lidar", "risk", "height_m", "distance_m"]
 print(f"{len(table):,} buildings have any effect. The costliest, in cost per metre of height:")
 table[columns].head(8).round(3)
@@ -100,11 +96,11 @@ for row in table.iloc[[0, 1, 2, 6, 7, -2, -1]].itertuples():
     height_m = city.buildings.height_m.copy()
     height_m[row.building] += STEP_M
     higher = replace(city, buildings=replace(city.buildings, height_m=height_m))
-    again = ju.weigh(ju.build_maps(higher, resolution_m=10.0, altitudes_m=(25.0,)), 25.0)
+    again = ju.cost_map(ju.build_maps(higher, resolution_m=10.0, altitudes_m=(25.0,)), 25.0)
     rows[row.Index] = {
         "height (m)": row.height_m,
         "gradient x 4 m": STEP_M * row.per_metre,
-        "same route, exact maps": again.evaluate(route.xy_m - corner_m).total - route.cost,
-        "planned anew": again.plan(**ends, snap=True).cost - route.cost,
+        "same route, exact maps": again.problem.cost_of(route.xy_m - corner_m) - route.cost,
+        "planned anew": again.plan(*ends, snap=True).cost - route.cost,
     }
 pd.DataFrame(rows).T.rename_axis("rank").round(3)

@@ -15,22 +15,22 @@
 #
 # A route says what its pilot cares about: who flies around a crowd spends metres to spare people. Here the pilot is a
 # planner with weights of its own, so that the answer can be checked. In real work the routes come from a file
-# (`ju.read_examples`, or `jaxurban tune` on the command line: [tuning.md](../docs/tuning.md)).
+# (`ju.read_demonstrations`, or `jaxurban tune` on the command line: [tuning.md](../docs/tuning.md)).
 
 # %%
 # %matplotlib inline
 import numpy as np
 
 import jaxurban as ju
-from jaxurban.plotting import plot_paths
-from jaxurban.plotting.tuning import plot_learning, plot_routes, plot_weights
+from jaxurban.report.figures import plot_paths
+from jaxurban.report.figures.tuning import plot_learning, plot_routes, plot_weights
+from jaxurban.report.tuning import weight_units
 from jaxurban.studies.compare import compare
-from jaxurban.tuning_report import weight_units
 
 city = ju.demo_city(width_m=2_000, height_m=3_000)
 maps = ju.build_maps(city, resolution_m=20.0, altitudes_m=(20.0,))
 own = ju.Weights(distance=0.05, gps=0.4, lidar=0.3, population=4.0, risk=1.0)
-pilot = ju.weigh(maps, 20.0, weights=own)
+pilot = ju.cost_map(maps, 20.0, weights=own)
 
 # %% [markdown]
 # ## The routes that the pilot shows
@@ -38,22 +38,21 @@ pilot = ju.weigh(maps, 20.0, weights=own)
 # Sixteen flights, short and long, from and to all kinds of places.
 
 # %%
-asked = ju.sample_instances(maps, 20, weights=[own], seed=1).query("is_connected")[:16]
+flights = ju.sample_instances(maps, 20, weights=[own], seed=1).query("is_connected")[:16]
 shown = [
-    pilot.plan(start_xy_m=(row.start_x_m, row.start_y_m), goal_xy_m=(row.goal_x_m, row.goal_y_m))
-    for row in asked.itertuples()
+    pilot.plan(ju.XY(row.start_x_m, row.start_y_m), ju.XY(row.goal_x_m, row.goal_y_m)) for row in flights.itertuples()
 ]
-examples = ju.examples_from_paths(shown, maps)
+demonstrations = ju.demonstrations_from_paths(shown, maps)
 print(f"{len(shown)} routes of {min(p.length_m for p in shown):,.0f} to {max(p.length_m for p in shown):,.0f} m")
 
 # %% [markdown]
 # ## The fit
 #
 # Only ratios of weights can be found: twice all weights choose the same routes. So they are scaled to sum to 1, the
-# pilot's own too. The weight of `distance` is paid per metre, the others per cell that the route enters.
+# pilot's own too. The weight of `distance` counts per metre, the others per cell that the route enters.
 
 # %%
-fit = ju.fit_weights(examples, bootstrap=50)
+fit = ju.fit_weights(demonstrations, bootstrap=50)
 for sentence in (*fit.unidentified, *fit.warnings):
     print(sentence)
 table = fit.table()
@@ -62,7 +61,7 @@ table.insert(0, "pilot's own", vector / vector.sum())
 table.round(4)
 
 # %%
-unit = examples[0].query.unit
+unit = demonstrations[0].query.cost_map
 plot_weights(fit, [weight_units(unit)[name] for name in fit.names])
 
 # %% [markdown]
@@ -76,24 +75,24 @@ plot_weights(fit, [weight_units(unit)[name] for name in fit.names])
 plot_learning(fit)
 
 # %%
-plot_routes(compare(examples, fit.weights), unit, fit.vector)
+plot_routes(compare(demonstrations, fit.weights), unit, fit.vector)
 
 # %% [markdown]
 # ## Would it choose as the pilot does?
 #
-# Twenty flights that were not among the examples, planned under the default weights and under the fitted ones, and
-# charged as the pilot would.
+# Twenty flights that were not demonstrated, planned under the default weights and under the fitted ones, and
+# costed as the pilot would.
 
 # %%
 corner_m = np.array([maps.grid.x_min_m, maps.grid.y_min_m])
 others = ju.sample_instances(maps, 20, weights=[own], seed=2).query("is_connected")
 for name, weights in (("default weights", ju.Weights()), ("fitted weights", fit.weights)):
-    weighted = ju.weigh(maps, 20.0, weights=weights)
+    weighted = ju.cost_map(maps, 20.0, weights=weights)
     regret = []
     for row in others.itertuples():
-        ends = {"start_xy_m": (row.start_x_m, row.start_y_m), "goal_xy_m": (row.goal_x_m, row.goal_y_m)}
-        paid = pilot.evaluate(weighted.plan(**ends).xy_m - corner_m).total
-        regret.append(100 * (paid / pilot.plan(**ends).cost - 1))
+        ends = ju.XY(row.start_x_m, row.start_y_m), ju.XY(row.goal_x_m, row.goal_y_m)
+        cost = pilot.problem.cost_of(weighted.plan(*ends).xy_m - corner_m)
+        regret.append(100 * (cost / pilot.plan(*ends).cost - 1))
     print(f"{name}: {np.mean(regret):.2f} % dearer than the pilot's routes on average, {max(regret):.2f} % at worst")
 
 # %% [markdown]

@@ -14,19 +14,19 @@
 # **How far may a weight be off before the drone flies another way?**
 #
 # Weights are judgement: nobody measures how many metres a pedestrian is worth. So what matters is where the answer
-# changes. The cheapest route stays the same over a range of weights, then **switches** to another at once.
-# `ju.sensitivity` finds every switch, each weight from a tenth to ten times its value, and proves by searches that none
-# is missing.
+# changes. The cheapest route stays the same over a range of weights, then **changes** to another at once, at a
+# *breakpoint*. `ju.sensitivity` finds every breakpoint, each weight from a tenth to ten times its value, and proves by
+# searches that none is missing.
 
 # %%
 # %matplotlib inline
 import jaxurban as ju
-from jaxurban.plotting import route_under, weight_sliders
-from jaxurban.plotting.sensitivity import (
+from jaxurban.report.figures import route_under, weight_sliders
+from jaxurban.report.figures.sensitivity import (
+    plot_breakpoint_routes,
+    plot_breakpoints,
     plot_pareto,
     plot_sobol,
-    plot_switch_routes,
-    plot_switches,
     plot_triangle,
     plot_triangle_routes,
 )
@@ -34,7 +34,7 @@ from jaxurban.plotting.sensitivity import (
 city = ju.demo_city(width_m=2_000, height_m=3_000)
 maps = ju.build_maps(city, resolution_m=20.0, altitudes_m=(20.0,))
 start, goal = maps.grid.lonlat_of_cell(20, 30), maps.grid.lonlat_of_cell(120, 62)
-found = ju.sensitivity(maps, start, goal, altitude_m=20.0, cost_model="line", num_samples=128, snap=True)
+found = ju.sensitivity(ju.cost_map(maps, 20.0, cost_model="line"), start, goal, snap=True)
 print(f"{found.num_plans:,} searches in {found.elapsed_s:.1f} s")
 
 # %% [markdown]
@@ -49,26 +49,27 @@ found.local.cost.round(3)
 # %% [markdown]
 # ## One weight at a time
 #
-# Along each weight the cheapest cost bends at every switch.
+# Along each weight the cheapest cost bends at every breakpoint.
 
 # %%
-plot_switches(found)
+plot_breakpoints(found)
 
 # %%
-plot_switch_routes(found)
+plot_breakpoint_routes(found)
 
 # %% [markdown]
-# The switches of one weight as a table: each row is a route, cheapest `from` one value of the weight `to` another;
+# The routes along one weight as a table: each row is a route, cheapest `from` one value of the weight `to` another;
 # `is_given` marks the route under the given weights. `people` is metres flown at the region's highest density; `mean_*`
 # the mean of a map along the route.
 
 # %%
-found.switches("lidar").drop(columns="weight_name").round(3)
+found.breakpoints("lidar").drop(columns="weight_name").round(3)
 
 # %% [markdown]
 # ## Three weights against each other
 #
-# Three weights share their sum in all ways. Each colour is a kind of route; the star is where the given weights lie.
+# Three weights share their sum in all ways. Each colour is a cluster of routes; the star is where the given weights
+# lie.
 
 # %%
 plot_triangle(found)
@@ -88,7 +89,7 @@ plot_sobol(found)
 # %% [markdown]
 # ## What can be had for what
 #
-# No route on this front can be bettered in one wish without giving up some of another.
+# No route on this front can be bettered in one objective without giving up some of another.
 
 # %%
 plot_pareto(found)
@@ -99,11 +100,12 @@ plot_pareto(found)
 # The cheapest route under weights of your own, beside the shortest one (`astar-dist` here), which no weight changes.
 
 # %%
-redraw = route_under(maps, start, goal, altitude_m=20.0, cost_model="line", snap=True)
+on = ju.cost_map(maps, 20.0, cost_model="line")
+redraw = route_under(on, start, goal, snap=True)
 redraw(distance=0.1, gps=1.0, lidar=1.0, population=1.0, risk=1.0)
 
 # %% [markdown]
 # With `ipywidgets` and a running notebook, sliders: let one go, and the route is planned anew.
 
 # %%
-weight_sliders(maps, start, goal, altitude_m=20.0, cost_model="line", snap=True)
+weight_sliders(on, start, goal, snap=True)

@@ -38,7 +38,7 @@ import pandas as pd
 import shapely
 
 import jaxurban as ju
-from jaxurban.plotting import plot_heights, plot_overview, weight_sliders
+from jaxurban.report.figures import plot_heights, plot_overview, weight_sliders
 
 folder = Path(tempfile.mkdtemp(prefix="my-town-"))
 os.environ["XDG_CACHE_HOME"] = str(folder / "cache")  # so that nothing is kept elsewhere; leave this out at home

@@ -7,16 +7,15 @@ from itertools import chain, repeat
 import numpy as np
 
 from jaxurban.errors import InputError
-from jaxurban.planners.astar import check_budget, free_ride, warm_up
+from jaxurban.planners.astar import warm_up
 from jaxurban.planners.base import Path, Problem, Status
-from jaxurban.planners.evaluate import evaluate_on
-from jaxurban.planners.graph import graph_of
-from jaxurban.planners.heuristics import ADMISSIBLE, AUTO, make_heuristic, prepare
-from jaxurban.planners.search import DEFER, PAUSED, Search
+from jaxurban.planners.checks import check_budget, free_ride
+from jaxurban.planners.heuristics import ADMISSIBLE, AUTO, prepare
+from jaxurban.planners.search.grid import DEFER, PAUSED
 
 # Chosen on Lower Manhattan over the default weights and 20 random ones (docs/heuristics.md).
 LANDMARK_INFLATION = 1.07  # landmarks miss a few percent of the cost to go
-LEAST_INFLATION = 1.2  # of the other bounds, even where the map charges hardly more than they count
+LEAST_INFLATION = 1.2  # of the other bounds, even where the map costs hardly more than they count
 MAP_SHARE = 0.65  # of the median cell's cost, what paths pay: they seek the cheaper cells
 ROUND_FACTOR = 4  # less makes for more rounds: 2 expanded half as many nodes again until the end
 NEAR_ONE = 1.02  # an inflation below this is as slow as none
@@ -43,7 +42,7 @@ def astar_anytime(
     as of the end.
 
     Args:
-      problem: the question.
+      problem: the query.
       budget_s: seconds of search and of what it needs (``setup_s`` of the path).
       seed: taken for the planner contract; it plays no part.
       heuristic: an admissible one of `heuristics.HEURISTICS`, or ``"auto"`` (see `astar.astar`).
@@ -62,8 +61,7 @@ def astar_anytime(
     warm_up(heuristic, is_anytime=True)
     prepared = prepare(heuristic, problem, budget_s)
     begin_s = time.perf_counter()
-    bound = make_heuristic(prepared.name if prepared.is_ready else "octile", problem)
-    search = Search(graph_of(problem), bound, problem.start, problem.goal)
+    search = prepared.search(problem)
     end_s = begin_s + budget_s - prepared.setup_s
     points_m, cost, low, ended, num_open = np.empty((0, 2)), np.inf, search.low_f, PAUSED, 0
     history: list[tuple[float, int, float]] = []
@@ -74,7 +72,7 @@ def astar_anytime(
         ended = search.run(closed=DEFER, inflation=weight, upper=cost, end_s=end_s)
         if search.g[search.goal] < cost:
             points_m = search.points_m(problem.resolution_m)
-            cost = min(cost, evaluate_on(problem, points_m).total)
+            cost = min(cost, problem.cost_of(points_m))
         low_open, num_open = search.lower_bound()
         low = min(cost, max(low, low_open, 0.0 if ended == PAUSED else cost / weight))
         if cost < np.inf:
@@ -96,7 +94,7 @@ def astar_anytime(
         planner="astar-anytime",
         heuristic=prepared.name,
         backend="numba",
-        note=" ".join(filter(None, (prepared.note, free_ride(problem, cost)))),
+        note=" ".join(filter(None, (prepared.note, free_ride(problem.distance_weight, cost)))),
         history=tuple(history),
         bounds=tuple(bounds),
         setup_s=prepared.setup_s,
@@ -107,7 +105,7 @@ def first_inflation(heuristic: str, problem: Problem) -> float:
     """Return what to multiply a heuristic by so that a search hurries to the goal and its path stays good.
 
     Landmarks see nearly all of the cost to go, whatever the weights, so a constant serves. The other bounds
-    see the distance and, ``plus``, what the map charges everywhere: they are brought up to what paths
+    see the distance and, ``plus``, what the map costs everywhere: they are brought up to what paths
     typically pay, `MAP_SHARE` of the median cell's cost in place of what they count. Where they are 0
     everywhere no inflation helps.
     """

@@ -1,17 +1,15 @@
 """A* on the grid: 4- or 8-connected, both cost models, several heuristics."""
 
 import time
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 
-from jaxurban.errors import InputError
 from jaxurban.planners.base import Path, Problem, Status
-from jaxurban.planners.evaluate import evaluate_on
-from jaxurban.planners.evaluate import warm_up as warm_up_evaluation
-from jaxurban.planners.graph import graph_of
+from jaxurban.planners.checks import check_budget, free_ride
+from jaxurban.planners.cost import warm_up as warm_up_features
 from jaxurban.planners.heuristics import ADMISSIBLE, AUTO, heuristic_at, make_heuristic, prepare
-from jaxurban.planners.search import EXHAUSTED, FOUND, KEEP, PAUSED, REOPEN, Search
+from jaxurban.planners.search.grid import EXHAUSTED, FOUND, KEEP, PAUSED, REOPEN
 
 
 def astar(
@@ -29,7 +27,7 @@ def astar(
     that the budget and Ctrl-C are heeded within some 50 ms; it is deterministic, and the seed plays no part.
 
     Args:
-      problem: the question.
+      problem: the query.
       budget_s: seconds of search and of what it needs (``setup_s`` of the path).
       seed: taken for the planner contract.
       heuristic: a name of `heuristics.HEURISTICS`, or ``"auto"``: landmarks where a map and weights serve
@@ -47,9 +45,7 @@ def astar(
     prepared = prepare(heuristic, problem, budget_s)
     begin_s = time.perf_counter()
     is_admissible = prepared.name in ADMISSIBLE
-    # Where the tables are not ready, the budget is spent.
-    bound = make_heuristic(prepared.name if prepared.is_ready else "octile", problem)
-    search = Search(graph_of(problem), bound, problem.start, problem.goal)
+    search = prepared.search(problem)
     ended = PAUSED
     if prepared.is_ready:
         ended = search.run(closed=REOPEN if reopen else KEEP, end_s=begin_s + budget_s - prepared.setup_s)
@@ -57,8 +53,8 @@ def astar(
     if ended == FOUND:
         status = Status.OPTIMAL if is_admissible else Status.FEASIBLE
         points_m = search.points_m(problem.resolution_m)
-        cost = evaluate_on(problem, points_m).total
-        note = " ".join(filter(None, (note, free_ride(problem, cost))))
+        cost = problem.cost_of(points_m)
+        note = " ".join(filter(None, (note, free_ride(problem.distance_weight, cost))))
     else:
         status = Status.NO_PATH if ended == EXHAUSTED else Status.BUDGET_EMPTY
     if status is Status.OPTIMAL:
@@ -84,41 +80,9 @@ def astar(
     )
 
 
-def astar_dist(
-    problem: Problem,
-    *,
-    budget_s: float = np.inf,
-    seed: int = 0,
-    heuristic: str = "euclidean",
-    reopen: bool = False,
-) -> Path:
-    """Return the cheapest path, guided by the straight distance (the paper's A*-dist; see `astar`)."""
-    return astar(problem, budget_s=budget_s, seed=seed, heuristic=heuristic, reopen=reopen, planner="astar-dist")
-
-
-def astar_plus(
-    problem: Problem,
-    *,
-    budget_s: float = np.inf,
-    seed: int = 0,
-    heuristic: str = AUTO,
-    reopen: bool = False,
-) -> Path:
-    """Return the cheapest path, guided by distance and map costs, with an admissible bound (see `astar`)."""
-    return astar(problem, budget_s=budget_s, seed=seed, heuristic=heuristic, reopen=reopen, planner="astar-plus")
-
-
-def check_budget(budget_s: float) -> None:
-    """Raise InputError unless the budget is a positive number of seconds."""
-    if not budget_s > 0:
-        raise InputError(f"budget_s must be a positive number of seconds, got {budget_s}")
-
-
-def free_ride(problem: Problem, cost: float) -> str:
-    """Return what to say of a path that costs nothing, else nothing."""
-    if problem.distance_weight == 0 and cost == 0:
-        return "The path costs nothing under these weights, so its shape means nothing: weigh the distance too."
-    return ""
+# The paper's two: guided by the straight distance, and by distance and map costs, with an admissible bound.
+astar_dist = partial(astar, heuristic="euclidean", planner="astar-dist")
+astar_plus = partial(astar, heuristic=AUTO, planner="astar-plus")
 
 
 @cache
@@ -126,9 +90,8 @@ def warm_up(heuristic: str, is_anytime: bool = False) -> None:
     """Compile what a search with this heuristic runs, so that its time is the search's own."""
     problem = Problem(np.zeros((1, 1, 2)), np.ones((1, 2), bool), (0, 0), (0, 1), 1.0, 1.0)
     for name in ("plus", "landmarks") if heuristic == AUTO else (heuristic,):
-        bound = make_heuristic(prepare(name, problem, np.inf).name, problem)
-        search = Search(graph_of(problem), bound, problem.start, problem.goal)
+        search = prepare(name, problem, np.inf).search(problem)
         search.run()
         if is_anytime:
             search.requeue(1.0, search.lower_bound()[1])
-    warm_up_evaluation()
+    warm_up_features()

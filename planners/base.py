@@ -10,12 +10,13 @@ import numpy as np
 from scipy.ndimage import label
 
 from jaxurban.errors import InputError
-from jaxurban.kernels.heuristic import line_minima
+from jaxurban.kernels.search.bounds import line_minima
+from jaxurban.planners.cost import CostKind, PathFeatures, path_features
 from jaxurban.planners.moves import allowed_moves
 
-CostKind = Literal["cell", "line"]
 Diagonal = Literal["both-free", "always"]
-Cell = tuple[int, int]  # row, column; row 0 in the south
+Cell = tuple[int, ...]  # row, column; in a volume level, row, column. Row 0 is in the south, level 0 the lowest
+CELLS_AT_ONCE = 1 << 17  # of a map that is weighed, so that its rows stay in the cache
 T = TypeVar("T")
 
 EXIT_PATH, EXIT_NO_PATH, EXIT_BUDGET = 0, 3, 4
@@ -58,7 +59,7 @@ class Status(Enum):
 
 @dataclass(frozen=True)
 class CostModel:
-    """How steps are charged, and which steps the grid allows: one argument, so that none of it is lost on the way.
+    """How steps are costed, and which steps the grid allows: one argument, so that none of it is lost on the way.
 
     Attributes:
       kind: ``"cell"`` (the paper) or ``"line"`` (see `Problem`).
@@ -136,102 +137,160 @@ def positive_m(name: str, value: Any) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """One planning question on one map, as plain arrays. ``Y`` rows, ``X`` columns, ``L`` layers.
+    """One planning query on one map or volume, as plain arrays. ``Y`` rows, ``X`` columns, ``L`` layers.
+
+    **The cost of a path is weights . features** (`planners.cost.PathFeatures`), for every planner, fit and study.
 
     Points are in metres from the map's southwest corner: cell (row, col) has its centre at
     ``((col + 0.5) * resolution_m, (row + 0.5) * resolution_m)``.
 
-    A step from cell P to cell Q of length d costs, under ``cell`` (the paper):
-    ``distance_weight * d + c(Q)``; under ``line``:
-    ``distance_weight * d + (1 / reference_length_m) * integral of c ds`` with c constant in each cell.
+    On one altitude a step from cell P to cell Q of length d costs, with c the weighted sum of the layers, under
+    ``cell`` (the paper): ``distance_weight * d + c(Q)``; under ``line``: ``distance_weight * d + (1 /
+    reference_length_m) * integral of c ds`` with c constant in each cell.
+
+    In a volume of ``K`` levels a node is the centre of a cell at a level's altitude. A step leads to one of the
+    neighbours on the same level, the level above or the level below (26 with ``connectivity`` 8, 14 with 4). It is as
+    long as in space, and costs ``distance_weight`` per metre, ``climb_cost`` or ``descent_cost`` per metre up or
+    down, and of the map, from P to Q of length d: ``c(Q)`` under ``cell``, ``d / reference_length_m * (c(P) + c(Q)) /
+    2`` under ``line`` (a node's cost holds half-way to its neighbours, so that half of every step lies in each). A
+    horizontal step is allowed as in 2-D; one that changes levels only where it is allowed on both, that is, where all
+    cells that it passes are free at its lower and its upper end.
 
     The arrays are kept as read-only views (do not alter them meanwhile); many queries on one map share
     them, and what is derived from them, through `between`.
 
     Attributes:
-      layers: ``[L, Y, X]`` float64 weighted cost layers ``w_j c_j``, >= 0 and finite on free cells.
-      is_free: ``[Y, X]`` bool; a path may cross free cells only.
-      start, goal: cells; paths begin and end at their centres.
+      costs: ``[L, Y, X]`` float32 (or float64) costs c_j, **not weighted**, >= 0 and finite on free cells; in a volume
+        ``[L, K, Y, X]``.
+      is_free: ``[Y, X]`` or ``[K, Y, X]`` bool; a path may cross free cells only.
+      start, goal: cells, or nodes (level, row, column) of a volume; paths begin and end at their centres.
       resolution_m: side of a cell.
-      distance_weight: ``w_0``, cost per metre, >= 0.
-      cost_model: how steps are charged, and which are allowed; its kind stands for the rest's defaults.
+      weights: ``[W]`` float64, >= 0: w_0 per metre, then of each layer, then in a volume of each metre climbed and
+        descended. One number stands for w_0, with layers of weight 1, and climb and descent of none.
+      cost_model: how steps are costed, and which are allowed; its kind stands for the rest's defaults.
+      levels_m: ``[K]`` ascending altitudes above ground of a volume; None on one altitude.
     """
 
-    layers: np.ndarray
+    costs: np.ndarray
     is_free: np.ndarray
     start: Cell
     goal: Cell
     resolution_m: float
-    distance_weight: float
+    weights: Any  # kept as an array
     cost_model: CostModel = CostModel()
-    cost: np.ndarray = field(init=False, repr=False)  # [Y, X] float64: the sum of the layers
+    levels_m: Any = None  # kept as an array
+    cost: np.ndarray = field(init=False, repr=False)  # [Y, X] or [K, Y, X] float64: the weighted sum of the layers
     shared: dict[str, Any] = field(init=False, repr=False, default_factory=dict)  # what `once` made
+    _moves: list[np.ndarray] = field(init=False, repr=False, default_factory=list)  # of all problems on these cells
 
     def __post_init__(self) -> None:
-        layers = _read_only(self.layers, np.float64)
+        given = np.asarray(self.costs)
+        costs = _read_only(given, np.float32 if given.dtype == np.float32 else np.float64)
         is_free = _read_only(self.is_free, np.bool_)
-        if layers.ndim != 3 or layers.shape[1:] != is_free.shape:
-            raise InputError(f"layers must be [L, Y, X] over is_free [Y, X], got {layers.shape} and {is_free.shape}")
+        num_dims = 2 if self.levels_m is None else 3
+        if is_free.ndim != num_dims or costs.ndim != num_dims + 1 or costs.shape[1:] != is_free.shape:
+            over = "[L, Y, X] over is_free [Y, X]" if num_dims == 2 else "[L, K, Y, X] over is_free [K, Y, X]"
+            raise InputError(f"costs must be {over}, got {costs.shape} and {is_free.shape}")
+        if self.levels_m is not None:
+            object.__setattr__(self, "levels_m", _checked_levels(self.levels_m, is_free))
         object.__setattr__(self, "cost_model", CostModel.of(self.cost_model))
         positive_m("resolution_m", self.resolution_m)
-        if not (np.isfinite(self.distance_weight) and self.distance_weight >= 0):
-            raise InputError(f"the distance weight must be finite and not negative, got {self.distance_weight}")
         # Each layer, not only the sum, so that a negative one cannot hide behind another; NaN fails too.
-        if not all(np.all(((layer >= 0) & (layer < np.inf))[is_free]) for layer in layers):
-            raise InputError("costs must be finite and not negative on free cells: check the weights and the maps")
-        object.__setattr__(self, "layers", layers)
+        if not all(_is_cost(layer, is_free) for layer in costs):
+            raise InputError("costs must be finite and not negative on free cells: check the maps")
+        object.__setattr__(self, "costs", costs)
         object.__setattr__(self, "is_free", is_free)
-        object.__setattr__(self, "cost", _read_only(layers.sum(axis=0), np.float64))
+        self._set_weights(self.weights)
         self._check_endpoints()
 
+    def _set_weights(self, weights: Any) -> None:
+        weights = np.asarray(weights, np.float64)
+        num_heights = 0 if self.levels_m is None else 2
+        if weights.ndim == 0:
+            weights = np.concatenate([[weights], np.ones(len(self.costs)), np.zeros(num_heights)])
+        num_weights = 1 + len(self.costs) + num_heights
+        if weights.shape != (num_weights,) or not np.all((weights >= 0) & (weights < np.inf)):
+            raise InputError(
+                f"weights must be {num_weights} finite numbers that are not negative, got {weights.tolist()}"
+            )
+        object.__setattr__(self, "weights", _read_only(weights, np.float64))
+        cost = weighted_sum(self.costs, weights[1 : 1 + len(self.costs)])
+        if self.levels_m is not None:
+            cost[~self.is_free] = np.inf  # as the search through a volume knows closed nodes
+        object.__setattr__(self, "cost", _read_only(cost, np.float64))
+
     def _check_endpoints(self) -> None:
+        where = "map" if self.levels_m is None else "volume"
         for name in ("start", "goal"):
-            row, col = getattr(self, name)
-            if not (0 <= row < self.is_free.shape[0] and 0 <= col < self.is_free.shape[1]):
-                raise InputError(f"{name} {(row, col)} is outside the map of {self.is_free.shape} cells")
-            if not self.is_free[row, col]:
-                raise InputError(f"{name} {(row, col)} is inside an obstacle: move it to a free cell")
+            node = getattr(self, name)
+            if not all(0 <= index < size for index, size in zip(node, self.is_free.shape, strict=True)):
+                raise InputError(f"{name} {node} is outside the {where} of {self.is_free.shape} cells")
+            if not self.is_free[node]:
+                raise InputError(f"{name} {node} is inside an obstacle: move it to a free cell")
+
+    @property
+    def distance_weight(self) -> float:
+        """``w_0``, cost per metre."""
+        return float(self.weights[0])
+
+    @property
+    def layer_weights(self) -> np.ndarray:
+        """``[L]`` the weights of the layers."""
+        return self.weights[1 : 1 + len(self.costs)]
+
+    @property
+    def height_costs(self) -> tuple[float, float]:
+        """Cost per metre climbed and per metre descended, beside the distance; 0 on one altitude."""
+        climb, descent = (0.0, 0.0) if self.levels_m is None else self.weights[-2:].tolist()
+        return climb, descent
 
     def between(self, start: Cell, goal: Cell) -> "Problem":
-        """Return the same question between other cells; the map, checked already, is shared.
+        """Return the same query between other cells; the map, checked already, is shared.
 
         Raises:
           InputError: a cell is outside the map or inside an obstacle.
         """
-        other = copy.copy(self)
-        object.__setattr__(other, "start", start)
-        object.__setattr__(other, "goal", goal)
+        other = self._changed(start=start, goal=goal)
         other._check_endpoints()
         return other
 
     def alone(self) -> "Problem":
-        """Return the same question with nothing made for it but its moves, so that no earlier search helps this one."""
+        """Return the same query with nothing made for it but its moves, so that no earlier search helps this one."""
+        _ = self.moves
+        return self._changed(shared={})
+
+    def with_weights(self, weights: np.ndarray | float) -> "Problem":
+        """Return the same query under other weights (see ``weights``); what does not depend on them is shared.
+
+        Raises:
+          InputError: a weight that is negative or not finite, or too many or too few.
+        """
+        other = self._changed(shared={})
+        other._set_weights(weights)
+        return other
+
+    def with_costs(self, costs: np.ndarray, weights: np.ndarray | float | None = None) -> "Problem":
+        """Return the same query with other layers ``[L, Y, X]`` and weights; what does not depend on them is shared.
+
+        Raises:
+          InputError: layers of another shape, or a cost on a free cell or a weight is negative or not finite.
+        """
+        other = replace(self, costs=costs, weights=self.weights if weights is None else weights)
+        return other._changed(_moves=self._moves)
+
+    def features(self, points_m: np.ndarray, kind: CostKind | None = None) -> PathFeatures:
+        """Return what a path adds up (see `planners.cost.path_features`): its cost is weights . features."""
+        return path_features(self, points_m, kind)
+
+    def cost_of(self, points_m: np.ndarray) -> float:
+        """Return the cost of a path (points as in `features`); inf where it is not valid."""
+        return self.features(points_m).cost(self.weights)
+
+    def _changed(self, **values: Any) -> "Problem":
         other = copy.copy(self)
-        object.__setattr__(other, "shared", {"moves": self.moves})
+        for name, value in values.items():
+            object.__setattr__(other, name, value)
         return other
-
-    def with_layers(self, layers: np.ndarray, distance_weight: float) -> "Problem":
-        """Return the same question with other cost layers ``[L, Y, X]`` and distance weight.
-
-        What does not depend on costs is shared.
-
-        Raises:
-          InputError: layers of another shape, or a cost on a free cell or the weight is negative or not finite.
-        """
-        other = replace(self, layers=layers, distance_weight=float(distance_weight))
-        other.shared["moves"] = self.moves
-        return other
-
-    def reweighted(self, layer_factors: np.ndarray, distance_weight: float) -> "Problem":
-        """Return the same question with each layer multiplied by a factor ``[L]``, and another distance weight.
-
-        Raises:
-          InputError: a factor or the distance weight is negative or not finite.
-        """
-        factors = np.asarray(layer_factors, np.float64)
-        if not np.all((factors >= 0) & (factors < np.inf)):
-            raise InputError(f"factors of layers must be finite and not negative, got {factors.tolist()}")
-        return self.with_layers(self.layers * factors[:, None, None], distance_weight)
 
     def once(self, name: str, make: Callable[[], T]) -> T:
         """Return what ``make`` gives, made once for all queries on this map (see `between`)."""
@@ -242,14 +301,14 @@ class Problem:
 
     @property
     def moves(self) -> np.ndarray:
-        """``[Y, X]`` uint8: bit k is set where step k of `moves.STEPS` is allowed."""
-        return self.once(
-            "moves",
-            lambda: _read_only(
-                allowed_moves(self.is_free, self.cost_model.connectivity, self.cost_model.diagonal == "both-free"),
-                np.uint8,
-            ),
-        )
+        """``[Y, X]`` or ``[K, Y, X]`` uint8: bit k is set where horizontal step k of `moves.STEPS` is allowed."""
+        if not self._moves:
+            num_rows, num_cols = self.is_free.shape[-2:]
+            levels = self.is_free.reshape(-1, num_rows, num_cols)
+            keeps_corners = self.cost_model.diagonal == "both-free"
+            allowed = [allowed_moves(is_free, self.cost_model.connectivity, keeps_corners) for is_free in levels]
+            self._moves.append(_read_only(allowed[0] if self.levels_m is None else np.stack(allowed), np.uint8))
+        return self._moves[0]
 
     @property
     def islands(self) -> np.ndarray:
@@ -260,6 +319,32 @@ class Problem:
     def line_minima(self) -> tuple[np.ndarray, np.ndarray]:
         """Cheapest free cell of every row ``[Y]`` and of every column ``[X]``."""
         return self.once("line_minima", lambda: line_minima(self.cost, self.is_free))
+
+
+def weighted_sum(costs: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Return ``[*cells]`` float64 the weighted sum of layers ``[L, *cells]``, added in their order."""
+    total = np.zeros(costs.shape[1:])
+    for rows in np.array_split(np.arange(len(total)), max(1, total.size // CELLS_AT_ONCE)):
+        block = slice(rows[0], rows[-1] + 1) if len(rows) else slice(0)
+        for layer, weight in zip(costs, weights, strict=True):
+            if weight:
+                total[block] += np.multiply(layer[block], weight, dtype=np.float64)
+    return total
+
+
+def _is_cost(layer: np.ndarray, is_free: np.ndarray) -> bool:
+    """Return whether a layer is finite and not negative on free cells."""
+    free = layer[is_free]
+    return bool(np.all((free >= 0) & (free < np.inf)))
+
+
+def _checked_levels(levels_m: Any, is_free: np.ndarray) -> np.ndarray:
+    levels_m = np.asarray(levels_m, np.float64)
+    if levels_m.shape != is_free.shape[:1]:
+        raise InputError(f"levels_m must be [K] for is_free [K, Y, X], got {levels_m.shape} and {is_free.shape}")
+    if not (np.isfinite(levels_m).all() and np.all(np.diff(levels_m) > 0)):
+        raise InputError(f"levels_m must be finite and ascending, got {levels_m.tolist()}")
+    return levels_m
 
 
 def _read_only(values: np.ndarray, dtype: type) -> np.ndarray:

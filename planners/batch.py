@@ -5,6 +5,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from itertools import chain
@@ -14,12 +15,13 @@ import jax
 import numpy as np
 
 from jaxurban.errors import InputError
-from jaxurban.planners.base import Path, Problem
-from jaxurban.planners.fields import share_cost_to_go
-from jaxurban.planners.frontier import solve_by_frontier
+from jaxurban.planners.base import Cell, Path, Problem
+from jaxurban.planners.checks import check_budget
 from jaxurban.planners.heuristics import AUTO
-from jaxurban.planners.landmarks import FEW_QUERIES, landmarks_within
+from jaxurban.planners.landmarks import FEW_QUERIES, make_landmarks
 from jaxurban.planners.registry import PLANNERS, find_planner
+from jaxurban.planners.search.fields import share_cost_to_go
+from jaxurban.planners.search.frontier import solve_by_frontier
 
 Backend = Literal["auto", "numba", "jax"]
 Outcome = tuple[int, Path | Exception]
@@ -48,7 +50,7 @@ def solve_many(
     - ``"numba"``: the planner itself, query by query, on ``num_threads`` threads. The compiled A* leaves them
       free to run side by side.
     - ``"jax"``: the frontier search for all queries together (see `solve_by_frontier`); only for
-      ``astar-dist`` and ``astar-plus``, whose answers it gives.
+      ``astar-dist`` and ``astar-plus``, whose results it gives.
     - ``"auto"``: ``"jax"`` where JAX has a GPU, the planner is one of these and there are at least `GPU_BATCH`
       queries; else ``"numba"``, which is several times as fast on a CPU.
 
@@ -58,7 +60,7 @@ def solve_many(
     `FEW_QUERIES` others (``"numba"`` only). Each path's backend and heuristic say what ran.
 
     Args:
-      problems: the questions; those on one map should come from one `Problem` by `Problem.between`.
+      problems: the queries; those on one map should come from one `Problem` by `Problem.between`.
       planner, heuristic: names as in the registry.
       backend: see above.
       budget_s: seconds for each query.
@@ -72,14 +74,13 @@ def solve_many(
     search = find_planner(planner, heuristic)
     if backend not in get_args(Backend):
         raise InputError(f"backend must be one of {', '.join(get_args(Backend))}, got {backend!r}")
-    if not budget_s > 0:
-        raise InputError(f"budget_s must be a positive number of seconds, got {budget_s}")
+    check_budget(budget_s)
     if num_threads is not None and num_threads < 1:
         raise InputError(f"num_threads must be at least 1, got {num_threads}")
     is_for_frontier = planner in EXACT_PLANNERS and heuristic in FRONTIER_HEURISTICS
     if backend == "jax" and not is_for_frontier:
         raise InputError(
-            f"backend 'jax' answers {' and '.join(EXACT_PLANNERS)} with heuristic octile, not {planner!r} with "
+            f"backend 'jax' runs {' and '.join(EXACT_PLANNERS)} with heuristic octile, not {planner!r} with "
             f"{heuristic or 'its own'}: take backend='numba'"
         )
     if backend == "auto":
@@ -103,7 +104,7 @@ def _solve(
     seed: int,
     num_threads: int,
 ) -> Generator[Outcome]:
-    by_goal: dict[tuple[int, tuple[int, int]], list[int]] = {}
+    by_goal: dict[tuple[int, Cell], list[int]] = {}
     if chooses and planner in EXACT_PLANNERS:
         for index, problem in enumerate(problems):
             by_goal.setdefault((id(problem.cost), problem.goal), []).append(index)
@@ -113,7 +114,9 @@ def _solve(
     walk = partial(find_planner(planner, "exact" if to_one_goal else None), budget_s=budget_s, seed=seed)
     for indices in to_one_goal:
         end_s = time.perf_counter() + 0.5 * budget_s * len(indices)
-        if share_cost_to_go(problems[indices[0]], backend, end_s) is None:
+        try:
+            share_cost_to_go(problems[indices[0]], backend, end_s)
+        except TimeoutError:
             alone += indices
             continue
         for index, outcome in run(indices, walk):
@@ -133,7 +136,8 @@ def _make_landmarks(problems: list[Problem], budget_s: float) -> None:
     for key, count in Counter(id(problem.cost) for problem in problems).items():
         if count > FEW_QUERIES:
             first = next(problem for problem in problems if id(problem.cost) == key)
-            landmarks_within(first, time.perf_counter() + 0.5 * budget_s * count)
+            with suppress(TimeoutError):
+                make_landmarks(first, end_s=time.perf_counter() + 0.5 * budget_s * count)
 
 
 def _in_threads(

@@ -90,8 +90,8 @@ def graph_of(problem: Problem, *, is_symmetric: bool = False) -> Graph:
     """Return the problem's map as the search sees it.
 
     Args:
-      problem: the question.
-      is_symmetric: under the ``cell`` model, charge half of each of a step's two cells instead of the one
+      problem: the query.
+      is_symmetric: under the ``cell`` model, count half of each of a step's two cells instead of the one
         entered. A path from P to Q then costs ``(cost[P] - cost[Q]) / 2`` more than it does in truth.
     """
     steps = np.array(STEPS)

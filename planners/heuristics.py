@@ -5,19 +5,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxurban.errors import InputError, nearest_name
-from jaxurban.kernels.heuristic import cell_line_bound, line_line_bound, printed_plus_field
+from jaxurban.kernels.search.bounds import cell_line_bound, line_line_bound, printed_plus_field
 from jaxurban.planners.base import Cell, Problem
-from jaxurban.planners.graph import Heuristic, zero_heuristic
+from jaxurban.planners.checks import check_name
+from jaxurban.planners.graph import Heuristic, graph_of, zero_heuristic
 from jaxurban.planners.landmarks import (
     cost_to_go,
-    cost_to_go_within,
+    has_cost_to_go,
     landmark_bound,
-    landmarks_within,
     make_landmarks,
     should_use,
 )
-from jaxurban.planners.search import estimate
+from jaxurban.planners.search.grid import Search, estimate
 
 ADMISSIBLE = ("none", "euclidean", "octile", "plus", "landmarks", "exact")  # all of them consistent too
 PRINTED = ("plus-printed", "plus-printed-from-0")
@@ -40,6 +39,11 @@ class Prepared(NamedTuple):
     setup_s: float
     note: str
 
+    def search(self, problem: Problem) -> Search:
+        """Return the search for a problem, begun; by distance alone where the tables are not ready."""
+        bound = make_heuristic(self.name if self.is_ready else "octile", problem)
+        return Search(graph_of(problem), bound, problem.start, problem.goal)
+
 
 def prepare(name: str, problem: Problem, budget_s: float) -> Prepared:
     """Return the heuristic to run, with the tables made that all queries on the map (or to the goal) share.
@@ -49,11 +53,7 @@ def prepare(name: str, problem: Problem, budget_s: float) -> Prepared:
     Raises:
       InputError: an unknown name.
     """
-    accepted = (AUTO, *HEURISTICS)
-    if name not in accepted:
-        raise InputError(
-            f"unknown heuristic {name!r}{nearest_name(name, accepted)}: choose one of {', '.join(accepted)}"
-        )
+    check_name("heuristic", name, (AUTO, *HEURISTICS))
     is_auto = name == AUTO
     note = ""
     if is_auto:
@@ -61,16 +61,19 @@ def prepare(name: str, problem: Problem, budget_s: float) -> Prepared:
         name = "landmarks" if is_better else "plus"
     begin_s = time.perf_counter()
     end_s = begin_s + (0.5 if is_auto else 1.0) * budget_s
-    if name == "landmarks" and "landmarks" not in problem.shared:
-        is_ready = landmarks_within(problem, end_s) is not None
-        what = "The landmarks, which all queries on this map share,"
-    elif name == "exact" and problem.shared.get("cost_to_go", (None,))[0] != problem.goal:
-        is_ready = cost_to_go_within(problem, end_s) is not None
-        what = "The costs to the goal, which all queries to it share,"
-    else:
-        return Prepared(name, True, 0.0, note)
+    is_ready, done = True, "took"
+    try:
+        if name == "landmarks" and "landmarks" not in problem.shared:
+            what = "The landmarks, which all queries on this map share,"
+            make_landmarks(problem, end_s=end_s)
+        elif name == "exact" and not has_cost_to_go(problem):
+            what = "The costs to the goal, which all queries to it share,"
+            cost_to_go(problem, end_s)
+        else:
+            return Prepared(name, True, 0.0, note)
+    except TimeoutError:
+        is_ready, done = False, "were not done in"
     setup_s = time.perf_counter() - begin_s
-    done = "took" if is_ready else "were not done in"
     if is_auto and not is_ready:
         name, is_ready = "plus", True
     return Prepared(name, is_ready, setup_s, f"{what} {done} {setup_s:.3g} s.")
@@ -91,10 +94,7 @@ def make_heuristic(name: str, problem: Problem) -> Heuristic:
     Raises:
       InputError: an unknown name.
     """
-    if name not in HEURISTICS:
-        raise InputError(
-            f"unknown heuristic {name!r}{nearest_name(name, HEURISTICS)}: choose one of {', '.join(HEURISTICS)}"
-        )
+    check_name("heuristic", name, HEURISTICS)
     heuristic = zero_heuristic(problem)
     if name in ("none", "exact"):
         return heuristic if name == "none" else heuristic._replace(field=cost_to_go(problem))
@@ -116,13 +116,19 @@ def make_heuristic(name: str, problem: Problem) -> Heuristic:
         )
         heuristic = heuristic._replace(rows=next(bounds), cols=next(bounds))
     elif name in PRINTED:
-        field = printed_plus_field(problem.layers, problem.goal, first_index=1 if name == "plus-printed" else 0)
+        first_index = 1 if name == "plus-printed" else 0
+        field = printed_plus_field(_weighted_layers(problem), problem.goal, first_index=first_index)
         if problem.cost_model.kind == "line":
             field *= sides_per_reference
         # Inf comes of NaN inside obstacles here; the search would take it for a proof that there is no way.
         np.minimum(field, np.finfo(np.float64).max / 2, out=field)
         heuristic = heuristic._replace(field=field)
     return heuristic
+
+
+def _weighted_layers(problem: Problem) -> np.ndarray:
+    """Return ``[L, Y, X]`` float64 the layers times their weights."""
+    return problem.costs * problem.layer_weights[:, None, None]
 
 
 def heuristic_at(heuristic: Heuristic, cell: Cell, goal: Cell) -> float:

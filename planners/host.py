@@ -11,7 +11,7 @@ from jax import lax
 def call_on_host(
     function: Callable[..., Sequence[np.ndarray]], shapes: Sequence[jax.ShapeDtypeStruct], *arrays: jax.Array
 ) -> tuple[jax.Array, ...]:
-    """Return what a host function makes of float arrays; it gets and gives NumPy arrays of the types asked for.
+    """Return what a host function makes of float arrays; it gets and gives NumPy arrays of the types given.
 
     `jax.pure_callback` may run it in a thread that does not know of ``jax.enable_x64(True)``, where arguments and
     results would be rounded to float32 (JAX 0.8: the larger programs of a CPU). They travel as their bits, which nobody
@@ -38,7 +38,7 @@ def _bits(values: jax.Array) -> jax.Array:
 
 
 def _from_words(words: np.ndarray, dtype: np.dtype) -> np.ndarray:
-    """Return the numbers in words of 32 bits, the low one first."""
+    """Return the numbers as words of 32 bits, the low one first."""
     values = np.asarray(words, order="C").view(dtype)
     return values[..., 0] if dtype.itemsize == 8 else values
 

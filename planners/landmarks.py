@@ -2,7 +2,7 @@
 
 With S(L, n) the cost between landmark L and node n, the triangle inequality gives |S(L, n) - S(L, t)| as a
 bound from n to t, admissible and consistent (Goldberg & Harrelson 2005; Sturtevant et al. 2009). S must be
-symmetric. The ``line`` model is; under ``cell`` a step charges the cell entered, so S charges half of each of
+symmetric. The ``line`` model is; under ``cell`` a step costs the cell entered, so S counts half of each of
 its two cells, and a path from n to t costs S plus (c(t) - c(n)) / 2: one field serves both ways.
 """
 
@@ -14,11 +14,11 @@ from scipy.ndimage import label
 
 from jaxurban.planners.base import Cell, Problem
 from jaxurban.planners.graph import LandmarkBound, graph_of, zero_heuristic
-from jaxurban.planners.search import EXHAUSTED, Search
+from jaxurban.planners.search.grid import EXHAUSTED, Search
 
 NUM_LANDMARKS = 8  # 8 float64 fill a cache line
 # Queries on one map and weights after which landmarks are built. On Lower Manhattan building costs what some 50
-# queries save (`benchmarks/landmarks.py`); who has asked this many is taken to go on asking.
+# queries save (`benchmarks/landmarks.py`); who has planned this many is taken to go on.
 FEW_QUERIES = 16
 NODES_PER_S = 3e6  # of one field, cautious: 7e6 on half a million cells, less where the map outgrows the cache
 
@@ -41,27 +41,20 @@ class Landmarks:
     elapsed_s: float
 
 
-def make_landmarks(problem: Problem, num: int = NUM_LANDMARKS) -> Landmarks:
+def make_landmarks(problem: Problem, num: int = NUM_LANDMARKS, end_s: float = np.inf) -> Landmarks:
     """Return landmarks for a problem's map and weights, built once for all its queries (`Problem.between`).
 
     Landmarks that are there already are returned, whatever their number.
+
+    Raises:
+      TimeoutError: they were not built by ``end_s`` of `time.perf_counter`.
     """
-    made = landmarks_within(problem, np.inf, num)
-    assert made is not None
-    return made
-
-
-def landmarks_within(problem: Problem, end_s: float, num: int = NUM_LANDMARKS) -> Landmarks | None:
-    """Return a problem's landmarks, built by ``end_s`` of `time.perf_counter` if need be, or None if time ran out."""
     if "landmarks" not in problem.shared:
         begin_s = time.perf_counter()
         cells = landmark_cells(problem, num)
         costs = np.empty((*problem.is_free.shape, len(cells)))
         for k, cell in enumerate(cells):
-            costs_k = symmetric_costs(problem, cell, end_s)
-            if costs_k is None:
-                return None
-            costs[..., k] = costs_k
+            costs[..., k] = symmetric_costs(problem, cell, end_s)
         largest = np.max(costs, where=np.isfinite(costs), initial=0.0)
         slack = float(largest) * problem.is_free.size * np.finfo(np.float64).eps
         problem.shared["landmarks"] = Landmarks(tuple(cells), costs, slack, time.perf_counter() - begin_s)
@@ -89,11 +82,11 @@ def landmark_cells(problem: Problem, num: int) -> list[Cell]:
     return cells
 
 
-def symmetric_costs(problem: Problem, cell: Cell, end_s: float) -> np.ndarray | None:
-    """Return ``[Y, X]`` the cost S between a cell and every other, inf without a way, or None if time ran out."""
+def symmetric_costs(problem: Problem, cell: Cell, end_s: float) -> np.ndarray:
+    """Return ``[Y, X]`` the cost S between a cell and every other, inf without a way; `TimeoutError` past ``end_s``."""
     search = Search(graph_of(problem, is_symmetric=True), zero_heuristic(problem), cell, None)
     if search.run(end_s=end_s) != EXHAUSTED:
-        return None
+        raise TimeoutError
     return search.g.reshape(problem.is_free.shape)
 
 
@@ -109,28 +102,27 @@ def landmark_bound(problem: Problem, landmarks: Landmarks) -> LandmarkBound:
     )
 
 
-def cost_to_go(problem: Problem) -> np.ndarray:
+def cost_to_go(problem: Problem, end_s: float = np.inf) -> np.ndarray:
     """Return ``[Y, X]`` the exact cost from every cell to the goal, inf where there is no way.
 
     The field of the last goal is kept for further queries to it.
+
+    Raises:
+      TimeoutError: it was not made by ``end_s`` of `time.perf_counter`.
     """
-    field = cost_to_go_within(problem, np.inf)
-    assert field is not None
-    return field
-
-
-def cost_to_go_within(problem: Problem, end_s: float) -> np.ndarray | None:
-    """Return `cost_to_go`, made by ``end_s`` of `time.perf_counter` if need be, or None if time ran out."""
-    goal, field = problem.shared.get("cost_to_go", (None, None))
-    if goal != problem.goal:
+    if not has_cost_to_go(problem):
         field = symmetric_costs(problem, problem.goal, end_s)
-        if field is None:
-            return None
         if problem.cost_model.kind == "cell":
             half = 0.5 * (problem.cost[problem.goal] - np.where(problem.is_free, problem.cost, 0.0))
             field = np.maximum(field + half, 0.0)  # rounding might leave less
         problem.shared["cost_to_go"] = problem.goal, field
-    return field
+    kept: np.ndarray = problem.shared["cost_to_go"][1]
+    return kept
+
+
+def has_cost_to_go(problem: Problem) -> bool:
+    """Return whether the costs to the problem's goal are there already."""
+    return bool(problem.shared.get("cost_to_go", (None,))[0] == problem.goal)
 
 
 def should_use(problem: Problem, budget_s: float) -> tuple[bool, str]:

@@ -5,11 +5,11 @@ import time
 import numpy as np
 
 from jaxurban.planners.base import Path, Problem, Status, cell_centre_m
-from jaxurban.planners.evaluate import evaluate_on, sample_segment, warm_up
+from jaxurban.planners.cost import sample_segment, warm_up
 
 
 def ptp(problem: Problem, *, budget_s: float = np.inf, seed: int = 0) -> Path:
-    """Return the straight path, sampled every resolution step, or BLOCKED where that is no free way (`is_free_way`).
+    """Return the straight path, sampled every resolution step, or BLOCKED where that is not a free way (`is_free_way`).
 
     Neither the budget nor the seed plays a part. The status is FEASIBLE, never OPTIMAL: nothing else was
     tried. The lower bound is the distance alone and holds for any path.
@@ -18,12 +18,12 @@ def ptp(problem: Problem, *, budget_s: float = np.inf, seed: int = 0) -> Path:
     begin_s = time.perf_counter()
     start_m, goal_m = (np.array(cell_centre_m(cell, problem.resolution_m)) for cell in (problem.start, problem.goal))
     points_m = sample_segment(start_m, goal_m, problem.resolution_m)
-    cost = evaluate_on(problem, points_m)
+    found = problem.features(points_m)
     return Path(
-        status=Status.FEASIBLE if cost.is_valid else Status.BLOCKED,
-        points_m=points_m if cost.is_valid else np.empty((0, 2)),
-        cost=cost.total,
-        lower_bound=problem.distance_weight * cost.length_m,
+        status=Status.FEASIBLE if found.is_valid else Status.BLOCKED,
+        points_m=points_m if found.is_valid else np.empty((0, 2)),
+        cost=found.cost(problem.weights),
+        lower_bound=problem.distance_weight * float(found.phi[0]),
         num_expanded=len(points_m) - 1,
         elapsed_s=time.perf_counter() - begin_s,
         planner="ptp",

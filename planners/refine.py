@@ -11,12 +11,14 @@ import numpy as np
 from scipy.ndimage import uniform_filter
 
 from jaxurban.errors import InputError
-from jaxurban.kernels.line_smooth import line_smooth
+from jaxurban.kernels.line.segment_cost import CostGrid
+from jaxurban.kernels.line.smooth import line_smooth
+from jaxurban.planners.any_angle import check_line_model, shortened, subdivided
 from jaxurban.planners.base import Path, Problem, Status
-from jaxurban.planners.bitstar_bounds import make_bounds
-from jaxurban.planners.evaluate import evaluate_on
-from jaxurban.planners.theta import check_line_model, line_ground, shortened, subdivided
-from jaxurban.planners.theta_search import TIE, Ground, move_points
+from jaxurban.planners.bitstar.bounds import make_bounds
+from jaxurban.planners.checks import check_budget
+from jaxurban.planners.cost_grid import cost_grid_of
+from jaxurban.planners.search.any_angle import TIE, move_points
 
 LONGEST = 8  # cell sides that a segment may grow to
 SPACINGS = (LONGEST, 4, 2, 1)  # cell sides between waypoints, one level after the other: long bends first
@@ -39,11 +41,11 @@ def refine(problem: Problem, path: Path, *, budget_s: float = np.inf, moves: tup
 
     The status is that of a path off the grid: OPTIMAL where the cost meets a lower bound of every curve,
     BUDGET_FEASIBLE where the path had it or the budget ended before the last level, else FEASIBLE. The
-    lower bound is that of every curve too (`bitstar_bounds`, with map costs). Deterministic. The search's
+    lower bound is that of every curve too (`bitstar.bounds`, with map costs). Deterministic. The search's
     time and the refinement's, without compilation, are added up.
 
     Args:
-      problem: the question, under the ``line`` cost model, or under any where only length is charged.
+      problem: the query, under the ``line`` cost model, or under any where only length costs.
       path: what a planner returned for it; where there is no path it comes back as it is.
       budget_s: seconds of refinement.
       moves: of `MOVES`, those to make.
@@ -53,14 +55,13 @@ def refine(problem: Problem, path: Path, *, budget_s: float = np.inf, moves: tup
         positive.
     """
     check_line_model(problem, "refinement")
-    if not budget_s > 0:
-        raise InputError(f"budget_s must be a positive number of seconds, got {budget_s}")
+    check_budget(budget_s)
     if unknown := set(moves) - set(MOVES):
         raise InputError(f"moves must be of {', '.join(MOVES)}, got {', '.join(sorted(unknown))}")
     if not path.status.has_path:
         return path
-    before = evaluate_on(problem, path.points_m)
-    if not before.is_valid:
+    before = problem.cost_of(path.points_m)
+    if before == np.inf:
         raise InputError(
             "the path crosses an obstacle, passes between two that touch at a corner, or leaves the map: give one "
             "that was planned for this problem"
@@ -70,54 +71,52 @@ def refine(problem: Problem, path: Path, *, budget_s: float = np.inf, moves: tup
     end_s = begin_s + budget_s
     islands = problem.islands
     is_reachable = islands == islands[problem.start]
-    ground = line_ground(problem, is_reachable)
+    cost_grid = cost_grid_of(problem, is_reachable)
     # A point on the map's outer border belongs to no cell.
     xy = np.minimum(path.points_m / problem.resolution_m, np.array(problem.is_free.shape[::-1]) * (1 - TIE))
     directions: dict[str, Directions] = {"compass": _compass}
     if "gradient" in moves:
-        layer = _filled(ground.charge)
-        directions["gradient"] = lambda xy: [smooth_gradient(ground, layer, xy)]
+        layer = _filled(cost_grid.cell_cost)
+        directions["gradient"] = lambda xy: [smooth_gradient(cost_grid, layer, xy)]
     best, points_m, is_spent = before, path.points_m, False
     for spacing in SPACINGS:
         moved = subdivided(xy, spacing)
         for name in moves:
-            _move(ground, moved, end_s, directions[name])
-        moved = shortened(ground, moved)
+            _move(cost_grid, moved, end_s, directions[name])
+        moved = shortened(cost_grid, moved)
         moved_m = moved * problem.resolution_m
         moved_m[[0, -1]] = path.points_m[[0, -1]]
-        cost = evaluate_on(problem, moved_m)
-        if cost.total < best.total:
+        cost = problem.cost_of(moved_m)
+        if cost < best:
             xy, points_m, best = moved, moved_m, cost
         is_spent = time.perf_counter() >= end_s
         if is_spent:
             break
     elapsed_s = path.elapsed_s + time.perf_counter() - begin_s
-    if not best.total < before.total * (1 - TIE):
+    if not best < before * (1 - TIE):
         return _noted(replace(path, elapsed_s=elapsed_s), "Refinement found nothing cheaper.")
     # A grid planner's own bound holds for grid paths only.
-    lower_bound = min(make_bounds("plus", problem, is_reachable).from_start_to_goal(), best.total)
+    lower_bound = min(make_bounds("plus", problem, is_reachable).from_start_to_goal(), best)
     status = Status.BUDGET_FEASIBLE if is_spent or path.status is Status.BUDGET_FEASIBLE else Status.FEASIBLE
-    if best.total <= lower_bound * (1 + TIE):
+    if best <= lower_bound * (1 + TIE):
         status = Status.OPTIMAL
-    refined = replace(
-        path, status=status, points_m=points_m, cost=best.total, lower_bound=lower_bound, elapsed_s=elapsed_s
-    )
-    return _noted(refined, f"Refinement lowered what the search minimises by {1 - best.total / before.total:.2%}.")
+    refined = replace(path, status=status, points_m=points_m, cost=best, lower_bound=lower_bound, elapsed_s=elapsed_s)
+    return _noted(refined, f"Refinement lowered what the search minimises by {1 - best / before:.2%}.")
 
 
-def smooth_gradient(ground: Ground, layer: jax.Array, xy: np.ndarray) -> np.ndarray:
+def smooth_gradient(cost_grid: CostGrid, layer: jax.Array, xy: np.ndarray) -> np.ndarray:
     """Return ``[N, 2]`` the gradient of the `line-smooth` cost with respect to waypoints, per cell side.
 
     Args:
-      ground: whose distance cost is charged.
-      layer: ``[1, Y, X]`` charge per cell side, finite everywhere.
+      cost_grid: whose distance cost counts.
+      layer: ``[1, Y, X]`` cell cost per cell side, finite everywhere.
       xy: ``[N, 2]`` waypoints in cell sides, no more than ``LONGEST`` apart.
     """
     gradient = np.zeros(xy.shape)
     for first in range(0, len(xy) - 1, BLOCK):
         points = xy[first : first + BLOCK + 1]
         padded = np.concatenate([points, np.repeat(points[-1:], BLOCK + 1 - len(points), axis=0)])
-        block = _block_gradient(jnp.asarray(padded), layer, ground.per_side)
+        block = _block_gradient(jnp.asarray(padded), layer, cost_grid.per_side)
         gradient[first : first + BLOCK + 1] += np.asarray(block)[: len(points)]
     return gradient
 
@@ -133,7 +132,7 @@ def _compass(xy: np.ndarray) -> list[np.ndarray]:
     return [*(np.broadcast_to(axis, xy.shape) for axis in np.eye(2)), onward, np.roll(onward, 1, axis=0)]
 
 
-def _move(ground: Ground, xy: np.ndarray, end_s: float, find_directions: Directions) -> None:
+def _move(cost_grid: CostGrid, xy: np.ndarray, end_s: float, find_directions: Directions) -> None:
     """Move waypoints, altered in place, round after round, until the steps are small or time is up."""
     steps = [np.full(len(xy), FIRST_STEP) for _ in find_directions(xy)]
     for _ in range(ROUNDS):
@@ -141,16 +140,16 @@ def _move(ground: Ground, xy: np.ndarray, end_s: float, find_directions: Directi
             break
         for direction, step in zip(find_directions(xy), steps, strict=True):
             direction = direction / np.maximum(np.hypot(*direction.T), np.finfo(float).tiny)[:, None]
-            move_points(ground, xy, direction, step, float(LONGEST))
+            move_points(cost_grid, xy, direction, step, float(LONGEST))
 
 
-def _filled(charge: np.ndarray) -> jax.Array:
-    """Return ``[1, Y, X]`` the charge, with the mean of a cell's free neighbours where it is inf, 0 without any."""
-    is_open = np.isfinite(charge)
-    open_charge = np.where(is_open, charge, 0.0)
+def _filled(cell_cost: np.ndarray) -> jax.Array:
+    """Return ``[1, Y, X]`` the cell cost, with the mean of a cell's free neighbours where it is inf, 0 without any."""
+    is_open = np.isfinite(cell_cost)
+    open_cost = np.where(is_open, cell_cost, 0.0)
     share = uniform_filter(is_open.astype(np.float64), 3, mode="constant")
-    mean = uniform_filter(open_charge, 3, mode="constant") / np.maximum(share, 1 / 18)
-    return jnp.asarray(np.where(is_open, charge, mean)[None])
+    mean = uniform_filter(open_cost, 3, mode="constant") / np.maximum(share, 1 / 18)
+    return jnp.asarray(np.where(is_open, cell_cost, mean)[None])
 
 
 def _noted(path: Path, note: str) -> Path:
@@ -160,9 +159,9 @@ def _noted(path: Path, note: str) -> Path:
 @cache
 def _warm_up(shape: tuple[int, ...] | None) -> None:
     """Compile what a refinement runs, the gradient for layers of this shape (None: not at all)."""
-    ground = Ground(np.ones((1, 2)), 1.0, False)
+    cost_grid = CostGrid(np.ones((1, 2)), 1.0, True, False)
     xy = np.array([[0.5, 0.5], [1.0, 0.5], [1.5, 0.5]])
     if shape is not None:
-        smooth_gradient(ground, jnp.zeros(shape), xy)
-    _move(ground, xy, np.inf, _compass)
-    shortened(ground, xy)
+        smooth_gradient(cost_grid, jnp.zeros(shape), xy)
+    _move(cost_grid, xy, np.inf, _compass)
+    shortened(cost_grid, xy)

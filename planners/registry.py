@@ -1,4 +1,4 @@
-"""The planners by name."""
+"""The planners by name: those that stay on one altitude, and those that fly between levels."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -7,14 +7,15 @@ from functools import partial
 import numpy as np
 
 from jaxurban.errors import InputError, nearest_name
+from jaxurban.planners.any_angle import theta_star
 from jaxurban.planners.anytime import astar_anytime
 from jaxurban.planners.astar import astar_dist, astar_plus
 from jaxurban.planners.base import Path, Planner
-from jaxurban.planners.bitstar import bitstar_dist, bitstar_plus
-from jaxurban.planners.bitstar_bounds import HEURISTICS as OFF_GRID_HEURISTICS
+from jaxurban.planners.bitstar.bounds import HEURISTICS as OFF_GRID_HEURISTICS
+from jaxurban.planners.bitstar.planner import bitstar_dist, bitstar_plus
 from jaxurban.planners.heuristics import ADMISSIBLE, AUTO, HEURISTICS
 from jaxurban.planners.ptp import ptp
-from jaxurban.planners.theta import theta_star
+from jaxurban.planners.volume_astar import VOLUME_HEURISTICS, volume_astar
 
 
 @dataclass(frozen=True)
@@ -51,27 +52,41 @@ PLANNERS = {
         theta_star, "any-angle search, for the line cost model only", "plus", OFF_GRID_HEURISTICS
     ),
 }
+VOLUME_PLANNERS = {
+    "astar-volume": PlannerEntry(
+        volume_astar, "A* between levels, for paths that climb and descend", "plus", VOLUME_HEURISTICS
+    ),
+}
 
 
 def check_seed(seed: int) -> None:
     """Refuse a seed that no generator of random numbers takes.
 
     Raises:
-      InputError: it is no whole number, or negative.
+      InputError: it is not a whole number, or negative.
     """
     if not isinstance(seed, (int, np.integer)) or seed < 0:
         raise InputError(f"seed must be a whole number >= 0, got {seed!r}")
 
 
-def find_planner(name: str, heuristic: str | None = None) -> Planner:
+def find_planner(name: str, heuristic: str | None = None, *, is_for_volumes: bool = False) -> Planner:
     """Return the planner of a name, with its own heuristic or the one given.
+
+    Args:
+      name: of `PLANNERS`, or of `VOLUME_PLANNERS`.
+      heuristic: left out, the planner's own.
+      is_for_volumes: it must fly between levels, else on one altitude.
 
     Raises:
       InputError: an unknown planner, or a heuristic that it does not take.
     """
-    if name not in PLANNERS:
-        raise InputError(f"unknown planner {name!r}{nearest_name(name, PLANNERS)}: choose one of {', '.join(PLANNERS)}")
-    entry = PLANNERS[name]
+    fitting = VOLUME_PLANNERS if is_for_volumes else PLANNERS
+    if name not in fitting:
+        where = "in a volume" if is_for_volumes else "on one altitude"
+        is_known = name in PLANNERS or name in VOLUME_PLANNERS
+        known = f"planner {name!r} does not fly {where}" if is_known else f"unknown planner {name!r}"
+        raise InputError(f"{known}{nearest_name(name, fitting)}: choose one of {', '.join(fitting)}")
+    entry = fitting[name]
     if heuristic is None:
         return entry.run
     if heuristic not in entry.heuristics:

@@ -5,18 +5,15 @@ from functools import cache
 
 import numpy as np
 
-from jaxurban.errors import InputError, nearest_name
-from jaxurban.planners.base import Path, Status
-from jaxurban.planners.moves import STEPS, allowed_moves
-from jaxurban.planners.volume import Node, VolumeProblem, charge
-from jaxurban.planners.volume_search import (
+from jaxurban.kernels.search.bounds import sums_to
+from jaxurban.kernels.search.heap import EXHAUSTED, FOUND, FULL, PAUSED, Heap, push
+from jaxurban.planners.base import Cell, Path, Problem, Status
+from jaxurban.planners.checks import check_budget, check_name, free_ride
+from jaxurban.planners.moves import STEPS, allowed_moves, steps_back
+from jaxurban.planners.search.volume import (
     CLOSED,
-    EXHAUSTED,
-    FOUND,
-    HEAP_FULL,
     NO_PARENT,
     PARENT_STEP,
-    PAUSED,
     VolumeBound,
     VolumeGraph,
     advance_in_volume,
@@ -32,14 +29,14 @@ MARGIN = 1.15  # paths over Lower Manhattan cost up to 1.14 times what the cheap
 NOWHERE = -1  # as a goal: visit all that can be reached
 
 
-def volume_astar(problem: VolumeProblem, *, budget_s: float = np.inf, seed: int = 0, heuristic: str = "plus") -> Path:
+def volume_astar(problem: Problem, *, budget_s: float = np.inf, seed: int = 0, heuristic: str = "plus") -> Path:
     """Return the cheapest path through the volume, or why there is none; ``points_m`` is ``[N, 3]``: x, y, altitude.
 
     The status is OPTIMAL where a path is found. The search runs in chunks, so that the budget and Ctrl-C are
     heeded within some 50 ms; it is deterministic, and the seed plays no part.
 
     Args:
-      problem: the question.
+      problem: the query.
       budget_s: seconds of search.
       seed: taken for the planner contract.
       heuristic: a name of `VOLUME_HEURISTICS` (see `make_bound`).
@@ -47,21 +44,19 @@ def volume_astar(problem: VolumeProblem, *, budget_s: float = np.inf, seed: int 
     Raises:
       InputError: an unknown heuristic, or a budget that is not positive.
     """
-    if not budget_s > 0:
-        raise InputError(f"budget_s must be a positive number of seconds, got {budget_s}")
+    check_budget(budget_s)
     _warm_up()
     begin_s = time.perf_counter()
     bound = make_bound(heuristic, problem, begin_s + budget_s)
     start, goal = (int(np.ravel_multi_index(node, problem.is_free.shape)) for node in (problem.start, problem.goal))
     search = _Search(_graph(problem), bound, start)
     ended = search.run(goal, begin_s + budget_s)
-    points_m, cost, lower_bound, note = np.empty((0, 3)), np.inf, float(search.heap_f[0]), ""
+    points_m, cost, lower_bound, note = np.empty((0, 3)), np.inf, float(search.heap.f[0]), ""
     if ended == FOUND:
         status = Status.OPTIMAL
         points_m = _points_m(problem, search.state)
-        cost = lower_bound = charge(problem, points_m).total
-        if problem.distance_weight == 0 and cost == 0:
-            note = "The path costs nothing under these weights, so its shape means nothing: weigh the distance too."
+        cost = lower_bound = problem.cost_of(points_m)
+        note = free_ride(problem.distance_weight, cost)
     elif ended == EXHAUSTED:
         status, lower_bound = Status.NO_PATH, np.inf
     else:
@@ -80,7 +75,7 @@ def volume_astar(problem: VolumeProblem, *, budget_s: float = np.inf, seed: int 
     )
 
 
-def make_bound(name: str, problem: VolumeProblem, end_s: float = np.inf) -> VolumeBound:
+def make_bound(name: str, problem: Problem, end_s: float = np.inf) -> VolumeBound:
     """Return a lower bound of the cost to a problem's goal; every one is admissible and consistent.
 
     - ``none``: 0, which makes A* Dijkstra's search.
@@ -94,11 +89,7 @@ def make_bound(name: str, problem: VolumeProblem, end_s: float = np.inf) -> Volu
     Raises:
       InputError: an unknown name.
     """
-    if name not in VOLUME_HEURISTICS:
-        raise InputError(
-            f"unknown heuristic {name!r}{nearest_name(name, VOLUME_HEURISTICS)}: choose one of "
-            f"{', '.join(VOLUME_HEURISTICS)}"
-        )
+    check_name("heuristic", name, VOLUME_HEURISTICS)
     if name == "none":
         return VolumeBound(0.0, 0.0, np.empty((0, 0)), np.zeros(len(problem.levels_m)))
     per_side = problem.distance_weight * problem.resolution_m
@@ -110,36 +101,33 @@ def make_bound(name: str, problem: VolumeProblem, end_s: float = np.inf) -> Volu
     )
 
 
-def bound_at(bound: VolumeBound, node: Node, goal: Node) -> float:
+def bound_at(bound: VolumeBound, node: Cell, goal: Cell) -> float:
     """Return ``h`` at a node."""
     return float(estimate_in_volume(bound, *node, *goal[1:]))
 
 
-def _rises_m(problem: VolumeProblem) -> np.ndarray:
+def _rises_m(problem: Problem) -> np.ndarray:
     """Return ``[K, 3]`` metres from each level to the one below, to itself, and to the one above (NaN: none)."""
     framed = np.pad(problem.levels_m, 1, constant_values=np.nan)
     return np.stack([framed[:-2], framed[1:-1], framed[2:]], axis=1) - problem.levels_m[:, None]
 
 
-def _height_costs(problem: VolumeProblem) -> np.ndarray:
+def _height_costs(problem: Problem) -> np.ndarray:
     """Return ``[K, 3]`` cost of the height alone of a step down, level, or up."""
     rise_m = _rises_m(problem)
-    return np.where(rise_m > 0, problem.climb_cost * rise_m, -problem.descent_cost * rise_m)
+    climb_cost, descent_cost = problem.height_costs
+    return np.where(rise_m > 0, climb_cost * rise_m, -descent_cost * rise_m)
 
 
-def _costs_of_rising(problem: VolumeProblem) -> np.ndarray:
+def _costs_of_rising(problem: Problem) -> np.ndarray:
     """Return ``[K]`` the least that changing from each level to the goal's costs beside horizontal length."""
     longest_m = problem.resolution_m * (np.sqrt(2) if problem.cost_model.connectivity == 8 else 1)
     extra_m = np.hypot(longest_m, _rises_m(problem)) - longest_m
     change = problem.distance_weight * extra_m + _height_costs(problem)
-    goal_level = problem.goal[0]
-    rise = np.zeros(len(problem.levels_m))
-    rise[:goal_level] = np.cumsum(change[:goal_level, 2][::-1])[::-1]
-    rise[goal_level + 1 :] = np.cumsum(change[goal_level + 1 :, 0])
-    return rise
+    return sums_to(problem.goal[0], change[:-1, 2], change[1:, 0])
 
 
-def _graph(problem: VolumeProblem) -> VolumeGraph:
+def _graph(problem: Problem) -> VolumeGraph:
     """Return the volume as the search sees it."""
     length_m = np.hypot(_rises_m(problem)[:, :, None], problem.resolution_m * np.hypot(*ALL_STEPS.T))
     step_cost = problem.distance_weight * length_m + _height_costs(problem)[:, :, None]
@@ -147,7 +135,7 @@ def _graph(problem: VolumeProblem) -> VolumeGraph:
     return _make_graph(problem.cost, problem.moves, step_cost, *shares)
 
 
-def _seen_from_above(problem: VolumeProblem, end_s: float) -> np.ndarray:
+def _seen_from_above(problem: Problem, end_s: float) -> np.ndarray:
     """Return ``[Y, X]`` the cost to the goal's cell if every cell could be crossed at its cheapest level.
 
     Costs beyond `MARGIN` times the start's, or beyond what is reached before ``end_s``, are cut there: the lesser
@@ -167,15 +155,15 @@ def _seen_from_above(problem: VolumeProblem, end_s: float) -> np.ndarray:
     search = _Search(backwards, VolumeBound(0.0, 0.0, np.empty((0, 0)), np.zeros(1)), goal)
     g = search.g
     while search.run(NOWHERE, max_expanded=SHORT_CHUNK) == PAUSED:
-        low_f = search.heap_f[0]
+        low_f = search.heap.f[0]
         if (search.state[start] & CLOSED and low_f >= MARGIN * g[start]) or time.perf_counter() >= end_s:
             g = np.minimum(g, low_f)
             break
     return g.reshape(is_free.shape)
 
 
-def _shares(problem: VolumeProblem, length_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return how much of the map cost of its first and of its last node a step of each length is charged."""
+def _shares(problem: Problem, length_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return how much of the map cost of its first and of its last node a step of each length costs."""
     if problem.cost_model.kind == "cell":
         return np.zeros(length_m.shape), np.ones(length_m.shape)
     half = length_m / (2 * problem.cost_model.reference_length_m)
@@ -204,52 +192,37 @@ class _Search:
         self.graph, self.bound = graph, bound
         self.g = np.full(graph.cost.size, np.inf)
         self.state = np.full(graph.cost.size, NO_PARENT, np.uint8)
-        self.heap_f, self.heap_node = np.zeros(FIRST_HEAP), np.empty(FIRST_HEAP, np.int64)
-        self.size, self.num_expanded = 1, 0
-        self.g[start], self.heap_node[0] = 0.0, start
+        self.heap = Heap.empty(FIRST_HEAP, np.int64)
+        self.num_expanded = 0
+        self.g[start] = 0.0
+        push(self.heap, 0.0, start)
 
     def run(self, goal: int, end_s: float = np.inf, max_expanded: float = np.inf) -> int:
         """Search on to the goal, the end of all, the time ``end_s``, or so many more nodes; return which it was."""
         last = self.num_expanded + max_expanded
         while True:
-            ended, self.size, num_done = advance_in_volume(
-                self.graph,
-                self.bound,
-                goal,
-                self.g,
-                self.state,
-                self.heap_f,
-                self.heap_node,
-                self.size,
-                int(min(CHUNK, last - self.num_expanded)),
-            )
+            most = int(min(CHUNK, last - self.num_expanded))
+            ended, num_done = advance_in_volume(self.graph, self.bound, goal, self.g, self.state, self.heap, most)
             self.num_expanded += num_done
-            if ended == HEAP_FULL:
-                self.heap_f = np.concatenate([self.heap_f, np.empty_like(self.heap_f)])
-                self.heap_node = np.concatenate([self.heap_node, np.empty_like(self.heap_node)])
+            if ended == FULL:
+                self.heap = self.heap.grown()
             elif ended != PAUSED or time.perf_counter() >= end_s or self.num_expanded >= last:
                 return ended
 
 
-def _points_m(problem: VolumeProblem, state: np.ndarray) -> np.ndarray:
+def _points_m(problem: Problem, state: np.ndarray) -> np.ndarray:
     """Return ``[N, 3]`` the nodes from start to goal in metres, by the steps that led to each."""
-    node = problem.goal
-    nodes = [node]
-    while node != problem.start:
-        step = int(state[np.ravel_multi_index(node, problem.is_free.shape)]) & PARENT_STEP
-        up, (rows, cols) = step // 9 - 1, ALL_STEPS[step % 9].tolist()
-        node = (node[0] - up, node[1] - rows, node[2] - cols)
-        nodes.append(node)
-    level, row, col = np.array(nodes[::-1]).T
-    return np.column_stack(
-        [(col + 0.5) * problem.resolution_m, (row + 0.5) * problem.resolution_m, problem.levels_m[level]]
-    )
+    state = state.reshape(problem.is_free.shape) & PARENT_STEP
+    steps = [(up, *cells) for up in (-1, 0, 1) for cells in ALL_STEPS.tolist()]
+    nodes = steps_back(problem.start, problem.goal, lambda *node: steps[state[node]])
+    xy_m = (nodes[:, :0:-1] + 0.5) * problem.resolution_m
+    return np.column_stack([xy_m, problem.levels_m[nodes[:, 0]]])
 
 
 @cache
 def _warm_up() -> None:
     """Compile the search, so that its time is its own."""
-    problem = VolumeProblem(
-        np.zeros((2, 1, 2)), np.ones((2, 1, 2), bool), np.arange(2.0), (0, 0, 0), (1, 0, 1), 1.0, 1.0
+    problem = Problem(
+        np.zeros((1, 2, 1, 2)), np.ones((2, 1, 2), bool), (0, 0, 0), (1, 0, 1), 1.0, 1.0, levels_m=np.arange(2.0)
     )
     _Search(_graph(problem), make_bound("octile", problem), 0).run(3)

@@ -6,8 +6,8 @@ import numpy as np
 import xarray as xr
 from scipy.ndimage import gaussian_filter
 
-from jaxurban.grid import Grid
-from jaxurban.maps import MetricMaps
+from jaxurban.maps.metric_maps import MetricMaps
+from jaxurban.world.grid import Grid
 
 FLOWN = ("altitude", "y", "x")
 

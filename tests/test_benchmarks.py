@@ -1,14 +1,20 @@
 """The benchmarks' arithmetic, and Embree's two ways to scan, on what can be worked out by hand."""
 
+import ast
+
 import numpy as np
 import pytest
 import shapely
 
+from benchmarks.against_commit import interval
 from benchmarks.common import Growth, Timing, in_turn, markdown, row
+from benchmarks.docstring_facts import lost_facts
 from benchmarks.embree_peer import Caster, scan_every_beam, scan_until_first_return, see_satellites
 from benchmarks.route_soundness import Outlines, Route, by_planner, price
-from jaxurban.city import Buildings
+from benchmarks.same_results import compare
+from benchmarks.structure import num_arguments, num_code_lines, record_classes
 from jaxurban.metrics.lidar import LidarParams
+from jaxurban.world.city import Buildings
 from tests.embree_scene import roof_triangles, wall_triangles
 
 
@@ -100,3 +106,47 @@ def test_shares_count_paths_alone_and_prices_pairs_with_both():
     prices = price(centre + touched + others)["astar-plus"]
     assert prices["length_mean"] == pytest.approx(5.0)
     assert prices["length_most"] == prices["cost_most"] == pytest.approx(10.0)
+
+
+CODE = '''"""A module."""
+
+# a comment
+class A(NamedTuple):
+    """In metres."""
+
+    x: int
+
+
+class B(A):
+    def f(self, a, /, b, *c, d, **e):
+        """Return ``[Y, X]`` heights in metres, NaN outside the map."""
+        return """not
+        a docstring"""
+'''
+
+
+def test_code_lines_are_no_blanks_comments_or_docstrings_and_self_is_no_argument():
+    tree = ast.parse(CODE)
+    assert num_code_lines(CODE, tree) == 6
+    classes = [node for node in ast.walk(tree) if isinstance(node, ast.ClassDef)]
+    assert record_classes(classes) == ["A", "B"]
+    assert [num_arguments(node) for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)] == [5]
+
+
+def test_a_docstring_fact_is_lost_where_its_number_or_shape_is_told_nowhere(tmp_path):
+    before, moved, lost = (tmp_path / f"{name}.py" for name in ("before", "moved", "lost"))
+    before.write_text(CODE)
+    moved.write_text(
+        "# heights in metres ``[Y, X]`` and\n" + CODE.replace("Return ``[Y, X]`` heights in", "``[Y, X]`` heights in")
+    )
+    lost.write_text(CODE.replace("[Y, X]", "[N]"))
+    assert lost_facts([before], [moved]) == []
+    assert len(lost_facts([before], [lost])) == 1
+
+
+def test_results_differ_by_name_and_by_share_and_ratios_have_an_interval():
+    old, new = {"a": "2.0", "b": "x", "c": "1"}, {"a": "2.5", "b": "x", "d": "1"}
+    assert compare(old, new) == ["a: 2.0 -> 2.5 (by 2.5e-01)", "c: only in OLD (1)", "d: only in NEW (1)"]
+    assert interval(np.full(15, 1.25)) == (1.25, 1.25)
+    low, high = interval(np.linspace(0.9, 1.1, 15))
+    assert 0.9 < low < 1.0 < high < 1.1

@@ -7,9 +7,11 @@ import pytest
 import shapely
 
 import jaxurban as ju
-from jaxurban import cli
-from jaxurban.io.export import GROUND_TOLERANCE_M, write_path
-from jaxurban.weighted import weigh
+from jaxurban.cli import main as cli
+from jaxurban.paths.cost_map import cost_map
+from jaxurban.paths.export.qgc_plan import GROUND_TOLERANCE_M
+from jaxurban.paths.export.write import write_path
+from jaxurban.paths.snapping import XY
 from tests.mavlink import mission_reader
 
 pytestmark = pytest.mark.data
@@ -68,12 +70,12 @@ def test_run_json_tells_of_the_rasters(folder):
 def test_missions_over_the_hills_keep_their_height_above_ground_as_mavsdk_reads_them(folder, tmp_path):
     maps, file, apart_m, rng = ju.open_maps(folder), tmp_path / "path.plan", [], np.random.default_rng(5)
     free, terrain_m = np.argwhere(maps.is_free(60.0)), maps.m("terrain")
-    weighted = weigh(maps, 60.0)
+    weighted = cost_map(maps, 60.0)
     with mission_reader() as reader:
         uphill = free[np.argsort(terrain_m[tuple(free.T)])[-200:]]
         for start, goal in zip(rng.permutation(free)[:10], rng.permutation(uphill)[:10], strict=True):
-            ends = {"start_xy_m": maps.grid.xy_of_cell(*start), "goal_xy_m": maps.grid.xy_of_cell(*goal)}
-            path = weighted.plan(**ends, planner="astar-dist")
+            ends = (XY(*maps.grid.xy_of_cell(*cell)) for cell in (start, goal))
+            path = weighted.plan(*ends, planner="astar-dist")
             write_path(path, file)
             _, places = reader.read(file)
             home_m = json.loads(file.read_text())["mission"]["plannedHomePosition"][2]

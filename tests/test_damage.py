@@ -10,11 +10,13 @@ from pathlib import Path
 import pytest
 
 import jaxurban as ju
-from jaxurban import pipeline
 from jaxurban.errors import InputError
-from jaxurban.scenario import Scenario
+from jaxurban.progress import Report
+from jaxurban.scenario import run as pipeline
+from jaxurban.scenario.settings import Scenario
 from tests import tiled_runs
 from tests.cli_runs import assert_one_sentence, run
+from tests.logs import logged
 from tests.tiled_runs import files_of
 
 SETTINGS = {
@@ -23,7 +25,6 @@ SETTINGS = {
 }
 ENDS = ("--start", "-73.999,40.756", "--goal", "-73.994,40.76", "--altitude", 20, "--snap")
 DAMAGES = ("deleted", "cut", "flipped")
-Told = list[str]
 
 
 @pytest.fixture(scope="module")
@@ -72,10 +73,10 @@ def told_on_use(job: Path) -> str:
     return ""
 
 
-def mend(job: Path) -> Told:
-    told: Told = []
-    pipeline.run_scenario(Scenario.from_dict(SETTINGS), job, tell=told.append)
-    return told[1:]  # after size and memory
+def mend(job: Path) -> list[str]:
+    with logged() as told:
+        pipeline.run_scenario(Scenario.from_dict(SETTINGS), job)
+    return told
 
 
 def without_times(files: dict[str, bytes]) -> dict[str, bytes]:
@@ -189,7 +190,7 @@ def test_damaged_maps_of_another_job_are_not_taken_for_ours(job):
 
 @pytest.mark.slow
 def test_damage_to_unfinished_work_is_told_and_made_again(tmp_path, monkeypatch):
-    city, told, rng = tiled_runs.city(), [], random.Random(4)
+    city, rng = tiled_runs.city(), random.Random(4)
     whole = files_of(tiled_runs.make(tmp_path / "whole", city).parents[1])
     with monkeypatch.context() as patched:
         patched.setattr(pipeline.WorkFolder, "finish", _interrupt)
@@ -204,8 +205,8 @@ def test_damage_to_unfinished_work_is_told_and_made_again(tmp_path, monkeypatch)
     }
     for file, damage in zip(parts.values(), ("flipped", "a folder", "flipped", "cut"), strict=True):
         harm(file, damage, rng)
-    maker = tiled_runs.maker(tmp_path / "job", city, tell=told.append)
-    pipeline.make_zarr(maker, lambda sentence: None, tiled_runs.RAGGED)
+    with logged() as told:
+        pipeline.make_zarr(tiled_runs.maker(tmp_path / "job", city), Report(), tiled_runs.RAGGED)
     assert sorted(sentence.split("'")[1] for sentence in told) == sorted(map(str, parts.values()))
     assert files_of(tmp_path / "job") == whole
 

@@ -1,7 +1,7 @@
 """Every code block of README and docs does what it says.
 
 The blocks of a page run in order, in one folder and one Python namespace. The folder holds what pages take for
-granted: a small `scenario.toml` of the embedded city over Lower Manhattan's bounds, its maps in `out/manhattan`, and
+granted: a small `scenario.toml` of the synthetic city over Lower Manhattan's bounds, its maps in `out/manhattan`, and
 files of zones, outlines, blocks and routes made here.
 """
 
@@ -21,14 +21,14 @@ import pytest
 import shapely
 
 import jaxurban as ju
-from jaxurban.cli import app
-from jaxurban.scenario import Scenario
+from jaxurban.cli.main import app
+from jaxurban.scenario.settings import Scenario
 from tests.cli_runs import run
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 BLOCK = re.compile(r"^( *)```([\w-]*)[^\n]*\n(.*?)^\1```[ \t]*$", re.MULTILINE | re.DOTALL)
-LONG_PAGES = {"docs/sensitivity.md", "docs/study.md", "docs/tuning.md"}  # 5 to 20 s each: `make test-docs`
+LONG_PAGES = {"docs/reference/api.md", "docs/sensitivity.md", "docs/study.md", "docs/tuning.md"}  # `make test-docs`
 
 SCENARIO = """
 [region]
@@ -170,7 +170,7 @@ def why_not_run(arguments: list[str]) -> str:
     if arguments[0] == "fetch" and "--dry-run" not in arguments:
         return "it asks servers; tests/io/test_fetch.py asks a local one"
     if arguments[0] == "demo" or "--cluster" in arguments:
-        return "it has tests of its own: tests/test_demo.py, tests/test_tiled.py"
+        return "it has tests of its own: tests/world/test_synthetic.py, tests/maps/test_tiled.py"
     return ""
 
 
@@ -227,7 +227,7 @@ def test_every_block_says_what_it_is_and_is_known_here(page):
 
 
 def test_the_scenario_page_names_every_setting_with_its_default():
-    (block,) = [block for block in blocks_of(ROOT / "docs/reference/scenario.md") if block.language == "toml"]
+    block, *_ = (block for block in blocks_of(ROOT / "docs/reference/scenario.md") if block.language == "toml")
     shown = tomllib.loads(block.text)
     left_out = {"region": {"bounds", "crs"}, "buildings": {"source"}, "terrain": {"source"}}
     left_out |= {"gps": {"times", "start", "stop", "step_s", "reference"}}
@@ -242,3 +242,9 @@ def test_the_scenario_page_names_every_setting_with_its_default():
         assert set(shown[section]) == wanted, section
         for key in wanted - left_out.get(section, set()):
             assert whole[section][key] == settings[key], f"[{section}] {key}"
+
+
+def test_the_python_page_names_every_public_name():
+    page = (ROOT / "docs/reference/api.md").read_text(encoding="utf-8")
+    table = [line for line in page.splitlines() if line.startswith("|")]
+    assert sorted(re.findall(r"`(\w+)`", "\n".join(table))) == ju.__all__

@@ -13,8 +13,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from figures.paper import common, example_paths
-from jaxurban.grid import Grid
-from jaxurban.plotting.frame import classes_layer, make_frame
+from jaxurban.report.figures.frame import classes_layer, make_frame
+from jaxurban.world.grid import Grid
 
 ROOT = Path(__file__).parents[1]
 PAPER = ROOT / "figures" / "paper"

@@ -5,14 +5,15 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxurban.city import City, Raster
-from jaxurban.demo import demo_city
-from jaxurban.grid import Grid
-from jaxurban.layers import MapParams
+from jaxurban.maps.task import MapParams, MapTask
 from jaxurban.metrics.gps import GpsParams
 from jaxurban.metrics.lidar import LidarParams
-from jaxurban.pipeline import Maker, make_zarr
-from jaxurban.sky import Sky
+from jaxurban.progress import Report
+from jaxurban.scenario.run import Maker, make_zarr
+from jaxurban.world.city import City, Raster
+from jaxurban.world.grid import Grid
+from jaxurban.world.sky import Sky
+from jaxurban.world.synthetic import demo_city
 
 RESOLUTION_M = 20.0
 RAGGED = (14, 18)  # neither side divides the region's
@@ -29,7 +30,7 @@ def sky() -> Sky:
 
 
 def city(with_terrain: bool = False) -> City:
-    """Return the embedded city; with terrain, as a height raster over hills, with a hole in its data."""
+    """Return the synthetic city; with terrain, as a height raster over hills, with a hole in its data."""
     made = demo_city(1_500, 1_500)
     if not with_terrain:
         return made
@@ -58,17 +59,21 @@ def params(series: str = "epochs") -> MapParams:
     return MapParams(
         altitudes_m=(20.0, 60.0),
         gps=GpsParams(series=series),
-        lidar=LidarParams(num_azimuths=36, range_m=70.0),
+        lidar=LidarParams(azimuths=36, range_m=70.0),
     )
 
 
+def task(of: City, series: str = "epochs") -> MapTask:
+    return MapTask(of, region(of), sky(), params(series))
+
+
 def maker(folder: Path, of: City, series: str = "epochs", num_workers: int = 2, client=None, **options) -> Maker:
-    return Maker(of, region(of), sky(), params(series), folder, "key", num_workers, client, **options)
+    return Maker(task(of, series), folder, "key", num_workers, client, **options)
 
 
 def make(folder: Path, of: City, shape=RAGGED, series: str = "epochs", num_workers: int = 2, client=None) -> Path:
     """Make the job's Zarr under ``folder``."""
-    make_zarr(maker(folder, of, series, num_workers, client), lambda sentence: None, shape)
+    make_zarr(maker(folder, of, series, num_workers, client), Report(), shape)
     return folder / "maps.zarr" / "20m"
 
 

@@ -1,9 +1,7 @@
 """Metric maps as cloud-optimised GeoTIFF, each file whole or not there at all."""
 
-import os
 from collections.abc import Collection, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -14,31 +12,32 @@ from rasterio.errors import RasterioError
 from rasterio.shutil import copy as copy_raster
 from rasterio.windows import Window
 
-from jaxurban.io.seal import BLANK, FIELD, is_whole, seal
-from jaxurban.io.store import GEOTIFF_FOLDER, SCRATCH_SUFFIX, short_number, whole_file
-from jaxurban.tiles import tile_shape
+from jaxurban.io.files import BLANK, FIELD, SCRATCH_SUFFIX, holds_bytes, is_whole, seal, whole_file
+from jaxurban.io.store import GEOTIFF_FOLDER, short_number
+from jaxurban.metrics.availability import STATISTICS
+from jaxurban.metrics.custom import held_metrics
+from jaxurban.world.grid import Grid
+from jaxurban.world.tiling import Tiling, tile_shape
 
-GEOTIFF_METRICS = (
-    "obstacle",
-    "gps",
-    "gps_availability",
-    "gps_median",
-    "gps_p05",
-    "lidar",
-    "population",
-    "risk",
-)
 GDAL_CACHE_MIB = 64
+
+
+def geotiff_metrics(ds: xr.Dataset) -> list[str]:
+    """Return the variables of a dataset that are written as GeoTIFF: obstacles and the metrics of the cost.
+
+    Spreads by uncertain heights, whose 5th percentile has the name of a statistic over time, stay in the Zarr.
+    """
+    names = ["obstacle"]
+    for name in held_metrics(ds):
+        names += [name] if name in ds else list(STATISTICS)
+    return names
 
 
 def geotiff_layers(ds: xr.Dataset) -> Iterator[tuple[str, str, xr.DataArray]]:
     """Yield file name, metric and ``[y, x]`` array of each GeoTIFF of a dataset."""
     resolution = f"{short_number(ds.attrs['resolution_m'])}m.tif"
     several_times = ds.sizes["time"] > 1
-    for metric in GEOTIFF_METRICS:
-        # Spreads by uncertain heights, whose 5th percentile has that name too, stay in the Zarr.
-        if metric not in ds or (metric == "gps_p05" and "gps_median" not in ds):
-            continue
+    for metric in geotiff_metrics(ds):
         array = ds[metric]
         outer = array.dims[:-2]
         for index in np.ndindex(*(array.sizes[dim] for dim in outer)):
@@ -54,17 +53,13 @@ def geotiff_layers(ds: xr.Dataset) -> Iterator[tuple[str, str, xr.DataArray]]:
             yield "_".join((*parts, resolution)), metric, layer
 
 
-def _path_of(ds: xr.Dataset, folder: Path) -> dict[str, Path]:
-    return {name: folder / GEOTIFF_FOLDER / name for name, _, _ in geotiff_layers(ds)}
+def _paths(ds: xr.Dataset, folder: Path) -> list[Path]:
+    return [folder / GEOTIFF_FOLDER / name for name, _, _ in geotiff_layers(ds)]
 
 
 def missing_geotiffs(ds: xr.Dataset, folder: Path) -> list[Path]:
     """Return the GeoTIFFs of maps that are not there, or empty."""
-    sizes = {}
-    if (folder / GEOTIFF_FOLDER).is_dir():
-        with os.scandir(folder / GEOTIFF_FOLDER) as entries:
-            sizes = {entry.name: entry.stat().st_size for entry in entries}
-    return [path for name, path in _path_of(ds, folder).items() if not sizes.get(name)]
+    return [path for path in _paths(ds, folder) if not holds_bytes(path)]
 
 
 def stale_geotiffs(ds: xr.Dataset, folder: Path, run_key: str, num_threads: int = 1) -> list[Path]:
@@ -73,7 +68,7 @@ def stale_geotiffs(ds: xr.Dataset, folder: Path, run_key: str, num_threads: int 
     def is_stale(path: Path) -> bool:
         return not is_whole(path) or _run_key(path) != run_key
 
-    paths = list(_path_of(ds, folder).values())
+    paths = _paths(ds, folder)
     with ThreadPoolExecutor(num_threads) as pool:
         return [path for path, stale in zip(paths, pool.map(is_stale, paths), strict=True) if stale]
 
@@ -118,21 +113,11 @@ def write_geotiffs(
         return list(pool.map(write, layers))
 
 
-def _windows(shape: tuple[int, int]) -> Iterator[tuple[slice, slice]]:
-    """Yield the rows and columns of the chunks of maps of a shape."""
-    starts = (range(0, size, side) for size, side in zip(shape, tile_shape(shape), strict=True))
-    for corner in product(*starts):
-        rows, cols = (
-            slice(start, min(start + side, size))
-            for start, side, size in zip(corner, tile_shape(shape), shape, strict=True)
-        )
-        yield rows, cols
-
-
 def _write_cog(path: Path, layer: xr.DataArray, ds: xr.Dataset, tags: dict[str, str]) -> None:
     """Write one map: chunk by chunk into a plain tiled file, which GDAL then turns into a cloud-optimised one."""
-    num_rows, num_cols, resolution_m = ds.sizes["y"], ds.sizes["x"], ds.attrs["resolution_m"]
-    y_max_m = (ds.attrs["first_row"] + num_rows) * resolution_m
+    corner = (ds.attrs["first_row"], ds.attrs["first_col"])
+    grid = Grid(ds.attrs["crs"], ds.attrs["resolution_m"], *corner, ds.sizes["y"], ds.sizes["x"])
+    tiling = Tiling.over(grid, grid, tile_shape(grid.shape))
     plain = path.with_name(f"{path.name.removesuffix(SCRATCH_SUFFIX)}.plain{SCRATCH_SUFFIX}")
     try:
         with rasterio.Env(GDAL_CACHEMAX=GDAL_CACHE_MIB):
@@ -140,23 +125,25 @@ def _write_cog(path: Path, layer: xr.DataArray, ds: xr.Dataset, tags: dict[str, 
                 plain,
                 "w",
                 driver="GTiff",
-                width=num_cols,
-                height=num_rows,
+                width=grid.num_cols,
+                height=grid.num_rows,
                 count=1,
                 dtype="float32",
-                crs=ds.attrs["crs"],
-                transform=Affine(resolution_m, 0, ds.attrs["first_col"] * resolution_m, 0, -resolution_m, y_max_m),
+                crs=grid.crs,
+                transform=Affine(grid.resolution_m, 0, grid.x_min_m, 0, -grid.resolution_m, grid.y_max_m),
                 nodata=float("nan"),
                 tiled=True,
                 blockxsize=512,
                 blockysize=512,
                 bigtiff="IF_SAFER",
             ) as file:
-                for rows, cols in _windows((num_rows, num_cols)):
+                for rows, cols in map(tiling.reported, tiling.region_tiles):
                     part = {"y": rows, "x": cols}
                     values = layer.isel(part).values.astype(np.float32)
                     values[~ds["has_data"].isel(part).values] = np.nan
-                    window = Window(cols.start, num_rows - rows.stop, cols.stop - cols.start, rows.stop - rows.start)
+                    window = Window.from_slices(
+                        (grid.num_rows - rows.stop, grid.num_rows - rows.start), (cols.start, cols.stop)
+                    )
                     file.write(values[::-1], 1, window=window)
                 file.update_tags(**tags)
             copy_raster(
@@ -172,17 +159,12 @@ def _write_cog(path: Path, layer: xr.DataArray, ds: xr.Dataset, tags: dict[str, 
                 overview_resampling="nearest" if tags["metric"] == "obstacle" else "average",
                 num_threads=1,
             )
-            _check_whole(path)
+            with rasterio.open(path) as file:
+                file.checksum(1)  # reads every block: GDAL tells nobody of a disk that fills up
     except (RasterioError, SystemError) as error:
         raise OSError(f"GDAL could not write it ({error})") from error
     finally:
         plain.unlink(missing_ok=True)
-
-
-def _check_whole(path: Path) -> None:
-    """Raise RasterioError unless every block of a file can be read: GDAL tells nobody of a disk that fills up."""
-    with rasterio.open(path) as file:
-        file.checksum(1)
 
 
 def _run_key(path: Path) -> str | None:

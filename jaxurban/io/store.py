@@ -1,78 +1,37 @@
-"""Metric maps on disk as Zarr, each file whole or not there at all."""
+"""Metric maps on disk as Zarr: each file whole or not there at all, and all of them as they were written.
 
-import os
+Chunks carry the checksum of Zstandard, metadata a CRC-32. Every chunk is written, so that one that is missing is
+damage; were it read all the same, it would be blocked cells or NaN, never free air.
+"""
+
 import re
-import shutil
-import tempfile
-import uuid
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import IO, Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import xarray as xr
 import zarr
+from xarray.backends import BackendArray, BackendEntrypoint
+from xarray.core import indexing
+from zarr.codecs import ZstdCodec
 
 from jaxurban.errors import InputError
-from jaxurban.io.damage import encoding_of, open_whole, seal_metadata
-from jaxurban.tiles import tile_shape
+from jaxurban.io.files import BLANK, FIELD, SCRATCH_SUFFIX, holds_bytes, is_whole, remove, seal, whole_file
+from jaxurban.world.tiling import tile_shape
 
 RUN_FILE = "run.json"
-LOCK_FILE = ".jaxurban.lock"
 ZARR_FOLDER = "maps.zarr"
 GEOTIFF_FOLDER = "geotiff"
-SCRATCH_SUFFIX = ".jaxurban-part"  # of what is being written: ours to sweep, and nobody else's
-NEEDED = ("obstacle", "has_data")  # without these it is no folder of maps
+COMPRESSORS = (ZstdCodec(level=0, checksum=True),)
+FILL_VALUES = {"obstacle": 1}  # of others by type: NaN, False, 0
+NEEDED = ("obstacle", "has_data")  # without these it is not a folder of maps
 
 
 def short_number(value: float) -> str:
     """Return a number as file names carry it: ``5``, ``2.5``."""
     return f"{value:g}"
-
-
-@contextmanager
-def whole_file(path: Path) -> Iterator[Path]:
-    """Yield a scratch path beside ``path`` that takes its name only if the block succeeds.
-
-    Works for a file and for a folder (an old folder of that name is replaced).
-
-    Raises:
-      InputError: the folder cannot be written to.
-    """
-    scratch = path.with_name(f".{path.name}.{uuid.uuid4().hex[:8]}{SCRATCH_SUFFIX}")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        yield scratch
-        if path.is_dir() and not scratch.is_dir():
-            raise InputError(f"cannot write {str(path)!r}: a folder of that name is in the way; move it")
-        put_in_place(scratch, path)
-    except OSError as error:
-        raise InputError(
-            f"cannot write {str(path)!r}: {error.strerror or error}; free space there, or choose another folder"
-        ) from error
-    finally:
-        remove(scratch)
-
-
-def put_in_place(made: Path, path: Path) -> None:
-    """Give what was made its name, in place of an older file or folder."""
-    if not path.is_dir():
-        os.replace(made, path)
-        return
-    old = path.with_name(f".{path.name}.{uuid.uuid4().hex[:8]}.old{SCRATCH_SUFFIX}")
-    path.rename(old)
-    made.rename(path)
-    shutil.rmtree(old)
-
-
-def remove(path: Path) -> None:
-    """Remove a file or a folder, if it is there and can be."""
-    if path.is_dir():
-        shutil.rmtree(path, ignore_errors=True)
-    else:
-        with suppress(OSError):
-            path.unlink()
 
 
 def zarr_path(folder: Path, resolution_m: float) -> Path:
@@ -92,70 +51,9 @@ def are_of_a_run(folder: Path) -> bool:
     return any(b'"run_key"' in file.read_bytes() for file in files if file.is_file())
 
 
-def check_writable(folder: Path) -> None:
-    """Make ``folder`` and raise InputError if nothing can be written there."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder):
-            pass
-    except OSError as error:
-        raise InputError(
-            f"cannot write to the output folder {str(folder)!r}: {error.strerror or error}; choose another with -o"
-        ) from error
-
-
 def work_path(folder: Path, resolution_m: float) -> Path:
     """Return where the unfinished maps of one resolution lie under an output folder."""
     return folder / ZARR_FOLDER / f".{short_number(resolution_m)}m{SCRATCH_SUFFIX}"
-
-
-@contextmanager
-def only_writer(folder: Path, remedy: str = "choose another folder") -> Iterator[None]:
-    """Hold a folder for one run; the hold goes with the process, however it ends.
-
-    Raises:
-      InputError: another run holds it, or it cannot be written to; ``remedy`` ends the sentence.
-    """
-    try:
-        import fcntl
-    except ImportError:  # not a Unix: two runs in one folder are the user's to avoid
-        yield
-        return
-    file = _locked(folder, remedy, fcntl)
-    with file:
-        try:
-            yield
-        finally:
-            (folder / LOCK_FILE).unlink(missing_ok=True)
-
-
-def _locked(folder: Path, remedy: str, fcntl: Any) -> IO[str]:
-    """Return the folder's lock file, open and locked."""
-    while True:
-        try:
-            file = (folder / LOCK_FILE).open("a")
-        except OSError as error:
-            raise InputError(f"cannot write to {str(folder)!r} ({error.strerror or error}): {remedy}") from error
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            # An earlier holder may have removed the file between our opening and locking it: the lock on a file
-            # without a name holds nothing.
-            with suppress(FileNotFoundError):
-                if os.path.samestat(os.fstat(file.fileno()), (folder / LOCK_FILE).stat()):
-                    return file
-            file.close()
-        except BlockingIOError as error:
-            file.close()
-            raise InputError(f"another run is writing to {str(folder)!r}: wait for it, or {remedy}") from error
-
-
-def sweep_scraps(folder: Path, keep: Iterable[Path] = ()) -> None:
-    """Remove what a killed run left half-written under ``folder``, but for the work in ``keep``."""
-    kept = set(keep)
-    for part in (folder, folder / ZARR_FOLDER, folder / GEOTIFF_FOLDER):
-        for scrap in part.glob(f".*{SCRATCH_SUFFIX}"):
-            if scrap not in kept:
-                remove(scrap)
 
 
 def remove_maps(folder: Path) -> None:
@@ -167,19 +65,27 @@ def remove_maps(folder: Path) -> None:
         remove(folder / part)
 
 
-def _encoding(ds: xr.Dataset, tile: tuple[int, int] | None = None) -> dict[str, dict[str, Any]]:
-    """Return how every variable is written: maps in the tiles of their region, one layer a chunk."""
-    tile = tile or tile_shape((ds.sizes["y"], ds.sizes["x"]))
-    encoding = {str(name): encoding_of(str(name), array.dtype) for name, array in ds.variables.items()}
-    for name, array in ds.data_vars.items():
-        if array.dims[-2:] == ("y", "x"):
-            encoding[str(name)]["chunks"] = (*(1 for _ in array.dims[:-2]), *tile)
+def _encoding(name: str, array: xr.Variable, tile: tuple[int, int] | None) -> dict[str, Any]:
+    """Return how a variable is written: a map in tiles, one layer a chunk; without a tile, all in one chunk."""
+    encoding: dict[str, Any] = {"compressors": COMPRESSORS}
+    if array.dtype.kind in "fiub":
+        encoding["fill_value"] = FILL_VALUES.get(
+            name, np.nan if array.dtype.kind == "f" else array.dtype.type(0).item()
+        )
+    if tile is not None and array.dims[-2:] == ("y", "x"):
+        encoding["chunks"] = (*(1 for _ in array.dims[:-2]), *tile)
     return encoding
 
 
-def _to_zarr(ds: xr.Dataset, path: Path, mode: Literal["w", "a"], **options: Any) -> None:
-    ds.to_zarr(path, mode=mode, zarr_format=3, consolidated=False, write_empty_chunks=True, **options)
-    seal_metadata(path)
+def _to_zarr(
+    ds: xr.Dataset, path: Path, mode: Literal["w", "a"], tile: tuple[int, int] | None = None, compute: bool = True
+) -> None:
+    """Write a dataset, and the checksum of the Zarr's metadata into its attributes."""
+    encoding = {str(name): _encoding(str(name), array, tile) for name, array in ds.variables.items()}
+    how: dict[str, Any] = {"zarr_format": 3, "consolidated": False, "write_empty_chunks": True, "compute": compute}
+    ds.to_zarr(path, mode=mode, encoding=encoding, **how)
+    zarr.open_group(path, mode="r+", use_consolidated=False).attrs[FIELD] = BLANK
+    seal(*_metadata(path))
 
 
 def write_zarr(ds: xr.Dataset, folder: Path) -> Path:
@@ -187,7 +93,7 @@ def write_zarr(ds: xr.Dataset, folder: Path) -> Path:
     path = zarr_path(folder, ds.attrs["resolution_m"])
     plain = ds.drop_encoding()  # of the files that maps were opened from
     with whole_file(path) as scratch:
-        _to_zarr(plain, scratch, "w", encoding=_encoding(plain))
+        _to_zarr(plain, scratch, "w", tile_shape((ds.sizes["y"], ds.sizes["x"])))
     return path
 
 
@@ -200,7 +106,7 @@ def create_zarr(ds: xr.Dataset, path: Path, tile: tuple[int, int]) -> None:
       tile: rows and columns of a chunk, what one `write_layer` fills.
     """
     with whole_file(path) as scratch:
-        _to_zarr(ds, scratch, "w", encoding=_encoding(ds, tile), compute=False)
+        _to_zarr(ds, scratch, "w", tile, compute=False)
 
 
 def write_layer(path: Path, name: str, index: tuple[int, ...], window: tuple[slice, slice], values: np.ndarray) -> None:
@@ -213,8 +119,7 @@ def write_layer(path: Path, name: str, index: tuple[int, ...], window: tuple[sli
 
 def add_to_zarr(ds: xr.Dataset, path: Path) -> None:
     """Add the variables of a dataset to a Zarr."""
-    encoding = {str(name): encoding_of(str(name), array.dtype) for name, array in ds.data_vars.items()}
-    _to_zarr(ds.drop_vars(list(ds.coords)), path, "a", encoding=encoding)
+    _to_zarr(ds.drop_vars(list(ds.coords)), path, "a")
 
 
 def open_zarr(folder: Path, resolution_m: float | None) -> xr.Dataset:
@@ -224,7 +129,7 @@ def open_zarr(folder: Path, resolution_m: float | None) -> xr.Dataset:
       InputError: no maps there, several resolutions and none chosen, or maps that are damaged (see `open_whole`).
     """
     found = stored_resolutions(folder)
-    listed = ", ".join(short_number(value) for value in sorted(found)) or "none"
+    listed = ", ".join(map(short_number, sorted(found)))
     if not found:
         raise InputError(f"{str(folder)!r} holds no metric maps: make them with `jaxurban maps SCENARIO -o {folder}`")
     if resolution_m is None and len(found) > 1:
@@ -234,5 +139,123 @@ def open_zarr(folder: Path, resolution_m: float | None) -> xr.Dataset:
     path = found[resolution_m] if resolution_m is not None else next(iter(found.values()))
     ds = open_whole(path)
     if lost := [name for name in NEEDED if name not in ds]:
-        raise InputError(f"the maps in {str(path)!r} hold no {', no '.join(lost)}: remove them and make them again")
+        raise InputError(f"the maps in {str(path)!r} lack {', '.join(lost)}: remove them and make them again")
     return ds
+
+
+class Chunk(NamedTuple):
+    """A chunk of an array: its place, and the file that holds it."""
+
+    array: Any
+    place: tuple[int, ...]
+    file: Path
+
+
+def _metadata(path: Path) -> list[Path]:
+    return [path / "zarr.json", *sorted(path.glob("*/zarr.json"))]
+
+
+def has_whole_metadata(path: Path) -> bool:
+    """Return whether the metadata of a Zarr, of all its arrays together, are as they were written."""
+    return is_whole(*_metadata(path))
+
+
+def _chunks(path: Path, name: str | None = None) -> Iterator[Chunk]:
+    """Yield the chunks that a Zarr, or one array of it, should hold."""
+    for own, array in zarr.open_group(path, mode="r", use_consolidated=False).arrays():
+        if name is None or own == name:
+            for place in np.ndindex(array.cdata_shape):
+                yield Chunk(array, place, path / own / array.metadata.encode_chunk_key(place))
+
+
+def _is_decodable(chunk: Chunk) -> bool:
+    if not holds_bytes(chunk.file):  # it would be read as its fill value
+        return False
+    try:
+        _ = chunk.array.get_block_selection(chunk.place) if chunk.place else chunk.array[()]
+    except Exception:  # what decoders raise at damaged bytes is in no list
+        return False
+    return True
+
+
+def broken_chunks(path: Path, num_threads: int = 1, name: str | None = None) -> list[Chunk]:
+    """Return the chunks of a Zarr of whole metadata, or of one array, that are missing or cannot be decoded.
+
+    All are read: at 1 to 2 GiB/s of values a thread.
+    """
+    chunks = list(_chunks(path, name))
+    with ThreadPoolExecutor(num_threads) as pool:
+        return [chunk for chunk, is_good in zip(chunks, pool.map(_is_decodable, chunks), strict=True) if not is_good]
+
+
+def damaged(file: Path, what: str) -> InputError:
+    """Return the error that names a file of maps and the remedy."""
+    return InputError(
+        f"{str(file)!r} {what}: run the same `jaxurban maps` command again, which makes anew what is broken (maps that "
+        "were saved from Python: save them again)"
+    )
+
+
+def _error_in(path: Path, error: Exception, name: str | None = None) -> Exception:
+    """Return the error that names the damaged file of a Zarr that could not be read, else the one given."""
+    if not has_whole_metadata(path):
+        return damaged(path / "zarr.json", "and the zarr.json of the arrays beside it are not as they were written")
+    broken = broken_chunks(path, name=name)
+    return damaged(broken[0].file, "is damaged or cannot be read") if broken else error
+
+
+class _Map(BackendArray):
+    """A map in a Zarr, read when it is looked at; one that cannot be read is an InputError."""
+
+    def __init__(self, variable: xr.Variable, path: Path, name: str) -> None:
+        self.variable, self.path, self.name = variable, path, name
+        self.shape, self.dtype = variable.shape, variable.dtype
+
+    def __getitem__(self, key: indexing.ExplicitIndexer) -> Any:
+        return indexing.explicit_indexing_adapter(key, self.shape, indexing.IndexingSupport.OUTER, self._read)
+
+    def _read(self, key: tuple) -> np.ndarray:
+        try:
+            return self.variable[key].values
+        except Exception as error:
+            raise _error_in(self.path, error, self.name) from error
+
+
+class _Maps(BackendEntrypoint):
+    """How xarray opens the Zarr: as it always does, with `_Map` around every map."""
+
+    def open_dataset(self, filename_or_obj: Any, *, drop_variables: Any = None) -> xr.Dataset:
+        ds = xr.open_dataset(filename_or_obj, engine="zarr", consolidated=False, chunks=None, cache=False)
+        maps = {
+            name: xr.Variable(
+                ds[name].dims,
+                indexing.LazilyIndexedArray(_Map(ds[name].variable, Path(filename_or_obj), str(name))),
+                ds[name].attrs,
+                ds[name].encoding,
+            )
+            for name in ds.data_vars
+        }
+        attrs = {name: value for name, value in ds.attrs.items() if name != FIELD}
+        return xr.Dataset(maps, ds.coords.to_dataset().load().coords, attrs)  # small, and damage shows at once
+
+
+def open_whole(path: Path) -> xr.Dataset:
+    """Return the maps in a Zarr, every file of which is there; values are read, and decoded, when they are looked at.
+
+    Raises:
+      InputError: metadata are not as they were written, a chunk is missing or empty; later, one cannot be decoded.
+    """
+    try:
+        if not has_whole_metadata(path):
+            raise ValueError("metadata")
+        for chunk in _chunks(path):  # looked at, not read
+            if not holds_bytes(chunk.file):
+                raise damaged(chunk.file, "is missing or empty")
+        return xr.open_dataset(path, engine=_Maps)
+    except InputError:
+        raise
+    except Exception as error:
+        found = _error_in(path, error)
+        if found is error:
+            found = InputError(f"the maps in {str(path)!r} cannot be read ({error})")
+        raise found from error

@@ -1,15 +1,14 @@
-"""Plain tables as files: Parquet or CSV by the name's end."""
+"""Tables as files: Parquet or CSV by the end of their names."""
 
-from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from jaxurban.errors import InputError
-from jaxurban.io.seal import BLANK, FIELD, seal
-from jaxurban.io.store import whole_file
+from jaxurban.errors import InputError, readable
+from jaxurban.io.files import BLANK, FIELD, seal, whole_file, write_whole
 
 SUFFIXES = (".parquet", ".csv")
 
@@ -21,34 +20,24 @@ def write_table(table: pd.DataFrame, file: str | Path) -> Path:
       InputError: the name ends neither in .parquet nor in .csv, or the folder cannot be written to.
     """
     file = Path(file)
-    suffix = _suffix(file)
-    with whole_file(file) as scratch:
-        if suffix == ".parquet":
-            write_parquet(table, scratch)
-        else:
-            table.to_csv(scratch, index=False, lineterminator="\n")
+    if _suffix(file) == ".parquet":
+        write_results(file, table)
+    else:
+        write_whole(file, table.to_csv(index=False, lineterminator="\n"))
     return file
 
 
-def write_parquet(table: pd.DataFrame, scratch: Path) -> None:
-    """Write a table as Parquet, with its checksum, into a scratch file."""
-    made = pa.Table.from_pandas(table, preserve_index=False)
-    made = made.replace_schema_metadata({**(made.schema.metadata or {}), FIELD: BLANK})
-    pq.write_table(made, scratch, compression="zstd")
-    seal(scratch)
-
-
-def write_tables(tables: Mapping[str, pd.DataFrame], folder: Path) -> list[Path]:
-    """Write each table, index included, as CSV and as Parquet under ``folder`` and return the files.
+def write_results(file: Path, table: pd.DataFrame) -> None:
+    """Write a table as Parquet with its checksum; the file that was there stays until the new one is complete.
 
     Raises:
       InputError: the folder cannot be written to.
     """
-    return [
-        write_table(table.reset_index(), folder / f"{name}{suffix}")
-        for name, table in tables.items()
-        for suffix in (".csv", ".parquet")
-    ]
+    made = pa.Table.from_pandas(table, preserve_index=False)
+    made = made.replace_schema_metadata({**(made.schema.metadata or {}), FIELD: BLANK})
+    with whole_file(file) as scratch:
+        pq.write_table(made, scratch, compression="zstd")
+        seal(scratch)
 
 
 def read_table(file: str | Path, role: str) -> pd.DataFrame:
@@ -63,13 +52,14 @@ def read_table(file: str | Path, role: str) -> pd.DataFrame:
     """
     file = Path(file)
     suffix = _suffix(file)
-    try:
+    with readable(f"the {role} file {str(file)!r}", suffix[1:], "make it again, or name another"):
         return pd.read_parquet(file) if suffix == ".parquet" else pd.read_csv(file)
-    except FileNotFoundError as error:
-        raise InputError(f"the {role} file {str(file)!r} does not exist: check the path") from error
-    except (OSError, ValueError) as error:
-        reason = " ".join(str(error).split())
-        raise InputError(f"the {role} file {str(file)!r} cannot be read as {suffix[1:]} ({reason})") from error
+
+
+def records_of(table: pd.DataFrame) -> list[dict[str, Any]]:
+    """Return the rows of a table as plain values, None where there is no value or no number."""
+    rows = table.astype(object).where(table.notna(), None).to_dict("records")
+    return [{str(name): value for name, value in row.items()} for row in rows]
 
 
 def _suffix(file: Path) -> str:

@@ -1,10 +1,8 @@
 """GPS: how well the satellites seen from each cell fix a position."""
 
 import math
-from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
-from enum import IntEnum
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from typing import Literal
 
 import jax
@@ -12,42 +10,23 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jax.typing import ArrayLike
-from jaxtyping import Array, Bool, Float, UInt, UInt8
+from jaxtyping import Array, Bool, Float, Int, UInt, UInt8
 
-from jaxurban.errors import InputError, nearest_name
-from jaxurban.kernels.dop import Geometry, dops_of_words, geometry, unit_vectors
-from jaxurban.kernels.occlusion import (
-    EAST,
-    NORTH,
-    SOUTH,
-    WEST,
-    WORD_BITS,
-    Ring,
-    digital_line,
-    mark_visible,
-    mark_visible_within,
-)
-from jaxurban.metrics.obstacle import obstacle_mask
-from jaxurban.metrics.settings import differentiable, holds
-from jaxurban.surface import Surface
+from jaxurban.errors import InputError, one_of
+from jaxurban.kernels.dop import Geometry, dops, dops_of_words, geometry, unit_vectors
+from jaxurban.kernels.shadows.soft import Window, satellite_weights, shadow_heights
+from jaxurban.kernels.shadows.sweep import Line, digital_line
+from jaxurban.metrics.base import ALTITUDE, TIME, Metric, Scene, SoftScene, low_is_bad
+from jaxurban.metrics.obstacle import obstacle_mask, soft_obstacle
+from jaxurban.metrics.settings import check_softness, check_value, differentiable
+from jaxurban.metrics.visibility import visibility
+from jaxurban.world.surface import Surface
 
 SATELLITES_STEP = 8  # the DOP program is compiled for 8, 16, 24 ... satellites
 BLOCK_CELLS = 2**14  # cells whose DOPs are made at once: what they need in between fits a core's cache
 TABLE_SATELLITES = 16  # up to here the maps of all subsets are made once and looked up
-MAX_STORED_EPOCHS = 24  # a longer series keeps statistics over time instead of every epoch's maps
+MAX_STORED_TIMES = 24  # a longer series keeps statistics over time instead of every time's maps
 SERIES = ("auto", "epochs", "statistics")
-RATING_UPPER_GDOP = (1.0, 4.0, 6.0, 8.0, 20.0)  # the paper's table of DOP ratings, Poor above the last
-
-
-class Rating(IntEnum):
-    """The paper's classes of GDOP."""
-
-    IDEAL = 0  # 1 and less
-    EXCELLENT = 1  # above 1, up to 4
-    GOOD = 2  # up to 6
-    MODERATE = 3  # up to 8
-    FAIR = 4  # up to 20
-    POOR = 5  # above 20, or undetermined
 
 
 @differentiable("gdop_threshold")
@@ -57,8 +36,8 @@ class GpsParams:
 
     Attributes:
       gdop_threshold: GDOP at and above which m is 0, > 1.
-      series: what is kept of several epochs: every one of them (``"epochs"``), statistics over time
-        (``"statistics"``, see `jaxurban.metrics.availability`), or statistics above `MAX_STORED_EPOCHS`
+      series: what is kept of several times: every one of them (``"epochs"``), statistics over time
+        (``"statistics"``, see `jaxurban.metrics.availability`), or statistics above `MAX_STORED_TIMES`
         (``"auto"``).
       availability_threshold: m above which a position counts as available, in [0, 1).
 
@@ -71,25 +50,23 @@ class GpsParams:
     availability_threshold: float = 0.5
 
     def __post_init__(self) -> None:
-        if not holds(self.gdop_threshold, lambda threshold: np.isfinite(threshold) & (threshold > 1)):
-            raise InputError(f"gdop_threshold must be a number above 1 (such as 20), got {self.gdop_threshold}")
-        if self.series not in SERIES:
-            hint = nearest_name(str(self.series), SERIES)
-            raise InputError(f"gps series must be one of {', '.join(SERIES)}, got {self.series!r}{hint}")
+        what = "a number above 1 (such as 20)"
+        check_value("gdop_threshold", self.gdop_threshold, what, lambda threshold: threshold > 1)
+        one_of("series", self.series, SERIES)
         if not 0 <= self.availability_threshold < 1:
             raise InputError(
                 f"availability_threshold must be a value of m from 0 to below 1, got {self.availability_threshold}"
             )
 
-    def keeps_epochs(self, num_epochs: int) -> bool:
-        """Return whether the maps of every epoch are kept, not statistics over them."""
-        return self.series == "epochs" or (self.series == "auto" and num_epochs <= MAX_STORED_EPOCHS)
+    def keeps_times(self, num_times: int) -> bool:
+        """Return whether the maps of every time are kept, not statistics over them."""
+        return self.series == "epochs" or (self.series == "auto" and num_times <= MAX_STORED_TIMES)
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class GpsMaps:
-    """GPS maps of one epoch. ``C`` stands for any axes of cells.
+    """GPS maps of one time. ``C`` stands for any axes of cells.
 
     Inside obstacles m and num_visible are 0 and the DOPs inf.
 
@@ -118,106 +95,6 @@ def gps_metric(gdop: Float[Array, "*C"], gdop_threshold: float | Array) -> Float
     return jnp.clip((gdop_threshold - jnp.minimum(gdop, gdop_threshold)) / (gdop_threshold - 1), 0, 1)
 
 
-def rating(gdop: np.ndarray) -> np.ndarray:
-    """Return the `Rating` of each GDOP as uint8, in the shape given; upper limits count in."""
-    return np.searchsorted(RATING_UPPER_GDOP, gdop, side="left").astype(np.uint8)
-
-
-def shadow_reach_m(
-    azimuth_rad: ArrayLike,
-    elevation_rad: ArrayLike,
-    max_top_m: float,
-    min_altitude_m: float,
-    resolution_m: float,
-) -> tuple[float, float, float, float]:
-    """Return the margins west, south, east, north (metres) that hold every roof able to shadow the region.
-
-    0 on sides without satellites; inf where a satellite on the horizon meets a roof above the altitude.
-
-    Args:
-      azimuth_rad: ``[S]`` clockwise from grid north.
-      elevation_rad: ``[S]`` above the horizon.
-      max_top_m: how far the highest roof can stand above the lowest ground.
-      min_altitude_m: the lowest altitude asked for, above the ground.
-      resolution_m: side of a cell: one more cell pays for the digital line.
-    """
-    rise_m = max_top_m - min_altitude_m
-    margins_m = [0.0, 0.0, 0.0, 0.0]
-    if rise_m <= 0:
-        return 0.0, 0.0, 0.0, 0.0
-    for east, north, up in unit_vectors(azimuth_rad, elevation_rad):
-        for side, toward in enumerate((-east, -north, east, north)):
-            if toward > 0:
-                run_m = rise_m * toward / up if up > 0 else math.inf
-                margins_m[side] = max(margins_m[side], run_m + resolution_m)
-    west, south, east, north = margins_m
-    return west, south, east, north
-
-
-def visibility(
-    surface: Surface,
-    azimuth_rad: ArrayLike,
-    elevation_rad: ArrayLike,
-    altitudes_m: ArrayLike | Sequence[float],
-    rings: Sequence[Ring] | None = None,
-) -> UInt[Array, "W A y x"]:
-    """Return which satellites are seen from each cell's centre, as bits.
-
-    Satellite ``s`` is bit ``s % 32`` of word ``s // 32``. It is seen where its ray clears the roofs
-    and, with terrain, the ground; `shadow_height` states how exactly. Inside obstacles the answer is
-    that of a receiver in a shaft with no walls of its own.
-
-    Args:
-      surface: roofs and terrain; what stands outside it shadows nothing.
-      azimuth_rad: ``[S]`` clockwise from grid north.
-      elevation_rad: ``[S]`` above the horizon.
-      altitudes_m: ``[A]`` heights above the ground.
-      rings: ``[S]`` what the grids around the region hand on, by satellite; the surface's own margin is
-        not looked at then.
-
-    Raises:
-      InputError: a satellite below the horizon.
-    """
-    azimuth, elevation = np.asarray(azimuth_rad, float), np.asarray(elevation_rad, float)
-    if np.any(elevation < 0):
-        raise InputError(
-            f"elevation_rad holds a satellite {-math.degrees(elevation.min()):.1f} degrees below the horizon: "
-            "give those at or above the elevation mask only"
-        )
-    region = surface.region
-    rows, cols = surface.window
-    grid, top_m = surface.grid, surface.top_m
-    if rings is not None:
-        grid, top_m = region.padded(1, 1, 1, 1), surface.crop(top_m)
-    altitudes = jnp.asarray(altitudes_m, surface.roof_m.dtype)
-    ground_m = None if surface.terrain_m is None else surface.crop(surface.terrain_m)
-    num_words = max(1, -(-len(azimuth) // WORD_BITS))
-    lines = [
-        digital_line(*angles, grid.resolution_m, grid.first_row, grid.first_col, grid.shape)
-        for angles in zip(azimuth, elevation, strict=True)
-    ]
-    words = jnp.zeros((num_words, *altitudes.shape, *region.shape), jnp.uint32)
-    if rings is not None:
-        for s, (line, ring) in enumerate(zip(lines, rings, strict=True)):
-            words = mark_visible_within(words, top_m, ground_m, altitudes, line, s, ring)
-        return words
-    has_x64 = jnp.result_type(float) == jnp.float64
-
-    def mark_all(headings: tuple[int, int], words: Array, top_m: Array, ground_m: Array | None, cell: tuple) -> Array:
-        with jax.enable_x64(has_x64):  # a new thread knows only the global setting
-            for s, line in enumerate(lines):
-                if line.heading in headings:
-                    words = mark_visible(words, top_m, ground_m, altitudes, line, s, cell)
-        return words
-
-    # Lines that head east or west are swept on transposed arrays, made once; the two kinds at the same time.
-    turned = words.mT, top_m.T, None if ground_m is None else ground_m.T, (cols.start, rows.start)
-    with ThreadPoolExecutor(2) as threads:
-        along_rows = threads.submit(mark_all, (NORTH, SOUTH), words, top_m, ground_m, (rows.start, cols.start))
-        along_cols = threads.submit(mark_all, (EAST, WEST), *turned)
-    return along_rows.result() | along_cols.result().mT
-
-
 @jax.jit
 def _computed(words: UInt[Array, "W ..."], satellites: Geometry, gdop_threshold: float | Array) -> GpsMaps:
     """Return the maps of the satellites seen, made block by block of cells."""
@@ -240,8 +117,8 @@ def _computed(words: UInt[Array, "W ..."], satellites: Geometry, gdop_threshold:
 
 
 @dataclass(frozen=True)
-class Epoch:
-    """The satellites of one epoch, made ready to turn visibility words into maps.
+class SatelliteSet:
+    """The satellites of one time, made ready to turn visibility words into maps.
 
     Attributes:
       satellites: their geometry.
@@ -255,8 +132,8 @@ class Epoch:
     gdop_threshold: float
 
     @classmethod
-    def of(cls, azimuth_rad: ArrayLike, elevation_rad: ArrayLike, params: GpsParams) -> "Epoch":
-        """Return the epoch of satellites at ``[S]`` azimuths and elevations."""
+    def of(cls, azimuth_rad: ArrayLike, elevation_rad: ArrayLike, params: GpsParams) -> "SatelliteSet":
+        """Return the set of the satellites at ``[S]`` azimuths and elevations."""
         directions = unit_vectors(azimuth_rad, elevation_rad)
         satellites = geometry(directions, multiple_of=SATELLITES_STEP)
         table = None
@@ -267,7 +144,7 @@ class Epoch:
         return cls(satellites, table, params.gdop_threshold)
 
     def maps(self, words: UInt[Array, "W ..."], is_obstacle: Bool[Array, "..."]) -> GpsMaps:
-        """Return the maps of the satellites seen; inside obstacles none is."""
+        """Return the maps of the satellites seen; inside obstacles no satellite is."""
         words = jnp.where(is_obstacle, jnp.uint32(0), words)
         if self.table is None:
             return _computed(words, self.satellites, self.gdop_threshold)
@@ -293,7 +170,7 @@ def compute_gps(
     altitudes_m: ArrayLike,
     params: GpsParams | None = None,
 ) -> GpsMaps:
-    """Return the GPS maps of the region at every altitude, for one epoch, ``[A, y, x]``.
+    """Return the GPS maps of the region at every altitude, for one time, ``[A, y, x]``.
 
     Without satellites m is 0 everywhere. The hard maps have zero derivative in heights.
 
@@ -319,7 +196,7 @@ def gps_of_words(
     elevation_rad: ArrayLike,
     params: GpsParams | None = None,
 ) -> GpsMaps:
-    """Return the GPS maps of satellites seen as `visibility` says, from the cells that are no obstacle.
+    """Return the GPS maps of satellites seen as `visibility` says, from the cells that are not obstacles.
 
     Args:
       words: satellite ``s`` is bit ``s % 32`` of word ``s // 32``.
@@ -327,4 +204,194 @@ def gps_of_words(
       azimuth_rad, elevation_rad: ``[S]`` as for `compute_gps`.
       params: settings; left out, the paper's.
     """
-    return Epoch.of(azimuth_rad, elevation_rad, params or GpsParams()).maps(words, is_obstacle)
+    return SatelliteSet.of(azimuth_rad, elevation_rad, params or GpsParams()).maps(words, is_obstacle)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class GpsView:
+    """The satellites of one time over one surface, made ready on the host; a pytree for `soft_gps`.
+
+    Programs are compiled anew for another number of satellites, shape of the surface or window, not for other
+    satellites.
+
+    Attributes:
+      lines: the digital line of each satellite, fields stacked along ``S``.
+      satellites: their geometry.
+      window: the cells of the surface at which maps are wanted.
+    """
+
+    lines: Line
+    satellites: Geometry
+    window: Window = field(metadata={"static": True})
+
+    @classmethod
+    def of(cls, surface: Surface, azimuth_rad: ArrayLike, elevation_rad: ArrayLike, oversample: int = 1) -> "GpsView":
+        """Return the view of satellites at ``[S]`` azimuths (clockwise from grid north) and elevations.
+
+        Args:
+          surface: where the roofs lie; its float type becomes that of the DOPs.
+          azimuth_rad, elevation_rad: of the satellites at or above the mask.
+          oversample: n, for a surface n times finer than the map (`jaxurban.maps.supersampling`): receivers stand in
+            every n-th cell.
+
+        Raises:
+          InputError: no satellite, or one below the horizon.
+        """
+        azimuth, elevation = np.atleast_1d(azimuth_rad).astype(float), np.atleast_1d(elevation_rad).astype(float)
+        if not len(azimuth) or np.any(elevation < 0):
+            raise InputError(
+                f"elevation_rad must hold at least one satellite and none below the horizon, got {elevation.tolist()}: "
+                "give those at or above the elevation mask only"
+            )
+        grid = surface.grid
+        lines = [
+            digital_line(*angles, grid.resolution_m, grid.first_row, grid.first_col, grid.shape)
+            for angles in zip(azimuth, elevation, strict=True)
+        ]
+        rows, cols = surface.window
+        return cls(
+            Line(*(np.stack(values) for values in zip(*lines, strict=True))),
+            geometry(unit_vectors(azimuth, elevation), np.dtype(surface.roof_m.dtype).type),
+            (rows.start, rows.stop, cols.start, cols.stop, oversample),
+        )
+
+    def crop(self, values: Float[Array, "Y X"]) -> Float[Array, "y x"]:
+        """Return the values of an array on the surface at the receivers' cells."""
+        first_row, end_row, first_col, end_col, every = self.window
+        return values[first_row + every // 2 : end_row : every, first_col + every // 2 : end_col : every]
+
+
+def _in_blocks(metric: Callable[[Array], Array], weights: Array) -> Array:
+    """Return a metric of ``[S, ...]`` weights, made block by block of cells, so that a gradient keeps them alone."""
+    shape = weights.shape[1:]
+    num = math.prod(shape)
+    size = min(num, BLOCK_CELLS)
+    num_blocks = -(-num // size)
+    flat = jnp.pad(weights.reshape(len(weights), -1), ((0, 0), (0, num_blocks * size - num)), constant_values=1)
+    blocks = flat.reshape(len(weights), num_blocks, size).swapaxes(0, 1)
+    return lax.map(jax.checkpoint(metric), blocks).reshape(-1)[:num].reshape(shape)
+
+
+def soft_gps(
+    surface: Surface,
+    altitude_m: ArrayLike,
+    params: GpsParams,
+    softness_m: ArrayLike,
+    view: GpsView,
+    *,
+    cells: Int[Array, "P 2"] | None = None,
+) -> Float[Array, "y x"] | Float[Array, " P"]:
+    """Return soft m_gps at one altitude, on the region ``[y, x]`` or at chosen cells ``[P]``.
+
+    ``m = (1 - soft_obstacle) x (T - min(GDOP, T)) / (T - 1)``, GDOP from satellites weighted by
+    `jaxurban.kernels.shadows.soft.satellite_weights`. As softness goes to 0 it tends to `compute_gps` wherever no
+    shadow ends at the altitude itself; at softness 0 it is that but for rounding (`soft_gps_maps` turns to the exact
+    program, bit for bit). Fewer than four satellites need no rule of their own: as the fourth weight goes to 0, GDOP
+    passes T and m comes to 0. Computed in the type of the roofs.
+
+    Differentiable in ``surface.roof_m`` (and terrain), ``altitude_m``, ``params.gdop_threshold`` and ``softness_m``,
+    all of which may be traced; batch by `jax.vmap`. The gradient by roofs and altitude is exact for the soft map while
+    the same tops throw the shadows; undefined where two of them tie and where GDOP is just T; 0 in obstacles, where
+    GDOP is above T, and in roofs that throw no shadow. By T it is exact, 0 above. Docs: gradients/gps.md.
+
+    Args:
+      surface: roofs, and terrain where there is any, on the region and its margin.
+      altitude_m: height above ground: a number, or one for each cell of the result.
+      params: settings of the metric, of which the threshold is used.
+      softness_m: scale of the clearance over which a satellite comes into view; 0 has no gradient in heights.
+      view: the satellites over this surface.
+      cells: row and column in the region; left out, the whole region. The shadows are cast over the whole
+        surface either way. One program is compiled for each number of cells.
+
+    Raises:
+      InputError: a softness below 0.
+    """
+    check_softness(softness_m)
+    arguments = altitude_m, params.gdop_threshold, softness_m
+    return _soft_gps(surface.roof_m, surface.terrain_m, *arguments, view, cells)
+
+
+@jax.jit
+def _soft_gps(
+    roof_m: Array,
+    terrain_m: Array | None,
+    altitude_m: Array,
+    gdop_threshold: Array,
+    softness_m: Array,
+    view: GpsView,
+    cells: Array | None,
+) -> Array:
+    roof_m = jnp.asarray(roof_m)
+    altitude, threshold, softness = (jnp.asarray(v, roof_m.dtype) for v in (altitude_m, gdop_threshold, softness_m))
+    shadows_m = shadow_heights(roof_m if terrain_m is None else terrain_m + roof_m, view.lines, view.window)
+
+    def chosen(values: Array) -> Array:
+        return values if cells is None else values[..., cells[:, 0], cells[:, 1]]
+
+    height_m = altitude if terrain_m is None else chosen(view.crop(terrain_m)) + altitude
+    weights = satellite_weights(height_m, chosen(shadows_m), softness)
+    open_m = _in_blocks(lambda block: gps_metric(dops(view.satellites, block).gdop, threshold), weights)
+    return (1 - soft_obstacle(chosen(view.crop(roof_m)), altitude, softness)) * open_m
+
+
+def soft_gps_maps(
+    surface: Surface,
+    azimuth_rad: ArrayLike,
+    elevation_rad: ArrayLike,
+    altitudes_m: ArrayLike,
+    softness_m: float,
+    params: GpsParams | None = None,
+) -> Float[Array, "A y x"]:
+    """Return the soft m_gps at every altitude, for one time; with softness 0 that of `compute_gps`, bit for bit.
+
+    Args:
+      surface: roofs and terrain of the region and its margin.
+      azimuth_rad: ``[S]`` clockwise from grid north, of the satellites at or above the mask.
+      elevation_rad: ``[S]`` above the horizon.
+      altitudes_m: ``[A]`` heights above the ground.
+      softness_m: see `soft_gps`; a plain number.
+      params: settings; left out, the paper's.
+
+    Raises:
+      InputError: a softness that is negative or no number, no satellite, or one below the horizon.
+    """
+    params = params or GpsParams()
+    check_softness(softness_m)
+    if softness_m == 0:
+        return compute_gps(surface, azimuth_rad, elevation_rad, altitudes_m, params).m
+    view = GpsView.of(surface, azimuth_rad, elevation_rad)
+    return jnp.stack([soft_gps(surface, z_m, params, softness_m, view) for z_m in np.asarray(altitudes_m, float)])
+
+
+DOPS = ("gdop", "pdop", "hdop", "vdop", "tdop")
+
+
+def _maps(scene: Scene, params: GpsParams) -> dict[str, Array]:
+    """Return m, the DOPs and the satellites seen; they were made ready under the same settings."""
+    assert scene.satellites is not None
+    assert scene.words is not None
+    assert scene.is_obstacle is not None
+    if scene.only_m:
+        return {"gps": scene.satellites.m(scene.words, scene.is_obstacle)}
+    maps = scene.satellites.maps(scene.words, scene.is_obstacle)
+    return {"gps": maps.m, **{name: getattr(maps, name) for name in (*DOPS, "num_visible")}}
+
+
+def _soft(scene: SoftScene, params: GpsParams) -> Array:
+    return soft_gps(scene.surface, scene.altitude_m, params, scene.softness_m, scene.view, cells=scene.cells)
+
+
+METRIC = Metric(
+    name="gps",
+    params=GpsParams,
+    dims=(TIME, ALTITUDE),
+    compute=_maps,
+    soft=_soft,
+    cost=low_is_bad,
+    label="GPS quality",
+    one_means="GDOP of 1, the best possible",
+    colour="#0072b2",
+    colour_map="viridis",
+    also={**dict.fromkeys(DOPS, np.float32), "num_visible": np.uint8},
+)

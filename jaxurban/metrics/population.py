@@ -9,15 +9,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import shapely
-from jaxtyping import Array, Float, Int, Integer
+from jaxtyping import Array, DTypeLike, Float, Int, Integer
 
-from jaxurban.city import Blocks, Zoning
-from jaxurban.errors import InputError, nearest_name
-from jaxurban.grid import Bounds
-from jaxurban.metrics.settings import differentiable, holds
+from jaxurban.errors import InputError, nearest_name, one_of
+from jaxurban.metrics.base import TIME_OF_DAY, Metric, Scene, SoftScene, high_is_bad
+from jaxurban.metrics.settings import check_value, differentiable
+from jaxurban.world.city import Blocks, Zoning
+from jaxurban.world.grid import Bounds
 
 M2_PER_KM2 = 1e6
-TIME_OF_DAY = re.compile(r"(weekday|weekend)-([01]\d|2[0-3])")
+HOUR_OF_WEEK = re.compile(r"(weekday|weekend)-([01]\d|2[0-3])")
 
 # Share of the change from night to day that has happened at each hour, 0 to 23. Full from 9 to 17 (the paper's
 # "9-to-5"); the linear ramps before and after are our assumption.
@@ -52,11 +53,8 @@ class PopulationParams:
 
     def __post_init__(self) -> None:
         for name in ("gamma_commercial", "gamma_residential"):
-            value = getattr(self, name)
-            if not holds(value, lambda gamma: np.isfinite(gamma) & (gamma >= 0)):
-                raise InputError(f"{name} must be finite and not negative, got {value}")
-        if self.quantity not in ("density", "count"):
-            raise InputError(f"quantity must be 'density' or 'count', got {self.quantity!r}")
+            check_value(name, getattr(self, name), "finite and not negative", lambda gamma: gamma >= 0)
+        one_of("quantity", self.quantity, ("density", "count"))
         _percentile(self.normalise)
         for name in ("weekday", "weekend"):
             shares = getattr(self, name)
@@ -65,10 +63,10 @@ class PopulationParams:
 
 
 class BlockLayers(NamedTuple):
-    """Population of every block. ``T`` times of day, ``N`` blocks.
+    """Population of every block, or of every cell. ``T`` times of day, ``N`` blocks (or ``y, x`` cells).
 
     Attributes:
-      m: ``[T, N]`` float32 metric in [0, 1].
+      m: ``[T, N]`` float32 metric in [0, 1]; the cost c equals it.
       density_per_km2: ``[T, N]`` float32 people per km2.
       norm_per_km2: ``[T]`` float32 value at which m is 1 (people per block under ``quantity="count"``).
     """
@@ -78,18 +76,36 @@ class BlockLayers(NamedTuple):
     norm_per_km2: jax.Array
 
 
-class PopulationMaps(NamedTuple):
-    """Population over a region. ``T`` times of day, ``y, x`` cells; cells without a block hold 0.
+class BlockPopulation(NamedTuple):
+    """Census blocks as arrays. ``N`` blocks, ``M`` of which set the norm.
 
     Attributes:
-      m: ``[T, y, x]`` float32 metric in [0, 1]; the cost c equals it.
-      density_per_km2: ``[T, y, x]`` float32 people per km2.
-      norm_per_km2: ``[T]`` float32 value at which m is 1 (people per block under ``quantity="count"``).
+      night_count: ``[N]`` people by the census.
+      area_m2: ``[N]`` area.
+      zoning: ``[N]`` a `jaxurban.world.city.Zoning` each.
+      in_region: ``[M]`` index of the blocks that touch the region.
     """
 
-    m: jax.Array
-    density_per_km2: jax.Array
-    norm_per_km2: jax.Array
+    night_count: jax.Array
+    area_m2: jax.Array
+    zoning: jax.Array
+    in_region: jax.Array
+
+    @classmethod
+    def of(cls, blocks: Blocks, bounds_m: Bounds | None = None, dtype: DTypeLike = np.float32) -> "BlockPopulation":
+        """Return the people of a city's blocks.
+
+        Args:
+          blocks: the blocks.
+          bounds_m: the region's box; left out, all blocks set the norm.
+          dtype: float32 or, where JAX has it enabled, float64.
+        """
+        return cls(
+            jnp.asarray(blocks.night_count, dtype),
+            jnp.asarray(blocks.area_m2, dtype),
+            jnp.asarray(blocks.zoning),
+            jnp.asarray(region_blocks(blocks, bounds_m)),
+        )
 
 
 def _percentile(normalise: str | float) -> float | None:
@@ -119,7 +135,7 @@ def day_share(time_of_day: str, params: PopulationParams | None = None) -> float
     """
     if time_of_day in ("day", "night"):
         return float(time_of_day == "day")
-    match = TIME_OF_DAY.fullmatch(time_of_day)
+    match = HOUR_OF_WEEK.fullmatch(time_of_day)
     if match is None:
         hint = nearest_name(time_of_day, ("day", "night"))
         raise InputError(
@@ -153,16 +169,8 @@ def block_people(
     return night_count * (1.0 + share * (gamma - 1.0))
 
 
-def block_density_per_km2(
-    night_count: Float[Array, " N"],
-    area_m2: Float[Array, " N"],
-    zoning: Integer[Array, " N"],
-    share: Float[Array, ""] | float,
-    gamma_commercial: Float[Array, ""] | float,
-    gamma_residential: Float[Array, ""] | float,
-) -> Float[Array, " N"]:
-    """Return people per km2 of each block, 0 where its area is 0; the other arguments as in `block_people`."""
-    people = block_people(night_count, zoning, share, gamma_commercial, gamma_residential)
+def density_per_km2(people: Float[Array, " N"], area_m2: Float[Array, " N"]) -> Float[Array, " N"]:
+    """Return people per km2 of each block, 0 where its area is 0."""
     return jnp.where(area_m2 > 0, people * M2_PER_KM2 / jnp.where(area_m2 > 0, area_m2, 1.0), 0.0)
 
 
@@ -199,27 +207,21 @@ def map_blocks(block: Int[Array, "..."], values: Float[Array, "*T N"]) -> Float[
 
 
 def block_values(
-    night_count: Float[Array, " N"],
-    area_m2: Float[Array, " N"],
-    zoning: Integer[Array, " N"],
-    in_region: Integer[Array | np.ndarray, " M"],
-    share: Float[Array, ""] | float,
-    params: PopulationParams,
+    blocks: BlockPopulation, share: Float[Array, ""] | float, params: PopulationParams
 ) -> tuple[Float[Array, " N"], Float[Array, " N"], Float[Array, ""]]:
     """Return metric and density per km2 of each block at one time of day, and the value at which the metric is 1.
 
     Args:
-      night_count, area_m2, zoning, share: as in `block_density_per_km2`.
-      in_region: ``[M]`` index of the blocks that set the norm.
+      blocks: people, areas and zoning, and which of them set the norm.
+      share: from `day_share`.
       params: gammas, quantity and norm.
     """
     gammas = params.gamma_commercial, params.gamma_residential
-    density_per_km2 = block_density_per_km2(night_count, area_m2, zoning, share, *gammas)
-    values = density_per_km2
-    if params.quantity == "count":
-        values = block_people(night_count, zoning, share, *gammas)
-    norm = normaliser(values[in_region], params.normalise)
-    return block_metric(values, norm), density_per_km2, norm
+    people = block_people(blocks.night_count, blocks.zoning, share, *gammas)
+    density = density_per_km2(people, blocks.area_m2)
+    values = people if params.quantity == "count" else density
+    norm = normaliser(values[blocks.in_region], params.normalise)
+    return block_metric(values, norm), density, norm
 
 
 def region_blocks(blocks: Blocks, bounds_m: Bounds | None = None) -> Int[np.ndarray, " M"]:
@@ -235,13 +237,8 @@ def block_layers(
 ) -> BlockLayers:
     """Return the metric and the density of every block at each time of day; arguments as in `population_maps`."""
     params = params or PopulationParams()
-    in_region = region_blocks(blocks, bounds_m)
-    night_count, area_m2 = (jnp.asarray(values, jnp.float32) for values in (blocks.night_count, blocks.area_m2))
-    zoning = jnp.asarray(blocks.zoning)
-    layers = [
-        block_values(night_count, area_m2, zoning, in_region, day_share(time_of_day, params), params)
-        for time_of_day in times_of_day
-    ]
+    population = BlockPopulation.of(blocks, bounds_m)
+    layers = [block_values(population, day_share(time_of_day, params), params) for time_of_day in times_of_day]
     return BlockLayers(*(jnp.stack(layer) for layer in zip(*layers, strict=True)))
 
 
@@ -251,8 +248,8 @@ def population_maps(
     times_of_day: Sequence[str] = ("day", "night"),
     params: PopulationParams | None = None,
     bounds_m: Bounds | None = None,
-) -> PopulationMaps:
-    """Return the metric and the density over a region at each time of day.
+) -> BlockLayers:
+    """Return the metric and the density over a region at each time of day, ``[T, y, x]``; 0 in cells without a block.
 
     Args:
       block: index into ``blocks`` of the block under each cell, -1 without one.
@@ -264,8 +261,8 @@ def population_maps(
     Raises:
       InputError: no such time of day.
     """
-    m, density_per_km2, norm = block_layers(blocks, times_of_day, params, bounds_m)
-    return PopulationMaps(map_blocks(block, m), map_blocks(block, density_per_km2), norm)
+    m, density, norm = block_layers(blocks, times_of_day, params, bounds_m)
+    return BlockLayers(map_blocks(block, m), map_blocks(block, density), norm)
 
 
 def population_totals(
@@ -294,3 +291,62 @@ def population_totals(
     gamma = {"commercial": params.gamma_commercial}
     day = {name: count * gamma.get(name, params.gamma_residential) for name, count in night.items()}
     return {name: {**counts, "total": sum(counts.values())} for name, counts in (("night", night), ("day", day))}
+
+
+def soft_population(
+    block: Int[Array, "y x"],
+    population: BlockPopulation,
+    time_of_day: str,
+    params: PopulationParams,
+    *,
+    cells: Int[Array, "P 2"] | None = None,
+) -> Float[Array, "y x"] | Float[Array, " P"]:
+    """Return m_population at one time of day, on the region ``[y, x]`` or at chosen cells ``[P]``; no softness.
+
+    Differentiable in both gammas and in ``population.night_count`` and ``area_m2``; batch by `jax.vmap`. The gradient
+    is exact: it holds the norm's own change with the block (or two, of a percentile) that sets it, and 0 above a norm.
+    Undefined where two blocks tie for the norm or a block lies just at it. Docs: gradients/population.md.
+
+    Args:
+      block: index of the block under each cell, -1 without one.
+      population: from `BlockPopulation.of`.
+      time_of_day: see `day_share`.
+      params: gammas and norm.
+      cells: row and column in the region; left out, the whole region.
+
+    Raises:
+      InputError: no such time of day.
+    """
+    m, _, _ = block_values(population, day_share(time_of_day, params), params)
+    return map_blocks(block if cells is None else block[cells[:, 0], cells[:, 1]], m)
+
+
+def _maps(scene: Scene, params: PopulationParams) -> dict[str, Array]:
+    assert scene.surface.block is not None
+    assert scene.population is not None
+    block = scene.surface.block
+    return {
+        "population": map_blocks(block, scene.population.m),
+        "density": map_blocks(block, scene.population.density_per_km2),
+    }
+
+
+def _soft(scene: SoftScene, params: PopulationParams) -> Array:
+    assert scene.surface.block is not None
+    assert scene.population is not None
+    return soft_population(scene.surface.block, scene.population, scene.time_of_day, params, cells=scene.cells)
+
+
+METRIC = Metric(
+    name="population",
+    params=PopulationParams,
+    dims=(TIME_OF_DAY,),
+    compute=_maps,
+    soft=_soft,
+    cost=high_is_bad,
+    label="Population",
+    one_means="as many people per area as the norm (pop_norm_per_km2)",
+    colour="#cc79a7",
+    colour_map="magma_r",
+    also={"density": np.float32},
+)

@@ -2,18 +2,20 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Literal
 
 import jax
 import jax.numpy as jnp
-import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
-from jaxurban.errors import InputError, nearest_name
-from jaxurban.kernels import distance as kernel
+from jaxurban.errors import one_of
+from jaxurban.kernels.distance import exact as kernel
+from jaxurban.kernels.distance import soft as soft_distance
+from jaxurban.metrics.base import ALTITUDE, Metric, Scene, low_is_bad, on_scene
 from jaxurban.metrics.obstacle import obstacle_mask
-from jaxurban.metrics.settings import differentiable, holds
-from jaxurban.surface import Surface
+from jaxurban.metrics.settings import check_softness, check_value, differentiable, reach_of
+from jaxurban.world.surface import Surface
 
 DISTANCES = ("slice", "solid")
 
@@ -36,11 +38,8 @@ class RiskParams:
     distance: Literal["slice", "solid"] = "slice"
 
     def __post_init__(self) -> None:
-        if not holds(self.threshold_m, lambda threshold_m: np.isfinite(threshold_m) & (threshold_m > 0)):
-            raise InputError(f"risk threshold_m must be a positive number of metres, got {self.threshold_m}")
-        if self.distance not in DISTANCES:
-            hint = nearest_name(str(self.distance), DISTANCES)
-            raise InputError(f"risk distance must be 'slice' or 'solid', got {self.distance!r}{hint}")
+        check_value("threshold_m", self.threshold_m, "a positive number of metres", lambda reach_m: reach_m > 0)
+        one_of("distance", self.distance, DISTANCES)
 
 
 def reach_m(params: RiskParams) -> float:
@@ -56,9 +55,9 @@ def compute_risk(
     d is the exact Euclidean distance between cell centres to the nearest obstacle cell of the slice
     at the altitude, which follows the terrain as the altitudes do. ``"solid"`` adds the roofs below:
     each cell with a building is a column up to its roof, and d runs from the receiver to the nearest
-    column; with terrain, receivers and columns stand on it. Bare ground is no obstacle in either form.
+    column; with terrain, receivers and columns stand on it. Bare ground is not an obstacle in either form.
     What stands more than the threshold beyond the region changes nothing; beyond the surface nothing
-    stands. Paper: eq. proximity_risk. Gradients: see `jaxurban.kernels.distance`; ``"slice"`` has none
+    stands. Paper: eq. proximity_risk. Gradients: see `jaxurban.kernels.distance.exact`; ``"slice"`` has none
     in heights.
 
     Args:
@@ -88,3 +87,76 @@ def compute_risk(
     distance_m = jnp.stack([distance_at(altitude_m) for altitude_m in jnp.asarray(altitudes_m, roof_m.dtype)])
     rows, cols = surface.region.shape
     return distance_m[:, halo : halo + rows, halo : halo + cols] / cap_m
+
+
+def soft_risk(
+    surface: Surface,
+    altitude_m: Float[Array, ""] | float,
+    params: RiskParams,
+    softness_m: Float[Array, ""] | float,
+    *,
+    cells: Int[Array, "P 2"] | None = None,
+    reach_m: float | None = None,
+) -> Float[Array, "y x"] | Float[Array, " P"]:
+    """Return soft m_risk at one altitude, on the region ``[y, x]`` or at chosen cells ``[P]``.
+
+    m = min(1, min over cells with a building of sqrt((d / d_thresh)^2 + (max(0, altitude - roof) / softness)^2)): a
+    roof at or above the altitude counts as the obstacle it is, one that lies the softness below it no more. At softness
+    0 it is the slice's exact map, at softness d_thresh that of ``distance="solid"``, which has no softness of its own:
+    there ``softness_m`` is not looked at. Computed in the type of the roofs.
+
+    Differentiable in ``surface.roof_m``, ``altitude_m``, ``params.threshold_m`` and ``softness_m`` (and in the terrain,
+    under ``solid``), all of which may be traced; batch by `jax.vmap`. The gradient is that of the nearest cell: exact
+    where one is nearest, one of them where several tie; 0 in roofs above the altitude, where m is 0 and where it is 1.
+    Docs: gradients/risk.md.
+
+    Args:
+      surface: roofs, and terrain where there is any, on the region and its margin.
+      altitude_m: height above ground; with ``cells`` also one for each.
+      params: the risk.
+      softness_m: how far below the altitude roofs still count; 0 is exact.
+      cells: row and column in the region; left out, the whole region.
+      reach_m: how far buildings are looked for, never less than the threshold; left out, the threshold. Needed when
+        that is traced.
+
+    Raises:
+      InputError: a negative softness, or a traced threshold without ``reach_m``.
+    """
+    check_softness(softness_m)
+    dtype, resolution_m = surface.roof_m.dtype, surface.grid.resolution_m
+    reach_m = reach_of(params.threshold_m, reach_m, "risk threshold_m")
+    halo = kernel.window_cells(reach_m, resolution_m)
+    altitude, threshold, softness = (jnp.asarray(v, dtype) for v in (altitude_m, params.threshold_m, softness_m))
+    is_solid = params.distance == "solid"
+    scales = threshold, threshold if is_solid else softness
+    sizes = {"resolution_m": resolution_m, "halo": halo}
+    roof_m = surface.crop_with_halo(surface.roof_m, halo)
+    terrain_m = None
+    if is_solid and surface.terrain_m is not None:
+        terrain_m = surface.crop_with_halo(surface.terrain_m, halo)
+    if cells is None and terrain_m is None:
+        return soft_distance.nearest_column(roof_m, altitude, *scales, **sizes)
+    shape = surface.region.shape if cells is None else (len(cells),)
+    chosen = jnp.indices(shape).reshape(2, -1).T if cells is None else cells
+    heights_m = jnp.broadcast_to(altitude, len(chosen))
+    return soft_distance.nearest_column_at(roof_m, terrain_m, heights_m, *scales, chosen, **sizes).reshape(shape)
+
+
+def _map(scene: Scene, params: RiskParams) -> dict[str, Array]:
+    assert scene.altitude_m is not None
+    return {"risk": compute_risk(scene.surface, [scene.altitude_m], params)[0]}
+
+
+METRIC = Metric(
+    name="risk",
+    params=RiskParams,
+    dims=(ALTITUDE,),
+    compute=_map,
+    soft=partial(on_scene, soft_risk),
+    cost=low_is_bad,
+    reach_m=reach_m,
+    label="Clearance from obstacles",
+    one_means="no obstacle within the threshold",
+    colour="#009e73",
+    colour_map="inferno",
+)

@@ -1,11 +1,14 @@
-"""Settings of metrics as JAX sees them: some fields are values to differentiate by, the others are fixed."""
+"""Settings of metrics as JAX sees them, some of them values to differentiate by; and how they are checked."""
 
+import math
 from collections.abc import Callable, Iterable
 from dataclasses import fields
 from typing import Any, TypeVar
 
 import jax
 import numpy as np
+
+from jaxurban.errors import InputError
 
 Settings = TypeVar("Settings", bound=type)
 
@@ -45,6 +48,45 @@ def is_known(value: Any) -> bool:
     return not isinstance(value, jax.core.Tracer)
 
 
-def holds(value: Any, is_good: Callable[[Any], Any]) -> bool:
-    """Return whether a number, or each of an array, is good; True for those that JAX is tracing."""
-    return not is_known(value) or bool(np.all(is_good(np.asarray(value))))
+def check_value(name: str, value: Any, what: str, is_good: Callable[[Any], Any]) -> None:
+    """Raise InputError unless a number, or each of an array, is finite and good; those that JAX is tracing are.
+
+    Args:
+      name: of the setting.
+      value: of it.
+      what: it must be, for the message.
+      is_good: whether an array of numbers is.
+    """
+    if not is_known(value):
+        return
+    values = np.asarray(value)
+    if not np.issubdtype(values.dtype, np.number) or not np.all(np.isfinite(values) & is_good(values)):
+        raise InputError(f"{name} must be {what}, got {value}")
+
+
+def reach_of(value_m: Any, reach_m: float | None, name: str) -> float:
+    """Return how far to look, metres.
+
+    Args:
+      value_m: the parameter that says how far is needed, maybe traced.
+      reach_m: what the caller gives; None for ``value_m``.
+      name: of the parameter, for the message.
+
+    Raises:
+      InputError: ``value_m`` is traced and ``reach_m`` is missing, or ``reach_m`` is too short or no length.
+    """
+    if reach_m is None:
+        if not is_known(value_m):
+            raise InputError(f"{name} is traced by JAX: give reach_m, a number of metres it never exceeds")
+        return float(value_m)
+    if not (is_known(reach_m) and math.isfinite(reach_m) and reach_m > 0):
+        raise InputError(f"reach_m must be a positive number of metres, not traced by JAX, got {reach_m}")
+    if is_known(value_m) and float(value_m) > reach_m:
+        raise InputError(f"reach_m must be at least {name}, {float(value_m):g} m, got {reach_m:g}")
+    return float(reach_m)
+
+
+def check_softness(softness_m: Any) -> None:
+    """Raise InputError unless a softness is 0 or more metres."""
+    what = "0 (exact) or a positive number of metres such as 2"
+    check_value("softness_m", softness_m, what, lambda softness: softness >= 0)

@@ -1,4 +1,4 @@
-"""Example routes beside the routes that weights lead to."""
+"""Demonstrations beside the routes that weights lead to."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -6,59 +6,54 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from jaxurban.cost import Weights
-from jaxurban.studies.examples import Example, optimal_examples
+from jaxurban.metrics.weights import Weights
+from jaxurban.studies.demonstrations import Demonstration, optimal_demonstrations
 
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """Routes under weights, beside the examples that have the same ends.
+    """Routes under weights, beside the demonstrations that have the same ends.
 
     Attributes:
-      examples: as given.
+      demonstrations: as given.
       planned: the cheapest routes under the weights.
-      table: a row an example: where it lies, ``length_m`` and the mean of each metric along it, the same of the planned
-        route (``planned_length_m`` ...), and ``overlap``, the share of the example's cells that the planned route
-        shares.
+      table: a row a demonstration: where it lies, ``length_m`` and the mean of each metric along it, the same of the
+        planned route (``planned_length_m`` ...), and ``overlap``, the share of the demonstration's cells that the
+        planned route shares.
     """
 
-    examples: tuple[Example, ...]
-    planned: tuple[Example, ...]
+    demonstrations: tuple[Demonstration, ...]
+    planned: tuple[Demonstration, ...]
     table: pd.DataFrame
 
 
-def compare(examples: Sequence[Example], weights: Weights) -> Comparison:
-    """Return each example beside the cheapest route under weights between its ends."""
-    planned = optimal_examples([example.query for example in examples], weights)
+def compare(demonstrations: Sequence[Demonstration], weights: Weights) -> Comparison:
+    """Return each demonstration beside the cheapest route under weights between its ends."""
+    planned = optimal_demonstrations([each.query for each in demonstrations], weights)
     rows = []
-    for number, (given, found) in enumerate(zip(examples, planned, strict=True), start=1):
-        unit = given.query.unit
+    for number, (given, found) in enumerate(zip(demonstrations, planned, strict=True), start=1):
+        on = given.query.cost_map
+        cells = _cells(given)
         rows.append(
             {
                 "name": given.query.name or f"{number}",
-                "altitude_m": unit.altitude_m,
-                "time": unit.time,
-                "time_of_day": unit.time_of_day,
+                "altitude_m": on.altitude_m,
+                "time": on.time,
+                "time_of_day": on.time_of_day,
                 **_means(given, ""),
                 **_means(found, "planned_"),
-                "overlap": _overlap(given, found),
+                "overlap": len(cells & _cells(found)) / len(cells),
                 "note": given.note,
             }
         )
-    return Comparison(tuple(examples), tuple(planned), pd.DataFrame(rows))
+    return Comparison(tuple(demonstrations), tuple(planned), pd.DataFrame(rows))
 
 
-def _means(example: Example, prefix: str) -> dict[str, float]:
-    length_m, *sums = example.route.integrals.tolist()
-    means = {
-        f"{prefix}mean_{name}": value / length_m for name, value in zip(example.query.unit.names, sums, strict=True)
-    }
-    return {f"{prefix}length_m": length_m, **means}
+def _means(route: Demonstration, prefix: str) -> dict[str, float]:
+    length_m, *sums = route.sums[1].tolist()
+    means = zip(route.query.cost_map.names, sums, strict=True)
+    return {f"{prefix}length_m": length_m} | {f"{prefix}mean_{name}": value / length_m for name, value in means}
 
 
-def _overlap(given: Example, found: Example) -> float:
-    cells, others = (
-        {tuple(cell) for cell in np.floor(route.points_m / route.query.unit.grid.resolution_m).astype(int).tolist()}
-        for route in (given, found)
-    )
-    return len(cells & others) / len(cells)
+def _cells(route: Demonstration) -> set[tuple[int, int]]:
+    return set(map(tuple, np.floor(route.points_m / route.query.cost_map.grid.resolution_m).astype(int).tolist()))

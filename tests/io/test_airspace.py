@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from rasterio.features import rasterize
 from shapely import affinity
 
-from jaxurban.errors import IgnoredLimitWarning, InputError
-from jaxurban.grid import Grid
-from jaxurban.io.airspace import Zone, cell_boxes, mended, read_zones, touched_cells
+from jaxurban.errors import IgnoredZoneWarning, InputError
+from jaxurban.io.read.airspace import Zone, cell_boxes, mended, read_zones, touched_cells
+from jaxurban.world.grid import Grid
 
 GRID = Grid("EPSG:32618", 5.0, 901_000, 116_600, 70, 90)
 LON, LAT = GRID.centre_lonlat
@@ -151,7 +151,7 @@ def test_floors_and_ceilings_are_read_in_metres_above_ground(tmp_path, propertie
 )
 def test_heights_that_could_mean_something_else_close_every_altitude_and_say_so(tmp_path, properties, words):
     file = write_geojson(tmp_path / "a.geojson", (SQUARE, {"name": "A"} | properties))
-    with pytest.warns(IgnoredLimitWarning, match=words):
+    with pytest.warns(IgnoredZoneWarning, match=words):
         (zone,) = read_zones(file)
     assert heights(zone) == INFINITE
 
@@ -188,7 +188,7 @@ def test_a_kml_prism_on_the_ground_reaches_to_its_top(tmp_path, height_m, tags, 
 @pytest.mark.parametrize("tags", [PRISM.format("absolute"), "<altitudeMode>relativeToGround</altitudeMode>"])
 def test_kml_heights_above_the_sea_or_without_a_prism_close_every_altitude(tmp_path, tags):
     file = write_kml(tmp_path / "a.kml", placemark("A", 120, tags))
-    with pytest.warns(IgnoredLimitWarning, match="'A' of 'a.kml' is closed at all altitudes"):
+    with pytest.warns(IgnoredZoneWarning, match="'A' of 'a.kml' is closed at all altitudes"):
         (zone,) = read_zones(file)
     assert heights(zone) == INFINITE
 
@@ -197,7 +197,7 @@ def test_an_outline_that_crosses_itself_closes_all_that_it_encloses(tmp_path):
     turn = np.linspace(0, 4 * np.pi, 6)
     star = shapely.Polygon(np.column_stack([LON + 0.001 * np.sin(turn), LAT + 0.001 * np.cos(turn)]))
     file = write_geojson(tmp_path / "a.geojson", (star, {"name": "star"}))
-    with pytest.warns(IgnoredLimitWarning, match="'star' of 'a.geojson' crosses itself"):
+    with pytest.warns(IgnoredZoneWarning, match="'star' of 'a.geojson' crosses itself"):
         (zone,) = read_zones(file)
     assert zone.polygon.is_valid
     assert zone.polygon.contains(shapely.Point(LON, LAT))  # gone around twice
@@ -208,7 +208,7 @@ def test_what_is_no_polygon_closes_nothing_and_is_told(tmp_path):
     file = write_geojson(
         tmp_path / "a.geojson", (SQUARE, {}), (shapely.Point(LON, LAT), {}), (None, {}), (mixed, {"name": "mixed"})
     )
-    with pytest.warns(IgnoredLimitWarning, match=r"3 feature\(s\) of 'a.geojson' are no polygons"):
+    with pytest.warns(IgnoredZoneWarning, match=r"3 feature\(s\) of 'a.geojson' are not polygons"):
         zones = read_zones(file)
     assert [zone.name for zone in zones] == ["polygon 1", "mixed"]
     assert zones[1].polygon.equals(SQUARE)
@@ -222,12 +222,15 @@ def test_what_is_no_polygon_closes_nothing_and_is_told(tmp_path):
         ([], "holds no polygons"),
         ([(shapely.Point(LON, LAT), {})], "holds no polygons"),
         ([(SQUARE, {"floor_m": 80, "ceiling_m": 30})], "floor 80 m and ceiling 30 m"),
-        ([(SQUARE, {"floor_m": "ground"})], "floor_m of the no-fly zone 'polygon 1' of 'a.geojson' is 'ground'"),
+        (
+            [(SQUARE, {"floor_m": "ground"})],
+            "floor_m of the no-fly zone 'polygon 1' of 'a.geojson' must be a finite number .* got 'ground'",
+        ),
         ([(shapely.Polygon([(0, 0), (1, 1), (2, 2)]), {})], "has no area"),
         ([(shapely.box(583_000, 4_505_000, 583_100, 4_505_100), {})], "is in degrees by its CRS"),
     ],
 )
-@pytest.mark.filterwarnings("ignore::jaxurban.errors.IgnoredLimitWarning")
+@pytest.mark.filterwarnings("ignore::jaxurban.errors.IgnoredZoneWarning")
 def test_a_file_that_cannot_be_is_refused_in_one_sentence(tmp_path, content, words):
     file = tmp_path / "a.geojson"
     if isinstance(content, str):

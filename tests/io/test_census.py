@@ -4,10 +4,10 @@ import pandas as pd
 import pytest
 import shapely
 
-from jaxurban.city import OTHER_DISTRICT, Zoning
 from jaxurban.errors import InputError
-from jaxurban.io.census import read_blocks
+from jaxurban.io.read.census import CensusFiles, read_blocks
 from jaxurban.metrics.population import population_totals
+from jaxurban.world.city import OTHER_DISTRICT, Zoning
 
 CRS = "EPSG:32618"
 X0, Y0 = 585_000.0, 4_510_000.0
@@ -37,13 +37,13 @@ def sf1(tmp_path):
 
 @pytest.mark.parametrize("suffix", [".shp", ".gpkg", ".geojson", ".parquet"])
 def test_blocks_of_any_format_join_the_table_of_two_header_rows(tmp_path, sf1, suffix):
-    blocks, faults = read_blocks(write_blocks(tmp_path / f"blocks{suffix}"), sf1, CRS)
+    blocks, issues = read_blocks(CensusFiles(write_blocks(tmp_path / f"blocks{suffix}"), sf1), CRS)
     assert blocks.block_id.tolist() == IDS
     assert blocks.night_count.tolist() == [123, 0, 1400]
     np.testing.assert_allclose(blocks.area_m2, 1e4, rtol=1e-4)
     assert set(blocks.district) == {OTHER_DISTRICT}
     assert set(blocks.zoning) == {Zoning.OTHER}
-    assert {name: number for name, number in faults.items() if number} == {
+    assert {name: number for name, number in issues.items() if number} == {
         "blocks_without_count": 1,
         "blocks_without_district": 3,
         "counts_with_note": 1,
@@ -53,44 +53,46 @@ def test_blocks_of_any_format_join_the_table_of_two_header_rows(tmp_path, sf1, s
 
 def test_a_plain_table_joins_whatever_its_columns_are_called(tmp_path):
     pd.DataFrame({"people": [1, 2, 3], "name": list("abc"), "block": IDS}).to_csv(tmp_path / "t.csv", index=False)
-    blocks, faults = read_blocks(write_blocks(tmp_path / "b.gpkg"), tmp_path / "t.csv", CRS)
+    blocks, issues = read_blocks(CensusFiles(write_blocks(tmp_path / "b.gpkg"), tmp_path / "t.csv"), CRS)
     assert blocks.night_count.tolist() == [1, 2, 3]
-    assert faults["counts_without_block"] == faults["blocks_without_count"] == 0
+    assert issues["counts_without_block"] == issues["blocks_without_count"] == 0
 
 
 def test_ids_join_also_as_numbers_and_without_their_leading_zero(tmp_path):
     ids = ["060370001001000", "060370001001001"]
     pd.DataFrame({"GEOID": [int(i) for i in ids], "POP100": [5, 6]}).to_csv(tmp_path / "t.csv", index=False)
-    blocks, _ = read_blocks(write_blocks(tmp_path / "b.gpkg", ids), tmp_path / "t.csv", CRS)
+    blocks, _ = read_blocks(CensusFiles(write_blocks(tmp_path / "b.gpkg", ids), tmp_path / "t.csv"), CRS)
     assert blocks.night_count.tolist() == [5, 6]
     assert blocks.block_id.tolist() == ids
-    as_numbers, _ = read_blocks(write_blocks(tmp_path / "n.gpkg", [int(i) for i in ids]), tmp_path / "t.csv", CRS)
+    as_numbers, _ = read_blocks(
+        CensusFiles(write_blocks(tmp_path / "n.gpkg", [int(i) for i in ids]), tmp_path / "t.csv"), CRS
+    )
     assert as_numbers.night_count.tolist() == [5, 6]
 
 
 def test_counts_can_lie_in_the_blocks_file(tmp_path):
     path = write_blocks(tmp_path / "b.gpkg", POP10=[4, 5, 6], HOUSING10=[1, 2, 3])
-    blocks, _ = read_blocks(path, None, CRS)
+    blocks, _ = read_blocks(CensusFiles(path), CRS)
     assert blocks.night_count.tolist() == [4, 5, 6]
     with pytest.raises(InputError, match=r"no field of population .* set \[population\] table"):
-        read_blocks(write_blocks(tmp_path / "c.gpkg"), None, CRS)
+        read_blocks(CensusFiles(write_blocks(tmp_path / "c.gpkg")), CRS)
 
 
 def test_an_unreadable_count_is_counted_and_taken_as_nobody(tmp_path):
     pd.DataFrame({"id": IDS, "population": ["1", "n/a", "-4"]}).to_csv(tmp_path / "t.csv", index=False)
-    blocks, faults = read_blocks(write_blocks(tmp_path / "b.gpkg"), tmp_path / "t.csv", CRS)
+    blocks, issues = read_blocks(CensusFiles(write_blocks(tmp_path / "b.gpkg"), tmp_path / "t.csv"), CRS)
     assert blocks.night_count.tolist() == [1, 0, 0]
-    assert faults["blocks_without_count"] == 2
+    assert issues["blocks_without_count"] == 2
 
 
 def test_only_blocks_that_touch_the_region_are_kept(tmp_path, sf1):
-    blocks, faults = read_blocks(
-        write_blocks(tmp_path / "b.shp"), sf1, CRS, bounds_m=(X0 + 210, Y0 + 10, X0 + 900, Y0 + 90)
+    blocks, issues = read_blocks(
+        CensusFiles(write_blocks(tmp_path / "b.shp"), sf1), CRS, bounds_m=(X0 + 210, Y0 + 10, X0 + 900, Y0 + 90)
     )
     assert blocks.block_id.tolist() == IDS[2:]
-    assert faults["counts_without_block"] == 1  # against the whole file, not the region
+    assert issues["counts_without_block"] == 1  # against the whole file, not the region
     with pytest.raises(InputError, match="no block that touches the region"):
-        read_blocks(tmp_path / "b.shp", sf1, CRS, bounds_m=(0, 0, 10, 10))
+        read_blocks(CensusFiles(tmp_path / "b.shp", sf1), CRS, bounds_m=(0, 0, 10, 10))
 
 
 def test_districts_set_label_and_zoning(tmp_path, sf1):
@@ -98,22 +100,22 @@ def test_districts_set_label_and_zoning(tmp_path, sf1):
         {"BoroCD": [101, 107]}, geometry=shapely.box([X0, X0 + 160], Y0, [X0 + 160, X0 + 200], Y0 + 100), crs=CRS
     )
     districts.to_file(tmp_path / "d.gpkg")
-    blocks, faults = read_blocks(
-        write_blocks(tmp_path / "b.gpkg"), sf1, CRS, districts_path=tmp_path / "d.gpkg", commercial=(101,)
+    blocks, issues = read_blocks(
+        CensusFiles(write_blocks(tmp_path / "b.gpkg"), sf1, districts=tmp_path / "d.gpkg", commercial=(101,)), CRS
     )
     assert blocks.district.tolist() == [101, 101, OTHER_DISTRICT]
     assert blocks.zoning.tolist() == [Zoning.COMMERCIAL, Zoning.COMMERCIAL, Zoning.OTHER]
-    assert faults["blocks_without_district"] == 1
+    assert issues["blocks_without_district"] == 1
 
 
 def test_a_wrong_block_field_is_refused_with_the_remedy(tmp_path, sf1):
     path = write_blocks(tmp_path / "b.gpkg", TRACT=["1", "1", "2"], NAME=["x", "y", "z"])
     with pytest.raises(InputError, match=r"no field 'GEOID20' .did you mean 'GEOID10'"):
-        read_blocks(path, sf1, CRS, block_field="GEOID20")
+        read_blocks(CensusFiles(path, sf1, block_field="GEOID20"), CRS)
     with pytest.raises(InputError, match="id '1' more than once in 'TRACT'"):
-        read_blocks(path, sf1, CRS, block_field="TRACT")
+        read_blocks(CensusFiles(path, sf1, block_field="TRACT"), CRS)
     with pytest.raises(InputError, match="joins no block: no column holds ids such as 'x'"):
-        read_blocks(path, sf1, CRS, block_field="NAME")
+        read_blocks(CensusFiles(path, sf1, block_field="NAME"), CRS)
 
 
 @pytest.mark.parametrize(
@@ -128,32 +130,34 @@ def test_a_wrong_block_field_is_refused_with_the_remedy(tmp_path, sf1):
 def test_a_table_that_cannot_serve_says_why(tmp_path, text, message):
     (tmp_path / "t.csv").write_text(text)
     with pytest.raises(InputError, match=message):
-        read_blocks(write_blocks(tmp_path / "b.gpkg"), tmp_path / "t.csv", CRS)
+        read_blocks(CensusFiles(write_blocks(tmp_path / "b.gpkg"), tmp_path / "t.csv"), CRS)
 
 
 def test_missing_files_are_named(tmp_path, sf1):
     with pytest.raises(InputError, match=r"the blocks file .*none.shp' does not exist"):
-        read_blocks(tmp_path / "none.shp", sf1, CRS)
-    with pytest.raises(InputError, match=r"\[population\] table .*none.csv' cannot be read .*No such file"):
-        read_blocks(write_blocks(tmp_path / "b.gpkg"), tmp_path / "none.csv", CRS)
+        read_blocks(CensusFiles(tmp_path / "none.shp", sf1), CRS)
+    with pytest.raises(InputError, match=r"\[population\] table .*none.csv' does not exist"):
+        read_blocks(CensusFiles(write_blocks(tmp_path / "b.gpkg"), tmp_path / "none.csv"), CRS)
 
 
 def test_repeated_equal_rows_count_once(tmp_path):
     (tmp_path / "t.csv").write_text(f"id,population\n{IDS[0]},9\n{IDS[0]},9\n")
-    blocks, _ = read_blocks(write_blocks(tmp_path / "b.gpkg"), tmp_path / "t.csv", CRS)
+    blocks, _ = read_blocks(CensusFiles(write_blocks(tmp_path / "b.gpkg"), tmp_path / "t.csv"), CRS)
     assert blocks.night_count.tolist() == [9, 0, 0]
 
 
 @pytest.mark.data
 def test_manhattan_has_its_census_by_district(data_dir):
-    blocks, faults = read_blocks(
-        data_dir / "census/tl_2010_36061_tabblock10.shp",
-        data_dir / "census/DECENNIALSF12010.P1_nyc_blocks.csv",
+    blocks, issues = read_blocks(
+        CensusFiles(
+            data_dir / "census/tl_2010_36061_tabblock10.shp",
+            data_dir / "census/DECENNIALSF12010.P1_nyc_blocks.csv",
+            districts=data_dir / "districts/nyc_community_districts.geojson",
+        ),
         CRS,
-        districts_path=data_dir / "districts/nyc_community_districts.geojson",
     )
     assert len(blocks) == 3950
-    assert faults["blocks_without_count"] == 0
+    assert issues["blocks_without_count"] == 0
     night = population_totals(blocks)["night"]
     assert night == {"commercial": 611_934, "residential": 965_451, "other": 8_488, "total": 1_585_873}
     assert blocks.night_count[blocks.district == 164].sum() == 25

@@ -5,10 +5,10 @@ import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from jaxurban.city import OTHER_DISTRICT, Zoning
 from jaxurban.errors import InputError
-from jaxurban.io.districts import clean_polygons, largest_overlap, read_districts, zoning_of
-from jaxurban.io.vectorfile import open_frame
+from jaxurban.io.read.districts import clean_polygons, largest_overlap, read_districts, zoning_of
+from jaxurban.io.read.vector import open_frame
+from jaxurban.world.city import OTHER_DISTRICT, Zoning
 
 CRS = "EPSG:32618"
 COMMERCIAL = (101, 102, 103, 104, 105, 106)
@@ -70,10 +70,10 @@ def test_in_another_city_every_other_district_is_residential_unless_listed():
 
 def test_text_labels_are_read_as_numbers_and_reprojected(tmp_path):
     path = write(tmp_path / "d.geojson", boxes((0, 0, 100, 100)), "EPSG:4326", code=["0104"])
-    polygons, labels, faults = read_districts(path, CRS, "code")
+    polygons, labels, issues = read_districts(path, CRS, "code")
     assert labels.tolist() == [104]
     assert shapely.area(polygons)[0] == pytest.approx(1e4, rel=1e-4)
-    assert faults["invalid_polygons"] == 0
+    assert issues["invalid_polygons"] == 0
 
 
 def test_an_unknown_field_names_the_nearest(tmp_path):
@@ -91,8 +91,8 @@ def test_a_label_that_is_no_whole_number_is_refused(tmp_path):
 def test_invalid_polygons_are_repaired_and_points_left_out():
     bow_tie = shapely.Polygon([(X0, Y0), (X0 + 10, Y0 + 10), (X0 + 10, Y0), (X0, Y0 + 10)])
     frame = gpd.GeoDataFrame(geometry=[bow_tie, shapely.Point(X0, Y0), *boxes((0, 0, 5, 5))], crs=CRS)
-    cleaned, faults = clean_polygons(frame, CRS)
-    assert faults == {"invalid_polygons": 1, "without_polygon": 1}
+    cleaned, issues = clean_polygons(frame, CRS)
+    assert issues == {"invalid_polygons": 1, "without_polygon": 1}
     np.testing.assert_allclose(cleaned.area, [50, 25])
     assert cleaned.is_valid.all()
 

@@ -1,4 +1,4 @@
-"""The polite client, against a server that misbehaves: what enters the cache is whole and what was asked for."""
+"""The polite client, against a server that misbehaves: what enters the cache is whole and passes its check."""
 
 import gzip
 import hashlib
@@ -14,10 +14,11 @@ from email.utils import format_datetime
 import pytest
 
 from jaxurban.errors import InputError
-from jaxurban.io import download, webrequest
-from jaxurban.io.download import UnfitError, Wanted, cache_folder, open_client
-from jaxurban.io.store import LOCK_FILE
-from jaxurban.memory import parse_bytes
+from jaxurban.io.fetch import download, http
+from jaxurban.io.fetch.download import Download, UnfitError, cache_folder, open_cache
+from jaxurban.io.fetch.sources import Source
+from jaxurban.io.files import LOCK_FILE
+from jaxurban.maps.memory import parse_bytes
 from tests.misbehaving_server import drip, send, serve, unless_known
 
 BODY = b"good " * 2000
@@ -38,10 +39,13 @@ def is_good(path):
         raise UnfitError("it is not good")
 
 
-def get(url, *, most_bytes=MB, timeout_s=5.0, is_offline=False, said=None, **options):
-    tell = [].append if said is None else said.append
-    with open_client(most_bytes=most_bytes, timeout_s=timeout_s, is_offline=is_offline, tell=tell) as client:
-        return client.get(Wanted("osm", url, is_good, **options))
+def wanted(url, check, md5_url=None, **options):
+    return Download(Source("osm", url, (), "credit", "licence", **({"fresh_s": 0.0} | options)), url, check, md5_url)
+
+
+def get(url, *, most_bytes=MB, timeout_s=5.0, is_offline=False, **options):
+    with open_cache(most_bytes=most_bytes, timeout_s=timeout_s, is_offline=is_offline) as cache:
+        return cache.get(wanted(url, is_good, **options))
 
 
 def files_in_cache():
@@ -116,7 +120,7 @@ def test_a_file_cut_off_is_asked_for_again_and_then_refused(server):
     assert get(server.put("/once", cut, send(BODY))).path.read_bytes() == BODY
     (cache_folder() / files_in_cache()[0]).unlink()
     (cache_folder() / files_in_cache()[0]).unlink()
-    assert_refused(server.put("/always", cut), "broke off in the middle .*asked 3 times", num_tries=3)
+    assert_refused(server.put("/always", cut), "broke off in the middle .*tried 3 times", num_tries=3)
     assert server.paths() == ["/once"] * 2 + ["/always"] * 3
 
 
@@ -154,7 +158,7 @@ def test_a_packed_giant_is_stopped_at_the_limit(server):
 
 
 def test_a_web_page_instead_of_the_file_is_refused(server):
-    assert_refused(server.put("/a", send(b"<html>log in</html>")), "not the osm file that was asked for: it is not")
+    assert_refused(server.put("/a", send(b"<html>log in</html>")), "not the osm file that was requested: it is not")
 
 
 def test_an_empty_answer_is_refused(server):
@@ -168,20 +172,20 @@ def test_a_refusal_is_taken_at_once(server, status):
 
 
 @pytest.mark.parametrize("status", [429, 502, 503, 504])
-def test_a_busy_server_is_asked_again(server, status):
-    said = []
-    kept = get(server.put("/a", send(b"", status), send(b"", status), send(BODY)), said=said)
+def test_a_busy_server_is_asked_again(server, status, caplog):
+    caplog.set_level("INFO", "jaxurban")
+    kept = get(server.put("/a", send(b"", status), send(b"", status), send(BODY)))
     assert kept.path.read_bytes() == BODY
-    assert sum("trying again in" in line for line in said) == 2
+    assert sum("trying again in" in line for line in caplog.messages) == 2
 
 
 def test_a_busy_server_is_not_asked_for_ever(server):
-    assert_refused(server.put("/a", send(b"", 503)), r"busy \(503 .*asked 4 times\): run the same command later")
+    assert_refused(server.put("/a", send(b"", 503)), r"busy \(503 .*tried 4 times\): run the same command later")
     assert len(server.asked) == 4
 
 
 def test_a_busy_server_is_asked_once_where_it_wants_that(server):
-    assert_refused(server.put("/a", send(b"", 503)), "asked once", num_tries=1)
+    assert_refused(server.put("/a", send(b"", 503)), "tried once", num_tries=1)
     assert len(server.asked) == 1
 
 
@@ -206,7 +210,7 @@ def test_redirects_are_followed_but_not_in_circles(server):
         (cache_folder() / name).unlink()
     server.put("/there", send(b"", 302, Location="/here"))
     assert_refused(server.url + "/here", "leads in circles")
-    assert len(server.asked) == 2 + webrequest.MOST_REDIRECTS + 1
+    assert len(server.asked) == 2 + http.MOST_REDIRECTS + 1
 
 
 def redirect(location):
@@ -215,14 +219,18 @@ def redirect(location):
 
 @pytest.mark.parametrize(
     ("location", "words"),
-    [("http://a.example/x", "not encrypted"), ("http://[::", "no http://"), ("file:///etc/passwd", "no http://")],
+    [
+        ("http://a.example/x", "not encrypted"),
+        ("http://[::", "not an http://"),
+        ("file:///etc/passwd", "not an http://"),
+    ],
 )
 def test_no_redirect_leads_astray(location, words):
-    answer = webrequest.requests.Response()
+    answer = http.requests.Response()
     answer.status_code, answer.url = 302, "https://a.example/x"
     answer.headers["Location"] = location
     with pytest.raises(InputError, match=words):
-        webrequest._target(answer)
+        http._target(answer)
 
 
 def test_the_body_of_a_redirect_is_not_read(server):
@@ -274,7 +282,7 @@ def test_a_length_of_many_digits_is_too_large(server):
 
 
 def test_a_size_is_told_as_it_was_given():
-    assert webrequest.megabytes(parse_bytes("500MB")) == "500.0 MB"
+    assert http.megabytes(parse_bytes("500MB")) == "500.0 MB"
 
 
 def test_no_password_of_netrc_is_sent_but_that_of_the_url(server, tmp_path, monkeypatch):
@@ -296,7 +304,7 @@ def test_proxies_are_used(server, monkeypatch):
 
 
 def test_a_wait_that_makes_no_sense_is_passed_over(server):
-    assert webrequest._seconds("-5") is webrequest._seconds("\xb2") is webrequest._seconds("soon") is None
+    assert http._seconds("-5") is http._seconds("\xb2") is http._seconds("soon") is None
     assert_refused(server.put("/a", send(b"", 429, Retry_After="9" * 400)), "asks to wait more than a day: run")
 
 
@@ -305,7 +313,7 @@ def test_a_published_checksum_is_compared(server):
     right = server.put("/a.pbf.md5", send(hashlib.md5(BODY).hexdigest().encode() + b"  a.pbf\n"))
     wrong = server.put("/wrong.md5", send(b"0" * 32 + b"  a.pbf\n"))
     assert_refused(url, "does not match its published MD5", md5_url=wrong)
-    assert_refused(url, "is no MD5 checksum", md5_url=url)
+    assert_refused(url, "is not an MD5 checksum", md5_url=url)
     assert get(url, md5_url=right).path.read_bytes() == BODY
 
 
@@ -320,10 +328,10 @@ def test_a_checksum_may_arrive_in_pieces(server):
     assert get(url, md5_url=server.put("/a.md5", pieces)).path.read_bytes() == BODY
 
 
-def test_a_missing_checksum_is_told(server):
-    said = []
-    get(server.put("/a", send(BODY)), md5_url=server.url + "/none.md5", said=said)
-    assert any("checksum: none is published" in line for line in said)
+def test_a_missing_checksum_is_told(server, caplog):
+    caplog.set_level("INFO", "jaxurban")
+    get(server.put("/a", send(BODY)), md5_url=server.url + "/none.md5")
+    assert any("checksum: the publisher gives none" in line for line in caplog.messages)
 
 
 def test_without_a_network_the_remedy_is_named(server):
@@ -338,7 +346,7 @@ def test_without_a_network_the_remedy_is_named(server):
 def test_two_runs_do_not_share_the_cache_at_a_time(server):
     url = server.put("/a", send(BODY))
     with (
-        open_client(most_bytes=MB, timeout_s=5.0, is_offline=False, tell=print),
+        open_cache(most_bytes=MB, timeout_s=5.0, is_offline=False),
         pytest.raises(InputError, match=r"another run is writing .*XDG_CACHE_HOME"),
     ):
         get(url)
@@ -347,9 +355,9 @@ def test_two_runs_do_not_share_the_cache_at_a_time(server):
 def test_a_killed_run_leaves_nothing_that_is_used(server):
     url = server.put("/a", drip(server, b"good" * 1000, 0.02))
     code = (
-        "from jaxurban.io.download import *\n"
-        "with open_client(most_bytes=10**9, timeout_s=60.0, is_offline=False, tell=print) as client:\n"
-        f"    client.get(Wanted('osm', {url!r}, print))\n"
+        "from jaxurban.io.fetch.download import *\n"
+        "with open_cache(most_bytes=10**9, timeout_s=60.0, is_offline=False) as cache:\n"
+        f"    cache.get(Download(Source('osm', '', (), '', '', 0.0), {url!r}, print))\n"
     )
     with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.DEVNULL) as process:
         while not (server.asked and any(cache_folder().glob(".*"))):

@@ -17,16 +17,16 @@ import shapely
 from sgp4.exporter import export_tle
 
 from jaxurban.errors import InputError
-from jaxurban.io import arrived
-from jaxurban.io.buildings import read_buildings
-from jaxurban.io.census import read_blocks
-from jaxurban.io.download import UnfitError
-from jaxurban.io.fetchplan import FetchJob, plan_fetch
-from jaxurban.io.nominal import nominal_satellites
-from jaxurban.io.orbits import _timescale
-from jaxurban.io.osmcut import cut_buildings
-from jaxurban.pipeline import run_scenario
-from jaxurban.scenario import Scenario
+from jaxurban.io.fetch import validate
+from jaxurban.io.fetch.download import UnfitError
+from jaxurban.io.fetch.plan import FetchJob, plan_fetch
+from jaxurban.io.read.buildings import BuildingFile, read_buildings
+from jaxurban.io.read.census import CensusFiles, read_blocks
+from jaxurban.io.read.nominal import nominal_satellites
+from jaxurban.io.read.orbits import _timescale
+from jaxurban.io.read.osm import cut_buildings
+from jaxurban.scenario.run import run_scenario
+from jaxurban.scenario.settings import Scenario
 from tests.cli_runs import assert_one_sentence, run
 from tests.misbehaving_server import send, serve
 
@@ -244,9 +244,9 @@ def test_old_element_sets_serve_their_own_date_only(server, tmp_path, capsys):
     assert "choose a --date near them" in err.splitlines()[-1]
     code, _, err = fetch(capsys, tmp_path / "own", "--what", "osm,orbits")
     assert (code, "the GPS maps are of 2020-04-27T12:00:00Z" in err) == (0, True)
-    assert Scenario.from_toml(tmp_path / "own/scenario.toml").gps.epochs == ("2020-04-27T12:00:00Z",)
+    assert Scenario.from_toml(tmp_path / "own/scenario.toml").gps.utc_times == ("2020-04-27T12:00:00Z",)
     assert fetch(capsys, tmp_path / "a", "--what", "osm,orbits", "--date", "2020-04-28")[0] == 0
-    assert Scenario.from_toml(tmp_path / "a/scenario.toml").gps.epochs == ("2020-04-28T12:00:00Z",)
+    assert Scenario.from_toml(tmp_path / "a/scenario.toml").gps.utc_times == ("2020-04-28T12:00:00Z",)
 
 
 def test_without_a_network_it_is_one_sentence_and_exit_two(server, tmp_path, capsys):
@@ -279,7 +279,7 @@ def test_an_extract_is_checked_and_cut_to_the_region(server, tmp_path, capsys, m
     assert [line.partition(": ")[0] for line in out.splitlines()] == ["checksum", "osm"]
     code, _, err = fetch(capsys, tmp_path / "a", "--what", "osm", "--extract", url)
     assert (code, server.paths()) == (0, ["/state.osm.pbf.md5", "/state.osm.pbf"]), err
-    found = read_buildings(tmp_path / "a" / "buildings.osm.pbf", "EPSG:32618").buildings
+    found = read_buildings(BuildingFile(tmp_path / "a" / "buildings.osm.pbf"), "EPSG:32618").buildings
     assert sorted(found.height_m.tolist()) == [25, 40]
 
 
@@ -288,7 +288,9 @@ def test_a_cut_extract_holds_the_same_buildings(data_dir, tmp_path):
     source, cut = data_dir / "osm/lower-manhattan.osm.pbf", tmp_path / "cut.osm.pbf"
     cut_buildings(source, cut, (-74.0150, 40.7020, -74.0080, 40.7080))
     inside_m = (583_400.0, 4_506_200.0, 583_700.0, 4_506_600.0)
-    whole, part = (read_buildings(path, "EPSG:32618", bounds_m=inside_m).buildings for path in (source, cut))
+    whole, part = (
+        read_buildings(BuildingFile(path), "EPSG:32618", bounds_m=inside_m).buildings for path in (source, cut)
+    )
     assert len(part.polygons) == len(whole.polygons) > 50
     np.testing.assert_array_equal(np.sort(part.height_m), np.sort(whole.height_m))
     assert shapely.area(part.polygons).sum() == pytest.approx(shapely.area(whole.polygons).sum(), rel=1e-9)
@@ -336,7 +338,7 @@ def without(pattern, text):
 def test_osm_xml_is_read_to_its_end(tmp_path, damaged, words):
     (tmp_path / "a").write_bytes(damaged)
     with pytest.raises((UnfitError, InputError), match=words):
-        arrived.check_osm(tmp_path / "a")
+        validate.check_osm(tmp_path / "a")
 
 
 def test_every_block_of_a_pbf_is_unpacked(tmp_path):
@@ -346,7 +348,7 @@ def test_every_block_of_a_pbf_is_unpacked(tmp_path):
         damaged[place] ^= 1
         (tmp_path / "a").write_bytes(damaged)
         with pytest.raises(UnfitError):
-            arrived.check_osm(tmp_path / "a")
+            validate.check_osm(tmp_path / "a")
 
 
 def test_damaged_content_is_told_without_the_paths_of_scratch_files(server, tmp_path, capsys):
@@ -380,12 +382,12 @@ def test_blocks_of_several_counties_and_pages_come_together(server, tmp_path, ca
     server.put("/blocks_36047.zip", send(block_zip(tmp_path / "east", east, x=-74.0085)))
     assert fetch(capsys, tmp_path / "a", "--what", "osm,census")[0] == 0
     assert [path.partition("from=")[2] for path, _ in server.asked if path.startswith("/counts")] == ["0", "4"]
-    blocks, faults = read_blocks(
-        tmp_path / "a/blocks.parquet", tmp_path / "a/population.csv", "EPSG:32618", block_field="GEOID"
+    blocks, issues = read_blocks(
+        CensusFiles(tmp_path / "a/blocks.parquet", tmp_path / "a/population.csv", block_field="GEOID"), "EPSG:32618"
     )
     # The third block from the east begins 120 m beyond the region: it is left out.
     assert blocks.block_id.tolist() == east[:2] + block_ids(4)
-    assert faults["blocks_without_count"] == 0
+    assert issues["blocks_without_count"] == 0
 
 
 def test_pages_without_end_are_told(server, tmp_path, capsys):
@@ -438,7 +440,7 @@ def test_the_population_may_be_a_csv_table(server, tmp_path, capsys):
     places = ("--source", f"population={url}", "--source", f"blocks={server.url}/old.zip")
     assert fetch(capsys, tmp_path / "a", "--what", "osm,census", *places)[0] == 0
     blocks, _ = read_blocks(
-        tmp_path / "a/blocks.parquet", tmp_path / "a/population.csv", "EPSG:32618", block_field="GEOID"
+        CensusFiles(tmp_path / "a/blocks.parquet", tmp_path / "a/population.csv", block_field="GEOID"), "EPSG:32618"
     )
     assert blocks.night_count.sum() == 50 + 51 + 52 + 53
 
@@ -486,37 +488,39 @@ def job(**settings):
 
 
 def test_the_known_sources_are_asked_by_name():
-    requests = {wanted.source: wanted for wanted in plan_fetch(job(counties=(COUNTY,))).requests}
+    requests = {download.source.name: download for download in plan_fetch(job(counties=(COUNTY,))).downloads}
     assert requests["osm"].url.startswith("https://overpass-api.de/api/interpreter?data=%5Bout%3Axml%5D")
     assert requests["blocks"].url.endswith("/TIGER2020PL/LAYER/TABBLOCK/2020/tl_2020_36061_tabblock20.zip")
     assert "tigerWMS_Census2020/MapServer/10/query" in requests["population"].url
-    assert requests["orbits"].num_tries == 1  # CelesTrak wants programs to stop at a refusal
-    of_2010 = {wanted.source: wanted for wanted in plan_fetch(job(counties=(COUNTY,), census_year="2010")).requests}
+    assert requests["orbits"].source.num_tries == 1  # CelesTrak wants programs to stop at a refusal
+    of_2010 = {
+        download.source.name: download for download in plan_fetch(job(counties=(COUNTY,), census_year="2010")).downloads
+    }
     assert of_2010["blocks"].url.endswith("/TIGER2010/TABBLOCK/2010/tl_2010_36061_tabblock10.zip")
 
 
 def test_geofabrik_publishes_a_checksum_and_others_are_not_asked_for_one():
     there = "https://download.geofabrik.de/north-america/us/new-york-latest.osm.pbf"
-    assert plan_fetch(job(given_urls={"osm": there})).osm.md5_url == f"{there}.md5"
-    assert plan_fetch(job(given_urls={"osm": "https://a.example/town.osm.pbf"})).osm.md5_url is None
+    assert plan_fetch(job(given_urls={"osm": there})).of("osm").md5_url == f"{there}.md5"
+    assert plan_fetch(job(given_urls={"osm": "https://a.example/town.osm.pbf"})).of("osm").md5_url is None
 
 
 def test_a_large_region_needs_an_extract_and_takes_one_of_any_size():
     wide = (-74.2, 40.6, -73.8, 40.9)
     with pytest.raises(InputError, match="100 km2 at most"):
         plan_fetch(job(bounds=wide))
-    assert plan_fetch(job(bounds=wide, given_urls={"osm": "https://a.example/town.osm.pbf"})).osm is not None
+    assert plan_fetch(job(bounds=wide, given_urls={"osm": "https://a.example/town.osm.pbf"})).of("osm") is not None
 
 
 def test_abroad_no_population_is_known_and_that_is_said():
     plan = plan_fetch(job(bounds=(24.93, 60.16, 24.96, 60.18)))
-    assert [wanted.source for wanted in plan.requests] == ["osm", "orbits"]
+    assert [download.source.name for download in plan.downloads] == ["osm", "orbits"]
     assert any("no source is known outside the United States" in note for note in plan.left_out)
 
 
 def test_old_dates_get_the_nominal_satellites_and_the_reason():
     plan = plan_fetch(job(day=TODAY - timedelta(days=2000)))
-    assert plan.orbits is None
+    assert plan.of("orbits") is None
     assert any("login at space-track.org" in note for note in plan.left_out)
 
 
@@ -525,7 +529,7 @@ def test_an_overpass_message_in_place_of_data_is_refused(tmp_path):
         osm_xml().replace(b"</osm>", b"<remark> runtime error: Query timed out </remark>\n</osm>")
     )
     with pytest.raises(UnfitError, match="the server says 'runtime error: Query timed out'"):
-        arrived.osm_suffix(tmp_path / "a")
+        validate.osm_format(tmp_path / "a")
 
 
 def cut_in_half(body):
@@ -535,12 +539,12 @@ def cut_in_half(body):
 @pytest.mark.parametrize(
     ("check", "make"),
     [
-        (arrived.osm_suffix, lambda folder: osm_xml()),
-        (arrived.osm_suffix, lambda folder: pbf(folder)),
-        (lambda path: arrived.read_block_zip(path, 10**6), lambda folder: block_zip(folder / "b", block_ids(4))),
-        (arrived.read_counts, lambda folder: counts_json(block_ids(4))),
-        (lambda path: arrived.check_districts(path, "EPSG:32618", "BoroCD"), lambda folder: districts_geojson()),
-        (arrived.orbits_suffix, lambda folder: tle(TODAY)),
+        (validate.osm_format, lambda folder: osm_xml()),
+        (validate.osm_format, lambda folder: pbf(folder)),
+        (lambda path: validate.read_block_zip(path, 10**6), lambda folder: block_zip(folder / "b", block_ids(4))),
+        (validate.read_counts, lambda folder: counts_json(block_ids(4))),
+        (lambda path: validate.check_districts(path, "EPSG:32618", "BoroCD"), lambda folder: districts_geojson()),
+        (validate.orbits_suffix, lambda folder: tle(TODAY)),
     ],
     ids=["osm", "pbf", "blocks", "counts", "districts", "orbits"],
 )
@@ -559,7 +563,7 @@ def test_a_pbf_that_lacks_its_end_is_cut_off(tmp_path, missing):
     body = pbf(tmp_path)
     (tmp_path / "a").write_bytes(body[:-missing])
     with pytest.raises(UnfitError, match="cut off"):
-        arrived.osm_suffix(tmp_path / "a")
+        validate.osm_format(tmp_path / "a")
 
 
 @pytest.mark.parametrize(
@@ -567,7 +571,7 @@ def test_a_pbf_that_lacks_its_end_is_cut_off(tmp_path, missing):
     [
         (b'"POP100": 101', b'"POP100": null', "POP100 is 'None' in block"),
         (b'"POP100": 101', b'"POP100": -7', "POP100 is '-7' in block"),
-        (b'"POP100": 101', b'"POP100": 1e999', "no number of JSON"),
+        (b'"POP100": 101', b'"POP100": 1e999', "not a number of JSON"),
         (b"36061", b"ABCDE", "block id 'ABCDE0001001000'"),
         (b"[", b"[" * 100_000, "nested too deep"),
     ],
@@ -576,14 +580,14 @@ def test_a_pbf_that_lacks_its_end_is_cut_off(tmp_path, missing):
 def test_counts_are_numbers_of_people_by_block(tmp_path, old, new, words):
     (tmp_path / "a").write_bytes(counts_json(block_ids(4)).replace(old, new))
     with pytest.raises(UnfitError, match=words):
-        arrived.read_counts(tmp_path / "a")
+        validate.read_counts(tmp_path / "a")
 
 
 @pytest.mark.parametrize("coordinate", [b"NaN", b"Infinity", b"1e999", b"9" * 400])
 def test_districts_are_on_this_globe(tmp_path, coordinate):
     (tmp_path / "a").write_bytes(districts_geojson().replace(b"-74.02", coordinate))
     with pytest.raises((UnfitError, InputError)):
-        arrived.check_districts(tmp_path / "a", "EPSG:32618", "BoroCD")
+        validate.check_districts(tmp_path / "a", "EPSG:32618", "BoroCD")
 
 
 def test_a_zip_with_a_damaged_list_of_parts_is_refused(tmp_path):
@@ -592,22 +596,22 @@ def test_a_zip_with_a_damaged_list_of_parts_is_refused(tmp_path):
     for damaged in (body[100:], body[:place] + b"XXXX" + body[place + 4 :]):
         (tmp_path / "a").write_bytes(damaged)
         with pytest.raises(UnfitError, match="damaged or cannot be unpacked"):
-            arrived.read_block_zip(tmp_path / "a", 10**6)
+            validate.read_block_zip(tmp_path / "a", 10**6)
 
 
 def test_blocks_bear_ids_of_blocks(tmp_path):
     (tmp_path / "a").write_bytes(block_zip(tmp_path / "b", ["36061ABC0001000"]))
     with pytest.raises(UnfitError, match="block id '36061ABC0001000'"):
-        arrived.read_block_zip(tmp_path / "a", 10**6)
+        validate.read_block_zip(tmp_path / "a", 10**6)
 
 
 def test_a_zip_that_unpacks_to_too_much_is_refused(tmp_path):
     (tmp_path / "a").write_bytes(block_zip(tmp_path / "b", block_ids(4)))
     with pytest.raises(UnfitError, match="unpacks to more than"):
-        arrived.read_block_zip(tmp_path / "a", 100)
+        validate.read_block_zip(tmp_path / "a", 100)
 
 
 def test_a_message_of_tigerweb_in_place_of_counts_is_refused(tmp_path):
     (tmp_path / "a").write_text('{"error": {"code": 400, "message": "Failed to execute query."}}')
     with pytest.raises(UnfitError, match="Failed to execute query"):
-        arrived.read_counts(tmp_path / "a")
+        validate.read_counts(tmp_path / "a")

@@ -6,10 +6,11 @@ import pytest
 import shapely
 
 import jaxurban as ju
-from jaxurban.city import Raster
-from jaxurban.guesses import leaving_shares, outside_share
-from jaxurban.io.buildings import read_buildings
-from jaxurban.io.knownarea import area_of_outlines, area_of_raster, rays_leaving
+from jaxurban.io.read.buildings import BuildingFile, read_buildings
+from jaxurban.io.read.knownarea import area_of_outlines, area_of_raster, rays_leaving
+from jaxurban.maps.build import view_sky
+from jaxurban.maps.guesses import leaving_shares, outside_share
+from jaxurban.world.city import Buildings, Raster
 
 UTM = "EPSG:32618"
 X, Y = 583000.0, 4506000.0
@@ -64,7 +65,7 @@ def test_rays_leave_where_no_data_are_even_if_they_end_where_some_are():
     city = ju.City(
         UTM,
         area.bounds,
-        ju.city.Buildings(np.array([], object), zero, zero, zero.astype(np.uint8), zero > 0),
+        Buildings(np.array([], object), zero, zero, zero.astype(np.uint8), zero > 0),
         area=area,
     )
     region = ju.Grid(UTM, 10.0, round(Y / 10), round(X / 10), 10, 10)
@@ -119,7 +120,7 @@ def test_rays_are_told_to_leave_a_town_beside_a_wreck(tmp_path):
     wrecks = [(-74.12, 40.62, -74.119, 40.621), (-73.92, 40.79, -73.919, 40.791)]
     beside = ju.City.from_files(write(tmp_path / "b.geojson", [*town, *wrecks]), bounds=BOUNDS, crs=UTM)
     grid = ju.Grid.from_bounds(BOUNDS, 20.0, UTM)
-    sky = ju.build.view_sky(grid, "nominal", ("2020-04-27T16:00:00Z",), mask_deg=5.0, reference=None, max_age_days=90.0)
+    sky = view_sky(grid, "nominal", ("2020-04-27T16:00:00Z",), mask_deg=5.0, reference=None, max_age_days=90.0)
     shares = [leaving_shares(city, grid, sky, 20.0, 5.0)[0] for city in (alone, beside)]
     assert shares[0] == shares[1] > 0.1
 
@@ -127,7 +128,7 @@ def test_rays_are_told_to_leave_a_town_beside_a_wreck(tmp_path):
 def test_the_kept_area_of_a_file_is_that_of_its_part(tmp_path):
     path = write(tmp_path / "c.geojson", [(-74.0159, 40.7041, -74.0150, 40.7050), (-72.0, 42.0, -71.999, 42.001)])
     bounds_m = ju.Grid.from_bounds(BOUNDS, 20.0, UTM).bounds_m
-    part, whole = read_buildings(path, UTM, bounds_m=bounds_m), read_buildings(path, UTM)
+    part, whole = read_buildings(BuildingFile(path), UTM, bounds_m=bounds_m), read_buildings(BuildingFile(path), UTM)
     assert part.area.area < 2e4
     assert whole.area.area < 4e4
     assert part.file_extent_m == whole.file_extent_m == whole.area.bounds

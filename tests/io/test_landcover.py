@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 import shapely
 
-from jaxurban.case_study import land_cover_of
-from jaxurban.demo import demo_city, demo_cover
 from jaxurban.errors import InputError
-from jaxurban.grid import WGS84, transformer
-from jaxurban.io.landcover import read_land_cover, sea
-from jaxurban.scenario import Scenario
+from jaxurban.io.read.landcover import read_land_cover, sea
+from jaxurban.report.run_montecarlo import land_cover_of
+from jaxurban.scenario.settings import Scenario
+from jaxurban.world.grid import WGS84, transformer
+from jaxurban.world.synthetic import demo_city, demo_cover
 
 BOX = shapely.box(0, 0, 3000, 2000)
 CRS = "EPSG:32618"

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from jaxurban.errors import InputError
-from jaxurban.io.movingai import GridProblem, read_map, read_scenarios, write_map, write_scenarios
+from jaxurban.io.read.movingai import GridProblem, read_map, read_scenarios, write_map, write_scenarios
 
 
 def test_a_map_is_written_north_first_and_read_back(tmp_path):

@@ -16,8 +16,8 @@ from skyfield.api import EarthSatellite, load, wgs84
 from skyfield.framelib import itrs
 
 from jaxurban.errors import InputError, StaleElementsWarning
-from jaxurban.io.nominal import LATITUDE_RATE_DEG, SLOTS, nominal_satellites
-from jaxurban.io.orbits import look_angles, middle_epoch, parse_time, read_orbits
+from jaxurban.io.read.nominal import LATITUDE_RATE_DEG, SLOTS, nominal_satellites
+from jaxurban.io.read.orbits import look_angles, middle_epoch, parse_time, read_orbits
 
 LON_DEG, LAT_DEG = -74.0, 40.715
 MILLIDEGREE_RAD = math.radians(1e-3)
@@ -223,17 +223,17 @@ def cut_json():
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (b"\x00\x00\x00\x0d\x0a\x09OSMHeader\x18\xff\xfe", "is not text"),
+        (b"\x00\x00\x00\x0d\x0a\x09OSMHeader\x18\xff\xfe", "cannot be read as text"),
         (b"", "holds no element set"),
         (b"No GP data found\n", "holds no element set"),
-        (b'{"type": "FeatureCollection", "features": []}', "no OMM .no EPOCH"),
+        (b'{"type": "FeatureCollection", "features": []}', "not an OMM .no EPOCH"),
         (b"[]", "holds no element set"),
-        (b"[1, 2]", "no OMM"),
-        (b'[{"OBJECT_NAME": ', "damaged JSON"),
+        (b"[1, 2]", "not an OMM"),
+        (b'[{"OBJECT_NAME": ', "cannot be read as JSON"),
         (cut_json().encode(), "no MEAN_MOTION|no ARG_OF_PERICENTER"),
         (b"<html><body>Not found</body></html>", "holds no element set"),
-        (b"<ndm><omm>", "damaged XML"),
-        (b"<ndm><segment><data/></segment></ndm>", "segment without elements"),
+        (b"<ndm><omm>", "cannot be read as whole OMM segments in XML"),
+        (b"<ndm><segment><data/></segment></ndm>", "cannot be read as whole OMM segments in XML"),
         (b"OBJECT_NAME,EPOCH,MEAN_MOTION\nGPS,2024-03-31T12:00:07,2.0", "element set 1 .* is cut"),
         (TLE[:-20].encode(), "line 2 of .* is cut or damaged .a line is shorter than 69"),
         (TLE[:90].encode(), "line 2 of .* must follow each other"),
@@ -252,12 +252,12 @@ def test_a_file_that_is_no_orbits_is_refused_in_one_sentence(tmp_path, content, 
 
 @pytest.mark.data
 def test_an_osm_extract_given_as_orbits_is_refused(data_dir):
-    with pytest.raises(InputError, match="is not text"):
+    with pytest.raises(InputError, match="cannot be read as text"):
         read_orbits(data_dir / "osm" / "helsinki.osm.pbf")
 
 
 def test_a_missing_file_is_named(tmp_path):
-    with pytest.raises(InputError, match=r"none\.tle cannot be read .No such file"):
+    with pytest.raises(InputError, match=r"none\.tle does not exist"):
         read_orbits(tmp_path / "none.tle")
 
 

@@ -5,8 +5,8 @@ import pytest
 import shapely
 
 from jaxurban.errors import InputError
-from jaxurban.io.osm import read_osm
-from jaxurban.io.outlines import count_tags, to_buildings
+from jaxurban.io.read.osm import read_osm
+from jaxurban.io.read.outlines import count_tags, to_buildings
 
 LON, LAT, SIDE = -74.0, 40.7, 0.001  # degrees
 CORNERS = ((0, 0), (1, 0), (1, 1), (0, 1))
@@ -55,7 +55,7 @@ def test_a_closed_way_is_an_area_with_its_tags(read):
     assert outlines.column("levels").tolist() == ["5"]
     assert outlines.column("roof_levels").tolist() == ["1"]
     assert outlines.column("height").tolist() == [None]
-    assert not any(outlines.faults.values())
+    assert not any(outlines.issues.values())
 
 
 def test_a_way_before_its_nodes_is_read_as_well(read):
@@ -83,37 +83,37 @@ def test_areas_without_a_building_tag_are_left_out(read):
 def test_an_open_building_way_is_counted(read):
     outlines = read(square(1), way(9, [1, 2, 3, 4], building="yes"), way(10, [1, 2, 3], highway="path"))
     assert len(outlines.polygons) == 0
-    assert outlines.faults["open_ways"] == 1
+    assert outlines.issues["open_ways"] == 1
 
 
 def test_a_way_with_missing_nodes_is_counted_and_makes_no_area(read):
     outlines = read(square(1), way(9, [1, 2, 99, 3, 4, 1], building="yes"))
     assert len(outlines.polygons) == 0
-    assert outlines.faults["ways_with_missing_nodes"] == 1
+    assert outlines.issues["ways_with_missing_nodes"] == 1
 
 
 def test_a_closed_way_of_two_corners_is_counted(read):
     outlines = read(square(1), way(9, [1, 2, 1], **{"building:part": "yes"}))
     assert len(outlines.polygons) == 0
-    assert outlines.faults["degenerate_ways"] == 1
+    assert outlines.issues["degenerate_ways"] == 1
 
 
 def test_a_relation_with_a_missing_member_is_counted(read):
     outlines = read(square(1), way(11, [1, 2, 3]), relation(20, [(11, "outer"), (12, "outer")], building="yes"))
     assert len(outlines.polygons) == 0
-    assert outlines.faults["relations_incomplete"] == 1
+    assert outlines.issues["relations_incomplete"] == 1
 
 
 def test_a_relation_that_only_groups_parts_is_no_fault(read):
     group = relation(20, [(11, "outline")], type="building", building="yes")
     outlines = read(square(1), way(11, [1, 2, 3, 4, 1], building="yes"), group)
-    assert outlines.faults["relations_incomplete"] == 0
+    assert outlines.issues["relations_incomplete"] == 0
 
 
 def test_a_way_that_crosses_itself_is_rebuilt_from_its_loops(read):
     outlines = read(square(1), way(9, [1, 3, 2, 4, 1], building="yes"))
     assert shapely.area(outlines.polygons) == pytest.approx([SIDE**2 / 2])
-    assert outlines.faults["polygons_repaired"] == 1
+    assert outlines.issues["polygons_repaired"] == 1
 
 
 def test_a_relation_whose_outer_ring_crosses_itself_is_rebuilt(read):
@@ -180,12 +180,12 @@ FILES = {
 @pytest.mark.data
 @pytest.mark.parametrize("name", FILES)
 def test_counts_of_a_real_file_agree_with_its_readme(data_dir, name):
-    crs, counts, faults = FILES[name]
+    crs, counts, issues = FILES[name]
     path = data_dir / "osm" / f"{name}.osm.pbf"
     outlines = read_osm(path, "pbf")
     buildings, _, found = to_buildings(path, outlines, crs, default_height_m=10.0, level_height_m=3.0)
     assert counts.items() <= count_tags(outlines).items()
-    assert faults.items() <= found.items()
+    assert issues.items() <= found.items()
     assert found["heights_unusable"] == 0
     assert shapely.is_valid(buildings.polygons).all()
     assert np.all(buildings.height_m > buildings.min_height_m)

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import shapely
 
-from jaxurban.city import HeightOrigin
 from jaxurban.errors import InputError
-from jaxurban.io.outlines import Outlines, count_tags, polygonal, to_buildings
+from jaxurban.io.read.outlines import Outlines, count_tags, polygonal, to_buildings
+from jaxurban.world.city import HeightOrigin
 
 UTM = "EPSG:32618"
 X, Y = 583000.0, 4506000.0
@@ -22,7 +22,7 @@ def stand(polygons, box=None, **columns):
         tags={name: np.array(values, object) for name, values in columns.items()},
         crs=UTM,
         boxes=() if box is None else (box,),
-        faults={"open_ways": 7},
+        issues={"open_ways": 7},
     )
     return to_buildings("city.osm", outlines, UTM, default_height_m=10.0, level_height_m=3.0)
 
@@ -40,16 +40,16 @@ def outline_and_parts(*parts, outline_height="50", part_height="30", **columns):
 
 
 def test_an_outline_covered_to_nine_tenths_gives_way_to_its_parts():
-    buildings, _, faults = outline_and_parts(box(0, 0, 5, 10), box(5, 0, 9, 10))
+    buildings, _, issues = outline_and_parts(box(0, 0, 5, 10), box(5, 0, 9, 10))
     assert buildings.is_part.tolist() == [True, True]
     assert buildings.height_m.tolist() == [30, 30]
-    assert faults["outlines_replaced_by_parts"] == 1
+    assert issues["outlines_replaced_by_parts"] == 1
 
 
 def test_an_outline_covered_less_stays_beside_its_parts():
-    buildings, _, faults = outline_and_parts(box(0, 0, 5, 10), box(5, 0, 8.9, 10))
+    buildings, _, issues = outline_and_parts(box(0, 0, 5, 10), box(5, 0, 8.9, 10))
     assert buildings.height_m.tolist() == [50, 30, 30]
-    assert faults["outlines_replaced_by_parts"] == 0
+    assert issues["outlines_replaced_by_parts"] == 0
 
 
 def test_parts_that_overlap_each_other_count_once():
@@ -65,22 +65,22 @@ def test_a_neighbours_part_replaces_no_outline():
 
 @pytest.mark.parametrize("columns", [{"location": [None, "underground"]}, {"layer": ["1", "-1"]}])
 def test_a_part_below_ground_replaces_no_outline(columns):
-    buildings, _, faults = outline_and_parts(box(0, 0, 10, 10), **columns)
+    buildings, _, issues = outline_and_parts(box(0, 0, 10, 10), **columns)
     assert buildings.height_m.tolist() == [50]
-    assert faults["underground"] == 1
+    assert issues["underground"] == 1
 
 
 def test_an_outline_that_is_tagged_as_a_part_too_stands_as_a_part():
-    buildings, _, faults = stand(
+    buildings, _, issues = stand(
         [box(0, 0, 10, 10), box(0, 0, 10, 10)], building=["yes", "yes"], part=["yes", None], height=["8", "9"]
     )
     assert buildings.height_m.tolist() == [8]
     assert buildings.is_part.tolist() == [True]
-    assert faults["outlines_replaced_by_parts"] == 1
+    assert issues["outlines_replaced_by_parts"] == 1
 
 
 def test_what_is_tagged_no_is_left_out():
-    buildings, _, faults = stand(
+    buildings, _, issues = stand(
         [box(2 * i, 0, 2 * i + 1, 1) for i in range(5)],
         building=["no", "yes", "no", "false", None],
         part=[None, "no", "yes", None, None],
@@ -88,11 +88,11 @@ def test_what_is_tagged_no_is_left_out():
     )
     assert buildings.height_m.tolist() == [2, 3]
     assert buildings.is_part.tolist() == [False, True]
-    assert faults["not_buildings"] == 3
+    assert issues["not_buildings"] == 3
 
 
 def test_what_is_underground_is_left_out_and_other_layers_are_not():
-    buildings, _, faults = stand(
+    buildings, _, issues = stand(
         [box(0, 0, 1, 1)] * 6,
         building=["yes"] * 6,
         location=["underground", "indoor", None, None, None, None],
@@ -100,7 +100,7 @@ def test_what_is_underground_is_left_out_and_other_layers_are_not():
         height=["1", "2", "3", "4", "5", "6"],
     )
     assert buildings.height_m.tolist() == [2, 4, 5, 6]
-    assert faults["underground"] == 2
+    assert issues["underground"] == 2
 
 
 def test_without_a_building_column_every_outline_is_a_building():
@@ -109,10 +109,10 @@ def test_without_a_building_column_every_outline_is_a_building():
 
 
 def test_a_part_without_height_takes_its_outlines():
-    buildings, _, faults = outline_and_parts(box(0, 0, 10, 5), box(0, 5, 10, 10), part_height=None)
+    buildings, _, issues = outline_and_parts(box(0, 0, 10, 5), box(0, 5, 10, 10), part_height=None)
     assert buildings.height_m.tolist() == [50, 50]
     assert buildings.origin.tolist() == [HeightOrigin.HEIGHT] * 2
-    assert faults["parts_given_outline_height"] == 2
+    assert issues["parts_given_outline_height"] == 2
 
 
 def test_a_part_takes_the_highest_of_its_outlines():
@@ -126,42 +126,42 @@ def test_a_part_takes_the_highest_of_its_outlines():
 
 
 def test_a_part_without_height_in_an_outline_without_height_has_the_default():
-    buildings, _, faults = outline_and_parts(box(0, 0, 10, 10), outline_height=None, part_height=None)
+    buildings, _, issues = outline_and_parts(box(0, 0, 10, 10), outline_height=None, part_height=None)
     assert buildings.height_m.tolist() == [10]
     assert buildings.origin.tolist() == [HeightOrigin.DEFAULT]
-    assert faults["parts_given_outline_height"] == 0
+    assert issues["parts_given_outline_height"] == 0
 
 
 def test_hanging_parts_are_counted_and_keep_their_underside():
-    buildings, _, faults = outline_and_parts(box(0, 0, 10, 10), min_height=[None, "12"])
+    buildings, _, issues = outline_and_parts(box(0, 0, 10, 10), min_height=[None, "12"])
     assert buildings.min_height_m.tolist() == [12]
     assert buildings.height_m.tolist() == [30]
-    assert faults["parts_hanging"] == 1
+    assert issues["parts_hanging"] == 1
 
 
 def test_an_estimated_roof_is_raised_above_its_underside():
-    buildings, _, faults = stand([box(0, 0, 1, 1)] * 2, levels=[None, "2"], min_height=["18", "20"])
+    buildings, _, issues = stand([box(0, 0, 1, 1)] * 2, levels=[None, "2"], min_height=["18", "20"])
     assert buildings.height_m.tolist() == [28, 26]
-    assert faults["min_heights_above_roof"] == 0
+    assert issues["min_heights_above_roof"] == 0
 
 
 def test_an_underside_above_a_tagged_roof_is_a_fault():
-    buildings, _, faults = stand([box(0, 0, 1, 1)] * 2, height=["5", "5"], min_height=["5", "9"])
+    buildings, _, issues = stand([box(0, 0, 1, 1)] * 2, height=["5", "5"], min_height=["5", "9"])
     assert buildings.height_m.tolist() == [5, 5]
     assert buildings.min_height_m.tolist() == [0, 0]
-    assert faults["min_heights_above_roof"] == 2
-    assert faults["parts_hanging"] == 0
+    assert issues["min_heights_above_roof"] == 2
+    assert issues["parts_hanging"] == 0
 
 
 def test_a_bow_tie_is_repaired_and_a_line_is_dropped():
     bow_tie = shapely.Polygon([(X, Y), (X + 10, Y + 10), (X + 10, Y), (X, Y + 10)])
     line = shapely.Polygon([(X, Y), (X + 10, Y), (X, Y), (X, Y)])
-    buildings, _, faults = stand([bow_tie, line, None, shapely.Polygon(), box(0, 0, 1, 1)])
+    buildings, _, issues = stand([bow_tie, line, None, shapely.Polygon(), box(0, 0, 1, 1)])
     assert len(buildings) == 2
     assert shapely.is_valid(buildings.polygons).all()
     assert shapely.area(buildings.polygons[0]) == pytest.approx(50)
-    assert (faults["polygons_repaired"], faults["polygons_dropped"]) == (1, 3)
-    assert faults["open_ways"] == 7  # the reader's own
+    assert (issues["polygons_repaired"], issues["polygons_dropped"]) == (1, 3)
+    assert issues["open_ways"] == 7  # the reader's own
 
 
 def test_polygonal_keeps_polygons_only():
@@ -176,8 +176,8 @@ def test_outlines_that_the_crs_cannot_hold_are_left_out_and_counted():
     outlines = Outlines(
         np.array([shapely.box(-74, 40.7, -73.9, 40.8), shapely.box(15, 0, 16, 1)]), {}, "EPSG:4326", (), {}
     )
-    buildings, _, faults = to_buildings("x", outlines, UTM, default_height_m=10.0, level_height_m=3.0)
-    assert (len(buildings), faults["outside_crs"]) == (1, 1)
+    buildings, _, issues = to_buildings("x", outlines, UTM, default_height_m=10.0, level_height_m=3.0)
+    assert (len(buildings), issues["outside_crs"]) == (1, 1)
 
 
 def test_the_boxes_that_a_file_declares_come_in_the_citys_crs():

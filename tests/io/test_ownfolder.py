@@ -3,7 +3,7 @@
 import pytest
 
 from jaxurban.errors import InputError
-from jaxurban.io.ownfolder import own_folder
+from jaxurban.io.folders import own_folder
 
 
 def write(folder, asked=3, command="tune", text="made", **options):
@@ -15,7 +15,7 @@ def write(folder, asked=3, command="tune", text="made", **options):
 def test_the_same_run_writes_again_and_another_is_refused(tmp_path):
     write(tmp_path)
     write(tmp_path, text="made again")
-    with pytest.raises(InputError, match=r"its seed is 3, and 4 is asked for now.*--overwrite"):
+    with pytest.raises(InputError, match=r"its seed is 3, now 4.*--overwrite"):
         write(tmp_path, 4)
     with pytest.raises(InputError, match="holds what `jaxurban tune` wrote"):
         write(tmp_path, command="sensitivity", overwrite=True)

@@ -10,10 +10,10 @@ import rasterio.warp
 import shapely
 from affine import Affine
 
-from jaxurban.city import Raster
 from jaxurban.errors import InputError
-from jaxurban.grid import Grid
-from jaxurban.io.raster import heights_above, pixel_xy, raster_extent_m, read_raster, resample_raster, thinned
+from jaxurban.io.read.raster import heights_above, pixel_xy, raster_extent_m, read_raster, resample_raster, thinned
+from jaxurban.world.city import Raster
+from jaxurban.world.grid import Grid
 
 UTM = "EPSG:32618"
 X, Y = 583000.0, 4506000.0  # southwest corner

@@ -5,8 +5,8 @@ import pytest
 import shapely
 
 import jaxurban as ju
-from jaxurban.io.buildings import read_buildings
-from jaxurban.io.rasterise import burn, widen
+from jaxurban.io.read.buildings import BuildingFile, read_buildings
+from jaxurban.io.read.rasterise import burn, widen
 
 CRS = "EPSG:32618"
 OUTER = (900_000, 110_000, 40, 40)  # first row and column, rows, columns
@@ -96,7 +96,7 @@ def test_burning_a_part_equals_the_crop_even_on_cell_borders(resolution_m):
 
 @pytest.mark.data
 def test_every_cell_that_a_building_of_lower_manhattan_shares_area_with_is_touched(data_dir):
-    buildings = read_buildings(data_dir / "osm/lower-manhattan.osm.pbf", CRS).buildings
+    buildings = read_buildings(BuildingFile(data_dir / "osm/lower-manhattan.osm.pbf"), CRS).buildings
     for resolution_m in (5.0, 2.0):
         grid = ju.Grid.from_bounds((-74.014, 40.703, -74.006, 40.709), resolution_m, CRS)
         check_touched(buildings.polygons, buildings.height_m, grid)

@@ -10,9 +10,9 @@ import rasterio
 import xarray as xr
 
 from jaxurban.errors import InputError
-from jaxurban.io import store
+from jaxurban.io import files, store
+from jaxurban.io.files import is_whole
 from jaxurban.io.geotiff import missing_geotiffs, stale_geotiffs, write_geotiffs
-from jaxurban.io.seal import is_whole
 
 
 @pytest.fixture
@@ -94,7 +94,7 @@ def test_a_failed_write_leaves_the_old_file_and_no_scrap(tmp_path):
     path.write_text("old")
 
     def write_half():
-        with store.whole_file(path) as scratch:
+        with files.whole_file(path) as scratch:
             scratch.write_text("half")
             raise KeyboardInterrupt
 
@@ -213,7 +213,7 @@ def test_opening_says_what_there_is(ds, tmp_path):
 
 def test_a_lock_on_a_removed_file_holds_nothing(tmp_path, monkeypatch):
     """Between our opening and our locking of the file the first holder leaves and another run comes."""
-    first, second = store.only_writer(tmp_path), store.only_writer(tmp_path)
+    first, second = files.only_writer(tmp_path), files.only_writer(tmp_path)
     lock = fcntl.flock
 
     def lock_late(file, how):
@@ -224,9 +224,9 @@ def test_a_lock_on_a_removed_file_holds_nothing(tmp_path, monkeypatch):
 
     first.__enter__()
     monkeypatch.setattr(fcntl, "flock", lock_late)
-    with pytest.raises(InputError, match="another run is writing"), store.only_writer(tmp_path):
+    with pytest.raises(InputError, match="another run is writing"), files.only_writer(tmp_path):
         pytest.fail("two runs hold one folder")
     second.__exit__(None, None, None)
-    with store.only_writer(tmp_path):
+    with files.only_writer(tmp_path):
         pass
     assert not list(tmp_path.iterdir())

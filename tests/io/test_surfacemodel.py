@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jaxurban.city import City, Raster
 from jaxurban.errors import InputError
-from jaxurban.io.buildings import read_buildings
-from jaxurban.io.raster import heights_above, read_raster
-from jaxurban.io.surfacemodel import check_is_no_surface, heights_of_surface, low_levels
+from jaxurban.io.read.buildings import BuildingFile, read_buildings
+from jaxurban.io.read.raster import heights_above, read_raster
+from jaxurban.io.read.surfacemodel import check_is_no_surface, heights_of_surface, low_levels
+from jaxurban.world.city import City, Raster
 
 UTM = "EPSG:32618"
 X, Y = 583000.0, 4506000.0
@@ -66,11 +66,11 @@ def test_open_fields_and_water_tell_nothing():
 def test_a_surface_less_a_terrain_of_another_grid_gives_the_heights_back():
     heights = city_heights(0.5)
     with pytest.warns(UserWarning, match="trees, bridges and cranes.*as buildings.*2 m as ground"):
-        found, faults = heights_of_surface("s.tif", surface_on(hills(), heights), hills(), UTM)
+        found, issues = heights_of_surface("s.tif", surface_on(hills(), heights), hills(), UTM)
     np.testing.assert_allclose(found.values[heights.values > 10], heights.values[heights.values > 10], atol=1e-4)
     assert (found.values[heights.values < 2] == 0).all()  # noise on the ground is no building
-    assert faults["cells_near_ground"] == np.sum(heights.values < 2)
-    assert faults["cells_below_ground"] == pytest.approx(np.sum(heights.values < 0), abs=3)
+    assert issues["cells_near_ground"] == np.sum(heights.values < 2)
+    assert issues["cells_below_ground"] == pytest.approx(np.sum(heights.values < 0), abs=3)
 
 
 def test_a_surface_needs_terrain_and_one_that_goes_with_it():
@@ -87,8 +87,8 @@ def test_a_surface_needs_terrain_and_one_that_goes_with_it():
 def test_outlines_are_no_surface(tmp_path):
     path = tmp_path / "city.geojson"
     path.touch()
-    with pytest.raises(InputError, match=r'kind = "surface" is for rasters and .*city\.geojson'):
-        read_buildings(path, UTM, kind="surface")
+    with pytest.raises(InputError, match=r'kind = "surface" is for rasters, and .*city\.geojson'):
+        read_buildings(BuildingFile(path, kind="surface"), UTM)
 
 
 @pytest.mark.data

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import distance_transform_edt
 
-from jaxurban.kernels.distance import capped_distance, capped_distance_over_terrain
+from jaxurban.kernels.distance.exact import capped_distance, capped_distance_over_terrain
 
 INF = np.float32(np.inf)
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from jaxurban.kernels.heuristic import cell_line_bound, line_line_bound, line_minima, printed_plus_field
+from jaxurban.kernels.search.bounds import cell_line_bound, line_line_bound, line_minima, printed_plus_field
 
 
 def box_reduction(layers, goal, first_index):
@@ -32,7 +32,7 @@ def test_the_printed_field_equals_a_box_reduction_at_every_node(first_index):
             np.testing.assert_allclose(printed_plus_field(layers, goal, first_index), expected, atol=1e-12)
 
 
-def test_the_printed_field_charges_the_nodes_own_column_where_the_goal_lies_west():
+def test_the_printed_field_counts_the_nodes_own_column_where_the_goal_lies_west():
     layers = np.array([[[1.0, 0.0, 5.0]]])  # goal, free ground, node
     assert printed_plus_field(layers, (0, 0), 1)[0, 2] == 5.0  # the true map cost of going west is 0 + 1
     assert printed_plus_field(layers[..., ::-1], (0, 2), 1)[0, 0] == 1.0  # mirrored it is right

@@ -7,8 +7,7 @@ import numba
 import numpy as np
 import pytest
 
-from jaxurban.kernels.fine_lidar import count_returns_at_centres, halo_cells, phase_starts, phases
-from jaxurban.kernels.lidar import (
+from jaxurban.kernels.lidar.flat import (
     count_returns,
     flat_thresholds,
     lowest_heights,
@@ -16,7 +15,8 @@ from jaxurban.kernels.lidar import (
     ray_offsets,
     round_up,
 )
-from jaxurban.kernels.terrain_lidar import count_returns_on_terrain, distinct_looks
+from jaxurban.kernels.lidar.supersampled import count_returns_at_centres, halo_cells, phase_starts, phases
+from jaxurban.kernels.lidar.terrain import count_returns_on_terrain, distinct_looks
 
 
 @numba.njit

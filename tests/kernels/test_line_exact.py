@@ -7,9 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxurban.kernels.line_exact import borders_needed, exact_integrals, exact_line_cost
+from jaxurban.kernels.line.cuts import cuts_needed
+from jaxurban.kernels.line.exact import exact_integrals, exact_line_cost
 from jaxurban.planners.base import CostModel
-from jaxurban.planners.evaluate import evaluate
+from tests.planners.problems import costed
 
 RESOLUTION_M = 4.0
 LAYERS = np.random.default_rng(0).random((2, 9, 11))
@@ -24,7 +25,7 @@ def double():
 
 def walked(points_m):
     """Length and integrals of the exact walk from border to border."""
-    paid = evaluate(points_m, LAYERS, np.ones((9, 11), bool), RESOLUTION_M, 0.0, CostModel("line", 1.0))
+    paid = costed(points_m, LAYERS, np.ones((9, 11), bool), RESOLUTION_M, 0.0, CostModel("line", 1.0))
     return paid.length_m, paid.per_layer
 
 
@@ -82,6 +83,6 @@ def test_one_program_serves_other_points_and_other_maps_and_vmap():
 
 def test_leaving_the_map_or_too_few_borders_give_nan():
     assert np.isnan(integrals([[3.0, 3.0], [45.0, 3.0]])[1]).all()
-    assert borders_needed(POINTS, RESOLUTION_M) == 16
+    assert cuts_needed(POINTS, RESOLUTION_M, 0.0) == 16
     assert np.isfinite(integrals(POINTS)[1]).all()
     assert np.isnan(integrals(POINTS, num_borders=4)[1]).all()

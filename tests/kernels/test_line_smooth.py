@@ -9,7 +9,8 @@ import pytest
 from scipy.integrate import quad
 from scipy.interpolate import RegularGridInterpolator
 
-from jaxurban.kernels.line_smooth import cuts_needed, line_integrals, line_smooth
+from jaxurban.kernels.line.cuts import cuts_needed
+from jaxurban.kernels.line.smooth import line_integrals, line_smooth
 
 RESOLUTION_M, REFERENCE_M, WEIGHT = 2.0, 5.0, 0.3
 CUTS = 8
@@ -51,7 +52,7 @@ def by_quadrature(points_m, layer):
     return total
 
 
-def test_a_uniform_map_charges_its_value_along_the_length():
+def test_a_uniform_map_costs_its_value_along_the_length():
     points_m, layers = random_case()
     length_m = np.hypot(*np.diff(points_m, axis=0).T).sum()
     expected = (WEIGHT + (0.7 + 0.2) / REFERENCE_M) * length_m
@@ -59,7 +60,7 @@ def test_a_uniform_map_charges_its_value_along_the_length():
     assert float(cost_of(points_m, uniform)) == pytest.approx(expected, rel=1e-14)
 
 
-def test_a_linear_map_charges_its_value_at_the_middle_of_each_segment():
+def test_a_linear_map_costs_its_value_at_the_middle_of_each_segment():
     points_m = np.array([[2.0, 3.0], [11.0, 8.5], [11.0, 4.0], [4.0, 4.0]])
     rows, cols = np.mgrid[:7, :9]
     layer = 1.0 + 0.3 * (cols + 0.5) * RESOLUTION_M + 0.7 * (rows + 0.5) * RESOLUTION_M
@@ -122,7 +123,7 @@ def test_repeated_end_points_change_neither_value_nor_gradient():
 
 def test_too_few_cuts_give_nan_and_the_needed_ones_the_same_as_more():
     points_m, layers = random_case(5)
-    needed = cuts_needed(points_m, RESOLUTION_M)
+    needed = cuts_needed(points_m, RESOLUTION_M, 0.5)
     assert float(cost_of(points_m, layers, needed)) == pytest.approx(float(cost_of(points_m, layers, 32)), rel=1e-13)
     assert np.isnan(cost_of([[1.0, 1.0], [13.0, 1.0]], layers, 2))
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.interpolate import RegularGridInterpolator
 
-from jaxurban.kernels.line_smooth import line_integrals
-from jaxurban.kernels.line_smooth_volume import volume_line_integrals
+from jaxurban.kernels.line.smooth import line_integrals
+from jaxurban.kernels.line.smooth_volume import volume_line_integrals
 
 LEVELS_M = np.array([10.0, 25.0, 60.0])
 LAYERS = np.random.default_rng(0).random((2, 3, 7, 8))

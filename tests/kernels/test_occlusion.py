@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from jaxurban.kernels.occlusion import EAST, ENTRY_STEPS, WEST, digital_line, mark_visible, shadow_height, sweep
+from jaxurban.kernels.shadows.sweep import EAST, ENTRY_STEPS, WEST, digital_line, mark_visible, shadow_height, sweep
 
 SHAPE = (23, 31)
 FIRST_ROW, FIRST_COL = 901_234, -117_003

@@ -5,20 +5,20 @@ import numpy as np
 import pytest
 from shapely import LineString, box
 
-from jaxurban.kernels.segment_costs import segment_costs
-from jaxurban.planners.bitstar_search import Ground, edge_cost
+from jaxurban.kernels.line.segment_cost import CostGrid, segment_cost
+from jaxurban.kernels.line.segment_costs import segment_costs
 
 SHAPE = (9, 12)
 NUM_SEGMENTS = 200
-CHARGE = np.where(np.random.default_rng(1).random(SHAPE) < 0.9, np.random.default_rng(2).random(SHAPE), np.inf)
+CELL_COST = np.where(np.random.default_rng(1).random(SHAPE) < 0.9, np.random.default_rng(2).random(SHAPE), np.inf)
 
 
-def costs_of(start, end, is_line=True, charge=CHARGE, per_side=0.3, passes_corners=False):
+def costs_of(start, end, is_line=True, cell_cost=CELL_COST, per_side=0.3, passes_corners=False):
     """Costs of segments, filled up to a fixed number so that all tests share what is compiled."""
     padded = np.full((2, NUM_SEGMENTS, 2), 0.5)
     padded[0, : len(start)], padded[1, : len(end)] = start, end
     with jax.enable_x64(True):
-        return np.asarray(segment_costs(charge, *padded, per_side, is_line, passes_corners))[: len(start)]
+        return np.asarray(segment_costs(cell_cost, *padded, per_side, is_line, passes_corners))[: len(start)]
 
 
 def random_segments(seed):
@@ -29,7 +29,7 @@ def random_segments(seed):
     return ends
 
 
-def test_line_costs_are_charges_times_lengths_in_cells_by_shapely():
+def test_line_costs_are_cell_costs_times_lengths_in_cells_by_shapely():
     start, end = random_segments(3)
     for k, cost in enumerate(costs_of(start, end)):
         segment = LineString([start[k], end[k]])
@@ -37,31 +37,31 @@ def test_line_costs_are_charges_times_lengths_in_cells_by_shapely():
             [[segment.intersection(box(c, r, c + 1, r + 1)).length for c in range(SHAPE[1])] for r in range(SHAPE[0])]
         )
         is_crossed = inside > 1e-8
-        expected = 0.3 * segment.length + (CHARGE[is_crossed] * inside[is_crossed]).sum()
+        expected = 0.3 * segment.length + (CELL_COST[is_crossed] * inside[is_crossed]).sum()
         assert cost == pytest.approx(expected, abs=1e-7)
 
 
 @pytest.mark.parametrize("is_line", [True, False])
 def test_bulk_costs_equal_those_of_the_compiled_search(is_line):
     start, end = random_segments(4)
-    ground = Ground(CHARGE, 0.3, is_line, False)
-    expected = [edge_cost(ground, *a, *b, np.inf) for a, b in zip(start, end, strict=True)]
+    cost_grid = CostGrid(CELL_COST, 0.3, is_line, False)
+    expected = [segment_cost(cost_grid, *a, *b, np.inf) for a, b in zip(start, end, strict=True)]
     assert 20 < np.isfinite(expected).sum() < NUM_SEGMENTS - 20
     np.testing.assert_allclose(costs_of(start, end, is_line), expected, rtol=1e-12)
 
 
 def test_a_corner_touched_on_one_side_is_free_one_cut_or_touched_on_both_is_not():
-    charge = np.zeros(SHAPE)
-    charge[3, 4] = np.inf  # its southwest corner is at x = 4, y = 3
+    cell_cost = np.zeros(SHAPE)
+    cell_cost[3, 4] = np.inf  # its southwest corner is at x = 4, y = 3
     start, end = np.array([[3.5, 3.5], [3.5, 3.5]]), np.array([[4.5, 2.5], [4.5, 2.5 + 1e-6]])
     for is_line in (True, False):
-        charge[2, 3] = 0.0
-        costs = costs_of(start, end, is_line, charge=charge, per_side=1.0)
+        cell_cost[2, 3] = 0.0
+        costs = costs_of(start, end, is_line, cell_cost=cell_cost, per_side=1.0)
         np.testing.assert_allclose(costs, [np.sqrt(2), np.inf])
-        charge[2, 3] = np.inf  # the cell on the other side
-        costs = costs_of(start, end, is_line, charge=charge, per_side=1.0)
+        cell_cost[2, 3] = np.inf  # the cell on the other side
+        costs = costs_of(start, end, is_line, cell_cost=cell_cost, per_side=1.0)
         np.testing.assert_allclose(costs, [np.inf, np.inf])
-        costs = costs_of(start, end, is_line, charge=charge, per_side=1.0, passes_corners=True)
+        costs = costs_of(start, end, is_line, cell_cost=cell_cost, per_side=1.0, passes_corners=True)
         np.testing.assert_allclose(costs, [np.sqrt(2), np.inf])
 
 
@@ -70,5 +70,5 @@ def test_no_length_costs_nothing_and_no_way_leads_off_the_map():
     end = np.array([[2.5, 2.5], [-3.5, 4.5], [0.5, 60.5]])
     for is_line in (True, False):
         np.testing.assert_array_equal(
-            costs_of(start, end, is_line, charge=np.zeros(SHAPE), per_side=1.0), [0.0, np.inf, np.inf]
+            costs_of(start, end, is_line, cell_cost=np.zeros(SHAPE), per_side=1.0), [0.0, np.inf, np.inf]
         )

@@ -5,7 +5,7 @@ import pytest
 import shapely
 
 from jaxurban.errors import InputError
-from jaxurban.kernels.traversal import crossed_cells, is_free_way
+from jaxurban.kernels.line.traversal import crossed_cells, is_free_way
 
 
 def cells(points_m, resolution_m=1.0):

@@ -3,22 +3,22 @@
 import numpy as np
 import pytest
 
-from jaxurban.metrics.availability import SCALE, EpochTotals, series_statistics
+from jaxurban.metrics.availability import SCALE, TimeTotals, series_statistics
 
 
-@pytest.mark.parametrize("num_epochs", [1, 2, 7, 24, 288])
-def test_statistics_equal_numpys_quantiles(num_epochs):
-    m = np.random.default_rng(num_epochs).random((num_epochs, 3, 50), np.float32)
+@pytest.mark.parametrize("num_times", [1, 2, 7, 24, 288])
+def test_statistics_equal_numpys_quantiles(num_times):
+    m = np.random.default_rng(num_times).random((num_times, 3, 50), np.float32)
     found = series_statistics(m, 0.5)
-    np.testing.assert_allclose(found["gps_median"], np.median(m, axis=0), atol=1e-6)
-    np.testing.assert_allclose(found["gps_p05"], np.quantile(m, 0.05, axis=0), atol=1e-6)
-    np.testing.assert_allclose(found["gps_availability"], (m > 0.5).mean(axis=0), atol=1e-6)
+    np.testing.assert_allclose(found["median"], np.median(m, axis=0), atol=1e-6)
+    np.testing.assert_allclose(found["p05"], np.quantile(m, 0.05, axis=0), atol=1e-6)
+    np.testing.assert_allclose(found["availability"], (m > 0.5).mean(axis=0), atol=1e-6)
     assert all(values.dtype == np.float32 for values in found.values())
 
 
 def test_an_epoch_exactly_at_the_threshold_is_not_available():
     m = np.array([[0.5], [0.75]], np.float32)
-    assert series_statistics(m, 0.5)["gps_availability"] == [0.5]
+    assert series_statistics(m, 0.5)["availability"] == [0.5]
 
 
 def test_statistics_do_not_depend_on_how_cells_are_cut():
@@ -32,10 +32,10 @@ def test_totals_give_means_and_the_worst_epoch_in_any_order():
     m = np.random.default_rng(0).random((5, 2, 100))
     m[3, 1] /= 10
     parts = [
-        EpochTotals(np.rint(m[..., i : i + 10] * SCALE).astype(int).sum(axis=2), np.full(2, 10))
+        TimeTotals(np.rint(m[..., i : i + 10] * SCALE).astype(int).sum(axis=2), np.full(2, 10))
         for i in range(0, 100, 10)
     ]
-    forward, backward = EpochTotals.zero(5, 2), EpochTotals.zero(5, 2)
+    forward, backward = TimeTotals.zero(5, 2), TimeTotals.zero(5, 2)
     for part in parts:
         forward += part
     for part in parts[::-1]:

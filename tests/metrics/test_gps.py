@@ -8,11 +8,13 @@ import numpy as np
 import pytest
 
 from jaxurban.errors import InputError
-from jaxurban.grid import Grid
-from jaxurban.io.orbits import look_angles, read_orbits
-from jaxurban.kernels.occlusion import digital_line, shadow_height
-from jaxurban.metrics.gps import GpsParams, Rating, compute_gps, gps_metric, rating, shadow_reach_m, visibility
-from jaxurban.surface import Surface
+from jaxurban.io.read.orbits import look_angles, read_orbits
+from jaxurban.kernels.shadows.sweep import digital_line, shadow_height
+from jaxurban.metrics.gps import GpsParams, compute_gps, gps_metric
+from jaxurban.metrics.rating import Rating, rating
+from jaxurban.metrics.visibility import shadow_reach_m, visibility
+from jaxurban.world.grid import Grid
+from jaxurban.world.surface import Surface
 
 ALTITUDES_M = [20.0, 60.0]
 # Axes, diagonals and directions a hair beside them, high and low.

@@ -7,14 +7,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxurban.city import Buildings
-from jaxurban.grid import Grid
-from jaxurban.io.buildings import read_buildings
-from jaxurban.io.orbits import look_angles, read_orbits
-from jaxurban.io.rasterise import burn
+from jaxurban.io.read.buildings import BuildingFile, read_buildings
+from jaxurban.io.read.orbits import look_angles, read_orbits
+from jaxurban.io.read.rasterise import burn
 from jaxurban.kernels.dop import unit_vectors
-from jaxurban.metrics.gps import shadow_reach_m, visibility
-from jaxurban.surface import Surface
+from jaxurban.metrics.visibility import shadow_reach_m, visibility
+from jaxurban.world.city import Buildings
+from jaxurban.world.grid import Grid
+from jaxurban.world.surface import Surface
 from tests.embree_scene import CityScene
 
 BOUNDS = (-74.02, 40.70, -73.98, 40.73)
@@ -36,7 +36,7 @@ class Manhattan:
 
 @pytest.fixture(scope="module")
 def manhattan(data_dir):
-    buildings = read_buildings(data_dir / "osm" / "lower-manhattan.osm.pbf", CRS).buildings
+    buildings = read_buildings(BuildingFile(data_dir / "osm" / "lower-manhattan.osm.pbf"), CRS).buildings
     return Manhattan(buildings, CityScene(buildings.polygons, buildings.height_m))
 
 

@@ -4,11 +4,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxurban.city import City
-from jaxurban.grid import Grid
-from jaxurban.io.buildings import read_buildings
-from jaxurban.io.rasterise import build_surface
+from jaxurban.io.read.buildings import BuildingFile, read_buildings
+from jaxurban.io.read.rasterise import build_surface
 from jaxurban.metrics.lidar import LidarParams, compute_lidar
+from jaxurban.world.city import City
+from jaxurban.world.grid import Grid
 from tests.embree_scene import CityScene
 
 pytestmark = pytest.mark.data
@@ -21,7 +21,7 @@ PARAMS = LidarParams()
 @pytest.fixture(scope="module")
 def city(data_dir) -> City:
     bounds_m = REGION.padded(20, 20, 20, 20).bounds_m
-    source = read_buildings(data_dir / "osm" / "lower-manhattan.osm.pbf", REGION.crs, bounds_m=bounds_m)
+    source = read_buildings(BuildingFile(data_dir / "osm" / "lower-manhattan.osm.pbf"), REGION.crs, bounds_m=bounds_m)
     return City(REGION.crs, bounds_m, buildings=source.buildings)
 
 
@@ -32,8 +32,8 @@ def scene(city) -> CityScene:
 
 def scan_with_embree(scene: CityScene, start_m: np.ndarray) -> np.ndarray:
     """Return the share of scan positions that return at each point, every beam a ray. Walls begin at the ground."""
-    azimuth_rad = 2 * np.pi * np.arange(PARAMS.num_azimuths) / PARAMS.num_azimuths
-    returned = np.zeros((len(start_m), PARAMS.num_azimuths), bool)
+    azimuth_rad = 2 * np.pi * np.arange(PARAMS.azimuths) / PARAMS.azimuths
+    returned = np.zeros((len(start_m), PARAMS.azimuths), bool)
     for elevation_rad in sorted(PARAMS.elevations_rad, key=abs):  # the likeliest beams first, to save rays
         point, k = np.nonzero(~returned)
         level = np.cos(elevation_rad)

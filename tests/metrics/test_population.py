@@ -9,20 +9,20 @@ import shapely
 from affine import Affine
 from rasterio.features import rasterize
 
-from jaxurban.city import Blocks, Zoning
 from jaxurban.errors import InputError
-from jaxurban.io.census import read_blocks
+from jaxurban.io.read.census import CensusFiles, read_blocks
 from jaxurban.metrics.population import (
     PopulationParams,
-    block_density_per_km2,
     block_metric,
     block_people,
     day_share,
+    density_per_km2,
     map_blocks,
     normaliser,
     population_maps,
     population_totals,
 )
+from jaxurban.world.city import Blocks, Zoning
 
 # Four blocks of 100 m x 100 m in a row: commercial, residential, other, empty.
 BLOCKS = Blocks(
@@ -83,7 +83,7 @@ def test_a_region_without_people_has_m_zero_everywhere():
 
 def test_a_block_without_area_has_density_zero_and_finite_gradients():
     def density(area_m2):
-        return block_density_per_km2(jnp.array([5.0]), area_m2, jnp.array([2]), 1.0, 3.0, 0.5).sum()
+        return density_per_km2(block_people(jnp.array([5.0]), jnp.array([2]), 1.0, 3.0, 0.5), area_m2).sum()
 
     assert density(jnp.zeros(1)) == 0
     assert jax.grad(density)(jnp.zeros(1)) == 0
@@ -115,7 +115,7 @@ def test_gradients_with_respect_to_the_gammas_equal_finite_differences():
 
         @partial(jax.jit, static_argnums=1)
         def total(gammas, normalise):
-            values = block_density_per_km2(night, area, zoning, 0.7, *gammas)
+            values = density_per_km2(block_people(night, zoning, 0.7, *gammas), area)
             return (map_blocks(block, block_metric(values, normaliser(values, normalise))) ** 2).sum()
 
         at, step = jnp.array([2.0, 0.6]), 1e-6
@@ -160,8 +160,9 @@ def test_an_unknown_time_of_day_names_the_nearest():
 @pytest.mark.data
 def test_the_night_density_map_of_manhattan_sums_to_its_census(data_dir):
     blocks, _ = read_blocks(
-        data_dir / "census/tl_2010_36061_tabblock10.shp",
-        data_dir / "census/DECENNIALSF12010.P1_nyc_blocks.csv",
+        CensusFiles(
+            data_dir / "census/tl_2010_36061_tabblock10.shp", data_dir / "census/DECENNIALSF12010.P1_nyc_blocks.csv"
+        ),
         "EPSG:32618",
     )
     x_min, y_min, x_max, y_max = shapely.total_bounds(blocks.polygons)

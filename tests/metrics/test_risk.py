@@ -7,9 +7,9 @@ import pytest
 from scipy.ndimage import distance_transform_edt
 
 from jaxurban.errors import InputError
-from jaxurban.grid import Grid
 from jaxurban.metrics.risk import RiskParams, compute_risk, reach_m
-from jaxurban.surface import Surface
+from jaxurban.world.grid import Grid
+from jaxurban.world.surface import Surface
 
 GRID = Grid("EPSG:32618", 5.0, 901_000, 116_000, 70, 62)
 REGION = GRID.padded(-10, -10, -10, -10)  # a margin of 50 m

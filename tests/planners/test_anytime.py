@@ -9,7 +9,6 @@ from jaxurban.errors import InputError
 from jaxurban.planners.anytime import LANDMARK_INFLATION, LEAST_INFLATION, astar_anytime, first_inflation
 from jaxurban.planners.astar import astar
 from jaxurban.planners.base import CostModel, Path, Problem, Status
-from jaxurban.planners.evaluate import evaluate_on
 from tests.planners.test_astar import exact_cost_to_go, random_problem
 from tests.planners.test_landmarks import city
 
@@ -26,7 +25,7 @@ def test_the_certified_gap_is_never_below_the_true_one_and_shrinks_to_nothing(co
         assert path.status is Status.OPTIMAL
         assert path.cost == path.lower_bound == pytest.approx(optimum, rel=1e-12)
         assert path.gap == 0
-        assert evaluate_on(problem, path.points_m).total == path.cost
+        assert problem.cost_of(path.points_m) == path.cost
         costs, bounds = np.array([cost for _, _, cost in path.history]), np.array(path.bounds)
         assert np.all(bounds <= optimum * (1 + ROUNDING))
         assert np.all(costs >= optimum * (1 - ROUNDING))
@@ -63,7 +62,7 @@ def test_a_first_path_comes_early_and_is_good():
 
 
 def test_a_budget_that_ends_leaves_the_best_path_and_a_bound(monkeypatch):
-    monkeypatch.setattr("jaxurban.planners.search.CHUNK", 100)
+    monkeypatch.setattr("jaxurban.planners.search.grid.CHUNK", 100)
     problem = city(shape=(90, 100))
     optimum = astar(problem).cost
     clock = iter(np.arange(0, 1e6, 0.01))
@@ -74,7 +73,7 @@ def test_a_budget_that_ends_leaves_the_best_path_and_a_bound(monkeypatch):
         statuses.add(path.status)
         assert path.lower_bound <= optimum <= path.cost * (1 + ROUNDING)
         if path.status is Status.BUDGET_FEASIBLE:
-            assert evaluate_on(problem, path.points_m).total == path.cost
+            assert problem.cost_of(path.points_m) == path.cost
             assert path.gap == pytest.approx(path.cost / path.lower_bound - 1)
             assert path.bounds[-1] == path.lower_bound
     assert statuses == {Status.BUDGET_EMPTY, Status.BUDGET_FEASIBLE}

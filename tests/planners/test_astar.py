@@ -9,13 +9,12 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
 from jaxurban.errors import InputError
-from jaxurban.planners import search as search_module
 from jaxurban.planners.anytime import astar_anytime
 from jaxurban.planners.astar import astar, astar_dist, astar_plus
 from jaxurban.planners.base import CostModel, Problem, Status
-from jaxurban.planners.evaluate import evaluate_on
 from jaxurban.planners.heuristics import ADMISSIBLE, HEURISTICS, heuristic_at, make_heuristic
 from jaxurban.planners.registry import PLANNERS, find_planner
+from jaxurban.planners.search import grid as search_module
 
 VARIANTS = list(itertools.product(["cell", "line"], ["both-free", "always"], [8, 4]))
 
@@ -88,7 +87,7 @@ def test_cost_equals_scipy_dijkstra_and_bounds_never_exceed_it(cost_model, diago
             assert path.status is Status.OPTIMAL
             assert path.cost == pytest.approx(optimum, rel=1e-12)
             assert path.lower_bound == path.cost
-            assert evaluate_on(problem, path.points_m).is_valid
+            assert problem.features(path.points_m).is_valid
 
 
 @pytest.mark.parametrize(("cost_model", "diagonal", "connectivity"), VARIANTS)
@@ -195,9 +194,9 @@ def test_a_goal_in_a_closed_court_is_proven_unreachable():
 
 def test_a_diagonal_slips_between_obstacles_only_where_allowed():
     is_free = np.eye(3, dtype=bool)
-    options = {"layers": np.zeros((1, 3, 3)), "is_free": is_free, "start": (0, 0), "goal": (2, 2)}
-    assert astar(Problem(**options, resolution_m=1.0, distance_weight=1.0)).status is Status.NO_PATH
-    path = astar(Problem(**options, resolution_m=1.0, distance_weight=1.0, cost_model=CostModel(diagonal="always")))
+    options = {"costs": np.zeros((1, 3, 3)), "is_free": is_free, "start": (0, 0), "goal": (2, 2)}
+    assert astar(Problem(**options, resolution_m=1.0, weights=1.0)).status is Status.NO_PATH
+    path = astar(Problem(**options, resolution_m=1.0, weights=1.0, cost_model=CostModel(diagonal="always")))
     assert path.cost == pytest.approx(2 * np.sqrt(2))
 
 

@@ -11,23 +11,23 @@ FREE = np.array([[True, True, True], [True, False, True]])
 LAYERS = np.ones((2, 2, 3))
 
 
-def make(layers=LAYERS, is_free=FREE, start=(0, 0), goal=(0, 2), resolution_m=1.0, distance_weight=1.0, **options):
-    return Problem(layers, is_free, start, goal, resolution_m, distance_weight, **options)
+def make(costs=LAYERS, is_free=FREE, start=(0, 0), goal=(0, 2), resolution_m=1.0, weights=1.0, **options):
+    return Problem(costs, is_free, start, goal, resolution_m, weights, **options)
 
 
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"layers": LAYERS[0]}, r"layers must be \[L, Y, X\]"),
-        ({"layers": np.where(FREE, np.nan, 0)[None]}, "costs must be finite"),
-        ({"layers": np.array([-np.ones((2, 3)), 2 * np.ones((2, 3))])}, "not negative"),
-        ({"layers": np.full((1, 2, 3), np.inf)}, "costs must be finite"),
+        ({"costs": LAYERS[0]}, r"costs must be \[L, Y, X\]"),
+        ({"costs": np.where(FREE, np.nan, 0)[None]}, "costs must be finite"),
+        ({"costs": np.array([-np.ones((2, 3)), 2 * np.ones((2, 3))])}, "not negative"),
+        ({"costs": np.full((1, 2, 3), np.inf)}, "costs must be finite"),
         ({"start": (0, 3)}, "outside the map"),
         ({"goal": (-1, 0)}, "outside the map"),
         ({"goal": (1, 1)}, "inside an obstacle"),
         ({"resolution_m": 0.0}, "resolution_m must be a positive"),
-        ({"distance_weight": -0.1}, "distance weight"),
-        ({"distance_weight": np.nan}, "distance weight"),
+        ({"weights": -0.1}, "weights must be"),
+        ({"weights": np.nan}, "weights must be"),
         ({"cost_model": "cells"}, "cost_model must be"),
     ],
 )

@@ -10,15 +10,14 @@ from scipy.sparse.csgraph import dijkstra
 
 from jaxurban.errors import InputError
 from jaxurban.planners import batch as batch_module
-from jaxurban.planners import frontier as frontier_module
 from jaxurban.planners.astar import astar
 from jaxurban.planners.base import CostModel, Problem, Status
 from jaxurban.planners.batch import FEW_TO_ONE_GOAL, GPU_BATCH, solve_many
-from jaxurban.planners.evaluate import evaluate_on
-from jaxurban.planners.fields import share_cost_to_go
-from jaxurban.planners.frontier import solve_by_frontier
 from jaxurban.planners.landmarks import FEW_QUERIES
 from jaxurban.planners.moves import STEPS
+from jaxurban.planners.search import frontier as frontier_module
+from jaxurban.planners.search.fields import share_cost_to_go
+from jaxurban.planners.search.frontier import solve_by_frontier
 
 SHAPE = (21, 34)
 MODELS = list(itertools.product(["cell", "line"], [("both-free", 8), ("always", 8), ("both-free", 4)]))
@@ -58,11 +57,11 @@ def dijkstra_to_goal(problem):
         there = here + rows * num_cols + cols
         length_m = problem.resolution_m * np.hypot(rows, cols)
         cost = problem.cost.ravel()
-        paid = cost[there]
+        map_cost = cost[there]
         if problem.cost_model.kind == "line":
-            paid = length_m * (cost[here] + cost[there]) / 2 / problem.cost_model.reference_length_m
+            map_cost = length_m * (cost[here] + cost[there]) / 2 / problem.cost_model.reference_length_m
         # SciPy takes an edge of cost 0 for none.
-        edges.append((here, there, np.maximum(problem.distance_weight * length_m + paid, 1e-300)))
+        edges.append((here, there, np.maximum(problem.distance_weight * length_m + map_cost, 1e-300)))
     here, there, weight = (np.concatenate(part) for part in zip(*edges, strict=True))
     graph = csr_array((weight, (there, here)), shape=(number.size, number.size))
     return dijkstra(graph, indices=number[problem.goal]).reshape(problem.is_free.shape)
@@ -78,7 +77,7 @@ def assert_optimal(path, problem):
     assert path.status is Status.OPTIMAL
     assert path.cost == pytest.approx(optimum, rel=1e-11, abs=1e-12)
     assert path.lower_bound == path.cost
-    assert evaluate_on(problem, path.points_m).is_valid
+    assert problem.features(path.points_m).is_valid
     cells = np.floor(path.points_m[:, ::-1] / problem.resolution_m).astype(int)
     np.testing.assert_array_equal(cells[[0, -1]], [problem.start, problem.goal])
     assert np.abs(np.diff(cells, axis=0)).max(initial=0) <= 1

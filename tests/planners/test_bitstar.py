@@ -14,10 +14,9 @@ from shapely import LineString, box, union_all
 
 from jaxurban.errors import InputError
 from jaxurban.planners.base import CostModel, Problem, Status
-from jaxurban.planners.bitstar import bitstar, bitstar_dist, bitstar_plus
-from jaxurban.planners.bitstar_bounds import HEURISTICS, make_bounds
-from jaxurban.planners.bitstar_samples import InformedSet, graph_radius
-from jaxurban.planners.evaluate import evaluate_on
+from jaxurban.planners.bitstar.bounds import HEURISTICS, make_bounds
+from jaxurban.planners.bitstar.planner import BitStarOptions, bitstar, bitstar_dist, bitstar_plus
+from jaxurban.planners.bitstar.samples import InformedSet, graph_radius
 from jaxurban.planners.registry import PLANNERS
 
 MODELS = ("cell", "line")
@@ -51,7 +50,7 @@ def graph_cost(problem, xy, radius):
     edges = np.zeros((len(xy), len(xy)))
     for i, j in np.argwhere(np.hypot(*(xy[:, None] - xy).transpose(2, 0, 1)) <= radius):
         if i != j:
-            cost = evaluate_on(problem, xy[[i, j]] * problem.resolution_m).total
+            cost = problem.cost_of(xy[[i, j]] * problem.resolution_m)
             edges[i, j] = cost if np.isfinite(cost) else 0.0
     return dijkstra(edges, indices=0)[1]
 
@@ -67,7 +66,7 @@ def test_one_batch_finds_the_best_path_of_its_graph(cost_model, heuristic):
     for seed in range(4):
         problem = walled_problem(seed, cost_model)
         is_joined = reachable(problem)
-        path = bitstar(problem, heuristic=heuristic, seed=seed, batch_samples=150, growth=0, max_batches=1)
+        path = bitstar(problem, heuristic=heuristic, seed=seed, options=BitStarOptions(150, growth=0, max_batches=1))
         informed = InformedSet(make_bounds(heuristic, problem, is_joined), is_joined)
         xy = np.concatenate([ends_of(problem), informed.sample(150, np.random.default_rng(seed))])
         best = graph_cost(problem, xy, graph_radius(len(xy), informed.measure, 1.1))
@@ -81,28 +80,31 @@ def test_edges_costed_in_bulk_by_jax_lead_to_the_same_costs(cost_model):
     for seed in range(3):
         problem = walled_problem(seed, cost_model)
         run = partial(bitstar_plus, problem, budget_s=np.inf, max_samples=1500, seed=seed)
-        in_turn, in_bulk, again = run(), run(backend="jax"), run(backend="jax")
+        in_bulk, again = (run(options=BitStarOptions(backend="jax")) for _ in range(2))
+        in_turn = run()
         assert (in_turn.backend, in_bulk.backend) == ("numba", "jax")
         for (_, num_samples, cost), (_, num_in_bulk, cost_in_bulk) in zip(
             in_turn.history[:4], in_bulk.history[:4], strict=True
         ):
             assert (num_samples, cost) == (num_in_bulk, pytest.approx(cost_in_bulk, rel=1e-9))
         assert in_bulk.cost == pytest.approx(in_turn.cost, rel=0.02)
-        assert in_bulk.cost == evaluate_on(problem, in_bulk.points_m).total
+        assert in_bulk.cost == problem.cost_of(in_bulk.points_m)
         np.testing.assert_array_equal(in_bulk.points_m, again.points_m)
         assert in_bulk.num_expanded >= in_turn.num_expanded
 
 
 def test_auto_picks_numba_where_jax_has_a_cpu_only():
     expected = "numba" if jax.default_backend() == "cpu" else "jax"
-    assert bitstar_dist(open_problem((4, 4), (0, 0), (3, 2)), backend="auto").backend == expected
+    assert (
+        bitstar_dist(open_problem((4, 4), (0, 0), (3, 2)), options=BitStarOptions(backend="auto")).backend == expected
+    )
 
 
 def test_each_later_batch_finds_the_best_path_of_its_graph_or_a_better_one():
     problem = walled_problem(1, "line")
     # With hardly a distance weight nothing is pruned, so all samples stay in the graph.
-    problem = Problem(problem.layers, problem.is_free, problem.start, problem.goal, 2.0, 1e-6, CostModel("line", 4.0))
-    path = bitstar(problem, heuristic="euclidean", seed=5, batch_samples=60, growth=0, max_batches=4)
+    problem = Problem(problem.costs, problem.is_free, problem.start, problem.goal, 2.0, 1e-6, CostModel("line", 4.0))
+    path = bitstar(problem, heuristic="euclidean", seed=5, options=BitStarOptions(60, growth=0, max_batches=4))
     is_joined = reachable(problem)
     informed = InformedSet(make_bounds("euclidean", problem, is_joined), is_joined)
     rng = np.random.default_rng(5)
@@ -117,9 +119,10 @@ def test_each_later_batch_finds_the_best_path_of_its_graph_or_a_better_one():
 
 def test_an_observer_sees_every_batch_and_changes_none():
     problem, seen = walled_problem(1, "line"), []
-    run = partial(bitstar, problem, seed=5, batch_samples=60, growth=0, max_batches=4)
-    path = run(on_batch=seen.append)
-    np.testing.assert_array_equal(path.points_m, run().points_m)
+    options = BitStarOptions(60, growth=0, max_batches=4, on_batch=seen.append)
+    path = bitstar(problem, seed=5, options=options)
+    unseen = bitstar(problem, seed=5, options=replace(options, on_batch=None))
+    np.testing.assert_array_equal(path.points_m, unseen.points_m)
     assert [batch.number for batch in seen] == [0, 1, 2, 3, 4]
     for batch, (_, num_drawn, cost) in zip(seen, path.history, strict=True):
         assert batch.cost == cost
@@ -142,7 +145,7 @@ def test_cost_never_rises_from_batch_to_batch_and_is_that_of_the_path(planner, c
         assert np.all(np.diff(at_s) > 0)
         assert num_samples[-1] == 3000
         assert path.cost == pytest.approx(cost[-1], rel=1e-9)
-        assert path.cost == evaluate_on(problem, path.points_m).total
+        assert path.cost == problem.cost_of(path.points_m)
         assert path.lower_bound <= path.cost
         np.testing.assert_allclose(path.points_m[[0, -1]], ends_of(problem) * 2.0)
 
@@ -251,13 +254,17 @@ def test_weights_of_zero_are_no_trouble(planner, cost_model):
     path = run(nothing)
     assert (path.status, path.cost) == (Status.OPTIMAL, 0.0)
     assert "costs nothing" in path.note
-    map_only = Problem(walled.layers, walled.is_free, walled.start, walled.goal, 2.0, 0.0, CostModel(cost_model, 4.0))
+    map_only = Problem(walled.costs, walled.is_free, walled.start, walled.goal, 2.0, 0.0, CostModel(cost_model, 4.0))
     assert run(map_only).status is Status.BUDGET_FEASIBLE
 
 
 def test_the_search_ends_on_batches_cost_and_small_improvement():
     problem = walled_problem(4, "line")
-    run = partial(bitstar, problem, budget_s=np.inf, batch_samples=50, seed=1)
+
+    def run(max_samples=None, **options):
+        options = BitStarOptions(batch_samples=50, **options)
+        return bitstar(problem, budget_s=np.inf, max_samples=max_samples, options=options, seed=1)
+
     long = run(max_samples=20_000)
     batches = run(max_batches=5)
     assert len(batches.history) == 6  # the straight segment's among them
@@ -298,8 +305,9 @@ def test_the_budget_is_heeded_on_a_large_map():
     ],
 )
 def test_wrong_settings_are_refused(options, message):
+    own = {name: options.pop(name) for name in list(options) if hasattr(BitStarOptions, name)}
     with pytest.raises(InputError, match=message):
-        bitstar(open_problem((3, 3), (0, 0), (2, 2)), **options)
+        bitstar(open_problem((3, 3), (0, 0), (2, 2)), options=BitStarOptions(**own), **options)
 
 
 def test_both_are_known_by_name():

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy.sparse.csgraph import dijkstra
 
+from jaxurban.kernels.line.segment_cost import segment_cost
 from jaxurban.planners.base import CostModel, Problem
-from jaxurban.planners.bitstar_bounds import HEURISTICS, make_bounds
-from jaxurban.planners.bitstar_samples import InformedSet, graph_radius
-from jaxurban.planners.bitstar_search import Ground, edge_cost
-from jaxurban.planners.evaluate import evaluate_on
+from jaxurban.planners.bitstar.bounds import HEURISTICS, make_bounds
+from jaxurban.planners.bitstar.samples import InformedSet, graph_radius
+from jaxurban.planners.cost_grid import cost_grid_of
 
 MODELS = ("cell", "line")
 RESOLUTION_M = 2.0
@@ -21,18 +21,8 @@ def problem_on(cost, cost_model, start, goal, is_free=None, distance_weight=0.3)
     return Problem(cost[None], is_free, start, goal, RESOLUTION_M, distance_weight, CostModel(cost_model, 3.0))
 
 
-def ground_of(problem):
-    per_side = (
-        problem.resolution_m / problem.cost_model.reference_length_m if problem.cost_model.kind == "line" else 1.0
-    )
-    charge = np.where(problem.is_free, problem.cost, np.inf) * per_side
-    per_side_of_length = problem.distance_weight * problem.resolution_m
-    model = problem.cost_model
-    return Ground(charge, per_side_of_length, model.kind == "line", model.passes_corners)
-
-
 def true_cost(problem, *xy):
-    return evaluate_on(problem, np.array(xy) * RESOLUTION_M).total
+    return problem.cost_of(np.array(xy) * RESOLUTION_M)
 
 
 @pytest.mark.parametrize("cost_model", MODELS)
@@ -44,16 +34,16 @@ def test_an_edge_costs_what_the_evaluation_of_paths_says(cost_model):
     near = np.clip(anywhere[:200, :1] + rng.uniform(-1.2, 1.2, (200, 1, 2)), 0.01, 11.9)
     near = np.concatenate([anywhere[:200, :1], near], axis=1)
     centres = rng.integers(0, 12, (600, 2, 2)) + 0.5
-    ground = ground_of(problem)
+    cost_grid = cost_grid_of(problem, problem.is_free)
     num_blocked = 0
     for a, b in np.concatenate([anywhere, near, centres]):
-        cost = edge_cost(ground, *a, *b, np.inf)
+        cost = segment_cost(cost_grid, *a, *b, np.inf)
         if np.array_equal(a, b):
             assert cost == 0
             continue
         assert cost == pytest.approx(true_cost(problem, a, b), rel=1e-9)
-        assert edge_cost(ground, *a, *b, cost) == np.inf
-        assert edge_cost(ground, *a, *b, cost * 1.001 + 1e-9) in (cost, np.inf)
+        assert segment_cost(cost_grid, *a, *b, cost) == np.inf
+        assert segment_cost(cost_grid, *a, *b, cost * 1.001 + 1e-9) in (cost, np.inf)
         num_blocked += np.isinf(cost)
     assert 100 < num_blocked < 1300
 
@@ -112,7 +102,7 @@ def test_plus_is_tight_where_the_straight_line_is_best():
     assert distance == pytest.approx(0.3 * 6 * RESOLUTION_M)
 
 
-def test_under_the_cell_model_the_goal_is_charged_and_the_start_is_not():
+def test_under_the_cell_model_the_goal_costs_and_the_start_does_not():
     cost = np.zeros((5, 5))
     cost[1, 1], cost[3, 3] = 100.0, 10.0
     problem = problem_on(cost, "cell", (1, 1), (3, 3), distance_weight=0.0)

@@ -125,7 +125,7 @@ def test_auto_leaves_landmarks_that_the_budget_does_not_hold(monkeypatch):
     assert path.heuristic == "plus"
     assert "Landmarks would speed up this map's many queries" in path.note
     monkeypatch.setattr(landmarks_module, "NODES_PER_S", 1e12)  # too hopeful: half of the budget goes
-    monkeypatch.setattr("jaxurban.planners.search.CHUNK", 10)
+    monkeypatch.setattr("jaxurban.planners.search.grid.CHUNK", 10)
     path = astar_plus(city(), budget_s=1e-5)
     assert path.heuristic == "plus"
     assert "were not done in" in path.note
@@ -134,7 +134,7 @@ def test_auto_leaves_landmarks_that_the_budget_does_not_hold(monkeypatch):
 
 @pytest.mark.parametrize("name", ["landmarks", "exact"])
 def test_a_budget_that_ends_while_tables_are_built_is_reported_as_spent(monkeypatch, name):
-    monkeypatch.setattr("jaxurban.planners.search.CHUNK", 10)
+    monkeypatch.setattr("jaxurban.planners.search.grid.CHUNK", 10)
     problem = city()
     path = astar(problem, heuristic=name, budget_s=1e-6)
     assert path.status is Status.BUDGET_EMPTY

@@ -7,12 +7,12 @@ import pytest
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
-from jaxurban.cost import Weights
-from jaxurban.maps import MetricMaps
-from jaxurban.pipeline import run_scenario
+from jaxurban.maps.metric_maps import MetricMaps
+from jaxurban.metrics.weights import Weights
 from jaxurban.planners.base import Problem, Status
 from jaxurban.planners.registry import find_planner
-from jaxurban.scenario import Scenario
+from jaxurban.scenario.run import run_scenario
+from jaxurban.scenario.settings import Scenario
 
 ALTITUDE_M = 20.0
 
@@ -68,9 +68,9 @@ def day_problem(maps: MetricMaps, cost_model: str) -> Problem:
     """The map by day under the default weights."""
     weights, is_free = Weights(), maps.is_free(ALTITUDE_M)
     costs = maps.costs(ALTITUDE_M, time_of_day="day")
-    layers = np.stack([getattr(weights, name) * np.asarray(cost, np.float64) for name, cost in costs.items()])
+    vector = weights.vector(("distance", *costs))
     first = tuple(int(v) for v in np.argwhere(is_free)[0])
-    return Problem(layers, is_free, first, first, maps.grid.resolution_m, weights.distance, cost_model)
+    return Problem(np.stack(list(costs.values())), is_free, first, first, maps.grid.resolution_m, vector, cost_model)
 
 
 @pytest.mark.slow

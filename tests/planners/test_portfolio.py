@@ -8,7 +8,6 @@ from scipy.ndimage import label
 
 from jaxurban.errors import InputError
 from jaxurban.planners.base import CostModel, Path, Problem, Status
-from jaxurban.planners.evaluate import evaluate_on
 from jaxurban.planners.registry import PLANNERS
 from tests.free_space import Obstacles
 
@@ -91,7 +90,7 @@ def check_random_query(number: int) -> bool:
     assert obstacles.crossed_m(path.points_m) < 1e-6
     assert not obstacles.is_pinched(path.points_m)
     np.testing.assert_allclose(path.points_m[[0, -1]], (np.array([start, goal])[:, ::-1] + 0.5) * SIDE_M)
-    assert path.cost == evaluate_on(problem, path.points_m).total < np.inf
+    assert path.cost == problem.cost_of(path.points_m) < np.inf
     assert path.lower_bound <= path.cost
     return True
 
@@ -111,7 +110,7 @@ def test_an_empty_map_costs_the_straight_line_within_the_planners_discretisation
 
 
 @pytest.mark.parametrize("name", PLANNERS)
-def test_even_costs_are_charged_along_the_line_within_the_planners_discretisation(name):
+def test_even_costs_count_along_the_line_within_the_planners_discretisation(name):
     problem = problem_on(np.ones((30, 40), bool), (2, 3), (14, 32), np.full((2, 30, 40), 0.4), distance_weight=0.1)
     straight_m = SIDE_M * np.hypot(12, 29)
     ratio = run(name, problem).cost / (straight_m * (0.1 + 0.8 / 5.0))
@@ -210,7 +209,7 @@ def test_weights_of_zero_are_weights(name, model):
         assert path.status.has_path
         assert obstacles.crossed_m(path.points_m) < 1e-6
         assert (path.cost == 0) is expects_zero
-        assert path.cost == evaluate_on(case, path.points_m).total
+        assert path.cost == case.cost_of(path.points_m)
 
 
 @pytest.mark.parametrize("wrong", [np.nan, -0.1, np.inf])
@@ -220,7 +219,7 @@ def test_costs_that_are_no_costs_are_refused_before_any_planner_runs(wrong):
     layers[1, 3, 3] = wrong
     with pytest.raises(InputError, match="costs must be finite and not negative on free cells"):
         problem_on(is_free, (0, 0), (5, 5), layers)
-    with pytest.raises(InputError, match="distance weight must be finite and not negative"):
+    with pytest.raises(InputError, match="weights must be 2 finite numbers that are not negative"):
         problem_on(is_free, (0, 0), (5, 5), distance_weight=wrong)
 
 

@@ -10,13 +10,12 @@ from scipy.optimize import minimize_scalar
 from shapely import LineString, box, union_all
 
 from jaxurban.errors import InputError
+from jaxurban.planners.any_angle import theta_star
 from jaxurban.planners.astar import astar
 from jaxurban.planners.base import CostModel, Problem, Status
-from jaxurban.planners.bitstar import bitstar
-from jaxurban.planners.evaluate import evaluate_on
+from jaxurban.planners.bitstar.planner import BitStarOptions, bitstar
 from jaxurban.planners.ptp import ptp
 from jaxurban.planners.refine import refine
-from jaxurban.planners.theta import theta_star
 
 SHAPE = (48, 48)  # one shape, so that the gradient is compiled once
 
@@ -38,7 +37,9 @@ def obstacles(problem):
     return union_all([box(x, y, x + 2, y + 2) for y, x in cells])
 
 
-@pytest.mark.parametrize("planner", [astar, theta_star, partial(bitstar, max_batches=5, budget_s=np.inf)])
+@pytest.mark.parametrize(
+    "planner", [astar, theta_star, partial(bitstar, options=BitStarOptions(max_batches=5), budget_s=np.inf)]
+)
 def test_a_refined_path_is_cheaper_keeps_its_ends_and_to_free_cells(planner):
     gains = []
     for seed in range(4):
@@ -47,7 +48,7 @@ def test_a_refined_path_is_cheaper_keeps_its_ends_and_to_free_cells(planner):
         if not path.status.has_path:
             continue
         refined = refine(problem, path)
-        assert refined.cost == pytest.approx(evaluate_on(problem, refined.points_m).total, rel=1e-12)
+        assert refined.cost == pytest.approx(problem.cost_of(refined.points_m), rel=1e-12)
         assert refined.lower_bound <= refined.cost < path.cost
         np.testing.assert_array_equal(refined.points_m[[0, -1]], path.points_m[[0, -1]])
         assert LineString(refined.points_m).intersection(obstacles(problem)).length < 1e-6
@@ -139,11 +140,11 @@ def test_points_on_borders_and_beyond_walls_corners_are_taken():
     is_free[10, 10] = False
     problem = line_problem(np.ones((1, *SHAPE)), (5, 5), (40, 40), is_free)
     points_m = 2.0 * np.array([[5.5, 5.5], [11, 5], [11, 11], [48, 30], [48, 48], [40.5, 40.5]])
-    path = replace(theta_star(problem), points_m=points_m, cost=evaluate_on(problem, points_m).total)
-    assert not evaluate_on(problem, points_m).is_valid  # the map's east border lies outside
+    path = replace(theta_star(problem), points_m=points_m, cost=problem.cost_of(points_m))
+    assert not problem.features(points_m).is_valid  # the map's east border lies outside
     points_m[:, 0] = np.minimum(points_m[:, 0], 96 - 1e-7)
     points_m[:, 1] = np.minimum(points_m[:, 1], 96 - 1e-7)
-    path = replace(path, points_m=points_m, cost=evaluate_on(problem, points_m).total)
+    path = replace(path, points_m=points_m, cost=problem.cost_of(points_m))
     assert refine(problem, path).cost < path.cost
 
 

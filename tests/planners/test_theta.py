@@ -10,11 +10,11 @@ from scipy.sparse.csgraph import dijkstra
 from shapely import LineString, MultiPoint, box, union_all
 
 from jaxurban.errors import InputError
+from jaxurban.kernels.line.segment_cost import segment_cost
+from jaxurban.planners.any_angle import shortened, subdivided, theta_star
 from jaxurban.planners.astar import astar
 from jaxurban.planners.base import CostModel, Problem, Status
-from jaxurban.planners.evaluate import evaluate_on
-from jaxurban.planners.theta import line_ground, shortened, subdivided, theta_star
-from jaxurban.planners.theta_search import segment_cost
+from jaxurban.planners.cost_grid import cost_grid_of
 from tests.free_space import pinched_corners
 
 
@@ -84,7 +84,7 @@ def test_it_is_never_costlier_than_the_best_grid_path_and_keeps_to_free_cells(sh
             assert path.status is Status.NO_PATH
             assert path.lower_bound == np.inf
             continue
-        assert path.cost == pytest.approx(evaluate_on(problem, path.points_m).total, rel=1e-12)
+        assert path.cost == pytest.approx(problem.cost_of(path.points_m), rel=1e-12)
         assert path.lower_bound <= path.cost <= grid.cost * (1 + 1e-9)
         assert LineString(path.points_m).intersection(obstacles(problem)).length < 1e-6
         np.testing.assert_array_equal(path.points_m[[0, -1]], grid.points_m[[0, -1]])
@@ -138,16 +138,16 @@ def test_a_path_passes_one_obstacle_at_its_corner_and_two_that_touch_there_only_
 
 def test_a_segments_cost_is_that_of_the_evaluation():
     problem = random_problem(4, share_free=0.97)
-    ground = line_ground(problem, problem.is_free)
+    cost_grid = cost_grid_of(problem, problem.is_free)
     rng = np.random.default_rng(0)
     num_free = 0
     for _ in range(300):
         xy = rng.uniform(0, (24, 20), (2, 2)) if rng.random() < 0.5 else rng.integers(0, 20, (2, 2)) + 0.5
-        cost = segment_cost(ground, *xy[0], *xy[1], np.inf)
-        assert cost == pytest.approx(evaluate_on(problem, xy * 2.0).total, rel=1e-9)
+        cost = segment_cost(cost_grid, *xy[0], *xy[1], np.inf)
+        assert cost == pytest.approx(problem.cost_of(xy * 2.0), rel=1e-9)
         num_free += np.isfinite(cost)
         if np.isfinite(cost) and cost > 0:
-            assert segment_cost(ground, *xy[0], *xy[1], cost * (1 - 1e-9)) == np.inf
+            assert segment_cost(cost_grid, *xy[0], *xy[1], cost * (1 - 1e-9)) == np.inf
     assert 50 < num_free < 300
 
 
@@ -158,8 +158,8 @@ def test_subdividing_keeps_the_course_and_shortening_finds_the_straight_line_aga
     assert lengths.max() <= 0.7 + 1e-12
     assert lengths.sum() == pytest.approx(np.hypot(*np.diff(xy, axis=0).T).sum())
     problem = line_problem(np.zeros((1, 12, 12)), (0, 0), (9, 7))
-    ground = line_ground(problem, problem.is_free)
-    np.testing.assert_array_equal(shortened(ground, xy), xy[[0, -1]])
+    cost_grid = cost_grid_of(problem, problem.is_free)
+    np.testing.assert_array_equal(shortened(cost_grid, xy), xy[[0, -1]])
 
 
 def test_it_ends_with_the_budget_and_repeats_itself():
@@ -192,9 +192,9 @@ def test_wrong_settings_are_refused(options, message):
 
 
 def test_the_cell_model_is_refused_with_the_remedy_where_the_map_costs_anything():
-    costly, free_of_charge = (
+    costly, costless = (
         Problem(np.full((1, 4, 4), cost), np.ones((4, 4), bool), (0, 0), (3, 2), 2.0, 1.0) for cost in (0.1, 0.0)
     )
     with pytest.raises(InputError, match=r"planner 'theta-star' weighs .* choose cost_model='line'"):
         theta_star(costly)
-    assert theta_star(free_of_charge).cost == pytest.approx(2 * np.hypot(3, 2))
+    assert theta_star(costless).cost == pytest.approx(2 * np.hypot(3, 2))

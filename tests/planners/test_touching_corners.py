@@ -10,15 +10,14 @@ import pytest
 from shapely import LineString
 
 from jaxurban.errors import InputError
-from jaxurban.kernels.segment_costs import segment_costs
-from jaxurban.planners import bitstar_search, theta_search
+from jaxurban.kernels.line.segment_cost import CostGrid, segment_cost
+from jaxurban.kernels.line.segment_costs import segment_costs
 from jaxurban.planners.base import CostModel, Path, Problem, Status
-from jaxurban.planners.evaluate import evaluate
 from jaxurban.planners.refine import refine
 from jaxurban.planners.registry import PLANNERS
-from jaxurban.planners.volume import VolumeProblem, charge
 from jaxurban.planners.volume_astar import volume_astar
 from tests.free_space import Obstacles
+from tests.planners.problems import costed, volume_problem
 
 SHAPE = (10, 12)
 NUM_SEGMENTS = 1500
@@ -60,42 +59,34 @@ def by_evaluation(seed, cost_model, diagonal):
     segments = segments_by_corners(seed)
     return np.array(
         [
-            evaluate(ends, layers, is_free, 1.0, 0.3, CostModel(cost_model, 1.0, diagonal=diagonal)).total
+            costed(ends, layers, is_free, 1.0, 0.3, CostModel(cost_model, 1.0, diagonal=diagonal)).total
             for ends in segments
         ]
     )
 
 
-def charge_of(seed):
+def cell_cost_of(seed):
     return np.where(pinched_map(seed), np.random.default_rng(seed).random((1, *SHAPE))[0], np.inf)
 
 
-def bulk_costs(charge, segments, is_line, passes_corners):
+def bulk_costs(cell_cost, segments, is_line, passes_corners):
     with jax.enable_x64(True):
-        return segment_costs(charge, segments[:, 0], segments[:, 1], 0.3, is_line, passes_corners)
+        return segment_costs(cell_cost, segments[:, 0], segments[:, 1], 0.3, is_line, passes_corners)
 
 
-def tree_costs(charge, segments, is_line, passes_corners):
-    ground = bitstar_search.Ground(charge, 0.3, is_line, passes_corners)
-    return [bitstar_search.edge_cost(ground, *a, *b, np.inf) for a, b in segments]
-
-
-def theta_costs(charge, segments, is_line, passes_corners):
-    assert is_line
-    ground = theta_search.Ground(charge, 0.3, passes_corners)
-    return [theta_search.segment_cost(ground, *a, *b, np.inf) for a, b in segments]
+def compiled_costs(cell_cost, segments, is_line, passes_corners):
+    cost_grid = CostGrid(cell_cost, 0.3, is_line, passes_corners)
+    return [segment_cost(cost_grid, *a, *b, np.inf) for a, b in segments]
 
 
 @pytest.mark.parametrize("diagonal", ["both-free", "always"])
-@pytest.mark.parametrize(
-    ("walk", "cost_model"),
-    [(bulk_costs, "line"), (bulk_costs, "cell"), (tree_costs, "line"), (tree_costs, "cell"), (theta_costs, "line")],
-)
+@pytest.mark.parametrize("cost_model", ["line", "cell"])
+@pytest.mark.parametrize("walk", [bulk_costs, compiled_costs])
 def test_every_walker_finds_the_way_free_where_the_evaluation_does(walk, cost_model, diagonal):
     num_pinched = 0
     for seed in range(3):
         expected = by_evaluation(seed, cost_model, diagonal)
-        found = walk(charge_of(seed), segments_by_corners(seed), cost_model == "line", diagonal == "always")
+        found = walk(cell_cost_of(seed), segments_by_corners(seed), cost_model == "line", diagonal == "always")
         np.testing.assert_allclose(found, expected, rtol=1e-9)
         num_pinched += (np.isinf(expected) & np.isfinite(by_evaluation(seed, cost_model, "always"))).sum()
         assert 100 < np.isfinite(expected).sum() < NUM_SEGMENTS - 100
@@ -107,13 +98,13 @@ def test_a_segment_with_an_end_on_a_border_is_never_taken_where_the_evaluation_f
     taken = 0
     for seed in range(4):
         is_free = pinched_map(seed)
-        ground = theta_search.Ground(np.where(is_free, 0.0, np.inf), 1.0, False)
+        cost_grid = CostGrid(np.where(is_free, 0.0, np.inf), 1.0, True, False)
         # Polylines of three points on halves: corners, middles of borders and of cells.
         for points in rng.integers(2, 18, (600, 1, 2)) / 2 + rng.integers(-1, 2, (600, 3, 2)) / 2:
-            costs = [theta_search.segment_cost(ground, *a, *b, np.inf) for a, b in itertools.pairwise(points)]
+            costs = [segment_cost(cost_grid, *a, *b, np.inf) for a, b in itertools.pairwise(points)]
             if np.isfinite(costs).all():
                 taken += 1
-                assert evaluate(points, np.zeros((1, *SHAPE)), is_free, 1.0, 1.0, CostModel()).is_valid
+                assert costed(points, np.zeros((1, *SHAPE)), is_free, 1.0, 1.0, CostModel()).is_valid
     assert taken > 100
 
 
@@ -179,9 +170,9 @@ def test_paths_on_maps_full_of_touching_corners_are_found_free_again():
             for name in PLANNERS:
                 path = run(name, problem)
                 for found in (path, refine(problem, path, moves=("compass",))) if path.status.has_path else ():
-                    paid = evaluate(found.points_m, problem.layers, is_free, 5.0, 0.2, model)
-                    assert paid.is_valid
-                    assert found.cost == pytest.approx(paid.total, rel=1e-12)
+                    costs = costed(found.points_m, problem.costs, is_free, 5.0, 0.2, model)
+                    assert costs.is_valid
+                    assert found.cost == pytest.approx(costs.total, rel=1e-12)
                     obstacles = Obstacles(is_free, 5.0)
                     assert obstacles.crossed_m(found.points_m) < 1e-6
                     assert diagonal == "always" or not obstacles.is_pinched(found.points_m)
@@ -192,7 +183,7 @@ def test_paths_on_maps_full_of_touching_corners_are_found_free_again():
 def test_a_diagonal_wall_through_all_levels_closes_a_volume_and_a_path_through_it_costs_infinity():
     def problem(diagonal, is_free):
         ends = (0, 6, 3), (0, 3, 6)
-        return VolumeProblem(
+        return volume_problem(
             np.ones((2, *WALL.shape)),
             is_free,
             np.array([20.0, 30.0]),
@@ -206,8 +197,8 @@ def test_a_diagonal_wall_through_all_levels_closes_a_volume_and_a_path_through_i
     assert volume_astar(problem("both-free", walled)).status is Status.NO_PATH
     through = volume_astar(problem("always", walled))
     assert through.status is Status.OPTIMAL
-    assert charge(problem("always", walled), through.points_m).total == through.cost
-    assert charge(problem("both-free", walled), through.points_m).total == np.inf
+    assert problem("always", walled).cost_of(through.points_m) == through.cost
+    assert problem("both-free", walled).cost_of(through.points_m) == np.inf
     over = volume_astar(problem("both-free", np.stack([WALL, np.ones_like(WALL)])))
     assert over.cost > through.cost
     assert over.points_m[:, 2].max() == 30.0

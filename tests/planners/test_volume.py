@@ -11,8 +11,8 @@ from jaxurban.errors import InputError
 from jaxurban.planners import volume_astar as volume_module
 from jaxurban.planners.astar import astar
 from jaxurban.planners.base import CostModel, Problem, Status
-from jaxurban.planners.volume import VolumeProblem, charge
 from jaxurban.planners.volume_astar import VOLUME_HEURISTICS, bound_at, make_bound, volume_astar
+from tests.planners.problems import volume_problem
 
 LEVELS_M = np.array([20.0, 22.0, 29.0, 60.0])
 VARIANTS = list(itertools.product(["cell", "line"], ["both-free", "always"], [8, 4]))
@@ -31,7 +31,7 @@ def random_volume(seed, cost_model, diagonal, connectivity, shape=(5, 6)):
     start, goal = (tuple(int(v) for v in free[k]) for k in rng.choice(len(free), 2, replace=False))
     cost = np.where(is_free, 3 * rng.random(is_free.shape) ** 3, np.nan)
     weights = rng.uniform(0, 0.5, 3) * (rng.random(3) < 0.8)
-    return VolumeProblem(
+    return volume_problem(
         cost, is_free, LEVELS_M, start, goal, 5.0, *weights, CostModel(cost_model, 3.0, connectivity, diagonal)
     )
 
@@ -63,7 +63,7 @@ def graph_of(problem):
                 map_cost = (
                     length_m * (problem.cost[level, row, col] + map_cost) / 2 / problem.cost_model.reference_length_m
                 )
-            height_cost = problem.climb_cost * max(rise_m, 0) + problem.descent_cost * max(-rise_m, 0)
+            height_cost = problem.height_costs[0] * max(rise_m, 0) + problem.height_costs[1] * max(-rise_m, 0)
             origins.append(np.ravel_multi_index((level, row, col), shape))
             targets.append(np.ravel_multi_index(to, shape))
             weights.append(problem.distance_weight * length_m + map_cost + height_cost)
@@ -90,7 +90,7 @@ def test_cost_equals_scipy_dijkstra_and_bounds_are_admissible_and_consistent(cos
             assert path.status is Status.OPTIMAL
             assert path.cost == pytest.approx(optimum, rel=1e-12)
             assert path.lower_bound == path.cost
-            assert path.cost == pytest.approx(charge(problem, path.points_m).total)
+            assert path.cost == pytest.approx(problem.cost_of(path.points_m))
 
 
 @pytest.mark.parametrize("connectivity", [8, 4])
@@ -102,7 +102,7 @@ def test_one_level_equals_2d(cost_model, connectivity):
     free = [tuple(int(v) for v in cell) for cell in np.argwhere(is_free)]
     flat = Problem(cost[None], is_free, free[0], free[0], 5.0, 0.1, CostModel(cost_model, 4.0, connectivity))
     node = (0, *free[0])
-    volume = VolumeProblem(
+    volume = volume_problem(
         cost[None],
         is_free[None],
         np.array([60.0]),
@@ -125,7 +125,7 @@ def test_one_level_equals_2d(cost_model, connectivity):
 @pytest.mark.parametrize(("cost_model", "map_cost"), [("cell", 2.0 + 3.0), ("line", (30 * 1.5 + 60 * 2.5) / 4)])
 def test_a_climb_on_the_spot_pays_its_height_and_the_nodes_it_enters(cost_model, map_cost):
     cost, levels_m = np.array([1.0, 2.0, 3.0])[:, None, None], np.array([10.0, 40.0, 100.0])
-    problem = VolumeProblem(
+    problem = volume_problem(
         cost, np.ones((3, 1, 1), bool), levels_m, (0, 0, 0), (2, 0, 0), 5.0, 0.1, 0.5, 0.25, CostModel(cost_model, 4.0)
     )
     up = volume_astar(problem)
@@ -141,7 +141,7 @@ def wall_with_a_door(climb_cost):
     roof_m[:40, 10] = 30.0
     levels_m = np.array([10.0, 40.0])
     is_free = roof_m < levels_m[:, None, None]
-    return VolumeProblem(np.zeros(is_free.shape), is_free, levels_m, (0, 0, 0), (0, 0, 20), 5.0, 1.0, climb_cost)
+    return volume_problem(np.zeros(is_free.shape), is_free, levels_m, (0, 0, 0), (0, 0, 20), 5.0, 1.0, climb_cost)
 
 
 def test_a_wall_is_flown_over_where_climbing_is_cheap_and_around_where_it_is_dear():
@@ -164,7 +164,7 @@ def test_no_path_crosses_what_stands_between_its_levels():
         roof_m, is_free = buildings(rng, (12, 12))
         free = [tuple(int(v) for v in node) for node in np.argwhere(is_free)]
         cost = rng.random(is_free.shape)
-        volume = VolumeProblem(cost, is_free, LEVELS_M, free[0], free[0], 5.0, 0.1)
+        volume = volume_problem(cost, is_free, LEVELS_M, free[0], free[0], 5.0, 0.1)
         for _ in range(50):
             path = volume_astar(volume.between(*(free[k] for k in rng.choice(len(free), 2))))
             if not path.status.has_path or len(path.points_m) == 1:
@@ -184,10 +184,10 @@ def test_a_closed_court_is_left_through_the_air_only():
     is_free[0, 2:5, 2:5] = False
     is_free[0, 3, 3] = True
     levels_m = np.array([10.0, 40.0])
-    problem = VolumeProblem(np.zeros(is_free.shape), is_free, levels_m, (0, 3, 3), (0, 0, 0), 5.0, 1.0)
+    problem = volume_problem(np.zeros(is_free.shape), is_free, levels_m, (0, 3, 3), (0, 0, 0), 5.0, 1.0)
     path = volume_astar(problem)
     np.testing.assert_array_equal(path.points_m[:2], [[17.5, 17.5, 10], [17.5, 17.5, 40]])
-    low = VolumeProblem(np.zeros((1, 7, 7)), is_free[:1], levels_m[:1], (0, 3, 3), (0, 0, 0), 5.0, 1.0)
+    low = volume_problem(np.zeros((1, 7, 7)), is_free[:1], levels_m[:1], (0, 3, 3), (0, 0, 0), 5.0, 1.0)
     for name in VOLUME_HEURISTICS:
         assert volume_astar(low, heuristic=name).status is Status.NO_PATH
 
@@ -207,7 +207,7 @@ def test_a_spent_budget_leaves_a_bound_below_the_optimum(monkeypatch):
 
 
 def test_what_costs_nothing_says_that_its_shape_means_nothing():
-    problem = VolumeProblem(np.zeros((2, 3, 3)), np.ones((2, 3, 3), bool), [1.0, 2.0], (0, 0, 0), (1, 2, 2), 1.0, 0.0)
+    problem = volume_problem(np.zeros((2, 3, 3)), np.ones((2, 3, 3), bool), [1.0, 2.0], (0, 0, 0), (1, 2, 2), 1.0, 0.0)
     path = volume_astar(problem)
     assert (path.cost, path.status) == (0, Status.OPTIMAL)
     assert "costs nothing" in path.note
@@ -221,9 +221,9 @@ def test_what_costs_nothing_says_that_its_shape_means_nothing():
         ({"cost": np.full((2, 3, 3), np.nan)}, "finite and not negative"),
         ({"cost": np.full((2, 3, 3), np.inf)}, "finite and not negative"),
         ({"cost": np.full((2, 3, 3), -1.0)}, "finite and not negative"),
-        ({"climb_cost": -1.0}, "climb_cost"),
-        ({"descent_cost": np.nan}, "descent_cost"),
-        ({"distance_weight": np.inf}, "distance_weight"),
+        ({"climb_cost": -1.0}, "weights must be"),
+        ({"descent_cost": np.nan}, "weights must be"),
+        ({"distance_weight": np.inf}, "weights must be"),
         ({"resolution_m": 0.0}, "resolution_m"),
         ({"cost_model": "cells"}, "'cell' or 'line'"),
         ({"start": (2, 0, 0)}, "outside the volume"),
@@ -241,7 +241,7 @@ def test_wrong_problems_are_refused(changed, words):
         "distance_weight": 1.0,
     }
     with pytest.raises(InputError, match=words):
-        VolumeProblem(**(given | changed))
+        volume_problem(**(given | changed))
 
 
 def test_an_unknown_heuristic_is_named():

@@ -7,12 +7,11 @@ import pytest
 import shapely
 
 import jaxurban as ju
-from jaxurban.city import Buildings
-from jaxurban.io.rasterise import rasterise
-from jaxurban.maps import Obstacles
-from jaxurban.planned import PlannedPath
+from jaxurban.io.read.rasterise import rasterise
+from jaxurban.maps.metric_maps import Obstacles
+from jaxurban.paths.path import PlannedPath
 from jaxurban.planners.registry import PLANNERS
-from jaxurban.volume import weigh_volume
+from jaxurban.world.city import Buildings
 from tests.made_maps import made_maps
 
 SIDE = 40  # cells of the region
@@ -42,7 +41,7 @@ class Wall:
         layers = {"roof": roofs.roof_m, "roof_touched": roofs.roof_touched_m, "obstacle": obstacle}
         self.maps = ju.MetricMaps(maps.ds.assign({name: (maps.ds[name].dims, m) for name, m in layers.items()}))
         across_m = np.array([-along_m[1], along_m[0]])
-        self.ends = {"start_xy_m": middle_m - AWAY * across_m, "goal_xy_m": middle_m + AWAY * across_m}
+        self.ends = ju.XY(*(middle_m - AWAY * across_m)), ju.XY(*(middle_m + AWAY * across_m))
 
     def inside_m(self, path: PlannedPath) -> float:
         """Return the length of a path inside the outline, below the roof; a climb is taken at its lower end."""
@@ -52,17 +51,17 @@ class Wall:
 
     def flat_paths(self, obstacles: Obstacles) -> Iterator[tuple[str, PlannedPath]]:
         """Yield the paths of every planner, as it is and refined, where there are any."""
-        flat = ju.weigh(self.maps.with_obstacles(obstacles), ALTITUDE_M, cost_model="line")
+        flat = ju.cost_map(self.maps.with_obstacles(obstacles), ALTITUDE_M, cost_model="line")
         for planner in PLANNERS:
             for refine in (False, True):
-                path = flat.plan(**self.ends, planner=planner, budget_s=BUDGET_S, refine=refine)
+                path = flat.plan(*self.ends, planner=planner, budget_s=BUDGET_S, refine=refine)
                 if path.status.has_path:
                     yield planner, path
 
     def volume_path(self, top_m: float) -> PlannedPath:
         """Return the path through the volume up to an altitude."""
-        volume = weigh_volume(self.maps, max_altitude_m=top_m, cost_model="line")
-        return volume.plan(**self.ends, start_altitude_m=ALTITUDE_M, goal_altitude_m=ALTITUDE_M)
+        volume = ju.cost_map(self.maps, ju.Levels(max_altitude_m=top_m), cost_model="line")
+        return volume.plan(*(place._replace(altitude_m=ALTITUDE_M) for place in self.ends))
 
 
 def check_no_planner_enters(wall: Wall, is_open: bool) -> None:

@@ -8,10 +8,10 @@ import numpy as np
 from scipy import ndimage
 
 import jaxurban as ju
-from jaxurban.maps import MetricMaps
-from jaxurban.studies.examples import Example
-from jaxurban.studies.queries import Query
-from jaxurban.weighted import WeightedMap
+from jaxurban.maps.metric_maps import MetricMaps
+from jaxurban.paths.cost_map import CostMap
+from jaxurban.studies.demonstrations import Demonstration
+from jaxurban.studies.queries import RouteQuery
 from tests.made_maps import made_maps
 
 HIDDEN = ju.Weights(distance=0.02, gps=0.35, lidar=0.15, population=0.2, risk=0.28)
@@ -27,34 +27,34 @@ def small_maps() -> MetricMaps:
     return maps
 
 
-def made_queries(unit: WeightedMap, num: int, seed: int = 0, apart: float = 18.0) -> list[Query]:
+def made_queries(unit: CostMap, num: int, seed: int = 0, apart: float = 18.0) -> list[RouteQuery]:
     """Return queries between random free cells that are connected and at least so many cells apart."""
     labels, _ = ndimage.label(unit.is_free)
     free = np.argwhere(labels == np.bincount(labels[labels > 0]).argmax())
     rng = np.random.default_rng(seed)
-    queries: list[Query] = []
+    queries: list[RouteQuery] = []
     while len(queries) < num:
         a, b = free[rng.integers(len(free), size=2)].tolist()
         if np.hypot(a[0] - b[0], a[1] - b[1]) >= apart:
-            queries.append(Query(unit, (a[0], a[1]), (b[0], b[1])))
+            queries.append(RouteQuery(unit, (a[0], a[1]), (b[0], b[1])))
     return queries
 
 
-def cosine(fit, examples: Sequence[Example], hidden: ju.Weights) -> float:
+def cosine(fit, demonstrations: Sequence[Demonstration], hidden: ju.Weights) -> float:
     """Return the cosine between w_j x std(phi_j) of a fit and of hidden weights."""
     vector = np.array([float(getattr(hidden, name)) for name in fit.names])
-    spread = vector * np.std([example.route.features for example in examples], axis=0)
+    spread = vector * np.std([each.features for each in demonstrations], axis=0)
     return float(fit.spread @ spread / np.linalg.norm(spread))
 
 
-def write_geojson(file: Path, examples: Sequence[Example], **properties) -> Path:
-    """Write examples as lines through the centres of their cells."""
+def write_geojson(file: Path, demonstrations: Sequence[Demonstration], **properties) -> Path:
+    """Write demonstrations as lines through the centres of their cells."""
     features = []
-    for example in examples:
-        grid = example.query.unit.grid
-        xy_m = example.points_m + np.array([grid.x_min_m, grid.y_min_m])
+    for each in demonstrations:
+        grid = each.query.cost_map.grid
+        xy_m = each.points_m + np.array([grid.x_min_m, grid.y_min_m])
         lonlat = np.round(np.stack(grid.lonlat_of_xy(xy_m[:, 0], xy_m[:, 1]), axis=-1), 7)
-        known = {"altitude_m": example.query.unit.altitude_m} | properties
+        known = {"altitude_m": each.query.cost_map.altitude_m} | properties
         features.append(
             {
                 "type": "Feature",

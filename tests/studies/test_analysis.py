@@ -4,15 +4,15 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from jaxurban.studies import analysis
-from jaxurban.studies.trial import COLUMNS
+from jaxurban.studies.montecarlo import analysis
+from jaxurban.studies.montecarlo.trial import row_columns
 
 CHEAP, DEAR, LINE = "astar-plus", "bitstar-dist", "ptp"
 
 
 def row(instance: int, planner: str, cost: float | None, *, objective="weighted", status="", **facts) -> dict:
     told = {"status": status or ("feasible" if cost else "blocked"), "cost": cost, "elapsed_s": 0.1, "length_m": 100.0}
-    return dict.fromkeys(COLUMNS) | {"altitude_m": 20.0, "instance": instance} | told | {
+    return dict.fromkeys(row_columns()) | {"altitude_m": 20.0, "instance": instance} | told | {
         "planner": planner, "objective": objective, "m_gps": 0.5, "m_risk": 0.5, "num_expanded": 1,
     } | facts  # fmt: skip
 

@@ -9,15 +9,15 @@ import pandas as pd
 import pytest
 
 import jaxurban as ju
-from jaxurban.build import soft_city
-from jaxurban.costly_buildings import write_buildings
 from jaxurban.errors import InputError
-from jaxurban.io.seal import write_json
+from jaxurban.io.files import write_json
 from jaxurban.io.store import RUN_FILE
-from jaxurban.pipeline import grids_of, load_city, map_params, run_scenario, sky_of
-from jaxurban.scenario import Scenario
-from jaxurban.soft.engine import SoftParams
-from jaxurban.studies.buildings import building_costs
+from jaxurban.maps.build import soften
+from jaxurban.maps.differentiable import SoftParams
+from jaxurban.report.buildings import write_buildings
+from jaxurban.scenario.run import run_scenario, tasks_of
+from jaxurban.scenario.settings import Scenario
+from jaxurban.studies.sensitivity.buildings import building_costs
 
 SETTINGS = {
     "region": {"bounds": (-74.0, 40.75, -73.993, 40.756), "resolution_m": 10.0, "altitudes_m": [25.0]},
@@ -51,10 +51,11 @@ def table(folder, route, tmp_path_factory):
 
 def test_the_table_agrees_with_finite_differences_of_the_soft_cost(route, table):
     scenario = Scenario.from_dict(SETTINGS)
-    grid, city, maps = grids_of(scenario)[0], load_city(scenario), map_params(scenario)
+    (task,) = tasks_of(scenario)
+    city, maps = task.city, task.params
     params = SoftParams(25.0, 2.0, maps.gps, maps.lidar, maps.risk, maps.population)
     with jax.enable_x64(True):
-        soft = soft_city(city, grid, sky_of(scenario, grid), maps, dtype=np.float64)
+        soft = soften(task, dtype=np.float64)
 
         def cost(height_m):
             return building_costs(city, replace(soft, height_m=height_m), route, params).attrs["soft_cost"]

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 import shapely
 
-from jaxurban.city import Blocks, Zoning
 from jaxurban.errors import InputError
-from jaxurban.io.census import read_blocks
+from jaxurban.io.read.census import CensusFiles, read_blocks
 from jaxurban.metrics.population import PopulationParams, population_totals
-from jaxurban.studies.calibration import calibrate_gamma
+from jaxurban.studies.tuning.calibration import calibrate_gamma
+from jaxurban.world.city import Blocks, Zoning
 
 
 def blocks_of(commercial, residential):
@@ -86,12 +86,14 @@ def test_where_nobody_lives_no_gamma_helps():
 def test_manhattan_holds_the_published_day_total(data_dir):
     census = data_dir / "census"
     blocks, _ = read_blocks(
-        census / "tl_2010_36061_tabblock10.shp",
-        census / "DECENNIALSF12010.P1_nyc_blocks.csv",
+        CensusFiles(
+            census / "tl_2010_36061_tabblock10.shp",
+            census / "DECENNIALSF12010.P1_nyc_blocks.csv",
+            districts=data_dir / "districts" / "nyc_community_districts.geojson",
+            district_field="BoroCD",
+            commercial=(101, 102, 103, 104, 105, 106),
+        ),
         "EPSG:32618",
-        districts_path=data_dir / "districts" / "nyc_community_districts.geojson",
-        district_field="BoroCD",
-        commercial=(101, 102, 103, 104, 105, 106),
     )
     found = calibrate_gamma(blocks, 3.94e6, {"residential": 0.5})
     # 611,934 people live in commercial districts, of 1,585,873.

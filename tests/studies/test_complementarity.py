@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from jaxurban.studies.complementarity import complementarity, findings, verdict
+from jaxurban.studies.montecarlo.complementarity import complementarity, findings, verdict
 from tests.made_maps import made_maps
 
 

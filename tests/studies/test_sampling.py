@@ -6,12 +6,12 @@ import pytest
 import shapely
 from scipy.ndimage import label
 
-from jaxurban.city import LandCover
-from jaxurban.cost import Weights
 from jaxurban.errors import InputError
 from jaxurban.io.tables import write_table
-from jaxurban.studies.sampling import RANGES, WEIGHTS, read_instances, sample_instances
-from jaxurban.studies.strata import STRATA, strata_of
+from jaxurban.metrics.weights import Weights
+from jaxurban.studies.montecarlo.sampling import RANGES, read_instances, sample_instances, weight_columns
+from jaxurban.studies.montecarlo.strata import STRATA, strata_of
+from jaxurban.world.city import LandCover
 from tests.made_maps import made_maps
 
 
@@ -82,7 +82,7 @@ def test_the_mark_of_connection_is_that_of_the_islands_of_free_cells(maps, insta
 
 
 def test_dirichlet_shares_sum_to_one_with_distance_per_reference_length(instances):
-    shares = instances[list(WEIGHTS)].to_numpy() * [5.0, 1, 1, 1, 1]
+    shares = instances[list(weight_columns(()))].to_numpy() * [5.0, 1, 1, 1, 1]
     np.testing.assert_allclose(shares.sum(axis=1), 1)
     assert (shares > 0).all()
     np.testing.assert_allclose(shares.mean(axis=0), 0.2, atol=0.08)
@@ -144,11 +144,11 @@ def test_instances_survive_their_file(instances, tmp_path, suffix):
     ],
 )
 def test_a_wrong_file_is_named_with_its_fault(instances, tmp_path, change, words):
-    file = write_table(change(instances[:2]), tmp_path / "asked.csv")
-    with pytest.raises(InputError) as fault:
+    file = write_table(change(instances[:2]), tmp_path / "instances.csv")
+    with pytest.raises(InputError) as error:
         read_instances(file)
-    for word in ("asked.csv", *words):
-        assert word in str(fault.value)
+    for word in ("instances.csv", *words):
+        assert word in str(error.value)
 
 
 def test_a_file_that_is_none_is_refused(tmp_path):

@@ -12,11 +12,12 @@ from matplotlib.text import Text
 import jaxurban as ju
 from jaxurban.errors import InputError
 from jaxurban.io.store import write_zarr
-from jaxurban.plotting.sensitivity import sensitivity_figures
-from jaxurban.sensitivity_report import ranges, save_sensitivity, sensitivity_markdown
-from jaxurban.studies.local import local_sensitivity
-from jaxurban.studies.pool import RoutePool
-from jaxurban.studies.queries import Query, unit_map
+from jaxurban.paths.cost_map import cost_map
+from jaxurban.report.figures.sensitivity import sensitivity_figures
+from jaxurban.report.sensitivity import ranges, save_sensitivity, sensitivity_markdown
+from jaxurban.studies.queries import RouteQuery
+from jaxurban.studies.route_pool import RoutePool
+from jaxurban.studies.sensitivity.local import local_sensitivity
 from tests.cli_runs import assert_one_sentence, run
 from tests.made_maps import made_maps
 
@@ -35,7 +36,9 @@ def ends(maps):
 
 @pytest.fixture(scope="module")
 def found(maps, ends):
-    return ju.sensitivity(maps, *ends, altitude_m=20.0, cost_model="line", num_samples=4)
+    return ju.sensitivity(
+        cost_map(maps, 20.0, cost_model="line"), *ends, settings=ju.SensitivitySettings(num_samples=4)
+    )
 
 
 @pytest.fixture(scope="module")
@@ -46,7 +49,7 @@ def folder(maps, tmp_path_factory):
 
 
 def test_gradient_of_the_cheapest_cost_equals_central_differences(maps):
-    query = Query(unit_map(maps, 20.0, cost_model="line"), (4, 1), (28, 34))
+    query = RouteQuery(cost_map(maps, 20.0, cost_model="line"), (4, 1), (28, 34))
     pool = RoutePool([query])
     local = local_sensitivity(pool, GIVEN)
     for column, name in enumerate(query.names):
@@ -58,7 +61,7 @@ def test_gradient_of_the_cheapest_cost_equals_central_differences(maps):
 
 
 def test_expected_outcomes_answer_to_weights_as_differences_of_many_searches_do(maps):
-    query = Query(unit_map(maps, 20.0, cost_model="line"), (4, 1), (28, 34))
+    query = RouteQuery(cost_map(maps, 20.0, cost_model="line"), (4, 1), (28, 34))
     pool = RoutePool([query])
     noise = 0.5
     local = local_sensitivity(pool, GIVEN, noise=noise)
@@ -146,7 +149,7 @@ def test_command_writes_the_study_and_prints_json(folder, ends, tmp_path, capsys
         (["--range", "2,3"], ["range"]),
         (["--samples", 3], ["power of two"]),
         (["--triangle", "gps,risk"], ["triangle"]),
-        (["--pareto", "gps"], ["wishes"]),
+        (["--pareto", "gps"], ["objectives"]),
         (["--weights", "wind=1"], ["wind"]),
         (["--tolerance", 0], ["tolerance"]),
     ],
@@ -180,9 +183,9 @@ def test_a_walled_goal_is_exit_3_and_in_python_an_error(maps, ends, tmp_path, ca
     assert code == 3
     assert "joins start and goal" in err
     with pytest.raises(InputError, match="no route to study"):
-        ju.sensitivity(walled, *ends, altitude_m=20.0)
+        ju.sensitivity(cost_map(walled, 20.0), *ends)
 
 
 def test_start_and_goal_in_one_cell_are_refused(maps, ends):
     with pytest.raises(InputError, match="one cell"):
-        ju.sensitivity(maps, ends[0], ends[0], altitude_m=20.0)
+        ju.sensitivity(cost_map(maps, 20.0), ends[0], ends[0])

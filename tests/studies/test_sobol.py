@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from jaxurban.errors import InputError
-from jaxurban.studies.pool import RoutePool
-from jaxurban.studies.queries import Query, unit_map
-from jaxurban.studies.sobol import sobol_indices, sobol_of_weights
+from jaxurban.paths.cost_map import cost_map
+from jaxurban.studies.queries import RouteQuery
+from jaxurban.studies.route_pool import RoutePool
+from jaxurban.studies.sensitivity.sobol import sobol_indices, sobol_of_weights
 from tests.made_maps import made_maps
 
 GIVEN = np.array([0.1, 1.0, 1.0, 1.0, 1.0])
@@ -14,9 +15,9 @@ NAMES = ("x1", "x2", "x3")
 
 
 @pytest.fixture(scope="module")
-def queries() -> list[Query]:
-    unit = unit_map(made_maps(30, 36), 20.0, cost_model="line")
-    return [Query(unit, (4, 1), (28, 34)), Query(unit, (4, 34), (28, 1))]
+def queries() -> list[RouteQuery]:
+    unit = cost_map(made_maps(30, 36), 20.0, cost_model="line")
+    return [RouteQuery(unit, (4, 1), (28, 34)), RouteQuery(unit, (4, 34), (28, 1))]
 
 
 def test_indices_of_the_ishigami_function_are_the_known_ones():

@@ -3,8 +3,8 @@
 import numpy as np
 import shapely
 
-from jaxurban.city import LandCover
-from jaxurban.studies.strata import HIGH_RISE_M, NO_STRATUM, STRATA, share_around, strata_of
+from jaxurban.studies.montecarlo.strata import HIGH_RISE_M, NO_STRATUM, STRATA, share_around, strata_of
+from jaxurban.world.city import LandCover
 from tests.made_maps import made_maps
 
 

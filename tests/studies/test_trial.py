@@ -1,4 +1,4 @@
-"""One instance put to planners: rows against `plan`, and whatever may go wrong as a row."""
+"""One instance under its planners: rows against `plan`, and whatever may go wrong as a row."""
 
 import numpy as np
 import pytest
@@ -7,12 +7,12 @@ import jaxurban as ju
 from jaxurban.planners.base import Path, Status
 from jaxurban.planners.ptp import ptp
 from jaxurban.planners.registry import PLANNERS, PlannerEntry
-from jaxurban.studies.sampling import sample_instances
-from jaxurban.studies.trial import COLUMNS, Ground, Run, Settings, put_to
+from jaxurban.studies.montecarlo.sampling import sample_instances
+from jaxurban.studies.montecarlo.trial import BenchmarkSettings, Run, row_columns, solve_instance
 from tests.made_maps import made_maps
 
 WEIGHTED = [Run(name, "weighted") for name in ("ptp", "astar-dist", "astar-plus")]
-FEW_SAMPLES = Settings(budget_iterations=300)
+FEW_SAMPLES = BenchmarkSettings(budget_iterations=300)
 
 
 @pytest.fixture(scope="module")
@@ -28,11 +28,11 @@ def instances(maps):
 
 @pytest.mark.parametrize("cost_model", ["cell", "line"])
 def test_rows_say_what_plan_says(maps, instances, cost_model):
-    settings = Settings(cost_model=ju.CostModel(cost_model))
+    settings = BenchmarkSettings(cost_model=ju.CostModel(cost_model))
     for instance in instances[:4]:
-        ground = Ground(maps, 20.0, None, instance["time_of_day"], settings)
-        for run, row in zip(WEIGHTED, put_to(ground, instance, WEIGHTED), strict=True):
-            asked = {
+        on = settings.cost_map(maps, 20.0, None, instance["time_of_day"])
+        for run, row in zip(WEIGHTED, solve_instance(on, instance, WEIGHTED, settings), strict=True):
+            query = {
                 "start_xy_m": (instance["start_x_m"], instance["start_y_m"]),
                 "goal_xy_m": (instance["goal_x_m"], instance["goal_y_m"]),
                 "altitude_m": 20.0,
@@ -42,7 +42,7 @@ def test_rows_say_what_plan_says(maps, instances, cost_model):
                     *(instance[f"w_{n}"] for n in ("distance", "gps", "lidar", "population", "risk"))
                 ),
             }
-            planned = {model: ju.plan(maps, **asked, cost_model=model) for model in {cost_model, "cell", "line"}}
+            planned = {model: ju.plan(maps, **query, cost_model=model) for model in {cost_model, "cell", "line"}}
             told = planned[cost_model]
             assert row["status"] == told.status.value
             assert row["num_expanded"] == told.search.num_expanded
@@ -61,7 +61,9 @@ def test_rows_say_what_plan_says(maps, instances, cost_model):
 def test_the_shortest_path_is_no_longer_and_no_cheaper_than_the_cheapest(maps, instances):
     runs = [Run("astar-dist", "weighted"), Run("astar-dist", "distance")]
     for instance in instances:
-        cheapest, shortest = put_to(Ground(maps, 20.0, None, None, Settings()), instance, runs)
+        cheapest, shortest = solve_instance(
+            BenchmarkSettings().cost_map(maps, 20.0, None, None), instance, runs, BenchmarkSettings()
+        )
         assert cheapest["cost"] <= shortest["cost"] * (1 + 1e-12)
         assert shortest["length_m"] <= cheapest["length_m"] * (1 + 1e-12)
         assert shortest["search_cost"] == pytest.approx(shortest["length_m"])
@@ -69,7 +71,9 @@ def test_the_shortest_path_is_no_longer_and_no_cheaper_than_the_cheapest(maps, i
 
 def test_an_iteration_budget_repeats_exactly_but_for_the_time(maps, instances):
     runs = [Run("bitstar-dist", "weighted"), Run("bitstar-plus", "weighted")]
-    first, again = (put_to(Ground(maps, 20.0, None, None, FEW_SAMPLES), instances[0], runs) for _ in range(2))
+    first, again = (
+        solve_instance(FEW_SAMPLES.cost_map(maps, 20.0, None, None), instances[0], runs, FEW_SAMPLES) for _ in range(2)
+    )
     for one, other in zip(first, again, strict=True):
         assert one | {"elapsed_s": 0} == other | {"elapsed_s": 0}
         assert one["num_samples"] <= 300
@@ -78,12 +82,12 @@ def test_an_iteration_budget_repeats_exactly_but_for_the_time(maps, instances):
 
 def test_a_row_does_not_depend_on_what_was_asked_before(maps, instances):
     runs = [Run("astar-plus", "distance"), Run("astar-anytime", "weighted"), Run("astar-plus", "weighted")]
-    used = Ground(maps, 20.0, None, None, FEW_SAMPLES)
+    used = FEW_SAMPLES.cost_map(maps, 20.0, None, None)
     for _ in range(20):  # more than `landmarks.FEW_QUERIES`
-        put_to(used, instances[0], runs)
+        solve_instance(used, instances[0], runs, FEW_SAMPLES)
     for again, first in zip(
-        put_to(used, instances[0], runs),
-        put_to(Ground(maps, 20.0, None, None, FEW_SAMPLES), instances[0], runs),
+        solve_instance(used, instances[0], runs, FEW_SAMPLES),
+        solve_instance(FEW_SAMPLES.cost_map(maps, 20.0, None, None), instances[0], runs, FEW_SAMPLES),
         strict=True,
     ):
         assert again | {"elapsed_s": 0} == first | {"elapsed_s": 0}
@@ -103,20 +107,20 @@ def test_a_planner_that_crashes_or_cheats_is_a_row_and_the_next_one_is_asked(map
     monkeypatch.setitem(PLANNERS, "crashing", PlannerEntry(crashing, ""))
     monkeypatch.setitem(PLANNERS, "cheating", PlannerEntry(cheating, ""))
     runs = [Run(name, "weighted") for name in ("crashing", "cheating", "astar-dist")]
-    rows = put_to(Ground(maps, 20.0, None, None, Settings()), instances[0], runs)
+    rows = solve_instance(BenchmarkSettings().cost_map(maps, 20.0, None, None), instances[0], runs, BenchmarkSettings())
     assert [row["status"] for row in rows] == ["crashed", "invalid", "optimal"]
     assert rows[0]["note"] == "RuntimeError: out of ideas"
     assert rows[1]["cost"] is None
-    assert all(set(row) == set(COLUMNS) for row in rows)
+    assert all(set(row) == set(row_columns()) for row in rows)
 
 
 def test_a_start_in_an_obstacle_or_off_the_map_is_a_row(maps, instances):
     row, col = np.argwhere(~maps.is_free(20.0))[0]
     x_m, y_m = (float(value) for value in maps.grid.xy_of_cell(row, col))
-    ground = Ground(maps, 20.0, None, None, Settings())
+    on = BenchmarkSettings().cost_map(maps, 20.0, None, None)
     for place, word in (((x_m, y_m), "obstacle"), ((0.0, 0.0), "outside")):
-        asked = instances[0] | {"start_x_m": place[0], "start_y_m": place[1]}
-        (found,) = put_to(ground, asked, [Run("ptp", "weighted")])
+        query = instances[0] | {"start_x_m": place[0], "start_y_m": place[1]}
+        (found,) = solve_instance(on, query, [Run("ptp", "weighted")], BenchmarkSettings())
         assert found["status"] == "bad-input"
         assert word in found["note"]
 
@@ -126,7 +130,12 @@ def test_a_pair_that_no_path_joins_is_a_row_without_numbers(maps, instances):
     row, col = (int(v) for v in walled.grid.cell_of_xy(instances[0]["goal_x_m"], instances[0]["goal_y_m"]))
     walled.ds["obstacle"][0, max(0, row - 1) : row + 2, max(0, col - 1) : col + 2] = 1
     walled.ds["obstacle"][0, row, col] = 0
-    (found,) = put_to(Ground(walled, 20.0, None, None, Settings()), instances[0], [Run("astar-plus", "weighted")])
+    (found,) = solve_instance(
+        BenchmarkSettings().cost_map(walled, 20.0, None, None),
+        instances[0],
+        [Run("astar-plus", "weighted")],
+        BenchmarkSettings(),
+    )
     assert found["status"] == "no-path"
     assert found["cost"] is None
     assert found["lower_bound"] is None  # infinite: JSON has no such number

@@ -1,0 +1,227 @@
+"""What commands share: option types, stored settings, progress, messages."""
+
+import json
+import logging
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from jaxurban.errors import InputError
+from jaxurban.progress import LOG
+
+if TYPE_CHECKING:
+    from jaxurban.maps.levels import Levels
+    from jaxurban.maps.metric_maps import Obstacles
+    from jaxurban.metrics.weights import Weights
+    from jaxurban.paths.cost_map import CostMap
+    from jaxurban.planners.base import CostModel
+
+Settings = dict[str, Any]
+
+
+class LonLat(click.ParamType):
+    """``LON,LAT`` in degrees."""
+
+    name = "LON,LAT"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, float]:
+        """Return the two numbers of ``value``."""
+        if isinstance(value, tuple):
+            return value
+        try:
+            lon, lat = (float(part) for part in str(value).split(","))
+        except ValueError:
+            self.fail(f"{value!r} must be longitude,latitude in degrees, as in -74.0,40.7", param, ctx)
+        return lon, lat
+
+
+def together(*parameters: Callable) -> Callable[[Callable], Callable]:
+    """Return what adds options to a command, in this order."""
+
+    def add(command: Callable) -> Callable:
+        for parameter in reversed(parameters):
+            command = parameter(command)
+        return command
+
+    return add
+
+
+LONLAT = LonLat()
+RESOLUTION = click.option(
+    "--resolution", "resolution_m", type=float, help="Of the maps, metres; needed where DIR holds several."
+)
+OBSTACLES = click.option(
+    "--obstacles",
+    type=click.Choice(["touched", "centre"]),
+    help="Cells that no path enters: all that a building touches, or (the paper) only where it covers the centre; "
+    "paths then cut true outlines.  [default: the scenario's, else touched]",
+)
+CONSTRAINTS = together(  # which `Constraints.read` takes
+    click.option(
+        "--no-fly", type=click.Path(path_type=Path), multiple=True, help="Closed polygons (GeoJSON, KML); repeatable."
+    ),
+    click.option("--require", multiple=True, help="What must hold all along, such as gps>=0.3; repeatable."),
+)
+ROUTE = together(  # a route over maps, under costs: what `stored_cost_map` takes, and the ends
+    click.argument("folder", metavar="DIR", type=click.Path(path_type=Path)),
+    click.option("--start", type=LONLAT, required=True, help="Longitude,latitude in degrees."),
+    click.option("--goal", type=LONLAT, required=True, help="Longitude,latitude in degrees."),
+    click.option("--altitude", "altitude_m", type=float, required=True, help="Metres above ground; one of the maps'."),
+    click.option("--time-of-day", help="Of the population map, such as day or night; the first if left out."),
+    click.option("--time", help="Time of the GPS map, UTC; the first if left out."),
+    RESOLUTION,
+    click.option("--cost-model", type=click.Choice(["cell", "line"]), help="cell (the paper) or line."),
+    OBSTACLES,
+    click.option("--weights", "weights_text", default="", help="As gps=1,risk=2; those not named keep their values."),
+    CONSTRAINTS,
+    click.option(
+        "--snap",
+        is_flag=True,
+        help="Move a start or goal inside an obstacle to the nearest free cell, by 50 m at most.",
+    ),
+    click.option(
+        "--snap-distance",
+        "snap_distance_m",
+        type=float,
+        metavar="METRES",
+        help="--snap by at most so far instead of 50 m.",
+    ),
+)
+JSON_FLAG = click.option("--json", "as_json", is_flag=True, help="Print one machine-readable object on stdout.")
+
+
+def names_in(text: str) -> tuple[str, ...]:
+    """Return the names in ``"gps,risk"``."""
+    return tuple(part.strip() for part in text.split(",") if part.strip())
+
+
+def take_snap(given: Settings) -> bool | float:
+    """Take the options of snapping out of ``given``; return what `jaxurban.plan` takes as ``snap``."""
+    is_wanted, distance_m = given.pop("snap"), given.pop("snap_distance_m")
+    return is_wanted if distance_m is None else distance_m
+
+
+def stored_settings(folder: Path) -> Settings:
+    """Return the settings that made the maps in ``folder``, empty where they were saved from Python.
+
+    Raises:
+      InputError: the record of the run that made them is damaged or missing, and with it their weights.
+    """
+    from jaxurban.io.files import read_json
+    from jaxurban.io.store import RUN_FILE, are_of_a_run
+
+    if folder.is_file():
+        raise InputError(f"{str(folder)!r} is a file: give the folder that holds the maps")
+    remedy = "run the same `jaxurban maps` command again, which writes it anew"
+    try:
+        return read_json(folder / RUN_FILE)["settings"]
+    except FileNotFoundError as error:
+        if are_of_a_run(folder):
+            raise InputError(
+                f"{str(folder / RUN_FILE)!r}, with the settings of the maps, is missing: {remedy}"
+            ) from error
+        return {}
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError(f"{str(folder / RUN_FILE)!r} cannot be read ({error}): {remedy}") from error
+
+
+def stored_weights(folder: Path, settings: Settings) -> "Weights":
+    """Return the weights that those settings hold, the defaults where they hold none."""
+    from jaxurban.metrics.weights import Weights
+
+    try:
+        return Weights.of(settings.get("weights")).checked(settings.get("layers", ()))
+    except InputError as error:
+        raise InputError(
+            f"{str(folder / 'run.json')!r} names weights that do not exist ({error}): make the maps again"
+        ) from error
+
+
+def stored_cost_model(settings: Settings, kind: str | None) -> "CostModel":
+    """Return the cost model of those settings' ``[planning]``, of another kind where one is given.
+
+    Raises:
+      InputError: a value that is none of a cost model's.
+    """
+    from jaxurban.planners.base import CostModel
+
+    planning = settings.get("planning", {})
+    return CostModel.from_settings(planning if kind is None else {**planning, "cost_model": kind})
+
+
+def stored_obstacles(settings: Settings, given: "Obstacles | None") -> "Obstacles":
+    """Return the rule of obstacles that is given, else that of those settings' ``[planning]``."""
+    return given or settings.get("planning", {}).get("obstacles", "touched")
+
+
+def stored_cost_map(
+    folder: Path, stored: Settings, given: Settings, altitude_m: "float | Levels", objective: str = "weighted"
+) -> "CostMap":
+    """Return the cost map that the options of `ROUTE` ask for; what they leave out is as the maps were made with.
+
+    Args:
+      folder: of the maps.
+      stored: their settings.
+      given: the options.
+      altitude_m, objective: as in `jaxurban.cost_map`.
+    """
+    from jaxurban.maps.metric_maps import open_maps
+    from jaxurban.metrics.weights import Weights
+    from jaxurban.paths.constraints import Constraints
+    from jaxurban.paths.cost_map import cost_map
+
+    model = stored_cost_model(stored, given["cost_model"])
+    return cost_map(
+        open_maps(folder, given["resolution_m"], obstacles=stored_obstacles(stored, given["obstacles"])),
+        altitude_m,
+        weights=Weights.parse(given["weights_text"], stored_weights(folder, stored)),
+        objective=objective,
+        cost_model=model,
+        time=given["time"],
+        time_of_day=given["time_of_day"],
+        constraints=Constraints.read(given["no_fly"], given["require"]),
+    )
+
+
+def tell_warnings(record: Settings) -> None:
+    """Print the warnings of a run on stderr, a line each."""
+    for warning in record["warnings"]:
+        tell(f"warning: {warning}")
+
+
+def tell(message: str) -> None:
+    """Print a message on stderr, through the log."""
+    LOG.info(message)
+
+
+class _OnStderr(logging.Handler):
+    """Prints what is logged, above a progress bar where one is shown."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        text = f"jaxurban: {record.getMessage()}"
+        if "tqdm" in sys.modules:
+            sys.modules["tqdm"].tqdm.write(text, file=sys.stderr)
+        else:
+            print(text, file=sys.stderr)
+
+
+@contextmanager
+def logged_on_stderr() -> Iterator[None]:
+    """Show the package's log on stderr."""
+    handler, level = _OnStderr(), LOG.level
+    LOG.addHandler(handler)
+    LOG.setLevel(logging.INFO)
+    try:
+        yield
+    finally:
+        LOG.removeHandler(handler)
+        LOG.setLevel(level)
+
+
+def print_json(value: Any) -> None:
+    """Print one machine-readable object on stdout."""
+    print(json.dumps(value, allow_nan=False))

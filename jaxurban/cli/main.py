@@ -1,0 +1,101 @@
+"""The command line: the group of commands, signals and exit codes.
+
+Exit codes: 0 a path or a finished job; 2 bad input or usage; 3 no path; 4 budget spent with no path;
+130 interrupted.
+"""
+
+import os
+import signal
+import sys
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import click
+
+from jaxurban.cli.common import logged_on_stderr, tell
+from jaxurban.cli.demo import demo
+from jaxurban.cli.fetch import fetch
+from jaxurban.cli.maps import maps
+from jaxurban.cli.plan import plan
+from jaxurban.cli.sensitivity import sensitivity
+from jaxurban.cli.study import study
+from jaxurban.cli.tune import tune
+from jaxurban.errors import InputError
+from jaxurban.progress import interrupted
+
+EXIT_BAD_INPUT, EXIT_INTERRUPTED = 2, 130
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
+@click.version_option(package_name="jaxurban")
+def app() -> None:
+    """Metric maps for small drones over cities, and paths planned on them."""
+
+
+for command in (demo, fetch, maps, plan, sensitivity, study, tune):
+    app.add_command(command)
+
+
+def _use_compilation_cache() -> None:
+    """Let JAX keep compiled kernels between runs, under the user's cache folder."""
+    import jax
+
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "jaxurban" / "jax"
+    if not os.environ.get("JAX_COMPILATION_CACHE_DIR"):
+        jax.config.update("jax_compilation_cache_dir", str(cache))
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run the command line and exit with its code."""
+    warnings.showwarning = lambda message, *_, **__: tell(f"warning: {message}")
+    signal.signal(signal.SIGINT, _interrupt)
+    sys.unraisablehook = _show_unraisable
+    with logged_on_stderr():
+        sys.exit(_run(arguments))
+
+
+def _run(arguments: Sequence[str] | None) -> int:
+    try:
+        _use_compilation_cache()
+        code = app.main(args=arguments, prog_name="jaxurban", standalone_mode=False)
+    except InputError as error:
+        code = _fail(str(error))
+    except click.exceptions.NoArgsIsHelpError as help_text:
+        print(help_text.format_message())
+        code = 0
+    except click.UsageError as error:
+        code = _fail(f"{error.format_message().rstrip('.')} (see jaxurban --help)")
+    except click.ClickException as error:
+        code = _fail(error.format_message())
+    except MemoryError:
+        code = _fail("memory ran out: use a smaller region, a coarser [region] resolution_m, or fewer altitudes")
+    except BrokenPipeError:  # the reader of stdout left, as `head` does
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        code = 0
+    except (KeyboardInterrupt, click.Abort):
+        tell("interrupted; finished files are kept, and the same command resumes")
+        sys.stdout.flush()
+        sys.stderr.flush()
+        # At once: libraries' threads that were writing would only complain of the interpreter's end.
+        os._exit(EXIT_INTERRUPTED)
+    return code or 0
+
+
+def _interrupt(*_: object) -> None:
+    """Remember Ctrl-C beside raising it: raised inside a callback of JAX it would be lost."""
+    interrupted.set()
+    raise KeyboardInterrupt
+
+
+def _show_unraisable(unraisable: Any) -> None:
+    """Show what Python could not raise, but not a Ctrl-C that is remembered anyway."""
+    if not issubclass(unraisable.exc_type, KeyboardInterrupt):
+        sys.__unraisablehook__(unraisable)
+
+
+def _fail(sentence: str) -> int:
+    tell(f"error: {sentence}")
+    return EXIT_BAD_INPUT

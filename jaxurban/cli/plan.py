@@ -1,0 +1,128 @@
+"""jaxurban plan."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import click
+
+from jaxurban.cli.common import (
+    JSON_FLAG,
+    ROUTE,
+    Settings,
+    print_json,
+    stored_cost_map,
+    stored_settings,
+    take_snap,
+    tell,
+)
+
+LEVEL_OPTIONS = ("min_altitude_m", "max_altitude_m", "level_step_m", "climb_cost", "descent_cost")  # of `Levels`
+
+
+@click.command()
+@ROUTE
+@click.option("--planner", help="ptp, astar-dist, astar-plus ... [default: the scenario's, else astar-plus]")
+@click.option("--heuristic", help="Left out: the planner's own.")
+@click.option("--objective", type=click.Choice(["weighted", "distance"]), help="What to minimise.")
+@click.option("--budget", "budget_s", type=float, help="Seconds that the search may take.")
+@click.option("--seed", type=click.IntRange(min=0))
+@click.option("--refine", is_flag=True, help="Then move the waypoints downhill; needs --cost-model line.")
+@click.option("--volume", "is_volume", is_flag=True, help="Climb and descend on the way; --altitude is the start's.")
+@click.option("--goal-altitude", "goal_altitude_m", type=float, help="With --volume.  [default: --altitude]")
+@click.option("--min-altitude", "min_altitude_m", type=float, help="With --volume.  [default: the maps' lowest]")
+@click.option("--max-altitude", "max_altitude_m", type=float, help="With --volume.  [default: the maps' highest]")
+@click.option("--level-step", "level_step_m", type=float, help="With --volume: fly between the maps' altitudes too.")
+@click.option("--climb-cost", type=float, help="With --volume: per metre.  [default: the distance weight]")
+@click.option("--descent-cost", type=float, help="With --volume: per metre.  [default: 0]")
+@click.option(
+    "--report", "with_report", is_flag=True, help="Explain the route: costs, people under it, clearance, by segment."
+)
+@click.option("--speed", "speed_m_s", type=float, help="Metres per second, for the report's times.")
+@click.option("--power", "power_w", type=float, help="Watts in flight, for the report's energy.")
+@click.option("--swath", "swath_m", type=float, help="Of the strip of people overflown, metres.  [default: 10]")
+@click.option("--profile", type=click.Path(path_type=Path), help="Draw what the route meets, as PNG.")
+@click.option(
+    "-o", "files", type=click.Path(path_type=Path), multiple=True, help=".geojson, .kml or .plan; repeatable."
+)
+@JSON_FLAG
+def plan(folder: Path, files: Sequence[Path], profile: Path | None, as_json: bool, **given: Any) -> int:
+    """Plan a path over the maps in DIR."""
+    from jaxurban.maps.levels import Levels
+    from jaxurban.paths.cautions import cautions
+    from jaxurban.paths.explain import check_flight, explain
+    from jaxurban.paths.export.qgc_plan import height_note
+    from jaxurban.paths.export.write import check_export, write_path
+    from jaxurban.paths.search import Search
+
+    with_report, is_volume, snap = given["with_report"], given["is_volume"], take_snap(given)
+    flight = {name: given[name] for name in ("speed_m_s", "power_w", "swath_m") if given[name] is not None}
+    if "swath_m" in flight and not (with_report or profile is not None or "speed_m_s" in flight):
+        raise click.UsageError("--swath is the report's: add --report")
+    _check_volume_options(is_volume, given)
+    for file in files:
+        check_export(file)
+    check_flight(**flight)
+    with_report |= "speed_m_s" in flight
+    if profile is not None:
+        from jaxurban.report.figures.files import check_picture, save_profile
+
+        check_picture(profile)
+    stored = stored_settings(folder)
+    planning = stored.get("planning", {}) | {name: value for name, value in given.items() if value is not None}
+    start, goal, altitude_m = given["start"], given["goal"], given["altitude_m"]
+    if is_volume:
+        start, goal = (*start, altitude_m), (*goal, planning.get("goal_altitude_m", altitude_m))
+        altitude_m = Levels(**{name: given[name] for name in LEVEL_OPTIONS if given[name] is not None})
+    names = ("heuristic", "budget_s", "refine", *(() if is_volume else ("planner", "seed")))
+    search = {name: planning[name] for name in names if name in planning}
+    Search(**search).find(is_for_volumes=is_volume)  # a wrong name is refused before the maps are read
+    shared = stored_cost_map(folder, stored, given, altitude_m, planning.get("objective", "weighted"))
+    planned, maps = shared.plan(start, goal, snap=snap, **search), shared.maps
+    is_explained = planned.status.has_path and (with_report or profile is not None)
+    report = explain(planned, maps, **flight) if is_explained else None
+    for file in files:
+        if write_path(planned, file, report if with_report else None):
+            tell(f"wrote {file}" + (f": {height_note(planned)}" if file.suffix.lower() == ".plan" else ""))
+        else:
+            tell(f"no path, so {file} was not written" + (" (an older one is still there)" if file.exists() else ""))
+    if report is not None and profile is not None:
+        save_profile(planned, maps, profile, report)
+        tell(f"wrote {profile}")
+    facts = planned.to_dict()
+    if planned.status.has_path:
+        facts["cautions"] = cautions(planned, maps, None if report is None else report.profile)
+        for sentence in facts["cautions"]:
+            tell(sentence)
+    if as_json:
+        explained = {"report": report.to_dict()} if report is not None else {}
+        print_json(facts | explained | {name: getattr(planned, name).tolist() for name in ("lonlat", "xy_m", "z_m")})
+    else:
+        print("\n\n".join([_path_table(facts), *([report.table()] if report is not None and with_report else [])]))
+    return planned.status.exit_code
+
+
+def _check_volume_options(is_volume: bool, given: Settings) -> None:
+    """Raise unless the options of --volume come with it, and another planner without it."""
+    for name in () if is_volume else ("goal_altitude_m", *LEVEL_OPTIONS):
+        if given[name] is not None:
+            raise click.UsageError(f"--{name.removesuffix('_m').replace('_', '-')} belongs to --volume: add that")
+    if is_volume and given["planner"]:
+        raise click.UsageError("--volume has a planner of its own, astar-volume: leave --planner out")
+    if is_volume and given["refine"]:
+        raise click.UsageError("--refine moves waypoints at one altitude: leave it or --volume out")
+
+
+def _path_table(facts: Settings) -> str:
+    rows = [("planner", f"{facts['planner']} ({facts['heuristic']}, {facts['backend']})"), ("status", facts["status"])]
+    if facts["cost"] is not None:
+        rows += [("cost", f"{facts['cost']:.3f}")]
+        if facts["gap"]:
+            rows += [("above the best", f"at most {100 * facts['gap']:.2f} %")]
+        rows += [("length", f"{facts['length_m']:.1f} m")]
+        moved = [f"{name} {moved_m:.1f} m" for name, moved_m in facts["snap_distance_m"].items()]
+        rows += [("moved to cells", ", ".join(moved))]
+        rows += [(f"cost of {name}", f"{value:.3f}") for name, value in facts["cost_by_layer"].items()]
+        rows += [(f"mean m_{name}", f"{value:.3f}") for name, value in facts["metrics"].items()]
+    rows += [("expansions", f"{facts['num_expanded']}"), ("search time", f"{facts['elapsed_s']:.3f} s")]
+    return "\n".join([*(f"{name:<20}{value}" for name, value in rows), facts["message"]])

@@ -1,0 +1,120 @@
+"""jaxurban study."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from jaxurban.cli.common import CONSTRAINTS, JSON_FLAG, print_json, tell, tell_warnings
+from jaxurban.errors import InputError
+from jaxurban.progress import reporting
+
+if TYPE_CHECKING:
+    from jaxurban.report.run_montecarlo import BenchmarkResult
+    from jaxurban.scenario.settings import Scenario
+    from jaxurban.studies.montecarlo.trial import BenchmarkSettings
+
+
+@click.command()
+@click.argument("scenario_file", metavar="SCENARIO", type=click.Path(path_type=Path))
+@click.option("-o", "folder", type=click.Path(path_type=Path), required=True, help="Folder of the maps and the study.")
+@click.option("--instances", "instances_file", type=click.Path(path_type=Path), help="Plan these (.parquet, .csv).")
+@click.option("--resolution", "resolution_m", type=float, help="Of the maps, metres.  [default: the scenario's first]")
+@click.option("--budget-iterations", type=click.IntRange(min=1), help="Samples a run instead of [study] budget_s.")
+@CONSTRAINTS
+@click.option(
+    "--workers", type=click.IntRange(min=1), help="Processes.  [default: one a core, where Dask is installed]"
+)
+@click.option("--cluster", metavar="ADDRESS", help="Work on the Dask cluster of a scheduler, such as tcp://host:8786.")
+@click.option(
+    "--benchmark", "benchmark_folder", type=click.Path(path_type=Path), help="Export a public benchmark to it."
+)
+@click.option("--overwrite", is_flag=True, help="Replace maps or a study of other settings in the output folder.")
+@JSON_FLAG
+def study(scenario_file: Path, folder: Path, benchmark_folder: Path | None, as_json: bool, **given: Any) -> int:
+    """Run every planner of SCENARIO's [study] on many random queries over its maps, and report what came out."""
+    from jaxurban.paths.constraints import Constraints
+    from jaxurban.planners.base import CostModel
+    from jaxurban.report.benchmark import check_exportable, export_benchmark
+    from jaxurban.report.montecarlo import write_analysis
+    from jaxurban.scenario.settings import Scenario
+    from jaxurban.studies.montecarlo.trial import BenchmarkSettings
+
+    scenario = Scenario.from_toml(scenario_file)
+    chosen = scenario.study
+    settings = BenchmarkSettings(
+        planners=chosen.planners,
+        distance_only=chosen.distance_only,
+        cost_model=CostModel.from_settings({**scenario.planning.model_dump(), "cost_model": chosen.cost_model}),
+        budget_s=chosen.budget_s,
+        budget_iterations=given["budget_iterations"] or chosen.budget_iterations,
+        seed=chosen.seed,
+        constraints=Constraints.read(given["no_fly"], given["require"]),
+    )
+    if benchmark_folder is not None:
+        check_exportable(settings.cost_model, settings.constraints)
+    if given["workers"] is not None and given["cluster"] is not None:
+        raise InputError("give either --workers, for processes of this machine, or --cluster, not both")
+    result = _run(scenario, folder, settings, given)
+    report = write_analysis(result, folder / "analysis")
+    tell(f"study finished: read {report}")
+    made: dict[str, Any] = {"folder": str(folder), "report": str(report), "rows": str(result.folder / "rows.parquet")}
+    made |= {"num_rows": len(result.rows), "statuses": result.rows.status.value_counts().to_dict()}
+    if benchmark_folder is not None:
+        counts = export_benchmark(
+            result.maps, result.instances, result.rows, benchmark_folder, result.settings, scenario_file.stem
+        )
+        tell(
+            f"benchmark of {counts['shortest']} shortest and {counts['weighted']} weighted problems: {benchmark_folder}"
+        )
+        made |= {"benchmark": {"folder": str(benchmark_folder), **counts}}
+    if as_json:
+        print_json(made)
+    return 0
+
+
+def _run(
+    scenario: "Scenario", folder: Path, settings: "BenchmarkSettings", given: Mapping[str, Any]
+) -> "BenchmarkResult":
+    """Return the benchmark of a scenario, its maps made first where they are not there yet."""
+    from jaxurban.report.run_montecarlo import land_cover_of
+    from jaxurban.report.run_montecarlo import study as run_study
+    from jaxurban.scenario.run import run_scenario
+    from jaxurban.studies.montecarlo.run import MapsFolder
+    from jaxurban.studies.montecarlo.sampling import read_instances, sample_instances
+
+    file = given["instances_file"]
+    instances = None if file is None else read_instances(file)
+    cover = None if file is not None else land_cover_of(scenario)
+    with reporting("maps") as report:
+        run = run_scenario(scenario, folder, report, given["overwrite"])
+    tell_warnings(run.record)
+    maps = MapsFolder(folder, given["resolution_m"] or scenario.region.resolution_m[0], scenario.planning.obstacles)
+    if instances is None:
+        instances = sample_instances(
+            maps.open(),
+            scenario.study.instances,
+            altitudes_m=scenario.study.altitudes_m,
+            weights=scenario.study.weights,
+            cost_model=settings.cost_model,
+            constraints=settings.constraints,
+            cover=cover,
+            seed=settings.seed,
+        )
+    workers = given["cluster"] or given["workers"] or _default_workers()
+    return run_study(
+        maps, folder / "study", instances, settings=settings, workers=workers, overwrite=given["overwrite"]
+    )
+
+
+def _default_workers() -> int:
+    """Return a process a core, or one where Dask's scheduler is not installed, which a warning says."""
+    from importlib.util import find_spec
+
+    from jaxurban.maps.executors import num_cores
+
+    if find_spec("distributed") is not None:
+        return num_cores()
+    tell("working on one core: several need Dask's scheduler, pip install 'jaxurban[cluster]'")
+    return 1

@@ -1,1 +1,0 @@
-"""The commands of the command line, one a file; heavy modules are imported when a command runs."""

@@ -1,0 +1,245 @@
+"""Files that are whole or not there at all, folders that one run holds, and checksums that tell damage.
+
+A file tells whether it is as it was written by a CRC-32 in its own text.
+"""
+
+import hashlib
+import json
+import mmap
+import os
+import shutil
+import tempfile
+import uuid
+import zipfile
+import zlib
+from collections.abc import Collection, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+
+from jaxurban.errors import InputError, reason_of
+
+LOCK_FILE = ".jaxurban.lock"
+SCRATCH_SUFFIX = ".jaxurban-part"  # of what is being written: ours to sweep, and nobody else's
+
+
+@contextmanager
+def whole_file(path: Path) -> Iterator[Path]:
+    """Yield a scratch path beside ``path`` that takes its name only if the block succeeds.
+
+    Works for a file and for a folder (an old folder of that name is replaced).
+
+    Raises:
+      InputError: the folder cannot be written to.
+    """
+    scratch = path.with_name(f".{path.name}.{uuid.uuid4().hex[:8]}{SCRATCH_SUFFIX}")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        yield scratch
+        if path.is_dir() and not scratch.is_dir():
+            raise InputError(f"cannot write {str(path)!r}: a folder of that name is in the way; move it")
+        put_in_place(scratch, path)
+    except OSError as error:
+        raise InputError(
+            f"cannot write {str(path)!r}: {reason_of(error)}; free space there, or choose another folder"
+        ) from error
+    finally:
+        remove(scratch)
+
+
+def write_whole(path: Path, content: str | bytes) -> None:
+    """Write a file, text as UTF-8: all of it is there when this returns, or what was there before.
+
+    Raises:
+      InputError: the folder cannot be written to.
+    """
+    with whole_file(path) as scratch:
+        scratch.write_bytes(content.encode() if isinstance(content, str) else content)
+
+
+def put_in_place(made: Path, path: Path) -> None:
+    """Give what was made its name, in place of an older file or folder."""
+    if not path.is_dir():
+        os.replace(made, path)
+        return
+    old = path.with_name(f".{path.name}.{uuid.uuid4().hex[:8]}.old{SCRATCH_SUFFIX}")
+    path.rename(old)
+    made.rename(path)
+    shutil.rmtree(old)
+
+
+def remove(path: Path) -> None:
+    """Remove a file or a folder, if it is there and can be."""
+    if path.is_dir():
+        shutil.rmtree(path, ignore_errors=True)
+    else:
+        with suppress(OSError):
+            path.unlink()
+
+
+def check_writable(folder: Path) -> None:
+    """Make ``folder`` and raise InputError if nothing can be written there."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise InputError(
+            f"cannot write to the output folder {str(folder)!r}: {reason_of(error)}; choose another with -o"
+        ) from error
+
+
+@contextmanager
+def only_writer(folder: Path, remedy: str = "choose another folder") -> Iterator[None]:
+    """Hold a folder for one run; the hold goes with the process, however it ends.
+
+    Raises:
+      InputError: another run holds it, or it cannot be written to; ``remedy`` ends the sentence.
+    """
+    try:
+        import fcntl
+    except ImportError:  # not a Unix: two runs in one folder are the user's to avoid
+        yield
+        return
+    file = _locked(folder, remedy, fcntl)
+    with file:
+        try:
+            yield
+        finally:
+            (folder / LOCK_FILE).unlink(missing_ok=True)
+
+
+def _locked(folder: Path, remedy: str, fcntl: Any) -> IO[str]:
+    """Return the folder's lock file, open and locked."""
+    while True:
+        try:
+            file = (folder / LOCK_FILE).open("a")
+        except OSError as error:
+            raise InputError(f"cannot write to {str(folder)!r} ({reason_of(error)}): {remedy}") from error
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            # An earlier holder may have removed the file between our opening and locking it: the lock on a file
+            # without a name holds nothing.
+            with suppress(FileNotFoundError):
+                if os.path.samestat(os.fstat(file.fileno()), (folder / LOCK_FILE).stat()):
+                    return file
+            file.close()
+        except BlockingIOError as error:
+            file.close()
+            raise InputError(f"another run is writing to {str(folder)!r}: wait for it, or {remedy}") from error
+
+
+def sweep_scraps(*folders: Path, keep: Collection[Path] = ()) -> None:
+    """Remove what a killed run left half-written in folders, but for the work in ``keep``."""
+    for folder in folders:
+        for scrap in folder.glob(f".*{SCRATCH_SUFFIX}"):
+            if scrap not in keep:
+                remove(scrap)
+
+
+def holds_bytes(file: Path) -> bool:
+    """Return whether a path is a file that is not empty."""
+    return file.is_file() and file.stat().st_size > 0
+
+
+def digest_of(path: Path, algorithm: str = "sha256") -> str:
+    """Return the SHA-256 of a file, or another checksum, in hexadecimal."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, algorithm).hexdigest()
+
+
+MARK, DIGITS = b"jaxurban-crc32:", 8
+BLANK = MARK.decode() + "0" * DIGITS  # what a writer leaves in a file's text (a tag, an attribute) for `seal`
+FIELD = "checksum"  # the name of that text
+
+
+def _sum(path: Path, more: tuple[Path, ...]) -> tuple[int, bytes, bytes] | None:
+    """Return where the digits stand, those there, and those that belong there; None where there is no place."""
+    try:
+        with (
+            path.open("rb") as file,
+            mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data,
+            memoryview(data) as view,
+        ):
+            place = data.find(MARK) + len(MARK)
+            if place < len(MARK) or place + DIGITS > len(data):
+                return None
+            held = data[place : place + DIGITS]
+            crc = zlib.crc32(view[place + DIGITS :], zlib.crc32(view[:place]))
+    except ValueError:  # an empty file cannot be mapped
+        return None
+    for other in more:
+        crc = zlib.crc32(other.read_bytes(), crc)
+    return place, held, b"%08x" % crc
+
+
+def seal(path: Path, *more: Path) -> None:
+    """Write the CRC-32 of a file, and of ``more`` that belong to it, into the file's `BLANK`."""
+    found = _sum(path, more)
+    assert found is not None, f"no place for a checksum in {path}"
+    with path.open("r+b") as file:
+        file.seek(found[0])
+        file.write(found[2])
+
+
+def is_whole(path: Path, *more: Path) -> bool:
+    """Return whether a file, with ``more`` that belong to it, is as `seal` left it; False where one is missing."""
+    try:
+        found = _sum(path, more)
+    except OSError:
+        return False
+    return found is not None and found[1] == found[2]
+
+
+def _check_whole(path: Path) -> None:
+    if not is_whole(path):
+        raise ValueError("not as it was written")
+
+
+def write_json(path: Path, value: Mapping[str, Any], indent: int | None = None) -> None:
+    """Write a JSON object with its checksum, whole or not at all."""
+    with whole_file(path) as scratch:
+        scratch.write_text(json.dumps({**value, FIELD: BLANK}, indent=indent) + "\n", encoding="utf-8")
+        seal(scratch)
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """Return what `write_json` wrote.
+
+    Raises:
+      OSError: the file is missing or cannot be read.
+      ValueError: it is not as it was written.
+    """
+    data = path.read_bytes()
+    _check_whole(path)
+    value = json.loads(data)
+    del value[FIELD]
+    return value
+
+
+def write_npz(path: Path, arrays: Mapping[str, np.ndarray], is_compressed: bool = False) -> None:
+    """Write arrays as .npz, with the checksum as the archive's comment, whole or not at all.
+
+    The CRC-32 of .npz itself covers each array, but no flipped bit that makes a reader overlook one.
+    """
+    with whole_file(path) as scratch:
+        with scratch.open("wb") as file:
+            (np.savez_compressed if is_compressed else np.savez)(file, allow_pickle=False, **arrays)
+        with zipfile.ZipFile(scratch, "a") as archive:
+            archive.comment = BLANK.encode()
+        seal(scratch)
+
+
+def read_npz(path: Path) -> dict[str, np.ndarray]:
+    """Return the arrays that `write_npz` wrote.
+
+    Raises:
+      OSError: the file is missing or cannot be read.
+      ValueError: it is not as it was written.
+    """
+    with path.open("rb") as file:
+        _check_whole(path)
+        with np.load(file, allow_pickle=False) as kept:
+            return {name: kept[name] for name in kept.files}

@@ -1,0 +1,149 @@
+"""Buildings from any file that knows them: the reader is chosen by the file's suffix.
+
+A further format of outlines is a file of its own, with a function that returns `Outlines`, and a line in
+`OUTLINE_READERS`.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import shapely
+
+from jaxurban.errors import InputError
+from jaxurban.io.read.heights import MAX_HEIGHT_M
+from jaxurban.io.read.knownarea import area_of_outlines, area_of_raster
+from jaxurban.io.read.osm import OSM_SUFFIXES, read_osm
+from jaxurban.io.read.outlines import Outlines, count_tags, to_buildings
+from jaxurban.io.read.raster import check_range, raster_extent_m, read_raster
+from jaxurban.io.read.surfacemodel import check_is_no_surface, heights_of_surface
+from jaxurban.io.read.vector import VECTOR_SUFFIXES, read_vector
+from jaxurban.world.city import Buildings, Raster
+from jaxurban.world.diagnostics import ReadIssue, ReadIssues
+from jaxurban.world.grid import Bounds, projected_crs
+
+Kind = Literal["height", "surface"]  # of a raster of buildings
+
+OUTLINE_READERS: dict[str, Callable[[Path], Outlines]] = {
+    **dict.fromkeys(OSM_SUFFIXES, read_osm),
+    **dict.fromkeys(VECTOR_SUFFIXES, read_vector),
+}
+RASTER_SUFFIXES = (".tif", ".tiff", ".vrt", ".asc", ".img")
+LOWEST_ROOF_M = -100.0  # surface minus terrain dips below 0 by noise, at cuttings by tens of metres
+
+
+@dataclass(frozen=True)
+class BuildingFile:
+    """A file of buildings, and what to make of it.
+
+    Attributes:
+      source: ``.osm.pbf``, ``.osm``, ``.geojson``, ``.gpkg``, ``.shp``, ``.parquet``, or a height raster (``.tif``,
+        ``.vrt``, ``.asc``, ``.img``), in any CRS that the file declares.
+      kind: of a raster: ``"height"`` above ground, or ``"surface"`` (a DSM), elevations from which the terrain is
+        taken; trees are in it too.
+      default_height_m: height of a building without a usable height or levels.
+      level_height_m: height of one level.
+      allow_none: accept a region without a single building.
+
+    Raises:
+      InputError: a height setting that is not above 0, or above `MAX_HEIGHT_M`.
+    """
+
+    source: str | Path
+    kind: Kind = "height"
+    default_height_m: float = 10.0
+    level_height_m: float = 3.0
+    allow_none: bool = False
+
+    def __post_init__(self) -> None:
+        for name in ("default_height_m", "level_height_m"):
+            if not 0 < getattr(self, name) <= MAX_HEIGHT_M:
+                raise InputError(
+                    f"{name} must be above 0 and at most {MAX_HEIGHT_M:g} metres, got {getattr(self, name)}"
+                )
+
+
+@dataclass(frozen=True)
+class BuildingSource:
+    """What a file of buildings holds: outlines, or a raster of roof heights.
+
+    Attributes:
+      buildings: outlines that stand, or None for a raster.
+      roofs: roof heights above ground, or None for outlines.
+      area: where it knows what stands, in the city's CRS: of what was kept; the whole file's where nothing was.
+      file_extent_m: x_min, y_min, x_max, y_max in the city's CRS of the whole file.
+      issues: what was met, mended and left out in the whole file, counted by `jaxurban.world.diagnostics.ReadIssue`.
+      counts: outlines of the whole file by tags, before any rule (see `count_tags`); empty for a raster.
+      attribution: the credit that the licence asks for, "" where nothing is known.
+    """
+
+    buildings: Buildings | None
+    roofs: Raster | None
+    area: shapely.Geometry
+    file_extent_m: Bounds
+    issues: ReadIssues
+    counts: dict[str, int]
+    attribution: str = ""
+
+
+def read_buildings(
+    file: BuildingFile, crs: str, *, bounds_m: Bounds | None = None, terrain: Raster | None = None
+) -> BuildingSource:
+    """Return the buildings in a file.
+
+    Args:
+      file: which, and what to make of it.
+      crs: projected CRS of what comes back.
+      bounds_m: x_min, y_min, x_max, y_max in ``crs``; buildings whose box does not touch it are left out. Which parts
+        replace which outlines does not depend on it. None keeps all.
+      terrain: elevation of the ground; also tells whether a raster of heights is one.
+
+    Raises:
+      InputError: no such file, an unknown suffix, a file that cannot be read or is in a wrong CRS, (raster) cells that
+        are not heights or look like elevations, or a surface without terrain or that is not a raster.
+    """
+    projected_crs(crs)
+    path = Path(file.source)
+    if not path.is_file():
+        raise InputError(f"{str(path)!r} is not there: check the path of the buildings")
+    suffix = path.suffix.lower()
+    if suffix in RASTER_SUFFIXES:
+        return _read_roofs(path, crs, bounds_m, file.kind, terrain)
+    if file.kind == "surface":
+        raise InputError(f'[buildings] kind = "surface" is for rasters, and {str(path)!r} is not one: leave it out')
+    if suffix not in OUTLINE_READERS:
+        raise InputError(
+            f"{str(path)!r} has the suffix {suffix!r}: buildings are read from "
+            f"{', '.join((*OUTLINE_READERS, *RASTER_SUFFIXES))}"
+        )
+    outlines = OUTLINE_READERS[suffix](path)
+    buildings, boxes_m, issues = to_buildings(
+        path, outlines, crs, default_height_m=file.default_height_m, level_height_m=file.level_height_m
+    )
+    area = area_of_outlines(buildings.polygons, boxes_m)
+    file_extent_m = area.bounds
+    if bounds_m is not None:
+        x_min, y_min, x_max, y_max = shapely.bounds(buildings.polygons).T
+        buildings = buildings.take(
+            (x_min <= bounds_m[2]) & (x_max >= bounds_m[0]) & (y_min <= bounds_m[3]) & (y_max >= bounds_m[1])
+        )
+        near = shapely.intersection(shapely.box(*bounds_m), [shapely.box(*box) for box in boxes_m])
+        kept = area_of_outlines(buildings.polygons, [box.bounds for box in near if box.area])
+        area = area if kept.is_empty else kept
+    return BuildingSource(buildings, None, area, file_extent_m, issues, count_tags(outlines), outlines.attribution)
+
+
+def _read_roofs(path: Path, crs: str, bounds_m: Bounds | None, kind: Kind, terrain: Raster | None) -> BuildingSource:
+    """Return a raster's heights; those below 0 (noise of surface minus terrain) are ground and are counted."""
+    name, raster = repr(str(path)), read_raster(path, crs, bounds_m)
+    if kind == "surface":
+        roofs, issues = heights_of_surface(name, raster, terrain, crs)
+    else:
+        check_is_no_surface(name, raster, terrain, crs)
+        is_below = raster.values < 0
+        roofs = replace(raster, values=np.where(is_below, np.float32(0), raster.values))
+        issues = {ReadIssue.CELLS_BELOW_GROUND: int(np.sum(is_below))}
+    check_range(name, raster.values if kind == "height" else roofs.values, (LOWEST_ROOF_M, MAX_HEIGHT_M))
+    return BuildingSource(None, roofs, area_of_raster(roofs, crs), raster_extent_m(path, crs), issues, {})

@@ -1,0 +1,155 @@
+"""Heights as people write them: tags and columns to metres, with the origin of each height kept."""
+
+import math
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from decimal import Decimal
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from jaxurban.world.city import HeightOrigin
+from jaxurban.world.diagnostics import ReadIssue, ReadIssues
+
+FOOT_M = 0.3048  # international foot, exact
+INCH_M = 0.0254  # international inch, exact
+MAX_HEIGHT_M = 1000.0  # the tallest building stands at 828 m: more is a slip of the keyboard or of the unit
+
+_NUMBER = r"(\d+(?:[.,]\d+)?|[.,]\d+)"
+_ABOUT = r"(?:~|≈|ca\.?|approx\.?)?\s*"
+_METRES = re.compile(rf"{_ABOUT}{_NUMBER}\s*(?:m|met(?:re|er)s?)?\.?")
+_FEET = re.compile(rf"{_ABOUT}{_NUMBER}\s*(?:'|ft\.?|feet|foot)\s*(?:{_NUMBER}\s*(?:\"|in\.?|inch(?:es)?)?)?")
+_COUNT = re.compile(rf"{_ABOUT}{_NUMBER}")
+_QUOTES = str.maketrans({"’": "'", "′": "'", "”": '"', "″": '"'})
+
+
+@dataclass(frozen=True)
+class Heights:
+    """Heights of ``N`` outlines.
+
+    Attributes:
+      height_m: ``[N]`` float64 roof height above ground, > 0.
+      min_height_m: ``[N]`` float64 height of the underside, 0 where it is not given.
+      origin: ``[N]`` uint8, a `HeightOrigin` each: height, levels or default.
+      issues: number of values that could not be used, by name.
+    """
+
+    height_m: np.ndarray
+    min_height_m: np.ndarray
+    origin: np.ndarray
+    issues: ReadIssues
+
+
+def _number(text: str) -> float:
+    return float(text.replace(",", "."))
+
+
+def _metres(text: str) -> float:
+    if match := _METRES.fullmatch(text):
+        return _number(match[1])
+    if match := _FEET.fullmatch(text):
+        return _number(match[1]) * FOOT_M + _number(match[2] or "0") * INCH_M
+    return math.nan
+
+
+def _count(text: str) -> float:
+    match = _COUNT.fullmatch(text)
+    return _number(match[1]) if match else math.nan
+
+
+def _highest(text: str, parse_one: Callable[[str], float]) -> float:
+    """Return the highest readable value of a list separated by semicolons, NaN without one."""
+    listed = text.strip().lower().translate(_QUOTES).replace("''", '"').split(";")
+    return max((v for each in listed if not math.isnan(v := parse_one(each.strip()))), default=math.nan)
+
+
+@lru_cache(maxsize=2**16)
+def parse_length_m(text: str) -> float:
+    """Return the length in metres that ``text`` spells, NaN where it cannot be read.
+
+    Read are ``12``, ``12.5 m``, ``12,5`` (a decimal comma), ``241m``, ``40 ft``, ``12'6"``, ``12'``, typographic
+    quotes, ``~30`` and ``ca. 30`` (a rough figure is better than a default), and lists such as ``3;5``,
+    of which the **highest** readable value counts (an obstacle is better too high than too low).
+    A sign, a range (``10-12``) or any other word makes a value unreadable.
+
+    Source: https://wiki.openstreetmap.org/wiki/Key:height and .../Map_features/Units.
+    """
+    return _highest(text, _metres)
+
+
+@lru_cache(maxsize=2**16)
+def parse_count(text: str) -> float:
+    """Return the number (of levels) that ``text`` spells, NaN where it cannot be read; lists as for lengths."""
+    return _highest(text, _count)
+
+
+def is_blank(value: Any) -> bool:
+    """Return whether a value says nothing: None, NaN or blank text."""
+    return not value.strip() if isinstance(value, str) else value is None or value != value
+
+
+def is_given(column: np.ndarray) -> np.ndarray:
+    """Return where a column holds something: not None, NaN or blank text."""
+    return np.array([not is_blank(value) for value in column], bool)
+
+
+def _read_column(column: np.ndarray, parse: Callable[[str], float]) -> np.ndarray:
+    """Return ``[N]`` float64 values of a column of text, numbers and None, NaN where it cannot be read."""
+
+    def read(value: object) -> float:
+        if isinstance(value, str):
+            return parse(value)
+        return float(value) if isinstance(value, int | float | np.number | Decimal) else math.nan
+
+    return np.array([read(value) for value in column], float)
+
+
+def estimate_heights(
+    tags: Mapping[str, np.ndarray], num_outlines: int, *, default_height_m: float, level_height_m: float
+) -> Heights:
+    """Return the height of every outline: its height, else its levels, else the default.
+
+    Args:
+      tags: ``[N]`` object arrays of text, numbers or None by name: ``height``, ``levels``, ``roof_levels`` (added to
+        ``levels``; alone they say nothing), ``min_height``, ``min_level``; a missing name is an empty column.
+      num_outlines: ``N``.
+      default_height_m: height where nothing usable is given.
+      level_height_m: height of one level.
+
+    A value that cannot be read, or a height that is zero, negative or above `MAX_HEIGHT_M`, falls to the next
+    origin and is counted; an unusable ``min_height`` falls to ``min_level``, then to 0.
+    """
+    empty = np.full(num_outlines, None, object)
+
+    def read(name: str, parse: Callable[[str], float], unit_m: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
+        column = tags.get(name, empty)
+        return is_given(column), _read_column(column, parse) * unit_m
+
+    given_height, height_m = read("height", parse_length_m)
+    given_levels, levels_m = read("levels", parse_count, level_height_m)
+    given_roof, roof_m = read("roof_levels", parse_count, level_height_m)
+    given_min, min_height_m = read("min_height", parse_length_m)
+    given_min_level, min_level_m = read("min_level", parse_count, level_height_m)
+
+    # Comparisons with NaN are false: what could not be read is not usable.
+    has_roof, has_min, has_min_level = (
+        (value_m >= 0) & (value_m <= MAX_HEIGHT_M) for value_m in (roof_m, min_height_m, min_level_m)
+    )
+    levels_m = levels_m + np.where(has_roof, roof_m, 0.0)
+    has_height, has_levels = ((value_m > 0) & (value_m <= MAX_HEIGHT_M) for value_m in (height_m, levels_m))
+    return Heights(
+        height_m=np.select([has_height, has_levels], [height_m, levels_m], default_height_m),
+        min_height_m=np.select([has_min, has_min_level], [min_height_m, min_level_m], 0.0),
+        origin=np.select(
+            [has_height, has_levels], [HeightOrigin.HEIGHT, HeightOrigin.LEVELS], HeightOrigin.DEFAULT
+        ).astype(np.uint8),
+        issues={
+            ReadIssue.HEIGHTS_UNUSABLE: int(np.sum(given_height & ~has_height)),
+            ReadIssue.LEVELS_UNUSABLE: int(np.sum(given_levels & ~has_levels) + np.sum(given_roof & ~has_roof)),
+            ReadIssue.MIN_HEIGHTS_UNUSABLE: int(
+                np.sum(given_min & ~has_min) + np.sum(given_min_level & ~has_min_level)
+            ),
+        },
+    )

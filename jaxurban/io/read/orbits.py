@@ -1,0 +1,318 @@
+"""Orbits: element sets from files, or the nominal constellation, to look angles."""
+
+import csv
+import io
+import json
+import math
+import re
+import warnings
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+from sgp4 import omm
+from sgp4.io import verify_checksum
+from skyfield.api import EarthSatellite, Timescale, load, wgs84
+
+from jaxurban.errors import InputError, StaleElementsWarning, readable
+from jaxurban.io.read.nominal import TABLE_DATE, nominal_satellites
+from jaxurban.world.sky import Sky
+
+NOMINAL = "nominal"
+WARN_AGE_DAYS = 14.0  # SGP4 keeps GPS satellites within about 0.1 degree for two weeks
+TLE_LENGTH = 69
+# Fields of an OMM that the standard leaves optional and SGP4 does not need.
+OPTIONAL_FIELDS = {
+    "OBJECT_ID": "",
+    "CLASSIFICATION_TYPE": "U",
+    "EPHEMERIS_TYPE": "0",
+    "ELEMENT_SET_NO": "0",
+    "REV_AT_EPOCH": "0",
+    "BSTAR": "0",
+    "MEAN_MOTION_DOT": "0",
+    "MEAN_MOTION_DDOT": "0",
+}
+# How CelesTrak and Space-Track name navigation satellites. GSAT with fewer than four digits is an Indian
+# communications satellite, and Cosmos any Soviet or Russian one: an element file is taken to hold those that navigate.
+SYSTEM_NAMES = {
+    "gps": re.compile(r"GPS|NAVSTAR"),
+    "galileo": re.compile(r"GALILEO|GSAT ?\d{4}|.*\(GALILEO"),
+    "glonass": re.compile(r"GLONASS|COSMOS|.*\(GLONASS"),
+    "beidou": re.compile(r"BEIDOU|BDS"),
+    "qzss": re.compile(r"QZS"),
+    "navic": re.compile(r"IRNSS|NVS"),
+}
+REMEDY = 'give a TLE file or an OMM file (csv, json or xml) such as CelesTrak\'s gps-ops, or "nominal"'
+
+
+@dataclass(frozen=True)
+class Orbits:
+    """Satellites that can be moved to a time.
+
+    Attributes:
+      satellites: one element set each; for the nominal constellation those of its table's date
+        (`look_angles` takes each day's own).
+      sources: for each satellite the file that it is from, or ``"nominal"``.
+    """
+
+    satellites: tuple[EarthSatellite, ...]
+    sources: tuple[str, ...]
+
+    def of(self, source: str) -> list[int]:
+        """Return the numbers of the satellites from one source."""
+        return [s for s, name in enumerate(self.sources) if name == source]
+
+
+@lru_cache(maxsize=1)
+def _timescale() -> Timescale:
+    return load.timescale(builtin=True)  # the copy inside Skyfield: no network
+
+
+def read_orbits(source: str | Path | Sequence[str | Path]) -> Orbits:
+    """Return the satellites of a file, or the nominal GPS constellation for ``"nominal"``, or of several of these.
+
+    Read are two-line elements with or without name lines and orbit mean-elements messages (OMM) as
+    CSV, JSON or XML; the content decides, not the file's name. Each satellite's constellation follows from its name.
+
+    Raises:
+      InputError: no source, no such file, another kind of file, a cut or damaged element set, two of one satellite,
+        or GPS satellites beside the nominal ones.
+    """
+    sources = [source] if isinstance(source, str | Path) else list(source)
+    if not sources or len(set(map(str, sources))) < len(sources):
+        raise InputError(
+            f"orbits must name at least one source and none twice, got {list(map(str, sources))}: {REMEDY}"
+        )
+    satellites: list[EarthSatellite] = []
+    origins: list[str] = []
+    for name in map(str, sources):
+        found = nominal_satellites(TABLE_DATE, _timescale()) if name == NOMINAL else _read_file(name)
+        satellites += found
+        origins += [name] * len(found)
+    orbits = Orbits(tuple(satellites), tuple(origins))
+    _check_twice(orbits)
+    return orbits
+
+
+def middle_epoch(orbits: Orbits) -> str | None:
+    """Return the median of the epochs of the elements from files, to the minute, ISO 8601 UTC; None without a file."""
+    epochs = [
+        s.epoch.utc_datetime() for s, name in zip(orbits.satellites, orbits.sources, strict=True) if name != NOMINAL
+    ]
+    if not epochs:
+        return None
+    middle = sorted(epochs)[len(epochs) // 2]
+    return iso_utc((middle + timedelta(seconds=30)).replace(second=0, microsecond=0))
+
+
+def _check_twice(orbits: Orbits) -> None:
+    """Raise InputError where a satellite comes twice, or GPS satellites beside the nominal ones."""
+    nominal = orbits.of(NOMINAL)
+    from_files: dict[int, str] = {}
+    for satellite, source in zip(orbits.satellites, orbits.sources, strict=True):
+        if source == NOMINAL:
+            continue
+        if nominal and _system(satellite.name) == "gps":
+            raise InputError(
+                f'orbits names "{NOMINAL}", which is GPS, and {source} with GPS satellites: leave one of the two out'
+            )
+        number = satellite.model.satnum
+        if number in from_files:
+            places = " and ".join(dict.fromkeys([from_files[number], source]))
+            raise InputError(f"2 element sets of satellite {number} are in {places}: keep the one nearest in time")
+        from_files[number] = source
+
+
+def _read_file(source: str | Path) -> list[EarthSatellite]:
+    """Return the satellites of one file."""
+    with readable(f"the orbits file {source}", "text", REMEDY):
+        text = Path(source).read_bytes().decode("utf-8-sig")
+    start = text.lstrip()[:1]
+    first_line = text.lstrip().partition("\n")[0]
+    if start in ("{", "["):
+        with readable(f"the orbits file {source}", "JSON", REMEDY):
+            parsed = json.loads(text)
+        satellites = _from_omms(parsed if isinstance(parsed, list) else [parsed], source)
+    elif start == "<":
+        errors = (ElementTree.ParseError, AttributeError, TypeError)  # the latter: a segment without its parts
+        with readable(f"the orbits file {source}", "whole OMM segments in XML", REMEDY, *errors):
+            segments = list(omm.parse_xml(io.StringIO(text)))
+        satellites = _from_omms(segments, source)
+    elif "MEAN_MOTION" in first_line and "," in first_line:
+        satellites = _from_omms(csv.DictReader(io.StringIO(text.lstrip())), source)
+    else:
+        satellites = _from_tles(text, source)
+    if not satellites:
+        raise InputError(f"the orbits file {source} holds no element set: {REMEDY}")
+    return satellites
+
+
+def _from_tles(text: str, source: str | Path) -> list[EarthSatellite]:
+    """Return the satellites of two-line elements."""
+    lines = [(n, line.rstrip()) for n, line in enumerate(text.splitlines(), start=1) if line.strip()]
+    satellites: list[EarthSatellite] = []
+    name = ""
+    rest = iter(lines)
+    for number, line in rest:
+        if not line.startswith(("1 ", "2 ")):
+            name = line.removeprefix("0 ").strip()
+            continue
+        _, second = next(rest, (number, ""))
+        try:
+            if not (line.startswith("1 ") and second.startswith("2 ") and line[2:7] == second[2:7]):
+                raise ValueError("a line 1 and a line 2 of one satellite must follow each other")
+            if len(line) < TLE_LENGTH or len(second) < TLE_LENGTH:
+                raise ValueError(f"a line is shorter than {TLE_LENGTH} characters")
+            verify_checksum(line, second)
+            satellite = EarthSatellite(line, second, name or f"catalogue number {line[2:7].strip()}", _timescale())
+        except ValueError as error:
+            reason = str(error).splitlines()[0].rstrip(":")
+            raise InputError(
+                f"the element set at line {number} of {source} is cut or damaged ({reason}): download the file again"
+            ) from error
+        satellites.append(satellite)
+        name = ""
+    if satellites and name:
+        raise InputError(f"the orbits file {source} ends after the name {name!r}: download the file again")
+    return satellites
+
+
+def _from_omms(messages: Iterable[Any], source: str | Path) -> list[EarthSatellite]:
+    """Return the satellites of orbit mean-elements messages."""
+    satellites = []
+    for number, message in enumerate(messages, start=1):
+        try:
+            fields = {**OPTIONAL_FIELDS, **message}
+            # SGP4's reader wants the fraction of a second, which the standard leaves optional.
+            epoch = parse_time(fields["EPOCH"]).replace(tzinfo=None)
+            fields["EPOCH"] = epoch.strftime("%Y-%m-%dT%H:%M:%S.%f")
+            satellite = EarthSatellite.from_omm(_timescale(), fields)
+            model = satellite.model
+            elements = (model.no_kozai, model.ecco, model.inclo, model.nodeo, model.argpo, model.mo)
+            if not all(map(math.isfinite, elements)):
+                raise ValueError("an element is not finite")
+        except (KeyError, TypeError, ValueError) as error:
+            reason = f"no {error.args[0]}" if isinstance(error, KeyError) else str(error)
+            raise InputError(f"element set {number} of {source} is cut or not an OMM ({reason}): {REMEDY}") from error
+        time_system = str(fields.get("TIME_SYSTEM") or "").strip() or "UTC"
+        if time_system.upper() != "UTC":
+            raise InputError(
+                f"element set {number} of {source} has TIME_SYSTEM {time_system}, and only UTC is read: turn its EPOCH "
+                "into UTC (GPS time is 18 s ahead of it since 2017)"
+            )
+        satellite.name = str(fields.get("OBJECT_NAME") or f"catalogue number {model.satnum}").strip()
+        satellites.append(satellite)
+    return satellites
+
+
+def parse_time(time: str | datetime) -> datetime:
+    """Return a time in UTC; without an offset it is taken as UTC.
+
+    Raises:
+      InputError: not an ISO 8601 date and time.
+    """
+    try:
+        parsed = time if isinstance(time, datetime) else datetime.fromisoformat(time)
+        return parsed.replace(tzinfo=UTC) if parsed.tzinfo is None else parsed.astimezone(UTC)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise InputError(f"{time!r} is not a time: write it as 2020-04-27T16:00:00Z") from error
+
+
+def iso_utc(time: datetime) -> str:
+    """Return a time as ISO 8601 UTC with a trailing Z; a naive time is UTC already."""
+    time = time.replace(tzinfo=UTC) if time.tzinfo is None else time.astimezone(UTC)
+    return time.isoformat(timespec="seconds" if time.microsecond == 0 else "microseconds").replace("+00:00", "Z")
+
+
+def look_angles(
+    orbits: Orbits,
+    times: Sequence[str | datetime],
+    lon_deg: float,
+    lat_deg: float,
+    height_m: float = 0.0,
+    convergence_rad: float = 0.0,
+    max_age_days: float = 90.0,
+) -> Sky:
+    """Return where every satellite stands at every time, seen from one point.
+
+    Args:
+      orbits: from `read_orbits`.
+      times: UTC, as ISO 8601 text or datetimes.
+      lon_deg: longitude of the point, WGS 84.
+      lat_deg: its latitude.
+      height_m: its height above the ellipsoid.
+      convergence_rad: meridian convergence there: azimuths come out clockwise from grid north.
+      max_age_days: oldest elements accepted, before or after the time.
+
+    Warns:
+      StaleElementsWarning: elements older than `WARN_AGE_DAYS` at a time.
+
+    Raises:
+      InputError: text that is not a time, a point off the Earth, elements too old, or ones that SGP4
+        cannot carry to a time.
+    """
+    if not (abs(lat_deg) <= 90 and abs(lon_deg) <= 360):
+        raise InputError(
+            f"the point of the look angles must be a longitude and a latitude in degrees, got {lon_deg}, {lat_deg}"
+        )
+    utc = [parse_time(time) for time in times]
+    point = wgs84.latlon(lat_deg, lon_deg, elevation_m=height_m)
+    azimuth_rad, elevation_rad, age_days = np.zeros((3, len(utc), len(orbits.satellites)))
+    for index, satellites in _satellites_at(orbits, utc):
+        at = _timescale().from_datetimes([utc[i] for i in index])
+        for s, satellite in satellites:
+            elevation, azimuth, _ = (satellite - point).at(at).altaz()
+            elevation_rad[index, s] = elevation.radians
+            azimuth_rad[index, s] = azimuth.radians
+            if orbits.sources[s] != NOMINAL:
+                age_days[index, s] = np.abs(at.tt - satellite.epoch.tt)
+    names = tuple(satellite.name for satellite in orbits.satellites)
+    iso = tuple(time.replace(tzinfo=None).isoformat() + "Z" for time in utc)
+    _check_age(orbits.sources, iso, names, age_days, max_age_days)
+    if not np.all(np.isfinite(elevation_rad)):
+        t, s = np.argwhere(~np.isfinite(elevation_rad))[0]
+        raise InputError(f"SGP4 cannot carry {names[s]} of {orbits.sources[s]} to {iso[t]}: remove it from the file")
+    return Sky(
+        times=iso,
+        names=names,
+        azimuth_rad=(azimuth_rad - convergence_rad) % math.tau,
+        elevation_rad=elevation_rad,
+        systems=tuple(_system(name) for name in names),
+        element_age_days=age_days,
+    )
+
+
+def _satellites_at(orbits: Orbits, utc: list[datetime]) -> Iterator[tuple[list[int], list[tuple[int, EarthSatellite]]]]:
+    """Yield the times (by index) that one set of elements serves, with its numbered satellites."""
+    nominal = orbits.of(NOMINAL)
+    from_files = [(s, orbits.satellites[s]) for s in range(len(orbits.satellites)) if orbits.sources[s] != NOMINAL]
+    if from_files:
+        yield list(range(len(utc))), from_files
+    for day in sorted({time.date() for time in utc}) if nominal else ():
+        of_day = zip(nominal, nominal_satellites(day, _timescale()), strict=True)
+        yield [i for i, time in enumerate(utc) if time.date() == day], list(of_day)
+
+
+def _check_age(
+    sources: Sequence[str], iso: Sequence[str], names: Sequence[str], age_days: np.ndarray, max_age_days: float
+) -> None:
+    """Warn of stale elements, refuse those older than ``max_age_days``."""
+    oldest_days = age_days.max(initial=0.0)
+    if oldest_days <= min(WARN_AGE_DAYS, max_age_days):
+        return
+    t, s = np.argwhere(age_days == oldest_days)[0]
+    remedy = f'use elements of that date (CelesTrak, Space-Track) or orbits = "{NOMINAL}"'
+    found = f"the elements of {names[s]} in {sources[s]} are {oldest_days:.0f} days away from {iso[t]}"
+    if oldest_days > max_age_days:
+        raise InputError(f"{found}, more than max_age_days = {max_age_days:g}: {remedy}")
+    warnings.warn(f"{found}, so its place in the sky is uncertain: {remedy}", StaleElementsWarning, stacklevel=3)
+
+
+def _system(name: str) -> str:
+    """Return the constellation that a satellite's name tells, or ``"unknown"``."""
+    return next((system for system, names in SYSTEM_NAMES.items() if names.match(name.upper())), "unknown")

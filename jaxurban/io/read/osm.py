@@ -1,0 +1,189 @@
+"""OpenStreetMap files: building outlines, assembled by pyosmium, and the buildings of a box cut out of an extract."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+import osmium
+import shapely
+from osmium.filter import IdFilter, KeyFilter
+
+from jaxurban.errors import readable
+from jaxurban.io.read.outlines import Outlines
+from jaxurban.world.diagnostics import ReadIssue
+from jaxurban.world.grid import WGS84, Bounds
+
+TAGS = {
+    "building": ("building",),
+    "part": ("building:part",),
+    "height": ("height",),
+    "levels": ("building:levels", "levels"),
+    "roof_levels": ("roof:levels",),
+    "min_height": ("min_height",),
+    "min_level": ("building:min_level",),
+    "location": ("location",),
+    "layer": ("layer",),
+}
+OSM_SUFFIXES = (".pbf", ".osm")
+OSM_CREDIT = "© OpenStreetMap contributors"  # asked for by the ODbL
+HAS_BUILDING = KeyFilter("building", "building:part")
+_AREA_RELATIONS = ("multipolygon", "boundary")  # what libosmium makes areas of
+
+
+def read_osm(path: str | Path, file_format: str | None = None) -> Outlines:
+    """Return the areas tagged ``building`` or ``building:part`` of an OSM file, ways and multipolygon relations.
+
+    Coordinates are longitude and latitude; ``boxes`` are the file header's. Areas that
+    libosmium cannot assemble (rings that cross themselves) are rebuilt from their lines, each loop filled.
+    Nodes and ways with negative ids (an editor's, not yet uploaded) are unknown to pyosmium: their nodes are missing.
+
+    Args:
+      path: the file.
+      file_format: ``"pbf"`` or ``"osm"`` (XML); left out, its name tells.
+
+    Raises:
+      InputError: the file cannot be read to its end.
+    """
+    remedy = "it is damaged, cut short or of another kind; fetch it again, or put it in order with `osmium sort`"
+    with readable(repr(str(path)), "OpenStreetMap data", remedy, RuntimeError, osmium.InvalidLocationError):
+        return _read(path, file_format or _format_of(path))
+
+
+def _read(path: str | Path, file_format: str) -> Outlines:
+    columns: dict[str, list[str | None]] = {name: [] for name in TAGS}
+    shapes: list[str | None] = []  # WKB in hexadecimal, None where libosmium gave up
+    broken: dict[int, tuple[bool, int]] = {}  # of those, place in `shapes`: whether it is a way, and its id
+    open_ways, missing, ways, areas, relations = set(), set(), set(), set(), {}
+    to_wkb = osmium.geom.WKBFactory()
+    for item in open_osm(path, file_format).with_areas(HAS_BUILDING).with_filter(HAS_BUILDING):
+        if isinstance(item, osmium.osm.Area):
+            areas.add((item.from_way(), item.orig_id()))
+            for name, keys in TAGS.items():
+                columns[name].append(next((item.tags[key] for key in keys if key in item.tags), None))
+            if item.num_rings()[0] == 0:
+                broken[len(shapes)] = (item.from_way(), item.orig_id())
+                shapes.append(None)
+            else:
+                shapes.append(to_wkb.create_multipolygon(item))
+        elif isinstance(item, osmium.osm.Way):
+            ways.add(item.id)
+            if not item.is_closed():
+                open_ways.add(item.id)
+            if not all(node.location.valid() for node in item.nodes):
+                missing.add(item.id)
+        elif isinstance(item, osmium.osm.Relation) and item.tags.get("type") in _AREA_RELATIONS:
+            relations[item.id] = [member.ref for member in item.members if member.type == "w"]
+
+    polygons = shapely.from_wkb(np.array(shapes, object))
+    lines_of = {place: [i] if is_way else relations[i] for place, (is_way, i) in broken.items()}
+    lines = _read_lines(open_osm(path, file_format), {i for ids in lines_of.values() for i in ids}) if broken else {}
+    for place, ids in lines_of.items():
+        polygons[place] = shapely.build_area(shapely.union_all([lines[i] for i in ids if i in lines]))
+    return Outlines(
+        polygons=polygons,
+        tags={name: np.array(column, object) for name, column in columns.items()},
+        crs=WGS84,
+        boxes=_xml_boxes(path) if file_format == "osm" else tuple(filter(None, [header_box(path, file_format)])),
+        attribution=OSM_CREDIT,
+        issues={
+            ReadIssue.OPEN_WAYS: len(open_ways),
+            ReadIssue.WAYS_WITH_MISSING_NODES: len(missing),
+            ReadIssue.DEGENERATE_WAYS: sum((True, i) not in areas for i in ways - open_ways - missing),
+            ReadIssue.RELATIONS_INCOMPLETE: sum((False, i) not in areas for i in relations),
+            ReadIssue.POLYGONS_REPAIRED: sum(not polygons[place].is_empty for place in broken),
+        },
+    )
+
+
+def _format_of(path: str | Path) -> str:
+    return "osm" if str(path).lower().endswith(".osm") else "pbf"
+
+
+def open_osm(path: str | Path, file_format: str | None = None) -> osmium.FileProcessor:
+    """Return a processor that knows every node's place when a way comes by, even if the nodes follow the ways.
+
+    Args:
+      path: the file.
+      file_format: ``"pbf"`` or ``"osm"`` (XML); left out, its name tells.
+    """
+    file_format = file_format or _format_of(path)
+    file = osmium.io.File(str(path), file_format)
+    locations: Any = osmium.index.create_map("flex_mem")  # Any: the package's own annotation says str
+    if file_format == "osm":  # so the Overpass API writes XML; PBF is sorted
+        with osmium.io.Reader(file, osmium.osm.NODE) as reader:
+            osmium.apply(reader, osmium.NodeLocationsForWays(locations))
+    return osmium.FileProcessor(file).with_locations(locations)
+
+
+def _read_lines(processor: osmium.FileProcessor, ids: set[int]) -> dict[int, shapely.LineString]:
+    """Return the lines of the ways with these ids, in longitude and latitude, without nodes that are missing."""
+    lines = {}
+    for way in processor.with_filter(IdFilter(ids)):
+        if isinstance(way, osmium.osm.Way):  # nodes may bear the same numbers
+            points = [(node.lon, node.lat) for node in way.nodes if node.location.valid()]
+            lines[way.id] = shapely.LineString(points if len(points) > 1 else [])
+    return lines
+
+
+def header_box(path: str | Path, file_format: str) -> Bounds | None:
+    """Return west, south, east, north of an OSM file by its header, None where the header does not say."""
+    with osmium.io.Reader(osmium.io.File(str(path), file_format), osmium.osm.NOTHING) as reader:
+        box = reader.header().box()
+    if not box.valid():
+        return None
+    return box.bottom_left.lon, box.bottom_left.lat, box.top_right.lon, box.top_right.lat
+
+
+def _xml_boxes(path: str | Path) -> tuple[Bounds, ...]:
+    """Return the boxes that an XML file declares; pyosmium gives the first one only."""
+    boxes = []
+    with open(path, "rb") as file:
+        for _, element in ElementTree.iterparse(file, events=("start",)):
+            if element.tag == "bounds":
+                west, south, east, north = (float(element.get(s, "")) for s in ("minlon", "minlat", "maxlon", "maxlat"))
+                boxes.append((west, south, east, north))
+            elif element.tag in ("node", "way", "relation"):
+                break
+    return tuple(boxes)
+
+
+def cut_buildings(source: Path, target: Path, box: Bounds) -> None:
+    """Write the ways and relations tagged as buildings that have a node in a box, with all that they refer to.
+
+    Args:
+      source: a PBF file, nodes before ways before relations.
+      target: the PBF file to write; an old one is replaced.
+      box: west, south, east, north in degrees.
+    """
+    file = osmium.io.File(str(source), "pbf")
+    # The member ways of a building relation need not bear the tag themselves.
+    ways_of = {
+        relation.id: {member.ref for member in relation.members if member.type == "w"} for relation in _relations(file)
+    }
+    members = set().union(*ways_of.values())
+    near = {way.id for way in _ways_in(file, IdFilter(members), box)} if members else set()
+    result = osmium.io.File(str(target), "pbf")
+    with osmium.BackReferenceWriter(result, ref_src=file, overwrite=True, remove_tags=False) as writer:
+        for way in _ways_in(file, HAS_BUILDING, box):
+            writer.add(way)
+        for relation in _relations(file):
+            if not near.isdisjoint(ways_of[relation.id]):
+                writer.add(relation)
+
+
+def _relations(file: osmium.io.File) -> Iterator[osmium.osm.Relation]:
+    for item in osmium.FileProcessor(file, osmium.osm.RELATION).with_filter(HAS_BUILDING):
+        if isinstance(item, osmium.osm.Relation):
+            yield item
+
+
+def _ways_in(file: osmium.io.File, chosen: IdFilter | KeyFilter, box: Bounds) -> Iterator[osmium.osm.Way]:
+    """Yield the chosen ways that have a node in a box."""
+    west, south, east, north = box
+    for item in osmium.FileProcessor(file, osmium.osm.NODE | osmium.osm.WAY).with_locations().with_filter(chosen):
+        if isinstance(item, osmium.osm.Way):
+            places = (node.location for node in item.nodes if node.location.valid())
+            if any(west <= place.lon <= east and south <= place.lat <= north for place in places):
+                yield item

@@ -1,0 +1,203 @@
+"""Outlines as a vector file holds them, and the rules that make Buildings of them."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import shapely
+
+from jaxurban.errors import InputError
+from jaxurban.io.read.heights import Heights, estimate_heights, is_given
+from jaxurban.world.city import Buildings, HeightOrigin
+from jaxurban.world.diagnostics import ReadIssue, ReadIssues
+from jaxurban.world.grid import Bounds, transformer
+
+REPLACED_SHARE = 0.9  # an outline covered at least so far by its parts is dropped (design, section 3)
+BELONGING_SHARE = 0.5  # a part is an outline's own if at least so much of it lies inside
+_NO = ("no", "false", "0", "0.0")
+
+
+@dataclass(frozen=True)
+class Outlines:
+    """Building outlines as a file holds them. ``N`` outlines.
+
+    Attributes:
+      polygons: ``[N]`` shapely Polygons or MultiPolygons in ``crs``, valid or not; None where none could be built.
+      tags: ``[N]`` object arrays of text, numbers or None, by name: ``building``, ``part``, ``height``, ``levels``,
+        ``roof_levels``, ``min_height``, ``min_level``, ``location``, ``layer``. All are optional; without
+        ``building`` every outline is a building.
+      crs: CRS of the coordinates, x before y.
+      boxes: x_min, y_min, x_max, y_max in ``crs`` each, that the file says it covers.
+      issues: what the reader met.
+      attribution: the credit that the data's licence asks for.
+    """
+
+    polygons: np.ndarray
+    tags: Mapping[str, np.ndarray]
+    crs: str
+    boxes: tuple[Bounds, ...]
+    issues: ReadIssues
+    attribution: str = ""
+
+    def column(self, name: str) -> np.ndarray:
+        """Return a tag of every outline, ``[N]`` objects, None where it is missing."""
+        return self.tags.get(name, np.full(len(self.polygons), None, object))
+
+
+def count_tags(outlines: Outlines) -> dict[str, int]:
+    """Return how many outlines the file tags as what, before any rule is applied.
+
+    ``building_areas`` split into ``with_height``, ``levels_only`` and ``neither``; ``part_areas`` are tagged
+    ``building:part`` only, ``areas_tagged_both`` are among the ``building_areas``.
+    """
+    building, part, height, levels = (is_given(outlines.column(n)) for n in ("building", "part", "height", "levels"))
+    if "building" not in outlines.tags:
+        building = ~part
+    return {
+        "building_areas": int(np.sum(building)),
+        "with_height": int(np.sum(building & height)),
+        "levels_only": int(np.sum(building & ~height & levels)),
+        "neither": int(np.sum(building & ~height & ~levels)),
+        "part_areas": int(np.sum(part & ~building)),
+        "areas_tagged_both": int(np.sum(part & building)),
+    }
+
+
+def to_buildings(
+    path: str | Path, outlines: Outlines, crs: str, *, default_height_m: float, level_height_m: float
+) -> tuple[Buildings, list[Bounds], ReadIssues]:
+    """Return the buildings that stand, the boxes in ``crs`` that the file declares to cover, and its issues.
+
+    Left out are ``building=no`` without ``building:part``, and ``location=underground`` or ``layer`` below 0. An
+    outline that its own parts cover to at least 90 % gives way to them; one that is tagged ``building:part`` as well is
+    a part itself and stands. A part without usable height takes that of its highest outline, if it is known. An
+    underside at or above the roof raises a roof that was only estimated from levels or by default, and is set to 0
+    under a roof with a height.
+
+    Args:
+      path: the file, for messages.
+      outlines: what a reader gave.
+      crs: projected CRS of the buildings.
+      default_height_m: height of a building without a usable height or levels.
+      level_height_m: height of one level.
+
+    Raises:
+      InputError: no building and no declared box.
+    """
+    issues = dict(outlines.issues)
+    stands, is_part = _buildings_and_parts(outlines, issues)
+    index = np.flatnonzero(stands)
+    polygons, is_sound = _project(outlines.polygons[index], outlines.crs, crs, issues)
+    polygons, index = polygons[is_sound], index[is_sound]
+    to_city = transformer(outlines.crs, crs)
+    boxes_m = [to_city.transform_bounds(*box, densify_pts=101) for box in outlines.boxes]
+    if not (boxes_m or len(index)):
+        raise InputError(f"{str(path)!r} holds no building: give a file with polygons of buildings")
+
+    is_part = is_part[index]
+    tags = {name: column[index] for name, column in outlines.tags.items()}
+    heights = estimate_heights(tags, len(index), default_height_m=default_height_m, level_height_m=level_height_m)
+    issues |= heights.issues
+    outline, part, shared = _own_parts(polygons, is_part)
+    height_m, origin = _with_outline_heights(heights, outline, part, issues)
+    height_m, min_height_m = _above_underside(height_m, heights.min_height_m, origin, issues)
+    is_replaced = _covered_share(polygons, outline, shared) >= REPLACED_SHARE
+    issues[ReadIssue.OUTLINES_REPLACED_BY_PARTS] = int(np.sum(is_replaced))
+    buildings = Buildings(polygons, height_m, min_height_m, origin, is_part).take(~is_replaced)
+    issues[ReadIssue.PARTS_HANGING] = int(np.sum(buildings.min_height_m > 0))
+    return buildings, boxes_m, issues
+
+
+def _buildings_and_parts(outlines: Outlines, issues: ReadIssues) -> tuple[np.ndarray, np.ndarray]:
+    """Return which outlines are tagged as standing above ground, and which of all are parts, ``[N]`` bool each."""
+
+    def text(name: str) -> np.ndarray:
+        column = outlines.column(name)
+        return np.where(is_given(column), np.array([str(value).strip().lower() for value in column], object), "")
+
+    def is_yes(name: str) -> np.ndarray:
+        return (text(name) != "") & ~np.isin(text(name).astype(str), _NO)
+
+    is_part = is_yes("part")
+    is_building = (is_yes("building") if "building" in outlines.tags else True) | is_part
+    is_below = (text("location") == "underground") | np.array([_is_negative(layer) for layer in text("layer")], bool)
+    issues[ReadIssue.NOT_BUILDINGS] = int(np.sum(~is_building))
+    issues[ReadIssue.UNDERGROUND] = int(np.sum(is_building & is_below))
+    return is_building & ~is_below, is_part
+
+
+def _is_negative(layer: str) -> bool:
+    try:
+        return float(layer) < 0
+    except ValueError:
+        return False
+
+
+def _project(polygons: np.ndarray, source: str, crs: str, issues: ReadIssues) -> tuple[np.ndarray, np.ndarray]:
+    """Return valid polygons in ``crs``, repaired where need be, and which of them could be made."""
+    to_city = transformer(source, crs).transform
+    polygons = shapely.transform(shapely.force_2d(polygons), to_city, interleaved=False)
+    is_there = ~shapely.is_missing(polygons) & ~shapely.is_empty(polygons)
+    is_finite = np.isfinite(shapely.bounds(polygons)).all(axis=1)
+    is_sound = is_there & is_finite
+    to_repair = np.flatnonzero(is_sound & ~shapely.is_valid(polygons))
+    polygons[to_repair] = [polygonal(made) for made in shapely.make_valid(polygons[to_repair])]
+    is_sound &= ~shapely.is_empty(polygons)
+    issues[ReadIssue.OUTSIDE_CRS] = int(np.sum(is_there & ~is_finite))
+    num_repaired = int(np.sum(is_sound[to_repair]))
+    issues[ReadIssue.POLYGONS_REPAIRED] = issues.get(ReadIssue.POLYGONS_REPAIRED, 0) + num_repaired
+    issues[ReadIssue.POLYGONS_DROPPED] = int(np.sum(~is_there)) + len(to_repair) - num_repaired
+    return polygons, is_sound
+
+
+def polygonal(geometry: shapely.Geometry) -> shapely.Geometry:
+    """Return the polygons of a geometry or collection, as one Polygon or MultiPolygon; empty if it has none."""
+    parts = shapely.get_parts(shapely.get_parts(geometry))  # twice: a collection may hold MultiPolygons
+    return shapely.union_all(parts[shapely.get_dimensions(parts) == 2])
+
+
+def _own_parts(polygons: np.ndarray, is_part: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return every pair of an outline and a part of its own: both indices, and the area that they share as polygons."""
+    outlines, parts = np.flatnonzero(~is_part), np.flatnonzero(is_part)
+    near_outline, near_part = shapely.STRtree(polygons[parts]).query(polygons[outlines], predicate="intersects")
+    outline, part = outlines[near_outline], parts[near_part]
+    shared = shapely.intersection(polygons[outline], polygons[part])
+    is_own = shapely.area(shared) >= BELONGING_SHARE * shapely.area(polygons[part])
+    return outline[is_own], part[is_own], shared[is_own]
+
+
+def _covered_share(polygons: np.ndarray, outline: np.ndarray, shared: np.ndarray) -> np.ndarray:
+    """Return how much of each polygon the union of its own parts covers, ``[N]`` in [0, 1]."""
+    share = np.zeros(len(polygons))
+    order = np.argsort(outline, kind="stable")
+    owners, starts, numbers = np.unique(outline[order], return_index=True, return_counts=True)
+    for owner, start, number in zip(owners, starts, numbers, strict=True):
+        covered = shared[order[start : start + number]]
+        share[owner] = shapely.area(shapely.union_all(covered)) / shapely.area(polygons[owner])
+    return share
+
+
+def _with_outline_heights(
+    heights: Heights, outline: np.ndarray, part: np.ndarray, issues: ReadIssues
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return height and origin of all, where parts without a height have that of their highest known outline."""
+    height_m, origin = heights.height_m.copy(), heights.origin.copy()
+    is_default = heights.origin == HeightOrigin.DEFAULT
+    # A part that hangs above its outline's roof is not as high as it but higher.
+    takes = is_default[part] & ~is_default[outline] & (heights.height_m[outline] > heights.min_height_m[part])
+    lowest_first = np.flatnonzero(takes)[np.argsort(heights.height_m[outline[takes]], kind="stable")]
+    height_m[part[lowest_first]] = heights.height_m[outline[lowest_first]]
+    origin[part[lowest_first]] = heights.origin[outline[lowest_first]]
+    issues[ReadIssue.PARTS_GIVEN_OUTLINE_HEIGHT] = len(np.unique(part[lowest_first]))
+    return height_m, origin
+
+
+def _above_underside(
+    height_m: np.ndarray, min_height_m: np.ndarray, origin: np.ndarray, issues: ReadIssues
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return heights and undersides such that every roof is above its underside."""
+    is_wrong, is_estimate = min_height_m >= height_m, origin != HeightOrigin.HEIGHT
+    issues[ReadIssue.MIN_HEIGHTS_ABOVE_ROOF] = int(np.sum(is_wrong & ~is_estimate))
+    raised_m = np.where(is_wrong & is_estimate, height_m + min_height_m, height_m)
+    return raised_m, np.where(is_wrong & ~is_estimate, 0.0, min_height_m)

@@ -1,0 +1,91 @@
+"""Routes from files: lines that someone flew, drew or planned."""
+
+import json
+import warnings
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import shapely
+
+from jaxurban.errors import InputError, LeftOutWarning, finite
+from jaxurban.io.read.vector import open_layers
+
+SEGMENT_PROPERTY = "segment"  # of lines that repeat a part of jaxurban's own route, for its report
+ALTITUDE_PROPERTY, TIME_OF_DAY_PROPERTY, TIME_PROPERTY = "altitude_m", "time_of_day", "time"
+PROPERTIES = ("name", ALTITUDE_PROPERTY, TIME_OF_DAY_PROPERTY, TIME_PROPERTY)
+
+
+@dataclass(frozen=True, eq=False)
+class Route:
+    """A line from a file. ``N`` points.
+
+    Attributes:
+      lonlat: ``[N, 2]`` longitude, latitude in degrees.
+      name: its ``name`` property, or its number in the file, from 1.
+      altitude_m, time_of_day, time: of the feature's properties (of paths that jaxurban wrote: of their
+        ``settings``), None where they are not given.
+      settings: of paths that jaxurban wrote, those they were planned under; else empty.
+    """
+
+    lonlat: np.ndarray
+    name: str
+    altitude_m: float | None = None
+    time_of_day: str | None = None
+    time: str | None = None
+    settings: Mapping[str, Any] = field(default_factory=dict)
+
+
+def read_routes(file: str | Path) -> list[Route]:
+    """Return the lines of a vector file, each part of a MultiLineString a route of its own.
+
+    Segments that jaxurban wrote beside a route, for its report, are left out.
+
+    Raises:
+      InputError: no such file, no line in it, or an altitude that is not a number.
+    """
+    routes: list[Route] = []
+    num_others = 0
+    layers = (frame.to_crs("EPSG:4326") for frame in open_layers(file, "routes"))
+    features = (row for frame in layers for _, row in frame.iterrows())
+    for number, row in enumerate(features, start=1):
+        geometry = row.geometry
+        if geometry is None or geometry.geom_type not in ("LineString", "MultiLineString") or not _is_finite(geometry):
+            num_others += 1
+            continue
+        if not pd.isna(row.get(SEGMENT_PROPERTY)):
+            continue
+        settings = _settings(row)
+        facts = settings | {key: row[key] for key in PROPERTIES if not pd.isna(row.get(key))}
+        parts = [part for part in shapely.get_parts(geometry) if part.length > 0]
+        for part_number, part in enumerate(parts, start=1):
+            name = str(facts.get("name") or number) + (f".{part_number}" if len(parts) > 1 else "")
+            altitude_m = facts.get(ALTITUDE_PROPERTY)
+            if altitude_m is not None:
+                altitude_m = finite(f"{ALTITUDE_PROPERTY} of route {name!r} of {str(file)!r}", altitude_m, "metres")
+            times = (facts.get(TIME_OF_DAY_PROPERTY), facts.get(TIME_PROPERTY))
+            routes.append(Route(shapely.get_coordinates(part), name, altitude_m, *times, settings))
+    if not routes:
+        raise InputError(f"{str(file)!r} holds no line of finite places: give routes as LineString features")
+    if num_others:
+        said = f"{num_others} of the features of {str(file)!r} are not lines of finite places and were left out"
+        warnings.warn(said, LeftOutWarning, stacklevel=2)
+    return routes
+
+
+def _is_finite(geometry: shapely.Geometry) -> bool:
+    """Return whether every coordinate is a number."""
+    return bool(np.isfinite(shapely.get_coordinates(geometry)).all())
+
+
+def _settings(row: Any) -> dict[str, Any]:
+    """Return what jaxurban's own paths keep under ``settings``."""
+    settings = row.get("settings")
+    if isinstance(settings, str):
+        with suppress(ValueError):
+            settings = json.loads(settings)
+    return dict(settings) if isinstance(settings, dict) else {}

@@ -1,0 +1,205 @@
+"""SoftCity: a city's cost layers, and a path's cost, as one differentiable function of heights and parameters."""
+
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from jaxurban.errors import one_of
+from jaxurban.metrics.base import TIME_OF_DAY, Metric, SoftScene
+from jaxurban.metrics.custom import Layer, own_metric
+from jaxurban.metrics.gps import GpsParams, GpsView
+from jaxurban.metrics.lidar import LidarParams
+from jaxurban.metrics.population import BlockPopulation, PopulationParams
+from jaxurban.metrics.registry import METRICS
+from jaxurban.metrics.risk import RiskParams
+from jaxurban.metrics.weights import Weights
+from jaxurban.planners.base import CostModel, Problem
+from jaxurban.planners.cost import visit_counts
+from jaxurban.world.surface import Surface
+
+CELLS_STEP = 256  # visited cells are filled up to a multiple of it, so that programs meet few shapes
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class SoftParams:
+    """What soft layers depend on besides the city. A pytree; every leaf can be traced and differentiated by.
+
+    Attributes:
+      altitude_m: of flight, above ground.
+      softness_m: of all metrics (see `jaxurban.maps.differentiable`); above 0 for gradients by heights and altitude.
+      gps, lidar, risk, population: settings of each metric; their leaves are the GDOP threshold, the lidar's range,
+        d_thresh, and both gammas.
+      others: settings of further metrics by name; those that are not named have their defaults.
+    """
+
+    altitude_m: Float[Array, ""] | float
+    softness_m: Float[Array, ""] | float = 2.0
+    gps: GpsParams = field(default_factory=GpsParams)
+    lidar: LidarParams = field(default_factory=LidarParams)
+    risk: RiskParams = field(default_factory=RiskParams)
+    population: PopulationParams = field(default_factory=PopulationParams)
+    others: dict[str, Any] = field(default_factory=dict)
+
+    def settings_of(self, metric: Metric) -> Any:
+        """Return the settings of a metric."""
+        known = getattr(self, metric.name, None) or self.others.get(metric.name)
+        return metric.params() if known is None else known
+
+
+class PathVisits(NamedTuple):
+    """How often a fixed path visits each cell. ``P`` cells; those that fill up are visited 0 times.
+
+    Attributes:
+      cells: ``[P, 2]`` row and column.
+      times: ``[P]`` how often each cell's cost counts (see `jaxurban.planners.cost.visit_counts`).
+      length_m: of the path.
+    """
+
+    cells: Int[Array, "P 2"]
+    times: Float[Array, " P"]
+    length_m: Float[Array, ""]
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class SoftCity:
+    """A city and a sky, made ready on the host; a pytree, so that one program serves all of the same shapes.
+
+    Attributes:
+      surface: roofs, terrain and blocks; the type of its roofs is that of the layers (float64 under
+        ``jax.enable_x64(True)``).
+      building: ``[Y, X]`` which building has the roof of each cell (`jaxurban.io.read.rasterise.building_index`).
+      height_m: ``[B]`` the buildings' own heights.
+      view: the satellites.
+      population: of the census blocks; None without population.
+      time_of_day: of the population.
+      reach_m: how far each metric looks at most, by name: the largest range and threshold of the parameters. Left
+        out, those of the default settings.
+      own: cost layers of one's own, name and settings.
+    """
+
+    surface: Surface
+    building: Int[Array, "Y X"]
+    height_m: Float[Array, " B"]
+    view: GpsView
+    population: BlockPopulation | None = None
+    time_of_day: str = field(default="day", metadata={"static": True})
+    reach_m: tuple[tuple[str, float], ...] = field(
+        default=tuple((name, metric.reach_m(metric.params())) for name, metric in METRICS.items()),
+        metadata={"static": True},
+    )
+    own: tuple[tuple[str, Layer], ...] = field(default=(), metadata={"static": True})
+
+    @property
+    def metrics(self) -> dict[str, Metric]:
+        """The metrics that have a soft form, by name, in the order of the layers: the built-in ones, then one's own."""
+        known = dict(METRICS) | {name: own_metric(name, layer) for name, layer in sorted(self.own)}
+        return {
+            name: metric
+            for name, metric in known.items()
+            if metric.soft is not None and (TIME_OF_DAY not in metric.dims or self.population is not None)
+        }
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of the `metrics`."""
+        return tuple(self.metrics)
+
+    def layer(
+        self, name: str, height_m: Float[Array, " B"], params: SoftParams, cells: Int[Array, "P 2"] | None = None
+    ) -> Float[Array, "y x"] | Float[Array, " P"]:
+        """Return one of the `layers`, by its metric's name.
+
+        Raises:
+          InputError: a metric that this city does not hold.
+        """
+        metric = self.metrics[one_of("the metric of a soft layer", name, self.names)]
+        assert metric.soft is not None
+        settings = dict(self.own)[name] if name in dict(self.own) else params.settings_of(metric)
+        scene = SoftScene(
+            self.surface.with_heights(height_m, self.building),
+            params.altitude_m,
+            params.softness_m,
+            cells,
+            dict(self.reach_m)[name],
+            self.view,
+            self.population,
+            self.time_of_day,
+        )
+        m = metric.soft(scene, settings)
+        return jnp.asarray(metric.cost(m), height_m.dtype)
+
+    def layers(
+        self, height_m: Float[Array, " B"], params: SoftParams, cells: Int[Array, "P 2"] | None = None
+    ) -> Float[Array, "L y x"] | Float[Array, "L P"]:
+        """Return the soft cost layers c_j, not weighted, on the region ``[L, y, x]`` or at chosen cells ``[L, P]``.
+
+        Differentiable in ``height_m`` and every leaf of ``params``, as each metric's page in docs/gradients says. Runs
+        under `jax.jit` and `jax.vmap`, with no new program for other values. Where nobody may fly is left out:
+        obstacles are a constraint of the planner, not a cost.
+
+        Args:
+          height_m: ``[B]`` building heights, such as `height_m` of this city.
+          params: parameters of the metrics.
+          cells: row and column in the region; a path needs only its own, which is cheaper by far.
+
+        Raises:
+          InputError: a value known to be wrong, such as a negative softness.
+        """
+        return jnp.stack([self.layer(name, height_m, params, cells) for name in self.names])
+
+    def layer_weights(self, weights: Weights) -> Float[Array, " L"]:
+        """Return the weight of each layer."""
+        return jnp.stack([jnp.asarray(weights[name], self.height_m.dtype) for name in self.names])
+
+    def cost_by_layer(
+        self, height_m: Float[Array, " B"], params: SoftParams, weights: Weights, visits: PathVisits
+    ) -> Float[Array, " L"]:
+        """Return the cost of a fixed path by layer, weights included; differentiable in all but the path."""
+        return self.layer_weights(weights) * (self.layers(height_m, params, visits.cells) @ visits.times)
+
+    def path_cost(
+        self, height_m: Float[Array, " B"], params: SoftParams, weights: Weights, visits: PathVisits
+    ) -> Float[Array, ""]:
+        """Return the cost of a fixed path on the soft layers; only its own cells are computed.
+
+        Its gradient by heights, parameters and weights is that of **the optimal cost** where the path is the only
+        optimal one on these layers (the envelope theorem, see `jaxurban.planners.envelope.planned_cost`), and of this
+        path's cost anyhow.
+        """
+        by_layer = self.cost_by_layer(height_m, params, weights, visits)
+        return weights.distance * visits.length_m + by_layer.sum()
+
+
+def path_visits(
+    points_m: np.ndarray,
+    shape: tuple[int, int],
+    resolution_m: float,
+    cost_model: CostModel,
+) -> PathVisits:
+    """Return how often a path visits each cell, on the host.
+
+    Args:
+      points_m: ``[N, 2]`` x, y in metres from the map's southwest corner, on the map.
+      shape: rows and columns of the map.
+      resolution_m: side of a cell.
+      cost_model: see `jaxurban.planners.base.Problem`.
+
+    Raises:
+      InputError: points that are not a path.
+    """
+    query = Problem(np.zeros((0, *shape)), np.ones(shape, bool), (0, 0), (0, 0), resolution_m, 0.0, cost_model)
+    counts = visit_counts(query, points_m)
+    cells = np.argwhere(counts > 0)
+    times = counts[tuple(cells.T)]
+    padding = -len(cells) % CELLS_STEP
+    return PathVisits(
+        jnp.asarray(np.pad(cells, ((0, padding), (0, 0)), mode="edge" if len(cells) else "constant"), jnp.int32),
+        jnp.asarray(np.pad(times, (0, padding))),
+        jnp.asarray(np.hypot(*np.diff(points_m, axis=0).T).sum()),
+    )

@@ -1,0 +1,221 @@
+"""Who works on the tiles: threads of this process, processes of this machine, or a Dask cluster."""
+
+import os
+import uuid
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext, suppress
+from dataclasses import dataclass
+from functools import partial
+from pickle import PicklingError
+from typing import Any
+
+import dask
+import jax
+from dask.callbacks import Callback
+from dask.delayed import Delayed, delayed
+
+from jaxurban.errors import InputError
+from jaxurban.maps.tiled import TileJob, finish_tile, raster_tile, sweep_tile
+from jaxurban.world.tiling import QUADRANTS, Quadrant, Tile
+
+RETRIES = 3  # of a task whose worker was killed
+Tell = Callable[[Any], None]
+
+
+@dataclass(frozen=True)
+class Resources:
+    """What a run may use.
+
+    Attributes:
+      memory_bytes: ceiling on the memory of all processes together; None for half of what is free.
+      num_processes: worker processes of a new local Dask cluster; None to work in threads of this process.
+      cluster: address of a Dask scheduler, whose workers see the output folder under the same path, instead.
+    """
+
+    memory_bytes: int | None = None
+    num_processes: int | None = None
+    cluster: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.num_processes is not None and self.num_processes < 1:
+            raise InputError(f"--workers must be at least 1, got {self.num_processes}")
+        if self.num_processes is not None and self.cluster is not None:
+            raise InputError("give either --workers, for a cluster of this machine's own, or --cluster, not both")
+
+    @property
+    def num_workers(self) -> int:
+        """How many tiles are worked on at a time, memory allowing."""
+        return self.num_processes or num_cores()
+
+    def client(self) -> Any:
+        """Return a context that gives the client of a Dask cluster, None where threads do the work."""
+        if self.cluster is None and self.num_processes is None:
+            return nullcontext()
+        return cluster_client(self.cluster, self.num_processes)
+
+
+def num_cores() -> int:
+    """Return how many cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def tile_graph(job: TileJob, call: Callable[..., Any]) -> list[Delayed]:
+    """Return the tasks of a job, each with those it stands on.
+
+    A tile's maps need the rasters around it and the shadows that its neighbours hand on; shadows run from
+    tile to tile, away from the satellites of each quadrant.
+
+    Args:
+      job: the job.
+      call: calls ``raster_tile``, ``sweep_tile`` or ``finish_tile`` with the job and further arguments.
+    """
+    tiling = job.tiling
+    rasters: dict[Tile, Delayed] = {}
+    sweeps: dict[tuple[Tile, Quadrant], Delayed] = {}
+
+    def task(function: Callable, name: str, *arguments: Any, after: list[Delayed]) -> Delayed:
+        key = f"{function.__name__}-{name}"
+        return delayed(partial(_after, call, function, arguments), pure=False)(after, dask_key_name=key)
+
+    for tile in tiling.tiles:
+        rasters[tile] = task(raster_tile, f"{tile}", tile, after=[])
+
+    def sweep(tile: Tile, quadrant: Quadrant) -> list[Delayed]:
+        """Return the task, if there is one, made after those upstream."""
+        return [sweeps[tile, quadrant]] if (tile, quadrant) in sweeps else []
+
+    for quadrant in QUADRANTS:
+        for tile in sorted(tiling.tiles, key=lambda tile: -tile[0] * quadrant[0] - tile[1] * quadrant[1]):
+            if job.hands_on(tile, quadrant):
+                before = [each for near in tiling.upstream(tile, quadrant) for each in sweep(near, quadrant)]
+                sweeps[tile, quadrant] = task(
+                    sweep_tile, f"{tile}-{quadrant}", tile, quadrant, after=[rasters[tile], *before]
+                )
+    finished = []
+    for tile in tiling.region_tiles:
+        around = [rasters[near] for near in tiling.touching(job.haloed(tile))]
+        shadows = [each for q in QUADRANTS for near in tiling.upstream(tile, q) for each in sweep(near, q)]
+        finished.append(task(finish_tile, f"{tile}", tile, after=[*around, *shadows]))
+    return [*rasters.values(), *sweeps.values(), *finished]
+
+
+def _after(call: Callable, function: Callable, arguments: tuple, before: list[Any]) -> Any:
+    """Return what a task makes; the results of those ``before`` it are awaited, not used."""
+    return call(function, *arguments)
+
+
+def _call_in_worker(job_name: str, function: Callable, *arguments: Any) -> Any:
+    from distributed import get_worker
+
+    holder: Any = get_worker().plugins[job_name]
+    return function(holder.job, *arguments)
+
+
+def work_in_threads(job: TileJob, num_threads: int, on_result: Tell) -> None:
+    """Do a job in threads of this process; ``on_result`` gets every task's result."""
+
+    class Listener(Callback):
+        def _posttask(self, key, result, dsk, state, worker_id):
+            on_result(result)
+
+    with Listener():
+        dask.compute(*tile_graph(job, partial(_call, job)), scheduler="threads", num_workers=num_threads)
+
+
+def _call(job: TileJob, function: Callable, *arguments: Any) -> Any:
+    return function(job, *arguments)
+
+
+def work_on_cluster(job: TileJob, client: Any, on_result: Tell) -> None:
+    """Do a job on a Dask cluster whose workers see the work folder under the same path.
+
+    Dask starts what a killed worker held again on another one.
+
+    Raises:
+      InputError: workers are killed again and again on the same tile.
+    """
+    from distributed import KilledWorker, WorkerPlugin, as_completed
+
+    class JobHolder(WorkerPlugin):
+        """What the scheduler gives every worker before its first task, those that take a killed one's place too."""
+
+        def __init__(self, job: TileJob) -> None:
+            self.job = job
+
+    _check_functions(job)
+    name = f"jaxurban-job-{uuid.uuid4().hex}"
+    for attempt in range(1 + RETRIES):
+        try:
+            client.register_plugin(JobHolder(job), name)
+            break
+        except OSError:  # a worker died while it got it; the scheduler tells the next one
+            if attempt == RETRIES:
+                raise
+    futures = client.compute(tile_graph(job, partial(_call_in_worker, name)), retries=RETRIES)
+    try:
+        for future in as_completed(futures):
+            on_result(future.result())
+            future.release()
+    except KilledWorker as error:
+        raise InputError(
+            "worker processes were killed again and again on the same tile, most likely for lack of memory: use fewer "
+            "--workers or a larger machine; finished tiles are kept"
+        ) from error
+    finally:
+        with suppress(OSError):  # a worker died while it got it: nothing of the job is left in it
+            client.unregister_worker_plugin(name)
+
+
+def _check_functions(job: TileJob) -> None:
+    """Raise InputError unless the functions of a job's layers can be sent to worker processes."""
+    from distributed.protocol.pickle import dumps
+
+    for name, layer in job.task.layers.items():
+        try:
+            dumps(layer)
+        except (PicklingError, TypeError, AttributeError) as error:
+            raise InputError(
+                f"layer {name!r} cannot be sent to worker processes ({error}): make it a plain function of a module, "
+                "or work in threads"
+            ) from error
+
+
+@contextmanager
+def cluster_client(address: str | None, num_workers: int | None) -> Iterator[Any]:
+    """Yield a client of the Dask scheduler at an address, or of a new local cluster of processes.
+
+    Raises:
+      InputError: ``distributed`` is not installed, or no scheduler responds.
+    """
+    try:
+        from distributed import Client, LocalCluster
+    except ImportError as error:
+        raise InputError(
+            "--cluster and --workers need Dask's distributed scheduler, which is not installed: "
+            "pip install 'jaxurban[cluster]', or leave them out to work in threads"
+        ) from error
+    if address is not None:
+        try:
+            client = Client(address, timeout=10)
+        except (OSError, ValueError, TimeoutError) as error:
+            raise InputError(f"no Dask scheduler responds at --cluster {address!r}: {error}") from error
+        with client:
+            yield client
+        return
+    # Compiled programs are kept where this process keeps them.
+    cache = jax.config.values.get("jax_compilation_cache_dir")
+    environment = {"JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0"}
+    if cache:
+        environment["JAX_COMPILATION_CACHE_DIR"] = str(cache)
+    with (
+        LocalCluster(
+            n_workers=num_workers,
+            threads_per_worker=1,
+            processes=True,
+            memory_limit=0,
+            dashboard_address="127.0.0.1:0",  # any free port: two runs may work side by side
+            env={**environment, "PYTHONPATH": os.environ.get("PYTHONPATH", "")},
+        ) as cluster,
+        Client(cluster) as client,
+    ):
+        yield client

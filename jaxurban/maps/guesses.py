@@ -1,0 +1,165 @@
+"""Guesses: what maps rest on that their files do not say, each under a short name (for pictures) as one sentence.
+
+They are written down where they are made: on the `City` by what reads it, on the `Sky` by what sets it up, and by
+`guesses_of` what a region's maps add. The maps hold all of them (``ds.attrs["guesses"]``), and each is warned of once.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+import shapely
+
+from jaxurban.io.read.guesses import TOLD_SHARE, Guesses, guessed_share, percent
+from jaxurban.io.read.knownarea import rays_leaving
+from jaxurban.io.read.rasterise import building_index, highest_top_m
+from jaxurban.metrics.population import BlockLayers, PopulationParams, region_blocks
+from jaxurban.world.city import Blocks, City
+from jaxurban.world.grid import Bounds, Grid
+from jaxurban.world.sky import Sky
+from jaxurban.world.surface import NO_BUILDING
+
+DRAWN_SHARE = 0.10  # of buildings: from here on the picture of heights tells guessed ones apart
+EMPTY_SHARE = 0.10  # of the region without a census block: rivers and the sea often have none
+SCALE_M, SCALE_SHARE = 1 / 3, 0.01  # no more than this share of inhabited blocks above this m: few set the scale
+NOMINAL_SKY = "nominal satellites"
+
+
+def draws_guesses(city: City, region: Grid) -> bool:
+    """Return whether so many of a region's heights are guessed that pictures tell them apart."""
+    return city.buildings is not None and guessed_share(city.buildings, region.bounds_m) >= DRAWN_SHARE
+
+
+def guessed_roofs(city: City, region: Grid, grid: Grid, all_touched: bool) -> np.ndarray | None:
+    """Return ``[Y, X]`` bool: whether the highest roof of each cell of ``grid`` has a guessed height.
+
+    None where fewer than `DRAWN_SHARE` of the region's buildings have one: the maps then say nothing of single roofs.
+    """
+    if not draws_guesses(city, region):
+        return None
+    assert city.buildings is not None
+    building = building_index(city, grid, all_touched)
+    return (building != NO_BUILDING) & city.buildings.is_guessed[building]
+
+
+def time_guess(time: str) -> Guesses:
+    """Return that a sky stands at its elements' own time."""
+    return {
+        "time of the elements": f"no times are given: satellites stand as at {time}, the middle of their elements' "
+        "epochs; set [gps] times for another"
+    }
+
+
+def nominal_guess(times: Sequence[str], is_papers: bool) -> Guesses:
+    """Return that GPS satellites are nominal; ``is_papers``: at the paper's time, as no other is given."""
+    when = times[0] + (", the paper's time" if is_papers else " and later" if len(times) > 1 else "")
+    return {
+        NOMINAL_SKY: f"the GPS satellites are nominal ones at {when}, not the real ones: name a file of elements in "
+        "[gps] orbits"
+    }
+
+
+def guesses_of(
+    city: City,
+    region: Grid,
+    sky: Sky,
+    *,
+    altitudes_m: Sequence[float],
+    mask_deg: float,
+    population_layers: BlockLayers | None,
+    population: PopulationParams,
+) -> Guesses:
+    """Return every guess behind a region's maps.
+
+    Args:
+      city: what is mapped. One that is from no files (the synthetic city) has no real sky and nothing beyond its edge.
+      region: the maps' grid.
+      sky: their satellites.
+      altitudes_m: flight altitudes.
+      mask_deg: elevation mask.
+      population_layers: of the city's blocks, None without them.
+      population: its settings.
+    """
+    guesses = {**city.guesses, **sky.guesses}
+    if city.sources:
+        guesses |= _visibility_guesses(city, region, sky, min(altitudes_m), mask_deg)
+    else:
+        guesses.pop(NOMINAL_SKY, None)
+    guesses |= _coverage_guesses(city, region)
+    if city.blocks is not None and population_layers is not None:
+        guesses |= _scale_guesses(city.blocks, region.bounds_m, population_layers, population)
+    return guesses
+
+
+def outside_share(city: City, region: Grid) -> float:
+    """Return the share of the region that lies beyond what the building source covers."""
+    whole = shapely.box(*region.bounds_m)
+    return 1.0 - float(shapely.intersection(whole, city.known_area).area) / float(whole.area)
+
+
+def _coverage_guesses(city: City, region: Grid) -> Guesses:
+    """Return how much of the region is taken as free of buildings, or of people, as nothing is known there."""
+    guesses, box = {}, shapely.box(*region.bounds_m)
+    if (outside := outside_share(city, region)) > TOLD_SHARE:
+        guesses[f"{percent(outside)} of the region without data"] = (
+            f"{percent(outside)} of the region lies beyond what the building source covers and is taken as free of "
+            "buildings: give a source that covers it, or a smaller region"
+        )
+    if city.blocks is not None and city.sources:
+        empty = 1.0 - float(shapely.area(shapely.intersection(city.blocks.polygons, box)).sum()) / float(box.area)
+        if empty > EMPTY_SHARE:
+            guesses[f"{percent(empty)} of the region without census"] = (
+                f"{percent(empty)} of the region lies in no census block and is taken as without people: give blocks "
+                "that cover it, unless it is water"
+            )
+    return guesses
+
+
+def leaving_shares(city: City, region: Grid, sky: Sky, altitude_m: float, mask_deg: float) -> tuple[float, float]:
+    """Return the shares of cells and of visibilities whose rays leave the data while a roof could still block them.
+
+    Of cells: those with any such ray. Of visibilities: a cell, a satellite, a time each.
+    """
+    above = sky.elevation_rad >= np.radians(mask_deg)
+    azimuth_rad = sky.azimuth_rad[above]
+    # Until a ray is above the highest roof.
+    run_m = max(highest_top_m(city) - altitude_m, 0.0) / np.tan(sky.elevation_rad[above])
+    leaves = rays_leaving(city, region, run_m * np.sin(azimuth_rad), run_m * np.cos(azimuth_rad))
+    return float(leaves.any(axis=1).mean()), float(leaves.mean())
+
+
+def _visibility_guesses(city: City, region: Grid, sky: Sky, altitude_m: float, mask_deg: float) -> Guesses:
+    _, share = leaving_shares(city, region, sky, altitude_m, mask_deg)
+    if share < TOLD_SHARE:
+        return {}
+    return {
+        f"{percent(share)} of satellite answers beyond the data": (
+            f"{percent(share)} of the visibility results at {altitude_m:g} m are of rays that leave the data below the "
+            "highest roof, so GPS may look better than it is: give buildings farther around"
+        )
+    }
+
+
+def _scale_guesses(
+    blocks: Blocks, bounds_m: Bounds, population_layers: BlockLayers, params: PopulationParams
+) -> Guesses:
+    """Return that one block sets the population's scale, at the first time of day where one does."""
+    if params.normalise != "max":
+        return {}
+    in_region = region_blocks(blocks, bounds_m)
+    for m, norm in zip(
+        np.asarray(population_layers.m, float)[:, in_region], population_layers.norm_per_km2, strict=True
+    ):
+        inhabited = m[m > 0]
+        if len(inhabited) < 3 or (inhabited > SCALE_M).sum() > max(1, SCALE_SHARE * len(inhabited)):
+            continue
+        top = in_region[m.argmax()]
+        unit = "people" if params.quantity == "count" else "people per km2"
+        usual = float(f"{float(norm) * np.percentile(inhabited, 99):.1g}")
+        return {
+            "one block sets the population scale": (
+                f"census block {blocks.block_id[top]} ({blocks.area_m2[top]:,.0f} m2) with {float(norm):,.0f} {unit} "
+                f"sets the population scale alone: the median inhabited block gets {np.median(inhabited):.2f}; set "
+                f'[population] normalise to a percentile such as "p99" or to a number of {unit} such as {usual:.0f}'
+            )
+        }
+    return {}

@@ -1,0 +1,112 @@
+"""Levels to fly between: which altitudes, and what the maps say there, also between their own altitudes."""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from jaxurban.errors import InputError, finite
+
+SAME_M = 1e-6  # altitudes this close are one
+MOST_LEVELS = 10_000
+
+
+@dataclass(frozen=True)
+class Levels:
+    """Between which altitudes a path may climb and descend, and what that costs.
+
+    The path runs between levels: the maps' altitudes within the bounds, and those that ``level_step_m`` puts between
+    them. Metrics are then taken linearly from the maps below and above, obstacles from the roofs' own heights.
+
+    Attributes:
+      min_altitude_m, max_altitude_m: between which to fly, metres above ground; left out, the maps' range.
+      level_step_m: levels this far apart too, from the lowest altitude up, and at both bounds.
+      climb_cost: cost per metre climbed, beside the length. Left out, the weight of the distance: hovering aside,
+        lifting a small multirotor by a metre takes about the energy of one metre of level flight.
+      descent_cost: cost per metre descended.
+
+    Raises:
+      InputError: a cost that is negative or not finite.
+    """
+
+    min_altitude_m: float | None = None
+    max_altitude_m: float | None = None
+    level_step_m: float | None = None
+    climb_cost: float | None = None
+    descent_cost: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("climb_cost", "descent_cost"):
+            value = getattr(self, name)
+            if value is not None and finite(name, value, "cost per metre") < 0:
+                raise InputError(f"{name} must be a finite cost per metre >= 0, got {value:g}")
+
+    def of(self, altitudes_m: Iterable[float]) -> np.ndarray:
+        """Return ``[K]`` ascending levels: the altitudes within the bounds, and with a step also every step between.
+
+        Raises:
+          InputError: bounds that cross or hold no altitude, or a step that is not positive.
+        """
+        held, step_m = np.array(sorted(altitudes_m)), self.level_step_m
+        lowest = held[0] if self.min_altitude_m is None else self.min_altitude_m
+        highest = held[-1] if self.max_altitude_m is None else self.max_altitude_m
+        if not lowest <= highest:
+            raise InputError(
+                f"min_altitude_m {lowest:g} must not be above max_altitude_m {highest:g}: the maps hold "
+                f"{listed_m(held)} m"
+            )
+        inside = held[(held >= lowest) & (held <= highest)]
+        if step_m is None:
+            if inside.size == 0:
+                raise InputError(
+                    f"the maps hold no altitude from {lowest:g} to {highest:g} m, only {listed_m(held)} m: widen "
+                    "min_altitude_m or max_altitude_m, or give level_step_m to fly between them"
+                )
+            return inside
+        if not 0 < step_m < np.inf:
+            raise InputError(f"level_step_m must be a positive number of metres, got {step_m:g}")
+        low, high = max(lowest, held[0]), min(highest, held[-1])
+        if low > high:
+            raise InputError(
+                f"the maps reach from {held[0]:g} to {held[-1]:g} m, not to {lowest:g} to {highest:g} m: move the "
+                "bounds"
+            )
+        if (high - low) / step_m > MOST_LEVELS:
+            raise InputError(f"level_step_m {step_m:g} makes more than {MOST_LEVELS} levels: choose a longer step")
+        fixed = np.unique([low, *inside, high])
+        between = [z_m for z_m in np.arange(low, high, step_m) if np.abs(fixed - z_m).min() > SAME_M]
+        return np.sort(np.concatenate([fixed, between]))
+
+
+def values_at(
+    z_m: float,
+    altitudes_m: Sequence[float],
+    read: Callable[[float], np.ndarray],
+    is_defined: Callable[[float], np.ndarray],
+    *,
+    is_count: bool = False,
+) -> np.ndarray:
+    """Return a map's values at an altitude within the maps' range.
+
+    Between two altitudes they run linearly from one map to the other (a count stays that of the lower one, which is in
+    view above it too); where the lower one holds an obstacle, and so no metric, the upper one's value stands.
+
+    Args:
+      z_m: the altitude.
+      altitudes_m: of the maps.
+      read: the values at one of these.
+      is_defined: whether no roof reaches one of these at the cell's centre.
+      is_count: of whole things, such as satellites.
+    """
+    if z_m in altitudes_m:
+        return read(z_m)
+    low_m = max(altitude_m for altitude_m in altitudes_m if altitude_m < z_m)
+    high_m = min(altitude_m for altitude_m in altitudes_m if altitude_m > z_m)
+    share = float((z_m - low_m) / (high_m - low_m))
+    lower, upper = read(low_m), read(high_m)
+    return np.where(is_defined(low_m), lower if is_count else (1 - share) * lower + share * upper, upper)
+
+
+def listed_m(altitudes_m: Iterable[float]) -> str:
+    """Return altitudes as people read them."""
+    return ", ".join(f"{z_m:g}" for z_m in altitudes_m)

@@ -1,0 +1,263 @@
+"""How much memory and disk the work on tiles takes, and how many tiles at a time fit under a ceiling."""
+
+import math
+import re
+import shutil
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import psutil
+
+from jaxurban.errors import InputError
+from jaxurban.kernels.distance.exact import window_cells
+from jaxurban.kernels.lidar.flat import WORD_BITS, num_steps
+from jaxurban.maps.dataset import variables
+from jaxurban.maps.task import MapTask
+from jaxurban.metrics.base import Metric
+from jaxurban.world.grid import Grid
+from jaxurban.world.tiling import max_side_for, tile_shape
+
+UNITS = {"": 1, "K": 2**10, "M": 2**20, "G": 2**30, "T": 2**40}
+DEFAULT_SHARE = 0.5  # of the memory that is free when a run begins
+SERIES_BYTES = 384 * 2**20  # a tile's metric at every time of a long series takes at most this
+
+# Measured (see docs/scale.md) and rounded up.
+COMPILING_BYTES = 400 * 2**20  # what JAX and the other libraries take once they work
+SURFACE_CELL_BYTES = 20  # rasters on the host and for JAX, and what puts them together
+TERRAIN_CELL_BYTES = 16  # the same of the terrain, and the sum of both
+LIDAR_CELL_BYTES = 16  # of cells within the lidar's range: crops, with their halo, and padded
+LIDAR_WORD_BYTES = 4.4  # 32 results of a step, and a tenth
+RISK_CELL_BYTES = 64  # of cells within the risk's threshold: squared distances and what a pass over them holds
+LOOK_BYTES = 1024  # over terrain: a look (see `jaxurban.kernels.lidar.terrain`), and what joins them
+OTHER_CELL_BYTES = 8  # of a metric that is not measured, by variable: what it computes, and its layer
+SUBCELL_BYTES = 48  # rasters of the supersampled surface, its tops for both directions, and the lidar's order of them
+SPREAD_CELL_BYTES = 4 * 10 * 3  # about ten arrays of each of three metrics
+PROGRAM_BYTES = 120 * 2**20  # the programs compiled for the tiles of one resolution
+WORKER_BYTES = 700 * 2**20  # a worker process with everything imported, before its first tile
+SCRATCH_BYTES_PER_CELL = 16  # rasters of an unfinished run, and one plain GeoTIFF: the least disk that a run takes
+CGROUP = Path("/sys/fs/cgroup")  # what a container may use, under Linux
+
+
+def parse_bytes(text: str, name: str = "memory") -> int:
+    """Return the bytes in a size such as ``"4GiB"``, ``"512 MB"`` or ``"4g"``; all units are powers of 1,024.
+
+    Raises:
+      InputError: no such size.
+    """
+    match = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([KMGT]?)(?:i?B)?\s*", text, re.IGNORECASE)
+    if match is None or float(match[1]) == 0:
+        raise InputError(f"{name} must be a size such as 4GiB or 800MiB, got {text!r}")
+    return int(float(match[1]) * UNITS[match[2].upper()])
+
+
+def gib(num_bytes: float) -> str:
+    """Return a size as people read it."""
+    return f"{num_bytes / 2**30:.1f} GiB" if num_bytes < 10 * 2**30 else f"{num_bytes / 2**30:,.0f} GiB"
+
+
+def shape_of_tiles(task: MapTask) -> tuple[int, int]:
+    """Return rows and columns of the tiles of a region; settings decide it, never the machine."""
+    if task.keeps_times:
+        return tile_shape(task.region.shape)
+    series_bytes = 4 * task.num_times * len(task.params.altitudes_m)
+    return tile_shape(task.region.shape, max_side_for(series_bytes, SERIES_BYTES))
+
+
+def tile_bytes(task: MapTask, tile: Grid, around: Grid | None = None) -> int:
+    """Return about how many bytes the work on one tile takes at its highest.
+
+    Args:
+      task: what the maps are made of.
+      tile: a part of its region, or all of it.
+      around: what is rasterised for it; left out, the halo of a tile that its neighbours hand shadows on to.
+    """
+    around = around or task.with_halo(tile)
+    surface = _num_cells(around) * (SURFACE_CELL_BYTES + TERRAIN_CELL_BYTES * task.has_terrain)
+    return int(surface + _metric_bytes(task, tile)) + _supersampling_bytes(task, task.with_margin(tile))
+
+
+def whole_bytes(task: MapTask) -> int:
+    """Return about how many bytes the maps of a region take at their highest, made at once as `build_maps` does."""
+    params, cells = task.params, _num_cells(task.region)
+    sizes = {"time": task.num_times, "altitude": len(params.altitudes_m), "time_of_day": len(params.times_of_day)}
+    held = sum(
+        cells * kind.itemsize * math.prod(sizes.get(dim, 1) for dim in dims) for dims, kind in variables(task).values()
+    )
+    return tile_bytes(task, task.region, task.with_margin()) + held
+
+
+def _num_cells(grid: Grid, halo: int = 0) -> int:
+    return (grid.num_rows + 2 * halo) * (grid.num_cols + 2 * halo)
+
+
+def _metric_bytes(task: MapTask, tile: Grid) -> float:
+    """Return about how many bytes the metrics of some cells take, beside the rasters that they look at."""
+    return sum(MEASURED.get(name, _other_bytes)(task, tile, metric) for name, metric in task.metrics.items())
+
+
+def _gps_bytes(task: MapTask, tile: Grid, metric: Metric) -> float:
+    cells, altitudes = _num_cells(tile), len(task.params.altitudes_m)
+    words = cells * (16 * altitudes + 48)  # before and after a satellite; one altitude's maps
+    return words + (0 if task.keeps_times else cells * 4 * task.num_times * altitudes)
+
+
+def _lidar_bytes(task: MapTask, tile: Grid, metric: Metric) -> float:
+    """Return the bytes of the lidar, which decides on subcells: it keeps a bit a step for every cell in its range.
+
+    As words are bands of rows, each with a halo of its own, these bits are up to 32 times the cells around.
+    """
+    lidar = task.params.lidar
+    steps = num_steps(tile.resolution_m, lidar.range_m)
+    halo, band = steps - 1, -(-tile.num_rows // WORD_BITS)
+    looks = steps * (band + 2 * halo) * (tile.num_cols + 2 * halo) * LIDAR_WORD_BYTES
+    if task.has_terrain:
+        looks = steps * lidar.azimuths * LOOK_BYTES
+    return _num_cells(tile, halo) * LIDAR_CELL_BYTES * (1 + task.has_terrain) + 24 * _num_cells(tile) + looks
+
+
+def _risk_bytes(task: MapTask, tile: Grid, metric: Metric) -> float:
+    return _num_cells(tile, window_cells(task.params.risk.threshold_m, tile.resolution_m)) * RISK_CELL_BYTES
+
+
+def _other_bytes(task: MapTask, tile: Grid, metric: Metric) -> float:
+    reach_m = metric.reach_m(task.settings_of(metric))
+    around = _num_cells(tile, math.ceil(reach_m / tile.resolution_m)) if reach_m else 0
+    return OTHER_CELL_BYTES * (_num_cells(tile) * (1 + len(metric.also)) + around)
+
+
+MEASURED: dict[str, Callable[[MapTask, Grid, Metric], float]] = {
+    "gps": _gps_bytes,
+    "lidar": _lidar_bytes,
+    "risk": _risk_bytes,
+}
+
+
+def _supersampling_bytes(task: MapTask, surface: Grid) -> int:
+    """Return about how many bytes supersampling and spreads add to a tile and the margin that shadows it."""
+    params, cells, needed = task.params, _num_cells(surface), 0
+    if params.oversample > 1 or params.gps_bounds:
+        needed += cells * params.oversample**2 * SUBCELL_BYTES
+        steps = num_steps(surface.resolution_m / params.oversample, params.lidar.range_m)
+        needed += steps * params.lidar.azimuths * LOOK_BYTES
+    if params.height_samples:
+        needed += cells * len(params.altitudes_m) * SPREAD_CELL_BYTES
+    return needed
+
+
+@dataclass(frozen=True)
+class MemoryPlan:
+    """How a run keeps under its ceiling.
+
+    Attributes:
+      ceiling_bytes: memory of all processes together.
+      needed_bytes: the estimate for ``num_workers``.
+      num_workers: tiles worked on at a time.
+    """
+
+    ceiling_bytes: int
+    needed_bytes: int
+    num_workers: int
+
+
+def free_bytes() -> int:
+    """Return how much memory this process may still take: what the machine has, or its container if that is less."""
+    free = psutil.virtual_memory().available
+    try:
+        limit = int((CGROUP / "memory.max").read_text())
+        used = int(dict(line.split() for line in (CGROUP / "memory.stat").read_text().splitlines())["anon"])
+    except (OSError, ValueError, KeyError):  # another system, or "max": no limit
+        return free
+    return min(free, limit - used)
+
+
+def check_fits(task: MapTask) -> int:
+    """Return about how many bytes this process will take while it makes the maps of a region at once.
+
+    Raises:
+      InputError: more than there are.
+    """
+    region, needed, free = task.region, COMPILING_BYTES + PROGRAM_BYTES + whole_bytes(task), free_bytes()
+    if needed > free:
+        raise InputError(
+            f"the maps of {region.num_rows:,} x {region.num_cols:,} cells of {region.resolution_m:g} m need about "
+            f"{gib(needed)} of memory at once and {gib(free)} are free: choose a smaller region, a coarser "
+            "resolution_m or a shorter lidar range_m, or make them with `jaxurban maps`, which works tile by tile"
+        )
+    return psutil.Process().memory_info().rss + needed
+
+
+def plan_memory(
+    ceiling_bytes: int | None,
+    per_tile_bytes: int,
+    num_workers: int,
+    has_processes: bool,
+    num_resolutions: int = 1,
+    num_tiles: int | None = None,
+) -> MemoryPlan:
+    """Return how many tiles to work on at a time, at most ``num_workers``.
+
+    Args:
+      ceiling_bytes: of all processes together; None for `DEFAULT_SHARE` of the free memory.
+      per_tile_bytes: from `tile_bytes`.
+      num_workers: wanted.
+      has_processes: whether every worker is a process of its own, not a thread.
+      num_resolutions: whose tiles are made one after the other.
+      num_tiles: that have maps; None if there are more than workers.
+
+    Raises:
+      InputError: not even one tile fits (or not all requested processes do).
+    """
+    own = psutil.Process().memory_info().rss
+    if ceiling_bytes is None:
+        ceiling_bytes = int(own + DEFAULT_SHARE * free_bytes())
+    programs = num_resolutions * PROGRAM_BYTES
+    base = own if has_processes else own + COMPILING_BYTES + programs
+    each = per_tile_bytes + (WORKER_BYTES + programs if has_processes else 0)
+    fitting = int((ceiling_bytes - base) // each)
+    if fitting < (num_workers if has_processes else 1):
+        least = base + each * (num_workers if has_processes else 1)
+        remedy = "fewer --workers" if has_processes and num_workers > 1 else "a coarser [region] resolution_m"
+        raise InputError(
+            f"this job needs about {gib(least)} of memory and may take {gib(ceiling_bytes)}: raise --memory, or choose "
+            f"{remedy}, a shorter [lidar] range_m, or fewer altitudes or times"
+        )
+    num = min(num_workers, fitting)
+    at_once = num if has_processes or num_tiles is None else min(num, num_tiles)
+    return MemoryPlan(ceiling_bytes, int(base + at_once * each), num)
+
+
+def plan_run(
+    tasks: Sequence[MapTask], folder: Path, ceiling_bytes: int | None, num_workers: int, has_processes: bool
+) -> MemoryPlan:
+    """Return how a run of some tasks, one after the other, keeps under its memory ceiling; arguments as `plan_memory`.
+
+    Raises:
+      InputError: it cannot, or the disk of ``folder`` is too small.
+    """
+    most_bytes, num_tiles = 0, 1
+    for task in tasks:
+        shape, region = shape_of_tiles(task), task.region
+        tile = replace(region, num_rows=shape[0], num_cols=shape[1])
+        num_tiles = max(num_tiles, -(-region.num_rows // shape[0]) * -(-region.num_cols // shape[1]))
+        most_bytes = max(most_bytes, tile_bytes(task, tile))
+    plan = plan_memory(ceiling_bytes, most_bytes, num_workers, has_processes, len(tasks), num_tiles)
+    disk_bytes = SCRATCH_BYTES_PER_CELL * max(_num_cells(task.region) for task in tasks)
+    disk_free = shutil.disk_usage(folder).free
+    if disk_bytes > disk_free:
+        raise InputError(
+            f"the maps need at least {gib(disk_bytes)} of disk and {gib(disk_free)} are free in {str(folder)!r}: use "
+            "a smaller region, a coarser [region] resolution_m, or another folder"
+        )
+    return plan
+
+
+def plan_sentence(tasks: Sequence[MapTask], plan: MemoryPlan) -> str:
+    """Return what a run tells of its size and memory before it begins."""
+    cells = sum(_num_cells(task.region) for task in tasks)
+    if not plan.ceiling_bytes:
+        return f"{cells:,} cells on a Dask cluster"
+    return (
+        f"{cells:,} cells, {plan.num_workers} tile{'s' * (plan.num_workers > 1)} at a time: about "
+        f"{gib(plan.needed_bytes)} of memory at most, of {gib(plan.ceiling_bytes)} allowed"
+    )

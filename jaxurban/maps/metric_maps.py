@@ -1,0 +1,272 @@
+"""MetricMaps: the metric maps of one region at one resolution; save and open."""
+
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal, get_args
+
+import jax.numpy as jnp
+import numpy as np
+import xarray as xr
+
+from jaxurban.errors import InputError
+from jaxurban.io import store
+from jaxurban.io.geotiff import missing_geotiffs, write_geotiffs
+from jaxurban.io.read.orbits import iso_utc, parse_time
+from jaxurban.metrics.base import Metric
+from jaxurban.metrics.custom import held_metrics
+from jaxurban.metrics.obstacle import obstacle_mask
+from jaxurban.metrics.weights import normalised_map, total_map
+from jaxurban.world.grid import Grid
+from jaxurban.world.show import Shown, listed
+
+Obstacles = Literal["touched", "centre"]
+
+
+@dataclass(frozen=True, repr=False)
+class MetricMaps(Shown):
+    """The metric maps of one region at one resolution, as an xarray Dataset.
+
+    Variables (values are m; rows run south to north): ``obstacle`` and ``lidar`` and ``risk``
+    [altitude, y, x]; ``gps``, ``gdop``, ``pdop``, ``hdop``, ``vdop``, ``tdop`` and ``num_visible``
+    [time, altitude, y, x]; ``population`` and ``density`` (people per km2) [time_of_day, y, x], only
+    with population data; ``roof`` (at the cell's centre), ``roof_touched`` (the highest that shares area with the
+    cell) and ``terrain`` (only if not flat) [y, x] in metres; ``has_data`` [y, x].
+    DOPs are inf with fewer than four satellites. Metrics are NaN only where ``has_data`` is False.
+    Of a long series of times, instead of ``gps`` and the DOPs: ``gps_availability``, ``gps_median`` and ``gps_p05``
+    [altitude, y, x], ``gps_epoch_mean`` [time, altitude] (mean m over free cells) and ``gps_worst_time`` [altitude].
+    Maps that were opened from a folder are read when they are looked at.
+
+    Attributes:
+      ds: the dataset; ``ds.attrs`` hold CRS, resolution and provenance.
+      obstacles: where every planner may fly. ``"touched"``: in cells that share no area with a roof that reaches the
+        altitude. ``"centre"``: in cells whose centre no such roof covers, the paper's rule, which is that of
+        ``obstacle`` and of every metric; paths then cut true outlines.
+
+    Raises:
+      InputError: an unknown rule of obstacles.
+    """
+
+    ds: xr.Dataset
+    obstacles: Obstacles = "touched"
+
+    def __post_init__(self) -> None:
+        if self.obstacles not in get_args(Obstacles):
+            raise InputError(f"obstacles must be 'touched' or 'centre', got {self.obstacles!r}")
+
+    @property
+    def facts(self) -> dict[str, str]:
+        """Grid, CRS, altitudes, times and metrics held, and the credit."""
+        grid = self.grid
+        return {
+            "grid": f"{grid.num_rows:,} x {grid.num_cols:,} cells of {grid.resolution_m:g} m",
+            "CRS": grid.crs,
+            "altitudes": f"{listed([f'{z_m:g}' for z_m in self.altitudes_m])} m",
+            "times": listed(self.times),
+            "times of day": listed(self.times_of_day),
+            "metrics": ", ".join(self.metrics),
+            "obstacles": self.obstacles,
+            "credit": self.ds.attrs.get("attribution", ""),
+        }
+
+    @property
+    def grid(self) -> Grid:
+        """The grid of every map."""
+        attrs = self.ds.attrs
+        return Grid(
+            attrs["crs"],
+            float(attrs["resolution_m"]),
+            int(attrs["first_row"]),
+            int(attrs["first_col"]),
+            self.ds.sizes["y"],
+            self.ds.sizes["x"],
+        )
+
+    @property
+    def altitudes_m(self) -> tuple[float, ...]:
+        """Altitudes above ground of the maps."""
+        return tuple(float(value) for value in self.ds["altitude"].values)
+
+    @property
+    def times(self) -> tuple[str, ...]:
+        """UTC times of the GPS maps, ISO 8601."""
+        return tuple(f"{value}Z" for value in np.datetime_as_string(self.ds["time"].values, unit="s"))
+
+    @property
+    def default_time(self) -> str | None:
+        """The first time; None where a long series keeps statistics over time instead of every time's maps."""
+        return None if "gps_median" in self.ds else self.times[0]
+
+    @property
+    def times_of_day(self) -> tuple[str, ...]:
+        """Times of day of the population maps, empty without population."""
+        return tuple(str(value) for value in self.ds["time_of_day"].values) if "population" in self.ds else ()
+
+    @property
+    def metrics(self) -> Mapping[str, Metric]:
+        """The metrics of the cost that these maps hold by name, one's own too, in the order of the cost's layers."""
+        return held_metrics(self.ds)
+
+    def _pick(self, name: str, value, given: Sequence, shown: Sequence) -> int:
+        if value is None:
+            return 0
+        if value not in given:
+            listed = ", ".join(str(item) for item in shown)
+            raise InputError(f"there are no maps for {name} {value}: these maps hold {listed}")
+        return list(given).index(value)
+
+    def check_altitude(self, altitude_m: float) -> None:
+        """Raise InputError unless these maps hold an altitude."""
+        self._pick("altitude", altitude_m, self.altitudes_m, self.altitudes_m)
+
+    def m(
+        self, name: str, altitude_m: float | None = None, *, time: str | None = None, time_of_day: str | None = None
+    ) -> np.ndarray:
+        """Return one map ``[y, x]``, rows south to north.
+
+        Args:
+          name: a variable, such as ``"gps"`` or ``"hdop"``; ``"gps"`` of a long series is its median.
+          altitude_m: one of `altitudes_m`; the lowest listed first if left out.
+          time: one of `times`; the first if left out.
+          time_of_day: one of `times_of_day`; the first if left out.
+
+        Raises:
+          InputError: no such variable, altitude, time or time of day in these maps.
+        """
+        if name == "gps" and "gps_median" in self.ds and time is not None:
+            raise InputError(
+                f"these maps hold GPS statistics over {len(self.times)} epochs and no map of {time}: leave time "
+                'out (m is then the median), or make them with [gps] series = "epochs"'
+            )
+        name = self.variable(name)
+        if name not in self.ds:
+            raise InputError(f"these maps hold no {name!r}: they hold {', '.join(map(str, self.ds.data_vars))}")
+        wanted = {
+            "altitude": self._pick("altitude", altitude_m, self.altitudes_m, self.altitudes_m),
+            "time": self._pick("time", _utc(time), self.times, self.times),
+            "time_of_day": self._pick("time of day", time_of_day, self.times_of_day, self.times_of_day),
+        }
+        array = self.ds[name]
+        return array.isel({dim: index for dim, index in wanted.items() if dim in array.dims}).values
+
+    def variable(self, name: str) -> str:
+        """Return the variable that holds a metric: the median stands for GPS where a long series keeps statistics."""
+        return "gps_median" if name == "gps" and "gps_median" in self.ds else name
+
+    def is_free(self, altitude_m: float, obstacles: Obstacles | None = None) -> np.ndarray:
+        """Return ``[y, x]`` bool: no obstacle at an altitude, data there, and a value of every layer of one's own.
+
+        At one of the maps' altitudes a cell that ``obstacle`` blocks is never free, whatever the roofs say.
+
+        Args:
+          altitude_m: above ground; one of the maps' altitudes, or any other.
+          obstacles: left out, the maps' own rule: where planners may fly. ``"centre"``: where metrics are defined.
+
+        Raises:
+          InputError: maps that hold no touched roofs.
+        """
+        rule = obstacles or self.obstacles
+        is_free = self.ds["has_data"].values
+        is_held = altitude_m in self.altitudes_m
+        if is_held:
+            is_free = is_free & (self.m("obstacle", altitude_m) == 0)
+        if rule == "touched" or not is_held:
+            roof_m = self.m(self._roof(rule))  # NaN, an unknown height, is never free
+            is_free = is_free & ~np.asarray(obstacle_mask(jnp.asarray(roof_m), [altitude_m])[0]) & ~np.isnan(roof_m)
+        for name in self.metrics:
+            if "layer" in self.ds[self.variable(name)].attrs:
+                for z_m in self._around(altitude_m):
+                    is_free = is_free & ~np.isnan(self.m(name, z_m))
+        return is_free
+
+    def _around(self, altitude_m: float) -> list[float]:
+        """Return an altitude if these maps hold it, else the nearest ones above and below that they hold."""
+        low = max((z_m for z_m in self.altitudes_m if z_m <= altitude_m), default=None)
+        high = min((z_m for z_m in self.altitudes_m if z_m >= altitude_m), default=None)
+        return sorted({z_m for z_m in (low, high) if z_m is not None})
+
+    def _roof(self, rule: Obstacles) -> str:
+        if rule == "centre":
+            return "roof"
+        if "roof_touched" not in self.ds:
+            raise InputError(
+                "these maps hold no 'roof_touched', the roofs that planners keep clear of: make them again, or plan "
+                'with obstacles = "centre" (--obstacles centre), under which paths cut true outlines'
+            )
+        return "roof_touched"
+
+    def with_obstacles(self, obstacles: Obstacles) -> "MetricMaps":
+        """Return the same maps with another rule of where planners may fly (see ``obstacles``)."""
+        return replace(self, obstacles=obstacles)
+
+    def costs(self, altitude_m: float, *, time: str | None = None, time_of_day: str | None = None) -> dict:
+        """Return the cost layers c in [0, 1] by metric, ``[y, x]`` each."""
+        return {
+            name: metric.cost(self.m(name, altitude_m, time=time, time_of_day=time_of_day))
+            for name, metric in self.metrics.items()
+        }
+
+    def total(self, altitude_m: float, *, time: str | None = None, time_of_day: str | None = None) -> np.ndarray:
+        """Return H_total, the unweighted sum of the cost layers, ``[y, x]``."""
+        return np.asarray(total_map(self.costs(altitude_m, time=time, time_of_day=time_of_day)))
+
+    def normalised(self, altitude_m: float, *, time: str | None = None, time_of_day: str | None = None) -> np.ndarray:
+        """Return H_norm, H_total brought to [0, 1] over free cells, NaN elsewhere, ``[y, x]``."""
+        total = self.total(altitude_m, time=time, time_of_day=time_of_day)
+        return np.asarray(normalised_map(jnp.asarray(total), jnp.asarray(self.is_free(altitude_m, "centre"))))
+
+    def prefers_gps(self, altitude_m: float, *, time: str | None = None) -> np.ndarray:
+        """Return the sensor-choice map ``[y, x]`` bool: m_gps > m_lidar."""
+        return self.m("gps", altitude_m, time=time) > self.m("lidar", altitude_m)
+
+    def save(self, folder: str | Path) -> Path:
+        """Write Zarr and cloud-optimised GeoTIFF under ``folder`` (`jaxurban.io.store` says which files); return it."""
+        store.write_zarr(self.ds, Path(folder))
+        write_geotiffs(self.ds, Path(folder))
+        return Path(folder)
+
+
+GivenMaps = MetricMaps | str | Path  # what `as_maps` takes
+
+
+def open_maps(folder: str | Path, resolution_m: float | None = None, *, obstacles: Obstacles = "touched") -> MetricMaps:
+    """Return the maps that ``MetricMaps.save`` or ``jaxurban maps`` wrote under ``folder``.
+
+    Every file is looked for; those of the maps are read, and compared with their checksums, when values are.
+    A GeoTIFF that ``jaxurban maps`` wrote and that is missing is a warning, as nothing here reads it.
+
+    Args:
+      folder: the output folder.
+      resolution_m: which of them; may be left out when there is one.
+      obstacles: where planners may fly (see `MetricMaps`).
+
+    Raises:
+      InputError: no maps there, or several and none chosen, or an unknown rule of obstacles; damaged ones (later too,
+        when values are read).
+    """
+    ds = store.open_zarr(Path(folder), resolution_m)
+    if "run_key" in ds.attrs and (lost := missing_geotiffs(ds, Path(folder))):
+        others = f" (and {len(lost) - 1} more)" if len(lost) > 1 else ""
+        warnings.warn(
+            f"{str(lost[0])!r}{others} is missing or empty: the same `jaxurban maps` command writes it again",
+            stacklevel=2,
+        )
+    return MetricMaps(ds, obstacles)
+
+
+def as_maps(given: GivenMaps) -> MetricMaps:
+    """Return maps as they are, or those of the folder that is given, which holds them at one resolution.
+
+    Raises:
+      InputError: neither of these, or a folder that `open_maps` cannot open.
+    """
+    if isinstance(given, MetricMaps):
+        return given
+    if not isinstance(given, str | Path):
+        raise InputError(f"maps must be MetricMaps or the folder that holds them, got {type(given).__name__}")
+    return open_maps(given)
+
+
+def _utc(time: str | None) -> str | None:
+    return None if time is None else iso_utc(parse_time(time))

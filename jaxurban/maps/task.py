@@ -1,0 +1,200 @@
+"""MapTask: what the maps of a region are made of, wherever and by whomever they are made."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from jaxurban.errors import InputError
+from jaxurban.io.read.rasterise import build_surface, highest_top_m, surface_grid
+from jaxurban.maps.guesses import draws_guesses
+from jaxurban.maps.height_uncertainty import HeightStd
+from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY, Metric
+from jaxurban.metrics.custom import Layer, own_metric
+from jaxurban.metrics.gps import GpsParams
+from jaxurban.metrics.lidar import LidarParams
+from jaxurban.metrics.population import BlockLayers, PopulationParams, block_layers
+from jaxurban.metrics.registry import METRICS
+from jaxurban.metrics.risk import RiskParams
+from jaxurban.metrics.visibility import shadow_reach_m
+from jaxurban.world.city import City, Raster
+from jaxurban.world.grid import Grid
+from jaxurban.world.sky import Sky
+from jaxurban.world.surface import Surface
+
+PAPER_ALTITUDES_M = (20.0, 60.0, 122.0, 600.0)
+
+
+@dataclass(frozen=True)
+class MapParams:
+    """Everything that metric maps depend on besides city, sky and grid; `build_maps` says what each means.
+
+    ``others`` holds the settings of further metrics by name; those that nobody sets have their defaults.
+
+    Raises:
+      InputError: altitudes, an elevation mask, times of day or counts that are none.
+    """
+
+    altitudes_m: tuple[float, ...] = PAPER_ALTITUDES_M
+    mask_deg: float = 5.0
+    gps: GpsParams = field(default_factory=GpsParams)
+    lidar: LidarParams = field(default_factory=LidarParams)
+    risk: RiskParams = field(default_factory=RiskParams)
+    population: PopulationParams = field(default_factory=PopulationParams)
+    times_of_day: tuple[str, ...] = ("day", "night")
+    all_touched: bool = False
+    oversample: int = 1
+    gps_bounds: bool = False
+    height_std: HeightStd = field(default_factory=HeightStd)
+    height_samples: int = 0
+    height_seed: int = 0
+    others: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        values = [float(value) for value in self.altitudes_m]
+        if not values or not all(0 < value < np.inf for value in values) or len(set(values)) != len(values):
+            raise InputError(f"altitudes_m must be different positive numbers of metres above ground, got {values}")
+        names = list(self.times_of_day)
+        if not names or len(set(names)) != len(names):
+            raise InputError(f"times_of_day must be different names such as day and night, got {names}")
+        if not 0 <= self.mask_deg < 90:
+            raise InputError(f"mask_deg must lie in 0 to 90 degrees, got {self.mask_deg}")
+        if self.oversample < 1:
+            raise InputError(f"oversample must be a whole number from 1 up, got {self.oversample}")
+        if self.height_samples == 1:
+            raise InputError("height_samples is 1: a spread needs at least 2 samples (0 makes none)")
+
+
+@dataclass(frozen=True, eq=False)
+class MapTask:
+    """What the maps of a region depend on, and nothing of who makes them, in how many tiles, or where they go.
+
+    Attributes:
+      city: what stands and who lives there.
+      region: grid of the maps.
+      sky: times and satellites.
+      params: settings.
+      layers: cost layers of one's own, by name.
+      bands: values of the layers that are not functions, by name: one band, or one for each of the layer's
+        ``altitudes_m``; rasters, or arrays on the region's cells (see `jaxurban.io.layers.bands_of`).
+      guesses: behind the maps (see `jaxurban.maps.guesses`), for those who look at them.
+
+    Raises:
+      InputError: bounds or spreads of a series that keeps no single time's maps.
+    """
+
+    city: City
+    region: Grid
+    sky: Sky
+    params: MapParams
+    layers: Mapping[str, Layer] = field(default_factory=dict)
+    bands: Mapping[str, tuple[Raster | np.ndarray, ...]] = field(default_factory=dict)
+    guesses: Mapping[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if (self.params.gps_bounds or self.params.height_samples) and not self.keeps_times:
+            raise InputError(
+                "bounds and height_samples need the maps of every time: give fewer, or set [gps] series = 'epochs'"
+            )
+
+    @cached_property
+    def metrics(self) -> dict[str, Metric]:
+        """The metrics that the maps are of: the built-in ones that there are data for, then one's own by name."""
+        built_in = {
+            name: metric
+            for name, metric in METRICS.items()
+            if TIME_OF_DAY not in metric.dims or self.city.blocks is not None
+        }
+        return built_in | {name: own_metric(name, layer) for name, layer in sorted(self.layers.items())}
+
+    def settings_of(self, metric: Metric) -> Any:
+        """Return the settings of a metric."""
+        if metric.name in self.layers:
+            return self.layers[metric.name]
+        known = getattr(self.params, metric.name, None) or self.params.others.get(metric.name)
+        return metric.params() if known is None else known
+
+    @property
+    def spread_metrics(self) -> tuple[str, ...]:
+        """Names of the metrics whose spread by uncertain heights is computed: those that buildings decide."""
+        if not self.params.height_samples:
+            return ()
+        return tuple(name for name, m in self.metrics.items() if ALTITUDE in m.dims and name not in self.bands)
+
+    @property
+    def reach_m(self) -> float:
+        """How far beyond its own cell any metric looks sideways."""
+        return max(metric.reach_m(self.settings_of(metric)) for metric in self.metrics.values())
+
+    @property
+    def sizes(self) -> dict[str, int]:
+        """How many values each dim of the metrics has."""
+        times_of_day = len(self.params.times_of_day)
+        return {TIME: self.num_times, ALTITUDE: len(self.params.altitudes_m), TIME_OF_DAY: times_of_day}
+
+    @property
+    def num_times(self) -> int:
+        """How many times the sky has."""
+        return len(self.sky.times)
+
+    @property
+    def keeps_times(self) -> bool:
+        """Whether the GPS maps of every time are kept, not statistics over them."""
+        return self.params.gps.keeps_times(self.num_times)
+
+    @property
+    def has_terrain(self) -> bool:
+        """Whether the ground is not flat."""
+        return self.city.terrain is not None
+
+    @cached_property
+    def population(self) -> BlockLayers | None:
+        """The population of every block, normalised over the region; None without population data."""
+        if self.city.blocks is None:
+            return None
+        params = self.params
+        return block_layers(self.city.blocks, params.times_of_day, params.population, self.region.bounds_m)
+
+    @cached_property
+    def draws_guesses(self) -> bool:
+        """Whether roofs whose height is guessed are told apart: so many of the region's are."""
+        return draws_guesses(self.city, self.region)
+
+    def satellites_at(self, time_index: int) -> np.ndarray:
+        """Return the numbers of the satellites at or above the mask at a time."""
+        return np.flatnonzero(self.sky.elevation_rad[time_index] >= np.radians(self.params.mask_deg))
+
+    def angles(self, time_index: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return azimuths and elevations (radians) of the satellites at or above the mask at a time."""
+        seen = self.satellites_at(time_index)
+        return self.sky.azimuth_rad[time_index, seen], self.sky.elevation_rad[time_index, seen]
+
+    def with_margin(self, part: Grid | None = None, highest_m: float | None = None) -> Grid:
+        """Return a grid grown by the margin that its metrics need.
+
+        Args:
+          part: of the region; left out, all of it.
+          highest_m: how far the highest roof can stand above the lowest ground; left out, the city's.
+        """
+        part = self.region if part is None else part
+        above = self.sky.elevation_rad >= np.radians(self.params.mask_deg)
+        toward_m = shadow_reach_m(
+            self.sky.azimuth_rad[above],
+            self.sky.elevation_rad[above],
+            highest_top_m(self.city) if highest_m is None else highest_m,
+            float(min(self.params.altitudes_m)),
+            part.resolution_m,
+        )
+        return surface_grid(self.city, part, self.reach_m, toward_m)
+
+    def with_halo(self, part: Grid) -> Grid:
+        """Return a grid grown by the cells around it that metrics look at; shadows come from farther."""
+        halo = math.ceil(self.reach_m / part.resolution_m)
+        return part.padded(halo, halo, halo, halo)
+
+    def surface(self) -> Surface:
+        """Return the city's rasters on the region and its margin."""
+        return build_surface(self.city, self.region, self.with_margin(), self.params.all_touched)

@@ -1,0 +1,205 @@
+"""The work on one tile: rasterise it, hand its shadows on, make its maps. Tasks share nothing but a work folder."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxurban.io.folders import WorkFolder
+from jaxurban.io.read.rasterise import rasterise, rasterise_blocks
+from jaxurban.io.store import broken_chunks, has_whole_metadata, write_layer
+from jaxurban.kernels.shadows.sweep import Ring, digital_line, hand_on
+from jaxurban.maps.recipe import TileScene, tile_maps
+from jaxurban.maps.stopwatch import Stopwatch
+from jaxurban.maps.task import MapTask
+from jaxurban.world.grid import Grid
+from jaxurban.world.surface import Surface
+from jaxurban.world.tiling import QUADRANTS, Quadrant, Tile, Tiling, quadrant_of
+
+
+@dataclass(frozen=True)
+class TileJob:
+    """What every step of one task's tiles needs.
+
+    Attributes:
+      task: what the maps are made of.
+      work: where steps leave their results for each other.
+      tiling: the tiles.
+    """
+
+    task: MapTask
+    work: WorkFolder
+    tiling: Tiling
+
+    @cached_property
+    def order(self) -> dict[Quadrant, list[tuple[int, int]]]:
+        """Time and number of every satellite above the mask, by the quadrant that it stands in."""
+        order: dict[Quadrant, list[tuple[int, int]]] = {quadrant: [] for quadrant in QUADRANTS}
+        if self.task.params.oversample > 1:  # supersampled surfaces look beyond the tile: nothing is handed on
+            return order
+        for t in range(self.task.num_times):
+            for s in self.task.satellites_at(t):
+                azimuth_rad = self.task.sky.azimuth_rad[t, s]
+                order[quadrant_of(np.sin(azimuth_rad), np.cos(azimuth_rad))].append((t, int(s)))
+        return order
+
+    def haloed(self, tile: Tile) -> Grid:
+        """Return the grid of a tile and the halo that its lidar and risk maps look at."""
+        return self.task.with_halo(self.tiling.grid_of(tile))
+
+    def hands_on(self, tile: Tile, quadrant: Quadrant) -> bool:
+        """Return whether a tile has shadows of a quadrant to hand on."""
+        return bool(self.order[quadrant]) and self.tiling.hands_on(tile, quadrant)
+
+
+def _name(kind: str, tile: Tile, quadrant: Quadrant | None = None) -> str:
+    side = "" if quadrant is None else ("_n" if quadrant[0] > 0 else "_s") + ("e" if quadrant[1] > 0 else "w")
+    return f"{kind}_{tile[0]}_{tile[1]}{side}"
+
+
+def unmark_damaged(job: TileJob, num_threads: int) -> list[Path]:
+    """Return what is damaged of the finished tiles that an earlier run left, and make them unfinished."""
+    path, tiles = job.work.zarr, {tile: _name("tile", tile) for tile in job.tiling.region_tiles}
+    if not path.exists():
+        job.work.unmark(tiles.values())
+        return []
+    if not has_whole_metadata(path):
+        job.work.remove_maps(tiles.values())
+        return [path / "zarr.json"]
+    broken = broken_chunks(path, num_threads)
+    if lost := [chunk.file for chunk in broken if len(chunk.place) < 2]:  # coordinates
+        job.work.remove_maps(tiles.values())
+        return lost
+    row, col = job.tiling.first
+    at = {(chunk.place[-2] + row, chunk.place[-1] + col): chunk.file for chunk in broken}
+    done = {tile: name for tile, name in tiles.items() if tile in at and job.work.done(name) is not None}
+    job.work.unmark(done.values())
+    return [at[tile] for tile in done]
+
+
+def raster_tile(job: TileJob, tile: Tile) -> dict[str, Any]:
+    """Rasterise a tile and return the ``seconds`` it took by stage."""
+    watch, name, city = Stopwatch(), _name("raster", tile), job.task.city
+    if not job.work.has_arrays(name):
+        with watch.stage("surface"):
+            grid = job.tiling.grid_of(tile)
+            arrays = rasterise(city, grid, job.task.params.all_touched)._asdict()
+            if tile in job.tiling.region_tiles:
+                arrays["block"] = rasterise_blocks(city, grid)
+            else:
+                del arrays["roof_touched_m"]
+            job.work.save_arrays(name, **{key: values for key, values in arrays.items() if values is not None})
+    return {"seconds": watch.elapsed_s}
+
+
+def sweep_tile(job: TileJob, tile: Tile, quadrant: Quadrant) -> dict[str, Any]:
+    """Hand the shadows of a quadrant's satellites on across a tile and return the ``seconds`` it took by stage.
+
+    What is kept are the row and the column, of every satellite, that the next tiles' rings take up.
+    """
+    watch, name, sky = Stopwatch(), _name("shadows", tile, quadrant), job.task.sky
+    if not job.work.has_arrays(name):
+        with watch.stage("gps"):
+            grid = job.tiling.grid_of(tile)
+            kept = job.work.load_arrays(_name("raster", tile), "roof_m", "terrain_m")
+            top_m = jnp.asarray(kept["roof_m"] + kept.get("terrain_m", np.float32(0)))
+            ringed = grid.padded(1, 1, 1, 1)
+            num = len(job.order[quadrant])
+            rows, cols = (np.empty((num, size), np.float32) for size in (grid.num_cols, grid.num_rows))
+            rings = _rings(job, tile, quadrant)
+            for n, (t, s) in enumerate(job.order[quadrant]):
+                line = digital_line(
+                    sky.azimuth_rad[t, s],
+                    sky.elevation_rad[t, s],
+                    grid.resolution_m,
+                    ringed.first_row,
+                    ringed.first_col,
+                    ringed.shape,
+                )
+                edge = hand_on(top_m, line, rings[n])
+                rows[n] = edge.south if quadrant[0] > 0 else edge.north
+                cols[n] = edge.west if quadrant[1] > 0 else edge.east
+            job.work.save_arrays(name, rows=rows, cols=cols)
+    return {"seconds": watch.elapsed_s}
+
+
+def _rings(job: TileJob, tile: Tile, quadrant: Quadrant) -> list[Ring]:
+    """Return what the upstream tiles hand on to a tile, for every satellite of a quadrant."""
+    (north, east), (num_rows, num_cols) = quadrant, job.tiling.grid_of(tile).shape
+    num = len(job.order[quadrant])
+    nothing = np.full((num, num_cols + 2), -np.inf, np.float32), np.full((num, num_rows), -np.inf, np.float32)
+    row, col = (values.copy() for values in nothing)
+    for near in job.tiling.upstream(tile, quadrant):
+        if not job.hands_on(near, quadrant):
+            continue
+        kept = job.work.load_arrays(_name("shadows", near, quadrant), "rows", "cols")
+        if near == (tile[0] + north, tile[1]):
+            row[:, 1:-1] = kept["rows"]
+        elif near == (tile[0], tile[1] + east):
+            col[:] = kept["cols"]
+        else:
+            row[:, -1 if east > 0 else 0] = kept["rows"][:, 0 if east > 0 else -1]
+    sides = (nothing[0], row) if north > 0 else (row, nothing[0])
+    ends = (nothing[1], col) if east > 0 else (col, nothing[1])
+    return [Ring(sides[0][n], sides[1][n], ends[0][n], ends[1][n]) for n in range(num)]
+
+
+def finish_tile(job: TileJob, tile: Tile) -> dict[str, Any]:
+    """Make and write every map of a tile of the region, mark it done, and return what is marked.
+
+    ``seconds`` by stage; ``totals``: the facts of `TimeTotals` by metric, where statistics over time are kept.
+    """
+    name = _name("tile", tile)
+    if (facts := job.work.done(name)) is not None:
+        return {**facts, "seconds": {}}
+    watch = Stopwatch()
+    with watch.stage("surface"):
+        surface = _surface(job, tile)
+    with watch.stage("gps"):
+        rings = {
+            seen: ring
+            for quadrant in QUADRANTS
+            for seen, ring in zip(job.order[quadrant], _rings(job, tile, quadrant), strict=True)
+        }
+    scene, window = TileScene(job.task, surface, rings), job.tiling.reported(tile)
+    for layer in tile_maps(scene, watch.stage):
+        with watch.stage("write_zarr"):
+            write_layer(job.work.zarr, layer.name, layer.place, window, layer.values)
+    facts = {"totals": {metric: totals.facts for metric, totals in scene.totals.items()}}
+    job.work.mark_done(name, facts)
+    return {**facts, "seconds": watch.elapsed_s}
+
+
+def _surface(job: TileJob, tile: Tile) -> Surface:
+    """Return a tile of the region with the halo that lidar and risk look at, put together from the tiles around."""
+    region = job.tiling.grid_of(tile)
+    grid = job.haloed(tile)
+    halo = region.first_row - grid.first_row
+    rasters = {"roof_m": np.zeros(grid.shape, np.float32), "has_data": np.ones(grid.shape, bool)}
+    if job.task.has_terrain:
+        rasters["terrain_m"] = np.zeros(grid.shape, np.float32)
+    for near in job.tiling.touching(grid):
+        other = job.tiling.grid_of(near)
+        row, col = other.first_row - grid.first_row, other.first_col - grid.first_col
+        target = slice(max(row, 0), row + other.num_rows), slice(max(col, 0), col + other.num_cols)
+        source = slice(max(-row, 0), grid.num_rows - row), slice(max(-col, 0), grid.num_cols - col)
+        for key, values in job.work.load_arrays(_name("raster", near), *rasters).items():
+            rasters[key][target] = values[source]
+    # What sticks out of the region counts for nothing.
+    rows, cols = (halo + part.stop - part.start for part in job.tiling.reported(tile))
+    rasters["has_data"][rows : grid.num_rows - halo] = False
+    rasters["has_data"][:, cols : grid.num_cols - halo] = False
+    own = job.work.load_arrays(_name("raster", tile), "block", "roof_touched_m")
+    block = own.get("block")
+    return Surface(
+        roof_m=jnp.asarray(rasters["roof_m"]),
+        terrain_m=jnp.asarray(rasters["terrain_m"]) if "terrain_m" in rasters else None,
+        has_data=None if rasters["has_data"].all() else jnp.asarray(rasters["has_data"]),
+        block=None if block is None else jnp.asarray(block),
+        grid=grid,
+        region=region,
+        roof_touched_m=jnp.asarray(own["roof_touched_m"]),
+    )

@@ -1,0 +1,135 @@
+"""What a metric is: its parameters, its maps, its cost and how it is shown; and what it may look at."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int, UInt
+
+from jaxurban.world.surface import Surface
+
+if TYPE_CHECKING:
+    from jaxurban.metrics.gps import GpsView, SatelliteSet
+    from jaxurban.metrics.population import BlockLayers, BlockPopulation
+
+AnyArray = Array | np.ndarray
+ALTITUDE, TIME, TIME_OF_DAY = "altitude", "time", "time_of_day"
+
+
+def high_is_bad(m: AnyArray) -> AnyArray:
+    """Return the cost c = m of a metric whose high values are to be avoided."""
+    return m
+
+
+def low_is_bad(m: AnyArray) -> AnyArray:
+    """Return the cost c = 1 - m of a metric whose low values are to be avoided."""
+    return 1.0 - m
+
+
+def no_reach_m(params: Any) -> float:
+    """Return 0: a metric that looks at nothing beside its own cell."""
+    return 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """What a metric may look at for its maps of one tile, at one place along its dims. ``y, x`` cells of the tile.
+
+    Attributes:
+      surface: roofs, terrain and census blocks on the tile (``surface.region``), roofs and terrain on the margin too
+        (``surface.grid``), which holds every metric's reach; `Surface.crop` and `Surface.crop_with_halo` cut it.
+      altitude_m: height above the ground; None for metrics without that dim.
+      is_obstacle: ``[y, x]`` where the highest roof of the cell reaches the altitude; None without an altitude.
+      supersampled: the same surface with cells ``oversample`` times smaller; None where they are the map's own.
+      oversample: how many times finer that is.
+      satellites: those at or above the mask at the time, made ready; None for metrics without a time.
+      words: ``[W, y, x]`` which of them each cell sees: satellite ``s`` is bit ``s % 32`` of word ``s // 32``.
+      population: every census block at the time of day, ``[N]`` each and the norm; None for metrics without one.
+      rasters: ``[y, x]`` the values of rasters of one's own at the altitude, by the name of their layer; NaN where
+        they hold nothing.
+      only_m: nothing but the metric itself is wanted, no further variables.
+    """
+
+    surface: Surface
+    altitude_m: float | None = None
+    is_obstacle: Bool[Array, "y x"] | None = None
+    supersampled: Surface | None = None
+    oversample: int = 1
+    satellites: "SatelliteSet | None" = None
+    words: UInt[Array, "W y x"] | None = None
+    population: "BlockLayers | None" = None
+    rasters: dict[str, np.ndarray] = field(default_factory=dict)
+    only_m: bool = False
+
+
+class SoftScene(NamedTuple):
+    """What a soft, differentiable metric may look at. ``P`` chosen cells.
+
+    Attributes:
+      surface: roofs and terrain, maybe traced.
+      altitude_m: height above the ground, maybe traced.
+      softness_m: see each metric; maybe traced.
+      cells: ``[P, 2]`` row and column in the region; None for the whole region.
+      reach_m: how far the metric looks at most; a plain number.
+      view: the satellites.
+      population: of the census blocks; None without population.
+      time_of_day: of the population.
+    """
+
+    surface: Surface
+    altitude_m: Float[Array, ""] | float
+    softness_m: Float[Array, ""] | float
+    cells: Int[Array, "P 2"] | None
+    reach_m: float
+    view: "GpsView"
+    population: "BlockPopulation | None"
+    time_of_day: str
+
+
+def on_scene(soft: Callable[..., jax.Array], scene: SoftScene, params: Any) -> jax.Array:
+    """Return a soft metric of a scene, by a function that takes the scene's parts one by one."""
+    there = scene.surface, scene.altitude_m, params, scene.softness_m
+    return soft(*there, cells=scene.cells, reach_m=scene.reach_m)
+
+
+@dataclass(frozen=True, eq=False)
+class Metric:
+    """One metric of the maps, from its equation to its colour. Functions are named ones, so that it can be pickled.
+
+    Attributes:
+      name: of its map, its weight and its section of the scenario.
+      params: class of its settings.
+      dims: along which its maps vary beside y and x: of ``"time"``, ``"altitude"``, ``"time_of_day"``, in this order.
+      compute: returns the maps ``[y, x]`` of a scene by their variable: the metric m in [0, 1], float32, under
+        ``name``, and those of ``also``. m is 0 inside obstacles; NaN closes a cell.
+      cost: turns m into the cost c in [0, 1] (numbers, NumPy or JAX arrays).
+      label: what figures call it.
+      one_means: what a value of one means.
+      colour: of its lines in figures.
+      colour_map: of its maps; perceptually uniform, each metric its own.
+      unit: of its values.
+      reach_m: how far beyond a cell it looks sideways; satellites' shadows apart.
+      soft: returns m of a soft scene, on its cells, with gradients; None where there is none.
+      also: type of every further variable that ``compute`` returns.
+    """
+
+    name: str
+    params: type
+    dims: tuple[str, ...]
+    compute: Callable[[Scene, Any], Mapping[str, AnyArray]]
+    cost: Callable[[Any], Any]
+    label: str
+    one_means: str
+    colour: str
+    colour_map: str
+    unit: str = "1"
+    reach_m: Callable[[Any], float] = no_reach_m
+    soft: Callable[[SoftScene, Any], jax.Array] | None = None
+    also: dict[str, type] = field(default_factory=dict)
+
+    @property
+    def one_is(self) -> str:
+        """What a value of one is to a path, in a word."""
+        return "worst" if self.cost is high_is_bad else "best"

@@ -1,0 +1,222 @@
+"""Cost layers of one's own: a raster, an array or a function of the surface as one more metric."""
+
+import keyword
+import math
+import zlib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any, Literal
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import xarray as xr
+
+from jaxurban.errors import InputError, finite, one_of
+from jaxurban.metrics.availability import STATISTICS
+from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY, Metric, Scene, SoftScene, high_is_bad, low_is_bad
+from jaxurban.metrics.registry import METRICS
+from jaxurban.world.surface import Surface
+
+COSTS = {"high-is-bad": high_is_bad, "low-is-bad": low_is_bad}
+COLOURS = ("#56b4e9", "#d55e00", "#7f3c8d", "#80604d")  # of lines, none a built-in metric's
+COLOUR_MAP = "cividis"
+TAKEN = (
+    *(
+        "distance",
+        "climb",
+        "descent",
+        "self",
+        "lon",
+        "lat",
+        "obstacle",
+        "obstacle_share",
+        "roof",
+        "roof_touched",
+        "roof_guessed",
+        "terrain",
+        "has_data",
+    ),
+    *(ALTITUDE, TIME, TIME_OF_DAY, "y", "x", "spatial_ref", "gps_epoch_mean", "gps_worst_time"),
+    *STATISTICS,
+    *(name for metric in METRICS.values() for name in (metric.name, *metric.also)),
+    *(f"{name}_{what}" for name in METRICS for what in ("lower", "upper", "mean", "std", "p05", "p95")),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Layer:
+    """Settings of one's own cost layer, a ``[layers.NAME]`` section of a scenario.
+
+    Attributes:
+      source: path of a raster, which is resampled to the maps' cells; in Python also an array ``[y, x]`` (with
+        ``altitudes_m``: ``[A, y, x]``) on the maps' cells, rows south to north, or a function of a
+        `jaxurban.world.surface.Surface` and ``altitude_m`` that returns the values on the cells of its region.
+      cost: ``"high-is-bad"`` or ``"low-is-bad"``.
+      scale: the values whose m is 0 and 1, in the source's own unit; fixed, so that a cost means the same on every
+        map. Values beyond are cut.
+      altitudes_m: flight altitudes of the bands, in order; left out, one band or the function serves all altitudes.
+      nan: what cells without a value are: ``"closed"`` to every path, or an ``"error"``.
+      reach_m: how far beyond its own cell a function looks sideways; the surface holds that margin, and its
+        `crop_with_halo` refuses more. What a function reads of ``surface.roof_m`` beyond it differs from tile to tile.
+      soft: function of a surface, ``altitude_m`` and ``softness_m`` as ``source``, with gradients.
+
+    Raises:
+      InputError: a value that is none of these.
+    """
+
+    source: Any
+    cost: Literal["high-is-bad", "low-is-bad"]
+    scale: tuple[float, float]
+    altitudes_m: tuple[float, ...] | None = None
+    nan: Literal["closed", "error"] = "closed"
+    reach_m: float = 0.0
+    soft: Callable | None = None
+
+    def __post_init__(self) -> None:
+        if isinstance(self.source, Path):
+            object.__setattr__(self, "source", str(self.source))
+        if not (callable(self.source) or isinstance(self.source, str | np.ndarray | jax.Array)):
+            raise InputError(
+                "source must be the path of a raster, an array or a function of (surface, altitude_m), got "
+                f"{type(self.source).__name__}"
+            )
+        one_of("cost", self.cost, COSTS)
+        one_of("nan", self.nan, ("closed", "error"))
+        scale = _numbers("scale", self.scale)
+        if not (len(scale) == 2 and scale[0] < scale[1]):
+            raise InputError(f"scale must be two ascending numbers such as [0, 80], got {list(scale)}")
+        if self.altitudes_m is not None and len(set(heights := _numbers("altitudes_m", self.altitudes_m))) < len(
+            heights
+        ):
+            raise InputError(f"altitudes_m must name different altitudes, one for each band, got {list(heights)}")
+        if not finite("reach_m", self.reach_m, "metres") >= 0:
+            raise InputError(f"reach_m must be 0 or a positive number of metres, got {self.reach_m}")
+        if self.reach_m and not callable(self.source):
+            raise InputError("reach_m says how far a function looks: leave it out for a raster or an array")
+
+    @property
+    def record(self) -> dict[str, Any]:
+        """The settings as JSON can hold them, an array or a function by what it is."""
+        source = self.source if isinstance(self.source, str) else getattr(self.source, "__qualname__", "array")
+        held = {"source": source, "cost": self.cost, "scale": list(self.scale), "nan": self.nan}
+        return held | ({} if self.altitudes_m is None else {"altitudes_m": list(self.altitudes_m)})
+
+    def scaled(self, values: Any) -> jax.Array:
+        """Return m in [0, 1] of values in the source's unit; NaN stays. The gradient is 0 beyond the scale."""
+        low, high = self.scale
+        return jnp.clip((jnp.asarray(values) - low) / (high - low), 0, 1)
+
+
+def _numbers(name: str, values: Any) -> tuple[float, ...]:
+    """Return finite numbers, or raise InputError."""
+    if isinstance(values, str) or not np.iterable(values):
+        raise InputError(f"{name} must be a list of numbers, got {values!r}")
+    return tuple(finite(name, value) for value in values)
+
+
+def check_layers(layers: Any) -> Mapping[str, Layer]:
+    """Return cost layers of one's own by name, none where they are left out.
+
+    Raises:
+      InputError: they are anything else.
+    """
+    given = {} if layers is None else layers
+    if not (isinstance(given, Mapping) and all(isinstance(layer, Layer) for layer in given.values())):
+        raise InputError('layers must be Layers by name, such as {"noise": Layer("noise.tif", "high-is-bad", (0, 80))}')
+    return given
+
+
+def check_name(name: str) -> str:
+    """Return the name of a layer.
+
+    Raises:
+      InputError: not an identifier, or a name that maps use already.
+    """
+    if not isinstance(name, str) or not name.isidentifier() or keyword.iskeyword(name):
+        raise InputError(f"a layer's name must be letters, digits and _ such as noise_day, got {name!r}")
+    if name in TAKEN:
+        raise InputError(f"a layer cannot be called {name!r}, which the maps hold already: give it another name")
+    return name
+
+
+def own_metric(name: str, layer: Layer) -> Metric:
+    """Return one's own layer as a metric.
+
+    Raises:
+      InputError: a name that is not an identifier, or that is taken.
+    """
+    by_altitude = layer.altitudes_m is not None or callable(layer.source)
+    high = layer.scale[1]
+    return Metric(
+        name=check_name(name),
+        params=Layer,
+        dims=(ALTITUDE,) if by_altitude else (),
+        compute=partial(_map, name),
+        soft=None if layer.soft is None else _soft,
+        cost=COSTS[layer.cost],
+        reach_m=_reach_m,
+        label=name,
+        one_means=f"{name} of {high:g} or more",
+        colour=colour_of(name),
+        colour_map=COLOUR_MAP,
+    )
+
+
+def colour_of(name: str) -> str:
+    """Return the colour of a metric's lines in figures, built-in or one's own, by its name alone."""
+    return METRICS[name].colour if name in METRICS else COLOURS[zlib.crc32(name.encode()) % len(COLOURS)]
+
+
+def held_metrics(ds: xr.Dataset) -> dict[str, Metric]:
+    """Return the metrics of the cost that a dataset of maps holds, by name: the built-in ones, then one's own.
+
+    The median stands for GPS where a long series keeps statistics. Own layers say in their attribute ``layer`` what
+    they are (`Layer.record`).
+    """
+    held = {name: metric for name, metric in METRICS.items() if name in ds or (name == "gps" and "gps_median" in ds)}
+    own = {str(name): array.attrs["layer"] for name, array in ds.data_vars.items() if "layer" in array.attrs}
+    return held | {name: own_metric(name, layer_of(own[name])) for name in sorted(own)}
+
+
+def layer_of(record: Mapping[str, Any]) -> Layer:
+    """Return the layer of a `Layer.record`."""
+    lists = {name: tuple(value) for name, value in record.items() if isinstance(value, list)}
+    return Layer(**{**record, **lists})
+
+
+def _reach_m(layer: Layer) -> float:
+    return layer.reach_m
+
+
+def _map(name: str, scene: Scene, layer: Layer) -> dict[str, jax.Array]:
+    """Return the map of a layer on one tile.
+
+    Raises:
+      InputError: values of another shape than the tile's, or cells without a value where that is an error.
+    """
+    surface = _reaching(scene.surface, layer)
+    values = layer.source(surface, scene.altitude_m) if callable(layer.source) else scene.rasters[name]
+    if np.shape(values) != surface.region.shape:
+        raise InputError(
+            f"layer {name!r} gives values of shape {np.shape(values)} for cells of shape {surface.region.shape}: "
+            "return one value for each cell of surface.region"
+        )
+    m = layer.scaled(values).astype(jnp.float32)
+    is_lost = jnp.isnan(m) if surface.has_data is None else jnp.isnan(m) & surface.crop(surface.has_data)
+    if layer.nan == "error" and (num := int(is_lost.sum())):
+        raise InputError(f'layer {name!r} has no value in {num:,} cells: fill them, or set nan = "closed"')
+    return {name: m}
+
+
+def _reaching(surface: Surface, layer: Layer) -> Surface:
+    """Return a surface that refuses to be looked at beyond a layer's reach, where tiles hold less than the whole."""
+    return replace(surface, most_halo=math.ceil(layer.reach_m / surface.grid.resolution_m))
+
+
+def _soft(scene: SoftScene, layer: Layer) -> jax.Array:
+    assert layer.soft is not None
+    m = layer.scaled(layer.soft(_reaching(scene.surface, layer), scene.altitude_m, scene.softness_m))
+    return m if scene.cells is None else m[scene.cells[:, 0], scene.cells[:, 1]]

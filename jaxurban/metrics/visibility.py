@@ -1,0 +1,131 @@
+"""Which satellites each cell sees, and how far away roofs may stand that hide them."""
+
+import math
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.typing import ArrayLike
+from jaxtyping import Array, UInt
+
+from jaxurban.errors import InputError
+from jaxurban.kernels.dop import unit_vectors
+from jaxurban.kernels.shadows.sweep import (
+    EAST,
+    NORTH,
+    SOUTH,
+    WEST,
+    WORD_BITS,
+    Ring,
+    digital_line,
+    mark_visible,
+    mark_visible_within,
+)
+from jaxurban.world.surface import Surface
+
+
+def shadow_reach_m(
+    azimuth_rad: ArrayLike,
+    elevation_rad: ArrayLike,
+    max_top_m: float,
+    min_altitude_m: float,
+    resolution_m: float,
+) -> tuple[float, float, float, float]:
+    """Return the margins west, south, east, north (metres) that hold every roof able to shadow the region.
+
+    0 on sides without satellites; inf where a satellite on the horizon meets a roof above the altitude.
+
+    Args:
+      azimuth_rad: ``[S]`` clockwise from grid north.
+      elevation_rad: ``[S]`` above the horizon.
+      max_top_m: how far the highest roof can stand above the lowest ground.
+      min_altitude_m: the lowest altitude of the maps, above the ground.
+      resolution_m: side of a cell: one more cell pays for the digital line.
+    """
+    rise_m = max_top_m - min_altitude_m
+    margins_m = [0.0, 0.0, 0.0, 0.0]
+    if rise_m <= 0:
+        return 0.0, 0.0, 0.0, 0.0
+    for east, north, up in unit_vectors(azimuth_rad, elevation_rad):
+        for side, toward in enumerate((-east, -north, east, north)):
+            if toward > 0:
+                run_m = rise_m * toward / up if up > 0 else math.inf
+                margins_m[side] = max(margins_m[side], run_m + resolution_m)
+    west, south, east, north = margins_m
+    return west, south, east, north
+
+
+def above_horizon(azimuth_rad: ArrayLike, elevation_rad: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+    """Return azimuths and elevations of satellites as float64.
+
+    Raises:
+      InputError: a satellite below the horizon.
+    """
+    azimuth, elevation = np.asarray(azimuth_rad, float), np.asarray(elevation_rad, float)
+    if np.any(elevation < 0):
+        raise InputError(
+            f"elevation_rad holds a satellite {-math.degrees(elevation.min()):.1f} degrees below the horizon: "
+            "give those at or above the elevation mask only"
+        )
+    return azimuth, elevation
+
+
+def visibility(
+    surface: Surface,
+    azimuth_rad: ArrayLike,
+    elevation_rad: ArrayLike,
+    altitudes_m: ArrayLike | Sequence[float],
+    rings: Sequence[Ring] | None = None,
+) -> UInt[Array, "W A y x"]:
+    """Return which satellites are seen from each cell's centre, as bits.
+
+    Satellite ``s`` is bit ``s % 32`` of word ``s // 32``. It is seen where its ray clears the roofs
+    and, with terrain, the ground; `shadow_height` states how exactly. Inside obstacles the result is
+    that of a receiver in a shaft with no walls of its own.
+
+    Args:
+      surface: roofs and terrain; what stands outside it shadows nothing.
+      azimuth_rad: ``[S]`` clockwise from grid north.
+      elevation_rad: ``[S]`` above the horizon.
+      altitudes_m: ``[A]`` heights above the ground.
+      rings: ``[S]`` what the grids around the region hand on, by satellite; the surface's own margin is
+        not looked at then.
+
+    Raises:
+      InputError: a satellite below the horizon.
+    """
+    azimuth, elevation = above_horizon(azimuth_rad, elevation_rad)
+    region = surface.region
+    rows, cols = surface.window
+    grid, top_m = surface.grid, surface.top_m
+    if rings is not None:
+        grid, top_m = region.padded(1, 1, 1, 1), surface.crop(top_m)
+    altitudes = jnp.asarray(altitudes_m, surface.roof_m.dtype)
+    ground_m = None if surface.terrain_m is None else surface.crop(surface.terrain_m)
+    num_words = max(1, -(-len(azimuth) // WORD_BITS))
+    lines = [
+        digital_line(*angles, grid.resolution_m, grid.first_row, grid.first_col, grid.shape)
+        for angles in zip(azimuth, elevation, strict=True)
+    ]
+    words = jnp.zeros((num_words, *altitudes.shape, *region.shape), jnp.uint32)
+    if rings is not None:
+        for s, (line, ring) in enumerate(zip(lines, rings, strict=True)):
+            words = mark_visible_within(words, top_m, ground_m, altitudes, line, s, ring)
+        return words
+    has_x64 = jnp.result_type(float) == jnp.float64
+
+    def mark_all(headings: tuple[int, int], words: Array, top_m: Array, ground_m: Array | None, cell: tuple) -> Array:
+        with jax.enable_x64(has_x64):  # a new thread knows only the global setting
+            for s, line in enumerate(lines):
+                if line.heading in headings:
+                    words = mark_visible(words, top_m, ground_m, altitudes, line, s, cell)
+        return words
+
+    # Lines that head east or west are swept on transposed arrays, made once; the two kinds at the same time.
+    turned = words.mT, top_m.T, None if ground_m is None else ground_m.T, (cols.start, rows.start)
+    with ThreadPoolExecutor(2) as threads:
+        along_rows = threads.submit(mark_all, (NORTH, SOUTH), words, top_m, ground_m, (rows.start, cols.start))
+        along_cols = threads.submit(mark_all, (EAST, WEST), *turned)
+    return along_rows.result() | along_cols.result().mT

@@ -1,0 +1,169 @@
+"""Weights and cost maps: what a path pays for the metrics of the cells it crosses."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxurban.errors import InputError, nearest_name
+from jaxurban.metrics.base import AnyArray as AnyArray
+from jaxurban.metrics.registry import METRICS
+
+DISTANCE_WEIGHT, METRIC_WEIGHT = 0.1, 1.0  # of the weights that nobody names
+MOST_WEIGHT = 1e30  # no path's cost overflows up to here, not even in float32
+
+
+@jax.tree_util.register_pytree_with_keys_class
+@dataclass(frozen=True, init=False, repr=False)
+class Weights:
+    """The paper's W: cost per metre, and cost per step (or per reference length) of each metric's cost.
+
+    ``weights["noise"]`` gives any weight by its metric's name; a metric that is not named weighs 1. A pytree, whose
+    leaves are the weights that are named.
+
+    Attributes:
+      distance: w_0, cost per metre of path.
+      gps, lidar, population, risk: weight of each metric's cost c in [0, 1].
+      own: name and weight of further metrics, by name.
+    """
+
+    distance: float | jax.Array
+    gps: float | jax.Array
+    lidar: float | jax.Array
+    population: float | jax.Array
+    risk: float | jax.Array
+    own: tuple[tuple[str, float | jax.Array], ...]
+
+    def __init__(
+        self,
+        distance: float | jax.Array = DISTANCE_WEIGHT,
+        gps: float | jax.Array = METRIC_WEIGHT,
+        lidar: float | jax.Array = METRIC_WEIGHT,
+        population: float | jax.Array = METRIC_WEIGHT,
+        risk: float | jax.Array = METRIC_WEIGHT,
+        **own: float | jax.Array,
+    ) -> None:
+        named = {"distance": distance, "gps": gps, "lidar": lidar, "population": population, "risk": risk}
+        for name, value in named.items():
+            object.__setattr__(self, name, value)
+        object.__setattr__(self, "own", tuple(sorted(own.items(), key=lambda item: item[0])))
+
+    def __getitem__(self, name: str) -> float | jax.Array:
+        return self.to_dict().get(name, METRIC_WEIGHT)
+
+    def __repr__(self) -> str:
+        return f"Weights({', '.join(f'{name}={value!r}' for name, value in self.to_dict().items())})"
+
+    @classmethod
+    def of(cls, given: "GivenWeights") -> "Weights":
+        """Return weights that are given as such, as numbers by name (the others at their default), or not at all.
+
+        Raises:
+          InputError: they are none of these.
+        """
+        if given is None or isinstance(given, Weights):
+            return given or cls()
+        if not isinstance(given, Mapping) or not all(isinstance(name, str) and name != "self" for name in given):
+            raise InputError(f'weights must be Weights or numbers by name such as {{"risk": 5}}, got {given!r}')
+        return cls(**given)
+
+    @classmethod
+    def parse(cls, text: str, base: "Weights | None" = None) -> "Weights":
+        """Return the weights in ``"gps=1,noise=2"``; those not named are taken from ``base``.
+
+        Raises:
+          InputError: a value that is not a number >= 0; `checked` tells which names maps hold.
+        """
+        values = (base or cls()).to_dict()
+        for part in filter(None, (item.strip() for item in text.split(","))):
+            name, _, number = (item.strip() for item in part.partition("="))
+            try:
+                values[name] = float(number)
+            except ValueError as error:
+                raise InputError(f"weight {part!r} must read name=number, as in gps=1,risk=0.5") from error
+        return cls(**values).checked()
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the weights by name, the distance first."""
+        named = {name: getattr(self, name) for name in ("distance", "gps", "lidar", "population", "risk")}
+        return {**named, **dict(self.own)}
+
+    def replace(self, **changes: float | jax.Array) -> "Weights":
+        """Return the weights with some of them changed."""
+        return Weights(**self.to_dict() | changes)
+
+    def vector(self, names: Iterable[str]) -> np.ndarray:
+        """Return the weights of some names as float64, ``[K]``."""
+        return np.array([float(self[name]) for name in names])
+
+    def checked(self, names: Iterable[str] | None = None) -> "Weights":
+        """Return the same weights as floats.
+
+        Args:
+          names: of further metrics that may be weighed, beside the built-in ones; left out, any.
+
+        Raises:
+          InputError: a weight that is negative, above `MOST_WEIGHT` or not finite, or of an unknown name (names the
+            nearest one).
+        """
+        if names is not None:
+            known = dict.fromkeys(("distance", *METRICS, *names))
+            for name in self.to_dict():
+                if name not in known:
+                    hint = nearest_name(name, known) or f": the weights are {', '.join(known)}"
+                    raise InputError(f"unknown weight {name!r}{hint}")
+        values = {name: _number(name, value) for name, value in self.to_dict().items()}
+        return Weights(**values)
+
+    def tree_flatten_with_keys(self) -> tuple[tuple, tuple[str, ...]]:
+        """Return the weights with their keys, for JAX."""
+        values = self.to_dict()
+        return tuple((jax.tree_util.GetAttrKey(name), value) for name, value in values.items()), tuple(values)
+
+    @classmethod
+    def tree_unflatten(cls, names: tuple[str, ...], values: Iterable[Any]) -> "Weights":
+        """Return the weights that JAX took apart."""
+        return cls(**dict(zip(names, values, strict=True)))
+
+
+GivenWeights = Weights | Mapping[str, float] | None
+
+
+def _number(name: str, value: Any) -> float:
+    """Return a weight as a float.
+
+    Raises:
+      InputError: it is not a number, negative, above `MOST_WEIGHT` or not finite.
+    """
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        number = np.nan
+    if not 0 <= number <= MOST_WEIGHT:
+        raise InputError(f"weight {name} must be a finite number >= 0, at most {MOST_WEIGHT:g}, got {value}")
+    return number
+
+
+def cost_map(costs: Mapping[str, Float[AnyArray, "Y X"]], weights: Weights) -> Float[Array, "Y X"]:
+    """Return the weighted sum of cost layers, the sum over j of w_j c_j (Eq. c_cost_fun without distance)."""
+    return sum((weights[name] * jnp.asarray(cost) for name, cost in costs.items()), jnp.zeros(()))
+
+
+def total_map(costs: Mapping[str, Float[AnyArray, "Y X"]]) -> Float[Array, "Y X"]:
+    """Return H_total, the unweighted sum of the cost layers."""
+    return sum((jnp.asarray(cost) for cost in costs.values()), jnp.zeros(()))
+
+
+def normalised_map(total: Float[Array, "Y X"], is_free: Array) -> Float[Array, "Y X"]:
+    """Return H_norm: ``total`` brought to [0, 1] by its minimum and maximum over free cells.
+
+    NaN outside free cells; 0 everywhere where the total is constant.
+    """
+    low = jnp.min(jnp.where(is_free, total, jnp.inf))
+    high = jnp.max(jnp.where(is_free, total, -jnp.inf))
+    span = jnp.where(high > low, high - low, 1.0)
+    return jnp.where(is_free, (total - low) / span, jnp.nan)

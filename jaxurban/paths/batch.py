@@ -1,0 +1,207 @@
+"""plan_many: thousands of queries over metric maps, none of which is lost once it is done."""
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path as FilePath
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from jaxurban.errors import InputError
+from jaxurban.io.rows import fingerprint
+from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
+from jaxurban.metrics.weights import GivenWeights
+from jaxurban.paths.constraints import Constraints
+from jaxurban.paths.cost_map import CostMap, cost_map
+from jaxurban.paths.finish import finish
+from jaxurban.paths.queries import Point, Query, read_queries
+from jaxurban.paths.results import BAD_INPUT, CRASHED, NOT_RUN, BatchResults, PlannedPaths, QueryResult
+from jaxurban.paths.search import Search
+from jaxurban.paths.snapping import Place, one_place, snap_limit_m
+from jaxurban.planners.base import CostKind, CostModel, Path
+from jaxurban.planners.batch import Backend, solve_many
+from jaxurban.progress import LOG, Progress, reporting
+
+HELD_BYTES = 2 * 2**30  # of weighed maps at a time
+BYTES_A_CELL = 160  # of a cost map: layers, metrics, landmarks
+
+
+def plan_many(
+    maps: GivenMaps,
+    queries: pd.DataFrame | Sequence[tuple[Point, Point]],
+    *,
+    altitude_m: float | None = None,
+    time: str | None = None,
+    time_of_day: str | None = None,
+    weights: GivenWeights = None,
+    objective: str = "weighted",
+    cost_model: CostModel | CostKind = "cell",
+    constraints: Constraints | None = None,
+    planner: str = "astar-plus",
+    heuristic: str | None = None,
+    backend: Backend = "auto",
+    budget_s: float = 180.0,
+    seed: int = 0,
+    snap: bool | float = False,
+    strict: bool = False,
+    file: str | FilePath | None = None,
+    num_threads: int | None = None,
+    progress: Progress = True,
+) -> PlannedPaths:
+    """Return the paths of many queries, in their order.
+
+    A query that cannot be planned (a start in a wall, an altitude without maps) and one whose planner crashes are
+    results too, each with its sentence. Ctrl-C returns what is done; searches that run end by their budgets.
+
+    With ``file`` every result goes to a Parquet table, rewritten whole every few seconds, at the end and on the
+    way out of any error. The same call again takes from it what is done and plans only the rest.
+
+    Args:
+      maps: from `build_maps` or `open_maps`, or the folder of one resolution's maps.
+      queries: pairs of places or a table (see `read_queries`); a table's rows may have altitude, time, time of
+        day and weights of their own.
+      altitude_m, time, time_of_day, weights: for queries that say nothing of their own.
+      objective, cost_model, constraints: of all queries, as in `plan`.
+      planner, heuristic: as in `plan`.
+      backend: ``"numba"``, ``"jax"`` or ``"auto"`` (see `solve_many`).
+      budget_s: seconds for each query.
+      seed: for sampling planners, the same for each query.
+      snap: move starts and goals out of obstacles, by at most 50 m, or so many metres.
+      strict: raise the first error or crash instead.
+      file: where to keep the results, named ``.parquet``.
+      num_threads: of the ``"numba"`` backend.
+      progress: as in `jaxurban.progress.reporting`.
+
+    Raises:
+      InputError: an argument that is wrong for all queries, a file that holds results of other queries; with
+        ``strict`` any query's error too.
+    """
+    search = Search(planner, heuristic, budget_s, seed, snap)
+    search.find()
+    if file is not None and (FilePath(file).suffix != ".parquet" or not FilePath(file).parent.is_dir()):
+        raise InputError(f"file {str(file)!r} must end in .parquet and lie in a folder that exists")
+    snap_limit_m(snap)  # a wrong one is refused once, not with every query
+    maps = as_maps(maps)
+    batch = read_queries(
+        queries, altitude_m=altitude_m, time=time, time_of_day=time_of_day, weights=weights, metrics=maps.metrics
+    )
+    book = BatchResults(batch, None if file is None else FilePath(file))
+    map_of = partial(_map_of, maps, objective, cost_model, constraints)
+    job = _Job(maps, batch, map_of, search, backend, num_threads, strict, book)
+    was_interrupted = False
+    try:
+        with reporting("plan_many", progress) as report:
+            for _ in job.run():
+                report("queries", len(book.results), len(batch), **book.counts)
+    except KeyboardInterrupt:
+        was_interrupted = True
+        LOG.warning("interrupted: %d of %d queries are done", len(book.results), len(batch))
+    finally:
+        book.save()
+    not_run = QueryResult(NOT_RUN, "The batch ended before this query was done.")
+    return PlannedPaths(batch, [book.results.get(k, not_run) for k in range(len(batch))], was_interrupted)
+
+
+def _map_of(
+    maps: MetricMaps, objective: str, cost_model: CostModel | CostKind, constraints: Constraints | None, query: Query
+) -> tuple[CostMap | None, str]:
+    """Return the map of a query and those like it, or why there is none. Wrong settings of the batch are raised."""
+    when: dict[str, Any] = {"time": query.time, "time_of_day": query.time_of_day}
+    try:
+        maps.is_free(query.altitude_m)
+        maps.costs(query.altitude_m, **when)
+    except InputError as error:
+        return None, str(error)
+    under: dict[str, Any] = {"objective": objective, "cost_model": cost_model, "constraints": constraints}
+    return cost_map(maps, query.altitude_m, weights=query.weights, **when, **under), ""
+
+
+@dataclass(frozen=True, eq=False)
+class _Job:
+    """The way of a batch: cost maps are made as far as they can be held, their queries located and solved."""
+
+    maps: MetricMaps
+    queries: list[Query]
+    map_of: Callable[[Query], tuple[CostMap | None, str]]
+    search: Search
+    backend: Backend
+    num_threads: int | None
+    strict: bool
+    book: BatchResults
+
+    def run(self) -> Iterator[int]:
+        """Do the batch; yield each query's number when it has its result."""
+        by_map: dict[tuple, list[int]] = {}
+        for k, query in enumerate(self.queries):
+            if query.error:
+                yield self._refuse(k, query.error)
+            else:
+                by_map.setdefault((query.altitude_m, query.time, query.time_of_day, query.weights), []).append(k)
+        maps_at_once = max(1, HELD_BYTES // (BYTES_A_CELL * int(np.prod(self.maps.grid.shape))))
+        groups = list(by_map.values())
+        for first in range(0, len(groups), maps_at_once):
+            yield from self._run_groups(groups[first : first + maps_at_once])
+
+    def _run_groups(self, groups: Sequence[list[int]]) -> Iterator[int]:
+        waiting: list[tuple[int, str, CostMap, tuple[Place, Place]]] = []
+        search = self.search
+        for group in groups:
+            shared, error = self.map_of(self.queries[group[0]])
+            if shared is None:
+                yield from [self._refuse(k, error) for k in group]
+                continue
+            digest = self._digest(shared)
+            for k in group:
+                query = self.queries[k]
+                try:
+                    ends = (
+                        shared.locate("start", one_place("start", query.start, query.start_xy_m), snap=search.snap),
+                        shared.locate("goal", one_place("goal", query.goal, query.goal_xy_m), snap=search.snap),
+                    )
+                except InputError as error:
+                    yield self._refuse(k, str(error))
+                    continue
+                key = fingerprint(digest, ends)
+                kept = self.book.take(k, key, partial(finish, shared, ends=ends, search=search))
+                if kept:
+                    yield k
+                else:
+                    waiting.append((k, key, shared, ends))
+        problems = [shared.problem.between(ends[0].cell, ends[1].cell) for _, _, shared, ends in waiting]
+        outcomes = solve_many(
+            problems,
+            planner=search.planner or "astar-plus",
+            heuristic=search.heuristic,
+            backend=self.backend,
+            budget_s=search.budget_s,
+            seed=search.seed,
+            num_threads=self.num_threads,
+        )
+        with closing(outcomes):
+            for i, outcome in outcomes:
+                k, key, shared, ends = waiting[i]
+                if isinstance(outcome, Path):
+                    planned = finish(shared, outcome, ends, search)
+                    self.book.add(k, QueryResult(planned.status.value, planned.to_dict()["message"], planned, key))
+                elif self.strict:
+                    raise outcome
+                elif isinstance(outcome, InputError):
+                    self.book.add(k, QueryResult(BAD_INPUT, str(outcome), key=key))
+                else:
+                    self.book.add(k, QueryResult(CRASHED, f"{type(outcome).__name__}: {outcome}", key=key))
+                yield k
+
+    def _refuse(self, k: int, error: str) -> int:
+        if self.strict:
+            raise InputError(f"query {k}: {error}")
+        self.book.add(k, QueryResult(BAD_INPUT, error))
+        return k
+
+    def _digest(self, shared: CostMap) -> str:
+        """Return what stands for a cost map and the settings of the search."""
+        search = (replace(self.search, snap=False), self.backend)
+        settings = (shared.weights, shared.objective, shared.cost_model, search)
+        return fingerprint(shared.costs, shared.is_free, settings)

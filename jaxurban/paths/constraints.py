@@ -1,0 +1,256 @@
+"""Constraints: cells that no path may enter, whatever it would save: no-fly zones, and bounds on any map."""
+
+import math
+import operator
+import re
+import warnings
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from jaxurban.errors import IgnoredZoneWarning, InputError, nearest_name
+from jaxurban.io.read.airspace import Zone, cell_boxes, read_zones, touched_cells
+from jaxurban.maps.metric_maps import MetricMaps
+from jaxurban.metrics.registry import METRICS
+
+OPERATORS: dict[str, Callable] = {">=": operator.ge, "<=": operator.le, ">": operator.gt, "<": operator.lt}
+BOUND = re.compile(r"\s*(\w+)\s*([<>=!]+)\s*(\S+)\s*")
+Cell = tuple[int, ...]
+Require = str | Mapping[str, tuple[str, float]] | Iterable[str]
+
+
+@dataclass(frozen=True)
+class Bound:
+    """A bound that a map must keep at every cell of a path.
+
+    Attributes:
+      variable: a metric (``"gps"``, its m in [0, 1]) or any other map (``"num_visible"``, ``"hdop"``, ``"density"``).
+      comparison: one of `OPERATORS`.
+      value: in the variable's unit.
+
+    Raises:
+      InputError: another comparison, or a value that is not finite, or beyond [0, 1] for a metric.
+    """
+
+    variable: str
+    comparison: str
+    value: float
+
+    def __post_init__(self) -> None:
+        if self.comparison not in OPERATORS:
+            raise InputError(f"the bound {self} has the comparison {self.comparison!r}: use {', '.join(OPERATORS)}")
+        if not math.isfinite(self.value):
+            raise InputError(f"the bound {self} needs a finite number, as in gps>=0.3")
+        if self.variable in METRICS and not 0 <= self.value <= 1:
+            raise InputError(f"the bound {self} asks what no cell or every cell has: m_{self.variable} lies in 0 to 1")
+
+    def __str__(self) -> str:
+        return f"{self.variable}{self.comparison}{self.value:g}"
+
+    @classmethod
+    def parse(cls, text: str) -> "Bound":
+        """Return the bound in ``"gps>=0.3"``.
+
+        Raises:
+          InputError: text that does not read name, comparison, number.
+        """
+        if (found := BOUND.fullmatch(text)) is None or not _is_number(found[3]):
+            raise InputError(
+                f"the bound {text!r} must read name, one of {', '.join(OPERATORS)}, number, as in gps>=0.3 or "
+                "num_visible>=4"
+            )
+        return cls(found[1], found[2], float(found[3]))
+
+    def is_kept(
+        self, maps: MetricMaps, altitude_m: float, time: str | None = None, time_of_day: str | None = None
+    ) -> np.ndarray:
+        """Return ``[Y, X]`` bool: the bound holds. Nothing holds where there are no data; a DOP may be inf.
+
+        Between two altitudes of the maps it must hold at both, or at the upper one over a wall of the lower.
+
+        Raises:
+          InputError: no such map.
+        """
+        variable = maps.variable(self.variable)
+        if variable not in maps.ds or maps.ds[variable].dims[-2:] != ("y", "x"):
+            held = [str(name) for name, array in maps.ds.data_vars.items() if array.dims[-2:] == ("y", "x")]
+            raise InputError(
+                f"the bound {self} is on a map that these maps do not hold{nearest_name(self.variable, held)}: "
+                f"they hold {', '.join(held)}"
+            )
+        is_kept = maps.ds["has_data"].values.copy()
+        below = [z_m for z_m in maps.altitudes_m if z_m <= altitude_m]
+        above = [z_m for z_m in maps.altitudes_m if z_m >= altitude_m]
+        around = {max(below), min(above)} if below and above else {altitude_m}  # the maps refuse an altitude beyond
+        for z_m in around:
+            values = maps.m(self.variable, z_m, time=time, time_of_day=time_of_day)
+            # A Python float compares in the map's own float32, so that gps>=0.7 holds where the map says 0.7.
+            holds = OPERATORS[self.comparison](values, self.value)
+            is_kept &= holds | (maps.m("obstacle", z_m) == 1) if z_m < altitude_m else holds
+        return is_kept
+
+
+@dataclass(frozen=True)
+class Constraints:
+    """No-fly zones and bounds. Cells that a zone touches, or where a bound is not kept, are closed to every planner.
+
+    Attributes:
+      zones: from `jaxurban.io.read.airspace`.
+      bounds: what must hold at every cell of a path.
+    """
+
+    zones: tuple[Zone, ...] = ()
+    bounds: tuple[Bound, ...] = ()
+
+    @classmethod
+    def read(cls, no_fly: str | Path | Iterable[str | Path] = (), require: Require = ()) -> "Constraints":
+        """Return the constraints in files and texts.
+
+        Args:
+          no_fly: a file of polygons or several (GeoJSON, KML ...; `read_zones` says what is read).
+          require: ``"gps>=0.3"``, a list of such, or ``{"gps": (">=", 0.3)}``.
+
+        Raises:
+          InputError: a file or a bound that cannot be read.
+        """
+        files = [no_fly] if isinstance(no_fly, (str, Path)) else no_fly
+        if isinstance(require, Mapping):
+            bounds = [_bound(name, given) for name, given in require.items()]
+        else:
+            bounds = [Bound.parse(text) for text in ([require] if isinstance(require, str) else require)]
+        return cls(tuple(zone for file in files for zone in read_zones(file)), tuple(bounds))
+
+    def __bool__(self) -> bool:
+        return bool(self.zones or self.bounds)
+
+    def __str__(self) -> str:
+        return constraints_said(self.to_dict())
+
+    def to_dict(self) -> dict[str, list]:
+        """Return the constraints as plain, JSON-ready values; floors and ceilings are None where there are none."""
+        return {
+            "no_fly": [
+                {
+                    "name": zone.name,
+                    "file": zone.source,
+                    "floor_m": zone.floor_m if math.isfinite(zone.floor_m) else None,
+                    "ceiling_m": zone.ceiling_m if math.isfinite(zone.ceiling_m) else None,
+                    "outline": zone.outline,
+                }
+                for zone in self.zones
+            ],
+            "require": [str(bound) for bound in self.bounds],
+        }
+
+    def is_free(
+        self, maps: MetricMaps, altitude_m: float, *, time: str | None = None, time_of_day: str | None = None
+    ) -> np.ndarray:
+        """Return ``[Y, X]`` bool: where a path may fly: no obstacle, data there, closed by none of these constraints.
+
+        Arguments and errors are those of `closed`.
+        """
+        is_free = maps.is_free(altitude_m)
+        return is_free & ~self.closed(maps, altitude_m, time=time, time_of_day=time_of_day) if self else is_free
+
+    def free_levels(
+        self, maps: MetricMaps, levels_m: Sequence[float], *, time: str | None = None, time_of_day: str | None = None
+    ) -> np.ndarray:
+        """Return ``[K, Y, X]`` bool: where a path may fly on each level (see `closed_levels`)."""
+        is_free = np.stack([maps.is_free(z_m) for z_m in levels_m])
+        if self:
+            is_free &= ~self.closed_levels(maps, levels_m, time=time, time_of_day=time_of_day)
+        return is_free
+
+    def closed(
+        self, maps: MetricMaps, altitude_m: float, *, time: str | None = None, time_of_day: str | None = None
+    ) -> np.ndarray:
+        """Return ``[Y, X]`` bool: cells that these constraints close at one altitude.
+
+        Args:
+          maps: the metric maps.
+          altitude_m: above ground; with bounds, within the range of the maps' altitudes.
+          time: UTC time of the GPS map; the first if left out.
+          time_of_day: of the population map; the first if left out.
+
+        Raises:
+          InputError: a bound on a map that is not there, or an unknown altitude, time or time of day.
+        """
+        return self.closed_levels(maps, [altitude_m], time=time, time_of_day=time_of_day)[0]
+
+    def closed_levels(
+        self, maps: MetricMaps, levels_m: Sequence[float], *, time: str | None = None, time_of_day: str | None = None
+    ) -> np.ndarray:
+        """Return ``[K, Y, X]`` bool: cells that these constraints close at levels between which a path may climb.
+
+        A zone that lies wholly between two levels closes the lower one too, so that no climb or descent passes it.
+
+        Args:
+          maps: the metric maps.
+          levels_m: ``[K]`` ascending, within the range of the maps' altitudes.
+          time, time_of_day: as in `closed`.
+        """
+        grid = maps.grid
+        closed = np.zeros((len(levels_m), *grid.shape), bool)
+        levels, next_m = np.asarray(levels_m, float), np.append(levels_m[1:], levels_m[-1])
+        is_near = False
+        for zone in self.zones:
+            part = zone.on(grid)
+            is_near |= not part.is_empty
+            is_at = (zone.floor_m <= levels) & (levels <= zone.ceiling_m)
+            is_between = (levels < zone.floor_m) & (zone.ceiling_m < next_m)
+            if np.any(is_at | is_between):
+                closed[is_at | is_between] |= touched_cells(part, grid)
+        if self.zones and not is_near:
+            files = ", ".join(sorted({repr(zone.source) for zone in self.zones}))
+            sentence = f"no zone of {files} lies in the maps' region: check that it is the right file"
+            warnings.warn(sentence, IgnoredZoneWarning, stacklevel=2)
+        for bound in self.bounds:
+            for level_closed, z_m in zip(closed, levels_m, strict=True):
+                level_closed |= ~bound.is_kept(maps, z_m, time, time_of_day)
+        return closed
+
+    def reasons(
+        self, maps: MetricMaps, altitude_m: float, cell: Cell, time: str | None = None, time_of_day: str | None = None
+    ) -> list[str]:
+        """Return a phrase for each constraint that closes a cell, empty where none does."""
+        (box,) = cell_boxes(maps.grid, np.array([cell]), 1)
+        zones = [
+            f"the no-fly zone {zone.label} ({zone.heights})"
+            for zone in self.zones
+            if zone.floor_m <= altitude_m <= zone.ceiling_m and zone.on(maps.grid).intersects(box)
+        ]
+        bounds = []
+        for bound in self.bounds:
+            if not bound.is_kept(maps, altitude_m, time, time_of_day)[cell]:
+                held_m = min(maps.altitudes_m, key=lambda z_m: abs(z_m - altitude_m))  # between two, the nearer map's
+                value = maps.m(bound.variable, held_m, time=time, time_of_day=time_of_day)[cell]
+                bounds.append(f"the bound {bound} (it is {value:g} there{_at(held_m, altitude_m)})")
+        return zones + bounds
+
+
+def constraints_said(record: Mapping[str, Sequence]) -> str:
+    """Return constraints as `Constraints.to_dict` holds them, for a person to read; empty where there are none."""
+    num = len(record.get("no_fly", ()))
+    zones = [f"{num} no-fly zone" + "s" * (num > 1)] if num else []
+    return ", ".join([*zones, *record.get("require", ())])
+
+
+def _at(held_m: float, altitude_m: float) -> str:
+    return "" if held_m == altitude_m else f" at {held_m:g} m"
+
+
+def _bound(name: str, given: object) -> Bound:
+    """Return the bound that a mapping gives as ``{name: (comparison, value)}``."""
+    if not isinstance(given, (tuple, list)) or len(given) != 2:
+        raise InputError(f"the bound on {name!r} must be a comparison and a number, as in ('>=', 0.3), got {given!r}")
+    return Bound.parse(f"{name}{given[0]}{given[1]}")
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True

@@ -1,0 +1,442 @@
+"""CostMap: metric maps at one altitude, or between several, under weights, ready for any number of queries."""
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import cache, cached_property, partial
+
+import numpy as np
+import psutil
+
+from jaxurban.errors import InputError, finite, nearest_name
+from jaxurban.io.read.orbits import iso_utc, parse_time
+from jaxurban.maps.levels import SAME_M, Levels, listed_m, values_at
+from jaxurban.maps.memory import gib
+from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
+from jaxurban.metrics.weights import GivenWeights, Weights
+from jaxurban.paths.constraints import Constraints
+from jaxurban.paths.finish import finish
+from jaxurban.paths.path import PlannedPath
+from jaxurban.paths.reachability import Reachability, levels_that_join
+from jaxurban.paths.search import Search
+from jaxurban.paths.snapping import XY, Place, Point, free_place
+from jaxurban.planners.any_angle import check_line_model
+from jaxurban.planners.base import Cell, CostKind, CostModel, Problem
+from jaxurban.planners.cost import PathFeatures
+from jaxurban.planners.refine import refine as refine_path
+from jaxurban.world.grid import Grid
+from jaxurban.world.show import Shown
+
+REFINING_SHARE = 0.25  # of the budget, kept for refinement where the caller wants it
+NODE_BYTES = 64  # of a volume and a search that visits all of it (docs/volume.md)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class CostMap(Shown):
+    """Metric maps at one altitude, or between levels, under weights. ``L`` metrics, ``Y`` rows, ``X`` columns.
+
+    Queries share it, and with it what planners derive from the map. The cost of a path is weights . features
+    (`jaxurban.planners.cost`), here as for every planner.
+
+    Attributes:
+      maps: where it comes from.
+      altitudes_m: ``[K]`` the altitude above ground, or the ascending levels of a volume.
+      levels: how the path may climb and descend; None on one altitude.
+      time: UTC time of the GPS map; None where a long series keeps statistics over time.
+      time_of_day: of the population map; None without one.
+      weights: as floats.
+      objective: ``"weighted"`` or ``"distance"``.
+      cost_model: see `Problem`.
+      constraints: what closes cells beside obstacles.
+      names: the metrics of the layers.
+      costs: ``[L, Y, X]`` float32 their costs c_j in [0, 1], not weighted, 0 where there are no data; ``[L, K, Y, X]``
+        in a volume.
+      is_free: ``[Y, X]`` or ``[K, Y, X]`` bool, where a path may fly: no obstacle, data there, within the constraints.
+    """
+
+    maps: MetricMaps
+    altitudes_m: np.ndarray
+    levels: Levels | None
+    time: str | None
+    time_of_day: str | None
+    weights: Weights
+    objective: str
+    cost_model: CostModel
+    constraints: Constraints
+    names: tuple[str, ...]
+    costs: np.ndarray
+    is_free: np.ndarray
+
+    @property
+    def facts(self) -> dict[str, str]:
+        """Grid, altitude or levels, weights and cost model, constraints, and the share of free cells."""
+        weights = zip(self.weight_names, self.weight_vector, strict=True)
+        return {
+            "grid": self.maps.facts["grid"],
+            "altitude" if self.levels is None else "levels": f"{listed_m(self.altitudes_m)} m",
+            "weights": ", ".join(f"{name} {weight:g}" for name, weight in weights),
+            "objective": self.objective,
+            "cost model": str(self.cost_model),
+            "constraints": str(self.constraints),
+            "free": f"{self.is_free.mean():.1%} of the cells",
+        }
+
+    @property
+    def altitude_m(self) -> float:
+        """The altitude above ground; the lowest level of a volume."""
+        return float(self.altitudes_m[0])
+
+    @cached_property
+    def grid(self) -> Grid:
+        """The grid of the maps."""
+        return self.maps.grid
+
+    @property
+    def weight_names(self) -> tuple[str, ...]:
+        """What the weights of `weight_vector` are of."""
+        return ("distance", *self.names, *(() if self.levels is None else ("climb", "descent")))
+
+    @cached_property
+    def weight_vector(self) -> np.ndarray:
+        """``[W]`` the weights that the cost of a path is under: w_0, each layer's, of climb and descent."""
+        given = self.weights.vector(("distance", *self.names)).tolist()
+        if self.levels is not None:
+            climb_cost = given[0] if self.levels.climb_cost is None else self.levels.climb_cost
+            given += [float(climb_cost), float(self.levels.descent_cost)]
+        return np.array(given)
+
+    @cached_property
+    def is_weighed(self) -> bool:
+        """Whether anything but the shortest path is wanted: not with all weights zero."""
+        distance, *heights = self.weight_vector[[0, *range(1 + len(self.names), len(self.weight_vector))]]
+        layers = zip(self.weight_vector[1:], self.costs, strict=False)
+        return self.objective == "weighted" and bool(
+            distance > 0 or any(heights) or any(weight > 0 and layer.any() for weight, layer in layers)
+        )
+
+    @cached_property
+    def problem(self) -> Problem:
+        """The planners' view of the map, from its first free cell to itself; `Problem.between` asks for others.
+
+        Raises:
+          InputError: no cell is free.
+        """
+        return self.shortest.with_weights(self.weight_vector) if self.is_weighed else self.shortest
+
+    @cached_property
+    def shortest(self) -> Problem:
+        """The same of the shortest path."""
+        if not self.is_free.any():
+            raise InputError(f"no cell is free {self._where}: {self._remedy}")
+        free = tuple(int(index) for index in np.unravel_index(np.argmax(self.is_free), self.is_free.shape))
+        return Problem(
+            costs=self.costs,
+            is_free=self.is_free,
+            start=free,
+            goal=free,
+            resolution_m=self.grid.resolution_m,
+            weights=np.eye(len(self.weight_vector))[0],
+            cost_model=self.cost_model,
+            levels_m=None if self.levels is None else self.altitudes_m,
+        )
+
+    def only(self, metrics: Iterable[str]) -> "CostMap":
+        """Return the map with the layers of these metrics alone, so that the others cost nothing.
+
+        Raises:
+          InputError: none, one twice, or a metric that the maps lack.
+        """
+        names = tuple(metrics)
+        for name in names:
+            if name not in self.names:
+                hint = nearest_name(name, self.names) or f": they hold {', '.join(self.names)}"
+                raise InputError(f"these maps hold no metric {name!r}{hint}")
+        if not names or len(set(names)) < len(names):
+            raise InputError(f"metrics must name different metrics, and at least one, got {', '.join(names) or 'none'}")
+        kept = [row for row, name in enumerate(self.names) if name in names]
+        return replace(self, names=tuple(self.names[row] for row in kept), costs=self.costs[kept])
+
+    def cost_of(self, name: str) -> float:
+        """Return the largest cost of a metric, not weighted, over free cells; 0 where it costs nothing anywhere."""
+        return float(self.costs[self.names.index(name)][self.is_free].max(initial=0.0))
+
+    def cell_of(self, name: str, place: Point | XY) -> tuple[tuple[float, float], Cell]:
+        """Return easting, northing and the cell of a place, free or not (arguments and errors as in `locate`)."""
+        grid = self.grid
+        try:
+            x_m, y_m = place[:2] if isinstance(place, XY) else grid.xy_of_lonlat(*place[:2])
+            row, col = grid.cell_of_xy(x_m, y_m) if isinstance(place, XY) else grid.cell_of_lonlat(*place[:2])
+        except InputError as error:
+            raise InputError(f"{name}: {error}") from error
+        return (float(x_m), float(y_m)), (int(row), int(col))
+
+    def locate(self, name: str, place: Point | XY, *, snap: bool | float = False) -> Place:
+        """Return the cell of a place given in degrees or in metres; in a volume the node.
+
+        Args:
+          name: ``"start"`` or ``"goal"``, for messages.
+          place: longitude, latitude in degrees, or `XY` in the maps' CRS; in a volume also an altitude, one of the
+            levels, and left out the lowest that is free there.
+          snap: move out of a closed cell to the nearest free one of its level, by at most 50 m, or so many metres
+            (`free_place`).
+
+        Raises:
+          InputError: a place outside the maps, no such level, or inside an obstacle or closed by a constraint, unless
+            ``snap`` reaches a free cell (names the constraint and the nearest free cell).
+        """
+        place_xy_m, cell = self.cell_of(name, place)
+        level = self._level_of(name, cell, [value for value in place[2:] if value is not None])
+        is_free = self._levels_free[level]
+        why = "" if is_free[cell] else self.why_closed(cell, level)
+        found = free_place(
+            name, place_xy_m, cell, is_free, self.grid, snap=snap, why_closed=why, remedy=self._remedy_here
+        )
+        return found if self.levels is None else replace(found, cell=(level, *found.cell))
+
+    @property
+    def _levels_free(self) -> np.ndarray:
+        return self.is_free.reshape(-1, *self.grid.shape)
+
+    def _level_of(self, name: str, cell: Cell, altitude_m: Sequence[float]) -> int:
+        if self.levels is None and altitude_m:
+            raise InputError(f"{name} has an altitude, which only a path between levels takes: leave it out")
+        if not altitude_m:
+            free = np.flatnonzero(self._levels_free[:, cell[0], cell[1]])
+            return int(free[0]) if free.size else 0
+        level = int(np.argmin(np.abs(self.altitudes_m - altitude_m[0])))
+        if not abs(self.altitudes_m[level] - altitude_m[0]) < SAME_M:
+            raise InputError(
+                f"{name} altitude {altitude_m[0]:g} m is none of the levels {listed_m(self.altitudes_m)} m: choose "
+                "one of them"
+            )
+        return level
+
+    @property
+    def _where(self) -> str:
+        low_m, high_m = self.altitudes_m[[0, -1]]
+        return f"at {low_m:g} m" if self.levels is None else f"from {low_m:g} to {high_m:g} m"
+
+    @property
+    def _remedy(self) -> str:
+        first = "fly higher" if self.levels is None else "raise max_altitude_m"
+        return f"{first}, or loosen the constraints ({self.constraints})" if self.constraints else first
+
+    @property
+    def _remedy_here(self) -> str:
+        if self.levels is None:
+            return self._remedy
+        return "fly at another level, or loosen the constraints" if self.constraints else "fly at another level"
+
+    def why_closed(self, cell: Cell, level: int = 0) -> str:
+        """Return what closes a cell, an obstacle or each constraint by name, and which level over it is free."""
+        z_m, maps = float(self.altitudes_m[level]), self.maps
+        where = why_blocked(maps, z_m, cell)
+        if (self.levels is None and maps.is_free(z_m)[cell]) or (self.levels is not None and self.constraints):
+            reasons = self.constraints.reasons(maps, z_m, cell, self.time, self.time_of_day)
+            where = f"closed by {' and '.join(reasons)}" if reasons else where
+        if self.levels is None:
+            return f"{where} at {z_m:g} m"
+        levels_m, free = self.altitudes_m, np.flatnonzero(self._levels_free[:, cell[0], cell[1]])
+        if free.size:
+            return f"{where} at {z_m:g} m; the lowest free level there is {levels_m[free[0]]:g} m"
+        higher = [higher_m for higher_m in sorted(maps.altitudes_m) if higher_m > levels_m[-1]]
+        higher = [higher_m for higher_m in higher if maps.is_free(higher_m)[cell]]
+        above = f"; the lowest free altitude there is {higher[0]:g} m (raise max_altitude_m)" if higher else ""
+        return f"{where} at every level {self._where}{above}"
+
+    def plan(
+        self,
+        start: Point | XY,
+        goal: Point | XY,
+        *,
+        planner: str | None = None,
+        heuristic: str | None = None,
+        budget_s: float = 180.0,
+        seed: int = 0,
+        snap: bool | float = False,
+        refine: bool = False,
+    ) -> PlannedPath:
+        """Return a path between two places, given as in `locate` (other arguments: `Search`; errors: `plan`)."""
+        search = Search(planner, heuristic, budget_s, seed, snap, refine)
+        find_path = search.find(is_for_volumes=self.levels is not None)
+        ends = self.locate("start", start, snap=search.snap), self.locate("goal", goal, snap=search.snap)
+        problem = self.problem.between(ends[0].cell, ends[1].cell)
+        if search.refine:
+            check_line_model(problem, "refinement")
+        # An anytime planner would leave nothing of the budget to refine with.
+        share = 1 - REFINING_SHARE if search.refine else 1.0
+        found = find_path(problem, budget_s=search.budget_s * share, seed=search.seed)
+        if search.refine and found.status.has_path:
+            left_s = search.budget_s - found.elapsed_s - found.setup_s
+            found = refine_path(problem, found, budget_s=max(left_s, search.budget_s * REFINING_SHARE / 2))
+        return finish(self, found, ends, search)
+
+    @cached_property
+    def reachability(self) -> Reachability:
+        """What joins places on these maps."""
+        return Reachability(self.maps, self.constraints, self.time, self.time_of_day, self.cost_model.joins_corners)
+
+    def what_would_join(self, start: Place, goal: Place) -> str:
+        """Return a sentence on what would join two places that nothing joins."""
+        if self.levels is None:
+            return self.reachability.what_would_join(start.cell, goal.cell, self.altitude_m)
+        return levels_that_join(self.reachability, start.cell, goal.cell, self.altitudes_m)
+
+    def means(self, features: PathFeatures) -> dict[str, float]:
+        """Return the mean of each metric m along a path, by the exact length in each cell."""
+        means = zip(self.names, features.mean_costs, strict=True)
+        found = {name: self.maps.metrics[name].cost(cost) for name, cost in means}  # c turns into m as m into c
+        return {name: min(max(float(m), 0.0), 1.0) for name, m in found.items()}  # rounding may leave the range
+
+    @cached_property
+    def terrain_m(self) -> np.ndarray | None:
+        """``[Y, X]`` elevation of the ground; None where the maps hold no terrain."""
+        return self.maps.m("terrain") if "terrain" in self.maps.ds else None
+
+
+def why_blocked(maps: MetricMaps, altitude_m: float, cell: Cell) -> str:
+    """Return how the rule of obstacles blocks a cell: by its centre or, under ``"touched"``, only by its edge."""
+    if maps.is_free(altitude_m, "centre")[cell]:
+        return "in a cell that an obstacle touches"
+    return "inside an obstacle (or where there are no data)"
+
+
+def cost_map(
+    maps: GivenMaps,
+    altitude_m: float | Levels,
+    *,
+    weights: GivenWeights = None,
+    objective: str = "weighted",
+    cost_model: CostModel | CostKind = "cell",
+    time: str | None = None,
+    time_of_day: str | None = None,
+    constraints: Constraints | None = None,
+) -> CostMap:
+    """Return the maps at one altitude, or between levels, under weights, on which any number of paths can be planned.
+
+    Args:
+      maps: from `build_maps` or `open_maps`, or the folder of one resolution's maps.
+      altitude_m: one of the maps' altitudes; or `Levels`, for paths that climb and descend between them.
+      weights: default `Weights()`.
+      objective: ``"weighted"``, or ``"distance"`` for the shortest path (its weighted cost is reported).
+      cost_model: how steps are costed and which are allowed, or its kind alone: ``"cell"`` (the paper) or
+        ``"line"``.
+      time: UTC time of the GPS map; the first if left out.
+      time_of_day: of the population map; the first if left out.
+      constraints: no-fly zones and bounds that close cells to every planner; a zone between two levels closes the
+        lower one.
+
+    Raises:
+      InputError: an unknown altitude, time, time of day or objective, a wrong weight, a bound on a map that is not
+        there, bounds of altitude that hold no level, no free cell in a volume, or more of them than memory holds.
+    """
+    if objective not in ("weighted", "distance"):
+        raise InputError(f"objective must be 'weighted' or 'distance', got {objective!r}")
+    if not isinstance(constraints, Constraints | None):
+        raise InputError(f"constraints must be Constraints, as from Constraints.read, got {type(constraints).__name__}")
+    maps = as_maps(maps)
+    weights = Weights.of(weights).checked(maps.metrics)
+    levels = altitude_m if isinstance(altitude_m, Levels) else None
+    if levels is None:
+        altitudes_m = np.array([finite("altitude_m", altitude_m, "metres, or Levels")])
+    else:
+        altitudes_m = levels.of(maps.altitudes_m)
+    at = _When(maps, time, time_of_day)
+    made = _made(at, altitudes_m, levels, weights, objective, CostModel.of(cost_model), constraints or Constraints())
+    if levels is not None:
+        _ = made.shortest  # no free cell in a volume is refused at once
+    return made
+
+
+def cost_map_of(planned: PlannedPath, maps: MetricMaps) -> CostMap:
+    """Return the map that a path was planned on, from its settings; of a volume the levels that the path comes to.
+
+    Every cell is free, as paths do not keep what closed cells.
+
+    Raises:
+      InputError: the maps lack a metric that the path was planned on.
+    """
+    settings, levels, altitudes_m = planned.settings, None, np.array([planned.altitude_m])
+    if "levels_m" in settings:
+        levels = Levels(climb_cost=settings.get("climb_cost"), descent_cost=settings.get("descent_cost", 0.0))
+        levels_m = np.asarray(settings["levels_m"], float)
+        altitudes_m = levels_m[(levels_m >= planned.z_m.min()) & (levels_m <= planned.z_m.max())]
+    at = _When(maps.with_obstacles("centre"), settings["time"], settings["time_of_day"])
+    weights, cost_model = Weights.of(settings["weights"]), CostModel.from_settings(settings)
+    made = _made(at, altitudes_m, levels, weights, settings["objective"], cost_model, Constraints())
+    return replace(made, is_free=np.ones_like(made.is_free)).only(
+        [name for name in settings["weights"] if name != "distance"]
+    )
+
+
+def _made(
+    at: "_When",
+    altitudes_m: np.ndarray,
+    levels: Levels | None,
+    weights: Weights,
+    objective: str,
+    cost_model: CostModel,
+    constraints: Constraints,
+) -> CostMap:
+    """Return a cost map from checked values."""
+    maps, when = at.maps, {"time": at.time, "time_of_day": at.time_of_day}
+    if levels is not None:
+        is_free, costs = _of_levels(at, altitudes_m, constraints)
+    else:
+        (altitude_m,) = altitudes_m.tolist()
+        is_free = constraints.is_free(maps, altitude_m, **when)
+        costs = np.zeros((len(maps.metrics), *is_free.shape), np.float32)
+        for layer, cost in zip(costs, maps.costs(altitude_m, **when).values(), strict=True):
+            layer[:] = np.where(is_free, cost, np.nan_to_num(cost))
+    return CostMap(
+        maps=maps,
+        altitudes_m=altitudes_m,
+        levels=levels,
+        time=maps.default_time if at.time is None else iso_utc(parse_time(at.time)),
+        time_of_day=at.time_of_day or next(iter(maps.times_of_day), None),
+        weights=weights,
+        objective=objective,
+        cost_model=cost_model,
+        constraints=constraints,
+        names=tuple(maps.metrics),
+        costs=costs,
+        is_free=is_free,
+    )
+
+
+@dataclass(frozen=True)
+class _When:
+    """Maps at one time."""
+
+    maps: MetricMaps
+    time: str | None
+    time_of_day: str | None
+
+    def read(self, name: str, altitude_m: float) -> np.ndarray:
+        return self.maps.m(name, altitude_m, time=self.time, time_of_day=self.time_of_day)
+
+
+def _of_levels(at: _When, levels_m: np.ndarray, constraints: Constraints) -> tuple[np.ndarray, np.ndarray]:
+    """Return ``[K, Y, X]`` where a path may fly, and ``[L, K, Y, X]`` the costs, of levels within the maps' range."""
+    maps = at.maps
+    _check_memory((len(levels_m), *maps.grid.shape))
+    is_free = constraints.free_levels(maps, levels_m.tolist(), time=at.time, time_of_day=at.time_of_day)
+    costs = np.zeros((len(maps.metrics), *is_free.shape), np.float32)
+    is_defined = cache(lambda z_m: maps.is_free(z_m, "centre"))
+    for (name, metric), layers in zip(maps.metrics.items(), costs, strict=True):
+        read = cache(partial(at.read, name))
+        is_flat = "altitude" not in maps.ds[maps.variable(name)].dims
+        for level, z_m in enumerate(levels_m.tolist()):
+            m = read(maps.altitudes_m[0]) if is_flat else values_at(z_m, maps.altitudes_m, read, is_defined)
+            cost = np.asarray(metric.cost(m))
+            layers[level] = np.where(is_free[level], cost, np.nan_to_num(cost))
+    return is_free, costs
+
+
+def _check_memory(shape: tuple[int, int, int]) -> None:
+    needed, free = math.prod(shape) * NODE_BYTES, psutil.virtual_memory().available
+    if needed > free:
+        raise InputError(
+            f"a volume of {shape[0]} levels of {shape[1]} x {shape[2]} cells takes up to {gib(needed)} of memory and "
+            f"{gib(free)} are free: choose a longer level_step_m, closer altitude bounds, or coarser maps"
+        )

@@ -1,0 +1,245 @@
+"""A planned route explained: what each layer and each segment costs, who is below, where GPS or room is scarce."""
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from jaxurban.errors import InputError, finite
+from jaxurban.maps.metric_maps import GivenMaps, as_maps
+from jaxurban.metrics.population import M2_PER_KM2
+from jaxurban.paths.cost_map import cost_map_of
+from jaxurban.paths.crossings import cut_evenly
+from jaxurban.paths.path import PlannedPath
+from jaxurban.paths.profile import CLEARANCE, FEWEST_SATELLITES, OUTSIDE, OVER_ROOF, VISIBLE, RouteProfile
+
+SECONDS_PER_HOUR = 3600.0
+DENSITY = "density_per_km2"
+EXTRA_MAPS = {VISIBLE: VISIBLE, "density": DENSITY, "terrain": "terrain_m"}
+UNITS = {"_m": "m", "_s": "s", "_wh": "Wh"}  # by the end of a name
+SEGMENT_HEADS = {  # what a terminal has room for beside the costs; `RouteReport.segments` has more
+    "min_gps": "min gps",
+    "people_overflown": "people",
+    "under_4_satellites_m": "<4 sat m",
+    CLEARANCE: "clear m",
+    "time_s": "time s",
+    "energy_wh": "Wh",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class RouteReport:
+    """A route in numbers. Lengths are in the air; all is in still air, above ground.
+
+    Attributes:
+      totals: of the whole route: ``length_m``, ``cost`` and ``cost_of_*`` (distance and each metric),
+        ``mean_*`` of each metric m (over the length), ``people_overflown`` (see `explain`),
+        ``under_4_satellites_m`` (length with no position fix), ``nearest_wall_m``, ``walls_outside_m`` (see
+        `explain`), ``least_over_roofs_m`` (above the roofs beneath; NaN over none), ``time_s``, ``energy_wh``.
+        What the maps or the arguments do not tell is left out.
+      segments: a row for each of a few parts of nearly equal length: the same, ``from_m`` and ``to_m`` along
+        the route, and ``min_*`` and ``max_*`` of each metric. The sums of costs, lengths and people are the totals.
+      extremes: a row for each metric, the satellites in view, people per km2 and the clearance: ``mean`` over
+        the length (of the satellites, a whole number, the ``median`` instead), ``min`` and ``max``, and where along
+        the route (``*_at_m``) and on the map (``*_lon``, ``*_lat``) they are.
+      profile: a row for each cell that a step of the route crosses, in order: ``from_m`` and ``to_m``, the
+        middle's ``lon``, ``lat`` and ``z_m``, and the value of every map.
+      lines: longitude and latitude ``[K, 2]`` of each segment.
+      settings: ``swath_m``, ``speed_m_s`` and ``power_w`` as they were given.
+    """
+
+    totals: Mapping[str, float]
+    segments: pd.DataFrame
+    extremes: pd.DataFrame
+    profile: pd.DataFrame
+    lines: tuple[np.ndarray, ...]
+    settings: Mapping[str, float | None]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return totals, extremes and segments as plain, JSON-ready values (None for no number)."""
+        return {
+            **_plain(self.settings),
+            **_plain(self.totals),
+            "extremes": {
+                str(name): _plain_extremes(str(name), row) for name, row in self.extremes.to_dict("index").items()
+            },
+            "segments": [{"segment": number, **_plain(row)} for number, row in self.segments.to_dict("index").items()],
+        }
+
+    def table(self) -> str:
+        """Return the report for a terminal: totals, extremes, segments."""
+        return "\n\n".join(["\n".join(self._totals()), self._extremes(), self._segments()])
+
+    def _totals(self) -> Iterator[str]:
+        for name, value in self.totals.items():
+            label, unit = next(
+                ((name.removesuffix(end), unit) for end, unit in UNITS.items() if name.endswith(end)), (name, "")
+            )
+            unit = f"(strip of {self.settings['swath_m']:g} m)" if name == "people_overflown" else unit
+            yield f"{label.replace('_', ' '):<22}{_short(value)} {unit}".rstrip()
+
+    def _extremes(self) -> str:
+        shown = self.extremes[["mean", "min", "min_at_m", "max", "max_at_m"]].map(_short)
+        for end in ("min_at_m", "max_at_m"):
+            shown[end] = self.extremes[end].map("{:,.0f}".format)
+        if VISIBLE in shown.index:
+            shown.at[VISIBLE, "mean"] = f"median {self.extremes['median'][VISIBLE]:.0f}"
+        shown.columns = pd.Index(["mean", "min", "at m", "max", "at m"], name="along the route")
+        return shown.rename_axis(None).to_string(col_space=9)
+
+    def _segments(self) -> str:
+        names = [str(name) for name in self.segments]
+        costs = [name for name in names if name.startswith("cost_of_")]
+        heads = {"from_m": "from m", "length_m": "length m", "cost": "cost"}
+        heads |= {name: f"{'+' if k else '='}{name.removeprefix('cost_of_')}" for k, name in enumerate(costs)}
+        heads = {name: head for name, head in (heads | SEGMENT_HEADS).items() if name in names}
+        shown = self.segments[list(heads)].map(_short)
+        shown.columns = pd.Index(list(heads.values()), name="segment")
+        return shown.rename_axis(None).to_string(col_space=8) if len(shown) else "segment"
+
+
+def explain(
+    planned: PlannedPath,
+    maps: GivenMaps,
+    *,
+    speed_m_s: float | None = None,
+    power_w: float | None = None,
+    swath_m: float = 10.0,
+    num_segments: int = 10,
+) -> RouteReport:
+    """Return what a planned route costs and meets, in whole and by segment.
+
+    People overflown are those under a strip of width ``swath_m`` along the route: the integral of density x
+    ``swath_m`` over the length on the ground, where the strip is taken to be as dense as the cell that the
+    route crosses. Who lives under two passes counts twice. Time is length / speed, energy time x power: no wind,
+    no acceleration, the same power in climb and descent. Clearance (``nearest_wall_m``) is the exact distance from the
+    route to the square of the nearest cell with a roof at its altitude (see `clearance_m`); of the highest roof
+    that touches a cell, where the maps hold it, so that 0 is contact. What stands outside the region they do not
+    hold, but risk was made with it: ``walls_outside_m`` is how far at least the obstacles out there are.
+    Where a route climbs, each cell takes the maps of the level nearest to it, as the planner did; of satellites and
+    obstacles that below, where there are fewer of the ones and more of the others.
+
+    Args:
+      planned: from `plan`; its settings tell weights, cost model, time and time of day.
+      maps: the maps it was planned on, or their folder.
+      speed_m_s: through the air; left out, no time.
+      power_w: mean electrical power in flight; left out, no energy.
+      swath_m: width of the strip in which people are counted.
+      num_segments: into how many segments of nearly equal length the table is cut, at most.
+
+    Raises:
+      InputError: there is no path, the maps are others, or a speed, power, width or number that cannot be.
+    """
+    maps = as_maps(maps)
+    check_flight(speed_m_s, power_w, swath_m)
+    if num_segments < 1:
+        raise InputError(f"num_segments must be at least 1, got {num_segments}")
+    route = RouteProfile.of(planned, maps)
+    crossings, names, grid = route.crossings, tuple(maps.metrics), maps.grid
+    profile = route.table({name: name for name in names} | EXTRA_MAPS)
+    on = cost_map_of(planned, maps)
+    states = crossings.states[:, : 2 if on.levels is None else 3]
+    lonlat = np.stack(grid.lonlat_of_xy(states[:, 0] + grid.x_min_m, states[:, 1] + grid.y_min_m), axis=-1)
+
+    def row(first: int, last: int) -> dict[str, float]:
+        """Return what the route from one state to another costs and meets."""
+        chosen = (first <= crossings.step) & (crossings.step < max(last, 1))
+        features = on.shortest.features(states[first : last + 1])
+        by_name = dict(zip(on.weight_names, (on.weight_vector * features.phi).tolist(), strict=True))
+        costs = {"cost": sum(by_name.values())} | {f"cost_of_{name}": cost for name, cost in by_name.items()}
+        costs |= {f"mean_{name}": mean for name, mean in on.means(features).items()}
+        part = profile[chosen]
+        ranges = {f"{end}_{name}": getattr(part[name], end)() for end in ("min", "max") for name in names}
+        if DENSITY in part:
+            costs["people_overflown"] = float(part[DENSITY] @ crossings.ground_m[chosen]) * swath_m / M2_PER_KM2
+        return _sums(part, costs, speed_m_s, power_w) | ranges
+
+    num_steps = len(states) - 1
+    whole = row(0, num_steps)
+    segment = cut_evenly(crossings.states, num_segments)
+    parts = list(pairwise([*np.unique(segment, return_index=True)[1].tolist(), num_steps]))
+    segments = pd.DataFrame(
+        [row(*part) for part in parts], pd.RangeIndex(1, len(parts) + 1, name="segment"), list(whole)
+    )
+    left_out = ("from_m", "to_m", *(f"{end}_{name}" for end in ("min", "max") for name in names))
+    return RouteReport(
+        totals={name: value for name, value in whole.items() if name not in left_out},
+        segments=segments,
+        extremes=_extremes(profile, names),
+        profile=profile,
+        lines=tuple(lonlat[first : last + 1] for first, last in parts),
+        settings={"swath_m": swath_m, "speed_m_s": speed_m_s, "power_w": power_w},
+    )
+
+
+def check_flight(speed_m_s: float | None = None, power_w: float | None = None, swath_m: float = 10.0) -> None:
+    """Raise InputError unless `explain` takes these values: call it before a long search."""
+    for name, value in (("speed_m_s", speed_m_s), ("power_w", power_w), ("swath_m", swath_m)):
+        if value is not None and finite(name, value) <= 0:
+            raise InputError(f"{name} must be a finite number above 0, got {value}")
+    if power_w is not None and speed_m_s is None:
+        raise InputError("power_w tells an energy only over a time: give the speed (speed_m_s, --speed) too")
+
+
+def _sums(
+    part: pd.DataFrame, costs: Mapping[str, float], speed_m_s: float | None, power_w: float | None
+) -> dict[str, float]:
+    """Return what rows of the profile add up to and their clearance, their costs, means and people among them."""
+    length_m = (part["to_m"] - part["from_m"]).to_numpy()
+    row = {"from_m": part["from_m"].min(), "to_m": part["to_m"].max(), "length_m": float(length_m.sum()), **costs}
+    if VISIBLE in part:
+        row["under_4_satellites_m"] = float(length_m[part[VISIBLE] < FEWEST_SATELLITES].sum())
+    row |= {name: float(part[name].min()) for name in (CLEARANCE, OUTSIDE, OVER_ROOF)}
+    if speed_m_s is not None:
+        row["time_s"] = row["length_m"] / speed_m_s
+        if power_w is not None:
+            row["energy_wh"] = row["time_s"] * power_w / SECONDS_PER_HOUR
+    return row
+
+
+def _mean_along(values: np.ndarray, length_m: np.ndarray) -> float:
+    """Return the mean over the length; of a route without length, of its one place."""
+    weights = length_m if length_m.sum() > 0 else np.ones(len(length_m))
+    return float(values @ weights / weights.sum()) if len(values) else math.nan
+
+
+def _median_along(values: np.ndarray, length_m: np.ndarray) -> float:
+    """Return the value that at least half of the length does not exceed; one of the values."""
+    order = np.argsort(values)
+    done_m = np.cumsum(length_m[order])
+    return values[order][np.searchsorted(done_m, done_m[-1] / 2)]
+
+
+def _extremes(profile: pd.DataFrame, metrics: tuple[str, ...]) -> pd.DataFrame:
+    names = [name for name in (*metrics, VISIBLE, DENSITY, CLEARANCE) if name in profile]
+    length_m = (profile["to_m"] - profile["from_m"]).to_numpy()
+    rows = {}
+    for name in names:
+        values = profile[name].to_numpy()
+        is_count = name == VISIBLE
+        rows[name] = {"mean": math.nan if is_count else _mean_along(values, length_m)}
+        rows[name] |= {"median": float(_median_along(values, length_m)) if is_count else math.nan}
+        for end, place in (("min", np.argmin(values)), ("max", np.argmax(values))):
+            at = profile.iloc[place]
+            rows[name] |= {end: values[place], f"{end}_at_m": (at["from_m"] + at["to_m"]) / 2}
+            rows[name] |= {f"{end}_lon": at["lon"], f"{end}_lat": at["lat"]}
+    return pd.DataFrame.from_dict(rows, orient="index").rename_axis("quantity")
+
+
+def _plain(values: Mapping[Any, Any]) -> dict[str, float | None]:
+    """Return numbers as JSON takes them: None for none, and for no number."""
+    return {str(key): None if v is None or not math.isfinite(v) else float(v) for key, v in values.items()}
+
+
+def _plain_extremes(name: str, row: Mapping[Any, Any]) -> dict[str, float | None]:
+    """Return a row of extremes: satellites as whole numbers with their median, all else with its mean."""
+    plain = _plain({key: value for key, value in row.items() if key != ("mean" if name == VISIBLE else "median")})
+    return plain | ({key: int(row[key]) for key in ("median", "min", "max")} if name == VISIBLE else {})
+
+
+def _short(value: float) -> str:
+    return "none" if not math.isfinite(value) else f"{value:,.0f}" if abs(value) >= 1000 else f"{value:.3g}"

@@ -1,0 +1,31 @@
+"""What every format of paths writes: rounded positions and the facts of a path and of its report."""
+
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from jaxurban.paths.explain import RouteReport
+    from jaxurban.paths.path import PlannedPath
+
+DECIMALS = 7  # of a degree: about a centimetre
+Z_DECIMALS = 2  # of a metre
+HEIGHT_REFERENCE = "altitude_m and z_m are metres above the ground below each point, not above sea level"
+
+# What a format is: the bytes of a file from paths by name and, if there is one, the report of the one path.
+Encode = Callable[["Named", "RouteReport | None"], bytes]
+Named = Sequence[tuple[str, "PlannedPath"]]  # "" for a path without a name
+
+
+def positions(points: np.ndarray) -> list[list[float]]:
+    """Return rounded coordinates; a lone point twice, since a line needs two positions."""
+    listed = np.round(points, DECIMALS).tolist()
+    return listed * 2 if len(listed) == 1 else listed
+
+
+def facts_of(route: "PlannedPath", report: "RouteReport | None") -> tuple[dict[str, Any], list[dict[str, Any]]]:
+    """Return what is known of the whole path, and of each segment."""
+    known = {} if report is None else report.to_dict()
+    segments = known.pop("segments", [])
+    return known | route.to_dict() | {"height_reference": HEIGHT_REFERENCE}, segments

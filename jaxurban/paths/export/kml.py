@@ -1,0 +1,53 @@
+"""KML: of each path a LineString at its altitude above ground (``relativeToGround``), and all known of it as data."""
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+from xml.etree import ElementTree
+
+import numpy as np
+
+from jaxurban.paths.export.base import DECIMALS, Z_DECIMALS, Named, facts_of, positions
+
+if TYPE_CHECKING:
+    from jaxurban.paths.explain import RouteReport
+    from jaxurban.paths.path import PlannedPath
+
+
+def to_kml(routes: Named, report: "RouteReport | None") -> bytes:
+    """Return paths as KML."""
+    root = ElementTree.Element("kml", xmlns="http://www.opengis.net/kml/2.2")
+    document = ElementTree.SubElement(root, "Document")
+    for name, route in routes:
+        _add_placemark(document, name, route, report)
+    ElementTree.indent(root)
+    return ElementTree.tostring(root, encoding="utf-8", xml_declaration=True)
+
+
+def _add_placemark(
+    document: ElementTree.Element, name: str, route: "PlannedPath", report: "RouteReport | None"
+) -> None:
+    facts, _ = facts_of(route, report)
+    placemark = ElementTree.SubElement(document, "Placemark")
+    title = name or f"{facts['planner']}, {route.altitude_m:g} m above ground"
+    ElementTree.SubElement(placemark, "name").text = title
+    ElementTree.SubElement(placemark, "description").text = facts["message"]
+    data = ElementTree.SubElement(placemark, "ExtendedData")
+    for name, value in _flat(facts):
+        ElementTree.SubElement(ElementTree.SubElement(data, "Data", name=name), "value").text = str(value)
+    line = ElementTree.SubElement(placemark, "LineString")
+    ElementTree.SubElement(line, "altitudeMode").text = "relativeToGround"
+    ElementTree.SubElement(line, "coordinates").text = " ".join(
+        f"{lon:.{DECIMALS}f},{lat:.{DECIMALS}f},{z_m:.{Z_DECIMALS}f}"
+        for lon, lat, z_m in positions(np.column_stack([route.lonlat, route.z_m]))
+    )
+
+
+def _flat(facts: Mapping[str, Any], prefix: str = "") -> list[tuple[str, Any]]:
+    """Return nested facts as dotted names with plain values, those without a value left out."""
+    pairs: list[tuple[str, Any]] = []
+    for name, value in facts.items():
+        if isinstance(value, Mapping):
+            pairs += _flat(value, f"{prefix}{name}.")
+        elif value is not None:
+            pairs.append((prefix + name, value))
+    return pairs

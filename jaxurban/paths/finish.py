@@ -1,0 +1,104 @@
+"""What comes of a planner's path over a cost map: cost by layer, metrics, coordinates, and what must be said of it."""
+
+import math
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from jaxurban.metrics.registry import METRICS
+from jaxurban.paths.ground import Ground, ground_along
+from jaxurban.paths.path import PlannedPath
+from jaxurban.paths.search import Search
+from jaxurban.paths.snapping import Place, snap_note
+from jaxurban.planners.base import Path, Status
+
+if TYPE_CHECKING:
+    from jaxurban.paths.cost_map import CostMap
+
+
+def finish(on: "CostMap", found: Path, ends: tuple[Place, Place], search: Search) -> PlannedPath:
+    """Return a planner's path with its weighted cost, its metrics, its coordinates and its settings.
+
+    Args:
+      found: from a planner.
+      ends: from `locate`.
+      search: how it was searched for, for the record.
+    """
+    grid, points_m = on.grid, found.points_m
+    xy_m = points_m[:, :2] + np.array([grid.x_min_m, grid.y_min_m])
+    features = on.problem.features(points_m) if found.status.has_path else None
+    parts = () if features is None else zip(on.weight_names, on.weight_vector * features.phi, strict=True)
+    return PlannedPath(
+        status=found.status,
+        xy_m=xy_m,
+        lonlat=np.stack(grid.lonlat_of_xy(xy_m[:, 0], xy_m[:, 1]), axis=-1) if len(xy_m) else np.empty((0, 2)),
+        z_m=np.full(len(xy_m), on.altitude_m) if on.levels is None else points_m[:, 2],
+        altitude_m=float(on.altitudes_m[0 if on.levels is None else ends[0].cell[0]]),
+        cost=math.inf if features is None else features.cost(on.weight_vector),
+        cost_by_layer={name: float(cost) for name, cost in parts},
+        length_m=math.inf if features is None else float(features.phi[0]),
+        metrics={} if features is None else on.means(features),
+        snap_distance_m=(ends[0].snap_distance_m, ends[1].snap_distance_m),
+        search=replace(found, note=_note(on, found, ends)),
+        settings=_settings(on, ends, search),
+        crs=grid.crs,
+        ground=_ground_under(on, found),
+    )
+
+
+def _note(on: "CostMap", found: Path, ends: tuple[Place, Place]) -> str:
+    """Return what the planner noted, and what a reader of the path must know beside it."""
+    has_path = found.status.has_path
+    notes = [found.note]
+    if not on.is_weighed and on.objective == "weighted":
+        notes = ["All weights are zero, so every path is as cheap: the distance was minimised instead."]
+    notes.append(snap_note(*ends))
+    if on.is_weighed and on.weights.distance == 0 and not found.note and has_path:
+        notes.append("The distance weighs nothing, so the path may be far longer than it need be.")
+    if on.constraints and not has_path:
+        without = sum(int(on.maps.is_free(z_m).sum()) for z_m in on.altitudes_m.tolist())
+        share = 1 - on.is_free.sum() / without
+        notes.append(
+            f"Constraints were on ({on.constraints}): they close {share:.1%} of the cells without an obstacle."
+        )
+    if found.status is Status.NO_PATH:
+        notes.append(on.what_would_join(*ends))
+    if missing := [name for name in METRICS if name not in on.names and on.weights[name] > 0]:
+        notes.append(f"These maps hold no {' and no '.join(missing)}, so that weight is ignored.")
+    return " ".join(filter(None, notes))
+
+
+def _settings(on: "CostMap", ends: tuple[Place, Place], search: Search) -> dict[str, object]:
+    settings = {
+        "objective": on.objective,
+        **on.cost_model.settings,
+        "weights": {name: float(on.weights[name]) for name in ("distance", *on.names)},
+        "time": on.time,
+        "time_of_day": on.time_of_day,
+        "limits": on.constraints.to_dict(),
+        "obstacles": on.maps.obstacles,
+        "resolution_m": on.grid.resolution_m,
+        "budget_s": search.budget_s if np.isfinite(search.budget_s) else None,
+        "seed": search.seed,
+    }
+    if on.levels is None:
+        return settings
+    asked = {name: getattr(on.levels, name) for name in ("min_altitude_m", "max_altitude_m", "level_step_m")}
+    climb_cost, descent_cost = on.weight_vector[-2:].tolist()
+    return (
+        settings
+        | asked
+        | {
+            "goal_altitude_m": float(on.altitudes_m[ends[1].cell[0]]),
+            "levels_m": on.altitudes_m.tolist(),
+            "climb_cost": climb_cost,
+            "descent_cost": descent_cost,
+        }
+    )
+
+
+def _ground_under(on: "CostMap", found: Path) -> Ground | None:
+    if on.terrain_m is None or not found.status.has_path:
+        return None
+    return ground_along(found.points_m[:, :2], on.terrain_m, on.grid)

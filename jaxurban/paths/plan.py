@@ -1,0 +1,86 @@
+"""plan: a path between two places over metric maps, evaluated the same way for every planner."""
+
+from jaxurban.maps.levels import Levels
+from jaxurban.maps.metric_maps import GivenMaps
+from jaxurban.metrics.weights import GivenWeights
+from jaxurban.paths.constraints import Constraints
+from jaxurban.paths.cost_map import cost_map
+from jaxurban.paths.path import PlannedPath
+from jaxurban.paths.search import Search
+from jaxurban.paths.snapping import Point, one_place
+from jaxurban.planners.base import CostKind, CostModel
+
+
+def plan(
+    maps: GivenMaps,
+    start: Point | None = None,
+    goal: Point | None = None,
+    *,
+    altitude_m: float | Levels,
+    start_xy_m: Point | None = None,
+    goal_xy_m: Point | None = None,
+    weights: GivenWeights = None,
+    planner: str | None = None,
+    heuristic: str | None = None,
+    objective: str = "weighted",
+    cost_model: CostModel | CostKind = "cell",
+    time: str | None = None,
+    time_of_day: str | None = None,
+    budget_s: float = 180.0,
+    seed: int = 0,
+    snap: bool | float = False,
+    refine: bool = False,
+    constraints: Constraints | None = None,
+) -> PlannedPath:
+    """Return a path from ``start`` to ``goal``, at one altitude or between levels.
+
+    For many queries on one map and weights, make a `cost_map` once and call its ``plan``: what planners derive from
+    the map is then shared.
+
+    Args:
+      maps: from `build_maps` or `open_maps`, or the folder of one resolution's maps.
+      start, goal: longitude, latitude in degrees; between levels also an altitude, one of the levels (left out, the
+        lowest that is free there).
+      altitude_m: one of the maps' altitudes; or `Levels`, for a path that may climb and descend on its way. What it
+        costs is described in docs/volume.md: the metrics of the cells it enters, its length in space, and each metre of
+        climb and descent; 8 neighbours are 26 there. ``objective="distance"`` leaves climb and descent out too.
+      start_xy_m, goal_xy_m: easting, northing in the maps' CRS (and altitude), instead of ``start`` and ``goal``.
+      weights: default `Weights()`.
+      planner: ``"ptp"``, ``"astar-dist"``, ``"astar-plus"`` ...; left out, ``"astar-plus"``, and between levels
+        ``"astar-volume"``.
+      heuristic: left out, the planner's own.
+      objective: ``"weighted"``, or ``"distance"`` for the shortest path (its weighted cost is reported).
+      cost_model: how steps are costed and which are allowed, or its kind alone: ``"cell"`` (the paper) or
+        ``"line"``.
+      time: UTC time of the GPS map; the first if left out.
+      time_of_day: of the population map; the first if left out.
+      budget_s: seconds that the search may take.
+      seed: for sampling planners.
+      snap: move a start or goal inside an obstacle or closed by a constraint to the nearest free cell (of its level)
+        instead of failing: True by at most 50 m, a number by at most so many metres. The path's message says how far.
+      refine: move the waypoints of what the planner found downhill, off the grid (`planners.refine`); within what
+        is left of the budget. It takes the ``line`` cost model, or the ``distance`` objective.
+      constraints: no-fly zones and bounds on maps, from `Constraints.read`; no path enters a cell that they close. A
+        zone between two levels closes the lower one.
+
+    Raises:
+      InputError: a place outside the maps or inside an obstacle or a constraint (names it and the nearest free cell, or
+        the lowest free level), an unknown altitude, planner, heuristic or objective, bounds of altitude that hold no
+        level, or a volume that memory cannot hold.
+    """
+    # A wrong name is refused before the maps are read.
+    Search(planner, heuristic, seed=seed, refine=refine).find(is_for_volumes=isinstance(altitude_m, Levels))
+    ends = one_place("start", start, start_xy_m), one_place("goal", goal, goal_xy_m)
+    shared = cost_map(
+        maps,
+        altitude_m,
+        weights=weights,
+        objective=objective,
+        cost_model=cost_model,
+        time=time,
+        time_of_day=time_of_day,
+        constraints=constraints,
+    )
+    return shared.plan(
+        *ends, planner=planner, heuristic=heuristic, budget_s=budget_s, seed=seed, snap=snap, refine=refine
+    )

@@ -1,0 +1,147 @@
+"""What a route meets, cell by cell: the values of the maps at its height, roofs beneath, clearance from obstacles."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from jaxurban.errors import InputError
+from jaxurban.maps.levels import values_at
+from jaxurban.maps.metric_maps import MetricMaps
+from jaxurban.paths.crossings import RouteCrossings, clearance_m, cut_route, level_below_m, nearest_level_m
+from jaxurban.paths.path import PlannedPath
+
+FEWEST_SATELLITES = 4  # below, no position fix
+TOUCHED, VISIBLE = "roof_touched", "num_visible"
+CLEARANCE, OUTSIDE, OVER_ROOF = "nearest_wall_m", "walls_outside_m", "least_over_roofs_m"
+
+
+@dataclass(frozen=True, eq=False)
+class RouteProfile:
+    """A route over the maps that it was planned on.
+
+    Attributes:
+      planned: the route; on one altitude, or between levels.
+      maps: that it was planned on.
+      crossings: the route cut at the cells' borders.
+
+    Raises:
+      InputError: there is no path, or the maps are others.
+    """
+
+    planned: PlannedPath
+    maps: MetricMaps
+    crossings: RouteCrossings
+
+    @classmethod
+    def of(cls, planned: PlannedPath, maps: MetricMaps) -> "RouteProfile":
+        """Return the route cut on its maps."""
+        if not isinstance(planned, PlannedPath):
+            raise InputError(f"a route must be one path, as from plan, got {type(planned).__name__}")
+        grid, settings = maps.grid, planned.settings
+        if not planned.status.has_path:
+            raise InputError(f"there is no path to explain: {planned.status.sentence}")
+        if (planned.crs, settings["resolution_m"]) != (grid.crs, grid.resolution_m):
+            raise InputError(
+                f"the path was planned at {settings['resolution_m']:g} m in {planned.crs}, and these maps are "
+                f"{grid.resolution_m:g} m in {grid.crs}: give the maps that it was planned on"
+            )
+        points_m = planned.xy_m - [grid.x_min_m, grid.y_min_m]
+        if (points_m < 0).any() or (points_m[:, ::-1] > np.array(grid.shape) * grid.resolution_m).any():
+            raise InputError("the path leaves the region of these maps: give the maps that it was planned on")
+        return cls(planned, maps, cut_route(points_m, planned.z_m, grid.resolution_m))
+
+    def table(self, shown: Mapping[str, str]) -> pd.DataFrame:
+        """Return a row for each crossing: its place, the maps that are shown by their columns, roofs and clearance.
+
+        Each takes the maps of the level nearest to it, as the planner did; of satellites and obstacles that below,
+        where there are fewer of the ones and more of the others.
+        """
+        crossings, middle, grid = self.crossings, self.crossings.middle, self.maps.grid
+        lon, lat = grid.lonlat_of_xy(middle[:, 0] + grid.x_min_m, middle[:, 1] + grid.y_min_m)
+        to_m = np.cumsum(crossings.length_m)
+        columns = {"from_m": to_m - crossings.length_m, "to_m": to_m, "lon": lon, "lat": lat, "z_m": middle[:, 2]}
+        levels_m = self.planned.settings.get("levels_m") or [self.planned.altitude_m]
+        level_m, lowest_m = nearest_level_m(middle[:, 2], levels_m), crossings.ends[:, :, 2].min(axis=1)
+        for name, column in {**shown, self._roofs: "roof_m"}.items():
+            if self.maps.variable(name) in self.maps.ds:
+                columns[column] = self._sample(name, level_m)
+        if VISIBLE in columns:
+            columns[VISIBLE] = columns[VISIBLE].astype(int)
+        columns[OVER_ROOF] = np.where(columns["roof_m"] > 0, lowest_m - columns["roof_m"], np.nan)
+        below_m = level_below_m(lowest_m, levels_m)
+        columns[OUTSIDE] = self._outside_m(level_below_m(below_m, self.maps.altitudes_m))
+        columns[CLEARANCE] = np.empty(len(below_m))
+        for z_m in np.unique(below_m):
+            lines = crossings.ends[below_m == z_m, :, :2]
+            columns[CLEARANCE][below_m == z_m] = clearance_m(lines, self._is_obstacle(float(z_m)), grid.resolution_m)
+        return pd.DataFrame(columns)
+
+    def _sample(self, name: str, level_m: np.ndarray) -> np.ndarray:
+        """Return ``[M]`` float64 the values of a map in the cells crossed, each at its own level.
+
+        Linear between the altitudes around a level; the upper's over an obstacle at the lower.
+        """
+        maps, settings, cells = self.maps, self.planned.settings, (self.crossings.row, self.crossings.col)
+        when = {"time": settings["time"], "time_of_day": settings["time_of_day"]}
+        if "altitude" not in maps.ds[maps.variable(name)].dims:
+            return maps.m(name, **when)[cells].astype(float)
+
+        def at(z_m: float, row: np.ndarray, col: np.ndarray) -> np.ndarray:
+            return values_at(
+                z_m,
+                maps.altitudes_m,
+                lambda held_m: maps.m(name, held_m, **when)[row, col],
+                lambda held_m: maps.is_free(held_m, "centre")[row, col],
+                is_count=name == VISIBLE,
+            )
+
+        values = np.empty(len(level_m))
+        for z_m in np.unique(level_m):
+            values[level_m == z_m] = at(float(z_m), *(index[level_m == z_m] for index in cells))
+        return values
+
+    @property
+    def _roofs(self) -> str:
+        """The variable of roofs: the highest that touches a cell where the maps hold it, else that at its middle."""
+        return TOUCHED if TOUCHED in self.maps.ds else "roof"
+
+    def _is_obstacle(self, z_m: float) -> np.ndarray:
+        """Return ``[Y, X]`` bool: a roof reaches a level."""
+        if self._roofs == TOUCHED or z_m not in self.maps.altitudes_m:
+            return self.maps.m(self._roofs) >= z_m
+        return self.maps.m("obstacle", z_m) == 1
+
+    def _outside_m(self, below_m: np.ndarray) -> np.ndarray:
+        """Return ``[M]`` how far at least each crossing is from the obstacles outside the region.
+
+        They stand beyond its border; and, since the risk metric counts them up to its threshold and measures between
+        the middles of cells, at least its distance less two half diagonals away; ``below_m`` names the maps below each.
+        """
+        grid, attrs, ends = self.maps.grid, self.maps.ds.attrs, self.crossings.ends[:, :, :2]
+        side_m = np.array([grid.num_cols, grid.num_rows]) * grid.resolution_m
+        border_m = np.minimum(ends, side_m - ends).min(axis=(1, 2))
+        if "risk_threshold_m" not in attrs or "risk" not in self.maps.ds:
+            return border_m
+        risk = self._sample("risk", below_m)  # between two maps, the lower one has all obstacles
+        return np.maximum(border_m, risk * attrs["risk_threshold_m"] - math.sqrt(2) * grid.resolution_m)
+
+
+def cautious_profile(planned: PlannedPath, maps: MetricMaps) -> pd.DataFrame:
+    """Return satellites, roofs and clearance along a route: the profile of a report without metrics and people.
+
+    Raises:
+      InputError: there is no path, or the maps are others.
+    """
+    return RouteProfile.of(planned, maps).table({VISIBLE: VISIBLE})
+
+
+def without_fix(profile: pd.DataFrame) -> list[tuple[float, float]]:
+    """Return begin and end along the route of each segment with too few satellites for a fix, metres."""
+    if VISIBLE not in profile:
+        return []
+    is_short = np.concatenate([[False], profile[VISIBLE] < FEWEST_SATELLITES, [False]])
+    changes = np.flatnonzero(is_short[1:] != is_short[:-1]).reshape(-1, 2)
+    return [(float(profile["from_m"].iloc[a]), float(profile["to_m"].iloc[b - 1])) for a, b in changes]

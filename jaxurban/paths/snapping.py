@@ -1,0 +1,134 @@
+"""Snapping: a start or goal in a closed cell moves to the nearest free one, a short way and never in silence."""
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxurban.errors import InputError
+from jaxurban.planners.base import Cell
+from jaxurban.world.grid import Grid
+
+Point = tuple[float, ...]  # longitude, latitude in degrees, and between levels an altitude if liked
+SUCH_AS = ("(583960.0, 4507351.0)", "(-74.0, 40.7)")
+MAX_SNAP_M = 50.0  # about half a city block, unless another distance is given
+
+
+class XY(NamedTuple):
+    """A place in the maps' CRS: easting, northing in metres; between levels its altitude if liked."""
+
+    x_m: float
+    y_m: float
+    altitude_m: float | None = None
+
+
+def one_place(name: str, lonlat: Point | None, xy_m: Point | None) -> Point | XY:
+    """Return a place that is given in degrees or in metres (`XY` always is).
+
+    Raises:
+      InputError: it is given in neither, or in both, or is not two numbers, and maybe an altitude.
+    """
+    if (lonlat is None) == (xy_m is None):
+        raise InputError(f"{name}: give it either as longitude, latitude or as {name}_xy_m, and not both")
+    if isinstance(lonlat, XY):
+        lonlat, xy_m = None, lonlat
+    given = lonlat if xy_m is None else xy_m
+    try:
+        numbers = [None if value is None else float(value) for value in (() if given is None else given)]
+    except (TypeError, ValueError):
+        numbers = []
+    if len(numbers) not in (2, 3) or None in numbers[:2]:
+        what = "longitude, latitude in degrees" if xy_m is None else "easting, northing in metres"
+        raise InputError(f"{name} must be {what} such as {SUCH_AS[xy_m is None]}, got {given!r}")
+    return XY(*numbers) if xy_m is not None else tuple(numbers)
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a query starts or ends.
+
+    Attributes:
+      cell: row and column; in a volume level, row and column.
+      snap_distance_m: from the place that was given to the centre of the cell.
+      is_snapped: the cell of the given place was closed, so this is another one.
+    """
+
+    cell: Cell
+    snap_distance_m: float
+    is_snapped: bool = False
+
+
+def free_place(
+    name: str,
+    xy_m: tuple[float, float],
+    cell: Cell,
+    is_free: np.ndarray,
+    grid: Grid,
+    *,
+    snap: bool | float,
+    why_closed: str,
+    remedy: str,
+) -> Place:
+    """Return the cell of a place, or the free cell nearest to the place if its own is closed and ``snap`` allows it.
+
+    Args:
+      name: ``"start"`` or ``"goal"``, for messages.
+      xy_m: easting, northing of the place.
+      cell: the cell that it lies in.
+      is_free: ``[Y, X]`` bool.
+      grid: of ``is_free``.
+      snap: False never moves it, True by at most `MAX_SNAP_M`, a number by at most so many metres, from the place
+        to the centre of the free cell.
+      why_closed: what closes ``cell``, for messages.
+      remedy: what opens cells, where no cell is free.
+
+    Raises:
+      InputError: the cell is closed, and ``snap`` is off or the nearest free cell farther away than it allows.
+    """
+    cap_m = snap_limit_m(snap)
+    if is_free[cell]:
+        return Place(cell, _distance_m(grid, cell, xy_m))
+    rows, cols = np.nonzero(is_free)
+    if rows.size == 0:
+        raise InputError(f"{name} is {why_closed}, and no cell is free at this altitude: {remedy}")
+    x_m, y_m = grid.xy_of_cell(rows, cols)
+    at = int(np.argmin((x_m - xy_m[0]) ** 2 + (y_m - xy_m[1]) ** 2))
+    nearest = Place((int(rows[at]), int(cols[at])), float(np.hypot(x_m[at] - xy_m[0], y_m[at] - xy_m[1])), True)
+    if cap_m is not None and nearest.snap_distance_m <= cap_m:
+        return nearest
+    lon, lat = grid.lonlat_of_cell(*nearest.cell)
+    needed_m = math.ceil(nearest.snap_distance_m)
+    too_far = "" if cap_m is None else f", farther than it may be moved ({cap_m:g} m)"
+    option = "--snap (snap=True)" if needed_m <= MAX_SNAP_M else f"--snap-distance {needed_m} (snap={needed_m})"
+    raise InputError(
+        f"{name} is {why_closed}; the nearest free cell is at {lon:.6f},{lat:.6f}, {nearest.snap_distance_m:.0f} m "
+        f"away{too_far}: take that place, fly higher, or pass {option} to move there"
+    )
+
+
+def snap_note(start: Place, goal: Place) -> str:
+    """Return a sentence for each end that was moved out of a closed cell, empty where none was."""
+    return " ".join(
+        f"The {name} was not free: it was moved {place.snap_distance_m:.1f} m, to the nearest free cell."
+        for name, place in (("start", start), ("goal", goal))
+        if place.is_snapped
+    )
+
+
+def snap_limit_m(snap: bool | float) -> float | None:
+    """Return how far a place may be moved; None where it may not.
+
+    Raises:
+      InputError: neither a bool nor metres above 0.
+    """
+    if isinstance(snap, bool | np.bool_):
+        return MAX_SNAP_M if snap else None
+    if not isinstance(snap, int | float) or not snap > 0:
+        raise InputError(f"snap must be True (at most {MAX_SNAP_M:g} m), False, or metres above 0, got {snap!r}")
+    return float(snap)
+
+
+def _distance_m(grid: Grid, cell: Cell, xy_m: tuple[float, float]) -> float:
+    x_m, y_m = grid.xy_of_cell(*cell)
+    return float(np.hypot(x_m - xy_m[0], y_m - xy_m[1]))

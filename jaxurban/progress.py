@@ -1,0 +1,128 @@
+"""Progress of long jobs: a bar on a terminal, elsewhere lines in the log "jaxurban"."""
+
+import logging
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+
+LOG = logging.getLogger("jaxurban")
+EVERY_S = 10.0  # between two lines on one stage, and before the first line of a job
+
+interrupted = threading.Event()  # set by the command line at Ctrl-C, which is lost where a callback of JAX gets it
+Progress = bool | Callable[[str, int, int], object]  # a function gets stage, done, total
+
+
+class Report:
+    """What a job tells its progress to: ``report("tiles", 3, 12)``. This one says nothing, or calls a function."""
+
+    def __init__(self, function: Callable[[str, int, int], object] | None = None) -> None:
+        self._function = function
+
+    def __call__(self, stage: str, done: int = 0, total: int = 0, **counts: object) -> None:
+        """Tell the stage, how much of it is done and of how much (0: not known), and what else was counted.
+
+        Raises:
+          KeyboardInterrupt: Ctrl-C came where it could not be raised.
+        """
+        if interrupted.is_set():
+            raise KeyboardInterrupt
+        self.show(stage, done, total, counts)
+
+    def show(self, stage: str, done: int, total: int, counts: Mapping[str, object]) -> None:
+        """Show what the job reported."""
+        if self._function:
+            self._function(stage, done, total)
+
+    def finish(self) -> None:
+        """End a job that went well."""
+
+
+@contextmanager
+def reporting(title: str, progress: Progress = True) -> Iterator[Report]:
+    """Yield what a job tells its progress to.
+
+    Args:
+      title: of the job.
+      progress: True for a bar on stderr or, where that is not a terminal, lines in the log (level INFO): one a stage,
+        with its total and the time that is left; False for nothing; or a function that gets ``stage``, ``done`` and
+        ``total`` (0: not known).
+    """
+    if isinstance(progress, Report):  # of the job that this one is a part of
+        yield progress
+    elif not isinstance(progress, bool):
+        yield Report(progress)
+    elif not progress:
+        yield Report()
+    else:
+        report = _Bar(title) if sys.stderr.isatty() else _Lines(title)
+        try:
+            yield report
+            report.finish()
+        finally:
+            if isinstance(report, _Bar):
+                report.bar.close()
+
+
+class _Bar(Report):
+    """The bar of the stage that runs."""
+
+    def __init__(self, title: str) -> None:
+        from tqdm import tqdm
+
+        self.title, self.stage = title, ""
+        self.bar = tqdm(desc=title, file=sys.stderr)
+
+    def show(self, stage: str, done: int, total: int, counts: Mapping[str, object]) -> None:
+        if stage != self.stage:
+            self.stage = stage
+            self.bar.reset()
+            self.bar.initial = self.bar.n = done
+            self.bar.set_description(f"{self.title}: {stage}", refresh=False)
+        self.bar.total = total or None
+        self.bar.set_postfix(counts, refresh=False)
+        self.bar.update(done - self.bar.n)
+
+
+class _Lines(Report):
+    """Lines in the log: at the end of a stage, and on the way every `EVERY_S`.
+
+    Those of the first seconds wait, so that a job that fails at once leaves its error alone.
+    """
+
+    def __init__(self, title: str) -> None:
+        self.title, self.stage, self.how_far, self.first_done = title, "", "", 0
+        self.begin_s = self.stage_s = self.told_s = time.perf_counter()
+        self.waiting: list[str] = []
+
+    def show(self, stage: str, done: int, total: int, counts: Mapping[str, object]) -> None:
+        now_s = time.perf_counter()
+        if stage != self.stage:
+            self._end_stage(now_s)
+            self.stage, self.stage_s, self.first_done = stage, now_s, done
+        parts = [f"{done} of {total}" if total else f"{done}"] if done or total else []
+        self.how_far = "".join(f", {part}" for part in (*parts, *(f"{name} {value}" for name, value in counts.items())))
+        if now_s - self.told_s >= EVERY_S:
+            spent_s, made = now_s - self.stage_s, done - self.first_done
+            left = f", about {spent_s * (total - done) / made:.0f} s left" if made > 0 and done < total else ""
+            self._tell(f"{stage}{self.how_far}, {spent_s:.0f} s{left}", now_s)
+
+    def _end_stage(self, now_s: float) -> None:
+        if self.stage:
+            self._tell(f"{self.stage}{self.how_far}: done in {now_s - self.stage_s:.1f} s", now_s)
+
+    def _tell(self, line: str, now_s: float) -> None:
+        self.waiting.append(line)
+        self.told_s = now_s
+        if now_s - self.begin_s >= EVERY_S:
+            self._flush()
+
+    def _flush(self) -> None:
+        for line in self.waiting:
+            LOG.info("%s: %s", self.title, line)
+        self.waiting.clear()
+
+    def finish(self) -> None:
+        self._end_stage(time.perf_counter())
+        self._flush()

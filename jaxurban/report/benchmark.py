@@ -1,0 +1,155 @@
+"""Instances as a public benchmark: MovingAI files for shortest paths, maps and Parquet for weighted ones."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from jaxurban.errors import InputError
+from jaxurban.io.files import whole_file, write_whole
+from jaxurban.io.read.movingai import GridProblem, write_map, write_scenarios
+from jaxurban.io.store import short_number
+from jaxurban.io.tables import write_table
+from jaxurban.maps.metric_maps import MetricMaps
+from jaxurban.paths.constraints import Constraints
+from jaxurban.planners.base import CostModel, Status
+from jaxurban.report.markdown import fill
+from jaxurban.studies.montecarlo.analysis import each
+from jaxurban.studies.montecarlo.sampling import KEY, weighed_metrics, weight_columns
+from jaxurban.studies.montecarlo.trial import DISTANCE, WEIGHTED, BenchmarkSettings
+
+INSTANCES_FILE, COSTS_FOLDER, GRID_FOLDER, PAGE_FILE = "instances.parquet", "costs", "movingai", "README.md"
+GRID_PLANNERS = ("astar-dist", "astar-plus")  # what is optimal on the grid, where their status says so
+
+
+def export_benchmark(
+    maps: MetricMaps,
+    instances: pd.DataFrame,
+    rows: pd.DataFrame,
+    folder: str | Path,
+    settings: BenchmarkSettings,
+    name: str,
+) -> dict[str, int]:
+    """Write a benchmark under ``folder`` and return how many problems it holds of each kind.
+
+    ``movingai/NAME_20m.map`` and ``.scen``: the shortest paths, for pairs whose optimal length a distance-only A*
+    proved. ``instances.parquet`` and ``.csv``: all instances with ``grid_optimum`` (the cheapest path over the grid,
+    where an A* proved it), ``best_known`` and ``best_planner``, by the study's cost model.
+    ``costs/NAME_20m_day.npz``: the costs c_j and the free cells. ``README.md``: the format.
+
+    Args:
+      maps: what the benchmark was made on.
+      instances, rows: of a `BenchmarkResult`.
+      folder: where to.
+      settings: of the benchmark.
+      name: of the city, for file names; letters, digits and hyphens.
+
+    Raises:
+      InputError: a name of other characters, a folder that cannot be written to, or what `check_exportable` refuses.
+    """
+    folder = Path(folder)
+    check_exportable(settings.cost_model, settings.constraints)
+    if not name.replace("-", "").isalnum():
+        raise InputError(f"the benchmark's name must be of letters, digits and hyphens, got {name!r}")
+    num_shortest = 0
+    for altitude_m in sorted(instances.altitude_m.unique()):
+        stem = f"{name}_{short_number(altitude_m)}m"
+        num_shortest += _write_grid(maps, instances, rows, folder, altitude_m, stem, settings.constraints)
+    for key, _ in instances.groupby(["altitude_m", "time", "time_of_day"], dropna=False):
+        _write_costs(maps, folder, key, name, settings)
+    table = instances.merge(_references(rows), on=list(KEY), how="left")
+    for suffix in (".parquet", ".csv"):
+        write_table(table, (folder / INSTANCES_FILE).with_suffix(suffix))
+    counts = {"shortest": num_shortest, "weighted": len(table), "proven": int(table.grid_optimum.notna().sum())}
+    model, length_m = settings.cost_model, settings.cost_model.reference_length_m
+    cost_rules = {
+        "cell": "plus w_j c_j(Q) summed over j, Q the cell in which the step ends",
+        "line": f"plus the integral of w_j c_j along it over {length_m:g} m, cut exactly at cell borders",
+    }
+    page = fill(
+        "benchmark",
+        name=name,
+        grid=maps.grid,
+        credit=maps.ds.attrs.get("attribution", ""),
+        counts=counts,
+        model=model,
+        cost_rule=cost_rules[model.kind],
+        weights=", ".join(f"`{column}`" for column in weight_columns(weighed_metrics(instances.columns))),
+    )
+    write_whole(folder / PAGE_FILE, f"{page}\n")
+    return counts
+
+
+def check_exportable(model: CostModel, constraints: Constraints) -> None:
+    """Raise InputError unless shortest paths are those of MovingAI's format: call it before a benchmark runs."""
+    if (model.connectivity, model.diagonal) != (8, "both-free"):
+        raise InputError(
+            "a benchmark's shortest paths have 8 neighbours and no diagonal steps past blocked cells: plan with "
+            f"connectivity 8 and diagonal 'both-free', not {model.connectivity} and {model.diagonal!r}, or leave "
+            "--benchmark out"
+        )
+    if constraints.bounds:
+        raise InputError(
+            "a benchmark holds one map of free cells an altitude, and bounds on maps close other cells at other times: "
+            "leave --require or --benchmark out"
+        )
+
+
+def _write_grid(
+    maps: MetricMaps,
+    instances: pd.DataFrame,
+    rows: pd.DataFrame,
+    folder: Path,
+    altitude_m: float,
+    stem: str,
+    constraints: Constraints,
+) -> int:
+    """Write the ``.map`` and ``.scen`` of one altitude and return the number of problems."""
+    is_free, grid = constraints.is_free(maps, altitude_m), maps.grid
+    proven = rows[
+        (rows.objective == DISTANCE) & (rows.status == Status.OPTIMAL.value) & rows.planner.isin(GRID_PLANNERS)
+    ]
+    proven = proven[proven.altitude_m == altitude_m].drop_duplicates("instance")
+    lengths = dict(zip(proven.instance, proven.length_m, strict=True))
+    problems = []
+    for pair in each(instances[instances.altitude_m == altitude_m]):
+        if pair.instance in lengths:
+            start, goal = (
+                tuple(int(number) for number in grid.cell_of_xy(x_m, y_m))
+                for x_m, y_m in ((pair.start_x_m, pair.start_y_m), (pair.goal_x_m, pair.goal_y_m))
+            )
+            length = lengths[pair.instance] / grid.resolution_m
+            problems.append(GridProblem((start[0], start[1]), (goal[0], goal[1]), length))
+    write_map(is_free, folder / GRID_FOLDER / f"{stem}.map")
+    write_scenarios(problems, is_free.shape, f"{stem}.map", folder / GRID_FOLDER / f"{stem}.map.scen")
+    return len(problems)
+
+
+def _write_costs(maps: MetricMaps, folder: Path, key: tuple[Any, ...], name: str, settings: BenchmarkSettings) -> None:
+    altitude_m = float(key[0])
+    time, time_of_day = (None if pd.isna(part) else str(part) for part in key[1:])
+    on = settings.cost_map(maps, altitude_m, time, time_of_day)
+    parts = [name, f"{short_number(altitude_m)}m", *filter(None, [time_of_day])]
+    if len(maps.times) > 1 and time is not None:
+        parts.append(time.translate({45: None, 58: None}))
+    with whole_file(folder / COSTS_FOLDER / f"{'_'.join(parts)}.npz") as scratch, scratch.open("wb") as file:
+        np.savez_compressed(
+            file,
+            names=np.array(on.names),
+            costs=on.costs,
+            is_free=on.is_free,
+            resolution_m=on.grid.resolution_m,
+            x_min_m=on.grid.x_min_m,
+            y_min_m=on.grid.y_min_m,
+        )
+
+
+def _references(rows: pd.DataFrame) -> pd.DataFrame:
+    """Return the reference costs of each instance: the grid's optimum, and the cheapest path known."""
+    found = rows[rows.cost.notna() & (rows.objective == WEIGHTED)]
+    best = found.loc[found.groupby(list(KEY)).cost.idxmin(), [*KEY, "cost", "planner"]]
+    best = best.rename(columns={"cost": "best_known", "planner": "best_planner"})
+    proven = found[(found.status == Status.OPTIMAL.value) & found.planner.isin(GRID_PLANNERS)]
+    optimum = proven.groupby(list(KEY)).cost.min().rename("grid_optimum").reset_index()
+    return best.merge(optimum, on=list(KEY), how="left")

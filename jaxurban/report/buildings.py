@@ -1,0 +1,115 @@
+"""What buildings cost a route over a folder of maps: the sources read again, a table and a map written."""
+
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+
+import jax
+import numpy as np
+import pandas as pd
+
+from jaxurban.errors import InputError
+from jaxurban.io.files import read_json
+from jaxurban.io.store import RUN_FILE
+from jaxurban.maps.build import soften
+from jaxurban.maps.differentiable import SoftParams
+from jaxurban.paths.path import PlannedPath
+from jaxurban.report.figures.buildings import plot_building_costs
+from jaxurban.report.save import save
+from jaxurban.scenario.provenance import hash_inputs
+from jaxurban.scenario.run import tasks_of
+from jaxurban.scenario.settings import Scenario
+from jaxurban.studies.sensitivity.buildings import building_costs
+
+
+def scenario_of(folder: Path, scenario: Path | None = None) -> Scenario:
+    """Return the scenario that a folder of maps was made from, its sources unchanged.
+
+    The record of a run names sources as the scenario did. Relative names are looked for from the scenario's own file
+    if it is given, else from the current folder, the maps' folder and the one that holds it.
+
+    Raises:
+      InputError: no record, a source that is not found, or one that is not the one the maps were made from.
+    """
+    file = Path(folder) / RUN_FILE
+    try:
+        record = read_json(file)
+    except OSError as error:
+        raise InputError(
+            f"cannot read {str(file)!r} ({error.strerror or error}): gradients by building need the record of the "
+            "run, as `jaxurban maps` writes it"
+        ) from error
+    except ValueError as error:
+        raise InputError(
+            f"{str(file)!r} is not the record of a run ({error}): run the same `jaxurban maps` command again"
+        ) from error
+    tried = (scenario.parent,) if scenario is not None else (Path(), folder, folder.parent)
+    return _with_sources(record, [path.resolve() for path in tried], str(file))
+
+
+def _with_sources(record: dict, folders: Sequence[Path], name: str) -> Scenario:
+    for folder in folders:
+        found = Scenario.from_dict(record["settings"], name=name, folder=folder)
+        if not all(found.path_of(source["path"]).exists() for source in record["inputs"].values()):
+            continue
+        for role, source in hash_inputs(found).items():
+            if source["sha256"] != record["inputs"][role]["sha256"]:
+                raise InputError(
+                    f"{source['path']!r} is not the file that the maps were made from: put it back, or "
+                    "make the maps again"
+                )
+        return found
+    names = ", ".join(repr(source["path"]) for source in record["inputs"].values())
+    raise InputError(
+        f"the sources of these maps ({names}) were not found from {', '.join(map(str, folders))}: name the scenario's "
+        "file, or run where it lies"
+    )
+
+
+def write_buildings(
+    folder: str | Path,
+    planned: PlannedPath,
+    out: str | Path,
+    *,
+    scenario: str | Path | None = None,
+    softness_m: float = 2.0,
+) -> pd.DataFrame:
+    """Write what every building costs a route: ``buildings.csv``, ``buildings.parquet`` and ``buildings.png``.
+
+    Soft maps are made on the maps' own cells, also where the exact ones were made on finer ones (``oversample``).
+
+    Args:
+      folder: of the maps, with their run.json, which names the sources of the city.
+      planned: a route over these maps.
+      out: where the files go; made if it is not there.
+      scenario: file that the maps were made from, where sources have relative names.
+      softness_m: see `jaxurban.studies.sensitivity.buildings.building_costs`.
+
+    Returns:
+      The table of `jaxurban.studies.sensitivity.buildings.building_costs`.
+
+    Raises:
+      InputError: there is no route, sources that are not found or changed, buildings from a height raster, or a route
+        over statistics of many epochs.
+    """
+    settings = scenario_of(Path(folder), None if scenario is None else Path(scenario))
+    if not softness_m > 0:
+        raise InputError(f"softness_m must be a positive number of metres such as 2, got {softness_m}")
+    resolution_m, time = planned.settings["resolution_m"], planned.settings["time"]
+    task = next((task for task in tasks_of(settings) if task.region.resolution_m == resolution_m), None)
+    if task is None:
+        raise InputError(f"the route lies on cells of {resolution_m:g} m, which these maps do not hold")
+    if time not in task.sky.times:
+        raise InputError(
+            "the route was planned on GPS statistics over many epochs, which have no gradient by building: make maps "
+            "of one time, and plan on them"
+        )
+    maps, city = task.params, task.city
+    params = SoftParams(planned.altitude_m, softness_m, maps.gps, maps.lidar, maps.risk, maps.population)
+    time_index, time_of_day = task.sky.times.index(time), planned.settings["time_of_day"] or "day"
+    with jax.enable_x64(True):
+        soft = soften(task, time_index=time_index, time_of_day=time_of_day, dtype=np.float64)
+        table = building_costs(city, soft, planned, params)
+    picture = partial(plot_building_costs, city, planned, table, task.region)
+    save(out, {"buildings": table.reset_index(), "buildings.png": picture})
+    return table

@@ -1,0 +1,136 @@
+"""Picture of what buildings cost a route: plan view, outlines coloured by the gradient, the route on top."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import shapely
+from matplotlib.axes import Axes
+from matplotlib.collections import PathCollection
+from matplotlib.colors import SymLogNorm
+from matplotlib.figure import Figure
+from matplotlib.path import Path
+
+from jaxurban.paths.path import PlannedPath
+from jaxurban.report.figures.frame import INK, SMALL_PT, Colours, add_key, make_frame
+from jaxurban.report.figures.metrics import EMPTY_COLOUR
+from jaxurban.report.figures.paths import draw_ends
+from jaxurban.world.city import City
+from jaxurban.world.grid import Grid
+
+UNTOUCHED_COLOUR, ROUTE_COLOUR = "#dedede", "#111111"
+DECADES = 3  # of colours on each side of zero, up to the whole one that holds the largest
+SHOWN_SHARE = 0.01  # buildings with less of the largest effect may lie outside the picture
+MARGIN_M = 120.0  # around what the picture shows
+
+
+def plot_building_costs(
+    city: City, planned: PlannedPath, table: pd.DataFrame, grid: Grid, num_labels: int = 10
+) -> Figure:
+    """Return the map of the buildings, coloured by what one more metre of each costs the route.
+
+    Colours are logarithmic on both sides of zero: red costs, blue helps, grey has no effect. The picture holds the
+    route and, inside the region, every building with at least a hundredth of the largest effect.
+
+    Args:
+      city: whose outlines are drawn.
+      planned: the route.
+      table: from `jaxurban.studies.sensitivity.buildings.building_costs`.
+      grid: the region; buildings beyond it are not drawn.
+      num_labels: how many of the costliest are numbered by rank, those with less than a hundredth of the largest never.
+    """
+    assert city.buildings is not None
+    credit = [city.attribution] if city.attribution else []
+    facts = f"{planned.altitude_m:g} m above ground  ·  softness {table.attrs['softness_m']:g} m"
+    note = "  ·  ".join([facts, f"{grid.resolution_m:g} m cells", grid.crs, *credit])
+    heading = "What one more metre of each building costs the route"
+    most = max(float(table.per_metre.abs().max()) if len(table) else 0.0, 1e-12)
+    main = table.building[table.per_metre.abs() >= SHOWN_SHARE * most]
+    shown = _around(planned, city.buildings.polygons[main], grid)
+    frame = make_frame(shown, [f"{planned.search.planner}, cost {planned.cost:,.1f}"], heading, note)
+    panel = frame.axes[0]
+    panel.set_facecolor(EMPTY_COLOUR)
+    top = 10.0 ** math.ceil(math.log10(most))
+    ticks = sorted(sign * top * 10.0**-power for sign in (-1, 1) for power in range(DECADES))
+    norm = SymLogNorm(top / 10**DECADES, vmin=-top, vmax=top)
+    colours = Colours("RdBu_r", norm, "cost per metre of height", ticks=[*ticks, 0.0])
+    seen = np.flatnonzero(shapely.intersects(city.buildings.polygons, shapely.box(*shown.bounds_m)))
+    others = np.setdiff1d(seen, table.building)
+    panel.add_collection(
+        PathCollection(
+            [_outline(city.buildings.polygons[i]) for i in others], facecolor=UNTOUCHED_COLOUR, linewidth=0, zorder=1
+        )
+    )
+    drawn = table[table.building.isin(seen)]
+    drawn = drawn.iloc[np.argsort(drawn.per_metre.abs(), kind="stable")]  # what matters most comes on top
+    panel.add_collection(
+        PathCollection(
+            [_outline(city.buildings.polygons[i]) for i in drawn.building],
+            array=drawn.per_metre.to_numpy(),
+            cmap=colours.cmap,
+            norm=norm,
+            edgecolor="#555555",
+            linewidth=0.25,
+            zorder=2,
+        )
+    )
+    panel.plot(*planned.xy_m.T, color="white", linewidth=3.2, solid_joinstyle="round", zorder=3)
+    panel.plot(*planned.xy_m.T, color=ROUTE_COLOUR, linewidth=1.5, solid_joinstyle="round", zorder=4)
+    draw_ends(panel, [planned])
+    _number(panel, city, planned, table[table.per_metre >= SHOWN_SHARE * most].head(num_labels), set(seen.tolist()))
+    patches = [("no effect", UNTOUCHED_COLOUR), ("route", ROUTE_COLOUR)]
+    add_key(frame, patches, colours)
+    return frame.figure
+
+
+def _around(planned: PlannedPath, polygons: np.ndarray, grid: Grid) -> Grid:
+    """Return the part of the grid around a route and some outlines."""
+    boxes = np.vstack([np.hstack([planned.xy_m.min(axis=0), planned.xy_m.max(axis=0)]), shapely.bounds(polygons)])
+    low = np.maximum(boxes[:, :2].min(axis=0) - MARGIN_M, grid.bounds_m[:2])
+    high = np.minimum(boxes[:, 2:].max(axis=0) + MARGIN_M, grid.bounds_m[2:])
+    first = np.floor(low / grid.resolution_m + 1e-6).astype(int)
+    end = np.ceil(high / grid.resolution_m - 1e-6).astype(int)
+    num_cols, num_rows = (int(size) for size in end - first)
+    return replace(grid, first_row=int(first[1]), first_col=int(first[0]), num_rows=num_rows, num_cols=num_cols)
+
+
+def _number(panel: Axes, city: City, planned: PlannedPath, first: pd.DataFrame, seen: set[int]) -> None:
+    """Write ranks beside the outlines, off the route; those in the same place share one label."""
+    assert city.buildings is not None
+    labels: list[tuple[np.ndarray, list[str]]] = []
+    reach_m = 0.025 * (panel.get_xlim()[1] - panel.get_xlim()[0])
+    for rank, building in enumerate(first.building, start=1):
+        at_m = shapely.get_coordinates(shapely.point_on_surface(city.buildings.polygons[building]))[0]
+        near = [ranks for other_m, ranks in labels if np.hypot(*(other_m - at_m)) < reach_m]
+        if building not in seen:
+            continue
+        if near:
+            near[0].append(str(rank))
+        else:
+            labels.append((at_m, [str(rank)]))
+    look = {"boxstyle": "round,pad=0.15", "facecolor": "white", "edgecolor": INK, "linewidth": 0.5, "alpha": 0.9}
+    for at_m, ranks in labels:
+        nearest_m = planned.xy_m[np.argmin(np.hypot(*(planned.xy_m - at_m).T))]
+        away = (at_m - nearest_m) / max(np.hypot(*(at_m - nearest_m)), 1e-9)
+        panel.annotate(
+            ", ".join(ranks),
+            (at_m[0], at_m[1]),
+            (30 * away[0], 30 * away[1]),
+            textcoords="offset points",
+            size=SMALL_PT,
+            ha="left" if away[0] >= 0 else "right",
+            va="center",
+            bbox=look,
+            arrowprops={"arrowstyle": "-", "color": INK, "linewidth": 0.6, "shrinkA": 0, "shrinkB": 0},
+            zorder=30,
+        )
+
+
+def _outline(polygon: shapely.Polygon | shapely.MultiPolygon) -> Path:
+    """Return a polygon with its holes as one path (rings run opposite ways, so that holes stay empty)."""
+    rings = []
+    for part in shapely.get_parts(polygon):
+        part = shapely.orient_polygons(part)
+        rings += [Path(np.asarray(ring.coords), closed=True) for ring in (part.exterior, *part.interiors)]
+    return Path.make_compound_path(*rings)

@@ -1,0 +1,69 @@
+"""All pictures of a region, written as PNG."""
+
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+from matplotlib.figure import Figure
+
+from jaxurban.errors import InputError
+from jaxurban.maps.metric_maps import GivenMaps, as_maps
+from jaxurban.paths.explain import RouteReport
+from jaxurban.paths.path import PlannedPath
+from jaxurban.report.figures.metrics import (
+    plot_gps_rating,
+    plot_heights,
+    plot_metric,
+    plot_obstacles,
+    plot_population,
+    plot_sensor_choice,
+)
+from jaxurban.report.figures.paths import Paths, plot_overview, plot_paths
+from jaxurban.report.figures.profile import plot_profile
+from jaxurban.report.save import save
+
+
+def save_figures(maps: GivenMaps, paths: Paths, folder: str | Path) -> list[Path]:
+    """Write every picture of these maps and paths as PNG and return the files; each appears whole or not at all.
+
+    Args:
+      maps: from `build_maps` or `open_maps`.
+      paths: one, several, a batch, or paths by altitude; empty for maps alone.
+      folder: where to; made if it is not there.
+
+    Raises:
+      InputError: the folder cannot be written to.
+    """
+    maps = as_maps(maps)
+    figures: dict[str, Callable[[], Figure]] = {
+        "overview": lambda: plot_overview(maps, paths),
+        "heights": lambda: plot_heights(maps),
+        "obstacle": lambda: plot_obstacles(maps),
+        **{name: partial(plot_metric, maps, name) for name in maps.metrics if name != "population"},
+        "sensor_choice": lambda: plot_sensor_choice(maps),
+        "paths": lambda: plot_paths(maps, paths),
+    }
+    if "gdop" in maps.ds:  # statistics over a long series hold none
+        figures["gps_rating"] = lambda: plot_gps_rating(maps)
+    if "density" in maps.ds:
+        figures["population"] = lambda: plot_population(maps)
+    return save(folder, {f"{name}.png": draw for name, draw in figures.items()})
+
+
+def check_picture(file: str | Path) -> None:
+    """Raise InputError unless `save_profile` can write this file: call it before a long search."""
+    file = Path(file)
+    if file.suffix.lower() != ".png":
+        raise InputError(f"cannot draw {str(file)!r}: end its name in .png")
+    if not file.parent.is_dir() or file.is_dir():
+        raise InputError(f"cannot write {str(file)!r}: name a file in a folder that is there")
+
+
+def save_profile(planned: PlannedPath, maps: GivenMaps, file: str | Path, report: RouteReport | None = None) -> None:
+    """Write the profile of a route (`plot_profile`) as PNG; the file appears whole or not at all.
+
+    Raises:
+      InputError: there is no path, the maps are others, or the file cannot be written.
+    """
+    check_picture(file)
+    save(Path(file).parent, {Path(file).name: lambda: plot_profile(planned, maps, report)})

@@ -1,0 +1,240 @@
+"""Pictures of paths over the normalised cost, and the overview of one region."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from itertools import cycle, groupby
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from jaxurban.errors import InputError
+from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
+from jaxurban.paths.path import PlannedPath
+from jaxurban.report.figures.frame import (
+    SMALL_PT,
+    Colours,
+    Frame,
+    Layer,
+    add_bar_below,
+    add_key,
+    draw_layers,
+    drop_in,
+    make_frame,
+)
+from jaxurban.report.figures.metrics import (
+    density_colours,
+    density_layers,
+    frame_note,
+    free_layer,
+    obstacle_layer,
+    obstacle_patches,
+    roof_layers,
+)
+
+# The paper's colours (tab10), then the rest of tab10 for planners that it does not have.
+PLANNER_COLOURS = {
+    "astar-dist": "#1f77b4",
+    "astar-plus": "#ff7f0e",
+    "bitstar-dist": "#2ca02c",
+    "bitstar-plus": "#d62728",
+    "ptp": "#9467bd",
+}
+OTHER_COLOURS = ("#e377c2", "#17becf", "#bcbd22", "#8c564b")
+COST_COLOURS = Colours("gray", Normalize(0, 1), "$H_\\mathrm{norm}$\n(0: best free cell, 1: worst)")
+BLOCKED_COLOUR = "#d9c08c"  # obstacles over the grey cost map
+DAY_UP_TO_M = 60.0  # the paper draws day at 20 and 60 m, night above
+LINE_IN = 0.17  # height of a legend line
+
+Paths = PlannedPath | Sequence[PlannedPath | None] | Mapping[float, Sequence[PlannedPath]]
+
+
+def by_altitude(paths: Paths) -> dict[float, list[PlannedPath]]:
+    """Return paths, one or several or already so, by the altitude that they start at.
+
+    Raises:
+      InputError: something else than paths.
+    """
+    if isinstance(paths, Mapping):
+        return {float(altitude_m): list(planned) for altitude_m, planned in paths.items()}
+    found: dict[float, list[PlannedPath]] = {}
+    for path in [paths] if isinstance(paths, PlannedPath) else paths:
+        if path is not None:
+            if not isinstance(path, PlannedPath):
+                raise InputError(f"paths must be paths from plan, or such by altitude, got {type(path).__name__}")
+            found.setdefault(path.altitude_m, []).append(path)
+    return found
+
+
+def planner_colours(planners: Iterable[str]) -> dict[str, str]:
+    """Return a colour for every planner, the paper's where it has one."""
+    others = cycle(OTHER_COLOURS)
+    return {name: PLANNER_COLOURS.get(name) or next(others) for name in dict.fromkeys(planners)}
+
+
+def paper_time_of_day(maps: MetricMaps, altitude_m: float) -> str | None:
+    """Return the time of day of the paper's figures at an altitude, if the maps have it, else their first."""
+    wanted = "day" if altitude_m <= DAY_UP_TO_M else "night"
+    return wanted if wanted in maps.times_of_day else next(iter(maps.times_of_day), None)
+
+
+def plot_paths(maps: GivenMaps, paths: Paths, *, altitudes_m: Sequence[float] | None = None) -> Figure:
+    """Return H_norm (black 0, white 1) by altitude with the paths of all planners over it.
+
+    A panel shows the GPS time and the time of day that its paths were planned for; without paths, the first
+    GPS time and the paper's time of day. Under it stands each planner's cost and length, or its status.
+    Where paths coincide, the later one is drawn narrower, so that both are seen.
+
+    Args:
+      maps: from `build_maps` or `open_maps`, or their folder.
+      paths: one, several, a batch, or paths by altitude.
+      altitudes_m: which altitudes; left out, all of the maps', or those of the paths that are not given by altitude.
+
+    Raises:
+      InputError: an altitude, time or time of day that these maps do not hold.
+    """
+    maps, planned_at = as_maps(maps), by_altitude(paths)
+    shown = maps.altitudes_m if isinstance(paths, Mapping) or not planned_at else tuple(sorted(planned_at))
+    shown = shown if altitudes_m is None else tuple(altitudes_m)
+    panels = [panel for z in shown for panel in _panels_at(maps, z, planned_at.get(z, ()))]
+    colours = planner_colours(path.search.planner for _, _, _, planned in panels for path in planned)
+    titles = [" · ".join(filter(None, (f"{z:g} m", time_of_day))) for z, _, time_of_day, _ in panels]
+    times = list(dict.fromkeys(time for _, time, _, _ in panels))
+    most = max(len(planned) for _, _, _, planned in panels)
+    note = frame_note(maps, times[0] if len(times) == 1 else None) + ("  ·  below: cost, length" if most else "")
+    frame = make_frame(
+        maps.grid,
+        titles,
+        "Normalised cost and paths, by altitude above ground",
+        note,
+        footer_in=most * LINE_IN + 0.1,
+    )
+    for panel, (z, time, time_of_day, planned) in zip(frame.axes, panels, strict=True):
+        draw_layers(panel, maps.grid, cost_layers(maps, z, time, time_of_day))
+        handles = [draw_path(panel, path, colours, rank, len(planned)) for rank, path in enumerate(planned)]
+        draw_ends(panel, planned)
+        legend_below(panel, frame, handles)
+    add_key(frame, obstacle_patches(maps, BLOCKED_COLOUR), COST_COLOURS)
+    return frame.figure
+
+
+def _panels_at(
+    maps: MetricMaps, altitude_m: float, planned: Sequence[PlannedPath]
+) -> list[tuple[float, str | None, str | None, list[PlannedPath]]]:
+    """Return a panel (altitude, time, time of day, paths) for each map that paths were planned on."""
+    if not planned:
+        return [(altitude_m, maps.default_time, paper_time_of_day(maps, altitude_m), [])]
+
+    def planned_on(path: PlannedPath) -> tuple[str, str]:
+        return path.settings["time"] or "", path.settings["time_of_day"] or ""
+
+    groups = groupby(sorted(planned, key=planned_on), key=planned_on)
+    return [(altitude_m, time or None, time_of_day or None, list(group)) for (time, time_of_day), group in groups]
+
+
+def cost_layers(maps: MetricMaps, altitude_m: float, time: str | None, time_of_day: str | None) -> list[Layer]:
+    """Return H_norm and obstacles as they are drawn."""
+    norm = maps.normalised(altitude_m, time=time, time_of_day=time_of_day)
+    return [Layer(norm, COST_COLOURS), obstacle_layer(maps, altitude_m, BLOCKED_COLOUR)]
+
+
+def draw_path(panel: Axes, path: PlannedPath, colours: Mapping[str, str], rank: int, num: int) -> Line2D:
+    """Draw one of ``num`` paths, if there is one, and return its legend handle."""
+    planner = path.search.planner
+    label = f"{planner}: {path.status.value}"
+    if path.status.has_path:
+        cost = f"{path.cost:,.1f}" if path.cost < 1000 else f"{path.cost:,.0f}"
+        label = f"{planner}: {cost}, {path.length_m / 1000:.2f} km"
+        width = 1.6 + 1.5 * (num - 1 - rank)
+        panel.plot(*path.xy_m.T, color=colours[planner], linewidth=width, solid_joinstyle="round", zorder=3 + rank)
+    is_found = path.status.has_path
+    return Line2D([], [], color=colours[planner], linewidth=2.5, linestyle="-" if is_found else ":", label=label)
+
+
+def draw_ends(panel: Axes, paths: Sequence[PlannedPath]) -> None:
+    """Mark start (circle) and goal (star) of the first path that was found."""
+    found = next((path for path in paths if path.status.has_path), None)
+    if found is None:
+        return
+    look: dict[str, Any] = {"linestyle": "none", "markeredgecolor": "black", "markerfacecolor": "white", "zorder": 20}
+    panel.plot(*found.xy_m[0], marker="o", markersize=6.5, **look)
+    panel.plot(*found.xy_m[-1], marker="*", markersize=12, **look)
+
+
+def legend_below(panel: Axes, frame: Frame, handles: Sequence[Line2D]) -> None:
+    """Write a panel's legend, if it has one, in its footer."""
+    if handles:
+        panel.legend(
+            handles=list(handles),
+            loc="upper left",
+            bbox_to_anchor=(-0.01, -drop_in(panel) / frame.panel_in[1]),
+            fontsize=SMALL_PT - 0.5,
+            frameon=False,
+            borderpad=0.1,
+            borderaxespad=0.1,
+            labelspacing=0.25,
+            handlelength=1.6,
+        )
+
+
+def plot_overview(maps: GivenMaps, paths: Paths, *, altitude_m: float | None = None) -> Figure:
+    """Return one picture of a region: roof heights, GPS, lidar, clearance, population, and paths over H_norm.
+
+    Args:
+      maps: from `build_maps` or `open_maps`, or their folder.
+      paths: one, several, a batch, or paths by altitude.
+      altitude_m: one of the maps'; left out, the first that paths are given at, else the maps' first.
+
+    Raises:
+      InputError: an altitude that these maps do not hold.
+    """
+    maps, planned_at = as_maps(maps), by_altitude(paths)
+    first_m = maps.altitudes_m[0] if isinstance(paths, Mapping) else next(iter(planned_at), maps.altitudes_m[0])
+    z = first_m if altitude_m is None else altitude_m
+    (_, time, time_of_day, planned), *_ = _panels_at(maps, z, planned_at.get(z, ()))
+    names = {"roof": "Roof height (m)"}
+    for name, metric in maps.metrics.items():
+        if name == "population":
+            names["density"] = f"People per km², {time_of_day}"
+        else:
+            names[name] = f"{metric.label}, {z:g} m"
+    names["cost"] = f"Cost and paths, {z:g} m"
+    frame = make_frame(
+        maps.grid,
+        list(names.values()),
+        "Metric maps and paths",
+        frame_note(maps, time),
+        footer_in=0.4,
+        with_ticks=False,
+    )
+    for panel, name in zip(frame.axes, names, strict=True):
+        ticks: Sequence[float] | None = (0, 0.5, 1)
+        if name == "roof":
+            layers = roof_layers(maps)
+            ticks = (layers[-1].colours.ticks or ())[::2]
+        elif name == "density":
+            highest = float(np.nanmax(maps.ds[name].values))
+            layers = density_layers(maps.m(name, time_of_day=time_of_day), density_colours(highest))
+            ticks = None
+        elif name == "cost":
+            layers = cost_layers(maps, z, time, time_of_day)[::-1]
+        else:
+            layers = [obstacle_layer(maps, z), free_layer(maps, name, z, time=time)]
+        draw_layers(panel, maps.grid, layers)
+        add_bar_below(frame, panel, replace(layers[-1].colours, ticks=ticks))
+    colours = planner_colours(path.search.planner for path in planned)
+    for rank, path in enumerate(planned):
+        draw_path(frame.axes[-1], path, colours, rank, len(planned))
+    draw_ends(frame.axes[-1], planned)
+    lines = [
+        (
+            path.search.planner + ("" if path.status.has_path else f"\n({path.status.value})"),
+            colours[path.search.planner],
+        )
+        for path in planned
+    ]
+    add_key(frame, [*obstacle_patches(maps), ("obstacle (cost)", BLOCKED_COLOUR), *lines])
+    return frame.figure

@@ -1,0 +1,108 @@
+"""The profile of a planned route: what it meets, by distance flown."""
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+from matplotlib.ticker import FixedLocator, NullLocator
+
+from jaxurban.maps.metric_maps import GivenMaps, as_maps
+from jaxurban.paths.explain import RouteReport, explain
+from jaxurban.paths.path import PlannedPath
+from jaxurban.paths.profile import CLEARANCE, without_fix
+from jaxurban.report.figures.charts import chart, dress, show_plain, styled
+from jaxurban.report.figures.frame import FAINT_INK, TEXT_PT
+from jaxurban.report.figures.metrics import BUILT_COLOUR, frame_note
+
+ALTITUDE_COLOUR, CLEARANCE_COLOUR, NO_FIX_COLOUR = "#d62728", "#5b3a8c", "#ffd9d4"
+LINEAR_UP_TO_M = 10.0  # above, the scale of clearance is logarithmic: near obstacles matter most
+CLEARANCE_TICKS_M = (0, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10_000)
+SIZE_IN, RIGHT = (10.0, 7.0), 0.79  # the legends stand beside the panels
+
+
+@styled
+def plot_profile(planned: PlannedPath, maps: GivenMaps, report: RouteReport | None = None) -> Figure:
+    """Return altitude and roofs beneath, metrics, and the clearance along a route, one above the other.
+
+    Segments with fewer than four satellites in view are shaded. The numbers on top are the report's segments.
+
+    Args:
+      planned: from `plan`.
+      maps: the maps it was planned on, or their folder.
+      report: from `explain`; made here if left out.
+
+    Raises:
+      InputError: there is no path, or the maps are others.
+    """
+    maps = as_maps(maps)
+    report = report or explain(planned, maps)
+    profile = report.profile
+    edges_km = np.append(profile["from_m"], profile["to_m"].iloc[-1]) / 1000
+    heading = f"Route profile: {planned.search.planner}, {planned.length_m / 1000:.2f} km, cost {planned.cost:,.1f}"
+    times = " · ".join(filter(None, (frame_note(maps, planned.settings["time"]), planned.settings["time_of_day"])))
+    figure = chart(*SIZE_IN, heading, times)
+    axes = figure.subplots(3, 1, sharex=True, height_ratios=(1, 1.3, 1))
+    figure.subplots_adjust(left=0.075, right=RIGHT, top=0.86, bottom=0.075, hspace=0.12)
+    _draw_heights(axes[0], planned, profile, edges_km)
+    for name, metric in maps.metrics.items():
+        label = metric.label if metric.one_is == "best" else f"{metric.label} (1: {metric.one_is})"
+        axes[1].stairs(profile[name], edges_km, baseline=None, color=metric.colour, linewidth=1.3, label=label)
+    axes[1].set(ylim=(-0.03, 1.03), ylabel="metric m (1)")
+    _draw_clearance(axes[2], profile, edges_km)
+    axes[2].set_xlabel("distance flown (km)")
+    no_fix = _no_fix_km(profile)
+    for panel in axes:
+        for begin_km, end_km in no_fix:
+            panel.axvspan(begin_km, end_km, color=NO_FIX_COLOUR, linewidth=0, zorder=0)
+        for cut_m in report.segments["from_m"].iloc[1:]:
+            panel.axvline(cut_m / 1000, color=FAINT_INK, linewidth=0.4, linestyle=":", zorder=0)
+        _finish(panel, edges_km, bool(no_fix) and panel is axes[1])
+    look = {"transform": axes[0].get_xaxis_transform(), "color": FAINT_INK}
+    axes[0].text(edges_km[0], 1.03, "segment ", ha="right", **look)
+    for number, row in report.segments.iterrows():
+        axes[0].text((row["from_m"] + row["to_m"]) / 2000, 1.03, str(number), ha="center", **look)
+    return figure
+
+
+def _draw_heights(panel: Axes, planned: PlannedPath, profile: pd.DataFrame, edges_km: np.ndarray) -> None:
+    panel.stairs(profile["roof_m"], edges_km, fill=True, color=BUILT_COLOUR, label="roofs beneath")
+    moved_m = np.diff(np.column_stack([planned.xy_m, planned.z_m]), axis=0)
+    along_km = np.append(0.0, np.cumsum(np.linalg.norm(moved_m, axis=1))) / 1000
+    panel.plot(along_km, planned.z_m, color=ALTITUDE_COLOUR, linewidth=1.6, label="flight altitude")
+    top_m = max(planned.z_m.max(), profile["roof_m"].max())
+    panel.set(ylim=(0, 1.15 * max(top_m, 1.0)), ylabel="height above ground (m)")
+
+
+def _draw_clearance(panel: Axes, profile: pd.DataFrame, edges_km: np.ndarray) -> None:
+    panel.set(ylabel="clearance (m)")
+    if not np.isfinite(profile[CLEARANCE]).all():
+        panel.text(0.5, 0.5, "no obstacle at this altitude", transform=panel.transAxes, ha="center", size=TEXT_PT)
+        panel.set_yticks([])
+        return
+    panel.stairs(profile[CLEARANCE], edges_km, baseline=None, color=CLEARANCE_COLOUR, linewidth=1.3, label="clearance")
+    place = int(np.argmin(profile[CLEARANCE]))
+    nearest_m, at_km = profile[CLEARANCE].iloc[place], edges_km[place : place + 2].mean()
+    label = f"least: {nearest_m:.3g} m"
+    panel.plot(at_km, nearest_m, marker="v", linestyle="none", color=CLEARANCE_COLOUR, markersize=6, label=label)
+    top_m = 1.15 * max(profile[CLEARANCE].max(), 2 * LINEAR_UP_TO_M)
+    panel.set_yscale("symlog", linthresh=LINEAR_UP_TO_M)
+    panel.set_ylim(0, top_m)
+    panel.yaxis.set_major_locator(FixedLocator([tick for tick in CLEARANCE_TICKS_M if tick <= top_m]))
+    panel.yaxis.set_minor_locator(NullLocator())
+    show_plain(panel.yaxis)
+
+
+def _no_fix_km(profile: pd.DataFrame) -> list[tuple[float, float]]:
+    """Return begin and end of each segment with too few satellites for a fix, kilometres."""
+    return [(from_m / 1000, to_m / 1000) for from_m, to_m in without_fix(profile)]
+
+
+def _finish(panel: Axes, edges_km: np.ndarray, with_no_fix: bool) -> None:
+    panel.set_xlim(edges_km[0], max(edges_km[-1], edges_km[0] + 1e-3))
+    dress(panel)
+    handles, _ = panel.get_legend_handles_labels()
+    if with_no_fix:
+        handles.append(Patch(facecolor=NO_FIX_COLOUR, label="under 4 satellites"))
+    if handles:
+        panel.legend(handles=handles, loc="upper left", bbox_to_anchor=(1.005, 1.02))

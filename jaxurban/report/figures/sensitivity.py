@@ -1,0 +1,290 @@
+"""Pictures of what weights do to a route: breakpoints along lines, over a triangle, Sobol indices, the Pareto front."""
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from matplotlib.collections import LineCollection
+from matplotlib.colors import LogNorm, Normalize, to_rgb
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch, Polygon
+from matplotlib.ticker import LogLocator, NullLocator
+
+from jaxurban.report.figures.charts import chart, dress, panels, show_plain, styled
+from jaxurban.report.figures.frame import (
+    FAINT_INK,
+    INK,
+    TEXT_PT,
+    Colours,
+    Frame,
+    add_colour_bar,
+    add_key,
+    draw_layers,
+    make_frame,
+)
+from jaxurban.report.figures.metrics import frame_note, obstacle_patches
+from jaxurban.report.figures.paths import BLOCKED_COLOUR, cost_layers, draw_ends
+from jaxurban.report.markdown import counted, listed
+from jaxurban.studies.outcomes import outcome_label
+from jaxurban.studies.sensitivity.sobol import CONFIDENCE
+from jaxurban.studies.sensitivity.study import Sensitivity
+
+GIVEN_COLOUR, FIRST_COLOUR, TOTAL_COLOUR = "#d62728", "#0072b2", "#e69f00"
+CLUSTER_COLOURS = ("#d62728", "#1f77b4", "#2ca02c", "#ff7f0e", "#9467bd", "#17becf", "#e377c2")
+PALE = 0.6  # of white in the colour of the other routes of a kind
+CORNERS = np.array([[0.0, 0.0], [1.0, 0.0], [0.5, math.sqrt(3) / 2]])  # of the triangle on the page
+
+
+def sensitivity_figures(found: Sensitivity) -> dict[str, Callable[[], Figure]]:
+    """Return what draws each figure, by file name."""
+    figures = {
+        "switches": lambda: plot_breakpoints(found),
+        "switch_routes": lambda: plot_breakpoint_routes(found),
+        "sobol": lambda: plot_sobol(found),
+        "pareto": lambda: plot_pareto(found),
+    }
+    if found.triangle is not None:
+        figures |= {"triangle": lambda: plot_triangle(found), "triangle_routes": lambda: plot_triangle_routes(found)}
+    return figures
+
+
+@styled
+def plot_breakpoints(found: Sensitivity) -> Figure:
+    """Return the cheapest cost along the range of each weight, a dot where the route changes."""
+    figure, axes = panels(
+        len(found.vary),
+        "Cheapest cost along the range of each weight",
+        "a dot: a breakpoint, where the route changes; red: the given weight; all other weights as given",
+    )
+    for panel, name in zip(axes, found.vary, strict=True):
+        line, column = found.lines[name], found.names.index(name)
+        ends = line.corners[:, column]
+        values = np.geomspace(ends[0], ends[1], 400)
+
+        def cost(values, line=line, ends=ends):
+            share = (values - ends[0]) / (ends[1] - ends[0])
+            return line.cost_at(np.stack([1 - share, share], axis=-1))
+
+        at = ends[0] + line.breakpoints * (ends[1] - ends[0])
+        panel.plot(values, cost(values), color=INK, linewidth=1.1)
+        panel.plot(at, cost(at), linestyle="none", marker="o", markersize=2.8, color=FIRST_COLOUR, zorder=3)
+        panel.axvline(found.weights[column], color=GIVEN_COLOUR, linewidth=1.0, zorder=1)
+        panel.set_xscale("log")
+        panel.xaxis.set_major_locator(LogLocator(numticks=6))
+        panel.xaxis.set_minor_locator(NullLocator())
+        for axis in (panel.xaxis, panel.yaxis):
+            show_plain(axis)
+        panel.set(xlim=(values[0], values[-1]), xlabel=f"weight of {name} (1)", ylabel="cheapest cost (1)")
+        panel.set_title(f"{name}: {counted(len(at), 'breakpoint')}")
+    return figure
+
+
+def plot_breakpoint_routes(found: Sensitivity) -> Figure:
+    """Return a map for each weight with the routes along its range, coloured by where they are the cheapest."""
+    titles = [f"{name}: {counted(len(found.lines[name].cells), 'route')}" for name in found.vary]
+    frame = _maps(found, titles, "Cheapest routes along the range of each weight")
+    label, ticks = "weight, as a multiple of the given one", _decades(found.factors)
+    colours = Colours("viridis", LogNorm(*found.factors), label, ticks=ticks)
+    for panel, name in zip(frame.axes, found.vary, strict=True):
+        table = found.breakpoints(name)
+        middle = np.sqrt(table["from"] * table["to"]) / found.weights[found.names.index(name)]
+        panel.add_collection(
+            LineCollection(
+                found.line_routes[name],
+                colors=colours(middle),
+                linewidths=np.linspace(3.2, 1.4, len(table)),
+                capstyle="round",
+                zorder=4,
+            )
+        )
+        panel.plot(*found.route.xy_m.T, color=GIVEN_COLOUR, linewidth=1.2, linestyle=(0, (3, 2)), zorder=6)
+        draw_ends(panel, [found.route])
+    add_key(
+        frame,
+        [*obstacle_patches(found.maps, BLOCKED_COLOUR), ("given weights\n(dashed)", GIVEN_COLOUR)],
+        colours,
+    )
+    return frame.figure
+
+
+@styled
+def plot_triangle(found: Sensitivity) -> Figure:
+    """Return the partition of the triangle of three weights into the cells of its cheapest routes, by cluster."""
+    parts = found.triangle
+    assert parts is not None, "drawn only where there is a triangle"
+    at = [found.names.index(name) for name in found.triangle_names]
+    given = found.weights[at]
+    note = f"three weights share {given.sum():g} in all ways, the others as given"
+    known = "" if parts.is_complete else "; not all routes were looked for"
+    figure = chart(8.8, 5.6, f"{len(parts.cells)} cheapest routes over a triangle of weights", note + known)
+    panel = figure.add_axes((0.02, 0.05, 0.64, 0.8))
+    for number, (cell, cluster) in enumerate(zip(parts.cells, found.clusters, strict=True)):
+        colour = CLUSTER_COLOURS[cluster] if number in found.representatives else _pale(CLUSTER_COLOURS[cluster])
+        panel.add_patch(Polygon(cell @ CORNERS, facecolor=colour, edgecolor="white", linewidth=0.5))
+    panel.add_patch(Polygon(CORNERS, fill=False, edgecolor=INK, linewidth=0.9))
+    star: dict[str, Any] = {"linestyle": "none", "marker": "*", "color": "white", "markeredgecolor": "black"}
+    panel.plot(*(given / given.sum() @ CORNERS), markersize=13, **star)
+    for corner, name, drop_pt in zip(CORNERS, found.triangle_names, (-6, -6, 6), strict=True):
+        look: dict[str, Any] = {"ha": "center", "va": "top" if drop_pt < 0 else "bottom", "size": TEXT_PT}
+        panel.annotate(f"all on {name}", corner, (0, drop_pt), textcoords="offset points", **look)
+    panel.set(xlim=(-0.12, 1.12), ylim=(-0.08, 0.95), aspect="equal")
+    panel.set_axis_off()
+    lengths_km = found.tables()["triangle"]["length_m"].to_numpy()[found.representatives] / 1000
+    shares = np.bincount(found.clusters, parts.sizes)
+    counts = np.bincount(found.clusters)
+    handles: list[Patch | Line2D] = [
+        Patch(facecolor=CLUSTER_COLOURS[k], label=f"{k + 1}: {shares[k]:.0%}, {counts[k]}, {length_km:.2f} km")
+        for k, length_km in enumerate(lengths_km)
+    ]
+    handles.append(Line2D([], [], markersize=11, label="given weights", **star))
+    figure.legend(
+        handles=handles,
+        title="cluster: share of the triangle, routes,\nlength of the route in full colour",
+        alignment="left",
+        loc="upper left",
+        bbox_to_anchor=(0.68, 0.84),
+    )
+    return figure
+
+
+def plot_triangle_routes(found: Sensitivity) -> Figure:
+    """Return the map with a route of each cluster, in the colours of `plot_triangle`."""
+    title = f"{len(found.clusters)} routes over the triangle of {listed(found.triangle_names)}: one of each cluster"
+    frame = _maps(found, [title], "Clusters of routes over a triangle of weights")
+    panel = frame.axes[0]
+    for k, xy_m in reversed(list(enumerate(found.triangle_routes))):
+        width = 1.6 + 0.5 * k  # where they coincide, all are seen
+        zorder = 4 + len(found.triangle_routes) - k
+        panel.plot(*xy_m.T, color=CLUSTER_COLOURS[k], linewidth=width, zorder=zorder, solid_joinstyle="round")
+    draw_ends(panel, [found.route])
+    lines = [
+        (f"cluster {k + 1}" + ("\n(given weights)" if k == 0 else ""), CLUSTER_COLOURS[k])
+        for k in range(len(found.triangle_routes))
+    ]
+    add_key(frame, [*obstacle_patches(found.maps, BLOCKED_COLOUR), *lines])
+    return frame.figure
+
+
+@styled
+def plot_sobol(found: Sensitivity) -> Figure:
+    """Return first-order and total Sobol indices of each outcome, with confidence intervals."""
+    table = found.sobol.table
+    outcomes = list(dict.fromkeys(table.index.get_level_values("outcome")))
+    low, high = found.factors
+    figure, axes = panels(
+        len(outcomes),
+        "Which weights decide what the route is like",
+        f"Sobol indices over {low:g} to {high:g} times each weight, {found.sobol.num_evaluations:,} plans; "
+        f"bars: {CONFIDENCE:.0%} confidence",
+        foot_in=0.35,
+    )
+    for panel, outcome in zip(axes, outcomes, strict=True):
+        rows = table.loc[outcome]
+        place = np.arange(len(rows))
+        for shift, kind, colour in ((-0.19, "first", FIRST_COLOUR), (0.19, "total", TOTAL_COLOUR)):
+            bars: dict[str, Any] = {"ecolor": INK, "capsize": 2, "error_kw": {"linewidth": 0.8}}
+            panel.bar(
+                place + shift, rows[kind].fillna(0), 0.36, color=colour, yerr=rows[f"{kind}_ci"].fillna(0), **bars
+            )
+        if rows["first"].isna().all():
+            panel.text(0.5, 0.5, "does not vary", transform=panel.transAxes, ha="center", size=TEXT_PT)
+        panel.set_xticks(place, list(rows.index))
+        panel.axhline(0, color=FAINT_INK, linewidth=0.6)
+        lowest = float(np.nan_to_num((rows["first"] - rows["first_ci"]).min()))
+        panel.set(title=outcome_label(outcome), ylabel="share of variance (1)", xlabel="weight")
+        panel.set_ylim(min(-0.1, lowest - 0.03), max(1.05, panel.get_ylim()[1]))
+    figure.legend(
+        handles=[
+            Patch(color=FIRST_COLOUR, label="first-order: alone"),
+            Patch(color=TOTAL_COLOUR, label="total: with its interactions"),
+        ],
+        loc="lower left",
+        bbox_to_anchor=(0.05, 0.0),
+        ncols=2,
+    )
+    return figure
+
+
+@styled
+def plot_pareto(found: Sensitivity) -> Figure:
+    """Return the supported Pareto points of two or three features; the third is the colour."""
+    front = found.front
+    note = (
+        f"{counted(len(front.points), 'route')}, each the cheapest for some weights of these alone (supported points)"
+    )
+    figure = chart(7.6, 5.0, f"Best trade-offs between {listed(front.objectives)}", note)
+    panel = figure.add_axes((0.1, 0.11, 0.68, 0.71))
+    order = front.points.sort_values(front.objectives[0])
+    x, y = (order[name].to_numpy() for name in front.objectives[:2])
+    gradient = found.local.cost["gradient"].to_numpy()
+    given = [gradient[found.names.index(name)] for name in front.objectives]
+    if len(front.objectives) == 2:
+        panel.plot(x, y, color=FAINT_INK, linewidth=0.8, marker="o", markersize=4, markerfacecolor=FIRST_COLOUR)
+        panel.plot(
+            *given,
+            marker="*",
+            markersize=13,
+            color="white",
+            markeredgecolor=GIVEN_COLOUR,
+            linestyle="none",
+            label="given weights",
+        )
+    else:
+        third = order[front.objectives[2]].to_numpy()
+        norm = Normalize(min(third.min(), given[2]), max(third.max(), given[2]))
+        colours = Colours("viridis", norm, _feature_label(found, front.objectives[2]))
+        panel.scatter(x, y, c=third, norm=norm, cmap=colours.cmap, s=26, edgecolors=FAINT_INK, linewidths=0.4)
+        panel.scatter(
+            given[0],
+            given[1],
+            c=given[2:],
+            norm=norm,
+            cmap=colours.cmap,
+            marker="*",
+            s=220,
+            edgecolors=GIVEN_COLOUR,
+            label="given weights",
+        )
+        add_colour_bar(figure, (0.81, 0.11, 0.022, 0.6), colours)
+    panel.set(xlabel=_feature_label(found, front.objectives[0]), ylabel=_feature_label(found, front.objectives[1]))
+    panel.margins(0.06)
+    dress(panel)
+    figure.legend(loc="upper right", bbox_to_anchor=(0.99, 0.84))
+    return figure
+
+
+def _feature_label(found: Sensitivity, name: str) -> str:
+    if name == "distance":
+        return "distance (m)"
+    is_line = found.route.settings["cost_model"] == "line"
+    unit = f"sum of c per {found.route.settings['reference_length_m']:g} m" if is_line else "sum of c over steps"
+    return f"{name} cost ({unit}; lower is better)"
+
+
+def _maps(found: Sensitivity, titles: list[str], heading: str) -> Frame:
+    """Return a frame of maps of the normalised cost, on which routes are drawn."""
+    settings = found.route.settings
+    where = [
+        f"{found.route.altitude_m:g} m above ground",
+        settings["time_of_day"],
+        frame_note(found.maps, settings["time"]),
+    ]
+    frame = make_frame(found.maps.grid, titles, heading, "  ·  ".join(filter(None, where)))
+    for panel in frame.axes:
+        draw_layers(
+            panel,
+            found.maps.grid,
+            cost_layers(found.maps, found.route.altitude_m, settings["time"], settings["time_of_day"]),
+        )
+    return frame
+
+
+def _decades(factors: tuple[float, float]) -> list[float]:
+    low, high = (math.log10(factor) for factor in factors)
+    return [10.0**power for power in range(math.ceil(low - 1e-9), math.floor(high + 1e-9) + 1)]
+
+
+def _pale(colour: str) -> tuple[float, ...]:
+    return tuple((1 - PALE) * np.array(to_rgb(colour)) + PALE)

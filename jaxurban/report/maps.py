@@ -1,0 +1,289 @@
+"""summary.md: what the maps and paths of a run show, for a reader new to them."""
+
+from collections.abc import Callable, Mapping, Sequence
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from jaxurban.maps.metric_maps import MetricMaps
+from jaxurban.metrics.rating import Rating, rating
+from jaxurban.paths.path import PlannedPath
+from jaxurban.report.markdown import bullets, fill, listed, table
+
+Paths = Mapping[float, Sequence[PlannedPath]]
+Facts = Mapping[str, float]
+
+ORIGINS = {  # of heights, by the names that run.json uses
+    "height": "a height tag",
+    "levels": "their number of levels",
+    "default": "the default",
+    "raster": "a height raster",
+    "generated": "the generator",
+}
+
+
+def summary_markdown(maps: MetricMaps, paths: Paths, run: Mapping[str, Any] | None = None) -> str:
+    """Return the summary of one region's maps and paths as Markdown; every number is taken from them.
+
+    Pictures are named as `jaxurban.report.figures.save_figures` names them, in a folder ``figures`` beside the
+    summary. Means and shares by altitude are over free cells, at the first time.
+
+    Args:
+      maps: from `build_maps` or `open_maps`.
+      paths: paths by altitude; may be empty.
+      run: what run.json holds; what it lacks is left out.
+    """
+    facts, run, grid = [_facts(maps, z) for z in maps.altitudes_m], run or {}, maps.grid
+    west, south = grid.lonlat_of_xy(grid.x_min_m, grid.y_min_m)
+    east, north = grid.lonlat_of_xy(grid.x_max_m, grid.y_max_m)
+    roof_m = maps.m("roof")[maps.ds["has_data"].values]
+    times = listed(time.replace("T", " ").replace("Z", " UTC") for time in maps.times[:3])
+    text = fill(
+        "summary",
+        opening=_opening(facts),
+        width_km=(grid.x_max_m - grid.x_min_m) / 1000,
+        height_km=(grid.y_max_m - grid.y_min_m) / 1000,
+        west=west,
+        south=south,
+        east=east,
+        north=north,
+        grid=grid,
+        altitudes=listed(f"{z:g}" for z in maps.altitudes_m),
+        roofed=_percent(float((roof_m > 0).mean())),
+        highest_m=roof_m.max(),
+        buildings=_building_sentence(run),
+        num_satellites=len(maps.ds.attrs["satellites"]),
+        times=f"{times} and {len(maps.times) - 3} more epochs." if len(maps.times) > 3 else f"{times}.",
+        sources="".join(f"\n- {line}" for line in _source_lines(run)),
+        by_altitude=_altitude_table(facts),
+        population=_population_section(maps, run),
+        paths=_path_section(maps, paths),
+        pictures=_pictures(maps, facts, paths),
+        cautions="".join(f"\n- {line}" for line in _cautions(run)),
+    )
+    return f"{text}\n"
+
+
+def _look_up(run: Mapping[str, Any], *keys: str) -> Any:
+    """Return a value of nested dicts, None where a key is missing."""
+    value: Any = run
+    for key in keys:
+        value = value.get(key) if isinstance(value, Mapping) else None
+    return value
+
+
+def _percent(share: float) -> str:
+    return "-" if np.isnan(share) else f"{100 * share:.1f} %"
+
+
+def _thousandths(value: float) -> str:
+    return "-" if np.isnan(value) else f"{value:.3f}"
+
+
+def _facts(maps: MetricMaps, altitude_m: float) -> Facts:
+    """Return the means over free cells at an altitude, NaN without a free cell."""
+    is_free = maps.is_free(altitude_m, "centre")
+    has_data = maps.ds["has_data"].values
+    facts = {"altitude_m": altitude_m, "obstacle": 1 - float(is_free[has_data].mean())}
+
+    def mean(values: np.ndarray) -> float:
+        return float(values[is_free].mean(dtype=np.float64)) if is_free.any() else float("nan")
+
+    gps, lidar = maps.m("gps", altitude_m), maps.m("lidar", altitude_m)
+    facts |= {"gps": mean(gps), "lidar": mean(lidar), "risk": mean(maps.m("risk", altitude_m))}
+    facts["gps_preferred"] = mean(maps.prefers_gps(altitude_m))
+    gdop = maps.m("gdop", altitude_m) if "gdop" in maps.ds else None  # a long series keeps no DOPs
+    facts["good"] = float("nan") if gdop is None else mean(rating(gdop) <= Rating.GOOD)
+    facts["undetermined"] = float("nan") if gdop is None else mean(~np.isfinite(gdop))
+    spread = gps[is_free], lidar[is_free]
+    varies = is_free.any() and all(np.ptp(values) > 0 for values in spread)
+    facts["correlation"] = float(np.corrcoef(*spread)[0, 1]) if varies else float("nan")
+    return facts
+
+
+def _opening(facts: Sequence[Facts]) -> str:
+    low, high = (choose(facts, key=lambda fact: fact["altitude_m"]) for choose in (min, max))
+    sentences = []
+    for fact in [low] if len(facts) == 1 else [low, high]:
+        free = "no cell is free"
+        if np.isfinite(fact["gps"]):
+            share = _percent(fact["gps_preferred"])
+            free = f"in the free ones GPS is the better sensor in {share}, lidar in the rest"
+        sentences.append(
+            f"At {fact['altitude_m']:g} m, obstacles take {_percent(fact['obstacle'])} of the cells; {free}."
+        )
+    return " ".join(sentences)
+
+
+def _source_lines(run: Mapping[str, Any]) -> list[str]:
+    lines, sources, seconds = [], _look_up(run, "inputs"), _look_up(run, "elapsed_s")
+    if sources:
+        named = listed(f"{role} from `{source['path']}`" for role, source in sources.items())
+        lines.append(f"**Sources:** {named}.")
+    if seconds:
+        slowest = max(seconds, key=seconds.get)
+        lines.append(
+            f"**Time:** {sum(seconds.values()):.1f} s in all, most of it in `{slowest}` ({seconds[slowest]:.1f} s)."
+        )
+    return lines
+
+
+def _building_sentence(run: Mapping[str, Any]) -> str:
+    number, origins = _look_up(run, "buildings", "in_region"), _look_up(run, "buildings", "height_origin_counts")
+    if not number:
+        return ""
+    counts = [f"{count:,} from {ORIGINS.get(name, name)}" for name, count in (origins or {}).items()]
+    return f" {number:,} buildings stand in the region" + (f", heights of {listed(counts)}." if counts else ".")
+
+
+def _altitude_table(facts: Sequence[Facts]) -> str:
+    columns: dict[str, tuple[str, Callable[[float], str]]] = {
+        "altitude (m)": ("altitude_m", "{:g}".format),
+        "obstacle cells": ("obstacle", _percent),
+        "mean m_gps": ("gps", _thousandths),
+        "GPS good or better": ("good", _percent),
+        "mean m_lidar": ("lidar", _thousandths),
+        "GPS better": ("gps_preferred", _percent),
+        "mean m_risk": ("risk", _thousandths),
+    }
+    return table(columns, [[show(fact[name]) for name, show in columns.values()] for fact in facts])
+
+
+def _population_section(maps: MetricMaps, run: Mapping[str, Any]) -> str:
+    if not maps.times_of_day:
+        return ""
+    cell_km2 = maps.grid.resolution_m**2 / 1e6
+    rows = []
+    for item in maps.times_of_day:
+        density = maps.m("density", time_of_day=item)
+        num_people = np.nansum(density, dtype=np.float64) * cell_km2
+        zones = [_look_up(run, "population", item, zone) for zone in ("commercial", "residential", "other")]
+        shown = ["-" if count is None else f"{count:,.0f}" for count in zones]
+        rows.append([item, f"{num_people:,.0f}", f"{np.nanmax(density):,.0f}", *shown])
+    head = ["time of day", "people in the maps", "densest cell (per km²)", "commercial", "residential", "other"]
+    words = "The last three columns count whole census blocks that touch the region, by what their district is for."
+    return "\n\n".join(("## Population", words, table(head, rows)))
+
+
+def _path_section(maps: MetricMaps, paths: Paths) -> str:
+    planned = [path for z in maps.altitudes_m for path in paths.get(z, ())]
+    if not planned:
+        return ""
+    rows = []
+    for path in planned:
+        cells = [f"{path.altitude_m:g}", path.settings["time_of_day"] or "-", path.search.planner, path.status.value]
+        if path.status.has_path:
+            cells += [f"{path.cost:,.1f}", f"{path.length_m:,.0f}"]
+            cells += [f"{path.metrics[name]:.3f}" for name in maps.metrics]
+        else:
+            cells += ["-"] * (2 + len(maps.metrics))
+        rows.append([*cells, f"{path.search.elapsed_s:.3f}"])
+    head = ["altitude (m)", "time of day", "planner", "status", "cost", "length (m)"]
+    head += [f"mean m_{name}" for name in maps.metrics] + ["search (s)"]
+    settings = planned[0].settings
+    weights = ", ".join(f"{name} {value:g}" for name, value in settings["weights"].items())
+    words = (
+        "Means are along the path, by length. The cost is the weighted sum that all planners are judged by "
+        f"(model `{settings['cost_model']}`; weights: {weights}; it has no unit)."
+    )
+    if settings["cost_model"] == "cell" and any(path.search.planner.startswith("bitstar") for path in planned):
+        words += (
+            " The model counts the maps once a step, and a grid planner's diagonal step is one step of 1.41 cells, "
+            "so grid paths look cheaper than straight ones: the model `line` compares planners fairly."
+        )
+    sentences = [_path_sentence(z, paths[z]) for z in maps.altitudes_m if paths.get(z)]
+    return "\n\n".join(("## Paths", words, table(head, rows), bullets(sentences)))
+
+
+def _path_sentence(altitude_m: float, planned: Sequence[PlannedPath]) -> str:
+    """Return which planners did best at an altitude, by how much, and which found nothing."""
+    found = [path for path in planned if path.status.has_path]
+    failed = [f"{path.search.planner} ended as *{path.status.value}*" for path in planned if not path.status.has_path]
+    parts = []
+    if found:
+        best = min(path.cost for path in found)
+        winners = [path for path in found if path.cost <= best * (1 + 1e-9)]
+        names = listed(path.search.planner for path in winners)
+        parts.append(f"the cheapest path costs {best:,.1f} over {winners[0].length_m / 1000:.2f} km ({names})")
+        parts += [
+            f"{path.search.planner} costs {100 * (path.cost / best - 1):.1f} % more over {path.length_m / 1000:.2f} km"
+            for path in found
+            if all(path is not winner for winner in winners)
+        ]
+    return f"At {altitude_m:g} m " + "; ".join(parts + failed) + "."
+
+
+def _trend(values: Sequence[float], show: Callable[[float], str]) -> str:
+    """Return how numbers change from the first to the last, with both named; differences that do not show count not."""
+    first, last = show(values[0]), show(values[-1])
+    steps = [after - before for before, after in pairwise(values) if show(before) != show(after)]
+    if not steps:
+        return f"stays at {first}"
+    word = "rises" if min(steps) >= 0 else "falls" if max(steps) <= 0 else "varies"
+    return f"{word} from {first} to {last}"
+
+
+def _pictures(maps: MetricMaps, facts: Sequence[Facts], paths: Paths) -> str:
+    facts = sorted(facts, key=lambda fact: fact["altitude_m"])
+    low, high = facts[0], facts[-1]
+    between = f"at {low['altitude_m']:g} m"
+    if len(facts) > 1:
+        between = f"between {low['altitude_m']:g} m and {high['altitude_m']:g} m"
+
+    def trend(name: str, show: Callable[[float], str] = _thousandths) -> str:
+        return _trend([fact[name] for fact in facts], show)
+
+    texts = {
+        "heights": "roof heights on a square-root scale, so that houses and towers can both be told apart.",
+        "obstacle": f"the cells that no path may cross. Their share {trend('obstacle', _percent)} {between}.",
+        "gps": f"how well satellites fix a position. The mean {trend('gps')} {between}; at {low['altitude_m']:g} m "
+        f"{_percent(low['undetermined'])} of the free cells see too few satellites for a fix.",
+        "gps_rating": "the same as classes of GDOP. The share rated good or better "
+        f"{trend('good', _percent)} {between}.",
+        "lidar": f"how much of a scan returns from buildings. The mean {trend('lidar')} {between}: lidar needs walls "
+        "within its range.",
+        "sensor_choice": f"which of the two serves better. The share of free cells where GPS does "
+        f"{trend('gps_preferred', _percent)} {between}.{_correlation_sentence(low)}",
+        "risk": f"the distance to the nearest obstacle, up to the threshold. The mean {trend('risk')} {between}.",
+    }
+    if maps.times_of_day:
+        texts["population"] = _population_sentence(maps)
+    over = ", with every planner's path over it; where paths coincide, the later one is drawn narrower" if paths else ""
+    texts["paths"] = (
+        f"the sum of the costs of {listed(maps.metrics)}, brought to 0 (black, best) to 1 (white, worst) over the "
+        f"free cells{over}."
+    )
+    return bullets(f"[`{name}.png`](figures/{name}.png): {text}" for name, text in texts.items())
+
+
+def _correlation_sentence(fact: Facts) -> str:
+    correlation = fact["correlation"]
+    if not np.isfinite(correlation):
+        return ""
+    meaning = (
+        "one tends to be strong where the other is weak"
+        if correlation < -0.1
+        else (
+            "both tend to be strong in the same places" if correlation > 0.1 else "neither tells much about the other"
+        )
+    )
+    return f" At {fact['altitude_m']:g} m their correlation over free cells is {correlation:.2f}: {meaning}."
+
+
+def _population_sentence(maps: MetricMaps) -> str:
+    totals = {name: np.nansum(maps.m("density", time_of_day=name), dtype=np.float64) for name in maps.times_of_day}
+    cell_km2 = maps.grid.resolution_m**2 / 1e6
+    sums = listed(f"{total * cell_km2:,.0f} ({name})" for name, total in totals.items())
+    return f"people per km² on a logarithmic scale, the same for every time of day; in all {sums}."
+
+
+def _cautions(run: Mapping[str, Any]) -> list[str]:
+    lines, shares = [], _look_up(run, "rays_leave_data_share")
+    if shares and max(shares.values()) > 0:
+        worst = max(shares, key=shares.get)
+        lines.append(
+            f"At {worst} m, {_percent(shares[worst])} of the cells have a satellite ray that leaves the building "
+            "data before it is above every roof; GPS may look better there than it is."
+        )
+    return lines + [f"Warned during the run: {message}" for message in _look_up(run, "warnings") or ()]

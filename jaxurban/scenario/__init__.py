@@ -1,0 +1,1 @@
+"""Scenario files: their settings, their run, and the record of it."""

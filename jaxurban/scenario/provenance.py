@@ -1,0 +1,232 @@
+"""run.json: what went into a run's maps, what was met on the way, and how long each stage took."""
+
+import glob
+import hashlib
+import importlib.metadata
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+import pyproj
+import rasterio
+import shapely
+
+from jaxurban.errors import InputError
+from jaxurban.io.files import read_json, whole_file, write_json
+from jaxurban.io.store import short_number
+from jaxurban.maps.guesses import leaving_shares
+from jaxurban.maps.task import MapTask
+from jaxurban.metrics.population import population_totals
+from jaxurban.progress import LOG
+from jaxurban.scenario.settings import NOMINAL, Scenario
+from jaxurban.world.city import City
+from jaxurban.world.grid import Grid
+from jaxurban.world.sky import Sky
+
+COMPANIED_SUFFIXES = (".shp", ".tif", ".tiff", ".asc", ".img", ".vrt")
+REPORTED_VERSIONS = (
+    "jaxurban",
+    "jax",
+    "jaxlib",
+    "numpy",
+    "osmium",
+    "pyproj",
+    "rasterio",
+    "shapely",
+    "skyfield",
+    "xarray",
+    "zarr",
+)
+MAP_FOLDERS = ("kernels", "world", "metrics", "io", "maps", "scenario")  # of the package: what maps depend on
+
+
+def run_record(
+    scenario: Scenario,
+    tasks: Sequence[MapTask],
+    inputs: Mapping[str, Mapping[str, str]],
+    key: str,
+    elapsed_s: Mapping[str, float],
+    started_utc: str,
+    messages: Sequence[str],
+) -> dict[str, Any]:
+    """Return what run.json holds; the arguments are what `run_scenario` worked with, a task for each resolution."""
+    city, region, sky = tasks[0].city, tasks[0].region, tasks[-1].sky
+    leaving = {
+        short_number(z): leaving_shares(city, region, sky, z, scenario.gps.mask_deg)
+        for z in scenario.region.altitudes_m
+    }
+    population = inside = None
+    if city.blocks is not None:
+        population, inside = (
+            population_totals(city.blocks, scenario.population, region.bounds_m, is_cut) for is_cut in (False, True)
+        )
+    return {
+        "started_utc": started_utc,
+        "elapsed_s": {name: round(seconds, 3) for name, seconds in elapsed_s.items()},
+        "run_key": key,
+        "versions": versions(),
+        "settings": json.loads(scenario.model_dump_json(exclude_none=True)),
+        "inputs": inputs,
+        "region": _region_record([task.region for task in tasks]),
+        "buildings": _building_record(city, region),
+        "epochs": list(sky.times),
+        "satellites_above_mask": sky.count_by_system(np.radians(scenario.gps.mask_deg)),
+        "satellites": _satellite_record(sky),
+        "rays_leave_data_share": {z: round(cells, 4) for z, (cells, _) in leaving.items()},
+        "answers_leave_data_share": {z: round(results, 4) for z, (_, results) in leaving.items()},
+        "population": population,
+        "population_in_region": inside,
+        "warnings": list(dict.fromkeys(messages)),
+    }
+
+
+def write_record(file: Path, record: dict[str, Any], is_kept: bool) -> dict[str, Any]:
+    """Write run.json, unless it says the same already, and return what it holds.
+
+    Args:
+      file: run.json.
+      record: from `run_record`.
+      is_kept: whether no map was made: times and warnings then stay those of the run that made them.
+    """
+    try:
+        held = read_json(file)
+    except (OSError, ValueError):
+        held = {}
+        if is_kept:
+            LOG.warning(f"{str(file)!r} is missing or damaged: writing it again")
+    record = json.loads(json.dumps(record))
+    if is_kept and held.get("run_key") == record["run_key"]:
+        record |= {name: held[name] for name in ("started_utc", "elapsed_s")}
+        record["warnings"] = list(dict.fromkeys([*held["warnings"], *record["warnings"]]))
+    if record != held:
+        with whole_file(file) as scratch:
+            write_json(scratch, record, indent=2)
+    return record
+
+
+def hash_inputs(scenario: Scenario) -> dict[str, dict[str, str]]:
+    """Return path and SHA-256 of every file that a scenario names (a Shapefile with its companions).
+
+    Raises:
+      InputError: a file that is missing or cannot be read.
+    """
+    population = scenario.population
+    named = {
+        "buildings": None if scenario.is_synthetic else scenario.buildings.source,
+        "terrain": scenario.terrain.source,
+        **_orbit_files(scenario),
+        "blocks": population.blocks,
+        "table": population.table,
+        "districts": population.districts,
+        **{f"layer_{name}": layer.source for name, layer in scenario.layers.items()},
+    }
+    return {
+        role: {"path": name, "sha256": _sha256(scenario.path_of(name), role)}
+        for role, name in named.items()
+        if name is not None
+    }
+
+
+def _orbit_files(scenario: Scenario) -> dict[str, str]:
+    """Return the orbit files by role: ``orbits``, and ``orbits_2`` ... where there are several."""
+    files = [name for name in scenario.gps.orbits if name != NOMINAL]
+    return {"orbits" if i == 1 else f"orbits_{i}": name for i, name in enumerate(files, start=1)}
+
+
+def _sha256(path: Path, role: str) -> str:
+    digest = hashlib.sha256()
+    try:
+        for part in _companions(path):
+            digest.update(f"{part.name} {part.stat().st_size}\n".encode())
+            with part.open("rb") as file:
+                while chunk := file.read(1 << 20):
+                    digest.update(chunk)
+    except OSError as error:
+        raise InputError(f"cannot read the {role} file {str(path)!r}: {error.strerror or error}") from error
+    return digest.hexdigest()
+
+
+def _companions(path: Path) -> list[Path]:
+    """Return a file and those that belong to it (.dbf of a Shapefile, .tfw or .aux.xml of a raster), sorted."""
+    if not path.is_file() or path.suffix.lower() not in COMPANIED_SUFFIXES:
+        return [path]
+    names = (f"{glob.escape(path.stem)}.*", f"{glob.escape(path.name)}.*")
+    return sorted({path, *(part for name in names for part in path.parent.glob(name) if part.is_file())})
+
+
+def code_hash() -> str:
+    """Return a SHA-256 over the source files that make maps, so that maps of other code are not taken for ours."""
+    digest = hashlib.sha256()
+    package = Path(__file__).parents[1]
+    files = [package / "errors.py", *(file for name in MAP_FOLDERS for file in (package / name).rglob("*.py"))]
+    for path in sorted(files):
+        digest.update(str(path.relative_to(package)).encode() + path.read_bytes())
+    return digest.hexdigest()
+
+
+def run_key(scenario: Scenario, inputs: dict[str, dict[str, str]]) -> str:
+    """Return a short hash of everything the maps depend on: settings, input bytes, our code, the libraries."""
+    settings = scenario.model_dump(mode="json", exclude={"weights", "planning", "study"})
+    facts = {
+        "settings": settings,
+        "inputs": inputs,
+        "code": code_hash(),
+        "versions": versions(),
+        "backend": jax.default_backend(),
+    }
+    return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()[:16]
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of the packages that the maps depend on."""
+    return {name: importlib.metadata.version(name) for name in REPORTED_VERSIONS} | {
+        "GDAL": rasterio.__gdal_version__,
+        "GEOS": shapely.geos_version_string,
+        "PROJ": pyproj.proj_version_str,
+    }
+
+
+def _region_record(grids: Sequence[Grid]) -> dict[str, Any]:
+    first = grids[0]
+    return {
+        "crs": first.crs,
+        "bounds_m": list(first.bounds_m),
+        "cells": {short_number(g.resolution_m): list(g.shape) for g in grids},
+    }
+
+
+def _building_record(city: City, region: Grid) -> dict[str, Any]:
+    record: dict[str, Any] = {"faults": dict(city.read_issues), "source_counts": dict(city.counts)}
+    if city.buildings is not None:
+        inside = city.buildings.take(shapely.intersects(city.buildings.polygons, shapely.box(*region.bounds_m)))
+        counts = inside.origin_counts()
+        record |= {
+            "in_region": len(inside),
+            "height_origin_counts": counts,
+            "height_origin_shares": {name: round(n / max(len(inside), 1), 4) for name, n in counts.items()},
+            "highest_m": float(inside.height_m.max(initial=0.0)),
+            "hanging_parts": int((inside.min_height_m > 0).sum()),
+        }
+    else:
+        assert city.roofs is not None
+        record |= {
+            "height_origin_shares": {"raster": 1.0},
+            "highest_m": float(np.nanmax(city.roofs.values, initial=0.0)),
+        }
+    return record
+
+
+def _satellite_record(sky: Sky) -> list[dict[str, Any]]:
+    return [
+        {
+            "name": name,
+            "system": system,
+            "azimuth_grid_deg": np.degrees(sky.azimuth_rad[:, i]).round(3).tolist(),
+            "elevation_deg": np.degrees(sky.elevation_rad[:, i]).round(3).tolist(),
+            "element_age_days": sky.element_age_days[:, i].round(3).tolist(),
+        }
+        for i, (name, system) in enumerate(zip(sky.names, sky.systems, strict=True))
+    ]

@@ -1,0 +1,273 @@
+"""A scenario carried out: files in, metric maps and run.json out, resumable."""
+
+import time
+import warnings
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import dask.array
+
+from jaxurban.errors import InputError
+from jaxurban.io import store
+from jaxurban.io.files import check_writable, only_writer
+from jaxurban.io.folders import WorkFolder, broken_files, has_other_maps, prepare_folder, stored_key
+from jaxurban.io.geotiff import stale_geotiffs, write_geotiffs
+from jaxurban.io.layers import bands_of
+from jaxurban.io.read.city import BuildingFile, CensusFiles, read_city
+from jaxurban.io.read.guesses import warn_of
+from jaxurban.io.read.rasterise import check_has_data, rasterise
+from jaxurban.io.store import open_whole
+from jaxurban.maps.build import map_guesses, view_sky
+from jaxurban.maps.dataset import empty_dataset, with_series
+from jaxurban.maps.executors import Resources, num_cores, work_in_threads, work_on_cluster
+from jaxurban.maps.memory import MemoryPlan, plan_run, plan_sentence, shape_of_tiles
+from jaxurban.maps.metric_maps import MetricMaps
+from jaxurban.maps.stopwatch import Stage, Stopwatch, untimed
+from jaxurban.maps.task import MapParams, MapTask
+from jaxurban.maps.tiled import TileJob, unmark_damaged
+from jaxurban.metrics.availability import TimeTotals
+from jaxurban.metrics.registry import METRICS
+from jaxurban.progress import LOG, Progress, Report, reporting
+from jaxurban.scenario.provenance import hash_inputs, run_key, run_record, write_record
+from jaxurban.scenario.settings import NOMINAL, Scenario
+from jaxurban.world.city import City
+from jaxurban.world.grid import Grid
+from jaxurban.world.synthetic import demo_city_for_bounds
+from jaxurban.world.tiling import Tiling
+
+
+@dataclass(frozen=True)
+class Run:
+    """What a job made: the maps by resolution, and the record that run.json holds."""
+
+    maps: dict[float, MetricMaps]
+    record: dict[str, Any]
+
+
+def load_city(scenario: Scenario) -> City:
+    """Return the city that a scenario names.
+
+    Raises:
+      InputError: a source that cannot be used, or no building in the region.
+    """
+    region, file, population = scenario.region, scenario.buildings, scenario.population
+    if scenario.is_synthetic:
+        return demo_city_for_bounds(region.bounds, region.crs)
+
+    def path(name: str | None) -> Path | None:
+        return None if name is None else scenario.path_of(name)
+
+    census = None
+    if population.blocks is not None:
+        places = (scenario.path_of(population.blocks), path(population.table), path(population.districts))
+        census = CensusFiles(*places, population.block_field, population.district_field, population.commercial)
+    return read_city(
+        BuildingFile(
+            scenario.path_of(file.source), file.kind, file.default_height_m, file.level_height_m, file.allow_none
+        ),
+        bounds=region.bounds,
+        crs=region.crs,
+        census=census,
+        terrain=path(scenario.terrain.source),
+        mask_deg=scenario.gps.mask_deg,
+    )
+
+
+def tasks_of(scenario: Scenario, stage: Stage = untimed) -> list[MapTask]:
+    """Return what the maps of a scenario are made of, a task for each resolution, all over the same snapped box.
+
+    Args:
+      scenario: the settings.
+      stage: gives the context that reading city and orbits runs in.
+
+    Raises:
+      InputError: sources that cannot be used, or no building in the region.
+    """
+    region, buildings, gps = scenario.region, scenario.buildings, scenario.gps
+    params = MapParams(
+        altitudes_m=region.altitudes_m,
+        mask_deg=gps.mask_deg,
+        gps=gps,
+        lidar=scenario.lidar,
+        risk=scenario.risk,
+        population=scenario.population,
+        times_of_day=scenario.population.time_of_day,
+        all_touched=buildings.all_touched,
+        oversample=region.oversample,
+        gps_bounds=gps.bounds,
+        height_std=buildings.height_std_m,
+        height_samples=buildings.height_samples,
+        height_seed=buildings.height_seed,
+        others={name: getattr(scenario, name) for name in METRICS if hasattr(scenario, name)},
+    )
+    orbits = [name if name == NOMINAL else scenario.path_of(name) for name in gps.orbits]
+    look = partial(view_sky, mask_deg=gps.mask_deg, reference=gps.reference, max_age_days=gps.max_age_days)
+    with stage("read"):
+        city = load_city(scenario)
+    tasks = []
+    with stage("orbits"):
+        for resolution_m in region.resolution_m:
+            grid = Grid.from_bounds(region.bounds, resolution_m, region.crs, region.resolution_m)
+            bands = bands_of(scenario.layers, grid, params.altitudes_m, scenario.path_of(""))
+            tasks.append(MapTask(city, grid, look(grid, orbits, gps.utc_times), params, scenario.layers, bands))
+    return tasks
+
+
+def run_scenario(
+    scenario: Scenario,
+    folder: Path,
+    progress: Progress = True,
+    overwrite: bool = False,
+    resources: Resources | None = None,
+) -> Run:
+    """Make the maps of a scenario under ``folder`` and return them with the record of the run.
+
+    Finished resolutions, tiles and files of the same inputs are kept, once all of them have been read; what is
+    damaged or missing is named in the log and made anew, and nothing half-written is taken for finished. One sentence
+    there tells size and memory before the work begins.
+
+    Args:
+      scenario: the settings.
+      folder: where the maps go.
+      progress: as in `jaxurban.progress.reporting`.
+      overwrite: replace maps of other settings.
+      resources: what the run may use; left out, half of the free memory and a thread a core.
+
+    Raises:
+      InputError: bad settings or sources, too little memory, or a folder that holds another job's maps.
+    """
+    with reporting("maps", progress) as report:
+        return _run(scenario, folder, overwrite, resources or Resources(), report)
+
+
+def _run(scenario: Scenario, folder: Path, overwrite: bool, resources: Resources, report: Report) -> Run:
+    started_utc = datetime.now(UTC).isoformat(timespec="seconds")
+    watch = Stopwatch(on_stage=report)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", UserWarning)
+        inputs = hash_inputs(scenario)
+        key = run_key(scenario, inputs)
+        if has_other_maps(folder, key) and not overwrite:
+            raise InputError(
+                f"{str(folder)!r} holds maps of other settings or inputs, or made by another version of jaxurban "
+                "or its libraries: choose another folder, or pass --overwrite to replace them"
+            )
+        tasks = tasks_of(scenario, watch.stage)
+        guesses = map_guesses(tasks[0])
+        warn_of(guesses, known=tasks[0].city.guesses)
+        check_writable(folder)
+        plan = MemoryPlan(0, 0, num_cores())  # the machines of a cluster are not ours to measure
+        if resources.cluster is None:
+            plan = plan_run(
+                tasks, folder, resources.memory_bytes, resources.num_workers, resources.num_processes is not None
+            )
+        LOG.info(plan_sentence(tasks, plan))
+        # Nothing of an older job is touched before this one can begin.
+        with only_writer(folder), resources.client() as client:
+            prepare_folder(folder, key, scenario.region.resolution_m)
+            tasks = [replace(task, guesses=guesses) for task in tasks]
+            made = [_maps_of(Maker(task, folder, key, plan.num_workers, client), watch, report) for task in tasks]
+            messages = [str(item.message) for item in caught]
+            record = run_record(scenario, tasks, inputs, key, watch.elapsed_s, started_utc, messages)
+            is_kept = not any(is_new for _, is_new in made)
+            record = write_record(folder / store.RUN_FILE, record, is_kept)
+    rule = scenario.planning.obstacles
+    return Run({maps.grid.resolution_m: maps.with_obstacles(rule) for maps, _ in made}, record)
+
+
+@dataclass(frozen=True)
+class Maker:
+    """A task, where its maps go and who works on them: threads of this process, or a cluster by its client."""
+
+    task: MapTask
+    folder: Path
+    key: str
+    num_workers: int
+    client: Any = None
+
+
+def _maps_of(maker: Maker, watch: Stopwatch, report: Report) -> tuple[MetricMaps, bool]:
+    """Return the maps at one resolution, and whether they were made: those on disk are kept if whole and this job's."""
+    folder, resolution_m = maker.folder, maker.task.region.resolution_m
+    with watch.stage("verify"):
+        broken = broken_files(folder, resolution_m, maker.num_workers)
+        is_kept = not broken and stored_key(folder, resolution_m) == maker.key
+    if broken:
+        others = f" (and {len(broken) - 1} more)" if len(broken) > 1 else ""
+        again = f"making the maps at {store.short_number(resolution_m)} m again"
+        LOG.warning(f"{str(broken[0])!r}{others} is missing or damaged: {again}")
+    if not is_kept:
+        began = time.perf_counter()
+        seconds = make_zarr(maker, report)
+        # Tiles are worked on side by side: a stage gets its share of the time that passed.
+        scale = (time.perf_counter() - began) / (sum(seconds.values()) or 1.0)
+        for name, busy_s in seconds.items():
+            watch.add(name, busy_s * scale)
+    ds = store.open_zarr(folder, resolution_m)
+    with watch.stage("verify"):
+        stale = stale_geotiffs(ds, folder, maker.key, maker.num_workers)
+        for path in stale if is_kept else ():
+            LOG.warning(f"{str(path)!r} is missing or damaged: writing it again")
+    with watch.stage("write_geotiff"):
+        write_geotiffs(ds, folder, maker.key, maker.num_workers, only=stale)
+    return MetricMaps(ds), not is_kept
+
+
+def make_zarr(maker: Maker, report: Report, shape: tuple[int, int] | None = None) -> dict[str, float]:
+    """Make the Zarr of one resolution tile by tile and return the seconds that all workers spent on each stage.
+
+    Args:
+      maker: what from and where to.
+      report: gets how many tiles are done.
+      shape: of the tiles; left out, `shape_of_tiles`.
+
+    Raises:
+      InputError: rasters without data in the region, or workers that are killed again and again.
+    """
+    task, grid = maker.task, maker.task.region
+    shape = shape or shape_of_tiles(task)
+    tiling = Tiling.over(grid, task.with_margin(), shape)
+    if task.city.roofs is not None or task.has_terrain:
+        check_has_data(rasterise(task.city, tiling.grid_of(tile)).has_data for tile in tiling.region_tiles)
+    work = WorkFolder(store.work_path(maker.folder.resolve(), grid.resolution_m))
+    damaged = work.begin(f"{maker.key} {shape}")
+    job = TileJob(task, work, tiling)
+    for path in [*damaged, *unmark_damaged(job, maker.num_workers)]:
+        LOG.warning(f"{str(path)!r} of the unfinished maps is damaged: making it again")
+    if not work.zarr.exists():
+        empty = empty_dataset(task, _no_values).assign_attrs(run_key=maker.key, guesses=task.guesses)
+        store.create_zarr(empty, work.zarr, shape)
+    seconds: dict[str, float] = {}
+    totals: dict[str, TimeTotals] = {}
+    num_done, stage = 0, f"tiles of {store.short_number(grid.resolution_m)} m"
+    report(stage, num_done, len(tiling.region_tiles))
+
+    def take(found: dict[str, Any]) -> None:
+        nonlocal num_done
+        for name, busy_s in found["seconds"].items():
+            seconds[name] = seconds.get(name, 0.0) + busy_s
+        if "totals" in found:
+            for metric, facts in found["totals"].items():
+                sums = TimeTotals.of(facts)
+                totals[metric] = totals[metric] + sums if metric in totals else sums
+            num_done += 1
+            report(stage, num_done, len(tiling.region_tiles))
+
+    if maker.client is None:
+        work_in_threads(job, maker.num_workers, take)
+    else:
+        work_on_cluster(job, maker.client, take)
+    if totals:
+        made = with_series(open_whole(work.zarr), task, totals)
+        store.add_to_zarr(
+            made[[f"{name}_{what}" for name in totals for what in ("epoch_mean", "worst_time")]], work.zarr
+        )
+    work.finish(store.zarr_path(maker.folder, grid.resolution_m))
+    return seconds
+
+
+def _no_values(shape: tuple[int, ...], dtype: Any) -> dask.array.Array:
+    return dask.array.zeros(shape, dtype=dtype, chunks=-1)

@@ -1,0 +1,364 @@
+"""Scenario: the validated settings of one job, to and from TOML."""
+
+import operator
+import tomllib
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import tomli_w
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    GetPydanticSchema,
+    PlainSerializer,
+    PrivateAttr,
+    ValidationError,
+    model_validator,
+)
+
+from jaxurban.errors import InputError
+from jaxurban.io.read.orbits import NOMINAL as NOMINAL
+from jaxurban.io.read.orbits import iso_utc
+from jaxurban.maps.height_uncertainty import HeightStd
+from jaxurban.metrics.custom import Layer, check_name
+from jaxurban.metrics.gps import GpsParams
+from jaxurban.metrics.lidar import LidarParams
+from jaxurban.metrics.population import WEEKDAY_PROFILE, WEEKEND_PROFILE, PopulationParams, day_share
+from jaxurban.metrics.risk import RiskParams
+from jaxurban.metrics.settings import differentiable
+from jaxurban.metrics.weights import MOST_WEIGHT, Weights
+from jaxurban.planners.registry import find_planner
+from jaxurban.world.diagnostics import check_truths, sentence_of
+from jaxurban.world.grid import check_bounds, projected_crs
+
+SYNTHETIC = "synthetic"
+MOST_TIMES = 100_000  # a year in steps of five minutes
+PAPER_PLANNERS = ("ptp", "astar-dist", "astar-plus", "bitstar-dist", "bitstar-plus")
+
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+PositiveInt = Annotated[int, Field(gt=0)]
+
+
+def _no_truth(value: Any) -> Any:
+    if isinstance(value, bool):
+        raise ValueError(f"a weight cannot be {str(value).lower()}: give a number")
+    return value
+
+
+def _not_too_heavy(weight: float) -> float:
+    if weight > MOST_WEIGHT:
+        raise ValueError(f"a weight must be at most {MOST_WEIGHT:g}, got {weight:g}")
+    return weight
+
+
+Weight = Annotated[NonNegative, BeforeValidator(_no_truth), AfterValidator(_not_too_heavy)]
+WeightTable = Annotated[  # weights by name; `Scenario` knows which names there are
+    dict[str, Weight], AfterValidator(lambda named: Weights(**named)), PlainSerializer(Weights.to_dict)
+]
+WeightSettings = Annotated[Weights, GetPydanticSchema(lambda _, handler: handler.generate_schema(WeightTable))]
+
+
+def _as_list(value: Any) -> Any:
+    return value if isinstance(value, list | tuple) else [value]
+
+
+def _all_different(values: tuple) -> tuple:
+    if len({f"{value:g}" if isinstance(value, float) else value for value in values}) < len(values):
+        raise ValueError("names a value twice (file names carry six digits)")
+    return values
+
+
+def _known_planner(name: str) -> str:
+    find_planner(name)
+    return name
+
+
+PlannerName = Annotated[str, AfterValidator(_known_planner)]
+
+
+def _as_utc(time: datetime) -> datetime:
+    return time.replace(tzinfo=UTC) if time.tzinfo is None else time.astimezone(UTC)
+
+
+Utc = Annotated[datetime, AfterValidator(_as_utc)]  # a naive time is UTC already
+Seed = Annotated[int, Field(ge=0)]
+StrList = Annotated[tuple[str, ...], BeforeValidator(_as_list), Field(min_length=1)]
+Different = AfterValidator(_all_different)
+DifferentList = Annotated[tuple[Positive, ...], BeforeValidator(_as_list), Field(min_length=1), Different]
+Profile = tuple[float, ...]
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Region(_Section):
+    """Where, how fine and how high."""
+
+    bounds: tuple[float, float, float, float]
+    crs: str | None = None
+    resolution_m: DifferentList = (5.0,)
+    altitudes_m: DifferentList = (20.0, 60.0, 122.0, 600.0)
+    oversample: PositiveInt = 1
+
+    @model_validator(mode="after")
+    def _check(self) -> "Region":
+        check_bounds(self.bounds)
+        if self.crs is not None:
+            projected_crs(self.crs)
+        return self
+
+
+class BuildingSettings(_Section):
+    """Where buildings come from, what stands in for missing heights, and how well heights are known."""
+
+    source: str
+    kind: Literal["height", "surface"] = "height"  # of a raster: above ground, or a surface model, above sea level
+    default_height_m: Positive = 10.0
+    level_height_m: Positive = 3.0
+    all_touched: bool = False
+    allow_none: bool = False
+    height_std_m: HeightStd = HeightStd()
+    height_samples: Annotated[int, Field(ge=0)] = 0  # of the spread maps; 0: none are made
+    height_seed: Seed = 0
+
+    @model_validator(mode="after")
+    def _check(self) -> "BuildingSettings":
+        if self.height_samples == 1:
+            raise ValueError("height_samples is 1: a spread needs at least 2 samples (0 makes none)")
+        return self
+
+
+class TerrainSettings(_Section):
+    """Ground elevation; left out: flat."""
+
+    source: str | None = None
+
+
+@differentiable("gdop_threshold")
+@dataclass(frozen=True)
+class GpsSettings(GpsParams):
+    """The metric's settings, and which satellites are seen when."""
+
+    orbits: StrList = (NOMINAL,)
+    times: tuple[Utc, ...] | None = None
+    start: Utc | None = None
+    stop: Utc | None = None
+    step_s: PositiveInt | None = None
+    mask_deg: Annotated[float, Field(ge=0, lt=90)] = 5.0
+    max_age_days: Positive = 90.0
+    reference: tuple[float, float] | None = None
+    bounds: bool = False  # also make gps_lower and gps_upper
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.start is not None and self.stop is not None and self.step_s is not None:
+            if self.times is not None:
+                raise InputError("give either times or start, stop and step_s, not both")
+            count = (self.stop - self.start).total_seconds() / self.step_s + 1
+            if count > MOST_TIMES:
+                raise InputError(f"start, stop and step_s make {count:.3g} points in time: make step_s longer")
+            if self.stop < self.start:
+                raise InputError("stop is before start")
+        elif any(value is not None for value in (self.start, self.stop, self.step_s)):
+            raise InputError("a series of times needs all of start, stop and step_s")
+        if self.times is not None and not self.times:
+            raise InputError("times is empty: give at least one UTC time such as 2020-04-27T16:00:00Z")
+        times = self.utc_times or ()
+        if len(set(times)) != len(times):
+            raise InputError("times holds a time twice")
+        if not all(len(time) == len("2020-04-27T16:00:00Z") for time in times):
+            raise InputError("times must be whole seconds, as file names carry them")
+        if self.reference is not None and not (abs(self.reference[0]) <= 180 and abs(self.reference[1]) <= 90):
+            raise InputError("reference is longitude, latitude in degrees")
+
+    @property
+    def utc_times(self) -> tuple[str, ...] | None:
+        """The UTC times, ISO 8601 with a trailing Z; None where `jaxurban.maps.build.view_sky` chooses."""
+        if self.start is not None and self.stop is not None and self.step_s is not None:
+            count = int((self.stop - self.start).total_seconds() // self.step_s) + 1
+            times = [self.start + timedelta(seconds=self.step_s * i) for i in range(count)]
+        elif self.times is not None:
+            times = list(self.times)
+        else:
+            return None
+        return tuple(iso_utc(time) for time in times)
+
+
+@differentiable("gamma_commercial", "gamma_residential")
+@dataclass(frozen=True)
+class PopulationSettings(PopulationParams):
+    """The metric's settings, and where census blocks and districts come from."""
+
+    blocks: str | None = None
+    block_field: str = "GEOID10"
+    table: str | None = None
+    districts: str | None = None
+    district_field: str = "BoroCD"
+    commercial: tuple[int, ...] | None = None  # `jaxurban.io.read.districts.default_commercial`
+    time_of_day: Annotated[StrList, Different] = ("day", "night")
+    weekday: Annotated[Profile, Field(exclude_if=WEEKDAY_PROFILE.__eq__)] = WEEKDAY_PROFILE
+    weekend: Annotated[Profile, Field(exclude_if=WEEKEND_PROFILE.__eq__)] = WEEKEND_PROFILE
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.blocks is None and (self.table is not None or self.districts is not None):
+            raise InputError("table and districts need blocks, the polygons of the census blocks")
+        for time_of_day in self.time_of_day:
+            day_share(time_of_day, self)
+
+
+class PlanningSettings(_Section):
+    """How paths are sought."""
+
+    planner: PlannerName = "astar-plus"
+    obstacles: Literal["touched", "centre"] = "touched"
+    cost_model: Literal["cell", "line"] = "cell"
+    objective: Literal["weighted", "distance"] = "weighted"
+    connectivity: Literal[4, 8] = 8
+    diagonal: Literal["both-free", "always"] = "both-free"
+    reference_length_m: Positive = 5.0
+    budget_s: Positive = 180.0
+    seed: Seed = 0
+
+
+def _dirichlet_or_list(value: Any) -> Any:
+    if value == "dirichlet" or (isinstance(value, list | tuple) and value):
+        return value
+    raise ValueError(f"must be 'dirichlet' or a list such as [{{ distance = 0.1, gps = 1.0 }}], got {value!r}")
+
+
+class StudySettings(_Section):
+    """A Monte Carlo study; planners are compared under the line model, which depends on no resolution."""
+
+    instances: PositiveInt = 200
+    planners: tuple[PlannerName, ...] = PAPER_PLANNERS
+    distance_only: tuple[PlannerName, ...] = ("astar-dist",)  # run for the shortest path too
+    altitudes_m: DifferentList | None = None
+    land_cover: str | None = None  # OSM file with water and parks; left out, the buildings' source where that is one
+    weights: Annotated[tuple[WeightSettings, ...] | Literal["dirichlet"], BeforeValidator(_dirichlet_or_list)] = (
+        "dirichlet"
+    )
+    cost_model: Literal["cell", "line"] = "line"
+    budget_s: Positive = 2.0
+    budget_iterations: PositiveInt | None = None
+    seed: Seed = 0
+
+    @model_validator(mode="after")
+    def _check(self) -> "StudySettings":
+        if not self.planners:
+            raise ValueError("planners is empty: name at least one planner")
+        return self
+
+
+class Scenario(_Section):
+    """All settings of one job. Only ``region`` and ``buildings`` are required."""
+
+    region: Region
+    buildings: BuildingSettings
+    terrain: TerrainSettings = TerrainSettings()
+    gps: GpsSettings = GpsSettings()
+    lidar: LidarParams = LidarParams()
+    population: PopulationSettings = PopulationSettings()
+    risk: RiskParams = RiskParams()
+    layers: dict[str, Layer] = Field(default_factory=dict, exclude_if=operator.not_)  # of one's own
+    weights: WeightSettings = Weights()
+    planning: PlanningSettings = PlanningSettings()
+    study: StudySettings = StudySettings()
+    _folder: Path = PrivateAttr(default=Path())
+
+    @model_validator(mode="before")
+    @classmethod
+    def _no_truth_for_a_number(cls, settings: Any) -> Any:
+        check_truths(settings, cls)
+        return settings
+
+    @model_validator(mode="after")
+    def _check(self) -> "Scenario":
+        self._check_layers()
+        if self.is_synthetic and (self.population.blocks or self.terrain.source):
+            raise ValueError(
+                "the synthetic city (source = 'synthetic') has its own population and flat ground: leave out "
+                "population.blocks and terrain.source, or name a source of real buildings"
+            )
+        keeps_times = self.gps.keeps_times(len(self.gps.utc_times or (None,)))
+        if (self.gps.bounds or self.buildings.height_samples) and not keeps_times:
+            raise ValueError(
+                "[gps] bounds and [buildings] height_samples need the maps of every time: give fewer times, or set "
+                "[gps] series = 'epochs'"
+            )
+        if self.gps.bounds and self.region.oversample % 2 == 0:
+            raise ValueError(f"[gps] bounds need an odd [region] oversample, got {self.region.oversample}: use 3 or 5")
+        return self
+
+    def _check_layers(self) -> None:
+        for name, layer in self.layers.items():
+            check_name(name)
+            if not isinstance(layer.source, str):
+                raise ValueError(f"layers.{name}: source must be the path of a raster, got {layer.source!r}")
+        tables = {"weights": self.weights}
+        if not isinstance(self.study.weights, str):
+            tables |= {f"study.weights.{number}": table for number, table in enumerate(self.study.weights)}
+        for where, table in tables.items():
+            try:
+                table.checked(self.layers)
+            except InputError as error:
+                raise ValueError(f"{where}: {error}") from error
+
+    @classmethod
+    def from_toml(cls, path: str | Path) -> "Scenario":
+        """Return the scenario in a TOML file; relative paths in it are relative to the file.
+
+        Raises:
+          InputError: no such file, not TOML, an unknown key (names the nearest one) or a bad value.
+        """
+        path = Path(path)
+        try:
+            settings = tomllib.loads(path.read_text(encoding="utf-8"))
+        except OSError as error:
+            raise InputError(f"cannot read the scenario {str(path)!r}: {error.strerror or error}") from error
+        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+            raise InputError(f"{str(path)!r} is not a scenario in TOML: {error}") from error
+        return cls.from_dict(settings, name=str(path), folder=path.resolve().parent)
+
+    @classmethod
+    def from_dict(cls, settings: dict[str, Any], name: str = "the scenario", folder: Path | None = None) -> "Scenario":
+        """Return the scenario in nested dicts, sections by name; relative paths are relative to ``folder``.
+
+        Raises:
+          InputError: an unknown key (names the nearest one), a missing one or a bad value.
+        """
+        try:
+            scenario = cls.model_validate(settings)
+        except ValidationError as error:
+            raise InputError(f"{name}: {sentence_of(error, cls, settings)}") from error
+        if folder is not None:
+            scenario._folder = folder
+        return scenario
+
+    def to_toml(self) -> str:
+        """Return the scenario as TOML, every setting written out."""
+        return tomli_w.dumps(_without_none(self.model_dump(mode="python")))
+
+    def path_of(self, name: str) -> Path:
+        """Return the path that a setting names, relative ones taken from the scenario's folder."""
+        return self._folder / name
+
+    @property
+    def is_synthetic(self) -> bool:
+        """Whether the source is the synthetic city."""
+        return self.buildings.source == SYNTHETIC
+
+
+def _without_none(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _without_none(item) for key, item in value.items() if item is not None}
+    if isinstance(value, tuple | list):
+        return [_without_none(item) for item in value]
+    return value

@@ -1,0 +1,183 @@
+"""Demonstrations: routes that were shown, and what each crosses, measured as the planners' own routes are."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+import shapely
+
+from jaxurban.errors import InputError
+from jaxurban.metrics.weights import Weights
+from jaxurban.paths.cost_map import CostMap
+from jaxurban.paths.path import PlannedPath
+from jaxurban.planners.astar import astar
+from jaxurban.planners.base import Cell, Problem
+from jaxurban.studies.queries import RouteQuery
+
+ON_CENTRE = 0.01  # of a cell side: a point this near a centre is the centre, written with few decimals
+# A line is followed on the grid within so many cells to either side, the next where obstacles close the one before.
+CORRIDORS_CELLS = (1.5, 3.0, 6.0, 12.0, 24.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Demonstration:
+    """A query, and a route between its ends.
+
+    Attributes:
+      query: the route's ends on its map.
+      points_m: ``[N, 2]`` the route on the grid, metres from the map's southwest corner.
+      note: what had to be done to the route; empty where nothing had.
+    """
+
+    query: RouteQuery
+    points_m: np.ndarray
+    note: str = ""
+
+    @cached_property
+    def sums(self) -> np.ndarray:
+        """``[2, K]`` features and integrals of the route (see `RouteQuery.sums`)."""
+        return self.query.sums(self.points_m)
+
+    @property
+    def features(self) -> np.ndarray:
+        """``[K]`` what weights multiply, so that cost = W . features."""
+        return self.sums[0]
+
+
+def optimal_demonstrations(queries: Sequence[RouteQuery], weights: Weights) -> list[Demonstration]:
+    """Return the cheapest route of each query under weights as a demonstration.
+
+    Raises:
+      InputError: no path joins the ends of a query.
+    """
+    return [Demonstration(query, query.cheapest(weights.vector(query.names))) for query in queries]
+
+
+def demonstration_from_path(cost_map: CostMap, planned: PlannedPath, name: str = "") -> Demonstration:
+    """Return a planned path as a demonstration (see `demonstration_from_line`).
+
+    Raises:
+      InputError: the path has no points, or is of another altitude than the map.
+    """
+    if planned.altitude_m != cost_map.altitude_m:
+        raise InputError(
+            f"demonstration {name or 'route'!r} is a path at {planned.altitude_m:g} m and the map is of "
+            f"{cost_map.altitude_m:g} m: give the map of its own altitude"
+        )
+    if len(planned.xy_m) == 0:
+        raise InputError(
+            f"demonstration {name or 'route'!r} is a path without points ({planned.status.value}): leave it out"
+        )
+    return demonstration_from_line(cost_map, planned.xy_m, name)
+
+
+def demonstration_from_line(cost_map: CostMap, xy_m: np.ndarray, name: str = "") -> Demonstration:
+    """Return a route as a demonstration that planners of the grid could have made.
+
+    A route whose points are centres of neighbouring cells is taken as it is. Any other line is redrawn on
+    the grid, leg by leg, by the shortest grid path within a narrow corridor around it: a grid path is up to
+    8.24 % longer than the line that it follows, and a demonstration must not seem cheaper than every route that it
+    is compared with. Legs are the line's own, simplified by half a cell.
+
+    Args:
+      cost_map: from `jaxurban.cost_map`.
+      xy_m: ``[N, 2]`` easting, northing in the maps' CRS, ``N >= 2``.
+      name: for messages and reports.
+
+    Raises:
+      InputError: fewer than two points, points that are not finite, or a route that leaves the maps, ends where
+        it starts, or cannot be followed through free cells.
+    """
+    grid = cost_map.grid
+    points = np.asarray(xy_m, np.float64)
+    label = f"demonstration {name!r}" if name else "the demonstration"
+    if points.ndim != 2 or points.shape[1] != 2 or len(points) < 2 or not np.isfinite(points).all():
+        raise InputError(f"{label} must be [N, 2] finite metres with N >= 2, got shape {points.shape}")
+    local = (points - np.array([grid.x_min_m, grid.y_min_m])) / grid.resolution_m
+    if np.any(local < 0) or np.any(local >= (grid.num_cols, grid.num_rows)):
+        raise InputError(f"{label} leaves the maps: clip it to their region, or make maps of a larger one")
+    note = ""
+    if _is_grid_path(cost_map, local):
+        local = np.floor(local) + 0.5  # decimals lost in a file must not make a diagonal step graze a third cell
+    else:
+        local, widest = _follow(cost_map, local, label)
+        if widest > CORRIDORS_CELLS[0]:
+            note = f"followed within {widest * grid.resolution_m:.0f} m, since obstacles close the way nearer to it"
+    start, goal = (tuple(cell) for cell in np.floor(local[[0, -1], ::-1]).astype(int).tolist())
+    if start == goal:
+        raise InputError(f"{label} starts and ends in one cell: leave it out, or cut it in two")
+    return Demonstration(RouteQuery(cost_map, start, goal, name), local * grid.resolution_m, note)
+
+
+def _is_grid_path(cost_map: CostMap, local: np.ndarray) -> bool:
+    """Return whether points, in cell sides, are the centres of cells of a valid path of neighbours."""
+    cells = np.floor(local)
+    is_centre = np.abs(local - cells - 0.5) < ON_CENTRE
+    steps = np.abs(np.diff(cells, axis=0))
+    sizes = steps.sum(axis=1) if cost_map.cost_model.connectivity == 4 else steps.max(axis=1)
+    return (
+        bool(is_centre.all() and np.all(sizes == 1))
+        and cost_map.problem.features((cells + 0.5) * cost_map.grid.resolution_m).is_valid
+    )
+
+
+def _follow(cost_map: CostMap, local: np.ndarray, label: str) -> tuple[np.ndarray, float]:
+    """Return the centres ``[N, 2]`` of a grid path along a line, in cell sides, and the corridor that it needed."""
+    line = shapely.LineString(local).simplify(0.5)
+    corners = shapely.get_coordinates(line)
+    cells = [(int(row), int(col)) for col, row in np.floor(corners)]
+    for which, cell in (("start", cells[0]), ("goal", cells[-1])):
+        if not cost_map.is_free[cell]:
+            remedy = "clip the route, or give its altitude"
+            if cost_map.maps.obstacles == "touched" and cost_map.maps.is_free(cost_map.altitude_m, "centre")[cell]:
+                remedy += ", or, if it was planned so, choose obstacles = centre (--obstacles centre)"
+            raise InputError(f"{label}: its {which} is {cost_map.why_closed(cell)}: {remedy}")
+    # A corner inside an obstacle is skipped: the legs around it are one.
+    kept = [k for k, cell in enumerate(cells) if cost_map.is_free[cell]]
+    points, widest = [np.array(cells[0][::-1]) + 0.5], CORRIDORS_CELLS[0]
+    for i, j in pairwise(kept):
+        if cells[i] == cells[j]:
+            continue
+        leg = shapely.LineString(corners[i : j + 1])
+        for width in CORRIDORS_CELLS:
+            path = _shortest_within(cost_map, leg, width, cells[i], cells[j])
+            if path is not None:
+                break
+        else:
+            raise InputError(
+                f"{label} cannot be followed through free cells at {cost_map.altitude_m:g} m within "
+                f"{CORRIDORS_CELLS[-1] * cost_map.grid.resolution_m:.0f} m of it: check its altitude"
+            )
+        widest = max(widest, width)
+        points.extend(path[1:])
+    return np.array(points), widest
+
+
+def _shortest_within(
+    cost_map: CostMap, leg: shapely.LineString, width: float, start: Cell, goal: Cell
+) -> np.ndarray | None:
+    """Return the shortest grid path whose cells' centres lie within ``width`` of a leg, in cell sides; None without."""
+    west, south, east, north = leg.bounds
+    pad = int(np.ceil(width)) + 1
+    low = np.maximum(np.floor([south, west]).astype(int) - pad, 0)
+    high = np.minimum(np.floor([north, east]).astype(int) + pad + 1, cost_map.is_free.shape)
+    rows, cols = np.mgrid[low[0] : high[0], low[1] : high[1]]
+    near = shapely.dwithin(shapely.points(cols + 0.5, rows + 0.5), leg, width)
+    is_free = cost_map.is_free[low[0] : high[0], low[1] : high[1]] & near
+    ends = [(cell[0] - int(low[0]), cell[1] - int(low[1])) for cell in (start, goal)]
+    if not all(is_free[end] for end in ends):
+        return None
+    found = astar(
+        Problem(
+            np.zeros((1, *is_free.shape)),
+            is_free,
+            start=ends[0],
+            goal=ends[1],
+            resolution_m=1.0,
+            weights=1.0,
+            cost_model=cost_map.cost_model,
+        )
+    )
+    return found.points_m + low[::-1] if found.status.has_path else None

@@ -1,0 +1,251 @@
+"""What the rows of a Monte Carlo benchmark say: tables, each a DataFrame that a reader can check.
+
+All take the rows joined with their instances (`joined`). A path's *ratio* is its cost over the cheapest one that any
+planner found for the same instance at the same altitude, under the benchmark's cost model.
+"""
+
+import itertools
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from jaxurban.planners.base import Status
+from jaxurban.studies.bootstrap import mean_interval
+from jaxurban.studies.montecarlo.sampling import KEY, RANGES
+from jaxurban.studies.montecarlo.trial import BAD_INPUT, DISTANCE, HAS_PATH, WEIGHTED
+
+CLOSE, NEAR = 1.01, 1.05  # ratios that count as the best, and as near it
+OFTEN = 0.8  # least share of joined pairs solved for a planner's metrics to be compared
+RELIABLE = 0.95  # least share of joined pairs solved for a planner to be advised
+
+
+def joined(rows: pd.DataFrame, instances: pd.DataFrame) -> pd.DataFrame:
+    """Return every row with its instance, and ``has_path``, ``is_joined`` (some path exists), ``ratio``, ``range``.
+
+    A pair counts as joined if any planner found a path, or none proved that there is none; a pair with a place that is
+    not free on these maps (``bad-input``) does not.
+    """
+    wanted = [*KEY, "range", "start_stratum", "goal_stratum", "time_of_day", "distance_m"]
+    table = rows.merge(instances[[name for name in wanted if name in instances]], on=list(KEY), validate="many_to_one")
+    table["range"] = table["range"].astype(object).where(table["range"].notna(), "any") if "range" in table else "any"
+    table["has_path"] = table.status.isin(HAS_PATH)
+    one = table.groupby(list(KEY), sort=False)
+    refuted = (table.status == Status.NO_PATH.value).groupby([table[name] for name in KEY]).transform("any")
+    is_bad = (table.status == BAD_INPUT).groupby([table[name] for name in KEY]).transform("all")
+    table["is_joined"] = (one.has_path.transform("any") | ~refuted) & ~is_bad
+    best = table.groupby(list(KEY), sort=False).cost.transform("min")
+    # A path of no cost at all is the best one, whatever is divided.
+    table["ratio"] = np.where(table.cost == best, 1.0, table.cost / best.where(best > 0))
+    table.loc[~table.has_path, "ratio"] = np.nan
+    return table
+
+
+def facts_of(table: pd.DataFrame) -> list[str]:
+    """Return the columns of a path's length and of the mean of each metric along it."""
+    return ["length_m", *(name for name in map(str, table.columns) if name.startswith("m_"))]
+
+
+def each(table: pd.DataFrame) -> Iterator[Any]:
+    """Yield the rows of a table, columns as attributes."""
+    return iter(table.itertuples())
+
+
+def weighted_rows(table: pd.DataFrame) -> pd.DataFrame:
+    """Return the rows of the weighted objective."""
+    return table[table.objective == WEIGHTED]
+
+
+def range_names(table: pd.DataFrame) -> list[str]:
+    """Return the ranges that a table holds, from short to long."""
+    held = set(table.range)
+    return [name for name in (*RANGES, "any") if name in held] + sorted(held - {*RANGES, "any"})
+
+
+def success(table: pd.DataFrame) -> pd.DataFrame:
+    """Return the share of pairs for which each planner found a path, by altitude and range.
+
+    ``share`` is of all pairs, ``share_joined`` of those that some path joins; ``proven`` the share with status optimal.
+    """
+    rows = weighted_rows(table).assign(proven=lambda rows: rows.status == Status.OPTIMAL.value)
+    grouped = rows.groupby(["planner", "altitude_m", "range"], sort=True)
+    found = grouped.agg(pairs=("has_path", "size"), paths=("has_path", "sum"), joined=("is_joined", "sum"))
+    found["share"] = found.paths / found.pairs
+    found["share_joined"] = (found.paths / found.joined).where(found.joined > 0)
+    found["proven"] = grouped.proven.mean()
+    found["crashed"] = grouped.status.apply(lambda status: int((status == "crashed").sum()))
+    return found.reset_index()
+
+
+def surroundings(table: pd.DataFrame) -> pd.DataFrame:
+    """Return how often each planner finds a path by altitude and by the stratum that a pair starts or ends in.
+
+    ``pairs`` are those that some path joins, each counted in both of its strata; ``share`` are solved, ``near``
+    within 5 % of the cheapest path known. Empty where the instances name no strata.
+    """
+    rows = weighted_rows(table)
+    rows = rows[rows.is_joined]
+    ends = [rows.assign(stratum=rows[name]) for name in ("start_stratum", "goal_stratum") if name in rows]
+    by = ["stratum", "altitude_m", "planner"]
+    found = pd.concat(ends).dropna(subset="stratum") if ends else rows.assign(stratum=None).iloc[:0]
+    found = found.drop_duplicates([*KEY, "planner", "stratum"]).assign(is_near=lambda rows: rows.ratio <= NEAR)
+    return (
+        found.groupby(by)
+        .agg(pairs=("has_path", "size"), share=("has_path", "mean"), near=("is_near", "mean"))
+        .reset_index()
+    )
+
+
+def costs(table: pd.DataFrame) -> pd.DataFrame:
+    """Return how far above the cheapest path known each planner's paths are, by altitude."""
+    rows = weighted_rows(table)
+    rows = rows[rows.has_path]
+    grouped = rows.groupby(["planner", "altitude_m"]).ratio
+    return grouped.agg(
+        paths="size",
+        median="median",
+        p90=lambda ratio: ratio.quantile(0.9),
+        worst="max",
+        best_share=lambda ratio: (ratio <= CLOSE).mean(),
+    ).reset_index()
+
+
+def usage(table: pd.DataFrame) -> pd.DataFrame:
+    """Return the metrics that paths use: mean m along them, length and detour, by planner, objective and altitude.
+
+    Only instances that all of these planners solved count, so that means compare like with like; planners that solve
+    fewer than four joined pairs in five are left out, since what they solve are the easy ones.
+    """
+    solved = weighted_rows(table[table.is_joined]).groupby("planner").has_path.mean()
+    table = table[table.planner.isin(solved.index[solved >= OFTEN])]
+    num_runs = len(table[["planner", "objective"]].drop_duplicates())
+    found = table[table.has_path]
+    found = found[found.groupby(list(KEY)).has_path.transform("size") == num_runs]
+    return (
+        found.groupby(["planner", "objective", "altitude_m"])[[*facts_of(found), "detour"]]
+        .mean()
+        .assign(instances=found.groupby(["planner", "objective", "altitude_m"]).size())
+        .reset_index()
+    )
+
+
+def times(table: pd.DataFrame) -> pd.DataFrame:
+    """Return seconds, expansions and samples of each planner by altitude."""
+    rows = weighted_rows(table)
+    return (
+        rows[rows.elapsed_s.notna()]
+        .groupby(["planner", "altitude_m"])
+        .agg(
+            runs=("elapsed_s", "size"),
+            median_s=("elapsed_s", "median"),
+            p95_s=("elapsed_s", lambda seconds: seconds.quantile(0.95)),
+            median_expanded=("num_expanded", "median"),
+            median_samples=("num_samples", "median"),
+        )
+        .reset_index()
+    )
+
+
+def paired(table: pd.DataFrame) -> pd.DataFrame:
+    """Return each two planners compared on the pairs that both solved.
+
+    ``cost_ratio`` is the geometric mean of first over second with its 95 % bootstrap interval over instances (all
+    altitudes of an instance drawn together); ``first_cheaper`` and ``second_cheaper`` are shares by more than 0.1 %;
+    ``only_first`` and ``only_second`` count pairs that one alone solved.
+    """
+    rows = weighted_rows(table)
+    cost = rows[rows.has_path].pivot(index=list(KEY), columns="planner", values="cost")
+    cost = cost.reindex(columns=sorted(rows.planner.unique()))
+    seconds = rows.pivot(index=list(KEY), columns="planner", values="elapsed_s")
+    found = []
+    for first, second in itertools.combinations(cost.columns, 2):
+        both = cost[(cost[first] > 0) & (cost[second] > 0)]
+        log_ratio = np.log((both[first] / both[second]).to_numpy())
+        interval = mean_interval(log_ratio, both.index.get_level_values("instance").to_numpy())
+        found.append(
+            {
+                "first": first,
+                "second": second,
+                "both": len(both),
+                "only_first": int((cost[first].notna() & cost[second].isna()).sum()),
+                "only_second": int((cost[second].notna() & cost[first].isna()).sum()),
+                "cost_ratio": np.exp(interval.mean),
+                "low": np.exp(interval.low),
+                "high": np.exp(interval.high),
+                "first_cheaper": float((log_ratio < -1e-3).mean()) if len(both) else np.nan,
+                "second_cheaper": float((log_ratio > 1e-3).mean()) if len(both) else np.nan,
+                "time_ratio": float((seconds[first] / seconds[second]).loc[both.index].median()),
+            }
+        )
+    return pd.DataFrame(found)
+
+
+def objectives(table: pd.DataFrame) -> pd.DataFrame:
+    """Return what flying the shortest path costs: distance-only against weighted runs of the same planner, by altitude.
+
+    ``cost_ratio`` and ``length_ratio`` are geometric means of distance-only over weighted, the others differences of
+    mean metrics (distance-only less weighted), each with its 95 % interval over instances. Empty where no planner ran
+    both ways.
+    """
+    found = []
+    both_ways = set(table[table.objective == DISTANCE].planner) & set(weighted_rows(table).planner)
+    for planner in sorted(both_ways):
+        rows = table[(table.planner == planner) & table.has_path].set_index([*KEY, "objective"])
+        wide = rows[["cost", *facts_of(rows)]].unstack("objective")
+        for altitude_m, at in wide.groupby(level="altitude_m"):
+            both = at.dropna(subset=[("cost", WEIGHTED), ("cost", DISTANCE)])
+            both = both[(both["cost"] > 0).all(axis=1)]
+            groups = both.index.get_level_values("instance").to_numpy()
+            row: dict[str, object] = {"planner": planner, "altitude_m": altitude_m, "pairs": len(both)}
+            for name in ("cost", *facts_of(rows)):
+                shortest, cheapest = (both[name, objective].to_numpy(np.float64) for objective in (DISTANCE, WEIGHTED))
+                is_ratio = name in ("cost", "length_m")
+                change = np.log(shortest / cheapest) if is_ratio else shortest - cheapest
+                if not np.isfinite(change).all():
+                    continue
+                interval = mean_interval(change, groups)
+                label = f"{name.removesuffix('_m')}_ratio" if is_ratio else f"{name}_change"
+                shown = np.exp(interval) if is_ratio else interval
+                row |= dict(zip((label, f"{label}_low", f"{label}_high"), map(float, shown), strict=True))
+            found.append(row)
+    return pd.DataFrame(found)
+
+
+def choices(table: pd.DataFrame) -> pd.DataFrame:
+    """Return which planner to choose, by altitude and range.
+
+    A planner is advised where it solves at least 95 % of the joined pairs. ``cheapest`` has the lowest mean ratio of
+    these, ``fastest_near_best`` the lowest median time among those within 5 % of the best on nine pairs of ten;
+    ``straight_enough`` is the share of joined pairs where the straight line is there and within 5 % of the best.
+    """
+    rows = weighted_rows(table)
+    rows = rows[rows.is_joined].assign(is_near=lambda rows: rows.ratio <= NEAR)
+    found: list[dict[str, Any]] = []
+    for (altitude_m, name), cell in rows.groupby(["altitude_m", "range"]):
+        facts = cell.groupby("planner").agg(
+            pairs=("ratio", "size"),
+            share=("has_path", "mean"),
+            ratio=("ratio", "mean"),
+            near=("is_near", "mean"),
+            median_s=("elapsed_s", "median"),
+        )
+        facts = facts.sort_values("median_s")  # of equals the faster one is named
+        reliable = facts[facts.share >= RELIABLE]
+        near = facts[facts.near >= 0.9]
+        found.append(
+            {
+                "altitude_m": altitude_m,
+                "range": name,
+                "joined_pairs": int(facts.pairs.max()),
+                "reliable": ", ".join(sorted(reliable.index)) or "none",
+                "cheapest": reliable.ratio.round(9).idxmin() if len(reliable) else "none",
+                "cheapest_ratio": reliable.ratio.min() if len(reliable) else np.nan,
+                "fastest_near_best": near.median_s.idxmin() if len(near) else "none",
+                "fastest_s": near.median_s.min() if len(near) else np.nan,
+                "straight_enough": facts.near.get("ptp", np.nan),
+            }
+        )
+    order = {name: number for number, name in enumerate(range_names(rows))}
+    found.sort(key=lambda row: (row["altitude_m"], order[row["range"]]))
+    return pd.DataFrame(found)

@@ -1,0 +1,277 @@
+"""Instances of a Monte Carlo benchmark: places by stratum and range, times of day and weights, all from one seed."""
+
+import itertools
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from scipy.ndimage import label
+
+from jaxurban.errors import InputError
+from jaxurban.io.tables import read_table
+from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
+from jaxurban.metrics.registry import METRICS
+from jaxurban.metrics.weights import MOST_WEIGHT, Weights
+from jaxurban.paths.constraints import Constraints
+from jaxurban.paths.queries import WEIGHT_PREFIX
+from jaxurban.planners.base import CostKind, CostModel
+from jaxurban.studies.montecarlo.strata import STRATA, strata_of
+from jaxurban.world.city import LandCover
+
+# Straight distance between start and goal, as shares of the region's diagonal.
+RANGES = {"short": (0.05, 0.15), "middle": (0.15, 0.35), "long": (0.35, 0.8)}
+DIRICHLET = "dirichlet"
+NUM_TRIES, NUM_GOALS = 200, 256  # starts, and goals for each, before a kind of instance is passed over
+
+PLACES = ("start_x_m", "start_y_m", "goal_x_m", "goal_y_m")
+KEY = ("instance", "altitude_m")
+TIMES = ("time", "time_of_day")
+OPTIONAL = (*TIMES, "start_stratum", "goal_stratum", "range", "is_connected")  # None where a file holds none
+TRUTHS = {"true": True, "false": False}
+MOST_NUMBER = 2**53  # of an instance: as far as float64 counts
+
+
+def weighed_metrics(columns: Iterable[Any]) -> tuple[str, ...]:
+    """Return the metrics that instances of these columns hold weights of: the built-in ones, then one's own."""
+    weighed = (name.removeprefix(WEIGHT_PREFIX) for name in map(str, columns) if name.startswith(WEIGHT_PREFIX))
+    return tuple(dict.fromkeys((*METRICS, *(name for name in weighed if name != "distance"))))
+
+
+def weight_columns(metrics: Iterable[str]) -> tuple[str, ...]:
+    """Return the columns of the weights of the distance and of these metrics, beside the built-in ones."""
+    return tuple(WEIGHT_PREFIX + name for name in dict.fromkeys(("distance", *METRICS, *metrics)))
+
+
+def query_columns(columns: Iterable[Any]) -> list[str]:
+    """Return the columns, of these of a table of instances, that planners depend on; all else describes them."""
+    return ["crs", *PLACES, *weight_columns(weighed_metrics(columns)), *TIMES]
+
+
+def sample_instances(
+    maps: GivenMaps,
+    num: int = 200,
+    *,
+    altitudes_m: Sequence[float] | None = None,
+    weights: str | Sequence[Weights] = DIRICHLET,
+    cost_model: CostModel | CostKind = "line",
+    constraints: Constraints | None = None,
+    cover: LandCover | None = None,
+    seed: int = 0,
+) -> pd.DataFrame:
+    """Return the instances of a Monte Carlo benchmark, ``num`` at each altitude, as a table.
+
+    Places, time and weights are the same at every altitude, so that altitudes can be compared pair by pair. Kinds
+    (stratum of the start x stratum of the goal x range) take turns in a shuffled order, so that each comes
+    equally often; a kind that the maps do not offer is passed over. Instance ``k`` depends on the seed and ``k``, not
+    on ``num``. Starts and goals are centres of cells that are free at every altitude and time. Pairs that no path joins
+    are kept and marked (``is_connected``).
+
+    Columns: ``instance``, ``altitude_m``, ``crs``, ``start_x_m``, ``start_y_m``, ``goal_x_m``, ``goal_y_m``,
+    ``start_lon``, ``start_lat``, ``goal_lon``, ``goal_lat``, ``time``, ``time_of_day``, ``start_stratum``,
+    ``goal_stratum``, ``range``, ``distance_m`` (straight), ``is_connected``, ``w_distance`` (per metre), ``w_gps``,
+    ``w_lidar``, ``w_population``, ``w_risk`` (0 where the maps hold no such metric) and the like of one's own layers.
+
+    Args:
+      maps: from `build_maps` or `open_maps`, or the folder of one resolution's maps.
+      num: instances at each altitude.
+      altitudes_m: of the maps' altitudes; all if left out.
+      weights: ``"dirichlet"``: uniform on the simplex of shares, distance counted per reference length and metrics as
+        they are; or weights, which take turns.
+      cost_model: its reference length is what the share of distance is divided by; its rule for diagonal steps
+        tells which pairs are joined.
+      constraints: no-fly zones and bounds that close cells to starts, goals and paths.
+      cover: water and parks, which are strata of their own then (`demo.demo_cover`, `io.landcover.read_land_cover`).
+      seed: of everything.
+
+    Raises:
+      InputError: ``num`` below 1, an unknown altitude, none or one twice, no weights, or too few free cells for any
+        pair of places.
+    """
+    maps = as_maps(maps)
+    altitudes_m = maps.altitudes_m if altitudes_m is None else tuple(float(z) for z in altitudes_m)
+    listed = None if isinstance(weights, str) else [each.checked(maps.metrics) for each in weights]
+    if not altitudes_m or len(set(altitudes_m)) != len(altitudes_m):
+        listing = ", ".join(f"{z:g}" for z in altitudes_m) or "none"
+        raise InputError(f"altitudes_m must name at least one altitude and none twice, got {listing}")
+    if num < 1:
+        raise InputError(f"a benchmark needs at least 1 instance, got {num}")
+    if listed is None and weights != DIRICHLET:
+        raise InputError(f"weights must be {DIRICHLET!r} or a list of Weights, got {weights!r}")
+    if listed is not None and not listed:
+        raise InputError(f"weights is an empty list: give at least one, or {DIRICHLET!r}")
+    for altitude_m in altitudes_m:
+        maps.check_altitude(altitude_m)
+    model, constraints = CostModel.of(cost_model), constraints or Constraints()
+    is_free = np.logical_and.reduce([_always_free(maps, z, constraints) for z in altitudes_m])
+    places = _Places(maps, is_free, cover, seed)
+    names = ("distance", *maps.metrics)
+    rows = []
+    for k in range(num):
+        rng = np.random.default_rng([seed, 1, k])
+        rows.append({"instance": k, **places.draw(rng)})
+        rows[-1]["time"] = None if maps.default_time is None else str(rng.choice(maps.times))
+        rows[-1]["time_of_day"] = str(rng.choice(maps.times_of_day)) if maps.times_of_day else None
+        shares = rng.dirichlet(np.ones(len(names)))
+        shares[0] /= model.reference_length_m
+        drawn = Weights(**dict.fromkeys(METRICS, 0.0) | dict(zip(names, shares.tolist(), strict=True)))
+        chosen = drawn if listed is None else listed[k % len(listed)]
+        rows[-1] |= {column: chosen[column.removeprefix(WEIGHT_PREFIX)] for column in weight_columns(maps.metrics)}
+    pairs = pd.DataFrame(rows).assign(crs=maps.grid.crs)
+    pairs.insert(1, "altitude_m", 0.0)
+    table = pd.concat([pairs.assign(altitude_m=float(z)) for z in altitudes_m]).reset_index(drop=True)
+    table = with_connection(table, maps, model, constraints)
+    return table.assign(is_connected=table.is_connected.astype(bool))
+
+
+class _Places:
+    """Free cells by stratum, from which pairs are drawn."""
+
+    def __init__(self, maps: MetricMaps, is_free: np.ndarray, cover: LandCover | None, seed: int) -> None:
+        self.grid = maps.grid
+        strata = np.where(is_free, strata_of(maps, cover), -1).ravel()
+        self.cells = [np.flatnonzero(strata == number) for number in range(len(STRATA))]
+        present = [number for number, cells in enumerate(self.cells) if len(cells)]
+        self.strata_pairs = list(itertools.product(present, present, RANGES))  # stratum of start and goal, range
+        self.seed, self.num_dealt = seed, 0
+        if sum(map(len, self.cells)) < 2:
+            raise InputError(
+                "fewer than two cells are free at every altitude of the benchmark: leave out the lowest one, or loosen "
+                "the constraints"
+            )
+        rows, cols = self.grid.shape
+        self.diagonal_m = float(np.hypot(rows, cols)) * self.grid.resolution_m
+
+    def _next_kind(self) -> tuple[int, int, str]:
+        """Return the next kind; they are shuffled anew each time all were dealt."""
+        turn, place = divmod(self.num_dealt, len(self.strata_pairs))
+        self.num_dealt += 1
+        return self.strata_pairs[np.random.default_rng([self.seed, 0, turn]).permutation(len(self.strata_pairs))[place]]
+
+    def draw(self, rng: np.random.Generator) -> dict[str, object]:
+        """Return a pair of places of the next kind that the maps offer."""
+        for _ in self.strata_pairs:
+            first, second, name = self._next_kind()
+            pair = self._pair(first, second, RANGES[name], rng)
+            if pair is not None:
+                facts = {"start_stratum": STRATA[first], "goal_stratum": STRATA[second], "range": name}
+                return self._facts(*pair) | facts
+        raise InputError("no two free cells of these maps lie far enough apart for a benchmark: use a larger region")
+
+    def _pair(
+        self, first: int, second: int, range_shares: tuple[float, float], rng: np.random.Generator
+    ) -> tuple[tuple[int, int], tuple[int, int]] | None:
+        low_m, high_m = (share * self.diagonal_m for share in range_shares)
+        for _ in range(NUM_TRIES):
+            row, col = divmod(int(rng.choice(self.cells[first])), self.grid.num_cols)
+            rows, cols = np.divmod(rng.choice(self.cells[second], NUM_GOALS), self.grid.num_cols)
+            away_m = np.hypot(rows - row, cols - col) * self.grid.resolution_m
+            fits = np.flatnonzero((away_m >= low_m) & (away_m < high_m))
+            if len(fits):
+                return (row, col), (int(rows[fits[0]]), int(cols[fits[0]]))
+        return None
+
+    def _facts(self, start: tuple[int, int], goal: tuple[int, int]) -> dict[str, object]:
+        facts: dict[str, object] = {}
+        for name, cell in (("start", start), ("goal", goal)):
+            x_m, y_m = self.grid.xy_of_cell(*cell)
+            lon, lat = self.grid.lonlat_of_xy(x_m, y_m)
+            facts |= {f"{name}_x_m": float(x_m), f"{name}_y_m": float(y_m)}
+            facts |= {f"{name}_lon": float(lon), f"{name}_lat": float(lat)}
+        away = np.hypot(start[0] - goal[0], start[1] - goal[1])
+        return facts | {"distance_m": float(away) * self.grid.resolution_m}
+
+
+def _always_free(maps: MetricMaps, altitude_m: float, constraints: Constraints) -> np.ndarray:
+    """Return ``[Y, X]`` bool: cells that are free at every time of the maps."""
+    times: Sequence[str | None] = maps.times if constraints.bounds and maps.default_time is not None else (None,)
+    times_of_day: Sequence[str | None] = (constraints.bounds and maps.times_of_day) or (None,)
+    free = [
+        constraints.is_free(maps, altitude_m, time=time, time_of_day=time_of_day)
+        for time, time_of_day in itertools.product(times, times_of_day)
+    ]
+    return np.logical_and.reduce(free)
+
+
+def with_connection(
+    instances: pd.DataFrame, maps: MetricMaps, model: CostModel, constraints: Constraints
+) -> pd.DataFrame:
+    """Return instances with ``is_connected`` as these maps have it, None where a place is not a free cell of them."""
+    joined = pd.Series(None, index=instances.index, dtype=object)
+    # Only bounds close other cells at other times.
+    for _, at in instances.groupby(["altitude_m", *(TIMES if constraints.bounds else ())], dropna=False):
+        first = at.iloc[0]
+        when = {name: None if pd.isna(first[name]) else str(first[name]) for name in TIMES}
+        is_free = constraints.is_free(maps, float(first.altitude_m), **when)
+        # Where a diagonal step needs both orthogonal neighbours free, islands of orthogonal steps are what is joined.
+        islands, _ = label(is_free, np.ones((3, 3)) if model.joins_corners else None)
+        ends = np.zeros((2, len(at)), islands.dtype)  # 0: the island of what is not free
+        for end, on in zip(("start", "goal"), ends, strict=True):
+            x_m, y_m = (at[f"{end}_{axis}_m"].to_numpy() for axis in "xy")
+            inside = maps.grid.contains_xy(x_m, y_m)
+            on[inside] = islands[maps.grid.cell_of_xy(x_m[inside], y_m[inside])]
+        joined[at.index] = np.where((ends == 0).any(axis=0), None, ends[0] == ends[1])
+    return instances.assign(is_connected=joined.infer_objects())
+
+
+def read_instances(file: str | Path) -> pd.DataFrame:
+    """Return the instances in a Parquet or CSV file (`checked_instances`).
+
+    Raises:
+      InputError: the file cannot be read, or its table is wrong.
+    """
+    return checked_instances(read_table(file, "instances"), f"the instances file {str(file)!r}")
+
+
+def checked_instances(table: pd.DataFrame, name: str) -> pd.DataFrame:
+    """Return a table of instances (columns: see `sample_instances`) with all columns and their types.
+
+    ``instance``, ``altitude_m``, ``crs``, the places in metres and the weights must be there; times default to the
+    maps' first.
+
+    Args:
+      table: from a person.
+      name: of the table, for messages.
+
+    Raises:
+      InputError: it lacks a column, holds no row, a value that is none of its column's, or an instance twice.
+    """
+    table = table.reset_index(drop=True)
+    weights = weight_columns(weighed_metrics(table.columns))
+    needed = ("instance", "altitude_m", "crs", *PLACES, *weights)
+    if lost := [column for column in needed if column not in table]:
+        raise InputError(f"{name} lacks the column {lost[0]!r}: it needs {', '.join(needed)}")
+    if table.empty:
+        raise InputError(f"{name} holds no row: give at least one instance")
+    for column in ("instance", "altitude_m", *PLACES, *weights):
+        values = pd.to_numeric(table[column], errors="coerce").to_numpy(np.float64)
+        wrong, kind = ~np.isfinite(values), "a number"
+        if column in weights:
+            wrong, kind = ~((values >= 0) & (values <= MOST_WEIGHT)), f"a number >= 0, at most {MOST_WEIGHT:g}"
+        elif column == "instance":
+            wrong = ~((values >= 0) & (values <= MOST_NUMBER) & (values == np.floor(values)))
+            kind = "a whole number >= 0"
+        _refuse(wrong, table[column], kind, name)
+        table[column] = values.astype(np.int64) if column == "instance" else values
+    twice = table.duplicated(list(KEY))
+    if twice.any():
+        number, altitude_m = table.loc[twice, list(KEY)].to_numpy()[0]
+        raise InputError(f"{name} holds instance {number:g} at {altitude_m:g} m twice: number them anew")
+    for column in OPTIONAL:
+        table[column] = table[column].astype(object).where(table[column].notna(), None) if column in table else None
+    truths = table["is_connected"].map(lambda value: TRUTHS.get(str(value).lower()))
+    _refuse((truths.isna() & table["is_connected"].notna()).to_numpy(), table["is_connected"], "true or false", name)
+    table["is_connected"] = truths.astype(object).where(truths.notna(), None)
+    if "distance_m" not in table:
+        table["distance_m"] = np.hypot(table.goal_x_m - table.start_x_m, table.goal_y_m - table.start_y_m)
+    return table
+
+
+def _refuse(wrong: np.ndarray, column: pd.Series, kind: str, name: str) -> None:
+    """Raise InputError for the first wrong value ``[N]`` of a column, if there is any."""
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        value = column.iloc[row]
+        plain = value.item() if isinstance(value, np.generic) else value
+        raise InputError(f"{name}, row {row + 1}: {column.name} must be {kind}, got {plain!r}")

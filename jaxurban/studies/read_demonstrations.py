@@ -1,0 +1,184 @@
+"""Demonstrations from files of routes and from planned paths, each on the map that its route was flown on."""
+
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxurban.errors import InputError, OtherSettingsWarning, check_type
+from jaxurban.io.read.routes import read_routes
+from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
+from jaxurban.paths.constraints import Constraints, constraints_said
+from jaxurban.paths.cost_map import CostMap, cost_map
+from jaxurban.paths.path import PlannedPath
+from jaxurban.planners.base import CostKind, CostModel
+from jaxurban.studies.demonstrations import Demonstration, demonstration_from_line, demonstration_from_path
+
+Planned = Sequence[tuple[str, Mapping[str, Any]]]  # routes by name, with the settings they were planned under
+
+
+def read_demonstrations(
+    file: str | Path,
+    maps: GivenMaps,
+    altitude_m: float | None = None,
+    time: str | None = None,
+    time_of_day: str | None = None,
+    *,
+    cost_model: CostModel | CostKind | None = None,
+    default_cost_model: CostModel | CostKind = "cell",
+    constraints: Constraints | None = None,
+    metrics: Sequence[str] | None = None,
+) -> list[Demonstration]:
+    """Return the lines of a file as demonstrations; lists of several files or cities may be joined with ``+``.
+
+    Altitude and times are those given here; where left out, the feature's own properties ``altitude_m``, ``time`` and
+    ``time_of_day`` (paths that jaxurban wrote carry them); without these, times are the maps' first ones.
+
+    Args:
+      file: GeoJSON, or another vector file that GDAL reads, with LineStrings.
+      maps: from `build_maps` or `open_maps`, or the folder of one resolution's maps.
+      altitude_m, time, time_of_day: of every route.
+      cost_model: of every route; left out, the one that jaxurban's own paths were planned under.
+      default_cost_model: where no route names one.
+      constraints: no-fly zones and bounds, as in `plan`.
+      metrics: those whose weights are to be fitted; all if left out.
+
+    Raises:
+      InputError: no lines, or a route without altitude, on no map, outside the maps or through obstacles, or paths
+        that were planned under different cost models.
+    """
+    maps, routes = as_maps(maps), read_routes(file)
+    planned = [(f"route {route.name!r} of {str(file)!r}", route.settings) for route in routes]
+    model = _model_of(planned, cost_model, default_cost_model)
+    map_of = _cost_maps(maps, planned, model, constraints or Constraints(), metrics)
+    demonstrations = []
+    for (name, _), route in zip(planned, routes, strict=True):
+        z_m = route.altitude_m if altitude_m is None else altitude_m
+        if z_m is None:
+            raise InputError(f"{name} has no altitude: give it a property altitude_m, or pass --altitude (altitude_m=)")
+        try:
+            on = map_of(float(z_m), time or route.time, time_of_day or route.time_of_day)
+            x_m, y_m = maps.grid.xy_of_lonlat(route.lonlat[:, 0], route.lonlat[:, 1])
+        except InputError as error:
+            raise InputError(f"{name}: {error}") from error
+        demonstrations.append(demonstration_from_line(on, np.stack([x_m, y_m], axis=-1), route.name))
+    return demonstrations
+
+
+def demonstrations_from_paths(
+    paths: PlannedPath | Sequence[PlannedPath],
+    maps: GivenMaps,
+    *,
+    cost_model: CostModel | CostKind | None = None,
+    constraints: Constraints | None = None,
+    metrics: Sequence[str] | None = None,
+) -> list[Demonstration]:
+    """Return planned paths as demonstrations, each on the map that it was planned on.
+
+    Args:
+      paths: from `plan`, one or several.
+      maps: the maps that they were planned on, or their folder.
+      cost_model: left out, the one that they were planned under.
+      constraints: those that they were planned under; a path does not carry its zones.
+      metrics: as in `read_demonstrations`.
+
+    Raises:
+      InputError: a path without points, maps that are not those of the paths, or paths that were planned under
+        different cost models.
+    """
+    if isinstance(paths, PlannedPath):
+        paths = [paths]
+    if not paths:
+        raise InputError("there are no paths: give at least one")
+    for path in paths:
+        check_type("each of paths", path, PlannedPath, "plan")
+    planned = [(f"path {number}", path.settings) for number, path in enumerate(paths, start=1)]
+    model = _model_of(planned, cost_model, "cell")
+    map_of = _cost_maps(as_maps(maps), planned, model, constraints or Constraints(), metrics)
+    return [
+        demonstration_from_path(
+            map_of(path.altitude_m, path.settings["time"], path.settings["time_of_day"]), path, f"{number}"
+        )
+        for number, path in enumerate(paths, start=1)
+    ]
+
+
+def _cost_maps(
+    maps: MetricMaps, planned: Planned, model: CostModel, constraints: Constraints, metrics: Sequence[str] | None
+) -> Callable[[float, str | None, str | None], CostMap]:
+    """Return a function of altitude, time and time of day: the cost map there, each made when first needed.
+
+    Warns of the first route that was planned under other constraints.
+    """
+    _compare_constraints(planned, constraints)
+
+    @cache
+    def made(altitude_m: float, time: str | None, time_of_day: str | None) -> CostMap:
+        whole = cost_map(
+            maps, altitude_m, time=time, time_of_day=time_of_day, cost_model=model, constraints=constraints
+        )
+        return whole if metrics is None else whole.only(metrics)
+
+    return made
+
+
+def _model_of(planned: Planned, given: CostModel | CostKind | None, default: CostModel | CostKind) -> CostModel:
+    """Return the cost model of routes: the one given, else the one that they were planned under, else a default.
+
+    Warns of routes that were planned under another one than is given.
+
+    Raises:
+      InputError: settings whose cost model is none, or routes that name different ones.
+    """
+    models: dict[CostModel, str] = {}
+    for name, settings in planned:
+        if "cost_model" in settings:
+            try:
+                models.setdefault(CostModel.from_settings(settings), name)
+            except InputError as error:
+                raise InputError(f"{name}: {error}") from error
+    if given is not None:
+        model = CostModel.of(given)
+        for other, name in models.items():
+            if other != model:
+                said = f"{name} was planned under the cost model {other} and is fitted under {model}, as given"
+                warnings.warn(said, OtherSettingsWarning, stacklevel=3)
+        return model
+    if len(models) > 1:
+        (one, name), (other, other_name), *_ = models.items()
+        raise InputError(
+            f"{name} was planned under the cost model {one} and {other_name} under {other}: fit them apart, or name "
+            "one for all (--cost-model, cost_model=)"
+        )
+    return next(iter(models), CostModel.of(default))
+
+
+def _compare_constraints(planned: Planned, constraints: Constraints) -> None:
+    """Warn of the first route that was planned under other constraints, whatever files the zones are from."""
+    now = constraints.to_dict()
+    for name, settings in planned:
+        before = settings.get("limits")
+        if isinstance(before, Mapping) and _without_files(before) != _without_files(now):
+            files = sorted({str(zone.get("file")) for zone in before.get("no_fly", ())})
+            options = [f"--no-fly {file}" for file in files]
+            options += [f"--require '{bound}'" for bound in before.get("require", ())]
+            remedy = (
+                f"give {' '.join(options)} (constraints=)"
+                if options
+                else "leave --no-fly and --require (constraints=) out"
+            )
+            warnings.warn(
+                f"{name} was planned under other constraints ({constraints_said(before) or 'none'}) than it is fitted "
+                f"under ({constraints or 'none'}): {remedy}, so that it is compared with routes under the same ones",
+                OtherSettingsWarning,
+                stacklevel=4,
+            )
+            return
+
+
+def _without_files(constraints: Mapping[str, Any]) -> tuple[list, list]:
+    zones = [{name: value for name, value in zone.items() if name != "file"} for zone in constraints.get("no_fly", ())]
+    return zones, list(constraints.get("require", ()))

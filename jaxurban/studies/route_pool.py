@@ -1,0 +1,131 @@
+"""RoutePool: the cheapest routes of many queries under any weights, with all that were found kept.
+
+The cheapest cost of a query is a concave, piecewise linear function of W: the lower envelope of W . features over
+routes. Routes found so far bound it from above, at the price of a few multiplications, and equal it wherever
+the cheapest is among them.
+"""
+
+import os
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Literal
+
+import numpy as np
+
+from jaxurban.errors import one_of
+from jaxurban.io.rows import RowStore, fingerprint
+from jaxurban.planners.batch import solve_many
+from jaxurban.studies.queries import RouteQuery
+
+Backend = Literal["numba", "jax"]
+SAME = 1e-9  # relative: routes whose features differ by less cost the same under every W
+BLOCK = 64  # routes a query: arrays grow by so many at once, so that compiled code meets few shapes
+TOGETHER = 32  # searches at a time of JAX: each holds a cost map of its own
+NOT_A_ROUTE = 1e12  # features that fill up the arrays: never the cheapest
+
+
+class RoutePool:
+    """Routes of ``Q`` queries as features and integrals (see `RouteQuery.sums`) of ``K`` weights; at most ``R`` each.
+
+    Attributes:
+      queries: whose routes are searched for.
+      names: the weights.
+      num_plans: searches made so far.
+    """
+
+    def __init__(
+        self,
+        queries: Sequence[RouteQuery],
+        known: Sequence[np.ndarray] = (),
+        workers: int | None = None,
+        store: RowStore | None = None,
+        backend: Backend = "numba",
+    ) -> None:
+        """Begin with no route.
+
+        Args:
+          queries: whose routes are searched for.
+          known: ``[2, K]`` of a route of each query to begin with.
+          workers: threads of search; one a core if left out.
+          store: searches in it are not made again, the others are kept in it.
+          backend: of A*: ``"numba"``, or ``"jax"`` for many searches together, which pays on a GPU.
+
+        Raises:
+          InputError: another backend.
+        """
+        self._backend = one_of("backend", backend, ("numba", "jax"))
+        self.queries = tuple(queries)
+        self.names = self.queries[0].names
+        self.num_plans = 0
+        self._store = store
+        self._workers = workers or os.cpu_count() or 1
+        self._routes: list[list[np.ndarray]] = [[] for _ in self.queries]  # [2, K]: features, integrals
+        for query, route in enumerate(known):
+            self._add(query, route)
+
+    @property
+    def num_routes(self) -> int:
+        """Different routes found so far, of all queries."""
+        return sum(map(len, self._routes))
+
+    @property
+    def routes(self) -> np.ndarray:
+        """``[2, Q, R, K]`` features and integrals of all, filled up with `NOT_A_ROUTE`; R is a multiple of `BLOCK`."""
+        most = max(1, *map(len, self._routes))
+        shape = (2, len(self._routes), -(-most // BLOCK) * BLOCK, len(self.names))
+        filled = np.full(shape, NOT_A_ROUTE)
+        for query, routes in enumerate(self._routes):
+            if routes:
+                filled[:, query, : len(routes)] = np.stack(routes, axis=1)
+        return filled
+
+    @property
+    def features(self) -> np.ndarray:
+        """``[Q, R, K]`` features of all `routes`."""
+        return self.routes[0]
+
+    def cheapest(self, weights: np.ndarray) -> np.ndarray:
+        """Return ``[2, Q, M, K]`` features and integrals of the cheapest routes, by search; new ones join the pool.
+
+        Args:
+          weights: ``[Q, M, K]`` not negative, M weights for each query, or ``[M, K]``, the same for all.
+
+        Raises:
+          InputError: a query's start and goal are not connected.
+        """
+        weights = np.broadcast_to(weights, (len(self.queries), *np.shape(weights)[-2:]))
+        key = fingerprint(weights.shape, weights)
+        row = None if self._store is None else self._store.get(key)
+        found = self._search_all(weights) if row is None else row["found"]
+        if self._store is not None and row is None:
+            self._store.add([{"weights": key, "found": found}])
+            self._store.save()
+        self.num_plans += weights.shape[0] * weights.shape[1]
+        for query, routes in enumerate(np.moveaxis(found, 0, 2)):
+            for route in routes:
+                self._add(query, route)
+        return found
+
+    def _search_all(self, weights: np.ndarray) -> np.ndarray:
+        """Return ``[2, Q, M, K]`` as `cheapest` does: the one place where routes are searched for."""
+        jobs = [(query, w) for query, each in zip(self.queries, weights, strict=True) for w in each]
+        if self._backend == "jax":
+            points: list[np.ndarray] = []
+            for begin in range(0, len(jobs), TOGETHER):
+                some = jobs[begin : begin + TOGETHER]
+                problems = [query.problem(w) for query, w in some]
+                paths = dict(solve_many(problems, planner="astar-dist", backend="jax"))
+                points += [query.points_of(paths[k]) for k, (query, _) in enumerate(some)]
+        else:
+            with ThreadPoolExecutor(self._workers) as threads:
+                points = list(threads.map(lambda job: job[0].cheapest(job[1]), jobs))
+        found = np.array([query.sums(points_m) for (query, _), points_m in zip(jobs, points, strict=True)])
+        return np.moveaxis(found.reshape(*weights.shape[:2], 2, -1), 2, 0)
+
+    def _add(self, query: int, route: np.ndarray) -> None:
+        if self._routes[query]:
+            known = np.array(self._routes[query])[:, 0]
+            scale = np.maximum(np.abs(known), np.abs(route[0])) + 1e-12
+            if np.any(np.all(np.abs(known - route[0]) <= SAME * scale, axis=1)):
+                return
+        self._routes[query].append(np.array(route))

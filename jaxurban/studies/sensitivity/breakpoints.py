@@ -1,0 +1,220 @@
+"""Breakpoints of the cheapest route along a line and over a triangle of weights: exact, with a proof by searches.
+
+The cheapest cost V(W) of a query is the least of W . features over its routes: concave and piecewise linear, so
+each route is cheapest over one interval of a line, one convex polygon of a triangle. Routes found so far bound V
+from above by U, and U is linear over the cell of each. If a search at every corner of every cell finds nothing
+cheaper than U, then V = U everywhere: over a cell, V is concave and meets the linear U at all corners, so it
+cannot be below. Along a line this is the recursion of Eisner and Severance (J. ACM 23(4), 1976).
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from jaxurban.errors import InputError
+from jaxurban.studies.route_pool import RoutePool
+
+EXACT = 1e-9  # relative: costs this close are equal, being sums of thousands of terms in float64
+EMPTY = 1e-12  # of the whole: a cell smaller than this is a point or an edge, where routes only tie
+SAME_POINT = 1e-10  # shares of the corners that differ by less are one point
+
+OnPlans = Callable[[int], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Partition:
+    """The cheapest routes over a line (``C`` = 2 corners) or triangle (3) of weights. ``K`` weights, ``R`` routes.
+
+    A place is given by its shares ``[C]`` of the corners, which sum to 1 and are not negative: its weights are
+    shares @ corners. Routes that cost the same under all of these weights are one route; which of them stands for
+    the others is arbitrary.
+
+    Attributes:
+      corners: ``[C, K]`` weights.
+      features, integrals: ``[R, K]`` of each route (see `RouteQuery.sums`). Along a line, from its first corner on;
+        over a triangle, those of larger cells first.
+      cells: of each route, the corners ``[V, C]`` of the interval or convex polygon where it is cheapest.
+      is_complete: every corner of every cell is verified by a search. If not, a route may be missing.
+      tolerance: relative: no route is cheaper, anywhere, by more than this.
+      num_plans: searches made.
+    """
+
+    corners: np.ndarray
+    features: np.ndarray
+    integrals: np.ndarray
+    cells: tuple[np.ndarray, ...]
+    is_complete: bool
+    tolerance: float
+    num_plans: int
+
+    def weights_at(self, shares: np.ndarray) -> np.ndarray:
+        """Return the weights ``[..., K]`` at places ``[..., C]``."""
+        return shares @ self.corners
+
+    def route_at(self, shares: np.ndarray) -> np.ndarray:
+        """Return the number ``[...]`` of the cheapest route at places ``[..., C]``."""
+        return np.argmin(self.weights_at(shares) @ self.features.T, axis=-1)
+
+    def cost_at(self, shares: np.ndarray) -> np.ndarray:
+        """Return the cheapest cost ``[...]`` at places ``[..., C]``."""
+        return np.min(self.weights_at(shares) @ self.features.T, axis=-1)
+
+    @property
+    def sizes(self) -> np.ndarray:
+        """``[R]`` share of the line or of the triangle where each route is cheapest."""
+        return np.array([_size(cell) for cell in self.cells])
+
+    @property
+    def middles(self) -> np.ndarray:
+        """``[R, C]`` a place inside each cell."""
+        return np.array([cell.mean(axis=0) for cell in self.cells])
+
+    @property
+    def breakpoints(self) -> np.ndarray:
+        """``[R - 1]`` of a line: the share of its second corner at each breakpoint, rising."""
+        return np.array([cell[:, 1].max() for cell in self.cells[:-1]])
+
+
+def find_breakpoints(
+    pool: RoutePool,
+    corners: np.ndarray,
+    *,
+    tolerance: float = EXACT,
+    max_plans: int | None = None,
+    on_plans: OnPlans | None = None,
+) -> Partition:
+    """Return the partition of a line or triangle of weights into the cells of its cheapest routes.
+
+    Searches: one for each corner of a cell and one for each route, so about 2 R along a line and 3 R over a
+    triangle, for R routes.
+
+    Args:
+      pool: of one query; routes found join it.
+      corners: ``[2, K]`` or ``[3, K]`` weights, not negative.
+      tolerance: relative: routes that save less than this share of the cost are not looked for. The least that
+        float64 costs allow is `EXACT`.
+      max_plans: stop after about so many searches, with ``is_complete`` False.
+      on_plans: gets the number of searches made after each round.
+
+    Raises:
+      InputError: a pool of several queries, other corners, a wrong setting, or the query has no path.
+    """
+    corners = np.asarray(corners, np.float64)
+    _check(pool, corners, tolerance, max_plans)
+    before = pool.num_plans
+    growing = _Growing(corners, tolerance)
+    is_complete = True
+    while len(places := growing.unverified()):
+        if max_plans is not None and pool.num_plans - before >= max_plans:
+            is_complete = False
+            break
+        found = pool.cheapest(places @ corners)[:, 0]
+        growing.verify(places, found)
+        if on_plans is not None:
+            on_plans(pool.num_plans - before)
+    order = growing.order()
+    return Partition(
+        corners=corners,
+        features=np.array([growing.facts[route][0] for route in order]),
+        integrals=np.array([growing.facts[route][1] for route in order]),
+        cells=tuple(growing.cells[route] for route in order),
+        is_complete=is_complete,
+        tolerance=tolerance,
+        num_plans=pool.num_plans - before,
+    )
+
+
+class _Growing:
+    """The partition by the routes known so far: facts ``[2, K]``, cost at each corner ``[C]`` and cell of each."""
+
+    def __init__(self, corners: np.ndarray, tolerance: float) -> None:
+        self.corners = corners
+        self.tolerance = tolerance
+        self.facts: list[np.ndarray] = []
+        self.ends: list[np.ndarray] = []
+        self.cells: list[np.ndarray] = []  # empty where another route is as cheap or cheaper everywhere
+        self.verified: set[tuple[int, ...]] = set()
+
+    def unverified(self) -> np.ndarray:
+        """Return the places ``[P, C]`` at which a search is still due: corners of cells, each once."""
+        cells = self.cells or [np.eye(len(self.corners))]
+        due = {_key(place): place for cell in cells for place in cell}
+        return np.array([place for key, place in due.items() if key not in self.verified])
+
+    def verify(self, places: np.ndarray, found: np.ndarray) -> None:
+        """Take in what searches at places ``[P, C]`` found, ``[2, P, K]``."""
+        self.verified.update(map(_key, places))
+        for place, features, integrals in zip(places, *found, strict=True):
+            ends = self.corners @ features
+            if not self.ends or place @ ends < np.min(np.array(self.ends) @ place) * (1 - self.tolerance):
+                self._add(np.stack([features, integrals]), ends)
+
+    def _add(self, facts: np.ndarray, ends: np.ndarray) -> None:
+        new = np.eye(len(self.corners))
+        for route, other in enumerate(self.ends):
+            if len(self.cells[route]):
+                new = _clip(new, ends - other)
+                self.cells[route] = _clip(self.cells[route], other - ends)
+        self.facts.append(facts)
+        self.ends.append(ends)
+        self.cells.append(new)
+
+    def order(self) -> list[int]:
+        """Return the routes that have a cell: along a line from its first corner on, else by falling size."""
+        routes = [route for route, cell in enumerate(self.cells) if len(cell)]
+        if len(self.corners) == 2:
+            return sorted(routes, key=lambda route: self.cells[route][:, 1].min())
+        return sorted(routes, key=lambda route: -_size(self.cells[route]))
+
+
+def _clip(cell: np.ndarray, excess: np.ndarray) -> np.ndarray:
+    """Return the part of a convex cell ``[V, C]`` where ``place @ excess <= 0``, empty where that has no size.
+
+    One half-plane of Sutherland and Hodgman's clipping (1974).
+    """
+    if not len(cell):
+        return cell
+    above = cell @ excess
+    if above.max() <= 0:
+        return cell
+    kept: list[np.ndarray] = []
+    for here, there, a, b in zip(cell, np.roll(cell, -1, axis=0), above, np.roll(above, -1), strict=True):
+        if a <= 0:
+            kept.append(here)
+        if (a < 0 < b) or (b < 0 < a):
+            kept.append(here + (there - here) * (a / (a - b)))
+    points = list({_key(place): place for place in kept}.values())
+    clipped = np.array(points) if points else np.empty((0, len(excess)))
+    return clipped if len(points) >= len(excess) and _size(clipped) > EMPTY else np.empty((0, len(excess)))
+
+
+def _size(cell: np.ndarray) -> float:
+    """Return the share of the line or of the triangle that a convex cell ``[V, C]`` covers."""
+    if cell.shape[1] == 2:
+        return float(np.ptp(cell[:, 1]))
+    x, y = (cell - cell[0])[:, 1:].T
+    return float(abs(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1))))
+
+
+def _key(place: np.ndarray) -> tuple[int, ...]:
+    return tuple(np.round(place / SAME_POINT).astype(np.int64).tolist())
+
+
+def _check(pool: RoutePool, corners: np.ndarray, tolerance: float, max_plans: int | None) -> None:
+    num_weights = len(pool.names)
+    if len(pool.queries) != 1:
+        raise InputError(f"breakpoints are those of one query, got {len(pool.queries)}: give one at a time")
+    if corners.ndim != 2 or len(corners) not in (2, 3) or corners.shape[1] != num_weights:
+        raise InputError(f"corners must be 2 or 3 sets of {num_weights} weights, got shape {corners.shape}")
+    if not np.all((corners >= 0) & (corners < np.inf)) or np.any(corners.sum(axis=1) == 0):
+        raise InputError(f"weights must be finite, not negative and not all 0, got {corners.tolist()}")
+    check_tolerance(tolerance)
+    if max_plans is not None and max_plans < 1:
+        raise InputError(f"max_plans must be at least 1, got {max_plans}")
+
+
+def check_tolerance(tolerance: float) -> None:
+    """Raise InputError unless a tolerance is one that costs in float64 allow."""
+    if not EXACT <= tolerance < 1:
+        raise InputError(f"tolerance must be at least {EXACT:g} and below 1, got {tolerance}")

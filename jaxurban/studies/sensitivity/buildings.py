@@ -1,0 +1,126 @@
+"""Which buildings cost a route most: the gradient of its cost by every building's height, as a ranked table."""
+
+from collections.abc import Mapping
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pandas as pd
+import shapely
+
+from jaxurban.errors import InputError
+from jaxurban.maps.differentiable import PathVisits, SoftCity, SoftParams, path_visits
+from jaxurban.metrics.base import TIME_OF_DAY
+from jaxurban.metrics.registry import METRICS
+from jaxurban.metrics.weights import Weights
+from jaxurban.paths.path import PlannedPath
+from jaxurban.planners.base import CostModel
+from jaxurban.world.city import City, HeightOrigin
+
+
+def route_visits(soft: SoftCity, planned: PlannedPath) -> PathVisits:
+    """Return which cells of a soft city's region a planned route's cost counts, and how often.
+
+    Raises:
+      InputError: there is no route, or it lies on another grid.
+    """
+    region = soft.surface.region
+    if not planned.status.has_path:
+        raise InputError("there is no route, so no building costs it anything: plan one that reaches its goal")
+    if planned.crs != region.crs or planned.settings["resolution_m"] != region.resolution_m:
+        raise InputError(
+            f"the route lies on cells of {planned.settings['resolution_m']:g} m in {planned.crs} and the soft city on "
+            f"cells of {region.resolution_m:g} m in {region.crs}: make both from the same maps"
+        )
+    points_m = planned.xy_m - np.array([region.x_min_m, region.y_min_m])
+    return path_visits(
+        points_m,
+        region.shape,
+        region.resolution_m,
+        CostModel.from_settings(planned.settings),
+    )
+
+
+def weights_of(planned: PlannedPath) -> Weights:
+    """Return the weights that a route was planned under; 0 for metrics that its maps did not hold."""
+    used: Mapping[str, float] = planned.settings["weights"]
+    return Weights(**dict.fromkeys(("distance", *METRICS), 0.0) | {name: float(value) for name, value in used.items()})
+
+
+def building_costs(
+    city: City, soft: SoftCity, planned: PlannedPath, params: SoftParams, weights: Weights | None = None
+) -> pd.DataFrame:
+    """Return what one more metre of each building's height costs a route, the costliest building first.
+
+    The route stays where it is: for an optimal route this is also the gradient of the optimal cost, as long as no other
+    route becomes cheaper; for any other planner's route it is the gradient of that route's cost. Costs are those of the
+    soft maps (see docs/gradients/path_cost.md), whose softness says how many metres of clearance count: the exact cost
+    changes by jumps, when a shadow's edge or a lidar beam passes a cell of the route.
+
+    Only buildings with any effect are listed; a negative one means that more height helps (walls are landmarks for the
+    lidar). People do not depend on heights.
+
+    Args:
+      city: from which ``soft`` was made.
+      soft: from `jaxurban.maps.build.soft_city`, at the route's resolution, time and time of day.
+      planned: the route.
+      params: altitude and softness, and the metrics' settings.
+      weights: left out, the ones that the route was planned under.
+
+    Returns:
+      A table by ``rank`` of ``building`` (its number in the city), ``per_metre`` (cost per metre of height) and its
+      parts ``gps``, ``lidar``, ``risk`` and one's own soft layers; ``height_m``, ``origin`` of the height, ``lon``,
+      ``lat`` of a point inside, ``distance_m`` from the route to its outline. ``attrs``: the route's ``cost`` on exact
+      maps, its ``soft_cost``, ``softness_m``.
+
+    Raises:
+      InputError: there is no route, or it lies on another grid.
+    """
+    assert city.buildings is not None
+    visits = route_visits(soft, planned)
+    weights = weights or weights_of(planned)
+    slopes, soft_cost = _slopes(soft, params, weights, visits)
+    by_metric = {name: np.asarray(slope, np.float64) for name, slope in slopes.items()}
+    per_metre = np.sum(list(by_metric.values()), axis=0)
+    listed = np.flatnonzero(np.any([slope != 0 for slope in by_metric.values()], axis=0))
+    listed = listed[np.argsort(-per_metre[listed], kind="stable")]
+    buildings = city.buildings.take(listed)
+    inside = shapely.point_on_surface(buildings.polygons)
+    lon, lat = soft.surface.region.lonlat_of_xy(shapely.get_x(inside), shapely.get_y(inside))
+    points = planned.xy_m if len(planned.xy_m) > 1 else np.repeat(planned.xy_m, 2, axis=0)
+    table = pd.DataFrame(
+        {
+            "building": listed,
+            "per_metre": per_metre[listed],
+            **{name: slope[listed] for name, slope in by_metric.items()},
+            "height_m": buildings.height_m,
+            "origin": [HeightOrigin(origin).name.lower() for origin in buildings.origin],
+            "lon": lon,
+            "lat": lat,
+            "distance_m": shapely.distance(buildings.polygons, shapely.LineString(points)),
+        },
+        index=pd.RangeIndex(1, len(listed) + 1, name="rank"),
+    )
+    table.attrs = {
+        "cost": planned.cost,
+        "soft_cost": float(soft_cost),
+        "softness_m": float(np.asarray(params.softness_m)),
+    }
+    return table
+
+
+@jax.jit
+def _slopes(
+    soft: SoftCity, params: SoftParams, weights: Weights, visits: PathVisits
+) -> tuple[dict[str, jax.Array], jax.Array]:
+    """Return the gradient ``[B]`` of each layer's part of the cost by heights, and the whole soft cost."""
+
+    def part(name: str, height_m: jax.Array) -> jax.Array:
+        return weights[name] * (soft.layer(name, height_m, params, visits.cells) @ visits.times)
+
+    by_height = [name for name, metric in soft.metrics.items() if TIME_OF_DAY not in metric.dims]  # not people
+    found = {name: jax.value_and_grad(partial(part, name))(soft.height_m) for name in by_height}
+    cost = weights.distance * visits.length_m + sum(value for value, _ in found.values())
+    cost += sum(part(name, soft.height_m) for name in soft.names if name not in by_height)
+    return {name: slope for name, (_, slope) in found.items()}, jnp.asarray(cost)

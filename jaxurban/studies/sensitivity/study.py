@@ -1,0 +1,253 @@
+"""sensitivity: what would change one planned route, and what would not: all weight studies of one query together."""
+
+import time
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from jaxurban.errors import InputError, check_type
+from jaxurban.maps.metric_maps import MetricMaps
+from jaxurban.paths.cost_map import CostMap
+from jaxurban.paths.path import PlannedPath
+from jaxurban.paths.snapping import Point
+from jaxurban.progress import Progress, reporting
+from jaxurban.studies.outcomes import cluster_routes, outcomes_of
+from jaxurban.studies.queries import RouteQuery
+from jaxurban.studies.route_pool import RoutePool
+from jaxurban.studies.sensitivity.breakpoints import Partition, check_tolerance, find_breakpoints
+from jaxurban.studies.sensitivity.local import LocalSensitivity, local_sensitivity
+from jaxurban.studies.sensitivity.pareto import ParetoFront, check_objectives, pareto_front
+from jaxurban.studies.sensitivity.sobol import SobolIndices, check_vary, sobol_of_weights
+
+NUM_CLUSTERS = 7  # of routes over a triangle: a picture of more colours is hard to read
+
+
+@dataclass(frozen=True, eq=False)
+class Sensitivity:
+    """What the weights do to one route. ``K`` weights.
+
+    Attributes:
+      maps: on which it is planned.
+      route: the cheapest route under the given weights.
+      names: ``"distance"`` and the metrics.
+      weights: ``[K]`` as given.
+      vary: the weights that vary.
+      factors: each from the first to the second of these times its value.
+      local: derivatives at the given weights.
+      sobol: shares of variance over the whole range.
+      lines: of each varied weight, the routes along its range, the others as given.
+      triangle_names, triangle: three weights that share their total in all ways, the others as given; None with
+        less than three that vary.
+      front: routes between objectives.
+      clusters, representatives: ``[R]`` the cluster of each route of the triangle, and ``[M]`` the route that
+        represents each, that of the given weights first (see `cluster_routes`).
+      line_routes, triangle_routes: ``[N, 2]`` easting and northing of the routes of each line, in the order of
+        its cells, and of those that represent the triangle's clusters.
+      num_plans, elapsed_s: searches and wall time.
+    """
+
+    maps: MetricMaps
+    route: PlannedPath
+    names: tuple[str, ...]
+    weights: np.ndarray
+    vary: tuple[str, ...]
+    factors: tuple[float, float]
+    local: LocalSensitivity
+    sobol: SobolIndices
+    lines: dict[str, Partition]
+    triangle_names: tuple[str, ...]
+    triangle: Partition | None
+    front: ParetoFront
+    clusters: np.ndarray
+    representatives: np.ndarray
+    line_routes: dict[str, list[np.ndarray]]
+    triangle_routes: list[np.ndarray]
+    num_plans: int
+    elapsed_s: float
+
+    def breakpoints(self, name: str) -> pd.DataFrame:
+        """Return the routes along the range of one weight: ``from`` and ``to`` its value, and their outcomes.
+
+        ``is_given`` marks the route under the given weights.
+        """
+        line = self.lines[name]
+        column = self.names.index(name)
+        ends = np.concatenate([[0.0], line.breakpoints, [1.0]])
+        values = line.weights_at(np.stack([1 - ends, ends], axis=-1))[:, column]
+        given = np.searchsorted(values[1:-1], self.weights[column], side="right")
+        return pd.DataFrame(
+            {"weight_name": name, "from": values[:-1], "to": values[1:]}
+            | outcomes_of(line.integrals, self.names)
+            | {"is_given": np.arange(len(line.cells)) == given},
+            pd.RangeIndex(1, len(line.cells) + 1, name="route"),
+        )
+
+    def tables(self) -> dict[str, pd.DataFrame]:
+        """Return all tables by name."""
+        found = {
+            "cost_gradient": self.local.cost,
+            "local": self.local.outcomes,
+            "sobol": self.sobol.table,
+            "sobol_spread": self.sobol.spread,
+            "switches": pd.concat([self.breakpoints(name) for name in self.vary]),
+            "pareto": self.front.points,
+        }
+        if self.triangle is not None:
+            middles = self.triangle.weights_at(self.triangle.middles)
+            found["triangle"] = pd.DataFrame(
+                {"share": self.triangle.sizes, "kind": self.clusters + 1}
+                | {f"{name}_at_middle": middles[:, self.names.index(name)] for name in self.triangle_names}
+                | outcomes_of(self.triangle.integrals, self.names),
+                pd.RangeIndex(1, len(middles) + 1, name="route"),
+            )
+        return found
+
+
+@dataclass(frozen=True)
+class SensitivitySettings:
+    """What is varied, how far, and how finely.
+
+    Attributes:
+      vary: names of weights; left out: all metrics with a weight above 0. The distance keeps its weight as the
+        unit unless it is named, since only ratios of weights choose a route.
+      factors: each varies from the first to the second of these times its value.
+      num_samples: N of the Sobol indices, a power of two; N x (2 + weights that vary) searches.
+      triangle: three weights; left out: the three varied ones with the largest shares of the route's cost.
+      objectives: two or three features for the Pareto front; left out: distance and the two varied metrics with the
+        largest shares.
+      tolerance: of the triangle and the front, a share of the cost.
+      max_plans: searches that the triangle, and the front, may take each.
+      seed: of the Sobol sequence and the noise.
+    """
+
+    vary: tuple[str, ...] = ()
+    factors: tuple[float, float] = (0.1, 10.0)
+    num_samples: int = 128
+    triangle: tuple[str, ...] = ()
+    objectives: tuple[str, ...] = ()
+    tolerance: float = 1e-3
+    max_plans: int = 5000
+    seed: int = 0
+
+
+def sensitivity(
+    cost_map: CostMap,
+    start: Point,
+    goal: Point,
+    *,
+    snap: bool | float = False,
+    settings: SensitivitySettings | None = None,
+    progress: Progress = False,
+) -> Sensitivity:
+    """Return what would change the cheapest route of a query, and what would not.
+
+    Along the lines all breakpoints are found. The triangle and the front hold as many routes as maps have cells,
+    nearly: there the tolerance leaves out those that never save more than this share of the cost.
+
+    Args:
+      cost_map: from `jaxurban.cost_map`; the weights vary around its own.
+      start, goal: longitude, latitude in degrees.
+      snap: move a start or goal inside an obstacle to the nearest free cell, by at most 50 m, or so many metres.
+      settings: what is varied.
+      progress: gets what runs and the searches made, as in `jaxurban.progress.reporting`.
+
+    Raises:
+      InputError: places outside the maps or inside an obstacle, both in one cell or with no path between them, or a
+        wrong setting.
+    """
+    check_type("cost_map", cost_map, CostMap, "cost_map(maps, altitude_m, ...)")
+    begin_s, settings = time.perf_counter(), settings or SensitivitySettings()
+    check_type("settings", settings, SensitivitySettings)
+    query, route = _plan(cost_map, start, goal, snap)
+    names, given, pool = query.names, cost_map.weight_vector, RoutePool([query])
+    at = {name: column for column, name in enumerate(names)}
+    varied = tuple(settings.vary) or tuple(name for name in names[1:] if given[at[name]] > 0)
+    columns = check_vary(pool, given, varied, settings.factors)
+    if settings.objectives:
+        check_objectives(settings.objectives, names)
+    check_tolerance(settings.tolerance)
+    with reporting("sensitivity", progress) as report:
+        report("local")
+        local = local_sensitivity(pool, given, seed=settings.seed)
+        by_share = sorted(varied, key=lambda name: -local.cost["elasticity"][name])
+        three = _three(settings.triangle, by_share, names)
+        objectives = tuple(settings.objectives) or ("distance", *[name for name in by_share if name != "distance"][:2])
+        sobol = sobol_of_weights(
+            pool,
+            given,
+            varied,
+            factors=settings.factors,
+            num_samples=settings.num_samples,
+            seed=settings.seed,
+            on_plans=partial(report, "sobol"),
+        )
+        lines = {}
+        for name, column in zip(varied, columns, strict=True):
+            ends = np.tile(given, (2, 1))
+            ends[:, column] *= settings.factors
+            lines[name] = find_breakpoints(pool, ends, on_plans=partial(report, f"breakpoints of {name}"))
+        roughly: dict[str, Any] = {"tolerance": settings.tolerance, "max_plans": settings.max_plans}
+        shared, clusters, representatives = None, np.empty(0, int), np.empty(0, int)
+        if three:
+            total = given[[at[name] for name in three]]
+            corners = np.tile(given, (3, 1))
+            corners[:, [at[name] for name in three]] = np.eye(3) * total.sum()
+            shared = find_breakpoints(pool, corners, **roughly, on_plans=partial(report, "triangle"))
+            values = np.stack(list(outcomes_of(shared.integrals, names).values()), axis=-1)
+            first = int(shared.route_at(total / total.sum()))
+            clusters, representatives = cluster_routes(values, shared.sizes, first, NUM_CLUSTERS)
+        front = pareto_front(pool, objectives, **roughly, on_plans=partial(report, "Pareto front"))
+        report("routes")
+        return Sensitivity(
+            maps=cost_map.maps,
+            route=route,
+            names=names,
+            weights=given,
+            vary=varied,
+            factors=settings.factors,
+            local=local,
+            sobol=sobol,
+            lines=lines,
+            triangle_names=three,
+            triangle=shared,
+            front=front,
+            clusters=clusters,
+            representatives=representatives,
+            line_routes={name: _routes(query, line, slice(None)) for name, line in lines.items()},
+            triangle_routes=[] if shared is None else _routes(query, shared, representatives),
+            num_plans=pool.num_plans,
+            elapsed_s=time.perf_counter() - begin_s,
+        )
+
+
+def _routes(query: RouteQuery, parts: Partition, which: np.ndarray | slice) -> list[np.ndarray]:
+    """Return ``[N, 2]`` easting, northing of the cheapest route in the middle of some cells of a partition."""
+    corner_m = np.array([query.cost_map.grid.x_min_m, query.cost_map.grid.y_min_m])
+    with ThreadPoolExecutor() as threads:
+        found = threads.map(query.cheapest, parts.weights_at(parts.middles[which]))
+        return [points_m + corner_m for points_m in found]
+
+
+def _plan(cost_map: CostMap, start: Point, goal: Point, snap: bool | float) -> tuple[RouteQuery, PlannedPath]:
+    """Return the query and the planned route."""
+    route = cost_map.plan(start, goal, snap=snap)
+    if not route.status.has_path:
+        raise InputError(f"there is no route to study: {route.to_dict()['message']}")
+    ends = [cost_map.locate(name, place, snap=snap).cell for name, place in (("start", start), ("goal", goal))]
+    if ends[0] == ends[1]:
+        raise InputError("start and goal lie in one cell, so there is no route to study: set them further apart")
+    return RouteQuery(cost_map, ends[0], ends[1]), route
+
+
+def _three(given: Sequence[str], by_share: Sequence[str], names: Sequence[str]) -> tuple[str, ...]:
+    """Return the weights of the triangle, none where less than three vary."""
+    if not given:
+        return tuple(by_share[:3]) if len(by_share) >= 3 else ()
+    if len(set(given)) != 3 or len(given) != 3 or any(name not in names for name in given):
+        raise InputError(f"a triangle takes three of the weights {', '.join(names)}, got {', '.join(given)}")
+    return tuple(given)

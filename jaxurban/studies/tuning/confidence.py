@@ -1,0 +1,162 @@
+"""How sure fitted weights are: what demonstrations cannot tell, and what others, or fewer, would have shown."""
+
+from collections.abc import Sequence
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pandas as pd
+from scipy.optimize import linprog
+
+from jaxurban.studies.queries import RouteQuery, maps_of
+from jaxurban.studies.route_pool import NOT_A_ROUTE, RoutePool
+from jaxurban.studies.tuning.fenchel_young import Task, descend, loss, regrets, weights_of
+
+STEPS = 100  # of each refit, which starts at the fit of all demonstrations
+NUM_SUBSETS = 8  # of each size
+FAR = 1e6  # times a demonstration's cost: beyond are rows that only fill up the arrays
+UNBOUNDED = 3  # status of scipy.optimize.linprog
+NO_TRUST = 1e-12  # so that a sum of trusts is never 0
+FLAT = 1e-6  # a layer that varies by less over free cells is constant
+COMPETES = 0.1  # routes within this share of the cheapest are those that weights choose between
+UNSEEN = 1e-6  # of the largest variance: a direction of W with less leaves every comparison as it is
+MUCH = 0.1  # of the largest: a weight with such a part in a direction belongs to it
+LEAST_SHARE = 0.01  # of a random walk's features
+
+
+def refit(
+    log_weights: np.ndarray, task: Task, num_bootstrap: int, rng: np.random.Generator
+) -> tuple[np.ndarray, pd.DataFrame]:
+    """Return ``[B, K]`` log weights fitted to demonstrations drawn anew with replacement, and what fewer of them give.
+
+    All over the routes that are known: no search is made. The table has a row for each number of demonstrations 2, 4,
+    8 ... below all of them: ``held_out_regret``, the mean regret of those that the fit did not see (trusted ones; the
+    mean over 8 random subsets), and ``worst_held_out_regret``, the largest of the 8. It is empty without bootstrap.
+
+    Args:
+      log_weights: ``[K]`` of the fit of all demonstrations.
+      task: its routes, noise and trust.
+      num_bootstrap: B.
+      rng: what is drawn.
+    """
+    num = len(task.demo)
+    if num_bootstrap == 0 or num < 2:
+        return np.empty((0, len(log_weights))), pd.DataFrame()
+    counts = rng.multinomial(num, np.full(num, 1 / num), size=num_bootstrap)
+    sizes = [2**k for k in range(1, 31) if 2**k < num]
+    masks = np.array([rng.permutation(num) < size for size in sizes for _ in range(NUM_SUBSETS)]).reshape(-1, num)
+    trust = np.asarray(task.trust)
+
+    def fit(trust: jax.Array) -> jax.Array:
+        return descend(jnp.asarray(log_weights), task._replace(trust=trust), loss, STEPS)[0]
+
+    fits = np.asarray(jax.lax.map(fit, jnp.asarray(np.concatenate([counts, masks]) * trust + NO_TRUST)))
+    held_out = []
+    for mask, fitted in zip(masks, fits[num_bootstrap:], strict=True):
+        left = ~mask * trust + NO_TRUST
+        held_out.append(np.sum(left * np.asarray(regrets(weights_of(jnp.asarray(fitted)), task))) / left.sum())
+    by_size = np.array(held_out).reshape(-1, NUM_SUBSETS)
+    table = pd.DataFrame(
+        {
+            "num_examples": sizes,
+            "held_out_regret": by_size.mean(axis=1),
+            "worst_held_out_regret": by_size.max(axis=1, initial=0.0),
+        }
+    )
+    return fits[:num_bootstrap], table
+
+
+def near_optimal_range(weights: np.ndarray, task: Task, scale: np.ndarray, tolerance: float) -> np.ndarray:
+    """Return ``[2, F]`` the least and the largest value of each weight among all W that explain the routes as well.
+
+    That is, whose mean regret over the known routes, weighted by trust, is at most that of the fit plus a tolerance:
+    a polytope, whose extent along each weight takes two linear programs (costs in the regrets' denominators are
+    taken at the fit). Where the demonstrations are exactly cheapest under a hidden W, it holds that W, however many
+    there are; inf where a weight may grow without end.
+
+    Args:
+      weights: ``[F]`` of the fit, of features in the task's units.
+      task: its routes and trust.
+      scale: ``[F]`` a with a . W = 1 for the W that are compared.
+      tolerance: of mean regret.
+    """
+    demo, routes, trust = (np.asarray(part) for part in (task.demo, task.routes, task.trust))
+    num_queries, num_weights = demo.shape
+    weights = weights / (scale @ weights)
+    cost = demo @ weights
+    share = trust / trust.sum() / cost
+    query, route = np.nonzero(routes @ weights <= FAR * cost[:, None])
+    slack = np.zeros((len(query), num_queries))
+    slack[np.arange(len(query)), query] = -cost[query]  # slacks are counted in costs, so that all are near 1
+    regret = float(np.sum(share * (cost - np.min(routes @ weights, axis=1))))
+    centre = demo.mean(axis=0) / (demo.mean(axis=0) @ weights)
+    bound = np.concatenate([-(regret + tolerance) * centre, share * cost])
+    above = np.vstack([np.hstack([demo[query] - routes[query, route], slack]), bound])
+    equal = np.append(scale, np.zeros(num_queries))[None, :]
+    ends = np.tile(weights, (2, 1))
+    for k in range(num_weights):
+        for row, sign in enumerate((1.0, -1.0)):
+            aim = np.zeros(num_weights + num_queries)
+            aim[k] = sign
+            found = linprog(aim, A_ub=above, b_ub=np.zeros(len(above)), A_eq=equal, b_eq=[1.0], bounds=(0, None))
+            if found.x is not None:
+                ends[row, k] = found.x[k]
+            elif found.status == UNBOUNDED:
+                ends[row, k] = np.inf
+    return ends
+
+
+def constant_layers(queries: Sequence[RouteQuery]) -> tuple[str, ...]:
+    """Return the metrics whose cost is the same over all free cells of all the queries' maps."""
+    free = (on.costs[:, on.is_free] for on in maps_of(queries))
+    ends = np.array([(costs.min(axis=1), costs.max(axis=1)) for costs in free], np.float64)
+    spans = ends[:, 1].max(axis=0) - ends[:, 0].min(axis=0)
+    return tuple(name for name, span in zip(queries[0].cost_map.names, spans, strict=True) if span < FLAT)
+
+
+def feature_units(queries: Sequence[RouteQuery], demo: np.ndarray) -> np.ndarray:
+    """Return ``[K]`` the size of each feature: its mean over routes, never under 1 % of a random walk's as long.
+
+    The floor keeps weights finite where every demonstration avoids a cost altogether.
+    """
+    num_steps = demo[:, 0].mean() / queries[0].cost_map.grid.resolution_m
+    if queries[0].cost_map.cost_model.kind == "line":
+        num_steps = demo[:, 0].mean() / queries[0].cost_map.cost_model.reference_length_m
+    means = [each.costs[:, each.is_free].astype(np.float64).mean(axis=1) for each in maps_of(queries)]
+    usual = np.mean(means, axis=0) * num_steps
+    return np.maximum(demo.mean(axis=0), np.append(0.0, np.maximum(LEAST_SHARE * usual, 1e-12)))
+
+
+def indistinct_weights(pool: RoutePool, unit: np.ndarray, weights: np.ndarray, is_fitted: np.ndarray) -> list[str]:
+    """Return sentences on the directions of W, but its length, that demonstrations say nothing about.
+
+    They are judged by the covariance C of what routes that compete with the cheapest have more or less of each feature:
+    a direction v with v C v = 0 can be added to W without changing any comparison between these routes.
+
+    Args:
+      pool: the routes.
+      unit: ``[K]`` in which features are counted, and 1 / weights.
+      weights: ``[K]`` W of features in their own units.
+      is_fitted: ``[K]`` the weights that are judged.
+    """
+    routes, names = pool.features, np.array(pool.names)[is_fitted]
+    cost = np.where(routes[..., 0] < NOT_A_ROUTE, routes @ weights, np.inf)
+    competes = cost <= cost.min(axis=1, keepdims=True) * (1 + COMPETES)
+    cheapest = np.take_along_axis(routes, cost.argmin(axis=1)[:, None, None], axis=1)
+    more = ((routes - cheapest) / unit)[competes]
+    covariance = (more.T @ more / max(len(more), 1))[np.ix_(is_fitted, is_fitted)]
+    is_seen = np.diag(covariance) > UNSEEN * max(float(np.max(np.diag(covariance))), 1e-300)
+    sentences = [
+        f"The weight of {name} cannot be identified: no competing route differs in it." for name in names[~is_seen]
+    ]
+    if is_seen.sum() < 2:
+        return sentences
+    values, directions = np.linalg.eigh(covariance[np.ix_(is_seen, is_seen)])
+    unseen = directions[:, values <= UNSEEN * values[-1]]
+    if num := unseen.shape[1]:
+        part = np.linalg.norm(unseen, axis=1)
+        involved = names[is_seen][part > MUCH * part.max()]
+        listed = f"{', '.join(involved[:-1])} and {involved[-1]}"
+        why = "competing routes trade them at one rate" if num == 1 else f"{num} of their mixtures change no comparison"
+        sentences.append(f"The weights of {listed} cannot be told apart: {why}.")
+    return sentences

@@ -1,0 +1,79 @@
+"""The perturbed Fenchel-Young loss of weights, over the routes of a pool."""
+
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+from jaxtyping import Array, Float
+
+from jaxurban.studies.tuning.descent import adam
+
+FIRST_RATE, LAST_RATE = 0.05, 0.005  # of Adam, in log weight a step
+
+
+class Task(NamedTuple):
+    """What a fit looks at. ``Q`` queries, ``R`` routes a query, ``M`` noises a query, ``K`` weights.
+
+    Attributes:
+      demo: ``[Q, K]`` features of the demonstrations, in units in which their means are 1.
+      routes: ``[Q, R, K]`` features of all known routes, in the same units.
+      log_noise: ``[Q, M, K]`` Z of the noise exp(Z); the mean of exp(Z) over M is 1.
+      trust: ``[Q]`` weight of each demonstration in the loss.
+    """
+
+    demo: Float[Array, "Q K"]
+    routes: Float[Array, "Q R K"]
+    log_noise: Float[Array, "Q M K"]
+    trust: Float[Array, " Q"]
+
+
+def draw_log_noise(rng: np.random.Generator, shape: tuple[int, int, int], sigma: float) -> np.ndarray:
+    """Return ``[Q, M, K]`` Z in antithetic pairs, shifted so that exp(Z) has the mean 1 over M exactly.
+
+    The loss is then never negative, and its minimum is not moved by the luck of the draw.
+    """
+    half = rng.normal(size=(shape[0], shape[1] // 2, shape[2])) * sigma
+    drawn = np.concatenate([half, -half], axis=1)
+    return drawn - np.log(np.exp(drawn).mean(axis=1, keepdims=True))
+
+
+def weights_of(log_weights: Float[Array, " K"]) -> Float[Array, " K"]:
+    """Return positive weights that sum to 1."""
+    return jax.nn.softmax(log_weights)
+
+
+def loss(log_weights: Float[Array, " K"], task: Task) -> Float[Array, ""]:
+    """Return the mean of (W . phi_demo - E[min over routes of (W exp(Z)) . phi]) / sum(phi_demo), weighted by trust.
+
+    Its gradient with respect to W is phi_demo - E[exp(Z) phi*], phi* the features of the route that is
+    cheapest under W exp(Z) (Berthet et al. 2020, Dalle et al. 2022: multiplicative noise keeps costs positive).
+    It is convex in W and at least 0; 0 only if the demonstration is cheapest under every perturbed W.
+    """
+    weights = weights_of(log_weights)
+    noisy = weights * jnp.exp(task.log_noise)
+    cheapest = jnp.min(jnp.einsum("qmk,qrk->qmr", noisy, task.routes), axis=-1)
+    each = (task.demo @ weights - cheapest.mean(axis=-1)) / task.demo.sum(axis=-1)
+    return jnp.sum(task.trust * each) / jnp.sum(task.trust)
+
+
+def regrets(weights: Float[Array, " K"], task: Task) -> Float[Array, " Q"]:
+    """Return by which share each demonstration is costlier than the cheapest known route."""
+    return (task.demo @ weights) / jnp.min(task.routes @ weights, axis=-1) - 1.0
+
+
+def mean_regret(log_weights: Float[Array, " K"], task: Task) -> Float[Array, ""]:
+    """Return the mean of `regrets`, weighted by trust; its gradient is a subgradient where routes tie."""
+    return jnp.sum(task.trust * regrets(weights_of(log_weights), task)) / jnp.sum(task.trust)
+
+
+@partial(jax.jit, static_argnames=("objective", "num_steps"))
+def descend(
+    log_weights: Float[Array, " K"], task: Task, objective, num_steps: int
+) -> tuple[Float[Array, " K"], Float[Array, ""]]:
+    """Return log weights after ``num_steps`` of Adam on an objective, and the objective there."""
+    rates = optax.cosine_decay_schedule(FIRST_RATE, num_steps, LAST_RATE / FIRST_RATE)
+    ended = adam(lambda at, _: objective(at, task), log_weights, rates, jnp.arange(num_steps))
+    return ended, objective(ended, task)

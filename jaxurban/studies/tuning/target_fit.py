@@ -1,0 +1,304 @@
+"""Weights fitted to targets: those under which routes meet them, and which targets conflict."""
+
+import itertools
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+import pandas as pd
+from jaxtyping import Array
+
+from jaxurban.errors import InputError, check_type
+from jaxurban.metrics.registry import METRICS
+from jaxurban.metrics.weights import Weights
+from jaxurban.progress import Report, reporting
+from jaxurban.studies.perturbed import draw_pairs, known_route_sums
+from jaxurban.studies.queries import RouteQuery, check_alike, weights_from
+from jaxurban.studies.route_pool import RoutePool
+from jaxurban.studies.tuning.confidence import feature_units
+from jaxurban.studies.tuning.descent import adam
+from jaxurban.studies.tuning.fit_settings import FitSettings
+from jaxurban.studies.tuning.targets import Target, outcome_values
+
+FIRST_RATE, LAST_RATE = 0.2, 0.02  # of Adam, in log weight a step
+FIRST_NOISE, LAST_NOISE = 0.7, 0.05  # of the perturbed planner, from the first to the last step
+NUM_NOISE, NUM_STEPS = 128, 100
+NUM_EXPLORED, CORNER = 16, 30.0  # weights planned under at first; how much more a corner cares for one thing
+NUM_CANDIDATES, NUM_STARTS = 1000, 6  # weights looked up in known routes, and descended from, a round
+FAR_SPREAD, NEAR_SPREAD = 3.0, 0.1  # of the candidates' log weights about the best
+NUM_TRIED, NUM_PROBES = 3, 8  # weights planned for, and searches around the best, a round
+PROBE_NOISE = (0.05, 0.8)  # of those searches' log weights, from the nearest to the farthest
+PATIENCE = 3  # rounds that better nothing
+MET = 0.02  # a target is met if it is missed by no more than this share
+
+
+@dataclass(frozen=True, eq=False)
+class TargetFit:
+    """Weights fitted to targets.
+
+    Attributes:
+      names: ``"distance"`` and the metrics.
+      weights: they sum to 1.
+      outcomes: a row a target: wished (its bound), shortest (what the shortest routes give), reached, missed_by (share
+        of the bound), is_met; by planned routes, without noise.
+      alone: a row a target: the best that was reached when it was the only one.
+      conflicts: pairs of targets, each met alone or nearly so, that were not met together.
+      is_met: all targets are met within 2 %.
+      is_in_budget: the search ended by itself; a larger budget would find no more.
+      curve: a row a round: the least loss so far, its outcomes, and the searches made.
+      num_plans, elapsed_s: searches and wall time.
+    """
+
+    names: tuple[str, ...]
+    weights: Weights
+    outcomes: pd.DataFrame
+    alone: pd.DataFrame
+    conflicts: tuple[tuple[str, str], ...]
+    is_met: bool
+    is_in_budget: bool
+    curve: pd.DataFrame
+    num_plans: int
+    elapsed_s: float
+
+    @property
+    def sentence(self) -> str:
+        """What came of it."""
+        if self.is_met:
+            return "All targets are met."
+        missed = ", ".join(
+            f"{target} (reached {row.reached:.4g})" for target, row in self.outcomes.iterrows() if not row.is_met
+        )
+        said = f"Not all targets were met; the best trade-off found misses {missed}."
+        if self.conflicts:
+            said += (
+                " These conflict, as far as the search could find: "
+                + "; ".join(f"{one} with {other}" for one, other in self.conflicts)
+                + "."
+            )
+        elif self.alone["is_met"].all():
+            said += " Each two of them can be met together, but not all."
+        for target, row in self.alone.iterrows():
+            if not row.is_met:
+                said += f" Even alone, {target} was not reached: at best {row.reached:.4g}."
+        if not self.is_in_budget:
+            said += " The budget ended the search: a larger one may find better."
+        return said
+
+
+def fit_targets(
+    queries: Sequence[RouteQuery],
+    targets: Sequence[Target],
+    *,
+    start: Weights | None = None,
+    settings: FitSettings | None = None,
+) -> TargetFit:
+    """Return weights under which planned routes meet targets, or the best trade-off and which targets conflict.
+
+    The sum of squared misses (each as a share of its bound) is brought down by gradient in log weights, through
+    the perturbed planner over the routes found so far (`perturbed.known_route_sums`), with noise that shrinks, from
+    the best of many random weights. Routes under the best weights are then planned without noise, and more
+    around them, until three rounds better nothing; the best weights by planned routes are returned. If they miss,
+    each target is tried alone, and then each pair of those that can be met. Not met is not proven unreachable: it is
+    the best found.
+
+    Args:
+      queries: from several maps if liked.
+      targets: bounds on outcomes.
+      start: where to begin; equal shares of the shortest routes' cost if left out.
+      settings: of the search; rounds are counted for each set of targets that is tried, the budget is for all.
+
+    Raises:
+      InputError: no queries or targets, a target for a metric that the maps lack, or a wrong setting.
+    """
+    begin_s, settings = time.perf_counter(), settings or FitSettings()
+    check_type("settings", settings, FitSettings)
+    names = check_alike(queries)
+    if not targets:
+        raise InputError("there are no targets: give at least one, such as mean_gps>=0.8")
+    for target in targets:
+        target.checked(dict.fromkeys((*METRICS, *queries[0].cost_map.maps.metrics)))
+        if target.metric is not None and target.metric not in names:
+            raise InputError(
+                f"target {str(target)!r}: {target.metric} is not among the metrics, {', '.join(names[1:])}"
+            )
+    given = None if start is None else start.vector(names)
+    pool = settings.pool(
+        queries,
+        fit="targets",
+        targets=[str(target) for target in targets],
+        max_rounds=settings.max_rounds,
+        start=None if given is None else given.tolist(),
+    )
+    shortest = pool.cheapest(np.eye(len(names))[:1])[:, :, 0]
+    first = 1 / feature_units(queries, shortest[0]) if given is None else np.maximum(given, 1e-6)
+    with jax.enable_x64(True), reporting("fit", settings.progress) as report:
+        search = _Search(
+            pool,
+            tuple(targets),
+            np.concatenate(shortest, axis=-1),
+            np.log(first / first.sum()),
+            settings,
+            begin_s + settings.budget_s,
+            report,
+        )
+        search.explore()
+        best = search.run(targets)
+        is_met = bool(np.all(best.missed <= MET))
+        alone = [best if is_met or len(targets) == 1 else search.run([target]) for target in targets]
+        conflicts: list[tuple[str, str]] = []
+        if not is_met:
+            reachable = [number for number, found in enumerate(alone) if found.missed[number] <= MET]
+            for pair in itertools.combinations(reachable, 2):
+                one, other = (targets[number] for number in pair)
+                both = best if len(targets) == 2 else search.run([one, other])
+                if both.missed[list(pair)].max() > MET:
+                    conflicts.append((str(one), str(other)))
+        at_shortest = search.outcomes(search.shortest)
+    weights = np.exp(best.log_weights)
+    return TargetFit(
+        names=names,
+        weights=weights_from(queries[0], weights / weights.sum()),
+        outcomes=_outcome_table(targets, [best] * len(targets), at_shortest),
+        alone=_outcome_table(targets, alone, at_shortest),
+        conflicts=tuple(conflicts),
+        is_met=is_met,
+        curve=pd.DataFrame(best.rows),
+        is_in_budget=time.perf_counter() - begin_s <= settings.budget_s,
+        num_plans=pool.num_plans,
+        elapsed_s=time.perf_counter() - begin_s,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Found:
+    """The best weights of one search; what is reached and missed ``[N]`` of all targets, and a row a round."""
+
+    log_weights: np.ndarray
+    reached: np.ndarray
+    missed: np.ndarray
+    rows: list[dict]
+
+
+@dataclass(frozen=True, eq=False)
+class _Search:
+    """What searches for different targets share: the routes that they find, and compiled code."""
+
+    pool: RoutePool
+    targets: tuple[Target, ...]
+    shortest: np.ndarray  # [Q, 2 K] features and integrals
+    log_start: np.ndarray  # [K]
+    settings: FitSettings
+    end_s: float
+    report: Report
+
+    def run(self, active: Sequence[Target]) -> _Found:
+        """Return the best weights for some of the targets; the others count as met."""
+        sign = [(1.0 if target.sense == ">=" else -1.0) * (target in active) for target in self.targets]
+        misses = _Misses(jnp.array([target.value for target in self.targets]), jnp.array(sign))
+        rng = np.random.default_rng(self.settings.seed)
+        drawn = jnp.asarray(draw_pairs(self.settings.seed, NUM_NOISE, len(self.log_start)))
+        best: _Found | None = None
+        rows: list[dict] = []
+        for number in range(self.settings.max_rounds):
+            routes = jnp.asarray(np.concatenate(self.pool.routes, axis=-1))
+            where = (misses, routes, self.shortest, self.pool.names, self.targets)
+            about = self.log_start if best is None else best.log_weights
+            spread = FAR_SPREAD * np.geomspace(1.0, NEAR_SPREAD / FAR_SPREAD, NUM_CANDIDATES)[:, None]
+            anywhere = about + spread * rng.normal(size=(NUM_CANDIDATES, len(about)))
+            candidates = np.array([about, self.log_start, *self._corners(), *anywhere])
+            starts = _least(candidates, NUM_STARTS, where)
+            tried = np.concatenate([np.asarray(_descend(jnp.asarray(starts), drawn, *where)), starts])
+            for log_weights in _least(tried, NUM_TRIED, where):
+                reached = self.outcomes(np.concatenate(self.pool.cheapest(np.exp(log_weights)[None])[:, :, 0], axis=-1))
+                missed = np.asarray(misses.of(jnp.asarray(reached)))
+                if best is None or np.sum(missed**2) < np.sum(best.missed**2):
+                    best = _Found(log_weights, reached, missed, rows)
+            assert best is not None
+            row = {"round": number + 1, "loss": float(np.sum(best.missed**2)), "num_plans": self.pool.num_plans}
+            rows.append(row | dict(zip(map(str, self.targets), best.reached.tolist(), strict=True)))
+            self.report("rounds", number + 1, loss=f"{row['loss']:.3g}", searches=row["num_plans"])
+            is_stuck = number >= PATIENCE and rows[-1]["loss"] >= rows[-1 - PATIENCE]["loss"]
+            if not np.any(best.missed) or is_stuck or time.perf_counter() > self.end_s:
+                break
+            wide = np.geomspace(*PROBE_NOISE, NUM_PROBES)[:, None]
+            near = best.log_weights + wide * rng.normal(size=(NUM_PROBES, len(self.log_start)))
+            self.pool.cheapest(np.exp(near))
+        assert best is not None
+        return best
+
+    def explore(self) -> None:
+        """Fill the pool with routes under weights of all kinds."""
+        rng = np.random.default_rng(self.settings.seed)
+        anywhere = rng.dirichlet(np.ones(len(self.log_start)), size=NUM_EXPLORED) * np.exp(self.log_start)
+        self.pool.cheapest(np.concatenate([np.exp(self.log_start)[None], np.exp(self._corners()), anywhere]))
+
+    def outcomes(self, sums: np.ndarray) -> np.ndarray:
+        """Return the targets' outcomes ``[N]`` of routes that add up to ``[Q, 2 K]``."""
+        return np.asarray(outcome_values(sums, self.shortest, self.pool.names, self.targets))
+
+    def _corners(self) -> np.ndarray:
+        """Return ``[K, K]`` log weights of which each cares for one thing mostly."""
+        return self.log_start + np.log(CORNER) * np.eye(len(self.log_start))
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class _Misses:
+    """By which share targets are missed: their bounds ``[N]``, and +1 (at least), -1 (at most) or 0 (not now)."""
+
+    bound: Array
+    sign: Array
+
+    def of(self, values: Array) -> Array:
+        """Return by which share of its bound each target is missed."""
+        return jnp.maximum(self.sign * (self.bound - values) / jnp.maximum(jnp.abs(self.bound), 1e-3), 0.0)
+
+
+@partial(jax.jit, static_argnames=("names", "targets"))
+def _descend(starts, drawn, misses: _Misses, routes, shortest, names, targets) -> Array:
+    """Return log weights ``[S, K]`` after descents from each start over known routes."""
+
+    def squared(log_weights, noise):
+        expected = known_route_sums(log_weights, routes, drawn, noise)
+        return jnp.sum(misses.of(outcome_values(expected, shortest, names, targets)) ** 2)
+
+    rates = optax.exponential_decay(FIRST_RATE, NUM_STEPS, LAST_RATE / FIRST_RATE)
+    noises = jnp.geomspace(FIRST_NOISE, LAST_NOISE, NUM_STEPS)
+    return jax.lax.map(lambda start: adam(squared, start, rates, noises, jax.nn.log_softmax), starts)
+
+
+def _least(candidates: np.ndarray, num: int, where: tuple) -> np.ndarray:
+    """Return ``[num, K]`` the log weights, of ``[S, K]``, whose cheapest known routes miss least."""
+    return candidates[np.argsort(np.asarray(_known_misses(jnp.asarray(candidates), *where)), kind="stable")[:num]]
+
+
+@partial(jax.jit, static_argnames=("names", "targets"))
+def _known_misses(candidates, misses: _Misses, routes, shortest, names, targets) -> Array:
+    """Return ``[S]`` the squared misses of the cheapest known routes under log weights ``[S, K]``."""
+
+    def squared(log_weights):
+        cheapest = jnp.argmin(routes[..., : len(names)] @ jnp.exp(log_weights), axis=-1)
+        chosen = jnp.take_along_axis(routes, cheapest[:, None, None], axis=1)[:, 0]
+        return jnp.sum(misses.of(outcome_values(chosen, shortest, names, targets)) ** 2)
+
+    return jax.lax.map(squared, candidates, batch_size=64)
+
+
+def _outcome_table(targets: Sequence[Target], found: Sequence[_Found], at_shortest: np.ndarray) -> pd.DataFrame:
+    """Return a row a target, each as its own search reached it."""
+    missed = [float(each.missed[number]) for number, each in enumerate(found)]
+    return pd.DataFrame(
+        {
+            "wished": [target.value for target in targets],
+            "shortest": at_shortest,
+            "reached": [each.reached[number] for number, each in enumerate(found)],
+            "missed_by": missed,
+            "is_met": [share <= MET for share in missed],
+        },
+        index=pd.Index([str(target) for target in targets], name="wish"),
+    )

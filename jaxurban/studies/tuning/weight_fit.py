@@ -1,0 +1,344 @@
+"""Weights fitted to demonstrations: those under which the routes that were shown are cheapest."""
+
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pandas as pd
+
+from jaxurban.errors import InputError, check_type, one_of
+from jaxurban.io.rows import fingerprint
+from jaxurban.metrics.weights import Weights
+from jaxurban.progress import reporting
+from jaxurban.studies.demonstrations import Demonstration
+from jaxurban.studies.queries import check_alike, weights_from
+from jaxurban.studies.route_pool import RoutePool
+from jaxurban.studies.tuning.confidence import (
+    constant_layers,
+    feature_units,
+    indistinct_weights,
+    near_optimal_range,
+    refit,
+)
+from jaxurban.studies.tuning.fenchel_young import Task, descend, draw_log_noise, loss, mean_regret, regrets, weights_of
+from jaxurban.studies.tuning.fit_settings import FitSettings
+
+FIRST_NOISE, LAST_NOISE = 0.3, 0.03  # standard deviation of log weights: first far, in the end close to the minimum
+NOISE_ROUNDS = 10  # in which the noise shrinks
+NUM_NOISE, NUM_PROBES = 32, 2  # noises a query in the loss; searches a query and round under perturbed weights
+STEPS, BOOTSTRAP_NOISE = 200, 8
+FEW = 2  # demonstrations a weight
+TRUST_ROUNDS, FIRST_DOUBT = (
+    3,
+    30.0,
+)  # rounds of full trust; how many times farther off a route may then be at first
+LEAST_REGRET = 2e-3  # demonstrations much nearer than this to the cheapest are trusted
+SETTLED = 1e-5  # a round that betters no known route by more has nothing to add
+REGRET_ROUNDS = 4  # searches for the least regret that any weights reach
+IN_ROUND, IN_BOOTSTRAP = 1, 2  # streams of random numbers
+WIDE = 10  # a weight whose interval spans a larger factor is hardly pinned down
+OPTIMAL_REGRET = 0.005  # on average beyond this, the demonstrations are not optimal under any weights
+
+
+@dataclass(frozen=True, eq=False)
+class WeightFit:
+    """Weights fitted to demonstrations. ``K`` weights, ``Q`` demonstrations.
+
+    Attributes:
+      names: ``"distance"`` and the metrics.
+      weights: of the given scale; 0 for a metric whose weight cannot be identified.
+      shares: ``[K]`` part of the demonstrations' cost that each weight makes up; they sum to 1.
+      spread: ``[K]`` w_j x std(phi_j) over the demonstrations, scaled to length 1: what fits are compared by.
+      interval: ``[2, K]`` 5th and 95th percentile of the weights over bootstrap fits, widened to all weights that
+        explain the demonstrations as well (`confidence.near_optimal_range`); NaN without bootstrap.
+      regret: ``[Q]`` by which share each is costlier than the cheapest route under the weights, by search.
+      trust: ``[Q]`` in [0, 1] weight that each demonstration had in the end.
+      best_mean_regret: the least mean regret that any weights were found to reach.
+      curve: a row a round: noise, loss, mean_regret, worst_gap (by which share a searched route was cheaper than
+        all known ones), new_routes, num_plans, elapsed_s and each weight.
+      by_demonstrations: what fewer demonstrations would have given (see `confidence.refit`).
+      unidentified: sentences on weights that the demonstrations say nothing about.
+      warnings: further sentences that a reader must know.
+      num_plans: searches made.
+      elapsed_s: wall time of this run; a resumed one takes its first searches from the state file.
+      is_settled: the last round bettered no known route by more than 1e-5.
+    """
+
+    names: tuple[str, ...]
+    weights: Weights
+    shares: np.ndarray
+    spread: np.ndarray
+    interval: np.ndarray
+    regret: np.ndarray
+    trust: np.ndarray
+    best_mean_regret: float
+    curve: pd.DataFrame
+    by_demonstrations: pd.DataFrame
+    unidentified: tuple[str, ...]
+    warnings: tuple[str, ...]
+    num_plans: int
+    elapsed_s: float
+    is_settled: bool
+
+    @property
+    def vector(self) -> np.ndarray:
+        """``[K]`` the weights in the order of ``names``."""
+        return self.weights.vector(self.names)
+
+    def table(self) -> pd.DataFrame:
+        """Return a row a weight: weight, its interval, share of cost, spread."""
+        return pd.DataFrame(
+            {
+                "weight": self.vector,
+                "low": self.interval[0],
+                "high": self.interval[1],
+                "share_of_cost": self.shares,
+                "spread": self.spread,
+            },
+            index=pd.Index(self.names, name="name"),
+        )
+
+
+def fit_weights(
+    demonstrations: Sequence[Demonstration],
+    *,
+    scale: str = "simplex",
+    bootstrap: int = 200,
+    settings: FitSettings | None = None,
+) -> WeightFit:
+    """Return the weights under which demonstrated routes are as close to cheapest as any weights make them.
+
+    A perturbed Fenchel-Young loss (see `fenchel_young.loss`) is brought down by gradient in log weights, over the
+    routes found so far; rounds of searches under the current and under perturbed weights find more, until a
+    round betters none. The noise shrinks from round to round: wide noise leads from anywhere, narrow noise ends
+    in the middle of the weights that explain the demonstrations. Those that stay far costlier than most are
+    trusted less (a redescending weight on their regret), so that some detours do not bend the fit.
+
+    Only the direction of W can be found; its length is set by ``scale``. The weight of a layer that is constant
+    over the maps cannot be identified, and ``unidentified`` says so: under ``line`` (or where it costs nothing) it
+    is left at 0; under ``cell`` such a layer counts steps, which diagonals save, and the fit takes that into account.
+
+    Args:
+      demonstrations: from `read_demonstrations` or `demonstrations_from_paths`; of one or several maps.
+      scale: ``"simplex"``: weights sum to 1; ``"distance"``: the distance weight is 1.
+      bootstrap: fits on demonstrations drawn anew, for intervals; 0 for none.
+      settings: of the search. It ends where a round at the least noise betters nothing; the noise shrinks over 10
+        rounds.
+
+    Raises:
+      InputError: no demonstrations, maps that do not go together, or a wrong setting.
+    """
+    one_of("scale", scale, ("simplex", "distance"))
+    if bootstrap < 0:
+        raise InputError(f"bootstrap must be >= 0, got {bootstrap}")
+    begin_s, settings = time.perf_counter(), settings or FitSettings()
+    check_type("settings", settings, FitSettings)
+    queries = [each.query for each in demonstrations]
+    names = check_alike(queries)
+    constant = constant_layers(queries)
+    # Under `cell` a constant cost still counts steps, and diagonals save some: left out, it would bend the others.
+    silent = () if queries[0].cost_map.cost_model.kind == "cell" else constant
+    silent += tuple(name for name in constant if not np.any([query.cost_map.cost_of(name) for query in queries]))
+    is_fitted = np.array([name not in silent for name in names])
+    demo = np.array([each.features for each in demonstrations])
+    noise_rounds = min(settings.max_rounds, NOISE_ROUNDS)
+    known = [each.sums for each in demonstrations]
+    pool = settings.pool(queries, known, fit="imitation", noise_rounds=noise_rounds, demonstrations=fingerprint(demo))
+    fit = _Fit(pool, demo, np.where(is_fitted, feature_units(queries, demo), 1.0), is_fitted, settings.seed)
+    rows: list[dict[str, Any]] = []
+    with jax.enable_x64(True), reporting("fit", settings.progress) as report:
+        for number in range(settings.max_rounds):
+            noise = FIRST_NOISE * (LAST_NOISE / FIRST_NOISE) ** min(number / max(1, noise_rounds - 1), 1.0)
+            row = fit.run_round(number, noise) | {"elapsed_s": time.perf_counter() - begin_s}
+            rows.append(row | dict(zip(names, _scaled(fit.weights, scale), strict=True)))
+            report("rounds", number + 1, loss=f"{row['loss']:.3g}", searches=row["num_plans"])
+            is_settled = row["worst_gap"] <= SETTLED and number + 1 >= noise_rounds
+            if is_settled or row["elapsed_s"] > settings.budget_s:
+                break
+        regret = fit.searched_regret(fit.log_weights)
+        best = fit.least_mean_regret(float(regret.mean()))
+        rng = np.random.default_rng([IN_BOOTSTRAP, 0, settings.seed])
+        drawn, fewer = refit(fit.log_weights, fit.task(BOOTSTRAP_NOISE, LAST_NOISE, rng), bootstrap, rng)
+        interval = np.full((2, len(names)), np.nan)
+        if bootstrap:
+            interval = fit.near_optimal_range(np.ones(len(names)) if scale == "simplex" else np.eye(len(names))[0])
+        if len(drawn):
+            by_draw = np.percentile([_scaled(fit.weights_of(row), scale) for row in drawn], [5, 95], axis=0)
+            interval = np.stack([np.minimum(by_draw[0], interval[0]), np.maximum(by_draw[1], interval[1])])
+    cost, spread = fit.weights * demo.mean(axis=0), fit.weights * demo.std(axis=0)
+    return WeightFit(
+        names=names,
+        weights=weights_from(queries[0], _scaled(fit.weights, scale)),
+        shares=cost / cost.sum(),
+        spread=spread / max(float(np.linalg.norm(spread)), 1e-300),
+        interval=interval,
+        regret=regret,
+        trust=fit.trust,
+        best_mean_regret=best,
+        curve=pd.DataFrame(rows),
+        by_demonstrations=fewer,
+        unidentified=(
+            *(_said_of_constant(name, name in silent) for name in constant),
+            *_open(names, constant, interval),
+            *indistinct_weights(pool, fit.unit, fit.weights, is_fitted),
+        ),
+        warnings=tuple(_warnings(demonstrations, len(names), best, fit.trust, is_settled)),
+        num_plans=pool.num_plans,
+        elapsed_s=time.perf_counter() - begin_s,
+        is_settled=is_settled,
+    )
+
+
+@dataclass(eq=False)
+class _Fit:
+    """A fit under way. ``F`` of the ``K`` weights are fitted; the others are 0."""
+
+    pool: RoutePool
+    demo: np.ndarray  # [Q, K]
+    unit: np.ndarray  # [K] what features are counted in
+    is_fitted: np.ndarray  # [K]
+    seed: int
+    log_weights: np.ndarray = field(init=False)  # [F] of features in those units
+    trust: np.ndarray = field(init=False)  # [Q]
+
+    def __post_init__(self) -> None:
+        self.log_weights = np.zeros(int(self.is_fitted.sum()))
+        self.trust = np.ones(len(self.demo))
+
+    @property
+    def weights(self) -> np.ndarray:
+        """``[K]`` the weights of features in their own units."""
+        return self.weights_of(self.log_weights)
+
+    def weights_of(self, log_weights: np.ndarray) -> np.ndarray:
+        weights = np.zeros(len(self.unit))
+        weights[self.is_fitted] = np.asarray(weights_of(jnp.asarray(log_weights)))
+        return weights / self.unit
+
+    def task(self, num_noise: int, noise: float, rng: np.random.Generator) -> Task:
+        """Return what the loss looks at now."""
+        shape = (len(self.demo), num_noise, len(self.log_weights))
+        return Task(
+            jnp.asarray((self.demo / self.unit)[:, self.is_fitted]),
+            jnp.asarray((self.pool.features / self.unit)[:, :, self.is_fitted]),
+            jnp.asarray(draw_log_noise(rng, shape, noise)),
+            jnp.asarray(self.trust),
+        )
+
+    def run_round(self, number: int, noise: float) -> dict[str, Any]:
+        """Search under perturbed weights, trust demonstrations anew, and descend."""
+        rng = np.random.default_rng([IN_ROUND, number, self.seed])
+        probes = np.exp(rng.normal(size=(len(self.demo), 1 + NUM_PROBES, len(self.unit))) * noise)
+        probes[:, 0] = 1.0
+        probed = self.weights * probes
+        num_known = self.pool.num_routes
+        expected = np.min(np.einsum("qmk,qrk->qmr", probed, self.pool.features), axis=-1)
+        searched = np.einsum("qmk,qmk->qm", probed, self.pool.cheapest(probed)[0])
+        here = self.task(NUM_NOISE, noise, rng)
+        if number >= TRUST_ROUNDS:
+            patience = FIRST_DOUBT ** max(0.0, 1 - (number - TRUST_ROUNDS) / (NOISE_ROUNDS - 2 - TRUST_ROUNDS))
+            regret = np.asarray(regrets(weights_of(jnp.asarray(self.log_weights)), here))
+            self.trust = _trust(regret, patience)
+            here = here._replace(trust=jnp.asarray(self.trust))
+        ended, reached = descend(jnp.asarray(self.log_weights), here, loss, STEPS)
+        self.log_weights = np.asarray(ended)
+        return {
+            "round": number + 1,
+            "noise": noise,
+            "loss": float(reached),
+            "mean_regret": float(np.mean(np.asarray(regrets(weights_of(ended), here)))),
+            "worst_gap": float(np.max(expected / searched - 1)),
+            "new_routes": self.pool.num_routes - num_known,
+            "num_plans": self.pool.num_plans,
+        }
+
+    def searched_regret(self, log_weights: np.ndarray) -> np.ndarray:
+        """Return ``[Q]`` the regret of each demonstration under weights, against the cheapest route by search."""
+        weights = self.weights_of(log_weights)
+        cheapest = self.pool.cheapest(weights[None])[0, :, 0]
+        return (self.demo @ weights) / (cheapest @ weights) - 1
+
+    def near_optimal_range(self, scale: np.ndarray) -> np.ndarray:
+        """Return ``[2, K]`` the range of each weight, a . W = 1 for ``scale`` a, that explains the routes as well."""
+        unit = self.unit[self.is_fitted]
+        here = self.task(2, LAST_NOISE, np.random.default_rng(self.seed))
+        ends = np.zeros((2, len(self.unit)))
+        scaled = (self.weights * self.unit)[self.is_fitted]
+        ends[:, self.is_fitted] = near_optimal_range(scaled, here, scale[self.is_fitted] / unit, SETTLED) / unit
+        return ends
+
+    def least_mean_regret(self, best: float) -> float:
+        """Return the least mean regret over all routes that any weights are found to reach, at most ``best``."""
+        lowest = self.log_weights
+        for _ in range(REGRET_ROUNDS):
+            everyone = self.task(2, LAST_NOISE, np.random.default_rng(self.seed))
+            everyone = everyone._replace(trust=jnp.ones(len(self.demo)))
+            ended, expected = descend(jnp.asarray(lowest), everyone, mean_regret, STEPS)
+            lowest = np.asarray(ended)
+            reached = float(self.searched_regret(lowest).mean())
+            best = min(best, reached)
+            if reached <= float(expected) + SETTLED:
+                break
+        return best
+
+
+def _scaled(weights: np.ndarray, scale: str) -> np.ndarray:
+    """Return weights of the given scale."""
+    return weights / (weights.sum() if scale == "simplex" else weights[0])
+
+
+def _trust(regret: np.ndarray, patience: float) -> np.ndarray:
+    """Return ``[Q]`` in (0, 1] how far each demonstration is trusted: little where its regret is far above most.
+
+    Patience falls to 1 over the rounds (graduated non-convexity): doubt at first sight would make wrong weights
+    believe only the demonstrations that suit them.
+    """
+    usual = max(3 * float(np.median(regret)), LEAST_REGRET) * patience
+    return 1 / (1 + (np.maximum(regret, 0) / usual) ** 2) ** 2
+
+
+def _said_of_constant(name: str, is_left_out: bool) -> str:
+    said = f"The {name} layer is the same everywhere on these maps, so its weight cannot be identified"
+    if is_left_out:
+        return f"{said} and is left at 0."
+    return (
+        f"{said} as a weight of {name}: under the cost model 'cell' it only counts steps, of which diagonals save "
+        "some, and the value given here stands for that."
+    )
+
+
+def _open(names: Sequence[str], constant: Sequence[str], interval: np.ndarray) -> list[str]:
+    """Return a sentence for each weight that the demonstrations leave open within a wide range."""
+    return [
+        f"The weight of {name} is hardly pinned down: anything from {low:.3g} to {high:.3g} explains such routes."
+        for name, low, high in zip(names, *interval, strict=True)
+        if name not in constant and np.isfinite(high) and high > 0 and low < high / WIDE
+    ]
+
+
+def _warnings(
+    demonstrations: Sequence[Demonstration], num_weights: int, best: float, trust: np.ndarray, is_settled: bool
+) -> Iterator[str]:
+    """Yield the further sentences that a reader of the fit must know."""
+    num = len(demonstrations)
+    if num < FEW * num_weights:
+        many = "1 demonstration is" if num == 1 else f"{num} demonstrations are"
+        yield f"{many} few for {num_weights} weights: others of the same kind may ask for quite other ones."
+    if best > OPTIMAL_REGRET:
+        yield (
+            "The demonstrations are not optimal under any weights that were found: at best they cost "
+            f"{100 * best:.2f} % more than the cheapest routes on average."
+        )
+    if distrusted := int((trust < 0.1).sum()):
+        yield (
+            f"{distrusted} of {num} demonstrations cost far more than the others' weights explain, and hardly count."
+        )
+    if not is_settled:
+        yield "The last round still found better routes: allow more rounds or a larger budget."
+    for number, each in enumerate(demonstrations, 1):
+        if each.note:
+            yield f"Demonstration {each.query.name or number!r}: {each.note}."

@@ -1,0 +1,1 @@
+"""What stands where: grids, cities, surfaces, skies, and the synthetic city."""

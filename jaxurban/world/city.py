@@ -1,0 +1,253 @@
+"""City: what stands and who lives in a region, as vectors in one projected CRS."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from enum import IntEnum
+from pathlib import Path
+from typing import Literal, Self
+
+import numpy as np
+import shapely
+
+from jaxurban.errors import InputError
+from jaxurban.world.diagnostics import ReadIssues
+from jaxurban.world.show import Shown
+
+OTHER_DISTRICT = 13  # the paper's label for every block that no district claims
+
+
+class HeightOrigin(IntEnum):
+    """Where a building's height came from."""
+
+    HEIGHT = 0  # a height tag or column
+    LEVELS = 1  # number of levels x level height
+    DEFAULT = 2  # neither: the default height
+    RASTER = 3  # a height raster
+    GENERATED = 4  # the synthetic city
+
+
+class Zoning(IntEnum):
+    """What a district is for: decides how its population changes by day."""
+
+    OTHER = 0  # district 13 and districts on neither list; counted with the residential ones
+    RESIDENTIAL = 1
+    COMMERCIAL = 2
+
+
+class _Rows:
+    """Columns of equal length, one a field."""
+
+    def take(self, index: np.ndarray) -> Self:
+        """Return the rows at ``index`` (integers or a mask)."""
+        return type(self)(*(getattr(self, column.name)[index] for column in fields(self)))  # type: ignore[arg-type]
+
+
+@dataclass(frozen=True)
+class Buildings(_Rows):
+    """Building outlines as prisms from the ground to a flat roof. ``B`` buildings.
+
+    Attributes:
+      polygons: ``[B]`` object array of valid shapely Polygons or MultiPolygons, in the city's CRS.
+      height_m: ``[B]`` float64 roof height above ground, > 0.
+      min_height_m: ``[B]`` float64 height of the underside (0 for most); the engine lets every
+        part reach the ground and only counts those that do not.
+      origin: ``[B]`` uint8, a `HeightOrigin` each.
+      is_part: ``[B]`` bool, from ``building:part``.
+    """
+
+    polygons: np.ndarray
+    height_m: np.ndarray
+    min_height_m: np.ndarray
+    origin: np.ndarray
+    is_part: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.polygons)
+
+    @property
+    def is_guessed(self) -> np.ndarray:
+        """``[B]`` bool: no height is known, and levels or the default stand in."""
+        return np.isin(self.origin, (HeightOrigin.LEVELS, HeightOrigin.DEFAULT))
+
+    def origin_counts(self) -> dict[str, int]:
+        """Return the number of buildings by origin of height, only origins that occur."""
+        return {o.name.lower(): int(n) for o in HeightOrigin if (n := np.sum(self.origin == o))}
+
+
+@dataclass(frozen=True)
+class Raster:
+    """A single-band raster read from a file, north-up, on its own grid and CRS.
+
+    Attributes:
+      values: ``[R, C]`` float32, row 0 in the north, NaN where the file declares no data.
+      transform: affine coefficients (a, b, c, d, e, f): x = a * col + b * row + c, y = d * col + e * row + f,
+        with the file's own row and col.
+      crs: the raster's CRS.
+      first_row, first_col: the file's row and column of ``values[0, 0]``. A window keeps the file's transform, so
+        that a pixel's place does not depend on the window by rounding.
+    """
+
+    values: np.ndarray
+    transform: tuple[float, float, float, float, float, float]
+    crs: str
+    first_row: int = 0
+    first_col: int = 0
+
+
+@dataclass(frozen=True)
+class Blocks(_Rows):
+    """Census blocks with their night population. ``N`` blocks.
+
+    Attributes:
+      polygons: ``[N]`` object array of shapely Polygons or MultiPolygons, in the city's CRS.
+      night_count: ``[N]`` float64 people at night (the census count).
+      district: ``[N]`` int32 label of the district of largest overlap, `OTHER_DISTRICT` where none.
+      zoning: ``[N]`` uint8, a `Zoning` each.
+      block_id: ``[N]`` object array of identifiers.
+    """
+
+    polygons: np.ndarray
+    night_count: np.ndarray
+    district: np.ndarray
+    zoning: np.ndarray
+    block_id: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.polygons)
+
+    @property
+    def area_m2(self) -> np.ndarray:
+        """Area of each block in the projected CRS, ``[N]``."""
+        return shapely.area(self.polygons)
+
+    def touches(self, bounds_m: tuple[float, float, float, float]) -> np.ndarray:
+        """Return ``[N]`` bool: which blocks touch the box x_min, y_min, x_max, y_max of the CRS."""
+        return shapely.intersects(self.polygons, shapely.box(*bounds_m))
+
+
+@dataclass(frozen=True)
+class LandCover:
+    """Where there is water and where there are parks: polygons in a city's CRS, empty where there are none."""
+
+    water: shapely.Geometry
+    park: shapely.Geometry
+
+
+@dataclass(frozen=True, repr=False)
+class City(Shown):
+    """A city in one projected CRS: buildings or a height raster, and optionally blocks and terrain.
+
+    Attributes:
+      crs: projected CRS in metres of every polygon.
+      extent_m: x_min, y_min, x_max, y_max that the building source covers: beyond it no building is known.
+      terrain_extent_m: the same of the terrain, None for flat ground.
+      buildings: outlines with heights, or None where ``roofs`` is given.
+      roofs: raster of roof heights above ground, or None.
+      blocks: census blocks, or None without population data.
+      terrain: raster of ground elevation, or None for flat ground.
+      read_issues: what the readers met, mended and left out, counted by `jaxurban.world.diagnostics.ReadIssue`.
+      counts: what the building source holds, counted by name.
+      sources: path by role, for provenance (empty for the synthetic city).
+      guesses: what was supposed where the sources are silent, see `jaxurban.maps.guesses`.
+      attribution: the credit that the licence of the sources asks for wherever pictures are shown.
+      bounds: west, south, east, north in degrees that the city was read for; None for all that there is.
+      area: where the building source knows what stands, within ``extent_m``; None for all of it.
+    """
+
+    crs: str
+    extent_m: tuple[float, float, float, float]
+    buildings: Buildings | None = None
+    roofs: Raster | None = None
+    blocks: Blocks | None = None
+    terrain: Raster | None = None
+    read_issues: ReadIssues = field(default_factory=dict)
+    counts: Mapping[str, int] = field(default_factory=dict)
+    terrain_extent_m: tuple[float, float, float, float] | None = None
+    sources: Mapping[str, str] = field(default_factory=dict)
+    attribution: str = ""
+    bounds: tuple[float, float, float, float] | None = None
+    area: shapely.Geometry | None = None
+    guesses: Mapping[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if (self.buildings is None) == (self.roofs is None):
+            raise InputError("a City needs either buildings (outlines) or roofs (a height raster), and not both")
+
+    @property
+    def facts(self) -> dict[str, str]:
+        """CRS, extent, what is known of buildings, people and terrain, and the credit."""
+        x_min, y_min, x_max, y_max = self.extent_m
+        return {
+            "CRS": self.crs,
+            "extent": f"{(x_max - x_min) / 1000:.3g} x {(y_max - y_min) / 1000:.3g} km",
+            "buildings": "a height raster" if self.buildings is None else f"{len(self.buildings):,}",
+            "census blocks": "" if self.blocks is None else f"{len(self.blocks):,}",
+            "terrain": "flat" if self.terrain is None else "a raster",
+            "credit": self.attribution,
+        }
+
+    @property
+    def known_extent_m(self) -> tuple[float, float, float, float]:
+        """The box that holds everything known, buildings and terrain: beyond it nothing can shadow."""
+        if self.terrain_extent_m is None:
+            return self.extent_m
+        (a, b, c, d), (e, f, g, h) = self.extent_m, self.terrain_extent_m
+        return min(a, e), min(b, f), max(c, g), max(d, h)
+
+    @property
+    def known_area(self) -> shapely.Geometry:
+        """Where the building source knows what stands: a building far off does not make the land between known."""
+        return shapely.box(*self.extent_m) if self.area is None else self.area
+
+    @classmethod
+    def from_files(
+        cls,
+        buildings: str | Path,
+        *,
+        bounds: Sequence[float],
+        crs: str | None = None,
+        blocks: str | Path | None = None,
+        table: str | Path | None = None,
+        districts: str | Path | None = None,
+        terrain: str | Path | None = None,
+        block_field: str = "GEOID10",
+        district_field: str = "BoroCD",
+        commercial: Sequence[int] | None = None,
+        default_height_m: float = 10.0,
+        level_height_m: float = 3.0,
+        mask_deg: float = 5.0,
+        allow_none: bool = False,
+        kind: Literal["height", "surface"] = "height",
+    ) -> "City":
+        """Return the city in a set of files, around a region; `jaxurban.io.read.city.read_city` does it.
+
+        Args:
+          buildings: ``.osm.pbf``, ``.osm``, ``.geojson``, ``.gpkg``, ``.shp``, ``.parquet`` or a height raster.
+          bounds: west, south, east, north of the region in degrees. Buildings are kept as far around it
+            as one of 1,000 m could shadow it from a satellite at the elevation mask.
+          crs: projected CRS in metres; left out, the UTM zone of the region's centre.
+          blocks, table: census blocks (any vector format) and their population table (CSV).
+          districts: district polygons; blocks take the one of largest overlap.
+          terrain: ground elevation raster; left out, flat.
+          block_field, district_field: identifying columns.
+          commercial: labels of the commercial districts; left out, 101 to 106 of New York's (``BoroCD``), else none.
+          default_height_m, level_height_m: for buildings without a height.
+          mask_deg: lowest satellite elevation that will be used.
+          allow_none: accept a region without a single building.
+          kind: of a raster of buildings: ``"height"`` above ground, or ``"surface"`` (a DSM), from which the terrain
+            is taken; trees are in it too.
+
+        Warns:
+          GuessWarning: of each of the city's ``guesses``.
+
+        Raises:
+          InputError: a file that is missing, unreadable or of the wrong kind, or no building in the region.
+        """
+        # The one import against the layers, for the user's sake.
+        from jaxurban.io.read.city import BuildingFile, CensusFiles, read_city
+
+        file = BuildingFile(buildings, kind, default_height_m, level_height_m, allow_none)
+        census = None
+        if blocks is not None:
+            census = CensusFiles(blocks, table, districts, block_field, district_field, commercial)
+        return read_city(file, bounds=bounds, crs=crs, census=census, terrain=terrain, mask_deg=mask_deg)

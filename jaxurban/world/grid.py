@@ -1,0 +1,329 @@
+"""Grid: a raster of square cells in one projected CRS, anchored to the CRS's own cell numbers."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import lru_cache
+
+import numpy as np
+import pyproj
+from pyproj.aoi import AreaOfInterest
+from pyproj.database import query_utm_crs_info
+
+from jaxurban.errors import InputError, finite
+
+WGS84 = "EPSG:4326"
+MAX_SCALE_ERROR = 0.01  # of a projection at the region: within a UTM zone it stays below 0.001
+MAX_SNAP_CELLS = 1000  # of the coarsest resolution that the region may be snapped to
+Bounds = tuple[float, float, float, float]  # x_min, y_min, x_max, y_max in a projected CRS, metres
+
+
+def utm_crs(lon_deg: float, lat_deg: float) -> str:
+    """Return the authority code of the WGS 84 / UTM zone that holds a point, as ``"EPSG:32618"``.
+
+    Raises:
+      InputError: no UTM zone covers the point (near the poles).
+    """
+    infos = query_utm_crs_info(
+        datum_name="WGS 84",
+        area_of_interest=AreaOfInterest(lon_deg, lat_deg, lon_deg, lat_deg),
+    )
+    if not infos:
+        raise InputError(
+            f"no UTM zone covers longitude {lon_deg}, latitude {lat_deg}: set [region] crs to a projected CRS"
+        )
+    return f"{infos[0].auth_name}:{infos[0].code}"
+
+
+@lru_cache(maxsize=32)
+def transformer(source: str, target: str) -> pyproj.Transformer:
+    """Return the x, y-ordered transformer between two CRSs (cached)."""
+    return pyproj.Transformer.from_crs(source, target, always_xy=True)
+
+
+def projected_crs(crs: str) -> pyproj.CRS:
+    """Return ``crs`` as pyproj sees it, if it is projected in metres.
+
+    Raises:
+      InputError: the name is unknown, or the CRS is geographic or not in metres.
+    """
+    try:
+        parsed = pyproj.CRS.from_user_input(crs)
+    except pyproj.exceptions.CRSError as error:
+        raise InputError(f"{crs!r} is not a known CRS: use a projected one such as 'EPSG:32618'") from error
+    if not parsed.is_projected or any(abs(axis.unit_conversion_factor - 1.0) > 1e-12 for axis in parsed.axis_info[:2]):
+        raise InputError(f"{crs!r} is not a projected CRS in metres: use one such as 'EPSG:32618'")
+    if {axis.direction for axis in parsed.axis_info[:2]} != {"east", "north"}:
+        raise InputError(f"the axes of {crs!r} do not point east and north: use a CRS such as a UTM zone, 'EPSG:32618'")
+    return parsed
+
+
+def check_scale(crs: str, lon_deg: float, lat_deg: float) -> None:
+    """Raise InputError unless a metre of the CRS is a metre on the ground, within 1 %, at a point."""
+    factors = pyproj.Proj(crs).get_factors(lon_deg, lat_deg)
+    scale = max(factors.meridional_scale, factors.parallel_scale, key=lambda value: abs(value - 1.0))
+    if not abs(scale - 1.0) < MAX_SCALE_ERROR:
+        raise InputError(
+            f"a metre of {crs} is {1.0 / scale:.3g} m on the ground at {lon_deg:.2f}, {lat_deg:.2f} (lon, lat): "
+            f"use a CRS made for that place, such as {utm_crs(lon_deg, lat_deg)}"
+        )
+
+
+def check_bounds(bounds: Sequence[float]) -> tuple[float, float, float, float]:
+    """Return ``bounds`` as four floats (west, south, east, north; degrees), if they make a box.
+
+    Raises:
+      InputError: wrong count, not finite, out of range (latitude and longitude swapped) or empty.
+    """
+    try:
+        west, south, east, north = (finite("bounds", value) for value in bounds)
+    except (TypeError, ValueError) as error:
+        given = list(bounds) if np.iterable(bounds) else bounds
+        raise InputError(
+            f"bounds must be four finite numbers, west, south, east, north in degrees, got {given}"
+        ) from error
+    if abs(south) > 90 or abs(north) > 90:
+        raise InputError(
+            f"bounds {list(bounds)} have a latitude beyond 90 degrees: the order is west, south, east, north "
+            "(longitude first)"
+        )
+    if abs(west) > 180 or abs(east) > 180 or west >= east or south >= north:
+        raise InputError(
+            f"bounds {list(bounds)} are not a box: west must be below east and south below north, "
+            "longitudes within 180 degrees"
+        )
+    return west, south, east, north
+
+
+def _common_multiple_m(resolutions_m: Sequence[float]) -> float:
+    """Return the least length that every resolution divides (the coarsest one where they nest)."""
+    fractions = [Fraction(str(resolution)) for resolution in resolutions_m]
+    denominator = math.lcm(*(fraction.denominator for fraction in fractions))
+    numerator = math.lcm(*(int(fraction * denominator) for fraction in fractions))
+    return numerator / denominator
+
+
+@dataclass(frozen=True)
+class Grid:
+    """A raster of square cells in a projected CRS. Row 0 is the southernmost, column 0 the westernmost.
+
+    A cell is known by its global number: column ``j`` of the CRS covers ``[j, j + 1) * resolution_m``
+    in easting, so grids of one resolution always line up and a crop keeps every cell's identity.
+
+    Attributes:
+      crs: the projected CRS, in metres.
+      resolution_m: side of a cell.
+      first_row, first_col: global numbers of the southwest cell.
+      num_rows, num_cols: shape of the arrays on this grid (``Y``, ``X``).
+    """
+
+    crs: str
+    resolution_m: float
+    first_row: int
+    first_col: int
+    num_rows: int
+    num_cols: int
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.resolution_m) and self.resolution_m > 0):
+            raise InputError(f"resolution_m must be a positive number of metres, got {self.resolution_m}")
+        if self.num_rows < 1 or self.num_cols < 1:
+            raise InputError(f"a grid needs at least one cell, got {self.num_rows} x {self.num_cols}")
+
+    @classmethod
+    def from_bounds(
+        cls,
+        bounds: Sequence[float],
+        resolution_m: float,
+        crs: str | None = None,
+        nest_with_m: Sequence[float] = (),
+    ) -> "Grid":
+        """Return the grid over geographic ``bounds``, snapped outward.
+
+        Args:
+          bounds: west, south, east, north in degrees (WGS 84).
+          resolution_m: side of a cell.
+          crs: projected CRS in metres; left out, the UTM zone of the centre.
+          nest_with_m: other resolutions built over the same region; the box is snapped outward to
+            whole multiples of the coarsest (their least common multiple where they do not nest).
+
+        Raises:
+          InputError: bounds that are not a box, or a CRS that is unknown or not projected in metres.
+        """
+        west, south, east, north = check_bounds(bounds)
+        resolutions_m = [resolution_m, *nest_with_m]
+        if not all(math.isfinite(value) and value > 0 for value in resolutions_m):
+            raise InputError(f"resolution_m must be a positive number of metres, got {resolutions_m}")
+        if crs is None:
+            crs = utm_crs((west + east) / 2, (south + north) / 2)
+        projected_crs(crs)
+        check_scale(crs, (west + east) / 2, (south + north) / 2)
+        x_min, y_min, x_max, y_max = transformer(WGS84, crs).transform_bounds(west, south, east, north, densify_pts=101)
+        if not all(math.isfinite(value) for value in (x_min, y_min, x_max, y_max)):
+            raise InputError(f"bounds {list(bounds)} lie outside the area of use of {crs}: choose another CRS")
+        snap_m = _common_multiple_m(resolutions_m)
+        if snap_m > MAX_SNAP_CELLS * max(resolutions_m):
+            raise InputError(f"the resolutions {resolutions_m} m have no common grid: choose such as 2, 5, 10")
+        per_snap = round(snap_m / resolution_m)
+        # Bounds that were snapped before must not grow by rounding: a millionth of a cell is nothing.
+        first_col, end_col = math.floor(x_min / snap_m + 1e-6), math.ceil(x_max / snap_m - 1e-6)
+        first_row, end_row = math.floor(y_min / snap_m + 1e-6), math.ceil(y_max / snap_m - 1e-6)
+        return cls(
+            crs=crs,
+            resolution_m=float(resolution_m),
+            first_row=first_row * per_snap,
+            first_col=first_col * per_snap,
+            num_rows=(end_row - first_row) * per_snap,
+            num_cols=(end_col - first_col) * per_snap,
+        )
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        return self.num_rows, self.num_cols
+
+    @property
+    def x_min_m(self) -> float:
+        """Easting of the western border."""
+        return self.first_col * self.resolution_m
+
+    @property
+    def y_min_m(self) -> float:
+        """Northing of the southern border."""
+        return self.first_row * self.resolution_m
+
+    @property
+    def x_max_m(self) -> float:
+        """Easting of the eastern border."""
+        return (self.first_col + self.num_cols) * self.resolution_m
+
+    @property
+    def y_max_m(self) -> float:
+        """Northing of the northern border."""
+        return (self.first_row + self.num_rows) * self.resolution_m
+
+    @property
+    def bounds_m(self) -> tuple[float, float, float, float]:
+        """x_min, y_min, x_max, y_max in the CRS."""
+        return self.x_min_m, self.y_min_m, self.x_max_m, self.y_max_m
+
+    @property
+    def x_m(self) -> np.ndarray:
+        """Eastings of the column centres, ``[X]`` float64."""
+        return (self.first_col + np.arange(self.num_cols) + 0.5) * self.resolution_m
+
+    @property
+    def y_m(self) -> np.ndarray:
+        """Northings of the row centres, south to north, ``[Y]`` float64."""
+        return (self.first_row + np.arange(self.num_rows) + 0.5) * self.resolution_m
+
+    @property
+    def centre_lonlat(self) -> tuple[float, float]:
+        """Longitude and latitude of the middle of the grid, degrees."""
+        lon, lat = self.lonlat_of_xy((self.x_min_m + self.x_max_m) / 2, (self.y_min_m + self.y_max_m) / 2)
+        return float(lon), float(lat)
+
+    def contains_xy(self, x_m, y_m) -> np.ndarray:
+        """Return whether points lie on the grid; the west and south borders count in, the others out."""
+        row, col = self._floor_cell(x_m, y_m)
+        return (row >= 0) & (row < self.num_rows) & (col >= 0) & (col < self.num_cols)
+
+    def _floor_cell(self, x_m, y_m) -> tuple[np.ndarray, np.ndarray]:
+        col = np.floor(np.asarray(x_m, float) / self.resolution_m) - self.first_col
+        row = np.floor(np.asarray(y_m, float) / self.resolution_m) - self.first_row
+        return row, col
+
+    def cell_of_xy(self, x_m, y_m) -> tuple[np.ndarray, np.ndarray]:
+        """Return row and column (int64) of the cells that hold points of the CRS.
+
+        Raises:
+          InputError: a point is outside the grid or not finite.
+        """
+        inside = self.contains_xy(x_m, y_m)
+        if not np.all(inside):
+            x_bad, y_bad = (float(np.asarray(v, float)[~inside].flat[0]) for v in np.broadcast_arrays(x_m, y_m))
+            raise InputError(
+                f"the point {x_bad:.1f}, {y_bad:.1f} ({self.crs}) is outside the region, which spans "
+                f"{self.x_min_m:.1f} to {self.x_max_m:.1f} east and {self.y_min_m:.1f} to {self.y_max_m:.1f} north "
+                "(its east and north borders left out)"
+            )
+        row, col = self._floor_cell(x_m, y_m)
+        return row.astype(np.int64), col.astype(np.int64)
+
+    def xy_of_cell(self, row, col) -> tuple[np.ndarray, np.ndarray]:
+        """Return the CRS coordinates of cell centres (rows and columns may lie outside the grid)."""
+        x_m = (self.first_col + np.asarray(col) + 0.5) * self.resolution_m
+        y_m = (self.first_row + np.asarray(row) + 0.5) * self.resolution_m
+        return x_m, y_m
+
+    def xy_of_lonlat(self, lon_deg, lat_deg) -> tuple[np.ndarray, np.ndarray]:
+        """Return CRS coordinates of longitudes and latitudes (WGS 84)."""
+        x_m, y_m = transformer(WGS84, self.crs).transform(lon_deg, lat_deg)
+        return np.asarray(x_m), np.asarray(y_m)
+
+    def lonlat_of_xy(self, x_m, y_m) -> tuple[np.ndarray, np.ndarray]:
+        """Return longitudes and latitudes (WGS 84, degrees) of CRS coordinates."""
+        lon, lat = transformer(self.crs, WGS84).transform(x_m, y_m)
+        return np.asarray(lon), np.asarray(lat)
+
+    def cell_of_lonlat(self, lon_deg, lat_deg) -> tuple[np.ndarray, np.ndarray]:
+        """Return row and column of the cells that hold geographic points.
+
+        Raises:
+          InputError: a point is outside the grid; says so if swapping the two would put it inside.
+        """
+        x_m, y_m = self.xy_of_lonlat(lon_deg, lat_deg)
+        if not np.all(self.contains_xy(x_m, y_m)):
+            hint = ""
+            with np.errstate(invalid="ignore"):
+                if np.all(self.contains_xy(*self.xy_of_lonlat(lat_deg, lon_deg))):
+                    hint = "; longitude comes first: swap the two numbers"
+            (west, south), (east, north) = (
+                self.lonlat_of_xy(x, y) for x, y in ((self.x_min_m, self.y_min_m), (self.x_max_m, self.y_max_m))
+            )
+            raise InputError(
+                f"the point {lon_deg}, {lat_deg} (longitude, latitude) is outside the region, which spans about "
+                f"{west:.4f} to {east:.4f} and {south:.4f} to {north:.4f}{hint}"
+            )
+        return self.cell_of_xy(x_m, y_m)
+
+    def lonlat_of_cell(self, row, col) -> tuple[np.ndarray, np.ndarray]:
+        """Return longitudes and latitudes (degrees) of cell centres."""
+        return self.lonlat_of_xy(*self.xy_of_cell(row, col))
+
+    def convergence_rad(self, lon_deg: float, lat_deg: float) -> float:
+        """Return the meridian convergence at a point: grid azimuth = true azimuth - convergence.
+
+        Positive where grid north lies clockwise of (east of) true north, as it does
+        east of a UTM zone's central meridian in the northern hemisphere. Source: PROJ.
+        """
+        factors = pyproj.Proj(self.crs).get_factors(lon_deg, lat_deg)
+        return math.radians(float(factors.meridian_convergence))
+
+    def padded(self, west: int, south: int, east: int, north: int) -> "Grid":
+        """Return the grid grown by whole cells on each side."""
+        return Grid(
+            self.crs,
+            self.resolution_m,
+            self.first_row - south,
+            self.first_col - west,
+            self.num_rows + south + north,
+            self.num_cols + west + east,
+        )
+
+    def window_in(self, outer: "Grid") -> tuple[slice, slice]:
+        """Return the slices that cut this grid out of an array on ``outer``.
+
+        Raises:
+          InputError: other CRS or resolution, or not wholly inside.
+        """
+        row, col = self.first_row - outer.first_row, self.first_col - outer.first_col
+        if (
+            (self.crs, self.resolution_m) != (outer.crs, outer.resolution_m)
+            or min(row, col) < 0
+            or row + self.num_rows > outer.num_rows
+            or col + self.num_cols > outer.num_cols
+        ):
+            raise InputError(f"the grid {self} is not a part of the grid {outer}")
+        return slice(row, row + self.num_rows), slice(col, col + self.num_cols)

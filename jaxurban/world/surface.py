@@ -1,0 +1,92 @@
+"""Surface: a city as rasters on one grid, the region plus the margin that shadows and endangers it."""
+
+from dataclasses import dataclass, field, replace
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxurban.errors import InputError
+from jaxurban.world.grid import Grid
+
+NO_BUILDING = -1  # in a raster of building indices
+
+
+def roofs_of(height_m: Float[Array, " B"], building: Int[Array, "Y X"]) -> Float[Array, "Y X"]:
+    """Return the roof of each cell, 0 without a building, in the type of ``height_m``.
+
+    With the heights of the city the roofs are the surface's own, exactly. Linear in the heights, so the gradient is
+    exact as long as the order of overlapping buildings stays: a building that grows above another one in the same cell
+    is not seen there until its index is burnt anew, and at equal heights the gradient is the last one's.
+
+    Args:
+      height_m: ``[B]`` height of each building.
+      building: ``[Y, X]`` from `jaxurban.io.read.rasterise.building_index`.
+    """
+    return jnp.append(height_m, jnp.zeros(1, height_m.dtype))[building]  # NO_BUILDING, -1, is the last entry
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Surface:
+    """Rasters of a city. ``Y, X`` cells of ``grid`` (region and margin), ``y, x`` cells of ``region``.
+
+    Row 0 is the southernmost row.
+
+    Attributes:
+      roof_m: height of the highest roof in each cell above the ground there, 0 without a building, float32.
+      terrain_m: ground elevation, float32; None for flat ground.
+      has_data: where the building (or terrain) source knows anything; None where it does everywhere.
+      block: index of the census block under each cell of the region, -1 without one; None without blocks.
+      grid: grid of ``roof_m``, ``terrain_m`` and ``has_data``.
+      region: the part of ``grid`` that maps report, grid of ``block`` and ``roof_touched_m``.
+      roof_touched_m: height of the highest roof that shares area with each cell of the region, what planners keep
+        clear of; None where nobody plans (on supersampled surfaces, and those made by hand).
+      most_halo: cells beyond the region that `crop_with_halo` gives at most; None for any number.
+    """
+
+    roof_m: Float[Array, "Y X"]
+    terrain_m: Float[Array, "Y X"] | None
+    has_data: Bool[Array, "Y X"] | None
+    block: Int[Array, "y x"] | None
+    grid: Grid = field(metadata={"static": True})
+    region: Grid = field(metadata={"static": True})
+    roof_touched_m: Float[Array, "y x"] | None = None
+    most_halo: int | None = field(default=None, metadata={"static": True})
+
+    @property
+    def top_m(self) -> Float[Array, "Y X"]:
+        """Absolute height of roofs and bare ground: terrain plus roof."""
+        return self.roof_m if self.terrain_m is None else self.terrain_m + self.roof_m
+
+    def with_heights(self, height_m: Float[Array, " B"], building: Int[Array, "Y X"]) -> "Surface":
+        """Return this surface with other heights of its buildings, to look at; arguments as in `roofs_of`."""
+        return replace(self, roof_m=roofs_of(height_m, building), roof_touched_m=None)
+
+    @property
+    def window(self) -> tuple[slice, slice]:
+        """Slices that cut the region out of arrays on ``grid``."""
+        return self.region.window_in(self.grid)
+
+    def crop(self, values: jax.Array) -> jax.Array:
+        """Return the region's part of an array whose last two axes are on ``grid``."""
+        rows, cols = self.window
+        return jnp.asarray(values)[..., rows, cols]
+
+    def crop_with_halo(self, values: jax.Array, halo: int) -> jax.Array:
+        """Return the region's part of an array on ``grid`` with ``halo`` more cells on each side.
+
+        0 where the surface ends: beyond it nothing stands.
+
+        Raises:
+          InputError: more cells than ``most_halo``.
+        """
+        if self.most_halo is not None and halo > self.most_halo:
+            raise InputError(
+                f"a layer looks {halo * self.grid.resolution_m:g} m sideways, beyond its reach_m: raise reach_m to that"
+            )
+        rows, cols = self.window
+        ends = [(rows.start, rows.stop, self.grid.num_rows), (cols.start, cols.stop, self.grid.num_cols)]
+        inner = tuple(slice(max(start - halo, 0), min(stop + halo, size)) for start, stop, size in ends)
+        pad = [(max(halo - start, 0), max(stop + halo - size, 0)) for start, stop, size in ends]
+        return jnp.pad(jnp.asarray(values)[inner], pad)

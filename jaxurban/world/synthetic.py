@@ -1,0 +1,320 @@
+"""The synthetic city: deterministic, and Manhattan-like enough to show the paper's findings."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+import shapely
+
+from jaxurban.errors import InputError
+from jaxurban.world.city import OTHER_DISTRICT, Blocks, Buildings, City, HeightOrigin, LandCover, Zoning
+from jaxurban.world.grid import WGS84, check_bounds, projected_crs, transformer, utm_crs
+from jaxurban.world.synthetic_streets import DOWNTOWN, MIDTOWN, Box, Frame, Part, Plan
+
+MAX_WIDTH_M, MAX_HEIGHT_M = 10_000.0, 20_000.0  # the paper's region
+MIN_SIDE_M = 400.0
+TOLERANCE = 1.05  # degrees make no exact box, and boxes are snapped outward
+SNAP_M = 100.0  # boxes given in degrees grow to whole multiples of it, which most resolutions divide
+
+TALLEST_M = {MIDTOWN: 395.0, DOWNTOWN: 380.0}  # the highest tower of each cluster
+NUM_COMMERCIAL = 6  # districts 1 to 6
+MIN_BLOCK_M2, MIN_BUILDING_M2 = 200.0, 30.0  # slivers that shores, Broadway and the box cut off are left out
+WATERFRONT = 0.5  # share of the people who live in a block by the water
+# Index 0 is for the suburbs, as 13 % 13 is 0; then districts 1 to 12. Medians and densities are about Manhattan's.
+MEDIAN_HEIGHT_M = np.array([8, 34, 19, 18, 24, 40, 30, 26, 30, 18, 17, 19, 16], float)
+NIGHT_PER_KM2 = np.array([9, 19, 26, 31, 26, 21, 33, 43, 50, 36, 35, 35, 36], float) * 1e3
+
+
+def demo_city(
+    width_m: float = MAX_WIDTH_M,
+    height_m: float = MAX_HEIGHT_M,
+    *,
+    centre_lonlat: tuple[float, float] = (-73.97, 40.78),
+    crs: str | None = None,
+    seed: int = 0,
+) -> City:
+    """Return the synthetic city in a box of ``width_m`` (east) by ``height_m`` (north).
+
+    An island between two rivers with low-rise suburbs beyond them; streets turned 29 degrees clockwise from grid
+    north; a park without buildings; towers downtown at the southern tip and in midtown, just south of the park;
+    districts 1 to 6 (commercial, south) and 7 to 12 (residential, north), 13 elsewhere; census blocks, each a street
+    block out to the middle of its streets. All of it is invented. The plan scales with the box, while street blocks
+    and buildings keep their real size (boxes under about 2 km have smaller blocks). Nothing is known beyond the box.
+
+    Args:
+      width_m: side along easting, from 400 m to 10 km.
+      height_m: side along northing, from 400 m to 20 km.
+      centre_lonlat: longitude and latitude of the middle, degrees.
+      crs: projected CRS in metres; left out, the UTM zone of the middle.
+      seed: the same one gives the same city.
+
+    Raises:
+      InputError: a box that is too large or too small, or a CRS that is unknown or not projected in metres.
+    """
+    lon_deg, lat_deg = centre_lonlat
+    crs = crs or utm_crs(lon_deg, lat_deg)
+    projected_crs(crs)
+    _check_size(width_m, height_m, "width_m x height_m")
+    centre = transformer(WGS84, crs).transform(lon_deg, lat_deg)
+    x_min, y_min = (
+        float(round((middle - side_m / 2) / SNAP_M) * SNAP_M)
+        for middle, side_m in zip(centre, (width_m, height_m), strict=True)
+    )
+    return _build((x_min, y_min, x_min + width_m, y_min + height_m), crs, seed)
+
+
+def demo_city_for_bounds(bounds: Sequence[float], crs: str | None = None, *, seed: int = 0) -> City:
+    """Return the synthetic city in a geographic box; see `demo_city`.
+
+    Args:
+      bounds: west, south, east, north in degrees; the projected box grows outward to whole 100 m.
+      crs: projected CRS in metres; left out, the UTM zone of the middle.
+      seed: the same one gives the same city.
+
+    Raises:
+      InputError: bounds that are not a box, too large or small, or a CRS that is unknown or not in metres.
+    """
+    return _build(*_box_around(bounds, crs), seed)
+
+
+def demo_cover_for_bounds(bounds: Sequence[float], crs: str | None = None) -> LandCover:
+    """Return the rivers and the park of `demo_city_for_bounds`, in its CRS; arguments and errors are the same."""
+    extent_m, _ = _box_around(bounds, crs)
+    return demo_cover(extent_m)
+
+
+def demo_cover(extent_m: Box) -> LandCover:
+    """Return the rivers and the park of an synthetic city, by its ``extent_m``."""
+    plan = Plan(extent_m)
+    land = shapely.union_all([part.land for part in plan.parts()])
+    return LandCover(shapely.difference(plan.box, land), shapely.intersection(plan.park(), plan.box))
+
+
+def _box_around(bounds: Sequence[float], crs: str | None) -> tuple[Box, str]:
+    """Return the synthetic city's box around geographic bounds, and its CRS."""
+    west, south, east, north = check_bounds(bounds)
+    crs = crs or utm_crs((west + east) / 2, (south + north) / 2)
+    projected_crs(crs)
+    box = np.array(transformer(WGS84, crs).transform_bounds(west, south, east, north, densify_pts=101))
+    _check_size(box[2] - box[0], box[3] - box[1], f"bounds {list(bounds)}")
+    low, high = np.floor(box[:2] / SNAP_M) * SNAP_M, np.ceil(box[2:] / SNAP_M) * SNAP_M
+    return (float(low[0]), float(low[1]), float(high[0]), float(high[1])), crs
+
+
+def _check_size(width_m: float, height_m: float, what: str) -> None:
+    fits = MIN_SIDE_M <= width_m <= TOLERANCE * MAX_WIDTH_M and MIN_SIDE_M <= height_m <= TOLERANCE * MAX_HEIGHT_M
+    if not fits:  # written this way round so that NaN is caught too
+        raise InputError(
+            f"{what} is {width_m:.0f} m x {height_m:.0f} m, but the synthetic city fits boxes from {MIN_SIDE_M:.0f} m "
+            f"a side to {MAX_WIDTH_M / 1e3:.0f} km (east) x {MAX_HEIGHT_M / 1e3:.0f} km (north): choose another box"
+        )
+
+
+def _clip(polygons: np.ndarray, area: shapely.Polygon) -> np.ndarray:
+    """Return the part of each polygon in ``area``, empty where there is none."""
+    shapely.prepare(area)
+    crossing = ~shapely.contains_properly(area, polygons)
+    clipped = polygons.copy()
+    clipped[crossing] = shapely.intersection(polygons[crossing], area)
+    return clipped
+
+
+@dataclass(frozen=True)
+class _Cells:
+    """Street blocks of one part of the city, ``n`` of them, out to the middle of the streets around them.
+
+    Attributes:
+      frame: of the street grid.
+      low_m, high_m: ``[n, 2]`` along and across, the two opposite corners, streets included.
+      street_m: width of streets (at the ends along) and of avenues (at the ends across).
+      district: ``[n]`` int32.
+    """
+
+    frame: Frame
+    low_m: np.ndarray
+    high_m: np.ndarray
+    street_m: tuple[float, float]
+    district: np.ndarray
+
+    @property
+    def centre_xy(self) -> np.ndarray:
+        return self.frame.xy(*((self.low_m + self.high_m) / 2).T)
+
+
+def _lay_out_cells(plan: Plan, part: Part) -> tuple[_Cells, np.ndarray]:
+    """Return the street blocks of a part, and their outlines as far as they lie ashore and in the box."""
+    along, across = part.frame.local(shapely.get_coordinates(plan.box))
+    rows = np.arange(math.floor(along.min() / part.pitch_m[0]), math.ceil(along.max() / part.pitch_m[0]))
+    # Avenues half a pitch off the axis: with an odd number of columns the park lies between two of them.
+    columns = np.arange(math.floor(across.min() / part.pitch_m[1]), math.ceil(across.max() / part.pitch_m[1]) + 1) - 0.5
+    steps = np.stack(np.meshgrid(rows, columns, indexing="ij"), axis=-1).reshape(-1, 2)
+    low_m, high_m = steps * part.pitch_m, (steps + 1) * part.pitch_m
+    outline = _clip(
+        shapely.polygons(part.frame.rectangles(*low_m.T, *high_m.T)), shapely.intersection(part.land, plan.box)
+    )
+    kept = shapely.area(outline) > MIN_BLOCK_M2
+    centre_xy = part.frame.xy(*((low_m + high_m) / 2).T)
+    district = np.full(len(kept), OTHER_DISTRICT, np.int32)
+    if part.is_island:
+        district = plan.district(centre_xy)
+        kept &= ~shapely.contains_xy(plan.park(), centre_xy)
+    street_m = float(np.clip(0.225 * part.pitch_m[0], 8.0, 18.0)), float(np.clip(0.11 * part.pitch_m[1], 14.0, 30.0))
+    return _Cells(part.frame, low_m[kept], high_m[kept], street_m, district[kept]), outline[kept]
+
+
+def _split(rng: np.random.Generator, start: np.ndarray, end: np.ndarray, num: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Return which interval each segment belongs to, its start and its end: ``num`` random segments an interval."""
+    owner = np.repeat(np.arange(len(num)), num)
+    size = rng.uniform(0.6, 1.4, len(owner))
+    total = np.cumsum(size)
+    before = np.r_[0.0, total][np.cumsum(num) - num][owner]
+    scale = ((end - start) / np.bincount(owner, size, minlength=len(num)))[owner]
+    return owner, start[owner] + (total - size - before) * scale, start[owner] + (total - before) * scale
+
+
+@dataclass(frozen=True)
+class _Lots:
+    """Lots, ``n`` of them: block, where its street front lies, which way it runs from there, depth, two sides."""
+
+    block: np.ndarray
+    front_m: np.ndarray
+    sign: np.ndarray
+    depth_m: np.ndarray
+    left_m: np.ndarray
+    right_m: np.ndarray
+
+    def take(self, index: np.ndarray) -> "_Lots":
+        return _Lots(*(getattr(self, field.name)[index] for field in fields(self)))
+
+    def outline(self, frame: Frame, *points: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+        """Return ``[n, k, 2]``: points given by their distance from the front and from the left side."""
+        along = np.stack([self.front_m + self.sign * depth for depth, _ in points], axis=-1)
+        return frame.xy(along, np.stack([self.left_m + side for _, side in points], axis=-1))
+
+
+def _rectangle(lots: _Lots, frame: Frame, front, back, left, right) -> np.ndarray:
+    """Return ``[n, 4, 2]``: a rectangle set back from the four sides of each lot."""
+    deep, wide = lots.depth_m - back, lots.right_m - lots.left_m - right
+    front, left = (np.broadcast_to(inset, deep.shape) for inset in (front, left))
+    return lots.outline(frame, (front, left), (front, wide), (deep, wide), (deep, left))
+
+
+def _lay_out_lots(rng: np.random.Generator, cells: _Cells, is_single: np.ndarray, lot_m: np.ndarray) -> _Lots:
+    """Return the lots of blocks: one row through the block where ``is_single``, else two rows back to back."""
+    street_m, avenue_m = cells.street_m
+    block = np.repeat(np.arange(len(is_single)), np.where(is_single, 1, 2))
+    is_second = np.r_[False, block[1:] == block[:-1]]
+    left_m, right_m = cells.low_m[block, 1] + avenue_m / 2, cells.high_m[block, 1] - avenue_m / 2
+    num = np.maximum(1, np.round((right_m - left_m) / lot_m[block])).astype(int)
+    row, left_m, right_m = _split(rng, left_m, right_m, num)
+    block, is_second = block[row], is_second[row]
+    low_m, high_m = cells.low_m[block, 0] + street_m / 2, cells.high_m[block, 0] - street_m / 2
+    return _Lots(
+        block=block,
+        front_m=np.where(is_second, high_m, low_m),
+        sign=np.where(is_second, -1.0, 1.0),
+        depth_m=(high_m - low_m) / np.where(is_single[block], 1, 2),
+        left_m=left_m,
+        right_m=right_m,
+    )
+
+
+def _erect(rng: np.random.Generator, plan: Plan, cells: _Cells) -> tuple[Buildings, np.ndarray]:
+    """Return the buildings on street blocks, and the block that each stands on."""
+    district, n = cells.district, len(cells.district)
+    is_island = district != OTHER_DISTRICT
+    depths = np.array([plan.depth_in(cluster, cells.centre_xy) for cluster in TALLEST_M]) * is_island
+    depth_of = depths.max(axis=0)
+    is_core = is_island & np.isin(np.arange(n), depths.argmax(axis=1))  # so that no city is too small for its towers
+    chance = rng.random(n)
+    has_towers = (chance < 1.2 * depth_of - 0.1) | is_core
+    has_slabs = ~has_towers & (chance > 0.93)
+    is_single = has_towers | has_slabs | ((cells.high_m - cells.low_m)[:, 0] < 55.0)
+    lots = _lay_out_lots(rng, cells, is_single, np.select([has_towers, has_slabs, is_island], [54.0, 60.0, 27.0], 44.0))
+    is_square = rng.random(n) < np.where(is_island, 0.025 * ~has_towers, 0.05)
+    is_vacant = rng.random(len(lots.block)) < np.where(is_island, 0.04, 0.12)[lots.block]
+    lots = lots.take(is_core[lots.block] | ~(is_square[lots.block] | is_vacant))
+    block, wide_m, m = lots.block, lots.right_m - lots.left_m, len(lots.block)
+    median_m = (
+        MEDIAN_HEIGHT_M[district % 13][block] * (1 + 1.2 * depth_of[block]) * np.where(has_slabs, 1.5, 1.0)[block]
+    )
+    height_m = np.maximum(median_m * np.exp(0.34 * rng.standard_normal(m)), 5.0)
+    front_m = np.where(is_island[block], 1.5, 5.0)
+    side_m = np.where(is_island[block], 1.5 * (rng.random(m) < 0.15), rng.uniform(2.0, 4.0, m))
+    back_m = np.where(is_single[block], front_m, lots.depth_m * rng.uniform(0.26, 0.48, m))
+    shape = rng.random(m)
+    is_tower = has_towers[block] & ((shape < 0.65) | is_core[block])
+    is_court = has_slabs[block] & (wide_m > 48) & (lots.depth_m > 40)
+    is_ell = ~is_single[block] & (shape < 0.25)
+
+    def rectangles(which: np.ndarray, front, back, left, right) -> np.ndarray:
+        return shapely.polygons(_rectangle(lots.take(which), cells.frame, front, back, left, right))
+
+    polygons = np.empty(m, object)
+    bar = ~(is_tower | is_court | is_ell)
+    polygons[bar] = rectangles(bar, front_m[bar], back_m[bar], side_m[bar], side_m[bar])
+    ring, hole = (_rectangle(lots.take(is_court), cells.frame, d, d, d, d) for d in (1.5, 16.0))
+    polygons[is_court] = shapely.polygons(ring, holes=shapely.linearrings(hole)[:, None])
+    # An L: a bar along the street with a wing behind its left half.
+    some, front, left = lots.take(is_ell), front_m[is_ell], side_m[is_ell]
+    deep, rear, right, middle = some.depth_m * 0.6, some.depth_m * 0.93, wide_m[is_ell] - left, wide_m[is_ell] * 0.45
+    ell = (front, left), (front, right), (deep, right), (deep, middle), (rear, middle), (rear, left)
+    polygons[is_ell] = shapely.polygons(some.outline(cells.frame, *ell))
+    # A tower is an outline as high as its podium, and a part that stands on it.
+    polygons[is_tower] = rectangles(is_tower, 1.5, 1.5, 1.0, 1.0)
+    num_towers = int(is_tower.sum())
+    height_m[is_tower] = rng.uniform(15.0, 35.0, num_towers)
+    inset_m = rng.uniform(0.09, 0.24, (4, num_towers)) * np.repeat(
+        [lots.depth_m[is_tower], wide_m[is_tower]], 2, axis=0
+    )
+    shafts = rectangles(is_tower, *inset_m)
+    top_m = (45 + 100 * depth_of[block[is_tower]]) * np.exp(0.42 * rng.standard_normal(num_towers))
+    for cluster, tallest_m in TALLEST_M.items():
+        near = plan.depth_in(cluster, cells.centre_xy[block[is_tower]]) > 0.3
+        top_m[near] *= tallest_m / top_m[near].max(initial=1.0)
+    buildings = Buildings(
+        polygons=np.r_[polygons, shafts],
+        height_m=np.concatenate([height_m, np.maximum(top_m, 40.0)]).round(1),
+        min_height_m=np.zeros(m + num_towers),
+        origin=np.full(m + num_towers, HeightOrigin.GENERATED, np.uint8),
+        is_part=np.arange(m + num_towers) >= m,
+    )
+    return buildings, np.r_[block, block[is_tower]]
+
+
+def _build(extent_m: Box, crs: str, seed: int) -> City:
+    plan, rng = Plan(extent_m), np.random.default_rng(seed)
+    parts = plan.parts()
+    buildings, outlines, people, districts = [], [], [], []
+    for part in parts:
+        cells, outline = _lay_out_cells(plan, part)
+        dry = part.land.buffer(-plan.margin_m)
+        houses, block = _erect(rng, plan, cells)
+        houses = replace(houses, polygons=_clip(houses.polygons, (plan.box & dry) - plan.broadway()))
+        kept = shapely.area(houses.polygons) > MIN_BUILDING_M2
+        area_km2, num_blocks = shapely.area(outline) / 1e6, len(outline)
+        per_km2 = NIGHT_PER_KM2[cells.district % 13] * np.exp(0.45 * rng.standard_normal(num_blocks) - 0.1)
+        is_home = np.bincount(block[kept], minlength=num_blocks) > 0
+        is_inland = shapely.contains_properly(dry, outline)
+        buildings.append(houses.take(kept))
+        outlines.append(outline)
+        people.append(np.round(per_km2 * area_km2 * np.where(is_inland, 1.0, WATERFRONT) * is_home))
+        districts.append(cells.district)
+    outlines.append(np.array([shapely.intersection(plan.park(), parts[0].land & plan.box)]))
+    people.append(np.zeros(1))
+    districts.append(np.array([OTHER_DISTRICT], np.int32))
+    district = np.concatenate(districts)
+    zoning = np.where(district <= NUM_COMMERCIAL, Zoning.COMMERCIAL, Zoning.RESIDENTIAL)
+    return City(
+        crs=crs,
+        extent_m=extent_m,
+        buildings=Buildings(*(np.concatenate([getattr(b, f.name) for b in buildings]) for f in fields(Buildings))),
+        blocks=Blocks(
+            polygons=np.concatenate(outlines),
+            night_count=np.concatenate(people),
+            district=district,
+            zoning=np.where(district == OTHER_DISTRICT, Zoning.OTHER, zoning).astype(np.uint8),
+            block_id=np.array([f"{number:06d}" for number in range(len(district))], object),
+        ),
+    )

@@ -1,0 +1,170 @@
+"""The plan of the synthetic city: where land, park, clusters and districts lie in a box."""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+import shapely
+from scipy.interpolate import PchipInterpolator
+
+from jaxurban.world.city import OTHER_DISTRICT
+
+Box = tuple[float, float, float, float]  # x_min, y_min, x_max, y_max, metres
+Cluster = tuple[float, float, float, float]  # centre s, q and radii in s, q of a cluster of towers
+
+# Manhattan's plan of 1811: avenues run 29 degrees clockwise from north, streets every 80 m, avenues every 270 m.
+AVENUE_BEARING_RAD = math.radians(29.0)
+AVENUE_PITCH_M, STREET_PITCH_M = 274.0, 80.0
+WEST_BEARING_RAD, EAST_BEARING_RAD = math.radians(12.0), math.radians(48.0)  # the suburbs have streets of their own
+SUBURB_PITCH_M = (95.0, 230.0)
+
+# The plan in fractions: s along the island's axis (-1 southern tip, 1 northern tip), q across it (east positive).
+# Columns: s, west shore, east shore (distances from the axis).
+SHORES = np.array(
+    [
+        (-1.00, 0.00, 0.00),
+        (-0.98, 0.08, 0.08),
+        (-0.90, 0.15, 0.16),
+        (-0.80, 0.20, 0.27),
+        (-0.70, 0.25, 0.35),
+        (-0.60, 0.28, 0.34),
+        (-0.40, 0.30, 0.30),
+        (-0.20, 0.30, 0.28),
+        (0.10, 0.29, 0.29),
+        (0.35, 0.28, 0.25),
+        (0.55, 0.25, 0.17),
+        (0.75, 0.20, 0.12),
+        (0.90, 0.16, 0.10),
+        (0.98, 0.09, 0.06),
+        (1.00, 0.00, 0.00),
+    ]
+)
+# Columns: s, far bank of the eastern river (q). North of the island it runs west to the wide river's bank.
+EAST_BANK = np.array(
+    [
+        *((-3.0, 0.75), (-1.1, 0.56), (-0.7, 0.46), (-0.4, 0.41), (0.1, 0.39), (0.45, 0.32)),
+        *((0.75, 0.21), (0.95, 0.14), (1.05, 0.02), (1.15, -0.16), (1.3, -0.22), (3.0, -0.22)),
+    ]
+)
+WEST_BANK_Q = -0.52
+ISLAND_Q, MIN_ROWS = 0.6, 14  # the island's width, and its least length in street blocks
+PARK_S, PARK_SHARE = (-0.26, 0.13), 0.24  # the park's ends, and its width as a share of the island's
+BROADWAY = ((-0.95, 0.06), (-0.26, -0.10), (0.5, -0.28))  # (s, q) of the street that ignores the grid
+BROADWAY_M = 26.0
+MIDTOWN, DOWNTOWN = (-0.38, 0.0, 0.11, 0.15), (-0.88, 0.0, 0.075, 0.12)
+
+# Districts by band of s from south to north (the park's ends bound the fourth), and by third: west, middle, east.
+BANDS_S = (-0.78, -0.55, 0.52)
+DISTRICTS = np.array([(1, 1, 1), (2, 2, 3), (4, 5, 6), (7, OTHER_DISTRICT, 8), (9, 10, 11), (12, 12, 12)])
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A turned frame: ``along`` points to the bearing, ``across`` 90 degrees clockwise of it."""
+
+    x_m: float
+    y_m: float
+    bearing_rad: float
+
+    def xy(self, along: np.ndarray, across: np.ndarray) -> np.ndarray:
+        """Return coordinates ``[..., 2]`` in the CRS."""
+        sin, cos = math.sin(self.bearing_rad), math.cos(self.bearing_rad)
+        return np.stack([self.x_m + along * sin + across * cos, self.y_m + along * cos - across * sin], axis=-1)
+
+    def local(self, xy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return along and across of coordinates ``[..., 2]``."""
+        sin, cos = math.sin(self.bearing_rad), math.cos(self.bearing_rad)
+        x, y = xy[..., 0] - self.x_m, xy[..., 1] - self.y_m
+        return x * sin + y * cos, x * cos - y * sin
+
+    def rectangles(self, along_0, across_0, along_1, across_1) -> np.ndarray:
+        """Return the corners ``[..., 4, 2]`` of rectangles in this frame."""
+        along = np.stack([along_0, along_0, along_1, along_1], axis=-1)
+        return self.xy(along, np.stack([across_0, across_1, across_1, across_0], axis=-1))
+
+
+@dataclass(frozen=True)
+class Part:
+    """An area of land with one street grid; land may reach beyond the box.
+
+    Attributes:
+      is_island: whether it is the island, or else a suburb.
+      land: out to the shore.
+      frame: of its streets.
+      pitch_m: from street to street and from avenue to avenue.
+    """
+
+    is_island: bool
+    land: shapely.Polygon
+    frame: Frame
+    pitch_m: tuple[float, float]
+
+
+class Plan:
+    """The macro layout, scaled to a box; see `Part` for what each area of land gets."""
+
+    def __init__(self, extent_m: Box) -> None:
+        x_min, y_min, x_max, y_max = extent_m
+        self.box = shapely.box(*extent_m)
+        self.frame = Frame((x_min + x_max) / 2, (y_min + y_max) / 2, AVENUE_BEARING_RAD)
+        half_x, half_y = (x_max - x_min) / 2, (y_max - y_min) / 2
+        sin, cos = math.sin(AVENUE_BEARING_RAD), math.cos(AVENUE_BEARING_RAD)
+        ray_m = min(half_x / sin, half_y / cos)  # from the middle to the box along the avenues
+        self.length_m = 0.93 * ray_m  # s = 1
+        self.width_m = min(half_x / cos, half_y / sin, 0.75 * ray_m)  # q = 1
+        self.margin_m = float(np.clip(0.02 * self.width_m, 5.0, 25.0))  # promenade between shore and buildings
+        island_m = ISLAND_Q * self.width_m
+        # Odd numbers of columns, so that the park is in the middle.
+        num_columns = max(3, 2 * round((island_m / AVENUE_PITCH_M - 1) / 2) + 1)
+        num_park = max(1, 2 * round((PARK_SHARE * num_columns - 1) / 2) + 1)
+        self.avenue_pitch_m = island_m / num_columns
+        self.street_pitch_m = min(STREET_PITCH_M, 2 * self.length_m / MIN_ROWS)
+        first, end = (round(s * self.length_m / self.street_pitch_m) for s in PARK_S)
+        self.park_along_m = first * self.street_pitch_m, max(end, first + 1) * self.street_pitch_m
+        self.park_across_m = num_park * self.avenue_pitch_m / 2
+
+    def parts(self) -> list[Part]:
+        """Return the island and, where the box reaches them, the suburbs beyond its two rivers."""
+        shore_s = np.linspace(-1.0, 1.0, 161)
+        west, east = (PchipInterpolator(SHORES[:, 0], SHORES[:, i])(shore_s) for i in (1, 2))
+        island = self._polygon(np.r_[shore_s, shore_s[::-1]], np.r_[-west, east[::-1]])
+        far_s, far_q = 4.0 + self.box.length / self.length_m, 4.0 + self.box.length / self.width_m  # beyond any box
+        ends = float(EAST_BANK[0, 0]), float(EAST_BANK[-1, 0])
+        bank_s = np.r_[-far_s, np.linspace(*ends, 401), far_s]
+        bank_q = PchipInterpolator(*EAST_BANK.T)(np.clip(bank_s, *ends))
+        east_side = self._polygon(np.r_[bank_s, far_s, -far_s], np.r_[bank_q, far_q, far_q])
+        west_side = self._polygon(np.array([-far_s, far_s, far_s, -far_s]), np.repeat([WEST_BANK_Q, -far_q], 2))
+        parts = [
+            Part(True, island, self.frame, (self.street_pitch_m, self.avenue_pitch_m)),
+            Part(False, west_side, replace(self.frame, bearing_rad=WEST_BEARING_RAD), SUBURB_PITCH_M),
+            Part(False, east_side, replace(self.frame, bearing_rad=EAST_BEARING_RAD), SUBURB_PITCH_M),
+        ]
+        return [part for part in parts if shapely.area(shapely.intersection(part.land, self.box)) > 0]
+
+    def park(self) -> shapely.Polygon:
+        """Return the central park."""
+        (south, north), across = self.park_along_m, self.park_across_m
+        return shapely.Polygon(self.frame.rectangles(south, -across, north, across))
+
+    def broadway(self) -> shapely.Polygon:
+        """Return the diagonal street, which cuts the blocks and buildings that it meets."""
+        s, q = np.transpose(BROADWAY)
+        line = shapely.LineString(self.frame.xy(s * self.length_m, q * self.width_m))
+        return line.buffer(min(self.margin_m, BROADWAY_M / 2), cap_style="flat")
+
+    def district(self, xy: np.ndarray) -> np.ndarray:
+        """Return the district of points of the island, int32."""
+        along, across = self.frame.local(xy)
+        ends_m = [*(s * self.length_m for s in BANDS_S[:2]), *self.park_along_m, BANDS_S[2] * self.length_m]
+        third = (across > -self.park_across_m).astype(int) + (across > self.park_across_m)
+        return DISTRICTS[np.searchsorted(ends_m, along), third].astype(np.int32)
+
+    def depth_in(self, cluster: Cluster, xy: np.ndarray) -> np.ndarray:
+        """Return how deep in a cluster of towers points lie: 1 in its middle, falling to 0."""
+        along, across = self.frame.local(xy)
+        centre_s, centre_q, radius_s, radius_q = cluster
+        s, q = along / self.length_m, across / self.width_m
+        return np.exp(-(((s - centre_s) / radius_s) ** 2) - ((q - centre_q) / radius_q) ** 2)
+
+    def _polygon(self, s: np.ndarray, q: np.ndarray) -> shapely.Polygon:
+        return shapely.Polygon(self.frame.xy(s * self.length_m, q * self.width_m))

@@ -1,0 +1,80 @@
+"""Functions compiled by Numba, kept on disk until anything that they are made of changes."""
+
+import hashlib
+import pickle
+from collections.abc import Callable, Iterator
+from types import CodeType
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numba.core.caching import FunctionCache, IndexDataCacheFile
+from numba.core.dispatcher import Dispatcher
+
+
+def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
+    """Return a decorator: `numba.njit` with these options, and a cache on disk that knows of inner functions.
+
+    Numba's own ``cache=True`` compiles anew when the file of the outer function changes, but goes on with the old
+    machine code when a compiled function that it calls, or a constant that it reads, changes in another file. Here
+    both are part of the key, so that compiled functions can be shared between files.
+    """
+
+    def decorate(function: Callable[..., Any]) -> Any:
+        dispatcher = njit(**options)(function)
+        dispatcher._cache = _Cache(function)  # as ``cache=True`` does, with its `FunctionCache`
+        return dispatcher
+
+    return decorate
+
+
+class _IndexOfOlderCode(IndexDataCacheFile):
+    """Numba's index of a function's machine code, which counts as empty where it names types that are gone."""
+
+    def _load_index(self):
+        try:
+            return super()._load_index()
+        except (AttributeError, ImportError, EOFError, pickle.UnpicklingError):
+            return {}
+
+
+class _Cache(FunctionCache):
+    """Machine code by signature, processor, and the code of a function and of all compiled ones that it reaches."""
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        super().__init__(function)
+        kept = self._cache_file
+        self._cache_file = _IndexOfOlderCode(self._cache_path, self._impl.filename_base, kept._source_stamp)
+
+    def _index_key(self, sig, codegen):
+        digest = hashlib.sha256()
+        for part in _parts(self._py_func, set()):
+            digest.update(part.encode())
+        return *super()._index_key(sig, codegen), digest.hexdigest()
+
+
+def _parts(function: Callable[..., Any], seen: set[Callable[..., Any]]) -> Iterator[str]:
+    """Yield what a function is made of: its code, the values of the global names in it, and the same of inner ones.
+
+    A value that no text stands for, as a function that is not compiled, has its address in it: it is never found again
+    in the cache, and so compiled anew, which is slow but right.
+    """
+    seen.add(function)
+    for code in _codes(function.__code__):
+        yield repr((code.co_code, code.co_names, code.co_varnames))
+        yield repr([const for const in code.co_consts if not isinstance(const, CodeType)])
+        for name in code.co_names:
+            value = function.__globals__.get(name)
+            if not isinstance(value, Dispatcher):
+                yield repr(value.tolist() if isinstance(value, np.ndarray) else value)
+            elif value.py_func not in seen:
+                yield repr(value.targetoptions)
+                yield from _parts(value.py_func, seen)
+
+
+def _codes(code: CodeType) -> Iterator[CodeType]:
+    """Yield a function's code and that of what is defined inside it, as comprehensions."""
+    yield code
+    for const in code.co_consts:
+        if isinstance(const, CodeType):
+            yield from _codes(const)

@@ -1,0 +1,1 @@
+"""Distance to the nearest source on a raster, exactly and softly."""

@@ -1,0 +1,164 @@
+"""Lidar scan returns: how many azimuths of a spinning lidar meet a building, for every cell of a raster.
+
+Legend: ``A`` altitudes, ``B`` beams, ``K`` azimuths, ``N`` steps along a ray, ``Y, X`` cells that
+get a result, ``H = N - 1`` cells of halo around them. Row 0 is the southernmost, azimuths run
+clockwise from grid north.
+
+Stepping rule. A ray starts at a cell's centre. Step n stands for the segment of the ray from
+(n - 1/2) to (n + 1/2) cells of horizontal distance (step 0: from 0 to 1/2), and looks at one cell,
+the one that holds the middle of the segment. A beam meets the building there if it enters the
+segment in range and in the air, and its lowest height over the segment (cut where the range ends)
+is not above the roof; within a segment it meets a wall before the ground. The rule knows only the
+resolution, so a map of a sub-box equals the crop of a larger one. Against Embree through exact
+outlines (Lower Manhattan, 5 m, 20 m up) its mean error of m is 0.0085, its bias below 0.001; looking at
+every cell that the ray crosses gives 0.0104 and +0.007, because stair-cased outlines are wider than
+the true ones; testing the height only in the middle of a segment gives 0.0148 and -0.011.
+
+Roofs are columns from the ground, so over flat ground only the lowest beam still in the air and in
+range matters: each step has one threshold, and the step's result for all receivers is a bitmap,
+``roof >= threshold``. A scan position is then an OR of shifted bitmaps. Bit b of a word holds the
+cell b bands of rows further north, so that shifting by any number of rows and columns only changes
+the address. Counts over azimuths are kept as bit slices too.
+"""
+
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Float, Int
+
+from jaxurban.kernels.lidar.bits import pack
+
+WORD_BITS = 32
+STEPS_PER_PASS = 7  # bitmaps combined per pass over the words: 1.5 times faster than one by one on large maps
+TINY_M = float(np.finfo(np.float32).tiny)  # below every roof, above the ground
+
+
+def num_steps(resolution_m: float, range_m: float) -> int:
+    """Return N, the number of steps whose segment begins within ``range_m``, step 0 included."""
+    return math.floor(range_m / resolution_m + 0.5 + 1e-9) + 1
+
+
+def ray_offsets(num_azimuths: int, steps: int) -> np.ndarray:
+    """Return the cell that each step of each ray looks at, ``[K, N, 2]`` int32 rows north, columns east.
+
+    Azimuths are equally spaced from grid north, clockwise. A point on a border between cells counts
+    to the outer one, so the offsets have the symmetry of the grid.
+    """
+    azimuth_rad = 2 * np.pi * np.arange(num_azimuths) / num_azimuths
+    direction = np.stack([np.cos(azimuth_rad), np.sin(azimuth_rad)], axis=-1)
+    point = direction[:, None, :] * np.arange(steps)[None, :, None]
+    return (np.sign(point) * np.floor(np.abs(point) + 0.5 + 1e-9)).astype(np.int32)
+
+
+def lowest_heights(
+    altitudes_m: np.ndarray, elevations_rad: np.ndarray, resolution_m: float, range_m: float, steps: int
+) -> np.ndarray:
+    """Return each beam's lowest height over each step's segment, ``[A, N, B]`` float64, above the receiver's ground.
+
+    Args:
+      altitudes_m: ``[A]`` receiver heights above its ground.
+      elevations_rad: ``[B]`` beam elevations above the horizon, ascending.
+      resolution_m: side of a cell.
+      range_m: slant range along the beam.
+      steps: N.
+
+    A beam whose range ends before the segment begins has inf if it points up and -inf if it points
+    down (the horizontal one: inf), which keeps the heights ascending from beam to beam.
+    """
+    near_m = np.maximum(np.arange(steps) - 0.5, 0.0)[:, None] * resolution_m
+    far_m = (np.arange(steps) + 0.5)[:, None] * resolution_m
+    slope = np.tan(elevations_rad)
+    reach_m = range_m * np.cos(elevations_rad)
+    lowest_m = np.where(slope < 0, np.minimum(far_m, reach_m), near_m) * slope
+    lowest_m = np.where(near_m <= reach_m, lowest_m, np.where(slope < 0, -np.inf, np.inf))
+    return np.asarray(altitudes_m, float)[:, None, None] + lowest_m
+
+
+def flat_thresholds(lowest_m: np.ndarray) -> np.ndarray:
+    """Return the least roof that returns the scan at each step over flat ground, ``[A, N]`` float64.
+
+    inf where no beam is left; never below `TINY_M`, so that bare ground returns nothing.
+
+    Args:
+      lowest_m: ``[A, N, B]`` from `lowest_heights`.
+    """
+    landed = np.zeros_like(lowest_m, dtype=bool)
+    landed[:, 1:] = (lowest_m <= 0)[:, :-1]  # heights of a falling beam only fall
+    out_of_range = np.isinf(lowest_m)
+    return np.where(landed | out_of_range, np.inf, np.maximum(lowest_m, TINY_M)).min(axis=-1)
+
+
+def round_up(values: np.ndarray, dtype: np.dtype) -> np.ndarray:
+    """Return the least numbers of ``dtype`` that are not below float64 ``values``.
+
+    For x of that type ``x >= value`` and ``x >= round_up(value)`` are the same question.
+    """
+    rounded = values.astype(dtype)
+    return np.where(rounded < values, np.nextafter(rounded, np.asarray(np.inf, dtype)), rounded)
+
+
+def _unpack_counts(slices: tuple[jax.Array, ...]) -> jax.Array:
+    """Return the int32 numbers ``[32 * band, X]`` held in bit slices, least significant first."""
+    bit = jnp.arange(WORD_BITS, dtype=jnp.uint32)[:, None, None]
+    counts = jnp.zeros((WORD_BITS, *slices[0].shape), jnp.int32)
+    for place, words in enumerate(slices):
+        counts = counts | ((words >> bit) & 1).astype(jnp.int32) << place
+    return counts.reshape(-1, slices[0].shape[-1])
+
+
+@jax.jit
+def count_returns(
+    roof_m: Float[Array, "Y+2H X+2H"], thresholds_m: Float[Array, "A N"], offsets: Int[Array, "K N 2"]
+) -> Int[Array, "A Y X"]:
+    """Return how many of K scan positions meet a building, over flat ground, ``[A, Y, X]`` int32.
+
+    Args:
+      roof_m: ``[Y + 2H, X + 2H]`` roof heights with their halo of ``H = N - 1`` cells, 0 without a building.
+      thresholds_m: ``[A, N]`` from `flat_thresholds`, rounded up to the type of ``roof_m``.
+      offsets: ``[K, N, 2]`` from `ray_offsets`.
+
+    Cells inside buildings get a number too (K, mostly). Altitudes that no roof reaches cost nothing.
+    The gradient is zero.
+    """
+    steps, halo = thresholds_m.shape[1], thresholds_m.shape[1] - 1
+    rows, cols = (size - 2 * halo for size in roof_m.shape)
+    band = -(-rows // WORD_BITS)
+    highest_m = jnp.max(roof_m)
+    num_slices = offsets.shape[0].bit_length()
+    starts = offsets + halo
+    padded_m = jnp.pad(roof_m, ((0, WORD_BITS * band - rows), (0, 0)))
+
+    def count_at(threshold_m: jax.Array) -> jax.Array:
+        bitmaps = lax.map(lambda threshold: pack(padded_m, threshold, band), threshold_m)
+        is_live = threshold_m <= highest_m
+        first, from_end = (lax.argmax(live, 0, jnp.int32) for live in (is_live, is_live[::-1]))
+        end = steps - from_end
+        passes = -(-(end - first) // STEPS_PER_PASS)
+
+        def add_azimuth(slices, start):
+            def look(i, returned):
+                for k in range(STEPS_PER_PASS):
+                    n = jnp.minimum(first + i * STEPS_PER_PASS + k, end - 1)  # the last one again does no harm
+                    corner = (n, start[n, 0], start[n, 1])
+                    returned = returned | lax.dynamic_slice(bitmaps, corner, (1, band, cols))[0]
+                return returned
+
+            carry = lax.fori_loop(0, passes, look, jnp.zeros((band, cols), jnp.uint32))
+            total = []
+            for words in slices:
+                total.append(words ^ carry)
+                carry = words & carry
+            return tuple(total), None
+
+        empty = tuple(jnp.zeros((band, cols), jnp.uint32) for _ in range(num_slices))
+        slices, _ = lax.scan(add_azimuth, empty, starts)
+        return _unpack_counts(slices)[:rows]
+
+    def count_if_reached(threshold_m: jax.Array) -> jax.Array:
+        reached = jnp.min(threshold_m) <= highest_m
+        return lax.cond(reached, count_at, lambda _: jnp.zeros((rows, cols), jnp.int32), threshold_m)
+
+    return lax.map(count_if_reached, thresholds_m)

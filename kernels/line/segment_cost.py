@@ -1,0 +1,95 @@
+"""What a straight segment costs over a map of cells, compiled.
+
+Points are x, y in cell sides from the map's southwest corner, inside it.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxurban.kernels.compiled import compiled
+from jaxurban.kernels.line.traversal import DIAGONAL_SIDES, TOUCH_CELLS
+
+
+class CostGrid(NamedTuple):
+    """The map as segments see it, in cell sides. ``Y`` rows, ``X`` columns.
+
+    Attributes:
+      cell_cost: ``[Y, X]`` float64 map cost of a cell, per cell side crossed (`line`) or step (`cell`); inf
+        where no path can lead.
+      per_side: distance cost per cell side.
+      is_line: which cost model.
+      passes_corners: segments may pass between two blocked cells that touch at a corner.
+    """
+
+    cell_cost: np.ndarray
+    per_side: float
+    is_line: bool
+    passes_corners: bool
+
+
+@compiled()
+def is_pinched(cost_grid, row, col, to_row, to_col):
+    """Whether the cells beside a step to a diagonal neighbour leave no gap between them."""
+    if cost_grid.passes_corners:
+        return False
+    return cost_grid.cell_cost[to_row, col] == np.inf and cost_grid.cell_cost[row, to_col] == np.inf
+
+
+@compiled()
+def segment_cost(cost_grid, x0, y0, x1, y1, limit):
+    """Return the cost of a segment, or inf: blocked, or not below ``limit``. One of no length costs nothing.
+
+    The walk from border to border is that of `kernels.line.traversal` and the law that of its `is_free_way`, but an end
+    on a border counts as lying in the cell north or east of it: a segment that only touches an obstacle with its end
+    may count as blocked. Costs are those of `path_features`; under ``cell`` both ends must lie off the borders of their
+    cells.
+    """
+    dx, dy = x1 - x0, y1 - y0
+    length = np.sqrt(dx * dx + dy * dy)
+    total = cost_grid.per_side * length
+    if total >= limit:
+        return np.inf
+    row, col = int(np.floor(y0)), int(np.floor(x0))
+    num_x = abs(int(np.floor(x1)) - col)
+    num_y = abs(int(np.floor(y1)) - row)
+    step_x, step_y = (1 if dx > 0 else -1), (1 if dy > 0 else -1)
+    sides_x = length / dx if num_x else 0.0  # along the segment, per cell side of x
+    sides_y = length / dy if num_y else 0.0
+    next_x = (col + (step_x > 0) - x0) * sides_x if num_x else np.inf
+    next_y = (row + (step_y > 0) - y0) * sides_y if num_y else np.inf
+    # In the `cell` model the next state that costs, as far along the segment as this.
+    next_state = length if length <= DIAGONAL_SIDES else 1.0
+    at = 0.0
+    while True:
+        end = min(next_x, next_y, length)
+        cell_cost = cost_grid.cell_cost[row, col]
+        if cell_cost == np.inf:
+            return np.inf
+        if cost_grid.is_line:
+            total += cell_cost * (end - at)
+        else:
+            # A state on a border belongs to the cell it came through; the last step may be shorter.
+            while next_state < length * (1 - TOUCH_CELLS) and next_state <= end + TOUCH_CELLS:
+                total += cell_cost
+                next_state += 1.0
+        if total >= limit:
+            return np.inf
+        if num_x <= 0 and num_y <= 0:
+            break
+        is_corner = abs(next_x - next_y) < TOUCH_CELLS
+        if is_corner and is_pinched(cost_grid, row, col, row + step_y, col + step_x):
+            return np.inf
+        go_x, go_y = is_corner or next_x < next_y, is_corner or next_y < next_x
+        if go_x:
+            col += step_x
+            num_x -= 1
+            next_x = (col + (step_x > 0) - x0) * sides_x if num_x > 0 else np.inf
+        if go_y:
+            row += step_y
+            num_y -= 1
+            next_y = (row + (step_y > 0) - y0) * sides_y if num_y > 0 else np.inf
+        at = end
+    if not cost_grid.is_line and length > 0.0:
+        total += cost_grid.cell_cost[row, col]
+    return total if total < limit else np.inf

@@ -1,0 +1,174 @@
+"""The exact set of cells that a polyline crosses, with the length in each."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxurban.errors import InputError
+from jaxurban.kernels.compiled import compiled
+
+TOUCH_CELLS = 1e-9  # in cell sides: a cut this short is rounding of a touched corner or border, not a crossing
+DIAGONAL_SIDES = 2**0.5 * (1 + 1e-9)  # cell sides: the longest segment that is one step in the `cell` model
+SNAP_CELLS = 1e-6  # an outline's corner this close to a border of cells lies on it: micrometres, by rounding of metres
+
+
+class Crossings(NamedTuple):
+    """Cells crossed by a polyline, in the order of travel. ``M`` parts.
+
+    Attributes:
+      segment: ``[M]`` int64, which segment of the polyline each part belongs to, ascending.
+      row, col: ``[M]`` int64 cell of each part; outside the map's range where the path leaves the map.
+      length_m: ``[M]`` float64 length of each part.
+    """
+
+    segment: np.ndarray
+    row: np.ndarray
+    col: np.ndarray
+    length_m: np.ndarray
+
+
+def in_cell_sides(points_m: np.ndarray, resolution_m: float) -> np.ndarray:
+    """Return points in cell sides; a coordinate within ``TOUCH_CELLS`` of a border lies on it exactly.
+
+    Raises:
+      InputError: the points are not ``[N, 2]`` with ``N >= 1``, or not finite.
+    """
+    points = np.array(points_m, np.float64, ndmin=1)
+    if points.ndim != 2 or points.shape[1] != 2 or len(points) == 0 or not np.isfinite(points).all():
+        raise InputError(f"points_m must be [N, 2] finite metres with N >= 1, got shape {points.shape}: mend the path")
+    points /= resolution_m
+    border = np.rint(points)
+    return np.where(np.abs(points - border) < TOUCH_CELLS, border, points)
+
+
+def crossed_cells(points_m: np.ndarray, resolution_m: float) -> Crossings:
+    """Return the cells whose interior a polyline crosses, with the length in each.
+
+    Cell (row, col) covers ``[col, col + 1) x [row, row + 1)`` cell sides: a part that runs exactly
+    along a border belongs to the cell north or east of it (the floor rule of the grid). A cell that is
+    only touched, at a corner or by a vertex of the polyline on its border, is not crossed. A part
+    shorter than ``TOUCH_CELLS`` at a corner counts as touching. Segments of no length cross nothing,
+    but a path of no length at all lies in the cell that holds it, with length 0.
+
+    Args:
+      points_m: ``[N, 2]`` x, y in metres from the map's southwest corner, ``N >= 1``.
+      resolution_m: side of a cell.
+
+    Raises:
+      InputError: the points are not ``[N, 2]`` with ``N >= 1``, or not finite.
+    """
+    points = in_cell_sides(points_m, resolution_m)
+    if np.all(points == points[0]):
+        col, row = np.floor(points[0]).astype(np.int64)
+        return Crossings(np.zeros(1, np.int64), np.array([row]), np.array([col]), np.zeros(1))
+    most_parts = int(np.abs(np.diff(np.floor(points), axis=0)).sum()) + len(points)
+    segment, row, col, length = _walk(points, most_parts)
+    return Crossings(segment, row, col, length * resolution_m)
+
+
+def is_free_way(crossings: Crossings, is_free: np.ndarray, passes_corners: bool) -> bool:
+    """Return whether a path may lead where it does: the law that every planner and every evaluation keeps.
+
+    Each cell that it crosses is on the map and free. And where it goes from a cell to a diagonal neighbour, through
+    their corner, be it within a segment or at a vertex, at least one of the two cells beside is free: two blocked cells
+    that touch at a corner leave no gap. One blocked cell beside the corner is only touched.
+
+    A part along a border lies in the cell north or east of it, as in `crossed_cells`, so it is not free where that
+    one is blocked, whatever the cell on the other side is; where both are, no part between them is free.
+
+    Args:
+      crossings: of the path, from `crossed_cells`.
+      is_free: ``[Y, X]`` bool.
+      passes_corners: a path may pass between two blocked cells that touch at a corner.
+    """
+    row, col = crossings.row, crossings.col
+    num_rows, num_cols = is_free.shape
+    if row.min() < 0 or row.max() >= num_rows or col.min() < 0 or col.max() >= num_cols or not is_free[row, col].all():
+        return False
+    if passes_corners:
+        return True
+    corner = np.flatnonzero((row[1:] != row[:-1]) & (col[1:] != col[:-1]))
+    return bool(np.all(is_free[row[corner], col[corner + 1]] | is_free[row[corner + 1], col[corner]]))
+
+
+@compiled()
+def _walk(points, most_parts):
+    """Walk each segment from border to border; the number of borders is counted, so the walk always ends."""
+    segment = np.empty(most_parts, np.int64)
+    row = np.empty(most_parts, np.int64)
+    col = np.empty(most_parts, np.int64)
+    length = np.empty(most_parts, np.float64)
+    count = 0
+    for s in range(len(points) - 1):
+        x0, y0 = points[s]
+        x1, y1 = points[s + 1]
+        dx, dy = x1 - x0, y1 - y0
+        total = np.hypot(dx, dy)
+        if total == 0.0:
+            continue
+        # Borders strictly inside the segment. Going west or south from a border starts beyond it.
+        if dx >= 0.0:
+            step_x, c, num_x = 1, int(np.floor(x0)), int(np.ceil(x1)) - int(np.floor(x0)) - 1
+        else:
+            step_x, c, num_x = -1, int(np.ceil(x0)) - 1, int(np.ceil(x0)) - int(np.floor(x1)) - 1
+        if dy >= 0.0:
+            step_y, r, num_y = 1, int(np.floor(y0)), int(np.ceil(y1)) - int(np.floor(y0)) - 1
+        else:
+            step_y, r, num_y = -1, int(np.ceil(y0)) - 1, int(np.ceil(y0)) - int(np.floor(y1)) - 1
+        at = 0.0
+        while True:
+            next_x = (c + (step_x > 0) - x0) / dx * total if num_x > 0 else np.inf
+            next_y = (r + (step_y > 0) - y0) / dy * total if num_y > 0 else np.inf
+            end = min(next_x, next_y, total)
+            segment[count] = s
+            row[count] = r
+            col[count] = c
+            length[count] = end - at
+            count += 1
+            if num_x <= 0 and num_y <= 0:
+                break
+            is_corner = abs(next_x - next_y) < TOUCH_CELLS
+            if is_corner or next_x < next_y:
+                c += step_x
+                num_x -= 1
+            if is_corner or next_y < next_x:
+                r += step_y
+                num_y -= 1
+            at = end
+    return segment[:count], row[:count], col[:count], length[:count]
+
+
+@compiled(nogil=True)
+def burn_edges(points, ring_start, values, burnt):
+    """Raise the cells of ``burnt`` whose interior an edge of a ring crosses to at least the ring's value, in place.
+
+    With the cells whose centre lies in an outline these are all that the outline shares area with: a cell that is
+    neither crossed by its border nor holds it is in or out as a whole. An edge along a border of cells crosses none.
+
+    Args:
+      points: ``[P, 2]`` float64 x, y of the rings' corners in cell sides from the corner of ``burnt``, first and last
+        of a ring the same; within ``SNAP_CELLS`` of a border they are taken to lie on it.
+      ring_start: ``[R + 1]`` int64 where each ring begins in ``points``, and the end.
+      values: ``[R]`` of the rings, in the type of ``burnt``.
+      burnt: ``[Y, X]``, row 0 in the south; what lies outside is left out.
+    """
+    num_rows, num_cols = burnt.shape
+    edge = np.empty((2, 2))
+    for ring in range(len(values)):
+        for at in range(ring_start[ring], ring_start[ring + 1] - 1):
+            for k in range(2):
+                for axis in range(2):
+                    value = points[at + k, axis]
+                    border = np.rint(value)
+                    edge[k, axis] = border if abs(value - border) < SNAP_CELLS else value
+            (x0, y0), (x1, y1) = edge
+            if max(x0, x1) < 0 or max(y0, y1) < 0 or min(x0, x1) > num_cols or min(y0, y1) > num_rows:
+                continue
+            if (x0 == x1 and x0 == np.rint(x0)) or (y0 == y1 and y0 == np.rint(y0)):
+                continue
+            most_parts = int(abs(np.floor(x1) - np.floor(x0)) + abs(np.floor(y1) - np.floor(y0))) + 2
+            _, rows, cols, lengths = _walk(edge, most_parts)
+            for part in range(len(rows)):
+                row, col = rows[part], cols[part]
+                if lengths[part] > TOUCH_CELLS and 0 <= row < num_rows and 0 <= col < num_cols:
+                    burnt[row, col] = max(burnt[row, col], values[ring])

@@ -1,0 +1,254 @@
+"""How high the roofs' shadow reaches above every cell, for one direction: a sweep along digital lines."""
+
+import math
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Float, Int, UInt
+
+WORD_BITS = 32  # satellites in one word of a visibility mask
+
+# A ray is taken to meet a cell's roof this share of a step before the cell's centre line. Of 0 (the centre),
+# 0.2 to 0.4 and 0.5 (the near edge), tried against Embree on Lower Manhattan at 5 m, 20 m up: 0 misses 8 to
+# 12 % of the blocked results, 0.5 breaks up to 1.1 % of the clear ones, 0.25 misses 7 to 9 % and breaks 0.8 %.
+# Boston, which had no part in the choice, orders them alike.
+ENTRY_STEPS = 0.25
+
+NORTH, SOUTH, EAST, WEST = range(4)
+
+
+class Line(NamedTuple):
+    """The digital line of one direction over one grid.
+
+    Attributes:
+      shifts: ``[max(Y, X)]`` int32 -1, 0 or 1: sideways cells from each row (column, for east and
+        west) to the next one toward the source; the tail is not used.
+      drop_m: float64 height that a ray gains from one row (column) to the next.
+      heading: the axis swept, and toward where: `NORTH`, `SOUTH`, `EAST` or `WEST`.
+    """
+
+    shifts: np.ndarray
+    drop_m: np.ndarray
+    heading: np.ndarray
+
+
+class Ring(NamedTuple):
+    """``max(raised, sweep)`` on the ring of cells around a grid, -inf where nothing is handed on.
+
+    Attributes:
+      south, north: ``[X + 2]`` rows, corners included.
+      west, east: ``[Y]`` columns.
+    """
+
+    south: Array
+    north: Array
+    west: Array
+    east: Array
+
+
+def digital_line(
+    azimuth_rad: float,
+    elevation_rad: float,
+    resolution_m: float,
+    first_row: int,
+    first_col: int,
+    shape: tuple[int, int],
+) -> Line:
+    """Return the digital line toward a source, computed in float64 on the host.
+
+    The line's phase comes from the global row (column) number, so it runs through the same cells
+    whatever part of the grid is looked at.
+
+    Args:
+      azimuth_rad: direction of the source, clockwise from grid north.
+      elevation_rad: its height above the horizon, in (-pi/2, pi/2]; at the zenith nothing shadows.
+      resolution_m: side of a cell.
+      first_row: global number of the southernmost row.
+      first_col: global number of the westernmost column.
+      shape: rows and columns of the grid.
+    """
+    east, north = math.sin(azimuth_rad), math.cos(azimuth_rad)
+    is_rows = abs(north) >= abs(east)
+    along, across = (north, east) if is_rows else (east, north)
+    length, first = (shape[0], first_row) if is_rows else (shape[1], first_col)
+    ahead = 1 if along > 0 else -1
+    index = first + np.arange(length)
+    offset = np.floor(across / along * np.stack([index, index + ahead]) + 0.5)
+    shifts = np.zeros(max(shape), np.int32)
+    shifts[:length] = offset[1] - offset[0]
+    heading = (NORTH if ahead > 0 else SOUTH) if is_rows else (EAST if ahead > 0 else WEST)
+    drop_m = resolution_m / abs(along) * math.tan(elevation_rad)
+    return Line(shifts, np.asarray(drop_m), np.asarray(heading, np.int32))
+
+
+def _sweep_rows(raised_m: Array, shifts: Array, drop_m: Array, toward_last: bool) -> Array:
+    """Return `sweep` for a source beyond the last row (the first, if not ``toward_last``)."""
+    num_cols = raised_m.shape[1]
+
+    def step(beyond_m, row):
+        row_raised_m, shift = row
+        shadow_m = lax.dynamic_slice(beyond_m, (1 + shift,), (num_cols,)) - drop_m
+        return beyond_m.at[1:-1].set(jnp.maximum(row_raised_m, shadow_m)), shadow_m
+
+    nothing = jnp.full(num_cols + 2, -jnp.inf, raised_m.dtype)  # one cell more on each side, for the shifts
+    _, shadow_m = lax.scan(step, nothing, (raised_m, shifts[: raised_m.shape[0]]), reverse=toward_last)
+    return shadow_m
+
+
+@jax.jit
+def sweep(raised_m: Float[Array, "Y X"], line: Line) -> Float[Array, "Y X"]:
+    """Return the maximum over the cells beyond each cell on its line of (raised - steps x drop), ``[Y, X]``.
+
+    Nothing stands outside the grid: the maximum over no cell is -inf. To go on from neighbouring
+    grids bit for bit, give their ``max(raised, sweep)`` as a ring of one cell around this grid, and
+    drop the ring from the result.
+
+    Args:
+      raised_m: tops, raised by what the line gains before it meets them.
+      line: from `digital_line`, for the same shape.
+    """
+    drop_m = jnp.asarray(line.drop_m, raised_m.dtype)
+    shifts = jnp.asarray(line.shifts)
+    return lax.switch(
+        line.heading,
+        [
+            lambda raised: _sweep_rows(raised, shifts, drop_m, True),
+            lambda raised: _sweep_rows(raised, shifts, drop_m, False),
+            lambda raised: _sweep_rows(raised.T, shifts, drop_m, True).T,
+            lambda raised: _sweep_rows(raised.T, shifts, drop_m, False).T,
+        ],
+        raised_m,
+    )
+
+
+def _within(raised_m: Array, ring: Ring) -> Array:
+    """Return a grid inside the ring of one cell that its neighbours hand on, ``[Y + 2, X + 2]``."""
+    rows = jnp.concatenate([ring.west[:, None], raised_m, ring.east[:, None]], axis=1)
+    return jnp.concatenate([ring.south[None], rows, ring.north[None]])
+
+
+@jax.jit
+def shadow_height(top_m: Float[Array, "Y X"], line: Line, ring: Ring | None = None) -> Float[Array, "Y X"]:
+    """Return the height below which each cell's centre does not see the source, ``[Y, X]``.
+
+    ``S = max over the cells on the ray of (top - run x tan(elevation))``, the cell itself left out:
+    a receiver at absolute height ``h`` sees the source where ``S <= h``. One pass over the cells
+    serves all heights, one compiled program every direction on grids of one shape. -inf where the
+    line meets no cell.
+
+    The ray is replaced by a digital line that stays within one cell of it and enters cells
+    `ENTRY_STEPS` before their centre.
+
+    S follows one cell's top, less the ray's climb: its derivative by that top is 1, by all others 0
+    (where several tie, JAX shares it), and by the elevation it is that of the climb.
+
+    Args:
+      top_m: absolute height of roofs and bare ground, row 0 in the south.
+      line: from `digital_line`, for the same shape; with a ring, for the grid grown by one cell on each side.
+      ring: what the grids around this one hand on; left out, nothing stands there.
+    """
+    raised_m = top_m + ENTRY_STEPS * jnp.asarray(line.drop_m, top_m.dtype)
+    return sweep(raised_m, line) if ring is None else sweep(_within(raised_m, ring), line)[1:-1, 1:-1]
+
+
+@jax.jit
+def hand_on(top_m: Float[Array, "Y X"], line: Line, ring: Ring) -> Ring:
+    """Return what a grid hands on to its neighbours: max(raised, sweep) in its outermost cells.
+
+    The rows are ``[X]`` here, a part of the neighbours' rings. Arguments as in `shadow_height`.
+    """
+    raised_m = top_m + ENTRY_STEPS * jnp.asarray(line.drop_m, top_m.dtype)
+    carried_m = jnp.maximum(raised_m, sweep(_within(raised_m, ring), line)[1:-1, 1:-1])
+    return Ring(carried_m[0], carried_m[-1], carried_m[:, 0], carried_m[:, -1])
+
+
+@partial(jax.jit, donate_argnames="words")
+def mark_visible(
+    words: UInt[Array, "W A y x"],
+    top_m: Float[Array, "Y X"],
+    ground_m: Float[Array, "y x"] | None,
+    altitudes_m: Float[Array, " A"],
+    line: Line,
+    satellite: Int[Array, ""] | int,
+    first_cell: tuple[Int[Array, ""] | int, Int[Array, ""] | int],
+) -> UInt[Array, "W A y x"]:
+    """Return the visibility words with one satellite's bit set where it is seen (``words`` is used up).
+
+    It is seen where its `shadow_height` is not above the receiver, to the bit. For a line that heads
+    `EAST` or `WEST` every array comes and goes transposed (and ``first_cell`` turned round): rows then
+    lie in memory as the sweep meets them.
+
+    The sweep stops where the region ends, and marks row by row: shadow heights of all cells, written
+    and read again, took nine times as long on 8 M cells.
+
+    Args:
+      words: satellite ``s`` is bit ``s % 32`` of word ``s // 32``; its bit is still 0.
+      top_m: absolute height of roofs and bare ground, on the surface.
+      ground_m: terrain of the region; None for flat ground.
+      altitudes_m: heights above the ground.
+      line: from `digital_line`, for the surface.
+      satellite: its number.
+      first_cell: row and column of the region's southwest cell in the surface.
+    """
+    num_altitudes, num_rows, num_cols = words.shape[1:]
+    first_row, first_col = first_cell
+    drop_m = jnp.asarray(line.drop_m, top_m.dtype)
+    shifts = jnp.asarray(line.shifts)
+    toward_last = (line.heading == NORTH) | (line.heading == EAST)
+    num_before = jnp.where(toward_last, top_m.shape[0] - first_row - num_rows, first_row)  # rows nearer the source
+    word, bit = satellite // WORD_BITS, jnp.asarray(satellite % WORD_BITS, jnp.uint32)
+
+    def cast(i: Array, beyond_m: Array) -> tuple[Array, Array, Array]:
+        """Return the i-th row from the source, the shadow on it, and what it hands on to the next."""
+        row = jnp.where(toward_last, top_m.shape[0] - 1 - i, i)
+        shadow_m = lax.dynamic_slice(beyond_m, (1 + shifts[row],), top_m.shape[1:]) - drop_m
+        raised_m = lax.dynamic_index_in_dim(top_m, row, keepdims=False) + ENTRY_STEPS * drop_m
+        return row, shadow_m, beyond_m.at[1:-1].set(jnp.maximum(raised_m, shadow_m))
+
+    def mark(i: Array, state: tuple[Array, Array]) -> tuple[Array, Array]:
+        beyond_m, words = state
+        row, shadow_m, beyond_m = cast(i, beyond_m)
+        y = row - first_row
+        receiver_m = altitudes_m[:, None]
+        if ground_m is not None:
+            receiver_m = lax.dynamic_index_in_dim(ground_m, y, keepdims=False) + receiver_m
+        seen = lax.dynamic_slice(shadow_m, (first_col,), (num_cols,)) <= receiver_m
+        corner = (word, 0, y, 0)
+        old = lax.dynamic_slice(words, corner, (1, num_altitudes, 1, num_cols))
+        new = old | (seen.astype(jnp.uint32) << bit)[None, :, None]
+        return beyond_m, lax.dynamic_update_slice(words, new, corner)
+
+    nothing = jnp.full(top_m.shape[1] + 2, -jnp.inf, top_m.dtype)
+    beyond_m = lax.fori_loop(0, num_before, lambda i, beyond_m: cast(i, beyond_m)[2], nothing)
+    return lax.fori_loop(num_before, num_before + num_rows, mark, (beyond_m, words))[1]
+
+
+@partial(jax.jit, donate_argnames="words")
+def mark_visible_within(
+    words: UInt[Array, "W A y x"],
+    top_m: Float[Array, "y x"],
+    ground_m: Float[Array, "y x"] | None,
+    altitudes_m: Float[Array, " A"],
+    line: Line,
+    satellite: Int[Array, ""] | int,
+    ring: Ring,
+) -> UInt[Array, "W A y x"]:
+    """Return what `mark_visible` does, for a grid inside the ring that its neighbours hand on; nothing is transposed.
+
+    Args:
+      words: as in `mark_visible`.
+      top_m: absolute height of roofs and bare ground.
+      ground_m: terrain; None for flat ground.
+      altitudes_m: heights above the ground.
+      line: from `digital_line`, for the grid grown by one cell on each side.
+      satellite: its number.
+      ring: what the grids around this one hand on.
+    """
+    z_m = altitudes_m[:, None, None]
+    seen = shadow_height(top_m, line, ring) <= (z_m if ground_m is None else ground_m + z_m)
+    word, bit = satellite // WORD_BITS, jnp.asarray(satellite % WORD_BITS, jnp.uint32)
+    return words.at[word].set(words[word] | (seen.astype(jnp.uint32) << bit))

@@ -1,0 +1,1 @@
+"""BIT*, batch informed trees."""

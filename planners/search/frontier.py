@@ -1,0 +1,221 @@
+"""Many grid queries solved together by the batched frontier search, in JAX."""
+
+import time
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from itertools import groupby
+
+import jax
+import numpy as np
+
+from jaxurban.kernels.search.frontier import Grids, advance, begin, drop, empty_frontier, is_crowded, with_list_of
+from jaxurban.planners.base import Cell, Path, Problem, Status
+from jaxurban.planners.checks import free_ride
+from jaxurban.planners.graph import graph_of
+from jaxurban.planners.heuristics import make_heuristic
+from jaxurban.planners.moves import STEPS, steps_back
+
+BAND_STEPS = 8.0  # a band that spans this many steps over the map's median cell
+ROUNDS_AT_ONCE = 64  # between two looks at the clock: some 0.1 s
+CELLS_TOGETHER = 128  # expanded in one round for each query that runs, at most
+QUERIES_TOGETHER = {"cpu": 16, "gpu": 256}
+BYTES_OF_G = {"cpu": 2**30, "gpu": 24 * 2**30}  # of what the queries that run together may hold
+BYTES_OF_MAPS = {"cpu": 2**30, "gpu": 8 * 2**30}
+BYTES_A_CELL = 9  # cost and moves of a map; g and step of a query
+
+
+def solve_by_frontier(
+    problems: Sequence[Problem], *, planner: str, budget_s: float = np.inf, band_steps: float = BAND_STEPS
+) -> Iterator[tuple[int, Path]]:
+    """Yield ``(index, path)`` of every problem as it is done, the cheapest path or why there is none.
+
+    Queries share the device: as many as fit run together, and the next one begins when one is done. The bound
+    is octile, sums are float64, and the results are those of `astar` up to the order of additions. A path's
+    ``elapsed_s``, to which the budget applies, is the wall time from its begin to its end and so grows with
+    the number that run together; compiling is left out. Where the budget ends first, what was found so far
+    comes back as BUDGET_FEASIBLE, with the bound proven so far.
+
+    Args:
+      problems: the queries. Queries made by `Problem.between` share their map on the device, too.
+      planner: the name that the paths carry.
+      budget_s: seconds for each.
+      band_steps: how far above its lowest f a query expands cells, in steps over the map's median cell. Every
+        band gives the same results; a wide one does more together and more twice.
+    """
+    kind = "cpu" if jax.default_backend() == "cpu" else "gpu"
+    first = {id(problem.cost): i for i, problem in reversed(list(enumerate(problems)))}
+    by_map = sorted(range(len(problems)), key=lambda i: (problems[i].cost.shape, first[id(problems[i].cost)]))
+    for _, same_shape in groupby(by_map, key=lambda i: problems[i].cost.shape):
+        for group in _groups(problems, list(same_shape), BYTES_OF_MAPS[kind]):
+            yield from _Batch([(i, problems[i]) for i in group], planner, budget_s, band_steps, kind).run()
+
+
+def _groups(problems: Sequence[Problem], indices: list[int], max_bytes: int) -> Iterator[list[int]]:
+    """Yield the queries in groups whose maps fit into so many bytes, in the given order."""
+    max_maps = max(1, max_bytes // (BYTES_A_CELL * problems[indices[0]].cost.size))
+    group: list[int] = []
+    maps: set[int] = set()
+    for i in indices:
+        if id(problems[i].cost) not in maps and len(maps) == max_maps:
+            yield group
+            group, maps = [], set()
+        maps.add(id(problems[i].cost))
+        group.append(i)
+    yield group
+
+
+class _Batch:
+    """Queries on maps of one shape: a fixed number of places on the device, filled again as they fall free."""
+
+    def __init__(
+        self, queries: list[tuple[int, Problem]], planner: str, budget_s: float, band_steps: float, kind: str
+    ) -> None:
+        self.planner, self.budget_s = planner, budget_s
+        self.waiting = queries[::-1]
+        self.maps = list({id(problem.cost): problem for _, problem in queries}.values())
+        self.map_index = {id(problem.cost): k for k, problem in enumerate(self.maps)}
+        self.bands = [_band(problem, band_steps) for problem in self.maps]
+        fitting = max(1, BYTES_OF_G[kind] // (BYTES_A_CELL * self.maps[0].cost.size))
+        num_places = min(_power_of_two(len(queries)), QUERIES_TOGETHER[kind], fitting)
+        self.num_together = CELLS_TOGETHER * num_places
+        # query number, problem, begin
+        self.places: list[tuple[int, Problem, float] | None] = [None] * num_places
+
+    def run(self) -> Iterator[tuple[int, Path]]:
+        """Yield each query's number and path as it is done.
+
+        JAX works in a thread of its own, which a Ctrl-C here lets end its turn: a compilation that is cut off
+        goes on in JAX's threads and crashes if the interpreter ends meanwhile. The thread also keeps the
+        setting for float64 to itself; a generator would hand it to its caller.
+        """
+        with ThreadPoolExecutor(1, thread_name_prefix="frontier") as worker:
+            worker.submit(self._prepare).result()
+            while self.waiting or any(self.places):
+                yield from worker.submit(self._turn).result()
+
+    def _prepare(self) -> None:
+        """Put the maps on the device and compile."""
+        with jax.enable_x64(True):
+            self.grids = _grids(self.maps)
+            list_size = 2 * len(STEPS) * self.num_together + len(self.places)
+            self.frontier = empty_frontier(len(self.places), self.maps[0].cost.size, list_size)
+            self._compile()
+
+    def _turn(self) -> list[tuple[int, Path]]:
+        """Begin queries, search for some rounds and return the paths that are done."""
+        with jax.enable_x64(True):
+            self._fill()
+            self._search()
+            return self._collect()
+
+    def _compile(self) -> None:
+        """Compile the search for the present size of the list: with no round allowed it ends at once."""
+        self.frontier = jax.block_until_ready(advance(self.frontier, self.grids, 0, self.num_together))
+
+    def _fill(self) -> None:
+        """Begin waiting queries in free places."""
+        for place, running in enumerate(self.places):
+            if running is None and self.waiting:
+                index, problem = self.waiting.pop()
+                k = self.map_index[id(problem.cost)]
+                cells = (_flat(cell, problem) for cell in (problem.start, problem.goal))
+                self.frontier = begin(self.frontier, self.grids, place, k, *cells, self.bands[k])
+                self.places[place] = index, problem, time.perf_counter()
+
+    def _search(self) -> None:
+        """Do some rounds; where the list of open cells runs full, make a longer one, off the clocks."""
+        self.frontier = advance(self.frontier, self.grids, ROUNDS_AT_ONCE, self.num_together)
+        if not is_crowded(self.frontier, self.grids, self.num_together):
+            return
+        begin_s = time.perf_counter()
+        self.frontier = with_list_of(2 * self.frontier.open_f.size, self.frontier)
+        self._compile()
+        away_s = time.perf_counter() - begin_s
+        self.places = [running and (running[0], running[1], running[2] + away_s) for running in self.places]
+
+    def _collect(self) -> list[tuple[int, Path]]:
+        """Return the queries that are done or out of budget, and free their places."""
+        lowest_f, num_expanded = (np.asarray(x) for x in (self.frontier.lowest_f, self.frontier.num_expanded))
+        done = []
+        for place, running in enumerate(self.places):
+            if running is None:
+                continue
+            index, problem, begin_s = running
+            elapsed_s = time.perf_counter() - begin_s
+            is_out = elapsed_s >= self.budget_s
+            if np.isinf(lowest_f[place]) or is_out:
+                path = self._path(place, problem, float(lowest_f[place]), int(num_expanded[place]), elapsed_s)
+                done.append((index, path))
+                self.frontier = drop(self.frontier, place)
+                self.places[place] = None
+        return done
+
+    def _path(self, place: int, problem: Problem, lowest_f: float, num_expanded: int, elapsed_s: float) -> Path:
+        is_reached = bool(self.frontier.g[place, _flat(problem.goal, problem)] < np.inf)
+        is_done = np.isinf(lowest_f)
+        points_m, cost, note = np.empty((0, 2)), np.inf, ""
+        if is_reached:
+            points_m = _points_m(problem, np.asarray(self.frontier.reached_by[place]))
+            cost = problem.cost_of(points_m)
+            status = Status.OPTIMAL if is_done else Status.BUDGET_FEASIBLE
+            note = free_ride(problem.distance_weight, cost)
+        else:
+            status = Status.NO_PATH if is_done else Status.BUDGET_EMPTY
+        return Path(
+            status=status,
+            points_m=points_m,
+            cost=cost,
+            lower_bound=cost if is_done else min(cost, lowest_f),
+            num_expanded=num_expanded,
+            elapsed_s=elapsed_s,
+            planner=self.planner,
+            heuristic="octile",
+            backend="jax",
+            note=note,
+        )
+
+
+def _grids(maps: list[Problem]) -> Grids:
+    """Return the maps on the device, the first one repeated to a power of two so that few shapes are compiled."""
+    maps = maps + maps[:1] * (_power_of_two(len(maps)) - len(maps))
+    graphs = [graph_of(problem) for problem in maps]
+    bounds = [make_heuristic("octile", problem) for problem in maps]
+    # A cell that no path may cross can cost anything, NaN too, which would spread.
+    cost = np.stack([np.where(problem.is_free, problem.cost, 0.0).ravel() for problem in maps])
+    return Grids(
+        *jax.device_put(
+            (
+                cost,
+                np.stack([graph.moves for graph in graphs]),
+                np.stack([graph.step_cost for graph in graphs]),
+                np.stack([graph.from_share for graph in graphs]),
+                np.stack([graph.to_share for graph in graphs]),
+                np.array([bound.straight for bound in bounds]),
+                np.array([bound.diagonal for bound in bounds]),
+                np.array(STEPS, np.int32),
+                np.int32(graphs[0].num_cols),
+            )
+        )
+    )
+
+
+def _band(problem: Problem, band_steps: float) -> float:
+    graph = graph_of(problem)
+    share = graph.from_share[0] + graph.to_share[0]
+    step = float(graph.step_cost[0] + share * np.median(problem.cost[problem.is_free]))
+    return band_steps * step if step > 0 else 0.0  # 0 times a band without end is not a number
+
+
+def _points_m(problem: Problem, reached_by: np.ndarray) -> np.ndarray:
+    """Return ``[N, 2]`` the cell centres from start to goal, by the steps that led to each cell."""
+    reached_by = reached_by.reshape(problem.cost.shape)
+    cells = steps_back(problem.start, problem.goal, lambda row, col: STEPS[reached_by[row, col]])
+    return (cells[:, ::-1] + 0.5) * problem.resolution_m
+
+
+def _flat(cell: Cell, problem: Problem) -> int:
+    return cell[0] * problem.cost.shape[1] + cell[1]
+
+
+def _power_of_two(number: int) -> int:
+    return 1 << (number - 1).bit_length()

@@ -1,0 +1,334 @@
+"""The compiled A* search: a heap behind buckets, run in bounded chunks that the caller resumes."""
+
+import time
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxurban.kernels.compiled import compiled
+from jaxurban.kernels.search.heap import EXHAUSTED, FOUND, FULL, PAUSED, Heap, drop_top, push
+from jaxurban.planners.base import Cell
+from jaxurban.planners.graph import Graph, Heuristic
+from jaxurban.planners.moves import STEPS, steps_back
+
+PARENT_STEP = 0x0F  # bits of a node's state: the step by which it was reached ...
+NO_PARENT = 0x08  # ... or this, at the start
+CLOSED = 0x10
+LATER = 0x20  # a cheaper way turned up after the node was closed, to be followed when `requeue` opens it again
+KEEP, REOPEN, DEFER = 0, 1, 2  # what a cheaper way to a closed node does: nothing, opens it, marks it LATER
+MAX_STEPS = 8
+NOWHERE = -1  # a goal that is never met
+CHUNK = 200_000  # expansions between two looks at the clock: some 50 ms
+FIRST_ENTRIES = 4096  # of a queue; doubled when full
+NUM_BUCKETS = 2048
+BUCKETS_PER_STEP = 512  # in the cost of a typical step: some five entries a bucket on city maps
+NUM_FAR, FREE_SLOT, BUCKET = 0, 1, 2  # places in a queue's ``tally``
+NO_SLOT = -1
+ROUNDING = 1 - 1e-12  # a closed node is not worth expanding again for a gain that rounding explains
+
+
+class Order(NamedTuple):
+    """In which order nodes are expanded, and which are.
+
+    Attributes:
+      closed: `KEEP`, `REOPEN` or `DEFER`: what a cheaper way to a closed node does.
+      inflation: what h is multiplied by.
+      upper: f from which on nodes are of no use.
+    """
+
+    closed: int
+    inflation: float
+    upper: float
+
+
+class Queue(NamedTuple):
+    """Open nodes by f: a 4-ary heap of the lowest, and buckets of equal width for the rest. ``Q`` entries.
+
+    A heap of all open nodes took two thirds of a search, most of it in mispredicted branches on the way
+    down. Here an entry waits unsorted in its bucket until all of lower buckets are taken, and the heap
+    stays a dozen entries high. The order is that of one heap, but among equal f.
+
+    Attributes:
+      near: heap of the nodes, int32, of the buckets up to the current one.
+      far_f, far_node, far_next: ``[Q]`` slots of the linked lists of later buckets; the next slot, int32.
+      first: ``[B + 1]`` int32 first slot of each bucket, and of what lies beyond them. Once they are empty
+        they begin again at the lowest f beyond.
+      tally: ``[3]`` int64 entries in the lists, first free slot, current bucket.
+      scale: ``[2]`` f where the buckets begin, and buckets per cost; 0: all is in the heap.
+    """
+
+    near: Heap
+    far_f: np.ndarray
+    far_node: np.ndarray
+    far_next: np.ndarray
+    first: np.ndarray
+    tally: np.ndarray
+    scale: np.ndarray
+
+
+def empty_queue(graph: Graph, num_entries: int) -> Queue:
+    """Return a queue with room for that many entries, its buckets fitted to the graph's costs (the order never is)."""
+    stride = max(1, graph.cost.size // 4093)
+    sample = graph.cost[::stride][graph.moves[::stride] > 0]
+    cost = float(sample.mean()) if sample.size else 0.0
+    step = float(np.mean(graph.step_cost + (graph.from_share + graph.to_share) * cost))
+    return Queue(
+        near=Heap.empty(num_entries),
+        far_f=np.empty(num_entries),
+        far_node=np.empty(num_entries, np.int32),
+        far_next=np.arange(1, num_entries + 1, dtype=np.int32),
+        first=np.full(NUM_BUCKETS + 1, NO_SLOT, np.int32),
+        tally=np.zeros(3, np.int64),
+        scale=np.array([0.0, BUCKETS_PER_STEP / step if step > 0 else 0.0]),
+    )
+
+
+def grown(queue: Queue) -> Queue:
+    """Return the queue with room for twice as many entries."""
+    size = queue.far_next.size
+    return queue._replace(
+        near=queue.near.grown(),
+        far_f=np.resize(queue.far_f, 2 * size),
+        far_node=np.resize(queue.far_node, 2 * size),
+        # The last free slot leads to the first new one.
+        far_next=np.concatenate([queue.far_next, np.arange(size + 1, 2 * size + 1, dtype=np.int32)]),
+    )
+
+
+class Nodes(NamedTuple):
+    """What is known of each node, and those that are open. ``M`` nodes.
+
+    Attributes:
+      g: ``[M]`` float64 cost of the cheapest way found to each node, inf without one.
+      state: ``[M]`` uint8 (see `PARENT_STEP` and the names after it).
+      queue: the open nodes.
+    """
+
+    g: np.ndarray
+    state: np.ndarray
+    queue: Queue
+
+
+@compiled()
+def insert(queue, f, node):
+    """Put a node into a queue that has room."""
+    tally = queue.tally
+    bucket = (f - queue.scale[0]) * queue.scale[1]
+    if not bucket >= tally[BUCKET] + 1:  # NaN, of an infinite f, comes here too
+        push(queue.near, f, node)
+        return
+    place = int(min(bucket, NUM_BUCKETS))
+    slot = tally[FREE_SLOT]
+    tally[FREE_SLOT] = queue.far_next[slot]
+    queue.far_f[slot] = f
+    queue.far_node[slot] = node
+    queue.far_next[slot] = queue.first[place]
+    queue.first[place] = slot
+    tally[NUM_FAR] += 1
+
+
+@compiled()
+def refill(queue):
+    """Bring the next bucket's entries into an empty heap; it stays empty where no bucket is left."""
+    tally = queue.tally
+    while queue.near.size[0] == 0 and tally[NUM_FAR] > 0:
+        place = tally[BUCKET] + 1
+        tally[BUCKET] = place
+        if place == NUM_BUCKETS:
+            tally[BUCKET] = 0
+            queue.scale[0] = np.inf
+            slot = queue.first[place]
+            while slot != NO_SLOT:
+                queue.scale[0] = min(queue.scale[0], queue.far_f[slot])
+                slot = queue.far_next[slot]
+        slot = queue.first[place]
+        queue.first[place] = NO_SLOT
+        while slot != NO_SLOT:
+            next_slot = queue.far_next[slot]
+            queue.far_next[slot] = tally[FREE_SLOT]
+            tally[FREE_SLOT] = slot
+            tally[NUM_FAR] -= 1
+            insert(queue, queue.far_f[slot], queue.far_node[slot])
+            slot = next_slot
+
+
+# Inlined by force: LLVM would not, and counting references to the arrays took four fifths of the time.
+@compiled(forceinline=True)
+def _raised(value, landmarks, row, col):
+    """Return the larger of a bound and the landmarks', where there are any."""
+    if landmarks is None:  # decided when it is compiled
+        return value
+    apart = 0.0
+    for k in range(landmarks.at_goal.size):
+        # A landmark that reaches only one of the two proves that there is no way (inf); one that reaches
+        # neither says nothing (inf - inf is NaN, and greater than nothing).
+        difference = abs(landmarks.costs[row, col, k] - landmarks.at_goal[k])
+        if difference > apart:
+            apart = difference
+    return max(value, apart + landmarks.goal_term - landmarks.cost_share * landmarks.cost[row, col])
+
+
+@compiled(forceinline=True)
+def estimate(heuristic, row, col, goal_row, goal_col):
+    """Return ``h`` at a cell (see `Heuristic`)."""
+    dr, dc = abs(row - goal_row), abs(col - goal_col)
+    value = heuristic.straight * max(dr, dc) + heuristic.diagonal * min(dr, dc)
+    if heuristic.euclidean > 0.0:
+        value += heuristic.euclidean * np.sqrt(float(dr * dr + dc * dc))
+    if heuristic.field.size:
+        return value + heuristic.field[row, col]
+    value += max(heuristic.rows[row], heuristic.cols[col])
+    return _raised(value, heuristic.landmarks, row, col)
+
+
+@compiled(nogil=True)
+def advance(graph, heuristic, goal, order, nodes, max_expanded):
+    """Expand nodes in order of f until the goal is met, no open f is below ``upper``, or ``max_expanded`` are done.
+
+    ``f = g + inflation * h``. The queue holds outdated entries, which are skipped: a node's newest entry is
+    its lowest. Equal f come in an order that only the problem decides, so runs repeat.
+
+    Returns: how the chunk ended, and the nodes expanded.
+    """
+    goal_row, goal_col = goal // graph.num_cols, goal % graph.num_cols
+    offsets = graph.steps[:, 0] * graph.num_cols + graph.steps[:, 1]
+    g, state, queue = nodes.g, nodes.state, nodes.queue
+    near = queue.near
+    num_expanded = 0
+    while True:
+        if near.size[0] == 0:
+            refill(queue)
+        if near.size[0] == 0 or near.f[0] >= order.upper:
+            return EXHAUSTED, num_expanded
+        if num_expanded >= max_expanded:
+            return PAUSED, num_expanded
+        if near.size[0] + queue.tally[NUM_FAR] + MAX_STEPS > queue.far_f.size:
+            return FULL, num_expanded
+        node = near.item[0]
+        drop_top(near)
+        if state[node] & CLOSED:
+            continue
+        state[node] |= CLOSED
+        if node == goal:
+            return FOUND, num_expanded
+        num_expanded += 1
+        row, col = node // graph.num_cols, node % graph.num_cols
+        moves, node_g, node_cost = graph.moves[node], g[node], graph.cost[node]
+        for k in range(MAX_STEPS):
+            if not (moves >> k) & 1:
+                continue
+            to = node + offsets[k]
+            to_g = node_g + (graph.step_cost[k] + graph.from_share[k] * node_cost + graph.to_share[k] * graph.cost[to])
+            if to_g >= g[to]:
+                continue
+            if state[to] & CLOSED:
+                if order.closed == KEEP or to_g >= g[to] * ROUNDING:
+                    continue
+                if order.closed == DEFER:
+                    g[to] = to_g
+                    state[to] = k | CLOSED | LATER
+                    continue
+            g[to] = to_g
+            state[to] = k
+            to_h = estimate(heuristic, row + graph.steps[k, 0], col + graph.steps[k, 1], goal_row, goal_col)
+            insert(queue, to_g + order.inflation * to_h, to)
+
+
+@compiled()
+def _is_of_use(g, state, node):
+    """Whether a node is open or marked LATER."""
+    return g[node] < np.inf and (not state[node] & CLOSED or state[node] & LATER)
+
+
+@compiled(nogil=True)
+def lowest_open(graph, heuristic, goal, g, state):
+    """Return the least ``g + h`` of a node that is open or marked LATER, inf without one, and their number."""
+    goal_row, goal_col = goal // graph.num_cols, goal % graph.num_cols
+    low, num_open = np.inf, 0
+    for node in range(g.size):
+        if _is_of_use(g, state, node):
+            num_open += 1
+            h = estimate(heuristic, node // graph.num_cols, node % graph.num_cols, goal_row, goal_col)
+            low = min(low, g[node] + h)
+    return low, num_open
+
+
+@compiled(nogil=True)
+def requeue(graph, heuristic, inflation, goal, nodes):
+    """Open every node marked LATER, let closed ones be opened again, and put the open ones into an empty queue."""
+    goal_row, goal_col = goal // graph.num_cols, goal % graph.num_cols
+    g, state = nodes.g, nodes.state
+    for node in range(g.size):
+        if _is_of_use(g, state, node):
+            h = estimate(heuristic, node // graph.num_cols, node % graph.num_cols, goal_row, goal_col)
+            insert(nodes.queue, g[node] + inflation * h, node)
+        state[node] &= PARENT_STEP
+
+
+class Search:
+    """A search in progress: what is known of each node, and the queue of open ones. ``M`` nodes.
+
+    Attributes:
+      graph, heuristic: what is searched, by which bound.
+      start, goal: nodes; the goal `NOWHERE` is never met.
+      num_expanded: nodes expanded so far.
+    """
+
+    def __init__(self, graph: Graph, heuristic: Heuristic, start: Cell, goal: Cell | None) -> None:
+        self.graph, self.heuristic = graph, heuristic
+        self.start = start[0] * graph.num_cols + start[1]
+        self.goal = NOWHERE if goal is None else goal[0] * graph.num_cols + goal[1]
+        self.num_expanded = 0
+        num_nodes = graph.cost.size
+        queue = empty_queue(graph, FIRST_ENTRIES)
+        self._nodes = Nodes(np.full(num_nodes, np.inf), np.full(num_nodes, NO_PARENT, np.uint8), queue)
+        self.g[self.start] = 0.0
+        insert(queue, 0.0 if goal is None else estimate(heuristic, *start, *goal), self.start)
+
+    @property
+    def g(self) -> np.ndarray:
+        """``[M]`` float64 cost of the cheapest way found to each node, inf without one."""
+        return self._nodes.g
+
+    @property
+    def low_f(self) -> float:
+        """The least f in the queue, inf where it is empty."""
+        near = self._nodes.queue.near
+        if not near.size[0]:
+            refill(self._nodes.queue)
+        return float(near.f[0]) if near.size[0] else np.inf
+
+    def run(self, *, closed: int = KEEP, inflation: float = 1.0, upper: float = np.inf, end_s: float = np.inf) -> int:
+        """Search on and return FOUND (the goal was met), EXHAUSTED (no open f is below ``upper``) or PAUSED.
+
+        Args:
+          closed, inflation, upper: see `Order`.
+          end_s: time of `time.perf_counter` at which to pause; heeded within some 50 ms.
+        """
+        order = Order(closed, inflation, upper)
+        while True:
+            ended, num_done = advance(self.graph, self.heuristic, self.goal, order, self._nodes, CHUNK)
+            self.num_expanded += num_done
+            if ended in (FOUND, EXHAUSTED):
+                return int(ended)
+            if ended == FULL:
+                self._nodes = self._nodes._replace(queue=grown(self._nodes.queue))
+            if time.perf_counter() >= end_s:
+                return PAUSED
+
+    def lower_bound(self) -> tuple[float, int]:
+        """Return the least ``g + h`` among nodes still of use, which no path undercuts, and their number."""
+        low, num_open = lowest_open(self.graph, self.heuristic, self.goal, self.g, self._nodes.state)
+        return float(low), int(num_open)
+
+    def requeue(self, inflation: float, num_open: int) -> None:
+        """Order the open nodes, and those marked `LATER`, by another inflation; all may be expanded again."""
+        self._nodes = self._nodes._replace(queue=empty_queue(self.graph, max(FIRST_ENTRIES, num_open)))
+        requeue(self.graph, self.heuristic, inflation, self.goal, self._nodes)
+
+    def points_m(self, resolution_m: float) -> np.ndarray:
+        """Return ``[N, 2]`` the cell centres from start to goal, by the steps that led to each cell."""
+        state = self._nodes.state.reshape(-1, self.graph.num_cols)
+        start, goal = (divmod(node, self.graph.num_cols) for node in (self.start, self.goal))
+        cells = steps_back(start, goal, lambda row, col: STEPS[state[row, col] & PARENT_STEP])
+        return (cells[:, ::-1] + 0.5) * resolution_m

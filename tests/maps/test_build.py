@@ -1,0 +1,160 @@
+"""build_maps: what the maps of a whole city obey."""
+
+import numpy as np
+import pytest
+import shapely
+import xarray as xr
+
+import jaxurban as ju
+from jaxurban.errors import InputError
+from jaxurban.io.files import read_json
+from jaxurban.scenario.run import run_scenario
+from jaxurban.scenario.settings import Scenario
+from jaxurban.world.city import Buildings
+
+REFERENCE = (-73.97, 40.78)
+
+
+@pytest.fixture(scope="module")
+def city() -> ju.City:
+    return ju.demo_city(1_500, 1_500)
+
+
+@pytest.fixture(scope="module")
+def maps(city) -> ju.MetricMaps:
+    return ju.build_maps(city, resolution_m=10.0, reference=REFERENCE)
+
+
+def box_city(*boxes: tuple[float, float, float, float, float]) -> ju.City:
+    """Return a city of boxes: x_min, y_min, x_max, y_max, height, metres from 500,000 and 4,500,000."""
+    x0, y0 = 500_000.0, 4_500_000.0
+    polygons = np.array([shapely.box(x0 + a, y0 + b, x0 + c, y0 + d) for a, b, c, d, _ in boxes], object)
+    heights = np.array([box[4] for box in boxes], float)
+    zeros = np.zeros(len(boxes))
+    buildings = Buildings(polygons, heights, zeros, zeros.astype(np.uint8), zeros.astype(bool))
+    return ju.City("EPSG:32618", (x0, y0, x0 + 400.0, y0 + 400.0), buildings)
+
+
+def test_values_are_metrics_and_obstacles_hold_zero(maps):
+    for name in ("gps", "lidar", "risk", "population"):
+        values = maps.ds[name].values
+        assert np.isfinite(values).all()
+        assert values.min() >= 0.0
+        assert values.max() <= 1.0
+    for altitude_m in maps.altitudes_m:
+        blocked = ~maps.is_free(altitude_m, "centre")
+        for name in ("gps", "lidar", "risk"):
+            assert (maps.m(name, altitude_m)[blocked] == 0.0).all()
+
+
+def test_the_maps_say_how_far_risk_looked(maps):
+    assert (maps.ds.attrs["risk_threshold_m"], maps.ds.attrs["risk_distance"]) == (50.0, "slice")
+
+
+def test_a_cell_is_an_obstacle_exactly_where_a_roof_reaches_it(maps):
+    for altitude_m in maps.altitudes_m:
+        np.testing.assert_array_equal(maps.m("obstacle", altitude_m) == 1, maps.m("roof") >= altitude_m)
+
+
+def test_gps_improves_and_lidar_fades_with_altitude(maps):
+    gps, lidar = ([float(maps.m(name, z).mean()) for z in maps.altitudes_m] for name in ("gps", "lidar"))
+    assert gps == sorted(gps)
+    assert lidar == sorted(lidar, reverse=True)
+    assert lidar[-1] == 0.0  # nothing stands within 100 m of 600 m
+
+
+def test_maps_of_a_sub_box_equal_the_crop_bit_for_bit(city, maps):
+    outer = maps.grid
+    inner = ju.Grid(outer.crs, 10.0, outer.first_row + 41, outer.first_col + 37, 53, 61)
+    part = ju.build_maps(city, grid=inner, reference=REFERENCE)
+    rows, cols = inner.window_in(outer)
+    for name in ("obstacle", "gps", "gdop", "num_visible", "lidar", "risk", "density", "roof"):
+        np.testing.assert_array_equal(part.ds[name].values, maps.ds[name].values[..., rows, cols], err_msg=name)
+
+
+def test_maps_and_cities_show_what_they_are(city, maps):
+    assert repr(maps).startswith(
+        "MetricMaps(grid: 150 x 150 cells of 10 m; CRS: EPSG:32618; altitudes: 20, 60, 122, 600 m"
+    )
+    assert "metrics: gps, lidar, population, risk" in repr(maps)
+    assert repr(city).startswith("City(CRS: EPSG:32618; extent: 1.5 x 1.5 km; buildings: ")
+    for shown in (maps, city):
+        assert all(f"<th>{name}</th>" in shown._repr_html_() for name, fact in shown.facts.items() if fact)
+
+
+def test_saved_maps_reopen_equal(maps, tmp_path):
+    maps.save(tmp_path)
+    again = ju.open_maps(tmp_path)
+    xr.testing.assert_identical(again.ds, maps.ds)
+    assert again.grid == maps.grid
+    assert again.times == ("2020-04-27T16:00:00Z",)
+    assert again.times_of_day == ("day", "night")
+
+
+def test_a_lone_wall_shadows_and_endangers_what_stands_near():
+    maps = ju.build_maps(
+        box_city((180, 180, 220, 220, 100)), resolution_m=10.0, altitudes_m=(20.0, 150.0), reference=(-75.0, 40.65)
+    )
+    risk, seen = maps.m("risk", 20.0), maps.m("num_visible", 20.0)
+    assert risk[20, 23] == pytest.approx(20.0 / 50.0)  # two cells east of the wall's last one
+    assert (maps.m("risk", 150.0) == 1.0).all()
+    assert seen.max() == maps.m("num_visible", 150.0).min()  # above the roof nothing is hidden
+    assert seen[15:25, 15:25][seen[15:25, 15:25] > 0].min() < seen.max()
+
+
+def test_north_of_a_tower_lies_more_shadow_than_south_of_it():
+    # Seen from New York most GPS satellites stand in the south: their orbits are inclined by 55 degrees.
+    maps = ju.build_maps(
+        box_city((180, 180, 220, 220, 200)),
+        resolution_m=10.0,
+        altitudes_m=(20.0,),
+        times=[f"2020-04-27T{hour:02d}:00:00Z" for hour in range(0, 24, 4)],
+        reference=(-75.0, 40.65),
+    )
+    seen = maps.ds["num_visible"].values[:, 0].astype(int).sum(axis=0)
+    assert seen[22:32, 18:22].sum() < seen[8:18, 18:22].sum()
+
+
+def test_several_epochs_are_kept_apart(city):
+    times = ("2020-04-27T16:00:00Z", "2020-04-27T19:00:00Z")
+    maps = ju.build_maps(city, resolution_m=20.0, altitudes_m=(20.0,), times=times)
+    assert maps.times == times
+    first, second = (maps.m("gdop", 20.0, time=time) for time in times)
+    assert not np.array_equal(first, second)
+    with pytest.raises(InputError, match="2020-04-27T16:00:00Z"):
+        maps.m("gdop", 20.0, time="2021-01-01T00:00:00Z")
+
+
+def test_maps_without_people_have_no_population_layer():
+    maps = ju.build_maps(box_city((0, 0, 50, 50, 30)), resolution_m=10.0, altitudes_m=(20.0,))
+    assert "population" not in maps.ds
+    assert tuple(maps.metrics) == ("gps", "lidar", "risk")
+    with pytest.raises(InputError, match="hold no 'population'"):
+        maps.m("population")
+
+
+def test_no_satellite_above_the_mask_is_an_error(city):
+    with pytest.raises(InputError, match="no satellite is above"):
+        ju.build_maps(city, resolution_m=20.0, mask_deg=89.9)
+
+
+def test_normalised_map_spans_free_cells(maps):
+    h = maps.normalised(20.0, time_of_day="day")
+    free = maps.is_free(20.0, "centre")
+    assert np.isnan(h[~free]).all()
+    np.testing.assert_allclose((h[free].min(), h[free].max()), (0.0, 1.0), atol=1e-6)
+
+
+def test_one_run_over_several_resolutions_shares_its_box(tmp_path):
+    scenario = Scenario.from_dict(
+        {
+            "region": {"bounds": [-74.0, 40.755, -73.99, 40.765], "resolution_m": [20, 10], "altitudes_m": 20},
+            "buildings": {"source": "synthetic"},
+        }
+    )
+    run = run_scenario(scenario, tmp_path)
+    assert len({maps.grid.bounds_m for maps in run.maps.values()}) == 1
+    assert read_json(tmp_path / "run.json") == run.record
+    with pytest.raises(InputError, match="choose one"):
+        ju.open_maps(tmp_path)
+    assert ju.open_maps(tmp_path, 10.0).grid.resolution_m == 10.0

@@ -1,0 +1,188 @@
+"""SoftCity: cost layers and path costs as functions of heights, parameters and weights."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxurban.maps.differentiable import CELLS_STEP, SoftCity, SoftParams, path_visits
+from jaxurban.metrics.gps import GpsParams, GpsView, compute_gps
+from jaxurban.metrics.lidar import LidarParams, compute_lidar
+from jaxurban.metrics.population import BlockPopulation, PopulationParams
+from jaxurban.metrics.risk import RiskParams, compute_risk
+from jaxurban.metrics.weights import Weights
+from jaxurban.planners.astar import astar
+from jaxurban.planners.base import CostModel, Problem
+from jaxurban.planners.envelope import planned_cost
+from jaxurban.world.city import Zoning
+from tests.metrics.soft.differences import anyhow, axes, check_gradient
+from tests.metrics.soft.scene import ALTITUDE_M, CELLS, REGION, scene, surface_of
+
+HEIGHT_M, BUILDING = scene()
+AZIMUTH_RAD = np.radians([10.0, 80.0, 190.0, 285.0, 140.0])
+ELEVATION_RAD = np.radians([35.0, 50.0, 25.0, 40.0, 65.0])
+PARAMS = SoftParams(
+    ALTITUDE_M,
+    2.0,
+    GpsParams(20.0),
+    LidarParams(beams=2, field_of_view_deg=(-9.0, 6.0), azimuths=16, range_m=33.0),
+    RiskParams(37.0),
+    PopulationParams(normalise=400_000.0),
+)
+WEIGHTS = Weights(0.05, 1.0, 0.7, 0.4, 1.2)
+START, GOAL = (1, 1), (13, 16)
+REACH_M = (("gps", 0.0), ("lidar", 40.0), ("population", 0.0), ("risk", 40.0))
+
+
+def city(dtype=np.float64):
+    block = np.arange(REGION.num_rows)[:, None] // 4 * 3 + np.arange(REGION.num_cols)[None] // 6
+    surface = replace(surface_of(HEIGHT_M.astype(dtype), BUILDING), block=jnp.asarray(block, jnp.int32))
+    zoning = np.where(np.arange(12) % 2, Zoning.COMMERCIAL, Zoning.RESIDENTIAL)
+    population = BlockPopulation(
+        jnp.linspace(20.0, 120.0, 12, dtype=dtype), jnp.full(12, 600.0, dtype), jnp.asarray(zoning), jnp.arange(12)
+    )
+    view = GpsView.of(surface, AZIMUTH_RAD, ELEVATION_RAD)
+    height_m = jnp.asarray(HEIGHT_M, dtype)
+    return SoftCity(surface, jnp.asarray(BUILDING), height_m, view, population, reach_m=REACH_M)
+
+
+@jax.jit
+def layers_of(soft, height_m, params):
+    return soft.layers(height_m, params)
+
+
+@jax.jit
+def cost_and_slopes(soft, height_m, params, weights, visits):
+    return jax.value_and_grad(soft.path_cost, (0, 1, 2))(height_m, params, weights, visits)
+
+
+def vector_of(soft, weights):
+    return jnp.append(weights.distance, soft.layer_weights(weights))
+
+
+def problem_of(soft, params=PARAMS, weights=WEIGHTS, cost_model="cell"):
+    """The planning question on the soft layers; obstacles are those of the city's own heights."""
+    costs = np.asarray(layers_of(soft, soft.height_m, params))
+    is_free = np.asarray(soft.surface.crop(soft.surface.roof_m)) < ALTITUDE_M
+    return Problem(costs, is_free, START, GOAL, REGION.resolution_m, vector_of(soft, weights), cost_model)
+
+
+def test_softness_0_gives_the_costs_of_the_exact_maps():
+    with jax.enable_x64(True):
+        soft = city()
+        found = dict(zip(soft.names, layers_of(soft, soft.height_m, replace(PARAMS, softness_m=0.0)), strict=True))
+    surface = city(np.float32).surface
+    exact = {
+        "gps": compute_gps(surface, AZIMUTH_RAD, ELEVATION_RAD, [ALTITUDE_M], PARAMS.gps).m,
+        "lidar": compute_lidar(surface, [ALTITUDE_M], PARAMS.lidar),
+        "risk": compute_risk(surface, [ALTITUDE_M], PARAMS.risk),
+    }
+    for name, m in exact.items():
+        np.testing.assert_allclose(found[name], 1 - m[0], atol=2e-6, err_msg=name)
+
+
+@pytest.mark.parametrize("cost_model", ["cell", "line"])
+def test_a_path_on_chosen_cells_costs_what_the_whole_maps_do(cost_model):
+    with jax.enable_x64(True):
+        soft = city()
+        problem = problem_of(soft, cost_model=cost_model)
+        found = astar(problem)
+        visits = path_visits(found.points_m, REGION.shape, REGION.resolution_m, CostModel(cost_model))
+        assert visits.cells.shape == (CELLS_STEP, 2)
+        cost, _ = cost_and_slopes(soft, soft.height_m, PARAMS, WEIGHTS, visits)
+        np.testing.assert_allclose(cost, found.cost, rtol=1e-12)
+        np.testing.assert_allclose(visits.length_m, problem.features(found.points_m).phi[0])
+
+
+def test_the_gradient_of_a_path_agrees_with_finite_differences_in_everything():
+    with jax.enable_x64(True):
+        soft = city()
+        points_m = astar(problem_of(soft)).points_m
+        visits = path_visits(points_m, REGION.shape, REGION.resolution_m, CostModel())
+        leaves, shape = jax.tree.flatten((PARAMS, WEIGHTS))
+        names = [jax.tree_util.keystr(path) for path, _ in jax.tree_util.tree_flatten_with_path((PARAMS, WEIGHTS))[0]]
+        inputs = {"heights": soft.height_m} | dict(zip(names, map(jnp.asarray, leaves), strict=True))
+
+        def value_and_gradient(inputs):
+            params, weights = jax.tree.unflatten(shape, [inputs[name] for name in names])
+            value, (by_height, *others) = cost_and_slopes(soft, inputs["heights"], params, weights, visits)
+            return value, {"heights": by_height} | dict(zip(names, jax.tree.leaves(others), strict=True))
+
+        by_height = value_and_gradient(inputs)[1]["heights"]
+        directions = {name: [1.0] for name in names}
+        check_gradient(
+            value_and_gradient, inputs, directions | {"heights": [*axes(by_height, 4), anyhow(HEIGHT_M.shape)]}
+        )
+
+
+def test_the_gradient_of_the_path_is_that_of_replanned_costs():
+    with jax.enable_x64(True):
+        soft = city()
+        problem = problem_of(soft)
+        visits = path_visits(astar(problem).points_m, REGION.shape, REGION.resolution_m, CostModel())
+        _, (by_height, by_params, _) = cost_and_slopes(soft, soft.height_m, PARAMS, WEIGHTS, visits)
+
+        def replanned(height_m=soft.height_m, params=PARAMS):
+            return astar(problem.with_costs(np.asarray(layers_of(soft, height_m, params)))).cost
+
+        for building in np.argsort(-np.abs(by_height))[:3]:
+            step = 1e-5 * np.eye(len(HEIGHT_M))[building]
+            slope = (replanned(soft.height_m + step) - replanned(soft.height_m - step)) / 2e-5
+            np.testing.assert_allclose(by_height[building], slope, rtol=1e-4)
+        ends = [replanned(params=replace(PARAMS, risk=RiskParams(37.0 + step))) for step in (1e-5, -1e-5)]
+        np.testing.assert_allclose(by_params.risk.threshold_m, (ends[0] - ends[1]) / 2e-5, rtol=1e-4)
+
+
+@pytest.mark.slow
+def test_the_gradient_through_the_planner_and_the_whole_maps_is_that_of_the_path():
+    with jax.enable_x64(True):
+        soft = city()
+        problem = problem_of(soft)
+        planned = planned_cost(problem, astar)
+
+        @jax.jit
+        def optimal(height_m, params, weights):
+            return planned(soft.layers(height_m, params), vector_of(soft, weights))
+
+        inputs = (soft.height_m, PARAMS, WEIGHTS)
+        through_maps = jax.jit(jax.grad(optimal, (0, 1, 2)))(*inputs)
+        visits = path_visits(astar(problem).points_m, REGION.shape, REGION.resolution_m, CostModel())
+        _, of_the_path = cost_and_slopes(soft, *inputs, visits)
+        jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-12), through_maps, of_the_path)
+
+
+def test_one_program_serves_other_values_and_other_skies():
+    with jax.enable_x64(True):
+        soft = city()
+        first = layers_of(soft, soft.height_m, PARAMS)
+        compiled = layers_of._cache_size()
+        assert compiled == 1
+        others = [
+            (soft, soft.height_m + 1, PARAMS),
+            (replace(soft, view=GpsView.of(soft.surface, AZIMUTH_RAD + 0.3, ELEVATION_RAD)), soft.height_m, PARAMS),
+            (soft, soft.height_m, replace(PARAMS, altitude_m=31.0, softness_m=0.5, risk=RiskParams(25.0))),
+            (soft, soft.height_m, replace(PARAMS, gps=GpsParams(9.0), lidar=replace(PARAMS.lidar, range_m=21.0))),
+        ]
+        found = [layers_of(*arguments) for arguments in others]
+        assert layers_of._cache_size() == compiled
+        assert all(float(jnp.abs(layers - first).max()) > 1e-3 for layers in found)
+
+
+def test_altitudes_are_batched_by_vmap_in_float32_too():
+    soft = city(np.float32)
+
+    def layers_at(z_m):
+        return jnp.stack([soft.layer(name, soft.height_m, replace(PARAMS, altitude_m=z_m), CELLS) for name in few])
+
+    few = ("population", "risk")
+    both = jax.vmap(layers_at)(jnp.array([ALTITUDE_M, 31.0], jnp.float32))
+    assert both.dtype == jnp.float32
+    np.testing.assert_allclose(both[1], layers_at(31.0), atol=1e-6)
+
+
+def test_a_city_without_people_has_no_such_layer():
+    soft = replace(city(np.float32), population=None)
+    assert soft.names == ("gps", "lidar", "risk")
+    np.testing.assert_allclose(soft.layer_weights(WEIGHTS), [1.0, 0.7, 1.2])

@@ -1,0 +1,259 @@
+"""What files do not say: told on the terminal, in run.json, to Python and in pictures, once each."""
+
+import json
+import warnings
+from dataclasses import replace
+from datetime import date
+
+import geopandas as gpd
+import numpy as np
+import pytest
+import shapely
+from matplotlib.text import Text
+from sgp4.exporter import export_tle
+from skyfield.api import load
+
+import jaxurban as ju
+from jaxurban.errors import GuessWarning
+from jaxurban.io.read.census import CensusFiles, read_blocks
+from jaxurban.io.read.nominal import nominal_satellites
+from jaxurban.io.read.rasterise import burn
+from jaxurban.maps.build import map_guesses, view_sky
+from jaxurban.maps.guesses import _scale_guesses, leaving_shares
+from jaxurban.maps.task import MapParams, MapTask
+from jaxurban.metrics.population import PopulationParams, block_layers, population_totals
+from jaxurban.report import figures as plotting
+from jaxurban.scenario.run import run_scenario
+from jaxurban.scenario.settings import Scenario
+from jaxurban.world.city import Blocks, City, Zoning
+from jaxurban.world.grid import WGS84, Grid, transformer
+from tests.cli_runs import run
+
+CRS = "EPSG:32618"
+X0, Y0 = 584_000.0, 4_507_000.0
+BOUNDS = tuple(transformer(CRS, WGS84).transform_bounds(X0 + 5, Y0 + 5, X0 + 395, Y0 + 395))
+
+
+def write_buildings(path, heights, levels):
+    """Write a row of houses of 40 m x 40 m, and a covering one so that the data reach all of the region."""
+    x = X0 + 20.0 + 90.0 * np.arange(len(heights))
+    houses = shapely.box(x, Y0 + 100, x + 40, Y0 + 140)
+    corners = shapely.box([X0 - 100, X0 + 450], [Y0 - 100, Y0 + 450], [X0 - 90, X0 + 460], [Y0 - 90, Y0 + 460])
+    frame = gpd.GeoDataFrame(
+        {"building": "yes", "height": [*heights, "5", "5"], "building:levels": [*levels, None, None]},
+        geometry=[*houses, *corners],
+        crs=CRS,
+    )
+    frame.to_crs(4326).to_file(path)
+    return houses
+
+
+def write_scenario(tmp_path, extra=""):
+    path = tmp_path / "scenario.toml"
+    path.write_text(
+        f"[region]\nbounds = {list(BOUNDS)}\nresolution_m = 10\naltitudes_m = [20]\n"
+        f'[buildings]\nsource = "town.geojson"\n{extra}'
+    )
+    return path
+
+
+def told_by(function):
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        result = function()
+    return result, [str(item.message) for item in caught if item.category is GuessWarning]
+
+
+def test_guessed_heights_are_told_on_the_terminal_in_the_record_and_in_the_picture(tmp_path, capsys):
+    houses = write_buildings(tmp_path / "town.geojson", ["30", None, None, "25"], [None, "4", None, "2"])
+    code, _, err = run(capsys, "maps", write_scenario(tmp_path), "-o", tmp_path / "out")
+    assert code == 0
+    sentence = "heights of 50 % of the 4 buildings in the region are guessed (1 by 3 m a level, 1 the default of 10 m)"
+    assert [line for line in err.splitlines() if sentence in line and line.startswith("jaxurban: warning: ")]
+    found = json.loads((tmp_path / "out/run.json").read_text())["warnings"]
+    assert sum(sentence in warning for warning in found) == 1
+    maps = ju.open_maps(tmp_path / "out")
+    assert "50 % of heights" in maps.ds.attrs["guesses"]
+    guessed = burn(houses[1:3], np.ones(2), maps.grid, 0, "uint8").astype(bool)
+    assert guessed.sum() == 32
+    np.testing.assert_array_equal(maps.m("roof_guessed"), guessed)
+    figure = plotting.plot_heights(maps)
+    texts = [text.get_text() for text in figure.findobj(Text)]
+    assert "height guessed\n(50 % of roofs)" in texts
+    assert any(text.startswith("Guessed: 50 % of heights") for text in texts)
+
+
+def test_known_heights_are_told_of_nowhere(tmp_path):
+    write_buildings(tmp_path / "town.geojson", ["30"] * 4, [None] * 4)
+    city, told = told_by(lambda: City.from_files(tmp_path / "town.geojson", bounds=BOUNDS))
+    assert (told, city.guesses) == ([], {})
+    maps, _ = told_by(lambda: ju.build_maps(city, BOUNDS, resolution_m=10.0, altitudes_m=[20.0]))
+    assert "roof_guessed" not in maps.ds
+    texts = [text.get_text() for text in plotting.plot_heights(maps).findobj(Text)]
+    assert not any("height guessed" in text for text in texts)
+
+
+def test_python_is_warned_once_of_each_guess_and_maps_hold_all_of_them(tmp_path):
+    write_buildings(tmp_path / "town.geojson", ["300", None, None, "25"], [None] * 4)
+    city, at_reading = told_by(lambda: City.from_files(tmp_path / "town.geojson", bounds=BOUNDS))
+    maps, at_building = told_by(lambda: ju.build_maps(city, BOUNDS, resolution_m=10.0, altitudes_m=[20.0]))
+    assert [*at_reading, *at_building] == list(maps.ds.attrs["guesses"].values())
+    assert len(at_reading) == 1
+    assert any("nominal ones at 2020-04-27T16:00:00Z, the paper's time" in sentence for sentence in at_building)
+    assert any("rays that leave the data" in sentence for sentence in at_building)
+    ran = run_scenario(Scenario.from_toml(write_scenario(tmp_path)), tmp_path / "out")
+    assert ran.record["warnings"] == list(ran.maps[10.0].ds.attrs["guesses"].values())
+    assert ran.maps[10.0].ds.attrs["guesses"] == maps.ds.attrs["guesses"]
+    np.testing.assert_array_equal(ran.maps[10.0].m("roof_guessed"), maps.m("roof_guessed"))
+
+
+def test_the_embedded_city_guesses_nothing():
+    city, region = ju.demo_city(500, 500), Grid.from_bounds((-73.971, 40.7795, -73.969, 40.7805), 20.0, CRS)
+    sky = view_sky(region, "nominal", None, mask_deg=5.0, reference=None, max_age_days=90.0)
+    assert map_guesses(MapTask(city, region, sky, MapParams())) == {}
+
+
+def elements_of(day, path):
+    """Write the nominal satellites as two-line elements, whose epochs are noon of a day."""
+    satellites = nominal_satellites(day, load.timescale(builtin=True))
+    path.write_text("".join(f"{s.name}\n" + "\n".join(export_tle(s.model)) + "\n" for s in satellites))
+    return path
+
+
+def test_elements_without_times_stand_at_their_own_time_and_nominal_ones_at_the_papers(tmp_path):
+    write_buildings(tmp_path / "town.geojson", ["30"] * 4, [None] * 4)
+    orbits = elements_of(date(2026, 8, 7), tmp_path / "gps.tle")
+    scenario = Scenario.from_toml(write_scenario(tmp_path, '[gps]\norbits = "gps.tle"\n'))
+    made = run_scenario(scenario, tmp_path / "out")
+    assert made.record["epochs"] == ["2026-08-07T12:00:00Z"]
+    assert any("satellites stand as at 2026-08-07T12:00:00Z" in warning for warning in made.record["warnings"])
+    region, options = made.maps[10.0].grid, {"mask_deg": 5.0, "reference": None, "max_age_days": 90.0}
+    assert view_sky(region, "nominal", None, **options).times == ("2020-04-27T16:00:00Z",)
+    asked = view_sky(region, orbits, ["2026-08-08T00:00:00Z"], **options)
+    assert (asked.times, asked.guesses) == (("2026-08-08T00:00:00Z",), {})
+    city, _ = told_by(lambda: City.from_files(tmp_path / "town.geojson", bounds=BOUNDS))
+    maps, told = told_by(lambda: ju.build_maps(city, grid=region, altitudes_m=[20.0], orbits=orbits))
+    assert maps.times == ("2026-08-07T12:00:00Z",)
+    assert any("satellites stand as at" in sentence for sentence in told)
+
+
+def test_the_share_of_answers_beyond_the_data_is_that_of_rays_followed_one_by_one(tmp_path):
+    write_buildings(tmp_path / "town.geojson", ["60", "30", "30", "30"], [None] * 4)
+    city, _ = told_by(lambda: City.from_files(tmp_path / "town.geojson", bounds=BOUNDS))
+    region = Grid.from_bounds(BOUNDS, 20.0, CRS)
+    times = ["2020-04-27T16:00:00Z", "2020-04-27T19:00:00Z"]
+    sky = view_sky(region, "nominal", times, mask_deg=5.0, reference=None, max_age_days=90.0)
+    leaving = []
+    for t, s in np.argwhere(sky.elevation_rad >= np.radians(5.0)):
+        run_m = (60.0 - 20.0) / np.tan(sky.elevation_rad[t, s])
+        x_m = region.x_m[None, :] + run_m * np.sin(sky.azimuth_rad[t, s])
+        y_m = region.y_m[:, None] + run_m * np.cos(sky.azimuth_rad[t, s])
+        x_min, y_min, x_max, y_max = city.known_extent_m
+        leaving.append(((x_m < x_min) | (x_m > x_max) | (y_m < y_min) | (y_m > y_max)).mean())
+    assert 0.01 < np.mean(leaving) < 0.99
+    assert leaving_shares(city, region, sky, 20.0, 5.0)[1] == pytest.approx(np.mean(leaving), abs=1e-12)
+
+
+def blocks_of(*sides_m, people=100.0):
+    """Square blocks in a row, each with the same people."""
+    x = X0 + np.r_[0.0, np.cumsum(sides_m)[:-1]]
+    polygons = shapely.box(x, Y0, x + np.array(sides_m), Y0 + np.array(sides_m))
+    num = len(sides_m)
+    zoning = np.full(num, Zoning.RESIDENTIAL, np.uint8)
+    return Blocks(polygons, np.full(num, people), np.full(num, 107, np.int32), zoning, np.arange(num).astype(object))
+
+
+def scale_guess(blocks, **settings):
+    city = replace(ju.demo_city(500, 500), blocks=blocks, crs=CRS, extent_m=(X0, Y0, X0 + 1000.0, Y0 + 1000.0))
+    region = Grid.from_bounds(BOUNDS, 10.0, CRS)
+    sky = view_sky(region, "nominal", None, mask_deg=5.0, reference=None, max_age_days=90.0)
+    params = MapParams(altitudes_m=(20.0,), population=PopulationParams(**settings))
+    return map_guesses(MapTask(city, region, sky, params)).get("one block sets the population scale")
+
+
+def test_one_tiny_block_that_sets_the_population_scale_is_told_with_its_remedy():
+    said = scale_guess(blocks_of(10.0, 60.0, 60.0, 60.0, 60.0))
+    assert "census block 0 (100 m2) with 1,000,000 people per km2" not in said  # by day half of them are away
+    assert "census block 0 (100 m2) with 500,000 people per km2 sets the population scale alone" in said
+    assert "the median inhabited block gets 0.03; set [population] normalise to" in said
+    assert scale_guess(blocks_of(10.0, 60.0, 60.0, 60.0, 60.0), normalise="p95") is None
+    assert scale_guess(blocks_of(10.0, 60.0, 60.0, 60.0, 60.0), normalise=3e4) is None
+    assert scale_guess(blocks_of(50.0, 60.0, 60.0, 60.0, 60.0)) is None
+
+
+@pytest.mark.data
+def test_manhattans_tiny_block_is_told(data_dir):
+    census = data_dir / "census"
+    blocks, _ = read_blocks(
+        CensusFiles(census / "tl_2010_36061_tabblock10.shp", census / "DECENNIALSF12010.P1_nyc_blocks.csv"), CRS
+    )
+    people = block_layers(blocks, ["night"])
+    (said,) = _scale_guesses(blocks, tuple(shapely.total_bounds(blocks.polygons)), people, PopulationParams()).values()
+    for words in ("(1,820 m2)", "709,326 people per km2", "gets 0.06"):
+        assert words in said
+
+
+def test_people_in_the_region_are_counted_by_area():
+    blocks = blocks_of(100.0, 100.0, people=100.0)
+    box = (X0 + 25.0, Y0, X0 + 200.0, Y0 + 50.0)
+    assert population_totals(blocks, None, box)["night"]["total"] == 200.0
+    inside = population_totals(blocks, None, box, is_cut=True)
+    assert inside["night"]["residential"] == pytest.approx(100 * 0.75 * 0.5 + 100 * 0.5)
+    assert inside["day"]["total"] == pytest.approx(0.5 * inside["night"]["total"])
+
+
+def write_people(tmp_path, counts, labels=(101, 102), field="BoroCD"):
+    """Write a town with three blocks, their counts, and two districts."""
+    write_buildings(tmp_path / "town.geojson", ["30"] * 4, [None] * 4)
+    ids = [f"36061000100100{i}" for i in range(3)]
+    x = X0 + 140.0 * np.arange(3) - 10
+    blocks = gpd.GeoDataFrame({"GEOID10": ids}, geometry=shapely.box(x, Y0 - 10, x + 140, Y0 + 410), crs=CRS)
+    blocks.to_file(tmp_path / "blocks.gpkg")
+    lines = [f'"{block}","{count}"' for block, count in zip(ids, counts, strict=False)]
+    (tmp_path / "counts.csv").write_text("\n".join(["GEOID10,population", *lines]))
+    halves = shapely.box([X0 - 50, X0 + 200], Y0 - 50, [X0 + 200, X0 + 500], Y0 + 500)
+    gpd.GeoDataFrame({field: labels}, geometry=halves, crs=CRS).to_crs(4326).to_file(tmp_path / "districts.geojson")
+    return {
+        **{"bounds": BOUNDS, "blocks": tmp_path / "blocks.gpkg", "table": tmp_path / "counts.csv"},
+        **{"districts": tmp_path / "districts.geojson", "district_field": field},
+    }
+
+
+@pytest.mark.parametrize(
+    ("counts", "words"),
+    [
+        (("120", "n/a"), "2 of 3 census blocks in and around the region are read as 0 people (in 1 the count can"),
+        (("0", "0", "0"), "all census counts in and around the region are 0"),
+        (("120", "0", "7"), None),
+    ],
+)
+def test_counts_that_are_read_as_zero_are_told(tmp_path, counts, words):
+    options = write_people(tmp_path, counts)
+    _, told = told_by(lambda: City.from_files(tmp_path / "town.geojson", **options))
+    assert [words in sentence for sentence in told] == ([] if words is None else [True])
+
+
+@pytest.mark.parametrize(
+    ("field", "labels", "commercial", "zoned", "words"),
+    [
+        ("BoroCD", (101, 107), None, {"COMMERCIAL", "RESIDENTIAL"}, None),
+        ("boro_cd", (101, 107), None, {"COMMERCIAL", "RESIDENTIAL"}, None),
+        ("ward", (101, 107), None, {"RESIDENTIAL"}, "nobody says which districts of 'districts.geojson' (ward) are"),
+        ("ward", (101, 107), (107,), {"COMMERCIAL", "RESIDENTIAL"}, None),
+        ("ward", (1, 2), (), {"RESIDENTIAL"}, None),
+        ("ward", (1, 2), (101, 102), {"RESIDENTIAL"}, "has no district (ward) of the [population] commercial list"),
+    ],
+)
+def test_new_yorks_commercial_districts_are_no_other_citys(tmp_path, field, labels, commercial, zoned, words):
+    options = write_people(tmp_path, ("10", "20", "30"), labels, field)
+    city, told = told_by(lambda: City.from_files(tmp_path / "town.geojson", **options, commercial=commercial))
+    assert {Zoning(zoning).name for zoning in city.blocks.zoning} - {"OTHER"} == zoned - {"OTHER"}
+    assert [words in sentence for sentence in told] == ([] if words is None else [True])
+
+
+def test_a_region_beyond_the_data_is_told(tmp_path):
+    write_buildings(tmp_path / "town.geojson", ["30"] * 4, [None] * 4)
+    city, _ = told_by(lambda: City.from_files(tmp_path / "town.geojson", bounds=BOUNDS))
+    far = Grid(CRS, 10.0, int(Y0 / 10), int(X0 / 10), 40, 100)
+    sky = view_sky(far, "nominal", None, mask_deg=5.0, reference=None, max_age_days=90.0)
+    assert "54 % of the region without data" in map_guesses(MapTask(city, far, sky, MapParams()))

@@ -1,0 +1,119 @@
+"""Height uncertainty: the spread of metrics against NumPy, the normal law and the plain maps."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import shapely
+
+import jaxurban as ju
+from jaxurban.errors import InputError
+from jaxurban.maps.build import build_maps, compute_maps, view_sky
+from jaxurban.maps.height_uncertainty import SPREAD, HeightStd, Spread, perturbed_cities
+from jaxurban.maps.task import MapParams, MapTask
+from jaxurban.metrics.lidar import LidarParams
+from jaxurban.world.city import Buildings, HeightOrigin, Raster
+from jaxurban.world.grid import Grid
+
+X0, Y0 = 500_000.0, 4_500_000.0
+UTM = "EPSG:32618"
+REGION = Grid(UTM, 10.0, 450_000, 50_000, 12, 14)
+LIDAR = LidarParams(beams=4, azimuths=12, range_m=50.0)
+DEFAULT, EXACT = HeightStd(), HeightStd(0.0, 0.0, 0.0, 0.0)
+
+
+@pytest.fixture(scope="module")
+def city() -> ju.City:
+    polygons = np.array([shapely.box(X0 + x, Y0 + y, X0 + x + 20, Y0 + y + 30) for x, y in ((30, 40), (90, 60))])
+    origin = np.array([HeightOrigin.HEIGHT, HeightOrigin.DEFAULT], np.uint8)
+    buildings = Buildings(polygons, np.array([30.0, 10.0]), np.zeros(2), origin, np.zeros(2, bool))
+    return ju.City(UTM, (X0, Y0, X0 + 140.0, Y0 + 120.0), buildings)
+
+
+@pytest.fixture(scope="module")
+def sky():
+    return view_sky(REGION, "nominal", ["2020-04-27T16:00:00Z"], mask_deg=5.0, reference=None, max_age_days=90.0)
+
+
+def spread_of(city, sky, region=REGION, *, num_samples, seed=0, height_std=DEFAULT):
+    params = MapParams((12.0, 31.0), lidar=LIDAR, height_std=height_std, height_samples=num_samples, height_seed=seed)
+    names = [f"{metric}_{what}" for metric in ("gps", "lidar", "risk") for what in SPREAD]
+    return compute_maps(MapTask(city, region, sky, params)).ds[[*names, "obstacle_share"]]
+
+
+@pytest.mark.parametrize("num_samples", [2, 5, 21, 60])
+def test_spreads_are_numpys_moments_and_percentiles(num_samples):
+    samples = np.random.default_rng(0).random((num_samples, 4, 5)).astype(np.float32)
+    spread = Spread(num_samples)
+    for sample in samples:
+        spread.add(sample)
+    found = spread.results()
+    np.testing.assert_allclose(found["mean"], samples.mean(axis=0), rtol=1e-5)
+    np.testing.assert_allclose(found["std"], samples.std(axis=0, ddof=1), rtol=1e-5)
+    for name, share in (("p05", 5), ("p95", 95)):
+        np.testing.assert_allclose(found[name], np.percentile(samples, share, axis=0), rtol=1e-5)
+
+
+def test_heights_known_exactly_have_no_spread(city, sky):
+    maps = build_maps(city, grid=REGION, altitudes_m=(12.0, 31.0), lidar=LIDAR).ds
+    spread = spread_of(city, sky, height_std=EXACT, num_samples=3)
+    for name in ("gps", "lidar", "risk"):
+        assert spread[f"{name}_std"].dims == maps[name].dims
+        assert not spread[f"{name}_std"].any()
+        for what in ("mean", "p05", "p95"):
+            np.testing.assert_array_equal(spread[f"{name}_{what}"], maps[name])
+    np.testing.assert_array_equal(spread["obstacle_share"], maps["obstacle"])
+
+
+def test_the_share_of_obstacles_is_the_normal_laws(city):
+    # 10 m known to 5 m reach 12 m with the probability of 0.4 standard deviations; 30 m known to 1 m reach 31 m
+    # with that of one.
+    num = 4000
+    heights = np.array([c.buildings.height_m for c in perturbed_cities(city, HeightStd(), num, 1)])
+    for building, altitude_m, deviations in ((1, 12.0, 0.4), (0, 31.0, 1.0)):
+        expected = 0.5 * math.erfc(deviations / math.sqrt(2))
+        assert (heights[:, building] >= altitude_m).mean() == pytest.approx(expected, abs=4 / math.sqrt(4 * num))
+    assert heights.min() == 0.0  # where 5 m too little would put a roof of 10 m under the ground
+    assert abs(np.corrcoef(heights.T)[0, 1]) < 0.05
+
+
+def test_a_roof_moves_as_a_whole_and_a_seed_repeats_its_draws(city, sky):
+    spread = spread_of(city, sky, num_samples=8, seed=4)
+    share = spread["obstacle_share"].values
+    assert len(np.unique(share[1, 4:7, 3:5])) == 1
+    assert 0 < share[0, 6:9, 9:11].max() < 1
+    assert (spread["risk_std"].values > 0).any()
+    assert (spread["gps_p05"] <= spread["gps_p95"]).all()
+    again, other = (spread_of(city, sky, num_samples=8, seed=seed) for seed in (4, 5))
+    assert spread.identical(again)
+    assert not spread.identical(other)
+
+
+def test_the_spread_of_a_tile_is_the_crop_of_the_whole(city, sky):
+    tile = Grid(UTM, 10.0, REGION.first_row + 3, REGION.first_col + 2, 6, 7)
+    whole, part = (spread_of(city, sky, region, num_samples=4) for region in (REGION, tile))
+    rows, cols = tile.window_in(REGION)
+    for name in part:
+        np.testing.assert_array_equal(part[name], whole[name][..., rows, cols])
+
+
+def test_a_height_raster_moves_by_connected_buildings(city):
+    values = np.zeros((8, 9), np.float32)
+    values[1:3, 1:4], values[5:7, 5:8], values[0, 8] = 12.0, 20.0, np.nan
+    raster = Raster(values, (10.0, 0.0, X0, 0.0, -10.0, Y0 + 80.0), UTM)
+    rasters = replace(city, buildings=None, roofs=raster)
+    drawn = np.array([c.roofs.values for c in perturbed_cities(rasters, HeightStd(raster=2.0), 200, 0)])
+    error = drawn - values
+    assert np.isnan(drawn[:, 0, 8]).all()
+    assert (drawn[:, values == 0] == 0).all()
+    for building in (values == 12, values == 20):
+        assert np.ptp(error[:, building], axis=1).max() < 1e-5
+        assert error[:, building].std() == pytest.approx(2.0, rel=0.2)
+
+
+def test_bad_settings_are_refused(city, sky):
+    with pytest.raises(InputError, match="levels must be a number of metres >= 0"):
+        HeightStd(levels=-1.0)
+    with pytest.raises(InputError, match="at least 2"):
+        spread_of(city, sky, num_samples=1)

@@ -1,0 +1,145 @@
+"""The memory plan: what fits, what is refused, and that a real run stays under its ceiling."""
+
+import re
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import jaxurban as ju
+from jaxurban.errors import InputError
+from jaxurban.maps import memory
+from jaxurban.maps.memory import parse_bytes, plan_memory, shape_of_tiles, tile_bytes
+from jaxurban.maps.metric_maps import open_maps
+from jaxurban.maps.task import MapParams, MapTask
+from jaxurban.metrics.gps import GpsParams
+from jaxurban.world.city import Raster
+from jaxurban.world.sky import Sky
+
+GIB = 2**30
+
+
+@pytest.mark.parametrize(
+    ("text", "num_bytes"), [("4GiB", 4 * GIB), ("512 MB", 512 * 2**20), ("1.5g", 3 * GIB // 2), ("2048", 2048)]
+)
+def test_sizes_are_read(text, num_bytes):
+    assert parse_bytes(text) == num_bytes
+
+
+@pytest.mark.parametrize("text", ["", "GiB", "-4GiB", "0", "4 gigs", "4GiB free"])
+def test_what_is_no_size_is_refused(text):
+    with pytest.raises(InputError, match="such as 4GiB"):
+        parse_bytes(text)
+
+
+def test_as_many_tiles_at_a_time_as_fit():
+    plan = plan_memory(None, 1000, 3, has_processes=False)
+    assert plan.num_workers == 3
+    assert plan.needed_bytes <= plan.ceiling_bytes
+    each = 2 * GIB
+    assert plan_memory(plan.needed_bytes + int(1.5 * each), each, 8, has_processes=False).num_workers == 1
+
+
+def test_a_job_that_cannot_fit_is_refused_naming_the_knob():
+    with pytest.raises(InputError, match="raise --memory"):
+        plan_memory(GIB // 8, GIB, 2, has_processes=False)
+    with pytest.raises(InputError, match="fewer --workers"):
+        plan_memory(2 * GIB, 1000, 64, has_processes=True)
+
+
+def test_tiles_do_not_depend_on_the_machine_and_shrink_for_long_series():
+    city, region = ju.demo_city(700, 700), ju.Grid("EPSG:32618", 2.0, 0, 0, 10_000, 5_000)
+    sky = Sky(("",), (), np.empty((1, 0)), np.empty((1, 0)), (), np.empty((1, 0)))
+    short = MapTask(city, region, sky, MapParams())
+    params = MapParams(gps=GpsParams(series="statistics"))
+    long = replace(short, region=replace(region, resolution_m=5.0), sky=replace(sky, times=("",) * 288), params=params)
+    assert shape_of_tiles(short) == (1000, 1000)
+    rows, cols = shape_of_tiles(long)
+    assert rows * cols * 288 * 4 * 4 <= 400 * 2**20
+    tiles = [replace(task.region, num_rows=r, num_cols=c) for task, r, c in ((long, rows, cols), (short, 1000, 1000))]
+    hills = replace(city, terrain=Raster(np.zeros((2, 2), np.float32), (1.0, 0.0, 0.0, 0.0, -1.0, 0.0), city.crs))
+    assert tile_bytes(long, tiles[0]) < 3 * tile_bytes(replace(short, city=hills), tiles[1])
+
+
+@pytest.mark.parametrize("cell_m", [0.2, 0.1, 0.05])
+def test_a_region_of_fine_cells_that_cannot_fit_is_refused_before_it_begins(cell_m, monkeypatch):
+    """At 0.05 m the lidar looks 2,000 cells far in as many steps: its bits are 30 GB even for a yard."""
+    monkeypatch.setattr(memory, "free_bytes", lambda: 4 * GIB)
+    city = ju.demo_city(700, 700)
+    x_m, y_m = city.extent_m[0] + 300, city.extent_m[1] + 300
+    num = round(200 / cell_m)
+    grid = ju.Grid(city.crs, cell_m, round(y_m / cell_m), round(x_m / cell_m), num, num)
+    with pytest.raises(
+        InputError, match=r"cells of 0\.\d+ m need about .* GiB of memory at once and 4\.0 GiB are free: "
+    ):
+        ju.build_maps(city, grid=grid)
+
+
+@pytest.mark.parametrize("cell_m", [0.1, 0.05])
+def test_the_command_refuses_fine_cells_that_cannot_fit(cell_m, tmp_path, capsys):
+    (tmp_path / "fine.toml").write_text(
+        f"[region]\nbounds = [-73.985, 40.755, -73.979, 40.759]\nresolution_m = {cell_m}\n"
+        '[buildings]\nsource = "synthetic"\n'
+    )
+    from jaxurban.cli.main import main
+
+    with pytest.raises(SystemExit) as ended:
+        main(["maps", str(tmp_path / "fine.toml"), "-o", str(tmp_path / "out"), "--memory", "8GiB"])
+    assert ended.value.code == 2
+    assert re.search(
+        r"needs about \d+ GiB of memory and may take 8\.0 GiB: raise --memory.*range_m", capsys.readouterr().err
+    )
+    assert not (tmp_path / "out" / "run.json").exists()
+
+
+def test_a_containers_limit_counts(tmp_path, monkeypatch):
+    monkeypatch.setattr(memory, "CGROUP", tmp_path)
+    free = memory.free_bytes()
+    (tmp_path / "memory.stat").write_text("anon 1073741824\nfile 5000000000\n")
+    (tmp_path / "memory.max").write_text("max\n")
+    assert memory.free_bytes() > free / 2
+    (tmp_path / "memory.max").write_text(f"{GIB + 5_000_000}\n")
+    assert memory.free_bytes() == 5_000_000
+
+
+PEAK = (
+    "import resource, sys; from jaxurban.cli.main import main\n"
+    "try: main(sys.argv[1:])\n"
+    "finally: print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)"
+)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("cell_m", "range_m", "threshold_m"), [(0.4, 100, 50), (0.2, 40, 10), (0.1, 30, 10)])
+def test_the_estimate_of_fine_cells_is_above_the_truth_and_not_twice_it(tmp_path, cell_m, range_m, threshold_m):
+    """Measured in a process of its own, on the yard of a tower, whose walls the lidar sees."""
+    (tmp_path / "fine.toml").write_text(
+        f"[region]\nbounds = [-73.98, 40.75, -73.9795, 40.7504]\nresolution_m = {cell_m}\naltitudes_m = 20\n"
+        '[buildings]\nsource = "tower.geojson"\n'
+        f"[lidar]\nrange_m = {range_m}\n[risk]\nthreshold_m = {threshold_m}\n"
+    )
+    ring = [[-73.98, 40.75], [-73.9799, 40.75], [-73.9799, 40.7501], [-73.98, 40.7501], [-73.98, 40.75]]
+    (tmp_path / "tower.geojson").write_text(
+        '{"type": "FeatureCollection", "features": [{"type": "Feature", "properties": {"height": 25}, '
+        f'"geometry": {{"type": "Polygon", "coordinates": [{ring}]}}}}]}}'
+    )
+    arguments = ["maps", tmp_path / "fine.toml", "-o", tmp_path / "out"]
+    done = subprocess.run([sys.executable, "-c", PEAK, *arguments], capture_output=True, text=True, check=True)
+    told = float(re.search(r"about ([\d.]+) GiB of memory at most", done.stderr)[1]) * GIB
+    peak = int(done.stdout.split()[-1]) * 1024
+    assert peak < told + 0.05 * GIB  # told to a tenth
+    assert told < 2 * peak
+
+
+@pytest.mark.slow
+def test_a_run_stays_under_its_ceiling_on_a_region_that_needs_several_times_more_at_once(tmp_path):
+    """20 million cells at 4 altitudes: 3.1 GB of maps alone, under 1.25 GiB, of which libraries take the half."""
+    (tmp_path / "scenario.toml").write_text(
+        '[region]\nbounds = [-74.03, 40.69, -73.912, 40.76]\nresolution_m = 2\n[buildings]\nsource = "synthetic"\n'
+    )
+    arguments = ["maps", tmp_path / "scenario.toml", "-o", tmp_path / "out", "--memory", "1.25GiB"]
+    done = subprocess.run([sys.executable, "-c", PEAK, *arguments], capture_output=True, text=True, check=True)
+    assert int(done.stdout.split()[-1]) * 1024 < 1.25 * GIB
+    assert open_maps(tmp_path / "out").ds.nbytes > 2 * 1.25 * GIB

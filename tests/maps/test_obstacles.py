@@ -1,0 +1,189 @@
+"""Where planners may fly: no cell that a building touches, by any way; what is said where that closes the way."""
+
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+import shapely
+
+import jaxurban as ju
+from jaxurban.errors import InputError
+from jaxurban.paths import reachability
+from jaxurban.paths.queries import XY
+from jaxurban.planners.base import Status
+from jaxurban.planners.registry import PLANNERS
+from jaxurban.world.city import Buildings
+from tests.paths.volumes import plan_volume
+
+CRS = "EPSG:32618"
+X_M, Y_M = 500_000.0, 4_500_000.0  # southwest corner of the region
+SIDE_M = 200.0
+ENDS = {"start_xy_m": (X_M + 102.5, Y_M + 12.5), "goal_xy_m": (X_M + 102.5, Y_M + 187.5)}
+
+
+def walled(*walls, height_m=50.0, resolution_m=5.0, altitudes_m=(20.0, 60.0)):
+    """Return maps of a square with walls: x_min, y_min, x_max, y_max each, metres from its corner."""
+    polygons = np.array([shapely.box(X_M + a, Y_M + b, X_M + c, Y_M + d) for a, b, c, d in walls], object)
+    zero = np.zeros(len(polygons))
+    buildings = Buildings(polygons, zero + height_m, zero, zero.astype(np.uint8), zero > 0)
+    city = ju.City(CRS, (X_M, Y_M, X_M + SIDE_M, Y_M + SIDE_M), buildings)
+    return ju.build_maps(city, resolution_m=resolution_m, altitudes_m=altitudes_m)
+
+
+@pytest.fixture(scope="module")
+def gap():
+    """A wall across the region with a gap of 12 m, whose edges lie beyond the middle of cells."""
+    return walled((-50, 97.6, 97.4, 102.4), (109.4, 97.6, 250, 102.4))
+
+
+@pytest.mark.parametrize("planner", PLANNERS)
+def test_no_planner_enters_a_cell_that_a_building_touches(gap, planner):
+    heights_m = gap.m("roof_touched")
+    assert (heights_m > gap.m("roof")).any()
+    path = ju.plan(gap, **ENDS, altitude_m=20.0, planner=planner, cost_model="line", budget_s=0.2)
+    assert path.settings["obstacles"] == "touched"
+    if path.status.has_path:
+        line = shapely.LineString(path.xy_m)
+        for wall in ((-50, 97.6, 97.4, 102.4), (109.4, 97.6, 250, 102.4)):
+            box = shapely.box(X_M + wall[0], Y_M + wall[1], X_M + wall[2], Y_M + wall[3])
+            assert not shapely.intersects(line, box)
+    else:
+        assert path.status is Status.BLOCKED
+
+
+def test_a_wall_between_centres_of_cells_stops_the_straight_line_only_under_the_cautious_rule():
+    maps = walled((-50, 98.0, 250, 102.4))  # rows of centres lie at 97.5 and 102.5 m
+    blocked = ju.plan(maps, **ENDS, altitude_m=20.0, planner="ptp")
+    assert blocked.status is Status.BLOCKED
+    through = ju.plan(maps.with_obstacles("centre"), **ENDS, altitude_m=20.0, planner="ptp")
+    assert through.status.has_path
+    assert through.settings["obstacles"] == "centre"
+
+
+def test_the_cautious_mask_closes_all_that_the_paper_closes(gap):
+    for z_m in (10.0, 20.0, 49.0, 60.0):
+        assert not np.any(gap.is_free(z_m) & ~gap.is_free(z_m, "centre"))
+    assert gap.is_free(20.0).sum() < gap.is_free(20.0, "centre").sum()
+    np.testing.assert_array_equal(gap.is_free(60.0), gap.is_free(60.0, "centre"))
+
+
+def test_what_is_blocked_by_hand_is_blocked(gap):
+    closed = ju.MetricMaps(gap.ds.assign(obstacle=gap.ds["obstacle"] * 0 + 1))
+    assert not closed.is_free(20.0).any()
+
+
+def test_a_roof_of_unknown_height_is_blocked(gap):
+    unknown = ju.MetricMaps(gap.ds.assign(roof_touched=gap.ds["roof_touched"] * np.float32(np.nan)))
+    assert not unknown.is_free(20.0).any()
+    assert not unknown.is_free(21.0).any()
+
+
+def test_no_path_says_what_would_join_start_and_goal():
+    maps = walled((-50, 97.6, 97.4, 102.4), (103.5, 97.6, 250, 102.4))  # a gap of 6.1 m: one cell by centres
+    path = ju.plan(maps, **ENDS, altitude_m=20.0)
+    assert path.status is Status.NO_PATH
+    message = path.to_dict()["message"]
+    assert "joined under obstacles = centre" in message
+    assert "at 60 m" in message
+    assert "Finer maps" in message
+    assert ju.plan(maps.with_obstacles("centre"), **ENDS, altitude_m=20.0).status is Status.OPTIMAL
+
+
+def test_no_path_tells_what_would_not_help_either():
+    maps = walled((-50, 95.0, 250, 105.0), height_m=90.0)
+    path = ju.plan(maps, **ENDS, altitude_m=20.0)
+    message = path.to_dict()["message"]
+    assert "not joined under obstacles = centre" in message
+    assert "nor at a greater altitude of these maps" in message
+
+
+def test_no_path_looks_at_the_finer_maps_of_its_folder(tmp_path):
+    walls = (-50, 97.6, 97.4, 102.4), (103.5, 97.6, 250, 102.4)
+    for resolution_m in (5.0, 1.0):
+        walled(*walls, resolution_m=resolution_m, altitudes_m=(20.0,)).save(tmp_path)
+    path = ju.plan(ju.open_maps(tmp_path, 5.0), **ENDS, altitude_m=20.0)
+    assert path.status is Status.NO_PATH
+    assert "in cells of 1 m" in path.to_dict()["message"]
+    assert "Finer maps" not in path.to_dict()["message"]
+    assert ju.plan(ju.open_maps(tmp_path, 1.0), **ENDS, altitude_m=20.0).status is Status.OPTIMAL
+    for file in (tmp_path / "maps.zarr" / "1m" / "roof_touched" / "c").rglob("*"):
+        if file.is_file():
+            file.unlink()
+    path = ju.plan(ju.open_maps(tmp_path, 5.0), **ENDS, altitude_m=20.0)
+    assert path.status is Status.NO_PATH
+    assert "Finer maps" in path.to_dict()["message"]
+
+
+def test_a_climb_between_cells_that_only_a_touch_closes_says_so():
+    maps = walled((-50, 97.6, 97.4, 102.4), (103.5, 97.6, 250, 102.4))
+    path = plan_volume(maps, **ENDS, max_altitude_m=20.0)
+    assert path.status is Status.NO_PATH
+    assert "joined under obstacles = centre" in path.to_dict()["message"]
+    assert "and with max_altitude_m 60." in path.to_dict()["message"]
+    assert plan_volume(maps, **ENDS, max_altitude_m=60.0).status is Status.OPTIMAL
+
+
+def test_a_climb_that_no_greater_altitude_joins_says_so():
+    maps = walled((-50, 95.0, 250, 105.0), height_m=90.0, altitudes_m=(20.0, 40.0, 60.0))
+    message = plan_volume(maps, **ENDS, max_altitude_m=40.0).to_dict()["message"]
+    assert "nor at any greater altitude of these maps" in message
+    top = plan_volume(maps, **ENDS).to_dict()["message"]
+    assert "altitude of these maps" not in top
+
+
+def test_what_would_join_is_found_once_for_a_batch(tmp_path, monkeypatch):
+    for resolution_m in (5.0, 1.0):
+        walled((-50, 97.6, 97.4, 102.4), (103.5, 97.6, 250, 102.4), resolution_m=resolution_m).save(tmp_path)
+    maps = ju.open_maps(tmp_path, 5.0)
+    opened = []
+
+    def open_and_count(*args, **how):
+        opened.append(args)
+        return ju.open_maps(*args, **how)
+
+    monkeypatch.setattr(reachability, "open_maps", open_and_count)
+    ends = pd.DataFrame([[*ENDS["start_xy_m"], *ENDS["goal_xy_m"]]] * 3, columns=list(XY))
+    answers = ju.plan_many(maps, ends, altitude_m=20.0, progress=False).to_dataframe()
+    assert all("in cells of 1 m" in message for message in answers["message"])
+    assert len(opened) == 1
+
+
+def test_a_study_of_a_route_that_is_not_there_says_what_would_join_its_ends():
+    maps = walled((-50, 97.6, 97.4, 102.4), (103.5, 97.6, 250, 102.4))
+    ends = {name.removesuffix("_xy_m"): maps.grid.lonlat_of_xy(*xy_m) for name, xy_m in ENDS.items()}
+    with pytest.raises(InputError, match="joined under obstacles = centre"):
+        ju.sensitivity(ju.cost_map(maps, 20.0), **ends)
+
+
+def test_a_start_that_only_a_touch_closes_is_told_apart(gap):
+    row, col = np.argwhere(gap.is_free(20.0, "centre") & ~gap.is_free(20.0))[0]
+    with pytest.raises(InputError, match="in a cell that an obstacle touches"):
+        ju.plan(gap, start_xy_m=gap.grid.xy_of_cell(row, col), goal_xy_m=ENDS["goal_xy_m"], altitude_m=20.0)
+
+
+def test_maps_without_touched_roofs_are_refused_for_planning(gap):
+    old = ju.MetricMaps(gap.ds.drop_vars("roof_touched"))
+    with pytest.raises(InputError, match='obstacles = "centre"'):
+        ju.plan(old, **ENDS, altitude_m=20.0)
+    assert ju.plan(old.with_obstacles("centre"), **ENDS, altitude_m=20.0).status.has_path
+    with pytest.raises(InputError, match="'touched' or 'centre'"):
+        replace(gap, obstacles="edges")
+
+
+def test_an_example_that_only_a_touch_closes_names_the_rule_under_which_it_is_free(gap):
+    row, col = np.argwhere(gap.is_free(20.0, "centre") & ~gap.is_free(20.0))[0]
+    by_centre = gap.with_obstacles("centre")
+    start_xy_m = tuple(map(float, gap.grid.xy_of_cell(row, col)))
+    path = ju.plan(by_centre, start_xy_m=start_xy_m, goal_xy_m=ENDS["goal_xy_m"], altitude_m=20.0)
+    assert ju.demonstrations_from_paths([path], by_centre)
+    with pytest.raises(InputError, match="choose obstacles = centre"):
+        ju.demonstrations_from_paths([path], gap)
+
+
+def test_a_start_in_a_volume_that_only_a_touch_closes_is_told_apart(gap):
+    row, col = np.argwhere(gap.is_free(20.0, "centre") & ~gap.is_free(20.0))[0]
+    start_xy_m = tuple(map(float, gap.grid.xy_of_cell(row, col)))
+    ends = {"start_xy_m": start_xy_m, "goal_xy_m": ENDS["goal_xy_m"]}
+    with pytest.raises(InputError, match="in a cell that an obstacle touches at 20 m; the lowest free level there"):
+        plan_volume(gap, **ends, start_altitude_m=20.0)

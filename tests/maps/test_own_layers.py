@@ -1,0 +1,207 @@
+"""Cost layers of one's own in the maps: rasters, arrays and functions, tiled and whole, saved and opened."""
+
+import threading
+from dataclasses import replace
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import rasterio
+import xarray as xr
+
+import jaxurban as ju
+from jaxurban.errors import InputError
+from jaxurban.io import store
+from jaxurban.io.layers import bands_of
+from jaxurban.maps.build import compute_maps
+from jaxurban.maps.executors import work_on_cluster
+from jaxurban.maps.tiled import TileJob
+from jaxurban.metrics.base import ALTITUDE, Metric, high_is_bad
+from jaxurban.metrics.custom import Layer, own_metric
+from jaxurban.metrics.registry import METRICS
+from jaxurban.metrics.risk import RiskParams
+from jaxurban.scenario.run import Maker, make_zarr, run_scenario, tasks_of
+from jaxurban.scenario.settings import Scenario
+from tests import tiled_runs
+from tests.tiled_runs import RAGGED
+
+REACH_M = 60.0
+
+
+def highest_around(surface, altitude_m):
+    """Return the highest roof within three cells, and a little of the altitude."""
+    halo = int(REACH_M / surface.grid.resolution_m)
+    roofs = surface.crop_with_halo(surface.roof_m, halo)
+    rows, cols = surface.region.shape
+    shifted = [roofs[i : i + rows, j : j + cols] for i in range(2 * halo + 1) for j in range(2 * halo + 1)]
+    return jnp.stack(shifted).max(axis=0) + 0.1 * altitude_m
+
+
+def write_raster(path, grid, bands, nodata=np.nan):
+    """Write bands of a raster of 35 m pixels over a grid and 100 m around it."""
+    x_min, _, _, y_max = grid.bounds_m
+    with rasterio.open(
+        path, "w", "GTiff", bands.shape[2], bands.shape[1], len(bands), grid.crs,
+        rasterio.Affine(35.0, 0.0, x_min - 100.0, 0.0, -35.0, y_max + 100.0), "float32", nodata,
+    ) as file:  # fmt: skip
+        file.write(bands.astype(np.float32))
+
+
+def no_building(scene, settings):
+    return {"bare": scene.surface.crop(scene.surface.roof_m == 0).astype(jnp.float32)}
+
+
+@pytest.fixture(scope="module")
+def bare():
+    """A further metric in the registry."""
+    words = {"label": "Bare", "one_means": "no building", "colour": "#123456", "colour_map": "cividis"}
+    with pytest.MonkeyPatch.context() as patched:
+        metric = Metric("bare", RiskParams, (ALTITUDE,), no_building, high_is_bad, **words)
+        patched.setitem(METRICS, "bare", metric)
+        yield metric
+
+
+@pytest.fixture(scope="module")
+def task(bare, tmp_path_factory):
+    """A task with a raster with a hole, two bands of another, an array, a function and a further metric."""
+    folder, plain = tmp_path_factory.mktemp("layers"), tiled_runs.task(tiled_runs.city())
+    rng = np.random.default_rng(0)
+    noise, wind = rng.uniform(20, 90, (1, 40, 40)), rng.uniform(0, 30, (2, 40, 40))
+    noise[0, 15:18, 12:15] = np.nan
+    write_raster(folder / "noise.tif", plain.region, noise)
+    write_raster(folder / "wind.tif", plain.region, wind)
+    layers = {
+        "noise": Layer("noise.tif", "high-is-bad", (0.0, 80.0)),
+        "wind": Layer("wind.tif", "high-is-bad", (0.0, 25.0), altitudes_m=(60.0, 20.0)),
+        "shade": Layer(rng.random(plain.region.shape), "low-is-bad", (0.0, 1.0)),
+        "walls": Layer(highest_around, "high-is-bad", (0.0, 1000.0), reach_m=REACH_M),
+    }
+    bands = bands_of(layers, plain.region, plain.params.altitudes_m, folder)
+    return replace(plain, layers=layers, bands=bands)
+
+
+@pytest.fixture(scope="module")
+def maps(task):
+    return compute_maps(task)
+
+
+@pytest.mark.slow
+def test_tiles_of_own_layers_equal_the_untiled_maps_bit_for_bit(task, maps, tmp_path):
+    make_zarr(Maker(task, tmp_path, "key", 2), lambda *progress: None, RAGGED)
+    found = store.open_zarr(tmp_path, None)
+    del found.attrs["run_key"]
+    xr.testing.assert_identical(found.load(), maps.ds)
+
+
+def test_layers_are_scaled_by_fixed_numbers_and_bands_go_by_altitude(task, maps):
+    assert tuple(maps.metrics) == ("gps", "lidar", "population", "risk", "bare", "noise", "shade", "walls", "wind")
+    m, values = maps.m("shade", 20.0), task.layers["shade"].source
+    np.testing.assert_allclose(m, values, rtol=1e-6)
+    np.testing.assert_allclose(maps.costs(20.0)["shade"], 1 - values, atol=1e-6)
+    assert not np.array_equal(maps.m("wind", 20.0), maps.m("wind", 60.0))
+    low, high = maps.m("walls", 20.0), maps.m("walls", 60.0)
+    np.testing.assert_allclose(high - low, 0.1 * 40 / 1000, atol=1e-6)
+
+
+def test_a_further_metric_needs_no_line_in_the_maps(maps):
+    assert maps.ds["bare"].attrs["one_means"] == "no building"
+    np.testing.assert_array_equal(maps.costs(60.0)["bare"], maps.m("roof") == 0)
+
+
+def test_a_cell_without_a_value_is_closed_at_every_altitude(maps):
+    is_lost = np.isnan(maps.m("noise"))
+    assert is_lost.any()
+    for altitude_m in (20.0, 41.0, 60.0):
+        assert not (maps.is_free(altitude_m) & is_lost).any()
+        assert maps.is_free(altitude_m).any()
+
+
+def test_a_missing_value_is_an_error_where_told(task):
+    strict = {"noise": replace(task.layers["noise"], nan="error")}
+    with pytest.raises(InputError, match="layer 'noise' has no value in"):
+        compute_maps(replace(task, layers=strict))
+
+
+def test_opened_maps_know_their_layers(maps, tmp_path):
+    maps.save(tmp_path)
+    again = ju.open_maps(tmp_path)
+    assert tuple(again.metrics) == tuple(maps.metrics)
+    for name, cost in maps.costs(20.0).items():
+        np.testing.assert_array_equal(again.costs(20.0)[name], cost, err_msg=name)
+
+
+def test_bands_and_shapes_that_do_not_fit_are_refused(task):
+    grid, altitudes_m = task.region, task.params.altitudes_m
+    values = np.zeros((2, *grid.shape))
+    for layer, message in (
+        (Layer(values, "high-is-bad", (0.0, 1.0)), "has 2 bands for 1 altitude: name the altitude"),
+        (Layer(values, "high-is-bad", (0.0, 1.0), altitudes_m=(20.0, 50.0)), "has no band for 60 m"),
+        (Layer(values[:, 1:], "high-is-bad", (0.0, 1.0)), "has values of shape"),
+    ):
+        with pytest.raises(InputError, match=message):
+            bands_of({"noise": layer}, grid, altitudes_m)
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"scale": (0.0, 1.0, 2.0)}, "scale must be two ascending numbers"),
+        ({"scale": 5.0}, "scale must be a list of numbers"),
+        ({"altitudes_m": (20.0, 20.0)}, "altitudes_m must name different altitudes"),
+        ({"altitudes_m": 20.0}, "altitudes_m must be a list of numbers"),
+    ],
+)
+def test_settings_that_are_none_are_refused(settings, words):
+    with pytest.raises(InputError, match=words):
+        Layer(**{"source": Path("noise.tif"), "cost": "high-is-bad", "scale": (0.0, 1.0)} | settings)
+
+
+@pytest.mark.parametrize("name", ["climb", "descent", "distance", "self", "gps_lower", "risk_mean", 5])
+def test_names_that_costs_and_maps_use_are_refused(name):
+    with pytest.raises(InputError, match="a layer"):
+        own_metric(name, Layer("noise.tif", "high-is-bad", (0.0, 1.0)))
+
+
+def test_layers_that_are_none_are_refused(task):
+    for layers in ({"noise": 5}, [Layer("noise.tif", "high-is-bad", (0.0, 1.0))], np.zeros(3)):
+        with pytest.raises(InputError, match="layers must be Layers by name"):
+            ju.build_maps(task.city, grid=task.region, layers=layers)
+
+
+def test_a_function_that_looks_beyond_its_reach_is_told(task):
+    short = {"walls": replace(task.layers["walls"], reach_m=REACH_M / 2)}
+    with pytest.raises(InputError, match="looks 60 m sideways, beyond its reach_m"):
+        compute_maps(replace(task, layers=short))
+
+
+def test_a_function_that_cannot_travel_is_refused_by_a_cluster_in_one_sentence(task):
+    pytest.importorskip("distributed", reason="needs the cluster extra")
+    lock = threading.Lock()
+
+    def locked(surface, altitude_m):
+        with lock:
+            return highest_around(surface, altitude_m)
+
+    fixed = replace(task, layers={"walls": Layer(locked, "high-is-bad", (0.0, 1.0))})
+    with pytest.raises(InputError, match="layer 'walls' cannot be sent to worker processes"):
+        work_on_cluster(TileJob(fixed, None, None), None, None)
+
+
+@pytest.mark.slow
+def test_a_scenario_names_a_raster_layer(tmp_path):
+    settings = {
+        "region": {"bounds": [-74.0, 40.755, -73.993, 40.761], "resolution_m": 20, "altitudes_m": [20]},
+        "buildings": {"source": "synthetic"},
+        "layers": {"noise": {"source": "noise.tif", "cost": "high-is-bad", "scale": [0, 80]}},
+    }
+    (tmp_path / "scenario.toml").write_text(Scenario.from_dict(settings).to_toml())
+    scenario = Scenario.from_toml(tmp_path / "scenario.toml")
+    grid = ju.Grid.from_bounds(scenario.region.bounds, 20.0, None)
+    write_raster(tmp_path / "noise.tif", grid, np.full((1, 40, 40), 20.0))
+    (task,) = tasks_of(scenario)
+    assert task.params.others["risk"] == scenario.risk  # as of a metric that maps have no argument for
+    run = run_scenario(scenario, tmp_path / "out")
+    np.testing.assert_allclose(run.maps[20.0].m("noise"), 0.25)
+    assert run.record["inputs"]["layer_noise"]["path"] == "noise.tif"
+    assert (tmp_path / "out" / "geotiff" / "noise_20m.tif").is_file()

@@ -1,0 +1,145 @@
+"""Angles at the edge (zenith, mask, axes, diagonals, from a hill downward) against Embree.
+
+The world is made of cells: each a column up to its terrain, or to its roof, so that Embree sees what the rasters say.
+"""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import shapely
+
+from jaxurban.kernels.dop import unit_vectors
+from jaxurban.maps.supersampling import lower_bands, plain_bands, supersampled_grid, upper_bands, visibility_at_centres
+from jaxurban.metrics.lidar import LidarParams, compute_lidar, lidar_at_centres
+from jaxurban.metrics.visibility import visibility
+from jaxurban.world.grid import Grid
+from jaxurban.world.sky import Sky
+from jaxurban.world.surface import Surface
+from tests.embree_scene import CityScene
+
+GRID = Grid("EPSG:32618", 5.0, 900_000, 100_000, 48, 48)
+REGION = Grid("EPSG:32618", 5.0, 900_012, 100_012, 24, 24)
+OVERSAMPLE, ALTITUDE_M = 5, 8.0
+
+
+class World:
+    """Roofs and terrain in whole cells, and the same as columns for Embree."""
+
+    def __init__(self, hill_m: float):
+        rng = np.random.default_rng(5)
+        is_roof = np.kron(rng.random((16, 16)) < 0.25, np.ones((3, 3))) > 0
+        self.roof_m = np.where(is_roof, np.kron(rng.integers(6, 40, (16, 16)), np.ones((3, 3))), 0.0)
+        row, col = np.indices(GRID.shape)
+        self.terrain_m = np.round(hill_m * np.exp(-((row - 24) ** 2 + (col - 24) ** 2) / 150.0), 1)
+        x, y = (v.ravel() * 5.0 for v in (col + GRID.first_col, row + GRID.first_row))
+        # A millimetre less: a ray along a diagonal runs through corners, which must not count as hits.
+        cells = shapely.box(x + 1e-3, y + 1e-3, x + 5.0 - 1e-3, y + 5.0 - 1e-3)
+        top_m, is_roof = (self.terrain_m + self.roof_m).ravel(), self.roof_m.ravel() > 0
+        self.buildings = CityScene(cells[is_roof], top_m[is_roof])
+        self.ground = CityScene(cells, np.where(is_roof, 0.0, self.terrain_m.ravel())) if hill_m else None
+        free = self.roof_m[REGION.window_in(GRID)] < ALTITUDE_M
+        self.row, self.col = np.nonzero(free)
+        own_m = self.terrain_m[REGION.window_in(GRID)][free]
+        self.start_m = np.column_stack([*REGION.xy_of_cell(self.row, self.col), own_m + ALTITUDE_M])
+
+    def surface(self, oversample: int = 1) -> Surface:
+        block = np.ones((oversample, oversample))
+        roof_m, terrain_m = (jnp.asarray(np.kron(v, block), jnp.float32) for v in (self.roof_m, self.terrain_m))
+        grid, region = supersampled_grid(GRID, oversample), supersampled_grid(REGION, oversample)
+        return Surface(roof_m, terrain_m if self.ground else None, None, None, grid, region)
+
+    def is_clear(self, angles: np.ndarray) -> np.ndarray:
+        """Return ``[S, N]`` whether the free cells see each direction."""
+        clear = []
+        for direction in unit_vectors(*angles.T):
+            directions = np.tile(direction, (len(self.start_m), 1))
+            blocked = self.buildings.is_blocked(self.start_m, directions)
+            clear.append(
+                ~(blocked if self.ground is None else blocked | self.ground.is_blocked(self.start_m, directions))
+            )
+        return np.array(clear)
+
+    def seen(self, words: np.ndarray, num: int) -> np.ndarray:
+        return np.array([(np.asarray(words)[0, 0, self.row, self.col] >> np.uint32(s)) & 1 == 1 for s in range(num)])
+
+
+@pytest.fixture(scope="module", params=[0.0, 25.0], ids=["flat", "hill"])
+def world(request) -> World:
+    return World(request.param)
+
+
+AXES = [(azimuth, elevation) for azimuth in (0, 90, 180, 270) for elevation in (5, 20, 50)]
+DIAGONALS = [(azimuth, elevation) for azimuth in (45, 135, 225, 315) for elevation in (5, 20, 50)]
+
+
+@pytest.mark.parametrize(
+    ("angles_deg", "plain", "fine"),
+    [([(0, 90), (123, 90)], 1.0, 1.0), (AXES, 0.97, 0.993), (DIAGONALS, 0.93, 0.985)],
+    ids=["zenith", "axes", "diagonals"],
+)
+def test_edge_angles_agree_with_embree(world, angles_deg, plain, fine):
+    angles = np.radians(angles_deg)
+    is_clear = world.is_clear(angles)
+    surface = world.surface(OVERSAMPLE)
+
+    def answers(make_bands):
+        words = visibility_at_centres(make_bands(surface, OVERSAMPLE), *angles.T, [ALTITUDE_M])
+        return world.seen(words, len(angles))
+
+    shares = [
+        (found == is_clear).mean()
+        for found in (
+            world.seen(visibility(world.surface(), *angles.T, [ALTITUDE_M]), len(angles)),
+            answers(plain_bands),
+        )
+    ]
+    print(shares, is_clear.mean())
+    assert shares[0] >= plain
+    assert shares[1] >= fine
+    # Borders of columns lie on borders of cells, where roofs from above and below touch the same cells.
+    assert not np.any(answers(upper_bands) & ~is_clear)
+    assert not np.any(is_clear & ~answers(lower_bands))
+
+
+def test_the_zenith_is_seen_from_every_free_cell(world):
+    assert world.is_clear(np.radians([(0, 90)])).all()
+    assert world.seen(visibility(world.surface(), [0.0], [np.pi / 2], [ALTITUDE_M]), 1).all()
+
+
+def test_a_satellite_exactly_at_the_mask_counts_and_one_below_does_not():
+    mask_rad = np.radians(5.0)
+    elevation = np.array([[mask_rad, np.nextafter(mask_rad, 0), 1.0, 0.7, 0.9, 1.2]])
+    azimuth = np.array([[0.3, 1.0, 2.0, 3.5, 5.0, 6.0]])
+    sky = Sky(("2020-04-27T16:00:00Z",), tuple("abcdef"), azimuth, elevation, ("gps",) * 6, np.zeros((1, 6)))
+    above = sky.above(mask_rad)
+    assert above.names == tuple("acdef")
+    assert sky.count_by_system(mask_rad) == {"gps": [5]}
+    world = World(0.0)
+    angles = np.column_stack([above.azimuth_rad[0], above.elevation_rad[0]])
+    words = visibility_at_centres(plain_bands(world.surface(OVERSAMPLE), OVERSAMPLE), *angles.T, [ALTITUDE_M])
+    agrees = world.seen(words, len(angles)) == world.is_clear(angles)
+    assert agrees.mean() >= 0.98
+    assert agrees[0].mean() >= 0.98
+
+
+def test_a_lidar_on_a_hill_looking_down_agrees_with_embree():
+    world = World(25.0)
+    params = LidarParams(beams=8, field_of_view_deg=(-25.0, 5.0), azimuths=40, range_m=55.0)
+    azimuth_rad = 2 * np.pi * np.arange(40) / 40
+    returned = np.zeros((len(world.start_m), 40), bool)
+    for elevation_rad in params.elevations_rad:
+        for k, direction in enumerate(unit_vectors(azimuth_rad, np.full(40, elevation_rad))):
+            directions = np.tile(direction, (len(world.start_m), 1))
+            wall_m = world.buildings.distance_m(world.start_m, directions)
+            ground_m = world.ground.distance_m(world.start_m, directions)
+            returned[:, k] |= (wall_m <= params.range_m) & (wall_m <= ground_m)
+    on_top = world.terrain_m[REGION.window_in(GRID)][world.row, world.col] > 15
+    assert on_top.sum() > 20
+    plain = compute_lidar(world.surface(), [ALTITUDE_M], params)
+    free = jnp.zeros((1, *REGION.shape), bool)
+    fine = lidar_at_centres(world.surface(OVERSAMPLE), OVERSAMPLE, free, [ALTITUDE_M], params)
+    for m, bar in ((plain, 0.035), (fine, 0.012)):
+        error = np.abs(np.asarray(m)[0, world.row, world.col] - returned.mean(axis=1))
+        print(error.mean(), error[on_top].mean())
+        assert error.mean() <= bar
+        assert error[on_top].mean() <= bar

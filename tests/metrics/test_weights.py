@@ -1,0 +1,75 @@
+"""Weights and cost maps."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxurban.errors import InputError
+from jaxurban.metrics.registry import METRICS, find_metric
+from jaxurban.metrics.weights import Weights, cost_map, normalised_map, total_map
+
+
+def test_population_is_its_own_cost_and_the_others_are_one_minus_m():
+    m = jnp.array([0.0, 0.25, 1.0])
+    np.testing.assert_array_equal(METRICS["population"].cost(m), m)
+    for name in ("gps", "lidar", "risk"):
+        np.testing.assert_array_equal(METRICS[name].cost(m), 1 - m)
+    with pytest.raises(InputError, match="did you mean 'gps'"):
+        find_metric("gbs")
+
+
+def test_cost_map_is_linear_in_the_weights():
+    costs = {"gps": jnp.array([[0.5, 1.0]]), "risk": jnp.array([[0.25, 0.0]])}
+    np.testing.assert_allclose(cost_map(costs, Weights(gps=2.0, risk=4.0)), [[2.0, 2.0]])
+    gradient = jax.grad(lambda w: cost_map(costs, w).sum())(Weights(gps=2.0, risk=4.0))
+    assert (gradient.gps, gradient.risk, gradient.lidar) == (1.5, 0.25, 0.0)
+
+
+def test_normalised_map_spans_zero_to_one_over_free_cells_only():
+    total = total_map({"gps": jnp.array([[1.0, 2.0, 9.0]]), "risk": jnp.array([[0.0, 1.0, 9.0]])})
+    h = normalised_map(total, jnp.array([[True, True, False]]))
+    np.testing.assert_array_equal(h, [[0.0, 1.0, np.nan]])
+
+
+def test_a_constant_total_normalises_to_zero():
+    np.testing.assert_array_equal(normalised_map(jnp.full((2, 2), 3.0), jnp.ones((2, 2), bool)), np.zeros((2, 2)))
+
+
+def test_weights_are_parsed_over_a_base():
+    weights = Weights.parse("gps=2, risk=0", Weights(lidar=7.0))
+    assert weights == Weights(gps=2.0, lidar=7.0, risk=0.0)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("gsp=1", "did you mean 'gps'"),
+        ("noise=x", "name=number"),
+        ("gps", "name=number"),
+        ("gps=-1", ">= 0"),
+        ("gps=nan", ">= 0"),
+    ],
+)
+def test_bad_weights_are_one_sentence(text, words):
+    with pytest.raises(InputError, match=words):
+        Weights.parse(text).checked(("noise",))
+
+
+def test_weights_carry_any_name_and_a_name_that_is_left_out_weighs_one():
+    weights = Weights.parse("noise=2,gps=3")
+    assert (weights["noise"], weights["gps"], weights["crowd"]) == (2.0, 3.0, 1.0)
+    assert weights == Weights(gps=3.0, noise=2.0) == Weights.of({"noise": 2.0, "gps": 3.0})
+    assert hash(weights) == hash(Weights(gps=3.0, noise=2.0))
+    assert weights.replace(noise=5.0).to_dict() == {**Weights(gps=3.0).to_dict(), "noise": 5.0}
+    assert weights.checked(["noise"]) == weights
+    with pytest.raises(InputError, match=r"unknown weight 'noise'.*'nois'"):
+        weights.checked(["nois"])
+    gradient = jax.grad(lambda w: w["noise"] ** 2 + w.gps)(weights)
+    assert (gradient["noise"], gradient.gps, gradient.risk) == (4.0, 1.0, 0.0)
+
+
+@pytest.mark.parametrize("given", [5.0, "risk", [1.0, 2.0], {1: 2.0}])
+def test_weights_are_given_as_weights_or_by_name(given):
+    with pytest.raises(InputError, match="numbers by name"):
+        Weights.of(given)

@@ -1,0 +1,190 @@
+"""What is told of a planned route without being asked for: no fix, clearance and roofs, ends over roofs."""
+
+import json
+import re
+
+import numpy as np
+import pytest
+from scipy.ndimage import distance_transform_edt
+
+import jaxurban as ju
+from jaxurban.errors import InputError
+from jaxurban.io.store import write_zarr
+from tests.cli_runs import run
+from tests.made_maps import made_maps
+from tests.paths.volumes import plan_volume
+
+ALTITUDE_M, ROW = 20.0, 20
+
+
+@pytest.fixture(scope="module")
+def maps() -> ju.MetricMaps:
+    """Open ground of 10 m cells, a roof of 12 m under columns 30 to 39, and a tower north of columns 60 to 69."""
+    maps = made_maps(40, 100, altitudes_m=(20.0, 60.0))
+    shape = maps.grid.shape
+    obstacle, roof_m = np.zeros((2, *shape), np.uint8), np.zeros(shape, np.float32)
+    visible = np.full(shape, 7, np.uint8)
+    obstacle[0, ROW + 4 : ROW + 9, 60:70] = 1
+    roof_m[ROW + 4 : ROW + 9, 60:70] = 30.0
+    roof_m[ROW, 30:40] = 12.0
+    for low, high in ((25, 27), (40, 50), (52, 53), (70, 75), (85, 88)):
+        visible[:, low:high] = 3
+    return ju.MetricMaps(
+        maps.ds.assign(
+            obstacle=(("altitude", "y", "x"), obstacle),
+            **dict.fromkeys(("roof", "roof_touched"), (("y", "x"), roof_m)),
+            num_visible=maps.ds["num_visible"] * 0 + visible,
+        )
+    )
+
+
+def straight(maps, first=10, last=90, **options) -> ju.PlannedPath:
+    """Return the path due east along the middle row, from the middle of one cell to that of another."""
+    ends = {"start_xy_m": maps.grid.xy_of_cell(ROW, first), "goal_xy_m": maps.grid.xy_of_cell(ROW, last)}
+    return ju.plan(maps, **ends, altitude_m=ALTITUDE_M, objective="distance", **options)
+
+
+def test_segments_without_a_fix_are_told_with_their_places(maps):
+    assert ju.cautions(straight(maps), maps)[0] == (
+        "GPS: no fix (fewer than four satellites) on 210 of 800 m: from 295 to 395 m, 595 to 645 m, 745 to 775 m "
+        "along the route and 2 shorter segments."
+    )
+    always = ju.MetricMaps(maps.ds.assign(num_visible=maps.ds["num_visible"] * 0 + 9))
+    assert not any(sentence.startswith("GPS") for sentence in ju.cautions(straight(always), always))
+    series = ju.MetricMaps(maps.ds.drop_vars("num_visible"))
+    assert "GPS: these maps hold no satellite counts, so where there is no fix is not known." in ju.cautions(
+        straight(maps), series
+    )
+
+
+def test_the_nearest_building_and_the_least_height_over_a_roof_are_told(maps):
+    told = ju.cautions(straight(maps), maps)
+    assert re.match(r"Buildings: the nearest at flight height is 35\.0 m away, (49|5\d)\d m along the route\.", told[1])
+    assert re.match(r"Roofs: the least height over one is 8\.0 m, [12]\d\d m .* \(a roof of 12\.0 m\)\.", told[2])
+    assert not any("The start" in line or "The goal" in line for line in told)
+
+
+def test_an_end_over_a_roof_is_told(maps):
+    told = ju.cautions(straight(maps, first=33), maps)
+    assert "The start is over a roof of 12.0 m, not over the ground." in told
+    assert not any("The goal" in line for line in told)
+    assert "The goal is over a roof of 12.0 m, not over the ground." in ju.cautions(straight(maps, last=33), maps)
+
+
+def test_roofs_that_touch_a_cell_count_where_the_maps_hold_them(maps):
+    touched_m = maps.m("roof").copy()
+    touched_m[ROW + 3, 60:70] = 30.0
+    touched_m[ROW, 29] = 15.0
+    both = ju.MetricMaps(maps.ds.assign(roof_touched=(("y", "x"), touched_m)))
+    totals = ju.explain(straight(maps), both).totals
+    assert totals["nearest_wall_m"] == pytest.approx(25.0)
+    assert totals["least_over_roofs_m"] == pytest.approx(5.0)
+
+
+def test_a_route_through_cells_that_a_building_touches_is_not_told_as_over_its_roof(maps):
+    touched_m = maps.m("roof").copy()
+    touched_m[ROW, 40:51] = 30.0
+    by_centre = ju.MetricMaps(maps.ds.assign(roof_touched=(("y", "x"), touched_m)), "centre")
+    told = ju.cautions(straight(by_centre, last=50), by_centre)
+    assert "Buildings: 105.0 m of the route lie in cells that one as high touches, maybe in its outline." in told
+    assert "The goal is in a cell that a building of 30.0 m touches." in told
+    assert any(sentence.startswith("Roofs: the least height over one is 8.0 m") for sentence in told)
+
+
+def test_walls_just_outside_the_region_count():
+    """Routes 15 m inside the east border: past a tower on it, past one 20 m outside it, and 100 m from that one."""
+    wide = np.zeros((40, 60), bool)  # 20 columns of 10 m more than the region has
+    wide[5:7, 40:44] = wide[18:20, 42:44] = True
+    risk = np.minimum(distance_transform_edt(~wide, 10.0) / 50.0, 1.0).astype(np.float32)[None, :, :40]
+    maps, open_air = made_maps(40, 40, altitudes_m=(20.0,)), np.zeros((40, 40), np.float32)
+    maps = ju.MetricMaps(
+        maps.ds.assign(
+            risk=(("altitude", "y", "x"), risk),
+            obstacle=maps.ds["obstacle"] * 0,
+            **dict.fromkeys(("roof", "roof_touched"), (("y", "x"), open_air)),
+            num_visible=maps.ds["num_visible"] * 0 + 9,
+        ).assign_attrs(risk_threshold_m=50.0, risk_distance="slice")
+    )
+    grid = maps.grid
+    solid = ju.MetricMaps(maps.ds.assign_attrs(risk_distance="solid"))
+    unknown = "what stands farther outside the region is not known."
+    for first, last, true_m in ((3, 8, 15.0), (16, 21, 35.0), (30, 35, np.hypot(35.0, 100.0))):
+        ends = {"start_xy_m": grid.xy_of_cell(first, 38), "goal_xy_m": grid.xy_of_cell(last, 38)}
+        path = ju.plan(maps, **ends, altitude_m=20.0, objective="distance")
+        totals, (told, *_) = ju.explain(path, maps).totals, ju.cautions(path, maps)
+        assert totals["nearest_wall_m"] == np.inf
+        if true_m < 50.0:
+            assert true_m - 10.0 < totals["walls_outside_m"] <= true_m  # less than a diagonal is lost
+            low_m, high_m = map(float, re.search(r"outside the region, (\S+) to (\S+) m away", told).groups())
+            assert low_m - 0.05 <= true_m <= high_m
+        else:
+            assert told.startswith("Buildings: none at flight height is within 35.9 m")  # the threshold less a diagonal
+            assert told.endswith(unknown)
+        assert ju.cautions(path, solid)[0].endswith(unknown)  # that risk counts roofs below too
+
+
+def test_satellites_are_whole_numbers_everywhere(maps):
+    path = straight(maps)
+    report = ju.explain(path, maps)
+    assert report.profile["num_visible"].dtype.kind == "i"
+    facts = report.to_dict()["extremes"]["num_visible"]
+    assert {name: facts[name] for name in ("median", "min", "max")} == {"median": 7, "min": 3, "max": 7}
+    assert all(isinstance(facts[name], int) for name in ("median", "min", "max"))
+    assert "mean" not in facts
+    assert set(report.to_dict()["extremes"]["gps"]) >= {"mean", "min", "max"}
+    (line,) = [line for line in report.table().splitlines() if line.startswith("num_visible")]
+    assert "median 7" in line
+    assert not re.search(r"\d\.\d", line)
+
+
+def test_between_two_altitudes_the_satellites_are_those_of_the_lower_map(maps):
+    visible = maps.ds["num_visible"].copy(deep=True)
+    visible[:, 1] = 10
+    higher = ju.MetricMaps(maps.ds.assign(num_visible=visible))
+    ends = {"start_xy_m": maps.grid.xy_of_cell(ROW, 20), "goal_xy_m": maps.grid.xy_of_cell(ROW, 30)}
+    heights = {"start_altitude_m": 30.0, "goal_altitude_m": 30.0, "level_step_m": 10.0}
+    path = plan_volume(higher, **ends, **heights, objective="distance")
+    profile = ju.explain(path, higher).profile
+    assert (path.z_m == 30.0).all()
+    cells = higher.grid.cell_of_lonlat(profile["lon"], profile["lat"])
+    assert profile["num_visible"].tolist() == higher.m("num_visible", 20.0)[cells].tolist()
+    assert set(profile["num_visible"]) == {3, 7}
+
+
+def test_the_command_line_tells_it_on_stderr_and_in_json(maps, tmp_path, capsys):
+    write_zarr(maps.ds, tmp_path / "maps")
+    lonlat = ["{:.9f},{:.9f}".format(*maps.grid.lonlat_of_cell(ROW, col)) for col in (33, 90)]
+    arguments = ("plan", tmp_path / "maps", "--start", lonlat[0], "--goal", lonlat[1], "--altitude", 20)
+    code, out, err = run(capsys, *arguments)
+    assert code == 0
+    for words in ("GPS: no fix", "Buildings: the nearest at flight", "Roofs: the least height", "The start is over"):
+        assert words in err
+        assert words not in out
+    _, out, err = run(capsys, *arguments, "--json")
+    told = json.loads(out)["cautions"]
+    assert err.splitlines() == [f"jaxurban: {sentence}" for sentence in told]
+
+
+def test_without_a_path_there_is_nothing_to_caution_of(maps):
+    zone = np.zeros((2, *maps.grid.shape), np.uint8)
+    zone[:, :, 50] = 1
+    cut = ju.MetricMaps(maps.ds.assign(obstacle=(("altitude", "y", "x"), zone)))
+    with pytest.raises(InputError, match="there is no path"):
+        ju.cautions(straight(cut), cut)
+
+
+def test_a_wall_beside_a_climb_counts_as_soon_as_it_reaches_above_the_route(maps):
+    roof_m = np.zeros(maps.grid.shape, np.float32)
+    roof_m[ROW + 4 : ROW + 9, 40:45] = 55.0  # beside the climb from 20 to 60 m, nearer to 60 than to 20 at its top
+    around = ju.MetricMaps(
+        maps.ds.assign(
+            obstacle=(("altitude", "y", "x"), np.stack([roof_m >= 20.0, roof_m >= 60.0]).astype(np.uint8)),
+            **dict.fromkeys(("roof", "roof_touched"), (("y", "x"), roof_m)),
+        )
+    )
+    ends = {"start_xy_m": maps.grid.xy_of_cell(ROW, 41), "goal_xy_m": maps.grid.xy_of_cell(ROW, 43)}
+    path = plan_volume(around, **ends, start_altitude_m=20.0, goal_altitude_m=60.0, objective="distance")
+    climbing = ju.explain(path, around).profile
+    is_low = (climbing["z_m"] > 41.0) & (climbing["z_m"] < 55.0)
+    assert (climbing.loc[is_low, "nearest_wall_m"] == 35.0).all()
+    assert is_low.any()

@@ -1,0 +1,53 @@
+"""Maps weighed once answer many queries as `plan` answers each."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import jaxurban as ju
+from jaxurban.errors import InputError
+
+
+@pytest.fixture(scope="module")
+def maps() -> ju.MetricMaps:
+    return ju.build_maps(ju.demo_city(1_000, 1_000), resolution_m=10.0, altitudes_m=(20.0, 600.0))
+
+
+def test_maps_weighed_once_give_the_paths_of_separate_plans(maps):
+    weighted = ju.cost_map(maps, 20.0, weights=ju.Weights(gps=3.0), cost_model="line")
+    rows, cols = np.nonzero(weighted.is_free)
+    rng = np.random.default_rng(0)
+    for start, goal in rng.choice(len(rows), (3, 2)):
+        ends = {
+            "start_xy_m": weighted.grid.xy_of_cell(rows[start], cols[start]),
+            "goal_xy_m": weighted.grid.xy_of_cell(rows[goal], cols[goal]),
+        }
+        once = weighted.plan(*(ju.XY(*xy_m) for xy_m in ends.values()))
+        anew = ju.plan(maps, altitude_m=20.0, weights=ju.Weights(gps=3.0), cost_model="line", **ends)
+        assert once.cost == anew.cost
+        assert once.metrics == anew.metrics
+        assert once.settings == anew.settings
+    assert weighted.problem is weighted.problem
+
+
+def test_the_metrics_of_a_path_are_the_means_over_the_length_in_each_cell(maps):
+    weighted = ju.cost_map(maps, 20.0, cost_model=ju.CostModel("line", 1.0), weights=ju.Weights(0, 1, 1, 1, 1))
+    rows, cols = np.nonzero(weighted.is_free)
+    planned = weighted.plan(*(ju.XY(*weighted.grid.xy_of_cell(rows[k], cols[k])) for k in (0, -1)))
+    for name, mean in planned.metrics.items():
+        mean_cost = mean if name == "population" else 1 - mean
+        assert planned.cost_by_layer[name] == pytest.approx(mean_cost * planned.length_m, rel=1e-6)
+
+
+def test_rounding_takes_no_mean_out_of_0_to_1(maps):
+    rounded = SimpleNamespace(mean_costs=np.full(4, np.nextafter(1.0, 2.0)))
+    means = ju.cost_map(maps, 600.0).means(rounded)
+    assert means == {"gps": 0.0, "lidar": 0.0, "population": 1.0, "risk": 0.0}
+
+
+def test_a_map_without_a_free_cell_is_refused(maps):
+    closed = maps.ds.assign(obstacle=maps.ds["obstacle"] * 0 + 1)
+    weighted = ju.cost_map(ju.MetricMaps(closed), 20.0)
+    with pytest.raises(InputError, match="no cell is free at 20 m"):
+        weighted.problem.between((0, 0), (1, 1))

@@ -1,0 +1,295 @@
+"""One path has one cost: every way through the package plans under the same cost model and the same constraints."""
+
+import dataclasses
+import itertools
+import json
+import pickle
+import warnings
+
+import numpy as np
+import pandas as pd
+import pytest
+import shapely
+from scipy.ndimage import label
+
+import jaxurban as ju
+from jaxurban.errors import OtherSettingsWarning
+from jaxurban.io.files import write_json
+from jaxurban.io.store import write_zarr
+from jaxurban.paths.export import write_path
+from jaxurban.studies.montecarlo.trial import BenchmarkSettings
+from jaxurban.studies.sensitivity import local
+from tests.cli_runs import assert_one_sentence, run
+from tests.made_maps import made_maps
+from tests.studies.routes_made import write_geojson
+
+ALTITUDE_M = 20.0
+WEIGHTS = ju.Weights(distance=0.05, gps=1.0, lidar=0.5, population=0.7, risk=1.3)
+VECTOR = np.array([WEIGHTS.distance, WEIGHTS.gps, WEIGHTS.lidar, WEIGHTS.population, WEIGHTS.risk])
+START, GOAL = (1, 1), (24, 28)
+MODELS = [
+    ju.CostModel(kind, 4.0, connectivity, diagonal)
+    for kind, connectivity, diagonal in itertools.product(("cell", "line"), (4, 8), ("both-free", "always"))
+]
+QUICK_MODELS = [MODELS[k] for k in (0, 3, 5, 6)]  # each value of each part with each other's; the rest is slow
+QUICK = ju.SensitivitySettings(vary=("gps",), num_samples=2, objectives=("distance", "gps"), max_plans=10)
+REQUIRE = "risk>=0.08"
+
+
+@pytest.fixture(scope="module")
+def maps() -> ju.MetricMaps:
+    """Maps of scattered obstacles, which many diagonal steps pass at a corner."""
+    maps = made_maps(26, 30)
+    rng = np.random.default_rng(4)
+    is_wall = rng.random(maps.grid.shape) < 0.3
+    for row, col in (START, GOAL):
+        is_wall[row - 1 : row + 2, col - 1 : col + 2] = False
+    maps.ds["obstacle"][:] = is_wall.astype(np.uint8)
+    for name in ("roof", "roof_touched"):
+        maps.ds[name][:] = np.where(is_wall, np.float32(80.0), np.float32(0.0))
+    for name in ("gps", "lidar", "population", "risk"):
+        maps.ds[name][:] = rng.uniform(0.05, 1.0, maps.ds[name].shape).astype(np.float32)
+    return maps
+
+
+@pytest.fixture(scope="module")
+def ends(maps) -> tuple:
+    return tuple(tuple(float(v) for v in maps.grid.lonlat_of_cell(*cell)) for cell in (START, GOAL))
+
+
+@pytest.fixture(scope="module")
+def zone_file(maps, ends, tmp_path_factory):
+    """A no-fly zone across the straight way between the ends."""
+    middle = np.mean(ends, axis=0)
+    file = tmp_path_factory.mktemp("zones") / "zone.geojson"
+    geometry = shapely.geometry.mapping(shapely.Point(middle).buffer(0.0004, quad_segs=1))
+    features = [{"type": "Feature", "properties": {"name": "square"}, "geometry": geometry}]
+    file.write_text(json.dumps({"type": "FeatureCollection", "features": features}))
+    return file
+
+
+@pytest.fixture(scope="module")
+def closing(zone_file) -> dict:
+    return {"none": ju.Constraints(), "constraints": ju.Constraints.read(zone_file, REQUIRE)}
+
+
+def instances_of(maps) -> pd.DataFrame:
+    """The one query of a study."""
+    places = [maps.grid.xy_of_cell(*cell) for cell in (START, GOAL)]
+    row = {"instance": 0, "altitude_m": ALTITUDE_M, "crs": maps.grid.crs}
+    row |= {
+        f"{end}_{axis}_m": value
+        for end, xy in zip(("start", "goal"), places, strict=True)
+        for axis, value in zip("xy", xy, strict=True)
+    }
+    names = ("distance", "gps", "lidar", "population", "risk")
+    return pd.DataFrame([row | {f"w_{name}": value for name, value in zip(names, VECTOR, strict=True)}])
+
+
+@pytest.fixture(scope="module")
+def plans(maps, ends, closing) -> dict:
+    """The path of `plan` under every cost model and constraints."""
+    return {
+        (model, name): ju.plan(
+            maps, *ends, altitude_m=ALTITUDE_M, weights=WEIGHTS, cost_model=model, constraints=constraints
+        )
+        for model in MODELS
+        for name, constraints in closing.items()
+    }
+
+
+def test_each_part_of_a_cost_model_and_constraints_change_the_cost(plans):
+    assert all(planned.status.has_path for planned in plans.values())
+    costs = {round(planned.cost, 9) for planned in plans.values()}
+    assert len(costs) == 2 * 3 * 2  # with 4 neighbours the rule for diagonal steps decides nothing
+
+
+@pytest.mark.parametrize("constrained", ["none", "constraints"])
+@pytest.mark.parametrize(
+    "model", [pytest.param(m, marks=() if m in QUICK_MODELS else pytest.mark.slow) for m in MODELS], ids=str
+)
+def test_every_way_gives_one_path_one_cost(maps, ends, plans, closing, model, constrained, tmp_path, monkeypatch):
+    monkeypatch.setattr(local, "NUM_REPEATS", 2)
+    monkeypatch.setattr(local, "NUM_NOISE", 2)
+    planned, constraints = plans[model, constrained], closing[constrained]
+    under = {"cost_model": model, "constraints": constraints}
+    costs = {}
+    (answer,) = ju.plan_many(maps, [ends], altitude_m=ALTITUDE_M, weights=WEIGHTS, progress=False, **under)
+    costs["plan_many"] = answer.cost
+    costs["explain"] = ju.explain(planned, maps).totals["cost"]
+    found = ju.sensitivity(ju.cost_map(maps, ALTITUDE_M, weights=WEIGHTS, **under), *ends, settings=QUICK)
+    costs["sensitivity"] = found.route.cost
+    costs["sensitivity's gradient"] = float(found.local.cost["gradient"] @ VECTOR)
+    given = found.breakpoints("gps").query("is_given")
+    assert given.length_m.item() == pytest.approx(planned.length_m, rel=1e-9)
+    write_path(planned, tmp_path / "route.geojson")
+    for name, (shown,) in {
+        "read_demonstrations": ju.read_demonstrations(tmp_path / "route.geojson", maps, constraints=constraints),
+        "demonstrations_from_paths": ju.demonstrations_from_paths([planned], maps, constraints=constraints),
+    }.items():
+        assert shown.query.cost_map.cost_model == model
+        costs[name] = float(shown.features @ VECTOR)
+        costs[f"the search of {name}"] = float(shown.query.sums(shown.query.cheapest(VECTOR))[0] @ VECTOR)
+    how = ju.BenchmarkSettings(planners=["astar-plus"], distance_only=(), **under)
+    found = ju.study(maps, tmp_path / "study", instances_of(maps), settings=how, progress=False)
+    costs["study"] = found.rows.cost.item()
+    assert costs == pytest.approx(dict.fromkeys(costs, planned.cost), rel=1e-9)
+
+
+@pytest.fixture(scope="module")
+def folder(maps, tmp_path_factory):
+    """A folder of maps whose scenario plans under another cost model than the default one."""
+    folder = tmp_path_factory.mktemp("maps")
+    write_zarr(maps.ds, folder)
+    planning = ju.CostModel("line", 4.0, 4, "always").settings
+    settings = {"planning": planning, "weights": WEIGHTS.to_dict()}
+    write_json(folder / "run.json", {"settings": settings})
+    return folder
+
+
+def test_commands_plan_one_path_under_the_scenarios_cost_model_and_the_same_constraints(
+    folder, ends, plans, zone_file, tmp_path, capsys
+):
+    places = [f"--{name}={lon},{lat}" for name, (lon, lat) in zip(("start", "goal"), ends, strict=True)]
+    where = (folder, *places, "--altitude", ALTITUDE_M, "--json")
+    quick = ("--vary", "gps", "--samples", 2, "--pareto", "distance,gps", "-o", tmp_path)
+    model, options = ju.CostModel("line", 4.0, 4, "always"), ("--no-fly", zone_file, "--require", REQUIRE)
+    for found in (
+        json.loads(run(capsys, "plan", *where, *options)[1]),
+        json.loads(run(capsys, "sensitivity", *where, *options, *quick)[1])["route"],
+    ):
+        assert found["cost"] == pytest.approx(plans[model, "constraints"].cost, rel=1e-9)
+        assert found["settings"] == plans[model, "constraints"].settings
+    said = (tmp_path / "report.md").read_text()
+    assert (
+        "'line' (reference length 4 m, 4 neighbours, diagonal steps 'always'), constraints: 1 no-fly zone, risk>=0.08"
+        in said
+    )
+
+
+def routes_file(file, planned):
+    """Write planned paths into one file and return it."""
+    features = []
+    for number, path in enumerate(planned):
+        write_path(path, file.with_name(f"{number}.geojson"))
+        features += json.loads(file.with_name(f"{number}.geojson").read_text())["features"]
+    file.write_text(json.dumps({"type": "FeatureCollection", "features": features}))
+    return file
+
+
+def test_routes_are_fitted_under_the_cost_model_they_were_planned_under_and_differing_ones_are_told(
+    maps, plans, tmp_path
+):
+    line, cell = (plans[ju.CostModel(kind, 4.0), "none"] for kind in ("line", "cell"))
+    both = routes_file(tmp_path / "both.geojson", [line, cell])
+    for read in (
+        lambda **more: ju.read_demonstrations(both, maps, **more),
+        lambda **more: ju.demonstrations_from_paths([line, cell], maps, **more),
+    ):
+        with pytest.raises(ju.InputError, match=r"planned under the cost model 'line' .* under 'cell' .*--cost-model"):
+            read()
+        with pytest.warns(OtherSettingsWarning, match=r"planned under the cost model 'cell' .* fitted under 'line'"):
+            shown = read(cost_model=ju.CostModel("line", 4.0))
+        assert {each.query.cost_map.cost_model.kind for each in shown} == {"line"}
+        with pytest.warns(OtherSettingsWarning) as told:
+            read(cost_model="line")
+        assert len(told) == 2  # the reference length of the first is another one too
+    drawn = write_geojson(tmp_path / "drawn.geojson", shown)
+    (unit,) = {each.query.cost_map for each in ju.read_demonstrations(drawn, maps, default_cost_model="line")}
+    assert unit.cost_model == ju.CostModel("line")
+
+    wrong = json.loads(both.read_text())
+    wrong["features"][0]["properties"]["settings"]["cost_model"] = "area"
+    both.write_text(json.dumps(wrong))
+    with pytest.raises(
+        ju.InputError, match=r"route '1' of .*both.geojson.*: cost_model must be 'cell' or 'line', got 'area'"
+    ):
+        ju.read_demonstrations(both, maps)
+
+
+def test_routes_of_other_constraints_than_the_fits_are_told(maps, plans, zone_file, tmp_path):
+    free, limited = (plans[MODELS[0], name] for name in ("none", "constraints"))
+    file = routes_file(tmp_path / "routes.geojson", [limited])
+    with pytest.warns(OtherSettingsWarning, match=r"give --no-fly zone.geojson --require 'risk>=0.08' \(constraints="):
+        ju.read_demonstrations(file, maps)
+    with pytest.warns(OtherSettingsWarning, match=r"other constraints \(none\) .* leave --no-fly"):
+        ju.demonstrations_from_paths([free], maps, constraints=ju.Constraints.read(require="lidar>=0"))
+    moved = tmp_path / "moved.geojson"
+    moved.write_text(zone_file.read_text())  # the same zone from another file is no other constraint
+    (read,) = ju.read_demonstrations(file, maps, constraints=ju.Constraints.read(moved, REQUIRE))
+    assert read.note == ""
+
+
+def test_tune_takes_cost_model_and_constraints_from_its_routes_and_options(folder, plans, zone_file, tmp_path, capsys):
+    model = ju.CostModel("cell", 4.0, 8, "always")
+    routes = routes_file(tmp_path / "routes.geojson", [plans[model, "constraints"]])
+    asked = ("tune", folder, routes, "-o", tmp_path / "fit", "--rounds", 1, "--bootstrap", 0)
+    code, _, err = run(capsys, *asked, "--no-fly", zone_file, "--require", REQUIRE)
+    assert code == 0, err
+    assert "other constraints" not in err
+    report = (tmp_path / "fit" / "report.md").read_text()
+    assert (
+        f"Cost model: {model} on cells of 10 m. Constraints: 1 no-fly zone, risk>=0.08. Obstacles: touched." in report
+    )
+    assert "--cost-model cell" in (tmp_path / "fit" / "weights.toml").read_text()
+    line = routes_file(tmp_path / "line.geojson", [plans[ju.CostModel("line", 4.0), "none"]])
+    with warnings.catch_warnings():
+        warnings.simplefilter("always")
+        code, _, err = run(capsys, *asked, "--overwrite", "--also", folder, line)
+    assert code == 2
+    assert "was planned under other constraints (1 no-fly zone, risk>=0.08) than it is fitted under (none): give" in err
+    assert "error: the routes are costed by different cost models, 'cell'" in err
+
+
+def test_a_studys_queries_keep_to_its_constraints_and_are_joined_by_its_rule_for_diagonal_steps(maps, closing):
+    constraints = closing["constraints"]
+    for diagonal, islands in (("both-free", None), ("always", np.ones((3, 3)))):
+        model = ju.CostModel("line", 5.0, 8, diagonal)
+        asked = ju.sample_instances(maps, 30, altitudes_m=[ALTITUDE_M], cost_model=model, constraints=constraints)
+        is_free = constraints.is_free(maps, ALTITUDE_M)
+        labels, _ = label(is_free, islands)
+        ends = [labels[maps.grid.cell_of_xy(asked[f"{end}_x_m"], asked[f"{end}_y_m"])] for end in ("start", "goal")]
+        assert np.all(ends)  # 0 where no path may fly
+        assert ((ends[0] == ends[1]) == asked.is_connected).all()
+        open_maps = ju.sample_instances(maps, 30, altitudes_m=[ALTITUDE_M], cost_model=model)
+        assert not constraints.is_free(maps, ALTITUDE_M)[
+            maps.grid.cell_of_xy(open_maps.start_x_m, open_maps.start_y_m)
+        ].all()
+
+
+def test_a_folder_keeps_one_study_under_one_set_of_constraints(maps, closing, tmp_path):
+
+    def study(constraints=None):
+        how = ju.BenchmarkSettings(planners=["ptp"], distance_only=(), constraints=constraints or ju.Constraints())
+        return ju.study(maps, tmp_path, instances_of(maps), settings=how, progress=False)
+
+    study(closing["constraints"])
+    kept = json.loads((tmp_path / "study.json").read_text())
+    assert ju.CostModel.from_settings(kept) == ju.CostModel("line")
+    assert kept["limits"] == closing["constraints"].to_dict()
+    with pytest.raises(ju.InputError, match=r"its set of constraints is 1 no-fly zone, risk>=0.08, and none is"):
+        study()
+    (zone,) = closing["constraints"].zones
+    redrawn = dataclasses.replace(
+        closing["constraints"], zones=(dataclasses.replace(zone, polygon=zone.polygon.buffer(1e-4)),)
+    )
+    with pytest.raises(ju.InputError, match="outlines of no-fly zones"):
+        study(redrawn)
+    settings = BenchmarkSettings(constraints=closing["constraints"])
+    assert pickle.loads(pickle.dumps(settings)) == settings  # so that a worker reads its maps once
+    assert len({settings, pickle.loads(pickle.dumps(settings))}) == 1
+
+
+def test_a_benchmark_that_its_format_cannot_hold_is_refused_before_the_study(tmp_path, capsys):
+    scenario = tmp_path / "city.toml"
+    text = "[region]\nbounds = [-74.0, 40.755, -73.99, 40.762]\n[buildings]\nsource = 'synthetic'\n"
+    for planning, options, words in (
+        ("[planning]\nconnectivity = 4", (), ("not 4 and 'both-free'", "--benchmark")),
+        ("[planning]\ndiagonal = 'always'", (), ("not 8 and 'always'",)),
+        ("", ("--require", "gps>=0.1"), ("--require or --benchmark",)),
+    ):
+        scenario.write_text(text + planning)
+        code, _, err = run(capsys, "study", scenario, "-o", tmp_path / "out", "--benchmark", tmp_path / "b", *options)
+        assert code == 2
+        assert_one_sentence(err, *words)
+    assert not (tmp_path / "out").exists()

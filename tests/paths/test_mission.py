@@ -1,0 +1,133 @@
+"""Missions (.plan) over hills and flat ground, read back by MAVSDK."""
+
+import json
+
+import numpy as np
+import pytest
+import shapely
+
+from jaxurban.paths.export import GROUND_TOLERANCE_M, height_note, write_path
+from jaxurban.paths.ground import elevation_at, ground_along
+from jaxurban.world.grid import Grid
+from tests.mavlink import mission_reader
+from tests.paths.test_export import GRID, Route
+
+SIDE_M = GRID.num_cols * GRID.resolution_m
+CORNER_M = np.array([GRID.x_min_m, GRID.y_min_m])
+RASTER_M = 0.02  # what a raster of 5 m cells loses of the hill below
+
+
+@pytest.fixture(scope="module")
+def reader():
+    with mission_reader() as reader:
+        yield reader
+
+
+def hill_m(x_m, y_m):
+    """Return the ground's elevation: 120 m of relief, slopes up to 46 %."""
+    return 75.0 + 40.0 * np.sin(x_m / 160.0) * np.cos(y_m / 210.0) + 20.0 * np.sin((x_m + y_m) / 330.0)
+
+
+HILL_M = hill_m(*np.meshgrid(*((np.arange(GRID.num_cols) + 0.5) * GRID.resolution_m,) * 2))
+
+
+class RandomRoute(Route):
+    """A route whose altitude above ground differs from point to point."""
+
+    @property
+    def z_m(self):
+        return self.facts["z_m"]
+
+
+def random_route(seed: int, over_hill: bool) -> RandomRoute:
+    """Return up to 12 points anywhere, level or climbing; on odd seeds along the grid, at cells' middles."""
+    rng = np.random.default_rng(seed)
+    points_m = rng.uniform(20, SIDE_M - 20, (rng.integers(2, 13), 2))
+    if seed % 2:
+        steps = np.repeat(rng.integers(-1, 2, (8, 2)), rng.integers(1, 25, 8), axis=0)
+        points_m = (np.clip(200 + np.cumsum(steps, axis=0), 0, 399) + 0.5) * GRID.resolution_m
+    z_m = np.full(len(points_m), 60.0) if seed % 4 < 2 else rng.uniform(20, 120, len(points_m))
+    ground = ground_along(points_m, HILL_M, GRID) if over_hill else None
+    return RandomRoute(points_m + CORNER_M, facts={"z_m": z_m}, ground=ground)
+
+
+@pytest.mark.parametrize("over_hill", [True, False])
+def test_what_mavsdk_reads_is_the_path_in_place_and_in_height(over_hill, reader, tmp_path):
+    file = tmp_path / "path.plan"
+    num_added = 0
+    for seed in range(25):
+        route = random_route(seed, over_hill)
+        assert write_path(route, file)
+        commands, places = reader.read(file)
+        assert commands == [22] + [16] * (len(places) - 1)
+        lat, lon, home_m = json.loads(file.read_text())["mission"]["plannedHomePosition"]
+        np.testing.assert_allclose([lon, lat], route.lonlat[0], atol=1e-7)
+        xy_m = np.column_stack(GRID.xy_of_lonlat(*places[:, :2].T)) - CORNER_M
+        path = shapely.LineString(np.column_stack([route.xy_m - CORNER_M, route.z_m]))
+        flown = shapely.LineString(np.column_stack([xy_m, places[:, 2]]))
+        assert flown.hausdorff_distance(path) < 0.03  # a centimetre, and the digits of a degree
+        # Walked along in step, so that a path that crosses itself cannot hide a wrong height.
+        share = np.linspace(0, 1, 4000)
+        here = shapely.get_coordinates(shapely.line_interpolate_point(flown, share, normalized=True), include_z=True)
+        planned = shapely.get_coordinates(shapely.line_interpolate_point(path, share, normalized=True), include_z=True)
+        assert np.hypot(*(here - planned)[:, :2].T).max() < 0.2
+        ground_m = hill_m(*here[:, :2].T) if over_hill else 0.0
+        missed_m = np.abs(home_m + here[:, 2] - ground_m - planned[:, 2])
+        if over_hill:
+            assert home_m == pytest.approx(hill_m(*(route.xy_m[0] - CORNER_M)), abs=RASTER_M)
+            assert missed_m.max() < GROUND_TOLERANCE_M + 0.25  # and what z changes over 0.2 m of a climb
+            num_added += len(places) - len(shapely.get_coordinates(path.simplify(0.01)))
+        else:
+            assert home_m == 0.0
+            assert missed_m.max() < 0.3
+    assert num_added > 50 or not over_hill
+
+
+def test_only_ground_that_bends_adds_waypoints(tmp_path):
+    ends_m = np.array([[100.0, 1000.0], [1900.0, 1000.0]])
+    x_m = (np.arange(GRID.num_cols) + 0.5) * GRID.resolution_m
+    slope_m = np.tile(0.1 * x_m, (GRID.num_rows, 1))
+    ridge_m = np.tile(100.0 - 0.1 * np.abs(x_m - 1002.5), (GRID.num_rows, 1))
+    for terrain_m, heights_m in ((slope_m, [60.0, 240.0]), (ridge_m, [60.0, 150.25, 60.5])):
+        route = Route(ends_m + CORNER_M, ground=ground_along(ends_m, terrain_m, GRID))
+        write_path(route, tmp_path / "path.plan")
+        items = json.loads((tmp_path / "path.plan").read_text())["mission"]["items"]
+        np.testing.assert_allclose([item["Altitude"] for item in items], heights_m, atol=0.3)
+
+
+def test_the_file_says_what_the_ground_is_taken_for(tmp_path):
+    for over_hill, words in ((False, "level ground is assumed"), (True, "vertical datum")):
+        route = random_route(2, over_hill)
+        assert words in height_note(route)
+        write_path(route, tmp_path / "path.plan")
+        assert words in json.loads((tmp_path / "path.plan").read_text())["note"]
+
+
+def test_geojson_and_kml_say_which_height_they_give(tmp_path):
+    route = random_route(3, over_hill=True)
+    for suffix in (".geojson", ".kml"):
+        write_path(route, tmp_path / f"path{suffix}")
+        assert (
+            "metres above the ground below each point, not above sea level" in (tmp_path / f"path{suffix}").read_text()
+        )
+    (feature,) = json.loads((tmp_path / "path.geojson").read_text())["features"]
+    expected_m = hill_m(*(route.xy_m - CORNER_M).T)
+    np.testing.assert_allclose(feature["properties"]["ground_m"], expected_m, atol=RASTER_M)
+    assert "zero of the terrain file" in feature["properties"]["ground_reference"]
+    write_path(random_route(3, over_hill=False), tmp_path / "flat.geojson")
+    assert "ground_m" not in json.loads((tmp_path / "flat.geojson").read_text())["features"][0]["properties"]
+
+
+def test_the_ground_is_that_of_scipys_interpolation_and_of_the_cell_beside_missing_data():
+    from scipy.interpolate import RegularGridInterpolator
+
+    rng = np.random.default_rng(0)
+    terrain_m = rng.uniform(0, 50, (7, 9))
+    x_m, y_m = rng.uniform(1, 17, 200), rng.uniform(1, 13, 200)
+    by_scipy = RegularGridInterpolator((np.arange(7) * 2 + 1.0, np.arange(9) * 2 + 1.0), terrain_m)
+    np.testing.assert_allclose(elevation_at(x_m, y_m, terrain_m, 2.0), by_scipy(np.column_stack([y_m, x_m])))
+    assert elevation_at(np.array([0.1]), np.array([0.2]), terrain_m, 2.0) == terrain_m[0, 0]
+    terrain_m[3, 4] = np.nan
+    assert elevation_at(np.array([7.5]), np.array([7.0]), terrain_m, 2.0) == terrain_m[3, 3]
+    one = Grid(GRID.crs, 5.0, 0, 0, 1, 1)
+    assert ground_along(np.array([[2.0, 2.0]]), np.array([[7.0]]), one).elevation_m.tolist() == [7.0]

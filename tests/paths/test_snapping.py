@@ -1,0 +1,113 @@
+"""Snapping: how far a start or goal in a closed cell may be moved, and that it is told."""
+
+import json
+
+import numpy as np
+import pytest
+
+import jaxurban as ju
+from jaxurban.errors import InputError
+from jaxurban.io.store import write_zarr
+from jaxurban.paths.cost_map import cost_map
+from jaxurban.paths.export.write import write_path
+from jaxurban.studies.queries import make_queries
+from tests.cli_runs import assert_one_sentence, run
+from tests.made_maps import made_maps
+from tests.paths.volumes import plan_volume
+
+ALTITUDE_M, SIDE = 20.0, 30
+START_CELL, GOAL_CELL = (15, 6), (15, 27)
+
+
+@pytest.fixture(scope="module")
+def maps() -> ju.MetricMaps:
+    """One block of 13 x 13 cells of 10 m: the start is in its middle, the goal outside."""
+    maps = made_maps(SIDE, SIDE, altitudes_m=(20.0, 60.0))
+    obstacle = np.zeros((2, SIDE, SIDE), np.uint8)
+    obstacle[0, 9:22, 0:13] = 1
+    roof_m = 30.0 * obstacle[0].astype(np.float32)
+    return ju.MetricMaps(maps.ds.assign(obstacle=(("altitude", "y", "x"), obstacle), roof=(("y", "x"), roof_m)))
+
+
+def middle(maps, cell) -> tuple[float, float]:
+    return tuple(float(value) for value in maps.grid.xy_of_cell(*cell))
+
+
+@pytest.fixture(scope="module")
+def ends(maps) -> dict:
+    return {"start_xy_m": middle(maps, START_CELL), "goal_xy_m": middle(maps, GOAL_CELL)}
+
+
+def snapped(way, maps, ends, snap) -> float:
+    """Return how far one way of planning moves the start."""
+    lonlat = {name: tuple(map(float, maps.grid.lonlat_of_xy(*xy_m))) for name, xy_m in ends.items()}
+    if way == "plan":
+        return ju.plan(maps, **ends, altitude_m=ALTITUDE_M, snap=snap).snap_distance_m[0]
+    if way == "volume":
+        path = plan_volume(maps, **ends, start_altitude_m=20.0, snap=snap)
+        return path.snap_distance_m[0]
+    if way == "many":
+        pairs = [(lonlat["start_xy_m"], lonlat["goal_xy_m"])]
+        return ju.plan_many(maps, pairs, altitude_m=ALTITUDE_M, snap=snap, strict=True)[0].snap_distance_m[0]
+    (query,) = make_queries(cost_map(maps, ALTITUDE_M), [(lonlat["start_xy_m"], lonlat["goal_xy_m"])], snap=snap)
+    return 10.0 * np.hypot(*np.subtract(query.start, maps.grid.cell_of_xy(*ends["start_xy_m"])))
+
+
+@pytest.mark.parametrize("way", ["plan", "volume", "many", "study"])
+def test_a_place_is_moved_by_at_most_50_m_or_as_far_as_is_said(way, maps, ends):
+    for snap, cap in ((True, "50 m"), (69.0, "69 m")):
+        told = rf"70 m away, farther than it may be moved \({cap}\).*--snap-distance 7[01]"
+        with pytest.raises(InputError, match=told):
+            snapped(way, maps, ends, snap)
+    assert snapped(way, maps, ends, 75.0) == pytest.approx(70.0, abs=0.01)
+    near = ends | {"start_xy_m": middle(maps, (15, 10))}
+    assert snapped(way, maps, near, True) == pytest.approx(30.0, abs=0.01)
+
+
+def test_the_free_cell_nearest_to_the_place_itself_is_taken(maps, ends):
+    corner_m = np.array(middle(maps, (21, 12)))  # of the block; its two free neighbours are as near to its middle
+    for aside, cell in (((4.0, 0.0), (21, 13)), ((0.0, 4.0), (22, 12))):
+        start_xy_m = tuple(corner_m + aside)
+        path = ju.plan(maps, start_xy_m=start_xy_m, goal_xy_m=ends["goal_xy_m"], altitude_m=ALTITUDE_M, snap=True)
+        assert tuple(map(int, maps.grid.cell_of_xy(*path.xy_m[0]))) == cell
+        assert path.snap_distance_m[0] == pytest.approx(6.0)
+
+
+@pytest.mark.parametrize("snap", [0.0, -1.0, float("nan"), "50"])
+def test_a_snap_that_is_no_distance_is_refused(snap, maps, ends):
+    for way in ("plan", "volume", "many", "study"):
+        with pytest.raises(InputError, match="snap must be True"):
+            snapped(way, maps, ends, snap)
+
+
+def test_how_far_is_told_in_text_json_and_files(maps, ends, tmp_path, capsys):
+    write_zarr(maps.ds, tmp_path / "maps")
+    lonlat = {name: "{:.9f},{:.9f}".format(*maps.grid.lonlat_of_xy(*xy_m)) for name, xy_m in ends.items()}
+    arguments = ("plan", tmp_path / "maps", "--start", lonlat["start_xy_m"], "--goal", lonlat["goal_xy_m"])
+    arguments += ("--altitude", 20)
+    for snap in ((), ("--snap",)):
+        code, _, err = run(capsys, *arguments, *snap)
+        assert code == 2
+        assert_one_sentence(err, "70 m away", "--snap-distance 7")
+    files = [tmp_path / f"path{suffix}" for suffix in (".geojson", ".kml", ".plan")]
+    outputs = [part for file in files for part in ("-o", file)]
+    code, out, _ = run(capsys, *arguments, "--snap-distance", 80, *outputs)
+    told = "The start was not free: it was moved 70.0 m, to the nearest free cell."
+    assert code == 0
+    assert told in out
+    assert "start 70.0 m, goal 0.0 m" in out
+    for file in files:
+        assert told in file.read_text()
+    (feature,) = json.loads(files[0].read_text())["features"]
+    assert feature["properties"]["snap_distance_m"]["start"] == pytest.approx(70.0, abs=0.01)
+    code, out, _ = run(capsys, *arguments, "--snap-distance", 80, "--json")
+    facts = json.loads(out)
+    assert told in facts["message"]
+    assert facts["snap_distance_m"] == {"start": pytest.approx(70.0, abs=0.01), "goal": pytest.approx(0.0, abs=0.01)}
+
+
+def test_a_free_place_says_nothing_of_snapping(maps, ends, tmp_path):
+    path = ju.plan(maps, start_xy_m=middle(maps, (3, 3)), goal_xy_m=ends["goal_xy_m"], altitude_m=20.0, snap=True)
+    assert "not free" not in path.to_dict()["message"]
+    write_path(path, tmp_path / "path.kml")
+    assert "not free" not in (tmp_path / "path.kml").read_text()

@@ -1,0 +1,386 @@
+"""Pictures show the right colour in the right place, to scale, with every label whole."""
+
+import subprocess
+import sys
+from itertools import combinations
+
+import matplotlib
+import numpy as np
+import pyproj
+import pytest
+import xarray as xr
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import to_hex, to_rgb
+from matplotlib.text import Text
+from PIL import Image
+
+from jaxurban.errors import InputError
+from jaxurban.maps.metric_maps import MetricMaps
+from jaxurban.metrics.registry import METRICS
+from jaxurban.paths.path import PlannedPath
+from jaxurban.planners.base import Path, Status
+from jaxurban.report import figures as plotting
+from jaxurban.report.figures.frame import OBSTACLE_COLOUR, make_frame, round_length_m, thin, true_north
+from jaxurban.report.figures.metrics import percent
+from jaxurban.report.figures.paths import PLANNER_COLOURS
+from jaxurban.report.save import DPI, write_png
+from jaxurban.world.grid import Grid
+
+ALTITUDES_M = (20.0, 60.0, 122.0, 600.0)
+FLOWN = ("altitude", "y", "x")
+
+
+def make_maps(rows=34, cols=40, resolution_m=100.0, seed=0, has_all_data=True, with_population=True) -> MetricMaps:
+    """Random roofs and metrics, one value a cell; GPS rises and lidar falls with altitude."""
+    rng = np.random.default_rng(seed)
+    roof_m = (rng.random((rows, cols)) < 0.4) * rng.uniform(5, 200, (rows, cols))
+    z = np.array(ALTITUDES_M)[:, None, None]
+    obstacle = (roof_m >= z).astype(np.uint8)
+    chance = rng.random((len(ALTITUDES_M), rows, cols))
+    gps = np.where(obstacle, 0, chance ** (20 / z)).astype(np.float32)
+    lidar = np.where(obstacle, 0, (1 - chance) * 20 / z).astype(np.float32)
+    risk = np.where(obstacle, 0, chance).astype(np.float32)
+    density = np.stack([rng.uniform(0, 90_000, (rows, cols)), rng.uniform(0, 30_000, (rows, cols))])
+    density[:, :, : cols // 4] = 0
+    has_data = np.ones((rows, cols), bool)
+    has_data[-3:, -5:] = has_all_data
+    data = {
+        "obstacle": (FLOWN, obstacle),
+        "gps": (("time", *FLOWN), gps[None]),
+        "gdop": (("time", *FLOWN), np.where(gps > 0, 20 - 19 * gps, np.inf)[None]),
+        "num_visible": (("time", *FLOWN), np.full((1, *obstacle.shape), 7, np.uint8)),
+        "lidar": (FLOWN, lidar),
+        "risk": (FLOWN, risk),
+        "roof": (("y", "x"), roof_m.astype(np.float32)),
+        "terrain": (("y", "x"), 100 * rng.random((rows, cols))),
+    }
+    coords = {"altitude": list(ALTITUDES_M), "time": np.array(["2020-04-27T16:00:00"], "datetime64[ns]")}
+    if with_population:
+        data["population"] = (("time_of_day", "y", "x"), density / density.max(axis=(1, 2), keepdims=True))
+        data["density"] = (("time_of_day", "y", "x"), density)
+        coords["time_of_day"] = ["day", "night"]
+    data = {
+        name: (dims, np.where(has_data, values, np.nan) if values.dtype.kind == "f" else values)
+        for name, (dims, values) in data.items()
+    }
+    data["has_data"] = (("y", "x"), has_data)
+    first_row, first_col = round(4_507_000 / resolution_m), round(583_000 / resolution_m)
+    attrs = {"crs": "EPSG:32618", "resolution_m": resolution_m, "first_row": first_row, "first_col": first_col}
+    ds = xr.Dataset(data, coords=coords, attrs=attrs)
+    ds["gps"].attrs["one_means"] = "GDOP of 1, the best possible"
+    return MetricMaps(ds)
+
+
+def make_path(maps, planner, altitude_m, status=Status.OPTIMAL, time_of_day="day") -> PlannedPath:
+    grid = maps.grid
+    ends = np.array([[0.2, 0.1], [0.5, 0.6], [0.8, 0.9]]) * (grid.num_cols, grid.num_rows) * grid.resolution_m
+    xy_m = ends + np.array([grid.x_min_m, grid.y_min_m]) if status.has_path else np.empty((0, 2))
+    return PlannedPath(
+        status=status,
+        xy_m=xy_m,
+        lonlat=xy_m,
+        z_m=np.full(len(xy_m), altitude_m),
+        altitude_m=altitude_m,
+        cost=1234.56 if status.has_path else np.inf,
+        cost_by_layer={},
+        length_m=5678.0 if status.has_path else np.inf,
+        metrics={},
+        snap_distance_m=(0.0, 0.0),
+        search=Path(status, xy_m, 1.0, 0.0, 1, 0.1, planner),
+        settings={"time": "2020-04-27T16:00:00Z", "time_of_day": time_of_day},
+        crs=grid.crs,
+    )
+
+
+def make_paths(maps):
+    times_of_day = dict(zip(ALTITUDES_M, ("day", "day", "night", "night"), strict=True))
+    if not maps.times_of_day:
+        times_of_day = dict.fromkeys(ALTITUDES_M)
+    return {
+        z: [make_path(maps, "ptp", z, Status.BLOCKED, name)]
+        + [make_path(maps, planner, z, time_of_day=name) for planner in ("astar-dist", "astar-plus")]
+        for z, name in times_of_day.items()
+    }
+
+
+@pytest.fixture(scope="module")
+def maps() -> MetricMaps:
+    return make_maps()
+
+
+def panels_of(figure):
+    return [axes for axes in figure.axes if axes.images]
+
+
+def drawn(axes) -> np.ndarray:
+    """The panel's image as hex colours, row 0 in the south."""
+    image = axes.images[0]
+    assert image.origin == "lower"
+    return np.apply_along_axis(lambda rgb: to_hex(rgb / 255), 2, np.asarray(image.get_array()))
+
+
+def texts_of(figure) -> str:
+    return "\n".join(text.get_text() for text in figure.findobj(Text))
+
+
+def test_each_cell_has_its_metric_colour_at_its_place(maps):
+    figure = plotting.plot_metric(maps, "gps")
+    panels = panels_of(figure)
+    assert len(panels) == 4
+    for panel, z in zip(panels, ALTITUDES_M, strict=True):
+        colours, gps = drawn(panel), maps.m("gps", z)
+        is_free = maps.is_free(z, "centre")
+        expected = matplotlib.colormaps["viridis"](gps[is_free], bytes=True)[:, :3]
+        assert colours[is_free].tolist() == [to_hex(colour / 255) for colour in expected]
+        assert set(colours[~is_free].tolist()) <= {OBSTACLE_COLOUR}
+        grid = maps.grid
+        assert panel.images[0].get_extent() == [grid.x_min_m, grid.x_max_m, grid.y_min_m, grid.y_max_m]
+
+
+def test_titles_name_altitude_time_resolution_and_frame(maps):
+    text = texts_of(plotting.plot_metric(maps, "gps", altitudes_m=[60.0]))
+    mean = maps.m("gps", 60.0)[maps.is_free(60.0, "centre")].mean()
+    for part in (f"60 m  ·  mean {mean:.2f}", "2020-04-27 16:00 UTC", "100 m cells", "EPSG:32618", "1: GDOP of 1"):
+        assert part in text
+
+
+def test_dops_beyond_the_scale_are_drawn_as_its_end():
+    maps = make_maps()
+    row, col = np.argwhere(maps.is_free(20.0, "centre"))[7]
+    maps.ds["gdop"][0, 0, row, col] = np.inf
+    panel = panels_of(plotting.plot_metric(maps, "gdop", altitudes_m=[20.0]))[0]
+    assert drawn(panel)[row, col] == to_hex(matplotlib.colormaps["viridis_r"](1.0))
+
+
+def test_gps_rating_has_the_papers_classes(maps):
+    figure = plotting.plot_gps_rating(maps)
+    for name in ("Ideal", "Excellent", "Good", "Moderate", "Fair", "Poor"):
+        assert name in texts_of(figure)
+    gdop, is_free = maps.m("gdop", 20.0), maps.is_free(20.0, "centre")
+    assert f"20 m  ·  {percent((gdop[is_free] <= 6).mean())} good or better" in texts_of(figure)
+    colours = drawn(panels_of(figure)[0])
+    steps = matplotlib.colormaps["viridis"](np.linspace(1, 0, 6))
+    assert set(colours[is_free & (gdop > 4) & (gdop <= 6)]) == {to_hex(steps[2])}
+    assert set(colours[is_free & (gdop > 8) & (gdop <= 20)]) == {to_hex(steps[4])}
+
+
+def test_sensor_choice_is_gps_where_it_beats_lidar(maps):
+    figure = plotting.plot_sensor_choice(maps)
+    for panel, z in zip(panels_of(figure), ALTITUDES_M, strict=True):
+        is_gps, is_free = maps.m("gps", z) > maps.m("lidar", z), maps.is_free(z, "centre")
+        colours = drawn(panel)
+        assert set(colours[is_free & is_gps].tolist()) <= {METRICS["gps"].colour}
+        assert set(colours[is_free & ~is_gps].tolist()) <= {METRICS["lidar"].colour}
+        assert f"{z:g} m  ·  GPS in {percent(is_gps[is_free].mean())}" in texts_of(figure)
+
+
+def test_population_titles_count_people_and_both_times_share_one_scale(maps):
+    figure = plotting.plot_population(maps)
+    for name in ("day", "night"):
+        people = maps.m("density", time_of_day=name).sum() * 0.01  # 100 m cells
+        assert f"{name}  ·  {people:,.0f} people" in texts_of(figure)
+    colours = [drawn(panel) for panel in panels_of(figure)]
+    assert set(colours[0][:, :10].ravel()) == {"#ffffff"}
+    scale = matplotlib.colormaps["magma_r"]
+    highest = maps.ds["density"].values.max()
+    share = 1 + np.log10(maps.m("density", time_of_day="night")[5, 20] / highest) / 3
+    assert colours[1][5, 20] == to_hex(scale(share))
+
+
+def test_obstacle_titles_give_their_share(maps):
+    text = texts_of(plotting.plot_obstacles(maps))
+    for z in ALTITUDES_M:
+        assert f"{z:g} m  ·  {percent((maps.m('obstacle', z) == 1).mean())} blocked" in text
+
+
+def test_paths_have_the_papers_colours_and_coinciding_ones_both_show(maps):
+    figure = plotting.plot_paths(maps, make_paths(maps))
+    panels = panels_of(figure)
+    assert [panel.get_title(loc="left") for panel in panels] == [
+        "20 m · day",
+        "60 m · day",
+        "122 m · night",
+        "600 m · night",
+    ]
+    for panel in panels:
+        lines = [line for line in panel.lines if line.get_marker() in ("None", None, "")]
+        assert [line.get_color() for line in lines] == [PLANNER_COLOURS["astar-dist"], PLANNER_COLOURS["astar-plus"]]
+        assert lines[0].get_linewidth() > lines[1].get_linewidth()
+        entries = [text.get_text() for text in panel.get_legend().get_texts()]
+        assert entries == [
+            "ptp: blocked",
+            "astar-dist: 1,235, 5.68 km",
+            "astar-plus: 1,235, 5.68 km",
+        ]
+
+
+def test_paths_planned_by_day_and_by_night_get_a_panel_each(maps):
+    paths = {20.0: [make_path(maps, "ptp", 20.0, time_of_day=name) for name in ("night", "day")]}
+    figure = plotting.plot_paths(maps, paths, altitudes_m=[20.0])
+    assert [panel.get_title(loc="left") for panel in panels_of(figure)] == ["20 m · day", "20 m · night"]
+
+
+def test_cost_is_black_where_best_and_white_where_worst(maps):
+    colours = drawn(panels_of(plotting.plot_paths(maps, {}, altitudes_m=[20.0]))[0])
+    total = np.where(maps.is_free(20.0, "centre"), maps.total(20.0, time_of_day="day"), np.nan)
+    assert colours[np.unravel_index(np.nanargmin(total), total.shape)] == "#000000"
+    assert colours[np.unravel_index(np.nanargmax(total), total.shape)] == "#ffffff"
+
+
+@pytest.mark.parametrize(("rows", "cols", "resolution_m"), [(34, 40, 100.0), (100, 50, 200.0), (30, 75, 20.0)])
+def test_scale_bar_is_as_long_as_it_says(rows, cols, resolution_m):
+    frame_maps = make_maps(rows, cols, resolution_m)
+    figure = plotting.plot_metric(frame_maps, "risk")
+    FigureCanvasAgg(figure).draw()
+    (name,) = [text for text in figure.findobj(Text) if text.get_gid() == "scale"]
+    number, unit = name.get_text().split()
+    length_m = float(number) * {"m": 1, "km": 1000}[unit]
+    bars = [patch.get_window_extent() for patch in name.axes.patches]
+    for panel in panels_of(figure):
+        x_pixels = panel.transData.transform([(583_000, 4_507_000), (583_000 + length_m, 4_507_000 + length_m)])
+        assert sum(bar.width for bar in bars) == pytest.approx(np.diff(x_pixels[:, 0])[0], rel=1e-3)
+        assert sum(bar.width for bar in bars) == pytest.approx(np.diff(x_pixels[:, 1])[0], rel=1e-3)
+
+
+@pytest.mark.parametrize(("first_col", "first_row"), [(5_840, 45_070), (7_800, 70_000), (2_000, 60_000)])
+def test_arrow_points_to_true_north(first_col, first_row):
+    grid = Grid("EPSG:32618", 100.0, first_row, first_col, 50, 50)
+    lon, lat = grid.centre_lonlat
+    to_grid = pyproj.Transformer.from_crs("EPSG:4326", grid.crs, always_xy=True)
+    step = np.subtract(to_grid.transform(lon, lat + 1e-4), to_grid.transform(lon, lat))
+    np.testing.assert_allclose(true_north(grid), step / np.hypot(*step), atol=1e-5)
+
+
+def all_figures(maps):
+    paths = make_paths(maps)
+    yield plotting.plot_overview(maps, paths)
+    yield plotting.plot_paths(maps, paths)
+    yield plotting.plot_metric(maps, "gdop")
+    yield plotting.plot_gps_rating(maps)
+    yield plotting.plot_heights(maps)
+    yield plotting.plot_population(maps)
+
+
+@pytest.mark.parametrize(("rows", "cols"), [(34, 40), (51, 39), (100, 50), (20, 60), (90, 12)])
+def test_no_label_is_cut_and_no_two_overlap(rows, cols, monkeypatch):
+    drawn_texts = []
+    draw = Text.draw
+    monkeypatch.setattr(Text, "draw", lambda self, renderer: (drawn_texts.append(self), draw(self, renderer))[1])
+    for figure in all_figures(make_maps(rows, cols, has_all_data=False)):
+        drawn_texts.clear()
+        FigureCanvasAgg(figure).draw()
+        assert figure.get_figwidth() * DPI < 1300
+        assert figure.get_figheight() * DPI < 1100
+        shown = [text for text in drawn_texts if text.get_text().strip() and text.get_visible()]
+        boxes = [(text.get_text(), text.get_window_extent()) for text in shown]
+        assert len(boxes) > 10
+        for name, box in boxes:
+            assert min(box.x0, box.y0) >= 0, name
+            assert box.x1 <= figure.bbox.x1, name
+            assert box.y1 <= figure.bbox.y1, name
+        clashes = [
+            (name, other)
+            for (name, box), (other, other_box) in combinations(boxes, 2)
+            if box.shrunk(0.98, 0.9).overlaps(other_box)
+        ]
+        assert not clashes
+
+
+def test_thinning_keeps_means_and_outlines():
+    values = np.arange(41 * 30, dtype=np.float32).reshape(41, 30) % 977
+    values[:4, :3] = np.nan  # a whole block
+    values[4:8, 0] = np.nan  # a third of one
+    values[8:12, :2] = np.nan  # two thirds of one
+    thinned, high, wide = thin(values, max_cells=11)
+    assert (high, wide) == (4, 3)
+    assert thinned.shape == (10, 10)
+    assert np.isnan(thinned[0, 0])
+    assert np.isnan(thinned[2, 0])
+    assert thinned[1, 0] == pytest.approx(np.nanmean(values[4:8, :3]), rel=1e-5)
+    assert thinned[7, 5] == pytest.approx(values[28:32, 15:18].mean(), rel=1e-5)
+    classes, _, _ = thin(np.arange(16).reshape(4, 4), is_classes=True, max_cells=2)
+    np.testing.assert_array_equal(classes, [[5, 7], [13, 15]])
+
+
+def test_a_large_map_is_thinned_and_keeps_its_place():
+    maps = make_maps(3203, 20, 1.0)
+    image = panels_of(plotting.plot_metric(maps, "risk", altitudes_m=[20.0]))[0].images[0]
+    assert image.get_array().shape[:2] == (1067, 20)
+    assert image.get_extent() == [583_000, 583_020, 4_507_000, 4_507_000 + 3201]
+
+
+def test_cells_without_data_are_told_from_obstacles():
+    maps = make_maps(has_all_data=False)
+    figure = plotting.plot_metric(maps, "risk", altitudes_m=[20.0])
+    assert "no data" in texts_of(figure)
+    assert len({*drawn(panels_of(figure)[0])[-3:, -5:].ravel()} - {OBSTACLE_COLOUR}) == 1
+    assert "no data" not in texts_of(plotting.plot_metric(make_maps(), "risk", altitudes_m=[20.0]))
+
+
+@pytest.mark.parametrize(("length_m", "down", "up"), [(999, 500, 1000), (1000, 1000, 1000), (3.5, 2, 5), (0.7, 0.5, 1)])
+def test_round_lengths_are_one_two_or_five(length_m, down, up):
+    assert round_length_m(length_m) == pytest.approx(down)
+    assert round_length_m(length_m, down=False) == pytest.approx(up)
+
+
+def test_percentages_are_exact_only_where_they_are():
+    shares = (0, 0.0001, 0.051, 0.5, 0.998, 0.99999, 1)
+    assert [percent(share) for share in shares] == ["0 %", "< 0.1 %", "5.1 %", "50 %", "99.8 %", "> 99.9 %", "100 %"]
+
+
+def test_all_figures_are_written_small_whole_and_the_same_again(maps, tmp_path):
+    paths = make_paths(maps)
+    written = plotting.save_figures(maps, paths, tmp_path / "figures")
+    names = "overview heights obstacle gps gps_rating lidar sensor_choice risk paths population"
+    assert sorted(file.stem for file in written) == sorted(names.split())
+    assert sorted(written) == sorted((tmp_path / "figures").iterdir())
+    first = {file.name: file.read_bytes() for file in written}
+    for file in written:
+        assert file.stat().st_size < 400_000
+        with Image.open(file) as image:
+            assert image.format == "PNG"
+            assert 700 <= image.size[0] <= 1300
+    write_png(plotting.plot_paths(maps, paths), tmp_path / "paths.png")
+    assert (tmp_path / "paths.png").read_bytes() == first["paths.png"]
+    with Image.open(tmp_path / "paths.png") as image:
+        pixels = np.asarray(image.convert("RGB")).reshape(-1, 3).astype(int)
+    for planner in ("astar-dist", "astar-plus", "ptp"):
+        away = np.abs(pixels - 255 * np.array(to_rgb(PLANNER_COLOURS[planner]))).max(axis=1)
+        assert away.min() <= 12, f"the palette lost the colour of {planner}"
+
+
+def test_maps_without_population_are_drawn_without_it(tmp_path):
+    maps = make_maps(with_population=False)
+    titles = [panel.get_title(loc="left") for panel in panels_of(plotting.plot_overview(maps, make_paths(maps)))]
+    assert len(titles) == 5
+    assert "People" not in " ".join(titles)
+    panels = panels_of(plotting.plot_paths(maps, {}))
+    assert [panel.get_title(loc="left") for panel in panels] == ["20 m", "60 m", "122 m", "600 m"]
+    with pytest.raises(InputError, match="hold no population"):
+        plotting.plot_population(maps)
+
+
+def test_what_cannot_be_drawn_is_named(maps):
+    with pytest.raises(InputError, match=r"a map to draw from these maps must be 'obstacle', 'gps', .* got 'wind'"):
+        plotting.plot_metric(maps, "wind")
+    with pytest.raises(InputError, match="altitude 33"):
+        plotting.plot_metric(maps, "risk", altitudes_m=[33.0])
+
+
+def test_a_single_panel_keeps_the_maps_proportions():
+    grid = Grid("EPSG:32618", 10.0, 450_000, 58_000, 300, 100)
+    frame = make_frame(grid, ["a"], "heading", "note")
+    assert frame.panel_in[1] / frame.panel_in[0] == pytest.approx(3.0)
+
+
+def test_drawing_does_not_import_pyplot():
+    code = "import sys, jaxurban.report.figures; sys.exit('matplotlib.pyplot' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code]).returncode == 0
+
+
+def test_satellites_are_drawn_in_whole_numbers(maps):
+    figure = plotting.plot_metric(maps, "num_visible")
+    assert "median 7" in texts_of(figure)
+    assert "median 7.0" not in texts_of(figure)
+    (bar,) = [panel for panel in figure.axes if panel.get_ylabel() == "satellites in view"]
+    assert [tick % 1 for tick in bar.get_yticks()] == [0] * len(bar.get_yticks())

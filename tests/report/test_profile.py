@@ -1,0 +1,70 @@
+"""The profile plot shows what the report says, where it says it."""
+
+import numpy as np
+import pytest
+from matplotlib.patches import StepPatch
+
+import jaxurban as ju
+from jaxurban.errors import InputError
+from jaxurban.report.figures import plot_profile, save_profile
+from jaxurban.report.figures.profile import NO_FIX_COLOUR
+from tests.made_maps import made_maps
+
+
+@pytest.fixture(scope="module")
+def maps() -> ju.MetricMaps:
+    return made_maps()
+
+
+@pytest.fixture(scope="module")
+def planned(maps) -> ju.PlannedPath:
+    free = np.argwhere(maps.is_free(20.0))
+    ends = {"start_xy_m": maps.grid.xy_of_cell(*free[10]), "goal_xy_m": maps.grid.xy_of_cell(*free[-10])}
+    return ju.plan(maps, **ends, altitude_m=20.0, weights=ju.Weights(risk=5.0))
+
+
+def steps(panel) -> dict[str, StepPatch]:
+    return {patch.get_label(): patch for patch in panel.patches if isinstance(patch, StepPatch)}
+
+
+def test_the_curves_are_the_values_of_the_report_by_distance(maps, planned):
+    report = ju.explain(planned, maps)
+    heights, metrics, walls = plot_profile(planned, maps, report).axes
+    edges_km = np.append(report.profile["from_m"], report.profile["to_m"].iloc[-1]) / 1000
+    for panel, label, name in (
+        (heights, "roofs beneath", "roof_m"),
+        (metrics, "GPS quality", "gps"),
+        (metrics, "Population (1: worst)", "population"),
+        (walls, "clearance", "nearest_wall_m"),
+    ):
+        drawn = steps(panel)[label].get_data()
+        np.testing.assert_array_equal(drawn.values, report.profile[name])
+        np.testing.assert_array_equal(drawn.edges, edges_km)
+    assert heights.get_ylim()[1] > 20.0
+    units = [panel.get_ylabel() for panel in (heights, metrics, walls)]
+    assert units == ["height above ground (m)", "metric m (1)", "clearance (m)"]
+    assert walls.get_xlabel() == "distance flown (km)"
+    assert all(panel.get_legend() for panel in (heights, metrics, walls))
+
+
+def test_stretches_without_a_fix_are_shaded_over_their_whole_length(maps, planned):
+    report = ju.explain(planned, maps)
+    figure = plot_profile(planned, maps, report)
+    (shade, *_) = shaded = [p for p in figure.axes[1].patches if p.get_facecolor()[:3] == rgb(NO_FIX_COLOUR)]
+    assert sum(patch.get_width() for patch in shaded) * 1000 == pytest.approx(report.totals["under_4_satellites_m"])
+    assert shade.get_width() > 0
+    assert "under 4 satellites" in [text.get_text() for text in figure.axes[1].get_legend().get_texts()]
+
+
+def rgb(colour: str) -> tuple[float, ...]:
+    return tuple(int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5))
+
+
+def test_a_profile_without_walls_or_of_one_place_is_drawn(maps, planned, tmp_path):
+    high = ju.MetricMaps(maps.ds.assign(obstacle=maps.ds["obstacle"] * 0))
+    save_profile(planned, high, tmp_path / "a.png")
+    here = {"start_xy_m": planned.xy_m[0], "goal_xy_m": planned.xy_m[0]}
+    save_profile(ju.plan(maps, **here, altitude_m=20.0), maps, tmp_path / "b.png")
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["a.png", "b.png"]
+    with pytest.raises(InputError, match=r"end its name in \.png"):
+        save_profile(planned, maps, tmp_path / "a.pdf")

@@ -1,0 +1,145 @@
+"""jaxurban tune: what it writes, how it resumes, and what it refuses."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+import tomllib
+
+import pandas as pd
+import pytest
+
+import jaxurban as ju
+from jaxurban.io.store import write_zarr
+from jaxurban.paths.cost_map import cost_map
+from jaxurban.studies.demonstrations import optimal_demonstrations
+from tests.cli_runs import assert_one_sentence, run
+from tests.studies.routes_made import HIDDEN, made_queries, small_maps, write_geojson
+
+NUM = 16
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("tune")
+    maps = small_maps()
+    write_zarr(maps.ds, folder / "maps")
+    write_geojson(folder / "routes.geojson", optimal_demonstrations(made_queries(cost_map(maps, 20.0), NUM), HIDDEN))
+    return folder
+
+
+def tune(capsys, made, *options):
+    return run(capsys, "tune", made / "maps", made / "routes.geojson", *options)
+
+
+def test_a_fit_is_written_as_tables_pictures_and_a_report(made, tmp_path, capsys):
+    code, out, err = tune(capsys, made, "-o", tmp_path / "out", "--bootstrap", 40, "--json")
+    assert code == 0, err
+    facts = json.loads(out)
+    assert sum(facts["weights"].values()) == pytest.approx(1)
+    assert facts["mean_regret"] < 1e-3
+    names = {path.name for path in (tmp_path / "out").rglob("*.*")}
+    for table in ("weights", "examples", "learning_curve", "fewer_examples"):
+        assert {f"{table}.csv", f"{table}.parquet"} <= names
+        assert len(pd.read_parquet(tmp_path / "out" / f"{table}.parquet"))
+    assert {"weights.png", "learning_curve.png", "regret.png", "routes_1.png"} <= names
+    report = (tmp_path / "out" / "report.md").read_text()
+    assert report.count("\n## ") >= 7
+    for figure in ("weights", "learning_curve", "regret", "routes_1"):
+        assert f"(figures/{figure}.png)" in report
+    stored = tomllib.loads((tmp_path / "out" / "weights.toml").read_text())["weights"]
+    told = ju.Weights.parse(facts["weights_option"])
+    for name, value in facts["weights"].items():
+        assert stored[name] == pytest.approx(value, rel=1e-4, abs=1e-12)
+        assert getattr(told, name) == stored[name]
+    weights = pd.read_csv(tmp_path / "out" / "weights.csv")
+    assert [*weights["name"]] == ["distance", "gps", "lidar", "population", "risk"]
+
+    again = json.loads(tune(capsys, made, "-o", tmp_path / "out", "--bootstrap", 40, "--json")[1])
+    assert again["weights"] == facts["weights"]
+    assert again["interval"] == facts["interval"]
+    code, _, err = tune(capsys, made, "-o", tmp_path / "out", "--seed", 1)
+    assert code == 2
+    assert_one_sentence(err, "another folder", "--overwrite")
+
+
+def test_targets_are_reported_met_or_missed(made, tmp_path, capsys):
+    options = ("--wish", "mean_gps>=0.999", "--wish", "detour<=0.3", "--metrics", "gps", "--rounds", 1)
+    code, out, err = tune(capsys, made, "-o", tmp_path / "out", *options, "--json")
+    assert code == 0, err
+    facts = json.loads(out)
+    assert not facts["is_met"]
+    assert "Even alone, mean_gps >= 0.999 was not reached" in facts["message"]
+    assert (tmp_path / "out" / "figures" / "targets.png").is_file()
+    assert facts["message"] in (tmp_path / "out" / "report.md").read_text()
+    assert len(pd.read_csv(tmp_path / "out" / "targets.csv")) == 2
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--altitude", 33), ("33", "20.0, 60.0")),
+        (("--wish", "mean_gsp>=1"), ("mean_gps",)),
+        (("--wish", "mean_gps>=0.8", "--bootstrap", 3), ("--bootstrap",)),
+        (("--metrics", "gsp"), ("gsp", "gps")),
+        (("--resolution", 7), ("7",)),
+        (("--budget", -1), ("budget_s",)),
+    ],
+)
+def test_bad_input_is_one_sentence_and_exit_two(made, tmp_path, capsys, options, words):
+    code, out, err = tune(capsys, made, "-o", tmp_path / "out", *options)
+    assert (code, out) == (2, "")
+    assert_one_sentence(err, *words)
+
+
+def test_a_fit_replaces_no_file_that_it_did_not_make(made, tmp_path, capsys):
+    fit = ("-o", tmp_path, "--rounds", 1, "--wish", "mean_gps>=0.9", "--metrics", "gps")
+    (tmp_path / "report.md").write_text("mine")
+    code, _, err = tune(capsys, made, *fit, "--overwrite")
+    assert code == 2
+    assert_one_sentence(err, "report.md", "not from `jaxurban tune`", "choose another folder")
+    assert [(path.name, path.read_text()) for path in tmp_path.iterdir()] == [("report.md", "mine")]
+    (tmp_path / "report.md").unlink()
+    assert tune(capsys, made, *fit)[0] == 0
+    for name in ("weights.toml", "notes.txt"):
+        (tmp_path / name).write_text("mine")
+        code, _, err = tune(capsys, made, *fit, "--overwrite")
+        assert code == 2
+        assert_one_sentence(err, name, "is not as `jaxurban tune` wrote it")
+        assert (tmp_path / name).read_text() == "mine"
+        (tmp_path / name).unlink()
+
+
+def test_an_output_folder_that_is_a_file_is_refused(made, tmp_path, capsys):
+    (tmp_path / "out").write_text("a file")
+    code, _, err = tune(capsys, made, "-o", tmp_path / "out")
+    assert code == 2
+    assert_one_sentence(err, "it is a file")
+
+
+@pytest.mark.slow
+def test_ctrl_c_keeps_the_searches_and_the_same_command_ends_alike(made, tmp_path, capsys):
+    arguments = ["tune", str(made / "maps"), str(made / "routes.geojson"), "--bootstrap", "0", "--json"]
+    command = [
+        sys.executable,
+        "-c",
+        "from jaxurban.cli.main import main; main()",
+        *arguments,
+        "-o",
+        str(tmp_path / "out"),
+    ]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=os.environ)
+    state = tmp_path / "out" / "fit-state.npz"
+    deadline = time.monotonic() + 120
+    while not state.exists() and time.monotonic() < deadline and process.poll() is None:
+        time.sleep(0.01)
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=120)
+    assert process.returncode == 130, err
+    assert "Traceback" not in err
+    assert state.exists()
+    resumed = json.loads(tune(capsys, made, "--bootstrap", 0, "--json", "-o", tmp_path / "out")[1])
+    whole = json.loads(tune(capsys, made, "--bootstrap", 0, "--json", "-o", tmp_path / "whole")[1])
+    assert resumed["weights"] == whole["weights"]

@@ -1,0 +1,214 @@
+"""Jobs: what makes maps current, what is swept, what a full disk and a damaged folder do."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import shapely
+
+import jaxurban as ju
+from jaxurban.errors import InputError
+from jaxurban.io import files, store
+from jaxurban.scenario import provenance as record
+from jaxurban.scenario import run as pipeline
+from jaxurban.scenario.settings import Scenario
+from jaxurban.world.city import Buildings, Raster
+from tests.cli_runs import assert_one_sentence, run
+
+REGION = {"bounds": [-74.0, 40.755, -73.993, 40.761], "resolution_m": 20, "altitudes_m": [20]}
+SETTINGS = {"region": REGION, "buildings": {"source": "synthetic"}}
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("finished")
+    pipeline.run_scenario(Scenario.from_dict(SETTINGS), folder)
+    return folder
+
+
+@pytest.fixture
+def job(finished, tmp_path) -> Path:
+    return Path(shutil.copytree(finished, tmp_path / "job"))
+
+
+def test_maps_of_other_code_are_not_current(job, monkeypatch):
+    inputs: dict = {}
+    key = record.run_key(Scenario.from_dict(SETTINGS), inputs)
+    assert pipeline.stored_key(job, 20.0) == key
+    monkeypatch.setattr(record, "code_hash", lambda: "other code")
+    assert record.run_key(Scenario.from_dict(SETTINGS), inputs) != key
+
+
+def test_weights_and_planning_do_not_make_maps_stale():
+    key = record.run_key(Scenario.from_dict(SETTINGS), {})
+    assert record.run_key(Scenario.from_dict(SETTINGS | {"weights": {"gps": 3}}), {}) == key
+    assert record.run_key(Scenario.from_dict(SETTINGS | {"gps": {"mask_deg": 6}}), {}) != key
+
+
+def test_a_name_with_brackets_is_hashed_with_its_companions(tmp_path):
+    shape = tmp_path / "b[1].shp"
+    for suffix in (".shp", ".dbf"):
+        shape.with_suffix(suffix).write_bytes(suffix.encode())
+    scenario = Scenario.from_dict({"region": REGION, "buildings": {"source": str(shape)}})
+    first = record.hash_inputs(scenario)["buildings"]["sha256"]
+    shape.with_suffix(".dbf").write_bytes(b"changed")
+    assert record.hash_inputs(scenario)["buildings"]["sha256"] != first
+
+
+def test_only_our_own_scraps_are_swept(tmp_path):
+    theirs = [tmp_path / ".movie.mkv.part", tmp_path / ".backup.old" / "letter.txt"]
+    ours = tmp_path / "geotiff" / f".gps_20m_5m.tif.0a1b2c3d{files.SCRATCH_SUFFIX}"
+    for path in (*theirs, ours):
+        path.parent.mkdir(exist_ok=True)
+        path.write_text("x")
+    files.sweep_scraps(tmp_path, tmp_path / "geotiff")
+    assert all(path.exists() for path in theirs)
+    assert not ours.exists()
+
+
+def test_a_folder_in_the_way_of_a_file_is_kept(tmp_path, capsys):
+    (tmp_path / "run.json" / "letters").mkdir(parents=True)
+    with pytest.raises(InputError, match="in the way"):
+        pipeline.run_scenario(Scenario.from_dict(SETTINGS), tmp_path)
+    assert (tmp_path / "run.json" / "letters").is_dir()
+
+
+def test_a_disk_that_fills_up_is_one_sentence_and_leaves_nothing_half_written(tmp_path):
+    (tmp_path / "scenario.toml").write_text(Scenario.from_dict(SETTINGS).to_toml())
+    limited = (
+        "import resource, signal, sys; signal.signal(signal.SIGXFSZ, signal.SIG_IGN); "
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096)); "
+        "from jaxurban.cli.main import main; main(sys.argv[1:])"
+    )
+    command = [sys.executable, "-c", limited, "maps", str(tmp_path / "scenario.toml"), "-o", str(tmp_path / "out")]
+    environment = os.environ | {"JAX_COMPILATION_CACHE_DIR": str(tmp_path / "cache")}
+    ended = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=200, check=False)
+    assert ended.returncode == 2, ended.stderr
+    assert "cannot write" in ended.stderr.splitlines()[-1]
+    assert "Traceback" not in ended.stderr
+    assert not (tmp_path / "out" / "run.json").exists()
+
+
+@pytest.mark.parametrize("damage", ["torn", "stray", "file"])
+def test_a_damaged_folder_is_made_again_or_named(job, capsys, damage):
+    if damage == "torn":
+        (job / "maps.zarr" / "20m" / "zarr.json").write_text("junk")
+    elif damage == "stray":
+        (job / "maps.zarr" / "20 copym").mkdir()
+    else:
+        (job / "geotiff" / "gps_20m_20m.tif").unlink()
+    pipeline.run_scenario(Scenario.from_dict(SETTINGS), job)
+    assert ju.open_maps(job).m("gps", 20.0).shape == ju.open_maps(job).grid.shape
+    assert (job / "geotiff" / "gps_20m_20m.tif").exists()
+
+
+def test_torn_maps_are_named_when_planning(job, capsys):
+    (job / "maps.zarr" / "20m" / "zarr.json").write_text("junk")
+    code, _, err = run(capsys, "plan", job, "--start", "-73.999,40.756", "--goal", "-73.994,40.76", "--altitude", 20)
+    assert code == 2
+    assert_one_sentence(err, "zarr.json", "not as they were written", "jaxurban maps")
+
+
+def test_a_free_cell_without_a_value_is_never_without_cost(job):
+    maps = ju.open_maps(job)
+    maps.ds["gps"][:] = np.nan
+    free = np.argwhere(maps.is_free(20.0))
+    ends = [(float(maps.grid.x_m[col]), float(maps.grid.y_m[row])) for row, col in (free[0], free[-1])]
+    with pytest.raises(InputError, match="finite"):
+        ju.plan(maps, start_xy_m=ends[0], goal_xy_m=ends[1], altitude_m=20.0)
+
+
+def test_a_failed_job_leaves_no_empty_folder(tmp_path):
+    with pytest.raises(InputError):
+        pipeline.run_scenario(
+            Scenario.from_dict({"region": REGION, "buildings": {"source": "none.osm"}}), tmp_path / "out"
+        )
+    assert not (tmp_path / "out").exists()
+
+
+def test_overwriting_takes_the_old_record_first(job):
+    store.remove_maps(job)
+    assert not list(job.iterdir())
+
+
+def test_a_region_beyond_the_data_warns(tmp_path, capsys):
+    west, south, east, north = -74.0, 40.755, -73.993, 40.761
+    ring = [[west, south], [west + 0.001, south], [west + 0.001, north], [west, north], [west, south]]
+    (tmp_path / "city.geojson").write_text(
+        '{"type": "FeatureCollection", "features": [{"type": "Feature", "properties": {"height": 30}, '
+        f'"geometry": {{"type": "Polygon", "coordinates": [{ring}]}}}}]}}'
+    )
+    (tmp_path / "scenario.toml").write_text(
+        f"[region]\nbounds = [{west}, {south}, {east}, {north}]\nresolution_m = 20\naltitudes_m = 20\n"
+        '[buildings]\nsource = "city.geojson"\n'
+    )
+    code, _, err = run(capsys, "maps", tmp_path / "scenario.toml", "-o", tmp_path / "out")
+    assert code == 0
+    assert "of the region lies beyond" in err
+
+
+def test_a_hill_beyond_the_buildings_hides_low_satellites():
+    x, y = 500_000.0, 4_500_000.0
+    heights = np.zeros((120, 120), np.float32)
+    heights[80:90] = 3_000.0  # a ridge 1.5 to 2 km south of the region
+    zero = np.zeros(1)
+    city = ju.City(
+        "EPSG:32618",
+        (x, y, x + 400.0, y + 400.0),
+        Buildings(
+            np.array([shapely.box(x, y, x + 20, y + 20)], object), zero + 5, zero, zero.astype(np.uint8), zero > 0
+        ),
+        terrain=Raster(heights, (50.0, 0.0, x - 2_800.0, 0.0, -50.0, y + 2_600.0), "EPSG:32618"),
+        terrain_extent_m=(x - 2_800.0, y - 3_400.0, x + 3_200.0, y + 2_600.0),
+    )
+    seen = ju.build_maps(city, resolution_m=20.0, altitudes_m=(20.0,)).m("num_visible", 20.0)
+    flat = ju.City(city.crs, city.extent_m, city.buildings)
+    assert seen.mean() < ju.build_maps(flat, resolution_m=20.0, altitudes_m=(20.0,)).m("num_visible", 20.0).mean()
+
+
+LONG = {"gps": {"start": "2020-04-27T00:00:00Z", "stop": "2020-04-27T06:00:00Z", "step_s": 900}}
+
+
+def test_a_refused_job_leaves_the_old_maps_alone_even_with_overwrite(job, capsys):
+    (job / "other.toml").write_text(Scenario.from_dict(SETTINGS | {"gps": {"mask_deg": 6.0}}).to_toml())
+    before = {path: path.read_bytes() for path in job.rglob("*") if path.is_file()}
+    code, _, err = run(capsys, "maps", job / "other.toml", "-o", job, "--overwrite", "--memory", "100MiB")
+    assert code == 2
+    assert "--memory" in err
+    assert {path: path.read_bytes() for path in job.rglob("*") if path.is_file()} == before
+
+
+def test_a_second_run_in_the_same_folder_is_refused(job):
+    with (
+        files.only_writer(job),
+        pytest.raises(InputError, match="another run is writing"),
+    ):
+        pipeline.run_scenario(Scenario.from_dict(SETTINGS), job)
+    pipeline.run_scenario(Scenario.from_dict(SETTINGS), job)
+
+
+def test_a_long_series_can_be_drawn_summed_up_and_planned_on(tmp_path):
+    from jaxurban.report.figures import save_figures
+    from jaxurban.report.maps import summary_markdown
+
+    done = pipeline.run_scenario(Scenario.from_dict(SETTINGS | LONG), tmp_path)
+    maps = done.maps[20.0]
+    free = np.argwhere(maps.is_free(20.0))
+    ends = [(float(maps.grid.x_m[col]), float(maps.grid.y_m[row])) for row, col in (free[0], free[-1])]
+    path = ju.plan(maps, start_xy_m=ends[0], goal_xy_m=ends[1], altitude_m=20.0)
+    assert path.settings["time"] is None
+    names = {file.name for file in save_figures(maps, {20.0: [path]}, tmp_path / "figures")}
+    assert {"gps.png", "sensor_choice.png", "paths.png", "overview.png"} <= names
+    assert "mean m_gps" in summary_markdown(maps, {20.0: [path]}, done.record)
+
+
+def test_spreads_are_not_taken_for_statistics_over_time(tmp_path):
+    pipeline.run_scenario(
+        Scenario.from_dict(SETTINGS | {"buildings": {"source": "synthetic", "height_samples": 2}}), tmp_path
+    )
+    assert "gps_p05" in ju.open_maps(tmp_path).ds
+    assert not list((tmp_path / "geotiff").glob("gps_p05*"))

@@ -1,0 +1,129 @@
+"""Demonstrations from files and from planned paths: taken as they are if they can be, refused in one sentence else."""
+
+import json
+
+import numpy as np
+import pytest
+
+import jaxurban as ju
+from jaxurban.errors import InputError
+from jaxurban.paths.cost_map import cost_map
+from jaxurban.paths.export.write import write_path
+from jaxurban.studies.demonstrations import demonstration_from_line, optimal_demonstrations
+from jaxurban.studies.queries import check_alike
+from jaxurban.studies.route_pool import RoutePool
+from tests.studies.routes_made import HIDDEN, made_queries, small_maps, write_geojson
+
+
+@pytest.fixture(scope="module")
+def maps():
+    return small_maps()
+
+
+@pytest.fixture(scope="module")
+def demonstrations(maps):
+    return optimal_demonstrations(made_queries(cost_map(maps, 20.0), 4), HIDDEN)
+
+
+def test_routes_come_back_from_a_file_as_they_were(maps, demonstrations, tmp_path):
+    read = ju.read_demonstrations(write_geojson(tmp_path / "routes.geojson", demonstrations), maps)
+    for one, other in zip(read, demonstrations, strict=True):
+        np.testing.assert_array_equal(one.points_m, other.points_m)
+        np.testing.assert_allclose(one.features, other.features, rtol=1e-12)
+        assert one.note == ""
+    assert len({id(each.query.cost_map) for each in read}) == 1
+
+
+def test_planned_paths_are_demonstrations_of_zero_regret(maps, demonstrations, tmp_path):
+    ends = [[maps.grid.xy_of_cell(*cell) for cell in (e.query.start, e.query.goal)] for e in demonstrations]
+    paths = [ju.plan(maps, start_xy_m=a, goal_xy_m=b, altitude_m=20.0, weights=HIDDEN) for a, b in ends]
+    taken = ju.demonstrations_from_paths(paths, maps)
+    cheapest = RoutePool([e.query for e in taken]).cheapest(np.tile(_vector(), (4, 1, 1)))[0, :, 0]
+    for each, path, best in zip(taken, paths, cheapest, strict=True):
+        assert each.features @ _vector() == pytest.approx(path.cost)
+        assert best @ _vector() == pytest.approx(path.cost)
+    write_path(paths[0], tmp_path / "path.geojson")
+    (read,) = ju.read_demonstrations(tmp_path / "path.geojson", maps)
+    np.testing.assert_allclose(read.features, taken[0].features, rtol=1e-12)
+
+
+@pytest.mark.slow
+def test_both_backends_find_routes_of_one_cost(maps, demonstrations):
+    queries = [each.query for each in demonstrations]
+    weights = _vector()[None]
+    costs = [RoutePool(queries, backend=backend).cheapest(weights)[0] @ _vector() for backend in ("numba", "jax")]
+    np.testing.assert_allclose(costs[0], costs[1], rtol=1e-9)
+    with pytest.raises(InputError, match="backend"):
+        RoutePool(queries, backend="cuda")
+
+
+def test_a_drawn_line_is_followed_on_the_grid_around_obstacles(maps):
+    unit = cost_map(maps, 20.0)
+    grid = unit.grid
+    free = np.argwhere(unit.is_free)
+    a, b = (np.array(grid.xy_of_cell(*map(int, free[k]))) for k in (0, -1))
+    drawn = demonstration_from_line(unit, np.array([a, (a + b) / 2 + 3.0, b]), "drawn")
+    assert unit.problem.features(drawn.points_m).is_valid
+    steps = np.abs(np.diff(drawn.points_m, axis=0)).max(axis=1)
+    np.testing.assert_allclose(steps, grid.resolution_m)
+    straight_m = np.hypot(*(b - a))
+    assert straight_m <= drawn.sums[1, 0] < 1.5 * straight_m
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"altitude_m": None}, "has no altitude"),
+        ({"altitude_m": 33.0}, "20.0, 60.0"),
+        ({"altitude_m": "high"}, "number of metres"),
+        ({"time_of_day": "noon"}, "day, night"),
+    ],
+)
+def test_routes_on_no_map_are_refused(maps, demonstrations, tmp_path, change, words):
+    file = write_geojson(tmp_path / "routes.geojson", demonstrations, **change)
+    with pytest.raises(InputError, match=words):
+        ju.read_demonstrations(file, maps)
+    if change == {"altitude_m": None}:
+        assert len(ju.read_demonstrations(file, maps, altitude_m=60.0)) == 4
+
+
+def test_routes_outside_the_maps_or_nowhere_are_refused(maps, tmp_path):
+    def file(*lonlat):
+        feature = {"type": "Feature", "properties": {}, "geometry": {"type": "LineString", "coordinates": lonlat}}
+        (tmp_path / "line.geojson").write_text(json.dumps({"type": "FeatureCollection", "features": [feature]}))
+        return tmp_path / "line.geojson"
+
+    with pytest.raises(InputError, match="leaves the maps"):
+        ju.read_demonstrations(file((-10.0, 40.0), (-10.1, 40.0)), maps, 60.0)
+    row, col = np.argwhere(cost_map(maps, 60.0).is_free)[0]
+    x_m, y_m = maps.grid.xy_of_cell(int(row), int(col))
+    ends = [maps.grid.lonlat_of_xy(x_m + shift, y_m) for shift in (0.0, 2.0)]
+    with pytest.raises(InputError, match="one cell"):
+        ju.read_demonstrations(file(*[tuple(map(float, end)) for end in ends]), maps, 60.0)
+    with pytest.raises(InputError, match="no metric 'gsp'"):
+        ju.read_demonstrations(file((-10.0, 40.0), (-10.1, 40.0)), maps, 60.0, metrics=["gsp"])
+
+
+def test_maps_with_other_units_of_population_are_not_mixed():
+    cities = [small_maps(), small_maps()]
+    for norm, maps in zip((1e4, 2e4), cities, strict=True):
+        maps.ds.attrs["pop_norm_per_km2"] = [norm, norm]
+    queries = [query for maps in cities for query in made_queries(cost_map(maps, 20.0), 2)]
+    with pytest.raises(InputError, match="normalise"):
+        check_alike(queries)
+    chosen = [query for maps in cities for query in made_queries(cost_map(maps, 20.0).only(["gps"]), 2)]
+    assert check_alike(chosen) == ("distance", "gps")
+
+
+def test_queries_between_places_name_the_pair_that_is_wrong(maps):
+    unit = cost_map(maps, 20.0)
+    (query,) = made_queries(unit, 1)
+    start, goal = (maps.grid.lonlat_of_cell(*cell) for cell in (query.start, query.goal))
+    (made,) = ju.make_queries(unit, [(start, goal)])
+    assert (made.start, made.goal) == (query.start, query.goal)
+    with pytest.raises(InputError, match="pair 2"):
+        ju.make_queries(unit, [(start, goal), (start, (0.0, 0.0))])
+
+
+def _vector() -> np.ndarray:
+    return np.array([HIDDEN.distance, HIDDEN.gps, HIDDEN.lidar, HIDDEN.population, HIDDEN.risk])

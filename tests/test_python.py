@@ -1,0 +1,176 @@
+"""The package as a library: what objects show and save, and one sentence for what is not what it should be."""
+
+import ast
+import dataclasses
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import geopandas
+import numpy as np
+import pandas as pd
+import pytest
+
+import jaxurban as ju
+from jaxurban.errors import InputError
+from jaxurban.io.store import write_zarr
+from jaxurban.paths.export import write_path
+from jaxurban.report.figures import plot_metric, plot_overview, plot_paths
+from tests.made_maps import made_maps
+
+MAPS = made_maps(24, 30)
+FREE = np.argwhere(MAPS.is_free(20.0))
+START, GOAL = (MAPS.grid.lonlat_of_cell(*FREE[at]) for at in (0, -1))
+
+
+@pytest.fixture(scope="module")
+def paths() -> ju.PlannedPaths:
+    pairs = [(START, GOAL), (GOAL, START), (START, (0.0, 0.0))]
+    return ju.plan_many(MAPS, pairs, altitude_m=20.0, weights={"risk": 5}, progress=False)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("maps")
+    write_zarr(MAPS.ds, folder)
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("what", "words"),
+    [
+        ("path", ("PlannedPath", "status: optimal", "astar-plus", "altitude: 20 m", "gps 0.")),
+        ("paths", ("PlannedPaths", "queries: 3", "optimal 2, bad-input 1", "of 2 paths")),
+    ],
+)
+def test_paths_show_a_few_facts_and_no_arrays(what, words, paths):
+    shown = {"path": paths[0], "paths": paths}[what]
+    text, html = repr(shown), shown._repr_html_()
+    assert all(word in text for word in words)
+    assert len(text) < 250
+    assert "array" not in text
+    assert html.count("<table>") == 1
+    assert html.count("<tr>") == len(shown.facts)
+
+
+def test_a_path_saves_itself_in_every_format(paths, tmp_path):
+    files = [tmp_path / f"path{suffix}" for suffix in (".geojson", ".kml", ".plan")]
+    assert paths[0].save(*files) == files[0]
+    for file in files:
+        write_path(paths[0], other := file.with_stem("other"))
+        assert file.read_bytes() == other.read_bytes()
+    blocked = ju.plan(MAPS, START, GOAL, altitude_m=20.0, planner="ptp")
+    with pytest.raises(InputError, match="there is no path to save: The straight line"):
+        blocked.save(tmp_path / "none.geojson")
+
+
+@pytest.mark.parametrize("suffix", [".geojson", ".kml"])
+def test_a_batch_is_one_file_with_a_name_for_each_path(paths, tmp_path, suffix):
+    file = paths.save(tmp_path / f"batch{suffix}")
+    frame = geopandas.read_file(file)
+    assert frame["name" if suffix == ".geojson" else "Name"].tolist() == ["query 0", "query 1"]
+    for path, line in zip(paths, frame.geometry, strict=False):
+        np.testing.assert_allclose(line.coords[0][:2], path.lonlat[0], atol=1e-6)
+    write_path(paths[:2], tmp_path / f"named{suffix}", names=["there", "back"])
+    assert "back" in geopandas.read_file(tmp_path / f"named{suffix}").iloc[1].tolist()
+
+
+def test_a_batch_is_a_table_too(paths, tmp_path):
+    for suffix, read in ((".csv", pd.read_csv), (".parquet", pd.read_parquet)):
+        assert read(paths.save(tmp_path / f"batch{suffix}")).status.tolist() == ["optimal", "optimal", "bad-input"]
+    with pytest.raises(InputError, match=r"\.parquet, \.csv, \.geojson, \.kml, \.plan"):
+        paths.save(tmp_path / "batch.txt")
+    with pytest.raises(InputError, match=r"a \.plan holds one path, and these are 2"):
+        paths.save(tmp_path / "batch.plan")
+
+
+def test_a_folder_stands_for_its_maps(paths, folder):
+    under = {"altitude_m": 20.0, "weights": {"risk": 5}}
+    path = ju.plan(str(folder), START, GOAL, **under)
+    assert path.cost == ju.cost_map(folder, 20.0, weights={"risk": 5}).plan(START, GOAL).cost == paths[0].cost
+    assert ju.plan_many(folder, [(START, GOAL)], progress=False, **under)[0].cost == path.cost
+    assert ju.explain(path, folder).totals["cost"] == pytest.approx(path.cost, rel=1e-9)
+    assert ju.cautions(path, folder) == ju.cautions(path, MAPS)
+    assert plot_metric(str(folder), "risk").axes
+
+
+def test_pictures_take_one_path_several_or_a_batch(paths):
+    for given in (paths[0], [paths[0], paths[1]], paths, {20.0: [paths[0]]}):
+        assert "20 m" in plot_paths(MAPS, given).axes[0].get_title("left")
+    assert len(plot_paths(MAPS, paths[0]).axes) < len(plot_paths(MAPS, {20.0: [paths[0]]}).axes)
+    assert plot_overview(MAPS, paths).axes
+    with pytest.raises(InputError, match="paths must be paths from plan"):
+        plot_paths(MAPS, [5])
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda: ju.plan(5, START, GOAL, altitude_m=20.0), "maps must be MetricMaps or the folder that holds them"),
+        (lambda: ju.plan(MAPS, 5.0, GOAL, altitude_m=20.0), "start must be longitude, latitude in degrees"),
+        (lambda: ju.plan(MAPS, START, ("a", 1), altitude_m=20.0), "goal must be longitude, latitude in degrees"),
+        (lambda: ju.plan(MAPS, START, GOAL, altitude_m="low"), "altitude_m must be a finite number of metres"),
+        (lambda: ju.plan(MAPS, START, GOAL, altitude_m=20.0, weights=5), "weights must be Weights or numbers by name"),
+        (lambda: ju.plan(MAPS, START, GOAL, altitude_m=20.0, planner=5), "planner must be a name"),
+        (lambda: ju.plan(MAPS, START, GOAL, altitude_m=20.0, budget_s="long"), "budget_s must be a positive number"),
+        (lambda: ju.plan(MAPS, START, GOAL, altitude_m=20.0, constraints="a.kml"), "constraints must be Constraints"),
+        (lambda: ju.plan_many(MAPS, 5), "queries must be"),
+        (lambda: ju.explain([1], MAPS), "a route must be one path"),
+    ],
+)
+def test_a_wrong_argument_is_one_sentence(call, words):
+    with pytest.raises(InputError, match=words) as raised:
+        call()
+    assert "\n" not in str(raised.value)
+
+
+def test_a_path_keeps_its_weights_by_name(paths):
+    assert paths[0].settings["weights"]["risk"] == 5.0
+    assert json.loads(json.dumps(paths[0].to_dict()))["settings"]["weights"]["gps"] == 1.0
+    assert dataclasses.is_dataclass(paths[0])
+
+
+def test_dir_lists_exactly_the_public_names_and_checkers_see_the_same():
+    tree = ast.parse(Path(ju.__file__).read_text(encoding="utf-8"))
+    (block,) = (node for node in tree.body if isinstance(node, ast.If))
+    seen = {line.names[0].name: line.module for line in block.body}
+    assert seen == ju._HOMES
+    assert dir(ju) == sorted(seen)
+    assert all(getattr(ju, name).__name__ == name for name in dir(ju))
+    code = "import sys, jaxurban; print([name for name in ('jax', 'numpy', 'numba') if name in sys.modules])"
+    told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert told.stdout == "[]\n"
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda: ju.sensitivity(MAPS, START, GOAL), "cost_map must be a CostMap, from cost_map"),
+        (lambda: ju.fit_weights(ju.demonstrations_from_paths([5], MAPS)), "each of paths must be a PlannedPath"),
+        (lambda: ju.build_maps(5), "city must be a City, from City.from_files or demo_city"),
+        (lambda: ju.explain(ju.plan(MAPS, START, GOAL, altitude_m=20.0), made_maps(8, 8)), "leaves the region"),
+        (
+            lambda: ju.plan(MAPS, START, GOAL, altitude_m=20.0, weights={"self": 1}),
+            "weights must be Weights or numbers",
+        ),
+        (lambda: ju.Grid.from_bounds(5, 5.0, None), "bounds must be four finite numbers"),
+        (lambda: ju.RiskParams(threshold_m="far"), "threshold_m must be"),
+        (lambda: ju.Levels(climb_cost="much"), "climb_cost must be a finite number"),
+    ],
+)
+def test_a_thing_of_another_kind_is_one_sentence(call, words):
+    with pytest.raises(InputError, match=words):
+        call()
+
+
+def test_places_in_metres_folders_and_single_paths_are_taken_where_many_are(paths, folder):
+    ends = [ju.XY(*map(float, MAPS.grid.xy_of_cell(*FREE[at]))) for at in (0, -1)]
+    path = ju.plan(MAPS, *ends, altitude_m=20.0, weights={"risk": 5})
+    assert path.cost == paths[0].cost
+    (shown,) = ju.demonstrations_from_paths(path, folder)
+    assert shown.query.cost_map.maps.grid == MAPS.grid
+    assert len(ju.sample_instances(folder, 2, altitudes_m=[20.0])) == 2
+    assert ju.BenchmarkSettings(planners="ptp").planners == ("ptp",)
+    assert "weights: distance 0.1" in repr(shown.query.cost_map)
+    assert "array" not in repr(shown.query.cost_map)

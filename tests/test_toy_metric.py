@@ -1,0 +1,254 @@
+"""A metric defined here in whole, and a raster of one's own: each runs through everything, as built-in ones do."""
+
+import json
+from dataclasses import dataclass, replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pandas as pd
+import pytest
+import rasterio
+import xarray as xr
+
+import jaxurban as ju
+from jaxurban.io.store import open_zarr
+from jaxurban.maps.build import compute_maps
+from jaxurban.maps.differentiable import path_visits
+from jaxurban.maps.task import MapParams, MapTask
+from jaxurban.metrics.base import ALTITUDE, Metric, low_is_bad
+from jaxurban.metrics.registry import METRICS
+from jaxurban.metrics.settings import differentiable
+from jaxurban.planners.registry import PLANNERS
+from jaxurban.progress import Report
+from jaxurban.report.figures import plot_metric, plot_overview, plot_paths
+from jaxurban.scenario.run import Maker, make_zarr
+from jaxurban.studies.demonstrations import optimal_demonstrations
+from jaxurban.studies.sensitivity import local
+from jaxurban.world.sky import Sky
+from tests import tiled_runs
+from tests.cli_runs import run
+from tests.made_maps import made_maps
+
+REACH_M = 40.0  # two cells of the tiled job
+
+
+@differentiable("scale_m")
+@dataclass(frozen=True)
+class ToyParams:
+    """How many metres of roof above or near the flight altitude spoil the view."""
+
+    scale_m: float = 30.0
+
+
+def toy_of(surface, altitude_m, params):
+    """Return how far the highest roof within `REACH_M` to the north is below the altitude, 1 where it is the scale."""
+    halo = round(REACH_M / surface.grid.resolution_m)
+    roof_m = surface.crop_with_halo(surface.roof_m, halo)
+    rows, cols = surface.region.shape
+    north_m = jnp.stack([roof_m[halo + k : halo + k + rows, halo : halo + cols] for k in range(halo + 1)]).max(axis=0)
+    return jax.nn.sigmoid((altitude_m - north_m) / params.scale_m)
+
+
+def toy_map(scene, params):
+    return {
+        "toy": jnp.where(scene.is_obstacle, 0.0, toy_of(scene.surface, scene.altitude_m, params)).astype(jnp.float32)
+    }
+
+
+def soft_toy(scene, params):
+    m = toy_of(scene.surface, scene.altitude_m, params)
+    return m if scene.cells is None else m[scene.cells[:, 0], scene.cells[:, 1]]
+
+
+TOY = Metric(
+    name="toy",
+    params=ToyParams,
+    dims=(ALTITUDE,),
+    compute=toy_map,
+    soft=soft_toy,
+    cost=low_is_bad,
+    reach_m=lambda params: REACH_M,
+    label="View to the north",
+    one_means="nothing high to the north",
+    colour="#123456",
+    colour_map="cividis",
+)
+WEIGHTS = {"distance": 0.1, "gps": 0.5, "toy": 2.0}
+ALTITUDE_M = 20.0
+
+
+@pytest.fixture(autouse=True)
+def _toy(monkeypatch):
+    monkeypatch.setitem(METRICS, "toy", TOY)
+
+
+@pytest.fixture
+def _only_quick(_toy):
+    """Leave out the metrics that take seconds to compile."""
+    known = dict(METRICS)
+    for name in ("gps", "lidar", "risk"):
+        del METRICS[name]
+    yield
+    METRICS.clear()
+    METRICS.update(known)  # in their order
+
+
+@pytest.fixture(scope="module")
+def maps() -> ju.MetricMaps:
+    made = made_maps(20, 24)
+    toy = np.random.default_rng(1).uniform(0.1, 1.0, made.ds["risk"].shape).astype(np.float32)
+    return ju.MetricMaps(made.ds.assign(toy=(made.ds["risk"].dims, toy * (1 - made.ds["obstacle"].values))))
+
+
+@pytest.fixture(scope="module")
+def ends(maps):
+    free = np.argwhere(maps.is_free(ALTITUDE_M))
+    return tuple(tuple(map(float, maps.grid.lonlat_of_cell(*free[at]))) for at in (0, -1))
+
+
+@pytest.fixture
+def path(maps, ends) -> ju.PlannedPath:
+    return ju.plan(maps, *ends, altitude_m=ALTITUDE_M, weights=WEIGHTS)
+
+
+@pytest.mark.usefixtures("_only_quick")
+def test_tiles_equal_the_whole_and_files_hold_it(tmp_path):
+    city = tiled_runs.city()
+    grid = replace(tiled_runs.region(city), num_rows=30, num_cols=28)
+    zenith = np.full((1, 1), np.pi / 2)
+    sky = Sky(("2020-04-27T16:00:00Z",), ("G1",), 0 * zenith, zenith, ("gps",), 0 * zenith)
+    task = MapTask(city, grid, sky, MapParams(altitudes_m=(ALTITUDE_M,)))
+    whole = compute_maps(task)
+    make_zarr(Maker(task, tmp_path / "tiled", "key", 1, None), Report(), (16, 16))
+    with open_zarr(tmp_path / "tiled", 20.0) as tiled:
+        xr.testing.assert_identical(tiled["toy"].drop_attrs(), whole.ds["toy"].drop_attrs())
+    m = whole.m("toy", ALTITUDE_M)
+    assert 0 == m.min() < m.max() < 1
+    assert len(np.unique(m)) > 10
+    folder = whole.save(tmp_path / "saved")
+    with rasterio.open(folder / "geotiff" / "toy_20m_20m.tif") as file:
+        np.testing.assert_array_equal(file.read(1)[::-1], m)
+        assert file.tags()["one_means"] == TOY.one_means
+    assert list(ju.open_maps(folder).metrics) == ["population", "toy"]
+
+
+@pytest.mark.parametrize("planner", [*PLANNERS, "astar-volume"])
+def test_every_planner_pays_for_it(maps, ends, planner):
+    settings = {"altitude_m": ju.Levels() if planner == "astar-volume" else ALTITUDE_M, "planner": planner}
+    if planner == "ptp":  # over open ground
+        maps = ju.MetricMaps(maps.ds.assign({name: maps.ds[name] * 0 for name in ("obstacle", "roof_touched")}))
+    path = ju.plan(maps, *ends, weights=WEIGHTS, cost_model="line", budget_s=0.2, **settings)
+    assert path.status.has_path
+    assert path.cost_by_layer["toy"] > 0
+    assert 0 < path.metrics["toy"] < 1
+    report = ju.explain(path, maps)
+    assert report.totals["cost_of_toy"] == pytest.approx(path.cost_by_layer["toy"], rel=1e-9)
+    assert "+toy" in report.table()
+
+
+def test_batches_fits_sensitivity_and_studies_take_it(maps, ends, path, tmp_path, monkeypatch):
+    monkeypatch.setattr(local, "NUM_REPEATS", 2)
+    monkeypatch.setattr(local, "NUM_NOISE", 2)
+    table = pd.DataFrame([dict(zip(("start_lon", "start_lat", "goal_lon", "goal_lat"), np.ravel(ends), strict=True))])
+    table = table.assign(**{f"w_{name}": value for name, value in WEIGHTS.items()})
+    batch = ju.plan_many(maps, table, altitude_m=ALTITUDE_M, progress=False)
+    assert batch[0].cost == pytest.approx(path.cost, rel=1e-9)
+    assert batch.to_dataframe().cost_toy.item() == pytest.approx(path.cost_by_layer["toy"])
+    on = ju.cost_map(maps, ALTITUDE_M, weights=WEIGHTS)
+    quick = ju.SensitivitySettings(vary=("toy",), num_samples=2, objectives=("distance", "toy"), max_plans=10)
+    found = ju.sensitivity(on, *ends, settings=quick)
+    assert found.names == ("distance", *maps.metrics)
+    assert found.route.cost == pytest.approx(path.cost, rel=1e-9)
+    hidden = ju.Weights(**dict.fromkeys(METRICS, 0.0) | {"distance": 0.1, "toy": 0.9})
+    shown = optimal_demonstrations(ju.make_queries(on, [ends, ends[::-1]]), hidden)
+    fit = ju.fit_weights(shown, bootstrap=2, settings=ju.FitSettings(max_rounds=1))
+    assert fit.weights["toy"] > 0
+    weights = [ju.Weights(**dict.fromkeys(METRICS, 0.0) | WEIGHTS)]
+    instances = ju.sample_instances(maps, 1, altitudes_m=[ALTITUDE_M], weights=weights)
+    settings = ju.BenchmarkSettings(planners=["astar-plus"], distance_only=(), budget_s=1.0)
+    result = ju.study(maps, tmp_path / "study", instances, settings=settings, progress=False)
+    assert result.instances.w_toy.item() == 2.0
+    row = result.rows.iloc[0]
+    assert row.status == "optimal"
+    assert 0 < row.m_toy < 1
+
+
+def test_pictures_show_it(maps, path, tmp_path):
+    assert "View to the north" in plot_metric(maps, "toy").texts[0].get_text()
+    assert any("View to the north" in axes.get_title("left") for axes in plot_overview(maps, path).axes)
+    assert plot_paths(maps, path).axes
+
+
+@pytest.mark.usefixtures("_only_quick")
+def test_the_planned_cost_has_its_gradient_by_heights_and_its_own_parameters():
+    city = ju.demo_city(width_m=400, height_m=400)
+    grid = ju.Grid(city.crs, 20.0, *(int(np.ceil(v / 20.0)) + 2 for v in city.extent_m[1::-1]), 12, 12)
+    params = ju.SoftParams(ALTITUDE_M, others={"toy": ToyParams(30.0)})
+    with jax.enable_x64(True):
+        soft = ju.soft_city(city, grid, params, layers={"shade": shade()})
+        assert soft.names == ("population", "toy", "shade")
+        visits = path_visits(np.array([[30.0, 30.0], [210.0, 170.0]]), grid.shape, 20.0, ju.CostModel("line"))
+        weights = ju.Weights(population=0.0, toy=2.0, shade=1.0)
+
+        @jax.jit
+        def cost(height_m, params):
+            return soft.path_cost(height_m, params, weights, visits)
+
+        by_height, by_params = jax.jit(jax.grad(cost, argnums=(0, 1)))(soft.height_m, params)
+        step = 1e-4 * np.asarray(by_height != 0)
+        slope = (cost(soft.height_m + step, params) - cost(soft.height_m - step, params)) / 2e-4
+        assert by_height.sum() > 0
+        assert by_height.sum() == pytest.approx(float(slope), rel=1e-5)
+        more, less = (ju.SoftParams(ALTITUDE_M, others={"toy": ToyParams(30.0 + d)}) for d in (1e-3, -1e-3))
+        slope = (cost(soft.height_m, more) - cost(soft.height_m, less)) / 2e-3
+        assert float(by_params.others["toy"].scale_m) == pytest.approx(float(slope), rel=1e-5)
+
+
+def shade() -> ju.Layer:
+    def of(surface, altitude_m, softness_m=2.0):
+        return surface.crop(surface.roof_m) / altitude_m
+
+    return ju.Layer(of, "high-is-bad", (0.0, 4.0), soft=of)
+
+
+SCENARIO = """
+[region]
+bounds = [-74.0, 40.75, -73.995, 40.754]
+resolution_m = 20
+altitudes_m = [60]
+[buildings]
+source = "synthetic"
+[lidar]
+beams = 2
+azimuths = 8
+range_m = 40
+[layers.noise]
+source = "noise.tif"
+cost = "high-is-bad"
+scale = [0, 80]
+"""
+
+
+def test_a_raster_from_a_scenario_runs_through_the_commands(tmp_path, capsys):
+    (tmp_path / "scenario.toml").write_text(SCENARIO)
+    profile = {"driver": "GTiff", "height": 40, "width": 50, "count": 1, "dtype": "float32", "crs": "EPSG:4326"}
+    transform = rasterio.Affine(0.0002, 0, -74.003, 0, -0.0002, 40.7555)
+    values = np.tile(np.linspace(0, 100, 50, dtype=np.float32), (40, 1))
+    with rasterio.open(tmp_path / "noise.tif", "w", transform=transform, **profile) as file:
+        file.write(values, 1)
+    code, _, err = run(capsys, "maps", tmp_path / "scenario.toml", "-o", tmp_path / "maps")
+    assert code == 0, err
+    with rasterio.open(tmp_path / "maps" / "geotiff" / "noise_20m.tif") as file:
+        m = file.read(1)
+    assert 0 < np.nanmin(m) < np.nanmax(m) <= 1
+    arguments = ("--start", "-73.9995,40.7503", "--goal", "-73.9965,40.7532", "--altitude", 60, "--snap", "--report")
+    code, out, err = run(capsys, "plan", tmp_path / "maps", *arguments, "--weights", "noise=2", "--json")
+    assert code == 0, err
+    found = json.loads(out)
+    assert found["settings"]["weights"]["noise"] == 2.0
+    assert 0 < found["cost_by_layer"]["noise"] == pytest.approx(found["report"]["cost_of_noise"], rel=1e-9)
+    assert found["report"]["cost"] == pytest.approx(found["cost"], rel=1e-9)
+    code, out, _ = run(capsys, "plan", tmp_path / "maps", *arguments, "--weights", "noise=2")
+    assert "+noise" in out
+    assert "cost of noise" in out

@@ -1,0 +1,119 @@
+"""Grid: snapping, cells and coordinates, edges."""
+
+import math
+
+import numpy as np
+import pyproj
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from jaxurban.errors import InputError
+from jaxurban.world.grid import Grid, utm_crs
+
+LOWER_MANHATTAN = (-74.02, 40.70, -73.98, 40.73)
+
+
+def test_default_crs_is_the_utm_zone_of_the_centre():
+    assert Grid.from_bounds(LOWER_MANHATTAN, 5.0).crs == "EPSG:32618"
+    assert utm_crs(151.2, -33.9) == "EPSG:32756"
+
+
+def test_two_five_and_ten_metre_grids_share_one_box():
+    boxes = {Grid.from_bounds(LOWER_MANHATTAN, r, nest_with_m=(2.0, 5.0, 10.0)).bounds_m for r in (2.0, 5.0, 10.0)}
+    assert len(boxes) == 1
+
+
+def test_grid_covers_the_densified_projected_box():
+    grid = Grid.from_bounds(LOWER_MANHATTAN, 5.0)
+    west, south, east, north = LOWER_MANHATTAN
+    t = np.linspace(0, 1, 500)
+    lon = np.concatenate([west + t * (east - west)] * 2 + [np.full(500, west), np.full(500, east)])
+    lat = np.concatenate([np.full(500, south), np.full(500, north)] + [south + t * (north - south)] * 2)
+    x_m, y_m = grid.xy_of_lonlat(lon, lat)
+    assert grid.contains_xy(x_m, y_m).all()
+    assert grid.x_min_m > x_m.min() - 5.0
+    assert grid.y_max_m < y_m.max() + 5.0
+
+
+def test_borders_are_whole_multiples_of_the_coarsest_resolution():
+    for resolution_m in (2.0, 5.0, 10.0):
+        for border_m in Grid.from_bounds(LOWER_MANHATTAN, resolution_m, nest_with_m=(10.0,)).bounds_m:
+            assert border_m % 10.0 == 0.0
+
+
+def test_snapping_a_snapped_box_changes_nothing():
+    crs = "EPSG:32618"
+    grid = Grid.from_bounds(LOWER_MANHATTAN, 5.0, crs)
+    assert Grid.from_bounds(LOWER_MANHATTAN, 5.0, crs, nest_with_m=(5.0,)) == grid
+
+
+@given(row=st.integers(0, 674), col=st.integers(0, 683))
+def test_cell_to_lonlat_and_back_is_the_same_cell(row, col):
+    grid = Grid.from_bounds(LOWER_MANHATTAN, 5.0)
+    assert tuple(int(v) for v in grid.cell_of_lonlat(*grid.lonlat_of_cell(row, col))) == (row, col)
+
+
+def test_west_border_belongs_to_the_grid_and_east_border_does_not():
+    grid = Grid.from_bounds(LOWER_MANHATTAN, 5.0)
+    assert grid.cell_of_xy(grid.x_min_m, grid.y_min_m) == (0, 0)
+    with pytest.raises(InputError, match="outside the region"):
+        grid.cell_of_xy(grid.x_max_m, grid.y_min_m)
+
+
+def test_nan_is_outside():
+    grid = Grid.from_bounds(LOWER_MANHATTAN, 5.0)
+    assert not grid.contains_xy(math.nan, grid.y_min_m)
+
+
+def test_swapped_point_is_recognised():
+    grid = Grid.from_bounds(LOWER_MANHATTAN, 5.0)
+    with pytest.raises(InputError, match="swap the two numbers"):
+        grid.cell_of_lonlat(40.71, -74.0)
+
+
+def test_convergence_of_lower_manhattan_is_065_degrees():
+    grid = Grid.from_bounds(LOWER_MANHATTAN, 5.0)
+    convergence_rad = grid.convergence_rad(-74.0, 40.715)
+    assert math.degrees(convergence_rad) == pytest.approx(0.652, abs=0.001)
+    # A geodesic step to true north must show at minus the convergence from grid north.
+    lon, lat, _ = pyproj.Geod(ellps="WGS84").fwd(-74.0, 40.715, 0.0, 100.0)
+    (x0, y0), (x1, y1) = grid.xy_of_lonlat(-74.0, 40.715), grid.xy_of_lonlat(lon, lat)
+    assert math.atan2(x1 - x0, y1 - y0) == pytest.approx(-convergence_rad, abs=1e-5)
+
+
+def test_window_cuts_a_sub_box():
+    outer = Grid.from_bounds(LOWER_MANHATTAN, 5.0)
+    inner = Grid.from_bounds((-74.01, 40.71, -74.0, 40.72), 5.0)
+    rows, cols = inner.window_in(outer)
+    np.testing.assert_allclose(outer.x_m[cols], inner.x_m)
+    np.testing.assert_allclose(outer.y_m[rows], inner.y_m)
+    with pytest.raises(InputError, match="not a part"):
+        outer.window_in(inner)
+    assert inner.padded(1, 2, 3, 4).shape == (inner.num_rows + 6, inner.num_cols + 4)
+
+
+@pytest.mark.parametrize(
+    ("bounds", "words"),
+    [
+        ((-74.0, 40.7, -74.02, 40.73), "not a box"),
+        ((40.70, -120.0, 40.73, -73.98), "longitude first"),
+        ((-74.02, 40.70, -73.98), "four finite numbers"),
+        ((-74.02, math.nan, -73.98, 40.73), "four finite numbers"),
+    ],
+)
+def test_bad_bounds_are_refused_in_one_sentence(bounds, words):
+    with pytest.raises(InputError, match=words) as caught:
+        Grid.from_bounds(bounds, 5.0)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("crs", ["EPSG:4326", "EPSG:2263", "nonsense", "EPSG:2048", "EPSG:3857"])
+def test_crs_must_be_projected_in_metres(crs):
+    with pytest.raises(InputError, match="EPSG:32618"):
+        Grid.from_bounds(LOWER_MANHATTAN, 5.0, crs)
+
+
+def test_resolutions_without_a_common_grid_are_refused():
+    with pytest.raises(InputError, match="no common grid"):
+        Grid.from_bounds(LOWER_MANHATTAN, 3.14159265, nest_with_m=(7.0,))

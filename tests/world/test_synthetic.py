@@ -1,0 +1,176 @@
+import time
+
+import numpy as np
+import pytest
+import shapely
+
+from jaxurban.errors import InputError
+from jaxurban.world.city import OTHER_DISTRICT, City, HeightOrigin, Zoning
+from jaxurban.world.grid import Grid
+from jaxurban.world.synthetic import demo_city, demo_city_for_bounds
+from jaxurban.world.synthetic_streets import DOWNTOWN, MIDTOWN, Plan
+
+SIZES_M = [(500, 500), (2000, 3000), (3000, 2000)]
+
+
+def outlines(city: City) -> np.ndarray:
+    return city.buildings.polygons[~city.buildings.is_part]
+
+
+@pytest.fixture(scope="module")
+def full_city() -> City:
+    return demo_city()
+
+
+@pytest.fixture(scope="module", params=SIZES_M, ids=str)
+def city(request) -> City:
+    return demo_city(*request.param)
+
+
+def test_the_same_seed_gives_the_same_bytes_and_another_seed_another_city():
+    first, again, other = demo_city(800, 900), demo_city(800, 900), demo_city(800, 900, seed=1)
+    assert first.buildings.height_m.tobytes() == again.buildings.height_m.tobytes()
+    assert shapely.to_wkb(first.buildings.polygons).tolist() == shapely.to_wkb(again.buildings.polygons).tolist()
+    assert first.blocks.night_count.tobytes() == again.blocks.night_count.tobytes()
+    assert shapely.to_wkb(first.blocks.polygons).tolist() == shapely.to_wkb(again.blocks.polygons).tolist()
+    assert first.blocks.night_count.sum() != other.blocks.night_count.sum()
+
+
+def test_polygons_are_valid_areas_inside_the_box_with_a_height(city):
+    box = shapely.box(*city.extent_m).buffer(1e-6)
+    for polygons in (city.buildings.polygons, city.blocks.polygons):
+        assert shapely.is_valid(polygons).all()
+        assert set(shapely.get_type_id(polygons)) <= {shapely.GeometryType.POLYGON, shapely.GeometryType.MULTIPOLYGON}
+        assert shapely.covers(box, polygons).all()
+    assert np.all(city.buildings.height_m >= 5.0)
+    assert np.all(city.buildings.origin == HeightOrigin.GENERATED)
+
+
+def test_every_building_stands_in_one_block_clear_of_its_streets(city):
+    blocks, buildings = city.blocks.polygons, city.buildings.polygons
+    index, block = shapely.STRtree(blocks).query(buildings, predicate="intersects")
+    np.testing.assert_array_equal(index, np.arange(len(buildings)))
+    assert np.all(city.blocks.night_count[block] > 0)
+    edge = shapely.box(*city.extent_m).exterior
+    clear_m = shapely.distance(buildings, shapely.difference(shapely.boundary(blocks[block]), edge.buffer(0.01)))
+    assert np.nanmin(clear_m) > 3.9  # half of the narrowest street, 8 m
+
+
+def test_outlines_do_not_overlap(city):
+    polygons = outlines(city)
+    i, j = shapely.STRtree(polygons).query(polygons, predicate="intersects")
+    pairs = i < j
+    shared_m2 = shapely.area(shapely.intersection(polygons[i[pairs]], polygons[j[pairs]]))
+    assert shared_m2.max(initial=0.0) < 1e-3
+
+
+def test_towers_stand_on_their_podium(city):
+    parts = city.buildings.polygons[city.buildings.is_part]
+    assert len(parts) > 0
+    podiums = shapely.buffer(outlines(city), 1e-3)  # where a shore cuts both, their new corners round differently
+    i, _ = shapely.STRtree(podiums).query(parts, predicate="covered_by")
+    np.testing.assert_array_equal(i, np.arange(len(parts)))
+
+
+def test_blocks_do_not_overlap_and_leave_the_rivers_out(city):
+    assert shapely.area(shapely.union_all(city.blocks.polygons)) == pytest.approx(city.blocks.area_m2.sum(), rel=1e-9)
+    box_m2 = shapely.area(shapely.box(*city.extent_m))
+    assert 0.05 < 1 - city.blocks.area_m2.sum() / box_m2 < 0.5
+
+
+def test_the_park_is_empty(city):
+    park = Plan(city.extent_m).park()
+    assert not shapely.intersects(park, city.buildings.polygons).any()
+    is_park = shapely.contains(park.buffer(1.0), city.blocks.polygons)
+    assert is_park.sum() == 1
+    assert city.blocks.night_count[is_park] == 0
+    assert city.blocks.district[is_park] == OTHER_DISTRICT
+
+
+def test_all_twelve_districts_are_there_and_commerce_is_in_the_south(city):
+    blocks = city.blocks
+    assert set(blocks.district) == {*range(1, 13), OTHER_DISTRICT}
+    np.testing.assert_array_equal(blocks.zoning == Zoning.COMMERCIAL, blocks.district <= 6)
+    np.testing.assert_array_equal(blocks.zoning == Zoning.OTHER, blocks.district == OTHER_DISTRICT)
+    y_m = shapely.get_y(shapely.centroid(blocks.polygons))
+    assert y_m[blocks.zoning == Zoning.COMMERCIAL].mean() < y_m[blocks.zoning == Zoning.RESIDENTIAL].mean()
+
+
+def test_island_streets_are_turned_29_degrees_clockwise_from_north(full_city):
+    blocks = full_city.blocks
+    on_island = blocks.district < OTHER_DISTRICT
+    full_m2 = np.median(blocks.area_m2[on_island])  # shores cut the others
+    is_whole = (np.abs(blocks.area_m2 - full_m2) < 1e-3) & (shapely.get_num_coordinates(blocks.polygons) == 5)
+    whole = blocks.polygons[on_island & is_whole]
+    edges = np.diff(shapely.get_coordinates(whole).reshape(-1, 5, 2), axis=1)
+    azimuth_deg = np.degrees(np.arctan2(edges[..., 0], edges[..., 1])) % 90
+    assert len(whole) > 1000
+    np.testing.assert_allclose(azimuth_deg, 29.0, atol=1e-3)
+
+
+def test_even_a_small_city_has_towers_in_both_clusters(city):
+    plan, buildings = Plan(city.extent_m), city.buildings
+    high = shapely.get_coordinates(shapely.centroid(buildings.polygons[buildings.height_m > 250]))
+    for cluster in (DOWNTOWN, MIDTOWN):
+        assert plan.depth_in(cluster, high).max() > 0.5
+
+
+def test_both_clusters_tower_over_the_rest_and_suburbs_are_low(full_city):
+    plan, buildings = Plan(full_city.extent_m), full_city.buildings
+    centroid = shapely.get_coordinates(shapely.centroid(buildings.polygons))
+    downtown, midtown = (plan.depth_in(cluster, centroid) > 0.5 for cluster in (DOWNTOWN, MIDTOWN))
+    rest = ~(downtown | midtown)
+    for cluster in (downtown, midtown):
+        assert 350 < buildings.height_m[cluster].max() < 420
+        assert np.mean(buildings.height_m[cluster] > 60) > 5 * np.mean(buildings.height_m[rest] > 60)
+    on_island = shapely.contains_xy(plan.parts()[0].land, centroid)
+    assert np.median(buildings.height_m[~on_island]) < 12 < np.median(buildings.height_m[on_island])
+
+
+def test_the_full_city_is_as_dense_and_as_built_as_manhattan(full_city):
+    plan, blocks = Plan(full_city.extent_m), full_city.blocks
+    island = shapely.intersection(plan.parts()[0].land, plan.box)
+    shapely.prepare(island)
+    on_island = shapely.contains(island, shapely.centroid(outlines(full_city)))
+    assert 0.25 < shapely.area(outlines(full_city)[on_island]).sum() / island.area < 0.40
+    assert 1.3e6 < blocks.night_count[blocks.district < OTHER_DISTRICT].sum() < 1.7e6
+    assert 40_000 < len(full_city.buildings) < 80_000
+
+
+def test_the_full_city_is_made_in_seconds():
+    began = time.process_time()
+    demo_city()
+    assert time.process_time() - began < 6.0
+
+
+def test_the_box_is_as_large_as_asked():
+    x_min, y_min, x_max, y_max = demo_city(700, 900).extent_m
+    assert (x_max - x_min, y_max - y_min) == (700, 900)
+
+
+def test_a_city_for_bounds_covers_the_region_at_every_resolution():
+    bounds = (-74.02, 40.70, -74.0, 40.72)
+    extent_m = demo_city_for_bounds(bounds).extent_m
+    for resolution_m in (2, 5, 10):
+        region_m = Grid.from_bounds(bounds, resolution_m).bounds_m
+        assert np.all(np.array(extent_m[:2]) <= region_m[:2])
+        assert np.all(np.array(extent_m[2:]) >= region_m[2:])
+
+
+def test_a_city_south_of_the_equator_in_another_crs():
+    city = demo_city(600, 600, centre_lonlat=(151.2, -33.87), crs="EPSG:28356")
+    assert city.crs == "EPSG:28356"
+    assert len(city.buildings) > 20
+
+
+@pytest.mark.parametrize("size", [(12_000, 20_000), (10_000, 25_000), (100, 1000), (1000, float("nan"))])
+def test_a_box_of_the_wrong_size_is_refused(size):
+    with pytest.raises(InputError, match="fits boxes from 400 m"):
+        demo_city(*size)
+
+
+def test_bounds_of_the_wrong_size_are_refused():
+    with pytest.raises(InputError, match="10 km \\(east\\) x 20 km"):
+        demo_city_for_bounds((-74.5, 40.5, -73.5, 41.0))
+    with pytest.raises(InputError, match="not a projected CRS"):
+        demo_city(1000, 1000, crs="EPSG:4326")
