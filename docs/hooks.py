@@ -11,7 +11,7 @@ from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 
 import jaxurban
-from jaxurban.cli import app
+from jaxurban.cli.main import app
 
 ROOT = Path(__file__).parents[1]
 TABLE_LINK = re.compile(r"^\[[^\]]+\]\((?:\.\./)+(figures/\S+\.md)\)$", re.MULTILINE)  # alone on its line
@@ -50,8 +50,7 @@ def _listing(found: re.Match[str]) -> str:
     if kind == "commands":
         return "\n\n".join(f"## jaxurban {name}\n\n```text\n{_help(name)}\n```" for name in sorted(app.commands))
     if kind == "public names":
-        names = [name for name in dir(jaxurban) if name in jaxurban._HOMES]
-        return "\n\n".join(f"::: jaxurban.{name}" for name in names)
+        return "\n\n".join(f"::: jaxurban.{name}" for name in dir(jaxurban))
     return "\n\n".join(f"::: {module}" for pattern in argument.split() for module in _modules(pattern))
 
 
