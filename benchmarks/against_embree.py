@@ -6,10 +6,10 @@ import numpy as np
 from benchmarks.common import Row, Side, clocked, in_turn, row
 from benchmarks.embree_peer import Answers, EmbreePool, scan_every_beam, scan_until_first_return, see_satellites
 from benchmarks.scenes import ALTITUDES_M, Scene
-from jaxurban.grid import Grid
 from jaxurban.kernels.dop import unit_vectors
-from jaxurban.metrics.gps import visibility
 from jaxurban.metrics.lidar import LidarParams, compute_lidar
+from jaxurban.metrics.visibility import visibility
+from jaxurban.world.grid import Grid
 
 RESOLUTION_M = 5.0
 LIDAR_ALTITUDE_M = 20.0
@@ -74,10 +74,10 @@ def lidar(scene: Scene, pool: EmbreePool, num_runs: int) -> list[Row]:
     free = np.asarray(surface.crop(surface.roof_m)).ravel()[chosen] < LIDAR_ALTITUDE_M
     error = (np.asarray(ours()).ravel()[chosen] - found["rays"])[free]
     scene_note = f"{scene.name}, 5 m, 20 m up; mean absolute difference of m {np.abs(error).mean():.4f}"
-    num_positions = params.num_azimuths
+    num_positions = params.azimuths
     rows = []
     for name, peer, unit, beams, bar, note in (
-        ("rays", PEER, "rays", params.num_beams, 300, scene_note),
+        ("rays", PEER, "rays", params.beams, 300, scene_note),
         ("positions", f"{PEER}, to the first return", "scan positions", 1, None, ""),
     ):
         ours_units, peer_units = (cells * num_positions * beams for cells in (len(centres_m), NUM_LIDAR_CELLS))

@@ -1,7 +1,7 @@
 """Any-angle planning against the grid, under the line cost model: Theta*, and refinement of any path.
 
-``python benchmarks/any_angle.py --maps DIR`` takes a folder that ``jaxurban maps`` wrote; without one, a
-made-up city of 400 x 400 cells at 5 m. Prints Markdown. Every path is weighed by the same exact function.
+``python -m benchmarks.any_angle --maps DIR`` takes a folder that ``jaxurban maps`` wrote; without one, a
+synthetic city of 400 x 400 cells at 5 m. Prints Markdown. Every path is weighed by the same exact function.
 
 The reference is the cheapest of everything found for a query, Theta* on cells three times finer with
 refinement among it: no proven optimum, but the best known.
@@ -13,15 +13,14 @@ from collections.abc import Callable
 from functools import partial
 
 import numpy as np
-from printed_heuristic import made_up_problem, problem_of_arrays, problem_of_maps, random_pairs
 from tqdm import tqdm
 
+from benchmarks.printed_heuristic import made_up_problem, problem_of_arrays, problem_of_maps, random_pairs
+from jaxurban.planners.any_angle import theta_star
 from jaxurban.planners.astar import astar
 from jaxurban.planners.base import CostModel, Path, Problem, Status
-from jaxurban.planners.bitstar import bitstar_plus
-from jaxurban.planners.evaluate import evaluate_on
+from jaxurban.planners.bitstar.planner import bitstar_plus
 from jaxurban.planners.refine import refine
-from jaxurban.planners.theta import theta_star
 
 
 def refined(planner: Callable[[Problem], Path], problem: Problem, **options) -> Path:
@@ -73,7 +72,7 @@ def compare(problem: Problem, num_queries: int, bitstar_s: float) -> str:
         query = problem.between(start, goal)
         paths = {name: planner(query) for name, planner in planners.items()}
         for name, path in paths.items():
-            assert path.cost == evaluate_on(query, path.points_m).total
+            assert path.cost == query.cost_of(path.points_m)
             figures[name].append((path.cost, length_m(path), path.elapsed_s, len(path.points_m)))
         best.append(min(on_finer_cells(query).cost, *(path.cost for path in paths.values())))
         bounds.append(paths["`theta-star`"].lower_bound)
@@ -118,7 +117,7 @@ def on_an_empty_map(num_queries: int) -> str:
 def main() -> None:
     """Run the comparison that the command line asks for."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--maps", help="folder of maps; left out: a made-up city")
+    parser.add_argument("--maps", help="folder of maps; left out: a synthetic city")
     parser.add_argument("--altitude", type=float, default=20.0, help="metres")
     parser.add_argument("--queries", type=int, default=50)
     parser.add_argument(

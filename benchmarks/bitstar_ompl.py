@@ -2,7 +2,7 @@
 
 ``python -m benchmarks.bitstar_ompl`` needs the package ``ompl`` (2.x, BSD) beside jaxurban, and is left
 out with a sentence where it is missing. ``--maps DIR`` takes a folder that ``jaxurban maps`` wrote; without
-one, a made-up city of 800 x 800 cells at 5 m. Prints a Markdown table.
+one, a synthetic city of 800 x 800 cells at 5 m. Prints a Markdown table.
 
 OMPL costs its edges through callbacks into Python, here into the compiled function that our own search
 uses. That call, not OMPL's C++, is most of its time: the times compare what a Python user gets, and say
@@ -19,19 +19,11 @@ from scipy.ndimage import label
 from tqdm import tqdm
 
 from benchmarks.printed_heuristic import made_up_problem, problem_of_maps
+from jaxurban.kernels.line.segment_cost import segment_cost
 from jaxurban.planners.astar import astar
 from jaxurban.planners.base import CostModel, Path, Problem
-from jaxurban.planners.bitstar import bitstar_dist, bitstar_plus
-from jaxurban.planners.bitstar_search import Ground, edge_cost
-from jaxurban.planners.evaluate import evaluate_on
-
-
-def ground_of(problem: Problem) -> Ground:
-    """Return what edges cost under the line model."""
-    charge = np.where(problem.is_free, problem.cost, np.inf) * (
-        problem.resolution_m / problem.cost_model.reference_length_m
-    )
-    return Ground(charge, problem.distance_weight * problem.resolution_m, True, problem.cost_model.passes_corners)
+from jaxurban.planners.bitstar.planner import bitstar_dist, bitstar_plus
+from jaxurban.planners.cost_grid import cost_grid_of
 
 
 def far_apart(problem: Problem, seed: int) -> Problem:
@@ -51,16 +43,16 @@ def solve_with_ompl(problem: Problem, budget_s: float, seed: int) -> tuple[float
 
     util.noOutputHandler()
     util.RNG.setSeed(seed + 1)
-    ground = ground_of(problem)
+    cost_grid = cost_grid_of(problem, problem.is_free)
     num_rows, num_cols = problem.is_free.shape
     count = {"samples": 0, "edges": 0}
 
     def cost_between(_, a, b):
         count["edges"] += 1
-        return base.Cost(edge_cost(ground, a[0], a[1], b[0], b[1], math.inf))
+        return base.Cost(segment_cost(cost_grid, a[0], a[1], b[0], b[1], math.inf))
 
     def bound_between(_, a, b):
-        return base.Cost(ground.per_side * math.hypot(a[0] - b[0], a[1] - b[1]))
+        return base.Cost(cost_grid.per_side * math.hypot(a[0] - b[0], a[1] - b[1]))
 
     objective = type(
         "Cost",
@@ -103,7 +95,7 @@ def solve_with_ompl(problem: Problem, budget_s: float, seed: int) -> tuple[float
     if definition.hasExactSolution():
         states = definition.getSolutionPath().getStates()
         points_m = np.array([[state[0], state[1]] for state in states]) * problem.resolution_m
-        cost = evaluate_on(problem, points_m).total
+        cost = problem.cost_of(points_m)
     return cost, count["samples"], count["edges"]
 
 
@@ -126,12 +118,12 @@ def any_angle_reference(problem: Problem, factor: int = 2, reach: int = 200) -> 
     )
     points = astar(fine).points_m / problem.resolution_m
     points[[0, -1]] = [[col + 0.5, row + 0.5] for row, col in (problem.start, problem.goal)]
-    ground = ground_of(problem)
+    cost_grid = cost_grid_of(problem, problem.is_free)
     best = np.full(len(points), np.inf)
     best[0] = 0.0
     for k in range(1, len(points)):
         best[k] = min(
-            best[j] + edge_cost(ground, *points[j], *points[k], math.inf) for j in range(max(0, k - reach), k)
+            best[j] + segment_cost(cost_grid, *points[j], *points[k], math.inf) for j in range(max(0, k - reach), k)
         )
     return float(best[-1])
 
@@ -184,9 +176,9 @@ def compare(problem: Problem, num_seeds: int, ompl_s: float, ours_s: float) -> s
 def main() -> None:
     """Run the comparison that the command line asks for."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--maps", help="folder of maps; left out: a made-up city")
+    parser.add_argument("--maps", help="folder of maps; left out: a synthetic city")
     parser.add_argument("--altitude", type=float, default=20.0, help="metres")
-    parser.add_argument("--size", type=int, default=800, help="side of the made-up city, cells")
+    parser.add_argument("--size", type=int, default=800, help="side of the synthetic city, cells")
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--ompl-budget", type=float, default=30.0, help="seconds")
     parser.add_argument("--budget", type=float, default=10.0, help="seconds for ours")

@@ -15,15 +15,14 @@ import numpy as np
 import pandas as pd
 
 from benchmarks.scenes import BOUNDS, CRS, DATA, ORBITS, OSM, REFERENCE, TIME
-from jaxurban.build import compute_maps, make_surface, soft_city, view_sky
-from jaxurban.city import City
 from jaxurban.errors import InputError
-from jaxurban.grid import Grid
-from jaxurban.io.city import read_city
-from jaxurban.layers import MapParams
-from jaxurban.planning import plan
-from jaxurban.soft.engine import SoftParams
-from jaxurban.studies.buildings import building_costs, route_charges
+from jaxurban.maps.build import compute_maps, soften, view_sky
+from jaxurban.maps.differentiable import SoftParams
+from jaxurban.maps.task import MapParams, MapTask
+from jaxurban.paths.plan import plan
+from jaxurban.studies.sensitivity.buildings import building_costs, route_visits
+from jaxurban.world.city import City
+from jaxurban.world.grid import Grid
 
 ALTITUDE_M, SOFTNESS_M, STEP_M = 20.0, 2.0, 2.0
 ENDS = (-74.0145, 40.7035), (-73.9875, 40.7225)
@@ -36,22 +35,22 @@ def main() -> None:
     num = parser.parse_args().num
     if not OSM.exists():
         raise InputError(f"real data not found at {DATA}: set JAXURBAN_DATA")
-    city = read_city(OSM, bounds=BOUNDS, crs=CRS)
+    city = City.from_files(OSM, bounds=BOUNDS, crs=CRS)
     region = Grid.from_bounds(BOUNDS, 10.0, CRS)
     sky = view_sky(region, ORBITS, [TIME], mask_deg=5.0, reference=REFERENCE, max_age_days=90)
-    params = MapParams(altitudes_m=(ALTITUDE_M,))
-    maps = compute_maps(city, make_surface(city, region, sky, params), sky, params)
+    task = MapTask(city, region, sky, MapParams(altitudes_m=(ALTITUDE_M,)))
+    maps = compute_maps(task)
     route = plan(maps, *ENDS, altitude_m=ALTITUDE_M, snap=True)
     with jax.enable_x64(True):
-        soft = soft_city(city, region, sky, params, dtype=np.float64)
+        soft = soften(task, dtype=np.float64)
         table = building_costs(city, soft, route, SoftParams(ALTITUDE_M, SOFTNESS_M))
-    charges = route_charges(soft, route)
-    row, col = np.asarray(charges.cells).T
-    times = np.asarray(charges.times)
+    visits = route_visits(soft, route)
+    row, col = np.asarray(visits.cells).T
+    times = np.asarray(visits.times)
 
     def exact(buildings_m: np.ndarray) -> float:
         other: City = replace(city, buildings=replace(city.buildings, height_m=buildings_m))
-        found = compute_maps(other, make_surface(other, region, sky, params), sky, params)
+        found = compute_maps(replace(task, city=other))
         return sum(float(cost[row, col] @ times) for cost in found.costs(ALTITUDE_M).values())
 
     height_m = city.buildings.height_m

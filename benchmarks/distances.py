@@ -12,7 +12,7 @@ from scipy.ndimage import distance_transform_edt
 
 from benchmarks.common import Row, clocked, in_turn, row
 from benchmarks.scenes import Scene
-from jaxurban.kernels.distance import capped_distance
+from jaxurban.kernels.distance.exact import capped_distance
 
 CAP_M, ALTITUDE_M = 50.0, 20.0
 

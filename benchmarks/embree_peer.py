@@ -15,9 +15,9 @@ import numpy as np
 from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 
-from jaxurban.city import Buildings
 from jaxurban.kernels.dop import unit_vectors
 from jaxurban.metrics.lidar import LidarParams
+from jaxurban.world.city import Buildings
 from tests.embree_scene import roof_triangles, wall_triangles
 
 BATCH_RAYS = 200_000
@@ -63,7 +63,7 @@ def see_satellites(caster: Caster, xy_m: np.ndarray, altitudes_m: np.ndarray, di
 def beams_of(params: LidarParams, altitude_m: float) -> tuple[np.ndarray, np.ndarray]:
     """Return ``[B, K, 3]`` directions, beams nearest the horizon first, and ``[B]`` lengths: to the ground at most."""
     elevation_rad = np.array(sorted(params.elevations_rad, key=abs))
-    azimuth_rad = 2 * np.pi * np.arange(params.num_azimuths) / params.num_azimuths
+    azimuth_rad = 2 * np.pi * np.arange(params.azimuths) / params.azimuths
     down = np.maximum(-np.sin(elevation_rad), 1e-12)
     directions = np.stack([unit_vectors(azimuth_rad, np.full(len(azimuth_rad), e)) for e in elevation_rad])
     return directions.astype(np.float32), np.minimum(params.range_m, altitude_m / down).astype(np.float32)
@@ -90,11 +90,11 @@ def scan_until_first_return(caster: Caster, xy_m: np.ndarray, altitude_m: float,
     """Return the same, leaving out the beams of scan positions that have returned: the fewest rays."""
     directions, length_m = beams_of(params, altitude_m)
     share = np.empty(len(xy_m))
-    step = -(-BATCH_RAYS // params.num_azimuths)
+    step = -(-BATCH_RAYS // params.azimuths)
     for first in range(0, len(xy_m), step):
         part = xy_m[first : first + step]
         start_m = np.column_stack([part, np.full(len(part), altitude_m)]).astype(np.float32)
-        returned = np.zeros((len(part), params.num_azimuths), bool)
+        returned = np.zeros((len(part), params.azimuths), bool)
         for direction, length in zip(directions, length_m, strict=True):
             point, k = np.nonzero(~returned)
             lengths = np.full(len(point), length, np.float32)

@@ -24,17 +24,17 @@ from scipy import ndimage
 
 from benchmarks.common import machine
 from benchmarks.scenes import BOUNDS, CRS, DATA, ORBITS, OSM, REFERENCE, TIME
-from jaxurban.build import soft_city, view_sky
-from jaxurban.cost import Weights
 from jaxurban.errors import InputError
-from jaxurban.grid import Grid
-from jaxurban.io.city import read_city
-from jaxurban.layers import MapParams
+from jaxurban.maps.build import soften, view_sky
+from jaxurban.maps.differentiable import SoftCity, SoftParams, path_visits
+from jaxurban.maps.task import MapParams, MapTask
 from jaxurban.metrics.population import PopulationParams
 from jaxurban.metrics.risk import RiskParams
+from jaxurban.metrics.weights import Weights
 from jaxurban.planners.astar import astar
 from jaxurban.planners.base import Problem
-from jaxurban.soft.engine import SoftCity, SoftParams, path_charges
+from jaxurban.world.city import City
+from jaxurban.world.grid import Grid
 
 ALTITUDE_M, SOFTNESS_M, RESOLUTION_M = 20.0, 2.0, 10.0
 THRESHOLD_M = 47.0  # at 50 m many cells of 10 m lie just on the threshold, where risk has a kink
@@ -52,7 +52,7 @@ def lower_manhattan() -> tuple[SoftCity, SoftParams, Grid, np.ndarray]:
     if not OSM.exists():
         raise InputError(f"real data not found at {DATA}: set JAXURBAN_DATA")
     census = DATA / "census"
-    city = read_city(
+    city = City.from_files(
         OSM,
         bounds=BOUNDS,
         crs=CRS,
@@ -65,10 +65,11 @@ def lower_manhattan() -> tuple[SoftCity, SoftParams, Grid, np.ndarray]:
     sky = view_sky(region, ORBITS, [TIME], mask_deg=5.0, reference=REFERENCE, max_age_days=90)
     people = PopulationParams(normalise=NORM_PER_KM2)
     maps = MapParams(altitudes_m=(ALTITUDE_M,), risk=RiskParams(THRESHOLD_M), population=people)
-    soft = soft_city(city, region, sky, maps, dtype=np.float64)
+    soft = soften(MapTask(city, region, sky, maps), dtype=np.float64)
     params = SoftParams(ALTITUDE_M, SOFTNESS_M, risk=maps.risk, population=people)
     is_free = np.asarray(soft.surface.crop(soft.surface.roof_m)) < ALTITUDE_M
-    return replace(soft, risk_reach_m=THRESHOLD_M + 1), params, region, is_free
+    reach_m = dict(soft.reach_m) | {"risk": THRESHOLD_M + 1}
+    return replace(soft, reach_m=tuple(reach_m.items())), params, region, is_free
 
 
 class Study:
@@ -94,7 +95,7 @@ class Study:
 
         def one(query: int):
             w = weights[query]
-            problem = self.base.with_layers(layers * w[1:, None, None], float(w[0])).between(*self.ends[query])
+            problem = self.base.with_costs(layers, w).between(*self.ends[query])
             found = astar(problem)
             return found.cost, found.points_m
 
@@ -110,14 +111,14 @@ def compare(study: Study, soft: SoftCity, params: SoftParams, region: Grid, scal
     here, paths = study.plan(layers, study.weights)
 
     @jax.jit
-    def slopes(soft, weights, charges):
-        return jax.grad(soft.path_cost, (0, 1, 2))(soft.height_m, params, weights, charges)
+    def slopes(soft, weights, visits):
+        return jax.grad(soft.path_cost, (0, 1, 2))(soft.height_m, params, weights, visits)
 
     by_height, by_params, by_weight = [], [], []
     for points, w in zip(paths, study.weights, strict=True):
-        charges = path_charges(points, region.shape, RESOLUTION_M, study.base.cost_model)
+        visits = path_visits(points, region.shape, RESOLUTION_M, study.base.cost_model)
         weights = Weights(**dict(zip(("distance", *soft.names), map(float, w), strict=True)))
-        found = slopes(soft, weights, charges)
+        found = slopes(soft, weights, visits)
         by_height.append(np.asarray(found[0]))
         by_params.append(found[1])
         by_weight.append([float(getattr(found[2], name)) for name in ("distance", *soft.names)])

@@ -18,11 +18,12 @@ import shapely
 from benchmarks.common import ROOT, machine
 from benchmarks.embree_peer import EmbreePool, scan_until_first_return, see_satellites
 from benchmarks.scenes import ALTITUDES_M, PLACES, TIME, Scene, load_place, load_scene
-from jaxurban.grid import Grid
 from jaxurban.kernels.dop import LEAST_SATELLITES, unit_vectors
-from jaxurban.metrics.gps import GpsParams, compute_gps, visibility
+from jaxurban.metrics.gps import GpsParams, compute_gps
 from jaxurban.metrics.lidar import LidarParams, compute_lidar
 from jaxurban.metrics.risk import RiskParams, compute_risk
+from jaxurban.metrics.visibility import visibility
+from jaxurban.world.grid import Grid
 
 RESOLUTIONS_M = (10.0, 5.0, 2.0, 1.0)
 CITY_RESOLUTION_M, CITY_ALTITUDES_M = 5.0, ALTITUDES_M[:2]
@@ -198,17 +199,17 @@ ADVICE = """\
 Between buildings (20 m up) 2 m cells halve the errors of 5 m ones: m_gps is off by 0.013 instead of 0.025 on average,
 m_lidar by 0.004 instead of 0.009, m_risk by 0.012 instead of 0.034; from 60 m up 5 m cells are enough, as every mean
 error is 0.014 or less. Use 10 m for surveys and not for routes: 20 m up it calls 5 % of all points wrongly free or
-blocked and misses 18 % of the truly blocked satellite answers, and at every resolution errors are on the optimistic
+blocked and misses 18 % of the truly blocked lines of sight, and at every resolution errors are on the optimistic
 side (satellites called visible, walls taken to be farther than they are: by 1.6 m on average at 5 m, 20 m up).
 These are figures of one city; others differ, some for the worse: [errors by city](error_by_city.md)."""
 HEADS = {
-    "gps": "answers right, % | of those blocked | of those clear | error of m at centres | error of m anywhere",
+    "gps": "lines of sight right, % | of those blocked | of those clear | error of m at centres | error of m anywhere",
     "lidar": "error of m at centres | its bias | error of m anywhere | its bias",
     "risk": "error of m at centres | its bias | error of m anywhere | its bias",
     "obstacle": "points called wrongly, %",
 }
 TITLES = {
-    "gps": "GPS: satellite answers and m_gps",
+    "gps": "GPS: lines of sight and m_gps",
     "lidar": "Lidar: m_lidar, 16 beams x 360 azimuths, 100 m",
     "risk": "Risk: m_risk, 50 m, by distance to the outlines of the slice",
     "obstacle": "Obstacle: free or not",
@@ -244,7 +245,7 @@ def order(line: str) -> tuple[float, float]:
 
 
 CITY_HEAD = (
-    "city | altitude | cells with m_gps within 0.02, % | error of m_gps | answers right, % | of those blocked "
+    "city | altitude | cells with m_gps within 0.02, % | error of m_gps | lines of sight right, % | of those blocked "
     "| of those clear | error of m_lidar | its bias | walls near are farther by | cells near walls, %"
 )
 CITY_ADVICE = """\

@@ -18,12 +18,12 @@ from tqdm import tqdm
 
 import jaxurban as ju
 from benchmarks.common import ROOT, Row, Timing, load, machine, markdown, row, write_json
-from jaxurban.kernels.heuristic import printed_plus_field
+from jaxurban.kernels.search.bounds import printed_plus_field
 from jaxurban.planners.astar import astar
 from jaxurban.planners.base import Cell, CostModel, Problem
 from jaxurban.planners.graph import Graph, Heuristic, graph_of, zero_heuristic
 from jaxurban.planners.moves import STEPS
-from jaxurban.planners.search import Search
+from jaxurban.planners.search.grid import Search
 
 CITY_M = (10_000.0, 20_000.0)
 RESOLUTION_M = 5.0
@@ -45,10 +45,10 @@ class City:
 
 
 def load_city(side_m: tuple[float, float]) -> City:
-    """Return the embedded city by day, at the default weights."""
+    """Return the synthetic city by day, at the default weights."""
     maps = ju.build_maps(ju.demo_city(*side_m), resolution_m=RESOLUTION_M, altitudes_m=(ALTITUDE_M,))
     weights, costs = ju.Weights().checked(), maps.costs(ALTITUDE_M, time_of_day="day")
-    layers = [getattr(weights, name) * np.nan_to_num(np.asarray(cost, float), nan=1.0) for name, cost in costs.items()]
+    layers = [weights[name] * np.nan_to_num(np.asarray(cost, float), nan=1.0) for name, cost in costs.items()]
     distance_weight = float(weights.distance)
     enter = distance_weight * RESOLUTION_M + np.sum(layers, axis=0)
     return City(np.stack(layers), maps.is_free(ALTITUDE_M), enter, distance_weight)
@@ -127,7 +127,7 @@ def against_mcp_geometric(city: City) -> Contest:
 
 
 def mcp_solver(mcp) -> Callable[[Cell, Cell], float]:
-    """Return a solver that stops at the goal; MCP charges the start's cell too, which is taken off again."""
+    """Return a solver that stops at the goal; MCP counts the start's cell too, which is taken off again."""
 
     def solve(start: Cell, goal: Cell) -> float:
         costs, _ = mcp.find_costs([start], [goal], find_all_ends=False)
@@ -191,7 +191,7 @@ def solver(problem: Problem) -> Callable[[Cell, Cell], float]:
 
 
 def solve_graph(graph: Graph, bound: Heuristic, start: Cell, goal: Cell) -> float:
-    """Return the cost of the cheapest path over a graph whose steps are charged as no problem's are."""
+    """Return the cost of the cheapest path over a graph whose steps are costed as no problem's are."""
     search = Search(graph, bound, start, goal)
     search.run()
     search.points_m(1.0)
@@ -256,7 +256,7 @@ def main() -> None:
     rows = [run(contest(city), queries) for contest in contests]
     field_s = field_seconds(city, 6)
     size = " x ".join(map(str, city.is_free.shape[::-1]))
-    print(f"Embedded city, {size} cells of 5 m, 20 m up, by day, default weights; {options.queries} queries.\n")
+    print(f"Synthetic city, {size} cells of 5 m, 20 m up, by day, default weights; {options.queries} queries.\n")
     print(markdown(rows, []))
     print(f"\nPrinted h_plus of all cells, {len(city.layers)} layers: {field_s:.3f} s (bar {FIELD_BAR_S} s).")
     report = {

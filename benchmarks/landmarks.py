@@ -1,7 +1,7 @@
 """What landmarks and anytime A* save on random queries, at the default weights and over random ones.
 
 ``python -m benchmarks.landmarks MAPS --altitude 20`` takes a folder that ``jaxurban maps`` wrote; without
-one, a made-up city of blocks and streets is used. Prints Markdown tables.
+one, a synthetic city of blocks and streets is used. Prints Markdown tables.
 """
 
 import argparse
@@ -52,19 +52,6 @@ def random_weights(num: int, seed: int) -> np.ndarray:
     return LEAST_WEIGHT + (1 - 5 * LEAST_WEIGHT) * np.random.default_rng(seed).dirichlet(np.ones(5), num)
 
 
-def reweighted(problem: Problem, unit: np.ndarray, weights: np.ndarray) -> Problem:
-    """Return the problem under other weights; ``unit`` are its layers at weight 1."""
-    return Problem(
-        weights[1:, None, None] * unit,
-        problem.is_free,
-        problem.start,
-        problem.goal,
-        problem.resolution_m,
-        float(weights[0]),
-        problem.cost_model,
-    )
-
-
 def share(queries: list[Query], name: str, is_first: bool = False) -> np.ndarray:
     """Return ``[Q]`` expansions over octile's, of the whole search or until its first path."""
     paths = [getattr(query, name) for query in queries]
@@ -109,7 +96,7 @@ def default_tables(queries: list[Query]) -> Iterator[str]:
             )
 
 
-def weights_table(problem: Problem, unit: np.ndarray, pairs: list[tuple[Cell, Cell]], num: int, seed: int) -> str:
+def weights_table(problem: Problem, pairs: list[tuple[Cell, Cell]], num: int, seed: int) -> str:
     """Return the table over random weights."""
     lines = [
         "| distance a metre, gps, lidar, population, risk | landmarks | anytime, landmarks: first path "
@@ -118,7 +105,7 @@ def weights_table(problem: Problem, unit: np.ndarray, pairs: list[tuple[Cell, Ce
     ]
     columns = []
     for weights in tqdm(random_weights(num, seed), desc="weights", file=sys.stderr):
-        other = reweighted(problem, unit, weights)
+        other = problem.with_weights(weights)
         queries = [run_query(other, pair) for pair in pairs]
         values = [share(queries, "landmarks").mean()]
         for name in ("anytime", "one_off"):
@@ -137,7 +124,7 @@ def weights_table(problem: Problem, unit: np.ndarray, pairs: list[tuple[Cell, Ce
 def main() -> None:
     """Run the study that the command line asks for."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("maps", nargs="?", help="folder of maps; left out: a made-up city")
+    parser.add_argument("maps", nargs="?", help="folder of maps; left out: a synthetic city")
     parser.add_argument("--resolution", type=float, help="metres, where the folder holds several")
     parser.add_argument("--altitude", type=float, default=20.0, help="metres")
     parser.add_argument("--time-of-day", help="day or night")
@@ -166,9 +153,8 @@ def main() -> None:
     print(f"{len(built.cells)} landmarks: {built.elapsed_s:.2f} s, {built.costs.nbytes / 1e6:.0f} MB.")
     print("Seconds a query: " + ", ".join(f"{name} {value:.4f}" for name, value in seconds.items()) + ".")
     print(f"Building costs what {built.elapsed_s / saved_s:.0f} queries with landmarks save over plus.\n")
-    # The default weights are 1 for each layer, so the layers are the costs themselves.
     if options.weights:
-        print(weights_table(problem, problem.layers, pairs[: options.weights_queries], options.weights, options.seed))
+        print(weights_table(problem, pairs[: options.weights_queries], options.weights, options.seed))
 
 
 if __name__ == "__main__":

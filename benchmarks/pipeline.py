@@ -8,17 +8,17 @@ import jax
 import jax.numpy as jnp
 
 from benchmarks.common import Growth, Row, Side, Timing, clocked, in_turn, row
-from benchmarks.scenes import ALTITUDES_M, PARAMS, Scene
-from jaxurban.build import compute_maps
-from jaxurban.demo import demo_city
-from jaxurban.grid import Grid
-from jaxurban.io.rasterise import build_surface
+from benchmarks.scenes import ALTITUDES_M, Scene
+from jaxurban.io.read.rasterise import build_surface
+from jaxurban.maps.build import compute_maps
 from jaxurban.metrics.gps import compute_gps
 from jaxurban.metrics.lidar import LidarParams, compute_lidar
 from jaxurban.metrics.obstacle import obstacle_mask
 from jaxurban.metrics.population import population_maps
 from jaxurban.metrics.risk import RiskParams, compute_risk
-from jaxurban.surface import Surface
+from jaxurban.world.grid import Grid
+from jaxurban.world.surface import Surface
+from jaxurban.world.synthetic import demo_city
 
 GROWTH_RESOLUTION_M = 2.0
 TILE_SHAPE = (2000, 1000)  # 2 M cells
@@ -29,12 +29,12 @@ MOST_SLOPE = 1.10
 
 def whole(scene: Scene, parts: list[Row], num_runs: int) -> list[Row]:
     """Return the row of all maps from a surface in memory, against the peers' rates in the rows before, added up."""
-    surface, sky = scene.surface(5.0), scene.sky()
-    times = in_turn({"ours": clocked(lambda: compute_maps(scene.city, surface, sky, PARAMS))}, num_runs)
+    task, surface = scene.task(5.0), scene.surface(5.0)
+    times = in_turn({"ours": clocked(lambda: compute_maps(task, surface))}, num_runs)
     num_cells, num_altitudes = surface.region.num_rows * surface.region.num_cols, len(ALTITUDES_M)
     units = num_cells * len(scene.azimuth_rad) * num_altitudes
     flown = num_cells * num_altitudes
-    needed = {"answers": units, "scan positions": flown * LidarParams().num_azimuths, "cells": flown}
+    needed = {"answers": units, "scan positions": flown * LidarParams().azimuths, "cells": flown}
     chosen = [
         next(r for r in parts if (r.name, r.unit) == wanted)
         for wanted in (
@@ -82,7 +82,7 @@ def alone(surface: Surface, num_down: int, num_across: int) -> Surface:
 
 
 def growth(scene: Scene, num_runs: int) -> list[Growth]:
-    """Return the growth of every metric on the embedded city at 2 m, one altitude.
+    """Return the growth of every metric on the synthetic city at 2 m, one altitude.
 
     GPS sweeps whole areas; the others are computed tile by tile, as a region of that size must be.
     """

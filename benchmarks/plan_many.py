@@ -1,7 +1,7 @@
 """Plans a second of each backend on the same random queries, and how far their costs differ.
 
 ``python -m benchmarks.plan_many MAPS --altitude 20`` takes a folder that ``jaxurban maps`` wrote; without one,
-the embedded city in the size of Lower Manhattan is used. Where JAX has a GPU, a batch of 256 queries on a city of
+the synthetic city in the size of Lower Manhattan is used. Where JAX has a GPU, a batch of 256 queries on a city of
 2000 x 4000 cells follows, in JAX there and in Numba on the processors; where not, a line says so. Prints Markdown
 tables. Each row runs in one go, its compilation and the first look at the map left out; the landmarks are in.
 """
@@ -52,7 +52,7 @@ def measure(maps: ju.MetricMaps, altitude_m: float, rows: Rows, queries: Sequenc
     for name, options in rows:
         for warm in (True, False):
             # A fresh map each time: landmarks and fields of the row before must not help this one.
-            fresh = ju.weigh(maps, altitude_m).problem
+            fresh = ju.cost_map(maps, altitude_m).problem
             asked = [fresh.between(query.start, query.goal) for query in (queries[:40] if warm else queries)]
             wall_s, cpu_s = time.perf_counter(), time.process_time()
             found = dict(solve_many(asked, **options))
@@ -71,7 +71,7 @@ def measure(maps: ju.MetricMaps, altitude_m: float, rows: Rows, queries: Sequenc
 def main() -> None:
     """Run what the command line asks for."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("maps", nargs="?", help="folder of maps; left out: the embedded city")
+    parser.add_argument("maps", nargs="?", help="folder of maps; left out: the synthetic city")
     parser.add_argument("--resolution", type=float, help="metres, where the folder holds several")
     parser.add_argument("--altitude", type=float, default=20.0, help="metres")
     parser.add_argument("--queries", type=int, default=1000)
@@ -82,7 +82,7 @@ def main() -> None:
         if options.maps is None
         else ju.open_maps(options.maps, options.resolution)
     )
-    problem = ju.weigh(maps, options.altitude).problem
+    problem = ju.cost_map(maps, options.altitude).problem
     queries = random_queries(problem, options.queries, options.seed)
     print(f"{' x '.join(map(str, problem.is_free.shape))} cells, {options.altitude:g} m, seed {options.seed}\n")
     print("\n".join(measure(maps, options.altitude, BACKENDS, queries)))
@@ -92,7 +92,7 @@ def main() -> None:
         print("\nJAX sees no GPU: the batch of 256 on 2000 x 4000 cells was not measured.")
     else:
         city = ju.build_maps(ju.demo_city(*CITY_M), resolution_m=RESOLUTION_M, altitudes_m=(20.0,))
-        queries = random_queries(ju.weigh(city, 20.0).problem, GPU_QUERIES, options.seed)
+        queries = random_queries(ju.cost_map(city, 20.0).problem, GPU_QUERIES, options.seed)
         print(f"\n{' x '.join(map(str, city.grid.shape))} cells\n")
         print("\n".join(measure(city, 20.0, [BACKENDS[3], BACKENDS[1], BACKENDS[2]], queries)))
     print(f"\n{machine()}\nload {load()}")

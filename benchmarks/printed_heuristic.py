@@ -1,7 +1,7 @@
 """What the paper's h_plus costs: paths found with it against optimal ones, on random queries.
 
-``python benchmarks/printed_heuristic.py MAPS --altitude 20`` takes a folder that ``jaxurban maps``
-wrote; without one, a made-up city of blocks and streets is used. Prints a Markdown table.
+``python -m benchmarks.printed_heuristic MAPS --altitude 20`` takes a folder that ``jaxurban maps``
+wrote; without one, a synthetic city of blocks and streets is used. Prints a Markdown table.
 """
 
 import argparse
@@ -11,8 +11,8 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt, gaussian_filter
 from tqdm import tqdm
 
-from jaxurban.cost import Weights
-from jaxurban.maps import open_maps
+from jaxurban.maps.metric_maps import open_maps
+from jaxurban.metrics.weights import Weights
 from jaxurban.planners.astar import astar
 from jaxurban.planners.base import Cell, Problem, Status
 
@@ -26,7 +26,7 @@ def problem_of_maps(folder: str, resolution_m, altitude_m: float, time_of_day, c
     maps = open_maps(folder, resolution_m)
     weights = Weights()
     costs = maps.costs(altitude_m, time_of_day=time_of_day)
-    layers = np.stack([getattr(weights, name) * np.nan_to_num(np.asarray(c), nan=1.0) for name, c in costs.items()])
+    layers = np.stack([weights[name] * np.nan_to_num(np.asarray(c), nan=1.0) for name, c in costs.items()])
     return problem_of_arrays(layers, maps.is_free(altitude_m), maps.grid.resolution_m, weights.distance, cost_model)
 
 
@@ -37,7 +37,7 @@ def problem_of_arrays(layers, is_free, resolution_m: float, distance_weight: flo
 
 
 def made_up_problem(cost_model, seed: int, num_rows: int = 240, num_cols: int = 200) -> Problem:
-    """Return a made-up city: streets between blocks of buildings, three smooth layers and a risk layer."""
+    """Return a synthetic city: streets between blocks of buildings, three smooth layers and a risk layer."""
     rng = np.random.default_rng(seed)
     rows, cols = np.mgrid[:num_rows, :num_cols]
     is_street = (rows % 18 < 4) | (cols % 40 < 6)
@@ -100,7 +100,7 @@ def markdown_table(results: Results) -> str:
 def main() -> None:
     """Run the study that the command line asks for."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("maps", nargs="?", help="folder of maps; left out: a made-up city")
+    parser.add_argument("maps", nargs="?", help="folder of maps; left out: a synthetic city")
     parser.add_argument("--resolution", type=float, help="metres, where the folder holds several")
     parser.add_argument("--altitude", type=float, default=20.0, help="metres")
     parser.add_argument("--time-of-day", help="day or night")

@@ -23,16 +23,17 @@ from scipy.ndimage import label
 from tqdm import tqdm
 
 from benchmarks.common import ROOT, load, machine
-from benchmarks.scenes import ALTITUDES_M, PARAMS, PLACES, Scene, load_place
-from jaxurban.build import compute_maps
-from jaxurban.city import Buildings
-from jaxurban.io.rasterise import rasterise
-from jaxurban.maps import MetricMaps
+from benchmarks.scenes import ALTITUDES_M, PLACES, Scene, load_place
+from jaxurban.io.read.rasterise import rasterise
+from jaxurban.maps.build import compute_maps
+from jaxurban.maps.levels import Levels
+from jaxurban.maps.metric_maps import MetricMaps
+from jaxurban.paths.cost_map import CostMap, cost_map
+from jaxurban.paths.snapping import XY
 from jaxurban.planners.base import Cell, Status
 from jaxurban.planners.refine import refine
 from jaxurban.planners.registry import PLANNERS, find_planner
-from jaxurban.volume import WeightedVolume, weigh_volume
-from jaxurban.weighted import WeightedMap, weigh
+from jaxurban.world.city import Buildings
 
 RULES = ("touched", "centre")
 RESOLUTION_M, ALTITUDE_M = 5.0, 20.0
@@ -94,8 +95,8 @@ class Route:
 class Bench:
     """What a worker process plans on, by rule, and judges by."""
 
-    flat: dict[str, WeightedMap]
-    volume: dict[str, WeightedVolume]
+    flat: dict[str, CostMap]
+    volume: dict[str, CostMap]
     outlines: Outlines
 
     def routes(self, number: int, start: Cell, goal: Cell, rules: tuple[str, ...]) -> list[Route]:
@@ -110,8 +111,7 @@ class Bench:
                     xy_m = kept.points_m + np.array([flat.grid.x_min_m, flat.grid.y_min_m])
                     xyz_m = np.column_stack([xy_m, np.full(len(xy_m), ALTITUDE_M)])
                     found.append(self._judged(rule, label_, kept.status, kept.cost, xyz_m))
-            ends = {"start_xy_m": flat.grid.xy_of_cell(*start), "goal_xy_m": flat.grid.xy_of_cell(*goal)}
-            planned = volume.plan(**ends, start_altitude_m=ALTITUDE_M, goal_altitude_m=ALTITUDE_M)
+            planned = volume.plan(*(XY(*flat.grid.xy_of_cell(*cell), ALTITUDE_M) for cell in (start, goal)))
             xyz_m = np.column_stack([planned.xy_m, planned.z_m])
             found.append(self._judged(rule, VOLUME, planned.status, planned.search.cost, xyz_m))
         return found
@@ -130,8 +130,8 @@ def _begin(maps: MetricMaps, buildings: Buildings) -> None:
     """Make a worker process ready."""
     global _bench
     by_rule = {rule: maps.with_obstacles(rule) for rule in RULES}
-    flat = {rule: weigh(held, ALTITUDE_M, cost_model="line") for rule, held in by_rule.items()}
-    volume = {rule: weigh_volume(held, cost_model="line") for rule, held in by_rule.items()}
+    flat = {rule: cost_map(held, ALTITUDE_M, cost_model="line") for rule, held in by_rule.items()}
+    volume = {rule: cost_map(held, Levels(), cost_model="line") for rule, held in by_rule.items()}
     _bench = Bench(flat, volume, Outlines(buildings))
 
 
@@ -141,7 +141,7 @@ def _plan(task: tuple[int, Cell, Cell, tuple[str, ...]]) -> list[Route]:
 
 def fly(scene: Scene, num_pairs: dict[str, int]) -> list[Route]:
     """Return the routes between random cells that are free and joined under the cautious rule, by every core."""
-    maps = compute_maps(scene.city, scene.surface(RESOLUTION_M), scene.sky(RESOLUTION_M), PARAMS)
+    maps = compute_maps(scene.task(RESOLUTION_M))
     is_free = maps.is_free(ALTITUDE_M)
     islands, _ = label(is_free)
     cells = np.argwhere(is_free & (islands == np.argmax(np.bincount(islands[is_free]))))

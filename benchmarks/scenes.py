@@ -7,14 +7,14 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.common import ROOT
-from jaxurban.build import make_surface, view_sky
-from jaxurban.city import City
-from jaxurban.demo import demo_city_for_bounds
-from jaxurban.grid import Bounds, Grid
-from jaxurban.io.buildings import read_buildings
-from jaxurban.layers import MapParams
-from jaxurban.sky import Sky
-from jaxurban.surface import Surface
+from jaxurban.io.read.buildings import BuildingFile, read_buildings
+from jaxurban.maps.build import view_sky
+from jaxurban.maps.task import MapParams, MapTask
+from jaxurban.world.city import City
+from jaxurban.world.grid import Bounds, Grid
+from jaxurban.world.sky import Sky
+from jaxurban.world.surface import Surface
+from jaxurban.world.synthetic import demo_city_for_bounds
 
 DATA = Path(os.environ.get("JAXURBAN_DATA", ROOT / ".." / "shared" / "data"))
 OSM, ORBITS = DATA / "osm" / "lower-manhattan.osm.pbf", DATA / "gps" / "gps-ops_2020-04-27.tle"
@@ -28,7 +28,7 @@ PARAMS = MapParams(altitudes_m=ALTITUDES_M, mask_deg=MASK_DEG)
 
 @dataclass(frozen=True)
 class Place:
-    """Where a city's buildings and its sky come from; ``buildings`` is None for the embedded city."""
+    """Where a city's buildings and its sky come from; ``buildings`` is None for the synthetic city."""
 
     name: str
     buildings: Path | None = None
@@ -44,7 +44,7 @@ class Place:
 
 
 MANHATTAN = Place("Lower Manhattan", OSM)
-EMBEDDED = Place("embedded city")
+EMBEDDED = Place("synthetic city")
 TOKYO = Place(
     "Tokyo (Shinjuku)",
     DATA / "tokyo" / "tokyo-central-lod2.parquet",
@@ -80,8 +80,11 @@ class Scene:
             max_age_days=90,
         )
 
+    def task(self, resolution_m: float) -> MapTask:
+        return MapTask(self.city, self.region(resolution_m), self.sky(resolution_m), PARAMS)
+
     def surface(self, resolution_m: float) -> Surface:
-        return make_surface(self.city, self.region(resolution_m), self.sky(resolution_m), PARAMS)
+        return self.task(resolution_m).surface()
 
 
 def load_place(place: Place) -> Scene:
@@ -90,7 +93,7 @@ def load_place(place: Place) -> Scene:
         city = demo_city_for_bounds(place.bounds, place.crs)
     else:
         extent_m = Grid.from_bounds(place.bounds, 10.0, place.crs).padded(*(int(REACH_M / 10),) * 4).bounds_m
-        source = read_buildings(place.buildings, place.crs, bounds_m=extent_m)
+        source = read_buildings(BuildingFile(place.buildings), place.crs, bounds_m=extent_m)
         city = City(place.crs, extent_m, buildings=source.buildings)
     scene = Scene(place.name, city, np.empty(0), np.empty(0), place)
     sky = scene.sky()
@@ -98,5 +101,5 @@ def load_place(place: Place) -> Scene:
 
 
 def load_scene() -> Scene:
-    """Return Lower Manhattan, or the embedded city in its box where the real files are missing."""
+    """Return Lower Manhattan, or the synthetic city in its box where the real files are missing."""
     return load_place(MANHATTAN if MANHATTAN.is_here else EMBEDDED)

@@ -13,12 +13,13 @@ import numpy as np
 from scipy.ndimage import label
 from tqdm import tqdm
 
-from jaxurban.cost import Weights
-from jaxurban.maps import open_maps
-from jaxurban.studies.pool import RoutePool
-from jaxurban.studies.queries import Query, unit_map
-from jaxurban.studies.sobol import sobol_indices, sobol_of_weights
-from jaxurban.studies.switches import EXACT, find_switches
+from jaxurban.maps.metric_maps import open_maps
+from jaxurban.metrics.weights import Weights
+from jaxurban.paths.cost_map import cost_map
+from jaxurban.studies.queries import RouteQuery
+from jaxurban.studies.route_pool import RoutePool
+from jaxurban.studies.sensitivity.breakpoints import EXACT, find_breakpoints
+from jaxurban.studies.sensitivity.sobol import sobol_indices, sobol_of_weights
 
 SHARED = ("gps", "population", "risk")
 
@@ -30,13 +31,13 @@ def triangle_grid(side: int) -> np.ndarray:
     return np.stack(np.broadcast_arrays(1 - root, root * (1 - v), root * v), axis=-1)
 
 
-def compare(query: Query, weights: np.ndarray, side: int) -> dict[str, float]:
+def compare(query: RouteQuery, weights: np.ndarray, side: int) -> dict[str, float]:
     """Return how far the triangle of `SHARED` and the lines of its grid agree with a search at every place."""
     at = [query.names.index(name) for name in SHARED]
     corners = np.tile(weights, (3, 1))
     corners[:, at] = np.eye(3) * weights[at].sum()
     begin_s = time.perf_counter()
-    exact = find_switches(RoutePool([query]), corners)
+    exact = find_breakpoints(RoutePool([query]), corners)
     exact_s = time.perf_counter() - begin_s
     shares = triangle_grid(side)
     begin_s = time.perf_counter()
@@ -50,7 +51,7 @@ def compare(query: Query, weights: np.ndarray, side: int) -> dict[str, float]:
     same = np.all(np.isclose(exact.features[exact.route_at(shares)], features, rtol=1e-9, atol=1e-9), axis=-1)
     line_off, line_same, line_plans = np.zeros_like(cost), np.zeros_like(same), 0
     for row, (ends, mine) in enumerate(zip(_line_ends(shares), features, strict=True)):
-        line = find_switches(RoutePool([query]), ends @ corners)
+        line = find_breakpoints(RoutePool([query]), ends @ corners)
         along = _along(shares[row], ends)
         line_off[row] = np.abs(line.cost_at(along) / cost[row] - 1)
         line_same[row] = np.all(np.isclose(line.features[line.route_at(along)], mine, rtol=1e-9, atol=1e-9), axis=-1)
@@ -104,17 +105,17 @@ def ishigami(num_samples: int) -> dict[str, list[float]]:
     }
 
 
-def queries_of(folder: str, resolution_m, altitude_m: float, cost_model, num: int, seed: int) -> list[Query]:
+def queries_of(folder: str, resolution_m, altitude_m: float, cost_model, num: int, seed: int) -> list[RouteQuery]:
     """Return random queries of at least 1.5 km between cells that are joined."""
-    unit = unit_map(open_maps(folder, resolution_m), altitude_m, cost_model=cost_model)
+    unit = cost_map(open_maps(folder, resolution_m), altitude_m, cost_model=cost_model)
     parts, _ = label(unit.is_free)
     cells = np.argwhere(parts == np.bincount(parts[parts > 0]).argmax())
     rng = np.random.default_rng(seed)
-    queries: list[Query] = []
+    queries: list[RouteQuery] = []
     while len(queries) < num:
         start, goal = cells[rng.integers(len(cells), size=2)]
         if np.hypot(*(start - goal)) * unit.grid.resolution_m >= 1500:
-            queries.append(Query(unit, tuple(map(int, start)), tuple(map(int, goal))))
+            queries.append(RouteQuery(unit, tuple(map(int, start)), tuple(map(int, goal))))
     return queries
 
 

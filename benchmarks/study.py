@@ -1,4 +1,4 @@
-"""The studies of docs/study.md: the embedded city at 5 m (200 instances x 4 altitudes) and Lower Manhattan at 5 m.
+"""The studies of docs/study.md: the synthetic city at 5 m (200 instances x 4 altitudes) and Lower Manhattan at 5 m.
 
 Run with ``python -m benchmarks.study embedded|manhattan [-o DIR] [--instances N] [--workers N]``; a killed run goes on
 where it stopped. Prints one JSON object: seconds, rows, statuses, and where the report is.

@@ -2,13 +2,13 @@
 
 Run as ``python -m benchmarks.tuning DIR [--hidden N] [--detours 0.2] [--unit metre|step]``: DIR holds maps of Lower
 Manhattan (docs/tuning.md: 10 m, 20 m altitude). A hidden W over distance, gps, population and risk is drawn from
-Dirichlet(1) and raised to at least 0.05; 32 examples are the cheapest routes under it, between random free
+Dirichlet(1) and raised to at least 0.05; 32 demonstrations are the cheapest routes under it, between random free
 cells at least 300 m apart. W's distance weight is per metre (``metre``), or per step of one cell side, the unit in
 which the other weights of the 'cell' model are (``step``).
 """
 
 import argparse
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,14 +16,15 @@ from scipy import ndimage
 
 import jaxurban as ju
 from benchmarks.common import load, machine
-from jaxurban.studies.examples import Example, optimal_examples
-from jaxurban.studies.imitation import fit_weights
-from jaxurban.studies.pool import RoutePool, cheapest_route
-from jaxurban.studies.queries import Query, route_facts, unit_map
-from jaxurban.weighted import WeightedMap
+from jaxurban.paths.cost_map import CostMap, cost_map
+from jaxurban.studies.demonstrations import Demonstration, optimal_demonstrations
+from jaxurban.studies.queries import RouteQuery
+from jaxurban.studies.route_pool import RoutePool
+from jaxurban.studies.tuning.fit_settings import FitSettings
+from jaxurban.studies.tuning.weight_fit import fit_weights
 
 METRICS = ("gps", "population", "risk")
-NUM_EXAMPLES, NUM_UNSEEN, FLOOR = 32, 60, 0.05
+NUM_DEMONSTRATIONS, NUM_UNSEEN, FLOOR = 32, 60, 0.05
 LEAST_APART_M, LONGEST_DETOUR = 300.0, 1.6  # of the straight distance, by way of the detour's point
 
 
@@ -39,12 +40,11 @@ def main() -> None:
     parser.add_argument("--detours", type=float, default=0.0)
     parser.add_argument("--unit", choices=("metre", "step"), default="metre")
     options = parser.parse_args()
-    unit = unit_map(
+    unit = cost_map(
         ju.open_maps(options.folder, options.resolution),
         options.altitude,
-        metrics=METRICS,
         cost_model=options.cost_model,
-    )
+    ).only(METRICS)
     print(machine(), "load", load())
     print(f"{options.cost_model} model, distance weight per {options.unit}, {options.detours:.0%} detours")
     print("| hidden W (distance, gps, population, risk) | cosine | regret, % | in interval | s | searches | rounds |")
@@ -58,24 +58,21 @@ def main() -> None:
     )
 
 
-def run(unit: WeightedMap, number: int, options: argparse.Namespace) -> tuple[float, float, float, float]:
+def run(unit: CostMap, number: int, options: argparse.Namespace) -> tuple[float, float, float, float]:
     """Print and return cosine, mean regret, share of weights inside their intervals, and seconds of one fit."""
     rng = np.random.default_rng(number)
     hidden = FLOOR + (1 - 4 * FLOOR) * rng.dirichlet(np.ones(4))
     if options.unit == "step":
         step_m = unit.grid.resolution_m if options.cost_model == "cell" else unit.cost_model.reference_length_m
         hidden[0] /= step_m
-    examples = optimal_examples(draw_queries(unit, rng, NUM_EXAMPLES), weights_of(unit, hidden))
-    for k in rng.choice(NUM_EXAMPLES, round(options.detours * NUM_EXAMPLES), replace=False):
-        examples[k] = detour(examples[k], hidden, rng)
-    fit = fit_weights(examples, seed=number)
-    spread = hidden * np.array([example.route.features for example in examples]).std(axis=0)
+    demonstrations = optimal_demonstrations(draw_queries(unit, rng, NUM_DEMONSTRATIONS), weights_of(unit, hidden))
+    for k in rng.choice(NUM_DEMONSTRATIONS, round(options.detours * NUM_DEMONSTRATIONS), replace=False):
+        demonstrations[k] = detour(demonstrations[k], hidden, rng)
+    fit = fit_weights(demonstrations, settings=FitSettings(seed=number))
+    spread = hidden * np.array([each.features for each in demonstrations]).std(axis=0)
     cosine = float(fit.spread @ spread / np.linalg.norm(spread))
     unseen = draw_queries(unit, rng, NUM_UNSEEN)
-    costs = [
-        RoutePool(unseen).cheapest(np.broadcast_to(weights, (NUM_UNSEEN, 1, 4)))[0, :, 0] @ hidden
-        for weights in (hidden, fit.vector)
-    ]
+    costs = [RoutePool(unseen).cheapest(weights[None])[0, :, 0] @ hidden for weights in (hidden, fit.vector)]
     regret = float(np.mean(costs[1] / costs[0]) - 1)
     told = hidden / hidden.sum()
     inside = float(np.mean((fit.interval[0] <= told) & (told <= fit.interval[1])))
@@ -87,37 +84,37 @@ def run(unit: WeightedMap, number: int, options: argparse.Namespace) -> tuple[fl
     return cosine, regret, inside, fit.elapsed_s
 
 
-def weights_of(unit: WeightedMap, vector: np.ndarray) -> ju.Weights:
+def weights_of(unit: CostMap, vector: np.ndarray) -> ju.Weights:
     """Return a vector over distance and the map's metrics as weights, others 0."""
-    none = ju.Weights(**{item.name: 0.0 for item in fields(ju.Weights)})
+    none = ju.Weights(**dict.fromkeys(ju.Weights().to_dict(), 0.0))
     return replace(none, **dict(zip(("distance", *unit.names), vector.tolist(), strict=True)))
 
 
-def draw_queries(unit: WeightedMap, rng: np.random.Generator, num: int) -> list[Query]:
+def draw_queries(unit: CostMap, rng: np.random.Generator, num: int) -> list[RouteQuery]:
     """Return queries between random cells of the largest connected free part."""
     free = free_cells(unit)
-    queries: list[Query] = []
+    queries: list[RouteQuery] = []
     while len(queries) < num:
         start, goal = free[rng.integers(len(free), size=2)]
         if np.hypot(*(start - goal)) * unit.grid.resolution_m >= LEAST_APART_M:
-            queries.append(Query(unit, (int(start[0]), int(start[1])), (int(goal[0]), int(goal[1]))))
+            queries.append(RouteQuery(unit, (int(start[0]), int(start[1])), (int(goal[0]), int(goal[1]))))
     return queries
 
 
-def detour(example: Example, hidden: np.ndarray, rng: np.random.Generator) -> Example:
-    """Return an example that goes by way of a random cell, each leg the cheapest under the hidden weights."""
-    query = example.query
-    free = free_cells(query.unit)
+def detour(shown: Demonstration, hidden: np.ndarray, rng: np.random.Generator) -> Demonstration:
+    """Return a demonstration that goes by way of a random cell, each leg the cheapest under the hidden weights."""
+    query = shown.query
+    free = free_cells(query.cost_map)
     by_way = sum(np.hypot(*(free - np.array(end)).T) for end in (query.start, query.goal))
     near = free[by_way <= LONGEST_DETOUR * np.hypot(*np.subtract(query.start, query.goal))]
     row, col = near[rng.integers(len(near))]
     via = (int(row), int(col))
-    legs = [cheapest_route(replace(query, goal=via), hidden), cheapest_route(replace(query, start=via), hidden)]
+    legs = [replace(query, goal=via).cheapest(hidden), replace(query, start=via).cheapest(hidden)]
     points_m = np.concatenate([legs[0], legs[1][1:]])
-    return Example(query, route_facts(query.unit, points_m), points_m)
+    return Demonstration(query, points_m)
 
 
-def free_cells(unit: WeightedMap) -> np.ndarray:
+def free_cells(unit: CostMap) -> np.ndarray:
     """Return ``[N, 2]`` row and column of the largest connected free part."""
     labels, _ = ndimage.label(unit.is_free)
     return np.argwhere(labels == np.bincount(labels[labels > 0]).argmax())

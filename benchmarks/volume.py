@@ -13,8 +13,6 @@ import numpy as np
 
 import jaxurban as ju
 from benchmarks.common import load, machine
-from jaxurban.levels import read_stack
-from jaxurban.volume import WeightedVolume, weigh_volume
 
 HEURISTICS = ("octile", "plus")
 
@@ -30,27 +28,27 @@ def main() -> None:
     maps = ju.open_maps(options.folder)
     print("| levels | cost model | made in, s | heuristic | expansions | median s | 95 % s | expansions/s |")
     print("|---|---|---|---|---|---|---|---|")
-    for levels in ({}, {"max_altitude_m": 122.0, "level_step_m": 10.0}):
+    for levels in (ju.Levels(), ju.Levels(max_altitude_m=122.0, level_step_m=10.0)):
         for cost_model in ("cell", "line"):
             begin_s = time.perf_counter()
-            volume = weigh_volume(maps, cost_model=cost_model, **levels)
+            volume = ju.cost_map(maps, levels, cost_model=cost_model)
             made_s = time.perf_counter() - begin_s
             print(
-                *speed(volume, f"{len(volume.problem.levels_m)} | {cost_model} | {made_s:.2f}", options.queries),
+                *speed(volume, f"{len(volume.altitudes_m)} | {cost_model} | {made_s:.2f}", options.queries),
                 sep="\n",
             )
     if options.fine is not None:
         print(*interpolation(ju.open_maps(options.fine)), sep="\n")
 
 
-def speed(volume: WeightedVolume, label: str, num_queries: int) -> list[str]:
+def speed(volume: ju.CostMap, label: str, num_queries: int) -> list[str]:
     """Return a row for each heuristic over random queries at the lowest level; they must agree on every cost."""
     rng = np.random.default_rng(0)
-    grid, free = volume.flat.grid, np.argwhere(volume.problem.is_free[0])
-    queries = [[grid.xy_of_cell(*free[k]) for k in rng.choice(len(free), 2)] for _ in range(num_queries)]
+    grid, free = volume.grid, np.argwhere(volume.is_free[0])
+    queries = [[ju.XY(*grid.xy_of_cell(*free[k])) for k in rng.choice(len(free), 2)] for _ in range(num_queries)]
     rows, costs = [], []
     for heuristic in HEURISTICS:
-        found = [volume.plan(start_xy_m=s, goal_xy_m=g, heuristic=heuristic).search for s, g in queries]
+        found = [volume.plan(s, g, heuristic=heuristic).search for s, g in queries]
         expanded, elapsed_s = (
             np.array([getattr(path, name) for path in found]) for name in ("num_expanded", "elapsed_s")
         )
@@ -72,9 +70,9 @@ def interpolation(maps: ju.MetricMaps) -> list[str]:
         free = maps.is_free(z_m, "centre")
         low_m = max(held_m for held_m in held if held_m < z_m)
         over_roofs = free & ~maps.is_free(low_m, "centre")
-        stack = read_stack(coarse, ("gps", "lidar", "risk"), np.array([z_m]), time=None, time_of_day=None)
-        for name in stack.m:
-            error = stack.metric(name, z_m) - maps.m(name, z_m)
+        between = ju.cost_map(coarse, ju.Levels(z_m, z_m, 1.0)).only(("gps", "lidar", "risk"))
+        for name, costs in zip(between.names, between.costs, strict=True):
+            error = 1 - costs[0] - maps.m(name, z_m)
             rows.append(
                 f"| {z_m:g} m | {name} | {np.abs(error[free]).mean():.3f} | {error[free].mean():+.3f} | "
                 f"{np.abs(error[over_roofs]).mean():.3f} |"
