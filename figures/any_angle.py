@@ -1,4 +1,4 @@
-"""Draw figures/any_angle.png: the grid path, Theta*'s and the refined one, at two media and over the embedded city.
+"""Draw figures/any_angle.png: the grid path, Theta*'s and the refined one, at two media and over the synthetic city.
 
 ``python figures/any_angle.py`` needs no data.
 """
@@ -11,10 +11,10 @@ from matplotlib.axes import Axes
 from scipy.optimize import minimize_scalar
 
 import jaxurban as ju
+from jaxurban.planners.any_angle import theta_star
 from jaxurban.planners.astar import astar
 from jaxurban.planners.base import Path, Problem
 from jaxurban.planners.refine import refine
-from jaxurban.planners.theta import theta_star
 
 ALTITUDE_M, RESOLUTION_M = 20.0, 5.0
 STYLES = {"A* on the grid": ("tab:red", 1.2), "Theta*": ("tab:orange", 1.4), "Theta*, refined": ("black", 1.6)}
@@ -35,10 +35,10 @@ def two_media() -> tuple[Problem, np.ndarray]:
 
 
 def city() -> Problem:
-    """Return a question across the embedded city with the default weights."""
+    """Return a query across the synthetic city with the default weights."""
     maps = ju.build_maps(ju.demo_city(1500, 1200), resolution_m=RESOLUTION_M, altitudes_m=(ALTITUDE_M,))
     weights, is_free = ju.Weights(), maps.is_free(ALTITUDE_M)
-    layers = np.stack([getattr(weights, name) * np.asarray(c, float) for name, c in maps.costs(ALTITUDE_M).items()])
+    layers = np.stack([weights[name] * np.asarray(c, float) for name, c in maps.costs(ALTITUDE_M).items()])
     free = np.argwhere(is_free)
     start, goal = (
         tuple(int(v) for v in free[np.hypot(*(free - np.array(at) * is_free.shape).T).argmin()])
@@ -80,7 +80,7 @@ def main() -> None:
     problem = city()
     paths = paths_of(problem)
     draw(middle, problem, paths)
-    middle.set_title(f"Embedded city, {ALTITUDE_M:g} m, default weights, line model")
+    middle.set_title(f"Synthetic city, {ALTITUDE_M:g} m, default weights, line model")
     middle.legend(loc="lower right", fontsize=8)  # where no path runs
     draw(right, problem, paths, has_points=True)
     x_m, y_m = paths["A* on the grid"].points_m[len(paths["A* on the grid"].points_m) // 2]

@@ -1,7 +1,7 @@
-"""Draw what climbing is worth: over a wall or around it, and across the embedded city. Writes figures/volume.png.
+"""Draw what climbing is worth: over a wall or around it, and across the synthetic city. Writes figures/volume.png.
 
-Above: a wall of 30 m with a door at its far end; a route that pays little for climbing goes over it, one that pays
-much goes around. Below: the same two choices across the city, with the roofs under each route.
+Above: a wall of 30 m with a door at its far end; a route with cheap climbing goes over it, one with dear climbing
+goes around. Below: the same two choices across the city, with the roofs under each route.
 """
 
 from pathlib import Path
@@ -14,14 +14,13 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 import jaxurban as ju
-from jaxurban.planners.volume import VolumeProblem
+from jaxurban.planners.base import Problem
 from jaxurban.planners.volume_astar import volume_astar
-from jaxurban.plotting.files import write_png
-from jaxurban.volume import weigh_volume
+from jaxurban.report.save import write_png
 
 FILE = Path(__file__).with_suffix(".png")
 ROOF, COLOURS = "#8a8a8a", "plasma"
-START_M, GOAL_M = np.array([200.0, 130.0]), np.array([800.0, 620.0])  # in the embedded city
+START_M, GOAL_M = np.array([200.0, 130.0]), np.array([800.0, 620.0])  # in the synthetic city
 
 
 def wall() -> tuple[np.ndarray, float, dict[str, np.ndarray], np.ndarray]:
@@ -32,24 +31,24 @@ def wall() -> tuple[np.ndarray, float, dict[str, np.ndarray], np.ndarray]:
     is_free = roof_m < levels_m[:, None, None]
     paths = {}
     for climb_cost in (1.0, 10.0):
-        problem = VolumeProblem(
-            np.zeros(is_free.shape), is_free, levels_m, (0, 8, 3), (0, 8, 37), 5.0, 1.0, climb_cost=climb_cost
-        )
+        flat, weights = np.zeros((0, *is_free.shape)), [1.0, climb_cost, 0.0]
+        problem = Problem(flat, is_free, (0, 8, 3), (0, 8, 37), 5.0, weights, levels_m=levels_m)
         paths[f"climb {climb_cost:g} per m"] = volume_astar(problem).points_m
     return roof_m, 5.0, paths, levels_m
 
 
 def city() -> tuple[np.ndarray, float, dict[str, np.ndarray], np.ndarray]:
-    """Return the same for the embedded city."""
+    """Return the same for the synthetic city."""
     maps = ju.build_maps(ju.demo_city(1_200, 1_200), resolution_m=5.0, altitudes_m=(20.0, 40.0, 60.0, 80.0))
     grid, paths = maps.grid, {}
     corner = np.array([grid.x_min_m, grid.y_min_m])
     for climb_cost in (0.1, 2.0):
-        volume = weigh_volume(maps, level_step_m=10.0, climb_cost=climb_cost, weights=ju.Weights(lidar=0.3))
-        path = volume.plan(start_xy_m=tuple(corner + START_M), goal_xy_m=tuple(corner + GOAL_M), snap=True)
+        levels = ju.Levels(level_step_m=10.0, climb_cost=climb_cost)
+        volume = ju.cost_map(maps, levels, weights=ju.Weights(lidar=0.3))
+        path = volume.plan(ju.XY(*(corner + START_M)), ju.XY(*(corner + GOAL_M)), snap=True)
         paths[f"climb {climb_cost:g} per m"] = np.column_stack([path.xy_m - corner, path.z_m])
         print(f"climb cost {climb_cost:g}: cost {path.cost:.1f}, {path.length_m:.0f} m, up to {path.z_m.max():g} m")
-    return maps.m("roof"), grid.resolution_m, paths, volume.problem.levels_m
+    return maps.m("roof"), grid.resolution_m, paths, volume.altitudes_m
 
 
 def draw_plan(panel: Axes, roof_m: np.ndarray, resolution_m: float, paths, norm: Normalize) -> None:
@@ -105,7 +104,7 @@ def main() -> None:
     figure = Figure(figsize=(10.5, 9.6), facecolor="white", layout="constrained")
     for row, (name, (roof_m, resolution_m, paths, levels_m)) in zip(
         figure.subfigures(2, 1, height_ratios=(1, 1)),
-        {"a wall of 30 m": wall(), "the embedded city": city()}.items(),
+        {"a wall of 30 m": wall(), "the synthetic city": city()}.items(),
         strict=True,
     ):
         row.suptitle(f"Across {name}: what a metre of climb costs decides", size=11.5, weight="bold")

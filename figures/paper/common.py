@@ -1,13 +1,13 @@
 """What the paper's figures and tables share: two cities, the caption beneath, and files to look at and to print.
 
-`TOWNS` are the embedded city, over the paper's 10 x 20 km, and Lower Manhattan, where the data files are at hand
+`TOWNS` are the synthetic city, over the paper's 10 x 20 km, and Lower Manhattan, where the data files are at hand
 (``JAXURBAN_DATA``, default ``../shared/data``). Their maps are made once, under out/figures.
 """
 
 import os
 import re
 import textwrap
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from functools import cache
 from pathlib import Path
 from typing import NamedTuple
@@ -21,16 +21,17 @@ from matplotlib.figure import Figure
 from matplotlib.path import Path as Outline
 
 import jaxurban as ju
-from jaxurban.city import Blocks, City
-from jaxurban.grid import Grid
-from jaxurban.io.census import read_blocks
-from jaxurban.io.districts import read_districts
-from jaxurban.pipeline import Run, load_city, run_scenario
-from jaxurban.plotting.files import write_png
-from jaxurban.plotting.frame import FAINT_INK, INK, SMALL_PT
-from jaxurban.scenario import Scenario
-from jaxurban.studies.strata import STRATA, strata_of
-from jaxurban.study_report import markdown
+from jaxurban.io.read.census import CensusFiles, read_blocks
+from jaxurban.io.read.districts import read_districts
+from jaxurban.report.figures import plot_metric
+from jaxurban.report.figures.frame import FAINT_INK, INK, SMALL_PT
+from jaxurban.report.markdown import framed
+from jaxurban.report.save import write_png
+from jaxurban.scenario.run import Run, load_city, run_scenario
+from jaxurban.scenario.settings import Scenario
+from jaxurban.studies.montecarlo.strata import STRATA, strata_of
+from jaxurban.world.city import Blocks, City
+from jaxurban.world.grid import Grid
 
 ROOT = Path(__file__).parents[2]
 HERE, OUT = ROOT / "figures" / "paper", ROOT / "out" / "figures"
@@ -51,6 +52,14 @@ HEADS = ("The paper", "Here", "Why they differ")
 CAPTION_COLUMN_IN, LINE_IN, LETTERS_PER_IN = 1.25, 0.148, 15.0
 
 
+class Caption(NamedTuple):
+    """What stands beneath a figure or table: what the paper shows, what is seen here, and why they differ."""
+
+    paper: str
+    here: str
+    why: str
+
+
 class Town(NamedTuple):
     """A city that the figures are drawn of: its name in files and in sentences, its scenario, the altitudes drawn."""
 
@@ -68,19 +77,11 @@ class Town(NamedTuple):
         return self.run().maps[resolution_m]
 
 
-class Caption(NamedTuple):
-    """What stands beneath a figure or table: what the paper shows, what is seen here, and why they differ."""
-
-    paper: str
-    here: str
-    why: str
-
-
 _REGION = {"resolution_m": [MAP_M, PATH_M], "altitudes_m": list(ALTITUDES_M)}
 _PLANNING = {"obstacles": "centre"}  # the paper's rule
 EMBEDDED = Town(
     "embedded",
-    "the embedded city",
+    "the synthetic city",
     {
         "region": {"bounds": BOUNDS, **_REGION},
         "buildings": {"source": "synthetic"},
@@ -111,7 +112,6 @@ def _run(name: str) -> Run:
     return run_scenario(
         Scenario.from_dict(town.scenario),
         OUT / name,
-        on_stage=lambda stage: None if "tile" in stage else print(f"  {town.title}: {stage}", flush=True),
         overwrite=True,
     )
 
@@ -121,7 +121,8 @@ def manhattan_blocks() -> Blocks:
     """Return the census blocks of all Manhattan with their districts, in UTM 18N."""
     commercial = Scenario.from_dict(EMBEDDED.scenario).population.commercial
     blocks, _ = read_blocks(
-        CENSUS["blocks"], CENSUS["table"], "EPSG:32618", districts_path=CENSUS["districts"], commercial=commercial
+        CensusFiles(CENSUS["blocks"], CENSUS["table"], districts=CENSUS["districts"], commercial=commercial),
+        "EPSG:32618",
     )
     return blocks
 
@@ -135,7 +136,7 @@ def new_york_districts() -> tuple[np.ndarray, np.ndarray]:
 
 @cache
 def embedded_city() -> City:
-    """Return the embedded city over the paper's region, in UTM 18N."""
+    """Return the synthetic city over the paper's region, in UTM 18N."""
     return load_city(Scenario.from_dict(EMBEDDED.scenario))
 
 
@@ -163,28 +164,31 @@ def by_altitude(values: Mapping[float, float], form: str = ".2f") -> str:
     return f"{shown} at {' / '.join(f'{altitude_m:g}' for altitude_m in values)} m"
 
 
-def free_means(maps: ju.MetricMaps, metric: str, altitudes_m: Sequence[float]) -> dict[float, float]:
+def means(maps: ju.MetricMaps, metric: str) -> str:
     """Return the mean of a metric over the free cells, by altitude."""
-    return {z: float(maps.m(metric, z)[maps.is_free(z, "centre")].mean(dtype=float)) for z in altitudes_m}
+    free = {z: maps.m(metric, z)[maps.is_free(z, "centre")] for z in ALTITUDES_M}
+    return by_altitude({z: float(values.mean(dtype=float)) for z, values in free.items()})
 
 
-def shares(
-    maps: ju.MetricMaps, altitudes_m: Sequence[float], is_so: Callable[[float], np.ndarray]
-) -> dict[float, float]:
+def shares(maps: ju.MetricMaps, is_so: Callable[[float], np.ndarray]) -> str:
     """Return the share of the free cells of which something is so, by altitude."""
-    return {z: float(is_so(z)[maps.is_free(z, "centre")].mean()) for z in altitudes_m}
+    return by_altitude({z: float(is_so(z)[maps.is_free(z, "centre")].mean()) for z in ALTITUDES_M}, ".1%")
 
 
-def in_strata(maps: ju.MetricMaps, metric: str, altitude_m: float) -> dict[str, float]:
-    """Return the mean of a metric over the free cells of each stratum (`studies.strata`) that the maps hold."""
+def in_strata(maps: ju.MetricMaps, metric: str, altitude_m: float) -> str:
+    """Return the mean of a metric over the free cells of each stratum (`studies.strata`), ``high-rise 0.93, ...``."""
     strata, is_free, m = strata_of(maps), maps.is_free(altitude_m, "centre"), maps.m(metric, altitude_m)
     chosen = {name: is_free & (strata == number) for number, name in enumerate(STRATA)}
-    return {name: float(m[cells].mean(dtype=float)) for name, cells in chosen.items() if cells.any()}
+    found = {name: float(m[cells].mean(dtype=float)) for name, cells in chosen.items() if cells.any()}
+    return ", ".join(f"{name} {value:.2f}" for name, value in reversed(found.items()))
 
 
-def listed(values: Mapping[str, float], form: str = ".2f") -> str:
-    """Return ``high-rise 0.93, low-rise 0.61``, the last name first."""
-    return ", ".join(f"{name} {value:{form}}" for name, value in reversed(values.items()))
+def draw_metric(number: int, metric: str, caption: Callable[[Town, ju.MetricMaps], Caption]) -> None:
+    """Draw the maps of a metric for every town, with the caption that they get."""
+    for town in TOWNS:
+        maps = town.maps(MAP_M)
+        figure = plot_metric(maps, metric, altitudes_m=town.drawn_m)
+        save(figure, f"fig_{number:02}_{metric}_{town.name}", caption(town, maps))
 
 
 def save(figure: Figure, name: str, caption: Caption) -> None:
@@ -240,6 +244,6 @@ def save_table(table: pd.DataFrame, name: str, title: str, caption: Caption) -> 
     beneath = [f"**{head}.** {text}" for head, text in zip(HEADS, caption, strict=True)]
     OUT.mkdir(parents=True, exist_ok=True)
     (kept(name) / f"{name}.md").write_text(
-        "\n\n".join([f"### {title}", markdown(table), *beneath]) + "\n", encoding="utf-8"
+        "\n\n".join([f"### {title}", framed(table), *beneath]) + "\n", encoding="utf-8"
     )
     print(f"  {name}.md", flush=True)

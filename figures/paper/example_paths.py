@@ -1,25 +1,28 @@
-"""Example paths: three questions at one altitude, each put to the paper's five planners (Figures 10 to 13).
+"""Example paths: three queries at one altitude, each for the paper's five planners (Figures 10 to 13).
 
 Panels show the normalised total cost of the paper around the paths, day at 20 and 60 m, night above.
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 from figures.paper.common import PATH_M, TOWNS, Caption, Town, save
-from jaxurban.grid import Grid
-from jaxurban.planned import PlannedPath
+from jaxurban.paths.cost_map import CostMap, cost_map
+from jaxurban.paths.finish import finish
+from jaxurban.paths.path import PlannedPath
+from jaxurban.paths.search import Search
+from jaxurban.paths.snapping import XY
 from jaxurban.planners.registry import find_planner
-from jaxurban.plotting.frame import NO_DATA_COLOUR, Frame, Layer, add_key, add_scale, draw_layers, make_frame
-from jaxurban.plotting.metrics import colour_map, obstacle_patches
-from jaxurban.plotting.paths import (
+from jaxurban.report.figures.frame import NO_DATA_COLOUR, Frame, Layer, add_key, add_scale, draw_layers, make_frame
+from jaxurban.report.figures.metrics import obstacle_patches
+from jaxurban.report.figures.paths import (
     BLOCKED_COLOUR,
+    COST_COLOURS,
     LINE_IN,
     cost_layers,
     draw_ends,
@@ -28,32 +31,70 @@ from jaxurban.plotting.paths import (
     paper_time_of_day,
     planner_colours,
 )
-from jaxurban.scenario import PAPER_PLANNERS
-from jaxurban.studies.trial import draws_samples
-from jaxurban.weighted import WeightedMap, weigh
+from jaxurban.scenario.settings import PAPER_PLANNERS
+from jaxurban.studies.montecarlo.trial import draws_samples
+from jaxurban.world.grid import Grid
 
 NUM_SAMPLES = 10_000  # of BIT*: the pictures repeat exactly, as under a budget in seconds they would not
 # Beside colours, for print in black and white; dashes let the line beneath show.
 DASHES = {"ptp": ":", "astar-plus": (0, (5, 2.5)), "bitstar-plus": (0, (2, 1.2))}
 MARGIN, SCALE_IN = 0.12, 0.38
 Share = tuple[float, float]  # of the region's width and height, from its southwest corner
+# Number of the figure, town, shares of start and goal, and what the query stands for.
+CASES = """
+10 embedded  0.10 0.07 0.75 0.77 Downtown to Uptown
+10 embedded  0.12 0.74 0.22 0.87 low houses in the northwest
+10 embedded  0.72 0.22 0.42 0.40 from the east into Midtown
+10 manhattan 0.10 0.30 0.92 0.93 Battery to the East Village
+10 manhattan 0.66 0.70 0.93 0.88 low houses in the northeast
+10 manhattan 0.88 0.05 0.52 0.50 from Brooklyn to Chinatown
+11 embedded  0.17 0.37 0.47 0.28 across Midtown
+11 embedded  0.06 0.34 0.28 0.58 along the wide river
+11 embedded  0.42 0.72 0.86 0.70 across the north of the island
+11 manhattan 0.05 0.30 0.46 0.12 across the Financial District
+11 manhattan 0.42 0.10 0.97 0.36 along the East River
+11 manhattan 0.08 0.70 0.93 0.80 from the Hudson to the East Village
+12 embedded  0.10 0.62 0.33 0.32 over the wide river into Midtown
+12 embedded  0.24 0.28 0.38 0.37 a short way within Midtown
+12 embedded  0.90 0.90 0.12 0.10 the whole region
+12 manhattan 0.02 0.85 0.27 0.22 over the Hudson to Wall Street
+12 manhattan 0.15 0.45 0.36 0.18 a short way downtown
+12 manhattan 0.95 0.95 0.08 0.12 the whole region
+13 embedded  0.55 0.62 0.68 0.70 a short way Uptown
+13 embedded  0.06 0.33 0.60 0.97 along the wide river
+13 embedded  0.08 0.36 0.62 0.42 from the river into the city
+13 manhattan 0.25 0.25 0.45 0.40 a short way downtown
+13 manhattan 0.40 0.06 0.97 0.34 along the East River
+13 manhattan 0.05 0.55 0.95 0.80 from the Hudson to the East Village
+"""
 
 
 class Case(NamedTuple):
-    """A question: what it stands for, and where it starts and ends."""
+    """A query: what it stands for, and where it starts and ends."""
 
     title: str
     start: Share
     goal: Share
 
 
-def weighed(town: Town, altitude_m: float) -> WeightedMap:
+def cases_of(number: int, town: Town) -> list[Case]:
+    """Return the three queries of a figure in a town."""
+    rows = [line.split(maxsplit=6) for line in CASES.strip().splitlines()]
+    found = []
+    for figure, name, *shares, title in rows:
+        if (int(figure), name) == (number, town.name):
+            x, y, goal_x, goal_y = map(float, shares)
+            found.append(Case(title, (x, y), (goal_x, goal_y)))
+    return found
+
+
+def weighed(town: Town, altitude_m: float) -> CostMap:
     """Return the map that the planners of one figure share, under the default weights and the line model."""
     maps = town.maps(PATH_M)
-    return weigh(maps, altitude_m, cost_model="line", time_of_day=paper_time_of_day(maps, altitude_m))
+    return cost_map(maps, altitude_m, cost_model="line", time_of_day=paper_time_of_day(maps, altitude_m))
 
 
-def plan_case(shared: WeightedMap, case: Case) -> list[PlannedPath]:
+def plan_case(shared: CostMap, case: Case) -> list[PlannedPath]:
     """Return the path of each of the paper's planners."""
     ends = (place(shared, "start", case.start), place(shared, "goal", case.goal))
     problem = shared.problem.between(ends[0].cell, ends[1].cell)
@@ -61,15 +102,15 @@ def plan_case(shared: WeightedMap, case: Case) -> list[PlannedPath]:
     for planner in PAPER_PLANNERS:
         limits = {"max_samples": NUM_SAMPLES} if draws_samples(planner) else {}
         found = find_planner(planner)(problem, budget_s=math.inf, seed=0, **limits)
-        paths.append(shared.finish(found, ends, budget_s=math.inf, seed=0))
+        paths.append(finish(shared, found, ends, Search(planner, budget_s=math.inf)))
     return paths
 
 
-def place(shared: WeightedMap, name: str, share: Share):
+def place(shared: CostMap, name: str, share: Share):
     grid = shared.grid
     x_m = grid.x_min_m + share[0] * (grid.x_max_m - grid.x_min_m)
     y_m = grid.y_min_m + share[1] * (grid.y_max_m - grid.y_min_m)
-    return shared.locate(name, xy_m=(x_m, y_m), snap=math.inf)  # a share of the region may lie in any building
+    return shared.locate(name, XY(x_m, y_m), snap=math.inf)  # a share of the region may lie in any building
 
 
 def window(grid: Grid, paths: Sequence[PlannedPath]) -> Grid:
@@ -98,9 +139,9 @@ def crop(layer: Layer, grid: Grid, part: Grid) -> Layer:
     return replace(layer, values=values)
 
 
-def draw(town: Town, shared: WeightedMap, cases: Sequence[Case], answers: Sequence[list[PlannedPath]]) -> Figure:
+def draw(town: Town, shared: CostMap, cases: Sequence[Case], results: Sequence[list[PlannedPath]]) -> Figure:
     maps, altitude_m = shared.maps, shared.altitude_m
-    parts = [window(maps.grid, paths) for paths in answers]
+    parts = [window(maps.grid, paths) for paths in results]
     titles = [f"({letter}) {case.title}" for letter, case in zip("abc", cases, strict=True)]
     heading = f"Example paths {altitude_m:g} m above ground: {town.title}"
     credit = [maps.ds.attrs["attribution"]] if "attribution" in maps.ds.attrs else []
@@ -113,9 +154,9 @@ def draw(town: Town, shared: WeightedMap, cases: Sequence[Case], answers: Sequen
     ]
     footer_in = len(PAPER_PLANNERS) * LINE_IN + SCALE_IN
     frame = make_frame(parts[0], titles, heading, "  ·  ".join(note), footer_in=footer_in, with_ticks=False)
-    colours = planner_colours(answers[0])
+    colours = planner_colours(PAPER_PLANNERS)
     layers = cost_layers(maps, altitude_m, shared.time, shared.time_of_day)
-    for panel, part, paths in zip(frame.axes, parts, answers, strict=True):
+    for panel, part, paths in zip(frame.axes, parts, results, strict=True):
         panel.set(xlim=(part.x_min_m, part.x_max_m), ylim=(part.y_min_m, part.y_max_m))
         draw_layers(panel, part, [crop(layer, maps.grid, part) for layer in layers])
         handles = []
@@ -127,12 +168,10 @@ def draw(town: Town, shared: WeightedMap, cases: Sequence[Case], answers: Sequen
         draw_ends(panel, paths)
         legend_below(panel, frame, handles)
         draw_scale(frame, panel, part)
-    norm = (colour_map("gray"), Normalize(0, 1))
-    label = "$H_\\mathrm{norm}$\n(0: best free cell, 1: worst)"
     patches = obstacle_patches(maps, BLOCKED_COLOUR)
     if any(not _holds(maps.grid, part) for part in parts):
         patches = [*patches[:1], ("beyond the\nregion, or\nno data", NO_DATA_COLOUR)]
-    add_key(frame, patches, norm, label, has_scale=False)
+    add_key(frame, patches, COST_COLOURS, has_scale=False)
     return frame.figure
 
 
@@ -159,7 +198,7 @@ def by_planner(paths: Sequence[PlannedPath]) -> dict[str, PlannedPath]:
 
 
 def found_by(paths: Sequence[PlannedPath]) -> str:
-    """Return which planners found a path and how their costs compare, in words."""
+    """Return which planners found a path and how their costs compare."""
     found = [path for path in paths if path.status.has_path]
     missing = [path.search.planner for path in paths if not path.status.has_path]
     who = "all find a path" if not missing else f"all but {', '.join(missing)} find a path"
@@ -170,9 +209,9 @@ def found_by(paths: Sequence[PlannedPath]) -> str:
     return f"{who}, {best.search.planner} the cheapest, {worst.search.planner} {excess:.1f} % dearer"
 
 
-def found_text(answers: Sequence[list[PlannedPath]]) -> str:
-    """Return `found_by` for the three questions."""
-    return "; ".join(f"({letter}) {found_by(paths)}" for letter, paths in zip("abc", answers, strict=True)) + "."
+def found_text(results: Sequence[list[PlannedPath]]) -> str:
+    """Return `found_by` for the three queries."""
+    return "; ".join(f"({letter}) {found_by(paths)}" for letter, paths in zip("abc", results, strict=True)) + "."
 
 
 def detour_of(path: PlannedPath) -> float:
@@ -180,19 +219,16 @@ def detour_of(path: PlannedPath) -> float:
     return path.length_m / float(np.hypot(*(path.xy_m[-1] - path.xy_m[0]))) - 1
 
 
-def make(
-    number: int,
-    altitude_m: float,
-    cases: Mapping[str, Sequence[Case]],
-    caption: Callable[[Sequence[dict[str, PlannedPath]], str], Caption],
+def draw_paths(
+    number: int, altitude_m: float, caption: Callable[[Sequence[dict[str, PlannedPath]], str], Caption]
 ) -> None:
-    """Draw a figure for every town; ``caption`` has the three questions' paths by planner, and `found_text`."""
+    """Draw a figure for every town; ``caption`` has the three queries' paths by planner, and `found_text`."""
     for town in TOWNS:
-        asked, shared = cases[town.name], weighed(town, altitude_m)
-        answers = [plan_case(shared, case) for case in asked]
-        for paths in answers:  # two exact searches
+        cases, shared = cases_of(number, town), weighed(town, altitude_m)
+        results = [plan_case(shared, case) for case in cases]
+        for paths in results:  # two exact searches
             dist, plus = (by_planner(paths)[name].cost for name in ("astar-dist", "astar-plus"))
             if not math.isclose(dist, plus, rel_tol=1e-12):
                 raise ArithmeticError(f"astar-dist found {dist}, astar-plus {plus}")
-        told = caption([by_planner(paths) for paths in answers], found_text(answers))
-        save(draw(town, shared, asked, answers), f"fig_{number}_paths_{altitude_m:g}m_{town.name}", told)
+        told = caption([by_planner(paths) for paths in results], found_text(results))
+        save(draw(town, shared, cases, results), f"fig_{number}_paths_{altitude_m:g}m_{town.name}", told)

@@ -15,27 +15,26 @@ from matplotlib.patches import FancyArrowPatch, FancyBboxPatch
 
 import jaxurban as ju
 from figures.paper.common import CREDIT, PATH_M, TOWNS, Caption, Town, save
-from jaxurban.build import soft_city
-from jaxurban.city import Zoning
-from jaxurban.pipeline import load_city, map_params, sky_of
-from jaxurban.planned import PlannedPath
-from jaxurban.plotting.frame import FAINT_INK, INK, SMALL_PT, TEXT_PT, Layer, draw_layers, flat_layer
-from jaxurban.plotting.metrics import (
+from jaxurban.maps.build import soften
+from jaxurban.maps.differentiable import SoftParams
+from jaxurban.paths.path import PlannedPath
+from jaxurban.report.figures.frame import FAINT_INK, INK, SMALL_PT, TEXT_PT, Layer, draw_layers, flat_layer
+from jaxurban.report.figures.metrics import (
     BUILT_COLOUR,
     FREE_COLOUR,
-    colour_map,
+    density_colours,
     density_layers,
-    density_style,
     free_layer,
-    metric_style,
+    metric_colours,
     obstacle_layer,
     roof_layers,
 )
-from jaxurban.plotting.paths import cost_layers, draw_ends
-from jaxurban.scenario import Scenario
-from jaxurban.sky import Sky
-from jaxurban.soft.engine import SoftParams
-from jaxurban.studies.buildings import building_costs
+from jaxurban.report.figures.paths import cost_layers, draw_ends
+from jaxurban.scenario.run import tasks_of
+from jaxurban.scenario.settings import Scenario
+from jaxurban.studies.sensitivity.buildings import building_costs
+from jaxurban.world.city import Zoning
+from jaxurban.world.sky import Sky
 
 ALTITUDE_M, TIME_OF_DAY, SOFTNESS_M = 20.0, "day", 2.0
 NEAR_M = 250.0  # around the building that costs most
@@ -66,7 +65,8 @@ class Facts(NamedTuple):
     def of(cls, town: Town) -> "Facts":
         """Return the city, its maps, a path over them, and what every building costs that path."""
         scenario, maps = Scenario.from_dict(town.scenario), town.maps(PATH_M)
-        city, sky, params, grid = load_city(scenario), sky_of(scenario, maps.grid), map_params(scenario), maps.grid
+        task = next(task for task in tasks_of(scenario) if task.region == maps.grid)
+        city, sky, params, grid = task.city, task.sky, task.params, task.region
         low, span = np.array(grid.bounds_m[:2]), np.array(grid.bounds_m[2:]) - grid.bounds_m[:2]
         start, goal = (tuple(low + np.array(at) * span) for at in ENDS)
         planned = ju.plan(
@@ -80,7 +80,7 @@ class Facts(NamedTuple):
         )
         soft_params = SoftParams(ALTITUDE_M, SOFTNESS_M, params.gps, params.lidar, params.risk, params.population)
         with jax.enable_x64(True):
-            soft = soft_city(city, grid, sky, params, time_of_day=TIME_OF_DAY, dtype=np.float64)
+            soft = soften(task, time_of_day=TIME_OF_DAY, dtype=np.float64)
             by_building = building_costs(city, soft, planned, soft_params)
         return cls(town, maps, city, sky, scenario.gps.mask_deg, planned, by_building)
 
@@ -88,7 +88,7 @@ class Facts(NamedTuple):
     def slopes(self) -> dict[str, float]:
         """The gradient of the path's cost by each weight."""
         weights = self.planned.settings["weights"]
-        return {name: paid / weights[name] for name, paid in self.planned.cost_by_layer.items()}
+        return {name: cost / weights[name] for name, cost in self.planned.cost_by_layer.items()}
 
 
 class Sheet:
@@ -179,7 +179,7 @@ def draw_sources(sheet: Sheet, facts: Facts) -> None:
             norm, shown = LogNorm(max(per_km2.max() / 1000, 1), per_km2.max()), np.maximum(per_km2, 1e-9)
             look = {"edgecolor": "white", "linewidth": 0.15}
             parts, owner = shapely.get_parts(blocks.polygons, return_index=True)
-            outlines(panel, parts, array=shown[owner], cmap=colour_map("magma_r"), norm=norm, **look)
+            outlines(panel, parts, array=shown[owner], cmap="magma_r", norm=norm, **look)
         else:
             for zone, colour in ZONES.items():
                 outlines(
@@ -211,7 +211,9 @@ def draw_world(sheet: Sheet, facts: Facts) -> None:
     density = facts.maps.m("density", time_of_day=TIME_OF_DAY)
     thumbs = {
         "roof heights": roof_layers(facts.maps),
-        f"people\nper km², {TIME_OF_DAY}": density_layers(density, *density_style(facts.maps)),
+        f"people\nper km², {TIME_OF_DAY}": density_layers(
+            density, density_colours(float(np.nanmax(facts.maps.ds["density"].values)))
+        ),
     }
     for number, (name, layers) in enumerate(thumbs.items()):
         y = 4.05 + number * (side + 0.08)
@@ -222,8 +224,8 @@ def draw_world(sheet: Sheet, facts: Facts) -> None:
 def draw_metrics(sheet: Sheet, facts: Facts) -> list[float]:
     """Draw the third column, the five metrics, and return the heights of their middles."""
     x, width, height, maps = 4.1, 1.5, 0.86, facts.maps
-    style = metric_style(maps, "population")
-    people = Layer(maps.m("population", time_of_day=TIME_OF_DAY), *style.scale)
+    colours = metric_colours(maps, "population")
+    people = Layer(maps.m("population", time_of_day=TIME_OF_DAY), colours)
     has_data = maps.ds["has_data"].values
 
     def free(name: str, **at) -> list[Layer]:
@@ -267,7 +269,7 @@ def draw_planning(sheet: Sheet, facts: Facts) -> None:
     names = "straight line, A*, Theta*,\nBIT*; no path enters\nan obstacle"
     sheet.box(9.4, 0.98, 1.48, 0.86, "Planner", names)
     length = f"{planned.length_m / 1000:.2f} km, cost {planned.cost:,.0f};\nits parts:"
-    parts = "\n".join(f"{NAMES[name]} {paid:,.0f}" for name, paid in planned.cost_by_layer.items())
+    parts = "\n".join(f"{NAMES[name]} {cost:,.0f}" for name, cost in planned.cost_by_layer.items())
     sheet.box(9.4, 2.16, 1.48, 3.52, "Path", f"{length}\n{parts}", note_y=1.72)
     panel = sheet.map(9.47, 2.4, 1.34, grid, cost_layers(maps, ALTITUDE_M, maps.times[0], TIME_OF_DAY))
     panel.plot(*planned.xy_m.T, color="white", linewidth=2.8)
@@ -299,7 +301,7 @@ def draw_gradients(sheet: Sheet, facts: Facts) -> None:
     top = float(table.per_metre.abs().max())
     drawn = table.sort_values("per_metre", key=abs)
     shapes, owner = shapely.get_parts(polygons[drawn.building], return_index=True)
-    look = {"cmap": colour_map("RdBu_r"), "norm": SymLogNorm(top / 1000, vmin=-top, vmax=top)}
+    look = {"cmap": "RdBu_r", "norm": SymLogNorm(top / 1000, vmin=-top, vmax=top)}
     outlines(panel, shapes, array=drawn.per_metre.to_numpy()[owner], linewidth=0, **look)
     panel.plot(*facts.planned.xy_m.T, color=INK, linewidth=1.4)
     sheet.arrow((10.14, 5.68), (10.14, y), back=True)

@@ -20,11 +20,21 @@ from figures.paper.common import (
     region_grid,
     save,
 )
-from jaxurban.city import OTHER_DISTRICT
-from jaxurban.demo_plan import Plan
-from jaxurban.grid import WGS84, Grid, transformer
-from jaxurban.plotting.frame import FAINT_INK, INK, SMALL_PT, Frame, add_bar_below, add_key, make_frame
-from jaxurban.plotting.metrics import ROOF_TICKS_M, colour_map
+from jaxurban.report.figures.frame import (
+    FAINT_INK,
+    INK,
+    SMALL_PT,
+    Colours,
+    Frame,
+    add_bar_below,
+    add_key,
+    make_frame,
+    write_legend,
+)
+from jaxurban.report.figures.metrics import ROOF_TICKS_M
+from jaxurban.world.city import OTHER_DISTRICT
+from jaxurban.world.grid import WGS84, Grid, transformer
+from jaxurban.world.synthetic_streets import Plan
 
 WATER, LAND, FAR_LAND, PARK = "#dbe6ee", "#ffffff", "#ececec", "#b9d8a8"
 BOX, EXTRACT, STUDY = "#111111", "#0072b2", "#d55e00"
@@ -71,16 +81,7 @@ def begin(title: str, credit: str = "", footer_in: float = 0.0) -> Frame:
 def add_legend(frame: Frame, entries: dict[str, dict]) -> None:
     """Write the key column: the entries, each with the look of its patch, then north and scale."""
     add_key(frame)
-    frame.key.legend(
-        [Patch(**look) for look in entries.values()],
-        list(entries),
-        loc="upper left",
-        bbox_to_anchor=(-0.04, 1.02),
-        fontsize=SMALL_PT,
-        frameon=False,
-        handlelength=1.4,
-        labelspacing=0.7,
-    )
+    write_legend(frame, {name: Patch(**look) for name, look in entries.items()})
 
 
 def draw_box(frame: Frame, polygon: shapely.Polygon, colour: str, style: str, width: float) -> dict:
@@ -141,13 +142,13 @@ def draw_manhattan() -> None:
         f"The paper gives no corners: L here is {BOUNDS[0]} to {BOUNDS[2]}° in longitude and {BOUNDS[1]} to "
         f"{BOUNDS[3]}° in latitude, snapped outward to whole cells. A box further north would hold all of Manhattan. "
         "OpenStreetMap's file of the whole planet, which the paper cut, is not at hand, so the whole of L is tried "
-        "on the embedded city only."
+        "on the synthetic city only."
     )
     save(frame.figure, "fig_02_region_manhattan", Caption(PAPER, here, why))
 
 
 def draw_embedded() -> None:
-    city, frame = embedded_city(), begin("The embedded city: land, park, districts and roofs", footer_in=0.4)
+    city, frame = embedded_city(), begin("The synthetic city: land, park, districts and roofs", footer_in=0.4)
     plan, panel = Plan(city.extent_m), frame.axes[0]
     region = shapely.box(*region_grid().bounds_m)
     buildings = city.buildings.take(shapely.intersects(city.buildings.polygons, region))
@@ -159,7 +160,7 @@ def draw_embedded() -> None:
     add_polygons(panel, [plan.park()], facecolor=PARK, **flat)
     order = np.argsort(buildings.height_m, kind="stable")
     norm = PowerNorm(0.5, 0, float(buildings.height_m.max()))
-    heights = {"array": buildings.height_m[order], "cmap": colour_map(ROOFS), "norm": norm}
+    heights = {"array": buildings.height_m[order], "cmap": ROOFS, "norm": norm}
     add_polygons(panel, buildings.polygons[order], **heights, **flat)
     numbers = [number for number in np.unique(blocks.district) if number != OTHER_DISTRICT]
     districts = [shapely.union_all(blocks.polygons[blocks.district == number].copy()).buffer(2) for number in numbers]
@@ -175,13 +176,13 @@ def draw_embedded() -> None:
         },
     )
     ticks = [tick for tick in ROOF_TICKS_M if tick <= buildings.height_m.max()]
-    add_bar_below(frame, panel, (colour_map(ROOFS), norm), ticks=ticks)
+    add_bar_below(frame, panel, Colours(ROOFS, norm, ticks=ticks))
     panel.text(0.5, -0.115, "roof above ground (m)", transform=panel.transAxes, ha="center", size=SMALL_PT, color=INK)
     island_km2 = sum(shapely.area(part.land) for part in parts if part.is_island) / 1e6
     land_km2 = sum(shapely.area(shapely.intersection(part.land, plan.box)) for part in parts) / 1e6
     num_towers = int((buildings.height_m > 122).sum())
     here = (
-        f"The same box holds an invented city: {len(buildings):,} buildings on {land_km2:.0f} km² of land. An island "
+        f"The same box holds a synthetic city: {len(buildings):,} buildings on {land_km2:.0f} km² of land. An island "
         f"of {island_km2:.0f} km² carries a park, twelve districts and two clusters of towers; {num_towers} roofs "
         f"are above 122 m, the highest at {buildings.height_m.max():.0f} m."
     )

@@ -19,12 +19,11 @@ from figures.paper.common import (
     region_grid,
     save,
 )
-from jaxurban.city import Blocks
-from jaxurban.demo_plan import Plan
-from jaxurban.grid import Grid
 from jaxurban.metrics.population import block_layers
-from jaxurban.plotting.frame import INK, add_key, make_frame
-from jaxurban.plotting.metrics import colour_map
+from jaxurban.report.figures.frame import INK, Colours, add_key, make_frame
+from jaxurban.world.city import Blocks
+from jaxurban.world.grid import Grid
+from jaxurban.world.synthetic_streets import Plan
 
 COMMERCIAL, RESIDENTIAL, PARK = "#b2182b", "#a6cee3", "#4d9221"  # dark, light and between them without colour too
 OTHER_LAND, WATER, NOBODY = "#ececec", "#dbe6ee", "#ffffff"
@@ -81,7 +80,7 @@ def manhattan() -> Ground:
 
 
 def embedded() -> Ground:
-    """Return the embedded city."""
+    """Return the synthetic city."""
     city = embedded_city()
     plan, blocks = Plan(city.extent_m), city.blocks
     districts = {
@@ -128,7 +127,7 @@ def draw(ground: Ground) -> None:
     norm = LogNorm(*SCALE_PER_KM2)
     thin = {"edgecolor": "#808080", "linewidth": 0.15, "rasterized": True}
     add_polygons(right, ground.outlines[is_empty], facecolor=NOBODY, **thin)
-    add_polygons(right, ground.outlines[is_home], array=density[is_home], cmap=colour_map(DENSITY), norm=norm, **thin)
+    add_polygons(right, ground.outlines[is_home], array=density[is_home], cmap=DENSITY, norm=norm, **thin)
     patches = [
         (f"commercial,\ndistricts 1 to {NUM_COMMERCIAL}", COMMERCIAL),
         (f"residential,\ndistricts {NUM_COMMERCIAL + 1} to {NUM_DISTRICTS}", RESIDENTIAL),
@@ -137,7 +136,7 @@ def draw(ground: Ground) -> None:
         ("water, or land\nwithout data", WATER),
         ("(b) nobody", NOBODY),
     ]
-    add_key(frame, patches, (colour_map(DENSITY), norm), "(b) people per km²", extend="both", ticks=(1e3, 1e4, 1e5))
+    add_key(frame, patches, Colours(DENSITY, norm, "(b) people per km²", extend="both", ticks=(1e3, 1e4, 1e5)))
     save(frame.figure, f"fig_03_districts_{ground.name}", caption(ground, density))
 
 
@@ -153,7 +152,7 @@ def caption(ground: Ground, density: np.ndarray) -> Caption:
     )
     if ground.name == EMBEDDED.name:
         why = (
-            "An invented city of the same plan. Each street block is a census block out to the middle of its "
+            "A synthetic city of the same plan. Each street block is a census block out to the middle of its "
             "streets, the suburbs beyond the rivers included; the paper's blocks are Manhattan's."
         )
     else:

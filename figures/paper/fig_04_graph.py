@@ -12,8 +12,8 @@ from figures.paper.common import PATH_M, TOWNS, Caption, save
 from jaxurban.planners.base import Cell, CostModel, Problem
 from jaxurban.planners.graph import graph_of
 from jaxurban.planners.moves import STEPS, allowed_moves
-from jaxurban.plotting.frame import FAINT_INK, INK, SMALL_PT, TEXT_PT
-from jaxurban.plotting.metrics import percent
+from jaxurban.report.figures.frame import FAINT_INK, INK, SMALL_PT, TEXT_PT
+from jaxurban.report.figures.metrics import percent
 
 ALTITUDE_M = 20.0
 # v_0 in the middle; v_1 north of it, then clockwise, so that straight neighbours are odd and diagonal ones even.
@@ -52,7 +52,7 @@ def edges_of(problem: Problem) -> list[Edge]:
     ]
 
 
-def question(obstacles: tuple[int, ...], diagonal: str) -> Problem:
+def query(obstacles: tuple[int, ...], diagonal: str) -> Problem:
     """Return the nine cells, some of them blocked, where only length costs."""
     is_free = np.ones((3, 3), bool)
     for node in obstacles:
@@ -153,7 +153,7 @@ def _ordered(edges: list[Edge]) -> list[Edge]:
 
 
 def main() -> None:
-    problems = [question((), "both-free"), question(OBSTACLES, "always"), question(OBSTACLES, "both-free")]
+    problems = [query((), "both-free"), query(OBSTACLES, "always"), query(OBSTACLES, "both-free")]
     titles = [
         "(a) fully connected",
         "(b) partially connected: every free neighbour",

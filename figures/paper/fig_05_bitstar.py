@@ -1,4 +1,4 @@
-"""Figure 5 of the paper: how BIT* works, four moments of a real search on the embedded city."""
+"""Figure 5 of the paper: how BIT* works, four moments of a real search on the synthetic city."""
 
 from collections.abc import Sequence
 
@@ -13,21 +13,22 @@ import jaxurban as ju
 from figures.paper.common import Caption, save
 from jaxurban.planners.astar import astar
 from jaxurban.planners.base import Problem
-from jaxurban.planners.bitstar import Batch, bitstar_plus
-from jaxurban.planners.bitstar_bounds import make_bounds
-from jaxurban.planners.bitstar_tree import Tree
-from jaxurban.plotting.frame import (
+from jaxurban.planners.bitstar.bounds import make_bounds
+from jaxurban.planners.bitstar.planner import Batch, BitStarOptions, bitstar_plus
+from jaxurban.planners.bitstar.tree import Tree
+from jaxurban.report.figures.frame import (
     FAINT_INK,
     INK,
-    SMALL_PT,
+    Colours,
     Frame,
     Layer,
     add_key,
     draw_layers,
     flat_layer,
     make_frame,
+    write_legend,
 )
-from jaxurban.plotting.metrics import colour_map, frame_note, percent
+from jaxurban.report.figures.metrics import frame_note, percent
 
 ALTITUDE_M, RESOLUTION_M = 20.0, 5.0
 ENDS = ((0.25, 0.20), (0.80, 0.70))  # start and goal as shares of the map, north and east
@@ -43,9 +44,9 @@ PAPER = (
 )
 
 
-def question(maps: ju.MetricMaps, weights: ju.Weights) -> Problem:
-    """Return the question of the figure, between the free cells nearest to `ENDS`."""
-    problem = ju.weigh(maps, ALTITUDE_M, weights=weights, cost_model="line").problem
+def query(maps: ju.MetricMaps, weights: ju.Weights) -> Problem:
+    """Return the query of the figure, between the free cells nearest to `ENDS`."""
+    problem = ju.cost_map(maps, ALTITUDE_M, weights=weights, cost_model="line").problem
     free = np.argwhere(problem.is_free)
     start, goal = (
         tuple(int(v) for v in free[np.hypot(*(free - np.array(at) * problem.is_free.shape).T).argmin()]) for at in ENDS
@@ -59,11 +60,8 @@ def run(problem: Problem) -> list[Batch]:
     bitstar_plus(
         problem,
         seed=SEED,
-        batch_samples=BATCH_SAMPLES,
-        growth=0,
-        max_batches=NUM_BATCHES,
         budget_s=np.inf,
-        on_batch=batches.append,
+        options=BitStarOptions(BATCH_SAMPLES, growth=0, max_batches=NUM_BATCHES, on_batch=batches.append),
     )
     return batches
 
@@ -95,7 +93,7 @@ class Picture:
         problem = self.problem
         shown = np.where(problem.is_free, problem.cost, np.nan)
         norm = Normalize(0, 2.2 * np.nanmax(shown))
-        layers = [Layer(shown, colour_map("Greys"), norm), flat_layer(~problem.is_free, OBSTACLE)]
+        layers = [Layer(shown, Colours("Greys", norm)), flat_layer(~problem.is_free, OBSTACLE)]
         draw_layers(panel, self.maps.grid, layers)
 
     def space(self, panel: Axes, cost: float) -> None:
@@ -166,23 +164,13 @@ def add_legend(frame: Frame) -> None:
         "start": Line2D([], [], mfc="white", mec="black", markersize=6, **dot),
         "goal": Line2D([], [], linestyle="none", marker="*", mfc="white", mec="black", markersize=10),
     }
-    frame.key.legend(
-        handles.values(),
-        handles.keys(),
-        loc="upper left",
-        bbox_to_anchor=(-0.04, 1.02),
-        fontsize=SMALL_PT,
-        frameon=False,
-        handlelength=1.4,
-        borderpad=0.2,
-        labelspacing=0.6,
-    )
+    write_legend(frame, handles)
     add_key(frame)
 
 
 def caption(maps: ju.MetricMaps, problem: Problem, batches: Sequence[Batch]) -> Caption:
     last, cost = batches[-1], [batch.cost for batch in batches[1:]]
-    on_grid, usual = astar(problem), question(maps, ju.Weights())
+    on_grid, usual = astar(problem), query(maps, ju.Weights())
     usual_cost = run(usual)[-1].cost
     sides = [percent(share_left(problem, last.cost, heuristic)) for heuristic in ("plus", "euclidean")]
     return Caption(
@@ -200,12 +188,12 @@ def caption(maps: ju.MetricMaps, problem: Problem, batches: Sequence[Batch]) -> 
 
 def main() -> None:
     maps = ju.build_maps(ju.demo_city(1500, 1200), resolution_m=RESOLUTION_M, altitudes_m=(ALTITUDE_M,))
-    problem = question(maps, WEIGHTS)
+    problem = query(maps, WEIGHTS)
     batches = run(problem)
     first, second, last = batches[1], batches[2], batches[-1]
     kept, *_ = first.tree.pruned(*first.path[[0, -1]].tolist())
     picture = Picture(maps, problem)
-    note = f"{ALTITUDE_M:g} m above ground  ·  {frame_note(maps)}  ·  the embedded city, line cost model"
+    note = f"{ALTITUDE_M:g} m above ground  ·  {frame_note(maps)}  ·  the synthetic city, line cost model"
     frame = make_frame(maps.grid, panel_titles(problem, batches, kept), "BIT*: a search in batches of samples", note)
     for panel in frame.axes:
         picture.ground(panel)

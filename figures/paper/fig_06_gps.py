@@ -1,21 +1,9 @@
 """Figure 6 of the paper: GPS metric maps at 20, 60 and 122 m, 2 m cells."""
 
-from figures.paper.common import (
-    ALTITUDES_M,
-    MAP_M,
-    TOWNS,
-    Caption,
-    Town,
-    by_altitude,
-    free_means,
-    in_strata,
-    listed,
-    save,
-    shares,
-)
+from figures.paper.common import ALTITUDES_M, Caption, Town, draw_metric, in_strata, means, shares
+from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.gps import GpsParams
-from jaxurban.plotting import plot_metric
-from jaxurban.studies.complementarity import GOOD
+from jaxurban.studies.montecarlo.complementarity import GOOD
 
 PAPER = (
     "Maps without a number. Accuracy is highest over the river, over Central Park and over low houses, and low among "
@@ -23,17 +11,16 @@ PAPER = (
 )
 
 
-def caption(town: Town) -> Caption:
-    maps = town.maps(MAP_M)
+def caption(town: Town, maps: MetricMaps) -> Caption:
     best = float(maps.m("gps", ALTITUDES_M[-1]).max())
-    poor = shares(maps, ALTITUDES_M, lambda z: maps.m("gps", z) < GOOD)
+    poor = shares(maps, lambda z: maps.m("gps", z) < GOOD)
     worst = GpsParams().gdop_threshold
     gdop = worst - (worst - 1) * best
     return Caption(
         PAPER,
-        f"The same order in {town.title}. Mean over free cells: {by_altitude(free_means(maps, 'gps', ALTITUDES_M))}. "
-        f"Poor (below {GOOD:g}): {by_altitude(poor, '.1%')}. By surroundings at 20 m (open: hardly a roof within 125 "
-        f"m; wide-open: none within 250 m, mostly river): {listed(in_strata(maps, 'gps', 20.0))}. No cell is above "
+        f"The same order in {town.title}. Mean over free cells: {means(maps, 'gps')}. "
+        f"Poor (below {GOOD:g}): {poor}. By surroundings at 20 m (open: hardly a roof within 125 "
+        f"m; wide-open: none within 250 m, mostly river): {in_strata(maps, 'gps', 20.0)}. No cell is above "
         f"{best:.2f}.",
         "The paper gives no date, no mask angle and no scale. Here satellites count from 5 degrees up, on "
         f"{maps.times[0][:10]} at {maps.times[0][11:16]} UTC ({orbits(town)}); their best geometry under an open sky "
@@ -47,10 +34,9 @@ def caption(town: Town) -> Caption:
 
 
 def orbits(town: Town) -> str:
-    """Return which satellites were seen, in words."""
+    """Return which satellites were seen."""
     return "a nominal constellation" if "orbits" not in town.scenario["gps"] else "element sets of that day"
 
 
 def main() -> None:
-    for town in TOWNS:
-        save(plot_metric(town.maps(MAP_M), "gps", altitudes_m=town.drawn_m), f"fig_06_gps_{town.name}", caption(town))
+    draw_metric(6, "gps", caption)

@@ -3,16 +3,15 @@
 from typing import NamedTuple
 
 import numpy as np
-from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
 from figures.paper.common import BOUNDS, EMBEDDED, HAS_CENSUS, MAP_M, Caption, manhattan_blocks, save
-from jaxurban.grid import Grid
-from jaxurban.io.rasterise import NO_BLOCK, burn
+from jaxurban.io.read.rasterise import NO_BLOCK, burn
 from jaxurban.metrics.population import block_layers, map_blocks, population_totals
-from jaxurban.plotting import plot_population
-from jaxurban.plotting.frame import NO_DATA_COLOUR, add_key, draw_layers, make_frame
-from jaxurban.plotting.metrics import EMPTY_COLOUR, colour_map, density_layers
+from jaxurban.report.figures import plot_population
+from jaxurban.report.figures.frame import NO_DATA_COLOUR, add_key, draw_layers, make_frame
+from jaxurban.report.figures.metrics import EMPTY_COLOUR, density_colours, density_layers
+from jaxurban.world.grid import Grid
 
 PAPER = (
     "Two maps of m_pop at 2 m without a number. By day the southern, commercial districts (factor 3.0) are the "
@@ -37,8 +36,7 @@ def island() -> Island:
 
 
 def draw_island(found: Island) -> Figure:
-    highest = float(np.nanmax(found.density))
-    style = colour_map("magma_r"), LogNorm(highest / 1000, highest)
+    colours = density_colours(float(np.nanmax(found.density)))
     cells_km2 = CELL_M**2 / 1e6
     titles = [
         f"{name}  ·  {np.nansum(density) * cells_km2 / 1e6:.2f} million people"
@@ -47,19 +45,13 @@ def draw_island(found: Island) -> Figure:
     note = f"Manhattan, 2010 census blocks (US Census Bureau)  ·  {CELL_M:g} m cells  ·  {found.grid.crs}"
     frame = make_frame(found.grid, titles, "Population density", note)
     for panel, density in zip(frame.axes, found.density, strict=True):
-        draw_layers(panel, found.grid, density_layers(density, *style))
-    add_key(
-        frame,
-        [("nobody, or water", EMPTY_COLOUR), ("no census\nat hand", NO_DATA_COLOUR)],
-        style,
-        "people per km²",
-        extend="min",
-    )
+        draw_layers(panel, found.grid, density_layers(density, colours))
+    add_key(frame, [("nobody, or water", EMPTY_COLOUR), ("no census\nat hand", NO_DATA_COLOUR)], colours)
     return frame.figure
 
 
 def norm_text(density: np.ndarray) -> str:
-    """Return how far the densest block stands above the median one, in words."""
+    """Return how far the densest block stands above the median one."""
     lived_in = density[density > 0]  # NaN is not
     return (
         f"the densest block has {np.nanmax(density):,.0f} per km2, the median cell that is lived in "
@@ -76,7 +68,7 @@ def main() -> None:
         "fig_08_population_embedded",
         Caption(
             PAPER,
-            f"The same swing in the embedded city: {people['day']:.2f} million people by day, {people['night']:.2f} "
+            f"The same swing in the synthetic city: {people['day']:.2f} million people by day, {people['night']:.2f} "
             "by night.",
             "Drawn is density on a logarithmic scale, not m: m is density over the largest one in the region, and at "
             f"night {norm_text(maps.m('density', time_of_day='night'))}, so m would show one bright block on black. "

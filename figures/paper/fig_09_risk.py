@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from figures.paper.common import ALTITUDES_M, MAP_M, TOWNS, Caption, Town, by_altitude, free_means, save, shares
+from figures.paper.common import Caption, Town, draw_metric, means, shares
+from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.risk import RiskParams
-from jaxurban.plotting import plot_metric
-from jaxurban.studies.strata import STRATA, strata_of
+from jaxurban.studies.montecarlo.strata import STRATA, strata_of
 
 PAPER = (
     'Maps without a number. At 20 m, but for the river, New Jersey and Central Park, "a building can be found '
@@ -17,18 +17,17 @@ PAPER = (
 NEAR_M = 10.0
 
 
-def caption(town: Town) -> Caption:
-    maps = town.maps(MAP_M)
+def caption(town: Town, maps: MetricMaps) -> Caption:
     threshold_m = RiskParams().threshold_m
     is_near = maps.m("risk", 20.0) <= NEAR_M / threshold_m
     is_free = maps.is_free(20.0, "centre")
     strata = strata_of(maps)
     near = {name: is_near[is_free & (strata == number)].mean() for number, name in enumerate(STRATA)}
-    clear = shares(maps, ALTITUDES_M, lambda z: maps.m("risk", z) >= 1)
+    clear = shares(maps, lambda z: maps.m("risk", z) >= 1)
     return Caption(
         PAPER,
-        f"Cells {threshold_m:g} m or more from any wall: {by_altitude(clear, '.1%')} of the free ones in "
-        f"{town.title}; mean m_risk {by_altitude(free_means(maps, 'risk', ALTITUDES_M))}. A wall within {NEAR_M:g} m "
+        f"Cells {threshold_m:g} m or more from any wall: {clear} of the free ones in "
+        f"{town.title}; mean m_risk {means(maps, 'risk')}. A wall within {NEAR_M:g} m "
         "at 20 m: "
         + ", ".join(f"{100 * share:.0f} % of {name}" for name, share in near.items() if not np.isnan(share))
         + " cells.",
@@ -40,5 +39,4 @@ def caption(town: Town) -> Caption:
 
 
 def main() -> None:
-    for town in TOWNS:
-        save(plot_metric(town.maps(MAP_M), "risk", altitudes_m=town.drawn_m), f"fig_09_risk_{town.name}", caption(town))
+    draw_metric(9, "risk", caption)

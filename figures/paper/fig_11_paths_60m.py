@@ -5,26 +5,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from figures.paper.common import Caption
-from figures.paper.example_paths import NUM_SAMPLES, Case, make
-from jaxurban.planned import PlannedPath
+from figures.paper.example_paths import NUM_SAMPLES, draw_paths
+from jaxurban.paths.path import PlannedPath
 
 PAPER = (
     "(a) Across Midtown: the planners go around the towers, bitstar-dist by shortcuts, bitstar-plus over fewer "
     "people. (b) Over the Hudson: bitstar and ptp fly straight, 5625 m for ptp against 6092 m for astar-dist. (c) "
     "Much the same."
 )
-CASES = {
-    "embedded": [
-        Case("across Midtown", (0.17, 0.37), (0.47, 0.28)),
-        Case("along the wide river", (0.06, 0.34), (0.28, 0.58)),
-        Case("across the north of the island", (0.42, 0.72), (0.86, 0.7)),
-    ],
-    "manhattan": [
-        Case("across the Financial District", (0.05, 0.3), (0.46, 0.12)),
-        Case("along the East River", (0.42, 0.1), (0.97, 0.36)),
-        Case("from the Hudson to the East Village", (0.08, 0.7), (0.93, 0.8)),
-    ],
-}
 
 
 def caption(paths: Sequence[dict[str, PlannedPath]], found: str) -> Caption:
@@ -38,9 +26,9 @@ def caption(paths: Sequence[dict[str, PlannedPath]], found: str) -> Caption:
         else found,
         f"6092 over 5625 m is +{100 * theirs:.2f} %, a little above the {100 * most:.2f} % that eight directions can "
         "add at most, so the paper's path bent for something else as well. How much they add depends on the "
-        f"direction of flight. BIT* has {NUM_SAMPLES:,} samples a question here, three minutes in the paper.",
+        f"direction of flight. BIT* has {NUM_SAMPLES:,} samples a query here, three minutes in the paper.",
     )
 
 
 def main() -> None:
-    make(11, 60.0, CASES, caption)
+    draw_paths(11, 60.0, caption)

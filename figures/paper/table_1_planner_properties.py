@@ -5,11 +5,11 @@ import pandas as pd
 
 import jaxurban as ju
 from figures.paper.common import EMBEDDED, PATH_M, Caption, save_table
-from jaxurban.scenario import PAPER_PLANNERS
-from jaxurban.studies.analysis import joined
-from jaxurban.studies.trial import INVALID, WEIGHTED, Ground, Run, Settings, put_to
+from jaxurban.scenario.settings import PAPER_PLANNERS
+from jaxurban.studies.montecarlo.analysis import joined
+from jaxurban.studies.montecarlo.trial import INVALID, WEIGHTED, BenchmarkSettings, Run, solve_instance
 
-ALTITUDE_M, NUM_QUESTIONS, NUM_SAMPLES, SEED = 20.0, 40, 2000, 0
+ALTITUDE_M, NUM_QUERIES, NUM_SAMPLES, SEED = 20.0, 40, 2000, 0
 PAPER = "Seven properties by which planners are judged, each with its definition. No planner is rated by them."
 FAMILIES = {"PTP": ("ptp",), "A*": ("astar-dist", "astar-plus"), "BIT*": ("bitstar-dist", "bitstar-plus")}
 STATIC, NO_DYNAMICS = "static: the maps of one moment", "none: one altitude, no speed, no turning radius"
@@ -41,16 +41,16 @@ CLAIMS = {  # property: its meaning, then PTP, A*, BIT*
 
 
 def trial() -> pd.DataFrame:
-    """Return every planner's answer to the same questions, joined with them; it repeats exactly but for the times."""
+    """Return every planner's answer to the same queries, joined with them; it repeats exactly but for the times."""
     maps = EMBEDDED.maps(PATH_M)
-    questions = ju.sample_instances(maps, NUM_QUESTIONS, altitudes_m=(ALTITUDE_M,), seed=SEED)
-    settings = Settings(budget_iterations=NUM_SAMPLES, seed=SEED)
+    queries = ju.sample_instances(maps, NUM_QUERIES, altitudes_m=(ALTITUDE_M,), seed=SEED)
+    settings = BenchmarkSettings(budget_iterations=NUM_SAMPLES, seed=SEED)
     rows = []
-    for (time, time_of_day), asked in questions.groupby(["time", "time_of_day"]):
-        ground = Ground(maps, ALTITUDE_M, time, time_of_day, settings)
-        for question in asked.to_dict("records"):
-            rows += put_to(ground, question, [Run(name, WEIGHTED) for name in PAPER_PLANNERS])
-    return joined(pd.DataFrame(rows), questions)
+    for (time, time_of_day), asked in queries.groupby(["time", "time_of_day"]):
+        on = settings.cost_map(maps, ALTITUDE_M, time, time_of_day)
+        for query in asked.to_dict("records"):
+            rows += solve_instance(on, query, [Run(name, WEIGHTED) for name in PAPER_PLANNERS], settings)
+    return joined(pd.DataFrame(rows), queries)
 
 
 def measured(answers: pd.DataFrame) -> pd.DataFrame:
@@ -84,14 +84,14 @@ def main() -> None:
 
     under = {
         "Completeness": [
-            row("*measured*", f"answered of {num_joined} questions that some path joins, %", "answered", ".0f")
+            row("*measured*", f"answered of {num_joined} queries that some path joins, %", "answered", ".0f")
         ],
         "Soundness": [row("*measured*", "paths that cross an obstacle", "invalid", "d")],
         "Complexity": [row("*measured*", "cells crossed, cells expanded, edges costed: median", "work", ",.0f")],
         "Optimality": [
             row("*measured*", "proven the cheapest of the planner's graph, %", "proven", ".0f"),
             row("*measured*", "mean cost over the cheapest of the five, where answered", "ratio", ".3f"),
-            row("*measured*", "within 1 % of the cheapest of the five, % of the joined questions", "best", ".0f"),
+            row("*measured*", "within 1 % of the cheapest of the five, % of the joined queries", "best", ".0f"),
         ],
     }
     rows = []
@@ -106,9 +106,9 @@ def main() -> None:
     )
     best_grid = answers[(answers.planner == "astar-plus") & answers.has_path].ratio
     here = (
-        f"Measured on {NUM_QUESTIONS} seeded questions over {EMBEDDED.title} at {ALTITUDE_M:g} m, 5 m cells, costs "
+        f"Measured on {NUM_QUERIES} seeded queries over {EMBEDDED.title} at {ALTITUDE_M:g} m, 5 m cells, costs "
         f"along the path (`line`); BIT* stops at {NUM_SAMPLES:,} samples, so that it repeats. PTP answers "
-        f"{found.answered['ptp']:.0f} % of the joined questions, A* {found.answered['astar-plus']:.0f} %, BIT* "
+        f"{found.answered['ptp']:.0f} % of the joined queries, A* {found.answered['astar-plus']:.0f} %, BIT* "
         f"{found.answered['bitstar-dist']:.0f} and {found.answered['bitstar-plus']:.0f} %; {found.invalid.sum()} of "
         f"the {answers.has_path.sum() + found.invalid.sum()} paths found cross an obstacle. The plus heuristic leaves "
         f"A* {100 * (1 - found.work['astar-plus'] / found.work['astar-dist']):.0f} % fewer cells to expand (medians) "
@@ -126,7 +126,3 @@ def main() -> None:
         "Table 1. Classical properties of motion planners",
         Caption(PAPER, here, why),
     )
-
-
-if __name__ == "__main__":
-    main()

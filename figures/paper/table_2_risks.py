@@ -4,8 +4,8 @@ import numpy as np
 import pandas as pd
 
 from figures.paper.common import MAP_M, TOWNS, Caption, Town, save_table
-from jaxurban.metrics.gps import Rating, rating
-from jaxurban.scenario import Scenario
+from jaxurban.metrics.rating import Rating, rating
+from jaxurban.scenario.settings import Scenario
 
 ALTITUDE_M, MIN_SATELLITES = 20.0, 4
 PAPER = (
@@ -41,7 +41,7 @@ def measured(town: Town) -> dict[str, str]:
 
 
 def common_and_rare(by: dict[str, str]) -> str:
-    """Return the commonest and the rarest of a town's risks in words."""
+    """Return the commonest and the rarest of a town's risks."""
     return f"{by['near']}, {by['canyon'].split(';')[0]}"
 
 
@@ -85,7 +85,3 @@ def main() -> None:
         "compare with."
     )
     save_table(table, "table_2_risks", "Table 2. Common risks of small UAS", Caption(PAPER, here, why))
-
-
-if __name__ == "__main__":
-    main()

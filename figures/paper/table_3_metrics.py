@@ -1,41 +1,39 @@
 """Table 3 of the paper: the metrics by type, as the engine itself lists them."""
 
 import importlib
-from dataclasses import fields
 
 import pandas as pd
 
 from figures.paper.common import Caption, save_table
-from jaxurban.cost import METRICS, Weights, metric_cost
-from jaxurban.layers import UNITS, MapParams, variables
+from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY, high_is_bad
+from jaxurban.metrics.registry import METRICS
+from jaxurban.metrics.weights import Weights
 
 PAPER = "Five metrics of maps (GPS, lidar, obstacle, population, risk) and one of paths (distance)."
-AXES = {"altitude": "altitude", "time": "time", "time_of_day": "time of day"}
+CHANGES = {ALTITUDE: "altitude", TIME: "time", TIME_OF_DAY: "time of day"}
 
 
-def of_map(name: str, held: dict) -> dict[str, str]:
-    """Return the row of a metric that has maps, from its module's first line and the layers' registry."""
-    unit, one_means = UNITS[name]
-    if name in METRICS:
-        weight = f"weight {getattr(Weights(), name):g}"
-        cost = f"{'m' if metric_cost(name, 1.0) == 1.0 else '1 - m'}, {weight}"
-    else:
-        cost = "none: no path may cross it"
+def of_map(name: str, dims: tuple[str, ...], one_means: str, cost: str) -> dict[str, str]:
+    """Return the row of a map, described by its module's first line."""
+    described = importlib.import_module(f"jaxurban.metrics.{name}").__doc__.split(":", 1)[1].split(";")[0]
     return {
         "Metric": f"m_{name}",
-        "Description": importlib.import_module(f"jaxurban.metrics.{name}").__doc__.split(":", 1)[1].strip().rstrip("."),
+        "Description": described.strip().rstrip("."),
         "Type": "map",
-        "Changes with": ", ".join(["place", *(AXES[axis] for axis in held[name][0] if axis in AXES)]),
+        "Changes with": ", ".join(["place", *(CHANGES[dim] for dim in dims)]),
         "m = 1 means": one_means,
-        "Unit": "none" if unit == "1" else unit,
+        "Unit": "none",
         "Cost c": cost,
     }
 
 
 def main() -> None:
-    held = variables(MapParams(), num_epochs=1, has_people=True, has_terrain=False)
-    rows = [of_map(name, held) for name in sorted({*METRICS, "obstacle"})]
-    (path,) = (item.name for item in fields(Weights) if item.name not in METRICS)
+    rows = [of_map("obstacle", (ALTITUDE,), "a roof reaches this altitude", "none: no path may cross it")]
+    for name, metric in METRICS.items():
+        cost = f"{'m' if metric.cost is high_is_bad else '1 - m'}, weight {Weights()[name]:g}"
+        rows.append(of_map(name, metric.dims, metric.one_means, cost))
+    rows.sort(key=lambda row: row["Metric"])
+    (path,) = (name for name in Weights().to_dict() if name not in METRICS)
     rows.append(
         {
             "Metric": f"m_{path}",
@@ -44,7 +42,7 @@ def main() -> None:
             "Changes with": "path",
             "m = 1 means": "",
             "Unit": "m",
-            "Cost c": f"m, weight {getattr(Weights(), path):g} per metre",
+            "Cost c": f"m, weight {Weights()[path]:g} per metre",
         }
     )
     table = pd.DataFrame(rows)
@@ -59,7 +57,3 @@ def main() -> None:
         "no weight can buy off."
     )
     save_table(table, "table_3_metrics", "Table 3. Metrics by type", Caption(PAPER, here, why))
-
-
-if __name__ == "__main__":
-    main()

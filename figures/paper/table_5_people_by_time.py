@@ -4,9 +4,9 @@ import numpy as np
 import pandas as pd
 
 from figures.paper.common import HAS_CENSUS, Caption, embedded_city, manhattan_blocks, save_table
-from jaxurban.city import Blocks
 from jaxurban.metrics.population import PopulationParams, block_people, day_share
-from jaxurban.studies.calibration import calibrate_gamma
+from jaxurban.studies.tuning.calibration import calibrate_gamma
+from jaxurban.world.city import Blocks
 
 MOSS = {"weekday-12": 3.94, "weekend-12": 2.90, "weekday-00": 2.05}  # millions in 2010: the paper's Table 5
 HEADS = {"weekday-12": "Working day, noon", "weekend-12": "Weekend, noon", "weekday-00": "Night"}
@@ -41,7 +41,7 @@ def main() -> None:
         rows[f"Manhattan, 2010 census, factors {gamma:.2f} and {params.gamma_residential:g}"] = millions(
             blocks, found.params
         )
-    embedded = rows[f"the embedded city, {rule}"] = millions(embedded_city().blocks, params)
+    embedded = rows[f"the synthetic city, {rule}"] = millions(embedded_city().blocks, params)
     table = pd.DataFrame(
         [
             {"Millions of people": name} | {HEADS[hour]: f"{value:.2f}" for hour, value in by.items()}
@@ -49,7 +49,7 @@ def main() -> None:
         ]
     )
     here = (
-        f"The embedded city's {embedded['weekday-00']:.2f} million at night and {embedded['weekday-12']:.2f} by day "
+        f"The synthetic city's {embedded['weekday-00']:.2f} million at night and {embedded['weekday-12']:.2f} by day "
         "are invented."
     )
     why = "A census counts residents: visitors in hotels and commuters who work at night are not in it."
@@ -67,7 +67,3 @@ def main() -> None:
             "is taken from them."
         )
     save_table(table, "table_5_people_by_time", "Table 5. People by day and night", Caption(PAPER, here, why))
-
-
-if __name__ == "__main__":
-    main()

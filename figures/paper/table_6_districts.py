@@ -15,8 +15,8 @@ from figures.paper.common import (
     manhattan_blocks,
     save_table,
 )
-from jaxurban.city import Blocks, Zoning
 from jaxurban.metrics.population import PopulationParams, block_people, day_share
+from jaxurban.world.city import Blocks, Zoning
 
 NEIGHBOURHOODS = {  # the paper's names
     1: "Financial District, Civic Center",
@@ -114,7 +114,7 @@ def main() -> None:
             "paper would have them residential, so their people are halved by day. The maps divide by the whole "
             "block, water included: on the shore their densities are lower than these."
             if is_real
-            else "An invented city of the same plan: districts 1 to 6 commercial, 7 to 12 residential, *other* the "
+            else "A synthetic city of the same plan: districts 1 to 6 commercial, 7 to 12 residential, *other* the "
             "suburbs beyond the rivers and the park, whose people are halved by day like residential ones. Its "
             "districts have no names."
         )
@@ -125,7 +125,3 @@ def main() -> None:
             heading,
             Caption(PAPER, here, why),
         )
-
-
-if __name__ == "__main__":
-    main()

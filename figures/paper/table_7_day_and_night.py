@@ -67,7 +67,7 @@ def check_residential(totals: dict[str, dict[str, float]]) -> None:
 
 
 def main() -> None:
-    cities = {"the embedded city": embedded_city().blocks}
+    cities = {"the synthetic city": embedded_city().blocks}
     if HAS_CENSUS:
         cities = {"Manhattan, 2010 census": manhattan_blocks()} | cities
     rows = [
@@ -78,7 +78,7 @@ def main() -> None:
         for time, people in population_totals(blocks).items():
             counts = [f"{people[kind] / 1e6:.3f}" for kind in ("residential", "commercial", "other", "total")]
             rows.append(dict(zip(HEADS, (f"{name}, {time}", *counts), strict=True)))
-    here = "The embedded city is invented and shows the rule only: its commercial districts triple, the others halve."
+    here = "The synthetic city is invented and shows the rule only: its commercial districts triple, the others halve."
     why = "Only the census of Manhattan could tell, and it is not at hand."
     if HAS_CENSUS:
         totals = population_totals(manhattan_blocks())
@@ -111,7 +111,3 @@ def main() -> None:
         "Table 7. People by day and night and by type of district",
         Caption(PAPER, here, why),
     )
-
-
-if __name__ == "__main__":
-    main()
