@@ -176,9 +176,9 @@ def held_metrics(ds: xr.Dataset) -> dict[str, Metric]:
     The median stands for GPS where a long series keeps statistics. Own layers say in their attribute ``layer`` what
     they are (`Layer.record`).
     """
-    held = {name: metric for name, metric in METRICS.items() if name in ds or (name == "gps" and "gps_median" in ds)}
-    own = {str(name): array.attrs["layer"] for name, array in ds.data_vars.items() if "layer" in array.attrs}
-    return held | {name: own_metric(name, layer_of(own[name])) for name in sorted(own)}
+    known = {name: metric for name, metric in METRICS.items() if name in ds or (name == "gps" and "gps_median" in ds)}
+    own = {str(name): held.attrs["layer"] for name, held in ds.variables.items() if "layer" in held.attrs}
+    return known | {name: own_metric(name, layer_of(own[name])) for name in sorted(own)}
 
 
 def layer_of(record: Mapping[str, Any]) -> Layer:

@@ -46,11 +46,8 @@ def refit(
     sizes = [2**k for k in range(1, 31) if 2**k < num]
     masks = np.array([rng.permutation(num) < size for size in sizes for _ in range(NUM_SUBSETS)]).reshape(-1, num)
     trust = np.asarray(task.trust)
-
-    def fit(trust: jax.Array) -> jax.Array:
-        return descend(jnp.asarray(log_weights), task._replace(trust=trust), loss, STEPS)[0]
-
-    fits = np.asarray(jax.lax.map(fit, jnp.asarray(np.concatenate([counts, masks]) * trust + NO_TRUST)))
+    trusts = jnp.asarray(np.concatenate([counts, masks]) * trust + NO_TRUST)
+    fits = np.asarray(_fits(jnp.asarray(log_weights), task, trusts))
     held_out = []
     for mask, fitted in zip(masks, fits[num_bootstrap:], strict=True):
         left = ~mask * trust + NO_TRUST
@@ -64,6 +61,12 @@ def refit(
         }
     )
     return fits[:num_bootstrap], table
+
+
+@jax.jit
+def _fits(log_weights: jax.Array, task: Task, trusts: jax.Array) -> jax.Array:
+    """Return ``[T, K]`` the fits under trusts ``[T, Q]``, each from the same start."""
+    return jax.lax.map(lambda trust: descend(log_weights, task._replace(trust=trust), loss, STEPS)[0], trusts)
 
 
 def near_optimal_range(weights: np.ndarray, task: Task, scale: np.ndarray, tolerance: float) -> np.ndarray:
