@@ -1,12 +1,20 @@
 """The exceptions of jaxurban, all under one root."""
 
 import difflib
+import functools
+import inspect
 import math
-from collections.abc import Iterable, Iterator
+import numbers
+import os
+import types
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import Any, TypeVar
+from pathlib import Path
+from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 
 Choice = TypeVar("Choice")
+Public = TypeVar("Public", bound=Callable)
+Kind = tuple[str, Callable[[Any], bool]]  # what messages call it, and what tells its values
 
 
 class JaxurbanError(Exception):
@@ -55,6 +63,89 @@ def check_type(name: str, value: Any, kind: type, such_as: str = "") -> None:
     if not isinstance(value, kind):
         hint = such_as and f", from {such_as}"
         raise InputError(f"{name} must be a {kind.__name__}{hint}, got {type(value).__name__}")
+
+
+def typed(public: Public) -> Public:
+    """Return a function or a class that answers an argument of another kind than its annotation names by InputError.
+
+    Only the outermost kind counts, and generously: any real number for a float (NumPy's too), anything with items for
+    a sequence, text for a path. A class looks before it is made, a function only once it has failed: what works, works.
+    """
+    is_class = inspect.isclass(public)
+    function = public.__init__ if is_class else public
+    names = tuple(inspect.signature(function).parameters)
+
+    @functools.cache
+    def kinds() -> dict[str, list[Kind]]:  # at the first call, when every module that annotations name is there
+        return {name: _kinds(hint) for name, hint in get_type_hints(function).items() if name in names}
+
+    def check(args: Iterable[Any], kwargs: Mapping[str, Any]) -> None:
+        for name, value in (*zip(names, args, strict=False), *kwargs.items()):
+            allowed = kinds().get(name, [])
+            if allowed and not any(is_one(value) for _, is_one in allowed):
+                *others, last = dict.fromkeys(told for told, _ in allowed)
+                listed = f"{', '.join(others)} or {last}" if others else last
+                raise InputError(f"{name} must be {listed}, got {_shown(value)}")
+
+    @functools.wraps(function)
+    def checked(*args, **kwargs):
+        if is_class:
+            check(args, kwargs)
+        try:
+            return function(*args, **kwargs)
+        except InputError:
+            raise
+        except (TypeError, ValueError, AttributeError):
+            check(args, kwargs)
+            raise
+
+    if is_class:
+        public.__init__ = checked  # type: ignore[method-assign]
+        return public
+    return checked  # type: ignore[return-value]
+
+
+def _kinds(hint: Any) -> list[Kind]:
+    """Return how messages call each kind that a type hint allows, and what tells its values; none: anything goes."""
+    origin = get_origin(hint) or hint
+    if origin in (Union, types.UnionType):
+        parts = [_kinds(part) for part in get_args(hint)]
+        return [kind for part in parts for kind in part] if all(parts) else []
+    if origin in KINDS:
+        return [KINDS[origin]]
+    ours = inspect.isclass(origin) and origin.__module__.partition(".")[0] in (__name__.partition(".")[0], "pandas")
+    return [(origin.__name__, lambda value: isinstance(value, origin))] if ours else []
+
+
+def _is_number(value: Any) -> bool:
+    is_scalar = isinstance(value, numbers.Real) or getattr(value, "shape", None) == ()
+    return is_scalar and not isinstance(value, bool)
+
+
+def _has_items(value: Any) -> bool:
+    return isinstance(value, Iterable) and not isinstance(value, str | bytes)
+
+
+def _is_text_path(value: Any) -> bool:
+    return isinstance(value, str | os.PathLike)
+
+
+KINDS: dict[Any, Kind] = {
+    bool: ("True or False", lambda value: type(value).__name__ in ("bool", "bool_")),
+    int: ("a whole number", lambda value: isinstance(value, numbers.Integral) and not isinstance(value, bool)),
+    float: ("a number", _is_number),
+    str: ("a text", lambda value: isinstance(value, str)),
+    Path: ("a path", _is_text_path),
+    types.NoneType: ("None", lambda value: value is None),
+    **dict.fromkeys((Sequence, Iterable, list, tuple), ("a sequence", _has_items)),
+    **dict.fromkeys((Mapping, dict), ("a dict", lambda value: isinstance(value, Mapping))),
+    Callable: ("a function", callable),
+}
+
+
+def _shown(value: Any) -> str:
+    """Return a plain value as it is written, and the type of any other."""
+    return repr(value) if isinstance(value, str | numbers.Number | None) else type(value).__name__
 
 
 def one_of(name: str, value: Choice, choices: Iterable[Choice]) -> Choice:

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxurban.errors import InputError
+from jaxurban.errors import InputError, typed
 from jaxurban.planners.base import Path, Problem
 from jaxurban.planners.cost import visit_counts
 from jaxurban.planners.host import call_on_host
@@ -38,6 +38,7 @@ class _Search:
         return np.array(features.cost(problem.weights), dtype), features.phi.astype(dtype), counts
 
 
+@typed
 def planned_cost(problem: Problem, planner: str | Callable[[Problem], Path] = "astar-plus") -> CostFunction:
     """Return the cost of the path that a planner finds, as a function of layers ``[L, Y, X]`` and weights ``[1 + L]``.
 

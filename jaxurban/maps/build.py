@@ -11,7 +11,7 @@ import numpy as np
 import shapely
 from jaxtyping import DTypeLike
 
-from jaxurban.errors import InputError, check_type
+from jaxurban.errors import InputError, check_type, typed
 from jaxurban.io.layers import bands_of
 from jaxurban.io.read.guesses import warn_of
 from jaxurban.io.read.orbits import NOMINAL, look_angles, middle_epoch, read_orbits
@@ -39,6 +39,7 @@ from jaxurban.world.surface import Surface
 PAPER_TIME = "2020-04-27T16:00:00Z"
 
 
+@typed
 def build_maps(
     city: City,
     bounds: Sequence[float] | None = None,
@@ -222,6 +223,7 @@ def compute_maps(task: MapTask, surface: Surface | None = None, stage: Stage = u
     return MetricMaps(ds if task.keeps_times else with_series(ds, task, tile.totals))
 
 
+@typed
 def soft_city(
     city: City,
     grid: Grid,

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from jaxurban.errors import one_of
+from jaxurban.errors import one_of, typed
 from jaxurban.metrics.base import TIME_OF_DAY, Metric, SoftScene
 from jaxurban.metrics.custom import Layer, own_metric
 from jaxurban.metrics.gps import GpsParams, GpsView
@@ -25,6 +25,7 @@ CELLS_STEP = 256  # visited cells are filled up to a multiple of it, so that pro
 
 
 @jax.tree_util.register_dataclass
+@typed
 @dataclass(frozen=True)
 class SoftParams:
     """What soft layers depend on besides the city. A pytree; every leaf can be traced and differentiated by.

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
-from jaxurban.errors import InputError
+from jaxurban.errors import InputError, typed
 from jaxurban.io import store
 from jaxurban.io.geotiff import missing_geotiffs, write_geotiffs
 from jaxurban.io.read.orbits import iso_utc, parse_time
@@ -117,6 +117,7 @@ class MetricMaps(Shown):
             raise InputError(f"there are no maps for {name} {value}: these maps hold {listed}")
         return list(given).index(value)
 
+    @typed
     def check_altitude(self, altitude_m: float) -> None:
         """Raise InputError unless these maps hold an altitude."""
         self._pick("altitude", altitude_m, self.altitudes_m, self.altitudes_m)
@@ -155,6 +156,7 @@ class MetricMaps(Shown):
         """Return the variable that holds a metric: the median stands for GPS where a long series keeps statistics."""
         return "gps_median" if name == "gps" and "gps_median" in self.ds else name
 
+    @typed
     def is_free(self, altitude_m: float, obstacles: Obstacles | None = None) -> np.ndarray:
         """Return ``[y, x]`` bool: no obstacle at an altitude, data there, and a value of every layer of one's own.
 
@@ -221,6 +223,7 @@ class MetricMaps(Shown):
         """Return the sensor-choice map ``[y, x]`` bool: m_gps > m_lidar."""
         return self.m("gps", altitude_m, time=time) > self.m("lidar", altitude_m)
 
+    @typed
     def save(self, folder: str | Path) -> Path:
         """Write Zarr and cloud-optimised GeoTIFF under ``folder`` (`jaxurban.io.store` says which files); return it."""
         store.write_zarr(self.ds, Path(folder))
@@ -231,6 +234,7 @@ class MetricMaps(Shown):
 GivenMaps = MetricMaps | str | Path  # what `as_maps` takes
 
 
+@typed
 def open_maps(folder: str | Path, resolution_m: float | None = None, *, obstacles: Obstacles = "touched") -> MetricMaps:
     """Return the maps that ``MetricMaps.save`` or ``jaxurban maps`` wrote under ``folder``.
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from jaxurban.errors import InputError
+from jaxurban.errors import InputError, typed
 from jaxurban.io.rows import fingerprint
 from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
 from jaxurban.metrics.weights import GivenWeights
@@ -29,6 +29,7 @@ HELD_BYTES = 2 * 2**30  # of weighed maps at a time
 BYTES_A_CELL = 160  # of a cost map: layers, metrics, landmarks
 
 
+@typed
 def plan_many(
     maps: GivenMaps,
     queries: pd.DataFrame | Sequence[tuple[Point, Point]],

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 import numpy as np
 import pandas as pd
 
+from jaxurban.errors import typed
 from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.profile import CLEARANCE, OUTSIDE, OVER_ROOF, VISIBLE, cautious_profile, without_fix
@@ -13,6 +14,7 @@ from jaxurban.paths.profile import CLEARANCE, OUTSIDE, OVER_ROOF, VISIBLE, cauti
 MOST_SEGMENTS = 3  # that a terminal line lists
 
 
+@typed
 def cautions(planned: PlannedPath, maps: GivenMaps, profile: pd.DataFrame | None = None) -> list[str]:
     """Return where GPS has no fix, how near buildings and roofs are, and which end is over a roof, a sentence each.
 

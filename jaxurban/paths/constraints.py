@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxurban.errors import IgnoredZoneWarning, InputError, nearest_name
+from jaxurban.errors import IgnoredZoneWarning, InputError, nearest_name, typed
 from jaxurban.io.read.airspace import Zone, cell_boxes, read_zones, touched_cells
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.registry import METRICS
@@ -92,6 +92,7 @@ class Bound:
         return is_kept
 
 
+@typed
 @dataclass(frozen=True)
 class Constraints:
     """No-fly zones and bounds. Cells that a zone touches, or where a bound is not kept, are closed to every planner.
@@ -105,6 +106,7 @@ class Constraints:
     bounds: tuple[Bound, ...] = ()
 
     @classmethod
+    @typed
     def read(cls, no_fly: str | Path | Iterable[str | Path] = (), require: Require = ()) -> "Constraints":
         """Return the constraints in files and texts.
 

@@ -8,7 +8,7 @@ from functools import cache, cached_property, partial
 import numpy as np
 import psutil
 
-from jaxurban.errors import InputError, finite, nearest_name
+from jaxurban.errors import InputError, finite, nearest_name, typed
 from jaxurban.io.read.orbits import iso_utc, parse_time
 from jaxurban.maps.levels import SAME_M, Levels, listed_m, values_at
 from jaxurban.maps.memory import gib
@@ -140,6 +140,7 @@ class CostMap(Shown):
             levels_m=None if self.levels is None else self.altitudes_m,
         )
 
+    @typed
     def only(self, metrics: Iterable[str]) -> "CostMap":
         """Return the map with the layers of these metrics alone, so that the others cost nothing.
 
@@ -244,6 +245,7 @@ class CostMap(Shown):
         above = f"; the lowest free altitude there is {higher[0]:g} m (raise max_altitude_m)" if higher else ""
         return f"{where} at every level {self._where}{above}"
 
+    @typed
     def plan(
         self,
         start: Point | XY,
@@ -301,6 +303,7 @@ def why_blocked(maps: MetricMaps, altitude_m: float, cell: Cell) -> str:
     return "inside an obstacle (or where there are no data)"
 
 
+@typed
 def cost_map(
     maps: GivenMaps,
     altitude_m: float | Levels,

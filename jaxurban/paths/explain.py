@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from jaxurban.errors import InputError, finite
+from jaxurban.errors import InputError, finite, typed
 from jaxurban.maps.metric_maps import GivenMaps, as_maps
 from jaxurban.metrics.population import M2_PER_KM2
 from jaxurban.paths.cost_map import cost_map_of
@@ -102,6 +102,7 @@ class RouteReport:
         return shown.rename_axis(None).to_string(col_space=8) if len(shown) else "segment"
 
 
+@typed
 def explain(
     planned: PlannedPath,
     maps: GivenMaps,

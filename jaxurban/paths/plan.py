@@ -1,5 +1,6 @@
 """plan: a path between two places over metric maps, evaluated the same way for every planner."""
 
+from jaxurban.errors import typed
 from jaxurban.maps.levels import Levels
 from jaxurban.maps.metric_maps import GivenMaps
 from jaxurban.metrics.weights import GivenWeights
@@ -11,6 +12,7 @@ from jaxurban.paths.snapping import Point, one_place
 from jaxurban.planners.base import CostKind, CostModel
 
 
+@typed
 def plan(
     maps: GivenMaps,
     start: Point | None = None,

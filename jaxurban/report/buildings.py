@@ -8,7 +8,7 @@ import jax
 import numpy as np
 import pandas as pd
 
-from jaxurban.errors import InputError
+from jaxurban.errors import InputError, typed
 from jaxurban.io.files import read_json
 from jaxurban.io.store import RUN_FILE
 from jaxurban.maps.build import soften
@@ -66,6 +66,7 @@ def _with_sources(record: dict, folders: Sequence[Path], name: str) -> Scenario:
     )
 
 
+@typed
 def write_buildings(
     folder: str | Path,
     planned: PlannedPath,

@@ -1,14 +1,14 @@
 """study: a Monte Carlo benchmark of planners over metric maps, kept in a folder and resumable."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from jaxurban.errors import InputError, check_type, one_of
+from jaxurban.errors import InputError, check_type, one_of, typed
 from jaxurban.io.files import check_writable, only_writer, read_json, whole_file, write_json
 from jaxurban.io.read.landcover import read_land_cover
 from jaxurban.io.read.osm import OSM_SUFFIXES
@@ -63,6 +63,7 @@ class BenchmarkResult:
         return joined(self.rows, self.instances)
 
 
+@typed
 def study(
     maps: MetricMaps | MapsFolder | str | Path,
     folder: str | Path,
@@ -105,7 +106,7 @@ def study(
     else:
         source = maps if isinstance(maps, MapsFolder) else MapsFolder(maps)
         opened = source.open()
-        source = source._replace(folder=Path(source.folder).resolve(), resolution_m=opened.grid.resolution_m)
+        source = replace(source, folder=Path(source.folder).resolve(), resolution_m=opened.grid.resolution_m)
     model, constraints = settings.cost_model, settings.constraints
     if not isinstance(instances, pd.DataFrame):
         instances = sample_instances(opened, instances, cost_model=model, constraints=constraints, seed=settings.seed)

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from jaxurban.errors import typed
 from jaxurban.io.folders import own_folder
 from jaxurban.paths.constraints import constraints_said
 from jaxurban.planners.base import CostModel
@@ -24,6 +25,7 @@ FEW_PLANS = 300  # for Sobol indices: with fewer their intervals mean little
 TOP_BUILDINGS = 10
 
 
+@typed
 def save_sensitivity(found: Sensitivity, folder: str | Path, overwrite: bool = False) -> list[Path]:
     """Write the report, tables (CSV, Parquet) and figures (PNG) of a study into a folder and return the files.
 

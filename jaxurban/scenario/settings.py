@@ -21,7 +21,7 @@ from pydantic import (
     model_validator,
 )
 
-from jaxurban.errors import InputError
+from jaxurban.errors import InputError, typed
 from jaxurban.io.read.orbits import NOMINAL as NOMINAL
 from jaxurban.io.read.orbits import iso_utc
 from jaxurban.maps.height_uncertainty import HeightStd
@@ -312,6 +312,7 @@ class Scenario(_Section):
                 raise ValueError(f"{where}: {error}") from error
 
     @classmethod
+    @typed
     def from_toml(cls, path: str | Path) -> "Scenario":
         """Return the scenario in a TOML file; relative paths in it are relative to the file.
 

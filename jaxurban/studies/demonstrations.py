@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 import shapely
 
-from jaxurban.errors import InputError
+from jaxurban.errors import InputError, typed
 from jaxurban.metrics.weights import Weights
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.path import PlannedPath
@@ -21,6 +21,7 @@ ON_CENTRE = 0.01  # of a cell side: a point this near a centre is the centre, wr
 CORRIDORS_CELLS = (1.5, 3.0, 6.0, 12.0, 24.0)
 
 
+@typed
 @dataclass(frozen=True, eq=False)
 class Demonstration:
     """A query, and a route between its ends.

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from jaxurban.errors import InputError, check_type
+from jaxurban.errors import InputError, check_type, typed
 from jaxurban.metrics.registry import METRICS
 from jaxurban.metrics.weights import Weights
 from jaxurban.paths.cost_map import CostMap
@@ -72,6 +72,7 @@ def maps_of(queries: Iterable[RouteQuery]) -> list[CostMap]:
     return list({id(query.cost_map): query.cost_map for query in queries}.values())
 
 
+@typed
 def make_queries(
     cost_map: CostMap, pairs: Iterable[tuple[Point, Point]], *, snap: bool | float = False
 ) -> list[RouteQuery]:

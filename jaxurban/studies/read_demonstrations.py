@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxurban.errors import InputError, OtherSettingsWarning, check_type
+from jaxurban.errors import InputError, OtherSettingsWarning, check_type, typed
 from jaxurban.io.read.routes import read_routes
 from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
 from jaxurban.paths.constraints import Constraints, constraints_said
@@ -20,6 +20,7 @@ from jaxurban.studies.demonstrations import Demonstration, demonstration_from_li
 Planned = Sequence[tuple[str, Mapping[str, Any]]]  # routes by name, with the settings they were planned under
 
 
+@typed
 def read_demonstrations(
     file: str | Path,
     maps: GivenMaps,
@@ -68,6 +69,7 @@ def read_demonstrations(
     return demonstrations
 
 
+@typed
 def demonstrations_from_paths(
     paths: PlannedPath | Sequence[PlannedPath],
     maps: GivenMaps,

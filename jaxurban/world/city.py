@@ -9,7 +9,7 @@ from typing import Literal, Self
 import numpy as np
 import shapely
 
-from jaxurban.errors import InputError
+from jaxurban.errors import InputError, typed
 from jaxurban.world.diagnostics import ReadIssues
 from jaxurban.world.show import Shown
 
@@ -133,6 +133,7 @@ class LandCover:
     park: shapely.Geometry
 
 
+@typed
 @dataclass(frozen=True, repr=False)
 class City(Shown):
     """A city in one projected CRS: buildings or a height raster, and optionally blocks and terrain.
@@ -200,6 +201,7 @@ class City(Shown):
         return shapely.box(*self.extent_m) if self.area is None else self.area
 
     @classmethod
+    @typed
     def from_files(
         cls,
         buildings: str | Path,

@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 import shapely
 
-from jaxurban.errors import InputError
+from jaxurban.errors import InputError, typed
 from jaxurban.world.city import OTHER_DISTRICT, Blocks, Buildings, City, HeightOrigin, LandCover, Zoning
 from jaxurban.world.grid import WGS84, check_bounds, projected_crs, transformer, utm_crs
 from jaxurban.world.synthetic_streets import DOWNTOWN, MIDTOWN, Box, Frame, Part, Plan
@@ -26,6 +26,7 @@ MEDIAN_HEIGHT_M = np.array([8, 34, 19, 18, 24, 40, 30, 26, 30, 18, 17, 19, 16], 
 NIGHT_PER_KM2 = np.array([9, 19, 26, 31, 26, 21, 33, 43, 50, 36, 35, 35, 36], float) * 1e3
 
 
+@typed
 def demo_city(
     width_m: float = MAX_WIDTH_M,
     height_m: float = MAX_HEIGHT_M,

@@ -2,13 +2,14 @@
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import pandas as pd
 
-from jaxurban.errors import InputError
+from jaxurban.errors import InputError, typed
 from jaxurban.io.rows import ROWS_FILE, RowStore
 from jaxurban.io.tables import read_table, records_of
 from jaxurban.maps.executors import cluster_client
@@ -28,7 +29,9 @@ from jaxurban.studies.montecarlo.trial import (
 ROW_KEY = (*KEY, "planner", "objective")
 
 
-class MapsFolder(NamedTuple):
+@typed
+@dataclass(frozen=True)
+class MapsFolder:
     """Maps in a folder, which several workers can read.
 
     Attributes:

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 from scipy.ndimage import label
 
-from jaxurban.errors import InputError
+from jaxurban.errors import InputError, typed
 from jaxurban.io.tables import read_table
 from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
 from jaxurban.metrics.registry import METRICS
@@ -49,6 +49,7 @@ def query_columns(columns: Iterable[Any]) -> list[str]:
     return ["crs", *PLACES, *weight_columns(weighed_metrics(columns)), *TIMES]
 
 
+@typed
 def sample_instances(
     maps: GivenMaps,
     num: int = 200,

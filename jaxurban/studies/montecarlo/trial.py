@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxurban.errors import InputError
+from jaxurban.errors import InputError, positive, typed
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.cost_map import CostMap, cost_map
@@ -32,6 +32,7 @@ class Run(NamedTuple):
     objective: str
 
 
+@typed
 @dataclass(frozen=True)
 class BenchmarkSettings:
     """How every instance is solved.
@@ -50,8 +51,8 @@ class BenchmarkSettings:
       InputError: no planner, or an unknown one.
     """
 
-    planners: Sequence[str] = PAPER_PLANNERS
-    distance_only: Sequence[str] = ("astar-dist",)
+    planners: Sequence[str] | str = PAPER_PLANNERS
+    distance_only: Sequence[str] | str = ("astar-dist",)
     cost_model: CostModel = field(default_factory=lambda: CostModel("line"))
     budget_s: float = 2.0
     budget_iterations: int | None = None
@@ -66,6 +67,10 @@ class BenchmarkSettings:
             raise InputError("planners is empty: name at least one planner")
         for planner in (*self.planners, *self.distance_only):
             find_planner(planner)
+        positive("budget_s", self.budget_s, "seconds")
+        if self.seed < 0 or (self.budget_iterations is not None and self.budget_iterations < 1):
+            told = f"{self.seed} and {self.budget_iterations}"
+            raise InputError(f"seed must be >= 0 and budget_iterations >= 1 (or None), got {told}")
 
     @property
     def runs(self) -> list[Run]:

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import shapely
 
-from jaxurban.errors import InputError
+from jaxurban.errors import InputError, typed
 from jaxurban.maps.differentiable import PathVisits, SoftCity, SoftParams, path_visits
 from jaxurban.metrics.base import TIME_OF_DAY
 from jaxurban.metrics.registry import METRICS
@@ -48,6 +48,7 @@ def weights_of(planned: PlannedPath) -> Weights:
     return Weights(**dict.fromkeys(("distance", *METRICS), 0.0) | {name: float(value) for name, value in used.items()})
 
 
+@typed
 def building_costs(
     city: City, soft: SoftCity, planned: PlannedPath, params: SoftParams, weights: Weights | None = None
 ) -> pd.DataFrame:

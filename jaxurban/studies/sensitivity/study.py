@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from jaxurban.errors import InputError, check_type
+from jaxurban.errors import InputError, check_type, typed
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.path import PlannedPath
@@ -108,6 +108,7 @@ class Sensitivity:
         return found
 
 
+@typed
 @dataclass(frozen=True)
 class SensitivitySettings:
     """What is varied, how far, and how finely.
@@ -135,6 +136,7 @@ class SensitivitySettings:
     seed: int = 0
 
 
+@typed
 def sensitivity(
     cost_map: CostMap,
     start: Point,

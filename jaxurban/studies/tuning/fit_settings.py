@@ -7,13 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from jaxurban.errors import InputError
+from jaxurban.errors import InputError, typed
 from jaxurban.io.rows import RowStore, fingerprint
 from jaxurban.progress import Progress
 from jaxurban.studies.queries import RouteQuery, maps_of
 from jaxurban.studies.route_pool import Backend, RoutePool
 
 
+@typed
 @dataclass(frozen=True)
 class FitSettings:
     """How a fit of weights searches.

@@ -13,7 +13,7 @@ import optax
 import pandas as pd
 from jaxtyping import Array
 
-from jaxurban.errors import InputError, check_type
+from jaxurban.errors import InputError, check_type, typed
 from jaxurban.metrics.registry import METRICS
 from jaxurban.metrics.weights import Weights
 from jaxurban.progress import Report, reporting
@@ -90,6 +90,7 @@ class TargetFit:
         return said
 
 
+@typed
 def fit_targets(
     queries: Sequence[RouteQuery],
     targets: Sequence[Target],

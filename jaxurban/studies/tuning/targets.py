@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxurban.errors import InputError, nearest_name
+from jaxurban.errors import InputError, nearest_name, typed
 from jaxurban.metrics.registry import METRICS
 from jaxurban.metrics.weights import AnyArray
 
@@ -20,6 +20,7 @@ def target_outcomes(metrics: Iterable[str] = METRICS) -> tuple[str, ...]:
     return ("detour", "length_m", "people", *(f"{MEAN}{name}" for name in metrics))
 
 
+@typed
 @dataclass(frozen=True)
 class Target:
     """A bound on an outcome of routes, averaged over a set of queries.

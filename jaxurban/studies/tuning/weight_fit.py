@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 
-from jaxurban.errors import InputError, check_type, one_of
+from jaxurban.errors import InputError, check_type, one_of, typed
 from jaxurban.io.rows import fingerprint
 from jaxurban.metrics.weights import Weights
 from jaxurban.progress import reporting
@@ -103,6 +103,7 @@ class WeightFit:
         )
 
 
+@typed
 def fit_weights(
     demonstrations: Sequence[Demonstration],
     *,
