@@ -13,7 +13,7 @@ import pandas as pd
 import pytest
 
 import jaxurban as ju
-from jaxurban.errors import InputError
+from jaxurban.errors import InputError, typed
 from jaxurban.io.store import write_zarr
 from jaxurban.paths.export import write_path
 from jaxurban.report.figures import plot_metric, plot_overview, plot_paths
@@ -162,6 +162,58 @@ def test_dir_lists_exactly_the_public_names_and_checkers_see_the_same():
 def test_a_thing_of_another_kind_is_one_sentence(call, words):
     with pytest.raises(InputError, match=words):
         call()
+
+
+@pytest.mark.parametrize(
+    ("call", "told"),
+    [
+        (lambda: ju.open_maps(5), "folder must be a text or a path, got 5"),
+        (lambda: MAPS.save(5), "folder must be a text or a path, got 5"),
+        (lambda: MAPS.is_free("low"), "altitude_m must be a number, got 'low'"),
+        (lambda: ju.Scenario.from_toml(5), "path must be a text or a path, got 5"),
+        (lambda: ju.Constraints.read(5), "no_fly must be a text, a path or a sequence, got 5"),
+        (lambda: ju.Constraints(5), "zones must be a sequence, got 5"),
+        (lambda: ju.MapsFolder(5), "folder must be a text or a path, got 5"),
+        (lambda: ju.demo_city(seed="a"), "seed must be a whole number, got 'a'"),
+        (lambda: ju.demo_city(width_m=[1]), "width_m must be a number, got list"),
+        (lambda: ju.soft_city(MAPS, 6, 7), "city must be City, got MetricMaps"),
+        (lambda: ju.build_maps(ju.demo_city(400, 400), resolution_m="a"), "resolution_m must be a number, got 'a'"),
+        (lambda: ju.plan_many(MAPS, [(START, GOAL)], altitude_m=20.0, num_threads="a"), "num_threads must be a whole"),
+        (lambda: ju.explain(ju.plan(MAPS, START, GOAL, altitude_m=20.0), num_segments="a"), "num_segments must be a"),
+        (lambda: ju.sample_instances(MAPS, num="a"), "num must be a whole number, got 'a'"),
+        (lambda: ju.make_queries(ju.cost_map(MAPS, 20.0), 5), "pairs must be a sequence, got 5"),
+        (lambda: ju.fit_weights(5), "demonstrations must be a sequence, got 5"),
+        (lambda: ju.read_demonstrations(5, MAPS), "file must be a text or a path, got 5"),
+        (lambda: ju.FitSettings(max_rounds="a"), "max_rounds must be a whole number, got 'a'"),
+        (lambda: ju.FitSettings(max_rounds=True), "max_rounds must be a whole number, got True"),
+        (lambda: ju.SensitivitySettings(vary=5), "vary must be a sequence, got 5"),
+        (lambda: ju.BenchmarkSettings(budget_s=-1), "budget_s must be a positive number of seconds, got -1"),
+        (lambda: ju.BenchmarkSettings(budget_iterations=0), "budget_iterations >= 1"),
+        (lambda: ju.save_sensitivity(5, "out"), "found must be Sensitivity, got 5"),
+        (lambda: ju.study(MAPS, 5, 3), "folder must be a text or a path, got 5"),
+    ],
+)
+def test_an_argument_of_another_kind_names_the_kinds_that_it_may_be(call, told):
+    with pytest.raises(InputError) as raised:
+        call()
+    assert told in str(raised.value)
+
+
+def test_numbers_and_sequences_of_numpy_are_taken_as_python_s():
+    assert ju.FitSettings(max_rounds=np.int64(3), budget_s=np.float32(2.0)).max_rounds == 3
+    assert ju.demo_city(np.float64(400.0), np.int32(400), seed=np.int64(0)).extent_m == ju.demo_city(400, 400).extent_m
+    assert ju.Layer("noise.tif", "high-is-bad", np.array([0.0, 80.0])).scaled(40.0) == 0.5
+
+
+def test_an_error_of_the_engine_s_own_stays_one():
+    @typed
+    def halve(number: float) -> float:
+        raise TypeError("a fault of the engine")
+
+    with pytest.raises(TypeError, match="a fault of the engine"):
+        halve(3)
+    with pytest.raises(InputError, match="number must be a number, got 'three'"):
+        halve("three")
 
 
 def test_places_in_metres_folders_and_single_paths_are_taken_where_many_are(paths, folder):

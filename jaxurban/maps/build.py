@@ -203,6 +203,7 @@ def map_guesses(task: MapTask) -> Guesses:
         mask_deg=task.params.mask_deg,
         population_layers=task.population,
         population=task.params.population,
+        bands=task.bands,
     )
 
 

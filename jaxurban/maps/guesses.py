@@ -4,16 +4,18 @@ They are written down where they are made: on the `City` by what reads it, on th
 `guesses_of` what a region's maps add. The maps hold all of them (``ds.attrs["guesses"]``), and each is warned of once.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import shapely
 
+from jaxurban.io.layers import Bands
 from jaxurban.io.read.guesses import TOLD_SHARE, Guesses, guessed_share, percent
 from jaxurban.io.read.knownarea import rays_leaving
+from jaxurban.io.read.raster import pixel_xy
 from jaxurban.io.read.rasterise import building_index, highest_top_m
 from jaxurban.metrics.population import BlockLayers, PopulationParams, region_blocks
-from jaxurban.world.city import Blocks, City
+from jaxurban.world.city import Blocks, City, Raster
 from jaxurban.world.grid import Bounds, Grid
 from jaxurban.world.sky import Sky
 from jaxurban.world.surface import NO_BUILDING
@@ -21,6 +23,7 @@ from jaxurban.world.surface import NO_BUILDING
 DRAWN_SHARE = 0.10  # of buildings: from here on the picture of heights tells guessed ones apart
 EMPTY_SHARE = 0.10  # of the region without a census block: rivers and the sea often have none
 SCALE_M, SCALE_SHARE = 1 / 3, 0.01  # no more than this share of inhabited blocks above this m: few set the scale
+SIDE_POINTS = 32  # along each side of a raster's outline, which another CRS bends
 NOMINAL_SKY = "nominal satellites"
 
 
@@ -67,6 +70,7 @@ def guesses_of(
     mask_deg: float,
     population_layers: BlockLayers | None,
     population: PopulationParams,
+    bands: Mapping[str, Bands] | None = None,
 ) -> Guesses:
     """Return every guess behind a region's maps.
 
@@ -78,6 +82,7 @@ def guesses_of(
       mask_deg: elevation mask.
       population_layers: of the city's blocks, None without them.
       population: its settings.
+      bands: values of own layers, by name.
     """
     guesses = {**city.guesses, **sky.guesses}
     if city.sources:
@@ -85,6 +90,8 @@ def guesses_of(
     else:
         guesses.pop(NOMINAL_SKY, None)
     guesses |= _coverage_guesses(city, region)
+    for name, values in (bands or {}).items():
+        guesses |= _layer_guesses(name, values[0], region)
     if city.blocks is not None and population_layers is not None:
         guesses |= _scale_guesses(city.blocks, region.bounds_m, population_layers, population)
     return guesses
@@ -112,6 +119,25 @@ def _coverage_guesses(city: City, region: Grid) -> Guesses:
                 "that cover it, unless it is water"
             )
     return guesses
+
+
+def _layer_guesses(name: str, band: Raster | np.ndarray, region: Grid) -> Guesses:
+    """Return how much of the region lies beyond a layer's raster; where that has holes is its maker's to say."""
+    if not isinstance(band, Raster):
+        return {}
+    (num_rows, num_cols), along = band.values.shape, np.linspace(0.0, 1.0, SIDE_POINTS)
+    row = np.concatenate([0 * along, along, 0 * along + 1, 1 - along]) * num_rows
+    col = np.concatenate([along, 0 * along + 1, 1 - along, 0 * along]) * num_cols
+    raster, whole = shapely.Polygon(np.stack(pixel_xy(band, row, col, region.crs), -1)), shapely.box(*region.bounds_m)
+    outside = 1.0 - float(shapely.intersection(whole, shapely.make_valid(raster)).area) / float(whole.area)
+    if outside <= TOLD_SHARE:
+        return {}
+    return {
+        f"{percent(outside)} of the region beyond layer {name}": (
+            f"{percent(outside)} of the region lies beyond the raster of layer {name} and is closed to every path: "
+            "give a raster that covers it, or a smaller region"
+        )
+    }
 
 
 def leaving_shares(city: City, region: Grid, sky: Sky, altitude_m: float, mask_deg: float) -> tuple[float, float]:

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
-from jaxurban.errors import InputError, finite, one_of, typed
+from jaxurban.errors import InputError, finite, one_of
 from jaxurban.metrics.availability import STATISTICS
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY, Metric, Scene, SoftScene, high_is_bad, low_is_bad
 from jaxurban.metrics.registry import METRICS
@@ -46,7 +46,6 @@ TAKEN = (
 )
 
 
-@typed
 @dataclass(frozen=True, eq=False)
 class Layer:
     """Settings of one's own cost layer, a ``[layers.NAME]`` section of a scenario.
@@ -139,7 +138,7 @@ def check_name(name: str) -> str:
     if not isinstance(name, str) or not name.isidentifier() or keyword.iskeyword(name):
         raise InputError(f"a layer's name must be letters, digits and _ such as noise_day, got {name!r}")
     if name in TAKEN:
-        raise InputError(f"a layer cannot be called {name!r}, which the maps hold already: give it another name")
+        raise InputError(f"a layer cannot be called {name!r}, which maps or weights use already: give it another name")
     return name
 
 

@@ -8,14 +8,16 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import rasterio
+import rasterio.warp
 import xarray as xr
 
 import jaxurban as ju
 from jaxurban.errors import InputError
 from jaxurban.io import store
-from jaxurban.io.layers import bands_of
-from jaxurban.maps.build import compute_maps
+from jaxurban.io.layers import bands_of, layer_values
+from jaxurban.maps.build import compute_maps, map_guesses, view_sky
 from jaxurban.maps.executors import work_on_cluster
+from jaxurban.maps.task import MapParams, MapTask
 from jaxurban.maps.tiled import TileJob
 from jaxurban.metrics.base import ALTITUDE, Metric, high_is_bad
 from jaxurban.metrics.custom import Layer, own_metric
@@ -23,6 +25,7 @@ from jaxurban.metrics.registry import METRICS
 from jaxurban.metrics.risk import RiskParams
 from jaxurban.scenario.run import Maker, make_zarr, run_scenario, tasks_of
 from jaxurban.scenario.settings import Scenario
+from jaxurban.world.grid import Grid
 from tests import tiled_runs
 from tests.tiled_runs import RAGGED
 
@@ -186,6 +189,25 @@ def test_a_function_that_cannot_travel_is_refused_by_a_cluster_in_one_sentence(t
     fixed = replace(task, layers={"walls": Layer(locked, "high-is-bad", (0.0, 1.0))})
     with pytest.raises(InputError, match="layer 'walls' cannot be sent to worker processes"):
         work_on_cluster(TileJob(fixed, None, None), None, None)
+
+
+@pytest.mark.parametrize("crs", ["EPSG:32618", "EPSG:4326"])
+def test_a_raster_that_ends_inside_the_region_is_told_with_the_share_that_it_closes(crs, tmp_path):
+    city, grid = ju.demo_city(500, 500), Grid("EPSG:32618", 20.0, 225_500, 29_250, 100, 100)
+    edges = rasterio.warp.transform_bounds(grid.crs, crs, *grid.bounds_m)
+    width = (edges[2] - edges[0]) * 0.6
+    right, up = 1.1 * width / 50, (edges[3] - edges[1] + 2 * width) / 50
+    at = rasterio.Affine(right, 0.0, edges[0] - 0.1 * width, 0.0, -up, edges[3] + width)
+    with rasterio.open(tmp_path / "part.tif", "w", "GTiff", 50, 50, 1, crs, at, "float32") as file:
+        file.write(np.zeros((1, 50, 50), np.float32))
+    layers = {"noise": Layer(str(tmp_path / "part.tif"), "high-is-bad", (0, 80))}
+    sky = view_sky(grid, "nominal", None, mask_deg=5.0, reference=None, max_age_days=90.0)
+    task = MapTask(city, grid, sky, MapParams(), layers, bands_of(layers, grid, (60.0,)))
+    ((name, told),) = ((name, told) for name, told in map_guesses(task).items() if "layer" in name)
+    closed = np.isnan(layer_values(task.bands["noise"], grid, grid)).mean()
+    assert told.startswith(f"{100 * closed:.0f} % of the region lies beyond the raster of layer noise and is closed")
+    assert 0.38 < closed < 0.42
+    assert name.endswith("of the region beyond layer noise")
 
 
 @pytest.mark.slow
