@@ -123,18 +123,18 @@ def free_cells(maps: Any) -> np.ndarray:
     return np.argwhere(maps.is_free(ALTITUDE_M))
 
 
-def embedded(folder: Path) -> Facts:
+def synthetic(folder: Path) -> Facts:
     """Maps in memory, and every planner that the clock does not decide."""
     maps = ju.build_maps(ju.demo_city(2_000, 2_000), resolution_m=10.0, altitudes_m=(20.0, 60.0))
-    facts = of_maps("embedded in memory", maps)
+    facts = of_maps("synthetic in memory", maps)
     free = free_cells(maps)
     queries = places(maps, free[np.random.default_rng(0).integers(len(free), size=(30, 2))])
     weights = ju.Weights(distance=1.0, gps=0.5, lidar=0.0, population=2.0, risk=3.0)
     for model in COST_MODELS:
         for planner in ("ptp", "astar-dist", "astar-plus", "astar-anytime", "theta-star"):
             if (planner, model) != ("theta-star", "cell"):
-                facts |= planned("embedded", maps, queries, planner=planner, cost_model=model)
-        facts |= planned("embedded", maps, queries[:8], cost_model=model, objective="distance")
+                facts |= planned("synthetic", maps, queries, planner=planner, cost_model=model)
+        facts |= planned("synthetic", maps, queries[:8], cost_model=model, objective="distance")
         other = ju.plan_many(maps, queries[:8], altitude_m=60.0, weights=weights, time_of_day="night", cost_model=model)
         facts |= {key: v for k, path in enumerate(other) for key, v in of_path(f"night {model} {k}", path).items()}
         for k, row in enumerate(queries[:6].itertuples(index=False)):
@@ -240,7 +240,7 @@ def manhattan(folder: Path) -> Facts:
 
 
 PARTS: dict[str, Callable[[Path], Facts]] = {
-    "embedded": embedded,
+    "synthetic": synthetic,
     "tiled": tiled,
     "studies": studies,
     "manhattan": manhattan,

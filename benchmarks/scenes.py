@@ -1,4 +1,4 @@
-"""The cities that the benchmarks fly over: those whose real data are at hand, and the embedded one."""
+"""The cities that the benchmarks fly over: those whose real data are at hand, and the synthetic one."""
 
 import os
 from dataclasses import dataclass
@@ -44,7 +44,7 @@ class Place:
 
 
 MANHATTAN = Place("Lower Manhattan", OSM)
-EMBEDDED = Place("synthetic city")
+SYNTHETIC = Place("synthetic city")
 TOKYO = Place(
     "Tokyo (Shinjuku)",
     DATA / "tokyo" / "tokyo-central-lod2.parquet",
@@ -54,7 +54,7 @@ TOKYO = Place(
     DATA / "tokyo" / "gps_2018-12-19.tle",
     "2018-12-19T06:20:00Z",
 )
-PLACES = {"manhattan": MANHATTAN, "tokyo": TOKYO, "embedded": EMBEDDED}
+PLACES = {"manhattan": MANHATTAN, "tokyo": TOKYO, "synthetic": SYNTHETIC}
 
 
 @dataclass(frozen=True)
@@ -102,4 +102,4 @@ def load_place(place: Place) -> Scene:
 
 def load_scene() -> Scene:
     """Return Lower Manhattan, or the synthetic city in its box where the real files are missing."""
-    return load_place(MANHATTAN if MANHATTAN.is_here else EMBEDDED)
+    return load_place(MANHATTAN if MANHATTAN.is_here else SYNTHETIC)

@@ -1,6 +1,6 @@
 """The studies of docs/study.md: the synthetic city at 5 m (200 instances x 4 altitudes) and Lower Manhattan at 5 m.
 
-Run with ``python -m benchmarks.study embedded|manhattan [-o DIR] [--instances N] [--workers N]``; a killed run goes on
+Run with ``python -m benchmarks.study synthetic|manhattan [-o DIR] [--instances N] [--workers N]``; a killed run goes on
 where it stopped. Prints one JSON object: seconds, rows, statuses, and where the report is.
 """
 
@@ -23,7 +23,7 @@ instances = {instances}
 planners = ["ptp", "astar-dist", "astar-plus", "bitstar-dist", "bitstar-plus"]
 budget_s = 2.0
 """
-EMBEDDED = """
+SYNTHETIC = """
 [region]
 bounds = [-74.03, 40.68, -73.9107, 40.86]   # 10 x 20 km
 resolution_m = 5.0
@@ -46,7 +46,7 @@ blocks = "{data}/census/tl_2010_36061_tabblock10.shp"
 table = "{data}/census/DECENNIALSF12010.P1_nyc_blocks.csv"
 districts = "{data}/districts/nyc_community_districts.geojson"
 """
-SCENARIOS = {"embedded": EMBEDDED, "manhattan": MANHATTAN}
+SCENARIOS = {"synthetic": SYNTHETIC, "manhattan": MANHATTAN}
 
 
 def main() -> None:

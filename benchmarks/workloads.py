@@ -106,7 +106,7 @@ def repeated(name: str, work: Callable[[], Any], num_runs: int) -> Found:
 
 
 def build_maps(folder: Path, num_runs: int) -> Found:
-    """The maps of the embedded city, 10 m, two altitudes; the city is made before."""
+    """The maps of the synthetic city, 10 m, two altitudes; the city is made before."""
     city = ju.demo_city(5_000, 10_000)
 
     def work() -> float:
@@ -134,7 +134,7 @@ def astar(folder: Path, num_runs: int) -> Found:
 
 
 def plan_many(folder: Path, num_runs: int) -> Found:
-    """200 queries on the embedded city in the size of Lower Manhattan, 5 m."""
+    """200 queries on the synthetic city in the size of Lower Manhattan, 5 m."""
     maps = ju.open_maps(folder / MIDDLE)
     queries = random_queries(maps, NUM_QUERIES, 3)
 

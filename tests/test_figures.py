@@ -86,17 +86,17 @@ def test_a_window_shows_the_grid_where_it_is_and_nothing_beyond():
 def test_a_figure_is_drawn_anew_as_picture_and_for_print(tmp_path, monkeypatch):
     monkeypatch.setattr(common, "HERE", tmp_path)
     monkeypatch.setattr(common, "OUT", tmp_path / "print")
-    monkeypatch.setattr(common, "TOWNS", (common.EMBEDDED, common.MANHATTAN))
+    monkeypatch.setattr(common, "TOWNS", (common.SYNTHETIC, common.MANHATTAN))
     common.save(make_frame(GRID, ["a"], "Heading", "note").figure, "fig_99_try", CAPTION)
     assert (tmp_path / "fig_99_try.png").read_bytes()[:4] == b"\x89PNG"
     assert (tmp_path / "print" / "fig_99_try.pdf").read_bytes()[:4] == b"%PDF"
 
 
 def test_without_the_data_files_what_shows_both_cities_is_kept_apart(monkeypatch):
-    monkeypatch.setattr(common, "TOWNS", (common.EMBEDDED,))
-    assert common.kept("fig_06_gps_embedded") == common.HERE
+    monkeypatch.setattr(common, "TOWNS", (common.SYNTHETIC,))
+    assert common.kept("fig_06_gps_synthetic") == common.HERE
     assert common.kept("table_4_dop_rating") == common.OUT
-    monkeypatch.setattr(common, "TOWNS", (common.EMBEDDED, common.MANHATTAN))
+    monkeypatch.setattr(common, "TOWNS", (common.SYNTHETIC, common.MANHATTAN))
     assert common.kept("table_4_dop_rating") == common.HERE
 
 

@@ -79,8 +79,8 @@ class Town(NamedTuple):
 
 _REGION = {"resolution_m": [MAP_M, PATH_M], "altitudes_m": list(ALTITUDES_M)}
 _PLANNING = {"obstacles": "centre"}  # the paper's rule
-EMBEDDED = Town(
-    "embedded",
+SYNTHETIC = Town(
+    "synthetic",
     "the synthetic city",
     {
         "region": {"bounds": BOUNDS, **_REGION},
@@ -103,7 +103,7 @@ MANHATTAN = Town(
     ALTITUDES_M,
 )
 HAS_CENSUS = all(file.exists() for file in CENSUS.values())
-TOWNS = (EMBEDDED, MANHATTAN) if HAS_CENSUS and OSM.exists() and ORBITS.exists() else (EMBEDDED,)
+TOWNS = (SYNTHETIC, MANHATTAN) if HAS_CENSUS and OSM.exists() and ORBITS.exists() else (SYNTHETIC,)
 
 
 @cache
@@ -119,7 +119,7 @@ def _run(name: str) -> Run:
 @cache
 def manhattan_blocks() -> Blocks:
     """Return the census blocks of all Manhattan with their districts, in UTM 18N."""
-    commercial = Scenario.from_dict(EMBEDDED.scenario).population.commercial
+    commercial = Scenario.from_dict(SYNTHETIC.scenario).population.commercial
     blocks, _ = read_blocks(
         CensusFiles(CENSUS["blocks"], CENSUS["table"], districts=CENSUS["districts"], commercial=commercial),
         "EPSG:32618",
@@ -135,9 +135,9 @@ def new_york_districts() -> tuple[np.ndarray, np.ndarray]:
 
 
 @cache
-def embedded_city() -> City:
+def synthetic_city() -> City:
     """Return the synthetic city over the paper's region, in UTM 18N."""
-    return load_city(Scenario.from_dict(EMBEDDED.scenario))
+    return load_city(Scenario.from_dict(SYNTHETIC.scenario))
 
 
 @cache
@@ -202,7 +202,7 @@ def save(figure: Figure, name: str, caption: Caption) -> None:
 
 def kept(name: str) -> Path:
     """Return where a picture or table is kept: not beside the scripts if it lacks the other city's part."""
-    return HERE if len(TOWNS) > 1 or name.endswith(f"_{EMBEDDED.name}") else OUT
+    return HERE if len(TOWNS) > 1 or name.endswith(f"_{SYNTHETIC.name}") else OUT
 
 
 def write_beneath(figure: Figure, caption: Caption) -> None:

@@ -42,27 +42,27 @@ MARGIN, SCALE_IN = 0.12, 0.38
 Share = tuple[float, float]  # of the region's width and height, from its southwest corner
 # Number of the figure, town, shares of start and goal, and what the query stands for.
 CASES = """
-10 embedded  0.10 0.07 0.75 0.77 Downtown to Uptown
-10 embedded  0.12 0.74 0.22 0.87 low houses in the northwest
-10 embedded  0.72 0.22 0.42 0.40 from the east into Midtown
+10 synthetic  0.10 0.07 0.75 0.77 Downtown to Uptown
+10 synthetic  0.12 0.74 0.22 0.87 low houses in the northwest
+10 synthetic  0.72 0.22 0.42 0.40 from the east into Midtown
 10 manhattan 0.10 0.30 0.92 0.93 Battery to the East Village
 10 manhattan 0.66 0.70 0.93 0.88 low houses in the northeast
 10 manhattan 0.88 0.05 0.52 0.50 from Brooklyn to Chinatown
-11 embedded  0.17 0.37 0.47 0.28 across Midtown
-11 embedded  0.06 0.34 0.28 0.58 along the wide river
-11 embedded  0.42 0.72 0.86 0.70 across the north of the island
+11 synthetic  0.17 0.37 0.47 0.28 across Midtown
+11 synthetic  0.06 0.34 0.28 0.58 along the wide river
+11 synthetic  0.42 0.72 0.86 0.70 across the north of the island
 11 manhattan 0.05 0.30 0.46 0.12 across the Financial District
 11 manhattan 0.42 0.10 0.97 0.36 along the East River
 11 manhattan 0.08 0.70 0.93 0.80 from the Hudson to the East Village
-12 embedded  0.10 0.62 0.33 0.32 over the wide river into Midtown
-12 embedded  0.24 0.28 0.38 0.37 a short way within Midtown
-12 embedded  0.90 0.90 0.12 0.10 the whole region
+12 synthetic  0.10 0.62 0.33 0.32 over the wide river into Midtown
+12 synthetic  0.24 0.28 0.38 0.37 a short way within Midtown
+12 synthetic  0.90 0.90 0.12 0.10 the whole region
 12 manhattan 0.02 0.85 0.27 0.22 over the Hudson to Wall Street
 12 manhattan 0.15 0.45 0.36 0.18 a short way downtown
 12 manhattan 0.95 0.95 0.08 0.12 the whole region
-13 embedded  0.55 0.62 0.68 0.70 a short way Uptown
-13 embedded  0.06 0.33 0.60 0.97 along the wide river
-13 embedded  0.08 0.36 0.62 0.42 from the river into the city
+13 synthetic  0.55 0.62 0.68 0.70 a short way Uptown
+13 synthetic  0.06 0.33 0.60 0.97 along the wide river
+13 synthetic  0.08 0.36 0.62 0.42 from the river into the city
 13 manhattan 0.25 0.25 0.45 0.40 a short way downtown
 13 manhattan 0.40 0.06 0.97 0.34 along the East River
 13 manhattan 0.05 0.55 0.95 0.80 from the Hudson to the East Village

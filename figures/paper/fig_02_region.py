@@ -14,11 +14,11 @@ from figures.paper.common import (
     TOWNS,
     Caption,
     add_polygons,
-    embedded_city,
     manhattan_blocks,
     new_york_districts,
     region_grid,
     save,
+    synthetic_city,
 )
 from jaxurban.report.figures.frame import (
     FAINT_INK,
@@ -147,8 +147,8 @@ def draw_manhattan() -> None:
     save(frame.figure, "fig_02_region_manhattan", Caption(PAPER, here, why))
 
 
-def draw_embedded() -> None:
-    city, frame = embedded_city(), begin("The synthetic city: land, park, districts and roofs", footer_in=0.4)
+def draw_synthetic() -> None:
+    city, frame = synthetic_city(), begin("The synthetic city: land, park, districts and roofs", footer_in=0.4)
     plan, panel = Plan(city.extent_m), frame.axes[0]
     region = shapely.box(*region_grid().bounds_m)
     buildings = city.buildings.take(shapely.intersects(city.buildings.polygons, region))
@@ -191,10 +191,10 @@ def draw_embedded() -> None:
         "comes with the package, so that every figure of the full 10 x 20 km can be drawn by anyone. Nothing is "
         "built beyond the box."
     )
-    save(frame.figure, "fig_02_region_embedded", Caption(PAPER, here, why))
+    save(frame.figure, "fig_02_region_synthetic", Caption(PAPER, here, why))
 
 
 def main() -> None:
-    draw_embedded()
+    draw_synthetic()
     if MANHATTAN in TOWNS:
         draw_manhattan()

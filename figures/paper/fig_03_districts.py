@@ -9,15 +9,15 @@ from matplotlib.patheffects import withStroke
 
 from figures.paper.common import (
     CREDIT,
-    EMBEDDED,
     HAS_CENSUS,
+    SYNTHETIC,
     Caption,
     add_polygons,
-    embedded_city,
     manhattan_blocks,
     new_york_districts,
     region_grid,
     save,
+    synthetic_city,
 )
 from jaxurban.metrics.population import block_layers
 from jaxurban.report.figures.frame import INK, Colours, add_key, make_frame
@@ -79,9 +79,9 @@ def manhattan() -> Ground:
     return Ground("manhattan", "Manhattan", credit, grid, districts, park, polygons[is_other], blocks, outlines)
 
 
-def embedded() -> Ground:
+def synthetic() -> Ground:
     """Return the synthetic city."""
-    city = embedded_city()
+    city = synthetic_city()
     plan, blocks = Plan(city.extent_m), city.blocks
     districts = {
         number: shapely.union_all(shapely.buffer(blocks.polygons[blocks.district == number], SHORE_M)).buffer(-SHORE_M)
@@ -89,7 +89,7 @@ def embedded() -> Ground:
     }
     around = np.array([shapely.intersection(part.land, plan.box) for part in plan.parts() if not part.is_island])
     return Ground(
-        EMBEDDED.name, EMBEDDED.title, "", region_grid(), districts, plan.park(), around, blocks, blocks.polygons
+        SYNTHETIC.name, SYNTHETIC.title, "", region_grid(), districts, plan.park(), around, blocks, blocks.polygons
     )
 
 
@@ -150,7 +150,7 @@ def caption(ground: Ground, density: np.ndarray) -> Caption:
         f"on {blocks.area_m2[densest]:,.0f} m² ({blocks.night_count[densest]:,.0f} people, district "
         f"{blocks.district[densest] % 100})."
     )
-    if ground.name == EMBEDDED.name:
+    if ground.name == SYNTHETIC.name:
         why = (
             "A synthetic city of the same plan. Each street block is a census block out to the middle of its "
             "streets, the suburbs beyond the rivers included; the paper's blocks are Manhattan's."
@@ -166,6 +166,6 @@ def caption(ground: Ground, density: np.ndarray) -> Caption:
 
 
 def main() -> None:
-    draw(embedded())
+    draw(synthetic())
     if HAS_CENSUS:
         draw(manhattan())

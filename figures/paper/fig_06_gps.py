@@ -27,7 +27,7 @@ def caption(town: Town, maps: MetricMaps) -> Caption:
         f"is a GDOP of {gdop:.1f}, and m is 1 only at a GDOP of 1, which no real sky reaches."
         + (
             " The city is made up, with Manhattan's plan and heights."
-            if town.name == "embedded"
+            if town.name == "synthetic"
             else " The box is Manhattan's southern end only: no Midtown, no Central Park."
         ),
     )

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from matplotlib.figure import Figure
 
-from figures.paper.common import BOUNDS, EMBEDDED, HAS_CENSUS, MAP_M, Caption, manhattan_blocks, save
+from figures.paper.common import BOUNDS, HAS_CENSUS, MAP_M, SYNTHETIC, Caption, manhattan_blocks, save
 from jaxurban.io.read.rasterise import NO_BLOCK, burn
 from jaxurban.metrics.population import block_layers, map_blocks, population_totals
 from jaxurban.report.figures import plot_population
@@ -60,12 +60,12 @@ def norm_text(density: np.ndarray) -> str:
 
 
 def main() -> None:
-    maps = EMBEDDED.maps(MAP_M)
+    maps = SYNTHETIC.maps(MAP_M)
     cell_km2 = MAP_M**2 / 1e6
     people = {time: maps.m("density", time_of_day=time).sum(dtype=float) * cell_km2 / 1e6 for time in maps.times_of_day}
     save(
         plot_population(maps),
-        "fig_08_population_embedded",
+        "fig_08_population_synthetic",
         Caption(
             PAPER,
             f"The same swing in the synthetic city: {people['day']:.2f} million people by day, {people['night']:.2f} "

@@ -3,7 +3,7 @@
 import numpy as np
 import pandas as pd
 
-from figures.paper.common import HAS_CENSUS, Caption, embedded_city, manhattan_blocks, save_table
+from figures.paper.common import HAS_CENSUS, Caption, manhattan_blocks, save_table, synthetic_city
 from jaxurban.metrics.population import PopulationParams, block_people, day_share
 from jaxurban.studies.tuning.calibration import calibrate_gamma
 from jaxurban.world.city import Blocks
@@ -41,7 +41,7 @@ def main() -> None:
         rows[f"Manhattan, 2010 census, factors {gamma:.2f} and {params.gamma_residential:g}"] = millions(
             blocks, found.params
         )
-    embedded = rows[f"the synthetic city, {rule}"] = millions(embedded_city().blocks, params)
+    synthetic = rows[f"the synthetic city, {rule}"] = millions(synthetic_city().blocks, params)
     table = pd.DataFrame(
         [
             {"Millions of people": name} | {HEADS[hour]: f"{value:.2f}" for hour, value in by.items()}
@@ -49,7 +49,7 @@ def main() -> None:
         ]
     )
     here = (
-        f"The synthetic city's {embedded['weekday-00']:.2f} million at night and {embedded['weekday-12']:.2f} by day "
+        f"The synthetic city's {synthetic['weekday-00']:.2f} million at night and {synthetic['weekday-12']:.2f} by day "
         "are invented."
     )
     why = "A census counts residents: visitors in hotels and commuters who work at night are not in it."

@@ -8,12 +8,12 @@ import pyogrio
 
 from figures.paper.common import (
     CENSUS,
-    EMBEDDED,
     HAS_CENSUS,
+    SYNTHETIC,
     Caption,
-    embedded_city,
     manhattan_blocks,
     save_table,
+    synthetic_city,
 )
 from jaxurban.metrics.population import PopulationParams, block_people, day_share
 from jaxurban.world.city import Blocks, Zoning
@@ -88,7 +88,7 @@ def shown(found: pd.DataFrame, names: dict[int, str]) -> pd.DataFrame:
 
 
 def main() -> None:
-    cities = [(EMBEDDED.name, EMBEDDED.title, embedded_city().blocks, 0)]
+    cities = [(SYNTHETIC.name, SYNTHETIC.title, synthetic_city().blocks, 0)]
     if HAS_CENSUS:
         cities.append(("manhattan", "Manhattan", manhattan_blocks(), MANHATTAN_LABEL))
     params = PopulationParams()

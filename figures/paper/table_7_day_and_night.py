@@ -10,11 +10,11 @@ from figures.paper.common import (
     CENSUS,
     HAS_CENSUS,
     Caption,
-    embedded_city,
     manhattan_blocks,
     new_york_districts,
     region_grid,
     save_table,
+    synthetic_city,
 )
 from figures.paper.table_5_people_by_time import MOSS
 from jaxurban.metrics.population import PopulationParams, population_totals
@@ -67,7 +67,7 @@ def check_residential(totals: dict[str, dict[str, float]]) -> None:
 
 
 def main() -> None:
-    cities = {"the synthetic city": embedded_city().blocks}
+    cities = {"the synthetic city": synthetic_city().blocks}
     if HAS_CENSUS:
         cities = {"Manhattan, 2010 census": manhattan_blocks()} | cities
     rows = [

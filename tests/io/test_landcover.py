@@ -125,7 +125,7 @@ def test_a_damaged_file_names_the_remedy(tmp_path):
         read_land_cover(file, CRS, (583_000, 4_507_000, 584_000, 4_508_000))
 
 
-def test_the_embedded_citys_water_holds_no_building_and_its_park_none():
+def test_the_synthetic_citys_water_holds_no_building_and_its_park_none():
     city = demo_city(3000, 4000)
     cover = demo_cover(city.extent_m)
     assert not shapely.intersects(city.buildings.polygons, cover.park).any()

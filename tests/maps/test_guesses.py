@@ -107,7 +107,7 @@ def test_python_is_warned_once_of_each_guess_and_maps_hold_all_of_them(tmp_path)
     np.testing.assert_array_equal(ran.maps[10.0].m("roof_guessed"), maps.m("roof_guessed"))
 
 
-def test_the_embedded_city_guesses_nothing():
+def test_the_synthetic_city_guesses_nothing():
     city, region = ju.demo_city(500, 500), Grid.from_bounds((-73.971, 40.7795, -73.969, 40.7805), 20.0, CRS)
     sky = view_sky(region, "nominal", None, mask_deg=5.0, reference=None, max_age_days=90.0)
     assert map_guesses(MapTask(city, region, sky, MapParams())) == {}

@@ -135,7 +135,7 @@ def test_a_refined_path_leaves_the_grid_and_is_never_costlier(maps, ends):
 
 
 @pytest.mark.parametrize("name", PLANNERS)
-def test_plans_over_the_embedded_city_keep_to_free_cells_by_shapely(maps, name):
+def test_plans_over_the_synthetic_city_keep_to_free_cells_by_shapely(maps, name):
     is_free, grid = maps.is_free(20.0), maps.grid
     obstacles = Obstacles(is_free, grid.resolution_m, grid.x_min_m, grid.y_min_m)
     islands = label(is_free)[0]

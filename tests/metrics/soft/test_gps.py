@@ -181,7 +181,7 @@ def differences_to_exact(city, region, softnesses_m):
     )
 
 
-def test_halving_the_softness_brings_the_embedded_city_closer_to_exact_each_time():
+def test_halving_the_softness_brings_the_synthetic_city_closer_to_exact_each_time():
     city = ju.demo_city(1_500, 1_500)
     west, south, _, _ = city.extent_m
     region = Grid(city.crs, 10.0, math.ceil(south / 10), math.ceil(west / 10), 140, 140)

@@ -19,9 +19,9 @@ ALTITUDE_M = 20.0
 
 @pytest.mark.slow
 @pytest.mark.data
-@pytest.mark.parametrize("city_name", ["embedded", "lower-manhattan"])
+@pytest.mark.parametrize("city_name", ["synthetic", "lower-manhattan"])
 def test_each_halving_comes_nearer_and_the_last_map_is_the_exact_one_but_for_half_a_percent(city_name, request):
-    if city_name == "embedded":
+    if city_name == "synthetic":
         city = demo_city(2000, 2000)
         x_min, y_min = (round(edge / 5) for edge in city.extent_m[:2])
         region = Grid(city.crs, 5.0, y_min, x_min, 400, 400)
