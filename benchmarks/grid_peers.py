@@ -23,7 +23,7 @@ from jaxurban.planners.astar import astar
 from jaxurban.planners.base import Cell, CostModel, Problem
 from jaxurban.planners.graph import Graph, Heuristic, graph_of, zero_heuristic
 from jaxurban.planners.moves import STEPS
-from jaxurban.planners.search.grid import Search
+from jaxurban.planners.search.grid import GridSearch
 
 CITY_M = (10_000.0, 20_000.0)
 RESOLUTION_M = 5.0
@@ -192,7 +192,7 @@ def solver(problem: Problem) -> Callable[[Cell, Cell], float]:
 
 def solve_graph(graph: Graph, bound: Heuristic, start: Cell, goal: Cell) -> float:
     """Return the cost of the cheapest path over a graph whose steps are costed as no problem's are."""
-    search = Search(graph, bound, start, goal)
+    search = GridSearch(graph, bound, start, goal)
     search.run()
     search.points_m(1.0)
     return float(search.g[search.goal])

@@ -2,9 +2,9 @@
 
 ``python -m benchmarks.same_results OLD NEW`` prints the differences, or that there are none, and exits with 1 where
 there is one. Compared are: every variable of maps of the synthetic city (in memory, in tiles, at finer cells with
-bounds and spreads, statistics over time) and of Lower Manhattan (where JAXURBAN_DATA names the data); status, cost, length,
-metrics and points of paths by every planner under both cost models, on levels of a volume too; every number of the
-tables that ``study`` (BIT* with a fixed number of samples), ``sensitivity`` and ``tune`` write, and of what ``plan
+bounds and spreads, statistics over time) and of Lower Manhattan (where JAXURBAN_DATA names the data); status, cost,
+length, metrics and points of paths by every planner under both cost models, on levels of a volume too; every number of
+the tables that ``study`` (BIT* with a fixed number of samples), ``sensitivity`` and ``tune`` write, and of what ``plan
 --report --json`` prints. What the clock decides is left out. `benchmarks.public_results` computes one side.
 """
 

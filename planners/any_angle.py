@@ -13,7 +13,7 @@ from jaxurban.planners.bitstar.bounds import HEURISTICS, Bounds, make_bounds
 from jaxurban.planners.checks import check_budget, check_name, free_ride
 from jaxurban.planners.cost import warm_up as warm_up_features
 from jaxurban.planners.cost_grid import cost_grid_of, reachable_cells
-from jaxurban.planners.search.any_angle import MARGIN, NO_PARENT, TIE, Estimate, Nodes, advance, shortcut
+from jaxurban.planners.search.any_angle import MARGIN, NO_PARENT, TIE, AnyAngleNodes, Estimate, advance, shortcut
 
 CHUNK = 10_000  # expansions between two looks at the clock: some 5 to 50 ms
 FIRST_HEAP = 4096  # entries; doubled when full
@@ -124,7 +124,7 @@ def _search(problem: Problem, cost_grid: CostGrid, bounds: Bounds, end_s: float)
     row_at, col_at = (0.5 * (sums[:-1] + sums[1:]) for sums in (bounds.row_sum, bounds.col_sum))
     estimate = Estimate(bounds.per_side, np.abs(row_at - row_at[goal_row]), np.abs(col_at - col_at[goal_col]))
     num_cells = cost_grid.cell_cost.size
-    nodes = Nodes(
+    nodes = AnyAngleNodes(
         g=np.full(num_cells, np.inf),
         parent=np.full(num_cells, NO_PARENT, np.int32),
         tried=np.full(num_cells, NO_PARENT, np.int32),

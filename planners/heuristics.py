@@ -16,7 +16,7 @@ from jaxurban.planners.landmarks import (
     make_landmarks,
     should_use,
 )
-from jaxurban.planners.search.grid import Search, estimate
+from jaxurban.planners.search.grid import GridSearch, estimate
 
 ADMISSIBLE = ("none", "euclidean", "octile", "plus", "landmarks", "exact")  # all of them consistent too
 PRINTED = ("plus-printed", "plus-printed-from-0")
@@ -39,10 +39,10 @@ class Prepared(NamedTuple):
     setup_s: float
     note: str
 
-    def search(self, problem: Problem) -> Search:
+    def search(self, problem: Problem) -> GridSearch:
         """Return the search for a problem, begun; by distance alone where the tables are not ready."""
         bound = make_heuristic(self.name if self.is_ready else "octile", problem)
-        return Search(graph_of(problem), bound, problem.start, problem.goal)
+        return GridSearch(graph_of(problem), bound, problem.start, problem.goal)
 
 
 def prepare(name: str, problem: Problem, budget_s: float) -> Prepared:

@@ -14,7 +14,7 @@ from scipy.ndimage import label
 
 from jaxurban.planners.base import Cell, Problem
 from jaxurban.planners.graph import LandmarkBound, graph_of, zero_heuristic
-from jaxurban.planners.search.grid import EXHAUSTED, Search
+from jaxurban.planners.search.grid import EXHAUSTED, GridSearch
 
 NUM_LANDMARKS = 8  # 8 float64 fill a cache line
 # Queries on one map and weights after which landmarks are built. On Lower Manhattan building costs what some 50
@@ -84,7 +84,7 @@ def landmark_cells(problem: Problem, num: int) -> list[Cell]:
 
 def symmetric_costs(problem: Problem, cell: Cell, end_s: float) -> np.ndarray:
     """Return ``[Y, X]`` the cost S between a cell and every other, inf without a way; `TimeoutError` past ``end_s``."""
-    search = Search(graph_of(problem, is_symmetric=True), zero_heuristic(problem), cell, None)
+    search = GridSearch(graph_of(problem, is_symmetric=True), zero_heuristic(problem), cell, None)
     if search.run(end_s=end_s) != EXHAUSTED:
         raise TimeoutError
     return search.g.reshape(problem.is_free.shape)

@@ -27,7 +27,7 @@ from jaxurban.report.figures import plot_metric
 from jaxurban.report.figures.frame import FAINT_INK, INK, SMALL_PT
 from jaxurban.report.markdown import framed
 from jaxurban.report.save import write_png
-from jaxurban.scenario.run import Run, load_city, run_scenario
+from jaxurban.scenario.run import ScenarioRun, load_city, run_scenario
 from jaxurban.scenario.settings import Scenario
 from jaxurban.studies.montecarlo.strata import STRATA, strata_of
 from jaxurban.world.city import Blocks, City
@@ -68,7 +68,7 @@ class Town(NamedTuple):
     scenario: dict
     drawn_m: tuple[float, ...]
 
-    def run(self) -> Run:
+    def run(self) -> ScenarioRun:
         """Return the maps by resolution, made if they are not there yet, and the record of how."""
         return _run(self.name)
 
@@ -107,7 +107,7 @@ TOWNS = (SYNTHETIC, MANHATTAN) if HAS_CENSUS and OSM.exists() and ORBITS.exists(
 
 
 @cache
-def _run(name: str) -> Run:
+def _run(name: str) -> ScenarioRun:
     town = next(town for town in TOWNS if town.name == name)
     return run_scenario(
         Scenario.from_dict(town.scenario),

@@ -15,10 +15,10 @@ from figures.paper.common import PATH_M, TOWNS, Caption, Town, save
 from jaxurban.paths.cost_map import CostMap, cost_map
 from jaxurban.paths.finish import finish
 from jaxurban.paths.path import PlannedPath
-from jaxurban.paths.search import Search
+from jaxurban.paths.search import PathSearch
 from jaxurban.paths.snapping import XY
 from jaxurban.planners.registry import find_planner
-from jaxurban.report.figures.frame import NO_DATA_COLOUR, Frame, Layer, add_key, add_scale, draw_layers, make_frame
+from jaxurban.report.figures.frame import NO_DATA_COLOUR, Frame, MapLayer, add_key, add_scale, draw_layers, make_frame
 from jaxurban.report.figures.metrics import obstacle_patches
 from jaxurban.report.figures.paths import (
     BLOCKED_COLOUR,
@@ -102,7 +102,7 @@ def plan_case(shared: CostMap, case: Case) -> list[PlannedPath]:
     for planner in PAPER_PLANNERS:
         limits = {"max_samples": NUM_SAMPLES} if draws_samples(planner) else {}
         found = find_planner(planner)(problem, budget_s=math.inf, seed=0, **limits)
-        paths.append(finish(shared, found, ends, Search(planner, budget_s=math.inf)))
+        paths.append(finish(shared, found, ends, PathSearch(planner, budget_s=math.inf)))
     return paths
 
 
@@ -128,7 +128,7 @@ def window(grid: Grid, paths: Sequence[PlannedPath]) -> Grid:
     )
 
 
-def crop(layer: Layer, grid: Grid, part: Grid) -> Layer:
+def crop(layer: MapLayer, grid: Grid, part: Grid) -> MapLayer:
     """Return what a layer on ``grid`` shows in ``part``; NaN, or class -1, beyond the grid."""
     beyond = np.int8(-1) if layer.is_classes else np.float32(np.nan)
     values = np.full(part.shape, beyond, layer.values.dtype)

@@ -18,7 +18,7 @@ from figures.paper.common import CREDIT, PATH_M, TOWNS, Caption, Town, save
 from jaxurban.maps.build import soften
 from jaxurban.maps.differentiable import SoftParams
 from jaxurban.paths.path import PlannedPath
-from jaxurban.report.figures.frame import FAINT_INK, INK, SMALL_PT, TEXT_PT, Layer, draw_layers, flat_layer
+from jaxurban.report.figures.frame import FAINT_INK, INK, SMALL_PT, TEXT_PT, MapLayer, draw_layers, flat_layer
 from jaxurban.report.figures.metrics import (
     BUILT_COLOUR,
     FREE_COLOUR,
@@ -126,7 +126,7 @@ class Sheet:
         panel.set(xticks=[], yticks=[])
         return panel
 
-    def map(self, x: float, y: float, side: float, grid: ju.Grid, layers: Sequence[Layer] = ()) -> Axes:
+    def map(self, x: float, y: float, side: float, grid: ju.Grid, layers: Sequence[MapLayer] = ()) -> Axes:
         """Draw layers as a thumbnail, and return it."""
         panel = self.panel(x, y, side, side)
         if layers:
@@ -225,10 +225,10 @@ def draw_metrics(sheet: Sheet, facts: Facts) -> list[float]:
     """Draw the third column, the five metrics, and return the heights of their middles."""
     x, width, height, maps = 4.1, 1.5, 0.86, facts.maps
     colours = metric_colours(maps, "population")
-    people = Layer(maps.m("population", time_of_day=TIME_OF_DAY), colours)
+    people = MapLayer(maps.m("population", time_of_day=TIME_OF_DAY), colours)
     has_data = maps.ds["has_data"].values
 
-    def free(name: str, **at) -> list[Layer]:
+    def free(name: str, **at) -> list[MapLayer]:
         return [obstacle_layer(maps, ALTITUDE_M), free_layer(maps, name, ALTITUDE_M, **at)]
 
     metrics = {

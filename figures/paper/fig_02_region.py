@@ -34,7 +34,7 @@ from jaxurban.report.figures.frame import (
 from jaxurban.report.figures.metrics import ROOF_TICKS_M
 from jaxurban.world.city import OTHER_DISTRICT
 from jaxurban.world.grid import WGS84, Grid, transformer
-from jaxurban.world.synthetic_streets import Plan
+from jaxurban.world.synthetic_streets import CityPlan
 
 WATER, LAND, FAR_LAND, PARK = "#dbe6ee", "#ffffff", "#ececec", "#b9d8a8"
 BOX, EXTRACT, STUDY = "#111111", "#0072b2", "#d55e00"
@@ -149,7 +149,7 @@ def draw_manhattan() -> None:
 
 def draw_synthetic() -> None:
     city, frame = synthetic_city(), begin("The synthetic city: land, park, districts and roofs", footer_in=0.4)
-    plan, panel = Plan(city.extent_m), frame.axes[0]
+    plan, panel = CityPlan(city.extent_m), frame.axes[0]
     region = shapely.box(*region_grid().bounds_m)
     buildings = city.buildings.take(shapely.intersects(city.buildings.polygons, region))
     blocks, parts = city.blocks, plan.parts()

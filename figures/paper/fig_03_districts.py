@@ -23,7 +23,7 @@ from jaxurban.metrics.population import block_layers
 from jaxurban.report.figures.frame import INK, Colours, add_key, make_frame
 from jaxurban.world.city import Blocks
 from jaxurban.world.grid import Grid
-from jaxurban.world.synthetic_streets import Plan
+from jaxurban.world.synthetic_streets import CityPlan
 
 COMMERCIAL, RESIDENTIAL, PARK = "#b2182b", "#a6cee3", "#4d9221"  # dark, light and between them without colour too
 OTHER_LAND, WATER, NOBODY = "#ececec", "#dbe6ee", "#ffffff"
@@ -82,7 +82,7 @@ def manhattan() -> Ground:
 def synthetic() -> Ground:
     """Return the synthetic city."""
     city = synthetic_city()
-    plan, blocks = Plan(city.extent_m), city.blocks
+    plan, blocks = CityPlan(city.extent_m), city.blocks
     districts = {
         number: shapely.union_all(shapely.buffer(blocks.polygons[blocks.district == number], SHORE_M)).buffer(-SHORE_M)
         for number in range(1, NUM_DISTRICTS + 1)

@@ -21,7 +21,7 @@ from jaxurban.report.figures.frame import (
     INK,
     Colours,
     Frame,
-    Layer,
+    MapLayer,
     add_key,
     draw_layers,
     flat_layer,
@@ -93,7 +93,7 @@ class Picture:
         problem = self.problem
         shown = np.where(problem.is_free, problem.cost, np.nan)
         norm = Normalize(0, 2.2 * np.nanmax(shown))
-        layers = [Layer(shown, Colours("Greys", norm)), flat_layer(~problem.is_free, OBSTACLE)]
+        layers = [MapLayer(shown, Colours("Greys", norm)), flat_layer(~problem.is_free, OBSTACLE)]
         draw_layers(panel, self.maps.grid, layers)
 
     def space(self, panel: Axes, cost: float) -> None:

@@ -53,7 +53,7 @@ def plan(folder: Path, files: Sequence[Path], profile: Path | None, as_json: boo
     from jaxurban.paths.explain import check_flight, explain
     from jaxurban.paths.export.qgc_plan import height_note
     from jaxurban.paths.export.write import check_export, write_path
-    from jaxurban.paths.search import Search
+    from jaxurban.paths.search import PathSearch
 
     with_report, is_volume, snap = given["with_report"], given["is_volume"], take_snap(given)
     flight = {name: given[name] for name in ("speed_m_s", "power_w", "swath_m") if given[name] is not None}
@@ -76,7 +76,7 @@ def plan(folder: Path, files: Sequence[Path], profile: Path | None, as_json: boo
         altitude_m = Levels(**{name: given[name] for name in LEVEL_OPTIONS if given[name] is not None})
     names = ("heuristic", "budget_s", "refine", *(() if is_volume else ("planner", "seed")))
     search = {name: planning[name] for name in names if name in planning}
-    Search(**search).find(is_for_volumes=is_volume)  # a wrong name is refused before the maps are read
+    PathSearch(**search).find(is_for_volumes=is_volume)  # a wrong name is refused before the maps are read
     shared = stored_cost_map(folder, stored, given, altitude_m, planning.get("objective", "weighted"))
     planned, maps = shared.plan(start, goal, snap=snap, **search), shared.maps
     is_explained = planned.status.has_path and (with_report or profile is not None)

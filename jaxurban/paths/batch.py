@@ -19,7 +19,7 @@ from jaxurban.paths.cost_map import CostMap, cost_map
 from jaxurban.paths.finish import finish
 from jaxurban.paths.queries import Point, Query, read_queries
 from jaxurban.paths.results import BAD_INPUT, CRASHED, NOT_RUN, BatchResults, PlannedPaths, QueryResult
-from jaxurban.paths.search import Search
+from jaxurban.paths.search import PathSearch
 from jaxurban.paths.snapping import Place, one_place, snap_limit_m
 from jaxurban.planners.base import CostKind, CostModel, Path
 from jaxurban.planners.batch import Backend, solve_many
@@ -80,7 +80,7 @@ def plan_many(
       InputError: an argument that is wrong for all queries, a file that holds results of other queries; with
         ``strict`` any query's error too.
     """
-    search = Search(planner, heuristic, budget_s, seed, snap)
+    search = PathSearch(planner, heuristic, budget_s, seed, snap)
     search.find()
     if file is not None and (FilePath(file).suffix != ".parquet" or not FilePath(file).parent.is_dir()):
         raise InputError(f"file {str(file)!r} must end in .parquet and lie in a folder that exists")
@@ -127,7 +127,7 @@ class _Job:
     maps: MetricMaps
     queries: list[Query]
     map_of: Callable[[Query], tuple[CostMap | None, str]]
-    search: Search
+    search: PathSearch
     backend: Backend
     num_threads: int | None
     strict: bool

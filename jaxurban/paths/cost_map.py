@@ -18,7 +18,7 @@ from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.finish import finish
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.reachability import Reachability, levels_that_join
-from jaxurban.paths.search import Search
+from jaxurban.paths.search import PathSearch
 from jaxurban.paths.snapping import XY, Place, Point, free_place
 from jaxurban.planners.any_angle import check_line_model
 from jaxurban.planners.base import Cell, CostKind, CostModel, Problem
@@ -258,8 +258,8 @@ class CostMap(Shown):
         snap: bool | float = False,
         refine: bool = False,
     ) -> PlannedPath:
-        """Return a path between two places, given as in `locate` (other arguments: `Search`; errors: `plan`)."""
-        search = Search(planner, heuristic, budget_s, seed, snap, refine)
+        """Return a path between two places, given as in `locate` (other arguments: `PathSearch`; errors: `plan`)."""
+        search = PathSearch(planner, heuristic, budget_s, seed, snap, refine)
         find_path = search.find(is_for_volumes=self.levels is not None)
         ends = self.locate("start", start, snap=search.snap), self.locate("goal", goal, snap=search.snap)
         problem = self.problem.between(ends[0].cell, ends[1].cell)

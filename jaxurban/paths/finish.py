@@ -9,7 +9,7 @@ import numpy as np
 from jaxurban.metrics.registry import METRICS
 from jaxurban.paths.ground import Ground, ground_along
 from jaxurban.paths.path import PlannedPath
-from jaxurban.paths.search import Search
+from jaxurban.paths.search import PathSearch
 from jaxurban.paths.snapping import Place, snap_note
 from jaxurban.planners.base import Path, Status
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from jaxurban.paths.cost_map import CostMap
 
 
-def finish(on: "CostMap", found: Path, ends: tuple[Place, Place], search: Search) -> PlannedPath:
+def finish(on: "CostMap", found: Path, ends: tuple[Place, Place], search: PathSearch) -> PlannedPath:
     """Return a planner's path with its weighted cost, its metrics, its coordinates and its settings.
 
     Args:
@@ -69,7 +69,7 @@ def _note(on: "CostMap", found: Path, ends: tuple[Place, Place]) -> str:
     return " ".join(filter(None, notes))
 
 
-def _settings(on: "CostMap", ends: tuple[Place, Place], search: Search) -> dict[str, object]:
+def _settings(on: "CostMap", ends: tuple[Place, Place], search: PathSearch) -> dict[str, object]:
     settings = {
         "objective": on.objective,
         **on.cost_model.settings,

@@ -7,7 +7,7 @@ from jaxurban.metrics.weights import GivenWeights
 from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.cost_map import cost_map
 from jaxurban.paths.path import PlannedPath
-from jaxurban.paths.search import Search
+from jaxurban.paths.search import PathSearch
 from jaxurban.paths.snapping import Point, one_place
 from jaxurban.planners.base import CostKind, CostModel
 
@@ -71,7 +71,7 @@ def plan(
         level, or a volume that memory cannot hold.
     """
     # A wrong name is refused before the maps are read.
-    Search(planner, heuristic, seed=seed, refine=refine).find(is_for_volumes=isinstance(altitude_m, Levels))
+    PathSearch(planner, heuristic, seed=seed, refine=refine).find(is_for_volumes=isinstance(altitude_m, Levels))
     ends = one_place("start", start, start_xy_m), one_place("goal", goal, goal_xy_m)
     shared = cost_map(
         maps,

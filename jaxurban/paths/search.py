@@ -10,7 +10,7 @@ from jaxurban.planners.registry import check_seed, find_planner
 
 
 @dataclass(frozen=True)
-class Search:
+class PathSearch:
     """How a path is searched for: what does not change the map.
 
     Attributes:

@@ -40,7 +40,7 @@ from jaxurban.world.tiling import Tiling
 
 
 @dataclass(frozen=True)
-class Run:
+class ScenarioRun:
     """What a job made: the maps by resolution, and the record that run.json holds."""
 
     maps: dict[float, MetricMaps]
@@ -122,7 +122,7 @@ def run_scenario(
     progress: Progress = True,
     overwrite: bool = False,
     resources: Resources | None = None,
-) -> Run:
+) -> ScenarioRun:
     """Make the maps of a scenario under ``folder`` and return them with the record of the run.
 
     Finished resolutions, tiles and files of the same inputs are kept, once all of them have been read; what is
@@ -143,7 +143,7 @@ def run_scenario(
         return _run(scenario, folder, overwrite, resources or Resources(), report)
 
 
-def _run(scenario: Scenario, folder: Path, overwrite: bool, resources: Resources, report: Report) -> Run:
+def _run(scenario: Scenario, folder: Path, overwrite: bool, resources: Resources, report: Report) -> ScenarioRun:
     started_utc = datetime.now(UTC).isoformat(timespec="seconds")
     watch = Stopwatch(on_stage=report)
     with warnings.catch_warnings(record=True) as caught:
@@ -175,7 +175,7 @@ def _run(scenario: Scenario, folder: Path, overwrite: bool, resources: Resources
             is_kept = not any(is_new for _, is_new in made)
             record = write_record(folder / store.RUN_FILE, record, is_kept)
     rule = scenario.planning.obstacles
-    return Run({maps.grid.resolution_m: maps.with_obstacles(rule) for maps, _ in made}, record)
+    return ScenarioRun({maps.grid.resolution_m: maps.with_obstacles(rule) for maps, _ in made}, record)
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ import shapely
 from jaxurban.errors import InputError, typed
 from jaxurban.world.city import OTHER_DISTRICT, Blocks, Buildings, City, HeightOrigin, LandCover, Zoning
 from jaxurban.world.grid import WGS84, check_bounds, projected_crs, transformer, utm_crs
-from jaxurban.world.synthetic_streets import DOWNTOWN, MIDTOWN, Box, Frame, Part, Plan
+from jaxurban.world.synthetic_streets import DOWNTOWN, MIDTOWN, Box, CityPlan, Part, StreetFrame
 
 MAX_WIDTH_M, MAX_HEIGHT_M = 10_000.0, 20_000.0  # the paper's region
 MIN_SIDE_M = 400.0
@@ -87,7 +87,7 @@ def demo_cover_for_bounds(bounds: Sequence[float], crs: str | None = None) -> La
 
 def demo_cover(extent_m: Box) -> LandCover:
     """Return the rivers and the park of an synthetic city, by its ``extent_m``."""
-    plan = Plan(extent_m)
+    plan = CityPlan(extent_m)
     land = shapely.union_all([part.land for part in plan.parts()])
     return LandCover(shapely.difference(plan.box, land), shapely.intersection(plan.park(), plan.box))
 
@@ -132,7 +132,7 @@ class _Cells:
       district: ``[n]`` int32.
     """
 
-    frame: Frame
+    frame: StreetFrame
     low_m: np.ndarray
     high_m: np.ndarray
     street_m: tuple[float, float]
@@ -143,7 +143,7 @@ class _Cells:
         return self.frame.xy(*((self.low_m + self.high_m) / 2).T)
 
 
-def _lay_out_cells(plan: Plan, part: Part) -> tuple[_Cells, np.ndarray]:
+def _lay_out_cells(plan: CityPlan, part: Part) -> tuple[_Cells, np.ndarray]:
     """Return the street blocks of a part, and their outlines as far as they lie ashore and in the box."""
     along, across = part.frame.local(shapely.get_coordinates(plan.box))
     rows = np.arange(math.floor(along.min() / part.pitch_m[0]), math.ceil(along.max() / part.pitch_m[0]))
@@ -188,13 +188,13 @@ class _Lots:
     def take(self, index: np.ndarray) -> "_Lots":
         return _Lots(*(getattr(self, field.name)[index] for field in fields(self)))
 
-    def outline(self, frame: Frame, *points: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+    def outline(self, frame: StreetFrame, *points: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
         """Return ``[n, k, 2]``: points given by their distance from the front and from the left side."""
         along = np.stack([self.front_m + self.sign * depth for depth, _ in points], axis=-1)
         return frame.xy(along, np.stack([self.left_m + side for _, side in points], axis=-1))
 
 
-def _rectangle(lots: _Lots, frame: Frame, front, back, left, right) -> np.ndarray:
+def _rectangle(lots: _Lots, frame: StreetFrame, front, back, left, right) -> np.ndarray:
     """Return ``[n, 4, 2]``: a rectangle set back from the four sides of each lot."""
     deep, wide = lots.depth_m - back, lots.right_m - lots.left_m - right
     front, left = (np.broadcast_to(inset, deep.shape) for inset in (front, left))
@@ -221,7 +221,7 @@ def _lay_out_lots(rng: np.random.Generator, cells: _Cells, is_single: np.ndarray
     )
 
 
-def _erect(rng: np.random.Generator, plan: Plan, cells: _Cells) -> tuple[Buildings, np.ndarray]:
+def _erect(rng: np.random.Generator, plan: CityPlan, cells: _Cells) -> tuple[Buildings, np.ndarray]:
     """Return the buildings on street blocks, and the block that each stands on."""
     district, n = cells.district, len(cells.district)
     is_island = district != OTHER_DISTRICT
@@ -285,7 +285,7 @@ def _erect(rng: np.random.Generator, plan: Plan, cells: _Cells) -> tuple[Buildin
 
 
 def _build(extent_m: Box, crs: str, seed: int) -> City:
-    plan, rng = Plan(extent_m), np.random.default_rng(seed)
+    plan, rng = CityPlan(extent_m), np.random.default_rng(seed)
     parts = plan.parts()
     buildings, outlines, people, districts = [], [], [], []
     for part in parts:

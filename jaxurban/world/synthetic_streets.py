@@ -59,7 +59,7 @@ DISTRICTS = np.array([(1, 1, 1), (2, 2, 3), (4, 5, 6), (7, OTHER_DISTRICT, 8), (
 
 
 @dataclass(frozen=True)
-class Frame:
+class StreetFrame:
     """A turned frame: ``along`` points to the bearing, ``across`` 90 degrees clockwise of it."""
 
     x_m: float
@@ -96,17 +96,17 @@ class Part:
 
     is_island: bool
     land: shapely.Polygon
-    frame: Frame
+    frame: StreetFrame
     pitch_m: tuple[float, float]
 
 
-class Plan:
+class CityPlan:
     """The macro layout, scaled to a box; see `Part` for what each area of land gets."""
 
     def __init__(self, extent_m: Box) -> None:
         x_min, y_min, x_max, y_max = extent_m
         self.box = shapely.box(*extent_m)
-        self.frame = Frame((x_min + x_max) / 2, (y_min + y_max) / 2, AVENUE_BEARING_RAD)
+        self.frame = StreetFrame((x_min + x_max) / 2, (y_min + y_max) / 2, AVENUE_BEARING_RAD)
         half_x, half_y = (x_max - x_min) / 2, (y_max - y_min) / 2
         sin, cos = math.sin(AVENUE_BEARING_RAD), math.cos(AVENUE_BEARING_RAD)
         ray_m = min(half_x / sin, half_y / cos)  # from the middle to the box along the avenues

@@ -17,7 +17,7 @@ NOT_COSTED = -1.0  # a queued edge whose cost is not known yet
 EDGE = np.dtype([("origin", np.int32), ("target", np.int32), ("cost", np.float64)])
 
 
-class Nodes(NamedTuple):
+class TreeNodes(NamedTuple):
     """Tree and samples of one batch: ``N`` nodes, those of the tree before those that are only samples.
 
     Within each of the two groups the nodes are sorted by square bucket, row by row, so that

@@ -6,7 +6,7 @@ from typing import Self
 import numpy as np
 
 from jaxurban.planners.bitstar.bounds import Bounds
-from jaxurban.planners.bitstar.search import NO_PARENT, OLD, SAMPLE, Buckets, Nodes
+from jaxurban.planners.bitstar.search import NO_PARENT, OLD, SAMPLE, Buckets, TreeNodes
 
 ROUNDING = 1 + 1e-12  # a node of the best path may seem that much too costly
 
@@ -118,7 +118,7 @@ class Tree:
         start, goal = (int(np.flatnonzero(order == node)[0]) for node in (start, goal))
         return self.taken(order), start, goal, buckets
 
-    def nodes(self, radius: float, buckets: Buckets) -> Nodes:
+    def nodes(self, radius: float, buckets: Buckets) -> TreeNodes:
         """Return what the search works on, of a tree that `in_buckets` sorted."""
         is_tree = np.isfinite(self.g)
         num_tree = int(np.count_nonzero(is_tree))
@@ -128,7 +128,7 @@ class Tree:
         length = np.hypot(*(self.xy[has_parent] - self.xy[self.parent[has_parent]]).T)
         long_child = has_parent[length > radius]
         long_child = long_child[np.argsort(self.parent[long_child], kind="stable")]
-        return Nodes(
+        return TreeNodes(
             **vars(self),
             best=self.g.copy(),
             state=np.where(is_tree, OLD, SAMPLE).astype(np.uint8),

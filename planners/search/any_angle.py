@@ -31,7 +31,7 @@ class Estimate(NamedTuple):
     cols: np.ndarray
 
 
-class Nodes(NamedTuple):
+class AnyAngleNodes(NamedTuple):
     """What the search knows of every cell. ``M`` cells.
 
     Attributes:

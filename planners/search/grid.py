@@ -95,7 +95,7 @@ def grown(queue: Queue) -> Queue:
     )
 
 
-class Nodes(NamedTuple):
+class GridNodes(NamedTuple):
     """What is known of each node, and those that are open. ``M`` nodes.
 
     Attributes:
@@ -265,7 +265,7 @@ def requeue(graph, heuristic, inflation, goal, nodes):
         state[node] &= PARENT_STEP
 
 
-class Search:
+class GridSearch:
     """A search in progress: what is known of each node, and the queue of open ones. ``M`` nodes.
 
     Attributes:
@@ -281,7 +281,7 @@ class Search:
         self.num_expanded = 0
         num_nodes = graph.cost.size
         queue = empty_queue(graph, FIRST_ENTRIES)
-        self._nodes = Nodes(np.full(num_nodes, np.inf), np.full(num_nodes, NO_PARENT, np.uint8), queue)
+        self._nodes = GridNodes(np.full(num_nodes, np.inf), np.full(num_nodes, NO_PARENT, np.uint8), queue)
         self.g[self.start] = 0.0
         insert(queue, 0.0 if goal is None else estimate(heuristic, *start, *goal), self.start)
 

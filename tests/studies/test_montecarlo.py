@@ -23,8 +23,8 @@ from jaxurban.planners.astar import astar
 from jaxurban.planners.base import Problem
 from jaxurban.report.benchmark import export_benchmark
 from jaxurban.report.montecarlo import write_analysis
-from jaxurban.studies.montecarlo.run import MapsFolder, Task, solve_on
-from jaxurban.studies.montecarlo.trial import DISTANCE, Run
+from jaxurban.studies.montecarlo.run import InstanceRuns, MapsFolder, solve_on
+from jaxurban.studies.montecarlo.trial import DISTANCE, PlannerRun
 from tests.cli_runs import assert_one_sentence, run
 from tests.made_maps import made_maps
 
@@ -184,8 +184,8 @@ def test_a_planner_that_kills_its_worker_costs_its_own_rows_alone(folder, result
 
             PLANNERS["killer"] = PlannerEntry(lambda problem, **limits: os._exit(1), "")
 
-    runs = (Run("ptp", "weighted"), Run("killer", "weighted"), Run("astar-dist", "weighted"))
-    tasks = [Task(instance, runs) for instance in result.instances[:2].to_dict("records")]
+    runs = (PlannerRun("ptp", "weighted"), PlannerRun("killer", "weighted"), PlannerRun("astar-dist", "weighted"))
+    tasks = [InstanceRuns(instance, runs) for instance in result.instances[:2].to_dict("records")]
     with dask.config.set({"distributed.scheduler.allowed-failures": 0}), cluster_client(None, 2) as client:
         client.register_plugin(Killer())
         found = list(solve_on(client, tasks, MapsFolder(folder), replace(SETTINGS, budget_iterations=100)))

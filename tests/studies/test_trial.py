@@ -8,10 +8,10 @@ from jaxurban.planners.base import Path, Status
 from jaxurban.planners.ptp import ptp
 from jaxurban.planners.registry import PLANNERS, PlannerEntry
 from jaxurban.studies.montecarlo.sampling import sample_instances
-from jaxurban.studies.montecarlo.trial import BenchmarkSettings, Run, row_columns, solve_instance
+from jaxurban.studies.montecarlo.trial import BenchmarkSettings, PlannerRun, row_columns, solve_instance
 from tests.made_maps import made_maps
 
-WEIGHTED = [Run(name, "weighted") for name in ("ptp", "astar-dist", "astar-plus")]
+WEIGHTED = [PlannerRun(name, "weighted") for name in ("ptp", "astar-dist", "astar-plus")]
 FEW_SAMPLES = BenchmarkSettings(budget_iterations=300)
 
 
@@ -59,7 +59,7 @@ def test_rows_say_what_plan_says(maps, instances, cost_model):
 
 
 def test_the_shortest_path_is_no_longer_and_no_cheaper_than_the_cheapest(maps, instances):
-    runs = [Run("astar-dist", "weighted"), Run("astar-dist", "distance")]
+    runs = [PlannerRun("astar-dist", "weighted"), PlannerRun("astar-dist", "distance")]
     for instance in instances:
         cheapest, shortest = solve_instance(
             BenchmarkSettings().cost_map(maps, 20.0, None, None), instance, runs, BenchmarkSettings()
@@ -70,7 +70,7 @@ def test_the_shortest_path_is_no_longer_and_no_cheaper_than_the_cheapest(maps, i
 
 
 def test_an_iteration_budget_repeats_exactly_but_for_the_time(maps, instances):
-    runs = [Run("bitstar-dist", "weighted"), Run("bitstar-plus", "weighted")]
+    runs = [PlannerRun("bitstar-dist", "weighted"), PlannerRun("bitstar-plus", "weighted")]
     first, again = (
         solve_instance(FEW_SAMPLES.cost_map(maps, 20.0, None, None), instances[0], runs, FEW_SAMPLES) for _ in range(2)
     )
@@ -81,7 +81,11 @@ def test_an_iteration_budget_repeats_exactly_but_for_the_time(maps, instances):
 
 
 def test_a_row_does_not_depend_on_what_was_asked_before(maps, instances):
-    runs = [Run("astar-plus", "distance"), Run("astar-anytime", "weighted"), Run("astar-plus", "weighted")]
+    runs = [
+        PlannerRun("astar-plus", "distance"),
+        PlannerRun("astar-anytime", "weighted"),
+        PlannerRun("astar-plus", "weighted"),
+    ]
     used = FEW_SAMPLES.cost_map(maps, 20.0, None, None)
     for _ in range(20):  # more than `landmarks.FEW_QUERIES`
         solve_instance(used, instances[0], runs, FEW_SAMPLES)
@@ -106,7 +110,7 @@ def cheating(problem, *, budget_s, seed):
 def test_a_planner_that_crashes_or_cheats_is_a_row_and_the_next_one_is_asked(maps, instances, monkeypatch):
     monkeypatch.setitem(PLANNERS, "crashing", PlannerEntry(crashing, ""))
     monkeypatch.setitem(PLANNERS, "cheating", PlannerEntry(cheating, ""))
-    runs = [Run(name, "weighted") for name in ("crashing", "cheating", "astar-dist")]
+    runs = [PlannerRun(name, "weighted") for name in ("crashing", "cheating", "astar-dist")]
     rows = solve_instance(BenchmarkSettings().cost_map(maps, 20.0, None, None), instances[0], runs, BenchmarkSettings())
     assert [row["status"] for row in rows] == ["crashed", "invalid", "optimal"]
     assert rows[0]["note"] == "RuntimeError: out of ideas"
@@ -120,7 +124,7 @@ def test_a_start_in_an_obstacle_or_off_the_map_is_a_row(maps, instances):
     on = BenchmarkSettings().cost_map(maps, 20.0, None, None)
     for place, word in (((x_m, y_m), "obstacle"), ((0.0, 0.0), "outside")):
         query = instances[0] | {"start_x_m": place[0], "start_y_m": place[1]}
-        (found,) = solve_instance(on, query, [Run("ptp", "weighted")], BenchmarkSettings())
+        (found,) = solve_instance(on, query, [PlannerRun("ptp", "weighted")], BenchmarkSettings())
         assert found["status"] == "bad-input"
         assert word in found["note"]
 
@@ -133,7 +137,7 @@ def test_a_pair_that_no_path_joins_is_a_row_without_numbers(maps, instances):
     (found,) = solve_instance(
         BenchmarkSettings().cost_map(walled, 20.0, None, None),
         instances[0],
-        [Run("astar-plus", "weighted")],
+        [PlannerRun("astar-plus", "weighted")],
         BenchmarkSettings(),
     )
     assert found["status"] == "no-path"

@@ -8,7 +8,7 @@ from jaxurban.errors import InputError
 from jaxurban.world.city import OTHER_DISTRICT, City, HeightOrigin, Zoning
 from jaxurban.world.grid import Grid
 from jaxurban.world.synthetic import demo_city, demo_city_for_bounds
-from jaxurban.world.synthetic_streets import DOWNTOWN, MIDTOWN, Plan
+from jaxurban.world.synthetic_streets import DOWNTOWN, MIDTOWN, CityPlan
 
 SIZES_M = [(500, 500), (2000, 3000), (3000, 2000)]
 
@@ -79,7 +79,7 @@ def test_blocks_do_not_overlap_and_leave_the_rivers_out(city):
 
 
 def test_the_park_is_empty(city):
-    park = Plan(city.extent_m).park()
+    park = CityPlan(city.extent_m).park()
     assert not shapely.intersects(park, city.buildings.polygons).any()
     is_park = shapely.contains(park.buffer(1.0), city.blocks.polygons)
     assert is_park.sum() == 1
@@ -109,14 +109,14 @@ def test_island_streets_are_turned_29_degrees_clockwise_from_north(full_city):
 
 
 def test_even_a_small_city_has_towers_in_both_clusters(city):
-    plan, buildings = Plan(city.extent_m), city.buildings
+    plan, buildings = CityPlan(city.extent_m), city.buildings
     high = shapely.get_coordinates(shapely.centroid(buildings.polygons[buildings.height_m > 250]))
     for cluster in (DOWNTOWN, MIDTOWN):
         assert plan.depth_in(cluster, high).max() > 0.5
 
 
 def test_both_clusters_tower_over_the_rest_and_suburbs_are_low(full_city):
-    plan, buildings = Plan(full_city.extent_m), full_city.buildings
+    plan, buildings = CityPlan(full_city.extent_m), full_city.buildings
     centroid = shapely.get_coordinates(shapely.centroid(buildings.polygons))
     downtown, midtown = (plan.depth_in(cluster, centroid) > 0.5 for cluster in (DOWNTOWN, MIDTOWN))
     rest = ~(downtown | midtown)
@@ -128,7 +128,7 @@ def test_both_clusters_tower_over_the_rest_and_suburbs_are_low(full_city):
 
 
 def test_the_full_city_is_as_dense_and_as_built_as_manhattan(full_city):
-    plan, blocks = Plan(full_city.extent_m), full_city.blocks
+    plan, blocks = CityPlan(full_city.extent_m), full_city.blocks
     island = shapely.intersection(plan.parts()[0].land, plan.box)
     shapely.prepare(island)
     on_island = shapely.contains(island, shapely.centroid(outlines(full_city)))

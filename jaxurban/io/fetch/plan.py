@@ -97,7 +97,7 @@ class FetchJob:
 
 
 @dataclass(frozen=True)
-class Plan:
+class FetchPlan:
     """The downloads of a job, as far as they are known before the first response, and what is left out and why.
 
     Attributes:
@@ -113,7 +113,7 @@ class Plan:
         return next((download for download in self.downloads if download.source.name == name), None)
 
 
-def plan_fetch(job: FetchJob) -> Plan:
+def plan_fetch(job: FetchJob) -> FetchPlan:
     """Return the downloads that a job makes.
 
     Raises:
@@ -153,7 +153,7 @@ def plan_fetch(job: FetchJob) -> Plan:
                 f"{WARN_AGE_DAYS:.0f} days; historical ones need a login at space-track.org (free), so "
                 "the nominal constellation stands in; set [gps] orbits to a file of your own"
             )
-    return Plan(tuple(downloads), tuple(left_out))
+    return FetchPlan(tuple(downloads), tuple(left_out))
 
 
 def _touches(bounds: Bounds, boxes: Sequence[Bounds]) -> bool:

@@ -61,7 +61,7 @@ class Colours:
 
 
 @dataclass(frozen=True)
-class Layer:
+class MapLayer:
     """One map as it is drawn.
 
     Attributes:
@@ -211,7 +211,7 @@ def _dress(panel: Axes, grid: Grid, title: str, width_in: float, height_in: floa
         spine.set(linewidth=0.6, color=FAINT_INK)
 
 
-def draw_layers(panel: Axes, grid: Grid, layers: Sequence[Layer]) -> None:
+def draw_layers(panel: Axes, grid: Grid, layers: Sequence[MapLayer]) -> None:
     """Draw maps into a panel, later ones over earlier ones, thinned where they are large.
 
     Layers become one image before it is scaled to the page, so that thin streets and small roofs blend
@@ -242,14 +242,14 @@ def draw_hatch(panel: Axes, grid: Grid, is_hatched: np.ndarray) -> None:
         panel.contourf(x_m, y_m, marks, [0.5, 1.5], colors="none", hatches=[HATCH])
 
 
-def classes_layer(values: np.ndarray, colours: Sequence[str]) -> Layer:
+def classes_layer(values: np.ndarray, colours: Sequence[str]) -> MapLayer:
     """Return class numbers 0, 1, ... as a layer with a colour each; negative ones are not drawn."""
     cmap = ListedColormap(list(colours)).with_extremes(under=(0, 0, 0, 0))
     norm = BoundaryNorm(np.arange(len(colours) + 1) - 0.5, len(colours))
-    return Layer(values, Colours(cmap, norm), is_classes=True)
+    return MapLayer(values, Colours(cmap, norm), is_classes=True)
 
 
-def flat_layer(is_drawn: np.ndarray, colour: str) -> Layer:
+def flat_layer(is_drawn: np.ndarray, colour: str) -> MapLayer:
     """Return the cells of a mask as a layer of one colour."""
     return classes_layer(np.where(is_drawn, np.int8(0), np.int8(-1)), [colour])
 

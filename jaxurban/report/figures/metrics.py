@@ -17,7 +17,7 @@ from jaxurban.report.figures.frame import (
     NO_DATA_PATCH,
     OBSTACLE_COLOUR,
     Colours,
-    Layer,
+    MapLayer,
     add_bar_below,
     add_key,
     classes_layer,
@@ -57,7 +57,7 @@ def obstacle_patches(maps: MetricMaps, colour: str = OBSTACLE_COLOUR) -> list[tu
     return [("obstacle", colour), *([] if maps.ds["has_data"].values.all() else [NO_DATA_PATCH])]
 
 
-def obstacle_layer(maps: MetricMaps, altitude_m: float, colour: str = OBSTACLE_COLOUR) -> Layer:
+def obstacle_layer(maps: MetricMaps, altitude_m: float, colour: str = OBSTACLE_COLOUR) -> MapLayer:
     """Return the obstacle cells at an altitude as they are drawn."""
     return flat_layer((maps.m("obstacle", altitude_m) != 0) & maps.ds["has_data"].values, colour)
 
@@ -92,11 +92,11 @@ def metric_colours(maps: MetricMaps, name: str) -> Colours:
     return Colours(metric.colour_map, Normalize(0, 1), label)
 
 
-def free_layer(maps: MetricMaps, name: str, altitude_m: float, time: str | None = None) -> Layer:
+def free_layer(maps: MetricMaps, name: str, altitude_m: float, time: str | None = None) -> MapLayer:
     """Return a metric at one altitude as it is drawn: free cells only, DOPs cut at the end of their scale."""
     colours = metric_colours(maps, name)
     values = np.minimum(maps.m(name, altitude_m, time=time).astype(np.float32), np.float32(colours.norm.vmax))
-    return Layer(np.where(maps.is_free(altitude_m, "centre"), values, np.float32(np.nan)), colours)
+    return MapLayer(np.where(maps.is_free(altitude_m, "centre"), values, np.float32(np.nan)), colours)
 
 
 def plot_metric(
@@ -129,7 +129,7 @@ def plot_metric(
     if ALTITUDE not in dims:
         times_of_day = maps.times_of_day if time_of_day is None else (time_of_day,)
         items = times_of_day if TIME_OF_DAY in dims else (None,)
-        panels = [(item or "", [Layer(maps.m(name, time_of_day=item), colours)]) for item in items]
+        panels = [(item or "", [MapLayer(maps.m(name, time_of_day=item), colours)]) for item in items]
         return _figure(maps, headings[name], panels, obstacle_patches(maps)[1:], colours=colours)
     time = (time or maps.times[0]) if TIME in dims else None
     panels = [
@@ -143,7 +143,7 @@ def plot_metric(
 def _figure(
     maps: MetricMaps,
     heading: str,
-    panels: Sequence[tuple[str, Sequence[Layer]]],
+    panels: Sequence[tuple[str, Sequence[MapLayer]]],
     patches: Sequence[tuple[str, str]],
     *,
     time: str | None = None,
@@ -286,9 +286,9 @@ def plot_population(maps: GivenMaps) -> Figure:
     return _figure(maps, "Population density", panels, patches, colours=colours)
 
 
-def density_layers(values: np.ndarray, colours: Colours) -> list[Layer]:
+def density_layers(values: np.ndarray, colours: Colours) -> list[MapLayer]:
     """Return people per km2 as they are drawn, cells with nobody in white."""
-    return [flat_layer(values == 0, EMPTY_COLOUR), Layer(np.where(values > 0, values, np.float32(np.nan)), colours)]
+    return [flat_layer(values == 0, EMPTY_COLOUR), MapLayer(np.where(values > 0, values, np.float32(np.nan)), colours)]
 
 
 def roof_colours(highest_m: float) -> Colours:
@@ -297,11 +297,11 @@ def roof_colours(highest_m: float) -> Colours:
     return Colours(HEIGHT_COLOUR_MAP, PowerNorm(0.5, 0, max(highest_m, 1.0)), ticks=ticks)
 
 
-def roof_layers(maps: MetricMaps) -> list[Layer]:
+def roof_layers(maps: MetricMaps) -> list[MapLayer]:
     """Return roof heights as they are drawn, white where there is no roof."""
     roof_m = maps.m("roof")
     values = np.where(roof_m > 0, roof_m, np.float32(np.nan))
-    return [flat_layer(roof_m == 0, EMPTY_COLOUR), Layer(values, roof_colours(float(np.nanmax(roof_m))))]
+    return [flat_layer(roof_m == 0, EMPTY_COLOUR), MapLayer(values, roof_colours(float(np.nanmax(roof_m))))]
 
 
 def plot_heights(maps: GivenMaps) -> Figure:
@@ -316,7 +316,7 @@ def plot_heights(maps: GivenMaps) -> Figure:
         terrain_m = maps.m("terrain")
         low_m, high_m = float(np.nanmin(terrain_m)), float(np.nanmax(terrain_m))
         titles.append(f"terrain, {low_m:.0f} to {high_m:.0f} m")
-        ground = Layer(terrain_m, Colours(HEIGHT_COLOUR_MAP, Normalize(low_m, max(high_m, low_m + 1))))
+        ground = MapLayer(terrain_m, Colours(HEIGHT_COLOUR_MAP, Normalize(low_m, max(high_m, low_m + 1))))
     frame = make_frame(maps.grid, titles, "Heights (m)", frame_note(maps), footer_in=0.4)
     draw_layers(frame.axes[0], maps.grid, roofs)
     hatched = ""

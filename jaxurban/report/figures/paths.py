@@ -18,7 +18,7 @@ from jaxurban.report.figures.frame import (
     SMALL_PT,
     Colours,
     Frame,
-    Layer,
+    MapLayer,
     add_bar_below,
     add_key,
     draw_layers,
@@ -135,10 +135,10 @@ def _panels_at(
     return [(altitude_m, time or None, time_of_day or None, list(group)) for (time, time_of_day), group in groups]
 
 
-def cost_layers(maps: MetricMaps, altitude_m: float, time: str | None, time_of_day: str | None) -> list[Layer]:
+def cost_layers(maps: MetricMaps, altitude_m: float, time: str | None, time_of_day: str | None) -> list[MapLayer]:
     """Return H_norm and obstacles as they are drawn."""
     norm = maps.normalised(altitude_m, time=time, time_of_day=time_of_day)
-    return [Layer(norm, COST_COLOURS), obstacle_layer(maps, altitude_m, BLOCKED_COLOUR)]
+    return [MapLayer(norm, COST_COLOURS), obstacle_layer(maps, altitude_m, BLOCKED_COLOUR)]
 
 
 def draw_path(panel: Axes, path: PlannedPath, colours: Mapping[str, str], rank: int, num: int) -> Line2D:

@@ -13,7 +13,7 @@ from matplotlib.ticker import MaxNLocator
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.planners.base import Cell, weighted_sum
 from jaxurban.report.figures.charts import chart, dress, show_plain_log, styled
-from jaxurban.report.figures.frame import FAINT_INK, SMALL_PT, Colours, Layer, add_key, draw_layers, make_frame
+from jaxurban.report.figures.frame import FAINT_INK, SMALL_PT, Colours, MapLayer, add_key, draw_layers, make_frame
 from jaxurban.report.figures.metrics import frame_note, line_colour, obstacle_layer, obstacle_patches
 from jaxurban.report.figures.paths import BLOCKED_COLOUR
 from jaxurban.studies.compare import Comparison
@@ -191,7 +191,7 @@ def plot_routes(comparison: Comparison, cost_map: CostMap, weights: np.ndarray) 
     norm = Normalize(least, least + max(PALE * (most - least), 1e-12))
     colours = Colours("gray_r", norm, "cost of a cell\nunder the weights", extend="max")
     layers = [
-        Layer(np.where(cost_map.is_free, cost, np.nan), colours),
+        MapLayer(np.where(cost_map.is_free, cost, np.nan), colours),
         obstacle_layer(maps, cost_map.altitude_m, BLOCKED_COLOUR),
     ]
     panel = frame.axes[0]

@@ -20,7 +20,7 @@ from jaxurban.studies.montecarlo.trial import (
     CRASHED,
     HAS_PATH,
     BenchmarkSettings,
-    Run,
+    PlannerRun,
     row_columns,
     row_of,
     solve_instance,
@@ -49,11 +49,11 @@ class MapsFolder:
         return open_maps(self.folder, self.resolution_m, obstacles=self.obstacles)
 
 
-class Task(NamedTuple):
+class InstanceRuns(NamedTuple):
     """An instance, and the runs of it that are still to be done."""
 
     instance: Mapping[str, Any]
-    runs: tuple[Run, ...]
+    runs: tuple[PlannerRun, ...]
 
     @property
     def map_key(self) -> tuple[float, str | None, str | None]:
@@ -61,20 +61,20 @@ class Task(NamedTuple):
         return self.instance["altitude_m"], self.instance["time"], self.instance["time_of_day"]
 
 
-def tasks_of(instances: pd.DataFrame, runs: Sequence[Run], done: RowStore) -> list[Task]:
+def tasks_of(instances: pd.DataFrame, runs: Sequence[PlannerRun], done: RowStore) -> list[InstanceRuns]:
     """Return what is still to be done, instances on the same maps one after the other."""
     tasks = []
     for instance in records_of(instances):
         head = tuple(instance[name] for name in KEY)
         left = tuple(run for run in runs if (*head, run.planner, run.objective) not in done)
         if left:
-            tasks.append(Task(instance, left))
+            tasks.append(InstanceRuns(instance, left))
     return sorted(tasks, key=lambda task: tuple(map(str, task.map_key)))
 
 
 def solve(
-    tasks: Sequence[Task], source: MapsFolder | MetricMaps, settings: BenchmarkSettings, workers: int | str = 1
-) -> Iterator[tuple[Task, list[dict[str, Any]]]]:
+    tasks: Sequence[InstanceRuns], source: MapsFolder | MetricMaps, settings: BenchmarkSettings, workers: int | str = 1
+) -> Iterator[tuple[InstanceRuns, list[dict[str, Any]]]]:
     """Yield each task with its rows as it is done, in any order.
 
     Args:
@@ -100,8 +100,8 @@ def solve(
 
 
 def solve_on(
-    client: Any, tasks: Sequence[Task], source: MapsFolder, settings: BenchmarkSettings
-) -> Iterator[tuple[Task, list[dict[str, Any]]]]:
+    client: Any, tasks: Sequence[InstanceRuns], source: MapsFolder, settings: BenchmarkSettings
+) -> Iterator[tuple[InstanceRuns, list[dict[str, Any]]]]:
     """Yield tasks that a Dask cluster has done. A run that kills its workers again and again costs its own row alone.
 
     Dask blames every task that a killed worker held. Those it gives up are run once more at the end, run by run, each
@@ -109,11 +109,11 @@ def solve_on(
     """
     from distributed import KilledWorker, as_completed
 
-    def submit(task: Task) -> Any:
+    def submit(task: InstanceRuns) -> Any:
         return client.submit(_solve_in_worker, source, settings, task, pure=False)
 
     waiting = {submit(task): task for task in tasks}
-    suspects: list[Task] = []
+    suspects: list[InstanceRuns] = []
     for future in as_completed(list(waiting)):
         task = waiting.pop(future)
         try:
@@ -140,7 +140,7 @@ class _Solver:
         self.settings = settings
         self._map_of = lru_cache(maxsize=1)(partial(settings.cost_map, maps))
 
-    def solve(self, task: Task) -> list[dict[str, Any]]:
+    def solve(self, task: InstanceRuns) -> list[dict[str, Any]]:
         """Return the rows of a task."""
         return solve_instance(self._map_of(*task.map_key), task.instance, task.runs, self.settings)
 
@@ -148,7 +148,7 @@ class _Solver:
 _solver_in_worker = lru_cache(maxsize=1)(_Solver)
 
 
-def _solve_in_worker(source: MapsFolder, settings: BenchmarkSettings, task: Task) -> list[dict[str, Any]]:
+def _solve_in_worker(source: MapsFolder, settings: BenchmarkSettings, task: InstanceRuns) -> list[dict[str, Any]]:
     return _solver_in_worker(source, settings).solve(task)
 
 

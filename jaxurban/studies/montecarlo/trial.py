@@ -25,7 +25,7 @@ HAS_PATH = frozenset(status.value for status in Status if status.has_path)
 COST_KINDS: tuple[CostKind, ...] = ("cell", "line")
 
 
-class Run(NamedTuple):
+class PlannerRun(NamedTuple):
     """A planner under an objective, ``"weighted"`` or ``"distance"``."""
 
     planner: str
@@ -73,9 +73,12 @@ class BenchmarkSettings:
             raise InputError(f"seed must be >= 0 and budget_iterations >= 1 (or None), got {told}")
 
     @property
-    def runs(self) -> list[Run]:
+    def runs(self) -> list[PlannerRun]:
         """What is run on every instance."""
-        return [*(Run(name, WEIGHTED) for name in self.planners), *(Run(name, DISTANCE) for name in self.distance_only)]
+        return [
+            *(PlannerRun(name, WEIGHTED) for name in self.planners),
+            *(PlannerRun(name, DISTANCE) for name in self.distance_only),
+        ]
 
     def to_dict(self) -> dict[str, Any]:
         """Return what decides a row, but for its planner, as plain, JSON-ready values."""
@@ -119,7 +122,7 @@ def free_cell(grid: Grid, is_free: np.ndarray, x_m: float, y_m: float) -> Cell:
 
 
 def solve_instance(
-    on: CostMap, instance: Mapping[str, Any], runs: Sequence[Run], settings: BenchmarkSettings
+    on: CostMap, instance: Mapping[str, Any], runs: Sequence[PlannerRun], settings: BenchmarkSettings
 ) -> list[dict[str, Any]]:
     """Return a row (see `row_columns`) for each planner on an instance; a planner that crashes is a row too."""
     weights = np.array([float(instance[f"w_{name}"]) for name in on.weight_names])
@@ -159,7 +162,7 @@ def draws_samples(planner: str) -> bool:
     return "max_samples" in inspect.signature(PLANNERS[planner].run).parameters
 
 
-def _facts(on: CostMap, found: Path, weights: np.ndarray, run: Run) -> dict[str, Any]:
+def _facts(on: CostMap, found: Path, weights: np.ndarray, run: PlannerRun) -> dict[str, Any]:
     facts: dict[str, Any] = {
         "status": found.status.value,
         "lower_bound": found.lower_bound,
@@ -188,7 +191,7 @@ def _facts(on: CostMap, found: Path, weights: np.ndarray, run: Run) -> dict[str,
     }
 
 
-def row_of(instance: Mapping[str, Any], run: Run, **facts: Any) -> dict[str, Any]:
+def row_of(instance: Mapping[str, Any], run: PlannerRun, **facts: Any) -> dict[str, Any]:
     """Return a whole row: the instance's key, the run, and what is known; None for what is not, or is not a number."""
     key = {"instance": int(instance["instance"]), "altitude_m": float(instance["altitude_m"])}
     row = dict.fromkeys(row_columns(instance)) | key | run._asdict() | facts

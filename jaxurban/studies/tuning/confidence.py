@@ -10,7 +10,7 @@ from scipy.optimize import linprog
 
 from jaxurban.studies.queries import RouteQuery, maps_of
 from jaxurban.studies.route_pool import NOT_A_ROUTE, RoutePool
-from jaxurban.studies.tuning.fenchel_young import Task, descend, loss, regrets, weights_of
+from jaxurban.studies.tuning.fenchel_young import FitTask, descend, loss, regrets, weights_of
 
 STEPS = 100  # of each refit, which starts at the fit of all demonstrations
 NUM_SUBSETS = 8  # of each size
@@ -25,7 +25,7 @@ LEAST_SHARE = 0.01  # of a random walk's features
 
 
 def refit(
-    log_weights: np.ndarray, task: Task, num_bootstrap: int, rng: np.random.Generator
+    log_weights: np.ndarray, task: FitTask, num_bootstrap: int, rng: np.random.Generator
 ) -> tuple[np.ndarray, pd.DataFrame]:
     """Return ``[B, K]`` log weights fitted to demonstrations drawn anew with replacement, and what fewer of them give.
 
@@ -64,12 +64,12 @@ def refit(
 
 
 @jax.jit
-def _fits(log_weights: jax.Array, task: Task, trusts: jax.Array) -> jax.Array:
+def _fits(log_weights: jax.Array, task: FitTask, trusts: jax.Array) -> jax.Array:
     """Return ``[T, K]`` the fits under trusts ``[T, Q]``, each from the same start."""
     return jax.lax.map(lambda trust: descend(log_weights, task._replace(trust=trust), loss, STEPS)[0], trusts)
 
 
-def near_optimal_range(weights: np.ndarray, task: Task, scale: np.ndarray, tolerance: float) -> np.ndarray:
+def near_optimal_range(weights: np.ndarray, task: FitTask, scale: np.ndarray, tolerance: float) -> np.ndarray:
     """Return ``[2, F]`` the least and the largest value of each weight among all W that explain the routes as well.
 
     That is, whose mean regret over the known routes, weighted by trust, is at most that of the fit plus a tolerance:

@@ -14,7 +14,7 @@ from jaxurban.studies.tuning.descent import adam
 FIRST_RATE, LAST_RATE = 0.05, 0.005  # of Adam, in log weight a step
 
 
-class Task(NamedTuple):
+class FitTask(NamedTuple):
     """What a fit looks at. ``Q`` queries, ``R`` routes a query, ``M`` noises a query, ``K`` weights.
 
     Attributes:
@@ -45,7 +45,7 @@ def weights_of(log_weights: Float[Array, " K"]) -> Float[Array, " K"]:
     return jax.nn.softmax(log_weights)
 
 
-def loss(log_weights: Float[Array, " K"], task: Task) -> Float[Array, ""]:
+def loss(log_weights: Float[Array, " K"], task: FitTask) -> Float[Array, ""]:
     """Return the mean of (W . phi_demo - E[min over routes of (W exp(Z)) . phi]) / sum(phi_demo), weighted by trust.
 
     Its gradient with respect to W is phi_demo - E[exp(Z) phi*], phi* the features of the route that is
@@ -59,19 +59,19 @@ def loss(log_weights: Float[Array, " K"], task: Task) -> Float[Array, ""]:
     return jnp.sum(task.trust * each) / jnp.sum(task.trust)
 
 
-def regrets(weights: Float[Array, " K"], task: Task) -> Float[Array, " Q"]:
+def regrets(weights: Float[Array, " K"], task: FitTask) -> Float[Array, " Q"]:
     """Return by which share each demonstration is costlier than the cheapest known route."""
     return (task.demo @ weights) / jnp.min(task.routes @ weights, axis=-1) - 1.0
 
 
-def mean_regret(log_weights: Float[Array, " K"], task: Task) -> Float[Array, ""]:
+def mean_regret(log_weights: Float[Array, " K"], task: FitTask) -> Float[Array, ""]:
     """Return the mean of `regrets`, weighted by trust; its gradient is a subgradient where routes tie."""
     return jnp.sum(task.trust * regrets(weights_of(log_weights), task)) / jnp.sum(task.trust)
 
 
 @partial(jax.jit, static_argnames=("objective", "num_steps"))
 def descend(
-    log_weights: Float[Array, " K"], task: Task, objective, num_steps: int
+    log_weights: Float[Array, " K"], task: FitTask, objective, num_steps: int
 ) -> tuple[Float[Array, " K"], Float[Array, ""]]:
     """Return log weights after ``num_steps`` of Adam on an objective, and the objective there."""
     rates = optax.cosine_decay_schedule(FIRST_RATE, num_steps, LAST_RATE / FIRST_RATE)

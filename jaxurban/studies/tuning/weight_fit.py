@@ -24,7 +24,15 @@ from jaxurban.studies.tuning.confidence import (
     near_optimal_range,
     refit,
 )
-from jaxurban.studies.tuning.fenchel_young import Task, descend, draw_log_noise, loss, mean_regret, regrets, weights_of
+from jaxurban.studies.tuning.fenchel_young import (
+    FitTask,
+    descend,
+    draw_log_noise,
+    loss,
+    mean_regret,
+    regrets,
+    weights_of,
+)
 from jaxurban.studies.tuning.fit_settings import FitSettings
 
 FIRST_NOISE, LAST_NOISE = 0.3, 0.03  # standard deviation of log weights: first far, in the end close to the minimum
@@ -220,10 +228,10 @@ class _Fit:
         weights[self.is_fitted] = np.asarray(weights_of(jnp.asarray(log_weights)))
         return weights / self.unit
 
-    def task(self, num_noise: int, noise: float, rng: np.random.Generator) -> Task:
+    def task(self, num_noise: int, noise: float, rng: np.random.Generator) -> FitTask:
         """Return what the loss looks at now."""
         shape = (len(self.demo), num_noise, len(self.log_weights))
-        return Task(
+        return FitTask(
             jnp.asarray((self.demo / self.unit)[:, self.is_fitted]),
             jnp.asarray((self.pool.features / self.unit)[:, :, self.is_fitted]),
             jnp.asarray(draw_log_noise(rng, shape, noise)),
