@@ -230,6 +230,7 @@ scale = [0, 80]
 """
 
 
+@pytest.mark.slow
 def test_a_raster_from_a_scenario_runs_through_the_commands(tmp_path, capsys):
     (tmp_path / "scenario.toml").write_text(SCENARIO)
     profile = {"driver": "GTiff", "height": 40, "width": 50, "count": 1, "dtype": "float32", "crs": "EPSG:4326"}

@@ -3,7 +3,6 @@
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from pathlib import Path
 from typing import Literal, get_args
 
@@ -104,7 +103,7 @@ class MetricMaps(Shown):
         """Times of day of the population maps, empty without population."""
         return tuple(str(value) for value in self.ds["time_of_day"].values) if "population" in self.ds else ()
 
-    @cached_property
+    @property
     def metrics(self) -> Mapping[str, Metric]:
         """The metrics of the cost that these maps hold by name, one's own too, in the order of the cost's layers."""
         return held_metrics(self.ds)

@@ -256,6 +256,7 @@ def test_an_unknown_command_is_a_usage_error(capsys):
     assert_one_sentence(err, "mpas")
 
 
+@pytest.mark.slow
 def test_ctrl_c_exits_130_leaves_no_scrap_and_resumes(tmp_path):
     scenario = tmp_path / "scenario.toml"
     scenario.write_text(SCENARIO.replace("resolution_m = 20", "resolution_m = [20, 2]"))

@@ -49,6 +49,7 @@ def table(folder, route, tmp_path_factory):
     return write_buildings(folder, route, tmp_path_factory.mktemp("out"))
 
 
+@pytest.mark.slow
 def test_the_table_agrees_with_finite_differences_of_the_soft_cost(route, table):
     scenario = Scenario.from_dict(SETTINGS)
     (task,) = tasks_of(scenario)
