@@ -11,10 +11,11 @@ import numpy as np
 from jaxurban.io.folders import WorkFolder
 from jaxurban.io.read.rasterise import rasterise, rasterise_blocks
 from jaxurban.io.store import broken_chunks, has_whole_metadata, write_layer
-from jaxurban.kernels.shadows.sweep import Ring, digital_line, hand_on
+from jaxurban.kernels.shadows.sweep import Ring, digital_line
 from jaxurban.maps.recipe import TileScene, tile_maps
 from jaxurban.maps.stopwatch import Stopwatch
 from jaxurban.maps.task import MapTask
+from jaxurban.metrics.visibility import handed_on
 from jaxurban.world.grid import Grid
 from jaxurban.world.surface import Surface
 from jaxurban.world.tiling import QUADRANTS, Quadrant, Tile, Tiling, quadrant_of
@@ -107,22 +108,13 @@ def sweep_tile(job: TileJob, tile: Tile, quadrant: Quadrant) -> dict[str, Any]:
             kept = job.work.load_arrays(_name("raster", tile), "roof_m", "terrain_m")
             top_m = jnp.asarray(kept["roof_m"] + kept.get("terrain_m", np.float32(0)))
             ringed = grid.padded(1, 1, 1, 1)
-            num = len(job.order[quadrant])
-            rows, cols = (np.empty((num, size), np.float32) for size in (grid.num_cols, grid.num_rows))
-            rings = _rings(job, tile, quadrant)
-            for n, (t, s) in enumerate(job.order[quadrant]):
-                line = digital_line(
-                    sky.azimuth_rad[t, s],
-                    sky.elevation_rad[t, s],
-                    grid.resolution_m,
-                    ringed.first_row,
-                    ringed.first_col,
-                    ringed.shape,
-                )
-                edge = hand_on(top_m, line, rings[n])
-                rows[n] = edge.south if quadrant[0] > 0 else edge.north
-                cols[n] = edge.west if quadrant[1] > 0 else edge.east
-            job.work.save_arrays(name, rows=rows, cols=cols)
+            at = (ringed.resolution_m, ringed.first_row, ringed.first_col, ringed.shape)
+            pairs = job.order[quadrant]
+            lines = [digital_line(sky.azimuth_rad[pair], sky.elevation_rad[pair], *at) for pair in pairs]
+            edges = handed_on(top_m, lines, _rings(job, tile, quadrant))
+            rows = edges.south if quadrant[0] > 0 else edges.north
+            cols = edges.west if quadrant[1] > 0 else edges.east
+            job.work.save_arrays(name, rows=np.asarray(rows), cols=np.asarray(cols))
     return {"seconds": watch.elapsed_s}
 
 

@@ -15,7 +15,7 @@ from jaxtyping import Array, Bool, Float, Int, UInt, UInt8
 from jaxurban.errors import InputError, one_of
 from jaxurban.kernels.dop import Geometry, dops, dops_of_words, geometry, unit_vectors
 from jaxurban.kernels.shadows.soft import Window, satellite_weights, shadow_heights
-from jaxurban.kernels.shadows.sweep import Line, digital_line
+from jaxurban.kernels.shadows.sweep import Line, digital_lines, stacked
 from jaxurban.metrics.base import ALTITUDE, TIME, Metric, Scene, SoftScene, low_is_bad
 from jaxurban.metrics.obstacle import obstacle_mask, soft_obstacle
 from jaxurban.metrics.settings import check_softness, check_value, differentiable
@@ -245,13 +245,10 @@ class GpsView:
                 "give those at or above the elevation mask only"
             )
         grid = surface.grid
-        lines = [
-            digital_line(*angles, grid.resolution_m, grid.first_row, grid.first_col, grid.shape)
-            for angles in zip(azimuth, elevation, strict=True)
-        ]
+        lines = digital_lines(azimuth, elevation, grid.resolution_m, grid.first_row, grid.first_col, grid.shape)
         rows, cols = surface.window
         return cls(
-            Line(*(np.stack(values) for values in zip(*lines, strict=True))),
+            stacked(lines),
             geometry(unit_vectors(azimuth, elevation), np.dtype(surface.roof_m.dtype).type),
             (rows.start, rows.stop, cols.start, cols.stop, oversample),
         )

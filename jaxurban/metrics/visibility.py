@@ -3,27 +3,36 @@
 import math
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from typing import Literal
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
-from jaxtyping import Array, UInt
+from jaxtyping import Array, Float, UInt
 
 from jaxurban.errors import InputError
 from jaxurban.kernels.dop import unit_vectors
+from jaxurban.kernels.shadows.doubling import hand_on_at_once, num_passes, shadow_heights_at_once, words_of
 from jaxurban.kernels.shadows.sweep import (
     EAST,
     NORTH,
     SOUTH,
     WEST,
     WORD_BITS,
+    Line,
     Ring,
-    digital_line,
+    digital_lines,
+    hand_on,
     mark_visible,
     mark_visible_within,
+    stacked,
 )
 from jaxurban.world.surface import Surface
+
+KernelShape = Literal["sweep", "doubling"]
+LEAST_DROP_M = 1e-9  # a ray on the horizon never climbs above a roof
 
 
 def shadow_reach_m(
@@ -72,12 +81,57 @@ def above_horizon(azimuth_rad: ArrayLike, elevation_rad: ArrayLike) -> tuple[np.
     return azimuth, elevation
 
 
+def kernel_shape() -> KernelShape:
+    """Return the shape of the shadows' kernel for JAX's platform: the sweep on a CPU, doubling on anything wider."""
+    return "sweep" if jax.default_backend() == "cpu" else "doubling"
+
+
+@partial(jax.jit, static_argnames=("passes", "window"))
+def _doubled_words(
+    top_m: Array,
+    ground_m: Array | None,
+    altitudes_m: Array,
+    lines: Line,
+    rings: Ring | None,
+    *,
+    passes: int,
+    window: tuple[int, int, int, int] | None,
+) -> Array:
+    """Return visibility words ``[W, A, y, x]`` of stacked lines, on a window (or all) of the cells of ``top_m``."""
+    shadows_m = shadow_heights_at_once(top_m, lines, passes=passes, rings=rings)
+    if window is not None:
+        shadows_m = shadows_m[:, window[0] : window[1], window[2] : window[3]]
+    return words_of(shadows_m, ground_m, altitudes_m)
+
+
+def handed_on(
+    top_m: Float[Array, "Y X"], lines: Sequence[Line], rings: Sequence[Ring], shape: KernelShape | None = None
+) -> Ring:
+    """Return what a grid hands on to its neighbours (`jaxurban.kernels.shadows.sweep.hand_on`), stacked along ``S``.
+
+    Args:
+      top_m: absolute height of roofs and bare ground.
+      lines: ``[S]`` for the grid grown by one cell on each side.
+      rings: ``[S]`` what the grids around this one hand on.
+      shape: as in `visibility`.
+    """
+    if (shape or kernel_shape()) == "doubling":
+        passes = num_passes(max(top_m.shape) + 2)
+        return hand_on_at_once(top_m, stacked(lines), _stacked_rings(rings), passes=passes)
+    return _stacked_rings([hand_on(top_m, line, ring) for line, ring in zip(lines, rings, strict=True)])
+
+
+def _stacked_rings(rings: Sequence[Ring]) -> Ring:
+    return Ring(*(jnp.asarray(np.stack(values)) for values in zip(*rings, strict=True)))
+
+
 def visibility(
     surface: Surface,
     azimuth_rad: ArrayLike,
     elevation_rad: ArrayLike,
     altitudes_m: ArrayLike | Sequence[float],
     rings: Sequence[Ring] | None = None,
+    shape: KernelShape | None = None,
 ) -> UInt[Array, "W A y x"]:
     """Return which satellites are seen from each cell's centre, as bits.
 
@@ -92,6 +146,8 @@ def visibility(
       altitudes_m: ``[A]`` heights above the ground.
       rings: ``[S]`` what the grids around the region hand on, by satellite; the surface's own margin is
         not looked at then.
+      shape: of the kernel: ``"sweep"`` or ``"doubling"`` (see `jaxurban.kernels.shadows.doubling`); left out, the one
+        for JAX's platform.
 
     Raises:
       InputError: a satellite below the horizon.
@@ -105,10 +161,15 @@ def visibility(
     altitudes = jnp.asarray(altitudes_m, surface.roof_m.dtype)
     ground_m = None if surface.terrain_m is None else surface.crop(surface.terrain_m)
     num_words = max(1, -(-len(azimuth) // WORD_BITS))
-    lines = [
-        digital_line(*angles, grid.resolution_m, grid.first_row, grid.first_col, grid.shape)
-        for angles in zip(azimuth, elevation, strict=True)
-    ]
+    lines = digital_lines(azimuth, elevation, grid.resolution_m, grid.first_row, grid.first_col, grid.shape)
+    if lines and (shape or kernel_shape()) == "doubling":
+        ring = None if rings is None else _stacked_rings(rings)
+        highest_m = max(float(jnp.max(values)) for values in (top_m, *(ring or ())))
+        rise_m = highest_m - float(altitudes.min() + (0 if ground_m is None else jnp.min(ground_m)))
+        least_drop_m = max(min(float(line.drop_m) for line in lines), LEAST_DROP_M)
+        passes = num_passes(min(max(grid.shape), rise_m / least_drop_m + 2))
+        window = None if rings is not None else (rows.start, rows.stop, cols.start, cols.stop)
+        return _doubled_words(top_m, ground_m, altitudes, stacked(lines), ring, passes=passes, window=window)
     words = jnp.zeros((num_words, *altitudes.shape, *region.shape), jnp.uint32)
     if rings is not None:
         for s, (line, ring) in enumerate(zip(lines, rings, strict=True)):

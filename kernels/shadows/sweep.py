@@ -1,6 +1,7 @@
 """How high the roofs' shadow reaches above every cell, for one direction: a sweep along digital lines."""
 
 import math
+from collections.abc import Sequence
 from functools import partial
 from typing import NamedTuple
 
@@ -8,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Int, UInt
 
 WORD_BITS = 32  # satellites in one word of a visibility mask
@@ -19,6 +21,7 @@ WORD_BITS = 32  # satellites in one word of a visibility mask
 ENTRY_STEPS = 0.25
 
 NORTH, SOUTH, EAST, WEST = range(4)
+Shape = tuple[int, int]  # rows and columns of a grid
 
 
 class Line(NamedTuple):
@@ -56,7 +59,7 @@ def digital_line(
     resolution_m: float,
     first_row: int,
     first_col: int,
-    shape: tuple[int, int],
+    shape: Shape,
 ) -> Line:
     """Return the digital line toward a source, computed in float64 on the host.
 
@@ -83,6 +86,21 @@ def digital_line(
     heading = (NORTH if ahead > 0 else SOUTH) if is_rows else (EAST if ahead > 0 else WEST)
     drop_m = resolution_m / abs(along) * math.tan(elevation_rad)
     return Line(shifts, np.asarray(drop_m), np.asarray(heading, np.int32))
+
+
+def digital_lines(
+    azimuth_rad: ArrayLike, elevation_rad: ArrayLike, resolution_m: float, first_row: int, first_col: int, shape: Shape
+) -> list[Line]:
+    """Return the `digital_line` of every direction, ``[S]`` azimuths and elevations."""
+    angles = zip(np.asarray(azimuth_rad, float), np.asarray(elevation_rad, float), strict=True)
+    return [digital_line(*pair, resolution_m, first_row, first_col, shape) for pair in angles]
+
+
+def stacked(lines: Sequence[Line]) -> Line:
+    """Return lines over one grid as one, fields stacked along ``S``."""
+    if not lines:
+        return Line(np.zeros((0, 0), np.int32), np.zeros(0), np.zeros(0, np.int32))
+    return Line(*(np.stack(values) for values in zip(*lines, strict=True)))
 
 
 def _sweep_rows(raised_m: Array, shifts: Array, drop_m: Array, toward_last: bool) -> Array:
@@ -125,7 +143,7 @@ def sweep(raised_m: Float[Array, "Y X"], line: Line) -> Float[Array, "Y X"]:
     )
 
 
-def _within(raised_m: Array, ring: Ring) -> Array:
+def within(raised_m: Array, ring: Ring) -> Array:
     """Return a grid inside the ring of one cell that its neighbours hand on, ``[Y + 2, X + 2]``."""
     rows = jnp.concatenate([ring.west[:, None], raised_m, ring.east[:, None]], axis=1)
     return jnp.concatenate([ring.south[None], rows, ring.north[None]])
@@ -152,7 +170,7 @@ def shadow_height(top_m: Float[Array, "Y X"], line: Line, ring: Ring | None = No
       ring: what the grids around this one hand on; left out, nothing stands there.
     """
     raised_m = top_m + ENTRY_STEPS * jnp.asarray(line.drop_m, top_m.dtype)
-    return sweep(raised_m, line) if ring is None else sweep(_within(raised_m, ring), line)[1:-1, 1:-1]
+    return sweep(raised_m, line) if ring is None else sweep(within(raised_m, ring), line)[1:-1, 1:-1]
 
 
 @jax.jit
@@ -162,7 +180,7 @@ def hand_on(top_m: Float[Array, "Y X"], line: Line, ring: Ring) -> Ring:
     The rows are ``[X]`` here, a part of the neighbours' rings. Arguments as in `shadow_height`.
     """
     raised_m = top_m + ENTRY_STEPS * jnp.asarray(line.drop_m, top_m.dtype)
-    carried_m = jnp.maximum(raised_m, sweep(_within(raised_m, ring), line)[1:-1, 1:-1])
+    carried_m = jnp.maximum(raised_m, sweep(within(raised_m, ring), line)[1:-1, 1:-1])
     return Ring(carried_m[0], carried_m[-1], carried_m[:, 0], carried_m[:, -1])
 
 
