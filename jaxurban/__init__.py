@@ -7,12 +7,14 @@ if _TYPE_CHECKING:
     from jaxurban.errors import InputError as InputError
     from jaxurban.errors import JaxurbanError as JaxurbanError
     from jaxurban.maps.build import build_maps as build_maps
+    from jaxurban.maps.build import map_inputs as map_inputs
     from jaxurban.maps.build import soft_city as soft_city
     from jaxurban.maps.differentiable import SoftCity as SoftCity
     from jaxurban.maps.differentiable import SoftParams as SoftParams
     from jaxurban.maps.levels import Levels as Levels
     from jaxurban.maps.metric_maps import MetricMaps as MetricMaps
     from jaxurban.maps.metric_maps import open_maps as open_maps
+    from jaxurban.maps.pipeline import all_maps as all_maps
     from jaxurban.metrics.custom import Layer as Layer
     from jaxurban.metrics.gps import GpsParams as GpsParams
     from jaxurban.metrics.lidar import LidarParams as LidarParams
@@ -58,10 +60,11 @@ if _TYPE_CHECKING:
 # line must react, to --help and to Ctrl-C, before that. A test compares this list with the one above.
 _NAMES = {
     "errors": "InputError JaxurbanError",
-    "maps.build": "build_maps soft_city",
+    "maps.build": "build_maps map_inputs soft_city",
     "maps.differentiable": "SoftCity SoftParams",
     "maps.levels": "Levels",
     "maps.metric_maps": "MetricMaps open_maps",
+    "maps.pipeline": "all_maps",
     "metrics.custom": "Layer",
     "metrics.gps": "GpsParams",
     "metrics.lidar": "LidarParams",

@@ -22,6 +22,7 @@ from jaxurban.maps.guesses import Guesses, guesses_of, nominal_guess, time_guess
 from jaxurban.maps.height_uncertainty import HeightStd
 from jaxurban.maps.memory import check_fits
 from jaxurban.maps.metric_maps import MetricMaps
+from jaxurban.maps.pipeline import MapInputs, SkyView, inputs_of, skies_of
 from jaxurban.maps.recipe import TileScene, tile_maps
 from jaxurban.maps.stopwatch import Stage, Stopwatch, untimed
 from jaxurban.maps.task import PAPER_ALTITUDES_M, MapParams, MapTask
@@ -222,6 +223,34 @@ def compute_maps(task: MapTask, surface: Surface | None = None, stage: Stage = u
     for name, place, values in tile_maps(tile, stage):
         ds[name].values[place] = values
     return MetricMaps(ds if task.keeps_times else with_series(ds, task, tile.totals))
+
+
+@typed
+def map_inputs(
+    city: City,
+    grid: Grid,
+    *,
+    orbits: str | Path | Sequence[str | Path] = "nominal",
+    times: Sequence[str] | None = None,
+    altitudes_m: Sequence[float] = PAPER_ALTITUDES_M,
+    params: MapParams | None = None,
+) -> tuple[MapInputs, SkyView]:
+    """Return a city and its skies made ready for `all_maps`; the skies of all times are stacked along them.
+
+    Args:
+      city: what is mapped.
+      grid: of the maps, such as that of maps.
+      orbits, times, altitudes_m: as for `build_maps`.
+      params: all other settings; their altitudes are not looked at.
+
+    Raises:
+      InputError: unreadable or stale orbits, or settings that `all_maps` knows nothing of.
+    """
+    settings = replace(params or MapParams(), altitudes_m=tuple(altitudes_m))
+    sky = view_sky(grid, orbits, times, mask_deg=settings.mask_deg, reference=None, max_age_days=90.0)
+    task = MapTask(city, grid, sky, settings)
+    inputs = inputs_of(task)
+    return inputs, skies_of(task, inputs.surface)
 
 
 @typed

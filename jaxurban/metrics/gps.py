@@ -96,8 +96,14 @@ def gps_metric(gdop: Float[Array, "*C"], gdop_threshold: float | Array) -> Float
 
 
 @jax.jit
-def _computed(words: UInt[Array, "W ..."], satellites: Geometry, gdop_threshold: float | Array) -> GpsMaps:
-    """Return the maps of the satellites seen, made block by block of cells."""
+def maps_of_words(words: UInt[Array, "W ..."], satellites: Geometry, gdop_threshold: float | Array) -> GpsMaps:
+    """Return the maps of the satellites whose bits are set, made block by block of cells.
+
+    Args:
+      words: satellite ``s`` is bit ``s % 32`` of word ``s // 32``; any axes of cells behind.
+      satellites: their geometry.
+      gdop_threshold: see `gps_metric`.
+    """
     shape = words.shape[1:]
     size = math.prod(shape)
     num = max(size, BLOCK_CELLS)
@@ -140,14 +146,14 @@ class SatelliteSet:
         if len(directions) <= TABLE_SATELLITES:
             num = max(BLOCK_CELLS, 2 ** len(directions))
             subsets = jnp.arange(num, dtype=jnp.uint32)[None]
-            table = _computed(subsets, satellites, params.gdop_threshold)
+            table = maps_of_words(subsets, satellites, params.gdop_threshold)
         return cls(satellites, table, params.gdop_threshold)
 
     def maps(self, words: UInt[Array, "W ..."], is_obstacle: Bool[Array, "..."]) -> GpsMaps:
         """Return the maps of the satellites seen; inside obstacles no satellite is."""
         words = jnp.where(is_obstacle, jnp.uint32(0), words)
         if self.table is None:
-            return _computed(words, self.satellites, self.gdop_threshold)
+            return maps_of_words(words, self.satellites, self.gdop_threshold)
         return _looked_up(self.table, words[0])
 
     def m(self, words: UInt[Array, "W ..."], is_obstacle: Bool[Array, "..."]) -> Float[Array, "*C"]:

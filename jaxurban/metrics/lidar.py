@@ -85,21 +85,44 @@ def compute_lidar(
       altitudes_m: ``[A]`` heights above ground.
       params: the lidar.
     """
-    resolution_m = surface.grid.resolution_m
-    steps = kernel.num_steps(resolution_m, params.range_m)
-    offsets = kernel.ray_offsets(params.azimuths, steps)
-    lowest_m = kernel.lowest_heights(
-        np.asarray(altitudes_m, float), params.elevations_rad, resolution_m, params.range_m, steps
+    heights_m = beam_heights(altitudes_m, params, surface)
+    return lidar_of_beams(surface, jnp.asarray(altitudes_m, surface.roof_m.dtype), jnp.asarray(heights_m), params)
+
+
+def beam_heights(altitudes_m: Sequence[float] | ArrayLike, params: LidarParams, surface: Surface) -> np.ndarray:
+    """Return the heights that decide each step of a ray, made in float64 on the host.
+
+    ``[A, N]`` over flat ground (`jaxurban.kernels.lidar.flat.flat_thresholds`), ``[A, N, B]`` over terrain
+    (`lowest_heights`), rounded up to the type of the roofs.
+
+    Args:
+      altitudes_m: ``[A]`` heights above ground.
+      params: the lidar.
+      surface: whose cells and type of roofs count, and whether there is terrain.
+    """
+    resolution_m, range_m = surface.grid.resolution_m, params.range_m
+    steps = kernel.num_steps(resolution_m, range_m)
+    heights_m = kernel.lowest_heights(
+        np.asarray(altitudes_m, float), params.elevations_rad, resolution_m, range_m, steps
     )
+    if surface.terrain_m is None:
+        heights_m = kernel.flat_thresholds(heights_m)
+    return kernel.round_up(heights_m, np.dtype(surface.roof_m.dtype))
+
+
+def lidar_of_beams(
+    surface: Surface, altitudes_m: Float[Array, " A"], heights_m: Float[Array, "A N ..."], params: LidarParams
+) -> Float[Array, "A y x"]:
+    """Return `compute_lidar` of beams made ready by `beam_heights`; surface, altitudes and heights may be traced."""
+    steps = heights_m.shape[1]
+    offsets = kernel.ray_offsets(params.azimuths, steps)
     roof_m = surface.crop_with_halo(surface.roof_m, steps - 1)
     if surface.terrain_m is None:
-        thresholds_m = kernel.round_up(kernel.flat_thresholds(lowest_m), roof_m.dtype)
-        returns = kernel.count_returns(roof_m, jnp.asarray(thresholds_m), jnp.asarray(offsets))
+        returns = kernel.count_returns(roof_m, heights_m, jnp.asarray(offsets))
     else:
         terrain_m = surface.crop_with_halo(surface.terrain_m, steps - 1)
-        beams_m = jnp.asarray(kernel.round_up(lowest_m, roof_m.dtype))
         looks = distinct_looks(phase_starts(offsets, 1))
-        returns = count_returns_on_terrain(roof_m[None], terrain_m[None], beams_m, looks, halo=steps - 1)
+        returns = count_returns_on_terrain(roof_m[None], terrain_m[None], heights_m, looks, halo=steps - 1)
     share = returns.astype(roof_m.dtype) / params.azimuths
     return jnp.where(obstacle_mask(surface.crop(surface.roof_m), altitudes_m), 0.0, share)
 

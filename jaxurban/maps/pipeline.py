@@ -1,0 +1,199 @@
+"""Every map of a region as one pure function of arrays, to be jitted, mapped over (`jax.vmap`) and exported.
+
+`inputs_of` and `skies_of` make ready on the host what a city, a sky and settings say; `all_maps` then computes the maps
+of one time. It defines what the maps are: `jaxurban.maps.recipe`, which makes them layer by layer and on a CPU in
+threads, gives the same bits (population: the same but for float32's last bit). Supersampled maps, bounds, spreads,
+statistics over time and own layers are the recipe's alone; soft maps are `SoftCity`'s.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Float, Int, UInt
+
+from jaxurban.errors import InputError
+from jaxurban.kernels.dop import Geometry, geometry, unit_vectors
+from jaxurban.kernels.shadows.doubling import num_passes, shadow_heights_at_once, words_of
+from jaxurban.kernels.shadows.soft import shadow_heights
+from jaxurban.kernels.shadows.sweep import Line, digital_lines, stacked
+from jaxurban.maps.task import MapTask
+from jaxurban.metrics.gps import SATELLITES_STEP, GpsParams, maps_of_words
+from jaxurban.metrics.lidar import LidarParams, beam_heights, lidar_of_beams
+from jaxurban.metrics.obstacle import obstacle_mask
+from jaxurban.metrics.population import BlockPopulation, PopulationParams, block_values, day_share, map_blocks
+from jaxurban.metrics.registry import METRICS
+from jaxurban.metrics.risk import RiskParams, compute_risk
+from jaxurban.metrics.weights import Weights
+from jaxurban.world.surface import Surface
+
+
+class SkyView(NamedTuple):
+    """The satellites of one time over one surface, made ready on the host. ``S`` satellites, some of them to fill up.
+
+    Attributes:
+      lines: digital line toward each over the surface's grid, fields stacked along ``S``.
+      satellites: their geometry.
+      num: how many there are; those behind are never seen.
+    """
+
+    lines: Line
+    satellites: Geometry
+    num: Int[Array, ""]
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class MapInputs:
+    """What the maps of a region depend on besides the sky. ``A`` altitudes, ``D`` times of day; may be traced.
+
+    Attributes:
+      surface: roofs, terrain and census blocks on the region and its margin.
+      altitudes_m: ``[A]`` above the ground.
+      beams_m: ``[A, N]`` or ``[A, N, B]`` from `jaxurban.metrics.lidar.beam_heights`; goes with the altitudes.
+      day_share: ``[D]`` how far the population has moved from night to day.
+      population: the census blocks; None without them.
+      gps: of which the threshold may be traced.
+      people: settings of the population, of which the gammas may be traced.
+      risk, lidar: their ranges decide shapes: plain numbers.
+    """
+
+    surface: Surface
+    altitudes_m: Float[Array, " A"]
+    beams_m: Float[Array, "A N ..."]
+    day_share: Float[Array, " D"]
+    population: BlockPopulation | None
+    gps: GpsParams
+    people: PopulationParams
+    risk: RiskParams = field(metadata={"static": True})
+    lidar: LidarParams = field(metadata={"static": True})
+
+    def at_altitudes(self, altitudes_m: Sequence[float]) -> "MapInputs":
+        """Return these inputs at other altitudes above the ground, which must not lie below the lowest of them.
+
+        The surface's margin holds what shadows the lowest altitude, and no more.
+        """
+        beams_m = jnp.asarray(beam_heights(altitudes_m, self.lidar, self.surface))
+        return replace(self, altitudes_m=jnp.asarray(altitudes_m, self.surface.roof_m.dtype), beams_m=beams_m)
+
+
+def inputs_of(task: MapTask) -> MapInputs:
+    """Return a task's surface and settings, made ready for `all_maps`.
+
+    Raises:
+      InputError: settings that `all_maps` knows nothing of: finer cells for rays, bounds, spreads and own layers.
+    """
+    params = task.params
+    if params.oversample > 1 or params.gps_bounds or params.height_samples or task.layers:
+        raise InputError(
+            "the maps as one function know no oversample, bounds, height_samples or own layers: leave them out, or "
+            "make the maps with build_maps"
+        )
+    surface = jax.tree.map(jnp.asarray, task.surface())
+    blocks = task.city.blocks
+    return MapInputs(
+        surface,
+        jnp.asarray(params.altitudes_m, surface.roof_m.dtype),
+        jnp.asarray(beam_heights(params.altitudes_m, params.lidar, surface)),
+        jnp.asarray([day_share(time_of_day, params.population) for time_of_day in params.times_of_day], np.float32),
+        None if blocks is None else BlockPopulation.of(blocks, task.region.bounds_m),
+        params.gps,
+        params.population,
+        params.risk,
+        params.lidar,
+    )
+
+
+def skies_of(task: MapTask, surface: Surface) -> SkyView:
+    """Return the skies of all times of a task over its surface, every field stacked along the times ``[T, ...]``.
+
+    One time is ``jax.tree.map(lambda values: values[t], views)``; all of them are mapped over by
+    ``jax.vmap(all_maps, (None, 0))``. Times with fewer satellites than the fullest are filled up.
+    """
+    grid, angles = surface.grid, [task.angles(t) for t in range(task.num_times)]
+    most = max(1, *(len(azimuth_rad) for azimuth_rad, _ in angles))
+    most = -(-most // SATELLITES_STEP) * SATELLITES_STEP
+    views = []
+    for azimuth_rad, elevation_rad in angles:
+        num = len(azimuth_rad)
+        directions = unit_vectors(azimuth_rad, elevation_rad)
+        filled = np.zeros((2, most))
+        filled[:, :num] = azimuth_rad, elevation_rad
+        lines = digital_lines(filled[0], filled[1], grid.resolution_m, grid.first_row, grid.first_col, grid.shape)
+        views.append(SkyView(stacked(lines), geometry(directions, multiple_of=most), jnp.int32(num)))
+    return jax.tree.map(lambda *values: jnp.asarray(np.stack(values)), *views)
+
+
+def visible_words(surface: Surface, altitudes_m: Float[Array, " A"], sky: SkyView) -> UInt[Array, "W A y x"]:
+    """Return `jaxurban.metrics.visibility.visibility` of a sky, by the shape for the platform that it is compiled for.
+
+    Args:
+      surface: roofs and terrain; what stands outside it shadows nothing.
+      altitudes_m: heights above the ground.
+      sky: over this surface.
+    """
+    rows, cols = surface.window
+
+    def swept(top_m: Array, lines: Line) -> Array:
+        return shadow_heights(top_m, lines, (rows.start, rows.stop, cols.start, cols.stop, 1))
+
+    def doubled(top_m: Array, lines: Line) -> Array:
+        return shadow_heights_at_once(top_m, lines, passes=num_passes(max(top_m.shape)))[:, rows, cols]
+
+    shadows_m = lax.platform_dependent(surface.top_m, sky.lines, cpu=swept, default=doubled)
+    is_there = jnp.arange(len(shadows_m)) < sky.num
+    shadows_m = jnp.where(is_there[:, None, None], shadows_m, jnp.inf)
+    return words_of(shadows_m, None if surface.terrain_m is None else surface.crop(surface.terrain_m), altitudes_m)
+
+
+def all_maps(inputs: MapInputs, sky: SkyView, weights: Weights | None = None) -> dict[str, Array]:
+    """Return every map of a region at one time, by its variable. Pure: jit it, map over it, export it.
+
+    ``jax.vmap`` over any leaf: skies or times (`skies_of`), roofs, altitudes with their beams, the GDOP threshold,
+    gammas, weights. Gradients are those of the hard maps: of the threshold, the gammas and the weights.
+
+    Args:
+      inputs: from `inputs_of`.
+      sky: of one time.
+      weights: give ``cost`` too, the weighted sum of the metrics' costs, ``[A, y, x]`` or, with population,
+        ``[A, D, y, x]``: what a step into a cell costs beside its length.
+
+    Returns:
+      ``obstacle`` uint8, ``gps``, ``gdop``, ``pdop``, ``hdop``, ``vdop``, ``tdop``, ``num_visible``, ``lidar`` and
+      ``risk`` ``[A, y, x]``, and with census blocks ``population`` and ``density`` ``[D, y, x]``.
+    """
+    surface, altitudes_m = inputs.surface, inputs.altitudes_m
+    is_obstacle = obstacle_mask(surface.crop(surface.roof_m), altitudes_m)
+    words = jnp.where(is_obstacle, jnp.uint32(0), visible_words(surface, altitudes_m, sky))
+    gps = maps_of_words(words, sky.satellites, inputs.gps.gdop_threshold)
+    maps = {
+        "obstacle": is_obstacle.astype(jnp.uint8),
+        "gps": gps.m,
+        **{name: getattr(gps, name) for name in ("gdop", "pdop", "hdop", "vdop", "tdop", "num_visible")},
+        "lidar": lidar_of_beams(surface, altitudes_m, inputs.beams_m, inputs.lidar),
+        "risk": compute_risk(surface, altitudes_m, inputs.risk),
+    }
+    if inputs.population is not None and surface.block is not None:
+        blocks = inputs.population
+        m, density, _ = jax.vmap(lambda share: block_values(blocks, share, inputs.people))(inputs.day_share)
+        maps |= {"population": map_blocks(surface.block, m), "density": map_blocks(surface.block, density)}
+    if weights is not None:
+        maps["cost"] = _weighted(maps, weights)
+    return maps
+
+
+def _weighted(maps: dict[str, Array], weights: Weights) -> Array:
+    """Return the sum of the metrics' costs times their weights."""
+    has_people = "population" in maps
+    total = jnp.zeros(())
+    for name, metric in METRICS.items():
+        if name in maps:
+            m = maps[name]
+            if has_people:
+                m = m[None] if name == "population" else m[:, None]
+            total = total + jnp.asarray(weights[name]) * metric.cost(m)
+    return total
