@@ -50,7 +50,22 @@ def together(*parameters: Callable) -> Callable[[Callable], Callable]:
     return add
 
 
+def _use_device(ctx: click.Context, param: click.Parameter, value: str | None) -> None:
+    """Choose the device before anything computes."""
+    if value is not None:
+        from jaxurban.maps.device import use_device
+
+        use_device(value)
+
+
 LONLAT = LonLat()
+DEVICE = click.option(
+    "--device",
+    type=click.Choice(["auto", "cpu", "gpu"]),
+    callback=_use_device,
+    expose_value=False,
+    help="What computes.  [default: auto, a GPU where JAX finds one]",
+)
 RESOLUTION = click.option(
     "--resolution", "resolution_m", type=float, help="Of the maps, metres; needed where DIR holds several."
 )

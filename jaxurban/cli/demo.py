@@ -4,13 +4,14 @@ from pathlib import Path
 
 import click
 
-from jaxurban.cli.common import JSON_FLAG, print_json, tell
+from jaxurban.cli.common import DEVICE, JSON_FLAG, print_json, tell
 from jaxurban.progress import reporting
 
 
 @click.command()
 @click.option("-o", "folder", type=click.Path(path_type=Path), default=Path("out/demo"), show_default=True)
 @click.option("--overwrite", is_flag=True, help="Replace maps of other settings in the output folder.")
+@DEVICE
 @JSON_FLAG
 def demo(folder: Path, overwrite: bool, as_json: bool) -> int:
     """Maps of the synthetic city, paths over them, pictures and a summary."""

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from jaxurban.cli.common import JSON_FLAG, print_json, tell, tell_warnings
+from jaxurban.cli.common import DEVICE, JSON_FLAG, print_json, tell, tell_warnings
 from jaxurban.progress import reporting
 
 
@@ -16,6 +16,7 @@ from jaxurban.progress import reporting
 @click.option("--memory", help="Ceiling on the memory of the whole run, such as 4GiB. [default: half of what is free]")
 @click.option("--workers", type=int, help="Work in so many processes (Dask). [default: a thread a core]")
 @click.option("--cluster", metavar="ADDRESS", help="Work on the Dask cluster of a scheduler, such as tcp://host:8786.")
+@DEVICE
 @JSON_FLAG
 def maps(
     scenario_file: Path,

@@ -7,6 +7,7 @@ from typing import Any
 import click
 
 from jaxurban.cli.common import (
+    DEVICE,
     JSON_FLAG,
     ROUTE,
     Settings,
@@ -45,6 +46,7 @@ LEVEL_OPTIONS = ("min_altitude_m", "max_altitude_m", "level_step_m", "climb_cost
 @click.option(
     "-o", "files", type=click.Path(path_type=Path), multiple=True, help=".geojson, .kml or .plan; repeatable."
 )
+@DEVICE
 @JSON_FLAG
 def plan(folder: Path, files: Sequence[Path], profile: Path | None, as_json: bool, **given: Any) -> int:
     """Plan a path over the maps in DIR."""

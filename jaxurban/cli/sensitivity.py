@@ -7,6 +7,7 @@ from typing import Any
 import click
 
 from jaxurban.cli.common import (
+    DEVICE,
     JSON_FLAG,
     ROUTE,
     names_in,
@@ -45,6 +46,7 @@ NAMED = {"vary": "vary", "triangle": "triangle", "objectives": "pareto"}  # list
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
 @click.option("-o", "output", type=click.Path(path_type=Path), default=Path("out/sensitivity"), show_default=True)
 @click.option("--overwrite", is_flag=True, help="Replace another run of sensitivity in the output folder.")
+@DEVICE
 @JSON_FLAG
 def sensitivity(folder: Path, output: Path, as_json: bool, overwrite: bool, **given: Any) -> int:
     """Report what would change the route between two places over the maps in DIR, and what would not."""

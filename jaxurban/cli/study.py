@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from jaxurban.cli.common import CONSTRAINTS, JSON_FLAG, print_json, tell, tell_warnings
+from jaxurban.cli.common import CONSTRAINTS, DEVICE, JSON_FLAG, print_json, tell, tell_warnings
 from jaxurban.errors import InputError
 from jaxurban.progress import reporting
 
@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     "--benchmark", "benchmark_folder", type=click.Path(path_type=Path), help="Export a public benchmark to it."
 )
 @click.option("--overwrite", is_flag=True, help="Replace maps or a study of other settings in the output folder.")
+@DEVICE
 @JSON_FLAG
 def study(scenario_file: Path, folder: Path, benchmark_folder: Path | None, as_json: bool, **given: Any) -> int:
     """Run every planner of SCENARIO's [study] on many random queries over its maps, and report what came out."""

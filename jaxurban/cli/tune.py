@@ -9,6 +9,7 @@ from click.core import ParameterSource
 
 from jaxurban.cli.common import (
     CONSTRAINTS,
+    DEVICE,
     JSON_FLAG,
     OBSTACLES,
     RESOLUTION,
@@ -50,6 +51,7 @@ from jaxurban.cli.common import (
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
 @click.option("--budget", "budget_s", type=float, help="Seconds; the round under way is finished.")
 @click.option("--overwrite", is_flag=True, help="Forget a fit of other routes or settings in the output folder.")
+@DEVICE
 @JSON_FLAG
 def tune(folder: Path, routes: Path, out: Path, **given: Any) -> int:
     """Fit weights to demonstrated ROUTES (GeoJSON lines) over the maps in DIR, or to targets for outcomes."""

@@ -13,6 +13,7 @@ from jaxurban.errors import InputError
 from jaxurban.kernels.distance.exact import window_cells
 from jaxurban.kernels.lidar.flat import WORD_BITS, num_steps
 from jaxurban.maps.dataset import variables
+from jaxurban.maps.device import gpu_free_bytes
 from jaxurban.maps.task import MapTask
 from jaxurban.metrics.base import Metric
 from jaxurban.world.grid import Grid
@@ -232,6 +233,8 @@ def plan_run(
 ) -> MemoryPlan:
     """Return how a run of some tasks, one after the other, keeps under its memory ceiling; arguments as `plan_memory`.
 
+    On a GPU as many tiles are worked on as its own memory holds.
+
     Raises:
       InputError: it cannot, or the disk of ``folder`` is too small.
     """
@@ -241,7 +244,9 @@ def plan_run(
         tile = replace(region, num_rows=shape[0], num_cols=shape[1])
         num_tiles = max(num_tiles, -(-region.num_rows // shape[0]) * -(-region.num_cols // shape[1]))
         most_bytes = max(most_bytes, tile_bytes(task, tile))
-    plan = plan_memory(ceiling_bytes, most_bytes, num_workers, has_processes, len(tasks), num_tiles)
+    plan = plan_memory(
+        ceiling_bytes, most_bytes, _fitting_on_gpu(most_bytes, num_workers), has_processes, len(tasks), num_tiles
+    )
     disk_bytes = SCRATCH_BYTES_PER_CELL * max(_num_cells(task.region) for task in tasks)
     disk_free = shutil.disk_usage(folder).free
     if disk_bytes > disk_free:
@@ -250,6 +255,23 @@ def plan_run(
             "a smaller region, a coarser [region] resolution_m, or another folder"
         )
     return plan
+
+
+def _fitting_on_gpu(per_tile_bytes: int, num_workers: int) -> int:
+    """Return how many workers a GPU has memory for, ``num_workers`` at most and where JAX computes on a CPU.
+
+    Raises:
+      InputError: not one tile fits.
+    """
+    free = gpu_free_bytes()
+    if free is None:
+        return num_workers
+    if per_tile_bytes > free:
+        raise InputError(
+            f"a tile needs about {gib(per_tile_bytes)} of the GPU's memory and {gib(free)} are free: end what else "
+            "uses it, choose a shorter [lidar] range_m or fewer altitudes or times, or take --device cpu"
+        )
+    return min(num_workers, int(free // per_tile_bytes))
 
 
 def plan_sentence(tasks: Sequence[MapTask], plan: MemoryPlan) -> str:
