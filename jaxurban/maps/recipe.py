@@ -6,7 +6,7 @@ whose roofs have moved. Who runs it, and where the layers go, is the caller's.
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, NamedTuple
 
 import jax
@@ -69,7 +69,7 @@ class TileScene:
 
     @cached_property
     def _obstacle_at(self) -> list[jax.Array]:
-        return [self.is_obstacle[a] for a in range(len(self.is_obstacle))]
+        return [_at(self.is_obstacle, a, 0) for a in range(len(self.is_obstacle))]
 
     @cached_property
     def has_data(self) -> np.ndarray | None:
@@ -131,11 +131,17 @@ class TileScene:
             )
         if (t := index.get(TIME)) is not None:
             satellites, words = self.view(t)
-            scene = replace(scene, satellites=satellites, words=words[:, a])
+            scene = replace(scene, satellites=satellites, words=_at(words, a, 1))
         if metric.name in self.task.bands:
             values = layer_values(self.task.bands[metric.name], self.surface.region, self.task.region, a)
             scene = replace(scene, rasters={metric.name: values})
         return scene
+
+
+@partial(jax.jit, static_argnames="axis")
+def _at(values: jax.Array, index: int, axis: int) -> jax.Array:
+    """Return a layer of stacked ones: one program serves all."""
+    return jax.lax.dynamic_index_in_dim(values, index, axis, keepdims=False)
 
 
 def tile_maps(tile: TileScene, stage: Stage = untimed) -> Iterator[MapLayer]:

@@ -151,21 +151,21 @@ class SatelliteSet:
 
     def maps(self, words: UInt[Array, "W ..."], is_obstacle: Bool[Array, "..."]) -> GpsMaps:
         """Return the maps of the satellites seen; inside obstacles no satellite is."""
-        words = jnp.where(is_obstacle, jnp.uint32(0), words)
         if self.table is None:
-            return maps_of_words(words, self.satellites, self.gdop_threshold)
-        return _looked_up(self.table, words[0])
+            return maps_of_words(jnp.where(is_obstacle, jnp.uint32(0), words), self.satellites, self.gdop_threshold)
+        return _looked_up(self.table, words, is_obstacle)
 
     def m(self, words: UInt[Array, "W ..."], is_obstacle: Bool[Array, "..."]) -> Float[Array, "*C"]:
         """Return the metric alone."""
         if self.table is None:
             return self.maps(words, is_obstacle).m
-        return _looked_up(self.table.m, jnp.where(is_obstacle, jnp.uint32(0), words[0]))
+        return _looked_up(self.table.m, words, is_obstacle)
 
 
 @jax.jit
-def _looked_up(table, index: UInt[Array, "..."]):
-    """Return the entries of a table (or of each of a tree of tables) at ``index``."""
+def _looked_up(table, words: UInt[Array, "W ..."], is_obstacle: Bool[Array, "..."]):
+    """Return the entries of a table (or of each of a tree of tables) at the first word; at 0 inside obstacles."""
+    index = jnp.where(is_obstacle, jnp.uint32(0), words[0])
     return jax.tree.map(lambda values: values[index], table)
 
 

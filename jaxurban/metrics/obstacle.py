@@ -19,7 +19,11 @@ def obstacle_mask(roof_m: Float[Array, "Y X"], altitudes_m: Sequence[float] | ja
     A cell without a building is free at every altitude. Paper: section Obstacle Maps. No gradient.
     """
     roof = jnp.asarray(roof_m)
-    altitudes = jnp.asarray(altitudes_m, roof.dtype)
+    return _mask(roof, jnp.asarray(altitudes_m, roof.dtype))
+
+
+@jax.jit
+def _mask(roof: Array, altitudes: Array) -> Array:
     return (roof >= altitudes[:, None, None]) & (roof > 0)
 
 

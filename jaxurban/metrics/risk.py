@@ -7,6 +7,7 @@ from typing import Literal
 
 import jax
 import jax.numpy as jnp
+from jax import lax
 from jaxtyping import Array, Float, Int
 
 from jaxurban.errors import one_of
@@ -65,15 +66,33 @@ def compute_risk(
       altitudes_m: ``[A]`` heights above ground.
       params: the risk.
     """
-    resolution_m, cap_m = surface.grid.resolution_m, params.threshold_m
-    halo = kernel.window_cells(cap_m, resolution_m)
+    halo = kernel.window_cells(params.threshold_m, surface.grid.resolution_m)
     roof_m = surface.crop_with_halo(surface.roof_m, halo)
-    has_building = roof_m > 0
     is_solid = params.distance == "solid"
-    terrain_m = None if surface.terrain_m is None else surface.crop_with_halo(surface.terrain_m, halo)
+    terrain_m = None
+    if is_solid and surface.terrain_m is not None:
+        terrain_m = surface.crop_with_halo(surface.terrain_m, halo)
+    sizes = {"resolution_m": surface.grid.resolution_m, "cap_m": params.threshold_m}
+    altitudes = jnp.asarray(altitudes_m, roof_m.dtype)
+    return _risk(roof_m, terrain_m, altitudes, halo=halo, is_solid=is_solid, **sizes)
+
+
+@partial(jax.jit, static_argnames=("resolution_m", "cap_m", "halo", "is_solid"))
+def _risk(
+    roof_m: jax.Array,
+    terrain_m: jax.Array | None,
+    altitudes_m: jax.Array,
+    *,
+    resolution_m: float,
+    cap_m: float,
+    halo: int,
+    is_solid: bool,
+) -> jax.Array:
+    """Return `compute_risk` of roofs (and, for ``"solid"``, terrain) on the region and ``halo`` cells around it."""
+    has_building = roof_m > 0
 
     def distance_at(altitude_m: jax.Array) -> jax.Array:
-        if is_solid and terrain_m is not None:
+        if terrain_m is not None:
             return kernel.capped_distance_over_terrain(
                 terrain_m + altitude_m, terrain_m + roof_m, has_building, resolution_m=resolution_m, cap_m=cap_m
             )
@@ -83,10 +102,8 @@ def compute_risk(
             source_m2 = jnp.where(obstacle_mask(roof_m, altitude_m[None])[0], 0.0, jnp.inf).astype(roof_m.dtype)
         return kernel.capped_distance(source_m2, resolution_m=resolution_m, cap_m=cap_m)
 
-    # A loop over jitted kernels: a scan over this closure would be compiled anew at each call.
-    distance_m = jnp.stack([distance_at(altitude_m) for altitude_m in jnp.asarray(altitudes_m, roof_m.dtype)])
-    rows, cols = surface.region.shape
-    return distance_m[:, halo : halo + rows, halo : halo + cols] / cap_m
+    rows, cols = (slice(halo, size - halo) for size in roof_m.shape)
+    return lax.map(distance_at, altitudes_m)[:, rows, cols] / cap_m
 
 
 def soft_risk(

@@ -104,6 +104,18 @@ def _doubled_words(
     return words_of(shadows_m, ground_m, altitudes_m)
 
 
+@jax.jit
+def _turned(arrays):
+    """Return a tree of arrays with the last two axes exchanged."""
+    return jax.tree.map(lambda array: array.mT, arrays)
+
+
+@jax.jit
+def _joined(along_rows: Array, along_cols: Array) -> Array:
+    """Return the words of both kinds of lines, the second kind's transposed."""
+    return along_rows | along_cols.mT
+
+
 def handed_on(
     top_m: Float[Array, "Y X"], lines: Sequence[Line], rings: Sequence[Ring], shape: KernelShape | None = None
 ) -> Ring:
@@ -185,8 +197,8 @@ def visibility(
         return words
 
     # Lines that head east or west are swept on transposed arrays, made once; the two kinds at the same time.
-    turned = words.mT, top_m.T, None if ground_m is None else ground_m.T, (cols.start, rows.start)
+    turned = *_turned((words, top_m, ground_m)), (cols.start, rows.start)
     with ThreadPoolExecutor(2) as threads:
         along_rows = threads.submit(mark_all, (NORTH, SOUTH), words, top_m, ground_m, (rows.start, cols.start))
         along_cols = threads.submit(mark_all, (EAST, WEST), *turned)
-    return along_rows.result() | along_cols.result().mT
+    return _joined(along_rows.result(), along_cols.result())

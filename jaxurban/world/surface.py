@@ -1,9 +1,11 @@
 """Surface: a city as rasters on one grid, the region plus the margin that shadows and endangers it."""
 
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxurban.errors import InputError
@@ -24,6 +26,13 @@ def roofs_of(height_m: Float[Array, " B"], building: Int[Array, "Y X"]) -> Float
       building: ``[Y, X]`` from `jaxurban.io.read.rasterise.building_index`.
     """
     return jnp.append(height_m, jnp.zeros(1, height_m.dtype))[building]  # NO_BUILDING, -1, is the last entry
+
+
+@partial(jax.jit, static_argnames="shape")
+def _cut(values: jax.Array, first_row: int, first_col: int, *, shape: tuple[int, int]) -> jax.Array:
+    """Return a part of the last two axes; one program serves every place."""
+    start = (0,) * (values.ndim - 2) + (first_row, first_col)
+    return jax.lax.dynamic_slice(values, start, (*values.shape[:-2], *shape))
 
 
 @jax.tree_util.register_dataclass
@@ -71,7 +80,7 @@ class Surface:
     def crop(self, values: jax.Array) -> jax.Array:
         """Return the region's part of an array whose last two axes are on ``grid``."""
         rows, cols = self.window
-        return jnp.asarray(values)[..., rows, cols]
+        return _cut(jnp.asarray(values), rows.start, cols.start, shape=self.region.shape)
 
     def crop_with_halo(self, values: jax.Array, halo: int) -> jax.Array:
         """Return the region's part of an array on ``grid`` with ``halo`` more cells on each side.
@@ -87,6 +96,8 @@ class Surface:
             )
         rows, cols = self.window
         ends = [(rows.start, rows.stop, self.grid.num_rows), (cols.start, cols.stop, self.grid.num_cols)]
-        inner = tuple(slice(max(start - halo, 0), min(stop + halo, size)) for start, stop, size in ends)
+        inner = [(max(start - halo, 0), min(stop + halo, size)) for start, stop, size in ends]
+        first_row, first_col = (first for first, _ in inner)
+        cut = _cut(jnp.asarray(values), first_row, first_col, shape=tuple(end - first for first, end in inner))
         pad = [(max(halo - start, 0), max(stop + halo - size, 0)) for start, stop, size in ends]
-        return jnp.pad(jnp.asarray(values)[inner], pad)
+        return jnp.pad(cut, pad) if np.any(pad) else cut

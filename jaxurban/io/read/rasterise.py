@@ -5,7 +5,7 @@ import threading
 from collections.abc import Iterable
 from typing import NamedTuple
 
-import jax.numpy as jnp
+import jax
 import numpy as np
 import shapely
 from affine import Affine
@@ -193,13 +193,15 @@ def build_surface(city: City, region: Grid, grid: Grid, all_touched: bool = Fals
     roof_m, touched_m, terrain_m, has_data = rasterise(city, grid, all_touched)
     window = region.window_in(grid)
     check_has_data([None if has_data is None else has_data[window]])
-    block = rasterise_blocks(city, region)
+    arrays = {
+        "roof_m": roof_m,
+        "terrain_m": terrain_m,
+        "has_data": has_data,
+        "block": rasterise_blocks(city, region),
+        "roof_touched_m": touched_m[window],
+    }
     return Surface(
-        roof_m=jnp.asarray(roof_m),
-        terrain_m=None if terrain_m is None else jnp.asarray(terrain_m),
-        has_data=None if has_data is None else jnp.asarray(has_data),
-        block=None if block is None else jnp.asarray(block),
+        **jax.device_put(arrays),
         grid=grid,
         region=region,
-        roof_touched_m=jnp.asarray(touched_m[window]),
     )
