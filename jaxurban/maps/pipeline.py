@@ -8,6 +8,7 @@ statistics over time and own layers are the recipe's alone; soft maps are `SoftC
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -18,7 +19,7 @@ from jaxtyping import Array, Float, Int, UInt
 
 from jaxurban.errors import InputError
 from jaxurban.kernels.dop import Geometry, geometry, unit_vectors
-from jaxurban.kernels.shadows.doubling import num_passes, shadow_heights_at_once, words_of
+from jaxurban.kernels.shadows.doubling import words_of
 from jaxurban.kernels.shadows.soft import shadow_heights
 from jaxurban.kernels.shadows.sweep import Line, digital_lines, stacked
 from jaxurban.maps.task import MapTask
@@ -137,14 +138,9 @@ def visible_words(surface: Surface, altitudes_m: Float[Array, " A"], sky: SkyVie
       sky: over this surface.
     """
     rows, cols = surface.window
-
-    def swept(top_m: Array, lines: Line) -> Array:
-        return shadow_heights(top_m, lines, (rows.start, rows.stop, cols.start, cols.stop, 1))
-
-    def doubled(top_m: Array, lines: Line) -> Array:
-        return shadow_heights_at_once(top_m, lines, passes=num_passes(max(top_m.shape)))[:, rows, cols]
-
-    shadows_m = lax.platform_dependent(surface.top_m, sky.lines, cpu=swept, default=doubled)
+    cast = partial(shadow_heights, window=(rows.start, rows.stop, cols.start, cols.stop, 1))
+    shapes = {"cpu": partial(cast, shape="sweep"), "default": partial(cast, shape="doubling")}
+    shadows_m = lax.platform_dependent(surface.top_m, sky.lines, **shapes)
     is_there = jnp.arange(len(shadows_m)) < sky.num
     shadows_m = jnp.where(is_there[:, None, None], shadows_m, jnp.inf)
     return words_of(shadows_m, None if surface.terrain_m is None else surface.crop(surface.terrain_m), altitudes_m)

@@ -4,7 +4,6 @@ import math
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
-from typing import Literal
 
 import jax
 import jax.numpy as jnp
@@ -14,7 +13,14 @@ from jaxtyping import Array, Float, UInt
 
 from jaxurban.errors import InputError
 from jaxurban.kernels.dop import unit_vectors
-from jaxurban.kernels.shadows.doubling import hand_on_at_once, num_passes, shadow_heights_at_once, words_of
+from jaxurban.kernels.shadows.doubling import (
+    KernelShape,
+    hand_on_at_once,
+    kernel_shape,
+    num_passes,
+    shadow_heights_at_once,
+    words_of,
+)
 from jaxurban.kernels.shadows.sweep import (
     EAST,
     NORTH,
@@ -31,7 +37,6 @@ from jaxurban.kernels.shadows.sweep import (
 )
 from jaxurban.world.surface import Surface
 
-KernelShape = Literal["sweep", "doubling"]
 LEAST_DROP_M = 1e-9  # a ray on the horizon never climbs above a roof
 
 
@@ -79,11 +84,6 @@ def above_horizon(azimuth_rad: ArrayLike, elevation_rad: ArrayLike) -> tuple[np.
             "give those at or above the elevation mask only"
         )
     return azimuth, elevation
-
-
-def kernel_shape() -> KernelShape:
-    """Return the shape of the shadows' kernel for JAX's platform: the sweep on a CPU, doubling on anything wider."""
-    return "sweep" if jax.default_backend() == "cpu" else "doubling"
 
 
 @partial(jax.jit, static_argnames=("passes", "window"))

@@ -12,6 +12,7 @@ where its receiver stands within that of a shadow's edge.
 
 import math
 from functools import partial
+from typing import Literal
 
 import jax
 import jax.numpy as jnp
@@ -19,6 +20,13 @@ from jax import lax
 from jaxtyping import Array, Float, UInt
 
 from jaxurban.kernels.shadows.sweep import EAST, ENTRY_STEPS, NORTH, SOUTH, WORD_BITS, Line, Ring, within
+
+KernelShape = Literal["sweep", "doubling"]
+
+
+def kernel_shape() -> KernelShape:
+    """Return the shape of the shadows' kernel for JAX's platform: the sweep on a CPU, doubling on anything wider."""
+    return "sweep" if jax.default_backend() == "cpu" else "doubling"
 
 
 def num_passes(num_steps: float) -> int:

@@ -1,18 +1,23 @@
 """Shadow heights of many satellites with their derivatives, and how much a satellite counts near a roof's edge."""
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 from jax import lax
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
+from jaxurban.kernels.shadows.doubling import KernelShape, kernel_shape, num_passes, shadow_heights_at_once
 from jaxurban.kernels.shadows.sweep import Line, shadow_height
 from jaxurban.kernels.soft_step import soft_step
 
 Window = tuple[int, int, int, int, int]  # first and end row, first and end column, and of how many cells one is kept
 
 
-def shadow_heights(top_m: Float[Array, "Y X"], lines: Line, window: Window) -> Float[Array, "S y x"]:
+def shadow_heights(
+    top_m: Float[Array, "Y X"], lines: Line, window: Window, shape: KernelShape | None = None
+) -> Float[Array, "S y x"]:
     """Return `shadow_height` toward every satellite in a window of the grid, ``[S, y, x]``.
 
     A shadow follows the one top that throws it: its derivative by that top is 1, by every other 0 (where two tie, JAX
@@ -23,10 +28,15 @@ def shadow_heights(top_m: Float[Array, "Y X"], lines: Line, window: Window) -> F
       top_m: absolute height of roofs and bare ground, row 0 in the south.
       lines: lines of all satellites over this grid, each field stacked: ``[S, max(Y, X)]``, ``[S]``, ``[S]``.
       window: first and end row, first and end column, and n: every n-th cell of these is kept, from n // 2 on.
+      shape: of the kernel; left out, the one for JAX's platform.
     """
     first_row, end_row, first_col, end_col, every = window
     rows = slice(first_row + every // 2, end_row, every)
     cols = slice(first_col + every // 2, end_col, every)
+
+    if (shape or kernel_shape()) == "doubling":
+        passes = num_passes(max(top_m.shape))
+        return jax.checkpoint(partial(shadow_heights_at_once, passes=passes))(top_m, lines)[:, rows, cols]
 
     @jax.checkpoint
     def cast(top_m: Array, line: Line) -> Array:

@@ -10,6 +10,7 @@ import pytest
 import jaxurban as ju
 from jaxurban.io.read.rasterise import build_surface
 from jaxurban.kernels.shadows.doubling import num_passes, shadow_heights_at_once, words_of
+from jaxurban.kernels.shadows.soft import satellite_weights, shadow_heights
 from jaxurban.kernels.shadows.sweep import Ring, digital_lines, hand_on, shadow_height, stacked
 from jaxurban.metrics.visibility import handed_on, visibility
 from jaxurban.world.grid import Grid
@@ -97,6 +98,23 @@ def test_the_derivative_of_a_shadow_is_that_of_its_one_roof():
     expected = np.zeros(SHAPE)
     expected[12, 9] = 1.0
     np.testing.assert_array_equal(slope, expected)
+
+
+def test_soft_shadows_have_the_same_gradients_by_both_shapes():
+    with jax.enable_x64(True):
+        top_m = jnp.asarray(tops(), jnp.float64) + np.random.default_rng(2).uniform(0, 0.1, SHAPE)  # no two tie
+        lines, at = stacked(lines_of(SHAPE)), jnp.asarray(np.random.default_rng(3).uniform(size=(14, 20, 30)))
+
+        def weighted(top_m, shape):
+            shadows_m = shadow_heights(top_m, lines, (9, 29, 12, 42, 1), shape)
+            return jnp.sum(at * satellite_weights(30.0, shadows_m, 2.0))
+
+        (swept, by_sweep), (doubled, by_doubling) = (
+            jax.value_and_grad(weighted)(top_m, shape) for shape in ("sweep", "doubling")
+        )
+    assert float(doubled) == pytest.approx(float(swept), rel=1e-12)
+    np.testing.assert_allclose(by_doubling, by_sweep, atol=1e-12)
+    assert np.count_nonzero(by_sweep) > 50
 
 
 def test_words_hold_more_than_32_satellites():
