@@ -59,7 +59,8 @@ bench-gpu: $(VENV)/.run
 # plugin and complain. Only where pip cannot install the packages is it skipped.
 cuda-compile: $(CUDA_VENV)/.compiler
 	@if [ -e $< ]; then $(CUDA_VENV)/bin/python -m benchmarks.cuda_compile; \
-	  else echo "make cuda-compile is skipped, as pip cannot install the compiler: $$(grep -m 1 ERROR $(CUDA_VENV)/pip.log)"; fi
+	  else echo "make cuda-compile is skipped, as pip cannot install the compiler:" \
+	    "$$(grep -m 1 ERROR $(CUDA_VENV)/pip.log || tail -n 1 $(CUDA_VENV)/pip.log)"; fi
 
 clean:
 	rm -rf $(VENV) $(CUDA_VENV) build dist out *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis

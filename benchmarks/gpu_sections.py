@@ -104,6 +104,7 @@ class Run:
             "first_s": first_s,
             "units": units,
             "unit": unit,
+            # of all that the process did up to here
             "peak_gib": (jax.devices()[0].memory_stats() or {}).get("peak_bytes_in_use", 0) / 2**30 or None,
         }
         if tolerance is not None:
@@ -125,7 +126,7 @@ class Run:
 
 def copy(run: Run) -> None:
     """How fast memory is, and what a turn of a loop costs."""
-    values = jnp.ones(2 ** (22 if run.is_small else 30), jnp.float32)
+    values = jnp.ones(2 ** (22 if run.is_small else 28), jnp.float32)
     few = jnp.ones(1024)
     num_turns = 2000
 
