@@ -4,8 +4,11 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check -q
 SOURCES := pyproject.toml constraints.txt
+CUDA_VENV := .venv-cuda
+CUDA_PIP := $(CUDA_VENV)/bin/python -m pip --disable-pip-version-check -q
+CUDA_COMPILER := jax-cuda13-plugin jax-cuda13-pjrt nvidia-cuda-nvcc nvidia-nvvm nvidia-cuda-runtime nvidia-nvjitlink
 
-.PHONY: demo test test-slow test-long test-docs lint wheel notebooks figures bench docs clean
+.PHONY: demo test test-slow test-long test-docs lint wheel notebooks figures bench bench-gpu cuda-compile docs clean
 
 demo: $(VENV)/.run
 	$(BIN)/jaxurban demo -o out/demo --overwrite
@@ -49,13 +52,23 @@ docs: $(VENV)/.docs
 bench: $(VENV)/.bench
 	$(BIN)/python -m benchmarks.run_all
 
-clean:
-	rm -rf $(VENV) build dist out *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+bench-gpu: $(VENV)/.run
+	$(BIN)/python -m benchmarks.gpu
 
-$(VENV)/bin/python:
+# Compiles every kernel for a GPU that is not there, in an environment of its own: beside the tests JAX would see the
+# plugin and complain. Only where pip cannot install the packages is it skipped.
+cuda-compile: $(CUDA_VENV)/.compiler
+	@if [ -e $< ]; then $(CUDA_VENV)/bin/python -m benchmarks.cuda_compile; \
+	  else echo "make cuda-compile is skipped, as pip cannot install the compiler:" \
+	    "$$(grep -m 1 ERROR $(CUDA_VENV)/pip.log || tail -n 1 $(CUDA_VENV)/pip.log)"; fi
+
+clean:
+	rm -rf $(VENV) $(CUDA_VENV) build dist out *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+
+$(VENV)/bin/python $(CUDA_VENV)/bin/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 	  { echo "jaxurban needs Python 3.11 or newer: name one with make PYTHON=python3.12" >&2; exit 2; }
-	$(PYTHON) -m venv $(VENV)
+	$(PYTHON) -m venv $(dir $(@D))
 
 $(VENV)/.run: $(VENV)/bin/python $(SOURCES)
 	$(PIP) install -c constraints.txt setuptools
@@ -73,3 +86,10 @@ $(VENV)/.bench: $(VENV)/.run
 $(VENV)/.docs: $(VENV)/.run
 	$(PIP) install -c constraints.txt --no-build-isolation -e '.[docs]'
 	touch $@
+
+$(CUDA_VENV)/.compiler: $(CUDA_VENV)/bin/python $(SOURCES) constraints-cuda.txt
+	@rm -f $@
+	@echo "installing the compiler for GPUs into $(CUDA_VENV)"
+	@if $(CUDA_PIP) install -c constraints-cuda.txt setuptools 2> $(CUDA_VENV)/pip.log && \
+	  $(CUDA_PIP) install -c constraints-cuda.txt --no-build-isolation -e . $(CUDA_COMPILER) 2> $(CUDA_VENV)/pip.log; \
+	  then touch $@; fi

@@ -1,0 +1,177 @@
+"""Compiles every kernel for an H200 on a machine without one, and holds what it would launch against a kept table.
+
+``make cuda-compile`` runs it, in an environment of its own with the compiler (`constraints-cuda.txt`). A kernel becomes
+CPU-shaped when it launches many more kernels than before, gets a loop whose end is data, or needs more temporary
+memory: then it is named and the exit status is 1. So it is where a kernel does not compile, is not in the kept table
+(`cuda_compile.json`; ``--write`` keeps the numbers of this run), or is a function made by `jax.jit` that is not in the
+list of `cuda_kernels`. ``--only WORD`` looks at kernels whose name holds a word.
+"""
+
+import argparse
+import importlib
+import json
+import os
+import pkgutil
+import sys
+import time
+from collections.abc import Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import jax
+import numpy as np
+from jax.experimental import topologies
+
+import jaxurban
+from benchmarks.compiled_program import count
+from benchmarks.cuda_kernels import KERNELS, Call
+
+# XLA's own matrix products need a GPU to try tiles on, and some do not compile without: NVIDIA's library makes them.
+OPTIONS = {"xla_gpu_enable_triton_gemm": False}
+PACKAGES = ("kernels", "metrics", "planners", "studies")
+KEPT = Path(__file__).with_name("cuda_compile.json")
+# By how much a number may pass the kept one: XLA's releases fuse a little differently.
+MORE_LAUNCHES, MORE_BYTES = 1.1, 1.1  # as factors
+FEW_LAUNCHES, FEW_MIB = 2, 1.0  # that are always allowed on top
+ALLOWED = {  # of a kept number; data_loops and choices may not grow at all
+    "launches": lambda kept: MORE_LAUNCHES * kept + FEW_LAUNCHES,
+    "in_loops": lambda kept: MORE_LAUNCHES * kept + FEW_LAUNCHES,
+    "data_loops": lambda kept: kept,
+    "choices": lambda kept: kept,
+    "temporary_mib": lambda kept: MORE_BYTES * kept + FEW_MIB,
+}
+MEANING = {
+    "launches": "launches",
+    "in_loops": "launches within loops",
+    "data_loops": "loops whose end is data",
+    "choices": "branches chosen by data",
+    "temporary_mib": "MiB of temporary memory",
+}
+Numbers = dict[str, float]
+COMPILED = type(jax.jit(abs))  # JAX gives this type no public name
+
+# What XLA must know of the GPU (its stream_executor's GpuTargetConfigProto): an H200 by NVIDIA's data sheet.
+H200 = """
+platform_name: "CUDA"
+device_description_str: "NVIDIA H200"
+dnn_version_info { major: 9 minor: 12 }
+runtime_version { major: 13 minor: 0 }
+gpu_device_info {
+  cuda_compute_capability { major: 9 }
+  core_count: 132
+  fpus_per_core: 128
+  clock_rate_ghz: 1.98
+  memory_bandwidth: 4800000000000
+  device_memory_size: 150000000000
+  l2_cache_size: 62914560
+  threads_per_warp: 32
+  threads_per_block_limit: 1024
+  threads_per_core_limit: 2048
+  block_dim_limit_x: 2147483647
+  block_dim_limit_y: 65535
+  block_dim_limit_z: 65535
+  shared_memory_per_block: 49152
+  shared_memory_per_block_optin: 232448
+  shared_memory_per_core: 233472
+  registers_per_block_limit: 65536
+  registers_per_core_limit: 65536
+  runtime_version: "13.0.0"
+  driver_version: "13.0.0"
+}
+"""
+
+
+def h200() -> jax.sharding.Sharding:
+    """Return where arrays lie that are wholly on the GPU described above."""
+    gpu = topologies.get_topology_desc(platform="cuda", target_config=H200, topology="1x1x1")
+    return jax.sharding.NamedSharding(topologies.make_mesh(gpu, (1,), ("gpu",)), jax.sharding.PartitionSpec())
+
+
+def compiled(call: Call, where: jax.sharding.Sharding) -> jax.stages.Compiled:
+    """Return the program of a call, compiled for where its arrays lie."""
+
+    def described(leaf: object) -> jax.ShapeDtypeStruct:
+        dtype = jax.dtypes.canonicalize_dtype(leaf.dtype if hasattr(leaf, "dtype") else np.asarray(leaf).dtype)
+        return jax.ShapeDtypeStruct(np.shape(leaf), dtype, sharding=where)
+
+    with jax.enable_x64(call.is_float64):
+        arguments = jax.tree.map(described, call.arguments)
+        return call.function.lower(*arguments, **call.static).compile(OPTIONS)
+
+
+def numbers(name: str, where: jax.sharding.Sharding) -> Numbers | str:
+    """Return what a kernel launches and holds, or why it does not compile."""
+    try:
+        program = compiled(KERNELS[name](), where)
+    except Exception as error:  # whatever the compiler refuses: the other kernels are looked at all the same
+        return f"{type(error).__name__}: {str(error).strip().splitlines()[0][:300]}"
+    held = program.memory_analysis().temp_size_in_bytes / 2**20
+    return {**count(program.as_text())._asdict(), "temporary_mib": round(held, 1)}
+
+
+def faults(name: str, found: Numbers | str, kept: dict[str, Numbers]) -> Iterator[str]:
+    """Yield what is wrong with a kernel: by which number it is more CPU-shaped than it was."""
+    if isinstance(found, str):
+        yield f"{name} does not compile: {found}"
+    elif name not in kept:
+        yield f"{name} is not in the kept table: look at its numbers and keep them with --write"
+    else:
+        for key, limit in ALLOWED.items():
+            if found[key] > limit(kept[name][key]):
+                yield (
+                    f"{name} became CPU-shaped: {found[key]:g} {MEANING[key]}, where {kept[name][key]:g} are kept and "
+                    f"at most {limit(kept[name][key]):g} allowed"
+                )
+
+
+def unlisted(listed: Iterable[object]) -> Iterator[str]:
+    """Yield the functions of `PACKAGES` made by `jax.jit` that are not listed."""
+    known = set(map(id, listed))
+    for package in PACKAGES:
+        folder = [str(Path(jaxurban.__path__[0], package))]
+        for found in pkgutil.walk_packages(folder, f"jaxurban.{package}."):
+            module = importlib.import_module(found.name)
+            for name, value in vars(module).items():
+                is_own = isinstance(value, COMPILED) and value.__module__ == found.name
+                if is_own and id(value) not in known:
+                    yield f"{found.name}.{name} is not in the list of kernels (benchmarks/cuda_kernels.py)"
+
+
+def table(found: dict[str, Numbers | str]) -> str:
+    """Return the numbers of all kernels in Markdown."""
+    lines = [f"| kernel | {' | '.join(MEANING.values())} |", "|---" * (1 + len(MEANING)) + "|"]
+    for name, row in found.items():
+        cells = [""] * len(MEANING) if isinstance(row, str) else [f"{row[key]:g}" for key in MEANING]
+        lines.append(f"| {name} | {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def main() -> int:
+    """Compile what the command line asks for; return the exit status."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--write", action="store_true", help="keep the numbers of this run")
+    parser.add_argument("--only", default="", help="a word of the names to look at")
+    parser.add_argument("--threads", type=int, default=os.cpu_count(), help="kernels compiled side by side")
+    options = parser.parse_args()
+    jax.config.update("jax_platforms", "cpu")  # the GPU is described, not looked for
+    os.environ["JAX_SKIP_CUDA_CONSTRAINTS_CHECK"] = "1"  # of libraries that only a run needs
+    begin_s = time.perf_counter()
+    names = [name for name in KERNELS if options.only in name]
+    where = h200()
+    with ThreadPoolExecutor(options.threads) as threads:
+        found = dict(zip(names, threads.map(lambda name: numbers(name, where), names), strict=True))
+    print(f"{table(found)}\n\n{len(found)} kernels compiled for an H200 in {time.perf_counter() - begin_s:.0f} s")
+    kept = json.loads(KEPT.read_text()) if KEPT.exists() else {}
+    if options.write:
+        kept = {name: row for name, row in (kept | found).items() if name in KERNELS and not isinstance(row, str)}
+        KEPT.write_text(json.dumps({name: kept[name] for name in KERNELS if name in kept}, indent=1) + "\n")
+    wrong = [fault for name in names for fault in faults(name, found[name], kept)]
+    if not options.only:
+        wrong += unlisted(KERNELS[name]().function for name in names if not isinstance(found[name], str))
+    if wrong:
+        print("\n".join(wrong), file=sys.stderr)
+    return int(bool(wrong))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,318 @@
+"""The JAX kernels that `make cuda-compile` compiles for a GPU, each with the shapes that it is called with.
+
+A new kernel is one more line of `KERNELS`: its name, and a function that returns what to compile. Shapes are those of a
+region of 8 M cells (5 m), or of a tile of 1 M cells where maps are made by tiles.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxurban.kernels import dop
+from jaxurban.kernels.distance import exact as distance
+from jaxurban.kernels.distance import soft as soft_distance
+from jaxurban.kernels.lidar import flat, supersampled, terrain
+from jaxurban.kernels.lidar import soft as soft_lidar
+from jaxurban.kernels.line import exact, segment_costs, smooth, smooth_volume
+from jaxurban.kernels.search import cost_to_go, frontier
+from jaxurban.kernels.shadows import soft as soft_shadows
+from jaxurban.kernels.shadows import supersampled as fine_shadows
+from jaxurban.kernels.shadows import sweep
+from jaxurban.maps.differentiable import PathVisits, SoftCity, SoftParams
+from jaxurban.metrics import availability, gps, obstacle, population
+from jaxurban.metrics.weights import Weights
+from jaxurban.planners import refine
+from jaxurban.planners.bitstar.bulk import BULK
+from jaxurban.planners.moves import STEPS
+from jaxurban.planners.search.frontier import CELLS_TOGETHER, QUERIES_TOGETHER
+from jaxurban.studies.sensitivity import buildings
+from jaxurban.studies.tuning import confidence, fenchel_young, target_fit
+from jaxurban.studies.tuning.targets import Target
+from jaxurban.world.grid import Grid
+from jaxurban.world.surface import Surface
+
+
+@dataclass(frozen=True)
+class Call:
+    """What to compile.
+
+    Attributes:
+      function: made by `jax.jit`.
+      arguments: arrays, or their shapes and types (`jax.ShapeDtypeStruct`).
+      static: arguments by name that the program is compiled for.
+      is_float64: it runs under ``jax.enable_x64(True)``.
+    """
+
+    function: Any
+    arguments: tuple
+    static: dict[str, Any] = field(default_factory=dict)
+    is_float64: bool = False
+
+
+def array(*shape: int, dtype: Any = jnp.float32) -> jax.ShapeDtypeStruct:
+    """Return the shape and type of an array."""
+    return jax.ShapeDtypeStruct(shape, dtype)
+
+
+def float64(*shape: int) -> jax.ShapeDtypeStruct:
+    return array(*shape, dtype=jnp.float64)
+
+
+def int32(*shape: int) -> jax.ShapeDtypeStruct:
+    return array(*shape, dtype=jnp.int32)
+
+
+def gradient(of: Callable, by: int | tuple[int, ...] = 0) -> Any:
+    """Return the compiled value and gradient of a function's sum."""
+    return jax.jit(jax.value_and_grad(lambda *arguments: jnp.sum(of(*arguments)), by))
+
+
+NUMBER, WHOLE = array(), int32()
+REGION, MARGIN, TILE = (4000, 2000), 120, (1000, 1000)
+SURFACE = tuple(side + 2 * MARGIN for side in REGION)
+CELLS = int32(512, 2)  # of a path
+HEIGHTS_M = array(512)
+ALTITUDES_M = array(4)
+NUM_SATELLITES, NUM_LAYERS, NUM_POINTS = 9, 4, 64
+AZIMUTH_RAD, ELEVATION_RAD = np.linspace(0.3, 6.0, NUM_SATELLITES), np.linspace(0.3, 1.2, NUM_SATELLITES)
+WORDS = array(1, 4, *REGION, dtype=jnp.uint32)
+TILE_WORDS = array(1, 4, *TILE, dtype=jnp.uint32)
+
+
+def line(shape: tuple[int, ...]) -> sweep.Line:
+    return sweep.digital_line(AZIMUTH_RAD[0], ELEVATION_RAD[0], 5.0, 0, 0, shape)
+
+
+def lines() -> sweep.Line:
+    each = [sweep.digital_line(*angles, 5.0, 0, 0, SURFACE) for angles in zip(AZIMUTH_RAD, ELEVATION_RAD, strict=True)]
+    return sweep.Line(*(np.stack(values) for values in zip(*each, strict=True)))
+
+
+def satellites(num: int, multiple_of: int = 8) -> dop.Geometry:
+    rng = np.random.default_rng(0)
+    return dop.geometry(dop.unit_vectors(rng.uniform(0, 6, num), rng.uniform(0.1, 1.5, num)), multiple_of=multiple_of)
+
+
+GROWN = tuple(side + 2 for side in TILE)
+RING = sweep.Ring(array(GROWN[1]), array(GROWN[1]), array(TILE[0]), array(TILE[0]))
+PER_CELL = 3  # subcells a cell side, of supersampled maps
+BANDS = fine_shadows.band_line(AZIMUTH_RAD[0], ELEVATION_RAD[0], 5.0 / PER_CELL, 0, SURFACE[0], PER_CELL)
+FINE = tuple(PER_CELL * side + 2 * PER_CELL for side in SURFACE)
+WINDOW = (MARGIN, MARGIN + REGION[0], MARGIN, MARGIN + REGION[1], 1)
+VIEW = gps.GpsView(lines(), satellites(NUM_SATELLITES, 1), WINDOW)
+SUBSETS = gps.GpsMaps(*[array(2**NUM_SATELLITES)] * 6, array(2**NUM_SATELLITES, dtype=jnp.uint8))
+
+NUM_AZIMUTHS, NUM_BEAMS, RANGE_M = 360, 16, 100.0
+STEPS_5M, STEPS_2M, STEPS_FINE = (flat.num_steps(side_m, RANGE_M) for side_m in (5.0, 2.0, 5.0 / PER_CELL))
+RAYS = flat.ray_offsets(NUM_AZIMUTHS, STEPS_5M)
+LOOKS = terrain.distinct_looks(supersampled.phase_starts(RAYS, 1))
+FINE_RAYS = supersampled.phase_starts(flat.ray_offsets(NUM_AZIMUTHS, STEPS_FINE), PER_CELL)
+FINE_HALO = supersampled.halo_cells(STEPS_FINE, PER_CELL)
+SCAN = soft_lidar.Scan(NUMBER, NUMBER, NUMBER, array(NUM_BEAMS), array(NUM_BEAMS))
+
+
+def around(shape: tuple[int, ...], halo: int, *phases: int) -> jax.ShapeDtypeStruct:
+    """Return a raster with so many cells around it."""
+    return array(*phases, *(side + 2 * halo for side in shape))
+
+
+DISTANCE_5M, DISTANCE_2M = {"resolution_m": 5.0, "cap_m": 50.0}, {"resolution_m": 2.0, "cap_m": 50.0}
+NEAREST = {"resolution_m": 5.0, "halo": 10}
+LAYERS, POINTS = array(NUM_LAYERS, *REGION), array(NUM_POINTS, 2)
+VOLUME, VOLUME_POINTS = array(NUM_LAYERS, 4, *TILE), array(NUM_POINTS, 3)
+EDGES = float64(*REGION), float64(BULK, 2), float64(BULK, 2), float64()
+LINE, CELL = ({"is_line": is_line, "passes_corners": array(dtype=bool)} for is_line in (True, False))
+
+NUM_QUERIES, NUM_CELLS = QUERIES_TOGETHER["gpu"], TILE[0] * TILE[1]
+TOGETHER = {"num_together": CELLS_TOGETHER * NUM_QUERIES}
+
+
+def grids() -> frontier.Grids:
+    moves, steps = array(1, NUM_CELLS, dtype=jnp.uint8), [float64(1, 8)] * 3
+    return frontier.Grids(float64(1, NUM_CELLS), moves, *steps, float64(1), float64(1), int32(8, 2), WHOLE)
+
+
+def open_cells() -> frontier.Frontier:
+    list_size = 2 * len(STEPS) * TOGETHER["num_together"] + NUM_QUERIES
+    with jax.enable_x64(True):
+        return jax.eval_shape(lambda: frontier.empty_frontier(NUM_QUERIES, NUM_CELLS, list_size))
+
+
+NAMES = ("distance", "gps", "lidar", "population", "risk")
+NUM_DEMONSTRATIONS, NUM_ROUTES, NUM_NOISE = 64, 128, 64
+TARGETS = (Target("mean_gps", ">=", 0.8), Target("detour", "<=", 0.2))
+FIT = fenchel_young.FitTask(
+    float64(NUM_DEMONSTRATIONS, 5),
+    float64(NUM_DEMONSTRATIONS, NUM_ROUTES, 5),
+    float64(NUM_DEMONSTRATIONS, NUM_NOISE, 5),
+    float64(NUM_DEMONSTRATIONS),
+)
+MISSES = target_fit._Misses(float64(2), float64(2))
+KNOWN = MISSES, float64(NUM_DEMONSTRATIONS, NUM_ROUTES, 10), float64(NUM_DEMONSTRATIONS, 10)
+WISHES = {"names": NAMES, "targets": TARGETS}
+
+
+BLOCKS = population.BlockPopulation(array(40_000), array(40_000), array(40_000, dtype=jnp.uint8), int32(30_000))
+
+
+def soft_city() -> SoftCity:
+    grid = Grid("EPSG:32618", 5.0, 0, 0, *SURFACE)
+    region = Grid("EPSG:32618", 5.0, MARGIN, MARGIN, *REGION)
+    surface = Surface(array(*SURFACE), None, None, int32(*REGION), grid, region)
+    return SoftCity(surface, int32(*SURFACE), array(40_000), VIEW, BLOCKS)
+
+
+def soft_people(block, blocks, params):
+    return population.soft_population(block, blocks, "day", params)
+
+
+def soft_shadow_weights(roof_m, shadow_lines):
+    """Return how much each satellite counts, of roofs."""
+    return soft_shadows.satellite_weights(20.0, soft_shadows.shadow_heights(roof_m, shadow_lines, WINDOW), 2.0)
+
+
+def soft_gps(roof_m, view, cells):
+    return gps._soft_gps(roof_m, None, 20.0, 20.0, 2.0, view, cells)
+
+
+def nearest(roof_m):
+    return soft_distance.nearest_column(roof_m, 20.0, 50.0, 10.0, **NEAREST)
+
+
+def nearest_at(roof_m, ground_m, heights_m, cells):
+    return soft_distance.nearest_column_at(roof_m, ground_m, heights_m, 50.0, 10.0, cells, **NEAREST)
+
+
+def returns_at(roof_m, ground_m, heights_m, scan, cells):
+    return soft_lidar.soft_returns_at(roof_m, ground_m, heights_m, scan, RAYS, 2.0, cells)
+
+
+def line_smooth(points, layers):
+    return smooth.line_smooth(points, layers, 5.0, 0.1, 5.0, num_cuts=32)
+
+
+def line_exact(points, layers):
+    return exact.exact_line_cost(points, layers, 5.0, 0.1, 5.0, num_borders=32)
+
+
+def line_volume(points, layers, levels_m):
+    return smooth_volume.volume_line_integrals(points, layers, levels_m, 5.0, num_cuts=32).per_layer_m
+
+
+KERNELS: dict[str, Callable[[], Call]] = {
+    "shadows: height": lambda: Call(sweep.shadow_height, (array(*SURFACE), line(SURFACE))),
+    "shadows: sweep": lambda: Call(sweep.sweep, (array(*SURFACE), line(SURFACE))),
+    "shadows: height in a ring": lambda: Call(sweep.shadow_height, (array(*TILE), line(GROWN), RING)),
+    "shadows: hand on": lambda: Call(sweep.hand_on, (array(*TILE), line(GROWN), RING)),
+    "shadows: mark visible": lambda: Call(
+        sweep.mark_visible, (WORDS, array(*SURFACE), None, ALTITUDES_M, line(SURFACE), WHOLE, (WHOLE, WHOLE))
+    ),
+    "shadows: mark visible, terrain": lambda: Call(
+        sweep.mark_visible, (WORDS, array(*SURFACE), array(*REGION), ALTITUDES_M, line(SURFACE), WHOLE, (WHOLE, WHOLE))
+    ),
+    "shadows: mark visible in a ring": lambda: Call(
+        sweep.mark_visible_within, (TILE_WORDS, array(*TILE), None, ALTITUDES_M, line(GROWN), WHOLE, RING)
+    ),
+    "shadows: supersampled": lambda: Call(
+        fine_shadows.band_shadow_height,
+        (array(*FINE), BANDS, NUMBER, (WHOLE, WHOLE)),
+        {"per_band": PER_CELL, "shape": REGION},
+    ),
+    "shadows: soft weights": lambda: Call(jax.jit(soft_shadow_weights), (array(*SURFACE), lines())),
+    "shadows: soft weights, gradient": lambda: Call(gradient(soft_shadow_weights), (array(*SURFACE), lines())),
+    "DOPs of weights": lambda: Call(dop.dops, (satellites(9, 1), array(9, gps.BLOCK_CELLS))),
+    "DOPs of words": lambda: Call(dop.dops_of_words, (satellites(9), array(1, *REGION, dtype=jnp.uint32))),
+    "GPS maps, 9 satellites": lambda: Call(gps._computed, (array(1, *REGION, dtype=jnp.uint32), satellites(9), NUMBER)),
+    "GPS maps, 31 satellites": lambda: Call(
+        gps._computed, (array(1, *REGION, dtype=jnp.uint32), satellites(31), NUMBER)
+    ),
+    "GPS maps, looked up": lambda: Call(gps._looked_up, (SUBSETS, array(*REGION, dtype=jnp.uint32))),
+    "GPS, soft": lambda: Call(gps._soft_gps, (array(*SURFACE), None, NUMBER, NUMBER, NUMBER, VIEW, None)),
+    "GPS, soft, gradient of a path": lambda: Call(gradient(soft_gps), (array(*SURFACE), VIEW, CELLS)),
+    "GPS series, sums of rows": lambda: Call(availability.row_sums, (array(*REGION), array(*REGION, dtype=bool))),
+    "lidar: flat, 5 m": lambda: Call(flat.count_returns, (around(REGION, STEPS_5M - 1), array(1, STEPS_5M), RAYS)),
+    "lidar: flat, 2 m, tile": lambda: Call(
+        flat.count_returns, (around(TILE, STEPS_2M - 1), array(1, STEPS_2M), flat.ray_offsets(NUM_AZIMUTHS, STEPS_2M))
+    ),
+    "lidar: terrain, tile": lambda: Call(
+        terrain.count_returns_on_terrain,
+        (around(TILE, STEPS_5M - 1, 1), around(TILE, STEPS_5M - 1, 1), array(1, STEPS_5M, NUM_BEAMS), LOOKS),
+        {"halo": STEPS_5M - 1},
+    ),
+    "lidar: supersampled, tile": lambda: Call(
+        supersampled._count, (around(TILE, FINE_HALO, PER_CELL**2), array(STEPS_FINE), FINE_RAYS), {"halo": FINE_HALO}
+    ),
+    "lidar: soft, tile": lambda: Call(soft_lidar.soft_returns, (around(TILE, STEPS_5M - 1), SCAN, RAYS, NUMBER)),
+    "lidar: soft, tile, gradient": lambda: Call(
+        gradient(soft_lidar.soft_returns, (0, 1)), (around(TILE, STEPS_5M - 1), SCAN, RAYS, NUMBER)
+    ),
+    "lidar: soft, of a path": lambda: Call(
+        soft_lidar.soft_returns_at, (around(REGION, STEPS_5M - 1), None, HEIGHTS_M, SCAN, RAYS, NUMBER, CELLS)
+    ),
+    "lidar: soft, of a path, gradient": lambda: Call(
+        gradient(returns_at), (around(REGION, STEPS_5M - 1), None, HEIGHTS_M, SCAN, CELLS)
+    ),
+    "lidar: soft, of a path, terrain, gradient": lambda: Call(
+        gradient(returns_at), (around(REGION, STEPS_5M - 1), around(REGION, STEPS_5M - 1), HEIGHTS_M, SCAN, CELLS)
+    ),
+    "distance, 5 m": lambda: Call(distance.capped_distance, (around(REGION, 10),), DISTANCE_5M),
+    "distance, 2 m": lambda: Call(distance.capped_distance, (array(10_000, 5_000),), DISTANCE_2M),
+    "distance over terrain": lambda: Call(
+        distance.capped_distance_over_terrain, (array(*REGION), array(*REGION), array(*REGION, dtype=bool)), DISTANCE_5M
+    ),
+    "distance: soft": lambda: Call(soft_distance.nearest_column, (around(REGION, 10), NUMBER, NUMBER, NUMBER), NEAREST),
+    "distance: soft, gradient": lambda: Call(gradient(nearest), (around(REGION, 10),)),
+    "distance: soft, of a path": lambda: Call(
+        soft_distance.nearest_column_at, (around(REGION, 10), None, HEIGHTS_M, NUMBER, NUMBER, CELLS), NEAREST
+    ),
+    "distance: soft, of a path, gradient": lambda: Call(
+        gradient(nearest_at), (around(REGION, 10), None, HEIGHTS_M, CELLS)
+    ),
+    "distance: soft, of a path, terrain, gradient": lambda: Call(
+        gradient(nearest_at, (0, 1)), (around(REGION, 10), around(REGION, 10), HEIGHTS_M, CELLS)
+    ),
+    "obstacle: soft": lambda: Call(obstacle.soft_obstacle, (array(*REGION), NUMBER, NUMBER)),
+    "population: under cells": lambda: Call(population.map_blocks, (int32(*REGION), array(40_000))),
+    "population, gradient by gammas": lambda: Call(
+        gradient(soft_people, 2), (int32(*REGION), BLOCKS, population.PopulationParams())
+    ),
+    "line: smooth": lambda: Call(smooth.line_integrals, (POINTS, LAYERS, NUMBER), {"num_cuts": 32}),
+    "line: smooth, gradient": lambda: Call(gradient(line_smooth, (0, 1)), (POINTS, LAYERS)),
+    "line: exact": lambda: Call(exact.exact_integrals, (POINTS, LAYERS, NUMBER), {"num_borders": 32}),
+    "line: exact, gradient": lambda: Call(gradient(line_exact, (0, 1)), (POINTS, LAYERS)),
+    "line: volume": lambda: Call(
+        smooth_volume.volume_line_integrals, (VOLUME_POINTS, VOLUME, array(4), NUMBER), {"num_cuts": 32}
+    ),
+    "line: volume, gradient": lambda: Call(gradient(line_volume, (0, 1)), (VOLUME_POINTS, VOLUME, array(4))),
+    "line: refinement's gradient": lambda: Call(
+        refine._block_gradient, (array(refine.BLOCK + 1, 2), array(1, *REGION), NUMBER)
+    ),
+    "edges of BIT*, line": lambda: Call(segment_costs.segment_costs, EDGES, LINE, True),
+    "edges of BIT*, cell": lambda: Call(segment_costs.segment_costs, EDGES, CELL, True),
+    "cost-to-go by rows": lambda: Call(
+        cost_to_go.cost_to_go,
+        (float64(1, *REGION), float64(*REGION), array(*REGION, dtype=jnp.uint8), float64(8), float64(8), float64(8)),
+        {"steps": STEPS, "max_rounds": WHOLE},
+        True,
+    ),
+    "frontier: begin": lambda: Call(
+        frontier.begin, (open_cells(), grids(), WHOLE, WHOLE, WHOLE, WHOLE, float64()), {}, True
+    ),
+    "frontier: drop": lambda: Call(frontier.drop, (open_cells(), WHOLE), {}, True),
+    "frontier: advance": lambda: Call(frontier.advance, (open_cells(), grids(), WHOLE), TOGETHER, True),
+    "cost of a route, gradient by heights": lambda: Call(
+        buildings._slopes, (soft_city(), SoftParams(20.0), Weights(), PathVisits(CELLS, HEIGHTS_M, NUMBER))
+    ),
+    "tuner: descend": lambda: Call(
+        fenchel_young.descend, (float64(5), FIT), {"objective": fenchel_young.loss, "num_steps": 200}, True
+    ),
+    "tuner: bootstrap": lambda: Call(confidence._fits, (float64(5), FIT, float64(100, NUM_DEMONSTRATIONS)), {}, True),
+    "tuner: targets, descend": lambda: Call(
+        target_fit._descend, (float64(6, 5), float64(128, 5), *KNOWN), WISHES, True
+    ),
+    "tuner: targets, candidates": lambda: Call(target_fit._known_misses, (float64(1000, 5), *KNOWN), WISHES, True),
+}

@@ -1,0 +1,337 @@
+"""The sections of `benchmarks.gpu`: each computes some things, times them, and keeps the answers for the check.
+
+``python -m benchmarks.gpu_sections SECTION SIDE INPUTS ANSWERS [--small]`` runs one in a process of its own, on the
+device that JAX has there. Seconds are medians of runs after a first one, arrays of JAX waited for.
+"""
+
+import argparse
+import json
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from scipy.ndimage import label
+
+from benchmarks.gpu_inputs import load_problem, load_surface
+from jaxurban.kernels.distance.exact import capped_distance, capped_distance_over_terrain
+from jaxurban.metrics.gps import GpsParams, GpsView, compute_gps, gps_of_words, soft_gps
+from jaxurban.metrics.lidar import LidarParams, compute_lidar, soft_lidar
+from jaxurban.metrics.obstacle import obstacle_mask
+from jaxurban.metrics.risk import RiskParams, compute_risk, soft_risk
+from jaxurban.metrics.visibility import visibility
+from jaxurban.planners.base import Problem
+from jaxurban.planners.batch import solve_many
+from jaxurban.planners.bitstar.planner import BitStarOptions, bitstar_plus
+from jaxurban.planners.search.fields import share_cost_to_go
+from jaxurban.world.grid import Grid
+from jaxurban.world.surface import Surface
+
+RUN_S, MOST_RUNS = 5.0, 5  # after the first run: until so many seconds are spent, or so many runs
+ALTITUDES_M = (20.0, 60.0, 122.0, 600.0)
+SOFTNESS_M, RANGE_M, CAP_M = 2.0, 100.0, 50.0
+TERRAIN_CELLS = 512  # a side of the part that is looked at over terrain
+
+# How far two backends' answers may lie apart, as arguments of `benchmarks.gpu.difference`, and the same in words.
+SAME = {"share": 1e-6}, "1e-6 of the answers"
+METRES = {"absolute": 1e-5}, "1e-5 m"
+DOP = {"relative": 1e-4, "share": 1e-6}, "1e-4 of a DOP, but for 1e-6 of them"
+UNIT = {"absolute": 1e-4, "share": 1e-6}, "1e-4, but for 1e-6 of them"
+COST = {"relative": 1e-9}, "1e-9 of a cost"
+GRADIENT = {"of_largest": 1e-3, "share": 1e-6}, "1e-3 of the largest, but for 1e-6 of them"
+Tolerance = tuple[dict[str, float], str]
+
+
+@dataclass
+class Run:
+    """One section on one side. `timed` adds a row and writes all of them, so that what was measured outlives a kill.
+
+    Attributes:
+      side: the name that the rows carry; ``"CPU"`` is where Numba runs, and what others are compared with.
+      inputs: folder of `gpu_inputs`.
+      answers: folder of rows and answers.
+    """
+
+    section: str
+    side: str
+    inputs: Path
+    answers: Path
+    is_small: bool
+    rows: list[dict] = field(default_factory=list)
+
+    @property
+    def is_reference(self) -> bool:
+        return self.side == "CPU"
+
+    def timed(
+        self,
+        name: str,
+        work: Callable[[], Any],
+        units: float,
+        unit: str,
+        tolerance: Tolerance | None = None,
+        *,
+        by: str = "",
+        every: int = 1,
+    ) -> Any:
+        """Time something and return its answer.
+
+        Args:
+          name: what is computed; rows of one name are compared.
+          work: gives arrays of one shape each time.
+          units, unit: how much is computed, of what.
+          tolerance: left out, nothing is compared.
+          by: what computes it, behind the side's name.
+          every: of the rows of the answer one is compared in so many.
+        """
+        first_s, seconds = 0.0, list[float]()
+        while not first_s or (len(seconds) < MOST_RUNS and sum(seconds) < RUN_S):
+            begin_s = time.perf_counter()
+            found = jax.block_until_ready(work())
+            elapsed_s = time.perf_counter() - begin_s
+            if first_s:
+                seconds.append(elapsed_s)
+            first_s = first_s or elapsed_s
+        row = {
+            "section": self.section,
+            "name": name,
+            "by": f"{self.side}{by and f', {by}'}",
+            "seconds": float(np.median(seconds)),
+            "first_s": first_s,
+            "units": units,
+            "unit": unit,
+            # of all that the process did up to here
+            "peak_gib": (jax.devices()[0].memory_stats() or {}).get("peak_bytes_in_use", 0) / 2**30 or None,
+        }
+        if tolerance is not None:
+            row |= {"tolerance": tolerance[0], "allowed": tolerance[1]}
+            row["answer"] = f"{self.section}-{self.side}-{len(self.rows)}.npy"
+            np.save(
+                self.answers / row["answer"], np.asarray(found)[..., ::every, :] if every > 1 else np.asarray(found)
+            )
+        self.rows.append(row)
+        (self.answers / f"{self.section}-{self.side}.json").write_text(json.dumps(self.rows))
+        return found
+
+    def surface(self, resolution_m: float = 5.0) -> tuple[Surface, np.ndarray, np.ndarray]:
+        return load_surface(self.inputs, resolution_m)
+
+    def problem(self) -> Problem:
+        return load_problem(self.inputs)
+
+
+def copy(run: Run) -> None:
+    """How fast memory is, and what a turn of a loop costs."""
+    values = jnp.ones(2 ** (22 if run.is_small else 28), jnp.float32)
+    few = jnp.ones(1024)
+    num_turns = 2000
+
+    def loop(few: jax.Array, end: jax.Array | int) -> jax.Array:
+        return jax.lax.fori_loop(0, end, lambda i, x: jnp.sin(x) + i, few)
+
+    add, known, by_data = jax.jit(lambda x: x + 1), jax.jit(lambda x: loop(x, num_turns)), jax.jit(loop)
+    run.timed("copy, read and written", lambda: add(values), 2 * values.nbytes, "B")
+    run.timed("to the host", lambda: np.asarray(values + 0), values.nbytes, "B")
+    run.timed("loop of a known number of turns", lambda: known(few), num_turns, "turns")
+    run.timed("loop whose end is data", lambda: by_data(few, num_turns), num_turns, "turns")
+
+
+def occlusion(run: Run) -> None:
+    for resolution_m in (5.0, 2.0):
+        surface, azimuth_rad, elevation_rad = run.surface(resolution_m)
+        run.timed(
+            f"visibility, {len(azimuth_rad)} satellites x {len(ALTITUDES_M)} altitudes, {resolution_m:g} m",
+            lambda at=(surface, azimuth_rad, elevation_rad): visibility(*at, ALTITUDES_M),
+            surface.roof_m.size * len(azimuth_rad) * len(ALTITUDES_M),
+            "answers",
+            SAME,
+            every=1 if resolution_m == 5.0 else 8,
+        )
+
+
+def over_terrain(surface: Surface) -> Surface:
+    """Return a square part of a surface on rolling ground."""
+    side = min(TERRAIN_CELLS, *surface.grid.shape)
+    first = [(size - side) // 2 for size in surface.grid.shape]
+    part = tuple(slice(start, start + side) for start in first)
+    rows, cols = jnp.meshgrid(jnp.arange(side), jnp.arange(side), indexing="ij")
+    ground_m = (10 * jnp.sin(rows / 40) + 5 * jnp.cos(cols / 25)).astype(surface.roof_m.dtype)
+    grid = surface.grid
+    region = Grid(grid.crs, grid.resolution_m, grid.first_row + first[0], grid.first_col + first[1], side, side)
+    return replace(surface, roof_m=surface.roof_m[part], terrain_m=ground_m, grid=region, region=region)
+
+
+def lidar(run: Run) -> None:
+    params = LidarParams(range_m=RANGE_M)
+    surface = run.surface()[0]
+    scenes = {"5 m": surface, "2 m": run.surface(2.0)[0], "terrain, 5 m": over_terrain(surface)}
+    for name, scene in scenes.items():
+        run.timed(
+            f"lidar, {name}",
+            lambda scene=scene: compute_lidar(scene, ALTITUDES_M[:1], params),
+            scene.roof_m.size * params.azimuths,
+            "scan positions",
+            SAME,
+            every=8 if name == "2 m" else 1,
+        )
+
+
+def distance(run: Run) -> None:
+    for resolution_m in (5.0, 2.0):
+        roof_m = run.surface(resolution_m)[0].roof_m
+        source_m2 = jnp.where(roof_m >= ALTITUDES_M[0], 0.0, jnp.inf).astype(roof_m.dtype)
+        run.timed(
+            f"distance, {resolution_m:g} m",
+            lambda s=source_m2, r=resolution_m: capped_distance(s, resolution_m=r, cap_m=CAP_M),
+            roof_m.size,
+            "cells",
+            METRES,
+            every=1 if resolution_m == 5.0 else 8,
+        )
+    part = over_terrain(run.surface()[0])
+    ground_m, roof_m = part.terrain_m, part.roof_m
+    run.timed(
+        "distance over terrain, 5 m",
+        lambda: capped_distance_over_terrain(
+            ground_m + ALTITUDES_M[0], ground_m + roof_m, roof_m > 0, resolution_m=5.0, cap_m=CAP_M
+        ),
+        roof_m.size,
+        "cells",
+        METRES,
+    )
+
+
+def dops(run: Run) -> None:
+    rng = np.random.default_rng(0)
+    side = 256 if run.is_small else 3000
+    for num in (9, 31):
+        azimuth_rad, elevation_rad = rng.uniform(0, 2 * np.pi, num), rng.uniform(0.1, 1.5, num)
+        words = jnp.asarray(rng.integers(0, 2**num, (1, 1, side, side)), jnp.uint32)
+        is_obstacle = jnp.zeros((1, side, side), bool)
+        run.timed(
+            f"GPS maps of {num} satellites",
+            lambda at=(words, is_obstacle, azimuth_rad, elevation_rad): gps_of_words(*at).gdop,
+            side**2,
+            "cells",
+            DOP,
+            every=8,
+        )
+
+
+def pipeline(run: Run) -> None:
+    """All maps of a region in memory: obstacles, GPS, lidar and risk, left on the device and brought to the host."""
+    surface, azimuth_rad, elevation_rad = run.surface()
+    altitudes_m = jnp.asarray(ALTITUDES_M)
+
+    def maps() -> list[jax.Array]:
+        gps = compute_gps(surface, azimuth_rad, elevation_rad, altitudes_m)
+        lidar_m = jnp.concatenate([compute_lidar(surface, [z_m], LidarParams()) for z_m in ALTITUDES_M])
+        risk_m = compute_risk(surface, altitudes_m, RiskParams())
+        return [obstacle_mask(surface.roof_m, altitudes_m), *jax.tree.leaves(gps), lidar_m, risk_m]
+
+    units = surface.roof_m.size * len(ALTITUDES_M)
+    run.timed("all maps, left on the device", maps, units, "cells x altitudes")
+    run.timed("all maps, on the host", lambda: [np.asarray(values) for values in maps()], units, "cells x altitudes")
+
+    def metrics() -> jax.Array:
+        _, gps_m, *_, lidar_m, risk_m = maps()
+        return jnp.stack([gps_m, lidar_m, risk_m])
+
+    run.timed("the metrics of all maps", metrics, units, "cells x altitudes", UNIT, every=8)
+
+
+def random_queries(problem: Problem, num: int) -> list[Problem]:
+    """Return queries between cells of the largest part of the map that hangs together."""
+    parts, _ = label(problem.is_free)
+    cells = np.argwhere(parts == 1 + np.argmax(np.bincount(parts.ravel())[1:]))
+    pairs = np.random.default_rng(0).choice(len(cells), (num, 2))
+    return [problem.between(*(tuple(int(v) for v in cells[k]) for k in pair)) for pair in pairs]
+
+
+def backends(run: Run) -> tuple[str, ...]:
+    """Return which backends of the planners a side runs: Numba on the CPU, JAX on the GPU, in a trial both there."""
+    if run.is_reference:
+        return ("numba", "jax") if run.is_small else ("numba",)
+    return ("jax",)
+
+
+def fields(run: Run) -> None:
+    query = random_queries(run.problem(), 1)[0]
+    for backend in backends(run):
+
+        def costs(backend: str = backend) -> np.ndarray:
+            query.shared.pop("cost_to_go", None)  # the map keeps the last goal's
+            return share_cost_to_go(query, backend)
+
+        run.timed("costs from everywhere to one goal", costs, query.cost.size, "cells", COST, by=backend)
+
+
+def frontier(run: Run) -> None:
+    problem, num = run.problem(), 8 if run.is_small else 256
+    for backend in backends(run):
+
+        def costs(backend: str = backend) -> np.ndarray:
+            queries = random_queries(problem, num)
+            found = dict(solve_many(queries, backend=backend, heuristic="octile"))
+            return np.array([found[k].cost for k in range(num)])
+
+        run.timed(f"{num} queries at once, octile", costs, num, "plans", COST, by=backend)
+
+
+def bitstar(run: Run) -> None:
+    query = random_queries(run.problem(), 4)[3]
+    num_samples = 1000 if run.is_small else 10_000
+    for backend in backends(run):
+
+        def cost(backend: str = backend) -> np.ndarray:
+            options = BitStarOptions(backend=backend)
+            path = bitstar_plus(query, budget_s=np.inf, max_samples=num_samples, options=options)
+            return np.array([path.cost])
+
+        run.timed(f"BIT* of {num_samples} samples", cost, num_samples, "samples", COST, by=backend)
+
+
+def gradients(run: Run) -> None:
+    """Gradients by all roofs of the mean metric along a path of 512 cells."""
+    surface, azimuth_rad, elevation_rad = run.surface()
+    view = GpsView.of(surface, azimuth_rad, elevation_rad)
+    side = min(surface.grid.shape)
+    cells = jnp.asarray(np.random.default_rng(0).integers(side // 4, 3 * side // 4, (512, 2)), jnp.int32)
+    soft = {
+        "GPS": lambda scene: soft_gps(scene, ALTITUDES_M[0], GpsParams(), SOFTNESS_M, view, cells=cells),
+        "lidar": lambda scene: soft_lidar(scene, ALTITUDES_M[0], LidarParams(), SOFTNESS_M, cells=cells),
+        "risk": lambda scene: soft_risk(scene, ALTITUDES_M[0], RiskParams(), SOFTNESS_M, cells=cells),
+    }
+    for name, metric in soft.items():
+        slope = jax.jit(jax.grad(lambda roof_m, metric=metric: metric(replace(surface, roof_m=roof_m)).mean()))
+        run.timed(
+            f"gradient of {name} along a path", lambda slope=slope: slope(surface.roof_m), 1, "gradients", GRADIENT
+        )
+
+
+SECTIONS = {
+    section.__name__: section
+    for section in (copy, occlusion, lidar, distance, dops, pipeline, fields, frontier, bitstar, gradients)
+}
+
+
+def main() -> None:
+    """Run the section that the command line names."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("section", choices=SECTIONS)
+    parser.add_argument("side")
+    parser.add_argument("inputs", type=Path)
+    parser.add_argument("answers", type=Path)
+    parser.add_argument("--small", action="store_true")
+    options = parser.parse_args()
+    SECTIONS[options.section](
+        Run(options.section, options.side, options.inputs, options.answers.resolve(), options.small)
+    )
+
+
+if __name__ == "__main__":
+    main()

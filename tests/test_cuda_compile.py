@@ -1,0 +1,96 @@
+"""What is counted in a compiled program, on one whose launches can be counted by hand, and what the gate lets pass."""
+
+import pytest
+
+from benchmarks.compiled_program import Counts, count
+from benchmarks.cuda_compile import faults
+
+# Twelve turns of two kernels and one for the condition; within each turn a loop whose end is data, of one kernel and
+# none for its condition; then a branch of three kernels or one, a copy, and a call of one kernel.
+PROGRAM = """HloModule jit_f, is_scheduled=true, entry_computation_layout={(f32[8]{0})->f32[8]{0}}
+
+%fused (p: f32[8]) -> f32[8] {
+  %p = f32[8]{0} parameter(0)
+  %a.1 = f32[8]{0} add(%p, %p)
+  ROOT %a = f32[8]{0} multiply(%a.1, %p)
+}
+
+%inner (s: (s32[], f32[8])) -> (s32[], f32[8]) {
+  %s = (s32[], f32[8]{0}) parameter(0)
+  %x = f32[8]{0} get-tuple-element(%s), index=1
+  %one = f32[8]{0} fusion(%x), kind=kLoop, calls=%fused
+  ROOT %t = (s32[], f32[8]{0}) tuple(%x, %one)
+}
+
+%inner_end (s: (s32[], f32[8])) -> pred[] {
+  %s = (s32[], f32[8]{0}) parameter(0)
+  ROOT %is_on = pred[] bitcast(%s)
+}
+
+%outer (s: (s32[], f32[8])) -> (s32[], f32[8]) {
+  %s = (s32[], /*index=1*/f32[8]{0:S(5)}) parameter(0)
+  %first = f32[8]{0} fusion(%s), kind=kLoop, calls=%fused
+  %loop = (s32[], f32[8]{0}) while(%s), condition=%inner_end, body=%inner
+  ROOT %t = (s32[], f32[8]{0}) tuple(%first, %loop)
+}
+
+%outer_end (s: (s32[], f32[8])) -> pred[] {
+  %s = (s32[], f32[8]{0}) parameter(0)
+  ROOT %is_on = pred[] fusion(%s), kind=kLoop, calls=%fused
+}
+
+%many (p: f32[8]) -> f32[8] {
+  %p = f32[8]{0} parameter(0)
+  %k.1 = f32[8]{0} fusion(%p), kind=kLoop, calls=%fused
+  %k.2 = (f32[8]{0}, u8[16]{0}) custom-call(%k.1), custom_call_target="__cublas$gemm"
+  ROOT %k.3 = f32[8]{0} fusion(%k.2), kind=kInput, calls=%fused
+}
+
+%few (p: f32[8]) -> f32[8] {
+  %p = f32[8]{0} parameter(0)
+  ROOT %k = f32[8]{0} fusion(%p), kind=kLoop, calls=%fused
+}
+
+ENTRY %main (x: f32[8]) -> f32[8] {
+  %x = f32[8]{0} parameter(0)
+  %c = s32[] constant(0)
+  %l = (s32[], f32[8]{0}) while(%x), condition=%outer_end, body=%outer, backend_config={"known_trip_count":{"n":"12"}}
+  %chosen = f32[8]{0} conditional(%c, %x, %x), branch_computations={%many, %few}
+  %copied = f32[8]{0} copy(%chosen)
+  ROOT %called = f32[8]{0} call(%copied), to_apply=%few
+}
+"""
+ROW = {"launches": 100, "in_loops": 40, "data_loops": 1, "choices": 0, "temporary_mib": 10.0}
+
+
+def test_launches_are_those_of_all_turns_and_of_the_longest_branch():
+    in_loops = 12 * (1 + 1 + 1)
+    assert count(PROGRAM) == Counts(launches=in_loops + 3 + 1 + 1, in_loops=in_loops, data_loops=1, choices=1)
+
+
+def test_text_without_an_entry_is_no_program():
+    with pytest.raises(ValueError, match="no ENTRY"):
+        count("HloModule jit_f")
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"launches": 113}, "113 launches, where 100 are kept and at most 112 allowed"),
+        ({"in_loops": 47}, "47 launches within loops"),
+        ({"data_loops": 2}, "2 loops whose end is data"),
+        ({"choices": 1}, "1 branches chosen by data"),
+        ({"temporary_mib": 12.1}, "12.1 MiB of temporary memory"),
+    ],
+)
+def test_a_kernel_that_passes_one_kept_number_is_named_with_it(change, said):
+    (fault,) = faults("lidar", ROW | change, {"lidar": ROW})
+    assert fault.startswith("lidar became CPU-shaped: ")
+    assert said in fault
+
+
+def test_a_little_more_or_much_less_is_no_fault_but_a_kernel_that_fails_or_is_new_is():
+    for row in (ROW | {"launches": 112, "in_loops": 46, "temporary_mib": 12.0}, dict.fromkeys(ROW, 0)):
+        assert not list(faults("lidar", row, {"lidar": ROW}))
+    assert "does not compile: no tiles" in next(faults("lidar", "no tiles", {"lidar": ROW}))
+    assert "not in the kept table" in next(faults("lidar", ROW, {}))
