@@ -19,11 +19,14 @@ from jaxurban.kernels.lidar import flat, supersampled, terrain
 from jaxurban.kernels.lidar import soft as soft_lidar
 from jaxurban.kernels.line import exact, segment_costs, smooth, smooth_volume
 from jaxurban.kernels.search import cost_to_go, frontier
+from jaxurban.kernels.shadows import doubling, sweep
 from jaxurban.kernels.shadows import soft as soft_shadows
 from jaxurban.kernels.shadows import supersampled as fine_shadows
-from jaxurban.kernels.shadows import sweep
+from jaxurban.maps import pipeline, recipe
 from jaxurban.maps.differentiable import PathVisits, SoftCity, SoftParams
-from jaxurban.metrics import availability, gps, obstacle, population
+from jaxurban.metrics import availability, gps, obstacle, population, risk, visibility
+from jaxurban.metrics.lidar import LidarParams
+from jaxurban.metrics.risk import RiskParams
 from jaxurban.metrics.weights import Weights
 from jaxurban.planners import refine
 from jaxurban.planners.bitstar.bulk import BULK
@@ -32,6 +35,7 @@ from jaxurban.planners.search.frontier import CELLS_TOGETHER, QUERIES_TOGETHER
 from jaxurban.studies.sensitivity import buildings
 from jaxurban.studies.tuning import confidence, fenchel_young, target_fit
 from jaxurban.studies.tuning.targets import Target
+from jaxurban.world import surface
 from jaxurban.world.grid import Grid
 from jaxurban.world.surface import Surface
 
@@ -87,9 +91,12 @@ def line(shape: tuple[int, ...]) -> sweep.Line:
     return sweep.digital_line(AZIMUTH_RAD[0], ELEVATION_RAD[0], 5.0, 0, 0, shape)
 
 
+def lines_over(shape: tuple[int, int]) -> sweep.Line:
+    return sweep.stacked(sweep.digital_lines(AZIMUTH_RAD, ELEVATION_RAD, 5.0, 0, 0, shape))
+
+
 def lines() -> sweep.Line:
-    each = [sweep.digital_line(*angles, 5.0, 0, 0, SURFACE) for angles in zip(AZIMUTH_RAD, ELEVATION_RAD, strict=True)]
-    return sweep.Line(*(np.stack(values) for values in zip(*each, strict=True)))
+    return lines_over(SURFACE)
 
 
 def satellites(num: int, multiple_of: int = 8) -> dop.Geometry:
@@ -203,7 +210,36 @@ def line_volume(points, layers, levels_m):
     return smooth_volume.volume_line_integrals(points, layers, levels_m, 5.0, num_cuts=32).per_layer_m
 
 
+def inputs() -> tuple[pipeline.MapInputs, pipeline.SkyView]:
+    """Return what all maps of a region of 8 M cells at one time are made of."""
+    city, params = soft_city().surface, (gps.GpsParams(), population.PopulationParams(), RiskParams(), LidarParams())
+    sky = pipeline.SkyView(lines(), satellites(NUM_SATELLITES), WHOLE)
+    return pipeline.MapInputs(city, ALTITUDES_M, array(4, STEPS_5M), array(2), BLOCKS, *params), sky
+
+
+DOUBLED = {"passes": doubling.num_passes(max(SURFACE))}
+RINGS = sweep.Ring(*(array(NUM_SATELLITES, *side.shape) for side in RING))
+MASK = array(*REGION, dtype=bool)
+
 KERNELS: dict[str, Callable[[], Call]] = {
+    "all maps": lambda: Call(jax.jit(pipeline.all_maps), inputs()),
+    "shadows: doubling": lambda: Call(doubling.shadow_heights_at_once, (array(*SURFACE), lines()), DOUBLED),
+    "shadows: doubling, hand on": lambda: Call(
+        doubling.hand_on_at_once, (array(*TILE), lines_over(GROWN), RINGS), {"passes": doubling.num_passes(max(GROWN))}
+    ),
+    "shadows: doubling, words": lambda: Call(
+        visibility._doubled_words,
+        (array(*SURFACE), None, ALTITUDES_M, lines(), None),
+        DOUBLED | {"window": WINDOW[:4]},
+    ),
+    "shadows: turned": lambda: Call(visibility._turned, ((WORDS, array(*SURFACE), None),)),
+    "shadows: joined": lambda: Call(visibility._joined, (WORDS, array(1, 4, *REGION[::-1], dtype=jnp.uint32))),
+    "surface: cut": lambda: Call(surface._cut, (array(*SURFACE), WHOLE, WHOLE), {"shape": REGION}),
+    "recipe: a layer": lambda: Call(recipe._at, (WORDS, WHOLE), {"axis": 1}),
+    "obstacle": lambda: Call(obstacle._mask, (array(*REGION), ALTITUDES_M)),
+    "risk": lambda: Call(
+        risk._risk, (around(REGION, 10), None, ALTITUDES_M), DISTANCE_5M | {"halo": 10, "is_solid": False}
+    ),
     "shadows: height": lambda: Call(sweep.shadow_height, (array(*SURFACE), line(SURFACE))),
     "shadows: sweep": lambda: Call(sweep.sweep, (array(*SURFACE), line(SURFACE))),
     "shadows: height in a ring": lambda: Call(sweep.shadow_height, (array(*TILE), line(GROWN), RING)),
@@ -226,11 +262,13 @@ KERNELS: dict[str, Callable[[], Call]] = {
     "shadows: soft weights, gradient": lambda: Call(gradient(soft_shadow_weights), (array(*SURFACE), lines())),
     "DOPs of weights": lambda: Call(dop.dops, (satellites(9, 1), array(9, gps.BLOCK_CELLS))),
     "DOPs of words": lambda: Call(dop.dops_of_words, (satellites(9), array(1, *REGION, dtype=jnp.uint32))),
-    "GPS maps, 9 satellites": lambda: Call(gps._computed, (array(1, *REGION, dtype=jnp.uint32), satellites(9), NUMBER)),
-    "GPS maps, 31 satellites": lambda: Call(
-        gps._computed, (array(1, *REGION, dtype=jnp.uint32), satellites(31), NUMBER)
+    "GPS maps, 9 satellites": lambda: Call(
+        gps.maps_of_words, (array(1, *REGION, dtype=jnp.uint32), satellites(9), NUMBER)
     ),
-    "GPS maps, looked up": lambda: Call(gps._looked_up, (SUBSETS, array(*REGION, dtype=jnp.uint32))),
+    "GPS maps, 31 satellites": lambda: Call(
+        gps.maps_of_words, (array(1, *REGION, dtype=jnp.uint32), satellites(31), NUMBER)
+    ),
+    "GPS maps, looked up": lambda: Call(gps._looked_up, (SUBSETS, array(1, *REGION, dtype=jnp.uint32), MASK)),
     "GPS, soft": lambda: Call(gps._soft_gps, (array(*SURFACE), None, NUMBER, NUMBER, NUMBER, VIEW, None)),
     "GPS, soft, gradient of a path": lambda: Call(gradient(soft_gps), (array(*SURFACE), VIEW, CELLS)),
     "GPS series, sums of rows": lambda: Call(availability.row_sums, (array(*REGION), array(*REGION, dtype=bool))),

@@ -6,6 +6,7 @@ import inspect
 import math
 import numbers
 import os
+import sysconfig
 import types
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -14,6 +15,10 @@ from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 
 Choice = TypeVar("Choice")
 Public = TypeVar("Public", bound=Callable)
+HERE = Path(__file__).parent
+OUR_HOMES = tuple(  # of our files, two folders of which are links, of Python's and of the libraries'
+    map(str, (HERE, (HERE / "kernels").resolve(), (HERE / "planners").resolve(), *sysconfig.get_paths().values()))
+)
 Kind = tuple[str, Callable[[Any], bool]]  # what messages call it, and what tells its values
 
 
@@ -95,8 +100,9 @@ def typed(public: Public) -> Public:
             return function(*args, **kwargs)
         except InputError:
             raise
-        except (TypeError, ValueError, AttributeError):
-            check(args, kwargs)
+        except (TypeError, ValueError, AttributeError) as error:
+            if not _is_from_outside(error):
+                check(args, kwargs)
             raise
 
     if is_class:
@@ -111,10 +117,22 @@ def _kinds(hint: Any) -> list[Kind]:
     if origin in (Union, types.UnionType):
         parts = [_kinds(part) for part in get_args(hint)]
         return [kind for part in parts for kind in part] if all(parts) else []
+    if origin in (Sequence, Iterable) and get_args(hint) == (str,):
+        return [("a sequence of texts", lambda value: isinstance(value, Iterable))]  # one text is often taken for one
     if origin in KINDS:
         return [KINDS[origin]]
     ours = inspect.isclass(origin) and origin.__module__.partition(".")[0] in (__name__.partition(".")[0], "pandas")
     return [(origin.__name__, lambda value: isinstance(value, origin))] if ours else []
+
+
+def _is_from_outside(error: BaseException) -> bool:
+    """Return whether an error was raised by a function that a user gave, not by ours or a library's."""
+    trace = error.__traceback__
+    while trace is not None and trace.tb_next is not None:
+        trace = trace.tb_next
+    file = "" if trace is None else trace.tb_frame.f_code.co_filename
+    is_source = os.path.isabs(file) or file.startswith(("<ipython", "<stdin>", "<string>"))  # not a compiled one's
+    return is_source and not file.startswith(OUR_HOMES)
 
 
 def _is_number(value: Any) -> bool:

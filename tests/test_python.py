@@ -169,7 +169,7 @@ def test_a_thing_of_another_kind_is_one_sentence(call, words):
     [
         (lambda: ju.open_maps(5), "folder must be a text or a path, got 5"),
         (lambda: MAPS.save(5), "folder must be a text or a path, got 5"),
-        (lambda: MAPS.is_free("low"), "altitude_m must be a number, got 'low'"),
+        (lambda: MAPS.is_free("low"), "altitude_m must be a finite number of metres, got 'low'"),
         (lambda: ju.Scenario.from_toml(5), "path must be a text or a path, got 5"),
         (lambda: ju.Constraints.read(5), "no_fly must be a text, a path or a sequence, got 5"),
         (lambda: ju.Constraints(5), "zones must be a sequence, got 5"),
@@ -199,6 +199,35 @@ def test_an_argument_of_another_kind_names_the_kinds_that_it_may_be(call, told):
     assert told in str(raised.value)
 
 
+def test_a_wrong_rule_or_altitude_of_free_cells_is_refused():
+    with pytest.raises(InputError, match="obstacles must be 'touched' or 'centre', got 'toched'"):
+        MAPS.is_free(20.0, "toched")
+    with pytest.raises(InputError, match="altitude_m must be a finite number of metres"):
+        MAPS.is_free(float("nan"))
+
+
+def test_a_part_of_maps_knows_where_it_lies_and_one_with_gaps_is_refused():
+    part = ju.MetricMaps(MAPS.ds.isel(x=slice(5, 15), y=slice(3, 20)))
+    np.testing.assert_allclose(part.grid.x_m, part.ds.x.values)
+    np.testing.assert_allclose(part.grid.y_m, part.ds.y.values)
+    np.testing.assert_array_equal(part.is_free(20.0), MAPS.is_free(20.0)[3:20, 5:15])
+    with pytest.raises(InputError, match="cut maps by slices without a step"):
+        ju.MetricMaps(MAPS.ds.isel(x=slice(5, 15, 2)))
+
+
+def test_a_fault_of_a_user_s_function_is_not_laid_to_an_argument():
+    def broken(surface, altitude_m):
+        raise TypeError("a fault of the user's")
+
+    layers = {"wind": ju.Layer(broken, "high-is-bad", (0, 12))}
+    with pytest.raises(TypeError, match="a fault of the user's"):
+        ju.build_maps(ju.demo_city(400, 400), resolution_m=20.0, altitudes_m=(20.0,), times_of_day="day", layers=layers)
+
+
+def test_routes_may_come_from_a_generator(paths):
+    assert len(ju.demonstrations_from_paths((path for path in paths[:2]), MAPS)) == 2
+
+
 def test_numbers_and_sequences_of_numpy_are_taken_as_python_s():
     assert ju.FitSettings(max_rounds=np.int64(3), budget_s=np.float32(2.0)).max_rounds == 3
     assert ju.demo_city(np.float64(400.0), np.int32(400), seed=np.int64(0)).extent_m == ju.demo_city(400, 400).extent_m
@@ -207,13 +236,13 @@ def test_numbers_and_sequences_of_numpy_are_taken_as_python_s():
 
 def test_an_error_of_the_engine_s_own_stays_one():
     @typed
-    def halve(number: float) -> float:
-        raise TypeError("a fault of the engine")
+    def root(number: float) -> float:
+        return np.linalg.cholesky(number)
 
-    with pytest.raises(TypeError, match="a fault of the engine"):
-        halve(3)
+    with pytest.raises(ValueError, match="at least two-dimensional"):
+        root(3.0)
     with pytest.raises(InputError, match="number must be a number, got 'three'"):
-        halve("three")
+        root("three")
 
 
 def test_places_in_metres_folders_and_single_paths_are_taken_where_many_are(paths, folder):

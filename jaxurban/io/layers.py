@@ -42,10 +42,11 @@ def _bands(name: str, layer: Layer, region: Grid, altitudes_m: Sequence[float], 
     if isinstance(layer.source, str):
         bands = read_bands(folder / layer.source, region.crs, region.bounds_m)
     else:
-        try:
-            values = np.asarray(layer.source, np.float32)
-        except (TypeError, ValueError) as error:
-            raise InputError(f"layer {name!r} must be an array of numbers ({error})") from error
+        given = np.ma.asarray(layer.source)  # what is masked holds no value
+        if given.dtype.kind not in "biuf":
+            raise InputError(f"layer {name!r} must be an array of real numbers, got {given.dtype}")
+        values = np.ma.filled(given.astype(np.float32), np.nan)
+        values[np.isinf(values)] = np.nan  # as in a raster
         bands = list(values if values.ndim == 3 else values[None])
         if values.ndim > 3 or values.shape[-2:] != region.shape:
             raise InputError(

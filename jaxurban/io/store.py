@@ -112,7 +112,9 @@ def create_zarr(ds: xr.Dataset, path: Path, tile: tuple[int, int]) -> None:
 def write_layer(path: Path, name: str, index: tuple[int, ...], window: tuple[slice, slice], values: np.ndarray) -> None:
     """Write a tile of one map into a Zarr: its values, as far as the window reaches."""
     rows, cols = window
-    array = zarr.open_array(path / name, mode="r+", config={"write_empty_chunks": True})
+    # A tile without a value is written too: what is missing on disk counts as lost. Given to `open_array`, Zarr 3.1
+    # does not take the setting.
+    array = zarr.open_array(path / name, mode="r+").with_config({"write_empty_chunks": True})
     place: Any = (*index, rows, cols)
     array[place] = values[: rows.stop - rows.start, : cols.stop - cols.start]
 

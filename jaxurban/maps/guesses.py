@@ -21,7 +21,7 @@ from jaxurban.world.sky import Sky
 from jaxurban.world.surface import NO_BUILDING
 
 DRAWN_SHARE = 0.10  # of buildings: from here on the picture of heights tells guessed ones apart
-EMPTY_SHARE = 0.10  # of the region without a census block: rivers and the sea often have none
+EMPTY_SHARE = 0.10  # of the region without a census block (rivers and the sea often have none), of a layer's pixels
 SCALE_M, SCALE_SHARE = 1 / 3, 0.01  # no more than this share of inhabited blocks above this m: few set the scale
 SIDE_POINTS = 32  # along each side of a raster's outline, which another CRS bends
 NOMINAL_SKY = "nominal satellites"
@@ -122,7 +122,7 @@ def _coverage_guesses(city: City, region: Grid) -> Guesses:
 
 
 def _layer_guesses(name: str, band: Raster | np.ndarray, region: Grid) -> Guesses:
-    """Return how much of the region lies beyond a layer's raster; where that has holes is its maker's to say."""
+    """Return how much of the region a layer's raster closes, as it ends before or has large holes."""
     if not isinstance(band, Raster):
         return {}
     (num_rows, num_cols), along = band.values.shape, np.linspace(0.0, 1.0, SIDE_POINTS)
@@ -130,14 +130,18 @@ def _layer_guesses(name: str, band: Raster | np.ndarray, region: Grid) -> Guesse
     col = np.concatenate([along, 0 * along + 1, 1 - along, 0 * along]) * num_cols
     raster, whole = shapely.Polygon(np.stack(pixel_xy(band, row, col, region.crs), -1)), shapely.box(*region.bounds_m)
     outside = 1.0 - float(shapely.intersection(whole, shapely.make_valid(raster)).area) / float(whole.area)
-    if outside <= TOLD_SHARE:
-        return {}
-    return {
-        f"{percent(outside)} of the region beyond layer {name}": (
+    guesses = {}
+    if outside > TOLD_SHARE:
+        guesses[f"{percent(outside)} of the region beyond layer {name}"] = (
             f"{percent(outside)} of the region lies beyond the raster of layer {name} and is closed to every path: "
             "give a raster that covers it, or a smaller region"
         )
-    }
+    if (empty := float(np.isnan(band.values).mean())) > EMPTY_SHARE:
+        guesses[f"{percent(empty)} of layer {name} without a value"] = (
+            f"{percent(empty)} of the pixels of layer {name} hold no value and are closed to every path: fill them, "
+            'unless they are meant to be closed, or set nan = "error"'
+        )
+    return guesses
 
 
 def leaving_shares(city: City, region: Grid, sky: Sky, altitude_m: float, mask_deg: float) -> tuple[float, float]:

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
-from jaxurban.errors import InputError, typed
+from jaxurban.errors import InputError, check_type, finite, one_of, typed
 from jaxurban.io import store
 from jaxurban.io.geotiff import missing_geotiffs, write_geotiffs
 from jaxurban.io.read.orbits import iso_utc, parse_time
@@ -22,6 +22,24 @@ from jaxurban.world.grid import Grid
 from jaxurban.world.show import Shown, listed
 
 Obstacles = Literal["touched", "centre"]
+
+
+def _placed(ds: xr.Dataset) -> xr.Dataset:
+    """Return maps whose attributes say where their cells lie, also where they were cut out of larger ones.
+
+    Raises:
+      InputError: cells that are not side by side.
+    """
+    side_m, first = float(ds.attrs["resolution_m"]), {}
+    for axis, name in (("y", "first_row"), ("x", "first_col")):
+        at_m = ds[axis].values
+        number = at_m / side_m - 0.5
+        first[name] = int(np.round(number[0]))
+        if np.abs(number - first[name] - np.arange(len(at_m))).max() > 0.01:
+            raise InputError(
+                f"the maps' {axis} must run cell by cell in steps of {side_m:g} m: cut maps by slices without a step"
+            )
+    return ds if all(ds.attrs[name] == value for name, value in first.items()) else ds.assign_attrs(first)
 
 
 @dataclass(frozen=True, repr=False)
@@ -45,15 +63,16 @@ class MetricMaps(Shown):
         ``obstacle`` and of every metric; paths then cut true outlines.
 
     Raises:
-      InputError: an unknown rule of obstacles.
+      InputError: an unknown rule of obstacles, or a part of maps that leaves cells out.
     """
 
     ds: xr.Dataset
     obstacles: Obstacles = "touched"
 
     def __post_init__(self) -> None:
-        if self.obstacles not in get_args(Obstacles):
-            raise InputError(f"obstacles must be 'touched' or 'centre', got {self.obstacles!r}")
+        check_type("ds", self.ds, xr.Dataset, "build_maps or open_maps")
+        one_of("obstacles", self.obstacles, get_args(Obstacles))
+        object.__setattr__(self, "ds", _placed(self.ds))
 
     @property
     def facts(self) -> dict[str, str]:
@@ -166,9 +185,10 @@ class MetricMaps(Shown):
           obstacles: left out, the maps' own rule: where planners may fly. ``"centre"``: where metrics are defined.
 
         Raises:
-          InputError: maps that hold no touched roofs.
+          InputError: maps that hold no touched roofs, an unknown rule, or an altitude that is no number.
         """
-        rule = obstacles or self.obstacles
+        altitude_m = finite("altitude_m", altitude_m, "metres")
+        rule = one_of("obstacles", obstacles or self.obstacles, get_args(Obstacles))
         is_free = self.ds["has_data"].values
         is_held = altitude_m in self.altitudes_m
         if is_held:

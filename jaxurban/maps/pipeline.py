@@ -8,13 +8,11 @@ statistics over time and own layers are the recipe's alone; soft maps are `SoftC
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
 from jaxtyping import Array, Float, Int, UInt
 
 from jaxurban.errors import InputError
@@ -138,9 +136,7 @@ def visible_words(surface: Surface, altitudes_m: Float[Array, " A"], sky: SkyVie
       sky: over this surface.
     """
     rows, cols = surface.window
-    cast = partial(shadow_heights, window=(rows.start, rows.stop, cols.start, cols.stop, 1))
-    shapes = {"cpu": partial(cast, shape="sweep"), "default": partial(cast, shape="doubling")}
-    shadows_m = lax.platform_dependent(surface.top_m, sky.lines, **shapes)
+    shadows_m = shadow_heights(surface.top_m, sky.lines, (rows.start, rows.stop, cols.start, cols.stop, 1))
     is_there = jnp.arange(len(shadows_m)) < sky.num
     shadows_m = jnp.where(is_there[:, None, None], shadows_m, jnp.inf)
     return words_of(shadows_m, None if surface.terrain_m is None else surface.crop(surface.terrain_m), altitudes_m)

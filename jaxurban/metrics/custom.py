@@ -199,12 +199,14 @@ def _map(name: str, scene: Scene, layer: Layer) -> dict[str, jax.Array]:
     """
     surface = _reaching(scene.surface, layer)
     values = layer.source(surface, scene.altitude_m) if callable(layer.source) else scene.rasters[name]
+    if isinstance(values, np.ma.MaskedArray):
+        values = np.ma.filled(values.astype(np.float32), np.nan)
     if np.shape(values) != surface.region.shape:
         raise InputError(
             f"layer {name!r} gives values of shape {np.shape(values)} for cells of shape {surface.region.shape}: "
             "return one value for each cell of surface.region"
         )
-    m = layer.scaled(values).astype(jnp.float32)
+    m = layer.scaled(jnp.where(jnp.isfinite(jnp.asarray(values)), values, jnp.nan)).astype(jnp.float32)
     is_lost = jnp.isnan(m) if surface.has_data is None else jnp.isnan(m) & surface.crop(surface.has_data)
     if layer.nan == "error" and (num := int(is_lost.sum())):
         raise InputError(f'layer {name!r} has no value in {num:,} cells: fill them, or set nan = "closed"')

@@ -85,7 +85,7 @@ class Weights:
                 values[name] = float(number)
             except ValueError as error:
                 raise InputError(f"weight {part!r} must read name=number, as in gps=1,risk=0.5") from error
-        return cls(**values).checked()
+        return cls.of(values).checked()
 
     def to_dict(self) -> dict[str, Any]:
         """Return the weights by name, the distance first."""

@@ -147,7 +147,7 @@ class CostMap(Shown):
         Raises:
           InputError: none, one twice, or a metric that the maps lack.
         """
-        names = tuple(metrics)
+        names = (metrics,) if isinstance(metrics, str) else tuple(metrics)
         for name in names:
             if name not in self.names:
                 hint = nearest_name(name, self.names) or f": they hold {', '.join(self.names)}"

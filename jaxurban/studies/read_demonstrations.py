@@ -93,6 +93,7 @@ def demonstrations_from_paths(
     """
     if isinstance(paths, PlannedPath):
         paths = [paths]
+    paths = list(paths)
     if not paths:
         raise InputError("there are no paths: give at least one")
     for path in paths:

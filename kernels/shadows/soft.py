@@ -1,14 +1,12 @@
 """Shadow heights of many satellites with their derivatives, and how much a satellite counts near a roof's edge."""
 
-from functools import partial
-
 import jax
 import jax.numpy as jnp
 from jax import lax
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
-from jaxurban.kernels.shadows.doubling import KernelShape, kernel_shape, num_passes, shadow_heights_at_once
+from jaxurban.kernels.shadows.doubling import KernelShape, num_passes, shadow_heights_at_once
 from jaxurban.kernels.shadows.sweep import Line, shadow_height
 from jaxurban.kernels.soft_step import soft_step
 
@@ -28,21 +26,26 @@ def shadow_heights(
       top_m: absolute height of roofs and bare ground, row 0 in the south.
       lines: lines of all satellites over this grid, each field stacked: ``[S, max(Y, X)]``, ``[S]``, ``[S]``.
       window: first and end row, first and end column, and n: every n-th cell of these is kept, from n // 2 on.
-      shape: of the kernel; left out, the one for JAX's platform.
+      shape: of the kernel; left out, the one for the platform that this is compiled for.
     """
     first_row, end_row, first_col, end_col, every = window
     rows = slice(first_row + every // 2, end_row, every)
     cols = slice(first_col + every // 2, end_col, every)
 
-    if (shape or kernel_shape()) == "doubling":
-        passes = num_passes(max(top_m.shape))
-        return jax.checkpoint(partial(shadow_heights_at_once, passes=passes))(top_m, lines)[:, rows, cols]
-
     @jax.checkpoint
     def cast(top_m: Array, line: Line) -> Array:
         return shadow_height(top_m, line)[rows, cols]
 
-    return lax.scan(lambda _, line: (None, cast(top_m, line)), None, lines)[1]
+    def swept(top_m: Array, lines: Line) -> Array:
+        return lax.scan(lambda _, line: (None, cast(top_m, line)), None, lines)[1]
+
+    @jax.checkpoint
+    def doubled(top_m: Array, lines: Line) -> Array:
+        return shadow_heights_at_once(top_m, lines, passes=num_passes(max(top_m.shape)))[:, rows, cols]
+
+    if shape is None:
+        return lax.platform_dependent(top_m, lines, cpu=swept, default=doubled)
+    return (swept if shape == "sweep" else doubled)(top_m, lines)
 
 
 def satellite_weights(

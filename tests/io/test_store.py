@@ -230,3 +230,13 @@ def test_a_lock_on_a_removed_file_holds_nothing(tmp_path, monkeypatch):
     with files.only_writer(tmp_path):
         pass
     assert not list(tmp_path.iterdir())
+
+
+def test_tiles_without_a_value_are_on_disk_like_all_others(ds, tmp_path):
+    store.create_zarr(ds.assign(gps=ds["gps"] * np.nan), tmp_path / "maps.zarr", (15, 20))
+    for name, array in ds.data_vars.items():
+        values = np.full(ds.sizes["y"] * ds.sizes["x"], np.nan if array.dtype.kind == "f" else 0).reshape(30, 40)
+        for index in np.ndindex(array.shape[:-2]):
+            for window in ((slice(0, 15), slice(0, 20)), (slice(0, 15), slice(20, 40)), (slice(15, 30), slice(0, 40))):
+                store.write_layer(tmp_path / "maps.zarr", name, index, window, values[window].astype(array.dtype))
+    assert store.broken_chunks(tmp_path / "maps.zarr") == []

@@ -210,6 +210,31 @@ def test_a_raster_that_ends_inside_the_region_is_told_with_the_share_that_it_clo
     assert name.endswith("of the region beyond layer noise")
 
 
+def test_large_holes_of_a_raster_are_told(tmp_path):
+    city, grid = ju.demo_city(500, 500), Grid("EPSG:32618", 20.0, 225_500, 29_250, 20, 20)
+    values = np.zeros((1, 40, 40))
+    values[0, :, :10] = -1
+    write_raster(tmp_path / "noise.tif", grid, values, nodata=-1)
+    layers = {"noise": Layer(str(tmp_path / "noise.tif"), "high-is-bad", (0, 80))}
+    sky = view_sky(grid, "nominal", None, mask_deg=5.0, reference=None, max_age_days=90.0)
+    told = map_guesses(MapTask(city, grid, sky, MapParams(), layers, bands_of(layers, grid, (60.0,))))
+    (sentence,) = (sentence for name, sentence in told.items() if "layer noise without" in name)
+    assert "% of the pixels of layer noise hold no value and are closed to every path" in sentence
+
+
+@pytest.mark.parametrize("is_masked", [True, False])
+def test_masked_and_infinite_values_are_no_values(is_masked):
+    grid = Grid("EPSG:32618", 20.0, 225_500, 29_250, 4, 5)
+    values = np.arange(20.0).reshape(4, 5)
+    lost = values > 12
+    given = np.ma.masked_greater(values, 12) if is_masked else np.where(lost, np.inf, values)
+    layers = {"noise": Layer(given, "high-is-bad", (0, 80))}
+    ((band,),) = bands_of(layers, grid, (60.0,)).values()
+    np.testing.assert_array_equal(np.isnan(band), lost)
+    with pytest.raises(InputError, match="layer 'noise' must be an array of real numbers, got complex128"):
+        bands_of({"noise": Layer(values + 1j, "high-is-bad", (0, 80))}, grid, (60.0,))
+
+
 @pytest.mark.slow
 def test_a_scenario_names_a_raster_layer(tmp_path):
     settings = {

@@ -102,3 +102,15 @@ def test_without_a_route_no_building_costs_anything(folder, route, tmp_path):
     coarse = replace(route, settings={**route.settings, "resolution_m": 20.0})
     with pytest.raises(InputError, match="20 m"):
         write_buildings(folder, coarse, tmp_path)
+
+
+def test_a_route_of_another_altitude_or_of_unknown_weights_is_refused(folder, route):
+    (task,) = tasks_of(Scenario.from_dict(SETTINGS))
+    soft, params = soften(task), SoftParams(25.0, 2.0)
+    with pytest.raises(InputError, match="planned at 25 m and params say 60 m: take the same altitude"):
+        building_costs(task.city, soft, route, replace(params, altitude_m=60.0))
+    with pytest.raises(InputError, match="unknown weight 'rsk'"):
+        building_costs(task.city, soft, route, params, {"rsk": 5})
+    climbing = replace(route, z_m=route.z_m + np.arange(len(route.z_m)))
+    with pytest.raises(InputError, match="the route changes its altitude"):
+        building_costs(task.city, soft, climbing, params)

@@ -13,7 +13,7 @@ from jaxurban.errors import InputError, typed
 from jaxurban.maps.differentiable import PathVisits, SoftCity, SoftParams, path_visits
 from jaxurban.metrics.base import TIME_OF_DAY
 from jaxurban.metrics.registry import METRICS
-from jaxurban.metrics.weights import Weights
+from jaxurban.metrics.weights import GivenWeights, Weights
 from jaxurban.paths.path import PlannedPath
 from jaxurban.planners.base import CostModel
 from jaxurban.world.city import City, HeightOrigin
@@ -42,6 +42,23 @@ def route_visits(soft: SoftCity, planned: PlannedPath) -> PathVisits:
     )
 
 
+def _check_same(soft: SoftCity, planned: PlannedPath, params: SoftParams) -> None:
+    """Raise InputError unless a route was planned at the altitude and the time of day of a soft city."""
+    if len(planned.z_m) and np.ptp(planned.z_m) > 0:
+        raise InputError("the route changes its altitude and a soft city has one: plan it at that altitude")
+    wanted_m = float(np.asarray(params.altitude_m))
+    if not np.isclose(planned.altitude_m, wanted_m):
+        raise InputError(
+            f"the route was planned at {planned.altitude_m:g} m and params say {wanted_m:g} m: take the same altitude"
+        )
+    time_of_day = planned.settings["time_of_day"]
+    if soft.population is not None and time_of_day is not None and time_of_day != soft.time_of_day:
+        raise InputError(
+            f"the route was planned by {time_of_day} and the soft city is of {soft.time_of_day}: give soft_city "
+            f"time_of_day={time_of_day!r}"
+        )
+
+
 def weights_of(planned: PlannedPath) -> Weights:
     """Return the weights that a route was planned under; 0 for metrics that its maps did not hold."""
     used: Mapping[str, float] = planned.settings["weights"]
@@ -50,7 +67,7 @@ def weights_of(planned: PlannedPath) -> Weights:
 
 @typed
 def building_costs(
-    city: City, soft: SoftCity, planned: PlannedPath, params: SoftParams, weights: Weights | None = None
+    city: City, soft: SoftCity, planned: PlannedPath, params: SoftParams, weights: GivenWeights = None
 ) -> pd.DataFrame:
     """Return what one more metre of each building's height costs a route, the costliest building first.
 
@@ -76,11 +93,12 @@ def building_costs(
       maps, its ``soft_cost``, ``softness_m``.
 
     Raises:
-      InputError: there is no route, or it lies on another grid.
+      InputError: there is no route, it lies on another grid, altitude or time of day, or it climbs.
     """
     assert city.buildings is not None
+    _check_same(soft, planned, params)
     visits = route_visits(soft, planned)
-    weights = weights or weights_of(planned)
+    weights = weights_of(planned) if weights is None else Weights.of(weights).checked(soft.names)
     slopes, soft_cost = _slopes(soft, params, weights, visits)
     by_metric = {name: np.asarray(slope, np.float64) for name, slope in slopes.items()}
     per_metre = np.sum(list(by_metric.values()), axis=0)

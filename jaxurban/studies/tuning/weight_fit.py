@@ -146,6 +146,7 @@ def fit_weights(
         raise InputError(f"bootstrap must be >= 0, got {bootstrap}")
     begin_s, settings = time.perf_counter(), settings or FitSettings()
     check_type("settings", settings, FitSettings)
+    demonstrations = list(demonstrations)
     queries = [each.query for each in demonstrations]
     names = check_alike(queries)
     constant = constant_layers(queries)
