@@ -78,7 +78,7 @@ def solve_many(
       InputError: an unknown planner, heuristic or backend, a planner or heuristic that ``"jax"`` does not
         have, or a budget or number of threads that is not positive.
     """
-    search = find_planner(planner, heuristic)
+    find_planner(planner, heuristic)
     if backend not in get_args(Backend):
         raise InputError(f"backend must be one of {', '.join(get_args(Backend))}, got {backend!r}")
     check_budget(budget_s)
@@ -94,9 +94,8 @@ def solve_many(
     if backend == "auto":
         has_gpu = is_for_frontier and len(problems) >= GPU_BATCH and jax.default_backend() != "cpu"
         backend = "jax" if has_gpu else "numba"
-    chooses = (heuristic or PLANNERS[planner].default_heuristic) == AUTO
     num_threads = num_threads or _num_processors()
-    return _solve(problems, planner, search, chooses, backend, makes_fields_by, budget_s, seed, num_threads)
+    return _solve(problems, planner, heuristic, backend, makes_fields_by, budget_s, seed, num_threads)
 
 
 def _num_processors() -> int:
@@ -106,14 +105,15 @@ def _num_processors() -> int:
 def _solve(
     problems: Sequence[Problem],
     planner: str,
-    search: Callable[..., Path],
-    chooses: bool,
+    heuristic: str | None,
     backend: str,
     makes_fields_by: Backend,
     budget_s: float,
     seed: int,
     num_threads: int,
 ) -> Generator[Outcome]:
+    search = find_planner(planner, heuristic)
+    chooses = (heuristic or PLANNERS[planner].default_heuristic) == AUTO
     by_goal: dict[tuple[int, Cell], list[int]] = {}
     if chooses and planner in EXACT_PLANNERS:
         for index, problem in enumerate(problems):

@@ -145,3 +145,15 @@ def test_an_unknown_backend_is_refused():
     for ask in (cost_to_go, make_landmarks):
         with pytest.raises(InputError, match="backend must be 'auto', 'numba' or 'jax', got 'cuda'"):
             ask(random_map(1), backend="cuda")
+
+
+@pytest.mark.gpu
+def test_a_gpu_makes_the_fields_of_numba(city):
+    if jax.default_backend() == "cpu":
+        pytest.skip("JAX sees no GPU")
+    assert field_backend() == "jax"
+    is_free, nearness = city
+    anywhere = tuple(int(v) for v in np.argwhere(is_free)[0])
+    queries = random_queries(Problem(nearness[None], is_free, anywhere, anywhere, 5.0, 0.02), 10)
+    for field, expected in zip(symmetric_costs(queries), symmetric_costs(queries, "numba"), strict=True):
+        np.testing.assert_allclose(field, expected, rtol=1e-9)
