@@ -9,7 +9,7 @@ from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from itertools import chain
-from typing import Literal, get_args
+from typing import get_args
 
 import jax
 import numpy as np
@@ -18,17 +18,23 @@ from jaxurban.errors import InputError
 from jaxurban.planners.base import Cell, Path, Problem
 from jaxurban.planners.checks import check_budget
 from jaxurban.planners.heuristics import AUTO
-from jaxurban.planners.landmarks import FEW_QUERIES, make_landmarks
+from jaxurban.planners.landmarks import FEW_QUERIES, NUM_LANDMARKS, make_landmarks
 from jaxurban.planners.registry import PLANNERS, find_planner
-from jaxurban.planners.search.fields import share_cost_to_go
+from jaxurban.planners.search.fields import (
+    FIELDS_TOGETHER,
+    Backend,
+    field_backend,
+    share_costs_to_go,
+    warm_up_fields,
+)
 from jaxurban.planners.search.frontier import solve_by_frontier
 
-Backend = Literal["auto", "numba", "jax"]
 Outcome = tuple[int, Path | Exception]
 
 EXACT_PLANNERS = ("astar-dist", "astar-plus")  # which the frontier search can stand for
 FRONTIER_HEURISTICS = (None, AUTO, "octile")
 FEW_TO_ONE_GOAL = 8  # queries to one goal from which the costs to it are computed for the whole map
+GOALS_TOGETHER = {"numba": 1, "jax": FIELDS_TOGETHER}  # whose fields are made, and held, at once
 GPU_BATCH = 32  # queries from which a GPU is worth its start
 
 
@@ -55,9 +61,10 @@ def solve_many(
       queries; else ``"numba"``, which is several times as fast on a CPU.
 
     Where the planner chooses its heuristic itself, as ``astar-plus`` does, what queries share is made first,
-    within half of the budgets of those that share it: the cost to go to a goal that at least `FEW_TO_ONE_GOAL`
-    queries on a map share (``"exact"``; with ``"jax"`` by row sweeps), and the landmarks of a map with more than
-    `FEW_QUERIES` others (``"numba"`` only). Each path's backend and heuristic say what ran.
+    within half of the budgets of those that share it: the costs to goals that at least `FEW_TO_ONE_GOAL` queries on a
+    map share each (``"exact"``), and the landmarks of a map with more than `FEW_QUERIES` others (``"numba"`` only).
+    Both are fields, which ``"auto"`` makes in JAX where it has a GPU (see `search.fields.field_backend`). Each path's
+    backend and heuristic say what ran; of ``"exact"`` the backend is what made the costs.
 
     Args:
       problems: the queries; those on one map should come from one `Problem` by `Problem.between`.
@@ -71,12 +78,13 @@ def solve_many(
       InputError: an unknown planner, heuristic or backend, a planner or heuristic that ``"jax"`` does not
         have, or a budget or number of threads that is not positive.
     """
-    search = find_planner(planner, heuristic)
+    find_planner(planner, heuristic)
     if backend not in get_args(Backend):
         raise InputError(f"backend must be one of {', '.join(get_args(Backend))}, got {backend!r}")
     check_budget(budget_s)
     if num_threads is not None and num_threads < 1:
         raise InputError(f"num_threads must be at least 1, got {num_threads}")
+    makes_fields_by = backend
     is_for_frontier = planner in EXACT_PLANNERS and heuristic in FRONTIER_HEURISTICS
     if backend == "jax" and not is_for_frontier:
         raise InputError(
@@ -86,8 +94,8 @@ def solve_many(
     if backend == "auto":
         has_gpu = is_for_frontier and len(problems) >= GPU_BATCH and jax.default_backend() != "cpu"
         backend = "jax" if has_gpu else "numba"
-    chooses = (heuristic or PLANNERS[planner].default_heuristic) == AUTO
-    return _solve(problems, planner, search, chooses, backend, budget_s, seed, num_threads or _num_processors())
+    num_threads = num_threads or _num_processors()
+    return _solve(problems, planner, heuristic, backend, makes_fields_by, budget_s, seed, num_threads)
 
 
 def _num_processors() -> int:
@@ -97,13 +105,15 @@ def _num_processors() -> int:
 def _solve(
     problems: Sequence[Problem],
     planner: str,
-    search: Callable[..., Path],
-    chooses: bool,
+    heuristic: str | None,
     backend: str,
+    makes_fields_by: Backend,
     budget_s: float,
     seed: int,
     num_threads: int,
 ) -> Generator[Outcome]:
+    search = find_planner(planner, heuristic)
+    chooses = (heuristic or PLANNERS[planner].default_heuristic) == AUTO
     by_goal: dict[tuple[int, Cell], list[int]] = {}
     if chooses and planner in EXACT_PLANNERS:
         for index, problem in enumerate(problems):
@@ -112,32 +122,37 @@ def _solve(
     alone = sorted(set(range(len(problems))) - set(chain.from_iterable(to_one_goal)))
     run = partial(_in_threads, problems, num_threads=num_threads)
     walk = partial(find_planner(planner, "exact" if to_one_goal else None), budget_s=budget_s, seed=seed)
-    for indices in to_one_goal:
-        end_s = time.perf_counter() + 0.5 * budget_s * len(indices)
+    made_by = field_backend(makes_fields_by) if to_one_goal else "numba"
+    for first in range(0, len(to_one_goal), GOALS_TOGETHER[made_by]):
+        groups = to_one_goal[first : first + GOALS_TOGETHER[made_by]]
+        to_goals = [problems[indices[0]] for indices in groups]
+        warm_up_fields(to_goals, made_by)
+        end_s = time.perf_counter() + 0.5 * budget_s * sum(map(len, groups))
         try:
-            share_cost_to_go(problems[indices[0]], backend, end_s)
+            share_costs_to_go(to_goals, made_by, end_s)
         except TimeoutError:
-            alone += indices
+            alone += chain.from_iterable(groups)
             continue
-        for index, outcome in run(indices, walk):
-            yield index, replace(outcome, backend=backend) if isinstance(outcome, Path) else outcome
+        for index, outcome in run(list(chain.from_iterable(groups)), walk):
+            yield index, replace(outcome, backend=made_by) if isinstance(outcome, Path) else outcome
     if backend == "jax":
         together = [problems[index] for index in alone]
         for k, path in solve_by_frontier(together, planner=planner, budget_s=budget_s):
             yield alone[k], path
         return
     if chooses:
-        _make_landmarks([problems[index] for index in alone], budget_s)
+        _make_landmarks([problems[index] for index in alone], makes_fields_by, budget_s)
     yield from run(alone, partial(search, budget_s=budget_s, seed=seed))
 
 
-def _make_landmarks(problems: list[Problem], budget_s: float) -> None:
+def _make_landmarks(problems: list[Problem], makes_fields_by: Backend, budget_s: float) -> None:
     """Make the landmarks of every map with more than a few queries, unless they take half of the budgets."""
     for key, count in Counter(id(problem.cost) for problem in problems).items():
         if count > FEW_QUERIES:
             first = next(problem for problem in problems if id(problem.cost) == key)
+            warm_up_fields([first] * NUM_LANDMARKS, makes_fields_by)
             with suppress(TimeoutError):
-                make_landmarks(first, end_s=time.perf_counter() + 0.5 * budget_s * count)
+                make_landmarks(first, backend=makes_fields_by, end_s=time.perf_counter() + 0.5 * budget_s * count)
 
 
 def _in_threads(

@@ -9,13 +9,8 @@ from jaxurban.kernels.search.bounds import cell_line_bound, line_line_bound, pri
 from jaxurban.planners.base import Cell, Problem
 from jaxurban.planners.checks import check_name
 from jaxurban.planners.graph import Heuristic, graph_of, zero_heuristic
-from jaxurban.planners.landmarks import (
-    cost_to_go,
-    has_cost_to_go,
-    landmark_bound,
-    make_landmarks,
-    should_use,
-)
+from jaxurban.planners.landmarks import NUM_LANDMARKS, landmark_bound, make_landmarks, should_use
+from jaxurban.planners.search.fields import cost_to_go, has_cost_to_go, warm_up_fields
 from jaxurban.planners.search.grid import GridSearch, estimate
 
 ADMISSIBLE = ("none", "euclidean", "octile", "plus", "landmarks", "exact")  # all of them consistent too
@@ -59,16 +54,20 @@ def prepare(name: str, problem: Problem, budget_s: float) -> Prepared:
     if is_auto:
         is_better, note = should_use(problem, budget_s)
         name = "landmarks" if is_better else "plus"
+    makes_landmarks = name == "landmarks" and "landmarks" not in problem.shared
+    makes_costs = name == "exact" and not has_cost_to_go(problem)
+    if makes_landmarks or makes_costs:
+        warm_up_fields([problem] * (NUM_LANDMARKS if makes_landmarks else 1))
     begin_s = time.perf_counter()
     end_s = begin_s + (0.5 if is_auto else 1.0) * budget_s
     is_ready, done = True, "took"
     try:
-        if name == "landmarks" and "landmarks" not in problem.shared:
+        if makes_landmarks:
             what = "The landmarks, which all queries on this map share,"
             make_landmarks(problem, end_s=end_s)
-        elif name == "exact" and not has_cost_to_go(problem):
+        elif makes_costs:
             what = "The costs to the goal, which all queries to it share,"
-            cost_to_go(problem, end_s)
+            cost_to_go(problem, end_s=end_s)
         else:
             return Prepared(name, True, 0.0, note)
     except TimeoutError:

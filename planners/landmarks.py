@@ -13,14 +13,15 @@ import numpy as np
 from scipy.ndimage import label
 
 from jaxurban.planners.base import Cell, Problem
-from jaxurban.planners.graph import LandmarkBound, graph_of, zero_heuristic
-from jaxurban.planners.search.grid import EXHAUSTED, GridSearch
+from jaxurban.planners.graph import LandmarkBound
+from jaxurban.planners.search.fields import Backend, field_backend, symmetric_costs
 
 NUM_LANDMARKS = 8  # 8 float64 fill a cache line
 # Queries on one map and weights after which landmarks are built. On Lower Manhattan building costs what some 50
 # queries save (`benchmarks/landmarks.py`); who has planned this many is taken to go on.
 FEW_QUERIES = 16
-NODES_PER_S = 3e6  # of one field, cautious: 7e6 on half a million cells, less where the map outgrows the cache
+# Of one field, cautious: 7e6 on half a million cells, less where the map outgrows the cache. Taken for a GPU, too.
+NODES_PER_S = 3e6
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,31 +34,43 @@ class Landmarks:
       slack: what the bound is lowered by, so that rounding never lifts it above the true cost: one unit in
         the last place of the largest cost, for every cell, more than the sums along any path can lose.
       elapsed_s: wall time of building.
+      backend: what made the costs, ``"numba"`` or ``"jax"``.
     """
 
     cells: tuple[Cell, ...]
     costs: np.ndarray
     slack: float
     elapsed_s: float
+    backend: str
 
 
-def make_landmarks(problem: Problem, num: int = NUM_LANDMARKS, end_s: float = np.inf) -> Landmarks:
+def make_landmarks(
+    problem: Problem, num: int = NUM_LANDMARKS, backend: Backend = "auto", end_s: float = np.inf
+) -> Landmarks:
     """Return landmarks for a problem's map and weights, built once for all its queries (`Problem.between`).
 
-    Landmarks that are there already are returned, whatever their number.
+    Landmarks that are there already are returned, whatever their number and whatever made them.
+
+    Args:
+      problem: the query; its start and goal play no part.
+      num: how many, where the map has as many cells.
+      backend: see `search.fields.field_backend`.
+      end_s: time of `time.perf_counter` to give up at.
 
     Raises:
-      TimeoutError: they were not built by ``end_s`` of `time.perf_counter`.
+      InputError: an unknown backend.
+      TimeoutError: the clock passed it.
     """
     if "landmarks" not in problem.shared:
         begin_s = time.perf_counter()
         cells = landmark_cells(problem, num)
-        costs = np.empty((*problem.is_free.shape, len(cells)))
-        for k, cell in enumerate(cells):
-            costs[..., k] = symmetric_costs(problem, cell, end_s)
+        fields = symmetric_costs([problem.between(cell, cell) for cell in cells], backend, end_s)
+        costs = np.stack(fields, axis=-1)
         largest = np.max(costs, where=np.isfinite(costs), initial=0.0)
         slack = float(largest) * problem.is_free.size * np.finfo(np.float64).eps
-        problem.shared["landmarks"] = Landmarks(tuple(cells), costs, slack, time.perf_counter() - begin_s)
+        problem.shared["landmarks"] = Landmarks(
+            tuple(cells), costs, slack, time.perf_counter() - begin_s, field_backend(backend)
+        )
     made: Landmarks = problem.shared["landmarks"]
     return made
 
@@ -82,14 +95,6 @@ def landmark_cells(problem: Problem, num: int) -> list[Cell]:
     return cells
 
 
-def symmetric_costs(problem: Problem, cell: Cell, end_s: float) -> np.ndarray:
-    """Return ``[Y, X]`` the cost S between a cell and every other, inf without a way; `TimeoutError` past ``end_s``."""
-    search = GridSearch(graph_of(problem, is_symmetric=True), zero_heuristic(problem), cell, None)
-    if search.run(end_s=end_s) != EXHAUSTED:
-        raise TimeoutError
-    return search.g.reshape(problem.is_free.shape)
-
-
 def landmark_bound(problem: Problem, landmarks: Landmarks) -> LandmarkBound:
     """Return the landmarks' bound on the cost to a problem's goal."""
     cost_share = 0.5 if problem.cost_model.kind == "cell" else 0.0
@@ -100,29 +105,6 @@ def landmark_bound(problem: Problem, landmarks: Landmarks) -> LandmarkBound:
         cost_share=cost_share,
         goal_term=cost_share * float(problem.cost[problem.goal]) - landmarks.slack,
     )
-
-
-def cost_to_go(problem: Problem, end_s: float = np.inf) -> np.ndarray:
-    """Return ``[Y, X]`` the exact cost from every cell to the goal, inf where there is no way.
-
-    The field of the last goal is kept for further queries to it.
-
-    Raises:
-      TimeoutError: it was not made by ``end_s`` of `time.perf_counter`.
-    """
-    if not has_cost_to_go(problem):
-        field = symmetric_costs(problem, problem.goal, end_s)
-        if problem.cost_model.kind == "cell":
-            half = 0.5 * (problem.cost[problem.goal] - np.where(problem.is_free, problem.cost, 0.0))
-            field = np.maximum(field + half, 0.0)  # rounding might leave less
-        problem.shared["cost_to_go"] = problem.goal, field
-    kept: np.ndarray = problem.shared["cost_to_go"][1]
-    return kept
-
-
-def has_cost_to_go(problem: Problem) -> bool:
-    """Return whether the costs to the problem's goal are there already."""
-    return bool(problem.shared.get("cost_to_go", (None,))[0] == problem.goal)
 
 
 def should_use(problem: Problem, budget_s: float) -> tuple[bool, str]:

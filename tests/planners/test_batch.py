@@ -16,7 +16,7 @@ from jaxurban.planners.batch import FEW_TO_ONE_GOAL, GPU_BATCH, solve_many
 from jaxurban.planners.landmarks import FEW_QUERIES
 from jaxurban.planners.moves import STEPS
 from jaxurban.planners.search import frontier as frontier_module
-from jaxurban.planners.search.fields import share_cost_to_go
+from jaxurban.planners.search.fields import cost_to_go
 from jaxurban.planners.search.frontier import solve_by_frontier
 
 SHAPE = (21, 34)
@@ -137,7 +137,7 @@ def test_the_frontier_is_exact_for_every_band_on_many_maps_at_once(band_steps):
 def test_the_cost_to_go_equals_dijkstras_everywhere(backend, cost_model, moves):
     for seed in range(4):
         problem = random_queries(random_map(seed, cost_model, *moves), 1, seed)[0]
-        field = share_cost_to_go(problem, backend)
+        field = cost_to_go(problem, backend)
         np.testing.assert_allclose(
             field[problem.is_free], dijkstra_to_goal(problem)[problem.is_free], rtol=1e-11, atol=1e-11
         )
@@ -151,8 +151,8 @@ def test_a_winding_corridor_of_one_cell_is_walked_to_its_end(backend):
     assert expected > 300
     paths = dict(solve_many(problems, backend=backend))
     assert [paths[k].cost for k in (3, 4)] == pytest.approx([expected] * 2)
-    assert share_cost_to_go(inward, backend)[inward.start] == pytest.approx(expected)
-    assert share_cost_to_go(outward, backend)[outward.start] == pytest.approx(expected)
+    assert cost_to_go(inward, backend)[inward.start] == pytest.approx(expected)
+    assert cost_to_go(outward, backend)[outward.start] == pytest.approx(expected)
 
 
 @pytest.mark.parametrize("backend", ["numba", "jax"])
@@ -307,5 +307,5 @@ def test_every_problem_of_movingai_is_optimal_by_every_backend(data_dir, name, n
 def test_every_problem_of_movingai_starts_at_its_length_in_the_cost_to_go(data_dir, name, num, backend):
     problems, lengths = movingai_problems(data_dir, name)
     for problem, length in zip(problems, lengths, strict=True):
-        assert share_cost_to_go(problem, backend)[problem.start] == pytest.approx(length, abs=1e-3)
+        assert cost_to_go(problem, backend)[problem.start] == pytest.approx(length, abs=1e-3)
     assert len(lengths) == num
