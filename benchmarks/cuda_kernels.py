@@ -31,6 +31,7 @@ from jaxurban.metrics.weights import Weights
 from jaxurban.planners import refine
 from jaxurban.planners.bitstar.bulk import BULK
 from jaxurban.planners.moves import STEPS
+from jaxurban.planners.search.fields import TILE_WORK
 from jaxurban.planners.search.frontier import CELLS_TOGETHER, QUERIES_TOGETHER
 from jaxurban.studies.sensitivity import buildings
 from jaxurban.studies.tuning import confidence, fenchel_young, target_fit
@@ -147,6 +148,25 @@ def open_cells() -> frontier.Frontier:
     list_size = 2 * len(STEPS) * TOGETHER["num_together"] + NUM_QUERIES
     with jax.enable_x64(True):
         return jax.eval_shape(lambda: frontier.empty_frontier(NUM_QUERIES, NUM_CELLS, list_size))
+
+
+NUM_GOALS, FIELDS = 16, TILE_WORK["gpu"]
+FIELD_GOALS = int32(NUM_GOALS, 2), int32(NUM_GOALS)
+FIELD_MAPS = cost_to_go.FieldMaps(
+    float64(4, *REGION), array(4, *REGION, dtype=jnp.uint8), *[float64(4, 8)] * 3, float64(4)
+)
+FIELD_WORK = {
+    "steps": STEPS,
+    "num_together": min(FIELDS.tiles_a_field * NUM_GOALS, FIELDS.max_tiles),
+    "tile": FIELDS.tile,
+    "num_passes": FIELDS.num_passes,
+    "unroll": FIELDS.unroll,
+}
+
+
+def open_fields() -> cost_to_go.CostFields:
+    with jax.enable_x64(True):
+        return jax.eval_shape(lambda *goals: cost_to_go.begin(*goals, REGION, FIELDS.tile), *FIELD_GOALS)
 
 
 NAMES = ("distance", "gps", "lidar", "population", "risk")
@@ -331,12 +351,8 @@ KERNELS: dict[str, Callable[[], Call]] = {
     ),
     "edges of BIT*, line": lambda: Call(segment_costs.segment_costs, EDGES, LINE, True),
     "edges of BIT*, cell": lambda: Call(segment_costs.segment_costs, EDGES, CELL, True),
-    "cost-to-go by rows": lambda: Call(
-        cost_to_go.cost_to_go,
-        (float64(1, *REGION), float64(*REGION), array(*REGION, dtype=jnp.uint8), float64(8), float64(8), float64(8)),
-        {"steps": STEPS, "max_rounds": WHOLE},
-        True,
-    ),
+    "fields: begin": lambda: Call(cost_to_go.begin, FIELD_GOALS, {"shape": REGION, "tile": FIELDS.tile}, True),
+    "fields: advance": lambda: Call(cost_to_go.advance, (open_fields(), FIELD_MAPS, WHOLE), FIELD_WORK, True),
     "frontier: begin": lambda: Call(
         frontier.begin, (open_cells(), grids(), WHOLE, WHOLE, WHOLE, WHOLE, float64()), {}, True
     ),

@@ -27,7 +27,7 @@ from jaxurban.metrics.visibility import visibility
 from jaxurban.planners.base import Problem
 from jaxurban.planners.batch import solve_many
 from jaxurban.planners.bitstar.planner import BitStarOptions, bitstar_plus
-from jaxurban.planners.search.fields import share_cost_to_go
+from jaxurban.planners.search.fields import cost_to_go
 from jaxurban.world.grid import Grid
 from jaxurban.world.surface import Surface
 
@@ -265,7 +265,7 @@ def fields(run: Run) -> None:
 
         def costs(backend: str = backend) -> np.ndarray:
             query.shared.pop("cost_to_go", None)  # the map keeps the last goal's
-            return share_cost_to_go(query, backend)
+            return cost_to_go(query, backend)
 
         run.timed("costs from everywhere to one goal", costs, query.cost.size, "cells", COST, by=backend)
 

@@ -14,7 +14,7 @@ from jaxurban.metrics.visibility import visibility
 from jaxurban.planners.base import Problem
 from jaxurban.planners.batch import solve_many
 from jaxurban.planners.bitstar.planner import BitStarOptions, bitstar_plus
-from jaxurban.planners.search.fields import share_cost_to_go
+from jaxurban.planners.search.fields import cost_to_go
 from jaxurban.world.grid import Grid
 from jaxurban.world.surface import Surface
 
@@ -149,9 +149,9 @@ def test_costs_of_many_queries_are_those_of_numba(gpu, queries):
 
 def test_costs_from_everywhere_to_a_goal_are_dijkstras(gpu, queries):
     query = queries[0]
-    found = share_cost_to_go(query, "jax")
+    found = cost_to_go(query, "jax")
     query.shared.pop("cost_to_go")
-    np.testing.assert_allclose(found, share_cost_to_go(query, "numba"), rtol=1e-9)
+    np.testing.assert_allclose(found, cost_to_go(query, "numba"), rtol=1e-9)
 
 
 def test_bitstar_finds_the_same_cost_at_equal_samples(gpu, queries):
