@@ -193,6 +193,18 @@ def positive(name: str, value: Any, unit: str = "") -> float:
     return number
 
 
+def at_least(name: str, value: Any, least: int = 0) -> int:
+    """Return a whole number that must not be below another, such as a seed.
+
+    Raises:
+      InputError: it is, or is not a whole number.
+    """
+    is_whole = isinstance(value, numbers.Integral) and not isinstance(value, bool)
+    if not is_whole or int(value) < least:
+        raise InputError(f"{name} must be a whole number from {least} up, got {_shown(value)}")
+    return int(value)
+
+
 def finite(name: str, value: Any, unit: str = "") -> float:
     """Return a number (or the one that a text spells) that must be finite, as a float.
 

@@ -174,7 +174,7 @@ def test_a_thing_of_another_kind_is_one_sentence(call, words):
         (lambda: ju.Constraints.read(5), "no_fly must be a text, a path or a sequence, got 5"),
         (lambda: ju.Constraints(5), "zones must be a sequence, got 5"),
         (lambda: ju.MapsFolder(5), "folder must be a text or a path, got 5"),
-        (lambda: ju.demo_city(seed="a"), "seed must be a whole number, got 'a'"),
+        (lambda: ju.demo_city(seed="a"), "seed must be a whole number from 0 up, got 'a'"),
         (lambda: ju.demo_city(width_m=[1]), "width_m must be a number, got list"),
         (lambda: ju.soft_city(MAPS, 6, 7), "city must be City, got MetricMaps"),
         (lambda: ju.build_maps(ju.demo_city(400, 400), resolution_m="a"), "resolution_m must be a number, got 'a'"),
@@ -186,9 +186,15 @@ def test_a_thing_of_another_kind_is_one_sentence(call, words):
         (lambda: ju.read_demonstrations(5, MAPS), "file must be a text or a path, got 5"),
         (lambda: ju.FitSettings(max_rounds="a"), "max_rounds must be a whole number, got 'a'"),
         (lambda: ju.FitSettings(max_rounds=True), "max_rounds must be a whole number, got True"),
+        (lambda: ju.SensitivitySettings(seed=-1), "seed must be a whole number from 0 up, got -1"),
+        (lambda: ju.sample_instances(MAPS, 2, seed=-1), "seed must be a whole number from 0 up, got -1"),
+        (lambda: ju.Levels(level_step_m="x"), "level_step_m must be a"),
         (lambda: ju.SensitivitySettings(vary=5), "vary must be a sequence, got 5"),
         (lambda: ju.BenchmarkSettings(budget_s=-1), "budget_s must be a positive number of seconds, got -1"),
-        (lambda: ju.BenchmarkSettings(budget_iterations=0), "budget_iterations >= 1"),
+        (
+            lambda: ju.BenchmarkSettings(budget_iterations=0),
+            "budget_iterations must be a whole number from 1 up",
+        ),
         (lambda: ju.save_sensitivity(5, "out"), "found must be Sensitivity, got 5"),
         (lambda: ju.study(MAPS, 5, 3), "folder must be a text or a path, got 5"),
     ],
@@ -222,6 +228,14 @@ def test_a_fault_of_a_user_s_function_is_not_laid_to_an_argument():
     layers = {"wind": ju.Layer(broken, "high-is-bad", (0, 12))}
     with pytest.raises(TypeError, match="a fault of the user's"):
         ju.build_maps(ju.demo_city(400, 400), resolution_m=20.0, altitudes_m=(20.0,), times_of_day="day", layers=layers)
+
+
+def test_times_may_be_datetimes_of_any_kind():
+    city, sizes = ju.demo_city(400, 400), {"resolution_m": 50.0, "altitudes_m": (60.0,)}
+    text = ju.build_maps(city, times=["2020-04-27T16:00:00Z"], **sizes)
+    for time in (pd.Timestamp("2020-04-27T16:00"), np.datetime64("2020-04-27T16:00:00.000000000")):
+        assert ju.build_maps(city, times=[time], **sizes).times == text.times
+        np.testing.assert_array_equal(text.m("gps", time=time), text.m("gps", time="2020-04-27T16:00:00Z"))
 
 
 def test_routes_may_come_from_a_generator(paths):

@@ -14,7 +14,7 @@ from jaxtyping import DTypeLike
 from jaxurban.errors import InputError, check_type, typed
 from jaxurban.io.layers import bands_of
 from jaxurban.io.read.guesses import warn_of
-from jaxurban.io.read.orbits import NOMINAL, look_angles, middle_epoch, read_orbits
+from jaxurban.io.read.orbits import NOMINAL, iso_utc, look_angles, middle_epoch, parse_time, read_orbits
 from jaxurban.io.read.rasterise import building_index
 from jaxurban.maps.dataset import empty_dataset, with_series
 from jaxurban.maps.differentiable import SoftCity, SoftParams
@@ -166,6 +166,8 @@ def view_sky(
     Raises:
       InputError: unreadable or stale orbits, or no satellite above the mask at some time.
     """
+    if times is not None:
+        times = [iso_utc(parse_time(time)) for time in times]
     lon_deg, lat_deg = reference if reference is not None else region.centre_lonlat
     satellites = read_orbits(orbits)
     guesses: Guesses = {}

@@ -40,6 +40,9 @@ class Levels:
             value = getattr(self, name)
             if value is not None and finite(name, value, "cost per metre") < 0:
                 raise InputError(f"{name} must be a finite cost per metre >= 0, got {value:g}")
+        for name in ("min_altitude_m", "max_altitude_m", "level_step_m"):
+            if getattr(self, name) is not None:
+                finite(name, getattr(self, name), "metres")
 
     def of(self, altitudes_m: Iterable[float]) -> np.ndarray:
         """Return ``[K]`` ascending levels: the altitudes within the bounds, and with a step also every step between.

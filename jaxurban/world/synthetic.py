@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 import shapely
 
-from jaxurban.errors import InputError, typed
+from jaxurban.errors import InputError, at_least, typed
 from jaxurban.world.city import OTHER_DISTRICT, Blocks, Buildings, City, HeightOrigin, LandCover, Zoning
 from jaxurban.world.grid import WGS84, check_bounds, projected_crs, transformer, utm_crs
 from jaxurban.world.synthetic_streets import DOWNTOWN, MIDTOWN, Box, CityPlan, Part, StreetFrame
@@ -285,6 +285,7 @@ def _erect(rng: np.random.Generator, plan: CityPlan, cells: _Cells) -> tuple[Bui
 
 
 def _build(extent_m: Box, crs: str, seed: int) -> City:
+    at_least("seed", seed)
     plan, rng = CityPlan(extent_m), np.random.default_rng(seed)
     parts = plan.parts()
     buildings, outlines, people, districts = [], [], [], []

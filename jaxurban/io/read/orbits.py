@@ -210,13 +210,15 @@ def _from_omms(messages: Iterable[Any], source: str | Path) -> list[EarthSatelli
     return satellites
 
 
-def parse_time(time: str | datetime) -> datetime:
-    """Return a time in UTC; without an offset it is taken as UTC.
+def parse_time(time: str | datetime | np.datetime64) -> datetime:
+    """Return a time in UTC, to the microsecond; without an offset it is taken as UTC.
 
     Raises:
       InputError: not an ISO 8601 date and time.
     """
     try:
+        if isinstance(time, np.datetime64):
+            time = str(time.astype("datetime64[us]"))
         parsed = time if isinstance(time, datetime) else datetime.fromisoformat(time)
         return parsed.replace(tzinfo=UTC) if parsed.tzinfo is None else parsed.astimezone(UTC)
     except (TypeError, ValueError, OverflowError) as error:

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 from scipy.ndimage import label
 
-from jaxurban.errors import InputError, typed
+from jaxurban.errors import InputError, at_least, typed
 from jaxurban.io.tables import read_table
 from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
 from jaxurban.metrics.registry import METRICS
@@ -106,7 +106,7 @@ def sample_instances(
         maps.check_altitude(altitude_m)
     model, constraints = CostModel.of(cost_model), constraints or Constraints()
     is_free = np.logical_and.reduce([_always_free(maps, z, constraints) for z in altitudes_m])
-    places = _Places(maps, is_free, cover, seed)
+    places = _Places(maps, is_free, cover, at_least("seed", seed))
     names = ("distance", *maps.metrics)
     rows = []
     for k in range(num):

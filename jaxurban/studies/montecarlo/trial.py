@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxurban.errors import InputError, positive, typed
+from jaxurban.errors import InputError, at_least, positive, typed
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.cost_map import CostMap, cost_map
@@ -68,9 +68,9 @@ class BenchmarkSettings:
         for planner in (*self.planners, *self.distance_only):
             find_planner(planner)
         positive("budget_s", self.budget_s, "seconds")
-        if self.seed < 0 or (self.budget_iterations is not None and self.budget_iterations < 1):
-            told = f"{self.seed} and {self.budget_iterations}"
-            raise InputError(f"seed must be >= 0 and budget_iterations >= 1 (or None), got {told}")
+        at_least("seed", self.seed)
+        if self.budget_iterations is not None:
+            at_least("budget_iterations", self.budget_iterations, 1)
 
     @property
     def runs(self) -> list[PlannerRun]:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from jaxurban.errors import InputError, check_type, typed
+from jaxurban.errors import InputError, at_least, check_type, typed
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.path import PlannedPath
@@ -134,6 +134,9 @@ class SensitivitySettings:
     tolerance: float = 1e-3
     max_plans: int = 5000
     seed: int = 0
+
+    def __post_init__(self) -> None:
+        at_least("seed", self.seed)
 
 
 @typed

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxurban.errors import InputError, typed
+from jaxurban.errors import InputError, at_least, typed
 from jaxurban.io.rows import RowStore, fingerprint
 from jaxurban.progress import Progress
 from jaxurban.studies.queries import RouteQuery, maps_of
@@ -47,6 +47,8 @@ class FitSettings:
                 "max_rounds must be >= 1, budget_s > 0 and seed >= 0, got "
                 f"{self.max_rounds}, {self.budget_s} and {self.seed}"
             )
+        if self.workers is not None:
+            at_least("workers", self.workers, 1)
 
     def pool(self, queries: Sequence[RouteQuery], known: Sequence[np.ndarray] = (), **fit: Any) -> RoutePool:
         """Return the routes of a fit; ``fit`` holds, beside the seed, all that its searches follow from.
