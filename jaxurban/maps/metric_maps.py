@@ -30,6 +30,8 @@ def _placed(ds: xr.Dataset) -> xr.Dataset:
     Raises:
       InputError: cells that are not side by side.
     """
+    if not {"y", "x"} <= {*ds.coords}:  # the attributes alone say it
+        return ds
     side_m, first = float(ds.attrs["resolution_m"]), {}
     for axis, name in (("y", "first_row"), ("x", "first_col")):
         at_m = ds[axis].values
