@@ -17,7 +17,8 @@ from benchmarks.bitstar_ompl import far_apart, solve_with_ompl
 from benchmarks.printed_heuristic import made_up_problem, random_pairs
 from jaxurban.planners.base import Path, Problem
 from jaxurban.planners.bitstar.batched import solve_batched
-from jaxurban.planners.bitstar.planner import BitStarOptions, bitstar_plus
+from jaxurban.planners.bitstar.batches import BitStarOptions
+from jaxurban.planners.bitstar.planner import bitstar_plus
 
 BACKENDS = ("numba", "jax")
 

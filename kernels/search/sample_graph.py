@@ -60,7 +60,7 @@ class Sizes(NamedTuple):
     Attributes:
       candidates: nodes that the nine squares around a node may hold.
       edges: edges in the mean of all ``N``.
-      nodes_together, edges_together: of one turn; powers of two that divide ``N``.
+      nodes_together, edges_together: of one turn; they divide ``N``, and ``edges * N``.
     """
 
     candidates: int
@@ -118,12 +118,12 @@ def search_samples(
 
     All pairs of nodes within the radius are joined, but for edges whose lower bound says that they cannot lead to a
     cheaper path than those known; each edge is costed by `segment_costs`, in both directions. Costs are relaxed, all
-    nodes together, until none falls, so that the goal's ``g`` is that of Dijkstra's search.
+    nodes together, until none falls, so that the goal's ``g`` is that of Dijkstra's search, or the one given.
 
     Call it under ``jax.enable_x64(True)``.
 
     Args:
-      samples: the nodes; ``N`` a multiple of ``sizes.nodes_together`` and ``sizes.edges_together``.
+      samples: the nodes.
       cell_cost, per_side, passes_corners, is_line: the map of all queries, as in `segment_costs`.
       sizes: room; too little is told in the result, and nothing is searched then.
     """
@@ -178,7 +178,11 @@ def neighbours(samples: Samples, shape: tuple[int, ...], sizes: Sizes) -> tuple[
     """
     square, num_cols = _squares(samples, shape)
     west = square[:, None] + num_cols[:, None] * jnp.arange(-1, 2) - 1
-    begin, end = jnp.searchsorted(square, west, side="left"), jnp.searchsorted(square, west + 2, side="right")
+    # Unrolled, as the loop would be one launch a step.
+    begin, end = (
+        jnp.searchsorted(square, ends, side=side, method="scan_unrolled")
+        for ends, side in ((west, "left"), (west + 2, "right"))
+    )
     is_node = samples.query != NO_QUERY
     ends = jnp.cumsum(jnp.where(is_node[:, None], end - begin, 0), axis=1).astype(jnp.int32)  # of three rows of squares
     begin = begin.astype(jnp.int32).at[:, 1:].add(-ends[:, :2])  # so that slot k of row r of squares is begin + k

@@ -136,7 +136,7 @@ class _Graphs:
                     self._candidates,
                     self._edges,
                     min(NODES_TOGETHER[self.kind], len(samples.g)),
-                    min(EDGES_TOGETHER[self.kind], len(samples.g)),
+                    min(EDGES_TOGETHER[self.kind], self._edges * len(samples.g)),
                 )
                 begin_s = time.perf_counter()
                 _compile(len(samples.g), cell_cost.shape, self._is_line, sizes)

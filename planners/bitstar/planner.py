@@ -43,7 +43,7 @@ def bitstar(
     searches that graph in order of lower bounds, keeping the tree. Batch 0 is the straight segment.
     Edges are costed, and tested for obstacles, over the exact cells that they cross. With a limit of
     batches or samples a run repeats exactly for its seed; the budget and Ctrl-C are heeded within some
-    20 ms of search, and between batches.
+    20 ms of search, and between batches (with the ``"jax"`` backend only there).
 
     The status is OPTIMAL where the cost meets the lower bound, NO_PATH where obstacles part start and
     goal, FEASIBLE where ``target_cost`` or ``min_improvement`` ended the search. Of ``diagonal`` only
