@@ -136,6 +136,7 @@ def test_too_little_room_is_told_and_nothing_is_searched():
     assert trees.num_costed.sum() == 0
 
 
+@pytest.mark.slow
 def test_mapped_over_seeds_it_gives_what_each_gives_alone():
     cell_cost = a_map(5)
     seeds = [samples_of(seed, cell_cost) for seed in (5, 6)]

@@ -145,9 +145,18 @@ def test_a_spent_budget_and_full_arrays_end_the_search_with_what_was_found(monke
 def test_room_that_is_too_small_grows_and_changes_nothing(monkeypatch):
     problems = queries_on_one_map()
     expected = solve(problems, max_samples=100)
-    monkeypatch.setattr(batched, "EDGES", 8)
+    rooms, search = [], batched.search_samples
+
+    def watched(*arrays, sizes, **options):
+        rooms.append(sizes.edges)
+        return search(*arrays, sizes=sizes, **options)
+
+    monkeypatch.setattr(batched, "search_samples", watched)
+    monkeypatch.setattr(batched, "EDGES", 2)
     for index, path in solve(problems, max_samples=100).items():
         np.testing.assert_array_equal(path.points_m, expected[index].points_m)
+    assert rooms == sorted(rooms)
+    assert rooms[-1] > rooms[0] == 2
 
 
 @pytest.mark.parametrize("planner", ["bitstar-dist", "bitstar-plus"])
