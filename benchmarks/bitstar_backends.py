@@ -1,83 +1,123 @@
-"""What BIT* pays for costing its edges in bulk with JAX instead of one by one with Numba.
+"""BIT* whose graphs are searched in bulk by JAX, against Numba's search in order of lower bounds, and OMPL's.
 
-``python -m benchmarks.bitstar_backends``: a synthetic city of 800 x 800 cells at 5 m, line model; equal samples
-and seeds, so that both backends search the same graphs. Prints a Markdown table. Compiling is left out.
+``python -m benchmarks.bitstar_backends``: a synthetic city, line model. One query with equal samples and seeds: costs,
+edges costed and seconds; OMPL's costs at as many samples, where the package ``ompl`` is installed. Then many queries at
+once: how many a second. Prints Markdown tables. Compiling is left out.
 """
 
 import argparse
+import importlib.util
 import math
 import time
 
 import jax
 import numpy as np
 
-from benchmarks.bitstar_ompl import far_apart
-from benchmarks.printed_heuristic import made_up_problem
-from jaxurban.kernels.compiled import compiled
-from jaxurban.kernels.line.segment_cost import CostGrid, segment_cost
-from jaxurban.planners.bitstar.bulk import BULK, BulkCosts
-from jaxurban.planners.bitstar.planner import BitStarOptions, bitstar_plus
-from jaxurban.planners.cost_grid import cost_grid_of
+from benchmarks.bitstar_ompl import far_apart, solve_with_ompl
+from benchmarks.printed_heuristic import made_up_problem, random_pairs
+from jaxurban.planners.base import Path, Problem
+from jaxurban.planners.bitstar.batched import solve_batched
+from jaxurban.planners.bitstar.batches import BitStarOptions
+from jaxurban.planners.bitstar.planner import bitstar_plus
+
+BACKENDS = ("numba", "jax")
 
 
-@compiled()
-def cost_each(cost_grid, start, end, costs):
-    """Cost edges one by one, as the compiled search does."""
-    for k in range(len(costs)):
-        costs[k] = segment_cost(cost_grid, start[k, 0], start[k, 1], end[k, 0], end[k, 1], np.inf)
+def told(paths: list[Path]) -> str:
+    """Return the medians of cost, edges costed and seconds as cells of a table."""
+    cost, num_costed, elapsed_s = (
+        float(np.median([getattr(path, name) for path in paths])) for name in ("cost", "num_expanded", "elapsed_s")
+    )
+    return f"{cost:.3f} | {num_costed:.0f} | {elapsed_s:.3f} s"
 
 
-def edge_seconds(cost_grid: CostGrid, length: float, num_runs: int) -> tuple[float, float]:
-    """Return the median seconds an edge of about ``length`` cell sides takes, by Numba and by JAX."""
-    rng = np.random.default_rng(0)
-    size = np.array(cost_grid.cell_cost.shape[::-1])
-    start = rng.uniform(0, size, (BULK, 2))
-    turn = rng.uniform(0, 2 * np.pi, BULK)
-    end = np.clip(start + length * np.stack([np.cos(turn), np.sin(turn)], axis=1), 1e-6, size - 1e-6)
-    costs, in_bulk = np.empty(BULK), BulkCosts(cost_grid)
-    cost_each(cost_grid, start, end, costs)
-    np.testing.assert_allclose(in_bulk(start, end), costs, rtol=1e-12)
-    seconds: dict[str, list[float]] = {"numba": [], "jax": []}
-    for _ in range(num_runs):
-        for name, work in (
-            ("numba", lambda: cost_each(cost_grid, start, end, costs)),
-            ("jax", lambda: in_bulk(start, end)),
-        ):
-            begin_s = time.perf_counter()
-            work()
-            seconds[name].append((time.perf_counter() - begin_s) / BULK)
-    return float(np.median(seconds["numba"])), float(np.median(seconds["jax"]))
+def one_query(problem: Problem, num_samples: list[int], num_seeds: int, ompl_s: float) -> str:
+    """Return the table of one query at equal samples."""
+    lines = [
+        "| samples | backend | cost, median | edges costed | seconds | against Numba's cost, median (worst) |",
+        "|---|---|---|---|---|---|",
+    ]
+    has_ompl = importlib.util.find_spec("ompl") is not None
+    by_ompl = [solve_with_ompl(problem, ompl_s, seed) for seed in range(num_seeds)] if has_ompl else []
+    if by_ompl:
+        num_samples = [*num_samples, int(np.median([found[1] for found in by_ompl]))]
+    for num in num_samples:
+        paths: dict[str, list[Path]] = {}
+        for backend in BACKENDS:
+            options = BitStarOptions(backend=backend)
+            paths[backend] = [
+                bitstar_plus(problem, budget_s=math.inf, max_samples=num, seed=seed, options=options)
+                for seed in range(num_seeds)
+            ]
+        for backend in BACKENDS:
+            pairs = zip(paths[backend], paths["numba"], strict=True)
+            above = np.array([path.cost / other.cost - 1 for path, other in pairs])
+            lines.append(
+                f"| {num} | {backend} | {told(paths[backend])} | {np.median(above):+.2%} ({above.max():+.2%}) |"
+            )
+    if by_ompl:
+        cost, _, num_edges = np.median(by_ompl, axis=0)
+        lines.append(f"| {num_samples[-1]} | OMPL, {ompl_s:g} s | {cost:.3f} | {num_edges:.0f} | | |")
+    else:
+        lines.append("\nOMPL was left out: the package is not installed beside jaxurban (pip install ompl).")
+    return "\n".join(lines)
+
+
+def many_queries(problem: Problem, num_queries: int, num_samples: int) -> str:
+    """Return the table of many queries at once."""
+    problems = [problem.between(*pair) for pair in random_pairs(problem, num_queries, 0)]
+    run = {
+        "numba": lambda: [bitstar_plus(p, budget_s=math.inf, max_samples=num_samples) for p in problems],
+        "jax": lambda: [
+            path
+            for _, path in sorted(
+                solve_batched(
+                    problems,
+                    planner="bitstar-plus",
+                    heuristic="plus",
+                    seeds=[0] * num_queries,
+                    max_samples=num_samples,
+                )
+            )
+        ],
+    }
+    lines = [
+        "| backend | paths | queries a second | CPU seconds a query | edges costed a query |",
+        "|---|---|---|---|---|",
+    ]
+    found = {}
+    for backend, work in run.items():
+        work()  # compiles
+        begin_s, begin_cpu_s = time.perf_counter(), time.process_time()
+        found[backend] = paths = work()
+        wall_s, cpu_s = time.perf_counter() - begin_s, time.process_time() - begin_cpu_s
+        num_found = sum(path.status.has_path for path in paths)
+        lines.append(
+            f"| {backend} | {num_found} of {num_queries} | {num_queries / wall_s:.1f} "
+            f"| {cpu_s / num_queries:.4f} | {np.mean([path.num_expanded for path in paths]):.0f} |"
+        )
+    costs = np.array([[path.cost for path in found[backend]] for backend in BACKENDS])
+    above = costs[1, np.isfinite(costs).all(axis=0)] / costs[0, np.isfinite(costs).all(axis=0)] - 1
+    spread = f"{np.median(above):+.3%} (least {above.min():+.2%}, most {above.max():+.2%})"
+    return "\n".join([*lines, f"\nCosts in bulk against Numba's where both found a path, median: {spread}."])
 
 
 def main() -> None:
     """Run the comparison that the command line asks for."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--samples", type=int, default=10_000)
+    parser.add_argument("--size", type=int, default=400, help="side of the city, cells")
+    parser.add_argument("--samples", type=int, nargs="+", default=[1000, 4000])
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--query", type=int, default=1, help="seed of start and goal")
+    parser.add_argument("--queries", type=int, default=64, help="at once")
+    parser.add_argument("--samples-each", type=int, default=1000, help="of many queries")
+    parser.add_argument("--ompl-budget", type=float, default=10.0, help="seconds")
     options = parser.parse_args()
-    problem = far_apart(made_up_problem("line", 0, 800, 800), options.query)
-    cost_grid = cost_grid_of(problem, problem.is_free)
-    print(f"JAX on {jax.devices()[0].device_kind}\n")
-    print("| work | Numba | JAX | JAX over Numba |\n|---|---|---|---|")
-    for length in (5.0, 20.0, 80.0):
-        numba_s, jax_s = edge_seconds(cost_grid, length, 20)
-        print(
-            f"| an edge of {length:g} cells, {BULK} in bulk | {1e6 * numba_s:.3f} us | {1e6 * jax_s:.3f} us "
-            f"| {jax_s / numba_s:.1f} |"
-        )
-    elapsed_s: dict[str, list[float]] = {"numba": [], "jax": []}
-    num_costed: dict[str, list[int]] = {"numba": [], "jax": []}
-    for seed in range(options.seeds):
-        for backend in ("numba", "jax"):
-            how = {"max_samples": options.samples, "options": BitStarOptions(backend=backend)}
-            path = bitstar_plus(problem, budget_s=math.inf, seed=seed, **how)
-            elapsed_s[backend].append(path.elapsed_s)
-            num_costed[backend].append(path.num_expanded)
-    numba_s, jax_s = (float(np.median(seconds)) for seconds in elapsed_s.values())
-    edges = " and ".join(f"{np.median(counts):.0f}" for counts in num_costed.values())
-    work = f"a search of {options.samples} samples ({edges} edges)"
-    print(f"| {work} | {numba_s:.2f} s | {jax_s:.2f} s | {jax_s / numba_s:.1f} |")
+    problem = made_up_problem("line", 0, options.size, options.size)
+    print(f"JAX on {jax.devices()[0].device_kind}; {options.size} x {options.size} cells\n")
+    print(one_query(far_apart(problem, options.query), options.samples, options.seeds, options.ompl_budget))
+    print(f"\n{options.queries} random queries at once, {options.samples_each} samples each:\n")
+    print(many_queries(problem, options.queries, options.samples_each))
 
 
 if __name__ == "__main__":

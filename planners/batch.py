@@ -16,6 +16,7 @@ import numpy as np
 
 from jaxurban.errors import InputError
 from jaxurban.planners.base import Cell, Path, Problem
+from jaxurban.planners.bitstar.batched import solve_batched
 from jaxurban.planners.checks import check_budget
 from jaxurban.planners.heuristics import AUTO
 from jaxurban.planners.landmarks import FEW_QUERIES, NUM_LANDMARKS, make_landmarks
@@ -33,6 +34,7 @@ Outcome = tuple[int, Path | Exception]
 
 EXACT_PLANNERS = ("astar-dist", "astar-plus")  # which the frontier search can stand for
 FRONTIER_HEURISTICS = (None, AUTO, "octile")
+SAMPLING_PLANNERS = ("bitstar-dist", "bitstar-plus")  # whose batches `solve_batched` searches in bulk
 FEW_TO_ONE_GOAL = 8  # queries to one goal from which the costs to it are computed for the whole map
 GOALS_TOGETHER = {"numba": 1, "jax": FIELDS_TOGETHER}  # whose fields are made, and held, at once
 GPU_BATCH = 32  # queries from which a GPU is worth its start
@@ -55,10 +57,10 @@ def solve_many(
 
     - ``"numba"``: the planner itself, query by query, on ``num_threads`` threads. The compiled A* leaves them
       free to run side by side.
-    - ``"jax"``: the frontier search for all queries together (see `solve_by_frontier`); only for
-      ``astar-dist`` and ``astar-plus``, whose results it gives.
-    - ``"auto"``: ``"jax"`` where JAX has a GPU, the planner is one of these and there are at least `GPU_BATCH`
-      queries; else ``"numba"``, which is several times as fast on a CPU.
+    - ``"jax"``: all queries together; for ``astar-dist`` and ``astar-plus`` by the frontier search, which gives their
+      results (see `solve_by_frontier`), for ``bitstar-dist`` and ``bitstar-plus`` batch by batch (see `solve_batched`).
+    - ``"auto"``: ``"jax"`` where JAX has a GPU, the planner is ``astar-dist`` or ``astar-plus`` and there are at least
+      `GPU_BATCH` queries; else ``"numba"``, which is several times as fast on a CPU.
 
     Where the planner chooses its heuristic itself, as ``astar-plus`` does, what queries share is made first,
     within half of the budgets of those that share it: the costs to goals that at least `FEW_TO_ONE_GOAL` queries on a
@@ -84,12 +86,15 @@ def solve_many(
     check_budget(budget_s)
     if num_threads is not None and num_threads < 1:
         raise InputError(f"num_threads must be at least 1, got {num_threads}")
+    if backend == "jax" and planner in SAMPLING_PLANNERS:
+        chosen, seeds = heuristic or PLANNERS[planner].default_heuristic, [seed] * len(problems)
+        return solve_batched(problems, planner=planner, heuristic=chosen, seeds=seeds, budget_s=budget_s)
     makes_fields_by = backend
     is_for_frontier = planner in EXACT_PLANNERS and heuristic in FRONTIER_HEURISTICS
     if backend == "jax" and not is_for_frontier:
         raise InputError(
-            f"backend 'jax' runs {' and '.join(EXACT_PLANNERS)} with heuristic octile, not {planner!r} with "
-            f"{heuristic or 'its own'}: take backend='numba'"
+            f"backend 'jax' runs {' and '.join(EXACT_PLANNERS)} with heuristic octile, and "
+            f"{' and '.join(SAMPLING_PLANNERS)}, not {planner!r} with {heuristic or 'its own'}: take backend='numba'"
         )
     if backend == "auto":
         has_gpu = is_for_frontier and len(problems) >= GPU_BATCH and jax.default_backend() != "cpu"

@@ -13,8 +13,9 @@ import jaxurban as ju
 from figures.paper.common import Caption, save
 from jaxurban.planners.astar import astar
 from jaxurban.planners.base import Problem
+from jaxurban.planners.bitstar.batches import Batch, BitStarOptions
 from jaxurban.planners.bitstar.bounds import make_bounds
-from jaxurban.planners.bitstar.planner import Batch, BitStarOptions, bitstar_plus
+from jaxurban.planners.bitstar.planner import bitstar_plus
 from jaxurban.planners.bitstar.tree import Tree
 from jaxurban.report.figures.frame import (
     FAINT_INK,

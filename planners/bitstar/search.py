@@ -8,9 +8,7 @@ from jaxurban.kernels.compiled import compiled
 from jaxurban.kernels.line.segment_cost import segment_cost
 from jaxurban.kernels.search.heap import EXHAUSTED, FULL, PAUSED, drop_top, place
 
-COSTS_WANTED = 4  # a further end of a chunk of search (see `kernels.search.heap`): edges are to be costed in bulk
 SAMPLE, OLD, FRESH, EXPANDED = 0, 1, 2, 3  # a node's state; all but SAMPLE are in the tree
-NO_PARENT = -1
 NOT_COSTED = -1.0  # a queued edge whose cost is not known yet
 # An edge in the queue: two nodes, and its cost or NOT_COSTED. One from a node to itself stands for the expansion of
 # that node, the paper's vertex queue. Edges are ordered by the least cost of a solution through them.
@@ -164,7 +162,7 @@ def _expand(nodes, queue, graph, node, most):
 
 
 @compiled()
-def advance(cost_grid, nodes, queue, graph, max_taken, wanted):
+def advance(cost_grid, nodes, queue, graph, max_taken):
     """Take edges from the queue until none can improve the solution, or ``max_taken`` entries are done.
 
     An edge is queued by its lower bound and costed when it comes first; where its true cost no longer
@@ -176,18 +174,13 @@ def advance(cost_grid, nodes, queue, graph, max_taken, wanted):
       cost_grid, nodes, graph: see there; nodes are altered.
       queue: a `Heap` of EDGE; altered.
       max_taken: entries of the queue.
-      wanted: ``[W, 2]`` int32 room for edges, origin and target, that the caller is to cost in bulk and
-        to give to `put_back`; ``[0, 2]``: each is costed here. Taking many before any is costed tries
-        some more, and finds a path of the same cost.
 
-    Returns: how the chunk ended (EXHAUSTED: the batch is done), and the edges costed, or wanted.
+    Returns: how the chunk ended (EXHAUSTED: the batch is done), and the edges costed.
     """
-    num_costed = num_wanted = 0
+    num_costed = 0
     goal = graph.goal
     for _ in range(max_taken):
         if queue.size[0] == 0 or queue.f[0] >= nodes.g[goal]:
-            if num_wanted:
-                return COSTS_WANTED, num_wanted
             return EXHAUSTED, num_costed
         edge = queue.item[0]
         node, target, cost = edge.origin, edge.target, edge.cost
@@ -195,22 +188,14 @@ def advance(cost_grid, nodes, queue, graph, max_taken, wanted):
         if node == target:
             if nodes.state[node] == EXPANDED:
                 continue
-            if not _expand(nodes, queue, graph, node, queue.f.size - num_wanted):
+            if not _expand(nodes, queue, graph, node, queue.f.size):
                 _push(queue, nodes.g[node] + nodes.to_goal[node], node, node, NOT_COSTED)
-                if num_wanted:
-                    return COSTS_WANTED, num_wanted
                 return FULL, num_costed
             continue
         g = nodes.g[node]
         if cost == NOT_COSTED:
             limit = min(nodes.best[target], nodes.best[goal] - nodes.to_goal[target]) - g
             if limit <= 0.0:
-                continue
-            if len(wanted):
-                wanted[num_wanted, 0], wanted[num_wanted, 1] = node, target
-                num_wanted += 1
-                if num_wanted == len(wanted):
-                    return COSTS_WANTED, num_wanted
                 continue
             x, y = nodes.xy[node]
             cost = segment_cost(cost_grid, x, y, nodes.xy[target, 0], nodes.xy[target, 1], limit)
@@ -231,18 +216,4 @@ def advance(cost_grid, nodes, queue, graph, max_taken, wanted):
         if target != goal:
             nodes.state[target] = FRESH
             _push(queue, g + cost + nodes.to_goal[target], target, target, NOT_COSTED)
-    if num_wanted:
-        return COSTS_WANTED, num_wanted
     return PAUSED, num_costed
-
-
-@compiled()
-def put_back(nodes, queue, goal, edges, costs):
-    """Queue edges ``[W, 2]`` that `advance` wanted costed, with their ``[W]`` costs."""
-    for k in range(len(edges)):
-        node, target = edges[k]
-        reach = nodes.g[node] + costs[k]
-        f = reach + nodes.to_goal[target]
-        if reach < nodes.best[target] and f < nodes.best[goal]:
-            nodes.best[target] = reach
-            _push(queue, f, node, target, costs[k])

@@ -5,8 +5,9 @@ from typing import Self
 
 import numpy as np
 
+from jaxurban.kernels.search.sample_graph import NO_PARENT
 from jaxurban.planners.bitstar.bounds import Bounds
-from jaxurban.planners.bitstar.search import NO_PARENT, OLD, SAMPLE, Buckets, TreeNodes
+from jaxurban.planners.bitstar.search import OLD, SAMPLE, Buckets, TreeNodes
 
 ROUNDING = 1 + 1e-12  # a node of the best path may seem that much too costly
 

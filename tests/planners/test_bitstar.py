@@ -4,69 +4,35 @@ import time
 from dataclasses import replace
 from functools import partial
 
-import jax
 import numpy as np
 import pytest
-from scipy.ndimage import label
 from scipy.optimize import minimize_scalar
-from scipy.sparse.csgraph import dijkstra
 from shapely import LineString, box, union_all
 
 from jaxurban.errors import InputError
 from jaxurban.planners.base import CostModel, Problem, Status
+from jaxurban.planners.bitstar.batches import BitStarOptions, chosen_backend
 from jaxurban.planners.bitstar.bounds import HEURISTICS, make_bounds
-from jaxurban.planners.bitstar.planner import BitStarOptions, bitstar, bitstar_dist, bitstar_plus
+from jaxurban.planners.bitstar.planner import bitstar, bitstar_dist, bitstar_plus
 from jaxurban.planners.bitstar.samples import InformedSet, graph_radius
 from jaxurban.planners.registry import PLANNERS
+from tests.planners.problems import ends_of, graph_cost, open_problem, reachable, walled_problem
 
 MODELS = ("cell", "line")
 PAIRS = [(bitstar_dist, "line"), (bitstar_plus, "line"), (bitstar_dist, "cell"), (bitstar_plus, "cell")]
 
 
-def open_problem(shape, start, goal, layers=None, cost_model="line", distance_weight=1.0, is_free=None):
-    is_free = np.ones(shape, bool) if is_free is None else is_free
-    layers = np.zeros((1, *shape)) if layers is None else layers
-    return Problem(layers, is_free, start, goal, 2.0, distance_weight, CostModel(cost_model, 4.0))
-
-
-def walled_problem(seed, cost_model, shape=(24, 30)):
-    """A wall with one gap between start and goal, scattered obstacles, and random costs."""
-    rng = np.random.default_rng(seed)
-    is_free = rng.random(shape) < 0.9
-    is_free[:, 15] = False
-    is_free[4:8, 14:17] = True
-    is_free[12, [2, 27]] = True
-    layers = np.where(is_free, rng.random((2, *shape)), np.nan)
-    return open_problem(shape, (12, 2), (12, 27), layers, cost_model, 0.2, is_free)
-
-
-def reachable(problem):
-    islands, _ = label(problem.is_free)
-    return islands == islands[problem.start]
-
-
-def graph_cost(problem, xy, radius):
-    """Least cost from node 0 to node 1 over all edges within the radius, by SciPy."""
-    edges = np.zeros((len(xy), len(xy)))
-    for i, j in np.argwhere(np.hypot(*(xy[:, None] - xy).transpose(2, 0, 1)) <= radius):
-        if i != j:
-            cost = problem.cost_of(xy[[i, j]] * problem.resolution_m)
-            edges[i, j] = cost if np.isfinite(cost) else 0.0
-    return dijkstra(edges, indices=0)[1]
-
-
-def ends_of(problem):
-    return np.array([[cell[1] + 0.5, cell[0] + 0.5] for cell in (problem.start, problem.goal)])
-
-
+@pytest.mark.parametrize("backend", ["numba", "jax"])
 @pytest.mark.parametrize("heuristic", HEURISTICS)
 @pytest.mark.parametrize("cost_model", MODELS)
-def test_one_batch_finds_the_best_path_of_its_graph(cost_model, heuristic):
+def test_one_batch_finds_the_best_path_of_its_graph(cost_model, heuristic, backend):
     num_found = 0
     for seed in range(4):
         problem = walled_problem(seed, cost_model)
         is_joined = reachable(problem)
-        path = bitstar(problem, heuristic=heuristic, seed=seed, options=BitStarOptions(150, growth=0, max_batches=1))
+        options = BitStarOptions(150, growth=0, max_batches=1, backend=backend)
+        path = bitstar(problem, heuristic=heuristic, seed=seed, options=options)
+        assert path.backend == backend
         informed = InformedSet(make_bounds(heuristic, problem, is_joined), is_joined)
         xy = np.concatenate([ends_of(problem), informed.sample(150, np.random.default_rng(seed))])
         best = graph_cost(problem, xy, graph_radius(len(xy), informed.measure, 1.1))
@@ -75,29 +41,9 @@ def test_one_batch_finds_the_best_path_of_its_graph(cost_model, heuristic):
     assert num_found > 1
 
 
-@pytest.mark.parametrize("cost_model", MODELS)
-def test_edges_costed_in_bulk_by_jax_lead_to_the_same_costs(cost_model):
-    for seed in range(3):
-        problem = walled_problem(seed, cost_model)
-        run = partial(bitstar_plus, problem, budget_s=np.inf, max_samples=1500, seed=seed)
-        in_bulk, again = (run(options=BitStarOptions(backend="jax")) for _ in range(2))
-        in_turn = run()
-        assert (in_turn.backend, in_bulk.backend) == ("numba", "jax")
-        for (_, num_samples, cost), (_, num_in_bulk, cost_in_bulk) in zip(
-            in_turn.history[:4], in_bulk.history[:4], strict=True
-        ):
-            assert (num_samples, cost) == (num_in_bulk, pytest.approx(cost_in_bulk, rel=1e-9))
-        assert in_bulk.cost == pytest.approx(in_turn.cost, rel=0.02)
-        assert in_bulk.cost == problem.cost_of(in_bulk.points_m)
-        np.testing.assert_array_equal(in_bulk.points_m, again.points_m)
-        assert in_bulk.num_expanded >= in_turn.num_expanded
-
-
-def test_auto_picks_numba_where_jax_has_a_cpu_only():
-    expected = "numba" if jax.default_backend() == "cpu" else "jax"
-    assert (
-        bitstar_dist(open_problem((4, 4), (0, 0), (3, 2)), options=BitStarOptions(backend="auto")).backend == expected
-    )
+def test_auto_picks_numba():
+    assert chosen_backend("auto") == "numba"
+    assert bitstar_dist(open_problem((4, 4), (0, 0), (3, 2)), options=BitStarOptions(backend="auto")).backend == "numba"
 
 
 def test_each_later_batch_finds_the_best_path_of_its_graph_or_a_better_one():

@@ -13,7 +13,8 @@ from jaxurban.errors import InputError
 from jaxurban.planners.any_angle import theta_star
 from jaxurban.planners.astar import astar
 from jaxurban.planners.base import CostModel, Problem, Status
-from jaxurban.planners.bitstar.planner import BitStarOptions, bitstar
+from jaxurban.planners.bitstar.batches import BitStarOptions
+from jaxurban.planners.bitstar.planner import bitstar
 from jaxurban.planners.ptp import ptp
 from jaxurban.planners.refine import refine
 

@@ -1,0 +1,310 @@
+"""Random geometric graphs searched in bulk: neighbours, edge costs and relaxation over all samples at once.
+
+The samples of many queries are one graph of many parts, since nodes are joined to those of their own query only. So one
+call serves queries of any sizes and stages, and its shapes depend on nothing but the number of all their nodes.
+"""
+
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from jaxurban.kernels.line.segment_costs import segment_costs
+
+NO_PARENT = -1
+NO_QUERY = -1
+BY_TREE = -1  # in place of an edge's number: the parent in the tree given, or none
+MOST_SQUARES = 1 << 12  # along a side of the map, so that a square's number fits beside its query's
+SQUARES_OF_A_QUERY = 1 << 26
+
+
+class Samples(NamedTuple):
+    """Nodes of all queries: starts, goals and samples, those of no query (`NO_QUERY`) last. ``N`` nodes, in cell sides.
+
+    No path from the start reaches a node for less than ``from_start``, nor the goal from there for less than
+    ``to_goal``; an edge costs at least ``least_per_side`` times its length, ``enter`` of its end, and the larger of the
+    differences of ``row_at`` and ``col_at`` (see `planners.bitstar.bounds.Bounds`).
+
+    Attributes:
+      query: ``[N]`` int32.
+      xy: ``[N, 2]`` float64, off the borders of cells.
+      radius: ``[N]`` nodes of a query this near each other are joined; the same for all of a query.
+      incumbent: ``[N]`` cost of the query's best path, inf without one: edges that cannot lead to a cheaper one are
+        left out.
+      least_per_side, from_start, to_goal, row_at, col_at, enter: ``[N]`` the bounds.
+      g: ``[N]`` cost of the path through the query's tree, 0 at the start, inf outside the tree.
+      parent: ``[N]`` int32, `NO_PARENT` at the start and outside the tree.
+      edge_cost: ``[N]`` cost of the edge from the parent.
+    """
+
+    query: Array
+    xy: Array
+    radius: Array
+    incumbent: Array
+    least_per_side: Array
+    from_start: Array
+    to_goal: Array
+    row_at: Array
+    col_at: Array
+    enter: Array
+    g: Array
+    parent: Array
+    edge_cost: Array
+
+
+class Sizes(NamedTuple):
+    """Room in the arrays of a search, and how much is done in one turn; each choice compiles anew. ``N`` nodes.
+
+    Attributes:
+      candidates: nodes that the nine squares around a node may hold.
+      edges: edges in the mean of all ``N``.
+      nodes_together, edges_together: of one turn; they divide ``N``, and ``edges * N``.
+    """
+
+    candidates: int
+    edges: int
+    nodes_together: int
+    edges_together: int
+
+
+class Edges(NamedTuple):
+    """Edges in a list with room for ``E``: in the first ``num`` places, what lies behind means nothing.
+
+    Attributes:
+      origin, target: ``[E]`` int32 nodes.
+      cost: ``[E]`` float64.
+      num: int32.
+    """
+
+    origin: Array
+    target: Array
+    cost: Array
+    num: Array
+
+
+class Trees(NamedTuple):
+    """What a search found. ``N`` nodes.
+
+    Attributes:
+      g, parent, edge_cost: ``[N]`` as in `Samples`; where ``most_candidates`` or ``num_edges`` are more than there is
+        room for, they are what was given.
+      num_costed: ``[N]`` int32 edges to each node whose cost was computed.
+      num_rounds: of relaxation.
+      most_candidates, num_edges: the room that would do (``num_edges`` is known only where candidates have room).
+    """
+
+    g: Array
+    parent: Array
+    edge_cost: Array
+    num_costed: Array
+    num_rounds: Array
+    most_candidates: Array
+    num_edges: Array
+
+
+@partial(jax.jit, static_argnames=("is_line", "sizes"))
+def search_samples(
+    samples: Samples,
+    cell_cost: Array,
+    per_side: float | Array,
+    passes_corners: bool | Array,
+    *,
+    is_line: bool,
+    sizes: Sizes,
+) -> Trees:
+    """Return the cheapest paths from every query's start over its random geometric graph and the tree given.
+
+    All pairs of nodes within the radius are joined, but for edges whose lower bound says that they cannot lead to a
+    cheaper path than those known; each edge is costed by `segment_costs`, in both directions. Costs are relaxed, all
+    nodes together, until none falls, so that the goal's ``g`` is that of Dijkstra's search, or the one given.
+
+    Call it under ``jax.enable_x64(True)``.
+
+    Args:
+      samples: the nodes.
+      cell_cost, per_side, passes_corners, is_line: the map of all queries, as in `segment_costs`.
+      sizes: room; too little is told in the result, and nothing is searched then.
+    """
+    order = jnp.argsort(_squares(samples, cell_cost.shape)[0]).astype(jnp.int32)
+    place = jnp.zeros_like(order).at[order].set(jnp.arange(order.size, dtype=jnp.int32))
+
+    def renumbered(parent: Array, number: Array) -> Array:
+        return jnp.where(parent == NO_PARENT, NO_PARENT, number[jnp.maximum(parent, 0)])
+
+    ordered = Samples(*(values[order] for values in samples))
+    ordered = ordered._replace(parent=renumbered(ordered.parent, place))
+    edges, num_costed, most_candidates = neighbours(ordered, cell_cost.shape, sizes)
+    num_edges = edges.num
+    edges = edges._replace(num=jnp.where(num_edges <= edges.cost.size, num_edges, 0))
+    edges = costed(edges, ordered, cell_cost, per_side, passes_corners, is_line, sizes)
+    g, parent, edge_cost, num_rounds = relaxed(edges, ordered, sizes)
+    return Trees(
+        g[place],
+        renumbered(parent[place], order),
+        edge_cost[place],
+        num_costed[place],
+        num_rounds,
+        most_candidates,
+        num_edges,
+    )
+
+
+def _squares(samples: Samples, shape: tuple[int, ...]) -> tuple[Array, Array]:
+    """Return ``[N]`` the number of the square that holds each node, and the squares in a row.
+
+    Squares are no smaller than the radius, and have a frame of empty ones, so that squares side by side in different
+    rows or queries never follow each other.
+    """
+    longest = float(max(shape))
+    side = jnp.clip(samples.radius, longest / MOST_SQUARES, longest)
+    num_cols = (longest / side).astype(jnp.int64) + 3
+    col, row = (jnp.floor(samples.xy / side[:, None]).astype(jnp.int64) + 1).T
+    square = samples.query.astype(jnp.int64) * SQUARES_OF_A_QUERY + row * num_cols + col
+    return jnp.where(samples.query == NO_QUERY, jnp.iinfo(jnp.int64).max, square), num_cols
+
+
+def neighbours(samples: Samples, shape: tuple[int, ...], sizes: Sizes) -> tuple[Edges, Array, Array]:
+    """Return the edges within the radius, yet without costs, ``[N]`` how many lead to each node, and `most_candidates`.
+
+    An edge is kept where by its lower bound it may give its end a lower cost than it has, and the query a cheaper path.
+    Where edges lack room their number tells it; where candidates do, no edge is kept.
+
+    Args:
+      samples: sorted by square.
+      shape: rows and columns of the map.
+      sizes: room.
+    """
+    square, num_cols = _squares(samples, shape)
+    west = square[:, None] + num_cols[:, None] * jnp.arange(-1, 2) - 1
+    # Unrolled, as the loop would be one launch a step.
+    begin, end = (
+        jnp.searchsorted(square, ends, side=side, method="scan_unrolled")
+        for ends, side in ((west, "left"), (west + 2, "right"))
+    )
+    is_node = samples.query != NO_QUERY
+    ends = jnp.cumsum(jnp.where(is_node[:, None], end - begin, 0), axis=1).astype(jnp.int32)  # of three rows of squares
+    begin = begin.astype(jnp.int32).at[:, 1:].add(-ends[:, :2])  # so that slot k of row r of squares is begin + k
+    most_candidates = ends[:, 2].max()
+    num_nodes = jnp.where(most_candidates <= sizes.candidates, jnp.sum(is_node), 0)
+    slot = jnp.arange(sizes.candidates, dtype=jnp.int32)
+    num_places = sizes.edges * square.size
+
+    def turn(carry: tuple[Edges, Array, Array]) -> tuple[Edges, Array, Array]:
+        edges, num_of_node, first = carry
+
+        def here(values: Array) -> Array:
+            return jax.lax.dynamic_slice_in_dim(values, first, sizes.nodes_together)[:, None]
+
+        last, start = here(ends)[:, 0], here(begin)[:, 0]
+        in_row = [slot < last[:, :1], slot < last[:, 1:2]]
+        origin = slot + jnp.where(in_row[0], start[:, :1], jnp.where(in_row[1], start[:, 1:2], start[:, 2:]))
+        is_edge = slot < last[:, 2:]
+        origin = jnp.where(is_edge, origin, 0)
+        node = jnp.broadcast_to(first + jnp.arange(sizes.nodes_together, dtype=jnp.int32)[:, None], origin.shape)
+        dx, dy = samples.xy[origin, 0] - here(samples.xy[:, 0]), samples.xy[origin, 1] - here(samples.xy[:, 1])
+        distance = jnp.sqrt(dx * dx + dy * dy)
+        map_part = jnp.maximum(
+            jnp.abs(samples.row_at[origin] - here(samples.row_at)),
+            jnp.abs(samples.col_at[origin] - here(samples.col_at)),
+        )
+        reach = samples.from_start[origin] + here(samples.least_per_side) * distance + here(samples.enter) + map_part
+        is_edge &= (distance <= here(samples.radius)) & (origin != node)
+        is_edge &= (reach < here(samples.g)) & (reach + here(samples.to_goal) < here(samples.incumbent))
+        num_here = jnp.sum(is_edge, axis=1, dtype=jnp.int32)
+        behind = edges.num + jnp.cumsum(num_here)
+        place = (behind - num_here)[:, None] + jnp.cumsum(is_edge, axis=1, dtype=jnp.int32) - 1
+        place = jnp.where(is_edge, place, num_places)  # out of bounds, hence dropped
+        edges = edges._replace(
+            origin=edges.origin.at[place].set(origin, mode="drop"),
+            target=edges.target.at[place].set(node, mode="drop"),
+            num=behind[-1],
+        )
+        num_of_node = jax.lax.dynamic_update_slice_in_dim(num_of_node, num_here, first, 0)
+        return edges, num_of_node, first + sizes.nodes_together
+
+    nowhere = jnp.zeros(num_places, jnp.int32)
+    edges = Edges(nowhere, nowhere, jnp.zeros(num_places), jnp.int32(0))
+    carry = (edges, jnp.zeros(square.size, jnp.int32), jnp.int32(0))
+    edges, num_of_node, _ = jax.lax.while_loop(lambda carry: carry[2] < num_nodes, turn, carry)
+    return edges, num_of_node, most_candidates
+
+
+def costed(
+    edges: Edges,
+    samples: Samples,
+    cell_cost: Array,
+    per_side: float | Array,
+    passes_corners: bool | Array,
+    is_line: bool,
+    sizes: Sizes,
+) -> Edges:
+    """Return those of the edges with their costs that, by their costs, may still help; the others are dropped.
+
+    So many are costed in each turn that no place goes empty.
+    """
+
+    def turn(carry: tuple[Edges, Array]) -> tuple[Edges, Array]:
+        kept, first = carry
+        is_edge = first + jnp.arange(sizes.edges_together) < edges.num
+        origin, target = (
+            jnp.where(is_edge, jax.lax.dynamic_slice_in_dim(nodes, first, sizes.edges_together), 0)
+            for nodes in (kept.origin, kept.target)
+        )
+        start, end = samples.xy[origin], samples.xy[target]
+        cost = segment_costs(cell_cost, start, end, per_side, is_line, passes_corners)
+        reach = samples.from_start[origin] + cost
+        is_kept = is_edge & (reach < samples.g[target]) & (reach + samples.to_goal[target] < samples.incumbent[target])
+        behind = kept.num + jnp.cumsum(is_kept, dtype=jnp.int32)
+        place = jnp.where(is_kept, behind - 1, edges.cost.size)  # at or before the edge's own
+        kept = Edges(
+            kept.origin.at[place].set(origin, mode="drop"),
+            kept.target.at[place].set(target, mode="drop"),
+            kept.cost.at[place].set(cost, mode="drop"),
+            behind[-1],
+        )
+        return kept, first + sizes.edges_together
+
+    carry = (edges._replace(num=jnp.int32(0)), jnp.int32(0))
+    return jax.lax.while_loop(lambda carry: carry[1] < edges.num, turn, carry)[0]
+
+
+def relaxed(edges: Edges, samples: Samples, sizes: Sizes) -> tuple[Array, Array, Array, Array]:
+    """Return ``[N]`` g, parent and edge_cost when no edge, nor the tree given, lowers a cost, and the rounds done.
+
+    Each round looks at the edges of the tree given, then at all others, a turn's together. Parents change with a
+    strictly lower cost only, so that they lead back to the start even where edges cost nothing.
+    """
+    num_places = edges.cost.size
+    is_child = samples.parent != NO_PARENT
+    tree_parent = jnp.maximum(samples.parent, 0)
+    tree_cost = jnp.where(is_child, samples.edge_cost, jnp.inf)
+
+    def one_turn(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+        g, reached_by, first = carry
+        origin, target, cost = (
+            jax.lax.dynamic_slice_in_dim(values, first, sizes.edges_together) for values in edges[:3]
+        )
+        edge = first + jnp.arange(sizes.edges_together, dtype=jnp.int32)
+        reach = jnp.where(edge < edges.num, g[origin] + cost, jnp.inf)
+        lowest = g.at[target].min(reach)
+        is_better = (reach < g[target]) & (reach == lowest[target])
+        reached_by = reached_by.at[jnp.where(is_better, target, g.size)].set(edge, mode="drop")
+        return lowest, reached_by, first + sizes.edges_together
+
+    def go_on(carry: tuple[Array, Array, Array, Array]) -> tuple[Array, Array, Array, Array]:
+        before, reached_by, _, num_rounds = carry
+        along_tree = before[tree_parent] + tree_cost
+        reached_by = jnp.where(along_tree < before, BY_TREE, reached_by)
+        g = jnp.minimum(before, along_tree)
+        g, reached_by, _ = jax.lax.while_loop(lambda turn: turn[2] < edges.num, one_turn, (g, reached_by, jnp.int32(0)))
+        return g, reached_by, jnp.any(g < before), num_rounds + 1
+
+    to_begin = (samples.g, jnp.full(samples.g.size, BY_TREE, jnp.int32), jnp.array(True), jnp.int32(0))
+    g, reached_by, _, num_rounds = jax.lax.while_loop(lambda carry: carry[2], go_on, to_begin)
+    is_by_tree = reached_by == BY_TREE
+    edge = jnp.clip(reached_by, 0, num_places - 1)
+    parent = jnp.where(is_by_tree, samples.parent, edges.origin[edge])
+    edge_cost = jnp.where(is_by_tree, samples.edge_cost, edges.cost[edge])
+    return g, parent, edge_cost, num_rounds

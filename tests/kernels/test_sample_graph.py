@@ -1,0 +1,149 @@
+"""Sample graphs searched in bulk: against SciPy's Dijkstra over edges written out pair by pair."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import dijkstra
+
+from jaxurban.kernels.line.segment_cost import CostGrid, segment_cost
+from jaxurban.kernels.search.sample_graph import NO_PARENT, NO_QUERY, Samples, Sizes, search_samples
+
+SHAPE = (20, 26)
+NUM_NODES = 256
+SIZES = Sizes(candidates=128, edges=32, nodes_together=64, edges_together=128)  # more than one turn of each
+RADII = (6.0, np.inf, 0.4)  # of three queries with so many nodes:
+COUNTS = (100, 40, 30)
+PER_SIDE = 0.3
+
+
+def a_map(seed):
+    rng = np.random.default_rng(seed)
+    return np.where(rng.random(SHAPE) < 0.9, rng.random(SHAPE), np.inf)
+
+
+def samples_of(seed, cell_cost, **given):
+    """Three queries, the first node of each its start; bounds that say nothing."""
+    rng = np.random.default_rng(seed)
+    free = np.argwhere(np.isfinite(cell_cost))
+    fields = {name: np.zeros(NUM_NODES) for name in Samples._fields}
+    cells = free[rng.choice(len(free), NUM_NODES)][:, ::-1]
+    fields["xy"] = cells + rng.uniform(0.01, 0.99, (NUM_NODES, 2))
+    fields["query"] = np.append(np.repeat([0, 1, 2], COUNTS), np.full(NUM_NODES - sum(COUNTS), NO_QUERY)).astype(
+        np.int32
+    )
+    fields["radius"] = np.append(np.repeat(RADII, COUNTS), np.ones(NUM_NODES - sum(COUNTS)))
+    fields["incumbent"] = np.full(NUM_NODES, np.inf)
+    fields["g"] = np.full(NUM_NODES, np.inf)
+    fields["g"][[0, COUNTS[0], COUNTS[0] + COUNTS[1]]] = 0.0
+    fields["parent"] = np.full(NUM_NODES, NO_PARENT, np.int32)
+    return Samples(**fields | given)
+
+
+def search(samples, cell_cost, is_line=True, per_side=PER_SIDE, sizes=SIZES):
+    with jax.enable_x64(True):
+        samples = Samples(*(jnp.asarray(values) for values in samples))
+        trees = search_samples(samples, cell_cost, per_side, False, is_line=is_line, sizes=sizes)
+        return trees._replace(**{name: np.asarray(value) for name, value in trees._asdict().items()})
+
+
+def by_dijkstra(samples, cell_cost, is_line=True, tree=()):
+    """Return the least costs from every query's start, and how many edges the radius makes."""
+    cost_grid = CostGrid(cell_cost, PER_SIDE, is_line, False)
+    distance = np.hypot(*(samples.xy[:, None] - samples.xy).transpose(2, 0, 1))
+    is_edge = (distance <= samples.radius) & (samples.query[:, None] == samples.query) & (samples.query != NO_QUERY)
+    np.fill_diagonal(is_edge, False)
+    origin, target = np.nonzero(is_edge)
+    pairs = [*zip(origin, target, strict=True), *tree]
+    costs = np.array([segment_cost(cost_grid, *samples.xy[a], *samples.xy[b], np.inf) for a, b in pairs])
+    is_free = np.isfinite(costs)
+    origin, target = np.array(pairs)[is_free].T
+    graph = np.full((NUM_NODES, NUM_NODES), np.inf)
+    np.minimum.at(graph, (origin, target), costs[is_free])
+    row, col = np.nonzero(np.isfinite(graph))
+    found = dijkstra(csr_array((graph[row, col], (row, col)), graph.shape), indices=np.flatnonzero(samples.g == 0))
+    return found.min(axis=0), is_edge
+
+
+@pytest.mark.parametrize("is_line", [True, False])
+def test_costs_are_dijkstras_at_every_node_of_every_query(is_line):
+    for seed in range(2):
+        cell_cost = a_map(seed)
+        samples = samples_of(seed, cell_cost)
+        expected, is_edge = by_dijkstra(samples, cell_cost, is_line)
+        trees = search(samples, cell_cost, is_line)
+        np.testing.assert_allclose(trees.g, expected, rtol=1e-12)
+        assert 110 < np.isfinite(expected).sum() < sum(COUNTS)
+        # All edges but those to the starts, which nothing can improve.
+        np.testing.assert_array_equal(trees.num_costed, np.where(samples.g == 0, 0, is_edge.sum(axis=0)))
+        assert trees.num_edges == trees.num_costed.sum()
+        has_parent = trees.parent != NO_PARENT
+        np.testing.assert_array_equal(has_parent, np.isfinite(trees.g) & (samples.g > 0))
+        parent = trees.parent[has_parent]
+        np.testing.assert_allclose(trees.g[has_parent], trees.g[parent] + trees.edge_cost[has_parent], rtol=1e-12)
+
+
+def test_edges_of_the_tree_given_count_where_they_are_longer_than_the_radius():
+    cell_cost = np.full(SHAPE, 0.5)
+    samples = samples_of(3, cell_cost)
+    first = COUNTS[0] + COUNTS[1]  # the third query's nodes lie too far apart to be joined
+    tree = [(first, first + 1), (first + 1, first + 2), (first, first + 3), (first + 3, first + 4)]
+    cost_grid = CostGrid(cell_cost, PER_SIDE, True, False)
+    g, parent, edge_cost = samples.g.copy(), samples.parent.copy(), samples.edge_cost.copy()
+    for a, b in tree:
+        edge_cost[b] = segment_cost(cost_grid, *samples.xy[a], *samples.xy[b], np.inf)
+        g[b], parent[b] = g[a] + edge_cost[b], a
+    grown = samples._replace(g=g, parent=parent, edge_cost=edge_cost)
+    trees = search(grown, cell_cost)
+    np.testing.assert_allclose(trees.g, by_dijkstra(samples, cell_cost, True, tree)[0], rtol=1e-12)
+    assert np.isfinite(trees.g[first + 4])
+    # With bounds that are tight no edge promises more than what is known, but for rounding.
+    bounds = {"from_start": trees.g, "least_per_side": np.full(NUM_NODES, PER_SIDE + 0.5)}
+    known = {"g": trees.g, "parent": trees.parent, "edge_cost": trees.edge_cost}
+    again = search(samples._replace(**bounds, **known), cell_cost)
+    assert again.num_edges < trees.num_edges / 4
+    np.testing.assert_array_equal(again.g, trees.g)
+    np.testing.assert_array_equal(again.parent, trees.parent)
+
+
+def test_parents_lead_back_to_the_start_where_edges_cost_nothing():
+    samples = samples_of(4, np.zeros(SHAPE))
+    with jax.enable_x64(True):
+        trees = search_samples(
+            Samples(*(jnp.asarray(values) for values in samples)),
+            np.zeros(SHAPE),
+            0.0,
+            False,
+            is_line=True,
+            sizes=SIZES,
+        )
+    parent = np.asarray(trees.parent)
+    for node in range(COUNTS[0]):
+        num_steps = 0
+        while parent[node] != NO_PARENT:
+            node, num_steps = parent[node], num_steps + 1
+            assert num_steps <= COUNTS[0]
+        assert node == 0
+
+
+def test_too_little_room_is_told_and_nothing_is_searched():
+    cell_cost = a_map(0)
+    samples = samples_of(0, cell_cost)
+    trees = search(samples, cell_cost, sizes=SIZES._replace(candidates=16, edges=1))
+    np.testing.assert_array_equal(trees.g, samples.g)
+    assert trees.most_candidates == search(samples, cell_cost).most_candidates > 16
+    assert trees.num_costed.sum() == 0
+
+
+@pytest.mark.slow
+def test_mapped_over_seeds_it_gives_what_each_gives_alone():
+    cell_cost = a_map(5)
+    seeds = [samples_of(seed, cell_cost) for seed in (5, 6)]
+    with jax.enable_x64(True):
+        stacked = Samples(*(jnp.stack([jnp.asarray(v) for v in values]) for values in zip(*seeds, strict=True)))
+        together = jax.vmap(lambda s: search_samples(s, cell_cost, PER_SIDE, False, is_line=True, sizes=SIZES))(stacked)
+    for k, samples in enumerate(seeds):
+        alone = search(samples, cell_cost)
+        np.testing.assert_array_equal(together.g[k], alone.g)
+        np.testing.assert_array_equal(together.parent[k], alone.parent)
