@@ -18,7 +18,7 @@ from jaxurban.kernels.distance import soft as soft_distance
 from jaxurban.kernels.lidar import flat, supersampled, terrain
 from jaxurban.kernels.lidar import soft as soft_lidar
 from jaxurban.kernels.line import exact, segment_costs, smooth, smooth_volume
-from jaxurban.kernels.search import cost_to_go, frontier
+from jaxurban.kernels.search import cost_to_go, frontier, sample_graph
 from jaxurban.kernels.shadows import doubling, sweep
 from jaxurban.kernels.shadows import soft as soft_shadows
 from jaxurban.kernels.shadows import supersampled as fine_shadows
@@ -29,7 +29,7 @@ from jaxurban.metrics.lidar import LidarParams
 from jaxurban.metrics.risk import RiskParams
 from jaxurban.metrics.weights import Weights
 from jaxurban.planners import refine
-from jaxurban.planners.bitstar.bulk import BULK
+from jaxurban.planners.bitstar.batched import EDGES_TOGETHER, NODES_TOGETHER
 from jaxurban.planners.moves import STEPS
 from jaxurban.planners.search.fields import TILE_WORK
 from jaxurban.planners.search.frontier import CELLS_TOGETHER, QUERIES_TOGETHER
@@ -132,7 +132,7 @@ DISTANCE_5M, DISTANCE_2M = {"resolution_m": 5.0, "cap_m": 50.0}, {"resolution_m"
 NEAREST = {"resolution_m": 5.0, "halo": 10}
 LAYERS, POINTS = array(NUM_LAYERS, *REGION), array(NUM_POINTS, 2)
 VOLUME, VOLUME_POINTS = array(NUM_LAYERS, 4, *TILE), array(NUM_POINTS, 3)
-EDGES = float64(*REGION), float64(BULK, 2), float64(BULK, 2), float64()
+EDGES = float64(*REGION), float64(1024, 2), float64(1024, 2), float64()
 LINE, CELL = ({"is_line": is_line, "passes_corners": array(dtype=bool)} for is_line in (True, False))
 
 NUM_QUERIES, NUM_CELLS = QUERIES_TOGETHER["gpu"], TILE[0] * TILE[1]
@@ -150,6 +150,11 @@ def open_cells() -> frontier.Frontier:
         return jax.eval_shape(lambda: frontier.empty_frontier(NUM_QUERIES, NUM_CELLS, list_size))
 
 
+NUM_NODES = 16_384
+SAMPLES = sample_graph.Samples(
+    int32(NUM_NODES), float64(NUM_NODES, 2), *[float64(NUM_NODES)] * 9, int32(NUM_NODES), float64(NUM_NODES)
+)
+GRAPH = sample_graph.Sizes(64, 16, min(NODES_TOGETHER["gpu"], NUM_NODES), min(EDGES_TOGETHER["gpu"], 16 * NUM_NODES))
 NUM_GOALS, FIELDS = 16, TILE_WORK["gpu"]
 FIELD_GOALS = int32(NUM_GOALS, 2), int32(NUM_GOALS)
 FIELD_MAPS = cost_to_go.FieldMaps(
@@ -351,6 +356,12 @@ KERNELS: dict[str, Callable[[], Call]] = {
     ),
     "edges of BIT*, line": lambda: Call(segment_costs.segment_costs, EDGES, LINE, True),
     "edges of BIT*, cell": lambda: Call(segment_costs.segment_costs, EDGES, CELL, True),
+    "BIT*: a batch": lambda: Call(
+        sample_graph.search_samples,
+        (SAMPLES, float64(*REGION), float64(), array(dtype=bool)),
+        {"is_line": True, "sizes": GRAPH},
+        True,
+    ),
     "fields: begin": lambda: Call(cost_to_go.begin, FIELD_GOALS, {"shape": REGION, "tile": FIELDS.tile}, True),
     "fields: advance": lambda: Call(cost_to_go.advance, (open_fields(), FIELD_MAPS, WHOLE), FIELD_WORK, True),
     "frontier: begin": lambda: Call(
