@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Literal
 
 import jax
@@ -24,6 +25,7 @@ from jaxurban.world.surface import Surface
 
 SATELLITES_STEP = 8  # the DOP program is compiled for 8, 16, 24 ... satellites
 BLOCK_CELLS = 2**14  # cells whose DOPs are made at once: what they need in between fits a core's cache
+WIDE_BLOCK_CELLS = 2**22  # the same on a GPU, which has a launch for every block
 TABLE_SATELLITES = 16  # up to here the maps of all subsets are made once and looked up
 MAX_STORED_TIMES = 24  # a longer series keeps statistics over time instead of every time's maps
 SERIES = ("auto", "epochs", "statistics")
@@ -104,21 +106,30 @@ def maps_of_words(words: UInt[Array, "W ..."], satellites: Geometry, gdop_thresh
       satellites: their geometry.
       gdop_threshold: see `gps_metric`.
     """
+    small, wide = (partial(_in_equal_blocks, block_cells=cells) for cells in (BLOCK_CELLS, WIDE_BLOCK_CELLS))
+    return lax.platform_dependent(words, satellites, gdop_threshold, cpu=small, default=wide)
+
+
+def _in_equal_blocks(
+    words: UInt[Array, "W ..."], satellites: Geometry, gdop_threshold: float | Array, block_cells: int
+) -> GpsMaps:
+    """Return `maps_of_words`, so many cells at once; a block of `BLOCK_CELLS` at least is made."""
     shape = words.shape[1:]
     size = math.prod(shape)
     num = max(size, BLOCK_CELLS)
+    block_cells = min(block_cells, num)
     flat = jnp.pad(words.reshape(len(words), -1), ((0, 0), (0, num - size)))  # less than a block becomes one
 
     def fill(block: Array, maps: list[Array]) -> list[Array]:
-        start = jnp.minimum(block * BLOCK_CELLS, num - BLOCK_CELLS)  # the last block laps over the one before
-        cells = lax.dynamic_slice_in_dim(flat, start, BLOCK_CELLS, axis=1)
+        start = jnp.minimum(block * block_cells, num - block_cells)  # the last block laps over the one before
+        cells = lax.dynamic_slice_in_dim(flat, start, block_cells, axis=1)
         dops = dops_of_words(satellites, cells)
         num_visible = jnp.sum(lax.population_count(cells), axis=0).astype(jnp.uint8)
         found = [gps_metric(dops.gdop, gdop_threshold), *dops, num_visible]
         return [lax.dynamic_update_slice(old, new, (start,)) for old, new in zip(maps, found, strict=True)]
 
     empty = [*[jnp.zeros(num, satellites.basis.dtype)] * 6, jnp.zeros(num, jnp.uint8)]
-    maps = lax.fori_loop(0, -(-num // BLOCK_CELLS), fill, empty)
+    maps = lax.fori_loop(0, -(-num // block_cells), fill, empty)
     return GpsMaps(*(values[:size].reshape(shape) for values in maps))
 
 
