@@ -14,7 +14,7 @@ from jaxurban.errors import InputError
 from jaxurban.kernels.lidar import flat as kernel
 from jaxurban.kernels.lidar import soft as soft_kernel
 from jaxurban.kernels.lidar.supersampled import count_returns_at_centres, halo_cells, phase_starts, phases
-from jaxurban.kernels.lidar.terrain import count_returns_on_terrain, distinct_looks
+from jaxurban.kernels.lidar.terrain import count_returns_on_terrain
 from jaxurban.metrics.base import ALTITUDE, Metric, Scene, low_is_bad, on_scene
 from jaxurban.metrics.obstacle import obstacle_mask, soft_obstacle
 from jaxurban.metrics.settings import check_softness, check_value, differentiable, reach_of
@@ -98,8 +98,9 @@ def compute_lidar(
     else:
         terrain_m = surface.crop_with_halo(surface.terrain_m, steps - 1)
         beams_m = jnp.asarray(kernel.round_up(lowest_m, roof_m.dtype))
-        looks = distinct_looks(phase_starts(offsets, 1))
-        returns = count_returns_on_terrain(roof_m[None], terrain_m[None], beams_m, looks, halo=steps - 1)
+        returns = count_returns_on_terrain(
+            roof_m[None], terrain_m[None], beams_m, phase_starts(offsets, 1), halo=steps - 1
+        )
     share = returns.astype(roof_m.dtype) / params.azimuths
     return jnp.where(obstacle_mask(surface.crop(surface.roof_m), altitudes_m), 0.0, share)
 
@@ -135,7 +136,7 @@ def lidar_at_centres(
         terrain_m = phases(supersampled.crop_with_halo(supersampled.terrain_m, halo * n), n)
         beams_m = jnp.asarray(kernel.round_up(lowest_m, roof_m.dtype))
         returns = count_returns_on_terrain(
-            roof_m, terrain_m, beams_m, distinct_looks(starts), halo=halo, receiver_phase=(n // 2) * (n + 1)
+            roof_m, terrain_m, beams_m, starts, halo=halo, receiver_phase=(n // 2) * (n + 1)
         )
     return jnp.where(is_obstacle, 0.0, returns.astype(roof_m.dtype) / params.azimuths)
 
