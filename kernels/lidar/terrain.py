@@ -14,6 +14,7 @@ from jaxtyping import Array, Float, Int
 
 from jaxurban.kernels.lidar.steps import count_returns_on_terrain_by_steps
 from jaxurban.kernels.lidar.terrain_cpu import count_on_terrain
+from jaxurban.kernels.lidar.terrain_march import MOST_BEAMS
 
 
 class Looks(NamedTuple):
@@ -69,9 +70,9 @@ def count_returns_on_terrain(
       halo: H, cells beyond the receivers.
       receiver_phase: the phase in which receivers stand.
       shape: of the computation, for a CPU or a GPU; left out, for the platform on which the roofs lie, and for a GPU
-        where JAX traces them. The counts are the same.
+        where JAX traces them or there are more than `MOST_BEAMS`. The counts are the same.
     """
-    if (shape or _shape_of(roof_m, terrain_m, lowest_m)) == "gpu":
+    if (shape or _shape_of(roof_m, terrain_m, lowest_m)) == "gpu" or lowest_m.shape[-1] > MOST_BEAMS:
         return count_returns_on_terrain_by_steps(
             roof_m, terrain_m, lowest_m, jnp.asarray(starts), halo=halo, receiver_phase=receiver_phase
         )

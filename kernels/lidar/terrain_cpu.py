@@ -5,22 +5,22 @@ grounds of a tile's receivers are divided into classes, a byte each, and the cel
 it falls: that answers for all receivers whose ground is of another class, 32 of them an instruction. For the few of
 the same class the heights themselves are compared, so that every answer is that of the heights.
 
-The rays of a tile go on together, step by step. Of each ray is known how many of its lowest beams have ended for all
-receivers of the tile, and how many for any. Only between the two a beam needs a bit for each receiver, and only these
-beams and the next one are compared. Over level ground that is one comparison a look, shared by all azimuths that look
-there. Words hold eight receivers: bit b of word i * C + j stands for receiver (i + b * band, j).
+The rays of a tile go on together, step by step, as long as the ground ends the same beams for all of its receivers:
+over level ground to the end. Each look is then one comparison, shared by all azimuths that look there. Words hold
+eight receivers: bit b of word i * C + j stands for receiver (i + b * band, j). From the first step at which the ground
+may end a beam for some receivers only, rays are marched on with a byte for each receiver (`lidar.terrain_march`).
 
 Legend: ``P`` phases, ``Y, X`` cells and their halo, ``y, x`` receivers, ``N`` steps, ``B`` beams, ``K`` azimuths, ``U``
-looks, ``R, C`` receivers of a tile, ``h, w`` cells around them, ``W = R * C / 8`` words.
+looks, ``R, C`` receivers of a tile, ``W = R * C / 8`` words.
 """
 
 import numpy as np
 
 from jaxurban.kernels.compiled import compiled
+from jaxurban.kernels.lidar.terrain_march import BEAMS_AT_ONCE, PART_COLUMNS, march
 
 WORD_BITS = 8
 TILE = (32, 256)  # receivers taken together: the bits of their rays fit a core's cache; rows a multiple of 8
-COLUMNS_AT_ONCE = 32
 LAST_CLASS = 255  # of cells; receivers have lower ones
 LEAST_CLASS = 1e-5  # height of a class as a share of the largest heights compared: far above their rounding
 AZIMUTHS_AT_ONCE = 8  # added up by carry-save adders before they are carried into the counts
@@ -50,23 +50,23 @@ def count_on_terrain(
     """
     kind = roof_m.dtype.type
     num_rows, num_cols = counts.shape
-    rows, cols = _side(num_rows, TILE[0], WORD_BITS), _side(num_cols, TILE[1], COLUMNS_AT_ONCE)
+    rows, cols = _side(num_rows, TILE[0], WORD_BITS), _side(num_cols, TILE[1], PART_COLUMNS)
     num_steps, num_beams = lowest_m.shape
     num_words = rows // WORD_BITS * cols
     around = (len(roof_m), rows + 2 * halo, cols + 2 * halo)
-    ground_m, rise_m, zero_m = np.empty(around, kind), np.empty(around, kind), np.zeros(around, kind)
-    classes = np.zeros((2, num_beams, *around), np.uint8)
+    ground_m, rise_m = np.empty(around, kind), np.empty(around, kind)
+    classes = np.zeros(around, np.uint8)
     own_m, own_class = np.empty((rows, cols), kind), np.empty((rows, cols), np.uint8)
     groups = (num_azimuths + AZIMUTHS_AT_ONCE - 1) // AZIMUTHS_AT_ONCE
     returned = np.empty((groups * AZIMUTHS_AT_ONCE, num_words), np.uint8)
-    aloft = np.empty((num_azimuths, num_beams, num_words), np.uint8)
-    met, landed = np.empty((num_beams, num_words), np.uint8), np.empty((num_beams, num_words), np.uint8)
-    tied = np.empty(num_words, np.uint8)
-    for_all, for_any = np.empty(num_azimuths, np.int64), np.empty(num_azimuths, np.int64)  # lowest beams ended
-    is_filled = np.empty((2, num_beams), np.bool_)
+    words, tied = np.empty(num_words, np.uint8), np.empty(num_words, np.uint8)
+    states = np.empty((num_azimuths, rows, PART_COLUMNS), np.uint8)
+    ended = np.empty(num_azimuths, np.int64)  # lowest beams, the same for all receivers
     window = _windows(start, first_look)
     out_of_range = np.zeros(num_steps, np.int64)
     lowest_flown_m = np.full(num_steps, np.inf)
+    heights_m = np.full((num_steps, num_beams + 2 * BEAMS_AT_ONCE), np.inf).astype(kind)
+    heights_m[:, :num_beams] = lowest_m
     largest_m = 0.0
     for n in range(num_steps):
         for height_m in lowest_m[n]:
@@ -83,6 +83,7 @@ def count_on_terrain(
                     own_m[i, j] = ground_m[phase, halo + min(i, num_rows - row - 1), halo + min(j, num_cols - col - 1)]
             base_m, most_m = np.nanmin(own_m), np.nanmax(own_m)
             highest_m, top_m = _highest(ground_m, rise_m, base_m)
+            level_m = _lowest(terrain_m[:, row : row + around[1], col : col + around[2]], most_m)
             end = num_steps
             while end > 0 and not lowest_flown_m[end - 1] <= top_m:
                 end -= 1
@@ -92,55 +93,62 @@ def count_on_terrain(
             class_m = kind(max((most_m - base_m) / (LAST_CLASS - 3), LEAST_CLASS * size_m))
             _classify(own_class, own_m, base_m, class_m)
             returned[:] = 0
-            for_all[:], for_any[:] = 0, 0
-            for n in range(end):
-                is_filled[:] = False
+            ended[:] = 0
+            parting = 0
+            while parting < end:
+                n = parting
                 for k in range(num_azimuths):
-                    for_all[k], for_any[k] = max(for_all[k], out_of_range[n]), max(for_any[k], out_of_range[n])
-                for u in range(first_look[n], first_look[n + 1]):
-                    p, from_row, from_col = start[u]
-                    low, high = num_beams, 0
-                    for r in range(first_ray[u], first_ray[u + 1]):
-                        low, high = min(low, for_all[rays[r]]), max(high, for_any[rays[r]])
-                    end_met = low
-                    while end_met < min(high + 1, num_beams) and lowest_m[n, end_met] <= top_m:
-                        beam, height_m = end_met, lowest_m[n, end_met]
-                        if not is_filled[0, beam]:
-                            _fill(classes[0, beam], ground_m, rise_m, height_m, base_m, class_m, window[n], rows, cols)
-                            is_filled[0, beam] = True
-                        _compare(met[beam], tied, own_class, classes[0, beam, p], from_row, from_col)
-                        _resolve(met[beam], tied, own_m, ground_m[p], rise_m[p], from_row, from_col, height_m)
-                        if not _bounds(met[beam])[1]:
-                            break
-                        end_met += 1
-                    end_landed, all_landed = low, low
-                    while end_landed < num_beams and lowest_m[n, end_landed] <= highest_m:
-                        beam, height_m = end_landed, lowest_m[n, end_landed]
-                        if not is_filled[1, beam]:
-                            _fill(classes[1, beam], ground_m, zero_m, height_m, base_m, class_m, window[n], rows, cols)
-                            is_filled[1, beam] = True
-                        _compare(landed[beam], tied, own_class, classes[1, beam, p], from_row, from_col)
-                        _resolve(landed[beam], tied, own_m, ground_m[p], zero_m[p], from_row, from_col, height_m)
-                        is_every, is_any = _bounds(landed[beam])
-                        if not is_any:
-                            break
-                        end_landed += 1
-                        if is_every:
-                            all_landed = end_landed
-                    for r in range(first_ray[u], first_ray[u + 1]):
-                        k = rays[r]
-                        for beam in range(for_all[k], min(for_any[k] + 1, end_met)):
-                            if beam < for_any[k]:
-                                _join_both(returned[k], aloft[k, beam], met[beam])
-                            else:
-                                _join(returned[k], met[beam])
-                        for beam in range(for_all[k], end_landed):
-                            if beam < for_any[k]:
-                                _remove(aloft[k, beam], landed[beam])
-                            else:
-                                _invert(aloft[k, beam], landed[beam])
-                        for_any[k], for_all[k] = max(for_any[k], end_landed), max(for_all[k], all_landed)
-            _add_up(returned, counts[row : row + rows, col : col + cols], rows // WORD_BITS, cols)
+                    ended[k] = max(ended[k], out_of_range[n])
+                lowest = ended.min()
+                landing = lowest
+                while heights_m[n, landing] <= level_m:
+                    landing += 1
+                if heights_m[n, landing] <= highest_m:
+                    break  # the ground may end a beam for some receivers only
+                for beam in range(lowest, min(ended.max() + 1, num_beams)):
+                    height_m = heights_m[n, beam]
+                    if not height_m <= top_m:
+                        break
+                    _fill(classes, ground_m, rise_m, height_m, base_m, class_m, window[n], rows, cols)
+                    for u in range(first_look[n], first_look[n + 1]):
+                        is_wanted = False
+                        for r in range(first_ray[u], first_ray[u + 1]):
+                            is_wanted |= ended[rays[r]] == beam
+                        if not is_wanted:
+                            continue
+                        p, from_row, from_col = start[u]
+                        _compare(words, tied, own_class, classes[p], from_row, from_col)
+                        _resolve(words, tied, own_m, ground_m[p], rise_m[p], from_row, from_col, height_m)
+                        for r in range(first_ray[u], first_ray[u + 1]):
+                            if ended[rays[r]] == beam:
+                                _join(returned[rays[r]], words)
+                for k in range(num_azimuths):
+                    ended[k] = max(ended[k], landing)
+                parting += 1
+            found = counts[row : row + rows, col : col + cols]
+            if parting == end:
+                _add_up(returned, found, rows // WORD_BITS, cols)
+                continue
+            for part in range(0, found.shape[1], PART_COLUMNS):
+                march(
+                    found[:, part : part + PART_COLUMNS],
+                    states,
+                    ground_m,
+                    rise_m,
+                    own_m[:, part : part + PART_COLUMNS].copy(),
+                    returned,
+                    ended,
+                    part,
+                    cols,
+                    start,
+                    first_look,
+                    rays,
+                    first_ray,
+                    heights_m,
+                    out_of_range,
+                    parting,
+                    end,
+                )
 
 
 @compiled(nogil=True)
@@ -193,6 +201,19 @@ def _highest(ground_m, rise_m, base_m):
                 highest_m[j] = ground if ground > highest_m[j] else highest_m[j]
                 top_m[j] = top if top > top_m[j] else top_m[j]
     return highest_m.max(), top_m.max()
+
+
+@compiled(nogil=True)
+def _lowest(terrain_m, level_m):
+    """Return how far all ground lies above a level, -inf where some is unknown."""
+    none = terrain_m.dtype.type(np.inf)
+    least_m = none
+    for ground_m in terrain_m.flat:
+        if not ground_m >= least_m:
+            if ground_m != ground_m:
+                return -none
+            least_m = ground_m
+    return least_m - level_m
 
 
 @compiled(nogil=True)
@@ -284,37 +305,10 @@ def _resolve(words, tied, own_m, ground_m, rise_m, row, col, height_m):
 
 
 @compiled(nogil=True)
-def _bounds(words):
-    """Return whether the bits of all receivers are set, and whether any is."""
-    every, some = np.uint8(255), np.uint8(0)
-    for i in range(len(words)):
-        every &= words[i]
-        some |= words[i]
-    return every == 255, some != 0
-
-
-@compiled(nogil=True)
 def _join(words, others):
+    """Set the bits that others have."""
     for i in range(len(words)):
         words[i] |= others[i]
-
-
-@compiled(nogil=True)
-def _join_both(words, some, others):
-    for i in range(len(words)):
-        words[i] |= some[i] & others[i]
-
-
-@compiled(nogil=True)
-def _remove(words, others):
-    for i in range(len(words)):
-        words[i] &= ~others[i]
-
-
-@compiled(nogil=True)
-def _invert(words, others):
-    for i in range(len(words)):
-        words[i] = ~others[i]
 
 
 @compiled(nogil=True)
