@@ -1,7 +1,9 @@
 """The bitmap lidar against a marcher that follows one beam of one ray at a time."""
 
 import math
+from functools import partial
 
+import jax
 import jax.numpy as jnp
 import numba
 import numpy as np
@@ -219,3 +221,37 @@ def test_terrain_counts_of_a_sub_box_equal_the_crop_over_several_tiles():
     whole = counts_of(roof_m, terrain_m, [5.0, 30.0], elevations_rad, 12, 30.0, 5.0)
     part = counts_of(roof_m[41:, :90], terrain_m[41:, :90], [5.0, 30.0], elevations_rad, 12, 30.0, 5.0)
     np.testing.assert_array_equal(part, whole[:, 41:, : 90 - 2 * halo])
+
+
+def primitives_of(jaxpr) -> set[str]:
+    """Return the names of what a program is made of, inner programs included."""
+    inner = [value for equation in jaxpr.eqns for value in jax.tree.leaves(list(equation.params.values()))]
+    parts = [getattr(value, "jaxpr", value) for value in inner]
+    found = {equation.primitive.name for equation in jaxpr.eqns}
+    return found.union(*(primitives_of(part) for part in parts if hasattr(part, "eqns")))
+
+
+@pytest.mark.parametrize("on_terrain", [False, True])
+def test_counts_can_be_traced_and_exported_and_for_a_gpu_have_no_loop_whose_end_is_data(on_terrain):
+    elevations_rad, halo = np.deg2rad(np.linspace(-15, 15, 4)), 6
+    roof_m = jnp.asarray(random_city(40, halo, seed=2))
+    row, col = np.indices(roof_m.shape)
+    terrain_m = jnp.asarray((8 * np.sin(row / 15) + 6 * np.cos(col / 11)).astype(np.float32)) if on_terrain else None
+
+    def counts(roof_m, terrain_m, shape=None):
+        lowest_m = lowest_heights(np.array([5.0]), elevations_rad, 5.0, 30.0, halo + 1)
+        offsets = ray_offsets(12, halo + 1)
+        if terrain_m is None:
+            return count_returns(roof_m, round_up(flat_thresholds(lowest_m), np.float32), offsets, shape=shape)
+        beams_m, starts = round_up(lowest_m, np.float32), phase_starts(offsets, 1)
+        return count_returns_on_terrain(roof_m[None], terrain_m[None], beams_m, starts, halo=halo, shape=shape)
+
+    traced = jax.jit(counts)
+    np.testing.assert_array_equal(traced(roof_m, terrain_m), counts(roof_m, terrain_m))
+    jax.export.export(traced, platforms=("cuda",))(roof_m, terrain_m)
+    found = primitives_of(jax.make_jaxpr(partial(counts, shape="gpu"))(roof_m, terrain_m).jaxpr)
+    assert "scan" in found
+    assert not found & {"while", "cond"}
+    if not on_terrain:  # the walk sees the loops of the shape for a CPU
+        cpu = primitives_of(jax.make_jaxpr(partial(counts, shape="cpu"))(roof_m, terrain_m).jaxpr)
+        assert cpu >= {"while", "cond"}
