@@ -131,7 +131,7 @@ def test_counts_on_hills_equal_the_marcher_in_every_cell(shape):
 GROUNDS = {
     "level in whole metres, of which many are equal": lambda rng, slope_m: np.round(slope_m),
     "rough below the width of a class": lambda rng, slope_m: slope_m + rng.normal(0, 0.01, slope_m.shape),
-    "cliffs of hundreds of metres": lambda rng, slope_m: 300 * np.floor(slope_m / 20) + slope_m,
+    "cliffs of hundreds of metres": lambda rng, slope_m: 300 * np.floor(slope_m / 4) + slope_m,
     "unknown in places": lambda rng, slope_m: np.where(rng.random(slope_m.shape) < 0.01, np.nan, slope_m),
 }
 
@@ -143,11 +143,13 @@ def test_counts_on_any_ground_equal_the_marcher_over_several_tiles(name, shape):
     elevations_rad, halo = np.deg2rad(np.linspace(-25, 15, 6)), 8
     roof_m = (random_city(300, halo, seed=4) * np.float32(np.pi / 3))[:90]  # heights whose sums are rounded
     row, col = np.indices(roof_m.shape)
-    terrain_m = GROUNDS[name](rng, 700 + 9 * np.sin(row / 9) + 0.2 * col).astype(np.float32)
-    counts = counts_of(roof_m, terrain_m, [4.0], elevations_rad, 18, 40.0, 5.0, shape)[0]
-    expected = march_rays(roof_m, terrain_m, halo, 4.0, elevations_rad, 18, 40.0, 5.0)
-    np.testing.assert_array_equal(counts, expected)
-    assert counts.min() < counts.max()
+    terrain_m = GROUNDS[name](rng, 700 + 3 * np.sin(row / 9) + 0.02 * col).astype(np.float32)
+    altitudes_m = [4.0, 40.0]  # where the ground ends beams, and where it ends none
+    counts = counts_of(roof_m, terrain_m, altitudes_m, elevations_rad, 18, 40.0, 5.0, shape)
+    for altitude_m, count in zip(altitudes_m, counts, strict=True):
+        expected = march_rays(roof_m, terrain_m, halo, altitude_m, elevations_rad, 18, 40.0, 5.0)
+        np.testing.assert_array_equal(count, expected)
+        assert count.min() < count.max()
 
 
 def test_a_long_wall_returns_the_share_of_azimuths_that_reach_it():
