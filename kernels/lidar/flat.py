@@ -141,6 +141,7 @@ def _add_one(slices: tuple[jax.Array, ...], carry: jax.Array) -> tuple[jax.Array
     return tuple(total)
 
 
+@partial(jax.jit, static_argnames="shape")
 def count_returns(
     roof_m: Float[Array, "Y+2H X+2H"],
     thresholds_m: Float[Array, "A N"],
@@ -160,13 +161,6 @@ def count_returns(
     Cells inside buildings get a number too (K, mostly). Altitudes that no roof reaches cost nothing on a CPU.
     The gradient is zero.
     """
-    return _count(jnp.asarray(roof_m), jnp.asarray(thresholds_m), jnp.asarray(offsets), shape=shape)
-
-
-@partial(jax.jit, static_argnames="shape")
-def _count(
-    roof_m: jax.Array, thresholds_m: jax.Array, offsets: jax.Array, *, shape: Literal["cpu", "gpu"] | None
-) -> jax.Array:
     if shape is None:
         return lax.platform_dependent(roof_m, thresholds_m, offsets, cpu=_count_by_azimuths, default=_count_by_steps)
     return (_count_by_azimuths if shape == "cpu" else _count_by_steps)(roof_m, thresholds_m, offsets)

@@ -9,7 +9,6 @@ import numba
 import numpy as np
 import pytest
 
-from jaxurban.kernels.lidar import flat
 from jaxurban.kernels.lidar.flat import (
     count_returns,
     flat_thresholds,
@@ -167,9 +166,9 @@ def test_new_heights_altitudes_and_azimuths_of_known_shapes_compile_nothing():
     elevations_rad = np.deg2rad(np.linspace(-60, -5, 7))
     roof_m = random_city(200, 19, seed=1)
     counts_of(roof_m, None, [1.0, 10.0, 30.0], elevations_rad, 30, 47.0, 2.5)
-    compiled = flat._count._cache_size()
+    compiled = count_returns._cache_size()
     counts_of(roof_m + 1, None, [2.0, 15.0, 90.0], -elevations_rad[::-1], 30, 46.5, 2.5)
-    assert flat._count._cache_size() == compiled
+    assert count_returns._cache_size() == compiled
 
 
 @pytest.mark.parametrize("num_azimuths", [8, 360])
