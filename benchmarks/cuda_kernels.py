@@ -15,7 +15,7 @@ import numpy as np
 from jaxurban.kernels import dop
 from jaxurban.kernels.distance import exact as distance
 from jaxurban.kernels.distance import soft as soft_distance
-from jaxurban.kernels.lidar import flat, supersampled, terrain
+from jaxurban.kernels.lidar import flat, steps, supersampled
 from jaxurban.kernels.lidar import soft as soft_lidar
 from jaxurban.kernels.line import exact, segment_costs, smooth, smooth_volume
 from jaxurban.kernels.search import cost_to_go, frontier, sample_graph
@@ -24,7 +24,7 @@ from jaxurban.kernels.shadows import soft as soft_shadows
 from jaxurban.kernels.shadows import supersampled as fine_shadows
 from jaxurban.maps import pipeline, recipe
 from jaxurban.maps.differentiable import PathVisits, SoftCity, SoftParams
-from jaxurban.metrics import availability, gps, obstacle, population, risk, visibility
+from jaxurban.metrics import availability, gps, lidar, obstacle, population, risk, visibility
 from jaxurban.metrics.lidar import LidarParams
 from jaxurban.metrics.risk import RiskParams
 from jaxurban.metrics.weights import Weights
@@ -117,7 +117,7 @@ SUBSETS = gps.GpsMaps(*[array(2**NUM_SATELLITES)] * 6, array(2**NUM_SATELLITES, 
 NUM_AZIMUTHS, NUM_BEAMS, RANGE_M = 360, 16, 100.0
 STEPS_5M, STEPS_2M, STEPS_FINE = (flat.num_steps(side_m, RANGE_M) for side_m in (5.0, 2.0, 5.0 / PER_CELL))
 RAYS = flat.ray_offsets(NUM_AZIMUTHS, STEPS_5M)
-LOOKS = terrain.distinct_looks(supersampled.phase_starts(RAYS, 1))
+STARTS = supersampled.phase_starts(RAYS, 1)
 FINE_RAYS = supersampled.phase_starts(flat.ray_offsets(NUM_AZIMUTHS, STEPS_FINE), PER_CELL)
 FINE_HALO = supersampled.halo_cells(STEPS_FINE, PER_CELL)
 SCAN = soft_lidar.Scan(NUMBER, NUMBER, NUMBER, array(NUM_BEAMS), array(NUM_BEAMS))
@@ -301,13 +301,23 @@ KERNELS: dict[str, Callable[[], Call]] = {
     "lidar: flat, 2 m, tile": lambda: Call(
         flat.count_returns, (around(TILE, STEPS_2M - 1), array(1, STEPS_2M), flat.ray_offsets(NUM_AZIMUTHS, STEPS_2M))
     ),
-    "lidar: terrain, tile": lambda: Call(
-        terrain.count_returns_on_terrain,
-        (around(TILE, STEPS_5M - 1, 1), around(TILE, STEPS_5M - 1, 1), array(1, STEPS_5M, NUM_BEAMS), LOOKS),
+    "lidar: flat by steps": lambda: Call(
+        steps.count_returns_by_steps,
+        (around(REGION, STEPS_5M - 1, 1), array(1, STEPS_5M), STARTS),
         {"halo": STEPS_5M - 1},
     ),
+    "lidar: terrain, tile": lambda: Call(
+        steps.count_returns_on_terrain_by_steps,
+        (around(TILE, STEPS_5M - 1, 1), around(TILE, STEPS_5M - 1, 1), array(1, STEPS_5M, NUM_BEAMS), STARTS),
+        {"halo": STEPS_5M - 1},
+    ),
+    "lidar: share": lambda: Call(
+        lidar._share, (array(4, *REGION, dtype=jnp.int32), array(*REGION), ALTITUDES_M), {"num_azimuths": NUM_AZIMUTHS}
+    ),
     "lidar: supersampled, tile": lambda: Call(
-        supersampled._count, (around(TILE, FINE_HALO, PER_CELL**2), array(STEPS_FINE), FINE_RAYS), {"halo": FINE_HALO}
+        supersampled._count,
+        (around(TILE, FINE_HALO, PER_CELL**2), array(STEPS_FINE), FINE_RAYS),
+        {"halo": FINE_HALO, "shape": None},
     ),
     "lidar: soft, tile": lambda: Call(soft_lidar.soft_returns, (around(TILE, STEPS_5M - 1), SCAN, RAYS, NUMBER)),
     "lidar: soft, tile, gradient": lambda: Call(

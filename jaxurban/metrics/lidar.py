@@ -14,7 +14,7 @@ from jaxurban.errors import InputError
 from jaxurban.kernels.lidar import flat as kernel
 from jaxurban.kernels.lidar import soft as soft_kernel
 from jaxurban.kernels.lidar.supersampled import count_returns_at_centres, halo_cells, phase_starts, phases
-from jaxurban.kernels.lidar.terrain import count_returns_on_terrain, distinct_looks
+from jaxurban.kernels.lidar.terrain import count_returns_on_terrain
 from jaxurban.metrics.base import ALTITUDE, Metric, Scene, low_is_bad, on_scene
 from jaxurban.metrics.obstacle import obstacle_mask, soft_obstacle
 from jaxurban.metrics.settings import check_softness, check_value, differentiable, reach_of
@@ -121,10 +121,16 @@ def lidar_of_beams(
         returns = kernel.count_returns(roof_m, heights_m, jnp.asarray(offsets))
     else:
         terrain_m = surface.crop_with_halo(surface.terrain_m, steps - 1)
-        looks = distinct_looks(phase_starts(offsets, 1))
-        returns = count_returns_on_terrain(roof_m[None], terrain_m[None], heights_m, looks, halo=steps - 1)
-    share = returns.astype(roof_m.dtype) / params.azimuths
-    return jnp.where(obstacle_mask(surface.crop(surface.roof_m), altitudes_m), 0.0, share)
+        starts = phase_starts(offsets, 1)
+        returns = count_returns_on_terrain(roof_m[None], terrain_m[None], heights_m, starts, halo=steps - 1)
+    return _share(returns, surface.crop(surface.roof_m), altitudes_m, num_azimuths=params.azimuths)
+
+
+@partial(jax.jit, static_argnames="num_azimuths")
+def _share(returns: Array, roof_m: Array, altitudes_m: Array, *, num_azimuths: int) -> Array:
+    """Return the share of scan positions that return, 0 inside obstacles."""
+    share = returns.astype(roof_m.dtype) / num_azimuths
+    return jnp.where(obstacle_mask(roof_m, altitudes_m), 0.0, share)
 
 
 def lidar_at_centres(
@@ -158,7 +164,7 @@ def lidar_at_centres(
         terrain_m = phases(supersampled.crop_with_halo(supersampled.terrain_m, halo * n), n)
         beams_m = jnp.asarray(kernel.round_up(lowest_m, roof_m.dtype))
         returns = count_returns_on_terrain(
-            roof_m, terrain_m, beams_m, distinct_looks(starts), halo=halo, receiver_phase=(n // 2) * (n + 1)
+            roof_m, terrain_m, beams_m, starts, halo=halo, receiver_phase=(n // 2) * (n + 1)
         )
     return jnp.where(is_obstacle, 0.0, returns.astype(roof_m.dtype) / params.azimuths)
 

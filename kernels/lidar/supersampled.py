@@ -5,6 +5,9 @@ The supersampled raster is therefore kept as n x n rasters of the map's size (`p
 them: a map's cell costs n times the steps of a plain map, not n^3 times.
 """
 
+from functools import partial
+from typing import Literal
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -12,6 +15,7 @@ from jax import lax
 from jaxtyping import Array, Float, Int
 
 from jaxurban.kernels.lidar.bits import pack
+from jaxurban.kernels.lidar.steps import count_returns_by_steps
 
 WORD_BITS = 8  # few, as each band of rows carries its own halo
 STEPS_AT_ONCE = 5  # bitmaps combined per pass over the results
@@ -46,7 +50,12 @@ def phase_starts(offsets: Int[np.ndarray, "K N 2"], per_cell: int) -> Int[np.nda
 
 
 def count_returns_at_centres(
-    roof_m: Float[Array, "P Y+2H X+2H"], thresholds_m: Float[Array, "A N"], starts: Int[Array, "K N 3"], halo: int
+    roof_m: Float[Array, "P Y+2H X+2H"],
+    thresholds_m: Float[Array, "A N"],
+    starts: Int[Array, "K N 3"],
+    halo: int,
+    *,
+    shape: Literal["cpu", "gpu"] | None = None,
 ) -> Int[Array, "A Y X"]:
     """Return how many of K scan positions meet a building, over flat ground, ``[A, Y, X]`` int32.
 
@@ -58,11 +67,27 @@ def count_returns_at_centres(
       thresholds_m: ``[A, N]`` from `flat_thresholds` for subcells, rounded up to the type of ``roof_m``.
       starts: ``[K, N, 3]`` from `phase_starts`.
       halo: H, from `halo_cells`.
+      shape: of the computation, for a CPU or a GPU; left out, for the platform for which it is compiled. The counts
+        are the same.
     """
-    return jnp.stack([_count(roof_m, threshold_m, starts, halo=halo) for threshold_m in thresholds_m])
+    return jnp.stack([_count(roof_m, threshold_m, starts, halo=halo, shape=shape) for threshold_m in thresholds_m])
 
 
-def _count_fn(roof_m: jax.Array, threshold_m: jax.Array, starts: jax.Array, *, halo: int) -> jax.Array:
+def _count_fn(
+    roof_m: jax.Array, threshold_m: jax.Array, starts: jax.Array, *, halo: int, shape: Literal["cpu", "gpu"] | None
+) -> jax.Array:
+    """Return the counts at one altitude, ``[Y, X]``."""
+
+    def by_steps(roof_m: jax.Array, threshold_m: jax.Array, starts: jax.Array) -> jax.Array:
+        return count_returns_by_steps(roof_m, threshold_m[None], starts, halo=halo)[0]
+
+    by_words = partial(_count_by_words, halo=halo)
+    if shape is None:
+        return lax.platform_dependent(roof_m, threshold_m, starts, cpu=by_words, default=by_steps)
+    return (by_words if shape == "cpu" else by_steps)(roof_m, threshold_m, starts)
+
+
+def _count_by_words(roof_m: jax.Array, threshold_m: jax.Array, starts: jax.Array, *, halo: int) -> jax.Array:
     """Return the counts at one altitude, ``[Y, X]``; bit b of word (i, j) stands for cell (i + b * band, j)."""
     rows, cols = (size - 2 * halo for size in roof_m.shape[1:])
     num_azimuths, steps = starts.shape[:2]
@@ -93,4 +118,4 @@ def _count_fn(roof_m: jax.Array, threshold_m: jax.Array, starts: jax.Array, *, h
     return jnp.concatenate(counts)[:rows]
 
 
-_count = jax.jit(_count_fn, static_argnames="halo")
+_count = jax.jit(_count_fn, static_argnames=("halo", "shape"))

@@ -1,7 +1,9 @@
 """The bitmap lidar against a marcher that follows one beam of one ray at a time."""
 
 import math
+from functools import partial
 
+import jax
 import jax.numpy as jnp
 import numba
 import numpy as np
@@ -16,7 +18,7 @@ from jaxurban.kernels.lidar.flat import (
     round_up,
 )
 from jaxurban.kernels.lidar.supersampled import count_returns_at_centres, halo_cells, phase_starts, phases
-from jaxurban.kernels.lidar.terrain import count_returns_on_terrain, distinct_looks
+from jaxurban.kernels.lidar.terrain import count_returns_on_terrain
 
 
 @numba.njit
@@ -62,14 +64,17 @@ def random_city(size: int, halo: int, seed: int) -> np.ndarray:
     return (np.round(8 * np.maximum(blocks, single)) / 8).astype(np.float32)
 
 
-def counts_of(roof_m, terrain_m, altitudes_m, elevations_rad, num_azimuths, range_m, resolution_m):
+def counts_of(roof_m, terrain_m, altitudes_m, elevations_rad, num_azimuths, range_m, resolution_m, shape=None):
     steps = num_steps(resolution_m, range_m)
     lowest_m = lowest_heights(np.array(altitudes_m), elevations_rad, resolution_m, range_m, steps)
     offsets = jnp.asarray(ray_offsets(num_azimuths, steps))
     if terrain_m is None:
-        return np.asarray(count_returns(roof_m, round_up(flat_thresholds(lowest_m), np.float32), offsets))
-    beams_m, looks = round_up(lowest_m, np.float32), distinct_looks(phase_starts(np.asarray(offsets), 1))
-    return np.asarray(count_returns_on_terrain(roof_m[None], terrain_m[None], beams_m, looks, halo=steps - 1))
+        thresholds_m = round_up(flat_thresholds(lowest_m), np.float32)
+        return np.asarray(count_returns(roof_m, thresholds_m, offsets, shape=shape))
+    beams_m, starts = round_up(lowest_m, np.float32), phase_starts(np.asarray(offsets), 1)
+    return np.asarray(
+        count_returns_on_terrain(roof_m[None], terrain_m[None], beams_m, starts, halo=steps - 1, shape=shape)
+    )
 
 
 CASES = {
@@ -83,13 +88,17 @@ CASES = {
 PARAMS = [pytest.param(name, marks=[pytest.mark.slow] if name == "the default puck" else []) for name in CASES]
 
 
+SHAPES = ("cpu", "gpu")
+
+
+@pytest.mark.parametrize("shape", SHAPES)
 @pytest.mark.parametrize("name", PARAMS)
-def test_counts_equal_a_marcher_of_single_beams_in_every_cell(name):
+def test_counts_equal_a_marcher_of_single_beams_in_every_cell(name, shape):
     altitudes_m, (low, high, num_beams), num_azimuths, range_m, resolution_m = CASES[name]
     elevations_rad = np.linspace(np.deg2rad(low), np.deg2rad(high), num_beams)
     halo = num_steps(resolution_m, range_m) - 1
     roof_m = random_city(200, halo, seed=len(name))
-    counts = counts_of(roof_m, None, altitudes_m, elevations_rad, num_azimuths, range_m, resolution_m)
+    counts = counts_of(roof_m, None, altitudes_m, elevations_rad, num_azimuths, range_m, resolution_m, shape)
     flat = np.zeros_like(roof_m)
     for altitude_m, count in zip(altitudes_m, counts, strict=True):
         expected = march_rays(roof_m, flat, halo, altitude_m, elevations_rad, num_azimuths, range_m, resolution_m)
@@ -97,13 +106,14 @@ def test_counts_equal_a_marcher_of_single_beams_in_every_cell(name):
     assert counts.min() < counts.max()
 
 
-def test_counts_on_hills_equal_the_marcher_in_every_cell():
+@pytest.mark.parametrize("shape", SHAPES)
+def test_counts_on_hills_equal_the_marcher_in_every_cell(shape):
     elevations_rad, halo = np.deg2rad(np.linspace(-15, 15, 16)), 20
     roof_m = random_city(50, halo, seed=3)
     row, col = np.indices(roof_m.shape)
     terrain_m = (np.round(8 * (12 * np.sin(row / 9) + 8 * np.cos(col / 6) + 30)) / 8).astype(np.float32)
     altitudes_m = [3.0, 20.0, 400.0]
-    counts = counts_of(roof_m, terrain_m, altitudes_m, elevations_rad, 31, 100.0, 5.0)
+    counts = counts_of(roof_m, terrain_m, altitudes_m, elevations_rad, 31, 100.0, 5.0, shape)
     for altitude_m, count in zip(altitudes_m, counts, strict=True):
         expected = march_rays(roof_m, terrain_m, halo, altitude_m, elevations_rad, 31, 100.0, 5.0)
         np.testing.assert_array_equal(count, expected)
@@ -113,8 +123,32 @@ def test_counts_on_hills_equal_the_marcher_in_every_cell():
     assert (counts[0] < flat[0]).any()  # hills hide buildings
     plateau_m = np.full_like(roof_m, 33.3)
     np.testing.assert_array_equal(
-        counts_of(roof_m, plateau_m, altitudes_m, elevations_rad, 31, 100.0, 5.0), flat
+        counts_of(roof_m, plateau_m, altitudes_m, elevations_rad, 31, 100.0, 5.0, shape), flat
     )  # constant terrain is flat
+
+
+GROUNDS = {
+    "level in whole metres, of which many are equal": lambda rng, slope_m: np.round(slope_m),
+    "rough below the width of a class": lambda rng, slope_m: slope_m + rng.normal(0, 0.01, slope_m.shape),
+    "cliffs of hundreds of metres": lambda rng, slope_m: 300 * np.floor(slope_m / 4) + slope_m,
+    "unknown in places": lambda rng, slope_m: np.where(rng.random(slope_m.shape) < 0.01, np.nan, slope_m),
+}
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("name", GROUNDS)
+def test_counts_on_any_ground_equal_the_marcher_over_several_tiles(name, shape):
+    rng = np.random.default_rng(len(name))
+    elevations_rad, halo = np.deg2rad(np.linspace(-25, 15, 6)), 8
+    roof_m = (random_city(300, halo, seed=4) * np.float32(np.pi / 3))[:90]  # heights whose sums are rounded
+    row, col = np.indices(roof_m.shape)
+    terrain_m = GROUNDS[name](rng, 700 + 3 * np.sin(row / 9) + 0.02 * col).astype(np.float32)
+    altitudes_m = [4.0, 40.0]  # where the ground ends beams, and where it ends none
+    counts = counts_of(roof_m, terrain_m, altitudes_m, elevations_rad, 18, 40.0, 5.0, shape)
+    for altitude_m, count in zip(altitudes_m, counts, strict=True):
+        expected = march_rays(roof_m, terrain_m, halo, altitude_m, elevations_rad, 18, 40.0, 5.0)
+        np.testing.assert_array_equal(count, expected)
+        assert count.min() < count.max()
 
 
 def test_a_long_wall_returns_the_share_of_azimuths_that_reach_it():
@@ -146,8 +180,9 @@ def test_rays_have_the_symmetry_of_the_grid(num_azimuths):
     np.testing.assert_array_equal(offsets[num_azimuths // 4, -1], [0, 50])  # then east
 
 
+@pytest.mark.parametrize("shape", SHAPES)
 @pytest.mark.parametrize(("per_cell", "on_terrain"), [(3, False), (2, False), (3, True)])
-def test_receivers_of_a_coarser_map_get_the_counts_of_their_fine_cells(per_cell, on_terrain):
+def test_receivers_of_a_coarser_map_get_the_counts_of_their_fine_cells(per_cell, on_terrain, shape):
     elevations_rad, fine_m, range_m, num_azimuths = np.deg2rad(np.linspace(-15, 15, 5)), 2.0, 30.0, 24
     steps = num_steps(fine_m, range_m)
     halo = halo_cells(steps, per_cell) * per_cell
@@ -166,13 +201,15 @@ def test_receivers_of_a_coarser_map_get_the_counts_of_their_fine_cells(per_cell,
             phases(jnp.asarray(roof_m), per_cell),
             phases(jnp.asarray(terrain_m), per_cell),
             round_up(lowest_m, np.float32),
-            distinct_looks(starts),
+            starts,
             halo=coarse_halo,
             receiver_phase=centre * (per_cell + 1),
+            shape=shape,
         )
     else:
         thresholds_m = round_up(flat_thresholds(lowest_m), np.float32)
-        found = count_returns_at_centres(phases(jnp.asarray(roof_m), per_cell), thresholds_m, starts, coarse_halo)
+        rasters = phases(jnp.asarray(roof_m), per_cell)
+        found = count_returns_at_centres(rasters, thresholds_m, starts, coarse_halo, shape=shape)
     np.testing.assert_array_equal(found, dense[:, centre::per_cell, centre::per_cell])
     assert found.min() < found.max()
 
@@ -185,3 +222,37 @@ def test_terrain_counts_of_a_sub_box_equal_the_crop_over_several_tiles():
     whole = counts_of(roof_m, terrain_m, [5.0, 30.0], elevations_rad, 12, 30.0, 5.0)
     part = counts_of(roof_m[41:, :90], terrain_m[41:, :90], [5.0, 30.0], elevations_rad, 12, 30.0, 5.0)
     np.testing.assert_array_equal(part, whole[:, 41:, : 90 - 2 * halo])
+
+
+def primitives_of(jaxpr) -> set[str]:
+    """Return the names of what a program is made of, inner programs included."""
+    inner = [value for equation in jaxpr.eqns for value in jax.tree.leaves(list(equation.params.values()))]
+    parts = [getattr(value, "jaxpr", value) for value in inner]
+    found = {equation.primitive.name for equation in jaxpr.eqns}
+    return found.union(*(primitives_of(part) for part in parts if hasattr(part, "eqns")))
+
+
+@pytest.mark.parametrize("on_terrain", [False, True])
+def test_counts_can_be_traced_and_exported_and_for_a_gpu_have_no_loop_whose_end_is_data(on_terrain):
+    elevations_rad, halo = np.deg2rad(np.linspace(-15, 15, 4)), 6
+    roof_m = jnp.asarray(random_city(40, halo, seed=2))
+    row, col = np.indices(roof_m.shape)
+    terrain_m = jnp.asarray((8 * np.sin(row / 15) + 6 * np.cos(col / 11)).astype(np.float32)) if on_terrain else None
+
+    def counts(roof_m, terrain_m, shape=None):
+        lowest_m = lowest_heights(np.array([5.0]), elevations_rad, 5.0, 30.0, halo + 1)
+        offsets = ray_offsets(12, halo + 1)
+        if terrain_m is None:
+            return count_returns(roof_m, round_up(flat_thresholds(lowest_m), np.float32), offsets, shape=shape)
+        beams_m, starts = round_up(lowest_m, np.float32), phase_starts(offsets, 1)
+        return count_returns_on_terrain(roof_m[None], terrain_m[None], beams_m, starts, halo=halo, shape=shape)
+
+    traced = jax.jit(counts)
+    np.testing.assert_array_equal(traced(roof_m, terrain_m), counts(roof_m, terrain_m))
+    jax.export.export(traced, platforms=("cuda",))(roof_m, terrain_m)
+    found = primitives_of(jax.make_jaxpr(partial(counts, shape="gpu"))(roof_m, terrain_m).jaxpr)
+    assert "scan" in found
+    assert not found & {"while", "cond"}
+    if not on_terrain:  # the walk sees the loops of the shape for a CPU
+        cpu = primitives_of(jax.make_jaxpr(partial(counts, shape="cpu"))(roof_m, terrain_m).jaxpr)
+        assert cpu >= {"while", "cond"}
