@@ -232,7 +232,7 @@ def primitives_of(jaxpr) -> set[str]:
     return found.union(*(primitives_of(part) for part in parts if hasattr(part, "eqns")))
 
 
-@pytest.mark.parametrize("on_terrain", [False, True])
+@pytest.mark.parametrize("on_terrain", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_counts_can_be_traced_and_exported_and_for_a_gpu_have_no_loop_whose_end_is_data(on_terrain):
     elevations_rad, halo = np.deg2rad(np.linspace(-15, 15, 4)), 6
     roof_m = jnp.asarray(random_city(40, halo, seed=2))
