@@ -238,6 +238,17 @@ def test_times_may_be_datetimes_of_any_kind():
         np.testing.assert_array_equal(text.m("gps", time=time), text.m("gps", time="2020-04-27T16:00:00Z"))
 
 
+def test_studies_of_routes_refuse_volumes():
+    volume = ju.cost_map(MAPS, ju.Levels())
+    for study in (lambda: ju.sensitivity(volume, START, GOAL), lambda: ju.make_queries(volume, [(START, GOAL)])):
+        with pytest.raises(InputError, match="needs one altitude, not Levels"):
+            study()
+    path = ju.plan(MAPS, START, GOAL, altitude_m=20.0)
+    climbing = dataclasses.replace(path, z_m=path.z_m + np.arange(len(path.z_m)))
+    with pytest.raises(InputError, match="demonstration '1' changes its altitude"):
+        ju.demonstrations_from_paths(climbing, MAPS)
+
+
 def test_routes_may_come_from_a_generator(paths):
     assert len(ju.demonstrations_from_paths((path for path in paths[:2]), MAPS)) == 2
 

@@ -60,13 +60,15 @@ def demonstration_from_path(cost_map: CostMap, planned: PlannedPath, name: str =
     """Return a planned path as a demonstration (see `demonstration_from_line`).
 
     Raises:
-      InputError: the path has no points, or is of another altitude than the map.
+      InputError: the path has no points, climbs, or is of another altitude than the map.
     """
     if planned.altitude_m != cost_map.altitude_m:
         raise InputError(
             f"demonstration {name or 'route'!r} is a path at {planned.altitude_m:g} m and the map is of "
             f"{cost_map.altitude_m:g} m: give the map of its own altitude"
         )
+    if len(planned.z_m) and np.ptp(planned.z_m) > 0:
+        raise InputError(f"demonstration {name or 'route'!r} changes its altitude, and fits take one: leave it out")
     if len(planned.xy_m) == 0:
         raise InputError(
             f"demonstration {name or 'route'!r} is a path without points ({planned.status.value}): leave it out"

@@ -72,6 +72,13 @@ def maps_of(queries: Iterable[RouteQuery]) -> list[CostMap]:
     return list({id(query.cost_map): query.cost_map for query in queries}.values())
 
 
+def check_flat(cost_map: CostMap) -> None:
+    """Raise InputError unless this is a cost map of one altitude, as studies of routes need."""
+    check_type("cost_map", cost_map, CostMap, "cost_map(maps, altitude_m, ...)")
+    if cost_map.levels is not None:
+        raise InputError("a study of routes needs one altitude, not Levels: give cost_map(maps, 60.0)")
+
+
 @typed
 def make_queries(
     cost_map: CostMap, pairs: Iterable[tuple[Point, Point]], *, snap: bool | float = False
@@ -84,9 +91,9 @@ def make_queries(
       snap: move an end inside an obstacle to the nearest free cell, by at most 50 m, or so many metres.
 
     Raises:
-      InputError: a place outside the maps or inside an obstacle; names the pair.
+      InputError: a place outside the maps or inside an obstacle (names the pair), or a cost map of levels.
     """
-    check_type("cost_map", cost_map, CostMap, "cost_map(maps, altitude_m, ...)")
+    check_flat(cost_map)
     queries = []
     for number, (start, goal) in enumerate(pairs, start=1):
         try:

@@ -17,7 +17,7 @@ from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.snapping import Point
 from jaxurban.progress import Progress, reporting
 from jaxurban.studies.outcomes import cluster_routes, outcomes_of
-from jaxurban.studies.queries import RouteQuery
+from jaxurban.studies.queries import RouteQuery, check_flat
 from jaxurban.studies.route_pool import RoutePool
 from jaxurban.studies.sensitivity.breakpoints import Partition, check_tolerance, find_breakpoints
 from jaxurban.studies.sensitivity.local import LocalSensitivity, local_sensitivity
@@ -165,7 +165,7 @@ def sensitivity(
       InputError: places outside the maps or inside an obstacle, both in one cell or with no path between them, or a
         wrong setting.
     """
-    check_type("cost_map", cost_map, CostMap, "cost_map(maps, altitude_m, ...)")
+    check_flat(cost_map)
     begin_s, settings = time.perf_counter(), settings or SensitivitySettings()
     check_type("settings", settings, SensitivitySettings)
     query, route = _plan(cost_map, start, goal, snap)
