@@ -5,7 +5,7 @@ lowest height over a segment is not above the terrain of the cell looked at. The
 (`lidar.terrain_cpu`) and one for a GPU (`lidar.steps`), whose counts are the same.
 """
 
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import jax
 import jax.numpy as jnp
@@ -14,23 +14,7 @@ from jaxtyping import Array, Float, Int
 
 from jaxurban.kernels.lidar.steps import count_returns_on_terrain_by_steps
 from jaxurban.kernels.lidar.terrain_cpu import count_on_terrain
-from jaxurban.kernels.lidar.terrain_march import MOST_BEAMS
-
-
-class Looks(NamedTuple):
-    """The different looks of all rays: each a step and a cell, ``U`` of them, in order of steps.
-
-    Attributes:
-      start: ``[U, 3]`` int32 phase, row and column, as of `jaxurban.kernels.lidar.supersampled.phase_starts`.
-      first_of_step: ``[N + 1]`` int32 where the looks of each step begin.
-      ray: ``[K * N]`` int32 azimuths in order of their looks.
-      first_ray: ``[U + 1]`` int32 where the azimuths of each look begin in ``ray``.
-    """
-
-    start: np.ndarray
-    first_of_step: np.ndarray
-    ray: np.ndarray
-    first_ray: np.ndarray
+from jaxurban.kernels.lidar.terrain_march import MOST_BEAMS, Looks
 
 
 def distinct_looks(starts: Int[np.ndarray, "K N 3"]) -> Looks:
@@ -80,7 +64,7 @@ def count_returns_on_terrain(
     roofs, grounds, beams = (_on_host(values) for values in (roof_m, terrain_m, lowest_m))
     counts = np.zeros((len(beams), *(size - 2 * halo for size in roofs.shape[1:])), np.int32)
     for k in range(len(beams)):
-        count_on_terrain(roofs, grounds, beams[k], *looks, len(starts), halo, receiver_phase, counts[k])
+        count_on_terrain(roofs, grounds, beams[k], looks, len(starts), halo, receiver_phase, counts[k])
     return jnp.asarray(counts)
 
 

@@ -30,24 +30,20 @@ PLACE_OF[[((int(DE_BRUIJN) << bit) % 2**64) >> 58 for bit in range(64)]] = np.ar
 
 
 @compiled(nogil=True)
-def count_on_terrain(
-    roof_m, terrain_m, lowest_m, start, first_look, rays, first_ray, num_azimuths, halo, phase, counts
-):
+def count_on_terrain(roof_m, terrain_m, lowest_m, looks, num_azimuths, halo, phase, counts):
     """Fill ``counts`` ``[y, x]`` int32 at one altitude; 0 in it before.
 
     Args:
       roof_m: ``[P, Y, X]`` roof heights above their ground, 0 without a building.
       terrain_m: ``[P, Y, X]`` ground elevation, of the same type.
       lowest_m: ``[N, B]`` each beam's lowest height over each step's segment, of the same type, ascending with B.
-      start: ``[U, 3]`` phase, row and column of each look.
-      first_look: ``[N + 1]`` first look of each step.
-      rays: ``[K * N]`` azimuths in order of looks.
-      first_ray: ``[U + 1]`` where the rays of each look begin in ``rays``.
+      looks: of all rays.
       num_azimuths: K.
       halo: cells beyond the receivers.
       phase: the one in which receivers stand.
       counts: the result.
     """
+    start, first_look, rays, first_ray = looks
     kind = roof_m.dtype.type
     num_rows, num_cols = counts.shape
     rows, cols = _side(num_rows, TILE[0], WORD_BITS), _side(num_cols, TILE[1], PART_COLUMNS)
@@ -109,7 +105,7 @@ def count_on_terrain(
                     height_m = heights_m[n, beam]
                     if not height_m <= top_m:
                         break
-                    _fill(classes, ground_m, rise_m, height_m, base_m, class_m, window[n], rows, cols)
+                    _fill(classes, ground_m, rise_m, height_m, (base_m, class_m), window[n], (rows, cols))
                     for u in range(first_look[n], first_look[n + 1]):
                         is_wanted = False
                         for r in range(first_ray[u], first_ray[u + 1]):
@@ -140,10 +136,7 @@ def count_on_terrain(
                     ended,
                     part,
                     cols,
-                    start,
-                    first_look,
-                    rays,
-                    first_ray,
+                    looks,
                     heights_m,
                     out_of_range,
                     parting,
@@ -231,8 +224,9 @@ def _classify(own_class, own_m, base_m, class_m):
 
 
 @compiled(nogil=True)
-def _fill(classes, ground_m, rise_m, height_m, base_m, class_m, window, rows, cols):
+def _fill(classes, ground_m, rise_m, height_m, scale, window, shape):
     """Fill the class of each cell that a step looks at: the highest at whose beginning a receiver meets it, else 0."""
+    (base_m, class_m), (rows, cols) = scale, shape
     kind = ground_m.dtype.type
     zero, one, last = kind(0), kind(1), kind(LAST_CLASS)
     per_m = one / class_m

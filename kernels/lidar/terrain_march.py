@@ -9,6 +9,8 @@ Legend: ``K`` azimuths, ``N`` steps, ``B`` beams, ``U`` looks, ``P`` phases, ``h
 receivers of the part, ``W`` words of the tile, see `jaxurban.kernels.lidar.terrain_cpu`.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from jaxurban.kernels.compiled import compiled
@@ -18,6 +20,22 @@ MOST_BEAMS = 250  # that a byte can count, and a few
 BEAMS_AT_ONCE = 4
 RETURNED = np.uint8(255)
 BLOCK = 8  # cells along each side of those whose highest is known
+
+
+class Looks(NamedTuple):
+    """The different looks of all rays: each a step and a cell, ``U`` of them, in order of steps.
+
+    Attributes:
+      start: ``[U, 3]`` int32 phase, row and column, as of `jaxurban.kernels.lidar.supersampled.phase_starts`.
+      first_of_step: ``[N + 1]`` int32 where the looks of each step begin.
+      ray: ``[K * N]`` int32 azimuths in order of their looks.
+      first_ray: ``[U + 1]`` int32 where the azimuths of each look begin in ``ray``.
+    """
+
+    start: np.ndarray
+    first_of_step: np.ndarray
+    ray: np.ndarray
+    first_ray: np.ndarray
 
 
 @compiled(nogil=True)
@@ -31,10 +49,7 @@ def march(
     ended,
     column,
     stride,
-    start,
-    first_look,
-    rays,
-    first_ray,
+    looks,
     heights_m,
     out_of_range,
     first,
@@ -52,15 +67,13 @@ def march(
       ended: ``[K]`` lowest beams that have ended before it, for all receivers.
       column: first column of the part in the tile.
       stride: columns of the tile.
-      start: ``[U, 3]`` phase, row and column of each look.
-      first_look: ``[N + 1]`` first look of each step.
-      rays: azimuths in order of looks.
-      first_ray: ``[U + 1]`` where the rays of each look begin in ``rays``.
+      looks: of all rays.
       heights_m: ``[N, B + 2 * BEAMS_AT_ONCE]`` each beam's lowest height over each step's segment, then inf.
       out_of_range: ``[N]`` lowest beams whose range has ended.
       first: step from which rays are followed.
       end: step before which they are followed.
     """
+    start, first_look, rays, first_ray = looks
     num_azimuths, (rows, wide) = len(ended), own_m.shape
     band = rows // 8  # bit b of word (i, j) stands for receiver (i + b * band, j)
     for k in range(num_azimuths):
@@ -87,6 +100,7 @@ def march(
                     _raise(flat[k], np.uint8(out_of_range[n]))
         for u in range(first_look[n], first_look[n + 1]):
             p, row, col = start[u, 0], start[u, 1], start[u, 2] + column
+            at = row, col
             low, high = MOST_BEAMS, 0
             for r in range(first_ray[u], first_ray[u + 1]):
                 low, high = min(low, for_all[rays[r]]), max(high, for_any[rays[r]])
@@ -95,17 +109,17 @@ def march(
             may_land = heights_m[n, low] <= _highest_in(highest_m[p], row, col, rows, wide)
             h = heights_m[n, low : low + BEAMS_AT_ONCE]
             if may_meet and may_land:
-                _count_both(met, landed, own_m, ground_m[p], rise_m[p], row, col, h[0], h[1], h[2], h[3], low)
+                _count_both(met, landed, own_m, ground_m[p], rise_m[p], at, h, low)
             elif may_meet:
-                _count_met(met, own_m, ground_m[p], rise_m[p], row, col, h[0], h[1], h[2], h[3], low)
+                _count_met(met, own_m, ground_m[p], rise_m[p], at, h, low)
             elif may_land:
-                _count_landed(landed, own_m, ground_m[p], row, col, h[0], h[1], h[2], h[3], low)
+                _count_landed(landed, own_m, ground_m[p], at, h, low)
             if may_meet:
                 most_met = _range(flat_met)[1]
                 more = low + BEAMS_AT_ONCE
                 while most_met == more and more <= high:
                     h = heights_m[n, more : more + BEAMS_AT_ONCE]
-                    _count_met(spare, own_m, ground_m[p], rise_m[p], row, col, h[0], h[1], h[2], h[3], more)
+                    _count_met(spare, own_m, ground_m[p], rise_m[p], at, h, more)
                     _keep_higher(flat_met, flat_spare, more)
                     most_met = _range(flat_met)[1]
                     more += BEAMS_AT_ONCE
@@ -114,7 +128,7 @@ def march(
                 more = low + BEAMS_AT_ONCE
                 while most_landed == more:
                     h = heights_m[n, more : more + BEAMS_AT_ONCE]
-                    _count_landed(spare, own_m, ground_m[p], row, col, h[0], h[1], h[2], h[3], more)
+                    _count_landed(spare, own_m, ground_m[p], at, h, more)
                     _keep_higher(flat_landed, flat_spare, more)
                     least_landed, most_landed = _range(flat_landed)
                     more += BEAMS_AT_ONCE
@@ -170,8 +184,9 @@ def _highest_in(of_blocks, row, col, rows, cols):
 
 
 @compiled(nogil=True)
-def _count_both(met, landed, own_m, ground_m, rise_m, row, col, h0, h1, h2, h3, below):
+def _count_both(met, landed, own_m, ground_m, rise_m, at, heights_m, below):
     """Fill how many beams are not above the roof, and how many not above the ground, that each receiver looks at."""
+    (row, col), (h0, h1, h2, h3) = at, (heights_m[0], heights_m[1], heights_m[2], heights_m[3])
     for i in range(met.shape[0]):
         own, of_met, of_landed = own_m[i], met[i], landed[i]
         grounds, rises = ground_m[row + i, col : col + len(own)], rise_m[row + i, col : col + len(own)]
@@ -182,8 +197,9 @@ def _count_both(met, landed, own_m, ground_m, rise_m, row, col, h0, h1, h2, h3, 
 
 
 @compiled(nogil=True)
-def _count_met(met, own_m, ground_m, rise_m, row, col, h0, h1, h2, h3, below):
+def _count_met(met, own_m, ground_m, rise_m, at, heights_m, below):
     """Fill how many beams are not above the roof that each receiver looks at."""
+    (row, col), (h0, h1, h2, h3) = at, (heights_m[0], heights_m[1], heights_m[2], heights_m[3])
     for i in range(met.shape[0]):
         own, of_met = own_m[i], met[i]
         grounds, rises = ground_m[row + i, col : col + len(own)], rise_m[row + i, col : col + len(own)]
@@ -192,8 +208,9 @@ def _count_met(met, own_m, ground_m, rise_m, row, col, h0, h1, h2, h3, below):
 
 
 @compiled(nogil=True)
-def _count_landed(landed, own_m, ground_m, row, col, h0, h1, h2, h3, below):
+def _count_landed(landed, own_m, ground_m, at, heights_m, below):
     """Fill how many beams are not above the ground that each receiver looks at."""
+    (row, col), (h0, h1, h2, h3) = at, (heights_m[0], heights_m[1], heights_m[2], heights_m[3])
     for i in range(landed.shape[0]):
         own, of_landed = own_m[i], landed[i]
         grounds = ground_m[row + i, col : col + len(own)]
