@@ -72,10 +72,17 @@ class MapInputs:
     lidar: LidarParams = field(metadata={"static": True})
 
     def at_altitudes(self, altitudes_m: Sequence[float]) -> "MapInputs":
-        """Return these inputs at other altitudes above the ground, which must not lie below the lowest of them.
+        """Return these inputs at other altitudes above the ground, none below the lowest of them.
 
-        The surface's margin holds what shadows the lowest altitude, and no more.
+        Raises:
+          InputError: a lower altitude: the surface's margin holds what shadows the lowest one, and no more.
         """
+        lowest_m = float(jnp.min(self.altitudes_m))
+        if min(altitudes_m) < lowest_m:
+            raise InputError(
+                f"the surface holds what shadows {lowest_m:g} m and higher, got {min(altitudes_m):g} m: make the "
+                "inputs at the lowest altitude"
+            )
         beams_m = jnp.asarray(beam_heights(altitudes_m, self.lidar, self.surface))
         return replace(self, altitudes_m=jnp.asarray(altitudes_m, self.surface.roof_m.dtype), beams_m=beams_m)
 

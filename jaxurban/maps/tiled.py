@@ -11,7 +11,7 @@ import numpy as np
 from jaxurban.io.folders import WorkFolder
 from jaxurban.io.read.rasterise import rasterise, rasterise_blocks
 from jaxurban.io.store import broken_chunks, has_whole_metadata, write_layer
-from jaxurban.kernels.shadows.sweep import Ring, digital_line
+from jaxurban.kernels.shadows.sweep import Ring, digital_lines
 from jaxurban.maps.recipe import TileScene, tile_maps
 from jaxurban.maps.stopwatch import Stopwatch
 from jaxurban.maps.task import MapTask
@@ -108,9 +108,12 @@ def sweep_tile(job: TileJob, tile: Tile, quadrant: Quadrant) -> dict[str, Any]:
             kept = job.work.load_arrays(_name("raster", tile), "roof_m", "terrain_m")
             top_m = jnp.asarray(kept["roof_m"] + kept.get("terrain_m", np.float32(0)))
             ringed = grid.padded(1, 1, 1, 1)
-            at = (ringed.resolution_m, ringed.first_row, ringed.first_col, ringed.shape)
             pairs = job.order[quadrant]
-            lines = [digital_line(sky.azimuth_rad[pair], sky.elevation_rad[pair], *at) for pair in pairs]
+            azimuth_rad, elevation_rad = (
+                np.array([values[pair] for pair in pairs]) for values in (sky.azimuth_rad, sky.elevation_rad)
+            )
+            at = ringed.first_row, ringed.first_col, ringed.shape
+            lines = digital_lines(azimuth_rad, elevation_rad, ringed.resolution_m, *at)
             edges = handed_on(top_m, lines, _rings(job, tile, quadrant))
             rows = edges.south if quadrant[0] > 0 else edges.north
             cols = edges.west if quadrant[1] > 0 else edges.east

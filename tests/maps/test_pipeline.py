@@ -119,6 +119,8 @@ def replace_leaf(params, name, value):
 def test_other_altitudes_go_with_their_beams(inputs, views):
     sky, alone = at(views, 0), inputs.at_altitudes([60.0])
     np.testing.assert_array_equal(all_maps(alone, sky)["lidar"][0], all_maps(inputs, sky)["lidar"][1])
+    with pytest.raises(InputError, match="holds what shadows 20 m and higher, got 10 m"):
+        inputs.at_altitudes([10.0, 60.0])
 
 
 def test_it_is_exported_for_cpu_and_cuda_and_read_back(inputs, views):
