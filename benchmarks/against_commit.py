@@ -20,7 +20,18 @@ import numpy as np
 from benchmarks.checkouts import output_of, start
 from benchmarks.common import ROOT, load
 
-NAMES = ("build_maps", "astar", "plan_many", "bitstar", "tune", "memory")
+NAMES = (
+    "build_maps",
+    "series",
+    "supersampled",
+    "terrain",
+    "gradient",
+    "astar",
+    "plan_many",
+    "bitstar",
+    "tune",
+    "memory",
+)
 SCRIPT = "workloads.py"
 NUM_DRAWS = 10_000
 MEMORY_PAIRS = 3  # it hardly varies

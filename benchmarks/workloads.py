@@ -5,6 +5,7 @@ and uses public names only. A workload runs once untimed, so that nothing compil
 """
 
 import argparse
+import dataclasses
 import gc
 import json
 import re
@@ -21,6 +22,7 @@ import pandas as pd
 from scipy.ndimage import label
 
 import jaxurban as ju
+from jaxurban.world.city import Raster
 
 ALTITUDE_M = 20.0
 LARGE, MIDDLE, SMALL = "large", "middle", "small"  # folders of maps, made once by `prepare`
@@ -116,6 +118,59 @@ def build_maps(folder: Path, num_runs: int) -> Found:
     return repeated("build_maps", work, num_runs)
 
 
+def made_otherwise(name: str, num_runs: int, city: Any = None, **how: Any) -> Found:
+    """The maps of a smaller synthetic city, 10 m, made in one way."""
+    city = ju.demo_city(2_500, 5_000) if city is None else city
+
+    def work() -> float:
+        maps = ju.build_maps(city, resolution_m=10.0, **{"altitudes_m": (20.0,)} | how)
+        return float(sum(maps.ds[layer].sum() for layer in ("gps", "lidar", "risk", "population")))
+
+    return repeated(name, work, num_runs)
+
+
+def series(folder: Path, num_runs: int) -> Found:
+    """Maps of six times and four altitudes: mostly occlusion and DOPs."""
+    times = [f"2024-05-29T{hour:02d}:00:00Z" for hour in range(0, 24, 4)]
+    return made_otherwise(
+        "series", num_runs, ju.demo_city(5_000, 5_000), times=times, altitudes_m=(20.0, 40.0, 60.0, 122.0)
+    )
+
+
+def supersampled(folder: Path, num_runs: int) -> Found:
+    """Maps of cells sampled 2 x 2 times."""
+    return made_otherwise("supersampled", num_runs, oversample=2)
+
+
+def terrain(folder: Path, num_runs: int) -> Found:
+    """Maps over hills of 10 m: mostly lidar."""
+    city = ju.demo_city(2_000, 2_000)
+    x_m, y_m, east_m, north_m = city.extent_m
+    num = int(max(east_m - x_m, north_m - y_m) // 50) + 42
+    row, col = np.mgrid[:num, :num]
+    hills_m = (5 * (np.sin(row / 6) + np.sin(col / 5))).astype(np.float32)
+    ground = Raster(hills_m, (50.0, 0.0, x_m - 1000, 0.0, -50.0, north_m + 1000), city.crs)
+    extent_m = (x_m - 1000, north_m + 1000 - 50 * num, x_m - 1000 + 50 * num, north_m + 1000)
+    hilly = dataclasses.replace(city, terrain=ground, terrain_extent_m=extent_m)
+    return made_otherwise("terrain", num_runs, hilly)
+
+
+def gradient(folder: Path, num_runs: int) -> Found:
+    """The gradient of a route's cost by every building, through soft maps; the route and the soft city made before."""
+    city = ju.demo_city(3_000, 3_000)
+    maps = ju.build_maps(city, resolution_m=10.0, altitudes_m=(ALTITUDE_M,))
+    row = next(random_queries(maps, 1, 4).itertuples())
+    ends = {"start_xy_m": (row.start_x_m, row.start_y_m), "goal_xy_m": (row.goal_x_m, row.goal_y_m)}
+    planned = ju.plan(maps, **ends, altitude_m=ALTITUDE_M, planner="astar-plus", budget_s=BUDGET_S)
+    params = ju.SoftParams(ALTITUDE_M, 2.0)
+    soft = ju.soft_city(city, maps.grid, params)
+
+    def work() -> str:
+        return f"{ju.building_costs(city, soft, planned, params)['per_metre'].abs().sum():.6g}"
+
+    return repeated("gradient", work, num_runs)
+
+
 def plan_row(maps: Any, row: Any) -> float:
     """Return the cost of one query of `random_queries`."""
     ends = {"start_xy_m": (row.start_x_m, row.start_y_m), "goal_xy_m": (row.goal_x_m, row.goal_y_m)}
@@ -190,6 +245,10 @@ def memory(folder: Path, num_runs: int) -> Found:
 
 WORKLOADS: dict[str, tuple[Callable[[Path, int], Found], list[str]]] = {  # and the maps that they read
     "build_maps": (build_maps, []),
+    "series": (series, []),
+    "supersampled": (supersampled, []),
+    "terrain": (terrain, []),
+    "gradient": (gradient, []),
     "astar": (astar, [SMALL, LARGE]),
     "plan_many": (plan_many, [MIDDLE]),
     "bitstar": (bitstar, [SMALL]),
