@@ -106,7 +106,8 @@ def numbers(name: str, where: jax.sharding.Sharding) -> Numbers | str:
     except Exception as error:  # whatever the compiler refuses: the other kernels are looked at all the same
         return f"{type(error).__name__}: {str(error).strip().splitlines()[0][:300]}"
     held = program.memory_analysis().temp_size_in_bytes / 2**20
-    return {**count(program.as_text())._asdict(), "temporary_mib": round(held, 1)}
+    counted = count(program.as_text())._asdict()
+    return {key: counted[key] for key in MEANING if key in counted} | {"temporary_mib": round(held, 1)}
 
 
 def faults(name: str, found: Numbers | str, kept: dict[str, Numbers]) -> Iterator[str]:

@@ -65,7 +65,31 @@ ROW = {"launches": 100, "in_loops": 40, "data_loops": 1, "choices": 0, "temporar
 
 def test_launches_are_those_of_all_turns_and_of_the_longest_branch():
     in_loops = 12 * (1 + 1 + 1)
-    assert count(PROGRAM) == Counts(launches=in_loops + 3 + 1 + 1, in_loops=in_loops, data_loops=1, choices=1)
+    # A fusion reads and writes 32 bytes, a condition writes one; the library's call reads 32 and writes 48.
+    moved = 12 * (64 + 64 + 33) + (64 + 80 + 64) + 64 + 64
+    in_all = in_loops + 3 + 1 + 1
+    assert count(PROGRAM) == Counts(in_all, in_loops=in_loops, data_loops=1, choices=1, bytes_moved=moved)
+
+
+def test_of_what_a_launch_takes_parts_of_only_the_parts_are_moved():
+    program = """HloModule jit_g, is_scheduled=true
+
+%fused (p: f32[100,8], i: s32[], q: f32[100,8]) -> f32[100,8] {
+  %p = f32[100,8]{1,0} parameter(0)
+  %i = s32[] parameter(1)
+  %q = f32[100,8]{1,0} parameter(2)
+  %row = f32[1,8]{1,0} dynamic-slice(%p, %i, %i), dynamic_slice_sizes={1,8}
+  ROOT %d = f32[100,8]{1,0} dynamic-update-slice(%q, %row, %i, %i)
+}
+
+ENTRY %main (p: f32[100,8], i: s32[], q: f32[100,8]) -> f32[100,8] {
+  %p = f32[100,8]{1,0} parameter(0)
+  %i = s32[] parameter(1)
+  %q = f32[100,8]{1,0} parameter(2)
+  ROOT %k = f32[100,8]{1,0} fusion(%p, %i, %q), kind=kLoop, calls=%fused
+}
+"""
+    assert count(program) == Counts(launches=1, bytes_moved=32 + 4 + 32)
 
 
 def test_text_without_an_entry_is_no_program():
