@@ -2,21 +2,25 @@
 
 ``python -m benchmarks.kernel_shapes [--places NAME ...] [--resolution M]`` prints a row for each city whose data are at
 hand: how many visibility answers (cell x satellite x altitude) differ between the sweep and doubling, flat and, on made
-hills, over terrain, and the CPU seconds of each on JAX's platform.
+hills, over terrain, how many of lidar's counts (cell x altitude), and the CPU seconds of each on JAX's platform.
 """
 
 import argparse
 import time
+from collections.abc import Callable
 from dataclasses import replace
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
-from benchmarks.scenes import ALTITUDES_M, PLACES, load_place
+from benchmarks.lidar_terrain import PARAMS, counters
+from benchmarks.scenes import ALTITUDES_M, PLACES, Scene, load_place
+from jaxurban.kernels.lidar.flat import num_steps
 from jaxurban.metrics.visibility import KernelShape, visibility
 from jaxurban.world.surface import Surface
 
-SHAPES: tuple[KernelShape, ...] = ("sweep", "doubling")
+SHAPES: dict[str, KernelShape] = {"cpu": "sweep", "gpu": "doubling"}
 
 
 def on_hills(surface: Surface) -> Surface:
@@ -31,26 +35,44 @@ def main() -> None:
     parser.add_argument("--places", nargs="+", choices=PLACES, default=list(PLACES))
     parser.add_argument("--resolution", type=float, default=5.0, help="metres")
     asked = parser.parse_args()
-    print(f"| city, {asked.resolution:g} m | ground | answers | differ | sweep, CPU s | doubling, CPU s |")
-    print("|---|---|---|---|---|---|")
+    print(f"| city, {asked.resolution:g} m | ground | what | answers | differ | for a CPU, CPU s | for a GPU, CPU s |")
+    print("|---|---|---|---|---|---|---|")
     for place in (PLACES[name] for name in asked.places):
-        if not place.is_here:
-            continue
-        scene = load_place(place)
-        flat = scene.surface(asked.resolution)
-        for ground, surface in (("flat", flat), ("hills", on_hills(flat))):
-            words, seconds = {}, {}
-            for shape in SHAPES:
-                for _ in range(2):  # the first one compiles
-                    began_s = time.process_time()
-                    found = visibility(surface, scene.azimuth_rad, scene.elevation_rad, ALTITUDES_M, shape=shape)
-                    words[shape] = np.asarray(jax.block_until_ready(found))
-                    seconds[shape] = time.process_time() - began_s
-            num = words["sweep"][0].size * len(scene.azimuth_rad)
-            differ = int(np.bitwise_count(words["sweep"] ^ words["doubling"]).sum())
-            print(
-                f"| {scene.name} | {ground} | {num:,} | {differ} | {seconds['sweep']:.2f} | {seconds['doubling']:.2f} |"
-            )
+        if place.is_here:
+            scene = load_place(place)
+            flat = scene.surface(asked.resolution)
+            for ground, surface in (("flat", flat), ("hills", on_hills(flat))):
+                for what, found in answers(scene, surface, ground == "hills").items():
+                    print(f"| {scene.name} | {ground} | {what} | {found}", flush=True)
+
+
+def answers(scene: Scene, surface: Surface, is_hilly: bool) -> dict[str, str]:
+    """Return the cells of the table for each kernel."""
+
+    def seen(shape: str) -> jax.Array:
+        return visibility(surface, scene.azimuth_rad, scene.elevation_rad, ALTITUDES_M, shape=SHAPES[shape])[0]
+
+    resolution_m = surface.grid.resolution_m
+    halo = num_steps(resolution_m, PARAMS.range_m) - 1
+    terrain_m = jnp.zeros_like(surface.roof_m) if surface.terrain_m is None else surface.terrain_m
+    roofs, grounds = (surface.crop_with_halo(jnp.asarray(raster), halo) for raster in (surface.roof_m, terrain_m))
+    count = counters(np.asarray(roofs), np.asarray(grounds), tuple(ALTITUDES_M), resolution_m)[is_hilly]
+    return {
+        "satellites": compare(seen, lambda a, b: np.bitwise_count(a ^ b), len(scene.azimuth_rad)),
+        "lidar": compare(count, np.not_equal),
+    }
+
+
+def compare(work: Callable[[str], jax.Array], differ: Callable[..., np.ndarray], each: int = 1) -> str:
+    """Return how many answers, how many of them differ between the shapes, and the CPU seconds of each."""
+    found, seconds = {}, {}
+    for shape in SHAPES:
+        for _ in range(2):  # the first one compiles
+            began_s = time.process_time()
+            found[shape] = np.asarray(jax.block_until_ready(work(shape)))
+            seconds[shape] = time.process_time() - began_s
+    num = found["cpu"].size * each
+    return f"{num:,} | {differ(*found.values()).sum()} | {seconds['cpu']:.2f} | {seconds['gpu']:.2f} |"
 
 
 if __name__ == "__main__":

@@ -7,6 +7,9 @@ kernel.
 
 import argparse
 import warnings
+from collections.abc import Callable
+from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -90,11 +93,13 @@ def rasters(city: City, bounds: tuple, resolution_m: float) -> tuple[np.ndarray,
     )
 
 
-def compare(
-    roof_m: np.ndarray, terrain_m: np.ndarray, altitudes_m: tuple[float, ...], options: argparse.Namespace
-) -> tuple[float, float]:
-    """Return median CPU nanoseconds a cell, over flat ground and over terrain, of all altitudes together."""
-    resolution_m = options.resolution
+Counter = Callable[[str | None], jax.Array]
+
+
+def counters(
+    roof_m: np.ndarray, terrain_m: np.ndarray, altitudes_m: tuple[float, ...], resolution_m: float
+) -> tuple[Counter, Counter]:
+    """Return what counts lidar's returns over flat ground and over terrain, in the shape for a CPU or for a GPU."""
     steps = flat.num_steps(resolution_m, PARAMS.range_m)
     offsets = flat.ray_offsets(PARAMS.azimuths, steps)
     lowest_m = flat.lowest_heights(np.array(altitudes_m), PARAMS.elevations_rad, resolution_m, PARAMS.range_m, steps)
@@ -102,19 +107,28 @@ def compare(
     beams_m = jnp.asarray(flat.round_up(lowest_m, roof_m.dtype))
     roofs, grounds, rays = jnp.asarray(roof_m), jnp.asarray(terrain_m), jnp.asarray(offsets)
 
-    def over_flat() -> jax.Array:
-        return flat.count_returns(roofs, thresholds_m, rays, shape=options.shape)
+    def over_flat(shape: Any = None) -> jax.Array:
+        return flat.count_returns(roofs, thresholds_m, rays, shape=shape)
 
-    def over_terrain() -> jax.Array:
+    def over_terrain(shape: Any = None) -> jax.Array:
         starts = phase_starts(offsets, 1)
-        return count_returns_on_terrain(
-            roofs[None], grounds[None], beams_m, starts, halo=steps - 1, shape=options.shape
-        )
+        return count_returns_on_terrain(roofs[None], grounds[None], beams_m, starts, halo=steps - 1, shape=shape)
 
+    return over_flat, over_terrain
+
+
+def compare(
+    roof_m: np.ndarray, terrain_m: np.ndarray, altitudes_m: tuple[float, ...], options: argparse.Namespace
+) -> tuple[float, float]:
+    """Return median CPU nanoseconds a cell, over flat ground and over terrain, of all altitudes together."""
+    over_flat, over_terrain = (
+        partial(count, options.shape) for count in counters(roof_m, terrain_m, altitudes_m, options.resolution)
+    )
     if not terrain_m.any():
         np.testing.assert_array_equal(over_terrain(), over_flat())
     timing = in_turn({"flat": clocked(over_flat), "terrain": clocked(over_terrain)}, options.runs)
-    num_cells = np.prod([size - 2 * (steps - 1) for size in roof_m.shape])
+    halo = flat.num_steps(options.resolution, PARAMS.range_m) - 1
+    num_cells = np.prod([size - 2 * halo for size in roof_m.shape])
     return tuple(1e9 * timing[side].median_cpu_s / num_cells for side in ("flat", "terrain"))
 
 
