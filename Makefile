@@ -5,6 +5,7 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check -q
 SOURCES := pyproject.toml constraints.txt
 CUDA_VENV := .venv-cuda
+RAN := out/notebooks/.ran
 CUDA_PIP := $(CUDA_VENV)/bin/python -m pip --disable-pip-version-check -q
 CUDA_COMPILER := jax-cuda13-plugin jax-cuda13-pjrt nvidia-cuda-nvcc nvidia-nvvm nvidia-cuda-runtime nvidia-nvjitlink
 
@@ -43,11 +44,16 @@ wheel: $(VENV)/.dev
 
 notebooks: $(VENV)/.dev
 	$(BIN)/python notebooks/run_all.py -o out/notebooks
+	touch $(RAN)
 
 figures: $(VENV)/.run
 	$(BIN)/python -m figures
 
-docs: $(VENV)/.docs
+# The site shows the notebooks as they ran.
+$(RAN): $(wildcard notebooks/*.py) $(shell find jaxurban kernels planners -name '*.py')
+	$(MAKE) notebooks
+
+docs: $(VENV)/.docs $(RAN)
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict
 
 bench: $(VENV)/.bench

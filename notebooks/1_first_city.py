@@ -14,7 +14,8 @@
 # **Which way would a drone fly through a city, and why not straight?**
 #
 # The city is synthetic: shaped like Manhattan, nothing to download. The ten lines build it, make its
-# maps on cells of 10 m, and plan from one end to the other at 20 m above ground, with three planners:
+# maps on cells of 10 m, and plan from one end to the other at 20 m above ground, with three planners. Places are
+# longitude and latitude, as a map on the web tells them:
 #
 # - `ptp` (point to point) flies straight, and fails where a building stands in the way;
 # - `astar-dist` and `astar-plus` search for the path of least **cost**: 0.1 a metre flown, plus what each cell on
@@ -28,9 +29,9 @@ from jaxurban.report.figures import plot_overview, plot_paths, plot_profile
 
 city = ju.demo_city(width_m=2_000, height_m=3_000)
 maps = ju.build_maps(city, resolution_m=10.0)
-x_m, y_m = maps.grid.x_m, maps.grid.y_m
-ends = {"start_xy_m": (x_m[60], y_m[40]), "goal_xy_m": (x_m[125], y_m[240])}
-paths = [ju.plan(maps, **ends, altitude_m=20.0, planner=p, snap=True) for p in ("ptp", "astar-dist", "astar-plus")]
+start, goal = (-73.9750, 40.7698), (-73.9670, 40.7877)  # longitude, latitude
+planners = ("ptp", "astar-dist", "astar-plus")
+paths = [ju.plan(maps, start, goal, altitude_m=20.0, planner=p, snap=True) for p in planners]
 for path in paths:
     print(f"{path.search.planner:12}{path.status.value:10} cost {path.cost:8.1f}  length {path.length_m:7.0f} m")
 
@@ -70,4 +71,10 @@ plot_profile(paths[-1], maps, report)
 # - What the maps show, altitude by altitude: notebook 2.
 # - Other planners, and how they compare: notebook 3.
 # - What would change this route: buildings (notebook 4), weights (notebooks 5 and 6).
-# - A city of your own: notebook 7.
+# - A city of your own: notebook 7. A cost of your own: notebook 8. Many routes and cities: notebook 9.
+
+# %% [markdown]
+# ## A question to try
+#
+# Which of the three paths changes if you fly at 60 m instead of 20 m? Set `altitude_m=60.0`, and look at the costs:
+# what became cheaper, and what dearer?

@@ -113,3 +113,9 @@ axes.set_xticks(means.index, [f"{z:g}" for z in means.index])
 axes.minorticks_off()
 axes.legend(frameon=False, loc="center left", bbox_to_anchor=(1, 0.5))
 plt.show()
+
+# %% [markdown]
+# ## A question to try
+#
+# At which altitude would you fly if the GPS were jammed? Take `gps` out of the last picture and look for the best of
+# the rest.

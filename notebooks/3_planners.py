@@ -175,3 +175,8 @@ axes.scatter(expanded, excess, s=22)
 axes.axhline(0, color="black", linewidth=0.8)
 axes.set(xlabel="cells expanded, printed over admissible (1)", ylabel="cost above the cheapest path (%)")
 plt.show()
+
+# %% [markdown]
+# ## A question to try
+#
+# Does the order of the planners stay the same on a map of 20 m cells? Change `resolution_m`, and run it all again.

@@ -96,10 +96,15 @@ for name, weights in (("default weights", ju.Weights()), ("fitted weights", fit.
     print(f"{name}: {np.mean(regret):.2f} % dearer than the pilot's routes on average, {max(regret):.2f} % at worst")
 
 # %% [markdown]
-# One of them. `astar-dist` stands for the default weights here and `astar-plus` for the fitted ones; the costs below
-# are each in its own weights and cannot be compared.
+# One of them. The costs below are each in its own weights and cannot be compared.
 
 # %%
 x_m, y_m = maps.grid.x_m, maps.grid.y_m
 ends = {"start_xy_m": (x_m[30], y_m[20]), "goal_xy_m": (x_m[62], y_m[120]), "altitude_m": 20.0, "snap": True}
-plot_paths(maps, {20.0: [ju.plan(maps, **ends, planner="astar-dist"), ju.plan(maps, **ends, weights=fit.weights)]})
+two = [ju.plan(maps, **ends), ju.plan(maps, **ends, weights=fit.weights)]
+plot_paths(maps, two, names=["default weights", "fitted weights"])
+
+# %% [markdown]
+# ## A question to try
+#
+# How few routes are enough? Fit to the first 3, 5 and 10 of `shown`, and watch the intervals of `fit.table()` widen.

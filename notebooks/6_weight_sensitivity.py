@@ -97,7 +97,7 @@ plot_pareto(found)
 # %% [markdown]
 # ## Try it yourself
 #
-# The cheapest route under weights of your own, beside the shortest one (`astar-dist` here), which no weight changes.
+# The cheapest route under weights of your own, beside the shortest one (in blue), which no weight changes.
 
 # %%
 on = ju.cost_map(maps, 20.0, cost_model="line")
@@ -109,3 +109,8 @@ redraw(distance=0.1, gps=1.0, lidar=1.0, population=1.0, risk=1.0)
 
 # %%
 weight_sliders(on, start, goal, snap=True)
+
+# %% [markdown]
+# ## A question to try
+#
+# Which weight could you leave out altogether? Set it to 0 in `redraw`, and compare the cost by the given weights.

@@ -181,3 +181,9 @@ print((folder / "route.geojson").stat().st_size, "bytes")
 
 # %%
 shutil.rmtree(folder)
+
+# %% [markdown]
+# ## A question to try
+#
+# What does the route do with another guess for the heights that nobody mapped? Set `default_height_m` in the scenario's
+# `[buildings]` to 20, and make the maps again.

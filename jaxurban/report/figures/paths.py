@@ -81,7 +81,13 @@ def paper_time_of_day(maps: MetricMaps, altitude_m: float) -> str | None:
     return wanted if wanted in maps.times_of_day else next(iter(maps.times_of_day), None)
 
 
-def plot_paths(maps: GivenMaps, paths: Paths, *, altitudes_m: Sequence[float] | None = None) -> Figure:
+def plot_paths(
+    maps: GivenMaps,
+    paths: Paths,
+    *,
+    altitudes_m: Sequence[float] | None = None,
+    names: Sequence[str] | None = None,
+) -> Figure:
     """Return H_norm (black 0, white 1) by altitude with the paths of all planners over it.
 
     A panel shows the GPS time and the time of day that its paths were planned for; without paths, the first
@@ -92,15 +98,17 @@ def plot_paths(maps: GivenMaps, paths: Paths, *, altitudes_m: Sequence[float] | 
       maps: from `build_maps` or `open_maps`, or their folder.
       paths: one, several, a batch, or paths by altitude.
       altitudes_m: which altitudes; left out, all of the maps', or those of the paths that are not given by altitude.
+      names: what the paths are called, one after the other; left out, by their planners.
 
     Raises:
-      InputError: an altitude, time or time of day that these maps do not hold.
+      InputError: an altitude, time or time of day that these maps do not hold, or another number of names than paths.
     """
     maps, planned_at = as_maps(maps), by_altitude(paths)
+    name_of = _names(planned_at, names)
     shown = maps.altitudes_m if isinstance(paths, Mapping) or not planned_at else tuple(sorted(planned_at))
     shown = shown if altitudes_m is None else tuple(altitudes_m)
     panels = [panel for z in shown for panel in _panels_at(maps, z, planned_at.get(z, ()))]
-    colours = planner_colours(path.search.planner for _, _, _, planned in panels for path in planned)
+    colours = planner_colours(name_of[id(path)] for _, _, _, planned in panels for path in planned)
     titles = [" · ".join(filter(None, (f"{z:g} m", time_of_day))) for z, _, time_of_day, _ in panels]
     times = list(dict.fromkeys(time for _, time, _, _ in panels))
     most = max(len(planned) for _, _, _, planned in panels)
@@ -114,11 +122,23 @@ def plot_paths(maps: GivenMaps, paths: Paths, *, altitudes_m: Sequence[float] | 
     )
     for panel, (z, time, time_of_day, planned) in zip(frame.axes, panels, strict=True):
         draw_layers(panel, maps.grid, cost_layers(maps, z, time, time_of_day))
-        handles = [draw_path(panel, path, colours, rank, len(planned)) for rank, path in enumerate(planned)]
+        handles = [
+            draw_path(panel, path, colours, rank, len(planned), name_of[id(path)]) for rank, path in enumerate(planned)
+        ]
         draw_ends(panel, planned)
         legend_below(panel, frame, handles)
     add_key(frame, obstacle_patches(maps, BLOCKED_COLOUR), COST_COLOURS)
     return frame.figure
+
+
+def _names(planned_at: Mapping[float, Sequence[PlannedPath]], names: Sequence[str] | None) -> dict[int, str]:
+    """Return what each path is called, by its `id`."""
+    planned = [path for paths in planned_at.values() for path in paths]
+    if names is None:
+        return {id(path): path.search.planner for path in planned}
+    if isinstance(names, str) or len(names) != len(planned):
+        raise InputError(f"names must be a list of {len(planned)}, one for each path, got {names!r}")
+    return {id(path): name for path, name in zip(planned, names, strict=True)}
 
 
 def _panels_at(
@@ -141,17 +161,19 @@ def cost_layers(maps: MetricMaps, altitude_m: float, time: str | None, time_of_d
     return [MapLayer(norm, COST_COLOURS), obstacle_layer(maps, altitude_m, BLOCKED_COLOUR)]
 
 
-def draw_path(panel: Axes, path: PlannedPath, colours: Mapping[str, str], rank: int, num: int) -> Line2D:
-    """Draw one of ``num`` paths, if there is one, and return its legend handle."""
-    planner = path.search.planner
-    label = f"{planner}: {path.status.value}"
+def draw_path(
+    panel: Axes, path: PlannedPath, colours: Mapping[str, str], rank: int, num: int, name: str | None = None
+) -> Line2D:
+    """Draw one of ``num`` paths, if there is one, under its planner's or another name, and return its legend handle."""
+    name = name or path.search.planner
+    label = f"{name}: {path.status.value}"
     if path.status.has_path:
         cost = f"{path.cost:,.1f}" if path.cost < 1000 else f"{path.cost:,.0f}"
-        label = f"{planner}: {cost}, {path.length_m / 1000:.2f} km"
+        label = f"{name}: {cost}, {path.length_m / 1000:.2f} km"
         width = 1.6 + 1.5 * (num - 1 - rank)
-        panel.plot(*path.xy_m.T, color=colours[planner], linewidth=width, solid_joinstyle="round", zorder=3 + rank)
+        panel.plot(*path.xy_m.T, color=colours[name], linewidth=width, solid_joinstyle="round", zorder=3 + rank)
     is_found = path.status.has_path
-    return Line2D([], [], color=colours[planner], linewidth=2.5, linestyle="-" if is_found else ":", label=label)
+    return Line2D([], [], color=colours[name], linewidth=2.5, linestyle="-" if is_found else ":", label=label)
 
 
 def draw_ends(panel: Axes, paths: Sequence[PlannedPath]) -> None:

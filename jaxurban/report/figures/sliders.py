@@ -49,7 +49,7 @@ def weight_sliders(
         route.
     """
     try:
-        from ipywidgets import FloatLogSlider, HBox, Image, VBox
+        from ipywidgets import HTML, FloatLogSlider, HBox, Image, VBox
     except ModuleNotFoundError as error:
         raise InputError("sliders need ipywidgets: pip install 'jaxurban[notebook]'") from error
     on = _cost_map(maps, altitude_m)
@@ -63,8 +63,20 @@ def weight_sliders(
         "step": STEP,
         "continuous_update": False,
         "readout_format": ".3g",
+        "style": {"description_width": "initial"},
     }
-    sliders = {name: FloatLogSlider(max(given[name], 10**LOWEST), description=name, **look) for name in on.weight_names}
+    meant = {"distance": "each metre flown"} | {name: on.maps.metrics[name].label for name in on.names}
+    sliders = {
+        name: FloatLogSlider(
+            max(given[name], 10**LOWEST), description=f"{name}:", tooltip=f"weight of {name}: {meant[name]}", **look
+        )
+        for name in on.weight_names
+    }
+    told = HTML(
+        "<b>Weights</b>, what each counts in the cost of a route: "
+        + ", ".join(f"<b>{name}</b> {said}" for name, said in meant.items())
+        + ". Let a slider go, and the cheapest route is planned anew."
+    )
     # An Image, as the Output that `interact` draws into can hang a notebook run without a browser (nbclient issue 312).
     picture = Image(format="png")
 
@@ -77,7 +89,7 @@ def weight_sliders(
     for slider in sliders.values():
         slider.observe(show, "value")
     show()
-    return VBox([HBox(list(sliders.values()), layout={"flex_flow": "row wrap"}), picture])
+    return VBox([told, HBox(list(sliders.values()), layout={"flex_flow": "row wrap"}), picture])
 
 
 def route_under(
@@ -94,14 +106,12 @@ def route_under(
     Weights that are not named are 0. Arguments and errors as for `weight_sliders`.
     """
     on = _cost_map(maps, altitude_m)
-    # Another name than the planner's own, so that the picture tells the two apart.
-    other = "astar-dist" if planner != "astar-dist" else "astar-plus"
-    shortest = replace(on, objective="distance").plan(start, goal, planner=other, snap=snap)
+    shortest = replace(on, objective="distance").plan(start, goal, planner=planner, snap=snap)
 
     def figure(**weights: float) -> Figure:
         chosen = Weights(**dict.fromkeys(on.weight_names, 0.0) | weights).checked(on.names)
         found = replace(on, weights=chosen).plan(start, goal, planner=planner, snap=snap)
-        return plot_paths(on.maps, [shortest, found])
+        return plot_paths(on.maps, [shortest, found], names=["shortest", "cheapest under these weights"])
 
     return figure
 
