@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import click
+import nbformat
 from latex2mathml.converter import convert
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
@@ -18,6 +19,7 @@ ROOT = Path(__file__).parents[1]
 TABLE_LINK = re.compile(r"^\[[^\]]+\]\((?:\.\./)+(figures/\S+\.md)\)$", re.MULTILINE)  # alone on its line
 FIGURE_LINK = re.compile(r"\]\(((?:\.\./)*)\.\./figures/")  # as files of the repository see it
 RAN = ROOT / "out" / "notebooks"
+WIDGET = "application/vnd.jupyter.widget-view+json"
 STYLE = re.compile(r"<style scoped>.*?</style>\n", re.DOTALL)  # of pandas' tables
 LISTING = re.compile(r"^<!-- (commands|public names|modules): ?(.*) -->$", re.MULTILINE)
 
@@ -39,7 +41,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
         if not ran.exists():
             raise FileNotFoundError(f"{ran.relative_to(ROOT)} is not there: make notebooks runs the notebooks")
         resources = {"output_files_dir": f"{source.stem}_files"}
-        page, made = MarkdownExporter().from_filename(str(ran), resources)
+        page, made = MarkdownExporter().from_notebook_node(_without_widgets(nbformat.read(ran, 4)), resources)
         files.append(File.generated(config, f"notebooks/{source.stem}.md", content=_told(page, source)))
         for name, picture in made["outputs"].items():
             files.append(File.generated(config, f"notebooks/{name}", content=picture))
@@ -50,6 +52,15 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
     """Return the page with its tables and listings written out, and with links to figures as the site has them."""
     markdown = TABLE_LINK.sub(lambda found: (ROOT / found[1]).read_text(encoding="utf-8"), markdown)
     return LISTING.sub(_listing, FIGURE_LINK.sub(r"](\1figures/", markdown))
+
+
+def _without_widgets(notebook: nbformat.NotebookNode) -> nbformat.NotebookNode:
+    """Return a notebook whose widgets, which need a running one, are told in words."""
+    for cell in notebook.cells:
+        for output in cell.get("outputs", ()):
+            if WIDGET in output.get("data", {}):
+                output.data = {"text/plain": "(Sliders: they work in a running notebook.)"}
+    return notebook
 
 
 def _told(page: str, source: Path) -> str:

@@ -14,8 +14,8 @@
 # **What would a drone do differently if quiet streets mattered?**
 #
 # GPS, lidar, people and walls are not all that a flight costs. Anything with a value at each place can be weighed
-# beside them: here the wind between buildings, made by a function of the surface, and the calm that residents ask for,
-# an array. Both are made up; yours may come from a raster file (see *Add a cost layer of your own* in the docs).
+# beside them: here the gusts between buildings, made by a function of the surface, and the complaints of residents about
+# noise, an array. Both are made up; yours may come from a raster file (see *Add a cost layer of your own* in the docs).
 
 # %%
 # %matplotlib inline
@@ -39,8 +39,8 @@ start, goal = (-73.9750, 40.7698), (-73.9670, 40.7877)  # longitude, latitude
 
 # %%
 people = plain.m("population", time_of_day="night")
-complaints = 60.0 * (people / people.max())
-calm = ju.Layer(complaints, "high-is-bad", (0.0, 60.0))
+a_year = 60.0 * (people / people.max())
+complaints = ju.Layer(a_year, "high-is-bad", (0.0, 60.0))
 
 # %% [markdown]
 # ## From a function
@@ -60,9 +60,9 @@ def gusts(surface, altitude_m):
     return jnp.maximum(jnp.stack(west_east).max(axis=0) - altitude_m, 0.0)
 
 
-layers = {"calm": calm, "gusts": ju.Layer(gusts, "high-is-bad", (0.0, 50.0), reach_m=30.0)}
+layers = {"complaints": complaints, "gusts": ju.Layer(gusts, "high-is-bad", (0.0, 50.0), reach_m=30.0)}
 maps = ju.build_maps(city, **how, layers=layers)
-plot_metric(maps, "calm", altitudes_m=[20.0])
+plot_metric(maps, "complaints", altitudes_m=[20.0])
 
 # %%
 plot_metric(maps, "gusts")
@@ -74,26 +74,29 @@ plot_metric(maps, "gusts")
 
 # %%
 routes = {
-    "without": ju.plan(maps, start, goal, altitude_m=20.0, snap=True, weights={"calm": 0, "gusts": 0}),
-    "calm streets": ju.plan(maps, start, goal, altitude_m=20.0, snap=True, weights={"calm": 3, "gusts": 0}),
-    "no gusts": ju.plan(maps, start, goal, altitude_m=20.0, snap=True, weights={"calm": 0, "gusts": 3}),
+    name: ju.plan(maps, start, goal, altitude_m=20.0, snap=True, weights=weights)
+    for name, weights in {
+        "without": {"complaints": 0, "gusts": 0},
+        "few complaints": {"complaints": 3, "gusts": 0},
+        "no gusts": {"complaints": 0, "gusts": 3},
+    }.items()
 }
 for name, route in routes.items():
-    along = maps.m("calm", 20.0), maps.m("gusts", 20.0)
+    along = maps.m("complaints", 20.0), maps.m("gusts", 20.0)
     row, col = np.floor((route.xy_m - [maps.grid.x_min_m, maps.grid.y_min_m]).T[::-1] / 10.0).astype(int)
     means = ", ".join(f"{layer} {m[row, col].mean():.3f}" for layer, m in zip(layers, along, strict=True))
-    print(f"{name:13} {route.length_m:6,.0f} m; mean along it: {means}")
+    print(f"{name:15} {route.length_m:6,.0f} m; mean along it: {means}")
 plot_paths(maps, list(routes.values()), names=list(routes))
 
 # %% [markdown]
 # ## How much may the weight be off?
 #
-# One's own layers take part in every study. Each route that the weight of `calm` can lead to, from a tenth to ten times
+# One's own layers take part in every study. Each route that the weight of `complaints` can lead to, from a tenth to ten times
 # 3:
 
 # %%
-on = ju.cost_map(maps, 20.0, weights={"calm": 3, "gusts": 1}, cost_model="line")
-settings = ju.SensitivitySettings(vary=("calm", "gusts"), num_samples=16)
+on = ju.cost_map(maps, 20.0, weights={"complaints": 3, "gusts": 1}, cost_model="line")
+settings = ju.SensitivitySettings(vary=("complaints", "gusts"), num_samples=16)
 found = ju.sensitivity(on, start, goal, snap=True, settings=settings)
 plot_breakpoint_routes(found)
 
