@@ -14,8 +14,9 @@
 # **What would a drone do differently if quiet streets mattered?**
 #
 # GPS, lidar, people and walls are not all that a flight costs. Anything with a value at each place can be weighed
-# beside them: here the gusts between buildings, made by a function of the surface, and the complaints of residents about
-# noise, an array. Both are made up; yours may come from a raster file (see *Add a cost layer of your own* in the docs).
+# beside them: here the gusts between buildings, made by a function of the surface, and the complaints of residents
+# about noise, an array. Both are made up; yours may come from a raster file (see *Add a cost layer of your own* in the
+# docs).
 
 # %%
 # %matplotlib inline
@@ -91,8 +92,8 @@ plot_paths(maps, list(routes.values()), names=list(routes))
 # %% [markdown]
 # ## How much may the weight be off?
 #
-# One's own layers take part in every study. Each route that the weight of `complaints` can lead to, from a tenth to ten times
-# 3:
+# One's own layers take part in every study. Each route that the weight of `complaints` can lead to, from a tenth of 3
+# to ten times 3:
 
 # %%
 on = ju.cost_map(maps, 20.0, weights={"complaints": 3, "gusts": 1}, cost_model="line")
