@@ -197,7 +197,11 @@ def _maps(tile: TileScene, metric: Metric, only_m: bool = False) -> Iterator[Map
     """Yield the maps of a metric, place by place along its dims; ``only_m``: without its further variables."""
     settings = tile.task.settings_of(metric)
     for place in np.ndindex(*(tile.task.sizes[dim] for dim in metric.dims)):
-        for name, values in metric.compute(tile.at(metric, place, only_m), settings).items():
+        found = metric.compute(tile.at(metric, place, only_m), settings)
+        for values in found.values():
+            if isinstance(values, jax.Array):
+                values.copy_to_host_async()  # from a GPU all set out before the first is waited for; free on a CPU
+        for name, values in found.items():
             yield MapLayer(name, place, values)
 
 
