@@ -96,7 +96,7 @@ def bind_workers(name: str, num_workers: int) -> tuple[Gpu, ...]:
         if name == "gpu":
             raise InputError(NO_GPU)
         return ()
-    leave_gpus()
+    jax.config.update("jax_platforms", "cpu")  # of this process alone, before JAX's first use; not of the environment
     bound = gpus_of_workers(gpus, num_workers)
     kinds = " or ".join(sorted({gpu.kind for gpu in bound}))
     told = f"device: {len(bound)} worker process{'es' * (len(bound) > 1)}, each with a GPU of its own ({kinds})"
@@ -106,11 +106,6 @@ def bind_workers(name: str, num_workers: int) -> tuple[Gpu, ...]:
         told += f"; {num_workers} were asked for, and more than one a GPU would only share it"
     LOG.info(told)
     return bound
-
-
-def leave_gpus() -> None:
-    """Let JAX compute on the CPU in this process, if it has not begun; others of the same environment have a choice."""
-    jax.config.update("jax_platforms", "cpu")
 
 
 def gpus_of_workers(gpus: Sequence[Gpu], num_workers: int) -> tuple[Gpu, ...]:

@@ -15,7 +15,7 @@ from dask.callbacks import Callback
 from dask.delayed import Delayed, delayed
 
 from jaxurban.errors import InputError
-from jaxurban.maps.device import Gpu, bind_workers, leave_gpus, use_device
+from jaxurban.maps.device import Gpu, bind_workers, use_device
 from jaxurban.maps.tiled import TileJob, finish_tile, raster_tile, sweep_tile
 from jaxurban.world.tiling import QUADRANTS, Quadrant, Tile
 
@@ -46,22 +46,20 @@ class Resources:
             raise InputError("give either --workers, for a cluster of this machine's own, or --cluster, not both")
 
     def on_device(self, name: str | None) -> "Resources":
-        """Return these, with what computes settled: here where threads do the work, else in the worker processes.
+        """Return these, with what computes settled: in this process, or in worker processes of this machine.
+
+        The workers of a cluster compute on what they were started with.
 
         Args:
           name: as for `jaxurban.maps.device.use_device`; None if none was asked for.
 
         Raises:
-          InputError: no such device, or one asked for a cluster, whose workers have been started with theirs.
+          InputError: no such device.
         """
         if self.num_processes is not None:
             gpus = bind_workers(name or "auto", self.num_processes)
             return replace(self, gpus=gpus, num_processes=len(gpus) or self.num_processes)
-        if self.cluster is not None:
-            if name is not None:
-                raise InputError("--cluster works on what its workers were started with: leave --device out")
-            leave_gpus()
-        elif name is not None:
+        if name is not None:
             use_device(name)
         return self
 
@@ -71,6 +69,11 @@ class Resources:
         if self.num_processes is None:
             return num_cores()
         return self.num_processes * (max(1, num_cores() // self.num_processes) if self.gpus else 1)
+
+    @property
+    def backend(self) -> str:
+        """What JAX computes on; a cluster's workers are taken to have what this process has."""
+        return "gpu" if self.gpus else jax.default_backend()
 
     @contextmanager
     def client(self, num_tiles: int) -> Iterator[Any]:

@@ -149,7 +149,7 @@ def _run(scenario: Scenario, folder: Path, overwrite: bool, resources: Resources
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", UserWarning)
         inputs = hash_inputs(scenario)
-        key = run_key(scenario, inputs)
+        key = run_key(scenario, inputs, resources.backend)
         if has_other_maps(folder, key) and not overwrite:
             raise InputError(
                 f"{str(folder)!r} holds maps of other settings or inputs, or made by another version of jaxurban "

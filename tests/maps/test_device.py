@@ -123,7 +123,7 @@ def test_more_workers_than_gpus_are_told_in_one_sentence_and_this_process_keeps_
     caplog.set_level(logging.INFO, "jaxurban")
     resources = Resources(num_processes=5).on_device(None)
     assert [(gpu.name, gpu.limit_bytes) for gpu in resources.gpus] == [("1", 4 * GIB), ("2", 3 * GIB)]
-    assert resources.num_processes == 2
+    assert (resources.num_processes, resources.backend) == (2, "gpu")
     assert caplog.messages == [
         "device: 2 worker processes, each with a GPU of its own (NVIDIA H200) and 3 GiB of memory, taken as needed; "
         "5 were asked for, and more than one a GPU would only share it"
@@ -146,11 +146,6 @@ def test_workers_on_the_cpu_are_as_many_as_were_asked_for(two_gpus, monkeypatch)
     assert Resources(num_processes=5).on_device("auto") == Resources(num_processes=5)
     with pytest.raises(InputError, match="no GPU that JAX can use"):
         Resources(num_processes=5).on_device("gpu")
-
-
-def test_a_clusters_workers_have_their_devices_already():
-    with pytest.raises(InputError, match="leave --device out"):
-        Resources(cluster="tcp://host:8786").on_device("gpu")
 
 
 def test_tiles_of_worker_processes_are_planned_by_the_least_of_their_gpus(tmp_path, monkeypatch):
