@@ -167,7 +167,7 @@ def code_hash() -> str:
 
 
 def run_key(scenario: Scenario, inputs: dict[str, dict[str, str]], backend: str) -> str:
-    """Return a short hash of all that the maps depend on: settings, input bytes, our code, the libraries, JAX's backend."""
+    """Return a short hash of all that maps depend on: settings, input bytes, our code, the libraries, JAX's backend."""
     settings = scenario.model_dump(mode="json", exclude={"weights", "planning", "study"})
     facts = {
         "settings": settings,
