@@ -209,3 +209,17 @@ def test_the_command_plans_its_workers_by_the_memory_of_their_gpus(two_gpus, tmp
     assert "2 worker processes, each with a GPU of its own" in told
     assert "3 were asked for" in told
     assert "of the GPU's memory and 0.0 GiB are free" in error
+
+
+def own_device() -> tuple[str, int]:
+    return jax.default_backend(), jax.local_device_count()
+
+
+@pytest.mark.gpu
+@pytest.mark.skipif(jax.default_backend() == "cpu", reason="JAX has no GPU here")
+def test_each_worker_computes_on_one_gpu_of_those_that_jax_has():
+    pytest.importorskip("distributed", reason="needs the cluster extra")
+    gpus = tuple(device.find_gpus())
+    assert [gpu.kind for gpu in gpus] == [each.device_kind for each in jax.local_devices()]
+    with Resources(num_processes=len(gpus), gpus=gpus).client(num_tiles=len(gpus)) as client:
+        assert set(client.run(own_device).values()) == {("gpu", 1)}
