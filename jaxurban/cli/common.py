@@ -5,6 +5,7 @@ import logging
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -59,13 +60,13 @@ def _use_device(ctx: click.Context, param: click.Parameter, value: str | None) -
 
 
 LONLAT = LonLat()
-DEVICE = click.option(
+DEVICE_CHOICE = partial(
+    click.option,
     "--device",
     type=click.Choice(["auto", "cpu", "gpu"]),
-    callback=_use_device,
-    expose_value=False,
     help="What computes.  [default: auto, a GPU where JAX finds one]",
 )
+DEVICE = DEVICE_CHOICE(callback=_use_device, expose_value=False)
 RESOLUTION = click.option(
     "--resolution", "resolution_m", type=float, help="Of the maps, metres; needed where DIR holds several."
 )

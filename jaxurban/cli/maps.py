@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from jaxurban.cli.common import DEVICE, JSON_FLAG, print_json, tell, tell_warnings
+from jaxurban.cli.common import DEVICE_CHOICE, JSON_FLAG, print_json, tell, tell_warnings
 from jaxurban.progress import reporting
 
 
@@ -14,9 +14,9 @@ from jaxurban.progress import reporting
 @click.option("--overwrite", is_flag=True, help="Replace maps of other settings in the output folder.")
 @click.option("--figures", is_flag=True, help="Draw the maps too, under DIR/figures.")
 @click.option("--memory", help="Ceiling on the memory of the whole run, such as 4GiB. [default: half of what is free]")
-@click.option("--workers", type=int, help="Work in so many processes (Dask). [default: a thread a core]")
+@click.option("--workers", type=int, help="Work in so many processes (Dask); one a GPU. [default: a thread a core]")
 @click.option("--cluster", metavar="ADDRESS", help="Work on the Dask cluster of a scheduler, such as tcp://host:8786.")
-@DEVICE
+@DEVICE_CHOICE()
 @JSON_FLAG
 def maps(
     scenario_file: Path,
@@ -26,6 +26,7 @@ def maps(
     memory: str | None,
     workers: int | None,
     cluster: str | None,
+    device: str | None,
     as_json: bool,
 ) -> int:
     """Make the metric maps of SCENARIO (TOML) as Zarr and GeoTIFF."""
@@ -35,7 +36,7 @@ def maps(
     from jaxurban.scenario.settings import Scenario
 
     scenario = Scenario.from_toml(scenario_file)
-    resources = Resources(None if memory is None else parse_bytes(memory), workers, cluster)
+    resources = Resources(None if memory is None else parse_bytes(memory), workers, cluster).on_device(device)
     with reporting("maps") as report:
         run = run_scenario(scenario, folder, report, overwrite, resources)
         if figures:

@@ -1,6 +1,13 @@
-"""Which device JAX computes on, and how much memory it has free."""
+"""Which devices compute, in this process and in worker processes, and how much memory they have free."""
 
+import json
 import os
+import subprocess
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib.metadata import entry_points
+from typing import Any
 
 import jax
 
@@ -9,6 +16,42 @@ from jaxurban.progress import LOG
 
 DEVICES = ("auto", "cpu", "gpu")
 PREALLOCATE = "XLA_PYTHON_CLIENT_PREALLOCATE"
+VISIBLE = "CUDA_VISIBLE_DEVICES"
+NO_GPU = (
+    "there is no GPU that JAX can use: install jaxurban[cuda13] (or cuda12) and NVIDIA's driver, or leave --device out"
+)
+# Run by a process of its own: what JAX sees there, by the place of each device among those that are visible to CUDA.
+ASK_JAX = """
+import json, jax
+print(json.dumps([
+    {"platform": d.platform, "kind": d.device_kind, "place": d.local_hardware_id, "memory": d.memory_stats()}
+    for d in jax.local_devices()
+]))
+"""
+
+
+@dataclass(frozen=True)
+class Gpu:
+    """A GPU that a worker process has to itself.
+
+    Attributes:
+      name: what ``CUDA_VISIBLE_DEVICES`` calls it, an index or a UUID.
+      kind: its model.
+      limit_bytes: how much of its memory JAX takes at most; None where that is not known.
+    """
+
+    name: str
+    kind: str = "GPU"
+    limit_bytes: int | None = None
+
+    @property
+    def environment(self) -> dict[str, str]:
+        """What a process must find in its environment before JAX starts, to compute on this GPU and no other."""
+        return {
+            VISIBLE: self.name,
+            "JAX_CUDA_VISIBLE_DEVICES": "all",  # of the one that is left
+            PREALLOCATE: os.environ.get(PREALLOCATE, "false"),
+        }
 
 
 def use_device(name: str) -> None:
@@ -25,15 +68,100 @@ def use_device(name: str) -> None:
         os.environ["JAX_PLATFORMS"] = "cpu"
         jax.config.update("jax_platforms", "cpu")
     if name == "gpu" and jax.default_backend() == "cpu":
-        raise InputError(
-            "there is no GPU that JAX can use: install jaxurban[cuda13] (or cuda12) and NVIDIA's driver, or leave "
-            "--device out"
-        )
+        raise InputError(NO_GPU)
     told = f"device: {jax.local_devices()[0].device_kind} ({jax.default_backend()})"
     if (free := gpu_free_bytes()) is not None:
-        taken = "as needed" if os.environ.get(PREALLOCATE, "true").lower() in ("false", "0") else "at once"
-        told += f", {free / 2**30:,.0f} GiB of memory, taken {taken}"
+        told += f", {_memory_told(free)}"
     LOG.info(told)
+
+
+def bind_workers(name: str, num_workers: int) -> tuple[Gpu, ...]:
+    """Return the GPU of each worker process, and keep this one off them; empty where the workers compute on a CPU.
+
+    Where that is fewer processes than were asked for, the log says so.
+
+    Args:
+      name: of the device, as for `use_device`.
+      num_workers: how many processes are asked for.
+
+    Raises:
+      InputError: another name, no GPU that JAX can use, or JAX does not start.
+    """
+    one_of("device", name, DEVICES)
+    if name == "cpu":
+        use_device(name)
+        return ()
+    gpus = find_gpus()
+    if not gpus:
+        if name == "gpu":
+            raise InputError(NO_GPU)
+        return ()
+    jax.config.update("jax_platforms", "cpu")  # of this process alone, before JAX's first use; not of the environment
+    bound = gpus_of_workers(gpus, num_workers)
+    kinds = " or ".join(sorted({gpu.kind for gpu in bound}))
+    told = f"device: {len(bound)} worker process{'es' * (len(bound) > 1)}, each with a GPU of its own ({kinds})"
+    if None not in (limits := {gpu.limit_bytes for gpu in bound}):
+        told += f" and {_memory_told(min(limit or 0 for limit in limits))}"
+    if num_workers > len(bound):
+        told += f"; {num_workers} were asked for, and more than one a GPU would only share it"
+    LOG.info(told)
+    return bound
+
+
+def gpus_of_workers(gpus: Sequence[Gpu], num_workers: int) -> tuple[Gpu, ...]:
+    """Return the GPU of each worker process: worker n has the n-th, and there are no more workers than GPUs."""
+    return tuple(gpus[:num_workers])
+
+
+def visible_names(places: Sequence[int], visible: str | None) -> list[str]:
+    """Return what ``CUDA_VISIBLE_DEVICES`` of another process must say for it to see one of this one's devices.
+
+    Args:
+      places: of devices among those that are visible to CUDA here.
+      visible: ``CUDA_VISIBLE_DEVICES`` here, indices or UUIDs; None where it is not set, so that all are visible.
+    """
+    if visible is None:
+        return [str(place) for place in places]
+    names = [name.strip() for name in visible.split(",")]
+    return [names[place] for place in places]
+
+
+def find_gpus() -> list[Gpu]:
+    """Return the GPUs that JAX can use, which this process does not touch.
+
+    A process of its own asks JAX, which alone knows the driver, the plugin and what the environment hides. Where no
+    plugin is installed there is nothing to ask.
+
+    Raises:
+      InputError: JAX does not start there.
+    """
+    if not entry_points(group="jax_plugins") or os.environ.get("JAX_PLATFORMS") == "cpu":
+        return []
+    found = [device for device in ask_jax() if device["platform"] == "gpu"]
+    names = visible_names([device["place"] for device in found], os.environ.get(VISIBLE))
+    return [
+        Gpu(name, device["kind"], (device["memory"] or {}).get("bytes_limit"))
+        for name, device in zip(names, found, strict=True)
+    ]
+
+
+def ask_jax() -> list[dict[str, Any]]:
+    """Return ``platform``, ``kind``, ``place`` and ``memory`` of the devices that JAX has in a process of its own.
+
+    Raises:
+      InputError: it does not start.
+    """
+    done = subprocess.run(
+        [sys.executable, "-c", ASK_JAX],
+        capture_output=True,
+        text=True,
+        check=False,
+        env={**os.environ, PREALLOCATE: "false"},
+    )
+    if done.returncode:
+        last = (done.stderr.strip().splitlines() or [f"exit status {done.returncode}"])[-1]
+        raise InputError(f"JAX does not start on this machine's devices ({last}): mend that, or take --device cpu")
+    return json.loads(done.stdout.splitlines()[-1])
 
 
 def gpu_free_bytes() -> int | None:
@@ -42,3 +170,8 @@ def gpu_free_bytes() -> int | None:
         return None
     stats = jax.local_devices()[0].memory_stats() or {}
     return int(stats["bytes_limit"] - stats.get("bytes_in_use", 0)) if "bytes_limit" in stats else None
+
+
+def _memory_told(num_bytes: int) -> str:
+    taken = "as needed" if os.environ.get(PREALLOCATE, "true").lower() in ("false", "0") else "at once"
+    return f"{num_bytes / 2**30:,.0f} GiB of memory, taken {taken}"

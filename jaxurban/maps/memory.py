@@ -13,7 +13,7 @@ from jaxurban.errors import InputError
 from jaxurban.kernels.distance.exact import window_cells
 from jaxurban.kernels.lidar.flat import WORD_BITS, num_steps
 from jaxurban.maps.dataset import variables
-from jaxurban.maps.device import gpu_free_bytes
+from jaxurban.maps.device import Gpu, gpu_free_bytes
 from jaxurban.maps.task import MapTask
 from jaxurban.metrics.base import Metric
 from jaxurban.world.grid import Grid
@@ -192,7 +192,7 @@ def plan_memory(
     ceiling_bytes: int | None,
     per_tile_bytes: int,
     num_workers: int,
-    has_processes: bool,
+    num_processes: int = 0,
     num_resolutions: int = 1,
     num_tiles: int | None = None,
 ) -> MemoryPlan:
@@ -201,39 +201,42 @@ def plan_memory(
     Args:
       ceiling_bytes: of all processes together; None for `DEFAULT_SHARE` of the free memory.
       per_tile_bytes: from `tile_bytes`.
-      num_workers: wanted.
-      has_processes: whether every worker is a process of its own, not a thread.
+      num_workers: wanted; each process works on as many tiles.
+      num_processes: beside this one, that do the work; 0 where its threads do.
       num_resolutions: whose tiles are made one after the other.
       num_tiles: that have maps; None if there are more than workers.
 
     Raises:
-      InputError: not even one tile fits (or not all requested processes do).
+      InputError: not even one tile fits (or not one in each process).
     """
-    own = psutil.Process().memory_info().rss
+    own, least = psutil.Process().memory_info().rss, num_processes or 1
     if ceiling_bytes is None:
         ceiling_bytes = int(own + DEFAULT_SHARE * free_bytes())
-    programs = num_resolutions * PROGRAM_BYTES
-    base = own if has_processes else own + COMPILING_BYTES + programs
-    each = per_tile_bytes + (WORKER_BYTES + programs if has_processes else 0)
-    fitting = int((ceiling_bytes - base) // each)
-    if fitting < (num_workers if has_processes else 1):
-        least = base + each * (num_workers if has_processes else 1)
-        remedy = "fewer --workers" if has_processes and num_workers > 1 else "a coarser [region] resolution_m"
+    base = own + num_resolutions * PROGRAM_BYTES * least + (num_processes * WORKER_BYTES or COMPILING_BYTES)
+    fitting = int((ceiling_bytes - base) // per_tile_bytes)
+    if fitting < least:
+        remedy = "fewer --workers" if num_processes > 1 else "a coarser [region] resolution_m"
         raise InputError(
-            f"this job needs about {gib(least)} of memory and may take {gib(ceiling_bytes)}: raise --memory, or choose "
-            f"{remedy}, a shorter [lidar] range_m, or fewer altitudes or times"
+            f"this job needs about {gib(base + per_tile_bytes * least)} of memory and may take {gib(ceiling_bytes)}: "
+            f"raise --memory, or choose {remedy}, a shorter [lidar] range_m, or fewer altitudes or times"
         )
-    num = min(num_workers, fitting)
-    at_once = num if has_processes or num_tiles is None else min(num, num_tiles)
-    return MemoryPlan(ceiling_bytes, int(base + at_once * each), num)
+    num = min(num_workers, fitting) // least * least
+    at_once = num if num_tiles is None else min(num, max(num_tiles, least))
+    return MemoryPlan(ceiling_bytes, int(base + at_once * per_tile_bytes), num)
 
 
 def plan_run(
-    tasks: Sequence[MapTask], folder: Path, ceiling_bytes: int | None, num_workers: int, has_processes: bool
+    tasks: Sequence[MapTask],
+    folder: Path,
+    ceiling_bytes: int | None,
+    num_workers: int,
+    num_processes: int = 0,
+    gpus: Sequence[Gpu] = (),
 ) -> MemoryPlan:
     """Return how a run of some tasks, one after the other, keeps under its memory ceiling; arguments as `plan_memory`.
 
-    On a GPU as many tiles are worked on as its own memory holds.
+    On a GPU as many tiles are worked on as its own memory holds: this process's, or those of the worker processes
+    (``gpus``).
 
     Raises:
       InputError: it cannot, or the disk of ``folder`` is too small.
@@ -244,9 +247,8 @@ def plan_run(
         tile = replace(region, num_rows=shape[0], num_cols=shape[1])
         num_tiles = max(num_tiles, -(-region.num_rows // shape[0]) * -(-region.num_cols // shape[1]))
         most_bytes = max(most_bytes, tile_bytes(task, tile))
-    plan = plan_memory(
-        ceiling_bytes, most_bytes, _fitting_on_gpu(most_bytes, num_workers), has_processes, len(tasks), num_tiles
-    )
+    fitting = _fitting_on_gpus(most_bytes, num_workers, gpus)
+    plan = plan_memory(ceiling_bytes, most_bytes, fitting, num_processes, len(tasks), num_tiles)
     disk_bytes = SCRATCH_BYTES_PER_CELL * max(_num_cells(task.region) for task in tasks)
     disk_free = shutil.disk_usage(folder).free
     if disk_bytes > disk_free:
@@ -257,21 +259,26 @@ def plan_run(
     return plan
 
 
-def _fitting_on_gpu(per_tile_bytes: int, num_workers: int) -> int:
-    """Return how many workers a GPU has memory for, ``num_workers`` at most and where JAX computes on a CPU.
+def _fitting_on_gpus(per_tile_bytes: int, num_workers: int, gpus: Sequence[Gpu]) -> int:
+    """Return how many tiles GPUs hold at a time, ``num_workers`` at most and where JAX computes on a CPU.
+
+    Args:
+      per_tile_bytes, num_workers: as for `plan_memory`.
+      gpus: of worker processes, which share the tiles alike; empty: this process's own.
 
     Raises:
       InputError: not one tile fits.
     """
-    free = gpu_free_bytes()
-    if free is None:
+    known = [free for free in ([gpu.limit_bytes for gpu in gpus] or [gpu_free_bytes()]) if free is not None]
+    if not known:
         return num_workers
+    free = min(known)
     if per_tile_bytes > free:
         raise InputError(
             f"a tile needs about {gib(per_tile_bytes)} of the GPU's memory and {gib(free)} are free: end what else "
             "uses it, choose a shorter [lidar] range_m or fewer altitudes or times, or take --device cpu"
         )
-    return min(num_workers, int(free // per_tile_bytes))
+    return min(num_workers, int(free // per_tile_bytes) * max(1, len(gpus)))
 
 
 def plan_sentence(tasks: Sequence[MapTask], plan: MemoryPlan) -> str:

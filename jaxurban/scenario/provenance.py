@@ -8,7 +8,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import jax
 import numpy as np
 import pyproj
 import rasterio
@@ -167,15 +166,15 @@ def code_hash() -> str:
     return digest.hexdigest()
 
 
-def run_key(scenario: Scenario, inputs: dict[str, dict[str, str]]) -> str:
-    """Return a short hash of everything the maps depend on: settings, input bytes, our code, the libraries."""
+def run_key(scenario: Scenario, inputs: dict[str, dict[str, str]], backend: str) -> str:
+    """Return a short hash of all that maps depend on: settings, input bytes, our code, the libraries, JAX's backend."""
     settings = scenario.model_dump(mode="json", exclude={"weights", "planning", "study"})
     facts = {
         "settings": settings,
         "inputs": inputs,
         "code": code_hash(),
         "versions": versions(),
-        "backend": jax.default_backend(),
+        "backend": backend,
     }
     return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()[:16]
 

@@ -149,7 +149,7 @@ def _run(scenario: Scenario, folder: Path, overwrite: bool, resources: Resources
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", UserWarning)
         inputs = hash_inputs(scenario)
-        key = run_key(scenario, inputs)
+        key = run_key(scenario, inputs, resources.backend)
         if has_other_maps(folder, key) and not overwrite:
             raise InputError(
                 f"{str(folder)!r} holds maps of other settings or inputs, or made by another version of jaxurban "
@@ -161,12 +161,11 @@ def _run(scenario: Scenario, folder: Path, overwrite: bool, resources: Resources
         check_writable(folder)
         plan = MemoryPlan(0, 0, num_cores())  # the machines of a cluster are not ours to measure
         if resources.cluster is None:
-            plan = plan_run(
-                tasks, folder, resources.memory_bytes, resources.num_workers, resources.num_processes is not None
-            )
+            at_most = resources.num_workers, resources.num_processes or 0, resources.gpus
+            plan = plan_run(tasks, folder, resources.memory_bytes, *at_most)
         LOG.info(plan_sentence(tasks, plan))
         # Nothing of an older job is touched before this one can begin.
-        with only_writer(folder), resources.client() as client:
+        with only_writer(folder), resources.client(plan.num_workers) as client:
             prepare_folder(folder, key, scenario.region.resolution_m)
             tasks = [replace(task, guesses=guesses) for task in tasks]
             made = [_maps_of(Maker(task, folder, key, plan.num_workers, client), watch, report) for task in tasks]

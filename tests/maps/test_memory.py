@@ -35,18 +35,18 @@ def test_what_is_no_size_is_refused(text):
 
 
 def test_as_many_tiles_at_a_time_as_fit():
-    plan = plan_memory(None, 1000, 3, has_processes=False)
+    plan = plan_memory(None, 1000, 3)
     assert plan.num_workers == 3
     assert plan.needed_bytes <= plan.ceiling_bytes
     each = 2 * GIB
-    assert plan_memory(plan.needed_bytes + int(1.5 * each), each, 8, has_processes=False).num_workers == 1
+    assert plan_memory(plan.needed_bytes + int(1.5 * each), each, 8).num_workers == 1
 
 
 def test_a_job_that_cannot_fit_is_refused_naming_the_knob():
     with pytest.raises(InputError, match="raise --memory"):
-        plan_memory(GIB // 8, GIB, 2, has_processes=False)
+        plan_memory(GIB // 8, GIB, 2)
     with pytest.raises(InputError, match="fewer --workers"):
-        plan_memory(2 * GIB, 1000, 64, has_processes=True)
+        plan_memory(2 * GIB, 1000, 64, num_processes=64)
 
 
 def test_tiles_do_not_depend_on_the_machine_and_shrink_for_long_series():

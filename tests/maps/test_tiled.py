@@ -7,9 +7,11 @@ import subprocess
 import sys
 import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import xarray as xr
@@ -17,7 +19,12 @@ import xarray as xr
 from jaxurban.io import store
 from jaxurban.io.folders import WorkFolder
 from jaxurban.maps.build import compute_maps
+from jaxurban.maps.device import Gpu
 from jaxurban.maps.executors import cluster_client
+from jaxurban.maps.recipe import TileScene, tile_maps
+from jaxurban.metrics.custom import Layer
+from jaxurban.progress import Report
+from jaxurban.scenario.run import Maker, make_zarr
 from tests import tiled_runs
 from tests.tiled_runs import RAGGED, files_of, make, task
 
@@ -69,6 +76,49 @@ def test_ragged_tiles_equal_the_untiled_maps(city, made):
     expected = untiled(city, "epochs")
     assert expected["num_visible"].values.max() > expected["num_visible"].values.min()
     assert_equal(made, expected)
+
+
+@pytest.mark.parametrize("num_threads", [2, 1])
+def test_while_a_tiles_results_are_waited_for_another_tile_is_begun(city, cache, tmp_path, num_threads):
+    """So does a GPU compute one tile while another's maps travel; with one thread it would have to wait."""
+    first, another, in_time = threading.Lock(), threading.Event(), []
+
+    def wait() -> np.float32:
+        in_time.append(another.wait(60 if num_threads > 1 else 0.5))
+        return np.float32(0)
+
+    def values(surface, altitude_m):
+        late = np.float32(0)
+        if first.acquire(blocking=False):
+            late = jax.jit(lambda: jax.pure_callback(wait, jax.ShapeDtypeStruct((), np.float32)))()
+        else:
+            another.set()
+        return jnp.zeros(surface.region.shape) + late
+
+    plain = task(city)
+    params = replace(plain.params, altitudes_m=(20.0,))
+    with_layer = replace(plain, params=params, layers={"slow": Layer(values, "high-is-bad", scale=(0, 1))})
+    make_zarr(Maker(with_layer, tmp_path, "key", num_threads), Report(), RAGGED)
+    assert in_time == [num_threads > 1]
+
+
+def test_the_maps_of_a_place_leave_a_gpu_together_and_are_the_same(city, monkeypatch):
+    """As if the CPU were a GPU: how many maps have set out when the first of a place is handed over."""
+    tile = TileScene(task(city), task(city).surface())
+    expected, sent = list(tile_maps(tile)), []
+    send = type(tile.is_obstacle).copy_to_host_async
+    monkeypatch.setattr(type(tile.is_obstacle), "copy_to_host_async", lambda array: (sent.append(1), send(array)))
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    monkeypatch.setattr("jaxurban.metrics.visibility.kernel_shape", lambda: "sweep")
+    found, when = [], {}
+    for layer in tile_maps(tile):
+        found.append(layer)
+        when[layer.name, layer.place] = len(sent)
+    assert when["gps", (0, 0)] == when["num_visible", (0, 0)] == 7
+    assert when["gps", (0, 1)] == 14
+    for before, after in zip(expected, found, strict=True):
+        assert before[:2] == after[:2]
+        np.testing.assert_array_equal(before.values, after.values)
 
 
 def test_statistics_over_time_of_tiles_equal_the_untiled_ones(city, tmp_path):
@@ -192,6 +242,14 @@ def kill_workers(folder: Path, cache: str, seed: int, num_kills: int, whole: dic
         killer.join()
     assert len(killed) == num_kills
     assert files_of(folder) == whole
+
+
+@pytest.mark.slow
+def test_processes_of_several_threads_as_gpus_have_them_change_no_byte(city, whole, tmp_path):
+    pytest.importorskip("distributed", reason="needs the cluster extra")
+    with cluster_client(None, 2, [Gpu("0"), Gpu("1")], num_threads=2) as client:
+        make(tmp_path, city, client=client)
+    assert files_of(tmp_path) == whole
 
 
 @pytest.mark.slow

@@ -6,6 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
 import shapely
@@ -37,16 +38,17 @@ def job(finished, tmp_path) -> Path:
 
 def test_maps_of_other_code_are_not_current(job, monkeypatch):
     inputs: dict = {}
-    key = record.run_key(Scenario.from_dict(SETTINGS), inputs)
+    key = record.run_key(Scenario.from_dict(SETTINGS), inputs, jax.default_backend())
     assert pipeline.stored_key(job, 20.0) == key
     monkeypatch.setattr(record, "code_hash", lambda: "other code")
-    assert record.run_key(Scenario.from_dict(SETTINGS), inputs) != key
+    assert record.run_key(Scenario.from_dict(SETTINGS), inputs, jax.default_backend()) != key
 
 
 def test_weights_and_planning_do_not_make_maps_stale():
-    key = record.run_key(Scenario.from_dict(SETTINGS), {})
-    assert record.run_key(Scenario.from_dict(SETTINGS | {"weights": {"gps": 3}}), {}) == key
-    assert record.run_key(Scenario.from_dict(SETTINGS | {"gps": {"mask_deg": 6}}), {}) != key
+    key = record.run_key(Scenario.from_dict(SETTINGS), {}, "cpu")
+    assert record.run_key(Scenario.from_dict(SETTINGS | {"weights": {"gps": 3}}), {}, "cpu") == key
+    assert record.run_key(Scenario.from_dict(SETTINGS | {"gps": {"mask_deg": 6}}), {}, "cpu") != key
+    assert record.run_key(Scenario.from_dict(SETTINGS), {}, "gpu") != key
 
 
 def test_a_name_with_brackets_is_hashed_with_its_companions(tmp_path):
