@@ -13,7 +13,9 @@ Least and largest keep one condition, one beam and one step each, so the gradien
 Who that is, is found outside the gradient; what is differentiated is the one margin that decided.
 """
 
-from typing import NamedTuple
+from collections.abc import Callable
+from functools import partial
+from typing import Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -26,6 +28,7 @@ from jaxurban.kernels.soft_step import soft_step
 NO_BUILDING_M = -1e9  # clearance of bare ground: finite, so that gradients are too
 STEPS_PER_PASS = 7  # steps compared per pass over the cells
 CELLS_AT_ONCE = 2**11  # chosen cells taken together: what they need stays in a core's cache
+MOST_AZIMUTHS_AT_ONCE = 40  # on a GPU, which otherwise starts kernels for each; a CPU takes one at a time
 
 
 class Scan(NamedTuple):
@@ -137,43 +140,76 @@ def _clearance_jvp(primals, tangents):
     return deciding.clearance_m, jax.jvp(decide, (roof_m, scan), (d_roof_m, d_scan))[1]
 
 
-@jax.jit
+@partial(jax.jit, static_argnames="shape")
 def soft_returns(
     roof_m: Float[Array, "Y+2H X+2H"],
     scan: Scan,
     offsets: Int[Array, "K N 2"],
     softness_m: Float[Array, ""],
+    *,
+    shape: Literal["cpu", "gpu"] | None = None,
 ) -> Float[Array, "Y X"]:
     """Return the share of scan positions that return softly, over level ground, for every cell.
 
-    Takes 5 bytes a step for each cell (float32), and no more for the gradient.
+    Takes 5 bytes a step for each cell (float32), and no more for the gradient on a CPU; on a GPU the gradient takes
+    some 1.5 kB a cell.
 
     Args:
       roof_m: roof heights with their halo, 0 without a building.
       scan: from `scan_of`.
       offsets: from `jaxurban.kernels.lidar.flat.ray_offsets`.
       softness_m: of the margins; 0 gives the exact result.
+      shape: of the computation, for a CPU or a GPU; left out, for the platform for which it is compiled. Results are
+        the same but for the order in which azimuths are added.
     """
-    steps, halo = offsets.shape[1], offsets.shape[1] - 1
+    one_by_one = partial(_returns, at_once=1, unroll=STEPS_PER_PASS)
+    together = partial(_returns, at_once=azimuths_at_once(len(offsets)), unroll=offsets.shape[1])
+    return _by_platform(shape, one_by_one, together)(roof_m, scan, offsets, softness_m)
+
+
+def _by_platform(shape: str | None, cpu: Callable, gpu: Callable) -> Callable:
+    """Return the function of a shape, or one that is the platform's for which it is compiled."""
+    if shape is None:
+        return partial(lax.platform_dependent, cpu=cpu, default=gpu)
+    return cpu if shape == "cpu" else gpu
+
+
+def azimuths_at_once(num_azimuths: int) -> int:
+    """Return how many azimuths a GPU takes together: a divisor of their number."""
+    return max(num for num in range(1, MOST_AZIMUTHS_AT_ONCE + 1) if num_azimuths % num == 0)
+
+
+def _returns(
+    roof_m: jax.Array, scan: Scan, offsets: jax.Array, softness_m: jax.Array, *, at_once: int, unroll: int
+) -> jax.Array:
+    """Return `soft_returns`, so many azimuths and steps at once."""
+    num_azimuths, steps, _ = offsets.shape
+    halo = steps - 1
     rows, cols = (size - 2 * halo for size in roof_m.shape)
     clearance_m, beam = _best_looks(lax.stop_gradient(roof_m), lax.stop_gradient(scan), steps)
     row, col = jnp.indices((rows, cols), jnp.int32, sparse=True)
 
-    @jax.checkpoint
-    def add_azimuth(total, start):
+    def of_azimuth(start):
         def look(state, n):
             best, which = state
             found = lax.dynamic_slice(clearance_m, (n, start[n, 0], start[n, 1]), (1, rows, cols))[0]
             return (jnp.maximum(found, best), jnp.where(found > best, n, which)), None
 
         nothing = jnp.full((rows, cols), -jnp.inf, roof_m.dtype), jnp.zeros((rows, cols), jnp.int32)
-        (best, n), _ = lax.scan(look, nothing, jnp.arange(steps, dtype=jnp.int32), unroll=STEPS_PER_PASS)
+        (best, n), _ = lax.scan(look, nothing, jnp.arange(steps, dtype=jnp.int32), unroll=unroll)
         at = row + start[n, 0], col + start[n, 1]
         deciding = _Deciding(n, beam[(n, *at)], *at, best)
-        return total + soft_step(_clearance(roof_m, scan, deciding), softness_m), None
+        return soft_step(_clearance(roof_m, scan, deciding), softness_m)
 
-    total, _ = lax.scan(add_azimuth, jnp.zeros((rows, cols), roof_m.dtype), offsets + halo)
-    return total / len(offsets)
+    @jax.checkpoint
+    def add_azimuths(total, starts):
+        if at_once == 1:
+            return total + of_azimuth(starts[0]), None
+        return total + jnp.sum(jax.vmap(of_azimuth)(starts), axis=0), None
+
+    starts = (offsets + halo).reshape(-1, at_once, steps, 2)
+    total, _ = lax.scan(add_azimuths, jnp.zeros((rows, cols), roof_m.dtype), starts)
+    return total / num_azimuths
 
 
 def _returns_at(
@@ -184,14 +220,14 @@ def _returns_at(
     offsets: jax.Array,
     softness_m: jax.Array,
     cells: jax.Array,
+    at_once: int,
 ) -> jax.Array:
-    """Return `soft_returns_at` of a few cells."""
+    """Return `soft_returns_at` of a few cells, so many azimuths at once."""
     altitude_m = altitude_m[:, None, None]  # [P, N, B]
     level = all_margins(scan, offsets.shape[1])
     lowest_m, in_air_m = altitude_m + level.lowest_m, altitude_m + level.in_air_m
 
-    @jax.checkpoint
-    def add_azimuth(total, offset):
+    def of_azimuth(offset):
         row, col = (cells[:, None, axis] + offset[:, axis] + offsets.shape[1] - 1 for axis in (0, 1))  # [P, N]
         roof = roof_m[row, col][..., None]
         if terrain_m is None:
@@ -202,14 +238,20 @@ def _returns_at(
             behind_m = jnp.broadcast_to(altitude_m, above_m[:, :1].shape)
             passed_m = jnp.concatenate([behind_m, lax.cummin(above_m, axis=1)[:, :-1]], axis=1)
             at = Margins(above_m, jnp.minimum(altitude_m, passed_m), level.in_range_m)
-        best = _least(roof, at).max(axis=(1, 2))
-        return total + soft_step(best, softness_m), None
+        return soft_step(_least(roof, at).max(axis=(1, 2)), softness_m)
 
-    total, _ = lax.scan(add_azimuth, jnp.zeros(len(cells), roof_m.dtype), offsets)
+    @jax.checkpoint
+    def add_azimuths(total, offsets):
+        if at_once == 1:
+            return total + of_azimuth(offsets[0]), None
+        return total + jnp.sum(jax.vmap(of_azimuth)(offsets), axis=0), None
+
+    together = offsets.reshape(-1, at_once, *offsets.shape[1:])
+    total, _ = lax.scan(add_azimuths, jnp.zeros(len(cells), roof_m.dtype), together)
     return total / len(offsets)
 
 
-@jax.jit
+@partial(jax.jit, static_argnames="shape")
 def soft_returns_at(
     roof_m: Float[Array, "Y+2H X+2H"],
     terrain_m: Float[Array, "Y+2H X+2H"] | None,
@@ -218,6 +260,8 @@ def soft_returns_at(
     offsets: Int[Array, "K N 2"],
     softness_m: Float[Array, ""],
     cells: Int[Array, "P 2"],
+    *,
+    shape: Literal["cpu", "gpu"] | None = None,
 ) -> Float[Array, " P"]:
     """Return the share of scan positions that return softly, at chosen cells alone.
 
@@ -232,9 +276,29 @@ def soft_returns_at(
       offsets: from `jaxurban.kernels.lidar.flat.ray_offsets`.
       softness_m: of the margins; 0 gives the exact result.
       cells: row and column of each cell, of those without the halo.
+      shape: as in `soft_returns`.
     """
+    one_by_one = partial(_in_batches, at_once=1)
+    together = partial(_in_batches, at_once=azimuths_at_once(len(offsets)))
+    return _by_platform(shape, one_by_one, together)(roof_m, terrain_m, altitude_m, scan, offsets, softness_m, cells)
+
+
+def _in_batches(
+    roof_m: jax.Array,
+    terrain_m: jax.Array | None,
+    altitude_m: jax.Array,
+    scan: Scan,
+    offsets: jax.Array,
+    softness_m: jax.Array,
+    cells: jax.Array,
+    *,
+    at_once: int,
+) -> jax.Array:
+    """Return `soft_returns_at`, `CELLS_AT_ONCE` cells after the other, so many azimuths at once."""
     num = len(cells)
-    some = jax.checkpoint(lambda part: _returns_at(roof_m, terrain_m, part[0], scan, offsets, softness_m, part[1]))
+    some = jax.checkpoint(
+        lambda part: _returns_at(roof_m, terrain_m, part[0], scan, offsets, softness_m, part[1], at_once)
+    )
     batches = -(-num // CELLS_AT_ONCE)
     if batches <= 1:
         return some((altitude_m, cells))

@@ -1,9 +1,9 @@
-"""Lidar scan returns shaped for a GPU: the rays of all azimuths and cells go on together, one step a turn of one loop.
+"""Lidar scan returns shaped for a GPU: the rays of all azimuths and cells together, a few steps a turn.
 
 The rules are those of `jaxurban.kernels.lidar.flat` and `jaxurban.kernels.lidar.terrain`, and so are the counts, bit
-for bit. Every loop has a known number of turns, the steps of a ray, so that nothing waits for a result: a GPU starts a
-few kernels a step. What the rays have met stays in memory between steps: over flat ground a bit for each cell and
-azimuth, over terrain a byte. A CPU is many times slower with it than with its own shapes.
+for bit. Every loop has a known number of turns, a few steps of a ray each, so that nothing waits for a result: a GPU
+starts a few kernels a turn. What the rays have met stays in memory between turns: over flat ground a bit for each cell
+and azimuth, over terrain a byte. A CPU is many times slower with it than with its own shapes.
 """
 
 from functools import partial
@@ -17,6 +17,7 @@ from jaxtyping import Array, Float, Int
 from jaxurban.kernels.lidar.bits import pack
 
 WORD_BITS = 32
+STEPS_AT_ONCE = 4  # of rays, in one turn of the loop: what they have met is read and written once
 
 
 @partial(jax.jit, static_argnames="halo")
@@ -41,7 +42,7 @@ def count_returns_by_steps(
             return returned | _looks(pack(padded_m, threshold, band), start, (band, cols)), None
 
         none = jnp.zeros((len(starts), band, cols), jnp.uint32)
-        returned, _ = lax.scan(step, none, (threshold_m, starts.swapaxes(0, 1)))
+        returned, _ = lax.scan(step, none, (threshold_m, starts.swapaxes(0, 1)), unroll=STEPS_AT_ONCE)
         bits = jnp.arange(WORD_BITS, dtype=jnp.uint32)[:, None, None]
         return jnp.sum((returned[:, None] >> bits) & 1, axis=0, dtype=jnp.int32).reshape(-1, cols)[:rows]
 
@@ -86,7 +87,7 @@ def count_returns_on_terrain_by_steps(
             return jnp.where(is_met, jnp.asarray(has_returned, dtype), jnp.maximum(ended, num_landed)), None
 
         none = jnp.zeros((len(starts), *shape), dtype)
-        ended, _ = lax.scan(step, none, (beams_m, starts.swapaxes(0, 1)))
+        ended, _ = lax.scan(step, none, (beams_m, starts.swapaxes(0, 1)), unroll=STEPS_AT_ONCE)
         return jnp.sum(ended == has_returned, axis=0, dtype=jnp.int32)
 
     return lax.map(count_at, lowest_m)

@@ -1,27 +1,63 @@
-"""What many straight segments cost over a map of cells at once, in JAX."""
+"""What many straight segments cost over a map of cells at once, in JAX.
+
+Segments are cut where they pass from cell to cell. A CPU walks along all of them from cut to cut. On a GPU, where each
+step of that walk would be several kernels, many cuts are looked at together: how many of the other direction come
+before a cut follows from where it lies, and so does the cell that ends there.
+"""
 
 from functools import partial
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jax import lax
 from jaxtyping import Array, Bool, Float
 
 from jaxurban.kernels.line.traversal import DIAGONAL_SIDES, TOUCH_CELLS
 
+CUTS_TOGETHER = 64  # of each direction of a segment, on a GPU
+
+
+class _Segment(NamedTuple):
+    """A segment of so many cell sides; ``[2]`` of x and y: its start, and that cell, and the cuts from there on.
+
+    Attributes:
+      length: in cell sides.
+      start: in cell sides.
+      along: cell sides along the segment per cell side of x and of y.
+      cell: int32 column and row of the start.
+      border: of its cell on the way, likewise.
+      step: 1 or -1, from cell to cell.
+      num_cuts: how many cells the end is away.
+    """
+
+    length: Array
+    start: Array
+    along: Array
+    cell: Array
+    border: Array
+    step: Array
+    num_cuts: Array
+
+    def of(self, axis: int) -> "_Segment":
+        """Return what is of x, or of y, alone."""
+        return _Segment(self.length, *(of_both[axis] for of_both in self[1:]))
+
+    def cut(self, k: Array) -> Array:
+        """Return where the k-th cuts lie, in cell sides along the segment."""
+        return (self.border + self.step * k - self.start) * self.along
+
 
 class _Walk(NamedTuple):
-    """A walk from border to border: cell, borders still ahead, cell sides behind, cost so far."""
+    """A walk from cut to cut: how many of x and y are passed, cell sides behind, cost so far."""
 
-    row: Array
-    col: Array
     num_x: Array
     num_y: Array
     at: Array
     total: Array
 
 
-@partial(jax.jit, static_argnames="is_line")
+@partial(jax.jit, static_argnames=("is_line", "shape"))
 def segment_costs(
     cell_cost: Float[Array, "Y X"],
     start: Float[Array, "E 2"],
@@ -29,6 +65,8 @@ def segment_costs(
     per_side: float | Float[Array, ""],
     is_line: bool,
     passes_corners: bool | Bool[Array, ""],
+    *,
+    shape: Literal["cpu", "gpu"] | None = None,
 ) -> Float[Array, " E"]:
     """Return the cost of each of ``E`` segments, inf where it is not a free way, infinite costs being blocked cells.
 
@@ -39,8 +77,9 @@ def segment_costs(
     lies; states stand one cell side apart, the end is one, the start is none, and a segment up to a diagonal long has
     no other. A segment of no length costs nothing.
 
-    It takes as many rounds as the segment with most cells has cells. The precision is that of the
-    coordinates: call it under ``jax.enable_x64(True)``, since float32 tells no corners apart.
+    On a CPU it takes as many rounds as the segment with most cells has cells, on a GPU one for each `CUTS_TOGETHER` of
+    a direction. The precision is that of the coordinates: call it under ``jax.enable_x64(True)``, since float32 tells
+    no corners apart.
 
     Args:
       cell_cost: cost of a cell per cell side crossed (`line`) or per state (`cell`); inf: no way through.
@@ -48,59 +87,140 @@ def segment_costs(
       per_side: distance cost per cell side.
       is_line: which cost model.
       passes_corners: segments may pass between two blocked cells that touch at a corner.
+      shape: of the computation, for a CPU or a GPU; left out, for the platform for which it is compiled. Costs are the
+        same but for the order in which they are added.
     """
-    in_axes = (None, 0, 0, None, None)
-    return jax.vmap(partial(_cost, is_line=is_line), in_axes)(cell_cost, start, end, per_side, passes_corners)
+    segments = jax.vmap(_segment)(start, end)
+    by_walks, by_cuts = (partial(costs, is_line=is_line) for costs in (_by_walks, _by_cuts))
+    on_map = segments, per_side * segments.length, cell_cost, jnp.asarray(passes_corners)
+    if shape is None:
+        total = lax.platform_dependent(*on_map, cpu=by_walks, default=by_cuts)
+    else:
+        total = (by_walks if shape == "cpu" else by_cuts)(*on_map)
+    if not is_line:
+        last = segments.cell + segments.step * segments.num_cuts
+        total += _cost_at(cell_cost, last[:, 1], last[:, 0])
+    return jnp.where(segments.length > 0, total, 0.0)
 
 
-def _cost(
-    cell_cost: Array, start: Array, end: Array, per_side: float | Array, passes_corners: bool | Array, *, is_line: bool
-) -> Array:
+def _segment(start: Array, end: Array) -> _Segment:
     delta = end - start
     length = jnp.hypot(*delta)
-    col, row = jnp.floor(start).astype(int)
-    num_x, num_y = jnp.abs(jnp.floor(end).astype(int) - jnp.stack([col, row]))
-    step_x, step_y = jnp.where(delta > 0, 1, -1)
-    # Cell sides along the segment per cell side of x and of y.
-    along_x, along_y = length / jnp.where(delta == 0, 1.0, delta)
-    last_state = jnp.where(length > DIAGONAL_SIDES, jnp.ceil(length * (1 - TOUCH_CELLS)) - 1, 0.0)
+    cell, last = (jnp.floor(point).astype(jnp.int32) for point in (start, end))
+    border, step = cell + (delta > 0), jnp.where(delta > 0, 1, -1).astype(jnp.int32)
+    along = length / jnp.where(delta == 0, 1.0, delta)
+    return _Segment(length, start, along, cell, border, step, jnp.abs(last - cell))
 
-    def cost_at(row: Array, col: Array) -> Array:
-        is_inside = (row >= 0) & (row < cell_cost.shape[0]) & (col >= 0) & (col < cell_cost.shape[1])
-        return jnp.where(is_inside, cell_cost[row, col], jnp.inf)
 
-    def segment(walk: _Walk) -> _Walk:
-        next_x = jnp.where(walk.num_x > 0, (walk.col + (step_x > 0) - start[0]) * along_x, jnp.inf)
-        next_y = jnp.where(walk.num_y > 0, (walk.row + (step_y > 0) - start[1]) * along_y, jnp.inf)
-        to = jnp.minimum(jnp.minimum(next_x, next_y), length)
-        if is_line:
-            share = to - walk.at
-        else:
-            # A state on a border belongs to the cell it came through.
-            before, by_now = (jnp.clip(jnp.floor(sides + TOUCH_CELLS), 0, last_state) for sides in (walk.at, to))
-            share = by_now - before
-        here = cost_at(walk.row, walk.col)
-        added = jnp.where(jnp.isinf(here), jnp.inf, share * jnp.where(jnp.isinf(here), 0.0, here))
-        is_corner = jnp.abs(next_x - next_y) < TOUCH_CELLS
-        beside = jnp.minimum(cost_at(walk.row + step_y, walk.col), cost_at(walk.row, walk.col + step_x))
-        added = jnp.where(is_corner & jnp.isinf(beside) & ~passes_corners, jnp.inf, added)
-        go_x, go_y = is_corner | (next_x < next_y), is_corner | (next_y < next_x)
-        return _Walk(
-            walk.row + go_y * step_y,
-            walk.col + go_x * step_x,
-            walk.num_x - go_x,
-            walk.num_y - go_y,
-            to,
-            walk.total + added,
-        )
+def _cost_at(cell_cost: Array, row: Array, col: Array) -> Array:
+    is_inside = (row >= 0) & (row < cell_cost.shape[0]) & (col >= 0) & (col < cell_cost.shape[1])
+    return jnp.where(is_inside, cell_cost[row, col], jnp.inf)
 
-    def is_under_way(walk: _Walk) -> Array:
-        return ((walk.num_x > 0) | (walk.num_y > 0)) & jnp.isfinite(walk.total)
 
-    walk = jax.lax.while_loop(
-        is_under_way, segment, _Walk(row, col, num_x, num_y, jnp.zeros_like(length), per_side * length)
+def _cost_between(
+    segment: _Segment,
+    behind: Array,
+    to: Array,
+    num_passed: tuple[Array, Array],
+    is_corner: Array,
+    cell_cost: Array,
+    passes_corners: Array,
+    is_line: bool,
+) -> Array:
+    """Return what the part of a segment costs from one cut to the next, in the cell after so many cuts of x and y."""
+    if is_line:
+        share = to - behind
+    else:
+        # A state on a border belongs to the cell it came through.
+        last_state = jnp.where(segment.length > DIAGONAL_SIDES, jnp.ceil(segment.length * (1 - TOUCH_CELLS)) - 1, 0.0)
+        before, by_now = (jnp.clip(jnp.floor(sides + TOUCH_CELLS), 0, last_state) for sides in (behind, to))
+        share = by_now - before
+    col, row = (segment.cell[axis] + segment.step[axis] * num_passed[axis] for axis in (0, 1))
+    here = _cost_at(cell_cost, row, col)
+    cost = jnp.where(jnp.isinf(here), jnp.inf, share * jnp.where(jnp.isinf(here), 0.0, here))
+    beside = jnp.minimum(
+        _cost_at(cell_cost, row + segment.step[1], col), _cost_at(cell_cost, row, col + segment.step[0])
     )
-    total = segment(walk).total
-    if not is_line:
-        total += cost_at(walk.row, walk.col)
-    return jnp.where(length > 0, total, 0.0)
+    is_pinched = jnp.where(passes_corners, False, is_corner & jnp.isinf(beside))
+    return jnp.where(is_pinched, jnp.inf, cost)
+
+
+def _by_walks(
+    segments: _Segment, distance_cost: Array, cell_cost: Array, passes_corners: Array, *, is_line: bool
+) -> Array:
+    """Return what the segments cost, ``[E]``."""
+
+    def cost(segment: _Segment, distance_cost: Array) -> Array:
+        x, y = segment.of(0), segment.of(1)
+
+        def go_on(walk: _Walk) -> _Walk:
+            next_x = jnp.where(walk.num_x < x.num_cuts, x.cut(walk.num_x), jnp.inf)
+            next_y = jnp.where(walk.num_y < y.num_cuts, y.cut(walk.num_y), jnp.inf)
+            to = jnp.minimum(jnp.minimum(next_x, next_y), segment.length)
+            is_corner = jnp.abs(next_x - next_y) < TOUCH_CELLS
+            num_passed = walk.num_x, walk.num_y
+            part = _cost_between(segment, walk.at, to, num_passed, is_corner, cell_cost, passes_corners, is_line)
+            num_x, num_y = walk.num_x + (is_corner | (next_x < next_y)), walk.num_y + (is_corner | (next_y < next_x))
+            return _Walk(num_x, num_y, to, walk.total + part)
+
+        def is_under_way(walk: _Walk) -> Array:
+            return ((walk.num_x < x.num_cuts) | (walk.num_y < y.num_cuts)) & jnp.isfinite(walk.total)
+
+        none = jnp.zeros_like(x.cell)
+        start = _Walk(none, none, jnp.zeros_like(segment.length), distance_cost)
+        return go_on(lax.while_loop(is_under_way, go_on, start)).total
+
+    return jax.vmap(cost)(segments, distance_cost)
+
+
+def _by_cuts(
+    segments: _Segment, distance_cost: Array, cell_cost: Array, passes_corners: Array, *, is_line: bool
+) -> Array:
+    """Return what the segments cost, ``[E]``."""
+
+    def some(i: Array, total: Array) -> Array:
+        def cost(segment: _Segment) -> Array:
+            first = i * CUTS_TOGETHER
+            x, y = (_before_cuts(segment, axis, first, cell_cost, passes_corners, is_line) for axis in (0, 1))
+            return x + y
+
+        return total + jax.vmap(cost)(segments)
+
+    num_turns = jnp.max(segments.num_cuts, initial=0) // CUTS_TOGETHER + 1  # x has its end as one cut more
+    return lax.fori_loop(0, num_turns, some, distance_cost)
+
+
+def _before_cuts(
+    segment: _Segment, axis: int, first: Array, cell_cost: Array, passes_corners: Array, is_line: bool
+) -> Array:
+    """Return what lies before each of `CUTS_TOGETHER` cuts of x or y, and after the cut before; all in all.
+
+    The end of the segment counts as one more cut of x, a corner touched as one of x alone.
+    """
+    other = 1 - axis
+
+    def cut_of(axis: int, k: Array) -> Array:
+        return segment.of(axis).cut(k)
+
+    k = first + jnp.arange(CUTS_TOGETHER, dtype=jnp.int32)
+    is_end = k == segment.num_cuts[axis]
+    at = jnp.where(is_end, segment.length, cut_of(axis, k))
+
+    def is_before(m: Array) -> Array:
+        cut = cut_of(other, m)
+        return (m < 0) | ((m < segment.num_cuts[other]) & (cut < at) & ~(jnp.abs(at - cut) < TOUCH_CELLS))
+
+    # How many cuts of the other direction come before, by where the segment is; rounding may tell one too many.
+    away = jnp.floor(segment.start[other] + at / segment.along[other]).astype(jnp.int32) - segment.cell[other]
+    m = jnp.clip(segment.step[other] * away, 0, segment.num_cuts[other])
+    m = jnp.where(is_end, segment.num_cuts[other], m - 1 + is_before(m - 1) + is_before(m))
+    beyond = jnp.where(m < segment.num_cuts[other], cut_of(other, m), jnp.inf)
+    is_corner = ~is_end & (jnp.abs(at - beyond) < TOUCH_CELLS)
+    behind = [jnp.where(number > 0, cut_of(of, number - 1), 0.0) for of, number in ((axis, k), (other, m))]
+    is_corner_behind = (k > 0) & (m > 0) & (jnp.abs(behind[0] - behind[1]) < TOUCH_CELLS)
+    last = jnp.where(is_corner_behind, jnp.minimum(*behind), jnp.maximum(*behind))
+    begin, to = (jnp.minimum(side, segment.length) for side in (last, jnp.minimum(at, beyond)))
+    num_passed = (k, m) if axis == 0 else (m, k)
+    cost = _cost_between(segment, begin, to, num_passed, is_corner, cell_cost, passes_corners, is_line)
+    is_cut = k <= segment.num_cuts[axis] if axis == 0 else (k < segment.num_cuts[axis]) & ~is_corner
+    return jnp.sum(jnp.where(is_cut, cost, 0.0))

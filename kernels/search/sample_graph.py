@@ -4,18 +4,19 @@ The samples of many queries are one graph of many parts, since nodes are joined 
 call serves queries of any sizes and stages, and its shapes depend on nothing but the number of all their nodes.
 """
 
+from collections.abc import Callable
 from functools import partial
-from typing import NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jax import Array
+from jax import Array, lax
 
 from jaxurban.kernels.line.segment_costs import segment_costs
+from jaxurban.kernels.search.relaxation import NO_PARENT as NO_PARENT
+from jaxurban.kernels.search.relaxation import Edges, OfNode, Tree, relaxed_by_edges, relaxed_by_nodes
 
-NO_PARENT = -1
 NO_QUERY = -1
-BY_TREE = -1  # in place of an edge's number: the parent in the tree given, or none
 MOST_SQUARES = 1 << 12  # along a side of the map, so that a square's number fits beside its query's
 SQUARES_OF_A_QUERY = 1 << 26
 
@@ -69,21 +70,6 @@ class Sizes(NamedTuple):
     edges_together: int
 
 
-class Edges(NamedTuple):
-    """Edges in a list with room for ``E``: in the first ``num`` places, what lies behind means nothing.
-
-    Attributes:
-      origin, target: ``[E]`` int32 nodes.
-      cost: ``[E]`` float64.
-      num: int32.
-    """
-
-    origin: Array
-    target: Array
-    cost: Array
-    num: Array
-
-
 class Trees(NamedTuple):
     """What a search found. ``N`` nodes.
 
@@ -104,7 +90,7 @@ class Trees(NamedTuple):
     num_edges: Array
 
 
-@partial(jax.jit, static_argnames=("is_line", "sizes"))
+@partial(jax.jit, static_argnames=("is_line", "sizes", "shape"))
 def search_samples(
     samples: Samples,
     cell_cost: Array,
@@ -113,6 +99,7 @@ def search_samples(
     *,
     is_line: bool,
     sizes: Sizes,
+    shape: Literal["cpu", "gpu"] | None = None,
 ) -> Trees:
     """Return the cheapest paths from every query's start over its random geometric graph and the tree given.
 
@@ -126,6 +113,8 @@ def search_samples(
       samples: the nodes.
       cell_cost, per_side, passes_corners, is_line: the map of all queries, as in `segment_costs`.
       sizes: room; too little is told in the result, and nothing is searched then.
+      shape: of the computation, for a CPU or a GPU; left out, for the platform for which it is compiled. Of equally
+        cheap paths another one may be found.
     """
     order = jnp.argsort(_squares(samples, cell_cost.shape)[0]).astype(jnp.int32)
     place = jnp.zeros_like(order).at[order].set(jnp.arange(order.size, dtype=jnp.int32))
@@ -135,20 +124,38 @@ def search_samples(
 
     ordered = Samples(*(values[order] for values in samples))
     ordered = ordered._replace(parent=renumbered(ordered.parent, place))
-    edges, num_costed, most_candidates = neighbours(ordered, cell_cost.shape, sizes)
+    edges, of_node, most_candidates = neighbours(ordered, cell_cost.shape, sizes)
     num_edges = edges.num
-    edges = edges._replace(num=jnp.where(num_edges <= edges.cost.size, num_edges, 0))
-    edges = costed(edges, ordered, cell_cost, per_side, passes_corners, is_line, sizes)
-    g, parent, edge_cost, num_rounds = relaxed(edges, ordered, sizes)
+    has_room = num_edges <= edges.cost.size
+    edges = edges._replace(num=jnp.where(has_room, num_edges, 0))
+
+    def by_edges(edges: Edges, samples: Samples, *on_map: Any) -> tuple[Tree, Array]:
+        edges = costed(edges, samples, *on_map, is_line=is_line, sizes=sizes, shape="cpu")
+        return relaxed_by_edges(edges, _tree_of(samples), sizes.edges_together)
+
+    def by_nodes(edges: Edges, samples: Samples, *on_map: Any) -> tuple[Tree, Array]:
+        edges = costed(edges, samples, *on_map, is_line=is_line, sizes=sizes, shape="gpu")
+        edges_of_node = of_node._replace(num=jnp.where(has_room, of_node.num, 0))
+        return relaxed_by_nodes(edges, edges_of_node, _tree_of(samples), sizes.candidates)
+
+    search = edges, ordered, cell_cost, per_side, passes_corners
+    if shape is None:
+        tree, num_rounds = lax.platform_dependent(*search, cpu=by_edges, default=by_nodes)
+    else:
+        tree, num_rounds = (by_edges if shape == "cpu" else by_nodes)(*search)
     return Trees(
-        g[place],
-        renumbered(parent[place], order),
-        edge_cost[place],
-        num_costed[place],
+        tree.g[place],
+        renumbered(tree.parent[place], order),
+        tree.edge_cost[place],
+        of_node.num[place],
         num_rounds,
         most_candidates,
         num_edges,
     )
+
+
+def _tree_of(samples: Samples) -> Tree:
+    return Tree(samples.g, samples.parent, samples.edge_cost)
 
 
 def _squares(samples: Samples, shape: tuple[int, ...]) -> tuple[Array, Array]:
@@ -165,8 +172,8 @@ def _squares(samples: Samples, shape: tuple[int, ...]) -> tuple[Array, Array]:
     return jnp.where(samples.query == NO_QUERY, jnp.iinfo(jnp.int64).max, square), num_cols
 
 
-def neighbours(samples: Samples, shape: tuple[int, ...], sizes: Sizes) -> tuple[Edges, Array, Array]:
-    """Return the edges within the radius, yet without costs, ``[N]`` how many lead to each node, and `most_candidates`.
+def neighbours(samples: Samples, shape: tuple[int, ...], sizes: Sizes) -> tuple[Edges, OfNode, Array]:
+    """Return the edges within the radius, yet without costs, the edges of each node, and `most_candidates`.
 
     An edge is kept where by its lower bound it may give its end a lower cost than it has, and the query a cheaper path.
     Where edges lack room their number tells it; where candidates do, no edge is kept.
@@ -187,15 +194,16 @@ def neighbours(samples: Samples, shape: tuple[int, ...], sizes: Sizes) -> tuple[
     ends = jnp.cumsum(jnp.where(is_node[:, None], end - begin, 0), axis=1).astype(jnp.int32)  # of three rows of squares
     begin = begin.astype(jnp.int32).at[:, 1:].add(-ends[:, :2])  # so that slot k of row r of squares is begin + k
     most_candidates = ends[:, 2].max()
-    num_nodes = jnp.where(most_candidates <= sizes.candidates, jnp.sum(is_node), 0)
+    ends = jnp.where(most_candidates <= sizes.candidates, ends, 0)
+    num_nodes = jnp.sum(ends[:, 2] > 0)
     slot = jnp.arange(sizes.candidates, dtype=jnp.int32)
     num_places = sizes.edges * square.size
 
-    def turn(carry: tuple[Edges, Array, Array]) -> tuple[Edges, Array, Array]:
-        edges, num_of_node, first = carry
+    def turn(carry: tuple[Edges, OfNode, Array]) -> tuple[Edges, OfNode, Array]:
+        edges, of_node, first = carry
 
         def here(values: Array) -> Array:
-            return jax.lax.dynamic_slice_in_dim(values, first, sizes.nodes_together)[:, None]
+            return lax.dynamic_slice_in_dim(values, first, sizes.nodes_together)[:, None]
 
         last, start = here(ends)[:, 0], here(begin)[:, 0]
         in_row = [slot < last[:, :1], slot < last[:, 1:2]]
@@ -214,21 +222,25 @@ def neighbours(samples: Samples, shape: tuple[int, ...], sizes: Sizes) -> tuple[
         is_edge &= (reach < here(samples.g)) & (reach + here(samples.to_goal) < here(samples.incumbent))
         num_here = jnp.sum(is_edge, axis=1, dtype=jnp.int32)
         behind = edges.num + jnp.cumsum(num_here)
-        place = (behind - num_here)[:, None] + jnp.cumsum(is_edge, axis=1, dtype=jnp.int32) - 1
+        of_node_here = OfNode(behind - num_here, num_here)
+        place = of_node_here.first[:, None] + jnp.cumsum(is_edge, axis=1, dtype=jnp.int32) - 1
         place = jnp.where(is_edge, place, num_places)  # out of bounds, hence dropped
         edges = edges._replace(
             origin=edges.origin.at[place].set(origin, mode="drop"),
             target=edges.target.at[place].set(node, mode="drop"),
             num=behind[-1],
         )
-        num_of_node = jax.lax.dynamic_update_slice_in_dim(num_of_node, num_here, first, 0)
-        return edges, num_of_node, first + sizes.nodes_together
+        of_node = OfNode(
+            *(lax.dynamic_update_slice_in_dim(*whole, first, 0) for whole in zip(of_node, of_node_here, strict=True))
+        )
+        return edges, of_node, first + sizes.nodes_together
 
     nowhere = jnp.zeros(num_places, jnp.int32)
     edges = Edges(nowhere, nowhere, jnp.zeros(num_places), jnp.int32(0))
-    carry = (edges, jnp.zeros(square.size, jnp.int32), jnp.int32(0))
-    edges, num_of_node, _ = jax.lax.while_loop(lambda carry: carry[2] < num_nodes, turn, carry)
-    return edges, num_of_node, most_candidates
+    none = jnp.zeros(square.size, jnp.int32)
+    carry = (edges, OfNode(none, none), jnp.int32(0))
+    edges, of_node, _ = _in_turns(turn, carry, num_nodes, square.size // sizes.nodes_together)
+    return edges, of_node, most_candidates
 
 
 def costed(
@@ -237,74 +249,47 @@ def costed(
     cell_cost: Array,
     per_side: float | Array,
     passes_corners: bool | Array,
+    *,
     is_line: bool,
     sizes: Sizes,
+    shape: Literal["cpu", "gpu"],
 ) -> Edges:
-    """Return those of the edges with their costs that, by their costs, may still help; the others are dropped.
+    """Return the edges with the costs of those that, by their costs, may still help.
 
-    So many are costed in each turn that no place goes empty.
+    For a CPU the others are dropped, for a GPU they stay, with cost inf. So many are costed in each turn that no place
+    goes empty.
     """
+    num_places = edges.cost.size
 
     def turn(carry: tuple[Edges, Array]) -> tuple[Edges, Array]:
         kept, first = carry
         is_edge = first + jnp.arange(sizes.edges_together) < edges.num
         origin, target = (
-            jnp.where(is_edge, jax.lax.dynamic_slice_in_dim(nodes, first, sizes.edges_together), 0)
+            jnp.where(is_edge, lax.dynamic_slice_in_dim(nodes, first, sizes.edges_together), 0)
             for nodes in (kept.origin, kept.target)
         )
         start, end = samples.xy[origin], samples.xy[target]
-        cost = segment_costs(cell_cost, start, end, per_side, is_line, passes_corners)
+        cost = segment_costs(cell_cost, start, end, per_side, is_line, passes_corners, shape=shape)
         reach = samples.from_start[origin] + cost
         is_kept = is_edge & (reach < samples.g[target]) & (reach + samples.to_goal[target] < samples.incumbent[target])
-        behind = kept.num + jnp.cumsum(is_kept, dtype=jnp.int32)
-        place = jnp.where(is_kept, behind - 1, edges.cost.size)  # at or before the edge's own
-        kept = Edges(
-            kept.origin.at[place].set(origin, mode="drop"),
-            kept.target.at[place].set(target, mode="drop"),
-            kept.cost.at[place].set(cost, mode="drop"),
-            behind[-1],
-        )
+        if shape == "gpu":
+            cost = jnp.where(is_kept, cost, jnp.inf)
+            kept = kept._replace(cost=lax.dynamic_update_slice_in_dim(kept.cost, cost, first, 0))
+        else:
+            behind = kept.num + jnp.cumsum(is_kept, dtype=jnp.int32)
+            place = jnp.where(is_kept, behind - 1, num_places)  # at or before the edge's own
+            kept = Edges(
+                kept.origin.at[place].set(origin, mode="drop"),
+                kept.target.at[place].set(target, mode="drop"),
+                kept.cost.at[place].set(cost, mode="drop"),
+                behind[-1],
+            )
         return kept, first + sizes.edges_together
 
-    carry = (edges._replace(num=jnp.int32(0)), jnp.int32(0))
-    return jax.lax.while_loop(lambda carry: carry[1] < edges.num, turn, carry)[0]
+    carry = (edges if shape == "gpu" else edges._replace(num=jnp.int32(0)), jnp.int32(0))
+    return _in_turns(turn, carry, edges.num, num_places // sizes.edges_together)[0]
 
 
-def relaxed(edges: Edges, samples: Samples, sizes: Sizes) -> tuple[Array, Array, Array, Array]:
-    """Return ``[N]`` g, parent and edge_cost when no edge, nor the tree given, lowers a cost, and the rounds done.
-
-    Each round looks at the edges of the tree given, then at all others, a turn's together. Parents change with a
-    strictly lower cost only, so that they lead back to the start even where edges cost nothing.
-    """
-    num_places = edges.cost.size
-    is_child = samples.parent != NO_PARENT
-    tree_parent = jnp.maximum(samples.parent, 0)
-    tree_cost = jnp.where(is_child, samples.edge_cost, jnp.inf)
-
-    def one_turn(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-        g, reached_by, first = carry
-        origin, target, cost = (
-            jax.lax.dynamic_slice_in_dim(values, first, sizes.edges_together) for values in edges[:3]
-        )
-        edge = first + jnp.arange(sizes.edges_together, dtype=jnp.int32)
-        reach = jnp.where(edge < edges.num, g[origin] + cost, jnp.inf)
-        lowest = g.at[target].min(reach)
-        is_better = (reach < g[target]) & (reach == lowest[target])
-        reached_by = reached_by.at[jnp.where(is_better, target, g.size)].set(edge, mode="drop")
-        return lowest, reached_by, first + sizes.edges_together
-
-    def go_on(carry: tuple[Array, Array, Array, Array]) -> tuple[Array, Array, Array, Array]:
-        before, reached_by, _, num_rounds = carry
-        along_tree = before[tree_parent] + tree_cost
-        reached_by = jnp.where(along_tree < before, BY_TREE, reached_by)
-        g = jnp.minimum(before, along_tree)
-        g, reached_by, _ = jax.lax.while_loop(lambda turn: turn[2] < edges.num, one_turn, (g, reached_by, jnp.int32(0)))
-        return g, reached_by, jnp.any(g < before), num_rounds + 1
-
-    to_begin = (samples.g, jnp.full(samples.g.size, BY_TREE, jnp.int32), jnp.array(True), jnp.int32(0))
-    g, reached_by, _, num_rounds = jax.lax.while_loop(lambda carry: carry[2], go_on, to_begin)
-    is_by_tree = reached_by == BY_TREE
-    edge = jnp.clip(reached_by, 0, num_places - 1)
-    parent = jnp.where(is_by_tree, samples.parent, edges.origin[edge])
-    edge_cost = jnp.where(is_by_tree, samples.edge_cost, edges.cost[edge])
-    return g, parent, edge_cost, num_rounds
+def _in_turns(turn: Callable[[Any], Any], carry: Any, num: Array, most_turns: int) -> Any:
+    """Return what is carried, whose last part is how many are done, when so many are; one turn needs no loop."""
+    return turn(carry) if most_turns == 1 else lax.while_loop(lambda carry: carry[-1] < num, turn, carry)

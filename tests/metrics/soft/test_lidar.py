@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from jaxurban.errors import InputError
+from jaxurban.kernels.lidar import flat, soft
 from jaxurban.metrics.lidar import LidarParams, compute_lidar, soft_lidar
 from tests.metrics.soft.differences import anyhow, axes, check_gradient
 from tests.metrics.soft.scene import ALTITUDE_M, CELLS, hills, scene, surface_of
@@ -119,3 +120,34 @@ def test_each_chosen_cell_may_have_an_altitude_of_its_own():
     z_m = jnp.linspace(8.0, 30.0, len(CELLS))
     expected = [soft_map(SURFACES["flat"], float(z), 2.0)[row, col] for z, (row, col) in zip(z_m, CELLS, strict=True)]
     np.testing.assert_allclose(soft_lidar(SURFACES["flat"], z_m, PARAMS, 2.0, cells=CELLS), expected, atol=1e-6)
+
+
+@pytest.mark.parametrize("num_azimuths", [7, 80])  # a GPU takes them at once, or in two turns
+def test_the_shape_for_a_gpu_gives_the_values_and_gradients_of_the_one_for_a_cpu(num_azimuths):
+    rng = np.random.default_rng(0)
+    steps = flat.num_steps(5.0, 40.0)
+    shape = 15 + 2 * (steps - 1), 12 + 2 * (steps - 1)
+    roof_m = jnp.asarray(np.where(rng.random(shape) < 0.3, rng.uniform(5, 40, shape), 0.0))
+    terrain_m = jnp.asarray(rng.uniform(0, 6, shape))
+    offsets = flat.ray_offsets(num_azimuths, steps)
+    cells = jnp.asarray(rng.integers(0, (15, 12), (20, 2)))
+    weight = jnp.asarray(rng.uniform(0.5, 1.5, (15, 12)))
+
+    def of_map(roof_m, terrain_m, altitude_m, range_m, shape):
+        scan = soft.scan_of(altitude_m, range_m, PARAMS.elevations_rad, 5.0)
+        return (weight * soft.soft_returns(roof_m, scan, offsets, jnp.asarray(2.0), shape=shape)).sum()
+
+    def of_cells(roof_m, terrain_m, altitude_m, range_m, shape):
+        scan = soft.scan_of(0.0 * altitude_m, range_m, PARAMS.elevations_rad, 5.0)
+        heights_m = altitude_m + jnp.arange(len(cells))
+        found = soft.soft_returns_at(roof_m, terrain_m, heights_m, scan, offsets, jnp.asarray(2.0), cells, shape=shape)
+        return (weight[cells[:, 0], cells[:, 1]] * found).sum()
+
+    for total, ground_m in ((of_map, None), (of_cells, None), (of_cells, terrain_m)):
+        by = (0, 2, 3) if ground_m is None else (0, 1, 2, 3)
+        arguments = roof_m, ground_m, jnp.asarray(15.0), jnp.asarray(39.0)
+        cpu, gpu = (jax.value_and_grad(total, by)(*arguments, shape) for shape in ("cpu", "gpu"))
+        np.testing.assert_allclose(gpu[0], cpu[0], rtol=1e-6)
+        for found, expected in zip(gpu[1], cpu[1], strict=True):
+            assert np.abs(expected).max() > 1e-3
+            np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-6 * np.abs(expected).max())
