@@ -128,6 +128,12 @@ def around(shape: tuple[int, ...], halo: int, *phases: int) -> jax.ShapeDtypeStr
     return array(*phases, *(side + 2 * halo for side in shape))
 
 
+def part(shape: tuple[int, int], halo: int = 0) -> surface.Part:
+    """Return a part of a surface's raster."""
+    rows, cols = (side + 2 * halo for side in shape)
+    return surface.Part(array(*SURFACE), (WHOLE, WHOLE), (rows, cols), ((0, 0), (0, 0)))
+
+
 DISTANCE_5M, DISTANCE_2M = {"resolution_m": 5.0, "cap_m": 50.0}, {"resolution_m": 2.0, "cap_m": 50.0}
 NEAREST = {"resolution_m": 5.0, "halo": 10}
 LAYERS, POINTS = array(NUM_LAYERS, *REGION), array(NUM_POINTS, 2)
@@ -257,13 +263,14 @@ KERNELS: dict[str, Callable[[], Call]] = {
         (array(*SURFACE), None, ALTITUDES_M, lines(), None),
         DOUBLED | {"window": WINDOW[:4]},
     ),
-    "shadows: turned": lambda: Call(visibility._turned, ((WORDS, array(*SURFACE), None),)),
+    "shadows: turned": lambda: Call(visibility._empty_and_turned, (array(*SURFACE), None), {"shape": WORDS.shape}),
     "shadows: joined": lambda: Call(visibility._joined, (WORDS, array(1, 4, *REGION[::-1], dtype=jnp.uint32))),
-    "surface: cut": lambda: Call(surface._cut, (array(*SURFACE), WHOLE, WHOLE), {"shape": REGION}),
-    "recipe: a layer": lambda: Call(recipe._at, (WORDS, WHOLE), {"axis": 1}),
+    "surface: cut": lambda: Call(surface._cut, (part(REGION),)),
+    "recipe: a layer": lambda: Call(recipe._at, (WORDS, WHOLE)),
+    "recipe: roofs and obstacles": lambda: Call(recipe._roofs_and_obstacles, (part(REGION), ALTITUDES_M)),
     "obstacle": lambda: Call(obstacle._mask, (array(*REGION), ALTITUDES_M)),
     "risk": lambda: Call(
-        risk._risk, (around(REGION, 10), None, ALTITUDES_M), DISTANCE_5M | {"halo": 10, "is_solid": False}
+        risk._risk, (part(REGION, 10), None, ALTITUDES_M), DISTANCE_5M | {"halo": 10, "is_solid": False}
     ),
     "shadows: height": lambda: Call(sweep.shadow_height, (array(*SURFACE), line(SURFACE))),
     "shadows: sweep": lambda: Call(sweep.sweep, (array(*SURFACE), line(SURFACE))),
@@ -311,6 +318,9 @@ KERNELS: dict[str, Callable[[], Call]] = {
         (around(TILE, STEPS_5M - 1, 1), around(TILE, STEPS_5M - 1, 1), array(1, STEPS_5M, NUM_BEAMS), STARTS),
         {"halo": STEPS_5M - 1},
     ),
+    "lidar: flat, share": lambda: Call(
+        lidar._flat_share, (part(REGION, STEPS_5M - 1), array(1), array(1, STEPS_5M), RAYS)
+    ),
     "lidar: share": lambda: Call(
         lidar._share, (array(4, *REGION, dtype=jnp.int32), array(*REGION), ALTITUDES_M), {"num_azimuths": NUM_AZIMUTHS}
     ),
@@ -349,6 +359,9 @@ KERNELS: dict[str, Callable[[], Call]] = {
         gradient(nearest_at, (0, 1)), (around(REGION, 10), around(REGION, 10), HEIGHTS_M, CELLS)
     ),
     "obstacle: soft": lambda: Call(obstacle.soft_obstacle, (array(*REGION), NUMBER, NUMBER)),
+    "population: of blocks": lambda: Call(
+        population.layers_of_blocks, (BLOCKS, array(2), population.PopulationParams())
+    ),
     "population: under cells": lambda: Call(population.map_blocks, (int32(*REGION), array(40_000))),
     "population, gradient by gammas": lambda: Call(
         gradient(soft_people, 2), (int32(*REGION), BLOCKS, population.PopulationParams())

@@ -5,8 +5,9 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int, UInt
+from jaxtyping import Array, Bool, DTypeLike, Float, Int, UInt
 
 from jaxurban.world.surface import Surface
 
@@ -16,6 +17,12 @@ if TYPE_CHECKING:
 
 AnyArray = Array | np.ndarray
 ALTITUDE, TIME, TIME_OF_DAY = "altitude", "time", "time_of_day"
+
+
+def in_type(values: Any, dtype: DTypeLike) -> AnyArray:
+    """Return numbers as an array of a type; on the host, where no program is compiled for it, if JAX holds none yet."""
+    is_held = any(isinstance(value, jax.Array) for value in jax.tree.leaves(values))
+    return jnp.asarray(values, dtype) if is_held else np.asarray(values, dtype)
 
 
 def high_is_bad(m: AnyArray) -> AnyArray:

@@ -17,7 +17,7 @@ from jaxurban.errors import InputError, one_of
 from jaxurban.kernels.dop import Geometry, dops, dops_of_words, geometry, unit_vectors
 from jaxurban.kernels.shadows.soft import Window, satellite_weights, shadow_heights
 from jaxurban.kernels.shadows.sweep import Line, digital_lines, stacked
-from jaxurban.metrics.base import ALTITUDE, TIME, Metric, Scene, SoftScene, low_is_bad
+from jaxurban.metrics.base import ALTITUDE, TIME, AnyArray, Metric, Scene, SoftScene, low_is_bad
 from jaxurban.metrics.obstacle import obstacle_mask, soft_obstacle
 from jaxurban.metrics.settings import check_softness, check_value, differentiable
 from jaxurban.metrics.visibility import visibility
@@ -98,14 +98,22 @@ def gps_metric(gdop: Float[Array, "*C"], gdop_threshold: float | Array) -> Float
 
 
 @jax.jit
-def maps_of_words(words: UInt[Array, "W ..."], satellites: Geometry, gdop_threshold: float | Array) -> GpsMaps:
+def maps_of_words(
+    words: UInt[AnyArray, "W ..."],
+    satellites: Geometry,
+    gdop_threshold: float | Array,
+    is_obstacle: Bool[Array, "..."] | None = None,
+) -> GpsMaps:
     """Return the maps of the satellites whose bits are set, made block by block of cells.
 
     Args:
       words: satellite ``s`` is bit ``s % 32`` of word ``s // 32``; any axes of cells behind.
       satellites: their geometry.
       gdop_threshold: see `gps_metric`.
+      is_obstacle: where no satellite is seen, whatever the words say; left out, nowhere.
     """
+    if is_obstacle is not None:
+        words = jnp.where(is_obstacle, jnp.uint32(0), words)
     small, wide = (partial(_in_equal_blocks, block_cells=cells) for cells in (BLOCK_CELLS, WIDE_BLOCK_CELLS))
     return lax.platform_dependent(words, satellites, gdop_threshold, cpu=small, default=wide)
 
@@ -156,14 +164,14 @@ class SatelliteSet:
         table = None
         if len(directions) <= TABLE_SATELLITES:
             num = max(BLOCK_CELLS, 2 ** len(directions))
-            subsets = jnp.arange(num, dtype=jnp.uint32)[None]
+            subsets = np.arange(num, dtype=np.uint32)[None]
             table = maps_of_words(subsets, satellites, params.gdop_threshold)
         return cls(satellites, table, params.gdop_threshold)
 
     def maps(self, words: UInt[Array, "W ..."], is_obstacle: Bool[Array, "..."]) -> GpsMaps:
         """Return the maps of the satellites seen; inside obstacles no satellite is."""
         if self.table is None:
-            return maps_of_words(jnp.where(is_obstacle, jnp.uint32(0), words), self.satellites, self.gdop_threshold)
+            return maps_of_words(words, self.satellites, self.gdop_threshold, is_obstacle)
         return _looked_up(self.table, words, is_obstacle)
 
     def m(self, words: UInt[Array, "W ..."], is_obstacle: Bool[Array, "..."]) -> Float[Array, "*C"]:
@@ -202,7 +210,7 @@ def compute_gps(
       InputError: a satellite below the horizon.
     """
     words = visibility(surface, azimuth_rad, elevation_rad, altitudes_m)
-    is_obstacle = obstacle_mask(surface.crop(surface.roof_m), jnp.asarray(altitudes_m, surface.roof_m.dtype))
+    is_obstacle = obstacle_mask(surface.crop(surface.roof_m), altitudes_m)
     return gps_of_words(words, is_obstacle, azimuth_rad, elevation_rad, params)
 
 

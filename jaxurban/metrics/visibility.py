@@ -35,6 +35,7 @@ from jaxurban.kernels.shadows.sweep import (
     mark_visible_within,
     stacked,
 )
+from jaxurban.metrics.base import in_type
 from jaxurban.world.surface import Surface
 
 LEAST_DROP_M = 1e-9  # a ray on the horizon never climbs above a roof
@@ -104,10 +105,13 @@ def _doubled_words(
     return words_of(shadows_m, ground_m, altitudes_m)
 
 
-@jax.jit
-def _turned(arrays):
-    """Return a tree of arrays with the last two axes exchanged."""
-    return jax.tree.map(lambda array: array.mT, arrays)
+@partial(jax.jit, static_argnames="shape")
+def _empty_and_turned(
+    top_m: Array, ground_m: Array | None, *, shape: tuple[int, ...]
+) -> tuple[Array, Array, Array, Array | None]:
+    """Return words of no satellite, then these, tops and ground turned: with the last two axes exchanged."""
+    words = jnp.zeros(shape, jnp.uint32)
+    return words, words.mT, top_m.mT, None if ground_m is None else ground_m.mT
 
 
 @jax.jit
@@ -170,9 +174,9 @@ def visibility(
     grid, top_m = surface.grid, surface.top_m
     if rings is not None:
         grid, top_m = region.padded(1, 1, 1, 1), surface.crop(top_m)
-    altitudes = jnp.asarray(altitudes_m, surface.roof_m.dtype)
+    altitudes = in_type(altitudes_m, surface.roof_m.dtype)
     ground_m = None if surface.terrain_m is None else surface.crop(surface.terrain_m)
-    num_words = max(1, -(-len(azimuth) // WORD_BITS))
+    shape_of_words = max(1, -(-len(azimuth) // WORD_BITS)), *altitudes.shape, *region.shape
     lines = digital_lines(azimuth, elevation, grid.resolution_m, grid.first_row, grid.first_col, grid.shape)
     if lines and (shape or kernel_shape()) == "doubling":
         ring = None if rings is None else _stacked_rings(rings)
@@ -182,8 +186,8 @@ def visibility(
         passes = num_passes(min(max(grid.shape), rise_m / least_drop_m + 2))
         window = None if rings is not None else (rows.start, rows.stop, cols.start, cols.stop)
         return _doubled_words(top_m, ground_m, altitudes, stacked(lines), ring, passes=passes, window=window)
-    words = jnp.zeros((num_words, *altitudes.shape, *region.shape), jnp.uint32)
     if rings is not None:
+        words = jnp.zeros(shape_of_words, jnp.uint32)
         for s, (line, ring) in enumerate(zip(lines, rings, strict=True)):
             words = mark_visible_within(words, top_m, ground_m, altitudes, line, s, ring)
         return words
@@ -197,8 +201,10 @@ def visibility(
         return words
 
     # Lines that head east or west are swept on transposed arrays, made once; the two kinds at the same time.
-    turned = *_turned((words, top_m, ground_m)), (cols.start, rows.start)
+    words, words_turned, top_turned_m, ground_turned_m = _empty_and_turned(top_m, ground_m, shape=shape_of_words)
     with ThreadPoolExecutor(2) as threads:
         along_rows = threads.submit(mark_all, (NORTH, SOUTH), words, top_m, ground_m, (rows.start, cols.start))
-        along_cols = threads.submit(mark_all, (EAST, WEST), *turned)
+        along_cols = threads.submit(
+            mark_all, (EAST, WEST), words_turned, top_turned_m, ground_turned_m, (cols.start, rows.start)
+        )
     return _joined(along_rows.result(), along_cols.result())
