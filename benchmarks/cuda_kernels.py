@@ -25,6 +25,8 @@ from jaxurban.kernels.shadows import supersampled as fine_shadows
 from jaxurban.maps import pipeline, recipe
 from jaxurban.maps.differentiable import PathVisits, SoftCity, SoftParams
 from jaxurban.metrics import availability, gps, lidar, obstacle, population, risk, visibility
+from jaxurban.metrics.gps import hard as hard_gps
+from jaxurban.metrics.gps import soft as soft_gps_metric
 from jaxurban.metrics.lidar import LidarParams
 from jaxurban.metrics.risk import RiskParams
 from jaxurban.metrics.weights import Weights
@@ -111,7 +113,7 @@ PER_CELL = 3  # subcells a cell side, of supersampled maps
 BANDS = fine_shadows.band_line(AZIMUTH_RAD[0], ELEVATION_RAD[0], 5.0 / PER_CELL, 0, SURFACE[0], PER_CELL)
 FINE = tuple(PER_CELL * side + 2 * PER_CELL for side in SURFACE)
 WINDOW = (MARGIN, MARGIN + REGION[0], MARGIN, MARGIN + REGION[1], 1)
-VIEW = gps.GpsView(lines(), satellites(NUM_SATELLITES, 1), WINDOW)
+VIEW = visibility.SkyView(lines(), satellites(NUM_SATELLITES, 1), WHOLE)
 SUBSETS = gps.GpsMaps(*[array(2**NUM_SATELLITES)] * 6, array(2**NUM_SATELLITES, dtype=jnp.uint8))
 
 NUM_AZIMUTHS, NUM_BEAMS, RANGE_M = 360, 16, 100.0
@@ -214,7 +216,7 @@ def soft_shadow_weights(roof_m, shadow_lines):
 
 
 def soft_gps(roof_m, view, cells):
-    return gps._soft_gps(roof_m, None, 20.0, 20.0, 2.0, view, cells)
+    return soft_gps_metric._soft_gps(roof_m, None, 20.0, 20.0, 2.0, view, cells, window=WINDOW)
 
 
 def nearest(roof_m):
@@ -241,10 +243,10 @@ def line_volume(points, layers, levels_m):
     return smooth_volume.volume_line_integrals(points, layers, levels_m, 5.0, num_cuts=32).per_layer_m
 
 
-def inputs() -> tuple[pipeline.MapInputs, pipeline.SkyView]:
+def inputs() -> tuple[pipeline.MapInputs, visibility.SkyView]:
     """Return what all maps of a region of 8 M cells at one time are made of."""
     city, params = soft_city().surface, (gps.GpsParams(), population.PopulationParams(), RiskParams(), LidarParams())
-    sky = pipeline.SkyView(lines(), satellites(NUM_SATELLITES), WHOLE)
+    sky = visibility.SkyView(lines(), satellites(NUM_SATELLITES), WHOLE)
     return pipeline.MapInputs(city, ALTITUDES_M, array(4, STEPS_5M), array(2), BLOCKS, *params), sky
 
 
@@ -300,8 +302,10 @@ KERNELS: dict[str, Callable[[], Call]] = {
     "GPS maps, 31 satellites": lambda: Call(
         gps.maps_of_words, (array(1, *REGION, dtype=jnp.uint32), satellites(31), NUMBER)
     ),
-    "GPS maps, looked up": lambda: Call(gps._looked_up, (SUBSETS, array(1, *REGION, dtype=jnp.uint32), MASK)),
-    "GPS, soft": lambda: Call(gps._soft_gps, (array(*SURFACE), None, NUMBER, NUMBER, NUMBER, VIEW, None)),
+    "GPS maps, looked up": lambda: Call(hard_gps._looked_up, (SUBSETS, array(1, *REGION, dtype=jnp.uint32), MASK)),
+    "GPS, soft": lambda: Call(
+        soft_gps_metric._soft_gps, (array(*SURFACE), None, NUMBER, NUMBER, NUMBER, VIEW, None), {"window": WINDOW}
+    ),
     "GPS, soft, gradient of a path": lambda: Call(gradient(soft_gps), (array(*SURFACE), VIEW, CELLS)),
     "GPS series, sums of rows": lambda: Call(availability.row_sums, (array(*REGION), array(*REGION, dtype=bool))),
     "lidar: flat, 5 m": lambda: Call(flat.count_returns, (around(REGION, STEPS_5M - 1), array(1, STEPS_5M), RAYS)),

@@ -12,8 +12,9 @@ from jaxtyping import Array, Bool, DTypeLike, Float, Int, UInt
 from jaxurban.world.surface import Surface
 
 if TYPE_CHECKING:
-    from jaxurban.metrics.gps import GpsView, SatelliteSet
+    from jaxurban.metrics.gps import SatelliteSet
     from jaxurban.metrics.population import BlockLayers, BlockPopulation
+    from jaxurban.metrics.visibility import SkyView
 
 AnyArray = Array | np.ndarray
 ALTITUDE, TIME, TIME_OF_DAY = "altitude", "time", "time_of_day"
@@ -90,7 +91,7 @@ class SoftScene(NamedTuple):
     softness_m: Float[Array, ""] | float
     cells: Int[Array, "P 2"] | None
     reach_m: float
-    view: "GpsView"
+    view: "SkyView"
     population: "BlockPopulation | None"
     time_of_day: str
 
