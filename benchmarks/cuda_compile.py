@@ -1,8 +1,8 @@
 """Compiles every kernel for an H200 on a machine without one, and holds what it would launch against a kept table.
 
 ``make cuda-compile`` runs it, in an environment of its own with the compiler (`constraints-cuda.txt`). A kernel becomes
-CPU-shaped when it launches many more kernels than before, gets a loop whose end is data, or needs more temporary
-memory: then it is named and the exit status is 1. So it is where a kernel does not compile, is not in the kept table
+CPU-shaped when it launches many more kernels than before, gets a loop whose end is data, needs more temporary memory or
+moves more: then it is named, and the exit status is 1. So it is where a kernel does not compile, is not in the table
 (`cuda_compile.json`; ``--write`` keeps the numbers of this run), or is a function made by `jax.jit` that is not in the
 list of `cuda_kernels`. ``--only WORD`` looks at kernels whose name holds a word.
 """
@@ -39,6 +39,7 @@ ALLOWED = {  # of a kept number; data_loops and choices may not grow at all
     "data_loops": lambda kept: kept,
     "choices": lambda kept: kept,
     "temporary_mib": lambda kept: MORE_BYTES * kept + FEW_MIB,
+    "moved_mib": lambda kept: MORE_BYTES * kept + FEW_MIB,
 }
 MEANING = {
     "launches": "launches",
@@ -46,7 +47,9 @@ MEANING = {
     "data_loops": "loops whose end is data",
     "choices": "branches chosen by data",
     "temporary_mib": "MiB of temporary memory",
+    "moved_mib": "MiB read and written",
 }
+LAUNCH_S, TURN_S, BYTES_PER_S = 2.5e-6, 8e-6, 4.3e12  # of an H200: a model, nothing measured
 Numbers = dict[str, float]
 COMPILED = type(jax.jit(abs))  # JAX gives this type no public name
 
@@ -107,7 +110,14 @@ def numbers(name: str, where: jax.sharding.Sharding) -> Numbers | str:
         return f"{type(error).__name__}: {str(error).strip().splitlines()[0][:300]}"
     held = program.memory_analysis().temp_size_in_bytes / 2**20
     counted = count(program.as_text())._asdict()
-    return {key: counted[key] for key in MEANING if key in counted} | {"temporary_mib": round(held, 1)}
+    moved = counted.pop("bytes_moved") / 2**20
+    return counted | {"temporary_mib": round(held, 1), "moved_mib": round(moved, 1)}
+
+
+def expected_ms(row: Numbers) -> float:
+    """Return what a call would take on an H200 by the model; a loop whose end is data turns once."""
+    seconds = LAUNCH_S * row["launches"] + TURN_S * row["data_loops"] + 2**20 * row["moved_mib"] / BYTES_PER_S
+    return 1000 * seconds
 
 
 def faults(name: str, found: Numbers | str, kept: dict[str, Numbers]) -> Iterator[str]:
@@ -140,9 +150,11 @@ def unlisted(listed: Iterable[object]) -> Iterator[str]:
 
 def table(found: dict[str, Numbers | str]) -> str:
     """Return the numbers of all kernels in Markdown."""
-    lines = [f"| kernel | {' | '.join(MEANING.values())} |", "|---" * (1 + len(MEANING)) + "|"]
+    lines = [f"| kernel | {' | '.join(MEANING.values())} | ms by the model |", "|---" * (2 + len(MEANING)) + "|"]
     for name, row in found.items():
-        cells = [""] * len(MEANING) if isinstance(row, str) else [f"{row[key]:g}" for key in MEANING]
+        cells = [""] * (1 + len(MEANING))
+        if not isinstance(row, str):
+            cells = [*(f"{row[key]:g}" for key in MEANING), f"{expected_ms(row):.3g}"]
         lines.append(f"| {name} | {' | '.join(cells)} |")
     return "\n".join(lines)
 

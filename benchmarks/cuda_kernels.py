@@ -25,6 +25,8 @@ from jaxurban.kernels.shadows import supersampled as fine_shadows
 from jaxurban.maps import pipeline, recipe
 from jaxurban.maps.differentiable import PathVisits, SoftCity, SoftParams
 from jaxurban.metrics import availability, gps, lidar, obstacle, population, risk, visibility
+from jaxurban.metrics.gps import hard as hard_gps
+from jaxurban.metrics.gps import soft as soft_gps_metric
 from jaxurban.metrics.lidar import LidarParams
 from jaxurban.metrics.risk import RiskParams
 from jaxurban.metrics.weights import Weights
@@ -111,7 +113,7 @@ PER_CELL = 3  # subcells a cell side, of supersampled maps
 BANDS = fine_shadows.band_line(AZIMUTH_RAD[0], ELEVATION_RAD[0], 5.0 / PER_CELL, 0, SURFACE[0], PER_CELL)
 FINE = tuple(PER_CELL * side + 2 * PER_CELL for side in SURFACE)
 WINDOW = (MARGIN, MARGIN + REGION[0], MARGIN, MARGIN + REGION[1], 1)
-VIEW = gps.GpsView(lines(), satellites(NUM_SATELLITES, 1), WINDOW)
+VIEW = visibility.SkyView(lines(), satellites(NUM_SATELLITES, 1), WHOLE)
 SUBSETS = gps.GpsMaps(*[array(2**NUM_SATELLITES)] * 6, array(2**NUM_SATELLITES, dtype=jnp.uint8))
 
 NUM_AZIMUTHS, NUM_BEAMS, RANGE_M = 360, 16, 100.0
@@ -126,6 +128,12 @@ SCAN = soft_lidar.Scan(NUMBER, NUMBER, NUMBER, array(NUM_BEAMS), array(NUM_BEAMS
 def around(shape: tuple[int, ...], halo: int, *phases: int) -> jax.ShapeDtypeStruct:
     """Return a raster with so many cells around it."""
     return array(*phases, *(side + 2 * halo for side in shape))
+
+
+def part(shape: tuple[int, int], halo: int = 0) -> surface.Part:
+    """Return a part of a surface's raster."""
+    rows, cols = (side + 2 * halo for side in shape)
+    return surface.Part(array(*SURFACE), (WHOLE, WHOLE), (rows, cols), ((0, 0), (0, 0)))
 
 
 DISTANCE_5M, DISTANCE_2M = {"resolution_m": 5.0, "cap_m": 50.0}, {"resolution_m": 2.0, "cap_m": 50.0}
@@ -208,7 +216,7 @@ def soft_shadow_weights(roof_m, shadow_lines):
 
 
 def soft_gps(roof_m, view, cells):
-    return gps._soft_gps(roof_m, None, 20.0, 20.0, 2.0, view, cells)
+    return soft_gps_metric._soft_gps(roof_m, None, 20.0, 20.0, 2.0, view, cells, window=WINDOW)
 
 
 def nearest(roof_m):
@@ -235,10 +243,10 @@ def line_volume(points, layers, levels_m):
     return smooth_volume.volume_line_integrals(points, layers, levels_m, 5.0, num_cuts=32).per_layer_m
 
 
-def inputs() -> tuple[pipeline.MapInputs, pipeline.SkyView]:
+def inputs() -> tuple[pipeline.MapInputs, visibility.SkyView]:
     """Return what all maps of a region of 8 M cells at one time are made of."""
     city, params = soft_city().surface, (gps.GpsParams(), population.PopulationParams(), RiskParams(), LidarParams())
-    sky = pipeline.SkyView(lines(), satellites(NUM_SATELLITES), WHOLE)
+    sky = visibility.SkyView(lines(), satellites(NUM_SATELLITES), WHOLE)
     return pipeline.MapInputs(city, ALTITUDES_M, array(4, STEPS_5M), array(2), BLOCKS, *params), sky
 
 
@@ -257,13 +265,14 @@ KERNELS: dict[str, Callable[[], Call]] = {
         (array(*SURFACE), None, ALTITUDES_M, lines(), None),
         DOUBLED | {"window": WINDOW[:4]},
     ),
-    "shadows: turned": lambda: Call(visibility._turned, ((WORDS, array(*SURFACE), None),)),
+    "shadows: turned": lambda: Call(visibility._empty_and_turned, (array(*SURFACE), None), {"shape": WORDS.shape}),
     "shadows: joined": lambda: Call(visibility._joined, (WORDS, array(1, 4, *REGION[::-1], dtype=jnp.uint32))),
-    "surface: cut": lambda: Call(surface._cut, (array(*SURFACE), WHOLE, WHOLE), {"shape": REGION}),
-    "recipe: a layer": lambda: Call(recipe._at, (WORDS, WHOLE), {"axis": 1}),
+    "surface: cut": lambda: Call(surface._cut, (part(REGION),)),
+    "recipe: a layer": lambda: Call(recipe._at, (WORDS, WHOLE)),
+    "recipe: roofs and obstacles": lambda: Call(recipe._roofs_and_obstacles, (part(REGION), ALTITUDES_M)),
     "obstacle": lambda: Call(obstacle._mask, (array(*REGION), ALTITUDES_M)),
     "risk": lambda: Call(
-        risk._risk, (around(REGION, 10), None, ALTITUDES_M), DISTANCE_5M | {"halo": 10, "is_solid": False}
+        risk._risk, (part(REGION, 10), None, ALTITUDES_M), DISTANCE_5M | {"halo": 10, "is_solid": False}
     ),
     "shadows: height": lambda: Call(sweep.shadow_height, (array(*SURFACE), line(SURFACE))),
     "shadows: sweep": lambda: Call(sweep.sweep, (array(*SURFACE), line(SURFACE))),
@@ -293,8 +302,10 @@ KERNELS: dict[str, Callable[[], Call]] = {
     "GPS maps, 31 satellites": lambda: Call(
         gps.maps_of_words, (array(1, *REGION, dtype=jnp.uint32), satellites(31), NUMBER)
     ),
-    "GPS maps, looked up": lambda: Call(gps._looked_up, (SUBSETS, array(1, *REGION, dtype=jnp.uint32), MASK)),
-    "GPS, soft": lambda: Call(gps._soft_gps, (array(*SURFACE), None, NUMBER, NUMBER, NUMBER, VIEW, None)),
+    "GPS maps, looked up": lambda: Call(hard_gps._looked_up, (SUBSETS, array(1, *REGION, dtype=jnp.uint32), MASK)),
+    "GPS, soft": lambda: Call(
+        soft_gps_metric._soft_gps, (array(*SURFACE), None, NUMBER, NUMBER, NUMBER, VIEW, None), {"window": WINDOW}
+    ),
     "GPS, soft, gradient of a path": lambda: Call(gradient(soft_gps), (array(*SURFACE), VIEW, CELLS)),
     "GPS series, sums of rows": lambda: Call(availability.row_sums, (array(*REGION), array(*REGION, dtype=bool))),
     "lidar: flat, 5 m": lambda: Call(flat.count_returns, (around(REGION, STEPS_5M - 1), array(1, STEPS_5M), RAYS)),
@@ -310,6 +321,9 @@ KERNELS: dict[str, Callable[[], Call]] = {
         steps.count_returns_on_terrain_by_steps,
         (around(TILE, STEPS_5M - 1, 1), around(TILE, STEPS_5M - 1, 1), array(1, STEPS_5M, NUM_BEAMS), STARTS),
         {"halo": STEPS_5M - 1},
+    ),
+    "lidar: flat, share": lambda: Call(
+        lidar._flat_share, (part(REGION, STEPS_5M - 1), array(1), array(1, STEPS_5M), RAYS)
     ),
     "lidar: share": lambda: Call(
         lidar._share, (array(4, *REGION, dtype=jnp.int32), array(*REGION), ALTITUDES_M), {"num_azimuths": NUM_AZIMUTHS}
@@ -349,6 +363,9 @@ KERNELS: dict[str, Callable[[], Call]] = {
         gradient(nearest_at, (0, 1)), (around(REGION, 10), around(REGION, 10), HEIGHTS_M, CELLS)
     ),
     "obstacle: soft": lambda: Call(obstacle.soft_obstacle, (array(*REGION), NUMBER, NUMBER)),
+    "population: of blocks": lambda: Call(
+        population.layers_of_blocks, (BLOCKS, array(2), population.PopulationParams())
+    ),
     "population: under cells": lambda: Call(population.map_blocks, (int32(*REGION), array(40_000))),
     "population, gradient by gammas": lambda: Call(
         gradient(soft_people, 2), (int32(*REGION), BLOCKS, population.PopulationParams())

@@ -19,11 +19,11 @@ from scipy.ndimage import label
 
 from benchmarks.gpu_inputs import load_problem, load_surface
 from jaxurban.kernels.distance.exact import capped_distance, capped_distance_over_terrain
-from jaxurban.metrics.gps import GpsParams, GpsView, compute_gps, gps_of_words, soft_gps
+from jaxurban.metrics.gps import GpsParams, compute_gps, gps_of_words, soft_gps
 from jaxurban.metrics.lidar import LidarParams, compute_lidar, soft_lidar
 from jaxurban.metrics.obstacle import obstacle_mask
 from jaxurban.metrics.risk import RiskParams, compute_risk, soft_risk
-from jaxurban.metrics.visibility import visibility
+from jaxurban.metrics.visibility import SkyView, visibility
 from jaxurban.planners.base import Problem
 from jaxurban.planners.batch import solve_many
 from jaxurban.planners.bitstar.planner import BitStarOptions, bitstar_plus
@@ -298,7 +298,7 @@ def bitstar(run: Run) -> None:
 def gradients(run: Run) -> None:
     """Gradients by all roofs of the mean metric along a path of 512 cells."""
     surface, azimuth_rad, elevation_rad = run.surface()
-    view = GpsView.of(surface, azimuth_rad, elevation_rad)
+    view = SkyView.of(surface, azimuth_rad, elevation_rad)
     side = min(surface.grid.shape)
     cells = jnp.asarray(np.random.default_rng(0).integers(side // 4, 3 * side // 4, (512, 2)), jnp.int32)
     soft = {

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from jaxurban.kernels.distance.exact import capped_distance, capped_distance_over_terrain
-from jaxurban.metrics.gps import GpsParams, GpsView, gps_of_words, soft_gps
+from jaxurban.metrics.gps import GpsParams, gps_of_words, soft_gps
 from jaxurban.metrics.lidar import LidarParams, compute_lidar, soft_lidar
-from jaxurban.metrics.visibility import visibility
+from jaxurban.metrics.visibility import SkyView, visibility
 from jaxurban.planners.base import Problem
 from jaxurban.planners.batch import solve_many
 from jaxurban.planners.bitstar.planner import BitStarOptions, bitstar_plus
@@ -112,7 +112,7 @@ def test_dilutions_are_the_same_to_a_ten_thousandth(gpu, num):
 def test_gradients_by_roofs_are_the_same_to_a_thousandth_of_the_largest(gpu, name):
     surface = city()
     cells = np.random.default_rng(0).integers(20, 120, (64, 2)).astype(np.int32)
-    view = GpsView.of(surface, AZIMUTH_RAD, ELEVATION_RAD)
+    view = SkyView.of(surface, AZIMUTH_RAD, ELEVATION_RAD)
 
     def slope(roof_m: jax.Array) -> jax.Array:
         def mean(roof_m: jax.Array) -> jax.Array:

@@ -22,15 +22,16 @@ from jaxurban.maps.guesses import Guesses, guesses_of, nominal_guess, time_guess
 from jaxurban.maps.height_uncertainty import HeightStd
 from jaxurban.maps.memory import check_fits
 from jaxurban.maps.metric_maps import MetricMaps
-from jaxurban.maps.pipeline import MapInputs, SkyView, inputs_of, skies_of
+from jaxurban.maps.pipeline import MapInputs, inputs_of, skies_of
 from jaxurban.maps.recipe import TileScene, tile_maps
 from jaxurban.maps.stopwatch import Stage, Stopwatch, untimed
 from jaxurban.maps.task import PAPER_ALTITUDES_M, MapParams, MapTask
 from jaxurban.metrics.custom import Layer, check_layers
-from jaxurban.metrics.gps import GpsParams, GpsView
+from jaxurban.metrics.gps import GpsParams
 from jaxurban.metrics.lidar import LidarParams
 from jaxurban.metrics.population import BlockPopulation, PopulationParams
 from jaxurban.metrics.risk import RiskParams
+from jaxurban.metrics.visibility import SkyView
 from jaxurban.progress import Progress, reporting
 from jaxurban.world.city import City
 from jaxurban.world.grid import Grid
@@ -324,7 +325,7 @@ def soften(task: MapTask, *, time_index: int = 0, time_of_day: str = "day", dtyp
         surface=surface,
         building=jnp.asarray(building),
         height_m=jnp.asarray(city.buildings.height_m, dtype),
-        view=GpsView.of(surface, *task.angles(time_index)),
+        view=SkyView.of(surface, *task.angles(time_index)),
         population=None if city.blocks is None else BlockPopulation.of(city.blocks, task.region.bounds_m, dtype),
         time_of_day=time_of_day,
         reach_m=tuple((name, float(metric.reach_m(task.settings_of(metric)))) for name, metric in task.metrics.items()),

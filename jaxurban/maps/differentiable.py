@@ -11,11 +11,12 @@ from jaxtyping import Array, Float, Int
 from jaxurban.errors import one_of, typed
 from jaxurban.metrics.base import TIME_OF_DAY, Metric, SoftScene
 from jaxurban.metrics.custom import Layer, own_metric
-from jaxurban.metrics.gps import GpsParams, GpsView
+from jaxurban.metrics.gps import GpsParams
 from jaxurban.metrics.lidar import LidarParams
 from jaxurban.metrics.population import BlockPopulation, PopulationParams
 from jaxurban.metrics.registry import METRICS
 from jaxurban.metrics.risk import RiskParams
+from jaxurban.metrics.visibility import SkyView
 from jaxurban.metrics.weights import Weights
 from jaxurban.planners.base import CostModel, Problem
 from jaxurban.planners.cost import visit_counts
@@ -87,7 +88,7 @@ class SoftCity:
     surface: Surface
     building: Int[Array, "Y X"]
     height_m: Float[Array, " B"]
-    view: GpsView
+    view: SkyView
     population: BlockPopulation | None = None
     time_of_day: str = field(default="day", metadata={"static": True})
     reach_m: tuple[tuple[str, float], ...] = field(

@@ -12,6 +12,8 @@ import psutil
 from jaxurban.errors import InputError
 from jaxurban.kernels.distance.exact import window_cells
 from jaxurban.kernels.lidar.flat import WORD_BITS, num_steps
+from jaxurban.kernels.lidar.supersampled import halo_cells
+from jaxurban.kernels.lidar.terrain_cpu import TILE
 from jaxurban.maps.dataset import variables
 from jaxurban.maps.device import Gpu, gpu_free_bytes
 from jaxurban.maps.task import MapTask
@@ -27,10 +29,14 @@ SERIES_BYTES = 384 * 2**20  # a tile's metric at every time of a long series tak
 COMPILING_BYTES = 400 * 2**20  # what JAX and the other libraries take once they work
 SURFACE_CELL_BYTES = 20  # rasters on the host and for JAX, and what puts them together
 TERRAIN_CELL_BYTES = 16  # the same of the terrain, and the sum of both
-LIDAR_CELL_BYTES = 16  # of cells within the lidar's range: crops, with their halo, and padded
+LIDAR_CELL_BYTES = 16  # of cells within the lidar's range: crops with their halo, and padded (terrain: of both rasters)
 LIDAR_WORD_BYTES = 4.4  # 32 results of a step, and a tenth
+LIDAR_RESULT_BYTES = 24  # of counts and shares of the tile's own cells
+TERRAIN_RESULT_BYTES = 12  # the same over terrain
+LOOK_BYTES = 64  # over terrain: a look of a ray, while equal ones are joined (`kernels.lidar.terrain.distinct_looks`)
+TERRAIN_BLOCK_BYTES = 9  # over terrain: ground, rise and class of cells around the receivers that are taken together
+SUPERSAMPLED_RETURN_BYTES = 4  # supersampled over flat ground: a scan position of a cell, while they are counted
 RISK_CELL_BYTES = 64  # of cells within the risk's threshold: squared distances and what a pass over them holds
-LOOK_BYTES = 1024  # over terrain: a look (see `jaxurban.kernels.lidar.terrain`), and what joins them
 OTHER_CELL_BYTES = 8  # of a metric that is not measured, by variable: what it computes, and its layer
 SUBCELL_BYTES = 48  # rasters of the supersampled surface, its tops for both directions, and the lidar's order of them
 SPREAD_CELL_BYTES = 4 * 10 * 3  # about ten arrays of each of three metrics
@@ -75,7 +81,7 @@ def tile_bytes(task: MapTask, tile: Grid, around: Grid | None = None) -> int:
     """
     around = around or task.with_halo(tile)
     surface = _num_cells(around) * (SURFACE_CELL_BYTES + TERRAIN_CELL_BYTES * task.has_terrain)
-    return int(surface + _metric_bytes(task, tile)) + _supersampling_bytes(task, task.with_margin(tile))
+    return int(surface + _metric_bytes(task, tile) + _supersampling_bytes(task, tile))
 
 
 def whole_bytes(task: MapTask) -> int:
@@ -108,13 +114,19 @@ def _lidar_bytes(task: MapTask, tile: Grid, metric: Metric) -> float:
 
     As words are bands of rows, each with a halo of its own, these bits are up to 32 times the cells around.
     """
-    lidar = task.params.lidar
-    steps = num_steps(tile.resolution_m, lidar.range_m)
+    steps = num_steps(tile.resolution_m, task.params.lidar.range_m)
     halo, band = steps - 1, -(-tile.num_rows // WORD_BITS)
-    looks = steps * (band + 2 * halo) * (tile.num_cols + 2 * halo) * LIDAR_WORD_BYTES
+    around = _num_cells(tile, halo) * LIDAR_CELL_BYTES
     if task.has_terrain:
-        looks = steps * lidar.azimuths * LOOK_BYTES
-    return _num_cells(tile, halo) * LIDAR_CELL_BYTES * (1 + task.has_terrain) + 24 * _num_cells(tile) + looks
+        return around + _num_cells(tile) * TERRAIN_RESULT_BYTES + _looks_bytes(task, steps, halo)
+    looks = steps * (band + 2 * halo) * (tile.num_cols + 2 * halo) * LIDAR_WORD_BYTES
+    return around + _num_cells(tile) * LIDAR_RESULT_BYTES + looks
+
+
+def _looks_bytes(task: MapTask, steps: int, halo: int, num_phases: int = 1) -> float:
+    """Return the bytes of the lidar over terrain whatever the size of the tile: looks, and a block of receivers."""
+    block = num_phases * math.prod(side + 2 * halo for side in TILE)
+    return steps * task.params.lidar.azimuths * LOOK_BYTES + block * TERRAIN_BLOCK_BYTES
 
 
 def _risk_bytes(task: MapTask, tile: Grid, metric: Metric) -> float:
@@ -134,13 +146,16 @@ MEASURED: dict[str, Callable[[MapTask, Grid, Metric], float]] = {
 }
 
 
-def _supersampling_bytes(task: MapTask, surface: Grid) -> int:
+def _supersampling_bytes(task: MapTask, tile: Grid) -> float:
     """Return about how many bytes supersampling and spreads add to a tile and the margin that shadows it."""
-    params, cells, needed = task.params, _num_cells(surface), 0
+    params, cells, needed = task.params, _num_cells(task.with_margin(tile)), 0.0
     if params.oversample > 1 or params.gps_bounds:
         needed += cells * params.oversample**2 * SUBCELL_BYTES
-        steps = num_steps(surface.resolution_m / params.oversample, params.lidar.range_m)
-        needed += steps * params.lidar.azimuths * LOOK_BYTES
+        steps = num_steps(tile.resolution_m / params.oversample, params.lidar.range_m)
+        if task.has_terrain:
+            needed += _looks_bytes(task, steps, halo_cells(steps, params.oversample), params.oversample**2)
+        else:
+            needed += _num_cells(tile) * params.lidar.azimuths * SUPERSAMPLED_RETURN_BYTES
     if params.height_samples:
         needed += cells * len(params.altitudes_m) * SPREAD_CELL_BYTES
     return needed

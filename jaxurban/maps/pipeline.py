@@ -8,41 +8,23 @@ statistics over time and own layers are the recipe's alone; soft maps are `SoftC
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int, UInt
+from jaxtyping import Array, Float
 
 from jaxurban.errors import InputError
-from jaxurban.kernels.dop import Geometry, geometry, unit_vectors
-from jaxurban.kernels.shadows.doubling import words_of
-from jaxurban.kernels.shadows.soft import shadow_heights
-from jaxurban.kernels.shadows.sweep import Line, digital_lines, stacked
 from jaxurban.maps.task import MapTask
 from jaxurban.metrics.gps import SATELLITES_STEP, GpsParams, maps_of_words
 from jaxurban.metrics.lidar import LidarParams, beam_heights, lidar_of_beams
 from jaxurban.metrics.obstacle import obstacle_mask
-from jaxurban.metrics.population import BlockPopulation, PopulationParams, block_values, day_share, map_blocks
+from jaxurban.metrics.population import BlockPopulation, PopulationParams, day_share, layers_of_blocks, map_blocks
 from jaxurban.metrics.registry import METRICS
 from jaxurban.metrics.risk import RiskParams, compute_risk
+from jaxurban.metrics.visibility import SkyView, visible_words
 from jaxurban.metrics.weights import Weights
 from jaxurban.world.surface import Surface
-
-
-class SkyView(NamedTuple):
-    """The satellites of one time over one surface, made ready on the host. ``S`` satellites, some of them to fill up.
-
-    Attributes:
-      lines: digital line toward each over the surface's grid, fields stacked along ``S``.
-      satellites: their geometry.
-      num: how many there are; those behind are never seen.
-    """
-
-    lines: Line
-    satellites: Geometry
-    num: Int[Array, ""]
 
 
 @jax.tree_util.register_dataclass
@@ -120,33 +102,11 @@ def skies_of(task: MapTask, surface: Surface) -> SkyView:
     One time is ``jax.tree.map(lambda values: values[t], views)``; all of them are mapped over by
     ``jax.vmap(all_maps, (None, 0))``. Times with fewer satellites than the fullest are filled up.
     """
-    grid, angles = surface.grid, [task.angles(t) for t in range(task.num_times)]
+    angles = [task.angles(t) for t in range(task.num_times)]
     most = max(1, *(len(azimuth_rad) for azimuth_rad, _ in angles))
     most = -(-most // SATELLITES_STEP) * SATELLITES_STEP
-    views = []
-    for azimuth_rad, elevation_rad in angles:
-        num = len(azimuth_rad)
-        directions = unit_vectors(azimuth_rad, elevation_rad)
-        filled = np.zeros((2, most))
-        filled[:, :num] = azimuth_rad, elevation_rad
-        lines = digital_lines(filled[0], filled[1], grid.resolution_m, grid.first_row, grid.first_col, grid.shape)
-        views.append(SkyView(stacked(lines), geometry(directions, multiple_of=most), jnp.int32(num)))
+    views = [SkyView.of(surface, *of_time, multiple_of=most) for of_time in angles]
     return jax.tree.map(lambda *values: jnp.asarray(np.stack(values)), *views)
-
-
-def visible_words(surface: Surface, altitudes_m: Float[Array, " A"], sky: SkyView) -> UInt[Array, "W A y x"]:
-    """Return `jaxurban.metrics.visibility.visibility` of a sky, by the shape for the platform that it is compiled for.
-
-    Args:
-      surface: roofs and terrain; what stands outside it shadows nothing.
-      altitudes_m: heights above the ground.
-      sky: over this surface.
-    """
-    rows, cols = surface.window
-    shadows_m = shadow_heights(surface.top_m, sky.lines, (rows.start, rows.stop, cols.start, cols.stop, 1))
-    is_there = jnp.arange(len(shadows_m)) < sky.num
-    shadows_m = jnp.where(is_there[:, None, None], shadows_m, jnp.inf)
-    return words_of(shadows_m, None if surface.terrain_m is None else surface.crop(surface.terrain_m), altitudes_m)
 
 
 def all_maps(inputs: MapInputs, sky: SkyView, weights: Weights | None = None) -> dict[str, Array]:
@@ -176,10 +136,10 @@ def all_maps(inputs: MapInputs, sky: SkyView, weights: Weights | None = None) ->
         "lidar": lidar_of_beams(surface, altitudes_m, inputs.beams_m, inputs.lidar),
         "risk": compute_risk(surface, altitudes_m, inputs.risk),
     }
-    if inputs.population is not None and surface.block is not None:
-        blocks = inputs.population
-        m, density, _ = jax.vmap(lambda share: block_values(blocks, share, inputs.people))(inputs.day_share)
-        maps |= {"population": map_blocks(surface.block, m), "density": map_blocks(surface.block, density)}
+    if (blocks := inputs.population) is not None and surface.block is not None:
+        layers = layers_of_blocks(blocks, inputs.day_share, inputs.people)
+        of_blocks = {"population": layers.m, "density": layers.density_per_km2}
+        maps |= {name: map_blocks(surface.block, values) for name, values in of_blocks.items()}
     if weights is not None:
         maps["cost"] = _weighted(maps, weights)
     return maps

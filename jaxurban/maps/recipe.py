@@ -6,11 +6,10 @@ whose roofs have moved. Who runs it, and where the layers go, is the caller's.
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from jaxurban.io.layers import layer_values
@@ -29,12 +28,12 @@ from jaxurban.maps.supersampling import (
 )
 from jaxurban.maps.task import MapTask
 from jaxurban.metrics.availability import TimeTotals, row_sums, series_statistics
-from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY, Metric, Scene
+from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY, Metric, Scene, in_type
 from jaxurban.metrics.gps import SatelliteSet
 from jaxurban.metrics.obstacle import obstacle_mask
 from jaxurban.metrics.population import BlockLayers
 from jaxurban.metrics.visibility import visibility
-from jaxurban.world.surface import Surface
+from jaxurban.world.surface import Part, Surface
 
 
 class MapLayer(NamedTuple):
@@ -63,13 +62,19 @@ class TileScene:
     _seen: dict[int, tuple[SatelliteSet, jax.Array]] = field(default_factory=dict, init=False, repr=False)
 
     @cached_property
-    def is_obstacle(self) -> jax.Array:
-        """``[A, y, x]`` bool: a roof reaches the altitude."""
-        return obstacle_mask(self.surface.crop(self.surface.roof_m), self.task.params.altitudes_m)
+    def _own(self) -> tuple[jax.Array, list[jax.Array]]:
+        roof_m = self.surface.roof_m
+        return _roofs_and_obstacles(self.surface.part(roof_m), in_type(self.task.params.altitudes_m, roof_m.dtype))
 
-    @cached_property
-    def _obstacle_at(self) -> list[jax.Array]:
-        return [_at(self.is_obstacle, a, 0) for a in range(len(self.is_obstacle))]
+    @property
+    def roof_m(self) -> jax.Array:
+        """``[y, x]`` the roofs of the tile's own cells."""
+        return self._own[0]
+
+    @property
+    def is_obstacle(self) -> list[jax.Array]:
+        """``[y, x]`` bool for each altitude: a roof reaches it."""
+        return self._own[1]
 
     @cached_property
     def has_data(self) -> np.ndarray | None:
@@ -127,21 +132,28 @@ class TileScene:
         if (a := index.get(ALTITUDE)) is not None:
             altitude_m = self.task.params.altitudes_m[a]
             scene = replace(
-                scene, altitude_m=altitude_m, is_obstacle=self._obstacle_at[a], supersampled=self.supersampled
+                scene, altitude_m=altitude_m, is_obstacle=self.is_obstacle[a], supersampled=self.supersampled
             )
         if (t := index.get(TIME)) is not None:
             satellites, words = self.view(t)
-            scene = replace(scene, satellites=satellites, words=_at(words, a, 1))
+            scene = replace(scene, satellites=satellites, words=_at(words, a))
         if metric.name in self.task.bands:
             values = layer_values(self.task.bands[metric.name], self.surface.region, self.task.region, a)
             scene = replace(scene, rasters={metric.name: values})
         return scene
 
 
-@partial(jax.jit, static_argnames="axis")
-def _at(values: jax.Array, index: int, axis: int) -> jax.Array:
-    """Return a layer of stacked ones: one program serves all."""
-    return jax.lax.dynamic_index_in_dim(values, index, axis, keepdims=False)
+@jax.jit
+def _roofs_and_obstacles(roof: Part, altitudes_m: jax.Array) -> tuple[jax.Array, list[jax.Array]]:
+    """Return a part of the roofs, and at which cells they reach each altitude."""
+    roof_m = roof.cut()
+    return roof_m, list(obstacle_mask(roof_m, altitudes_m))
+
+
+@jax.jit
+def _at(words: jax.Array, altitude: int) -> jax.Array:
+    """Return the words ``[W, A, y, x]`` of one altitude: one program serves all."""
+    return jax.lax.dynamic_index_in_dim(words, altitude, 1, keepdims=False)
 
 
 def tile_maps(tile: TileScene, stage: Stage = untimed) -> Iterator[MapLayer]:
@@ -189,8 +201,8 @@ def _staged(layers: Iterator[MapLayer], stage: Stage, name: str) -> Iterator[Map
 
 
 def _obstacles(tile: TileScene) -> Iterator[MapLayer]:
-    for a, is_obstacle in enumerate(np.asarray(tile.is_obstacle)):
-        yield MapLayer("obstacle", (a,), is_obstacle.astype(np.uint8))
+    for a, is_obstacle in enumerate(tile.is_obstacle):
+        yield MapLayer("obstacle", (a,), np.asarray(is_obstacle).astype(np.uint8))
 
 
 def _maps(tile: TileScene, metric: Metric, only_m: bool = False) -> Iterator[MapLayer]:
@@ -215,10 +227,10 @@ def _set_out(maps: Mapping[str, Any]) -> Mapping[str, Any]:
 
 def _statistics(tile: TileScene, metric: Metric) -> Iterator[MapLayer]:
     """Yield statistics over the times, whose sums go to the tile's totals."""
-    is_counted = ~np.asarray(tile.is_obstacle)
+    is_counted = ~np.stack(tile.is_obstacle)
     if tile.has_data is not None:
         is_counted &= tile.has_data
-    counted = jnp.asarray(is_counted)
+    counted = [jax.device_put(of_altitude) for of_altitude in is_counted]
     totals = TimeTotals.zero(tile.task.num_times, len(is_counted))
     totals.num_free[:] = is_counted.sum(axis=(1, 2))
     m = np.empty((tile.task.num_times, *is_counted.shape), np.float32)
@@ -275,7 +287,7 @@ def _height_spread(tile: TileScene) -> Iterator[MapLayer]:
 
 def _rasters(tile: TileScene) -> Iterator[MapLayer]:
     task, surface = tile.task, tile.surface
-    yield MapLayer("roof", (), surface.crop(surface.roof_m))
+    yield MapLayer("roof", (), tile.roof_m)
     assert surface.roof_touched_m is not None
     yield MapLayer("roof_touched", (), surface.roof_touched_m)
     guessed = guessed_roofs(task.city, task.region, surface.region, task.params.all_touched)

@@ -5,17 +5,25 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int, UInt
+from jaxtyping import Array, Bool, DTypeLike, Float, Int, UInt
 
 from jaxurban.world.surface import Surface
 
 if TYPE_CHECKING:
-    from jaxurban.metrics.gps import GpsView, SatelliteSet
+    from jaxurban.metrics.gps import SatelliteSet
     from jaxurban.metrics.population import BlockLayers, BlockPopulation
+    from jaxurban.metrics.visibility import SkyView
 
 AnyArray = Array | np.ndarray
 ALTITUDE, TIME, TIME_OF_DAY = "altitude", "time", "time_of_day"
+
+
+def in_type(values: Any, dtype: DTypeLike) -> AnyArray:
+    """Return numbers as an array of a type; on the host, where no program is compiled for it, if JAX holds none yet."""
+    is_held = any(isinstance(value, jax.Array) for value in jax.tree.leaves(values))
+    return jnp.asarray(values, dtype) if is_held else np.asarray(values, dtype)
 
 
 def high_is_bad(m: AnyArray) -> AnyArray:
@@ -83,7 +91,7 @@ class SoftScene(NamedTuple):
     softness_m: Float[Array, ""] | float
     cells: Int[Array, "P 2"] | None
     reach_m: float
-    view: "GpsView"
+    view: "SkyView"
     population: "BlockPopulation | None"
     time_of_day: str
 

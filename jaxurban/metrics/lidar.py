@@ -15,10 +15,10 @@ from jaxurban.kernels.lidar import flat as kernel
 from jaxurban.kernels.lidar import soft as soft_kernel
 from jaxurban.kernels.lidar.supersampled import count_returns_at_centres, halo_cells, phase_starts, phases
 from jaxurban.kernels.lidar.terrain import count_returns_on_terrain
-from jaxurban.metrics.base import ALTITUDE, Metric, Scene, low_is_bad, on_scene
+from jaxurban.metrics.base import ALTITUDE, AnyArray, Metric, Scene, in_type, low_is_bad, on_scene
 from jaxurban.metrics.obstacle import obstacle_mask, soft_obstacle
 from jaxurban.metrics.settings import check_softness, check_value, differentiable, reach_of
-from jaxurban.world.surface import Surface
+from jaxurban.world.surface import Part, Surface
 
 
 @differentiable("range_m")
@@ -86,7 +86,7 @@ def compute_lidar(
       params: the lidar.
     """
     heights_m = beam_heights(altitudes_m, params, surface)
-    return lidar_of_beams(surface, jnp.asarray(altitudes_m, surface.roof_m.dtype), jnp.asarray(heights_m), params)
+    return lidar_of_beams(surface, in_type(altitudes_m, surface.roof_m.dtype), heights_m, params)
 
 
 def beam_heights(altitudes_m: Sequence[float] | ArrayLike, params: LidarParams, surface: Surface) -> np.ndarray:
@@ -111,19 +111,26 @@ def beam_heights(altitudes_m: Sequence[float] | ArrayLike, params: LidarParams, 
 
 
 def lidar_of_beams(
-    surface: Surface, altitudes_m: Float[Array, " A"], heights_m: Float[Array, "A N ..."], params: LidarParams
+    surface: Surface, altitudes_m: Float[AnyArray, " A"], heights_m: Float[AnyArray, "A N ..."], params: LidarParams
 ) -> Float[Array, "A y x"]:
     """Return `compute_lidar` of beams made ready by `beam_heights`; surface, altitudes and heights may be traced."""
     steps = heights_m.shape[1]
     offsets = kernel.ray_offsets(params.azimuths, steps)
-    roof_m = surface.crop_with_halo(surface.roof_m, steps - 1)
     if surface.terrain_m is None:
-        returns = kernel.count_returns(roof_m, heights_m, jnp.asarray(offsets))
-    else:
-        terrain_m = surface.crop_with_halo(surface.terrain_m, steps - 1)
-        starts = phase_starts(offsets, 1)
-        returns = count_returns_on_terrain(roof_m[None], terrain_m[None], heights_m, starts, halo=steps - 1)
+        return _flat_share(surface.part(surface.roof_m, steps - 1), altitudes_m, heights_m, offsets)
+    roof_m, terrain_m = (surface.crop_with_halo(values, steps - 1) for values in (surface.roof_m, surface.terrain_m))
+    starts = phase_starts(offsets, 1)
+    returns = count_returns_on_terrain(roof_m[None], terrain_m[None], heights_m, starts, halo=steps - 1)
     return _share(returns, surface.crop(surface.roof_m), altitudes_m, num_azimuths=params.azimuths)
+
+
+@jax.jit
+def _flat_share(roof: Part, altitudes_m: Array, thresholds_m: Array, offsets: Array) -> Array:
+    """Return the share of scan positions that return over flat ground, of roofs with their halo."""
+    roof_m, halo = roof.cut(), thresholds_m.shape[1] - 1
+    returns = kernel.count_returns(roof_m, thresholds_m, offsets)
+    rows, cols = (slice(halo, size - halo) for size in roof_m.shape)
+    return _share(returns, roof_m[rows, cols], altitudes_m, num_azimuths=len(offsets))
 
 
 @partial(jax.jit, static_argnames="num_azimuths")
@@ -222,11 +229,11 @@ def soft_lidar(
     return (1 - soft_obstacle(own_roof_m, altitude, softness)) * share
 
 
-def _map(scene: Scene, params: LidarParams) -> dict[str, Array]:
+def _map(scene: Scene, params: LidarParams) -> dict[str, AnyArray]:
     assert scene.altitude_m is not None
     assert scene.is_obstacle is not None
     if scene.supersampled is None:
-        return {"lidar": compute_lidar(scene.surface, [scene.altitude_m], params)[0]}
+        return {"lidar": np.asarray(compute_lidar(scene.surface, [scene.altitude_m], params))[0]}
     altitudes_m = np.array([scene.altitude_m])
     return {
         "lidar": lidar_at_centres(scene.supersampled, scene.oversample, scene.is_obstacle[None], altitudes_m, params)[0]

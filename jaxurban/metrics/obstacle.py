@@ -7,8 +7,10 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float
 
+from jaxurban.metrics.base import in_type
 
-def obstacle_mask(roof_m: Float[Array, "Y X"], altitudes_m: Sequence[float] | jax.Array) -> Bool[Array, "A Y X"]:
+
+def obstacle_mask(roof_m: Float[Array, "Y X"], altitudes_m: Sequence[float] | ArrayLike) -> Bool[Array, "A Y X"]:
     """Return H_obs: True where the highest roof of a cell is at or above the altitude, ``[A, Y, X]``.
 
     Args:
@@ -18,8 +20,7 @@ def obstacle_mask(roof_m: Float[Array, "Y X"], altitudes_m: Sequence[float] | ja
     Receiver and roof are both measured from their own cell's ground, so terrain changes nothing.
     A cell without a building is free at every altitude. Paper: section Obstacle Maps. No gradient.
     """
-    roof = jnp.asarray(roof_m)
-    return _mask(roof, jnp.asarray(altitudes_m, roof.dtype))
+    return _mask(roof_m, in_type(altitudes_m, roof_m.dtype))
 
 
 @jax.jit

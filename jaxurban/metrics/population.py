@@ -9,10 +9,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import shapely
+from jax import lax
 from jaxtyping import Array, DTypeLike, Float, Int, Integer
 
 from jaxurban.errors import InputError, nearest_name, one_of
-from jaxurban.metrics.base import TIME_OF_DAY, Metric, Scene, SoftScene, high_is_bad
+from jaxurban.metrics.base import TIME_OF_DAY, AnyArray, Metric, Scene, SoftScene, high_is_bad
 from jaxurban.metrics.settings import check_value, differentiable
 from jaxurban.world.city import Blocks, Zoning
 from jaxurban.world.grid import Bounds
@@ -71,9 +72,9 @@ class BlockLayers(NamedTuple):
       norm_per_km2: ``[T]`` float32 value at which m is 1 (people per block under ``quantity="count"``).
     """
 
-    m: jax.Array
-    density_per_km2: jax.Array
-    norm_per_km2: jax.Array
+    m: AnyArray
+    density_per_km2: AnyArray
+    norm_per_km2: AnyArray
 
 
 class BlockPopulation(NamedTuple):
@@ -100,12 +101,8 @@ class BlockPopulation(NamedTuple):
           bounds_m: the region's box; left out, all blocks set the norm.
           dtype: float32 or, where JAX has it enabled, float64.
         """
-        return cls(
-            jnp.asarray(blocks.night_count, dtype),
-            jnp.asarray(blocks.area_m2, dtype),
-            jnp.asarray(blocks.zoning),
-            jnp.asarray(region_blocks(blocks, bounds_m)),
-        )
+        people, area_m2 = (np.asarray(values, dtype) for values in (blocks.night_count, blocks.area_m2))
+        return cls(*jax.device_put((people, area_m2, blocks.zoning, region_blocks(blocks, bounds_m))))
 
 
 def _percentile(normalise: str | float) -> float | None:
@@ -237,9 +234,15 @@ def block_layers(
 ) -> BlockLayers:
     """Return the metric and the density of every block at each time of day; arguments as in `population_maps`."""
     params = params or PopulationParams()
-    population = BlockPopulation.of(blocks, bounds_m)
-    layers = [block_values(population, day_share(time_of_day, params), params) for time_of_day in times_of_day]
-    return BlockLayers(*(jnp.stack(layer) for layer in zip(*layers, strict=True)))
+    shares = np.array([day_share(time_of_day, params) for time_of_day in times_of_day], np.float32)
+    layers = layers_of_blocks(BlockPopulation.of(blocks, bounds_m), shares, params)
+    return BlockLayers(*(np.asarray(layer) for layer in layers))
+
+
+@jax.jit
+def layers_of_blocks(blocks: BlockPopulation, shares: Float[Array, " T"], params: PopulationParams) -> BlockLayers:
+    """Return `block_values` at several times of day: one after the other, as one by one they have the same bits."""
+    return BlockLayers(*lax.map(lambda share: block_values(blocks, share, params), shares))
 
 
 def population_maps(

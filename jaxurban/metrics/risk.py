@@ -7,16 +7,17 @@ from typing import Literal
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int
 
 from jaxurban.errors import one_of
 from jaxurban.kernels.distance import exact as kernel
 from jaxurban.kernels.distance import soft as soft_distance
-from jaxurban.metrics.base import ALTITUDE, Metric, Scene, low_is_bad, on_scene
+from jaxurban.metrics.base import ALTITUDE, AnyArray, Metric, Scene, in_type, low_is_bad, on_scene
 from jaxurban.metrics.obstacle import obstacle_mask
 from jaxurban.metrics.settings import check_softness, check_value, differentiable, reach_of
-from jaxurban.world.surface import Surface
+from jaxurban.world.surface import Part, Surface
 
 DISTANCES = ("slice", "solid")
 
@@ -67,20 +68,20 @@ def compute_risk(
       params: the risk.
     """
     halo = kernel.window_cells(params.threshold_m, surface.grid.resolution_m)
-    roof_m = surface.crop_with_halo(surface.roof_m, halo)
+    roof = surface.part(surface.roof_m, halo)
     is_solid = params.distance == "solid"
-    terrain_m = None
+    terrain = None
     if is_solid and surface.terrain_m is not None:
-        terrain_m = surface.crop_with_halo(surface.terrain_m, halo)
+        terrain = surface.part(surface.terrain_m, halo)
     sizes = {"resolution_m": surface.grid.resolution_m, "cap_m": params.threshold_m}
-    altitudes = jnp.asarray(altitudes_m, roof_m.dtype)
-    return _risk(roof_m, terrain_m, altitudes, halo=halo, is_solid=is_solid, **sizes)
+    altitudes = in_type(altitudes_m, surface.roof_m.dtype)
+    return _risk(roof, terrain, altitudes, halo=halo, is_solid=is_solid, **sizes)
 
 
 @partial(jax.jit, static_argnames=("resolution_m", "cap_m", "halo", "is_solid"))
 def _risk(
-    roof_m: jax.Array,
-    terrain_m: jax.Array | None,
+    roof: Part,
+    terrain: Part | None,
     altitudes_m: jax.Array,
     *,
     resolution_m: float,
@@ -89,6 +90,7 @@ def _risk(
     is_solid: bool,
 ) -> jax.Array:
     """Return `compute_risk` of roofs (and, for ``"solid"``, terrain) on the region and ``halo`` cells around it."""
+    roof_m, terrain_m = roof.cut(), None if terrain is None else terrain.cut()
     has_building = roof_m > 0
 
     def distance_at(altitude_m: jax.Array) -> jax.Array:
@@ -159,9 +161,9 @@ def soft_risk(
     return soft_distance.nearest_column_at(roof_m, terrain_m, heights_m, *scales, chosen, **sizes).reshape(shape)
 
 
-def _map(scene: Scene, params: RiskParams) -> dict[str, Array]:
+def _map(scene: Scene, params: RiskParams) -> dict[str, AnyArray]:
     assert scene.altitude_m is not None
-    return {"risk": compute_risk(scene.surface, [scene.altitude_m], params)[0]}
+    return {"risk": np.asarray(compute_risk(scene.surface, [scene.altitude_m], params))[0]}
 
 
 METRIC = Metric(

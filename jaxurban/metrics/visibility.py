@@ -4,15 +4,16 @@ import math
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
-from jaxtyping import Array, Float, UInt
+from jaxtyping import Array, Float, Int, UInt
 
 from jaxurban.errors import InputError
-from jaxurban.kernels.dop import unit_vectors
+from jaxurban.kernels.dop import Geometry, geometry, unit_vectors
 from jaxurban.kernels.shadows.doubling import (
     KernelShape,
     hand_on_at_once,
@@ -21,6 +22,7 @@ from jaxurban.kernels.shadows.doubling import (
     shadow_heights_at_once,
     words_of,
 )
+from jaxurban.kernels.shadows.soft import shadow_heights
 from jaxurban.kernels.shadows.sweep import (
     EAST,
     NORTH,
@@ -35,6 +37,7 @@ from jaxurban.kernels.shadows.sweep import (
     mark_visible_within,
     stacked,
 )
+from jaxurban.metrics.base import AnyArray, in_type
 from jaxurban.world.surface import Surface
 
 LEAST_DROP_M = 1e-9  # a ray on the horizon never climbs above a roof
@@ -86,6 +89,58 @@ def above_horizon(azimuth_rad: ArrayLike, elevation_rad: ArrayLike) -> tuple[np.
     return azimuth, elevation
 
 
+class SkyView(NamedTuple):
+    """The satellites of one time over one surface, made ready on the host. ``S`` satellites, some of them to fill up.
+
+    Programs are compiled anew for another number of satellites or shape of the surface, not for other satellites.
+
+    Attributes:
+      lines: digital line toward each over the surface's grid, fields stacked along ``S``.
+      satellites: their geometry; those that fill up weigh nothing.
+      num: how many there are; those behind are never seen.
+    """
+
+    lines: Line
+    satellites: Geometry
+    num: Int[AnyArray, ""]
+
+    @classmethod
+    def of(cls, surface: Surface, azimuth_rad: ArrayLike, elevation_rad: ArrayLike, multiple_of: int = 1) -> "SkyView":
+        """Return the view of satellites at ``[S]`` azimuths (clockwise from grid north) and elevations.
+
+        Args:
+          surface: where the roofs lie; its float type becomes that of the DOPs.
+          azimuth_rad, elevation_rad: of the satellites at or above the mask; none are one that fills up.
+          multiple_of: satellites are filled up to a multiple of this, so that few programs are compiled.
+
+        Raises:
+          InputError: a satellite below the horizon.
+        """
+        azimuth, elevation = above_horizon(np.atleast_1d(azimuth_rad), np.atleast_1d(elevation_rad))
+        satellites = geometry(unit_vectors(azimuth, elevation), np.dtype(surface.roof_m.dtype).type, multiple_of)
+        num, grid = len(azimuth), surface.grid
+        filled = np.zeros((2, satellites.products.shape[-1]))
+        filled[:, :num] = azimuth, elevation
+        place = grid.resolution_m, grid.first_row, grid.first_col, grid.shape
+        lines = digital_lines(filled[0], filled[1], *place)
+        return cls(stacked(lines), satellites, np.asarray(num, np.int32))
+
+
+def visible_words(surface: Surface, altitudes_m: Float[Array, " A"], sky: SkyView) -> UInt[Array, "W A y x"]:
+    """Return `jaxurban.metrics.visibility.visibility` of a sky, by the shape for the platform that it is compiled for.
+
+    Args:
+      surface: roofs and terrain; what stands outside it shadows nothing.
+      altitudes_m: heights above the ground.
+      sky: over this surface.
+    """
+    rows, cols = surface.window
+    shadows_m = shadow_heights(surface.top_m, sky.lines, (rows.start, rows.stop, cols.start, cols.stop, 1))
+    is_there = jnp.arange(len(shadows_m)) < sky.num
+    shadows_m = jnp.where(is_there[:, None, None], shadows_m, jnp.inf)
+    return words_of(shadows_m, None if surface.terrain_m is None else surface.crop(surface.terrain_m), altitudes_m)
+
+
 @partial(jax.jit, static_argnames=("passes", "window"))
 def _doubled_words(
     top_m: Array,
@@ -104,10 +159,13 @@ def _doubled_words(
     return words_of(shadows_m, ground_m, altitudes_m)
 
 
-@jax.jit
-def _turned(arrays):
-    """Return a tree of arrays with the last two axes exchanged."""
-    return jax.tree.map(lambda array: array.mT, arrays)
+@partial(jax.jit, static_argnames="shape")
+def _empty_and_turned(
+    top_m: Array, ground_m: Array | None, *, shape: tuple[int, ...]
+) -> tuple[Array, Array, Array, Array | None]:
+    """Return words of no satellite, then these, tops and ground turned: with the last two axes exchanged."""
+    words = jnp.zeros(shape, jnp.uint32)
+    return words, words.mT, top_m.mT, None if ground_m is None else ground_m.mT
 
 
 @jax.jit
@@ -170,9 +228,9 @@ def visibility(
     grid, top_m = surface.grid, surface.top_m
     if rings is not None:
         grid, top_m = region.padded(1, 1, 1, 1), surface.crop(top_m)
-    altitudes = jnp.asarray(altitudes_m, surface.roof_m.dtype)
+    altitudes = in_type(altitudes_m, surface.roof_m.dtype)
     ground_m = None if surface.terrain_m is None else surface.crop(surface.terrain_m)
-    num_words = max(1, -(-len(azimuth) // WORD_BITS))
+    shape_of_words = max(1, -(-len(azimuth) // WORD_BITS)), *altitudes.shape, *region.shape
     lines = digital_lines(azimuth, elevation, grid.resolution_m, grid.first_row, grid.first_col, grid.shape)
     if lines and (shape or kernel_shape()) == "doubling":
         ring = None if rings is None else _stacked_rings(rings)
@@ -182,8 +240,8 @@ def visibility(
         passes = num_passes(min(max(grid.shape), rise_m / least_drop_m + 2))
         window = None if rings is not None else (rows.start, rows.stop, cols.start, cols.stop)
         return _doubled_words(top_m, ground_m, altitudes, stacked(lines), ring, passes=passes, window=window)
-    words = jnp.zeros((num_words, *altitudes.shape, *region.shape), jnp.uint32)
     if rings is not None:
+        words = jnp.zeros(shape_of_words, jnp.uint32)
         for s, (line, ring) in enumerate(zip(lines, rings, strict=True)):
             words = mark_visible_within(words, top_m, ground_m, altitudes, line, s, ring)
         return words
@@ -197,8 +255,10 @@ def visibility(
         return words
 
     # Lines that head east or west are swept on transposed arrays, made once; the two kinds at the same time.
-    turned = *_turned((words, top_m, ground_m)), (cols.start, rows.start)
+    words, words_turned, top_turned_m, ground_turned_m = _empty_and_turned(top_m, ground_m, shape=shape_of_words)
     with ThreadPoolExecutor(2) as threads:
         along_rows = threads.submit(mark_all, (NORTH, SOUTH), words, top_m, ground_m, (rows.start, cols.start))
-        along_cols = threads.submit(mark_all, (EAST, WEST), *turned)
+        along_cols = threads.submit(
+            mark_all, (EAST, WEST), words_turned, top_turned_m, ground_turned_m, (cols.start, rows.start)
+        )
     return _joined(along_rows.result(), along_cols.result())

@@ -1,7 +1,6 @@
 """Surface: a city as rasters on one grid, the region plus the margin that shadows and endangers it."""
 
 from dataclasses import dataclass, field, replace
-from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -28,11 +27,31 @@ def roofs_of(height_m: Float[Array, " B"], building: Int[Array, "Y X"]) -> Float
     return jnp.append(height_m, jnp.zeros(1, height_m.dtype))[building]  # NO_BUILDING, -1, is the last entry
 
 
-@partial(jax.jit, static_argnames="shape")
-def _cut(values: jax.Array, first_row: int, first_col: int, *, shape: tuple[int, int]) -> jax.Array:
-    """Return a part of the last two axes; one program serves every place."""
-    start = (0,) * (values.ndim - 2) + (first_row, first_col)
-    return jax.lax.dynamic_slice(values, start, (*values.shape[:-2], *shape))
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Part:
+    """A part of an array's last two axes, to be cut where it is used: within a program, which serves every place.
+
+    Attributes:
+      values: the array.
+      first_cell: row and column of the part's southwest cell.
+      shape: rows and columns, those of ``pad`` left out.
+      pad: rows of zeros before and after, and columns.
+    """
+
+    values: Float[Array, "*B Y X"]
+    first_cell: tuple[int, int]
+    shape: tuple[int, int] = field(metadata={"static": True})
+    pad: tuple[tuple[int, int], tuple[int, int]] = field(metadata={"static": True})
+
+    def cut(self) -> jax.Array:
+        """Return the part."""
+        *before, _, _ = self.values.shape
+        cut = jax.lax.dynamic_slice(self.values, (0,) * len(before) + self.first_cell, (*before, *self.shape))
+        return jnp.pad(cut, [(0, 0)] * len(before) + list(self.pad)) if np.any(self.pad) else cut
+
+
+_cut = jax.jit(Part.cut)
 
 
 @jax.tree_util.register_dataclass
@@ -79,11 +98,14 @@ class Surface:
 
     def crop(self, values: jax.Array) -> jax.Array:
         """Return the region's part of an array whose last two axes are on ``grid``."""
-        rows, cols = self.window
-        return _cut(jnp.asarray(values), rows.start, cols.start, shape=self.region.shape)
+        return _cut(self.part(values))
 
     def crop_with_halo(self, values: jax.Array, halo: int) -> jax.Array:
-        """Return the region's part of an array on ``grid`` with ``halo`` more cells on each side.
+        """Return the region's part of an array on ``grid`` with ``halo`` more cells on each side, as `part` says it."""
+        return _cut(self.part(values, halo))
+
+    def part(self, values: jax.Array, halo: int = 0) -> Part:
+        """Return the region's part of an array on ``grid`` with ``halo`` more cells on each side, not cut yet.
 
         0 where the surface ends: beyond it nothing stands.
 
@@ -97,7 +119,7 @@ class Surface:
         rows, cols = self.window
         ends = [(rows.start, rows.stop, self.grid.num_rows), (cols.start, cols.stop, self.grid.num_cols)]
         inner = [(max(start - halo, 0), min(stop + halo, size)) for start, stop, size in ends]
-        first_row, first_col = (first for first, _ in inner)
-        cut = _cut(jnp.asarray(values), first_row, first_col, shape=tuple(end - first for first, end in inner))
-        pad = [(max(halo - start, 0), max(stop + halo - size, 0)) for start, stop, size in ends]
-        return jnp.pad(cut, pad) if np.any(pad) else cut
+        (first_row, end_row), (first_col, end_col) = inner
+        shape = end_row - first_row, end_col - first_col
+        rows_pad, cols_pad = ((max(halo - start, 0), max(stop + halo - size, 0)) for start, stop, size in ends)
+        return Part(values, (first_row, first_col), shape, (rows_pad, cols_pad))

@@ -34,7 +34,7 @@ def distinct_looks(starts: Int[np.ndarray, "K N 3"]) -> Looks:
 def count_returns_on_terrain(
     roof_m: Float[Array, "P Y+2H X+2H"],
     terrain_m: Float[Array, "P Y+2H X+2H"],
-    lowest_m: Float[Array, "A N B"],
+    lowest_m: Float[Array | np.ndarray, "A N B"],
     starts: Int[np.ndarray, "K N 3"],
     *,
     halo: int,
@@ -68,14 +68,14 @@ def count_returns_on_terrain(
     return jnp.asarray(counts)
 
 
-def _on_host(values: Array) -> np.ndarray:
+def _on_host(values: Array | np.ndarray) -> np.ndarray:
     """Return values for Numba, read-only as those of JAX are: it compiles anew for another kind."""
     array = np.ascontiguousarray(values).view()
     array.flags.writeable = False
     return array
 
 
-def _shape_of(roof_m: Array, *others: Array) -> Literal["cpu", "gpu"]:
+def _shape_of(roof_m: Array, *others: Array | np.ndarray) -> Literal["cpu", "gpu"]:
     """Return which shape suits arrays."""
     if any(isinstance(array, jax.core.Tracer) for array in (roof_m, *others)):
         return "gpu"

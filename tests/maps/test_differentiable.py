@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from jaxurban.maps.differentiable import CELLS_STEP, SoftCity, SoftParams, path_visits
-from jaxurban.metrics.gps import GpsParams, GpsView, compute_gps
+from jaxurban.metrics.gps import GpsParams, compute_gps
 from jaxurban.metrics.lidar import LidarParams, compute_lidar
 from jaxurban.metrics.population import BlockPopulation, PopulationParams
 from jaxurban.metrics.risk import RiskParams, compute_risk
+from jaxurban.metrics.visibility import SkyView
 from jaxurban.metrics.weights import Weights
 from jaxurban.planners.astar import astar
 from jaxurban.planners.base import CostModel, Problem
@@ -43,7 +44,7 @@ def city(dtype=np.float64):
     population = BlockPopulation(
         jnp.linspace(20.0, 120.0, 12, dtype=dtype), jnp.full(12, 600.0, dtype), jnp.asarray(zoning), jnp.arange(12)
     )
-    view = GpsView.of(surface, AZIMUTH_RAD, ELEVATION_RAD)
+    view = SkyView.of(surface, AZIMUTH_RAD, ELEVATION_RAD)
     height_m = jnp.asarray(HEIGHT_M, dtype)
     return SoftCity(surface, jnp.asarray(BUILDING), height_m, view, population, reach_m=REACH_M)
 
@@ -161,7 +162,7 @@ def test_one_program_serves_other_values_and_other_skies():
         assert compiled == 1
         others = [
             (soft, soft.height_m + 1, PARAMS),
-            (replace(soft, view=GpsView.of(soft.surface, AZIMUTH_RAD + 0.3, ELEVATION_RAD)), soft.height_m, PARAMS),
+            (replace(soft, view=SkyView.of(soft.surface, AZIMUTH_RAD + 0.3, ELEVATION_RAD)), soft.height_m, PARAMS),
             (soft, soft.height_m, replace(PARAMS, altitude_m=31.0, softness_m=0.5, risk=RiskParams(25.0))),
             (soft, soft.height_m, replace(PARAMS, gps=GpsParams(9.0), lidar=replace(PARAMS.lidar, range_m=21.0))),
         ]

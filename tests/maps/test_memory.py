@@ -7,6 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import rasterio
+from affine import Affine
 
 import jaxurban as ju
 from jaxurban.errors import InputError
@@ -115,10 +117,33 @@ PEAK = (
 @pytest.mark.parametrize(("cell_m", "range_m", "threshold_m"), [(0.4, 100, 50), (0.2, 40, 10), (0.1, 30, 10)])
 def test_the_estimate_of_fine_cells_is_above_the_truth_and_not_twice_it(tmp_path, cell_m, range_m, threshold_m):
     """Measured in a process of its own, on the yard of a tower, whose walls the lidar sees."""
+    told, peak = told_and_peak(tmp_path, YARD + f"[lidar]\nrange_m = {range_m}\n", cell_m, threshold_m)
+    assert peak < told + 0.05 * GIB  # told to a tenth
+    assert told < 2 * peak
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("cell_m", "range_m"), [(0.4, 100), (0.2, 100), (0.1, 30)])
+def test_over_terrain_the_estimate_is_above_the_truth_and_not_1_6_times_it(tmp_path, cell_m, range_m):
+    ground_m = 5 + 4 * np.sin(np.arange(60)[:, None] / 5) * np.cos(np.arange(60) / 7)
+    hills = {"width": 60, "height": 60, "count": 1, "dtype": "float32", "crs": "EPSG:4326"}
+    place = Affine(0.0002, 0, -73.985, 0, -0.0002, 40.755)
+    with rasterio.open(tmp_path / "hills.tif", "w", driver="GTiff", transform=place, **hills) as file:
+        file.write(ground_m.astype(np.float32), 1)
+    sections = YARD + f'[lidar]\nrange_m = {range_m}\n[terrain]\nsource = "hills.tif"\n'
+    told, peak = told_and_peak(tmp_path, sections, cell_m)
+    assert peak < told + 0.05 * GIB  # told to a tenth
+    assert told < 1.6 * peak
+
+
+YARD = '[buildings]\nsource = "tower.geojson"\n'
+
+
+def told_and_peak(tmp_path, sections, cell_m, threshold_m=10):
+    """Return what `jaxurban maps` forecasts for the yard of a tower, and what it takes, in bytes."""
     (tmp_path / "fine.toml").write_text(
         f"[region]\nbounds = [-73.98, 40.75, -73.9795, 40.7504]\nresolution_m = {cell_m}\naltitudes_m = 20\n"
-        '[buildings]\nsource = "tower.geojson"\n'
-        f"[lidar]\nrange_m = {range_m}\n[risk]\nthreshold_m = {threshold_m}\n"
+        f"{sections}[risk]\nthreshold_m = {threshold_m}\n"
     )
     ring = [[-73.98, 40.75], [-73.9799, 40.75], [-73.9799, 40.7501], [-73.98, 40.7501], [-73.98, 40.75]]
     (tmp_path / "tower.geojson").write_text(
@@ -128,9 +153,7 @@ def test_the_estimate_of_fine_cells_is_above_the_truth_and_not_twice_it(tmp_path
     arguments = ["maps", tmp_path / "fine.toml", "-o", tmp_path / "out"]
     done = subprocess.run([sys.executable, "-c", PEAK, *arguments], capture_output=True, text=True, check=True)
     told = float(re.search(r"about ([\d.]+) GiB of memory at most", done.stderr)[1]) * GIB
-    peak = int(done.stdout.split()[-1]) * 1024
-    assert peak < told + 0.05 * GIB  # told to a tenth
-    assert told < 2 * peak
+    return told, int(done.stdout.split()[-1]) * 1024
 
 
 @pytest.mark.slow

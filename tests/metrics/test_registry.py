@@ -12,13 +12,13 @@ import xarray as xr
 from jaxurban.errors import InputError
 from jaxurban.metrics.base import Scene, SoftScene
 from jaxurban.metrics.custom import Layer, held_metrics, own_metric
-from jaxurban.metrics.gps import GpsView, SatelliteSet, compute_gps
+from jaxurban.metrics.gps import SatelliteSet, compute_gps
 from jaxurban.metrics.lidar import LidarParams, compute_lidar
 from jaxurban.metrics.obstacle import obstacle_mask
 from jaxurban.metrics.population import BlockLayers
 from jaxurban.metrics.registry import METRICS, find_metric
 from jaxurban.metrics.risk import RiskParams, compute_risk
-from jaxurban.metrics.visibility import visibility
+from jaxurban.metrics.visibility import SkyView, visibility
 from tests.metrics.soft.scene import ALTITUDE_M, CELLS, REGION, scene, surface_of
 
 AZIMUTH_RAD, ELEVATION_RAD = np.radians([10.0, 80.0, 190.0, 285.0, 140.0]), np.radians([35.0, 50.0, 25.0, 40.0, 65.0])
@@ -94,7 +94,7 @@ def test_a_function_sees_the_surface_and_has_gradients_where_it_has_a_soft_form(
     assert (metric.dims, metric.reach_m(layer)) == (("altitude",), 10.0)
     m = metric.compute(here(), layer)["shade"]
     np.testing.assert_allclose(m, np.clip(np.asarray(SURFACE.crop(SURFACE.roof_m)) / ALTITUDE_M / 2, 0, 1), rtol=1e-6)
-    view = GpsView.of(SURFACE, AZIMUTH_RAD, ELEVATION_RAD)
+    view = SkyView.of(SURFACE, AZIMUTH_RAD, ELEVATION_RAD)
 
     def total(altitude_m):
         around = SoftScene(SURFACE, altitude_m, 2.0, jnp.asarray(CELLS), 10.0, view, None, "day")

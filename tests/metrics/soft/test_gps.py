@@ -13,8 +13,9 @@ from jaxurban.errors import InputError
 from jaxurban.maps.build import view_sky
 from jaxurban.maps.supersampling import plain_bands, visibility_at_centres
 from jaxurban.maps.task import MapParams, MapTask
-from jaxurban.metrics.gps import GpsParams, GpsView, compute_gps, gps_of_words, soft_gps, soft_gps_maps
+from jaxurban.metrics.gps import GpsParams, compute_gps, gps_of_words, soft_gps, soft_gps_maps
 from jaxurban.metrics.obstacle import obstacle_mask
+from jaxurban.metrics.visibility import SkyView
 from jaxurban.world.grid import Grid
 from jaxurban.world.surface import Surface
 
@@ -46,14 +47,14 @@ def surface_of(dtype=np.float64, terrain=True):
 
 
 def view_of(surface, turned_rad=0.0):
-    return GpsView.of(surface, AZIMUTH_RAD + turned_rad, ELEVATION_RAD)
+    return SkyView.of(surface, AZIMUTH_RAD + turned_rad, ELEVATION_RAD)
 
 
 def total(inputs, surface, view, mix):
     """A mix of all cells' m, as a function of everything that it can be differentiated by."""
     roof_m = inputs["heights_m"][INDEX] + inputs["roof_m"]
     here = replace(surface, roof_m=roof_m, terrain_m=surface.terrain_m + inputs["ground_m"])
-    seen_from = replace(view, lines=view.lines._replace(drop_m=inputs["drop_m"]))
+    seen_from = view._replace(lines=view.lines._replace(drop_m=inputs["drop_m"]))
     m = soft_gps(here, inputs["z_m"], GpsParams(inputs["threshold"]), inputs["softness_m"], seen_from)
     return jnp.sum(mix * m), m
 
@@ -165,7 +166,7 @@ def test_an_oversampled_view_at_softness_0_is_the_oversampled_exact_map():
     words = visibility_at_centres(plain_bands(fine, 3), AZIMUTH_RAD, ELEVATION_RAD, [14.0])
     is_obstacle = obstacle_mask(fine.crop(fine.roof_m)[1::3, 1::3], [14.0])
     exact = gps_of_words(words, is_obstacle, AZIMUTH_RAD, ELEVATION_RAD).m[0]
-    found = soft_gps(fine, 14.0, GpsParams(), 0.0, GpsView.of(fine, AZIMUTH_RAD, ELEVATION_RAD, oversample=3))
+    found = soft_gps(fine, 14.0, GpsParams(), 0.0, SkyView.of(fine, AZIMUTH_RAD, ELEVATION_RAD), oversample=3)
     assert len(np.unique(exact)) > 3
     np.testing.assert_allclose(found, exact, atol=1e-5)
 
@@ -175,7 +176,7 @@ def differences_to_exact(city, region, softnesses_m):
     sky = view_sky(region, "nominal", ["2020-04-27T16:00:00Z"], mask_deg=5.0, reference=None, max_age_days=90)
     surface, angles = MapTask(city, region, sky, MapParams()).surface(), (sky.azimuth_rad[0], sky.elevation_rad[0])
     exact = compute_gps(surface, *angles, [20.0]).m[0]
-    view = GpsView.of(surface, *angles)
+    view = SkyView.of(surface, *angles)
     return np.abs(
         np.array([soft_gps(surface, 20.0, GpsParams(), softness_m, view) for softness_m in softnesses_m]) - exact
     )
@@ -258,6 +259,28 @@ def test_wrong_softness_and_satellites_are_refused():
     surface = surface_of(np.float32)
     with pytest.raises(InputError, match="softness_m must be 0"):
         soft_gps_maps(surface, AZIMUTH_RAD, ELEVATION_RAD, [20.0], -1.0)
-    for elevation_rad in ([], [-0.1]):
-        with pytest.raises(InputError, match="below the horizon"):
-            GpsView.of(surface, np.zeros(len(elevation_rad)), elevation_rad)
+    with pytest.raises(InputError, match="below the horizon"):
+        SkyView.of(surface, [0.0, 1.0], [0.3, -0.1])
+
+
+@pytest.mark.parametrize("multiple_of", [1, 8])
+def test_without_satellites_m_is_0_and_so_is_its_gradient(multiple_of):
+    surface = surface_of(np.float32)
+    view = SkyView.of(surface, [], [], multiple_of)
+    assert not np.any(compute_gps(surface, [], [], [20.0]).m)
+
+    def total(roof_m):
+        return jnp.sum(soft_gps(replace(surface, roof_m=roof_m), 20.0, GpsParams(), 2.0, view))
+
+    m, slopes = jax.value_and_grad(total)(surface.roof_m)
+    assert m == 0
+    assert not np.any(slopes)
+
+
+def test_satellites_that_fill_up_change_nothing():
+    surface = surface_of(np.float32)
+    alone, filled = (SkyView.of(surface, AZIMUTH_RAD, ELEVATION_RAD, multiple_of) for multiple_of in (1, 32))
+    assert len(alone.lines.drop_m) == len(AZIMUTH_RAD) < len(filled.lines.drop_m) == 32
+    maps = [soft_gps(surface, 20.0, GpsParams(), 2.0, view) for view in (alone, filled)]
+    assert len(np.unique(maps[0])) > 3
+    np.testing.assert_allclose(*maps, atol=1e-6)

@@ -1,0 +1,191 @@
+"""GPS quality: how well the satellites seen from each cell fix a position."""
+
+import math
+from dataclasses import dataclass
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jax.typing import ArrayLike
+from jaxtyping import Array, Bool, Float, UInt, UInt8
+
+from jaxurban.kernels.dop import Geometry, dops_of_words, geometry, unit_vectors
+from jaxurban.metrics.base import AnyArray
+from jaxurban.metrics.gps.params import GpsParams
+from jaxurban.metrics.obstacle import obstacle_mask
+from jaxurban.metrics.visibility import visibility
+from jaxurban.world.surface import Surface
+
+SATELLITES_STEP = 8  # the DOP program is compiled for 8, 16, 24 ... satellites
+BLOCK_CELLS = 2**14  # cells whose DOPs are made at once: what they need in between fits a core's cache
+WIDE_BLOCK_CELLS = 2**22  # the same on a GPU, which has a launch for every block
+TABLE_SATELLITES = 16  # up to here the maps of all subsets are made once and looked up
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class GpsMaps:
+    """GPS maps of one time. ``C`` stands for any axes of cells.
+
+    Inside obstacles m and num_visible are 0 and the DOPs inf.
+
+    Attributes:
+      m: the metric, 0 to 1.
+      gdop, pdop, hdop, vdop, tdop: dilutions of precision; inf with fewer than four satellites or
+        where those seen leave the position undetermined.
+      num_visible: satellites seen.
+    """
+
+    m: Float[Array, "*C"]
+    gdop: Float[Array, "*C"]
+    pdop: Float[Array, "*C"]
+    hdop: Float[Array, "*C"]
+    vdop: Float[Array, "*C"]
+    tdop: Float[Array, "*C"]
+    num_visible: UInt8[Array, "*C"]
+
+
+def gps_metric(gdop: Float[Array, "*C"], gdop_threshold: float | Array) -> Float[Array, "*C"]:
+    """Return m = (T - min(GDOP, T)) / (T - 1), clipped to [0, 1]; 0 at GDOP = inf.
+
+    Source: the paper's equation of m_gps, its GDOP_cut taken as T = GDOP_thresh. The derivative is 0
+    beyond the threshold.
+    """
+    return jnp.clip((gdop_threshold - jnp.minimum(gdop, gdop_threshold)) / (gdop_threshold - 1), 0, 1)
+
+
+@jax.jit
+def maps_of_words(
+    words: UInt[AnyArray, "W ..."],
+    satellites: Geometry,
+    gdop_threshold: float | Array,
+    is_obstacle: Bool[Array, "..."] | None = None,
+) -> GpsMaps:
+    """Return the maps of the satellites whose bits are set, made block by block of cells.
+
+    Args:
+      words: satellite ``s`` is bit ``s % 32`` of word ``s // 32``; any axes of cells behind.
+      satellites: their geometry.
+      gdop_threshold: see `gps_metric`.
+      is_obstacle: where no satellite is seen, whatever the words say; left out, nowhere.
+    """
+    if is_obstacle is not None:
+        words = jnp.where(is_obstacle, jnp.uint32(0), words)
+    small, wide = (partial(_in_equal_blocks, block_cells=cells) for cells in (BLOCK_CELLS, WIDE_BLOCK_CELLS))
+    return lax.platform_dependent(words, satellites, gdop_threshold, cpu=small, default=wide)
+
+
+def _in_equal_blocks(
+    words: UInt[Array, "W ..."], satellites: Geometry, gdop_threshold: float | Array, block_cells: int
+) -> GpsMaps:
+    """Return `maps_of_words`, so many cells at once; a block of `BLOCK_CELLS` at least is made."""
+    shape = words.shape[1:]
+    size = math.prod(shape)
+    num = max(size, BLOCK_CELLS)
+    block_cells = min(block_cells, num)
+    flat = jnp.pad(words.reshape(len(words), -1), ((0, 0), (0, num - size)))  # less than a block becomes one
+
+    def fill(block: Array, maps: list[Array]) -> list[Array]:
+        start = jnp.minimum(block * block_cells, num - block_cells)  # the last block laps over the one before
+        cells = lax.dynamic_slice_in_dim(flat, start, block_cells, axis=1)
+        dops = dops_of_words(satellites, cells)
+        num_visible = jnp.sum(lax.population_count(cells), axis=0).astype(jnp.uint8)
+        found = [gps_metric(dops.gdop, gdop_threshold), *dops, num_visible]
+        return [lax.dynamic_update_slice(old, new, (start,)) for old, new in zip(maps, found, strict=True)]
+
+    empty = [*[jnp.zeros(num, satellites.basis.dtype)] * 6, jnp.zeros(num, jnp.uint8)]
+    maps = lax.fori_loop(0, -(-num // block_cells), fill, empty)
+    return GpsMaps(*(values[:size].reshape(shape) for values in maps))
+
+
+@dataclass(frozen=True)
+class SatelliteSet:
+    """The satellites of one time, made ready to turn visibility words into maps.
+
+    Attributes:
+      satellites: their geometry.
+      table: the maps of every subset of up to `TABLE_SATELLITES` satellites, by its word: a city has
+        far more cells than subsets. None for more satellites.
+      gdop_threshold: of the metric.
+    """
+
+    satellites: Geometry
+    table: GpsMaps | None
+    gdop_threshold: float
+
+    @classmethod
+    def of(cls, azimuth_rad: ArrayLike, elevation_rad: ArrayLike, params: GpsParams) -> "SatelliteSet":
+        """Return the set of the satellites at ``[S]`` azimuths and elevations."""
+        directions = unit_vectors(azimuth_rad, elevation_rad)
+        satellites = geometry(directions, multiple_of=SATELLITES_STEP)
+        table = None
+        if len(directions) <= TABLE_SATELLITES:
+            num = max(BLOCK_CELLS, 2 ** len(directions))
+            subsets = np.arange(num, dtype=np.uint32)[None]
+            table = maps_of_words(subsets, satellites, params.gdop_threshold)
+        return cls(satellites, table, params.gdop_threshold)
+
+    def maps(self, words: UInt[Array, "W ..."], is_obstacle: Bool[Array, "..."]) -> GpsMaps:
+        """Return the maps of the satellites seen; inside obstacles no satellite is."""
+        if self.table is None:
+            return maps_of_words(words, self.satellites, self.gdop_threshold, is_obstacle)
+        return _looked_up(self.table, words, is_obstacle)
+
+    def m(self, words: UInt[Array, "W ..."], is_obstacle: Bool[Array, "..."]) -> Float[Array, "*C"]:
+        """Return the metric alone."""
+        if self.table is None:
+            return self.maps(words, is_obstacle).m
+        return _looked_up(self.table.m, words, is_obstacle)
+
+
+@jax.jit
+def _looked_up(table, words: UInt[Array, "W ..."], is_obstacle: Bool[Array, "..."]):
+    """Return the entries of a table (or of each of a tree of tables) at the first word; at 0 inside obstacles."""
+    index = jnp.where(is_obstacle, jnp.uint32(0), words[0])
+    return jax.tree.map(lambda values: values[index], table)
+
+
+def compute_gps(
+    surface: Surface,
+    azimuth_rad: ArrayLike,
+    elevation_rad: ArrayLike,
+    altitudes_m: ArrayLike,
+    params: GpsParams | None = None,
+) -> GpsMaps:
+    """Return the GPS maps of the region at every altitude, for one time, ``[A, y, x]``.
+
+    Without satellites m is 0 everywhere. The hard maps have zero derivative in heights.
+
+    Args:
+      surface: roofs and terrain of the region and its margin (see `shadow_reach_m`).
+      azimuth_rad: ``[S]`` clockwise from grid north, of the satellites at or above the mask.
+      elevation_rad: ``[S]`` above the horizon.
+      altitudes_m: ``[A]`` heights above the ground.
+      params: settings; left out, the paper's.
+
+    Raises:
+      InputError: a satellite below the horizon.
+    """
+    words = visibility(surface, azimuth_rad, elevation_rad, altitudes_m)
+    is_obstacle = obstacle_mask(surface.crop(surface.roof_m), altitudes_m)
+    return gps_of_words(words, is_obstacle, azimuth_rad, elevation_rad, params)
+
+
+def gps_of_words(
+    words: UInt[Array, "W A y x"],
+    is_obstacle: Bool[Array, "A y x"],
+    azimuth_rad: ArrayLike,
+    elevation_rad: ArrayLike,
+    params: GpsParams | None = None,
+) -> GpsMaps:
+    """Return the GPS maps of satellites seen as `visibility` says, from the cells that are not obstacles.
+
+    Args:
+      words: satellite ``s`` is bit ``s % 32`` of word ``s // 32``.
+      is_obstacle: where nobody flies.
+      azimuth_rad, elevation_rad: ``[S]`` as for `compute_gps`.
+      params: settings; left out, the paper's.
+    """
+    return SatelliteSet.of(azimuth_rad, elevation_rad, params or GpsParams()).maps(words, is_obstacle)

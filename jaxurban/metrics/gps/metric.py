@@ -1,0 +1,40 @@
+"""GPS as a metric of the maps."""
+
+import numpy as np
+from jaxtyping import Array
+
+from jaxurban.metrics.base import ALTITUDE, TIME, Metric, Scene, SoftScene, low_is_bad
+from jaxurban.metrics.gps.params import GpsParams
+from jaxurban.metrics.gps.soft import soft_gps
+
+DOPS = ("gdop", "pdop", "hdop", "vdop", "tdop")
+
+
+def _maps(scene: Scene, params: GpsParams) -> dict[str, Array]:
+    """Return m, the DOPs and the satellites seen; they were made ready under the same settings."""
+    assert scene.satellites is not None
+    assert scene.words is not None
+    assert scene.is_obstacle is not None
+    if scene.only_m:
+        return {"gps": scene.satellites.m(scene.words, scene.is_obstacle)}
+    maps = scene.satellites.maps(scene.words, scene.is_obstacle)
+    return {"gps": maps.m, **{name: getattr(maps, name) for name in (*DOPS, "num_visible")}}
+
+
+def _soft(scene: SoftScene, params: GpsParams) -> Array:
+    return soft_gps(scene.surface, scene.altitude_m, params, scene.softness_m, scene.view, cells=scene.cells)
+
+
+METRIC = Metric(
+    name="gps",
+    params=GpsParams,
+    dims=(TIME, ALTITUDE),
+    compute=_maps,
+    soft=_soft,
+    cost=low_is_bad,
+    label="GPS quality",
+    one_means="GDOP of 1, the best possible",
+    colour="#0072b2",
+    colour_map="viridis",
+    also={**dict.fromkeys(DOPS, np.float32), "num_visible": np.uint8},
+)

@@ -1,0 +1,134 @@
+"""GPS quality with gradients: satellites come into view over a softness."""
+
+import math
+from collections.abc import Callable
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jax.typing import ArrayLike
+from jaxtyping import Array, Float, Int
+
+from jaxurban.kernels.dop import dops
+from jaxurban.kernels.shadows.soft import Window, satellite_weights, shadow_heights
+from jaxurban.metrics.gps.hard import BLOCK_CELLS, compute_gps, gps_metric
+from jaxurban.metrics.gps.params import GpsParams
+from jaxurban.metrics.obstacle import soft_obstacle
+from jaxurban.metrics.settings import check_softness
+from jaxurban.metrics.visibility import SkyView
+from jaxurban.world.surface import Surface
+
+
+def _in_blocks(metric: Callable[[Array], Array], weights: Array) -> Array:
+    """Return a metric of ``[S, ...]`` weights, made block by block of cells, so that a gradient keeps them alone."""
+    shape = weights.shape[1:]
+    num = math.prod(shape)
+    size = min(num, BLOCK_CELLS)
+    num_blocks = -(-num // size)
+    flat = jnp.pad(weights.reshape(len(weights), -1), ((0, 0), (0, num_blocks * size - num)), constant_values=1)
+    blocks = flat.reshape(len(weights), num_blocks, size).swapaxes(0, 1)
+    return lax.map(jax.checkpoint(metric), blocks).reshape(-1)[:num].reshape(shape)
+
+
+def soft_gps(
+    surface: Surface,
+    altitude_m: ArrayLike,
+    params: GpsParams,
+    softness_m: ArrayLike,
+    view: SkyView,
+    *,
+    cells: Int[Array, "P 2"] | None = None,
+    oversample: int = 1,
+) -> Float[Array, "y x"] | Float[Array, " P"]:
+    """Return soft m_gps at one altitude, on the region ``[y, x]`` or at chosen cells ``[P]``.
+
+    ``m = (1 - soft_obstacle) x (T - min(GDOP, T)) / (T - 1)``, GDOP from satellites weighted by
+    `jaxurban.kernels.shadows.soft.satellite_weights`. As softness goes to 0 it tends to `compute_gps` wherever no
+    shadow ends at the altitude itself; at softness 0 it is that but for rounding (`soft_gps_maps` turns to the exact
+    program, bit for bit). Fewer than four satellites need no rule of their own: as the fourth weight goes to 0, GDOP
+    passes T and m comes to 0. Computed in the type of the roofs.
+
+    Differentiable in ``surface.roof_m`` (and terrain), ``altitude_m``, ``params.gdop_threshold`` and ``softness_m``,
+    all of which may be traced; batch by `jax.vmap`. The gradient by roofs and altitude is exact for the soft map while
+    the same tops throw the shadows; undefined where two of them tie and where GDOP is just T; 0 in obstacles, where
+    GDOP is above T, and in roofs that throw no shadow. By T it is exact, 0 above. Docs: gradients/gps.md.
+
+    Args:
+      surface: roofs, and terrain where there is any, on the region and its margin.
+      altitude_m: height above ground: a number, or one for each cell of the result.
+      params: settings of the metric, of which the threshold is used.
+      softness_m: scale of the clearance over which a satellite comes into view; 0 has no gradient in heights.
+      view: the satellites over this surface.
+      cells: row and column in the region; left out, the whole region. The shadows are cast over the whole
+        surface either way. One program is compiled for each number of cells.
+      oversample: n, for a surface n times finer than the map (`jaxurban.maps.supersampling`): receivers stand in every
+        n-th cell.
+
+    Raises:
+      InputError: a softness below 0.
+    """
+    check_softness(softness_m)
+    arguments = altitude_m, params.gdop_threshold, softness_m
+    rows, cols = surface.window
+    window = rows.start, rows.stop, cols.start, cols.stop, oversample
+    return _soft_gps(surface.roof_m, surface.terrain_m, *arguments, view, cells, window=window)
+
+
+@partial(jax.jit, static_argnames="window")
+def _soft_gps(
+    roof_m: Array,
+    terrain_m: Array | None,
+    altitude_m: Array,
+    gdop_threshold: Array,
+    softness_m: Array,
+    view: SkyView,
+    cells: Array | None,
+    *,
+    window: Window,
+) -> Array:
+    roof_m = jnp.asarray(roof_m)
+    first_row, end_row, first_col, end_col, every = window
+    altitude, threshold, softness = (jnp.asarray(v, roof_m.dtype) for v in (altitude_m, gdop_threshold, softness_m))
+    shadows_m = shadow_heights(roof_m if terrain_m is None else terrain_m + roof_m, view.lines, window)
+
+    def chosen(values: Array) -> Array:
+        return values if cells is None else values[..., cells[:, 0], cells[:, 1]]
+
+    def at_receivers(values: Array) -> Array:
+        return chosen(values[first_row + every // 2 : end_row : every, first_col + every // 2 : end_col : every])
+
+    height_m = altitude if terrain_m is None else at_receivers(terrain_m) + altitude
+    weights = satellite_weights(height_m, chosen(shadows_m), softness)
+    open_m = _in_blocks(lambda block: gps_metric(dops(view.satellites, block).gdop, threshold), weights)
+    return (1 - soft_obstacle(at_receivers(roof_m), altitude, softness)) * open_m
+
+
+def soft_gps_maps(
+    surface: Surface,
+    azimuth_rad: ArrayLike,
+    elevation_rad: ArrayLike,
+    altitudes_m: ArrayLike,
+    softness_m: float,
+    params: GpsParams | None = None,
+) -> Float[Array, "A y x"]:
+    """Return the soft m_gps at every altitude, for one time; with softness 0 that of `compute_gps`, bit for bit.
+
+    Args:
+      surface: roofs and terrain of the region and its margin.
+      azimuth_rad: ``[S]`` clockwise from grid north, of the satellites at or above the mask.
+      elevation_rad: ``[S]`` above the horizon.
+      altitudes_m: ``[A]`` heights above the ground.
+      softness_m: see `soft_gps`; a plain number.
+      params: settings; left out, the paper's.
+
+    Raises:
+      InputError: a softness that is negative or no number, or a satellite below the horizon.
+    """
+    params = params or GpsParams()
+    check_softness(softness_m)
+    if softness_m == 0:
+        return compute_gps(surface, azimuth_rad, elevation_rad, altitudes_m, params).m
+    view = SkyView.of(surface, azimuth_rad, elevation_rad)
+    return jnp.stack([soft_gps(surface, z_m, params, softness_m, view) for z_m in np.asarray(altitudes_m, float)])
