@@ -60,7 +60,7 @@ ENTRY %main (x: f32[8]) -> f32[8] {
   ROOT %called = f32[8]{0} call(%copied), to_apply=%few
 }
 """
-ROW = {"launches": 100, "in_loops": 40, "data_loops": 1, "choices": 0, "temporary_mib": 10.0}
+ROW = {"launches": 100, "in_loops": 40, "data_loops": 1, "choices": 0, "temporary_mib": 10.0, "moved_mib": 50.0}
 
 
 def test_launches_are_those_of_all_turns_and_of_the_longest_branch():
@@ -105,6 +105,7 @@ def test_text_without_an_entry_is_no_program():
         ({"data_loops": 2}, "2 loops whose end is data"),
         ({"choices": 1}, "1 branches chosen by data"),
         ({"temporary_mib": 12.1}, "12.1 MiB of temporary memory"),
+        ({"moved_mib": 56.1}, "56.1 MiB read and written"),
     ],
 )
 def test_a_kernel_that_passes_one_kept_number_is_named_with_it(change, said):
