@@ -206,6 +206,9 @@ def _maps_of(maker: Maker, watch: Stopwatch, report: Report) -> tuple[MetricMaps
         scale = (time.perf_counter() - began) / (sum(seconds.values()) or 1.0)
         for name, busy_s in seconds.items():
             watch.add(name, busy_s * scale)
+    for path in store.stale_root_files(folder) if is_kept else ():
+        LOG.warning(f"{str(path)!r} is missing or damaged: writing it again")
+        store.write_root(folder)
     ds = store.open_zarr(folder, resolution_m)
     with watch.stage("verify"):
         stale = stale_geotiffs(ds, folder, maker.key, maker.num_workers)
@@ -266,6 +269,7 @@ def make_zarr(maker: Maker, report: Report, shape: tuple[int, int] | None = None
             made[[f"{name}_{what}" for name in totals for what in ("epoch_mean", "worst_time")]], work.zarr
         )
     work.finish(store.zarr_path(maker.folder, grid.resolution_m))
+    store.write_root(maker.folder)
     return seconds
 
 
