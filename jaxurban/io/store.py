@@ -341,14 +341,12 @@ class _Map(BackendArray):
     def _read(self, key: tuple) -> np.ndarray:
         try:
             array = self.ds.variables[self.name]
-            values = array[key].values
-            if self.name == "obstacle":  # a chunk that went after opening
-                return np.where(_is_nothing(values), values.dtype.type(1), values)
-            is_inside = _is_inside(self.ds, array, key)
-            if is_inside is None:
-                return values
-            held = values.dtype.type(float(array.attrs[IN_OBSTACLES]))
-            return np.where(is_inside & _is_nothing(values), held, values)
+            values = np.asarray(array[key].values, order="C")
+            if self.name == "obstacle":
+                values[_is_nothing(values)] = 1  # of a chunk that went after opening
+            elif (is_inside := _is_inside(self.ds, array, key)) is not None:
+                np.copyto(values, float(array.attrs[IN_OBSTACLES]), "unsafe", where=is_inside & _is_nothing(values))
+            return values
         except Exception as error:
             raise _error_in(self.path, error, (self.name, *NEEDED)) from error
 
@@ -357,15 +355,17 @@ class _Maps(BackendEntrypoint):
     """How xarray opens the Zarr: as it always does, with rows from the south and `_Map` around every map."""
 
     def open_dataset(self, filename_or_obj: Any, *, drop_variables: Any = None) -> xr.Dataset:
-        how: dict[str, Any] = {"consolidated": False, "use_zarr_fill_value_as_mask": False}
+        how: dict[str, Any] = {"consolidated": False, "mask_and_scale": False}
         ds = xr.open_dataset(filename_or_obj, engine="zarr", chunks=None, cache=False, **how)
+        for array in ds.variables.values():
+            array.attrs = {key: value for key, value in array.attrs.items() if key not in (GDAL_CRS, "_FillValue")}
         if "y" in ds.dims:
             ds = ds.isel(y=slice(None, None, -1))
         maps = {
             name: xr.Variable(
                 ds[name].dims,
                 indexing.LazilyIndexedArray(_Map(ds, Path(filename_or_obj), str(name))),
-                {key: value for key, value in ds[name].attrs.items() if key != GDAL_CRS},
+                ds[name].attrs,
                 ds[name].encoding,
             )
             for name in ds.data_vars

@@ -21,7 +21,7 @@ UNITS = {  # of what is not a metric's m
     **dict.fromkeys(("roof", "roof_touched", "terrain"), "m"),
 }
 LONG_NAMES = {  # of what is not a metric's m
-    "obstacle": "obstacle: a roof reaches this altitude",
+    "obstacle": "cells inside obstacles",
     "obstacle_share": "share of height samples with an obstacle",
     "density": "people per square kilometre",
     "num_visible": "satellites in view",

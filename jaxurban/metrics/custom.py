@@ -2,8 +2,9 @@
 
 import keyword
 import math
+import re
 import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -140,6 +141,21 @@ def check_name(name: str) -> str:
     if name in TAKEN:
         raise InputError(f"a layer cannot be called {name!r}, which maps or weights use already: give it another name")
     return name
+
+
+# What a file's name may hold behind that of its variable, of an altitude, a time of day and a time.
+_OF_A_FILE = re.compile(r"(?P<of>\w+?)(_\d+m)?(?P<day>_day|_night)?(_\d{8}T\d{6}Z)?")
+
+
+def check_file_names(names: Collection[str]) -> None:
+    """Raise InputError where a layer's name is that of another map's file, as ``noise_20m`` is of ``noise`` at 20 m."""
+    for name in names:
+        match = _OF_A_FILE.fullmatch(name)
+        of = match["of"] if match else name
+        if match and of != name and (of in TAKEN or (of in names and not match["day"])):
+            raise InputError(
+                f"a layer cannot be called {name!r} beside {of!r}, one of whose files has that name: give it another"
+            )
 
 
 def own_metric(name: str, layer: Layer) -> Metric:

@@ -25,7 +25,7 @@ from jaxurban.errors import InputError, typed
 from jaxurban.io.read.orbits import NOMINAL as NOMINAL
 from jaxurban.io.read.orbits import iso_utc
 from jaxurban.maps.height_uncertainty import HeightStd
-from jaxurban.metrics.custom import Layer, check_name
+from jaxurban.metrics.custom import Layer, check_file_names, check_name
 from jaxurban.metrics.gps import GpsParams
 from jaxurban.metrics.lidar import LidarParams
 from jaxurban.metrics.population import WEEKDAY_PROFILE, WEEKEND_PROFILE, PopulationParams, day_share
@@ -298,6 +298,7 @@ class Scenario(_Section):
         return self
 
     def _check_layers(self) -> None:
+        check_file_names(self.layers)
         for name, layer in self.layers.items():
             check_name(name)
             if not isinstance(layer.source, str):

@@ -47,7 +47,7 @@ def test_maps_writes_the_files_of_the_contract(made):
     names = {path.name for path in (made / "geotiff").iterdir()}
     per_altitude = {f"{metric}_{z}m_20m.tif" for metric in ("obstacle", "gps", "lidar", "risk") for z in (20, 60)}
     assert names == per_altitude | {"population_day_20m.tif", "population_night_20m.tif"}
-    assert (made / "maps.zarr" / "20m" / "zarr.json").is_file()
+    assert (made / "maps.zarr" / "20m" / ".zmetadata").is_file()
     record = json.loads((made / "run.json").read_text())
     for key in (
         "versions",
@@ -76,7 +76,7 @@ def test_a_rerun_gives_the_same_bytes(made, tmp_path, capsys):
 
 
 def test_a_finished_job_is_not_done_again(made, capsys):
-    zarr = made / "maps.zarr" / "20m" / "zarr.json"
+    zarr = made / "maps.zarr" / "20m" / ".zmetadata"
     before = zarr.stat().st_mtime_ns
     code, _, _ = run(capsys, "maps", made.parent / "scenario.toml", "-o", made)
     assert (code, zarr.stat().st_mtime_ns) == (0, before)

@@ -96,7 +96,7 @@ def test_a_disk_that_fills_up_is_one_sentence_and_leaves_nothing_half_written(tm
 @pytest.mark.parametrize("damage", ["torn", "stray", "file"])
 def test_a_damaged_folder_is_made_again_or_named(job, capsys, damage):
     if damage == "torn":
-        (job / "maps.zarr" / "20m" / "zarr.json").write_text("junk")
+        (job / "maps.zarr" / "20m" / ".zmetadata").write_text("junk")
     elif damage == "stray":
         (job / "maps.zarr" / "20 copym").mkdir()
     else:
@@ -107,10 +107,10 @@ def test_a_damaged_folder_is_made_again_or_named(job, capsys, damage):
 
 
 def test_torn_maps_are_named_when_planning(job, capsys):
-    (job / "maps.zarr" / "20m" / "zarr.json").write_text("junk")
+    (job / "maps.zarr" / "20m" / ".zmetadata").write_text("junk")
     code, _, err = run(capsys, "plan", job, "--start", "-73.999,40.756", "--goal", "-73.994,40.76", "--altitude", 20)
     assert code == 2
-    assert_one_sentence(err, "zarr.json", "not as they were written", "jaxurban maps")
+    assert_one_sentence(err, ".zmetadata", "not as they were written", "jaxurban maps")
 
 
 def test_a_free_cell_without_a_value_is_never_without_cost(job):
