@@ -13,6 +13,7 @@ from jaxurban.maps.task import MapTask
 from jaxurban.metrics.availability import SERIES, TimeTotals
 from jaxurban.metrics.base import ALTITUDE, TIME
 from jaxurban.metrics.gps import DOPS
+from jaxurban.world.city import joined_credits
 
 PLANE = ("y", "x")
 CONVENTIONS = "CF-1.11"
@@ -77,7 +78,8 @@ def empty_dataset(task: MapTask, make: Callable[[tuple[int, ...], np.dtype], obj
       task: what the maps are made of.
       make: gives the array of a shape and a type.
     """
-    region, params, attribution = task.region, task.params, task.city.attribution
+    region, params = task.region, task.params
+    attribution = joined_credits(task.city.attribution, *(layer.credit for layer in task.layers.values()))
     coords: dict[str, Any] = {
         "y": ("y", region.y_m, _axis("Y", "projection_y_coordinate", "northing of the cell's centre", units="m")),
         "x": ("x", region.x_m, _axis("X", "projection_x_coordinate", "easting of the cell's centre", units="m")),

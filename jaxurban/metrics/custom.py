@@ -63,6 +63,7 @@ class Layer:
       reach_m: how far beyond its own cell a function looks sideways; the surface holds that margin, and its
         `crop_with_halo` refuses more. What a function reads of ``surface.roof_m`` beyond it differs from tile to tile.
       soft: function of a surface, ``altitude_m`` and ``softness_m`` as ``source``, with gradients.
+      credit: what the licence of the source asks for.
 
     Raises:
       InputError: a value that is none of these.
@@ -75,6 +76,7 @@ class Layer:
     nan: Literal["closed", "error"] = "closed"
     reach_m: float = 0.0
     soft: Callable | None = None
+    credit: str = ""
 
     def __post_init__(self) -> None:
         if isinstance(self.source, Path):
@@ -103,7 +105,8 @@ class Layer:
         """The settings as JSON can hold them, an array or a function by what it is."""
         source = self.source if isinstance(self.source, str) else getattr(self.source, "__qualname__", "array")
         held = {"source": source, "cost": self.cost, "scale": list(self.scale), "nan": self.nan}
-        return held | ({} if self.altitudes_m is None else {"altitudes_m": list(self.altitudes_m)})
+        held |= {} if self.altitudes_m is None else {"altitudes_m": list(self.altitudes_m)}
+        return held | ({"credit": self.credit} if self.credit else {})
 
     def scaled(self, values: Any) -> jax.Array:
         """Return m in [0, 1] of values in the source's unit; NaN stays. The gradient is 0 beyond the scale."""

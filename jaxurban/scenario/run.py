@@ -65,7 +65,7 @@ def load_city(scenario: Scenario) -> City:
     if population.blocks is not None:
         places = (scenario.path_of(population.blocks), path(population.table), path(population.districts))
         census = CensusFiles(*places, population.block_field, population.district_field, population.commercial)
-    return read_city(
+    city = read_city(
         BuildingFile(
             scenario.path_of(file.source), file.kind, file.default_height_m, file.level_height_m, file.allow_none
         ),
@@ -75,6 +75,7 @@ def load_city(scenario: Scenario) -> City:
         terrain=path(scenario.terrain.source),
         mask_deg=scenario.gps.mask_deg,
     )
+    return city.credited(file.credit, scenario.terrain.credit, population.credit)
 
 
 def tasks_of(scenario: Scenario, stage: Stage = untimed) -> list[MapTask]:
