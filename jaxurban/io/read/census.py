@@ -81,11 +81,12 @@ def read_blocks(files: CensusFiles, crs: str, bounds_m: Bounds | None = None) ->
       InputError: a file or field is missing or unreadable, ids are not unique, no row joins any block, or no block
         touches the box.
     """
+    issues: ReadIssues = {}
     if Path(files.blocks).suffix.lower() in RASTER_SUFFIXES:
         if files.table is not None:
             raise InputError(f"{str(files.blocks)!r} holds its people itself: leave [population] table out")
         polygons, counts, ids = read_people(files.blocks, crs, bounds_m)
-        frame, issues = gpd.GeoDataFrame({"_id": ids, "_count": counts}, geometry=polygons, crs=crs), {}
+        frame = gpd.GeoDataFrame({"_id": ids, "_count": counts}, geometry=polygons, crs=crs)
         if bounds_m is not None:
             frame = frame[shapely.intersects(polygons, shapely.box(*bounds_m))]
     else:
@@ -118,7 +119,7 @@ def read_blocks(files: CensusFiles, crs: str, bounds_m: Bounds | None = None) ->
     } | issues
 
 
-def _polygons(files: CensusFiles, crs: str, bounds_m: Bounds | None) -> tuple[gpd.GeoDataFrame, dict[str, int]]:
+def _polygons(files: CensusFiles, crs: str, bounds_m: Bounds | None) -> tuple[gpd.GeoDataFrame, ReadIssues]:
     """Return block polygons with ``_id`` and ``_count``, NaN where there is none, and the read issues met."""
     role, path, field = "blocks", str(files.blocks), files.block_field
     frame = open_frame(path, role)
