@@ -3,7 +3,7 @@
 A group of Zarr v2 for each resolution, which GDAL and xarray read by their ordinary ways: rows from north to south,
 and no value in cells inside obstacles, where the engine holds 0 (`IN_OBSTACLES`); what is opened here has the
 engine's rows and values again. Chunks carry the checksum of Zstandard, metadata a CRC-32. Every chunk is written, so
-that one that is missing is damage; were it read all the same, it would be blocked cells or NaN, never free air.
+that a missing one is damage; were it read all the same, it would be blocked cells, NaN or no satellite, not free air.
 """
 
 import json
@@ -34,7 +34,6 @@ IN_OBSTACLES = "in_obstacles"  # attribute: what the engine holds inside obstacl
 GDAL_CRS = "_CRS"  # attribute: the CRS as GDAL's Zarr driver reads it
 TIMES = {"units": "seconds since 1970-01-01", "calendar": "proleptic_gregorian", "dtype": "int64"}
 NEEDED = ("obstacle", "has_data")  # without these it is not a folder of maps
-MAKE_ANEW = "make the maps anew with `jaxurban maps` and --overwrite (those saved from Python: save them again)"
 
 
 def short_number(value: float) -> str:
@@ -103,24 +102,20 @@ def _to_zarr(ds: xr.Dataset, path: Path, mode: Literal["w", "a"], tile: tuple[in
     crs = {} if "crs" not in ds.attrs else {GDAL_CRS: _gdal_crs(ds.attrs["crs"])}
     for name in [name for name, array in ds.variables.items() if _is_map(array)]:
         array = ds[name]
-        nothing = dask.array.zeros(array.shape, dtype=array.dtype, chunks=-1)
-        ds[name] = (array.dims, nothing, array.attrs | crs)
-    if "y" in ds.coords:
-        ds = ds.assign_coords(y=ds["y"][::-1])
+        ds[name] = (array.dims, dask.array.zeros(array.shape, dtype=array.dtype, chunks=-1), array.attrs | crs)
+    ds = ds.assign_coords(y=ds["y"][::-1]) if "y" in ds.coords else ds
     encoding = {str(name): _encoding(array, tile) for name, array in ds.variables.items()}
     how: dict[str, Any] = {"zarr_format": 2, "consolidated": False, "write_empty_chunks": True, "compute": False}
     ds.to_zarr(path, mode=mode, encoding=encoding, **how)
     parts = {file.relative_to(path).as_posix(): json.loads(file.read_bytes()) for file in _metadata(path)}
-    whole = {"metadata": parts, "zarr_consolidated_format": 1, FIELD: BLANK}
-    metadata_file(path).write_text(json.dumps(whole), encoding="utf-8")
+    metadata_file(path).write_text(json.dumps({"metadata": parts, "zarr_consolidated_format": 1, FIELD: BLANK}))
     seal(metadata_file(path), *_metadata(path))
 
 
 def _gdal_crs(crs: str) -> dict[str, str]:
     authority = pyproj.CRS(crs).to_authority(min_confidence=100)
-    if authority is None:
-        return {"wkt": pyproj.CRS(crs).to_wkt()}
-    return {"url": "http://www.opengis.net/def/crs/{}/0/{}".format(*authority)}
+    url = "http://www.opengis.net/def/crs/{}/0/{}"
+    return {"wkt": pyproj.CRS(crs).to_wkt()} if authority is None else {"url": url.format(*authority)}
 
 
 def write_zarr(ds: xr.Dataset, folder: Path) -> Path:
@@ -130,15 +125,14 @@ def write_zarr(ds: xr.Dataset, folder: Path) -> Path:
     ds = _with_hideable(ds)
     with whole_file(path) as scratch:
         _to_zarr(ds, scratch, "w", (rows, cols))
-        for name in [str(name) for name, array in ds.variables.items() if _is_map(array)]:
-            array = ds.variables[name]
-            for place in np.ndindex(array.shape[:-2]):
+        for name, array in ds.variables.items():
+            for place in np.ndindex(array.shape[:-2]) if _is_map(array) else ():
                 values, is_inside = array[place].values, _is_inside(ds, array, (*place, slice(None), slice(None)))
                 for stop in range(ds.sizes["y"], 0, -rows):
                     for start in range(0, ds.sizes["x"], cols):
                         part = slice(max(0, stop - rows), stop), slice(start, min(start + cols, ds.sizes["x"]))
                         inside = None if is_inside is None else is_inside[part]
-                        write_layer(scratch, name, place, part, values[part], inside)
+                        write_layer(scratch, str(name), place, part, values[part], inside)
     write_root(folder)
     return path
 
@@ -159,10 +153,15 @@ def _with_hideable(ds: xr.Dataset) -> xr.Dataset:
     for name, array in ds.variables.items():
         for place in np.ndindex(array.shape[:-2]) if IN_OBSTACLES in array.attrs else ():
             part = (*place, slice(None), slice(None))
-            if (_is_nothing(array[part].values) & _is_inside(ds, array, part)).any():
+            if _is_hidden(array[part].values, _is_inside(ds, array, part)).any():
                 ds[name].attrs = {key: value for key, value in array.attrs.items() if key != IN_OBSTACLES}
                 break
     return ds
+
+
+def _is_hidden(values: np.ndarray, is_inside: np.ndarray | None) -> np.ndarray:
+    """Return where a file's values stand for what the engine holds: of counts also in a chunk that is not there."""
+    return _is_nothing(values) & (values.dtype.kind == "u" or is_inside)
 
 
 def _is_nothing(values: np.ndarray) -> np.ndarray:
@@ -254,7 +253,10 @@ def open_zarr(folder: Path, resolution_m: float | None) -> xr.Dataset:
         raise InputError(f"{str(folder)!r} holds no maps at {short_number(resolution_m)} m, only at {listed} m")
     path = found[resolution_m] if resolution_m is not None else next(iter(found.values()))
     if (path / "zarr.json").is_file():
-        raise InputError(f"the maps in {str(path)!r} were written by an older version of jaxurban: {MAKE_ANEW}")
+        raise InputError(
+            f"the maps in {str(path)!r} were written by an older version of jaxurban: make the maps anew with "
+            "`jaxurban maps` and --overwrite (those saved from Python: save them again)"
+        )
     ds = open_whole(path)
     if lost := [name for name in NEEDED if name not in ds]:
         raise InputError(f"the maps in {str(path)!r} lack {', '.join(lost)}: remove them and make them again")
@@ -345,7 +347,7 @@ class _Map(BackendArray):
             if self.name == "obstacle":
                 values[_is_nothing(values)] = 1  # of a chunk that went after opening
             elif (is_inside := _is_inside(self.ds, array, key)) is not None:
-                np.copyto(values, float(array.attrs[IN_OBSTACLES]), "unsafe", where=is_inside & _is_nothing(values))
+                np.copyto(values, float(array.attrs[IN_OBSTACLES]), "unsafe", where=_is_hidden(values, is_inside))
             return values
         except Exception as error:
             raise _error_in(self.path, error, (self.name, *NEEDED)) from error
@@ -359,8 +361,7 @@ class _Maps(BackendEntrypoint):
         ds = xr.open_dataset(filename_or_obj, engine="zarr", chunks=None, cache=False, **how)
         for array in ds.variables.values():
             array.attrs = {key: value for key, value in array.attrs.items() if key not in (GDAL_CRS, "_FillValue")}
-        if "y" in ds.dims:
-            ds = ds.isel(y=slice(None, None, -1))
+        ds = ds.isel({"y": slice(None, None, -1)}, missing_dims="ignore")
         maps = {
             name: xr.Variable(
                 ds[name].dims,

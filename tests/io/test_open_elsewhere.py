@@ -97,6 +97,14 @@ def test_a_value_of_ones_own_inside_obstacles_is_read_back(maps, tmp_path):
         np.testing.assert_array_equal(found[name].values, changed[name].values)
 
 
+def test_satellites_of_a_chunk_that_goes_after_opening_are_none(maps, tmp_path):
+    path = maps.save(tmp_path) / "maps.zarr" / "20m"
+    found = ju.open_maps(tmp_path).ds
+    for file in (path / "num_visible").glob("[0-9]*"):
+        file.unlink()
+    assert not found["num_visible"].values.any()
+
+
 def test_xarray_opens_the_group_and_the_tree(maps, folder, opened):
     assert xr.open_datatree(folder / "maps.zarr", engine="zarr").groups == ("/", "/20m")
     assert list(opened["y"].values) == list(maps.grid.y_m[::-1])
