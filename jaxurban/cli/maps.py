@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from jaxurban.cli.common import DEVICE_CHOICE, JSON_FLAG, print_json, tell, tell_warnings
+from jaxurban.cli.common import DEVICE_CHOICE, JSON_FLAG, names_in, print_json, tell, tell_warnings
 from jaxurban.progress import reporting
 
 
@@ -13,6 +13,13 @@ from jaxurban.progress import reporting
 @click.option("-o", "folder", type=click.Path(path_type=Path), required=True, help="Output folder.")
 @click.option("--overwrite", is_flag=True, help="Replace maps of other settings in the output folder.")
 @click.option("--figures", is_flag=True, help="Draw the maps too, under DIR/figures.")
+@click.option(
+    "--layers",
+    default="",
+    metavar="NAME,...",
+    help="Write these maps as GeoTIFF too, such as hdop,num_visible,roof,terrain,density; all: every one.  "
+    "[default: obstacles and the metrics of the cost, which are written always]",
+)
 @click.option("--memory", help="Ceiling on the memory of the whole run, such as 4GiB. [default: half of what is free]")
 @click.option("--workers", type=int, help="Work in so many processes (Dask); one a GPU. [default: a thread a core]")
 @click.option("--cluster", metavar="ADDRESS", help="Work on the Dask cluster of a scheduler, such as tcp://host:8786.")
@@ -23,6 +30,7 @@ def maps(
     folder: Path,
     overwrite: bool,
     figures: bool,
+    layers: str,
     memory: str | None,
     workers: int | None,
     cluster: str | None,
@@ -38,7 +46,7 @@ def maps(
     scenario = Scenario.from_toml(scenario_file)
     resources = Resources(None if memory is None else parse_bytes(memory), workers, cluster).on_device(device)
     with reporting("maps") as report:
-        run = run_scenario(scenario, folder, report, overwrite, resources)
+        run = run_scenario(scenario, folder, report, overwrite, resources, names_in(layers))
         if figures:
             from jaxurban.report.figures import save_figures
 
