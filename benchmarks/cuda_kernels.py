@@ -385,7 +385,7 @@ KERNELS: dict[str, Callable[[], Call]] = {
     "tuner: descend": lambda: Call(
         fenchel_young.descend, (float64(5), FIT), {"objective": fenchel_young.loss, "num_steps": 200}, True
     ),
-    "tuner: bootstrap": lambda: Call(confidence._fits, (float64(5), FIT, float64(100, NUM_DEMONSTRATIONS)), {}, True),
+    "tuner: bootstrap": lambda: Call(confidence._fits, (float64(5), FIT, float64(100, NUM_DEMONSTRATIONS)), {"objective": fenchel_young.loss}, True),
     "tuner: targets, descend": lambda: Call(
         target_fit._descend, (float64(6, 5), float64(128, 5), *KNOWN), WISHES, True
     ),

@@ -1,5 +1,6 @@
 """The perturbed Fenchel-Young loss of weights, over the routes of a pool."""
 
+from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
 
@@ -12,6 +13,8 @@ from jaxtyping import Array, Float
 from jaxurban.studies.tuning.descent import adam
 
 FIRST_RATE, LAST_RATE = 0.05, 0.005  # of Adam, in log weight a step
+LEAST_REGRET = 2e-3  # demonstrations much nearer than this to the cheapest are trusted
+TRIMMED = 0.25  # of the demonstrations that a trimmed loss leaves out: more than may be bad
 
 
 class FitTask(NamedTuple):
@@ -67,6 +70,46 @@ def regrets(weights: Float[Array, " K"], task: FitTask) -> Float[Array, " Q"]:
 def mean_regret(log_weights: Float[Array, " K"], task: FitTask) -> Float[Array, ""]:
     """Return the mean of `regrets`, weighted by trust; its gradient is a subgradient where routes tie."""
     return jnp.sum(task.trust * regrets(weights_of(log_weights), task)) / jnp.sum(task.trust)
+
+
+class Loss(NamedTuple):
+    """What a fit brings down.
+
+    Attributes:
+      objective: of log weights and a task.
+      trust: ``[Q]`` how far each demonstration counts, from regrets ``[Q]`` and the patience of the round.
+    """
+
+    objective: Callable[[Array, FitTask], Array]
+    trust: Callable[[np.ndarray, float], np.ndarray]
+
+
+def redescending_trust(regret: np.ndarray, patience: float) -> np.ndarray:
+    """Return ``[Q]`` in (0, 1] how far each demonstration is trusted: little where its regret is far above most.
+
+    Patience falls to 1 over the rounds (graduated non-convexity): doubt at first sight would make wrong weights
+    believe only the demonstrations that suit them.
+    """
+    usual = max(3 * float(np.median(regret)), LEAST_REGRET) * patience
+    return 1 / (1 + (np.maximum(regret, 0) / usual) ** 2) ** 2
+
+
+def trimmed_trust(regret: np.ndarray, patience: float) -> np.ndarray:
+    """Return ``[Q]`` 1, and 0 for the `TRIMMED` share with the largest regrets; patience plays no part."""
+    return (regret <= np.quantile(regret, 1 - TRIMMED)).astype(float)
+
+
+def full_trust(regret: np.ndarray, patience: float) -> np.ndarray:
+    """Return ``[Q]`` 1 for each demonstration."""
+    return np.ones_like(regret)
+
+
+LOSSES = {
+    "robust": Loss(loss, redescending_trust),
+    "trimmed": Loss(loss, trimmed_trust),
+    "plain": Loss(loss, full_trust),
+    "regret": Loss(mean_regret, redescending_trust),
+}
 
 
 @partial(jax.jit, static_argnames=("objective", "num_steps"))
