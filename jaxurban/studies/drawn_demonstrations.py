@@ -11,14 +11,15 @@ import pandas as pd
 from jaxurban.errors import InputError, LeftOutWarning, OtherSettingsWarning
 from jaxurban.io.files import read_json
 from jaxurban.io.rows import INSTANCES_FILE, ROWS_FILE, SETTINGS_FILE
-from jaxurban.io.tables import SUFFIXES, read_table
+from jaxurban.io.tables import SUFFIXES, read_table, records_of
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.weights import Weights
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.queries import LONLAT, WEIGHT_PREFIX, XY, Query, read_queries
-from jaxurban.paths.snapping import XY as PlaceXY
+from jaxurban.paths.snapping import one_place
 from jaxurban.planners.astar import astar
-from jaxurban.planners.base import CostModel, Path as FoundPath
+from jaxurban.planners.base import CostModel
+from jaxurban.planners.base import Path as FoundPath
 from jaxurban.studies.demonstrations import Demonstration, demonstration_from_line
 from jaxurban.studies.montecarlo.sampling import KEY, read_instances
 from jaxurban.studies.montecarlo.trial import HAS_PATH, WEIGHTED, BenchmarkSettings, limited
@@ -45,9 +46,9 @@ class DrawnRoutes(NamedTuple):
     planner: Callable[[Any, int], FoundPath]
 
 
-def holds_queries(file: Path) -> bool:
-    """Return whether a file is a table of queries, such as instances, or a folder of a Monte Carlo benchmark."""
-    if file.is_dir():
+def holds_queries(file: Path | pd.DataFrame) -> bool:
+    """Return whether this is a table of queries, such as instances, or a folder of a Monte Carlo benchmark."""
+    if isinstance(file, pd.DataFrame) or file.is_dir():
         return True
     if file.suffix.lower() not in SUFFIXES or not file.is_file():
         return False
@@ -55,21 +56,24 @@ def holds_queries(file: Path) -> bool:
     return columns.issuperset(XY) or columns.issuperset(LONLAT)
 
 
-def read_drawn(file: Path, planner: str | None = None) -> DrawnRoutes:
+def read_drawn(file: Path | pd.DataFrame, planner: str | None = None) -> DrawnRoutes:
     """Return the queries of a table, or those that a planner of a Monte Carlo benchmark found paths for.
 
     Args:
-      file: instances or queries (.parquet, .csv), the table of a batch, or the folder of a benchmark.
+      file: instances or queries, or the table of a batch (in a .parquet or .csv file, or as a table); or the folder
+        of a benchmark.
       planner: of a benchmark; left out, `PREFERRED`, or the first that is not it.
 
     Raises:
       InputError: the file or folder cannot be read or holds no such rows, or the planner is none of the benchmark's.
     """
-    if file.is_dir():
+    if isinstance(file, Path) and file.is_dir():
         return _of_benchmark(file, planner)
+    name = "the table" if isinstance(file, pd.DataFrame) else str(file)
     if planner is not None:
-        raise InputError(f"{str(file)!r} is no folder of a study, whose planners could be chosen: leave planner out")
-    return DrawnRoutes(str(file), read_table(file, "routes"), {}, lambda problem, _: astar(problem))
+        raise InputError(f"{name!r} is no folder of a study, whose planners could be chosen: leave planner out")
+    queries = file if isinstance(file, pd.DataFrame) else read_table(file, "routes")
+    return DrawnRoutes(name, queries, {}, lambda problem, _: astar(problem))
 
 
 def _of_benchmark(folder: Path, planner: str | None) -> DrawnRoutes:
@@ -135,7 +139,7 @@ def draw(drawn: DrawnRoutes, maps: MetricMaps, map_of: MapOf, pilot: Weights | N
             stacklevel=4,
         )
     demonstrations, lost = [], 0
-    for number, (query, row) in enumerate(zip(queries, table.to_dict("records"), strict=True), start=1):
+    for number, (query, row) in enumerate(zip(queries, records_of(table), strict=True), start=1):
         name = f"{row.get('instance', row.get('query', number))}"
         try:
             route = _route(drawn, query, row, map_of, pilot, name)
@@ -163,12 +167,10 @@ def _route(
     if query.error:
         raise InputError(query.error)
     on = map_of(query.altitude_m, query.time, query.time_of_day)
-    ends = []
-    for end in ("start", "goal"):
-        xy_m = getattr(query, f"{end}_xy_m")
-        ends.append(on.locate(end, getattr(query, end) if xy_m is None else PlaceXY(*xy_m)).cell)
-    asked = RouteQuery(on, *ends, name)
-    if ends[0] == ends[1]:
+    start = on.locate("start", one_place("start", query.start, query.start_xy_m)).cell
+    goal = on.locate("goal", one_place("goal", query.goal, query.goal_xy_m)).cell
+    asked = RouteQuery(on, start, goal, name)
+    if start == goal:
         raise InputError("it starts and ends in one cell: leave it out")
     if pilot is not None:
         return Demonstration(asked, asked.cheapest(pilot.vector(asked.names)))

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from jaxurban.errors import InputError, OtherSettingsWarning, check_type, typed
 from jaxurban.io.read.routes import read_routes
@@ -25,7 +26,7 @@ Planned = Sequence[tuple[str, Mapping[str, Any]]]  # routes by name, with the se
 
 @typed
 def read_demonstrations(
-    file: str | Path,
+    file: str | Path | pd.DataFrame,
     maps: GivenMaps,
     altitude_m: float | None = None,
     time: str | None = None,
@@ -40,15 +41,15 @@ def read_demonstrations(
 ) -> list[Demonstration]:
     """Return the routes of a file as demonstrations; lists of several files or cities may be joined with ``+``.
 
-    Lines are taken as they are. A table of queries (of `sample_instances`, or what `plan_many` saved) and the folder of a
-    Monte Carlo benchmark hold no lines: their routes are found anew, each under its row's own weights.
+    Lines are taken as they are. A table of queries (of `sample_instances`, or what `plan_many` saved) and the folder of
+    a Monte Carlo benchmark hold no lines: their routes are found anew, each under its row's own weights.
 
     Altitude and times are those given here; where left out, the feature's own properties ``altitude_m``, ``time`` and
     ``time_of_day`` (paths that jaxurban wrote carry them); without these, times are the maps' first ones.
 
     Args:
       file: GeoJSON, KML, or another vector file that GDAL reads, with LineStrings; a mission (``.plan``); a table of
-        queries (``.csv``, ``.parquet``); or the folder of `study`.
+        queries (``.csv``, ``.parquet``), or such a table itself; or the folder of `study`.
       maps: from `build_maps` or `open_maps`, or the folder of one resolution's maps.
       altitude_m, time, time_of_day: of every route.
       cost_model: of every route; left out, the one that jaxurban's own paths were planned under.
@@ -63,8 +64,9 @@ def read_demonstrations(
         that were planned under different cost models.
     """
     maps = as_maps(maps)
-    if holds_queries(Path(file)):
-        drawn = read_drawn(Path(file), planner)
+    file = file if isinstance(file, pd.DataFrame) else Path(file)
+    if isinstance(file, pd.DataFrame) or holds_queries(file):
+        drawn = read_drawn(file, planner)
         taken = drawn.queries if altitude_m is None else drawn.queries.assign(altitude_m=altitude_m)
         times = {"time": time, "time_of_day": time_of_day}
         taken = taken.assign(**{name: value for name, value in times.items() if value is not None})

@@ -120,14 +120,18 @@ def _mission(file: Path) -> Route:
     Raises:
       InputError: the file cannot be read, or holds no mission of two waypoints.
     """
-    with readable(f"the routes file {str(file)!r}", "a mission of QGroundControl", "give a whole one", LookupError, TypeError):
+    with readable(
+        f"the routes file {str(file)!r}", "a mission of QGroundControl", "give a whole one", LookupError, TypeError
+    ):
         plan = json.loads(file.read_text(encoding="utf-8"))
         items = plan["mission"]["items"]
         points = [item["params"][4:7] for item in items if item.get("type") == "SimpleItem"]
         lat, lon, z_m = np.array([point for point in points if None not in point], np.float64).reshape(-1, 3).T
         settings = plan.get("settings", {})
     if len(np.unique(np.stack([lon, lat], axis=1), axis=0)) < 2:
-        raise InputError(f"{str(file)!r} holds no mission of two waypoints or more: give one, or another file of routes")
+        raise InputError(
+            f"{str(file)!r} holds no mission of two waypoints or more: give one, or another file of routes"
+        )
     is_known = np.ptp(z_m) == 0 or FOLLOWS_GROUND in str(plan.get("note", ""))
     times = (settings.get(TIME_OF_DAY_PROPERTY), settings.get(TIME_PROPERTY))
     return Route(np.stack([lon, lat], axis=1), file.stem, float(z_m[0]) if is_known else None, *times, settings)

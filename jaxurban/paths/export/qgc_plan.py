@@ -4,7 +4,8 @@ Points within a centimetre of the straight line between their neighbours are lef
 mission of thousands. Altitudes are relative to the home position, the first point. Over maps with terrain they follow
 the ground: points are added until the straight lines between waypoints miss the planned height above ground by at
 most `GROUND_TOLERANCE_M`, and home has the terrain file's elevation. Without terrain level ground is assumed, and
-home is at 0 m; `height_note` says which, and the file holds it as ``note`` beside the path's ``settings``. There is no landing: a pilot adds it.
+home is at 0 m; `height_note` says which, and the
+file holds it as ``note`` beside the path's ``settings``. There is no landing: a pilot adds it.
 """
 
 import json

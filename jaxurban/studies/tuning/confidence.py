@@ -1,7 +1,6 @@
 """How sure fitted weights are: what demonstrations cannot tell, and what others, or fewer, would have shown."""
 
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections.abc import Sequence
 
 import jax
 import jax.numpy as jnp
@@ -11,7 +10,7 @@ from scipy.optimize import linprog
 
 from jaxurban.studies.queries import RouteQuery, maps_of
 from jaxurban.studies.route_pool import NOT_A_ROUTE, RoutePool
-from jaxurban.studies.tuning.fenchel_young import FitTask, descend, regrets, weights_of
+from jaxurban.studies.tuning.fenchel_young import FitTask, descend, fenchel_young_loss, regrets, weights_of
 
 STEPS = 100  # of each refit, which starts at the fit of all demonstrations
 NUM_SUBSETS = 8  # of each size
@@ -45,7 +44,7 @@ def draw_counts(cities: np.ndarray, num_draws: int, rng: np.random.Generator) ->
 
 
 def refit(
-    log_weights: np.ndarray, task: FitTask, objective: Callable, counts: np.ndarray, rng: np.random.Generator
+    log_weights: np.ndarray, task: FitTask, counts: np.ndarray, rng: np.random.Generator
 ) -> tuple[np.ndarray, pd.DataFrame]:
     """Return ``[B, K]`` log weights fitted to demonstrations drawn anew with replacement, and what fewer of them give.
 
@@ -56,7 +55,6 @@ def refit(
     Args:
       log_weights: ``[K]`` of the fit of all demonstrations.
       task: its routes, noise and trust.
-      objective: that it brought down.
       counts: ``[B, Q]`` how often each demonstration is drawn.
       rng: what is drawn.
     """
@@ -67,7 +65,7 @@ def refit(
     masks = np.array([rng.permutation(num) < size for size in sizes for _ in range(NUM_SUBSETS)]).reshape(-1, num)
     trust = np.asarray(task.trust)
     trusts = jnp.asarray(np.concatenate([counts, masks]) * trust + NO_TRUST)
-    fits = np.asarray(_fits(jnp.asarray(log_weights), task, trusts, objective))
+    fits = np.asarray(_fits(jnp.asarray(log_weights), task, trusts))
     held_out = []
     for mask, fitted in zip(masks, fits[len(counts) :], strict=True):
         left = ~mask * trust + NO_TRUST
@@ -83,10 +81,14 @@ def refit(
     return fits[: len(counts)], table
 
 
-@partial(jax.jit, static_argnames="objective")
-def _fits(log_weights: jax.Array, task: FitTask, trusts: jax.Array, objective: Callable) -> jax.Array:
+@jax.jit
+def _fits(log_weights: jax.Array, task: FitTask, trusts: jax.Array) -> jax.Array:
     """Return ``[T, K]`` the fits under trusts ``[T, Q]``, each from the same start."""
-    return jax.lax.map(lambda trust: descend(log_weights, task._replace(trust=trust), objective, STEPS)[0], trusts)
+
+    def fit(trust: jax.Array) -> jax.Array:
+        return descend(log_weights, task._replace(trust=trust), fenchel_young_loss, STEPS)[0]
+
+    return jax.lax.map(fit, trusts)
 
 
 def near_optimal_range(weights: np.ndarray, task: FitTask, scale: np.ndarray, tolerance: float) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""The perturbed Fenchel-Young loss of weights, over the routes of a pool."""
+"""What fits of weights bring down over the routes of a pool: the perturbed Fenchel-Young loss, and regrets."""
 
 from collections.abc import Callable
 from functools import partial
@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 from jaxurban.studies.tuning.descent import adam
 
 FIRST_RATE, LAST_RATE = 0.05, 0.005  # of Adam, in log weight a step
-LEAST_REGRET = 2e-3  # demonstrations much nearer than this to the cheapest are trusted
+LEAST_REGRET = 0.01  # demonstrations much nearer than this to the cheapest are trusted; less distrusted good ones
 TRIMMED = 0.25  # of the demonstrations that a trimmed loss leaves out: more than may be bad
 
 
@@ -48,7 +48,7 @@ def weights_of(log_weights: Float[Array, " K"]) -> Float[Array, " K"]:
     return jax.nn.softmax(log_weights)
 
 
-def loss(log_weights: Float[Array, " K"], task: FitTask) -> Float[Array, ""]:
+def fenchel_young_loss(log_weights: Float[Array, " K"], task: FitTask) -> Float[Array, ""]:
     """Return the mean of (W . phi_demo - E[min over routes of (W exp(Z)) . phi]) / sum(phi_demo), weighted by trust.
 
     Its gradient with respect to W is phi_demo - E[exp(Z) phi*], phi* the features of the route that is
@@ -73,7 +73,7 @@ def mean_regret(log_weights: Float[Array, " K"], task: FitTask) -> Float[Array, 
 
 
 class Loss(NamedTuple):
-    """What a fit brings down.
+    """What a fit brings down once the perturbed Fenchel-Young loss has led it near.
 
     Attributes:
       objective: of log weights and a task.
@@ -84,14 +84,23 @@ class Loss(NamedTuple):
     trust: Callable[[np.ndarray, float], np.ndarray]
 
 
+def usual_regret(regret: np.ndarray) -> float:
+    """Return the regret that is nothing out of the ordinary among regrets ``[Q]``."""
+    return max(3 * float(np.median(regret)), LEAST_REGRET)
+
+
+def trust_of(regret: np.ndarray, usual: float) -> np.ndarray:
+    """Return ``[Q]`` in (0, 1] how far demonstrations are trusted: little where a regret is far above the usual."""
+    return 1 / (1 + (np.maximum(regret, 0) / usual) ** 2) ** 2
+
+
 def redescending_trust(regret: np.ndarray, patience: float) -> np.ndarray:
-    """Return ``[Q]`` in (0, 1] how far each demonstration is trusted: little where its regret is far above most.
+    """Return ``[Q]`` trust, little where a regret is far above most.
 
     Patience falls to 1 over the rounds (graduated non-convexity): doubt at first sight would make wrong weights
     believe only the demonstrations that suit them.
     """
-    usual = max(3 * float(np.median(regret)), LEAST_REGRET) * patience
-    return 1 / (1 + (np.maximum(regret, 0) / usual) ** 2) ** 2
+    return trust_of(regret, usual_regret(regret) * patience)
 
 
 def trimmed_trust(regret: np.ndarray, patience: float) -> np.ndarray:
@@ -105,10 +114,10 @@ def full_trust(regret: np.ndarray, patience: float) -> np.ndarray:
 
 
 LOSSES = {
-    "robust": Loss(loss, redescending_trust),
-    "trimmed": Loss(loss, trimmed_trust),
-    "plain": Loss(loss, full_trust),
-    "regret": Loss(mean_regret, redescending_trust),
+    "robust": Loss(mean_regret, redescending_trust),
+    "fenchel-young": Loss(fenchel_young_loss, redescending_trust),
+    "trimmed": Loss(mean_regret, trimmed_trust),
+    "plain": Loss(mean_regret, full_trust),
 }
 
 

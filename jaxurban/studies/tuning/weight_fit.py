@@ -31,6 +31,7 @@ from jaxurban.studies.tuning.fenchel_young import (
     Loss,
     descend,
     draw_log_noise,
+    fenchel_young_loss,
     mean_regret,
     regrets,
     weights_of,
@@ -38,18 +39,17 @@ from jaxurban.studies.tuning.fenchel_young import (
 from jaxurban.studies.tuning.fit_settings import FitSettings
 
 FIRST_NOISE, LAST_NOISE = 0.3, 0.03  # standard deviation of log weights: first far, in the end close to the minimum
-NOISE_ROUNDS = 10  # in which the noise shrinks
+NOISE_ROUNDS = 7  # in which the noise shrinks
 NUM_NOISE, NUM_PROBES = 32, 2  # noises a query in the loss; searches a query and round under perturbed weights
 STEPS, BOOTSTRAP_NOISE = 200, 8
 FEW = 2  # demonstrations a weight
-TRUST_ROUNDS, FIRST_DOUBT = (
-    3,
-    30.0,
-)  # rounds of full trust; how many times farther off a route may then be at first
+TRUST_ROUNDS, DOUBT_ROUNDS = 7, 6  # of full trust; in which patience then falls to 1
+FIRST_DOUBT = 30.0  # how many times farther off a route may be at first
 SETTLED = 1e-5  # a round that betters no known route by more has nothing to add
 REGRET_ROUNDS = 4  # searches for the least regret that any weights reach
 IN_ROUND, IN_BOOTSTRAP = 1, 2  # streams of random numbers
 WIDE = 10  # a weight whose interval spans a larger factor is hardly pinned down
+DISTRUSTED = 0.1  # a demonstration that is trusted less is bad: it hardly counts
 OPTIMAL_REGRET = 0.005  # on average beyond this, the demonstrations are not optimal under any weights
 
 
@@ -125,12 +125,12 @@ def fit_weights(
 ) -> WeightFit:
     """Return the weights under which demonstrated routes are as close to cheapest as any weights make them.
 
-    A perturbed Fenchel-Young loss (see `fenchel_young.loss`) is brought down by gradient in log weights, over the
-    routes found so far; rounds of searches under the current and under perturbed weights find more, until a
-    round betters none. The noise shrinks from round to round: wide noise leads from anywhere, narrow noise ends
-    in the middle of the weights that explain the demonstrations. Those that stay far costlier than most are
-    trusted less (a redescending weight on their regret), so that some detours do not bend the fit; other losses do
-    otherwise, for comparison (`compare_fits`).
+    A perturbed Fenchel-Young loss (`fenchel_young.fenchel_young_loss`) is brought down by gradient in log weights, over
+    the routes found so far; rounds of searches under the current and under perturbed weights find more, until a
+    round betters none. The noise shrinks from round to round: wide noise leads from anywhere, narrow noise ends near
+    the middle of the weights that explain the demonstrations. From there the mean regret itself is brought down, and
+    demonstrations that stay far costlier than most are trusted less (a redescending weight on their regret), so that
+    some detours do not bend the fit; other losses do otherwise, for comparison (`compare_fits`).
 
     Only the direction of W can be found; its length is set by ``scale``. The weight of a layer that is constant
     over the maps cannot be identified, and ``unidentified`` says so: under ``line`` (or where it costs nothing) it
@@ -139,11 +139,11 @@ def fit_weights(
     Args:
       demonstrations: from `read_demonstrations` or `demonstrations_from_paths`; of one or several maps.
       scale: ``"simplex"``: weights sum to 1; ``"distance"``: the distance weight is 1.
-      loss: ``"robust"``, as told above; ``"trimmed"``: the quarter with the largest regrets is left out; ``"plain"``:
-        all count alike; ``"regret"``: the mean regret itself instead of the Fenchel-Young loss, trust as in ``"robust"``.
+      loss: ``"robust"``, as told above; ``"fenchel-young"``: the same, but for the mean regret; ``"trimmed"``: the
+        quarter with the largest regrets is left out; ``"plain"``: all count alike.
       bootstrap: fits on demonstrations drawn anew, for intervals, cities first where there are several; 0 for none.
-      settings: of the search. It ends where a round at the least noise betters nothing; the noise shrinks over 10
-        rounds.
+      settings: of the search. The noise shrinks over 7 rounds, patience with far costlier demonstrations over 6 more;
+        after them it ends where a round betters nothing.
 
     Raises:
       InputError: no demonstrations, maps that do not go together, or a wrong setting.
@@ -165,6 +165,7 @@ def fit_weights(
     is_fitted = np.array([name not in silent for name in names])
     demo = np.array([each.features for each in demonstrations])
     noise_rounds = min(settings.max_rounds, NOISE_ROUNDS)
+    least_rounds = min(settings.max_rounds, TRUST_ROUNDS + DOUBT_ROUNDS + 1 if loss != "plain" else NOISE_ROUNDS)
     known = [each.sums for each in demonstrations]
     shown = fingerprint(demo)
     pool = settings.pool(queries, known, fit="imitation", loss=loss, noise_rounds=noise_rounds, demonstrations=shown)
@@ -177,7 +178,7 @@ def fit_weights(
             row = fit.run_round(number, noise) | {"elapsed_s": time.perf_counter() - begin_s}
             rows.append(row | dict(zip(names, _scaled(fit.weights, scale), strict=True)))
             report("rounds", number + 1, loss=f"{row['loss']:.3g}", searches=row["num_plans"])
-            is_settled = row["worst_gap"] <= SETTLED and number + 1 >= noise_rounds
+            is_settled = row["worst_gap"] <= SETTLED and number + 1 >= least_rounds
             if is_settled or row["elapsed_s"] > settings.budget_s:
                 break
         regret = fit.searched_regret(fit.log_weights)
@@ -185,7 +186,7 @@ def fit_weights(
         rng = np.random.default_rng([IN_BOOTSTRAP, 0, settings.seed])
         cities = np.unique([id(query.cost_map.maps) for query in queries], return_inverse=True)[1]
         task = fit.task(BOOTSTRAP_NOISE, LAST_NOISE, rng)
-        log_draws, fewer = refit(fit.log_weights, task, fit.loss.objective, draw_counts(cities, bootstrap, rng), rng)
+        log_draws, fewer = refit(fit.log_weights, task, draw_counts(cities, bootstrap, rng), rng)
         draws = np.array([_scaled(fit.weights_of(row), scale) for row in log_draws]).reshape(-1, len(names))
         interval = np.full((2, len(names)), np.nan)
         if bootstrap:
@@ -265,12 +266,13 @@ class _Fit:
         expected = np.min(np.einsum("qmk,qrk->qmr", probed, self.pool.features), axis=-1)
         searched = np.einsum("qmk,qmk->qm", probed, self.pool.cheapest(probed)[0])
         here = self.task(NUM_NOISE, noise, rng)
+        objective = fenchel_young_loss if number < TRUST_ROUNDS else self.loss.objective
         if number >= TRUST_ROUNDS:
-            patience = FIRST_DOUBT ** max(0.0, 1 - (number - TRUST_ROUNDS) / (NOISE_ROUNDS - 2 - TRUST_ROUNDS))
+            patience = FIRST_DOUBT ** max(0.0, 1 - (number - TRUST_ROUNDS) / DOUBT_ROUNDS)
             regret = np.asarray(regrets(weights_of(jnp.asarray(self.log_weights)), here))
             self.trust = self.loss.trust(regret, patience)
             here = here._replace(trust=jnp.asarray(self.trust))
-        ended, reached = descend(jnp.asarray(self.log_weights), here, self.loss.objective, STEPS)
+        ended, reached = descend(jnp.asarray(self.log_weights), here, objective, STEPS)
         self.log_weights = np.asarray(ended)
         return {
             "round": number + 1,
@@ -349,7 +351,7 @@ def _warnings(
             "The demonstrations are not optimal under any weights that were found: at best they cost "
             f"{100 * best:.2f} % more than the cheapest routes on average."
         )
-    if distrusted := int((trust < 0.1).sum()):
+    if distrusted := int((trust < DISTRUSTED).sum()):
         yield (
             f"{distrusted} of {num} demonstrations cost far more than the others' weights explain, and hardly count."
         )
