@@ -10,6 +10,7 @@ import pandas as pd
 
 from jaxurban.errors import InputError
 from jaxurban.io.folders import own_folder
+from jaxurban.io.tables import records_of
 from jaxurban.maps.metric_maps import MetricMaps, Obstacles, open_maps
 from jaxurban.metrics.weights import Weights
 from jaxurban.progress import Progress, reporting
@@ -141,7 +142,7 @@ def run_tuning(
             outputs = outputs_of(fit, comparison, files, command, targets, found)
             save(folder, outputs)
     facts = _facts(fit, folder)
-    return facts if found is None or not is_compared(found) else facts | {"fits": found.table.to_dict("records")}
+    return facts if found is None or not is_compared(found) else facts | {"fits": records_of(found.table)}
 
 
 def _names_of(folders: Sequence[Path]) -> list[str]:

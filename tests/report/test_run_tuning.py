@@ -176,7 +176,10 @@ def test_sampled_instances_are_flown_by_the_pilot_and_need_one(made, tmp_path, c
     for arguments, words in (
         (sampled, ("name the weights of the pilot",)),
         (("tune", made / "maps", "-o", tmp_path / "other"), ("jaxurban study", "--sample")),
-        (("tune", made / "maps", made / "routes.geojson", "-o", tmp_path / "b", "--sample", 3), ("choose one of both",)),
+        (
+            ("tune", made / "maps", made / "routes.geojson", "-o", tmp_path / "b", "--sample", 3),
+            ("choose one of both",),
+        ),
         (("tune", made / "maps", made / "routes.geojson", "-o", tmp_path / "b", "--losses", "rubust"), ("rubust",)),
     ):
         code, _, err = run(capsys, *arguments)
