@@ -400,7 +400,10 @@ KERNELS: dict[str, Callable[[], Call]] = {
         buildings._slopes, (soft_city(), SoftParams(20.0), Weights(), PathVisits(CELLS, HEIGHTS_M, NUMBER))
     ),
     "tuner: descend": lambda: Call(
-        fenchel_young.descend, (float64(5), FIT), {"objective": fenchel_young.loss, "num_steps": 200}, True
+        fenchel_young.descend,
+        (float64(5), FIT),
+        {"objective": fenchel_young.fenchel_young_loss, "num_steps": 200},
+        True,
     ),
     "tuner: bootstrap": lambda: Call(confidence._fits, (float64(5), FIT, float64(100, NUM_DEMONSTRATIONS)), {}, True),
     "tuner: targets, descend": lambda: Call(

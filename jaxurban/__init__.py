@@ -48,6 +48,7 @@ if _TYPE_CHECKING:
     from jaxurban.studies.sensitivity.buildings import building_costs as building_costs
     from jaxurban.studies.sensitivity.study import SensitivitySettings as SensitivitySettings
     from jaxurban.studies.sensitivity.study import sensitivity as sensitivity
+    from jaxurban.studies.tuning.compared_fits import compare_fits as compare_fits
     from jaxurban.studies.tuning.fit_settings import FitSettings as FitSettings
     from jaxurban.studies.tuning.target_fit import fit_targets as fit_targets
     from jaxurban.studies.tuning.targets import Target as Target
@@ -94,6 +95,7 @@ _NAMES = {
     "studies.read_demonstrations": "demonstrations_from_paths read_demonstrations",
     "studies.sensitivity.buildings": "building_costs",
     "studies.sensitivity.study": "SensitivitySettings sensitivity",
+    "studies.tuning.compared_fits": "compare_fits",
     "studies.tuning.fit_settings": "FitSettings",
     "studies.tuning.target_fit": "fit_targets",
     "studies.tuning.targets": "Target",

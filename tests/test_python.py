@@ -148,6 +148,9 @@ def test_dir_lists_exactly_the_public_names_and_checkers_see_the_same():
     [
         (lambda: ju.sensitivity(MAPS, START, GOAL), "cost_map must be a CostMap, from cost_map"),
         (lambda: ju.fit_weights(ju.demonstrations_from_paths([5], MAPS)), "each of paths must be a PlannedPath"),
+        (lambda: ju.fit_weights([5]), "each of demonstrations must be a Demonstration, from read_demonstrations"),
+        (lambda: ju.compare_fits(5), "cities must be"),
+        (lambda: ju.build_maps(ju.demo_city(), others={"gsp": 1}), "each name in others"),
         (lambda: ju.build_maps(5), "city must be a City, from City.from_files or demo_city"),
         (lambda: ju.explain(ju.plan(MAPS, START, GOAL, altitude_m=20.0), made_maps(8, 8)), "leaves the region"),
         (
@@ -183,7 +186,7 @@ def test_a_thing_of_another_kind_is_one_sentence(call, words):
         (lambda: ju.sample_instances(MAPS, num="a"), "num must be a whole number, got 'a'"),
         (lambda: ju.make_queries(ju.cost_map(MAPS, 20.0), 5), "pairs must be a sequence, got 5"),
         (lambda: ju.fit_weights(5), "demonstrations must be a sequence, got 5"),
-        (lambda: ju.read_demonstrations(5, MAPS), "file must be a text or a path, got 5"),
+        (lambda: ju.read_demonstrations(5, MAPS), "file must be a text, a path or DataFrame, got 5"),
         (lambda: ju.FitSettings(max_rounds="a"), "max_rounds must be a whole number, got 'a'"),
         (lambda: ju.FitSettings(max_rounds=True), "max_rounds must be a whole number, got True"),
         (lambda: ju.SensitivitySettings(seed=-1), "seed must be a whole number from 0 up, got -1"),

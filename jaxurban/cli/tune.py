@@ -2,7 +2,7 @@
 
 import shlex
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 from click.core import ParameterSource
@@ -21,10 +21,12 @@ from jaxurban.cli.common import (
     tell,
 )
 
+if TYPE_CHECKING:
+    from jaxurban.report.run_tuning import RoutesOnMaps
+
 
 @click.command()
-@click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
-@click.argument("routes", metavar="ROUTES", type=click.Path(path_type=Path))
+@click.argument("words", metavar="DIR [ROUTES]...", type=click.Path(path_type=Path), nargs=-1, required=True)
 @click.option("-o", "out", type=click.Path(path_type=Path), required=True, help="Output folder.")
 @click.option(
     "--also",
@@ -33,6 +35,16 @@ from jaxurban.cli.common import (
     metavar="DIR ROUTES",
     help="Further maps and routes, fitted together with the first; repeatable.",
 )
+@click.option("--sample", type=click.IntRange(min=1), help="Draw so many instances a city instead of reading ROUTES.")
+@click.option(
+    "--pilot", help="Weights as gps=1,risk=2, that draw the routes of tables and of --sample; 0 if not named."
+)
+@click.option("--planner", help="Of a study: whose paths are taken.  [default: astar-plus]")
+@click.option(
+    "--hold-out", type=float, help="Share of the routes that no fit sees and all are judged by.  [default: 0]"
+)
+@click.option("--losses", help="Compare fits by these, as robust,fenchel-young,trimmed,plain.  [default: robust]")
+@click.option("--by-city", is_flag=True, help="Also fit to each city alone, and without each.")
 @click.option("--wish", "wishes", multiple=True, help="Fit to outcomes, such as mean_gps>=0.8; repeatable.")
 @click.option("--metrics", help="Fit only these, as gps,risk; the others get weight 0.  [default: all of the maps]")
 @click.option("--altitude", "altitude_m", type=float, help="Of every route.  [default: the routes' altitude_m]")
@@ -53,8 +65,13 @@ from jaxurban.cli.common import (
 @click.option("--overwrite", is_flag=True, help="Forget a fit of other routes or settings in the output folder.")
 @DEVICE
 @JSON_FLAG
-def tune(folder: Path, routes: Path, out: Path, **given: Any) -> int:
-    """Fit weights to demonstrated ROUTES (GeoJSON lines) over the maps in DIR, or to targets for outcomes."""
+def tune(words: tuple[Path, ...], out: Path, **given: Any) -> int:
+    """Fit weights to demonstrated ROUTES over the maps in each DIR, or to targets for outcomes.
+
+    ROUTES are files of lines (GeoJSON, KML, a .plan), tables of instances (.csv, .parquet) or folders of a study; left
+    out, the study in DIR. Several DIRs, each with its ROUTES, are fitted together.
+    """
+    from jaxurban.metrics.weights import Weights
     from jaxurban.paths.constraints import Constraints
     from jaxurban.report.run_tuning import RoutesOnMaps, TuneSettings, run_tuning
     from jaxurban.studies.tuning.fit_settings import FitSettings
@@ -62,25 +79,34 @@ def tune(folder: Path, routes: Path, out: Path, **given: Any) -> int:
     def named(*options: str) -> dict[str, Any]:
         return {name: given[name] for name in options if given[name] is not None}
 
-    stored, weights = stored_settings(folder), named("scale", "bootstrap")
-    if given["wishes"] and weights:
-        raise click.UsageError("--scale and --bootstrap belong to fits without --wish: leave them out")
-    on_maps = named("altitude_m", "time", "time_of_day")
+    stored, weights = stored_settings(words[0]), named("scale", "bootstrap")
+    compared = named("hold_out", "losses") | ({"by_city": True} if given["by_city"] else {})
+    if given["wishes"] and (weights or compared):
+        raise click.UsageError(
+            "--scale, --bootstrap, --hold-out, --losses and --by-city belong to fits without --wish: leave them out"
+        )
+    if "losses" in compared:
+        compared["losses"] = names_in(compared["losses"])
+    on_maps = named("altitude_m", "time", "time_of_day", "planner")
     on_maps |= {"default_cost_model": stored_cost_model(stored, None)}
     on_maps |= {"constraints": Constraints.read(given["no_fly"], given["require"])}
     if given["cost_model"] is not None:
         on_maps["cost_model"] = stored_cost_model(stored, given["cost_model"])
     if given["metrics"] is not None:
         on_maps["metrics"] = names_in(given["metrics"])
+    nothing = Weights(**dict.fromkeys(Weights().to_dict(), 0.0))
     settings = TuneSettings(
         resolution_m=given["resolution_m"],
         obstacles=stored_obstacles(stored, given["obstacles"]),
         routes=on_maps,
+        sample=given["sample"],
+        pilot=None if given["pilot"] is None else Weights.parse(given["pilot"], nothing),
+        **compared,
         targets=given["wishes"],
         weights=weights,
         fit=FitSettings(**named("max_rounds", "seed", "budget_s", "backend")),
     )
-    sources = [RoutesOnMaps(folder, routes), *(RoutesOnMaps(*pair) for pair in given["also"])]
+    sources = [*_sources(words), *(RoutesOnMaps(folder, (routes,)) for folder, routes in given["also"])]
     facts = run_tuning(sources, out, settings, overwrite=given["overwrite"], command=_command())
     for warning in facts.get("unidentified", []) + facts.get("warnings", []):
         tell(f"warning: {warning}")
@@ -92,6 +118,20 @@ def tune(folder: Path, routes: Path, out: Path, **given: Any) -> int:
     else:
         print(facts["weights_option"])
     return 0
+
+
+def _sources(words: tuple[Path, ...]) -> "list[RoutesOnMaps]":
+    """Return the folders of maps, each with the routes that follow it; a folder with rows is one of routes."""
+    from jaxurban.io.rows import ROWS_FILE
+    from jaxurban.report.run_tuning import RoutesOnMaps
+
+    sources = [RoutesOnMaps(words[0])]
+    for word in words[1:]:
+        if word.is_dir() and not (word / ROWS_FILE).exists():
+            sources.append(RoutesOnMaps(word))
+        else:
+            sources[-1] = sources[-1]._replace(routes=(*sources[-1].routes, word))
+    return sources
 
 
 def _command() -> str:

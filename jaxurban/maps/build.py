@@ -11,7 +11,7 @@ import numpy as np
 import shapely
 from jaxtyping import DTypeLike
 
-from jaxurban.errors import InputError, check_type, typed
+from jaxurban.errors import InputError, check_type, one_of, typed
 from jaxurban.io.layers import bands_of
 from jaxurban.io.read.guesses import warn_of
 from jaxurban.io.read.orbits import NOMINAL, iso_utc, look_angles, middle_epoch, parse_time, read_orbits
@@ -30,6 +30,7 @@ from jaxurban.metrics.custom import Layer, check_layers
 from jaxurban.metrics.gps import GpsParams
 from jaxurban.metrics.lidar import LidarParams
 from jaxurban.metrics.population import BlockPopulation, PopulationParams
+from jaxurban.metrics.registry import METRICS
 from jaxurban.metrics.risk import RiskParams
 from jaxurban.metrics.visibility import SkyView
 from jaxurban.progress import Progress, reporting
@@ -105,6 +106,8 @@ def build_maps(
         raise InputError(f"resolution_m must be a positive number of metres, got {resolution_m}")
     if grid is not None and bounds is not None:
         raise InputError("give either bounds or grid, and not both")
+    for name in others or {}:
+        one_of("each name in others", name, METRICS)
     region = grid if grid is not None else _region(city, bounds, resolution_m)
     times = None if times is None else _as_names(times)
     params = MapParams(

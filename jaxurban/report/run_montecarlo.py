@@ -12,7 +12,7 @@ from jaxurban.errors import InputError, check_type, one_of, typed
 from jaxurban.io.files import check_writable, only_writer, read_json, whole_file, write_json
 from jaxurban.io.read.landcover import read_land_cover
 from jaxurban.io.read.osm import OSM_SUFFIXES
-from jaxurban.io.rows import PARTS_FOLDER, ROWS_FILE, first_difference
+from jaxurban.io.rows import INSTANCES_FILE, PARTS_FOLDER, ROWS_FILE, SETTINGS_FILE, first_difference
 from jaxurban.io.tables import write_table
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.registry import METRICS
@@ -35,8 +35,6 @@ from jaxurban.studies.montecarlo.trial import BenchmarkSettings, free_cell
 from jaxurban.world.city import LandCover
 from jaxurban.world.grid import Grid
 from jaxurban.world.synthetic import demo_cover_for_bounds
-
-SETTINGS_FILE, INSTANCES_FILE = "study.json", "instances.parquet"
 
 
 @dataclass(frozen=True, eq=False)

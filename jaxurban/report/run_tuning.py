@@ -10,9 +10,13 @@ import pandas as pd
 
 from jaxurban.errors import InputError
 from jaxurban.io.folders import own_folder
-from jaxurban.maps.metric_maps import Obstacles, open_maps
+from jaxurban.io.tables import records_of
+from jaxurban.maps.metric_maps import MetricMaps, Obstacles, open_maps
+from jaxurban.metrics.weights import Weights
 from jaxurban.progress import Progress, reporting
+from jaxurban.report.figures.fits import plot_fits
 from jaxurban.report.figures.tuning import plot_learning, plot_regret, plot_routes, plot_targets, plot_weights
+from jaxurban.report.fits import fits_section, is_compared
 from jaxurban.report.save import Output, save
 from jaxurban.report.tuning import (
     FitSource,
@@ -24,21 +28,24 @@ from jaxurban.report.tuning import (
 )
 from jaxurban.studies.compare import Comparison, compare
 from jaxurban.studies.demonstrations import Demonstration
+from jaxurban.studies.montecarlo.sampling import sample_instances
 from jaxurban.studies.queries import maps_of
 from jaxurban.studies.read_demonstrations import read_demonstrations
+from jaxurban.studies.tuning.compared_fits import FitComparison, compare_fits
 from jaxurban.studies.tuning.fit_settings import FitSettings
 from jaxurban.studies.tuning.target_fit import TargetFit, fit_targets
 from jaxurban.studies.tuning.targets import Target
-from jaxurban.studies.tuning.weight_fit import WeightFit, fit_weights
+from jaxurban.studies.tuning.weight_fit import WeightFit
 
 STATE_FILE = "fit-state.npz"
+STUDY_FOLDER = "study"  # of `jaxurban study`, beside the maps
 
 
 class RoutesOnMaps(NamedTuple):
-    """The folder of maps, and a file of routes that lie on them."""
+    """The folder of maps, and the files of routes that lie on them; none: the benchmark in the folder's ``study``."""
 
     maps: Path
-    routes: Path
+    routes: tuple[Path, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -49,16 +56,25 @@ class TuneSettings:
       resolution_m: of the maps; needed where a folder holds several.
       obstacles: where routes may fly (see `jaxurban.maps.metric_maps.MetricMaps`).
       routes: further arguments of `read_demonstrations`: altitude_m, cost_model, constraints, metrics ...
+      sample: instances to draw on each city's maps, at every altitude, instead of routes from files; their routes are
+        the pilot's.
+      pilot: weights under which routes of tables and of sampled instances are drawn, and which fits are compared with.
       targets: fit to these, such as ``mean_gps>=0.8``, instead of to the routes.
       weights: further arguments of `fit_weights`: scale, bootstrap.
+      hold_out, losses, by_city: as in `compare_fits`; the first loss alone and nothing else is one fit.
       fit: of the search.
     """
 
     resolution_m: float | None = None
     obstacles: Obstacles = "touched"
     routes: Mapping[str, Any] = field(default_factory=dict)
+    sample: int | None = None
+    pilot: Weights | None = None
     targets: tuple[str, ...] = ()
     weights: Mapping[str, Any] = field(default_factory=dict)
+    hold_out: float = 0.0
+    losses: tuple[str, ...] = ("robust",)
+    by_city: bool = False
     fit: FitSettings = field(default_factory=FitSettings)
 
 
@@ -93,24 +109,88 @@ def run_tuning(
     targets = [Target.parse(text, opened[0].metrics) for text in settings.targets]
     with reporting("tune", progress) as report:
         report("routes")
-        demonstrations: list[Demonstration] = []
-        for source, maps in zip(sources, opened, strict=True):
-            demonstrations += read_demonstrations(source.routes, maps, **settings.routes)
+        cities: dict[str, list[Demonstration]] = {}
+        names = _names_of([source.maps for source in sources])
+        for source, maps, name in zip(sources, opened, names, strict=True):
+            cities.setdefault(name, []).extend(_demonstrations(source, maps, settings))
+        demonstrations = [each for shown in cities.values() for each in shown]
         how = replace(settings.fit, state_file=folder / STATE_FILE, progress=report)
         fit: WeightFit | TargetFit
+        found: FitComparison | None = None
         # Other fits differ in the state of the fit, which holds its settings.
         with own_folder(folder, "tune", {}, overwrite=overwrite):
             report("rounds")
             if targets:
                 fit = fit_targets([each.query for each in demonstrations], targets, settings=how)
             else:
-                fit = fit_weights(demonstrations, **settings.weights, settings=how)
+                found = compare_fits(
+                    cities,
+                    hold_out=settings.hold_out,
+                    losses=settings.losses,
+                    by_city=settings.by_city,
+                    pilot=settings.pilot,
+                    **settings.weights,
+                    settings=how,
+                )
+                fit = found.best
+                is_seen = ~found.routes.is_held_out
+                demonstrations = [each for each, is_fitted in zip(demonstrations, is_seen, strict=True) if is_fitted]
             report("routes under the fitted weights")
             comparison = compare(demonstrations, fit.weights)
             report("figures and report")
-            files = [(str(source.routes), str(source.maps)) for source in sources]
-            save(folder, outputs_of(fit, comparison, files, command, targets))
-    return _facts(fit, folder)
+            files = [(_routes_said(source, settings), str(source.maps)) for source in sources]
+            outputs = outputs_of(fit, comparison, files, command, targets, found)
+            save(folder, outputs)
+    facts = _facts(fit, folder)
+    return facts if found is None or not is_compared(found) else facts | {"fits": records_of(found.table)}
+
+
+def _names_of(folders: Sequence[Path]) -> list[str]:
+    """Return a name for the city of each folder of maps: the folder's own, with a number where another has it too."""
+    names: dict[Path, str] = {}
+    for folder in (folder.resolve() for folder in folders):
+        if folder not in names:
+            number = sum(one.name == folder.name for one in names)
+            names[folder] = folder.name + (f" {number + 1}" if number else "")
+    return [names[folder.resolve()] for folder in folders]
+
+
+def _demonstrations(source: RoutesOnMaps, maps: MetricMaps, settings: TuneSettings) -> list[Demonstration]:
+    """Return the routes of one source on its maps."""
+    how = {**settings.routes, "pilot": settings.pilot}
+    if settings.sample is not None:
+        if source.routes:
+            raise InputError(
+                f"{str(source.routes[0])!r} holds routes, and others are to be sampled: choose one of both"
+            )
+        if settings.pilot is None and not settings.targets:
+            raise InputError(
+                "sampled instances have no routes of their own: name the weights of the pilot who flies them"
+            )
+        instances = sample_instances(
+            maps,
+            settings.sample,
+            altitudes_m=None if how.get("altitude_m") is None else (how["altitude_m"],),
+            weights=[settings.pilot or Weights()],
+            cost_model=how.get("cost_model") or how.get("default_cost_model", "cell"),
+            constraints=how.get("constraints"),
+            seed=settings.fit.seed,
+        )
+        return read_demonstrations(instances, maps, **how)
+    if not source.routes and not (source.maps / STUDY_FOLDER).is_dir():
+        raise InputError(
+            f"there are no routes for the maps in {str(source.maps)!r}: name files of routes after it, run `jaxurban "
+            "study` there, or sample instances (--sample)"
+        )
+    files = source.routes or (source.maps / STUDY_FOLDER,)
+    return [each for file in files for each in read_demonstrations(file, maps, **how)]
+
+
+def _routes_said(source: RoutesOnMaps, settings: TuneSettings) -> str:
+    """Return where the routes of a source are from, for the report."""
+    if settings.sample is not None:
+        return f"{settings.sample} instances sampled with seed {settings.fit.seed}"
+    return ", ".join(str(file) for file in source.routes or (source.maps / STUDY_FOLDER,))
 
 
 def outputs_of(
@@ -119,6 +199,7 @@ def outputs_of(
     files: Sequence[tuple[str, str]],
     command: str,
     targets: Sequence[Target] = (),
+    found: FitComparison | None = None,
 ) -> dict[str, Output]:
     """Return what a fit writes, by file name: tables, pictures, the report and weights.toml.
 
@@ -128,6 +209,7 @@ def outputs_of(
       files: of routes, and the folders of their maps.
       command: that made the fit.
       targets: that the weights were fitted to.
+      found: further fits, which the fit is compared with, and routes that were held out.
     """
     maps = maps_of(each.query for each in comparison.demonstrations)
     unit = weight_units(maps[0])
@@ -146,7 +228,11 @@ def outputs_of(
         routes = routes.assign(regret=fit.regret, trust=fit.trust)
         outputs["fewer_examples"] = fit.by_demonstrations
         outputs["figures/regret.png"] = lambda: plot_regret(fit, [*routes["name"]])
-        report = imitation_report(fit, comparison, source)
+        fits = ""
+        if found is not None and is_compared(found):
+            fits = fits_section(found)
+            outputs |= {"fits": found.table, "routes": found.routes, "figures/fits.png": lambda: plot_fits(found)}
+        report = imitation_report(fit, comparison, source, fits)
     else:
         weights = pd.DataFrame({"name": fit.names, "weight": vector})
         alone = fit.alone[["reached", "missed_by", "is_met"]].add_suffix("_alone")

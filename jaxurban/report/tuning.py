@@ -78,8 +78,8 @@ def _where(on: CostMap) -> str:
     return f" with a reference length of {on.cost_model.reference_length_m:g} m"
 
 
-def imitation_report(fit: WeightFit, comparison: Comparison, source: FitSource) -> str:
-    """Return the report of weights that were fitted to demonstrations."""
+def imitation_report(fit: WeightFit, comparison: Comparison, source: FitSource, fits: str = "") -> str:
+    """Return the report of weights that were fitted to demonstrations, with a section on further fits."""
     units = weight_units(_unit(comparison))
     rows = [
         [name, units[name], f"{weight:.4g}", _number(low), _number(high), f"{share:.1%}"]
@@ -87,6 +87,7 @@ def imitation_report(fit: WeightFit, comparison: Comparison, source: FitSource) 
     ]
     text = fill(
         "imitation",
+        fits=fits,
         **_common(fit, comparison, source),
         given=counted(len(fit.regret), "demonstration"),
         weights=table(["weight", "unit", "value", "low", "high", "share of the demonstrations' cost"], rows),

@@ -79,7 +79,8 @@ def demonstration_from_path(cost_map: CostMap, planned: PlannedPath, name: str =
 def demonstration_from_line(cost_map: CostMap, xy_m: np.ndarray, name: str = "") -> Demonstration:
     """Return a route as a demonstration that planners of the grid could have made.
 
-    A route whose points are centres of neighbouring cells is taken as it is. Any other line is redrawn on
+    A route over centres of cells is taken as it is, where straight runs may skip what lies between their ends (as
+    missions do). Any other line is redrawn on
     the grid, leg by leg, by the shortest grid path within a narrow corridor around it: a grid path is up to
     8.24 % longer than the line that it follows, and a demonstration must not seem cheaper than every route that it
     is compared with. Legs are the line's own, simplified by half a cell.
@@ -101,9 +102,9 @@ def demonstration_from_line(cost_map: CostMap, xy_m: np.ndarray, name: str = "")
     local = (points - np.array([grid.x_min_m, grid.y_min_m])) / grid.resolution_m
     if np.any(local < 0) or np.any(local >= (grid.num_cols, grid.num_rows)):
         raise InputError(f"{label} leaves the maps: clip it to their region, or make maps of a larger one")
-    note = ""
-    if _is_grid_path(cost_map, local):
-        local = np.floor(local) + 0.5  # decimals lost in a file must not make a diagonal step graze a third cell
+    note, filled = "", _filled(local)
+    if _is_grid_path(cost_map, filled):
+        local = np.floor(filled) + 0.5  # decimals lost in a file must not make a diagonal step graze a third cell
     else:
         local, widest = _follow(cost_map, local, label)
         if widest > CORRIDORS_CELLS[0]:
@@ -112,6 +113,16 @@ def demonstration_from_line(cost_map: CostMap, xy_m: np.ndarray, name: str = "")
     if start == goal:
         raise InputError(f"{label} starts and ends in one cell: leave it out, or cut it in two")
     return Demonstration(RouteQuery(cost_map, start, goal, name), local * grid.resolution_m, note)
+
+
+def _filled(local: np.ndarray) -> np.ndarray:
+    """Return points, in cell sides, with the cells between the ends of every straight run along rows or diagonals."""
+    steps = np.diff(np.floor(local), axis=0)
+    sizes = np.abs(steps).max(axis=1)
+    if not np.all((steps == 0) | (np.abs(steps) == sizes[:, None])) or not sizes.all():
+        return local
+    runs = zip(local, steps / sizes[:, None], sizes.astype(int), strict=False)
+    return np.concatenate([*(point + step * np.arange(size)[:, None] for point, step, size in runs), local[-1:]])
 
 
 def _is_grid_path(cost_map: CostMap, local: np.ndarray) -> bool:

@@ -1,28 +1,32 @@
 """Demonstrations from files of routes and from planned paths, each on the map that its route was flown on."""
 
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from jaxurban.errors import InputError, OtherSettingsWarning, check_type, typed
 from jaxurban.io.read.routes import read_routes
 from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
+from jaxurban.metrics.weights import Weights
 from jaxurban.paths.constraints import Constraints, constraints_said
 from jaxurban.paths.cost_map import CostMap, cost_map
 from jaxurban.paths.path import PlannedPath
 from jaxurban.planners.base import CostKind, CostModel
 from jaxurban.studies.demonstrations import Demonstration, demonstration_from_line, demonstration_from_path
+from jaxurban.studies.drawn_demonstrations import MapOf, draw, holds_queries, read_drawn
 
 Planned = Sequence[tuple[str, Mapping[str, Any]]]  # routes by name, with the settings they were planned under
 
 
 @typed
 def read_demonstrations(
-    file: str | Path,
+    file: str | Path | pd.DataFrame,
     maps: GivenMaps,
     altitude_m: float | None = None,
     time: str | None = None,
@@ -32,26 +36,45 @@ def read_demonstrations(
     default_cost_model: CostModel | CostKind = "cell",
     constraints: Constraints | None = None,
     metrics: Sequence[str] | None = None,
+    planner: str | None = None,
+    pilot: Weights | None = None,
 ) -> list[Demonstration]:
-    """Return the lines of a file as demonstrations; lists of several files or cities may be joined with ``+``.
+    """Return the routes of a file as demonstrations; lists of several files or cities may be joined with ``+``.
+
+    Lines are taken as they are. A table of queries (of `sample_instances`, or what `plan_many` saved) and the folder of
+    a Monte Carlo benchmark hold no lines: their routes are found anew, each under its row's own weights.
 
     Altitude and times are those given here; where left out, the feature's own properties ``altitude_m``, ``time`` and
     ``time_of_day`` (paths that jaxurban wrote carry them); without these, times are the maps' first ones.
 
     Args:
-      file: GeoJSON, or another vector file that GDAL reads, with LineStrings.
+      file: GeoJSON, KML, or another vector file that GDAL reads, with LineStrings; a mission (``.plan``); a table of
+        queries (``.csv``, ``.parquet``), or such a table itself; or the folder of `study`.
       maps: from `build_maps` or `open_maps`, or the folder of one resolution's maps.
       altitude_m, time, time_of_day: of every route.
       cost_model: of every route; left out, the one that jaxurban's own paths were planned under.
       default_cost_model: where no route names one.
       constraints: no-fly zones and bounds, as in `plan`.
       metrics: those whose weights are to be fitted; all if left out.
+      planner: of a benchmark, the one whose paths are taken; left out, ``astar-plus``, or else its first.
+      pilot: weights under which the routes of a table or a benchmark are the cheapest, instead of the rows' own.
 
     Raises:
       InputError: no lines, or a route without altitude, on no map, outside the maps or through obstacles, or paths
         that were planned under different cost models.
     """
-    maps, routes = as_maps(maps), read_routes(file)
+    maps = as_maps(maps)
+    file = file if isinstance(file, pd.DataFrame) else Path(file)
+    if isinstance(file, pd.DataFrame) or holds_queries(file):
+        drawn = read_drawn(file, planner)
+        taken = drawn.queries if altitude_m is None else drawn.queries.assign(altitude_m=altitude_m)
+        times = {"time": time, "time_of_day": time_of_day}
+        taken = taken.assign(**{name: value for name, value in times.items() if value is not None})
+        settings = [(repr(drawn.name), drawn.settings)]
+        model = _model_of(settings, cost_model, default_cost_model)
+        map_of = _cost_maps(maps, settings, model, constraints or Constraints(), None)
+        return _on_metrics(draw(drawn._replace(queries=taken), maps, map_of, pilot), metrics)
+    routes = read_routes(file)
     planned = [(f"route {route.name!r} of {str(file)!r}", route.settings) for route in routes]
     model = _model_of(planned, cost_model, default_cost_model)
     map_of = _cost_maps(maps, planned, model, constraints or Constraints(), metrics)
@@ -109,9 +132,21 @@ def demonstrations_from_paths(
     ]
 
 
+def _on_metrics(demonstrations: list[Demonstration], metrics: Sequence[str] | None) -> list[Demonstration]:
+    """Return demonstrations on maps of these metrics alone; their routes stay."""
+    if metrics is None:
+        return demonstrations
+
+    @cache
+    def only(whole: CostMap) -> CostMap:
+        return whole.only(metrics)
+
+    return [replace(each, query=replace(each.query, cost_map=only(each.query.cost_map))) for each in demonstrations]
+
+
 def _cost_maps(
     maps: MetricMaps, planned: Planned, model: CostModel, constraints: Constraints, metrics: Sequence[str] | None
-) -> Callable[[float, str | None, str | None], CostMap]:
+) -> MapOf:
     """Return a function of altitude, time and time of day: the cost map there, each made when first needed.
 
     Warns of the first route that was planned under other constraints.

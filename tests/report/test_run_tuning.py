@@ -143,3 +143,45 @@ def test_ctrl_c_keeps_the_searches_and_the_same_command_ends_alike(made, tmp_pat
     resumed = json.loads(tune(capsys, made, "--bootstrap", 0, "--json", "-o", tmp_path / "out")[1])
     whole = json.loads(tune(capsys, made, "--bootstrap", 0, "--json", "-o", tmp_path / "whole")[1])
     assert resumed["weights"] == whole["weights"]
+
+
+def test_cities_are_fitted_together_and_judged_by_routes_held_out(made, tmp_path, capsys):
+    write_zarr(small_maps().ds, tmp_path / "second")
+    instances = ju.sample_instances(small_maps(), 12, weights=[HIDDEN], altitudes_m=[20.0], seed=1)
+    instances.to_csv(tmp_path / "instances.csv", index=False)
+    pilot = ",".join(f"{name}={value}" for name, value in HIDDEN.to_dict().items())
+    options = ("--hold-out", 0.25, "--losses", "robust,plain", "--by-city", "--pilot", pilot, "--bootstrap", 8)
+    arguments = (made / "maps", made / "routes.geojson", tmp_path / "second", tmp_path / "instances.csv")
+    code, out, err = run(capsys, "tune", *arguments, "-o", tmp_path / "out", *options, "--rounds", 14, "--json")
+    assert code == 0, err
+    facts = json.loads(out)
+    assert [row["fit"] for row in facts["fits"]] == ["robust", "plain", "only maps", "only second"]
+    assert facts["fits"][0]["cosine"] > 0.99
+    assert facts["fits"][0]["pilot_regret"] < 1e-3
+    report = (tmp_path / "out" / "report.md").read_text()
+    for words in ("## Fits compared", "4 of 16 in maps", "in second", "(figures/fits.png)", "| only second |"):
+        assert words in report
+    routes = pd.read_csv(tmp_path / "out" / "routes.csv")
+    assert len(pd.read_csv(tmp_path / "out" / "examples.csv")) == (~routes.is_held_out).sum()
+    assert (tmp_path / "out" / "figures" / "fits.png").is_file()
+    assert [*pd.read_csv(tmp_path / "out" / "fits.csv")["fit"]] == [row["fit"] for row in facts["fits"]]
+
+
+def test_sampled_instances_are_flown_by_the_pilot_and_need_one(made, tmp_path, capsys):
+    sampled = ("tune", made / "maps", "-o", tmp_path / "out", "--sample", 6, "--metrics", "gps")
+    code, out, err = run(capsys, *sampled, "--pilot", "distance=0.02,gps=1", "--bootstrap", 0, "--json")
+    assert code == 0, err
+    assert json.loads(out)["mean_regret"] < 1e-4
+    assert "6 instances sampled with seed 0" in (tmp_path / "out" / "report.md").read_text()
+    for arguments, words in (
+        (sampled, ("name the weights of the pilot",)),
+        (("tune", made / "maps", "-o", tmp_path / "other"), ("jaxurban study", "--sample")),
+        (
+            ("tune", made / "maps", made / "routes.geojson", "-o", tmp_path / "b", "--sample", 3),
+            ("choose one of both",),
+        ),
+        (("tune", made / "maps", made / "routes.geojson", "-o", tmp_path / "b", "--losses", "rubust"), ("rubust",)),
+    ):
+        code, _, err = run(capsys, *arguments)
+        assert code == 2
+        assert_one_sentence(err, *words)

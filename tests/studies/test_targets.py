@@ -89,6 +89,10 @@ def test_a_target_for_a_metric_left_out_is_refused(queries):
         fit_targets(queries, targets("mean_risk>=0.5"))
     with pytest.raises(InputError, match="no targets"):
         fit_targets(queries, [])
+    with pytest.raises(InputError, match="did you mean 'mean_gps'"):
+        fit_targets(queries, ["mean_gsp>=0.5"])
+    with pytest.raises(InputError, match="each of targets must be a Target"):
+        fit_targets(queries, [5])
 
 
 @pytest.mark.slow

@@ -1,6 +1,8 @@
 """Routes from files: lines that someone flew, drew or planned."""
 
+import ast
 import json
+import re
 import warnings
 from collections.abc import Mapping
 from contextlib import suppress
@@ -12,12 +14,15 @@ import numpy as np
 import pandas as pd
 import shapely
 
-from jaxurban.errors import InputError, LeftOutWarning, finite
+from jaxurban.errors import InputError, LeftOutWarning, finite, readable
 from jaxurban.io.read.vector import open_layers
 
 SEGMENT_PROPERTY = "segment"  # of lines that repeat a part of jaxurban's own route, for its report
 ALTITUDE_PROPERTY, TIME_OF_DAY_PROPERTY, TIME_PROPERTY = "altitude_m", "time_of_day", "time"
 PROPERTIES = ("name", ALTITUDE_PROPERTY, TIME_OF_DAY_PROPERTY, TIME_PROPERTY)
+FOLLOWS_GROUND = "follow the ground"  # in the note of a mission that jaxurban wrote over terrain
+PLAN_SUFFIX = ".plan"  # of QGroundControl's missions
+FLAT = re.compile(r"settings[._](?:(weights|limits)[._])?(\w+)")  # columns of our KML, as GDAL names them
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,13 +46,15 @@ class Route:
 
 
 def read_routes(file: str | Path) -> list[Route]:
-    """Return the lines of a vector file, each part of a MultiLineString a route of its own.
+    """Return the lines of a vector file, each part of a MultiLineString a route of its own, or a ``.plan``'s mission.
 
     Segments that jaxurban wrote beside a route, for its report, are left out.
 
     Raises:
       InputError: no such file, no line in it, or an altitude that is not a number.
     """
+    if Path(file).suffix.lower() == PLAN_SUFFIX:
+        return [_mission(Path(file))]
     routes: list[Route] = []
     num_others = 0
     layers = (frame.to_crs("EPSG:4326") for frame in open_layers(file, "routes"))
@@ -61,6 +68,7 @@ def read_routes(file: str | Path) -> list[Route]:
             continue
         settings = _settings(row)
         facts = settings | {key: row[key] for key in PROPERTIES if not pd.isna(row.get(key))}
+        facts.setdefault("name", row.get("Name"))  # of KML
         parts = [part for part in shapely.get_parts(geometry) if part.length > 0]
         for part_number, part in enumerate(parts, start=1):
             name = str(facts.get("name") or number) + (f".{part_number}" if len(parts) > 1 else "")
@@ -83,9 +91,47 @@ def _is_finite(geometry: shapely.Geometry) -> bool:
 
 
 def _settings(row: Any) -> dict[str, Any]:
-    """Return what jaxurban's own paths keep under ``settings``."""
+    """Return what jaxurban's own paths keep under ``settings``: one object, or flat in the columns of a KML file."""
     settings = row.get("settings")
     if isinstance(settings, str):
         with suppress(ValueError):
             settings = json.loads(settings)
-    return dict(settings) if isinstance(settings, dict) else {}
+    if isinstance(settings, dict):
+        return dict(settings)
+    flat: dict[str, Any] = {}
+    for column, text in row.items():
+        found = FLAT.fullmatch(str(column))
+        if found is None or not isinstance(text, str):
+            continue
+        group, name = found.groups()
+        value: Any = text
+        with suppress(ValueError, SyntaxError):
+            value = ast.literal_eval(text)
+        (flat.setdefault(group, {}) if group else flat)[name] = value
+    return flat
+
+
+def _mission(file: Path) -> Route:
+    """Return the waypoints of a mission of QGroundControl as a route.
+
+    Its altitude is that of the first waypoint above home, where all are alike or jaxurban wrote the mission over
+    terrain, so that they follow the ground; otherwise it is not known.
+
+    Raises:
+      InputError: the file cannot be read, or holds no mission of two waypoints.
+    """
+    with readable(
+        f"the routes file {str(file)!r}", "a mission of QGroundControl", "give a whole one", LookupError, TypeError
+    ):
+        plan = json.loads(file.read_text(encoding="utf-8"))
+        items = plan["mission"]["items"]
+        points = [item["params"][4:7] for item in items if item.get("type") == "SimpleItem"]
+        lat, lon, z_m = np.array([point for point in points if None not in point], np.float64).reshape(-1, 3).T
+        settings = plan.get("settings", {})
+    if len(np.unique(np.stack([lon, lat], axis=1), axis=0)) < 2:
+        raise InputError(
+            f"{str(file)!r} holds no mission of two waypoints or more: give one, or another file of routes"
+        )
+    is_known = np.ptp(z_m) == 0 or FOLLOWS_GROUND in str(plan.get("note", ""))
+    times = (settings.get(TIME_OF_DAY_PROPERTY), settings.get(TIME_PROPERTY))
+    return Route(np.stack([lon, lat], axis=1), file.stem, float(z_m[0]) if is_known else None, *times, settings)

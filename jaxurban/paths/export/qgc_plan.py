@@ -4,7 +4,8 @@ Points within a centimetre of the straight line between their neighbours are lef
 mission of thousands. Altitudes are relative to the home position, the first point. Over maps with terrain they follow
 the ground: points are added until the straight lines between waypoints miss the planned height above ground by at
 most `GROUND_TOLERANCE_M`, and home has the terrain file's elevation. Without terrain level ground is assumed, and
-home is at 0 m; `height_note` says which, and the file holds it as ``note``. There is no landing: a pilot adds it.
+home is at 0 m; `height_note` says which, and the
+file holds it as ``note`` beside the path's ``settings``. There is no landing: a pilot adds it.
 """
 
 import json
@@ -126,6 +127,7 @@ def to_qgc_plan(routes: Named, report: "RouteReport | None") -> bytes:
         "version": 1,
         "groundStation": "QGroundControl",
         "note": f"{height_note(route)} {facts['message']}".strip(),  # no key of the format: readers leave it alone
+        "settings": facts.get("settings", {}),  # nor is this: what the path was planned under, for fits of weights
         "mission": {
             "version": 2,
             "firmwareType": MAV_AUTOPILOT_PX4,

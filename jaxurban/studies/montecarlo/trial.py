@@ -80,6 +80,10 @@ class BenchmarkSettings:
             *(PlannerRun(name, DISTANCE) for name in self.distance_only),
         ]
 
+    def seed_of(self, instance: int) -> int:
+        """Return the seed of sampling planners on an instance, by its number."""
+        return int(np.random.SeedSequence([self.seed, instance]).generate_state(1)[0])
+
     def to_dict(self) -> dict[str, Any]:
         """Return what decides a row, but for its planner, as plain, JSON-ready values."""
         numbers = {name: getattr(self, name) for name in ("budget_s", "budget_iterations", "seed")}
@@ -135,7 +139,7 @@ def solve_instance(
     by_objective = {DISTANCE: shortest}
     if any(run.objective == WEIGHTED for run in runs):
         by_objective[WEIGHTED] = shortest.with_weights(weights)
-    seed = int(np.random.SeedSequence([settings.seed, int(instance["instance"])]).generate_state(1)[0])
+    seed = settings.seed_of(int(instance["instance"]))
     rows = []
     for run in runs:
         try:

@@ -10,7 +10,7 @@ from scipy.optimize import linprog
 
 from jaxurban.studies.queries import RouteQuery, maps_of
 from jaxurban.studies.route_pool import NOT_A_ROUTE, RoutePool
-from jaxurban.studies.tuning.fenchel_young import FitTask, descend, loss, regrets, weights_of
+from jaxurban.studies.tuning.fenchel_young import FitTask, descend, fenchel_young_loss, regrets, weights_of
 
 STEPS = 100  # of each refit, which starts at the fit of all demonstrations
 NUM_SUBSETS = 8  # of each size
@@ -24,8 +24,27 @@ MUCH = 0.1  # of the largest: a weight with such a part in a direction belongs t
 LEAST_SHARE = 0.01  # of a random walk's features
 
 
+def draw_counts(cities: np.ndarray, num_draws: int, rng: np.random.Generator) -> np.ndarray:
+    """Return ``[B, N]`` how often each of ``N`` members counts in bootstrap draws.
+
+    Where there are several cities, as many of them are drawn, and for each as many of its members as it has.
+
+    Args:
+      cities: ``[N]`` the number of each member's city, from 0.
+      num_draws: B.
+      rng: what is drawn.
+    """
+    members = [np.flatnonzero(cities == city) for city in range(cities.max(initial=0) + 1)]
+    counts = np.zeros((num_draws, len(cities)))
+    for row in counts:
+        for city in rng.integers(len(members), size=len(members)) if len(members) > 1 else (0,):
+            here = members[city]
+            row[here] += rng.multinomial(len(here), np.full(len(here), 1 / len(here)))
+    return counts
+
+
 def refit(
-    log_weights: np.ndarray, task: FitTask, num_bootstrap: int, rng: np.random.Generator
+    log_weights: np.ndarray, task: FitTask, counts: np.ndarray, rng: np.random.Generator
 ) -> tuple[np.ndarray, pd.DataFrame]:
     """Return ``[B, K]`` log weights fitted to demonstrations drawn anew with replacement, and what fewer of them give.
 
@@ -36,20 +55,19 @@ def refit(
     Args:
       log_weights: ``[K]`` of the fit of all demonstrations.
       task: its routes, noise and trust.
-      num_bootstrap: B.
+      counts: ``[B, Q]`` how often each demonstration is drawn.
       rng: what is drawn.
     """
     num = len(task.demo)
-    if num_bootstrap == 0 or num < 2:
+    if len(counts) == 0 or num < 2:
         return np.empty((0, len(log_weights))), pd.DataFrame()
-    counts = rng.multinomial(num, np.full(num, 1 / num), size=num_bootstrap)
     sizes = [2**k for k in range(1, 31) if 2**k < num]
     masks = np.array([rng.permutation(num) < size for size in sizes for _ in range(NUM_SUBSETS)]).reshape(-1, num)
     trust = np.asarray(task.trust)
     trusts = jnp.asarray(np.concatenate([counts, masks]) * trust + NO_TRUST)
     fits = np.asarray(_fits(jnp.asarray(log_weights), task, trusts))
     held_out = []
-    for mask, fitted in zip(masks, fits[num_bootstrap:], strict=True):
+    for mask, fitted in zip(masks, fits[len(counts) :], strict=True):
         left = ~mask * trust + NO_TRUST
         held_out.append(np.sum(left * np.asarray(regrets(weights_of(jnp.asarray(fitted)), task))) / left.sum())
     by_size = np.array(held_out).reshape(-1, NUM_SUBSETS)
@@ -60,13 +78,17 @@ def refit(
             "worst_held_out_regret": by_size.max(axis=1, initial=0.0),
         }
     )
-    return fits[:num_bootstrap], table
+    return fits[: len(counts)], table
 
 
 @jax.jit
 def _fits(log_weights: jax.Array, task: FitTask, trusts: jax.Array) -> jax.Array:
     """Return ``[T, K]`` the fits under trusts ``[T, Q]``, each from the same start."""
-    return jax.lax.map(lambda trust: descend(log_weights, task._replace(trust=trust), loss, STEPS)[0], trusts)
+
+    def fit(trust: jax.Array) -> jax.Array:
+        return descend(log_weights, task._replace(trust=trust), fenchel_young_loss, STEPS)[0]
+
+    return jax.lax.map(fit, trusts)
 
 
 def near_optimal_range(weights: np.ndarray, task: FitTask, scale: np.ndarray, tolerance: float) -> np.ndarray:

@@ -1,5 +1,6 @@
-"""The perturbed Fenchel-Young loss of weights, over the routes of a pool."""
+"""What fits of weights bring down over the routes of a pool: the perturbed Fenchel-Young loss, and regrets."""
 
+from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
 
@@ -12,6 +13,8 @@ from jaxtyping import Array, Float
 from jaxurban.studies.tuning.descent import adam
 
 FIRST_RATE, LAST_RATE = 0.05, 0.005  # of Adam, in log weight a step
+LEAST_REGRET = 0.01  # demonstrations much nearer than this to the cheapest are trusted; less distrusted good ones
+TRIMMED = 0.25  # of the demonstrations that a trimmed loss leaves out: more than may be bad
 
 
 class FitTask(NamedTuple):
@@ -45,7 +48,7 @@ def weights_of(log_weights: Float[Array, " K"]) -> Float[Array, " K"]:
     return jax.nn.softmax(log_weights)
 
 
-def loss(log_weights: Float[Array, " K"], task: FitTask) -> Float[Array, ""]:
+def fenchel_young_loss(log_weights: Float[Array, " K"], task: FitTask) -> Float[Array, ""]:
     """Return the mean of (W . phi_demo - E[min over routes of (W exp(Z)) . phi]) / sum(phi_demo), weighted by trust.
 
     Its gradient with respect to W is phi_demo - E[exp(Z) phi*], phi* the features of the route that is
@@ -67,6 +70,55 @@ def regrets(weights: Float[Array, " K"], task: FitTask) -> Float[Array, " Q"]:
 def mean_regret(log_weights: Float[Array, " K"], task: FitTask) -> Float[Array, ""]:
     """Return the mean of `regrets`, weighted by trust; its gradient is a subgradient where routes tie."""
     return jnp.sum(task.trust * regrets(weights_of(log_weights), task)) / jnp.sum(task.trust)
+
+
+class Loss(NamedTuple):
+    """What a fit brings down once the perturbed Fenchel-Young loss has led it near.
+
+    Attributes:
+      objective: of log weights and a task.
+      trust: ``[Q]`` how far each demonstration counts, from regrets ``[Q]`` and the patience of the round.
+    """
+
+    objective: Callable[[Array, FitTask], Array]
+    trust: Callable[[np.ndarray, float], np.ndarray]
+
+
+def usual_regret(regret: np.ndarray) -> float:
+    """Return the regret that is nothing out of the ordinary among regrets ``[Q]``."""
+    return max(3 * float(np.median(regret)), LEAST_REGRET)
+
+
+def trust_of(regret: np.ndarray, usual: float) -> np.ndarray:
+    """Return ``[Q]`` in (0, 1] how far demonstrations are trusted: little where a regret is far above the usual."""
+    return 1 / (1 + (np.maximum(regret, 0) / usual) ** 2) ** 2
+
+
+def redescending_trust(regret: np.ndarray, patience: float) -> np.ndarray:
+    """Return ``[Q]`` trust, little where a regret is far above most.
+
+    Patience falls to 1 over the rounds (graduated non-convexity): doubt at first sight would make wrong weights
+    believe only the demonstrations that suit them.
+    """
+    return trust_of(regret, usual_regret(regret) * patience)
+
+
+def trimmed_trust(regret: np.ndarray, patience: float) -> np.ndarray:
+    """Return ``[Q]`` 1, and 0 for the `TRIMMED` share with the largest regrets; patience plays no part."""
+    return (regret <= np.quantile(regret, 1 - TRIMMED)).astype(float)
+
+
+def full_trust(regret: np.ndarray, patience: float) -> np.ndarray:
+    """Return ``[Q]`` 1 for each demonstration."""
+    return np.ones_like(regret)
+
+
+LOSSES = {
+    "robust": Loss(mean_regret, redescending_trust),
+    "fenchel-young": Loss(fenchel_young_loss, redescending_trust),
+    "trimmed": Loss(mean_regret, trimmed_trust),
+    "plain": Loss(mean_regret, full_trust),
+}
 
 
 @partial(jax.jit, static_argnames=("objective", "num_steps"))

@@ -2,7 +2,7 @@
 
 import itertools
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -93,7 +93,7 @@ class TargetFit:
 @typed
 def fit_targets(
     queries: Sequence[RouteQuery],
-    targets: Sequence[Target],
+    targets: Sequence[Target | str],
     *,
     start: Weights | None = None,
     settings: FitSettings | None = None,
@@ -109,7 +109,7 @@ def fit_targets(
 
     Args:
       queries: from several maps if liked.
-      targets: bounds on outcomes.
+      targets: bounds on outcomes, or texts such as ``"mean_gps>=0.8"``.
       start: where to begin; equal shares of the shortest routes' cost if left out.
       settings: of the search; rounds are counted for each set of targets that is tried, the budget is for all.
 
@@ -121,8 +121,9 @@ def fit_targets(
     names = check_alike(queries)
     if not targets:
         raise InputError("there are no targets: give at least one, such as mean_gps>=0.8")
-    for target in targets:
-        target.checked(dict.fromkeys((*METRICS, *queries[0].cost_map.maps.metrics)))
+    known = tuple(dict.fromkeys((*METRICS, *queries[0].cost_map.maps.metrics)))
+    wanted = [_checked(each, known) for each in ([targets] if isinstance(targets, str) else targets)]
+    for target in wanted:
         if target.metric is not None and target.metric not in names:
             raise InputError(
                 f"target {str(target)!r}: {target.metric} is not among the metrics, {', '.join(names[1:])}"
@@ -131,7 +132,7 @@ def fit_targets(
     pool = settings.pool(
         queries,
         fit="targets",
-        targets=[str(target) for target in targets],
+        targets=[str(target) for target in wanted],
         max_rounds=settings.max_rounds,
         start=None if given is None else given.tolist(),
     )
@@ -140,7 +141,7 @@ def fit_targets(
     with jax.enable_x64(True), reporting("fit", settings.progress) as report:
         search = _Search(
             pool,
-            tuple(targets),
+            tuple(wanted),
             np.concatenate(shortest, axis=-1),
             np.log(first / first.sum()),
             settings,
@@ -148,15 +149,15 @@ def fit_targets(
             report,
         )
         search.explore()
-        best = search.run(targets)
+        best = search.run(wanted)
         is_met = bool(np.all(best.missed <= MET))
-        alone = [best if is_met or len(targets) == 1 else search.run([target]) for target in targets]
+        alone = [best if is_met or len(wanted) == 1 else search.run([target]) for target in wanted]
         conflicts: list[tuple[str, str]] = []
         if not is_met:
             reachable = [number for number, found in enumerate(alone) if found.missed[number] <= MET]
             for pair in itertools.combinations(reachable, 2):
-                one, other = (targets[number] for number in pair)
-                both = best if len(targets) == 2 else search.run([one, other])
+                one, other = (wanted[number] for number in pair)
+                both = best if len(wanted) == 2 else search.run([one, other])
                 if both.missed[list(pair)].max() > MET:
                     conflicts.append((str(one), str(other)))
         at_shortest = search.outcomes(search.shortest)
@@ -164,8 +165,8 @@ def fit_targets(
     return TargetFit(
         names=names,
         weights=weights_from(queries[0], weights / weights.sum()),
-        outcomes=_outcome_table(targets, [best] * len(targets), at_shortest),
-        alone=_outcome_table(targets, alone, at_shortest),
+        outcomes=_outcome_table(wanted, [best] * len(wanted), at_shortest),
+        alone=_outcome_table(wanted, alone, at_shortest),
         conflicts=tuple(conflicts),
         is_met=is_met,
         curve=pd.DataFrame(best.rows),
@@ -173,6 +174,13 @@ def fit_targets(
         num_plans=pool.num_plans,
         elapsed_s=time.perf_counter() - begin_s,
     )
+
+
+def _checked(given: Target | str, metrics: Iterable[str]) -> Target:
+    """Return a target that may be a text, of an outcome of these metrics."""
+    target = Target.parse(given, metrics) if isinstance(given, str) else given
+    check_type("each of targets", target, Target, "Target.parse")
+    return target.checked(metrics)
 
 
 @dataclass(frozen=True, eq=False)

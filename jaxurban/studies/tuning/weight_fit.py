@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 
-from jaxurban.errors import InputError, check_type, one_of, typed
+from jaxurban.errors import at_least, check_type, one_of, typed
 from jaxurban.io.rows import fingerprint
 from jaxurban.metrics.weights import Weights
 from jaxurban.progress import reporting
@@ -19,16 +19,19 @@ from jaxurban.studies.queries import check_alike, weights_from
 from jaxurban.studies.route_pool import RoutePool
 from jaxurban.studies.tuning.confidence import (
     constant_layers,
+    draw_counts,
     feature_units,
     indistinct_weights,
     near_optimal_range,
     refit,
 )
 from jaxurban.studies.tuning.fenchel_young import (
+    LOSSES,
     FitTask,
+    Loss,
     descend,
     draw_log_noise,
-    loss,
+    fenchel_young_loss,
     mean_regret,
     regrets,
     weights_of,
@@ -36,19 +39,17 @@ from jaxurban.studies.tuning.fenchel_young import (
 from jaxurban.studies.tuning.fit_settings import FitSettings
 
 FIRST_NOISE, LAST_NOISE = 0.3, 0.03  # standard deviation of log weights: first far, in the end close to the minimum
-NOISE_ROUNDS = 10  # in which the noise shrinks
+NOISE_ROUNDS = 7  # in which the noise shrinks
 NUM_NOISE, NUM_PROBES = 32, 2  # noises a query in the loss; searches a query and round under perturbed weights
 STEPS, BOOTSTRAP_NOISE = 200, 8
 FEW = 2  # demonstrations a weight
-TRUST_ROUNDS, FIRST_DOUBT = (
-    3,
-    30.0,
-)  # rounds of full trust; how many times farther off a route may then be at first
-LEAST_REGRET = 2e-3  # demonstrations much nearer than this to the cheapest are trusted
+TRUST_ROUNDS, DOUBT_ROUNDS = 7, 6  # of full trust; in which patience then falls to 1
+FIRST_DOUBT = 30.0  # how many times farther off a route may be at first
 SETTLED = 1e-5  # a round that betters no known route by more has nothing to add
 REGRET_ROUNDS = 4  # searches for the least regret that any weights reach
 IN_ROUND, IN_BOOTSTRAP = 1, 2  # streams of random numbers
 WIDE = 10  # a weight whose interval spans a larger factor is hardly pinned down
+DISTRUSTED = 0.1  # a demonstration that is trusted less is bad: it hardly counts
 OPTIMAL_REGRET = 0.005  # on average beyond this, the demonstrations are not optimal under any weights
 
 
@@ -63,6 +64,7 @@ class WeightFit:
       spread: ``[K]`` w_j x std(phi_j) over the demonstrations, scaled to length 1: what fits are compared by.
       interval: ``[2, K]`` 5th and 95th percentile of the weights over bootstrap fits, widened to all weights that
         explain the demonstrations as well (`confidence.near_optimal_range`); NaN without bootstrap.
+      draws: ``[B, K]`` the weights of the bootstrap fits.
       regret: ``[Q]`` by which share each is costlier than the cheapest route under the weights, by search.
       trust: ``[Q]`` in [0, 1] weight that each demonstration had in the end.
       best_mean_regret: the least mean regret that any weights were found to reach.
@@ -81,6 +83,7 @@ class WeightFit:
     shares: np.ndarray
     spread: np.ndarray
     interval: np.ndarray
+    draws: np.ndarray
     regret: np.ndarray
     trust: np.ndarray
     best_mean_regret: float
@@ -116,16 +119,18 @@ def fit_weights(
     demonstrations: Sequence[Demonstration],
     *,
     scale: str = "simplex",
+    loss: str = "robust",
     bootstrap: int = 200,
     settings: FitSettings | None = None,
 ) -> WeightFit:
     """Return the weights under which demonstrated routes are as close to cheapest as any weights make them.
 
-    A perturbed Fenchel-Young loss (see `fenchel_young.loss`) is brought down by gradient in log weights, over the
-    routes found so far; rounds of searches under the current and under perturbed weights find more, until a
-    round betters none. The noise shrinks from round to round: wide noise leads from anywhere, narrow noise ends
-    in the middle of the weights that explain the demonstrations. Those that stay far costlier than most are
-    trusted less (a redescending weight on their regret), so that some detours do not bend the fit.
+    A perturbed Fenchel-Young loss (`fenchel_young.fenchel_young_loss`) is brought down by gradient in log weights, over
+    the routes found so far; rounds of searches under the current and under perturbed weights find more, until a
+    round betters none. The noise shrinks from round to round: wide noise leads from anywhere, narrow noise ends near
+    the middle of the weights that explain the demonstrations. From there the mean regret itself is brought down, and
+    demonstrations that stay far costlier than most are trusted less (a redescending weight on their regret), so that
+    some detours do not bend the fit; other losses do otherwise, for comparison (`compare_fits`).
 
     Only the direction of W can be found; its length is set by ``scale``. The weight of a layer that is constant
     over the maps cannot be identified, and ``unidentified`` says so: under ``line`` (or where it costs nothing) it
@@ -134,19 +139,23 @@ def fit_weights(
     Args:
       demonstrations: from `read_demonstrations` or `demonstrations_from_paths`; of one or several maps.
       scale: ``"simplex"``: weights sum to 1; ``"distance"``: the distance weight is 1.
-      bootstrap: fits on demonstrations drawn anew, for intervals; 0 for none.
-      settings: of the search. It ends where a round at the least noise betters nothing; the noise shrinks over 10
-        rounds.
+      loss: ``"robust"``, as told above; ``"fenchel-young"``: the same, but for the mean regret; ``"trimmed"``: the
+        quarter with the largest regrets is left out; ``"plain"``: all count alike.
+      bootstrap: fits on demonstrations drawn anew, for intervals, cities first where there are several; 0 for none.
+      settings: of the search. The noise shrinks over 7 rounds, patience with far costlier demonstrations over 6 more;
+        after them it ends where a round betters nothing.
 
     Raises:
       InputError: no demonstrations, maps that do not go together, or a wrong setting.
     """
     one_of("scale", scale, ("simplex", "distance"))
-    if bootstrap < 0:
-        raise InputError(f"bootstrap must be >= 0, got {bootstrap}")
+    one_of("loss", loss, LOSSES)
+    at_least("bootstrap", bootstrap)
     begin_s, settings = time.perf_counter(), settings or FitSettings()
     check_type("settings", settings, FitSettings)
     demonstrations = list(demonstrations)
+    for each in demonstrations:
+        check_type("each of demonstrations", each, Demonstration, "read_demonstrations")
     queries = [each.query for each in demonstrations]
     names = check_alike(queries)
     constant = constant_layers(queries)
@@ -156,9 +165,12 @@ def fit_weights(
     is_fitted = np.array([name not in silent for name in names])
     demo = np.array([each.features for each in demonstrations])
     noise_rounds = min(settings.max_rounds, NOISE_ROUNDS)
+    least_rounds = min(settings.max_rounds, TRUST_ROUNDS + DOUBT_ROUNDS + 1 if loss != "plain" else NOISE_ROUNDS)
     known = [each.sums for each in demonstrations]
-    pool = settings.pool(queries, known, fit="imitation", noise_rounds=noise_rounds, demonstrations=fingerprint(demo))
-    fit = _Fit(pool, demo, np.where(is_fitted, feature_units(queries, demo), 1.0), is_fitted, settings.seed)
+    shown = fingerprint(demo)
+    pool = settings.pool(queries, known, fit="imitation", loss=loss, noise_rounds=noise_rounds, demonstrations=shown)
+    unit = np.where(is_fitted, feature_units(queries, demo), 1.0)
+    fit = _Fit(pool, demo, unit, is_fitted, settings.seed, LOSSES[loss])
     rows: list[dict[str, Any]] = []
     with jax.enable_x64(True), reporting("fit", settings.progress) as report:
         for number in range(settings.max_rounds):
@@ -166,18 +178,21 @@ def fit_weights(
             row = fit.run_round(number, noise) | {"elapsed_s": time.perf_counter() - begin_s}
             rows.append(row | dict(zip(names, _scaled(fit.weights, scale), strict=True)))
             report("rounds", number + 1, loss=f"{row['loss']:.3g}", searches=row["num_plans"])
-            is_settled = row["worst_gap"] <= SETTLED and number + 1 >= noise_rounds
+            is_settled = row["worst_gap"] <= SETTLED and number + 1 >= least_rounds
             if is_settled or row["elapsed_s"] > settings.budget_s:
                 break
         regret = fit.searched_regret(fit.log_weights)
         best = fit.least_mean_regret(float(regret.mean()))
         rng = np.random.default_rng([IN_BOOTSTRAP, 0, settings.seed])
-        drawn, fewer = refit(fit.log_weights, fit.task(BOOTSTRAP_NOISE, LAST_NOISE, rng), bootstrap, rng)
+        cities = np.unique([id(query.cost_map.maps) for query in queries], return_inverse=True)[1]
+        task = fit.task(BOOTSTRAP_NOISE, LAST_NOISE, rng)
+        log_draws, fewer = refit(fit.log_weights, task, draw_counts(cities, bootstrap, rng), rng)
+        draws = np.array([_scaled(fit.weights_of(row), scale) for row in log_draws]).reshape(-1, len(names))
         interval = np.full((2, len(names)), np.nan)
         if bootstrap:
             interval = fit.near_optimal_range(np.ones(len(names)) if scale == "simplex" else np.eye(len(names))[0])
-        if len(drawn):
-            by_draw = np.percentile([_scaled(fit.weights_of(row), scale) for row in drawn], [5, 95], axis=0)
+        if len(draws):
+            by_draw = np.percentile(draws, [5, 95], axis=0)
             interval = np.stack([np.minimum(by_draw[0], interval[0]), np.maximum(by_draw[1], interval[1])])
     cost, spread = fit.weights * demo.mean(axis=0), fit.weights * demo.std(axis=0)
     return WeightFit(
@@ -186,6 +201,7 @@ def fit_weights(
         shares=cost / cost.sum(),
         spread=spread / max(float(np.linalg.norm(spread)), 1e-300),
         interval=interval,
+        draws=draws,
         regret=regret,
         trust=fit.trust,
         best_mean_regret=best,
@@ -212,6 +228,7 @@ class _Fit:
     unit: np.ndarray  # [K] what features are counted in
     is_fitted: np.ndarray  # [K]
     seed: int
+    loss: Loss
     log_weights: np.ndarray = field(init=False)  # [F] of features in those units
     trust: np.ndarray = field(init=False)  # [Q]
 
@@ -249,12 +266,13 @@ class _Fit:
         expected = np.min(np.einsum("qmk,qrk->qmr", probed, self.pool.features), axis=-1)
         searched = np.einsum("qmk,qmk->qm", probed, self.pool.cheapest(probed)[0])
         here = self.task(NUM_NOISE, noise, rng)
+        objective = fenchel_young_loss if number < TRUST_ROUNDS else self.loss.objective
         if number >= TRUST_ROUNDS:
-            patience = FIRST_DOUBT ** max(0.0, 1 - (number - TRUST_ROUNDS) / (NOISE_ROUNDS - 2 - TRUST_ROUNDS))
+            patience = FIRST_DOUBT ** max(0.0, 1 - (number - TRUST_ROUNDS) / DOUBT_ROUNDS)
             regret = np.asarray(regrets(weights_of(jnp.asarray(self.log_weights)), here))
-            self.trust = _trust(regret, patience)
+            self.trust = self.loss.trust(regret, patience)
             here = here._replace(trust=jnp.asarray(self.trust))
-        ended, reached = descend(jnp.asarray(self.log_weights), here, loss, STEPS)
+        ended, reached = descend(jnp.asarray(self.log_weights), here, objective, STEPS)
         self.log_weights = np.asarray(ended)
         return {
             "round": number + 1,
@@ -301,16 +319,6 @@ def _scaled(weights: np.ndarray, scale: str) -> np.ndarray:
     return weights / (weights.sum() if scale == "simplex" else weights[0])
 
 
-def _trust(regret: np.ndarray, patience: float) -> np.ndarray:
-    """Return ``[Q]`` in (0, 1] how far each demonstration is trusted: little where its regret is far above most.
-
-    Patience falls to 1 over the rounds (graduated non-convexity): doubt at first sight would make wrong weights
-    believe only the demonstrations that suit them.
-    """
-    usual = max(3 * float(np.median(regret)), LEAST_REGRET) * patience
-    return 1 / (1 + (np.maximum(regret, 0) / usual) ** 2) ** 2
-
-
 def _said_of_constant(name: str, is_left_out: bool) -> str:
     said = f"The {name} layer is the same everywhere on these maps, so its weight cannot be identified"
     if is_left_out:
@@ -343,7 +351,7 @@ def _warnings(
             "The demonstrations are not optimal under any weights that were found: at best they cost "
             f"{100 * best:.2f} % more than the cheapest routes on average."
         )
-    if distrusted := int((trust < 0.1).sum()):
+    if distrusted := int((trust < DISTRUSTED).sum()):
         yield (
             f"{distrusted} of {num} demonstrations cost far more than the others' weights explain, and hardly count."
         )

@@ -1,0 +1,107 @@
+"""Fits compared: each judged by routes that it has not seen, and bad routes told from good ones."""
+
+import numpy as np
+import pytest
+
+from benchmarks.tuning import detour
+from jaxurban.errors import InputError
+from jaxurban.paths.cost_map import cost_map
+from jaxurban.studies.demonstrations import optimal_demonstrations
+from jaxurban.studies.tuning.compared_fits import compare_fits, split
+from jaxurban.studies.tuning.confidence import draw_counts
+from tests.studies.routes_made import HIDDEN, made_queries, small_maps
+
+NUM = 16
+
+
+@pytest.fixture(scope="module")
+def cities():
+    """Two cities, a fifth of whose routes go by way of a random place."""
+    rng = np.random.default_rng(0)
+    made = {}
+    for number, name in enumerate(("Aton", "Beton")):
+        shown = optimal_demonstrations(made_queries(cost_map(small_maps(), 20.0), NUM, seed=number), HIDDEN)
+        for k in range(0, NUM, 5):
+            shown[k] = detour(shown[k], HIDDEN.vector(shown[k].query.names), rng)
+        made[name] = shown
+    return made
+
+
+@pytest.fixture(scope="module")
+def found(cities):
+    return compare_fits(cities, losses=("robust", "plain"), pilot=HIDDEN, bootstrap=20)
+
+
+def test_a_robust_fit_finds_the_pilot_among_detours_where_a_plain_one_is_bent(found):
+    fits = found.table.set_index("fit")
+    assert [*fits.index] == ["robust", "plain", "only Aton", "only Beton"]
+    assert fits.cosine["robust"] > 0.999
+    assert fits.cosine["robust"] > fits.cosine["plain"] + 0.001
+    assert fits.pilot_regret["robust"] < 1e-3
+    assert fits.held_out_regret["robust"] < 1e-3
+    assert fits.held_out_regret["robust"] <= fits.held_out_regret["plain"]
+    assert np.all(fits.cosine_low <= fits.cosine_high)
+
+
+def test_every_detour_that_costs_much_is_told_as_bad_held_out_or_not(found, cities):
+    routes = found.routes
+    shown = [each for name in cities for each in cities[name]]
+    weights = HIDDEN.vector(shown[0].query.names)
+    best = np.array([each.query.sums(each.query.cheapest(weights))[0] @ weights for each in shown])
+    dearer = np.array([each.features @ weights for each in shown]) / best - 1
+    is_detour = dearer > 0.02
+    assert is_detour.sum() >= 6
+    np.testing.assert_array_equal(routes.is_bad, is_detour)
+    assert routes.is_held_out[is_detour].any()
+    assert [*routes.groupby("city").is_held_out.sum()] == [NUM // 4] * 2
+
+
+def test_regrets_are_those_of_a_search_of_ones_own(found, cities):
+    weights = found.fits["plain"].vector
+    shown = [each for name in cities for each in cities[name]]
+    regret = [
+        (each.features @ weights) / (each.query.sums(each.query.cheapest(weights))[0] @ weights) - 1 for each in shown
+    ]
+    good = (found.routes.is_held_out & ~found.routes.is_bad).to_numpy()
+    assert found.table.held_out_regret[1] == pytest.approx(np.mean(np.array(regret)[good]), abs=1e-12)
+    aton = good & (found.routes.city == "Aton").to_numpy()
+    assert found.table["regret Aton"][1] == pytest.approx(np.mean(np.array(regret)[aton]), abs=1e-12)
+
+
+def test_groups_stay_together_and_every_city_keeps_its_share():
+    city, group = np.repeat(["a", "b"], [40, 20]), np.arange(60) // 2
+    is_held_out = split(city, group, 0.25, seed=3)
+    assert [is_held_out[city == name].sum() for name in "ab"] == [10, 4]
+    assert np.all(is_held_out[::2] == is_held_out[1::2])
+    assert np.any(is_held_out != split(city, group, 0.25, seed=4))
+    assert not split(city, group, 0.0, seed=3).any()
+    with pytest.raises(InputError, match="too few to hold some out"):
+        split(np.array(["a"]), np.array([0]), 0.25, seed=0)
+
+
+def test_draws_of_several_cities_take_whole_cities_and_of_one_its_members():
+    rng = np.random.default_rng(0)
+    counts = draw_counts(np.repeat([0, 1, 2], [5, 3, 4]), 400, rng)
+    by_city = np.add.reduceat(counts, [0, 5, 8], axis=1) / [5, 3, 4]
+    assert np.all(by_city == np.round(by_city))
+    assert np.all(by_city.sum(axis=1) == 3)
+    np.testing.assert_allclose(counts.mean(axis=0), 1, atol=0.3)
+    assert np.all(draw_counts(np.zeros(7, int), 50, rng).sum(axis=1) == 7)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        ({"losses": ("rubust",)}, "rubust.*robust"),
+        ({"losses": ()}, "losses is empty"),
+        ({"hold_out": 1.0}, "hold_out must be a share"),
+        ({"hold_out": 0.9}, "too few to hold some out"),
+        ({"bootstrap": -1}, "bootstrap"),
+    ],
+)
+def test_wrong_choices_are_one_sentence(cities, wrong, words):
+    few = {name: shown[:4] for name, shown in cities.items()}
+    with pytest.raises(InputError, match=words):
+        compare_fits(few, **wrong)
+    with pytest.raises(InputError, match="each demonstration must be a Demonstration"):
+        compare_fits({"Aton": [5]})
