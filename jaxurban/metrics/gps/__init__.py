@@ -8,6 +8,7 @@ from jaxurban.metrics.gps.hard import compute_gps as compute_gps
 from jaxurban.metrics.gps.hard import gps_metric as gps_metric
 from jaxurban.metrics.gps.hard import gps_of_words as gps_of_words
 from jaxurban.metrics.gps.hard import maps_of_words as maps_of_words
+from jaxurban.metrics.gps.metric import DOPS as DOPS
 from jaxurban.metrics.gps.metric import METRIC as METRIC
 from jaxurban.metrics.gps.params import GpsParams as GpsParams
 from jaxurban.metrics.gps.soft import soft_gps as soft_gps
