@@ -31,7 +31,7 @@ from jaxurban.maps.tiled import TileJob, unmark_damaged
 from jaxurban.metrics.availability import TimeTotals
 from jaxurban.metrics.registry import METRICS
 from jaxurban.progress import LOG, Progress, Report, reporting
-from jaxurban.scenario.provenance import hash_inputs, run_key, run_record, write_record
+from jaxurban.scenario.provenance import hash_inputs, other_maps, run_key, run_record, write_record
 from jaxurban.scenario.settings import NOMINAL, Scenario
 from jaxurban.world.city import City
 from jaxurban.world.grid import Grid
@@ -152,8 +152,8 @@ def _run(scenario: Scenario, folder: Path, overwrite: bool, resources: Resources
         key = run_key(scenario, inputs)
         if has_other_maps(folder, key) and not overwrite:
             raise InputError(
-                f"{str(folder)!r} holds maps of other settings or inputs, or made by another version of jaxurban "
-                "or its libraries: choose another folder, or pass --overwrite to replace them"
+                f"{str(folder)!r} holds {other_maps(folder, scenario, inputs)}: choose another folder, or pass "
+                "--overwrite to replace them"
             )
         tasks = tasks_of(scenario, watch.stage)
         guesses = map_guesses(tasks[0])
