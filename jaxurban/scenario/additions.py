@@ -46,7 +46,8 @@ def addition_to(folder: Path, scenario: Scenario, inputs: Mapping[str, Mapping[s
     if any(inputs.get(role) != file for role, file in files.items()):
         return None
     altitudes_m = [z_m for z_m in scenario.region.altitudes_m if z_m not in before.region.altitudes_m]
-    layers = [name for name in scenario.layers if name not in before.layers]
+    old_layers, now_layers = (settings_of(one).get("layers", {}) for one in (before, scenario))
+    layers = [name for name in now_layers if name not in old_layers]
     times = scenario.gps.utc_times
     is_default = times is None and before.gps.utc_times is None
     if times is None and not is_default:
@@ -55,7 +56,7 @@ def addition_to(folder: Path, scenario: Scenario, inputs: Mapping[str, Mapping[s
     is_kept = (
         set(before.region.altitudes_m) <= set(scenario.region.altitudes_m)
         and (times is None or set(epochs) <= set(times))
-        and all(scenario.layers.get(name) == layer for name, layer in before.layers.items())
+        and all(now_layers.get(name) == layer for name, layer in old_layers.items())
         and all(role in files or role.startswith(LAYER_ROLE) for role in inputs)
     )
     keeps_times = all(

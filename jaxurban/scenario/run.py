@@ -163,7 +163,7 @@ def _run(scenario: Scenario, folder: Path, overwrite: bool, resources: Resources
         warnings.simplefilter("always", UserWarning)
         inputs = hash_inputs(scenario)
         key = run_key(scenario, inputs)
-        added = None if overwrite or not has_other_maps(folder, key) else addition_to(folder, scenario, inputs)
+        added = None if overwrite else addition_to(folder, scenario, inputs)
         before = None if added is None else added.key
         if has_other_maps(folder, key, *([] if before is None else [before])) and not overwrite:
             raise InputError(
@@ -180,7 +180,7 @@ def _run(scenario: Scenario, folder: Path, overwrite: bool, resources: Resources
                 tasks, folder, resources.memory_bytes, resources.num_workers, resources.num_processes is not None
             )
         LOG.info(plan_sentence(tasks, plan))
-        if added is not None:
+        if added is not None and has_other_maps(folder, key):
             LOG.info(f"adding to the maps in {str(folder)!r}, which are kept: {added.what}")
         # Nothing of an older job is touched before this one can begin.
         with only_writer(folder), resources.client() as client:

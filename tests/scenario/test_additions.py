@@ -1,6 +1,10 @@
 """Altitudes, times and layers added to finished maps: every file as if all had been made at once, whoever is killed."""
 
 import os
+import signal
+import subprocess
+import sys
+import textwrap
 from pathlib import Path
 from typing import Any
 
@@ -9,9 +13,9 @@ import pytest
 import rasterio
 from affine import Affine
 
-import jaxurban as ju
+from jaxurban.io.files import read_json
 from jaxurban.maps import recipe
-from jaxurban.scenario import run as pipeline
+from jaxurban.scenario import provenance
 from tests.cli_runs import assert_one_sentence, run
 from tests.tiled_runs import files_of
 
@@ -30,7 +34,10 @@ times = {times}
 range_m = 60
 {layers}
 """
-LAYERS = {name: f'[layers.{name}]\nsource = "{name}.tif"\nnormalise = 80.0\n' for name in ("noise", "dust")}
+LAYERS = {
+    name: f'[layers.{name}]\nsource = "{name}.tif"\ncost = "high-is-bad"\nscale = [0, 80]\n'
+    for name in ("noise", "dust")
+}
 
 
 def write_layers(folder: Path) -> None:
@@ -113,16 +120,9 @@ def test_what_is_added_gives_the_folder_that_is_made_at_once(first, then, new, t
     whole, grown = maps_of(tmp_path / "whole"), maps_of(tmp_path / "grown")
     assert sorted(whole) == sorted(grown)
     assert [name for name in whole if whole[name] != grown[name]] == []
-    records = [ju.errors and pipeline.store and (tmp_path / name / "run.json") for name in ("whole", "grown")]
-    assert len({open_record(record)["run_key"] for record in records}) == 1
+    assert len({read_json(tmp_path / name / "run.json")["run_key"] for name in ("whole", "grown")}) == 1
     assert run(capsys, "maps", file, "-o", tmp_path / "grown")[0] == 0  # finished, and kept
     assert maps_of(tmp_path / "grown") == whole
-
-
-def open_record(file: Path) -> dict[str, Any]:
-    from jaxurban.io.files import read_json
-
-    return read_json(file)
 
 
 @pytest.mark.parametrize(
@@ -162,9 +162,51 @@ def test_damaged_maps_are_not_built_upon(tmp_path, capsys):
 def test_maps_of_other_code_are_not_added_to(tmp_path, capsys, monkeypatch):
     out = tmp_path / "out"
     assert run(capsys, "maps", scenario_file(tmp_path, **SMALL), "-o", out)[0] == 0
-    from jaxurban.scenario import provenance
-
     monkeypatch.setattr(provenance, "code_hash", lambda: "other code")
     code, _, err = run(capsys, "maps", scenario_file(tmp_path, **SMALL | {"altitudes_m": (60, 122)}), "-o", out)
     assert code == 2
     assert_one_sentence(err, "region.altitudes_m")
+
+
+KILLED_AT = {  # what a process does instead of going on
+    "a tile half written": ("jaxurban.maps.tiled", "write_layer", 4),
+    "the new maps in place of the old ones": ("jaxurban.io.files", "shutil.rmtree", 1),
+    "the second GeoTIFF": ("jaxurban.io.geotiff", "_write_cog", 2),
+    "the record": ("jaxurban.scenario.run", "write_record", 1),
+}
+KILLER = """
+    import importlib, os, signal, sys
+    from operator import attrgetter
+
+    module, name, number, *arguments = sys.argv[1:]
+    *path, last = name.split(".")
+    home = importlib.import_module(module)
+    home = attrgetter(".".join(path))(home) if path else home
+    function, calls = getattr(home, last), []
+
+    def killed(*args, **kwargs):
+        calls.append(1)
+        if len(calls) == int(number):
+            os.kill(os.getpid(), signal.SIGKILL)
+        return function(*args, **kwargs)
+
+    setattr(home, last, killed)
+    from jaxurban.cli.main import main
+
+    main(arguments)
+"""
+
+
+@pytest.mark.slow
+def test_kill_9_while_maps_are_added_to_loses_nothing(tmp_path, capsys):
+    file, out = scenario_file(tmp_path, **SMALL), tmp_path / "out"
+    assert run(capsys, "maps", file, "-o", out)[0] == 0
+    file = scenario_file(tmp_path, altitudes_m=(15, 60), times=TIMES[:2])
+    for where, (module, name, number) in KILLED_AT.items():
+        command = [sys.executable, "-c", textwrap.dedent(KILLER), module, name, str(number), "maps", str(file)]
+        ended = subprocess.run([*command, "-o", str(out)], capture_output=True, text=True, check=False)
+        assert ended.returncode == -signal.SIGKILL, (where, ended.stderr)
+    code, _, err = run(capsys, "maps", file, "-o", out)
+    assert code == 0, err
+    assert run(capsys, "maps", file, "-o", tmp_path / "whole")[0] == 0
+    assert maps_of(out) == maps_of(tmp_path / "whole")
