@@ -17,7 +17,7 @@ from jaxurban.report.figures.map_comparison import comparison_figures, heading_o
 from jaxurban.report.markdown import bullets, cell, fill, listed, table
 from jaxurban.report.save import Output, save
 from jaxurban.scenario.differences import NOT_SET
-from jaxurban.studies.map_comparison.compare import CLOSED, EVERYWHERE, MASKS, MapComparison, Place, unit_of
+from jaxurban.studies.map_comparison.compare import CLOSED, EVERYWHERE, MASKS, SAME, MapComparison, Place, unit_of
 
 REPORT_FILE = "report.md"
 MOST_ROUTES = 15  # in the report
@@ -165,7 +165,7 @@ def _values(whole: pd.DataFrame, changed: list[str]) -> str:
 
 
 def _number(value: float) -> str:
-    return "" if not np.isfinite(value) else "0" if value == 0 else f"{value:+.3g}"
+    return "" if not np.isfinite(value) else "0" if abs(value) <= SAME else f"{value:+.3g}"
 
 
 def _where(altitude_m: Any, time_of_day: Any) -> str:

@@ -32,6 +32,9 @@ MASK_COLOURS = {
 }
 A_COLOUR, B_COLOUR = "#111111", "#f59b00"
 SHOWN_SHARE = 0.99  # of the changed cells lie within the colour bar
+MOST_DOP = (
+    5.0  # of the colour bar of dilutions of precision, which have no end: from good to poor in the paper's rating
+)
 MOST_ROUTES = 8  # in a panel
 UNITS = {"1": "", "m": "m", "km-2": "people per km²"}
 LABELS = {
@@ -68,8 +71,8 @@ def plot_difference(
 ) -> Figure:
     """Return panels of B - A of a layer by altitude, or by time of day, all on one scale centred at 0.
 
-    Cells that are blocked in either are grey; colours reach as far as 99 % of the changed cells. Of ``obstacle`` and
-    ``closed``: cells that are blocked in both, in A alone and in B alone.
+    Cells that are blocked in either are grey; colours reach as far as 99 % of the changed cells (of dilutions of
+    precision to 5 at most). Of ``obstacle`` and ``closed``: cells that are blocked in both, in A alone and in B alone.
 
     Args:
       found: the comparison.
@@ -151,6 +154,7 @@ def _colours(found: MapComparison, layer: str, maps: Sequence[np.ndarray]) -> Co
     """Return one scale for all panels, as far on either side of 0."""
     size = np.concatenate([np.abs(values[np.isfinite(values) & (np.abs(values) > found.tolerance)]) for values in maps])
     limit = round_length_m(max(float(np.quantile(size, SHOWN_SHARE)) if len(size) else 1.0, 1e-12), down=False)
+    limit = min(limit, MOST_DOP) if layer in DOP_NAMES else limit
     is_beyond = any(bool((np.abs(values) > limit).any()) for values in maps)
     unit = UNITS.get(given := unit_of(found.a, layer), given)
     one_means = found.a.ds[layer].attrs.get("one_means", "") if layer in found.a.metrics else ""
