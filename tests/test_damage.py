@@ -101,17 +101,17 @@ def test_new_weights_change_the_record_and_not_its_times(job):
     assert (after["started_utc"], after["elapsed_s"]) == (before["started_utc"], before["elapsed_s"])
 
 
-@pytest.mark.parametrize("part", ["c/*", "zarr.json", "geotiff", "run.json"])
+@pytest.mark.parametrize("part", ["chunks", ".z*", "root", "geotiff", "run.json"])
 def test_damage_to_every_file_of_a_kind_is_told_and_mended(job, part):
     """Files are deleted, cut and flipped by turns; the slow test does each of it to each file alone."""
     before, values, rng = files_of(job), values_of(job), random.Random(0)
     files = [path for path in job.rglob("*") if path.is_file() and _is_of(path.relative_to(job), part)]
-    assert len(files) >= {"c/*": 20, "zarr.json": 20, "geotiff": 6, "run.json": 1}[part]
+    assert len(files) >= {"chunks": 20, ".z*": 40, "root": 2, "geotiff": 6, "run.json": 1}[part]
     for path, damage in zip(files, itertools.cycle(DAMAGES), strict=False):
         harm(path, damage, rng)
-    assert told_on_use(job)
+    assert told_on_use(job) or part == "root"  # which nothing here reads
     told = mend(job)
-    assert len(told) == (len(files) if part == "geotiff" else 1)
+    assert len(told) == (len(files) if part in ("geotiff", "root") else 1)
     assert without_times(files_of(job)) == without_times(before)
     assert values_of(job) == values
     assert mend(job) == []
@@ -119,7 +119,7 @@ def test_damage_to_every_file_of_a_kind_is_told_and_mended(job, part):
 
 
 def test_a_folder_in_the_place_of_a_chunk_is_told_and_mended(job):
-    before, chunk = files_of(job), job / "maps.zarr/20m/lidar/c/0/0/0"
+    before, chunk = files_of(job), job / "maps.zarr/20m/lidar/0.0.0"
     harm(chunk, "a folder", random.Random(0))
     assert str(chunk) in told_on_use(job)
     assert [sentence.split("'")[1] for sentence in mend(job)] == [str(chunk)]
@@ -127,8 +127,8 @@ def test_a_folder_in_the_place_of_a_chunk_is_told_and_mended(job):
 
 
 def test_a_damaged_coordinate_is_told_when_maps_are_opened(job):
-    harm(job / "maps.zarr/20m/spatial_ref/c", "cut", random.Random(0))
-    with pytest.raises(InputError, match="spatial_ref/c' is damaged"):
+    harm(job / "maps.zarr/20m/spatial_ref/0", "cut", random.Random(0))
+    with pytest.raises(InputError, match="spatial_ref/0' is damaged"):
         ju.open_maps(job)
 
 
@@ -141,7 +141,11 @@ def test_a_file_in_the_place_of_a_folder_of_maps_is_one_sentence(tmp_path, name)
 
 
 def _is_of(path: Path, part: str) -> bool:
-    return ("c" in path.parts) if part == "c/*" else part in path.parts
+    is_root = path.parts[:-1] == ("maps.zarr",)
+    is_metadata = path.name.startswith(".z")
+    if path.parts[0] != "maps.zarr":
+        return part in path.parts
+    return part == ("root" if is_root else ".z*" if is_metadata else "chunks")
 
 
 @pytest.mark.slow
@@ -152,7 +156,7 @@ def test_every_single_file_is_told_and_mended(job, damage):
     for name in before:
         harm(job / name, damage, rng)
         told = mend(job)
-        assert told or (damage == "flipped" and "/c" in name), name
+        assert told or (damage == "flipped" and "maps.zarr" in name and ".z" not in Path(name).name), name
         assert values_of(job) == values
         after = files_of(job)
         assert without_times(after).keys() == without_times(before).keys()
@@ -163,7 +167,7 @@ def test_every_single_file_is_told_and_mended(job, damage):
 
 
 @pytest.mark.parametrize(
-    ("part", "damage"), [("obstacle/c/0/0/0", "deleted"), ("obstacle/c/0/0/0", "cut"), ("gps/zarr.json", "deleted")]
+    ("part", "damage"), [("obstacle/0.0.0", "deleted"), ("obstacle/0.0.0", "cut"), ("gps/.zarray", "deleted")]
 )
 def test_planning_on_damaged_maps_is_one_sentence(job, capsys, part, damage):
     harm(job / "maps.zarr" / "20m" / part, damage, random.Random(2))
@@ -181,7 +185,7 @@ def test_planning_under_a_damaged_record_is_one_sentence(job, capsys, damage):
 
 
 def test_damaged_maps_of_another_job_are_not_taken_for_ours(job):
-    (job / "maps.zarr" / "20m" / "zarr.json").unlink()
+    (job / "maps.zarr" / "20m" / ".zmetadata").unlink()
     before = files_of(job)
     with pytest.raises(InputError, match="--overwrite"):
         pipeline.run_scenario(Scenario.from_dict(SETTINGS | {"gps": {"mask_deg": 6.0}}), job)
@@ -201,7 +205,7 @@ def test_damage_to_unfinished_work_is_told_and_made_again(tmp_path, monkeypatch)
         "an array": next((work / "arrays").glob("raster_1_*.npz")),
         "an array as a folder": next((work / "arrays").glob("raster_2_*.npz")),
         "a mark": work / "done" / "tile_2_2.json",
-        "a chunk": work / "zarr" / "obstacle" / "c" / "0" / "0" / "0",
+        "a chunk": work / "zarr" / "obstacle" / "0.0.0",
     }
     for file, damage in zip(parts.values(), ("flipped", "a folder", "flipped", "cut"), strict=True):
         harm(file, damage, rng)

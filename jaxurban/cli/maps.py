@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from jaxurban.cli.common import DEVICE, JSON_FLAG, print_json, tell, tell_warnings
+from jaxurban.cli.common import DEVICE, JSON_FLAG, names_in, print_json, tell, tell_warnings
 from jaxurban.errors import InputError
 from jaxurban.progress import reporting
 
@@ -30,6 +30,13 @@ EXIT_BUG, EXIT_BAD_INPUT = 1, 2
 )
 @click.option("--overwrite", is_flag=True, help="Replace maps of other settings in the output folder.")
 @click.option("--figures", is_flag=True, help="Draw the maps too, under DIR/figures.")
+@click.option(
+    "--layers",
+    default="",
+    metavar="NAME,...",
+    help="Write these maps as GeoTIFF too, such as hdop,num_visible,roof,terrain,density; all: every one.  "
+    "[default: obstacles and the metrics of the cost, which are written always]",
+)
 @click.option("--memory", help="Ceiling on the memory of the whole run, such as 4GiB. [default: half of what is free]")
 @click.option("--workers", type=int, help="Work in so many processes (Dask). [default: a thread a core]")
 @click.option("--cluster", metavar="ADDRESS", help="Work on the Dask cluster of a scheduler, such as tcp://host:8786.")
@@ -41,6 +48,7 @@ def maps(
     changes: tuple[str, ...],
     overwrite: bool,
     figures: bool,
+    layers: str,
     memory: str | None,
     workers: int | None,
     cluster: str | None,
@@ -58,7 +66,7 @@ def maps(
     resources = Resources(None if memory is None else parse_bytes(memory), workers, cluster)
     if len(scenario_files) == 1:
         scenario = Scenario.from_toml(scenario_files[0], changes)
-        record = _make(scenario, folder, overwrite, figures, resources)
+        record = _make(scenario, folder, overwrite, figures, resources, names_in(layers))
         if as_json:
             print_json(record)
         return 0
@@ -72,7 +80,9 @@ def maps(
     for name, file in zip(names, scenario_files, strict=True):
         tell(f"scenario {file}")
         try:
-            found[name] = _make(Scenario.from_toml(file, changes), folder / name, overwrite, figures, resources)
+            found[name] = _make(
+                Scenario.from_toml(file, changes), folder / name, overwrite, figures, resources, names_in(layers)
+            )
         except Exception as error:
             is_ours = isinstance(error, InputError | MemoryError)
             codes.add(EXIT_BAD_INPUT if is_ours else EXIT_BUG)
@@ -88,12 +98,14 @@ def maps(
     return EXIT_BUG if EXIT_BUG in codes else max(codes)
 
 
-def _make(scenario: "Scenario", folder: Path, overwrite: bool, figures: bool, resources: "Resources") -> dict[str, Any]:
+def _make(
+    scenario: "Scenario", folder: Path, overwrite: bool, figures: bool, resources: "Resources", layers: tuple[str, ...]
+) -> dict[str, Any]:
     """Make the maps of one scenario and return the record of the run."""
     from jaxurban.scenario.run import run_scenario
 
     with reporting("maps") as report:
-        run = run_scenario(scenario, folder, report, overwrite, resources)
+        run = run_scenario(scenario, folder, report, overwrite, resources, layers)
         if figures:
             from jaxurban.report.figures import save_figures
 

@@ -227,7 +227,8 @@ def stored_key(folder: Path, resolution_m: float) -> str | None:
 
 def _witnesses(folder: Path, resolution_m: float) -> Iterator[Path]:
     """Yield files that name the run which made the maps of a resolution."""
-    yield store.zarr_path(folder, resolution_m) / "zarr.json"
+    yield store.zarr_path(folder, resolution_m) / ".zattrs"
+    yield store.metadata_file(store.zarr_path(folder, resolution_m))
     yield folder / store.RUN_FILE
     yield from (folder / store.GEOTIFF_FOLDER).glob(f"*_{store.short_number(resolution_m)}m.tif")
 
@@ -287,5 +288,5 @@ def broken_files(folder: Path, resolution_m: float, num_threads: int) -> list[Pa
     if not path.exists():
         return []
     if not has_whole_metadata(path):
-        return [path / "zarr.json"]
+        return [store.metadata_file(path)]
     return [chunk.file for chunk in broken_chunks(path, num_threads)]

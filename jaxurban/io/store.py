@@ -1,32 +1,40 @@
 """Metric maps on disk as Zarr: each file whole or not there at all, and all of them as they were written.
 
-Chunks carry the checksum of Zstandard, metadata a CRC-32. Every chunk is written, so that one that is missing is
-damage; were it read all the same, it would be blocked cells or NaN, never free air.
+A group of Zarr v2 for each resolution, which GDAL and xarray read by their ordinary ways: rows from north to south,
+and no value in cells inside obstacles, where the engine holds 0 (`IN_OBSTACLES`); what is opened here has the
+engine's rows and values again. Chunks carry the checksum of Zstandard, metadata a CRC-32. Every chunk is written, so
+that one that is missing is damage; were it read all the same, it would be blocked cells or NaN, never free air.
 """
 
+import json
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
+import dask.array
 import numpy as np
+import pyproj
 import xarray as xr
 import zarr
+from numcodecs import Zstd
 from xarray.backends import BackendArray, BackendEntrypoint
 from xarray.core import indexing
-from zarr.codecs import ZstdCodec
 
 from jaxurban.errors import InputError
-from jaxurban.io.files import BLANK, FIELD, SCRATCH_SUFFIX, holds_bytes, is_whole, remove, seal, whole_file
+from jaxurban.io.files import BLANK, FIELD, SCRATCH_SUFFIX, holds_bytes, is_whole, remove, seal, whole_file, write_whole
 from jaxurban.world.tiling import tile_shape
 
 RUN_FILE = "run.json"
 ZARR_FOLDER = "maps.zarr"
 GEOTIFF_FOLDER = "geotiff"
-COMPRESSORS = (ZstdCodec(level=0, checksum=True),)
-FILL_VALUES = {"obstacle": 1}  # of others by type: NaN, False, 0
+COMPRESSOR = Zstd(level=0, checksum=True)
+IN_OBSTACLES = "in_obstacles"  # attribute: what the engine holds inside obstacles, where files hold no value
+GDAL_CRS = "_CRS"  # attribute: the CRS as GDAL's Zarr driver reads it
+TIMES = {"units": "seconds since 1970-01-01", "calendar": "proleptic_gregorian", "dtype": "int64"}
 NEEDED = ("obstacle", "has_data")  # without these it is not a folder of maps
+MAKE_ANEW = "make the maps anew with `jaxurban maps` and --overwrite (those saved from Python: save them again)"
 
 
 def short_number(value: float) -> str:
@@ -47,7 +55,7 @@ def stored_resolutions(folder: Path) -> dict[float, Path]:
 
 def are_of_a_run(folder: Path) -> bool:
     """Return whether maps under ``folder`` are those of ``jaxurban maps``, which writes `RUN_FILE` too."""
-    files = (path / "zarr.json" for path in stored_resolutions(folder).values())
+    files = map(metadata_file, stored_resolutions(folder).values())
     return any(b'"run_key"' in file.read_bytes() for file in files if file.is_file())
 
 
@@ -65,63 +73,169 @@ def remove_maps(folder: Path) -> None:
         remove(folder / part)
 
 
-def _encoding(name: str, array: xr.Variable, tile: tuple[int, int] | None) -> dict[str, Any]:
-    """Return how a variable is written: a map in tiles, one layer a chunk; without a tile, all in one chunk."""
-    encoding: dict[str, Any] = {"compressors": COMPRESSORS}
-    if array.dtype.kind in "fiub":
-        encoding["fill_value"] = FILL_VALUES.get(
-            name, np.nan if array.dtype.kind == "f" else array.dtype.type(0).item()
-        )
-    if tile is not None and array.dims[-2:] == ("y", "x"):
+def metadata_file(path: Path) -> Path:
+    """Return the file that holds the metadata of a Zarr and of its arrays once more, and the checksum of them all."""
+    return path / ".zmetadata"
+
+
+def no_value(dtype: np.dtype) -> Any:
+    """Return what stands for no value in files: NaN, the highest unsigned number; None where there is nothing such."""
+    return {"f": np.nan, "u": np.iinfo(dtype).max if dtype.kind == "u" else None}.get(dtype.kind)
+
+
+def _is_map(array: xr.Variable) -> bool:
+    return array.dims[-2:] == ("y", "x")
+
+
+def _encoding(array: xr.Variable, tile: tuple[int, int]) -> dict[str, Any]:
+    """Return how a variable is written: a map in tiles, one layer a chunk."""
+    encoding: dict[str, Any] = {"compressors": (COMPRESSOR,), "_FillValue": no_value(array.dtype)}
+    if _is_map(array):
         encoding["chunks"] = (*(1 for _ in array.dims[:-2]), *tile)
-    return encoding
+    return encoding | (TIMES if array.dtype.kind == "M" else {})
 
 
-def _to_zarr(
-    ds: xr.Dataset, path: Path, mode: Literal["w", "a"], tile: tuple[int, int] | None = None, compute: bool = True
-) -> None:
-    """Write a dataset, and the checksum of the Zarr's metadata into its attributes."""
-    encoding = {str(name): _encoding(str(name), array, tile) for name, array in ds.variables.items()}
-    how: dict[str, Any] = {"zarr_format": 3, "consolidated": False, "write_empty_chunks": True, "compute": compute}
+def _to_zarr(ds: xr.Dataset, path: Path, mode: Literal["w", "a"], tile: tuple[int, int] = (1, 1)) -> None:
+    """Write a dataset without the values of its maps, and the metadata of all of the Zarr with their checksum."""
+    ds = ds.drop_encoding()  # of the files that maps were opened from
+    for name in [name for name, coord in ds.coords.items() if coord.dtype.kind == "T"]:
+        ds = ds.assign_coords({name: (ds[name].dims, np.array(ds[name].values.tolist(), str), ds[name].attrs)})
+    crs = {} if "crs" not in ds.attrs else {GDAL_CRS: _gdal_crs(ds.attrs["crs"])}
+    for name in [name for name, array in ds.variables.items() if _is_map(array)]:
+        array = ds[name]
+        nothing = dask.array.zeros(array.shape, dtype=array.dtype, chunks=-1)
+        ds[name] = (array.dims, nothing, array.attrs | crs)
+    if "y" in ds.coords:
+        ds = ds.assign_coords(y=ds["y"][::-1])
+    encoding = {str(name): _encoding(array, tile) for name, array in ds.variables.items()}
+    how: dict[str, Any] = {"zarr_format": 2, "consolidated": False, "write_empty_chunks": True, "compute": False}
     ds.to_zarr(path, mode=mode, encoding=encoding, **how)
-    zarr.open_group(path, mode="r+", use_consolidated=False).attrs[FIELD] = BLANK
-    seal(*_metadata(path))
+    parts = {file.relative_to(path).as_posix(): json.loads(file.read_bytes()) for file in _metadata(path)}
+    whole = {"metadata": parts, "zarr_consolidated_format": 1, FIELD: BLANK}
+    metadata_file(path).write_text(json.dumps(whole), encoding="utf-8")
+    seal(metadata_file(path), *_metadata(path))
+
+
+def _gdal_crs(crs: str) -> dict[str, str]:
+    authority = pyproj.CRS(crs).to_authority(min_confidence=100)
+    if authority is None:
+        return {"wkt": pyproj.CRS(crs).to_wkt()}
+    return {"url": "http://www.opengis.net/def/crs/{}/0/{}".format(*authority)}
 
 
 def write_zarr(ds: xr.Dataset, folder: Path) -> Path:
     """Write a dataset of maps under ``folder`` and return its place (``maps.zarr/5m``)."""
     path = zarr_path(folder, ds.attrs["resolution_m"])
-    plain = ds.drop_encoding()  # of the files that maps were opened from
+    rows, cols = tile_shape((ds.sizes["y"], ds.sizes["x"]))
+    ds = _with_hideable(ds)
     with whole_file(path) as scratch:
-        _to_zarr(plain, scratch, "w", tile_shape((ds.sizes["y"], ds.sizes["x"])))
+        _to_zarr(ds, scratch, "w", (rows, cols))
+        for name in [str(name) for name, array in ds.variables.items() if _is_map(array)]:
+            array = ds.variables[name]
+            for place in np.ndindex(array.shape[:-2]):
+                values, is_inside = array[place].values, _is_inside(ds, array, (*place, slice(None), slice(None)))
+                for stop in range(ds.sizes["y"], 0, -rows):
+                    for start in range(0, ds.sizes["x"], cols):
+                        part = slice(max(0, stop - rows), stop), slice(start, min(start + cols, ds.sizes["x"]))
+                        inside = None if is_inside is None else is_inside[part]
+                        write_layer(scratch, name, place, part, values[part], inside)
+    write_root(folder)
     return path
 
 
+def _is_inside(ds: xr.Dataset, array: xr.Variable, key: tuple) -> np.ndarray | None:
+    """Return which cells of a part of a map lie inside obstacles; None where the map holds values of its own there."""
+    if IN_OBSTACLES not in array.attrs:
+        return None
+    at = dict(zip(array.dims, key, strict=True))
+    obstacle, has_data = (ds.variables[name] for name in NEEDED)
+    is_known = has_data[tuple(at[dim] for dim in has_data.dims)].values
+    return (obstacle[tuple(at[dim] for dim in obstacle.dims)].values != 0) & is_known
+
+
+def _with_hideable(ds: xr.Dataset) -> xr.Dataset:
+    """Return maps without `IN_OBSTACLES` where somebody has put what stands for no value inside obstacles."""
+    ds = ds.copy()
+    for name, array in ds.variables.items():
+        for place in np.ndindex(array.shape[:-2]) if IN_OBSTACLES in array.attrs else ():
+            part = (*place, slice(None), slice(None))
+            if (_is_nothing(array[part].values) & _is_inside(ds, array, part)).any():
+                ds[name].attrs = {key: value for key, value in array.attrs.items() if key != IN_OBSTACLES}
+                break
+    return ds
+
+
+def _is_nothing(values: np.ndarray) -> np.ndarray:
+    return np.isnan(values) if values.dtype.kind == "f" else values == no_value(values.dtype)
+
+
 def create_zarr(ds: xr.Dataset, path: Path, tile: tuple[int, int]) -> None:
-    """Write the Zarr of a dataset of dask arrays: coordinates, attributes, and maps without values.
+    """Write the Zarr of a dataset: coordinates, attributes, and maps without values.
 
     Args:
-      ds: the dataset.
+      ds: the dataset; the values of its maps are not looked at.
       path: where to.
       tile: rows and columns of a chunk, what one `write_layer` fills.
     """
     with whole_file(path) as scratch:
-        _to_zarr(ds, scratch, "w", tile, compute=False)
+        _to_zarr(ds, scratch, "w", tile)
 
 
-def write_layer(path: Path, name: str, index: tuple[int, ...], window: tuple[slice, slice], values: np.ndarray) -> None:
-    """Write a tile of one map into a Zarr: its values, as far as the window reaches."""
+def write_layer(
+    path: Path,
+    name: str,
+    index: tuple[int, ...],
+    window: tuple[slice, slice],
+    values: np.ndarray,
+    is_inside: np.ndarray | None = None,
+) -> None:
+    """Write a tile of one map into a Zarr.
+
+    Args:
+      path: of the Zarr.
+      name: of the variable.
+      index: place along its axes before y and x.
+      window: rows, from the south, and columns; they end where chunks do.
+      values: ``[y, x]`` rows south to north; may stick out of the window in the south and in the east.
+      is_inside: ``[y, x]``, or ``[A, y, x]`` at every altitude: cells inside obstacles, which hold no value in files.
+    """
     rows, cols = window
     # A tile without a value is written too: what is missing on disk counts as lost. Given to `open_array`, Zarr 3.1
     # does not take the setting.
-    array = zarr.open_array(path / name, mode="r+").with_config({"write_empty_chunks": True})
-    place: Any = (*index, rows, cols)
-    array[place] = values[: rows.stop - rows.start, : cols.stop - cols.start]
+    array = zarr.open_array(path / name, mode="r+", zarr_format=2).with_config({"write_empty_chunks": True})
+    held = array.attrs.get(IN_OBSTACLES)
+    if held is not None and is_inside is not None:
+        is_hidden = (is_inside if is_inside.ndim == 2 else is_inside[index[-1]]) & (values == float(str(held)))
+        values = np.where(is_hidden, values.dtype.type(no_value(values.dtype)), values)
+    north, num_rows = array.shape[-2], rows.stop - rows.start
+    place: Any = (*index, slice(north - rows.stop, north - rows.start), cols)
+    array[place] = values[len(values) - num_rows :, : cols.stop - cols.start][::-1]
 
 
 def add_to_zarr(ds: xr.Dataset, path: Path) -> None:
-    """Add the variables of a dataset to a Zarr."""
+    """Add variables that are not maps to a Zarr."""
     _to_zarr(ds.drop_vars(list(ds.coords)), path, "a")
+
+
+def root_files(folder: Path) -> dict[Path, bytes]:
+    """Return what the files say that make one Zarr of all resolutions under ``folder``, by their path."""
+    parts: dict[str, Any] = {".zgroup": {"zarr_format": 2}}
+    for _, path in sorted(stored_resolutions(folder).items()):
+        held = json.loads(metadata_file(path).read_bytes())["metadata"]
+        parts |= {f"{path.name}/{name}": part for name, part in held.items()}
+    said = {".zgroup": parts[".zgroup"], ".zmetadata": {"metadata": parts, "zarr_consolidated_format": 1}}
+    return {folder / ZARR_FOLDER / name: json.dumps(value).encode() for name, value in said.items()}
+
+
+def stale_root_files(folder: Path) -> list[Path]:
+    """Return those of `root_files` that are missing or say anything else."""
+    return [file for file, data in root_files(folder).items() if not (file.is_file() and file.read_bytes() == data)]
+
+
+def write_root(folder: Path) -> None:
+    """Write `root_files`."""
+    for file, data in root_files(folder).items():
+        write_whole(file, data)
 
 
 def open_zarr(folder: Path, resolution_m: float | None) -> xr.Dataset:
@@ -139,6 +253,8 @@ def open_zarr(folder: Path, resolution_m: float | None) -> xr.Dataset:
     if resolution_m is not None and resolution_m not in found:
         raise InputError(f"{str(folder)!r} holds no maps at {short_number(resolution_m)} m, only at {listed} m")
     path = found[resolution_m] if resolution_m is not None else next(iter(found.values()))
+    if (path / "zarr.json").is_file():
+        raise InputError(f"the maps in {str(path)!r} were written by an older version of jaxurban: {MAKE_ANEW}")
     ds = open_whole(path)
     if lost := [name for name in NEEDED if name not in ds]:
         raise InputError(f"the maps in {str(path)!r} lack {', '.join(lost)}: remove them and make them again")
@@ -154,12 +270,12 @@ class Chunk(NamedTuple):
 
 
 def _metadata(path: Path) -> list[Path]:
-    return [path / "zarr.json", *sorted(path.glob("*/zarr.json"))]
+    return [path / ".zattrs", path / ".zgroup", *sorted(path.glob("*/.za*"))]
 
 
 def has_whole_metadata(path: Path) -> bool:
     """Return whether the metadata of a Zarr, of all its arrays together, are as they were written."""
-    return is_whole(*_metadata(path))
+    return is_whole(metadata_file(path), *_metadata(path))
 
 
 def _chunks(path: Path, name: str | None = None) -> Iterator[Chunk]:
@@ -198,47 +314,66 @@ def damaged(file: Path, what: str) -> InputError:
     )
 
 
-def _error_in(path: Path, error: Exception, name: str | None = None) -> Exception:
+def _error_in(path: Path, error: Exception, names: Iterable[str | None] = (None,)) -> Exception:
     """Return the error that names the damaged file of a Zarr that could not be read, else the one given."""
     if not has_whole_metadata(path):
-        return damaged(path / "zarr.json", "and the zarr.json of the arrays beside it are not as they were written")
-    broken = broken_chunks(path, name=name)
+        return damaged(metadata_file(path), "and the metadata of the arrays beside it are not as they were written")
+    broken = [chunk for name in names for chunk in broken_chunks(path, name=name)]
     return damaged(broken[0].file, "is damaged or cannot be read") if broken else error
 
 
 class _Map(BackendArray):
-    """A map in a Zarr, read when it is looked at; one that cannot be read is an InputError."""
+    """A map in a Zarr, read when it is looked at, with the engine's values; one that cannot be read is an InputError.
 
-    def __init__(self, variable: xr.Variable, path: Path, name: str) -> None:
-        self.variable, self.path, self.name = variable, path, name
-        self.shape, self.dtype = variable.shape, variable.dtype
+    Attributes:
+      ds: the Zarr as it is, rows south to north.
+      path: of the Zarr.
+      name: of the map.
+    """
+
+    def __init__(self, ds: xr.Dataset, path: Path, name: str) -> None:
+        self.ds, self.path, self.name = ds, path, name
+        self.shape, self.dtype = ds.variables[name].shape, ds.variables[name].dtype
 
     def __getitem__(self, key: indexing.ExplicitIndexer) -> Any:
         return indexing.explicit_indexing_adapter(key, self.shape, indexing.IndexingSupport.OUTER, self._read)
 
     def _read(self, key: tuple) -> np.ndarray:
         try:
-            return self.variable[key].values
+            array = self.ds.variables[self.name]
+            values = np.asarray(array[key].values, order="C")
+            if self.name == "obstacle":
+                values[_is_nothing(values)] = 1  # of a chunk that went after opening
+            elif (is_inside := _is_inside(self.ds, array, key)) is not None:
+                np.copyto(values, float(array.attrs[IN_OBSTACLES]), "unsafe", where=is_inside & _is_nothing(values))
+            return values
         except Exception as error:
-            raise _error_in(self.path, error, self.name) from error
+            raise _error_in(self.path, error, (self.name, *NEEDED)) from error
 
 
 class _Maps(BackendEntrypoint):
-    """How xarray opens the Zarr: as it always does, with `_Map` around every map."""
+    """How xarray opens the Zarr: as it always does, with rows from the south and `_Map` around every map."""
 
     def open_dataset(self, filename_or_obj: Any, *, drop_variables: Any = None) -> xr.Dataset:
-        ds = xr.open_dataset(filename_or_obj, engine="zarr", consolidated=False, chunks=None, cache=False)
+        how: dict[str, Any] = {"consolidated": False, "mask_and_scale": False}
+        ds = xr.open_dataset(filename_or_obj, engine="zarr", chunks=None, cache=False, **how)
+        for array in ds.variables.values():
+            array.attrs = {key: value for key, value in array.attrs.items() if key not in (GDAL_CRS, "_FillValue")}
+        if "y" in ds.dims:
+            ds = ds.isel(y=slice(None, None, -1))
         maps = {
             name: xr.Variable(
                 ds[name].dims,
-                indexing.LazilyIndexedArray(_Map(ds[name].variable, Path(filename_or_obj), str(name))),
+                indexing.LazilyIndexedArray(_Map(ds, Path(filename_or_obj), str(name))),
                 ds[name].attrs,
                 ds[name].encoding,
             )
             for name in ds.data_vars
         }
-        attrs = {name: value for name, value in ds.attrs.items() if name != FIELD}
-        return xr.Dataset(maps, ds.coords.to_dataset().load().coords, attrs)  # small, and damage shows at once
+        coords = ds.coords.to_dataset().load()  # small, and damage shows at once
+        strings = [name for name, coord in coords.variables.items() if coord.dtype.kind == "U"]
+        coords = coords.assign_coords({name: coords[name].astype(np.dtypes.StringDType()) for name in strings})
+        return xr.Dataset(maps, coords.coords, ds.attrs)
 
 
 def open_whole(path: Path) -> xr.Dataset:

@@ -7,16 +7,43 @@ import numpy as np
 import pyproj
 import xarray as xr
 
+from jaxurban.io.store import IN_OBSTACLES
 from jaxurban.maps.height_uncertainty import SPREAD
 from jaxurban.maps.task import MapTask
 from jaxurban.metrics.availability import SERIES, TimeTotals
 from jaxurban.metrics.base import ALTITUDE, TIME
+from jaxurban.metrics.gps import DOPS
+from jaxurban.world.city import joined_credits
 
 PLANE = ("y", "x")
+CONVENTIONS = "CF-1.11"
 UNITS = {  # of what is not a metric's m
     "density": "km-2",
     **dict.fromkeys(("roof", "roof_touched", "terrain"), "m"),
 }
+LONG_NAMES = {  # of what is not a metric's m
+    "obstacle": "cells inside obstacles",
+    "obstacle_share": "share of height samples with an obstacle",
+    "density": "people per square kilometre",
+    "num_visible": "satellites in view",
+    "gdop": "geometric dilution of precision",
+    "pdop": "position dilution of precision",
+    "hdop": "horizontal dilution of precision",
+    "vdop": "vertical dilution of precision",
+    "tdop": "time dilution of precision",
+    "roof": "height of the roof over the cell's centre above the ground",
+    "roof_touched": "height of the highest roof that shares area with the cell above the ground",
+    "roof_guessed": "the roof's height is guessed",
+    "terrain": "elevation of the ground",
+    "has_data": "something is known of the cell",
+}
+STANDARD_NAMES = {"terrain": "surface_altitude", "has_data": "status_flag"}
+OVER_TIME = {
+    "availability": "share of times above the threshold",
+    "median": "median over time",
+    "p05": "5th percentile over time",
+}
+OVER_HEIGHTS = dict(zip(SPREAD, ("mean", "standard deviation", "5th percentile", "95th percentile"), strict=True))
 
 
 def variables(task: MapTask) -> dict[str, tuple[tuple[str, ...], np.dtype]]:
@@ -51,27 +78,39 @@ def empty_dataset(task: MapTask, make: Callable[[tuple[int, ...], np.dtype], obj
       task: what the maps are made of.
       make: gives the array of a shape and a type.
     """
-    region, params, attribution = task.region, task.params, task.city.attribution
+    region, params = task.region, task.params
+    attribution = joined_credits(task.city.attribution, *(layer.credit for layer in task.layers.values()))
     coords: dict[str, Any] = {
-        "y": ("y", region.y_m, {"units": "m", "standard_name": "projection_y_coordinate"}),
-        "x": ("x", region.x_m, {"units": "m", "standard_name": "projection_x_coordinate"}),
-        "altitude": ("altitude", np.asarray(params.altitudes_m, float), {"units": "m", "long_name": "above ground"}),
-        "time": ("time", np.array([time.removesuffix("Z") for time in task.sky.times], "datetime64[ns]")),
+        "y": ("y", region.y_m, _axis("Y", "projection_y_coordinate", "northing of the cell's centre", units="m")),
+        "x": ("x", region.x_m, _axis("X", "projection_x_coordinate", "easting of the cell's centre", units="m")),
+        "altitude": (
+            "altitude",
+            np.asarray(params.altitudes_m, float),
+            _axis("Z", "height", "above ground", units="m", positive="up", reference="ground below (AGL)"),
+        ),
+        "time": (
+            "time",
+            np.array([time.removesuffix("Z") for time in task.sky.times], "datetime64[ns]"),
+            _axis("T", "time", "UTC"),
+        ),
         "spatial_ref": ((), 0, pyproj.CRS(region.crs).to_cf()),
     }
     attrs: dict[str, object] = {
+        "Conventions": CONVENTIONS,
         "crs": region.crs,
         "resolution_m": region.resolution_m,
         "first_row": region.first_row,
         "first_col": region.first_col,
         "satellites": list(task.sky.names),
+        "constellations": sorted(set(task.sky.systems)),
         "risk_threshold_m": params.risk.threshold_m,
         "risk_distance": params.risk.distance,
     }
     if attribution:
         attrs["attribution"] = attribution
     if task.population is not None:
-        coords["time_of_day"] = ("time_of_day", np.asarray(params.times_of_day, np.dtypes.StringDType()))
+        names = np.asarray(params.times_of_day, np.dtypes.StringDType())
+        coords["time_of_day"] = ("time_of_day", names, {"long_name": "time of day"})
         is_count = params.population.quantity == "count"
         norm_name = "pop_norm_per_block" if is_count else "pop_norm_per_km2"
         attrs[norm_name] = [float(value) for value in task.population.norm_per_km2]
@@ -104,20 +143,41 @@ def with_series(ds: xr.Dataset, task: MapTask, totals: Mapping[str, TimeTotals])
     return _described(ds, task)
 
 
+def _axis(axis: str, standard_name: str, long_name: str, **more: str) -> dict[str, str]:
+    return {"standard_name": standard_name, "long_name": long_name, "axis": axis, **more}
+
+
 def _described(ds: xr.Dataset, task: MapTask) -> xr.Dataset:
     units, meanings = dict(UNITS), {"obstacle": "a roof reaches this altitude"}
+    titles = dict(LONG_NAMES)
+    in_obstacles = {**dict.fromkeys(DOPS, "inf"), "num_visible": "0"}
     for name, metric in task.metrics.items():
-        units[name], meanings[name] = metric.unit, metric.one_means
+        units[name], meanings[name], label = metric.unit, metric.one_means, metric.label
+        titles |= {name: label, f"{name}_lower": f"{label}, at least", f"{name}_upper": f"{label}, at most"}
+        titles |= {f"{name}_{what}": f"{label}, {of} over uncertain heights" for what, of in OVER_HEIGHTS.items()}
+        if name not in task.layers and ALTITUDE in metric.dims:
+            in_obstacles |= dict.fromkeys((name, f"{name}_lower", f"{name}_upper"), "0")
         if TIME in metric.dims:
             meanings |= dict.fromkeys((f"{name}_median", f"{name}_p05", f"{name}_epoch_mean"), metric.one_means)
             meanings[f"{name}_availability"] = f"m_{name} is above the threshold at every epoch"
+            if not task.keeps_times:
+                titles |= {f"{name}_{what}": f"{label}, {of}" for what, of in OVER_TIME.items()}
+                titles[f"{name}_epoch_mean"] = f"{label}, mean over free cells"
+                titles[f"{name}_worst_time"] = f"{label}, time of the least mean over free cells"
+                in_obstacles |= dict.fromkeys((f"{name}_{what}" for what in SERIES), "0")
     for name in (str(variable) for variable in ds.data_vars):
+        attrs = ds[name].attrs
+        attrs["long_name"] = titles.get(name, name)
+        if name in STANDARD_NAMES:
+            attrs["standard_name"] = STANDARD_NAMES[name]
         if name != "has_data" and ds[name].dtype.kind != "M":  # times have units of their own
-            ds[name].attrs["units"] = units.get(name, "1")
-            if {"y", "x"} <= set(ds[name].dims):
-                ds[name].attrs["grid_mapping"] = "spatial_ref"
+            attrs["units"] = units.get(name, "1")
             if name in meanings:
-                ds[name].attrs["one_means"] = meanings[name]
+                attrs["one_means"] = meanings[name]
+        if {"y", "x"} <= set(ds[name].dims):
+            attrs["grid_mapping"] = "spatial_ref"
+            if name in in_obstacles:
+                attrs[IN_OBSTACLES] = in_obstacles[name]
     if "pop_norm_per_block" in ds.attrs:
         ds["population"].attrs["one_means"] = "as many people in the block as the norm (pop_norm_per_block)"
     return ds

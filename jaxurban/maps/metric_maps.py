@@ -12,7 +12,7 @@ import xarray as xr
 
 from jaxurban.errors import InputError, check_type, finite, one_of, typed
 from jaxurban.io import store
-from jaxurban.io.geotiff import missing_geotiffs, write_geotiffs
+from jaxurban.io.geotiff import geotiff_names, held_maps, missing_geotiffs, write_geotiffs
 from jaxurban.io.read.orbits import iso_utc, parse_time
 from jaxurban.metrics.base import Metric
 from jaxurban.metrics.custom import held_metrics
@@ -245,10 +245,20 @@ class MetricMaps(Shown):
         return self.m("gps", altitude_m, time=time) > self.m("lidar", altitude_m)
 
     @typed
-    def save(self, folder: str | Path) -> Path:
-        """Write Zarr and cloud-optimised GeoTIFF under ``folder`` (`jaxurban.io.store` says which files); return it."""
+    def save(self, folder: str | Path, *, layers: Sequence[str] = ()) -> Path:
+        """Write Zarr, cloud-optimised GeoTIFFs and their QGIS styles under ``folder``; return it.
+
+        Args:
+          folder: where to; its page in the reference (files) tells what lies there.
+          layers: variables that are GeoTIFFs too, such as ``("hdop", "roof")``, beside obstacles and the metrics of
+            the cost; ``("all",)``: every one.
+
+        Raises:
+          InputError: a layer that these maps do not hold, or a folder that cannot be written to.
+        """
+        geotiff_names(held_maps(self.ds), self.metrics, layers)  # refuses what is not there
         store.write_zarr(self.ds, Path(folder))
-        write_geotiffs(self.ds, Path(folder))
+        write_geotiffs(self.ds, Path(folder), layers=layers)
         return Path(folder)
 
 

@@ -11,9 +11,9 @@ import numpy as np
 from jaxurban.errors import InputError
 from jaxurban.io.read.rasterise import build_surface, highest_top_m, surface_grid
 from jaxurban.maps.guesses import draws_guesses
-from jaxurban.maps.height_uncertainty import HeightStd
+from jaxurban.maps.height_uncertainty import SPREAD, HeightStd
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY, Metric
-from jaxurban.metrics.custom import Layer, own_metric
+from jaxurban.metrics.custom import Layer, check_file_names, own_metric
 from jaxurban.metrics.gps import GpsParams
 from jaxurban.metrics.lidar import LidarParams
 from jaxurban.metrics.population import BlockLayers, PopulationParams, block_layers
@@ -83,7 +83,8 @@ class MapTask:
       guesses: behind the maps (see `jaxurban.maps.guesses`), for those who look at them.
 
     Raises:
-      InputError: bounds or spreads of a series that keeps no single time's maps.
+      InputError: bounds or spreads of a series that keeps no single time's maps, or layers whose names would be those
+        of other maps or files.
     """
 
     city: City
@@ -99,6 +100,10 @@ class MapTask:
             raise InputError(
                 "bounds and height_samples need the maps of every time: give fewer, or set [gps] series = 'epochs'"
             )
+
+        check_file_names(self.layers)
+        if taken := {f"{name}_{what}" for name in self.spread_metrics for what in SPREAD} & {*self.layers}:
+            raise InputError(f"a layer cannot be called {min(taken)!r}, a map of the spread: give it another name")
 
     @cached_property
     def metrics(self) -> dict[str, Metric]:

@@ -11,7 +11,7 @@ import numpy as np
 
 from jaxurban.io.folders import WorkFolder
 from jaxurban.io.read.rasterise import rasterise, rasterise_blocks
-from jaxurban.io.store import broken_chunks, has_whole_metadata, write_layer
+from jaxurban.io.store import broken_chunks, has_whole_metadata, metadata_file, write_layer
 from jaxurban.kernels.shadows.sweep import Ring, digital_lines
 from jaxurban.maps.held import HeldMaps
 from jaxurban.maps.recipe import TileScene, altitudes_made, tile_maps
@@ -77,13 +77,13 @@ def unmark_damaged(job: TileJob, num_threads: int) -> list[Path]:
         return []
     if not has_whole_metadata(path):
         job.work.remove_maps(tiles.values())
-        return [path / "zarr.json"]
+        return [metadata_file(path)]
     broken = broken_chunks(path, num_threads)
     if lost := [chunk.file for chunk in broken if len(chunk.place) < 2]:  # coordinates
         job.work.remove_maps(tiles.values())
         return lost
-    row, col = job.tiling.first
-    at = {(chunk.place[-2] + row, chunk.place[-1] + col): chunk.file for chunk in broken}
+    north, col = job.tiling.first[0] + job.tiling.counts[0] - 1, job.tiling.first[1]
+    at = {(north - chunk.place[-2], chunk.place[-1] + col): chunk.file for chunk in broken}
     done = {tile: name for tile, name in tiles.items() if tile in at and job.work.done(name) is not None}
     job.work.unmark(done.values())
     return [at[tile] for tile in done]
@@ -169,9 +169,15 @@ def finish_tile(job: TileJob, tile: Tile) -> dict[str, Any]:
         }
     held = job.held
     scene, window = TileScene(job.task, surface, rings, held.places if held else ()), job.tiling.reported(tile)
-    for layer in chain(tile_maps(scene, watch.stage), held.layers(window) if held else ()):
+    is_inside = np.asarray(scene.is_obstacle)
+    if scene.has_data is not None:
+        is_inside = is_inside & scene.has_data
+    rows, cols = (part.stop - part.start for part in window)
+    reported = is_inside[:, is_inside.shape[1] - rows :, :cols]  # what is held has no cell beyond the region
+    new = ((layer, is_inside) for layer in tile_maps(scene, watch.stage))
+    for layer, inside in chain(new, ((layer, reported) for layer in held.layers(window)) if held else ()):
         with watch.stage("write_zarr"):
-            write_layer(job.work.zarr, layer.name, layer.place, window, layer.values)
+            write_layer(job.work.zarr, layer.name, layer.place, window, layer.values, inside)
     facts = {"totals": {metric: totals.facts for metric, totals in scene.totals.items()}}
     job.work.mark_done(name, facts)
     return {**facts, "seconds": watch.elapsed_s}
@@ -193,9 +199,9 @@ def _surface(job: TileJob, tile: Tile) -> Surface:
         for key, values in job.work.load_arrays(_name("raster", near), *rasters).items():
             rasters[key][target] = values[source]
     # What sticks out of the region counts for nothing.
-    rows, cols = (halo + part.stop - part.start for part in job.tiling.reported(tile))
-    rasters["has_data"][rows : grid.num_rows - halo] = False
-    rasters["has_data"][:, cols : grid.num_cols - halo] = False
+    rows, cols = (part.stop - part.start for part in job.tiling.reported(tile))
+    rasters["has_data"][halo : halo + region.num_rows - rows] = False
+    rasters["has_data"][:, halo + cols : grid.num_cols - halo] = False
     own = job.work.load_arrays(_name("raster", tile), "block", "roof_touched_m")
     block = own.get("block")
     return Surface(

@@ -2,8 +2,9 @@
 
 import keyword
 import math
+import re
 import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -62,6 +63,7 @@ class Layer:
       reach_m: how far beyond its own cell a function looks sideways; the surface holds that margin, and its
         `crop_with_halo` refuses more. What a function reads of ``surface.roof_m`` beyond it differs from tile to tile.
       soft: function of a surface, ``altitude_m`` and ``softness_m`` as ``source``, with gradients.
+      credit: what the licence of the source asks for.
 
     Raises:
       InputError: a value that is none of these.
@@ -74,6 +76,7 @@ class Layer:
     nan: Literal["closed", "error"] = "closed"
     reach_m: float = 0.0
     soft: Callable | None = None
+    credit: str = ""
 
     def __post_init__(self) -> None:
         if isinstance(self.source, Path):
@@ -102,7 +105,8 @@ class Layer:
         """The settings as JSON can hold them, an array or a function by what it is."""
         source = self.source if isinstance(self.source, str) else getattr(self.source, "__qualname__", "array")
         held = {"source": source, "cost": self.cost, "scale": list(self.scale), "nan": self.nan}
-        return held | ({} if self.altitudes_m is None else {"altitudes_m": list(self.altitudes_m)})
+        held |= {} if self.altitudes_m is None else {"altitudes_m": list(self.altitudes_m)}
+        return held | ({"credit": self.credit} if self.credit else {})
 
     def scaled(self, values: Any) -> jax.Array:
         """Return m in [0, 1] of values in the source's unit; NaN stays. The gradient is 0 beyond the scale."""
@@ -140,6 +144,21 @@ def check_name(name: str) -> str:
     if name in TAKEN:
         raise InputError(f"a layer cannot be called {name!r}, which maps or weights use already: give it another name")
     return name
+
+
+# What a file's name may hold behind that of its variable, of an altitude, a time of day and a time.
+_OF_A_FILE = re.compile(r"(?P<of>\w+?)(_\d+m)?(?P<day>_day|_night)?(_\d{8}T\d{6}Z)?")
+
+
+def check_file_names(names: Collection[str]) -> None:
+    """Raise InputError where a layer's name is that of another map's file, as ``noise_20m`` is of ``noise`` at 20 m."""
+    for name in names:
+        match = _OF_A_FILE.fullmatch(name)
+        of = match["of"] if match else name
+        if match and of != name and (of in TAKEN or (of in names and not match["day"])):
+            raise InputError(
+                f"a layer cannot be called {name!r} beside {of!r}, one of whose files has that name: give it another"
+            )
 
 
 def own_metric(name: str, layer: Layer) -> Metric:

@@ -2,6 +2,7 @@
 
 import time
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -14,14 +15,14 @@ from jaxurban.errors import InputError
 from jaxurban.io import store
 from jaxurban.io.files import check_writable, only_writer
 from jaxurban.io.folders import WorkFolder, broken_files, has_other_maps, prepare_folder, remove_geotiffs_of, stored_key
-from jaxurban.io.geotiff import stale_geotiffs, write_geotiffs
+from jaxurban.io.geotiff import geotiff_names, stale_geotiffs, write_geotiffs
 from jaxurban.io.layers import bands_of
 from jaxurban.io.read.city import BuildingFile, CensusFiles, read_city
 from jaxurban.io.read.guesses import warn_of
 from jaxurban.io.read.rasterise import check_has_data, rasterise
 from jaxurban.io.store import open_whole
 from jaxurban.maps.build import map_guesses, view_sky
-from jaxurban.maps.dataset import empty_dataset, with_series
+from jaxurban.maps.dataset import PLANE, empty_dataset, variables, with_series
 from jaxurban.maps.executors import Resources, num_cores, work_in_threads, work_on_cluster
 from jaxurban.maps.held import HeldMaps
 from jaxurban.maps.memory import MemoryPlan, plan_run, plan_sentence, shape_of_tiles
@@ -67,7 +68,7 @@ def load_city(scenario: Scenario) -> City:
     if population.blocks is not None:
         places = (scenario.path_of(population.blocks), path(population.table), path(population.districts))
         census = CensusFiles(*places, population.block_field, population.district_field, population.commercial)
-    return read_city(
+    city = read_city(
         BuildingFile(
             scenario.path_of(file.source), file.kind, file.default_height_m, file.level_height_m, file.allow_none
         ),
@@ -77,6 +78,7 @@ def load_city(scenario: Scenario) -> City:
         terrain=path(scenario.terrain.source),
         mask_deg=scenario.gps.mask_deg,
     )
+    return city.credited(file.credit, scenario.terrain.credit, population.credit)
 
 
 def tasks_of(scenario: Scenario, stage: Stage = untimed) -> list[MapTask]:
@@ -135,6 +137,7 @@ def run_scenario(
     progress: Progress = True,
     overwrite: bool = False,
     resources: Resources | None = None,
+    layers: Sequence[str] = (),
 ) -> ScenarioRun:
     """Make the maps of a scenario under ``folder`` and return them with the record of the run.
 
@@ -148,15 +151,19 @@ def run_scenario(
       progress: as in `jaxurban.progress.reporting`.
       overwrite: replace maps of other settings.
       resources: what the run may use; left out, half of the free memory and a thread a core.
+      layers: variables that are GeoTIFFs too (see `jaxurban.io.geotiff.write_geotiffs`).
 
     Raises:
-      InputError: bad settings or sources, too little memory, or a folder that holds another job's maps.
+      InputError: bad settings or sources, too little memory, a layer that the maps would not hold, or a folder that
+        holds another job's maps.
     """
     with reporting("maps", progress) as report:
-        return _run(scenario, folder, overwrite, resources or Resources(), report)
+        return _run(scenario, folder, overwrite, resources or Resources(), layers, report)
 
 
-def _run(scenario: Scenario, folder: Path, overwrite: bool, resources: Resources, report: Report) -> ScenarioRun:
+def _run(
+    scenario: Scenario, folder: Path, overwrite: bool, resources: Resources, layers: Sequence[str], report: Report
+) -> ScenarioRun:
     started_utc = datetime.now(UTC).isoformat(timespec="seconds")
     watch = Stopwatch(on_stage=report)
     with warnings.catch_warnings(record=True) as caught:
@@ -171,6 +178,8 @@ def _run(scenario: Scenario, folder: Path, overwrite: bool, resources: Resources
                 "--overwrite to replace them"
             )
         tasks = tasks_of(scenario, watch.stage)
+        held = [name for name, (dims, _) in variables(tasks[0]).items() if dims[-2:] == PLANE]
+        geotiff_names(held, tasks[0].metrics, layers)  # refuses what is not there
         guesses = map_guesses(tasks[0])
         warn_of(guesses, known=tasks[0].city.guesses)
         check_writable(folder)
@@ -186,7 +195,7 @@ def _run(scenario: Scenario, folder: Path, overwrite: bool, resources: Resources
         with only_writer(folder), resources.client() as client:
             prepare_folder(folder, key, scenario.region.resolution_m, before)
             tasks = [replace(task, guesses=guesses) for task in tasks]
-            makers = [Maker(task, folder, key, plan.num_workers, client, added) for task in tasks]
+            makers = [Maker(task, folder, key, plan.num_workers, client, tuple(layers), added) for task in tasks]
             made = [_maps_of(maker, watch, report) for maker in makers]
             if before is not None:
                 remove_geotiffs_of(folder, before)
@@ -202,6 +211,7 @@ def _run(scenario: Scenario, folder: Path, overwrite: bool, resources: Resources
 class Maker:
     """A task, where its maps go and who works on them: threads of this process, or a cluster by its client.
 
+    ``layers`` are GeoTIFFs too, beside obstacles and the metrics of the cost.
     ``added``: what the task adds to the maps that are there.
     """
 
@@ -210,6 +220,7 @@ class Maker:
     key: str
     num_workers: int
     client: Any = None
+    layers: tuple[str, ...] = ()
     added: Addition | None = None
 
     def held(self) -> HeldMaps | None:
@@ -251,13 +262,16 @@ def _maps_of(maker: Maker, watch: Stopwatch, report: Report) -> tuple[MetricMaps
         scale = (time.perf_counter() - began) / (sum(seconds.values()) or 1.0)
         for name, busy_s in seconds.items():
             watch.add(name, busy_s * scale)
+    for path in store.stale_root_files(folder) if is_kept else ():
+        LOG.warning(f"{str(path)!r} is missing or damaged: writing it again")
+        store.write_root(folder)
     ds = store.open_zarr(folder, resolution_m)
     with watch.stage("verify"):
-        stale = stale_geotiffs(ds, folder, maker.key, maker.num_workers)
+        stale = stale_geotiffs(ds, folder, maker.key, maker.num_workers, maker.layers)
         for path in stale if is_kept else ():
             LOG.warning(f"{str(path)!r} is missing or damaged: writing it again")
     with watch.stage("write_geotiff"):
-        write_geotiffs(ds, folder, maker.key, maker.num_workers, only=stale)
+        write_geotiffs(ds, folder, maker.key, maker.num_workers, only=stale, layers=maker.layers)
     return MetricMaps(ds), not is_kept
 
 
@@ -314,6 +328,7 @@ def make_zarr(
             made[[f"{name}_{what}" for name in totals for what in ("epoch_mean", "worst_time")]], work.zarr
         )
     work.finish(store.zarr_path(maker.folder, grid.resolution_m))
+    store.write_root(maker.folder)
     return seconds
 
 

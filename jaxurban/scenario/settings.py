@@ -26,7 +26,7 @@ from jaxurban.errors import InputError, typed
 from jaxurban.io.read.orbits import NOMINAL as NOMINAL
 from jaxurban.io.read.orbits import iso_utc
 from jaxurban.maps.height_uncertainty import HeightStd
-from jaxurban.metrics.custom import Layer, check_name
+from jaxurban.metrics.custom import Layer, check_file_names, check_name
 from jaxurban.metrics.gps import GpsParams
 from jaxurban.metrics.lidar import LidarParams
 from jaxurban.metrics.population import WEEKDAY_PROFILE, WEEKEND_PROFILE, PopulationParams, day_share
@@ -129,6 +129,7 @@ class BuildingSettings(_Section):
     height_std_m: HeightStd = HeightStd()
     height_samples: Annotated[int, Field(ge=0)] = 0  # of the spread maps; 0: none are made
     height_seed: Seed = 0
+    credit: str = ""  # what the source's licence asks for; OSM's is known
 
     @model_validator(mode="after")
     def _check(self) -> "BuildingSettings":
@@ -141,6 +142,7 @@ class TerrainSettings(_Section):
     """Ground elevation; left out: flat."""
 
     source: str | None = None
+    credit: str = ""
 
 
 @differentiable("gdop_threshold")
@@ -203,6 +205,7 @@ class PopulationSettings(PopulationParams):
     table: str | None = None
     districts: str | None = None
     district_field: str = "BoroCD"
+    credit: str = ""
     commercial: tuple[int, ...] | None = None  # `jaxurban.io.read.districts.default_commercial`
     time_of_day: Annotated[StrList, Different] = ("day", "night")
     weekday: Annotated[Profile, Field(exclude_if=WEEKDAY_PROFILE.__eq__)] = WEEKDAY_PROFILE
@@ -300,6 +303,7 @@ class Scenario(_Section):
         return self
 
     def _check_layers(self) -> None:
+        check_file_names(self.layers)
         for name, layer in self.layers.items():
             check_name(name)
             if not isinstance(layer.source, str):

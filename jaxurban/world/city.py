@@ -1,7 +1,7 @@
 """City: what stands and who lives in a region, as vectors in one projected CRS."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from enum import IntEnum
 from pathlib import Path
 from typing import Literal, Self
@@ -125,6 +125,11 @@ class Blocks(_Rows):
         return shapely.intersects(self.polygons, shapely.box(*bounds_m))
 
 
+def joined_credits(*credits: str) -> str:
+    """Return credits as one text, each once."""
+    return "; ".join(dict.fromkeys(credit for credit in credits if credit))
+
+
 @dataclass(frozen=True)
 class LandCover:
     """Where there is water and where there are parks: polygons in a city's CRS, empty where there are none."""
@@ -200,6 +205,10 @@ class City(Shown):
         """Where the building source knows what stands: a building far off does not make the land between known."""
         return shapely.box(*self.extent_m) if self.area is None else self.area
 
+    def credited(self, *credits: str) -> Self:
+        """Return the same city with further credits; empty ones, and those that it has, add nothing."""
+        return replace(self, attribution=joined_credits(self.attribution, *credits))
+
     @classmethod
     @typed
     def from_files(
@@ -220,6 +229,7 @@ class City(Shown):
         mask_deg: float = 5.0,
         allow_none: bool = False,
         kind: Literal["height", "surface"] = "height",
+        credit: str = "",
     ) -> "City":
         """Return the city in a set of files, around a region; `jaxurban.io.read.city.read_city` does it.
 
@@ -228,7 +238,8 @@ class City(Shown):
           bounds: west, south, east, north of the region in degrees. Buildings are kept as far around it
             as one of 1,000 m could shadow it from a satellite at the elevation mask.
           crs: projected CRS in metres; left out, the UTM zone of the region's centre.
-          blocks, table: census blocks (any vector format) and their population table (CSV).
+          blocks, table: census blocks (any vector format) and their population table (CSV); or a raster of people, each
+            pixel of which is a block, and no table.
           districts: district polygons; blocks take the one of largest overlap.
           terrain: ground elevation raster; left out, flat.
           block_field, district_field: identifying columns.
@@ -238,6 +249,7 @@ class City(Shown):
           allow_none: accept a region without a single building.
           kind: of a raster of buildings: ``"height"`` above ground, or ``"surface"`` (a DSM), from which the terrain
             is taken; trees are in it too.
+          credit: what the licences of these files ask for, beside OSM's own, which is known.
 
         Warns:
           GuessWarning: of each of the city's ``guesses``.
@@ -252,4 +264,5 @@ class City(Shown):
         census = None
         if blocks is not None:
             census = CensusFiles(blocks, table, districts, block_field, district_field, commercial)
-        return read_city(file, bounds=bounds, crs=crs, census=census, terrain=terrain, mask_deg=mask_deg)
+        made = read_city(file, bounds=bounds, crs=crs, census=census, terrain=terrain, mask_deg=mask_deg)
+        return made.credited(credit)

@@ -29,7 +29,11 @@ def quadrant_of(east: float, north: float) -> Quadrant:
 
 
 def _spans(size: int, side: int, low: int, high: int) -> tuple[list[int], int, int]:
-    """Return the lengths of the tiles along one axis, how many lie before the region, and how many in it."""
+    """Return the lengths of the tiles along one axis, how many lie before the region, and how many in it.
+
+    The tiles in it begin where it begins, ``low`` cells after the margin does; the last may reach into the margin of
+    ``high`` cells behind it.
+    """
 
     def outer(margin: int) -> list[int]:
         num = -(-margin // side)
@@ -44,9 +48,9 @@ def _spans(size: int, side: int, low: int, high: int) -> tuple[list[int], int, i
 class Tiling:
     """A region and the margin around it in tiles.
 
-    The tiles of the region are of one shape and anchored at its southwest corner, so that nothing
-    compiles twice; the last ones may stick out of it and are cropped when written. Those of the margin,
-    which only carry shadows, are of few more.
+    The tiles of the region are of one shape and anchored at its northwest corner, where files begin, so that nothing
+    compiles twice; the southernmost and the easternmost ones may stick out of it and are cropped when written. Those
+    of the margin, which only carry shadows, are of few more.
 
     Attributes:
       region: the grid that maps report.
@@ -70,20 +74,14 @@ class Tiling:
         """
         if min(shape) < 1:
             raise InputError(f"tiles need at least one cell a side, got {shape[0]} x {shape[1]}")
-        starts, first, counts = [], [], []
-        for window, size, side, begin, total in zip(
-            region.window_in(surface),
-            region.shape,
-            shape,
-            (region.first_row, region.first_col),
-            surface.shape,
-            strict=True,
-        ):
-            spans, num_before, num_inner = _spans(size, side, window.start, total - window.stop)
-            starts.append(tuple(accumulate(spans, initial=begin - sum(spans[:num_before]))))
-            first.append(num_before)
-            counts.append(num_inner)
-        return cls(region, starts[0], starts[1], (first[0], first[1]), (counts[0], counts[1]))
+        (rows, cols), (height, width) = region.window_in(surface), surface.shape
+        spans, first_col, num_cols = _spans(region.num_cols, shape[1], cols.start, width - cols.stop)
+        col_starts = accumulate(spans, initial=region.first_col - sum(spans[:first_col]))
+        spans, num_north, num_rows = _spans(region.num_rows, shape[0], height - rows.stop, rows.start)
+        north_end = region.first_row + region.num_rows + sum(spans[:num_north])
+        row_starts = accumulate(reversed(spans), initial=north_end - sum(spans))
+        first_row = len(spans) - num_north - num_rows
+        return cls(region, tuple(row_starts), tuple(col_starts), (first_row, first_col), (num_rows, num_cols))
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -114,13 +112,10 @@ class Tiling:
         )
 
     def reported(self, tile: Tile) -> tuple[slice, slice]:
-        """Return the rows and columns of the region that a tile of the region reports."""
+        """Return the rows and columns of the region that a tile of the region reports: its last rows, first columns."""
         grid = self.grid_of(tile)
         row, col = grid.first_row - self.region.first_row, grid.first_col - self.region.first_col
-        return (
-            slice(row, min(row + grid.num_rows, self.region.num_rows)),
-            slice(col, min(col + grid.num_cols, self.region.num_cols)),
-        )
+        return slice(max(row, 0), row + grid.num_rows), slice(col, min(col + grid.num_cols, self.region.num_cols))
 
     def touching(self, grid: Grid) -> Iterator[Tile]:
         """Yield the tiles that share a cell with ``grid``."""

@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -46,8 +47,9 @@ def files_of(folder: Path) -> dict[str, bytes]:
 def test_maps_writes_the_files_of_the_contract(made):
     names = {path.name for path in (made / "geotiff").iterdir()}
     per_altitude = {f"{metric}_{z}m_20m.tif" for metric in ("obstacle", "gps", "lidar", "risk") for z in (20, 60)}
-    assert names == per_altitude | {"population_day_20m.tif", "population_night_20m.tif"}
-    assert (made / "maps.zarr" / "20m" / "zarr.json").is_file()
+    styles = {f"{metric}_20m.qml" for metric in ("obstacle", "gps", "lidar", "risk", "population")}
+    assert names == per_altitude | styles | {"population_day_20m.tif", "population_night_20m.tif"}
+    assert (made / "maps.zarr" / "20m" / ".zmetadata").is_file()
     record = json.loads((made / "run.json").read_text())
     for key in (
         "versions",
@@ -76,7 +78,7 @@ def test_a_rerun_gives_the_same_bytes(made, tmp_path, capsys):
 
 
 def test_a_finished_job_is_not_done_again(made, capsys):
-    zarr = made / "maps.zarr" / "20m" / "zarr.json"
+    zarr = made / "maps.zarr" / "20m" / ".zmetadata"
     before = zarr.stat().st_mtime_ns
     code, _, _ = run(capsys, "maps", made.parent / "scenario.toml", "-o", made)
     assert (code, zarr.stat().st_mtime_ns) == (0, before)
@@ -220,6 +222,17 @@ def test_the_size_of_the_job_is_told_before_it_begins(made, capsys):
     _, _, err = run(capsys, "maps", made.parent / "scenario.toml", "-o", made, "--memory", "8GiB")
     assert re.search(r"\b[1-9][\d,]* cells, ", err.splitlines()[0])
     assert "of 8.0 GiB allowed" in err.splitlines()[0]
+
+
+def test_further_maps_are_written_when_they_are_asked_for(made, tmp_path, capsys):
+    scenario, out = made.parent / "scenario.toml", tmp_path / "out"
+    shutil.copytree(made, out)
+    code, _, err = run(capsys, "maps", scenario, "-o", out, "--layers", "hdop,rooof")
+    assert code == 2
+    assert_one_sentence(err, "rooof", "roof")
+    assert run(capsys, "maps", scenario, "-o", out, "--layers", "hdop,roof")[0] == 0
+    names = {path.name for path in (out / "geotiff").iterdir()} - {path.name for path in (made / "geotiff").iterdir()}
+    assert names == {"hdop_20m_20m.tif", "hdop_60m_20m.tif", "hdop_20m.qml", "roof_20m.tif", "roof_20m.qml"}
 
 
 def test_a_long_series_of_epochs_is_kept_as_statistics(tmp_path, capsys):

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import rasterio
 import shapely
 
 import jaxurban as ju
@@ -96,7 +97,7 @@ def test_a_disk_that_fills_up_is_one_sentence_and_leaves_nothing_half_written(tm
 @pytest.mark.parametrize("damage", ["torn", "stray", "file"])
 def test_a_damaged_folder_is_made_again_or_named(job, capsys, damage):
     if damage == "torn":
-        (job / "maps.zarr" / "20m" / "zarr.json").write_text("junk")
+        (job / "maps.zarr" / "20m" / ".zmetadata").write_text("junk")
     elif damage == "stray":
         (job / "maps.zarr" / "20 copym").mkdir()
     else:
@@ -107,10 +108,10 @@ def test_a_damaged_folder_is_made_again_or_named(job, capsys, damage):
 
 
 def test_torn_maps_are_named_when_planning(job, capsys):
-    (job / "maps.zarr" / "20m" / "zarr.json").write_text("junk")
+    (job / "maps.zarr" / "20m" / ".zmetadata").write_text("junk")
     code, _, err = run(capsys, "plan", job, "--start", "-73.999,40.756", "--goal", "-73.994,40.76", "--altitude", 20)
     assert code == 2
-    assert_one_sentence(err, "zarr.json", "not as they were written", "jaxurban maps")
+    assert_one_sentence(err, ".zmetadata", "not as they were written", "jaxurban maps")
 
 
 def test_a_free_cell_without_a_value_is_never_without_cost(job):
@@ -212,3 +213,32 @@ def test_spreads_are_not_taken_for_statistics_over_time(tmp_path):
     )
     assert "gps_p05" in ju.open_maps(tmp_path).ds
     assert not list((tmp_path / "geotiff").glob("gps_p05*"))
+
+
+def test_people_from_a_raster_and_every_credit_reach_the_files(tmp_path):
+    west, south, _, north = REGION["bounds"]
+    ring = [[west, south], [west + 0.001, south], [west + 0.001, north], [west, north], [west, south]]
+    (tmp_path / "city.geojson").write_text(
+        '{"type": "FeatureCollection", "features": [{"type": "Feature", "properties": {"height": 30}, '
+        f'"geometry": {{"type": "Polygon", "coordinates": [{ring}]}}}}]}}'
+    )
+    people = np.random.default_rng(0).integers(0, 200, (16, 16)).astype(np.int32)
+    place = rasterio.Affine(1 / 1200, 0, west - 0.004, 0, -1 / 1200, north + 0.004)
+    options = {"driver": "GTiff", "width": 16, "height": 16, "count": 1, "dtype": "int32", "nodata": -9999}
+    with rasterio.open(tmp_path / "people.tif", "w", crs="EPSG:4326", transform=place, **options) as file:
+        file.write(people, 1)
+    settings = {
+        "region": REGION,
+        "buildings": {"source": "city.geojson", "credit": "© a town"},
+        "population": {"blocks": "people.tif", "credit": "© a count"},
+    }
+    made = pipeline.run_scenario(Scenario.from_dict(settings, folder=tmp_path), tmp_path / "out")
+    maps = made.maps[20.0]
+    assert maps.ds.attrs["attribution"] == "© a town; © a count"
+    with rasterio.open(tmp_path / "out" / "geotiff" / "population_night_20m.tif") as file:
+        assert file.tags()["credit"] == "© a town; © a count"
+    cell_km2 = maps.grid.resolution_m**2 / 1e6
+    in_cells = float(maps.m("density", time_of_day="night").sum(dtype=np.float64)) * cell_km2
+    inside = made.record["population_in_region"]["night"]["total"]
+    assert in_cells == pytest.approx(inside, rel=0.01)
+    assert 0 < inside < people.sum()

@@ -17,7 +17,7 @@ from jaxurban.io.read.heights import MAX_HEIGHT_M
 from jaxurban.io.read.knownarea import area_of_outlines, area_of_raster
 from jaxurban.io.read.osm import OSM_SUFFIXES, read_osm
 from jaxurban.io.read.outlines import Outlines, count_tags, to_buildings
-from jaxurban.io.read.raster import check_range, raster_extent_m, read_raster
+from jaxurban.io.read.raster import RASTER_SUFFIXES, check_range, raster_extent_m, read_raster
 from jaxurban.io.read.surfacemodel import check_is_no_surface, heights_of_surface
 from jaxurban.io.read.vector import VECTOR_SUFFIXES, read_vector
 from jaxurban.world.city import Buildings, Raster
@@ -30,7 +30,6 @@ OUTLINE_READERS: dict[str, Callable[[Path], Outlines]] = {
     **dict.fromkeys(OSM_SUFFIXES, read_osm),
     **dict.fromkeys(VECTOR_SUFFIXES, read_vector),
 }
-RASTER_SUFFIXES = (".tif", ".tiff", ".vrt", ".asc", ".img")
 LOWEST_ROOF_M = -100.0  # surface minus terrain dips below 0 by noise, at cuttings by tens of metres
 
 

@@ -1,4 +1,4 @@
-"""Census blocks: polygons joined to a population table and to districts."""
+"""Census blocks: polygons joined to a population table, or the pixels of a raster of people; and to districts."""
 
 import re
 from collections import Counter
@@ -6,8 +6,10 @@ from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 
+import geopandas as gpd
 import numpy as np
 import pandas as pd
+import shapely
 
 from jaxurban.errors import InputError, readable
 from jaxurban.io.read.districts import (
@@ -19,6 +21,8 @@ from jaxurban.io.read.districts import (
     require_field,
     zoning_of,
 )
+from jaxurban.io.read.people import read_people
+from jaxurban.io.read.raster import RASTER_SUFFIXES
 from jaxurban.io.read.vector import open_frame
 from jaxurban.world.city import OTHER_DISTRICT, Blocks
 from jaxurban.world.diagnostics import ReadIssue, ReadIssues
@@ -38,7 +42,8 @@ class CensusFiles:
     """Census blocks, their people and their districts, as files.
 
     Attributes:
-      blocks: block polygons, any vector format.
+      blocks: block polygons, any vector format; or a raster of people, each pixel of which is a block (WorldPop, GHSL,
+        LandScan: `jaxurban.io.read.people`), which takes no table.
       table: CSV of population with one header row or two (the second is words where the first names columns).
         Its id column is the one that joins most blocks, its count column is found by `COUNT_COLUMNS`, or else is
         the only other column of whole numbers. None: the count is a field of the blocks file, found by
@@ -76,6 +81,46 @@ def read_blocks(files: CensusFiles, crs: str, bounds_m: Bounds | None = None) ->
       InputError: a file or field is missing or unreadable, ids are not unique, no row joins any block, or no block
         touches the box.
     """
+    issues: ReadIssues = {}
+    if Path(files.blocks).suffix.lower() in RASTER_SUFFIXES:
+        if files.table is not None:
+            raise InputError(f"{str(files.blocks)!r} holds its people itself: leave [population] table out")
+        polygons, counts, ids = read_people(files.blocks, crs, bounds_m)
+        frame = gpd.GeoDataFrame({"_id": ids, "_count": counts}, geometry=polygons, crs=crs)
+        if bounds_m is not None:
+            frame = frame[shapely.intersects(polygons, shapely.box(*bounds_m))]
+    else:
+        frame, issues = _polygons(files, crs, bounds_m)
+    if frame.empty:
+        raise InputError(f"blocks {str(files.blocks)!r} has no block that touches the region: check [region] bounds")
+    district, labels, district_issues = np.full(len(frame), OTHER_DISTRICT, np.int32), np.empty(0, int), Counter[str]()
+    commercial, has_districts = files.commercial_labels, files.districts is not None
+    if files.districts is not None:
+        polygons, labels, district_issues = read_districts(files.districts, crs, files.district_field)
+        district = largest_overlap(frame.geometry.to_numpy(), polygons, labels)
+    has_count = frame["_count"].notna()
+    blocks = Blocks(
+        polygons=frame.geometry.to_numpy(),
+        night_count=frame["_count"].fillna(0.0).to_numpy(np.float64),
+        district=district,
+        zoning=zoning_of(district, commercial, files.residential, labels.tolist()),
+        block_id=frame["_id"].to_numpy(object),
+    )
+    return blocks, {
+        ReadIssue.BLOCKS_WITHOUT_COUNT: int((~has_count).sum()),
+        ReadIssue.COUNTS_UNREADABLE: 0,
+        ReadIssue.BLOCKS_WITHOUT_POLYGON: 0,
+        ReadIssue.BLOCKS_WITHOUT_DISTRICT: int((district == OTHER_DISTRICT).sum()),
+        ReadIssue.INVALID_BLOCK_POLYGONS: 0,
+        ReadIssue.INVALID_DISTRICT_POLYGONS: district_issues["invalid_polygons"],
+        ReadIssue.COUNTS_WITH_NOTE: 0,
+        ReadIssue.COUNTS_WITHOUT_BLOCK: 0,
+        ReadIssue.COMMERCIAL_NOT_FOUND: int(has_districts and (~np.isin(list(commercial), labels)).sum()),
+    } | issues
+
+
+def _polygons(files: CensusFiles, crs: str, bounds_m: Bounds | None) -> tuple[gpd.GeoDataFrame, ReadIssues]:
+    """Return block polygons with ``_id`` and ``_count``, NaN where there is none, and the read issues met."""
     role, path, field = "blocks", str(files.blocks), files.block_field
     frame = open_frame(path, role)
     require_field(frame, field, role, path, "[population] block_field")
@@ -94,33 +139,14 @@ def read_blocks(files: CensusFiles, crs: str, bounds_m: Bounds | None = None) ->
     frame["_has_row"] = frame["_key"].isin(counts.index)
     counts_without_block = int((~counts.index.isin(frame["_key"])).sum())
     frame, polygon_issues = clean_polygons(frame, crs, bounds_m)
-    if frame.empty:
-        raise InputError(f"{role} {path!r} has no block that touches the region: check [region] bounds")
-    district, labels, district_issues = np.full(len(frame), OTHER_DISTRICT, np.int32), np.empty(0, int), Counter[str]()
-    commercial, has_districts = files.commercial_labels, files.districts is not None
-    if files.districts is not None:
-        polygons, labels, district_issues = read_districts(files.districts, crs, files.district_field)
-        district = largest_overlap(frame.geometry.to_numpy(), polygons, labels)
-    has_count = frame["_count"].notna()
-    blocks = Blocks(
-        polygons=frame.geometry.to_numpy(),
-        night_count=frame["_count"].fillna(0.0).to_numpy(np.float64),
-        district=district,
-        zoning=zoning_of(district, commercial, files.residential, labels.tolist()),
-        block_id=frame["_id"].to_numpy(object),
-    )
-    issues = {
-        ReadIssue.BLOCKS_WITHOUT_COUNT: int((~has_count).sum()),
-        ReadIssue.COUNTS_UNREADABLE: int((~has_count & frame["_has_row"]).sum()),
+    is_lost = frame["_count"].isna()
+    return frame, {
+        ReadIssue.COUNTS_UNREADABLE: int((is_lost & frame["_has_row"]).sum()),
         ReadIssue.BLOCKS_WITHOUT_POLYGON: polygon_issues["without_polygon"],
-        ReadIssue.BLOCKS_WITHOUT_DISTRICT: int((district == OTHER_DISTRICT).sum()),
         ReadIssue.INVALID_BLOCK_POLYGONS: polygon_issues["invalid_polygons"],
-        ReadIssue.INVALID_DISTRICT_POLYGONS: district_issues["invalid_polygons"],
         ReadIssue.COUNTS_WITH_NOTE: int(frame["_note"].eq(True).sum()),
         ReadIssue.COUNTS_WITHOUT_BLOCK: counts_without_block,
-        ReadIssue.COMMERCIAL_NOT_FOUND: int(has_districts and (~np.isin(list(commercial), labels)).sum()),
     }
-    return blocks, issues
 
 
 def _ids(column: pd.Series) -> pd.Series:

@@ -22,6 +22,7 @@ from jaxurban.world.grid import Bounds, Grid, transformer
 
 Resampling = Literal["nearest", "bilinear", "max"]
 
+RASTER_SUFFIXES = (".tif", ".tiff", ".vrt", ".asc", ".img")
 OWN_VALUES = "in a unit of your own"
 TERRAIN_RANGE_M = (-500.0, 9000.0)  # the shore of the Dead Sea lies at -430 m, the top of Everest at 8,849 m
 _MARGIN_PIXELS = 2  # bilinear sampling reaches half a pixel beyond the bounds, a curved border a little more
@@ -57,9 +58,9 @@ def read_raster(
         is unknown: a name that is none, two that differ, or a CRS in feet that says nothing of heights.
     """
     name = repr(str(path))
-    with _open(path) as source:
+    with open_raster(path) as source:
         unit_m = _unit_m(name, source)
-        window = _window(name, source, crs, bounds_m)
+        window = raster_window(name, source, crs, bounds_m)
         stored = source.read(1, window=window)
         is_empty = source.read_masks(1, window=window) == 0
         values = stored * source.scales[0] + source.offsets[0]
@@ -85,8 +86,8 @@ def read_bands(path: str | Path, crs: str, bounds_m: Bounds | None = None) -> li
       InputError: a file that cannot be read, has no CRS or no position, or does not reach the bounds.
     """
     name = repr(str(path))
-    with _open(path, OWN_VALUES) as source:
-        window = _window(name, source, crs, bounds_m)
+    with open_raster(path, OWN_VALUES) as source:
+        window = raster_window(name, source, crs, bounds_m)
         scale, offset = (np.array(values)[:, None, None] for values in (source.scales, source.offsets))
         values = source.read(window=window) * scale + offset
         is_empty = (source.read_masks(window=window) == 0) | ~np.isfinite(values)
@@ -112,7 +113,7 @@ def raster_extent_m(path: str | Path, crs: str) -> Bounds:
     Raises:
       InputError: as for `read_raster`.
     """
-    with _open(path) as source:
+    with open_raster(path) as source:
         col, row = np.array([0, source.width, 0, source.width]), np.array([0, 0, source.height, source.height])
         x, y = _apply(source.transform, col, row)
         to_city = transformer(_horizontal_crs(source), crs)
@@ -121,7 +122,7 @@ def raster_extent_m(path: str | Path, crs: str) -> Bounds:
 
 
 @contextmanager
-def _open(path: str | Path, holds: str = "heights in metres") -> Iterator[rasterio.DatasetReader]:
+def open_raster(path: str | Path, holds: str = "heights in metres") -> Iterator[rasterio.DatasetReader]:
     """Open a raster whose kind is right; every failure of reading it in the block is an InputError.
 
     Args:
@@ -183,7 +184,7 @@ def _apply(transform: Affine, first: np.ndarray, second: np.ndarray) -> tuple[np
     return a * first + b * second + c, d * first + e * second + f
 
 
-def _window(name: str, source: rasterio.DatasetReader, crs: str, bounds_m: Bounds | None) -> Window:
+def raster_window(name: str, source: rasterio.DatasetReader, crs: str, bounds_m: Bounds | None) -> Window:
     """Return the window of pixels that covers ``bounds_m``, cut to the raster."""
     if bounds_m is None:
         return Window(0, 0, source.width, source.height)

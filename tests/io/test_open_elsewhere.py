@@ -1,0 +1,272 @@
+"""What is written opens in others' hands: xarray, rioxarray, GDAL, geopandas and QGIS, values equal to the maps'."""
+
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import geopandas
+import matplotlib
+import numpy as np
+import pyproj
+import pytest
+import rasterio
+import scipy.ndimage
+import xarray as xr
+
+import jaxurban as ju
+from jaxurban.errors import InputError
+from jaxurban.io import store
+from jaxurban.io.geotiff import write_geotiffs
+from jaxurban.io.qgis import COLOUR_MAPS, colours_of, scale_of
+from jaxurban.maps.build import compute_maps
+from jaxurban.maps.metric_maps import MetricMaps
+from jaxurban.metrics.custom import Layer, check_file_names
+from jaxurban.report.figures import metrics as figures
+from tests import tiled_runs
+
+rioxarray = pytest.importorskip("rioxarray", reason="needs the dev extra")
+rio_cogeo = pytest.importorskip("rio_cogeo", reason="needs the dev extra")
+
+# rioxarray writes affine's products as * .
+pytestmark = pytest.mark.filterwarnings("ignore::PendingDeprecationWarning")
+HIDDEN = {"gps": 0, "lidar": 0, "risk": 0, "num_visible": 0, "gdop": np.inf, "hdop": np.inf}
+
+
+@pytest.fixture(scope="module")
+def maps() -> MetricMaps:
+    """Two times, two altitudes, on terrain, with a hole in the data and obstacles."""
+    made = compute_maps(tiled_runs.task(tiled_runs.city(with_terrain=True)))
+    made.ds.attrs["attribution"] = "© those who measured it"
+    return made
+
+
+@pytest.fixture(scope="module")
+def folder(maps, tmp_path_factory) -> Path:
+    return maps.save(tmp_path_factory.mktemp("maps"), layers=("all",))
+
+
+@pytest.fixture(scope="module")
+def opened(folder) -> xr.Dataset:
+    return xr.open_zarr(folder / "maps.zarr", group="20m")
+
+
+def expected(maps: MetricMaps, name: str, **at: int) -> np.ndarray:
+    """Return a map as files hold it, rows from the north, NaN where they hold nothing."""
+    ds = maps.ds
+    layer = ds[name].isel(at)
+    values = layer.values.astype(np.float64)
+    if store.IN_OBSTACLES in layer.attrs:
+        obstacle = ds["obstacle"].isel({dim: place for dim, place in at.items() if dim == "altitude"})
+        inside = (obstacle.values != 0) & ds["has_data"].values
+        held = HIDDEN.get(name)
+        assert held is None or (values[np.broadcast_to(inside, values.shape)] == held).all()
+        values[np.broadcast_to(inside, values.shape)] = np.nan
+    return values[..., ::-1, :]
+
+
+def test_what_is_read_back_has_the_bits_of_what_was_held(maps, folder):
+    found = ju.open_maps(folder).ds.load()
+    xr.testing.assert_identical(found, maps.ds)
+    for name, array in maps.ds.data_vars.items():
+        assert (found[name].dtype, found[name].values.tobytes()) == (array.dtype, array.values.tobytes()), name
+
+
+def test_parts_of_maps_are_read_back_as_held(maps, folder):
+    found = ju.open_maps(folder).ds
+    rows = np.array([3, 1, 40])
+    for part in (
+        {"y": slice(5, 30), "x": slice(2, 9)},
+        {"altitude": 1, "y": 7},
+        {"time": 0, "altitude": [1, 0], "x": slice(None, None, -3)},
+        {"y": rows, "x": 4},
+        {"time": 1, "altitude": 0, "y": 8, "x": 9},
+    ):
+        for name in ("gps", "hdop", "num_visible"):
+            got = found[name].isel(part).values
+            np.testing.assert_array_equal(got, maps.ds[name].isel(part).values)
+            assert got.shape == maps.ds[name].isel(part).shape
+
+
+def test_a_value_of_ones_own_inside_obstacles_is_read_back(maps, tmp_path):
+    changed = maps.ds.copy(deep=True)
+    inside = (changed["obstacle"].values[0] != 0) & changed["has_data"].values
+    changed["gps"].values[0, 0][inside] = np.nan
+    changed["lidar"].values[0][inside] = 0.25
+    MetricMaps(changed).save(tmp_path)
+    found = ju.open_maps(tmp_path).ds
+    for name in ("gps", "lidar"):
+        np.testing.assert_array_equal(found[name].values, changed[name].values)
+
+
+def test_xarray_opens_the_group_and_the_tree(maps, folder, opened):
+    assert xr.open_datatree(folder / "maps.zarr", engine="zarr").groups == ("/", "/20m")
+    assert list(opened["y"].values) == list(maps.grid.y_m[::-1])
+    np.testing.assert_array_equal(opened["time"].values, maps.ds["time"].values)
+    assert (maps.ds["obstacle"].values != 0).any()
+    assert not maps.ds["has_data"].values.all()
+    for name in maps.ds.data_vars:
+        np.testing.assert_array_equal(opened[name].values.astype(np.float64), expected(maps, str(name)), str(name))
+
+
+def test_what_xarray_opens_says_what_it_is(opened):
+    assert opened.attrs["Conventions"].startswith("CF-")
+    assert opened["altitude"].attrs | {"reference": ""} == {
+        "standard_name": "height",
+        "long_name": "above ground",
+        "axis": "Z",
+        "units": "m",
+        "positive": "up",
+        "reference": "",
+    }
+    assert opened["time"].encoding["units"].startswith("seconds since")
+    for name, array in opened.data_vars.items():
+        assert array.attrs["long_name"], name
+        assert array.attrs["grid_mapping"] == "spatial_ref"
+        assert "units" in array.attrs or name == "has_data"
+    crs = pyproj.CRS.from_cf(opened["spatial_ref"].attrs)
+    assert crs == pyproj.CRS(opened.attrs["crs"])
+
+
+def test_a_raster_written_by_rioxarray_is_north_up(maps, opened, tmp_path):
+    opened["gps"].isel(time=1, altitude=0).rio.to_raster(tmp_path / "gps.tif")
+    with rasterio.open(tmp_path / "gps.tif") as file:
+        assert (file.transform.a, file.transform.e) == (20.0, -20.0)
+        assert file.bounds == maps.grid.bounds_m
+        assert file.crs == rasterio.crs.CRS.from_user_input(maps.grid.crs)
+        np.testing.assert_array_equal(file.read(1), expected(maps, "gps", time=1, altitude=0))
+
+
+def test_gdal_opens_every_map_of_the_zarr(maps, folder):
+    for name, array in maps.ds.data_vars.items():
+        for index in np.ndindex(array.shape[:-2]):
+            place = "".join(f":{part}" for part in index)
+            with rasterio.open(f'ZARR:"{folder / "maps.zarr"}":/20m/{name}{place}') as file:
+                assert file.bounds == maps.grid.bounds_m
+                assert file.crs == rasterio.crs.CRS.from_user_input(maps.grid.crs)
+                found = file.read(1, masked=True).astype(np.float64).filled(np.nan)
+            at = dict(zip(array.dims, index, strict=False))
+            np.testing.assert_array_equal(found, expected(maps, str(name), **at), str(name))
+
+
+def test_every_map_is_a_valid_cog_that_says_what_it_is(maps, folder):
+    files = sorted((folder / "geotiff").glob("*.tif"))
+    assert len(files) == sum(int(np.prod(array.shape[:-2])) for array in maps.ds.data_vars.values())
+    for path in files:
+        assert rio_cogeo.cog_validate(path, strict=True, quiet=True) == (True, [], []), path.name
+        with rasterio.open(path) as file:
+            tags, name = file.tags(), file.tags()["metric"]
+            array = maps.ds[name]
+            assert tags["credit"] == maps.ds.attrs["attribution"]
+            assert file.descriptions[0].startswith(tags["long_name"])
+            assert (file.units[0] or "") == tags.get("units", "")
+            at = {}
+            if "altitude" in array.dims:
+                at["altitude"] = maps.altitudes_m.index(float(tags["altitude_m"]))
+                assert f"{tags['altitude_m']} m above ground" in file.descriptions[0]
+            if "time" in array.dims:
+                at["time"] = maps.times.index(tags["time"])
+                assert tags["constellation"] == "gps"
+            values = expected(maps, name, **at)
+            if name != "has_data":
+                values[~maps.ds["has_data"].values[::-1]] = np.nan
+            if array.dtype in (np.uint8, np.bool_):
+                assert (file.dtypes[0], file.nodata) == ("uint8", 255)
+            found = file.read(1, masked=True).astype(np.float64).filled(np.nan)
+            np.testing.assert_array_equal(found, values, path.name)
+
+
+def test_large_maps_have_overviews_and_stay_valid(maps, tmp_path):
+    big = maps.ds[["obstacle", "gps", "lidar", "risk", "has_data"]].isel(altitude=[0], time=[0])
+    big = xr.concat([xr.concat([big.drop_vars(["y", "x"])] * 14, "y")] * 27, "x")
+    files = write_geotiffs(big, tmp_path)
+    for path in (path for path in files if path.suffix == ".tif"):
+        assert rio_cogeo.cog_validate(path, strict=True, quiet=True) == (True, [], [])
+        with rasterio.open(path) as file:
+            assert file.overviews(1) == [2, 4]
+            if "obstacle" in path.name:
+                small = file.read(1, out_shape=(file.height // 4, file.width // 4))
+                assert set(np.unique(small)) <= {0, 1, 255}
+
+
+def test_geopandas_opens_a_route_and_finds_the_maps_values_under_it(maps, folder, tmp_path):
+    labels, _ = scipy.ndimage.label(maps.is_free(60.0))
+    free = np.argwhere(labels == np.bincount(labels[labels > 0]).argmax())
+    ends = [tuple(map(float, maps.grid.lonlat_of_cell(*free[i]))) for i in (0, -1)]
+    path = ju.plan(folder, start=ends[0], goal=ends[1], altitude_m=60.0)
+    path.save(tmp_path / "route.geojson")
+    table = geopandas.read_file(tmp_path / "route.geojson").to_crs(maps.grid.crs)
+    line = next(shape for shape in table.geometry if shape.geom_type == "LineString")
+    x_m, y_m = np.array(line.coords)[:, 0], np.array(line.coords)[:, 1]
+    with rasterio.open(folder / "geotiff" / "risk_60m_20m.tif") as file:
+        found = [value for (value,) in file.sample(zip(x_m, y_m, strict=True))]
+    np.testing.assert_array_equal(found, maps.m("risk", 60.0)[maps.grid.cell_of_xy(x_m, y_m)])
+
+
+def test_colour_maps_are_those_of_matplotlib():
+    values = np.linspace(0, 1, 400)
+    for name in [*COLOUR_MAPS, "viridis_r", "magma_r"]:
+        stops = np.array([matplotlib.colors.to_rgb(colour) for colour in colours_of(name)])
+        ours = np.stack([np.interp(values, np.linspace(0, 1, len(stops)), stops[:, i]) for i in range(3)], axis=1)
+        np.testing.assert_allclose(ours, matplotlib.colormaps[name](values)[:, :3], atol=0.05)
+
+
+@pytest.mark.parametrize("name", ["gps", "lidar", "risk", "population", "hdop", "num_visible", "density", "roof"])
+def test_styles_are_the_colours_of_the_figures(name, tmp_path):
+    city = tiled_runs.city()
+    maps = compute_maps(tiled_runs.task(city))
+    styles = {path.stem: path for path in write_geotiffs(maps.ds, tmp_path, layers=("all",)) if path.suffix == ".qml"}
+    assert len(styles) == len(maps.ds.data_vars)
+    renderer = ET.parse(styles[f"{name}_20m"]).getroot().find("pipe/rasterrenderer")
+    assert renderer.get("type") == "singlebandpseudocolor"
+    items = [(float(item.get("value")), item.get("color")) for item in renderer.iter("item")]
+    shown = {
+        "density": lambda: figures.density_colours(float(maps.ds["density"].max())),
+        "roof": lambda: figures.roof_colours(float(maps.ds["roof"].max())),
+    }.get(name, lambda: figures.metric_colours(maps, name))()
+    low, high = items[0][0], items[-1][0]
+    assert (low, high) == pytest.approx((shown.norm.vmin, shown.norm.vmax))
+    values = np.linspace(low, high, 200)
+    stops = np.array([matplotlib.colors.to_rgb(colour) for _, colour in items])
+    ours = np.stack([np.interp(values, [value for value, _ in items], stops[:, i]) for i in range(3)], axis=1)
+    theirs = matplotlib.colormaps.get_cmap(shown.cmap)(shown.norm(values))[:, :3]
+    np.testing.assert_allclose(ours, theirs, atol=0.07)  # a logarithm is linear between 17 places only by and by
+
+
+def test_obstacles_are_shown_as_two_classes(folder):
+    entries = ET.parse(folder / "geotiff" / "obstacle_20m.qml").getroot().findall(".//paletteEntry")
+    assert [(entry.get("value"), entry.get("label")) for entry in entries] == [("0", "free"), ("1", "obstacle")]
+
+
+def test_a_range_ignores_dops_without_a_fix(maps):
+    assert np.isinf(maps.ds["hdop"].values).any()
+    assert scale_of(maps.ds, "hdop").values[-1] == 20.0
+    assert np.isfinite(scale_of(maps.ds, "terrain").values).all()
+
+
+def test_a_layer_that_is_not_there_is_refused_before_anything_is_written(maps, tmp_path):
+    with pytest.raises(InputError, match="hdop"):
+        maps.save(tmp_path / "out", layers=("hdpo",))
+    assert not (tmp_path / "out").exists()
+
+
+def test_maps_of_an_older_format_are_refused_with_the_remedy(folder, tmp_path):
+    old = tmp_path / "maps.zarr" / "5m"
+    old.mkdir(parents=True)
+    (old / "zarr.json").write_text('{"zarr_format": 3, "node_type": "group"}')
+    with pytest.raises(InputError, match=r"older version of jaxurban: make the maps anew .*--overwrite"):
+        ju.open_maps(tmp_path)
+
+
+@pytest.mark.parametrize(
+    "names", [("noise", "noise_20m"), ("population_day",), ("gps_20m_20200427T160000Z",), ("risk_60m",)]
+)
+def test_a_layer_with_the_name_of_anothers_file_is_refused(names):
+    with pytest.raises(InputError, match="one of whose files has that name: give it another"):
+        check_file_names(names)
+    check_file_names(["noise_20m", "noise_day", "wind_60m"])
+
+
+def test_layers_whose_files_would_be_one_are_refused_by_build_maps():
+    city = tiled_runs.city()
+    flat = Layer(lambda surface, altitude_m: surface.crop(surface.roof_m), "high-is-bad", (0, 1))
+    with pytest.raises(InputError, match="noise_20m"):
+        ju.build_maps(city, resolution_m=50.0, altitudes_m=(20.0,), layers={"noise": flat, "noise_20m": flat})
