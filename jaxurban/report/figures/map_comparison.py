@@ -32,9 +32,7 @@ MASK_COLOURS = {
 }
 A_COLOUR, B_COLOUR = "#111111", "#f59b00"
 SHOWN_SHARE = 0.99  # of the changed cells lie within the colour bar
-MOST_DOP = (
-    5.0  # of the colour bar of dilutions of precision, which have no end: from good to poor in the paper's rating
-)
+MOST_DOP = 5.0  # of the colour bar of dilutions of precision, whose tail has no end
 MOST_ROUTES = 8  # in a panel
 UNITS = {"1": "", "m": "m", "km-2": "people per km²"}
 LABELS = {
