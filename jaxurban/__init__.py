@@ -35,10 +35,13 @@ if _TYPE_CHECKING:
     from jaxurban.planners.base import CostModel as CostModel
     from jaxurban.planners.envelope import planned_cost as planned_cost
     from jaxurban.report.buildings import write_buildings as write_buildings
+    from jaxurban.report.map_comparison import save_comparison as save_comparison
     from jaxurban.report.run_montecarlo import study as study
     from jaxurban.report.sensitivity import save_sensitivity as save_sensitivity
     from jaxurban.scenario.settings import Scenario as Scenario
     from jaxurban.studies.demonstrations import Demonstration as Demonstration
+    from jaxurban.studies.map_comparison.compare import MapComparison as MapComparison
+    from jaxurban.studies.map_comparison.compare import compare as compare
     from jaxurban.studies.montecarlo.run import MapsFolder as MapsFolder
     from jaxurban.studies.montecarlo.sampling import sample_instances as sample_instances
     from jaxurban.studies.montecarlo.trial import BenchmarkSettings as BenchmarkSettings
@@ -84,10 +87,12 @@ _NAMES = {
     "planners.base": "CostModel",
     "planners.envelope": "planned_cost",
     "report.buildings": "write_buildings",
+    "report.map_comparison": "save_comparison",
     "report.run_montecarlo": "study",
     "report.sensitivity": "save_sensitivity",
     "scenario.settings": "Scenario",
     "studies.demonstrations": "Demonstration",
+    "studies.map_comparison.compare": "MapComparison compare",
     "studies.montecarlo.run": "MapsFolder",
     "studies.montecarlo.sampling": "sample_instances",
     "studies.montecarlo.trial": "BenchmarkSettings",

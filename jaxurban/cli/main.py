@@ -15,6 +15,7 @@ from typing import Any
 import click
 
 from jaxurban.cli.common import logged_on_stderr, tell
+from jaxurban.cli.compare import compare
 from jaxurban.cli.demo import demo
 from jaxurban.cli.fetch import fetch
 from jaxurban.cli.maps import maps
@@ -34,7 +35,7 @@ def app() -> None:
     """Metric maps for small drones over cities, and paths planned on them."""
 
 
-for command in (demo, fetch, maps, plan, sensitivity, study, tune):
+for command in (compare, demo, fetch, maps, plan, sensitivity, study, tune):
     app.add_command(command)
 
 

@@ -1,16 +1,33 @@
 """jaxurban maps."""
 
+import traceback
+from collections import Counter
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from jaxurban.cli.common import DEVICE_CHOICE, JSON_FLAG, names_in, print_json, tell, tell_warnings
+from jaxurban.errors import InputError
 from jaxurban.progress import reporting
+
+if TYPE_CHECKING:
+    from jaxurban.maps.executors import Resources
+    from jaxurban.scenario.settings import Scenario
+
+EXIT_BUG, EXIT_BAD_INPUT = 1, 2
 
 
 @click.command()
-@click.argument("scenario_file", metavar="SCENARIO", type=click.Path(path_type=Path))
+@click.argument("scenario_files", metavar="SCENARIO...", type=click.Path(path_type=Path), nargs=-1, required=True)
 @click.option("-o", "folder", type=click.Path(path_type=Path), required=True, help="Output folder.")
+@click.option(
+    "--set",
+    "changes",
+    metavar="KEY=VALUE",
+    multiple=True,
+    help="Change a setting, such as gps.mask_deg=10; values as in TOML; repeatable.",
+)
 @click.option("--overwrite", is_flag=True, help="Replace maps of other settings in the output folder.")
 @click.option("--figures", is_flag=True, help="Draw the maps too, under DIR/figures.")
 @click.option(
@@ -26,8 +43,9 @@ from jaxurban.progress import reporting
 @DEVICE_CHOICE()
 @JSON_FLAG
 def maps(
-    scenario_file: Path,
+    scenario_files: tuple[Path, ...],
     folder: Path,
+    changes: tuple[str, ...],
     overwrite: bool,
     figures: bool,
     layers: str,
@@ -37,16 +55,58 @@ def maps(
     device: str | None,
     as_json: bool,
 ) -> int:
-    """Make the metric maps of SCENARIO (TOML) as Zarr and GeoTIFF."""
+    """Make the metric maps of SCENARIO (TOML) as Zarr and GeoTIFF.
+
+    Of several scenarios each goes to a folder of its own under the output folder, named as its file; one that fails
+    does not stop the others, and the exit code is then 2.
+    """
     from jaxurban.maps.executors import Resources
     from jaxurban.maps.memory import parse_bytes
-    from jaxurban.scenario.run import run_scenario
     from jaxurban.scenario.settings import Scenario
 
-    scenario = Scenario.from_toml(scenario_file)
     resources = Resources(None if memory is None else parse_bytes(memory), workers, cluster).on_device(device)
+    if len(scenario_files) == 1:
+        scenario = Scenario.from_toml(scenario_files[0], changes)
+        record = _make(scenario, folder, overwrite, figures, resources, names_in(layers))
+        if as_json:
+            print_json(record)
+        return 0
+    names = [file.stem for file in scenario_files]
+    if twice := [name for name, count in Counter(names).items() if count > 1]:
+        raise InputError(
+            f"two scenarios are called {twice[0]!r}, and each goes to a folder of its name: rename one of them"
+        )
+    found: dict[str, Any] = {}
+    codes = {0}
+    for name, file in zip(names, scenario_files, strict=True):
+        tell(f"scenario {file}")
+        try:
+            found[name] = _make(
+                Scenario.from_toml(file, changes), folder / name, overwrite, figures, resources, names_in(layers)
+            )
+        except Exception as error:
+            is_ours = isinstance(error, InputError | MemoryError)
+            codes.add(EXIT_BAD_INPUT if is_ours else EXIT_BUG)
+            found[name] = {"error": str(error) or type(error).__name__}
+            tell(f"error: {file}: {found[name]['error']}" if is_ours else traceback.format_exc())
+    failed = [name for name in names if "error" in found[name]]
+    tell(
+        f"{len(names) - len(failed)} of {len(names)} scenarios finished"
+        + "".join(f"; {name} failed" for name in failed)
+    )
+    if as_json:
+        print_json({"scenarios": found})
+    return EXIT_BUG if EXIT_BUG in codes else max(codes)
+
+
+def _make(
+    scenario: "Scenario", folder: Path, overwrite: bool, figures: bool, resources: "Resources", layers: tuple[str, ...]
+) -> dict[str, Any]:
+    """Make the maps of one scenario and return the record of the run."""
+    from jaxurban.scenario.run import run_scenario
+
     with reporting("maps") as report:
-        run = run_scenario(scenario, folder, report, overwrite, resources, names_in(layers))
+        run = run_scenario(scenario, folder, report, overwrite, resources, layers)
         if figures:
             from jaxurban.report.figures import save_figures
 
@@ -55,6 +115,4 @@ def maps(
                 save_figures(made, {}, folder / "figures" / f"{resolution_m:g}m")
     tell_warnings(run.record)
     tell(f"maps finished: {folder} (run.json tells what went in)")
-    if as_json:
-        print_json(run.record)
-    return 0
+    return run.record

@@ -15,11 +15,12 @@ import shapely
 
 from jaxurban.errors import InputError
 from jaxurban.io.files import read_json, whole_file, write_json
-from jaxurban.io.store import short_number
+from jaxurban.io.store import RUN_FILE, short_number
 from jaxurban.maps.guesses import leaving_shares
 from jaxurban.maps.task import MapTask
 from jaxurban.metrics.population import population_totals
 from jaxurban.progress import LOG
+from jaxurban.scenario.differences import differences_said, differing
 from jaxurban.scenario.settings import NOMINAL, Scenario
 from jaxurban.world.city import City
 from jaxurban.world.grid import Grid
@@ -39,6 +40,7 @@ REPORTED_VERSIONS = (
     "xarray",
     "zarr",
 )
+NOT_OF_MAPS = ("weights", "planning", "study")  # sections of the scenario that no map depends on
 MAP_FOLDERS = ("kernels", "world", "metrics", "io", "maps", "scenario")  # of the package: what maps depend on
 
 
@@ -67,7 +69,7 @@ def run_record(
         "elapsed_s": {name: round(seconds, 3) for name, seconds in elapsed_s.items()},
         "run_key": key,
         "versions": versions(),
-        "settings": json.loads(scenario.model_dump_json(exclude_none=True)),
+        "settings": settings_of(scenario),
         "inputs": inputs,
         "region": _region_record([task.region for task in tasks]),
         "buildings": _building_record(city, region),
@@ -156,6 +158,11 @@ def _companions(path: Path) -> list[Path]:
     return sorted({path, *(part for name in names for part in path.parent.glob(name) if part.is_file())})
 
 
+def settings_of(scenario: Scenario) -> dict[str, Any]:
+    """Return the settings of a scenario as run.json holds them."""
+    return json.loads(scenario.model_dump_json(exclude_none=True))
+
+
 def code_hash() -> str:
     """Return a SHA-256 over the source files that make maps, so that maps of other code are not taken for ours."""
     digest = hashlib.sha256()
@@ -168,7 +175,7 @@ def code_hash() -> str:
 
 def run_key(scenario: Scenario, inputs: dict[str, dict[str, str]], backend: str) -> str:
     """Return a short hash of all that maps depend on: settings, input bytes, our code, the libraries, JAX's backend."""
-    settings = scenario.model_dump(mode="json", exclude={"weights", "planning", "study"})
+    settings = scenario.model_dump(mode="json", exclude=set(NOT_OF_MAPS))
     facts = {
         "settings": settings,
         "inputs": inputs,
@@ -177,6 +184,27 @@ def run_key(scenario: Scenario, inputs: dict[str, dict[str, str]], backend: str)
         "backend": backend,
     }
     return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()[:16]
+
+
+def other_maps(folder: Path, scenario: Scenario, inputs: Mapping[str, Mapping[str, str]]) -> str:
+    """Return how the maps under a folder differ from a scenario's, by their record: settings, else files, else code."""
+    try:
+        held = read_json(folder / RUN_FILE)
+        settings, files, made_by = held["settings"], held["inputs"], held["versions"]
+    except (OSError, ValueError, LookupError):
+        return "maps of other settings or inputs, or made by another version of jaxurban or its libraries"
+    both = ({name: one[name] for name in one if name not in NOT_OF_MAPS} for one in (settings, settings_of(scenario)))
+    if found := differing(*both):
+        return f"maps of other settings ({differences_said(found)})"
+    if others := [role for role in {**files, **inputs} if _sum(files, role) != _sum(inputs, role)]:
+        return f"maps of other input files ({', '.join(others)}: what they hold has changed)"
+    if found := differing(made_by, versions()):
+        return f"maps made by other versions ({differences_said(found)})"
+    return "maps made by other code of jaxurban, or on another device"
+
+
+def _sum(inputs: Mapping[str, Mapping[str, str]], role: str) -> str | None:
+    return inputs.get(role, {}).get("sha256")
 
 
 def versions() -> dict[str, str]:

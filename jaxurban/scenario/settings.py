@@ -2,6 +2,7 @@
 
 import operator
 import tomllib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -33,6 +34,7 @@ from jaxurban.metrics.risk import RiskParams
 from jaxurban.metrics.settings import differentiable
 from jaxurban.metrics.weights import MOST_WEIGHT, Weights
 from jaxurban.planners.registry import find_planner
+from jaxurban.scenario.changes import changed
 from jaxurban.world.diagnostics import check_truths, sentence_of
 from jaxurban.world.grid import check_bounds, projected_crs
 
@@ -317,11 +319,15 @@ class Scenario(_Section):
 
     @classmethod
     @typed
-    def from_toml(cls, path: str | Path) -> "Scenario":
+    def from_toml(cls, path: str | Path, changes: Sequence[str] = ()) -> "Scenario":
         """Return the scenario in a TOML file; relative paths in it are relative to the file.
 
+        Args:
+          path: of the file.
+          changes: of its settings, as ``"gps.mask_deg=10"``: a dotted key and a value as TOML writes it.
+
         Raises:
-          InputError: no such file, not TOML, an unknown key (names the nearest one) or a bad value.
+          InputError: no such file, not TOML, an unknown key (names near ones) or a bad value.
         """
         path = Path(path)
         try:
@@ -330,7 +336,8 @@ class Scenario(_Section):
             raise InputError(f"cannot read the scenario {str(path)!r}: {error.strerror or error}") from error
         except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
             raise InputError(f"{str(path)!r} is not a scenario in TOML: {error}") from error
-        return cls.from_dict(settings, name=str(path), folder=path.resolve().parent)
+        name = " ".join([str(path), *(f"--set {change}" for change in changes)])
+        return cls.from_dict(changed(settings, changes, cls), name=name, folder=path.resolve().parent)
 
     @classmethod
     def from_dict(cls, settings: dict[str, Any], name: str = "the scenario", folder: Path | None = None) -> "Scenario":

@@ -92,7 +92,7 @@ def sentence_of(error: ValidationError, model: type, settings: Any) -> str:
     *parents, last = first["loc"] or ("",)
     names = []
     for part in parents:
-        model = _model_in(fields_of(model).get(str(part))) or model
+        model = model_in(fields_of(model).get(str(part))) or model
         if _holds(settings, part):  # the rest are pydantic's names for the types of a union
             settings = settings[part]
             names.append(str(part))
@@ -119,7 +119,7 @@ def check_truths(settings: Any, model: type, where: str = "") -> None:
     for name, value in settings.items() if isinstance(settings, Mapping) else ():
         if isinstance(value, bool) and name in known and known[name] is not bool:
             raise ValueError(f"{where}{name} cannot be {str(value).lower()}: give a number, a text or a list")
-        if inner := _model_in(known.get(name)):
+        if inner := model_in(known.get(name)):
             check_truths(value, inner, f"{where}{name}: ")
 
 
@@ -137,8 +137,8 @@ def _holds(settings: Any, part: str | int) -> bool:
     return isinstance(settings, Mapping) and part in settings
 
 
-def _model_in(annotation: Any) -> type | None:
+def model_in(annotation: Any) -> type | None:
     """Return the model or dataclass that an annotation names, on its own or in a list or union; None if none."""
     if isinstance(annotation, type) and (issubclass(annotation, BaseModel) or is_dataclass(annotation)):
         return annotation
-    return next(filter(None, map(_model_in, get_args(annotation))), None)
+    return next(filter(None, map(model_in, get_args(annotation))), None)

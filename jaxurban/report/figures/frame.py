@@ -327,7 +327,7 @@ def add_colour_bar(figure: Figure, box: Box, colours: Colours) -> Colorbar:
     if colours.ticks is not None:
         bar.ax.minorticks_off()
         axis = bar.ax.xaxis if is_lying else bar.ax.yaxis
-        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.0f}" if value >= 1 else f"{value:g}"))
+        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.0f}" if abs(value) >= 1 else f"{value:g}"))
     return bar
 
 

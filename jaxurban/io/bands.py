@@ -1,0 +1,54 @@
+"""Several maps of one grid as the bands of one GeoTIFF, whole or not there at all."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import rasterio
+from affine import Affine
+from rasterio.errors import RasterioError
+
+from jaxurban.io.files import whole_file
+from jaxurban.world.grid import Grid
+
+
+def write_bands(
+    file: Path, grid: Grid, bands: Mapping[str, np.ndarray], unit: str = "1", tags: Mapping[str, str] | None = None
+) -> Path:
+    """Write maps as bands (float32, Zstandard, north-up, NaN = no data) and return the file.
+
+    Args:
+      file: named ``.tif``.
+      grid: of the maps.
+      bands: ``[Y, X]`` by description, rows south to north.
+      unit: of their values.
+      tags: of the file.
+
+    Raises:
+      InputError: the folder cannot be written to.
+    """
+    with whole_file(file) as scratch:
+        try:
+            with rasterio.open(
+                scratch,
+                "w",
+                driver="GTiff",
+                width=grid.num_cols,
+                height=grid.num_rows,
+                count=len(bands),
+                dtype="float32",
+                crs=grid.crs,
+                transform=Affine(grid.resolution_m, 0, grid.x_min_m, 0, -grid.resolution_m, grid.y_max_m),
+                nodata=float("nan"),
+                compress="ZSTD",
+                tiled=True,
+                bigtiff="IF_SAFER",
+            ) as raster:
+                raster.update_tags(**(tags or {}))
+                raster.units = [unit] * len(bands)
+                for number, (description, values) in enumerate(bands.items(), start=1):
+                    raster.write(np.asarray(values, np.float32)[::-1], number)
+                    raster.set_band_description(number, description)
+        except (RasterioError, SystemError) as error:
+            raise OSError(f"GDAL could not write it ({error})") from error
+    return file

@@ -1,0 +1,83 @@
+"""What a comparison writes: files that others open, figures on one scale around zero, and a folder of its own."""
+
+import numpy as np
+import pandas as pd
+import pytest
+import rasterio
+from matplotlib.colors import Normalize
+
+import jaxurban as ju
+from jaxurban.report.figures.map_comparison import _colours, comparison_figures, plot_difference
+from tests.cli_runs import assert_one_sentence, run
+from tests.made_maps import made_maps
+from tests.studies.test_map_comparison import changed_from
+
+
+@pytest.fixture(scope="module")
+def found():
+    a = made_maps()
+    a.ds["roof"].attrs["units"] = "m"
+    return ju.compare(a, changed_from(a), routes=8, progress=False)
+
+
+def test_the_folder_holds_report_tables_maps_and_figures(found, tmp_path):
+    ju.save_comparison(found, tmp_path / "ab")
+    report = (tmp_path / "ab/report.md").read_text(encoding="utf-8")
+    for name in comparison_figures(found):
+        assert f"figures/{name}.png" in report
+        assert (tmp_path / f"ab/figures/{name}.png").stat().st_size > 5000
+    table = pd.read_csv(tmp_path / "ab/tables/layers.csv")
+    assert len(table) == len(pd.read_parquet(tmp_path / "ab/tables/layers.parquet")) == len(found.table)
+    routes = pd.read_parquet(tmp_path / "ab/tables/routes.parquet")
+    np.testing.assert_array_equal(routes.regret, found.routes.table.regret)
+    for row in found.table.query("layer == 'obstacle' and stratum == 'all'").itertuples():
+        assert f"| {row.gained:,} | {row.lost:,} |" in report
+    with pytest.raises(ju.InputError, match="holds another run"):
+        ju.save_comparison(ju.compare(found.b, found.a, routes=3, progress=False), tmp_path / "ab")
+
+
+def test_difference_maps_open_elsewhere_north_up_with_band_names(found, tmp_path):
+    ju.save_comparison(found, tmp_path)
+    with rasterio.open(tmp_path / "difference/risk_10m.tif") as file:
+        assert file.descriptions == ("20 m", "60 m")
+        assert file.crs.to_epsg() == 32618
+        assert file.tags()["difference"] == "B - A"
+        np.testing.assert_array_equal(file.read(2)[::-1], found.of("risk", 60.0))
+        x_m, y_m = file.xy(0, 0)
+        assert (x_m, y_m) == (found.grid.x_m[0], found.grid.y_m[-1])
+    with rasterio.open(tmp_path / "difference/population_10m.tif") as file:
+        assert file.descriptions == ("day", "night")
+
+
+def test_one_scale_is_centred_at_zero_and_says_its_unit(found):
+    maps = [found.of("risk", z) for z in found.a.altitudes_m]
+    colours = _colours(found, "risk", maps)
+    assert isinstance(colours.norm, Normalize)
+    assert colours.norm.vmin == -colours.norm.vmax
+    assert colours.norm(0.0) == 0.5
+    figure = plot_difference(found, "roof")
+    assert any(axes.get_ylabel() == "m, B - A" for axes in figure.axes)
+    panels = [axes for axes in plot_difference(found, "gps").axes if axes.get_title(loc="left")]
+    assert len(panels) == 2
+    with pytest.raises(ju.InputError, match="gps"):
+        plot_difference(found, "gsp")
+
+
+def test_the_command_compares_folders_and_names_the_settings_that_differ(capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    text = "[region]\nbounds = [-74.02, 40.70, -74.0, 40.715]\nresolution_m = 25.0\naltitudes_m = [60]\n"
+    text += '[buildings]\nsource = "synthetic"\n[population]\ntime_of_day = ["day"]\n'
+    for name, range_m in (("a", 100.0), ("b", 60.0)):
+        (tmp_path / f"{name}.toml").write_text(f"{text}[lidar]\nrange_m = {range_m}\n", encoding="utf-8")
+        assert run(capsys, "maps", f"{name}.toml", "-o", name)[0] == 0
+    code, _, err = run(capsys, "compare", "a", "b", "-o", "ab", "--routes", "3", "--cost-model", "line")
+    assert code == 0, err
+    report = (tmp_path / "ab/report.md").read_text(encoding="utf-8")
+    assert "| `lidar.range_m` | `100.0` | `60.0` |" in report
+    assert "The same in both: gps, population" in report
+    table = pd.read_csv(tmp_path / "ab/tables/layers.csv").query("stratum == 'all'").set_index("layer")
+    assert table.rms["lidar"] > 0
+    assert table.rms.drop("lidar").max() == 0
+    code, _, err = run(capsys, "compare", "a", "b", "-o", "ab2", "--time", "2020")
+    assert code == 2
+    assert_one_sentence(err, "--time")
