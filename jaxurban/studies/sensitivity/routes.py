@@ -25,7 +25,7 @@ from jaxurban.studies.sensitivity.sobol import check_vary, sobol_of_weights
 ROUTE_KEY = ("city", *KEY)
 OF_WEIGHT = ("elasticity", "below", "above", "regret_low", "regret_high")  # columns of each weight, as "below:gps"
 OF_SHARE = ("first", "first_ci", "total", "total_ci")  # and of each outcome too, as "first:gps:length_m"
-TEXTS = ("city", "status", "note", "vary")
+TEXTS = ("city", "status", "note", "vary", "changed")
 
 
 @typed
