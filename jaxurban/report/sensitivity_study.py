@@ -1,12 +1,13 @@
 """sensitivity_study: what weights do to many routes of one or several cities, kept in a folder and resumable."""
 
 import warnings
+import zlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
 from jaxurban.errors import GuessWarning, InputError, check_type, typed
@@ -21,64 +22,17 @@ from jaxurban.paths.queries import read_queries
 from jaxurban.progress import LOG, Progress, Report, reporting
 from jaxurban.report.buildings import scenario_of
 from jaxurban.report.run_montecarlo import INSTANCES_FILE, check_instances
+from jaxurban.report.sensitivity_routes import SensitivityStudy, write_sensitivity_study
 from jaxurban.scenario.run import tasks_of as maps_tasks_of
 from jaxurban.scenario.settings import Scenario
 from jaxurban.studies.montecarlo.run import InstanceRuns, MapsFolder, helpers, keep_rows, solve, tasks_of
 from jaxurban.studies.montecarlo.sampling import checked_instances, instances_of_queries, sample_joined, weight_columns
-from jaxurban.studies.sensitivity import summary
 from jaxurban.studies.sensitivity.remade import REMADE_KEY, RemadeSettings, num_remade, remade_of, remade_rows
 from jaxurban.studies.sensitivity.routes import ROUTE_KEY, SensitivityStudySettings, row_columns
 
 ROUTES_FOLDER, REMADE_FOLDER = "routes", "remade"
 ONE_RUN: tuple[str, ...] = ()
 Source = MetricMaps | MapsFolder
-
-
-@dataclass(frozen=True, eq=False)
-class SensitivityStudy:
-    """What a weight study found.
-
-    Attributes:
-      folder: where it is kept.
-      cities: how the cities are called, with their grids in words.
-      instances: the routes asked for.
-      rows: what was found for each (`jaxurban.studies.sensitivity.routes.route_row`).
-      remade: how each route differs on maps made anew (`jaxurban.studies.sensitivity.remade.remade_rows`).
-      skipped: why maps were not made anew, a sentence a city.
-      settings: what was asked.
-    """
-
-    folder: Path
-    cities: Mapping[str, str]
-    instances: pd.DataFrame
-    rows: pd.DataFrame
-    remade: pd.DataFrame
-    skipped: tuple[str, ...]
-    settings: SensitivityStudySettings
-
-    @cached_property
-    def routes(self) -> pd.DataFrame:
-        """The rows of routes that were found, with what describes each."""
-        return summary.routes_of(self.rows, self.instances)
-
-    @cached_property
-    def weights(self) -> pd.DataFrame:
-        """A row a route and weight (`summary.weights_table`)."""
-        return summary.weights_table(self.routes, self.settings.factors)
-
-    @cached_property
-    def tables(self) -> dict[str, pd.DataFrame]:
-        """All tables by name."""
-        if self.routes.empty:
-            return {"routes": self.rows}
-        shares = summary.shares_table(self.routes)
-        found = {"routes": self.rows, "weights": self.weights}
-        found["summary"] = summary.summarise(self.weights, self.settings.wrong)
-        if len(shares):
-            found |= {"sobol": shares, "sobol_summary": summary.summarise_shares(shares)}
-        if len(self.remade):
-            found |= {"remade": self.remade, "remade_summary": summary.summarise_remade(self.remade)}
-        return found
 
 
 @typed
@@ -102,7 +56,7 @@ def sensitivity_study(
     the nearest breakpoints, the regret of a wrong weight, and Sobol shares of what the route is like; with ``remade``
     also how routes change where heights are uncertain or parameters are other ones. Rows are kept in ``folder`` as they
     come; the same call after any end, ``kill -9`` included, makes only what is missing. A route that fails is a row
-    with its status. `save_sensitivity_study` writes the report.
+    with its status. ``report.md`` there says what the routes support and what not, beside tables and figures.
 
     Args:
       sources: maps of each city by its name, folders or maps in memory (which only this process sees); or folders,
@@ -144,11 +98,14 @@ def sensitivity_study(
     with own_folder(folder, "sensitivity", key, overwrite=overwrite), reporting("sensitivity", progress) as report:
         write_table(instances, folder / INSTANCES_FILE)
         rows = _routes(folder, instances, given, job, workers, report)
-        remade_table, skipped = pd.DataFrame(), ()
+        remade_table, skipped = pd.DataFrame(), tuple[str, ...]()
         if remade:
             remade_table, skipped = _remade(folder, instances, given, opened, (settings, remade), scenarios, report)
-    cities = {city: f"{maps.facts['grid']}" for city, maps in opened.items()}
-    return SensitivityStudy(folder, cities, instances, rows, remade_table, skipped, settings)
+        report("report")
+        grids = {city: maps.facts["grid"] for city, maps in opened.items()}
+        found = SensitivityStudy(folder, grids, instances, rows, remade_table, skipped, settings)
+        write_sensitivity_study(found)
+    return found
 
 
 def named_sources(sources: Any) -> dict[str, Source]:
@@ -167,7 +124,9 @@ def named_sources(sources: Any) -> dict[str, Source]:
         listed = [(Path(each).resolve().name, source) for each, source in zip(folders, several, strict=True)]
     names = [name for name, _ in listed]
     if not names or len(set(names)) < len(names):
-        raise InputError(f"sources must be cities of different names, and one at least, got {', '.join(names) or 'none'}")
+        raise InputError(
+            f"sources must be cities of different names, and one at least, got {', '.join(names) or 'none'}"
+        )
     found: dict[str, Source] = {}
     for name, source in listed:
         if isinstance(source, MetricMaps):
@@ -201,7 +160,8 @@ def _instances(
     parts = []
     for city, maps in opened.items():
         if not isinstance(routes, pd.DataFrame):
-            how: dict[str, Any] = {"cost_model": model, "constraints": constraints, "seed": settings.seed}
+            seed = int(np.random.SeedSequence([settings.seed, zlib.crc32(city.encode())]).generate_state(1)[0])
+            how: dict[str, Any] = {"cost_model": model, "constraints": constraints, "seed": seed}
             part = sample_joined(maps, routes, altitudes_m=altitudes_m, weights=[Weights.of(weights)], **how)
         else:
             part = _given_routes(routes, city, maps, weights, len(opened) > 1)
@@ -253,9 +213,7 @@ def _routes(
     return read_table(store.file, "rows")
 
 
-def _solved(
-    tasks: Mapping[Any, list[InstanceRuns]], sources: Mapping[str, Source], settings: Any, client: Any
-) -> Any:
+def _solved(tasks: Mapping[Any, list[InstanceRuns]], sources: Mapping[str, Source], settings: Any, client: Any) -> Any:
     for city, of_city in tasks.items():
         if of_city:
             yield from solve(of_city, sources[city], settings, client)
@@ -299,9 +257,7 @@ def _remade(
     return read_table(store.file, "rows of maps made anew"), tuple(skipped)
 
 
-def _map_task(
-    city: str, source: Source, maps: MetricMaps, scenarios: Mapping[str, Scenario] | None
-) -> MapTask:
+def _map_task(city: str, source: Source, maps: MetricMaps, scenarios: Mapping[str, Scenario] | None) -> MapTask:
     """Return what the maps of a city are made of, its sources read again.
 
     Raises:

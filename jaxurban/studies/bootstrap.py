@@ -98,3 +98,16 @@ def interval_of(values: np.ndarray, counts: np.ndarray, num_groups: int, statist
         return Interval(np.nan, np.nan, np.nan)
     (found,) = statistic(values, np.ones((1, len(values)), np.int64))
     return Interval(float(found), *ends_of(statistic(values, counts), num_groups))
+
+
+def share_interval(values: np.ndarray, counts: np.ndarray, num_groups: int) -> Interval:
+    """Return the share of ``[N]`` values that are 1, the others 0, and its interval (`interval_of`).
+
+    Where all are alike every draw is, which says nothing: there the interval ends where so many groups would all be
+    alike once in twenty times.
+    """
+    found = interval_of(values, counts, num_groups)
+    if num_groups < FEWEST_GROUPS or not found.mean in (0.0, 1.0):
+        return found
+    least = (1 - LEVEL) ** (1 / num_groups)
+    return found._replace(high=1 - least) if found.mean == 0 else found._replace(low=least)

@@ -186,7 +186,9 @@ def instances_of_queries(maps: GivenMaps, queries: Sequence[Query]) -> pd.DataFr
         default_time = maps.default_time
         row["time"] = default_time if query.time is None or default_time is None else iso_utc(parse_time(query.time))
         row["time_of_day"] = query.time_of_day or next(iter(maps.times_of_day), None)
-        rows.append(row | {column: query.weights[column.removeprefix(WEIGHT_PREFIX)] for column in weight_columns(maps.metrics)})
+        rows.append(
+            row | {column: query.weights[column.removeprefix(WEIGHT_PREFIX)] for column in weight_columns(maps.metrics)}
+        )
     return checked_instances(pd.DataFrame(rows), "the queries")
 
 

@@ -92,9 +92,7 @@ class BenchmarkSettings:
         model, constraints = self.cost_model, self.constraints
         return cost_map(maps, altitude_m, cost_model=model, time=time, time_of_day=time_of_day, constraints=constraints)
 
-    def solve(
-        self, on: CostMap, instance: Mapping[str, Any], runs: Sequence[tuple[str, ...]]
-    ) -> list[dict[str, Any]]:
+    def solve(self, on: CostMap, instance: Mapping[str, Any], runs: Sequence[tuple[str, ...]]) -> list[dict[str, Any]]:
         """Return a row (see `row_columns`) for each planner on an instance; a planner that crashes is a row too."""
         return solve_instance(on, instance, [PlannerRun(*run) for run in runs], self)
 

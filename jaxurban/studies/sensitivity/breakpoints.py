@@ -156,7 +156,9 @@ def nearest_breakpoints(
         rows, ends = np.nonzero(is_due)
         places = np.tile(weights, (len(rows), 1))
         places[np.arange(len(rows)), np.asarray(columns)[rows]] *= at[rows, ends]
-        for row, end, place, other in zip(rows.tolist(), ends.tolist(), places, pool.cheapest(places)[0, 0], strict=True):
+        for row, end, place, other in zip(
+            rows.tolist(), ends.tolist(), places, pool.cheapest(places)[0, 0], strict=True
+        ):
             excess = given - other
             if place @ excess <= TIE * (place @ given):
                 is_due[row, end] = False

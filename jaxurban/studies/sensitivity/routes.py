@@ -77,9 +77,7 @@ class SensitivityStudySettings:
         model, constraints = self.cost_model, self.constraints
         return cost_map(maps, altitude_m, cost_model=model, time=time, time_of_day=time_of_day, constraints=constraints)
 
-    def solve(
-        self, on: CostMap, instance: Mapping[str, Any], runs: Sequence[tuple[str, ...]]
-    ) -> list[dict[str, Any]]:
+    def solve(self, on: CostMap, instance: Mapping[str, Any], runs: Sequence[tuple[str, ...]]) -> list[dict[str, Any]]:
         """Return the row of a route (see `route_row`); one that fails is a row with its status."""
         try:
             facts = route_row(on, instance, self)
@@ -152,7 +150,9 @@ def route_row(on: CostMap, instance: Mapping[str, Any], settings: SensitivityStu
     features, integrals = query.sums(first.points_m)
     cost = float(weights @ features)
     if not cost > 0:
-        raise InputError("the cheapest route costs nothing, so no weight has a share of its cost: give a weight above 0")
+        raise InputError(
+            "the cheapest route costs nothing, so no weight has a share of its cost: give a weight above 0"
+        )
     facts: dict[str, Any] = {"status": first.status.value, "note": first.note, "vary": ",".join(vary), "cost": cost}
     facts |= {name: float(value) for name, value in outcomes_of(integrals, names).items()}
     facts |= {f"elasticity:{name}": float(w * f / cost) for name, w, f in zip(names, weights, features, strict=True)}

@@ -21,6 +21,7 @@ from jaxurban.studies.bootstrap import (
     interval_of,
     mean_of,
     median_of,
+    share_interval,
 )
 from jaxurban.studies.montecarlo.trial import HAS_PATH
 from jaxurban.studies.sensitivity.remade import HEIGHTS
@@ -117,7 +118,10 @@ class Drawn:
         """Return a statistic of the known values and its interval."""
         counts = self.over if over_cities and self.over is not None else self.within
         known = values.notna().to_numpy()
-        return interval_of(values.to_numpy(np.float64)[known], counts[:, known], self.num_pairs, statistic)
+        numbers = values.to_numpy(np.float64)[known]
+        if statistic is mean_of and np.isin(numbers, (0.0, 1.0)).all():
+            return share_interval(numbers, counts[:, known], self.num_pairs)
+        return interval_of(numbers, counts[:, known], self.num_pairs, statistic)
 
     def difference(self, values: pd.Series, is_in: np.ndarray) -> Interval:
         """Return the mean of the values that are in, less that of the others, and its interval."""
