@@ -37,6 +37,8 @@ if _TYPE_CHECKING:
     from jaxurban.report.buildings import write_buildings as write_buildings
     from jaxurban.report.run_montecarlo import study as study
     from jaxurban.report.sensitivity import save_sensitivity as save_sensitivity
+    from jaxurban.report.sensitivity_routes import SensitivityStudy as SensitivityStudy
+    from jaxurban.report.sensitivity_study import sensitivity_study as sensitivity_study
     from jaxurban.scenario.settings import Scenario as Scenario
     from jaxurban.studies.demonstrations import Demonstration as Demonstration
     from jaxurban.studies.montecarlo.run import MapsFolder as MapsFolder
@@ -46,6 +48,8 @@ if _TYPE_CHECKING:
     from jaxurban.studies.read_demonstrations import demonstrations_from_paths as demonstrations_from_paths
     from jaxurban.studies.read_demonstrations import read_demonstrations as read_demonstrations
     from jaxurban.studies.sensitivity.buildings import building_costs as building_costs
+    from jaxurban.studies.sensitivity.remade import RemadeSettings as RemadeSettings
+    from jaxurban.studies.sensitivity.routes import SensitivityStudySettings as SensitivityStudySettings
     from jaxurban.studies.sensitivity.study import SensitivitySettings as SensitivitySettings
     from jaxurban.studies.sensitivity.study import sensitivity as sensitivity
     from jaxurban.studies.tuning.fit_settings import FitSettings as FitSettings
@@ -85,6 +89,8 @@ _NAMES = {
     "report.buildings": "write_buildings",
     "report.run_montecarlo": "study",
     "report.sensitivity": "save_sensitivity",
+    "report.sensitivity_routes": "SensitivityStudy",
+    "report.sensitivity_study": "sensitivity_study",
     "scenario.settings": "Scenario",
     "studies.demonstrations": "Demonstration",
     "studies.montecarlo.run": "MapsFolder",
@@ -93,6 +99,8 @@ _NAMES = {
     "studies.queries": "make_queries",
     "studies.read_demonstrations": "demonstrations_from_paths read_demonstrations",
     "studies.sensitivity.buildings": "building_costs",
+    "studies.sensitivity.remade": "RemadeSettings",
+    "studies.sensitivity.routes": "SensitivityStudySettings",
     "studies.sensitivity.study": "SensitivitySettings sensitivity",
     "studies.tuning.fit_settings": "FitSettings",
     "studies.tuning.target_fit": "fit_targets",

@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from jaxurban.paths.queries import WEIGHT_PREFIX
 from jaxurban.report.figures.sensitivity_study import study_figures
 from jaxurban.report.markdown import bullets, counted, fill, listed, table
 from jaxurban.report.save import Output, save
-from jaxurban.studies.bootstrap import FEWEST_GROUPS, Interval
+from jaxurban.studies.bootstrap import FEWEST_GROUPS
 from jaxurban.studies.montecarlo.complementarity import Finding
-from jaxurban.studies.montecarlo.sampling import weight_columns
+from jaxurban.studies.montecarlo.sampling import weighed_metrics, weight_columns
 from jaxurban.studies.montecarlo.trial import HAS_PATH
 from jaxurban.studies.outcomes import outcome_label
 from jaxurban.studies.sensitivity import summary
@@ -98,6 +99,7 @@ def study_markdown(found: SensitivityStudy) -> str:
         "sensitivity_study",
         asked=_asked(found),
         settings=settings,
+        constraints=str(settings.constraints) or "none",
         wrong=settings.wrong,
         limit=min(settings.factors[1], 1 / settings.factors[0]),
         num_claims=len(claims),
@@ -184,7 +186,7 @@ def _over_cities(of_all: pd.DataFrame) -> str:
         if row["nearest"] > 0
     ]
     trust = (
-        f"With {num} cities these are too narrow: a city unlike them is in no draw. They tell whether the cities at hand "
+        f"With {num} cities these are too narrow: a city unlike them is in no draw. They tell whether those at hand "
         "differ by more than their routes do, and nothing of a city that was not looked at."
         if num < FEWEST_GROUPS
         else f"With {num} cities they are of cities like these."
@@ -266,9 +268,7 @@ def _remade(found: SensitivityStudy) -> str:
 
 
 def _weights(instances: pd.DataFrame) -> str:
-    columns = [name for name in weight_columns(()) if name in instances] + [
-        name for name in instances if str(name).startswith("w_") and name not in weight_columns(())
-    ]
-    if len(instances[columns].drop_duplicates()) > 1:
+    columns = weight_columns(weighed_metrics(instances.columns))
+    if len(instances[list(columns)].drop_duplicates()) > 1:
         return "those of each route (`instances.parquet`)"
-    return ", ".join(f"{name.removeprefix('w_')} {instances[name].iloc[0]:g}" for name in columns)
+    return ", ".join(f"{name.removeprefix(WEIGHT_PREFIX)} {instances[name].iloc[0]:g}" for name in columns)

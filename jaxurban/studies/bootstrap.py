@@ -107,7 +107,7 @@ def share_interval(values: np.ndarray, counts: np.ndarray, num_groups: int) -> I
     alike once in twenty times.
     """
     found = interval_of(values, counts, num_groups)
-    if num_groups < FEWEST_GROUPS or not found.mean in (0.0, 1.0):
+    if num_groups < FEWEST_GROUPS or found.mean not in (0.0, 1.0):
         return found
     least = (1 - LEVEL) ** (1 / num_groups)
     return found._replace(high=1 - least) if found.mean == 0 else found._replace(low=least)

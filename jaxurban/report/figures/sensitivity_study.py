@@ -1,4 +1,4 @@
-"""Pictures of a weight study over many routes: shares, regrets and breakpoints by weight, city, stratum and altitude."""
+"""Pictures of a weight study over many routes: shares, regrets, breakpoints by weight, city, stratum and altitude."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -14,10 +14,11 @@ from jaxurban.report.figures.frame import FAINT_INK, TEXT_PT
 from jaxurban.report.figures.sensitivity import CLUSTER_COLOURS
 from jaxurban.studies.outcomes import outcome_label
 from jaxurban.studies.sensitivity.findings import change_said
-from jaxurban.studies.sensitivity.summary import ALL, CLEAR
+from jaxurban.studies.sensitivity.summary import ALL, CLEAR, Drawn
 
 DOT: dict[str, Any] = {"markersize": 4.5, "capsize": 2, "elinewidth": 0.9, "linestyle": "none"}
 MARKERS = "osD^vP*X"
+NUM_FACTORS = 60  # at which an interval is drawn
 INTERVALS = "bars: 95 % intervals; hollow: too few pairs for one"
 
 
@@ -45,9 +46,11 @@ def dots(
     for which, face in ((is_known, look["color"]), (~is_known & np.isfinite(values), "white")):
         if which.any():
             ends = np.nan_to_num(np.stack([values - low, high - values])[:, which]).clip(min=0)
-            at = (values[which], x[which]) if is_across else (x[which], values[which])
-            bars = {"xerr": ends} if is_across else {"yerr": ends}
-            panel.errorbar(*at, **bars, **DOT, **{**look, "label": label}, markerfacecolor=face)
+            look_here = {**DOT, **look, "label": label, "markerfacecolor": face}
+            if is_across:
+                panel.errorbar(values[which], x[which], xerr=ends, **look_here)
+            else:
+                panel.errorbar(x[which], values[which], yerr=ends, **look_here)
             label = None
 
 
@@ -103,7 +106,7 @@ def plot_nearest(weights: pd.DataFrame, wrong: float) -> Figure:
     figure, axes = panels(
         len(altitudes),
         "How far a weight may be off before the route changes",
-        "share of routes whose nearest breakpoint lies within the factor, up or down, the other weights as given",
+        "share of routes whose nearest breakpoint lies within the factor, up or down; bands: 95 % intervals",
         foot_in=0.3,
         shares_y=True,
         gap_in=(0.3, 0.8),
@@ -118,6 +121,7 @@ def plot_nearest(weights: pd.DataFrame, wrong: float) -> Figure:
                 x = np.concatenate([[1.0], factors[is_reached], [end]])
                 y = np.concatenate([[0.0], np.flatnonzero(is_reached) + 1.0, [is_reached.sum()]]) / len(factors)
                 panel.step(x, y, where="post", color=look["color"], label=name, linewidth=1.3)
+                _band(panel, at[at.weight_name == name], end, look["color"])
         panel.axvline(wrong, color=FAINT_INK, linewidth=0.8, linestyle=(0, (3, 2)))
         panel.set(xscale="log", xlim=(1, end), ylim=(0, 1.02), xlabel="factor (1)")
         panel.set_title(f"{altitude_m:g} m")
@@ -125,6 +129,13 @@ def plot_nearest(weights: pd.DataFrame, wrong: float) -> Figure:
         panel.yaxis.set_major_formatter(PercentFormatter(1.0))
     legend_below(figure, axes[0])
     return figure
+
+
+def _band(panel: Axes, rows: pd.DataFrame, end: float, colour: str) -> None:
+    """Draw the 95 % interval of the share of routes that have changed by each factor below ``end``."""
+    drawn, factors = Drawn(rows), np.geomspace(1.0, end, NUM_FACTORS, endpoint=False)
+    ends = np.array([drawn.interval((rows.nearest <= factor).astype(float))[1:] for factor in factors])
+    panel.fill_between(factors, *ends.T, color=colour, alpha=0.13, linewidth=0)
 
 
 @styled

@@ -47,6 +47,8 @@ class MapsFolder:
 class Job(Protocol):
     """What is done with every instance. A frozen dataclass: it is sent to workers, which keep what they made by it."""
 
+    def __hash__(self) -> int: ...
+
     def cost_map(self, maps: MetricMaps, altitude_m: float, time: str | None, time_of_day: str | None) -> CostMap:
         """Return the cost map that instances of an altitude and time share."""
 

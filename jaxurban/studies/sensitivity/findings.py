@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 
 from jaxurban.studies.bootstrap import FEWEST_GROUPS, Interval
+from jaxurban.studies.montecarlo.analysis import each
 from jaxurban.studies.montecarlo.complementarity import Finding
 from jaxurban.studies.outcomes import outcome_label
 from jaxurban.studies.sensitivity.remade import HEIGHTS
@@ -164,7 +165,7 @@ def _outcomes(shares: pd.DataFrame) -> Iterator[Finding]:
 
 def _remade(remade: pd.DataFrame) -> Iterator[Finding]:
     over_all = remade[remade.altitude == ALL]
-    for row in over_all.itertuples():
+    for row in each(over_all):
         said = change_said(row.changed, row.factor)
         yield from _change(row, f"{said[0].upper()}{said[1:]}")
 

@@ -78,7 +78,7 @@ class Remade:
 
 def parameters_of(task: MapTask) -> dict[str, float]:
     """Return every parameter of the metrics that is a number to differentiate by, as ``{"lidar.range_m": 100.0}``."""
-    found = {}
+    found: dict[str, float] = {}
     for name, metric in task.metrics.items():
         settings = task.settings_of(metric)
         if name not in task.layers and is_dataclass(settings):
@@ -150,7 +150,7 @@ def _compared(nominal: RouteQuery, other: RouteQuery, weights: np.ndarray) -> di
         if not path.status.has_path:
             return {"status": path.status.value, "note": path.status.sentence}
     here, there = (path.points_m for path in paths)
-    found = {"status": paths[0].status.value}
+    found: dict[str, Any] = {"status": paths[0].status.value}
     features = {}
     for name, query in (("nominal", nominal), ("other", other)):
         features[name] = [query.cost_map.problem.features(points_m) for points_m in (here, there)]

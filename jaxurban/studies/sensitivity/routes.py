@@ -171,6 +171,7 @@ def route_row(on: CostMap, instance: Mapping[str, Any], settings: SensitivityStu
         shares = sobol_of_weights(
             pool, weights, vary, factors=settings.factors, num_samples=settings.num_samples, seed=seed % 2**31
         )
-        for (outcome, name), share in shares.table.iterrows():
-            facts |= {f"{kind}:{name}:{outcome}": float(share[kind]) for kind in OF_SHARE}
+        for share in shares.table.reset_index().to_dict("records"):
+            where = f"{share['factor']}:{share['outcome']}"
+            facts |= {f"{kind}:{where}": float(share[kind]) for kind in OF_SHARE}
     return facts | {"num_plans": pool.num_plans + 1, "elapsed_s": time.perf_counter() - begin_s}

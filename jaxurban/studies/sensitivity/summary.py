@@ -62,7 +62,7 @@ def weights_table(routes: pd.DataFrame, factors: tuple[float, float]) -> pd.Data
     table = pd.concat(parts, ignore_index=True)
     table = table[table.elasticity.notna()]  # not the metrics that a city's maps lack
     limit = min(factors[1], 1 / factors[0])
-    nearest = np.fmin(np.fmin(table.above, 1 / table.below), limit).fillna(limit)
+    nearest = table.above.combine(1 / table.below, np.fmin).clip(upper=limit).fillna(limit)
     regret = table[["regret_low", "regret_high"]].max(axis=1)
     return table.assign(nearest=nearest.where(table.varies), regret=regret.where(table.varies)).reset_index(drop=True)
 
@@ -95,9 +95,15 @@ def cuts_of(table: pd.DataFrame) -> Iterator[tuple[str, str, pd.DataFrame]]:
     for cut in (*CUTS, *BOTH):
         columns = [cut] if isinstance(cut, str) else list(cut)
         source = strata if "stratum" in columns else table
-        if all(source[column].nunique() > 1 for column in columns):
+        if all(_differs(source, column) for column in columns):
             for value, part in source.groupby(columns, sort=True):
                 yield ", ".join(columns), ", ".join(map(_told, value)), part
+
+
+def _differs(table: pd.DataFrame, column: str) -> bool:
+    """Return whether a column has two values; times that differ between cities only say no more than the cities."""
+    counts = table.groupby("city")[column].nunique() if column in ("time", "time_of_day") else [table[column].nunique()]
+    return max(counts) > 1
 
 
 def _told(value: Any) -> str:
