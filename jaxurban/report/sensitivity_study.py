@@ -17,6 +17,7 @@ from jaxurban.io.tables import read_table, records_of, write_table
 from jaxurban.maps.memory import check_fits
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.maps.task import MapTask
+from jaxurban.metrics.registry import METRICS
 from jaxurban.metrics.weights import GivenWeights, Weights
 from jaxurban.paths.queries import read_queries
 from jaxurban.progress import LOG, Progress, Report, reporting
@@ -26,7 +27,13 @@ from jaxurban.report.sensitivity_routes import SensitivityStudy, write_sensitivi
 from jaxurban.scenario.run import tasks_of as maps_tasks_of
 from jaxurban.scenario.settings import Scenario
 from jaxurban.studies.montecarlo.run import InstanceRuns, MapsFolder, helpers, keep_rows, solve, tasks_of
-from jaxurban.studies.montecarlo.sampling import checked_instances, instances_of_queries, sample_joined, weight_columns
+from jaxurban.studies.montecarlo.sampling import (
+    checked_instances,
+    instances_of_queries,
+    sample_joined,
+    weighed_metrics,
+    weight_columns,
+)
 from jaxurban.studies.sensitivity.remade import REMADE_KEY, RemadeSettings, num_remade, remade_of, remade_rows
 from jaxurban.studies.sensitivity.routes import ROUTE_KEY, SensitivityStudySettings, row_columns
 
@@ -157,19 +164,23 @@ def _instances(
 ) -> pd.DataFrame:
     """Return the routes of all cities as instances with a column ``city``."""
     model, constraints = settings.cost_model, settings.constraints
+    metrics = dict.fromkeys(name for maps in opened.values() for name in maps.metrics)
+    of_all = Weights.of(weights).checked(metrics).to_dict()
     parts = []
     for city, maps in opened.items():
+        known = {"distance", *METRICS, *maps.metrics}  # a city may lack the layers of another one
+        weights = Weights(**{name: value for name, value in of_all.items() if name in known})
         if not isinstance(routes, pd.DataFrame):
             seed = int(np.random.SeedSequence([settings.seed, zlib.crc32(city.encode())]).generate_state(1)[0])
             how: dict[str, Any] = {"cost_model": model, "constraints": constraints, "seed": seed}
-            part = sample_joined(maps, routes, altitudes_m=altitudes_m, weights=[Weights.of(weights)], **how)
+            part = sample_joined(maps, routes, altitudes_m=altitudes_m, weights=[weights], **how)
         else:
             part = _given_routes(routes, city, maps, weights, len(opened) > 1)
         parts.append(part.assign(city=city))
     if isinstance(routes, pd.DataFrame) and altitudes_m is not None:
         raise InputError("altitudes_m is of sampled routes: a table of routes names its own")
     found = pd.concat(parts, ignore_index=True)
-    columns = weight_columns(dict.fromkeys(name for maps in opened.values() for name in maps.metrics))
+    columns = weight_columns(metrics)
     return found.reindex(columns=[*found.columns, *(c for c in columns if c not in found)]).fillna(
         dict.fromkeys(columns, 0.0)
     )
@@ -180,7 +191,10 @@ def _given_routes(
 ) -> pd.DataFrame:
     if has_several and "city" not in routes:
         raise InputError("the routes lack the column 'city', which says on which of the maps each lies: add it")
-    part = routes[routes["city"] == city].drop(columns="city") if "city" in routes else routes
+    part = routes
+    if "city" in routes:
+        others = set(weight_columns(weighed_metrics(routes.columns))) - set(weight_columns(maps.metrics))
+        part = routes[routes["city"] == city].drop(columns=["city", *others])
     if part.empty:
         raise InputError(f"the routes hold none of the city {city!r}: add some, or leave its maps out")
     if "instance" in part:

@@ -39,6 +39,8 @@ def findings(
 
 def shown(interval: Interval, kind: str = ".1%") -> str:
     """Return a number with its interval in brackets, or that there is none."""
+    if not np.isfinite(interval.mean):
+        return "nobody knows how much: no route has both"
     if not np.isfinite(interval.low):
         return f"{interval.mean:{kind}} (no interval: fewer than {FEWEST_GROUPS} pairs)"
     return f"{interval.mean:{kind}} ({interval.low:{kind}} to {interval.high:{kind}})"
