@@ -256,13 +256,13 @@ def _remade(found: SensitivityStudy) -> str:
     lines = [
         (
             change_said(row["changed"], row["factor"]),
-            row["altitude"],
+            row["of"],
             str(row["routes"]),
             *(interval_said(row, *each) for each in kinds.items()),
         )
         for row in found.tables["remade_summary"].to_dict("records")
     ]
-    rows = table(("maps with", "altitude", "routes", "changes", "regret", "closed"), lines)
+    rows = table(("maps with", "of", "routes", "changes", "regret", "closed"), lines)
     picture = "![Other heights, other parameters](figures/remade.png)"
     return fill("sensitivity_remade", rows=rows, skipped=skipped, picture=picture)
 

@@ -85,6 +85,11 @@ def mean_of(values: np.ndarray, counts: np.ndarray) -> np.ndarray:
     return np.divide(counts @ values, total, out=np.full(len(counts), np.nan), where=total > 0)
 
 
+def share_of(values: np.ndarray, counts: np.ndarray) -> np.ndarray:
+    """Return ``[B]`` the shares of ``[N]`` values, 0 or 1, that are 1, each counted ``[B, N]`` times."""
+    return mean_of(values, counts)
+
+
 def median_of(values: np.ndarray, counts: np.ndarray) -> np.ndarray:
     """Return ``[B]`` medians of ``[N]`` values (the lower of two in the middle), each counted ``[B, N]`` times."""
     order = np.argsort(values)

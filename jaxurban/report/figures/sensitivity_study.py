@@ -12,6 +12,7 @@ from matplotlib.ticker import PercentFormatter
 from jaxurban.report.figures.charts import LEFT_IN, chart, dress, legend_below, panels, show_plain_log, styled
 from jaxurban.report.figures.frame import FAINT_INK, TEXT_PT
 from jaxurban.report.figures.sensitivity import CLUSTER_COLOURS
+from jaxurban.studies.bootstrap import share_of
 from jaxurban.studies.outcomes import outcome_label
 from jaxurban.studies.sensitivity.findings import change_said
 from jaxurban.studies.sensitivity.summary import ALL, CLEAR, Drawn
@@ -134,7 +135,7 @@ def plot_nearest(weights: pd.DataFrame, wrong: float) -> Figure:
 def _band(panel: Axes, rows: pd.DataFrame, end: float, colour: str) -> None:
     """Draw the 95 % interval of the share of routes that have changed by each factor below ``end``."""
     drawn, factors = Drawn(rows), np.geomspace(1.0, end, NUM_FACTORS, endpoint=False)
-    ends = np.array([drawn.interval((rows.nearest <= factor).astype(float))[1:] for factor in factors])
+    ends = np.array([drawn.interval((rows.nearest <= factor).astype(float), share_of)[1:] for factor in factors])
     panel.fill_between(factors, *ends.T, color=colour, alpha=0.13, linewidth=0)
 
 
@@ -197,7 +198,7 @@ def plot_sobol_shares(shares: pd.DataFrame) -> Figure:
 @styled
 def plot_remade(remade: pd.DataFrame) -> Figure:
     """Return how many routes change on maps made anew, and what the routes of the nominal maps cost there."""
-    part = remade[remade.altitude == ALL].iloc[::-1].reset_index(drop=True)
+    part = remade[remade.of == ALL].iloc[::-1].reset_index(drop=True)
     names = [
         change_said(*each).removeprefix("a ").replace(" its value", "")
         for each in zip(part.changed, part.factor, strict=True)

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from jaxurban.studies.bootstrap import FEWEST_GROUPS, Interval
+from jaxurban.studies.bootstrap import FEWEST_GROUPS, Interval, share_of
 from jaxurban.studies.montecarlo.analysis import each
 from jaxurban.studies.montecarlo.complementarity import Finding
 from jaxurban.studies.outcomes import outcome_label
@@ -115,7 +115,7 @@ def _sizes(weights: pd.DataFrame, wrong: float) -> Iterator[Finding]:
             None if small is None else not small,
             f"mean regret {shown(lost, '.2%')}",
         )
-        changes = drawn.interval((part.nearest <= wrong).astype(float))
+        changes = drawn.interval((part.nearest <= wrong).astype(float), share_of)
         yield Finding(
             f"Most routes change where the weight of {name} is up to {wrong:g} times wrong.",
             above(changes, MOST),
@@ -166,10 +166,12 @@ def _outcomes(shares: pd.DataFrame) -> Iterator[Finding]:
 
 
 def _remade(remade: pd.DataFrame) -> Iterator[Finding]:
-    over_all = remade[remade.altitude == ALL]
-    for row in each(over_all):
-        said = change_said(row.changed, row.factor)
-        yield from _change(row, f"{said[0].upper()}{said[1:]}")
+    has_cities = (remade.cut == "city").any() and remade[remade.cut == "city"].of.nunique() > 1
+    for row in each(remade):
+        if row.cut == (ALL if row.changed != HEIGHTS or not has_cities else "city"):
+            said = change_said(row.changed, row.factor)
+            where = f"in {row.of} " if row.cut == "city" else ""  # how well heights are known differs from city to city
+            yield from _change(row, where, said)
 
 
 def change_said(changed: str, factor: float) -> str:
@@ -179,18 +181,20 @@ def change_said(changed: str, factor: float) -> str:
     return f"a {changed} of {factor:g} times its value"
 
 
-def _change(row: Any, said: str) -> Iterable[Finding]:
-    """Return the two claims on one change: whether it changes most routes, and what that costs."""
+def _change(row: Any, where: str, said: str) -> Iterable[Finding]:
+    """Yield the two claims on one change: whether it changes most routes, and what that costs."""
     other, lost = (
         Interval(getattr(row, name), getattr(row, f"{name}_low"), getattr(row, f"{name}_high"))
         for name in ("is_other", "nominal_regret")
     )
     verb = "change" if row.changed == HEIGHTS else "changes"
     small = above(lost, SMALL)
-    yield Finding(f"{said} {verb} most routes.", above(other, MOST), f"{shown(other, '.0%')} of the routes")
+    changes = f"{where}{said} {verb} most routes."
+    yield Finding(f"{changes[0].upper()}{changes[1:]}", above(other, MOST), f"{shown(other, '.0%')} of the routes")
     closed = "" if row.nominal_is_closed == 0 else f"; {row.nominal_is_closed:.0%} of them are closed there"
+    costs = f"{where}with {said}, the routes of the nominal maps cost less than {SMALL:.0%} too much."
     yield Finding(
-        f"With {said[0].lower()}{said[1:]}, the routes of the nominal maps cost less than {SMALL:.0%} too much.",
+        f"{costs[0].upper()}{costs[1:]}",
         None if small is None else not small,
         f"mean regret {shown(lost, '.2%')} on the maps made anew{closed}",
     )

@@ -5,7 +5,7 @@ are of these cities. Over all cities there is a second one, for which cities are
 is too narrow: cities unlike those at hand are in no draw.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -22,6 +22,7 @@ from jaxurban.studies.bootstrap import (
     mean_of,
     median_of,
     share_interval,
+    share_of,
 )
 from jaxurban.studies.montecarlo.trial import HAS_PATH
 from jaxurban.studies.sensitivity.remade import HEIGHTS
@@ -34,6 +35,7 @@ BOTH = (("city", "altitude_m"), ("stratum", "altitude_m"))
 OVER_CITIES = "cities_"
 CLEAR, UNCLEAR, TOO_FEW, CONSTANT = "clear", "not told from 0", "too few routes", "does not vary"
 REMADE_STATISTICS = ("is_other", "overlap", "is_closed", "regret", "nominal_is_closed", "nominal_regret")
+SHARES_OF_ROUTES = ("is_other", "is_closed", "nominal_is_closed")
 
 
 def routes_of(rows: pd.DataFrame, instances: pd.DataFrame) -> pd.DataFrame:
@@ -76,7 +78,7 @@ def statistics_of(wrong: float) -> dict[str, tuple[Callable[[pd.DataFrame], pd.S
     return {
         "share": (lambda table: table.elasticity, mean_of),
         "nearest": (lambda table: table.nearest, median_of),
-        "changes": (lambda table: (table.nearest <= wrong).astype(float).where(table.varies), mean_of),
+        "changes": (lambda table: (table.nearest <= wrong).astype(float).where(table.varies), share_of),
         "regret": (lambda table: table.regret, mean_of),
     }
 
@@ -121,11 +123,11 @@ class Drawn:
         self.over = counts_over(groups, cities) if self.num_cities > 1 else None
 
     def interval(self, values: pd.Series, statistic: Statistic = mean_of, *, over_cities: bool = False) -> Interval:
-        """Return a statistic of the known values and its interval."""
+        """Return a statistic of the known values and its interval (`share_of`: see `share_interval`)."""
         counts = self.over if over_cities and self.over is not None else self.within
         known = values.notna().to_numpy()
         numbers = values.to_numpy(np.float64)[known]
-        if statistic is mean_of and np.isin(numbers, (0.0, 1.0)).all():
+        if statistic is share_of:
             return share_interval(numbers, counts[:, known], self.num_pairs)
         return interval_of(numbers, counts[:, known], self.num_pairs, statistic)
 
@@ -201,7 +203,7 @@ def summarise_shares(shares: pd.DataFrame) -> pd.DataFrame:
 
 
 def summarise_remade(remade: pd.DataFrame) -> pd.DataFrame:
-    """Return how far routes change on maps made anew: a row for each change, over all altitudes and for each.
+    """Return how far routes change on maps made anew: a row for each change, of all, of each city and each altitude.
 
     Of heights all draws together, draws and routes being drawn both; of parameters each factor. Columns are means of
     those of `remade_rows`.
@@ -211,15 +213,22 @@ def summarise_remade(remade: pd.DataFrame) -> pd.DataFrame:
     found = found.assign(at=found["at"].where(found.changed != HEIGHTS))
     draws = remade["at"].reindex(found.index)
     for (changed, at), part in found.groupby(["changed", "at"], sort=False, dropna=False):
-        altitudes: Mapping[Any, pd.DataFrame] = {ALL: part, **dict(iter(part.groupby("altitude_m")))}
-        for altitude, rows_at in altitudes.items():
+        cuts = [(ALL, ALL, part)]
+        for cut in ("city", "altitude_m"):
+            cuts += [(cut, _told(value), rows_at) for value, rows_at in part.groupby(cut, sort=False)]
+        for cut, value, rows_at in cuts:
             drawn = Drawn(rows_at)
             if changed == HEIGHTS:  # both drawn: Owen's pigeonhole bootstrap (Ann. Appl. Stat. 1(2), 2007)
                 drawn.within = drawn.within * counts_within(draws[rows_at.index].to_numpy(), np.zeros(len(rows_at)), 1)
-            row: dict[str, Any] = {"changed": changed, "factor": at, "altitude": altitude, "routes": len(rows_at)}
-            row["altitude"] = altitude if altitude == ALL else _told(altitude)
-            row |= {"draws": draws[rows_at.index].nunique(), "pairs": drawn.num_pairs, "cities": drawn.num_cities}
+            row: dict[str, Any] = {"changed": changed, "factor": at, "cut": cut, "of": value}
+            row |= {
+                "routes": len(rows_at),
+                "draws": draws[rows_at.index].nunique(),
+                "pairs": drawn.num_pairs,
+                "cities": drawn.num_cities,
+            }
             for statistic in REMADE_STATISTICS:
-                row |= named(statistic, drawn.interval(rows_at[statistic]))
+                put = share_of if statistic in SHARES_OF_ROUTES else mean_of
+                row |= named(statistic, drawn.interval(rows_at[statistic], put))
             rows.append(row)
     return pd.DataFrame(rows)
