@@ -227,13 +227,14 @@ def _sobol(found: SensitivityStudy) -> str:
         if num < FEW_SAMPLES
         else ""
     )
-    own = float(rows.own_ci.median())
+    own_ci = float(rows.own_ci.median())
+    wide = f"; one route's own 95 % interval is some ± {own_ci:.2f} wide, which the mean of many narrows"
     return fill(
         "sensitivity_sobol",
         low=low,
         high=high,
         num_samples=num,
-        own_ci=own,
+        own=wide if np.isfinite(own_ci) else "",
         few=few,
         rows=table(("outcome", *names), lines),
     )

@@ -2,6 +2,7 @@
 
 import math
 import time
+import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -42,7 +43,7 @@ class SensitivityStudySettings:
       num_samples: N of each route's Sobol indices, a power of two, N x (2 + weights that vary) searches; 0: none.
       cost_model: of the routes; ``"line"`` depends on no resolution.
       constraints: no-fly zones and bounds that close cells to every route.
-      seed: of the sampling of routes and weights, mixed with the route's number.
+      seed: of the sampling of routes and weights, mixed with the city's name and the route's number.
       num_threads: of the searches of a route; left out, one a core, and one where several processes work.
 
     Raises:
@@ -144,6 +145,8 @@ def route_row(on: CostMap, instance: Mapping[str, Any], settings: SensitivityStu
     query, weights = query_of(on, instance)
     names = query.names
     vary = settings.vary or tuple(name for name, weight in zip(names[1:], weights[1:], strict=True) if weight > 0)
+    if not vary:
+        raise InputError("no metric of these maps has a weight above 0, so nothing varies: give one, or name vary")
     first = astar(query.problem(weights))
     if not first.status.has_path:
         return {"status": first.status.value, "note": first.status.sentence}
@@ -157,17 +160,17 @@ def route_row(on: CostMap, instance: Mapping[str, Any], settings: SensitivityStu
     facts |= {name: float(value) for name, value in outcomes_of(integrals, names).items()}
     facts |= {f"elasticity:{name}": float(w * f / cost) for name, w, f in zip(names, weights, features, strict=True)}
     pool = RoutePool([query], workers=settings.num_threads)
-    if vary:
-        columns = check_vary(pool, weights, vary, settings.factors)
-        nearest = nearest_breakpoints(pool, weights, columns, settings.factors)
-        wrong = np.tile(weights, (2 * len(vary), 1))
-        wrong[np.arange(len(wrong)), np.repeat(columns, 2)] *= np.tile([1 / settings.wrong, settings.wrong], len(vary))
-        regret = np.maximum(pool.cheapest(wrong)[0, 0] @ weights / cost - 1, 0.0).reshape(-1, 2)
-        for name, ends, lost in zip(vary, nearest, regret, strict=True):
-            facts |= {f"below:{name}": float(ends[0]), f"above:{name}": float(ends[1])}
-            facts |= {f"regret_low:{name}": float(lost[0]), f"regret_high:{name}": float(lost[1])}
-    if vary and settings.num_samples:
-        seed = int(np.random.SeedSequence([settings.seed, 2, int(instance["instance"])]).generate_state(1)[0])
+    columns = check_vary(pool, weights, vary, settings.factors)
+    nearest = nearest_breakpoints(pool, weights, columns, settings.factors)
+    wrong = np.tile(weights, (2 * len(vary), 1))
+    wrong[np.arange(len(wrong)), np.repeat(columns, 2)] *= np.tile([1 / settings.wrong, settings.wrong], len(vary))
+    regret = np.maximum(pool.cheapest(wrong)[0, 0] @ weights / cost - 1, 0.0).reshape(-1, 2)
+    for name, ends, lost in zip(vary, nearest, regret, strict=True):
+        facts |= {f"below:{name}": float(ends[0]), f"above:{name}": float(ends[1])}
+        facts |= {f"regret_low:{name}": float(lost[0]), f"regret_high:{name}": float(lost[1])}
+    if settings.num_samples:
+        of_route = [settings.seed, zlib.crc32(instance["city"].encode()), int(instance["instance"])]
+        seed = int(np.random.SeedSequence(of_route).generate_state(1)[0])
         shares = sobol_of_weights(
             pool, weights, vary, factors=settings.factors, num_samples=settings.num_samples, seed=seed % 2**31
         )
