@@ -23,7 +23,7 @@ import pandas as pd
 from jaxurban.io.tables import records_of
 from jaxurban.maps.metric_maps import open_maps
 from jaxurban.planners.astar import astar
-from jaxurban.report.sensitivity_study import sensitivity_study
+from jaxurban.report.run_sensitivity import sensitivity_study
 from jaxurban.scenario.run import run_scenario
 from jaxurban.scenario.settings import Scenario
 from jaxurban.studies.queries import RouteQuery

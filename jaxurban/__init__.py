@@ -36,9 +36,9 @@ if _TYPE_CHECKING:
     from jaxurban.planners.envelope import planned_cost as planned_cost
     from jaxurban.report.buildings import write_buildings as write_buildings
     from jaxurban.report.run_montecarlo import study as study
+    from jaxurban.report.run_sensitivity import sensitivity_study as sensitivity_study
     from jaxurban.report.sensitivity import save_sensitivity as save_sensitivity
-    from jaxurban.report.sensitivity_routes import SensitivityStudy as SensitivityStudy
-    from jaxurban.report.sensitivity_study import sensitivity_study as sensitivity_study
+    from jaxurban.report.sensitivity_study import SensitivityStudy as SensitivityStudy
     from jaxurban.scenario.settings import Scenario as Scenario
     from jaxurban.studies.demonstrations import Demonstration as Demonstration
     from jaxurban.studies.montecarlo.run import MapsFolder as MapsFolder
@@ -88,9 +88,9 @@ _NAMES = {
     "planners.envelope": "planned_cost",
     "report.buildings": "write_buildings",
     "report.run_montecarlo": "study",
+    "report.run_sensitivity": "sensitivity_study",
     "report.sensitivity": "save_sensitivity",
-    "report.sensitivity_routes": "SensitivityStudy",
-    "report.sensitivity_study": "sensitivity_study",
+    "report.sensitivity_study": "SensitivityStudy",
     "scenario.settings": "Scenario",
     "studies.demonstrations": "Demonstration",
     "studies.montecarlo.run": "MapsFolder",

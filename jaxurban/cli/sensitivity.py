@@ -176,7 +176,7 @@ def _many(folders: Sequence[Path], output: Path, as_json: bool, overwrite: bool,
     from jaxurban.metrics.weights import Weights
     from jaxurban.paths.constraints import Constraints
     from jaxurban.report.buildings import scenario_of
-    from jaxurban.report.sensitivity_study import sensitivity_study
+    from jaxurban.report.run_sensitivity import sensitivity_study
     from jaxurban.studies.montecarlo.run import MapsFolder
     from jaxurban.studies.sensitivity.remade import RemadeSettings
     from jaxurban.studies.sensitivity.routes import SensitivityStudySettings

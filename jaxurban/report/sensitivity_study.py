@@ -1,292 +1,275 @@
-"""sensitivity_study: what weights do to many routes of one or several cities, kept in a folder and resumable."""
+"""report.md of a weight study over many routes: what they support and what not, tables and figures."""
 
-import warnings
-import zlib
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from jaxurban.errors import GuessWarning, InputError, check_type, typed
-from jaxurban.io.folders import own_folder
-from jaxurban.io.rows import ROWS_FILE, RowStore, fingerprint
-from jaxurban.io.tables import read_table, records_of, write_table
-from jaxurban.maps.memory import check_fits
-from jaxurban.maps.metric_maps import MetricMaps
-from jaxurban.maps.task import MapTask
-from jaxurban.metrics.registry import METRICS
-from jaxurban.metrics.weights import GivenWeights, Weights
-from jaxurban.paths.queries import read_queries
-from jaxurban.progress import LOG, Progress, Report, reporting
-from jaxurban.report.buildings import scenario_of
-from jaxurban.report.run_montecarlo import INSTANCES_FILE, check_instances
-from jaxurban.report.sensitivity_routes import SensitivityStudy, write_sensitivity_study
-from jaxurban.scenario.run import tasks_of as maps_tasks_of
-from jaxurban.scenario.settings import Scenario
-from jaxurban.studies.montecarlo.run import InstanceRuns, MapsFolder, helpers, keep_rows, solve, tasks_of
-from jaxurban.studies.montecarlo.sampling import (
-    checked_instances,
-    instances_of_queries,
-    sample_joined,
-    weighed_metrics,
-    weight_columns,
-)
-from jaxurban.studies.sensitivity.remade import REMADE_KEY, RemadeSettings, num_remade, remade_of, remade_rows
-from jaxurban.studies.sensitivity.routes import ROUTE_KEY, SensitivityStudySettings, row_columns
+from jaxurban.paths.queries import WEIGHT_PREFIX
+from jaxurban.report.figures.sensitivity_study import study_figures
+from jaxurban.report.markdown import bullets, counted, fill, listed, table
+from jaxurban.report.save import Output, save
+from jaxurban.studies.bootstrap import FEWEST_GROUPS
+from jaxurban.studies.montecarlo.complementarity import Finding
+from jaxurban.studies.montecarlo.sampling import weighed_metrics, weight_columns
+from jaxurban.studies.montecarlo.trial import HAS_PATH
+from jaxurban.studies.outcomes import outcome_label
+from jaxurban.studies.sensitivity import summary
+from jaxurban.studies.sensitivity.findings import change_said, findings
+from jaxurban.studies.sensitivity.routes import SensitivityStudySettings
+from jaxurban.studies.sensitivity.summary import ALL, CLEAR, CONSTANT, OVER_CITIES, UNCLEAR
 
-ROUTES_FOLDER, REMADE_FOLDER = "routes", "remade"
-ONE_RUN: tuple[str, ...] = ()
-Source = MetricMaps | MapsFolder
+REPORT_FILE = "report.md"
+FEW_SAMPLES = 64  # of one route's Sobol shares: with fewer its own intervals are wider than most shares
+STATISTICS = {"share": ".1%", "nearest": ".3g", "changes": ".0%", "regret": ".2%"}
+CHANCE = 0.05
 
 
-@typed
-def sensitivity_study(
-    sources: Mapping[str, MetricMaps | MapsFolder | str | Path] | Sequence[MapsFolder | str | Path] | str | Path,
-    folder: str | Path,
-    routes: pd.DataFrame | int = 30,
-    *,
-    altitudes_m: Sequence[float] | None = None,
-    weights: GivenWeights = None,
-    settings: SensitivityStudySettings | None = None,
-    remade: RemadeSettings | None = None,
-    scenarios: Mapping[str, Scenario] | None = None,
-    workers: int | str = 1,
-    overwrite: bool = False,
-    progress: Progress = True,
-) -> SensitivityStudy:
-    """Return what the weights do to many routes, at several altitudes and in several cities, with intervals.
+@dataclass(frozen=True, eq=False)
+class SensitivityStudy:
+    """What a weight study found.
 
-    For each route and weight: its share of the cost (which is the gradient of the cost by the logarithm of the weight),
-    the nearest breakpoints, the regret of a wrong weight, and Sobol shares of what the route is like; with ``remade``
-    also how routes change where heights are uncertain or parameters are other ones. Rows are kept in ``folder`` as they
-    come; the same call after any end, ``kill -9`` included, makes only what is missing. A route that fails is a row
-    with its status. ``report.md`` there says what the routes support and what not, beside tables and figures.
-
-    Args:
-      sources: maps of each city by its name, folders or maps in memory (which only this process sees); or folders,
-        called as they are.
-      folder: where the study is kept.
-      routes: how many to sample in each city, by stratum and range, that a path joins at every altitude; or a
-        table of instances (see `sample_instances`) or of queries (as `plan_many` takes it), with a column ``city``
-        where there are several.
-      altitudes_m: of sampled routes; left out, all that the maps hold.
-      weights: of sampled routes, and of those that name none; default `Weights()`.
-      settings: what is asked of every route.
-      remade: which maps are made anew to see what changes; left out, none.
-      scenarios: of cities whose maps are made anew; left out, the record in their folder tells the sources.
-      workers: processes of this machine, 1 works in this process; or the address of a Dask scheduler, whose workers see
-        the maps' folders under the same paths.
-      overwrite: replace a study of other settings or routes.
-      progress: as in `jaxurban.progress.reporting`.
-
-    Raises:
-      InputError: a wrong argument, routes for other maps, or a folder that holds another study or other files.
+    Attributes:
+      folder: where it is kept.
+      cities: how the cities are called, with their grids in words.
+      instances: the routes asked for.
+      rows: what was found for each (`jaxurban.studies.sensitivity.routes.route_row`).
+      remade: how each route differs on maps made anew (`jaxurban.studies.sensitivity.remade.remade_rows`).
+      skipped: why maps were not made anew, a sentence a city.
+      settings: what was asked.
     """
-    folder, settings, remade = Path(folder), settings or SensitivityStudySettings(), remade or RemadeSettings()
-    check_type("settings", settings, SensitivityStudySettings)
-    check_type("remade", remade, RemadeSettings)
-    if isinstance(workers, int) and workers < 1:
-        raise InputError(f"workers must be at least 1, got {workers}")
-    given = named_sources(sources)
-    opened = {city: source if isinstance(source, MetricMaps) else source.open() for city, source in given.items()}
-    resolutions = {maps.grid.resolution_m for maps in opened.values()}
-    if settings.cost_model.kind == "cell" and len(resolutions) > 1:
-        listed = ", ".join(f"{each:g} m" for each in sorted(resolutions))
-        raise InputError(
-            f"the maps have cells of {listed}, on which the 'cell' cost model costs differently: use cost_model='line'"
+
+    folder: Path
+    cities: Mapping[str, str]
+    instances: pd.DataFrame
+    rows: pd.DataFrame
+    remade: pd.DataFrame
+    skipped: tuple[str, ...]
+    settings: SensitivityStudySettings
+
+    @cached_property
+    def tables(self) -> dict[str, pd.DataFrame]:
+        """All tables by name: ``routes`` and, where any was found, ``weights``, ``summary`` and the like."""
+        routes = summary.routes_of(self.rows, self.instances)
+        found = {"routes": self.rows}
+        if routes.empty:
+            return found
+        found["weights"] = summary.weights_table(routes, self.settings.factors)
+        found["summary"] = summary.summarise(found["weights"], self.settings.wrong)
+        shares = summary.shares_table(routes)
+        if len(shares):
+            found |= {"sobol": shares, "sobol_summary": summary.summarise_shares(shares)}
+        if len(self.remade) and self.remade.status.isin(HAS_PATH).any():
+            found |= {"remade": self.remade, "remade_summary": summary.summarise_remade(self.remade)}
+        return found
+
+    @cached_property
+    def findings(self) -> list[Finding]:
+        """Every claim that was looked at, and whether the routes bear it out."""
+        tables = self.tables
+        if "weights" not in tables:
+            return []
+        return findings(tables["weights"], tables.get("sobol"), tables.get("remade_summary"), self.settings.wrong)
+
+
+def write_sensitivity_study(found: SensitivityStudy) -> list[Path]:
+    """Write the report, tables (CSV, Parquet) and figures (PNG) of a study into its folder and return the files."""
+    outputs: dict[str, Output] = {f"tables/{name}": made for name, made in found.tables.items()}
+    figures: dict[str, Callable] = (
+        study_figures(found.tables, found.settings.wrong) if "weights" in found.tables else {}
+    )
+    outputs |= {f"figures/{name}.png": draw for name, draw in figures.items()}
+    return save(found.folder, {**outputs, REPORT_FILE: study_markdown(found)})
+
+
+def study_markdown(found: SensitivityStudy) -> str:
+    """Return the report as Markdown; it names figures and tables as `write_sensitivity_study` does."""
+    if "weights" not in found.tables:
+        return (
+            f"# What the weights do to many routes\n\n{_asked(found)}\n\nNo route was found, so nothing can be said.\n"
         )
-    instances = _instances(opened, routes, altitudes_m, weights, settings)
-    about = {city: _about(maps) for city, maps in opened.items()}
-    key = settings.to_dict() | {"maps": about, "routes": _routes_key(instances)}
-    job = settings if workers == 1 or settings.num_threads is not None else replace(settings, num_threads=1)
-    with own_folder(folder, "sensitivity", key, overwrite=overwrite), reporting("sensitivity", progress) as report:
-        write_table(instances, folder / INSTANCES_FILE)
-        rows = _routes(folder, instances, given, job, workers, report)
-        remade_table, skipped = pd.DataFrame(), tuple[str, ...]()
-        if remade:
-            remade_table, skipped = _remade(folder, instances, given, opened, (settings, remade), scenarios, report)
-        report("report")
-        grids = {city: maps.facts["grid"] for city, maps in opened.items()}
-        found = SensitivityStudy(folder, grids, instances, rows, remade_table, skipped, settings)
-        write_sensitivity_study(found)
-    return found
+    claims, of_all = found.findings, found.tables["summary"]
+    by_verdict = {holds: [each for each in claims if each.holds is holds] for holds in (True, False, None)}
+    settings = found.settings
+    text = fill(
+        "sensitivity_study",
+        asked=_asked(found),
+        settings=settings,
+        constraints=str(settings.constraints) or "none",
+        wrong=settings.wrong,
+        limit=min(settings.factors[1], 1 / settings.factors[0]),
+        num_claims=len(claims),
+        num_clear=len(by_verdict[True]),
+        num_refuted=len(by_verdict[False]),
+        num_open=len(by_verdict[None]),
+        num_chance=max(1.0, CHANCE * len(claims)),
+        few=_few(found),
+        supported=_claims(by_verdict[True]),
+        refuted=_claims(by_verdict[False]),
+        undecided=_claims(by_verdict[None]),
+        by_all=_rows(of_all[of_all.cut.isin([ALL, "city"])]),
+        over_cities=_over_cities(of_all),
+        where=_where(of_all),
+        sobol=_sobol(found),
+        remade=_remade(found),
+        cities="; ".join(f"{city}, {grid}" for city, grid in found.cities.items()),
+        weights=_weights(found.instances),
+        fewest=FEWEST_GROUPS,
+    )
+    return f"{text}\n"
 
 
-def named_sources(sources: Any) -> dict[str, Source]:
-    """Return the maps of each city by its name: folders as `MapsFolder` of one resolution.
-
-    Raises:
-      InputError: none, or two of one name.
-    """
-    if isinstance(sources, Mapping):
-        listed = [(str(name), source) for name, source in sources.items()]
-    else:
-        several = [sources] if isinstance(sources, str | Path | MapsFolder) else list(sources)
-        if any(isinstance(source, MetricMaps) for source in several):
-            raise InputError("maps in memory have no name: give them by name, as {'manhattan': maps}")
-        folders = [source.folder if isinstance(source, MapsFolder) else source for source in several]
-        listed = [(Path(each).resolve().name, source) for each, source in zip(folders, several, strict=True)]
-    names = [name for name, _ in listed]
-    if not names or len(set(names)) < len(names):
-        raise InputError(
-            f"sources must be cities of different names, and one at least, got {', '.join(names) or 'none'}"
-        )
-    found: dict[str, Source] = {}
-    for name, source in listed:
-        if isinstance(source, MetricMaps):
-            found[name] = source
-            continue
-        place = source if isinstance(source, MapsFolder) else MapsFolder(source)
-        resolution_m = place.open().grid.resolution_m
-        found[name] = replace(place, folder=Path(place.folder).resolve(), resolution_m=resolution_m)
-    return found
-
-
-def _about(maps: MetricMaps) -> str:
-    names = ("run_key", "crs", "resolution_m", "first_row", "first_col")
-    return ", ".join([*(f"{name} {maps.ds.attrs.get(name)}" for name in names), f"obstacles {maps.obstacles}"])
-
-
-def _routes_key(instances: pd.DataFrame) -> str:
-    plain = instances.drop(columns="is_connected").sort_values(list(ROUTE_KEY))
-    return f"{len(plain)} ({fingerprint(plain.to_csv(index=False))})"
-
-
-def _instances(
-    opened: Mapping[str, MetricMaps],
-    routes: pd.DataFrame | int,
-    altitudes_m: Sequence[float] | None,
-    weights: GivenWeights,
-    settings: SensitivityStudySettings,
-) -> pd.DataFrame:
-    """Return the routes of all cities as instances with a column ``city``."""
-    model, constraints = settings.cost_model, settings.constraints
-    metrics = dict.fromkeys(name for maps in opened.values() for name in maps.metrics)
-    of_all = Weights.of(weights).checked(metrics).to_dict()
-    parts = []
-    for city, maps in opened.items():
-        known = {"distance", *METRICS, *maps.metrics}  # a city may lack the layers of another one
-        weights = Weights(**{name: value for name, value in of_all.items() if name in known})
-        if not isinstance(routes, pd.DataFrame):
-            seed = int(np.random.SeedSequence([settings.seed, zlib.crc32(city.encode())]).generate_state(1)[0])
-            how: dict[str, Any] = {"cost_model": model, "constraints": constraints, "seed": seed}
-            part = sample_joined(maps, routes, altitudes_m=altitudes_m, weights=[weights], **how)
-        else:
-            part = _given_routes(routes, city, maps, weights, len(opened) > 1)
-        parts.append(part.assign(city=city))
-    if isinstance(routes, pd.DataFrame) and altitudes_m is not None:
-        raise InputError("altitudes_m is of sampled routes: a table of routes names its own")
-    found = pd.concat(parts, ignore_index=True)
-    columns = weight_columns(metrics)
-    return found.reindex(columns=[*found.columns, *(c for c in columns if c not in found)]).fillna(
-        dict.fromkeys(columns, 0.0)
+def _asked(found: SensitivityStudy) -> str:
+    instances, statuses = found.instances, found.rows.status.value_counts()
+    num = instances.groupby("city").instance.nunique()
+    altitudes = listed(f"{z:g} m" for z in sorted(instances.altitude_m.unique()))
+    pairs = listed(f"{counted(int(each), 'pair')} of places in {city}" for city, each in num.items())
+    lost = {name: count for name, count in statuses.items() if name not in HAS_PATH}
+    failed = listed(f"{count} with status {name}" for name, count in lost.items()) if lost else "none"
+    return (
+        f"{pairs}, at {altitudes}: {counted(len(found.rows), 'route')}, {statuses.sum() - sum(lost.values())} of them "
+        f"found; not found: {failed}."
     )
 
 
-def _given_routes(
-    routes: pd.DataFrame, city: str, maps: MetricMaps, weights: GivenWeights, has_several: bool
-) -> pd.DataFrame:
-    if has_several and "city" not in routes:
-        raise InputError("the routes lack the column 'city', which says on which of the maps each lies: add it")
-    part = routes
-    if "city" in routes:
-        others = set(weight_columns(weighed_metrics(routes.columns))) - set(weight_columns(maps.metrics))
-        part = routes[routes["city"] == city].drop(columns=["city", *others])
-    if part.empty:
-        raise InputError(f"the routes hold none of the city {city!r}: add some, or leave its maps out")
-    if "instance" in part:
-        part = checked_instances(part, f"the instances of {city}")
-    else:
-        queries = part.reset_index(drop=True).dropna(axis=1, how="all")
-        part = instances_of_queries(maps, read_queries(queries, weights=weights, metrics=maps.metrics))
-    check_instances(part, maps)
-    return part
+def _few(found: SensitivityStudy) -> str:
+    pairs = found.instances.groupby("city").instance.nunique()
+    few = [f"{city} ({each})" for city, each in pairs.items() if each < FEWEST_GROUPS]
+    return f"**Too few pairs of places for an interval: {listed(few)}; draw more.**" if few else ""
 
 
-def _routes(
-    folder: Path,
-    instances: pd.DataFrame,
-    sources: Mapping[str, Source],
-    settings: SensitivityStudySettings,
-    workers: int | str,
-    report: Report,
-) -> pd.DataFrame:
-    """Return the rows of all routes, made where they are missing."""
-    store = RowStore(folder / ROUTES_FOLDER / ROWS_FILE, ROUTE_KEY, has_parts=True)
-    tasks = {city: tasks_of(part, [ONE_RUN], store, ROUTE_KEY) for city, part in instances.groupby("city", sort=False)}
-    num_left = sum(map(len, tasks.values()))
-    try:
-        if num_left:
-            with helpers(workers, sources.values()) as client:
-                keep_rows(store, _solved(tasks, sources, settings, client), num_left, report)
-    finally:
-        store.save(row_columns(store.rows))
-    return read_table(store.file, "rows")
+def _claims(claims: Iterable[Finding]) -> str:
+    lines = [f"{each.claim} *{each.evidence}.*" for each in claims]
+    return bullets(lines) if lines else "Nothing that was looked at."
 
 
-def _solved(tasks: Mapping[Any, list[InstanceRuns]], sources: Mapping[str, Source], settings: Any, client: Any) -> Any:
-    for city, of_city in tasks.items():
-        if of_city:
-            yield from solve(of_city, sources[city], settings, client)
+def interval_said(row: Any, name: str, kind: str) -> str:
+    """Return a number of a table's row with its interval; nothing for no number."""
+    value, low, high = (row[f"{name}{end}"] for end in ("", "_low", "_high"))
+    if not np.isfinite(value):
+        return ""
+    return f"{value:{kind}} ({low:{kind}} to {high:{kind}})" if np.isfinite(low) else f"{value:{kind}} (too few)"
 
 
-def _remade(
-    folder: Path,
-    instances: pd.DataFrame,
-    sources: Mapping[str, Source],
-    opened: Mapping[str, MetricMaps],
-    settings: tuple[SensitivityStudySettings, RemadeSettings],
-    scenarios: Mapping[str, Scenario] | None,
-    report: Report,
-) -> tuple[pd.DataFrame, tuple[str, ...]]:
-    """Return the rows of routes on maps made anew, and why some were not made; whole maps at a time are kept."""
-    of_routes, of_maps = settings
-    store = RowStore(folder / REMADE_FOLDER / ROWS_FILE, REMADE_KEY, has_parts=True)
-    skipped = []
-    try:
-        for city, maps in opened.items():
-            routes = instances[instances.city == city].sort_values(["altitude_m", "time", "time_of_day"])
-            asked = records_of(routes)
-            try:
-                task = _map_task(city, sources[city], maps, scenarios)
-            except InputError as error:
-                skipped.append(f"{city}: {error}")
-                LOG.warning(f"no maps of {city} are made anew: {error}")
-                continue
-            stage, total = f"maps of {city} made anew", num_remade(task, of_maps)
-            for number, change in enumerate(remade_of(task, of_maps, of_routes.seed)):
-                report(stage, number, total)
-                head = (change.changed, change.at)
-                left = [each for each in asked if (*head, *(each[name] for name in ROUTE_KEY)) not in store]
-                if left:
-                    made = change.maps().with_obstacles(maps.obstacles)
-                    rows = remade_rows(maps, made, left, of_routes)
-                    store.add([{"changed": change.changed, "at": change.at, **row} for row in rows])
-            report(stage, total, total)
-    finally:
-        store.save(row_columns(store.rows))
-    return read_table(store.file, "rows of maps made anew"), tuple(skipped)
+def _rows(part: pd.DataFrame) -> str:
+    lines = [
+        (
+            f"{row['value']}",
+            row["weight_name"],
+            str(row["routes"]),
+            *(interval_said(row, *each) for each in STATISTICS.items()),
+        )
+        for row in part.to_dict("records")
+    ]
+    return table(("of", "weight", "routes", *STATISTICS), lines)
 
 
-def _map_task(city: str, source: Source, maps: MetricMaps, scenarios: Mapping[str, Scenario] | None) -> MapTask:
-    """Return what the maps of a city are made of, its sources read again.
+def _over_cities(of_all: pd.DataFrame) -> str:
+    """Return what the interval over cities says, and how much it may be trusted."""
+    rows = of_all[of_all.cut == ALL]
+    num = int(rows.cities.max())
+    if num < 2:
+        return "One city: nothing is said of others."
+    lines = [
+        (
+            row["weight_name"],
+            *(
+                f"{row[f'{name}_{OVER_CITIES}low']:{kind}} to {row[f'{name}_{OVER_CITIES}high']:{kind}}"
+                for name, kind in STATISTICS.items()
+            ),
+        )
+        for row in rows.replace(np.nan, -1).to_dict("records")
+        if row["nearest"] > 0
+    ]
+    trust = (
+        f"With {num} cities these are too narrow: a city unlike them is in no draw. They tell whether those at hand "
+        "differ by more than their routes do, and nothing of a city that was not looked at."
+        if num < FEWEST_GROUPS
+        else f"With {num} cities they are of cities like these."
+    )
+    head = f"Over all cities, with cities drawn as well as routes. {trust}"
+    return f"{head}\n\n{table(('weight', *STATISTICS), lines)}"
 
-    Raises:
-      InputError: they are not told or found, or are not those of these maps.
-    """
-    scenario = (scenarios or {}).get(city)
-    if scenario is None:
-        if isinstance(source, MetricMaps):
-            raise InputError("maps in memory do not tell their sources: give the scenario, or a folder of maps")
-        scenario = scenario_of(Path(source.folder))
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", GuessWarning)  # told when the maps were made
-        tasks = maps_tasks_of(scenario)
-    task = next((task for task in tasks if task.region == maps.grid), None)
-    if task is None or not set(maps.metrics) == set(task.metrics):
-        raise InputError("the scenario makes other maps than these (another grid, or other metrics): give theirs")
-    check_fits(task)
-    return task
+
+def _where(of_all: pd.DataFrame) -> str:
+    parts = []
+    for cut in ("altitude_m", "stratum", "range", "time_of_day", "time"):
+        part = of_all[(of_all.cut == cut) & (of_all.weight_name != "distance")]
+        if len(part):
+            title = {"altitude_m": "altitude", "time_of_day": "time of day"}.get(cut, cut)
+            note = " (a route counts in both of its strata)" if cut == "stratum" else ""
+            parts += [f"By {title}{note}:", _rows(part)]
+    return "\n\n".join(parts) or "All routes are of one altitude, stratum, range and time."
+
+
+def _sobol(found: SensitivityStudy) -> str:
+    if "sobol_summary" not in found.tables:
+        return ""
+    rows = found.tables["sobol_summary"]
+    rows, num = rows[rows.kind == "total"], found.settings.num_samples
+    names = list(dict.fromkeys(rows.weight_name))
+    lines = []
+    for outcome, part in rows.groupby("outcome", sort=False):
+        by_name = part.set_index("weight_name")
+        lines.append(
+            (
+                outcome_label(str(outcome)),
+                *(share_said(by_name.loc[name]) if name in by_name.index else "" for name in names),
+            )
+        )
+    low, high = found.settings.factors
+    few = (
+        f" **{num} samples are few for one route: read no single route's shares from `tables/sobol`.**"
+        if num < FEW_SAMPLES
+        else ""
+    )
+    own_ci = float(rows.own_ci.median())
+    wide = f"; one route's own 95 % interval is some ± {own_ci:.2f} wide, which the mean of many narrows"
+    return fill(
+        "sensitivity_sobol",
+        low=low,
+        high=high,
+        num_samples=num,
+        own=wide if np.isfinite(own_ci) else "",
+        few=few,
+        rows=table(("outcome", *names), lines),
+    )
+
+
+def share_said(row: Any) -> str:
+    """Return a mean Sobol share in words: its number and interval only where it is told from 0."""
+    if row["verdict"] == CLEAR:
+        return interval_said(row, "share", ".2f")
+    if row["verdict"] == UNCLEAR:
+        return f"not told from 0 (at most {max(row['share_high'], 0.0):.2f})"
+    return str(row["verdict"]) if row["verdict"] != CONSTANT else "route does not vary"
+
+
+def _remade(found: SensitivityStudy) -> str:
+    skipped = bullets(f"Not made anew: {reason}" for reason in found.skipped) if found.skipped else ""
+    if "remade_summary" not in found.tables:
+        return f"## Other heights, other parameters\n\n{skipped}" if skipped else ""
+    kinds = {"is_other": ".0%", "nominal_regret": ".2%", "nominal_is_closed": ".0%"}
+    lines = [
+        (
+            change_said(row["changed"], row["factor"]),
+            row["of"],
+            str(row["routes"]),
+            *(interval_said(row, *each) for each in kinds.items()),
+        )
+        for row in found.tables["remade_summary"].to_dict("records")
+    ]
+    rows = table(("maps with", "of", "routes", "changes", "regret", "closed"), lines)
+    picture = "![Other heights, other parameters](figures/remade.png)"
+    return fill("sensitivity_remade", rows=rows, skipped=skipped, picture=picture)
+
+
+def _weights(instances: pd.DataFrame) -> str:
+    columns = weight_columns(weighed_metrics(instances.columns))
+    if len(instances[list(columns)].drop_duplicates()) > 1:
+        return "those of each route (`instances.parquet`)"
+    return ", ".join(f"{name.removeprefix(WEIGHT_PREFIX)} {instances[name].iloc[0]:g}" for name in columns)

@@ -20,7 +20,7 @@ from jaxurban.errors import InputError
 from jaxurban.io.store import write_zarr
 from jaxurban.metrics.custom import Layer
 from jaxurban.report.figures.sensitivity_study import study_figures
-from jaxurban.report.sensitivity_routes import share_said
+from jaxurban.report.sensitivity_study import share_said
 from jaxurban.studies.montecarlo.sampling import sample_joined
 from jaxurban.studies.sensitivity.findings import findings
 from jaxurban.studies.sensitivity.remade import parameters_of, remade_of, remade_rows, with_parameter
