@@ -37,7 +37,9 @@ if _TYPE_CHECKING:
     from jaxurban.report.buildings import write_buildings as write_buildings
     from jaxurban.report.map_comparison import save_comparison as save_comparison
     from jaxurban.report.run_montecarlo import study as study
+    from jaxurban.report.run_sensitivity import sensitivity_study as sensitivity_study
     from jaxurban.report.sensitivity import save_sensitivity as save_sensitivity
+    from jaxurban.report.sensitivity_study import SensitivityStudy as SensitivityStudy
     from jaxurban.scenario.settings import Scenario as Scenario
     from jaxurban.studies.demonstrations import Demonstration as Demonstration
     from jaxurban.studies.map_comparison.compare import MapComparison as MapComparison
@@ -49,6 +51,8 @@ if _TYPE_CHECKING:
     from jaxurban.studies.read_demonstrations import demonstrations_from_paths as demonstrations_from_paths
     from jaxurban.studies.read_demonstrations import read_demonstrations as read_demonstrations
     from jaxurban.studies.sensitivity.buildings import building_costs as building_costs
+    from jaxurban.studies.sensitivity.remade import RemadeSettings as RemadeSettings
+    from jaxurban.studies.sensitivity.routes import SensitivityStudySettings as SensitivityStudySettings
     from jaxurban.studies.sensitivity.study import SensitivitySettings as SensitivitySettings
     from jaxurban.studies.sensitivity.study import sensitivity as sensitivity
     from jaxurban.studies.tuning.compared_fits import compare_fits as compare_fits
@@ -89,7 +93,9 @@ _NAMES = {
     "report.buildings": "write_buildings",
     "report.map_comparison": "save_comparison",
     "report.run_montecarlo": "study",
+    "report.run_sensitivity": "sensitivity_study",
     "report.sensitivity": "save_sensitivity",
+    "report.sensitivity_study": "SensitivityStudy",
     "scenario.settings": "Scenario",
     "studies.demonstrations": "Demonstration",
     "studies.map_comparison.compare": "MapComparison compare",
@@ -99,6 +105,8 @@ _NAMES = {
     "studies.queries": "make_queries",
     "studies.read_demonstrations": "demonstrations_from_paths read_demonstrations",
     "studies.sensitivity.buildings": "building_costs",
+    "studies.sensitivity.remade": "RemadeSettings",
+    "studies.sensitivity.routes": "SensitivityStudySettings",
     "studies.sensitivity.study": "SensitivitySettings sensitivity",
     "studies.tuning.compared_fits": "compare_fits",
     "studies.tuning.fit_settings": "FitSettings",

@@ -82,11 +82,12 @@ CONSTRAINTS = together(  # which `Constraints.read` takes
     ),
     click.option("--require", multiple=True, help="What must hold all along, such as gps>=0.3; repeatable."),
 )
-ROUTE = together(  # a route over maps, under costs: what `stored_cost_map` takes, and the ends
-    click.argument("folder", metavar="DIR", type=click.Path(path_type=Path)),
-    click.option("--start", type=LONLAT, required=True, help="Longitude,latitude in degrees."),
-    click.option("--goal", type=LONLAT, required=True, help="Longitude,latitude in degrees."),
-    click.option("--altitude", "altitude_m", type=float, required=True, help="Metres above ground; one of the maps'."),
+ENDS = [  # of a route, with the altitude: names, type and help of their options
+    (("--start",), LONLAT, "Longitude,latitude in degrees."),
+    (("--goal",), LONLAT, "Longitude,latitude in degrees."),
+    (("--altitude", "altitude_m"), float, "Metres above ground; one of the maps'."),
+]
+COSTS = together(  # what the cost map of a route depends on, beside its altitude
     click.option("--time-of-day", help="Of the population map, such as day or night; the first if left out."),
     click.option("--time", help="Time of the GPS map, UTC; the first if left out."),
     RESOLUTION,
@@ -107,12 +108,29 @@ ROUTE = together(  # a route over maps, under costs: what `stored_cost_map` take
         help="--snap by at most so far instead of 50 m.",
     ),
 )
+ROUTE = together(  # a route over maps, under costs: what `stored_cost_map` takes, and the ends
+    click.argument("folder", metavar="DIR", type=click.Path(path_type=Path)),
+    *(click.option(*names, type=kind, required=True, help=told) for names, kind, told in ENDS),
+    COSTS,
+)
 JSON_FLAG = click.option("--json", "as_json", is_flag=True, help="Print one machine-readable object on stdout.")
 
 
 def names_in(text: str) -> tuple[str, ...]:
     """Return the names in ``"gps,risk"``."""
     return tuple(part.strip() for part in text.split(",") if part.strip())
+
+
+def numbers_in(option: str, text: str) -> tuple[float, ...]:
+    """Return the numbers in ``"0.1,10"``.
+
+    Raises:
+      InputError: one is none (names the option).
+    """
+    try:
+        return tuple(float(part) for part in text.split(","))
+    except ValueError as error:
+        raise InputError(f"{option} {text!r} must be numbers, as in 20,60") from error
 
 
 def take_snap(given: Settings) -> bool | float:
@@ -212,6 +230,18 @@ def tell_warnings(record: Settings) -> None:
 def tell(message: str) -> None:
     """Print a message on stderr, through the log."""
     LOG.info(message)
+
+
+def default_workers() -> int:
+    """Return a process a core, or one where Dask's scheduler is not installed, which a warning says."""
+    from importlib.util import find_spec
+
+    from jaxurban.maps.executors import num_cores
+
+    if find_spec("distributed") is not None:
+        return num_cores()
+    tell("working on one core: several need Dask's scheduler, pip install 'jaxurban[cluster]'")
+    return 1
 
 
 class _OnStderr(logging.Handler):

@@ -1,5 +1,6 @@
-"""jaxurban sensitivity."""
+"""jaxurban sensitivity: of one route, or of many routes in one or several cities."""
 
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -7,49 +8,120 @@ from typing import Any
 import click
 
 from jaxurban.cli.common import (
+    COSTS,
     DEVICE,
+    ENDS,
     JSON_FLAG,
-    ROUTE,
+    Settings,
+    default_workers,
     names_in,
+    numbers_in,
     print_json,
     stored_cost_map,
+    stored_cost_model,
+    stored_obstacles,
     stored_settings,
+    stored_weights,
     take_snap,
     tell,
+    together,
 )
 from jaxurban.errors import InputError
 from jaxurban.progress import reporting
 
 NAMED = {"vary": "vary", "triangle": "triangle", "objectives": "pareto"}  # lists of names, and their options
+OF_ONE = {  # options that only the study of one route takes, with what they are left out
+    **{"start": None, "goal": None, "altitude_m": None, "time": None, "time_of_day": None, "triangle": ""},
+    **{"pareto": "", "tolerance": None, "with_buildings": False, "snap": False, "snap_distance_m": None},
+}
+OF_MANY = {
+    **{"num_routes": None, "altitudes_text": "", "queries": None, "wrong": None, "heights": 0, "parameters": False},
+    **{"parameter_text": "", "workers": None, "cluster": None},
+}
+OPTIONS = {
+    **{"altitude_m": "--altitude", "with_buildings": "--buildings", "num_routes": "--routes"},
+    **{"altitudes_text": "--altitudes", "parameter_text": "--parameter-factors"},
+}
+NUM_ROUTES, WRONG, TOLERANCE, SAMPLES_OF_ONE, SAMPLES_OF_MANY = 30, 2.0, 1e-3, 128, 32
+
+MANY = together(
+    click.option(
+        "--routes", "num_routes", type=click.IntRange(min=1), help="Sample so many in each DIR.  [default: 30]"
+    ),
+    click.option("--altitudes", "altitudes_text", default="", metavar="M,...", help="Of --routes.  [default: all]"),
+    click.option(
+        "--queries", type=click.Path(path_type=Path), help="Study these routes (.csv, .parquet), not sampled ones."
+    ),
+    click.option("--wrong", type=float, help="A wrong weight is so many times off, for its regret.  [default: 2]"),
+    click.option("--heights", type=click.IntRange(min=0), default=0, help="Plan on maps of so many draws of heights."),
+    click.option("--parameters", is_flag=True, help="Plan on maps of other thresholds, range and gammas."),
+    click.option(
+        "--parameter-factors", "parameter_text", default="", metavar="X,...", help="Of --parameters.  [default: 0.5,2]"
+    ),
+    click.option(
+        "--workers", type=click.IntRange(min=1), help="Processes.  [default: one a core, where Dask is installed]"
+    ),
+    click.option(
+        "--cluster", metavar="ADDRESS", help="Work on the Dask cluster of a scheduler, such as tcp://host:8786."
+    ),
+)
 
 
 @click.command()
-@ROUTE
+@click.argument("folders", metavar="DIR...", nargs=-1, required=True, type=click.Path(path_type=Path))
+@together(*(click.option(*names, type=kind, help=f"Of one route: {told}") for names, kind, told in ENDS))
+@MANY
+@COSTS
 @click.option(
     "--vary", default="", metavar="NAME,...", help="Weights that vary.  [default: every metric with a weight]"
 )
 @click.option(
     "--range", "factors_text", default="0.1,10", show_default=True, metavar="LOW,HIGH", help="Times each weight."
 )
-@click.option("--samples", "num_samples", type=int, default=128, show_default=True, help="For Sobol; a power of two.")
+@click.option(
+    "--samples", "num_samples", type=int, help="For Sobol; a power of two.  [default: 128; 32 of each of many routes]"
+)
 @click.option(
     "--triangle", default="", metavar="A,B,C", help="Three weights to share.  [default: those that cost most]"
 )
 @click.option("--pareto", default="", metavar="A,B[,C]", help="What to trade.  [default: distance, the two dearest]")
-@click.option("--tolerance", type=float, default=1e-3, show_default=True, help="Of triangle and front; 1e-9 is exact.")
+@click.option("--tolerance", type=float, help="Of triangle and front; 1e-9 is exact.  [default: 0.001]")
 @click.option("--buildings", "with_buildings", is_flag=True, help="Also rank buildings by what they cost the route.")
 @click.option(
     "--scenario",
     type=click.Path(exists=True, dir_okay=False, path_type=Path),
-    help="That made the maps, where --buildings needs its folder.",
+    help="That made the maps, where --buildings, --heights or --parameters needs its folder; of one DIR.",
 )
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
 @click.option("-o", "output", type=click.Path(path_type=Path), default=Path("out/sensitivity"), show_default=True)
 @click.option("--overwrite", is_flag=True, help="Replace another run of sensitivity in the output folder.")
 @DEVICE
 @JSON_FLAG
-def sensitivity(folder: Path, output: Path, as_json: bool, overwrite: bool, **given: Any) -> int:
-    """Report what would change the route between two places over the maps in DIR, and what would not."""
+def sensitivity(folders: Sequence[Path], output: Path, as_json: bool, overwrite: bool, **given: Any) -> int:
+    """Report what would change a route over the maps in DIR, or many routes over those of several cities.
+
+    With --start, --goal and --altitude one route is studied in depth; else many, drawn or from --queries.
+    """
+    ends = [given[name] is not None for name in ("start", "goal", "altitude_m")]
+    if not any(ends):
+        _refuse(OF_ONE, given, "one route: give --start, --goal and --altitude too")
+        return _many(folders, output, as_json, overwrite, given)
+    if not all(ends):
+        raise click.UsageError("one route needs all of --start, --goal and --altitude; many routes none of them")
+    if len(folders) > 1:
+        raise click.UsageError("one route lies on the maps of one DIR: name one, or leave --start and --goal out")
+    _refuse(OF_MANY, given, "many routes: leave out --start, --goal and --altitude")
+    return _one(folders[0], output, as_json, overwrite, given)
+
+
+def _refuse(defaults: Settings, given: Settings, whose: str) -> None:
+    for name, default in defaults.items():
+        if given[name] != default:
+            option = OPTIONS.get(name, f"--{name.removesuffix('_m').replace('_', '-')}")
+            raise click.UsageError(f"{option} is of {whose}")
+
+
+def _one(folder: Path, output: Path, as_json: bool, overwrite: bool, given: Settings) -> int:
     from jaxurban.io.files import check_writable
     from jaxurban.io.folders import own_folder
     from jaxurban.io.tables import records_of
@@ -62,8 +134,9 @@ def sensitivity(folder: Path, output: Path, as_json: bool, overwrite: bool, **gi
         raise click.UsageError("--scenario belongs to --buildings: add that")
     snap = take_snap(given)
     chosen: dict[str, Any] = {name: names_in(given[option]) for name, option in NAMED.items()}
-    chosen |= {name: given[name] for name in ("num_samples", "tolerance", "seed")}
-    how = SensitivitySettings(factors=_factors(given["factors_text"]), **chosen)
+    chosen["num_samples"] = SAMPLES_OF_ONE if given["num_samples"] is None else given["num_samples"]
+    chosen["tolerance"] = TOLERANCE if given["tolerance"] is None else given["tolerance"]
+    how = SensitivitySettings(factors=_factors(given["factors_text"]), seed=given["seed"], **chosen)
     shared = stored_cost_map(folder, stored_settings(folder), given, given["altitude_m"])
     check_writable(output)
     ends = {"start": given["start"], "goal": given["goal"], "snap": snap}
@@ -95,6 +168,76 @@ def sensitivity(folder: Path, output: Path, as_json: bool, overwrite: bool, **gi
         tables = {name: records_of(table.reset_index()) for name, table in found.tables().items()}
         result = {"route": found.route.to_dict(), "ranges": {name: ranges(found, name) for name in found.vary}}
         print_json(result | {"tables": tables, "num_plans": found.num_plans, "elapsed_s": found.elapsed_s})
+    return 0
+
+
+def _many(folders: Sequence[Path], output: Path, as_json: bool, overwrite: bool, given: Settings) -> int:
+    from jaxurban.io.tables import read_table, records_of
+    from jaxurban.metrics.weights import Weights
+    from jaxurban.paths.constraints import Constraints
+    from jaxurban.report.buildings import scenario_of
+    from jaxurban.report.run_sensitivity import sensitivity_study
+    from jaxurban.studies.montecarlo.run import MapsFolder
+    from jaxurban.studies.sensitivity.remade import RemadeSettings
+    from jaxurban.studies.sensitivity.routes import SensitivityStudySettings
+
+    if given["queries"] is not None and (given["num_routes"] is not None or given["altitudes_text"]):
+        raise click.UsageError("--queries names the routes: leave out --routes and --altitudes, or --queries")
+    if given["workers"] is not None and given["cluster"] is not None:
+        raise InputError("give either --workers, for processes of this machine, or --cluster, not both")
+    if given["parameter_text"] and not given["parameters"]:
+        raise click.UsageError("--parameter-factors belongs to --parameters: add that")
+    factors = numbers_in("--parameter-factors", given["parameter_text"] or "0.5,2")
+    remade = RemadeSettings(given["heights"], given["parameters"], factors)
+    if given["scenario"] is not None and not (remade and len(folders) == 1):
+        raise click.UsageError("--scenario belongs to --heights and --parameters of one DIR")
+    stored = {folder: stored_settings(folder) for folder in folders}
+    weights = {
+        folder: Weights.parse(given["weights_text"], stored_weights(folder, its)) for folder, its in stored.items()
+    }
+    models = {folder: stored_cost_model(its, given["cost_model"]) for folder, its in stored.items()}
+    first = folders[0]
+    for folder in folders[1:]:
+        if weights[folder] != weights[first]:
+            raise InputError(f"the maps of {first} and {folder} were made with other weights: name them (--weights)")
+        if models[folder] != models[first]:
+            raise InputError(
+                f"the maps of {first} and {folder} were made with other cost models: name one (--cost-model), and make "
+                "the maps with the same [planning]"
+            )
+    settings = SensitivityStudySettings(
+        vary=names_in(given["vary"]),
+        factors=_factors(given["factors_text"]),
+        wrong=WRONG if given["wrong"] is None else given["wrong"],
+        num_samples=SAMPLES_OF_MANY if given["num_samples"] is None else given["num_samples"],
+        cost_model=models[first],
+        constraints=Constraints.read(given["no_fly"], given["require"]),
+        seed=given["seed"],
+    )
+    routes = given["num_routes"] or NUM_ROUTES
+    altitudes = numbers_in("--altitudes", given["altitudes_text"]) if given["altitudes_text"] else None
+    scenario = given["scenario"]
+    found = sensitivity_study(
+        [
+            MapsFolder(folder, given["resolution_m"], stored_obstacles(its, given["obstacles"]))
+            for folder, its in stored.items()
+        ],
+        output,
+        routes if given["queries"] is None else read_table(given["queries"], "queries"),
+        altitudes_m=altitudes,
+        weights=weights[first],
+        settings=settings,
+        remade=remade,
+        scenarios=None if scenario is None else {first.resolve().name: scenario_of(first, scenario)},
+        workers=given["cluster"] or given["workers"] or default_workers(),
+        overwrite=overwrite,
+    )
+    tell(f"sensitivity finished: read {output / 'report.md'}, look at {output / 'figures'}")
+    if as_json:
+        claims = [each._asdict() for each in found.findings]
+        kept = {name: records_of(table) for name, table in found.tables.items() if name.endswith("summary")}
+        statuses = found.rows.status.value_counts().to_dict()
+        print_json({"folder": str(output), "statuses": statuses, "findings": claims, "tables": kept})
     return 0
 
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from jaxurban.cli.common import CONSTRAINTS, DEVICE, JSON_FLAG, print_json, tell, tell_warnings
+from jaxurban.cli.common import CONSTRAINTS, DEVICE, JSON_FLAG, default_workers, print_json, tell, tell_warnings
 from jaxurban.errors import InputError
 from jaxurban.progress import reporting
 
@@ -103,19 +103,7 @@ def _run(
             cover=cover,
             seed=settings.seed,
         )
-    workers = given["cluster"] or given["workers"] or _default_workers()
+    workers = given["cluster"] or given["workers"] or default_workers()
     return run_study(
         maps, folder / "study", instances, settings=settings, workers=workers, overwrite=given["overwrite"]
     )
-
-
-def _default_workers() -> int:
-    """Return a process a core, or one where Dask's scheduler is not installed, which a warning says."""
-    from importlib.util import find_spec
-
-    from jaxurban.maps.executors import num_cores
-
-    if find_spec("distributed") is not None:
-        return num_cores()
-    tell("working on one core: several need Dask's scheduler, pip install 'jaxurban[cluster]'")
-    return 1

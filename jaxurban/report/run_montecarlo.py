@@ -110,7 +110,7 @@ def study(
         instances = sample_instances(opened, instances, cost_model=model, constraints=constraints, seed=settings.seed)
     else:
         instances = checked_instances(instances, "instances")
-        _check_instances(instances, opened)
+        check_instances(instances, opened)
         instances = with_connection(instances, opened, model, constraints)
         _check_places(instances, opened, constraints)
     check_writable(folder)
@@ -142,7 +142,7 @@ def land_cover_of(scenario: Scenario) -> LandCover | None:
     return read_land_cover(scenario.path_of(source), grid.crs, grid.bounds_m)
 
 
-def _check_instances(instances: pd.DataFrame, maps: MetricMaps) -> None:
+def check_instances(instances: pd.DataFrame, maps: MetricMaps) -> None:
     """Raise InputError unless instances are of these maps: their CRS, altitudes, times and metrics."""
     crs = set(instances.crs) - {maps.grid.crs}
     if crs:

@@ -56,4 +56,9 @@ def _means(route: Demonstration, prefix: str) -> dict[str, float]:
 
 
 def _cells(route: Demonstration) -> set[tuple[int, int]]:
-    return set(map(tuple, np.floor(route.points_m / route.query.cost_map.grid.resolution_m).astype(int).tolist()))
+    return cells_of(route.points_m, route.query.cost_map.grid.resolution_m)
+
+
+def cells_of(points_m: np.ndarray, resolution_m: float) -> set[tuple[int, int]]:
+    """Return the cells, column and row, of points ``[N, 2]`` in metres from the map's southwest corner."""
+    return set(map(tuple, np.floor(points_m / resolution_m).astype(int).tolist()))

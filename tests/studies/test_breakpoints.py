@@ -13,7 +13,7 @@ from jaxurban.planners.moves import STEPS
 from jaxurban.studies.outcomes import cluster_routes
 from jaxurban.studies.queries import RouteQuery
 from jaxurban.studies.route_pool import RoutePool
-from jaxurban.studies.sensitivity.breakpoints import find_breakpoints
+from jaxurban.studies.sensitivity.breakpoints import find_breakpoints, nearest_breakpoints
 from jaxurban.studies.sensitivity.pareto import pareto_front
 from tests.made_maps import made_maps
 
@@ -174,3 +174,34 @@ def test_clusters_gather_what_is_alike_and_begin_with_the_given_one():
     cluster, representatives = cluster_routes(values, np.array([1.0, 2, 1, 3, 1]), first=4, most=2)
     assert cluster.tolist() == [0, 0, 1, 1, 0]
     assert representatives.tolist() == [4, 3]
+
+
+def test_nearest_breakpoints_are_where_dijkstra_first_finds_a_cheaper_route(query):
+    pool = RoutePool([query])
+    found = nearest_breakpoints(pool, GIVEN, range(1, 5), (0.1, 10.0))
+    given = pool.cheapest(GIVEN[None])[0, 0, 0]
+    assert np.isfinite(found).sum() > 4, "a grid of many routes is what tells"
+    for column, ends in zip(range(1, 5), found, strict=True):
+        for nearest, end in zip(ends, (0.1, 10.0), strict=True):
+            step = np.sign(end - 1) * 1e-4
+            inside, outside = (end, None) if np.isnan(nearest) else (nearest * (1 - step), nearest * (1 + step))
+            for factor in filter(None, (inside, outside)):
+                weights = GIVEN.copy()
+                weights[column] *= factor
+                saved = 1 - dijkstra_cost(query, weights) / (weights @ given)
+                assert (saved > 1e-12) == (factor == outside), (column, factor, saved)
+
+
+def test_nearest_breakpoints_are_the_first_of_all_along_the_line(query):
+    found = nearest_breakpoints(RoutePool([query]), GIVEN, range(1, 5), (0.1, 10.0))
+    for row, name in enumerate(query.names[1:]):
+        line = find_breakpoints(RoutePool([query]), line_of(name, query))
+        factors = 0.1 + line.breakpoints * 9.9
+        below, above = factors[factors < 1], factors[factors > 1]
+        ends = [below.max() if below.size else np.nan, above.min() if above.size else np.nan]
+        np.testing.assert_allclose(found[row], ends, rtol=1e-6)
+
+
+def test_a_weight_of_zero_has_no_nearest_breakpoint(query):
+    weights = GIVEN * [1, 0, 1, 1, 1]
+    assert np.isnan(nearest_breakpoints(RoutePool([query]), weights, [1], (0.1, 10.0))).all()

@@ -189,8 +189,8 @@ def test_a_planner_that_kills_its_worker_costs_its_own_rows_alone(folder, result
     with dask.config.set({"distributed.scheduler.allowed-failures": 0}), cluster_client(None, 2) as client:
         client.register_plugin(Killer())
         found = list(solve_on(client, tasks, MapsFolder(folder), replace(SETTINGS, budget_iterations=100)))
-    rows = {(row["instance"], row["planner"]): row for _, rows in found for row in rows}
-    assert len(rows) == sum(len(rows) for _, rows in found) == 6
+    rows = {(row["instance"], row["planner"]): row for rows in found for row in rows}
+    assert len(rows) == sum(map(len, found)) == 6
     for (_, planner), row in rows.items():
         assert (row["status"] == "crashed") == (planner == "killer")
     # A restarted worker may get a task before it has got the plugin, and then knows no such planner.

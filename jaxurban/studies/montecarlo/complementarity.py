@@ -98,7 +98,7 @@ def _statistics(sums: np.ndarray) -> dict[str, np.ndarray]:
 
 
 class Finding(NamedTuple):
-    """A claim of the paper and what the numbers say: ``holds`` is None where they cannot tell."""
+    """A claim and what the numbers say: ``holds`` is None where they cannot tell."""
 
     claim: str
     holds: bool | None

@@ -10,19 +10,21 @@ import pandas as pd
 from scipy.ndimage import label
 
 from jaxurban.errors import InputError, at_least, typed
+from jaxurban.io.read.orbits import iso_utc, parse_time
 from jaxurban.io.tables import read_table
 from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
 from jaxurban.metrics.registry import METRICS
 from jaxurban.metrics.weights import MOST_WEIGHT, Weights
 from jaxurban.paths.constraints import Constraints
-from jaxurban.paths.queries import WEIGHT_PREFIX
+from jaxurban.paths.queries import WEIGHT_PREFIX, Query
 from jaxurban.planners.base import CostKind, CostModel
-from jaxurban.studies.montecarlo.strata import STRATA, strata_of
+from jaxurban.studies.montecarlo.strata import NO_STRATUM, STRATA, strata_of
 from jaxurban.world.city import LandCover
 
 # Straight distance between start and goal, as shares of the region's diagonal.
 RANGES = {"short": (0.05, 0.15), "middle": (0.15, 0.35), "long": (0.35, 0.8)}
 DIRICHLET = "dirichlet"
+NUM_DOUBLINGS = 5  # of the pairs drawn, until so many are joined as are wanted
 NUM_TRIES, NUM_GOALS = 200, 256  # starts, and goals for each, before a kind of instance is passed over
 
 PLACES = ("start_x_m", "start_y_m", "goal_x_m", "goal_y_m")
@@ -124,6 +126,70 @@ def sample_instances(
     table = pd.concat([pairs.assign(altitude_m=float(z)) for z in altitudes_m]).reset_index(drop=True)
     table = with_connection(table, maps, model, constraints)
     return table.assign(is_connected=table.is_connected.astype(bool))
+
+
+def sample_joined(maps: GivenMaps, num: int, **how: Any) -> pd.DataFrame:
+    """Return the first ``num`` instances of `sample_instances` that a path joins at every altitude.
+
+    Args:
+      maps: from `build_maps` or `open_maps`, or the folder of one resolution's maps.
+      num: instances at each altitude.
+      how: further arguments of `sample_instances`.
+
+    Raises:
+      InputError: as there, or no path joins most pairs.
+    """
+    drawn = num
+    for _ in range(NUM_DOUBLINGS):
+        table = sample_instances(maps, drawn, **how)
+        joined = table.groupby("instance").is_connected.all()
+        if joined.sum() >= num:
+            return table[table.instance.isin(joined.index[joined][:num])].reset_index(drop=True)
+        drawn *= 2
+    raise InputError(
+        f"of {len(joined)} pairs of places drawn on these maps a path joins {joined.sum()} at every altitude, and "
+        f"{num} are wanted: ask for fewer, leave out the lowest altitude, or loosen the constraints"
+    )
+
+
+def instances_of_queries(maps: GivenMaps, queries: Sequence[Query]) -> pd.DataFrame:
+    """Return queries, as `jaxurban.plan_many` takes them, as instances, with the strata and the range that they have.
+
+    Args:
+      maps: from `build_maps` or `open_maps`, or the folder of one resolution's maps.
+      queries: from `read_queries`.
+
+    Raises:
+      InputError: a query that cannot be read, or a place outside what the projection can show (names its row).
+    """
+    maps = as_maps(maps)
+    grid, strata, rows = maps.grid, strata_of(maps), []
+    diagonal_m = float(np.hypot(*grid.shape)) * grid.resolution_m
+    for number, query in enumerate(queries):
+        row: dict[str, Any] = {"instance": number, "altitude_m": query.altitude_m, "crs": grid.crs}
+        try:
+            if query.error:
+                raise InputError(query.error)
+            for end, lonlat, xy_m in (
+                ("start", query.start, query.start_xy_m),
+                ("goal", query.goal, query.goal_xy_m),
+            ):
+                x_m, y_m = map(float, grid.xy_of_lonlat(*lonlat) if lonlat is not None else xy_m or (np.nan, np.nan))
+                lon, lat = map(float, grid.lonlat_of_xy(x_m, y_m))
+                row |= {f"{end}_x_m": x_m, f"{end}_y_m": y_m, f"{end}_lon": lon, f"{end}_lat": lat}
+                stratum = int(strata[grid.cell_of_xy(x_m, y_m)]) if grid.contains_xy(x_m, y_m) else NO_STRATUM
+                row[f"{end}_stratum"] = None if stratum == NO_STRATUM else STRATA[stratum]
+        except InputError as error:
+            raise InputError(f"query {number + 1}: {error}") from error
+        share = np.hypot(row["goal_x_m"] - row["start_x_m"], row["goal_y_m"] - row["start_y_m"]) / diagonal_m
+        row["range"] = next((name for name, (low, high) in RANGES.items() if low <= share < high), None)
+        default_time = maps.default_time
+        row["time"] = default_time if query.time is None or default_time is None else iso_utc(parse_time(query.time))
+        row["time_of_day"] = query.time_of_day or next(iter(maps.times_of_day), None)
+        rows.append(
+            row | {column: query.weights[column.removeprefix(WEIGHT_PREFIX)] for column in weight_columns(maps.metrics)}
+        )
+    return checked_instances(pd.DataFrame(rows), "the queries")
 
 
 class _Places:

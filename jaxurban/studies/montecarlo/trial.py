@@ -21,6 +21,7 @@ from jaxurban.world.grid import Grid
 
 WEIGHTED, DISTANCE = "weighted", "distance"
 CRASHED, BAD_INPUT, INVALID = "crashed", "bad-input", "invalid"  # beside the names of `Status`
+KILLED = "Its worker process was killed again and again, most likely for lack of memory."
 HAS_PATH = frozenset(status.value for status in Status if status.has_path)
 COST_KINDS: tuple[CostKind, ...] = ("cell", "line")
 
@@ -94,6 +95,14 @@ class BenchmarkSettings:
         """Return the cost map of instances at one altitude and time (errors as in `jaxurban.cost_map`)."""
         model, constraints = self.cost_model, self.constraints
         return cost_map(maps, altitude_m, cost_model=model, time=time, time_of_day=time_of_day, constraints=constraints)
+
+    def solve(self, on: CostMap, instance: Mapping[str, Any], runs: Sequence[tuple[str, ...]]) -> list[dict[str, Any]]:
+        """Return a row (see `row_columns`) for each planner on an instance; a planner that crashes is a row too."""
+        return solve_instance(on, instance, [PlannerRun(*run) for run in runs], self)
+
+    def killed(self, instance: Mapping[str, Any], run: tuple[str, ...]) -> dict[str, Any]:
+        """Return the row of a planner whose worker was killed again and again."""
+        return row_of(instance, PlannerRun(*run), status=CRASHED, note=KILLED)
 
 
 NUMBERS = ("cost", "cost_cell", "cost_line", "search_cost", "lower_bound", "gap", "length_m", "detour")

@@ -7,7 +7,7 @@ cheaper than U, then V = U everywhere: over a cell, V is concave and meets the l
 cannot be below. Along a line this is the recursion of Eisner and Severance (J. ACM 23(4), 1976).
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +18,7 @@ from jaxurban.studies.route_pool import RoutePool
 EXACT = 1e-9  # relative: costs this close are equal, being sums of thousands of terms in float64
 EMPTY = 1e-12  # of the whole: a cell smaller than this is a point or an edge, where routes only tie
 SAME_POINT = 1e-10  # shares of the corners that differ by less are one point
+TIE = 1e-14  # relative: what is left of equal costs by rounding, where no breakpoint but the nearest is looked for
 
 OnPlans = Callable[[int], None]
 
@@ -125,6 +126,50 @@ def find_breakpoints(
     )
 
 
+def nearest_breakpoints(
+    pool: RoutePool, weights: np.ndarray, columns: Sequence[int], factors: tuple[float, float]
+) -> np.ndarray:
+    """Return ``[N, 2]`` the factors of each weight at which the cheapest route stops being so: below 1, and above 1.
+
+    The others stay as given. NaN where the route is the cheapest to the end of the range, or the weight is 0. A search
+    at the end finds a route that is cheaper there, the next one where both cost the same, and so on towards the given
+    weight (Newton's method on a concave, piecewise linear function: each route is met once), until none is cheaper:
+    some four searches for each factor. Between two breakpoints so near that costs differ by less than `TIE`, the
+    farther one may be found.
+
+    Args:
+      pool: of one query; routes found join it.
+      weights: ``[K]``.
+      columns: of the weights that vary, ``N``.
+      factors: the ends of the range, below and above 1.
+
+    Raises:
+      InputError: a pool of several queries, or the query has no path.
+    """
+    _check_one(pool)
+    weights = np.asarray(weights, np.float64)
+    given = pool.cheapest(weights[None])[0, 0, 0]
+    at = np.tile(np.asarray(factors, np.float64), (len(columns), 1))
+    is_due = np.tile(weights[list(columns), None] > 0, 2)
+    found = np.full(at.shape, np.nan)
+    while is_due.any():
+        rows, ends = np.nonzero(is_due)
+        places = np.tile(weights, (len(rows), 1))
+        places[np.arange(len(rows)), np.asarray(columns)[rows]] *= at[rows, ends]
+        for row, end, place, other in zip(
+            rows.tolist(), ends.tolist(), places, pool.cheapest(places)[0, 0], strict=True
+        ):
+            excess = given - other
+            if place @ excess <= TIE * (place @ given):
+                is_due[row, end] = False
+                continue
+            column = columns[row]
+            # At the given weights the other one costs as much at least; rounding may say less.
+            ahead = min(weights @ excess, 0.0)
+            at[row, end] = found[row, end] = 1 - ahead / (weights[column] * excess[column])
+    return found
+
+
 class _Growing:
     """The partition by the routes known so far: facts ``[2, K]``, cost at each corner ``[C]`` and cell of each."""
 
@@ -203,8 +248,7 @@ def _key(place: np.ndarray) -> tuple[int, ...]:
 
 def _check(pool: RoutePool, corners: np.ndarray, tolerance: float, max_plans: int | None) -> None:
     num_weights = len(pool.names)
-    if len(pool.queries) != 1:
-        raise InputError(f"breakpoints are those of one query, got {len(pool.queries)}: give one at a time")
+    _check_one(pool)
     if corners.ndim != 2 or len(corners) not in (2, 3) or corners.shape[1] != num_weights:
         raise InputError(f"corners must be 2 or 3 sets of {num_weights} weights, got shape {corners.shape}")
     if not np.all((corners >= 0) & (corners < np.inf)) or np.any(corners.sum(axis=1) == 0):
@@ -212,6 +256,11 @@ def _check(pool: RoutePool, corners: np.ndarray, tolerance: float, max_plans: in
     check_tolerance(tolerance)
     if max_plans is not None and max_plans < 1:
         raise InputError(f"max_plans must be at least 1, got {max_plans}")
+
+
+def _check_one(pool: RoutePool) -> None:
+    if len(pool.queries) != 1:
+        raise InputError(f"breakpoints are those of one query, got {len(pool.queries)}: give one at a time")
 
 
 def check_tolerance(tolerance: float) -> None:

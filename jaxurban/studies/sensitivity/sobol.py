@@ -7,6 +7,7 @@ simplex do not: a larger one makes the others smaller, and no share could be put
 vary freely here. Only their ratios choose a route; leave one of them, such as the distance's, as the unit.
 """
 
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -160,12 +161,14 @@ def _indices(problem: dict, values: np.ndarray, seed: int) -> pd.DataFrame:
     columns = ["first", "first_ci", "total", "total_ci"]
     if np.ptp(values) <= CONSTANT * np.abs(values).max():
         return pd.DataFrame(np.nan, index, columns)
-    found = analysis.analyze(
-        problem,
-        np.asarray(values, np.float64),
-        calc_second_order=False,
-        num_resamples=NUM_RESAMPLES,
-        conf_level=CONFIDENCE,
-        seed=seed + 1,  # SALib takes 0 for none
-    )
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Constant values encountered")  # of a part: the intervals tell
+        found = analysis.analyze(
+            problem,
+            np.asarray(values, np.float64),
+            calc_second_order=False,
+            num_resamples=NUM_RESAMPLES,
+            conf_level=CONFIDENCE,
+            seed=seed + 1,  # SALib takes 0 for none
+        )
     return pd.DataFrame(dict(zip(columns, (found[k] for k in ("S1", "S1_conf", "ST", "ST_conf")), strict=True)), index)

@@ -1,0 +1,292 @@
+"""sensitivity_study: what weights do to many routes of one or several cities, kept in a folder and resumable."""
+
+import warnings
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from jaxurban.errors import GuessWarning, InputError, check_type, typed
+from jaxurban.io.folders import own_folder
+from jaxurban.io.rows import ROWS_FILE, RowStore, fingerprint
+from jaxurban.io.tables import read_table, records_of, write_table
+from jaxurban.maps.memory import check_fits
+from jaxurban.maps.metric_maps import MetricMaps
+from jaxurban.maps.task import MapTask
+from jaxurban.metrics.registry import METRICS
+from jaxurban.metrics.weights import GivenWeights, Weights
+from jaxurban.paths.queries import read_queries
+from jaxurban.progress import LOG, Progress, Report, reporting
+from jaxurban.report.buildings import scenario_of
+from jaxurban.report.run_montecarlo import INSTANCES_FILE, check_instances
+from jaxurban.report.sensitivity_study import SensitivityStudy, write_sensitivity_study
+from jaxurban.scenario.run import tasks_of as maps_tasks_of
+from jaxurban.scenario.settings import Scenario
+from jaxurban.studies.montecarlo.run import InstanceRuns, MapsFolder, helpers, keep_rows, solve, tasks_of
+from jaxurban.studies.montecarlo.sampling import (
+    checked_instances,
+    instances_of_queries,
+    sample_joined,
+    weighed_metrics,
+    weight_columns,
+)
+from jaxurban.studies.sensitivity.remade import REMADE_KEY, RemadeSettings, num_remade, remade_of, remade_rows
+from jaxurban.studies.sensitivity.routes import ROUTE_KEY, SensitivityStudySettings, row_columns
+
+ROUTES_FOLDER, REMADE_FOLDER = "routes", "remade"
+ONE_RUN: tuple[str, ...] = ()
+Source = MetricMaps | MapsFolder
+
+
+@typed
+def sensitivity_study(
+    sources: Mapping[str, MetricMaps | MapsFolder | str | Path] | Sequence[MapsFolder | str | Path] | str | Path,
+    folder: str | Path,
+    routes: pd.DataFrame | int = 30,
+    *,
+    altitudes_m: Sequence[float] | None = None,
+    weights: GivenWeights = None,
+    settings: SensitivityStudySettings | None = None,
+    remade: RemadeSettings | None = None,
+    scenarios: Mapping[str, Scenario] | None = None,
+    workers: int | str = 1,
+    overwrite: bool = False,
+    progress: Progress = True,
+) -> SensitivityStudy:
+    """Return what the weights do to many routes, at several altitudes and in several cities, with intervals.
+
+    For each route and weight: its share of the cost (which is the gradient of the cost by the logarithm of the weight),
+    the nearest breakpoints, the regret of a wrong weight, and Sobol shares of what the route is like; with ``remade``
+    also how routes change where heights are uncertain or parameters are other ones. Rows are kept in ``folder`` as they
+    come; the same call after any end, ``kill -9`` included, makes only what is missing. A route that fails is a row
+    with its status. ``report.md`` there says what the routes support and what not, beside tables and figures.
+
+    Args:
+      sources: maps of each city by its name, folders or maps in memory (which only this process sees); or folders,
+        called as they are.
+      folder: where the study is kept.
+      routes: how many to sample in each city, by stratum and range, that a path joins at every altitude; or a
+        table of instances (see `sample_instances`) or of queries (as `plan_many` takes it), with a column ``city``
+        where there are several.
+      altitudes_m: of sampled routes; left out, all that the maps hold.
+      weights: of sampled routes, and of those that name none; default `Weights()`.
+      settings: what is asked of every route.
+      remade: which maps are made anew to see what changes; left out, none.
+      scenarios: of cities whose maps are made anew; left out, the record in their folder tells the sources.
+      workers: processes of this machine, 1 works in this process; or the address of a Dask scheduler, whose workers see
+        the maps' folders under the same paths.
+      overwrite: replace a study of other settings or routes.
+      progress: as in `jaxurban.progress.reporting`.
+
+    Raises:
+      InputError: a wrong argument, routes for other maps, or a folder that holds another study or other files.
+    """
+    folder, settings, remade = Path(folder), settings or SensitivityStudySettings(), remade or RemadeSettings()
+    check_type("settings", settings, SensitivityStudySettings)
+    check_type("remade", remade, RemadeSettings)
+    if isinstance(workers, int) and workers < 1:
+        raise InputError(f"workers must be at least 1, got {workers}")
+    given = named_sources(sources)
+    opened = {city: source if isinstance(source, MetricMaps) else source.open() for city, source in given.items()}
+    resolutions = {maps.grid.resolution_m for maps in opened.values()}
+    if settings.cost_model.kind == "cell" and len(resolutions) > 1:
+        listed = ", ".join(f"{each:g} m" for each in sorted(resolutions))
+        raise InputError(
+            f"the maps have cells of {listed}, on which the 'cell' cost model costs differently: use cost_model='line'"
+        )
+    instances = _instances(opened, routes, altitudes_m, weights, settings)
+    about = {city: _about(maps) for city, maps in opened.items()}
+    key = settings.to_dict() | {"maps": about, "routes": _routes_key(instances)}
+    job = settings if workers == 1 or settings.num_threads is not None else replace(settings, num_threads=1)
+    with own_folder(folder, "sensitivity", key, overwrite=overwrite), reporting("sensitivity", progress) as report:
+        write_table(instances, folder / INSTANCES_FILE)
+        rows = _routes(folder, instances, given, job, workers, report)
+        remade_table, skipped = pd.DataFrame(), tuple[str, ...]()
+        if remade:
+            remade_table, skipped = _remade(folder, instances, given, opened, (settings, remade), scenarios, report)
+        report("report")
+        grids = {city: maps.facts["grid"] for city, maps in opened.items()}
+        found = SensitivityStudy(folder, grids, instances, rows, remade_table, skipped, settings)
+        write_sensitivity_study(found)
+    return found
+
+
+def named_sources(sources: Any) -> dict[str, Source]:
+    """Return the maps of each city by its name: folders as `MapsFolder` of one resolution.
+
+    Raises:
+      InputError: none, or two of one name.
+    """
+    if isinstance(sources, Mapping):
+        listed = [(str(name), source) for name, source in sources.items()]
+    else:
+        several = [sources] if isinstance(sources, str | Path | MapsFolder) else list(sources)
+        if any(isinstance(source, MetricMaps) for source in several):
+            raise InputError("maps in memory have no name: give them by name, as {'manhattan': maps}")
+        folders = [source.folder if isinstance(source, MapsFolder) else source for source in several]
+        listed = [(Path(each).resolve().name, source) for each, source in zip(folders, several, strict=True)]
+    names = [name for name, _ in listed]
+    if not names or len(set(names)) < len(names):
+        raise InputError(
+            f"sources must be cities of different names, and one at least, got {', '.join(names) or 'none'}"
+        )
+    found: dict[str, Source] = {}
+    for name, source in listed:
+        if isinstance(source, MetricMaps):
+            found[name] = source
+            continue
+        place = source if isinstance(source, MapsFolder) else MapsFolder(source)
+        resolution_m = place.open().grid.resolution_m
+        found[name] = replace(place, folder=Path(place.folder).resolve(), resolution_m=resolution_m)
+    return found
+
+
+def _about(maps: MetricMaps) -> str:
+    names = ("run_key", "crs", "resolution_m", "first_row", "first_col")
+    return ", ".join([*(f"{name} {maps.ds.attrs.get(name)}" for name in names), f"obstacles {maps.obstacles}"])
+
+
+def _routes_key(instances: pd.DataFrame) -> str:
+    plain = instances.drop(columns="is_connected").sort_values(list(ROUTE_KEY))
+    return f"{len(plain)} ({fingerprint(plain.to_csv(index=False))})"
+
+
+def _instances(
+    opened: Mapping[str, MetricMaps],
+    routes: pd.DataFrame | int,
+    altitudes_m: Sequence[float] | None,
+    weights: GivenWeights,
+    settings: SensitivityStudySettings,
+) -> pd.DataFrame:
+    """Return the routes of all cities as instances with a column ``city``."""
+    model, constraints = settings.cost_model, settings.constraints
+    metrics = dict.fromkeys(name for maps in opened.values() for name in maps.metrics)
+    of_all = Weights.of(weights).checked(metrics).to_dict()
+    parts = []
+    for city, maps in opened.items():
+        known = {"distance", *METRICS, *maps.metrics}  # a city may lack the layers of another one
+        weights = Weights(**{name: value for name, value in of_all.items() if name in known})
+        if not isinstance(routes, pd.DataFrame):
+            seed = int(np.random.SeedSequence([settings.seed, zlib.crc32(city.encode())]).generate_state(1)[0])
+            how: dict[str, Any] = {"cost_model": model, "constraints": constraints, "seed": seed}
+            part = sample_joined(maps, routes, altitudes_m=altitudes_m, weights=[weights], **how)
+        else:
+            part = _given_routes(routes, city, maps, weights, len(opened) > 1)
+        parts.append(part.assign(city=city))
+    if isinstance(routes, pd.DataFrame) and altitudes_m is not None:
+        raise InputError("altitudes_m is of sampled routes: a table of routes names its own")
+    found = pd.concat(parts, ignore_index=True)
+    columns = weight_columns(metrics)
+    return found.reindex(columns=[*found.columns, *(c for c in columns if c not in found)]).fillna(
+        dict.fromkeys(columns, 0.0)
+    )
+
+
+def _given_routes(
+    routes: pd.DataFrame, city: str, maps: MetricMaps, weights: GivenWeights, has_several: bool
+) -> pd.DataFrame:
+    if has_several and "city" not in routes:
+        raise InputError("the routes lack the column 'city', which says on which of the maps each lies: add it")
+    part = routes
+    if "city" in routes:
+        others = set(weight_columns(weighed_metrics(routes.columns))) - set(weight_columns(maps.metrics))
+        part = routes[routes["city"] == city].drop(columns=["city", *others])
+    if part.empty:
+        raise InputError(f"the routes hold none of the city {city!r}: add some, or leave its maps out")
+    if "instance" in part:
+        part = checked_instances(part, f"the instances of {city}")
+    else:
+        queries = part.reset_index(drop=True).dropna(axis=1, how="all")
+        part = instances_of_queries(maps, read_queries(queries, weights=weights, metrics=maps.metrics))
+    check_instances(part, maps)
+    return part
+
+
+def _routes(
+    folder: Path,
+    instances: pd.DataFrame,
+    sources: Mapping[str, Source],
+    settings: SensitivityStudySettings,
+    workers: int | str,
+    report: Report,
+) -> pd.DataFrame:
+    """Return the rows of all routes, made where they are missing."""
+    store = RowStore(folder / ROUTES_FOLDER / ROWS_FILE, ROUTE_KEY, has_parts=True)
+    tasks = {city: tasks_of(part, [ONE_RUN], store, ROUTE_KEY) for city, part in instances.groupby("city", sort=False)}
+    num_left = sum(map(len, tasks.values()))
+    try:
+        if num_left:
+            with helpers(workers, sources.values()) as client:
+                keep_rows(store, _solved(tasks, sources, settings, client), num_left, report)
+    finally:
+        store.save(row_columns(store.rows))
+    return read_table(store.file, "rows")
+
+
+def _solved(tasks: Mapping[Any, list[InstanceRuns]], sources: Mapping[str, Source], settings: Any, client: Any) -> Any:
+    for city, of_city in tasks.items():
+        if of_city:
+            yield from solve(of_city, sources[city], settings, client)
+
+
+def _remade(
+    folder: Path,
+    instances: pd.DataFrame,
+    sources: Mapping[str, Source],
+    opened: Mapping[str, MetricMaps],
+    settings: tuple[SensitivityStudySettings, RemadeSettings],
+    scenarios: Mapping[str, Scenario] | None,
+    report: Report,
+) -> tuple[pd.DataFrame, tuple[str, ...]]:
+    """Return the rows of routes on maps made anew, and why some were not made; whole maps at a time are kept."""
+    of_routes, of_maps = settings
+    store = RowStore(folder / REMADE_FOLDER / ROWS_FILE, REMADE_KEY, has_parts=True)
+    skipped = []
+    try:
+        for city, maps in opened.items():
+            routes = instances[instances.city == city].sort_values(["altitude_m", "time", "time_of_day"])
+            asked = records_of(routes)
+            try:
+                task = _map_task(city, sources[city], maps, scenarios)
+            except InputError as error:
+                skipped.append(f"{city}: {error}")
+                LOG.warning(f"no maps of {city} are made anew: {error}")
+                continue
+            stage, total = f"maps of {city} made anew", num_remade(task, of_maps)
+            for number, change in enumerate(remade_of(task, of_maps, of_routes.seed)):
+                report(stage, number, total)
+                head = (change.changed, change.at)
+                left = [each for each in asked if (*head, *(each[name] for name in ROUTE_KEY)) not in store]
+                if left:
+                    made = change.maps().with_obstacles(maps.obstacles)
+                    rows = remade_rows(maps, made, left, of_routes)
+                    store.add([{"changed": change.changed, "at": change.at, **row} for row in rows])
+            report(stage, total, total)
+    finally:
+        store.save(row_columns(store.rows))
+    return read_table(store.file, "rows of maps made anew"), tuple(skipped)
+
+
+def _map_task(city: str, source: Source, maps: MetricMaps, scenarios: Mapping[str, Scenario] | None) -> MapTask:
+    """Return what the maps of a city are made of, its sources read again.
+
+    Raises:
+      InputError: they are not told or found, or are not those of these maps.
+    """
+    scenario = (scenarios or {}).get(city)
+    if scenario is None:
+        if isinstance(source, MetricMaps):
+            raise InputError("maps in memory do not tell their sources: give the scenario, or a folder of maps")
+        scenario = scenario_of(Path(source.folder))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", GuessWarning)  # told when the maps were made
+        tasks = maps_tasks_of(scenario)
+    task = next((task for task in tasks if task.region == maps.grid), None)
+    if task is None or not set(maps.metrics) == set(task.metrics):
+        raise InputError("the scenario makes other maps than these (another grid, or other metrics): give theirs")
+    check_fits(task)
+    return task

@@ -1,0 +1,234 @@
+"""What the rows of a weight study say together: means and medians over routes, cut many ways, each with its interval.
+
+Intervals are 95 %, by bootstrap over pairs of places within their cities, all altitudes of a pair drawn together: they
+are of these cities. Over all cities there is a second one, for which cities are drawn first. With a few cities that one
+is too narrow: cities unlike those at hand are in no draw.
+"""
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from jaxurban.studies.bootstrap import (
+    NUM_DRAWS,
+    Interval,
+    Statistic,
+    counts_over,
+    counts_within,
+    ends_of,
+    interval_of,
+    mean_of,
+    median_of,
+    share_interval,
+    share_of,
+)
+from jaxurban.studies.montecarlo.trial import HAS_PATH
+from jaxurban.studies.sensitivity.remade import HEIGHTS
+from jaxurban.studies.sensitivity.routes import OF_SHARE, OF_WEIGHT, ROUTE_KEY
+
+DESCRIBED = ("time", "time_of_day", "start_stratum", "goal_stratum", "range", "distance_m")
+ALL = "all"
+CUTS = ("city", "altitude_m", "stratum", "range", "time", "time_of_day")
+BOTH = (("city", "altitude_m"), ("stratum", "altitude_m"))
+OVER_CITIES = "cities_"
+CLEAR, UNCLEAR, TOO_FEW, CONSTANT = "clear", "not told from 0", "too few routes", "does not vary"
+REMADE_STATISTICS = ("is_other", "overlap", "is_closed", "regret", "nominal_is_closed", "nominal_regret")
+SHARES_OF_ROUTES = ("is_other", "is_closed", "nominal_is_closed")
+
+
+def routes_of(rows: pd.DataFrame, instances: pd.DataFrame) -> pd.DataFrame:
+    """Return the rows of routes that were found, with what describes each (`DESCRIBED`)."""
+    wanted = [*ROUTE_KEY, *DESCRIBED]
+    table = rows[rows.status.isin(HAS_PATH)].merge(instances[wanted], on=list(ROUTE_KEY), validate="many_to_one")
+    return table.reset_index(drop=True)
+
+
+def weights_table(routes: pd.DataFrame, factors: tuple[float, float]) -> pd.DataFrame:
+    """Return a row a route and weight: `OF_WEIGHT`, whether it ``varies``, ``nearest`` and ``regret``.
+
+    ``nearest`` is the factor, by which the weight is multiplied or divided, at which the route changes; where it does
+    not within the range, the range's nearer end. ``regret`` is the larger of both.
+
+    Args:
+      routes: from `routes_of`.
+      factors: the range in which breakpoints were looked for.
+    """
+    names = [name.partition(":")[2] for name in map(str, routes.columns) if name.startswith("elasticity:")]
+    varied = routes["vary"].str.split(",")
+    parts = []
+    for name in names:
+        part = routes[[*ROUTE_KEY, *DESCRIBED]].assign(weight_name=name, varies=[name in each for each in varied])
+        parts.append(part.assign(**{kind: routes.get(f"{kind}:{name}", np.nan) for kind in OF_WEIGHT}))
+    table = pd.concat(parts, ignore_index=True)
+    table = table[table.elasticity.notna()]  # not the metrics that a city's maps lack
+    limit = min(factors[1], 1 / factors[0])
+    nearest = table.above.combine(1 / table.below, np.fmin).clip(upper=limit).fillna(limit)
+    regret = table[["regret_low", "regret_high"]].max(axis=1)
+    return table.assign(nearest=nearest.where(table.varies), regret=regret.where(table.varies)).reset_index(drop=True)
+
+
+def statistics_of(wrong: float) -> dict[str, tuple[Callable[[pd.DataFrame], pd.Series], Statistic]]:
+    """Return what is told of each weight: its values in a table of weights, and how they are put together.
+
+    ``share`` of the cost (mean); ``nearest`` (median factor); ``changes``, the share of routes that change where the
+    weight is up to ``wrong`` times too small or too large; ``regret`` (mean).
+    """
+    return {
+        "share": (lambda table: table.elasticity, mean_of),
+        "nearest": (lambda table: table.nearest, median_of),
+        "changes": (lambda table: (table.nearest <= wrong).astype(float).where(table.varies), share_of),
+        "regret": (lambda table: table.regret, mean_of),
+    }
+
+
+def by_stratum(table: pd.DataFrame) -> pd.DataFrame:
+    """Return a table with ``stratum``, each row once for each stratum that its route starts or ends in."""
+    ends = [table.assign(stratum=table[name]) for name in ("start_stratum", "goal_stratum")]
+    both = pd.concat(ends).dropna(subset="stratum")
+    return both.reset_index().drop_duplicates(["index", "stratum"]).drop(columns="index").reset_index(drop=True)
+
+
+def cuts_of(table: pd.DataFrame) -> Iterator[tuple[str, str, pd.DataFrame]]:
+    """Yield the parts of a table of weights, by what they are cut and the value: all, then cuts with two values up."""
+    yield ALL, ALL, table
+    strata = by_stratum(table)
+    for cut in (*CUTS, *BOTH):
+        columns = [cut] if isinstance(cut, str) else list(cut)
+        source = strata if "stratum" in columns else table
+        if all(_differs(source, column) for column in columns):
+            for value, part in source.groupby(columns, sort=True):
+                yield ", ".join(columns), ", ".join(map(_told, value)), part
+
+
+def _differs(table: pd.DataFrame, column: str) -> bool:
+    """Return whether a column has two values; times that differ between cities only say no more than the cities."""
+    counts = table.groupby("city")[column].nunique() if column in ("time", "time_of_day") else [table[column].nunique()]
+    return max(counts) > 1
+
+
+def _told(value: Any) -> str:
+    return f"{value:g} m" if isinstance(value, float) else str(value)
+
+
+class Drawn:
+    """Bootstrap draws of the rows of a table, of pairs of places within cities and, where there are two, of cities."""
+
+    def __init__(self, table: pd.DataFrame) -> None:
+        groups, cities = table.instance.to_numpy(), table.city.to_numpy()
+        self.num_cities = table.city.nunique()
+        self.num_pairs = len(table[["city", "instance"]].drop_duplicates())
+        self.within = counts_within(groups, cities) if len(table) else np.empty((NUM_DRAWS, 0), np.int64)
+        self.over = counts_over(groups, cities) if self.num_cities > 1 else None
+
+    def interval(self, values: pd.Series, statistic: Statistic = mean_of, *, over_cities: bool = False) -> Interval:
+        """Return a statistic of the known values and its interval (`share_of`: see `share_interval`)."""
+        counts = self.over if over_cities and self.over is not None else self.within
+        known = values.notna().to_numpy()
+        numbers = values.to_numpy(np.float64)[known]
+        if statistic is share_of:
+            return share_interval(numbers, counts[:, known], self.num_pairs)
+        return interval_of(numbers, counts[:, known], self.num_pairs, statistic)
+
+    def difference(self, values: pd.Series, is_in: np.ndarray) -> Interval:
+        """Return the mean of the values that are in, less that of the others, and its interval."""
+        numbers, known = values.to_numpy(np.float64), values.notna().to_numpy()
+        parts = [known & is_in, known & ~is_in]
+        found = [numbers[part].mean() if part.any() else np.nan for part in parts]
+        drawn = [mean_of(numbers[part], self.within[:, part]) for part in parts]
+        return Interval(float(found[0] - found[1]), *ends_of(drawn[0] - drawn[1], self.num_pairs))
+
+
+def named(name: str, interval: Interval) -> dict[str, float]:
+    """Return an interval as columns."""
+    return {name: interval.mean, f"{name}_low": interval.low, f"{name}_high": interval.high}
+
+
+def summarise(weights: pd.DataFrame, wrong: float) -> pd.DataFrame:
+    """Return which weights matter where: a row for each part (``cut``, ``value``) and weight, see `statistics_of`.
+
+    Of all routes also the ends over cities, ``share_cities_low`` and the like; no number with one city.
+
+    Args:
+      weights: from `weights_table`.
+      wrong: factor of a wrong weight.
+    """
+    rows = []
+    for cut, value, part in cuts_of(weights):
+        for name, of_weight in part.groupby("weight_name", sort=False):
+            drawn = Drawn(of_weight)
+            row: dict[str, Any] = {"cut": cut, "value": value, "weight_name": name, "routes": len(of_weight)}
+            row |= {"pairs": drawn.num_pairs, "cities": drawn.num_cities}
+            for statistic, (values, put) in statistics_of(wrong).items():
+                row |= named(statistic, drawn.interval(values(of_weight), put))
+                if cut == ALL and drawn.num_cities > 1:
+                    over = drawn.interval(values(of_weight), put, over_cities=True)
+                    row |= {f"{statistic}_{OVER_CITIES}low": over.low, f"{statistic}_{OVER_CITIES}high": over.high}
+            rows.append(row)
+    return pd.DataFrame(rows)
+
+
+def shares_table(routes: pd.DataFrame) -> pd.DataFrame:
+    """Return the Sobol shares of every route: a row for each route, outcome and weight."""
+    triples = [tuple(str(name).split(":")) for name in routes.columns if str(name).startswith("first:")]
+    parts = [
+        routes[list(ROUTE_KEY)].assign(
+            outcome=outcome, weight_name=name, **{kind: routes[f"{kind}:{name}:{outcome}"] for kind in OF_SHARE}
+        )
+        for _, name, outcome in triples
+    ]
+    columns = [*ROUTE_KEY, "outcome", "weight_name", *OF_SHARE]
+    return pd.concat(parts, ignore_index=True) if parts else pd.DataFrame(columns=columns)
+
+
+def summarise_shares(shares: pd.DataFrame) -> pd.DataFrame:
+    """Return mean Sobol shares over routes: a row for each outcome, weight and kind, with a ``verdict`` in words.
+
+    Estimates of one route from few samples scatter about the truth, below 0 too, independently from route to route:
+    their means are nearer to it, and the intervals hold both the scatter and how routes differ. A share whose interval
+    reaches 0 is `UNCLEAR`, whatever its value. ``own_ci`` is the median half-width of one route's interval.
+    """
+    rows = []
+    for (outcome, name), part in shares.groupby(["outcome", "weight_name"], sort=False):
+        for kind in ("first", "total"):
+            known = part[part[kind].notna()].reset_index(drop=True)
+            drawn = Drawn(known)
+            found = drawn.interval(known[kind])
+            verdict = CLEAR if found.low > 0 else UNCLEAR if np.isfinite(found.low) else TOO_FEW
+            row = {"outcome": outcome, "weight_name": name, "kind": kind, "routes": len(known)}
+            own = {"own_ci": known[f"{kind}_ci"].median()}
+            rows.append(row | named("share", found) | own | {"verdict": verdict if len(known) else CONSTANT})
+    return pd.DataFrame(rows)
+
+
+def summarise_remade(remade: pd.DataFrame) -> pd.DataFrame:
+    """Return how far routes change on maps made anew: a row for each change, of all, of each city and each altitude.
+
+    Of heights all draws together, draws and routes being drawn both; of parameters each factor. Columns are means of
+    those of `remade_rows`.
+    """
+    rows = []
+    found = remade[remade.status.isin(HAS_PATH)]
+    found = found.assign(at=found["at"].where(found.changed != HEIGHTS))
+    draws = remade["at"].reindex(found.index)
+    for (changed, at), part in found.groupby(["changed", "at"], sort=False, dropna=False):
+        cuts = [(ALL, ALL, part)]
+        for cut in ("city", "altitude_m"):
+            cuts += [(cut, _told(value), rows_at) for value, rows_at in part.groupby(cut, sort=False)]
+        for cut, value, rows_at in cuts:
+            drawn = Drawn(rows_at)
+            if changed == HEIGHTS:  # both drawn: Owen's pigeonhole bootstrap (Ann. Appl. Stat. 1(2), 2007)
+                drawn.within = drawn.within * counts_within(draws[rows_at.index].to_numpy(), np.zeros(len(rows_at)), 1)
+            row: dict[str, Any] = {"changed": changed, "factor": at, "cut": cut, "of": value}
+            row |= {
+                "routes": len(rows_at),
+                "draws": draws[rows_at.index].nunique(),
+                "pairs": drawn.num_pairs,
+                "cities": drawn.num_cities,
+            }
+            for statistic in REMADE_STATISTICS:
+                put = share_of if statistic in SHARES_OF_ROUTES else mean_of
+                row |= named(statistic, drawn.interval(rows_at[statistic], put))
+            rows.append(row)
+    return pd.DataFrame(rows)

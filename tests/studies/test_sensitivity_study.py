@@ -1,0 +1,371 @@
+"""A weight study over many routes: its rows against planning alone, kept through a kill, and what its report says."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.text import Text
+
+import jaxurban as ju
+from jaxurban.errors import InputError
+from jaxurban.io.store import write_zarr
+from jaxurban.metrics.custom import Layer
+from jaxurban.report.figures.sensitivity_study import study_figures
+from jaxurban.report.sensitivity_study import share_said
+from jaxurban.studies.montecarlo.sampling import sample_joined
+from jaxurban.studies.sensitivity.findings import findings
+from jaxurban.studies.sensitivity.remade import parameters_of, remade_of, remade_rows, with_parameter
+from jaxurban.studies.sensitivity.summary import summarise, summarise_shares
+from tests.cli_runs import assert_one_sentence, run
+from tests.made_maps import made_maps
+
+SETTINGS = ju.SensitivityStudySettings(num_samples=2, seed=3)
+NUM = 9
+KEY = ["city", "instance", "altitude_m"]
+
+
+def other_maps() -> ju.MetricMaps:
+    """The same streets with a layer of noise and without people."""
+    made = made_maps(60, 70)
+    loud = np.random.default_rng(4).random(made.grid.shape).astype(np.float32)
+    ds = made.ds.drop_vars(["population", "density", "time_of_day"])
+    ds["noise"] = (("y", "x"), loud, {"layer": Layer("noise.tif", "high-is-bad", (0.0, 1.0)).record})
+    return ju.MetricMaps(ds)
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory) -> list[Path]:
+    folder = tmp_path_factory.mktemp("maps")
+    for name, maps in (("alpha", made_maps(60, 70)), ("beta", other_maps())):
+        write_zarr(maps.ds, folder / name)
+    return [folder / "alpha", folder / "beta"]
+
+
+@pytest.fixture(scope="module")
+def found(folders, tmp_path_factory) -> ju.SensitivityStudy:
+    return ju.sensitivity_study(folders, tmp_path_factory.mktemp("study"), NUM, settings=SETTINGS)
+
+
+def test_every_route_has_a_row_once(found):
+    assert len(found.rows) == 2 * NUM * 2
+    assert not found.rows.duplicated(KEY).any()
+    assert (found.rows.status == "optimal").all()
+    weights = found.tables["weights"]
+    assert set(weights[weights.city == "beta"].weight_name) == {"distance", "gps", "lidar", "risk", "noise"}
+    assert set(weights[weights.city == "alpha"].weight_name) == {"distance", "gps", "lidar", "risk", "population"}
+
+
+def test_rows_are_what_planning_under_each_weight_gives(folders, found):
+    table = found.rows.merge(found.instances, on=KEY).iloc[[0, 7, 20]]
+    for row in table.to_dict("records"):
+        maps = ju.open_maps(next(each for each in folders if each.name == row["city"]))
+        ends = [ju.XY(row[f"{end}_x_m"], row[f"{end}_y_m"]) for end in ("start", "goal")]
+        true = ju.Weights(**{name.removeprefix("w_"): row[name] for name in row if name.startswith("w_")})
+        if row["city"] == "alpha":
+            true = ju.Weights(**{name: value for name, value in true.to_dict().items() if name != "noise"})
+
+        def planned(weights, maps=maps, ends=ends, row=row):
+            when = {"time": row["time"]} | ({"time_of_day": row["time_of_day"]} if row["city"] == "alpha" else {})
+            return ju.cost_map(maps, row["altitude_m"], weights=weights, cost_model="line", **when).plan(*ends)
+
+        best = planned(true)
+        assert row["cost"] == pytest.approx(best.cost, rel=1e-12)
+        assert row["length_m"] == pytest.approx(best.length_m)
+        shares = {name: value / best.cost for name, value in best.to_dict()["cost_by_layer"].items()}
+        for name, share in shares.items():
+            assert row[f"elasticity:{name}"] == pytest.approx(share, abs=1e-12)
+        for name in row["vary"].split(","):
+            for side, factor in (("low", 0.5), ("high", 2.0)):
+                wrong = planned(true.replace(**{name: true[name] * factor}))
+                parts = wrong.to_dict()["cost_by_layer"]
+                cost = sum(value / (factor if layer == name else 1) for layer, value in parts.items())
+                assert row[f"regret_{side}:{name}"] == pytest.approx(cost / best.cost - 1, abs=1e-9)
+
+
+def test_elasticities_sum_to_one_and_a_route_that_no_factor_changes_has_no_regret(found):
+    weights = found.tables["weights"]
+    np.testing.assert_allclose(weights.groupby(KEY).elasticity.sum(), 1.0)
+    calm = weights[weights.varies & (weights.nearest > 2.0)]
+    assert len(calm) > 5
+    assert (calm.regret < 1e-9).all()
+    assert (weights[weights.varies].nearest >= 1).all()
+
+
+def test_maps_in_memory_and_a_table_of_queries_give_the_same_rows(folders, found, tmp_path):
+    alpha = found.instances[
+        (found.instances.city == "alpha") & (found.instances.instance == found.instances.instance[0])
+    ]
+    queries = alpha[["start_lon", "start_lat", "goal_lon", "goal_lat", "altitude_m", "time", "time_of_day"]]
+    again = ju.sensitivity_study({"alpha": made_maps(60, 70)}, tmp_path, queries, settings=SETTINGS)
+    columns = [
+        name for name in found.rows if name.partition(":")[0] in ("cost", "elasticity", "below", "above", "people")
+    ]
+    columns = [name for name in columns if "noise" not in name]
+    first = found.rows.merge(alpha[KEY], on=KEY).sort_values("altitude_m")[columns]
+    np.testing.assert_allclose(again.rows.sort_values("altitude_m")[columns].astype(float), first.astype(float))
+    assert again.instances.start_stratum.tolist() == alpha.start_stratum.tolist()
+    assert again.instances.range.tolist() == alpha.range.tolist()
+
+
+def test_a_route_that_fails_is_a_row_with_its_status(folders, found, tmp_path):
+    maps, rows = made_maps(60, 70), found.instances[found.instances.city == "alpha"].iloc[:3].copy()
+    rows["instance"] = [0, 1, 2]
+    wall = np.argwhere(~maps.is_free(20.0))[0]
+    rows.loc[rows.index[0], ["goal_x_m", "goal_y_m"]] = maps.grid.xy_of_cell(*wall)
+    rows.loc[rows.index[1], ["goal_x_m", "goal_y_m"]] = rows.iloc[1][["start_x_m", "start_y_m"]].to_numpy()
+    again = ju.sensitivity_study(folders[0], tmp_path, rows, settings=SETTINGS)
+    assert again.rows.sort_values("instance").status.tolist() == ["bad-input", "bad-input", "optimal"]
+    report = (tmp_path / "report.md").read_text()
+    assert "2 with status bad-input" in report
+    assert "Too few pairs of places for an interval: alpha (3)" in report
+
+
+KILLED = """
+import sys, jaxurban as ju
+if __name__ == "__main__":
+    settings = ju.SensitivityStudySettings(num_samples=2, seed=3)
+    ju.sensitivity_study(sys.argv[2:], sys.argv[1], 9, settings=settings)
+"""
+
+
+def test_a_killed_study_goes_on_with_no_row_lost_or_doubled(folders, found, tmp_path):
+    script, out = tmp_path / "job.py", tmp_path / "out"
+    script.write_text(KILLED)
+    environment = os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])}
+    job = subprocess.Popen([sys.executable, script, out, *folders], env=environment, cwd=tmp_path)
+    while len(list((out / "routes/parts").glob("*.json"))) < 3:
+        assert job.poll() is None
+        time.sleep(0.005)
+    job.send_signal(signal.SIGKILL)
+    job.wait()
+    kept = [row for part in (out / "routes/parts").glob("*.json") for row in json.loads(part.read_text())["rows"]]
+    assert 0 < len(kept) < len(found.rows)
+    again = ju.sensitivity_study(folders, out, NUM, settings=SETTINGS).rows
+    pd.testing.assert_frame_equal(
+        again.drop(columns="elapsed_s")[sorted(set(again) - {"elapsed_s"})],
+        found.rows[sorted(set(found.rows) - {"elapsed_s"})],
+    )
+    times = again.set_index(KEY).elapsed_s
+    for row in kept:  # what was done before is not done again
+        assert times[row["city"], row["instance"], row["altitude_m"]] == row["elapsed_s"]
+
+
+def test_a_folder_keeps_one_study(folders, found):
+    with pytest.raises(InputError, match="another run of `jaxurban sensitivity`"):
+        ju.sensitivity_study(folders, found.folder, NUM, settings=replace(SETTINGS, wrong=3.0))
+    with pytest.raises(InputError, match="another run of `jaxurban sensitivity`"):
+        ju.sensitivity_study(folders, found.folder, NUM + 1, settings=SETTINGS)
+
+
+@pytest.mark.slow
+def test_two_workers_give_the_rows_of_one(folders, found, tmp_path):
+    again = ju.sensitivity_study(folders, tmp_path, NUM, settings=SETTINGS, workers=2)
+    drop = ["elapsed_s"]
+    pd.testing.assert_frame_equal(
+        again.rows.drop(columns=drop)[found.rows.columns.drop(drop)], found.rows.drop(columns=drop)
+    )
+
+
+def test_the_report_names_every_figure_and_no_share_below_zero(found):
+    report = (found.folder / "report.md").read_text()
+    shown = {part.split(")")[0] for part in report.split("](")[1:]}
+    assert shown == {f"figures/{each.name}" for each in (found.folder / "figures").glob("*.png")}
+    for name, table in found.tables.items():
+        assert len(pd.read_parquet(found.folder / "tables" / f"{name}.parquet")) == len(table)
+    assert "nan" not in report.replace("dominant", "")
+    sobol = report.split("## What the routes are like")[1].split("##")[0]
+    assert "| -" not in sobol.replace("| ---", "")
+    assert "2 samples are few for one route" in report
+    assert "In cities in general" in report.split("## What they cannot tell")[1]
+    claims = [len([each for each in found.findings if each.holds is holds]) for holds in (True, False, None)]
+    assert f"{claims[0]} of {sum(claims)} claims" in report
+    assert f"{claims[1]} are contradicted, and on {claims[2]} they cannot decide" in report
+
+
+def test_no_text_of_a_figure_leaves_the_page(found):
+    for name, draw in study_figures(found.tables, 2.0).items():
+        figure = draw()
+        renderer = FigureCanvasAgg(figure).get_renderer()
+        figure.draw(renderer)
+        width, height = figure.bbox.size
+        axes = [axis for panel in figure.axes for axis in (panel.xaxis, panel.yaxis)]
+        ticks = {id(label) for axis in axes for label in axis.get_ticklabels(which="both")}
+        for text in figure.findobj(Text):
+            if text.get_visible() and text.get_text().strip() and id(text) not in ticks:
+                box = text.get_window_extent(renderer)
+                is_inside = box.x0 > -1 and box.y0 > -1 and box.x1 < width + 1 and box.y1 < height + 1
+                assert is_inside, (name, text.get_text())
+
+
+def made_weights(regret: dict[str, float], num: int = 40, spread: float = 0.002) -> pd.DataFrame:
+    """A table of weights whose regrets scatter about known ones."""
+    rng = np.random.default_rng(5)
+    rows = [
+        {"city": city, "instance": k, "altitude_m": 20.0, "weight_name": name, "varies": True, "elasticity": 0.2}
+        | {"nearest": 1.5, "regret": value + rng.normal(0, spread), "below": 0.5, "above": 1.5, "start_stratum": "open"}
+        | {"goal_stratum": "open", "range": "long", "time": "t", "time_of_day": None}
+        for city in ("a", "b")
+        for k in range(num)
+        for name, value in regret.items()
+    ]
+    return pd.DataFrame(rows)
+
+
+def test_claims_hold_where_what_is_known_is_clear_and_only_there():
+    table = made_weights({"gps": 0.03, "risk": 0.02, "lidar": 0.0101})
+    told = {each.claim: each.holds for each in findings(table, None, None, 2.0)}
+    assert told["Of the metrics' weights, gps costs most when 2 times wrong."] is True
+    assert told["In each of these 2 cities gps costs most when 2 times wrong."] is True
+    assert told["In cities in general gps costs most when 2 times wrong."] is None
+    assert told["A weight of gps that is 2 times wrong costs less than 1% on average."] is False
+    assert told["A weight of lidar that is 2 times wrong costs less than 1% on average."] is None
+    assert told["Most routes change where the weight of gps is up to 2 times wrong."] is True
+    few = {each.claim: each.holds for each in findings(made_weights({"gps": 0.03, "risk": 0.0}, 2), None, None, 2.0)}
+    assert set(few.values()) == {None}, "four pairs support nothing"
+
+
+def test_intervals_of_the_summary_hold_the_truth_nineteen_times_in_twenty():
+    held = 0
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        table = made_weights({"gps": 0.0}, 25)
+        table["regret"] = rng.normal(0.02, 0.005, len(table))
+        row = summarise(table, 2.0).set_index("cut").loc["all"]
+        held += row.regret_low <= 0.02 <= row.regret_high
+    assert held >= 52  # of 60: 57 expected, a few less by the bootstrap's own narrowness
+
+
+def test_a_share_that_is_not_told_from_zero_is_words_and_no_number_below_zero():
+    rng = np.random.default_rng(6)
+    rows = [
+        {"city": "a", "instance": k, "altitude_m": 20.0, "outcome": "length_m", "weight_name": name}
+        | {kind: mean + rng.normal(0, 0.1) for kind in ("first", "total")}
+        | {"first_ci": 0.2, "total_ci": 0.2}
+        for k in range(30)
+        for name, mean in (("gps", -0.02), ("risk", 0.6))
+    ]
+    told = summarise_shares(pd.DataFrame(rows)).set_index(["weight_name", "kind"])
+    assert told.loc[("gps", "first"), "share"] < 0
+    assert share_said(told.loc[("gps", "first")]).startswith("not told from 0 (at most 0.")
+    assert share_said(told.loc[("risk", "total")]).startswith("0.6")
+    few = summarise_shares(pd.DataFrame(rows[:6]))
+    assert set(few.verdict) == {"too few routes"}
+
+
+def test_routes_on_maps_made_anew_are_compared_both_ways(tmp_path):
+    maps = made_maps(40, 50)
+    instances = sample_joined(maps, 6, weights=[ju.Weights()]).assign(city="a")
+    asked = instances.to_dict("records")
+    same = pd.DataFrame(remade_rows(maps, maps, asked, SETTINGS))
+    assert (same[["is_other", "regret", "nominal_regret", "is_closed"]] == 0).all(axis=None)
+    assert (same.overlap == 1).all()
+    other = ju.MetricMaps(maps.ds.copy(deep=True))
+    other.ds["risk"].values[:] = 1 - other.ds["risk"].values
+    found = pd.DataFrame(remade_rows(maps, other, asked, SETTINGS))
+    assert found.is_other.sum() > 3
+    for row, instance in zip(found.to_dict("records"), asked, strict=True):
+        ends = [ju.XY(instance[f"{end}_x_m"], instance[f"{end}_y_m"]) for end in ("start", "goal")]
+        at = {"time": instance["time"], "time_of_day": instance["time_of_day"], "cost_model": "line"}
+        here, there = (ju.cost_map(each, instance["altitude_m"], **at) for each in (maps, other))
+        nominal, best = here.plan(*ends), there.plan(*ends)
+        corner_m = [maps.grid.x_min_m, maps.grid.y_min_m]
+        cost = there.problem.features(nominal.xy_m - corner_m).cost(there.weight_vector)
+        assert row["nominal_regret"] == pytest.approx(cost / best.cost - 1, abs=1e-9)
+
+
+SCENARIO = """
+[region]
+bounds = [-74.0, 40.755, -73.985, 40.765]
+resolution_m = 25.0
+altitudes_m = [20, 60]
+[buildings]
+source = "synthetic"
+[planning]
+cost_model = "line"
+"""
+
+
+def test_the_command_studies_cities_and_remakes_their_maps(tmp_path, capsys):
+    for name, east in (("one", 0.0), ("two", 0.02)):
+        scenario = tmp_path / f"{name}.toml"
+        moved = SCENARIO.replace("-74.0,", f"{-74.0 + east},").replace("-73.985", f"{-73.985 + east}")
+        scenario.write_text(moved)
+        code, _, err = run(capsys, "maps", scenario, "-o", tmp_path / name)
+        assert code == 0, err
+    cities, out = [tmp_path / "one", tmp_path / "two"], tmp_path / "out"
+    options = ["--routes", 8, "--altitudes", "20,60", "--samples", 2, "--workers", 1, "-o", out, "--json"]
+    code, text, err = run(capsys, "sensitivity", *cities, *options)
+    assert code == 0, err
+    assert json.loads(text)["statuses"] == {"optimal": 2 * 8 * 2}
+    remade = ["--heights", 2, "--parameters", "--parameter-factors", "0.5"]
+    code, text, err = run(capsys, "sensitivity", *cities, *options, *remade)
+    assert code == 0, err
+    told = json.loads(text)["tables"]["remade_summary"]
+    assert {row["changed"] for row in told} >= {"heights", "gps.gdop_threshold", "lidar.range_m", "risk.threshold_m"}
+    heights = next(row for row in told if row["changed"] == "heights" and row["of"] == "all")
+    assert heights["is_other"] == 0, "the synthetic city knows its heights"
+    assert "figures/remade.png" in (out / "report.md").read_text()
+    queries = tmp_path / "queries.csv"
+    pd.read_parquet(out / "instances.parquet").query("city == 'one'")[
+        ["start_lon", "start_lat", "goal_lon", "goal_lat", "altitude_m"]
+    ].to_csv(queries, index=False)
+    code, _, err = run(
+        capsys, "sensitivity", cities[0], "--queries", queries, "--samples", 0, "--workers", 1, "-o", tmp_path / "q"
+    )
+    assert code == 0, err
+    assert len(pd.read_parquet(tmp_path / "q/routes/rows.parquet")) == 16
+
+
+def test_parameters_are_every_number_that_metrics_are_differentiated_by():
+    from jaxurban.maps.build import view_sky
+    from jaxurban.maps.task import MapParams, MapTask
+
+    city = ju.demo_city(900.0, 600.0, centre_lonlat=(-73.995, 40.7575))
+    grid = ju.Grid.from_bounds((-74.0, 40.755, -73.99, 40.76), 50.0, city.crs)
+    sky = view_sky(grid, "nominal", None, mask_deg=5.0, reference=None, max_age_days=90.0)
+    task = MapTask(city, grid, sky, MapParams())
+    found = parameters_of(task)
+    assert found == {
+        **{"gps.gdop_threshold": 20.0, "lidar.range_m": 100.0, "risk.threshold_m": 50.0},
+        **{"population.gamma_commercial": 3.0, "population.gamma_residential": 0.5},
+    }
+    changed = with_parameter(task, "risk.threshold_m", 25.0)
+    assert parameters_of(changed) == found | {"risk.threshold_m": 25.0}
+    made = list(remade_of(task, ju.RemadeSettings(3, True, (0.5, 2.0))))
+    assert [each.changed for each in made] == ["heights"] * 3 + [name for name in found for _ in range(2)]
+
+
+def test_own_layers_take_part_by_their_name(found):
+    summary = found.tables["summary"]
+    noise = summary[(summary.cut == "all") & (summary.weight_name == "noise")]
+    assert len(noise) == 1
+    assert noise.cities.item() == 1
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--start", "-74,40.7"], ["--goal"]),
+        (["--triangle", "gps,risk,lidar"], ["--triangle is of one route"]),
+        (["--routes", 3, "--queries", "a.csv"], ["--queries"]),
+        (["--altitudes", "low"], ["--altitudes", "20,60"]),
+        (["--samples", 3], ["power of two"]),
+        (["--wrong", 1], ["wrong"]),
+        (["--parameter-factors", "2"], ["--parameters"]),
+        (["--parameters", "--parameter-factors", "1"], ["must not be 1"]),
+    ],
+)
+def test_wrong_options_are_one_sentence_and_exit_2(folders, tmp_path, capsys, options, words):
+    code, _, err = run(capsys, "sensitivity", folders[0], *options, "--workers", 1, "-o", tmp_path / "out")
+    assert code == 2
+    assert_one_sentence(err, *words)
+    assert not (tmp_path / "out/report.md").exists()
