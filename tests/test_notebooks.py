@@ -11,7 +11,7 @@ NOTEBOOKS = sorted(FOLDER.glob("[0-9]*.py"))
 
 
 def test_notebooks_are_numbered_and_listed_in_their_order():
-    assert [int(path.name.split("_")[0]) for path in NOTEBOOKS] == list(range(1, 9))
+    assert [int(path.name.split("_")[0]) for path in NOTEBOOKS] == list(range(1, 10))
     assert re.findall(r"\((\d\w+\.py)\)", (FOLDER / "README.md").read_text()) == [path.name for path in NOTEBOOKS]
     assert not list(FOLDER.glob("*.ipynb"))
 

@@ -1,0 +1,107 @@
+# ---
+# jupyter:
+#   jupytext:
+#     formats: ipynb,py:percent
+#   kernelspec:
+#     display_name: Python 3
+#     language: python
+#     name: python3
+# ---
+
+# %% [markdown]
+# # 9. Many routes, several cities
+#
+# **Which weights matter, and can three cities tell?**
+#
+# One route on one map (notebook 6) is an anecdote. A paper needs many routes, altitudes and cities, and intervals that
+# say how much of the answer is chance. `ju.sensitivity_study` draws routes by stratum and range, asks every one of
+# them the same questions, and says which claims the answers bear out and which not.
+#
+# Three synthetic cities stand for three of yours: a folder of maps for each would do as well.
+
+# %%
+# %matplotlib inline
+import shutil
+import tempfile
+from pathlib import Path
+
+import pandas as pd
+
+import jaxurban as ju
+from jaxurban.report.figures.sensitivity_study import plot_nearest, plot_regret, plot_shares, plot_where
+
+sizes = {"narrow": (900, 1_800), "square": (1_400, 1_400), "small": (800, 1_000)}
+cities = {name: ju.demo_city(*size, seed=number) for number, (name, size) in enumerate(sizes.items())}
+maps = {
+    name: ju.build_maps(city, resolution_m=20.0, altitudes_m=(20.0, 60.0), progress=False)
+    for name, city in cities.items()
+}
+folder = Path(tempfile.mkdtemp())
+pd.set_option("display.max_colwidth", None, "display.max_rows", 100)
+
+# %% [markdown]
+# ## The study
+#
+# Ten pairs of places in each city, each flown at both altitudes. Rows are kept in the folder as they come: interrupt
+# it, and the same call goes on. More routes (`30`) and samples (`num_samples=64`) narrow every interval.
+
+# %%
+found = ju.sensitivity_study(
+    maps, folder / "study", 10, settings=ju.SensitivityStudySettings(num_samples=4), progress=False
+)
+print(f"{len(found.rows)} routes")
+
+# %% [markdown]
+# ## What it supports, and what not
+#
+# A claim holds where its whole interval is on one side; it is contradicted on the other; else it stays open. More
+# cities would be needed for anything about cities in general, however many routes there are.
+
+# %%
+said = {True: "holds", False: "does not hold", None: "open"}
+pd.DataFrame([(each.claim, said[each.holds], each.evidence) for each in found.findings], columns=["claim", "", "why"])
+
+# %% [markdown]
+# ## Shares of the cost
+#
+# A weight's share of what the cheapest route costs is the gradient of the cost by the logarithm of the weight: a weight
+# with a small share can be wrong without harm.
+
+# %%
+plot_shares(found.tables["summary"])
+
+# %% [markdown]
+# ## What a wrong weight costs
+#
+# The route under a weight twice too large or too small, costed by the true weights, over the cheapest: its regret.
+
+# %%
+plot_regret(found.tables["summary"], found.settings.wrong)
+
+# %% [markdown]
+# ## How near the next route is
+#
+# By which factor a weight may change before the cheapest route becomes another one, as the share of routes that stay.
+
+# %%
+plot_nearest(found.tables["weights"], found.settings.wrong)
+
+# %% [markdown]
+# ## Where a weight matters
+#
+# By altitude and by what lies below start and goal.
+
+# %%
+plot_where(found.tables["summary"], found.settings.wrong)
+
+# %% [markdown]
+# Every number lies in `folder / "study"` as CSV and Parquet, with a report in sentences. It can be deleted:
+
+# %%
+shutil.rmtree(folder)
+
+# %% [markdown]
+# ## A question to try
+#
+# Do ten more routes in each city settle a claim that is open now? Ask for 20, and compare the sentences. What would it
+# take to settle those about cities?
