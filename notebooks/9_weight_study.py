@@ -81,7 +81,7 @@ plot_regret(found.tables["summary"], found.settings.wrong)
 # %% [markdown]
 # ## How near the next route is
 #
-# By which factor a weight may change before the cheapest route becomes another one, as the share of routes that stay.
+# By which factor a weight may change before the cheapest route becomes another one: the share of routes that changed.
 
 # %%
 plot_nearest(found.tables["weights"], found.settings.wrong)
