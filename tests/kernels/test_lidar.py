@@ -162,6 +162,25 @@ def test_a_long_wall_returns_the_share_of_azimuths_that_reach_it():
     np.testing.assert_allclose(counts / 720, np.broadcast_to(expected[:, None], counts.shape), atol=0.01)
 
 
+@pytest.mark.parametrize("shape", SHAPES)
+def test_a_roof_that_is_unknown_is_no_building_and_hides_no_other(shape):
+    elevations_rad, halo = np.deg2rad(np.linspace(-15, 15, 4)), 6
+    roof_m = random_city(40, halo, seed=2)
+    unknown_m = np.where(np.random.default_rng(0).random(roof_m.shape) < 0.02, np.nan, roof_m).astype(np.float32)
+    expected = counts_of(np.nan_to_num(unknown_m), None, [5.0], elevations_rad, 12, 30.0, 5.0, shape)
+    assert expected.max() > 0
+    np.testing.assert_array_equal(counts_of(unknown_m, None, [5.0], elevations_rad, 12, 30.0, 5.0, shape), expected)
+    steps = num_steps(5.0, 30.0)
+    lowest_m = lowest_heights(np.array([5.0]), elevations_rad, 5.0, 30.0, steps)
+    thresholds_m, starts = round_up(flat_thresholds(lowest_m), np.float32), phase_starts(ray_offsets(12, steps), 2)
+    found = [
+        count_returns_at_centres(phases(jnp.asarray(roofs), 2), thresholds_m, starts, halo // 2, shape=shape)
+        for roofs in (unknown_m, np.nan_to_num(unknown_m))
+    ]
+    assert found[1].max() > 0
+    np.testing.assert_array_equal(*found)
+
+
 def test_new_heights_altitudes_and_azimuths_of_known_shapes_compile_nothing():
     elevations_rad = np.deg2rad(np.linspace(-60, -5, 7))
     roof_m = random_city(200, 19, seed=1)
