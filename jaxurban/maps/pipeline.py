@@ -123,7 +123,8 @@ def all_maps(inputs: MapInputs, sky: SkyView, weights: Weights | None = None) ->
 
     Returns:
       ``obstacle`` uint8, ``gps``, ``gdop``, ``pdop``, ``hdop``, ``vdop``, ``tdop``, ``num_visible``, ``lidar`` and
-      ``risk`` ``[A, y, x]``, and with census blocks ``population`` and ``density`` ``[D, y, x]``.
+      ``risk`` ``[A, y, x]``, and with census blocks ``population`` and ``density`` ``[D, y, x]``. NaN where the
+      surface has no data; integers keep what they are there.
     """
     surface, altitudes_m = inputs.surface, inputs.altitudes_m
     is_obstacle = obstacle_mask(surface.crop(surface.roof_m), altitudes_m)
@@ -142,6 +143,12 @@ def all_maps(inputs: MapInputs, sky: SkyView, weights: Weights | None = None) ->
         maps |= {name: map_blocks(surface.block, values) for name, values in of_blocks.items()}
     if weights is not None:
         maps["cost"] = _weighted(maps, weights)
+    if surface.has_data is not None:
+        has_data = surface.crop(surface.has_data)  # after the cost, so that its derivatives stay finite
+        maps = {
+            name: jnp.where(has_data, values, jnp.nan) if jnp.issubdtype(values.dtype, jnp.floating) else values
+            for name, values in maps.items()
+        }
     return maps
 
 

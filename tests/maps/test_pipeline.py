@@ -73,6 +73,25 @@ def test_it_gives_the_bits_of_the_recipe(has_terrain):
     assert {*found} >= {"obstacle", "gps", "gdop", "hdop", "num_visible", "lidar", "risk", "population", "density"}
 
 
+def test_where_the_terrain_is_unknown_the_maps_are_too_and_the_cost_s_derivatives_are_finite():
+    task = task_of(has_terrain=True)
+    terrain = task.city.terrain
+    values = np.where(np.arange(terrain.values.shape[1]) < 15, np.nan, terrain.values).astype(np.float32)
+    task = replace(task, city=replace(task.city, terrain=replace(terrain, values=values)))
+    inputs, expected = inputs_of(task), compute_maps(task).ds
+    has_data = expected["has_data"].values
+    assert 0.1 < has_data.mean() < 0.9
+    sky = at(skies_of(task, inputs.surface), 0)
+    maps = jax.jit(all_maps)(inputs, sky, ju.Weights())
+    np.testing.assert_array_equal(np.isnan(maps["cost"]), np.broadcast_to(~has_data, maps["cost"].shape))
+    for name in maps.keys() - {"cost"}:
+        array = expected[name]
+        assert_same(name, maps[name], array.values[0] if "time" in array.dims else array.values)
+    by_risk = jax.grad(lambda risk: jnp.nansum(all_maps(inputs, sky, ju.Weights(risk=risk))["cost"]))(2.0)
+    risk_cost = 1 - expected["risk"].values
+    assert float(by_risk) == pytest.approx(maps["cost"].shape[1] * np.nansum(risk_cost), rel=1e-4)
+
+
 def test_over_times_it_is_every_time_s_maps(task, inputs, views, made):
     assert len({len(task.angles(t)[0]) for t in range(task.num_times)}) > 1  # some skies are filled up
     for t in range(task.num_times):
