@@ -9,6 +9,7 @@ import numba
 import numpy as np
 import pytest
 
+from jaxurban.kernels.lidar import soft as soft_lidar
 from jaxurban.kernels.lidar.flat import (
     count_returns,
     flat_thresholds,
@@ -275,3 +276,31 @@ def test_counts_can_be_traced_and_exported_and_for_a_gpu_have_no_loop_whose_end_
     if not on_terrain:  # the walk sees the loops of the shape for a CPU
         cpu = primitives_of(jax.make_jaxpr(partial(counts, shape="cpu"))(roof_m, terrain_m).jaxpr)
         assert cpu >= {"while", "cond"}
+
+
+@pytest.mark.parametrize("on_terrain", [False, True])
+@pytest.mark.parametrize("num_azimuths", [16, 43])
+def test_soft_returns_of_both_shapes_are_the_same_for_any_number_of_azimuths(num_azimuths, on_terrain):
+    halo, softness_m, range_m = 4, jnp.float32(2.0), jnp.float32(20.0)
+    roof_m = jnp.asarray(random_city(9, halo, seed=2))
+    offsets, cells = jnp.asarray(ray_offsets(num_azimuths, halo + 1)), jnp.indices((9, 9)).reshape(2, -1).T
+    hills_m = 3 * jnp.sin(jnp.arange(roof_m.size, dtype=jnp.float32).reshape(roof_m.shape))
+
+    def mean_return(roof_m, shape):
+        scan = soft_lidar.scan_of(jnp.float32(0 if on_terrain else 9), range_m, np.deg2rad([-15.0, 0.0, 15.0]), 5.0)
+        if not on_terrain:
+            return soft_lidar.soft_returns(roof_m, scan, offsets, softness_m, shape=shape).mean()
+        on_map = roof_m, hills_m, jnp.full(len(cells), 9.0, jnp.float32)
+        return soft_lidar.soft_returns_at(*on_map, scan, offsets, softness_m, cells, shape=shape).mean()
+
+    (by_cpu, cpu_slope), (by_gpu, gpu_slope) = (jax.value_and_grad(mean_return)(roof_m, shape) for shape in SHAPES)
+    assert 0.02 < float(by_cpu) < 0.98
+    np.testing.assert_allclose(by_gpu, by_cpu, rtol=1e-6)
+    assert float(jnp.abs(cpu_slope).max()) > 1e-4
+    np.testing.assert_allclose(gpu_slope, cpu_slope, atol=1e-7)
+
+
+def test_a_gpu_takes_azimuths_in_few_groups_whatever_their_number():
+    for num_azimuths in range(1, 500):
+        num_groups = -(-num_azimuths // soft_lidar.azimuths_at_once(num_azimuths))
+        assert num_groups == -(-num_azimuths // soft_lidar.MOST_AZIMUTHS_AT_ONCE)
