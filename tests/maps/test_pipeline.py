@@ -82,7 +82,7 @@ def test_where_the_terrain_is_unknown_the_maps_are_too_and_the_cost_s_derivative
     has_data = expected["has_data"].values
     assert 0.1 < has_data.mean() < 0.9
     sky = at(skies_of(task, inputs.surface), 0)
-    maps = jax.jit(all_maps)(inputs, sky, ju.Weights())
+    maps = jax.jit(all_maps)(inputs, sky, {})
     np.testing.assert_array_equal(np.isnan(maps["cost"]), np.broadcast_to(~has_data, maps["cost"].shape))
     for name in maps.keys() - {"cost"}:
         array = expected[name]
@@ -138,8 +138,11 @@ def replace_leaf(params, name, value):
 def test_other_altitudes_go_with_their_beams(inputs, views):
     sky, alone = at(views, 0), inputs.at_altitudes([60.0])
     np.testing.assert_array_equal(all_maps(alone, sky)["lidar"][0], all_maps(inputs, sky)["lidar"][1])
-    with pytest.raises(InputError, match="holds what shadows 20 m and higher, got 10 m"):
+    with pytest.raises(InputError, match=r"holds what shadows 20 m and higher, got altitudes_m \[10.0, 60.0\]"):
         inputs.at_altitudes([10.0, 60.0])
+    for others_m in ([], [np.nan], [np.inf]):
+        with pytest.raises(InputError, match="holds what shadows 20 m and higher, got"):
+            inputs.at_altitudes(others_m)
 
 
 def test_it_is_exported_for_cpu_and_cuda_and_read_back(inputs, views):
@@ -160,6 +163,19 @@ def test_from_a_notebook_it_gives_the_maps_of_build_maps(task, made):
         assert_same(name, found[name], values)
     with pytest.raises(InputError, match="city must be City"):
         ju.map_inputs(5, grid)
+    with pytest.raises(InputError, match="sky must be of one time, got 2: take jax.vmap"):
+        ju.all_maps(inputs, skies)
+
+
+def test_grids_and_times_are_refused_as_by_build_maps(task):
+    with pytest.raises(InputError, match="times must be different UTC times"):
+        ju.map_inputs(task.city, task.region, times=[])
+    with pytest.raises(InputError, match="build the grid in the city's CRS"):
+        ju.map_inputs(task.city, replace(task.region, crs="EPSG:32633"))
+    with pytest.raises(InputError, match="the region and the city do not meet"):
+        ju.map_inputs(task.city, replace(task.region, first_row=0))
+    _, skies = ju.map_inputs(task.city, task.region, times=TIMES[0])
+    assert skies.num.shape == (1,)
 
 
 def test_what_it_does_not_know_is_refused(task):
