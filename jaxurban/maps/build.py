@@ -257,8 +257,7 @@ def map_inputs(
       params: all other settings; their altitudes are not looked at.
 
     Raises:
-      InputError: a grid that does not fit the city, unreadable or stale orbits, or settings that `all_maps` knows nothing
-        of.
+      InputError: a grid off the city, unreadable or stale orbits, or settings that `all_maps` does not know.
     """
     settings = replace(params or MapParams(), altitudes_m=tuple(altitudes_m))
     _check_region(city, grid)
