@@ -28,7 +28,7 @@ from benchmarks.cuda_kernels import KERNELS, Call
 
 # XLA's own matrix products need a GPU to try tiles on, and some do not compile without: NVIDIA's library makes them.
 OPTIONS = {"xla_gpu_enable_triton_gemm": False}
-PACKAGES = ("kernels", "metrics", "planners", "studies")
+PACKAGES = ("kernels", "maps", "metrics", "planners", "studies", "world")
 KEPT = Path(__file__).with_name("cuda_compile.json")
 # By how much a number may pass the kept one: XLA's releases fuse a little differently.
 MORE_LAUNCHES, MORE_BYTES = 1.1, 1.1  # as factors

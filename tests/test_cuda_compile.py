@@ -3,7 +3,8 @@
 import pytest
 
 from benchmarks.compiled_program import Counts, count
-from benchmarks.cuda_compile import faults
+from benchmarks.cuda_compile import faults, unlisted
+from benchmarks.cuda_kernels import KERNELS
 
 # Twelve turns of two kernels and one for the condition; within each turn a loop whose end is data, of one kernel and
 # none for its condition; then a branch of three kernels or one, a copy, and a call of one kernel.
@@ -119,3 +120,9 @@ def test_a_little_more_or_much_less_is_no_fault_but_a_kernel_that_fails_or_is_ne
         assert not list(faults("lidar", row, {"lidar": ROW}))
     assert "does not compile: no tiles" in next(faults("lidar", "no tiles", {"lidar": ROW}))
     assert "not in the kept table" in next(faults("lidar", ROW, {}))
+
+
+def test_jitted_functions_of_maps_and_surfaces_are_told_where_they_are_not_listed():
+    listed = [KERNELS[name]().function for name in ("recipe: a layer", "surface: cut")]
+    without, with_them = ({fault.split(" is not")[0] for fault in unlisted(known)} for known in ([], listed))
+    assert without - with_them == {"jaxurban.maps.recipe._at", "jaxurban.world.surface._cut"}

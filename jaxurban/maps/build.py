@@ -109,7 +109,7 @@ def build_maps(
     for name in others or {}:
         one_of("each name in others", name, METRICS)
     region = grid if grid is not None else _region(city, bounds, resolution_m)
-    times = None if times is None else _as_names(times)
+    times = _checked_times(times)
     params = MapParams(
         altitudes_m=tuple(altitudes_m),
         mask_deg=mask_deg,
@@ -126,13 +126,7 @@ def build_maps(
         height_seed=height_seed,
         others=others or {},
     )
-    if region.crs != city.crs:
-        raise InputError(f"the grid is in {region.crs} and the city in {city.crs}: build the grid in the city's CRS")
-    is_own = grid is None and bounds is None  # accepted when the city was read
-    if not (is_own or shapely.intersects(shapely.box(*region.bounds_m), shapely.box(*city.known_extent_m))):
-        raise InputError("the region and the city do not meet: check the bounds (west, south, east, north)")
-    if times is not None and (not times or len(set(times)) != len(times)):
-        raise InputError(f"times must be different UTC times such as 2020-04-27T16:00:00Z, got {list(times)}")
+    _check_region(city, region, is_own=grid is None and bounds is None)
     sky = view_sky(region, orbits, times, mask_deg=mask_deg, reference=reference, max_age_days=max_age_days)
     layers = check_layers(layers)
     task = MapTask(city, region, sky, params, layers, bands_of(layers, region, params.altitudes_m))
@@ -143,6 +137,22 @@ def build_maps(
 
 def _as_names(names: str | Sequence[str]) -> tuple[str, ...]:
     return (names,) if isinstance(names, str) else tuple(names)
+
+
+def _checked_times(times: str | Sequence[str] | None) -> tuple[str, ...] | None:
+    """Return times, which are different; None where none are given."""
+    names = None if times is None else _as_names(times)
+    if names is not None and (not names or len(set(names)) != len(names)):
+        raise InputError(f"times must be different UTC times such as 2020-04-27T16:00:00Z, got {list(names)}")
+    return names
+
+
+def _check_region(city: City, region: Grid, is_own: bool = False) -> None:
+    """Raise InputError unless a region is where the city is; the city's own was accepted when that was read."""
+    if region.crs != city.crs:
+        raise InputError(f"the grid is in {region.crs} and the city in {city.crs}: build the grid in the city's CRS")
+    if not (is_own or shapely.intersects(shapely.box(*region.bounds_m), shapely.box(*city.known_extent_m))):
+        raise InputError("the region and the city do not meet: check the bounds (west, south, east, north)")
 
 
 def _region(city: City, bounds: Sequence[float] | None, resolution_m: float) -> Grid:
@@ -237,7 +247,7 @@ def map_inputs(
     grid: Grid,
     *,
     orbits: str | Path | Sequence[str | Path] = "nominal",
-    times: Sequence[str] | None = None,
+    times: str | Sequence[str] | None = None,
     altitudes_m: Sequence[float] = PAPER_ALTITUDES_M,
     params: MapParams | None = None,
 ) -> tuple[MapInputs, SkyView]:
@@ -250,10 +260,11 @@ def map_inputs(
       params: all other settings; their altitudes are not looked at.
 
     Raises:
-      InputError: unreadable or stale orbits, or settings that `all_maps` knows nothing of.
+      InputError: a grid off the city, unreadable or stale orbits, or settings that `all_maps` does not know.
     """
     settings = replace(params or MapParams(), altitudes_m=tuple(altitudes_m))
-    sky = view_sky(grid, orbits, times, mask_deg=settings.mask_deg, reference=None, max_age_days=90.0)
+    _check_region(city, grid)
+    sky = view_sky(grid, orbits, _checked_times(times), mask_deg=settings.mask_deg, reference=None, max_age_days=90.0)
     task = MapTask(city, grid, sky, settings)
     inputs = inputs_of(task)
     return inputs, skies_of(task, inputs.surface)
@@ -285,8 +296,10 @@ def soft_city(
       layers: cost layers of one's own, by name; those that are functions with a soft form take part.
 
     Raises:
-      InputError: a city whose roofs are a height raster, or unreadable or stale orbits.
+      InputError: a grid that does not fit the city, a city whose roofs are a height raster, or unreadable or stale
+        orbits.
     """
+    _check_region(city, grid)
     times = None if time is None else [time]
     sky = view_sky(grid, orbits, times, mask_deg=mask_deg, reference=None, max_age_days=90.0)
     settings = MapParams(

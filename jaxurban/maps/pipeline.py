@@ -23,7 +23,7 @@ from jaxurban.metrics.population import BlockPopulation, PopulationParams, day_s
 from jaxurban.metrics.registry import METRICS
 from jaxurban.metrics.risk import RiskParams, compute_risk
 from jaxurban.metrics.visibility import SkyView, visible_words
-from jaxurban.metrics.weights import Weights
+from jaxurban.metrics.weights import GivenWeights, Weights
 from jaxurban.world.surface import Surface
 
 
@@ -57,13 +57,13 @@ class MapInputs:
         """Return these inputs at other altitudes above the ground, none below the lowest of them.
 
         Raises:
-          InputError: a lower altitude: the surface's margin holds what shadows the lowest one, and no more.
+          InputError: no altitude, or a lower one: the surface's margin holds what shadows the lowest one, and no more.
         """
         lowest_m = float(jnp.min(self.altitudes_m))
-        if min(altitudes_m) < lowest_m:
+        if not len(altitudes_m) or not all(lowest_m <= altitude_m < np.inf for altitude_m in altitudes_m):
             raise InputError(
-                f"the surface holds what shadows {lowest_m:g} m and higher, got {min(altitudes_m):g} m: make the "
-                "inputs at the lowest altitude"
+                f"the surface holds what shadows {lowest_m:g} m and higher, got altitudes_m {list(altitudes_m)}: make "
+                "the inputs at the lowest altitude"
             )
         beams_m = jnp.asarray(beam_heights(altitudes_m, self.lidar, self.surface))
         return replace(self, altitudes_m=jnp.asarray(altitudes_m, self.surface.roof_m.dtype), beams_m=beams_m)
@@ -109,7 +109,7 @@ def skies_of(task: MapTask, surface: Surface) -> SkyView:
     return jax.tree.map(lambda *values: jnp.asarray(np.stack(values)), *views)
 
 
-def all_maps(inputs: MapInputs, sky: SkyView, weights: Weights | None = None) -> dict[str, Array]:
+def all_maps(inputs: MapInputs, sky: SkyView, weights: GivenWeights = None) -> dict[str, Array]:
     """Return every map of a region at one time, by its variable. Pure: jit it, map over it, export it.
 
     ``jax.vmap`` over any leaf: skies or times (`skies_of`), roofs, altitudes with their beams, the GDOP threshold,
@@ -123,8 +123,17 @@ def all_maps(inputs: MapInputs, sky: SkyView, weights: Weights | None = None) ->
 
     Returns:
       ``obstacle`` uint8, ``gps``, ``gdop``, ``pdop``, ``hdop``, ``vdop``, ``tdop``, ``num_visible``, ``lidar`` and
-      ``risk`` ``[A, y, x]``, and with census blocks ``population`` and ``density`` ``[D, y, x]``.
+      ``risk`` ``[A, y, x]``, and with census blocks ``population`` and ``density`` ``[D, y, x]``. NaN where the
+      surface has no data; integers keep what they are there.
+
+    Raises:
+      InputError: skies of several times, or weights that are none.
     """
+    if np.ndim(sky.num):
+        raise InputError(
+            f"sky must be of one time, got {len(sky.num)}: take jax.vmap(all_maps, (None, 0)), or one by "
+            "jax.tree.map(lambda values: values[0], skies)"
+        )
     surface, altitudes_m = inputs.surface, inputs.altitudes_m
     is_obstacle = obstacle_mask(surface.crop(surface.roof_m), altitudes_m)
     words = jnp.where(is_obstacle, jnp.uint32(0), visible_words(surface, altitudes_m, sky))
@@ -141,7 +150,13 @@ def all_maps(inputs: MapInputs, sky: SkyView, weights: Weights | None = None) ->
         of_blocks = {"population": layers.m, "density": layers.density_per_km2}
         maps |= {name: map_blocks(surface.block, values) for name, values in of_blocks.items()}
     if weights is not None:
-        maps["cost"] = _weighted(maps, weights)
+        maps["cost"] = _weighted(maps, Weights.of(weights))
+    if surface.has_data is not None:
+        has_data = surface.crop(surface.has_data)  # after the cost, so that its derivatives stay finite
+        maps = {
+            name: jnp.where(has_data, values, jnp.nan) if jnp.issubdtype(values.dtype, jnp.floating) else values
+            for name, values in maps.items()
+        }
     return maps
 
 

@@ -176,7 +176,7 @@ def _count_by_azimuths(roof_m: jax.Array, thresholds_m: jax.Array, offsets: jax.
     steps, halo = thresholds_m.shape[1], thresholds_m.shape[1] - 1
     rows, cols = (size - 2 * halo for size in roof_m.shape)
     band = -(-rows // WORD_BITS)
-    highest_m = jnp.max(roof_m)
+    highest_m = jnp.nanmax(roof_m)
     num_azimuths = len(offsets)
     num_slices = max(3, num_azimuths.bit_length())
     starts = offsets + halo

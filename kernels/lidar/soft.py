@@ -175,8 +175,23 @@ def _by_platform(shape: str | None, cpu: Callable, gpu: Callable) -> Callable:
 
 
 def azimuths_at_once(num_azimuths: int) -> int:
-    """Return how many azimuths a GPU takes together: a divisor of their number."""
-    return max(num for num in range(1, MOST_AZIMUTHS_AT_ONCE + 1) if num_azimuths % num == 0)
+    """Return how many azimuths a GPU takes together, in the last group fewer."""
+    num_groups = -(-num_azimuths // MOST_AZIMUTHS_AT_ONCE)
+    return -(-num_azimuths // num_groups)
+
+
+def _total_of_groups(of_azimuth: Callable, rays: jax.Array, none: jax.Array, at_once: int) -> jax.Array:
+    """Return the sum of what a function makes of each of ``[K, ...]`` rays, so many at once, kept for no gradient."""
+
+    @jax.checkpoint
+    def add_azimuths(total, rays):
+        if at_once == 1:
+            return total + of_azimuth(rays[0]), None
+        return total + jnp.sum(jax.vmap(of_azimuth)(rays), axis=0), None
+
+    whole = len(rays) // at_once * at_once
+    total, _ = lax.scan(add_azimuths, none, rays[:whole].reshape(-1, at_once, *rays.shape[1:]))
+    return total if whole == len(rays) else add_azimuths(total, rays[whole:])[0]
 
 
 def _returns(
@@ -201,15 +216,7 @@ def _returns(
         deciding = _Deciding(n, beam[(n, *at)], *at, best)
         return soft_step(_clearance(roof_m, scan, deciding), softness_m)
 
-    @jax.checkpoint
-    def add_azimuths(total, starts):
-        if at_once == 1:
-            return total + of_azimuth(starts[0]), None
-        return total + jnp.sum(jax.vmap(of_azimuth)(starts), axis=0), None
-
-    starts = (offsets + halo).reshape(-1, at_once, steps, 2)
-    total, _ = lax.scan(add_azimuths, jnp.zeros((rows, cols), roof_m.dtype), starts)
-    return total / num_azimuths
+    return _total_of_groups(of_azimuth, offsets + halo, jnp.zeros((rows, cols), roof_m.dtype), at_once) / num_azimuths
 
 
 def _returns_at(
@@ -240,15 +247,7 @@ def _returns_at(
             at = Margins(above_m, jnp.minimum(altitude_m, passed_m), level.in_range_m)
         return soft_step(_least(roof, at).max(axis=(1, 2)), softness_m)
 
-    @jax.checkpoint
-    def add_azimuths(total, offsets):
-        if at_once == 1:
-            return total + of_azimuth(offsets[0]), None
-        return total + jnp.sum(jax.vmap(of_azimuth)(offsets), axis=0), None
-
-    together = offsets.reshape(-1, at_once, *offsets.shape[1:])
-    total, _ = lax.scan(add_azimuths, jnp.zeros(len(cells), roof_m.dtype), together)
-    return total / len(offsets)
+    return _total_of_groups(of_azimuth, offsets, jnp.zeros(len(cells), roof_m.dtype), at_once) / len(offsets)
 
 
 @partial(jax.jit, static_argnames="shape")

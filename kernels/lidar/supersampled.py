@@ -93,7 +93,7 @@ def _count_by_words(roof_m: jax.Array, threshold_m: jax.Array, starts: jax.Array
     num_azimuths, steps = starts.shape[:2]
     band = -(-rows // WORD_BITS)
     padded_m = jnp.pad(roof_m, ((0, 0), (0, WORD_BITS * band - rows), (0, 0)))
-    highest_m = jnp.max(roof_m)
+    highest_m = jnp.nanmax(roof_m)
 
     def look(first, returned):
         steps_here = [jnp.minimum(first + i, steps - 1) for i in range(STEPS_AT_ONCE)]  # the last again does no harm

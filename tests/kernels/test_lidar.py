@@ -9,6 +9,7 @@ import numba
 import numpy as np
 import pytest
 
+from jaxurban.kernels.lidar import soft as soft_lidar
 from jaxurban.kernels.lidar.flat import (
     count_returns,
     flat_thresholds,
@@ -162,6 +163,25 @@ def test_a_long_wall_returns_the_share_of_azimuths_that_reach_it():
     np.testing.assert_allclose(counts / 720, np.broadcast_to(expected[:, None], counts.shape), atol=0.01)
 
 
+@pytest.mark.parametrize("shape", SHAPES)
+def test_a_roof_that_is_unknown_is_no_building_and_hides_no_other(shape):
+    elevations_rad, halo = np.deg2rad(np.linspace(-15, 15, 4)), 6
+    roof_m = random_city(40, halo, seed=2)
+    unknown_m = np.where(np.random.default_rng(0).random(roof_m.shape) < 0.02, np.nan, roof_m).astype(np.float32)
+    expected = counts_of(np.nan_to_num(unknown_m), None, [5.0], elevations_rad, 12, 30.0, 5.0, shape)
+    assert expected.max() > 0
+    np.testing.assert_array_equal(counts_of(unknown_m, None, [5.0], elevations_rad, 12, 30.0, 5.0, shape), expected)
+    steps = num_steps(5.0, 30.0)
+    lowest_m = lowest_heights(np.array([5.0]), elevations_rad, 5.0, 30.0, steps)
+    thresholds_m, starts = round_up(flat_thresholds(lowest_m), np.float32), phase_starts(ray_offsets(12, steps), 2)
+    found = [
+        count_returns_at_centres(phases(jnp.asarray(roofs), 2), thresholds_m, starts, halo // 2, shape=shape)
+        for roofs in (unknown_m, np.nan_to_num(unknown_m))
+    ]
+    assert found[1].max() > 0
+    np.testing.assert_array_equal(*found)
+
+
 def test_new_heights_altitudes_and_azimuths_of_known_shapes_compile_nothing():
     elevations_rad = np.deg2rad(np.linspace(-60, -5, 7))
     roof_m = random_city(200, 19, seed=1)
@@ -256,3 +276,31 @@ def test_counts_can_be_traced_and_exported_and_for_a_gpu_have_no_loop_whose_end_
     if not on_terrain:  # the walk sees the loops of the shape for a CPU
         cpu = primitives_of(jax.make_jaxpr(partial(counts, shape="cpu"))(roof_m, terrain_m).jaxpr)
         assert cpu >= {"while", "cond"}
+
+
+@pytest.mark.parametrize("on_terrain", [False, True])
+@pytest.mark.parametrize("num_azimuths", [16, 43])
+def test_soft_returns_of_both_shapes_are_the_same_for_any_number_of_azimuths(num_azimuths, on_terrain):
+    halo, softness_m, range_m = 4, jnp.float32(2.0), jnp.float32(20.0)
+    roof_m = jnp.asarray(random_city(9, halo, seed=2))
+    offsets, cells = jnp.asarray(ray_offsets(num_azimuths, halo + 1)), jnp.indices((9, 9)).reshape(2, -1).T
+    hills_m = 3 * jnp.sin(jnp.arange(roof_m.size, dtype=jnp.float32).reshape(roof_m.shape))
+
+    def mean_return(roof_m, shape):
+        scan = soft_lidar.scan_of(jnp.float32(0 if on_terrain else 9), range_m, np.deg2rad([-15.0, 0.0, 15.0]), 5.0)
+        if not on_terrain:
+            return soft_lidar.soft_returns(roof_m, scan, offsets, softness_m, shape=shape).mean()
+        on_map = roof_m, hills_m, jnp.full(len(cells), 9.0, jnp.float32)
+        return soft_lidar.soft_returns_at(*on_map, scan, offsets, softness_m, cells, shape=shape).mean()
+
+    (by_cpu, cpu_slope), (by_gpu, gpu_slope) = (jax.value_and_grad(mean_return)(roof_m, shape) for shape in SHAPES)
+    assert 0.02 < float(by_cpu) < 0.98
+    np.testing.assert_allclose(by_gpu, by_cpu, rtol=1e-6)
+    assert float(jnp.abs(cpu_slope).max()) > 1e-4
+    np.testing.assert_allclose(gpu_slope, cpu_slope, atol=1e-7)
+
+
+def test_a_gpu_takes_azimuths_in_few_groups_whatever_their_number():
+    for num_azimuths in range(1, 500):
+        num_groups = -(-num_azimuths // soft_lidar.azimuths_at_once(num_azimuths))
+        assert num_groups == -(-num_azimuths // soft_lidar.MOST_AZIMUTHS_AT_ONCE)

@@ -73,6 +73,25 @@ def test_it_gives_the_bits_of_the_recipe(has_terrain):
     assert {*found} >= {"obstacle", "gps", "gdop", "hdop", "num_visible", "lidar", "risk", "population", "density"}
 
 
+def test_where_the_terrain_is_unknown_the_maps_are_too_and_the_cost_s_derivatives_are_finite():
+    task = task_of(has_terrain=True)
+    terrain = task.city.terrain
+    values = np.where(np.arange(terrain.values.shape[1]) < 15, np.nan, terrain.values).astype(np.float32)
+    task = replace(task, city=replace(task.city, terrain=replace(terrain, values=values)))
+    inputs, expected = inputs_of(task), compute_maps(task).ds
+    has_data = expected["has_data"].values
+    assert 0.1 < has_data.mean() < 0.9
+    sky = at(skies_of(task, inputs.surface), 0)
+    maps = jax.jit(all_maps)(inputs, sky, {})
+    np.testing.assert_array_equal(np.isnan(maps["cost"]), np.broadcast_to(~has_data, maps["cost"].shape))
+    for name in maps.keys() - {"cost"}:
+        array = expected[name]
+        assert_same(name, maps[name], array.values[0] if "time" in array.dims else array.values)
+    by_risk = jax.grad(lambda risk: jnp.nansum(all_maps(inputs, sky, ju.Weights(risk=risk))["cost"]))(2.0)
+    risk_cost = 1 - expected["risk"].values
+    assert float(by_risk) == pytest.approx(maps["cost"].shape[1] * np.nansum(risk_cost), rel=1e-4)
+
+
 def test_over_times_it_is_every_time_s_maps(task, inputs, views, made):
     assert len({len(task.angles(t)[0]) for t in range(task.num_times)}) > 1  # some skies are filled up
     for t in range(task.num_times):
@@ -119,8 +138,11 @@ def replace_leaf(params, name, value):
 def test_other_altitudes_go_with_their_beams(inputs, views):
     sky, alone = at(views, 0), inputs.at_altitudes([60.0])
     np.testing.assert_array_equal(all_maps(alone, sky)["lidar"][0], all_maps(inputs, sky)["lidar"][1])
-    with pytest.raises(InputError, match="holds what shadows 20 m and higher, got 10 m"):
+    with pytest.raises(InputError, match=r"holds what shadows 20 m and higher, got altitudes_m \[10.0, 60.0\]"):
         inputs.at_altitudes([10.0, 60.0])
+    for others_m in ([], [np.nan], [np.inf]):
+        with pytest.raises(InputError, match="holds what shadows 20 m and higher, got"):
+            inputs.at_altitudes(others_m)
 
 
 def test_it_is_exported_for_cpu_and_cuda_and_read_back(inputs, views):
@@ -141,6 +163,19 @@ def test_from_a_notebook_it_gives_the_maps_of_build_maps(task, made):
         assert_same(name, found[name], values)
     with pytest.raises(InputError, match="city must be City"):
         ju.map_inputs(5, grid)
+    with pytest.raises(InputError, match=r"sky must be of one time, got 2: take jax\.vmap"):
+        ju.all_maps(inputs, skies)
+
+
+def test_grids_and_times_are_refused_as_by_build_maps(task):
+    with pytest.raises(InputError, match="times must be different UTC times"):
+        ju.map_inputs(task.city, task.region, times=[])
+    with pytest.raises(InputError, match="build the grid in the city's CRS"):
+        ju.map_inputs(task.city, replace(task.region, crs="EPSG:32633"))
+    with pytest.raises(InputError, match="the region and the city do not meet"):
+        ju.map_inputs(task.city, replace(task.region, first_row=0))
+    _, skies = ju.map_inputs(task.city, task.region, times=TIMES[0])
+    assert skies.num.shape == (1,)
 
 
 def test_what_it_does_not_know_is_refused(task):
