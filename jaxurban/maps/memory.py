@@ -36,6 +36,9 @@ TERRAIN_RESULT_BYTES = 12  # the same over terrain
 LOOK_BYTES = 64  # over terrain: a look of a ray, while equal ones are joined (`kernels.lidar.terrain.distinct_looks`)
 TERRAIN_BLOCK_BYTES = 9  # over terrain: ground, rise and class of cells around the receivers that are taken together
 SUPERSAMPLED_RETURN_BYTES = 4  # supersampled over flat ground: a scan position of a cell, while they are counted
+# What the shapes of kernels for a GPU take beside, as compiled for one (benchmarks/cuda_compile.json).
+SHADOW_GPU_BYTES = 64  # of a satellite over a cell of the tile and its halo: shadows are cast by doubling
+TERRAIN_GPU_BYTES = 400  # of a tile's own cell: the lidar's rays over terrain
 RISK_CELL_BYTES = 64  # of cells within the risk's threshold: squared distances and what a pass over them holds
 OTHER_CELL_BYTES = 8  # of a metric that is not measured, by variable: what it computes, and its layer
 SUBCELL_BYTES = 48  # rasters of the supersampled surface, its tops for both directions, and the lidar's order of them
@@ -82,6 +85,13 @@ def tile_bytes(task: MapTask, tile: Grid, around: Grid | None = None) -> int:
     around = around or task.with_halo(tile)
     surface = _num_cells(around) * (SURFACE_CELL_BYTES + TERRAIN_CELL_BYTES * task.has_terrain)
     return int(surface + _metric_bytes(task, tile) + _supersampling_bytes(task, tile))
+
+
+def tile_gpu_bytes(task: MapTask, tile: Grid) -> int:
+    """Return about how many bytes of a GPU's memory the work on one tile takes at its highest."""
+    satellites = max(len(task.satellites_at(number)) for number in range(task.num_times))
+    shadows = _num_cells(task.with_halo(tile)) * satellites * SHADOW_GPU_BYTES
+    return tile_bytes(task, tile) + shadows + _num_cells(tile) * TERRAIN_GPU_BYTES * task.has_terrain
 
 
 def whole_bytes(task: MapTask) -> int:
@@ -256,13 +266,14 @@ def plan_run(
     Raises:
       InputError: it cannot, or the disk of ``folder`` is too small.
     """
-    most_bytes, num_tiles = 0, 1
+    most_bytes, most_gpu_bytes, num_tiles = 0, 0, 1
     for task in tasks:
         shape, region = shape_of_tiles(task), task.region
         tile = replace(region, num_rows=shape[0], num_cols=shape[1])
         num_tiles = max(num_tiles, -(-region.num_rows // shape[0]) * -(-region.num_cols // shape[1]))
         most_bytes = max(most_bytes, tile_bytes(task, tile))
-    fitting = _fitting_on_gpus(most_bytes, num_workers, gpus)
+        most_gpu_bytes = max(most_gpu_bytes, tile_gpu_bytes(task, tile))
+    fitting = _fitting_on_gpus(most_gpu_bytes, num_workers, gpus)
     plan = plan_memory(ceiling_bytes, most_bytes, fitting, num_processes, len(tasks), num_tiles)
     disk_bytes = SCRATCH_BYTES_PER_CELL * max(_num_cells(task.region) for task in tasks)
     disk_free = shutil.disk_usage(folder).free
@@ -278,7 +289,8 @@ def _fitting_on_gpus(per_tile_bytes: int, num_workers: int, gpus: Sequence[Gpu])
     """Return how many tiles GPUs hold at a time, ``num_workers`` at most and where JAX computes on a CPU.
 
     Args:
-      per_tile_bytes, num_workers: as for `plan_memory`.
+      per_tile_bytes: from `tile_gpu_bytes`.
+      num_workers: as for `plan_memory`.
       gpus: of worker processes, which share the tiles alike; empty: this process's own.
 
     Raises:

@@ -52,7 +52,7 @@ def test_a_gpu_is_told_with_its_free_memory(gpu, value, taken, monkeypatch, capl
 
 def test_as_many_tiles_as_a_gpu_holds_are_worked_on(gpu, tmp_path, monkeypatch):
     tasks = [task(city())]
-    monkeypatch.setattr(memory, "tile_bytes", lambda task, tile: int(1.2 * GIB))
+    monkeypatch.setattr(memory, "tile_gpu_bytes", lambda task, tile: int(1.2 * GIB))
     monkeypatch.setattr(memory, "free_bytes", lambda: 200 * GIB)
     assert memory.plan_run(tasks, tmp_path, None, 8).num_workers == 2
     gpu["bytes_in_use"] = 3 * GIB

@@ -1,9 +1,11 @@
 """The memory plan: what fits, what is refused, and that a real run stays under its ceiling."""
 
+import json
 import re
 import subprocess
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -49,6 +51,15 @@ def test_a_job_that_cannot_fit_is_refused_naming_the_knob():
         plan_memory(GIB // 8, GIB, 2)
     with pytest.raises(InputError, match="fewer --workers"):
         plan_memory(2 * GIB, 1000, 64, num_processes=64)
+
+
+def test_on_a_gpu_the_forecast_holds_what_its_shapes_of_kernels_take_as_compiled():
+    kept = json.loads((Path(__file__).parents[2] / "benchmarks" / "cuda_compile.json").read_text())
+    cells, satellites, tile_cells = 4240 * 2240, 9, 1000 * 1000  # of these rows
+    shadows = kept["shadows: doubling"]["temporary_mib"] * 2**20 / (cells * satellites)
+    terrain = kept["lidar: terrain, tile"]["temporary_mib"] * 2**20 / tile_cells
+    assert 0.6 * memory.SHADOW_GPU_BYTES < shadows <= memory.SHADOW_GPU_BYTES
+    assert 0.6 * memory.TERRAIN_GPU_BYTES < terrain <= memory.TERRAIN_GPU_BYTES
 
 
 def test_tiles_do_not_depend_on_the_machine_and_shrink_for_long_series():
