@@ -150,12 +150,13 @@ def test_workers_on_the_cpu_are_as_many_as_were_asked_for(two_gpus, monkeypatch)
 
 def test_tiles_of_worker_processes_are_planned_by_the_least_of_their_gpus(tmp_path, monkeypatch):
     tasks, gpus = [task(city())], [Gpu("0", limit_bytes=9 * GIB), Gpu("1", limit_bytes=6 * GIB)]
-    monkeypatch.setattr(memory, "tile_bytes", lambda task, tile: 2 * GIB)
+    for name in ("tile_bytes", "tile_gpu_bytes"):
+        monkeypatch.setattr(memory, name, lambda task, tile: 2 * GIB)
     monkeypatch.setattr(memory, "free_bytes", lambda: 200 * GIB)
     assert memory.plan_run(tasks, tmp_path, None, 16, 2, gpus).num_workers == 6
     monkeypatch.setattr(memory, "free_bytes", lambda: 26 * GIB)  # 13 for the run: too few for six tiles
     assert memory.plan_run(tasks, tmp_path, None, 16, 2, gpus).num_workers == 4
-    monkeypatch.setattr(memory, "tile_bytes", lambda task, tile: 7 * GIB)
+    monkeypatch.setattr(memory, "tile_gpu_bytes", lambda task, tile: 7 * GIB)
     with pytest.raises(InputError, match=r"about 7\.0 GiB of the GPU's memory and 6\.0 GiB are free"):
         memory.plan_run(tasks, tmp_path, None, 2, 2, gpus)
 
