@@ -172,6 +172,7 @@ def environment() -> dict[str, str | None]:
     return {name: os.environ.get(name) for name in Gpu("").environment}
 
 
+@pytest.mark.slow
 def test_worker_processes_find_their_gpu_in_their_environment_and_keep_it_when_killed(monkeypatch):
     pytest.importorskip("distributed", reason="needs the cluster extra")
     monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "5,6,7")

@@ -137,6 +137,7 @@ if __name__ == "__main__":
 """
 
 
+@pytest.mark.slow
 def test_a_killed_study_goes_on_with_no_row_lost_or_doubled(folders, found, tmp_path):
     script, out = tmp_path / "job.py", tmp_path / "out"
     script.write_text(KILLED)
@@ -294,6 +295,7 @@ cost_model = "line"
 """
 
 
+@pytest.mark.slow
 def test_the_command_studies_cities_and_remakes_their_maps(tmp_path, capsys):
     for name, east in (("one", 0.0), ("two", 0.02)):
         scenario = tmp_path / f"{name}.toml"

@@ -122,6 +122,7 @@ def test_each_chosen_cell_may_have_an_altitude_of_its_own():
     np.testing.assert_allclose(soft_lidar(SURFACES["flat"], z_m, PARAMS, 2.0, cells=CELLS), expected, atol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("num_azimuths", [7, 80])  # a GPU takes them at once, or in two turns
 def test_the_shape_for_a_gpu_gives_the_values_and_gradients_of_the_one_for_a_cpu(num_azimuths):
     rng = np.random.default_rng(0)
