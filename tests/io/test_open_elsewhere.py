@@ -97,6 +97,17 @@ def test_a_value_of_ones_own_inside_obstacles_is_read_back(maps, tmp_path):
         np.testing.assert_array_equal(found[name].values, changed[name].values)
 
 
+def test_negative_zeros_and_axes_of_ones_own_order_are_read_back(maps, tmp_path):
+    changed = maps.ds.isel(time=[0]).transpose(..., "altitude", "time", "y", "x").copy(deep=True)
+    for name in ("gps", "lidar"):
+        changed[name].values[changed[name].values == 0] = -0.0
+    MetricMaps(changed).save(tmp_path)
+    found = ju.open_maps(tmp_path).ds
+    for name, array in changed.data_vars.items():
+        assert found[name].dims == array.dims
+        assert found[name].values.tobytes() == np.ascontiguousarray(array.values).tobytes(), name
+
+
 def test_satellites_of_a_chunk_that_goes_after_opening_are_none(maps, tmp_path):
     path = maps.save(tmp_path) / "maps.zarr" / "20m"
     found = ju.open_maps(tmp_path).ds
