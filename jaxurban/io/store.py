@@ -204,7 +204,7 @@ def write_layer(
     array = zarr.open_array(path / name, mode="r+", zarr_format=2).with_config({"write_empty_chunks": True})
     held = array.attrs.get(IN_OBSTACLES)
     if held is not None and is_inside is not None:
-        is_held = (values == float(str(held))) & ~np.signbit(values)  # -0.0, which nobody but a user wrote, stays
+        is_held = (values == float(str(held))) & ~np.signbit(values)  # a user's -0.0 stays
         is_hidden = (is_inside if is_inside.ndim == 2 else is_inside[index[-1]]) & is_held
         values = np.where(is_hidden, values.dtype.type(no_value(values.dtype)), values)
     north, num_rows = array.shape[-2], rows.stop - rows.start
@@ -244,8 +244,7 @@ def open_zarr(folder: Path, resolution_m: float | None) -> xr.Dataset:
     Raises:
       InputError: no maps there, several resolutions and none chosen, or maps that are damaged (see `open_whole`).
     """
-    found = stored_resolutions(folder)
-    listed = ", ".join(map(short_number, sorted(found)))
+    listed = ", ".join(map(short_number, sorted(found := stored_resolutions(folder))))
     if not found:
         raise InputError(f"{str(folder)!r} holds no metric maps: make them with `jaxurban maps SCENARIO -o {folder}`")
     if resolution_m is None and len(found) > 1:

@@ -108,6 +108,14 @@ def test_negative_zeros_and_axes_of_ones_own_order_are_read_back(maps, tmp_path)
         assert found[name].values.tobytes() == np.ascontiguousarray(array.values).tobytes(), name
 
 
+def test_maps_that_nothing_could_open_are_not_written(maps, tmp_path):
+    with pytest.raises(InputError, match="lack obstacle"):
+        MetricMaps(maps.ds.drop_vars("obstacle")).save(tmp_path / "out")
+    with pytest.raises(InputError, match="'a/b' cannot be written"):
+        MetricMaps(maps.ds.assign({"a/b": maps.ds["roof"]})).save(tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
 def test_satellites_of_a_chunk_that_goes_after_opening_are_none(maps, tmp_path):
     path = maps.save(tmp_path) / "maps.zarr" / "20m"
     found = ju.open_maps(tmp_path).ds
