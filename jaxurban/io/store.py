@@ -220,7 +220,7 @@ def add_to_zarr(ds: xr.Dataset, path: Path) -> None:
 def root_files(folder: Path) -> dict[Path, bytes]:
     """Return what the files say that make one Zarr of all resolutions under ``folder``, by their path."""
     parts: dict[str, Any] = {".zgroup": {"zarr_format": 2}}
-    for _, path in sorted(stored_resolutions(folder).items()):
+    for path in filter(has_whole_metadata, dict(sorted(stored_resolutions(folder).items())).values()):
         held = json.loads(metadata_file(path).read_bytes())["metadata"]
         parts |= {f"{path.name}/{name}": part for name, part in held.items()}
     said = {".zgroup": parts[".zgroup"], ".zmetadata": {"metadata": parts, "zarr_consolidated_format": 1}}

@@ -108,6 +108,14 @@ def test_negative_zeros_and_axes_of_ones_own_order_are_read_back(maps, tmp_path)
         assert found[name].values.tobytes() == np.ascontiguousarray(array.values).tobytes(), name
 
 
+def test_maps_are_saved_beside_those_of_a_resolution_that_cannot_be_read(maps, tmp_path):
+    for name, text in (("5m/zarr.json", "{}"), ("10m/.zmetadata", "{junk")):
+        (tmp_path / "maps.zarr" / name).parent.mkdir(parents=True)
+        (tmp_path / "maps.zarr" / name).write_text(text)
+    xr.testing.assert_identical(ju.open_maps(maps.save(tmp_path), 20).ds.load(), maps.ds)
+    assert xr.open_datatree(tmp_path / "maps.zarr", engine="zarr").groups == ("/", "/20m")
+
+
 def test_maps_that_nothing_could_open_are_not_written(maps, tmp_path):
     with pytest.raises(InputError, match="lack obstacle"):
         MetricMaps(maps.ds.drop_vars("obstacle")).save(tmp_path / "out")
