@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from jaxurban.scenario.settings import Scenario
 
 EXIT_BUG, EXIT_BAD_INPUT = 1, 2
+TAKEN = (".", "geotiff", "maps.zarr", "figures")  # no folder of a scenario beside others
 
 
 @click.command()
@@ -76,6 +77,8 @@ def maps(
         raise InputError(
             f"two scenarios are called {twice[0]!r}, and each goes to a folder of its name: rename one of them"
         )
+    if taken := [name for name in names if name in TAKEN]:
+        raise InputError(f"a folder called {taken[0]!r} is one of the maps' own: rename that scenario")
     found: dict[str, Any] = {}
     codes = {0}
     for name, file in zip(names, scenario_files, strict=True):
@@ -88,7 +91,8 @@ def maps(
             is_ours = isinstance(error, InputError | MemoryError)
             codes.add(EXIT_BAD_INPUT if is_ours else EXIT_BUG)
             found[name] = {"error": str(error) or type(error).__name__}
-            tell(f"error: {file}: {found[name]['error']}" if is_ours else traceback.format_exc())
+            where = "" if found[name]["error"].startswith(str(file)) else f"{file}: "
+            tell(f"error: {where}{found[name]['error']}" if is_ours else traceback.format_exc())
     failed = [name for name in names if "error" in found[name]]
     tell(
         f"{len(names) - len(failed)} of {len(names)} scenarios finished"

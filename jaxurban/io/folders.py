@@ -275,10 +275,10 @@ def prepare_folder(folder: Path, key: str, resolutions_m: Iterable[float], befor
 
 
 def remove_geotiffs_of(folder: Path, key: str) -> None:
-    """Remove the GeoTIFFs of the run of a key, which another run has replaced by others of other names."""
-    for file in (folder / store.GEOTIFF_FOLDER).glob("*.tif"):
+    """Remove the GeoTIFFs and styles of the run of a key, which another run has replaced by others of other names."""
+    for file in (folder / store.GEOTIFF_FOLDER).glob("*.*"):
         with suppress(OSError), file.open("rb") as stream:
-            if key.encode() in stream.read(HEAD_BYTES):
+            if file.suffix in (".tif", ".qml") and key.encode() in stream.read(HEAD_BYTES):
                 remove(file)
 
 

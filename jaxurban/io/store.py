@@ -142,9 +142,9 @@ def _is_inside(ds: xr.Dataset, array: xr.Variable, key: tuple) -> np.ndarray | N
     if IN_OBSTACLES not in array.attrs:
         return None
     at = dict(zip(array.dims, key, strict=True))
-    obstacle, has_data = (ds.variables[name] for name in NEEDED)
-    is_known = has_data[tuple(at[dim] for dim in has_data.dims)].values
-    return (obstacle[tuple(at[dim] for dim in obstacle.dims)].values != 0) & is_known
+    obstacle, has_data = (ds.variables[name][tuple(at[dim] for dim in ds.variables[name].dims)] for name in NEEDED)
+    kept = [dim for dim in array.dims if np.ndim(at[dim]) or isinstance(at[dim], slice)]
+    return ((obstacle != 0) & has_data).set_dims(kept).values  # altitudes may come before times
 
 
 def _with_hideable(ds: xr.Dataset) -> xr.Dataset:
@@ -204,7 +204,8 @@ def write_layer(
     array = zarr.open_array(path / name, mode="r+", zarr_format=2).with_config({"write_empty_chunks": True})
     held = array.attrs.get(IN_OBSTACLES)
     if held is not None and is_inside is not None:
-        is_hidden = (is_inside if is_inside.ndim == 2 else is_inside[index[-1]]) & (values == float(str(held)))
+        is_held = (values == float(str(held))) & ~np.signbit(values)  # a user's -0.0 stays
+        is_hidden = (is_inside if is_inside.ndim == 2 else is_inside[index[-1]]) & is_held
         values = np.where(is_hidden, values.dtype.type(no_value(values.dtype)), values)
     north, num_rows = array.shape[-2], rows.stop - rows.start
     place: Any = (*index, slice(north - rows.stop, north - rows.start), cols)
@@ -219,7 +220,7 @@ def add_to_zarr(ds: xr.Dataset, path: Path) -> None:
 def root_files(folder: Path) -> dict[Path, bytes]:
     """Return what the files say that make one Zarr of all resolutions under ``folder``, by their path."""
     parts: dict[str, Any] = {".zgroup": {"zarr_format": 2}}
-    for _, path in sorted(stored_resolutions(folder).items()):
+    for path in filter(has_whole_metadata, dict(sorted(stored_resolutions(folder).items())).values()):
         held = json.loads(metadata_file(path).read_bytes())["metadata"]
         parts |= {f"{path.name}/{name}": part for name, part in held.items()}
     said = {".zgroup": parts[".zgroup"], ".zmetadata": {"metadata": parts, "zarr_consolidated_format": 1}}
@@ -243,8 +244,7 @@ def open_zarr(folder: Path, resolution_m: float | None) -> xr.Dataset:
     Raises:
       InputError: no maps there, several resolutions and none chosen, or maps that are damaged (see `open_whole`).
     """
-    found = stored_resolutions(folder)
-    listed = ", ".join(map(short_number, sorted(found)))
+    listed = ", ".join(map(short_number, sorted(found := stored_resolutions(folder))))
     if not found:
         raise InputError(f"{str(folder)!r} holds no metric maps: make them with `jaxurban maps SCENARIO -o {folder}`")
     if resolution_m is None and len(found) > 1:

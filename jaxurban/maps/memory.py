@@ -46,6 +46,7 @@ SPREAD_CELL_BYTES = 4 * 10 * 3  # about ten arrays of each of three metrics
 PROGRAM_BYTES = 120 * 2**20  # the programs compiled for the tiles of one resolution
 WORKER_BYTES = 700 * 2**20  # a worker process with everything imported, before its first tile
 SCRATCH_BYTES_PER_CELL = 16  # rasters of an unfinished run, and one plain GeoTIFF: the least disk that a run takes
+ENDLESS_BYTES = 2**80  # more than any machine has
 CGROUP = Path("/sys/fs/cgroup")  # what a container may use, under Linux
 
 
@@ -84,7 +85,10 @@ def tile_bytes(task: MapTask, tile: Grid, around: Grid | None = None) -> int:
     """
     around = around or task.with_halo(tile)
     surface = _num_cells(around) * (SURFACE_CELL_BYTES + TERRAIN_CELL_BYTES * task.has_terrain)
-    return int(surface + _metric_bytes(task, tile) + _supersampling_bytes(task, tile))
+    try:
+        return int(surface + _metric_bytes(task, tile) + _supersampling_bytes(task, tile))
+    except OverflowError:  # of a range or threshold that is a mistyped number
+        return ENDLESS_BYTES
 
 
 def tile_gpu_bytes(task: MapTask, tile: Grid) -> int:
@@ -243,7 +247,8 @@ def plan_memory(
         remedy = "fewer --workers" if num_processes > 1 else "a coarser [region] resolution_m"
         raise InputError(
             f"this job needs about {gib(base + per_tile_bytes * least)} of memory and may take {gib(ceiling_bytes)}: "
-            f"raise --memory, or choose {remedy}, a shorter [lidar] range_m, or fewer altitudes or times"
+            f"raise --memory, or choose {remedy}, a shorter [lidar] range_m or [risk] threshold_m, or fewer altitudes "
+            "or times"
         )
     num = min(num_workers, fitting) // least * least
     at_once = num if num_tiles is None else min(num, max(num_tiles, least))

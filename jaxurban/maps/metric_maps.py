@@ -254,8 +254,13 @@ class MetricMaps(Shown):
             the cost; ``("all",)``: every one.
 
         Raises:
-          InputError: a layer that these maps do not hold, or a folder that cannot be written to.
+          InputError: a layer that these maps do not hold, a folder that cannot be written to, or variables that
+            nobody could read back: without obstacles, or a name that is a path.
         """
+        if lost := [name for name in store.NEEDED if name not in self.ds]:
+            raise InputError(f"these maps lack {', '.join(lost)}, without which nothing can open them: put it back")
+        if paths := [name for name in map(str, self.ds.variables) if "/" in name]:
+            raise InputError(f"a variable called {paths[0]!r} cannot be written: give it a name without /")
         geotiff_names(held_maps(self.ds), self.metrics, layers)  # refuses what is not there
         store.write_zarr(self.ds, Path(folder))
         write_geotiffs(self.ds, Path(folder), layers=layers)

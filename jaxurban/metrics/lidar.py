@@ -20,6 +20,8 @@ from jaxurban.metrics.obstacle import obstacle_mask, soft_obstacle
 from jaxurban.metrics.settings import check_softness, check_value, differentiable, reach_of
 from jaxurban.world.surface import Part, Surface
 
+MAX_COUNT = 100_000  # beams, and scan positions: of a mistyped number no table of them is made
+
 
 @differentiable("range_m")
 @dataclass(frozen=True)
@@ -34,8 +36,8 @@ class LidarParams:
       range_m: slant range along a beam, r.
 
     Raises:
-      InputError: a count below 1, a field of view out of order or not within -90 to 90 degrees, or a
-        range that is not a positive number.
+      InputError: a count below 1 or above 100,000, a field of view out of order or not within -90 to 90 degrees,
+        or a range that is not a positive number.
     """
 
     beams: int = 16
@@ -46,8 +48,8 @@ class LidarParams:
     def __post_init__(self) -> None:
         for name in ("beams", "azimuths"):
             value = getattr(self, name)
-            if not (isinstance(value, int) and value >= 1):
-                raise InputError(f"{name} must be a whole number of at least 1, got {value!r}")
+            if not (isinstance(value, int) and 1 <= value <= MAX_COUNT):
+                raise InputError(f"{name} must be a whole number from 1 to {MAX_COUNT:,}, got {value!r}")
         low, high = self.field_of_view_deg
         if not -90 < low <= high < 90:
             raise InputError(

@@ -187,20 +187,20 @@ def run_key(scenario: Scenario, inputs: dict[str, dict[str, str]], backend: str)
 
 
 def other_maps(folder: Path, scenario: Scenario, inputs: Mapping[str, Mapping[str, str]]) -> str:
-    """Return how the maps under a folder differ from a scenario's, by their record: settings, else files, else code."""
+    """Return how the maps under a folder differ from a scenario: by their record in settings, files, versions."""
     try:
         held = read_json(folder / RUN_FILE)
         settings, files, made_by = held["settings"], held["inputs"], held["versions"]
     except (OSError, ValueError, LookupError):
         return "maps of other settings or inputs, or made by another version of jaxurban or its libraries"
     both = ({name: one[name] for name in one if name not in NOT_OF_MAPS} for one in (settings, settings_of(scenario)))
-    if found := differing(*both):
-        return f"maps of other settings ({differences_said(found)})"
-    if others := [role for role in {**files, **inputs} if _sum(files, role) != _sum(inputs, role)]:
-        return f"maps of other input files ({', '.join(others)}: what they hold has changed)"
+    said = [f"of other settings ({differences_said(found)})"] if (found := differing(*both)) else []
+    roles = [role for role in {**files, **inputs} if not said or (role in files and role in inputs)]
+    if others := [role for role in roles if _sum(files, role) != _sum(inputs, role)]:
+        said.append(f"of other input files ({', '.join(others)}: what they hold has changed)")
     if found := differing(made_by, versions()):
-        return f"maps made by other versions ({differences_said(found)})"
-    return "maps made by other code of jaxurban, or on another device"
+        said.append(f"made by other versions ({differences_said(found)})")
+    return f"maps {' and '.join(said) or 'made by other code of jaxurban, or on another device'}"
 
 
 def _sum(inputs: Mapping[str, Mapping[str, str]], role: str) -> str | None:

@@ -10,6 +10,7 @@ from pydantic import BaseModel, ValidationError
 from jaxurban.errors import nearest_name
 
 UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")
+NO_LIST = ("tuple_type", "list_type")
 NO_TABLE = ("model_type", "dict_type", "dataclass_type")
 
 
@@ -107,6 +108,8 @@ def sentence_of(error: ValidationError, model: type, settings: Any) -> str:
         return f"{where!r} is required and missing"
     if first["type"] in NO_TABLE:
         return f"{where}: must be a table of settings, got {first['input']!r}"
+    if first["type"] in NO_LIST:
+        return f"{where}: must be a list in brackets, got {first['input']!r}"
     message = first["msg"].removeprefix("Value error, ")
     given = "" if first["type"] == "value_error" else f", got {first['input']!r}"
     prefix = f"{where}: " if where else ""

@@ -97,6 +97,33 @@ def test_a_value_of_ones_own_inside_obstacles_is_read_back(maps, tmp_path):
         np.testing.assert_array_equal(found[name].values, changed[name].values)
 
 
+def test_negative_zeros_and_axes_of_ones_own_order_are_read_back(maps, tmp_path):
+    changed = maps.ds.isel(time=[0]).transpose(..., "altitude", "time", "y", "x").copy(deep=True)
+    for name in ("gps", "lidar"):
+        changed[name].values[changed[name].values == 0] = -0.0
+    MetricMaps(changed).save(tmp_path)
+    found = ju.open_maps(tmp_path).ds
+    for name, array in changed.data_vars.items():
+        assert found[name].dims == array.dims
+        assert found[name].values.tobytes() == np.ascontiguousarray(array.values).tobytes(), name
+
+
+def test_maps_are_saved_beside_those_of_a_resolution_that_cannot_be_read(maps, tmp_path):
+    for name, text in (("5m/zarr.json", "{}"), ("10m/.zmetadata", "{junk")):
+        (tmp_path / "maps.zarr" / name).parent.mkdir(parents=True)
+        (tmp_path / "maps.zarr" / name).write_text(text)
+    xr.testing.assert_identical(ju.open_maps(maps.save(tmp_path), 20).ds.load(), maps.ds)
+    assert xr.open_datatree(tmp_path / "maps.zarr", engine="zarr").groups == ("/", "/20m")
+
+
+def test_maps_that_nothing_could_open_are_not_written(maps, tmp_path):
+    with pytest.raises(InputError, match="lack obstacle"):
+        MetricMaps(maps.ds.drop_vars("obstacle")).save(tmp_path / "out")
+    with pytest.raises(InputError, match="'a/b' cannot be written"):
+        MetricMaps(maps.ds.assign({"a/b": maps.ds["roof"]})).save(tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
 def test_satellites_of_a_chunk_that_goes_after_opening_are_none(maps, tmp_path):
     path = maps.save(tmp_path) / "maps.zarr" / "20m"
     found = ju.open_maps(tmp_path).ds

@@ -144,6 +144,26 @@ def test_what_is_taken_away_or_changed_is_refused_and_nothing_is_touched(then, w
     assert files_of(out) == before
 
 
+def test_styles_go_with_the_geotiffs_that_are_asked_for_no_more(tmp_path, capsys):
+    out, file = tmp_path / "out", scenario_file(tmp_path, **SMALL)
+    assert run(capsys, "maps", file, "-o", out, "--layers", "hdop")[0] == 0
+    assert list((out / "geotiff").glob("hdop_*.qml"))
+    file = scenario_file(tmp_path, **SMALL | {"altitudes_m": (60, 122)})
+    assert run(capsys, "maps", file, "-o", out)[0] == 0
+    assert not list((out / "geotiff").glob("hdop_*"))
+
+
+def test_a_changed_file_is_named_beside_what_would_have_been_added(tmp_path, capsys):
+    write_layers(tmp_path)
+    out, file = tmp_path / "out", scenario_file(tmp_path, **SMALL, layers=("noise",))
+    assert run(capsys, "maps", file, "-o", out)[0] == 0
+    (tmp_path / "dust.tif").replace(tmp_path / "noise.tif")
+    larger = scenario_file(tmp_path, **SMALL | {"altitudes_m": (60, 122)}, layers=("noise",))
+    code, _, err = run(capsys, "maps", larger, "-o", out)
+    assert code == 2
+    assert_one_sentence(err, "now [60.0, 122.0]) and of other input files (layer_noise: what they hold has changed)")
+
+
 def test_damaged_maps_are_not_built_upon(tmp_path, capsys):
     out, file = tmp_path / "out", scenario_file(tmp_path, **SMALL)
     assert run(capsys, "maps", file, "-o", out)[0] == 0

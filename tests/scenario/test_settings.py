@@ -100,6 +100,8 @@ def test_a_series_of_epochs_includes_both_ends():
         ({"population": {"blocks": "b.shp"}}, "own population"),
         ({"terrain": {"source": "dem.tif"}}, "flat ground"),
         ({"lidar": {"field_of_view_deg": [15, -15]}}, "field_of_view_deg"),
+        ({"lidar": {"beams": 10**9}}, "beams must be a whole number from 1 to 100,000"),
+        ({"gps": {"times": "2020-04-27T16:00:00Z"}}, "gps.times: must be a list in brackets"),
         ({"planning": {"planner": "astr-plus"}}, "did you mean 'astar-plus'"),
         ({"gps": {"times": ["noon"]}}, "gps.times"),
         ({"gps": {"start": "2020-04-27T00:00:00Z"}}, "needs all of start, stop and step_s"),
