@@ -219,8 +219,8 @@ def _many(folders: Sequence[Path], output: Path, as_json: bool, overwrite: bool,
     scenario = given["scenario"]
     found = sensitivity_study(
         [
-            MapsFolder(folder, given["resolution_m"], stored_obstacles(its, given["obstacles"]))
-            for folder, its in stored.items()
+            MapsFolder(folder, given["resolution_m"], stored_obstacles(stored[folder], given["obstacles"]))
+            for folder in folders
         ],
         output,
         routes if given["queries"] is None else read_table(given["queries"], "queries"),

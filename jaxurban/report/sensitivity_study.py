@@ -27,6 +27,7 @@ REPORT_FILE = "report.md"
 FEW_SAMPLES = 64  # of one route's Sobol shares: with fewer its own intervals are wider than most shares
 STATISTICS = {"share": ".1%", "nearest": ".3g", "changes": ".0%", "regret": ".2%"}
 CHANCE = 0.05
+MOST_REASONS = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,8 +133,18 @@ def _asked(found: SensitivityStudy) -> str:
     failed = listed(f"{count} with status {name}" for name, count in lost.items()) if lost else "none"
     return (
         f"{pairs}, at {altitudes}: {counted(len(found.rows), 'route')}, {statuses.sum() - sum(lost.values())} of them "
-        f"found; not found: {failed}."
+        f"found; not found: {failed}.{_reasons(found.rows)}"
     )
+
+
+def _reasons(rows: pd.DataFrame) -> str:
+    """Return why routes were not found, each reason once and the commonest first; nothing where all were."""
+    counts = rows.loc[~rows.status.isin(HAS_PATH), "note"].value_counts()
+    if counts.empty:
+        return ""
+    lines = [f"{note} ({counted(int(count), 'route')})" for note, count in counts.head(MOST_REASONS).items()]
+    more = len(counts) - len(lines)
+    return "\n\n" + bullets(lines + ([f"further reasons: {more}, in `tables/routes`"] if more else []))
 
 
 def _few(found: SensitivityStudy) -> str:
@@ -227,6 +238,13 @@ def _sobol(found: SensitivityStudy) -> str:
         if num < FEW_SAMPLES
         else ""
     )
+    beyond = [row for row in rows.to_dict("records") if row["verdict"] == CLEAR and row["share_high"] > 1]
+    if beyond:
+        said = listed(f"{outcome_label(row['outcome'])} by {row['weight_name']}" for row in beyond)
+        few += (
+            f" **No true share is above 1: where its interval reaches beyond ({said}), the samples are too few, because "
+            "the outcome hardly varies on some routes.**"
+        )
     own_ci = float(rows.own_ci.median())
     wide = f"; one route's own 95 % interval is some ± {own_ci:.2f} wide, which the mean of many narrows"
     return fill(

@@ -126,7 +126,29 @@ def test_a_route_that_fails_is_a_row_with_its_status(folders, found, tmp_path):
     assert again.rows.sort_values("instance").status.tolist() == ["bad-input", "bad-input", "optimal"]
     report = (tmp_path / "report.md").read_text()
     assert "2 with status bad-input" in report
+    assert "start and goal lie in one cell" in report
+    assert "is inside an obstacle" in report
     assert "Too few pairs of places for an interval: alpha (3)" in report
+
+
+@pytest.mark.parametrize(
+    ("named", "match"),
+    [
+        (["alpha", "gamma"], "name the city 'gamma', and the maps are of alpha, beta"),
+        (["alpha", "alpha"], "none of the city 'beta'"),
+        ([], "has no rows"),
+    ],
+)
+def test_no_row_of_a_table_is_left_out_without_a_word(folders, found, tmp_path, named, match):
+    table = found.instances.iloc[: len(named)].assign(city=named)
+    with pytest.raises(InputError, match=match):
+        ju.sensitivity_study(folders, tmp_path / "study", table, settings=SETTINGS)
+
+
+def test_a_city_named_twice_is_refused(folders, tmp_path, capsys):
+    code, _, err = run(capsys, "sensitivity", folders[0], folders[0], "--routes", 2, "-o", tmp_path / "out")
+    assert code == 2
+    assert_one_sentence(err, "alpha, alpha", "name each once")
 
 
 KILLED = """
@@ -185,6 +207,10 @@ def test_the_report_names_every_figure_and_no_share_below_zero(found):
     sobol = report.split("## What the routes are like")[1].split("##")[0]
     assert "| -" not in sobol.replace("| ---", "")
     assert "2 samples are few for one route" in report
+    shares = found.tables["sobol_summary"]
+    beyond = shares[(shares.kind == "total") & (shares.verdict == "clear") & (shares.share_high > 1)]
+    assert len(beyond)  # of so few samples
+    assert "No true share is above 1: where its interval reaches beyond (" in sobol
     assert "In cities in general" in report.split("## What they cannot tell")[1]
     claims = [len([each for each in found.findings if each.holds is holds]) for holds in (True, False, None)]
     assert f"{claims[0]} of {sum(claims)} claims" in report
@@ -362,6 +388,10 @@ def test_own_layers_take_part_by_their_name(found):
         (["--wrong", 1], ["wrong"]),
         (["--parameter-factors", "2"], ["--parameters"]),
         (["--parameters", "--parameter-factors", "1"], ["must not be 1"]),
+        (["--vary", "gpss"], ["a weight that varies", "'gps'", "'gpss'"]),
+        (["--vary", "gps,gps"], ["vary must name each weight once", "gps, gps"]),
+        (["--vary", "gps", "--weights", "gps=0"], ["weight gps is 0 on every route"]),
+        (["--weights", "gps=0,lidar=0,risk=0,population=0"], ["every metric has weight 0", "give one a weight"]),
     ],
 )
 def test_wrong_options_are_one_sentence_and_exit_2(folders, tmp_path, capsys, options, words):

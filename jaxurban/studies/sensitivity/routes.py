@@ -61,6 +61,8 @@ class SensitivityStudySettings:
 
     def __post_init__(self) -> None:
         at_least("seed", self.seed)
+        if len(set(self.vary)) < len(self.vary):
+            raise InputError(f"vary must name each weight once, got {', '.join(self.vary)}")
         if not 0 < self.factors[0] < 1 < self.factors[1] < math.inf:
             raise InputError(f"factors must go from below 1 to above 1, as 0.1, 10, got {self.factors}")
         if not positive("wrong", self.wrong) > 1:
