@@ -34,6 +34,7 @@ from jaxurban.studies.montecarlo.sampling import (
     weighed_metrics,
     weight_columns,
 )
+from jaxurban.studies.queries import population_norms
 from jaxurban.studies.sensitivity.remade import REMADE_KEY, RemadeSettings, num_remade, remade_of, remade_rows
 from jaxurban.studies.sensitivity.routes import ROUTE_KEY, SensitivityStudySettings, row_columns
 
@@ -90,6 +91,10 @@ def sensitivity_study(
     check_type("remade", remade, RemadeSettings)
     if isinstance(workers, int) and workers < 1:
         raise InputError(f"workers must be at least 1, got {workers}")
+    if not isinstance(routes, pd.DataFrame) and (isinstance(routes, bool) or not isinstance(routes, int) or routes < 1):
+        raise InputError(
+            f"routes must be how many to sample in each city, at least 1, or a table of them, got {routes!r}"
+        )
     given = named_sources(sources)
     opened = {city: source if isinstance(source, MetricMaps) else source.open() for city, source in given.items()}
     resolutions = {maps.grid.resolution_m for maps in opened.values()}
@@ -111,7 +116,8 @@ def sensitivity_study(
             remade_table, skipped = _remade(folder, instances, given, opened, (settings, remade), scenarios, report)
         report("report")
         grids = {city: maps.facts["grid"] for city, maps in opened.items()}
-        found = SensitivityStudy(folder, grids, instances, rows, remade_table, skipped, settings)
+        norms = {city: population_norms(maps) for city, maps in opened.items()}
+        found = SensitivityStudy(folder, grids, instances, rows, remade_table, skipped, settings, norms)
         write_sensitivity_study(found)
     return found
 
@@ -133,8 +139,8 @@ def named_sources(sources: Any) -> dict[str, Source]:
     names = [name for name, _ in listed]
     if not names or len(set(names)) < len(names):
         raise InputError(
-            f"sources must be cities of different names, and one at least, got {', '.join(names) or 'none'}: folders are "
-            "called as they are, so name each once and rename one of two alike (in Python give {'name': folder})"
+            f"sources must be cities of different names, and one at least, got {', '.join(names) or 'none'}: folders "
+            "are called as they are, so name each once and rename one of two alike (in Python give {'name': folder})"
         )
     found: dict[str, Source] = {}
     for name, source in listed:
@@ -199,7 +205,8 @@ def _check_vary(vary: Sequence[str], instances: pd.DataFrame, names: Iterable[st
     for name in vary:
         if one_of("a weight that varies", name, ("distance", *names)) not in counted:
             raise InputError(
-                f"weight {name} is 0 on every route, which no factor changes: give it a value above 0, or do not vary it"
+                f"weight {name} is 0 on every route, which no factor changes: give it a value above 0, or do not vary "
+                "it"
             )
 
 

@@ -1,7 +1,7 @@
 """report.md of a weight study over many routes: what they support and what not, tables and figures."""
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -42,6 +42,7 @@ class SensitivityStudy:
       remade: how each route differs on maps made anew (`jaxurban.studies.sensitivity.remade.remade_rows`).
       skipped: why maps were not made anew, a sentence a city.
       settings: what was asked.
+      norms: what population is divided by in each city at each time of day (`population_norms`).
     """
 
     folder: Path
@@ -51,6 +52,7 @@ class SensitivityStudy:
     remade: pd.DataFrame
     skipped: tuple[str, ...]
     settings: SensitivityStudySettings
+    norms: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
     @cached_property
     def tables(self) -> dict[str, pd.DataFrame]:
@@ -119,6 +121,7 @@ def study_markdown(found: SensitivityStudy) -> str:
         remade=_remade(found),
         cities="; ".join(f"{city}, {grid}" for city, grid in found.cities.items()),
         weights=_weights(found.instances),
+        norms=_norms(found.norms),
         fewest=FEWEST_GROUPS,
     )
     return f"{text}\n"
@@ -242,8 +245,8 @@ def _sobol(found: SensitivityStudy) -> str:
     if beyond:
         said = listed(f"{outcome_label(row['outcome'])} by {row['weight_name']}" for row in beyond)
         few += (
-            f" **No true share is above 1: where its interval reaches beyond ({said}), the samples are too few, because "
-            "the outcome hardly varies on some routes.**"
+            f" **No true share is above 1: where its interval reaches beyond ({said}), the samples are too few, "
+            "because the outcome hardly varies on some routes.**"
         )
     own_ci = float(rows.own_ci.median())
     wide = f"; one route's own 95 % interval is some ± {own_ci:.2f} wide, which the mean of many narrows"
@@ -284,6 +287,21 @@ def _remade(found: SensitivityStudy) -> str:
     rows = table(("maps with", "of", "routes", "changes", "regret", "closed"), lines)
     picture = "![Other heights, other parameters](figures/remade.png)"
     return fill("sensitivity_remade", rows=rows, skipped=skipped, picture=picture)
+
+
+def _norms(norms: Mapping[str, Mapping[str, float]]) -> str:
+    """Return that population is divided by other numbers from city to city; nothing where it is not."""
+    held = {city: of_city for city, of_city in norms.items() if of_city}
+    if all(of_city == next(iter(held.values())) for of_city in held.values()):
+        return ""
+    said = "; ".join(
+        f"{city} {listed(f'{number:,.0f} at {day}' for day, number in of_city.items())}"
+        for city, of_city in held.items()
+    )
+    return (
+        f"\n- **Population is normalised by different numbers ({said}), so that one weight of population means "
+        "different things in these cities**: set `[population] normalise` to a number to compare them."
+    )
 
 
 def _weights(instances: pd.DataFrame) -> str:

@@ -20,7 +20,7 @@ from jaxurban.errors import InputError
 from jaxurban.io.store import write_zarr
 from jaxurban.metrics.custom import Layer
 from jaxurban.report.figures.sensitivity_study import study_figures
-from jaxurban.report.sensitivity_study import share_said
+from jaxurban.report.sensitivity_study import share_said, study_markdown
 from jaxurban.studies.montecarlo.sampling import sample_joined
 from jaxurban.studies.sensitivity.findings import findings
 from jaxurban.studies.sensitivity.remade import parameters_of, remade_of, remade_rows, with_parameter
@@ -145,6 +145,14 @@ def test_no_row_of_a_table_is_left_out_without_a_word(folders, found, tmp_path, 
         ju.sensitivity_study(folders, tmp_path / "study", table, settings=SETTINGS)
 
 
+@pytest.mark.parametrize("routes", [0, -1, True, [((0.0, 0.0), (1.0, 1.0))]])
+def test_routes_are_a_number_or_a_table(folders, tmp_path, routes):
+    with pytest.raises(InputError, match="routes must be"):
+        ju.sensitivity_study(folders, tmp_path / "study", routes, settings=SETTINGS)
+    with pytest.raises(InputError, match="factors must be two"):
+        ju.SensitivityStudySettings(factors=(0.1,))
+
+
 def test_a_city_named_twice_is_refused(folders, tmp_path, capsys):
     code, _, err = run(capsys, "sensitivity", folders[0], folders[0], "--routes", 2, "-o", tmp_path / "out")
     assert code == 2
@@ -215,6 +223,14 @@ def test_the_report_names_every_figure_and_no_share_below_zero(found):
     claims = [len([each for each in found.findings if each.holds is holds]) for holds in (True, False, None)]
     assert f"{claims[0]} of {sum(claims)} claims" in report
     assert f"{claims[1]} are contradicted, and on {claims[2]} they cannot decide" in report
+
+
+def test_the_report_tells_of_a_weight_of_population_that_means_different_things(found):
+    def told(norm: float) -> str:
+        return study_markdown(replace(found, norms={"alpha": {"day": 5e4}, "beta": {"day": norm}, "gamma": {}}))
+
+    assert "normalised by different numbers (alpha 50,000 at day; beta 123 at day), so that one weight" in told(123.0)
+    assert "normalised by different" not in told(5e4)
 
 
 def test_no_text_of_a_figure_leaves_the_page(found):
