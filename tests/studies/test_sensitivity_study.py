@@ -275,6 +275,15 @@ def test_claims_hold_where_what_is_known_is_clear_and_only_there():
     assert set(few.values()) == {None}, "four pairs support nothing"
 
 
+def test_a_layer_of_one_altitude_alone_is_in_no_claim_on_altitudes():
+    table = made_weights({"gps": 0.03, "risk": 0.02})
+    high = table.assign(altitude_m=60.0)
+    claims = [each.claim for each in findings(pd.concat([table, high[high.weight_name == "gps"]]), None, None, 2.0)]
+    told = [claim for claim in claims if "at 20 m than at 60 m" in claim]
+    assert len(told) == 2
+    assert all("of gps" in claim for claim in told)
+
+
 def test_intervals_of_the_summary_hold_the_truth_nineteen_times_in_twenty():
     held = 0
     for seed in range(60):
