@@ -139,9 +139,12 @@ def check_alike(queries: Sequence[RouteQuery]) -> tuple[str, ...]:
                 "use cost_model='line'"
             )
         if _norms(other) != _norms(first):
+            remedy = "make the maps with [population] normalise set to a number per km2"
+            if population_norms(other.maps) == population_norms(first.maps):
+                remedy = f"take one time of day (--time-of-day, time_of_day=), or {remedy}"
             raise InputError(
                 "population is normalised by different numbers on these maps, so that one weight means different "
-                "things: make the maps with [population] normalise set to a number per km2"
+                f"things: {remedy}"
             )
     return first.weight_names
 
