@@ -93,6 +93,8 @@ def _routes(text: str) -> Any:
         return int(text)
     from jaxurban.io.tables import read_table
 
+    if not text.endswith((".csv", ".parquet")):
+        raise InputError(f"--routes {text!r} must be how many to sample, as 20, or a table (.csv, .parquet)")
     return read_table(text, "routes")
 
 

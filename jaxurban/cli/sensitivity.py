@@ -178,6 +178,7 @@ def _many(folders: Sequence[Path], output: Path, as_json: bool, overwrite: bool,
     from jaxurban.report.buildings import scenario_of
     from jaxurban.report.run_sensitivity import sensitivity_study
     from jaxurban.studies.montecarlo.run import MapsFolder
+    from jaxurban.studies.montecarlo.trial import HAS_PATH
     from jaxurban.studies.sensitivity.remade import RemadeSettings
     from jaxurban.studies.sensitivity.routes import SensitivityStudySettings
 
@@ -219,8 +220,8 @@ def _many(folders: Sequence[Path], output: Path, as_json: bool, overwrite: bool,
     scenario = given["scenario"]
     found = sensitivity_study(
         [
-            MapsFolder(folder, given["resolution_m"], stored_obstacles(its, given["obstacles"]))
-            for folder, its in stored.items()
+            MapsFolder(folder, given["resolution_m"], stored_obstacles(stored[folder], given["obstacles"]))
+            for folder in folders
         ],
         output,
         routes if given["queries"] is None else read_table(given["queries"], "queries"),
@@ -232,6 +233,8 @@ def _many(folders: Sequence[Path], output: Path, as_json: bool, overwrite: bool,
         workers=given["cluster"] or given["workers"] or default_workers(),
         overwrite=overwrite,
     )
+    if not found.rows.status.isin(HAS_PATH).any():
+        tell("warning: no route was found, so that nothing can be said: the report tells why")
     tell(f"sensitivity finished: read {output / 'report.md'}, look at {output / 'figures'}")
     if as_json:
         claims = [each._asdict() for each in found.findings]

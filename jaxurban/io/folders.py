@@ -204,15 +204,18 @@ def _claim(folder: Path, record: Mapping[str, Any], overwrite: bool) -> None:
     differing = [name for name in record["asked"] if record["asked"][name] != before.get(name)]
     if differing and not overwrite:
         name = differing[0]
+        was, now = str(before.get(name)), str(record["asked"][name])
+        said = f"its {name} is {was}, now {now}" if len(was + now) <= LONGEST_SAID else f"other {name}"
         raise InputError(
-            f"{str(folder)!r} holds another run of `jaxurban {command}` (its {name} is {before.get(name)}, "
-            f"now {record['asked'][name]}): {ELSEWHERE}, or pass --overwrite to replace it"
+            f"{str(folder)!r} holds another run of `jaxurban {command}` ({said}): {ELSEWHERE}, or pass --overwrite to "
+            "replace it"
         )
     if overwrite:
         for name in names:
             (folder / name).unlink()
 
 
+LONGEST_SAID = 200  # characters of two settings that differ, in an error
 HEAD_BYTES = 1 << 16  # of a GeoTIFF: its tags
 
 

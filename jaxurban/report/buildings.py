@@ -36,7 +36,7 @@ def scenario_of(folder: Path, scenario: Path | None = None) -> Scenario:
         record = read_json(file)
     except OSError as error:
         raise InputError(
-            f"cannot read {str(file)!r} ({error.strerror or error}): gradients by building need the record of the "
+            f"cannot read {str(file)!r} ({error.strerror or error}): making maps again takes the record of their "
             "run, as `jaxurban maps` writes it"
         ) from error
     except ValueError as error:

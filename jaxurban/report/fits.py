@@ -54,18 +54,21 @@ def _sentences(found: FitComparison) -> Iterator[str]:
         named = [f"{row['name']} ({row['city']}, {percent(row['regret'])})" for row in worst]
         more = f" and {len(bad) - MOST_NAMED} more" if len(bad) > MOST_NAMED else ""
         yield (
-            f"{counted(len(bad), 'route')} were found bad, so much dearer than the cheapest one under the first fit "
-            f"that they hardly count: {', '.join(named)}{more}."
+            f"{counted(len(bad), 'route was', 'routes were')} found bad, so much dearer than the cheapest one under "
+            f"the first fit that they hardly count: {', '.join(named)}{more}."
         )
     else:
         yield "No route was found bad."
     if not held_out:
         return
+    if not (routes.is_held_out & ~routes.is_bad).any():
+        yield "Every route that was held out was found bad, so that regrets judge no fit: give more routes."
     rows = records_of(fits)
     for row in rows[1:]:
         if row["cities"] == rows[0]["cities"]:
             here, first = (percent(each["held_out_regret"]) for each in (row, rows[0]))
-            yield f"On held-out routes that are not bad, {row['fit']!r} leaves {here}, {rows[0]['fit']!r} {first}."
+            if here and first:
+                yield f"On held-out routes that are not bad, {row['fit']!r} leaves {here}, {rows[0]['fit']!r} {first}."
     unseen = [
         f"{percent(row[f'regret {city}'])} on {city}"
         for city in dict.fromkeys(routes.city)

@@ -18,6 +18,7 @@ from jaxurban.report.markdown import bullets, cell, fill, listed, table
 from jaxurban.report.save import Output, save
 from jaxurban.scenario.differences import NOT_SET
 from jaxurban.studies.map_comparison.compare import CLOSED, EVERYWHERE, MASKS, SAME, MapComparison, Place, unit_of
+from jaxurban.studies.queries import population_norms
 
 REPORT_FILE = "report.md"
 MOST_ROUTES = 15  # in the report
@@ -92,7 +93,7 @@ def comparison_markdown(found: MapComparison, figures: list[str]) -> str:
         found=found,
         sides=bullets([f"**A**: `{found.names[0]}`", f"**B**: `{found.names[1]}`"]),
         extent=_extent(found),
-        settings=_settings(found),
+        settings=_settings(found) + _norms(found),
         summary="" if changed else "Not one value differs.",
         values=_values(whole, changed),
         shown="The table shows the first time alone; " if len(found.part.times) > 1 else "",
@@ -120,6 +121,19 @@ def _extent(found: MapComparison) -> str:
     lines.append(".")
     other = [f"{a} of A is set beside {b} of B" for a, b in found.part.times.items() if a != b]
     return "".join(lines) + (f" GPS: {listed(other)}." if other else "")
+
+
+def _norms(found: MapComparison) -> str:
+    """Return that population is divided by other numbers; nothing where it is not."""
+    a, b = (population_norms(maps) for maps in (found.a, found.b))
+    said = [f"{a[day]:,.0f} and {b[day]:,.0f} at {day}" for day in a if day in b and a[day] != b[day]]
+    if not said or "population" not in found.layers:
+        return ""
+    return (
+        f"\n\n**Population is normalised by different numbers, in A and B {listed(said)}**, so that `population` "
+        "differs where as many people live too, and so do costs by it; `density` does not. Set `[population] "
+        "normalise` to a number to compare people alone."
+    )
 
 
 def _settings(found: MapComparison) -> str:

@@ -2,7 +2,7 @@
 
 import warnings
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from jaxurban.errors import GuessWarning, InputError, check_type, typed
+from jaxurban.errors import GuessWarning, InputError, check_type, one_of, typed
 from jaxurban.io.folders import own_folder
 from jaxurban.io.rows import ROWS_FILE, RowStore, fingerprint
 from jaxurban.io.tables import read_table, records_of, write_table
@@ -19,7 +19,7 @@ from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.maps.task import MapTask
 from jaxurban.metrics.registry import METRICS
 from jaxurban.metrics.weights import GivenWeights, Weights
-from jaxurban.paths.queries import read_queries
+from jaxurban.paths.queries import WEIGHT_PREFIX, read_queries
 from jaxurban.progress import LOG, Progress, Report, reporting
 from jaxurban.report.buildings import scenario_of
 from jaxurban.report.run_montecarlo import INSTANCES_FILE, check_instances
@@ -34,6 +34,7 @@ from jaxurban.studies.montecarlo.sampling import (
     weighed_metrics,
     weight_columns,
 )
+from jaxurban.studies.queries import population_norms
 from jaxurban.studies.sensitivity.remade import REMADE_KEY, RemadeSettings, num_remade, remade_of, remade_rows
 from jaxurban.studies.sensitivity.routes import ROUTE_KEY, SensitivityStudySettings, row_columns
 
@@ -90,6 +91,10 @@ def sensitivity_study(
     check_type("remade", remade, RemadeSettings)
     if isinstance(workers, int) and workers < 1:
         raise InputError(f"workers must be at least 1, got {workers}")
+    if not isinstance(routes, pd.DataFrame) and (isinstance(routes, bool) or not isinstance(routes, int) or routes < 1):
+        raise InputError(
+            f"routes must be how many to sample in each city, at least 1, or a table of them, got {routes!r}"
+        )
     given = named_sources(sources)
     opened = {city: source if isinstance(source, MetricMaps) else source.open() for city, source in given.items()}
     resolutions = {maps.grid.resolution_m for maps in opened.values()}
@@ -99,6 +104,7 @@ def sensitivity_study(
             f"the maps have cells of {listed}, on which the 'cell' cost model costs differently: use cost_model='line'"
         )
     instances = _instances(opened, routes, altitudes_m, weights, settings)
+    _check_vary(settings.vary, instances, dict.fromkeys(name for maps in opened.values() for name in maps.metrics))
     about = {city: _about(maps) for city, maps in opened.items()}
     key = settings.to_dict() | {"maps": about, "routes": _routes_key(instances)}
     job = settings if workers == 1 or settings.num_threads is not None else replace(settings, num_threads=1)
@@ -110,7 +116,8 @@ def sensitivity_study(
             remade_table, skipped = _remade(folder, instances, given, opened, (settings, remade), scenarios, report)
         report("report")
         grids = {city: maps.facts["grid"] for city, maps in opened.items()}
-        found = SensitivityStudy(folder, grids, instances, rows, remade_table, skipped, settings)
+        norms = {city: population_norms(maps) for city, maps in opened.items()}
+        found = SensitivityStudy(folder, grids, instances, rows, remade_table, skipped, settings, norms)
         write_sensitivity_study(found)
     return found
 
@@ -132,7 +139,8 @@ def named_sources(sources: Any) -> dict[str, Source]:
     names = [name for name, _ in listed]
     if not names or len(set(names)) < len(names):
         raise InputError(
-            f"sources must be cities of different names, and one at least, got {', '.join(names) or 'none'}"
+            f"sources must be cities of different names, and one at least, got {', '.join(names) or 'none'}: folders "
+            "are called as they are, so name each once and rename one of two alike (in Python give {'name': folder})"
         )
     found: dict[str, Source] = {}
     for name, source in listed:
@@ -166,6 +174,8 @@ def _instances(
     model, constraints = settings.cost_model, settings.constraints
     metrics = dict.fromkeys(name for maps in opened.values() for name in maps.metrics)
     of_all = Weights.of(weights).checked(metrics).to_dict()
+    if isinstance(routes, pd.DataFrame):
+        _check_cities(routes, opened)
     parts = []
     for city, maps in opened.items():
         known = {"distance", *METRICS, *maps.metrics}  # a city may lack the layers of another one
@@ -175,7 +185,7 @@ def _instances(
             how: dict[str, Any] = {"cost_model": model, "constraints": constraints, "seed": seed}
             part = sample_joined(maps, routes, altitudes_m=altitudes_m, weights=[weights], **how)
         else:
-            part = _given_routes(routes, city, maps, weights, len(opened) > 1)
+            part = _given_routes(routes, city, maps, weights)
         parts.append(part.assign(city=city))
     if isinstance(routes, pd.DataFrame) and altitudes_m is not None:
         raise InputError("altitudes_m is of sampled routes: a table of routes names its own")
@@ -186,17 +196,44 @@ def _instances(
     )
 
 
-def _given_routes(
-    routes: pd.DataFrame, city: str, maps: MetricMaps, weights: GivenWeights, has_several: bool
-) -> pd.DataFrame:
-    if has_several and "city" not in routes:
-        raise InputError("the routes lack the column 'city', which says on which of the maps each lies: add it")
+def _check_vary(vary: Sequence[str], instances: pd.DataFrame, names: Iterable[str]) -> None:
+    """Check that every weight to vary counts on one route at least; each route tells of those that do not on it."""
+    names = tuple(names)
+    counted = [name for name in ("distance", *names) if (instances[f"{WEIGHT_PREFIX}{name}"] > 0).any()]
+    if not vary and not set(names) & set(counted):
+        raise InputError("every metric has weight 0 on every route, so nothing varies: give one a weight above 0")
+    for name in vary:
+        if one_of("a weight that varies", name, ("distance", *names)) not in counted:
+            raise InputError(
+                f"weight {name} is 0 on every route, which no factor changes: give it a value above 0, or do not vary "
+                "it"
+            )
+
+
+def _check_cities(routes: pd.DataFrame, cities: Iterable[str]) -> None:
+    """Check that a table has routes, all of them of the cities whose maps are there, and some of each."""
+    cities = tuple(cities)
+    if routes.empty:
+        raise InputError("the table of routes has no rows: give at least one route")
+    if "city" not in routes:
+        if len(cities) > 1:
+            raise InputError("the routes lack the column 'city', which says on which of the maps each lies: add it")
+        return
+    named = dict.fromkeys(map(str, routes["city"]))
+    if strange := [name for name in named if name not in cities]:
+        raise InputError(
+            f"the routes name the city {strange[0]!r}, and the maps are of {', '.join(cities)}: add its maps, or leave "
+            "its routes out"
+        )
+    if lost := [city for city in cities if city not in named]:
+        raise InputError(f"the routes hold none of the city {lost[0]!r}: add some, or leave its maps out")
+
+
+def _given_routes(routes: pd.DataFrame, city: str, maps: MetricMaps, weights: GivenWeights) -> pd.DataFrame:
     part = routes
     if "city" in routes:
         others = set(weight_columns(weighed_metrics(routes.columns))) - set(weight_columns(maps.metrics))
-        part = routes[routes["city"] == city].drop(columns=["city", *others])
-    if part.empty:
-        raise InputError(f"the routes hold none of the city {city!r}: add some, or leave its maps out")
+        part = routes[routes["city"].astype(str) == city].drop(columns=["city", *others])
     if "instance" in part:
         part = checked_instances(part, f"the instances of {city}")
     else:

@@ -105,7 +105,15 @@ def run_tuning(
     """
     if folder.exists() and not folder.is_dir():
         raise InputError(f"cannot write to the output folder {str(folder)!r}: it is a file")
+    if settings.pilot is not None and not any(settings.pilot.to_dict().values()):
+        raise InputError("every weight of the pilot is 0, so that all routes cost the same: give one above 0 (--pilot)")
     opened = [open_maps(source.maps, settings.resolution_m, obstacles=settings.obstacles) for source in sources]
+    drawn = [source.maps.resolve() for source in sources if not source.routes]
+    if len(set(drawn)) < len(drawn):
+        twice = next(each for each in drawn if drawn.count(each) > 1)
+        raise InputError(
+            f"the maps in {str(twice)!r} are named twice, so that their routes would count twice: name them once"
+        )
     targets = [Target.parse(text, opened[0].metrics) for text in settings.targets]
     with reporting("tune", progress) as report:
         report("routes")

@@ -1,7 +1,7 @@
 """report.md of a weight study over many routes: what they support and what not, tables and figures."""
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -27,6 +27,7 @@ REPORT_FILE = "report.md"
 FEW_SAMPLES = 64  # of one route's Sobol shares: with fewer its own intervals are wider than most shares
 STATISTICS = {"share": ".1%", "nearest": ".3g", "changes": ".0%", "regret": ".2%"}
 CHANCE = 0.05
+MOST_REASONS = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +42,7 @@ class SensitivityStudy:
       remade: how each route differs on maps made anew (`jaxurban.studies.sensitivity.remade.remade_rows`).
       skipped: why maps were not made anew, a sentence a city.
       settings: what was asked.
+      norms: what population is divided by in each city at each time of day (`population_norms`).
     """
 
     folder: Path
@@ -50,6 +52,7 @@ class SensitivityStudy:
     remade: pd.DataFrame
     skipped: tuple[str, ...]
     settings: SensitivityStudySettings
+    norms: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
     @cached_property
     def tables(self) -> dict[str, pd.DataFrame]:
@@ -118,6 +121,7 @@ def study_markdown(found: SensitivityStudy) -> str:
         remade=_remade(found),
         cities="; ".join(f"{city}, {grid}" for city, grid in found.cities.items()),
         weights=_weights(found.instances),
+        norms=_norms(found.norms),
         fewest=FEWEST_GROUPS,
     )
     return f"{text}\n"
@@ -132,8 +136,18 @@ def _asked(found: SensitivityStudy) -> str:
     failed = listed(f"{count} with status {name}" for name, count in lost.items()) if lost else "none"
     return (
         f"{pairs}, at {altitudes}: {counted(len(found.rows), 'route')}, {statuses.sum() - sum(lost.values())} of them "
-        f"found; not found: {failed}."
+        f"found; not found: {failed}.{_reasons(found.rows)}"
     )
+
+
+def _reasons(rows: pd.DataFrame) -> str:
+    """Return why routes were not found, each reason once and the commonest first; nothing where all were."""
+    counts = rows.loc[~rows.status.isin(HAS_PATH), "note"].value_counts()
+    if counts.empty:
+        return ""
+    lines = [f"{note} ({counted(int(count), 'route')})" for note, count in counts.head(MOST_REASONS).items()]
+    more = len(counts) - len(lines)
+    return "\n\n" + bullets(lines + ([f"further reasons: {more}, in `tables/routes`"] if more else []))
 
 
 def _few(found: SensitivityStudy) -> str:
@@ -227,6 +241,13 @@ def _sobol(found: SensitivityStudy) -> str:
         if num < FEW_SAMPLES
         else ""
     )
+    beyond = [row for row in rows.to_dict("records") if row["verdict"] == CLEAR and row["share_high"] > 1]
+    if beyond:
+        said = listed(f"{outcome_label(row['outcome'])} by {row['weight_name']}" for row in beyond)
+        few += (
+            f" **No true share is above 1: where its interval reaches beyond ({said}), the samples are too few, "
+            "because the outcome hardly varies on some routes.**"
+        )
     own_ci = float(rows.own_ci.median())
     wide = f"; one route's own 95 % interval is some ± {own_ci:.2f} wide, which the mean of many narrows"
     return fill(
@@ -266,6 +287,21 @@ def _remade(found: SensitivityStudy) -> str:
     rows = table(("maps with", "of", "routes", "changes", "regret", "closed"), lines)
     picture = "![Other heights, other parameters](figures/remade.png)"
     return fill("sensitivity_remade", rows=rows, skipped=skipped, picture=picture)
+
+
+def _norms(norms: Mapping[str, Mapping[str, float]]) -> str:
+    """Return that population is divided by other numbers from city to city; nothing where it is not."""
+    held = {city: of_city for city, of_city in norms.items() if of_city}
+    if all(of_city == next(iter(held.values())) for of_city in held.values()):
+        return ""
+    said = "; ".join(
+        f"{city} {listed(f'{number:,.0f} at {day}' for day, number in of_city.items())}"
+        for city, of_city in held.items()
+    )
+    return (
+        f"\n- **Population is normalised by different numbers ({said}), so that one weight of population means "
+        "different things in these cities**: set `[population] normalise` to a number to compare them."
+    )
 
 
 def _weights(instances: pd.DataFrame) -> str:

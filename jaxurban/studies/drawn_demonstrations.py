@@ -138,6 +138,8 @@ def draw(drawn: DrawnRoutes, maps: MetricMaps, map_of: MapOf, pilot: Weights | N
             OtherSettingsWarning,
             stacklevel=4,
         )
+    if not queries:
+        raise InputError(f"{drawn.name!r} holds no route between places that a path joins: give more rows, or others")
     demonstrations, lost = [], 0
     for number, (query, row) in enumerate(zip(queries, records_of(table), strict=True), start=1):
         name = f"{row.get('instance', row.get('query', number))}"

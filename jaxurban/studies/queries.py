@@ -6,12 +6,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from jaxurban.errors import InputError, check_type, typed
+from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.registry import METRICS
 from jaxurban.metrics.weights import Weights
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.snapping import Point
 from jaxurban.planners.astar import astar
 from jaxurban.planners.base import Cell, Path, Problem
+
+NORMS = ("pop_norm_per_km2", "pop_norm_per_block")  # attributes of maps that go with the times of day
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,20 +139,24 @@ def check_alike(queries: Sequence[RouteQuery]) -> tuple[str, ...]:
                 "use cost_model='line'"
             )
         if _norms(other) != _norms(first):
+            remedy = "make the maps with [population] normalise set to a number per km2"
+            if population_norms(other.maps) == population_norms(first.maps):
+                remedy = f"take one time of day (--time-of-day, time_of_day=), or {remedy}"
             raise InputError(
                 "population is normalised by different numbers on these maps, so that one weight means different "
-                "things: make the maps with [population] normalise set to a number per km2"
+                f"things: {remedy}"
             )
     return first.weight_names
 
 
 def _norms(cost_map: CostMap) -> float | None:
     """Return what population is divided by at the map's time of day; None without population."""
-    attrs = cost_map.maps.ds.attrs
-    if "population" not in cost_map.names:
+    if "population" not in cost_map.names or cost_map.time_of_day is None:
         return None
-    for name in ("pop_norm_per_km2", "pop_norm_per_block"):
-        if name in attrs and cost_map.time_of_day is not None:
-            norms = np.atleast_1d(attrs[name])
-            return float(norms[cost_map.maps.times_of_day.index(cost_map.time_of_day)])
-    return None
+    return population_norms(cost_map.maps).get(cost_map.time_of_day)
+
+
+def population_norms(maps: MetricMaps) -> dict[str, float]:
+    """Return by which number of people, per km2 or per block, the population of each time of day is divided."""
+    norms = next((maps.ds.attrs[name] for name in NORMS if name in maps.ds.attrs), ())
+    return dict(zip(maps.times_of_day, map(float, np.atleast_1d(norms)), strict=False))

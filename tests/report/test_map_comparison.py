@@ -32,8 +32,15 @@ def test_the_folder_holds_report_tables_maps_and_figures(found, tmp_path):
     np.testing.assert_array_equal(routes.regret, found.routes.table.regret)
     for row in found.table.query("layer == 'obstacle' and stratum == 'all'").itertuples():
         assert f"| {row.gained:,} | {row.lost:,} |" in report
-    with pytest.raises(ju.InputError, match="holds another run"):
+    with pytest.raises(ju.InputError, match="holds another run") as refused:
         ju.save_comparison(ju.compare(found.b, found.a, routes=3, progress=False), tmp_path / "ab")
+    assert len(str(refused.value)) < 600
+    assert "normalised by different numbers" not in report
+    b = ju.MetricMaps(found.b.ds.assign_attrs(pop_norm_per_km2=[123.0, 4e4]))
+    a = ju.MetricMaps(found.a.ds.assign_attrs(pop_norm_per_km2=[5e4, 4e4]))
+    ju.save_comparison(ju.compare(a, b, progress=False), tmp_path / "norms")
+    report = (tmp_path / "norms/report.md").read_text(encoding="utf-8")
+    assert f"normalised by different numbers, in A and B 50,000 and 123 at {a.times_of_day[0]}**" in report
 
 
 def test_difference_maps_open_elsewhere_north_up_with_band_names(found, tmp_path):
@@ -78,6 +85,9 @@ def test_the_command_compares_folders_and_names_the_settings_that_differ(capsys,
     table = pd.read_csv(tmp_path / "ab/tables/layers.csv").query("stratum == 'all'").set_index("layer")
     assert table.rms["lidar"] > 0
     assert table.rms.drop("lidar").max() == 0
+    code, _, err = run(capsys, "compare", "a", "b", "-o", "ab2", "--routes", "-1")
+    assert code == 2
+    assert_one_sentence(err, "--routes '-1' must be how many to sample")
     code, _, err = run(capsys, "compare", "a", "b", "-o", "ab2", "--time", "2020")
     assert code == 2
     assert_one_sentence(err, "--time")

@@ -1,11 +1,14 @@
 """Fits compared: each judged by routes that it has not seen, and bad routes told from good ones."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from benchmarks.tuning import detour
 from jaxurban.errors import InputError
 from jaxurban.paths.cost_map import cost_map
+from jaxurban.report.fits import fits_section
 from jaxurban.studies.demonstrations import optimal_demonstrations
 from jaxurban.studies.tuning.compared_fits import compare_fits, split
 from jaxurban.studies.tuning.confidence import draw_counts
@@ -105,3 +108,11 @@ def test_wrong_choices_are_one_sentence(cities, wrong, words):
         compare_fits(few, **wrong)
     with pytest.raises(InputError, match="each demonstration must be a Demonstration"):
         compare_fits({"Aton": [5]})
+
+
+def test_a_comparison_whose_held_out_routes_are_all_bad_says_that_it_judges_nothing(found):
+    routes = found.routes.assign(is_bad=found.routes.is_held_out)
+    told = fits_section(replace(found, routes=routes, table=found.table.assign(held_out_regret=np.nan)))
+    assert "Every route that was held out was found bad" in told
+    assert "leaves" not in told
+    assert "Every route that was held out" not in fits_section(found)

@@ -10,7 +10,7 @@ from jaxurban.errors import InputError
 from jaxurban.paths.cost_map import cost_map
 from jaxurban.paths.export.write import write_path
 from jaxurban.studies.demonstrations import demonstration_from_line, optimal_demonstrations
-from jaxurban.studies.queries import check_alike
+from jaxurban.studies.queries import RouteQuery, check_alike
 from jaxurban.studies.route_pool import RoutePool
 from tests.studies.routes_made import HIDDEN, made_queries, small_maps, write_geojson
 
@@ -113,6 +113,16 @@ def test_maps_with_other_units_of_population_are_not_mixed():
         check_alike(queries)
     chosen = [query for maps in cities for query in made_queries(cost_map(maps, 20.0).only(["gps"]), 2)]
     assert check_alike(chosen) == ("distance", "gps")
+
+
+def test_day_and_night_of_one_city_that_are_normalised_differently_name_the_remedy_of_one_time_of_day():
+    maps = small_maps()
+    maps.ds.attrs["pop_norm_per_km2"] = [2e4, 3e4]
+    days = [cost_map(maps, 20.0, time_of_day=each) for each in maps.times_of_day]
+    queries = [RouteQuery(on, (1, 1), (20, 20)) for on in days]
+    with pytest.raises(InputError, match="take one time of day"):
+        check_alike(queries)
+    assert "population" in check_alike(queries[:1])
 
 
 def test_queries_between_places_name_the_pair_that_is_wrong(maps):

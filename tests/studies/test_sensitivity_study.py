@@ -20,7 +20,7 @@ from jaxurban.errors import InputError
 from jaxurban.io.store import write_zarr
 from jaxurban.metrics.custom import Layer
 from jaxurban.report.figures.sensitivity_study import study_figures
-from jaxurban.report.sensitivity_study import share_said
+from jaxurban.report.sensitivity_study import share_said, study_markdown
 from jaxurban.studies.montecarlo.sampling import sample_joined
 from jaxurban.studies.sensitivity.findings import findings
 from jaxurban.studies.sensitivity.remade import parameters_of, remade_of, remade_rows, with_parameter
@@ -126,7 +126,37 @@ def test_a_route_that_fails_is_a_row_with_its_status(folders, found, tmp_path):
     assert again.rows.sort_values("instance").status.tolist() == ["bad-input", "bad-input", "optimal"]
     report = (tmp_path / "report.md").read_text()
     assert "2 with status bad-input" in report
+    assert "start and goal lie in one cell" in report
+    assert "is inside an obstacle" in report
     assert "Too few pairs of places for an interval: alpha (3)" in report
+
+
+@pytest.mark.parametrize(
+    ("named", "match"),
+    [
+        (["alpha", "gamma"], "name the city 'gamma', and the maps are of alpha, beta"),
+        (["alpha", "alpha"], "none of the city 'beta'"),
+        ([], "has no rows"),
+    ],
+)
+def test_no_row_of_a_table_is_left_out_without_a_word(folders, found, tmp_path, named, match):
+    table = found.instances.iloc[: len(named)].assign(city=named)
+    with pytest.raises(InputError, match=match):
+        ju.sensitivity_study(folders, tmp_path / "study", table, settings=SETTINGS)
+
+
+@pytest.mark.parametrize("routes", [0, -1, True, [((0.0, 0.0), (1.0, 1.0))]])
+def test_routes_are_a_number_or_a_table(folders, tmp_path, routes):
+    with pytest.raises(InputError, match="routes must be"):
+        ju.sensitivity_study(folders, tmp_path / "study", routes, settings=SETTINGS)
+    with pytest.raises(InputError, match="factors must be two"):
+        ju.SensitivityStudySettings(factors=(0.1,))
+
+
+def test_a_city_named_twice_is_refused(folders, tmp_path, capsys):
+    code, _, err = run(capsys, "sensitivity", folders[0], folders[0], "--routes", 2, "-o", tmp_path / "out")
+    assert code == 2
+    assert_one_sentence(err, "alpha, alpha", "name each once")
 
 
 KILLED = """
@@ -186,10 +216,22 @@ def test_the_report_names_every_figure_and_no_share_below_zero(found):
     sobol = report.split("## What the routes are like")[1].split("##")[0]
     assert "| -" not in sobol.replace("| ---", "")
     assert "2 samples are few for one route" in report
+    shares = found.tables["sobol_summary"]
+    beyond = shares[(shares.kind == "total") & (shares.verdict == "clear") & (shares.share_high > 1)]
+    assert len(beyond)  # of so few samples
+    assert "No true share is above 1: where its interval reaches beyond (" in sobol
     assert "In cities in general" in report.split("## What they cannot tell")[1]
     claims = [len([each for each in found.findings if each.holds is holds]) for holds in (True, False, None)]
     assert f"{claims[0]} of {sum(claims)} claims" in report
     assert f"{claims[1]} are contradicted, and on {claims[2]} they cannot decide" in report
+
+
+def test_the_report_tells_of_a_weight_of_population_that_means_different_things(found):
+    def told(norm: float) -> str:
+        return study_markdown(replace(found, norms={"alpha": {"day": 5e4}, "beta": {"day": norm}, "gamma": {}}))
+
+    assert "normalised by different numbers (alpha 50,000 at day; beta 123 at day), so that one weight" in told(123.0)
+    assert "normalised by different" not in told(5e4)
 
 
 def test_no_text_of_a_figure_leaves_the_page(found):
@@ -232,6 +274,15 @@ def test_claims_hold_where_what_is_known_is_clear_and_only_there():
     assert told["Most routes change where the weight of gps is up to 2 times wrong."] is True
     few = {each.claim: each.holds for each in findings(made_weights({"gps": 0.03, "risk": 0.0}, 2), None, None, 2.0)}
     assert set(few.values()) == {None}, "four pairs support nothing"
+
+
+def test_a_layer_of_one_altitude_alone_is_in_no_claim_on_altitudes():
+    table = made_weights({"gps": 0.03, "risk": 0.02})
+    high = table.assign(altitude_m=60.0)
+    claims = [each.claim for each in findings(pd.concat([table, high[high.weight_name == "gps"]]), None, None, 2.0)]
+    told = [claim for claim in claims if "at 20 m than at 60 m" in claim]
+    assert len(told) == 2
+    assert all("of gps" in claim for claim in told)
 
 
 def test_intervals_of_the_summary_hold_the_truth_nineteen_times_in_twenty():
@@ -364,6 +415,10 @@ def test_own_layers_take_part_by_their_name(found):
         (["--wrong", 1], ["wrong"]),
         (["--parameter-factors", "2"], ["--parameters"]),
         (["--parameters", "--parameter-factors", "1"], ["must not be 1"]),
+        (["--vary", "gpss"], ["a weight that varies", "'gps'", "'gpss'"]),
+        (["--vary", "gps,gps"], ["vary must name each weight once", "gps, gps"]),
+        (["--vary", "gps", "--weights", "gps=0"], ["weight gps is 0 on every route"]),
+        (["--weights", "gps=0,lidar=0,risk=0,population=0"], ["every metric has weight 0", "give one a weight"]),
     ],
 )
 def test_wrong_options_are_one_sentence_and_exit_2(folders, tmp_path, capsys, options, words):

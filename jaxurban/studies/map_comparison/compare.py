@@ -201,6 +201,7 @@ def compare(
         for number, layer in enumerate(names := layers_of(part)):
             report("layers", number, len(names))
             rows += _rows(part, layer, strata, tolerance)
+        report("layers", len(names), len(names))
         found = compare_routes(part, routes, chosen, strata, cover, report)
     names_of = tuple(_name(maps, other) for maps, other in ((maps_a, "A"), (maps_b, "B")))
     held = [_settings(maps) for maps in (maps_a, maps_b)]

@@ -11,10 +11,9 @@ from jaxurban.errors import InputError
 from jaxurban.io.read.orbits import iso_utc, parse_time
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY
+from jaxurban.studies.queries import NORMS
 from jaxurban.world.grid import Grid
 from jaxurban.world.show import listed
-
-NORMS = ("pop_norm_per_km2", "pop_norm_per_block")  # attributes that go with the times of day
 
 
 @dataclass(frozen=True, eq=False)

@@ -131,7 +131,7 @@ def _altitudes(weights: pd.DataFrame) -> Iterator[Finding]:
     for column, said in (("elasticity", "has a larger share of the cost"), ("regret", "costs more when wrong")):
         for name, part in weights[weights.weight_name != "distance"].groupby("weight_name", sort=False):
             wide = part.pivot(index=["city", "instance"], columns="altitude_m", values=column)
-            both = wide[[low, high]].dropna().reset_index()
+            both = wide.reindex(columns=[low, high]).dropna().reset_index()  # a layer may be at one of them only
             if len(both):
                 more = Drawn(both).interval(both[low] - both[high])
                 claim = f"The weight of {name} {said} at {low:g} m than at {high:g} m."

@@ -61,8 +61,10 @@ class SensitivityStudySettings:
 
     def __post_init__(self) -> None:
         at_least("seed", self.seed)
-        if not 0 < self.factors[0] < 1 < self.factors[1] < math.inf:
-            raise InputError(f"factors must go from below 1 to above 1, as 0.1, 10, got {self.factors}")
+        if len(set(self.vary)) < len(self.vary):
+            raise InputError(f"vary must name each weight once, got {', '.join(self.vary)}")
+        if len(self.factors) != 2 or not 0 < self.factors[0] < 1 < self.factors[1] < math.inf:
+            raise InputError(f"factors must be two, from below 1 to above 1, as 0.1, 10, got {self.factors}")
         if not positive("wrong", self.wrong) > 1:
             raise InputError(f"wrong must be a factor above 1 such as 2, got {self.wrong}")
         if self.num_samples < 0 or self.num_samples == 1 or self.num_samples & (self.num_samples - 1):
