@@ -112,6 +112,7 @@ def path(maps, ends) -> ju.PlannedPath:
     return ju.plan(maps, *ends, altitude_m=ALTITUDE_M, weights=WEIGHTS)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("_only_quick")
 def test_tiles_equal_the_whole_and_files_hold_it(tmp_path):
     city = tiled_runs.city()
@@ -148,6 +149,7 @@ def test_every_planner_pays_for_it(maps, ends, planner):
     assert "+toy" in report.table()
 
 
+@pytest.mark.slow
 def test_batches_fits_sensitivity_and_studies_take_it(maps, ends, path, tmp_path, monkeypatch):
     monkeypatch.setattr(local, "NUM_REPEATS", 2)
     monkeypatch.setattr(local, "NUM_NOISE", 2)
@@ -181,6 +183,7 @@ def test_pictures_show_it(maps, path, tmp_path):
     assert plot_paths(maps, path).axes
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("_only_quick")
 def test_the_planned_cost_has_its_gradient_by_heights_and_its_own_parameters():
     city = ju.demo_city(width_m=400, height_m=400)

@@ -94,6 +94,7 @@ def test_burning_a_part_equals_the_crop_even_on_cell_borders(resolution_m):
                 np.testing.assert_array_equal(part, whole[inner.window_in(outer)])
 
 
+@pytest.mark.slow
 @pytest.mark.data
 def test_every_cell_that_a_building_of_lower_manhattan_shares_area_with_is_touched(data_dir):
     buildings = read_buildings(BuildingFile(data_dir / "osm/lower-manhattan.osm.pbf"), CRS).buildings

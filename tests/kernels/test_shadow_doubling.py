@@ -100,6 +100,7 @@ def test_the_derivative_of_a_shadow_is_that_of_its_one_roof():
     np.testing.assert_array_equal(slope, expected)
 
 
+@pytest.mark.slow
 def test_soft_shadows_have_the_same_gradients_by_both_shapes():
     with jax.enable_x64(True):
         top_m = jnp.asarray(tops(), jnp.float64) + np.random.default_rng(2).uniform(0, 0.1, SHAPE)  # no two tie

@@ -33,6 +33,7 @@ def made(task: MapTask, folder: Path, held: HeldMaps | None = None) -> dict[str,
     return tiled_runs.files_of(folder / "maps.zarr/20m")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("with_terrain", [False, True])
 @pytest.mark.parametrize(
     ("altitudes_m", "times"), [((60.0,), (1,)), ((20.0,), (0, 1)), ((60.0, 20.0), (1,)), ((20.0, 60.0), (0, 1))]

@@ -328,6 +328,7 @@ def test_percentages_are_exact_only_where_they_are():
     assert [percent(share) for share in shares] == ["0 %", "< 0.1 %", "5.1 %", "50 %", "99.8 %", "> 99.9 %", "100 %"]
 
 
+@pytest.mark.slow
 def test_all_figures_are_written_small_whole_and_the_same_again(maps, tmp_path):
     paths = make_paths(maps)
     written = plotting.save_figures(maps, paths, tmp_path / "figures")

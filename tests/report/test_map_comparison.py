@@ -70,6 +70,7 @@ def test_one_scale_is_centred_at_zero_and_says_its_unit(found):
         plot_difference(found, "gsp")
 
 
+@pytest.mark.slow
 def test_the_command_compares_folders_and_names_the_settings_that_differ(capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     text = "[region]\nbounds = [-74.02, 40.70, -74.0, 40.715]\nresolution_m = 25.0\naltitudes_m = [60]\n"

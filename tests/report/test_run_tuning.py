@@ -145,6 +145,7 @@ def test_ctrl_c_keeps_the_searches_and_the_same_command_ends_alike(made, tmp_pat
     assert resumed["weights"] == whole["weights"]
 
 
+@pytest.mark.slow
 def test_cities_are_fitted_together_and_judged_by_routes_held_out(made, tmp_path, capsys):
     write_zarr(small_maps().ds, tmp_path / "second")
     instances = ju.sample_instances(small_maps(), 12, weights=[HIDDEN], altitudes_m=[20.0], seed=1)
@@ -167,6 +168,7 @@ def test_cities_are_fitted_together_and_judged_by_routes_held_out(made, tmp_path
     assert [*pd.read_csv(tmp_path / "out" / "fits.csv")["fit"]] == [row["fit"] for row in facts["fits"]]
 
 
+@pytest.mark.slow
 def test_sampled_instances_are_flown_by_the_pilot_and_need_one(made, tmp_path, capsys):
     sampled = ("tune", made / "maps", "-o", tmp_path / "out", "--sample", 6, "--metrics", "gps")
     code, out, err = run(capsys, *sampled, "--pilot", "distance=0.02,gps=1", "--bootstrap", 0, "--json")

@@ -89,9 +89,15 @@ SMALL: dict[str, Any] = {"altitudes_m": (60,), "times": TIMES[1:2]}
 @pytest.mark.parametrize(
     ("first", "then", "new"),
     [
-        pytest.param(SMALL, SMALL | {"altitudes_m": (60, 122)}, {"gps": 1, "lidar": 1, "risk": 1}, id="higher"),
+        pytest.param(
+            SMALL,
+            SMALL | {"altitudes_m": (60, 122)},
+            {"gps": 1, "lidar": 1, "risk": 1},
+            id="higher",
+            marks=pytest.mark.slow,
+        ),
         pytest.param(SMALL, SMALL | {"altitudes_m": (15, 60)}, {"gps": 1, "lidar": 1, "risk": 1}, id="lower"),
-        pytest.param(SMALL, SMALL | {"times": TIMES}, {"gps": 2}, id="times around"),
+        pytest.param(SMALL, SMALL | {"times": TIMES}, {"gps": 2}, id="times around", marks=pytest.mark.slow),
         pytest.param(SMALL, SMALL | {"layers": ("noise",)}, {"noise": 1}, id="layer"),
         pytest.param(
             SMALL | {"layers": ("noise",)},
@@ -104,6 +110,7 @@ SMALL: dict[str, Any] = {"altitudes_m": (60,), "times": TIMES[1:2]}
             {"altitudes_m": (15, 60), "times": TIMES[:2], "more": "oversample = 3"},
             {"gps": 3, "lidar": 1, "risk": 1},
             id="supersampled",
+            marks=pytest.mark.slow,
         ),
     ],
 )

@@ -71,6 +71,7 @@ def test_the_table_agrees_with_finite_differences_of_the_soft_cost(route, table)
             np.testing.assert_allclose(row.per_metre, slope, rtol=1e-4, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_folder_of_maps_gives_table_and_picture(folder, route, tmp_path):
     table = write_buildings(folder, route, tmp_path)
     pd.testing.assert_frame_equal(pd.read_csv(tmp_path / "buildings.csv", index_col="rank"), table, check_like=True)
