@@ -27,7 +27,9 @@ test-long: $(VENV)/.dev
 	  tests/kernels/test_lidar.py tests/metrics/soft/test_lidar.py tests/studies/test_sensitivity_study.py \
 	  tests/maps/test_device.py tests/maps/test_held.py tests/scenario/test_additions.py tests/report/test_run_tuning.py \
 	  tests/report/test_map_comparison.py tests/io/test_rasterise.py tests/report/test_figures.py \
-	  tests/kernels/test_shadow_doubling.py tests/metrics/test_lidar_embree.py \
+	  tests/kernels/test_shadow_doubling.py tests/metrics/test_lidar_embree.py tests/studies/test_montecarlo.py \
+	  tests/planners/test_bitstar_batched.py tests/maps/test_supersampling.py tests/scenario/test_run.py \
+	  tests/planners/test_batch.py \
 	  tests/maps/test_tiled.py::test_kill_9_of_the_run_loses_no_finished_tile_and_changes_no_byte \
 	  tests/maps/test_tiled.py::test_kill_9_of_a_worker_costs_only_its_tile
 

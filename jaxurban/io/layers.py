@@ -84,7 +84,8 @@ def layer_values(bands: Bands, part: Grid, region: Grid, altitude: int | None = 
     if isinstance(band, Raster):
         return resample_raster(band, part, "bilinear")
     row, col = part.first_row - region.first_row, part.first_col - region.first_col
-    inside = band[row : row + part.num_rows, col : col + part.num_cols]
+    south, west = max(-row, 0), max(-col, 0)  # rows and columns of the part before the region begins
+    inside = band[max(row, 0) : max(row + part.num_rows, 0), max(col, 0) : max(col + part.num_cols, 0)]
     values = np.full(part.shape, np.nan, np.float32)
-    values[: inside.shape[0], : inside.shape[1]] = inside
+    values[south : south + inside.shape[0], west : west + inside.shape[1]] = inside
     return values

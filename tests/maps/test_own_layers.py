@@ -252,3 +252,15 @@ def test_a_scenario_names_a_raster_layer(tmp_path):
     np.testing.assert_allclose(run.maps[20.0].m("noise"), 0.25)
     assert run.record["inputs"]["layer_noise"]["path"] == "noise.tif"
     assert (tmp_path / "out" / "geotiff" / "noise_20m.tif").is_file()
+
+
+@pytest.mark.parametrize("south", [-3, 0, 2, 9])
+@pytest.mark.parametrize("west", [-2, 0, 4, 9])
+def test_a_part_that_sticks_out_on_any_side_has_the_values_of_the_array_where_it_lies_on_it(south, west):
+    values = np.arange(48, dtype=np.float32).reshape(6, 8)
+    region = Grid("EPSG:32618", 10.0, 100, 200, 6, 8)
+    part = Grid("EPSG:32618", 10.0, 100 + south, 200 + west, 5, 7)
+    padded = np.full((40, 40), np.nan, np.float32)
+    padded[10:16, 10:18] = values
+    expected = padded[10 + south : 15 + south, 10 + west : 17 + west]
+    np.testing.assert_array_equal(layer_values((values,), part, region), expected)

@@ -102,6 +102,7 @@ def test_who_is_seen_past_the_upper_roofs_is_seen_past_the_lower_ones(oversample
     assert np.any(seen[0] != seen[1])
 
 
+@pytest.mark.slow
 def test_bounds_are_ordered_and_fine_maps_keep_the_obstacles_of_plain_ones():
     x0, y0 = 500_000.0, 4_500_000.0
     polygons = np.array([shapely.box(x0 + x, y0 + y, x0 + x + 23, y0 + y + 31) for x in (40, 110) for y in (50, 120)])

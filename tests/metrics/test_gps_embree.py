@@ -45,7 +45,7 @@ def manhattan(data_dir):
     ("time", "resolution_m", "bars", "lowest_deg"),
     [
         ("2020-04-27T16:00:00Z", 5.0, BARS_5M, 18),
-        ("2020-04-27T00:20:00Z", 5.0, BARS_5M, 8),
+        pytest.param("2020-04-27T00:20:00Z", 5.0, BARS_5M, 8, marks=pytest.mark.slow),
         pytest.param("2020-04-27T16:00:00Z", 2.0, BARS_2M, 18, marks=pytest.mark.slow),
     ],
 )

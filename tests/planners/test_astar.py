@@ -113,7 +113,7 @@ def test_better_bounds_expand_fewer_nodes():
 
 
 @pytest.mark.data
-@pytest.mark.parametrize("name", ["NewYork_0_512", "Berlin_0_256"])
+@pytest.mark.parametrize("name", [pytest.param("NewYork_0_512", marks=pytest.mark.slow), "Berlin_0_256"])
 @pytest.mark.parametrize(
     "search",
     [astar, pytest.param(astar_plus, marks=pytest.mark.slow), pytest.param(astar_anytime, marks=pytest.mark.slow)],

@@ -121,7 +121,7 @@ def mixed_batch():
     return problems
 
 
-@pytest.mark.parametrize("band_steps", [0.0, 1.0, 8.0, np.inf])
+@pytest.mark.parametrize("band_steps", [pytest.param(0.0, marks=pytest.mark.slow), 1.0, 8.0, np.inf])
 def test_the_frontier_is_exact_for_every_band_on_many_maps_at_once(band_steps):
     problems = mixed_batch()
     paths = dict(solve_by_frontier(problems, planner="astar-plus", band_steps=band_steps))
@@ -273,6 +273,7 @@ def check_movingai(problems, lengths, backend, heuristic):
         assert path.cost == pytest.approx(lengths[index], abs=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.data
 def test_a_sample_of_movingai_is_optimal_in_jax(data_dir):
     problems, lengths = movingai_problems(data_dir, "Berlin_0_256")

@@ -142,6 +142,7 @@ def test_a_spent_budget_and_full_arrays_end_the_search_with_what_was_found(monke
     assert max(path.history[-1][1] for path in full.values()) < 600
 
 
+@pytest.mark.slow
 def test_room_that_is_too_small_grows_and_changes_nothing(monkeypatch):
     problems = queries_on_one_map()
     expected = solve(problems, max_samples=100)

@@ -20,6 +20,7 @@ def found():
     return ju.compare(a, changed_from(a), routes=8, progress=False)
 
 
+@pytest.mark.slow
 def test_the_folder_holds_report_tables_maps_and_figures(found, tmp_path):
     ju.save_comparison(found, tmp_path / "ab")
     report = (tmp_path / "ab/report.md").read_text(encoding="utf-8")

@@ -65,6 +65,7 @@ def test_a_fit_is_written_as_tables_pictures_and_a_report(made, tmp_path, capsys
     assert_one_sentence(err, "another folder", "--overwrite")
 
 
+@pytest.mark.slow
 def test_targets_are_reported_met_or_missed(made, tmp_path, capsys):
     options = ("--wish", "mean_gps>=0.999", "--wish", "detour<=0.3", "--metrics", "gps", "--rounds", 1)
     code, out, err = tune(capsys, made, "-o", tmp_path / "out", *options, "--json")

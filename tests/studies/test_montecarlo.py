@@ -238,6 +238,7 @@ def test_the_benchmark_can_be_solved_by_its_page_alone(result, tmp_path):
         assert row.best_known <= row.grid_optimum * (1 + 1e-12)
 
 
+@pytest.mark.slow
 def test_the_command_makes_maps_study_and_report_and_reruns_a_file(tmp_path, capsys):
     scenario = tmp_path / "small-city.toml"
     scenario.write_text(
