@@ -29,7 +29,8 @@ test-long: $(VENV)/.dev
 	  tests/report/test_map_comparison.py tests/io/test_rasterise.py tests/report/test_figures.py \
 	  tests/kernels/test_shadow_doubling.py tests/metrics/test_lidar_embree.py tests/studies/test_montecarlo.py \
 	  tests/planners/test_bitstar_batched.py tests/maps/test_supersampling.py tests/scenario/test_run.py \
-	  tests/planners/test_batch.py \
+	  tests/planners/test_batch.py::test_a_sample_of_movingai_is_optimal_in_jax \
+	  tests/planners/test_batch.py::test_the_frontier_is_exact_for_every_band_on_many_maps_at_once \
 	  tests/maps/test_tiled.py::test_kill_9_of_the_run_loses_no_finished_tile_and_changes_no_byte \
 	  tests/maps/test_tiled.py::test_kill_9_of_a_worker_costs_only_its_tile
 

@@ -1,4 +1,4 @@
-"""GPS: how well the satellites seen from each cell fix a position, exact and soft."""
+"""GPS: how well the satellites seen from each cell fix a position."""
 
 from jaxurban.metrics.gps.hard import BLOCK_CELLS as BLOCK_CELLS
 from jaxurban.metrics.gps.hard import SATELLITES_STEP as SATELLITES_STEP
