@@ -3,8 +3,8 @@
 ``python -m benchmarks.against_commit OLD NEW [--pairs 15] [--only NAME]`` runs each workload of `benchmarks.workloads`
 as a fresh process of OLD and of NEW in turn, so that the machine's other load hits both alike. Only the measured part
 counts, warm; what is compiled is compiled in a process before the first pair. Prints a row for each part: both medians,
-the median of the pairs' ratios, new over old, and its 95 % interval from a bootstrap over the pairs. Both sides read
-the same maps, which OLD makes once under ``--maps``.
+the median of the pairs' ratios, new over old, and its 95 % interval from a bootstrap over the pairs. Each side reads
+maps that it made itself, once, under ``--maps``, as neither need read the other's files.
 """
 
 import argparse
@@ -59,7 +59,7 @@ def measure(name: str, sides: dict[str, Path], maps: Path, work: Path, num_pairs
     Args:
       name: of the workload.
       sides: the checkouts by ``"old"`` and ``"new"``.
-      maps: what the workloads read.
+      maps: holds what each side reads.
       work: holds each side's caches.
       num_pairs: after an untimed run of each side.
     """
@@ -67,7 +67,7 @@ def measure(name: str, sides: dict[str, Path], maps: Path, work: Path, num_pairs
     for number in range(num_pairs + 1):
         # Who comes first changes, so that neither is always the one that finds the machine warm.
         for side in sorted(sides, reverse=bool(number % 2)):
-            printed = output_of(start(sides[side], SCRIPT, maps, name, caches=work / side))
+            printed = output_of(start(sides[side], SCRIPT, maps / side, name, caches=work / side))
             found[side].append(json.loads(printed))
         print(f"{name}: {number} of {num_pairs} pairs", file=sys.stderr, flush=True)
     answers = {side: runs[-1].pop("answer") for side, runs in found.items()}
@@ -91,12 +91,14 @@ def main() -> None:
     asked = parser.parse_args()
     names, began_s, before = asked.only or NAMES, time.perf_counter(), load()
     maps, work = asked.maps.resolve(), Path(tempfile.mkdtemp(prefix="against-commit-"))
+    sides = {"old": asked.old, "new": asked.new}
     try:
-        output_of(start(asked.old, SCRIPT, maps, *names, "--prepare", caches=work / "prepare"))
+        for side, checkout in sides.items():
+            output_of(start(checkout, SCRIPT, maps / side, *names, "--prepare", caches=work / side))
         print("| CPU seconds of | pairs | old | new | new / old | 95 % interval |\n|---|---|---|---|---|---|")
         for name in names:
             num_pairs = min(asked.pairs, MEMORY_PAIRS) if name == "memory" else asked.pairs
-            parts = measure(name, {"old": asked.old, "new": asked.new}, maps, work, num_pairs)
+            parts = measure(name, sides, maps, work, num_pairs)
             print("\n".join(row(part, pairs) for part, pairs in parts.items()), flush=True)
     finally:
         shutil.rmtree(work, ignore_errors=True)
