@@ -25,7 +25,7 @@ import jaxurban as ju
 from jaxurban.report.figures import plot_paths
 from jaxurban.report.figures.tuning import plot_learning, plot_routes, plot_weights
 from jaxurban.report.tuning import weight_units
-from jaxurban.studies.compare import compare
+from jaxurban.studies.beside_demonstrations import plan_beside
 
 city = ju.demo_city(width_m=2_000, height_m=3_000)
 maps = ju.build_maps(city, resolution_m=20.0, altitudes_m=(20.0,))
@@ -75,7 +75,7 @@ plot_weights(fit, [weight_units(unit)[name] for name in fit.names])
 plot_learning(fit)
 
 # %%
-plot_routes(compare(demonstrations, fit.weights), unit, fit.vector)
+plot_routes(plan_beside(demonstrations, fit.weights), unit, fit.vector)
 
 # %% [markdown]
 # ## Would it choose as the pilot does?

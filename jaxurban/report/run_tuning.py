@@ -26,7 +26,7 @@ from jaxurban.report.tuning import (
     weights_option,
     weights_toml,
 )
-from jaxurban.studies.compare import Comparison, compare
+from jaxurban.studies.beside_demonstrations import PlannedBeside, plan_beside
 from jaxurban.studies.demonstrations import Demonstration
 from jaxurban.studies.montecarlo.sampling import sample_instances
 from jaxurban.studies.queries import maps_of
@@ -144,10 +144,10 @@ def run_tuning(
                 is_seen = ~found.routes.is_held_out
                 demonstrations = [each for each, is_fitted in zip(demonstrations, is_seen, strict=True) if is_fitted]
             report("routes under the fitted weights")
-            comparison = compare(demonstrations, fit.weights)
+            beside = plan_beside(demonstrations, fit.weights)
             report("figures and report")
             files = [(_routes_said(source, settings), str(source.maps)) for source in sources]
-            outputs = outputs_of(fit, comparison, files, command, targets, found)
+            outputs = outputs_of(fit, beside, files, command, targets, found)
             save(folder, outputs)
     facts = _facts(fit, folder)
     return facts if found is None or not is_compared(found) else facts | {"fits": records_of(found.table)}
@@ -203,7 +203,7 @@ def _routes_said(source: RoutesOnMaps, settings: TuneSettings) -> str:
 
 def outputs_of(
     fit: WeightFit | TargetFit,
-    comparison: Comparison,
+    beside: PlannedBeside,
     files: Sequence[tuple[str, str]],
     command: str,
     targets: Sequence[Target] = (),
@@ -213,17 +213,17 @@ def outputs_of(
 
     Args:
       fit: of the weights.
-      comparison: of the demonstrations with the routes under those weights.
+      beside: of the demonstrations with the routes under those weights.
       files: of routes, and the folders of their maps.
       command: that made the fit.
       targets: that the weights were fitted to.
       found: further fits, which the fit is compared with, and routes that were held out.
     """
-    maps = maps_of(each.query for each in comparison.demonstrations)
+    maps = maps_of(each.query for each in beside.demonstrations)
     unit = weight_units(maps[0])
     units = [unit[name] for name in fit.names]
     vector = fit.weights.vector(fit.names)
-    routes = comparison.table
+    routes = beside.table
     pictures = {f"routes_{number}": one for number, one in enumerate(maps, start=1)}
     source = FitSource(tuple(files), command, tuple(pictures))
     outputs: dict[str, Output] = {
@@ -240,15 +240,15 @@ def outputs_of(
         if found is not None and is_compared(found):
             fits = fits_section(found)
             outputs |= {"fits": found.table, "routes": found.routes, "figures/fits.png": lambda: plot_fits(found)}
-        report = imitation_report(fit, comparison, source, fits)
+        report = imitation_report(fit, beside, source, fits)
     else:
         weights = pd.DataFrame({"name": fit.names, "weight": vector})
         alone = fit.alone[["reached", "missed_by", "is_met"]].add_suffix("_alone")
         outputs["targets"] = fit.outcomes.join(alone).reset_index()
         outputs["figures/targets.png"] = lambda: plot_targets(fit)
-        report = targets_report(fit, comparison, targets, source)
+        report = targets_report(fit, beside, targets, source)
     for name, one in pictures.items():
-        outputs[f"figures/{name}.png"] = partial(plot_routes, comparison, one, vector)
+        outputs[f"figures/{name}.png"] = partial(plot_routes, beside, one, vector)
     outputs |= {"weights": weights.assign(unit=units), "examples": routes}
     return outputs | {"weights.toml": weights_toml(fit, maps[0]), "report.md": report}
 

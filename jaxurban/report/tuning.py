@@ -10,7 +10,7 @@ import pandas as pd
 from jaxurban.metrics.weights import Weights
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.report.markdown import bullets, counted, fill, table
-from jaxurban.studies.compare import Comparison
+from jaxurban.studies.beside_demonstrations import PlannedBeside
 from jaxurban.studies.tuning.target_fit import TargetFit
 from jaxurban.studies.tuning.targets import Target
 from jaxurban.studies.tuning.weight_fit import WeightFit
@@ -78,9 +78,9 @@ def _where(on: CostMap) -> str:
     return f" with a reference length of {on.cost_model.reference_length_m:g} m"
 
 
-def imitation_report(fit: WeightFit, comparison: Comparison, source: FitSource, fits: str = "") -> str:
+def imitation_report(fit: WeightFit, beside: PlannedBeside, source: FitSource, fits: str = "") -> str:
     """Return the report of weights that were fitted to demonstrations, with a section on further fits."""
-    units = weight_units(_unit(comparison))
+    units = weight_units(_unit(beside))
     rows = [
         [name, units[name], f"{weight:.4g}", _number(low), _number(high), f"{share:.1%}"]
         for name, (weight, low, high, share, _) in zip(fit.names, fit.table().to_numpy().tolist(), strict=True)
@@ -88,7 +88,7 @@ def imitation_report(fit: WeightFit, comparison: Comparison, source: FitSource, 
     text = fill(
         "imitation",
         fits=fits,
-        **_common(fit, comparison, source),
+        **_common(fit, beside, source),
         given=counted(len(fit.regret), "demonstration"),
         weights=table(["weight", "unit", "value", "low", "high", "share of the demonstrations' cost"], rows),
         num_explained=int((fit.regret <= EXPLAINED).sum()),
@@ -97,7 +97,7 @@ def imitation_report(fit: WeightFit, comparison: Comparison, source: FitSource, 
         median_regret=_percent(np.median(fit.regret)),
         largest_regret=_percent(fit.regret.max()),
         best_mean_regret=_percent(fit.best_mean_regret),
-        overlap=comparison.table["overlap"].mean(),
+        overlap=beside.table["overlap"].mean(),
         confidence=INTERVALS if np.isfinite(fit.interval).any() else "No intervals were asked for (--bootstrap 0).",
         fewer=_fewer(fit),
         unidentified=bullets(fit.unidentified)
@@ -122,9 +122,9 @@ def _fewer(fit: WeightFit) -> str:
     )
 
 
-def targets_report(fit: TargetFit, comparison: Comparison, targets: Sequence[Target], source: FitSource) -> str:
+def targets_report(fit: TargetFit, beside: PlannedBeside, targets: Sequence[Target], source: FitSource) -> str:
     """Return the report of weights that were fitted to targets."""
-    units = weight_units(_unit(comparison))
+    units = weight_units(_unit(beside))
     meanings = {
         target.outcome: OUTCOMES.get(
             target.outcome, f"mean of m_{target.outcome.removeprefix('mean_')} along a route, mean over the queries"
@@ -143,8 +143,8 @@ def targets_report(fit: TargetFit, comparison: Comparison, targets: Sequence[Tar
     values = fit.weights.to_dict()
     text = fill(
         "targets",
-        **_common(fit, comparison, source),
-        pairs=counted(len(comparison.demonstrations), "pair of ends", "pairs of ends"),
+        **_common(fit, beside, source),
+        pairs=counted(len(beside.demonstrations), "pair of ends", "pairs of ends"),
         targets=", ".join(map(str, targets)),
         meanings=bullets(f"`{name}`: {meaning}" for name, meaning in meanings.items()),
         outcomes=table(
@@ -159,26 +159,26 @@ def targets_report(fit: TargetFit, comparison: Comparison, targets: Sequence[Tar
     return f"{text}\n"
 
 
-def _unit(comparison: Comparison) -> CostMap:
-    return comparison.demonstrations[0].query.cost_map
+def _unit(beside: PlannedBeside) -> CostMap:
+    return beside.demonstrations[0].query.cost_map
 
 
-def _common(fit: WeightFit | TargetFit, comparison: Comparison, source: FitSource) -> dict[str, Any]:
+def _common(fit: WeightFit | TargetFit, beside: PlannedBeside, source: FitSource) -> dict[str, Any]:
     """Return the fields that both reports have."""
-    unit = _unit(comparison)
+    unit = _unit(beside)
     return {
         "fit": fit,
         "sources": "; ".join(f"`{routes}` over the maps in `{maps}`" for routes, maps in source.files),
-        "setting": _setting(comparison, fit.names),
-        "means": _mean_table(comparison),
+        "setting": _setting(beside, fit.names),
+        "means": _mean_table(beside),
         "pictures": "\n\n".join(f"![Routes](figures/{name}.png)" for name in source.figures),
         "use": fill("use_weights", unit=unit, option=weights_option(fit.weights), where=_where(unit)),
         "command": source.command,
     }
 
 
-def _setting(comparison: Comparison, names: Sequence[str]) -> str:
-    units = {id(each.query.cost_map): each.query.cost_map for each in comparison.demonstrations}.values()
+def _setting(beside: PlannedBeside, names: Sequence[str]) -> str:
+    units = {id(each.query.cost_map): each.query.cost_map for each in beside.demonstrations}.values()
     flown = "; ".join(
         ", ".join(filter(None, (f"{each.altitude_m:g} m", each.time_of_day, each.time))) for each in units
     )
@@ -191,12 +191,12 @@ def _setting(comparison: Comparison, names: Sequence[str]) -> str:
     )
 
 
-def _mean_table(comparison: Comparison) -> str:
-    mean = comparison.table.mean(numeric_only=True)
+def _mean_table(beside: PlannedBeside) -> str:
+    mean = beside.table.mean(numeric_only=True)
     rows = [["length", f"{mean['length_m']:,.0f} m", f"{mean['planned_length_m']:,.0f} m"]]
     rows += [
         [f"mean m_{name}", f"{mean[f'mean_{name}']:.3f}", f"{mean[f'planned_mean_{name}']:.3f}"]
-        for name in _unit(comparison).names
+        for name in _unit(beside).names
     ]
     return table(["mean over routes", "as given", "under the fitted weights"], rows)
 

@@ -16,7 +16,7 @@ from jaxurban.report.figures.charts import chart, dress, show_plain_log, styled
 from jaxurban.report.figures.frame import FAINT_INK, SMALL_PT, Colours, MapLayer, add_key, draw_layers, make_frame
 from jaxurban.report.figures.metrics import frame_note, line_colour, obstacle_layer, obstacle_patches
 from jaxurban.report.figures.paths import BLOCKED_COLOUR
-from jaxurban.studies.compare import Comparison
+from jaxurban.studies.beside_demonstrations import PlannedBeside
 from jaxurban.studies.tuning.target_fit import TargetFit
 from jaxurban.studies.tuning.weight_fit import WeightFit
 
@@ -171,18 +171,18 @@ def plot_targets(fit: TargetFit) -> Figure:
     return _dressed(figure)
 
 
-def plot_routes(comparison: Comparison, cost_map: CostMap, weights: np.ndarray) -> Figure:
+def plot_routes(beside: PlannedBeside, cost_map: CostMap, weights: np.ndarray) -> Figure:
     """Return a map of the cost under weights with the demonstrations on it and the routes that the weights lead to.
 
     Args:
-      comparison: from `compare`.
+      beside: from `plan_beside`.
       cost_map: one of its demonstrations' maps; only those on it are drawn.
       weights: ``[K]`` distance and the map's metrics.
     """
     grid, maps = cost_map.grid, cost_map.maps
-    shown = [k for k, each in enumerate(comparison.demonstrations) if each.query.cost_map is cost_map]
+    shown = [k for k, each in enumerate(beside.demonstrations) if each.query.cost_map is cost_map]
     title = " · ".join(filter(None, (f"{cost_map.altitude_m:g} m", cost_map.time_of_day)))
-    overlap = comparison.table["overlap"].iloc[shown].mean()
+    overlap = beside.table["overlap"].iloc[shown].mean()
     note = f"{frame_note(maps, cost_map.time)}  ·  {100 * overlap:.0f} % of the demonstrations' cells shared"
     frame = make_frame(grid, [title], "Demonstrations and routes under the fitted weights", note)
     cost = weighted_sum(cost_map.costs, weights[1:])
@@ -198,13 +198,13 @@ def plot_routes(comparison: Comparison, cost_map: CostMap, weights: np.ndarray) 
     draw_layers(panel, grid, layers)
     corner = np.array([grid.x_min_m, grid.y_min_m])
     for routes, colour, width, order in (
-        (comparison.demonstrations, DEMONSTRATION_COLOUR, 3.4, 3),
-        (comparison.planned, PLANNED_COLOUR, 1.1, 4),
+        (beside.demonstrations, DEMONSTRATION_COLOUR, 3.4, 3),
+        (beside.planned, PLANNED_COLOUR, 1.1, 4),
     ):
         for k in shown:
             panel.plot(*(routes[k].points_m + corner).T, color=colour, linewidth=width, zorder=order, alpha=0.95)
     for k in shown:
-        query = comparison.demonstrations[k].query
+        query = beside.demonstrations[k].query
         _draw_end(panel, cost_map, query.start, "o", 4.0)
         _draw_end(panel, cost_map, query.goal, "*", 7.5)
     patches = [

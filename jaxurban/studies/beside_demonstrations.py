@@ -11,7 +11,7 @@ from jaxurban.studies.demonstrations import Demonstration, optimal_demonstration
 
 
 @dataclass(frozen=True, eq=False)
-class Comparison:
+class PlannedBeside:
     """Routes under weights, beside the demonstrations that have the same ends.
 
     Attributes:
@@ -27,7 +27,7 @@ class Comparison:
     table: pd.DataFrame
 
 
-def compare(demonstrations: Sequence[Demonstration], weights: Weights) -> Comparison:
+def plan_beside(demonstrations: Sequence[Demonstration], weights: Weights) -> PlannedBeside:
     """Return each demonstration beside the cheapest route under weights between its ends."""
     planned = optimal_demonstrations([each.query for each in demonstrations], weights)
     rows = []
@@ -46,7 +46,7 @@ def compare(demonstrations: Sequence[Demonstration], weights: Weights) -> Compar
                 "note": given.note,
             }
         )
-    return Comparison(tuple(demonstrations), tuple(planned), pd.DataFrame(rows))
+    return PlannedBeside(tuple(demonstrations), tuple(planned), pd.DataFrame(rows))
 
 
 def _means(route: Demonstration, prefix: str) -> dict[str, float]:
