@@ -228,7 +228,7 @@ def nearest_at(roof_m, ground_m, heights_m, cells):
 
 
 def returns_at(roof_m, ground_m, heights_m, scan, cells):
-    return soft_lidar.soft_returns_at(roof_m, ground_m, heights_m, scan, RAYS, 2.0, cells)
+    return soft_lidar.soft_returns_at(soft_lidar.ScansAt(roof_m, ground_m, heights_m, scan, RAYS, 2.0, cells))
 
 
 def line_smooth(points, layers):
@@ -338,7 +338,8 @@ KERNELS: dict[str, Callable[[], Call]] = {
         gradient(soft_lidar.soft_returns, (0, 1)), (around(TILE, STEPS_5M - 1), SCAN, RAYS, NUMBER)
     ),
     "lidar: soft, of a path": lambda: Call(
-        soft_lidar.soft_returns_at, (around(REGION, STEPS_5M - 1), None, HEIGHTS_M, SCAN, RAYS, NUMBER, CELLS)
+        soft_lidar.soft_returns_at,
+        (soft_lidar.ScansAt(around(REGION, STEPS_5M - 1), None, HEIGHTS_M, SCAN, RAYS, NUMBER, CELLS),),
     ),
     "lidar: soft, of a path, gradient": lambda: Call(
         gradient(returns_at), (around(REGION, STEPS_5M - 1), None, HEIGHTS_M, SCAN, CELLS)

@@ -226,7 +226,8 @@ def soft_lidar(
         chosen = jnp.indices(own_roof_m.shape).reshape(2, -1).T if cells is None else cells
         scan = soft_kernel.scan_of(jnp.zeros_like(range_m), range_m, params.elevations_rad, resolution_m)
         heights_m = jnp.broadcast_to(altitude, len(chosen))
-        share = soft_kernel.soft_returns_at(roof_m, terrain_m, heights_m, scan, offsets, softness, chosen)
+        at = soft_kernel.ScansAt(roof_m, terrain_m, heights_m, scan, offsets, softness, chosen)
+        share = soft_kernel.soft_returns_at(at)
         share = share.reshape(own_roof_m.shape)
     return (1 - soft_obstacle(own_roof_m, altitude, softness)) * share
 

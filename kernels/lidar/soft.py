@@ -219,88 +219,74 @@ def _returns(
     return _total_of_groups(of_azimuth, offsets + halo, jnp.zeros((rows, cols), roof_m.dtype), at_once) / num_azimuths
 
 
-def _returns_at(
-    roof_m: jax.Array,
-    terrain_m: jax.Array | None,
-    altitude_m: jax.Array,
-    scan: Scan,
-    offsets: jax.Array,
-    softness_m: jax.Array,
-    cells: jax.Array,
-    at_once: int,
-) -> jax.Array:
+class ScansAt(NamedTuple):
+    """Scan positions at chosen cells, and what stands around them. Scalars may be traced.
+
+    Attributes:
+      roof_m: ``[Y + 2 H, X + 2 H]`` roof heights with their halo, 0 without a building.
+      terrain_m: ground elevation, likewise; None for level ground.
+      altitude_m: ``[P]`` height of each cell's receiver above its ground.
+      scan: from `scan_of`, for the altitude 0.
+      offsets: ``[K, N, 2]``, from `jaxurban.kernels.lidar.flat.ray_offsets`.
+      softness_m: of the margins; 0 gives the exact result.
+      cells: ``[P, 2]`` row and column of each cell, of those without the halo.
+    """
+
+    roof_m: jax.Array
+    terrain_m: jax.Array | None
+    altitude_m: jax.Array
+    scan: Scan
+    offsets: jax.Array
+    softness_m: jax.Array
+    cells: jax.Array
+
+
+def _returns_at(at: ScansAt, at_once: int) -> jax.Array:
     """Return `soft_returns_at` of a few cells, so many azimuths at once."""
-    altitude_m = altitude_m[:, None, None]  # [P, N, B]
-    level = all_margins(scan, offsets.shape[1])
+    altitude_m, steps = at.altitude_m[:, None, None], at.offsets.shape[1]  # [P, N, B]
+    level = all_margins(at.scan, steps)
     lowest_m, in_air_m = altitude_m + level.lowest_m, altitude_m + level.in_air_m
 
     def of_azimuth(offset):
-        row, col = (cells[:, None, axis] + offset[:, axis] + offsets.shape[1] - 1 for axis in (0, 1))  # [P, N]
-        roof = roof_m[row, col][..., None]
-        if terrain_m is None:
-            at = Margins(lowest_m, in_air_m, level.in_range_m)
+        row, col = (at.cells[:, None, axis] + offset[:, axis] + steps - 1 for axis in (0, 1))  # [P, N]
+        roof = at.roof_m[row, col][..., None]
+        if at.terrain_m is None:
+            margins = Margins(lowest_m, in_air_m, level.in_range_m)
         else:
-            rise_m = (terrain_m[row, col] - terrain_m[row[:, :1], col[:, :1]])[..., None]
+            rise_m = (at.terrain_m[row, col] - at.terrain_m[row[:, :1], col[:, :1]])[..., None]
             above_m = lowest_m - rise_m
             behind_m = jnp.broadcast_to(altitude_m, above_m[:, :1].shape)
             passed_m = jnp.concatenate([behind_m, lax.cummin(above_m, axis=1)[:, :-1]], axis=1)
-            at = Margins(above_m, jnp.minimum(altitude_m, passed_m), level.in_range_m)
-        return soft_step(_least(roof, at).max(axis=(1, 2)), softness_m)
+            margins = Margins(above_m, jnp.minimum(altitude_m, passed_m), level.in_range_m)
+        return soft_step(_least(roof, margins).max(axis=(1, 2)), at.softness_m)
 
-    return _total_of_groups(of_azimuth, offsets, jnp.zeros(len(cells), roof_m.dtype), at_once) / len(offsets)
+    nothing = jnp.zeros(len(at.cells), at.roof_m.dtype)
+    return _total_of_groups(of_azimuth, at.offsets, nothing, at_once) / len(at.offsets)
 
 
 @partial(jax.jit, static_argnames="shape")
-def soft_returns_at(
-    roof_m: Float[Array, "Y+2H X+2H"],
-    terrain_m: Float[Array, "Y+2H X+2H"] | None,
-    altitude_m: Float[Array, " P"],
-    scan: Scan,
-    offsets: Int[Array, "K N 2"],
-    softness_m: Float[Array, ""],
-    cells: Int[Array, "P 2"],
-    *,
-    shape: Literal["cpu", "gpu"] | None = None,
-) -> Float[Array, " P"]:
+def soft_returns_at(at: ScansAt, *, shape: Literal["cpu", "gpu"] | None = None) -> Float[Array, " P"]:
     """Return the share of scan positions that return softly, at chosen cells alone.
 
     Over terrain receivers and roofs stand on it, and a beam's height where it enters a segment is the least that it
     has had above the ground of the cells before.
 
     Args:
-      roof_m: roof heights with their halo, 0 without a building.
-      terrain_m: ground elevation, likewise; None for level ground.
-      altitude_m: height of each cell's receiver above its ground.
-      scan: from `scan_of`, for the altitude 0.
-      offsets: from `jaxurban.kernels.lidar.flat.ray_offsets`.
-      softness_m: of the margins; 0 gives the exact result.
-      cells: row and column of each cell, of those without the halo.
+      at: the cells, and what stands around them.
       shape: as in `soft_returns`.
     """
     one_by_one = partial(_in_batches, at_once=1)
-    together = partial(_in_batches, at_once=azimuths_at_once(len(offsets)))
-    return _by_platform(shape, one_by_one, together)(roof_m, terrain_m, altitude_m, scan, offsets, softness_m, cells)
+    together = partial(_in_batches, at_once=azimuths_at_once(len(at.offsets)))
+    return _by_platform(shape, one_by_one, together)(at)
 
 
-def _in_batches(
-    roof_m: jax.Array,
-    terrain_m: jax.Array | None,
-    altitude_m: jax.Array,
-    scan: Scan,
-    offsets: jax.Array,
-    softness_m: jax.Array,
-    cells: jax.Array,
-    *,
-    at_once: int,
-) -> jax.Array:
+def _in_batches(at: ScansAt, *, at_once: int) -> jax.Array:
     """Return `soft_returns_at`, `CELLS_AT_ONCE` cells after the other, so many azimuths at once."""
-    num = len(cells)
-    some = jax.checkpoint(
-        lambda part: _returns_at(roof_m, terrain_m, part[0], scan, offsets, softness_m, part[1], at_once)
-    )
+    num = len(at.cells)
+    some = jax.checkpoint(lambda part: _returns_at(at._replace(altitude_m=part[0], cells=part[1]), at_once))
     batches = -(-num // CELLS_AT_ONCE)
     if batches <= 1:
-        return some((altitude_m, cells))
+        return some((at.altitude_m, at.cells))
     # The last cell stands in for the missing ones of the last batch.
     of_batch = jnp.minimum(jnp.arange(batches * CELLS_AT_ONCE), num - 1).reshape(batches, CELLS_AT_ONCE)
-    return lax.map(some, (altitude_m[of_batch], cells[of_batch])).reshape(-1)[:num]
+    return lax.map(some, (at.altitude_m[of_batch], at.cells[of_batch])).reshape(-1)[:num]

@@ -290,8 +290,9 @@ def test_soft_returns_of_both_shapes_are_the_same_for_any_number_of_azimuths(num
         scan = soft_lidar.scan_of(jnp.float32(0 if on_terrain else 9), range_m, np.deg2rad([-15.0, 0.0, 15.0]), 5.0)
         if not on_terrain:
             return soft_lidar.soft_returns(roof_m, scan, offsets, softness_m, shape=shape).mean()
-        on_map = roof_m, hills_m, jnp.full(len(cells), 9.0, jnp.float32)
-        return soft_lidar.soft_returns_at(*on_map, scan, offsets, softness_m, cells, shape=shape).mean()
+        heights_m = jnp.full(len(cells), 9.0, jnp.float32)
+        at = soft_lidar.ScansAt(roof_m, hills_m, heights_m, scan, offsets, softness_m, cells)
+        return soft_lidar.soft_returns_at(at, shape=shape).mean()
 
     (by_cpu, cpu_slope), (by_gpu, gpu_slope) = (jax.value_and_grad(mean_return)(roof_m, shape) for shape in SHAPES)
     assert 0.02 < float(by_cpu) < 0.98

@@ -141,7 +141,8 @@ def test_the_shape_for_a_gpu_gives_the_values_and_gradients_of_the_one_for_a_cpu
     def of_cells(roof_m, terrain_m, altitude_m, range_m, shape):
         scan = soft.scan_of(0.0 * altitude_m, range_m, PARAMS.elevations_rad, 5.0)
         heights_m = altitude_m + jnp.arange(len(cells))
-        found = soft.soft_returns_at(roof_m, terrain_m, heights_m, scan, offsets, jnp.asarray(2.0), cells, shape=shape)
+        at = soft.ScansAt(roof_m, terrain_m, heights_m, scan, offsets, jnp.asarray(2.0), cells)
+        found = soft.soft_returns_at(at, shape=shape)
         return (weight[cells[:, 0], cells[:, 1]] * found).sum()
 
     for total, ground_m in ((of_map, None), (of_cells, None), (of_cells, terrain_m)):
