@@ -1,7 +1,8 @@
-"""Several maps of one grid as the bands of one GeoTIFF, whole or not there at all."""
+"""GeoTIFFs of a grid: what all of them have, and several maps as the bands of one, whole or not there at all."""
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import rasterio
@@ -9,7 +10,24 @@ from affine import Affine
 from rasterio.errors import RasterioError
 
 from jaxurban.io.files import whole_file
+from jaxurban.io.store import no_value
 from jaxurban.world.grid import Grid
+
+
+def profile_of(grid: Grid, dtype: np.dtype, count: int = 1) -> dict[str, Any]:
+    """Return how rasterio opens a new GeoTIFF of so many bands on a grid: tiled, north-up, with what is no data."""
+    return {
+        "driver": "GTiff",
+        "width": grid.num_cols,
+        "height": grid.num_rows,
+        "count": count,
+        "dtype": dtype,
+        "crs": grid.crs,
+        "transform": Affine(grid.resolution_m, 0, grid.x_min_m, 0, -grid.resolution_m, grid.y_max_m),
+        "nodata": no_value(dtype),
+        "tiled": True,
+        "bigtiff": "IF_SAFER",
+    }
 
 
 def write_bands(
@@ -29,21 +47,8 @@ def write_bands(
     """
     with whole_file(file) as scratch:
         try:
-            with rasterio.open(
-                scratch,
-                "w",
-                driver="GTiff",
-                width=grid.num_cols,
-                height=grid.num_rows,
-                count=len(bands),
-                dtype="float32",
-                crs=grid.crs,
-                transform=Affine(grid.resolution_m, 0, grid.x_min_m, 0, -grid.resolution_m, grid.y_max_m),
-                nodata=float("nan"),
-                compress="ZSTD",
-                tiled=True,
-                bigtiff="IF_SAFER",
-            ) as raster:
+            profile = profile_of(grid, np.dtype(np.float32), len(bands))
+            with rasterio.open(scratch, "w", **profile, compress="ZSTD") as raster:
                 raster.update_tags(**(tags or {}))
                 raster.units = [unit] * len(bands)
                 for number, (description, values) in enumerate(bands.items(), start=1):

@@ -9,12 +9,12 @@ from typing import NamedTuple
 import numpy as np
 import rasterio
 import xarray as xr
-from affine import Affine
 from rasterio.errors import RasterioError
 from rasterio.shutil import copy as copy_raster
 from rasterio.windows import Window
 
 from jaxurban.errors import one_of
+from jaxurban.io.bands import profile_of
 from jaxurban.io.files import BLANK, FIELD, SCRATCH_SUFFIX, holds_bytes, is_whole, seal, whole_file
 from jaxurban.io.qgis import style
 from jaxurban.io.store import GEOTIFF_FOLDER, IN_OBSTACLES, no_value, short_number
@@ -216,22 +216,7 @@ def _write_cog(path: Path, ds: xr.Dataset, layer: _Layer) -> None:
     plain = path.with_name(f"{path.name.removesuffix(SCRATCH_SUFFIX)}.plain{SCRATCH_SUFFIX}")
     try:
         with rasterio.Env(GDAL_CACHEMAX=GDAL_CACHE_MIB):
-            with rasterio.open(
-                plain,
-                "w",
-                driver="GTiff",
-                width=grid.num_cols,
-                height=grid.num_rows,
-                count=1,
-                dtype=dtype,
-                crs=grid.crs,
-                transform=Affine(grid.resolution_m, 0, grid.x_min_m, 0, -grid.resolution_m, grid.y_max_m),
-                nodata=no_value(dtype),
-                tiled=True,
-                blockxsize=512,
-                blockysize=512,
-                bigtiff="IF_SAFER",
-            ) as file:
+            with rasterio.open(plain, "w", **profile_of(grid, dtype), blockxsize=512, blockysize=512) as file:
                 for rows, cols in map(tiling.reported, tiling.region_tiles):
                     values = _values(ds, layer, {"y": rows, "x": cols})
                     window = Window.from_slices(
