@@ -24,7 +24,8 @@ import jaxurban as ju
 from jaxurban.io.read.census import CensusFiles, read_blocks
 from jaxurban.io.read.districts import read_districts
 from jaxurban.report.figures import plot_metric
-from jaxurban.report.figures.frame import FAINT_INK, INK, SMALL_PT
+from jaxurban.report.figures.colours import SMALL_PT
+from jaxurban.report.figures.frame import FAINT_INK, INK
 from jaxurban.report.markdown import framed
 from jaxurban.report.save import write_png
 from jaxurban.scenario.run import ScenarioRun, load_city, run_scenario

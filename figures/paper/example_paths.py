@@ -28,13 +28,13 @@ from jaxurban.report.figures.paths import (
     draw_ends,
     draw_path,
     legend_below,
-    paper_time_of_day,
     planner_colours,
 )
 from jaxurban.scenario.settings import PAPER_PLANNERS
 from jaxurban.studies.montecarlo.trial import draws_samples
 from jaxurban.world.grid import Grid
 
+DAY_UP_TO_M = 60.0  # the paper draws day at 20 and 60 m, night above
 NUM_SAMPLES = 10_000  # of BIT*: the pictures repeat exactly, as under a budget in seconds they would not
 # Beside colours, for print in black and white; dashes let the line beneath show.
 DASHES = {"ptp": ":", "astar-plus": (0, (5, 2.5)), "bitstar-plus": (0, (2, 1.2))}
@@ -90,8 +90,8 @@ def cases_of(number: int, town: Town) -> list[Case]:
 
 def weighed(town: Town, altitude_m: float) -> CostMap:
     """Return the map that the planners of one figure share, under the default weights and the line model."""
-    maps = town.maps(PATH_M)
-    return cost_map(maps, altitude_m, cost_model="line", time_of_day=paper_time_of_day(maps, altitude_m))
+    time_of_day = "day" if altitude_m <= DAY_UP_TO_M else "night"
+    return cost_map(town.maps(PATH_M), altitude_m, cost_model="line", time_of_day=time_of_day)
 
 
 def plan_case(shared: CostMap, case: Case) -> list[PlannedPath]:

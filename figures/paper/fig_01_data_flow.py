@@ -18,7 +18,8 @@ from figures.paper.common import CREDIT, PATH_M, TOWNS, Caption, Town, save
 from jaxurban.maps.build import soften
 from jaxurban.maps.differentiable import SoftParams
 from jaxurban.paths.path import PlannedPath
-from jaxurban.report.figures.frame import FAINT_INK, INK, SMALL_PT, TEXT_PT, MapLayer, draw_layers, flat_layer
+from jaxurban.report.figures.colours import SMALL_PT
+from jaxurban.report.figures.frame import FAINT_INK, INK, TEXT_PT, MapLayer, draw_layers, flat_layer
 from jaxurban.report.figures.metrics import (
     BUILT_COLOUR,
     FREE_COLOUR,

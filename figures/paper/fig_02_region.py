@@ -20,11 +20,10 @@ from figures.paper.common import (
     save,
     synthetic_city,
 )
+from jaxurban.report.figures.colours import SMALL_PT, Colours
 from jaxurban.report.figures.frame import (
     FAINT_INK,
     INK,
-    SMALL_PT,
-    Colours,
     Frame,
     add_bar_below,
     add_key,

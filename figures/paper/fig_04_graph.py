@@ -12,7 +12,8 @@ from figures.paper.common import PATH_M, TOWNS, Caption, save
 from jaxurban.planners.base import Cell, CostModel, Problem
 from jaxurban.planners.graph import graph_of
 from jaxurban.planners.moves import STEPS, allowed_moves
-from jaxurban.report.figures.frame import FAINT_INK, INK, SMALL_PT, TEXT_PT
+from jaxurban.report.figures.colours import SMALL_PT
+from jaxurban.report.figures.frame import FAINT_INK, INK, TEXT_PT
 from jaxurban.report.figures.metrics import percent
 
 ALTITUDE_M = 20.0

@@ -17,10 +17,10 @@ from jaxurban.planners.bitstar.batches import Batch, BitStarOptions
 from jaxurban.planners.bitstar.bounds import make_bounds
 from jaxurban.planners.bitstar.planner import bitstar_plus
 from jaxurban.planners.bitstar.tree import Tree
+from jaxurban.report.figures.colours import Colours
 from jaxurban.report.figures.frame import (
     FAINT_INK,
     INK,
-    Colours,
     Frame,
     MapLayer,
     add_key,
@@ -29,7 +29,8 @@ from jaxurban.report.figures.frame import (
     make_frame,
     write_legend,
 )
-from jaxurban.report.figures.metrics import frame_note, percent
+from jaxurban.report.figures.metrics import percent
+from jaxurban.report.figures.notes import frame_note
 
 ALTITUDE_M, RESOLUTION_M = 20.0, 5.0
 ENDS = ((0.25, 0.20), (0.80, 0.70))  # start and goal as shares of the map, north and east

@@ -13,7 +13,8 @@ from matplotlib.figure import Figure
 from matplotlib.path import Path
 
 from jaxurban.paths.path import PlannedPath
-from jaxurban.report.figures.frame import INK, SMALL_PT, Colours, add_key, make_frame
+from jaxurban.report.figures.colours import SMALL_PT, Colours
+from jaxurban.report.figures.frame import INK, add_key, make_frame
 from jaxurban.report.figures.metrics import EMPTY_COLOUR
 from jaxurban.report.figures.paths import draw_ends
 from jaxurban.world.city import City

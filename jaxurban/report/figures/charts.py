@@ -8,7 +8,8 @@ from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from jaxurban.report.figures.frame import FAINT_INK, INK, SMALL_PT, TEXT_PT, write_head
+from jaxurban.report.figures.colours import SMALL_PT
+from jaxurban.report.figures.frame import FAINT_INK, INK, TEXT_PT, write_head
 
 styled = rc_context(  # a decorator of functions that draw; ticks are made later, so `dress` sets theirs
     {

@@ -7,10 +7,14 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from jaxurban.errors import InputError
-from jaxurban.maps.metric_maps import GivenMaps, as_maps
+from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
 from jaxurban.paths.explain import RouteReport
 from jaxurban.paths.path import PlannedPath
+from jaxurban.report.figures.degrees import in_degrees
 from jaxurban.report.figures.metrics import (
+    SERIES_NAMES,
+    drawn_names,
+    plot_epochs,
     plot_gps_rating,
     plot_heights,
     plot_metric,
@@ -18,36 +22,55 @@ from jaxurban.report.figures.metrics import (
     plot_population,
     plot_sensor_choice,
 )
-from jaxurban.report.figures.paths import Paths, plot_overview, plot_paths
+from jaxurban.report.figures.paths import Paths, by_altitude, plot_overview, plot_paths
 from jaxurban.report.figures.profile import plot_profile
 from jaxurban.report.save import save
 
 
-def save_figures(maps: GivenMaps, paths: Paths, folder: str | Path) -> list[Path]:
+def save_figures(maps: GivenMaps, paths: Paths, folder: str | Path, *, degrees: bool = False) -> list[Path]:
     """Write every picture of these maps and paths as PNG and return the files; each appears whole or not at all.
+
+    GPS at one time is drawn at the first; of several times there is also a panel each (``gps_epochs``) and the share of
+    them at which it is good enough (``gps_availability``), of a long series the latter and what 5 % stay below.
 
     Args:
       maps: from `build_maps` or `open_maps`.
       paths: one, several, a batch, or paths by altitude; empty for maps alone.
       folder: where to; made if it is not there.
+      degrees: label the maps by longitude and latitude instead of easting and northing.
 
     Raises:
       InputError: the folder cannot be written to.
     """
     maps = as_maps(maps)
+    figures = in_degrees(maps_figures(maps, paths), maps.grid, degrees)
+    return save(folder, {f"{name}.png": draw for name, draw in figures.items()})
+
+
+def maps_figures(maps: MetricMaps, paths: Paths) -> dict[str, Callable[[], Figure]]:
+    """Return what draws each picture of these maps and paths, by file name."""
     figures: dict[str, Callable[[], Figure]] = {
         "overview": lambda: plot_overview(maps, paths),
         "heights": lambda: plot_heights(maps),
         "obstacle": lambda: plot_obstacles(maps),
         **{name: partial(plot_metric, maps, name) for name in maps.metrics if name != "population"},
         "sensor_choice": lambda: plot_sensor_choice(maps),
-        "paths": lambda: plot_paths(maps, paths),
     }
+    if any(by_altitude(paths).values()):
+        figures["paths"] = lambda: plot_paths(maps, paths)
+    else:
+        for time_of_day in maps.times_of_day or (None,):
+            name = "cost" if len(maps.times_of_day) < 2 else f"cost_{time_of_day}"
+            figures[name] = partial(plot_paths, maps, {}, time_of_day=time_of_day)
+    drawn = drawn_names(maps)
+    figures |= {name: partial(plot_metric, maps, name) for name in SERIES_NAMES if name in drawn}
+    if len(maps.times) > 1 and maps.default_time is not None:
+        figures["gps_epochs"] = lambda: plot_epochs(maps)
     if "gdop" in maps.ds:  # statistics over a long series hold none
         figures["gps_rating"] = lambda: plot_gps_rating(maps)
     if "density" in maps.ds:
         figures["population"] = lambda: plot_population(maps)
-    return save(folder, {f"{name}.png": draw for name, draw in figures.items()})
+    return figures
 
 
 def check_picture(file: str | Path) -> None:

@@ -8,18 +8,19 @@ import math
 import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
-from matplotlib import colormaps, rc_context
+from matplotlib import rc_context
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
-from matplotlib.cm import ScalarMappable
-from matplotlib.colorbar import Colorbar
-from matplotlib.colors import BoundaryNorm, Colormap, ListedColormap, Normalize, to_rgb
+from matplotlib.colors import BoundaryNorm, ListedColormap, to_rgb
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
 from matplotlib.ticker import FixedLocator, FuncFormatter
 
+from jaxurban.report.figures.colours import SMALL_PT, Box, Colours, add_colour_bar
 from jaxurban.world.grid import Grid
 
 MAX_CELLS = 1500  # a side; larger maps are thinned before they are drawn
@@ -27,37 +28,15 @@ WIDTH_IN, MAX_HEIGHT_IN = 11.0, 9.0
 HEAD_IN, LEFT_IN, BOTTOM_IN = 0.62, 0.72, 0.52
 TITLE_IN, GAP_IN, KEY_IN = 0.27, 0.22, 1.55
 SLOT_IN, MIN_WIDTH_IN = 1.95, 7.2  # room for a panel's title and footer; for the heading
-TEXT_PT, SMALL_PT = 9.0, 8.0
+TEXT_PT = 9.0
 LETTERS_PER_IN, LINE_IN = 14.0, 0.15  # of TEXT_PT
 OBSTACLE_COLOUR, NO_DATA_COLOUR = "#c4c4c4", "#efe4d6"
 NO_DATA_PATCH = ("no data", NO_DATA_COLOUR)
 INK, FAINT_INK = "#1a1a1a", "#555555"
 HATCH, HATCH_COLOUR, HATCHED_GROUND = "////////", "#ffffff", "#7d7c78"
-
-Box = tuple[float, float, float, float]  # left, bottom, width, height in figure fractions
-
-
-@dataclass(frozen=True)
-class Colours:
-    """How values become colours, and what their colour bar says.
-
-    Attributes:
-      cmap: a colour map of matplotlib, or its name.
-      norm: brings values to [0, 1].
-      label: of the colour bar.
-      extend: its open ends, as matplotlib calls them.
-      ticks: of the colour bar; matplotlib's own if left out.
-    """
-
-    cmap: str | Colormap
-    norm: Normalize
-    label: str = ""
-    extend: str = "neither"
-    ticks: Sequence[float] | None = None
-
-    def __call__(self, values: np.ndarray, **options: bool) -> np.ndarray:
-        """Return the colours ``[..., 4]`` of values; ``options`` as for matplotlib's colour maps."""
-        return colormaps.get_cmap(self.cmap)(self.norm(values), **options)
+MAP = "map"  # gid of a panel over a grid
+ENDS = (("start", "o", 6.5), ("goal", "*", 12.0))  # of a route: name, marker and its size
+END_LOOK: dict[str, Any] = {"linestyle": "none", "markeredgecolor": "black", "markerfacecolor": "white"}
 
 
 @dataclass(frozen=True)
@@ -194,21 +173,38 @@ def _dress(panel: Axes, grid: Grid, title: str, width_in: float, height_in: floa
     panel.set(xlim=(grid.x_min_m, grid.x_max_m), ylim=(grid.y_min_m, grid.y_max_m), aspect="equal")
     panel.set_title(title, size=TEXT_PT, loc="left", pad=4, color=INK)
     panel.set_facecolor(NO_DATA_COLOUR)
+    panel.set_gid(MAP)
     panel.tick_params(labelsize=SMALL_PT, length=3, color=FAINT_INK)
-    for axis, extent_m, room_in, label_in, clear_in in (
+    for axis, room_in, label_in, clear_in in (
         # The last label stays clear of the next panel's first one.
-        (panel.xaxis, grid.x_max_m - grid.x_min_m, width_in, 0.55, 0.18),
-        (panel.yaxis, grid.y_max_m - grid.y_min_m, height_in, 0.5, 0.0),
+        (panel.xaxis, width_in, 0.55, 0.18),
+        (panel.yaxis, height_in, 0.5, 0.0),
     ):
-        step_m = round_length_m(extent_m / max(1.0, min(6.0, room_in / label_in)), down=False)
         low_m, high_m = axis.get_view_interval()
-        high_m -= clear_in / room_in * extent_m
-        ticks_m = np.arange(math.ceil(low_m / step_m), math.floor(high_m / step_m) + 1) * step_m
+        ticks_m, step_m = round_ticks(low_m, high_m, room_in / label_in, clear_in / room_in)
         axis.set_major_locator(FixedLocator(ticks_m.tolist()))
-        decimals = max(0, -math.floor(math.log10(step_m / 1000)))
+        decimals = decimals_of(step_m / 1000)
         axis.set_major_formatter(FuncFormatter(lambda value, _, n=decimals: f"{value / 1000:.{n}f}"))
     for spine in panel.spines.values():
         spine.set(linewidth=0.6, color=FAINT_INK)
+
+
+def round_ticks(low: float, high: float, most: float, clear: float = 0.0) -> tuple[np.ndarray, float]:
+    """Return round numbers in a range but for a share at its end, as many as have room, at most six; their step."""
+    step = round_length_m((high - low) / max(1.0, min(6.0, most)), down=False)
+    end = high - clear * (high - low)
+    return np.arange(math.ceil(low / step), math.floor(end / step) + 1) * step, step
+
+
+def decimals_of(step: float) -> int:
+    """Return how many decimals multiples of a step need."""
+    return max(0, -math.floor(math.log10(step)))
+
+
+def mark_ends(panel: Axes, start_xy_m: Sequence[float], goal_xy_m: Sequence[float], size: float = 1.0) -> None:
+    """Mark where a route starts (circle) and ends (star); `add_key` names the two."""
+    for (_, marker, markersize), at in zip(ENDS, (start_xy_m, goal_xy_m), strict=True):
+        panel.plot(*at, marker=marker, markersize=size * markersize, zorder=20, **END_LOOK)
 
 
 def draw_layers(panel: Axes, grid: Grid, layers: Sequence[MapLayer]) -> None:
@@ -260,26 +256,32 @@ def add_key(
     colours: Colours | None = None,
     *,
     has_scale: bool = True,
+    has_ends: bool = False,
     hatched: str = "",
 ) -> None:
     """Fill the key column: legend patches (name, colour), colour bar with its label, north arrow, scale bar.
 
     ``hatched``: a legend entry of its own for what `draw_hatch` marks.
+    ``has_ends``: entries for what `mark_ends` draws.
     ``has_scale``: not where panels show windows of different sizes, which each want a scale bar of their own.
     """
     _, top = frame.key.get_ylim()
     add_north(frame)
     if has_scale:
         add_scale(frame.key, (frame.grid.x_max_m - frame.grid.x_min_m) / frame.panel_in[0])
-    if patches:
-        handles = [Patch(facecolor=colour, edgecolor=FAINT_INK, linewidth=0.4) for _, colour in patches]
-        names = [name for name, _ in patches]
-        if hatched:
-            handles.append(Patch(facecolor=HATCHED_GROUND, edgecolor=HATCH_COLOUR, hatch=HATCH, linewidth=0.4))
-            names.append(hatched)
-        write_legend(frame, dict(zip(names, handles, strict=True)))
-        lines = sum(1 + name.count("\n") for name in names)
-        top -= 0.175 * lines + 0.06 * len(names) + 0.1
+    entries: dict[str, Artist] = {
+        name: Patch(facecolor=colour, edgecolor=FAINT_INK, linewidth=0.4) for name, colour in patches
+    }
+    if hatched:
+        entries[hatched] = Patch(facecolor=HATCHED_GROUND, edgecolor=HATCH_COLOUR, hatch=HATCH, linewidth=0.4)
+    if has_ends:
+        entries |= {
+            name: Line2D([], [], marker=marker, markersize=0.9 * size, **END_LOOK) for name, marker, size in ENDS
+        }
+    if entries:
+        write_legend(frame, entries)
+        lines = sum(1 + name.count("\n") for name in entries)
+        top -= 0.175 * lines + 0.06 * len(entries) + 0.1
     if colours is not None:
         height = min(3.0, top - 1.4)
         add_colour_bar(frame.figure, _key_box(frame, 0.02, top - height, 0.16, height), colours)
@@ -308,29 +310,6 @@ def _key_box(frame: Frame, x_in: float, y_in: float, width_in: float, height_in:
     return x0, y0, x1 - x0, y1 - y0
 
 
-def add_colour_bar(figure: Figure, box: Box, colours: Colours) -> Colorbar:
-    """Add a colour bar in ``box`` (figure fractions), lying if it is wider than tall, and return it."""
-    is_lying = box[2] * figure.get_figwidth() > box[3] * figure.get_figheight()
-    bar = figure.colorbar(
-        ScalarMappable(cmap=colours.cmap, norm=colours.norm),
-        cax=figure.add_axes(box),
-        orientation="horizontal" if is_lying else "vertical",
-        extend=colours.extend,
-        ticks=colours.ticks,
-    )
-    length_in = box[2] * figure.get_figwidth() if is_lying else box[3] * figure.get_figheight()
-    width = max(12, int(length_in * 15))  # letters on a line of the label
-    lines = [part for line in colours.label.splitlines() for part in textwrap.wrap(line, width)]
-    bar.set_label("\n".join(lines), size=SMALL_PT)
-    bar.ax.tick_params(labelsize=SMALL_PT, length=2.5)
-    bar.outline.set(linewidth=0.4)
-    if colours.ticks is not None:
-        bar.ax.minorticks_off()
-        axis = bar.ax.xaxis if is_lying else bar.ax.yaxis
-        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.0f}" if abs(value) >= 1 else f"{value:g}"))
-    return bar
-
-
 def drop_in(panel: Axes) -> float:
     """Return how far below a panel its footer begins, inches: under the tick labels, where it has them."""
     return BOTTOM_IN - 0.06 if panel.xaxis.get_tick_params()["labelbottom"] else 0.07
@@ -339,7 +318,8 @@ def drop_in(panel: Axes) -> float:
 def add_bar_below(frame: Frame, panel: Axes, colours: Colours) -> None:
     """Add a lying colour bar, without its label, in the footer of a panel."""
     box, (total_w, total_h) = panel.get_position(), frame.figure.get_size_inches()
-    width, height = max(box.width, 1.1 / total_w), 0.09 / total_h  # a narrow map's bar still has room for its numbers
+    # The numbers at its ends stay beneath the map, and a narrow map's bar still has room for them.
+    width, height = max(box.width - 0.36 / total_w, 1.1 / total_w), 0.09 / total_h
     below = (box.x0 + (box.width - width) / 2, box.y0 - drop_in(panel) / total_h - height, width, height)
     add_colour_bar(frame.figure, below, replace(colours, label=""))
 

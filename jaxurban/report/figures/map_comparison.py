@@ -8,8 +8,8 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 from jaxurban.errors import InputError, one_of
+from jaxurban.report.figures.colours import Colours
 from jaxurban.report.figures.frame import (
-    Colours,
     MapLayer,
     add_key,
     classes_layer,
@@ -18,7 +18,8 @@ from jaxurban.report.figures.frame import (
     make_frame,
     round_length_m,
 )
-from jaxurban.report.figures.metrics import DOP_NAMES, FREE_COLOUR, OBSTACLE_COLOUR, frame_note, percent
+from jaxurban.report.figures.metrics import DOP_NAMES, FREE_COLOUR, OBSTACLE_COLOUR, SERIES_NAMES, percent
+from jaxurban.report.figures.notes import frame_note, sky_said, time_said
 from jaxurban.report.figures.paths import draw_ends
 from jaxurban.studies.map_comparison.compare import CLOSED, EVERYWHERE, MASKS, MapComparison, Place, unit_of
 
@@ -27,8 +28,8 @@ LOST_COLOUR, GAINED_COLOUR = "#2166ac", "#b2182b"  # the ends of it
 MASK_COLOURS = {
     "free in both": FREE_COLOUR,
     "blocked in both": "#9a9a9a",
-    "only in A": LOST_COLOUR,
-    "only in B": GAINED_COLOUR,
+    "blocked only in A": LOST_COLOUR,
+    "blocked only in B": GAINED_COLOUR,
 }
 A_COLOUR, B_COLOUR = "#111111", "#f59b00"
 SHOWN_SHARE = 0.99  # of the changed cells lie within the colour bar
@@ -44,15 +45,17 @@ LABELS = {
     "density": "Population density",
     "num_visible": "Satellites in view",
     **DOP_NAMES,
+    **SERIES_NAMES,
 }
 
 
 def comparison_figures(found: MapComparison) -> dict[str, Callable[[], Figure]]:
     """Return what draws each layer that changed anywhere, by its name, and ``routes`` where any changed."""
     whole = found.table[found.table.stratum == EVERYWHERE].groupby("layer", sort=False)["share_changed"].max()
-    figures: dict[str, Callable[[], Figure]] = {
-        layer: partial(plot_difference, found, layer) for layer in found.layers if whole[layer] > 0
-    }
+    changed = [layer for layer in found.layers if whole[layer] > 0]
+    figures: dict[str, Callable[[], Figure]] = {layer: partial(plot_difference, found, layer) for layer in changed}
+    if "gps" in changed and len(found.part.times) > 1:
+        figures["gps_epochs"] = partial(plot_difference, found, "gps", altitude_m=min(found.a.altitudes_m))
     if found.routes is not None and found.routes.both.is_changed.any():
         figures["routes"] = partial(plot_changed_routes, found)
     return figures
@@ -65,9 +68,14 @@ def heading_of(found: MapComparison, layer: str) -> str:
 
 
 def plot_difference(
-    found: MapComparison, layer: str, *, time: str | None = None, time_of_day: str | None = None
+    found: MapComparison,
+    layer: str,
+    *,
+    time: str | None = None,
+    time_of_day: str | None = None,
+    altitude_m: float | None = None,
 ) -> Figure:
-    """Return panels of B - A of a layer by altitude, or by time of day, all on one scale centred at 0.
+    """Return panels of B - A of a layer by altitude, by time or by time of day, all on one scale centred at 0.
 
     Cells that are blocked in either are grey; colours reach as far as 99 % of the changed cells (of dilutions of
     precision to 5 at most). Of ``obstacle`` and ``closed``: cells that are blocked in both, in A alone and in B alone.
@@ -77,22 +85,30 @@ def plot_difference(
       layer: one of its layers.
       time: one of A's times; the first if left out.
       time_of_day: one of them; all of them, a panel each, if left out.
+      altitude_m: this one at every time, a panel each; left out, all of them at one time.
 
     Raises:
-      InputError: a layer that is not compared, or a time that is not.
+      InputError: a layer that is not compared, or a time or an altitude that is not.
     """
     one_of("layer", layer, found.layers)
     times = list(dict.fromkeys(place.time for place in found.places(layer)))
     shown_time = times[0] if time is None else one_of("time", time, times)
-    places = [place for place in found.places(layer) if place.time == shown_time]
+    if altitude_m is None:
+        places = [place for place in found.places(layer) if place.time == shown_time]
+    else:
+        shown_time = None
+        altitudes_m = list(dict.fromkeys(place.altitude_m for place in found.places(layer)))
+        places = [
+            place for place in found.places(layer) if place.altitude_m == one_of("altitude_m", altitude_m, altitudes_m)
+        ]
     if time_of_day is not None:
         days = [place.time_of_day for place in places]
         places = [place for place in places if place.time_of_day == one_of("time_of_day", time_of_day, days)]
-    titles = [_title(found, layer, place) for place in places]
-    heading = f"{heading_of(found, layer)}, B - A" + (
-        ", by altitude above ground" if places[0].altitude_m is not None else ""
-    )
-    frame = make_frame(found.grid, titles, heading, _note(found, shown_time))
+    titles = [_title(found, layer, place, by_time=altitude_m is not None) for place in places]
+    by = ", by altitude above ground" if places[0].altitude_m is not None else ""
+    by = by if altitude_m is None else f" at each epoch, {altitude_m:g} m above ground"
+    has_sky = places[0].time is not None or layer == "gps" or layer in SERIES_NAMES
+    frame = make_frame(found.grid, titles, f"{heading_of(found, layer)}, B - A{by}", _note(found, shown_time, has_sky))
     if layer in MASKS:
         for panel, place in zip(frame.axes, places, strict=True):
             draw_layers(panel, found.grid, [_mask_layer(found, layer, place.altitude_m)])
@@ -127,7 +143,7 @@ def plot_changed_routes(found: MapComparison) -> Figure:
         (z_m, changed[changed.altitude_m == z_m]) for z_m in found.a.altitudes_m if (changed.altitude_m == z_m).any()
     ]
     titles = [f"{z_m:g} m  ·  {min(len(rows), MOST_ROUTES)} of {len(rows)} that change" for z_m, rows in panels]
-    frame = make_frame(found.grid, titles, "Routes that change, by altitude above ground", _note(found, None))
+    frame = make_frame(found.grid, titles, "Routes that change, by altitude above ground", _note(found, None, False))
     for panel, (z_m, rows) in zip(frame.axes, panels, strict=True):
         draw_layers(panel, found.grid, [_mask_layer(found, CLOSED, z_m)])
         for number in rows["query"].head(MOST_ROUTES):
@@ -135,7 +151,7 @@ def plot_changed_routes(found: MapComparison) -> Figure:
             panel.plot(*a.xy_m.T, color=A_COLOUR, linewidth=2.4, solid_joinstyle="round", zorder=3)
             panel.plot(*b.xy_m.T, color=B_COLOUR, linewidth=1.3, solid_joinstyle="round", zorder=4)
             draw_ends(panel, [a])
-    add_key(frame, [("route on A", A_COLOUR), ("route on B", B_COLOUR), *MASK_COLOURS.items()])
+    add_key(frame, [("route on A", A_COLOUR), ("route on B", B_COLOUR), *MASK_COLOURS.items()], has_ends=True)
     return frame.figure
 
 
@@ -161,7 +177,7 @@ def _colours(found: MapComparison, layer: str, maps: Sequence[np.ndarray]) -> Co
     return Colours(DIVERGING, Normalize(-limit, limit), label, "both" if is_beyond else "neither", (-limit, 0.0, limit))
 
 
-def _title(found: MapComparison, layer: str, place: Place) -> str:
+def _title(found: MapComparison, layer: str, place: Place, by_time: bool) -> str:
     table = found.table
     chosen = (table.layer == layer) & (table.stratum == EVERYWHERE)
     for name, value in place._asdict().items():
@@ -169,12 +185,19 @@ def _title(found: MapComparison, layer: str, place: Place) -> str:
             chosen &= table[name] == value
     row = table[chosen].iloc[0]
     where = f"{place.altitude_m:g} m" if place.altitude_m is not None else place.time_of_day
+    where = time_said(place.time) if by_time and place.time is not None else where
     if layer in MASKS:
         return f"{where}  ·  {row.gained:,} cells gained, {row.lost:,} lost"
     return "  ·  ".join(filter(None, (where, f"mean {row['mean']:+.3g}, {percent(row.share_changed)} changed")))
 
 
-def _note(found: MapComparison, time: str | None) -> str:
+def _note(found: MapComparison, time: str | None, has_sky: bool) -> str:
+    """Return the names of both, and each one's sky where it is not the same."""
     of_b = found.part.times.get(time, time) if time else time
-    beside = f"B's GPS: {of_b[:10]} {of_b[11:16]} UTC\n" if of_b and of_b != time else ""
-    return f"A: {found.names[0]}\nB: {found.names[1]}\n{beside}{frame_note(found.a, time)}"
+    skies = [sky_said(maps, at) for maps, at in ((found.a, time), (found.b, of_b))] if has_sky else ["", ""]
+    is_same = skies[0] == skies[1]
+    told = [
+        f"{name}: {side}" + ("" if is_same else f", {sky}")
+        for name, side, sky in zip("AB", found.names, skies, strict=True)
+    ]
+    return "\n".join([*told, frame_note(found.a, time, has_sky=has_sky and is_same)])

@@ -11,12 +11,13 @@ from jaxurban.errors import InputError, one_of
 from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY
 from jaxurban.metrics.custom import colour_of
+from jaxurban.metrics.gps import GpsParams
 from jaxurban.metrics.rating import RATING_UPPER_GDOP, Rating, rating
 from jaxurban.metrics.registry import METRICS, find_metric
+from jaxurban.report.figures.colours import Colours
 from jaxurban.report.figures.frame import (
     NO_DATA_PATCH,
     OBSTACLE_COLOUR,
-    Colours,
     MapLayer,
     add_bar_below,
     add_key,
@@ -26,6 +27,7 @@ from jaxurban.report.figures.frame import (
     flat_layer,
     make_frame,
 )
+from jaxurban.report.figures.notes import frame_note, time_said
 
 DOP_NAMES = {
     "gdop": "Geometric dilution of precision (GDOP)",
@@ -34,22 +36,14 @@ DOP_NAMES = {
     "vdop": "Vertical dilution of precision (VDOP)",
     "tdop": "Time dilution of precision (TDOP)",
 }
+AVAILABILITY, LOW = "gps_availability", "gps_p05"
+SERIES_NAMES = {AVAILABILITY: "GPS availability", LOW: "GPS quality that 5 % of the epochs stay below"}
 DOP_COLOUR_MAP, HEIGHT_COLOUR_MAP = "viridis_r", "cividis"
 MAX_DOP = 20.0  # where the paper's rating turns poor
 DISTANCE_COLOUR = "#555555"
 FREE_COLOUR, BUILT_COLOUR = "#f4f4ee", "#4a4a4a"
 EMPTY_COLOUR = "#ffffff"
 ROOF_TICKS_M = (0, 5, 20, 50, 100, 200, 400, 800)
-
-
-def frame_note(maps: MetricMaps, time: str | None = None) -> str:
-    """Return the lines below a figure's heading: guesses, if there are any; time, size of a cell, CRS, credit."""
-    shown_time = [] if time is None else [f"{time[:10]} {time[11:16]} UTC"]
-    if "gps_median" in maps.ds:
-        shown_time = [f"GPS: median of {len(maps.times)} epochs"]
-    credit = [maps.ds.attrs["attribution"]] if "attribution" in maps.ds.attrs else []
-    guessed = f"Guessed: {', '.join(guesses)}\n" if (guesses := maps.ds.attrs.get("guesses")) else ""
-    return guessed + "  ·  ".join([*shown_time, f"{maps.grid.resolution_m:g} m cells", maps.grid.crs, *credit])
 
 
 def obstacle_patches(maps: MetricMaps, colour: str = OBSTACLE_COLOUR) -> list[tuple[str, str]]:
@@ -70,8 +64,11 @@ def line_colour(name: str) -> str:
 def drawn_names(maps: MetricMaps) -> dict[str, str]:
     """Return the heading of each map that `plot_metric` draws, of those that these maps hold, by name."""
     known = {"obstacle": "Obstacles", **{name: metric.label for name, metric in maps.metrics.items()}}
-    known |= {**DOP_NAMES, "num_visible": "Satellites in view"}
-    return {name: heading for name, heading in known.items() if maps.variable(name) in maps.ds}
+    known |= {**DOP_NAMES, "num_visible": "Satellites in view", **SERIES_NAMES}
+    if maps.default_time is None:
+        known["gps"] = f"{METRICS['gps'].label}, median over the epochs"
+    held = {name: heading for name, heading in known.items() if maps.variable(name) in maps.ds}
+    return held | ({AVAILABILITY: SERIES_NAMES[AVAILABILITY]} if len(maps.times) > 1 and "gps" in held else {})
 
 
 def metric_colours(maps: MetricMaps, name: str) -> Colours:
@@ -86,16 +83,33 @@ def metric_colours(maps: MetricMaps, name: str) -> Colours:
         return Colours("viridis", Normalize(0, most), "satellites in view", ticks=ticks)
     if name in DOP_NAMES:
         return Colours(DOP_COLOUR_MAP, Normalize(1, MAX_DOP), f"{name.upper()} (lower is better)", "max")
-    metric = find_metric(name, maps.metrics)
+    if name == AVAILABILITY:
+        label = f"share of epochs with $m_\\mathrm{{gps}}$ > {availability_threshold(maps):g}"
+        return Colours(METRICS["gps"].colour_map, Normalize(0, 1), label)
+    metric = find_metric("gps" if name == LOW else name, maps.metrics)
     one_means = maps.ds[maps.variable(name)].attrs.get("one_means", "")
-    label = f"$m_\\mathrm{{{name}}}$" + (f"\n(1: {one_means})" if one_means else "")
+    over = ", 5th percentile" if name == LOW else ", median" if maps.variable(name) != name else ""
+    label = f"$m_\\mathrm{{{metric.name}}}${over}" + (f"\n(1: {one_means})" if one_means else "")
     return Colours(metric.colour_map, Normalize(0, 1), label)
+
+
+def availability_threshold(maps: MetricMaps) -> float:
+    """Return the m_gps above which a position counts as available: that of the maps, or what it is if not set."""
+    return float(maps.ds.attrs.get("gps_availability_threshold", GpsParams().availability_threshold))
+
+
+def values_of(maps: MetricMaps, name: str, altitude_m: float, time: str | None = None) -> np.ndarray:
+    """Return a map ``[y, x]``; the availability of several epochs too, which maps hold of a long series alone."""
+    if name == AVAILABILITY and name not in maps.ds:
+        threshold = availability_threshold(maps)
+        return np.mean([maps.m("gps", altitude_m, time=each) > threshold for each in maps.times], axis=0)
+    return maps.m(name, altitude_m, time=time)
 
 
 def free_layer(maps: MetricMaps, name: str, altitude_m: float, time: str | None = None) -> MapLayer:
     """Return a metric at one altitude as it is drawn: free cells only, DOPs cut at the end of their scale."""
     colours = metric_colours(maps, name)
-    values = np.minimum(maps.m(name, altitude_m, time=time).astype(np.float32), np.float32(colours.norm.vmax))
+    values = np.minimum(values_of(maps, name, altitude_m, time).astype(np.float32), np.float32(colours.norm.vmax))
     return MapLayer(np.where(maps.is_free(altitude_m, "centre"), values, np.float32(np.nan)), colours)
 
 
@@ -125,19 +139,50 @@ def plot_metric(
     if name == "obstacle":
         return plot_obstacles(maps, altitudes_m=altitudes_m)
     colours = metric_colours(maps, name)
-    dims = maps.ds[maps.variable(name)].dims
+    is_of_all = name == AVAILABILITY and name not in maps.ds
+    dims = (ALTITUDE,) if is_of_all else maps.ds[maps.variable(name)].dims
     if ALTITUDE not in dims:
         times_of_day = maps.times_of_day if time_of_day is None else (time_of_day,)
         items = times_of_day if TIME_OF_DAY in dims else (None,)
         panels = [(item or "", [MapLayer(maps.m(name, time_of_day=item), colours)]) for item in items]
-        return _figure(maps, headings[name], panels, obstacle_patches(maps)[1:], colours=colours)
+        return _figure(maps, headings[name], panels, obstacle_patches(maps)[1:], colours=colours, has_sky=False)
     time = (time or maps.times[0]) if TIME in dims else None
+    has_sky = TIME in dims or name == "gps" or name in SERIES_NAMES
     panels = [
         (f"{z:g} m  ·  {_middle_of(maps, name, z, time)}", [free_layer(maps, name, z, time), obstacle_layer(maps, z)])
         for z in altitudes_m or maps.altitudes_m
     ]
     heading = f"{headings[name]}, by altitude above ground"
-    return _figure(maps, heading, panels, obstacle_patches(maps), time=time, colours=colours)
+    if is_of_all:
+        heading = f"{headings[name]} over {len(maps.times)} epochs, by altitude above ground"
+    return _figure(maps, heading, panels, obstacle_patches(maps), time=time, colours=colours, has_sky=has_sky)
+
+
+def plot_epochs(maps: GivenMaps, name: str = "gps", *, altitude_m: float | None = None) -> Figure:
+    """Return panels of one map at every time that these maps hold, at one altitude and all on one scale.
+
+    Args:
+      maps: from `build_maps` or `open_maps`.
+      name: which map: gps, a DOP or num_visible.
+      altitude_m: at which altitude; the lowest if left out.
+
+    Raises:
+      InputError: a map that has no times, or an altitude that these maps do not hold.
+    """
+    maps = as_maps(maps)
+    headings, z = drawn_names(maps), min(maps.altitudes_m) if altitude_m is None else altitude_m
+    one_of("a map of each time", name, [each for each in headings if each in maps.ds and TIME in maps.ds[each].dims])
+    panels = [
+        (
+            f"{time_said(time)}  ·  {_middle_of(maps, name, z, time)}",
+            [free_layer(maps, name, z, time), obstacle_layer(maps, z)],
+        )
+        for time in maps.times
+    ]
+    colours = metric_colours(maps, name)
+    return _figure(
+        maps, f"{headings[name]} at each epoch, {z:g} m above ground", panels, obstacle_patches(maps), colours=colours
+    )
 
 
 def _figure(
@@ -148,9 +193,11 @@ def _figure(
     *,
     time: str | None = None,
     colours: Colours | None = None,
+    has_sky: bool = True,
 ) -> Figure:
     """Return panels, each a title and the layers that it shows, with a key of patches and a colour bar."""
-    frame = make_frame(maps.grid, [title for title, _ in panels], heading, frame_note(maps, time))
+    note = frame_note(maps, time, has_sky=has_sky)
+    frame = make_frame(maps.grid, [title for title, _ in panels], heading, note)
     for panel, (_, layers) in zip(frame.axes, panels, strict=True):
         draw_layers(panel, maps.grid, layers)
     add_key(frame, patches, colours)
@@ -159,7 +206,7 @@ def _figure(
 
 def _middle_of(maps: MetricMaps, name: str, altitude_m: float, time: str | None) -> str:
     """Return the mean over free cells as a text; the median for DOPs, which may be inf, and for satellites."""
-    values = maps.m(name, altitude_m, time=time)[maps.is_free(altitude_m, "centre")]
+    values = values_of(maps, name, altitude_m, time)[maps.is_free(altitude_m, "centre")]
     if values.size == 0:
         return "no free cell"
     if name == "num_visible":
@@ -185,7 +232,7 @@ def plot_obstacles(maps: GivenMaps, *, altitudes_m: Sequence[float] | None = Non
         for z in altitudes_m or maps.altitudes_m
     ]
     patches = [("free", FREE_COLOUR), *obstacle_patches(maps, BUILT_COLOUR)]
-    return _figure(maps, "Obstacles, by altitude above ground", panels, patches)
+    return _figure(maps, "Obstacles, by altitude above ground", panels, patches, has_sky=False)
 
 
 def percent(share: float) -> str:
@@ -283,7 +330,7 @@ def plot_population(maps: GivenMaps) -> Figure:
         title = f"{item}  ·  {np.nansum(values, dtype=np.float64) * cell_km2:,.0f} people"
         panels.append((title, density_layers(values, colours)))
     patches = [("nobody", EMPTY_COLOUR), *obstacle_patches(maps)[1:]]
-    return _figure(maps, "Population density", panels, patches, colours=colours)
+    return _figure(maps, "Population density", panels, patches, colours=colours, has_sky=False)
 
 
 def density_layers(values: np.ndarray, colours: Colours) -> list[MapLayer]:
@@ -317,7 +364,7 @@ def plot_heights(maps: GivenMaps) -> Figure:
         low_m, high_m = float(np.nanmin(terrain_m)), float(np.nanmax(terrain_m))
         titles.append(f"terrain, {low_m:.0f} to {high_m:.0f} m")
         ground = MapLayer(terrain_m, Colours(HEIGHT_COLOUR_MAP, Normalize(low_m, max(high_m, low_m + 1))))
-    frame = make_frame(maps.grid, titles, "Heights (m)", frame_note(maps), footer_in=0.4)
+    frame = make_frame(maps.grid, titles, "Heights (m)", frame_note(maps, has_sky=False), footer_in=0.4)
     draw_layers(frame.axes[0], maps.grid, roofs)
     hatched = ""
     if "roof_guessed" in maps.ds:

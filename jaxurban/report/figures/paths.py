@@ -1,9 +1,7 @@
 """Pictures of paths over the normalised cost, and the overview of one region."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
 from itertools import cycle, groupby
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -14,9 +12,8 @@ from matplotlib.lines import Line2D
 from jaxurban.errors import InputError
 from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
 from jaxurban.paths.path import PlannedPath
+from jaxurban.report.figures.colours import SMALL_PT, Colours
 from jaxurban.report.figures.frame import (
-    SMALL_PT,
-    Colours,
     Frame,
     MapLayer,
     add_bar_below,
@@ -24,16 +21,17 @@ from jaxurban.report.figures.frame import (
     draw_layers,
     drop_in,
     make_frame,
+    mark_ends,
 )
 from jaxurban.report.figures.metrics import (
     density_colours,
     density_layers,
-    frame_note,
     free_layer,
     obstacle_layer,
     obstacle_patches,
     roof_layers,
 )
+from jaxurban.report.figures.notes import frame_note, time_said
 
 # The paper's colours (tab10), then the rest of tab10 for planners that it does not have.
 PLANNER_COLOURS = {
@@ -46,7 +44,6 @@ PLANNER_COLOURS = {
 OTHER_COLOURS = ("#e377c2", "#17becf", "#bcbd22", "#8c564b")
 COST_COLOURS = Colours("gray", Normalize(0, 1), "$H_\\mathrm{norm}$\n(0: best free cell, 1: worst)")
 BLOCKED_COLOUR = "#d9c08c"  # obstacles over the grey cost map
-DAY_UP_TO_M = 60.0  # the paper draws day at 20 and 60 m, night above
 LINE_IN = 0.17  # height of a legend line
 
 Paths = PlannedPath | Sequence[PlannedPath | None] | Mapping[float, Sequence[PlannedPath]]
@@ -75,30 +72,28 @@ def planner_colours(planners: Iterable[str]) -> dict[str, str]:
     return {name: PLANNER_COLOURS.get(name) or next(others) for name in dict.fromkeys(planners)}
 
 
-def paper_time_of_day(maps: MetricMaps, altitude_m: float) -> str | None:
-    """Return the time of day of the paper's figures at an altitude, if the maps have it, else their first."""
-    wanted = "day" if altitude_m <= DAY_UP_TO_M else "night"
-    return wanted if wanted in maps.times_of_day else next(iter(maps.times_of_day), None)
-
-
 def plot_paths(
     maps: GivenMaps,
     paths: Paths,
     *,
     altitudes_m: Sequence[float] | None = None,
     names: Sequence[str] | None = None,
+    time: str | None = None,
+    time_of_day: str | None = None,
 ) -> Figure:
-    """Return H_norm (black 0, white 1) by altitude with the paths of all planners over it.
+    """Return H_total by altitude, the sum of the costs (black best, white worst), with the paths of all planners.
 
-    A panel shows the GPS time and the time of day that its paths were planned for; without paths, the first
-    GPS time and the paper's time of day. Under it stands each planner's cost and length, or its status.
-    Where paths coincide, the later one is drawn narrower, so that both are seen.
+    All panels have one scale. A panel shows the GPS time and the time of day that its paths were planned for, in its
+    title where they differ from panel to panel. Under it stands each planner's cost and length, or its status. Where
+    paths coincide, the later one is drawn narrower, so that both are seen.
 
     Args:
       maps: from `build_maps` or `open_maps`, or their folder.
-      paths: one, several, a batch, or paths by altitude.
+      paths: one, several, a batch, or paths by altitude; empty for the costs alone.
       altitudes_m: which altitudes; left out, all of the maps', or those of the paths that are not given by altitude.
       names: what the paths are called, one after the other; left out, by their planners.
+      time: UTC time of the GPS maps of a panel without paths; the first if left out.
+      time_of_day: of the population map of a panel without paths; the first if left out.
 
     Raises:
       InputError: an altitude, time or time of day that these maps do not hold, or another number of names than paths.
@@ -107,28 +102,50 @@ def plot_paths(
     name_of = _names(planned_at, names)
     shown = maps.altitudes_m if isinstance(paths, Mapping) or not planned_at else tuple(sorted(planned_at))
     shown = shown if altitudes_m is None else tuple(altitudes_m)
-    panels = [panel for z in shown for panel in _panels_at(maps, z, planned_at.get(z, ()))]
+    panels = [panel for z in shown for panel in _panels_at(maps, z, planned_at.get(z, ()), time, time_of_day)]
     colours = planner_colours(name_of[id(path)] for _, _, _, planned in panels for path in planned)
-    titles = [" · ".join(filter(None, (f"{z:g} m", time_of_day))) for z, _, time_of_day, _ in panels]
-    times = list(dict.fromkeys(time for _, time, _, _ in panels))
+    times = list(dict.fromkeys(at for _, at, _, _ in panels))
+    times_of_day = {day for _, _, day, _ in panels}
+    titles = [
+        " · ".join(filter(None, (f"{z:g} m", day, time_said(at) if at and len(times) > 1 else "")))
+        for z, at, day, _ in panels
+    ]
     most = max(len(planned) for _, _, _, planned in panels)
-    note = frame_note(maps, times[0] if len(times) == 1 else None) + ("  ·  below: cost, length" if most else "")
+    totals = [
+        np.where(maps.is_free(z, "centre"), maps.total(z, time=at, time_of_day=day), np.nan) for z, at, day, _ in panels
+    ]
+    facts = [
+        "time of day: as the paths were planned for, not the same in all panels" if len(times_of_day) > 1 else "",
+        frame_note(maps, times[0] if len(times) == 1 else None),
+        "below: cost, length" if most else "",
+    ]
+    what = "Cost and paths" if most else "Cost"
     frame = make_frame(
         maps.grid,
         titles,
-        "Normalised cost and paths, by altitude above ground",
-        note,
+        f"{what}, by altitude above ground",
+        "  ·  ".join(filter(None, facts)),
         footer_in=most * LINE_IN + 0.1,
     )
-    for panel, (z, time, time_of_day, planned) in zip(frame.axes, panels, strict=True):
-        draw_layers(panel, maps.grid, cost_layers(maps, z, time, time_of_day))
+    scale = _total_colours(totals)
+    for panel, total, (z, _, _, planned) in zip(frame.axes, totals, panels, strict=True):
+        draw_layers(panel, maps.grid, [MapLayer(total, scale), obstacle_layer(maps, z, BLOCKED_COLOUR)])
         handles = [
             draw_path(panel, path, colours, rank, len(planned), name_of[id(path)]) for rank, path in enumerate(planned)
         ]
         draw_ends(panel, planned)
         legend_below(panel, frame, handles)
-    add_key(frame, obstacle_patches(maps, BLOCKED_COLOUR), COST_COLOURS)
+    has_ends = any(path.status.has_path for _, _, _, planned in panels for path in planned)
+    add_key(frame, obstacle_patches(maps, BLOCKED_COLOUR), scale, has_ends=has_ends)
     return frame.figure
+
+
+def _total_colours(totals: Sequence[np.ndarray]) -> Colours:
+    """Return one grey scale over all free cells of several sums of costs, NaN elsewhere."""
+    known = np.concatenate([total[np.isfinite(total)] for total in totals])
+    low, high = (float(known.min()), float(known.max())) if len(known) else (0.0, 1.0)
+    label = "$H_\\mathrm{total}$, sum of the costs, each weighing 1\n(lower is better)"
+    return Colours("gray", Normalize(low, max(high, low + 1e-6)), label)
 
 
 def _names(planned_at: Mapping[float, Sequence[PlannedPath]], names: Sequence[str] | None) -> dict[int, str]:
@@ -142,11 +159,15 @@ def _names(planned_at: Mapping[float, Sequence[PlannedPath]], names: Sequence[st
 
 
 def _panels_at(
-    maps: MetricMaps, altitude_m: float, planned: Sequence[PlannedPath]
+    maps: MetricMaps,
+    altitude_m: float,
+    planned: Sequence[PlannedPath],
+    time: str | None = None,
+    time_of_day: str | None = None,
 ) -> list[tuple[float, str | None, str | None, list[PlannedPath]]]:
-    """Return a panel (altitude, time, time of day, paths) for each map that paths were planned on."""
+    """Return a panel (altitude, time, time of day, paths) for each map that paths were planned on, else for one map."""
     if not planned:
-        return [(altitude_m, maps.default_time, paper_time_of_day(maps, altitude_m), [])]
+        return [(altitude_m, time or maps.default_time, time_of_day or next(iter(maps.times_of_day), None), [])]
 
     def planned_on(path: PlannedPath) -> tuple[str, str]:
         return path.settings["time"] or "", path.settings["time_of_day"] or ""
@@ -181,9 +202,7 @@ def draw_ends(panel: Axes, paths: Sequence[PlannedPath]) -> None:
     found = next((path for path in paths if path.status.has_path), None)
     if found is None:
         return
-    look: dict[str, Any] = {"linestyle": "none", "markeredgecolor": "black", "markerfacecolor": "white", "zorder": 20}
-    panel.plot(*found.xy_m[0], marker="o", markersize=6.5, **look)
-    panel.plot(*found.xy_m[-1], marker="*", markersize=12, **look)
+    mark_ends(panel, found.xy_m[0], found.xy_m[-1])
 
 
 def legend_below(panel: Axes, frame: Frame, handles: Sequence[Line2D]) -> None:
@@ -217,36 +236,34 @@ def plot_overview(maps: GivenMaps, paths: Paths, *, altitude_m: float | None = N
     first_m = maps.altitudes_m[0] if isinstance(paths, Mapping) else next(iter(planned_at), maps.altitudes_m[0])
     z = first_m if altitude_m is None else altitude_m
     (_, time, time_of_day, planned), *_ = _panels_at(maps, z, planned_at.get(z, ()))
+    what = " and paths" if planned else ""
     names = {"roof": "Roof height (m)"}
     for name, metric in maps.metrics.items():
         if name == "population":
             names["density"] = f"People per km², {time_of_day}"
         else:
             names[name] = f"{metric.label}, {z:g} m"
-    names["cost"] = f"Cost and paths, {z:g} m"
+    names["cost"] = ", ".join(filter(None, (f"Cost{what}", f"{z:g} m", time_of_day)))
     frame = make_frame(
         maps.grid,
         list(names.values()),
-        "Metric maps and paths",
+        f"Metric maps{what}",
         frame_note(maps, time),
         footer_in=0.4,
         with_ticks=False,
     )
     for panel, name in zip(frame.axes, names, strict=True):
-        ticks: Sequence[float] | None = (0, 0.5, 1)
         if name == "roof":
             layers = roof_layers(maps)
-            ticks = (layers[-1].colours.ticks or ())[::2]
         elif name == "density":
             highest = float(np.nanmax(maps.ds[name].values))
             layers = density_layers(maps.m(name, time_of_day=time_of_day), density_colours(highest))
-            ticks = None
         elif name == "cost":
             layers = cost_layers(maps, z, time, time_of_day)[::-1]
         else:
             layers = [obstacle_layer(maps, z), free_layer(maps, name, z, time=time)]
         draw_layers(panel, maps.grid, layers)
-        add_bar_below(frame, panel, replace(layers[-1].colours, ticks=ticks))
+        add_bar_below(frame, panel, layers[-1].colours)
     colours = planner_colours(path.search.planner for path in planned)
     for rank, path in enumerate(planned):
         draw_path(frame.axes[-1], path, colours, rank, len(planned))
@@ -258,5 +275,6 @@ def plot_overview(maps: GivenMaps, paths: Paths, *, altitude_m: float | None = N
         )
         for path in planned
     ]
-    add_key(frame, [*obstacle_patches(maps), ("obstacle (cost)", BLOCKED_COLOUR), *lines])
+    has_ends = any(path.status.has_path for path in planned)
+    add_key(frame, [*obstacle_patches(maps), ("obstacle (cost)", BLOCKED_COLOUR), *lines], has_ends=has_ends)
     return frame.figure

@@ -13,7 +13,8 @@ from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.profile import CLEARANCE, without_fix
 from jaxurban.report.figures.charts import chart, dress, show_plain, styled
 from jaxurban.report.figures.frame import FAINT_INK, TEXT_PT
-from jaxurban.report.figures.metrics import BUILT_COLOUR, frame_note
+from jaxurban.report.figures.metrics import BUILT_COLOUR
+from jaxurban.report.figures.notes import frame_note
 
 ALTITUDE_COLOUR, CLEARANCE_COLOUR, NO_FIX_COLOUR = "#d62728", "#5b3a8c", "#ffd9d4"
 LINEAR_UP_TO_M = 10.0  # above, the scale of clearance is logarithmic: near obstacles matter most

@@ -13,18 +13,18 @@ from matplotlib.patches import Patch, Polygon
 from matplotlib.ticker import LogLocator, NullLocator
 
 from jaxurban.report.figures.charts import chart, dress, panels, show_plain, styled
+from jaxurban.report.figures.colours import Colours, add_colour_bar
 from jaxurban.report.figures.frame import (
     FAINT_INK,
     INK,
     TEXT_PT,
-    Colours,
     Frame,
-    add_colour_bar,
     add_key,
     draw_layers,
     make_frame,
 )
-from jaxurban.report.figures.metrics import frame_note, obstacle_patches
+from jaxurban.report.figures.metrics import obstacle_patches
+from jaxurban.report.figures.notes import frame_note
 from jaxurban.report.figures.paths import BLOCKED_COLOUR, cost_layers, draw_ends
 from jaxurban.report.markdown import counted, listed
 from jaxurban.studies.outcomes import outcome_label

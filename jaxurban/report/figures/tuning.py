@@ -13,8 +13,10 @@ from matplotlib.ticker import MaxNLocator
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.planners.base import Cell, weighted_sum
 from jaxurban.report.figures.charts import chart, dress, show_plain_log, styled
-from jaxurban.report.figures.frame import FAINT_INK, SMALL_PT, Colours, MapLayer, add_key, draw_layers, make_frame
-from jaxurban.report.figures.metrics import frame_note, line_colour, obstacle_layer, obstacle_patches
+from jaxurban.report.figures.colours import SMALL_PT, Colours
+from jaxurban.report.figures.frame import FAINT_INK, MapLayer, add_key, draw_layers, make_frame
+from jaxurban.report.figures.metrics import line_colour, obstacle_layer, obstacle_patches
+from jaxurban.report.figures.notes import frame_note
 from jaxurban.report.figures.paths import BLOCKED_COLOUR
 from jaxurban.studies.beside_demonstrations import PlannedBeside
 from jaxurban.studies.tuning.target_fit import TargetFit
