@@ -113,6 +113,7 @@ ROUTE = together(  # a route over maps, under costs: what `stored_cost_map` take
     *(click.option(*names, type=kind, required=True, help=told) for names, kind, told in ENDS),
     COSTS,
 )
+DEGREES = click.option("--degrees", is_flag=True, help="Label the maps of figures by longitude and latitude.")
 JSON_FLAG = click.option("--json", "as_json", is_flag=True, help="Print one machine-readable object on stdout.")
 
 

@@ -7,6 +7,7 @@ import click
 
 from jaxurban.cli.common import (
     CONSTRAINTS,
+    DEGREES,
     DEVICE,
     JSON_FLAG,
     OBSTACLES,
@@ -49,6 +50,7 @@ from jaxurban.progress import reporting
 )
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of sampled queries.")
 @click.option("--overwrite", is_flag=True, help="Replace another comparison in the output folder.")
+@DEGREES
 @DEVICE
 @JSON_FLAG
 def compare(folder_a: Path, folder_b: Path, output: Path, as_json: bool, overwrite: bool, **given: Any) -> int:
@@ -78,7 +80,7 @@ def compare(folder_a: Path, folder_b: Path, output: Path, as_json: bool, overwri
     with reporting("compare") as report:
         found = compare_maps(*sides, **how, progress=report)
         report("report")
-        save_comparison(found, output, overwrite)
+        save_comparison(found, output, overwrite, degrees=given["degrees"])
     tell(f"comparison finished: read {output / REPORT_FILE}, look at {output / 'figures'}")
     if as_json:
         made: dict[str, Any] = {"folder": str(output), "report": str(output / REPORT_FILE)}

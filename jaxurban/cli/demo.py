@@ -4,21 +4,22 @@ from pathlib import Path
 
 import click
 
-from jaxurban.cli.common import DEVICE, JSON_FLAG, print_json, tell
+from jaxurban.cli.common import DEGREES, DEVICE, JSON_FLAG, print_json, tell
 from jaxurban.progress import reporting
 
 
 @click.command()
 @click.option("-o", "folder", type=click.Path(path_type=Path), default=Path("out/demo"), show_default=True)
 @click.option("--overwrite", is_flag=True, help="Replace maps of other settings in the output folder.")
+@DEGREES
 @DEVICE
 @JSON_FLAG
-def demo(folder: Path, overwrite: bool, as_json: bool) -> int:
+def demo(folder: Path, overwrite: bool, degrees: bool, as_json: bool) -> int:
     """Maps of the synthetic city, paths over them, pictures and a summary."""
     from jaxurban.report.demo import run_demo
 
     with reporting("demo") as report:
-        made = run_demo(folder, report, overwrite=overwrite)
+        made = run_demo(folder, report, overwrite, degrees)
     tell(f"demo finished: read {folder / 'summary.md'}, look at {folder / 'figures'}")
     if as_json:
         print_json(made)

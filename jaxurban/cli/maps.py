@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from jaxurban.cli.common import DEVICE_CHOICE, JSON_FLAG, names_in, print_json, tell, tell_warnings
+from jaxurban.cli.common import DEGREES, DEVICE_CHOICE, JSON_FLAG, names_in, print_json, tell, tell_warnings
 from jaxurban.errors import InputError
 from jaxurban.progress import reporting
 
@@ -31,6 +31,7 @@ TAKEN = (".", "geotiff", "maps.zarr", "figures")  # no folder of a scenario besi
 )
 @click.option("--overwrite", is_flag=True, help="Replace maps of other settings in the output folder.")
 @click.option("--figures", is_flag=True, help="Draw the maps too, under DIR/figures.")
+@DEGREES
 @click.option(
     "--layers",
     default="",
@@ -49,6 +50,7 @@ def maps(
     changes: tuple[str, ...],
     overwrite: bool,
     figures: bool,
+    degrees: bool,
     layers: str,
     memory: str | None,
     workers: int | None,
@@ -65,10 +67,13 @@ def maps(
     from jaxurban.maps.memory import parse_bytes
     from jaxurban.scenario.settings import Scenario
 
+    if degrees and not figures:
+        raise click.UsageError("--degrees belongs to --figures: add that")
+    drawn = {"degrees": degrees} if figures else None
     resources = Resources(None if memory is None else parse_bytes(memory), workers, cluster).on_device(device)
     if len(scenario_files) == 1:
         scenario = Scenario.from_toml(scenario_files[0], changes)
-        record = _make(scenario, folder, overwrite, figures, resources, names_in(layers))
+        record = _make(scenario, folder, overwrite, drawn, resources, names_in(layers))
         if as_json:
             print_json(record)
         return 0
@@ -85,7 +90,7 @@ def maps(
         tell(f"scenario {file}")
         try:
             found[name] = _make(
-                Scenario.from_toml(file, changes), folder / name, overwrite, figures, resources, names_in(layers)
+                Scenario.from_toml(file, changes), folder / name, overwrite, drawn, resources, names_in(layers)
             )
         except Exception as error:
             is_ours = isinstance(error, InputError | MemoryError)
@@ -104,19 +109,24 @@ def maps(
 
 
 def _make(
-    scenario: "Scenario", folder: Path, overwrite: bool, figures: bool, resources: "Resources", layers: tuple[str, ...]
+    scenario: "Scenario",
+    folder: Path,
+    overwrite: bool,
+    drawn: dict[str, bool] | None,
+    resources: "Resources",
+    layers: tuple[str, ...],
 ) -> dict[str, Any]:
-    """Make the maps of one scenario and return the record of the run."""
+    """Make the maps of one scenario, draw them as asked, and return the record of the run."""
     from jaxurban.scenario.run import run_scenario
 
     with reporting("maps") as report:
         run = run_scenario(scenario, folder, report, overwrite, resources, layers)
-        if figures:
+        if drawn is not None:
             from jaxurban.report.figures import save_figures
 
             report("figures")
             for resolution_m, made in run.maps.items():
-                save_figures(made, {}, folder / "figures" / f"{resolution_m:g}m")
+                save_figures(made, {}, folder / "figures" / f"{resolution_m:g}m", **drawn)
     tell_warnings(run.record)
     tell(f"maps finished: {folder} (run.json tells what went in)")
     return run.record

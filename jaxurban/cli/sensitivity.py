@@ -9,6 +9,7 @@ import click
 
 from jaxurban.cli.common import (
     COSTS,
+    DEGREES,
     DEVICE,
     ENDS,
     JSON_FLAG,
@@ -33,6 +34,7 @@ NAMED = {"vary": "vary", "triangle": "triangle", "objectives": "pareto"}  # list
 OF_ONE = {  # options that only the study of one route takes, with what they are left out
     **{"start": None, "goal": None, "altitude_m": None, "time": None, "time_of_day": None, "triangle": ""},
     **{"pareto": "", "tolerance": None, "with_buildings": False, "snap": False, "snap_distance_m": None},
+    "degrees": False,
 }
 OF_MANY = {
     **{"num_routes": None, "altitudes_text": "", "queries": None, "wrong": None, "heights": 0, "parameters": False},
@@ -95,6 +97,7 @@ MANY = together(
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
 @click.option("-o", "output", type=click.Path(path_type=Path), default=Path("out/sensitivity"), show_default=True)
 @click.option("--overwrite", is_flag=True, help="Replace another run of sensitivity in the output folder.")
+@DEGREES
 @DEVICE
 @JSON_FLAG
 def sensitivity(folders: Sequence[Path], output: Path, as_json: bool, overwrite: bool, **given: Any) -> int:
@@ -157,12 +160,13 @@ def _one(folder: Path, output: Path, as_json: bool, overwrite: bool, given: Sett
     with own_folder(output, "sensitivity", key, overwrite=overwrite), reporting("sensitivity") as report:
         found = study(shared, **ends, settings=how, progress=report)
         report("report")
-        write_sensitivity(found, output)
+        write_sensitivity(found, output, given["degrees"])
         if with_buildings:
             from jaxurban.report.buildings import write_buildings
 
             report("buildings")
-            add_buildings(output, write_buildings(folder, first, output / "buildings", scenario=scenario))
+            drawn = {"scenario": scenario, "degrees": given["degrees"]}
+            add_buildings(output, write_buildings(folder, first, output / "buildings", **drawn))
     tell(f"sensitivity finished: read {output / 'report.md'}, look at {output / 'figures'}")
     if as_json:
         tables = {name: records_of(table.reset_index()) for name, table in found.tables().items()}

@@ -9,6 +9,7 @@ from click.core import ParameterSource
 
 from jaxurban.cli.common import (
     CONSTRAINTS,
+    DEGREES,
     DEVICE,
     JSON_FLAG,
     OBSTACLES,
@@ -63,6 +64,7 @@ if TYPE_CHECKING:
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
 @click.option("--budget", "budget_s", type=float, help="Seconds; the round under way is finished.")
 @click.option("--overwrite", is_flag=True, help="Forget a fit of other routes or settings in the output folder.")
+@DEGREES
 @DEVICE
 @JSON_FLAG
 def tune(words: tuple[Path, ...], out: Path, **given: Any) -> int:
@@ -107,7 +109,8 @@ def tune(words: tuple[Path, ...], out: Path, **given: Any) -> int:
         fit=FitSettings(**named("max_rounds", "seed", "budget_s", "backend")),
     )
     sources = [*_sources(words), *(RoutesOnMaps(folder, (routes,)) for folder, routes in given["also"])]
-    facts = run_tuning(sources, out, settings, overwrite=given["overwrite"], command=_command())
+    how = {name: given[name] for name in ("overwrite", "degrees")}
+    facts = run_tuning(sources, out, settings, **how, command=_command())
     for warning in facts.get("unidentified", []) + facts.get("warnings", []):
         tell(f"warning: {warning}")
     if "message" in facts:

@@ -15,6 +15,7 @@ from jaxurban.maps.build import soften
 from jaxurban.maps.differentiable import SoftParams
 from jaxurban.paths.path import PlannedPath
 from jaxurban.report.figures.buildings import plot_building_costs
+from jaxurban.report.figures.degrees import in_degrees
 from jaxurban.report.save import save
 from jaxurban.scenario.provenance import hash_inputs
 from jaxurban.scenario.run import tasks_of
@@ -74,6 +75,7 @@ def write_buildings(
     *,
     scenario: str | Path | None = None,
     softness_m: float = 2.0,
+    degrees: bool = False,
 ) -> pd.DataFrame:
     """Write what every building costs a route: ``buildings.csv``, ``buildings.parquet`` and ``buildings.png``.
 
@@ -85,6 +87,7 @@ def write_buildings(
       out: where the files go; made if it is not there.
       scenario: file that the maps were made from, where sources have relative names.
       softness_m: see `jaxurban.studies.sensitivity.buildings.building_costs`.
+      degrees: label the picture by longitude and latitude instead of easting and northing.
 
     Returns:
       The table of `jaxurban.studies.sensitivity.buildings.building_costs`.
@@ -111,6 +114,6 @@ def write_buildings(
     with jax.enable_x64(True):
         soft = soften(task, time_index=time_index, time_of_day=time_of_day, dtype=np.float64)
         table = building_costs(city, soft, planned, params)
-    picture = partial(plot_building_costs, city, planned, table, task.region)
-    save(out, {"buildings": table.reset_index(), "buildings.png": picture})
+    picture = {"buildings.png": partial(plot_building_costs, city, planned, table, task.region)}
+    save(out, {"buildings": table.reset_index(), **in_degrees(picture, task.region, degrees)})
     return table

@@ -20,7 +20,7 @@ RESOLUTION_M = 5.0
 BUDGET_S = 2.0  # what the sampling planners use up; the others need less
 
 
-def run_demo(folder: Path, report: Report, overwrite: bool = False) -> dict[str, Any]:
+def run_demo(folder: Path, report: Report, overwrite: bool = False, degrees: bool = False) -> dict[str, Any]:
     """Write the demo under ``folder`` and return what it made.
 
     Raises:
@@ -43,7 +43,7 @@ def run_demo(folder: Path, report: Report, overwrite: bool = False) -> dict[str,
         for path in planned:
             write_path(path, folder / "paths" / f"{path.search.planner}_{altitude_m:g}m.geojson")
     report("figures")
-    figures = save_figures(maps, paths, folder / "figures")
+    figures = save_figures(maps, paths, folder / "figures", degrees=degrees)
     with whole_file(folder / "summary.md") as scratch:
         scratch.write_text(summary_markdown(maps, paths, run.record), encoding="utf-8")
     return {

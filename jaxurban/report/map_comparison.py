@@ -13,7 +13,8 @@ from jaxurban.io.bands import write_bands
 from jaxurban.io.folders import own_folder
 from jaxurban.io.store import short_number
 from jaxurban.maps.metric_maps import MetricMaps
-from jaxurban.report.figures.map_comparison import comparison_figures, heading_of
+from jaxurban.report.figures.degrees import in_degrees
+from jaxurban.report.figures.map_comparison import EPOCHS, comparison_figures, heading_of
 from jaxurban.report.markdown import bullets, cell, fill, listed, table
 from jaxurban.report.save import Output, save
 from jaxurban.scenario.differences import NOT_SET
@@ -26,13 +27,16 @@ QUANTILES = {"median": 0.5, "90th percentile": 0.9, "most": 1.0}
 
 
 @typed
-def save_comparison(found: MapComparison, folder: str | Path, overwrite: bool = False) -> list[Path]:
+def save_comparison(
+    found: MapComparison, folder: str | Path, overwrite: bool = False, *, degrees: bool = False
+) -> list[Path]:
     """Write the report, tables (CSV, Parquet), difference maps (GeoTIFF) and figures (PNG); return the files.
 
     Args:
       found: the comparison.
       folder: where to; made if it is not there.
       overwrite: replace another comparison in it.
+      degrees: label the maps of figures by longitude and latitude instead of easting and northing.
 
     Raises:
       InputError: the folder cannot be written to, or holds another comparison or other files.
@@ -45,7 +49,7 @@ def save_comparison(found: MapComparison, folder: str | Path, overwrite: bool = 
             "queries": [query.to_dict() for query in found.routes.a.queries]
         }
     with own_folder(folder, "compare", json.loads(json.dumps(key, default=str)), overwrite=overwrite):
-        return write_comparison(found, folder)
+        return write_comparison(found, folder, degrees)
 
 
 def _identity(maps: MetricMaps) -> dict[str, str]:
@@ -53,12 +57,12 @@ def _identity(maps: MetricMaps) -> dict[str, str]:
     return {name: str(maps.ds.attrs.get(name)) for name in names} | {"obstacles": maps.obstacles}
 
 
-def write_comparison(found: MapComparison, folder: Path) -> list[Path]:
+def write_comparison(found: MapComparison, folder: Path, degrees: bool = False) -> list[Path]:
     """Write what `save_comparison` writes, into a folder that is held already."""
     outputs: dict[str, Output] = {"tables/layers": found.table}
     if found.routes is not None:
         outputs["tables/routes"] = found.routes.table
-    figures = comparison_figures(found)
+    figures = in_degrees(comparison_figures(found), found.grid, degrees)
     pictures = {f"figures/{name}.png": draw for name, draw in figures.items()}
     files = [_write_difference(found, layer, folder / "difference") for layer in found.layers]
     return files + save(folder, {**outputs, **pictures, REPORT_FILE: comparison_markdown(found, list(figures))})
@@ -110,7 +114,10 @@ def comparison_markdown(found: MapComparison, figures: list[str]) -> str:
 
 
 def _caption(found: MapComparison, name: str) -> str:
-    return "Routes that change" if name == "routes" else f"{heading_of(found, name)}, B - A"
+    if name == "routes":
+        return "Routes that change"
+    layer = name.removesuffix(EPOCHS)
+    return f"{heading_of(found, layer)}, B - A" + ("" if layer == name else ", at each epoch")
 
 
 def _extent(found: MapComparison) -> str:

@@ -14,6 +14,7 @@ from jaxurban.io.tables import records_of
 from jaxurban.maps.metric_maps import MetricMaps, Obstacles, open_maps
 from jaxurban.metrics.weights import Weights
 from jaxurban.progress import Progress, reporting
+from jaxurban.report.figures.degrees import in_degrees
 from jaxurban.report.figures.fits import plot_fits
 from jaxurban.report.figures.tuning import plot_learning, plot_regret, plot_routes, plot_targets, plot_weights
 from jaxurban.report.fits import fits_section, is_compared
@@ -84,6 +85,7 @@ def run_tuning(
     settings: TuneSettings,
     *,
     overwrite: bool = False,
+    degrees: bool = False,
     command: str = "jaxurban.report.run_tuning.run_tuning",
     progress: Progress = True,
 ) -> dict[str, Any]:
@@ -96,6 +98,7 @@ def run_tuning(
       folder: written to; made if it is not there.
       settings: of the fit.
       overwrite: forget the fit of other routes or settings that the folder holds.
+      degrees: label the maps of figures by longitude and latitude instead of easting and northing.
       command: for the report.
       progress: as in `jaxurban.progress.reporting`.
 
@@ -147,7 +150,7 @@ def run_tuning(
             beside = plan_beside(demonstrations, fit.weights)
             report("figures and report")
             files = [(_routes_said(source, settings), str(source.maps)) for source in sources]
-            outputs = outputs_of(fit, beside, files, command, targets, found)
+            outputs = outputs_of(fit, beside, files, command, targets, found, degrees)
             save(folder, outputs)
     facts = _facts(fit, folder)
     return facts if found is None or not is_compared(found) else facts | {"fits": records_of(found.table)}
@@ -208,6 +211,7 @@ def outputs_of(
     command: str,
     targets: Sequence[Target] = (),
     found: FitComparison | None = None,
+    degrees: bool = False,
 ) -> dict[str, Output]:
     """Return what a fit writes, by file name: tables, pictures, the report and weights.toml.
 
@@ -218,6 +222,7 @@ def outputs_of(
       command: that made the fit.
       targets: that the weights were fitted to.
       found: further fits, which the fit is compared with, and routes that were held out.
+      degrees: as in `run_tuning`.
     """
     maps = maps_of(each.query for each in beside.demonstrations)
     unit = weight_units(maps[0])
@@ -248,7 +253,7 @@ def outputs_of(
         outputs["figures/targets.png"] = lambda: plot_targets(fit)
         report = targets_report(fit, beside, targets, source)
     for name, one in pictures.items():
-        outputs[f"figures/{name}.png"] = partial(plot_routes, beside, one, vector)
+        outputs |= in_degrees({f"figures/{name}.png": partial(plot_routes, beside, one, vector)}, one.grid, degrees)
     outputs |= {"weights": weights.assign(unit=units), "examples": routes}
     return outputs | {"weights.toml": weights_toml(fit, maps[0]), "report.md": report}
 

@@ -11,6 +11,7 @@ from jaxurban.errors import typed
 from jaxurban.io.folders import own_folder
 from jaxurban.paths.constraints import constraints_said
 from jaxurban.planners.base import CostModel
+from jaxurban.report.figures.degrees import in_degrees
 from jaxurban.report.figures.sensitivity import sensitivity_figures
 from jaxurban.report.markdown import bullets, fill, listed, short, table
 from jaxurban.report.save import save
@@ -26,13 +27,16 @@ TOP_BUILDINGS = 10
 
 
 @typed
-def save_sensitivity(found: Sensitivity, folder: str | Path, overwrite: bool = False) -> list[Path]:
+def save_sensitivity(
+    found: Sensitivity, folder: str | Path, overwrite: bool = False, *, degrees: bool = False
+) -> list[Path]:
     """Write the report, tables (CSV, Parquet) and figures (PNG) of a study into a folder and return the files.
 
     Args:
       found: the study.
       folder: where to; made if it is not there.
       overwrite: replace another study in it.
+      degrees: label the maps of figures by longitude and latitude instead of easting and northing.
 
     Raises:
       InputError: the folder cannot be written to, or holds another study or other files.
@@ -41,13 +45,14 @@ def save_sensitivity(found: Sensitivity, folder: str | Path, overwrite: bool = F
     settings = {"route": route.settings, "lonlat": route.lonlat[[0, -1]].tolist(), "weights": found.weights.tolist()}
     settings |= {"vary": found.vary, "factors": found.factors, "triangle": found.triangle_names}
     with own_folder(folder, "sensitivity", json.loads(json.dumps(settings, default=str)), overwrite=overwrite):
-        return write_sensitivity(found, folder)
+        return write_sensitivity(found, folder, degrees)
 
 
-def write_sensitivity(found: Sensitivity, folder: Path) -> list[Path]:
+def write_sensitivity(found: Sensitivity, folder: Path, degrees: bool = False) -> list[Path]:
     """Write what `save_sensitivity` writes, into a folder that is held already."""
     tables = {f"tables/{name}": table.reset_index() for name, table in found.tables().items()}
-    figures = {f"figures/{name}.png": draw for name, draw in sensitivity_figures(found).items()}
+    drawn = in_degrees(sensitivity_figures(found), found.maps.grid, degrees)
+    figures = {f"figures/{name}.png": draw for name, draw in drawn.items()}
     return save(folder, {**tables, **figures, REPORT_FILE: sensitivity_markdown(found)})
 
 

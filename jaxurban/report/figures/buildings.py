@@ -81,7 +81,7 @@ def plot_building_costs(
     draw_ends(panel, [planned])
     _number(panel, city, planned, table[table.per_metre >= SHOWN_SHARE * most].head(num_labels), set(seen.tolist()))
     patches = [("no effect", UNTOUCHED_COLOUR), ("route", ROUTE_COLOUR)]
-    add_key(frame, patches, colours)
+    add_key(frame, patches, colours, has_ends=True)
     return frame.figure
 
 

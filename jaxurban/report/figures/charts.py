@@ -1,12 +1,13 @@
 """Charts: figures with a heading, panels of one look laid out in inches, legends, and plain logarithmic axes."""
 
 import math
+from collections.abc import Sequence
 
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+from matplotlib.ticker import FuncFormatter, Locator, LogLocator, MaxNLocator, NullFormatter
 
 from jaxurban.report.figures.colours import SMALL_PT
 from jaxurban.report.figures.frame import FAINT_INK, INK, TEXT_PT, write_head
@@ -26,6 +27,8 @@ styled = rc_context(  # a decorator of functions that draw; ticks are made later
         "figure.facecolor": "white",
     }
 )
+TICKS_PER_DECADE: tuple[tuple[float, ...], ...] = ((1.0,), (1.0, 2.0, 5.0), tuple(range(1, 10)))
+FEW_TICKS = 3  # that a logarithmic axis has at least
 LEFT_IN, HEAD_IN, FOOT_IN = 0.75, 0.95, 0.55
 
 
@@ -46,6 +49,7 @@ def panels(
     foot_in: float = 0.0,
     most_in_row: int = 3,
     shares_y: bool = False,
+    right_in: float = 0.0,
 ) -> tuple[Figure, list[Axes]]:
     """Return a figure with so many panels of equal size.
 
@@ -56,11 +60,12 @@ def panels(
       gap_in: between two panels, for their labels.
       foot_in: room for a legend at the foot.
       most_in_row: panels side by side; four are two above two where that is 3.
-      shares_y: whether the panels of a row have one scale, labelled at the left.
+      shares_y: whether the panels have one scale, labelled at the left of each row.
+      right_in: room for a colour bar at the right.
     """
     num_cols = min(most_in_row, num) if (num, most_in_row) != (4, 3) else 2
     num_rows = math.ceil(num / num_cols)
-    width = max(LEFT_IN + num_cols * (panel_in[0] + gap_in[0]) - gap_in[0] + 0.15, 6.4)
+    width = max(LEFT_IN + num_cols * (panel_in[0] + gap_in[0]) - gap_in[0] + 0.15, 6.4) + right_in
     height = HEAD_IN + num_rows * (panel_in[1] + gap_in[1]) - gap_in[1] + FOOT_IN + foot_in
     figure = chart(width, height, heading, note)
     axes: list[Axes] = []
@@ -73,6 +78,13 @@ def panels(
         panel.tick_params(labelleft=not shares_y or col == 0)
         axes.append(panel)
     return figure, axes
+
+
+def label_rows(axes: Sequence[Axes], label: str) -> None:
+    """Name what panels show upward that share that scale: at the first of each row."""
+    for panel in axes:
+        if panel.yaxis.get_tick_params()["labelleft"]:
+            panel.set_ylabel(label)
 
 
 def dress(panel: Axes, has_grid: bool = True) -> None:
@@ -95,7 +107,13 @@ def show_plain(axis: Axis) -> None:
 
 
 def show_plain_log(axis: Axis) -> None:
-    """Label a logarithmic axis with plain numbers, 1, 2 and 5 times powers of ten; only powers over a wide range."""
+    """Label a logarithmic axis with plain numbers: powers of ten, and where these are few finer ones."""
     low, high = axis.get_view_interval()
-    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < 1e3 * low else (1.0,)))
+    for subs in TICKS_PER_DECADE:
+        locator: Locator = LogLocator(subs=subs)
+        if sum(low <= tick <= high for tick in locator.tick_values(low, high)) >= FEW_TICKS:
+            break
+    else:
+        locator = MaxNLocator(FEW_TICKS)
+    axis.set_major_locator(locator)
     show_plain(axis)

@@ -6,7 +6,7 @@ a key column with the legend, the colour bar, the north arrow and the scale bar,
 
 import math
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -201,7 +201,7 @@ def decimals_of(step: float) -> int:
     return max(0, -math.floor(math.log10(step)))
 
 
-def mark_ends(panel: Axes, start_xy_m: Sequence[float], goal_xy_m: Sequence[float], size: float = 1.0) -> None:
+def mark_ends(panel: Axes, start_xy_m: Iterable[Any], goal_xy_m: Iterable[Any], size: float = 1.0) -> None:
     """Mark where a route starts (circle) and ends (star); `add_key` names the two."""
     for (_, marker, markersize), at in zip(ENDS, (start_xy_m, goal_xy_m), strict=True):
         panel.plot(*at, marker=marker, markersize=size * markersize, zorder=20, **END_LOOK)

@@ -1,5 +1,6 @@
 """Pictures of two sets of maps side by side: what differs, on one scale around zero, and the routes that change."""
 
+import re
 from collections.abc import Callable, Sequence
 from functools import partial
 
@@ -34,6 +35,7 @@ MASK_COLOURS = {
 A_COLOUR, B_COLOUR = "#111111", "#f59b00"
 SHOWN_SHARE = 0.99  # of the changed cells lie within the colour bar
 MOST_DOP = 5.0  # of the colour bar of dilutions of precision, whose tail has no end
+EPOCHS = "_epochs"  # ends the name of a figure with a panel for each time
 MOST_ROUTES = 8  # in a panel
 UNITS = {"1": "", "m": "m", "km-2": "people per km²"}
 LABELS = {
@@ -55,7 +57,7 @@ def comparison_figures(found: MapComparison) -> dict[str, Callable[[], Figure]]:
     changed = [layer for layer in found.layers if whole[layer] > 0]
     figures: dict[str, Callable[[], Figure]] = {layer: partial(plot_difference, found, layer) for layer in changed}
     if "gps" in changed and len(found.part.times) > 1:
-        figures["gps_epochs"] = partial(plot_difference, found, "gps", altitude_m=min(found.a.altitudes_m))
+        figures[f"gps{EPOCHS}"] = partial(plot_difference, found, "gps", altitude_m=min(found.a.altitudes_m))
     if found.routes is not None and found.routes.both.is_changed.any():
         figures["routes"] = partial(plot_changed_routes, found)
     return figures
@@ -185,7 +187,9 @@ def _title(found: MapComparison, layer: str, place: Place, by_time: bool) -> str
             chosen &= table[name] == value
     row = table[chosen].iloc[0]
     where = f"{place.altitude_m:g} m" if place.altitude_m is not None else place.time_of_day
-    where = time_said(place.time) if by_time and place.time is not None else where
+    if by_time and place.time is not None:
+        of_b = found.part.times.get(place.time, place.time)
+        where = time_said(place.time) + ("" if of_b == place.time else f" (B: {time_said(of_b)})")
     if layer in MASKS:
         return f"{where}  ·  {row.gained:,} cells gained, {row.lost:,} lost"
     return "  ·  ".join(filter(None, (where, f"mean {row['mean']:+.3g}, {percent(row.share_changed)} changed")))
@@ -193,11 +197,10 @@ def _title(found: MapComparison, layer: str, place: Place, by_time: bool) -> str
 
 def _note(found: MapComparison, time: str | None, has_sky: bool) -> str:
     """Return the names of both, and each one's sky where it is not the same."""
-    of_b = found.part.times.get(time, time) if time else time
-    skies = [sky_said(maps, at) for maps, at in ((found.a, time), (found.b, of_b))] if has_sky else ["", ""]
+    skies = [sky_said(maps, time) if has_sky else "" for maps in (found.a, found.b)]
+    of_b = {time_said(a): time_said(b) for a, b in found.part.times.items()}  # B's maps carry the names of A's times
+    skies[1] = re.sub("|".join(of_b) or "$^", lambda found: of_b[found[0]], skies[1])
     is_same = skies[0] == skies[1]
-    told = [
-        f"{name}: {side}" + ("" if is_same else f", {sky}")
-        for name, side, sky in zip("AB", found.names, skies, strict=True)
-    ]
+    sides = [name if is_same else f"{name}, {sky}" for name, sky in zip(found.names, skies, strict=True)]
+    told = [f"A: {sides[0]}", f"B: {sides[1]}"]
     return "\n".join([*told, frame_note(found.a, time, has_sky=has_sky and is_same)])

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
+from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, MaxNLocator, PercentFormatter
 
@@ -13,17 +14,22 @@ from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.base import Metric
 from jaxurban.metrics.registry import METRICS
 from jaxurban.report.figures.charts import legend_below, panels, show_plain, styled
+from jaxurban.report.figures.colours import Colours, add_colour_bar
 from jaxurban.report.figures.frame import FAINT_INK, INK
 from jaxurban.report.figures.paths import planner_colours
 from jaxurban.studies.montecarlo.analysis import each, facts_of, range_names, weighted_rows
 from jaxurban.studies.montecarlo.trial import DISTANCE, WEIGHTED
 
 PANEL_IN = 2.45
+BAR_IN = 0.85  # room for a colour bar at the right
+SHARES = Colours("Greys", LogNorm(1e-6, 0.3), "share of the free cells", extend="max")
 RATIO_AXIS = (1.1, 2.0)  # the least and the greatest end of the axis of cost ratios
 MARKERS = "osD^vP*X"
 
 
-def _panels(num: int, heading: str, note: str, *, height_in: float = 2.38, shares_y: bool = True):
+def _panels(
+    num: int, heading: str, note: str, *, height_in: float = 2.38, shares_y: bool = True, right_in: float = 0.0
+) -> tuple[Figure, list[Axes]]:
     """Return a figure with a row of panels and room for a legend at its foot."""
     gap_in = 0.26 if shares_y else 0.6
     width_in = max(PANEL_IN - gap_in, (5.5 + gap_in) / num - gap_in)
@@ -36,6 +42,7 @@ def _panels(num: int, heading: str, note: str, *, height_in: float = 2.38, share
         foot_in=0.27,
         most_in_row=num,
         shares_y=shares_y,
+        right_in=right_in,
     )
     for panel in axes:
         panel.spines[["top", "right"]].set_visible(False)
@@ -149,8 +156,8 @@ def plot_usage(usage: pd.DataFrame, metrics: Mapping[str, Metric] = METRICS) -> 
     altitudes = sorted(usage.altitude_m.unique())
     runs = list(usage[["planner", "objective"]].drop_duplicates().itertuples(index=False, name=None))
     colours = planner_colours(sorted(usage.planner.unique()))
-    note = "mean m over the instances that all of these solved, by altitude; scales differ"
-    figure, axes = _panels(len(names), "Metrics along the paths", note, shares_y=False)
+    note = "mean m over the instances that all of these solved, by altitude"
+    figure, axes = _panels(len(names), "Metrics along the paths", note)
     for panel, metric in zip(axes, names, strict=True):
         for rank, (planner, objective) in enumerate(runs):
             at = usage[(usage.planner == planner) & (usage.objective == objective)].set_index("altitude_m")
@@ -203,7 +210,7 @@ def plot_paired(paired: pd.DataFrame) -> Figure:
 def plot_objectives(objectives: pd.DataFrame) -> Figure:
     """Return what the shortest path costs and saves against the cheapest, by altitude (`analysis.objectives`)."""
     note = "distance-only over weighted runs of the same planner, 95 % interval"
-    figure, axes = _panels(2, "Shortest path against cheapest path", note, shares_y=False)
+    figure, axes = _panels(2, "Shortest path against cheapest path", note)
     colours = planner_colours(sorted(objectives.planner.unique()))
     titles = ("weighted cost, ratio", "length, ratio")
     for panel, name, title in zip(axes, ("cost_ratio", "length_ratio"), titles, strict=True):
@@ -224,13 +231,15 @@ def plot_objectives(objectives: pd.DataFrame) -> Figure:
 def plot_complementarity(maps: MetricMaps, table: pd.DataFrame, *, time: str | None = None) -> Figure:
     """Return how m_gps and m_lidar share the free cells, by altitude, over their means (`complementarity`).
 
-    The squares of a panel are shaded by the share of free cells, on a logarithmic scale; the dashed line parts cells
+    The squares of a panel are shaded by the share of free cells, on one logarithmic scale; the dashed line parts cells
     where GPS is the better one (below) from those where lidar is; the first panel shows means and what either covers.
     """
     altitudes = table.altitude_m.tolist()
     note = "left: mean m, and share of cells where a sensor serves (m >= 0.5); then cells by m, darker: more"
     heading = "GPS and lidar over the free cells"
-    figure, (first, *others) = _panels(len(altitudes) + 1, heading, note, shares_y=False, height_in=2.18)
+    figure, (first, *others) = _panels(
+        len(altitudes) + 1, heading, note, shares_y=False, height_in=2.18, right_in=BAR_IN
+    )
     x = np.arange(len(altitudes))
     for name in ("gps", "lidar"):
         colour = METRICS[name].colour
@@ -244,12 +253,14 @@ def plot_complementarity(maps: MetricMaps, table: pd.DataFrame, *, time: str | N
         is_free = maps.is_free(row.altitude_m, "centre")
         gps, lidar = maps.m("gps", row.altitude_m, time=time)[is_free], maps.m("lidar", row.altitude_m)[is_free]
         share = np.histogram2d(gps, lidar, [bins, bins])[0].T / len(gps)
-        panel.pcolormesh(bins, bins, np.log10(np.where(share > 0, share, np.nan)), cmap="Greys", vmin=-6, vmax=-0.5)
+        panel.pcolormesh(bins, bins, np.where(share > 0, share, np.nan), cmap=SHARES.cmap, norm=SHARES.norm)
         panel.plot([0, 1], [0, 1], "--", color=FAINT_INK, linewidth=0.8)
         panel.grid(visible=False)
         correlation = f", r = {row.correlation:+.2f}" if np.isfinite(row.correlation) else ""
         panel.set(xlim=(0, 1), ylim=(0, 1), xlabel="m_gps", title=f"{row.altitude_m:g} m{correlation}")
     others[0].set_ylabel("m_lidar", labelpad=1)
+    box, width_in = others[-1].get_position(), figure.get_figwidth()
+    add_colour_bar(figure, (box.x1 + 0.15 / width_in, box.y0, 0.12 / width_in, box.height), SHARES)
     legend_below(figure, first, columns=5)
     return figure
 

@@ -12,7 +12,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Polygon
 from matplotlib.ticker import LogLocator, NullLocator
 
-from jaxurban.report.figures.charts import chart, dress, panels, show_plain, styled
+from jaxurban.report.figures.charts import chart, dress, label_rows, panels, show_plain, styled
 from jaxurban.report.figures.colours import Colours, add_colour_bar
 from jaxurban.report.figures.frame import (
     FAINT_INK,
@@ -57,6 +57,8 @@ def plot_breakpoints(found: Sensitivity) -> Figure:
         len(found.vary),
         "Cheapest cost along the range of each weight",
         "a dot: a breakpoint, where the route changes; red: the given weight; all other weights as given",
+        shares_y=True,
+        gap_in=(0.35, 0.8),
     )
     for panel, name in zip(axes, found.vary, strict=True):
         line, column = found.lines[name], found.names.index(name)
@@ -76,8 +78,9 @@ def plot_breakpoints(found: Sensitivity) -> Figure:
         panel.xaxis.set_minor_locator(NullLocator())
         for axis in (panel.xaxis, panel.yaxis):
             show_plain(axis)
-        panel.set(xlim=(values[0], values[-1]), xlabel=f"weight of {name} (1)", ylabel="cheapest cost (1)")
+        panel.set(xlim=(values[0], values[-1]), xlabel=f"weight of {name} (1)")
         panel.set_title(f"{name}: {counted(len(at), 'breakpoint')}")
+    label_rows(axes, "cheapest cost (1)")
     return figure
 
 
@@ -105,6 +108,7 @@ def plot_breakpoint_routes(found: Sensitivity) -> Figure:
         frame,
         [*obstacle_patches(found.maps, BLOCKED_COLOUR), ("given weights\n(dashed)", GIVEN_COLOUR)],
         colours,
+        has_ends=True,
     )
     return frame.figure
 
@@ -163,7 +167,7 @@ def plot_triangle_routes(found: Sensitivity) -> Figure:
         (f"cluster {k + 1}" + ("\n(given weights)" if k == 0 else ""), CLUSTER_COLOURS[k])
         for k in range(len(found.triangle_routes))
     ]
-    add_key(frame, [*obstacle_patches(found.maps, BLOCKED_COLOUR), *lines])
+    add_key(frame, [*obstacle_patches(found.maps, BLOCKED_COLOUR), *lines], has_ends=True)
     return frame.figure
 
 
@@ -179,7 +183,10 @@ def plot_sobol(found: Sensitivity) -> Figure:
         f"Sobol indices over {low:g} to {high:g} times each weight, {found.sobol.num_evaluations:,} plans; "
         f"bars: {CONFIDENCE:.0%} confidence",
         foot_in=0.35,
+        shares_y=True,
+        gap_in=(0.35, 0.8),
     )
+    lowest, highest = -0.1, 1.05
     for panel, outcome in zip(axes, outcomes, strict=True):
         rows = table.loc[outcome]
         place = np.arange(len(rows))
@@ -192,9 +199,12 @@ def plot_sobol(found: Sensitivity) -> Figure:
             panel.text(0.5, 0.5, "does not vary", transform=panel.transAxes, ha="center", size=TEXT_PT)
         panel.set_xticks(place, list(rows.index))
         panel.axhline(0, color=FAINT_INK, linewidth=0.6)
-        lowest = float(np.nan_to_num((rows["first"] - rows["first_ci"]).min()))
-        panel.set(title=outcome_label(outcome), ylabel="share of variance (1)", xlabel="weight")
-        panel.set_ylim(min(-0.1, lowest - 0.03), max(1.05, panel.get_ylim()[1]))
+        for kind in ("first", "total"):
+            lowest = min(lowest, float(np.nan_to_num((rows[kind] - rows[f"{kind}_ci"]).min())) - 0.03)
+            highest = max(highest, float(np.nan_to_num((rows[kind] + rows[f"{kind}_ci"]).max())) + 0.03)
+        panel.set(title=outcome_label(outcome), xlabel="weight")
+    axes[0].set_ylim(lowest, highest)
+    label_rows(axes, "share of variance (1)")
     figure.legend(
         handles=[
             Patch(color=FIRST_COLOUR, label="first-order: alone"),

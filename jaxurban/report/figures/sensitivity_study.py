@@ -9,7 +9,16 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
-from jaxurban.report.figures.charts import LEFT_IN, chart, dress, legend_below, panels, show_plain_log, styled
+from jaxurban.report.figures.charts import (
+    LEFT_IN,
+    chart,
+    dress,
+    label_rows,
+    legend_below,
+    panels,
+    show_plain_log,
+    styled,
+)
 from jaxurban.report.figures.frame import FAINT_INK, TEXT_PT
 from jaxurban.report.figures.sensitivity import CLUSTER_COLOURS
 from jaxurban.studies.bootstrap import share_of
@@ -112,9 +121,9 @@ def plot_nearest(weights: pd.DataFrame, wrong: float) -> Figure:
         shares_y=True,
         gap_in=(0.3, 0.8),
     )
+    end = max(varied.nearest.max(), 1.01)
     for panel, altitude_m in zip(axes, altitudes, strict=True):
         at = varied[varied.altitude_m == altitude_m]
-        end = max(at.nearest.max(), 1.01)
         for name, look in zip(names, looks(names), strict=True):
             factors = np.sort(at.nearest[at.weight_name == name].to_numpy())
             if len(factors):
@@ -156,6 +165,8 @@ def plot_where(summary: pd.DataFrame, wrong: float) -> Figure:
         "Where a wrong weight costs",
         f"regret of a weight {wrong:g} times wrong, on routes that start or end there; {INTERVALS}",
         foot_in=0.3,
+        shares_y=True,
+        gap_in=(0.3, 0.8),
     )
     for panel, name in zip(axes, names, strict=False):
         for k, (kind, look) in enumerate(zip(kinds, looks(kinds), strict=True)):
@@ -181,6 +192,8 @@ def plot_sobol_shares(shares: pd.DataFrame) -> Figure:
         max(1, len(outcomes)),
         "Which weights decide what routes are like",
         f"total Sobol shares, means over routes; pale: not told from 0; {INTERVALS}",
+        shares_y=True,
+        gap_in=(0.35, 0.8),
     )
     for panel, outcome in zip(axes, outcomes, strict=False):
         rows = total[total.outcome == outcome].set_index("weight_name").reindex(names)
@@ -190,8 +203,9 @@ def plot_sobol_shares(shares: pd.DataFrame) -> Figure:
                 look = {"color": CLUSTER_COLOURS[1], "marker": "o", "alpha": alpha}
                 dots(panel, np.flatnonzero(which).astype(float), rows[which], "share", look)
         panel.set_xticks(range(len(names)), names)
-        panel.set(title=outcome_label(str(outcome)), ylabel="share of variance (1)", xlim=(-0.6, len(names) - 0.4))
-        panel.set_ylim(0, max(1.0, panel.get_ylim()[1]))
+        panel.set(title=outcome_label(str(outcome)), xlim=(-0.6, len(names) - 0.4))
+    axes[0].set_ylim(0, max(1.0, axes[0].get_ylim()[1]))
+    label_rows(axes, "share of variance (1)")
     return figure
 
 

@@ -4,17 +4,16 @@ from collections.abc import Sequence
 
 import numpy as np
 import pandas as pd
-from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from jaxurban.paths.cost_map import CostMap
-from jaxurban.planners.base import Cell, weighted_sum
+from jaxurban.planners.base import weighted_sum
 from jaxurban.report.figures.charts import chart, dress, show_plain_log, styled
 from jaxurban.report.figures.colours import SMALL_PT, Colours
-from jaxurban.report.figures.frame import FAINT_INK, MapLayer, add_key, draw_layers, make_frame
+from jaxurban.report.figures.frame import FAINT_INK, MapLayer, add_key, draw_layers, make_frame, mark_ends
 from jaxurban.report.figures.metrics import line_colour, obstacle_layer, obstacle_patches
 from jaxurban.report.figures.notes import frame_note
 from jaxurban.report.figures.paths import BLOCKED_COLOUR
@@ -207,20 +206,14 @@ def plot_routes(beside: PlannedBeside, cost_map: CostMap, weights: np.ndarray) -
             panel.plot(*(routes[k].points_m + corner).T, color=colour, linewidth=width, zorder=order, alpha=0.95)
     for k in shown:
         query = beside.demonstrations[k].query
-        _draw_end(panel, cost_map, query.start, "o", 4.0)
-        _draw_end(panel, cost_map, query.goal, "*", 7.5)
+        mark_ends(panel, grid.xy_of_cell(*query.start), grid.xy_of_cell(*query.goal), size=0.62)
     patches = [
         ("demonstration", DEMONSTRATION_COLOUR),
         ("fitted weights", PLANNED_COLOUR),
         *obstacle_patches(maps, BLOCKED_COLOUR),
     ]
-    add_key(frame, patches, colours)
+    add_key(frame, patches, colours, has_ends=True)
     return frame.figure
-
-
-def _draw_end(panel: Axes, cost_map: CostMap, cell: Cell, marker: str, size: float) -> None:
-    x_m, y_m = cost_map.grid.xy_of_cell(*cell)
-    panel.plot(x_m, y_m, marker, markersize=size, markerfacecolor="white", markeredgecolor="black", zorder=6)
 
 
 def _figure(height_in: float, heading: str, note: str) -> Figure:
