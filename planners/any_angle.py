@@ -8,7 +8,7 @@ import numpy as np
 from jaxurban.errors import InputError
 from jaxurban.kernels.line.segment_cost import CostGrid
 from jaxurban.kernels.search.heap import EXHAUSTED, FOUND, FULL, Heap, push
-from jaxurban.planners.base import CostModel, Path, Problem, Status
+from jaxurban.planners.base import EVERY_PATH, CostModel, Path, Problem, Status
 from jaxurban.planners.bitstar.bounds import HEURISTICS, Bounds, make_bounds
 from jaxurban.planners.checks import check_budget, check_name, free_ride
 from jaxurban.planners.cost import warm_up as warm_up_features
@@ -77,6 +77,7 @@ def theta_star(problem: Problem, *, budget_s: float = np.inf, seed: int = 0, heu
         heuristic=heuristic,
         backend="numba",
         note=note,
+        graph=EVERY_PATH,
     )
 
 

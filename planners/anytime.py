@@ -98,6 +98,7 @@ def astar_anytime(
         history=tuple(history),
         bounds=tuple(bounds),
         setup_s=prepared.setup_s,
+        graph=problem.grid_name,
     )
 
 

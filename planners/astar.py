@@ -77,6 +77,7 @@ def astar(
         backend="numba",
         note=note,
         setup_s=prepared.setup_s,
+        graph=problem.grid_name,
     )
 
 

@@ -19,6 +19,7 @@ Cell = tuple[int, ...]  # row, column; in a volume level, row, column. Row 0 is 
 CELLS_AT_ONCE = 1 << 17  # of a map that is weighed, so that its rows stay in the cache
 T = TypeVar("T")
 
+EVERY_PATH = "paths at any angle"  # of `Path.graph`
 EXIT_PATH, EXIT_NO_PATH, EXIT_BUDGET = 0, 3, 4
 
 
@@ -300,6 +301,12 @@ class Problem:
         return made
 
     @property
+    def grid_name(self) -> str:
+        """What grid planners search, in words: the neighbours that a cell has, and whether it has levels."""
+        num = self.cost_model.connectivity
+        return f"{num}-neighbour grid" if self.levels_m is None else f"{3 * num + 2}-neighbour grid of levels"
+
+    @property
     def moves(self) -> np.ndarray:
         """``[Y, X]`` or ``[K, Y, X]`` uint8: bit k is set where horizontal step k of `moves.STEPS` is allowed."""
         if not self._moves:
@@ -373,6 +380,8 @@ class Path:
       bounds: of `astar-anytime`: the lower bound proven by each entry of ``history``.
       setup_s: what later queries on the same map (or goal) are spared: seconds spent on tables before the
         search; they count towards the budget.
+      graph: what OPTIMAL and ``lower_bound`` are of: a grid (`Problem.grid_name`) or `EVERY_PATH`; empty where
+        nothing is known of others.
     """
 
     status: Status
@@ -388,6 +397,16 @@ class Path:
     history: tuple[tuple[float, int, float], ...] = ()
     bounds: tuple[float, ...] = ()
     setup_s: float = 0.0
+    graph: str = ""
+
+    @property
+    def sentence(self) -> str:
+        """What happened and, where it helps, the remedy; of the cheapest path, on which graph it is."""
+        if self.status is not Status.OPTIMAL or not self.graph:
+            return self.status.sentence
+        if self.graph == EVERY_PATH:
+            return "No path at any angle is cheaper: the cost meets a lower bound of them all."
+        return f"The path is the cheapest one on the {self.graph}; one off it, at any angle, may be cheaper."
 
     @property
     def gap(self) -> float:

@@ -14,7 +14,7 @@ from jaxurban.errors import InputError
 from jaxurban.kernels.line.segment_cost import CostGrid
 from jaxurban.kernels.line.smooth import line_smooth
 from jaxurban.planners.any_angle import check_line_model, shortened, subdivided
-from jaxurban.planners.base import Path, Problem, Status
+from jaxurban.planners.base import EVERY_PATH, Path, Problem, Status
 from jaxurban.planners.bitstar.bounds import make_bounds
 from jaxurban.planners.checks import check_budget
 from jaxurban.planners.cost_grid import cost_grid_of
@@ -100,7 +100,15 @@ def refine(problem: Problem, path: Path, *, budget_s: float = np.inf, moves: tup
     status = Status.BUDGET_FEASIBLE if is_spent or path.status is Status.BUDGET_FEASIBLE else Status.FEASIBLE
     if best <= lower_bound * (1 + TIE):
         status = Status.OPTIMAL
-    refined = replace(path, status=status, points_m=points_m, cost=best, lower_bound=lower_bound, elapsed_s=elapsed_s)
+    refined = replace(
+        path,
+        status=status,
+        points_m=points_m,
+        cost=best,
+        lower_bound=lower_bound,
+        elapsed_s=elapsed_s,
+        graph=EVERY_PATH,
+    )
     return _noted(refined, f"Refinement lowered what the search minimises by {1 - best / before:.2%}.")
 
 

@@ -72,6 +72,7 @@ def volume_astar(problem: Problem, *, budget_s: float = np.inf, seed: int = 0, h
         heuristic=heuristic,
         backend="numba",
         note=note,
+        graph=problem.grid_name,
     )
 
 

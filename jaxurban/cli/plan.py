@@ -120,7 +120,7 @@ def _path_table(facts: Settings) -> str:
     if facts["cost"] is not None:
         rows += [("cost", f"{facts['cost']:.3f}")]
         if facts["gap"]:
-            rows += [("above the best", f"at most {100 * facts['gap']:.2f} %")]
+            rows += [("above the best", f"at most {100 * facts['gap']:.2f} % (best of: {facts['graph']})")]
         rows += [("length", f"{facts['length_m']:.1f} m")]
         moved = [f"{name} {moved_m:.1f} m" for name, moved_m in facts["snap_distance_m"].items()]
         rows += [("moved to cells", ", ".join(moved))]

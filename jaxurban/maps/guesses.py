@@ -164,7 +164,7 @@ def _visibility_guesses(city: City, region: Grid, sky: Sky, altitude_m: float, m
     return {
         f"{percent(share)} of satellite answers beyond the data": (
             f"{percent(share)} of the visibility results at {altitude_m:g} m are of rays that leave the data below the "
-            "highest roof, so GPS may look better than it is: give buildings farther around"
+            "highest roof and count as clear there, so GPS may look better than it is: give buildings farther around"
         )
     }
 

@@ -206,7 +206,7 @@ class Constraints:
                 closed[is_at | is_between] |= touched_cells(part, grid)
         if self.zones and not is_near:
             files = ", ".join(sorted({repr(zone.source) for zone in self.zones}))
-            sentence = f"no zone of {files} lies in the maps' region: check that it is the right file"
+            sentence = f"no zone of {files} lies in the maps' region, so that nothing is closed: check the file"
             warnings.warn(sentence, IgnoredZoneWarning, stacklevel=2)
         for bound in self.bounds:
             for level_closed, z_m in zip(closed, levels_m, strict=True):

@@ -60,7 +60,7 @@ class PlannedPath(Shown):
         search = self.search
         facts = {"status": self.status.value, "planner": f"{search.planner} ({search.heuristic}, {search.backend})"}
         if not self.status.has_path:
-            return facts | {"message": self.status.sentence}
+            return facts | {"message": self.search.sentence}
         low_m, high_m = self.z_m.min(), self.z_m.max()
         metrics = ", ".join(f"{name} {m:.2f}" for name, m in self.metrics.items())
         return facts | {
@@ -91,7 +91,7 @@ class PlannedPath(Shown):
         """Return everything but the points' arrays as plain, JSON-ready values (None for no number)."""
         return {
             "status": self.status.value,
-            "message": " ".join(filter(None, (self.status.sentence, self.search.note))),
+            "message": " ".join(filter(None, (self.search.sentence, self.search.note))),
             "cost": _number(self.cost),
             "cost_by_layer": {name: _number(value) for name, value in self.cost_by_layer.items()},
             "length_m": _number(self.length_m),
@@ -101,6 +101,7 @@ class PlannedPath(Shown):
             "objective_cost": _number(self.search.cost),
             "lower_bound": _number(self.search.lower_bound),
             "gap": _number(self.search.gap),
+            "graph": self.search.graph,
             "num_expanded": self.search.num_expanded,
             "elapsed_s": self.search.elapsed_s,
             "setup_s": self.search.setup_s,

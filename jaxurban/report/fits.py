@@ -21,11 +21,11 @@ def fits_section(found: FitComparison) -> str:
     """Return the section on several fits."""
     has_pilot = "pilot_regret" in found.table
     cities = list(dict.fromkeys(found.routes.city)) if found.routes.city.nunique() > 1 else []
-    head = ["fit", "routes", "bad", "cosine", "regret on held-out routes", "worst", *cities]
+    head = ["fit", "routes", "bad", "cosine", "cosine of bootstrap fits", "regret on held-out routes", "worst", *cities]
     head += ["all held-out, bad ones too", *(["dearer to the pilot"] if has_pilot else [])]
     rows = []
     for row in records_of(found.table):
-        cells = [row["fit"], f"{row['num_fitted']}", f"{row['num_bad']}", _cosine(row)]
+        cells = [row["fit"], f"{row['num_fitted']}", f"{row['num_bad']}", f"{row['cosine']:.5f}", _draws(row)]
         cells += [_interval(row, "held_out_regret"), percent(row["worst"])]
         cells += [percent(row[f"regret {city}"]) for city in cities]
         cells += [percent(row["all_held_out_regret"]), *([_interval(row, "pilot_regret")] if has_pilot else [])]
@@ -79,9 +79,10 @@ def _sentences(found: FitComparison) -> Iterator[str]:
         yield f"Fitted without a city and judged by its held-out routes, weights leave {listed(unseen)}."
 
 
-def _cosine(row: Mapping[str, Any]) -> str:
+def _draws(row: Mapping[str, Any]) -> str:
+    """Return between which cosines 95 % of the bootstrap fits lie, which may leave out the fit's own."""
     low, high = row["cosine_low"], row["cosine_high"]
-    return f"{row['cosine']:.5f}" + (f" ({low:.5f} to {high:.5f})" if low is not None else "")
+    return f"{low:.5f} to {high:.5f}" if low is not None else ""
 
 
 def _interval(row: Mapping[str, Any], name: str) -> str:

@@ -9,6 +9,9 @@ import numpy as np
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.rating import Rating, rating
 from jaxurban.paths.path import PlannedPath
+from jaxurban.planners.base import Status
+from jaxurban.report.figures.files import maps_figures
+from jaxurban.report.figures.metrics import AVAILABILITY, LOW
 from jaxurban.report.markdown import bullets, fill, listed, table
 
 Paths = Mapping[float, Sequence[PlannedPath]]
@@ -58,6 +61,7 @@ def summary_markdown(maps: MetricMaps, paths: Paths, run: Mapping[str, Any] | No
         sources="".join(f"\n- {line}" for line in _source_lines(run)),
         by_altitude=_altitude_table(facts),
         population=_population_section(maps, run),
+        what="Metric maps and paths" if any(paths.values()) else "Metric maps",
         paths=_path_section(maps, paths),
         pictures=_pictures(maps, facts, paths),
         cautions="".join(f"\n- {line}" for line in _cautions(run)),
@@ -192,6 +196,12 @@ def _path_section(maps: MetricMaps, paths: Paths) -> str:
             " The model counts the maps once a step, and a grid planner's diagonal step is one step of 1.41 cells, "
             "so grid paths look cheaper than straight ones: the model `line` compares planners fairly."
         )
+    graphs = dict.fromkeys(path.search.graph for path in planned if path.status is Status.OPTIMAL and path.search.graph)
+    if graphs:
+        words += (
+            f" *{Status.OPTIMAL.value}* says that no path of the planner's own graph is cheaper, here "
+            f"{listed(f'the {graph}' for graph in graphs)}: a planner that searches others may find a cheaper one."
+        )
     sentences = [_path_sentence(z, paths[z]) for z in maps.altitudes_m if paths.get(z)]
     return "\n\n".join(("## Paths", words, table(head, rows), bullets(sentences)))
 
@@ -249,12 +259,19 @@ def _pictures(maps: MetricMaps, facts: Sequence[Facts], paths: Paths) -> str:
     }
     if maps.times_of_day:
         texts["population"] = _population_sentence(maps)
-    over = ", with every planner's path over it; where paths coincide, the later one is drawn narrower" if paths else ""
-    texts["paths"] = (
-        f"the sum of the costs of {listed(maps.metrics)}, brought to 0 (black, best) to 1 (white, worst) over the "
-        f"free cells{over}."
+    total = (
+        f"the sum of the costs of {listed(maps.metrics)}, each weighing 1, from black (best) to white (worst) on one "
+        "scale for all altitudes"
     )
-    return bullets(f"[`{name}.png`](figures/{name}.png): {text}" for name, text in texts.items())
+    over = "with every planner's path over it; where paths coincide, the later one is drawn narrower"
+    epochs = f"the {len(maps.times)} epochs"
+    texts |= {"paths": f"{total}, {over}.", "cost": f"{total}."}
+    texts |= {f"cost_{name}": f"{total}, by {name}." for name in maps.times_of_day}
+    texts["gps_epochs"] = f"GPS quality at each of {epochs}, at the lowest altitude."
+    texts[AVAILABILITY] = f"at how many of {epochs} GPS is good enough, as a share."
+    texts[LOW] = f"the GPS quality that 5 % of {epochs} stay below."
+    drawn = maps_figures(maps, paths)
+    return bullets(f"[`{name}.png`](figures/{name}.png): {text}" for name, text in texts.items() if name in drawn)
 
 
 def _correlation_sentence(fact: Facts) -> str:

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from jaxurban.planners.base import Status
 from jaxurban.report.figures.montecarlo import study_figures
 from jaxurban.report.markdown import bullets, counted, fill, framed, listed
 from jaxurban.report.run_montecarlo import BenchmarkResult
@@ -145,7 +146,23 @@ def _costs_text(costs: pd.DataFrame, table: pd.DataFrame) -> str:
     best = rows.groupby("planner").ratio.apply(lambda ratio: (ratio <= analysis.CLOSE).mean()).reindex(median.index)
     shares = zip(median.items(), best, strict=True)
     found = listed(f"`{name}` {value:.3f} (within 1 % on {share:.0%})" for (name, value), share in shares)
-    return f"**Where it finds a path, a planner's median cost over the cheapest known is: {found}.**"
+    return (
+        f"**Where it finds a path, a planner's median cost over the cheapest known is: {found}.**{_dearer_optima(rows)}"
+    )
+
+
+def _dearer_optima(rows: pd.DataFrame) -> str:
+    """Return why paths that are optimal may be dearer than the cheapest known; nothing where none is."""
+    optimal = rows[rows.status == Status.OPTIMAL.value]
+    dearer = optimal[optimal.ratio > analysis.CLOSE]
+    if dearer.empty:
+        return ""
+    return (
+        f" {len(dearer)} of the {len(optimal)} paths with the status `{Status.OPTIMAL.value}` "
+        f"({listed(f'`{name}`' for name in dict.fromkeys(dearer.planner))}) are more than "
+        f"{analysis.CLOSE - 1:.0%} dearer than the cheapest known: they are the cheapest on their planner's grid, and "
+        "others are off it."
+    )
 
 
 def _paired_text(paired: pd.DataFrame, table: pd.DataFrame) -> str:

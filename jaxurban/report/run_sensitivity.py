@@ -117,7 +117,8 @@ def sensitivity_study(
         report("report")
         grids = {city: maps.facts["grid"] for city, maps in opened.items()}
         norms = {city: population_norms(maps) for city, maps in opened.items()}
-        found = SensitivityStudy(folder, grids, instances, rows, remade_table, skipped, settings, norms)
+        is_sampled = not isinstance(routes, pd.DataFrame)
+        found = SensitivityStudy(folder, grids, instances, rows, remade_table, skipped, settings, norms, is_sampled)
         write_sensitivity_study(found)
     return found
 

@@ -27,6 +27,11 @@ REPORT_FILE = "report.md"
 FEW_SAMPLES = 64  # of one route's Sobol shares: with fewer its own intervals are wider than most shares
 STATISTICS = {"share": ".1%", "nearest": ".3g", "changes": ".0%", "regret": ".2%"}
 CHANCE = 0.05
+SAMPLED = (
+    "Routes were drawn by stratum and range in equal numbers, only where a path joins a pair at every altitude, not as "
+    "anyone flies: means are over such routes, not over traffic."
+)
+GIVEN = "The routes are those of the table that was given: means are over them, each once, and tell of no others."
 MOST_REASONS = 3
 
 
@@ -42,6 +47,7 @@ class SensitivityStudy:
       remade: how each route differs on maps made anew (`jaxurban.studies.sensitivity.remade.remade_rows`).
       skipped: why maps were not made anew, a sentence a city.
       settings: what was asked.
+      is_sampled: whether the routes were drawn, by stratum and range, or given.
       norms: what population is divided by in each city at each time of day (`population_norms`).
     """
 
@@ -53,6 +59,7 @@ class SensitivityStudy:
     skipped: tuple[str, ...]
     settings: SensitivityStudySettings
     norms: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    is_sampled: bool = True
 
     @cached_property
     def tables(self) -> dict[str, pd.DataFrame]:
@@ -122,6 +129,7 @@ def study_markdown(found: SensitivityStudy) -> str:
         cities="; ".join(f"{city}, {grid}" for city, grid in found.cities.items()),
         weights=_weights(found.instances),
         norms=_norms(found.norms),
+        origin=SAMPLED if found.is_sampled else GIVEN,
         fewest=FEWEST_GROUPS,
     )
     return f"{text}\n"

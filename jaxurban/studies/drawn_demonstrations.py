@@ -133,8 +133,9 @@ def draw(drawn: DrawnRoutes, maps: MetricMaps, map_of: MapOf, pilot: Weights | N
     queries = read_queries(table[known], metrics=maps.metrics)
     if pilot is None and len({tuple(query.weights.to_dict().items()) for query in queries}) > 1:
         warnings.warn(
-            f"the routes of {drawn.name!r} were planned under different weights, and a fit finds one W for all: choose "
-            "routes of one W, or name one under which they are drawn anew (--pilot, pilot=)",
+            f"the routes of {drawn.name!r} were planned under different weights, and a fit finds one W for all: they "
+            "are fitted together as they are; choose routes of one W, or name one under which they are drawn anew "
+            "(--pilot, pilot=)",
             OtherSettingsWarning,
             stacklevel=4,
         )

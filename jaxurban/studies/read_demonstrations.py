@@ -210,7 +210,8 @@ def _compare_constraints(planned: Planned, constraints: Constraints) -> None:
             )
             warnings.warn(
                 f"{name} was planned under other constraints ({constraints_said(before) or 'none'}) than it is fitted "
-                f"under ({constraints or 'none'}): {remedy}, so that it is compared with routes under the same ones",
+                f"under ({constraints or 'none'}): {remedy}, so that it is compared with routes under the same ones "
+                "(now it is fitted all the same)",
                 OtherSettingsWarning,
                 stacklevel=4,
             )

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxurban.errors import InputError
-from jaxurban.planners.base import Path, Problem, Status
+from jaxurban.planners.base import EVERY_PATH, Path, Problem, Status
 from jaxurban.planners.bitstar.bounds import HEURISTICS, Bounds, make_bounds
 from jaxurban.planners.bitstar.samples import InformedSet, graph_radius
 from jaxurban.planners.bitstar.tree import Tree
@@ -225,6 +225,7 @@ def ended(
         note = free_ride(problem.distance_weight, cost)
     return Path(
         status=status,
+        graph=EVERY_PATH,
         points_m=points_m,
         cost=cost,
         lower_bound=lower_bound,

@@ -172,6 +172,7 @@ class _Batch:
             heuristic="octile",
             backend="jax",
             note=note,
+            graph=problem.grid_name,
         )
 
 

@@ -114,8 +114,8 @@ def sea(coast: list[shapely.LineString], box: shapely.Polygon) -> shapely.Geomet
         return box if right[nearest] @ (middle - start[nearest]) > 0 else shapely.Polygon()
     if (np.minimum(wet_m, dry_m) > MIXED * np.maximum(wet_m, dry_m)).any():
         warnings.warn(
-            "the coast lines have a gap, so that land and sea cannot be told apart everywhere: fetch an extract with "
-            "complete ways, or name another file in [study] land_cover",
+            "the coast lines have a gap: what lies beside it is taken for what most of its shore says, land or sea; "
+            "fetch an extract with complete ways, or name another file in [study] land_cover",
             stacklevel=2,
         )
     return shapely.union_all(faces[wet_m > dry_m])

@@ -312,7 +312,8 @@ def _check_age(
     found = f"the elements of {names[s]} in {sources[s]} are {oldest_days:.0f} days away from {iso[t]}"
     if oldest_days > max_age_days:
         raise InputError(f"{found}, more than max_age_days = {max_age_days:g}: {remedy}")
-    warnings.warn(f"{found}, so its place in the sky is uncertain: {remedy}", StaleElementsWarning, stacklevel=3)
+    told = f"{found}: it is used where they put it, which is uncertain; {remedy}"
+    warnings.warn(told, StaleElementsWarning, stacklevel=3)
 
 
 def _system(name: str) -> str:

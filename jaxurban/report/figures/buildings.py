@@ -16,6 +16,7 @@ from jaxurban.paths.path import PlannedPath
 from jaxurban.report.figures.colours import SMALL_PT, Colours
 from jaxurban.report.figures.frame import INK, add_key, make_frame
 from jaxurban.report.figures.metrics import EMPTY_COLOUR
+from jaxurban.report.figures.notes import time_said
 from jaxurban.report.figures.paths import draw_ends
 from jaxurban.world.city import City
 from jaxurban.world.grid import Grid
@@ -43,8 +44,10 @@ def plot_building_costs(
     """
     assert city.buildings is not None
     credit = [city.attribution] if city.attribution else []
-    facts = f"{planned.altitude_m:g} m above ground  ·  softness {table.attrs['softness_m']:g} m"
-    note = "  ·  ".join([facts, f"{grid.resolution_m:g} m cells", grid.crs, *credit])
+    settings = planned.settings
+    when = [time_said(settings["time"]), *([settings["time_of_day"]] if settings["time_of_day"] else [])]
+    facts = [f"{planned.altitude_m:g} m above ground", *when, f"softness {table.attrs['softness_m']:g} m"]
+    note = "  ·  ".join([*facts, f"{grid.resolution_m:g} m cells", grid.crs, *credit])
     heading = "What one more metre of each building costs the route"
     most = max(float(table.per_metre.abs().max()) if len(table) else 0.0, 1e-12)
     main = table.building[table.per_metre.abs() >= SHOWN_SHARE * most]

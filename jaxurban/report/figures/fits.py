@@ -10,6 +10,7 @@ from jaxurban.report.figures.frame import FAINT_INK
 from jaxurban.studies.tuning.compared_fits import FitComparison
 
 WIDTH_IN, ROW_IN = 9.0, 0.3
+LEAST_SPAN = 20.0  # of a logarithmic axis, from end to end
 LEAST_FAR, LEAST_REGRET = 1e-7, 1e-6  # of 1 - cosine and of a regret, on logarithmic scales
 SEEN_COLOUR, PILOT_COLOUR, CITY_COLOUR = "#0b4f9e", "#f0a030", "#999999"
 
@@ -22,6 +23,7 @@ def plot_fits(found: FitComparison) -> Figure:
     held_out = int(found.routes.is_held_out.sum())
     bad = int(found.routes.is_bad.sum())
     note = f"{held_out} of {len(found.routes)} routes held out; {bad} found bad; bars: 95 % intervals"
+    note += ", of cosines 95 % of the bootstrap fits, which may leave out the fit itself"
     height_in = 1.5 + ROW_IN * len(fits)
     figure = chart(WIDTH_IN, height_in, "Fits compared", note)
     near, left = figure.subplots(1, 2, sharey=True)
@@ -42,7 +44,8 @@ def plot_fits(found: FitComparison) -> Figure:
     left.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, columnspacing=1.0, handletextpad=0.3)
     for panel in (near, left):
         least, most = panel.dataLim.intervalx  # all may be the same
-        panel.set_xlim(least / 1.6, most * 1.6)
+        margin = max(1.6, (LEAST_SPAN / (most / least)) ** 0.5)
+        panel.set_xlim(least / margin, most * margin)
         panel.set_xscale("log")
         show_plain_log(panel.xaxis)
         dress(panel, has_grid=False)

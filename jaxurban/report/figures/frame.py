@@ -114,7 +114,7 @@ def make_frame(
     num_rows, num_cols, width, height = _best_layout(len(titles), tall, footer_in)
     slot = max(width, SLOT_IN, (MIN_WIDTH_IN - LEFT_IN - KEY_IN) / num_cols - GAP_IN)
     total_w = LEFT_IN + num_cols * (slot + GAP_IN) + KEY_IN
-    head_in = HEAD_IN + LINE_IN * (len(_wrapped(note, total_w - LEFT_IN)) - 1)
+    head_in = head_room_in(note, total_w - LEFT_IN)
     row_in = TITLE_IN + height + footer_in
     bottom_in = BOTTOM_IN if with_ticks else 0.12
     total_h = head_in + num_rows * row_in + bottom_in
@@ -146,6 +146,11 @@ def write_head(figure: Figure, heading: str, note: str, left_in: float) -> None:
     lines = _wrapped(note, width - left_in)
     figure.text(left_in / width, 1 - 0.10 / height, heading, va="top", size=12, weight="bold", color=INK)
     figure.text(left_in / width, 1 - 0.36 / height, "\n".join(lines), va="top", size=TEXT_PT, color=FAINT_INK)
+
+
+def head_room_in(note: str, width_in: float) -> float:
+    """Return the height in inches that `write_head` takes, where a note has a width to itself."""
+    return HEAD_IN + LINE_IN * (len(_wrapped(note, width_in)) - 1)
 
 
 def _wrapped(note: str, width_in: float) -> list[str]:

@@ -16,6 +16,7 @@ from jaxurban.metrics.registry import METRICS
 from jaxurban.report.figures.charts import legend_below, panels, show_plain, styled
 from jaxurban.report.figures.colours import Colours, add_colour_bar
 from jaxurban.report.figures.frame import FAINT_INK, INK
+from jaxurban.report.figures.notes import sky_said
 from jaxurban.report.figures.paths import planner_colours
 from jaxurban.studies.montecarlo.analysis import each, facts_of, range_names, weighted_rows
 from jaxurban.studies.montecarlo.trial import DISTANCE, WEIGHTED
@@ -235,7 +236,8 @@ def plot_complementarity(maps: MetricMaps, table: pd.DataFrame, *, time: str | N
     where GPS is the better one (below) from those where lidar is; the first panel shows means and what either covers.
     """
     altitudes = table.altitude_m.tolist()
-    note = "left: mean m, and share of cells where a sensor serves (m >= 0.5); then cells by m, darker: more"
+    note = "left: mean m, and share of cells where a sensor serves (m >= 0.5); then cells by m"
+    note = "\n".join((note, sky_said(maps, time or maps.default_time)))
     heading = "GPS and lidar over the free cells"
     figure, (first, *others) = _panels(
         len(altitudes) + 1, heading, note, shares_y=False, height_in=2.18, right_in=BAR_IN

@@ -12,7 +12,7 @@ from jaxurban.paths.explain import RouteReport, explain
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.profile import CLEARANCE, without_fix
 from jaxurban.report.figures.charts import chart, dress, show_plain, styled
-from jaxurban.report.figures.frame import FAINT_INK, TEXT_PT
+from jaxurban.report.figures.frame import FAINT_INK, TEXT_PT, head_room_in
 from jaxurban.report.figures.metrics import BUILT_COLOUR
 from jaxurban.report.figures.notes import frame_note
 
@@ -44,7 +44,8 @@ def plot_profile(planned: PlannedPath, maps: GivenMaps, report: RouteReport | No
     times = " · ".join(filter(None, (frame_note(maps, planned.settings["time"]), planned.settings["time_of_day"])))
     figure = chart(*SIZE_IN, heading, times)
     axes = figure.subplots(3, 1, sharex=True, height_ratios=(1, 1.3, 1))
-    figure.subplots_adjust(left=0.075, right=RIGHT, top=0.86, bottom=0.075, hspace=0.12)
+    top = 1 - (head_room_in(times, SIZE_IN[0] - 0.2) + 0.27) / SIZE_IN[1]
+    figure.subplots_adjust(left=0.075, right=RIGHT, top=top, bottom=0.075, hspace=0.12)
     _draw_heights(axes[0], planned, profile, edges_km)
     for name, metric in maps.metrics.items():
         label = metric.label if metric.one_is == "best" else f"{metric.label} (1: {metric.one_is})"

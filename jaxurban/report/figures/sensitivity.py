@@ -33,6 +33,7 @@ from jaxurban.studies.sensitivity.study import Sensitivity
 
 GIVEN_COLOUR, FIRST_COLOUR, TOTAL_COLOUR = "#d62728", "#0072b2", "#e69f00"
 CLUSTER_COLOURS = ("#d62728", "#1f77b4", "#2ca02c", "#ff7f0e", "#9467bd", "#17becf", "#e377c2")
+SHARES_SHOWN = (-0.5, 1.6)  # Sobol indices lie in 0 to 1: longer intervals are cut
 PALE = 0.6  # of white in the colour of the other routes of a kind
 CORNERS = np.array([[0.0, 0.0], [1.0, 0.0], [0.5, math.sqrt(3) / 2]])  # of the triangle on the page
 
@@ -181,7 +182,7 @@ def plot_sobol(found: Sensitivity) -> Figure:
         len(outcomes),
         "Which weights decide what the route is like",
         f"Sobol indices over {low:g} to {high:g} times each weight, {found.sobol.num_evaluations:,} plans; "
-        f"bars: {CONFIDENCE:.0%} confidence",
+        f"bars: {CONFIDENCE:.0%} confidence, cut at {SHARES_SHOWN[0]:g} and {SHARES_SHOWN[1]:g}",
         foot_in=0.35,
         shares_y=True,
         gap_in=(0.35, 0.8),
@@ -203,7 +204,7 @@ def plot_sobol(found: Sensitivity) -> Figure:
             lowest = min(lowest, float(np.nan_to_num((rows[kind] - rows[f"{kind}_ci"]).min())) - 0.03)
             highest = max(highest, float(np.nan_to_num((rows[kind] + rows[f"{kind}_ci"]).max())) + 0.03)
         panel.set(title=outcome_label(outcome), xlabel="weight")
-    axes[0].set_ylim(lowest, highest)
+    axes[0].set_ylim(max(lowest, SHARES_SHOWN[0]), min(highest, SHARES_SHOWN[1]))
     label_rows(axes, "share of variance (1)")
     figure.legend(
         handles=[
@@ -276,12 +277,9 @@ def _feature_label(found: Sensitivity, name: str) -> str:
 def _maps(found: Sensitivity, titles: list[str], heading: str) -> Frame:
     """Return a frame of maps of the normalised cost, on which routes are drawn."""
     settings = found.route.settings
-    where = [
-        f"{found.route.altitude_m:g} m above ground",
-        settings["time_of_day"],
-        frame_note(found.maps, settings["time"]),
-    ]
-    frame = make_frame(found.maps.grid, titles, heading, "  ·  ".join(filter(None, where)))
+    altitude, cost = f"{found.route.altitude_m:g} m above ground", "grey: normalised cost, black: lowest"
+    note = "  ·  ".join(filter(None, (altitude, settings["time_of_day"], cost)))
+    frame = make_frame(found.maps.grid, titles, heading, f"{note}\n{frame_note(found.maps, settings['time'])}")
     for panel in frame.axes:
         draw_layers(
             panel,

@@ -20,7 +20,7 @@ from jaxurban.report.figures.charts import (
     styled,
 )
 from jaxurban.report.figures.frame import FAINT_INK, TEXT_PT
-from jaxurban.report.figures.sensitivity import CLUSTER_COLOURS
+from jaxurban.report.figures.sensitivity import CLUSTER_COLOURS, SHARES_SHOWN
 from jaxurban.studies.bootstrap import share_of
 from jaxurban.studies.outcomes import outcome_label
 from jaxurban.studies.sensitivity.findings import change_said
@@ -176,8 +176,8 @@ def plot_where(summary: pd.DataFrame, wrong: float) -> Figure:
         panel.set_title(name)
         panel.set_xticks(range(len(ticks)), ticks)
         panel.set_xlim(-0.6, len(ticks) - 0.4)
-        panel.set_ylim(bottom=0)
         panel.yaxis.set_major_formatter(PercentFormatter(1.0, decimals=None))
+    axes[0].set_ylim(bottom=0)  # of all panels, once everything is drawn
     if any(kinds):
         legend_below(figure, axes[0])
     return figure
@@ -191,7 +191,7 @@ def plot_sobol_shares(shares: pd.DataFrame) -> Figure:
     figure, axes = panels(
         max(1, len(outcomes)),
         "Which weights decide what routes are like",
-        f"total Sobol shares, means over routes; pale: not told from 0; {INTERVALS}",
+        f"total Sobol shares, means over routes; pale: not told from 0; {INTERVALS}; cut at {SHARES_SHOWN[1]:g}",
         shares_y=True,
         gap_in=(0.35, 0.8),
     )
@@ -204,7 +204,7 @@ def plot_sobol_shares(shares: pd.DataFrame) -> Figure:
                 dots(panel, np.flatnonzero(which).astype(float), rows[which], "share", look)
         panel.set_xticks(range(len(names)), names)
         panel.set(title=outcome_label(str(outcome)), xlim=(-0.6, len(names) - 0.4))
-    axes[0].set_ylim(0, max(1.0, axes[0].get_ylim()[1]))
+    axes[0].set_ylim(0, SHARES_SHOWN[1])
     label_rows(axes, "share of variance (1)")
     return figure
 

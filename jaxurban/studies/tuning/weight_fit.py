@@ -332,7 +332,8 @@ def _said_of_constant(name: str, is_left_out: bool) -> str:
 def _open(names: Sequence[str], constant: Sequence[str], interval: np.ndarray) -> list[str]:
     """Return a sentence for each weight that the demonstrations leave open within a wide range."""
     return [
-        f"The weight of {name} is hardly pinned down: anything from {low:.3g} to {high:.3g} explains such routes."
+        f"The weight of {name} is hardly pinned down: anything from {low:.3g} to {high:.3g} explains such routes; the "
+        "value given is one of them."
         for name, low, high in zip(names, *interval, strict=True)
         if name not in constant and np.isfinite(high) and high > 0 and low < high / WIDE
     ]
@@ -345,18 +346,21 @@ def _warnings(
     num = len(demonstrations)
     if num < FEW * num_weights:
         many = "1 demonstration is" if num == 1 else f"{num} demonstrations are"
-        yield f"{many} few for {num_weights} weights: others of the same kind may ask for quite other ones."
+        yield (
+            f"{many} few for {num_weights} weights, which are fitted all the same: others of the same kind may ask for "
+            "quite other ones."
+        )
     if best > OPTIMAL_REGRET:
         yield (
             "The demonstrations are not optimal under any weights that were found: at best they cost "
-            f"{100 * best:.2f} % more than the cheapest routes on average."
+            f"{100 * best:.2f} % more than the cheapest routes on average; the weights are given all the same."
         )
     if distrusted := int((trust < DISTRUSTED).sum()):
         yield (
             f"{distrusted} of {num} demonstrations cost far more than the others' weights explain, and hardly count."
         )
     if not is_settled:
-        yield "The last round still found better routes: allow more rounds or a larger budget."
+        yield "The last round still found better routes; its weights are given: allow more rounds or a larger budget."
     for number, each in enumerate(demonstrations, 1):
         if each.note:
             yield f"Demonstration {each.query.name or number!r}: {each.note}."
