@@ -7,7 +7,7 @@ from scipy.ndimage import label
 import jaxurban as ju
 from jaxurban.errors import InputError
 from jaxurban.paths.export.write import write_path
-from jaxurban.planners.base import Status
+from jaxurban.planners.base import EVERY_PATH, Status
 from jaxurban.planners.registry import PLANNERS
 from tests.free_space import Obstacles
 
@@ -121,6 +121,8 @@ def test_facts_are_json_ready(maps, ends):
     facts = ju.plan(maps, **ends, altitude_m=20.0).to_dict()
     assert json.loads(json.dumps(facts)) == facts
     assert facts["status"] == "optimal"
+    assert facts["graph"] == "8-neighbour grid"
+    assert "the cheapest one on the 8-neighbour grid; one off it, at any angle, may be cheaper" in facts["message"]
     assert facts["settings"]["weights"]["distance"] == 0.1
 
 
@@ -129,6 +131,7 @@ def test_a_refined_path_leaves_the_grid_and_is_never_costlier(maps, ends):
     refined = ju.plan(maps, altitude_m=20.0, cost_model="line", refine=True, **ends)
     assert refined.cost < drawn.cost
     assert refined.status is Status.FEASIBLE
+    assert (drawn.search.graph, refined.search.graph) == ("8-neighbour grid", EVERY_PATH)
     assert "refine" in refined.to_dict()["message"].lower()
     with pytest.raises(ju.InputError, match="cost_model='line'"):
         ju.plan(maps, altitude_m=20.0, cost_model="cell", refine=True, **ends)

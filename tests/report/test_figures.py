@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from dataclasses import replace
 from itertools import combinations
 
 import matplotlib
@@ -10,7 +11,7 @@ import pyproj
 import pytest
 import xarray as xr
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.colors import to_hex, to_rgb
+from matplotlib.colors import LogNorm, Normalize, to_hex, to_rgb
 from matplotlib.text import Text
 from PIL import Image
 
@@ -20,7 +21,9 @@ from jaxurban.metrics.registry import METRICS
 from jaxurban.paths.path import PlannedPath
 from jaxurban.planners.base import Path, Status
 from jaxurban.report import figures as plotting
-from jaxurban.report.figures.frame import OBSTACLE_COLOUR, make_frame, round_length_m, thin, true_north
+from jaxurban.report.figures.colours import Colours, bar_ticks
+from jaxurban.report.figures.files import maps_figures
+from jaxurban.report.figures.frame import MAP, OBSTACLE_COLOUR, make_frame, round_length_m, thin, true_north
 from jaxurban.report.figures.metrics import percent
 from jaxurban.report.figures.paths import PLANNER_COLOURS
 from jaxurban.report.save import DPI, write_png
@@ -220,6 +223,107 @@ def test_paths_planned_by_day_and_by_night_get_a_panel_each(maps):
     assert [panel.get_title(loc="left") for panel in panels_of(figure)] == ["20 m · day", "20 m · night"]
 
 
+def test_titles_name_paths_only_where_there_are_some(maps, tmp_path):
+    for figure in (plotting.plot_paths(maps, {}), plotting.plot_overview(maps, {})):
+        assert "paths" not in texts_of(figure)
+        assert "goal" not in texts_of(figure)
+    for figure in (plotting.plot_paths(maps, make_paths(maps)), plotting.plot_overview(maps, make_paths(maps))):
+        assert "and paths" in texts_of(figure)
+        assert {"start", "goal"} <= set(texts_of(figure).splitlines())
+    assert "paths" not in maps_figures(maps, {})
+    assert {"cost_day", "cost_night"} <= set(maps_figures(maps, {}))
+    assert {"paths"} == {name for name in maps_figures(maps, make_paths(maps)) if name.startswith(("paths", "cost"))}
+
+
+def test_time_of_day_stays_where_altitude_changes_or_the_figure_says_so(maps):
+    panels = panels_of(plotting.plot_paths(maps, {}, time_of_day="night"))
+    assert [panel.get_title(loc="left") for panel in panels] == [f"{z:g} m · night" for z in ALTITUDES_M]
+    said = "time of day: as the paths were planned for, not the same in all panels"
+    assert said in texts_of(plotting.plot_paths(maps, make_paths(maps)))
+    by_day = {z: [make_path(maps, "ptp", z)] for z in ALTITUDES_M}
+    assert said not in texts_of(plotting.plot_paths(maps, by_day))
+
+
+def test_panels_of_the_cost_have_one_scale(maps):
+    figure = plotting.plot_paths(maps, {})
+    totals = [np.where(maps.is_free(z, "centre"), maps.total(z), np.nan) for z in ALTITUDES_M]
+    low, high = np.nanmin(totals), np.nanmax(totals)
+    for panel, total in zip(panels_of(figure), totals, strict=True):
+        row, col = np.unravel_index(np.nanargmin(total), total.shape)
+        shade = matplotlib.colormaps["gray"]((total[row, col] - low) / (high - low))
+        assert drawn(panel)[row, col] == to_hex(shade)
+
+
+@pytest.mark.parametrize("name", ["gps", "gdop", "num_visible", "population"])
+def test_colour_bars_carry_both_ends(maps, name):
+    figure = plotting.plot_population(maps) if name == "population" else plotting.plot_metric(maps, name)
+    (bar,) = [axes for axes in figure.axes if axes.get_ylabel() and axes.get_gid() != MAP]
+    assert bar.get_yticks()[[0, -1]] == pytest.approx(bar.get_ylim())
+
+
+def test_ticks_of_a_short_bar_leave_each_other_room():
+    colours = Colours("gray", Normalize(0, 1234), ticks=(0, 5, 10, 600, 1230))
+    assert bar_ticks(colours, 1.1, is_lying=True) == [0, 600, 1234]
+    assert bar_ticks(replace(colours, ticks=None), 3.0, is_lying=False) == [0, 250, 500, 750, 1000, 1234]
+    log = Colours("gray", LogNorm(3, 3000))
+    assert bar_ticks(log, 3.0, is_lying=False) == [3, 10, 100, 1000, 3000]
+
+
+def at_epochs(num):
+    maps = make_maps()
+    times = np.datetime64("2020-04-27T16:00:00", "ns") + 3 * np.timedelta64(1, "h") * np.arange(num)
+    parts = [maps.ds.assign_coords(time=[time]) for time in times]
+    ds = xr.concat(parts, "time", data_vars="minimal", coords="minimal", compat="override", join="outer")
+    ds["gps"] = ds["gps"] * xr.DataArray(np.linspace(1, 0.3, num).astype(np.float32), dims="time")
+    ds["num_visible"][:] = (7 + np.arange(num, dtype=np.uint8))[:, None, None, None]
+    return MetricMaps(ds.assign_attrs(maps.ds.attrs, constellations=["galileo", "gps"]))
+
+
+def test_every_epoch_is_drawn_and_the_share_of_good_ones():
+    maps = at_epochs(3)
+    assert {"gps_epochs", "gps_availability"} <= set(maps_figures(maps, {}))
+    text = texts_of(plotting.plot_epochs(maps))
+    for time in ("16:00", "19:00", "22:00"):
+        assert f"2020-04-27 {time} UTC" in text
+    assert "3 epochs, 2020-04-27 16:00 UTC to 2020-04-27 22:00 UTC, 7 to 9 Galileo and GPS satellites in view" in text
+    figure = plotting.plot_metric(maps, "gps_availability")
+    share = np.mean([maps.m("gps", 60.0, time=time) > 0.5 for time in maps.times], axis=0)
+    is_free, panel = maps.is_free(60.0, "centre"), panels_of(figure)[1]
+    expected = matplotlib.colormaps["viridis"](share[is_free].astype(np.float32), bytes=True)[:, :3]
+    assert drawn(panel)[is_free].tolist() == [to_hex(colour / 255) for colour in expected]
+    assert "2020-04-27 16:00 UTC (epoch 1 of 3), 7 Galileo and GPS satellites in view" in texts_of(
+        plotting.plot_metric(maps, "gps")
+    )
+    assert not {"gps_epochs", "gps_availability"} & set(maps_figures(make_maps(), {}))
+
+
+def test_a_long_series_is_drawn_by_its_statistics(maps):
+    ds = at_epochs(3).ds
+    series = {f"gps_{what}": ds["gps"].isel(time=0) for what in ("median", "p05", "availability")}
+    maps = MetricMaps(ds.drop_vars(["gps", "gdop", "num_visible"]).assign(series).assign_attrs(satellites=["a", "b"]))
+    figures = maps_figures(maps, {})
+    assert {"gps", "gps_p05", "gps_availability"} <= set(figures)
+    text = texts_of(figures["gps"]())
+    assert "GPS quality, median over the epochs" in text
+    assert "3 epochs, 2020-04-27 16:00 UTC to 2020-04-27 22:00 UTC, m_gps their median; 2 satellites of Galileo" in text
+    assert "satellites" not in texts_of(figures["lidar"]())
+
+
+def test_degrees_stand_where_meridians_and_parallels_meet_the_edges(maps):
+    figure = plotting.show_degrees(plotting.plot_metric(maps, "risk"), maps.grid)
+    to_degrees = pyproj.Transformer.from_crs(maps.grid.crs, "EPSG:4326", always_xy=True)
+    for panel in panels_of(figure):
+        for axis, place in ((panel.xaxis, 0), (panel.yaxis, 1)):
+            assert len(axis.get_majorticklocs()) >= 2
+            for at_m, label in zip(axis.get_majorticklocs(), axis.get_major_formatter().seq, strict=True):
+                corner = [panel.get_xlim()[0], panel.get_ylim()[0]]
+                corner[place] = at_m
+                number, side = label[:-1].rstrip("°"), label[-1]
+                assert side == "WN"[place]
+                assert float(number) == pytest.approx(abs(to_degrees.transform(*corner)[place]), abs=1e-6)
+    assert "easting" not in texts_of(figure)
+
+
 def test_cost_is_black_where_best_and_white_where_worst(maps):
     colours = drawn(panels_of(plotting.plot_paths(maps, {}, altitudes_m=[20.0]))[0])
     total = np.where(maps.is_free(20.0, "centre"), maps.total(20.0, time_of_day="day"), np.nan)
@@ -259,6 +363,7 @@ def all_figures(maps):
     yield plotting.plot_gps_rating(maps)
     yield plotting.plot_heights(maps)
     yield plotting.plot_population(maps)
+    yield plotting.show_degrees(plotting.plot_obstacles(maps), maps.grid)
 
 
 @pytest.mark.parametrize(("rows", "cols"), [(34, 40), (51, 39), (100, 50), (20, 60), (90, 12)])

@@ -4,10 +4,12 @@ import numpy as np
 import pandas as pd
 import pytest
 import rasterio
+import xarray as xr
 from matplotlib.colors import Normalize
+from matplotlib.text import Text
 
 import jaxurban as ju
-from jaxurban.report.figures.map_comparison import _colours, comparison_figures, plot_difference
+from jaxurban.report.figures.map_comparison import _colours, comparison_figures, plot_changed_routes, plot_difference
 from tests.cli_runs import assert_one_sentence, run
 from tests.made_maps import made_maps
 from tests.studies.test_map_comparison import changed_from
@@ -93,3 +95,35 @@ def test_the_command_compares_folders_and_names_the_settings_that_differ(capsys,
     code, _, err = run(capsys, "compare", "a", "b", "-o", "ab2", "--time", "2020")
     assert code == 2
     assert_one_sentence(err, "--time")
+
+
+def test_legends_name_both_ends_of_a_route_and_what_is_blocked_where(found):
+    names = {text.get_text() for text in plot_changed_routes(found).findobj(Text)}
+    assert {"route on A", "route on B", "start", "goal", "blocked only in A", "blocked only in B"} <= names
+
+
+def test_every_epoch_of_a_comparison_has_a_panel_and_times_of_b_are_told(found):
+    times = np.array(["2020-04-27T16:00:00", "2020-04-27T19:00:00"], "datetime64[ns]")
+
+    def at_both(maps, which):
+        parts = [maps.ds.assign_coords(time=[time]) for time in which]
+        return ju.MetricMaps(
+            xr.concat(parts, "time", data_vars="minimal", coords="minimal", compat="override", join="outer")
+        )
+
+    later = times + np.timedelta64(1, "h")
+    pairs = {
+        f"{a}Z": f"{b}Z" for a, b in zip(*(np.datetime_as_string(each, "s") for each in (times, later)), strict=True)
+    }
+    both = ju.compare(at_both(found.a, times), at_both(found.b, later), times=pairs, routes=0, progress=False)
+    figures = comparison_figures(both)
+    assert "gps_epochs" in figures
+    figure = figures["gps_epochs"]()
+    titles = [axes.get_title(loc="left") for axes in figure.axes if axes.images]
+    assert [title.split("  ·  ")[0] for title in titles] == [
+        "2020-04-27 16:00 UTC (B: 2020-04-27 17:00 UTC)",
+        "2020-04-27 19:00 UTC (B: 2020-04-27 20:00 UTC)",
+    ]
+    told = "\n".join(text.get_text() for text in figures["gps"]().findobj(Text))
+    assert "2020-04-27 16:00 UTC (epoch 1 of 2)" in told
+    assert "2020-04-27 17:00 UTC (epoch 1 of 2)" in told

@@ -59,7 +59,7 @@ def make_path(planner: str, status: Status, cost: float = np.inf, altitude_m: fl
         length_m=1500.0 if status.has_path else np.inf,
         metrics={name: 0.25 for name in names} if status.has_path else {},
         snap_distance_m=(0.0, 0.0),
-        search=Path(status, xy_m, cost, -np.inf, 10, 0.5, planner),
+        search=Path(status, xy_m, cost, -np.inf, 10, 0.5, planner, graph="8-neighbour grid"),
         settings={
             "time": "2020-04-27T16:00:00Z",
             "time_of_day": "day",
@@ -106,6 +106,17 @@ def test_paths_are_compared_with_the_cheapest(summary):
     assert row_of(summary, "20", "day", "astar-plus")[3:7] == ["optimal", "100.0", "1,500", "0.250"]
     assert "At 20 m the cheapest path costs 100.0 over 1.50 km (astar-plus); astar-dist costs 10.0 % more" in summary
     assert "ptp ended as *blocked*" in summary
+
+
+def test_a_report_without_paths_names_none_and_one_with_says_of_which_graph_a_path_is_optimal(summary):
+    alone = summary_markdown(make_maps(), {})
+    assert alone.startswith("# Metric maps: summary")
+    assert "and paths" not in alone
+    assert "(figures/cost_day.png)" in alone
+    assert "(figures/paths.png)" not in alone
+    assert summary.startswith("# Metric maps and paths: summary")
+    assert "(figures/paths.png)" in summary
+    assert "here the 8-neighbour grid: a planner that searches others may find a cheaper one" in summary
 
 
 def test_words_follow_the_numbers(summary):

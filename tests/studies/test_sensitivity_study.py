@@ -19,7 +19,7 @@ import jaxurban as ju
 from jaxurban.errors import InputError
 from jaxurban.io.store import write_zarr
 from jaxurban.metrics.custom import Layer
-from jaxurban.report.figures.sensitivity_study import study_figures
+from jaxurban.report.figures.sensitivity_study import plot_nearest, plot_where, study_figures
 from jaxurban.report.sensitivity_study import share_said, study_markdown
 from jaxurban.studies.montecarlo.sampling import sample_joined
 from jaxurban.studies.sensitivity.findings import findings
@@ -112,6 +112,7 @@ def test_maps_in_memory_and_a_table_of_queries_give_the_same_rows(folders, found
     columns = [name for name in columns if "noise" not in name]
     first = found.rows.merge(alpha[KEY], on=KEY).sort_values("altitude_m")[columns]
     np.testing.assert_allclose(again.rows.sort_values("altitude_m")[columns].astype(float), first.astype(float))
+    assert not again.is_sampled
     assert again.instances.start_stratum.tolist() == alpha.start_stratum.tolist()
     assert again.instances.range.tolist() == alpha.range.tolist()
 
@@ -224,6 +225,22 @@ def test_the_report_names_every_figure_and_no_share_below_zero(found):
     claims = [len([each for each in found.findings if each.holds is holds]) for holds in (True, False, None)]
     assert f"{claims[0]} of {sum(claims)} claims" in report
     assert f"{claims[1]} are contradicted, and on {claims[2]} they cannot decide" in report
+
+
+def test_the_report_says_whether_routes_were_drawn_or_given(found):
+    assert "Routes were drawn by stratum" in study_markdown(found)
+    given = study_markdown(replace(found, is_sampled=False))
+    assert "drawn by stratum" not in given
+    assert "those of the table that was given" in given
+
+
+def test_panels_that_are_compared_share_their_scale(found):
+    figures = (plot_where(found.tables["summary"], 2.0), plot_nearest(found.tables["weights"], 2.0))
+    for figure, axis in zip(figures, "yx", strict=True):
+        limits = {getattr(panel, f"get_{axis}lim")() for panel in figure.axes}
+        assert len(limits) == 1
+    shown = found.tables["summary"].query("cut == 'stratum, altitude_m'").regret_high.max()
+    assert figures[0].axes[0].get_ylim()[1] >= np.nan_to_num(shown)
 
 
 def test_the_report_tells_of_a_weight_of_population_that_means_different_things(found):
