@@ -112,9 +112,8 @@ def test_every_epoch_of_a_comparison_has_a_panel_and_times_of_b_are_told(found):
         )
 
     later = times + np.timedelta64(1, "h")
-    pairs = {
-        f"{a}Z": f"{b}Z" for a, b in zip(*(np.datetime_as_string(each, "s") for each in (times, later)), strict=True)
-    }
+    of_a, of_b = (np.datetime_as_string(each, "s") for each in (times, later))
+    pairs = {f"{a}Z": f"{b}Z" for a, b in zip(of_a, of_b, strict=True)}
     both = ju.compare(at_both(found.a, times), at_both(found.b, later), times=pairs, routes=0, progress=False)
     figures = comparison_figures(both)
     assert "gps_epochs" in figures

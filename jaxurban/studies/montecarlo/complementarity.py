@@ -185,7 +185,7 @@ def verdict(table: pd.DataFrame) -> str:
     if all(held):
         word = "holds"
     elif True in held:
-        word = f"is borne out by {held.count(True)} of its three claims, not by all"
+        word = "is borne out in part only"
     else:
         word = "is refuted" if None not in held else "is not borne out as far as these maps can tell"
     low = table.iloc[0]
