@@ -286,8 +286,9 @@ class CostMap(Shown):
 
     def means(self, features: PathFeatures) -> dict[str, float]:
         """Return the mean of each metric m along a path, by the exact length in each cell."""
+        metrics = self.maps.metrics
         means = zip(self.names, features.mean_costs, strict=True)
-        found = {name: self.maps.metrics[name].cost(cost) for name, cost in means}  # c turns into m as m into c
+        found = {name: metrics[name].cost(cost) for name, cost in means}  # c turns into m as m into c
         return {name: min(max(float(m), 0.0), 1.0) for name, m in found.items()}  # rounding may leave the range
 
     @cached_property
