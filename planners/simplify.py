@@ -15,6 +15,8 @@ from jaxurban.planners.search.legs import fewest_legs, is_clear, nudged
 CLEAR_M = 0.02  # that legs keep from closed cells, so that coordinates of 7 decimals of a degree cannot enter them
 NUDGES = (1.5, 3.0)  # by how many such distances points may move where the path itself passes nearer
 DIRECTIONS = 8
+SHORT_M = 1.0  # legs shorter than this between two turns are left out where one turn does for both
+ALIKE = 0.05  # sine of the angle between legs that run alike
 
 
 def simplify(problem: Problem, path: Path, tolerance_m: float) -> Path:
@@ -111,7 +113,55 @@ def _fewest(is_free: np.ndarray, xy: np.ndarray, tolerance_m: float, side_m: flo
         moved = nudged(is_free, xy, is_movable, offsets, margin)
         tolerance -= float(np.hypot(*(moved - xy).T).max())
         xy = moved
-    return xy[fewest_legs(is_free, xy, tolerance, margin)]
+    kept = np.flatnonzero(fewest_legs(is_free, xy, tolerance, margin))
+    return _without_short_legs(is_free, xy, kept, tolerance, margin, SHORT_M / side_m)
+
+
+def _without_short_legs(
+    is_free: np.ndarray, xy: np.ndarray, kept: np.ndarray, tolerance: float, margin: float, short: float
+) -> np.ndarray:
+    """Return the points kept ``[W, 2]``, two that a short leg joins replaced by one where that stays clear and near.
+
+    Where the legs before and after meet, or at one of the two, or in their middle.
+    """
+    points, at = [xy[k] for k in kept], kept.tolist()
+    k = 1
+    while k < len(points) - 2:
+        before, here, there, after = points[k - 1 : k + 3]
+        first, last = max(k - 2, 0), min(k + 3, len(points) - 1)
+        middles = [_crossing(before, here, there, after), (here + there) / 2, here, there]
+        for middle in middles if np.hypot(*(there - here)) < short else ():
+            way = np.array([*points[first:k], middle, *points[k + 2 : last + 1]])
+            was = xy[at[first] : at[last] + 1]
+            if (
+                is_clear(is_free, *before, *middle, margin)
+                and is_clear(is_free, *middle, *after, margin)
+                and _farthest(was, way) <= tolerance
+                and _farthest(middle[None], was) <= tolerance
+            ):
+                points[k : k + 2], at[k : k + 2] = [middle], [at[k]]
+                break
+        else:
+            k += 1
+    return np.array(points)
+
+
+def _crossing(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> np.ndarray:
+    """Return where the lines through two legs meet; their middle where they run alike."""
+    (u_x, u_y), (v_x, v_y), (w_x, w_y) = b - a, c - d, d - a
+    turn = u_x * v_y - u_y * v_x
+    if abs(turn) < ALIKE * np.hypot(u_x, u_y) * np.hypot(v_x, v_y):
+        return (b + c) / 2
+    return a + (b - a) * ((w_x * v_y - w_y * v_x) / turn)
+
+
+def _farthest(xy: np.ndarray, way: np.ndarray) -> float:
+    """Return how far points ``[N, 2]`` are at most from a polyline ``[W, 2]``."""
+    along, from_start = np.diff(way, axis=0), xy[:, None] - way[:-1]
+    squares = np.maximum((along**2).sum(axis=-1), np.finfo(float).tiny)
+    share = np.clip((from_start * along).sum(axis=-1) / squares, 0.0, 1.0)
+    away = from_start - share[..., None] * along
+    return float(np.hypot(away[..., 0], away[..., 1]).min(axis=1).max())
 
 
 def _are_clear(is_free: np.ndarray, xy: np.ndarray, margin: float) -> np.ndarray:
