@@ -110,7 +110,7 @@ def test_limits_above_another_zero_or_in_another_unit_close_every_altitude_at_th
 
 @settings(max_examples=40)
 @given(
-    st.floats(-179.9, 179.9), st.floats(-84, 84), st.floats(1, 60_000), st.sampled_from([("M", 1.0), ("FT", 0.3048)])
+    st.floats(-179.9, 179.9), st.floats(-84, 84), st.floats(1, 300_000), st.sampled_from([("M", 1.0), ("FT", 0.3048)])
 )
 def test_a_circles_polygon_holds_all_of_it_and_little_more(tmp_path_factory, lon, lat, radius, unit):
     uom, metres = unit
@@ -270,8 +270,11 @@ def test_an_outline_that_crosses_itself_closes_all_that_it_encloses_and_is_told(
         (polygon([[[LON, LAT], [LON, LAT + 1]]]), "cannot be read"),
         (polygon([[[LAT, "north"], [LON, LAT], [0, 0]]]), "cannot be read"),
         (polygon([[[200, 10], [201, 10], [201, 11]]]), "no longitude and latitude"),
-        (circle(0), "a radius of 0 m"),
-        (circle(100, uom="NM"), "cannot be read"),
+        (circle(0), "a circle of 0 m around"),
+        (circle(1e9), "at most 300000 m"),
+        (circle(100, centre=(0, 89.9)), "not at a pole"),
+        (polygon(horizontalProjection=None), "a part is missing, or is of another kind"),
+        (circle(100, uom="NM"), "a part is missing, or is of another kind"),
         (circle(100, centre=()), "cannot be read"),
         (polygon(**agl("low", 100)), "lower limit of the no-fly zone 'Findel' of 'z.json' must be a finite number"),
         (polygon(**agl(100, 50)), "floor 100 m and ceiling 50 m"),

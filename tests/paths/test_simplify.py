@@ -106,7 +106,7 @@ def test_the_message_tells_tolerance_waypoints_and_how_the_cost_changed(maps):
     assert len(farther.xy_m) <= len(simple.xy_m)
 
 
-def test_a_path_around_a_no_fly_zone_and_within_bounds_stays_so(maps):
+def test_a_path_around_a_no_fly_zone_and_within_bounds_stays_so_and_its_mission_is_fenced(maps, tmp_path):
     start, goal = ends_of(maps)
     middle = shapely.LineString([start[:2], goal[:2]]).interpolate(0.5, normalized=True)
     zone = Zone("park", middle.buffer(60.0), maps.grid.crs)
@@ -120,6 +120,10 @@ def test_a_path_around_a_no_fly_zone_and_within_bounds_stays_so(maps):
     crossed = maps.grid.cell_of_xy(*shapely.get_coordinates(line.segmentize(0.5)).T)
     assert np.all(maps.m("lidar", ALTITUDE_M)[crossed] >= 0.3)
     assert obstacles(on).crossed_m(simple.xy_m) == 0.0
+    simple.save(tmp_path / "path.plan")
+    (ring,) = json.loads((tmp_path / "path.plan").read_text())["geoFence"]["polygons"]
+    corners_m = np.column_stack(maps.grid.xy_of_lonlat(*np.array(ring["polygon"])[:, ::-1].T))
+    assert shapely.hausdorff_distance(shapely.Polygon(corners_m), zone.polygon) < 0.05
 
 
 def test_a_path_between_levels_keeps_its_climbs_and_its_report(maps):

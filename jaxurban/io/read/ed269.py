@@ -30,8 +30,9 @@ ON_APPROVAL = ("REQ_AUTHORISATION", "REQ_AUTHORIZATION", "CONDITIONAL")
 METRES = {"M": 1.0, "FT": 0.3048}
 DAYS = ("MON", "TUE", "WED", "THU", "FRI", "SAT", "SUN")
 TIME_OF_DAY = re.compile(r"(\d{1,2}):(\d{2})(?::(\d{2})(?:\.\d+)?)?(Z|[+-]\d{2}:?\d{2})")
-CORNERS = 64  # of a circle: its polygon is at most 0.2 % wider
-WIDER = 1e-4  # of a circle's radius, for edges that are straight in degrees
+CORNERS = 64  # of a circle: with what follows its polygon is at most 0.3 % wider
+WIDER = 1e-3  # of a circle's radius, for edges that are straight in degrees
+MOST_M = 300_000.0  # radius of a circle whose edges are as good as straight in degrees
 MOST_NAMED = 3
 GEOD = Geod(ellps="WGS84")
 Json = Mapping[str, Any]
@@ -143,11 +144,10 @@ def _volumes(feature: Json, label: str) -> Iterator[tuple[Json, shapely.Geometry
         raise InputError(f"the no-fly zone {label} has no geometry: mend the file")
     for volume in volumes:
         try:
-            yield (volume, _projection(volume)) if ed269 else (volume.get("layer") or {}, _outline(volume))
+            yield (volume, _projection(volume)) if ed269 else ({**(volume.get("layer") or {})}, _outline(volume))
         except (LookupError, TypeError, ValueError, AttributeError, shapely.errors.ShapelyError) as error:
-            raise InputError(
-                f"the outline of the no-fly zone {label} cannot be read ({error}): mend the file"
-            ) from error
+            why = str(error) if isinstance(error, ValueError) else "a part is missing, or is of another kind"
+            raise InputError(f"the outline of the no-fly zone {label} cannot be read ({why}): mend the file") from error
 
 
 def _projection(volume: Json) -> shapely.Geometry:
@@ -187,8 +187,8 @@ def _place(corner: Sequence[Any]) -> tuple[float, float]:
 def _circle(centre: Sequence[Any], radius_m: float) -> shapely.Geometry:
     """Return a polygon that holds all of a circle: its edges touch one that is a little wider."""
     lon, lat = _place(centre)
-    if not 0 < radius_m < math.inf:
-        raise ValueError(f"a radius of {radius_m:g} m")
+    if not 0 < radius_m <= MOST_M or abs(lat) > 85:
+        raise ValueError(f"a circle of {radius_m:g} m around {lon:g}, {lat:g}: at most {MOST_M:g} m, not at a pole")
     azimuth_deg = np.arange(CORNERS) * (360 / CORNERS)
     away_m = np.full(CORNERS, radius_m * (1 + WIDER) / math.cos(math.pi / CORNERS))
     lons, lats, _ = GEOD.fwd(np.full(CORNERS, lon), np.full(CORNERS, lat), azimuth_deg, away_m)
