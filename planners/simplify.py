@@ -15,6 +15,7 @@ from jaxurban.planners.search.legs import fewest_legs, is_clear, nudged
 CLEAR_M = 0.02  # that legs keep from closed cells, so that coordinates of 7 decimals of a degree cannot enter them
 NUDGES = (1.5, 3.0)  # by how many such distances points may move where the path itself passes nearer
 DIRECTIONS = 8
+SPACING = 1.0  # cell sides between the points along a path at which it may turn
 SHORT_M = 1.0  # legs shorter than this between two turns are left out where one turn does for both
 ALIKE = 0.05  # sine of the angle between legs that run alike
 
@@ -22,12 +23,12 @@ ALIKE = 0.05  # sine of the angle between legs that run alike
 def simplify(problem: Problem, path: Path, tolerance_m: float) -> Path:
     """Return the path with as few waypoints as keep it within a tolerance of where it was, clear of closed cells.
 
-    Waypoints are points of the path. Every leg that skips some keeps `CLEAR_M` from every cell that is not free and
-    from the map's border, so that rounding of a file's coordinates takes it into none. Where the path passes nearer,
-    its points are first moved aside, each twice by at most three times that, or a quarter of the tolerance, where that
-    mends it; what cannot be mended, as a step between two obstacles that touch at a corner (``diagonal="always"``),
-    stays as it was planned, and the note says so. In a volume the parts on one level are simplified, each on its
-    level's cells; climbs and descents stay. The ends stay.
+    Waypoints are places along the path, at most a cell apart. Every leg that skips some keeps `CLEAR_M` from every cell
+    that is not free and from the map's border, so that rounding of a file's coordinates takes it into none. Where the
+    path passes nearer, its points are first moved aside, each twice by at most three times that, or a quarter of the
+    tolerance, where that mends it; what cannot be mended, as a step between two obstacles that touch at a corner
+    (``diagonal="always"``), stays as it was planned, and the note says so. In a volume the parts on one level are
+    simplified, each on its level's cells; climbs and descents stay. The ends stay.
 
     The cost is that of the new path, which may be above or below the old. The status is that of the path where
     nothing changed, else FEASIBLE (BUDGET_FEASIBLE where the path was). The lower bound stays that of the planner's
@@ -113,6 +114,7 @@ def _fewest(is_free: np.ndarray, xy: np.ndarray, tolerance_m: float, side_m: flo
         moved = nudged(is_free, xy, is_movable, offsets, margin)
         tolerance -= float(np.hypot(*(moved - xy).T).max())
         xy = moved
+    xy = subdivided(xy, SPACING)
     kept = np.flatnonzero(fewest_legs(is_free, xy, tolerance, margin))
     return _without_short_legs(is_free, xy, kept, tolerance, margin, SHORT_M / side_m)
 
