@@ -8,6 +8,7 @@ import numpy as np
 from jaxurban.kernels.compiled import compiled
 
 STUCK = 1e9  # what a leg that is not clear counts among nudges, so that there are as few as can be
+REACH = 256  # points that a leg may span, lest a way over open land of thousands takes seconds
 AHEAD = 1e-12  # relative: sums this much smaller are smaller
 
 
@@ -100,11 +101,12 @@ def fewest_legs(is_free, xy, tolerance, margin):
 
     The most even way has the least sum of its legs' squared lengths, so that none is shorter than it need be.
 
-    A leg may skip the points that lie within the tolerance of it where it is clear (`is_clear`); from one point to the
-    next it always may lead, as the path does. Every two points that such a leg joins are an edge of a graph, and the
-    shortest way through it is the answer (Imai & Iri 1988, "Polygonal approximations of a curve"). From each point the
-    cone of directions that still pass all points since within the tolerance says when to stop looking farther
-    (Chan & Chin 1996, "Approximation of polygonal curves with minimum number of line segments or minimum error").
+    A leg may skip up to `REACH` points that lie within the tolerance of it where it is clear (`is_clear`); from one
+    point to the next it always may lead, as the path does. Every two points that such a leg joins are an edge of a
+    graph, and the shortest way through it is the answer (Imai & Iri 1988, "Polygonal approximations of a curve"). From
+    each point the cone of directions that still pass all points since within the tolerance says when to stop looking
+    farther (Chan & Chin 1996, "Approximation of polygonal curves with minimum number of line segments or minimum
+    error").
     """
     num = len(xy)
     legs = np.full(num, num, np.int64)
@@ -114,7 +116,7 @@ def fewest_legs(is_free, xy, tolerance, margin):
     for i in range(num - 1):
         low, high, axis, is_open = 0.0, 0.0, 0.0, True
         farthest = 0.0
-        for j in range(i + 1, num):
+        for j in range(i + 1, min(num, i + 1 + REACH)):
             dx, dy = xy[j] - xy[i]
             away = np.hypot(dx, dy)
             turn = 0.0
