@@ -206,8 +206,9 @@ Random routes over {RESOLUTION_M:g} m cells, {ALTITUDE_M:g} m up (the volume: be
 cost model `line`, around {NUM_ZONES} made-up no-fly zones a city, {BUDGET_S:g} s a route for sampling planners
 and as much for refinement, simplified to {TOLERANCE_M:g} m and written as `.plan` with each of the ends, two of
 three at {SPEED_M_S:g} m/s. Measured on the places in the file: waypoints (median and most), the shortest leg, the
-largest distance to the planned route, the weighted cost against it (mean and most), the length in closed cells, and the
-least distance to the exact outline of a building that reaches the flight's height (Shapely). MAVSDK reads each file:
+largest distance to the planned route (rounding of places adds up to 8 mm), the weighted cost against it (mean and
+most), the length in closed cells, and the least distance to the exact outline of a building that reaches the flight's
+height (Shapely). MAVSDK reads each file:
 commands, frames, parameters, places and the geofence, item by item.
 Made by `python -m benchmarks.missions` at commit {machine()["commit"]}.
 
