@@ -325,7 +325,8 @@ def cost_map(
       objective: ``"weighted"``, or ``"distance"`` for the shortest path (its weighted cost is reported).
       cost_model: how steps are costed and which are allowed, or its kind alone: ``"cell"`` (the paper) or
         ``"line"``.
-      time: UTC time of the GPS map; the first if left out.
+      time: UTC time of the GPS map; the first if left out. Where it is named, zones that are not in force then, nor
+        within an hour, close nothing (`Constraints.at`).
       time_of_day: of the population map; the first if left out.
       constraints: no-fly zones and bounds that close cells to every planner; a zone between two levels closes the
         lower one.
@@ -346,7 +347,8 @@ def cost_map(
     else:
         altitudes_m = levels.of(maps.altitudes_m)
     at = _When(maps, time, time_of_day)
-    made = _made(at, altitudes_m, levels, weights, objective, CostModel.of(cost_model), constraints or Constraints())
+    limits = (constraints or Constraints()).at(time)
+    made = _made(at, altitudes_m, levels, weights, objective, CostModel.of(cost_model), limits)
     if levels is not None:
         _ = made.shortest  # no free cell in a volume is refused at once
     return made
