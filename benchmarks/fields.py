@@ -27,7 +27,7 @@ def measure(problem: Problem, num_goals: int, num_runs: int) -> str:
 
     def side(backend: str) -> Side:
         def work() -> None:
-            found[backend] = symmetric_costs(queries, backend)
+            found[backend] = list(symmetric_costs(queries, backend))
 
         return clocked(work)
 

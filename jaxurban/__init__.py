@@ -31,6 +31,7 @@ if _TYPE_CHECKING:
     from jaxurban.paths.path import PlannedPath as PlannedPath
     from jaxurban.paths.plan import plan as plan
     from jaxurban.paths.results import PlannedPaths as PlannedPaths
+    from jaxurban.paths.simplify import simplify as simplify
     from jaxurban.paths.snapping import XY as XY
     from jaxurban.planners.base import CostModel as CostModel
     from jaxurban.planners.envelope import planned_cost as planned_cost
@@ -87,6 +88,7 @@ _NAMES = {
     "paths.path": "PlannedPath",
     "paths.plan": "plan",
     "paths.results": "PlannedPaths",
+    "paths.simplify": "simplify",
     "paths.snapping": "XY",
     "planners.base": "CostModel",
     "planners.envelope": "planned_cost",

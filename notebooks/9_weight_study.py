@@ -59,7 +59,9 @@ print(f"{len(found.rows)} routes")
 
 # %%
 said = {True: "holds", False: "does not hold", None: "open"}
-pd.DataFrame([(each.claim, said[each.holds], each.evidence) for each in found.findings], columns=["claim", "", "why"])
+pd.DataFrame(
+    [(each.claim, said[each.holds], each.evidence) for each in found.findings], columns=["claim", "verdict", "why"]
+)
 
 # %% [markdown]
 # ## Shares of the cost

@@ -69,7 +69,7 @@ def path_features(problem: "Problem", points_m: np.ndarray, kind: CostKind | Non
     Args:
       problem: whose costs, free cells and cost model count.
       points_m: ``[N, 2]`` x, y in metres from the map's southwest corner, ``N >= 1``; in a volume ``[N, 3]`` x, y,
-        altitude of neighbouring nodes.
+        altitude: straight legs on a level, and steps between neighbouring nodes where the level changes.
       kind: of cost model, instead of the problem's.
 
     Raises:
@@ -95,20 +95,42 @@ def path_features(problem: "Problem", points_m: np.ndarray, kind: CostKind | Non
 
 
 def _volume_features(problem: "Problem", points_m: np.ndarray, kind: CostKind) -> PathFeatures:
-    """Return the features of a path of neighbouring nodes, each step costed as `Problem` states."""
+    """Return the features of a path through a volume: level as on one altitude, up and down as `Problem` states."""
     if points_m.ndim != 2 or points_m.shape[1] != 3 or not np.isfinite(points_m).all():
         raise InputError(f"a path through a volume must be [N, 3] finite metres, got shape {points_m.shape}")
-    cells = np.floor(points_m[:, 1::-1] / problem.resolution_m).astype(np.int64)
-    nodes = np.column_stack([np.searchsorted(problem.levels_m, points_m[:, 2]), cells])
-    length_m = np.linalg.norm(np.diff(points_m, axis=0), axis=1)
     rise_m = np.diff(points_m[:, 2])
-    node_length_m = (np.append(length_m, 0.0) + np.append(0.0, length_m)) / 2
-    count = np.append(0.0, np.ones(len(length_m)))
+    length_m = float(np.linalg.norm(np.diff(points_m, axis=0), axis=1).sum())
+    metres = [length_m, float(np.maximum(rise_m, 0).sum()), float(np.maximum(-rise_m, 0).sum())]
+    crossed, leg, crossed_m = _nodes_crossed(problem, points_m)
     if kind == "line":
-        count = node_length_m / problem.cost_model.reference_length_m
-    metres = [float(length_m.sum()), float(np.maximum(rise_m, 0).sum()), float(np.maximum(-rise_m, 0).sum())]
-    at = tuple(nodes.T)
-    return _features(problem, metres, _is_allowed(problem, nodes), at, count, at, node_length_m)
+        counted, count = crossed, crossed_m / problem.cost_model.reference_length_m
+    else:
+        counted, leg, in_state_m = _nodes_crossed(problem, path_states(points_m, problem.resolution_m))
+        count = np.append(leg[1:] != leg[:-1], in_state_m[-1] > 0).astype(np.float64)
+    return _features(problem, metres, _is_allowed(problem, points_m), counted, count, crossed, crossed_m)
+
+
+def _nodes_of(problem: "Problem", points_m: np.ndarray) -> np.ndarray:
+    """Return ``[N, 3]`` level, row and column of points."""
+    cells = np.floor(points_m[:, 1::-1] / problem.resolution_m).astype(np.int64)
+    return np.column_stack([np.searchsorted(problem.levels_m, points_m[:, 2]), cells])
+
+
+def _nodes_crossed(problem: "Problem", points_m: np.ndarray) -> tuple[Index, np.ndarray, np.ndarray]:
+    """Return level, row and column of what a path crosses, the leg, and its length in each, in order of travel.
+
+    A leg on a level is cut at the borders of cells; one that climbs or descends lies half in each of its two nodes.
+    """
+    nodes, steps_m = _nodes_of(problem, points_m), np.diff(points_m, axis=0)
+    cut = crossed_cells(points_m[:, :2], problem.resolution_m)
+    climbs = np.flatnonzero(steps_m[:, 2])
+    is_level = ~np.isin(cut.segment, climbs)
+    at_level = np.column_stack([nodes[cut.segment, 0], cut.row, cut.col])[is_level]
+    ends = np.stack([nodes[climbs], nodes[climbs + 1]], axis=1).reshape(-1, 3)
+    leg = np.concatenate([cut.segment[is_level], np.repeat(climbs, 2)])
+    length_m = np.concatenate([cut.length_m[is_level], np.repeat(np.linalg.norm(steps_m[climbs], axis=1) / 2, 2)])
+    order = np.argsort(leg, kind="stable")
+    return tuple(np.concatenate([at_level, ends])[order].T), leg[order], length_m[order]
 
 
 def _features(
@@ -127,15 +149,33 @@ def _features(
     return PathFeatures(phi, is_valid, counted, count, crossed, length_m, problem.costs)
 
 
-def _is_allowed(problem: "Problem", nodes: np.ndarray) -> bool:
-    """Return whether every step between nodes ``[N, 3]`` leads to a neighbour and is allowed on both of its levels."""
-    steps = np.diff(nodes, axis=0)
-    if np.abs(steps).max(initial=0) > 1 or not problem.is_free[tuple(nodes.T)].all():
+def _is_allowed(problem: "Problem", points_m: np.ndarray) -> bool:
+    """Return whether each leg on a level is free there, and each step that changes it is one that the search may take.
+
+    Such a step leads to a neighbour and is allowed on both of its levels.
+    """
+    nodes = _nodes_of(problem, points_m)
+    num_levels, num_rows, num_cols = problem.is_free.shape
+    if (nodes < 0).any() or (nodes >= (num_levels, num_rows, num_cols)).any():
+        return False
+    steps, is_climb = np.diff(nodes, axis=0), np.diff(points_m[:, 2]) != 0
+    for first, last in _runs(~is_climb):
+        way = crossed_cells(points_m[first : last + 1, :2], problem.resolution_m)
+        if not is_free_way(way, problem.is_free[nodes[first, 0]], problem.cost_model.passes_corners):
+            return False
+    is_node = np.append(is_climb, len(nodes) == 1) | np.append(False, is_climb)
+    if np.abs(steps[is_climb]).max(initial=0) > 1 or not problem.is_free[tuple(nodes[is_node].T)].all():
         return False
     # The bit of the horizontal part of each step; 0 straight up or down.
-    bit = (steps[:, None, 1:] == np.array(STEPS)).all(axis=2) @ (1 << np.arange(len(STEPS)))
-    level, row, col = nodes[:-1].T
-    return bool(np.all(problem.moves[level, row, col] & problem.moves[nodes[1:, 0], row, col] & bit == bit))
+    bit = (steps[is_climb, None, 1:] == np.array(STEPS)).all(axis=2) @ (1 << np.arange(len(STEPS)))
+    (level, row, col), to_level = nodes[:-1][is_climb].T, nodes[1:, 0][is_climb]
+    return bool(np.all(problem.moves[level, row, col] & problem.moves[to_level, row, col] & bit == bit))
+
+
+def _runs(is_in: np.ndarray) -> list[tuple[int, int]]:
+    """Return the first and the last point of every run of legs ``[N - 1]`` that are in."""
+    changes = np.flatnonzero(np.diff(np.concatenate([[False], is_in, [False]]).astype(np.int8)))
+    return [(int(first), int(last)) for first, last in changes.reshape(-1, 2)]
 
 
 def visit_counts(problem: "Problem", points_m: np.ndarray) -> np.ndarray:
@@ -147,12 +187,12 @@ def visit_counts(problem: "Problem", points_m: np.ndarray) -> np.ndarray:
 
 
 def sample_segment(start_m: np.ndarray, end_m: np.ndarray, step_m: float) -> np.ndarray:
-    """Return ``[N, 2]`` points on a segment every ``step_m`` from its start, its end included.
+    """Return ``[N, 2]`` points on a segment every ``step_m`` from its start, its end included; ``[N, 3]`` on a level.
 
     The paper's straight path (eq. for alpha, with y's component mended): the last step is the shorter
     one. A segment of no length is one point.
     """
-    length_m = float(np.hypot(*(end_m - start_m)))
+    length_m = float(np.hypot(*(end_m - start_m)[:2]))
     if length_m == 0:
         return np.array([start_m], np.float64)
     num_steps = max(1, int(np.ceil(length_m / step_m * (1 - ROUNDING))))
@@ -168,7 +208,7 @@ def path_states(points_m: np.ndarray, resolution_m: float) -> np.ndarray:
     A segment longer than a diagonal step is sampled every resolution step; a shorter one is one step.
     """
     points = np.asarray(points_m, np.float64)
-    is_long = np.hypot(*np.diff(points, axis=0).T) > np.sqrt(2) * resolution_m * (1 + ROUNDING)
+    is_long = np.hypot(*np.diff(points[:, :2], axis=0).T) > np.sqrt(2) * resolution_m * (1 + ROUNDING)
     if not is_long.any():
         return points
     segments = [points[:1]]

@@ -64,8 +64,9 @@ def make_landmarks(
     if "landmarks" not in problem.shared:
         begin_s = time.perf_counter()
         cells = landmark_cells(problem, num)
-        fields = symmetric_costs([problem.between(cell, cell) for cell in cells], backend, end_s)
-        costs = np.stack(fields, axis=-1)
+        costs = np.empty((*problem.is_free.shape, len(cells)))
+        for k, field in enumerate(symmetric_costs([problem.between(cell, cell) for cell in cells], backend, end_s)):
+            costs[..., k] = field
         largest = np.max(costs, where=np.isfinite(costs), initial=0.0)
         slack = float(largest) * problem.is_free.size * np.finfo(np.float64).eps
         problem.shared["landmarks"] = Landmarks(

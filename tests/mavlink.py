@@ -1,5 +1,6 @@
 """Missions as MAVSDK reads them: a ground station and an autopilot of this process, over UDP on this machine alone."""
 
+import json
 import socket
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -7,9 +8,10 @@ from pathlib import Path
 
 import numpy as np
 from mavsdk import ComponentType, Configuration, Mavsdk
-from mavsdk.plugins.mission_raw import MissionRaw
+from mavsdk.plugins.mission_raw import MissionItem, MissionRaw
 
 RELATIVE_TO_HOME = 3  # MAV_FRAME_GLOBAL_RELATIVE_ALT
+EXCLUSION = 5002  # MAV_CMD_NAV_FENCE_POLYGON_VERTEX_EXCLUSION
 DISCOVERY_S = 20.0
 
 
@@ -20,13 +22,57 @@ class Reader:
         self.missions = missions
 
     def read(self, file: Path) -> tuple[list[int], np.ndarray]:
-        """Return commands, and longitude, latitude, height above home ``[W, 3]``; check that nothing else is there."""
-        read = self.missions.import_qgroundcontrol_mission(str(file))
-        assert (read.geofence_items, read.rally_items) == ([], [])
-        items = read.mission_items
-        assert [item.seq for item in items] == list(range(len(items)))
-        assert {item.frame for item in items} == {RELATIVE_TO_HOME}
+        """Return commands, and longitude, latitude, height above home ``[W, 3]``, of a mission's places."""
+        items = [item for item in self.items(file)[0] if item.frame == RELATIVE_TO_HOME]
         return [item.command for item in items], np.array([[item.y / 1e7, item.x / 1e7, item.z] for item in items])
+
+    def items(self, file: Path) -> tuple[list[MissionItem], list[MissionItem]]:
+        """Return the items of a mission and of its geofence; check their order, and that nothing else is there."""
+        read = self.missions.import_qgroundcontrol_mission(str(file))
+        assert read.rally_items == []
+        for items in (read.mission_items, read.geofence_items):
+            assert [item.seq for item in items] == list(range(len(items)))
+        return read.mission_items, read.geofence_items
+
+    def differences(self, file: Path) -> list[str]:
+        """Return what MAVSDK reads otherwise than it was written: commands, frames, parameters, places, the geofence.
+
+        Places are told to the seventh decimal of a degree, other numbers as 32-bit floats, as MAVLink carries them.
+        """
+        plan = json.loads(file.read_text())
+        rings = [ring["polygon"] for ring in plan["geoFence"]["polygons"]]
+        assert not any(ring["inclusion"] for ring in plan["geoFence"]["polygons"])
+        wanted = [
+            [(item["command"], item["frame"], *_as_read(item)) for item in plan["mission"]["items"]],
+            [(EXCLUSION, len(ring), *_in_units(*corner)) for ring in rings for corner in ring],
+        ]
+        mission, fence = self.items(file)
+        read = [
+            [
+                (i.command, i.frame, *_floats(i.param1, i.param2, i.param3, i.param4), i.x, i.y, *_floats(i.z))
+                for i in mission
+            ],
+            [(i.command, int(i.param1), i.x, i.y) for i in fence],
+        ]
+        if [len(items) for items in read] != [len(items) for items in wanted]:
+            return [f"{[len(items) for items in read]} items instead of {[len(items) for items in wanted]}"]
+        pairs = zip(read[0] + read[1], wanted[0] + wanted[1], strict=True)
+        return [f"{one} instead of {other}" for one, other in pairs if str(one) != str(other)]  # NaN is NaN as text
+
+
+def _as_read(item: dict) -> tuple:
+    """Return a written item's four parameters, its place and its height as MAVLink carries them."""
+    *params, lat, lon, z_m = item["params"]
+    place = _in_units(lat, lon) if item["frame"] == RELATIVE_TO_HOME else (round(lat), round(lon))
+    return (*_floats(*params), *place, *_floats(z_m))
+
+
+def _floats(*values: float | None) -> tuple[float, ...]:
+    return tuple(float(np.float32(np.nan if value is None else value)) for value in values)
+
+
+def _in_units(lat: float, lon: float) -> tuple[int, int]:
+    return round(lat * 1e7), round(lon * 1e7)
 
 
 @contextmanager

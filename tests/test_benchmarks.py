@@ -1,6 +1,7 @@
 """The benchmarks' arithmetic, and Embree's two ways to scan, on what can be worked out by hand."""
 
 import ast
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from benchmarks.against_commit import interval
 from benchmarks.common import Growth, Timing, in_turn, markdown, row
 from benchmarks.docstring_facts import lost_facts
 from benchmarks.embree_peer import Caster, scan_every_beam, scan_until_first_return, see_satellites
+from benchmarks.missions import Mission, clearance_m, legs_m, summary
 from benchmarks.route_soundness import Outlines, Route, by_planner, price
 from benchmarks.same_results import compare
 from benchmarks.structure import num_arguments, num_code_lines, record_classes
@@ -150,3 +152,21 @@ def test_results_differ_by_name_and_by_share_and_ratios_have_an_interval():
     assert interval(np.full(15, 1.25)) == (1.25, 1.25)
     low, high = interval(np.linspace(0.9, 1.1, 15))
     assert 0.9 < low < 1.0 < high < 1.1
+
+
+def test_a_missions_clearance_is_to_the_outlines_that_reach_the_lower_end_of_a_leg():
+    one = np.zeros(1)
+    tower = Buildings(np.array([shapely.box(50, 0, 60, 10)]), one + 40, one, one.astype(np.uint8), one > 0)
+    scene = SimpleNamespace(city=SimpleNamespace(buildings=tower))
+    beside = np.array([[0.0, 22, 30], [100, 22, 30], [100, 60, 30]])
+    assert clearance_m(scene, beside) == pytest.approx(12.0)
+    assert clearance_m(scene, beside + np.array([0, 0, 20])) == np.inf
+    climbing = np.array([[55.0, 14, 60], [55, 14, 20]])
+    assert clearance_m(scene, climbing) == pytest.approx(4.0)
+    np.testing.assert_allclose(legs_m(climbing), [40.0])
+
+
+def test_the_row_of_missions_tells_how_many_were_read_back_equal():
+    flown = [Mission("a", "land", 100 * k, 10 * k, 1.0, 5.0 * k, 2.0, 3.0 * k, 1.0, 0.0, 0, k - 1) for k in (1, 2)]
+    row_ = summary(flown)
+    assert (row_[0], row_[1], row_[2], row_[-1]) == ("2", "150 (200)", "15 (20)", "1")

@@ -76,7 +76,7 @@ def test_missions_over_the_hills_keep_their_height_above_ground_as_mavsdk_reads_
         for start, goal in zip(rng.permutation(free)[:10], rng.permutation(uphill)[:10], strict=True):
             ends = (XY(*maps.grid.xy_of_cell(*cell)) for cell in (start, goal))
             path = weighted.plan(*ends, planner="astar-dist")
-            write_path(path, file)
+            write_path(path, file, end="none")
             _, places = reader.read(file)
             home_m = json.loads(file.read_text())["mission"]["plannedHomePosition"][2]
             assert home_m == pytest.approx(terrain_m[tuple(start)], abs=0.01)

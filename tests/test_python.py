@@ -79,7 +79,7 @@ def test_a_batch_is_one_file_with_a_name_for_each_path(paths, tmp_path, suffix):
 def test_a_batch_is_a_table_too(paths, tmp_path):
     for suffix, read in ((".csv", pd.read_csv), (".parquet", pd.read_parquet)):
         assert read(paths.save(tmp_path / f"batch{suffix}")).status.tolist() == ["optimal", "optimal", "bad-input"]
-    with pytest.raises(InputError, match=r"\.parquet, \.csv, \.geojson, \.kml, \.plan"):
+    with pytest.raises(InputError, match=r"\.parquet, \.csv, \.geojson, \.kml, \.gpx, \.plan"):
         paths.save(tmp_path / "batch.txt")
     with pytest.raises(InputError, match=r"a \.plan holds one path, and these are 2"):
         paths.save(tmp_path / "batch.plan")

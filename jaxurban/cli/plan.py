@@ -1,8 +1,9 @@
 """jaxurban plan."""
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -17,6 +18,12 @@ from jaxurban.cli.common import (
     take_snap,
     tell,
 )
+from jaxurban.errors import InputError
+
+if TYPE_CHECKING:
+    from jaxurban.paths.cost_map import CostMap
+    from jaxurban.paths.explain import RouteReport
+    from jaxurban.paths.path import PlannedPath
 
 LEVEL_OPTIONS = ("min_altitude_m", "max_altitude_m", "level_step_m", "climb_cost", "descent_cost")  # of `Levels`
 
@@ -44,8 +51,17 @@ LEVEL_OPTIONS = ("min_altitude_m", "max_altitude_m", "level_step_m", "climb_cost
 @click.option("--swath", "swath_m", type=float, help="Of the strip of people overflown, metres.  [default: 10]")
 @click.option("--profile", type=click.Path(path_type=Path), help="Draw what the route meets, as PNG.")
 @click.option(
-    "-o", "files", type=click.Path(path_type=Path), multiple=True, help=".geojson, .kml or .plan; repeatable."
+    "-o", "files", type=click.Path(path_type=Path), multiple=True, help=".geojson, .kml, .gpx or .plan; repeatable."
 )
+@click.option(
+    "--simplify",
+    "simplify_m",
+    type=float,
+    metavar="METRES",
+    help="Fewest straight legs within so far of the path, clear of closed cells; 0 for every turn.  [default: in .gpx "
+    "and .plan half a cell, else 0]",
+)
+@click.option("--end", type=click.Choice(["land", "return", "none"]), help="Of a .plan.  [default: land, at the goal]")
 @DEVICE
 @JSON_FLAG
 def plan(folder: Path, files: Sequence[Path], profile: Path | None, as_json: bool, **given: Any) -> int:
@@ -53,9 +69,9 @@ def plan(folder: Path, files: Sequence[Path], profile: Path | None, as_json: boo
     from jaxurban.maps.levels import Levels
     from jaxurban.paths.cautions import cautions
     from jaxurban.paths.explain import check_flight, explain
-    from jaxurban.paths.export.qgc_plan import height_note
-    from jaxurban.paths.export.write import check_export, write_path
+    from jaxurban.paths.export.write import MISSION, check_export
     from jaxurban.paths.search import PathSearch
+    from jaxurban.paths.simplify import simplify
 
     with_report, is_volume, snap = given["with_report"], given["is_volume"], take_snap(given)
     flight = {name: given[name] for name in ("speed_m_s", "power_w", "swath_m") if given[name] is not None}
@@ -64,6 +80,10 @@ def plan(folder: Path, files: Sequence[Path], profile: Path | None, as_json: boo
     _check_volume_options(is_volume, given)
     for file in files:
         check_export(file)
+    if given["end"] is not None and not any(file.suffix.lower() == MISSION for file in files):
+        raise click.UsageError("--end is of a mission: add -o FILE.plan")
+    if (simplify_m := given["simplify_m"]) is not None and not 0 <= simplify_m < math.inf:
+        raise InputError(f"--simplify must be metres from 0 up, got {simplify_m:g}")
     check_flight(**flight)
     with_report |= "speed_m_s" in flight
     if profile is not None:
@@ -81,13 +101,12 @@ def plan(folder: Path, files: Sequence[Path], profile: Path | None, as_json: boo
     PathSearch(**search).find(is_for_volumes=is_volume)  # a wrong name is refused before the maps are read
     shared = stored_cost_map(folder, stored, given, altitude_m, planning.get("objective", "weighted"))
     planned, maps = shared.plan(start, goal, snap=snap, **search), shared.maps
+    if simplify_m:
+        planned = simplify(planned, shared, simplify_m)
     is_explained = planned.status.has_path and (with_report or profile is not None)
     report = explain(planned, maps, **flight) if is_explained else None
     for file in files:
-        if write_path(planned, file, report if with_report else None):
-            tell(f"wrote {file}" + (f": {height_note(planned)}" if file.suffix.lower() == ".plan" else ""))
-        else:
-            tell(f"no path, so {file} was not written" + (" (an older one is still there)" if file.exists() else ""))
+        _write(file, planned, shared, report if with_report else None, simplify_m, given["end"])
     if report is not None and profile is not None:
         save_profile(planned, maps, profile, report)
         tell(f"wrote {profile}")
@@ -102,6 +121,33 @@ def plan(folder: Path, files: Sequence[Path], profile: Path | None, as_json: boo
     else:
         print("\n\n".join([_path_table(facts), *([report.table()] if report is not None and with_report else [])]))
     return planned.status.exit_code
+
+
+def _write(
+    file: Path,
+    planned: "PlannedPath",
+    shared: "CostMap",
+    report: "RouteReport | None",
+    simplify_m: float | None,
+    end: str | None,
+) -> None:
+    """Write a path to a file, simplified where it is a file of waypoints and nothing was said, and tell of it."""
+    from jaxurban.paths.export.gpx import elevation_note
+    from jaxurban.paths.export.qgc_plan import mission_note
+    from jaxurban.paths.export.write import MISSION, WAYPOINTS, write_path
+    from jaxurban.paths.simplify import simplify
+
+    if not planned.status.has_path:
+        tell(f"no path, so {file} was not written" + (" (an older one is still there)" if file.exists() else ""))
+        return
+    suffix, said = file.suffix.lower(), []
+    if suffix in WAYPOINTS:
+        if simplify_m is None:
+            plain, planned = planned, simplify(planned, shared, shared.grid.resolution_m / 2)
+            said = [f"{planned.search.note.removeprefix(plain.search.note).strip()} (--simplify 0 keeps every turn)"]
+        said.append(mission_note(planned, end or "land") if suffix == MISSION else elevation_note(planned))
+    write_path(planned, file, report, end=end if suffix == MISSION else None)
+    tell(" ".join([f"wrote {file}" + ":" * bool(said), *said]))
 
 
 def _check_volume_options(is_volume: bool, given: Settings) -> None:

@@ -5,18 +5,21 @@ import operator
 import re
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from jaxurban.errors import IgnoredZoneWarning, InputError, nearest_name, typed
-from jaxurban.io.read.airspace import Zone, cell_boxes, read_zones, touched_cells
+from jaxurban.io.read.airspace import read_zones
+from jaxurban.io.read.orbits import parse_time
+from jaxurban.io.read.zone import Zone, cell_boxes, touched_cells
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.registry import METRICS
 
 OPERATORS: dict[str, Callable] = {">=": operator.ge, "<=": operator.le, ">": operator.gt, "<": operator.lt}
 BOUND = re.compile(r"\s*(\w+)\s*([<>=!]+)\s*(\S+)\s*")
+MOST_NAMED = 3  # zones, in a warning
 Cell = tuple[int, ...]
 Require = str | Mapping[str, tuple[str, float]] | Iterable[str]
 
@@ -98,7 +101,7 @@ class Constraints:
     """No-fly zones and bounds. Cells that a zone touches, or where a bound is not kept, are closed to every planner.
 
     Attributes:
-      zones: from `jaxurban.io.read.airspace`.
+      zones: from `jaxurban.io.read.airspace`; with times of their own they are closed until `at` knows better.
       bounds: what must hold at every cell of a path.
     """
 
@@ -145,6 +148,21 @@ class Constraints:
             ],
             "require": [str(bound) for bound in self.bounds],
         }
+
+    def at(self, time: str | None) -> "Constraints":
+        """Return the constraints without the zones that are not in force at a time of flight, which a warning names.
+
+        Where no time is named, all stay. A zone counts as in force until an hour after the time too (`zone.FLIGHT`).
+        """
+        if time is None or not any(zone.periods for zone in self.zones):
+            return self
+        flight = parse_time(time)
+        is_on = [zone.is_in_force(flight) for zone in self.zones]
+        if off := [zone.label for zone, on in zip(self.zones, is_on, strict=True) if not on]:
+            shown = ", ".join(off[:MOST_NAMED]) + ", ..." * (len(off) > MOST_NAMED)
+            sentence = f"zones not in force at {time} nor within an hour, which close nothing: {len(off)} ({shown})"
+            warnings.warn(sentence, IgnoredZoneWarning, stacklevel=3)
+        return replace(self, zones=tuple(zone for zone, on in zip(self.zones, is_on, strict=True) if on))
 
     def is_free(
         self, maps: MetricMaps, altitude_m: float, *, time: str | None = None, time_of_day: str | None = None

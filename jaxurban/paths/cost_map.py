@@ -286,8 +286,9 @@ class CostMap(Shown):
 
     def means(self, features: PathFeatures) -> dict[str, float]:
         """Return the mean of each metric m along a path, by the exact length in each cell."""
+        metrics = self.maps.metrics
         means = zip(self.names, features.mean_costs, strict=True)
-        found = {name: self.maps.metrics[name].cost(cost) for name, cost in means}  # c turns into m as m into c
+        found = {name: metrics[name].cost(cost) for name, cost in means}  # c turns into m as m into c
         return {name: min(max(float(m), 0.0), 1.0) for name, m in found.items()}  # rounding may leave the range
 
     @cached_property
@@ -324,7 +325,8 @@ def cost_map(
       objective: ``"weighted"``, or ``"distance"`` for the shortest path (its weighted cost is reported).
       cost_model: how steps are costed and which are allowed, or its kind alone: ``"cell"`` (the paper) or
         ``"line"``.
-      time: UTC time of the GPS map; the first if left out.
+      time: UTC time of the GPS map; the first if left out. Where it is named, zones that are not in force then, nor
+        within an hour, close nothing (`Constraints.at`).
       time_of_day: of the population map; the first if left out.
       constraints: no-fly zones and bounds that close cells to every planner; a zone between two levels closes the
         lower one.
@@ -345,7 +347,8 @@ def cost_map(
     else:
         altitudes_m = levels.of(maps.altitudes_m)
     at = _When(maps, time, time_of_day)
-    made = _made(at, altitudes_m, levels, weights, objective, CostModel.of(cost_model), constraints or Constraints())
+    limits = (constraints or Constraints()).at(time)
+    made = _made(at, altitudes_m, levels, weights, objective, CostModel.of(cost_model), limits)
     if levels is not None:
         _ = made.shortest  # no free cell in a volume is refused at once
     return made

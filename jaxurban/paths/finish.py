@@ -2,12 +2,12 @@
 
 import math
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from jaxurban.metrics.registry import METRICS
-from jaxurban.paths.ground import Ground, ground_along
+from jaxurban.paths.ground import ground_along
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.search import PathSearch
 from jaxurban.paths.snapping import Place, snap_note
@@ -25,26 +25,50 @@ def finish(on: "CostMap", found: Path, ends: tuple[Place, Place], search: PathSe
       ends: from `locate`.
       search: how it was searched for, for the record.
     """
-    grid, points_m = on.grid, found.points_m
-    xy_m = points_m[:, :2] + np.array([grid.x_min_m, grid.y_min_m])
-    features = on.problem.features(points_m) if found.status.has_path else None
-    parts = () if features is None else zip(on.weight_names, on.weight_vector * features.phi, strict=True)
+    has_path = found.status.has_path
     return PlannedPath(
+        **(measured(on, found.points_m) if has_path else NO_PATH),
         status=found.status,
-        xy_m=xy_m,
-        lonlat=np.stack(grid.lonlat_of_xy(xy_m[:, 0], xy_m[:, 1]), axis=-1) if len(xy_m) else np.empty((0, 2)),
-        z_m=np.full(len(xy_m), on.altitude_m) if on.levels is None else points_m[:, 2],
         altitude_m=float(on.altitudes_m[0 if on.levels is None else ends[0].cell[0]]),
-        cost=math.inf if features is None else features.cost(on.weight_vector),
-        cost_by_layer={name: float(cost) for name, cost in parts},
-        length_m=math.inf if features is None else float(features.phi[0]),
-        metrics={} if features is None else on.means(features),
         snap_distance_m=(ends[0].snap_distance_m, ends[1].snap_distance_m),
         search=replace(found, note=_note(on, found, ends)),
         settings=_settings(on, ends, search),
-        crs=grid.crs,
-        ground=_ground_under(on, found),
+        crs=on.grid.crs,
+        zones=on.constraints.zones,
     )
+
+
+NO_PATH: dict[str, Any] = {
+    "xy_m": np.empty((0, 2)),
+    "lonlat": np.empty((0, 2)),
+    "z_m": np.empty(0),
+    "cost": math.inf,
+    "cost_by_layer": {},
+    "length_m": math.inf,
+    "metrics": {},
+}
+
+
+def measured(on: "CostMap", points_m: np.ndarray) -> dict[str, Any]:
+    """Return where a path lies, what it costs and what it meets, under the names of `PlannedPath`.
+
+    Args:
+      points_m: ``[N, 2]`` x, y in metres from the map's southwest corner; in a volume ``[N, 3]``, with the altitude.
+    """
+    grid = on.grid
+    xy_m = points_m[:, :2] + np.array([grid.x_min_m, grid.y_min_m])
+    features = on.problem.features(points_m)
+    parts = zip(on.weight_names, on.weight_vector * features.phi, strict=True)
+    return {
+        "xy_m": xy_m,
+        "lonlat": np.stack(grid.lonlat_of_xy(xy_m[:, 0], xy_m[:, 1]), axis=-1),
+        "z_m": np.full(len(xy_m), on.altitude_m) if on.levels is None else points_m[:, 2],
+        "cost": features.cost(on.weight_vector),
+        "cost_by_layer": {name: float(cost) for name, cost in parts},
+        "length_m": float(features.phi[0]),
+        "metrics": on.means(features),
+        "ground": None if on.terrain_m is None else ground_along(points_m[:, :2], on.terrain_m, grid),
+    }
 
 
 def _note(on: "CostMap", found: Path, ends: tuple[Place, Place]) -> str:
@@ -96,9 +120,3 @@ def _settings(on: "CostMap", ends: tuple[Place, Place], search: PathSearch) -> d
             "descent_cost": descent_cost,
         }
     )
-
-
-def _ground_under(on: "CostMap", found: Path) -> Ground | None:
-    if on.terrain_m is None or not found.status.has_path:
-        return None
-    return ground_along(found.points_m[:, :2], on.terrain_m, on.grid)

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jaxurban.errors import InputError
-from jaxurban.paths.export.write import write_path
+from jaxurban.io.read.zone import Zone
+from jaxurban.paths.export.write import MISSION, write_path
 from jaxurban.paths.ground import Ground
 from jaxurban.planners.base import Path, Status
 from jaxurban.world.show import Shown
@@ -37,6 +38,7 @@ class PlannedPath(Shown):
       settings: planner, weights, cost model, objective and the like, for the record.
       crs: CRS of ``xy_m``.
       ground: the ground under the path; None without a path, or over maps without terrain.
+      zones: the no-fly zones that it was planned around, for the geofence of a mission.
     """
 
     status: Status
@@ -53,6 +55,7 @@ class PlannedPath(Shown):
     settings: Mapping[str, Any]
     crs: str
     ground: Ground | None = None
+    zones: tuple[Zone, ...] = ()
 
     @property
     def facts(self) -> dict[str, str]:
@@ -70,21 +73,31 @@ class PlannedPath(Shown):
             "mean metrics": metrics or "none",
         }
 
-    def save(self, file: str | FilePath, *more: str | FilePath, report: "RouteReport | None" = None) -> FilePath:
+    def save(
+        self,
+        file: str | FilePath,
+        *more: str | FilePath,
+        report: "RouteReport | None" = None,
+        end: str | None = None,
+    ) -> FilePath:
         """Write the path in the format that a file's suffix names, and return the (first) file.
 
         Args:
-          file: ``.geojson``, ``.kml`` or ``.plan`` (see `jaxurban.paths.export.write.FORMATS`).
+          file: ``.geojson``, ``.kml``, ``.gpx`` or ``.plan`` (see `jaxurban.paths.export.write.FORMATS`).
           more: further files, for further formats.
           report: from `jaxurban.explain`, to be written too.
+          end: of a ``.plan``: ``"land"``, ``"return"`` or ``"none"`` (see `write_path`).
 
         Raises:
-          InputError: there is no path, another suffix, or a folder that does not exist or cannot be written to.
+          InputError: there is no path, another suffix, an end that is none or without a ``.plan``, or a folder that
+            does not exist or cannot be written to.
         """
         if not self.status.has_path:
             raise InputError(f"there is no path to save: {self.status.sentence}")
-        for each in (file, *more):
-            write_path(self, each, report)
+        files = [FilePath(each) for each in (file, *more)]
+        missions = [each for each in files if each.suffix.lower() == MISSION] or files  # which refuse an end
+        for each in files:
+            write_path(self, each, report, end=end if each in missions else None)
         return FilePath(file)
 
     def to_dict(self) -> dict[str, Any]:

@@ -5,6 +5,7 @@ routes. Routes found so far bound it from above, at the price of a few multiplic
 the cheapest is among them.
 """
 
+import hashlib
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -21,6 +22,7 @@ Backend = Literal["numba", "jax"]
 SAME = 1e-9  # relative: routes whose features differ by less cost the same under every W
 BLOCK = 64  # routes a query: arrays grow by so many at once, so that compiled code meets few shapes
 TOGETHER = 32  # searches at a time of JAX: each holds a cost map of its own
+FEW_CELLS = 1 << 15  # a search over fewer is over sooner than a thread has taken it up
 NOT_A_ROUTE = 1e12  # features that fill up the arrays: never the cheapest
 
 
@@ -46,7 +48,7 @@ class RoutePool:
         Args:
           queries: whose routes are searched for.
           known: ``[2, K]`` of a route of each query to begin with.
-          workers: threads of search; one a core if left out.
+          workers: threads of search, but for small maps; one a core if left out.
           store: searches in it are not made again, the others are kept in it.
           backend: of A*: ``"numba"``, or ``"jax"`` for many searches together, which pays on a GPU.
 
@@ -60,6 +62,7 @@ class RoutePool:
         self._store = store
         self._workers = workers or os.cpu_count() or 1
         self._routes: list[list[np.ndarray]] = [[] for _ in self.queries]  # [2, K]: features, integrals
+        self._sums: dict[tuple[int, bytes], np.ndarray] = {}  # [2, K] by query and hash of the points
         for query, route in enumerate(known):
             self._add(query, route)
 
@@ -116,11 +119,20 @@ class RoutePool:
                 problems = [query.problem(w) for query, w in some]
                 paths = dict(solve_many(problems, planner="astar-dist", backend="jax"))
                 points += [query.points_of(paths[k]) for k, (query, _) in enumerate(some)]
+        elif all(query.cost_map.is_free.size < FEW_CELLS for query in self.queries):
+            points = [query.cheapest(w) for query, w in jobs]
         else:
             with ThreadPoolExecutor(self._workers) as threads:
                 points = list(threads.map(lambda job: job[0].cheapest(job[1]), jobs))
-        found = np.array([query.sums(points_m) for (query, _), points_m in zip(jobs, points, strict=True)])
+        found = np.array([self._sums_of(k // weights.shape[1], points_m) for k, points_m in enumerate(points)])
         return np.moveaxis(found.reshape(*weights.shape[:2], 2, -1), 2, 0)
+
+    def _sums_of(self, query: int, points_m: np.ndarray) -> np.ndarray:
+        """Return `RouteQuery.sums` of a route, added up once: many weights have the same cheapest route."""
+        key = (query, hashlib.blake2b(points_m.tobytes(), digest_size=16).digest())
+        if key not in self._sums:
+            self._sums[key] = self.queries[query].sums(points_m)
+        return self._sums[key]
 
     def _add(self, query: int, route: np.ndarray) -> None:
         if self._routes[query]:

@@ -56,8 +56,10 @@ def field_backend(backend: Backend = "auto") -> Literal["numba", "jax"]:
     return "numba" if backend == "numba" else "jax"
 
 
-def symmetric_costs(problems: Sequence[Problem], backend: Backend = "auto", end_s: float = np.inf) -> list[np.ndarray]:
-    """Return ``[Y, X]`` of each problem the costs between its goal and every cell, inf without a way.
+def symmetric_costs(
+    problems: Sequence[Problem], backend: Backend = "auto", end_s: float = np.inf
+) -> Iterator[np.ndarray]:
+    """Yield ``[Y, X]`` of each problem the costs between its goal and every cell, inf without a way.
 
     Under the ``cell`` model half of each of a step's two cells is counted (see `landmarks`), so that the cost is the
     same both ways.
@@ -73,10 +75,10 @@ def symmetric_costs(problems: Sequence[Problem], backend: Backend = "auto", end_
       TimeoutError: the clock passed it.
     """
     if field_backend(backend) == "numba":
-        return [_by_dijkstra(problem, end_s) for problem in problems]
+        return (_by_dijkstra(problem, end_s) for problem in problems)
     # In a thread that a Ctrl-C lets end: see `frontier`.
     with ThreadPoolExecutor(1, thread_name_prefix="fields") as worker:
-        return worker.submit(_by_tiles, problems, end_s).result()
+        return iter(worker.submit(_by_tiles, problems, end_s).result())
 
 
 def warm_up_fields(problems: Sequence[Problem], backend: Backend = "auto") -> None:

@@ -13,7 +13,8 @@ from rasterio.features import rasterize
 from shapely import affinity
 
 from jaxurban.errors import IgnoredZoneWarning, InputError
-from jaxurban.io.read.airspace import Zone, cell_boxes, mended, read_zones, touched_cells
+from jaxurban.io.read.airspace import read_zones
+from jaxurban.io.read.zone import Zone, cell_boxes, mended, touched_cells
 from jaxurban.world.grid import Grid
 
 GRID = Grid("EPSG:32618", 5.0, 901_000, 116_600, 70, 90)

@@ -10,7 +10,7 @@ import shapely
 
 import jaxurban as ju
 from jaxurban.errors import IgnoredZoneWarning, InputError
-from jaxurban.io.read.airspace import Zone, cell_boxes
+from jaxurban.io.read.zone import Zone, cell_boxes
 from jaxurban.io.store import write_zarr
 from jaxurban.paths.constraints import Bound
 from jaxurban.planners.base import Status

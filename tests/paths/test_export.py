@@ -11,6 +11,7 @@ import pytest
 import shapely
 
 from jaxurban.errors import InputError
+from jaxurban.io.read.zone import Zone
 from jaxurban.paths.export import check_export, write_path
 from jaxurban.paths.ground import Ground
 from jaxurban.planners.base import Status
@@ -30,6 +31,8 @@ class Route:
     facts: dict[str, Any] = field(default_factory=dict)
     climb_m: float = 0.0
     ground: Ground | None = None
+    crs: str = GRID.crs
+    zones: tuple[Zone, ...] = ()
 
     @property
     def z_m(self):
@@ -112,21 +115,23 @@ def test_plan_has_a_waypoint_at_turns_only(route, tmp_path):
     plan = json.loads(file.read_text())
     assert (plan["fileType"], plan["version"], plan["groundStation"]) == ("Plan", 1, "QGroundControl")
     items = plan["mission"]["items"]
-    assert [item["command"] for item in items] == [22, 16, 16, 16]
-    assert [item["doJumpId"] for item in items] == [1, 2, 3, 4]
-    assert all(item["frame"] == 3 and item["params"][6] == 60.0 for item in items)
-    latlon = np.array([item["params"][4:6] for item in items])
+    assert [item["command"] for item in items] == [22, 16, 16, 16, 21]
+    assert [item["doJumpId"] for item in items] == [1, 2, 3, 4, 5]
+    assert all(item["frame"] == 3 for item in items)
+    assert [item["params"][6] for item in items] == [60.0, 60.0, 60.0, 60.0, 0.0]
+    assert items[4]["params"][4:6] == items[3]["params"][4:6]
+    latlon = np.array([item["params"][4:6] for item in items[:4]])
     np.testing.assert_allclose(latlon[:, ::-1], route.lonlat[[0, 100, 200, 299]], atol=1e-7)
     assert plan["mission"]["plannedHomePosition"][:2] == items[0]["params"][4:6]
 
 
 def test_plan_keeps_a_path_that_turns_back_on_itself(tmp_path):
     there_and_back = np.array([[0.0, 0], [100, 0], [50, 0]]) + staircase()[0]
-    write_path(Route(there_and_back), tmp_path / "path.plan")
+    write_path(Route(there_and_back), tmp_path / "path.plan", end="none")
     assert len(json.loads((tmp_path / "path.plan").read_text())["mission"]["items"]) == 3
 
 
-@pytest.mark.parametrize("suffix", [".geojson", ".kml", ".plan", ".KML"])
+@pytest.mark.parametrize("suffix", [".geojson", ".kml", ".gpx", ".plan", ".KML"])
 def test_path_from_a_place_to_itself_is_written(suffix, tmp_path):
     assert write_path(Route(staircase()[:1]), tmp_path / f"path{suffix}")
     assert (tmp_path / f"path{suffix}").stat().st_size > 0
@@ -152,7 +157,7 @@ def test_an_old_file_is_replaced_and_no_scrap_stays(route, tmp_path):
 @pytest.mark.parametrize(
     ("name", "fault"),
     [
-        ("path.gpx", "end its name in one of .geojson, .kml, .plan"),
+        ("path.gpz", "end its name in one of .geojson, .kml, .gpx, .plan"),
         ("path", "end its name in one of"),
         ("missing/path.kml", "does not exist"),
         ("folder.kml", "is a folder"),
@@ -172,7 +177,7 @@ def test_a_climb_on_a_straight_line_is_a_waypoint_with_its_altitude_in_every_for
     for suffix in (".geojson", ".kml", ".plan"):
         write_path(route, tmp_path / f"path{suffix}")
     items = json.loads((tmp_path / "path.plan").read_text())["mission"]["items"]
-    assert [item["Altitude"] for item in items] == [60.0, 60.0, 72.25, 72.25]
+    assert [item["Altitude"] for item in items] == [60.0, 60.0, 72.25, 72.25, 0.0]
     frame = geopandas.read_file(tmp_path / "path.geojson")
     assert list(frame["z_m"][0]) == route.z_m.tolist()
     text = ElementTree.parse(tmp_path / "path.kml").find(".//{*}coordinates").text

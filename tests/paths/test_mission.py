@@ -1,11 +1,17 @@
-"""Missions (.plan) over hills and flat ground, read back by MAVSDK."""
+"""Missions (.plan) over hills and flat ground, read back by MAVSDK, and routes of GPX."""
 
 import json
+from dataclasses import dataclass
+from xml.etree import ElementTree
 
+import geopandas as gpd
 import numpy as np
 import pytest
 import shapely
 
+from jaxurban.errors import InputError
+from jaxurban.io.read.routes import read_routes
+from jaxurban.io.read.zone import Zone
 from jaxurban.paths.export import GROUND_TOLERANCE_M, height_note, write_path
 from jaxurban.paths.ground import elevation_at, ground_along
 from jaxurban.world.grid import Grid
@@ -58,8 +64,12 @@ def test_what_mavsdk_reads_is_the_path_in_place_and_in_height(over_hill, reader,
     for seed in range(25):
         route = random_route(seed, over_hill)
         assert write_path(route, file)
+        assert reader.differences(file) == []
         commands, places = reader.read(file)
-        assert commands == [22] + [16] * (len(places) - 1)
+        assert commands == [22] + [16] * (len(places) - 2) + [21]
+        landing, places = places[-1], places[:-1]
+        np.testing.assert_allclose(landing[:2], places[-1, :2], atol=1e-7)
+        assert landing[2] == pytest.approx(places[-1, 2] - route.z_m[-1], abs=0.01)
         lat, lon, home_m = json.loads(file.read_text())["mission"]["plannedHomePosition"]
         np.testing.assert_allclose([lon, lat], route.lonlat[0], atol=1e-7)
         xy_m = np.column_stack(GRID.xy_of_lonlat(*places[:, :2].T)) - CORNER_M
@@ -92,7 +102,7 @@ def test_only_ground_that_bends_adds_waypoints(tmp_path):
         route = Route(ends_m + CORNER_M, ground=ground_along(ends_m, terrain_m, GRID))
         write_path(route, tmp_path / "path.plan")
         items = json.loads((tmp_path / "path.plan").read_text())["mission"]["items"]
-        np.testing.assert_allclose([item["Altitude"] for item in items], heights_m, atol=0.3)
+        np.testing.assert_allclose([item["Altitude"] for item in items[:-1]], heights_m, atol=0.3)
 
 
 def test_the_file_says_what_the_ground_is_taken_for(tmp_path):
@@ -131,3 +141,137 @@ def test_the_ground_is_that_of_scipys_interpolation_and_of_the_cell_beside_missi
     assert elevation_at(np.array([7.5]), np.array([7.0]), terrain_m, 2.0) == terrain_m[3, 3]
     one = Grid(GRID.crs, 5.0, 0, 0, 1, 1)
     assert ground_along(np.array([[2.0, 2.0]]), np.array([[7.0]]), one).elevation_m.tolist() == [7.0]
+
+
+@dataclass(frozen=True)
+class Report:
+    """What `explain` tells of a route at a speed."""
+
+    speed_m_s: float
+
+    def to_dict(self):
+        return {"speed_m_s": self.speed_m_s, "segments": []}
+
+
+@pytest.mark.parametrize(("end", "last"), [(None, [21]), ("land", [21]), ("return", [20]), ("none", [])])
+@pytest.mark.parametrize("speed_m_s", [None, 7.5])
+def test_a_mission_sets_its_speed_after_take_off_and_ends_as_it_is_told(end, last, speed_m_s, reader, tmp_path):
+    route, file = random_route(4, over_hill=True), tmp_path / "path.plan"
+    write_path(route, file, None if speed_m_s is None else Report(speed_m_s), end=end)
+    assert reader.differences(file) == []
+    items, _ = reader.items(file)
+    speed = [] if speed_m_s is None else [178]
+    commands = [item.command for item in items]
+    assert commands == [22, *speed, *[16] * (len(items) - 1 - len(speed) - len(last)), *last]
+    if speed_m_s is not None:
+        assert (items[1].param1, items[1].param2, items[1].param3) == (1.0, 7.5, -1.0)
+    note = json.loads(file.read_text())["note"]
+    assert {None: "landing at the goal", "land": "landing at the goal", "return": "not checked", "none": "without"}[
+        end
+    ] in note
+
+
+def test_what_is_no_end_or_has_none_is_refused(tmp_path):
+    route = random_route(4, over_hill=False)
+    with pytest.raises(InputError, match="end must be 'land', 'return' or 'none'"):
+        write_path(route, tmp_path / "path.plan", end="hover")
+    with pytest.raises(InputError, match=r"only a \.plan says how the flight ends"):
+        write_path(route, tmp_path / "path.kml", end="land")
+    assert not list(tmp_path.iterdir())
+
+
+def zoned(zones) -> RandomRoute:
+    """A level route at 60 m along the middle of the region."""
+    xy_m = np.array([[200.0, 1000.0], [1800.0, 1000.0]]) + CORNER_M
+    return RandomRoute(xy_m, facts={"z_m": np.full(2, 60.0)}, zones=tuple(zones))
+
+
+def disc(x_m, y_m, radius_m) -> shapely.Polygon:
+    return shapely.Point(CORNER_M[0] + x_m, CORNER_M[1] + y_m).buffer(radius_m)
+
+
+def square(x_m, y_m, half_m, **heights) -> Zone:
+    return Zone(f"{x_m:g},{y_m:g}", shapely.envelope(disc(x_m, y_m, half_m)), GRID.crs, **heights)
+
+
+def in_degrees(shape):
+    return shapely.transform(shape, lambda xy_m: np.column_stack(GRID.lonlat_of_xy(*xy_m.T)))
+
+
+def in_metres(shape):
+    return shapely.transform(shape, lambda lonlat: np.column_stack(GRID.xy_of_lonlat(*lonlat.T)))
+
+
+def test_zones_near_the_route_at_its_heights_are_the_geofence_without_holes_and_others_are_told(reader, tmp_path):
+    ring = disc(1000, 1400, 200).difference(shapely.union_all([disc(920, 1400, 40), disc(1080, 1400, 40)]))
+    held = [square(600, 1300, 100), square(1500, 800, 50, floor_m=50.0, ceiling_m=60.0), Zone("ring", ring, GRID.crs)]
+    lonlat = Zone("degrees", in_degrees(disc(1000, 600, 80)))
+    left_out = [square(1000, 1000, 30, ceiling_m=50.0), square(300, 1200, 40, floor_m=61.0)]
+    far = [square(1000, 9000, 100)]
+    file = tmp_path / "path.plan"
+    write_path(zoned([*held, lonlat, *left_out, *far]), file)
+    assert reader.differences(file) == []
+    plan = json.loads(file.read_text())
+    assert "keeps out of 4 no-fly zones within 1 km" in plan["note"]
+    assert "2 above or below the flight are left out" in plan["note"]
+    rings = [np.array(ring["polygon"])[:, ::-1] for ring in plan["geoFence"]["polygons"]]
+    fenced = in_metres(shapely.union_all([shapely.Polygon(ring) for ring in rings]))
+    wanted = shapely.union_all([*(zone.polygon for zone in held), in_metres(lonlat.polygon)])
+    assert shapely.hausdorff_distance(fenced, wanted) < 0.05
+    assert shapely.symmetric_difference(fenced, wanted).area < 1e-4 * wanted.area
+
+
+def test_a_route_without_zones_or_far_from_them_has_an_empty_geofence(tmp_path):
+    for zones in ([], [square(1000, 9000, 100)]):
+        write_path(zoned(zones), tmp_path / "path.plan")
+        assert json.loads((tmp_path / "path.plan").read_text())["geoFence"]["polygons"] == []
+
+
+GPX = "{http://www.topografix.com/GPX/1/1}"
+RTE_ORDER = ("name", "cmt", "desc", "src", "link", "number", "type", "extensions", "rtept")  # of GPX 1.1's schema
+WPT_ORDER = ("ele", "time", "magvar", "geoidheight", "name", "cmt", "desc", "src", "link", "sym", "type")
+
+
+@pytest.mark.parametrize("over_hill", [True, False])
+def test_gpx_is_a_route_that_gdal_reads_in_the_schemas_order_with_elevations_over_terrain_only(over_hill, tmp_path):
+    file = tmp_path / "path.gpx"
+    for seed in range(6):
+        route = random_route(seed, over_hill)
+        assert write_path(route, file)
+        root = ElementTree.parse(file).getroot()
+        assert (root.tag, root.get("version"), root.get("creator")) == (f"{GPX}gpx", "1.1", "jaxurban")
+        (rte,) = root
+        for element, order in ((rte, RTE_ORDER), *((point, WPT_ORDER) for point in rte.findall(f"{GPX}rtept"))):
+            places = [order.index(child.tag.removeprefix(GPX)) for child in element]
+            assert places == sorted(places)
+        places = np.array([[float(point.get(key)) for key in ("lon", "lat")] for point in rte.findall(f"{GPX}rtept")])
+        (line,) = gpd.read_file(file, layer="routes").geometry
+        np.testing.assert_allclose(shapely.get_coordinates(line), places)
+        xy_m = np.column_stack(GRID.xy_of_lonlat(*places.T))
+        assert shapely.hausdorff_distance(shapely.LineString(xy_m), shapely.LineString(route.xy_m)) < 0.03
+        elevations = [point.findtext(f"{GPX}ele") for point in rte.findall(f"{GPX}rtept")]
+        above = [float(point.findtext(f"{GPX}desc").split()[0]) for point in rte.findall(f"{GPX}rtept")]
+        if not over_hill:
+            assert set(elevations) == {None}
+            assert "no elevation" in rte.findtext(f"{GPX}desc")
+            continue
+        assert "zero of the terrain file" in rte.findtext(f"{GPX}desc")
+        ground_m = np.array(elevations, float) - above
+        np.testing.assert_allclose(ground_m, hill_m(*(xy_m - CORNER_M).T), atol=RASTER_M + 0.05)
+
+
+def test_gpx_holds_several_routes_by_name(tmp_path):
+    routes = [random_route(seed, over_hill=False) for seed in range(3)]
+    write_path(routes, tmp_path / "paths.gpx", names=["a", "b & c", "d"])
+    root = ElementTree.parse(tmp_path / "paths.gpx").getroot()
+    assert [rte.findtext(f"{GPX}name") for rte in root] == ["a", "b & c", "d"]
+
+
+def test_a_mission_that_ends_anyhow_is_read_back_as_the_route_that_it_is(tmp_path):
+    route = random_route(1, over_hill=False)
+    for end in ("land", "return", "none"):
+        write_path(route, tmp_path / "path.plan", Report(5.0), end=end)
+        (read,) = read_routes(tmp_path / "path.plan")
+        line = shapely.LineString(np.column_stack(GRID.xy_of_lonlat(*read.lonlat.T)))
+        assert shapely.hausdorff_distance(line, shapely.LineString(route.xy_m)) < 0.03
+        assert read.altitude_m == 60.0

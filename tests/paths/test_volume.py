@@ -12,7 +12,7 @@ import shapely
 
 import jaxurban as ju
 from jaxurban.errors import InputError
-from jaxurban.io.read.airspace import Zone
+from jaxurban.io.read.zone import Zone
 from jaxurban.maps.levels import Levels
 from jaxurban.paths.export import write_path
 from jaxurban.planners.base import Status
@@ -180,7 +180,7 @@ def test_start_under_the_goal_goes_straight_up_and_is_written(maps, ends, tmp_pa
     for suffix in (".geojson", ".kml", ".plan"):
         assert write_path(up, tmp_path / f"up{suffix}")
     items = json.loads((tmp_path / "up.plan").read_text())["mission"]["items"]
-    assert [item["Altitude"] for item in items] == [20.0, 60.0]
+    assert [item["Altitude"] for item in items] == [20.0, 60.0, 0.0]
     still = plan_volume(maps, start_xy_m=ends["start_xy_m"], goal_xy_m=ends["start_xy_m"])
     assert (still.cost, still.length_m, len(still.z_m)) == (0.0, 0.0, 1)
 
@@ -202,7 +202,7 @@ def test_kml_holds_every_points_altitude(path, tmp_path):
 
 
 def test_waypoints_of_a_plan_keep_the_path_and_its_altitudes(path, tmp_path):
-    write_path(path, tmp_path / "path.plan")
+    write_path(path, tmp_path / "path.plan", end="none")
     items = json.loads((tmp_path / "path.plan").read_text())["mission"]["items"]
     flown = np.array([[*item["params"][5:3:-1], item["Altitude"]] for item in items])
     assert len(flown) < len(path.z_m)

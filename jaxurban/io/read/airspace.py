@@ -1,24 +1,19 @@
-"""No-fly zones: polygons with a floor and a ceiling, from GeoJSON, KML and other vector files."""
+"""No-fly zones from files: GeoJSON, KML and other vector files, and the geographical zones of ED-269 and ED-318."""
 
-import hashlib
-import math
 import re
-import warnings
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
-import pyproj
 import shapely
 
-from jaxurban.errors import IgnoredZoneWarning, InputError, finite
+from jaxurban.errors import InputError, finite
+from jaxurban.io.read.ed269 import read_geozones
 from jaxurban.io.read.heights import is_blank
-from jaxurban.io.read.outlines import polygonal
 from jaxurban.io.read.vector import open_layers
-from jaxurban.world.grid import Grid, transformer
+from jaxurban.io.read.zone import Zone, mended, warn
 
 # Properties that are read, in any case and with or without "_", "-", " " and ":". All are metres above ground.
 FLOOR_NAMES = ("floor_m", "floor_m_agl", "lower_limit_m", "min_altitude_m", "minimumAltitude", "minAltitude")
@@ -30,84 +25,15 @@ KML_PROPERTIES = ("altitudemode", "extrude")  # what GDAL calls these tags
 UNIT_NAME = re.compile(r"^(uom|units?)|(uom|units?|datum)$|(vertical|altitude|height|limit|lower|upper).*ref")
 UNITS_READ = ("m", "metre", "metres", "meter", "meters", "agl", "sfc", "gnd", "ground", "surface", "abovegroundlevel")
 ON_THE_GROUND = "relativetoground"
-MAX_EDGE_M = 100.0  # longer edges are cut before they are projected: at latitude 60 they then bend less than 1 mm
-METRES_PER_DEGREE = 111_320.0
-BLOCK = 16  # cells a side that are looked at at once
 ROLE = "no-fly"
 Facts = Mapping[str, tuple[str, Any]]  # a feature's filled properties: plain name -> name in the file, and value
 
 
-@dataclass(frozen=True)
-class Zone:
-    """A place where no flight may go, from a floor to a ceiling, both included.
-
-    Attributes:
-      name: for messages.
-      polygon: a valid shapely Polygon or MultiPolygon in ``crs``; its border belongs to it.
-      crs: any CRS that pyproj knows; edges are straight in it.
-      floor_m, ceiling_m: metres above ground; left out, every altitude.
-      source: the file it was read from.
-
-    Raises:
-      InputError: no polygon or one without area, or a floor above the ceiling or not a number.
-    """
-
-    name: str
-    polygon: shapely.Geometry
-    crs: str = "EPSG:4326"
-    floor_m: float = -np.inf
-    ceiling_m: float = np.inf
-    source: str = ""
-
-    def __post_init__(self) -> None:
-        if not isinstance(self.polygon, (shapely.Polygon, shapely.MultiPolygon)) or self.polygon.is_empty:
-            raise InputError(f"the no-fly zone {self.label} has no area: draw it as a polygon of three or more corners")
-        if not self.polygon.is_valid:
-            raise InputError(f"the outline of the no-fly zone {self.label} crosses itself: see shapely.make_valid")
-        if not self.floor_m <= self.ceiling_m:
-            raise InputError(
-                f"the no-fly zone {self.label} has floor {self.floor_m:g} m and ceiling {self.ceiling_m:g} m: give two "
-                "numbers of metres above ground, the floor not above the ceiling"
-            )
-
-    @property
-    def outline(self) -> str:
-        """What stands for the outline and its CRS: a hash that differs where they do."""
-        return hashlib.sha256(f"{self.crs} {shapely.to_wkb(self.polygon, hex=True)}".encode()).hexdigest()[:16]
-
-    @property
-    def label(self) -> str:
-        """Name and file."""
-        return f"{self.name!r}" + (f" of {self.source!r}" if self.source else "")
-
-    @property
-    def heights(self) -> str:
-        """Floor and ceiling, for messages."""
-        if np.isinf(self.floor_m) and np.isinf(self.ceiling_m):
-            return "at all altitudes"
-        if np.isinf(self.ceiling_m):
-            return f"from {self.floor_m:g} m up"
-        return f"up to {self.ceiling_m:g} m" if np.isinf(self.floor_m) else f"{self.floor_m:g} to {self.ceiling_m:g} m"
-
-    def on(self, grid: Grid) -> shapely.Geometry:
-        """Return the part of the zone near a grid, in the grid's CRS; empty where it is elsewhere."""
-        to_file = transformer(grid.crs, self.crs)
-        west, south, east, north = to_file.transform_bounds(*grid.bounds_m, densify_pts=21)
-        margin = 0.01 * (east - west + north - south)
-        polygon = self.polygon
-        if west < east:  # else the grid lies across the antimeridian, and nothing is cut away
-            box = shapely.box(west - margin, south - margin, east + margin, north + margin)
-            polygon = polygonal(shapely.intersection(polygon, box))
-        edge = MAX_EDGE_M / _metres_per_unit(self.crs)
-        project = transformer(self.crs, grid.crs)
-        moved = shapely.transform(shapely.segmentize(polygon, edge), project.transform, interleaved=False)
-        return moved if moved.is_valid else mended(moved)
-
-
 def read_zones(path: str | Path) -> tuple[Zone, ...]:
-    """Return the no-fly zones of a vector file: GeoJSON, KML, GeoPackage, Shapefile and whatever GDAL reads.
+    """Return the no-fly zones of a file: GeoJSON, KML, GeoPackage, Shapefile and whatever GDAL reads; ED-269, ED-318.
 
-    Every layer (every folder of a KML file) is read; features that are not polygons are left out with a warning.
+    A file of geographical zones of ED-269 or ED-318 is read as these say (`read_geozones`); of every other vector file
+    every layer (every folder of a KML file) is read; features that are not polygons are left out with a warning.
     Floor and ceiling are the properties named in `FLOOR_NAMES` and `CEILING_NAMES`, metres above ground; where
     several are filled, the lowest floor and the highest ceiling count, and where all are empty, the zone has none.
     Other properties that sound like heights are ignored with a warning, and so are all heights of a zone one of
@@ -122,6 +48,8 @@ def read_zones(path: str | Path) -> tuple[Zone, ...]:
     """
     if Path(path).is_dir():
         raise InputError(f"{str(path)!r} is a folder: name each file of no-fly zones in it")
+    if (geozones := read_geozones(path)) is not None:
+        return geozones
     file = Path(path).name
     zones: list[Zone] = []
     num_others = 0
@@ -142,48 +70,8 @@ def read_zones(path: str | Path) -> tuple[Zone, ...]:
     if not zones:
         raise InputError(f"the {ROLE} file {str(path)!r} holds no polygons: give a file of polygons")
     if num_others:
-        _warn(f"{num_others} feature(s) of {file!r} are not polygons and close nothing: draw them as polygons")
+        warn(f"{num_others} feature(s) of {file!r} are not polygons and close nothing: draw them as polygons")
     return tuple(zones)
-
-
-def touched_cells(polygon: shapely.Geometry, grid: Grid) -> np.ndarray:
-    """Return ``[Y, X]`` bool: cells that share at least a point with a polygon in the grid's CRS, borders included.
-
-    Exact (GEOS's robust predicates). Burning with ``all_touched`` leaves out cells that share only a border or a
-    corner. Blocks of cells come first, so that only those on the polygon's border are looked at one by one.
-    """
-    closed = np.zeros(grid.shape, bool)
-    if polygon.is_empty:
-        return closed
-    shapely.prepare(polygon)
-    west, south, east, north = np.array(polygon.bounds) / grid.resolution_m
-    near = ((south - grid.first_row, north - grid.first_row), (west - grid.first_col, east - grid.first_col))
-    rows, cols = (
-        np.arange(max(math.floor(low) // BLOCK - 1, 0), min(math.floor(high) // BLOCK + 2, -(-size // BLOCK))) * BLOCK
-        for (low, high), size in zip(near, grid.shape, strict=True)
-    )
-    blocks = np.stack(np.meshgrid(rows, cols, indexing="ij"), axis=-1).reshape(-1, 2)
-    blocks = blocks[shapely.intersects(polygon, cell_boxes(grid, blocks, BLOCK))]
-    is_whole = shapely.covers(polygon, cell_boxes(grid, blocks, BLOCK))
-    for row, col in blocks[is_whole]:
-        closed[row : row + BLOCK, col : col + BLOCK] = True
-    within = np.indices((BLOCK, BLOCK)).reshape(2, -1).T
-    cells = (blocks[~is_whole][:, None] + within).reshape(-1, 2)
-    cells = cells[np.all(cells < grid.shape, axis=1)]
-    cells = cells[shapely.intersects(polygon, cell_boxes(grid, cells, 1))]
-    closed[cells[:, 0], cells[:, 1]] = True
-    return closed
-
-
-def cell_boxes(grid: Grid, corners: np.ndarray, size: int) -> np.ndarray:
-    """Return the squares of ``size`` cells a side from southwest cells ``[N, 2]`` (row, column)."""
-    south, west = (corners + np.array([grid.first_row, grid.first_col])).T
-    return shapely.box(*(np.stack([west, south, west + size, south + size]) * grid.resolution_m))
-
-
-def mended(shape: shapely.Geometry) -> shapely.Geometry:
-    """Return the polygons that an outline encloses, all that it goes around twice included."""
-    return polygonal(shapely.make_valid(shape, method="structure", keep_collapsed=False))
 
 
 def _is_all_area(shape: shapely.Geometry | None) -> bool:
@@ -196,13 +84,8 @@ def _valid(shape: shapely.Geometry, label: str) -> shapely.Geometry:
         return shape
     whole = mended(shape)
     if not shape.is_valid and not whole.is_empty:
-        _warn(f"the outline of {label} crosses itself: all that it encloses is closed")
+        warn(f"the outline of {label} crosses itself: all that it encloses is closed")
     return whole
-
-
-def _metres_per_unit(crs: str) -> float:
-    parsed = pyproj.CRS.from_user_input(crs)
-    return METRES_PER_DEGREE if parsed.is_geographic else parsed.axis_info[0].unit_conversion_factor
 
 
 def _plain(name: object) -> str:
@@ -220,7 +103,7 @@ def _heights(facts: Facts, shape: shapely.Geometry, label: str) -> tuple[float, 
         for wanted in (FLOOR_NAMES, CEILING_NAMES)
     )
     if strange := (floors or ceilings) and _strange_unit(facts):
-        _warn(f"{label} has heights in {strange!r}, so it is closed at all altitudes: give metres above ground")
+        warn(f"{label} has heights in {strange!r}, so it is closed at all altitudes: give metres above ground")
         floors = ceilings = []
     elif not floors and not ceilings:
         ceilings = _extruded(facts, shape, label)
@@ -239,7 +122,7 @@ def _tell_ignored(properties: pd.DataFrame, file: str) -> None:
         and not all(map(is_blank, properties[column]))
     ]
     if ignored:
-        _warn(
+        warn(
             f"{', '.join(map(repr, ignored))} of {file!r} not read: floors and ceilings are {', '.join(FLOOR_NAMES)} "
             f"and {', '.join(CEILING_NAMES)}, metres above ground, and a zone without is closed at all altitudes"
         )
@@ -259,12 +142,8 @@ def _extruded(facts: Facts, shape: shapely.Geometry, label: str) -> list[float]:
     is_extruded = "extrude" in facts and facts["extrude"][1] == 1
     if _plain(facts["altitudemode"][1]) == ON_THE_GROUND and is_extruded and np.all(corners_m > 0):
         return [float(corners_m.max())]
-    _warn(
+    warn(
         f"{label} is closed at all altitudes: of KML's heights only those of polygons that are extruded "
         "and relativeToGround are read"
     )
     return []
-
-
-def _warn(sentence: str) -> None:
-    warnings.warn(sentence, IgnoredZoneWarning, stacklevel=3)

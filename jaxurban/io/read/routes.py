@@ -22,6 +22,8 @@ ALTITUDE_PROPERTY, TIME_OF_DAY_PROPERTY, TIME_PROPERTY = "altitude_m", "time_of_
 PROPERTIES = ("name", ALTITUDE_PROPERTY, TIME_OF_DAY_PROPERTY, TIME_PROPERTY)
 FOLLOWS_GROUND = "follow the ground"  # in the note of a mission that jaxurban wrote over terrain
 PLAN_SUFFIX = ".plan"  # of QGroundControl's missions
+# MAVLink's commands to fly to a place: waypoints, loitering, take-off; and those to land there.
+FLOWN, LANDINGS = (16, 17, 18, 19, 22, 31, 82, 84), (21, 85)
 FLAT = re.compile(r"settings[._](?:(weights|limits)[._])?(\w+)")  # columns of our KML, as GDAL names them
 
 
@@ -125,13 +127,18 @@ def _mission(file: Path) -> Route:
     ):
         plan = json.loads(file.read_text(encoding="utf-8"))
         items = plan["mission"]["items"]
-        points = [item["params"][4:7] for item in items if item.get("type") == "SimpleItem"]
-        lat, lon, z_m = np.array([point for point in points if None not in point], np.float64).reshape(-1, 3).T
+        flown = [item for item in items if item.get("type") == "SimpleItem" and item["command"] in FLOWN + LANDINGS]
+        places = [(*item["params"][4:7], item["command"] in FLOWN) for item in flown]
+        known = np.array([place for place in places if None not in place], np.float64).reshape(-1, 4)
+        lat, lon, z_m, is_flown = known[np.any(known[:, :2] != 0, axis=1)].T  # none: land where you are
         settings = plan.get("settings", {})
     if len(np.unique(np.stack([lon, lat], axis=1), axis=0)) < 2:
         raise InputError(
             f"{str(file)!r} holds no mission of two waypoints or more: give one, or another file of routes"
         )
-    is_known = np.ptp(z_m) == 0 or FOLLOWS_GROUND in str(plan.get("note", ""))
+    z_m = z_m[is_flown == 1]
+    is_known = len(z_m) > 0 and (np.ptp(z_m) == 0 or FOLLOWS_GROUND in str(plan.get("note", "")))
     times = (settings.get(TIME_OF_DAY_PROPERTY), settings.get(TIME_PROPERTY))
-    return Route(np.stack([lon, lat], axis=1), file.stem, float(z_m[0]) if is_known else None, *times, settings)
+    lonlat = np.stack([lon, lat], axis=1)
+    is_new = np.append(True, np.any(np.diff(lonlat, axis=0) != 0, axis=1))
+    return Route(lonlat[is_new], file.stem, float(z_m[0]) if is_known else None, *times, settings)

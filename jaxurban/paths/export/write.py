@@ -4,21 +4,25 @@ A further format is a file of its own, with a function such as `to_geojson`, and
 """
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from jaxurban.errors import InputError
+from jaxurban.errors import InputError, one_of
 from jaxurban.io.files import write_whole
 from jaxurban.paths.export.base import Encode
 from jaxurban.paths.export.geojson import to_geojson
+from jaxurban.paths.export.gpx import to_gpx
 from jaxurban.paths.export.kml import to_kml
-from jaxurban.paths.export.qgc_plan import to_qgc_plan
+from jaxurban.paths.export.qgc_plan import ENDS, to_qgc_plan
 
 if TYPE_CHECKING:
     from jaxurban.paths.explain import RouteReport
     from jaxurban.paths.path import PlannedPath
 
-FORMATS: dict[str, Encode] = {".geojson": to_geojson, ".kml": to_kml, ".plan": to_qgc_plan}
+FORMATS: dict[str, Encode] = {".geojson": to_geojson, ".kml": to_kml, ".gpx": to_gpx, ".plan": to_qgc_plan}
+WAYPOINTS = (".gpx", ".plan")  # of these, formats of waypoints to be flown one by one
+MISSION = ".plan"  # the format that can say how a flight ends
 
 
 def write_path(
@@ -27,6 +31,7 @@ def write_path(
     report: "RouteReport | None" = None,
     *,
     names: Sequence[str] | None = None,
+    end: str | None = None,
 ) -> bool:
     """Write paths in the format that the file's suffix names; return False, writing nothing, if there is no path.
 
@@ -38,13 +43,19 @@ def write_path(
       file: where to; several formats are several calls.
       report: from `jaxurban.explain`; its speed becomes the cruise speed of a ``.plan``. Of one path only.
       names: of several paths; left out, their numbers from 1 up.
+      end: of a ``.plan``: ``"land"`` at the goal, which is meant where it is left out, ``"return"`` to launch as the
+        autopilot does it, or ``"none"``.
 
     Raises:
-      InputError: another suffix, several paths in a format of one, names that are not one for each, or a folder that
-        does not exist or cannot be written to.
+      InputError: another suffix, an end that is none or of a format without one, several paths in a format of one,
+        names that are not one for each, or a folder that does not exist or cannot be written to.
     """
     file = Path(file)
     encode = _encoder(file)
+    if end is not None:
+        if file.suffix.lower() != MISSION:
+            raise InputError(f"only a {MISSION} says how the flight ends, and {str(file)!r} is none: leave end out")
+        encode = partial(to_qgc_plan, end=one_of("end", end, ENDS))
     routes = list(route) if isinstance(route, Sequence) else [route]
     given = names or ([""] if not isinstance(route, Sequence) else [str(k + 1) for k in range(len(routes))])
     if len(given) != len(routes) or isinstance(given, str):

@@ -150,7 +150,7 @@ def _strata(weights: pd.DataFrame, wrong: float) -> Iterator[Finding]:
         is_in = ((part.start_stratum == stratum) | (part.goal_stratum == stratum)).to_numpy()
         if 0 < is_in.sum() < len(is_in):
             more = drawn.difference(part.regret, is_in)
-            claim = f"A wrong weight of {name} costs more on routes that start or end in places of stratum *{stratum}*."
+            claim = f"A wrong weight of {name} costs more on routes that start or end in places of stratum {stratum!r}."
             yield Finding(claim, above(more), f"by {shown(more, '.2%')} than on the others ({is_in.sum()} routes)")
 
 

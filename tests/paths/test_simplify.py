@@ -1,0 +1,208 @@
+"""simplify: what it says, what it costs, and that missions of tens come out of paths of hundreds and stay sound."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import shapely
+from scipy.interpolate import RegularGridInterpolator
+
+import jaxurban as ju
+from jaxurban.errors import InputError
+from jaxurban.io.read.zone import Zone
+from jaxurban.io.store import write_zarr
+from jaxurban.paths.export import GROUND_TOLERANCE_M, write_path
+from jaxurban.planners.base import Status
+from tests.cli_runs import run
+from tests.free_space import Obstacles
+from tests.made_maps import made_maps
+
+ALTITUDE_M = 20.0
+WEIGHTS = ju.Weights(distance=0.2, gps=0.5, lidar=2.0, population=3.0, risk=1.5)
+
+
+@pytest.fixture(scope="module")
+def maps() -> ju.MetricMaps:
+    return made_maps(120, 140, (20.0, 60.0), 5.0)
+
+
+def ends_of(maps):
+    free = np.argwhere(maps.is_free(ALTITUDE_M))
+    return ju.XY(*maps.grid.xy_of_cell(*free[10])), ju.XY(*maps.grid.xy_of_cell(*free[-10]))
+
+
+def obstacles(on: ju.CostMap, level: int = 0) -> Obstacles:
+    is_free = on.is_free if on.levels is None else on.is_free[level]
+    return Obstacles(is_free, on.grid.resolution_m, on.grid.x_min_m, on.grid.y_min_m)
+
+
+def written_xy_m(on, file) -> np.ndarray:
+    """The places that a mission names, in the maps' CRS."""
+    items = json.loads(file.read_text())["mission"]["items"]
+    lonlat = np.array([item["params"][5:3:-1] for item in items if item["command"] in (16, 22)])
+    return np.column_stack(on.grid.xy_of_lonlat(*lonlat.T))
+
+
+@pytest.mark.parametrize("refine", [False, True])
+@pytest.mark.parametrize("planner", ["astar-plus", "theta-star"])
+def test_a_mission_of_tens_comes_out_of_a_path_of_hundreds_and_no_leg_of_the_file_enters_a_closed_cell(
+    maps, planner, refine, tmp_path
+):
+    on = ju.cost_map(maps, ALTITUDE_M, weights=WEIGHTS, cost_model="line")
+    path = on.plan(*ends_of(maps), planner=planner, refine=refine, budget_s=20.0)
+    simple = ju.simplify(path, on, 2.5)
+    assert len(simple.xy_m) < 50
+    if planner == "astar-plus" and not refine:
+        assert len(path.xy_m) > 120
+    assert simple.length_m == pytest.approx(shapely.LineString(simple.xy_m).length)
+    assert simple.cost == pytest.approx(sum(simple.cost_by_layer.values()))
+    assert simple.cost == pytest.approx(ju.explain(simple, maps).totals["cost"], rel=1e-9)
+    np.testing.assert_allclose(simple.lonlat[[0, -1]], path.lonlat[[0, -1]])
+    assert (simple.settings["simplify_m"], simple.zones) == (2.5, path.zones)
+    assert shapely.hausdorff_distance(shapely.LineString(path.xy_m), shapely.LineString(simple.xy_m)) <= 2.5
+    write_path(simple, tmp_path / "path.plan")
+    flown_m = written_xy_m(on, tmp_path / "path.plan")
+    assert len(flown_m) <= len(simple.xy_m)
+    assert obstacles(on).crossed_m(flown_m) == 0.0
+    assert not obstacles(on).is_pinched(flown_m)
+
+
+def test_over_terrain_the_file_follows_the_ground_and_still_enters_no_closed_cell(maps, tmp_path):
+    x_m, y_m = np.meshgrid(maps.grid.x_m - maps.grid.x_min_m, maps.grid.y_m - maps.grid.y_min_m)
+    hill_m = 60.0 + 40.0 * np.sin(x_m / 90.0) * np.cos(y_m / 120.0)
+    hilly = ju.MetricMaps(maps.ds.assign(terrain=(("y", "x"), hill_m.astype(np.float32))))
+    on = ju.cost_map(hilly, ALTITUDE_M, weights=WEIGHTS, cost_model="line")
+    simple = ju.simplify(on.plan(*ends_of(maps), refine=True, budget_s=20.0), on, 2.5)
+    write_path(simple, tmp_path / "path.plan")
+    flown_m = written_xy_m(on, tmp_path / "path.plan")
+    assert len(flown_m) > len(simple.xy_m)
+    assert obstacles(on).crossed_m(flown_m) == 0.0
+    items = json.loads((tmp_path / "path.plan").read_text())["mission"]["items"]
+    home_m = json.loads((tmp_path / "path.plan").read_text())["mission"]["plannedHomePosition"][2]
+    z_m = np.array([item["Altitude"] for item in items[:-1]])
+    line = shapely.LineString(np.column_stack([flown_m, home_m + z_m]))
+    for place in shapely.line_interpolate_point(line, np.linspace(0, 1, 500), normalized=True):
+        above_m = place.z - _bilinear(hill_m, maps.grid, place.x, place.y)
+        assert above_m == pytest.approx(ALTITUDE_M, abs=GROUND_TOLERANCE_M + 0.05)
+
+
+def _bilinear(hill_m, grid, x_m, y_m) -> float:
+    ground = RegularGridInterpolator((grid.y_m, grid.x_m), hill_m, bounds_error=False, fill_value=None)
+    return float(ground([[y_m, x_m]])[0])
+
+
+def test_the_message_tells_tolerance_waypoints_and_how_the_cost_changed(maps):
+    on = ju.cost_map(maps, ALTITUDE_M, weights=WEIGHTS)
+    path = on.plan(*ends_of(maps))
+    simple = ju.simplify(path, on, 3.0)
+    said = simple.to_dict()["message"]
+    assert f"Simplified to 3 m: {len(simple.xy_m)} of {len(path.xy_m)} waypoints, at most " in said
+    share = simple.cost / path.cost - 1
+    assert f"the weighted cost is {abs(share):.2%} {'higher' if share > 0 else 'lower'}" in said
+    assert (path.status, simple.status) == (Status.OPTIMAL, Status.FEASIBLE)
+    assert simple.to_dict()["num_points"] == len(simple.xy_m)
+    farther = ju.simplify(path, on, 30.0)
+    assert len(farther.xy_m) <= len(simple.xy_m)
+
+
+def test_a_path_around_a_no_fly_zone_and_within_bounds_stays_so_and_its_mission_is_fenced(maps, tmp_path):
+    start, goal = ends_of(maps)
+    middle = shapely.LineString([start[:2], goal[:2]]).interpolate(0.5, normalized=True)
+    zone = Zone("park", middle.buffer(60.0), maps.grid.crs)
+    limits = replace(ju.Constraints.read(require="lidar>=0.3"), zones=(zone,))
+    on = ju.cost_map(maps, ALTITUDE_M, constraints=limits, weights=WEIGHTS)
+    path = on.plan(start, goal, snap=True)
+    assert path.status.has_path
+    simple = ju.simplify(path, on, 20.0)
+    line = shapely.LineString(simple.xy_m)
+    assert not line.intersects(zone.polygon)
+    crossed = maps.grid.cell_of_xy(*shapely.get_coordinates(line.segmentize(0.5)).T)
+    assert np.all(maps.m("lidar", ALTITUDE_M)[crossed] >= 0.3)
+    assert obstacles(on).crossed_m(simple.xy_m) == 0.0
+    simple.save(tmp_path / "path.plan")
+    (ring,) = json.loads((tmp_path / "path.plan").read_text())["geoFence"]["polygons"]
+    corners_m = np.column_stack(maps.grid.xy_of_lonlat(*np.array(ring["polygon"])[:, ::-1].T))
+    assert shapely.hausdorff_distance(shapely.Polygon(corners_m), zone.polygon) < 0.05
+
+
+def test_a_path_between_levels_keeps_its_climbs_and_its_report(maps):
+    on = ju.cost_map(maps, ju.Levels(level_step_m=20.0, climb_cost=0.01), weights=WEIGHTS, cost_model="line")
+    path = on.plan(*ends_of(maps))
+    simple = ju.simplify(path, on, 2.5)
+    assert len(simple.xy_m) < len(path.xy_m) / 2
+    assert simple.z_m.max() == path.z_m.max()
+    assert simple.cost == pytest.approx(sum(simple.cost_by_layer.values()))
+    assert simple.cost == pytest.approx(ju.explain(simple, maps).totals["cost"], rel=1e-9)
+    assert simple.cost_by_layer["climb"] == pytest.approx(path.cost_by_layer["climb"])
+    for level, z_m in enumerate(on.altitudes_m):
+        here = (simple.z_m[:-1] == z_m) & (simple.z_m[1:] == z_m)
+        for leg in np.stack([simple.xy_m[:-1], simple.xy_m[1:]], axis=1)[here]:
+            assert obstacles(on, level).crossed_m(leg) == 0.0
+
+
+def test_another_cost_map_or_no_tolerance_is_refused_in_one_sentence(maps):
+    on = ju.cost_map(maps, ALTITUDE_M)
+    path = on.plan(*ends_of(maps))
+    for other in (ju.cost_map(maps, 60.0), ju.cost_map(maps, ju.Levels()), ju.cost_map(made_maps(), ALTITUDE_M)):
+        with pytest.raises(InputError, match="give the cost map that it was planned on"):
+            ju.simplify(path, other, 2.0)
+    for wrong in (0.0, -1.0, float("inf"), "far"):
+        with pytest.raises(InputError, match="tolerance_m must be"):
+            ju.simplify(path, on, wrong)
+    with pytest.raises(InputError, match="planned must be a PlannedPath"):
+        ju.simplify(None, on, 2.0)
+
+
+@pytest.fixture(scope="module")
+def folder(maps, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("made") / "maps"
+    write_zarr(maps.ds, folder)
+    return folder
+
+
+def query(maps) -> tuple:
+    places = (maps.grid.lonlat_of_xy(*place[:2]) for place in ends_of(maps))
+    start, goal = ("{:.7f},{:.7f}".format(*place) for place in places)
+    return ("--start", start, "--goal", goal, "--altitude", 20, "--snap")
+
+
+def test_the_command_simplifies_missions_unless_told_otherwise_and_says_so(maps, folder, tmp_path, capsys):
+    plan, line = tmp_path / "path.plan", tmp_path / "path.geojson"
+    files = ("-o", plan, "-o", line, "-o", tmp_path / "path.gpx")
+
+    def num_waypoints(*options):
+        code, out, err = run(capsys, "plan", folder, *query(maps), *files, "--json", *options)
+        assert code == 0
+        items = json.loads(plan.read_text())["mission"]["items"]
+        coordinates = json.loads(line.read_text())["features"][0]["geometry"]["coordinates"]
+        return sum(item["command"] in (16, 22) for item in items), len(coordinates), json.loads(out), err
+
+    few, all_points, facts, err = num_waypoints()
+    assert few < 60 < all_points == facts["num_points"]
+    assert "Simplified to 2.5 m" in err
+    assert "--simplify 0 keeps every turn" in err
+    assert "a landing at the goal" in err
+    every, same_points, _, err = num_waypoints("--simplify", 0)
+    assert every > few
+    assert same_points == all_points
+    assert "Simplified" not in err
+    coarse, same_few, facts, _ = num_waypoints("--simplify", 8, "--end", "return")
+    assert coarse == same_few == facts["num_points"] <= few
+    assert facts["settings"]["simplify_m"] == 8
+    assert json.loads(plan.read_text())["mission"]["items"][-1]["command"] == 20
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--simplify", -1), "metres from 0 up"),
+        (("--simplify", "nan"), "metres from 0 up"),
+        (("--end", "land"), "add -o FILE.plan"),
+        (("--end", "hover", "-o", "x.plan"), "land"),
+    ],
+)
+def test_what_cannot_be_simplified_or_ended_is_one_sentence_and_exit_two(maps, folder, options, words, capsys):
+    code, out, err = run(capsys, "plan", folder, *query(maps), *options)
+    assert (code, out) == (2, "")
+    assert words in err

@@ -1,0 +1,311 @@
+"""Simplified paths, judged by Shapely and brute force: the fewest legs in a tolerance, clear of closed cells."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter, label
+from shapely import (
+    LineString,
+    STRtree,
+    box,
+    distance,
+    dwithin,
+    hausdorff_distance,
+    points,
+    prepare,
+    union_all,
+)
+
+from jaxurban.errors import InputError
+from jaxurban.planners.base import CostModel, Path, Problem, Status
+from jaxurban.planners.refine import refine
+from jaxurban.planners.registry import PLANNERS, find_planner
+from jaxurban.planners.search.legs import fewest_legs, is_clear
+from jaxurban.planners.simplify import CLEAR_M, simplify
+from jaxurban.planners.volume_astar import volume_astar
+from tests.free_space import Obstacles
+from tests.planners.problems import volume_problem
+
+SIDE_M = 5.0
+HALF_ROUNDING_M = 0.0079  # of the seventh decimal of a degree, at the equator, in both coordinates
+
+
+def closed_squares(is_free, side=1.0, grown=0.0):
+    """The squares of the cells that are not free and of a frame around the map, grown on all sides."""
+    rows, cols = np.nonzero(~np.pad(is_free, 1))
+    return box((cols - 1) * side - grown, (rows - 1) * side - grown, cols * side + grown, rows * side + grown)
+
+
+def city(seed, shape=(40, 40), share_free=0.72):
+    """Free cells in blobs, as streets and blocks are, and start and goal in the largest part."""
+    rng = np.random.default_rng(seed)
+    noise = gaussian_filter(rng.normal(size=shape), 1.2)
+    is_free = noise > np.quantile(noise, 1 - share_free)
+    islands, _ = label(is_free)
+    cells = np.argwhere(islands == np.argmax(np.bincount(islands[is_free])))
+    start, goal = (tuple(int(v) for v in cells[k]) for k in (0, -1))
+    return rng, is_free, start, goal
+
+
+def flat_problem(seed, kind="line", diagonal="both-free"):
+    rng, is_free, start, goal = city(seed)
+    costs = rng.random((2, *is_free.shape))
+    return Problem(costs, is_free, start, goal, SIDE_M, 0.2, CostModel(kind, diagonal=diagonal))
+
+
+def test_a_segment_is_clear_where_it_meets_no_grown_square():
+    num = [0, 0]
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        is_free = rng.random((9, 12)) < 0.8
+        margin = rng.choice([0.004, 0.05, 0.3])
+        squares = union_all(closed_squares(is_free, grown=margin))
+        prepare(squares)
+        for _ in range(300):
+            ends = rng.uniform(0, [12, 9], (2, 2))
+            if rng.random() < 0.3:
+                ends[1, rng.integers(2)] = ends[0, rng.integers(2)]
+            if rng.random() < 0.3:
+                ends = np.floor(ends) + 0.5
+            line = LineString(ends)
+            if 0 < distance(line, squares) < 1e-9:
+                continue
+            is_met = bool(squares.intersects(line))
+            num[is_met] += 1
+            assert is_clear(is_free, *ends.ravel(), margin) == (not is_met)
+            assert is_clear(is_free, *ends[::-1].ravel(), margin) == (not is_met)
+    assert min(num) > 200
+
+
+def fewest_by_brute_force(is_free, xy, tolerance, margin):
+    """Legs and sum of squares of the best way over every pair of points, each leg tested by Shapely."""
+    squares = union_all(closed_squares(is_free, grown=margin))
+    prepare(squares)
+    best = [(0, 0.0)] + [(len(xy), np.inf)] * (len(xy) - 1)
+    for j in range(1, len(xy)):
+        for i in range(j):
+            leg = LineString(xy[[i, j]])
+            if j > i + 1 and (distance(points(xy[i : j + 1]), leg).max() > tolerance or squares.intersects(leg)):
+                continue
+            best[j] = min(best[j], (best[i][0] + 1, best[i][1] + leg.length**2))
+    return best[-1]
+
+
+@pytest.mark.parametrize("kind", ["walk", "staircase", "loops"])
+def test_no_way_over_the_points_has_fewer_legs_or_more_even_ones(kind):
+    for seed in range(15):
+        rng = np.random.default_rng(seed)
+        is_free = rng.random((30, 30)) < 0.97
+        if kind == "walk":
+            xy = np.cumsum(rng.normal([0.5, 0.3], 0.5, (35, 2)), axis=0) + 2
+        elif kind == "staircase":
+            xy = np.cumsum(np.vstack([[0, 0], np.eye(2)[rng.integers(0, 2, 30)]]), axis=0) + 2.5
+        else:
+            turn = np.linspace(0, 9, 40)
+            xy = 15 + np.stack([np.cos(turn), np.sin(turn)], axis=1) * np.linspace(0.2, 10, 40)[:, None]
+        xy = np.clip(xy, 0.1, 29.9)
+        tolerance = rng.uniform(0.2, 2.0)
+        kept = fewest_legs(is_free, xy, tolerance, 0.01)
+        number, squares = fewest_by_brute_force(is_free, xy, tolerance, 0.01)
+        assert kept.sum() - 1 == number
+        assert np.sum(np.diff(xy[kept], axis=0) ** 2) == pytest.approx(squares, rel=1e-9)
+
+
+def judge(problem, path, simple, tolerance_m, is_free=None):
+    """Assert what holds of every simplified path on one level."""
+    is_free = problem.is_free if is_free is None else is_free
+    assert simple.cost == problem.cost_of(simple.points_m) < np.inf
+    assert simple.lower_bound <= simple.cost
+    np.testing.assert_array_equal(simple.points_m[[0, -1]], path.points_m[[0, -1]])
+    line, before = LineString(simple.points_m), LineString(path.points_m)
+    assert hausdorff_distance(line, before, densify=0.02) <= tolerance_m + 1e-6
+    squares = STRtree(closed_squares(is_free, SIDE_M))
+    assert len(squares.query(line, "dwithin", CLEAR_M * (1 - 1e-6))) == 0
+    # Whichever way rounding moves each point, no leg enters a cell that is closed.
+    rng = np.random.default_rng(0)
+    for _ in range(5):
+        moved = simple.points_m + rng.choice([-HALF_ROUNDING_M, HALF_ROUNDING_M], simple.points_m.shape)
+        assert Obstacles(is_free, SIDE_M).crossed_m(moved) == 0.0
+
+
+@pytest.mark.parametrize("kind", ["cell", "line"])
+@pytest.mark.parametrize("name", PLANNERS)
+def test_every_planners_path_stays_within_the_tolerance_and_clear_of_closed_cells(name, kind):
+    num_before = num_after = num_paths = 0
+    for seed in range(6):
+        problem = flat_problem(seed, kind)
+        if kind == "cell" and name == "theta-star":
+            problem = problem.with_weights([1.0, 0.0, 0.0])
+        path = find_planner(name)(problem, budget_s=0.2, seed=seed)
+        if not path.status.has_path:
+            continue
+        for found in (path, refine(problem, path, moves=("compass",))) if kind == "line" else (path,):
+            for tolerance_m in (0.3, 2.5):
+                simple = simplify(problem, found, tolerance_m)
+                judge(problem, found, simple, tolerance_m)
+                assert simple.note == found.note
+            num_before, num_after = num_before + len(found.points_m), num_after + len(simple.points_m)
+            num_paths += 1
+    assert num_paths >= (6 if name not in ("ptp", "bitstar-dist", "bitstar-plus") else 0)
+    if name.startswith("astar"):
+        assert num_after < num_before / 3
+
+
+def test_a_path_that_grazes_corners_is_moved_off_them_by_no_more_than_the_tolerance():
+    is_free = np.ones((20, 30), bool)
+    is_free[:10, 10:15] = False  # the shortest way round runs through this block's corners
+    problem = Problem(np.zeros((1, 20, 30)), is_free, (5, 2), (5, 25), SIDE_M, 1.0, CostModel("line"))
+    grazing = np.array([[2.5, 5.5], [10.0, 10.0], [15.0, 10.0], [25.5, 5.5]]) * SIDE_M
+    path = Path(Status.FEASIBLE, grazing, problem.cost_of(grazing), 0.0, 0, 0.0, "drawn")
+    assert path.cost < np.inf
+    for tolerance_m in (0.2, 1.0):
+        judge(problem, path, simplify(problem, path, tolerance_m), tolerance_m)
+    tight = simplify(problem, path, 0.01)  # too little to leave the corners
+    assert "pass nearer than 2 cm to a closed cell, as the planned path does" in tight.note
+    assert hausdorff_distance(LineString(tight.points_m), LineString(grazing), densify=0.02) <= 0.01
+
+
+def test_a_step_between_two_obstacles_that_touch_stays_as_it_was_planned_and_is_told():
+    is_free = np.ones((12, 12), bool)
+    is_free[np.arange(12), 11 - np.arange(12)] = False
+    problem = Problem(np.zeros((1, 12, 12)), is_free, (1, 1), (10, 10), SIDE_M, 1.0, CostModel(diagonal="always"))
+    path = find_planner("astar-dist")(problem, budget_s=10.0, seed=0)
+    simple = simplify(problem, path, 2.0)
+    assert simple.cost < np.inf
+    assert "1 of its legs pass nearer" in simple.note
+    assert len(simple.points_m) <= 4
+
+
+def volume(seed, kind="line"):
+    rng, low, start, goal = city(seed, (24, 24), 0.6)
+    _, high, *_ = city(seed + 100, (24, 24), 0.8)
+    is_free = np.stack([low, low | high, np.ones_like(low)])
+    cost = rng.random(is_free.shape)
+    return volume_problem(
+        cost,
+        is_free,
+        np.array([20.0, 40.0, 90.0]),
+        (0, *start),
+        (0, *goal),
+        SIDE_M,
+        0.05,
+        0.001,
+        0.001,
+        CostModel(kind, 4.0),
+    )
+
+
+def cost_by_sampling(problem, points_m, num=20_000):
+    """The ``line`` cost of a path by many short parts, each at its middle; climbs half in each of their nodes."""
+    total = 0.0
+    for a, b in pairwise(points_m):
+        length_m = np.linalg.norm(b - a)
+        rise_m = b[2] - a[2]
+        share = (np.arange(num) + 0.5) / num
+        at = a + share[:, None] * (b - a)
+        if rise_m:
+            at = np.where(share[:, None] < 0.5, a, b)
+        level = np.searchsorted(problem.levels_m, at[:, 2])
+        col, row = np.floor(at[:, :2] / problem.resolution_m).astype(int).T
+        assert problem.is_free[level, row, col].all()
+        total += length_m * (
+            problem.distance_weight + problem.cost[level, row, col].mean() / problem.cost_model.reference_length_m
+        )
+        climb, descent = problem.height_costs
+        total += climb * max(rise_m, 0) + descent * max(-rise_m, 0)
+    return total
+
+
+@pytest.mark.parametrize("kind", ["cell", "line"])
+def test_through_a_volume_each_level_is_simplified_on_its_own_cells(kind):
+    num_levels = set()
+    for seed in range(8):
+        problem = volume(seed, kind)
+        path = volume_astar(problem)
+        simple = simplify(problem, path, 2.5)
+        assert len(simple.points_m) <= len(path.points_m)
+        assert simple.cost == problem.cost_of(simple.points_m) < np.inf
+        if kind == "line":
+            assert simple.cost == pytest.approx(cost_by_sampling(problem, simple.points_m), rel=1e-3)
+        is_level = np.diff(simple.points_m[:, 2]) == 0
+        for (a, b), level_leg in zip(pairwise(simple.points_m), is_level, strict=True):
+            if level_leg:
+                level = int(np.searchsorted(problem.levels_m, a[2]))
+                squares = union_all(closed_squares(problem.is_free[level], SIDE_M))
+                assert not dwithin(squares, LineString([a[:2], b[:2]]), CLEAR_M * (1 - 1e-6))
+        climbs = [tuple(map(tuple, pair)) for pair in pairwise(path.points_m.tolist()) if pair[0][2] != pair[1][2]]
+        assert climbs == [
+            tuple(map(tuple, pair)) for pair in pairwise(simple.points_m.tolist()) if pair[0][2] != pair[1][2]
+        ]
+        num_levels.add(len(np.unique(path.points_m[:, 2])))
+    assert max(num_levels) > 1
+
+
+@pytest.mark.parametrize("kind", ["cell", "line"])
+def test_a_leg_of_any_direction_costs_on_a_level_what_it_costs_on_one_altitude(kind):
+    rng = np.random.default_rng(2)
+    cost, is_free = rng.random((2, 20, 20)), rng.random((20, 20)) < 0.95
+    model = CostModel(kind, 4.0)
+    flat = Problem(cost[1][None], is_free, *[tuple(np.argwhere(is_free)[0])] * 2, SIDE_M, 0.3, model)
+    start = (1, *flat.start)
+    stacked = volume_problem(
+        cost, np.stack([is_free] * 2), np.array([20.0, 50.0]), start, start, SIDE_M, 0.3, cost_model=model
+    )
+    num_valid = 0
+    for _ in range(200):
+        xy_m = rng.uniform(1, 99, (rng.integers(1, 5), 2))
+        expected = flat.features(xy_m)
+        found = stacked.features(np.column_stack([xy_m, np.full(len(xy_m), 50.0)]))
+        assert found.is_valid == expected.is_valid
+        np.testing.assert_allclose(found.phi[:2], expected.phi, rtol=1e-12)
+        num_valid += found.is_valid
+        if found.is_valid:
+            np.testing.assert_allclose(found.mean_costs, expected.mean_costs, rtol=1e-12)
+    assert num_valid > 40
+
+
+def test_two_turns_a_hand_apart_become_one():
+    is_free = np.ones((20, 30), bool)
+    is_free[:10, :15] = False
+    problem = Problem(np.zeros((1, 20, 30)), is_free, (15, 2), (2, 25), SIDE_M, 1.0, CostModel("line"))
+    drawn = np.array([[2.5, 15.5], [14.98, 10.02], [15.02, 9.98], [25.5, 2.5]]) * SIDE_M  # around a corner, near it
+    path = Path(Status.FEASIBLE, drawn, problem.cost_of(drawn), 0.0, 0, 0.0, "drawn")
+    simple = simplify(problem, path, 0.5)
+    judge(problem, path, simple, 0.5)
+    assert len(simple.points_m) == 3
+    shorter = fewest_legs(is_free, drawn / SIDE_M, 0.1, CLEAR_M / SIDE_M)
+    assert shorter.sum() == 4  # its own points alone would not do
+
+
+def test_a_path_that_is_straight_already_stays_as_good_as_it_was():
+    problem = Problem(np.zeros((1, 9, 30)), np.ones((9, 30), bool), (3, 2), (3, 25), SIDE_M, 1.0, CostModel("line"))
+    found = find_planner("theta-star")(problem, budget_s=1.0, seed=0)
+    simple = simplify(problem, found, 1.0)
+    assert (found.status, simple.status, simple.points_m.tolist()) == (
+        Status.OPTIMAL,
+        Status.OPTIMAL,
+        found.points_m.tolist(),
+    )
+
+
+def test_a_path_of_one_point_and_no_path_come_back_as_they_are():
+    problem = flat_problem(0)
+    still = find_planner("astar-dist")(problem.between(problem.start, problem.start), budget_s=1.0, seed=0)
+    assert simplify(problem, still, 1.0).points_m.tolist() == still.points_m.tolist()
+    none = Path(Status.NO_PATH, np.empty((0, 2)), np.inf, np.inf, 0, 0.0, "drawn")
+    assert simplify(problem, none, 1.0) is none
+
+
+def test_what_is_not_a_tolerance_or_not_this_maps_path_is_refused():
+    problem = flat_problem(0)
+    path = find_planner("astar-dist")(problem, budget_s=1.0, seed=0)
+    for wrong in (0, -1.0, np.nan, "wide"):
+        with pytest.raises(InputError, match="tolerance_m must be a positive number of metres"):
+            simplify(problem, path, wrong)
+    closed = problem.is_free.copy()
+    row, col = (int(v) for v in np.floor(path.points_m[len(path.points_m) // 2] / SIDE_M)[::-1])
+    closed[row, col] = False
+    walled = Problem(problem.costs, closed, problem.start, problem.goal, SIDE_M, 0.2, problem.cost_model)
+    with pytest.raises(InputError, match="not free on this cost map"):
+        simplify(walled, path, 1.0)
