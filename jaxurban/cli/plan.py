@@ -166,7 +166,8 @@ def _path_table(facts: Settings) -> str:
     if facts["cost"] is not None:
         rows += [("cost", f"{facts['cost']:.3f}")]
         if facts["gap"]:
-            rows += [("above the best", f"at most {100 * facts['gap']:.2f} % (best of: {facts['graph']})")]
+            of = f" (best of: {facts['graph']})" if facts["graph"] else ""
+            rows += [("above the best", f"at most {100 * facts['gap']:.2f} %{of}")]
         rows += [("length", f"{facts['length_m']:.1f} m")]
         moved = [f"{name} {moved_m:.1f} m" for name, moved_m in facts["snap_distance_m"].items()]
         rows += [("moved to cells", ", ".join(moved))]
