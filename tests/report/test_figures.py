@@ -269,8 +269,8 @@ def test_ticks_of_a_short_bar_leave_each_other_room():
     assert bar_ticks(log, 3.0, is_lying=False) == [3, 10, 100, 1000, 3000]
 
 
-def at_epochs(num):
-    maps = make_maps()
+def at_epochs(num, maps=None):
+    maps = maps or make_maps()
     times = np.datetime64("2020-04-27T16:00:00", "ns") + 3 * np.timedelta64(1, "h") * np.arange(num)
     parts = [maps.ds.assign_coords(time=[time]) for time in times]
     ds = xr.concat(parts, "time", data_vars="minimal", coords="minimal", compat="override", join="outer")
@@ -284,7 +284,7 @@ def test_every_epoch_is_drawn_and_the_share_of_good_ones():
     assert {"gps_epochs", "gps_availability"} <= set(maps_figures(maps, {}))
     text = texts_of(plotting.plot_epochs(maps))
     for time in ("16:00", "19:00", "22:00"):
-        assert f"2020-04-27 {time} UTC" in text
+        assert f"04-27 {time}  ·  mean" in text
     assert "3 epochs, 2020-04-27 16:00 UTC to 2020-04-27 22:00 UTC, 7 to 9 Galileo and GPS satellites in view" in text
     figure = plotting.plot_metric(maps, "gps_availability")
     share = np.mean([maps.m("gps", 60.0, time=time) > 0.5 for time in maps.times], axis=0)
@@ -364,6 +364,7 @@ def all_figures(maps):
     yield plotting.plot_heights(maps)
     yield plotting.plot_population(maps)
     yield plotting.show_degrees(plotting.plot_obstacles(maps), maps.grid)
+    yield plotting.plot_epochs(at_epochs(10, maps))
 
 
 @pytest.mark.parametrize(("rows", "cols"), [(34, 40), (51, 39), (100, 50), (20, 60), (90, 12)])

@@ -1,5 +1,7 @@
 """What a comparison writes: files that others open, figures on one scale around zero, and a folder of its own."""
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -97,6 +99,11 @@ def test_the_command_compares_folders_and_names_the_settings_that_differ(capsys,
     assert_one_sentence(err, "--time")
 
 
+def test_maps_without_times_in_common_are_drawn(found):
+    timeless = replace(found, part=replace(found.part, times={}))
+    assert "A: A" in "\n".join(text.get_text() for text in plot_changed_routes(timeless).findobj(Text))
+
+
 def test_legends_name_both_ends_of_a_route_and_what_is_blocked_where(found):
     names = {text.get_text() for text in plot_changed_routes(found).findobj(Text)}
     assert {"route on A", "route on B", "start", "goal", "blocked only in A", "blocked only in B"} <= names
@@ -120,9 +127,11 @@ def test_every_epoch_of_a_comparison_has_a_panel_and_times_of_b_are_told(found):
     figure = figures["gps_epochs"]()
     titles = [axes.get_title(loc="left") for axes in figure.axes if axes.images]
     assert [title.split("  ·  ")[0] for title in titles] == [
-        "2020-04-27 16:00 UTC (B: 2020-04-27 17:00 UTC)",
-        "2020-04-27 19:00 UTC (B: 2020-04-27 20:00 UTC)",
+        "04-27 16:00",
+        "04-27 19:00",
     ]
+    told = "\n".join(text.get_text() for text in figure.findobj(Text))
+    assert "B's beside them: 2020-04-27 17:00 UTC, 2020-04-27 20:00 UTC" in told
     told = "\n".join(text.get_text() for text in figures["gps"]().findobj(Text))
     assert "2020-04-27 16:00 UTC (epoch 1 of 2)" in told
     assert "2020-04-27 17:00 UTC (epoch 1 of 2)" in told

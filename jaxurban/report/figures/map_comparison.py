@@ -20,7 +20,7 @@ from jaxurban.report.figures.frame import (
     round_length_m,
 )
 from jaxurban.report.figures.metrics import DOP_NAMES, FREE_COLOUR, OBSTACLE_COLOUR, SERIES_NAMES, percent
-from jaxurban.report.figures.notes import frame_note, sky_said, time_said
+from jaxurban.report.figures.notes import frame_note, short_time, sky_said, time_said
 from jaxurban.report.figures.paths import draw_ends
 from jaxurban.studies.map_comparison.compare import CLOSED, EVERYWHERE, MASKS, MapComparison, Place, unit_of
 
@@ -188,8 +188,7 @@ def _title(found: MapComparison, layer: str, place: Place, by_time: bool) -> str
     row = table[chosen].iloc[0]
     where = f"{place.altitude_m:g} m" if place.altitude_m is not None else place.time_of_day
     if by_time and place.time is not None:
-        of_b = found.part.times.get(place.time, place.time)
-        where = time_said(place.time) + ("" if of_b == place.time else f" (B: {time_said(of_b)})")
+        return f"{short_time(place.time)}  ·  mean {row['mean']:+.3g}"
     if layer in MASKS:
         return f"{where}  ·  {row.gained:,} cells gained, {row.lost:,} lost"
     return "  ·  ".join(filter(None, (where, f"mean {row['mean']:+.3g}, {percent(row.share_changed)} changed")))
@@ -199,8 +198,10 @@ def _note(found: MapComparison, time: str | None, has_sky: bool) -> str:
     """Return the names of both, and each one's sky where it is not the same."""
     skies = [sky_said(maps, time) if has_sky else "" for maps in (found.a, found.b)]
     of_b = {time_said(a): time_said(b) for a, b in found.part.times.items()}  # B's maps carry the names of A's times
-    skies[1] = re.sub("|".join(of_b) or "$^", lambda found: of_b[found[0]], skies[1])
+    skies[1] = re.sub(r"\d{4}-\d\d-\d\d \d\d:\d\d UTC", lambda time: of_b.get(time[0], time[0]), skies[1])
     is_same = skies[0] == skies[1]
     sides = [name if is_same else f"{name}, {sky}" for name, sky in zip(found.names, skies, strict=True)]
     told = [f"A: {sides[0]}", f"B: {sides[1]}"]
+    if has_sky and time is None and any(a != b for a, b in of_b.items()):
+        told.append(f"Panels name A's times; B's beside them: {', '.join(of_b.values())}")
     return "\n".join([*told, frame_note(found.a, time, has_sky=has_sky and is_same)])

@@ -27,7 +27,7 @@ from jaxurban.report.figures.frame import (
     flat_layer,
     make_frame,
 )
-from jaxurban.report.figures.notes import frame_note, time_said
+from jaxurban.report.figures.notes import frame_note, short_time
 
 DOP_NAMES = {
     "gdop": "Geometric dilution of precision (GDOP)",
@@ -174,7 +174,7 @@ def plot_epochs(maps: GivenMaps, name: str = "gps", *, altitude_m: float | None 
     one_of("a map of each time", name, [each for each in headings if each in maps.ds and TIME in maps.ds[each].dims])
     panels = [
         (
-            f"{time_said(time)}  ·  {_middle_of(maps, name, z, time)}",
+            f"{short_time(time)}  ·  {_middle_of(maps, name, z, time)}",
             [free_layer(maps, name, z, time), obstacle_layer(maps, z)],
         )
         for time in maps.times

@@ -25,6 +25,11 @@ def time_said(time: str) -> str:
     return f"{time[:10]} {time[11:16]} UTC"
 
 
+def short_time(time: str) -> str:
+    """Return an ISO time for the title of a small panel: month, day, hour and minute; the note has the year."""
+    return f"{time[5:10]} {time[11:16]}"
+
+
 def sky_said(maps: MetricMaps, time: str | None) -> str:
     """Return the time of GPS maps, which one it is of several, the constellations, and the satellites in view.
 
