@@ -175,7 +175,7 @@ def _colours(found: MapComparison, layer: str, maps: Sequence[np.ndarray]) -> Co
     unit = UNITS.get(given := unit_of(found.a, layer), given)
     one_means = found.a.ds[layer].attrs.get("one_means", "") if layer in found.a.metrics else ""
     name = f"$m_\\mathrm{{{layer}}}$" if layer in found.a.metrics else layer.upper() if layer in DOP_NAMES else unit
-    label = f"{name or layer}, B - A" + (f"\n(1: {one_means})" if one_means else "")
+    label = f"{name or heading_of(found, layer)}, B - A" + (f"\n(1: {one_means})" if one_means else "")
     return Colours(DIVERGING, Normalize(-limit, limit), label, "both" if is_beyond else "neither", (-limit, 0.0, limit))
 
 
