@@ -15,7 +15,7 @@ import jaxurban as ju
 from benchmarks.clearance import READERS
 from jaxurban.errors import InputError, OtherSettingsWarning
 from jaxurban.io.files import write_json
-from jaxurban.io.read.airspace import cell_boxes
+from jaxurban.io.read.zone import cell_boxes
 from jaxurban.io.store import write_zarr
 from jaxurban.paths.clearance import FILE_MARGIN_M, closed_by_clearance, distance_to_obstacles_m
 from jaxurban.planners.base import Status
