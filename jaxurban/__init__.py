@@ -33,6 +33,7 @@ if _TYPE_CHECKING:
     from jaxurban.paths.results import PlannedPaths as PlannedPaths
     from jaxurban.paths.simplify import simplify as simplify
     from jaxurban.paths.snapping import XY as XY
+    from jaxurban.paths.vehicle import Vehicle as Vehicle
     from jaxurban.planners.base import CostModel as CostModel
     from jaxurban.planners.envelope import planned_cost as planned_cost
     from jaxurban.report.buildings import write_buildings as write_buildings
@@ -90,6 +91,7 @@ _NAMES = {
     "paths.results": "PlannedPaths",
     "paths.simplify": "simplify",
     "paths.snapping": "XY",
+    "paths.vehicle": "Vehicle",
     "planners.base": "CostModel",
     "planners.envelope": "planned_cost",
     "report.buildings": "write_buildings",

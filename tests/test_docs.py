@@ -238,6 +238,7 @@ def test_the_scenario_page_names_every_setting_with_its_default():
     left_out = {"region": {"bounds", "crs"}, "buildings": {"source"}, "terrain": {"source"}}
     left_out |= {"gps": {"times", "start", "stop", "step_s", "reference"}}
     left_out |= {"population": {"blocks", "table", "districts", "commercial"}}  # without a default: examples are shown
+    left_out |= {"vehicle": set(shown["vehicle"]) - {"radius_m"}}
     whole = Scenario.from_dict(shown).model_dump(mode="python")
     bare = {"region": {"bounds": shown["region"]["bounds"]}, "buildings": {"source": "x.geojson"}}
     defaults = Scenario.from_dict(bare).model_dump(mode="python")

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from jaxurban.maps.levels import Levels
     from jaxurban.maps.metric_maps import Obstacles
     from jaxurban.metrics.weights import Weights
+    from jaxurban.paths.constraints import Constraints
     from jaxurban.paths.cost_map import CostMap
     from jaxurban.planners.base import CostModel
 
@@ -76,16 +77,30 @@ OBSTACLES = click.option(
     help="Cells that no path enters: all that a building touches, or (the paper) only where it covers the centre; "
     "paths then cut true outlines.  [default: the scenario's, else touched]",
 )
-CONSTRAINTS = together(  # which `Constraints.read` takes
+CONSTRAINTS = together(  # which `given_constraints` takes
     click.option(
         "--no-fly", type=click.Path(path_type=Path), multiple=True, help="Closed polygons (GeoJSON, KML); repeatable."
     ),
     click.option("--require", multiple=True, help="What must hold all along, such as gps>=0.3; repeatable."),
+    click.option(
+        "--clearance",
+        "clearance_m",
+        type=float,
+        metavar="METRES",
+        help="Keep so far from buildings as high as the path.  [default: the scenario's, else 0]",
+    ),
+    click.option(
+        "--vertical-clearance",
+        "vertical_clearance_m",
+        type=float,
+        metavar="METRES",
+        help="Keep so high over roofs, or clear of them.  [default: the scenario's, else 0]",
+    ),
 )
 ENDS = [  # of a route, with the altitude: names, type and help of their options
     (("--start",), LONLAT, "Longitude,latitude in degrees."),
     (("--goal",), LONLAT, "Longitude,latitude in degrees."),
-    (("--altitude", "altitude_m"), float, "Metres above ground; one of the maps'."),
+    (("--altitude", "altitude_m"), float, "Metres above ground, within the maps' range."),
 ]
 COSTS = together(  # what the cost map of a route depends on, beside its altitude
     click.option("--time-of-day", help="Of the population map, such as day or night; the first if left out."),
@@ -193,6 +208,21 @@ def stored_obstacles(settings: Settings, given: "Obstacles | None") -> "Obstacle
     return given or settings.get("planning", {}).get("obstacles", "touched")
 
 
+def given_constraints(given: Settings, settings: Settings) -> "Constraints":
+    """Return what the options of `CONSTRAINTS` ask for; clearances left out, and the vehicle, are those of settings.
+
+    Raises:
+      InputError: a file or a bound that cannot be read, or a clearance that is none.
+    """
+    from jaxurban.paths.constraints import CLEARANCES, Constraints
+    from jaxurban.paths.vehicle import Vehicle
+
+    planning = settings.get("planning", {})
+    clearances = {name: planning.get(name, 0.0) if given[name] is None else given[name] for name in CLEARANCES}
+    vehicle = Vehicle(**settings.get("vehicle", {}))
+    return Constraints.read(given["no_fly"], given["require"], **clearances, vehicle=vehicle)
+
+
 def stored_cost_map(
     folder: Path, stored: Settings, given: Settings, altitude_m: "float | Levels", objective: str = "weighted"
 ) -> "CostMap":
@@ -206,7 +236,6 @@ def stored_cost_map(
     """
     from jaxurban.maps.metric_maps import open_maps
     from jaxurban.metrics.weights import Weights
-    from jaxurban.paths.constraints import Constraints
     from jaxurban.paths.cost_map import cost_map
 
     model = stored_cost_model(stored, given["cost_model"])
@@ -218,7 +247,7 @@ def stored_cost_map(
         cost_model=model,
         time=given["time"],
         time_of_day=given["time_of_day"],
-        constraints=Constraints.read(given["no_fly"], given["require"]),
+        constraints=given_constraints(given, stored),
     )
 
 

@@ -12,6 +12,7 @@ from jaxurban.cli.common import (
     JSON_FLAG,
     OBSTACLES,
     RESOLUTION,
+    given_constraints,
     print_json,
     stored_cost_model,
     stored_obstacles,
@@ -58,7 +59,6 @@ def compare(folder_a: Path, folder_b: Path, output: Path, as_json: bool, overwri
     from jaxurban.io.files import check_writable
     from jaxurban.io.tables import records_of
     from jaxurban.metrics.weights import Weights
-    from jaxurban.paths.constraints import Constraints
     from jaxurban.report.map_comparison import REPORT_FILE, save_comparison
     from jaxurban.studies.map_comparison.compare import compare as compare_maps
     from jaxurban.studies.montecarlo.run import MapsFolder
@@ -71,7 +71,7 @@ def compare(folder_a: Path, folder_b: Path, output: Path, as_json: bool, overwri
         "times": _times(given["times"]),
         "weights": Weights.parse(given["weights_text"], stored_weights(folder_a, stored)),
         "cost_model": stored_cost_model(stored, given["cost_model"]),
-        "constraints": Constraints.read(given["no_fly"], given["require"]),
+        "constraints": given_constraints(given, stored),
         "snap": take_snap(given),
         "tolerance": given["tolerance"],
         "seed": given["seed"],

@@ -46,8 +46,8 @@ LEVEL_OPTIONS = ("min_altitude_m", "max_altitude_m", "level_step_m", "climb_cost
 @click.option(
     "--report", "with_report", is_flag=True, help="Explain the route: costs, people under it, clearance, by segment."
 )
-@click.option("--speed", "speed_m_s", type=float, help="Metres per second, for the report's times.")
-@click.option("--power", "power_w", type=float, help="Watts in flight, for the report's energy.")
+@click.option("--speed", "speed_m_s", type=float, help="Metres per second, for times.  [default: the vehicle's]")
+@click.option("--power", "power_w", type=float, help="Watts in flight, for energy.  [default: the vehicle's]")
 @click.option("--swath", "swath_m", type=float, help="Of the strip of people overflown, metres.  [default: 10]")
 @click.option("--profile", type=click.Path(path_type=Path), help="Draw what the route meets, as PNG.")
 @click.option(
@@ -84,13 +84,14 @@ def plan(folder: Path, files: Sequence[Path], profile: Path | None, as_json: boo
         raise click.UsageError("--end is of a mission: add -o FILE.plan")
     if (simplify_m := given["simplify_m"]) is not None and not 0 <= simplify_m < math.inf:
         raise InputError(f"--simplify must be metres from 0 up, got {simplify_m:g}")
-    check_flight(**flight)
     with_report |= "speed_m_s" in flight
     if profile is not None:
         from jaxurban.report.figures.files import check_picture, save_profile
 
         check_picture(profile)
     stored = stored_settings(folder)
+    own = {name: value for name, value in stored.get("vehicle", {}).items() if name in ("speed_m_s", "power_w")}
+    check_flight(**own | flight)
     planning = stored.get("planning", {}) | {name: value for name, value in given.items() if value is not None}
     start, goal, altitude_m = given["start"], given["goal"], given["altitude_m"]
     if is_volume:

@@ -15,6 +15,7 @@ from jaxurban.cli.common import (
     JSON_FLAG,
     Settings,
     default_workers,
+    given_constraints,
     names_in,
     numbers_in,
     print_json,
@@ -141,6 +142,7 @@ def _one(folder: Path, output: Path, as_json: bool, overwrite: bool, given: Sett
     chosen["tolerance"] = TOLERANCE if given["tolerance"] is None else given["tolerance"]
     how = SensitivitySettings(factors=_factors(given["factors_text"]), seed=given["seed"], **chosen)
     shared = stored_cost_map(folder, stored_settings(folder), given, given["altitude_m"])
+    shared.maps.check_altitude(given["altitude_m"])  # whose map its figures show
     check_writable(output)
     ends = {"start": given["start"], "goal": given["goal"], "snap": snap}
     first = shared.plan(**ends)
@@ -178,7 +180,6 @@ def _one(folder: Path, output: Path, as_json: bool, overwrite: bool, given: Sett
 def _many(folders: Sequence[Path], output: Path, as_json: bool, overwrite: bool, given: Settings) -> int:
     from jaxurban.io.tables import read_table, records_of
     from jaxurban.metrics.weights import Weights
-    from jaxurban.paths.constraints import Constraints
     from jaxurban.report.buildings import scenario_of
     from jaxurban.report.run_sensitivity import sensitivity_study
     from jaxurban.studies.montecarlo.run import MapsFolder
@@ -216,7 +217,7 @@ def _many(folders: Sequence[Path], output: Path, as_json: bool, overwrite: bool,
         wrong=WRONG if given["wrong"] is None else given["wrong"],
         num_samples=SAMPLES_OF_MANY if given["num_samples"] is None else given["num_samples"],
         cost_model=models[first],
-        constraints=Constraints.read(given["no_fly"], given["require"]),
+        constraints=given_constraints(given, stored[first]),
         seed=given["seed"],
     )
     routes = given["num_routes"] or NUM_ROUTES

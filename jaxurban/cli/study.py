@@ -6,7 +6,16 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from jaxurban.cli.common import CONSTRAINTS, DEVICE, JSON_FLAG, default_workers, print_json, tell, tell_warnings
+from jaxurban.cli.common import (
+    CONSTRAINTS,
+    DEVICE,
+    JSON_FLAG,
+    default_workers,
+    given_constraints,
+    print_json,
+    tell,
+    tell_warnings,
+)
 from jaxurban.errors import InputError
 from jaxurban.progress import reporting
 
@@ -35,10 +44,10 @@ if TYPE_CHECKING:
 @JSON_FLAG
 def study(scenario_file: Path, folder: Path, benchmark_folder: Path | None, as_json: bool, **given: Any) -> int:
     """Run every planner of SCENARIO's [study] on many random queries over its maps, and report what came out."""
-    from jaxurban.paths.constraints import Constraints
     from jaxurban.planners.base import CostModel
     from jaxurban.report.benchmark import check_exportable, export_benchmark
     from jaxurban.report.montecarlo import write_analysis
+    from jaxurban.scenario.provenance import settings_of
     from jaxurban.scenario.settings import Scenario
     from jaxurban.studies.montecarlo.trial import BenchmarkSettings
 
@@ -51,7 +60,7 @@ def study(scenario_file: Path, folder: Path, benchmark_folder: Path | None, as_j
         budget_s=chosen.budget_s,
         budget_iterations=given["budget_iterations"] or chosen.budget_iterations,
         seed=chosen.seed,
-        constraints=Constraints.read(given["no_fly"], given["require"]),
+        constraints=given_constraints(given, settings_of(scenario)),
     )
     if benchmark_folder is not None:
         check_exportable(settings.cost_model, settings.constraints)

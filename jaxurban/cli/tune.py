@@ -14,6 +14,7 @@ from jaxurban.cli.common import (
     JSON_FLAG,
     OBSTACLES,
     RESOLUTION,
+    given_constraints,
     names_in,
     print_json,
     stored_cost_model,
@@ -74,7 +75,6 @@ def tune(words: tuple[Path, ...], out: Path, **given: Any) -> int:
     out, the study in DIR. Several DIRs, each with its ROUTES, are fitted together.
     """
     from jaxurban.metrics.weights import Weights
-    from jaxurban.paths.constraints import Constraints
     from jaxurban.report.run_tuning import RoutesOnMaps, TuneSettings, run_tuning
     from jaxurban.studies.tuning.fit_settings import FitSettings
 
@@ -91,7 +91,7 @@ def tune(words: tuple[Path, ...], out: Path, **given: Any) -> int:
         compared["losses"] = names_in(compared["losses"])
     on_maps = named("altitude_m", "time", "time_of_day", "planner")
     on_maps |= {"default_cost_model": stored_cost_model(stored, None)}
-    on_maps |= {"constraints": Constraints.read(given["no_fly"], given["require"])}
+    on_maps |= {"constraints": given_constraints(given, stored)}
     if given["cost_model"] is not None:
         on_maps["cost_model"] = stored_cost_model(stored, given["cost_model"])
     if given["metrics"] is not None:

@@ -142,6 +142,21 @@ class MetricMaps(Shown):
         """Raise InputError unless these maps hold an altitude."""
         self._pick("altitude", altitude_m, self.altitudes_m, self.altitudes_m)
 
+    @typed
+    def around(self, altitude_m: float) -> list[float]:
+        """Return an altitude if these maps hold it, else the two that they hold next below and above it.
+
+        Raises:
+          InputError: it is no number, or lies outside the range of these maps.
+        """
+        altitude_m = finite("altitude_m", altitude_m, "metres")
+        low_m, high_m = min(self.altitudes_m), max(self.altitudes_m)
+        if not low_m <= altitude_m <= high_m:
+            raise InputError(
+                f"there are no maps for altitude {altitude_m:g} m: these maps reach from {low_m:g} to {high_m:g} m"
+            )
+        return self._around(altitude_m)
+
     def m(
         self, name: str, altitude_m: float | None = None, *, time: str | None = None, time_of_day: str | None = None
     ) -> np.ndarray:

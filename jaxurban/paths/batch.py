@@ -54,7 +54,7 @@ def plan_many(
 ) -> PlannedPaths:
     """Return the paths of many queries, in their order.
 
-    A query that cannot be planned (a start in a wall, an altitude without maps) and one whose planner crashes are
+    A query that cannot be planned (a start in a wall, an altitude beyond the maps') and one whose planner crashes are
     results too, each with its sentence. Ctrl-C returns what is done; searches that run end by their budgets.
 
     With ``file`` every result goes to a Parquet table, rewritten whole every few seconds, at the end and on the
@@ -113,7 +113,7 @@ def _map_of(
     when: dict[str, Any] = {"time": query.time, "time_of_day": query.time_of_day}
     try:
         maps.is_free(query.altitude_m)
-        maps.costs(query.altitude_m, **when)
+        maps.costs(maps.around(query.altitude_m)[0], **when)
     except InputError as error:
         return None, str(error)
     under: dict[str, Any] = {"objective": objective, "cost_model": cost_model, "constraints": constraints}

@@ -10,13 +10,17 @@ from jaxurban.errors import typed
 from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.profile import CLEARANCE, OUTSIDE, OVER_ROOF, VISIBLE, cautious_profile, without_fix
+from jaxurban.paths.vehicle import Vehicle
 
 MOST_SEGMENTS = 3  # that a terminal line lists
+ROUNDING = 1e-9  # of climbs and turns that are just what the vehicle can
 
 
 @typed
 def cautions(planned: PlannedPath, maps: GivenMaps, profile: pd.DataFrame | None = None) -> list[str]:
-    """Return where GPS has no fix, how near buildings and roofs are, and which end is over a roof, a sentence each.
+    """Return where GPS has no fix, how near buildings and roofs are, and what else to know, a sentence each.
+
+    Also told: an end over a roof; climbs, descents and turns beyond the limits of the vehicle that it was planned for.
 
     Distances are measured from the route to the edges of cells, so that 0 is contact; obstacles outside the region
     count as far as the risk map knows them (`explain`).
@@ -31,7 +35,7 @@ def cautions(planned: PlannedPath, maps: GivenMaps, profile: pd.DataFrame | None
     """
     maps = as_maps(maps)
     profile = cautious_profile(planned, maps) if profile is None else profile
-    return [*_fix(profile), _clearance(profile, maps), *_roofs(profile), *_ends(profile)]
+    return [*_fix(profile), _clearance(profile, maps), *_roofs(profile), *_ends(profile), *_manoeuvres(planned)]
 
 
 def _fix(profile: pd.DataFrame) -> Iterator[str]:
@@ -93,6 +97,38 @@ def _ends(profile: pd.DataFrame) -> Iterator[str]:
             yield f"The {name} is in a cell that a building of {roof_m:.1f} m touches."
         elif roof_m > 0:
             yield f"The {name} is over a roof of {roof_m:.1f} m, not over the ground."
+
+
+def _manoeuvres(planned: PlannedPath) -> Iterator[str]:
+    """Yield what of a route the vehicle flies only more slowly: its steepest climb and descent, its sharpest turn."""
+    vehicle = Vehicle.of(planned.settings)
+    moved_m = np.diff(np.column_stack([planned.xy_m, planned.z_m]), axis=0)
+    air_m = np.linalg.norm(moved_m, axis=1)
+    along_m, speed_m_s = np.append(0.0, np.cumsum(air_m)), vehicle.speed_m_s
+    rises = (("climb", vehicle.max_climb_m_s, moved_m[:, 2]), ("descent", vehicle.max_descent_m_s, -moved_m[:, 2]))
+    for name, most_m_s, rise_m in rises:
+        if most_m_s is None or speed_m_s is None:
+            continue
+        needed_m_s = speed_m_s * rise_m / np.where(air_m > 0, air_m, 1.0)
+        if num := int((needed_m_s > most_m_s * (1 + ROUNDING)).sum()):
+            steepest = int(np.argmax(needed_m_s))
+            yield (
+                f"Vehicle: {num} leg{'s' * (num > 1)} would need more than {most_m_s:g} m/s of {name} at {speed_m_s:g} "
+                f"m/s; the steepest, {along_m[steepest]:.0f} m along the route, is flown at "
+                f"{speed_m_s * most_m_s / needed_m_s[steepest]:.2g} m/s at most."
+            )
+    if vehicle.max_turn_deg is None:
+        return
+    ahead = np.hypot(moved_m[:, 0], moved_m[:, 1]) > 0  # straight up and down there is no heading
+    heading_deg = np.degrees(np.arctan2(moved_m[ahead, 1], moved_m[ahead, 0]))
+    turn_deg = np.abs((np.diff(heading_deg) + 180) % 360 - 180)
+    if num := int((turn_deg > vehicle.max_turn_deg * (1 + ROUNDING)).sum()):
+        sharpest = int(np.argmax(turn_deg))
+        at_m = along_m[np.flatnonzero(ahead)[sharpest + 1]]
+        yield (
+            f"Vehicle: {num} turn{'s are' if num > 1 else ' is'} sharper than {vehicle.max_turn_deg:g} degrees; the "
+            f"sharpest, of {turn_deg[sharpest]:.0f} degrees, is {at_m:.0f} m along the route."
+        )
 
 
 def _at(profile: pd.DataFrame, place: int) -> str:

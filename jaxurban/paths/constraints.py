@@ -1,25 +1,34 @@
-"""Constraints: cells that no path may enter, whatever it would save: no-fly zones, and bounds on any map."""
+"""Constraints: cells that no path may enter, whatever it would save: no-fly zones, bounds on any map, clearances."""
 
 import math
 import operator
 import re
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from jaxurban.errors import IgnoredZoneWarning, InputError, nearest_name, typed
+from jaxurban.errors import IgnoredZoneWarning, InputError, finite, nearest_name, typed
 from jaxurban.io.read.airspace import read_zones
 from jaxurban.io.read.orbits import parse_time
 from jaxurban.io.read.zone import Zone, cell_boxes, touched_cells
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.registry import METRICS
+from jaxurban.paths.clearance import closed_by_clearance, nearest_said
+from jaxurban.paths.vehicle import Vehicle
 
 OPERATORS: dict[str, Callable] = {">=": operator.ge, "<=": operator.le, ">": operator.gt, "<": operator.lt}
 BOUND = re.compile(r"\s*(\w+)\s*([<>=!]+)\s*(\S+)\s*")
 MOST_NAMED = 3  # zones, in a warning
+CLEARANCES = ("clearance_m", "vertical_clearance_m")
+KEPT_CLEAR = {  # entries of `Constraints.to_dict`, as messages call them
+    "clearance_m": "clearance",
+    "vehicle_radius_m": "vehicle's radius",
+    "vertical_clearance_m": "vertical clearance",
+}
 Cell = tuple[int, ...]
 Require = str | Mapping[str, tuple[str, float]] | Iterable[str]
 
@@ -74,7 +83,7 @@ class Bound:
         Between two altitudes of the maps it must hold at both, or at the upper one over a wall of the lower.
 
         Raises:
-          InputError: no such map.
+          InputError: no such map, or an altitude beyond the range of the maps.
         """
         variable = maps.variable(self.variable)
         if variable not in maps.ds or maps.ds[variable].dims[-2:] != ("y", "x"):
@@ -84,10 +93,7 @@ class Bound:
                 f"they hold {', '.join(held)}"
             )
         is_kept = maps.ds["has_data"].values.copy()
-        below = [z_m for z_m in maps.altitudes_m if z_m <= altitude_m]
-        above = [z_m for z_m in maps.altitudes_m if z_m >= altitude_m]
-        around = {max(below), min(above)} if below and above else {altitude_m}  # the maps refuse an altitude beyond
-        for z_m in around:
+        for z_m in maps.around(altitude_m):
             values = maps.m(self.variable, z_m, time=time, time_of_day=time_of_day)
             # A Python float compares in the map's own float32, so that gps>=0.7 holds where the map says 0.7.
             holds = OPERATORS[self.comparison](values, self.value)
@@ -98,43 +104,88 @@ class Bound:
 @typed
 @dataclass(frozen=True)
 class Constraints:
-    """No-fly zones and bounds. Cells that a zone touches, or where a bound is not kept, are closed to every planner.
+    """No-fly zones, bounds and clearances. Cells that one of them closes are closed to every planner.
+
+    Closed are cells that a zone touches, where a bound is not kept, or that lie nearer to an obstacle than the
+    clearance (`closed_by_clearance`), which is measured from the roofs that touch a cell under every rule of obstacles.
 
     Attributes:
       zones: from `jaxurban.io.read.airspace`; with times of their own they are closed until `at` knows better.
       bounds: what must hold at every cell of a path.
+      clearance_m: horizontal distance that paths keep from buildings as high as they fly, and from the maps' border.
+      vertical_clearance_m: height that paths keep over roofs; a roof nearer below counts as one as high as they fly.
+      vehicle: what flies; its radius is kept beside ``clearance_m``.
+
+    Raises:
+      InputError: a clearance that is not a number of metres from 0 up.
     """
 
     zones: tuple[Zone, ...] = ()
     bounds: tuple[Bound, ...] = ()
+    clearance_m: float = 0.0
+    vertical_clearance_m: float = 0.0
+    vehicle: Vehicle = field(default_factory=Vehicle)
+
+    def __post_init__(self) -> None:
+        for name in CLEARANCES:
+            if finite(name, getattr(self, name), "metres") < 0:
+                raise InputError(f"{name} must be 0 or a positive number of metres, got {getattr(self, name):g}")
 
     @classmethod
     @typed
-    def read(cls, no_fly: str | Path | Iterable[str | Path] = (), require: Require = ()) -> "Constraints":
-        """Return the constraints in files and texts.
+    def read(
+        cls,
+        no_fly: str | Path | Iterable[str | Path] = (),
+        require: Require = (),
+        *,
+        clearance_m: float = 0.0,
+        vertical_clearance_m: float = 0.0,
+        vehicle: Vehicle | None = None,
+    ) -> "Constraints":
+        """Return the constraints in files, texts and numbers.
 
         Args:
           no_fly: a file of polygons or several (GeoJSON, KML ...; `read_zones` says what is read).
           require: ``"gps>=0.3"``, a list of such, or ``{"gps": (">=", 0.3)}``.
+          clearance_m: least horizontal distance to buildings as high as a path.
+          vertical_clearance_m: least height over roofs.
+          vehicle: what flies; left out, a point that any route suits.
 
         Raises:
-          InputError: a file or a bound that cannot be read.
+          InputError: a file or a bound that cannot be read, or a clearance below 0.
         """
         files = [no_fly] if isinstance(no_fly, (str, Path)) else no_fly
         if isinstance(require, Mapping):
             bounds = [_bound(name, given) for name, given in require.items()]
         else:
             bounds = [Bound.parse(text) for text in ([require] if isinstance(require, str) else require)]
-        return cls(tuple(zone for file in files for zone in read_zones(file)), tuple(bounds))
+        zones = tuple(zone for file in files for zone in read_zones(file))
+        return cls(zones, tuple(bounds), clearance_m, vertical_clearance_m, vehicle or Vehicle())
 
     def __bool__(self) -> bool:
-        return bool(self.zones or self.bounds)
+        return bool(self.zones or self.bounds or self.keeps_clear)
 
     def __str__(self) -> str:
         return constraints_said(self.to_dict())
 
-    def to_dict(self) -> dict[str, list]:
-        """Return the constraints as plain, JSON-ready values; floors and ceilings are None where there are none."""
+    @property
+    def keeps_clear(self) -> bool:
+        """Whether paths keep a distance from obstacles."""
+        return bool(self._horizontal_m or self.vertical_clearance_m)
+
+    @property
+    def _horizontal_m(self) -> float:
+        return self.clearance_m + self.vehicle.radius_m
+
+    def without_clearance(self) -> "Constraints":
+        """Return the zones and bounds alone."""
+        return Constraints(self.zones, self.bounds)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the constraints as plain, JSON-ready values; floors and ceilings are None where there are none.
+
+        Clearances and the vehicle are left out where they limit and tell nothing.
+        """
         return {
             "no_fly": [
                 {
@@ -147,6 +198,8 @@ class Constraints:
                 for zone in self.zones
             ],
             "require": [str(bound) for bound in self.bounds],
+            **{name: float(value) for name in CLEARANCES if (value := getattr(self, name))},
+            **self.vehicle.to_dict(),
         }
 
     def at(self, time: str | None) -> "Constraints":
@@ -204,7 +257,9 @@ class Constraints:
     ) -> np.ndarray:
         """Return ``[K, Y, X]`` bool: cells that these constraints close at levels between which a path may climb.
 
-        A zone that lies wholly between two levels closes the lower one too, so that no climb or descent passes it.
+        A zone that lies wholly between two levels closes the lower one too, so that no climb or descent passes it. A
+        step from level to level needs its cells free on both (`VolumeGraph`); the lower one, with all obstacles of the
+        upper and more, keeps the clearance in between.
 
         Args:
           maps: the metric maps.
@@ -229,6 +284,9 @@ class Constraints:
         for bound in self.bounds:
             for level_closed, z_m in zip(closed, levels_m, strict=True):
                 level_closed |= ~bound.is_kept(maps, z_m, time, time_of_day)
+        if self.keeps_clear:
+            for level_closed, z_m in zip(closed, levels_m, strict=True):
+                level_closed |= closed_by_clearance(maps, z_m, self._horizontal_m, self.vertical_clearance_m)
         return closed
 
     def reasons(
@@ -247,14 +305,25 @@ class Constraints:
                 held_m = min(maps.altitudes_m, key=lambda z_m: abs(z_m - altitude_m))  # between two, the nearer map's
                 value = maps.m(bound.variable, held_m, time=time, time_of_day=time_of_day)[cell]
                 bounds.append(f"the bound {bound} (it is {value:g} there{_at(held_m, altitude_m)})")
+        vertical_m = self.vertical_clearance_m
+        if self.keeps_clear and closed_by_clearance(maps, altitude_m, self._horizontal_m, vertical_m)[cell]:
+            phrase, is_over = nearest_said(maps, altitude_m, vertical_m, cell)
+            said = clearances_said(self.to_dict())
+            kept = said[-1:] if is_over else said[: len(said) - bool(vertical_m)]
+            return [*zones, *bounds, f"the {' and the '.join(kept)} ({phrase})"]
         return zones + bounds
 
 
-def constraints_said(record: Mapping[str, Sequence]) -> str:
+def constraints_said(record: Mapping[str, Any]) -> str:
     """Return constraints as `Constraints.to_dict` holds them, for a person to read; empty where there are none."""
     num = len(record.get("no_fly", ()))
     zones = [f"{num} no-fly zone" + "s" * (num > 1)] if num else []
-    return ", ".join([*zones, *record.get("require", ())])
+    return ", ".join([*zones, *record.get("require", ()), *clearances_said(record)])
+
+
+def clearances_said(record: Mapping[str, Any]) -> list[str]:
+    """Return a phrase for each distance that constraints, as `Constraints.to_dict` holds them, keep from obstacles."""
+    return [f"{said} of {record[name]:g} m" for name, said in KEPT_CLEAR.items() if record.get(name)]
 
 
 def _at(held_m: float, altitude_m: float) -> str:

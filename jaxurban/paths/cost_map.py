@@ -237,11 +237,12 @@ class CostMap(Shown):
             where = f"closed by {' and '.join(reasons)}" if reasons else where
         if self.levels is None:
             return f"{where} at {z_m:g} m"
+        when = {"time": self.time, "time_of_day": self.time_of_day}
         levels_m, free = self.altitudes_m, np.flatnonzero(self._levels_free[:, cell[0], cell[1]])
         if free.size:
             return f"{where} at {z_m:g} m; the lowest free level there is {levels_m[free[0]]:g} m"
         higher = [higher_m for higher_m in sorted(maps.altitudes_m) if higher_m > levels_m[-1]]
-        higher = [higher_m for higher_m in higher if maps.is_free(higher_m)[cell]]
+        higher = [higher_m for higher_m in higher if self.constraints.is_free(maps, higher_m, **when)[cell]]
         above = f"; the lowest free altitude there is {higher[0]:g} m (raise max_altitude_m)" if higher else ""
         return f"{where} at every level {self._where}{above}"
 
@@ -320,7 +321,8 @@ def cost_map(
 
     Args:
       maps: from `build_maps` or `open_maps`, or the folder of one resolution's maps.
-      altitude_m: one of the maps' altitudes; or `Levels`, for paths that climb and descend between them.
+      altitude_m: within the range of the maps' altitudes; between two of them metrics are taken linearly from both
+        (`values_at`), obstacles from the roofs' own heights. Or `Levels`, for paths that climb and descend.
       weights: default `Weights()`.
       objective: ``"weighted"``, or ``"distance"`` for the shortest path (its weighted cost is reported).
       cost_model: how steps are costed and which are allowed, or its kind alone: ``"cell"`` (the paper) or
@@ -328,26 +330,29 @@ def cost_map(
       time: UTC time of the GPS map; the first if left out. Where it is named, zones that are not in force then, nor
         within an hour, close nothing (`Constraints.at`).
       time_of_day: of the population map; the first if left out.
-      constraints: no-fly zones and bounds that close cells to every planner; a zone between two levels closes the
-        lower one.
+      constraints: no-fly zones, bounds and clearances that close cells to every planner; a zone between two levels
+        closes the lower one.
 
     Raises:
-      InputError: an unknown altitude, time, time of day or objective, a wrong weight, a bound on a map that is not
-        there, bounds of altitude that hold no level, no free cell in a volume, or more of them than memory holds.
+      InputError: an altitude beyond the maps', an unknown time, time of day or objective, a wrong weight, a bound on a
+        map that is not there, bounds of altitude that hold no level, no free cell in a volume, or more of them than
+        memory holds.
     """
     if objective not in ("weighted", "distance"):
         raise InputError(f"objective must be 'weighted' or 'distance', got {objective!r}")
     if not isinstance(constraints, Constraints | None):
         raise InputError(f"constraints must be Constraints, as from Constraints.read, got {type(constraints).__name__}")
+    constraints = Constraints() if constraints is None else constraints  # one that closes nothing may tell a vehicle
     maps = as_maps(maps)
     weights = Weights.of(weights).checked(maps.metrics)
     levels = altitude_m if isinstance(altitude_m, Levels) else None
     if levels is None:
         altitudes_m = np.array([finite("altitude_m", altitude_m, "metres, or Levels")])
+        maps.around(altitudes_m[0])
     else:
         altitudes_m = levels.of(maps.altitudes_m)
     at = _When(maps, time, time_of_day)
-    limits = (constraints or Constraints()).at(time)
+    limits = constraints.at(time)
     made = _made(at, altitudes_m, levels, weights, objective, CostModel.of(cost_model), limits)
     if levels is not None:
         _ = made.shortest  # no free cell in a volume is refused at once
@@ -385,15 +390,12 @@ def _made(
     constraints: Constraints,
 ) -> CostMap:
     """Return a cost map from checked values."""
-    maps, when = at.maps, {"time": at.time, "time_of_day": at.time_of_day}
+    maps = at.maps
     if levels is not None:
-        is_free, costs = _of_levels(at, altitudes_m, constraints)
-    else:
-        (altitude_m,) = altitudes_m.tolist()
-        is_free = constraints.is_free(maps, altitude_m, **when)
-        costs = np.zeros((len(maps.metrics), *is_free.shape), np.float32)
-        for layer, cost in zip(costs, maps.costs(altitude_m, **when).values(), strict=True):
-            layer[:] = np.where(is_free, cost, np.nan_to_num(cost))
+        _check_memory((len(altitudes_m), *maps.grid.shape))
+    is_free, costs = _of_levels(at, altitudes_m, constraints)
+    if levels is None:
+        is_free, costs = is_free[0], costs[:, 0]
     return CostMap(
         maps=maps,
         altitudes_m=altitudes_m,
@@ -425,7 +427,6 @@ class _When:
 def _of_levels(at: _When, levels_m: np.ndarray, constraints: Constraints) -> tuple[np.ndarray, np.ndarray]:
     """Return ``[K, Y, X]`` where a path may fly, and ``[L, K, Y, X]`` the costs, of levels within the maps' range."""
     maps = at.maps
-    _check_memory((len(levels_m), *maps.grid.shape))
     is_free = constraints.free_levels(maps, levels_m.tolist(), time=at.time, time_of_day=at.time_of_day)
     costs = np.zeros((len(maps.metrics), *is_free.shape), np.float32)
     is_defined = cache(lambda z_m: maps.is_free(z_m, "centre"))

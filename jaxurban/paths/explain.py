@@ -16,6 +16,7 @@ from jaxurban.paths.cost_map import cost_map_of
 from jaxurban.paths.crossings import cut_evenly
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.profile import CLEARANCE, FEWEST_SATELLITES, OUTSIDE, OVER_ROOF, VISIBLE, RouteProfile
+from jaxurban.paths.vehicle import Vehicle
 
 SECONDS_PER_HOUR = 3600.0
 DENSITY = "density_per_km2"
@@ -127,8 +128,9 @@ def explain(
     Args:
       planned: from `plan`; its settings tell weights, cost model, time and time of day.
       maps: the maps it was planned on, or their folder.
-      speed_m_s: through the air; left out, no time.
-      power_w: mean electrical power in flight; left out, no energy.
+      speed_m_s: through the air; left out, that of the vehicle that it was planned for, or else no time. The vehicle's
+        limits of climb and descent make it slower where the route is steep.
+      power_w: mean electrical power in flight; left out, that of the vehicle, or else no energy.
       swath_m: width of the strip in which people are counted.
       num_segments: into how many segments of nearly equal length the table is cut, at most.
 
@@ -136,6 +138,9 @@ def explain(
       InputError: there is no path, the maps are others, or a speed, power, width or number that cannot be.
     """
     maps = as_maps(maps)
+    vehicle = Vehicle.of(planned.settings)
+    speed_m_s = vehicle.speed_m_s if speed_m_s is None else speed_m_s
+    power_w = vehicle.power_w if power_w is None else power_w
     check_flight(speed_m_s, power_w, swath_m)
     if num_segments < 1:
         raise InputError(f"num_segments must be at least 1, got {num_segments}")
@@ -145,6 +150,9 @@ def explain(
     on = cost_map_of(planned, maps)
     states = crossings.states[:, : 2 if on.levels is None else 3]
     lonlat = np.stack(grid.lonlat_of_xy(states[:, 0] + grid.x_min_m, states[:, 1] + grid.y_min_m), axis=-1)
+
+    rise_m = np.diff(crossings.ends[:, :, 2])[:, 0]
+    flight_s = None if speed_m_s is None else vehicle.flight_s(crossings.length_m, rise_m, speed_m_s)
 
     def row(first: int, last: int) -> dict[str, float]:
         """Return what the route from one state to another costs and meets."""
@@ -157,7 +165,8 @@ def explain(
         ranges = {f"{end}_{name}": getattr(part[name], end)() for end in ("min", "max") for name in names}
         if DENSITY in part:
             costs["people_overflown"] = float(part[DENSITY] @ crossings.ground_m[chosen]) * swath_m / M2_PER_KM2
-        return _sums(part, costs, speed_m_s, power_w) | ranges
+        time_s = None if flight_s is None else float(flight_s[chosen].sum())
+        return _sums(part, costs, time_s, power_w) | ranges
 
     num_steps = len(states) - 1
     whole = row(0, num_steps)
@@ -187,7 +196,7 @@ def check_flight(speed_m_s: float | None = None, power_w: float | None = None, s
 
 
 def _sums(
-    part: pd.DataFrame, costs: Mapping[str, float], speed_m_s: float | None, power_w: float | None
+    part: pd.DataFrame, costs: Mapping[str, float], time_s: float | None, power_w: float | None
 ) -> dict[str, float]:
     """Return what rows of the profile add up to and their clearance, their costs, means and people among them."""
     length_m = (part["to_m"] - part["from_m"]).to_numpy()
@@ -195,8 +204,8 @@ def _sums(
     if VISIBLE in part:
         row["under_4_satellites_m"] = float(length_m[part[VISIBLE] < FEWEST_SATELLITES].sum())
     row |= {name: float(part[name].min()) for name in (CLEARANCE, OUTSIDE, OVER_ROOF)}
-    if speed_m_s is not None:
-        row["time_s"] = row["length_m"] / speed_m_s
+    if time_s is not None:
+        row["time_s"] = time_s
         if power_w is not None:
             row["energy_wh"] = row["time_s"] * power_w / SECONDS_PER_HOUR
     return row

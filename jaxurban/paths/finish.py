@@ -80,6 +80,9 @@ def _note(on: "CostMap", found: Path, ends: tuple[Place, Place]) -> str:
     notes.append(snap_note(*ends))
     if on.is_weighed and on.weights.distance == 0 and not found.note and has_path:
         notes.append("The distance weighs nothing, so the path may be far longer than it need be.")
+    if between := _between_m(on):
+        low_m, high_m = between
+        notes.append(f"Metrics at {on.altitude_m:g} m are interpolated between the maps of {low_m:g} and {high_m:g} m.")
     if on.constraints and not has_path:
         without = sum(int(on.maps.is_free(z_m).sum()) for z_m in on.altitudes_m.tolist())
         share = 1 - on.is_free.sum() / without
@@ -107,7 +110,8 @@ def _settings(on: "CostMap", ends: tuple[Place, Place], search: PathSearch) -> d
         "seed": search.seed,
     }
     if on.levels is None:
-        return settings
+        between = _between_m(on)
+        return settings | ({"metrics_between_m": between} if between else {})
     asked = {name: getattr(on.levels, name) for name in ("min_altitude_m", "max_altitude_m", "level_step_m")}
     climb_cost, descent_cost = on.weight_vector[-2:].tolist()
     return (
@@ -120,3 +124,9 @@ def _settings(on: "CostMap", ends: tuple[Place, Place], search: PathSearch) -> d
             "descent_cost": descent_cost,
         }
     )
+
+
+def _between_m(on: "CostMap") -> list[float]:
+    """Return the two altitudes that metrics are interpolated between; none in a volume or where the maps hold it."""
+    around = [] if on.levels is not None else on.maps.around(on.altitude_m)
+    return around if len(around) == 2 else []

@@ -43,9 +43,11 @@ def plan(
       maps: from `build_maps` or `open_maps`, or the folder of one resolution's maps.
       start, goal: longitude, latitude in degrees; between levels also an altitude, one of the levels (left out, the
         lowest that is free there).
-      altitude_m: one of the maps' altitudes; or `Levels`, for a path that may climb and descend on its way. What it
-        costs is described in docs/volume.md: the metrics of the cells it enters, its length in space, and each metre of
-        climb and descent; 8 neighbours are 26 there. ``objective="distance"`` leaves climb and descent out too.
+      altitude_m: within the range of the maps' altitudes; between two of them metrics are taken linearly from both,
+        which the path's message says, and obstacles from the roofs' own heights. Or `Levels`, for a path that may climb
+        and descend on its way. What it costs is described in docs/volume.md: the metrics of the cells it enters, its
+        length in space, and each metre of climb and descent; 8 neighbours are 26 there. ``objective="distance"`` leaves
+        climb and descent out too.
       start_xy_m, goal_xy_m: easting, northing in the maps' CRS (and altitude), instead of ``start`` and ``goal``.
       weights: default `Weights()`.
       planner: ``"ptp"``, ``"astar-dist"``, ``"astar-plus"`` ...; left out, ``"astar-plus"``, and between levels
@@ -62,13 +64,13 @@ def plan(
         instead of failing: True by at most 50 m, a number by at most so many metres. The path's message says how far.
       refine: move the waypoints of what the planner found downhill, off the grid (`planners.refine`); within what
         is left of the budget. It takes the ``line`` cost model, or the ``distance`` objective.
-      constraints: no-fly zones and bounds on maps, from `Constraints.read`; no path enters a cell that they close. A
-        zone between two levels closes the lower one.
+      constraints: no-fly zones, bounds on maps and clearances, from `Constraints.read`; no path enters a cell that
+        they close. A zone between two levels closes the lower one.
 
     Raises:
       InputError: a place outside the maps or inside an obstacle or a constraint (names it and the nearest free cell, or
-        the lowest free level), an unknown altitude, planner, heuristic or objective, bounds of altitude that hold no
-        level, or a volume that memory cannot hold.
+        the lowest free level), an altitude beyond the maps', an unknown planner, heuristic or objective, bounds of
+        altitude that hold no level, or a volume that memory cannot hold.
     """
     # A wrong name is refused before the maps are read.
     PathSearch(planner, heuristic, seed=seed, refine=refine).find(is_for_volumes=isinstance(altitude_m, Levels))

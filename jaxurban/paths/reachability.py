@@ -15,6 +15,7 @@ from jaxurban.maps.metric_maps import MetricMaps, open_maps
 from jaxurban.paths.constraints import Constraints
 from jaxurban.planners.base import Cell
 
+NO_CLEARANCE = "without a clearance"
 CENTRE_REMEDY = "under obstacles = centre (--obstacles centre; such a path cuts true outlines)"
 
 
@@ -46,10 +47,17 @@ class Reachability:
 
     @cached_property
     def _by_centre(self) -> "Reachability | None":
-        """Under the paper's rule of obstacles; None where these maps are under it."""
-        if self.maps.obstacles == "centre":
+        """Under the paper's rule of obstacles; None where these maps are under it, or a clearance counts more."""
+        if self.maps.obstacles == "centre" or self.constraints.keeps_clear:
             return None
         return replace(self, maps=self.maps.with_obstacles("centre"), _labels={})
+
+    @cached_property
+    def _without_clearance(self) -> "Reachability | None":
+        """Under the same zones and bounds without a clearance; None where none is kept."""
+        if not self.constraints.keeps_clear:
+            return None
+        return replace(self, constraints=self.constraints.without_clearance(), _labels={})
 
     @cached_property
     def _finer(self) -> "tuple[Reachability, ...]":
@@ -59,19 +67,22 @@ class Reachability:
     def what_would_join(self, start: Cell, goal: Cell, altitude_m: float) -> str:
         """Return a sentence on what would join two cells that nothing joins at an altitude.
 
-        Tried are the paper's rule of obstacles, the finer maps of the same folder until one joins them, and the maps'
-        greater altitudes.
+        Tried are the paper's rule of obstacles, no clearance where one is kept, the finer maps of the same folder until
+        one joins them, and the maps' greater altitudes.
         """
         tried = {}
         if self._by_centre is not None:
             tried[CENTRE_REMEDY] = self._by_centre.joins(start, goal, altitude_m)
+        if self._without_clearance is not None:
+            tried[NO_CLEARANCE] = self._without_clearance.joins(start, goal, altitude_m)
         has_finer = False
         for finer in self._finer:
             ends = (finer.maps.grid.cell_of_xy(*self.maps.grid.xy_of_cell(*cell)) for cell in (start, goal))
             first, second = ((int(row), int(col)) for row, col in ends)
             try:
-                is_joined = altitude_m in finer.maps.altitudes_m and finer.joins(first, second, altitude_m)
-            except InputError:  # damaged: what they hold is not known, and the result stands without it
+                finer.maps.around(altitude_m)
+                is_joined = finer.joins(first, second, altitude_m)
+            except InputError:  # damaged, or of other altitudes: the result stands without them
                 continue
             has_finer = True
             tried[f"in cells of {short_number(finer.maps.grid.resolution_m)} m"] = is_joined
@@ -85,19 +96,21 @@ class Reachability:
 
 
 def levels_that_join(here: Reachability, start: Cell, goal: Cell, levels_m: np.ndarray) -> str:
-    """Return a sentence on what would join two nodes that nothing joins: the paper's obstacles, higher levels."""
+    """Return a sentence on what would join two nodes: the paper's obstacles, no clearance, or higher levels."""
     maps = here.maps
     # On one level as at one altitude; from level to level straight up and down, which all climbs come to.
     touching = generate_binary_structure(3, 1)
     touching[1] = generate_binary_structure(2, 2 if here.cuts_corners else 1)
 
-    def joins(maps: MetricMaps, levels_m: np.ndarray) -> bool:
-        is_free = here.constraints.free_levels(maps, levels_m.tolist(), time=here.time, time_of_day=here.time_of_day)
+    def joins(maps: MetricMaps, levels_m: np.ndarray, constraints: Constraints = here.constraints) -> bool:
+        is_free = constraints.free_levels(maps, levels_m.tolist(), time=here.time, time_of_day=here.time_of_day)
         islands, _ = label(is_free, touching)
         return bool(islands[start] == islands[goal] != 0)
 
     tried = {}
-    if maps.obstacles == "touched":
+    if here.constraints.keeps_clear:
+        tried[NO_CLEARANCE] = joins(maps, levels_m, here.constraints.without_clearance())
+    elif maps.obstacles == "touched":
         tried[CENTRE_REMEDY] = joins(maps.with_obstacles("centre"), levels_m)
     if higher_m := [z_m for z_m in sorted(maps.altitudes_m) if z_m > levels_m[-1]]:
         tops = (k for k in range(len(higher_m)) if joins(maps, np.append(levels_m, higher_m[: k + 1])))

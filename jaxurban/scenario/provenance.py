@@ -40,7 +40,7 @@ REPORTED_VERSIONS = (
     "xarray",
     "zarr",
 )
-NOT_OF_MAPS = ("weights", "planning", "study")  # sections of the scenario that no map depends on
+NOT_OF_MAPS = ("weights", "planning", "vehicle", "study")  # sections of the scenario that no map depends on
 MAP_FOLDERS = ("kernels", "world", "metrics", "io", "maps", "scenario")  # of the package: what maps depend on
 
 

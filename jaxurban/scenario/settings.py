@@ -33,6 +33,7 @@ from jaxurban.metrics.population import WEEKDAY_PROFILE, WEEKEND_PROFILE, Popula
 from jaxurban.metrics.risk import RiskParams
 from jaxurban.metrics.settings import differentiable
 from jaxurban.metrics.weights import MOST_WEIGHT, Weights
+from jaxurban.paths.vehicle import Vehicle
 from jaxurban.planners.registry import find_planner
 from jaxurban.scenario.changes import changed
 from jaxurban.world.diagnostics import check_truths, sentence_of
@@ -224,6 +225,8 @@ class PlanningSettings(_Section):
 
     planner: PlannerName = "astar-plus"
     obstacles: Literal["touched", "centre"] = "touched"
+    clearance_m: NonNegative = 0.0
+    vertical_clearance_m: NonNegative = 0.0
     cost_model: Literal["cell", "line"] = "cell"
     objective: Literal["weighted", "distance"] = "weighted"
     connectivity: Literal[4, 8] = 8
@@ -275,6 +278,7 @@ class Scenario(_Section):
     layers: dict[str, Layer] = Field(default_factory=dict, exclude_if=operator.not_)  # of one's own
     weights: WeightSettings = Weights()
     planning: PlanningSettings = PlanningSettings()
+    vehicle: Vehicle = Vehicle()
     study: StudySettings = StudySettings()
     _folder: Path = PrivateAttr(default=Path())
 

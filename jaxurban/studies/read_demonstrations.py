@@ -14,7 +14,7 @@ from jaxurban.errors import InputError, OtherSettingsWarning, check_type, typed
 from jaxurban.io.read.routes import read_routes
 from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
 from jaxurban.metrics.weights import Weights
-from jaxurban.paths.constraints import Constraints, constraints_said
+from jaxurban.paths.constraints import KEPT_CLEAR, Constraints, constraints_said
 from jaxurban.paths.cost_map import CostMap, cost_map
 from jaxurban.paths.path import PlannedPath
 from jaxurban.planners.base import CostKind, CostModel
@@ -54,7 +54,7 @@ def read_demonstrations(
       altitude_m, time, time_of_day: of every route.
       cost_model: of every route; left out, the one that jaxurban's own paths were planned under.
       default_cost_model: where no route names one.
-      constraints: no-fly zones and bounds, as in `plan`.
+      constraints: no-fly zones, bounds and clearances, as in `plan`.
       metrics: those whose weights are to be fitted; all if left out.
       planner: of a benchmark, the one whose paths are taken; left out, ``astar-plus``, or else its first.
       pilot: weights under which the routes of a table or a benchmark are the cheapest, instead of the rows' own.
@@ -203,10 +203,12 @@ def _compare_constraints(planned: Planned, constraints: Constraints) -> None:
             files = sorted({str(zone.get("file")) for zone in before.get("no_fly", ())})
             options = [f"--no-fly {file}" for file in files]
             options += [f"--require '{bound}'" for bound in before.get("require", ())]
+            kept = zip(("--clearance", "--vertical-clearance"), _clearances_m(before), strict=True)
+            options += [f"{option} {metres:g}" for option, metres in kept if metres]
             remedy = (
                 f"give {' '.join(options)} (constraints=)"
                 if options
-                else "leave --no-fly and --require (constraints=) out"
+                else "leave --no-fly, --require and clearances (constraints=) out"
             )
             warnings.warn(
                 f"{name} was planned under other constraints ({constraints_said(before) or 'none'}) than it is fitted "
@@ -218,6 +220,12 @@ def _compare_constraints(planned: Planned, constraints: Constraints) -> None:
             return
 
 
-def _without_files(constraints: Mapping[str, Any]) -> tuple[list, list]:
+def _clearances_m(constraints: Mapping[str, Any]) -> tuple[float, float]:
+    """Return what is kept from obstacles, the vehicle's radius included, and over roofs."""
+    across, radius, up = (float(constraints.get(name, 0.0)) for name in KEPT_CLEAR)
+    return across + radius, up
+
+
+def _without_files(constraints: Mapping[str, Any]) -> tuple[list, list, tuple[float, float]]:
     zones = [{name: value for name, value in zone.items() if name != "file"} for zone in constraints.get("no_fly", ())]
-    return zones, list(constraints.get("require", ()))
+    return zones, list(constraints.get("require", ())), _clearances_m(constraints)

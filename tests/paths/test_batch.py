@@ -79,7 +79,7 @@ def test_a_query_that_cannot_be_asked_is_a_row_with_its_sentence(maps, pairs):
     table = pd.DataFrame([[*start, *goal] for start, goal in pairs], columns=list(LONLAT))
     table.loc[1, ["start_lon", "start_lat"]] = wall
     table.loc[2, "goal_lat"] = np.nan
-    table["altitude_m"] = [20.0, 20, 20, 33, 20, 20]
+    table["altitude_m"] = [20.0, 20, 20, 13, 20, 20]
     table["w_gps"] = [1.0, 1, 1, 1, -1, 1]
     batch = ju.plan_many(maps, table)
     rows = batch.to_dataframe()

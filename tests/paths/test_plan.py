@@ -90,7 +90,7 @@ def test_a_place_inside_an_obstacle_is_refused_or_snapped(maps, ends):
         ({"planner": "astar-pluss"}, "did you mean 'astar-plus'"),
         ({"objective": "fast"}, "'weighted' or 'distance'"),
         ({"cost_model": "cells"}, "'cell' or 'line'"),
-        ({"altitude_m": 30.0}, "20.0, 600.0"),
+        ({"altitude_m": 10.0}, "from 20 to 600 m"),
         ({"start": (-73.97, 40.78)}, "not both"),
         ({"weights": ju.Weights(gps=float("nan"))}, "weight gps"),
     ],

@@ -5,6 +5,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from jaxurban.paths.vehicle import Vehicle
+
 if TYPE_CHECKING:
     from jaxurban.paths.explain import RouteReport
     from jaxurban.paths.path import PlannedPath
@@ -28,4 +30,8 @@ def facts_of(route: "PlannedPath", report: "RouteReport | None") -> tuple[dict[s
     """Return what is known of the whole path, and of each segment."""
     known = {} if report is None else report.to_dict()
     segments = known.pop("segments", [])
-    return known | route.to_dict() | {"height_reference": HEIGHT_REFERENCE}, segments
+    facts = known | route.to_dict()
+    vehicle = Vehicle.of(facts.get("settings", {}))
+    if vehicle.speed_m_s is not None:
+        facts.setdefault("speed_m_s", vehicle.speed_m_s)
+    return facts | {"height_reference": HEIGHT_REFERENCE}, segments

@@ -1,0 +1,87 @@
+"""Clearance: which cells lie nearer to obstacles than a route must keep, and how near one of them does.
+
+The distance is that between the squares of cells, so that no point of a free cell is nearer to the outline of a
+building, which lies within the cells that it touches. It is never less than what is kept, and up to a cell's diagonal
+more.
+"""
+
+import math
+
+import numpy as np
+from scipy.ndimage import binary_dilation, distance_transform_edt
+
+from jaxurban.errors import InputError
+from jaxurban.maps.metric_maps import MetricMaps
+from jaxurban.paths.export.base import Z_DECIMALS
+from jaxurban.planners.base import Cell
+
+# What a file may take from a clearance: 8 mm by the seventh decimal of a degree, and up to 35 mm where a program draws
+# a leg of 1 km straight in degrees instead of in the maps' CRS (length^2 / 8 R x tan of a latitude up to 60 degrees).
+FILE_MARGIN_M = 0.05
+
+
+def obstacles_within(maps: MetricMaps, altitude_m: float, vertical_m: float) -> np.ndarray:
+    """Return ``[Y, X]`` bool: a roof that touches the cell reaches an altitude, or ends less than ``vertical_m`` below.
+
+    Cells without data and roofs of unknown height count, bare ground does not. The altitude is taken as files round it
+    where that is lower.
+
+    Raises:
+      InputError: maps that hold no touched roofs.
+    """
+    if "roof_touched" not in maps.ds:
+        raise InputError(
+            "these maps hold no 'roof_touched', from which a clearance is measured: make them again, or leave the "
+            "clearance (and the vehicle's radius) out"
+        )
+    roof_m = maps.m("roof_touched")
+    reached_m = np.float32(min(altitude_m, round(altitude_m, Z_DECIMALS)) - vertical_m)
+    is_obstacle = (roof_m >= reached_m) & (roof_m > 0) | np.isnan(roof_m) | ~maps.ds["has_data"].values
+    if altitude_m in maps.altitudes_m:
+        is_obstacle |= maps.m("obstacle", altitude_m) != 0
+    return is_obstacle
+
+
+def distance_to_obstacles_m(is_obstacle: np.ndarray, resolution_m: float) -> np.ndarray:
+    """Return ``[Y, X]`` exact distance from each cell's square to the nearest obstacle's, or to the maps' border.
+
+    Squares that touch, by a side or a corner, are 0 apart. What stands beyond the border is not known, so that it
+    counts as an obstacle.
+
+    Args:
+      is_obstacle: ``[Y, X]`` bool.
+      resolution_m: side of a cell.
+    """
+    # From a cell's centre to the obstacles grown by one cell all around it is as far as from square to square.
+    grown = binary_dilation(np.pad(is_obstacle, 1, constant_values=True), np.ones((3, 3), bool))
+    return distance_transform_edt(~grown)[1:-1, 1:-1] * resolution_m
+
+
+def closed_by_clearance(maps: MetricMaps, altitude_m: float, horizontal_m: float, vertical_m: float) -> np.ndarray:
+    """Return ``[Y, X]`` bool: cells that a clearance closes at an altitude.
+
+    Args:
+      maps: the metric maps; the roofs that touch a cell count, whatever their rule of obstacles is.
+      altitude_m: above ground.
+      horizontal_m: least distance to obstacles and to the maps' border, beside `FILE_MARGIN_M`; 0 keeps none.
+      vertical_m: least height over roofs; those less far below the altitude are obstacles too.
+    """
+    is_obstacle = obstacles_within(maps, altitude_m, vertical_m)
+    if horizontal_m == 0:
+        return is_obstacle
+    return distance_to_obstacles_m(is_obstacle, maps.grid.resolution_m) < horizontal_m + FILE_MARGIN_M
+
+
+def nearest_said(maps: MetricMaps, altitude_m: float, vertical_m: float, cell: Cell) -> tuple[str, bool]:
+    """Return what a clearance keeps a cell from, a phrase, and whether that is a roof in the cell itself."""
+    is_obstacle = obstacles_within(maps, altitude_m, vertical_m)
+    if is_obstacle[cell]:
+        roof_m = maps.m("roof_touched")[cell]
+        return f"a roof of {roof_m:g} m is there" if roof_m > 0 else "what stands there is not known", True
+    last = np.array(is_obstacle.shape) - 1
+    border_m = min(*cell, *(last - cell)) * maps.grid.resolution_m
+    gaps = np.maximum(np.abs(np.argwhere(is_obstacle) - cell) - 1, 0) * maps.grid.resolution_m
+    obstacle_m = float(np.hypot(*gaps.T).min(initial=math.inf))
+    if obstacle_m <= border_m:
+        return f"an obstacle is {obstacle_m:.1f} m away", False
+    return f"the maps end {border_m:.1f} m away, and what stands beyond is not known", False

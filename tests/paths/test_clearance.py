@@ -1,0 +1,298 @@
+"""Clearance as a hard limit: what it closes, that every planner, climb and file keeps it, and what is said of it."""
+
+import itertools
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import shapely
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.ndimage import label
+
+import jaxurban as ju
+from benchmarks.clearance import READERS
+from jaxurban.errors import InputError, OtherSettingsWarning
+from jaxurban.io.files import write_json
+from jaxurban.io.read.zone import cell_boxes
+from jaxurban.io.store import write_zarr
+from jaxurban.paths.clearance import FILE_MARGIN_M, closed_by_clearance, distance_to_obstacles_m
+from jaxurban.planners.base import Status
+from jaxurban.planners.registry import PLANNERS
+from tests.cli_runs import assert_one_sentence, run
+from tests.made_maps import made_maps
+from tests.paths.volumes import plan_volume
+
+SIDE_M, ALTITUDE_M = 5.0, 20.0
+KEPT = {"clearance_m": 7.0, "vertical_clearance_m": 4.0}
+LEVELS_M = (20.0, 35.0, 60.0)
+
+
+def scattered(seed: int) -> ju.MetricMaps:
+    """Maps of 200 m x 250 m with lone roofs of 12 to 80 m, one cell each."""
+    rng, maps = np.random.default_rng(seed), made_maps(40, 50, resolution_m=SIDE_M)
+    is_built = rng.random(maps.grid.shape) < 0.02
+    roof_m = np.where(is_built, rng.choice([12.0, 18.0, 30.0, 80.0], maps.grid.shape), 0.0).astype(np.float32)
+    obstacle = np.stack([roof_m >= z_m for z_m in maps.altitudes_m]).astype(np.uint8)
+    plane = {name: (("y", "x"), roof_m) for name in ("roof", "roof_touched")}
+    return ju.MetricMaps(maps.ds.assign(obstacle=(("altitude", "y", "x"), obstacle), **plane))
+
+
+def boxes_of(maps: ju.MetricMaps) -> tuple[np.ndarray, np.ndarray]:
+    """The squares of cells with a roof, and the roofs' heights."""
+    cells = np.argwhere(maps.m("roof_touched") > 0)
+    return cell_boxes(maps.grid, cells, 1), maps.m("roof_touched")[tuple(cells.T)].astype(float)
+
+
+def assert_keeps_clear(maps, xyz_m, clearance_m, vertical_clearance_m) -> None:
+    """Check every leg, at its lower end, against the squares of the roofs."""
+    boxes, roof_m = boxes_of(maps)
+    for start, end in itertools.pairwise(xyz_m if len(xyz_m) > 1 else [*xyz_m, *xyz_m]):
+        leg, z_m = shapely.LineString([start[:2], end[:2]]), min(start[2], end[2])
+        as_high = roof_m + vertical_clearance_m >= z_m
+        assert shapely.distance(boxes[as_high], leg).min(initial=np.inf) >= clearance_m
+        beneath = shapely.intersects(boxes, leg)
+        assert (z_m - roof_m[beneath]).min(initial=np.inf) > vertical_clearance_m
+
+
+def ends_in(maps, is_free) -> list[dict[str, tuple[float, float]]]:
+    """Two queries between cells of the largest island of free ones."""
+    islands, _ = label(is_free)
+    cells = np.argwhere(islands == np.argmax(np.bincount(islands[is_free])))
+    pairs = ((0, -1), (len(cells) // 3, -len(cells) // 5))
+    return [
+        {name: maps.grid.xy_of_cell(*cells[k]) for name, k in zip(("start_xy_m", "goal_xy_m"), pair, strict=True)}
+        for pair in pairs
+    ]
+
+
+@settings(deadline=None, max_examples=40)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    share=st.sampled_from([0.0, 0.01, 0.05, 0.5]),
+    side_m=st.sampled_from([1.0, 2.0, 2.5, 7.0]),
+    shape=st.tuples(st.integers(1, 14), st.integers(1, 14)),
+)
+def test_the_distance_is_that_between_squares_and_to_the_border(seed, share, side_m, shape):
+    is_obstacle = np.random.default_rng(seed).random(shape) < share
+    found = distance_to_obstacles_m(is_obstacle, side_m)
+    rows, cols = shape
+    beyond = shapely.difference(shapely.box(-99, -99, 99 + cols, 99 + rows), shapely.box(0, 0, cols, rows))
+    squares = [beyond, *(shapely.box(col, row, col + 1, row + 1) for row, col in np.argwhere(is_obstacle))]
+    for row, col in np.ndindex(shape):
+        by_hand = shapely.distance(shapely.box(col, row, col + 1, row + 1), squares).min() * side_m
+        assert found[row, col] == pytest.approx(by_hand, rel=1e-12, abs=1e-12)
+
+
+@pytest.mark.parametrize("rule", ["touched", "centre"])
+@pytest.mark.parametrize("altitude_m", [20.0, 33.0, 60.0])
+def test_closed_is_what_lies_nearer_to_a_roof_than_is_kept_under_either_rule(rule, altitude_m):
+    maps = scattered(1)
+    cells = np.argwhere(np.ones(maps.grid.shape, bool))
+    boxes, roof_m = boxes_of(maps)
+    own = cell_boxes(maps.grid, cells, 1)
+    tree = shapely.STRtree(boxes[roof_m + 4.0 >= altitude_m])
+    near = np.unique(tree.query(own, predicate="dwithin", distance=7.0 + FILE_MARGIN_M)[0])
+    by_hand = np.zeros(maps.grid.shape, bool)
+    by_hand[tuple(cells[near].T)] = True
+    by_hand[[0, 1, -1, -2]] = by_hand[:, [0, 1, -1, -2]] = True  # 0 and 5 m from the border
+    constraints = ju.Constraints.read(**KEPT)
+    assert np.array_equal(constraints.closed(maps.with_obstacles(rule), altitude_m), by_hand)
+    assert 0.1 < by_hand.mean() < 0.9
+
+
+def test_a_vertical_clearance_alone_closes_roofs_that_end_too_near_below_and_no_border():
+    maps = scattered(2)
+    closed = ju.Constraints(vertical_clearance_m=8.0).closed(maps, ALTITUDE_M)
+    assert np.array_equal(closed, maps.m("roof_touched") >= 12)
+    closed = ju.Constraints(vertical_clearance_m=7.5).closed(maps, ALTITUDE_M)
+    assert np.array_equal(closed, maps.m("roof_touched") > 12.5)
+    everything = ju.Constraints(vertical_clearance_m=100.0).closed(maps, ALTITUDE_M)
+    assert np.array_equal(everything, maps.m("roof_touched") > 0)  # bare ground is no roof
+
+
+def test_unknown_roofs_and_cells_without_data_are_kept_clear_of():
+    maps = scattered(3)
+    roof_m, has_data = np.zeros(maps.grid.shape, np.float32), np.ones(maps.grid.shape, bool)
+    roof_m[10, 10], has_data[20, 30] = np.nan, False
+    plane = {name: (("y", "x"), values) for name, values in (("roof_touched", roof_m), ("has_data", has_data))}
+    unknown = ju.MetricMaps(maps.ds.assign(obstacle=0 * maps.ds["obstacle"], **plane))
+    closed = closed_by_clearance(unknown, ALTITUDE_M, 1.0, 0.0)
+    by_hand = np.zeros(maps.grid.shape, bool)
+    by_hand[9:12, 9:12] = by_hand[19:22, 29:32] = True
+    by_hand[[0, -1]] = by_hand[:, [0, -1]] = True
+    assert np.array_equal(closed, by_hand)
+
+
+def test_maps_without_touched_roofs_know_no_clearance():
+    maps = ju.MetricMaps(made_maps().ds.drop_vars("roof_touched"), "centre")
+    with pytest.raises(InputError, match="'roof_touched', from which a clearance is measured"):
+        ju.Constraints(clearance_m=1.0).is_free(maps, ALTITUDE_M)
+
+
+@pytest.mark.parametrize("refine", [False, True])
+@pytest.mark.parametrize("planner", PLANNERS)
+@pytest.mark.parametrize("seed", [4, 5])
+def test_every_planner_keeps_it_and_every_file_too(planner, refine, seed, tmp_path):
+    maps, constraints = scattered(seed), ju.Constraints.read(**KEPT)
+    num_found = 0
+    for altitude_m in (20.0, 33.0):
+        is_free = constraints.is_free(maps, altitude_m)
+        how = {"planner": planner, "budget_s": 0.3, "refine": refine, "cost_model": "line", "constraints": constraints}
+        for ends in ends_in(maps, is_free):
+            path = ju.plan(maps, **ends, altitude_m=altitude_m, **how)
+            if not path.status.has_path:
+                continue
+            num_found += 1
+            assert_keeps_clear(maps, np.column_stack([path.xy_m, path.z_m]), **KEPT)
+            assert_files_keep_clear(maps, path, tmp_path)
+    assert num_found == 4 or planner == "ptp"
+
+
+def test_without_it_paths_come_nearer():
+    maps = scattered(4)
+    ends = ends_in(maps, ju.Constraints.read(**KEPT).is_free(maps, ALTITUDE_M))[0]
+    path = ju.plan(maps, **ends, altitude_m=ALTITUDE_M)
+    with pytest.raises(AssertionError):
+        assert_keeps_clear(maps, np.column_stack([path.xy_m, path.z_m]), **KEPT)
+
+
+@pytest.mark.parametrize("seed", [6, 7, 8])
+def test_paths_that_climb_keep_it_and_their_files_too(seed, tmp_path):
+    maps, constraints = scattered(seed), ju.Constraints.read(**KEPT)
+    free = constraints.free_levels(maps, LEVELS_M)
+    for ends in ends_in(maps, free.all(axis=0)):
+        climbs = {"start_altitude_m": 20.0, "goal_altitude_m": 60.0, "level_step_m": 15.0, "climb_cost": 0.0}
+        path = plan_volume(maps, **ends, **climbs, constraints=constraints)
+        assert path.status is Status.OPTIMAL
+        assert np.ptp(path.z_m) == 40
+        assert_keeps_clear(maps, np.column_stack([path.xy_m, path.z_m]), **KEPT)
+        assert_files_keep_clear(maps, path, tmp_path)
+
+
+def assert_files_keep_clear(maps, path, folder) -> None:
+    for suffix, read in READERS.items():
+        path.save(folder / f"route{suffix}")
+        lonlatz = read(folder / f"route{suffix}")
+        x_m, y_m = maps.grid.xy_of_lonlat(*lonlatz[:, :2].T)
+        assert_keeps_clear(maps, np.column_stack([x_m, y_m, lonlatz[:, 2]]), **KEPT)
+
+
+def test_a_path_through_the_corners_of_free_cells_keeps_it_after_rounding(tmp_path):
+    maps, kept = scattered(9), {"clearance_m": 5.0, "vertical_clearance_m": 2.0}  # 5 m: just one cell, which rounds
+    constraints = ju.Constraints.read(**kept)
+    is_free = constraints.is_free(maps, ALTITUDE_M)
+    path = ju.plan(maps, **ends_in(maps, is_free)[0], altitude_m=ALTITUDE_M, constraints=constraints)
+    boxes, roof_m = boxes_of(maps)
+    high = shapely.union_all(boxes[roof_m + 2.0 >= ALTITUDE_M])
+    corners = shapely.get_coordinates(cell_boxes(maps.grid, np.argwhere(is_free), 1)).reshape(-1, 5, 2)
+    nearest = corners.reshape(-1, 2)[np.argsort(shapely.distance(shapely.points(corners.reshape(-1, 2)), high))[:50]]
+    for x_m, y_m in nearest:
+        xy_m = np.array([[x_m, y_m]] * 2)
+        lonlat = np.stack(maps.grid.lonlat_of_xy(*xy_m.T), axis=-1)
+        there = replace(path, xy_m=xy_m, lonlat=lonlat, z_m=np.full(2, ALTITUDE_M))
+        there.save(tmp_path / "corner.geojson")
+        read_m = maps.grid.xy_of_lonlat(*READERS[".geojson"](tmp_path / "corner.geojson")[0, :2])
+        assert high.distance(shapely.Point(read_m)) >= 5.0
+
+
+def test_an_altitude_that_files_round_down_is_taken_as_they_write_it():
+    maps = scattered(10)
+    closed = ju.Constraints(vertical_clearance_m=8.0).closed(maps, 20.004)  # files say 20.00, just 8 m over 12 m
+    assert np.array_equal(closed, maps.m("roof_touched") >= 12)
+    assert not ju.Constraints(vertical_clearance_m=8.0).closed(maps, 20.01)[maps.m("roof_touched") == 12].any()
+
+
+def test_a_start_too_near_is_told_by_what_and_moved_on_request():
+    maps, constraints = scattered(11), ju.Constraints.read(**KEPT, vehicle=ju.Vehicle(radius_m=0.5))
+    is_free, high = constraints.is_free(maps, ALTITUDE_M), maps.m("roof_touched") >= 20
+    ends = ends_in(maps, is_free)[0]
+    row, col = next(
+        (row, col)
+        for row, col in np.argwhere(high)
+        if 3 < row < 36 and 3 < col < 46 and maps.m("roof_touched")[row, col + 1] == 0
+    )
+    low = np.argwhere(maps.m("roof_touched") == 18)[0]
+    for cell, words in (
+        ((row, col + 1), "the clearance of 7 m and the vehicle's radius of 0.5 m (an obstacle is 0.0 m away)"),
+        (low, "the vertical clearance of 4 m (a roof of 18 m is there)"),
+        ((1, 1), "the vehicle's radius of 0.5 m (the maps end 5.0 m away, and what stands beyond is not known)"),
+    ):
+        at = {"start_xy_m": maps.grid.xy_of_cell(*cell), "goal_xy_m": ends["goal_xy_m"], "altitude_m": ALTITUDE_M}
+        with pytest.raises(InputError, match="start is closed by") as caught:
+            ju.plan(maps, **at, constraints=constraints)
+        assert words in str(caught.value)
+        assert ju.plan(maps, **at, constraints=constraints, snap=True).status is Status.OPTIMAL
+
+
+def test_no_path_says_that_one_exists_without_the_clearance():
+    maps = scattered(12)
+    roof_m = np.zeros(maps.grid.shape, np.float32)
+    roof_m[:, 25] = 80.0
+    roof_m[20:22, 25] = 0.0  # a gap of 10 m
+    plane = {name: (("y", "x"), roof_m) for name in ("roof", "roof_touched")}
+    obstacle = np.stack([roof_m >= z_m for z_m in maps.altitudes_m]).astype(np.uint8)
+    walled = ju.MetricMaps(maps.ds.assign(obstacle=(("altitude", "y", "x"), obstacle), **plane))
+    ends = {"start_xy_m": walled.grid.xy_of_cell(20, 5), "goal_xy_m": walled.grid.xy_of_cell(20, 44)}
+    constraints = ju.Constraints.read(clearance_m=6.0)
+    message = ju.plan(walled, **ends, altitude_m=ALTITUDE_M, constraints=constraints).to_dict()["message"]
+    assert "Constraints were on (clearance of 6 m)" in message
+    assert "Start and goal are joined without a clearance, but not joined at a greater altitude" in message
+    message = plan_volume(walled, **ends, constraints=constraints).to_dict()["message"]
+    assert "Start and goal are joined without a clearance" in message
+    assert ju.plan(walled, **ends, altitude_m=ALTITUDE_M).status is Status.OPTIMAL
+
+
+@pytest.mark.parametrize("value", [-1.0, np.nan, np.inf, "wide"])
+@pytest.mark.parametrize("name", ["clearance_m", "vertical_clearance_m"])
+def test_a_clearance_that_is_none_is_refused(name, value):
+    with pytest.raises(InputError, match=name):
+        ju.Constraints.read(**{name: value})
+
+
+def test_without_a_clearance_nothing_is_kept_or_closed():
+    maps = scattered(13)
+    assert ju.Constraints().to_dict() == {"no_fly": [], "require": []}
+    assert not ju.Constraints(vehicle=ju.Vehicle(speed_m_s=10.0))
+    assert np.array_equal(ju.Constraints(clearance_m=0.0).is_free(maps, 20.0), maps.is_free(20.0))
+    kept = ju.Constraints.read(**KEPT, vehicle=ju.Vehicle(radius_m=0.5)).to_dict()
+    assert kept == {"no_fly": [], "require": [], **KEPT, "vehicle_radius_m": 0.5}
+
+
+def test_demonstrations_planned_with_another_clearance_are_told(tmp_path):
+    maps, constraints = scattered(14), ju.Constraints.read(**KEPT)
+    ends = ends_in(maps, constraints.is_free(maps, ALTITUDE_M))[0]
+    path = ju.plan(maps, **ends, altitude_m=ALTITUDE_M, constraints=constraints)
+    for suffix in READERS:
+        file = path.save(tmp_path / f"route{suffix}")
+        with pytest.warns(OtherSettingsWarning, match="give --clearance 7 --vertical-clearance 4"):
+            ju.read_demonstrations(file, maps)
+        ju.read_demonstrations(file, maps, constraints=constraints)  # warnings fail
+
+
+def test_the_command_line_takes_clearances_and_the_scenarios(tmp_path, capsys):
+    maps = scattered(15)
+    write_zarr(maps.ds, tmp_path / "maps")
+    ends = ends_in(maps, ju.Constraints.read(clearance_m=9.0).is_free(maps, ALTITUDE_M))[0]
+    places = [
+        word
+        for name in ("start", "goal")
+        for word in (f"--{name}", "{},{}".format(*maps.grid.lonlat_of_xy(*ends[f"{name}_xy_m"])))
+    ]
+    command = ("plan", tmp_path / "maps", *places, "--altitude", 20, "--json")
+    stored = {"planning": {"clearance_m": 7.0}, "vehicle": {"radius_m": 1.5, "speed_m_s": 8.0}}
+    write_json(tmp_path / "maps" / "run.json", {"settings": stored})
+    for options, kept in (
+        ((), {"clearance_m": 7.0}),
+        (("--clearance", 0, "--vertical-clearance", 4), {"vertical_clearance_m": 4.0}),
+    ):
+        code, out, _ = run(capsys, *command, *options, "--report")
+        limits, facts = {"no_fly": [], "require": []}, json.loads(out)
+        assert code == 0
+        vehicle = {"vehicle_radius_m": 1.5, "vehicle_speed_m_s": 8.0}
+        assert facts["settings"]["limits"] == limits | kept | vehicle
+        assert facts["report"]["time_s"] == pytest.approx(facts["length_m"] / 8)
+    code, out, err = run(capsys, *command, "--clearance", -3)
+    assert (code, out) == (2, "")
+    assert_one_sentence(err, "clearance_m must be 0 or a positive number of metres, got -3")
