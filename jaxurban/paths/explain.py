@@ -138,13 +138,13 @@ def explain(
       InputError: there is no path, the maps are others, or a speed, power, width or number that cannot be.
     """
     maps = as_maps(maps)
+    if num_segments < 1:
+        raise InputError(f"num_segments must be at least 1, got {num_segments}")
+    route = RouteProfile.of(planned, maps)
     vehicle = Vehicle.of(planned.settings)
     speed_m_s = vehicle.speed_m_s if speed_m_s is None else speed_m_s
     power_w = vehicle.power_w if power_w is None else power_w
     check_flight(speed_m_s, power_w, swath_m)
-    if num_segments < 1:
-        raise InputError(f"num_segments must be at least 1, got {num_segments}")
-    route = RouteProfile.of(planned, maps)
     crossings, names, grid = route.crossings, tuple(maps.metrics), maps.grid
     profile = route.table({name: name for name in names} | EXTRA_MAPS)
     on = cost_map_of(planned, maps)

@@ -144,7 +144,7 @@ def test_weights_change_the_cost(made, capsys):
         (("--start", "40.7565,-73.9985", "--goal", GOAL, "--altitude", 60), ("start", "swap")),
         (("--start", "-75,40.7565", "--goal", GOAL, "--altitude", 60), ("start", "outside the region")),
         (("--start", "here", "--goal", GOAL, "--altitude", 60), ("longitude,latitude",)),
-        (("--start", START, "--goal", GOAL, "--altitude", 61), ("altitude", "20.0, 60.0")),
+        (("--start", START, "--goal", GOAL, "--altitude", 61), ("altitude", "from 20 to 60 m")),
         (("--start", START, "--goal", GOAL, "--altitude", 60, "--planner", "astar"), ("astar-",)),
         (("--start", START, "--goal", GOAL, "--altitude", 60, "--heuristic", "octil"), ("octile",)),
         (("--start", START, "--goal", GOAL, "--altitude", 60, "--time-of-day", "noon"), ("day, night",)),

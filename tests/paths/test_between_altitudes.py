@@ -10,6 +10,7 @@ import jaxurban as ju
 from jaxurban.errors import InputError
 from jaxurban.io.store import write_zarr
 from jaxurban.planners.base import Status
+from jaxurban.report.figures.metrics import obstacle_layer
 from tests.cli_runs import assert_one_sentence, run
 from tests.made_maps import made_maps
 
@@ -68,6 +69,11 @@ def test_a_path_flies_there_and_says_what_its_metrics_are(maps, ends, planner, t
     held = ju.plan(maps, **ends, altitude_m=HIGH_M)
     assert "metrics_between_m" not in held.settings
     assert "interpolated" not in held.to_dict()["message"]
+
+
+def test_obstacles_are_drawn_as_the_roofs_stand(maps):
+    drawn = obstacle_layer(maps, Z_M).values
+    assert np.array_equal(drawn == 0, maps.m("roof") >= Z_M)  # -1: not drawn
 
 
 def test_a_batch_takes_any_altitude_and_refuses_one_beyond(maps, ends):

@@ -3,6 +3,7 @@
 import itertools
 import json
 from dataclasses import replace
+from importlib import import_module
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from scipy.ndimage import label
 
 import jaxurban as ju
 from benchmarks.clearance import READERS
+from jaxurban.cli.common import given_constraints
 from jaxurban.errors import InputError, OtherSettingsWarning
 from jaxurban.io.files import write_json
 from jaxurban.io.read.zone import cell_boxes
@@ -20,6 +22,8 @@ from jaxurban.io.store import write_zarr
 from jaxurban.paths.clearance import FILE_MARGIN_M, closed_by_clearance, distance_to_obstacles_m
 from jaxurban.planners.base import Status
 from jaxurban.planners.registry import PLANNERS
+from jaxurban.scenario.provenance import settings_of
+from jaxurban.scenario.settings import Scenario
 from tests.cli_runs import assert_one_sentence, run
 from tests.made_maps import made_maps
 from tests.paths.volumes import plan_volume
@@ -296,3 +300,18 @@ def test_the_command_line_takes_clearances_and_the_scenarios(tmp_path, capsys):
     code, out, err = run(capsys, *command, "--clearance", -3)
     assert (code, out) == (2, "")
     assert_one_sentence(err, "clearance_m must be 0 or a positive number of metres, got -3")
+
+
+def test_every_command_that_plans_takes_the_options_over_its_scenarios_settings():
+    for module in ("plan", "study", "sensitivity", "tune", "compare"):
+        command = getattr(import_module(f"jaxurban.cli.{module}"), module)
+        assert {"--clearance", "--vertical-clearance"} <= {name for param in command.params for name in param.opts}
+    region = {"region": {"bounds": (-74.02, 40.70, -73.98, 40.73)}, "buildings": {"source": "synthetic"}}
+    given = {"no_fly": (), "require": (), "clearance_m": None, "vertical_clearance_m": None}
+    assert given_constraints(given, settings_of(Scenario.from_dict(region))) == ju.Constraints()
+    said = region | {"planning": KEPT, "vehicle": {"radius_m": 0.5, "speed_m_s": 9}}
+    stored = settings_of(Scenario.from_dict(said))
+    vehicle = ju.Vehicle(radius_m=0.5, speed_m_s=9.0)
+    assert given_constraints(given, stored) == ju.Constraints(**KEPT, vehicle=vehicle)
+    changed = given_constraints(given | {"clearance_m": 0.0}, stored)
+    assert changed == ju.Constraints(vertical_clearance_m=KEPT["vertical_clearance_m"], vehicle=vehicle)

@@ -81,7 +81,7 @@ def test_targets_are_reported_met_or_missed(made, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (("--altitude", 33), ("33", "20.0, 60.0")),
+        (("--altitude", 13), ("13", "from 20 to 60 m")),
         (("--wish", "mean_gsp>=1"), ("mean_gps",)),
         (("--wish", "mean_gps>=0.8", "--bootstrap", 3), ("--bootstrap",)),
         (("--metrics", "gsp"), ("gsp", "gps")),

@@ -74,7 +74,7 @@ def test_a_drawn_line_is_followed_on_the_grid_around_obstacles(maps):
     ("change", "words"),
     [
         ({"altitude_m": None}, "has no altitude"),
-        ({"altitude_m": 33.0}, "20.0, 60.0"),
+        ({"altitude_m": 13.0}, "from 20 to 60 m"),
         ({"altitude_m": "high"}, "number of metres"),
         ({"time_of_day": "noon"}, "day, night"),
     ],

@@ -52,8 +52,10 @@ def obstacle_patches(maps: MetricMaps, colour: str = OBSTACLE_COLOUR) -> list[tu
 
 
 def obstacle_layer(maps: MetricMaps, altitude_m: float, colour: str = OBSTACLE_COLOUR) -> MapLayer:
-    """Return the obstacle cells at an altitude as they are drawn."""
-    return flat_layer((maps.m("obstacle", altitude_m) != 0) & maps.ds["has_data"].values, colour)
+    """Return the obstacle cells at an altitude, also between those of the maps, as they are drawn."""
+    is_held = altitude_m in maps.altitudes_m
+    is_blocked = maps.m("obstacle", altitude_m) != 0 if is_held else ~maps.is_free(altitude_m, "centre")
+    return flat_layer(is_blocked & maps.ds["has_data"].values, colour)
 
 
 def line_colour(name: str) -> str:
