@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jaxurban.errors import InputError
+from jaxurban.errors import InputError, typed
 from jaxurban.paths.export.write import write_path
 from jaxurban.paths.ground import Ground
 from jaxurban.planners.base import Path, Status
@@ -70,6 +70,7 @@ class PlannedPath(Shown):
             "mean metrics": metrics or "none",
         }
 
+    @typed
     def save(self, file: str | FilePath, *more: str | FilePath, report: "RouteReport | None" = None) -> FilePath:
         """Write the path in the format that a file's suffix names, and return the (first) file.
 

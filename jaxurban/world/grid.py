@@ -11,7 +11,7 @@ import pyproj
 from pyproj.aoi import AreaOfInterest
 from pyproj.database import query_utm_crs_info
 
-from jaxurban.errors import InputError, finite
+from jaxurban.errors import InputError, finite, typed
 
 WGS84 = "EPSG:4326"
 MAX_SCALE_ERROR = 0.01  # of a projection at the region: within a UTM zone it stays below 0.001
@@ -42,6 +42,7 @@ def transformer(source: str, target: str) -> pyproj.Transformer:
     return pyproj.Transformer.from_crs(source, target, always_xy=True)
 
 
+@lru_cache(maxsize=32)
 def projected_crs(crs: str) -> pyproj.CRS:
     """Return ``crs`` as pyproj sees it, if it is projected in metres.
 
@@ -51,7 +52,7 @@ def projected_crs(crs: str) -> pyproj.CRS:
     try:
         parsed = pyproj.CRS.from_user_input(crs)
     except pyproj.exceptions.CRSError as error:
-        raise InputError(f"{crs!r} is not a known CRS: use a projected one such as 'EPSG:32618'") from error
+        raise InputError(f"crs {crs!r} is not a known CRS: use a projected one such as 'EPSG:32618'") from error
     if not parsed.is_projected or any(abs(axis.unit_conversion_factor - 1.0) > 1e-12 for axis in parsed.axis_info[:2]):
         raise InputError(f"{crs!r} is not a projected CRS in metres: use one such as 'EPSG:32618'")
     if {axis.direction for axis in parsed.axis_info[:2]} != {"east", "north"}:
@@ -104,6 +105,7 @@ def _common_multiple_m(resolutions_m: Sequence[float]) -> float:
     return numerator / denominator
 
 
+@typed
 @dataclass(frozen=True)
 class Grid:
     """A raster of square cells in a projected CRS. Row 0 is the southernmost, column 0 the westernmost.
@@ -129,9 +131,11 @@ class Grid:
         if not (math.isfinite(self.resolution_m) and self.resolution_m > 0):
             raise InputError(f"resolution_m must be a positive number of metres, got {self.resolution_m}")
         if self.num_rows < 1 or self.num_cols < 1:
-            raise InputError(f"a grid needs at least one cell, got {self.num_rows} x {self.num_cols}")
+            raise InputError(f"num_rows and num_cols must be 1 or more, got {self.num_rows} x {self.num_cols}")
+        projected_crs(self.crs)
 
     @classmethod
+    @typed
     def from_bounds(
         cls,
         bounds: Sequence[float],
