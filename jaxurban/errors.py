@@ -313,9 +313,9 @@ def readable(what: str, kind: str, remedy: str, *errors: type[Exception]) -> Ite
       what: the file, for the message.
       kind: what it cannot be read as.
       remedy: ends the sentence.
-      errors: what a damaged file raises, beside OSError and ValueError; an InputError passes as it is.
+      errors: what a damaged file raises, beside OSError, ValueError and RecursionError (of brackets in brackets); an InputError passes as it is.
     """
-    caught: tuple[type[Exception], ...] = (OSError, ValueError, *errors)
+    caught: tuple[type[Exception], ...] = (OSError, ValueError, RecursionError, *errors)
     try:
         yield
     except InputError:

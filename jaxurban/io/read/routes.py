@@ -94,7 +94,7 @@ def _settings(row: Any) -> dict[str, Any]:
     """Return what jaxurban's own paths keep under ``settings``: one object, or flat in the columns of a KML file."""
     settings = row.get("settings")
     if isinstance(settings, str):
-        with suppress(ValueError):
+        with suppress(ValueError, RecursionError):
             settings = json.loads(settings)
     if isinstance(settings, dict):
         return dict(settings)
@@ -105,7 +105,7 @@ def _settings(row: Any) -> dict[str, Any]:
             continue
         group, name = found.groups()
         value: Any = text
-        with suppress(ValueError, SyntaxError):
+        with suppress(ValueError, SyntaxError, RecursionError, MemoryError):
             value = ast.literal_eval(text)
         (flat.setdefault(group, {}) if group else flat)[name] = value
     return flat
@@ -121,13 +121,13 @@ def _mission(file: Path) -> Route:
       InputError: the file cannot be read, or holds no mission of two waypoints.
     """
     with readable(
-        f"the routes file {str(file)!r}", "a mission of QGroundControl", "give a whole one", LookupError, TypeError
+        f"the routes file {str(file)!r}", "a mission of QGroundControl", "give a whole one", LookupError, TypeError, AttributeError
     ):
         plan = json.loads(file.read_text(encoding="utf-8"))
         items = plan["mission"]["items"]
         points = [item["params"][4:7] for item in items if item.get("type") == "SimpleItem"]
         lat, lon, z_m = np.array([point for point in points if None not in point], np.float64).reshape(-1, 3).T
-        settings = plan.get("settings", {})
+        settings = dict(plan.get("settings", {}))
     if len(np.unique(np.stack([lon, lat], axis=1), axis=0)) < 2:
         raise InputError(
             f"{str(file)!r} holds no mission of two waypoints or more: give one, or another file of routes"
