@@ -8,6 +8,7 @@ import functools
 import inspect
 import re
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -74,7 +75,7 @@ GOOD: dict[str, Callable[[], dict[str, Any]]] = {
     "PlannedPath.save": lambda: {"self": held("path"), "file": "/proc/none.kml"},
     "PlannedPaths.to_dataframe": lambda: {"self": held("paths")},
     "PlannedPaths.save": lambda: {"self": held("paths")},
-    "Scenario.from_toml": lambda: {"path": "pyproject.toml"},
+    "Scenario.from_toml": lambda: {"path": str(Path(__file__).parents[1] / "pyproject.toml")},
     "Scenario.from_dict": lambda: {"settings": SETTINGS},
     "SoftParams": lambda: {"altitude_m": 20.0},
     "Target.parse": lambda: {"text": "detour<=0.1"},
@@ -233,7 +234,8 @@ def call(name: str, parameter: str, value: Any, good: dict[str, Any]) -> str:
 
 
 @pytest.mark.parametrize(("name", "parameter"), PARAMETERS)
-def test_a_wrong_type_names_the_argument(name, parameter):
+def test_a_wrong_type_names_the_argument(name, parameter, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     good = GOOD.get(name, dict)()
     told = call(name, parameter, object(), good)
     assert parameter in told
@@ -258,7 +260,8 @@ def is_checked_elsewhere(name: str, parameter: str) -> bool:
 
 
 @pytest.mark.parametrize(("name", "parameter"), [each for each in PARAMETERS if not is_checked_elsewhere(*each)])
-def test_a_wrong_value_names_the_argument(name, parameter):
+def test_a_wrong_value_names_the_argument(name, parameter, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     value = WRONG.get(f"{name}.{parameter}", WRONG.get(parameter))
     assert value is not None, f"write a wrong value of {name}.{parameter} into WRONG, or RIGHT"
     if value is RIGHT:
