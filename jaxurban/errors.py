@@ -64,10 +64,11 @@ def typed(public: Public) -> Public:
     parameters = inspect.signature(function).parameters.values()
     in_order = [p.name for p in parameters if p.kind is not p.KEYWORD_ONLY]
     the_rest = [p.name for p in parameters if p.kind is p.VAR_POSITIONAL]
+    further = next((p.name for p in parameters if p.kind is p.VAR_KEYWORD), None)
     names = {p.name for p in parameters}
 
     @functools.cache
-    def kinds() -> dict[str, list[Kind]]:  # at the first call, when every module that annotations name is there
+    def kinds() -> dict[str | None, list[Kind]]:  # at the first call, when every module that annotations name is there
         return {
             name: _kinds(hint)
             for name, hint in get_type_hints(function, localns=_PublicNames()).items()
@@ -78,7 +79,7 @@ def typed(public: Public) -> Public:
     def checked(*args, **kwargs):
         named = zip((*in_order, *the_rest * len(args)), args, strict=False)
         for name, value in (*named, *kwargs.items()):
-            allowed = kinds().get(name, [])
+            allowed = [] if name == further else kinds().get(name if name in names else further, [])
             if allowed and not any(is_one(value) for _, is_one in allowed):
                 *others, last = dict.fromkeys(told for told, _ in allowed)
                 listed = f"{', '.join(others)} or {last}" if others else last
@@ -104,9 +105,10 @@ class _PublicNames(dict):
 
 
 def check_range(name: str, value: Any) -> None:
-    """Raise InputError where a number, or one in a list of them, is NaN or beyond what any such number can be.
+    """Raise InputError where a number, or one in a list of them, is beyond what any such number can be.
 
-    Without end (``inf``) may be what has no unit of length or angle, such as a budget of seconds.
+    Without end (``inf``) may be what has no unit of length or angle, such as a budget of seconds; of what is no number
+    (NaN) functions tell themselves.
     """
     for number in value if isinstance(value, list | tuple) else (value,):
         if not isinstance(number, numbers.Real):
@@ -115,7 +117,7 @@ def check_range(name: str, value: Any) -> None:
             raise InputError(f"{name} must be a whole number of at most {MOST_WHOLE}, got {number!r}")
         most = next((most for end, most in MOST_OF.items() if name.endswith(end)), MOST)
         is_endless = most == MOST and isinstance(number, float) and math.isinf(number)
-        if not (abs(number) <= most or is_endless):
+        if abs(number) > most and not is_endless:
             unit = next((f" {unit}" for end, unit in UNITS.items() if name.endswith(end) and end[0] == "_"), "")
             raise InputError(f"{name} must be a finite number, of at most {most:.0e}{unit}, got {number!r}")
 
@@ -313,7 +315,8 @@ def readable(what: str, kind: str, remedy: str, *errors: type[Exception]) -> Ite
       what: the file, for the message.
       kind: what it cannot be read as.
       remedy: ends the sentence.
-      errors: what a damaged file raises, beside OSError, ValueError and RecursionError (of brackets in brackets); an InputError passes as it is.
+      errors: what a damaged file raises, beside OSError, ValueError and RecursionError (brackets in brackets); an
+        InputError passes as it is.
     """
     caught: tuple[type[Exception], ...] = (OSError, ValueError, RecursionError, *errors)
     try:

@@ -226,6 +226,8 @@ def call(name: str, parameter: str, value: Any, good: dict[str, Any]) -> str:
     kind = inspect.signature(function).parameters[parameter].kind
     if kind is kind.VAR_POSITIONAL:
         given = {**good, "file": "path.geojson"}
+    if kind is kind.VAR_KEYWORD:
+        given = {**good, f"my_{parameter}": value}
     args = (given.pop("self"),) if "self" in given else ()
     args += (given.pop("file"), value) if kind is kind.VAR_POSITIONAL else ()
     with pytest.raises(InputError) as raised:

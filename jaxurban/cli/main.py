@@ -87,8 +87,8 @@ def _run(arguments: Sequence[str] | None) -> int:
         _drop_stdout()
         where = f" {str(error.filename)!r}" if error.filename else ""
         code = _fail(
-            f"the system refuses to read or write{where or ', perhaps what is printed'} ({reason_of(error)}): free space, "
-            "or mend that, and run the same command again, which goes on"
+            f"the system refuses to read or write{where or ', perhaps what is printed'} ({reason_of(error)}): free "
+            "space, or mend that, and run the same command again, which goes on"
         )
     except (KeyboardInterrupt, click.Abort):
         tell("interrupted; finished files are kept, and the same command resumes")
@@ -99,7 +99,9 @@ def _run(arguments: Sequence[str] | None) -> int:
     except Exception as error:
         if "proj.db" not in str(error):
             raise
-        code = _fail("PROJ does not find its database proj.db: unset PROJ_DATA and PROJ_LIB, or point them to its folder")
+        code = _fail(
+            "PROJ does not find its database proj.db: unset PROJ_DATA and PROJ_LIB, or point them to its folder"
+        )
     return code or 0
 
 

@@ -1,4 +1,4 @@
-"""Hostile inputs and kills, counted: ``python -m tests.campaign [--kills 60] [--part 1.0]``; not 0 if anything failed."""
+"""Hostile inputs and kills, counted: ``python -m tests.campaign [--kills 60] [--part 1.0]``; 1 if anything failed."""
 
 import argparse
 import os
@@ -9,7 +9,7 @@ import time
 from collections import Counter
 from pathlib import Path
 
-from tests.campaign.cases import Case, Verdict, run_case
+from tests.campaign.cases import Verdict, run_case
 from tests.campaign.files import of_people, of_rasters, of_tables, of_texts
 from tests.campaign.kills import JOBS, begin, ended, run_kills
 from tests.campaign.kills import Job as _Job

@@ -61,7 +61,9 @@ def run_case(case: Case, base: Path) -> Verdict:
         case.prepare(inputs)
         given = files_of(inputs)
         places = {"{out}": str(out), "{in}": str(inputs), "{base}": str(base)}
-        arguments = [re.sub("|".join(map(re.escape, places)), lambda found: places[found[0]], a) for a in case.arguments]
+        arguments = [
+            re.sub("|".join(map(re.escape, places)), lambda found: places[found[0]], a) for a in case.arguments
+        ]
         code, told = run_here(arguments)
         fault = fault_of(code, told, case.codes)
         if not fault and (files_of(base) != before or files_of(inputs) != given):

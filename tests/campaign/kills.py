@@ -59,7 +59,22 @@ def study(base: Path, folder: Path) -> None:
 def tune(base: Path, folder: Path) -> None:
     """Fit weights to drawn routes."""
     pilot = "gps=1,risk=2,distance=0.5"
-    cli.main(["tune", str(base), "--sample", "12", "--time-of-day", "day", "--pilot", pilot, "--bootstrap", "20", "-o", str(folder)])
+    cli.main(
+        [
+            "tune",
+            str(base),
+            "--sample",
+            "12",
+            "--time-of-day",
+            "day",
+            "--pilot",
+            pilot,
+            "--bootstrap",
+            "20",
+            "-o",
+            str(folder),
+        ]
+    )
 
 
 def plan_many(base: Path, folder: Path) -> None:
@@ -187,7 +202,7 @@ def run_kills(job: Job, base: Path, scratch: Path, num_kills: int, rng: random.R
             found = job.result(folder)
             if lost := sorted(wanted.keys() - found.keys()):
                 fault, shown = "lost files", ", ".join(lost)
-            elif others := sorted(name for name in found.keys() if found[name] != wanted.get(name)):
+            elif others := sorted(name for name in found if found[name] != wanted.get(name)):
                 fault, shown = "other results", ", ".join(others)
         verdicts.append(Verdict(f"{job.name}, killed after {', '.join(moments)}", fault, shown))
     return verdicts, num_hit

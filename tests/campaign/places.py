@@ -58,7 +58,9 @@ def of_places() -> list[Place]:
         Place("JAX's cache nowhere", PLAN, TOLD, {"JAX_COMPILATION_CACHE_DIR": nowhere}),
         Place("no folder for scratch files", PLAN, TOLD, {"TMPDIR": nowhere}),
         Place("a script without a main guard", f"{sys.executable} script.py", (1,), {"SCRIPT": script}),
-        Place("two runs in one folder", f"({MAPS} >/dev/null 2>&1 &) ; sleep 4; {MAPS}; code=$?; wait; exit $code", TOLD),
+        Place(
+            "two runs in one folder", f"({MAPS} >/dev/null 2>&1 &) ; sleep 4; {MAPS}; code=$?; wait; exit $code", TOLD
+        ),
         Place("a folder that is held", f"mkdir out; exec 9>out/.jaxurban.lock; flock 9; {MAPS}", may_leave=True),
     ]
 

@@ -55,7 +55,13 @@ def of_settings() -> Iterator[Case]:
 def _may_pass(key: str, value: str) -> bool:
     """Return whether a value is none that a setting must refuse: another of its kinds, or one as good as any."""
     if value in ("'ten'", "'x'", "{}", "[]", "[[]]", "5"):
-        return key in ("population.normalise", "study.weights", "buildings.height_std_m", "study.distance_only", "layers")
+        return key in (
+            "population.normalise",
+            "study.weights",
+            "buildings.height_std_m",
+            "study.distance_only",
+            "layers",
+        )
     return (key, value) in (("buildings.height_std_m", "true"), ("planning.connectivity", "5"))
 
 
@@ -63,12 +69,16 @@ def of_options() -> Iterator[Case]:
     """Yield wrong options of the commands over finished maps."""
     numbers = ("1e300", "-1e300", "nan", "inf", "-5", "x", "")
     for option in ("--altitude", "--resolution", "--snap-distance", "--budget", "--speed", "--swath", "--level-step"):
-        more = ("--volume",) if option == "--level-step" else ("--report", "--speed", "5") if option == "--swath" else ()
+        more = (
+            ("--volume",) if option == "--level-step" else ("--report", "--speed", "5") if option == "--swath" else ()
+        )
         for value in numbers:
             if (option, value) in (("--budget", "inf"), ("--budget", "1e300"), ("--swath", "inf")):
                 continue
             yield Case(f"plan {option} {value!r}", (*PLAN, *more, option, value))
-    for option, value in itertools.product(("--start", "--goal"), ("nan,0", "1e300,0", "40.7", "0,0", "a,b", "1,2,3", "91,181")):
+    for option, value in itertools.product(
+        ("--start", "--goal"), ("nan,0", "1e300,0", "40.7", "0,0", "a,b", "1,2,3", "91,181")
+    ):
         yield Case(f"plan {option} {value!r}", (*PLAN, option, value))
     for option, value in (
         *(("--weights", text) for text in ("gps", "gps=", "gps=-1", "gps=1e300", "gps=nan", "gsp=1", "=", "gps=1=2")),
@@ -109,7 +119,9 @@ def of_options() -> Iterator[Case]:
         *(("--samples", text) for text in ("3", "-1", "0.5", "x")),
         *(("--vary", text) for text in ("gsp", "distance,distance", ",")),
     ):
-        yield Case(f"sensitivity {option} {value!r}", (*sensitivity, option, value), codes=TOLD if value == "," else REFUSED)
+        yield Case(
+            f"sensitivity {option} {value!r}", (*sensitivity, option, value), codes=TOLD if value == "," else REFUSED
+        )
     for option, value in (
         *(("--sample", text) for text in ("0", "-1", "x", "1.5")),
         *(("--hold-out", text) for text in ("-1", "2", "nan", "1e300")),
@@ -123,13 +135,45 @@ def of_options() -> Iterator[Case]:
     ):
         given = () if option in ("--sample", "--pilot") else ("--pilot", "gps=1,distance=1")
         sample = () if option == "--sample" else ("--sample", "3")
-        yield Case(f"tune {option} {value!r}", ("tune", "{base}", "-o", "{out}", "--time-of-day", "day", *sample, *given, option, value))
-    for text in ("gps=5", "gps", "=", "gps.mask_deg=", "gps.=1", "[region]", "a.b.c.d=1", "region=[]", "gps.mask_deg=08"):
+        yield Case(
+            f"tune {option} {value!r}",
+            ("tune", "{base}", "-o", "{out}", "--time-of-day", "day", *sample, *given, option, value),
+        )
+    for text in (
+        "gps=5",
+        "gps",
+        "=",
+        "gps.mask_deg=",
+        "gps.=1",
+        "[region]",
+        "a.b.c.d=1",
+        "region=[]",
+        "gps.mask_deg=08",
+    ):
         yield Case(f"maps --set {text}", (*MAPS, "--set", text), write_scenario)
-    for option, value in (("--memory", "x"), ("--memory", "-1GiB"), ("--memory", "1KiB"), ("--memory", "nan"), ("--layers", "gsp"), ("--workers", "0"), ("--workers", "-1"), ("--cluster", "nowhere:1")):
+    for option, value in (
+        ("--memory", "x"),
+        ("--memory", "-1GiB"),
+        ("--memory", "1KiB"),
+        ("--memory", "nan"),
+        ("--layers", "gsp"),
+        ("--workers", "0"),
+        ("--workers", "-1"),
+        ("--cluster", "nowhere:1"),
+    ):
         yield Case(f"maps {option} {value}", (*MAPS, option, value), write_scenario)
     for times in ("0001-01-01T00:00:00Z", "9999-12-31T23:59:59Z", "1969-12-31T23:59:59Z", "2020-13-01", "0", "1e300"):
         yield Case(f"maps at {times}", (*MAPS, "--set", f"gps.times=['{times}']"), write_scenario, TOLD)
-        yield Case(f"series from {times}", (*MAPS, "--set", f"gps.start='{times}'", "--set", "gps.stop='9999-12-31T23:59:59Z'", "--set", "gps.step_s=1"), write_scenario)
-
-
+        yield Case(
+            f"series from {times}",
+            (
+                *MAPS,
+                "--set",
+                f"gps.start='{times}'",
+                "--set",
+                "gps.stop='9999-12-31T23:59:59Z'",
+                "--set",
+                "gps.step_s=1",
+            ),
+            write_scenario,
+        )

@@ -121,7 +121,12 @@ def _mission(file: Path) -> Route:
       InputError: the file cannot be read, or holds no mission of two waypoints.
     """
     with readable(
-        f"the routes file {str(file)!r}", "a mission of QGroundControl", "give a whole one", LookupError, TypeError, AttributeError
+        f"the routes file {str(file)!r}",
+        "a mission of QGroundControl",
+        "give a whole one",
+        LookupError,
+        TypeError,
+        AttributeError,
     ):
         plan = json.loads(file.read_text(encoding="utf-8"))
         items = plan["mission"]["items"]

@@ -1,5 +1,6 @@
 """Vector files of any format, opened the same way for every use, and the building outlines in them."""
 
+import json
 from functools import reduce
 from pathlib import Path
 from typing import Any
@@ -85,8 +86,9 @@ def _read(path: str | Path, role: str, *, every_layer: bool) -> list[gpd.GeoData
     if not frames:
         raise InputError(f"{name} holds no geometry: give a file of polygons")
     for frame in frames:
-        for column in frame.columns[frame.dtypes == object].difference([frame.geometry.name]):
-            frame[column] = frame[column].map(_scalar)
+        for column in frame.columns.difference([frame.geometry.name]):
+            if pd.api.types.is_object_dtype(frame[column]):
+                frame[column] = frame[column].map(_scalar)
         if frame.crs is None:
             raise InputError(
                 f"{name} declares no CRS: write it into the file, as with `ogr2ogr -a_srs EPSG:... OUT IN` "
@@ -144,8 +146,10 @@ def read_vector(path: str | Path) -> Outlines:
 
 
 def _scalar(value: Any) -> Any:
-    """Return a property, a list or a table as its text, which is no number."""
-    return str(value) if isinstance(value, list | dict | tuple | np.ndarray) else value
+    """Return a property, a list or a table as its JSON text, which is no number."""
+    if not isinstance(value, list | dict | tuple | np.ndarray):
+        return value
+    return json.dumps(value, default=lambda inner: inner.tolist() if isinstance(inner, np.ndarray) else str(inner))
 
 
 def _tags(frame: pd.DataFrame) -> dict[str, np.ndarray]:
