@@ -9,7 +9,7 @@ RAN := out/notebooks/.ran
 CUDA_PIP := $(CUDA_VENV)/bin/python -m pip --disable-pip-version-check -q
 CUDA_COMPILER := jax-cuda13-plugin jax-cuda13-pjrt nvidia-cuda-nvcc nvidia-nvvm nvidia-cuda-runtime nvidia-nvjitlink
 
-.PHONY: demo test test-slow test-long test-docs lint wheel notebooks figures bench bench-gpu cuda-compile docs clean
+.PHONY: demo test test-slow test-long test-docs campaign lint wheel notebooks figures bench bench-gpu cuda-compile docs clean
 
 demo: $(VENV)/.run
 	$(BIN)/jaxurban demo -o out/demo --overwrite
@@ -33,6 +33,10 @@ test-long: $(VENV)/.dev
 	  tests/planners/test_batch.py::test_the_frontier_is_exact_for_every_band_on_many_maps_at_once \
 	  tests/maps/test_tiled.py::test_kill_9_of_the_run_loses_no_finished_tile_and_changes_no_byte \
 	  tests/maps/test_tiled.py::test_kill_9_of_a_worker_costs_only_its_tile
+
+# Some 1,300 hostile inputs and 60 kills: half an hour. PART and KILLS make it less.
+campaign: $(VENV)/.dev
+	$(BIN)/python -m tests.campaign --part $(or $(PART),1) --kills $(or $(KILLS),60)
 
 test-docs: $(VENV)/.dev
 	$(BIN)/python -m pytest -m 'slow or not slow' tests/test_docs.py

@@ -2,23 +2,20 @@
 
 import difflib
 import functools
+import importlib
 import inspect
 import math
 import numbers
 import os
-import sysconfig
 import types
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from datetime import datetime
 from pathlib import Path
-from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 Choice = TypeVar("Choice")
 Public = TypeVar("Public", bound=Callable)
-HERE = Path(__file__).parent
-OUR_HOMES = tuple(  # of our files, two folders of which are links, of Python's and of the libraries'
-    map(str, (HERE, (HERE / "kernels").resolve(), (HERE / "planners").resolve(), *sysconfig.get_paths().values()))
-)
 Kind = tuple[str, Callable[[Any], bool]]  # what messages call it, and what tells its values
 
 
@@ -56,54 +53,40 @@ def nearest_name(name: str, valid: Iterable[str]) -> str:
     return f" (did you mean {close[0]!r}?)" if close else ""
 
 
-def check_type(name: str, value: Any, kind: type, such_as: str = "") -> None:
-    """Raise InputError unless a value is of a type.
-
-    Args:
-      name: of the argument.
-      value: of it.
-      kind: that it must be of.
-      such_as: where such a value comes from, for the message.
-    """
-    if not isinstance(value, kind):
-        hint = such_as and f", from {such_as}"
-        raise InputError(f"{name} must be a {kind.__name__}{hint}, got {type(value).__name__}")
-
-
 def typed(public: Public) -> Public:
     """Return a function or a class that answers an argument of another kind than its annotation names by InputError.
 
-    Only the outermost kind counts, and generously: any real number for a float (NumPy's too), anything with items for
-    a sequence, text for a path. A class looks before it is made, a function only once it has failed: what works, works.
+    Arguments are looked at before anything runs, generously: any real number for a float (NumPy's too), anything with
+    items for a sequence, text for a path. Of sequences of our own classes each item is looked at.
     """
     is_class = inspect.isclass(public)
     function = public.__init__ if is_class else public
-    names = tuple(inspect.signature(function).parameters)
+    parameters = inspect.signature(function).parameters.values()
+    in_order = [p.name for p in parameters if p.kind is not p.KEYWORD_ONLY]
+    the_rest = [p.name for p in parameters if p.kind is p.VAR_POSITIONAL]
+    further = next((p.name for p in parameters if p.kind is p.VAR_KEYWORD), None)
+    names = {p.name for p in parameters}
 
     @functools.cache
-    def kinds() -> dict[str, list[Kind]]:  # at the first call, when every module that annotations name is there
-        return {name: _kinds(hint) for name, hint in get_type_hints(function).items() if name in names}
-
-    def check(args: Iterable[Any], kwargs: Mapping[str, Any]) -> None:
-        for name, value in (*zip(names, args, strict=False), *kwargs.items()):
-            allowed = kinds().get(name, [])
-            if allowed and not any(is_one(value) for _, is_one in allowed):
-                *others, last = dict.fromkeys(told for told, _ in allowed)
-                listed = f"{', '.join(others)} or {last}" if others else last
-                raise InputError(f"{name} must be {listed}, got {_shown(value)}")
+    def kinds() -> dict[str | None, list[Kind]]:  # at the first call, when every module that annotations name is there
+        return {
+            name: _kinds(hint)
+            for name, hint in get_type_hints(function, localns=_PublicNames()).items()
+            if name in names
+        }
 
     @functools.wraps(function)
     def checked(*args, **kwargs):
-        if is_class:
-            check(args, kwargs)
-        try:
-            return function(*args, **kwargs)
-        except InputError:
-            raise
-        except (TypeError, ValueError, AttributeError) as error:
-            if not _is_from_outside(error):
-                check(args, kwargs)
-            raise
+        named = zip((*in_order, *the_rest * len(args)), args, strict=False)
+        for name, value in (*named, *kwargs.items()):
+            allowed = [] if name == further else kinds().get(name if name in names else further, [])
+            if allowed and not any(is_one(value) for _, is_one in allowed):
+                *others, last = dict.fromkeys(told for told, _ in allowed)
+                listed = f"{', '.join(others)} or {last}" if others else last
+                unit = next((f" ({unit})" for end, unit in UNITS.items() if name.endswith(end)), "")
+                raise InputError(f"{name} must be {listed}{unit}, got {_shown(value)}")
+            check_range(name, value)
+        return function(*args, **kwargs)
 
     if is_class:
         public.__init__ = checked  # type: ignore[method-assign]
@@ -111,28 +94,93 @@ def typed(public: Public) -> Public:
     return checked  # type: ignore[return-value]
 
 
+class _PublicNames(dict):
+    """The public names of the package, for hints on what their module imports for type checkers alone."""
+
+    def __missing__(self, name: str) -> Any:
+        try:
+            return getattr(importlib.import_module(__name__.partition(".")[0]), name)
+        except AttributeError as error:
+            raise KeyError(name) from error
+
+
+def check_range(name: str, value: Any) -> None:
+    """Raise InputError where a number, or one in a list of them, is beyond what any such number can be.
+
+    Without end (``inf``) may be what has no unit of length or angle, such as a budget of seconds; of what is no number
+    (NaN) functions tell themselves.
+    """
+    for number in value if isinstance(value, list | tuple) else (value,):
+        if not isinstance(number, numbers.Real):
+            continue
+        if isinstance(number, numbers.Integral) and abs(int(number)) > MOST_WHOLE:
+            raise InputError(f"{name} must be a whole number of at most {MOST_WHOLE}, got {number!r}")
+        most = next((most for end, most in MOST_OF.items() if name.endswith(end)), MOST)
+        is_endless = most == MOST and isinstance(number, float) and math.isinf(number)
+        if abs(number) > most and not is_endless:
+            unit = next((f" {unit}" for end, unit in UNITS.items() if name.endswith(end) and end[0] == "_"), "")
+            raise InputError(f"{name} must be a finite number, of at most {most:.0e}{unit}, got {number!r}")
+
+
 def _kinds(hint: Any) -> list[Kind]:
     """Return how messages call each kind that a type hint allows, and what tells its values; none: anything goes."""
+    hint = getattr(hint, "array_type", hint)  # of jaxtyping's shapes
     origin = get_origin(hint) or hint
     if origin in (Union, types.UnionType):
         parts = [_kinds(part) for part in get_args(hint)]
         return [kind for part in parts for kind in part] if all(parts) else []
-    if origin in (Sequence, Iterable) and get_args(hint) == (str,):
-        return [("a sequence of texts", lambda value: isinstance(value, Iterable))]  # one text is often taken for one
+    if origin is Annotated:
+        return _kinds(get_args(hint)[0])
+    if origin is Literal:  # which of them, the function itself checks
+        return list(dict.fromkeys(KINDS[type(choice)] for choice in get_args(hint)))
+    if origin in (Sequence, Iterable, tuple, Mapping) and (item := _kind_of_items(hint)):
+        return [item]
     if origin in KINDS:
         return [KINDS[origin]]
-    ours = inspect.isclass(origin) and origin.__module__.partition(".")[0] in (__name__.partition(".")[0], "pandas")
-    return [(origin.__name__, lambda value: isinstance(value, origin))] if ours else []
+    return [(_called(origin), lambda value: isinstance(value, origin))] if _is_class_of_ours(origin) else []
 
 
-def _is_from_outside(error: BaseException) -> bool:
-    """Return whether an error was raised by a function that a user gave, not by ours or a library's."""
-    trace = error.__traceback__
-    while trace is not None and trace.tb_next is not None:
-        trace = trace.tb_next
-    file = "" if trace is None else trace.tb_frame.f_code.co_filename
-    is_source = os.path.isabs(file) or file.startswith(("<ipython", "<stdin>", "<string>"))  # not a compiled one's
-    return is_source and not file.startswith(OUR_HOMES)
+def _called(kind: type) -> str:
+    name = kind.__name__
+    article = "" if name.endswith("s") else "an " if name[0] in "AEIOU" else "a "
+    return f"{article}{name}" + (f" (from {MADE_BY[name]})" if name in MADE_BY else "")
+
+
+def _kind_of_items(hint: Any) -> Kind | None:
+    """Return the kind of a sequence of texts, of numbers or of our own classes, or a dict of these; None for others."""
+    origin, *given = get_origin(hint), *get_args(hint)
+    is_dict = origin is Mapping
+    if not given or given[1 + is_dict :] not in ([], [...]):
+        return None
+    items = given[is_dict]
+    if items is str and not is_dict:
+        return "a sequence of texts", lambda value: isinstance(value, Iterable)  # one text is often taken for one
+    is_of_numbers = items is float and origin in (Sequence, Iterable)  # not a place, which may hold None
+    if not (is_of_numbers or _names_ours(items)):
+        return None
+    kinds = _kinds(items)
+    told = (
+        "numbers"
+        if is_of_numbers
+        else " or ".join(told.partition(" ")[2] if told.startswith(("a ", "an ")) else told for told, _ in kinds)
+    )
+    has_items = KINDS[origin][1]
+
+    def is_one(value: Any) -> bool:
+        if not has_items(value) or isinstance(value, Iterator):  # which can be read only once
+            return has_items(value)
+        return all(any(is_one(item) for _, is_one in kinds) for item in (value.values() if is_dict else value))
+
+    return f"{'a dict' if is_dict else 'a sequence'} of {told}", is_one
+
+
+def _names_ours(hint: Any) -> bool:
+    return _is_class_of_ours(hint) or any(map(_names_ours, get_args(hint)))
+
+
+def _is_class_of_ours(hint: Any) -> bool:
+    ours = (__name__.partition(".")[0], "pandas", "xarray", "jax")
+    return inspect.isclass(hint) and hint.__module__.partition(".")[0] in ours
 
 
 def _is_number(value: Any) -> bool:
@@ -144,6 +192,10 @@ def _has_items(value: Any) -> bool:
     return isinstance(value, Iterable) and not isinstance(value, str | bytes)
 
 
+def _is_text(value: Any) -> bool:  # or a time, which may be of any kind where a text is asked for
+    return isinstance(value, str | datetime) or type(value).__name__ == "datetime64"
+
+
 def _is_text_path(value: Any) -> bool:
     return isinstance(value, str | os.PathLike)
 
@@ -152,7 +204,7 @@ KINDS: dict[Any, Kind] = {
     bool: ("True or False", lambda value: type(value).__name__ in ("bool", "bool_")),
     int: ("a whole number", lambda value: isinstance(value, numbers.Integral) and not isinstance(value, bool)),
     float: ("a number", _is_number),
-    str: ("a text", lambda value: isinstance(value, str)),
+    str: ("a text", _is_text),
     Path: ("a path", _is_text_path),
     types.NoneType: ("None", lambda value: value is None),
     **dict.fromkeys((Sequence, Iterable, list, tuple), ("a sequence", _has_items)),
@@ -162,8 +214,33 @@ KINDS: dict[Any, Kind] = {
 
 
 def _shown(value: Any) -> str:
-    """Return a plain value as it is written, and the type of any other."""
+    """Return a plain value, or a short list of them, as it is written, and the type of any other."""
+    if isinstance(value, list | tuple) and len(value) <= MOST_SHOWN:
+        return f"{type(value).__name__} of {', '.join(map(_shown, value)) or 'nothing'}"
     return repr(value) if isinstance(value, str | numbers.Number | None) else type(value).__name__
+
+
+MOST_WHOLE = 2**63 - 1
+MOST = 1e30  # of a number: its square is no overflow, nor it itself in float32
+MOST_OF = {"_m": 1e8, "_deg": 1e3}  # the whole way round the Earth is 4e7 m
+MOST_SHOWN = 4  # values of a list
+UNITS = {  # what messages add, by the end of an argument's name
+    **dict.fromkeys(("start", "goal", "lonlat", "reference"), "longitude, latitude in degrees"),
+    **dict.fromkeys(("_xy_m",), "easting, northing in metres"),
+    **{"bounds": "west, south, east, north in degrees", "_m_s": "metres per second"},
+    **{"_m": "metres", "_s": "seconds", "_deg": "degrees", "_w": "watts"},
+}
+MADE_BY = {  # what no constructor is meant for
+    "City": "City.from_files or demo_city",
+    "CostMap": "cost_map",
+    "Demonstration": "read_demonstrations",
+    "MapComparison": "compare",
+    "MetricMaps": "build_maps or open_maps",
+    "PlannedPath": "plan or plan_many",
+    "RouteQuery": "make_queries",
+    "Sensitivity": "sensitivity",
+    "SoftCity": "soft_city",
+}
 
 
 def one_of(name: str, value: Choice, choices: Iterable[Choice]) -> Choice:
@@ -238,9 +315,10 @@ def readable(what: str, kind: str, remedy: str, *errors: type[Exception]) -> Ite
       what: the file, for the message.
       kind: what it cannot be read as.
       remedy: ends the sentence.
-      errors: what a damaged file raises, beside OSError and ValueError; an InputError passes as it is.
+      errors: what a damaged file raises, beside OSError, ValueError and RecursionError (brackets in brackets); an
+        InputError passes as it is.
     """
-    caught: tuple[type[Exception], ...] = (OSError, ValueError, *errors)
+    caught: tuple[type[Exception], ...] = (OSError, ValueError, RecursionError, *errors)
     try:
         yield
     except InputError:

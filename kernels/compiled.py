@@ -3,6 +3,7 @@
 import hashlib
 import pickle
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from types import CodeType
 from typing import Any
 
@@ -22,7 +23,8 @@ def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
 
     def decorate(function: Callable[..., Any]) -> Any:
         dispatcher = njit(**options)(function)
-        dispatcher._cache = _Cache(function)  # as ``cache=True`` does, with its `FunctionCache`
+        with suppress(RuntimeError):  # a read-only install without a home: nothing is kept, each process compiles
+            dispatcher._cache = _Cache(function)  # as ``cache=True`` does, with its `FunctionCache`
         return dispatcher
 
     return decorate

@@ -9,7 +9,7 @@ from typing import Any, Literal, Protocol, TypeVar
 import numpy as np
 from scipy.ndimage import label
 
-from jaxurban.errors import InputError
+from jaxurban.errors import InputError, typed
 from jaxurban.kernels.search.bounds import line_minima
 from jaxurban.planners.cost import CostKind, PathFeatures, path_features
 from jaxurban.planners.moves import allowed_moves
@@ -58,6 +58,7 @@ class Status(Enum):
         }[self]
 
 
+@typed
 @dataclass(frozen=True)
 class CostModel:
     """How steps are costed, and which steps the grid allows: one argument, so that none of it is lost on the way.
@@ -93,6 +94,7 @@ class CostModel:
         return given if isinstance(given, CostModel) else cls(given)
 
     @classmethod
+    @typed
     def from_settings(cls, settings: Mapping[str, Any]) -> "CostModel":
         """Return the model that settings give under the names of `settings`; what they leave out is the default."""
         given = {name: settings.get(name, default) for name, default in cls().settings.items()}

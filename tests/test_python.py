@@ -107,16 +107,25 @@ def test_pictures_take_one_path_several_or_a_batch(paths):
 @pytest.mark.parametrize(
     ("call", "words"),
     [
-        (lambda: ju.plan(5, START, GOAL, altitude_m=20.0), "maps must be MetricMaps or the folder that holds them"),
-        (lambda: ju.plan(MAPS, 5.0, GOAL, altitude_m=20.0), "start must be longitude, latitude in degrees"),
+        (
+            lambda: ju.plan(5, START, GOAL, altitude_m=20.0),
+            "maps must be MetricMaps .from build_maps or open_maps., a text or a path",
+        ),
+        (
+            lambda: ju.plan(MAPS, 5.0, GOAL, altitude_m=20.0),
+            "start must be a sequence or None .longitude, latitude in degrees",
+        ),
         (lambda: ju.plan(MAPS, START, ("a", 1), altitude_m=20.0), "goal must be longitude, latitude in degrees"),
-        (lambda: ju.plan(MAPS, START, GOAL, altitude_m="low"), "altitude_m must be a finite number of metres"),
-        (lambda: ju.plan(MAPS, START, GOAL, altitude_m=20.0, weights=5), "weights must be Weights or numbers by name"),
-        (lambda: ju.plan(MAPS, START, GOAL, altitude_m=20.0, planner=5), "planner must be a name"),
-        (lambda: ju.plan(MAPS, START, GOAL, altitude_m=20.0, budget_s="long"), "budget_s must be a positive number"),
+        (lambda: ju.plan(MAPS, START, GOAL, altitude_m="low"), "altitude_m must be a number or Levels .metres"),
+        (lambda: ju.plan(MAPS, START, GOAL, altitude_m=20.0, weights=5), "weights must be Weights, a dict or None"),
+        (lambda: ju.plan(MAPS, START, GOAL, altitude_m=20.0, planner=5), "planner must be a text or None"),
+        (
+            lambda: ju.plan(MAPS, START, GOAL, altitude_m=20.0, budget_s="long"),
+            "budget_s must be a number .seconds., got 'long'",
+        ),
         (lambda: ju.plan(MAPS, START, GOAL, altitude_m=20.0, constraints="a.kml"), "constraints must be Constraints"),
         (lambda: ju.plan_many(MAPS, 5), "queries must be"),
-        (lambda: ju.explain([1], MAPS), "a route must be one path"),
+        (lambda: ju.explain([1], MAPS), "planned must be a PlannedPath"),
     ],
 )
 def test_a_wrong_argument_is_one_sentence(call, words):
@@ -146,20 +155,26 @@ def test_dir_lists_exactly_the_public_names_and_checkers_see_the_same():
 @pytest.mark.parametrize(
     ("call", "words"),
     [
-        (lambda: ju.sensitivity(MAPS, START, GOAL), "cost_map must be a CostMap, from cost_map"),
-        (lambda: ju.fit_weights(ju.demonstrations_from_paths([5], MAPS)), "each of paths must be a PlannedPath"),
-        (lambda: ju.fit_weights([5]), "each of demonstrations must be a Demonstration, from read_demonstrations"),
+        (lambda: ju.sensitivity(MAPS, START, GOAL), "cost_map must be a CostMap .from cost_map., got MetricMaps"),
+        (
+            lambda: ju.fit_weights(ju.demonstrations_from_paths([5], MAPS)),
+            "paths must be a PlannedPath .* sequence of PlannedPath",
+        ),
+        (lambda: ju.fit_weights([5]), "demonstrations must be a sequence of Demonstration .from read_demonstrations."),
         (lambda: ju.compare_fits(5), "cities must be"),
         (lambda: ju.build_maps(ju.demo_city(), others={"gsp": 1}), "each name in others"),
-        (lambda: ju.build_maps(5), "city must be a City, from City.from_files or demo_city"),
+        (lambda: ju.build_maps(5), "city must be a City .from City.from_files or demo_city."),
         (lambda: ju.explain(ju.plan(MAPS, START, GOAL, altitude_m=20.0), made_maps(8, 8)), "leaves the region"),
         (
             lambda: ju.plan(MAPS, START, GOAL, altitude_m=20.0, weights={"self": 1}),
             "weights must be Weights or numbers",
         ),
-        (lambda: ju.Grid.from_bounds(5, 5.0, None), "bounds must be four finite numbers"),
+        (
+            lambda: ju.Grid.from_bounds(5, 5.0, None),
+            "bounds must be a sequence of numbers .west, south, east, north in degrees., got 5",
+        ),
         (lambda: ju.RiskParams(threshold_m="far"), "threshold_m must be"),
-        (lambda: ju.Levels(climb_cost="much"), "climb_cost must be a finite number"),
+        (lambda: ju.Levels(climb_cost="much"), "climb_cost must be a number or None"),
     ],
 )
 def test_a_thing_of_another_kind_is_one_sentence(call, words):
@@ -172,33 +187,39 @@ def test_a_thing_of_another_kind_is_one_sentence(call, words):
     [
         (lambda: ju.open_maps(5), "folder must be a text or a path, got 5"),
         (lambda: MAPS.save(5), "folder must be a text or a path, got 5"),
-        (lambda: MAPS.is_free("low"), "altitude_m must be a finite number of metres, got 'low'"),
+        (lambda: MAPS.is_free("low"), "altitude_m must be a number (metres), got 'low'"),
         (lambda: ju.Scenario.from_toml(5), "path must be a text or a path, got 5"),
         (lambda: ju.Constraints.read(5), "no_fly must be a text, a path or a sequence, got 5"),
-        (lambda: ju.Constraints(5), "zones must be a sequence, got 5"),
+        (lambda: ju.Constraints(5), "zones must be a sequence of Zone, got 5"),
         (lambda: ju.MapsFolder(5), "folder must be a text or a path, got 5"),
-        (lambda: ju.demo_city(seed="a"), "seed must be a whole number from 0 up, got 'a'"),
-        (lambda: ju.demo_city(width_m=[1]), "width_m must be a number, got list"),
-        (lambda: ju.soft_city(MAPS, 6, 7), "city must be City, got MetricMaps"),
-        (lambda: ju.build_maps(ju.demo_city(400, 400), resolution_m="a"), "resolution_m must be a number, got 'a'"),
+        (lambda: ju.demo_city(seed="a"), "seed must be a whole number, got 'a'"),
+        (lambda: ju.demo_city(width_m=[1]), "width_m must be a number (metres), got list of 1"),
+        (lambda: ju.soft_city(MAPS, 6, 7), "city must be a City (from City.from_files or demo_city), got MetricMaps"),
+        (
+            lambda: ju.build_maps(ju.demo_city(400, 400), resolution_m="a"),
+            "resolution_m must be a number (metres), got 'a'",
+        ),
         (lambda: ju.plan_many(MAPS, [(START, GOAL)], altitude_m=20.0, num_threads="a"), "num_threads must be a whole"),
         (lambda: ju.explain(ju.plan(MAPS, START, GOAL, altitude_m=20.0), num_segments="a"), "num_segments must be a"),
         (lambda: ju.sample_instances(MAPS, num="a"), "num must be a whole number, got 'a'"),
         (lambda: ju.make_queries(ju.cost_map(MAPS, 20.0), 5), "pairs must be a sequence, got 5"),
-        (lambda: ju.fit_weights(5), "demonstrations must be a sequence, got 5"),
-        (lambda: ju.read_demonstrations(5, MAPS), "file must be a text, a path or DataFrame, got 5"),
+        (
+            lambda: ju.fit_weights(5),
+            "demonstrations must be a sequence of Demonstration (from read_demonstrations), got 5",
+        ),
+        (lambda: ju.read_demonstrations(5, MAPS), "file must be a text, a path or a DataFrame, got 5"),
         (lambda: ju.FitSettings(max_rounds="a"), "max_rounds must be a whole number, got 'a'"),
         (lambda: ju.FitSettings(max_rounds=True), "max_rounds must be a whole number, got True"),
         (lambda: ju.SensitivitySettings(seed=-1), "seed must be a whole number from 0 up, got -1"),
         (lambda: ju.sample_instances(MAPS, 2, seed=-1), "seed must be a whole number from 0 up, got -1"),
         (lambda: ju.Levels(level_step_m="x"), "level_step_m must be a"),
-        (lambda: ju.SensitivitySettings(vary=5), "vary must be a sequence, got 5"),
+        (lambda: ju.SensitivitySettings(vary=5), "vary must be a sequence of texts, got 5"),
         (lambda: ju.BenchmarkSettings(budget_s=-1), "budget_s must be a positive number of seconds, got -1"),
         (
             lambda: ju.BenchmarkSettings(budget_iterations=0),
             "budget_iterations must be a whole number from 1 up",
         ),
-        (lambda: ju.save_sensitivity(5, "out"), "found must be Sensitivity, got 5"),
+        (lambda: ju.save_sensitivity(5, "out"), "found must be a Sensitivity (from sensitivity), got 5"),
         (lambda: ju.study(MAPS, 5, 3), "folder must be a text or a path, got 5"),
     ],
 )
@@ -211,7 +232,7 @@ def test_an_argument_of_another_kind_names_the_kinds_that_it_may_be(call, told):
 def test_a_wrong_rule_or_altitude_of_free_cells_is_refused():
     with pytest.raises(InputError, match="obstacles must be 'touched' or 'centre', got 'toched'"):
         MAPS.is_free(20.0, "toched")
-    with pytest.raises(InputError, match="altitude_m must be a finite number of metres"):
+    with pytest.raises(InputError, match="altitude_m must be a finite number"):
         MAPS.is_free(float("nan"))
 
 

@@ -9,6 +9,7 @@ import signal
 import sys
 import warnings
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,7 @@ from jaxurban.cli.plan import plan
 from jaxurban.cli.sensitivity import sensitivity
 from jaxurban.cli.study import study
 from jaxurban.cli.tune import tune
-from jaxurban.errors import InputError
+from jaxurban.errors import InputError, reason_of
 from jaxurban.progress import interrupted
 
 EXIT_BAD_INPUT, EXIT_INTERRUPTED = 2, 130
@@ -41,12 +42,15 @@ for command in (compare, demo, fetch, maps, plan, sensitivity, study, tune):
 
 def _set_up_jax() -> None:
     """Let JAX keep compiled kernels between runs, under the user's cache folder, and take a GPU's memory as needed."""
+    os.environ["MPLBACKEND"] = "agg"  # pictures go to files, whatever is set for windows
     os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")  # JAX's own way takes three quarters at once
     import jax
 
-    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "jaxurban" / "jax"
     if not os.environ.get("JAX_COMPILATION_CACHE_DIR"):
-        jax.config.update("jax_compilation_cache_dir", str(cache))
+        with suppress(OSError, RuntimeError):  # a user without a home, or one that cannot be written to
+            cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "jaxurban" / "jax"
+            cache.mkdir(parents=True, exist_ok=True)
+            jax.config.update("jax_compilation_cache_dir", str(cache))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 
 
@@ -63,6 +67,8 @@ def _run(arguments: Sequence[str] | None) -> int:
     try:
         _set_up_jax()
         code = app.main(args=arguments, prog_name="jaxurban", standalone_mode=False)
+        if sys.stdout is not None:
+            sys.stdout.flush()  # what cannot be printed is told now, not at the interpreter's end
     except InputError as error:
         code = _fail(str(error))
     except click.exceptions.NoArgsIsHelpError as help_text:
@@ -75,15 +81,34 @@ def _run(arguments: Sequence[str] | None) -> int:
     except MemoryError:
         code = _fail("memory ran out: use a smaller region, a coarser [region] resolution_m, or fewer altitudes")
     except BrokenPipeError:  # the reader of stdout left, as `head` does
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _drop_stdout()
         code = 0
+    except OSError as error:
+        _drop_stdout()
+        where = f" {str(error.filename)!r}" if error.filename else ""
+        code = _fail(
+            f"the system refuses to read or write{where or ', perhaps what is printed'} ({reason_of(error)}): free "
+            "space, or mend that, and run the same command again, which goes on"
+        )
     except (KeyboardInterrupt, click.Abort):
         tell("interrupted; finished files are kept, and the same command resumes")
         sys.stdout.flush()
         sys.stderr.flush()
         # At once: libraries' threads that were writing would only complain of the interpreter's end.
         os._exit(EXIT_INTERRUPTED)
+    except Exception as error:
+        if "proj.db" not in str(error):
+            raise
+        code = _fail(
+            "PROJ does not find its database proj.db: unset PROJ_DATA and PROJ_LIB, or point them to its folder"
+        )
     return code or 0
+
+
+def _drop_stdout() -> None:
+    """Send what is still to be printed nowhere: its place is full, or its reader has left."""
+    with suppress(OSError, ValueError, AttributeError):  # no stdout at all, or one of a notebook
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _interrupt(*_: object) -> None:

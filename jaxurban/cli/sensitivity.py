@@ -180,6 +180,7 @@ def _one(folder: Path, output: Path, as_json: bool, overwrite: bool, given: Sett
 def _many(folders: Sequence[Path], output: Path, as_json: bool, overwrite: bool, given: Settings) -> int:
     from jaxurban.io.tables import read_table, records_of
     from jaxurban.metrics.weights import Weights
+    from jaxurban.planners.base import EXIT_NO_PATH
     from jaxurban.report.buildings import scenario_of
     from jaxurban.report.run_sensitivity import sensitivity_study
     from jaxurban.studies.montecarlo.run import MapsFolder
@@ -238,7 +239,8 @@ def _many(folders: Sequence[Path], output: Path, as_json: bool, overwrite: bool,
         workers=given["cluster"] or given["workers"] or default_workers(),
         overwrite=overwrite,
     )
-    if not found.rows.status.isin(HAS_PATH).any():
+    has_route = found.rows.status.isin(HAS_PATH).any()
+    if not has_route:
         tell("warning: no route was found, so that nothing can be said: the report tells why")
     tell(f"sensitivity finished: read {output / 'report.md'}, look at {output / 'figures'}")
     if as_json:
@@ -246,7 +248,7 @@ def _many(folders: Sequence[Path], output: Path, as_json: bool, overwrite: bool,
         kept = {name: records_of(table) for name, table in found.tables.items() if name.endswith("summary")}
         statuses = found.rows.status.value_counts().to_dict()
         print_json({"folder": str(output), "statuses": statuses, "findings": claims, "tables": kept})
-    return 0
+    return 0 if has_route else EXIT_NO_PATH
 
 
 def _factors(text: str) -> tuple[float, float]:

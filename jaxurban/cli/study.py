@@ -44,12 +44,12 @@ if TYPE_CHECKING:
 @JSON_FLAG
 def study(scenario_file: Path, folder: Path, benchmark_folder: Path | None, as_json: bool, **given: Any) -> int:
     """Run every planner of SCENARIO's [study] on many random queries over its maps, and report what came out."""
-    from jaxurban.planners.base import CostModel
+    from jaxurban.planners.base import EXIT_NO_PATH, CostModel
     from jaxurban.report.benchmark import check_exportable, export_benchmark
     from jaxurban.report.montecarlo import write_analysis
     from jaxurban.scenario.provenance import settings_of
     from jaxurban.scenario.settings import Scenario
-    from jaxurban.studies.montecarlo.trial import BenchmarkSettings
+    from jaxurban.studies.montecarlo.trial import HAS_PATH, BenchmarkSettings
 
     scenario = Scenario.from_toml(scenario_file)
     chosen = scenario.study
@@ -81,6 +81,9 @@ def study(scenario_file: Path, folder: Path, benchmark_folder: Path | None, as_j
         made |= {"benchmark": {"folder": str(benchmark_folder), **counts}}
     if as_json:
         print_json(made)
+    if not result.rows.status.isin(HAS_PATH).any():
+        tell("warning: no planner found a path for any instance: the report tells why")
+        return EXIT_NO_PATH
     return 0
 
 
@@ -94,13 +97,19 @@ def _run(
     from jaxurban.studies.montecarlo.run import MapsFolder
     from jaxurban.studies.montecarlo.sampling import read_instances, sample_instances
 
+    resolutions_m = scenario.region.resolution_m
+    if given["resolution_m"] is not None and given["resolution_m"] not in resolutions_m:
+        listed = ", ".join(f"{each:g}" for each in resolutions_m)
+        raise InputError(
+            f"--resolution {given['resolution_m']:g} is none of the scenario's: it makes maps of {listed} m"
+        )
     file = given["instances_file"]
     instances = None if file is None else read_instances(file)
     cover = None if file is not None else land_cover_of(scenario)
     with reporting("maps") as report:
         run = run_scenario(scenario, folder, report, given["overwrite"])
     tell_warnings(run.record)
-    maps = MapsFolder(folder, given["resolution_m"] or scenario.region.resolution_m[0], scenario.planning.obstacles)
+    maps = MapsFolder(folder, given["resolution_m"] or resolutions_m[0], scenario.planning.obstacles)
     if instances is None:
         instances = sample_instances(
             maps.open(),

@@ -11,7 +11,7 @@ import numpy as np
 import shapely
 from jaxtyping import DTypeLike
 
-from jaxurban.errors import InputError, check_type, one_of, typed
+from jaxurban.errors import InputError, one_of, typed
 from jaxurban.io.layers import bands_of
 from jaxurban.io.read.guesses import warn_of
 from jaxurban.io.read.orbits import NOMINAL, iso_utc, look_angles, middle_epoch, parse_time, read_orbits
@@ -26,7 +26,7 @@ from jaxurban.maps.pipeline import MapInputs, inputs_of, skies_of
 from jaxurban.maps.recipe import TileScene, tile_maps
 from jaxurban.maps.stopwatch import Stage, Stopwatch, untimed
 from jaxurban.maps.task import PAPER_ALTITUDES_M, MapParams, MapTask
-from jaxurban.metrics.custom import Layer, check_layers
+from jaxurban.metrics.custom import Layer, check_layers, check_name
 from jaxurban.metrics.gps import GpsParams
 from jaxurban.metrics.lidar import LidarParams
 from jaxurban.metrics.population import BlockPopulation, PopulationParams
@@ -101,13 +101,14 @@ def build_maps(
     Raises:
       InputError: settings that do not fit the city, too few satellites, or too little memory.
     """
-    check_type("city", city, City, "City.from_files or demo_city")
     if not resolution_m > 0:
         raise InputError(f"resolution_m must be a positive number of metres, got {resolution_m}")
     if grid is not None and bounds is not None:
         raise InputError("give either bounds or grid, and not both")
     for name in others or {}:
         one_of("each name in others", name, METRICS)
+    for name in layers or {}:
+        check_name(name)
     region = grid if grid is not None else _region(city, bounds, resolution_m)
     times = _checked_times(times)
     params = MapParams(

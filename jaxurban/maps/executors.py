@@ -1,11 +1,14 @@
 """Who works on the tiles: threads of this process, processes of this machine, or a Dask cluster."""
 
+import multiprocessing
 import os
+import sys
 import uuid
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
 from pickle import PicklingError
 from typing import Any
 
@@ -221,6 +224,23 @@ def _check_functions(job: TileJob) -> None:
             ) from error
 
 
+def _check_main() -> None:
+    """Raise InputError where worker processes, each of which imports the main script, would run it again.
+
+    In such a worker, where the check of the script's text let it pass, end it without a word.
+    """
+    if getattr(multiprocessing.current_process(), "_inheriting", False):
+        raise SystemExit(1)
+    main = sys.modules.get("__main__")
+    file = getattr(main, "__file__", None)  # none in a notebook or at the prompt
+    if file is None or not file.endswith(".py") or "__name__" in Path(file).read_text(errors="replace"):
+        return
+    raise InputError(
+        f"worker processes would run {file!r} again from its beginning: put what it does under "
+        "`if __name__ == '__main__':`, or work in one process"
+    )
+
+
 @contextmanager
 def cluster_client(
     address: str | None, num_workers: int | None, gpus: Sequence[Gpu] = (), num_threads: int = 1
@@ -251,6 +271,7 @@ def cluster_client(
         with client:
             yield client
         return
+    _check_main()
     # Compiled programs are kept where this process keeps them.
     cache = jax.config.values.get("jax_compilation_cache_dir")
     environment = {"JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0"}

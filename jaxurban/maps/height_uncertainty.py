@@ -12,13 +12,24 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 import scipy.ndimage
 
-from jaxurban.errors import InputError
+from jaxurban.errors import InputError, typed
 from jaxurban.world.city import City, HeightOrigin
 
 SPREAD = ("mean", "std", "p05", "p95")  # what is kept of each metric
+MOST_SAMPLES = 1000
 TAIL = 0.05  # the percentiles reported are the 5th and the 95th
 
 
+def check_samples(num_samples: int) -> None:
+    """Raise InputError unless so many samples make a spread, or none is asked for."""
+    if num_samples != 0 and not 2 <= num_samples <= MOST_SAMPLES:
+        raise InputError(
+            f"height_samples must be 0, for none, or from 2 to {MOST_SAMPLES:,} (each makes all maps anew, and a tenth "
+            f"of them are held in memory), got {num_samples}"
+        )
+
+
+@typed
 @dataclass(frozen=True)
 class HeightStd:
     """Standard deviation of a building's height by its origin, metres; 0: known exactly.

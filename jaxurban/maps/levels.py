@@ -5,12 +5,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from jaxurban.errors import InputError, finite
+from jaxurban.errors import InputError, finite, typed
 
 SAME_M = 1e-6  # altitudes this close are one
 MOST_LEVELS = 10_000
 
 
+@typed
 @dataclass(frozen=True)
 class Levels:
     """Between which altitudes a path may climb and descend, and what that costs.

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
-from jaxurban.errors import InputError, check_type, finite, one_of, typed
+from jaxurban.errors import InputError, finite, one_of, typed
 from jaxurban.io import store
 from jaxurban.io.geotiff import geotiff_names, held_maps, missing_geotiffs, write_geotiffs
 from jaxurban.io.read.orbits import iso_utc, parse_time
@@ -44,6 +44,7 @@ def _placed(ds: xr.Dataset) -> xr.Dataset:
     return ds if all(ds.attrs[name] == value for name, value in first.items()) else ds.assign_attrs(first)
 
 
+@typed
 @dataclass(frozen=True, repr=False)
 class MetricMaps(Shown):
     """The metric maps of one region at one resolution, as an xarray Dataset.
@@ -72,7 +73,6 @@ class MetricMaps(Shown):
     obstacles: Obstacles = "touched"
 
     def __post_init__(self) -> None:
-        check_type("ds", self.ds, xr.Dataset, "build_maps or open_maps")
         one_of("obstacles", self.obstacles, get_args(Obstacles))
         object.__setattr__(self, "ds", _placed(self.ds))
 
@@ -157,6 +157,7 @@ class MetricMaps(Shown):
             )
         return self._around(altitude_m)
 
+    @typed
     def m(
         self, name: str, altitude_m: float | None = None, *, time: str | None = None, time_of_day: str | None = None
     ) -> np.ndarray:
@@ -235,10 +236,12 @@ class MetricMaps(Shown):
             )
         return "roof_touched"
 
+    @typed
     def with_obstacles(self, obstacles: Obstacles) -> "MetricMaps":
         """Return the same maps with another rule of where planners may fly (see ``obstacles``)."""
         return replace(self, obstacles=obstacles)
 
+    @typed
     def costs(self, altitude_m: float, *, time: str | None = None, time_of_day: str | None = None) -> dict:
         """Return the cost layers c in [0, 1] by metric, ``[y, x]`` each."""
         return {
@@ -246,15 +249,18 @@ class MetricMaps(Shown):
             for name, metric in self.metrics.items()
         }
 
+    @typed
     def total(self, altitude_m: float, *, time: str | None = None, time_of_day: str | None = None) -> np.ndarray:
         """Return H_total, the unweighted sum of the cost layers, ``[y, x]``."""
         return np.asarray(total_map(self.costs(altitude_m, time=time, time_of_day=time_of_day)))
 
+    @typed
     def normalised(self, altitude_m: float, *, time: str | None = None, time_of_day: str | None = None) -> np.ndarray:
         """Return H_norm, H_total brought to [0, 1] over free cells, NaN elsewhere, ``[y, x]``."""
         total = self.total(altitude_m, time=time, time_of_day=time_of_day)
         return np.asarray(normalised_map(jnp.asarray(total), jnp.asarray(self.is_free(altitude_m, "centre"))))
 
+    @typed
     def prefers_gps(self, altitude_m: float, *, time: str | None = None) -> np.ndarray:
         """Return the sensor-choice map ``[y, x]`` bool: m_gps > m_lidar."""
         return self.m("gps", altitude_m, time=time) > self.m("lidar", altitude_m)

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxurban.errors import InputError
+from jaxurban.errors import InputError, typed
 from jaxurban.maps.task import MapTask
 from jaxurban.metrics.gps import SATELLITES_STEP, GpsParams, maps_of_words
 from jaxurban.metrics.lidar import LidarParams, beam_heights, lidar_of_beams
@@ -109,6 +109,7 @@ def skies_of(task: MapTask, surface: Surface) -> SkyView:
     return jax.tree.map(lambda *values: jnp.asarray(np.stack(values)), *views)
 
 
+@typed
 def all_maps(inputs: MapInputs, sky: SkyView, weights: GivenWeights = None) -> dict[str, Array]:
     """Return every map of a region at one time, by its variable. Pure: jit it, map over it, export it.
 

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from jaxurban.errors import InputError
+from jaxurban.errors import InputError, at_least
 from jaxurban.io.read.rasterise import build_surface, highest_top_m, surface_grid
 from jaxurban.maps.guesses import draws_guesses
-from jaxurban.maps.height_uncertainty import SPREAD, HeightStd
+from jaxurban.maps.height_uncertainty import SPREAD, HeightStd, check_samples
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY, Metric
 from jaxurban.metrics.custom import Layer, check_file_names, own_metric
 from jaxurban.metrics.gps import GpsParams
@@ -64,8 +64,8 @@ class MapParams:
             raise InputError(f"mask_deg must lie in 0 to 90 degrees, got {self.mask_deg}")
         if self.oversample < 1:
             raise InputError(f"oversample must be a whole number from 1 up, got {self.oversample}")
-        if self.height_samples == 1:
-            raise InputError("height_samples is 1: a spread needs at least 2 samples (0 makes none)")
+        check_samples(self.height_samples)
+        at_least("height_seed", self.height_seed)
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
-from jaxurban.errors import InputError, finite, one_of
+from jaxurban.errors import InputError, finite, one_of, typed
 from jaxurban.metrics.availability import STATISTICS
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY, Metric, Scene, SoftScene, high_is_bad, low_is_bad
 from jaxurban.metrics.registry import METRICS
@@ -47,6 +47,7 @@ TAKEN = (
 )
 
 
+@typed
 @dataclass(frozen=True, eq=False)
 class Layer:
     """Settings of one's own cost layer, a ``[layers.NAME]`` section of a scenario.

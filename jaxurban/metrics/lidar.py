@@ -10,7 +10,7 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxurban.errors import InputError
+from jaxurban.errors import InputError, typed
 from jaxurban.kernels.lidar import flat as kernel
 from jaxurban.kernels.lidar import soft as soft_kernel
 from jaxurban.kernels.lidar.supersampled import count_returns_at_centres, halo_cells, phase_starts, phases
@@ -24,6 +24,7 @@ MAX_COUNT = 100_000  # beams, and scan positions: of a mistyped number no table 
 
 
 @differentiable("range_m")
+@typed
 @dataclass(frozen=True)
 class LidarParams:
     """A puck lidar that turns about the vertical. A pytree whose leaf is the range.
@@ -50,7 +51,7 @@ class LidarParams:
             value = getattr(self, name)
             if not (isinstance(value, int) and 1 <= value <= MAX_COUNT):
                 raise InputError(f"{name} must be a whole number from 1 to {MAX_COUNT:,}, got {value!r}")
-        low, high = self.field_of_view_deg
+        low, high = self.field_of_view_deg if len(self.field_of_view_deg) == 2 else (1, -1)
         if not -90 < low <= high < 90:
             raise InputError(
                 "field_of_view_deg must be the lowest and the highest beam's elevation, ascending and "

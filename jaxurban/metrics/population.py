@@ -12,7 +12,7 @@ import shapely
 from jax import lax
 from jaxtyping import Array, DTypeLike, Float, Int, Integer
 
-from jaxurban.errors import InputError, nearest_name, one_of
+from jaxurban.errors import InputError, nearest_name, one_of, typed
 from jaxurban.metrics.base import TIME_OF_DAY, AnyArray, Metric, Scene, SoftScene, high_is_bad
 from jaxurban.metrics.settings import check_value, differentiable
 from jaxurban.world.city import Blocks, Zoning
@@ -31,6 +31,7 @@ WEEKEND_PROFILE = tuple(WEEKEND_SHARE * share for share in WEEKDAY_PROFILE)
 
 
 @differentiable("gamma_commercial", "gamma_residential")
+@typed
 @dataclass(frozen=True)
 class PopulationParams:
     """Settings of the population metric. A pytree whose leaves are the gammas.

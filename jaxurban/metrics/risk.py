@@ -11,7 +11,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-from jaxurban.errors import one_of
+from jaxurban.errors import one_of, typed
 from jaxurban.kernels.distance import exact as kernel
 from jaxurban.kernels.distance import soft as soft_distance
 from jaxurban.metrics.base import ALTITUDE, AnyArray, Metric, Scene, in_type, low_is_bad, on_scene
@@ -23,6 +23,7 @@ DISTANCES = ("slice", "solid")
 
 
 @differentiable("threshold_m")
+@typed
 @dataclass(frozen=True)
 class RiskParams:
     """What counts as close. A pytree whose leaf is the threshold.

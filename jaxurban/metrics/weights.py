@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxurban.errors import InputError, nearest_name
+from jaxurban.errors import InputError, nearest_name, typed
 from jaxurban.metrics.base import AnyArray as AnyArray
 from jaxurban.metrics.registry import METRICS
 
@@ -18,6 +18,7 @@ MOST_WEIGHT = 1e30  # no path's cost overflows up to here, not even in float32
 
 
 @jax.tree_util.register_pytree_with_keys_class
+@typed
 @dataclass(frozen=True, init=False, repr=False)
 class Weights:
     """The paper's W: cost per metre, and cost per step (or per reference length) of each metric's cost.
@@ -47,7 +48,10 @@ class Weights:
         risk: float | jax.Array = METRIC_WEIGHT,
         **own: float | jax.Array,
     ) -> None:
-        named = {"distance": distance, "gps": gps, "lidar": lidar, "population": population, "risk": risk}
+        own = {**dict(own.pop("own", ())), **own}  # type: ignore[call-overload]  # as `dataclasses.replace` gives them
+        self._set({"distance": distance, "gps": gps, "lidar": lidar, "population": population, "risk": risk}, own)
+
+    def _set(self, named: Mapping[str, Any], own: Mapping[str, Any]) -> None:
         for name, value in named.items():
             object.__setattr__(self, name, value)
         object.__setattr__(self, "own", tuple(sorted(own.items(), key=lambda item: item[0])))
@@ -72,6 +76,7 @@ class Weights:
         return cls(**given)
 
     @classmethod
+    @typed
     def parse(cls, text: str, base: "Weights | None" = None) -> "Weights":
         """Return the weights in ``"gps=1,noise=2"``; those not named are taken from ``base``.
 
@@ -119,6 +124,11 @@ class Weights:
         values = {name: _number(name, value) for name, value in self.to_dict().items()}
         return Weights(**values)
 
+    def check_some(self, name: str = "weights") -> None:
+        """Raise InputError where all weights are 0: every route costs nothing, and none is cheaper than another."""
+        if not any(self.checked().to_dict().values()):
+            raise InputError(f"{name} are all 0, so that every route costs nothing: give one above 0")
+
     def tree_flatten_with_keys(self) -> tuple[tuple, tuple[str, ...]]:
         """Return the weights with their keys, for JAX."""
         values = self.to_dict()
@@ -126,8 +136,11 @@ class Weights:
 
     @classmethod
     def tree_unflatten(cls, names: tuple[str, ...], values: Iterable[Any]) -> "Weights":
-        """Return the weights that JAX took apart."""
-        return cls(**dict(zip(names, values, strict=True)))
+        """Return the weights that JAX took apart, whatever it puts in their place."""
+        given = dict(zip(names, values, strict=True))
+        weights = object.__new__(cls)
+        weights._set({name: given.pop(name) for name in ("distance", "gps", "lidar", "population", "risk")}, given)
+        return weights
 
 
 GivenWeights = Weights | Mapping[str, float] | None

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from jaxurban.errors import InputError, typed
+from jaxurban.errors import InputError, at_least, typed
 from jaxurban.io.rows import fingerprint
 from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
 from jaxurban.metrics.weights import GivenWeights
@@ -85,7 +85,10 @@ def plan_many(
     if file is not None and (FilePath(file).suffix != ".parquet" or not FilePath(file).parent.is_dir()):
         raise InputError(f"file {str(file)!r} must end in .parquet and lie in a folder that exists")
     snap_limit_m(snap)  # a wrong one is refused once, not with every query
+    if num_threads is not None:
+        at_least("num_threads", num_threads, 1)
     maps = as_maps(maps)
+    maps.costs(maps.altitudes_m[0] if altitude_m is None else altitude_m, time=time, time_of_day=time_of_day)
     batch = read_queries(
         queries, altitude_m=altitude_m, time=time, time_of_day=time_of_day, weights=weights, metrics=maps.metrics
     )

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jaxurban.errors import InputError
+from jaxurban.errors import InputError, typed
 from jaxurban.io.read.zone import Zone
 from jaxurban.paths.export.write import MISSION, write_path
 from jaxurban.paths.ground import Ground
@@ -73,6 +73,7 @@ class PlannedPath(Shown):
             "mean metrics": metrics or "none",
         }
 
+    @typed
     def save(
         self,
         file: str | FilePath,

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from jaxurban.errors import InputError
+from jaxurban.errors import InputError, typed
 from jaxurban.io.rows import RowStore
 from jaxurban.io.tables import SUFFIXES, write_table
 from jaxurban.paths.export.write import FORMATS, write_path
@@ -74,6 +74,7 @@ class PlannedPaths(Shown, Sequence[PlannedPath | None]):
             "length": f"{sum(path.length_m for path in found) / 1000:,.1f} km",
         }
 
+    @typed
     def save(self, file: str | FilePath) -> FilePath:
         """Write the batch and return the file, by its suffix a table or the paths themselves.
 
@@ -93,6 +94,7 @@ class PlannedPaths(Shown, Sequence[PlannedPath | None]):
             raise InputError("there is no path to save: to_dataframe tells what became of each query")
         return file
 
+    @typed
     def to_dataframe(self, *, with_points: bool = False) -> pd.DataFrame:
         """Return a table with one row a query: the query, status and message, costs, metrics, search.
 

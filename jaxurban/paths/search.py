@@ -38,7 +38,7 @@ class PathSearch:
           InputError: an unknown one, a heuristic that it does not take, a wrong seed or budget.
         """
         check_seed(self.seed)
-        name = self.planner or ("astar-volume" if is_for_volumes else "astar-plus")
+        name = ("astar-volume" if is_for_volumes else "astar-plus") if self.planner is None else self.planner
         if not isinstance(name, str):
             raise InputError(f"planner must be a name such as 'astar-plus', got {name!r}")
         if not (isinstance(self.budget_s, int | float | np.number) and self.budget_s > 0):

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import shapely
 
-from jaxurban.errors import InputError, check_type, positive, typed
+from jaxurban.errors import InputError, positive, typed
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.finish import measured
 from jaxurban.paths.path import PlannedPath
@@ -30,8 +30,6 @@ def simplify(planned: PlannedPath, on: CostMap, tolerance_m: float) -> PlannedPa
     Raises:
       InputError: a tolerance that is not a positive number of metres, or another cost map than the path's.
     """
-    check_type("planned", planned, PlannedPath, "plan(maps, ...)")
-    check_type("on", on, CostMap, "cost_map(maps, altitude_m, ...)")
     tolerance_m = positive("tolerance_m", tolerance_m, "metres")
     if not planned.status.has_path:
         return planned

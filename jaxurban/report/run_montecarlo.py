@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from jaxurban.errors import InputError, check_type, one_of, typed
+from jaxurban.errors import InputError, one_of, typed
 from jaxurban.io.files import check_writable, only_writer, read_json, whole_file, write_json
 from jaxurban.io.read.landcover import read_land_cover
 from jaxurban.io.read.osm import OSM_SUFFIXES
@@ -95,7 +95,6 @@ def study(
         benchmark of other settings or other instances.
     """
     folder, settings = Path(folder), settings or BenchmarkSettings()
-    check_type("settings", settings, BenchmarkSettings)
     if isinstance(workers, int) and workers < 1:
         raise InputError(f"workers must be at least 1, got {workers}")
     source: MetricMaps | MapsFolder

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from jaxurban.errors import GuessWarning, InputError, check_type, one_of, typed
+from jaxurban.errors import GuessWarning, InputError, one_of, typed
 from jaxurban.io.folders import own_folder
 from jaxurban.io.rows import ROWS_FILE, RowStore, fingerprint
 from jaxurban.io.tables import read_table, records_of, write_table
@@ -87,8 +87,6 @@ def sensitivity_study(
       InputError: a wrong argument, routes for other maps, or a folder that holds another study or other files.
     """
     folder, settings, remade = Path(folder), settings or SensitivityStudySettings(), remade or RemadeSettings()
-    check_type("settings", settings, SensitivityStudySettings)
-    check_type("remade", remade, RemadeSettings)
     if isinstance(workers, int) and workers < 1:
         raise InputError(f"workers must be at least 1, got {workers}")
     if not isinstance(routes, pd.DataFrame) and (isinstance(routes, bool) or not isinstance(routes, int) or routes < 1):

@@ -51,9 +51,13 @@ def keys_of(model: type) -> list[str]:
 
 def _check(given: Mapping[str, Any], model: type) -> None:
     known = keys_of(model)
+    sections = {key.partition(".")[0] for key in known if "." in key}
     for section, value in given.items():
         if section in OPEN:
             continue
+        if section in sections and not isinstance(value, Mapping):
+            near = next(each for each in known if each.startswith(f"{section}."))
+            raise InputError(f"--set: {section!r} is a section of settings: name one of them, as in {near}=...")
         for key in [f"{section}.{name}" for name in value] if isinstance(value, Mapping) else [section]:
             if key not in known:
                 raise InputError(f"--set: a scenario has no key {key!r}{_near(key, known)}")

@@ -25,7 +25,7 @@ from pydantic import (
 from jaxurban.errors import InputError, typed
 from jaxurban.io.read.orbits import NOMINAL as NOMINAL
 from jaxurban.io.read.orbits import iso_utc
-from jaxurban.maps.height_uncertainty import HeightStd
+from jaxurban.maps.height_uncertainty import HeightStd, check_samples
 from jaxurban.metrics.custom import Layer, check_file_names, check_name
 from jaxurban.metrics.gps import GpsParams
 from jaxurban.metrics.lidar import LidarParams
@@ -128,14 +128,13 @@ class BuildingSettings(_Section):
     all_touched: bool = False
     allow_none: bool = False
     height_std_m: HeightStd = HeightStd()
-    height_samples: Annotated[int, Field(ge=0)] = 0  # of the spread maps; 0: none are made
+    height_samples: int = 0  # of the spread maps; 0: none are made
     height_seed: Seed = 0
     credit: str = ""  # what the source's licence asks for; OSM's is known
 
     @model_validator(mode="after")
     def _check(self) -> "BuildingSettings":
-        if self.height_samples == 1:
-            raise ValueError("height_samples is 1: a spread needs at least 2 samples (0 makes none)")
+        check_samples(self.height_samples)
         return self
 
 
@@ -344,6 +343,7 @@ class Scenario(_Section):
         return cls.from_dict(changed(settings, changes, cls), name=name, folder=path.resolve().parent)
 
     @classmethod
+    @typed
     def from_dict(cls, settings: dict[str, Any], name: str = "the scenario", folder: Path | None = None) -> "Scenario":
         """Return the scenario in nested dicts, sections by name; relative paths are relative to ``folder``.
 

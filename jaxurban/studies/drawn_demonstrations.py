@@ -129,7 +129,12 @@ def draw(drawn: DrawnRoutes, maps: MetricMaps, map_of: MapOf, pilot: Weights | N
         table = table[table.status.isin(HAS_PATH)]
     weights = [WEIGHT_PREFIX + name for name in ("distance", *maps.metrics)]
     places = XY if set(XY) <= set(table.columns) else LONLAT
-    known = [*places, *(name for name in ("altitude_m", "time", "time_of_day", *weights) if name in table)]
+    if pilot is None and not any(name in table for name in weights):
+        raise InputError(
+            f"{drawn.name!r} names no weights ({', '.join(weights)}) under which its routes are cheapest: name them "
+            "(--pilot, pilot=)"
+        )
+    known = [name for name in (*places, "altitude_m", "time", "time_of_day", *weights) if name in table]
     queries = read_queries(table[known], metrics=maps.metrics)
     if pilot is None and len({tuple(query.weights.to_dict().items()) for query in queries}) > 1:
         warnings.warn(

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from jaxurban.errors import InputError, check_type, typed
+from jaxurban.errors import InputError, typed
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.registry import METRICS
 from jaxurban.metrics.weights import Weights
@@ -77,7 +77,6 @@ def maps_of(queries: Iterable[RouteQuery]) -> list[CostMap]:
 
 def check_flat(cost_map: CostMap) -> None:
     """Raise InputError unless this is a cost map of one altitude, as studies of routes need."""
-    check_type("cost_map", cost_map, CostMap, "cost_map(maps, altitude_m, ...)")
     if cost_map.levels is not None:
         raise InputError("a study of routes needs one altitude, not Levels: give cost_map(maps, 60.0)")
 
@@ -98,7 +97,11 @@ def make_queries(
     """
     check_flat(cost_map)
     queries = []
-    for number, (start, goal) in enumerate(pairs, start=1):
+    for number, pair in enumerate(pairs, start=1):
+        try:
+            start, goal = pair
+        except (TypeError, ValueError) as error:
+            raise InputError(f"each of pairs must be a start and a goal, got {pair!r}") from error
         try:
             ends = (cost_map.locate("start", start, snap=snap), cost_map.locate("goal", goal, snap=snap))
         except InputError as error:
@@ -120,7 +123,7 @@ def check_alike(queries: Sequence[RouteQuery]) -> tuple[str, ...]:
       InputError: no query, or maps whose metrics, cost models or units of population differ.
     """
     if not queries:
-        raise InputError("there are no routes to look at: give at least one")
+        raise InputError("there are no routes to look at (demonstrations, queries or cities): give at least one")
     first = queries[0].cost_map
     for other in maps_of(queries):
         if other.weight_names != first.weight_names:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from jaxurban.errors import InputError, OtherSettingsWarning, check_type, typed
+from jaxurban.errors import InputError, OtherSettingsWarning, typed
 from jaxurban.io.read.routes import read_routes
 from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
 from jaxurban.metrics.weights import Weights
@@ -119,8 +119,6 @@ def demonstrations_from_paths(
     paths = list(paths)
     if not paths:
         raise InputError("there are no paths: give at least one")
-    for path in paths:
-        check_type("each of paths", path, PlannedPath, "plan")
     planned = [(f"path {number}", path.settings) for number, path in enumerate(paths, start=1)]
     model = _model_of(planned, cost_model, "cell")
     map_of = _cost_maps(as_maps(maps), planned, model, constraints or Constraints(), metrics)

@@ -7,7 +7,7 @@ from typing import Any, cast, get_args
 
 from pydantic import BaseModel, ValidationError
 
-from jaxurban.errors import nearest_name
+from jaxurban.errors import check_range, nearest_name
 
 UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")
 NO_LIST = ("tuple_type", "list_type")
@@ -117,11 +117,12 @@ def sentence_of(error: ValidationError, model: type, settings: Any) -> str:
 
 
 def check_truths(settings: Any, model: type, where: str = "") -> None:
-    """Raise ValueError where true or false stands for a setting of a model that is none, as pydantic takes it for 1."""
+    """Raise ValueError for true or false where a setting is none, and for numbers beyond all measure."""
     known = fields_of(model)
     for name, value in settings.items() if isinstance(settings, Mapping) else ():
         if isinstance(value, bool) and name in known and known[name] is not bool:
             raise ValueError(f"{where}{name} cannot be {str(value).lower()}: give a number, a text or a list")
+        check_range(f"{where}{name}", value)
         if inner := model_in(known.get(name)):
             check_truths(value, inner, f"{where}{name}: ")
 

@@ -5,16 +5,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 import pyproj
 from pyproj.aoi import AreaOfInterest
 from pyproj.database import query_utm_crs_info
 
-from jaxurban.errors import InputError, finite
+from jaxurban.errors import InputError, finite, typed
 
 WGS84 = "EPSG:4326"
 MAX_SCALE_ERROR = 0.01  # of a projection at the region: within a UTM zone it stays below 0.001
+MOST_CELLS = 1e12
 MAX_SNAP_CELLS = 1000  # of the coarsest resolution that the region may be snapped to
 Bounds = tuple[float, float, float, float]  # x_min, y_min, x_max, y_max in a projected CRS, metres
 
@@ -42,6 +44,7 @@ def transformer(source: str, target: str) -> pyproj.Transformer:
     return pyproj.Transformer.from_crs(source, target, always_xy=True)
 
 
+@lru_cache(maxsize=32)
 def projected_crs(crs: str) -> pyproj.CRS:
     """Return ``crs`` as pyproj sees it, if it is projected in metres.
 
@@ -51,12 +54,23 @@ def projected_crs(crs: str) -> pyproj.CRS:
     try:
         parsed = pyproj.CRS.from_user_input(crs)
     except pyproj.exceptions.CRSError as error:
-        raise InputError(f"{crs!r} is not a known CRS: use a projected one such as 'EPSG:32618'") from error
+        raise InputError(f"crs {crs!r} is not a known CRS: use a projected one such as 'EPSG:32618'") from error
     if not parsed.is_projected or any(abs(axis.unit_conversion_factor - 1.0) > 1e-12 for axis in parsed.axis_info[:2]):
         raise InputError(f"{crs!r} is not a projected CRS in metres: use one such as 'EPSG:32618'")
     if {axis.direction for axis in parsed.axis_info[:2]} != {"east", "north"}:
         raise InputError(f"the axes of {crs!r} do not point east and north: use a CRS such as a UTM zone, 'EPSG:32618'")
     return parsed
+
+
+def check_on_earth(name: str, crs: Any) -> None:
+    """Raise InputError unless a file's CRS places it on the Earth, by longitude and latitude or by a map projection."""
+    parsed = pyproj.CRS.from_user_input(crs)
+    horizontal = parsed.sub_crs_list[0] if parsed.is_compound else parsed
+    if parsed.is_geocentric or not (horizontal.is_geographic or horizontal.is_projected):
+        raise InputError(
+            f"the CRS of {name} is {horizontal.type_name} {horizontal.name!r}, which no map projection places on the "
+            "Earth: declare the CRS that it is in, as with `ogr2ogr -a_srs EPSG:...` or `gdal_edit.py -a_srs EPSG:...`"
+        )
 
 
 def check_scale(crs: str, lon_deg: float, lat_deg: float) -> None:
@@ -104,6 +118,7 @@ def _common_multiple_m(resolutions_m: Sequence[float]) -> float:
     return numerator / denominator
 
 
+@typed
 @dataclass(frozen=True)
 class Grid:
     """A raster of square cells in a projected CRS. Row 0 is the southernmost, column 0 the westernmost.
@@ -129,9 +144,11 @@ class Grid:
         if not (math.isfinite(self.resolution_m) and self.resolution_m > 0):
             raise InputError(f"resolution_m must be a positive number of metres, got {self.resolution_m}")
         if self.num_rows < 1 or self.num_cols < 1:
-            raise InputError(f"a grid needs at least one cell, got {self.num_rows} x {self.num_cols}")
+            raise InputError(f"num_rows and num_cols must be 1 or more, got {self.num_rows} x {self.num_cols}")
+        projected_crs(self.crs)
 
     @classmethod
+    @typed
     def from_bounds(
         cls,
         bounds: Sequence[float],
@@ -162,6 +179,10 @@ class Grid:
         x_min, y_min, x_max, y_max = transformer(WGS84, crs).transform_bounds(west, south, east, north, densify_pts=101)
         if not all(math.isfinite(value) for value in (x_min, y_min, x_max, y_max)):
             raise InputError(f"bounds {list(bounds)} lie outside the area of use of {crs}: choose another CRS")
+        if (x_max - x_min) * (y_max - y_min) > MOST_CELLS * min(resolutions_m) ** 2:
+            raise InputError(
+                f"resolution_m {min(resolutions_m):g} makes more than {MOST_CELLS:.0e} cells: choose a coarser one"
+            )
         snap_m = _common_multiple_m(resolutions_m)
         if snap_m > MAX_SNAP_CELLS * max(resolutions_m):
             raise InputError(f"the resolutions {resolutions_m} m have no common grid: choose such as 2, 5, 10")

@@ -92,7 +92,7 @@ def test_a_place_inside_an_obstacle_is_refused_or_snapped(maps, ends):
         ({"cost_model": "cells"}, "'cell' or 'line'"),
         ({"altitude_m": 10.0}, "from 20 to 600 m"),
         ({"start": (-73.97, 40.78)}, "not both"),
-        ({"weights": ju.Weights(gps=float("nan"))}, "weight gps"),
+        ({"weights": {"gps": float("nan")}}, "gps must be a finite number"),
     ],
 )
 def test_wrong_arguments_are_named(maps, ends, changed, words):

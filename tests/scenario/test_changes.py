@@ -72,7 +72,7 @@ def test_the_settings_that_are_given_stay_as_they_are():
         ("buildings.source=town.osm", ("not TOML", "quotes")),
         ("gps.mask_deg=true", ("mask_deg",)),
         ("gps.mask_deg=95", ("gps.mask_deg", "--set gps.mask_deg=95")),
-        ("region=5", ("'region'", "'region.bounds'")),
+        ("region=5", ("'region'", "region.bounds")),
         ("weights.gsp=2", ("'gsp'",)),
     ],
 )

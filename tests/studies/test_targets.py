@@ -91,7 +91,7 @@ def test_a_target_for_a_metric_left_out_is_refused(queries):
         fit_targets(queries, [])
     with pytest.raises(InputError, match="did you mean 'mean_gps'"):
         fit_targets(queries, ["mean_gsp>=0.5"])
-    with pytest.raises(InputError, match="each of targets must be a Target"):
+    with pytest.raises(InputError, match="targets must be a sequence of Target or text"):
         fit_targets(queries, [5])
 
 

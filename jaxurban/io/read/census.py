@@ -34,7 +34,8 @@ COUNT_COLUMNS = (
     *("population", "total_population", "pop_total", "pop", "total", "count"),
 )
 GEO_ID_PREFIX = re.compile(r"^\w{7}US(?=\d)")  # summary level, variant and component, before the digits of the id
-COUNT = re.compile(r"\s*(\d[\d,]*(?:\.\d*)?)\s*(\(.*\))?\s*")  # a number, with a note such as (r45678) or none
+# A number as spreadsheets write it (1,200 or 1 200 or +5 or 1.2E+03), with a note such as (r45678) or none.
+COUNT = re.compile(r"\s*(\+?\d[\d,\s]*(?:\.\d*)?(?:[eE]\+?\d{1,2})?)\s*(\(.*\))?\s*")
 
 
 @dataclass(frozen=True)
@@ -140,6 +141,10 @@ def _polygons(files: CensusFiles, crs: str, bounds_m: Bounds | None) -> tuple[gp
     counts_without_block = int((~counts.index.isin(frame["_key"])).sum())
     frame, polygon_issues = clean_polygons(frame, crs, bounds_m)
     is_lost = frame["_count"].isna()
+    if (is_lost & frame["_has_row"]).sum() == len(frame) > 0:
+        raise InputError(
+            f"not one count of people of the {role} {path!r} can be read as a number: check the column of population"
+        )
     return frame, {
         ReadIssue.COUNTS_UNREADABLE: int((is_lost & frame["_has_row"]).sum()),
         ReadIssue.BLOCKS_WITHOUT_POLYGON: polygon_issues["without_polygon"],
@@ -151,9 +156,9 @@ def _polygons(files: CensusFiles, crs: str, bounds_m: Bounds | None) -> tuple[gp
 
 def _ids(column: pd.Series) -> pd.Series:
     """Return identifiers as text: numbers without decimals, census GEO_IDs without what stands before the digits."""
-    if pd.api.types.is_float_dtype(column):  # whole numbers with a gap are read as floats
+    if pd.api.types.is_float_dtype(column) and (column.dropna() % 1 == 0).all():  # of whole numbers with a gap
         column = column.astype("Int64")
-    return column.astype(str).str.strip().str.replace(GEO_ID_PREFIX, "", regex=True)
+    return column.astype(str).str.strip().str.replace(GEO_ID_PREFIX, "", regex=True).str.removesuffix(".0")
 
 
 def _keys(column: pd.Series) -> pd.Series:
@@ -164,7 +169,7 @@ def _keys(column: pd.Series) -> pd.Series:
 def _parse_counts(column: pd.Series, key: pd.Series) -> pd.DataFrame:
     """Return ``number`` (NaN where unreadable) and ``note`` (whether the count carries one) by key."""
     parts = column.astype(str).str.extract(f"^{COUNT.pattern}$")
-    number = pd.to_numeric(parts[0].str.replace(",", ""), errors="coerce").to_numpy(np.float64)
+    number = pd.to_numeric(parts[0].str.replace(r"[,\s]", "", regex=True), errors="coerce").to_numpy(np.float64)
     return pd.DataFrame({"number": number, "note": parts[1].notna().to_numpy()}, index=pd.Index(key))
 
 

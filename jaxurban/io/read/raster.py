@@ -18,7 +18,7 @@ from rasterio.windows import Window
 
 from jaxurban.errors import InputError, reason_of
 from jaxurban.world.city import Raster
-from jaxurban.world.grid import Bounds, Grid, transformer
+from jaxurban.world.grid import Bounds, Grid, check_on_earth, transformer
 
 Resampling = Literal["nearest", "bilinear", "max"]
 
@@ -27,6 +27,7 @@ OWN_VALUES = "in a unit of your own"
 TERRAIN_RANGE_M = (-500.0, 9000.0)  # the shore of the Dead Sea lies at -430 m, the top of Everest at 8,849 m
 _MARGIN_PIXELS = 2  # bilinear sampling reaches half a pixel beyond the bounds, a curved border a little more
 _ROWS_AT_ONCE = 256  # bounds the memory that coordinates take
+MOST_PIXEL = 1e16  # area of a pixel, in its CRS's units: of a millionth of a metre to the Earth's
 _EDGE = 1e-6  # of a pixel: nearer than this a point lies on a border, and what overlaps by less only touches it
 
 # What a file may call its vertical unit (lower case), in metres.
@@ -142,6 +143,13 @@ def open_raster(path: str | Path, holds: str = "heights in metres") -> Iterator[
                     raise InputError(
                         f"{name} has no CRS or no position: set them with `gdal_edit.py -a_srs EPSG:... -a_ullr ...`"
                     )
+                pixel_area = source.transform.determinant
+                if not (np.isfinite(source.transform).all() and MOST_PIXEL > abs(pixel_area) > 1 / MOST_PIXEL):
+                    raise InputError(
+                        f"{name} has pixels without area, or beyond all measure, by its geotransform "
+                        f"{source.transform[:6]}: set its position with `gdal_edit.py -a_ullr ...`"
+                    )
+                check_on_earth(name, source.crs.to_wkt())
                 yield source
     except RasterioError as error:
         remedy = "give a file that GDAL opens"

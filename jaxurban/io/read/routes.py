@@ -96,7 +96,7 @@ def _settings(row: Any) -> dict[str, Any]:
     """Return what jaxurban's own paths keep under ``settings``: one object, or flat in the columns of a KML file."""
     settings = row.get("settings")
     if isinstance(settings, str):
-        with suppress(ValueError):
+        with suppress(ValueError, RecursionError):
             settings = json.loads(settings)
     if isinstance(settings, dict):
         return dict(settings)
@@ -107,7 +107,7 @@ def _settings(row: Any) -> dict[str, Any]:
             continue
         group, name = found.groups()
         value: Any = text
-        with suppress(ValueError, SyntaxError):
+        with suppress(ValueError, SyntaxError, RecursionError, MemoryError):
             value = ast.literal_eval(text)
         (flat.setdefault(group, {}) if group else flat)[name] = value
     return flat
@@ -123,7 +123,12 @@ def _mission(file: Path) -> Route:
       InputError: the file cannot be read, or holds no mission of two waypoints.
     """
     with readable(
-        f"the routes file {str(file)!r}", "a mission of QGroundControl", "give a whole one", LookupError, TypeError
+        f"the routes file {str(file)!r}",
+        "a mission of QGroundControl",
+        "give a whole one",
+        LookupError,
+        TypeError,
+        AttributeError,
     ):
         plan = json.loads(file.read_text(encoding="utf-8"))
         items = plan["mission"]["items"]
@@ -131,7 +136,7 @@ def _mission(file: Path) -> Route:
         places = [(*item["params"][4:7], item["command"] in FLOWN) for item in flown]
         known = np.array([place for place in places if None not in place], np.float64).reshape(-1, 4)
         lat, lon, z_m, is_flown = known[np.any(known[:, :2] != 0, axis=1)].T  # none: land where you are
-        settings = plan.get("settings", {})
+        settings = dict(plan.get("settings", {}))
     if len(np.unique(np.stack([lon, lat], axis=1), axis=0)) < 2:
         raise InputError(
             f"{str(file)!r} holds no mission of two waypoints or more: give one, or another file of routes"

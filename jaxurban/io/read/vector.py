@@ -1,7 +1,9 @@
 """Vector files of any format, opened the same way for every use, and the building outlines in them."""
 
+import json
 from functools import reduce
 from pathlib import Path
+from typing import Any
 
 import geopandas as gpd
 import numpy as np
@@ -13,6 +15,7 @@ from jaxurban.errors import InputError, readable
 from jaxurban.io.read.heights import is_given
 from jaxurban.io.read.outlines import Outlines, polygonal
 from jaxurban.world.diagnostics import ReadIssue
+from jaxurban.world.grid import check_on_earth
 
 PARQUET_SUFFIXES = (".parquet", ".geoparquet")
 VECTOR_SUFFIXES = (".geojson", ".json", ".gpkg", ".shp", *PARQUET_SUFFIXES)
@@ -30,6 +33,7 @@ COLUMNS = {
     "location": ("location",),
     "layer": ("layer",),
 }
+OF_DAMAGED = (RuntimeError, LookupError, TypeError, AttributeError, shapely.errors.ShapelyError)  # raised by readers
 _UNDERGROUND = "is_underground"  # of Overture Maps: true or false
 _POLYGONS = (shapely.GeometryType.POLYGON, shapely.GeometryType.MULTIPOLYGON)
 
@@ -69,7 +73,7 @@ def _read(path: str | Path, role: str, *, every_layer: bool) -> list[gpd.GeoData
     """Return the features of the one layer of polygons, or of every layer, checked."""
     name = f"the {role} file {str(path)!r}"
     remedy = "give a whole one, with its companions"
-    with readable(name, "a vector file", remedy, RuntimeError, shapely.errors.ShapelyError):
+    with readable(name, "a vector file", remedy, *OF_DAMAGED):
         if not Path(path).exists():
             raise FileNotFoundError
         if Path(path).suffix.lower() in PARQUET_SUFFIXES:
@@ -82,11 +86,15 @@ def _read(path: str | Path, role: str, *, every_layer: bool) -> list[gpd.GeoData
     if not frames:
         raise InputError(f"{name} holds no geometry: give a file of polygons")
     for frame in frames:
+        for column in frame.columns.difference([frame.geometry.name]):
+            if pd.api.types.is_object_dtype(frame[column]):
+                frame[column] = frame[column].map(_scalar)
         if frame.crs is None:
             raise InputError(
                 f"{name} declares no CRS: write it into the file, as with `ogr2ogr -a_srs EPSG:... OUT IN` "
                 "(a Shapefile has it in its .prj)"
             )
+        check_on_earth(name, frame.crs.to_wkt())
         x_min, y_min, x_max, y_max = frame.total_bounds
         if frame.crs.is_geographic and (max(-x_min, x_max) > 360 or max(-y_min, y_max) > 90):
             raise InputError(
@@ -135,6 +143,13 @@ def read_vector(path: str | Path) -> Outlines:
         boxes=(),
         issues={ReadIssue.NON_POLYGONS: int(np.sum(~is_polygon))},
     )
+
+
+def _scalar(value: Any) -> Any:
+    """Return a property, a list or a table as its JSON text, which is no number."""
+    if not isinstance(value, list | dict | tuple | np.ndarray):
+        return value
+    return json.dumps(value, default=lambda inner: inner.tolist() if isinstance(inner, np.ndarray) else str(inner))
 
 
 def _tags(frame: pd.DataFrame) -> dict[str, np.ndarray]:

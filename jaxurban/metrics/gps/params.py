@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Literal
 
-from jaxurban.errors import InputError, one_of
+from jaxurban.errors import InputError, one_of, typed
 from jaxurban.metrics.settings import check_value, differentiable
 
 MAX_STORED_TIMES = 24  # a longer series keeps statistics over time instead of every time's maps
@@ -11,6 +11,7 @@ SERIES = ("auto", "epochs", "statistics")
 
 
 @differentiable("gdop_threshold")
+@typed
 @dataclass(frozen=True)
 class GpsParams:
     """Settings of the GPS metric. A pytree whose leaf is the threshold.

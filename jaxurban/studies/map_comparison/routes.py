@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from jaxurban.errors import InputError
+from jaxurban.errors import InputError, at_least, positive
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.weights import Weights
 from jaxurban.paths.batch import plan_many
@@ -18,6 +18,7 @@ from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.queries import COLUMNS, LONLAT, WEIGHT_PREFIX, Point, Query
 from jaxurban.paths.queries import XY as XY_COLUMNS
 from jaxurban.paths.results import PlannedPaths
+from jaxurban.paths.snapping import snap_limit_m
 from jaxurban.planners.base import CostModel
 from jaxurban.progress import Report
 from jaxurban.studies.map_comparison.shared_part import SharedPart
@@ -39,6 +40,12 @@ class RouteSettings:
     snap: bool | float
     budget_s: float
     seed: int
+
+    def __post_init__(self) -> None:
+        self.weights.check_some()
+        snap_limit_m(self.snap)
+        positive("budget_s", self.budget_s, "seconds")
+        at_least("seed", self.seed)
 
 
 @dataclass(frozen=True, eq=False)

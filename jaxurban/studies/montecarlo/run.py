@@ -6,11 +6,11 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, get_args
 
 import pandas as pd
 
-from jaxurban.errors import InputError, typed
+from jaxurban.errors import InputError, one_of, typed
 from jaxurban.io.rows import ROWS_FILE, RowStore
 from jaxurban.io.tables import read_table, records_of
 from jaxurban.maps.executors import cluster_client
@@ -38,6 +38,9 @@ class MapsFolder:
     folder: str | Path
     resolution_m: float | None = None
     obstacles: Obstacles = "touched"
+
+    def __post_init__(self) -> None:
+        one_of("obstacles", self.obstacles, get_args(Obstacles))
 
     def open(self) -> MetricMaps:
         """Return the maps."""

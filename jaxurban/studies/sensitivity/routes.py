@@ -61,6 +61,8 @@ class SensitivityStudySettings:
 
     def __post_init__(self) -> None:
         at_least("seed", self.seed)
+        if self.num_threads is not None:
+            at_least("num_threads", self.num_threads, 1)
         if len(set(self.vary)) < len(self.vary):
             raise InputError(f"vary must name each weight once, got {', '.join(self.vary)}")
         if len(self.factors) != 2 or not 0 < self.factors[0] < 1 < self.factors[1] < math.inf:
@@ -68,7 +70,7 @@ class SensitivityStudySettings:
         if not positive("wrong", self.wrong) > 1:
             raise InputError(f"wrong must be a factor above 1 such as 2, got {self.wrong}")
         if self.num_samples < 0 or self.num_samples == 1 or self.num_samples & (self.num_samples - 1):
-            raise InputError(f"samples must be 0 or a power of two such as 32, got {self.num_samples}")
+            raise InputError(f"num_samples must be 0 or a power of two such as 32, got {self.num_samples}")
 
     def to_dict(self) -> dict[str, Any]:
         """Return what decides a row, as plain, JSON-ready values."""

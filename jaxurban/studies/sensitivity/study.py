@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from jaxurban.errors import InputError, at_least, check_type, typed
+from jaxurban.errors import InputError, at_least, typed
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.path import PlannedPath
@@ -137,6 +137,8 @@ class SensitivitySettings:
 
     def __post_init__(self) -> None:
         at_least("seed", self.seed)
+        at_least("num_samples", self.num_samples, 2)
+        at_least("max_plans", self.max_plans, 1)
 
 
 @typed
@@ -167,7 +169,6 @@ def sensitivity(
     """
     check_flat(cost_map)
     begin_s, settings = time.perf_counter(), settings or SensitivitySettings()
-    check_type("settings", settings, SensitivitySettings)
     query, route = _plan(cost_map, start, goal, snap)
     names, given, pool = query.names, cost_map.weight_vector, RoutePool([query])
     at = {name: column for column, name in enumerate(names)}

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from jaxurban.errors import InputError, at_least, check_type, one_of, typed
+from jaxurban.errors import InputError, at_least, one_of, typed
 from jaxurban.metrics.weights import Weights
 from jaxurban.studies.bootstrap import NUM_DRAWS, ends_of
 from jaxurban.studies.demonstrations import Demonstration
@@ -86,8 +86,10 @@ def compare_fits(
         some out.
     """
     losses, settings = tuple(dict.fromkeys(losses)), settings or FitSettings()
-    check_type("settings", settings, FitSettings)
     at_least("bootstrap", bootstrap)
+    one_of("scale", scale, ("simplex", "distance"))
+    if pilot is not None:
+        pilot.check_some("pilot")
     for each in losses:
         one_of("each of losses", each, LOSSES)
     if not losses:
@@ -96,8 +98,6 @@ def compare_fits(
         raise InputError(f"hold_out must be a share from 0 to {MOST_HELD_OUT:g}, got {hold_out}")
     cities = {str(name): list(shown) for name, shown in cities.items() if len(shown)}
     demonstrations = [each for shown in cities.values() for each in shown]
-    for shown in demonstrations:
-        check_type("each demonstration", shown, Demonstration, "read_demonstrations")
     queries = [shown.query for shown in demonstrations]
     names = check_alike(queries)
     city = np.repeat(list(cities), [len(shown) for shown in cities.values()])

@@ -3,11 +3,11 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
-from jaxurban.errors import InputError, at_least, typed
+from jaxurban.errors import InputError, at_least, one_of, typed
 from jaxurban.io.rows import RowStore, fingerprint
 from jaxurban.progress import Progress
 from jaxurban.studies.queries import RouteQuery, maps_of
@@ -47,6 +47,7 @@ class FitSettings:
                 "max_rounds must be >= 1, budget_s > 0 and seed >= 0, got "
                 f"{self.max_rounds}, {self.budget_s} and {self.seed}"
             )
+        one_of("backend", self.backend, get_args(Backend))
         if self.workers is not None:
             at_least("workers", self.workers, 1)
 

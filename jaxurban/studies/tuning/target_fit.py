@@ -13,7 +13,7 @@ import optax
 import pandas as pd
 from jaxtyping import Array
 
-from jaxurban.errors import InputError, check_type, typed
+from jaxurban.errors import InputError, typed
 from jaxurban.metrics.registry import METRICS
 from jaxurban.metrics.weights import Weights
 from jaxurban.progress import Report, reporting
@@ -117,7 +117,6 @@ def fit_targets(
       InputError: no queries or targets, a target for a metric that the maps lack, or a wrong setting.
     """
     begin_s, settings = time.perf_counter(), settings or FitSettings()
-    check_type("settings", settings, FitSettings)
     names = check_alike(queries)
     if not targets:
         raise InputError("there are no targets: give at least one, such as mean_gps>=0.8")
@@ -179,7 +178,6 @@ def fit_targets(
 def _checked(given: Target | str, metrics: Iterable[str]) -> Target:
     """Return a target that may be a text, of an outcome of these metrics."""
     target = Target.parse(given, metrics) if isinstance(given, str) else given
-    check_type("each of targets", target, Target, "Target.parse")
     return target.checked(metrics)
 
 

@@ -49,6 +49,7 @@ class Target:
             raise InputError(f"target {str(self)!r} cannot be met: {self.outcome} lies between {least:g} and {most:g}")
 
     @classmethod
+    @typed
     def parse(cls, text: str, metrics: Iterable[str] = METRICS) -> "Target":
         """Return the target in ``"mean_gps>=0.8"``; ``metrics`` are those that may be named.
 

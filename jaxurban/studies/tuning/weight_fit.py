@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 
-from jaxurban.errors import at_least, check_type, one_of, typed
+from jaxurban.errors import at_least, one_of, typed
 from jaxurban.io.rows import fingerprint
 from jaxurban.metrics.weights import Weights
 from jaxurban.progress import reporting
@@ -152,10 +152,7 @@ def fit_weights(
     one_of("loss", loss, LOSSES)
     at_least("bootstrap", bootstrap)
     begin_s, settings = time.perf_counter(), settings or FitSettings()
-    check_type("settings", settings, FitSettings)
     demonstrations = list(demonstrations)
-    for each in demonstrations:
-        check_type("each of demonstrations", each, Demonstration, "read_demonstrations")
     queries = [each.query for each in demonstrations]
     names = check_alike(queries)
     constant = constant_layers(queries)
