@@ -117,7 +117,7 @@ def check_range(name: str, value: Any) -> None:
             raise InputError(f"{name} must be a whole number of at most {MOST_WHOLE}, got {number!r}")
         most = next((most for end, most in MOST_OF.items() if name.endswith(end)), MOST)
         is_endless = most == MOST and isinstance(number, float) and math.isinf(number)
-        if abs(number) > most and not is_endless:
+        if abs(float(number)) > most and not is_endless:
             unit = next((f" {unit}" for end, unit in UNITS.items() if name.endswith(end) and end[0] == "_"), "")
             raise InputError(f"{name} must be a finite number, of at most {most:.0e}{unit}, got {number!r}")
 

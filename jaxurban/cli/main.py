@@ -80,7 +80,7 @@ def _run(arguments: Sequence[str] | None) -> int:
         code = _fail(error.format_message())
     except MemoryError:
         code = _fail("memory ran out: use a smaller region, a coarser [region] resolution_m, or fewer altitudes")
-    except BrokenPipeError:  # the reader of stdout left, as `head` does
+    except (BrokenPipeError, SystemExit):  # the reader of stdout left, as `head` does; click exits where it notices
         _drop_stdout()
         code = 0
     except OSError as error:

@@ -48,7 +48,7 @@ class Weights:
         risk: float | jax.Array = METRIC_WEIGHT,
         **own: float | jax.Array,
     ) -> None:
-        own = {**dict(own.pop("own", ())), **own}  # type: ignore[call-overload]  # as `dataclasses.replace` gives them
+        own = {**dict(own.pop("own", ())), **own}  # type: ignore[arg-type]  # as `dataclasses.replace` gives them
         self._set({"distance": distance, "gps": gps, "lidar": lidar, "population": population, "risk": risk}, own)
 
     def _set(self, named: Mapping[str, Any], own: Mapping[str, Any]) -> None:

@@ -40,6 +40,8 @@ def main() -> int:
         base = make_base(Path(scratch))
         for number, job in enumerate(JOBS):  # first: this process must have begun nothing when it is forked
             share = given.kills // len(JOBS) + (number < given.kills % len(JOBS))
+            if not share:
+                continue
             folder = Path(scratch, f"job{number}")
             folder.mkdir()
             verdicts, num_hit = run_kills(job, base, folder, share, rng)

@@ -84,7 +84,7 @@ def run_place(place: Place, base: Path) -> Verdict:
         told = done.stderr.decode(errors="replace")
         left = [] if place.may_leave else list(scraps(Path(folder)))
     if place.codes == (1,):  # Python's own way to end by an error: one sentence, told once
-        is_told = told.count("InputError") == 1 and "__main__" in told and done.returncode == 1
+        is_told = told.count("jaxurban.errors.InputError") == 1 and "__main__" in told and done.returncode == 1
         return Verdict(place.name, "" if is_told else "traceback", told)
     fault = fault_of(done.returncode, told, place.codes)
     if not fault and done.returncode and left:

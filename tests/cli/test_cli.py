@@ -187,8 +187,8 @@ def test_a_start_inside_a_building_names_the_nearest_free_cell(made, capsys):
         ("[buildings]", '[gps]\norbits = "bad.osm.pbf"\n[buildings]', ("bad.osm.pbf",)),
         ("[buildings]", "[gps]\nmask_deg = 89.9\n[buildings]", ("no satellite is above", "mask_deg")),
         ("resolution_m = 20", "resolution_m = 0.001", ("GiB", "resolution_m")),
-        ("[buildings]", "[lidar]\nrange_m = 1e300\n[buildings]", ("GiB", "range_m")),
-        ("[buildings]", "[risk]\nthreshold_m = 1e300\n[buildings]", ("GiB", "threshold_m")),
+        ("[buildings]", "[lidar]\nrange_m = 1e8\n[buildings]", ("GiB", "range_m")),
+        ("[buildings]", "[risk]\nthreshold_m = 1e8\n[buildings]", ("GiB", "threshold_m")),
     ],
 )
 def test_bad_scenarios_are_one_sentence_and_exit_two(tmp_path, capsys, old, new, words):
