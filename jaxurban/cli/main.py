@@ -80,7 +80,9 @@ def _run(arguments: Sequence[str] | None) -> int:
         code = _fail(error.format_message())
     except MemoryError:
         code = _fail("memory ran out: use a smaller region, a coarser [region] resolution_m, or fewer altitudes")
-    except (BrokenPipeError, SystemExit):  # the reader of stdout left, as `head` does; click exits where it notices
+    except (BrokenPipeError, SystemExit) as left:  # the reader of stdout, as `head` does; click exits where it notices
+        if not isinstance(left, BrokenPipeError) and not isinstance(left.__context__, BrokenPipeError):
+            raise
         _drop_stdout()
         code = 0
     except OSError as error:

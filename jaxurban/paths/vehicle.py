@@ -6,13 +6,14 @@ from typing import Any
 
 import numpy as np
 
-from jaxurban.errors import InputError, finite, positive
+from jaxurban.errors import InputError, finite, positive, typed
 
 UNITS = {"_m_s": "metres per second", "_deg": "degrees", "_w": "watts"}
 FULL_TURN_DEG = 180.0
 PREFIX = "vehicle_"  # of its entries among the constraints that a path was planned under
 
 
+@typed
 @dataclass(frozen=True)
 class Vehicle:
     """What flies, as ``[vehicle]`` of a scenario says it; what is left out limits nothing and tells nothing.
