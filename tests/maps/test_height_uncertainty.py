@@ -115,5 +115,5 @@ def test_a_height_raster_moves_by_connected_buildings(city):
 def test_bad_settings_are_refused(city, sky):
     with pytest.raises(InputError, match="levels must be a number of metres >= 0"):
         HeightStd(levels=-1.0)
-    with pytest.raises(InputError, match="at least 2"):
+    with pytest.raises(InputError, match="height_samples must be 0, for none, or from 2"):
         spread_of(city, sky, num_samples=1)

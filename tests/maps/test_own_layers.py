@@ -150,9 +150,9 @@ def test_bands_and_shapes_that_do_not_fit_are_refused(task):
     ("settings", "words"),
     [
         ({"scale": (0.0, 1.0, 2.0)}, "scale must be two ascending numbers"),
-        ({"scale": 5.0}, "scale must be a list of numbers"),
+        ({"scale": 5.0}, "scale must be a sequence"),
         ({"altitudes_m": (20.0, 20.0)}, "altitudes_m must name different altitudes"),
-        ({"altitudes_m": 20.0}, "altitudes_m must be a list of numbers"),
+        ({"altitudes_m": 20.0}, "altitudes_m must be a sequence or None"),
     ],
 )
 def test_settings_that_are_none_are_refused(settings, words):
@@ -168,7 +168,7 @@ def test_names_that_costs_and_maps_use_are_refused(name):
 
 def test_layers_that_are_none_are_refused(task):
     for layers in ({"noise": 5}, [Layer("noise.tif", "high-is-bad", (0.0, 1.0))], np.zeros(3)):
-        with pytest.raises(InputError, match="layers must be Layers by name"):
+        with pytest.raises(InputError, match="layers must be a dict of Layer or None"):
             ju.build_maps(task.city, grid=task.region, layers=layers)
 
 

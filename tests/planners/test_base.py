@@ -91,7 +91,7 @@ def test_every_status_has_a_sentence_and_an_exit_code():
     [
         ({"cost_model": "cells"}, "cost_model must be 'cell' or 'line', got 'cells'"),
         ({"reference_length_m": np.nan}, "reference_length_m must be a positive number of metres, got nan"),
-        ({"reference_length_m": "far"}, "reference_length_m must be a positive number of metres, got far"),
+        ({"reference_length_m": "far"}, "reference_length_m must be a number"),
         ({"connectivity": 26}, "connectivity must be 4 or 8"),
         ({"diagonal": "never"}, "diagonal must be 'both-free' or 'always'"),
     ],
