@@ -13,12 +13,11 @@ from jaxurban.io.layers import Bands
 from jaxurban.io.read.guesses import TOLD_SHARE, Guesses, guessed_share, percent
 from jaxurban.io.read.knownarea import rays_leaving
 from jaxurban.io.read.raster import pixel_xy
-from jaxurban.io.read.rasterise import building_index, highest_top_m
+from jaxurban.io.read.rasterise import highest_top_m
 from jaxurban.metrics.population import BlockLayers, PopulationParams, region_blocks
 from jaxurban.world.city import Blocks, City, Raster
 from jaxurban.world.grid import Bounds, Grid
 from jaxurban.world.sky import Sky
-from jaxurban.world.surface import NO_BUILDING
 
 DRAWN_SHARE = 0.10  # of buildings: from here on the picture of heights tells guessed ones apart
 EMPTY_SHARE = 0.10  # of the region without a census block (rivers and the sea often have none), of a layer's pixels
@@ -30,18 +29,6 @@ NOMINAL_SKY = "nominal satellites"
 def draws_guesses(city: City, region: Grid) -> bool:
     """Return whether so many of a region's heights are guessed that pictures tell them apart."""
     return city.buildings is not None and guessed_share(city.buildings, region.bounds_m) >= DRAWN_SHARE
-
-
-def guessed_roofs(city: City, region: Grid, grid: Grid, all_touched: bool) -> np.ndarray | None:
-    """Return ``[Y, X]`` bool: whether the highest roof of each cell of ``grid`` has a guessed height.
-
-    None where fewer than `DRAWN_SHARE` of the region's buildings have one: the maps then say nothing of single roofs.
-    """
-    if not draws_guesses(city, region):
-        return None
-    assert city.buildings is not None
-    building = building_index(city, grid, all_touched)
-    return (building != NO_BUILDING) & city.buildings.is_guessed[building]
 
 
 def time_guess(time: str) -> Guesses:

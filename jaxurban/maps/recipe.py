@@ -15,7 +15,6 @@ import numpy as np
 from jaxurban.io.layers import layer_values
 from jaxurban.io.read.rasterise import build_surface, highest_top_m
 from jaxurban.kernels.shadows.sweep import Ring
-from jaxurban.maps.guesses import guessed_roofs
 from jaxurban.maps.height_uncertainty import Spread, perturbed_cities
 from jaxurban.maps.stopwatch import Stage, untimed
 from jaxurban.maps.supersampling import (
@@ -307,12 +306,11 @@ def _height_spread(tile: TileScene) -> Iterator[MapLayer]:
 
 
 def _rasters(tile: TileScene) -> Iterator[MapLayer]:
-    task, surface = tile.task, tile.surface
+    surface = tile.surface
     yield MapLayer("roof", (), tile.roof_m)
     assert surface.roof_touched_m is not None
     yield MapLayer("roof_touched", (), surface.roof_touched_m)
-    guessed = guessed_roofs(task.city, task.region, surface.region, task.params.all_touched)
-    if guessed is not None:
-        yield MapLayer("roof_guessed", (), guessed)
+    if surface.roof_guessed is not None:
+        yield MapLayer("roof_guessed", (), surface.roof_guessed)
     if surface.terrain_m is not None:
         yield MapLayer("terrain", (), surface.crop(surface.terrain_m))

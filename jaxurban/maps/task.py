@@ -202,4 +202,4 @@ class MapTask:
 
     def surface(self) -> Surface:
         """Return the city's rasters on the region and its margin."""
-        return build_surface(self.city, self.region, self.with_margin(), self.params.all_touched)
+        return build_surface(self.city, self.region, self.with_margin(), self.params.all_touched, self.draws_guesses)

@@ -95,8 +95,10 @@ def raster_tile(job: TileJob, tile: Tile) -> dict[str, Any]:
     if not job.work.has_arrays(name):
         with watch.stage("surface"):
             grid = job.tiling.grid_of(tile)
-            arrays = rasterise(city, grid, job.task.params.all_touched)._asdict()
-            if tile in job.tiling.region_tiles:
+            is_reported = tile in job.tiling.region_tiles
+            tells_guessed = is_reported and job.task.draws_guesses
+            arrays = rasterise(city, grid, job.task.params.all_touched, tells_guessed)._asdict()
+            if is_reported:
                 arrays["block"] = rasterise_blocks(city, grid)
             else:
                 del arrays["roof_touched_m"]
@@ -202,14 +204,14 @@ def _surface(job: TileJob, tile: Tile) -> Surface:
     rows, cols = (part.stop - part.start for part in job.tiling.reported(tile))
     rasters["has_data"][halo : halo + region.num_rows - rows] = False
     rasters["has_data"][:, halo + cols : grid.num_cols - halo] = False
-    own = job.work.load_arrays(_name("raster", tile), "block", "roof_touched_m")
-    block = own.get("block")
+    own = job.work.load_arrays(_name("raster", tile), "block", "roof_touched_m", "roof_guessed")
     return Surface(
         roof_m=jnp.asarray(rasters["roof_m"]),
         terrain_m=jnp.asarray(rasters["terrain_m"]) if "terrain_m" in rasters else None,
         has_data=None if rasters["has_data"].all() else jnp.asarray(rasters["has_data"]),
-        block=None if block is None else jnp.asarray(block),
+        block=jnp.asarray(own["block"]) if "block" in own else None,
         grid=grid,
         region=region,
         roof_touched_m=jnp.asarray(own["roof_touched_m"]),
+        roof_guessed=jnp.asarray(own["roof_guessed"]) if "roof_guessed" in own else None,
     )

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from enum import IntEnum
+from functools import cached_property
 from pathlib import Path
 from typing import Literal, Self
 
@@ -35,7 +36,14 @@ class Zoning(IntEnum):
 
 
 class _Rows:
-    """Columns of equal length, one a field."""
+    """Columns of equal length, one a field; ``polygons`` is one of them."""
+
+    polygons: np.ndarray
+
+    @cached_property
+    def boxes_m(self) -> np.ndarray:
+        """``[4, N]`` x_min, y_min, x_max, y_max of each polygon: which of them are near is asked tile by tile."""
+        return np.ascontiguousarray(shapely.bounds(self.polygons).T)
 
     def take(self, index: np.ndarray) -> Self:
         """Return the rows at ``index`` (integers or a mask)."""

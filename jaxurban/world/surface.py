@@ -67,9 +67,10 @@ class Surface:
       has_data: where the building (or terrain) source knows anything; None where it does everywhere.
       block: index of the census block under each cell of the region, -1 without one; None without blocks.
       grid: grid of ``roof_m``, ``terrain_m`` and ``has_data``.
-      region: the part of ``grid`` that maps report, grid of ``block`` and ``roof_touched_m``.
+      region: the part of ``grid`` that maps report, grid of ``block``, ``roof_touched_m`` and ``roof_guessed``.
       roof_touched_m: height of the highest roof that shares area with each cell of the region, what planners keep
         clear of; None where nobody plans (on supersampled surfaces, and those made by hand).
+      roof_guessed: whether the height of each cell's roof in the region is guessed; None where nobody tells.
       most_halo: cells beyond the region that `crop_with_halo` gives at most; None for any number.
     """
 
@@ -80,6 +81,7 @@ class Surface:
     grid: Grid = field(metadata={"static": True})
     region: Grid = field(metadata={"static": True})
     roof_touched_m: Float[Array, "y x"] | None = None
+    roof_guessed: Bool[Array, "y x"] | None = None
     most_halo: int | None = field(default=None, metadata={"static": True})
 
     @property
@@ -89,7 +91,7 @@ class Surface:
 
     def with_heights(self, height_m: Float[Array, " B"], building: Int[Array, "Y X"]) -> "Surface":
         """Return this surface with other heights of its buildings, to look at; arguments as in `roofs_of`."""
-        return replace(self, roof_m=roofs_of(height_m, building), roof_touched_m=None)
+        return replace(self, roof_m=roofs_of(height_m, building), roof_touched_m=None, roof_guessed=None)
 
     @property
     def window(self) -> tuple[slice, slice]:

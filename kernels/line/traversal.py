@@ -9,7 +9,6 @@ from jaxurban.kernels.compiled import compiled
 
 TOUCH_CELLS = 1e-9  # in cell sides: a cut this short is rounding of a touched corner or border, not a crossing
 DIAGONAL_SIDES = 2**0.5 * (1 + 1e-9)  # cell sides: the longest segment that is one step in the `cell` model
-SNAP_CELLS = 1e-6  # an outline's corner this close to a border of cells lies on it: micrometres, by rounding of metres
 
 
 class Crossings(NamedTuple):
@@ -93,7 +92,7 @@ def is_free_way(crossings: Crossings, is_free: np.ndarray, passes_corners: bool)
 
 @compiled()
 def _walk(points, most_parts):
-    """Walk each segment from border to border; the number of borders is counted, so the walk always ends."""
+    """Walk each segment of a path from border to border."""
     segment = np.empty(most_parts, np.int64)
     row = np.empty(most_parts, np.int64)
     col = np.empty(most_parts, np.int64)
@@ -102,73 +101,52 @@ def _walk(points, most_parts):
     for s in range(len(points) - 1):
         x0, y0 = points[s]
         x1, y1 = points[s + 1]
-        dx, dy = x1 - x0, y1 - y0
-        total = np.hypot(dx, dy)
-        if total == 0.0:
-            continue
-        # Borders strictly inside the segment. Going west or south from a border starts beyond it.
-        if dx >= 0.0:
-            step_x, c, num_x = 1, int(np.floor(x0)), int(np.ceil(x1)) - int(np.floor(x0)) - 1
-        else:
-            step_x, c, num_x = -1, int(np.ceil(x0)) - 1, int(np.ceil(x0)) - int(np.floor(x1)) - 1
-        if dy >= 0.0:
-            step_y, r, num_y = 1, int(np.floor(y0)), int(np.ceil(y1)) - int(np.floor(y0)) - 1
-        else:
-            step_y, r, num_y = -1, int(np.ceil(y0)) - 1, int(np.ceil(y0)) - int(np.floor(y1)) - 1
-        at = 0.0
-        while True:
-            next_x = (c + (step_x > 0) - x0) / dx * total if num_x > 0 else np.inf
-            next_y = (r + (step_y > 0) - y0) / dy * total if num_y > 0 else np.inf
-            end = min(next_x, next_y, total)
-            segment[count] = s
-            row[count] = r
-            col[count] = c
-            length[count] = end - at
-            count += 1
-            if num_x <= 0 and num_y <= 0:
-                break
-            is_corner = abs(next_x - next_y) < TOUCH_CELLS
-            if is_corner or next_x < next_y:
-                c += step_x
-                num_x -= 1
-            if is_corner or next_y < next_x:
-                r += step_y
-                num_y -= 1
-            at = end
+        end = walk_edge(x0, y0, x1, y1, row, col, length, count)
+        segment[count:end] = s
+        count = end
     return segment[:count], row[:count], col[:count], length[:count]
 
 
 @compiled(nogil=True)
-def burn_edges(points, ring_start, values, burnt):
-    """Raise the cells of ``burnt`` whose interior an edge of a ring crosses to at least the ring's value, in place.
+def walk_edge(x0, y0, x1, y1, row, col, length, count):
+    """Write the cells that a segment crosses, and the length in each, and return the number of all that are written.
 
-    With the cells whose centre lies in an outline these are all that the outline shares area with: a cell that is
-    neither crossed by its border nor holds it is in or out as a whole. An edge along a border of cells crosses none.
+    The number of borders is counted first, so the walk always ends; it writes one part more than there are borders.
 
     Args:
-      points: ``[P, 2]`` float64 x, y of the rings' corners in cell sides from the corner of ``burnt``, first and last
-        of a ring the same; within ``SNAP_CELLS`` of a border they are taken to lie on it.
-      ring_start: ``[R + 1]`` int64 where each ring begins in ``points``, and the end.
-      values: ``[R]`` of the rings, in the type of ``burnt``.
-      burnt: ``[Y, X]``, row 0 in the south; what lies outside is left out.
+      x0, y0, x1, y1: ends of the segment in cell sides.
+      row, col, length: ``[M]`` where to write, with room for the parts.
+      count: how many stand there already.
     """
-    num_rows, num_cols = burnt.shape
-    edge = np.empty((2, 2))
-    for ring in range(len(values)):
-        for at in range(ring_start[ring], ring_start[ring + 1] - 1):
-            for k in range(2):
-                for axis in range(2):
-                    value = points[at + k, axis]
-                    border = np.rint(value)
-                    edge[k, axis] = border if abs(value - border) < SNAP_CELLS else value
-            (x0, y0), (x1, y1) = edge
-            if max(x0, x1) < 0 or max(y0, y1) < 0 or min(x0, x1) > num_cols or min(y0, y1) > num_rows:
-                continue
-            if (x0 == x1 and x0 == np.rint(x0)) or (y0 == y1 and y0 == np.rint(y0)):
-                continue
-            most_parts = int(abs(np.floor(x1) - np.floor(x0)) + abs(np.floor(y1) - np.floor(y0))) + 2
-            _, rows, cols, lengths = _walk(edge, most_parts)
-            for part in range(len(rows)):
-                row, col = rows[part], cols[part]
-                if lengths[part] > TOUCH_CELLS and 0 <= row < num_rows and 0 <= col < num_cols:
-                    burnt[row, col] = max(burnt[row, col], values[ring])
+    dx, dy = x1 - x0, y1 - y0
+    total = np.hypot(dx, dy)
+    if total == 0.0:
+        return count
+    # Borders strictly inside the segment. Going west or south from a border starts beyond it.
+    if dx >= 0.0:
+        step_x, c, num_x = 1, int(np.floor(x0)), int(np.ceil(x1)) - int(np.floor(x0)) - 1
+    else:
+        step_x, c, num_x = -1, int(np.ceil(x0)) - 1, int(np.ceil(x0)) - int(np.floor(x1)) - 1
+    if dy >= 0.0:
+        step_y, r, num_y = 1, int(np.floor(y0)), int(np.ceil(y1)) - int(np.floor(y0)) - 1
+    else:
+        step_y, r, num_y = -1, int(np.ceil(y0)) - 1, int(np.ceil(y0)) - int(np.floor(y1)) - 1
+    at = 0.0
+    while True:
+        next_x = (c + (step_x > 0) - x0) / dx * total if num_x > 0 else np.inf
+        next_y = (r + (step_y > 0) - y0) / dy * total if num_y > 0 else np.inf
+        end = min(next_x, next_y, total)
+        row[count] = r
+        col[count] = c
+        length[count] = end - at
+        count += 1
+        if num_x <= 0 and num_y <= 0:
+            return count
+        is_corner = abs(next_x - next_y) < TOUCH_CELLS
+        if is_corner or next_x < next_y:
+            c += step_x
+            num_x -= 1
+        if is_corner or next_y < next_x:
+            r += step_y
+            num_y -= 1
+        at = end

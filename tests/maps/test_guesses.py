@@ -15,9 +15,9 @@ from skyfield.api import load
 
 import jaxurban as ju
 from jaxurban.errors import GuessWarning
+from jaxurban.io.read.burn import burn
 from jaxurban.io.read.census import CensusFiles, read_blocks
 from jaxurban.io.read.nominal import nominal_satellites
-from jaxurban.io.read.rasterise import burn
 from jaxurban.maps.build import map_guesses, view_sky
 from jaxurban.maps.guesses import _scale_guesses, leaving_shares
 from jaxurban.maps.task import MapParams, MapTask

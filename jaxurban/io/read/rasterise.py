@@ -1,86 +1,22 @@
 """City to Surface: outlines burnt into cells, rasters brought onto the grid."""
 
 import math
-import threading
 from collections.abc import Iterable
 from typing import NamedTuple
 
 import jax
 import numpy as np
-import shapely
-from affine import Affine
-from rasterio.features import rasterize
 
 from jaxurban.errors import InputError
+from jaxurban.io.read.burn import burn, burn_touched
 from jaxurban.io.read.raster import resample_raster
-from jaxurban.kernels.line.traversal import burn_edges
-from jaxurban.world.city import City
+from jaxurban.world.city import Buildings, City
 from jaxurban.world.grid import Grid
 from jaxurban.world.surface import NO_BUILDING, Surface
 
 NO_BLOCK = -1
 UNKNOWN_GROUND_M = -500.0  # below all real ground: what stands where the terrain is unknown shadows nothing
-_BURNING = threading.Lock()  # rasterio silences a warning meanwhile, which threads may not do at the same time
 Margins = tuple[float, float, float, float]  # west, south, east, north, metres
-
-
-def burn(polygons: np.ndarray, values: np.ndarray, grid: Grid, fill: float, dtype: str) -> np.ndarray:
-    """Return ``values`` burnt at the cells whose centre lies in ``polygons``, the highest value where they overlap.
-
-    Args:
-      polygons: ``[N]`` shapely polygons in the grid's CRS.
-      values: ``[N]`` numbers.
-      grid: where to burn.
-      fill: value of cells that no polygon holds.
-      dtype: of the result.
-
-    Returns:
-      ``[Y, X]`` array of ``dtype``, row 0 in the south.
-    """
-    near = _near(polygons, grid)
-    if near.size == 0:
-        return np.full(grid.shape, fill, dtype)
-    near = near[np.argsort(values[near], kind="stable")]  # later ones win, so the highest comes last
-    in_cells = shapely.transform(polygons[near], lambda xy_m: _cells_of(xy_m, grid))
-    shapes = list(zip(in_cells, values[near].tolist(), strict=True))
-    with _BURNING:
-        return rasterize(shapes, grid.shape, fill=fill, transform=Affine.identity(), dtype=dtype)
-
-
-def widen(burnt: np.ndarray, polygons: np.ndarray, values: np.ndarray, grid: Grid) -> np.ndarray:
-    """Return what `burn` gave, raised to the highest value among the polygons that share area with each cell.
-
-    A polygon that ends on a border of cells does not touch the next one. GDAL's ``all_touched`` is not used: it
-    misses cells that an edge enters by less than a hundredth of a side, along up to a whole side.
-
-    Args:
-      burnt: ``[Y, X]`` from `burn`.
-      polygons, values, grid: as there.
-    """
-    widened = burnt.copy()
-    near = _near(polygons, grid)
-    if near.size:
-        _, points, (ring_start, polygon_start, *outer) = shapely.to_ragged_array(polygons[near])
-        num_rings = np.diff(polygon_start[outer[0]] if outer else polygon_start)
-        ring_values = np.repeat(values[near], num_rings).astype(burnt.dtype)
-        burn_edges(_cells_of(points, grid), ring_start.astype(np.int64), ring_values, widened)
-    return widened
-
-
-def _near(polygons: np.ndarray, grid: Grid) -> np.ndarray:
-    """Return the numbers of the polygons whose box meets a grid."""
-    x_min, y_min, x_max, y_max = grid.bounds_m
-    west, south, east, north = shapely.bounds(polygons).T
-    return np.flatnonzero((west <= x_max) & (east >= x_min) & (south <= y_max) & (north >= y_min))
-
-
-def _cells_of(xy_m: np.ndarray, grid: Grid) -> np.ndarray:
-    """Return coordinates in cell sides from the grid's southwest corner.
-
-    Subtracting whole numbers is exact, so a border that runs through cell centres falls to the same side whatever
-    part of the grid is burnt.
-    """
-    return xy_m / grid.resolution_m - np.array([grid.first_col, grid.first_row])
 
 
 def highest_top_m(city: City) -> float:
@@ -120,21 +56,21 @@ class Rasters(NamedTuple):
     roof_touched_m: np.ndarray
     terrain_m: np.ndarray | None
     has_data: np.ndarray | None
+    roof_guessed: np.ndarray | None
 
 
-def rasterise(city: City, grid: Grid, all_touched: bool = False) -> Rasters:
+def rasterise(city: City, grid: Grid, all_touched: bool = False, tells_guessed: bool = False) -> Rasters:
     """Return roofs, terrain and where they are known. Every cell depends on its own place alone.
 
     Args:
       city: with outlines or a height raster.
       grid: where to burn.
       all_touched: ``roof_m`` is ``roof_touched_m`` too.
+      tells_guessed: whether the height of each cell's roof is guessed is wanted too (of outlines).
     """
-    has_data = None
+    has_data = guessed = None
     if city.buildings is not None:
-        outlines = city.buildings.polygons, city.buildings.height_m, grid
-        roof_m = burn(*outlines, 0.0, "float32")
-        touched_m = widen(roof_m, *outlines)
+        roof_m, touched_m, guessed = _burn_roofs(city.buildings, grid, all_touched, tells_guessed)
     else:
         assert city.roofs is not None
         centre_m, touched_m = (resample_raster(city.roofs, grid, how) for how in ("nearest", "max"))
@@ -147,7 +83,31 @@ def rasterise(city: City, grid: Grid, all_touched: bool = False) -> Rasters:
         has_data = known if has_data is None else has_data & known
         terrain_m = np.where(known, terrain_m, UNKNOWN_GROUND_M).astype(np.float32)
     has_data = None if has_data is None or has_data.all() else has_data
-    return Rasters(touched_m if all_touched else roof_m, touched_m, terrain_m, has_data)
+    return Rasters(touched_m if all_touched else roof_m, touched_m, terrain_m, has_data, guessed)
+
+
+def _burn_roofs(
+    buildings: Buildings, grid: Grid, all_touched: bool, tells_guessed: bool
+) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+    """Return roofs by centres and by touch, and, if wanted, whether the height of each cell's roof is guessed."""
+    polygons, height_m = buildings.polygons, buildings.height_m
+    if not tells_guessed:
+        return *burn_touched(polygons, height_m, grid, 0.0, "float32", boxes_m=buildings.boxes_m), None
+    by_height, centre, touched = _burn_ranks(buildings, grid)
+    roofs_m = np.append(height_m[by_height], 0.0).astype(np.float32)  # without a building the rank is -1
+    is_guessed = np.append(buildings.is_guessed[by_height], False)
+    return roofs_m[centre], roofs_m[touched], is_guessed[touched if all_touched else centre]
+
+
+def _burn_ranks(buildings: Buildings, grid: Grid) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the buildings from low to high, ``[B]``, and which of them has each cell, by centres and by touch.
+
+    Of buildings of one height the last one is the higher one. Without a building the rank is `NO_BUILDING`.
+    """
+    by_height = np.argsort(buildings.height_m, kind="stable")
+    rank = np.empty_like(by_height)
+    rank[by_height] = np.arange(len(rank))
+    return by_height, *burn_touched(buildings.polygons, rank, grid, NO_BUILDING, "int32", boxes_m=buildings.boxes_m)
 
 
 def building_index(city: City, grid: Grid, all_touched: bool = False) -> np.ndarray:
@@ -160,20 +120,16 @@ def building_index(city: City, grid: Grid, all_touched: bool = False) -> np.ndar
     """
     if city.buildings is None:
         raise InputError("this city's roofs are a height raster: gradients by building need outlines as its source")
-    by_height = np.argsort(city.buildings.height_m, kind="stable")
-    rank = np.empty_like(by_height)
-    rank[by_height] = np.arange(len(rank))
-    burnt = burn(city.buildings.polygons, rank, grid, NO_BUILDING, "int32")
-    if all_touched:
-        burnt = widen(burnt, city.buildings.polygons, rank, grid)
-    return np.append(by_height, NO_BUILDING).astype(np.int32)[burnt]  # NO_BUILDING, -1, is the last entry
+    by_height, centre, touched = _burn_ranks(city.buildings, grid)
+    return np.append(by_height, NO_BUILDING).astype(np.int32)[touched if all_touched else centre]
 
 
 def rasterise_blocks(city: City, grid: Grid) -> np.ndarray | None:
     """Return the index of the census block under each cell, `NO_BLOCK` without one; None without blocks."""
     if city.blocks is None:
         return None
-    return burn(city.blocks.polygons, np.arange(len(city.blocks)), grid, NO_BLOCK, "int32")
+    blocks = city.blocks
+    return burn(blocks.polygons, np.arange(len(blocks)), grid, NO_BLOCK, "int32", boxes_m=blocks.boxes_m)
 
 
 def check_has_data(has_data: Iterable[np.ndarray | None]) -> None:
@@ -182,15 +138,18 @@ def check_has_data(has_data: Iterable[np.ndarray | None]) -> None:
         raise InputError("the rasters hold no data in the region: check [region] bounds and the raster's CRS")
 
 
-def build_surface(city: City, region: Grid, grid: Grid, all_touched: bool = False) -> Surface:
+def build_surface(
+    city: City, region: Grid, grid: Grid, all_touched: bool = False, tells_guessed: bool = False
+) -> Surface:
     """Return the city as rasters on ``grid``, of which ``region`` is the part that maps report.
 
-    A roof covers the cells whose centre lies in its outline (``all_touched``: every cell that it shares area with).
+    A roof covers the cells whose centre lies in its outline (``all_touched``: every cell that it shares area with);
+    ``tells_guessed``: with its `roof_guessed`.
 
     Raises:
       InputError: the terrain or the height raster does not cover any of the region.
     """
-    roof_m, touched_m, terrain_m, has_data = rasterise(city, grid, all_touched)
+    roof_m, touched_m, terrain_m, has_data, guessed = rasterise(city, grid, all_touched, tells_guessed)
     window = region.window_in(grid)
     check_has_data([None if has_data is None else has_data[window]])
     arrays = {
@@ -199,6 +158,7 @@ def build_surface(city: City, region: Grid, grid: Grid, all_touched: bool = Fals
         "has_data": has_data,
         "block": rasterise_blocks(city, region),
         "roof_touched_m": touched_m[window],
+        "roof_guessed": None if guessed is None else guessed[window],
     }
     return Surface(
         **jax.device_put(arrays),

@@ -1,0 +1,136 @@
+"""Outlines burnt into cells, by their centres and by any area that they share: the highest value wins."""
+
+import numpy as np
+
+from jaxurban.kernels.compiled import compiled
+from jaxurban.kernels.line.traversal import TOUCH_CELLS, walk_edge
+
+SNAP_CELLS = 1e-6  # an outline's corner this close to a border of cells lies on it: micrometres, by rounding of metres
+
+
+@compiled(nogil=True)
+def burn_outlines(points, ring_start, outline_start, values, first_row, first_col, centre, touched):
+    """Raise cells to the highest value among the outlines that hold them, in place, in one pass over the outlines.
+
+    A cell of ``centre`` is held by an outline in which its centre lies. A centre on the border between two outlines
+    belongs to the northern, or the western one; one on an edge of a hole that runs along the row is held (as GDAL has
+    it, whose cells these are).
+
+    A cell of ``touched`` is held where an edge crosses its interior. With the cells of ``centre`` these are all that
+    the outline shares area with: a cell that is neither crossed by its border nor holds it is in or out as a whole. An
+    edge along a border of cells crosses none; a corner within ``SNAP_CELLS`` of a border is taken to lie on it.
+
+    Args:
+      points: ``[P, 2]`` float64 x, y of the rings' corners in cell sides from the CRS's origin, first and last of a
+        ring the same.
+      ring_start: ``[R + 1]`` int64 where each ring begins in ``points``, and the end.
+      outline_start: ``[N + 1]`` int64 where each outline, an exterior ring and its holes, begins in the rings.
+      values: ``[N]`` of the outlines, in the type of ``centre``.
+      first_row, first_col: southwest cell of ``centre``, counted from the CRS's origin.
+      centre: ``[Y, X]``, row 0 in the south; what lies outside is left out.
+      touched: ``[Y, X]`` of the same type; ``[0, 0]`` where nobody asks.
+    """
+    is_crossed = np.zeros(256, np.bool_)
+    row, col, length = np.empty(64, np.int64), np.empty(64, np.int64), np.empty(64)
+    for outline in range(len(values)):
+        rings = ring_start[outline_start[outline] : outline_start[outline + 1] + 1]
+        is_crossed = _fill(points, rings, values[outline], first_row, first_col, centre, is_crossed)
+        if touched.size:
+            row, col, length = _touch(points, rings, values[outline], first_row, first_col, touched, row, col, length)
+
+
+@compiled(nogil=True)
+def _fill(points, rings, value, first_row, first_col, centre, is_crossed):
+    """Raise the cells whose centre lies in one outline; ``is_crossed`` is memory, all False, that is handed on.
+
+    Where an edge crosses a row of centres is computed from the CRS's origin, so that it is rounded alike whatever part
+    is burnt: an edge through a centre leaves it on the same side in every tile.
+    """
+    num_rows, num_cols = centre.shape
+    west = south = np.inf
+    east = north = -np.inf
+    for at in range(rings[0], rings[1]):
+        x, y = points[at]
+        west, east, south, north = min(west, x), max(east, x), min(south, y), max(north, y)
+    low_row = max(_row_from(south) - first_row, 0)
+    end_row = min(_row_from(north) - first_row, num_rows)
+    # A column more on each side, should rounding carry an edge beyond its ends.
+    low_col = max(_col_from(west) - 1 - first_col, 0)
+    end_col = min(_col_from(east) + 1 - first_col, num_cols)
+    num = end_col - low_col
+    if low_row >= end_row or num <= 0:
+        return is_crossed
+    if len(is_crossed) < (end_row - low_row) * num:
+        is_crossed = np.zeros(2 * (end_row - low_row) * num, np.bool_)
+    for ring in range(len(rings) - 1):
+        for at in range(rings[ring], rings[ring + 1] - 1):
+            x0, y0 = points[at]
+            x1, y1 = points[at + 1]
+            if y0 > y1:
+                x0, y0, x1, y1 = x1, y1, x0, y0
+            elif y0 == y1:
+                row = _row_from(y0)
+                if ring > 0 and y0 == row + 0.5 and low_row <= row - first_row < end_row:
+                    first, end = _col_from(min(x0, x1)) - first_col, _col_from(max(x0, x1)) - first_col
+                    for col in range(max(first, 0), min(end, num_cols)):
+                        centre[row - first_row, col] = max(centre[row - first_row, col], value)
+                continue
+            for row in range(max(_row_from(y0) - first_row, low_row), min(_row_from(y1) - first_row, end_row)):
+                x = (first_row + row + 0.5 - y0) * (x1 - x0) / (y1 - y0) + x0
+                col = max(_col_from(x) - first_col - low_col, 0)
+                if col < num:
+                    place = (row - low_row) * num + col
+                    is_crossed[place] = not is_crossed[place]
+    place = 0
+    for row in range(low_row, end_row):
+        is_inside = False
+        for col in range(low_col, end_col):
+            if is_crossed[place]:
+                is_crossed[place] = False
+                is_inside = not is_inside
+            if is_inside and value > centre[row, col]:
+                centre[row, col] = value
+            place += 1
+    return is_crossed
+
+
+@compiled(nogil=True)
+def _row_from(y):
+    """Return the first row whose centre does not lie south of ``y``."""
+    return int(np.ceil(y - 0.5))
+
+
+@compiled(nogil=True)
+def _col_from(x):
+    """Return the first column whose centre lies east of ``x``."""
+    return int(np.floor(x + 0.5))
+
+
+@compiled(nogil=True)
+def _touch(points, rings, value, first_row, first_col, touched, row, col, length):
+    """Raise the cells whose interior an edge of one outline crosses; the last three are memory that is handed on."""
+    num_rows, num_cols = touched.shape
+    for ring in range(len(rings) - 1):
+        x1, y1 = _snapped(points[rings[ring], 0] - first_col), _snapped(points[rings[ring], 1] - first_row)
+        for at in range(rings[ring] + 1, rings[ring + 1]):
+            x0, y0 = x1, y1
+            x1, y1 = _snapped(points[at, 0] - first_col), _snapped(points[at, 1] - first_row)
+            if max(x0, x1) < 0 or max(y0, y1) < 0 or min(x0, x1) > num_cols or min(y0, y1) > num_rows:
+                continue
+            if (x0 == x1 and x0 == np.rint(x0)) or (y0 == y1 and y0 == np.rint(y0)):
+                continue
+            most_parts = int(abs(np.floor(x1) - np.floor(x0)) + abs(np.floor(y1) - np.floor(y0))) + 2
+            if most_parts > len(row):
+                row, col = np.empty(2 * most_parts, np.int64), np.empty(2 * most_parts, np.int64)
+                length = np.empty(2 * most_parts)
+            for part in range(walk_edge(x0, y0, x1, y1, row, col, length, 0)):
+                r, c = row[part], col[part]
+                if length[part] > TOUCH_CELLS and 0 <= r < num_rows and 0 <= c < num_cols and value > touched[r, c]:
+                    touched[r, c] = value
+    return row, col, length
+
+
+@compiled(nogil=True)
+def _snapped(value):
+    border = np.rint(value)
+    return border if abs(value - border) < SNAP_CELLS else value

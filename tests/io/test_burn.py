@@ -1,0 +1,208 @@
+"""Burning: which cells an outline covers, by their centres and by any area that they share with it."""
+
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+import shapely
+from affine import Affine
+from rasterio.features import rasterize
+
+import jaxurban as ju
+from jaxurban.io.read.buildings import BuildingFile, read_buildings
+from jaxurban.io.read.burn import burn, burn_touched
+from jaxurban.io.read.outlines import polygonal
+
+CRS = "EPSG:32618"
+OUTER = (900_000, 110_000, 40, 40)  # first row and column, rows, columns
+INNER = (900_007, 110_013, 20, 17)
+
+
+def burnt(polygons, values, grid):
+    """Return what is burnt by centres, and by touch."""
+    polygons, values = np.array(polygons, object), np.asarray(values, float)
+    return burn_touched(polygons, values, grid, 0.0, "float32")
+
+
+def shared_area_m2(polygons, grid):
+    """Return polygon, cell and area of every pair of a polygon and a cell of the grid that meet."""
+    rows, cols = (index.ravel() for index in np.indices(grid.shape))
+    x_m, y_m = grid.x_min_m + cols * grid.resolution_m, grid.y_min_m + rows * grid.resolution_m
+    boxes = shapely.box(x_m, y_m, x_m + grid.resolution_m, y_m + grid.resolution_m)
+    polygon, cell = shapely.STRtree(boxes).query(polygons, predicate="intersects")
+    return polygon, cell, shapely.area(shapely.intersection(polygons[polygon], boxes[cell]))
+
+
+def check_touched(polygons, values, grid):
+    """Assert that every cell has the height of the highest polygon that shares area with it, slivers aside."""
+    polygons, values = np.array(polygons, object), np.asarray(values, np.float32)
+    _, touched = burnt(polygons, values, grid)
+    polygon, cell, area_m2 = shared_area_m2(polygons, grid)
+    sliver_m2 = 1e-6 * grid.resolution_m**2  # a cut thinner than the rounding of corners onto borders
+    least, most = np.zeros(touched.size, np.float32), np.zeros(touched.size, np.float32)
+    np.maximum.at(least, cell[area_m2 > sliver_m2], values[polygon[area_m2 > sliver_m2]])
+    np.maximum.at(most, cell, values[polygon])
+    assert np.all(least <= touched.ravel())
+    assert np.all(touched.ravel() <= most)
+
+
+def test_every_cell_that_shares_area_with_an_outline_is_touched():
+    rng = np.random.default_rng(1)
+    grid = ju.Grid(CRS, 2.5, *OUTER)
+    corner_m = np.array([grid.x_min_m, grid.y_min_m])
+    polygons = []
+    for _ in range(60):
+        centre_m, angles = corner_m + rng.uniform(-10, 110, 2), np.sort(rng.uniform(0, 2 * np.pi, rng.integers(3, 9)))
+        shape = centre_m + rng.uniform(0.5, 25) * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+        polygon = shapely.Polygon(shape)
+        if rng.random() < 0.3:
+            polygon = polygon.difference(shapely.centroid(polygon).buffer(3.0))
+        if rng.random() < 0.3:
+            polygon = shapely.union(polygon, shapely.box(*centre_m, *(centre_m + 0.01)))
+        polygons.append(polygon)
+    check_touched(polygons, rng.uniform(3, 90, len(polygons)), grid)
+
+
+def test_an_outline_that_ends_on_borders_of_cells_touches_no_cell_beyond_them():
+    grid = ju.Grid(CRS, 5.0, *OUTER)
+    x_m, y_m = grid.x_min_m, grid.y_min_m
+    centre, touched = burnt([shapely.box(x_m + 10, y_m + 15, x_m + 35, y_m + 40)], [9.0], grid)
+    np.testing.assert_array_equal(centre, touched)
+    assert (touched > 0).sum() == 25
+
+
+def test_a_wall_thinner_than_a_cell_is_touched_all_along_and_leaves_no_gap_at_corners():
+    grid = ju.Grid(CRS, 5.0, *OUTER)
+    middle_m = np.array([grid.x_min_m, grid.y_min_m]) + 100.0
+    for degrees in range(0, 91, 10):
+        along = np.array([np.cos(np.radians(degrees)), np.sin(np.radians(degrees))])
+        wall = shapely.LineString([middle_m - 80 * along, middle_m + 80 * along]).buffer(0.1, cap_style="flat")
+        centre, touched = burnt([wall], [30.0], grid)
+        check_touched([wall], [30.0], grid)
+        assert (centre > 0).sum() < (touched > 0).sum()
+        is_blocked = touched > 0
+        pinched = is_blocked[:-1, :-1] & is_blocked[1:, 1:] & ~is_blocked[1:, :-1] & ~is_blocked[:-1, 1:]
+        pinched |= ~is_blocked[:-1, :-1] & ~is_blocked[1:, 1:] & is_blocked[1:, :-1] & is_blocked[:-1, 1:]
+        assert pinched.sum() == 0
+
+
+@pytest.mark.parametrize("resolution_m", [5.0, 0.7])
+def test_burning_a_part_equals_the_crop_even_on_cell_borders(resolution_m):
+    rng = np.random.default_rng(0)
+    outer, inner = ju.Grid(CRS, resolution_m, *OUTER), ju.Grid(CRS, resolution_m, *INNER)
+    for _ in range(40):
+        cells = rng.integers(0, 80, (4, 2)) / 2.0  # vertices on cell borders and centres
+        polygon = shapely.convex_hull(shapely.multipoints((cells + np.array([110_000, 900_000])) * resolution_m))
+        if polygon.area > 0:
+            for whole, part in zip(burnt([polygon], [1.0], outer), burnt([polygon], [1.0], inner), strict=True):
+                np.testing.assert_array_equal(part, whole[inner.window_in(outer)])
+
+
+def with_ties(rng, num=30):
+    """Return polygons, some of several parts or with holes, whose corners lie on borders and centres of cells."""
+
+    def corners(count):
+        return rng.integers(-4, 84, (count, 2)) / 2.0
+
+    def box():
+        ends = corners(2)
+        return shapely.box(*ends.min(axis=0), *ends.max(axis=0))
+
+    made = []
+    while len(made) < num:
+        sharp = shapely.make_valid(shapely.Polygon(corners(rng.integers(3, 9))), method="structure")
+        low, size = corners(1)[0], rng.integers(2, 20, 2) / 2.0
+        yard = shapely.box(*low, *(low + size))
+        holed = shapely.difference(shapely.union_all([shapely.box(*(low - 2), *(low + size + 2.5)), box()]), yard)
+        cut = shapely.difference(*(shapely.convex_hull(shapely.multipoints(corners(5))) for _ in range(2)))
+        made += [shape for shape in (sharp, holed, cut, shapely.reverse(holed)) if shape.area > 0]
+    made = np.array([polygonal(shape) for shape in made], object)
+    assert len(np.unique(shapely.get_type_id(made))) == 2
+    assert shapely.get_num_interior_rings(made).any()
+    return made
+
+
+def gdal(polygons, values, grid, fill, dtype):
+    """Return what GDAL burns by centres, the highest value last."""
+    order = np.argsort(values, kind="stable")
+    to_cells = np.array([grid.first_col, grid.first_row])
+    in_cells = shapely.transform(polygons[order], lambda xy_m: xy_m / grid.resolution_m - to_cells)
+    shapes = list(zip(in_cells, values[order].tolist(), strict=True))
+    return rasterize(shapes, grid.shape, fill=fill, transform=Affine.identity(), dtype=dtype)
+
+
+def test_borders_through_centres_fall_as_gdal_has_them():
+    rng = np.random.default_rng(2)
+    grid = ju.Grid(CRS, 1.0, 0, 0, 40, 40)
+    for polygon in with_ties(rng, 200):
+        alone = np.array([polygon]), np.ones(1), grid, 0, "uint8"
+        np.testing.assert_array_equal(burn(*alone), gdal(*alone))
+
+
+@pytest.mark.parametrize(("fill", "dtype"), [(-1, "int32"), (0.0, "float32")])
+def test_the_highest_value_wins_in_any_order(fill, dtype):
+    rng = np.random.default_rng(3)
+    grid, polygons = ju.Grid(CRS, 1.0, 0, 0, 40, 40), with_ties(rng)
+    values = rng.permutation(len(polygons)) if dtype == "int32" else rng.uniform(3, 90, len(polygons))
+    expected = gdal(polygons, values, grid, fill, dtype)
+    for order in (np.arange(len(polygons)), rng.permutation(len(polygons))):
+        centre, touched = burn_touched(polygons[order], values[order], grid, fill, dtype)
+        np.testing.assert_array_equal(centre, expected)
+        np.testing.assert_array_equal(burn(polygons[order], values[order], grid, fill, dtype), expected)
+        assert centre.dtype == touched.dtype == dtype
+        assert np.all(touched >= centre)
+
+
+@pytest.mark.parametrize("resolution_m", [5.0, 0.7])
+def test_tiles_burnt_by_threads_at_once_are_the_whole_even_on_ties(resolution_m):
+    rng = np.random.default_rng(4)
+    polygons = shapely.transform(with_ties(rng), lambda xy: (xy + np.array(OUTER[1::-1])) * resolution_m)
+    values = rng.uniform(3, 90, len(polygons))
+    boxes_m = shapely.bounds(polygons).T
+    whole, tiles = ju.Grid(CRS, resolution_m, *OUTER), []
+    for row in range(0, 40, 10):
+        tiles += [ju.Grid(CRS, resolution_m, OUTER[0] + row, OUTER[1] + col, 10, 8) for col in range(0, 40, 8)]
+
+    def burn_tile(tile):
+        return burn_touched(polygons, values, tile, 0.0, "float32", boxes_m=boxes_m)
+
+    expected = burn_tile(whole)
+    with ThreadPoolExecutor(4) as threads:
+        for tile, found in zip(tiles, threads.map(burn_tile, tiles), strict=True):
+            for part, layer in zip(found, expected, strict=True):
+                np.testing.assert_array_equal(part, layer[tile.window_in(whole)])
+
+
+def test_a_centre_in_a_hole_is_not_held_and_an_outline_far_larger_than_the_grid_is():
+    grid = ju.Grid(CRS, 1.0, 900_000, 110_000, 6, 6)
+    wide = shapely.box(0, 0, 1e6, 1e7).difference(shapely.box(110_002, 900_001, 110_004, 900_005))
+    centre, touched = burnt([wide], [7.0], grid)
+    expected = np.full((6, 6), 7.0)
+    expected[1:5, 2:4] = 0.0
+    np.testing.assert_array_equal(centre, expected)
+    np.testing.assert_array_equal(touched, expected)
+
+
+def test_empty_and_missing_polygons_and_those_elsewhere_leave_the_fill():
+    grid = ju.Grid(CRS, 5.0, *OUTER)
+    for polygons in ([], [None, shapely.Polygon()], [shapely.box(0, 0, 1, 1)]):
+        assert (burn(np.array(polygons, object), np.ones(len(polygons)), grid, -1, "int32") == -1).all()
+
+
+@pytest.mark.slow
+@pytest.mark.data
+def test_every_roof_of_lower_manhattan_lies_in_the_cells_that_gdal_gives_it(data_dir):
+    buildings = read_buildings(BuildingFile(data_dir / "osm/lower-manhattan.osm.pbf"), CRS).buildings
+    for resolution_m in (5.0, 2.0, 5 / 3):
+        grid = ju.Grid.from_bounds((-74.02, 40.70, -73.98, 40.73), resolution_m, CRS)
+        outlines = buildings.polygons, buildings.height_m, grid, 0.0, "float32"
+        np.testing.assert_array_equal(burn(*outlines), gdal(*outlines))
+
+
+@pytest.mark.slow
+@pytest.mark.data
+def test_every_cell_that_a_building_of_lower_manhattan_shares_area_with_is_touched(data_dir):
+    buildings = read_buildings(BuildingFile(data_dir / "osm/lower-manhattan.osm.pbf"), CRS).buildings
+    for resolution_m in (5.0, 2.0):
+        grid = ju.Grid.from_bounds((-74.014, 40.703, -74.006, 40.709), resolution_m, CRS)
+        check_touched(buildings.polygons, buildings.height_m, grid)
