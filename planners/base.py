@@ -7,7 +7,6 @@ from enum import Enum
 from typing import Any, Literal, Protocol, TypeVar
 
 import numpy as np
-from scipy.ndimage import label
 
 from jaxurban.errors import InputError, typed
 from jaxurban.kernels.search.bounds import line_minima
@@ -322,6 +321,8 @@ class Problem:
     @property
     def islands(self) -> np.ndarray:
         """``[Y, X]`` the number of the part of the map in which paths off the grid join a cell; 0: blocked."""
+        from scipy.ndimage import label
+
         return np.asarray(label(self.is_free, np.ones((3, 3)) if self.cost_model.passes_corners else None)[0])
 
     @property

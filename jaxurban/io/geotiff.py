@@ -14,10 +14,11 @@ from rasterio.shutil import copy as copy_raster
 from rasterio.windows import Window
 
 from jaxurban.errors import one_of
+from jaxurban.io.attributes import IN_OBSTACLES
 from jaxurban.io.bands import profile_of
 from jaxurban.io.files import BLANK, FIELD, SCRATCH_SUFFIX, holds_bytes, is_whole, seal, whole_file
 from jaxurban.io.qgis import style
-from jaxurban.io.store import GEOTIFF_FOLDER, IN_OBSTACLES, no_value, short_number
+from jaxurban.io.store import GEOTIFF_FOLDER, no_value, short_number
 from jaxurban.metrics.availability import STATISTICS
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY
 from jaxurban.metrics.custom import held_metrics
@@ -143,7 +144,7 @@ def write_geotiffs(
     """Write maps as cloud-optimised GeoTIFF (ZSTD, north-up), and the QGIS style of each variable.
 
     Values are float32 with NaN as no data, or uint8 with 255 as no data. There is no data where nothing is known of
-    a cell and, of what the engine sets to one value inside obstacles (`jaxurban.io.store.IN_OBSTACLES`), there.
+    a cell and, of what the engine sets to one value inside obstacles (`IN_OBSTACLES`), there.
 
     Args:
       ds: the maps; read chunk by chunk, so that they need not fit in memory.

@@ -23,6 +23,7 @@ from xarray.backends import BackendArray, BackendEntrypoint
 from xarray.core import indexing
 
 from jaxurban.errors import InputError
+from jaxurban.io.attributes import IN_OBSTACLES
 from jaxurban.io.files import BLANK, FIELD, SCRATCH_SUFFIX, holds_bytes, is_whole, remove, seal, whole_file, write_whole
 from jaxurban.world.tiling import tile_shape
 
@@ -30,7 +31,6 @@ RUN_FILE = "run.json"
 ZARR_FOLDER = "maps.zarr"
 GEOTIFF_FOLDER = "geotiff"
 COMPRESSOR = Zstd(level=0, checksum=True)
-IN_OBSTACLES = "in_obstacles"  # attribute: what the engine holds inside obstacles, where files hold no value
 GDAL_CRS = "_CRS"  # attribute: the CRS as GDAL's Zarr driver reads it
 TIMES = {"units": "seconds since 1970-01-01", "calendar": "proleptic_gregorian", "dtype": "int64"}
 NEEDED = ("obstacle", "has_data")  # without these it is not a folder of maps

@@ -7,7 +7,7 @@ import numpy as np
 import pyproj
 import xarray as xr
 
-from jaxurban.io.store import IN_OBSTACLES
+from jaxurban.io.attributes import IN_OBSTACLES
 from jaxurban.maps.height_uncertainty import SPREAD
 from jaxurban.maps.task import MapTask
 from jaxurban.metrics.availability import SERIES, TimeTotals

@@ -10,7 +10,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
-import scipy.ndimage
 
 from jaxurban.errors import InputError, typed
 from jaxurban.world.city import City, HeightOrigin
@@ -69,7 +68,9 @@ class HeightStd:
 def perturbed_cities(city: City, height_std: HeightStd, num_samples: int, seed: int) -> Iterator[City]:
     """Yield the city with heights drawn anew, once a sample; the same seed gives the same cities."""
     if city.roofs is not None:
-        labels, num_buildings = scipy.ndimage.label(np.nan_to_num(city.roofs.values) > 0, structure=np.ones((3, 3)))
+        from scipy.ndimage import label
+
+        labels, num_buildings = label(np.nan_to_num(city.roofs.values) > 0, structure=np.ones((3, 3)))
     for sample in range(num_samples):
         rng = np.random.default_rng([seed, sample])
         if city.buildings is not None:

@@ -11,8 +11,6 @@ import numpy as np
 import xarray as xr
 
 from jaxurban.errors import InputError, finite, one_of, typed
-from jaxurban.io import store
-from jaxurban.io.geotiff import geotiff_names, held_maps, missing_geotiffs, write_geotiffs
 from jaxurban.io.read.orbits import iso_utc, parse_time
 from jaxurban.metrics.base import Metric
 from jaxurban.metrics.custom import held_metrics
@@ -278,12 +276,15 @@ class MetricMaps(Shown):
           InputError: a layer that these maps do not hold, a folder that cannot be written to, or variables that
             nobody could read back: without obstacles, or a name that is a path.
         """
-        if lost := [name for name in store.NEEDED if name not in self.ds]:
+        from jaxurban.io.geotiff import geotiff_names, held_maps, write_geotiffs
+        from jaxurban.io.store import NEEDED, write_zarr
+
+        if lost := [name for name in NEEDED if name not in self.ds]:
             raise InputError(f"these maps lack {', '.join(lost)}, without which nothing can open them: put it back")
         if paths := [name for name in map(str, self.ds.variables) if "/" in name]:
             raise InputError(f"a variable called {paths[0]!r} cannot be written: give it a name without /")
         geotiff_names(held_maps(self.ds), self.metrics, layers)  # refuses what is not there
-        store.write_zarr(self.ds, Path(folder))
+        write_zarr(self.ds, Path(folder))
         write_geotiffs(self.ds, Path(folder), layers=layers)
         return Path(folder)
 
@@ -307,7 +308,10 @@ def open_maps(folder: str | Path, resolution_m: float | None = None, *, obstacle
       InputError: no maps there, or several and none chosen, or an unknown rule of obstacles; damaged ones (later too,
         when values are read).
     """
-    ds = store.open_zarr(Path(folder), resolution_m)
+    from jaxurban.io.geotiff import missing_geotiffs
+    from jaxurban.io.store import open_zarr
+
+    ds = open_zarr(Path(folder), resolution_m)
     if "run_key" in ds.attrs and (lost := missing_geotiffs(ds, Path(folder))):
         others = f" (and {len(lost) - 1} more)" if len(lost) > 1 else ""
         warnings.warn(

@@ -14,7 +14,7 @@ import xarray as xr
 
 import jaxurban as ju
 from jaxurban.errors import InputError
-from jaxurban.io import store
+from jaxurban.io.attributes import IN_OBSTACLES
 from jaxurban.io.geotiff import write_geotiffs
 from jaxurban.io.qgis import COLOUR_MAPS, colours_of, scale_of
 from jaxurban.maps.build import compute_maps
@@ -54,7 +54,7 @@ def expected(maps: MetricMaps, name: str, **at: int) -> np.ndarray:
     ds = maps.ds
     layer = ds[name].isel(at)
     values = layer.values.astype(np.float64)
-    if store.IN_OBSTACLES in layer.attrs:
+    if IN_OBSTACLES in layer.attrs:
         obstacle = ds["obstacle"].isel({dim: place for dim, place in at.items() if dim == "altitude"})
         inside = (obstacle.values != 0) & ds["has_data"].values
         held = HIDDEN.get(name)

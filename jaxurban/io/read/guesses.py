@@ -3,15 +3,18 @@
 import warnings
 from collections.abc import Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import shapely
 
 from jaxurban.errors import GuessWarning
-from jaxurban.io.read.buildings import BuildingFile
-from jaxurban.io.read.census import CensusFiles
 from jaxurban.world.city import Blocks, Buildings, HeightOrigin
 from jaxurban.world.diagnostics import ReadIssue, ReadIssues
 from jaxurban.world.grid import Bounds
+
+if TYPE_CHECKING:
+    from jaxurban.io.read.buildings import BuildingFile
+    from jaxurban.io.read.census import CensusFiles
 
 Guesses = dict[str, str]
 
@@ -36,7 +39,7 @@ def guessed_share(buildings: Buildings, bounds_m: Bounds) -> float:
     return float(is_guessed.mean()) if is_guessed.size else 0.0
 
 
-def height_guesses(buildings: Buildings | None, bounds_m: Bounds, file: BuildingFile) -> Guesses:
+def height_guesses(buildings: Buildings | None, bounds_m: Bounds, file: "BuildingFile") -> Guesses:
     """Return what was supposed of the heights of the buildings in a box; nothing of a height raster."""
     if buildings is None or (share := guessed_share(buildings, bounds_m)) < TOLD_SHARE:
         return {}
@@ -68,7 +71,7 @@ def count_guesses(issues: ReadIssues, blocks: Blocks) -> Guesses:
     }
 
 
-def district_guesses(issues: ReadIssues, files: CensusFiles) -> Guesses:
+def district_guesses(issues: ReadIssues, files: "CensusFiles") -> Guesses:
     """Return what was supposed of the districts: that no district is commercial, as nobody says which.
 
     Args:
