@@ -10,7 +10,6 @@ import sys
 import warnings
 from collections.abc import Sequence
 from contextlib import suppress
-from pathlib import Path
 from typing import Any
 
 import click
@@ -24,6 +23,7 @@ from jaxurban.cli.plan import plan
 from jaxurban.cli.sensitivity import sensitivity
 from jaxurban.cli.study import study
 from jaxurban.cli.tune import tune
+from jaxurban.compile_cache import keep_programs
 from jaxurban.errors import InputError, reason_of
 from jaxurban.progress import interrupted
 
@@ -40,18 +40,15 @@ for command in (compare, demo, fetch, maps, plan, sensitivity, study, tune):
     app.add_command(command)
 
 
-def _set_up_jax() -> None:
-    """Let JAX keep compiled kernels between runs, under the user's cache folder, and take a GPU's memory as needed."""
+def _set_up_libraries() -> None:
+    """Say in the environment, which they read when they are first imported, how libraries work under commands.
+
+    JAX keeps every program that it compiles, wherever that is, and takes a GPU's memory as needed.
+    """
     os.environ["MPLBACKEND"] = "agg"  # pictures go to files, whatever is set for windows
     os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")  # JAX's own way takes three quarters at once
-    import jax
-
-    if not os.environ.get("JAX_COMPILATION_CACHE_DIR"):
-        with suppress(OSError, RuntimeError):  # a user without a home, or one that cannot be written to
-            cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "jaxurban" / "jax"
-            cache.mkdir(parents=True, exist_ok=True)
-            jax.config.update("jax_compilation_cache_dir", str(cache))
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+    os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
+    keep_programs(quiet=True)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -65,7 +62,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 def _run(arguments: Sequence[str] | None) -> int:
     try:
-        _set_up_jax()
+        _set_up_libraries()
         code = app.main(args=arguments, prog_name="jaxurban", standalone_mode=False)
         if sys.stdout is not None:
             sys.stdout.flush()  # what cannot be printed is told now, not at the interpreter's end
