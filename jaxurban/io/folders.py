@@ -12,6 +12,7 @@ import numpy as np
 
 from jaxurban.errors import InputError
 from jaxurban.io import store
+from jaxurban.io.chunks import broken_chunks, has_whole_metadata, metadata_file
 from jaxurban.io.files import (
     LOCK_FILE,
     SCRATCH_SUFFIX,
@@ -27,7 +28,6 @@ from jaxurban.io.files import (
     write_npz,
     write_whole,
 )
-from jaxurban.io.store import broken_chunks, has_whole_metadata
 
 KEY_FILE, ZARR_NAME, ARRAY_FOLDER, DONE_FOLDER = "key.txt", "zarr", "arrays", "done"
 
@@ -231,7 +231,7 @@ def stored_key(folder: Path, resolution_m: float) -> str | None:
 def _witnesses(folder: Path, resolution_m: float) -> Iterator[Path]:
     """Yield files that name the run which made the maps of a resolution."""
     yield store.zarr_path(folder, resolution_m) / ".zattrs"
-    yield store.metadata_file(store.zarr_path(folder, resolution_m))
+    yield metadata_file(store.zarr_path(folder, resolution_m))
     yield folder / store.RUN_FILE
     yield from (folder / store.GEOTIFF_FOLDER).glob(f"*_{store.short_number(resolution_m)}m.tif")
 
@@ -291,5 +291,5 @@ def broken_files(folder: Path, resolution_m: float, num_threads: int) -> list[Pa
     if not path.exists():
         return []
     if not has_whole_metadata(path):
-        return [store.metadata_file(path)]
+        return [metadata_file(path)]
     return [chunk.file for chunk in broken_chunks(path, num_threads)]

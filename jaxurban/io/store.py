@@ -8,10 +8,8 @@ that a missing one is damage; were it read all the same, it would be blocked cel
 
 import json
 import re
-from collections.abc import Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import dask.array
 import numpy as np
@@ -24,7 +22,8 @@ from xarray.core import indexing
 
 from jaxurban.errors import InputError
 from jaxurban.io.attributes import IN_OBSTACLES
-from jaxurban.io.files import BLANK, FIELD, SCRATCH_SUFFIX, holds_bytes, is_whole, remove, seal, whole_file, write_whole
+from jaxurban.io.chunks import chunks_of, damaged, error_in, has_whole_metadata, metadata_file, metadata_of
+from jaxurban.io.files import BLANK, FIELD, SCRATCH_SUFFIX, holds_bytes, remove, seal, whole_file, write_whole
 from jaxurban.world.tiling import tile_shape
 
 RUN_FILE = "run.json"
@@ -72,11 +71,6 @@ def remove_maps(folder: Path) -> None:
         remove(folder / part)
 
 
-def metadata_file(path: Path) -> Path:
-    """Return the file that holds the metadata of a Zarr and of its arrays once more, and the checksum of them all."""
-    return path / ".zmetadata"
-
-
 def no_value(dtype: np.dtype) -> Any:
     """Return what stands for no value in files: NaN, the highest unsigned number; None where there is nothing such."""
     return {"f": np.nan, "u": np.iinfo(dtype).max if dtype.kind == "u" else None}.get(dtype.kind)
@@ -107,9 +101,9 @@ def _to_zarr(ds: xr.Dataset, path: Path, mode: Literal["w", "a"], tile: tuple[in
     encoding = {str(name): _encoding(array, tile) for name, array in ds.variables.items()}
     how: dict[str, Any] = {"zarr_format": 2, "consolidated": False, "write_empty_chunks": True, "compute": False}
     ds.to_zarr(path, mode=mode, encoding=encoding, **how)
-    parts = {file.relative_to(path).as_posix(): json.loads(file.read_bytes()) for file in _metadata(path)}
+    parts = {file.relative_to(path).as_posix(): json.loads(file.read_bytes()) for file in metadata_of(path)}
     metadata_file(path).write_text(json.dumps({"metadata": parts, "zarr_consolidated_format": 1, FIELD: BLANK}))
-    seal(metadata_file(path), *_metadata(path))
+    seal(metadata_file(path), *metadata_of(path))
 
 
 def _gdal_crs(crs: str) -> dict[str, str]:
@@ -263,67 +257,6 @@ def open_zarr(folder: Path, resolution_m: float | None) -> xr.Dataset:
     return ds
 
 
-class Chunk(NamedTuple):
-    """A chunk of an array: its place, and the file that holds it."""
-
-    array: Any
-    place: tuple[int, ...]
-    file: Path
-
-
-def _metadata(path: Path) -> list[Path]:
-    return [path / ".zattrs", path / ".zgroup", *sorted(path.glob("*/.za*"))]
-
-
-def has_whole_metadata(path: Path) -> bool:
-    """Return whether the metadata of a Zarr, of all its arrays together, are as they were written."""
-    return is_whole(metadata_file(path), *_metadata(path))
-
-
-def _chunks(path: Path, name: str | None = None) -> Iterator[Chunk]:
-    """Yield the chunks that a Zarr, or one array of it, should hold."""
-    for own, array in zarr.open_group(path, mode="r", use_consolidated=False).arrays():
-        if name is None or own == name:
-            for place in np.ndindex(array.cdata_shape):
-                yield Chunk(array, place, path / own / array.metadata.encode_chunk_key(place))
-
-
-def _is_decodable(chunk: Chunk) -> bool:
-    if not holds_bytes(chunk.file):  # it would be read as its fill value
-        return False
-    try:
-        _ = chunk.array.get_block_selection(chunk.place) if chunk.place else chunk.array[()]
-    except Exception:  # what decoders raise at damaged bytes is in no list
-        return False
-    return True
-
-
-def broken_chunks(path: Path, num_threads: int = 1, name: str | None = None) -> list[Chunk]:
-    """Return the chunks of a Zarr of whole metadata, or of one array, that are missing or cannot be decoded.
-
-    All are read: at 1 to 2 GiB/s of values a thread.
-    """
-    chunks = list(_chunks(path, name))
-    with ThreadPoolExecutor(num_threads) as pool:
-        return [chunk for chunk, is_good in zip(chunks, pool.map(_is_decodable, chunks), strict=True) if not is_good]
-
-
-def damaged(file: Path, what: str) -> InputError:
-    """Return the error that names a file of maps and the remedy."""
-    return InputError(
-        f"{str(file)!r} {what}: run the same `jaxurban maps` command again, which makes anew what is broken (maps that "
-        "were saved from Python: save them again)"
-    )
-
-
-def _error_in(path: Path, error: Exception, names: Iterable[str | None] = (None,)) -> Exception:
-    """Return the error that names the damaged file of a Zarr that could not be read, else the one given."""
-    if not has_whole_metadata(path):
-        return damaged(metadata_file(path), "and the metadata of the arrays beside it are not as they were written")
-    broken = [chunk for name in names for chunk in broken_chunks(path, name=name)]
-    return damaged(broken[0].file, "is damaged or cannot be read") if broken else error
-
-
 class _Map(BackendArray):
     """A map in a Zarr, read when it is looked at, with the engine's values; one that cannot be read is an InputError.
 
@@ -350,7 +283,7 @@ class _Map(BackendArray):
                 np.copyto(values, float(array.attrs[IN_OBSTACLES]), "unsafe", where=_is_hidden(values, is_inside))
             return values
         except Exception as error:
-            raise _error_in(self.path, error, (self.name, *NEEDED)) from error
+            raise error_in(self.path, error, (self.name, *NEEDED)) from error
 
 
 class _Maps(BackendEntrypoint):
@@ -386,14 +319,14 @@ def open_whole(path: Path) -> xr.Dataset:
     try:
         if not has_whole_metadata(path):
             raise ValueError("metadata")
-        for chunk in _chunks(path):  # looked at, not read
+        for chunk in chunks_of(path):  # looked at, not read
             if not holds_bytes(chunk.file):
                 raise damaged(chunk.file, "is missing or empty")
         return xr.open_dataset(path, engine=_Maps)
     except InputError:
         raise
     except Exception as error:
-        found = _error_in(path, error)
+        found = error_in(path, error)
         if found is error:
             found = InputError(f"the maps in {str(path)!r} cannot be read ({error})")
         raise found from error

@@ -9,9 +9,10 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
+from jaxurban.io.chunks import broken_chunks, has_whole_metadata, metadata_file
 from jaxurban.io.folders import WorkFolder
 from jaxurban.io.read.rasterise import rasterise, rasterise_blocks
-from jaxurban.io.store import broken_chunks, has_whole_metadata, metadata_file, write_layer
+from jaxurban.io.store import write_layer
 from jaxurban.kernels.shadows.sweep import Ring, digital_lines
 from jaxurban.maps.held import HeldMaps
 from jaxurban.maps.recipe import TileScene, altitudes_made, tile_maps

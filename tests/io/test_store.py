@@ -11,6 +11,7 @@ import xarray as xr
 
 from jaxurban.errors import InputError
 from jaxurban.io import files, store
+from jaxurban.io.chunks import broken_chunks
 from jaxurban.io.files import is_whole
 from jaxurban.io.geotiff import missing_geotiffs, stale_geotiffs, write_geotiffs
 
@@ -250,4 +251,4 @@ def test_tiles_without_a_value_are_on_disk_like_all_others(ds, tmp_path):
         for index in np.ndindex(array.shape[:-2]):
             for window in ((slice(0, 15), slice(0, 20)), (slice(0, 15), slice(20, 40)), (slice(15, 30), slice(0, 40))):
                 store.write_layer(tmp_path / "maps.zarr", name, index, window, values[window].astype(array.dtype))
-    assert store.broken_chunks(tmp_path / "maps.zarr") == []
+    assert broken_chunks(tmp_path / "maps.zarr") == []

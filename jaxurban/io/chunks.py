@@ -1,0 +1,79 @@
+"""The files of a Zarr: its chunks and metadata, and whether they are as they were written."""
+
+from collections.abc import Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import zarr
+
+from jaxurban.errors import InputError
+from jaxurban.io.files import holds_bytes, is_whole
+
+
+def metadata_file(path: Path) -> Path:
+    """Return the file that holds the metadata of a Zarr and of its arrays once more, and the checksum of them all."""
+    return path / ".zmetadata"
+
+
+class Chunk(NamedTuple):
+    """A chunk of an array: its place, and the file that holds it."""
+
+    array: Any
+    place: tuple[int, ...]
+    file: Path
+
+
+def metadata_of(path: Path) -> list[Path]:
+    """Return the files of a Zarr's metadata, but for the one that holds them all."""
+    return [path / ".zattrs", path / ".zgroup", *sorted(path.glob("*/.za*"))]
+
+
+def has_whole_metadata(path: Path) -> bool:
+    """Return whether the metadata of a Zarr, of all its arrays together, are as they were written."""
+    return is_whole(metadata_file(path), *metadata_of(path))
+
+
+def chunks_of(path: Path, name: str | None = None) -> Iterator[Chunk]:
+    """Yield the chunks that a Zarr, or one array of it, should hold."""
+    for own, array in zarr.open_group(path, mode="r", use_consolidated=False).arrays():
+        if name is None or own == name:
+            for place in np.ndindex(array.cdata_shape):
+                yield Chunk(array, place, path / own / array.metadata.encode_chunk_key(place))
+
+
+def _is_decodable(chunk: Chunk) -> bool:
+    if not holds_bytes(chunk.file):  # it would be read as its fill value
+        return False
+    try:
+        _ = chunk.array.get_block_selection(chunk.place) if chunk.place else chunk.array[()]
+    except Exception:  # what decoders raise at damaged bytes is in no list
+        return False
+    return True
+
+
+def broken_chunks(path: Path, num_threads: int = 1, name: str | None = None) -> list[Chunk]:
+    """Return the chunks of a Zarr of whole metadata, or of one array, that are missing or cannot be decoded.
+
+    All are read: at 1 to 2 GiB/s of values a thread.
+    """
+    chunks = list(chunks_of(path, name))
+    with ThreadPoolExecutor(num_threads) as pool:
+        return [chunk for chunk, is_good in zip(chunks, pool.map(_is_decodable, chunks), strict=True) if not is_good]
+
+
+def damaged(file: Path, what: str) -> InputError:
+    """Return the error that names a file of maps and the remedy."""
+    return InputError(
+        f"{str(file)!r} {what}: run the same `jaxurban maps` command again, which makes anew what is broken (maps that "
+        "were saved from Python: save them again)"
+    )
+
+
+def error_in(path: Path, error: Exception, names: Iterable[str | None] = (None,)) -> Exception:
+    """Return the error that names the damaged file of a Zarr that could not be read, else the one given."""
+    if not has_whole_metadata(path):
+        return damaged(metadata_file(path), "and the metadata of the arrays beside it are not as they were written")
+    broken = [chunk for name in names for chunk in broken_chunks(path, name=name)]
+    return damaged(broken[0].file, "is damaged or cannot be read") if broken else error
