@@ -1,22 +1,20 @@
 """Metric maps as cloud-optimised GeoTIFF with their QGIS styles, each file whole or not there at all."""
 
 import re
-from collections.abc import Collection, Iterable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import rasterio
 import xarray as xr
-from rasterio.errors import RasterioError
-from rasterio.shutil import copy as copy_raster
-from rasterio.windows import Window
 
 from jaxurban.errors import one_of
 from jaxurban.io.attributes import IN_OBSTACLES
-from jaxurban.io.bands import profile_of
-from jaxurban.io.files import BLANK, FIELD, SCRATCH_SUFFIX, holds_bytes, is_whole, seal, whole_file
+from jaxurban.io.chunks import stored_rows
+from jaxurban.io.cog import write_cog
+from jaxurban.io.files import BLANK, FIELD, holds_bytes, is_whole, seal, whole_file
 from jaxurban.io.qgis import style
 from jaxurban.io.store import GEOTIFF_FOLDER, no_value, short_number
 from jaxurban.metrics.availability import STATISTICS
@@ -24,12 +22,13 @@ from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY
 from jaxurban.metrics.custom import held_metrics
 from jaxurban.metrics.gps import DOPS
 from jaxurban.world.grid import Grid
-from jaxurban.world.tiling import Tiling, tile_shape
+from jaxurban.world.tiling import tile_shape
 
-GDAL_CACHE_MIB = 64
 ALL = "all"  # stands for every map that is held
 CREDIT = "attribution"  # attribute of the maps
 RUN_KEY = "run_key"
+Each = Callable[[Callable[[Any], Any], Iterable[Any]], Iterable[Any]]  # `map`, or who works like it
+Read = Callable[[str, tuple[int, ...], slice], np.ndarray]  # a variable, a place and rows: ``[y, x]`` from the north
 
 
 def geotiff_names(held: Collection[str], metrics: Iterable[str], layers: Sequence[str] = ()) -> list[str]:
@@ -53,11 +52,24 @@ def geotiff_names(held: Collection[str], metrics: Iterable[str], layers: Sequenc
 
 
 class _Layer(NamedTuple):
-    """One GeoTIFF: its file's name, variable, place along the variable's axes before y and x, and how it is tagged."""
+    """One GeoTIFF.
+
+    Attributes:
+      file: its name.
+      name: of the variable.
+      place: along the variable's axes before y and x.
+      in_obstacle: the place of the obstacles inside which it has no data; None where it has data there.
+      dtype: of the file's values.
+      rows_at_once: that are read together.
+      tags: what the file says.
+    """
 
     file: str
     name: str
-    at: dict[str, int]
+    place: tuple[int, ...]
+    in_obstacle: tuple[int, ...] | None
+    dtype: np.dtype
+    rows_at_once: int
     tags: dict[str, str]
 
     @property
@@ -77,7 +89,9 @@ def _layers(ds: xr.Dataset, layers: Sequence[str]) -> Iterator[_Layer]:
     resolution = f"{short_number(ds.attrs['resolution_m'])}m"
     times = [f"{time}Z" for time in np.datetime_as_string(ds["time"].values, unit="s")]
     common = {"credit": ds.attrs[CREDIT]} if CREDIT in ds.attrs else {}
+    tile = tile_shape((ds.sizes["y"], ds.sizes["x"]))
     norm_name = next((name for name in ("pop_norm_per_km2", "pop_norm_per_block") if name in ds.attrs), "")
+    walls = [str(dim) for dim in ds["obstacle"].dims[:-2]]
     for name in geotiff_names(held_maps(ds), held_metrics(ds), layers):
         array = ds[name]
         told = {key: str(array.attrs[key]) for key in ("long_name", "units", "one_means") if key in array.attrs}
@@ -101,7 +115,15 @@ def _layers(ds: xr.Dataset, layers: Sequence[str]) -> Iterator[_Layer]:
                 tags |= {"time": f"{times[0]}/{times[-1]}", "num_times": str(len(times))}
             if "time" in tags and "constellations" in ds.attrs:
                 tags["constellation"] = ", ".join(ds.attrs["constellations"])
-            yield _Layer("_".join((*parts, f"{resolution}.tif")), name, at, tags)
+            yield _Layer(
+                file="_".join((*parts, f"{resolution}.tif")),
+                name=name,
+                place=index,
+                in_obstacle=tuple(at[dim] for dim in walls) if IN_OBSTACLES in array.attrs else None,
+                dtype=np.dtype(np.uint8 if array.dtype in (np.bool_, np.uint8) else np.float32),
+                rows_at_once=array.encoding.get("chunks", tile)[-2],
+                tags=tags,
+            )
 
 
 def _styles(ds: xr.Dataset, layers: Sequence[str]) -> dict[str, str]:
@@ -121,25 +143,29 @@ def missing_geotiffs(ds: xr.Dataset, folder: Path) -> list[Path]:
 
 
 def stale_geotiffs(
-    ds: xr.Dataset, folder: Path, run_key: str, num_threads: int = 1, layers: Sequence[str] = ()
+    ds: xr.Dataset, folder: Path, run_key: str, each: Each = map, layers: Sequence[str] = ()
 ) -> list[Path]:
-    """Return the GeoTIFFs and styles of maps that are missing, damaged, or not of this run; every byte is read."""
+    """Return the GeoTIFFs and styles of maps that are missing, damaged, or not of this run; every byte is read.
 
-    def is_stale(path: Path) -> bool:
-        return not is_whole(path) or _run_key(path) != run_key
-
+    Arguments as for `write_geotiffs`.
+    """
     paths = _paths(ds, folder, layers)
-    with ThreadPoolExecutor(num_threads) as pool:
-        return [path for path, stale in zip(paths, pool.map(is_stale, paths), strict=True) if stale]
+    are_stale = each(partial(_is_stale, run_key), [path.resolve() for path in paths])  # others may work elsewhere
+    return [path for path, is_stale in zip(paths, are_stale, strict=True) if is_stale]
+
+
+def _is_stale(run_key: str, path: Path) -> bool:
+    return not is_whole(path) or _run_key(path) != run_key
 
 
 def write_geotiffs(
     ds: xr.Dataset,
     folder: Path,
     run_key: str | None = None,
-    num_threads: int = 1,
+    each: Each = map,
     only: Collection[Path] | None = None,
     layers: Sequence[str] = (),
+    path: Path | None = None,
 ) -> list[Path]:
     """Write maps as cloud-optimised GeoTIFF (ZSTD, north-up), and the QGIS style of each variable.
 
@@ -147,12 +173,13 @@ def write_geotiffs(
     a cell and, of what the engine sets to one value inside obstacles (`IN_OBSTACLES`), there.
 
     Args:
-      ds: the maps; read chunk by chunk, so that they need not fit in memory.
+      ds: the maps; read some rows at a time, so that they need not fit in memory.
       folder: files go to its ``geotiff`` folder.
       run_key: what the tag of this name says; None for no such tag.
-      num_threads: files written at the same time.
+      each: calls a function with each of many layers, as `map`, by whomever.
       only: leave the others alone.
       layers: variables that are written beside obstacles and the metrics of the cost; ``("all",)``: every one.
+      path: the Zarr that holds just these maps, from which they are then read as they are stored.
 
     Returns:
       The files written.
@@ -161,90 +188,64 @@ def write_geotiffs(
       InputError: a layer that the maps do not hold, or a folder that cannot be written to.
     """
 
-    def path_of(name: str) -> Path | None:
-        path = folder / GEOTIFF_FOLDER / name
-        return path if only is None or path in only else None
+    def wanted(name: str) -> bool:
+        return only is None or folder / GEOTIFF_FOLDER / name in only
 
-    def write(layer: _Layer) -> Path | None:
-        if (path := path_of(layer.file)) is not None:
-            tags = layer.tags if run_key is None else layer.tags | {RUN_KEY: run_key}
-            with whole_file(path) as scratch:
-                _write_cog(scratch, ds, layer._replace(tags=tags | {FIELD: BLANK}))
-                seal(scratch)
-        return path
-
-    def write_style(file: str, name: str) -> Path | None:
-        if (path := path_of(file)) is not None:
-            with whole_file(path) as scratch:
+    read = partial(_rows_of, ds) if path is None else partial(stored_rows, path)
+    corner = (ds.attrs["first_row"], ds.attrs["first_col"])
+    grid = Grid(ds.attrs["crs"], ds.attrs["resolution_m"], *corner, ds.sizes["y"], ds.sizes["x"])
+    write = partial(_write_layer, read, grid, folder.resolve(), run_key)  # others may work in another folder
+    found = [layer for layer in _layers(ds, layers) if wanted(layer.file)]
+    for _ in each(write, found):  # `map` does nothing until it is asked
+        pass
+    written = [folder / GEOTIFF_FOLDER / layer.file for layer in found]
+    for file, name in _styles(ds, layers).items():
+        if wanted(file):
+            with whole_file(folder / GEOTIFF_FOLDER / file) as scratch:
                 note = BLANK if run_key is None else f"{RUN_KEY}={run_key} {BLANK}"
                 scratch.write_text(style(ds, name, note), encoding="utf-8")
                 seal(scratch)
-        return path
-
-    with ThreadPoolExecutor(num_threads) as pool:
-        written = list(pool.map(write, _layers(ds, layers)))
-    written += [write_style(file, name) for file, name in _styles(ds, layers).items()]
-    return [path for path in written if path is not None]
+            written.append(folder / GEOTIFF_FOLDER / file)
+    return written
 
 
-def _values(ds: xr.Dataset, layer: _Layer, part: dict[str, slice]) -> np.ndarray:
-    """Return a part of a map ``[y, x]`` as GeoTIFFs hold it."""
-    array = ds[layer.name]
-    values = array.isel(layer.at | part).values.astype(_file_type(array.dtype))
-    if layer.name == "has_data":
-        return values
-    is_hidden = ~ds["has_data"].isel(part).values
-    if IN_OBSTACLES in array.attrs:
-        obstacle = ds["obstacle"]
-        at = {dim: place for dim, place in layer.at.items() if dim in obstacle.dims}
-        is_hidden |= obstacle.isel(at | part).values != 0
-    values[is_hidden] = no_value(values.dtype)
-    return values
+def _rows_of(ds: xr.Dataset, name: str, place: tuple[int, ...], rows: slice) -> np.ndarray:
+    """Return rows of a map ``[y, x]``, counted and ordered from the north."""
+    array = ds.variables[name]
+    num_rows = array.shape[-2]
+    return array[(*place, slice(num_rows - rows.stop, num_rows - rows.start))].values[::-1]
 
 
-def _file_type(dtype: np.dtype) -> np.dtype:
-    return np.dtype(np.uint8 if dtype in (np.bool_, np.uint8) else np.float32)
+def _write_layer(read: Read, grid: Grid, folder: Path, run_key: str | None, layer: _Layer) -> None:
+    """Write one GeoTIFF."""
+    tags = layer.tags if run_key is None else layer.tags | {RUN_KEY: run_key}
+    with whole_file(folder / GEOTIFF_FOLDER / layer.file) as scratch:
+        # Averages of classes, of counts and of infinite DOPs would be none of them in the overviews.
+        is_averaged = layer.dtype == np.float32 and layer.name not in DOPS
+        write_cog(
+            scratch,
+            grid,
+            layer.dtype,
+            _parts(read, layer, grid.num_rows),
+            is_averaged=is_averaged,
+            tags=tags | {FIELD: BLANK},
+            title=layer.title,
+            unit=layer.tags.get("units", ""),
+        )
+        seal(scratch)
 
 
-def _write_cog(path: Path, ds: xr.Dataset, layer: _Layer) -> None:
-    """Write one map: chunk by chunk into a plain tiled file, which GDAL then turns into a cloud-optimised one."""
-    corner = (ds.attrs["first_row"], ds.attrs["first_col"])
-    grid = Grid(ds.attrs["crs"], ds.attrs["resolution_m"], *corner, ds.sizes["y"], ds.sizes["x"])
-    tiling = Tiling.over(grid, grid, tile_shape(grid.shape))
-    dtype = _file_type(ds[layer.name].dtype)
-    # Averages of classes, of counts and of infinite DOPs would be none of them in the overviews.
-    is_averaged = dtype == np.float32 and layer.name not in DOPS
-    plain = path.with_name(f"{path.name.removesuffix(SCRATCH_SUFFIX)}.plain{SCRATCH_SUFFIX}")
-    try:
-        with rasterio.Env(GDAL_CACHEMAX=GDAL_CACHE_MIB):
-            with rasterio.open(plain, "w", **profile_of(grid, dtype), blockxsize=512, blockysize=512) as file:
-                for rows, cols in map(tiling.reported, tiling.region_tiles):
-                    values = _values(ds, layer, {"y": rows, "x": cols})
-                    window = Window.from_slices(
-                        (grid.num_rows - rows.stop, grid.num_rows - rows.start), (cols.start, cols.stop)
-                    )
-                    file.write(values[::-1], 1, window=window)
-                file.update_tags(**layer.tags)
-                file.set_band_description(1, layer.title)
-                file.set_band_unit(1, layer.tags.get("units", ""))
-            copy_raster(
-                plain,
-                path,
-                driver="COG",
-                compress="ZSTD",
-                level=1,  # on these maps a predictor takes more time and more bytes, a higher level twice the time
-                predictor="NO",
-                blocksize=512,
-                bigtiff="IF_SAFER",
-                overview_resampling="average" if is_averaged else "nearest",
-                num_threads=1,
-            )
-            with rasterio.open(path) as file:
-                file.checksum(1)  # reads every block: GDAL tells nobody of a disk that fills up
-    except (RasterioError, SystemError) as error:
-        raise OSError(f"GDAL could not write it ({error})") from error
-    finally:
-        plain.unlink(missing_ok=True)
+def _parts(read: Read, layer: _Layer, num_rows: int) -> Iterator[np.ndarray]:
+    """Yield a map from the north to the south, as GeoTIFFs hold it, so many rows at a time as a chunk has."""
+    for start in range(0, num_rows, layer.rows_at_once):
+        rows = slice(start, min(start + layer.rows_at_once, num_rows))
+        values = read(layer.name, layer.place, rows).astype(layer.dtype)
+        if layer.name != "has_data":
+            is_hidden = ~read("has_data", (), rows)
+            if layer.in_obstacle is not None:
+                is_hidden |= read("obstacle", layer.in_obstacle, rows) != 0
+            np.copyto(values, no_value(layer.dtype), where=is_hidden)
+        yield values
 
 
 def _run_key(path: Path) -> str | None:

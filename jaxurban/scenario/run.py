@@ -5,6 +5,7 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +14,9 @@ import numpy as np
 
 from jaxurban.errors import InputError
 from jaxurban.io import store
-from jaxurban.io.files import check_writable, only_writer
+from jaxurban.io.files import check_writable, only_writer, sweep_scraps
 from jaxurban.io.folders import WorkFolder, broken_files, has_other_maps, prepare_folder, remove_geotiffs_of, stored_key
-from jaxurban.io.geotiff import geotiff_names, stale_geotiffs, write_geotiffs
+from jaxurban.io.geotiff import Each, geotiff_names, stale_geotiffs, write_geotiffs
 from jaxurban.io.layers import bands_of
 from jaxurban.io.read.city import BuildingFile, CensusFiles, read_city
 from jaxurban.io.read.guesses import warn_of
@@ -23,7 +24,14 @@ from jaxurban.io.read.rasterise import check_has_data, rasterise
 from jaxurban.io.store import open_whole
 from jaxurban.maps.build import map_guesses, view_sky
 from jaxurban.maps.dataset import PLANE, empty_dataset, variables, with_series
-from jaxurban.maps.executors import Resources, num_cores, work_in_threads, work_on_cluster
+from jaxurban.maps.executors import (
+    Resources,
+    each_in_threads,
+    each_on_cluster,
+    num_cores,
+    work_in_threads,
+    work_on_cluster,
+)
 from jaxurban.maps.held import HeldMaps
 from jaxurban.maps.memory import MemoryPlan, plan_run, plan_sentence, shape_of_tiles
 from jaxurban.maps.metric_maps import MetricMaps
@@ -222,6 +230,13 @@ class Maker:
     layers: tuple[str, ...] = ()
     added: Addition | None = None
 
+    @property
+    def each(self) -> Each:
+        """Calls a function with each of many items, by whoever works on the tiles."""
+        if self.client is None:
+            return partial(each_in_threads, self.num_workers)
+        return partial(each_on_cluster, self.client)
+
     def held(self) -> HeldMaps | None:
         """Return the maps that are there and stay as they are, None where there are none."""
         grid, added = self.task.region, self.added
@@ -266,11 +281,13 @@ def _maps_of(maker: Maker, watch: Stopwatch, report: Report) -> tuple[MetricMaps
         store.write_root(folder)
     ds = store.open_zarr(folder, resolution_m)
     with watch.stage("verify"):
-        stale = stale_geotiffs(ds, folder, maker.key, maker.num_workers, maker.layers)
+        stale = stale_geotiffs(ds, folder, maker.key, maker.each, maker.layers)
         for path in stale if is_kept else ():
             LOG.warning(f"{str(path)!r} is missing or damaged: writing it again")
     with watch.stage("write_geotiff"):
-        write_geotiffs(ds, folder, maker.key, maker.num_workers, only=stale, layers=maker.layers)
+        path = store.zarr_path(folder.resolve(), resolution_m)
+        write_geotiffs(ds, folder, maker.key, maker.each, only=stale, layers=maker.layers, path=path)
+        sweep_scraps(folder / store.GEOTIFF_FOLDER)  # of workers that were killed, whose files others have written
     return MetricMaps(ds), not is_kept
 
 

@@ -113,7 +113,7 @@ def test_a_failed_write_leaves_the_old_file_and_no_scrap(tmp_path):
 
 def test_files_of_another_run_are_stale(ds, tmp_path):
     files = write_geotiffs(ds, tmp_path, run_key="a")
-    assert stale_geotiffs(ds, tmp_path, "a", num_threads=2) == []
+    assert stale_geotiffs(ds, tmp_path, "a") == []
     assert stale_geotiffs(ds, tmp_path, "b") == files
     before = [file.stat().st_mtime_ns for file in files]
     assert write_geotiffs(ds, tmp_path, run_key="b", only=files[1:2]) == files[1:2]

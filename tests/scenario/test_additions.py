@@ -198,7 +198,7 @@ def test_maps_of_other_code_are_not_added_to(tmp_path, capsys, monkeypatch):
 KILLED_AT = {  # what a process does instead of going on
     "a tile half written": ("jaxurban.maps.tiled", "write_layer", 4),
     "the new maps in place of the old ones": ("jaxurban.io.files", "shutil.rmtree", 1),
-    "the second GeoTIFF": ("jaxurban.io.geotiff", "_write_cog", 2),
+    "the second GeoTIFF": ("jaxurban.io.geotiff", "write_cog", 2),
     "the record": ("jaxurban.scenario.run", "write_record", 1),
 }
 KILLER = """

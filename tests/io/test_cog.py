@@ -1,0 +1,110 @@
+"""The GeoTIFFs that we lay out ourselves are those of GDAL's COG driver, value by value and text by text."""
+
+import numpy as np
+import pytest
+import rasterio
+from rasterio.shutil import copy
+
+from jaxurban.io import cog
+from jaxurban.io.bands import profile_of
+from jaxurban.world.grid import Grid
+
+rio_cogeo = pytest.importorskip("rio_cogeo", reason="needs the dev extra")
+
+TAGS = {"metric": "gps", "credit": "© those who measured it"}
+
+
+def grid_of(shape: tuple[int, int]) -> Grid:
+    return Grid("EPSG:32618", 2.5, 1_800_000, 230_000, *shape)
+
+
+def map_of(shape: tuple[int, int], dtype: type) -> np.ndarray:
+    rng = np.random.default_rng(1)
+    if dtype == np.uint8:
+        return rng.choice(np.array([0, 1, 255], np.uint8), shape)
+    values = rng.random(shape, np.float32)
+    values[rng.random(shape) < 0.2] = np.nan
+    return values
+
+
+def write(path, values: np.ndarray, is_averaged: bool, num_rows: int = 100) -> None:
+    parts = (values[start : start + num_rows] for start in range(0, len(values), num_rows))
+    about = {"is_averaged": is_averaged, "tags": TAGS, "title": "GPS quality", "unit": "1"}
+    cog.write_cog(path, grid_of(values.shape), values.dtype, parts, **about)
+
+
+def facts_of(path) -> list:
+    with rasterio.open(path) as file:
+        num = len(file.overviews(1))
+        profile = {name: str(value) for name, value in file.profile.items()}
+        facts = [
+            profile,
+            file.tags(),
+            file.tags(ns="IMAGE_STRUCTURE"),
+            file.descriptions,
+            file.units,
+            file.overviews(1),
+        ]
+        facts.append(file.read(1).tobytes())
+    for level in range(num):
+        with rasterio.open(path, overview_level=level) as file:
+            facts += [file.shape, str(file.nodata), file.block_shapes, file.read(1).tobytes()]
+    return facts
+
+
+@pytest.mark.parametrize(
+    ("shape", "dtype", "is_averaged"),
+    [
+        ((40, 30), np.float32, True),
+        ((512, 512), np.float32, True),
+        ((513, 40), np.uint8, False),
+        ((1301, 1023), np.float32, True),
+        ((1024, 1536), np.float32, False),
+        ((700, 2100), np.uint8, False),
+    ],
+)
+def test_a_file_is_that_of_gdals_cog_driver(tmp_path, shape, dtype, is_averaged):
+    values = map_of(shape, dtype)
+    with rasterio.open(tmp_path / "plain.tif", "w", **profile_of(grid_of(shape), values.dtype)) as file:
+        file.write(values, 1)
+        file.update_tags(**TAGS)
+        file.set_band_description(1, "GPS quality")
+        file.set_band_unit(1, "1")
+    how = {
+        "compress": "ZSTD",
+        "level": 1,
+        "blocksize": 512,
+        "overview_resampling": "average" if is_averaged else "nearest",
+    }
+    copy(tmp_path / "plain.tif", tmp_path / "gdal.tif", driver="COG", **how)
+    write(tmp_path / "ours.tif", values, is_averaged)
+    assert facts_of(tmp_path / "ours.tif") == facts_of(tmp_path / "gdal.tif")
+    assert rio_cogeo.cog_validate(tmp_path / "ours.tif", strict=True, quiet=True) == (True, [], [])
+
+
+@pytest.mark.parametrize("num_rows", [1, 256, 511, 512, 1024, 5000])
+def test_a_file_does_not_depend_on_how_many_rows_come_at_a_time(tmp_path, num_rows):
+    values = map_of((1301, 700), np.float32)
+    write(tmp_path / "a.tif", values, True)
+    write(tmp_path / "b.tif", values, True, num_rows)
+    assert (tmp_path / "a.tif").read_bytes() == (tmp_path / "b.tif").read_bytes()
+
+
+def test_blocks_that_memory_does_not_hold_change_no_byte_and_leave_no_file(tmp_path, monkeypatch):
+    values = map_of((1301, 700), np.float32)
+    write(tmp_path / "a.tif", values, True)
+    monkeypatch.setattr(cog, "HELD_BYTES", 1000)
+    write(tmp_path / "b.tif", values, True)
+    assert (tmp_path / "a.tif").read_bytes() == (tmp_path / "b.tif").read_bytes()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.tif", "b.tif"]
+
+
+def test_a_file_beyond_four_gigabytes_is_a_bigtiff_of_the_same_values(tmp_path, monkeypatch):
+    values = map_of((1301, 1023), np.float32)
+    write(tmp_path / "classic.tif", values, True)
+    monkeypatch.setattr(cog, "MOST_CLASSIC", 1000)
+    write(tmp_path / "big.tif", values, True)
+    assert (tmp_path / "classic.tif").read_bytes()[:4] == b"II*\0"
+    assert (tmp_path / "big.tif").read_bytes()[:4] == b"II+\0"
+    assert facts_of(tmp_path / "big.tif") == facts_of(tmp_path / "classic.tif")
+    assert rio_cogeo.cog_validate(tmp_path / "big.tif", strict=True, quiet=True) == (True, [], [])
