@@ -1,4 +1,4 @@
-"""The GeoTIFFs that we lay out ourselves are those of GDAL's COG driver, value by value and text by text."""
+"""The GeoTIFFs whose overviews we make are those that GDAL makes alone, value by value and text by text."""
 
 import numpy as np
 import pytest
@@ -90,21 +90,6 @@ def test_a_file_does_not_depend_on_how_many_rows_come_at_a_time(tmp_path, num_ro
     assert (tmp_path / "a.tif").read_bytes() == (tmp_path / "b.tif").read_bytes()
 
 
-def test_blocks_that_memory_does_not_hold_change_no_byte_and_leave_no_file(tmp_path, monkeypatch):
-    values = map_of((1301, 700), np.float32)
-    write(tmp_path / "a.tif", values, True)
-    monkeypatch.setattr(cog, "HELD_BYTES", 1000)
-    write(tmp_path / "b.tif", values, True)
-    assert (tmp_path / "a.tif").read_bytes() == (tmp_path / "b.tif").read_bytes()
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.tif", "b.tif"]
-
-
-def test_a_file_beyond_four_gigabytes_is_a_bigtiff_of_the_same_values(tmp_path, monkeypatch):
-    values = map_of((1301, 1023), np.float32)
-    write(tmp_path / "classic.tif", values, True)
-    monkeypatch.setattr(cog, "MOST_CLASSIC", 1000)
-    write(tmp_path / "big.tif", values, True)
-    assert (tmp_path / "classic.tif").read_bytes()[:4] == b"II*\0"
-    assert (tmp_path / "big.tif").read_bytes()[:4] == b"II+\0"
-    assert facts_of(tmp_path / "big.tif") == facts_of(tmp_path / "classic.tif")
-    assert rio_cogeo.cog_validate(tmp_path / "big.tif", strict=True, quiet=True) == (True, [], [])
+def test_a_file_leaves_nothing_beside_it(tmp_path):
+    write(tmp_path / "a.tif", map_of((1301, 700), np.float32), True)
+    assert [path.name for path in tmp_path.iterdir()] == ["a.tif"]
