@@ -1,7 +1,7 @@
 """Buildings from any file that knows them: the reader is chosen by the file's suffix.
 
-A further format of outlines is a file of its own, with a function that returns `Outlines`, and a line in
-`OUTLINE_READERS`.
+A further format of outlines is a file of its own, with a function that returns the `Outlines` of a path, those near a
+region at least, and a line in `OUTLINE_READERS`.
 """
 
 from collections.abc import Callable
@@ -15,6 +15,7 @@ import shapely
 from jaxurban.errors import InputError
 from jaxurban.io.read.heights import MAX_HEIGHT_M
 from jaxurban.io.read.knownarea import area_of_outlines, area_of_raster
+from jaxurban.io.read.near import Near, meets
 from jaxurban.io.read.osm import OSM_SUFFIXES, read_osm
 from jaxurban.io.read.outlines import Outlines, count_tags, to_buildings
 from jaxurban.io.read.raster import RASTER_SUFFIXES, check_range, raster_extent_m, read_raster
@@ -22,12 +23,12 @@ from jaxurban.io.read.surfacemodel import check_is_no_surface, heights_of_surfac
 from jaxurban.io.read.vector import VECTOR_SUFFIXES, read_vector
 from jaxurban.world.city import Buildings, Raster
 from jaxurban.world.diagnostics import ReadIssue, ReadIssues
-from jaxurban.world.grid import Bounds, projected_crs
+from jaxurban.world.grid import Bounds, projected_crs, transformer
 
 Kind = Literal["height", "surface"]  # of a raster of buildings
 
-OUTLINE_READERS: dict[str, Callable[[Path], Outlines]] = {
-    **dict.fromkeys(OSM_SUFFIXES, read_osm),
+OUTLINE_READERS: dict[str, Callable[[Path, Near | None], Outlines]] = {
+    **dict.fromkeys(OSM_SUFFIXES, lambda path, near: read_osm(path)),  # its nodes lie anywhere before its ways
     **dict.fromkeys(VECTOR_SUFFIXES, read_vector),
 }
 LOWEST_ROOF_M = -100.0  # surface minus terrain dips below 0 by noise, at cuttings by tens of metres
@@ -73,8 +74,9 @@ class BuildingSource:
       roofs: roof heights above ground, or None for outlines.
       area: where it knows what stands, in the city's CRS: of what was kept; the whole file's where nothing was.
       file_extent_m: x_min, y_min, x_max, y_max in the city's CRS of the whole file.
-      issues: what was met, mended and left out in the whole file, counted by `jaxurban.world.diagnostics.ReadIssue`.
-      counts: outlines of the whole file by tags, before any rule (see `count_tags`); empty for a raster.
+      issues: what was met, mended and left out in what was read, counted by `jaxurban.world.diagnostics.ReadIssue`: in
+        an OpenStreetMap file all of it, in other files the surroundings of the region.
+      counts: outlines that were read by tags, before any rule (see `count_tags`); empty for a raster.
       attribution: the credit that the licence asks for, "" where nothing is known.
     """
 
@@ -117,20 +119,33 @@ def read_buildings(
             f"{str(path)!r} has the suffix {suffix!r}: buildings are read from "
             f"{', '.join((*OUTLINE_READERS, *RASTER_SUFFIXES))}"
         )
-    outlines = OUTLINE_READERS[suffix](path)
-    buildings, boxes_m, issues = to_buildings(
-        path, outlines, crs, default_height_m=file.default_height_m, level_height_m=file.level_height_m
-    )
-    area = area_of_outlines(buildings.polygons, boxes_m)
-    file_extent_m = area.bounds
+    reader = OUTLINE_READERS[suffix]
     if bounds_m is not None:
-        x_min, y_min, x_max, y_max = shapely.bounds(buildings.polygons).T
-        buildings = buildings.take(
-            (x_min <= bounds_m[2]) & (x_max >= bounds_m[0]) & (y_min <= bounds_m[3]) & (y_max >= bounds_m[1])
-        )
+        outlines = reader(path, Near(bounds_m, crs))
+        source = _source_of(file, outlines, crs, bounds_m)
+        if outlines.extent is None or len(source.buildings or ()):
+            return source
+    return _source_of(file, reader(path, None), crs, bounds_m)  # what nothing is near of tells all that it covers
+
+
+def _source_of(file: BuildingFile, outlines: Outlines, crs: str, bounds_m: Bounds | None) -> BuildingSource:
+    """Return the buildings that outlines make, those that touch ``bounds_m``."""
+    buildings, boxes_m, issues = to_buildings(
+        file.source, outlines, crs, default_height_m=file.default_height_m, level_height_m=file.level_height_m
+    )
+    if outlines.extent is None:
+        area = area_of_outlines(buildings.polygons, boxes_m)
+        file_extent_m = area.bounds
+    else:
+        area = shapely.Polygon()
+        file_extent_m = transformer(outlines.crs, crs).transform_bounds(*outlines.extent, densify_pts=101)
+    if bounds_m is not None:
+        buildings = buildings.take(meets(buildings.boxes_m.T, bounds_m))
         near = shapely.intersection(shapely.box(*bounds_m), [shapely.box(*box) for box in boxes_m])
         kept = area_of_outlines(buildings.polygons, [box.bounds for box in near if box.area])
         area = area if kept.is_empty else kept
+        if not np.isfinite(file_extent_m).all():  # a file that reaches beyond the projection
+            file_extent_m = area.bounds
     return BuildingSource(buildings, None, area, file_extent_m, issues, count_tags(outlines), outlines.attribution)
 
 

@@ -9,6 +9,7 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from jaxurban.world.city import HeightOrigin
 from jaxurban.world.diagnostics import ReadIssue, ReadIssues
@@ -91,8 +92,11 @@ def is_blank(value: Any) -> bool:
 
 
 def is_given(column: np.ndarray) -> np.ndarray:
-    """Return where a column holds something: not None, NaN or blank text."""
-    return np.array([not is_blank(value) for value in column], bool)
+    """Return where a column of numbers or objects holds something: not None, NaN or blank text."""
+    given = ~pd.isna(column)
+    if column.dtype == object:
+        given[given] = [not is_blank(value) for value in column[given]]
+    return given
 
 
 def _read_column(column: np.ndarray, parse: Callable[[str], float]) -> np.ndarray:
@@ -103,7 +107,11 @@ def _read_column(column: np.ndarray, parse: Callable[[str], float]) -> np.ndarra
             return parse(value)
         return float(value) if isinstance(value, int | float | np.number | Decimal) else math.nan
 
-    return np.array([read(value) for value in column], float)
+    if column.dtype != object:
+        return column.astype(float)
+    values, given = np.full(len(column), math.nan), ~pd.isna(column)
+    values[given] = [read(value) for value in column[given]]
+    return values
 
 
 def estimate_heights(
@@ -112,8 +120,9 @@ def estimate_heights(
     """Return the height of every outline: its height, else its levels, else the default.
 
     Args:
-      tags: ``[N]`` object arrays of text, numbers or None by name: ``height``, ``levels``, ``roof_levels`` (added to
-        ``levels``; alone they say nothing), ``min_height``, ``min_level``; a missing name is an empty column.
+      tags: ``[N]`` arrays of numbers, or of objects (text, numbers or None), by name: ``height``, ``levels``,
+        ``roof_levels`` (added to ``levels``; alone they say nothing), ``min_height``, ``min_level``; a missing name is
+        an empty column.
       num_outlines: ``N``.
       default_height_m: height where nothing usable is given.
       level_height_m: height of one level.

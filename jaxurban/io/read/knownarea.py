@@ -32,15 +32,16 @@ def area_of_outlines(polygons: np.ndarray, boxes: Sequence[Bounds]) -> shapely.G
     if not len(bounds):
         return declared
     centre = (bounds[:, :2] + bounds[:, 2:]) / 2
-    bins, owner = np.unique(np.floor(centre / GAP_M), axis=0, return_inverse=True)
-    low = bins * GAP_M
+    col, row = np.floor(centre / GAP_M).astype(np.int64).T
+    _, first, owner = np.unique(col * 2**32 + row, return_index=True, return_inverse=True)
+    low = np.stack([col[first], row[first]], axis=1) * GAP_M
     # Grown by a little, so that bins that touch at a corner are joined.
     grown = shapely.box(*(low - 1.0).T, *(low + GAP_M + 1.0).T)
     parts = shapely.get_parts(shapely.union_all(grown))
-    part_of_bin = np.empty(len(bins), int)
+    part_of_bin = np.empty(len(low), int)
     found_bin, found_part = shapely.STRtree(parts).query(shapely.points(low + GAP_M / 2), predicate="within")
     part_of_bin[found_bin] = found_part
-    part = part_of_bin[owner.ravel()]
+    part = part_of_bin[owner]
     least, most = np.full((len(parts), 2), np.inf), np.full((len(parts), 2), -np.inf)
     np.minimum.at(least, part, bounds[:, :2])
     np.maximum.at(most, part, bounds[:, 2:])

@@ -1,5 +1,6 @@
 """Outlines as a vector file holds them, and the rules that make Buildings of them."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,13 +25,15 @@ class Outlines:
 
     Attributes:
       polygons: ``[N]`` shapely Polygons or MultiPolygons in ``crs``, valid or not; None where none could be built.
-      tags: ``[N]`` object arrays of text, numbers or None, by name: ``building``, ``part``, ``height``, ``levels``,
-        ``roof_levels``, ``min_height``, ``min_level``, ``location``, ``layer``. All are optional; without
-        ``building`` every outline is a building.
+      tags: ``[N]`` arrays of numbers, or of objects (text, numbers or None), by name: ``building``, ``part``,
+        ``height``, ``levels``, ``roof_levels``, ``min_height``, ``min_level``, ``location``, ``layer``. All are
+        optional; without ``building`` every outline is a building.
       crs: CRS of the coordinates, x before y.
       boxes: x_min, y_min, x_max, y_max in ``crs`` each, that the file says it covers.
       issues: what the reader met.
       attribution: the credit that the data's licence asks for.
+      extent: x_min, y_min, x_max, y_max in ``crs`` of all that the file holds, where these are the outlines near a
+        region only; None where they are all.
     """
 
     polygons: np.ndarray
@@ -39,6 +42,7 @@ class Outlines:
     boxes: tuple[Bounds, ...]
     issues: ReadIssues
     attribution: str = ""
+    extent: Bounds | None = None
 
     def column(self, name: str) -> np.ndarray:
         """Return a tag of every outline, ``[N]`` objects, None where it is missing."""
@@ -83,7 +87,7 @@ def to_buildings(
       level_height_m: height of one level.
 
     Raises:
-      InputError: no building and no declared box.
+      InputError: no building and no declared box, in a file that was read as a whole.
     """
     issues = dict(outlines.issues)
     stands, is_part = _buildings_and_parts(outlines, issues)
@@ -92,7 +96,7 @@ def to_buildings(
     polygons, index = polygons[is_sound], index[is_sound]
     to_city = transformer(outlines.crs, crs)
     boxes_m = [to_city.transform_bounds(*box, densify_pts=101) for box in outlines.boxes]
-    if not (boxes_m or len(index)):
+    if not (boxes_m or len(index) or outlines.extent):
         raise InputError(f"{str(path)!r} holds no building: give a file with polygons of buildings")
 
     is_part = is_part[index]
@@ -113,31 +117,41 @@ def _buildings_and_parts(outlines: Outlines, issues: ReadIssues) -> tuple[np.nda
     """Return which outlines are tagged as standing above ground, and which of all are parts, ``[N]`` bool each."""
 
     def text(name: str) -> np.ndarray:
-        column = outlines.column(name)
-        return np.where(is_given(column), np.array([str(value).strip().lower() for value in column], object), "")
+        column, words = outlines.column(name), np.full(len(outlines.polygons), "", object)
+        given = is_given(column)
+        words[given] = [str(value).strip().lower() for value in column[given]]
+        return words
 
     def is_yes(name: str) -> np.ndarray:
         return (text(name) != "") & ~np.isin(text(name).astype(str), _NO)
 
     is_part = is_yes("part")
     is_building = (is_yes("building") if "building" in outlines.tags else True) | is_part
-    is_below = (text("location") == "underground") | np.array([_is_negative(layer) for layer in text("layer")], bool)
+    is_below = (text("location") == "underground") | _is_negative(text("layer"))
     issues[ReadIssue.NOT_BUILDINGS] = int(np.sum(~is_building))
     issues[ReadIssue.UNDERGROUND] = int(np.sum(is_building & is_below))
     return is_building & ~is_below, is_part
 
 
-def _is_negative(layer: str) -> bool:
+def _is_negative(layers: np.ndarray) -> np.ndarray:
+    """Return which layers, ``[N]`` texts, are numbers below 0."""
+    below = {layer for layer in set(layers) if _number(layer) < 0}
+    return np.array([layer in below for layer in layers], bool) if below else np.zeros(len(layers), bool)
+
+
+def _number(text: str) -> float:
     try:
-        return float(layer) < 0
+        return float(text)
     except ValueError:
-        return False
+        return math.nan
 
 
 def _project(polygons: np.ndarray, source: str, crs: str, issues: ReadIssues) -> tuple[np.ndarray, np.ndarray]:
     """Return valid polygons in ``crs``, repaired where need be, and which of them could be made."""
     to_city = transformer(source, crs).transform
-    polygons = shapely.transform(shapely.force_2d(polygons), to_city, interleaved=False)
+    if shapely.has_z(polygons).any():
+        polygons = shapely.force_2d(polygons)
+    polygons = shapely.transform(polygons, to_city, interleaved=False)
     is_there = ~shapely.is_missing(polygons) & ~shapely.is_empty(polygons)
     is_finite = np.isfinite(shapely.bounds(polygons)).all(axis=1)
     is_sound = is_there & is_finite

@@ -1,6 +1,7 @@
 """Vector files of any format, opened the same way for every use, and the building outlines in them."""
 
 import json
+from collections.abc import Sequence
 from functools import reduce
 from pathlib import Path
 from typing import Any
@@ -12,13 +13,18 @@ import pyogrio
 import shapely
 
 from jaxurban.errors import InputError, readable
+from jaxurban.io.read.geoparquet import read_near_parquet
 from jaxurban.io.read.heights import is_given
+from jaxurban.io.read.near import Near, extent_of, near_rows
 from jaxurban.io.read.outlines import Outlines, polygonal
 from jaxurban.world.diagnostics import ReadIssue
-from jaxurban.world.grid import check_on_earth
+from jaxurban.world.grid import Bounds, check_on_earth
 
 PARQUET_SUFFIXES = (".parquet", ".geoparquet")
-VECTOR_SUFFIXES = (".geojson", ".json", ".gpkg", ".shp", *PARQUET_SUFFIXES)
+INDEXED_SUFFIXES = (".gpkg", ".shp")  # whose features are found by their boxes
+VECTOR_SUFFIXES = (".geojson", ".json", *INDEXED_SUFFIXES, *PARQUET_SUFFIXES)
+BUILDINGS = "buildings"  # the role, and the layer of several
+WHOLE = "give a whole one, with its companions"
 # Columns by what they hold: in any case, with ":", "." and "_" the same; names of ten letters are cut, as Shapefiles
 # cut them. Where several are there, the first that is filled counts, row by row. Column names in feet or of
 # roof shapes ("roof:height" is the height of the roof alone) are left out on purpose.
@@ -71,9 +77,8 @@ def open_layers(path: str | Path, role: str) -> list[gpd.GeoDataFrame]:
 
 def _read(path: str | Path, role: str, *, every_layer: bool) -> list[gpd.GeoDataFrame]:
     """Return the features of the one layer of polygons, or of every layer, checked."""
-    name = f"the {role} file {str(path)!r}"
-    remedy = "give a whole one, with its companions"
-    with readable(name, "a vector file", remedy, *OF_DAMAGED):
+    name = _name(path, role)
+    with readable(name, "a vector file", WHOLE, *OF_DAMAGED):
         if not Path(path).exists():
             raise FileNotFoundError
         if Path(path).suffix.lower() in PARQUET_SUFFIXES:
@@ -86,23 +91,71 @@ def _read(path: str | Path, role: str, *, every_layer: bool) -> list[gpd.GeoData
     if not frames:
         raise InputError(f"{name} holds no geometry: give a file of polygons")
     for frame in frames:
-        for column in frame.columns.difference([frame.geometry.name]):
-            if pd.api.types.is_object_dtype(frame[column]):
-                frame[column] = frame[column].map(_scalar)
-        if frame.crs is None:
-            raise InputError(
-                f"{name} declares no CRS: write it into the file, as with `ogr2ogr -a_srs EPSG:... OUT IN` "
-                "(a Shapefile has it in its .prj)"
-            )
-        check_on_earth(name, frame.crs.to_wkt())
-        x_min, y_min, x_max, y_max = frame.total_bounds
-        if frame.crs.is_geographic and (max(-x_min, x_max) > 360 or max(-y_min, y_max) > 90):
-            raise InputError(
-                f"{name} is in degrees by its CRS but has coordinates such as {x_max:.0f}, {y_max:.0f}: declare the "
-                "CRS that they are in, or convert them with `ogr2ogr -s_srs EPSG:... -t_srs EPSG:4326 OUT IN` "
-                "(GeoJSON is always in longitude and latitude)"
-            )
+        _check(name, frame, frame.total_bounds)
     return frames
+
+
+def _name(path: str | Path, role: str) -> str:
+    return f"the {role} file {str(path)!r}"
+
+
+def _check(name: str, frame: gpd.GeoDataFrame, extent: Sequence[float]) -> None:
+    """Make text of what a frame's columns hold beside numbers and text, and check its place on the Earth.
+
+    Args:
+      name: of the file, for messages.
+      frame: changed in place.
+      extent: x_min, y_min, x_max, y_max of all features in the file.
+
+    Raises:
+      InputError: no CRS, one that is no place on the Earth, or coordinates beyond the globe though it is in degrees.
+    """
+    for column in frame.columns.difference([frame.geometry.name]):
+        if pd.api.types.is_object_dtype(frame[column]):
+            frame[column] = frame[column].map(_scalar)
+    if frame.crs is None:
+        raise InputError(
+            f"{name} declares no CRS: write it into the file, as with `ogr2ogr -a_srs EPSG:... OUT IN` "
+            "(a Shapefile has it in its .prj)"
+        )
+    check_on_earth(name, frame.crs.to_wkt())
+    x_min, y_min, x_max, y_max = extent
+    if frame.crs.is_geographic and (max(-x_min, x_max) > 360 or max(-y_min, y_max) > 90):
+        raise InputError(
+            f"{name} is in degrees by its CRS but has coordinates such as {x_max:.0f}, {y_max:.0f}: declare the "
+            "CRS that they are in, or convert them with `ogr2ogr -s_srs EPSG:... -t_srs EPSG:4326 OUT IN` "
+            "(GeoJSON is always in longitude and latitude)"
+        )
+
+
+def _read_near(path: str | Path, near: Near) -> tuple[gpd.GeoDataFrame, Bounds] | None:
+    """Return the buildings of a file near a region, checked, and the box of all; None where boxes do not tell."""
+    name, suffix = _name(path, BUILDINGS), Path(path).suffix.lower()
+    with readable(name, "a vector file", WHOLE, *OF_DAMAGED):
+        if suffix in PARQUET_SUFFIXES:
+            found = read_near_parquet(path, near, _is_of_buildings)
+        elif suffix in INDEXED_SUFFIXES:
+            found = _read_indexed(path, near)
+        else:
+            return None
+    if found is not None:
+        _check(name, *found)
+    return found
+
+
+def _read_indexed(path: str | Path, near: Near) -> tuple[gpd.GeoDataFrame, Bounds] | None:
+    """Return the buildings near a region by the index of a GeoPackage or a Shapefile, in their order."""
+    layer = _polygon_layer(path, BUILDINGS)
+    facts = pyogrio.read_info(path, layer=layer, force_total_bounds=True)
+    box = near.box_in(facts["crs"]) if facts["crs"] and facts["geometry_type"] else None
+    if box is None or facts["total_bounds"] is None:
+        return None
+    _, sides = pyogrio.read_bounds(path, layer=layer, bbox=box)
+    if sides.size:
+        box = extent_of(sides.T)  # with all that touches one of these, see `near_rows`
+    columns = [column for column in facts["fields"] if _is_of_buildings(column)]
+    frame = pyogrio.read_dataframe(path, layer=layer, columns=columns, bbox=box, on_invalid="ignore", fid_as_index=True)
+    return frame.sort_index().reset_index(drop=True), facts["total_bounds"]
 
 
 def _polygon_layer(path: str | Path, wanted: str) -> str:
@@ -121,17 +174,29 @@ def _polygon_layer(path: str | Path, wanted: str) -> str:
     return areal[0]
 
 
-def read_vector(path: str | Path) -> Outlines:
+def read_vector(path: str | Path, near: Near | None = None) -> Outlines:
     """Return the polygons of a vector file, with what its columns say of heights (see `COLUMNS`).
 
     Numbers are metres (or levels); text is read as OpenStreetMap's tags are. A collection counts as the
     polygons that it holds. Points and lines are left out and counted.
 
+    Args:
+      path: the file.
+      near: the region whose surroundings are needed: what lies elsewhere may be left out. Of GeoParquet, GeoPackages
+        and Shapefiles it is not even decoded. None reads all.
+
     Raises:
       InputError: a file that cannot be read, has no CRS, or holds coordinates beyond the globe though its CRS is in
         degrees; a GeoPackage with several layers of polygons and not one of them called ``buildings``.
     """
-    frame = open_frame(path, "buildings", allow_empty=True)
+    extent, found = None, None if near is None else _read_near(path, near)
+    if found is not None:
+        frame, extent = found
+    else:
+        frame = open_frame(path, BUILDINGS, allow_empty=True)
+        if near is not None and (box := near.box_in(frame.crs.to_wkt())):
+            boxes = shapely.bounds(frame.geometry.to_numpy())
+            frame, extent = frame[near_rows(boxes, box)], extent_of(boxes)
     shapes = np.array(frame.geometry, object)
     is_mixed = shapely.get_type_id(shapes) == shapely.GeometryType.GEOMETRYCOLLECTION
     shapes[is_mixed] = [polygonal(shape) for shape in shapes[is_mixed]]
@@ -142,6 +207,7 @@ def read_vector(path: str | Path) -> Outlines:
         crs=frame.crs.to_wkt(),
         boxes=(),
         issues={ReadIssue.NON_POLYGONS: int(np.sum(~is_polygon))},
+        extent=extent,
     )
 
 
@@ -152,15 +218,32 @@ def _scalar(value: Any) -> Any:
     return json.dumps(value, default=lambda inner: inner.tolist() if isinstance(inner, np.ndarray) else str(inner))
 
 
+def _plain(column: object) -> str:
+    """Return a column's name as `COLUMNS` has it."""
+    return str(column).lower().replace(":", "_").replace(".", "_")
+
+
+def _is_of_buildings(column: str) -> bool:
+    return _plain(column) == _UNDERGROUND or any(_plain(column) in names for names in COLUMNS.values())
+
+
 def _tags(frame: pd.DataFrame) -> dict[str, np.ndarray]:
     """Return the columns that say something of buildings, under the names that `Outlines` knows."""
-    columns = {str(column).lower().replace(":", "_").replace(".", "_"): frame[column] for column in frame.columns}
-    values = {name: series.astype(object).where(series.notna(), None).to_numpy() for name, series in columns.items()}
+    values = {_plain(column): _values(frame[column]) for column in frame.columns if _is_of_buildings(column)}
     tags = {}
     for tag, names in COLUMNS.items():
         if found := [values[name] for name in names if name in values]:
             tags[tag] = reduce(lambda first, second: np.where(is_given(first), first, second), found)
     if _UNDERGROUND in values:
         is_below = np.array([str(value).lower() in ("true", "1") for value in values[_UNDERGROUND]], bool)
-        tags["location"] = np.where(is_below, ReadIssue.UNDERGROUND, tags.get("location", np.array(None)))
+        tags["location"] = np.where(
+            is_below, ReadIssue.UNDERGROUND, tags.get("location", np.array(None)).astype(object)
+        )
     return tags
+
+
+def _values(column: pd.Series) -> np.ndarray:
+    """Return a column's numbers as they are, and others as objects, None where there is none."""
+    if isinstance(column.dtype, np.dtype) and column.dtype.kind in "fiu":
+        return column.to_numpy()
+    return column.astype(object).where(column.notna(), None).to_numpy()

@@ -1,0 +1,50 @@
+"""What of a file lies near a region: boxes of features tell before their geometry is decoded."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxurban.world.grid import Bounds, transformer
+
+MARGIN_M = 1000.0  # more than projections tilt boxes against each other, and than most outlines and their parts reach
+
+
+class Near(NamedTuple):
+    """A region whose surroundings are read.
+
+    Attributes:
+      bounds_m: x_min, y_min, x_max, y_max; what does not touch them is not needed.
+      crs: their projected CRS.
+    """
+
+    bounds_m: Bounds
+    crs: str
+
+    def box_in(self, crs: str) -> Bounds | None:
+        """Return the box of the region and `MARGIN_M` around it in another CRS; None where no box holds it."""
+        x_min, y_min, x_max, y_max = self.bounds_m
+        wide_m = x_min - MARGIN_M, y_min - MARGIN_M, x_max + MARGIN_M, y_max + MARGIN_M
+        box = transformer(self.crs, crs).transform_bounds(*wide_m, densify_pts=101)
+        is_box = np.isfinite(box).all() and box[0] < box[2]  # else across the antimeridian, or beyond the projection
+        return box if is_box else None
+
+
+def meets(boxes: np.ndarray, box: Bounds) -> np.ndarray:
+    """Return which of the boxes ``[N, 4]`` touch a box, ``[N]`` bool; none that is NaN does."""
+    x_min, y_min, x_max, y_max = boxes.T
+    return (x_min <= box[2]) & (x_max >= box[0]) & (y_min <= box[3]) & (y_max >= box[1])
+
+
+def extent_of(boxes: np.ndarray) -> Bounds:
+    """Return the box around boxes ``[N, 4]``, NaN left out; inf and -inf without any."""
+    low, high = np.fmin.reduce(boxes[:, :2], initial=np.inf), np.fmax.reduce(boxes[:, 2:], initial=-np.inf)
+    return float(low[0]), float(low[1]), float(high[0]), float(high[1])
+
+
+def near_rows(boxes: np.ndarray, box: Bounds) -> np.ndarray:
+    """Return which features to read, ``[N]`` bool: those that touch a box, and all that touch one of these.
+
+    So every outline comes with all its parts, and every part with its outline, however large they are.
+    """
+    is_near = meets(boxes, box)
+    return meets(boxes, extent_of(boxes[is_near])) if is_near.any() else is_near

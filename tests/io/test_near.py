@@ -1,0 +1,186 @@
+"""Reading only what lies near a region: the same buildings as of the whole file, and nothing decoded of the rest."""
+
+import json
+from dataclasses import replace
+
+import geopandas as gpd
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+import shapely
+
+from jaxurban.errors import InputError
+from jaxurban.io.read import geoparquet
+from jaxurban.io.read.buildings import BuildingFile, read_buildings
+from jaxurban.io.read.near import MARGIN_M, Near
+from jaxurban.io.read.vector import read_vector
+from jaxurban.io.read.wkb import wkb_boxes
+
+UTM, WGS84 = "EPSG:32618", "EPSG:4326"
+X, Y = 583000.0, 4506000.0
+BOX_M = (X, Y, X + 900.0, Y + 900.0)
+FORMATS = ["city.geojson", "city.gpkg", "city.shp", "city.parquet", "covered.parquet"]
+
+
+def town(num=600):
+    """Return houses, some with holes, of several polygons or with parts, on 30 km around the region, and a point."""
+    rng = np.random.default_rng(7)
+    corner = np.array([X, Y]) + rng.uniform(-15e3, 15e3, (num, 2))
+    corner[: num // 2] = np.array([X, Y]) + rng.uniform(-0.5e3, 1.4e3, (num // 2, 2))
+    size = rng.uniform(5, 60, (num, 2))
+    shapes = shapely.box(*corner.T, *(corner + size).T)
+    shapes[::7] = shapely.difference(shapes[::7], shapely.buffer(shapely.centroid(shapes[::7]), 1.0))
+    shapes[1::9] = shapely.union(shapes[1::9], shapely.transform(shapes[1::9], lambda xy_m: xy_m + 70.0))
+    columns = {
+        "building": ["yes"] * num,
+        "part": [None] * num,
+        "height": rng.uniform(3, 90, num).round(2),
+        "levels": [None if k % 3 else str(k % 11) for k in range(num)],
+    }
+    frame = gpd.GeoDataFrame(columns, geometry=shapes, crs=UTM).rename(columns={"part": "building:part"})
+    halves = frame[:40].copy()
+    halves["building"], halves["building:part"] = None, "yes"
+    halves.geometry = shapely.intersection(
+        shapes[:40], shapely.box(*corner[:40].T, *(corner + size * [0.95, 1])[:40].T)
+    )
+    point = frame[:1].set_geometry(shapely.points([[X, Y]]), crs=UTM)
+    return gpd.GeoDataFrame(gpd.pd.concat([frame, halves, point], ignore_index=True), crs=UTM)
+
+
+def write(frame, path):
+    """Write a frame in row groups of 50 where the format has any."""
+    if path.suffix == ".shp":  # which holds one kind alone
+        frame = frame[frame.geom_type != "Point"]
+    if path.suffix != ".parquet":
+        frame.rename(columns={"building:part": "building_p"}).to_file(path)
+        return path
+    order = np.argsort(frame.bounds["minx"].to_numpy(), kind="stable")  # so that row groups are places
+    frame.iloc[order].to_parquet(path, row_group_size=50, write_covering_bbox=path.stem == "covered")
+    return path
+
+
+def facts_of(source):
+    """Return what can be compared of buildings that were read."""
+    b = source.buildings
+    return (
+        shapely.to_wkb(b.polygons).tolist(),
+        b.height_m.tolist(),
+        b.min_height_m.tolist(),
+        b.origin.tolist(),
+        (b.is_part.tolist()),
+    )
+
+
+@pytest.fixture(params=FORMATS)
+def path(tmp_path, request):
+    return write(town().to_crs(WGS84), tmp_path / request.param)
+
+
+def kept_of_whole(path, crs, bounds_m):
+    """Return the facts of the buildings of the whole file whose box touches the bounds."""
+    whole = read_buildings(BuildingFile(path), crs)
+    x_min, y_min, x_max, y_max = whole.buildings.boxes_m
+    is_kept = (x_min <= bounds_m[2]) & (x_max >= bounds_m[0]) & (y_min <= bounds_m[3]) & (y_max >= bounds_m[1])
+    assert 40 < is_kept.sum() < 0.5 * len(is_kept)
+    return facts_of(replace(whole, buildings=whole.buildings.take(is_kept)))
+
+
+def test_buildings_near_a_region_are_those_of_the_whole_file_in_its_order(path):
+    part = read_buildings(BuildingFile(path), UTM, bounds_m=BOX_M)
+    assert facts_of(part) == kept_of_whole(path, UTM, BOX_M)
+    assert part.buildings.is_part.any()
+    assert part.issues["outlines_replaced_by_parts"] > 0
+
+
+def test_what_lies_elsewhere_is_left_out_and_the_whole_extent_is_told(path):
+    near, whole = read_vector(path, Near(BOX_M, UTM)), read_vector(path)
+    assert 0.3 * len(whole.polygons) < len(near.polygons) < 0.7 * len(whole.polygons)
+    assert whole.extent is None
+    np.testing.assert_allclose(near.extent, shapely.total_bounds(whole.polygons), atol=1e-9)
+    assert near.issues == whole.issues == {"non_polygons": int(path.suffix != ".shp")}
+    part = read_buildings(BuildingFile(path), UTM, bounds_m=BOX_M)
+    all_of_it = read_buildings(BuildingFile(path), UTM)
+    np.testing.assert_allclose(part.file_extent_m, all_of_it.file_extent_m, atol=400.0)  # of a box in degrees
+
+
+def test_a_turned_crs_gives_the_same_buildings(path):
+    turned = "+proj=omerc +lat_0=40.7 +lonc=-74 +alpha=40 +gamma=0 +k=1 +x_0=0 +y_0=0 +datum=WGS84 +units=m"
+    middle = gpd.GeoSeries([shapely.Point(X + 450, Y + 450)], crs=UTM).to_crs(turned)[0]
+    bounds_m = (middle.x - 700, middle.y - 700, middle.x + 700, middle.y + 700)
+    part = read_buildings(BuildingFile(path), turned, bounds_m=bounds_m)
+    assert facts_of(part) == kept_of_whole(path, turned, bounds_m)
+
+
+def test_a_region_without_buildings_is_told_of_by_the_whole_file(path):
+    away = (X + 9e5, Y, X + 9e5 + 10, Y + 10)
+    part, whole = read_buildings(BuildingFile(path), UTM, bounds_m=away), read_buildings(BuildingFile(path), UTM)
+    assert len(part.buildings) == 0
+    assert part.area.equals(whole.area)
+    assert (part.file_extent_m, part.counts, part.issues) == (whole.file_extent_m, whole.counts, whole.issues)
+
+
+def test_an_outline_wider_than_the_margin_comes_with_the_parts_at_its_far_end(tmp_path):
+    long = shapely.box(X, Y, X + 5 * MARGIN_M, Y + 10)
+    ends = [shapely.box(X + a * MARGIN_M, Y, X + b * MARGIN_M, Y + 10) for a, b in ((0.5, 4.8), (4.8, 5.0))]
+    columns = {"building": ["yes", None, None], "building:part": [None, "yes", "yes"], "height": [9.0, 8.0, 7.0]}
+    for name in ("city.gpkg", "city.parquet"):
+        path = write(gpd.GeoDataFrame(columns, geometry=[long, *ends], crs=UTM), tmp_path / name)
+        part = read_buildings(BuildingFile(path), UTM, bounds_m=(X, Y, X + 100, Y + 100))
+        assert part.issues["outlines_replaced_by_parts"] == 1
+        assert len(part.buildings) == 0
+
+
+@pytest.mark.parametrize("covering", [True, False])
+def test_geometry_of_row_groups_that_are_elsewhere_is_never_decoded(tmp_path, monkeypatch, covering):
+    path = write(town().to_crs(WGS84), tmp_path / ("covered.parquet" if covering else "city.parquet"))
+    looked_at, decoded = [], []
+    monkeypatch.setattr(geoparquet, "wkb_boxes", lambda *data: looked_at.append(1) or wkb_boxes(*data))
+    from_wkb = gpd.GeoSeries.from_wkb
+    monkeypatch.setattr(gpd.GeoSeries, "from_wkb", lambda data, **k: decoded.append(len(data)) or from_wkb(data, **k))
+    found = read_vector(path, Near(BOX_M, UTM))
+    assert decoded == [len(found.polygons) + 1]  # and the point
+    assert len(looked_at) == (0 if covering else pq.ParquetFile(path).num_row_groups)
+
+
+def test_coordinates_beyond_the_globe_are_refused_though_those_near_are_sound(tmp_path):
+    frame = town().to_crs(WGS84)
+    frame = gpd.GeoDataFrame(
+        gpd.pd.concat([frame, frame[:1].set_geometry([shapely.box(X, Y, X + 1, Y + 1)], crs=WGS84)])
+    )
+    with pytest.raises(InputError, match=r"city\.parquet.*degrees"):
+        read_vector(write(frame, tmp_path / "city.parquet"), Near(BOX_M, UTM))
+
+
+@pytest.mark.parametrize("change", [{"crs": None}, {"encoding": "polygon"}])
+def test_a_geoparquet_file_that_tells_no_boxes_is_read_as_a_whole_or_refused(tmp_path, change):
+    path = write(town(), tmp_path / "city.parquet")
+    table = pq.read_table(path)
+    geo = json.loads(table.schema.metadata[b"geo"])
+    geo["columns"]["geometry"] |= change
+    pq.write_table(table.replace_schema_metadata({b"geo": json.dumps(geo)}), path)
+    with pytest.raises(InputError, match=r"city\.parquet"):
+        read_vector(path, Near(BOX_M, UTM))
+
+
+def test_boxes_of_bytes_are_those_of_the_geometries():
+    polygon = shapely.Polygon([(0, 0), (4, 1), (3, 5)], [[(1, 1), (2, 1), (2, 2)]])
+    shapes = [
+        polygon,
+        shapely.MultiPolygon([polygon, shapely.box(7, -3, 9, 1)]),
+        shapely.Point(3, 4),
+        shapely.LineString([(5, 2), (1, 9)]),
+        shapely.GeometryCollection([shapely.MultiPoint([(1, 2), (3, 1)]), shapely.MultiPolygon([polygon])]),
+        shapely.force_3d(polygon, 5.0),
+        shapely.Polygon(),
+        shapely.Point(),
+    ]
+
+    def boxes(**how):
+        parts = shapely.to_wkb(shapely.set_srid(shapes, 4326), **how)
+        return wkb_boxes(np.frombuffer(b"".join(parts), np.uint8), np.append(0, np.cumsum([len(p) for p in parts])))
+
+    for how in ({"flavor": "iso"}, {"flavor": "extended"}, {"include_srid": True}):
+        np.testing.assert_array_equal(boxes(**how), shapely.bounds(shapes))
+    assert np.isinf(boxes(byte_order=0)).all()
+    cut = np.frombuffer(shapely.to_wkb(polygon)[:-4], np.uint8)
+    assert np.isinf(wkb_boxes(cut, np.array([0, len(cut)]))).all()
