@@ -1,8 +1,7 @@
-"""How much memory and disk the work on tiles takes, and how many tiles at a time fit under a ceiling."""
+"""How much memory the work on tiles takes, and how many tiles at a time fit under a ceiling."""
 
 import math
 import re
-import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -45,7 +44,6 @@ SUBCELL_BYTES = 48  # rasters of the supersampled surface, its tops for both dir
 SPREAD_CELL_BYTES = 4 * 10 * 3  # about ten arrays of each of three metrics
 PROGRAM_BYTES = 120 * 2**20  # the programs compiled for the tiles of one resolution
 WORKER_BYTES = 700 * 2**20  # a worker process with everything imported, before its first tile
-SCRATCH_BYTES_PER_CELL = 16  # rasters of an unfinished run, and one plain GeoTIFF: the least disk that a run takes
 ENDLESS_BYTES = 2**80  # more than any machine has
 CGROUP = Path("/sys/fs/cgroup")  # what a container may use, under Linux
 
@@ -257,7 +255,6 @@ def plan_memory(
 
 def plan_run(
     tasks: Sequence[MapTask],
-    folder: Path,
     ceiling_bytes: int | None,
     num_workers: int,
     num_processes: int = 0,
@@ -269,7 +266,7 @@ def plan_run(
     (``gpus``).
 
     Raises:
-      InputError: it cannot, or the disk of ``folder`` is too small.
+      InputError: it cannot.
     """
     most_bytes, most_gpu_bytes, num_tiles = 0, 0, 1
     for task in tasks:
@@ -279,15 +276,7 @@ def plan_run(
         most_bytes = max(most_bytes, tile_bytes(task, tile))
         most_gpu_bytes = max(most_gpu_bytes, tile_gpu_bytes(task, tile))
     fitting = _fitting_on_gpus(most_gpu_bytes, num_workers, gpus)
-    plan = plan_memory(ceiling_bytes, most_bytes, fitting, num_processes, len(tasks), num_tiles)
-    disk_bytes = SCRATCH_BYTES_PER_CELL * max(_num_cells(task.region) for task in tasks)
-    disk_free = shutil.disk_usage(folder).free
-    if disk_bytes > disk_free:
-        raise InputError(
-            f"the maps need at least {gib(disk_bytes)} of disk and {gib(disk_free)} are free in {str(folder)!r}: use "
-            "a smaller region, a coarser [region] resolution_m, or another folder"
-        )
-    return plan
+    return plan_memory(ceiling_bytes, most_bytes, fitting, num_processes, len(tasks), num_tiles)
 
 
 def _fitting_on_gpus(per_tile_bytes: int, num_workers: int, gpus: Sequence[Gpu]) -> int:
@@ -313,12 +302,12 @@ def _fitting_on_gpus(per_tile_bytes: int, num_workers: int, gpus: Sequence[Gpu])
     return min(num_workers, int(free // per_tile_bytes) * max(1, len(gpus)))
 
 
-def plan_sentence(tasks: Sequence[MapTask], plan: MemoryPlan) -> str:
-    """Return what a run tells of its size and memory before it begins."""
-    cells = sum(_num_cells(task.region) for task in tasks)
+def plan_sentence(tasks: Sequence[MapTask], plan: MemoryPlan, disk_bytes: int) -> str:
+    """Return what a run tells of its size, memory and disk before it begins."""
+    cells, disk = sum(_num_cells(task.region) for task in tasks), f"about {gib(disk_bytes)} of disk"
     if not plan.ceiling_bytes:
-        return f"{cells:,} cells on a Dask cluster"
+        return f"{cells:,} cells on a Dask cluster: {disk}"
     return (
         f"{cells:,} cells, {plan.num_workers} tile{'s' * (plan.num_workers > 1)} at a time: about "
-        f"{gib(plan.needed_bytes)} of memory at most, of {gib(plan.ceiling_bytes)} allowed"
+        f"{gib(plan.needed_bytes)} of memory at most, of {gib(plan.ceiling_bytes)} allowed, and {disk}"
     )

@@ -24,6 +24,7 @@ from jaxurban.io.read.rasterise import check_has_data, rasterise
 from jaxurban.io.store import open_whole
 from jaxurban.maps.build import map_guesses, view_sky
 from jaxurban.maps.dataset import PLANE, empty_dataset, variables, with_series
+from jaxurban.maps.disk import check_disk
 from jaxurban.maps.executors import (
     Resources,
     each_in_threads,
@@ -151,7 +152,7 @@ def run_scenario(
 
     Finished resolutions, tiles and files of the same inputs are kept, once all of them have been read; what is
     damaged or missing is named in the log and made anew, and nothing half-written is taken for finished. One sentence
-    there tells size and memory before the work begins.
+    there tells size, memory and disk before the work begins.
 
     Args:
       scenario: the settings.
@@ -162,8 +163,8 @@ def run_scenario(
       layers: variables that are GeoTIFFs too (see `jaxurban.io.geotiff.write_geotiffs`).
 
     Raises:
-      InputError: bad settings or sources, too little memory, a layer that the maps would not hold, or a folder that
-        holds another job's maps.
+      InputError: bad settings or sources, too little memory or disk, a layer that the maps would not hold, or a folder
+        that holds another job's maps.
     """
     with reporting("maps", progress) as report:
         return _run(scenario, folder, overwrite, resources or Resources(), layers, report)
@@ -194,8 +195,8 @@ def _run(
         plan = MemoryPlan(0, 0, num_cores())  # the machines of a cluster are not ours to measure
         if resources.cluster is None:
             at_most = resources.num_workers, resources.num_processes or 0, resources.gpus
-            plan = plan_run(tasks, folder, resources.memory_bytes, *at_most)
-        LOG.info(plan_sentence(tasks, plan))
+            plan = plan_run(tasks, resources.memory_bytes, *at_most)
+        LOG.info(plan_sentence(tasks, plan, check_disk(tasks, folder, layers)))
         if added is not None and has_other_maps(folder, key):
             LOG.info(f"adding to the maps in {str(folder)!r}, which are kept: {added.what}")
         # Nothing of an older job is touched before this one can begin.

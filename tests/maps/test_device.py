@@ -50,14 +50,14 @@ def test_a_gpu_is_told_with_its_free_memory(gpu, value, taken, monkeypatch, capl
     assert caplog.messages == [f"device: NVIDIA H200 (gpu), 3 GiB of memory, taken {taken}"]
 
 
-def test_as_many_tiles_as_a_gpu_holds_are_worked_on(gpu, tmp_path, monkeypatch):
+def test_as_many_tiles_as_a_gpu_holds_are_worked_on(gpu, monkeypatch):
     tasks = [task(city())]
     monkeypatch.setattr(memory, "tile_gpu_bytes", lambda task, tile: int(1.2 * GIB))
     monkeypatch.setattr(memory, "free_bytes", lambda: 200 * GIB)
-    assert memory.plan_run(tasks, tmp_path, None, 8).num_workers == 2
+    assert memory.plan_run(tasks, None, 8).num_workers == 2
     gpu["bytes_in_use"] = 3 * GIB
     with pytest.raises(InputError, match=r"about 1\.2 GiB of the GPU's memory and 1\.0 GiB are free"):
-        memory.plan_run(tasks, tmp_path, None, 8)
+        memory.plan_run(tasks, None, 8)
 
 
 @needs_cpu
@@ -148,17 +148,17 @@ def test_workers_on_the_cpu_are_as_many_as_were_asked_for(two_gpus, monkeypatch)
         Resources(num_processes=5).on_device("gpu")
 
 
-def test_tiles_of_worker_processes_are_planned_by_the_least_of_their_gpus(tmp_path, monkeypatch):
+def test_tiles_of_worker_processes_are_planned_by_the_least_of_their_gpus(monkeypatch):
     tasks, gpus = [task(city())], [Gpu("0", limit_bytes=9 * GIB), Gpu("1", limit_bytes=6 * GIB)]
     for name in ("tile_bytes", "tile_gpu_bytes"):
         monkeypatch.setattr(memory, name, lambda task, tile: 2 * GIB)
     monkeypatch.setattr(memory, "free_bytes", lambda: 200 * GIB)
-    assert memory.plan_run(tasks, tmp_path, None, 16, 2, gpus).num_workers == 6
+    assert memory.plan_run(tasks, None, 16, 2, gpus).num_workers == 6
     monkeypatch.setattr(memory, "free_bytes", lambda: 26 * GIB)  # 13 for the run: too few for six tiles
-    assert memory.plan_run(tasks, tmp_path, None, 16, 2, gpus).num_workers == 4
+    assert memory.plan_run(tasks, None, 16, 2, gpus).num_workers == 4
     monkeypatch.setattr(memory, "tile_gpu_bytes", lambda task, tile: 7 * GIB)
     with pytest.raises(InputError, match=r"about 7\.0 GiB of the GPU's memory and 6\.0 GiB are free"):
-        memory.plan_run(tasks, tmp_path, None, 2, 2, gpus)
+        memory.plan_run(tasks, None, 2, 2, gpus)
 
 
 def test_a_worker_process_on_a_gpu_has_its_share_of_the_cores_as_threads(monkeypatch):

@@ -1,0 +1,90 @@
+"""How much disk a run of maps takes: the files that stay, and what lies beside them until they are whole."""
+
+import math
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+
+from jaxurban.errors import InputError
+from jaxurban.io.geotiff import geotiff_names
+from jaxurban.io.store import GEOTIFF_FOLDER, ZARR_FOLDER
+from jaxurban.maps.dataset import PLANE, variables
+from jaxurban.maps.memory import gib, shape_of_tiles
+from jaxurban.maps.task import MapTask
+from jaxurban.world.tiling import Tiling
+
+RASTER_BYTES = 4  # of a cell of a tile, in the work folder as it is: its roof, and as much of its terrain
+OWN_RASTER_BYTES = 4  # of a cell of the region's tiles: the roof that touches it, and as much of its block
+EDGE_BYTES = 4  # of a cell along a tile's border, for each satellite that casts shadows
+# Compressed, of a cell of a layer, by its type. Measured (docs/scale.md): a quarter of it to one and a half times as
+# much, by city and by size of cells.
+ZARR_BYTES = {"f": 0.3, "u": 0.06, "b": 0.01}
+GEOTIFF_BYTES = {"f": 0.4, "u": 0.08, "b": 0.02}
+LEAST_SHARE = 0.25  # of what is foretold of files: where not even that is free, no run begins
+
+
+def scratch_bytes(task: MapTask) -> int:
+    """Return how many bytes the work folder of a resolution takes before its maps are whole, the maps left out."""
+    tiling = Tiling.over(task.region, task.with_margin(), shape_of_tiles(task))
+    every = RASTER_BYTES * (1 + task.has_terrain)
+    own = OWN_RASTER_BYTES * (1 + (task.city.blocks is not None))
+    num_satellites = sum(len(task.satellites_at(number)) for number in range(task.num_times))
+    needed, inner = 0, set(tiling.region_tiles)
+    for tile in tiling.tiles:
+        grid = tiling.grid_of(tile)
+        needed += math.prod(grid.shape) * (every + own * (tile in inner))
+        needed += sum(grid.shape) * EDGE_BYTES * num_satellites
+    return needed
+
+
+def file_bytes(task: MapTask, layers: Sequence[str] = ()) -> tuple[float, float]:
+    """Return about how many bytes the Zarr and the GeoTIFFs of a resolution take.
+
+    Args:
+      task: what the maps are made of.
+      layers: variables that are GeoTIFFs too, beside obstacles and the metrics of the cost.
+    """
+    cells = math.prod(task.region.shape)
+    held = {name: about for name, about in variables(task).items() if about[0][-2:] == PLANE}
+    of_geotiffs = geotiff_names(held, task.metrics, layers)
+
+    def bytes_of(names: Sequence[str], each: dict[str, float]) -> float:
+        return cells * sum(
+            each[kind.kind] * math.prod(task.sizes[dim] for dim in dims[:-2])
+            for dims, kind in (held[name] for name in names)
+        )
+
+    return bytes_of([*held], ZARR_BYTES), bytes_of(of_geotiffs, GEOTIFF_BYTES)
+
+
+def disk_bytes(tasks: Sequence[MapTask], layers: Sequence[str] = (), share: float = 1.0) -> int:
+    """Return about how many bytes a run takes at its highest, its resolutions one after the other.
+
+    Args:
+      tasks: of the resolutions.
+      layers: as for `file_bytes`.
+      share: of what is foretold of files that counts.
+    """
+    kept, most = 0.0, 0.0
+    for task in tasks:
+        of_zarr, of_geotiffs = (share * each for each in file_bytes(task, layers))
+        most = max(most, kept + of_zarr + max(scratch_bytes(task), of_geotiffs))
+        kept += of_zarr + of_geotiffs
+    return int(most)
+
+
+def check_disk(tasks: Sequence[MapTask], folder: Path, layers: Sequence[str] = ()) -> int:
+    """Return about how many bytes of disk a run takes at its highest; what an earlier one left there counts as free.
+
+    Raises:
+      InputError: the disk of ``folder`` is too small even for compressible maps.
+    """
+    files = (file for name in (ZARR_FOLDER, GEOTIFF_FOLDER) for file in (folder / name).rglob("*"))
+    held = sum(file.stat().st_size for file in files if file.is_file())
+    least, free = disk_bytes(tasks, layers, LEAST_SHARE), shutil.disk_usage(folder).free
+    if least > free + held:
+        raise InputError(
+            f"the maps need at least {gib(least)} of disk and {gib(free)} are free in {str(folder)!r}: use a smaller "
+            "region, a coarser [region] resolution_m, or another folder"
+        )
+    return disk_bytes(tasks, layers)
