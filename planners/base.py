@@ -9,13 +9,12 @@ from typing import Any, Literal, Protocol, TypeVar
 import numpy as np
 
 from jaxurban.errors import InputError, typed
-from jaxurban.kernels.search.bounds import line_minima
+from jaxurban.kernels.search.weighing import are_costs, in_rows, weighted_line_minima, weighted_sum
 from jaxurban.planners.cost import CostKind, PathFeatures, path_features
 from jaxurban.planners.moves import allowed_moves
 
 Diagonal = Literal["both-free", "always"]
 Cell = tuple[int, ...]  # row, column; in a volume level, row, column. Row 0 is in the south, level 0 the lowest
-CELLS_AT_ONCE = 1 << 17  # of a map that is weighed, so that its rows stay in the cache
 T = TypeVar("T")
 
 EVERY_PATH = "paths at any angle"  # of `Path.graph`
@@ -181,8 +180,8 @@ class Problem:
     weights: Any  # kept as an array
     cost_model: CostModel = CostModel()
     levels_m: Any = None  # kept as an array
-    cost: np.ndarray = field(init=False, repr=False)  # [Y, X] or [K, Y, X] float64: the weighted sum of the layers
     shared: dict[str, Any] = field(init=False, repr=False, default_factory=dict)  # what `once` made
+    _cost: list[np.ndarray] = field(init=False, repr=False, default_factory=list)  # of all on this map and weights
     _moves: list[np.ndarray] = field(init=False, repr=False, default_factory=list)  # of all problems on these cells
 
     def __post_init__(self) -> None:
@@ -198,7 +197,7 @@ class Problem:
         object.__setattr__(self, "cost_model", CostModel.of(self.cost_model))
         positive_m("resolution_m", self.resolution_m)
         # Each layer, not only the sum, so that a negative one cannot hide behind another; NaN fails too.
-        if not all(_is_cost(layer, is_free) for layer in costs):
+        if not are_costs(in_rows(costs), in_rows(is_free[None])[0]):
             raise InputError("costs must be finite and not negative on free cells: check the maps")
         object.__setattr__(self, "costs", costs)
         object.__setattr__(self, "is_free", is_free)
@@ -216,10 +215,6 @@ class Problem:
                 f"weights must be {num_weights} finite numbers that are not negative, got {weights.tolist()}"
             )
         object.__setattr__(self, "weights", _read_only(weights, np.float64))
-        cost = weighted_sum(self.costs, weights[1 : 1 + len(self.costs)])
-        if self.levels_m is not None:
-            cost[~self.is_free] = np.inf  # as the search through a volume knows closed nodes
-        object.__setattr__(self, "cost", _read_only(cost, np.float64))
 
     def _check_endpoints(self) -> None:
         where = "map" if self.levels_m is None else "volume"
@@ -257,8 +252,8 @@ class Problem:
         return other
 
     def alone(self) -> "Problem":
-        """Return the same query with nothing made for it but its moves, so that no earlier search helps this one."""
-        _ = self.moves
+        """Return the same query with nothing made for it but moves and cost: no earlier search helps this one."""
+        _ = self.moves, self.cost
         return self._changed(shared={})
 
     def with_weights(self, weights: np.ndarray | float) -> "Problem":
@@ -267,7 +262,7 @@ class Problem:
         Raises:
           InputError: a weight that is negative or not finite, or too many or too few.
         """
-        other = self._changed(shared={})
+        other = self._changed(shared={}, _cost=[])
         other._set_weights(weights)
         return other
 
@@ -302,6 +297,24 @@ class Problem:
         return made
 
     @property
+    def cost(self) -> np.ndarray:
+        """``[Y, X]`` or ``[K, Y, X]`` float64 the weighted sum of the layers; inf where a volume is not free.
+
+        Made when it is first asked for: A* on one altitude weighs the parts of a map that it comes to, and no others.
+        """
+        if not self._cost:
+            cost = weighted_sum(self.costs, self.layer_weights)
+            if self.levels_m is not None:
+                cost[~self.is_free] = np.inf  # as the search through a volume knows closed nodes
+            self._cost.append(_read_only(cost, np.float64))
+        return self._cost[0]
+
+    @property
+    def map_key(self) -> int:
+        """A number that problems on one map under the same weights share (see `between`), while one of them lives."""
+        return id(self._cost)
+
+    @property
     def grid_name(self) -> str:
         """What grid planners search, in words: the neighbours that a cell has, and whether it has levels."""
         num = self.cost_model.connectivity
@@ -328,24 +341,7 @@ class Problem:
     @property
     def line_minima(self) -> tuple[np.ndarray, np.ndarray]:
         """Cheapest free cell of every row ``[Y]`` and of every column ``[X]``."""
-        return self.once("line_minima", lambda: line_minima(self.cost, self.is_free))
-
-
-def weighted_sum(costs: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Return ``[*cells]`` float64 the weighted sum of layers ``[L, *cells]``, added in their order."""
-    total = np.zeros(costs.shape[1:])
-    for rows in np.array_split(np.arange(len(total)), max(1, total.size // CELLS_AT_ONCE)):
-        block = slice(rows[0], rows[-1] + 1) if len(rows) else slice(0)
-        for layer, weight in zip(costs, weights, strict=True):
-            if weight:
-                total[block] += np.multiply(layer[block], weight, dtype=np.float64)
-    return total
-
-
-def _is_cost(layer: np.ndarray, is_free: np.ndarray) -> bool:
-    """Return whether a layer is finite and not negative on free cells."""
-    free = layer[is_free]
-    return bool(np.all((free >= 0) & (free < np.inf)))
+        return self.once("line_minima", lambda: weighted_line_minima(self.costs, self.layer_weights, self.is_free))
 
 
 def _checked_levels(levels_m: Any, is_free: np.ndarray) -> np.ndarray:

@@ -122,7 +122,7 @@ def _solve(
     by_goal: dict[tuple[int, Cell], list[int]] = {}
     if chooses and planner in EXACT_PLANNERS:
         for index, problem in enumerate(problems):
-            by_goal.setdefault((id(problem.cost), problem.goal), []).append(index)
+            by_goal.setdefault((problem.map_key, problem.goal), []).append(index)
     to_one_goal = [indices for indices in by_goal.values() if len(indices) >= FEW_TO_ONE_GOAL]
     alone = sorted(set(range(len(problems))) - set(chain.from_iterable(to_one_goal)))
     run = partial(_in_threads, problems, num_threads=num_threads)
@@ -152,9 +152,9 @@ def _solve(
 
 def _make_landmarks(problems: list[Problem], makes_fields_by: Backend, budget_s: float) -> None:
     """Make the landmarks of every map with more than a few queries, unless they take half of the budgets."""
-    for key, count in Counter(id(problem.cost) for problem in problems).items():
+    for key, count in Counter(problem.map_key for problem in problems).items():
         if count > FEW_QUERIES:
-            first = next(problem for problem in problems if id(problem.cost) == key)
+            first = next(problem for problem in problems if problem.map_key == key)
             warm_up_fields([first] * NUM_LANDMARKS, makes_fields_by)
             with suppress(TimeoutError):
                 make_landmarks(first, backend=makes_fields_by, end_s=time.perf_counter() + 0.5 * budget_s * count)

@@ -78,7 +78,7 @@ def _solve(
     kind = "cpu" if jax.default_backend() == "cpu" else "gpu"
     by_map: dict[int, list[int]] = {}
     for index, problem in enumerate(problems):
-        by_map.setdefault(id(problem.cost), []).append(index)
+        by_map.setdefault(problem.map_key, []).append(index)
     for indices in by_map.values():
         waiting = iter(indices)
         graphs = _Graphs(cost_grid_of(problems[indices[0]], problems[indices[0]].is_free), kind)

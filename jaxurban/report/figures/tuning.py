@@ -9,8 +9,8 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from jaxurban.kernels.search.weighing import weighted_sum
 from jaxurban.paths.cost_map import CostMap
-from jaxurban.planners.base import weighted_sum
 from jaxurban.report.figures.charts import chart, dress, show_plain_log, styled
 from jaxurban.report.figures.colours import SMALL_PT, Colours
 from jaxurban.report.figures.frame import FAINT_INK, MapLayer, add_key, draw_layers, make_frame, mark_ends

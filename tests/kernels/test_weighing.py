@@ -1,0 +1,60 @@
+"""Weighted sums of layers, and the cheapest cells of rows and columns, against NumPy."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from jaxurban.kernels.search.bounds import line_minima
+from jaxurban.kernels.search.weighing import are_costs, in_rows, weighted_line_minima, weighted_sum
+
+
+def random_layers(seed, dtype=np.float32, cells=(7, 19), num_layers=4):
+    """Layers, NaN inside some of the cells that are not free, weights of which one is 0, and the free cells."""
+    rng = np.random.default_rng(seed)
+    is_free = rng.random(cells) < 0.7
+    costs = (rng.random((num_layers, *cells)) ** 3).astype(dtype)
+    costs[rng.random(costs.shape) < 0.2] = 0
+    costs[:, ~is_free & (rng.random(cells) < 0.5)] = np.nan
+    weights = rng.random(num_layers) * 3
+    weights[rng.integers(num_layers)] = 0
+    return costs, weights, is_free
+
+
+def added_in_order(costs, weights):
+    total = np.zeros(costs.shape[1:])
+    for layer, weight in zip(costs, weights, strict=True):
+        if weight:
+            total += layer.astype(np.float64) * weight
+    return total
+
+
+@given(seed=st.integers(0, 10**6), dtype=st.sampled_from([np.float32, np.float64]))
+def test_sums_and_minima_are_those_of_numpy_bit_for_bit(seed, dtype):
+    costs, weights, is_free = random_layers(seed, dtype)
+    expected = added_in_order(costs, weights)
+    np.testing.assert_array_equal(weighted_sum(costs, weights), expected)
+    found = weighted_line_minima(in_rows(costs), weights, is_free)
+    for minima, of_sums in zip(found, line_minima(expected, is_free), strict=True):
+        np.testing.assert_array_equal(minima, of_sums)
+
+
+@pytest.mark.parametrize("cells", [(3, 5, 7), (1, 0), (0, 4), (2, 0, 3)])
+def test_sums_are_taken_over_cells_of_any_shape(cells):
+    costs, weights = np.ones((2, *cells), np.float32), np.array([0.5, 2.0])
+    np.testing.assert_array_equal(weighted_sum(costs, weights), np.full(cells, 2.5))
+    np.testing.assert_array_equal(weighted_sum(costs[:0], weights[:0]), np.zeros(cells))
+
+
+@pytest.mark.parametrize("wrong", [-1e-30, -np.inf, np.inf, np.nan])
+def test_one_wrong_cost_on_a_free_cell_is_found_and_one_elsewhere_is_not(wrong):
+    is_free = np.random.default_rng(1).random((5, 33)) < 0.5
+    for dtype in (np.float32, np.float64):
+        costs = np.zeros((3, 5, 33), dtype)
+        costs[1, ~is_free] = wrong
+        costs[0, 0] = -0.0
+        assert are_costs(costs, is_free)
+        for cell in np.argwhere(is_free):
+            one_wrong = costs.copy()
+            one_wrong[(2, *cell)] = wrong
+            assert not are_costs(one_wrong, is_free)
