@@ -195,7 +195,7 @@ def main() -> None:
     first, second, last = batches[1], batches[2], batches[-1]
     kept, *_ = first.tree.pruned(*first.path[[0, -1]].tolist())
     picture = Picture(maps, problem)
-    note = f"{ALTITUDE_M:g} m above ground  ·  {frame_note(maps)}  ·  the synthetic city, line cost model"
+    note = f"{ALTITUDE_M:g} m above ground  ·  {frame_note(maps)}  ·  line cost model"
     frame = make_frame(maps.grid, panel_titles(problem, batches, kept), "BIT*: a search in batches of samples", note)
     for panel in frame.axes:
         picture.ground(panel)

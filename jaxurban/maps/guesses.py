@@ -23,7 +23,13 @@ DRAWN_SHARE = 0.10  # of buildings: from here on the picture of heights tells gu
 EMPTY_SHARE = 0.10  # of the region without a census block (rivers and the sea often have none), of a layer's pixels
 SCALE_M, SCALE_SHARE = 1 / 3, 0.01  # no more than this share of inhabited blocks above this m: few set the scale
 SIDE_POINTS = 32  # along each side of a raster's outline, which another CRS bends
-NOMINAL_SKY = "nominal satellites"
+NOMINAL_SKY, ELEMENTS_TIME = "nominal satellites", "time of the elements"
+BEYOND_DATA = "satellite answers beyond the data"
+
+
+def is_of_sky(name: str) -> bool:
+    """Return whether a guess of this name is one of satellites, which only GPS maps rest on."""
+    return name in (NOMINAL_SKY, ELEMENTS_TIME) or name.endswith(BEYOND_DATA)
 
 
 def draws_guesses(city: City, region: Grid) -> bool:
@@ -34,7 +40,7 @@ def draws_guesses(city: City, region: Grid) -> bool:
 def time_guess(time: str) -> Guesses:
     """Return that a sky stands at its elements' own time."""
     return {
-        "time of the elements": f"no times are given: satellites stand as at {time}, the middle of their elements' "
+        ELEMENTS_TIME: f"no times are given: satellites stand as at {time}, the middle of their elements' "
         "epochs; set [gps] times for another"
     }
 
@@ -149,7 +155,7 @@ def _visibility_guesses(city: City, region: Grid, sky: Sky, altitude_m: float, m
     if share < TOLD_SHARE:
         return {}
     return {
-        f"{percent(share)} of satellite answers beyond the data": (
+        f"{percent(share)} of {BEYOND_DATA}": (
             f"{percent(share)} of the visibility results at {altitude_m:g} m are of rays that leave the data below the "
             "highest roof and count as clear there, so GPS may look better than it is: give buildings farther around"
         )

@@ -20,6 +20,7 @@ SNAP_M = 100.0  # boxes given in degrees grow to whole multiples of it, which mo
 TALLEST_M = {MIDTOWN: 395.0, DOWNTOWN: 380.0}  # the highest tower of each cluster
 NUM_COMMERCIAL = 6  # districts 1 to 6
 MIN_BLOCK_M2, MIN_BUILDING_M2 = 200.0, 30.0  # slivers that shores, Broadway and the box cut off are left out
+CREDIT = "synthetic city"  # below its pictures, lest a stranger takes them for the place that its box is at
 WATERFRONT = 0.5  # share of the people who live in a block by the water
 # Index 0 is for the suburbs, as 13 % 13 is 0; then districts 1 to 12. Medians and densities are about Manhattan's.
 MEDIAN_HEIGHT_M = np.array([8, 34, 19, 18, 24, 40, 30, 26, 30, 18, 17, 19, 16], float)
@@ -319,4 +320,5 @@ def _build(extent_m: Box, crs: str, seed: int) -> City:
             zoning=np.where(district == OTHER_DISTRICT, Zoning.OTHER, zoning).astype(np.uint8),
             block_id=np.array([f"{number:06d}" for number in range(len(district))], object),
         ),
+        attribution=CREDIT,
     )

@@ -16,6 +16,7 @@ from matplotlib.text import Text
 from PIL import Image
 
 from jaxurban.errors import InputError
+from jaxurban.maps.guesses import BEYOND_DATA, NOMINAL_SKY
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.registry import METRICS
 from jaxurban.paths.path import PlannedPath
@@ -23,8 +24,17 @@ from jaxurban.planners.base import Path, Status
 from jaxurban.report import figures as plotting
 from jaxurban.report.figures.colours import Colours, bar_ticks
 from jaxurban.report.figures.files import maps_figures
-from jaxurban.report.figures.frame import MAP, OBSTACLE_COLOUR, make_frame, round_length_m, thin, true_north
+from jaxurban.report.figures.frame import (
+    MAP,
+    OBSTACLE_COLOUR,
+    _wrapped,
+    make_frame,
+    round_length_m,
+    thin,
+    true_north,
+)
 from jaxurban.report.figures.metrics import percent
+from jaxurban.report.figures.notes import joined
 from jaxurban.report.figures.paths import PLANNER_COLOURS
 from jaxurban.report.save import DPI, write_png
 from jaxurban.world.grid import Grid
@@ -307,6 +317,58 @@ def test_a_long_series_is_drawn_by_its_statistics(maps):
     assert "GPS quality, median over the epochs" in text
     assert "3 epochs, 2020-04-27 16:00 UTC to 2020-04-27 22:00 UTC, m_gps their median; 2 satellites of Galileo" in text
     assert "satellites" not in texts_of(figures["lidar"]())
+
+
+def test_notes_tell_the_place_and_only_the_guesses_that_concern_the_picture():
+    maps = make_maps()
+    maps.ds.attrs["guesses"] = {name: "" for name in ("3 % of heights", NOMINAL_SKY, f"5 % of {BEYOND_DATA}")}
+    lon, lat = maps.grid.centre_lonlat
+    place = f"around {lat:.3f}°N {-lon:.3f}°W"
+    told = texts_of(plotting.plot_metric(maps, "gps"))
+    assert f"Guessed: 3 % of heights, {NOMINAL_SKY}, 5 % of {BEYOND_DATA}" in told
+    for figure in (plotting.plot_metric(maps, "lidar"), plotting.plot_obstacles(maps), plotting.plot_heights(maps)):
+        assert "Guessed: 3 % of heights\n" in texts_of(figure)
+        assert place in texts_of(figure)
+
+
+def test_notes_break_between_facts_and_within_one_only_where_it_is_too_long():
+    lines = _wrapped(joined("a" * 20, "b" * 20, "c d" * 12, "e"), 4.0)  # 56 letters
+    assert lines == [joined("a" * 20, "b" * 20), joined("c d" * 12, "e")]
+    assert _wrapped("word " * 20 + "\nnext", 4.0)[-1] == "next"
+
+
+def test_the_median_is_told_where_it_is_shown(maps):
+    ds = at_epochs(3).ds
+    series = {f"gps_{what}": ds["gps"].isel(time=0) for what in ("median", "p05", "availability")}
+    maps = MetricMaps(ds.drop_vars(["gps", "gdop", "num_visible"]).assign(series).assign_attrs(satellites=["a", "b"]))
+    figures = maps_figures(maps, {})
+    for name, is_median in (("gps", True), ("overview", True), ("gps_p05", False), ("gps_availability", False)):
+        assert ("m_gps their median" in texts_of(figures[name]())) == is_median
+
+
+def test_the_overview_says_its_altitude_and_what_one_means():
+    maps = make_maps()
+    maps.ds.attrs["risk_threshold_m"] = 50.0
+    maps.ds["risk"].attrs["one_means"] = METRICS["risk"].one_means
+    told = texts_of(plotting.plot_overview(maps, {}, altitude_m=60.0))
+    assert "Metric maps, 60 m above ground" in told
+    assert {"1: no obstacle within 50 m", "0: best free cell, 1: worst"} <= set(told.splitlines())
+    assert "(1: no obstacle within 50 m)" in texts_of(plotting.plot_metric(maps, "risk"))
+
+
+def test_people_that_no_source_counts_are_not_told_to_be_none(maps):
+    assert "no people\nin the data" in texts_of(plotting.plot_population(maps))
+
+
+def test_twelve_paths_have_twelve_colours_and_stay_lines(maps):
+    names = [f"a planner of a long name {number}" for number in range(12)]
+    paths = [make_path(maps, name, 20.0) for name in names]
+    (panel,) = panels_of(plotting.plot_paths(maps, paths, names=[*PLANNER_COLOURS, *names[5:]]))
+    lines = [line for line in panel.lines if line.get_marker() in ("None", None, "")]
+    assert len({line.get_color() for line in lines}) == 12
+    widths = [line.get_linewidth() for line in lines]
+    assert sorted(set(widths), reverse=True) == widths
+    assert widths[0] < 8
 
 
 def test_degrees_stand_where_meridians_and_parallels_meet_the_edges(maps):

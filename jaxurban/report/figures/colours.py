@@ -78,7 +78,7 @@ def add_colour_bar(figure: Figure, box: Box, colours: Colours) -> Colorbar:
         orientation="horizontal" if is_lying else "vertical",
         extend=colours.extend,
     )
-    width = max(12, int(length_in * 15))  # letters on a line of the label
+    width = max(24 if is_lying else 12, int(length_in * 15))  # letters on a line of the label
     lines = [part for line in colours.label.splitlines() for part in textwrap.wrap(line, width)]
     bar.set_label("\n".join(lines), size=SMALL_PT)
     bar.ax.tick_params(labelsize=SMALL_PT, length=2.5)

@@ -7,7 +7,7 @@ a key column with the legend, the colour bar, the north arrow and the scale bar,
 import math
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -21,6 +21,7 @@ from matplotlib.patches import Patch, Rectangle
 from matplotlib.ticker import FixedLocator, FuncFormatter
 
 from jaxurban.report.figures.colours import SMALL_PT, Box, Colours, add_colour_bar
+from jaxurban.report.figures.notes import GAP
 from jaxurban.world.grid import Grid
 
 MAX_CELLS = 1500  # a side; larger maps are thinned before they are drawn
@@ -154,7 +155,19 @@ def head_room_in(note: str, width_in: float) -> float:
 
 
 def _wrapped(note: str, width_in: float) -> list[str]:
-    return [part for line in note.splitlines() for part in textwrap.wrap(line, int(width_in * LETTERS_PER_IN))]
+    """Return the lines of a note, broken between facts, and within one only where it is longer than a line."""
+    lines: list[str] = []
+    for line in note.splitlines():
+        shown = ""
+        for fact in line.split(GAP):
+            if shown and len(together := f"{shown}{GAP}{fact}") <= int(width_in * LETTERS_PER_IN):
+                shown = together
+                continue
+            *whole, last = textwrap.wrap(fact, int(width_in * LETTERS_PER_IN)) or [""]
+            lines += [*filter(None, [shown]), *whole]
+            shown = last
+        lines.append(shown)
+    return lines
 
 
 def _best_layout(num: int, tall: float, footer_in: float) -> tuple[int, int, float, float]:
@@ -209,7 +222,7 @@ def decimals_of(step: float) -> int:
 def mark_ends(panel: Axes, start_xy_m: Iterable[Any], goal_xy_m: Iterable[Any], size: float = 1.0) -> None:
     """Mark where a route starts (circle) and ends (star); `add_key` names the two."""
     for (_, marker, markersize), at in zip(ENDS, (start_xy_m, goal_xy_m), strict=True):
-        panel.plot(*at, marker=marker, markersize=size * markersize, zorder=20, **END_LOOK)
+        panel.plot(*at, marker=marker, markersize=size * markersize, zorder=20, clip_on=False, **END_LOOK)
 
 
 def draw_layers(panel: Axes, grid: Grid, layers: Sequence[MapLayer]) -> None:
@@ -321,12 +334,12 @@ def drop_in(panel: Axes) -> float:
 
 
 def add_bar_below(frame: Frame, panel: Axes, colours: Colours) -> None:
-    """Add a lying colour bar, without its label, in the footer of a panel."""
+    """Add a lying colour bar in the footer of a panel."""
     box, (total_w, total_h) = panel.get_position(), frame.figure.get_size_inches()
     # The numbers at its ends stay beneath the map, and a narrow map's bar still has room for them.
     width, height = max(box.width - 0.36 / total_w, 1.1 / total_w), 0.09 / total_h
     below = (box.x0 + (box.width - width) / 2, box.y0 - drop_in(panel) / total_h - height, width, height)
-    add_colour_bar(frame.figure, below, replace(colours, label=""))
+    add_colour_bar(frame.figure, below, colours)
 
 
 def round_length_m(length_m: float, down: bool = True) -> float:

@@ -27,7 +27,7 @@ from jaxurban.report.figures.frame import (
     flat_layer,
     make_frame,
 )
-from jaxurban.report.figures.notes import frame_note, short_time
+from jaxurban.report.figures.notes import frame_note, meaning_of, short_time
 
 DOP_NAMES = {
     "gdop": "Geometric dilution of precision (GDOP)",
@@ -89,9 +89,9 @@ def metric_colours(maps: MetricMaps, name: str) -> Colours:
         label = f"share of epochs with $m_\\mathrm{{gps}}$ > {availability_threshold(maps):g}"
         return Colours(METRICS["gps"].colour_map, Normalize(0, 1), label)
     metric = find_metric("gps" if name == LOW else name, maps.metrics)
-    one_means = maps.ds[maps.variable(name)].attrs.get("one_means", "")
     over = ", 5th percentile" if name == LOW else ", median" if maps.variable(name) != name else ""
-    label = f"$m_\\mathrm{{{metric.name}}}${over}" + (f"\n(1: {one_means})" if one_means else "")
+    one_is = f"\n(1: {meaning})" if (meaning := meaning_of(maps, name)) else ""
+    label = f"$m_\\mathrm{{{metric.name}}}${over}{one_is}"
     return Colours(metric.colour_map, Normalize(0, 1), label)
 
 
@@ -157,7 +157,16 @@ def plot_metric(
     heading = f"{headings[name]}, by altitude above ground"
     if is_of_all:
         heading = f"{headings[name]} over {len(maps.times)} epochs, by altitude above ground"
-    return _figure(maps, heading, panels, obstacle_patches(maps), time=time, colours=colours, has_sky=has_sky)
+    return _figure(
+        maps,
+        heading,
+        panels,
+        obstacle_patches(maps),
+        time=time,
+        colours=colours,
+        has_sky=has_sky,
+        is_median=name not in SERIES_NAMES,
+    )
 
 
 def plot_epochs(maps: GivenMaps, name: str = "gps", *, altitude_m: float | None = None) -> Figure:
@@ -196,9 +205,10 @@ def _figure(
     time: str | None = None,
     colours: Colours | None = None,
     has_sky: bool = True,
+    is_median: bool = True,
 ) -> Figure:
     """Return panels, each a title and the layers that it shows, with a key of patches and a colour bar."""
-    note = frame_note(maps, time, has_sky=has_sky)
+    note = frame_note(maps, time, has_sky=has_sky, is_median=is_median)
     frame = make_frame(maps.grid, [title for title, _ in panels], heading, note)
     for panel, (_, layers) in zip(frame.axes, panels, strict=True):
         draw_layers(panel, maps.grid, layers)
@@ -331,7 +341,7 @@ def plot_population(maps: GivenMaps) -> Figure:
         values = maps.m("density", time_of_day=item)
         title = f"{item}  ·  {np.nansum(values, dtype=np.float64) * cell_km2:,.0f} people"
         panels.append((title, density_layers(values, colours)))
-    patches = [("nobody", EMPTY_COLOUR), *obstacle_patches(maps)[1:]]
+    patches = [("no people\nin the data", EMPTY_COLOUR), *obstacle_patches(maps)[1:]]
     return _figure(maps, "Population density", panels, patches, colours=colours, has_sky=False)
 
 

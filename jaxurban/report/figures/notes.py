@@ -1,23 +1,59 @@
 """The lines below a figure's heading: what was guessed, the sky, the cells, the CRS, and whom to credit."""
 
+from jaxurban.maps.guesses import is_of_sky
 from jaxurban.maps.metric_maps import MetricMaps
+from jaxurban.world.grid import Grid
 
+GAP = "  ·  "  # between two facts of a line
 SYSTEMS = {
     **{"gps": "GPS", "galileo": "Galileo", "glonass": "GLONASS"},
     **{"beidou": "BeiDou", "qzss": "QZSS", "navic": "NavIC"},
 }
 
 
-def frame_note(maps: MetricMaps, time: str | None = None, *, has_sky: bool = True) -> str:
-    """Return the lines below a figure's heading: guesses, if there are any; the sky, size of a cell, CRS, credit.
+def frame_note(maps: MetricMaps, time: str | None = None, *, has_sky: bool = True, is_median: bool = True) -> str:
+    """Return the lines below a figure's heading: guesses, if any; the sky, size of a cell, CRS, place, credit.
 
-    ``has_sky``: the figure shows something of GPS, at a time or, left out, over all times of a series.
+    ``has_sky``: the figure shows something of GPS, at a time or, left out, over all times of a series; guesses of the
+    sky are told only there. ``is_median``: see `sky_said`.
     """
-    sky = sky_said(maps, time) if has_sky else ""
-    credit = maps.ds.attrs.get("attribution", "")
-    guessed = f"Guessed: {', '.join(guesses)}\n" if (guesses := maps.ds.attrs.get("guesses")) else ""
-    facts = (sky, f"{maps.grid.resolution_m:g} m cells", maps.grid.crs, credit)
-    return guessed + "  ·  ".join(filter(None, facts))
+    sky = sky_said(maps, time, is_median=is_median) if has_sky else ""
+    guessed = f"Guessed: {guesses}\n" if (guesses := guesses_said(maps, has_sky)) else ""
+    return guessed + joined(sky, *ground_said(maps))
+
+
+def guesses_said(maps: MetricMaps, has_sky: bool) -> str:
+    """Return the names of what maps rest on that no file says; those of satellites where the figure shows GPS."""
+    return ", ".join(name for name in maps.ds.attrs.get("guesses", ()) if has_sky or not is_of_sky(name))
+
+
+def ground_said(maps: MetricMaps) -> tuple[str, ...]:
+    """Return the size of a cell, the CRS, where on Earth the maps lie, and whom to credit."""
+    cells, credit = f"{maps.grid.resolution_m:g} m cells", maps.ds.attrs.get("attribution", "")
+    return cells, maps.grid.crs, place_said(maps.grid), credit
+
+
+def joined(*facts: str | None) -> str:
+    """Return facts as one line, without those that are empty."""
+    return GAP.join(filter(None, facts))
+
+
+def place_said(grid: Grid) -> str:
+    """Return where on Earth a grid lies: its centre, to about 100 m."""
+    lon, lat = grid.centre_lonlat
+    return f"around {abs(lat):.3f}°{'N' if lat >= 0 else 'S'} {abs(lon):.3f}°{'E' if lon >= 0 else 'W'}"
+
+
+def meaning_of(maps: MetricMaps, name: str) -> str:
+    """Return what a value of one means, with these maps' own numbers; "" where they do not say."""
+    meaning, attrs = str(maps.ds[maps.variable(name)].attrs.get("one_means", "")), maps.ds.attrs
+    if "risk_threshold_m" in attrs:
+        meaning = meaning.replace("the threshold", f"{attrs['risk_threshold_m']:g} m")
+    for norm, unit in (("pop_norm_per_km2", " per km²"), ("pop_norm_per_block", "")):
+        if norm in attrs:
+            numbers = " and ".join(f"{number:,.0f}" for number in dict.fromkeys(attrs[norm]))
+            meaning = meaning.replace(f"({norm})", f"({numbers}{unit})")
+    return meaning
 
 
 def time_said(time: str) -> str:
@@ -30,18 +66,19 @@ def short_time(time: str) -> str:
     return f"{time[5:10]} {time[11:16]}"
 
 
-def sky_said(maps: MetricMaps, time: str | None) -> str:
+def sky_said(maps: MetricMaps, time: str | None, *, is_median: bool = True) -> str:
     """Return the time of GPS maps, which one it is of several, the constellations, and the satellites in view.
 
     In view are as many as the freest cell sees at the highest altitude. Without a time: of all of them, the statistics
-    of a long series too.
+    of a long series too. ``is_median``: what is shown of these rests on the median over the epochs.
     """
     systems = " and ".join(SYSTEMS.get(name, name) for name in maps.ds.attrs.get("constellations", ()))
     if maps.default_time is None:
         span = f"{time_said(maps.times[0])} to {time_said(maps.times[-1])}"
         told = f" of {systems}" if systems else ""
         num = len(maps.ds.attrs.get("satellites", ()))
-        return f"{len(maps.times)} epochs, {span}, m_gps their median; {num} satellites{told}"
+        median = ", m_gps their median" if is_median else ""
+        return f"{len(maps.times)} epochs, {span}{median}; {num} satellites{told}"
     times = maps.times if time is None else (time,)
     told = systems
     if "num_visible" in maps.ds:

@@ -1,13 +1,16 @@
 """Pictures of paths over the normalised cost, and the overview of one region."""
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from itertools import cycle, groupby
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.patheffects import Normal, Stroke
 
 from jaxurban.errors import InputError
 from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
@@ -31,7 +34,7 @@ from jaxurban.report.figures.metrics import (
     obstacle_patches,
     roof_layers,
 )
-from jaxurban.report.figures.notes import frame_note, time_said
+from jaxurban.report.figures.notes import frame_note, joined, meaning_of, time_said
 
 # The paper's colours (tab10), then the rest of tab10 for planners that it does not have.
 PLANNER_COLOURS = {
@@ -41,10 +44,14 @@ PLANNER_COLOURS = {
     "bitstar-plus": "#d62728",
     "ptp": "#9467bd",
 }
-OTHER_COLOURS = ("#e377c2", "#17becf", "#bcbd22", "#8c564b")
-COST_COLOURS = Colours("gray", Normalize(0, 1), "$H_\\mathrm{norm}$\n(0: best free cell, 1: worst)")
+OTHER_COLOURS = ("#e377c2", "#17becf", "#bcbd22", "#8c564b", "#aec7e8", "#ffbb78", "#98df8a")
+COST_ENDS = "0: best free cell, 1: worst"
+COST_COLOURS = Colours("gray", Normalize(0, 1), f"$H_\\mathrm{{norm}}$\n({COST_ENDS})")
 BLOCKED_COLOUR = "#d9c08c"  # obstacles over the grey cost map
 LINE_IN = 0.17  # height of a legend line
+FOOTER_IN = 0.62  # under a panel of the overview: a colour bar and two lines
+MOST_WIDER_PT = 6.0  # of the first of several paths, whose lines narrow one after the other
+EDGE_PT = 0.5  # of the dark edge of a path, by which paths that coincide are told apart without their colours
 
 Paths = PlannedPath | Sequence[PlannedPath | None] | Mapping[float, Sequence[PlannedPath]]
 
@@ -114,17 +121,18 @@ def plot_paths(
     totals = [
         np.where(maps.is_free(z, "centre"), maps.total(z, time=at, time_of_day=day), np.nan) for z, at, day, _ in panels
     ]
-    facts = [
-        "time of day: as the paths were planned for, not the same in all panels" if len(times_of_day) > 1 else "",
+    not_same = "time of day: as the paths were planned for, not the same in all panels"
+    note = joined(
         frame_note(maps, times[0] if len(times) == 1 else None),
+        not_same if len(times_of_day) > 1 else "",
         "below: cost, length" if most else "",
-    ]
+    )
     what = "Cost and paths" if most else "Cost"
     frame = make_frame(
         maps.grid,
         titles,
         f"{what}, by altitude above ground",
-        "  ·  ".join(filter(None, facts)),
+        note,
         footer_in=most * LINE_IN + 0.1,
     )
     scale = _total_colours(totals)
@@ -191,8 +199,10 @@ def draw_path(
     if path.status.has_path:
         cost = f"{path.cost:,.1f}" if path.cost < 1000 else f"{path.cost:,.0f}"
         label = f"{name}: {cost}, {path.length_m / 1000:.2f} km"
-        width = 1.6 + 1.5 * (num - 1 - rank)
-        panel.plot(*path.xy_m.T, color=colours[name], linewidth=width, solid_joinstyle="round", zorder=3 + rank)
+        width = 1.6 + min(1.5, MOST_WIDER_PT / max(num - 1, 1)) * (num - 1 - rank)
+        edge = [Stroke(linewidth=width + 2 * EDGE_PT, foreground="black"), Normal()]
+        look: dict[str, Any] = {"linewidth": width, "solid_joinstyle": "round", "path_effects": edge}
+        panel.plot(*path.xy_m.T, color=colours[name], zorder=3 + rank, **look)
     is_found = path.status.has_path
     return Line2D([], [], color=colours[name], linewidth=2.5, linestyle="-" if is_found else ":", label=label)
 
@@ -242,28 +252,30 @@ def plot_overview(maps: GivenMaps, paths: Paths, *, altitude_m: float | None = N
         if name == "population":
             names["density"] = f"People per km², {time_of_day}"
         else:
-            names[name] = f"{metric.label}, {z:g} m"
-    names["cost"] = ", ".join(filter(None, (f"Cost{what}", f"{z:g} m", time_of_day)))
+            names[name] = metric.label
+    names["cost"] = ", ".join(filter(None, (f"Cost{what}", time_of_day)))
     frame = make_frame(
         maps.grid,
         list(names.values()),
-        f"Metric maps{what}",
+        f"Metric maps{what}, {z:g} m above ground",
         frame_note(maps, time),
-        footer_in=0.4,
+        footer_in=FOOTER_IN,
         with_ticks=False,
     )
     for panel, name in zip(frame.axes, names, strict=True):
+        label = ""
         if name == "roof":
             layers = roof_layers(maps)
         elif name == "density":
             highest = float(np.nanmax(maps.ds[name].values))
             layers = density_layers(maps.m(name, time_of_day=time_of_day), density_colours(highest))
         elif name == "cost":
-            layers = cost_layers(maps, z, time, time_of_day)[::-1]
+            layers, label = cost_layers(maps, z, time, time_of_day)[::-1], COST_ENDS
         else:
             layers = [obstacle_layer(maps, z), free_layer(maps, name, z, time=time)]
+            label = f"1: {meaning}" if (meaning := meaning_of(maps, name)) else ""
         draw_layers(panel, maps.grid, layers)
-        add_bar_below(frame, panel, layers[-1].colours)
+        add_bar_below(frame, panel, replace(layers[-1].colours, label=label))
     colours = planner_colours(path.search.planner for path in planned)
     for rank, path in enumerate(planned):
         draw_path(frame.axes[-1], path, colours, rank, len(planned))
