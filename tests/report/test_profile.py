@@ -1,5 +1,7 @@
 """The profile plot shows what the report says, where it says it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from matplotlib.patches import StepPatch
@@ -68,3 +70,21 @@ def test_a_profile_without_walls_or_of_one_place_is_drawn(maps, planned, tmp_pat
     assert sorted(file.name for file in tmp_path.iterdir()) == ["a.png", "b.png"]
     with pytest.raises(InputError, match=r"end its name in \.png"):
         save_profile(planned, maps, tmp_path / "a.pdf")
+
+
+def test_the_profile_names_its_altitude_and_time_of_day(maps, planned):
+    told = [text.get_text() for text in plot_profile(planned, maps).texts]
+    assert any(f", 20 m above ground, {planned.settings['time_of_day']}, cost " in line for line in told)
+
+
+def test_clearance_has_gaps_only_where_a_route_is_above_every_obstacle(maps, planned):
+    report = ju.explain(planned, maps)
+    profile = report.profile.assign(
+        nearest_wall_m=report.profile["nearest_wall_m"].where(report.profile.index > 3, np.inf)
+    )
+    walls = plot_profile(planned, maps, replace(report, profile=profile)).axes[2]
+    drawn = steps(walls)["clearance"].get_data().values
+    assert np.isnan(drawn[:4]).all()
+    np.testing.assert_array_equal(drawn[4:], profile["nearest_wall_m"][4:])
+    assert "gaps: above every\nobstacle" in [text.get_text() for text in walls.get_legend().get_texts()]
+    assert not walls.texts

@@ -1,5 +1,7 @@
 """The profile of a planned route: what it meets, by distance flown."""
 
+from typing import Any
+
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
@@ -19,6 +21,7 @@ from jaxurban.report.figures.notes import frame_note
 ALTITUDE_COLOUR, CLEARANCE_COLOUR, NO_FIX_COLOUR = "#d62728", "#5b3a8c", "#ffd9d4"
 LINEAR_UP_TO_M = 10.0  # above, the scale of clearance is logarithmic: near obstacles matter most
 CLEARANCE_TICKS_M = (0, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10_000)
+NO_FIX_PT = 1.0  # at the ends of what is shaded, so that a single cell is seen
 SIZE_IN, RIGHT = (10.0, 7.0), 0.79  # the legends stand beside the panels
 
 
@@ -40,11 +43,15 @@ def plot_profile(planned: PlannedPath, maps: GivenMaps, report: RouteReport | No
     report = report or explain(planned, maps)
     profile = report.profile
     edges_km = np.append(profile["from_m"], profile["to_m"].iloc[-1]) / 1000
-    heading = f"Route profile: {planned.search.planner}, {planned.length_m / 1000:.2f} km, cost {planned.cost:,.1f}"
-    times = " · ".join(filter(None, (frame_note(maps, planned.settings["time"]), planned.settings["time_of_day"])))
-    figure = chart(*SIZE_IN, heading, times)
+    low_m, high_m = float(planned.z_m.min()), float(planned.z_m.max())
+    altitude = f"{low_m:g} m" if low_m == high_m else f"{low_m:g} to {high_m:g} m"
+    where = f"{altitude} above ground"
+    told = (planned.search.planner, f"{planned.length_m / 1000:.2f} km", where, planned.settings["time_of_day"])
+    heading = f"Route profile: {', '.join(filter(None, told))}, cost {planned.cost:,.1f}"
+    note = frame_note(maps, planned.settings["time"])
+    figure = chart(*SIZE_IN, heading, note)
     axes = figure.subplots(3, 1, sharex=True, height_ratios=(1, 1.3, 1))
-    top = 1 - (head_room_in(times, SIZE_IN[0] - 0.2) + 0.27) / SIZE_IN[1]
+    top = 1 - (head_room_in(note, SIZE_IN[0] - 0.2) + 0.27) / SIZE_IN[1]
     figure.subplots_adjust(left=0.075, right=RIGHT, top=top, bottom=0.075, hspace=0.12)
     _draw_heights(axes[0], planned, profile, edges_km)
     for name, metric in maps.metrics.items():
@@ -56,10 +63,11 @@ def plot_profile(planned: PlannedPath, maps: GivenMaps, report: RouteReport | No
     no_fix = _no_fix_km(profile)
     for panel in axes:
         for begin_km, end_km in no_fix:
-            panel.axvspan(begin_km, end_km, color=NO_FIX_COLOUR, linewidth=0, zorder=0)
+            panel.axvspan(begin_km, end_km, color=NO_FIX_COLOUR, linewidth=NO_FIX_PT, zorder=0)
         for cut_m in report.segments["from_m"].iloc[1:]:
             panel.axvline(cut_m / 1000, color=FAINT_INK, linewidth=0.4, linestyle=":", zorder=0)
         _finish(panel, edges_km, bool(no_fix) and panel is axes[1])
+    figure.align_ylabels(axes)
     look = {"transform": axes[0].get_xaxis_transform(), "color": FAINT_INK}
     axes[0].text(edges_km[0], 1.03, "segment ", ha="right", **look)
     for number, row in report.segments.iterrows():
@@ -78,16 +86,27 @@ def _draw_heights(panel: Axes, planned: PlannedPath, profile: pd.DataFrame, edge
 
 def _draw_clearance(panel: Axes, profile: pd.DataFrame, edges_km: np.ndarray) -> None:
     panel.set(ylabel="clearance (m)")
-    if not np.isfinite(profile[CLEARANCE]).all():
+    is_known = np.isfinite(profile[CLEARANCE])
+    if not is_known.any():
         panel.text(0.5, 0.5, "no obstacle at this altitude", transform=panel.transAxes, ha="center", size=TEXT_PT)
         panel.set_yticks([])
         return
-    panel.stairs(profile[CLEARANCE], edges_km, baseline=None, color=CLEARANCE_COLOUR, linewidth=1.3, label="clearance")
+    drawn_m = profile[CLEARANCE].where(is_known)  # none where the route is above every obstacle
+    panel.stairs(drawn_m, edges_km, baseline=None, color=CLEARANCE_COLOUR, linewidth=1.3, label="clearance")
     place = int(np.argmin(profile[CLEARANCE]))
     nearest_m, at_km = profile[CLEARANCE].iloc[place], edges_km[place : place + 2].mean()
     label = f"least: {nearest_m:.3g} m"
-    panel.plot(at_km, nearest_m, marker="v", linestyle="none", color=CLEARANCE_COLOUR, markersize=6, label=label)
-    top_m = 1.15 * max(profile[CLEARANCE].max(), 2 * LINEAR_UP_TO_M)
+    look: dict[str, Any] = {
+        "marker": "v",
+        "linestyle": "none",
+        "color": CLEARANCE_COLOUR,
+        "markersize": 6,
+        "clip_on": False,
+    }
+    panel.plot(at_km, nearest_m, label=label, zorder=10, **look)
+    if not is_known.all():
+        panel.plot([], [], linestyle="none", label="gaps: above every\nobstacle")
+    top_m = 1.15 * max(drawn_m.max(), 2 * LINEAR_UP_TO_M)
     panel.set_yscale("symlog", linthresh=LINEAR_UP_TO_M)
     panel.set_ylim(0, top_m)
     panel.yaxis.set_major_locator(FixedLocator([tick for tick in CLEARANCE_TICKS_M if tick <= top_m]))
