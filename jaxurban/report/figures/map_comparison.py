@@ -20,7 +20,15 @@ from jaxurban.report.figures.frame import (
     round_length_m,
 )
 from jaxurban.report.figures.metrics import DOP_NAMES, FREE_COLOUR, OBSTACLE_COLOUR, SERIES_NAMES, percent
-from jaxurban.report.figures.notes import frame_note, short_time, sky_said, time_said
+from jaxurban.report.figures.notes import (
+    ground_said,
+    guesses_said,
+    joined,
+    meaning_of,
+    short_time,
+    sky_said,
+    time_said,
+)
 from jaxurban.report.figures.paths import draw_ends
 from jaxurban.studies.map_comparison.compare import CLOSED, EVERYWHERE, MASKS, MapComparison, Place, unit_of
 
@@ -173,9 +181,11 @@ def _colours(found: MapComparison, layer: str, maps: Sequence[np.ndarray]) -> Co
     limit = min(limit, MOST_DOP) if layer in DOP_NAMES else limit
     is_beyond = any(bool((np.abs(values) > limit).any()) for values in maps)
     unit = UNITS.get(given := unit_of(found.a, layer), given)
-    one_means = found.a.ds[layer].attrs.get("one_means", "") if layer in found.a.metrics else ""
+    meaning = meaning_of(found.a, layer) if layer in found.a.metrics else ""
     name = f"$m_\\mathrm{{{layer}}}$" if layer in found.a.metrics else layer.upper() if layer in DOP_NAMES else unit
-    label = f"{name or heading_of(found, layer)}, B - A" + (f"\n(1: {one_means})" if one_means else "")
+    label = f"{name or heading_of(found, layer)}, B - A (red: B is higher)" + (
+        f"\n(m of 1: {meaning})" if meaning else ""
+    )
     return Colours(DIVERGING, Normalize(-limit, limit), label, "both" if is_beyond else "neither", (-limit, 0.0, limit))
 
 
@@ -191,17 +201,21 @@ def _title(found: MapComparison, layer: str, place: Place, by_time: bool) -> str
         return f"{short_time(place.time)}  ·  mean {row['mean']:+.3g}"
     if layer in MASKS:
         return f"{where}  ·  {row.gained:,} cells gained, {row.lost:,} lost"
-    return "  ·  ".join(filter(None, (where, f"mean {row['mean']:+.3g}, {percent(row.share_changed)} changed")))
+    changed = f"mean {row['mean']:+.3g}, {percent(row.share_changed)} changed" if row.share_changed else "unchanged"
+    return joined(where, changed)
 
 
 def _note(found: MapComparison, time: str | None, has_sky: bool) -> str:
-    """Return the names of both, and each one's sky where it is not the same."""
+    """Return the names of both and what each rests on, and each one's sky where it is not the same."""
     skies = [sky_said(maps, time) if has_sky else "" for maps in (found.a, found.b)]
     of_b = {time_said(a): time_said(b) for a, b in found.part.times.items()}  # B's maps carry the names of A's times
     skies[1] = re.sub(r"\d{4}-\d\d-\d\d \d\d:\d\d UTC", lambda time: of_b.get(time[0], time[0]), skies[1])
     is_same = skies[0] == skies[1]
-    sides = [name if is_same else f"{name}, {sky}" for name, sky in zip(found.names, skies, strict=True)]
-    told = [f"A: {sides[0]}", f"B: {sides[1]}"]
+    guesses = [guesses_said(maps, has_sky) for maps in (found.a, found.b)]
+    told = []
+    for side, name, sky, guessed in zip("AB", found.names, skies, guesses, strict=True):
+        its_own = ["" if is_same else f", {sky}", f"; guessed: {guessed}" if guessed else ""]
+        told.append(f"{side}: {name}{''.join(its_own)}")
     if has_sky and time is None and any(a != b for a, b in of_b.items()):
         told.append(f"Panels name A's times; B's beside them: {', '.join(of_b.values())}")
-    return "\n".join([*told, frame_note(found.a, time, has_sky=has_sky and is_same)])
+    return "\n".join([*told, joined(skies[0] if is_same else "", *ground_said(found.a))])
