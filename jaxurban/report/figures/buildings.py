@@ -16,7 +16,7 @@ from jaxurban.paths.path import PlannedPath
 from jaxurban.report.figures.colours import SMALL_PT, Colours
 from jaxurban.report.figures.frame import INK, add_key, make_frame
 from jaxurban.report.figures.metrics import EMPTY_COLOUR
-from jaxurban.report.figures.notes import time_said
+from jaxurban.report.figures.notes import joined, place_said, time_said
 from jaxurban.report.figures.paths import draw_ends
 from jaxurban.world.city import City
 from jaxurban.world.grid import Grid
@@ -43,11 +43,18 @@ def plot_building_costs(
       num_labels: how many of the costliest are numbered by rank, those with less than a hundredth of the largest never.
     """
     assert city.buildings is not None
-    credit = [city.attribution] if city.attribution else []
     settings = planned.settings
-    when = [time_said(settings["time"]), *([settings["time_of_day"]] if settings["time_of_day"] else [])]
-    facts = [f"{planned.altitude_m:g} m above ground", *when, f"softness {table.attrs['softness_m']:g} m"]
-    note = "  ·  ".join([*facts, f"{grid.resolution_m:g} m cells", grid.crs, *credit])
+    note = joined(
+        f"{planned.altitude_m:g} m above ground",
+        time_said(settings["time"]),
+        settings["time_of_day"],
+        f"softness {table.attrs['softness_m']:g} m",
+        f"{grid.resolution_m:g} m cells",
+        grid.crs,
+        place_said(grid),
+        "numbers: the costliest, by rank",
+        city.attribution,
+    )
     heading = "What one more metre of each building costs the route"
     most = max(float(table.per_metre.abs().max()) if len(table) else 0.0, 1e-12)
     main = table.building[table.per_metre.abs() >= SHOWN_SHARE * most]

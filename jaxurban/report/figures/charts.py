@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, Locator, LogLocator, MaxNLocator, NullFormatter
 
 from jaxurban.report.figures.colours import SMALL_PT
-from jaxurban.report.figures.frame import FAINT_INK, INK, TEXT_PT, write_head
+from jaxurban.report.figures.frame import FAINT_INK, INK, TEXT_PT, head_room_in, write_head
 
 styled = rc_context(  # a decorator of functions that draw; ticks are made later, so `dress` sets theirs
     {
@@ -28,15 +28,21 @@ styled = rc_context(  # a decorator of functions that draw; ticks are made later
     }
 )
 TICKS_PER_DECADE: tuple[tuple[float, ...], ...] = ((1.0,), (1.0, 2.0, 5.0), tuple(range(1, 10)))
+LEGEND_COLUMNS, ROW_IN = 6, 0.17
 FEW_TICKS = 3  # that a logarithmic axis has at least
-LEFT_IN, HEAD_IN, FOOT_IN = 0.75, 0.95, 0.55
+LEFT_IN, EDGE_IN, TITLE_IN, FOOT_IN = 0.75, 0.2, 0.33, 0.55
 
 
 def chart(width_in: float, height_in: float, heading: str, note: str) -> Figure:
     """Return an empty figure with a heading, the lines of a note below it, broken where they are too long."""
     figure = Figure(figsize=(width_in, height_in))
-    write_head(figure, heading, note, 0.2)
+    write_head(figure, heading, note, EDGE_IN)
     return figure
+
+
+def head_in(width_in: float, note: str) -> float:
+    """Return the height that the heading and the note of a chart take at its top, and the title of a panel."""
+    return head_room_in(note, width_in - EDGE_IN) + TITLE_IN
 
 
 def panels(
@@ -66,12 +72,13 @@ def panels(
     num_cols = min(most_in_row, num) if (num, most_in_row) != (4, 3) else 2
     num_rows = math.ceil(num / num_cols)
     width = max(LEFT_IN + num_cols * (panel_in[0] + gap_in[0]) - gap_in[0] + 0.15, 6.4) + right_in
-    height = HEAD_IN + num_rows * (panel_in[1] + gap_in[1]) - gap_in[1] + FOOT_IN + foot_in
+    top_in = head_in(width, note)
+    height = top_in + num_rows * (panel_in[1] + gap_in[1]) - gap_in[1] + FOOT_IN + foot_in
     figure = chart(width, height, heading, note)
     axes: list[Axes] = []
     for number in range(num):
         row, col = divmod(number, num_cols)
-        x, y = LEFT_IN + col * (panel_in[0] + gap_in[0]), height - HEAD_IN - row * (panel_in[1] + gap_in[1])
+        x, y = LEFT_IN + col * (panel_in[0] + gap_in[0]), height - top_in - row * (panel_in[1] + gap_in[1])
         box = (x / width, (y - panel_in[1]) / height, panel_in[0] / width, panel_in[1] / height)
         panel = figure.add_axes(box, sharey=axes[0] if axes and shares_y else None)
         dress(panel)
@@ -94,10 +101,15 @@ def dress(panel: Axes, has_grid: bool = True) -> None:
         panel.grid(axis="y", linewidth=0.4, alpha=0.5)
 
 
-def legend_below(figure: Figure, panel: Axes, columns: int = 6) -> None:
+def legend_below(figure: Figure, panel: Axes, columns: int = LEGEND_COLUMNS) -> None:
     """Write the legend of a panel at the foot of its figure."""
     handles, names = panel.get_legend_handles_labels()
     figure.legend(handles, names, loc="lower center", ncols=min(columns, len(names)))
+
+
+def legend_in(num: int) -> float:
+    """Return the room that `legend_below` needs at the foot of a figure for so many entries, inches."""
+    return 0.1 + ROW_IN * math.ceil(num / LEGEND_COLUMNS)
 
 
 def show_plain(axis: Axis) -> None:

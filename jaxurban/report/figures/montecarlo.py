@@ -13,10 +13,10 @@ from matplotlib.ticker import FuncFormatter, MaxNLocator, PercentFormatter
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.base import Metric
 from jaxurban.metrics.registry import METRICS
-from jaxurban.report.figures.charts import legend_below, panels, show_plain, styled
+from jaxurban.report.figures.charts import legend_below, legend_in, panels, show_plain, styled
 from jaxurban.report.figures.colours import Colours, add_colour_bar
 from jaxurban.report.figures.frame import FAINT_INK, INK
-from jaxurban.report.figures.notes import sky_said
+from jaxurban.report.figures.notes import ground_said, joined, sky_said
 from jaxurban.report.figures.paths import planner_colours
 from jaxurban.studies.montecarlo.analysis import each, facts_of, range_names, weighted_rows
 from jaxurban.studies.montecarlo.trial import DISTANCE, WEIGHTED
@@ -29,9 +29,16 @@ MARKERS = "osD^vP*X"
 
 
 def _panels(
-    num: int, heading: str, note: str, *, height_in: float = 2.38, shares_y: bool = True, right_in: float = 0.0
+    num: int,
+    heading: str,
+    note: str,
+    *,
+    height_in: float = 2.38,
+    shares_y: bool = True,
+    right_in: float = 0.0,
+    num_entries: int = 1,
 ) -> tuple[Figure, list[Axes]]:
-    """Return a figure with a row of panels and room for a legend at its foot."""
+    """Return a figure with a row of panels and room for a legend of so many entries at its foot."""
     gap_in = 0.26 if shares_y else 0.6
     width_in = max(PANEL_IN - gap_in, (5.5 + gap_in) / num - gap_in)
     figure, axes = panels(
@@ -40,7 +47,7 @@ def _panels(
         note,
         panel_in=(width_in, height_in),
         gap_in=(gap_in, 0.0),
-        foot_in=0.27,
+        foot_in=legend_in(num_entries),
         most_in_row=num,
         shares_y=shares_y,
         right_in=right_in,
@@ -63,7 +70,7 @@ class Series(NamedTuple):
 def _by_altitude(rows: pd.DataFrame, heading: str, note: str) -> tuple[Figure, list[Axes], list[Series], int]:
     """Return a figure with a panel for each altitude, the panels, each planner's series in them, and its planners."""
     altitudes, colours = sorted(rows.altitude_m.unique()), planner_colours(sorted(rows.planner.unique()))
-    figure, axes = _panels(len(altitudes), heading, note)
+    figure, axes = _panels(len(altitudes), heading, note, num_entries=len(colours))
     series = []
     for panel, altitude_m in zip(axes, altitudes, strict=True):
         panel.set_title(f"{altitude_m:g} m")
@@ -73,16 +80,24 @@ def _by_altitude(rows: pd.DataFrame, heading: str, note: str) -> tuple[Figure, l
     return figure, axes, series, len(colours)
 
 
+def _lines(note: str, where: str) -> str:
+    """Return the lines below a heading: what a figure tells and, where it is known, which maps it is of."""
+    return "\n".join(filter(None, (note, where)))
+
+
 def _beside(num: int, rank: int, of: int, step: float) -> np.ndarray:
     """Return the places of one of several series at ``num`` ticks, side by side."""
     return np.arange(num) + (rank - (of - 1) / 2) * step
 
 
 @styled
-def plot_success(success: pd.DataFrame) -> Figure:
-    """Return the share of joined pairs that each planner solved, by altitude and range (`analysis.success`)."""
+def plot_success(success: pd.DataFrame, where: str = "") -> Figure:
+    """Return the share of joined pairs that each planner solved, by altitude and range (`analysis.success`).
+
+    ``where``, here and below: a line of the figure that says which maps it is of.
+    """
     note = "share of the pairs that some path joins, by range and altitude"
-    figure, axes, series, num = _by_altitude(success, "How often a path was found", note)
+    figure, axes, series, num = _by_altitude(success, "How often a path was found", _lines(note, where))
     ranges, width = range_names(success), 0.8 / num
     for panel, rank, planner, colour, rows in series:
         share = rows.set_index("range").share_joined
@@ -95,18 +110,18 @@ def plot_success(success: pd.DataFrame) -> Figure:
 
 
 @styled
-def plot_costs(table: pd.DataFrame) -> Figure:
+def plot_costs(table: pd.DataFrame, where: str = "") -> Figure:
     """Return the share of joined pairs that each planner solved within a ratio of the cheapest path (`joined`)."""
     table = weighted_rows(table)
     table = table[table.is_joined]
     note = "share of the joined pairs solved at up to so many times the cost of the cheapest path of any planner"
-    figure, axes, series, num = _by_altitude(table, "How near to the cheapest path known", note)
+    figure, axes, series, num = _by_altitude(table, "How near to the cheapest path known", _lines(note, where))
     end = float(np.clip(table.ratio.quantile(0.98), *RATIO_AXIS))
     for panel, rank, planner, colour, rows in series:
         ratio = np.sort(rows.ratio[np.isfinite(rows.ratio)])
         share = np.arange(1, len(ratio) + 1) / max(1, len(rows))
         x, y = np.append(ratio, max(end, ratio.max(initial=1.0))), np.append(share, share[-1:] if len(share) else 0.0)
-        width = 1.4 + 0.9 * (num - 1 - rank)  # where curves coincide all are seen
+        width = 1.4 + min(0.9, 5.4 / max(num - 1, 1)) * (num - 1 - rank)  # where curves coincide all are seen
         panel.step(x, y, where="post", color=colour, label=planner, linewidth=width)
         panel.set(xlim=(1 - 0.01 * (end - 1), end), xlabel="cost / cheapest known")
         panel.xaxis.set_major_locator(MaxNLocator(5, prune="upper"))
@@ -122,11 +137,11 @@ def _show_shares(axes: Sequence[Axes]) -> None:
 
 
 @styled
-def plot_times(table: pd.DataFrame) -> Figure:
+def plot_times(table: pd.DataFrame, where: str = "") -> Figure:
     """Return the seconds that each planner searched, by altitude: median, middle half and range of 5 to 95 %."""
     table = weighted_rows(table)
     note = "box: middle half; line: median; whiskers: 5 to 95 %"
-    figure, axes, series, _ = _by_altitude(table[table.elapsed_s > 0], "Time of a search", note)
+    figure, axes, series, _ = _by_altitude(table[table.elapsed_s > 0], "Time of a search", _lines(note, where))
     for panel, rank, planner, colour, rows in series:
         if len(rows):
             panel.boxplot(
@@ -148,7 +163,7 @@ def plot_times(table: pd.DataFrame) -> Figure:
 
 
 @styled
-def plot_usage(usage: pd.DataFrame, metrics: Mapping[str, Metric] = METRICS) -> Figure:
+def plot_usage(usage: pd.DataFrame, metrics: Mapping[str, Metric] = METRICS, where: str = "") -> Figure:
     """Return the mean of each metric along the paths, by altitude, planner and objective (`analysis.usage`).
 
     ``metrics`` are those of the maps.
@@ -158,7 +173,7 @@ def plot_usage(usage: pd.DataFrame, metrics: Mapping[str, Metric] = METRICS) -> 
     runs = list(usage[["planner", "objective"]].drop_duplicates().itertuples(index=False, name=None))
     colours = planner_colours(sorted(usage.planner.unique()))
     note = "mean m over the instances that all of these solved, by altitude"
-    figure, axes = _panels(len(names), "Metrics along the paths", note)
+    figure, axes = _panels(len(names), "Metrics along the paths", _lines(note, where), num_entries=len(runs))
     for panel, metric in zip(axes, names, strict=True):
         for rank, (planner, objective) in enumerate(runs):
             at = usage[(usage.planner == planner) & (usage.objective == objective)].set_index("altitude_m")
@@ -181,11 +196,11 @@ def plot_usage(usage: pd.DataFrame, metrics: Mapping[str, Metric] = METRICS) -> 
 
 
 @styled
-def plot_paired(paired: pd.DataFrame) -> Figure:
+def plot_paired(paired: pd.DataFrame, where: str = "") -> Figure:
     """Return cost ratios of planners two by two with their intervals (`analysis.paired`)."""
     shown = paired[np.isfinite(paired.cost_ratio)].iloc[::-1]
     note = "geometric mean of cost ratios where both found a path, 95 % bootstrap interval"
-    figure, (panel,) = _panels(1, "Planners two by two", note, height_in=0.28 + 0.28 * len(shown))
+    figure, (panel,) = _panels(1, "Planners two by two", _lines(note, where), height_in=0.28 + 0.28 * len(shown))
     box = panel.get_position()
     panel.set_position((0.38, box.y0, 0.42, box.height))
     y = np.arange(len(shown))
@@ -208,11 +223,12 @@ def plot_paired(paired: pd.DataFrame) -> Figure:
 
 
 @styled
-def plot_objectives(objectives: pd.DataFrame) -> Figure:
+def plot_objectives(objectives: pd.DataFrame, where: str = "") -> Figure:
     """Return what the shortest path costs and saves against the cheapest, by altitude (`analysis.objectives`)."""
     note = "distance-only over weighted runs of the same planner, 95 % interval"
-    figure, axes = _panels(2, "Shortest path against cheapest path", note)
     colours = planner_colours(sorted(objectives.planner.unique()))
+    heading, note = "Shortest path against cheapest path", _lines(note, where)
+    figure, axes = _panels(2, heading, note, num_entries=len(colours))
     titles = ("weighted cost, ratio", "length, ratio")
     for panel, name, title in zip(axes, ("cost_ratio", "length_ratio"), titles, strict=True):
         for rank, (planner, colour) in enumerate(colours.items()):
@@ -237,7 +253,7 @@ def plot_complementarity(maps: MetricMaps, table: pd.DataFrame, *, time: str | N
     """
     altitudes = table.altitude_m.tolist()
     note = "left: mean m, and share of cells where a sensor serves (m >= 0.5); then cells by m"
-    note = "\n".join((note, sky_said(maps, time or maps.default_time)))
+    note = _lines(note, joined(sky_said(maps, time or maps.default_time), *ground_said(maps)))
     heading = "GPS and lidar over the free cells"
     figure, (first, *others) = _panels(
         len(altitudes) + 1, heading, note, shares_y=False, height_in=2.18, right_in=BAR_IN
@@ -271,18 +287,18 @@ def study_figures(
     maps: MetricMaps, table: pd.DataFrame, tables: dict[str, pd.DataFrame]
 ) -> dict[str, Callable[[], Figure]]:
     """Return what draws each picture that a study's tables allow, by name."""
-    paired = tables["paired"]
+    paired, where = tables["paired"], joined(*ground_said(maps))
     figures: dict[str, Callable[[], Figure]] = {
-        "success": lambda: plot_success(tables["success"]),
-        "costs": lambda: plot_costs(table),
-        "times": lambda: plot_times(table),
+        "success": lambda: plot_success(tables["success"], where),
+        "costs": lambda: plot_costs(table, where),
+        "times": lambda: plot_times(table, where),
     }
     if len(tables["usage"]):
-        figures["usage"] = lambda: plot_usage(tables["usage"], maps.metrics)
+        figures["usage"] = lambda: plot_usage(tables["usage"], maps.metrics, where)
     if len(paired) and np.isfinite(paired.cost_ratio).any():
-        figures["paired"] = lambda: plot_paired(paired)
+        figures["paired"] = lambda: plot_paired(paired, where)
     if (table.objective == DISTANCE).any() and len(tables["objectives"]):
-        figures["objectives"] = lambda: plot_objectives(tables["objectives"])
+        figures["objectives"] = lambda: plot_objectives(tables["objectives"], where)
     if "complementarity" in tables:
         figures["complementarity"] = lambda: plot_complementarity(maps, tables["complementarity"])
     return figures

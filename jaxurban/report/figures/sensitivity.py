@@ -12,7 +12,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Polygon
 from matplotlib.ticker import LogLocator, NullLocator
 
-from jaxurban.report.figures.charts import chart, dress, label_rows, panels, show_plain, styled
+from jaxurban.report.figures.charts import chart, dress, head_in, label_rows, panels, show_plain, styled
 from jaxurban.report.figures.colours import Colours, add_colour_bar
 from jaxurban.report.figures.frame import (
     FAINT_INK,
@@ -23,8 +23,8 @@ from jaxurban.report.figures.frame import (
     draw_layers,
     make_frame,
 )
-from jaxurban.report.figures.metrics import obstacle_patches
-from jaxurban.report.figures.notes import frame_note
+from jaxurban.report.figures.metrics import obstacle_patches, percent
+from jaxurban.report.figures.notes import frame_note, joined
 from jaxurban.report.figures.paths import BLOCKED_COLOUR, cost_layers, draw_ends
 from jaxurban.report.markdown import counted, listed
 from jaxurban.studies.outcomes import outcome_label
@@ -32,8 +32,11 @@ from jaxurban.studies.sensitivity.sobol import CONFIDENCE
 from jaxurban.studies.sensitivity.study import Sensitivity
 
 GIVEN_COLOUR, FIRST_COLOUR, TOTAL_COLOUR = "#d62728", "#0072b2", "#e69f00"
-CLUSTER_COLOURS = ("#d62728", "#1f77b4", "#2ca02c", "#ff7f0e", "#9467bd", "#17becf", "#e377c2")
+ON_ROUTES_COLOUR = "#ffffff"  # of the given weights' route over others of all colours
+# Told apart by the colour-blind too (Okabe and Ito 2008).
+CLUSTER_COLOURS = ("#d55e00", "#0072b2", "#009e73", "#e69f00", "#cc79a7", "#56b4e9", "#f0e442")
 SHARES_SHOWN = (-0.5, 1.6)  # Sobol indices lie in 0 to 1: longer intervals are cut
+NUMBER_LOOK = {"boxstyle": "round,pad=0.12", "facecolor": "white", "edgecolor": INK, "linewidth": 0.4, "alpha": 0.85}
 PALE = 0.6  # of white in the colour of the other routes of a kind
 CORNERS = np.array([[0.0, 0.0], [1.0, 0.0], [0.5, math.sqrt(3) / 2]])  # of the triangle on the page
 
@@ -57,7 +60,7 @@ def plot_breakpoints(found: Sensitivity) -> Figure:
     figure, axes = panels(
         len(found.vary),
         "Cheapest cost along the range of each weight",
-        "a dot: a breakpoint, where the route changes; red: the given weight; all other weights as given",
+        _note(found, "a dot: a breakpoint, where the route changes; red: the given weight; all other weights as given"),
         shares_y=True,
         gap_in=(0.35, 0.8),
     )
@@ -103,11 +106,11 @@ def plot_breakpoint_routes(found: Sensitivity) -> Figure:
                 zorder=4,
             )
         )
-        panel.plot(*found.route.xy_m.T, color=GIVEN_COLOUR, linewidth=1.2, linestyle=(0, (3, 2)), zorder=6)
+        panel.plot(*found.route.xy_m.T, color=ON_ROUTES_COLOUR, linewidth=1.2, linestyle=(0, (3, 2)), zorder=6)
         draw_ends(panel, [found.route])
     add_key(
         frame,
-        [*obstacle_patches(found.maps, BLOCKED_COLOUR), ("given weights\n(dashed)", GIVEN_COLOUR)],
+        [*obstacle_patches(found.maps, BLOCKED_COLOUR), ("given weights\n(dashed)", ON_ROUTES_COLOUR)],
         colours,
         has_ends=True,
     )
@@ -121,13 +124,20 @@ def plot_triangle(found: Sensitivity) -> Figure:
     assert parts is not None, "drawn only where there is a triangle"
     at = [found.names.index(name) for name in found.triangle_names]
     given = found.weights[at]
-    note = f"three weights share {given.sum():g} in all ways, the others as given"
     known = "" if parts.is_complete else "; not all routes were looked for"
-    figure = chart(8.8, 5.6, f"{len(parts.cells)} cheapest routes over a triangle of weights", note + known)
-    panel = figure.add_axes((0.02, 0.05, 0.64, 0.8))
+    note = _note(found, f"three weights that sum to {given.sum():g}, in all shares, the others as given{known}")
+    width_in, height_in = 8.8, 4.75 + head_in(8.8, note)
+    top = 1 - head_in(width_in, note) / height_in
+    figure = chart(width_in, height_in, f"{len(parts.cells)} cheapest routes over a triangle of weights", note)
+    panel = figure.add_axes((0.02, 0.04, 0.64, top))
     for number, (cell, cluster) in enumerate(zip(parts.cells, found.clusters, strict=True)):
         colour = CLUSTER_COLOURS[cluster] if number in found.representatives else _pale(CLUSTER_COLOURS[cluster])
         panel.add_patch(Polygon(cell @ CORNERS, facecolor=colour, edgecolor="white", linewidth=0.5))
+    for cluster, number in enumerate(found.representatives, start=1):
+        middle = parts.cells[number].mean(axis=0) @ CORNERS
+        panel.text(
+            middle[0], middle[1], str(cluster), ha="center", va="center", size=TEXT_PT, color=INK, bbox=NUMBER_LOOK
+        )
     panel.add_patch(Polygon(CORNERS, fill=False, edgecolor=INK, linewidth=0.9))
     star: dict[str, Any] = {"linestyle": "none", "marker": "*", "color": "white", "markeredgecolor": "black"}
     panel.plot(*(given / given.sum() @ CORNERS), markersize=13, **star)
@@ -140,7 +150,7 @@ def plot_triangle(found: Sensitivity) -> Figure:
     shares = np.bincount(found.clusters, parts.sizes)
     counts = np.bincount(found.clusters)
     handles: list[Patch | Line2D] = [
-        Patch(facecolor=CLUSTER_COLOURS[k], label=f"{k + 1}: {shares[k]:.0%}, {counts[k]}, {length_km:.2f} km")
+        Patch(facecolor=CLUSTER_COLOURS[k], label=f"{k + 1}: {percent(shares[k])}, {counts[k]}, {length_km:.2f} km")
         for k, length_km in enumerate(lengths_km)
     ]
     handles.append(Line2D([], [], markersize=11, label="given weights", **star))
@@ -149,7 +159,7 @@ def plot_triangle(found: Sensitivity) -> Figure:
         title="cluster: share of the triangle, routes,\nlength of the route in full colour",
         alignment="left",
         loc="upper left",
-        bbox_to_anchor=(0.68, 0.84),
+        bbox_to_anchor=(0.68, top),
     )
     return figure
 
@@ -181,8 +191,11 @@ def plot_sobol(found: Sensitivity) -> Figure:
     figure, axes = panels(
         len(outcomes),
         "Which weights decide what the route is like",
-        f"Sobol indices over {low:g} to {high:g} times each weight, {found.sobol.num_evaluations:,} plans; "
-        f"bars: {CONFIDENCE:.0%} confidence, cut at {SHARES_SHOWN[0]:g} and {SHARES_SHOWN[1]:g}",
+        _note(
+            found,
+            f"Sobol indices over {low:g} to {high:g} times each weight, {found.sobol.num_evaluations:,} plans; "
+            f"bars: {percent(CONFIDENCE)} confidence, cut at {SHARES_SHOWN[0]:g} and {SHARES_SHOWN[1]:g}",
+        ),
         foot_in=0.35,
         shares_y=True,
         gap_in=(0.35, 0.8),
@@ -222,11 +235,12 @@ def plot_sobol(found: Sensitivity) -> Figure:
 def plot_pareto(found: Sensitivity) -> Figure:
     """Return the supported Pareto points of two or three features; the third is the colour."""
     front = found.front
-    note = (
-        f"{counted(len(front.points), 'route')}, each the cheapest for some weights of these alone (supported points)"
-    )
-    figure = chart(7.6, 5.0, f"Best trade-offs between {listed(front.objectives)}", note)
-    panel = figure.add_axes((0.1, 0.11, 0.68, 0.71))
+    routes = counted(len(front.points), "route")
+    note = _note(found, f"{routes}, each the cheapest for some weights of these alone (supported points)")
+    width_in, height_in = 7.6, 4.1 + head_in(7.6, note)
+    bottom, top = 0.55 / height_in, 1 - head_in(width_in, note) / height_in
+    figure = chart(width_in, height_in, f"Best trade-offs between {listed(front.objectives)}", note)
+    panel = figure.add_axes((0.1, bottom, 0.68, top - bottom))
     order = front.points.sort_values(front.objectives[0])
     x, y = (order[name].to_numpy() for name in front.objectives[:2])
     gradient = found.local.cost["gradient"].to_numpy()
@@ -258,12 +272,19 @@ def plot_pareto(found: Sensitivity) -> Figure:
             edgecolors=GIVEN_COLOUR,
             label="given weights",
         )
-        add_colour_bar(figure, (0.81, 0.11, 0.022, 0.6), colours)
+        add_colour_bar(figure, (0.81, bottom, 0.022, 0.85 * (top - bottom)), colours)
     panel.set(xlabel=_feature_label(found, front.objectives[0]), ylabel=_feature_label(found, front.objectives[1]))
     panel.margins(0.06)
     dress(panel)
-    figure.legend(loc="upper right", bbox_to_anchor=(0.99, 0.84))
+    figure.legend(loc="upper right", bbox_to_anchor=(0.99, top))
     return figure
+
+
+def _note(found: Sensitivity, told: str) -> str:
+    """Return the lines below a figure's heading: what it tells, and which route, where and when it is of."""
+    settings = found.route.settings
+    facts = joined(f"{found.route.altitude_m:g} m above ground", settings["time_of_day"], told)
+    return f"{facts}\n{frame_note(found.maps, settings['time'])}"
 
 
 def _feature_label(found: Sensitivity, name: str) -> str:
@@ -277,9 +298,7 @@ def _feature_label(found: Sensitivity, name: str) -> str:
 def _maps(found: Sensitivity, titles: list[str], heading: str) -> Frame:
     """Return a frame of maps of the normalised cost, on which routes are drawn."""
     settings = found.route.settings
-    altitude, cost = f"{found.route.altitude_m:g} m above ground", "grey: normalised cost, black: lowest"
-    note = "  ·  ".join(filter(None, (altitude, settings["time_of_day"], cost)))
-    frame = make_frame(found.maps.grid, titles, heading, f"{note}\n{frame_note(found.maps, settings['time'])}")
+    frame = make_frame(found.maps.grid, titles, heading, _note(found, "grey: normalised cost, black: lowest"))
     for panel in frame.axes:
         draw_layers(
             panel,

@@ -13,9 +13,9 @@ from jaxurban.kernels.search.weighing import weighted_sum
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.report.figures.charts import chart, dress, show_plain_log, styled
 from jaxurban.report.figures.colours import SMALL_PT, Colours
-from jaxurban.report.figures.frame import FAINT_INK, MapLayer, add_key, draw_layers, make_frame, mark_ends
+from jaxurban.report.figures.frame import FAINT_INK, TEXT_PT, MapLayer, add_key, draw_layers, make_frame, mark_ends
 from jaxurban.report.figures.metrics import line_colour, obstacle_layer, obstacle_patches
-from jaxurban.report.figures.notes import frame_note
+from jaxurban.report.figures.notes import frame_note, joined
 from jaxurban.report.figures.paths import BLOCKED_COLOUR
 from jaxurban.studies.beside_demonstrations import PlannedBeside
 from jaxurban.studies.tuning.target_fit import TargetFit
@@ -48,7 +48,8 @@ def plot_weights(fit: WeightFit | TargetFit, units: Sequence[str]) -> Figure:
     is_shown = values > 0
     ends = np.concatenate([values[is_shown], high[np.isfinite(high)], np.maximum(low, values / 100)[np.isfinite(low)]])
     ends = ends[ends > 0]
-    least, most = ends.min() / 1.6, ends.max() * 1.6
+    margin = max(1.6, float(ends.max() / ends.min()) ** 0.06)  # room for the numbers over the marks
+    least, most = ends.min() / margin, ends.max() * margin
     for place, name, value, *interval in zip(places, fit.names, values, low, high, strict=True):
         if value == 0:
             axes[0].text(least * 1.1, place, "0 (cannot be identified)", va="center", color=FAINT_INK)
@@ -73,10 +74,11 @@ def plot_weights(fit: WeightFit | TargetFit, units: Sequence[str]) -> Figure:
 def plot_learning(fit: WeightFit | TargetFit) -> Figure:
     """Return the fit's course by round, and, of imitation, what fewer demonstrations would have given."""
     curve = fit.curve
-    figure = _figure(3.4, "Learning curves", f"{fit.num_plans:,} searches; rounds: {len(curve)}")
+    note = f"{fit.num_plans:,} searches; rounds: {len(curve)}; no less than {LEAST_SHOWN:g} of the cost is shown"
+    figure = _figure(3.4, "Learning curves", note)
     fewer = fit.by_demonstrations if isinstance(fit, WeightFit) else pd.DataFrame()
     panels = figure.subplots(1, 3 if len(fewer) else 2)
-    figure.subplots_adjust(left=0.08, right=0.985, wspace=0.36)
+    figure.subplots_adjust(left=0.08, right=0.985, wspace=0.5)
     for name, colour, label in (
         ("mean_regret", PLANNED_COLOUR, "mean regret of demonstrations"),
         ("worst_gap", SHORTEST_COLOUR, "largest gain by a new route"),
@@ -134,6 +136,9 @@ def plot_regret(fit: WeightFit, names: Sequence[str]) -> Figure:
     panel.bar(places, 100 * fit.regret, color=trust(fit.trust), edgecolor=FAINT_INK, linewidth=0.3)
     top = 100 * max(float(fit.regret.max()), LEAST_TOP)
     panel.set(ylabel="regret (%)", xlabel="demonstration", xlim=(0.2, len(names) + 0.8), ylim=(-0.02 * top, 1.1 * top))
+    if fit.regret.max() < LEAST_SHOWN:
+        told = f"none has a regret of {100 * LEAST_SHOWN:g} % or more"
+        panel.text(0.5, 0.5, told, transform=panel.transAxes, ha="center", size=TEXT_PT)
     if len(names) <= 40:
         panel.set_xticks(places, [name[:12] for name in names])
         if max(map(len, names)) > 3:
@@ -182,9 +187,9 @@ def plot_routes(beside: PlannedBeside, cost_map: CostMap, weights: np.ndarray) -
     """
     grid, maps = cost_map.grid, cost_map.maps
     shown = [k for k, each in enumerate(beside.demonstrations) if each.query.cost_map is cost_map]
-    title = " · ".join(filter(None, (f"{cost_map.altitude_m:g} m", cost_map.time_of_day)))
+    title = joined(f"{cost_map.altitude_m:g} m above ground", cost_map.time_of_day)
     overlap = beside.table["overlap"].iloc[shown].mean()
-    note = f"{frame_note(maps, cost_map.time)}  ·  {100 * overlap:.0f} % of the demonstrations' cells shared"
+    note = joined(frame_note(maps, cost_map.time), f"{100 * overlap:.0f} % of the demonstrations' cells shared")
     frame = make_frame(grid, [title], "Demonstrations and routes under the fitted weights", note)
     cost = weighted_sum(cost_map.costs, weights[1:])
     free = cost[cost_map.is_free]
