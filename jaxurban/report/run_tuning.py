@@ -252,8 +252,11 @@ def outputs_of(
         outputs["targets"] = fit.outcomes.join(alone).reset_index()
         outputs["figures/targets.png"] = lambda: plot_targets(fit)
         report = targets_report(fit, beside, targets, source)
+    given = "demonstration" if isinstance(fit, WeightFit) else "given route"
     for name, one in pictures.items():
-        outputs |= in_degrees({f"figures/{name}.png": partial(plot_routes, beside, one, vector)}, one.grid, degrees)
+        outputs |= in_degrees(
+            {f"figures/{name}.png": partial(plot_routes, beside, one, vector, given)}, one.grid, degrees
+        )
     outputs |= {"weights": weights.assign(unit=units), "examples": routes}
     return outputs | {"weights.toml": weights_toml(fit, maps[0]), "report.md": report}
 

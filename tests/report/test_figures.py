@@ -368,7 +368,7 @@ def test_twelve_paths_have_twelve_colours_and_stay_lines(maps):
     assert len({line.get_color() for line in lines}) == 12
     widths = [line.get_linewidth() for line in lines]
     assert sorted(set(widths), reverse=True) == widths
-    assert widths[0] < 8
+    assert widths[0] < 10
 
 
 def test_degrees_stand_where_meridians_and_parallels_meet_the_edges(maps):

@@ -50,8 +50,8 @@ COST_COLOURS = Colours("gray", Normalize(0, 1), f"$H_\\mathrm{{norm}}$\n({COST_E
 BLOCKED_COLOUR = "#d9c08c"  # obstacles over the grey cost map
 LINE_IN = 0.17  # height of a legend line
 FOOTER_IN = 0.62  # under a panel of the overview: a colour bar and two lines
-MOST_WIDER_PT = 6.0  # of the first of several paths, whose lines narrow one after the other
-EDGE_PT = 0.5  # of the dark edge of a path, by which paths that coincide are told apart without their colours
+MOST_WIDER_PT = 7.2  # of the first of several paths, whose lines narrow one after the other
+EDGE_PT = 0.25  # of the dark edge of a path, by which paths that coincide are told apart without their colours
 
 Paths = PlannedPath | Sequence[PlannedPath | None] | Mapping[float, Sequence[PlannedPath]]
 
@@ -199,7 +199,7 @@ def draw_path(
     if path.status.has_path:
         cost = f"{path.cost:,.1f}" if path.cost < 1000 else f"{path.cost:,.0f}"
         label = f"{name}: {cost}, {path.length_m / 1000:.2f} km"
-        width = 1.6 + min(1.5, MOST_WIDER_PT / max(num - 1, 1)) * (num - 1 - rank)
+        width = 1.6 + min(1.8, MOST_WIDER_PT / max(num - 1, 1)) * (num - 1 - rank)
         edge = [Stroke(linewidth=width + 2 * EDGE_PT, foreground="black"), Normal()]
         look: dict[str, Any] = {"linewidth": width, "solid_joinstyle": "round", "path_effects": edge}
         panel.plot(*path.xy_m.T, color=colours[name], zorder=3 + rank, **look)

@@ -10,6 +10,7 @@ from matplotlib.colors import LogNorm, Normalize, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Polygon
+from matplotlib.patheffects import Normal, Stroke
 from matplotlib.ticker import LogLocator, NullLocator
 
 from jaxurban.report.figures.charts import chart, dress, head_in, label_rows, panels, show_plain, styled
@@ -106,7 +107,9 @@ def plot_breakpoint_routes(found: Sensitivity) -> Figure:
                 zorder=4,
             )
         )
-        panel.plot(*found.route.xy_m.T, color=ON_ROUTES_COLOUR, linewidth=1.2, linestyle=(0, (3, 2)), zorder=6)
+        edge = [Stroke(linewidth=2.4, foreground=INK), Normal()]
+        look: dict[str, Any] = {"linewidth": 1.2, "linestyle": (0, (3, 2)), "path_effects": edge, "zorder": 6}
+        panel.plot(*found.route.xy_m.T, color=ON_ROUTES_COLOUR, **look)
         draw_ends(panel, [found.route])
     add_key(
         frame,
@@ -194,7 +197,7 @@ def plot_sobol(found: Sensitivity) -> Figure:
         _note(
             found,
             f"Sobol indices over {low:g} to {high:g} times each weight, {found.sobol.num_evaluations:,} plans; "
-            f"bars: {percent(CONFIDENCE)} confidence, cut at {SHARES_SHOWN[0]:g} and {SHARES_SHOWN[1]:g}",
+            f"bars: {100 * CONFIDENCE:g} % confidence, cut at {SHARES_SHOWN[0]:g} and {SHARES_SHOWN[1]:g}",
         ),
         foot_in=0.35,
         shares_y=True,

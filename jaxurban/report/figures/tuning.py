@@ -13,8 +13,17 @@ from jaxurban.kernels.search.weighing import weighted_sum
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.report.figures.charts import chart, dress, show_plain_log, styled
 from jaxurban.report.figures.colours import SMALL_PT, Colours
-from jaxurban.report.figures.frame import FAINT_INK, TEXT_PT, MapLayer, add_key, draw_layers, make_frame, mark_ends
-from jaxurban.report.figures.metrics import line_colour, obstacle_layer, obstacle_patches
+from jaxurban.report.figures.frame import (
+    FAINT_INK,
+    TEXT_PT,
+    MapLayer,
+    add_key,
+    draw_layers,
+    flat_layer,
+    make_frame,
+    mark_ends,
+)
+from jaxurban.report.figures.metrics import line_colour, obstacle_patches
 from jaxurban.report.figures.notes import frame_note, joined
 from jaxurban.report.figures.paths import BLOCKED_COLOUR
 from jaxurban.studies.beside_demonstrations import PlannedBeside
@@ -74,7 +83,7 @@ def plot_weights(fit: WeightFit | TargetFit, units: Sequence[str]) -> Figure:
 def plot_learning(fit: WeightFit | TargetFit) -> Figure:
     """Return the fit's course by round, and, of imitation, what fewer demonstrations would have given."""
     curve = fit.curve
-    note = f"{fit.num_plans:,} searches; rounds: {len(curve)}; no less than {LEAST_SHOWN:g} of the cost is shown"
+    note = f"{fit.num_plans:,} searches; rounds: {len(curve)}; no less than {LEAST_SHOWN:g} is shown"
     figure = _figure(3.4, "Learning curves", note)
     fewer = fit.by_demonstrations if isinstance(fit, WeightFit) else pd.DataFrame()
     panels = figure.subplots(1, 3 if len(fewer) else 2)
@@ -116,7 +125,7 @@ def plot_learning(fit: WeightFit | TargetFit) -> Figure:
     for panel in panels:
         panel.legend(fontsize=SMALL_PT - 0.5, frameon=False)
         if panel is not panels[-1] or not len(fewer):
-            panel.xaxis.set_major_locator(MaxNLocator(integer=True))
+            panel.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
             panel.set_xlim(0.5, len(curve) + 0.5)
     return _dressed(figure)
 
@@ -159,7 +168,7 @@ def plot_targets(fit: TargetFit) -> Figure:
     for panel, (target, row), alone in rows:
         marks = (
             ("shortest routes", row.shortest, "s", SHORTEST_COLOUR),
-            ("target alone", alone, "D", DEMONSTRATION_COLOUR),
+            ("target alone", alone, "D", DEMONSTRATION_COLOUR),  # also seen under the next one
             ("all targets together", row.reached, "o", PLANNED_COLOUR),
         )
         shown = np.array([row.wished, *(value for _, value, _, _ in marks)])
@@ -168,7 +177,8 @@ def plot_targets(fit: TargetFit) -> Figure:
         panel.axvspan(*((row.wished, high) if ">=" in str(target) else (low, row.wished)), color="#d9efdc", linewidth=0)
         panel.axvline(row.wished, color="#2a7a3b", linewidth=1.2, label="bound")
         for label, value, marker, colour in marks:
-            panel.plot(value, 0, marker, color=colour, markersize=7, label=label, markeredgecolor="white")
+            size = 10 if marker == "D" else 7
+            panel.plot(value, 0, marker, color=colour, markersize=size, label=label, markeredgecolor="white")
         panel.set(xlim=(low, high), ylim=(-1, 1), yticks=[])
         panel.set_ylabel(
             f"{target}\n{'met' if row.is_met else 'missed'}", rotation=0, ha="right", va="center", labelpad=8
@@ -177,20 +187,21 @@ def plot_targets(fit: TargetFit) -> Figure:
     return _dressed(figure)
 
 
-def plot_routes(beside: PlannedBeside, cost_map: CostMap, weights: np.ndarray) -> Figure:
+def plot_routes(beside: PlannedBeside, cost_map: CostMap, weights: np.ndarray, given: str = "demonstration") -> Figure:
     """Return a map of the cost under weights with the demonstrations on it and the routes that the weights lead to.
 
     Args:
       beside: from `plan_beside`.
       cost_map: one of its demonstrations' maps; only those on it are drawn.
       weights: ``[K]`` distance and the map's metrics.
+      given: what the demonstrations are called: a fit to targets takes only their ends.
     """
     grid, maps = cost_map.grid, cost_map.maps
     shown = [k for k, each in enumerate(beside.demonstrations) if each.query.cost_map is cost_map]
     title = joined(f"{cost_map.altitude_m:g} m above ground", cost_map.time_of_day)
     overlap = beside.table["overlap"].iloc[shown].mean()
-    note = joined(frame_note(maps, cost_map.time), f"{100 * overlap:.0f} % of the demonstrations' cells shared")
-    frame = make_frame(grid, [title], "Demonstrations and routes under the fitted weights", note)
+    note = joined(frame_note(maps, cost_map.time), f"{100 * overlap:.0f} % of the {given}s' cells shared")
+    frame = make_frame(grid, [title], f"{given.capitalize()}s and routes under the fitted weights", note)
     cost = weighted_sum(cost_map.costs, weights[1:])
     free = cost[cost_map.is_free]
     least, most = float(free.min()), float(np.percentile(free, 99))
@@ -198,7 +209,7 @@ def plot_routes(beside: PlannedBeside, cost_map: CostMap, weights: np.ndarray) -
     colours = Colours("gray_r", norm, "cost of a cell\nunder the weights", extend="max")
     layers = [
         MapLayer(np.where(cost_map.is_free, cost, np.nan), colours),
-        obstacle_layer(maps, cost_map.altitude_m, BLOCKED_COLOUR),
+        flat_layer(~cost_map.is_free & maps.ds["has_data"].values, BLOCKED_COLOUR),
     ]
     panel = frame.axes[0]
     draw_layers(panel, grid, layers)
@@ -213,9 +224,10 @@ def plot_routes(beside: PlannedBeside, cost_map: CostMap, weights: np.ndarray) -
         query = beside.demonstrations[k].query
         mark_ends(panel, grid.xy_of_cell(*query.start), grid.xy_of_cell(*query.goal), size=0.62)
     patches = [
-        ("demonstration", DEMONSTRATION_COLOUR),
+        (given, DEMONSTRATION_COLOUR),
         ("fitted weights", PLANNED_COLOUR),
-        *obstacle_patches(maps, BLOCKED_COLOUR),
+        ("closed to paths", BLOCKED_COLOUR),
+        *obstacle_patches(maps)[1:],
     ]
     add_key(frame, patches, colours, has_ends=True)
     return frame.figure
