@@ -96,8 +96,9 @@ def _note(on: "CostMap", found: Path, ends: tuple[Place, Place]) -> str:
     return " ".join(filter(None, notes))
 
 
-def _settings(on: "CostMap", ends: tuple[Place, Place], search: PathSearch) -> dict[str, object]:
-    settings = {
+def map_settings(on: "CostMap") -> dict[str, Any]:
+    """Return what a cost map says of the paths that are planned on it, as their settings hold it."""
+    settings: dict[str, Any] = {
         "objective": on.objective,
         **on.cost_model.settings,
         "weights": {name: float(on.weights[name]) for name in ("distance", *on.names)},
@@ -106,24 +107,24 @@ def _settings(on: "CostMap", ends: tuple[Place, Place], search: PathSearch) -> d
         "limits": on.constraints.to_dict(),
         "obstacles": on.maps.obstacles,
         "resolution_m": on.grid.resolution_m,
-        "budget_s": search.budget_s if np.isfinite(search.budget_s) else None,
-        "seed": search.seed,
     }
     if on.levels is None:
         between = _between_m(on)
         return settings | ({"metrics_between_m": between} if between else {})
     asked = {name: getattr(on.levels, name) for name in ("min_altitude_m", "max_altitude_m", "level_step_m")}
     climb_cost, descent_cost = on.weight_vector[-2:].tolist()
-    return (
-        settings
-        | asked
-        | {
-            "goal_altitude_m": float(on.altitudes_m[ends[1].cell[0]]),
-            "levels_m": on.altitudes_m.tolist(),
-            "climb_cost": climb_cost,
-            "descent_cost": descent_cost,
-        }
-    )
+    levels = {"levels_m": on.altitudes_m.tolist(), "climb_cost": climb_cost, "descent_cost": descent_cost}
+    return settings | asked | levels
+
+
+def _settings(on: "CostMap", ends: tuple[Place, Place], search: PathSearch) -> dict[str, Any]:
+    settings = map_settings(on) | {
+        "budget_s": search.budget_s if np.isfinite(search.budget_s) else None,
+        "seed": search.seed,
+    }
+    if on.levels is not None:
+        settings["goal_altitude_m"] = float(on.altitudes_m[ends[1].cell[0]])
+    return settings
 
 
 def _between_m(on: "CostMap") -> list[float]:

@@ -6,10 +6,13 @@ import numpy as np
 import shapely
 
 from jaxurban.errors import InputError, positive, typed
+from jaxurban.paths.constraints import constraints_said
 from jaxurban.paths.cost_map import CostMap
-from jaxurban.paths.finish import measured
+from jaxurban.paths.finish import map_settings, measured
 from jaxurban.paths.path import PlannedPath
 from jaxurban.planners.simplify import simplify as simplify_path
+
+SAME_PLACE_M = 1e-6  # of a path in the maps' CRS and from its map's corner
 
 
 @typed
@@ -28,7 +31,8 @@ def simplify(planned: PlannedPath, on: CostMap, tolerance_m: float) -> PlannedPa
       tolerance_m: how far the path may be from where it was, in plan.
 
     Raises:
-      InputError: a tolerance that is not a positive number of metres, or another cost map than the path's.
+      InputError: a tolerance that is not a positive number of metres, or a cost map under other settings, constraints
+        or in another region than the path's.
     """
     tolerance_m = positive("tolerance_m", tolerance_m, "metres")
     if not planned.status.has_path:
@@ -63,14 +67,22 @@ def _change(before: float, after: float) -> str:
 
 
 def _check_same_maps(planned: PlannedPath, on: CostMap) -> None:
-    """Raise InputError unless the path can be of this cost map."""
-    levels_m = planned.settings.get("levels_m", [planned.altitude_m])
-    if (planned.crs, planned.settings.get("resolution_m"), levels_m) != (
-        on.grid.crs,
-        on.grid.resolution_m,
-        on.altitudes_m.tolist(),
-    ) or ("levels_m" in planned.settings) != (on.levels is not None):
+    """Raise InputError unless the path can be of this cost map: only that one knows what the path keeps clear of."""
+    a_level = {"levels_m": None, "altitude_m": planned.altitude_m}  # unless the cost map has levels
+    of_path = {"crs": planned.crs, **a_level, **planned.settings}
+    of_map = {"crs": on.grid.crs, **a_level, **map_settings(on)}
+    if on.levels is None:
+        of_map["altitude_m"] = on.altitude_m
+    for name, held in of_map.items():
+        if (had := of_path.get(name)) != held:
+            said = [constraints_said(of or {}) or "none" if name == "limits" else of for of in (had, held)]
+            raise InputError(
+                f"the path was planned with {name} {said[0]}, and this cost map has "
+                f"{'others' if said[0] == said[1] else said[1]}: give the cost map that it was planned on"
+            )
+    corner_m = np.array([on.grid.x_min_m, on.grid.y_min_m])
+    if not np.allclose(planned.search.points_m[:, :2] + corner_m, planned.xy_m, rtol=0.0, atol=SAME_PLACE_M):
         raise InputError(
-            f"the path was planned at {planned.altitude_m:g} m in {planned.crs}, and this cost map is of "
-            f"{on.facts['grid']} at {on.altitude_m:g} m: give the cost map that it was planned on"
+            f"the path was planned in another region than that of {on.facts['grid']}: give the cost map that it was "
+            "planned on"
         )

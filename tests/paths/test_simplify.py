@@ -147,6 +147,19 @@ def test_another_cost_map_or_no_tolerance_is_refused_in_one_sentence(maps):
     for other in (ju.cost_map(maps, 60.0), ju.cost_map(maps, ju.Levels()), ju.cost_map(made_maps(), ALTITUDE_M)):
         with pytest.raises(InputError, match="give the cost map that it was planned on"):
             ju.simplify(path, other, 2.0)
+    kept = ju.cost_map(maps, ALTITUDE_M, constraints=ju.Constraints.read(clearance_m=6.0))
+    near = np.argwhere(kept.is_free)
+    clear = kept.plan(*(ju.XY(*maps.grid.xy_of_cell(*near[at])) for at in (10, 20)))
+    for route, other, said in (  # each would move the path by what it was not planned under
+        (clear, on, "limits clearance of 6 m, and this cost map has none"),
+        (path, kept, "limits none, and this cost map has clearance of 6 m"),
+        (path, ju.cost_map(maps, ALTITUDE_M, weights=WEIGHTS), "weights "),
+        (path, ju.cost_map(maps.with_obstacles("centre"), ALTITUDE_M), "obstacles touched, and this cost map has cent"),
+        (path, ju.cost_map(maps, ALTITUDE_M, cost_model="line"), "cost_model cell, and this cost map has line"),
+        (replace(path, xy_m=path.xy_m + 5.0), on, "in another region than"),
+    ):
+        with pytest.raises(InputError, match=f"{said}.*: give the cost map that it was planned on"):
+            ju.simplify(route, other, 2.0)
     for wrong in (0.0, -1.0, float("inf"), "far"):
         with pytest.raises(InputError, match="tolerance_m must be"):
             ju.simplify(path, on, wrong)
