@@ -1,6 +1,7 @@
 """No-fly zones: read from files as they are written, put on cells that they touch, and on no others."""
 
 import json
+from contextlib import nullcontext
 
 import geopandas as gpd
 import numpy as np
@@ -14,8 +15,8 @@ from shapely import affinity
 
 from jaxurban.errors import IgnoredZoneWarning, InputError
 from jaxurban.io.read.airspace import read_zones
-from jaxurban.io.read.zone import Zone, cell_boxes, mended, touched_cells
-from jaxurban.world.grid import Grid
+from jaxurban.io.read.zone import Zone, cell_boxes, mended, the_short_way_too, touched_cells
+from jaxurban.world.grid import Grid, transformer, utm_crs
 
 GRID = Grid("EPSG:32618", 5.0, 901_000, 116_600, 70, 90)
 LON, LAT = GRID.centre_lonlat
@@ -262,3 +263,36 @@ def test_a_file_without_a_crs_is_refused(tmp_path):
     gpd.GeoDataFrame({"a": [1]}, geometry=[SQUARE]).to_file(tmp_path / "a.shp")
     with pytest.raises(InputError, match="declares no CRS"):
         read_zones(tmp_path / "a.shp")
+
+
+WEST_OF_IT, ACROSS, EAST_OF_IT, ELSEWHERE = 179.985, 179.995, -179.995, 20.0  # of the antimeridian
+BEYOND = shapely.box(179.98, -16.9, 180.02, -16.7)
+JUMPING = shapely.Polygon([(179.98, -16.9), (-179.98, -16.9), (-179.98, -16.7), (179.98, -16.7)])
+
+
+def closed_share(zone: Zone, west: float) -> float:
+    crs = utm_crs(west, -16.8)
+    x_m, y_m = transformer("EPSG:4326", crs).transform(west, -16.805)
+    grid = Grid(crs, 20.0, int(y_m // 20), int(x_m // 20), 55, 53)
+    return float(touched_cells(zone.on(grid), grid).mean())
+
+
+@pytest.mark.parametrize(
+    ("shape", "west", "share"),
+    [
+        *((BEYOND, west, 1.0) for west in (WEST_OF_IT, ACROSS, EAST_OF_IT)),
+        (BEYOND, ELSEWHERE, 0.0),
+        *((JUMPING, west, 1.0) for west in (WEST_OF_IT, ACROSS, EAST_OF_IT, ELSEWHERE)),  # either way round
+        (shapely.box(-180, -90, 180, 90), ACROSS, 1.0),
+    ],
+)
+def test_a_zone_across_the_antimeridian_is_closed_on_both_sides_of_it(tmp_path, shape, west, share):
+    file = write_geojson(tmp_path / "z.geojson", (shape, {}))
+    with pytest.warns(IgnoredZoneWarning, match="the short way too") if shape is JUMPING else nullcontext():
+        (zone,) = read_zones(file)
+    assert closed_share(zone, west) == share
+
+
+def test_an_outline_with_one_meaning_stays_as_it_is():
+    for shape in (SQUARE, BEYOND, shapely.box(-180, -90, 180, 90)):
+        assert the_short_way_too(shape) is shape

@@ -14,7 +14,8 @@ from pyproj import Geod
 import jaxurban as ju
 from jaxurban.errors import IgnoredZoneWarning, InputError
 from jaxurban.io.read.airspace import read_zones
-from jaxurban.io.read.zone import Period
+from jaxurban.io.read.zone import Period, touched_cells
+from jaxurban.world.grid import Grid
 from tests.made_maps import made_maps
 
 LON, LAT = 6.13, 49.61  # Luxembourg
@@ -145,6 +146,18 @@ WINTER = {"permanent": "NO", "startDateTime": "2026-01-01T00:00:00Z", "endDateTi
 OFFICE = {"schedule": [{"day": ["MON", "FRI"], "startTime": "08:00:00.00Z", "endTime": "16:00:00Z"}]}
 NIGHT = {"schedule": [{"day": ["SAT"], "startTime": "22:00Z", "endTime": "04:00Z"}]}
 EAST = {"schedule": [{"day": ["MON"], "startTime": "01:00:00+02:00", "endTime": "03:00:00+02:00"}]}
+
+
+HOURS = [("99:00Z", "10:00Z"), ("08:00Z", "16:75Z"), ("01:00-99:00", "02:00-99:00"), ("24:30Z", "03:00Z")]
+
+
+@pytest.mark.parametrize(("start", "end"), HOURS)
+def test_hours_that_no_clock_shows_are_taken_to_be_in_force_always(tmp_path, start, end):
+    when = {"schedule": [{"day": ["ANY"], "startTime": start, "endTime": end}]}
+    file = written(tmp_path / "z.json", zone(polygon(), applicability=[when]))
+    with pytest.warns(IgnoredZoneWarning, match="in force always"):
+        (read,) = read_zones(file)
+    assert read.is_in_force(datetime(2026, 2, 3, 12, tzinfo=UTC))
 
 
 @pytest.mark.parametrize(
@@ -309,3 +322,16 @@ def test_a_zone_closes_at_no_named_time_and_opens_where_the_named_one_is_outside
         opened = ju.cost_map(maps, 20.0, constraints=constraints, time="2020-04-27T16:00:00Z")
     assert opened.constraints.zones == ()
     np.testing.assert_array_equal(opened.is_free, maps.is_free(20.0))
+
+
+@pytest.mark.parametrize("west", [179.985, -179.995])
+def test_a_circle_and_a_polygon_across_the_antimeridian_are_closed_on_both_sides(tmp_path, west):
+    ring = [[179.9, -16.9], [-179.9, -16.9], [-179.9, -16.7], [179.9, -16.7], [179.9, -16.9]]
+    grid = Grid.from_bounds((west, -16.805, west + 0.01, -16.795), 20.0)
+    for volume, said in (
+        (circle(4000, centre=(179.999, -16.8)), nullcontext()),
+        (polygon([ring]), pytest.warns(IgnoredZoneWarning, match="the short way too")),
+    ):
+        with said:
+            (read,) = read_zones(written(tmp_path / "z.json", zone(volume)))
+        assert touched_cells(read.on(grid), grid).all()

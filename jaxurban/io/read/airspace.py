@@ -13,7 +13,7 @@ from jaxurban.errors import InputError, finite
 from jaxurban.io.read.ed269 import read_geozones
 from jaxurban.io.read.heights import is_blank
 from jaxurban.io.read.vector import open_layers
-from jaxurban.io.read.zone import Zone, mended, warn
+from jaxurban.io.read.zone import THE_SHORT_WAY, Zone, mended, the_short_way_too, warn
 
 # Properties that are read, in any case and with or without "_", "-", " " and ":". All are metres above ground.
 FLOOR_NAMES = ("floor_m", "floor_m_agl", "lower_limit_m", "min_altitude_m", "minimumAltitude", "minAltitude")
@@ -66,7 +66,11 @@ def read_zones(path: str | Path) -> tuple[Zone, ...]:
             label = f"{name!r} of {file!r}"
             if not np.isfinite(shapely.get_coordinates(shape)).all():
                 raise InputError(f"the no-fly zone {label} has a corner that is not a number: mend the file")
-            zones.append(Zone(name, _valid(shape, label), crs, *_heights(facts, shape, label), file))
+            whole = _valid(shape, label)
+            if areas.crs.is_geographic and (wider := the_short_way_too(whole)) is not whole:
+                warn(f"zones of {file!r} that {THE_SHORT_WAY}: 1 ({name!r})")
+                whole = wider
+            zones.append(Zone(name, whole, crs, *_heights(facts, shape, label), file))
     if not zones:
         raise InputError(f"the {ROLE} file {str(path)!r} holds no polygons: give a file of polygons")
     if num_others:

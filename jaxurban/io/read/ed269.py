@@ -22,14 +22,14 @@ import shapely
 from pyproj import Geod
 
 from jaxurban.errors import InputError, finite
-from jaxurban.io.read.zone import DAY, Period, Zone, mended, warn
+from jaxurban.io.read.zone import DAY, THE_SHORT_WAY, Period, Zone, mended, the_short_way_too, warn
 
 SUFFIXES = (".json", ".geojson")
 OPEN = "NO_RESTRICTION"  # a zone that tells, and closes nothing
 ON_APPROVAL = ("REQ_AUTHORISATION", "REQ_AUTHORIZATION", "CONDITIONAL")
 METRES = {"M": 1.0, "FT": 0.3048}
 DAYS = ("MON", "TUE", "WED", "THU", "FRI", "SAT", "SUN")
-TIME_OF_DAY = re.compile(r"(\d{1,2}):(\d{2})(?::(\d{2})(?:\.\d+)?)?(Z|[+-]\d{2}:?\d{2})")
+TIME_OF_DAY = re.compile(r"([01]?\d|2[0-3]|24(?=:00)):([0-5]\d)(?::([0-5]\d)(?:\.\d+)?)?(Z|[+-][01]\d:?[0-5]\d)")
 CORNERS = 64  # of a circle: with what follows its polygon is at most 0.3 % wider
 WIDER = 1e-3  # of a circle's radius, for edges that are straight in degrees
 MOST_M = 300_000.0  # radius of a circle whose edges are as good as straight in degrees
@@ -71,6 +71,9 @@ def read_geozones(path: str | Path) -> tuple[Zone, ...] | None:
             if not shape.is_valid:
                 told.add("have outlines that cross themselves, and close all that these enclose", name)
                 shape = mended(shape)
+            if (wider := the_short_way_too(shape)) is not shape:
+                told.add(THE_SHORT_WAY, name)
+                shape = wider
             zones.append(Zone(name, shape, "EPSG:4326", floor_m, ceiling_m, file, periods))
     told.warn(file)
     if not zones:

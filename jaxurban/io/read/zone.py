@@ -9,6 +9,7 @@ from datetime import UTC, datetime, timedelta
 import numpy as np
 import pyproj
 import shapely
+from shapely import affinity
 
 from jaxurban.errors import IgnoredZoneWarning, InputError
 from jaxurban.io.read.outlines import polygonal
@@ -19,6 +20,11 @@ METRES_PER_DEGREE = 111_320.0
 BLOCK = 16  # cells a side that are looked at at once
 FLIGHT = timedelta(hours=1)  # from the time that is planned for: a zone in force by then is closed
 DAY = timedelta(days=1)
+ROUND = 360.0  # degrees of longitude
+THE_SHORT_WAY = (
+    "have edges of more than 180 degrees of longitude, and are closed the short way too, across the antimeridian "
+    "(cut them there)"
+)
 
 
 @dataclass(frozen=True)
@@ -121,15 +127,21 @@ class Zone:
         """Whether the zone is in force at a time (with its offset) or within `FLIGHT` after it."""
         return not self.periods or any(period.meets(time, time + FLIGHT) for period in self.periods)
 
+    def _seen_in(self, box: shapely.Geometry) -> list[shapely.Geometry]:
+        """Return the outline, once more a turn on and a turn back where it or a box reaches across the antimeridian."""
+        lons = (self.polygon.bounds[0], self.polygon.bounds[2], box.bounds[0], box.bounds[2])
+        if max(map(abs, lons)) <= ROUND / 2 or not pyproj.CRS.from_user_input(self.crs).is_geographic:
+            return [self.polygon]
+        return [affinity.translate(self.polygon, turn) for turn in (-ROUND, 0.0, ROUND)]
+
     def on(self, grid: Grid) -> shapely.Geometry:
         """Return the part of the zone near a grid, in the grid's CRS; empty where it is elsewhere."""
         to_file = transformer(grid.crs, self.crs)
         west, south, east, north = to_file.transform_bounds(*grid.bounds_m, densify_pts=21)
+        east += ROUND * (west > east)  # where the grid lies across the antimeridian
         margin = 0.01 * (east - west + north - south)
-        polygon = self.polygon
-        if west < east:  # else the grid lies across the antimeridian, and nothing is cut away
-            box = shapely.box(west - margin, south - margin, east + margin, north + margin)
-            polygon = polygonal(shapely.intersection(polygon, box))
+        box = shapely.box(west - margin, south - margin, east + margin, north + margin)
+        polygon = polygonal(shapely.union_all([shapely.intersection(seen, box) for seen in self._seen_in(box)]))
         edge = MAX_EDGE_M / _metres_per_unit(self.crs)
         project = transformer(self.crs, grid.crs)
         moved = shapely.transform(shapely.segmentize(polygon, edge), project.transform, interleaved=False)
@@ -174,6 +186,23 @@ def cell_boxes(grid: Grid, corners: np.ndarray, size: int) -> np.ndarray:
 def mended(shape: shapely.Geometry) -> shapely.Geometry:
     """Return the polygons that an outline encloses, all that it goes around twice included."""
     return polygonal(shapely.make_valid(shape, method="structure", keep_collapsed=False))
+
+
+def the_short_way_too(shape: shapely.Geometry) -> shapely.Geometry:
+    """Return a shape in longitude and latitude, and where edges span more than 180 degrees both ways that they may go.
+
+    A file may mean by 179.9, -179.9 what lies between them across the antimeridian, or all the rest of the way round.
+    The shape, which must be valid, comes back as it is where there is no such edge. An edge that goes all the way round
+    has but one meaning.
+    """
+    found = [shape]
+    for part in shapely.get_parts(shape):
+        lon, lat = shapely.get_coordinates(part.exterior).T
+        steps = np.abs(np.diff(lon))
+        if np.any((steps > ROUND / 2) & (steps < ROUND)):
+            around = np.column_stack([np.unwrap(lon, period=ROUND), lat])
+            found.append(mended(shapely.Polygon(around)))  # whole: a hole of a valid outline lies on its longer way
+    return shape if len(found) == 1 else polygonal(shapely.union_all(found))
 
 
 def _metres_per_unit(crs: str) -> float:
