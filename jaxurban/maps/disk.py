@@ -20,6 +20,7 @@ EDGE_BYTES = 4  # of a cell along a tile's border, for each satellite that casts
 # much, by city and by size of cells.
 ZARR_BYTES = {"f": 0.3, "u": 0.06, "b": 0.01}
 GEOTIFF_BYTES = {"f": 0.4, "u": 0.08, "b": 0.02}
+PLAIN_BYTES = 4 * 4 / 3  # of a cell of a map that becomes a GeoTIFF, and of its overviews: not compressed yet
 LEAST_SHARE = 0.25  # of what is foretold of files: where not even that is free, no run begins
 
 
@@ -57,23 +58,25 @@ def file_bytes(task: MapTask, layers: Sequence[str] = ()) -> tuple[float, float]
     return bytes_of([*held], ZARR_BYTES), bytes_of(of_geotiffs, GEOTIFF_BYTES)
 
 
-def disk_bytes(tasks: Sequence[MapTask], layers: Sequence[str] = (), share: float = 1.0) -> int:
+def disk_bytes(tasks: Sequence[MapTask], layers: Sequence[str] = (), num_workers: int = 1, share: float = 1.0) -> int:
     """Return about how many bytes a run takes at its highest, its resolutions one after the other.
 
     Args:
       tasks: of the resolutions.
       layers: as for `file_bytes`.
+      num_workers: each of which writes a GeoTIFF at a time.
       share: of what is foretold of files that counts.
     """
     kept, most = 0.0, 0.0
     for task in tasks:
         of_zarr, of_geotiffs = (share * each for each in file_bytes(task, layers))
-        most = max(most, kept + of_zarr + max(scratch_bytes(task), of_geotiffs))
+        plain = PLAIN_BYTES * math.prod(task.region.shape) * num_workers
+        most = max(most, kept + of_zarr + max(scratch_bytes(task), of_geotiffs + plain))
         kept += of_zarr + of_geotiffs
     return int(most)
 
 
-def check_disk(tasks: Sequence[MapTask], folder: Path, layers: Sequence[str] = ()) -> int:
+def check_disk(tasks: Sequence[MapTask], folder: Path, layers: Sequence[str] = (), num_workers: int = 1) -> int:
     """Return about how many bytes of disk a run takes at its highest; what an earlier one left there counts as free.
 
     Raises:
@@ -81,10 +84,10 @@ def check_disk(tasks: Sequence[MapTask], folder: Path, layers: Sequence[str] = (
     """
     files = (file for name in (ZARR_FOLDER, GEOTIFF_FOLDER) for file in (folder / name).rglob("*"))
     held = sum(file.stat().st_size for file in files if file.is_file())
-    least, free = disk_bytes(tasks, layers, LEAST_SHARE), shutil.disk_usage(folder).free
+    least, free = disk_bytes(tasks, layers, num_workers, LEAST_SHARE), shutil.disk_usage(folder).free
     if least > free + held:
         raise InputError(
             f"the maps need at least {gib(least)} of disk and {gib(free)} are free in {str(folder)!r}: use a smaller "
             "region, a coarser [region] resolution_m, or another folder"
         )
-    return disk_bytes(tasks, layers)
+    return disk_bytes(tasks, layers, num_workers)

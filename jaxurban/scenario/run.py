@@ -196,7 +196,7 @@ def _run(
         if resources.cluster is None:
             at_most = resources.num_workers, resources.num_processes or 0, resources.gpus
             plan = plan_run(tasks, resources.memory_bytes, *at_most)
-        LOG.info(plan_sentence(tasks, plan, check_disk(tasks, folder, layers)))
+        LOG.info(plan_sentence(tasks, plan, check_disk(tasks, folder, layers, plan.num_workers)))
         if added is not None and has_other_maps(folder, key):
             LOG.info(f"adding to the maps in {str(folder)!r}, which are kept: {added.what}")
         # Nothing of an older job is touched before this one can begin.
