@@ -8,11 +8,12 @@ more.
 import math
 
 import numpy as np
-from scipy.ndimage import binary_dilation, distance_transform_edt
+from scipy.ndimage import binary_dilation, distance_transform_edt, minimum_filter
 
 from jaxurban.errors import InputError
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.paths.export.base import Z_DECIMALS
+from jaxurban.paths.export.waypoints import GROUND_TOLERANCE_M
 from jaxurban.planners.base import Cell
 
 # What a file may take from a clearance: 8 mm by the seventh decimal of a degree, and up to 35 mm where a program draws
@@ -20,11 +21,12 @@ from jaxurban.planners.base import Cell
 FILE_MARGIN_M = 0.05
 
 
-def obstacles_within(maps: MetricMaps, altitude_m: float, vertical_m: float) -> np.ndarray:
+def obstacles_within(maps: MetricMaps, altitude_m: float, horizontal_m: float, vertical_m: float) -> np.ndarray:
     """Return ``[Y, X]`` bool: a roof that touches the cell reaches an altitude, or ends less than ``vertical_m`` below.
 
     Cells without data and roofs of unknown height count, bare ground does not. The altitude is taken as files round it
-    where that is lower.
+    where that is lower. Over terrain a roof is as high as it is over the lowest ground within ``horizontal_m``, from
+    which a path may pass it, and a mission may miss the height above ground by `GROUND_TOLERANCE_M`.
 
     Raises:
       InputError: maps that hold no touched roofs.
@@ -36,10 +38,21 @@ def obstacles_within(maps: MetricMaps, altitude_m: float, vertical_m: float) -> 
         )
     roof_m = maps.m("roof_touched")
     reached_m = np.float32(min(altitude_m, round(altitude_m, Z_DECIMALS)) - vertical_m)
-    is_obstacle = (roof_m >= reached_m) & (roof_m > 0) | np.isnan(roof_m) | ~maps.ds["has_data"].values
+    over_m = roof_m
+    if "terrain" in maps.ds:
+        reached_m -= np.float32(GROUND_TOLERANCE_M)
+        over_m = roof_m + _over_lowest_ground_m(maps, horizontal_m)
+    is_obstacle = (over_m >= reached_m) & (roof_m > 0) | np.isnan(roof_m) | ~maps.ds["has_data"].values
     if altitude_m in maps.altitudes_m:
         is_obstacle |= maps.m("obstacle", altitude_m) != 0
     return is_obstacle
+
+
+def _over_lowest_ground_m(maps: MetricMaps, reach_m: float) -> np.ndarray:
+    """Return ``[Y, X]`` how much higher each cell's ground is than the lowest known within a reach (and more) of it."""
+    ground_m = np.where(maps.ds["has_data"].values, maps.m("terrain"), np.inf)
+    cells = min(math.ceil(reach_m / maps.grid.resolution_m) + 1, max(ground_m.shape))  # squares, not centres, so near
+    return np.where(np.isfinite(ground_m), ground_m - minimum_filter(ground_m, 2 * cells + 1, mode="nearest"), 0.0)
 
 
 def distance_to_obstacles_m(is_obstacle: np.ndarray, resolution_m: float) -> np.ndarray:
@@ -66,15 +79,17 @@ def closed_by_clearance(maps: MetricMaps, altitude_m: float, horizontal_m: float
       horizontal_m: least distance to obstacles and to the maps' border, beside `FILE_MARGIN_M`; 0 keeps none.
       vertical_m: least height over roofs; those less far below the altitude are obstacles too.
     """
-    is_obstacle = obstacles_within(maps, altitude_m, vertical_m)
+    is_obstacle = obstacles_within(maps, altitude_m, horizontal_m, vertical_m)
     if horizontal_m == 0:
         return is_obstacle
     return distance_to_obstacles_m(is_obstacle, maps.grid.resolution_m) < horizontal_m + FILE_MARGIN_M
 
 
-def nearest_said(maps: MetricMaps, altitude_m: float, vertical_m: float, cell: Cell) -> tuple[str, bool]:
+def nearest_said(
+    maps: MetricMaps, altitude_m: float, horizontal_m: float, vertical_m: float, cell: Cell
+) -> tuple[str, bool]:
     """Return what a clearance keeps a cell from, a phrase, and whether that is a roof in the cell itself."""
-    is_obstacle = obstacles_within(maps, altitude_m, vertical_m)
+    is_obstacle = obstacles_within(maps, altitude_m, horizontal_m, vertical_m)
     if is_obstacle[cell]:
         roof_m = maps.m("roof_touched")[cell]
         return f"a roof of {roof_m:g} m is there" if roof_m > 0 else "what stands there is not known", True

@@ -307,7 +307,7 @@ class Constraints:
                 bounds.append(f"the bound {bound} (it is {value:g} there{_at(held_m, altitude_m)})")
         vertical_m = self.vertical_clearance_m
         if self.keeps_clear and closed_by_clearance(maps, altitude_m, self._horizontal_m, vertical_m)[cell]:
-            phrase, is_over = nearest_said(maps, altitude_m, vertical_m, cell)
+            phrase, is_over = nearest_said(maps, altitude_m, self._horizontal_m, vertical_m, cell)
             said = clearances_said(self.to_dict())
             kept = said[-1:] if is_over else said[: len(said) - bool(vertical_m)]
             return [*zones, *bounds, f"the {' and the '.join(kept)} ({phrase})"]
