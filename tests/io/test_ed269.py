@@ -286,6 +286,7 @@ def test_an_outline_that_crosses_itself_closes_all_that_it_encloses_and_is_told(
         (circle(0), "a circle of 0 m around"),
         (circle(1e9), "at most 300000 m"),
         (circle(100, centre=(0, 89.9)), "not at a pole"),
+        (circle(10**400), "cannot be read"),
         (polygon(horizontalProjection=None), "a part is missing, or is of another kind"),
         (circle(100, uom="NM"), "a part is missing, or is of another kind"),
         (circle(100, centre=()), "cannot be read"),
@@ -335,3 +336,10 @@ def test_a_circle_and_a_polygon_across_the_antimeridian_are_closed_on_both_sides
         with said:
             (read,) = read_zones(written(tmp_path / "z.json", zone(volume)))
         assert touched_cells(read.on(grid), grid).all()
+
+
+@pytest.mark.parametrize("time", ["0001-01-01T00:00:00Z", "9999-12-31T23:59:59Z"])
+def test_at_the_ends_of_time_a_zone_is_in_force(tmp_path, time):
+    daily = {"schedule": [{"day": ["MON"]}]}
+    (read,) = read_zones(written(tmp_path / "z.json", zone(polygon(), applicability=[daily])))
+    assert read.is_in_force(datetime.fromisoformat(time))

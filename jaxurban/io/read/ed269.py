@@ -148,7 +148,14 @@ def _volumes(feature: Json, label: str) -> Iterator[tuple[Json, shapely.Geometry
     for volume in volumes:
         try:
             yield (volume, _projection(volume)) if ed269 else ({**(volume.get("layer") or {})}, _outline(volume))
-        except (LookupError, TypeError, ValueError, AttributeError, shapely.errors.ShapelyError) as error:
+        except (
+            LookupError,
+            TypeError,
+            ValueError,
+            ArithmeticError,
+            AttributeError,
+            shapely.errors.ShapelyError,
+        ) as error:
             why = str(error) if isinstance(error, ValueError) else "a part is missing, or is of another kind"
             raise InputError(f"the outline of the no-fly zone {label} cannot be read ({why}): mend the file") from error
 

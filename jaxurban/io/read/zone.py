@@ -125,7 +125,10 @@ class Zone:
 
     def is_in_force(self, time: datetime) -> bool:
         """Whether the zone is in force at a time (with its offset) or within `FLIGHT` after it."""
-        return not self.periods or any(period.meets(time, time + FLIGHT) for period in self.periods)
+        try:
+            return not self.periods or any(period.meets(time, time + FLIGHT) for period in self.periods)
+        except OverflowError:  # beside the first or the last day that has a date
+            return True
 
     def _seen_in(self, box: shapely.Geometry) -> list[shapely.Geometry]:
         """Return the outline, once more a turn on and a turn back where it or a box reaches across the antimeridian."""
