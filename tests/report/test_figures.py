@@ -335,6 +335,7 @@ def test_notes_break_between_facts_and_within_one_only_where_it_is_too_long():
     lines = _wrapped(joined("a" * 20, "b" * 20, "c d" * 12, "e"), 4.0)  # 56 letters
     assert lines == [joined("a" * 20, "b" * 20), joined("c d" * 12, "e")]
     assert _wrapped("word " * 20 + "\nnext", 4.0)[-1] == "next"
+    assert _wrapped("a" * 53 + " 95 % of them", 4.0) == ["a" * 53, "95 % of them"]
 
 
 def test_the_median_is_told_where_it_is_shown(maps):
@@ -427,6 +428,8 @@ def all_figures(maps):
     yield plotting.plot_population(maps)
     yield plotting.show_degrees(plotting.plot_obstacles(maps), maps.grid)
     yield plotting.plot_epochs(at_epochs(10, maps))
+    many = [make_path(maps, f"a planner of a long name {number}", z) for number in range(9) for z in ALTITUDES_M]
+    yield plotting.plot_paths(maps, many)
 
 
 @pytest.mark.parametrize(("rows", "cols"), [(34, 40), (51, 39), (100, 50), (20, 60), (90, 12)])
@@ -527,6 +530,20 @@ def test_maps_without_population_are_drawn_without_it(tmp_path):
     assert [panel.get_title(loc="left") for panel in panels] == ["20 m", "60 m", "122 m", "600 m"]
     with pytest.raises(InputError, match="hold no population"):
         plotting.plot_population(maps)
+
+
+def test_maps_without_a_value_a_free_cell_or_a_building_are_drawn():
+    nothing, closed, empty = make_maps(), make_maps(), make_maps()
+    for values in nothing.ds.values():
+        values[:] = np.nan if values.dtype.kind == "f" else 0
+    closed.ds["obstacle"][:] = 1
+    for name in ("roof", "obstacle", "density", "population"):
+        empty.ds[name][:] = 0
+    for maps in (nothing, closed, empty):
+        for draw in maps_figures(maps, {}).values():
+            assert draw().axes
+    assert "no data" in texts_of(plotting.plot_obstacles(nothing))
+    assert "no free cell" in texts_of(plotting.plot_metric(closed, "risk"))
 
 
 def test_what_cannot_be_drawn_is_named(maps):

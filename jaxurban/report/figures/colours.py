@@ -41,6 +41,12 @@ class Colours:
         return colormaps.get_cmap(self.cmap)(self.norm(values), **options)
 
 
+def ends_of(values: np.ndarray) -> tuple[float, float]:
+    """Return the least and the greatest value, 0 and 0 where none is known."""
+    known = values[np.isfinite(values)]
+    return (float(known.min()), float(known.max())) if known.size else (0.0, 0.0)
+
+
 def tick_label(value: float) -> str:
     """Return a number of a colour bar: whole from 100 on, with commas, else with three digits."""
     return f"{value:,.0f}" if abs(value) >= 100 else f"{value:.3g}"

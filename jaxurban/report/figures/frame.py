@@ -157,7 +157,7 @@ def head_room_in(note: str, width_in: float) -> float:
 def _wrapped(note: str, width_in: float) -> list[str]:
     """Return the lines of a note, broken between facts, and within one only where it is longer than a line."""
     lines: list[str] = []
-    for line in note.splitlines():
+    for line in note.replace(" %", "\N{NO-BREAK SPACE}%").splitlines():
         shown = ""
         for fact in line.split(GAP):
             if shown and len(together := f"{shown}{GAP}{fact}") <= int(width_in * LETTERS_PER_IN):
@@ -167,7 +167,7 @@ def _wrapped(note: str, width_in: float) -> list[str]:
             lines += [*filter(None, [shown]), *whole]
             shown = last
         lines.append(shown)
-    return lines
+    return [line.replace("\N{NO-BREAK SPACE}", " ") for line in lines]
 
 
 def _best_layout(num: int, tall: float, footer_in: float) -> tuple[int, int, float, float]:

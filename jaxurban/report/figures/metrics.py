@@ -14,7 +14,7 @@ from jaxurban.metrics.custom import colour_of
 from jaxurban.metrics.gps import GpsParams
 from jaxurban.metrics.rating import RATING_UPPER_GDOP, Rating, rating
 from jaxurban.metrics.registry import METRICS, find_metric
-from jaxurban.report.figures.colours import Colours
+from jaxurban.report.figures.colours import Colours, ends_of
 from jaxurban.report.figures.frame import (
     NO_DATA_PATCH,
     OBSTACLE_COLOUR,
@@ -238,7 +238,8 @@ def plot_obstacles(maps: GivenMaps, *, altitudes_m: Sequence[float] | None = Non
     has_data = maps.ds["has_data"].values
     panels = [
         (
-            f"{z:g} m  ·  {percent(maps.m('obstacle', z)[has_data].mean())} blocked",
+            f"{z:g} m  ·  "
+            + (f"{percent(maps.m('obstacle', z)[has_data].mean())} blocked" if has_data.any() else "no data"),
             [flat_layer(has_data, FREE_COLOUR), obstacle_layer(maps, z, BUILT_COLOUR)],
         )
         for z in altitudes_m or maps.altitudes_m
@@ -335,7 +336,7 @@ def plot_population(maps: GivenMaps) -> Figure:
     if "density" not in maps.ds:
         raise InputError("these maps hold no population: give [population] sources in the scenario and make them again")
     cell_km2 = maps.grid.resolution_m**2 / 1e6
-    colours = density_colours(float(np.nanmax(maps.ds["density"].values)))
+    colours = density_colours(ends_of(maps.ds["density"].values)[1])
     panels = []
     for item in maps.times_of_day:
         values = maps.m("density", time_of_day=item)
@@ -360,7 +361,7 @@ def roof_layers(maps: MetricMaps) -> list[MapLayer]:
     """Return roof heights as they are drawn, white where there is no roof."""
     roof_m = maps.m("roof")
     values = np.where(roof_m > 0, roof_m, np.float32(np.nan))
-    return [flat_layer(roof_m == 0, EMPTY_COLOUR), MapLayer(values, roof_colours(float(np.nanmax(roof_m))))]
+    return [flat_layer(roof_m == 0, EMPTY_COLOUR), MapLayer(values, roof_colours(ends_of(roof_m)[1]))]
 
 
 def plot_heights(maps: GivenMaps) -> Figure:
@@ -370,10 +371,10 @@ def plot_heights(maps: GivenMaps) -> Figure:
     """
     maps = as_maps(maps)
     roofs = roof_layers(maps)
-    titles = [f"roofs above ground, up to {np.nanmax(maps.m('roof')):.0f} m"]
+    titles = [f"roofs above ground, up to {ends_of(maps.m('roof'))[1]:.0f} m"]
     if "terrain" in maps.ds:
         terrain_m = maps.m("terrain")
-        low_m, high_m = float(np.nanmin(terrain_m)), float(np.nanmax(terrain_m))
+        low_m, high_m = ends_of(terrain_m)
         titles.append(f"terrain, {low_m:.0f} to {high_m:.0f} m")
         ground = MapLayer(terrain_m, Colours(HEIGHT_COLOUR_MAP, Normalize(low_m, max(high_m, low_m + 1))))
     frame = make_frame(maps.grid, titles, "Heights (m)", frame_note(maps, has_sky=False), footer_in=0.4)

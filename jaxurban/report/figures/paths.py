@@ -15,8 +15,9 @@ from matplotlib.patheffects import Normal, Stroke
 from jaxurban.errors import InputError
 from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
 from jaxurban.paths.path import PlannedPath
-from jaxurban.report.figures.colours import SMALL_PT, Colours
+from jaxurban.report.figures.colours import SMALL_PT, Colours, ends_of
 from jaxurban.report.figures.frame import (
+    SLOT_IN,
     Frame,
     MapLayer,
     add_bar_below,
@@ -48,7 +49,8 @@ OTHER_COLOURS = ("#e377c2", "#17becf", "#bcbd22", "#8c564b", "#aec7e8", "#ffbb78
 COST_ENDS = "0: best free cell, 1: worst"
 COST_COLOURS = Colours("gray", Normalize(0, 1), f"$H_\\mathrm{{norm}}$\n({COST_ENDS})")
 BLOCKED_COLOUR = "#d9c08c"  # obstacles over the grey cost map
-LINE_IN = 0.17  # height of a legend line
+LINE_IN, LEGEND_LETTER_IN = 0.17, 0.06  # height of a legend line, width of a letter
+HANDLE_LETTERS, KEY_LETTERS = 5, 17  # that a legend's line takes; of a name in the key column
 FOOTER_IN = 0.62  # under a panel of the overview: a colour bar and two lines
 MOST_WIDER_PT = 7.2  # of the first of several paths, whose lines narrow one after the other
 EDGE_PT = 0.25  # of the dark edge of a path, by which paths that coincide are told apart without their colours
@@ -150,8 +152,7 @@ def plot_paths(
 
 def _total_colours(totals: Sequence[np.ndarray]) -> Colours:
     """Return one grey scale over all free cells of several sums of costs, NaN elsewhere."""
-    known = np.concatenate([total[np.isfinite(total)] for total in totals])
-    low, high = (float(known.min()), float(known.max())) if len(known) else (0.0, 1.0)
+    low, high = ends_of(np.concatenate([total.ravel() for total in totals]))
     label = "$H_\\mathrm{total}$, sum of the costs, each weighing 1\n(lower is better)"
     return Colours("gray", Normalize(low, max(high, low + 1e-6)), label)
 
@@ -215,8 +216,17 @@ def draw_ends(panel: Axes, paths: Sequence[PlannedPath]) -> None:
     mark_ends(panel, found.xy_m[0], found.xy_m[-1])
 
 
+def shortened(name: str, most: int) -> str:
+    """Return a name of at most so many letters, its end cut off where it is longer."""
+    return name if len(name) <= most else f"{name[: max(most - 1, 1)]}…"
+
+
 def legend_below(panel: Axes, frame: Frame, handles: Sequence[Line2D]) -> None:
     """Write a panel's legend, if it has one, in its footer."""
+    most = int(max(frame.panel_in[0], SLOT_IN) / LEGEND_LETTER_IN) - HANDLE_LETTERS
+    for handle in handles:
+        name, _, told = str(handle.get_label()).rpartition(": ")
+        handle.set_label(f"{shortened(name, most - len(told) - 2)}: {told}")
     if handles:
         panel.legend(
             handles=list(handles),
@@ -267,7 +277,7 @@ def plot_overview(maps: GivenMaps, paths: Paths, *, altitude_m: float | None = N
         if name == "roof":
             layers = roof_layers(maps)
         elif name == "density":
-            highest = float(np.nanmax(maps.ds[name].values))
+            highest = ends_of(maps.ds[name].values)[1]
             layers = density_layers(maps.m(name, time_of_day=time_of_day), density_colours(highest))
         elif name == "cost":
             layers, label = cost_layers(maps, z, time, time_of_day)[::-1], COST_ENDS
@@ -282,7 +292,7 @@ def plot_overview(maps: GivenMaps, paths: Paths, *, altitude_m: float | None = N
     draw_ends(frame.axes[-1], planned)
     lines = [
         (
-            path.search.planner + ("" if path.status.has_path else f"\n({path.status.value})"),
+            shortened(path.search.planner, KEY_LETTERS) + ("" if path.status.has_path else f"\n({path.status.value})"),
             colours[path.search.planner],
         )
         for path in planned

@@ -191,7 +191,8 @@ def plot_sobol_shares(shares: pd.DataFrame) -> Figure:
     figure, axes = panels(
         max(1, len(outcomes)),
         "Which weights decide what routes are like",
-        f"total Sobol shares, means over routes; pale: not told from 0; {INTERVALS}; cut at {SHARES_SHOWN[1]:g}",
+        "total Sobol shares, means over routes; pale: not told from 0; "
+        f"{INTERVALS}; triangles: above {SHARES_SHOWN[1]:g}",
         shares_y=True,
         gap_in=(0.35, 0.8),
     )
@@ -202,6 +203,8 @@ def plot_sobol_shares(shares: pd.DataFrame) -> Figure:
             if which.any():
                 look = {"color": CLUSTER_COLOURS[1], "marker": "o", "alpha": alpha}
                 dots(panel, np.flatnonzero(which).astype(float), rows[which], "share", look)
+        beyond = np.flatnonzero((rows.share > SHARES_SHOWN[1]).to_numpy())
+        panel.plot(beyond, np.full(len(beyond), SHARES_SHOWN[1]), "^", color=CLUSTER_COLOURS[1], clip_on=False)
         panel.set_xticks(range(len(names)), names)
         panel.set(title=outcome_label(str(outcome)), xlim=(-0.6, len(names) - 0.4))
     axes[0].set_ylim(0, SHARES_SHOWN[1])
