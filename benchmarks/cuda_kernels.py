@@ -87,7 +87,6 @@ ALTITUDES_M = array(4)
 NUM_SATELLITES, NUM_LAYERS, NUM_POINTS = 9, 4, 64
 AZIMUTH_RAD, ELEVATION_RAD = np.linspace(0.3, 6.0, NUM_SATELLITES), np.linspace(0.3, 1.2, NUM_SATELLITES)
 WORDS = array(1, 4, *REGION, dtype=jnp.uint32)
-TILE_WORDS = array(1, 4, *TILE, dtype=jnp.uint32)
 
 
 def line(shape: tuple[int, ...]) -> sweep.Line:
@@ -265,8 +264,6 @@ KERNELS: dict[str, Callable[[], Call]] = {
         (array(*SURFACE), None, ALTITUDES_M, lines(), None),
         DOUBLED | {"window": WINDOW[:4]},
     ),
-    "shadows: turned": lambda: Call(visibility._empty_and_turned, (array(*SURFACE), None), {"shape": WORDS.shape}),
-    "shadows: joined": lambda: Call(visibility._joined, (WORDS, array(1, 4, *REGION[::-1], dtype=jnp.uint32))),
     "surface: cut": lambda: Call(surface._cut, (part(REGION),)),
     "recipe: a layer": lambda: Call(recipe._at, (WORDS, WHOLE)),
     "recipe: roofs and obstacles": lambda: Call(recipe._roofs_and_obstacles, (part(REGION), ALTITUDES_M)),
@@ -277,16 +274,6 @@ KERNELS: dict[str, Callable[[], Call]] = {
     "shadows: height": lambda: Call(sweep.shadow_height, (array(*SURFACE), line(SURFACE))),
     "shadows: sweep": lambda: Call(sweep.sweep, (array(*SURFACE), line(SURFACE))),
     "shadows: height in a ring": lambda: Call(sweep.shadow_height, (array(*TILE), line(GROWN), RING)),
-    "shadows: hand on": lambda: Call(sweep.hand_on, (array(*TILE), line(GROWN), RING)),
-    "shadows: mark visible": lambda: Call(
-        sweep.mark_visible, (WORDS, array(*SURFACE), None, ALTITUDES_M, line(SURFACE), WHOLE, (WHOLE, WHOLE))
-    ),
-    "shadows: mark visible, terrain": lambda: Call(
-        sweep.mark_visible, (WORDS, array(*SURFACE), array(*REGION), ALTITUDES_M, line(SURFACE), WHOLE, (WHOLE, WHOLE))
-    ),
-    "shadows: mark visible in a ring": lambda: Call(
-        sweep.mark_visible_within, (TILE_WORDS, array(*TILE), None, ALTITUDES_M, line(GROWN), WHOLE, RING)
-    ),
     "shadows: supersampled": lambda: Call(
         fine_shadows.band_shadow_height,
         (array(*FINE), BANDS, NUMBER, (WHOLE, WHOLE)),

@@ -117,7 +117,7 @@ def _metric_bytes(task: MapTask, tile: Grid) -> float:
 
 def _gps_bytes(task: MapTask, tile: Grid, metric: Metric) -> float:
     cells, altitudes = _num_cells(tile), len(task.params.altitudes_m)
-    words = cells * (16 * altitudes + 48)  # before and after a satellite; one altitude's maps
+    words = cells * (16 * altitudes + 48)  # of up to 64 satellites, twice if supersampled; one altitude's maps
     return words + (0 if task.keeps_times else cells * 4 * task.num_times * altitudes)
 
 

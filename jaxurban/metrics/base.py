@@ -1,5 +1,6 @@
 """What a metric is: its parameters, its maps, its cost and how it is shown; and what it may look at."""
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -18,12 +19,21 @@ if TYPE_CHECKING:
 
 AnyArray = Array | np.ndarray
 ALTITUDE, TIME, TIME_OF_DAY = "altitude", "time", "time_of_day"
+JAX_ALIGNMENT = 64  # bytes, of arrays that JAX computes on as they are
 
 
 def in_type(values: Any, dtype: DTypeLike) -> AnyArray:
     """Return numbers as an array of a type; on the host, where no program is compiled for it, if JAX holds none yet."""
     is_held = any(isinstance(value, jax.Array) for value in jax.tree.leaves(values))
     return jnp.asarray(values, dtype) if is_held else np.asarray(values, dtype)
+
+
+def zeros_for_jax(shape: tuple[int, ...], dtype: DTypeLike) -> np.ndarray:
+    """Return an array of zeros to be filled on the host that `jax.device_put` takes over on a CPU without copying."""
+    num_bytes = math.prod(shape) * np.dtype(dtype).itemsize
+    memory = np.zeros(num_bytes + JAX_ALIGNMENT, np.uint8)
+    start = -memory.ctypes.data % JAX_ALIGNMENT
+    return memory[start : start + num_bytes].view(dtype).reshape(shape)
 
 
 def high_is_bad(m: AnyArray) -> AnyArray:

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import NamedTuple
 
@@ -23,21 +22,10 @@ from jaxurban.kernels.shadows.doubling import (
     words_of,
 )
 from jaxurban.kernels.shadows.soft import shadow_heights
-from jaxurban.kernels.shadows.sweep import (
-    EAST,
-    NORTH,
-    SOUTH,
-    WEST,
-    WORD_BITS,
-    Line,
-    Ring,
-    digital_lines,
-    hand_on,
-    mark_visible,
-    mark_visible_within,
-    stacked,
-)
-from jaxurban.metrics.base import AnyArray, in_type
+from jaxurban.kernels.shadows.sweep import WORD_BITS, Line, Ring, digital_lines, stacked
+from jaxurban.kernels.shadows.sweep_cpu import hand_on, mark_visible
+from jaxurban.metrics.base import AnyArray, in_type, zeros_for_jax
+from jaxurban.world.grid import Grid
 from jaxurban.world.surface import Surface
 
 LEAST_DROP_M = 1e-9  # a ray on the horizon never climbs above a roof
@@ -159,25 +147,10 @@ def _doubled_words(
     return words_of(shadows_m, ground_m, altitudes_m)
 
 
-@partial(jax.jit, static_argnames="shape")
-def _empty_and_turned(
-    top_m: Array, ground_m: Array | None, *, shape: tuple[int, ...]
-) -> tuple[Array, Array, Array, Array | None]:
-    """Return words of no satellite, then these, tops and ground turned: with the last two axes exchanged."""
-    words = jnp.zeros(shape, jnp.uint32)
-    return words, words.mT, top_m.mT, None if ground_m is None else ground_m.mT
-
-
-@jax.jit
-def _joined(along_rows: Array, along_cols: Array) -> Array:
-    """Return the words of both kinds of lines, the second kind's transposed."""
-    return along_rows | along_cols.mT
-
-
 def handed_on(
     top_m: Float[Array, "Y X"], lines: Sequence[Line], rings: Sequence[Ring], shape: KernelShape | None = None
 ) -> Ring:
-    """Return what a grid hands on to its neighbours (`jaxurban.kernels.shadows.sweep.hand_on`), stacked along ``S``.
+    """Return what a grid hands on to its neighbours, as `jaxurban.kernels.shadows.sweep_cpu.hand_on` says.
 
     Args:
       top_m: absolute height of roofs and bare ground.
@@ -188,11 +161,11 @@ def handed_on(
     if (shape or kernel_shape()) == "doubling":
         passes = num_passes(max(top_m.shape) + 2)
         return hand_on_at_once(top_m, stacked(lines), _stacked_rings(rings), passes=passes)
-    return _stacked_rings([hand_on(top_m, line, ring) for line, ring in zip(lines, rings, strict=True)])
+    return hand_on(np.asarray(top_m), stacked(lines), _stacked_rings(rings))
 
 
 def _stacked_rings(rings: Sequence[Ring]) -> Ring:
-    return Ring(*(jnp.asarray(np.stack(values)) for values in zip(*rings, strict=True)))
+    return Ring(*(np.stack(values) for values in zip(*rings, strict=True)))
 
 
 def visibility(
@@ -223,42 +196,41 @@ def visibility(
       InputError: a satellite below the horizon.
     """
     azimuth, elevation = above_horizon(azimuth_rad, elevation_rad)
-    region = surface.region
+    altitudes = in_type(altitudes_m, surface.roof_m.dtype)
+    if len(azimuth) and (shape or kernel_shape()) == "doubling":
+        return _doubled(surface, azimuth, elevation, altitudes, rings)
+    rows, cols = surface.window
+    words = zeros_for_jax((max(1, -(-len(azimuth) // WORD_BITS)), *altitudes.shape, *surface.region.shape), np.uint32)
+    if not len(azimuth):
+        return jax.device_put(words)
+    top_m, grid, first_cell = np.asarray(surface.top_m), surface.grid, (rows.start, cols.start)
+    if rings is not None:
+        top_m, grid, first_cell = np.ascontiguousarray(top_m[rows, cols]), surface.region, (0, 0)
+    ground_m = None if surface.terrain_m is None else np.ascontiguousarray(np.asarray(surface.terrain_m)[rows, cols])
+    lines = stacked(_lines_over(grid.padded(1, 1, 1, 1), azimuth, elevation))
+    ring = None if rings is None else _stacked_rings(rings)
+    mark_visible(words, top_m, ground_m, np.asarray(altitudes), lines, first_cell, ring)
+    return jax.device_put(words)
+
+
+def _lines_over(grid: Grid, azimuth: np.ndarray, elevation: np.ndarray) -> list[Line]:
+    return digital_lines(azimuth, elevation, grid.resolution_m, grid.first_row, grid.first_col, grid.shape)
+
+
+def _doubled(
+    surface: Surface, azimuth: np.ndarray, elevation: np.ndarray, altitudes: AnyArray, rings: Sequence[Ring] | None
+) -> Array:
+    """Return the words by doubling; arguments as in `visibility`."""
     rows, cols = surface.window
     grid, top_m = surface.grid, surface.top_m
     if rings is not None:
-        grid, top_m = region.padded(1, 1, 1, 1), surface.crop(top_m)
-    altitudes = in_type(altitudes_m, surface.roof_m.dtype)
+        grid, top_m = surface.region.padded(1, 1, 1, 1), surface.crop(top_m)
     ground_m = None if surface.terrain_m is None else surface.crop(surface.terrain_m)
-    shape_of_words = max(1, -(-len(azimuth) // WORD_BITS)), *altitudes.shape, *region.shape
-    lines = digital_lines(azimuth, elevation, grid.resolution_m, grid.first_row, grid.first_col, grid.shape)
-    if lines and (shape or kernel_shape()) == "doubling":
-        ring = None if rings is None else _stacked_rings(rings)
-        highest_m = max(float(jnp.max(values)) for values in (top_m, *(ring or ())))
-        rise_m = highest_m - float(altitudes.min() + (0 if ground_m is None else jnp.min(ground_m)))
-        least_drop_m = max(min(float(line.drop_m) for line in lines), LEAST_DROP_M)
-        passes = num_passes(min(max(grid.shape), rise_m / least_drop_m + 2))
-        window = None if rings is not None else (rows.start, rows.stop, cols.start, cols.stop)
-        return _doubled_words(top_m, ground_m, altitudes, stacked(lines), ring, passes=passes, window=window)
-    if rings is not None:
-        words = jnp.zeros(shape_of_words, jnp.uint32)
-        for s, (line, ring) in enumerate(zip(lines, rings, strict=True)):
-            words = mark_visible_within(words, top_m, ground_m, altitudes, line, s, ring)
-        return words
-    has_x64 = jnp.result_type(float) == jnp.float64
-
-    def mark_all(headings: tuple[int, int], words: Array, top_m: Array, ground_m: Array | None, cell: tuple) -> Array:
-        with jax.enable_x64(has_x64):  # a new thread knows only the global setting
-            for s, line in enumerate(lines):
-                if line.heading in headings:
-                    words = mark_visible(words, top_m, ground_m, altitudes, line, s, cell)
-        return words
-
-    # Lines that head east or west are swept on transposed arrays, made once; the two kinds at the same time.
-    words, words_turned, top_turned_m, ground_turned_m = _empty_and_turned(top_m, ground_m, shape=shape_of_words)
-    with ThreadPoolExecutor(2) as threads:
-        along_rows = threads.submit(mark_all, (NORTH, SOUTH), words, top_m, ground_m, (rows.start, cols.start))
-        along_cols = threads.submit(
-            mark_all, (EAST, WEST), words_turned, top_turned_m, ground_turned_m, (cols.start, rows.start)
-        )
-    return _joined(along_rows.result(), along_cols.result())
+    lines = _lines_over(grid, azimuth, elevation)
+    ring = None if rings is None else _stacked_rings(rings)
+    highest_m = max(float(jnp.max(values)) for values in (top_m, *(ring or ())))
+    rise_m = highest_m - float(altitudes.min() + (0 if ground_m is None else jnp.min(ground_m)))
+    least_drop_m = max(min(float(line.drop_m) for line in lines), LEAST_DROP_M)
+    passes = num_passes(min(max(grid.shape), rise_m / least_drop_m + 2))
+    window = None if rings is not None else (rows.start, rows.stop, cols.start, cols.stop)
+    return _doubled_words(top_m, ground_m, altitudes, stacked(lines), ring, passes=passes, window=window)

@@ -93,7 +93,7 @@ def shadow_heights_at_once(
 
 @partial(jax.jit, static_argnames="passes")
 def hand_on_at_once(top_m: Float[Array, "Y X"], lines: Line, rings: Ring, *, passes: int) -> Ring:
-    """Return what `jaxurban.kernels.shadows.sweep.hand_on` does, of every direction; arguments as above."""
+    """Return what `jaxurban.kernels.shadows.sweep_cpu.hand_on` does, of every direction; arguments as above."""
     shadows_m = shadow_heights_at_once(top_m, lines, passes=passes, rings=rings)
     raised_m = top_m + ENTRY_STEPS * jnp.asarray(lines.drop_m, top_m.dtype)[:, None, None]
     carried_m = jnp.maximum(raised_m, shadows_m)

@@ -1,8 +1,11 @@
-"""How high the roofs' shadow reaches above every cell, for one direction: a sweep along digital lines."""
+"""How high the roofs' shadow reaches above every cell, for one direction: a sweep along digital lines.
+
+The definition, with derivatives. Maps come from `jaxurban.kernels.shadows.sweep_cpu` or, on anything wider,
+from `jaxurban.kernels.shadows.doubling`.
+"""
 
 import math
 from collections.abc import Sequence
-from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -10,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jax.typing import ArrayLike
-from jaxtyping import Array, Float, Int, UInt
+from jaxtyping import Array, Float
 
 WORD_BITS = 32  # satellites in one word of a visibility mask
 
@@ -47,10 +50,10 @@ class Ring(NamedTuple):
       west, east: ``[Y]`` columns.
     """
 
-    south: Array
-    north: Array
-    west: Array
-    east: Array
+    south: Array | np.ndarray
+    north: Array | np.ndarray
+    west: Array | np.ndarray
+    east: Array | np.ndarray
 
 
 def digital_line(
@@ -171,102 +174,3 @@ def shadow_height(top_m: Float[Array, "Y X"], line: Line, ring: Ring | None = No
     """
     raised_m = top_m + ENTRY_STEPS * jnp.asarray(line.drop_m, top_m.dtype)
     return sweep(raised_m, line) if ring is None else sweep(within(raised_m, ring), line)[1:-1, 1:-1]
-
-
-@jax.jit
-def hand_on(top_m: Float[Array, "Y X"], line: Line, ring: Ring) -> Ring:
-    """Return what a grid hands on to its neighbours: max(raised, sweep) in its outermost cells.
-
-    The rows are ``[X]`` here, a part of the neighbours' rings. Arguments as in `shadow_height`.
-    """
-    raised_m = top_m + ENTRY_STEPS * jnp.asarray(line.drop_m, top_m.dtype)
-    carried_m = jnp.maximum(raised_m, sweep(within(raised_m, ring), line)[1:-1, 1:-1])
-    return Ring(carried_m[0], carried_m[-1], carried_m[:, 0], carried_m[:, -1])
-
-
-@partial(jax.jit, donate_argnames="words")
-def mark_visible(
-    words: UInt[Array, "W A y x"],
-    top_m: Float[Array, "Y X"],
-    ground_m: Float[Array, "y x"] | None,
-    altitudes_m: Float[Array, " A"],
-    line: Line,
-    satellite: Int[Array, ""] | int,
-    first_cell: tuple[Int[Array, ""] | int, Int[Array, ""] | int],
-) -> UInt[Array, "W A y x"]:
-    """Return the visibility words with one satellite's bit set where it is seen (``words`` is used up).
-
-    It is seen where its `shadow_height` is not above the receiver, to the bit. For a line that heads
-    `EAST` or `WEST` every array comes and goes transposed (and ``first_cell`` turned round): rows then
-    lie in memory as the sweep meets them.
-
-    The sweep stops where the region ends, and marks row by row: shadow heights of all cells, written
-    and read again, took nine times as long on 8 M cells.
-
-    Args:
-      words: satellite ``s`` is bit ``s % 32`` of word ``s // 32``; its bit is still 0.
-      top_m: absolute height of roofs and bare ground, on the surface.
-      ground_m: terrain of the region; None for flat ground.
-      altitudes_m: heights above the ground.
-      line: from `digital_line`, for the surface.
-      satellite: its number.
-      first_cell: row and column of the region's southwest cell in the surface.
-    """
-    num_altitudes, num_rows, num_cols = words.shape[1:]
-    first_row, first_col = first_cell
-    drop_m = jnp.asarray(line.drop_m, top_m.dtype)
-    shifts = jnp.asarray(line.shifts)
-    toward_last = (line.heading == NORTH) | (line.heading == EAST)
-    num_before = jnp.where(toward_last, top_m.shape[0] - first_row - num_rows, first_row)  # rows nearer the source
-    word, bit = satellite // WORD_BITS, jnp.asarray(satellite % WORD_BITS, jnp.uint32)
-
-    def cast(i: Array, beyond_m: Array) -> tuple[Array, Array, Array]:
-        """Return the i-th row from the source, the shadow on it, and what it hands on to the next."""
-        row = jnp.where(toward_last, top_m.shape[0] - 1 - i, i)
-        shadow_m = lax.dynamic_slice(beyond_m, (1 + shifts[row],), top_m.shape[1:]) - drop_m
-        raised_m = lax.dynamic_index_in_dim(top_m, row, keepdims=False) + ENTRY_STEPS * drop_m
-        return row, shadow_m, beyond_m.at[1:-1].set(jnp.maximum(raised_m, shadow_m))
-
-    def mark(i: Array, state: tuple[Array, Array]) -> tuple[Array, Array]:
-        beyond_m, words = state
-        row, shadow_m, beyond_m = cast(i, beyond_m)
-        y = row - first_row
-        receiver_m = altitudes_m[:, None]
-        if ground_m is not None:
-            receiver_m = lax.dynamic_index_in_dim(ground_m, y, keepdims=False) + receiver_m
-        seen = lax.dynamic_slice(shadow_m, (first_col,), (num_cols,)) <= receiver_m
-        corner = (word, 0, y, 0)
-        old = lax.dynamic_slice(words, corner, (1, num_altitudes, 1, num_cols))
-        new = old | (seen.astype(jnp.uint32) << bit)[None, :, None]
-        return beyond_m, lax.dynamic_update_slice(words, new, corner)
-
-    nothing = jnp.full(top_m.shape[1] + 2, -jnp.inf, top_m.dtype)
-    beyond_m = lax.fori_loop(0, num_before, lambda i, beyond_m: cast(i, beyond_m)[2], nothing)
-    return lax.fori_loop(num_before, num_before + num_rows, mark, (beyond_m, words))[1]
-
-
-@partial(jax.jit, donate_argnames="words")
-def mark_visible_within(
-    words: UInt[Array, "W A y x"],
-    top_m: Float[Array, "y x"],
-    ground_m: Float[Array, "y x"] | None,
-    altitudes_m: Float[Array, " A"],
-    line: Line,
-    satellite: Int[Array, ""] | int,
-    ring: Ring,
-) -> UInt[Array, "W A y x"]:
-    """Return what `mark_visible` does, for a grid inside the ring that its neighbours hand on; nothing is transposed.
-
-    Args:
-      words: as in `mark_visible`.
-      top_m: absolute height of roofs and bare ground.
-      ground_m: terrain; None for flat ground.
-      altitudes_m: heights above the ground.
-      line: from `digital_line`, for the grid grown by one cell on each side.
-      satellite: its number.
-      ring: what the grids around this one hand on.
-    """
-    z_m = altitudes_m[:, None, None]
-    seen = shadow_height(top_m, line, ring) <= (z_m if ground_m is None else ground_m + z_m)
-    word, bit = satellite // WORD_BITS, jnp.asarray(satellite % WORD_BITS, jnp.uint32)
-    return words.at[word].set(words[word] | (seen.astype(jnp.uint32) << bit))

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from jaxurban.kernels.shadows.sweep import EAST, ENTRY_STEPS, WEST, digital_line, mark_visible, shadow_height, sweep
+from jaxurban.kernels.shadows.sweep import ENTRY_STEPS, digital_line, shadow_height, sweep
 
 SHAPE = (23, 31)
 FIRST_ROW, FIRST_COL = 901_234, -117_003
@@ -152,23 +152,3 @@ def test_the_derivative_of_a_shadow_is_that_of_its_one_roof():
     expected = np.zeros(SHAPE)
     expected[12, 9] = 1.0
     np.testing.assert_array_equal(slope, expected)
-
-
-@pytest.mark.parametrize("azimuth_deg", AZIMUTHS_DEG)
-def test_visible_satellites_set_their_bit_over_terrain(azimuth_deg):
-    rows, cols = slice(6, 13), slice(8, 17)
-    top_m = random_tops()
-    line = line_of(azimuth_deg, 60.0)
-    ground_m = np.random.default_rng(1).uniform(0, 20, SHAPE).astype(np.float32)[rows, cols]
-    altitudes_m = np.array([10.0, 60.0], np.float32)
-    expected = np.asarray(shadow_height(top_m, line))[rows, cols] <= ground_m + altitudes_m[:, None, None]
-    assert 0 < expected.sum() < expected.size
-    words = jnp.zeros((2, 2, *ground_m.shape), jnp.uint32)
-    first_cell = (rows.start, cols.start)
-    if line.heading in (EAST, WEST):  # swept on transposed arrays
-        words, top_m, ground_m, expected = words.mT, top_m.T, ground_m.T, expected.swapaxes(1, 2)
-        first_cell = first_cell[::-1]
-    for satellite in (0, 31, 32):
-        words = mark_visible(words, top_m, ground_m, altitudes_m, line, satellite, first_cell)
-    np.testing.assert_array_equal(words[0], np.where(expected, np.uint32(1 + 2**31), 0))
-    np.testing.assert_array_equal(words[1], np.where(expected, np.uint32(1), 0))
