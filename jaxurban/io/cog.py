@@ -45,11 +45,13 @@ class _Image:
 
     def add(self, rows: np.ndarray) -> None:
         """Take the next rows ``[y, x]``."""
-        rows = np.concatenate([self._waiting, rows]) if len(self._waiting) else rows
-        while len(rows) >= BLOCK or len(rows) == self.halving.shape[0] - self._num_written > 0:
-            self._write(rows[:BLOCK])
-            rows = rows[BLOCK:]
-        self._waiting = rows.copy()
+        while len(rows):
+            num = BLOCK - len(self._waiting)
+            band, rows = np.concatenate([self._waiting, rows[:num]]) if len(self._waiting) else rows[:num], rows[num:]
+            if len(band) == BLOCK or self._num_written + len(band) == self.halving.shape[0]:
+                self._write(band)
+                band = band[:0]
+            self._waiting = band.copy()
 
     def _write(self, band: np.ndarray) -> None:
         self._file.write(band, 1, window=Window(0, self._num_written, band.shape[1], len(band)))

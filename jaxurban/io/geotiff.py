@@ -210,10 +210,10 @@ def write_geotiffs(
 
 
 def _rows_of(ds: xr.Dataset, name: str, place: tuple[int, ...], rows: slice) -> np.ndarray:
-    """Return rows of a map ``[y, x]``, counted and ordered from the north."""
+    """Return a copy of rows of a map ``[y, x]``, counted and ordered from the north."""
     array = ds.variables[name]
     num_rows = array.shape[-2]
-    return array[(*place, slice(num_rows - rows.stop, num_rows - rows.start))].values[::-1]
+    return array[(*place, slice(num_rows - rows.stop, num_rows - rows.start))].values[::-1].copy()
 
 
 def _write_layer(read: Read, grid: Grid, folder: Path, run_key: str | None, layer: _Layer) -> None:
@@ -239,7 +239,7 @@ def _parts(read: Read, layer: _Layer, num_rows: int) -> Iterator[np.ndarray]:
     """Yield a map from the north to the south, as GeoTIFFs hold it, so many rows at a time as a chunk has."""
     for start in range(0, num_rows, layer.rows_at_once):
         rows = slice(start, min(start + layer.rows_at_once, num_rows))
-        values = read(layer.name, layer.place, rows).astype(layer.dtype)
+        values = read(layer.name, layer.place, rows).astype(layer.dtype, copy=False)
         if layer.name != "has_data":
             is_hidden = ~read("has_data", (), rows)
             if layer.in_obstacle is not None:

@@ -42,6 +42,7 @@ RISK_CELL_BYTES = 64  # of cells within the risk's threshold: squared distances 
 OTHER_CELL_BYTES = 8  # of a metric that is not measured, by variable: what it computes, and its layer
 SUBCELL_BYTES = 48  # rasters of the supersampled surface, its tops for both directions, and the lidar's order of them
 SPREAD_CELL_BYTES = 4 * 10 * 3  # about ten arrays of each of three metrics
+GEOTIFF_CELL_BYTES = 14  # of a row of tiles, all across the region, while a GeoTIFF is made of it
 PROGRAM_BYTES = 120 * 2**20  # the programs compiled for the tiles of one resolution
 WORKER_BYTES = 700 * 2**20  # a worker process with everything imported, before its first tile
 ENDLESS_BYTES = 2**80  # more than any machine has
@@ -273,7 +274,7 @@ def plan_run(
         shape, region = shape_of_tiles(task), task.region
         tile = replace(region, num_rows=shape[0], num_cols=shape[1])
         num_tiles = max(num_tiles, -(-region.num_rows // shape[0]) * -(-region.num_cols // shape[1]))
-        most_bytes = max(most_bytes, tile_bytes(task, tile))
+        most_bytes = max(most_bytes, tile_bytes(task, tile), shape[0] * region.num_cols * GEOTIFF_CELL_BYTES)
         most_gpu_bytes = max(most_gpu_bytes, tile_gpu_bytes(task, tile))
     fitting = _fitting_on_gpus(most_gpu_bytes, num_workers, gpus)
     return plan_memory(ceiling_bytes, most_bytes, fitting, num_processes, len(tasks), num_tiles)
@@ -304,7 +305,8 @@ def _fitting_on_gpus(per_tile_bytes: int, num_workers: int, gpus: Sequence[Gpu])
 
 def plan_sentence(tasks: Sequence[MapTask], plan: MemoryPlan, disk_bytes: int) -> str:
     """Return what a run tells of its size, memory and disk before it begins."""
-    cells, disk = sum(_num_cells(task.region) for task in tasks), f"about {gib(disk_bytes)} of disk"
+    cells = sum(_num_cells(task.region) for task in tasks)
+    disk = "less than 0.1 GiB of disk" if disk_bytes < 0.1 * 2**30 else f"about {gib(disk_bytes)} of disk"
     if not plan.ceiling_bytes:
         return f"{cells:,} cells on a Dask cluster: {disk}"
     return (

@@ -15,6 +15,7 @@ import shapely
 import jaxurban as ju
 from jaxurban.errors import InputError
 from jaxurban.io import files, store
+from jaxurban.maps.executors import Resources
 from jaxurban.scenario import provenance as record
 from jaxurban.scenario import run as pipeline
 from jaxurban.scenario.settings import Scenario
@@ -71,6 +72,28 @@ def test_only_our_own_scraps_are_swept(tmp_path):
     files.sweep_scraps(tmp_path, tmp_path / "geotiff")
     assert all(path.exists() for path in theirs)
     assert not ours.exists()
+
+
+def test_what_a_killed_worker_left_half_written_is_gone_when_the_run_ends(job, monkeypatch):
+    scrap, (file, *_) = job / "geotiff" / f".gps.tif.0a1b2c3d{files.SCRATCH_SUFFIX}", (job / "geotiff").glob("*.tif")
+    before, write = file.read_bytes(), pipeline.write_geotiffs
+    file.unlink()
+    monkeypatch.setattr(pipeline, "write_geotiffs", lambda *given, **more: (write(*given, **more), scrap.touch()))
+    pipeline.run_scenario(Scenario.from_dict(SETTINGS), job)
+    assert not scrap.exists()
+    assert file.read_bytes() == before
+
+
+@pytest.mark.slow
+def test_worker_processes_write_the_same_geotiffs(tmp_path):
+    for name, resources in (("threads", None), ("processes", Resources(num_processes=2))):
+        pipeline.run_scenario(Scenario.from_dict(SETTINGS), tmp_path / name, resources=resources, layers=("all",))
+    threads, processes = (
+        {file.name: file.read_bytes() for file in (tmp_path / name / "geotiff").iterdir()}
+        for name in ("threads", "processes")
+    )
+    assert len(threads) > 20
+    assert threads == processes
 
 
 def test_a_folder_in_the_way_of_a_file_is_kept(tmp_path, capsys):
