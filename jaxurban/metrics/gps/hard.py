@@ -12,7 +12,8 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, UInt, UInt8
 
 from jaxurban.kernels.dop import Geometry, dops_of_words, geometry, unit_vectors
-from jaxurban.metrics.base import AnyArray
+from jaxurban.kernels.patterns import distinct_patterns, look_up
+from jaxurban.metrics.base import JAX_ALIGNMENT, AnyArray, zeros_for_jax
 from jaxurban.metrics.gps.params import GpsParams
 from jaxurban.metrics.obstacle import obstacle_mask
 from jaxurban.metrics.visibility import visibility
@@ -22,6 +23,7 @@ SATELLITES_STEP = 8  # the DOP program is compiled for 8, 16, 24 ... satellites
 BLOCK_CELLS = 2**14  # cells whose DOPs are made at once: what they need in between fits a core's cache
 WIDE_BLOCK_CELLS = 2**22  # the same on a GPU, which has a launch for every block
 TABLE_SATELLITES = 16  # up to here the maps of all subsets are made once and looked up
+LEAST_CELLS_A_PATTERN = 4  # above, on a CPU, those of the subsets that are seen, where so many cells share one
 
 
 @jax.tree_util.register_dataclass
@@ -129,15 +131,49 @@ class SatelliteSet:
 
     def maps(self, words: UInt[Array, "W ..."], is_obstacle: Bool[Array, "..."]) -> GpsMaps:
         """Return the maps of the satellites seen; inside obstacles no satellite is."""
-        if self.table is None:
-            return maps_of_words(words, self.satellites, self.gdop_threshold, is_obstacle)
-        return _looked_up(self.table, words, is_obstacle)
+        if self.table is not None:
+            return _looked_up(self.table, words, is_obstacle)
+        if jax.default_backend() == "cpu" and (found := self._maps_of_patterns(words, is_obstacle)) is not None:
+            return found
+        return maps_of_words(words, self.satellites, self.gdop_threshold, is_obstacle)
 
     def m(self, words: UInt[Array, "W ..."], is_obstacle: Bool[Array, "..."]) -> Float[Array, "*C"]:
         """Return the metric alone."""
         if self.table is None:
             return self.maps(words, is_obstacle).m
         return _looked_up(self.table.m, words, is_obstacle)
+
+    def _maps_of_patterns(self, words: UInt[Array, "W ..."], is_obstacle: Bool[Array, "..."]) -> GpsMaps | None:
+        """Return the maps by way of every subset that is seen, once; None where too few cells share one.
+
+        They are those of `maps_of_words` to the bit, which takes the subsets a block at a time: one program.
+        """
+        shape, num_cells = words.shape[1:], math.prod(words.shape[1:])
+        flat, is_nothing = np.asarray(words).reshape(len(words), -1), np.asarray(is_obstacle).ravel()
+        distinct = distinct_patterns(flat, is_nothing, num_cells // LEAST_CELLS_A_PATTERN)
+        if distinct is None:
+            return None
+        patterns, number = distinct
+        num_patterns = patterns.shape[1]
+        values, num_visible = np.empty((num_patterns, 6), np.float32), np.empty((num_patterns, 1), np.uint8)
+        for first in range(0, num_patterns, BLOCK_CELLS):
+            block = np.zeros((len(patterns), BLOCK_CELLS), np.uint32)
+            part = patterns[:, first : first + BLOCK_CELLS]
+            block[:, : part.shape[1]] = part
+            made = maps_of_words(block, self.satellites, self.gdop_threshold)
+            rows = slice(first, first + part.shape[1])
+            of_all = (made.m, made.gdop, made.pdop, made.hdop, made.vdop, made.tdop)
+            values[rows] = np.stack(of_all, axis=1)[: part.shape[1]]
+            num_visible[rows, 0] = np.asarray(made.num_visible)[: part.shape[1]]
+        return GpsMaps(*_spread(values, number, shape), *_spread(num_visible, number, shape))
+
+
+def _spread(table: np.ndarray, number: np.ndarray, shape: tuple[int, ...]) -> list[Array]:
+    """Return each column of a table ``[P, V]`` at the cells, whose rows are numbered."""
+    width = -(-len(number) // JAX_ALIGNMENT) * JAX_ALIGNMENT  # every column begins where JAX takes it as it is
+    found = zeros_for_jax((table.shape[1], width), table.dtype)[:, : len(number)]
+    look_up(table, number, found)
+    return [jax.device_put(column.reshape(shape)) for column in found]
 
 
 @jax.jit
