@@ -13,7 +13,6 @@ import pyogrio
 import shapely
 
 from jaxurban.errors import InputError, readable
-from jaxurban.io.read.geoparquet import read_near_parquet
 from jaxurban.io.read.heights import is_given
 from jaxurban.io.read.near import Near, extent_of, near_rows
 from jaxurban.io.read.outlines import Outlines, polygonal
@@ -133,6 +132,9 @@ def _read_near(path: str | Path, near: Near) -> tuple[gpd.GeoDataFrame, Bounds] 
     name, suffix = _name(path, BUILDINGS), Path(path).suffix.lower()
     with readable(name, "a vector file", WHOLE, *OF_DAMAGED):
         if suffix in PARQUET_SUFFIXES:
+            # Imported here: Parquet's library takes 0.1 s to load, for which other formats need not wait.
+            from jaxurban.io.read.geoparquet import read_near_parquet
+
             found = read_near_parquet(path, near, _is_of_buildings)
         elif suffix in INDEXED_SUFFIXES:
             found = _read_indexed(path, near)
