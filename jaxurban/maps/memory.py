@@ -10,6 +10,7 @@ import psutil
 
 from jaxurban.errors import InputError
 from jaxurban.kernels.distance.exact import window_cells
+from jaxurban.kernels.lidar import flat_cpu
 from jaxurban.kernels.lidar.flat import WORD_BITS, num_steps
 from jaxurban.kernels.lidar.supersampled import halo_cells
 from jaxurban.kernels.lidar.terrain_cpu import TILE
@@ -29,14 +30,13 @@ COMPILING_BYTES = 400 * 2**20  # what JAX and the other libraries take once they
 SURFACE_CELL_BYTES = 20  # rasters on the host and for JAX, and what puts them together
 TERRAIN_CELL_BYTES = 16  # the same of the terrain, and the sum of both
 LIDAR_CELL_BYTES = 16  # of cells within the lidar's range: crops with their halo, and padded (terrain: of both rasters)
-LIDAR_WORD_BYTES = 4.4  # 32 results of a step, and a tenth
 LIDAR_RESULT_BYTES = 24  # of counts and shares of the tile's own cells
 TERRAIN_RESULT_BYTES = 12  # the same over terrain
-LOOK_BYTES = 64  # over terrain: a look of a ray, while equal ones are joined (`kernels.lidar.terrain.distinct_looks`)
+LOOK_BYTES = 64  # a look of a ray, while equal ones are joined (`kernels.lidar.terrain.distinct_looks`) or listed
 TERRAIN_BLOCK_BYTES = 9  # over terrain: ground, rise and class of cells around the receivers that are taken together
-SUPERSAMPLED_RETURN_BYTES = 4  # supersampled over flat ground: a scan position of a cell, while they are counted
 # What the shapes of kernels for a GPU take beside, as compiled for one (benchmarks/cuda_compile.json).
 SHADOW_GPU_BYTES = 64  # of a satellite over a cell of the tile and its halo: shadows are cast by doubling
+LIDAR_GPU_WORD_BYTES = 4.4  # over flat ground: 32 results of a step, and a tenth
 TERRAIN_GPU_BYTES = 400  # of a tile's own cell: the lidar's rays over terrain
 RISK_CELL_BYTES = 64  # of cells within the risk's threshold: squared distances and what a pass over them holds
 OTHER_CELL_BYTES = 8  # of a metric that is not measured, by variable: what it computes, and its layer
@@ -94,7 +94,8 @@ def tile_gpu_bytes(task: MapTask, tile: Grid) -> int:
     """Return about how many bytes of a GPU's memory the work on one tile takes at its highest."""
     satellites = max(len(task.satellites_at(number)) for number in range(task.num_times))
     shadows = _num_cells(task.with_halo(tile)) * satellites * SHADOW_GPU_BYTES
-    return tile_bytes(task, tile) + shadows + _num_cells(tile) * TERRAIN_GPU_BYTES * task.has_terrain
+    lidar = _num_cells(tile) * TERRAIN_GPU_BYTES if task.has_terrain else _lidar_words_bytes(task, tile)
+    return int(tile_bytes(task, tile) + shadows + lidar * ("lidar" in task.metrics))
 
 
 def whole_bytes(task: MapTask) -> int:
@@ -123,17 +124,30 @@ def _gps_bytes(task: MapTask, tile: Grid, metric: Metric) -> float:
 
 
 def _lidar_bytes(task: MapTask, tile: Grid, metric: Metric) -> float:
-    """Return the bytes of the lidar, which decides on subcells: it keeps a bit a step for every cell in its range.
+    steps = num_steps(tile.resolution_m, task.params.lidar.range_m)
+    halo = steps - 1
+    around = _num_cells(tile, halo) * LIDAR_CELL_BYTES
+    if task.has_terrain:
+        return around + _num_cells(tile) * TERRAIN_RESULT_BYTES + _looks_bytes(task, steps, halo)
+    return around + _num_cells(tile) * LIDAR_RESULT_BYTES + _bitmap_bytes(task, steps, halo)
+
+
+def _bitmap_bytes(task: MapTask, steps: int, halo: int, num_phases: int = 1) -> float:
+    """Return the bytes of the lidar over flat ground whatever the size of the tile: looks, bitmaps, what returned."""
+    (rows, cols), azimuths = flat_cpu.TILE, task.params.lidar.azimuths
+    band = rows // flat_cpu.WORD_BITS
+    bitmaps = max(flat_cpu.BITMAP_BYTES, num_phases * (band + 2 * halo) * (cols + 2 * halo))
+    return steps * azimuths * LOOK_BYTES + bitmaps + azimuths * band * cols
+
+
+def _lidar_words_bytes(task: MapTask, tile: Grid) -> float:
+    """Return what the lidar over flat ground takes in JAX: a bit a step for every cell in its range.
 
     As words are bands of rows, each with a halo of its own, these bits are up to 32 times the cells around.
     """
     steps = num_steps(tile.resolution_m, task.params.lidar.range_m)
     halo, band = steps - 1, -(-tile.num_rows // WORD_BITS)
-    around = _num_cells(tile, halo) * LIDAR_CELL_BYTES
-    if task.has_terrain:
-        return around + _num_cells(tile) * TERRAIN_RESULT_BYTES + _looks_bytes(task, steps, halo)
-    looks = steps * (band + 2 * halo) * (tile.num_cols + 2 * halo) * LIDAR_WORD_BYTES
-    return around + _num_cells(tile) * LIDAR_RESULT_BYTES + looks
+    return steps * (band + 2 * halo) * (tile.num_cols + 2 * halo) * LIDAR_GPU_WORD_BYTES
 
 
 def _looks_bytes(task: MapTask, steps: int, halo: int, num_phases: int = 1) -> float:
@@ -168,7 +182,7 @@ def _supersampling_bytes(task: MapTask, tile: Grid) -> float:
         if task.has_terrain:
             needed += _looks_bytes(task, steps, halo_cells(steps, params.oversample), params.oversample**2)
         else:
-            needed += _num_cells(tile) * params.lidar.azimuths * SUPERSAMPLED_RETURN_BYTES
+            needed += _bitmap_bytes(task, steps, halo_cells(steps, params.oversample), params.oversample**2)
     if params.height_samples:
         needed += cells * len(params.altitudes_m) * SPREAD_CELL_BYTES
     return needed

@@ -13,6 +13,8 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxurban.errors import InputError, typed
 from jaxurban.kernels.lidar import flat as kernel
 from jaxurban.kernels.lidar import soft as soft_kernel
+from jaxurban.kernels.lidar.byte_words import is_on_host
+from jaxurban.kernels.lidar.flat_cpu import count_on_host
 from jaxurban.kernels.lidar.supersampled import count_returns_at_centres, halo_cells, phase_starts, phases
 from jaxurban.kernels.lidar.terrain import count_returns_on_terrain
 from jaxurban.metrics.base import ALTITUDE, AnyArray, Metric, Scene, in_type, low_is_bad, on_scene
@@ -120,7 +122,12 @@ def lidar_of_beams(
     steps = heights_m.shape[1]
     offsets = kernel.ray_offsets(params.azimuths, steps)
     if surface.terrain_m is None:
-        return _flat_share(surface.part(surface.roof_m, steps - 1), altitudes_m, heights_m, offsets)
+        roof = surface.part(surface.roof_m, steps - 1)
+        if not is_on_host(surface.roof_m, altitudes_m, heights_m):
+            return _flat_share(roof, altitudes_m, heights_m, offsets)
+        counts = count_on_host(roof.cut_on_host()[None], heights_m, phase_starts(offsets, 1), steps - 1)
+        own_m = surface.part(surface.roof_m).cut_on_host()
+        return _share(counts, own_m, altitudes_m, num_azimuths=params.azimuths)
     roof_m, terrain_m = (surface.crop_with_halo(values, steps - 1) for values in (surface.roof_m, surface.terrain_m))
     starts = phase_starts(offsets, 1)
     returns = count_returns_on_terrain(roof_m[None], terrain_m[None], heights_m, starts, halo=steps - 1)
@@ -169,7 +176,7 @@ def lidar_at_centres(
     roof_m = phases(supersampled.crop_with_halo(supersampled.roof_m, halo * n), n)
     if supersampled.terrain_m is None:
         thresholds_m = kernel.round_up(kernel.flat_thresholds(lowest_m), roof_m.dtype)
-        returns = count_returns_at_centres(roof_m, jnp.asarray(thresholds_m), jnp.asarray(starts), halo)
+        returns = count_returns_at_centres(roof_m, jnp.asarray(thresholds_m), starts, halo)
     else:
         terrain_m = phases(supersampled.crop_with_halo(supersampled.terrain_m, halo * n), n)
         beams_m = jnp.asarray(kernel.round_up(lowest_m, roof_m.dtype))

@@ -50,6 +50,12 @@ class Part:
         cut = jax.lax.dynamic_slice(self.values, (0,) * len(before) + self.first_cell, (*before, *self.shape))
         return jnp.pad(cut, [(0, 0)] * len(before) + list(self.pad)) if np.any(self.pad) else cut
 
+    def cut_on_host(self) -> np.ndarray:
+        """Return the part as NumPy's, which compiles nothing; of values that are not traced."""
+        (row, col), (rows, cols) = self.first_cell, self.shape
+        cut = np.asarray(self.values)[..., row : row + rows, col : col + cols]
+        return np.pad(cut, [(0, 0)] * (cut.ndim - 2) + list(self.pad)) if np.any(self.pad) else cut
+
 
 _cut = jax.jit(Part.cut)
 

@@ -15,6 +15,8 @@ from jax import lax
 from jaxtyping import Array, Float, Int
 
 from jaxurban.kernels.lidar.bits import pack
+from jaxurban.kernels.lidar.byte_words import is_on_host
+from jaxurban.kernels.lidar.flat_cpu import count_on_host
 from jaxurban.kernels.lidar.steps import count_returns_by_steps
 
 WORD_BITS = 8  # few, as each band of rows carries its own halo
@@ -52,24 +54,26 @@ def phase_starts(offsets: Int[np.ndarray, "K N 2"], per_cell: int) -> Int[np.nda
 def count_returns_at_centres(
     roof_m: Float[Array, "P Y+2H X+2H"],
     thresholds_m: Float[Array, "A N"],
-    starts: Int[Array, "K N 3"],
+    starts: Int[Array | np.ndarray, "K N 3"],
     halo: int,
     *,
     shape: Literal["cpu", "gpu"] | None = None,
 ) -> Int[Array, "A Y X"]:
     """Return how many of K scan positions meet a building, over flat ground, ``[A, Y, X]`` int32.
 
-    Equals every n-th result of `jaxurban.kernels.lidar.flat.count_returns` on the supersampled raster. Memory: a bit a
-    receiver and scan position, and the bitmaps of one step. The gradient is zero.
+    Equals every n-th result of `jaxurban.kernels.lidar.flat.count_returns` on the supersampled raster. The gradient is
+    zero.
 
     Args:
       roof_m: `phases` of roof heights, 0 without a building.
       thresholds_m: ``[A, N]`` from `flat_thresholds` for subcells, rounded up to the type of ``roof_m``.
       starts: ``[K, N, 3]`` from `phase_starts`.
       halo: H, from `halo_cells`.
-      shape: of the computation, for a CPU or a GPU; left out, for the platform for which it is compiled. The counts
-        are the same.
+      shape: of the computation where JAX compiles it, for a CPU or a GPU; left out, for the platform for which it is
+        compiled, and where the values lie in a CPU's memory `jaxurban.kernels.lidar.flat_cpu`. The counts are the same.
     """
+    if shape is None and is_on_host(roof_m, thresholds_m, starts):
+        return jnp.asarray(count_on_host(roof_m, thresholds_m, np.asarray(starts), halo))
     return jnp.stack([_count(roof_m, threshold_m, starts, halo=halo, shape=shape) for threshold_m in thresholds_m])
 
 

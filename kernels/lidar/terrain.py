@@ -7,11 +7,11 @@ lowest height over a segment is not above the terrain of the cell looked at. The
 
 from typing import Literal
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from jaxurban.kernels.lidar.byte_words import is_on_host, on_host
 from jaxurban.kernels.lidar.steps import count_returns_on_terrain_by_steps
 from jaxurban.kernels.lidar.terrain_cpu import count_on_terrain
 from jaxurban.kernels.lidar.terrain_march import MOST_BEAMS, Looks
@@ -56,28 +56,14 @@ def count_returns_on_terrain(
       shape: of the computation, for a CPU or a GPU; left out, for the platform on which the roofs lie, and for a GPU
         where JAX traces them or there are more than `MOST_BEAMS`. The counts are the same.
     """
-    if (shape or _shape_of(roof_m, terrain_m, lowest_m)) == "gpu" or lowest_m.shape[-1] > MOST_BEAMS:
+    suits_cpu = is_on_host(roof_m, terrain_m, lowest_m) if shape is None else shape == "cpu"
+    if not suits_cpu or lowest_m.shape[-1] > MOST_BEAMS:
         return count_returns_on_terrain_by_steps(
             roof_m, terrain_m, lowest_m, jnp.asarray(starts), halo=halo, receiver_phase=receiver_phase
         )
     looks = distinct_looks(starts)
-    roofs, grounds, beams = (_on_host(values) for values in (roof_m, terrain_m, lowest_m))
+    roofs, grounds, beams = (on_host(values) for values in (roof_m, terrain_m, lowest_m))
     counts = np.zeros((len(beams), *(size - 2 * halo for size in roofs.shape[1:])), np.int32)
     for k in range(len(beams)):
         count_on_terrain(roofs, grounds, beams[k], looks, len(starts), halo, receiver_phase, counts[k])
     return jnp.asarray(counts)
-
-
-def _on_host(values: Array | np.ndarray) -> np.ndarray:
-    """Return values for Numba, read-only as those of JAX are: it compiles anew for another kind."""
-    array = np.ascontiguousarray(values).view()
-    array.flags.writeable = False
-    return array
-
-
-def _shape_of(roof_m: Array, *others: Array | np.ndarray) -> Literal["cpu", "gpu"]:
-    """Return which shape suits arrays."""
-    if any(isinstance(array, jax.core.Tracer) for array in (roof_m, *others)):
-        return "gpu"
-    on_host = all(device.platform == "cpu" for device in jnp.asarray(roof_m).devices())
-    return "cpu" if on_host else "gpu"

@@ -17,13 +17,12 @@ looks, ``R, C`` receivers of a tile, ``W = R * C / 8`` words.
 import numpy as np
 
 from jaxurban.kernels.compiled import compiled
+from jaxurban.kernels.lidar.byte_words import AZIMUTHS_AT_ONCE, WORD_BITS, add_up, side_of_tiles
 from jaxurban.kernels.lidar.terrain_march import BEAMS_AT_ONCE, PART_COLUMNS, march
 
-WORD_BITS = 8
 TILE = (32, 256)  # receivers taken together: the bits of their rays fit a core's cache; rows a multiple of 8
 LAST_CLASS = 255  # of cells; receivers have lower ones
 LEAST_CLASS = 1e-5  # height of a class as a share of the largest heights compared: far above their rounding
-AZIMUTHS_AT_ONCE = 8  # added up by carry-save adders before they are carried into the counts
 DE_BRUIJN = np.uint64(0x03F79D71B4CB0A89)  # its six highest bits, shifted by b, are another number for each b
 PLACE_OF = np.zeros(64, np.uint8)  # b by that number
 PLACE_OF[[((int(DE_BRUIJN) << bit) % 2**64) >> 58 for bit in range(64)]] = np.arange(64)
@@ -46,7 +45,7 @@ def count_on_terrain(roof_m, terrain_m, lowest_m, looks, num_azimuths, halo, pha
     start, first_look, rays, first_ray = looks
     kind = roof_m.dtype.type
     num_rows, num_cols = counts.shape
-    rows, cols = _side(num_rows, TILE[0], WORD_BITS), _side(num_cols, TILE[1], PART_COLUMNS)
+    rows, cols = side_of_tiles(num_rows, TILE[0], WORD_BITS), side_of_tiles(num_cols, TILE[1], PART_COLUMNS)
     num_steps, num_beams = lowest_m.shape
     num_words = rows // WORD_BITS * cols
     around = (len(roof_m), rows + 2 * halo, cols + 2 * halo)
@@ -123,7 +122,7 @@ def count_on_terrain(roof_m, terrain_m, lowest_m, looks, num_azimuths, halo, pha
                 parting += 1
             found = counts[row : row + rows, col : col + cols]
             if parting == end:
-                _add_up(returned, found, rows // WORD_BITS, cols)
+                add_up(returned, found, rows // WORD_BITS, cols)
                 continue
             for part in range(0, found.shape[1], PART_COLUMNS):
                 march(
@@ -142,13 +141,6 @@ def count_on_terrain(roof_m, terrain_m, lowest_m, looks, num_azimuths, halo, pha
                     parting,
                     end,
                 )
-
-
-@compiled(nogil=True)
-def _side(size, most, multiple):
-    """Return the side of tiles of about the same size, none above ``most``, a multiple of something."""
-    num_tiles = (size + most - 1) // most
-    return ((size + num_tiles - 1) // num_tiles + multiple - 1) // multiple * multiple
 
 
 @compiled(nogil=True)
@@ -303,44 +295,3 @@ def _join(words, others):
     """Set the bits that others have."""
     for i in range(len(words)):
         words[i] |= others[i]
-
-
-@compiled(nogil=True)
-def _sums(a, b, c):
-    """Return the sum and the carry of three bits in each place of words."""
-    either = a ^ b
-    return either ^ c, (a & b) | (either & c)
-
-
-@compiled(nogil=True)
-def _add_up(returned, counts, band, cols):
-    """Fill how many of the rows of words have each receiver's bit set."""
-    num_slices = 3
-    while (1 << num_slices) <= len(returned):
-        num_slices += 1
-    slices = np.zeros((num_slices, returned.shape[1]), np.uint8)
-    words, places = returned.view(np.uint64), slices.view(np.uint64)
-    ones, twos, fours = places[0], places[1], places[2]
-    carry = np.empty_like(ones)
-    for k in range(0, len(words), AZIMUTHS_AT_ONCE):
-        a, b, c, d = words[k], words[k + 1], words[k + 2], words[k + 3]
-        e, f, g, h = words[k + 4], words[k + 5], words[k + 6], words[k + 7]
-        for i in range(len(carry)):
-            one, two_a = _sums(ones[i], a[i], b[i])
-            one, two_b = _sums(one, c[i], d[i])
-            one, two_c = _sums(one, e[i], f[i])
-            ones[i], two_d = _sums(one, g[i], h[i])
-            two, four_a = _sums(twos[i], two_a, two_b)
-            twos[i], four_b = _sums(two, two_c, two_d)
-            fours[i], carry[i] = _sums(fours[i], four_a, four_b)
-        for s in range(3, num_slices):
-            place = places[s]
-            for i in range(len(carry)):
-                place[i], carry[i] = place[i] ^ carry[i], place[i] & carry[i]
-    for b in range(WORD_BITS):
-        for i in range(max(0, min(band, counts.shape[0] - b * band))):
-            of_row = counts[b * band + i]
-            for s in range(num_slices):
-                bits = slices[s, i * cols : (i + 1) * cols]
-                for j in range(len(of_row)):
-                    of_row[j] |= np.int32((bits[j] >> b) & 1) << s

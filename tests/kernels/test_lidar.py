@@ -18,6 +18,7 @@ from jaxurban.kernels.lidar.flat import (
     ray_offsets,
     round_up,
 )
+from jaxurban.kernels.lidar.flat_cpu import count_on_host
 from jaxurban.kernels.lidar.supersampled import count_returns_at_centres, halo_cells, phase_starts, phases
 from jaxurban.kernels.lidar.terrain import count_returns_on_terrain
 
@@ -71,6 +72,8 @@ def counts_of(roof_m, terrain_m, altitudes_m, elevations_rad, num_azimuths, rang
     offsets = jnp.asarray(ray_offsets(num_azimuths, steps))
     if terrain_m is None:
         thresholds_m = round_up(flat_thresholds(lowest_m), np.float32)
+        if shape == "host":
+            return count_on_host(roof_m[None], thresholds_m, phase_starts(np.asarray(offsets), 1), steps - 1)
         return np.asarray(count_returns(roof_m, thresholds_m, offsets, shape=shape))
     beams_m, starts = round_up(lowest_m, np.float32), phase_starts(np.asarray(offsets), 1)
     return np.asarray(
@@ -90,9 +93,10 @@ PARAMS = [pytest.param(name, marks=[pytest.mark.slow] if name == "the default pu
 
 
 SHAPES = ("cpu", "gpu")
+FLAT_SHAPES = (*SHAPES, "host")  # compiled by JAX for either, and on a CPU from values that are known
 
 
-@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("shape", FLAT_SHAPES)
 @pytest.mark.parametrize("name", PARAMS)
 def test_counts_equal_a_marcher_of_single_beams_in_every_cell(name, shape):
     altitudes_m, (low, high, num_beams), num_azimuths, range_m, resolution_m = CASES[name]
@@ -163,7 +167,7 @@ def test_a_long_wall_returns_the_share_of_azimuths_that_reach_it():
     np.testing.assert_allclose(counts / 720, np.broadcast_to(expected[:, None], counts.shape), atol=0.01)
 
 
-@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("shape", FLAT_SHAPES)
 def test_a_roof_that_is_unknown_is_no_building_and_hides_no_other(shape):
     elevations_rad, halo = np.deg2rad(np.linspace(-15, 15, 4)), 6
     roof_m = random_city(40, halo, seed=2)
@@ -174,12 +178,24 @@ def test_a_roof_that_is_unknown_is_no_building_and_hides_no_other(shape):
     steps = num_steps(5.0, 30.0)
     lowest_m = lowest_heights(np.array([5.0]), elevations_rad, 5.0, 30.0, steps)
     thresholds_m, starts = round_up(flat_thresholds(lowest_m), np.float32), phase_starts(ray_offsets(12, steps), 2)
+    compiled_for = None if shape == "host" else shape
     found = [
-        count_returns_at_centres(phases(jnp.asarray(roofs), 2), thresholds_m, starts, halo // 2, shape=shape)
+        count_returns_at_centres(phases(jnp.asarray(roofs), 2), thresholds_m, starts, halo // 2, shape=compiled_for)
         for roofs in (unknown_m, np.nan_to_num(unknown_m))
     ]
     assert found[1].max() > 0
     np.testing.assert_array_equal(*found)
+
+
+def test_counts_of_fine_cells_and_long_rays_need_many_ranks_and_bitmaps_a_few_steps_at_a_time():
+    """More than 255 thresholds, and bitmaps that are joined in several goes, over several tiles."""
+    elevations_rad = np.deg2rad(np.linspace(-15, 15, 4))
+    rng = np.random.default_rng(9)
+    shape = 140 + 2 * 400, 600 + 2 * 400
+    roof_m = np.where(rng.random(shape) < 5e-5, rng.uniform(1, 30, shape), 0).astype(np.float32)
+    few = counts_of(roof_m, None, [6.0], elevations_rad, 6, 100.0, 0.25, "host")
+    np.testing.assert_array_equal(few, counts_of(roof_m, None, [6.0], elevations_rad, 6, 100.0, 0.25, "gpu"))
+    assert few.min() < few.max()
 
 
 def test_new_heights_altitudes_and_azimuths_of_known_shapes_compile_nothing():
@@ -200,7 +216,7 @@ def test_rays_have_the_symmetry_of_the_grid(num_azimuths):
     np.testing.assert_array_equal(offsets[num_azimuths // 4, -1], [0, 50])  # then east
 
 
-@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("shape", [*SHAPES, None])
 @pytest.mark.parametrize(("per_cell", "on_terrain"), [(3, False), (2, False), (3, True)])
 def test_receivers_of_a_coarser_map_get_the_counts_of_their_fine_cells(per_cell, on_terrain, shape):
     elevations_rad, fine_m, range_m, num_azimuths = np.deg2rad(np.linspace(-15, 15, 5)), 2.0, 30.0, 24
