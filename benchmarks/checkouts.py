@@ -11,6 +11,20 @@ SCRIPTS = ROOT / "benchmarks"
 XLA_CACHE = ROOT / "out" / "compiled"  # of all checkouts: JAX finds programs in it by what they compute
 
 
+def environment_of(checkout: Path, caches: Path) -> dict[str, str]:
+    """Return the environment in which a process takes a checkout's jaxurban; what is compiled is kept in ``caches``."""
+    caches = caches.resolve()
+    caches.mkdir(parents=True, exist_ok=True)
+    return os.environ | {
+        "PYTHONPATH": str(checkout.resolve()),
+        "PYTHONPYCACHEPREFIX": str(caches / "python"),
+        "NUMBA_CACHE_DIR": str(caches / "numba"),
+        "JAX_COMPILATION_CACHE_DIR": str(XLA_CACHE),
+        "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
+        "JAX_PLATFORMS": "cpu",
+    }
+
+
 def start(checkout: Path, script: str, *words: object, caches: Path) -> subprocess.Popen[str]:
     """Return a started process that runs a script of this folder on a checkout's jaxurban, by this interpreter.
 
@@ -24,19 +38,10 @@ def start(checkout: Path, script: str, *words: object, caches: Path) -> subproce
       words: its arguments.
       caches: made where it is not there.
     """
-    caches = caches.resolve()
-    caches.mkdir(parents=True, exist_ok=True)
-    environment = os.environ | {
-        "PYTHONPATH": str(checkout.resolve()),
-        "PYTHONPYCACHEPREFIX": str(caches / "python"),
-        "NUMBA_CACHE_DIR": str(caches / "numba"),
-        "JAX_COMPILATION_CACHE_DIR": str(XLA_CACHE),
-        "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
-        "JAX_PLATFORMS": "cpu",
-    }
+    environment = environment_of(checkout, caches)
     # -P: names of this folder's files must not hide installed modules.
     command = [sys.executable, "-P", str(SCRIPTS / script), str(checkout.resolve()), *map(str, words)]
-    return subprocess.Popen(command, cwd=caches, env=environment, stdout=subprocess.PIPE, text=True)
+    return subprocess.Popen(command, cwd=caches.resolve(), env=environment, stdout=subprocess.PIPE, text=True)
 
 
 def output_of(process: subprocess.Popen[str]) -> str:

@@ -21,7 +21,7 @@ import numpy as np
 import rasterio
 import xarray as xr
 
-from benchmarks.checkouts import XLA_CACHE
+from benchmarks.checkouts import environment_of
 from benchmarks.common import ROOT, load
 
 DATA = Path(os.environ.get("JAXURBAN_DATA", ROOT / ".." / "shared" / "data")).resolve()
@@ -52,17 +52,9 @@ Figures = dict[str, float]  # of one run, by name
 
 def run(checkout: Path, scenario: Path, folder: Path, caches: Path) -> Figures:
     """Make the maps of a scenario with a checkout's jaxurban and return what that took."""
-    environment = os.environ | {
-        "PYTHONPATH": str(checkout.resolve()),
-        "PYTHONPYCACHEPREFIX": str(caches / "python"),
-        "NUMBA_CACHE_DIR": str(caches / "numba"),
-        "JAX_COMPILATION_CACHE_DIR": str(XLA_CACHE),
-        "JAX_PLATFORMS": "cpu",
-    }
-    caches.mkdir(parents=True, exist_ok=True)
     shutil.rmtree(folder, ignore_errors=True)
     command = [sys.executable, "-P", "-m", "jaxurban", "maps", str(scenario), "-o", str(folder)]
-    began_s = time.perf_counter()
+    environment, began_s = environment_of(checkout, caches), time.perf_counter()
     with (caches / "log").open("w") as log:
         process = subprocess.Popen(command, cwd=caches, env=environment, stdout=log, stderr=log)
         _, status, used = os.wait4(process.pid, 0)
