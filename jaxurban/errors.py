@@ -17,6 +17,7 @@ from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 Choice = TypeVar("Choice")
 Public = TypeVar("Public", bound=Callable)
 Kind = tuple[str, Callable[[Any], bool]]  # what messages call it, and what tells its values
+MOST_SAID = 300  # characters of what a library says that a message passes on
 
 
 class JaxurbanError(Exception):
@@ -303,8 +304,9 @@ def _number(value: Any, refused: Any = bool | str) -> float:
 
 
 def reason_of(error: BaseException) -> str:
-    """Return what an error of the system or of a library says, on one line."""
-    return getattr(error, "strerror", None) or " ".join(str(error).split())
+    """Return what an error of the system or of a library says, on one line; only the beginning of what is long."""
+    said = getattr(error, "strerror", None) or " ".join(str(error).split())
+    return said if len(said) <= MOST_SAID else f"{said[:MOST_SAID]} ..."
 
 
 @contextmanager

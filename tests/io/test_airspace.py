@@ -296,3 +296,11 @@ def test_a_zone_across_the_antimeridian_is_closed_on_both_sides_of_it(tmp_path, 
 def test_an_outline_with_one_meaning_stays_as_it_is():
     for shape in (SQUARE, BEYOND, shapely.box(-180, -90, 180, 90)):
         assert the_short_way_too(shape) is shape
+
+
+def test_a_file_that_a_library_refuses_at_length_is_refused_briefly(tmp_path):
+    file = tmp_path / "long.geojson"
+    file.write_text('{"type": "FeatureCollection", "features": [], "number": ' + "9" * 6000 + "}")
+    with pytest.raises(InputError) as refused:
+        read_zones(file)
+    assert len(str(refused.value)) < 700
