@@ -26,7 +26,7 @@ test-long: $(VENV)/.dev
 	  tests/test_manhattan.py tests/metrics/test_gps_embree.py tests/planners/test_walls.py tests/io/test_knownarea.py \
 	  tests/kernels/test_lidar.py tests/metrics/soft/test_lidar.py tests/studies/test_sensitivity_study.py \
 	  tests/maps/test_device.py tests/maps/test_held.py tests/scenario/test_additions.py tests/report/test_run_tuning.py \
-	  tests/report/test_map_comparison.py tests/io/test_rasterise.py tests/report/test_figures.py \
+	  tests/report/test_map_comparison.py tests/io/test_burn.py tests/report/test_figures.py \
 	  tests/kernels/test_shadow_doubling.py tests/metrics/test_lidar_embree.py tests/studies/test_montecarlo.py \
 	  tests/planners/test_bitstar_batched.py tests/maps/test_supersampling.py tests/scenario/test_run.py \
 	  tests/planners/test_batch.py::test_a_sample_of_movingai_is_optimal_in_jax \
