@@ -221,7 +221,7 @@ def solve_graph(graph: Graph, bound: Heuristic, start: Cell, goal: Cell) -> floa
     search = GridSearch(graph, bound, start, goal)
     search.run()
     search.points_m(1.0)
-    return float(search.g[search.goal])
+    return search.cost_to(search.goal)
 
 
 def timed(work: Callable[[Cell, Cell], float], query: tuple[Cell, Cell]) -> tuple[float, float, float]:

@@ -70,7 +70,7 @@ def astar_anytime(
     for weight in chain(_falling(first), repeat(1.0)) if prepared.is_ready else ():
         search.requeue(weight, num_open)
         ended = search.run(closed=DEFER, inflation=weight, upper=cost, end_s=end_s)
-        if search.g[search.goal] < cost:
+        if search.cost_to(search.goal) < cost:
             points_m = search.points_m(problem.resolution_m)
             cost = min(cost, problem.cost_of(points_m))
         low_open, num_open = search.lower_bound()

@@ -141,7 +141,7 @@ def _by_dijkstra(problem: Problem, end_s: float) -> np.ndarray:
     search = GridSearch(graph_of(problem, is_symmetric=True), zero_heuristic(problem), problem.goal, None)
     if search.run(end_s=end_s) != EXHAUSTED:
         raise TimeoutError
-    return search.g.reshape(problem.is_free.shape)
+    return search.costs_from_start().reshape(problem.is_free.shape)
 
 
 def _by_tiles(problems: Sequence[Problem], end_s: float) -> list[np.ndarray]:

@@ -7,13 +7,16 @@ import numpy as np
 
 from jaxurban.kernels.compiled import compiled
 from jaxurban.kernels.search.heap import EXHAUSTED, FOUND, FULL, PAUSED, Heap, drop_top, push
+from jaxurban.kernels.search.prefetch import prefetch
 from jaxurban.planners.base import Cell
 from jaxurban.planners.graph import Graph, Heuristic
 from jaxurban.planners.moves import STEPS, steps_back
 
-PARENT_STEP = 0x0F  # bits of a node's state: the step by which it was reached ...
+UNREACHED = 0  # a node's state as long as no way to it is known: its g is not written yet
+PARENT_STEP = 0x0F  # bits of the state after that: the step by which it was reached ...
 NO_PARENT = 0x08  # ... or this, at the start
 CLOSED = 0x10
+REACHED = 0x40
 LATER = 0x20  # a cheaper way turned up after the node was closed, to be followed when `requeue` opens it again
 KEEP, REOPEN, DEFER = 0, 1, 2  # what a cheaper way to a closed node does: nothing, opens it, marks it LATER
 MAX_STEPS = 8
@@ -99,8 +102,8 @@ class GridNodes(NamedTuple):
     """What is known of each node, and those that are open. ``M`` nodes.
 
     Attributes:
-      g: ``[M]`` float64 cost of the cheapest way found to each node, inf without one.
-      state: ``[M]`` uint8 (see `PARENT_STEP` and the names after it).
+      g: ``[M]`` float64 cost of the cheapest way found to each node; anything where it is `UNREACHED`.
+      state: ``[M]`` uint8 (see `UNREACHED` and the names after it).
       queue: the open nodes.
     """
 
@@ -109,7 +112,7 @@ class GridNodes(NamedTuple):
     queue: Queue
 
 
-@compiled()
+@compiled(forceinline=True)
 def insert(queue, f, node):
     """Put a node into a queue that has room."""
     tally = queue.tally
@@ -127,9 +130,12 @@ def insert(queue, f, node):
     tally[NUM_FAR] += 1
 
 
-@compiled()
-def refill(queue):
-    """Bring the next bucket's entries into an empty heap; it stays empty where no bucket is left."""
+@compiled(forceinline=True)
+def refill(queue, graph, g, state):
+    """Bring the next bucket's entries into an empty heap; it stays empty where no bucket is left.
+
+    They will soon be expanded, so what is known of them and of their neighbours is asked for now.
+    """
     tally = queue.tally
     while queue.near.size[0] == 0 and tally[NUM_FAR] > 0:
         place = tally[BUCKET] + 1
@@ -148,7 +154,13 @@ def refill(queue):
             queue.far_next[slot] = tally[FREE_SLOT]
             tally[FREE_SLOT] = slot
             tally[NUM_FAR] -= 1
-            insert(queue, queue.far_f[slot], queue.far_node[slot])
+            node = np.int64(queue.far_node[slot])
+            insert(queue, queue.far_f[slot], node)
+            prefetch(graph.moves, node)
+            for beside in (node - graph.num_cols, node, node + graph.num_cols):
+                prefetch(g, beside)
+                prefetch(state, beside)
+                prefetch(graph.cost, beside)
             slot = next_slot
 
 
@@ -188,23 +200,28 @@ def advance(graph, heuristic, goal, order, nodes, max_expanded):
     ``f = g + inflation * h``. The queue holds outdated entries, which are skipped: a node's newest entry is
     its lowest. Equal f come in an order that only the problem decides, so runs repeat.
 
+    All neighbours are looked at before any is changed, without branches, which would go the wrong way half of the time.
+
     Returns: how the chunk ended, and the nodes expanded.
     """
     goal_row, goal_col = goal // graph.num_cols, goal % graph.num_cols
     offsets = graph.steps[:, 0] * graph.num_cols + graph.steps[:, 1]
     g, state, queue = nodes.g, nodes.state, nodes.queue
     near = queue.near
+    # A way to a node is cheaper where it costs less than this times the way known; a closed node that is kept has none.
+    if_closed = -1.0 if order.closed == KEEP else ROUNDING
+    cheaper_steps, cheaper_gs = np.empty(MAX_STEPS, np.uint64), np.empty(MAX_STEPS)
     num_expanded = 0
     while True:
         if near.size[0] == 0:
-            refill(queue)
+            refill(queue, graph, g, state)
         if near.size[0] == 0 or near.f[0] >= order.upper:
             return EXHAUSTED, num_expanded
         if num_expanded >= max_expanded:
             return PAUSED, num_expanded
         if near.size[0] + queue.tally[NUM_FAR] + MAX_STEPS > queue.far_f.size:
             return FULL, num_expanded
-        node = near.item[0]
+        node = np.uint64(near.item[0])  # unsigned: else Numba asks each time whether it counts from the end
         drop_top(near)
         if state[node] & CLOSED:
             continue
@@ -212,32 +229,35 @@ def advance(graph, heuristic, goal, order, nodes, max_expanded):
         if node == goal:
             return FOUND, num_expanded
         num_expanded += 1
-        row, col = node // graph.num_cols, node % graph.num_cols
         moves, node_g, node_cost = graph.moves[node], g[node], graph.cost[node]
+        num_cheaper = 0
         for k in range(MAX_STEPS):
-            if not (moves >> k) & 1:
-                continue
-            to = node + offsets[k]
+            is_allowed = (moves >> k) & 1
+            to = np.uint64(np.int64(node) + offsets[k] * is_allowed)
             to_g = node_g + (graph.step_cost[k] + graph.from_share[k] * node_cost + graph.to_share[k] * graph.cost[to])
-            if to_g >= g[to]:
-                continue
-            if state[to] & CLOSED:
-                if order.closed == KEEP or to_g >= g[to] * ROUNDING:
-                    continue
-                if order.closed == DEFER:
-                    g[to] = to_g
-                    state[to] = k | CLOSED | LATER
-                    continue
+            known_g, to_state = g[to], state[to]
+            limit = known_g * (if_closed if to_state & CLOSED else 1.0)
+            limit = np.inf if to_state == UNREACHED else limit
+            cheaper_steps[num_cheaper], cheaper_gs[num_cheaper] = k, to_g
+            num_cheaper += is_allowed & (to_g < limit)
+        row, col = np.uint32(node) // np.uint32(graph.num_cols), np.uint32(node) % np.uint32(graph.num_cols)
+        for i in range(num_cheaper):
+            k, to_g = cheaper_steps[i], cheaper_gs[i]
+            to = np.uint64(np.int64(node) + offsets[k])
             g[to] = to_g
-            state[to] = k
-            to_h = estimate(heuristic, row + graph.steps[k, 0], col + graph.steps[k, 1], goal_row, goal_col)
+            if order.closed == DEFER and state[to] & CLOSED:
+                state[to] = k | REACHED | CLOSED | LATER
+                continue
+            state[to] = k | REACHED
+            to_row, to_col = np.int64(row) + graph.steps[k, 0], np.int64(col) + graph.steps[k, 1]
+            to_h = estimate(heuristic, to_row, to_col, goal_row, goal_col)
             insert(queue, to_g + order.inflation * to_h, to)
 
 
 @compiled()
-def _is_of_use(g, state, node):
-    """Whether a node is open or marked LATER."""
-    return g[node] < np.inf and (not state[node] & CLOSED or state[node] & LATER)
+def _is_of_use(state):
+    """Whether a node in this state is open or marked LATER."""
+    return state != UNREACHED and (not state & CLOSED or state & LATER)
 
 
 @compiled(nogil=True)
@@ -246,7 +266,7 @@ def lowest_open(graph, heuristic, goal, g, state):
     goal_row, goal_col = goal // graph.num_cols, goal % graph.num_cols
     low, num_open = np.inf, 0
     for node in range(g.size):
-        if _is_of_use(g, state, node):
+        if _is_of_use(state[node]):
             num_open += 1
             h = estimate(heuristic, node // graph.num_cols, node % graph.num_cols, goal_row, goal_col)
             low = min(low, g[node] + h)
@@ -259,10 +279,10 @@ def requeue(graph, heuristic, inflation, goal, nodes):
     goal_row, goal_col = goal // graph.num_cols, goal % graph.num_cols
     g, state = nodes.g, nodes.state
     for node in range(g.size):
-        if _is_of_use(g, state, node):
+        if _is_of_use(state[node]):
             h = estimate(heuristic, node // graph.num_cols, node % graph.num_cols, goal_row, goal_col)
             insert(nodes.queue, g[node] + inflation * h, node)
-        state[node] &= PARENT_STEP
+        state[node] &= PARENT_STEP | REACHED
 
 
 class GridSearch:
@@ -281,13 +301,18 @@ class GridSearch:
         self.num_expanded = 0
         num_nodes = graph.cost.size
         queue = empty_queue(graph, FIRST_ENTRIES)
-        self._nodes = GridNodes(np.full(num_nodes, np.inf), np.full(num_nodes, NO_PARENT, np.uint8), queue)
-        self.g[self.start] = 0.0
+        # Memory that is not written to is not taken: what the search does not come to costs nothing.
+        self._nodes = GridNodes(np.empty(num_nodes), np.zeros(num_nodes, np.uint8), queue)
+        self._nodes.g[self.start], self._nodes.state[self.start] = 0.0, NO_PARENT | REACHED
         insert(queue, 0.0 if goal is None else estimate(heuristic, *start, *goal), self.start)
 
-    @property
-    def g(self) -> np.ndarray:
-        """``[M]`` float64 cost of the cheapest way found to each node, inf without one."""
+    def cost_to(self, node: int) -> float:
+        """Return the cost of the cheapest way found to a node, inf without one."""
+        return np.inf if self._nodes.state[node] == UNREACHED else float(self._nodes.g[node])
+
+    def costs_from_start(self) -> np.ndarray:
+        """Return ``[M]`` float64 the cost of the cheapest way found to each node, inf without one."""
+        np.copyto(self._nodes.g, np.inf, where=self._nodes.state == UNREACHED)
         return self._nodes.g
 
     @property
@@ -295,7 +320,7 @@ class GridSearch:
         """The least f in the queue, inf where it is empty."""
         near = self._nodes.queue.near
         if not near.size[0]:
-            refill(self._nodes.queue)
+            refill(self._nodes.queue, self.graph, self._nodes.g, self._nodes.state)
         return float(near.f[0]) if near.size[0] else np.inf
 
     def run(self, *, closed: int = KEEP, inflation: float = 1.0, upper: float = np.inf, end_s: float = np.inf) -> int:
@@ -318,7 +343,7 @@ class GridSearch:
 
     def lower_bound(self) -> tuple[float, int]:
         """Return the least ``g + h`` among nodes still of use, which no path undercuts, and their number."""
-        low, num_open = lowest_open(self.graph, self.heuristic, self.goal, self.g, self._nodes.state)
+        low, num_open = lowest_open(self.graph, self.heuristic, self.goal, self._nodes.g, self._nodes.state)
         return float(low), int(num_open)
 
     def requeue(self, inflation: float, num_open: int) -> None:
