@@ -61,6 +61,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def _run(arguments: Sequence[str] | None) -> int:
+    stdout = sys.stdout
     try:
         _set_up_libraries()
         code = app.main(args=arguments, prog_name="jaxurban", standalone_mode=False)
@@ -77,8 +78,9 @@ def _run(arguments: Sequence[str] | None) -> int:
         code = _fail(error.format_message())
     except MemoryError:
         code = _fail("memory ran out: use a smaller region, a coarser [region] resolution_m, or fewer altitudes")
-    except (BrokenPipeError, SystemExit) as left:  # the reader of stdout, as `head` does; click exits where it notices
-        if not isinstance(left, BrokenPipeError) and not isinstance(left.__context__, BrokenPipeError):
+    except (BrokenPipeError, SystemExit) as left:  # the reader of stdout, as `head` does
+        # Where click notices first, it puts an object of its own in stdout's place and exits.
+        if isinstance(left, SystemExit) and sys.stdout is stdout:
             raise
         _drop_stdout()
         code = 0

@@ -313,3 +313,14 @@ def test_ctrl_c_exits_130_leaves_no_scrap_and_resumes(tmp_path):
     assert all(finished[name] == data for name, data in kept.items())
     assert (out / "run.json").exists()
     assert not work.exists()
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["plan", "--help"], ["--version"]])
+def test_a_reader_of_stdout_that_leaves_is_no_error(arguments):
+    read_end, write_end = os.pipe()
+    os.close(read_end)
+    try:
+        left = subprocess.run([sys.executable, "-m", "jaxurban", *arguments], stdout=write_end, stderr=subprocess.PIPE)
+    finally:
+        os.close(write_end)
+    assert (left.returncode, left.stderr) == (0, b"")
