@@ -88,7 +88,7 @@ def of_options() -> Iterator[Case]:
         *(("--planner", text) for text in ("a*", "", "astar-volume")),
         *(("--heuristic", text) for text in ("x", "")),
         *(("--no-fly", text) for text in ("no-such.kml", "{base}", "/dev/null", "{base}/run.json")),
-        *(("-o", text) for text in ("path.txt", "/proc/none.kml", "{base}", "/dev/full.kml", "no/such/place.kml")),
+        *(("-o", text) for text in ("path.txt", "/proc/none.kml", "{base}", "/proc/full.kml", "no/such/place.kml")),
         *(("--profile", text) for text in ("path.txt", "/proc/none.png")),
         *(("--seed", text) for text in ("-1", "1.5", "99999999999999999999999999x")),
     ):
