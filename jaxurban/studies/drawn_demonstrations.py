@@ -128,13 +128,19 @@ def draw(drawn: DrawnRoutes, maps: MetricMaps, map_of: MapOf, pilot: Weights | N
     if "status" in table:
         table = table[table.status.isin(HAS_PATH)]
     weights = [WEIGHT_PREFIX + name for name in ("distance", *maps.metrics)]
+    told = [name for name in weights if name in table]
     places = XY if set(XY) <= set(table.columns) else LONLAT
-    if pilot is None and not any(name in table for name in weights):
+    if pilot is None and not told:
         raise InputError(
             f"{drawn.name!r} names no weights ({', '.join(weights)}) under which its routes are cheapest: name them "
             "(--pilot, pilot=)"
         )
-    known = [name for name in (*places, "altitude_m", "time", "time_of_day", *weights) if name in table]
+    if pilot is None and (empty := [name for name in told if table[name].isna().any()]):
+        raise InputError(
+            f"row {1 + int(table[empty[0]].isna().to_numpy().argmax())} of {drawn.name!r} has no {empty[0]}: give a "
+            "number in each row, leave the column out, or name the weights of all (--pilot, pilot=)"
+        )
+    known = [name for name in (*places, "altitude_m", "time", "time_of_day", *told) if name in table]
     queries = read_queries(table[known], metrics=maps.metrics)
     if pilot is None and len({tuple(query.weights.to_dict().items()) for query in queries}) > 1:
         warnings.warn(

@@ -15,6 +15,7 @@ from jaxurban.io.read.buildings import BuildingFile, read_buildings
 from jaxurban.io.read.near import MARGIN_M, Near
 from jaxurban.io.read.vector import read_vector
 from jaxurban.io.read.wkb import wkb_boxes
+from jaxurban.world.city import City
 
 UTM, WGS84 = "EPSG:32618", "EPSG:4326"
 X, Y = 583000.0, 4506000.0
@@ -184,3 +185,11 @@ def test_boxes_of_bytes_are_those_of_the_geometries():
     assert np.isinf(boxes(byte_order=0)).all()
     cut = np.frombuffer(shapely.to_wkb(polygon)[:-4], np.uint8)
     assert np.isinf(wkb_boxes(cut, np.array([0, len(cut)]))).all()
+
+
+@pytest.mark.parametrize("suffix", [".geojson", ".gpkg"])
+def test_a_file_without_a_feature_has_no_building_in_the_region(tmp_path, suffix):
+    path = tmp_path / f"none{suffix}"
+    gpd.GeoDataFrame({"height": [3.0]}, geometry=[shapely.Point()], crs="EPSG:4326").to_file(path)
+    with pytest.raises(InputError, match=r"no building in the region|holds no"):
+        City.from_files(path, bounds=(139.69, 35.68, 139.70, 35.69))

@@ -81,6 +81,13 @@ def test_a_study_gives_the_paths_of_one_of_its_planners_at_their_own_cost(maps, 
         ju.read_demonstrations(study, maps, planner="thetastar")
 
 
+def test_a_row_without_one_of_the_weights_is_refused_but_under_a_pilots(maps, instances):
+    table = instances.assign(w_gps=[np.nan if number == 1 else 1.0 for number in range(len(instances))])
+    with pytest.raises(InputError, match="row 2 of 'the table' has no w_gps: give a number in each row"):
+        ju.read_demonstrations(table, maps, cost_model="line")
+    assert ju.read_demonstrations(table, maps, cost_model="line", pilot=HIDDEN)
+
+
 def test_rows_that_do_not_come_out_again_are_left_out_and_counted(maps, instances, planned, tmp_path):
     table = instances.assign(cost=[path.cost for path in planned])
     table.loc[table.index[0], "cost"] *= 1.5

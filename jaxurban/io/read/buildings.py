@@ -15,7 +15,7 @@ import shapely
 from jaxurban.errors import InputError
 from jaxurban.io.read.heights import MAX_HEIGHT_M
 from jaxurban.io.read.knownarea import area_of_outlines, area_of_raster
-from jaxurban.io.read.near import Near, meets
+from jaxurban.io.read.near import Near, box_between, meets
 from jaxurban.io.read.osm import OSM_SUFFIXES, read_osm
 from jaxurban.io.read.outlines import Outlines, count_tags, to_buildings
 from jaxurban.io.read.raster import RASTER_SUFFIXES, check_range, raster_extent_m, read_raster
@@ -23,7 +23,7 @@ from jaxurban.io.read.surfacemodel import check_is_no_surface, heights_of_surfac
 from jaxurban.io.read.vector import VECTOR_SUFFIXES, read_vector
 from jaxurban.world.city import Buildings, Raster
 from jaxurban.world.diagnostics import ReadIssue, ReadIssues
-from jaxurban.world.grid import Bounds, projected_crs, transformer
+from jaxurban.world.grid import Bounds, projected_crs
 
 Kind = Literal["height", "surface"]  # of a raster of buildings
 
@@ -135,17 +135,16 @@ def _source_of(file: BuildingFile, outlines: Outlines, crs: str, bounds_m: Bound
     )
     if outlines.extent is None:
         area = area_of_outlines(buildings.polygons, boxes_m)
-        file_extent_m = area.bounds
+        file_extent_m: Bounds | None = area.bounds
     else:
         area = shapely.Polygon()
-        file_extent_m = transformer(outlines.crs, crs).transform_bounds(*outlines.extent, densify_pts=101)
+        file_extent_m = box_between(outlines.extent, outlines.crs, crs)
     if bounds_m is not None:
         buildings = buildings.take(meets(buildings.boxes_m.T, bounds_m))
         near = shapely.intersection(shapely.box(*bounds_m), [shapely.box(*box) for box in boxes_m])
         kept = area_of_outlines(buildings.polygons, [box.bounds for box in near if box.area])
         area = area if kept.is_empty else kept
-        if not np.isfinite(file_extent_m).all():  # a file that reaches beyond the projection
-            file_extent_m = area.bounds
+    file_extent_m = area.bounds if file_extent_m is None else file_extent_m
     return BuildingSource(buildings, None, area, file_extent_m, issues, count_tags(outlines), outlines.attribution)
 
 

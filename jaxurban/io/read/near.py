@@ -3,6 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
+from pyproj.exceptions import ProjError
 
 from jaxurban.world.grid import Bounds, transformer
 
@@ -24,9 +25,19 @@ class Near(NamedTuple):
         """Return the box of the region and `MARGIN_M` around it in another CRS; None where no box holds it."""
         x_min, y_min, x_max, y_max = self.bounds_m
         wide_m = x_min - MARGIN_M, y_min - MARGIN_M, x_max + MARGIN_M, y_max + MARGIN_M
-        box = transformer(self.crs, crs).transform_bounds(*wide_m, densify_pts=101)
-        is_box = np.isfinite(box).all() and box[0] < box[2]  # else across the antimeridian, or beyond the projection
-        return box if is_box else None
+        box = box_between(wide_m, self.crs, crs)
+        return box if box is not None and box[0] < box[2] else None  # else it lies across the antimeridian
+
+
+def box_between(box: Bounds, crs: str, other: str) -> Bounds | None:
+    """Return the box in another CRS around a box; None where there is none or it reaches beyond the projection."""
+    if not np.isfinite(box).all():
+        return None
+    try:
+        found = transformer(crs, other).transform_bounds(*box, densify_pts=101)
+    except ProjError:
+        return None
+    return found if np.isfinite(found).all() else None
 
 
 def meets(boxes: np.ndarray, box: Bounds) -> np.ndarray:
