@@ -7,9 +7,8 @@ from jaxurban.kernels.compiled import compiled
 
 MOST_WORDS = 2  # of a pattern: 64 satellites
 LEAST_SLOTS = 1 << 12  # of the table that finds a pattern's number; a power of two, as every larger one
-MULTIPLIER = np.uint64(
-    0x9E3779B97F4A7C15
-)  # 2^64 over the golden ratio: high bits of products spread patterns over the slots
+# 2^64 over the golden ratio: high bits of products spread patterns over the slots.
+MULTIPLIER = np.uint64(0x9E3779B97F4A7C15)
 FREE = -1
 
 

@@ -132,15 +132,15 @@ def _write_plain(
     """Write a map as a plain GeoTIFF and its overviews beside it, each named ``.ovr`` after the next larger one."""
     profile = profile_of(grid, dtype) | {"blockxsize": BLOCK, "blockysize": BLOCK}
     with ExitStack() as stack:
-        smaller: _Image | None = None
+        image: _Image | None = None
         for number, halving in reversed(list(enumerate(_halvings(grid.shape, is_averaged)))):
             name = path.with_name(path.name + number * ".ovr")
             size = {"height": halving.shape[0], "width": halving.shape[1]}
             file = stack.enter_context(rasterio.open(name, "w", **(profile | size)))
-            smaller = _Image(halving, file, smaller)
-        assert smaller is not None  # the map itself is always there
+            image = _Image(halving, file, image)
+        assert image is not None  # the map itself, which comes last
         for part in rows:
-            smaller.add(part)
+            image.add(part)
         file.update_tags(**told["tags"])
         file.set_band_description(1, told["title"])
         file.set_band_unit(1, told["unit"])
