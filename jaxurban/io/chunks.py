@@ -1,7 +1,7 @@
 """The files of a Zarr: its chunks and metadata, whether they are as they were written, and rows as they hold them."""
 
-from collections.abc import Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Iterable, Iterator
+from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -10,6 +10,9 @@ import zarr
 
 from jaxurban.errors import InputError
 from jaxurban.io.files import holds_bytes, is_whole
+
+Each = Callable[[Callable[[Any], Any], Iterable[Any]], Iterable[Any]]  # `map`, or who works like it
+BATCH = 64  # chunks that are checked as one piece of work
 
 
 def metadata_file(path: Path) -> Path:
@@ -53,14 +56,23 @@ def _is_decodable(chunk: Chunk) -> bool:
     return True
 
 
-def broken_chunks(path: Path, num_threads: int = 1, name: str | None = None) -> list[Chunk]:
+def _undecodable(chunks: list[Chunk]) -> list[Chunk]:
+    return [chunk for chunk in chunks if not _is_decodable(chunk)]
+
+
+def broken_chunks(path: Path, each: Each = map, name: str | None = None) -> list[Chunk]:
     """Return the chunks of a Zarr of whole metadata, or of one array, that are missing or cannot be decoded.
 
     All are read: at 1 to 2 GiB/s of values a thread.
+
+    Args:
+      path: of the Zarr; absolute where ``each`` works elsewhere.
+      each: calls a function with each of many batches.
+      name: of the array.
     """
     chunks = list(chunks_of(path, name))
-    with ThreadPoolExecutor(num_threads) as pool:
-        return [chunk for chunk, is_good in zip(chunks, pool.map(_is_decodable, chunks), strict=True) if not is_good]
+    batches = [chunks[start : start + BATCH] for start in range(0, len(chunks), BATCH)]
+    return list(chain.from_iterable(each(_undecodable, batches)))
 
 
 def damaged(file: Path, what: str) -> InputError:

@@ -232,8 +232,8 @@ def write_npz(path: Path, arrays: Mapping[str, np.ndarray], is_compressed: bool 
         seal(scratch)
 
 
-def read_npz(path: Path) -> dict[str, np.ndarray]:
-    """Return the arrays that `write_npz` wrote.
+def read_npz(path: Path, wanted: Collection[str] | None = None) -> dict[str, np.ndarray]:
+    """Return the arrays that `write_npz` wrote, or the ``wanted`` ones of them.
 
     Raises:
       OSError: the file is missing or cannot be read.
@@ -242,4 +242,4 @@ def read_npz(path: Path) -> dict[str, np.ndarray]:
     with path.open("rb") as file:
         _check_whole(path)
         with np.load(file, allow_pickle=False) as kept:
-            return {name: kept[name] for name in kept.files}
+            return {name: kept[name] for name in kept.files if wanted is None or name in wanted}

@@ -12,7 +12,7 @@ import numpy as np
 
 from jaxurban.errors import InputError
 from jaxurban.io import store
-from jaxurban.io.chunks import broken_chunks, has_whole_metadata, metadata_file
+from jaxurban.io.chunks import Each, broken_chunks, has_whole_metadata, metadata_file
 from jaxurban.io.files import (
     LOCK_FILE,
     SCRATCH_SUFFIX,
@@ -99,12 +99,11 @@ class WorkFolder:
         """
         path = self._array_path(name)
         try:
-            kept = read_npz(path)
+            return read_npz(path, wanted)
         except (OSError, ValueError) as error:
             raise InputError(
                 f"{str(path)!r} is missing or damaged ({error}): run the same command again, which makes it anew"
             ) from error
-        return {key: kept[key] for key in wanted if key in kept}
 
     def mark_done(self, name: str, facts: dict[str, Any]) -> None:
         """Note that a task is finished and all of it written, with what it found."""
@@ -285,11 +284,14 @@ def remove_geotiffs_of(folder: Path, key: str) -> None:
                 remove(file)
 
 
-def broken_files(folder: Path, resolution_m: float, num_threads: int) -> list[Path]:
-    """Return the files of the maps of a resolution that are missing or not as they were written; all are read."""
-    path = store.zarr_path(folder, resolution_m)
+def broken_files(folder: Path, resolution_m: float, each: Each = map) -> list[Path]:
+    """Return the files of the maps of a resolution that are missing or not as they were written; all are read.
+
+    ``each`` calls a function with each of many pieces of that.
+    """
+    path = store.zarr_path(folder.resolve(), resolution_m)  # others may work in another folder
     if not path.exists():
         return []
     if not has_whole_metadata(path):
         return [metadata_file(path)]
-    return [chunk.file for chunk in broken_chunks(path, num_threads)]
+    return [chunk.file for chunk in broken_chunks(path, each)]

@@ -4,7 +4,7 @@ import re
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import rasterio
@@ -12,7 +12,7 @@ import xarray as xr
 
 from jaxurban.errors import one_of
 from jaxurban.io.attributes import IN_OBSTACLES
-from jaxurban.io.chunks import stored_rows
+from jaxurban.io.chunks import Each, stored_rows
 from jaxurban.io.cog import write_cog
 from jaxurban.io.files import BLANK, FIELD, holds_bytes, is_whole, seal, whole_file
 from jaxurban.io.qgis import style
@@ -27,7 +27,6 @@ from jaxurban.world.tiling import tile_shape
 ALL = "all"  # stands for every map that is held
 CREDIT = "attribution"  # attribute of the maps
 RUN_KEY = "run_key"
-Each = Callable[[Callable[[Any], Any], Iterable[Any]], Iterable[Any]]  # `map`, or who works like it
 Read = Callable[[str, tuple[int, ...], slice], np.ndarray]  # a variable, a place and rows: ``[y, x]`` from the north
 
 

@@ -8,6 +8,7 @@ that a missing one is damage; were it read all the same, it would be blocked cel
 
 import json
 import re
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal
 
@@ -29,7 +30,7 @@ from jaxurban.world.tiling import tile_shape
 RUN_FILE = "run.json"
 ZARR_FOLDER = "maps.zarr"
 GEOTIFF_FOLDER = "geotiff"
-COMPRESSOR = Zstd(level=0, checksum=True)
+COMPRESSOR = Zstd(level=1, checksum=True)
 GDAL_CRS = "_CRS"  # attribute: the CRS as GDAL's Zarr driver reads it
 TIMES = {"units": "seconds since 1970-01-01", "calendar": "proleptic_gregorian", "dtype": "int64"}
 NEEDED = ("obstacle", "has_data")  # without these it is not a folder of maps
@@ -193,9 +194,7 @@ def write_layer(
       is_inside: ``[y, x]``, or ``[A, y, x]`` at every altitude: cells inside obstacles, which hold no value in files.
     """
     rows, cols = window
-    # A tile without a value is written too: what is missing on disk counts as lost. Given to `open_array`, Zarr 3.1
-    # does not take the setting.
-    array = zarr.open_array(path / name, mode="r+", zarr_format=2).with_config({"write_empty_chunks": True})
+    array = _array_of(path / name, (path / name / ".zarray").stat().st_mtime_ns)
     held = array.attrs.get(IN_OBSTACLES)
     if held is not None and is_inside is not None:
         is_held = (values == float(str(held))) & ~np.signbit(values)  # a user's -0.0 stays
@@ -204,6 +203,16 @@ def write_layer(
     north, num_rows = array.shape[-2], rows.stop - rows.start
     place: Any = (*index, slice(north - rows.stop, north - rows.start), cols)
     array[place] = values[len(values) - num_rows :, : cols.stop - cols.start][::-1]
+
+
+@lru_cache(maxsize=256)  # opening takes as long as writing half a million cells
+def _array_of(path: Path, changed_ns: int) -> zarr.Array:
+    """Return the array of a map to write to.
+
+    A tile without a value is written too: what is missing on disk counts as lost. Given to `open_array`, Zarr 3.1 does
+    not take the setting.
+    """
+    return zarr.open_array(path, mode="r+", zarr_format=2).with_config({"write_empty_chunks": True})
 
 
 def add_to_zarr(ds: xr.Dataset, path: Path) -> None:

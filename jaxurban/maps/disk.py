@@ -2,6 +2,7 @@
 
 import math
 import shutil
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -38,8 +39,8 @@ def scratch_bytes(task: MapTask) -> int:
     return needed
 
 
-def file_bytes(task: MapTask, layers: Sequence[str] = ()) -> tuple[float, float]:
-    """Return about how many bytes the Zarr and the GeoTIFFs of a resolution take.
+def num_values(task: MapTask, layers: Sequence[str] = ()) -> tuple[Counter[str], Counter[str]]:
+    """Return how many values of each kind of type the Zarr and the GeoTIFFs of a resolution hold.
 
     Args:
       task: what the maps are made of.
@@ -47,15 +48,20 @@ def file_bytes(task: MapTask, layers: Sequence[str] = ()) -> tuple[float, float]
     """
     cells = math.prod(task.region.shape)
     held = {name: about for name, about in variables(task).items() if about[0][-2:] == PLANE}
-    of_geotiffs = geotiff_names(held, task.metrics, layers)
+    counts = Counter[str](), Counter[str]()
+    for count, names in zip(counts, (held, geotiff_names(held, task.metrics, layers)), strict=True):
+        for dims, kind in (held[name] for name in names):
+            count[kind.kind] += cells * math.prod(task.sizes[dim] for dim in dims[:-2])
+    return counts
 
-    def bytes_of(names: Sequence[str], each: dict[str, float]) -> float:
-        return cells * sum(
-            each[kind.kind] * math.prod(task.sizes[dim] for dim in dims[:-2])
-            for dims, kind in (held[name] for name in names)
-        )
 
-    return bytes_of([*held], ZARR_BYTES), bytes_of(of_geotiffs, GEOTIFF_BYTES)
+def file_bytes(task: MapTask, layers: Sequence[str] = ()) -> tuple[float, float]:
+    """Return about how many bytes the Zarr and the GeoTIFFs of a resolution take; arguments as for `num_values`."""
+    of_zarr, of_geotiffs = num_values(task, layers)
+    return (
+        sum(ZARR_BYTES[kind] * num for kind, num in of_zarr.items()),
+        sum(GEOTIFF_BYTES[kind] * num for kind, num in of_geotiffs.items()),
+    )
 
 
 def disk_bytes(tasks: Sequence[MapTask], layers: Sequence[str] = (), num_workers: int = 1, share: float = 1.0) -> int:

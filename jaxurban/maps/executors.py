@@ -13,7 +13,7 @@ from pathlib import Path
 from pickle import PicklingError
 from typing import Any
 
-import dask
+import dask.threaded
 import jax
 from dask.callbacks import Callback
 from dask.delayed import Delayed, delayed
@@ -164,7 +164,7 @@ def work_in_threads(job: TileJob, num_threads: int, on_result: Tell) -> None:
             on_result(result)
 
     with Listener():
-        dask.compute(*tile_graph(job, partial(_call, job)), scheduler="threads", num_workers=num_threads)
+        dask.compute(*tile_graph(job, partial(_call, job)), scheduler=dask.threaded.get, num_workers=num_threads)
 
 
 def _call(job: TileJob, function: Callable, *arguments: Any) -> Any:

@@ -317,13 +317,13 @@ def _fitting_on_gpus(per_tile_bytes: int, num_workers: int, gpus: Sequence[Gpu])
     return min(num_workers, int(free // per_tile_bytes) * max(1, len(gpus)))
 
 
-def plan_sentence(tasks: Sequence[MapTask], plan: MemoryPlan, disk_bytes: int) -> str:
-    """Return what a run tells of its size, memory and disk before it begins."""
+def plan_sentence(tasks: Sequence[MapTask], plan: MemoryPlan, disk_bytes: int, duration: str) -> str:
+    """Return what a run tells of its size, memory, disk and duration before it begins."""
     cells = sum(_num_cells(task.region) for task in tasks)
     disk = "less than 0.1 GiB of disk" if disk_bytes < 0.1 * 2**30 else f"about {gib(disk_bytes)} of disk"
     if not plan.ceiling_bytes:
         return f"{cells:,} cells on a Dask cluster: {disk}"
     return (
         f"{cells:,} cells, {plan.num_workers} tile{'s' * (plan.num_workers > 1)} at a time: about "
-        f"{gib(plan.needed_bytes)} of memory at most, of {gib(plan.ceiling_bytes)} allowed, and {disk}"
+        f"{gib(plan.needed_bytes)} of memory at most, of {gib(plan.ceiling_bytes)} allowed, {disk}, {duration}"
     )

@@ -9,7 +9,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from jaxurban.io.chunks import broken_chunks, has_whole_metadata, metadata_file
+from jaxurban.io.chunks import Each, broken_chunks, has_whole_metadata, metadata_file
 from jaxurban.io.folders import WorkFolder
 from jaxurban.io.read.rasterise import rasterise, rasterise_blocks
 from jaxurban.io.store import write_layer
@@ -70,8 +70,11 @@ def _name(kind: str, tile: Tile, quadrant: Quadrant | None = None) -> str:
     return f"{kind}_{tile[0]}_{tile[1]}{side}"
 
 
-def unmark_damaged(job: TileJob, num_threads: int) -> list[Path]:
-    """Return what is damaged of the finished tiles that an earlier run left, and make them unfinished."""
+def unmark_damaged(job: TileJob, each: Each = map) -> list[Path]:
+    """Return what is damaged of the finished tiles that an earlier run left, and make them unfinished.
+
+    ``each`` calls a function with each of many pieces of the check.
+    """
     path, tiles = job.work.zarr, {tile: _name("tile", tile) for tile in job.tiling.region_tiles}
     if not path.exists():
         job.work.unmark(tiles.values())
@@ -79,7 +82,7 @@ def unmark_damaged(job: TileJob, num_threads: int) -> list[Path]:
     if not has_whole_metadata(path):
         job.work.remove_maps(tiles.values())
         return [metadata_file(path)]
-    broken = broken_chunks(path, num_threads)
+    broken = broken_chunks(path, each)
     if lost := [chunk.file for chunk in broken if len(chunk.place) < 2]:  # coordinates
         job.work.remove_maps(tiles.values())
         return lost

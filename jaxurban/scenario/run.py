@@ -14,9 +14,10 @@ import numpy as np
 
 from jaxurban.errors import InputError
 from jaxurban.io import store
+from jaxurban.io.chunks import Each
 from jaxurban.io.files import check_writable, only_writer, sweep_scraps
 from jaxurban.io.folders import WorkFolder, broken_files, has_other_maps, prepare_folder, remove_geotiffs_of, stored_key
-from jaxurban.io.geotiff import Each, geotiff_names, stale_geotiffs, write_geotiffs
+from jaxurban.io.geotiff import geotiff_names, stale_geotiffs, write_geotiffs
 from jaxurban.io.layers import bands_of
 from jaxurban.io.read.city import BuildingFile, CensusFiles, read_city
 from jaxurban.io.read.guesses import warn_of
@@ -25,6 +26,7 @@ from jaxurban.io.store import open_whole
 from jaxurban.maps.build import map_guesses, view_sky
 from jaxurban.maps.dataset import PLANE, empty_dataset, variables, with_series
 from jaxurban.maps.disk import check_disk
+from jaxurban.maps.duration import foretold_s, told
 from jaxurban.maps.executors import (
     Resources,
     each_in_threads,
@@ -196,7 +198,9 @@ def _run(
         if resources.cluster is None:
             at_most = resources.num_workers, resources.num_processes or 0, resources.gpus
             plan = plan_run(tasks, resources.memory_bytes, *at_most)
-        LOG.info(plan_sentence(tasks, plan, check_disk(tasks, folder, layers, plan.num_workers)))
+        disk_bytes = check_disk(tasks, folder, layers, plan.num_workers)
+        duration_s = foretold_s(tasks, layers, min(plan.num_workers, num_cores()))
+        LOG.info(plan_sentence(tasks, plan, disk_bytes, told(duration_s)))
         if added is not None and has_other_maps(folder, key):
             LOG.info(f"adding to the maps in {str(folder)!r}, which are kept: {added.what}")
         # Nothing of an older job is touched before this one can begin.
@@ -264,7 +268,7 @@ def _maps_of(maker: Maker, watch: Stopwatch, report: Report) -> tuple[MetricMaps
     """Return the maps at one resolution, and whether they were made: those on disk are kept if whole and this job's."""
     folder, resolution_m = maker.folder, maker.task.region.resolution_m
     with watch.stage("verify"):
-        broken = broken_files(folder, resolution_m, maker.num_workers)
+        broken = broken_files(folder, resolution_m, maker.each)
         is_kept = not broken and stored_key(folder, resolution_m) == maker.key
     if broken:
         others = f" (and {len(broken) - 1} more)" if len(broken) > 1 else ""
@@ -314,7 +318,7 @@ def make_zarr(
     work = WorkFolder(store.work_path(maker.folder.resolve(), grid.resolution_m))
     damaged = work.begin(f"{maker.key} {shape}{f' {held.digest}' if held else ''}")
     job = TileJob(task, work, tiling, held)
-    for path in [*damaged, *unmark_damaged(job, maker.num_workers)]:
+    for path in [*damaged, *unmark_damaged(job, maker.each)]:
         LOG.warning(f"{str(path)!r} of the unfinished maps is damaged: making it again")
     if not work.zarr.exists():
         empty = empty_dataset(task, _no_values).assign_attrs(run_key=maker.key, guesses=task.guesses)

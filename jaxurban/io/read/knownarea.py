@@ -79,4 +79,9 @@ def rays_leaving(city: City, region: Grid, east_m: np.ndarray, north_m: np.ndarr
     x_m, y_m = np.meshgrid(*(at_m[min(stride, len(at_m)) // 2 :: stride] for at_m in (region.x_m, region.y_m)))
     start_m = np.stack([x_m.ravel(), y_m.ravel()], axis=-1)[:, None]
     rays = np.stack(np.broadcast_arrays(start_m, start_m + np.stack([east_m, north_m], axis=-1)), axis=-2)
-    return ~shapely.covers(known, shapely.linestrings(rays))
+    stays = np.zeros(rays.shape[:2], bool)
+    for part in shapely.get_parts(known):
+        if shapely.equals(part, box := shapely.box(*part.bounds)):  # convex: both ends tell, without a geometry a ray
+            stays |= ((rays >= box.bounds[:2]) & (rays <= box.bounds[2:])).all(axis=(2, 3))
+    stays[~stays] = shapely.covers(known, shapely.linestrings(rays[~stays]))
+    return ~stays
