@@ -15,7 +15,9 @@ def environment_of(checkout: Path, caches: Path) -> dict[str, str]:
     """Return the environment in which a process takes a checkout's jaxurban; what is compiled is kept in ``caches``."""
     caches = caches.resolve()
     caches.mkdir(parents=True, exist_ok=True)
-    return os.environ | {
+    # Else every process would compile all libraries to bytecode again: the prefix hides what lies beside them.
+    inherited = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
+    return inherited | {
         "PYTHONPATH": str(checkout.resolve()),
         "PYTHONPYCACHEPREFIX": str(caches / "python"),
         "NUMBA_CACHE_DIR": str(caches / "numba"),
