@@ -12,6 +12,8 @@ from numba import njit
 from numba.core.caching import FunctionCache, IndexDataCacheFile
 from numba.core.dispatcher import Dispatcher
 
+from jaxurban.collector import paused_collector
+
 
 def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     """Return a decorator: `numba.njit` with these options, and a cache on disk that knows of inner functions.
@@ -47,6 +49,10 @@ class _Cache(FunctionCache):
         super().__init__(function)
         kept = self._cache_file
         self._cache_file = _IndexOfOlderCode(self._cache_path, self._impl.filename_base, kept._source_stamp)
+
+    def load_overload(self, sig, target_context):
+        with paused_collector():  # the first one imports what Numba knows of all types
+            return super().load_overload(sig, target_context)
 
     def _index_key(self, sig, codegen):
         digest = hashlib.sha256()

@@ -4,8 +4,6 @@ Exit codes: 0 a path or a finished job; 2 bad input or usage; 3 no path; 4 budge
 130 interrupted.
 """
 
-import atexit
-import gc
 import os
 import signal
 import sys
@@ -25,6 +23,7 @@ from jaxurban.cli.plan import plan
 from jaxurban.cli.sensitivity import sensitivity
 from jaxurban.cli.study import study
 from jaxurban.cli.tune import tune
+from jaxurban.collector import collect_seldom
 from jaxurban.compile_cache import keep_programs
 from jaxurban.errors import InputError, reason_of
 from jaxurban.progress import interrupted
@@ -40,15 +39,6 @@ def app() -> None:
 
 for command in (compare, demo, fetch, maps, plan, sensitivity, study, tune):
     app.add_command(command)
-
-
-def _collect_less() -> None:
-    """Let Python look for unused cycles seldom, and not once more at the end: of millions of outlines it finds none.
-
-    It takes a tenth of the time of a run otherwise.
-    """
-    gc.set_threshold(10_000, 10, 10)
-    atexit.register(gc.freeze)
 
 
 def _set_up_libraries() -> None:
@@ -74,7 +64,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 def _run(arguments: Sequence[str] | None) -> int:
     stdout = sys.stdout
     try:
-        _collect_less()
+        collect_seldom()
         _set_up_libraries()
         code = app.main(args=arguments, prog_name="jaxurban", standalone_mode=False)
         if sys.stdout is not None:
