@@ -31,6 +31,7 @@ NAMES = (
     "bitstar",
     "tune",
     "memory",
+    "first",
 )
 SCRIPT = "workloads.py"
 NUM_DRAWS = 10_000
