@@ -60,13 +60,14 @@ def write_city(folder: Path, resolution_m: float) -> Path:
     return scenario
 
 
-def bytes_of(process: psutil.Process) -> int:
-    """Return the memory of a process and of all that it started."""
-    total = 0
+def bytes_of(process: psutil.Process) -> tuple[int, int]:
+    """Return the memory of a process and of all that it started, and how much of it are pages of files."""
+    total, of_files = 0, 0
     for each in (process, *process.children(recursive=True)):
         with suppress(psutil.Error):  # it has ended
-            total += each.memory_info().rss
-    return total
+            memory = each.memory_info()
+            total, of_files = total + memory.rss, of_files + memory.shared
+    return total, of_files
 
 
 def measure(scenario: Path, folder: Path, memory: str, num_workers: int) -> None:
@@ -74,20 +75,23 @@ def measure(scenario: Path, folder: Path, memory: str, num_workers: int) -> None
     shutil.rmtree(folder, ignore_errors=True)
     command = [sys.executable, "-m", "jaxurban", "maps", str(scenario), "-o", str(folder), "--memory", memory]
     command += ["--workers", str(num_workers)] if num_workers else []
-    free, least_free, most_bytes = shutil.disk_usage(scenario.parent).free, float("inf"), 0
+    free, least_free, most_bytes = shutil.disk_usage(scenario.parent).free, float("inf"), (0, 0)
     began_s = time.perf_counter()
     with (scenario.parent / "log").open("w+") as log:
         process = subprocess.Popen(command, stdout=log, stderr=log)
         watched = psutil.Process(process.pid)
         while process.poll() is None:
-            most_bytes = max(most_bytes, bytes_of(watched))
+            if (now := bytes_of(watched)) > most_bytes:
+                most_bytes, at_s = now, time.perf_counter() - began_s
             least_free = min(least_free, shutil.disk_usage(scenario.parent).free)
             time.sleep(LOOK_EVERY_S)
         log.seek(0)
         said = [line for line in log if "cells" in line or "error" in line]
     wall_s = time.perf_counter() - began_s
     print(f"{' '.join(command[3:])}: exit {process.returncode}, {wall_s:.0f} s; foretold: {''.join(said).strip()}")
-    print(f"at its highest {most_bytes / 2**30:.2f} GiB of memory, {(free - least_free) / 2**30:.2f} GiB of disk")
+    gib, of_files = (size / 2**30 for size in most_bytes)
+    print(f"at its highest, after {at_s:.0f} s, {gib:.2f} GiB of memory ({of_files:.2f} of files)", end=", ")
+    print(f"{(free - least_free) / 2**30:.2f} GiB of disk")
     if process.returncode:
         sys.exit(process.returncode)
     record = json.loads((folder / "run.json").read_text())

@@ -152,6 +152,7 @@ def digest_of(path: Path, algorithm: str = "sha256") -> str:
 
 MARK, DIGITS = b"jaxurban-crc32:", 8
 BLANK = MARK.decode() + "0" * DIGITS  # what a writer leaves in a file's text (a tag, an attribute) for `seal`
+PIECE_BYTES = 2**24  # of a file that are looked at at once
 FIELD = "checksum"  # the name of that text
 
 
@@ -167,7 +168,12 @@ def _sum(path: Path, more: tuple[Path, ...]) -> tuple[int, bytes, bytes] | None:
             if place < len(MARK) or place + DIGITS > len(data):
                 return None
             held = data[place : place + DIGITS]
-            crc = zlib.crc32(view[place + DIGITS :], zlib.crc32(view[:place]))
+            crc = 0
+            for start, stop in ((0, place), (place + DIGITS, len(data))):
+                for low in range(start, stop, PIECE_BYTES):
+                    crc = zlib.crc32(view[low : min(low + PIECE_BYTES, stop)], crc)
+                    if hasattr(mmap, "MADV_DONTNEED"):  # else a file that has been read counts as this process's memory
+                        data.madvise(mmap.MADV_DONTNEED)
     except ValueError:  # an empty file cannot be mapped
         return None
     for other in more:
