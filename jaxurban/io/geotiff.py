@@ -11,16 +11,17 @@ import rasterio
 import xarray as xr
 
 from jaxurban.errors import one_of
-from jaxurban.io.attributes import IN_OBSTACLES
+from jaxurban.io.attributes import CAVEAT, IN_OBSTACLES
 from jaxurban.io.chunks import Each, stored_rows
 from jaxurban.io.cog import write_cog
 from jaxurban.io.files import BLANK, FIELD, holds_bytes, is_whole, seal, whole_file
 from jaxurban.io.qgis import style
 from jaxurban.io.store import GEOTIFF_FOLDER, no_value, short_number
-from jaxurban.metrics.availability import STATISTICS
+from jaxurban.metrics.availability import statistics_of
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY
 from jaxurban.metrics.custom import held_metrics
 from jaxurban.metrics.gps import DOPS
+from jaxurban.metrics.protection import LEVELS
 from jaxurban.world.grid import Grid
 from jaxurban.world.tiling import tile_shape
 
@@ -43,7 +44,7 @@ def geotiff_names(held: Collection[str], metrics: Iterable[str], layers: Sequenc
     """
     names = ["obstacle"]
     for name in [*metrics, *(sorted(held) if tuple(layers) == (ALL,) else layers)]:
-        found = [name] if name in held else [one for one in STATISTICS if one in held] if name == "gps" else []
+        found = [name] if name in held else [one for one in statistics_of(name) if one in held]
         if not found:
             one_of("layer", name, sorted({*held, ALL}))
         names += [one for one in found if one not in names]
@@ -91,9 +92,11 @@ def _layers(ds: xr.Dataset, layers: Sequence[str]) -> Iterator[_Layer]:
     tile = tile_shape((ds.sizes["y"], ds.sizes["x"]))
     norm_name = next((name for name in ("pop_norm_per_km2", "pop_norm_per_block") if name in ds.attrs), "")
     walls = [str(dim) for dim in ds["obstacle"].dims[:-2]]
-    for name in geotiff_names(held_maps(ds), held_metrics(ds), layers):
+    metrics = held_metrics(ds)
+    statistics = {one for name in metrics for one in statistics_of(name)}
+    for name in geotiff_names(held_maps(ds), metrics, layers):
         array = ds[name]
-        told = {key: str(array.attrs[key]) for key in ("long_name", "units", "one_means") if key in array.attrs}
+        told = {key: str(array.attrs[key]) for key in ("long_name", "units", "one_means", CAVEAT) if key in array.attrs}
         for index in np.ndindex(array.shape[:-2]):
             at = {str(dim): place for dim, place in zip(array.dims[:-2], index, strict=True)}
             parts, tags = [name], {"metric": name, **told, **common}
@@ -110,7 +113,7 @@ def _layers(ds: xr.Dataset, layers: Sequence[str]) -> Iterator[_Layer]:
                 tags["time"] = times[at[TIME]]
                 if len(times) > 1:
                     parts.append(tags["time"].translate({45: None, 58: None}))
-            elif name in STATISTICS:
+            elif name in statistics:
                 tags |= {"time": f"{times[0]}/{times[-1]}", "num_times": str(len(times))}
             if "time" in tags and "constellations" in ds.attrs:
                 tags["constellation"] = ", ".join(ds.attrs["constellations"])
@@ -219,8 +222,8 @@ def _write_layer(read: Read, grid: Grid, folder: Path, run_key: str | None, laye
     """Write one GeoTIFF."""
     tags = layer.tags if run_key is None else layer.tags | {RUN_KEY: run_key}
     with whole_file(folder / GEOTIFF_FOLDER / layer.file) as scratch:
-        # Averages of classes, of counts and of infinite DOPs would be none of them in the overviews.
-        is_averaged = layer.dtype == np.float32 and layer.name not in DOPS
+        # Averages of classes, of counts and of infinite DOPs and levels would be none of them in the overviews.
+        is_averaged = layer.dtype == np.float32 and layer.name not in (*DOPS, *LEVELS)
         write_cog(
             scratch,
             grid,

@@ -9,6 +9,7 @@ import xarray as xr
 
 from jaxurban.metrics.custom import held_metrics
 from jaxurban.metrics.gps import DOPS
+from jaxurban.metrics.protection import LEVELS, WITHIN_LIMITS
 
 COLOUR_MAPS = {  # of Matplotlib, at 17 places from low to high
     "viridis": "44015448186a472d7b4240863b528b33638d2c728e26828e21918c1fa08828ae803fbc735ec96284d44baddc30d8e219fde725",
@@ -22,6 +23,7 @@ HIGHEST_DOP = 20.0  # where the paper's rating turns poor
 CLASSES = {  # of variables that are 0 or 1: name and colour of each
     "obstacle": (("free", "#f4f4ee"), ("obstacle", "#4a4a4a")),
     "has_data": (("no data", "#bdbdbd"), ("data", "#f4f4ee")),
+    WITHIN_LIMITS: (("beyond an alert limit", "#d55e00"), ("within both alert limits", "#f4f4ee")),
     "roof_guessed": (("height known, or no roof", "#f4f4ee"), ("height guessed", "#d55e00")),
 }
 
@@ -51,6 +53,9 @@ def scale_of(ds: xr.Dataset, name: str) -> Scale:
     places = np.linspace(0, 1, NUM_PLACES)
     if name in DOPS:
         return Scale(1 + (HIGHEST_DOP - 1) * places, colours_of("viridis_r"))
+    if name in LEVELS:
+        limit_m = ds.attrs["horizontal_alert_limit_m" if name == "hpl" else "vertical_alert_limit_m"]
+        return Scale(limit_m * places, colours_of("cividis_r"))
     if name == "num_visible":
         return Scale(max(4.0, _ends(ds, name)[1]) * places, colours_of("viridis"))
     if name == "density":

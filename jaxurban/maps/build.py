@@ -31,7 +31,7 @@ from jaxurban.metrics.custom import Layer, check_layers, check_name
 from jaxurban.metrics.gps import GpsParams
 from jaxurban.metrics.lidar import LidarParams
 from jaxurban.metrics.population import BlockPopulation, PopulationParams
-from jaxurban.metrics.registry import METRICS
+from jaxurban.metrics.registry import known_metrics
 from jaxurban.metrics.risk import RiskParams
 from jaxurban.metrics.visibility import SkyView
 from jaxurban.progress import Progress, reporting
@@ -93,7 +93,8 @@ def build_maps(
       height_samples: also make the spread of the metrics over this many draws of heights; 0: not.
       height_seed: of the draws.
       layers: cost layers of one's own, by name: rasters, arrays on the cells of the maps, or functions.
-      others: parameters of further metrics of the registry, by name.
+      others: parameters of further metrics of the registry, by name; those on request are made if they are named, as
+        ``{"protection": ProtectionParams()}``.
       progress: as in `jaxurban.progress.reporting`.
 
     Warns:
@@ -107,7 +108,7 @@ def build_maps(
     if grid is not None and bounds is not None:
         raise InputError("give either bounds or grid, and not both")
     for name in others or {}:
-        one_of("each name in others", name, METRICS)
+        one_of("each name in others", name, known_metrics())
     for name in layers or {}:
         check_name(name)
     region = grid if grid is not None else _region(city, bounds, resolution_m)

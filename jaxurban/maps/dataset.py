@@ -7,19 +7,20 @@ import numpy as np
 import pyproj
 import xarray as xr
 
-from jaxurban.io.attributes import IN_OBSTACLES
+from jaxurban.io.attributes import CAVEAT, IN_OBSTACLES
 from jaxurban.maps.height_uncertainty import SPREAD
 from jaxurban.maps.task import MapTask
 from jaxurban.metrics.availability import SERIES, TimeTotals
 from jaxurban.metrics.base import ALTITUDE, TIME
 from jaxurban.metrics.gps import DOPS
+from jaxurban.metrics.protection import LEVELS, WITHIN_LIMITS
 from jaxurban.world.city import joined_credits
 
 PLANE = ("y", "x")
 CONVENTIONS = "CF-1.11"
 UNITS = {  # of what is not a metric's m
     "density": "km-2",
-    **dict.fromkeys(("roof", "roof_touched", "terrain"), "m"),
+    **dict.fromkeys(("roof", "roof_touched", "terrain", *LEVELS), "m"),
 }
 LONG_NAMES = {  # of what is not a metric's m
     "obstacle": "cells inside obstacles",
@@ -31,6 +32,9 @@ LONG_NAMES = {  # of what is not a metric's m
     "hdop": "horizontal dilution of precision",
     "vdop": "vertical dilution of precision",
     "tdop": "time dilution of precision",
+    "hpl": "horizontal protection level",
+    "vpl": "vertical protection level",
+    WITHIN_LIMITS: "both protection levels within their alert limits",
     "roof": "height of the roof over the cell's centre above the ground",
     "roof_touched": "height of the highest roof that shares area with the cell above the ground",
     "roof_guessed": "the roof's height is guessed",
@@ -56,7 +60,7 @@ def variables(task: MapTask) -> dict[str, tuple[tuple[str, ...], np.dtype]]:
             names |= dict.fromkeys((f"{name}_{what}" for what in SERIES), (dims[1:], np.float32))
             continue
         names |= {name: (dims, np.float32)} | {other: (dims, kind) for other, kind in metric.also.items()}
-        if TIME in metric.dims and task.params.gps_bounds:
+        if TIME in metric.dims and metric.is_monotone and task.params.gps_bounds:
             names |= dict.fromkeys((f"{name}_lower", f"{name}_upper"), (dims, np.float32))
         if name in task.spread_metrics:
             names |= dict.fromkeys((f"{name}_{what}" for what in SPREAD), (dims, np.float32))
@@ -124,6 +128,10 @@ def empty_dataset(task: MapTask, make: Callable[[tuple[int, ...], np.dtype], obj
     held = variables(task).items()
     data = {name: (dims, make(tuple(sizes[dim] for dim in dims), kind)) for name, (dims, kind) in held}
     ds = _described(xr.Dataset(data, coords, attrs), task)
+    if "protection" in task.metrics:
+        settings = task.settings_of(task.metrics["protection"])
+        for name in ("horizontal_alert_limit_m", "vertical_alert_limit_m"):
+            ds.attrs[name] = float(getattr(settings, name))
     for name, layer in task.layers.items():
         ds[name].attrs["layer"] = layer.record
     return ds
@@ -150,7 +158,8 @@ def _axis(axis: str, standard_name: str, long_name: str, **more: str) -> dict[st
 def _described(ds: xr.Dataset, task: MapTask) -> xr.Dataset:
     units, meanings = dict(UNITS), {"obstacle": "a roof reaches this altitude"}
     titles = dict(LONG_NAMES)
-    in_obstacles = {**dict.fromkeys(DOPS, "inf"), "num_visible": "0"}
+    in_obstacles = {**dict.fromkeys((*DOPS, *LEVELS), "inf"), **dict.fromkeys(("num_visible", WITHIN_LIMITS), "0")}
+    caveats: dict[str, str] = {}
     for name, metric in task.metrics.items():
         units[name], meanings[name], label = metric.unit, metric.one_means, metric.label
         titles |= {name: label, f"{name}_lower": f"{label}, at least", f"{name}_upper": f"{label}, at most"}
@@ -159,15 +168,23 @@ def _described(ds: xr.Dataset, task: MapTask) -> xr.Dataset:
             in_obstacles |= dict.fromkeys((name, f"{name}_lower", f"{name}_upper"), "0")
         if TIME in metric.dims:
             meanings |= dict.fromkeys((f"{name}_median", f"{name}_p05", f"{name}_epoch_mean"), metric.one_means)
-            meanings[f"{name}_availability"] = f"m_{name} is above the threshold at every epoch"
+            at_every = f"{LONG_NAMES[metric.available]}," if metric.available else f"m_{name} is above the threshold"
+            meanings[f"{name}_availability"] = f"{at_every} at every epoch"
             if not task.keeps_times:
                 titles |= {f"{name}_{what}": f"{label}, {of}" for what, of in OVER_TIME.items()}
+                if metric.available:
+                    titles[f"{name}_availability"] = f"{label}, share of times with {LONG_NAMES[metric.available]}"
                 titles[f"{name}_epoch_mean"] = f"{label}, mean over free cells"
                 titles[f"{name}_worst_time"] = f"{label}, time of the least mean over free cells"
                 in_obstacles |= dict.fromkeys((f"{name}_{what}" for what in SERIES), "0")
+        if metric.caveat:
+            own = [str(held) for held in ds.data_vars if held in metric.variables or str(held).startswith(f"{name}_")]
+            caveats |= dict.fromkeys(own, metric.caveat)
     for name in (str(variable) for variable in ds.data_vars):
         attrs = ds[name].attrs
         attrs["long_name"] = titles.get(name, name)
+        if name in caveats:
+            attrs[CAVEAT] = caveats[name]
         if name in STANDARD_NAMES:
             attrs["standard_name"] = STANDARD_NAMES[name]
         if name != "has_data" and ds[name].dtype.kind != "M":  # times have units of their own

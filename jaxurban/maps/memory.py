@@ -38,6 +38,8 @@ TERRAIN_BLOCK_BYTES = 9  # over terrain: ground, rise and class of cells around 
 SHADOW_GPU_BYTES = 64  # of a satellite over a cell of the tile and its halo: shadows are cast by doubling
 LIDAR_GPU_WORD_BYTES = 4.4  # over flat ground: 32 results of a step, and a tenth
 TERRAIN_GPU_BYTES = 400  # of a tile's own cell: the lidar's rays over terrain
+PROTECTION_CELL_BYTES = 40  # the distinct patterns at worst, their number in each cell, and one altitude's maps
+SERIES_PROTECTION_BYTES = 5  # of a time: m, and whether both levels are within their limits
 RISK_CELL_BYTES = 64  # of cells within the risk's threshold: squared distances and what a pass over them holds
 OTHER_CELL_BYTES = 8  # of a metric that is not measured, by variable: what it computes, and its layer
 SUBCELL_BYTES = 48  # rasters of the supersampled surface, its tops for both directions, and the lidar's order of them
@@ -166,9 +168,16 @@ def _other_bytes(task: MapTask, tile: Grid, metric: Metric) -> float:
     return OTHER_CELL_BYTES * (_num_cells(tile) * (1 + len(metric.also)) + around)
 
 
+def _protection_bytes(task: MapTask, tile: Grid, metric: Metric) -> float:
+    cells, altitudes = _num_cells(tile), len(task.params.altitudes_m)
+    series = 0 if task.keeps_times else cells * SERIES_PROTECTION_BYTES * task.num_times * altitudes
+    return cells * (16 * altitudes + PROTECTION_CELL_BYTES) + series
+
+
 MEASURED: dict[str, Callable[[MapTask, Grid, Metric], float]] = {
     "gps": _gps_bytes,
     "lidar": _lidar_bytes,
+    "protection": _protection_bytes,
     "risk": _risk_bytes,
 }
 

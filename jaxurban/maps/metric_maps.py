@@ -55,6 +55,8 @@ class MetricMaps(Shown):
     DOPs are inf with fewer than four satellites. Metrics are NaN only where ``has_data`` is False.
     Of a long series of times, instead of ``gps`` and the DOPs: ``gps_availability``, ``gps_median`` and ``gps_p05``
     [altitude, y, x], ``gps_epoch_mean`` [time, altitude] (mean m over free cells) and ``gps_worst_time`` [altitude].
+    On request ``protection``, ``hpl`` and ``vpl`` (metres, inf where undetermined) and ``within_limits``
+    [time, altitude, y, x], or the same statistics of ``protection``.
     Maps that were opened from a folder are read when they are looked at.
 
     Attributes:
@@ -170,12 +172,13 @@ class MetricMaps(Shown):
         Raises:
           InputError: no such variable, altitude, time or time of day in these maps.
         """
-        if name == "gps" and "gps_median" in self.ds and time is not None:
+        held = self.variable(name)
+        if held != name and time is not None:
             raise InputError(
-                f"these maps hold GPS statistics over {len(self.times)} epochs and no map of {time}: leave time "
-                'out (m is then the median), or make them with [gps] series = "epochs"'
+                f"these maps hold {self.metrics[name].label.split()[0]} statistics over {len(self.times)} epochs and "
+                f'no map of {time}: leave time out (m is then the median), or make them with [gps] series = "epochs"'
             )
-        name = self.variable(name)
+        name = held
         if name not in self.ds:
             raise InputError(f"these maps hold no {name!r}: they hold {', '.join(map(str, self.ds.data_vars))}")
         wanted = {
@@ -187,8 +190,8 @@ class MetricMaps(Shown):
         return array.isel({dim: index for dim, index in wanted.items() if dim in array.dims}).values
 
     def variable(self, name: str) -> str:
-        """Return the variable that holds a metric: the median stands for GPS where a long series keeps statistics."""
-        return "gps_median" if name == "gps" and "gps_median" in self.ds else name
+        """Return the variable that holds a metric: the median stands for it where a long series keeps statistics."""
+        return f"{name}_median" if name not in self.ds and f"{name}_median" in self.ds else name
 
     @typed
     def is_free(self, altitude_m: float, obstacles: Obstacles | None = None) -> np.ndarray:

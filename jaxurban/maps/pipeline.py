@@ -20,7 +20,7 @@ from jaxurban.metrics.gps import SATELLITES_STEP, GpsParams, maps_of_words
 from jaxurban.metrics.lidar import LidarParams, beam_heights, lidar_of_beams
 from jaxurban.metrics.obstacle import obstacle_mask
 from jaxurban.metrics.population import BlockPopulation, PopulationParams, day_share, layers_of_blocks, map_blocks
-from jaxurban.metrics.registry import METRICS
+from jaxurban.metrics.registry import METRICS, ON_REQUEST
 from jaxurban.metrics.risk import RiskParams, compute_risk
 from jaxurban.metrics.visibility import SkyView, visible_words
 from jaxurban.metrics.weights import GivenWeights, Weights
@@ -80,6 +80,11 @@ def inputs_of(task: MapTask) -> MapInputs:
         raise InputError(
             "the maps as one function know no oversample, bounds, height_samples or own layers: leave them out, or "
             "make the maps with build_maps"
+        )
+    if asked := [name for name in task.metrics if name in ON_REQUEST]:
+        raise InputError(
+            f"the maps as one function hold no {' and no '.join(asked)}, which has no gradient: leave it out of "
+            "others, or make the maps with build_maps"
         )
     surface = jax.tree.map(jnp.asarray, task.surface())
     blocks = task.city.blocks

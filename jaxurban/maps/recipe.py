@@ -145,7 +145,8 @@ class TileScene:
         if (t := index.get(TIME)) is not None:
             assert a is not None
             satellites, words = self.view(t)
-            scene = replace(scene, satellites=satellites, words=_at(words, self._made_at(t).index(a)))
+            words = _at(words, self._made_at(t).index(a))
+            scene = replace(scene, satellites=satellites, in_view=self.task.in_view(t), words=words)
         if metric.name in self.task.bands:
             values = layer_values(self.task.bands[metric.name], self.surface.region, self.task.region, a)
             scene = replace(scene, rasters={metric.name: values})
@@ -198,7 +199,7 @@ def _layers(tile: TileScene, stage: Stage) -> Iterator[MapLayer]:
     for name, metric in task.metrics.items():
         is_series = TIME in metric.dims and not task.keeps_times
         yield from _staged((_statistics if is_series else _maps)(tile, metric), stage, name)
-        if TIME in metric.dims and task.params.gps_bounds:
+        if TIME in metric.dims and metric.is_monotone and task.params.gps_bounds:
             yield from _staged(_bounds(tile, metric), stage, f"{name}_bounds")
         tile.forget()
     if task.params.height_samples:
@@ -254,12 +255,20 @@ def _statistics(tile: TileScene, metric: Metric) -> Iterator[MapLayer]:
     totals = TimeTotals.zero(tile.task.num_times, len(is_counted))
     totals.num_free[:] = is_counted.sum(axis=(1, 2))
     m = np.empty((tile.task.num_times, *is_counted.shape), np.float32)
-    for _, (t, a), m_now in _maps(tile, metric, only_m=True):
-        m[t, a] = m_now
+    is_available = np.empty(m.shape, np.uint8) if metric.available else None
+    for name, (t, a), values in _maps(tile, metric, only_m=is_available is None):
+        if is_available is not None and name == metric.available:
+            is_available[t, a] = values
+        if name != metric.name:
+            continue
+        m[t, a] = m_now = values
         totals.m_sum[t, a] = np.asarray(row_sums(m_now, counted[a])).sum(dtype=np.int64)
     tile.totals[metric.name] = totals
     for a in range(m.shape[1]):
-        for what, values in series_statistics(m[:, a], tile.task.params.gps.availability_threshold).items():
+        threshold, of_altitude = tile.task.params.gps.availability_threshold, None
+        if is_available is not None:
+            of_altitude = is_available[:, a]
+        for what, values in series_statistics(m[:, a], threshold, of_altitude).items():
             yield MapLayer(f"{metric.name}_{what}", (a,), values)
 
 

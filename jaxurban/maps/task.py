@@ -17,12 +17,12 @@ from jaxurban.metrics.custom import Layer, check_file_names, own_metric
 from jaxurban.metrics.gps import GpsParams
 from jaxurban.metrics.lidar import LidarParams
 from jaxurban.metrics.population import BlockLayers, PopulationParams, block_layers
-from jaxurban.metrics.registry import METRICS
+from jaxurban.metrics.registry import METRICS, ON_REQUEST
 from jaxurban.metrics.risk import RiskParams
 from jaxurban.metrics.visibility import shadow_reach_m
 from jaxurban.world.city import City, Raster
 from jaxurban.world.grid import Grid
-from jaxurban.world.sky import Sky
+from jaxurban.world.sky import InView, Sky
 from jaxurban.world.surface import Surface
 
 PAPER_ALTITUDES_M = (20.0, 60.0, 122.0, 600.0)
@@ -32,7 +32,8 @@ PAPER_ALTITUDES_M = (20.0, 60.0, 122.0, 600.0)
 class MapParams:
     """Everything that metric maps depend on besides city, sky and grid; `build_maps` says what each means.
 
-    ``others`` holds the settings of further metrics by name; those that nobody sets have their defaults.
+    ``others`` holds the settings of further metrics by name; those that nobody sets have their defaults, and of
+    `ON_REQUEST` those that are named are made.
 
     Raises:
       InputError: altitudes, an elevation mask, times of day or counts that are none.
@@ -113,7 +114,8 @@ class MapTask:
             for name, metric in METRICS.items()
             if TIME_OF_DAY not in metric.dims or self.city.blocks is not None
         }
-        return built_in | {name: own_metric(name, layer) for name, layer in sorted(self.layers.items())}
+        asked = {name: metric for name, metric in ON_REQUEST.items() if name in self.params.others}
+        return built_in | asked | {name: own_metric(name, layer) for name, layer in sorted(self.layers.items())}
 
     def settings_of(self, metric: Metric) -> Any:
         """Return the settings of a metric."""
@@ -176,6 +178,11 @@ class MapTask:
         """Return azimuths and elevations (radians) of the satellites at or above the mask at a time."""
         seen = self.satellites_at(time_index)
         return self.sky.azimuth_rad[time_index, seen], self.sky.elevation_rad[time_index, seen]
+
+    def in_view(self, time_index: int) -> InView:
+        """Return the satellites at or above the mask at a time."""
+        systems = tuple(self.sky.systems[s] for s in self.satellites_at(time_index))
+        return InView(*self.angles(time_index), systems)
 
     def with_margin(self, part: Grid | None = None, highest_m: float | None = None) -> Grid:
         """Return a grid grown by the margin that its metrics need.

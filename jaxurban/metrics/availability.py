@@ -1,4 +1,4 @@
-"""GPS quality over a series of times: how often it is enough, its median, its worst."""
+"""A metric over a series of times: how often it is enough, its median, its worst."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -10,12 +10,18 @@ import numpy as np
 
 LOW_SHARE = 0.05  # of the times: the percentile kept beside the median
 SERIES = ("availability", "median", "p05")  # what is kept of a long series, behind the metric's name
-STATISTICS = tuple(f"gps_{what}" for what in SERIES)
 CELLS_AT_ONCE = 2**13  # a block's values at all times stay in a core's cache
 SCALE = 2.0**14  # means over cells add up whole numbers of 1 / SCALE, so that no order of tiles changes them
 
 
-def series_statistics(m: np.ndarray, availability_threshold: float) -> dict[str, np.ndarray]:
+def statistics_of(name: str) -> tuple[str, ...]:
+    """Return the variables that hold a metric over a long series of times."""
+    return tuple(f"{name}_{what}" for what in SERIES)
+
+
+def series_statistics(
+    m: np.ndarray, availability_threshold: float, is_available: np.ndarray | None = None
+) -> dict[str, np.ndarray]:
     """Return statistics over time of each cell, float32, by their names in `SERIES`.
 
     ``availability`` is the share of times whose m is above the threshold, ``median`` the median, ``p05`` the value
@@ -25,6 +31,7 @@ def series_statistics(m: np.ndarray, availability_threshold: float) -> dict[str,
     Args:
       m: ``[T, ...]`` metric at each time, any axes of cells behind.
       availability_threshold: m above which a position counts as available.
+      is_available: ``[T, ...]`` uint8: 1 where a position is available, whatever m is; left out, m decides.
     """
     num_times, *shape = m.shape
     flat = m.reshape(num_times, -1)
@@ -34,6 +41,8 @@ def series_statistics(m: np.ndarray, availability_threshold: float) -> dict[str,
         # A sort along contiguous memory takes a quarter of the time of a partition, a fourteenth of one along time.
         ordered = np.sort(np.ascontiguousarray(flat[:, block].T), axis=1)
         found["availability"][block] = np.mean(ordered > availability_threshold, axis=1)
+        if is_available is not None:
+            found["availability"][block] = np.mean(is_available.reshape(num_times, -1)[:, block], axis=0)
         found["median"][block] = _quantile(ordered, 0.5)
         found["p05"][block] = _quantile(ordered, LOW_SHARE)
     return {name: values.reshape(shape) for name, values in found.items()}

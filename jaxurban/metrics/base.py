@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from jaxurban.metrics.gps import SatelliteSet
     from jaxurban.metrics.population import BlockLayers, BlockPopulation
     from jaxurban.metrics.visibility import SkyView
+    from jaxurban.world.sky import InView
 
 AnyArray = Array | np.ndarray
 ALTITUDE, TIME, TIME_OF_DAY = "altitude", "time", "time_of_day"
@@ -63,6 +64,7 @@ class Scene:
       supersampled: the same surface with cells ``oversample`` times smaller; None where they are the map's own.
       oversample: how many times finer that is.
       satellites: those at or above the mask at the time, made ready; None for metrics without a time.
+      in_view: where those stand and of which constellations; None for metrics without a time.
       words: ``[W, y, x]`` which of them each cell sees: satellite ``s`` is bit ``s % 32`` of word ``s // 32``.
       population: every census block at the time of day, ``[N]`` each and the norm; None for metrics without one.
       rasters: ``[y, x]`` the values of rasters of one's own at the altitude, by the name of their layer; NaN where
@@ -76,6 +78,7 @@ class Scene:
     supersampled: Surface | None = None
     oversample: int = 1
     satellites: "SatelliteSet | None" = None
+    in_view: "InView | None" = None
     words: UInt[Array, "W y x"] | None = None
     population: "BlockLayers | None" = None
     rasters: dict[str, np.ndarray] = field(default_factory=dict)
@@ -131,6 +134,10 @@ class Metric:
       reach_m: how far beyond a cell it looks sideways; satellites' shadows apart.
       soft: returns m of a soft scene, on its cells, with gradients; None where there is none.
       also: type of every further variable that ``compute`` returns.
+      available: which of these, 0 or 1, says that a position is available, for its share of the times of a series;
+        "" where that is m above a threshold.
+      is_monotone: one more satellite in view never makes m less, so that roofs from above and below bracket it.
+      caveat: what every output of it says to whoever reads it.
     """
 
     name: str
@@ -146,6 +153,14 @@ class Metric:
     reach_m: Callable[[Any], float] = no_reach_m
     soft: Callable[[SoftScene, Any], jax.Array] | None = None
     also: dict[str, type] = field(default_factory=dict)
+    available: str = ""
+    is_monotone: bool = True
+    caveat: str = ""
+
+    @property
+    def variables(self) -> tuple[str, ...]:
+        """Its own variable and all others that ``compute`` returns."""
+        return self.name, *self.also
 
     @property
     def one_is(self) -> str:

@@ -16,9 +16,9 @@ import numpy as np
 import xarray as xr
 
 from jaxurban.errors import InputError, finite, one_of, typed
-from jaxurban.metrics.availability import STATISTICS
+from jaxurban.metrics.availability import statistics_of
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY, Metric, Scene, SoftScene, high_is_bad, low_is_bad
-from jaxurban.metrics.registry import METRICS
+from jaxurban.metrics.registry import known_metrics
 from jaxurban.world.surface import Surface
 
 COSTS = {"high-is-bad": high_is_bad, "low-is-bad": low_is_bad}
@@ -40,10 +40,15 @@ TAKEN = (
         "terrain",
         "has_data",
     ),
-    *(ALTITUDE, TIME, TIME_OF_DAY, "y", "x", "spatial_ref", "gps_epoch_mean", "gps_worst_time"),
-    *STATISTICS,
-    *(name for metric in METRICS.values() for name in (metric.name, *metric.also)),
-    *(f"{name}_{what}" for name in METRICS for what in ("lower", "upper", "mean", "std", "p05", "p95")),
+    *(ALTITUDE, TIME, TIME_OF_DAY, "y", "x", "spatial_ref"),
+    *(name for metric in known_metrics().values() for name in metric.variables),
+    *(f"{name}_{what}" for name in known_metrics() for what in ("lower", "upper", "mean", "std", "p05", "p95")),
+    *(
+        name
+        for metric in known_metrics().values()
+        if TIME in metric.dims
+        for name in (*statistics_of(metric.name), f"{metric.name}_epoch_mean", f"{metric.name}_worst_time")
+    ),
 )
 
 
@@ -187,16 +192,21 @@ def own_metric(name: str, layer: Layer) -> Metric:
 
 def colour_of(name: str) -> str:
     """Return the colour of a metric's lines in figures, built-in or one's own, by its name alone."""
-    return METRICS[name].colour if name in METRICS else COLOURS[zlib.crc32(name.encode()) % len(COLOURS)]
+    known = known_metrics()
+    return known[name].colour if name in known else COLOURS[zlib.crc32(name.encode()) % len(COLOURS)]
 
 
 def held_metrics(ds: xr.Dataset) -> dict[str, Metric]:
     """Return the metrics of the cost that a dataset of maps holds, by name: the built-in ones, then one's own.
 
-    The median stands for GPS where a long series keeps statistics. Own layers say in their attribute ``layer`` what
-    they are (`Layer.record`).
+    The median stands for a metric where a long series keeps statistics. Own layers say in their attribute ``layer``
+    what they are (`Layer.record`).
     """
-    known = {name: metric for name, metric in METRICS.items() if name in ds or (name == "gps" and "gps_median" in ds)}
+    known = {
+        name: metric
+        for name, metric in known_metrics().items()
+        if name in ds or (TIME in metric.dims and f"{name}_median" in ds)
+    }
     own = {str(name): held.attrs["layer"] for name, held in ds.variables.items() if "layer" in held.attrs}
     return known | {name: own_metric(name, layer_of(own[name])) for name in sorted(own)}
 

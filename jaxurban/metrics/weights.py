@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 
 from jaxurban.errors import InputError, nearest_name, typed
 from jaxurban.metrics.base import AnyArray as AnyArray
-from jaxurban.metrics.registry import METRICS
+from jaxurban.metrics.registry import known_metrics
 
 DISTANCE_WEIGHT, METRIC_WEIGHT = 0.1, 1.0  # of the weights that nobody names
 MOST_WEIGHT = 1e30  # no path's cost overflows up to here, not even in float32
@@ -116,7 +116,7 @@ class Weights:
             nearest one).
         """
         if names is not None:
-            known = dict.fromkeys(("distance", *METRICS, *names))
+            known = dict.fromkeys(("distance", *known_metrics(), *names))
             for name in self.to_dict():
                 if name not in known:
                     hint = nearest_name(name, known) or f": the weights are {', '.join(known)}"

@@ -16,7 +16,7 @@ from jaxurban.io.read.airspace import read_zones
 from jaxurban.io.read.orbits import parse_time
 from jaxurban.io.read.zone import Zone, cell_boxes, touched_cells
 from jaxurban.maps.metric_maps import MetricMaps
-from jaxurban.metrics.registry import METRICS
+from jaxurban.metrics.registry import ON_REQUEST, known_metrics
 from jaxurban.paths.clearance import closed_by_clearance, nearest_said
 from jaxurban.paths.vehicle import Vehicle
 
@@ -55,7 +55,7 @@ class Bound:
             raise InputError(f"the bound {self} has the comparison {self.comparison!r}: use {', '.join(OPERATORS)}")
         if not math.isfinite(self.value):
             raise InputError(f"the bound {self} needs a finite number, as in gps>=0.3")
-        if self.variable in METRICS and not 0 <= self.value <= 1:
+        if self.variable in known_metrics() and not 0 <= self.value <= 1:
             raise InputError(f"the bound {self} asks what no cell or every cell has: m_{self.variable} lies in 0 to 1")
 
     def __str__(self) -> str:
@@ -90,7 +90,7 @@ class Bound:
             held = [str(name) for name, array in maps.ds.data_vars.items() if array.dims[-2:] == ("y", "x")]
             raise InputError(
                 f"the bound {self} is on a map that these maps do not hold{nearest_name(self.variable, held)}: "
-                f"they hold {', '.join(held)}"
+                f"they hold {', '.join(held)}{_made_by(variable)}"
             )
         is_kept = maps.ds["has_data"].values.copy()
         for z_m in maps.around(altitude_m):
@@ -324,6 +324,12 @@ def constraints_said(record: Mapping[str, Any]) -> str:
 def clearances_said(record: Mapping[str, Any]) -> list[str]:
     """Return a phrase for each distance that constraints, as `Constraints.to_dict` holds them, keep from obstacles."""
     return [f"{said} of {record[name]:g} m" for name, said in KEPT_CLEAR.items() if record.get(name)]
+
+
+def _made_by(variable: str) -> str:
+    """Return which section makes a variable that maps hold on request alone; empty for others."""
+    makers = (name for name, metric in ON_REQUEST.items() if variable in metric.variables)
+    return "".join(f" (a scenario with [{name}] makes it)" for name in makers)
 
 
 def _at(held_m: float, altitude_m: float) -> str:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jaxurban.metrics.registry import METRICS
+from jaxurban.metrics.registry import METRICS, ON_REQUEST
 from jaxurban.paths.ground import ground_along
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.search import PathSearch
@@ -91,9 +91,21 @@ def _note(on: "CostMap", found: Path, ends: tuple[Place, Place]) -> str:
         )
     if found.status is Status.NO_PATH:
         notes.append(on.what_would_join(*ends))
-    if missing := [name for name in METRICS if name not in on.names and on.weights[name] > 0]:
+    weighed = on.weights.to_dict()
+    asked = [*(name for name in METRICS if on.weights[name] > 0), *(name for name in ON_REQUEST if weighed.get(name))]
+    if missing := [name for name in asked if name not in on.names]:
         notes.append(f"These maps hold no {' and no '.join(missing)}, so that weight is ignored.")
-    return " ".join(filter(None, notes))
+    return " ".join(filter(None, (*notes, *caveats_of(on))))
+
+
+def caveats_of(on: "CostMap") -> list[str]:
+    """Return what a reader must know of the metrics that a path pays for or is bounded by."""
+    bounded = {bound.variable for bound in on.constraints.bounds}
+    return [
+        metric.caveat
+        for name, metric in on.maps.metrics.items()
+        if metric.caveat and ((name in on.names and on.weights[name] > 0) or bounded & {*metric.variables})
+    ]
 
 
 def map_settings(on: "CostMap") -> dict[str, Any]:

@@ -117,7 +117,7 @@ def tasks_of(scenario: Scenario, stage: Stage = untimed) -> list[MapTask]:
         height_std=buildings.height_std_m,
         height_samples=buildings.height_samples,
         height_seed=buildings.height_seed,
-        others={name: getattr(scenario, name) for name in METRICS if hasattr(scenario, name)},
+        others={name: getattr(scenario, name) for name in METRICS if hasattr(scenario, name)} | scenario.on_request,
     )
     with stage("read"):
         city = load_city(scenario)

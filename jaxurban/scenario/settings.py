@@ -30,6 +30,8 @@ from jaxurban.metrics.custom import Layer, check_file_names, check_name
 from jaxurban.metrics.gps import GpsParams
 from jaxurban.metrics.lidar import LidarParams
 from jaxurban.metrics.population import WEEKDAY_PROFILE, WEEKEND_PROFILE, PopulationParams, day_share
+from jaxurban.metrics.protection import ProtectionParams
+from jaxurban.metrics.registry import ON_REQUEST
 from jaxurban.metrics.risk import RiskParams
 from jaxurban.metrics.settings import differentiable
 from jaxurban.metrics.weights import MOST_WEIGHT, Weights
@@ -274,6 +276,7 @@ class Scenario(_Section):
     lidar: LidarParams = LidarParams()
     population: PopulationSettings = PopulationSettings()
     risk: RiskParams = RiskParams()
+    protection: ProtectionParams | None = Field(default=None, exclude_if=operator.not_)  # left out: not made
     layers: dict[str, Layer] = Field(default_factory=dict, exclude_if=operator.not_)  # of one's own
     weights: WeightSettings = Weights()
     planning: PlanningSettings = PlanningSettings()
@@ -290,6 +293,7 @@ class Scenario(_Section):
     @model_validator(mode="after")
     def _check(self) -> "Scenario":
         self._check_layers()
+        self._request_what_is_weighed()
         if self.is_synthetic and (self.population.blocks or self.terrain.source):
             raise ValueError(
                 "the synthetic city (source = 'synthetic') has its own population and flat ground: leave out "
@@ -365,6 +369,19 @@ class Scenario(_Section):
     def path_of(self, name: str) -> Path:
         """Return the path that a setting names, relative ones taken from the scenario's folder."""
         return self._folder / name
+
+    def _request_what_is_weighed(self) -> None:
+        """Give the metrics made on request that have a weight above 0 and no section one of its defaults."""
+        listed = () if isinstance(self.study.weights, str) else self.study.weights
+        weighed = {name for table in (self.weights, *listed) for name, value in table.to_dict().items() if value}
+        for name, metric in ON_REQUEST.items():
+            if name in weighed and getattr(self, name) is None:
+                object.__setattr__(self, name, metric.params())
+
+    @property
+    def on_request(self) -> dict[str, Any]:
+        """The settings of the metrics made on request, by name."""
+        return {name: settings for name in ON_REQUEST if (settings := getattr(self, name)) is not None}
 
     @property
     def is_synthetic(self) -> bool:

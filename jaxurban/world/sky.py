@@ -2,8 +2,23 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
+
+
+class InView(NamedTuple):
+    """The satellites at or above the elevation mask at one time. ``S`` satellites.
+
+    Attributes:
+      azimuth_rad: ``[S]`` float64, clockwise from **grid** north.
+      elevation_rad: ``[S]`` float64 above the horizon.
+      systems: ``[S]`` constellation of each, as in `Sky`.
+    """
+
+    azimuth_rad: np.ndarray
+    elevation_rad: np.ndarray
+    systems: tuple[str, ...]
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,333 @@
+"""Protection levels of choices of satellites: multiple-hypothesis solution separation (ARAIM), compiled by Numba."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int, UInt
+
+from jaxurban.kernels.compiled import compiled
+
+AXES = 3  # east, north, up
+WORD_BITS = 32
+# Of a pivot of the normal matrix to its diagonal, below which the satellites leave the position undetermined.
+LEAST_PIVOT = 1e-13
+MOST_HALVINGS = 100  # of the interval that holds a protection level
+NO_EVENT = -1  # second event of a mode of one
+SQRT_HALF, SQRT_TWO_PI = math.sqrt(0.5), math.sqrt(2 * math.pi)
+
+
+class Ranging(NamedTuple):
+    """What is known of ``S`` satellites of ``C`` constellations before anything is measured.
+
+    Attributes:
+      directions: ``[S, 3]`` unit vectors east, north, up.
+      constellation: ``[S]`` number of each satellite's own, whose clock is one unknown.
+      sigma_int_m: ``[S]`` standard deviation of range errors that integrity counts on.
+      sigma_acc_m: ``[S]`` that of accuracy and continuity.
+      bias_m: ``[S]`` largest nominal bias.
+      p_sat: ``[S]`` prior probability that the satellite is faulty.
+      p_const: ``[C]`` that of a fault of the whole constellation.
+    """
+
+    directions: Float[np.ndarray, "S 3"]
+    constellation: Int[np.ndarray, " S"]
+    sigma_int_m: Float[np.ndarray, " S"]
+    sigma_acc_m: Float[np.ndarray, " S"]
+    bias_m: Float[np.ndarray, " S"]
+    p_sat: Float[np.ndarray, " S"]
+    p_const: Float[np.ndarray, " C"]
+
+
+class RiskBudget(NamedTuple):
+    """How risks are shared out; see `protection_levels` for the equations.
+
+    Attributes:
+      phmi_horizontal, phmi_vertical: integrity risk, half of the first for each horizontal axis.
+      pfa_horizontal, pfa_vertical: false alerts.
+      p_unmonitored: most probability of faults that no subset stands for.
+      tolerance_horizontal_m, tolerance_vertical_m: by how much a protection level may be rounded up.
+    """
+
+    phmi_horizontal: float
+    phmi_vertical: float
+    pfa_horizontal: float
+    pfa_vertical: float
+    p_unmonitored: float
+    tolerance_horizontal_m: float
+    tolerance_vertical_m: float
+
+
+def protection_levels(
+    patterns: UInt[np.ndarray, "W P"], ranging: Ranging, budget: RiskBudget
+) -> Float[np.ndarray, "2 P"]:
+    """Return the horizontal and the vertical protection level (metres, float64) of each choice of satellites.
+
+    Weighted least squares with G = [-e -n -u | clocks] and W = 1 / sigma_int^2, one clock for each constellation in
+    view: S = (G^T W G)^-1 G^T W with all satellites, S_k without those of fault mode k. With sigma_k^2 = sum (S_k
+    sigma_int)^2, b_k = sum |S_k| b, T_k = K_fa sqrt(sum ((S_k - S) sigma_acc)^2), K_fa = Q^-1(P_fa / (2 N)), of which
+    each horizontal axis takes half, and N fault modes, the level L of an axis solves
+    ``2 Q((L - b_0) / sigma_0) + sum_k p_k Q'((L - T_k - b_k) / sigma_k) = PHMI (1 - P_unmonitored / sum of PHMI)``,
+    Q' = Q above 0 and 1 below. The horizontal level is the hypotenuse of east and north.
+
+    Fault modes are each satellite and each constellation in view, then pairs of these by falling probability until
+    what is left is at most ``p_unmonitored``. Modes whose subset leaves the position undetermined are left too. inf
+    where more is left than that, or where all satellites leave the position undetermined.
+
+    Sources: Blanch et al. 2012 (ION GNSS) and 2015 (IEEE Trans. AES 51, "Baseline advanced RAIM user algorithm and
+    possible improvements"); EU-US Working Group C, ARAIM Milestone 3 report, 2016, and its Reference Airborne Algorithm
+    Description Document 3.0, equations 26, 27, 31, 32. The level is the end of an interval, halved from the level
+    without faults (doubled until it is enough) and 0 down to the tolerance, so never below the solution.
+
+    Args:
+      patterns: satellite ``s`` is bit ``s % 32`` of word ``s // 32``.
+      ranging: of the satellites.
+      budget: of the risks.
+    """
+    levels = np.empty((2, patterns.shape[1]))
+    _fill_levels(np.ascontiguousarray(patterns), Ranging(*map(np.ascontiguousarray, ranging)), budget, levels)
+    return levels
+
+
+@compiled(nogil=True)
+def _fill_levels(patterns, ranging, budget, levels):
+    """Fill ``levels`` ``[2, P]``."""
+    num_satellites = len(ranging.directions)
+    for number in range(patterns.shape[1]):
+        seen = np.empty(num_satellites, np.int64)
+        num = 0
+        for s in range(num_satellites):
+            if (patterns[s // WORD_BITS, number] >> np.uint32(s % WORD_BITS)) & np.uint32(1):
+                seen[num] = s
+                num += 1
+        levels[0, number], levels[1, number] = _levels_of(seen[:num], ranging, budget)
+
+
+@compiled(nogil=True)
+def _levels_of(seen, ranging, budget):
+    """Return the horizontal and the vertical protection level of the satellites ``[n]`` seen."""
+    num = len(seen)
+    is_kept = np.ones(num, np.bool_)
+    of_all, of_subset = np.empty((AXES, num)), np.empty((AXES, num))
+    if not _fill_gains(seen, is_kept, ranging, of_all):
+        return np.inf, np.inf
+    constellations, prior = _events(seen, ranging)
+    modes, p_mode, p_left = _fault_modes(prior, budget.p_unmonitored)
+    num_modes = len(modes)
+    k_horizontal, k_vertical = 0.0, 0.0
+    if num_modes:
+        k_horizontal = quantile(budget.pfa_horizontal / (4 * num_modes))
+        k_vertical = quantile(budget.pfa_vertical / (2 * num_modes))
+    # Rows are the modes that are monitored, the one without faults first: sigma, and threshold and bias together.
+    sigma_m, offset_m, p_row = np.empty((AXES, num_modes + 1)), np.empty((AXES, num_modes + 1)), np.empty(num_modes + 1)
+    _fill_terms(of_all, of_all, 0.0, 0.0, seen, ranging, sigma_m[:, 0], offset_m[:, 0])
+    rows = 1
+    for mode in range(num_modes):
+        for i in range(num):
+            is_kept[i] = True
+        for event in modes[mode]:
+            if event >= num:
+                for i in range(num):
+                    is_kept[i] &= ranging.constellation[seen[i]] != constellations[event - num]
+            elif event != NO_EVENT:
+                is_kept[event] = False
+        if not _fill_gains(seen, is_kept, ranging, of_subset):
+            p_left += p_mode[mode]
+            continue
+        _fill_terms(of_subset, of_all, k_horizontal, k_vertical, seen, ranging, sigma_m[:, rows], offset_m[:, rows])
+        p_row[rows] = p_mode[mode]
+        rows += 1
+    share = 1 - p_left / (budget.phmi_horizontal + budget.phmi_vertical)
+    if p_left > budget.p_unmonitored or share <= 0:
+        return np.inf, np.inf
+    of_axis = np.empty(AXES)
+    for axis in range(AXES):
+        risk = budget.phmi_vertical if axis == 2 else budget.phmi_horizontal / 2
+        tolerance_m = budget.tolerance_vertical_m if axis == 2 else budget.tolerance_horizontal_m
+        of_axis[axis] = _level(sigma_m[axis, :rows], offset_m[axis, :rows], p_row[:rows], risk * share, tolerance_m)
+    return math.hypot(of_axis[0], of_axis[1]), of_axis[2]
+
+
+@compiled(nogil=True)
+def _events(seen, ranging):
+    """Return the constellations in view and the priors of all events: of the satellites, then of those."""
+    constellations = np.unique(ranging.constellation[seen])
+    prior = np.empty(len(seen) + len(constellations))
+    for i in range(len(seen)):
+        prior[i] = ranging.p_sat[seen[i]]
+    for c in range(len(constellations)):
+        prior[len(seen) + c] = ranging.p_const[constellations[c]]
+    return constellations, prior
+
+
+@compiled(nogil=True)
+def _fault_modes(prior, p_unmonitored):
+    """Return the fault modes ``[K, 2]`` (events, the second maybe `NO_EVENT`), their priors, and what is left.
+
+    Left is the probability of all sets of several events that are no modes.
+    """
+    num = len(prior)
+    of_order = np.zeros(num + 1)  # sums of the products of so many priors
+    of_order[0] = 1.0
+    for event in range(num):
+        for order in range(event + 1, 0, -1):
+            of_order[order] += of_order[order - 1] * prior[event]
+    p_left = of_order[2:].sum()
+    num_pairs = num * (num - 1) // 2 if p_left > p_unmonitored else 0
+    modes, p_mode = np.full((num + num_pairs, 2), NO_EVENT), np.empty(num + num_pairs)
+    num_modes = 0
+    for event in range(num):
+        if prior[event] > 0:
+            modes[num_modes, 0], p_mode[num_modes] = event, prior[event]
+            num_modes += 1
+    if num_pairs:
+        pairs, p_pair = np.empty((num_pairs, 2), np.int64), np.empty(num_pairs)
+        at = 0
+        for one in range(num):
+            for other in range(one + 1, num):
+                pairs[at, 0], pairs[at, 1], p_pair[at] = one, other, prior[one] * prior[other]
+                at += 1
+        for pair in np.argsort(-p_pair, kind="mergesort"):
+            if p_left <= p_unmonitored or p_pair[pair] == 0:
+                break
+            modes[num_modes], p_mode[num_modes] = pairs[pair], p_pair[pair]
+            p_left -= p_pair[pair]
+            num_modes += 1
+    return modes[:num_modes], p_mode[:num_modes], p_left
+
+
+@compiled(nogil=True)
+def _fill_gains(seen, is_kept, ranging, gains):
+    """Fill ``gains`` ``[3, n]`` with the rows of S for east, north and up; return False where they are undetermined."""
+    clock = np.full(len(ranging.p_const), -1, np.int64)
+    size, num_kept = AXES, 0
+    for i in range(len(seen)):
+        if is_kept[i]:
+            num_kept += 1
+            if clock[ranging.constellation[seen[i]]] < 0:
+                clock[ranging.constellation[seen[i]]] = size
+                size += 1
+    if num_kept < size or num_kept == 0:
+        return False
+    normal = np.zeros((size, size))
+    for i in range(len(seen)):
+        if is_kept[i]:
+            s = seen[i]
+            weight, own = 1 / ranging.sigma_int_m[s] ** 2, clock[ranging.constellation[s]]
+            for j in range(AXES):
+                for k in range(j + 1):
+                    normal[j, k] += weight * ranging.directions[s, j] * ranging.directions[s, k]
+                normal[own, j] -= weight * ranging.directions[s, j]
+            normal[own, own] += weight
+    if not _factorise(normal):
+        return False
+    inverse = np.zeros((AXES, size))  # rows of the inverse of the normal matrix
+    for axis in range(AXES):
+        _solve(normal, axis, inverse[axis])
+    for i in range(len(seen)):
+        s = seen[i]
+        for axis in range(AXES):
+            gains[axis, i] = 0.0
+            if is_kept[i]:
+                gain = -inverse[axis, clock[ranging.constellation[s]]]
+                for j in range(AXES):
+                    gain += inverse[axis, j] * ranging.directions[s, j]
+                gains[axis, i] = gain / ranging.sigma_int_m[s] ** 2
+    return True
+
+
+@compiled(nogil=True)
+def _factorise(normal):
+    """Turn the lower triangle of a symmetric matrix into its Cholesky factor; False where it is singular."""
+    for j in range(len(normal)):
+        diagonal = normal[j, j]
+        pivot = diagonal
+        for k in range(j):
+            pivot -= normal[j, k] ** 2
+        if not pivot > LEAST_PIVOT * diagonal:
+            return False
+        normal[j, j] = math.sqrt(pivot)
+        for i in range(j + 1, len(normal)):
+            for k in range(j):
+                normal[i, j] -= normal[i, k] * normal[j, k]
+            normal[i, j] /= normal[j, j]
+    return True
+
+
+@compiled(nogil=True)
+def _solve(factor, unit, found):
+    """Fill ``found`` with a column of the inverse of the matrix whose Cholesky factor is given."""
+    for i in range(len(factor)):
+        found[i] = 1.0 if i == unit else 0.0
+        for k in range(i):
+            found[i] -= factor[i, k] * found[k]
+        found[i] /= factor[i, i]
+    for i in range(len(factor) - 1, -1, -1):
+        for k in range(i + 1, len(factor)):
+            found[i] -= factor[k, i] * found[k]
+        found[i] /= factor[i, i]
+
+
+@compiled(nogil=True)
+def _fill_terms(gains, of_all, k_horizontal, k_vertical, seen, ranging, sigma_m, offset_m):
+    """Fill sigma_k and T_k + b_k ``[3]`` of one mode from its gains and those of all satellites."""
+    for axis in range(AXES):
+        variance, separation, bias_m = 0.0, 0.0, 0.0
+        for i in range(len(seen)):
+            s = seen[i]
+            variance += (gains[axis, i] * ranging.sigma_int_m[s]) ** 2
+            separation += ((gains[axis, i] - of_all[axis, i]) * ranging.sigma_acc_m[s]) ** 2
+            bias_m += abs(gains[axis, i]) * ranging.bias_m[s]
+        sigma_m[axis] = math.sqrt(variance)
+        offset_m[axis] = (k_vertical if axis == 2 else k_horizontal) * math.sqrt(separation) + bias_m
+
+
+@compiled(nogil=True)
+def _level(sigma_m, offset_m, prior, risk, tolerance_m):
+    """Return the protection level of one axis, of its modes ``[K]``, the first of which is without faults."""
+    high_m = quantile(risk / 2) * sigma_m[0] + offset_m[0]
+    if len(sigma_m) == 1:
+        return high_m
+    while not _is_enough(high_m, sigma_m, offset_m, prior, risk):
+        high_m *= 2
+    low_m = 0.0
+    for _ in range(MOST_HALVINGS):
+        if high_m - low_m <= tolerance_m:
+            break
+        middle_m = (low_m + high_m) / 2
+        if _is_enough(middle_m, sigma_m, offset_m, prior, risk):
+            high_m = middle_m
+        else:
+            low_m = middle_m
+    return low_m + tolerance_m
+
+
+@compiled(nogil=True)
+def _is_enough(level_m, sigma_m, offset_m, prior, risk):
+    """Return whether errors beyond a level are as improbable as the risk."""
+    total = 2 * tail((level_m - offset_m[0]) / sigma_m[0])
+    for mode in range(1, len(sigma_m)):
+        beyond = (level_m - offset_m[mode]) / sigma_m[mode]
+        total += prior[mode] * (tail(beyond) if beyond > 0 else 1.0)
+        if total > risk:
+            return False
+    return total <= risk
+
+
+@compiled(nogil=True)
+def tail(x):
+    """Return Q(x), the probability that a standard normal variable is larger."""
+    return 0.5 * math.erfc(x * SQRT_HALF)
+
+
+@compiled(nogil=True)
+def quantile(probability):
+    """Return Q^-1 of a probability below 0.5, by Newton's method on the logarithm of Q, which is concave."""
+    x = math.sqrt(-2 * math.log(2 * probability))
+    for _ in range(MOST_HALVINGS):
+        of_tail = tail(x)
+        step = math.log(of_tail / probability) * of_tail * SQRT_TWO_PI * math.exp(x * x / 2)
+        x += step
+        if abs(step) <= 1e-14 * x:
+            break
+    return x
