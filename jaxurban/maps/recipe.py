@@ -196,12 +196,15 @@ def tile_maps(tile: TileScene, stage: Stage = untimed) -> Iterator[MapLayer]:
 def _layers(tile: TileScene, stage: Stage) -> Iterator[MapLayer]:
     task = tile.task
     yield from _staged(_obstacles(tile), stage, "obstacle")
-    for name, metric in task.metrics.items():
+    by_sky = sorted(task.metrics.items(), key=lambda item: TIME not in item[1].dims)  # of one view after the other
+    for number, (name, metric) in enumerate(by_sky):
         is_series = TIME in metric.dims and not task.keeps_times
         yield from _staged((_statistics if is_series else _maps)(tile, metric), stage, name)
-        if TIME in metric.dims and metric.is_monotone and task.params.gps_bounds:
+        has_bounds = TIME in metric.dims and metric.is_monotone and task.params.gps_bounds
+        if has_bounds:
             yield from _staged(_bounds(tile, metric), stage, f"{name}_bounds")
-        tile.forget()
+        if has_bounds or not any(TIME in later.dims for _, later in by_sky[number + 1 :]):
+            tile.forget()
     if task.params.height_samples:
         yield from _staged(_height_spread(tile), stage, "height_spread")
     yield from _staged(_rasters(tile), stage, "surface")

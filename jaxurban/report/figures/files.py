@@ -24,6 +24,7 @@ from jaxurban.report.figures.metrics import (
 )
 from jaxurban.report.figures.paths import Paths, by_altitude, plot_overview, plot_paths
 from jaxurban.report.figures.profile import plot_profile
+from jaxurban.report.figures.protection import NAMES as PROTECTION
 from jaxurban.report.save import save
 
 
@@ -63,7 +64,7 @@ def maps_figures(maps: MetricMaps, paths: Paths) -> dict[str, Callable[[], Figur
             name = "cost" if len(maps.times_of_day) < 2 else f"cost_{time_of_day}"
             figures[name] = partial(plot_paths, maps, {}, time_of_day=time_of_day)
     drawn = drawn_names(maps)
-    figures |= {name: partial(plot_metric, maps, name) for name in SERIES_NAMES if name in drawn}
+    figures |= {name: partial(plot_metric, maps, name) for name in {**SERIES_NAMES, **PROTECTION} if name in drawn}
     if len(maps.times) > 1 and maps.default_time is not None:
         figures["gps_epochs"] = lambda: plot_epochs(maps)
     if "gdop" in maps.ds:  # statistics over a long series hold none

@@ -28,6 +28,8 @@ from jaxurban.report.figures.frame import (
     make_frame,
 )
 from jaxurban.report.figures.notes import frame_note, meaning_of, short_time
+from jaxurban.report.figures.protection import LEVEL_NAMES, median_said, protection_colours
+from jaxurban.report.figures.protection import NAMES as PROTECTION_NAMES
 
 DOP_NAMES = {
     "gdop": "Geometric dilution of precision (GDOP)",
@@ -66,9 +68,9 @@ def line_colour(name: str) -> str:
 def drawn_names(maps: MetricMaps) -> dict[str, str]:
     """Return the heading of each map that `plot_metric` draws, of those that these maps hold, by name."""
     known = {"obstacle": "Obstacles", **{name: metric.label for name, metric in maps.metrics.items()}}
-    known |= {**DOP_NAMES, "num_visible": "Satellites in view", **SERIES_NAMES}
-    if maps.default_time is None:
-        known["gps"] = f"{METRICS['gps'].label}, median over the epochs"
+    known |= {**DOP_NAMES, "num_visible": "Satellites in view", **SERIES_NAMES, **PROTECTION_NAMES}
+    medians = [name for name in maps.metrics if maps.variable(name) != name]
+    known |= {name: f"{maps.metrics[name].label}, median over the epochs" for name in medians}
     held = {name: heading for name, heading in known.items() if maps.variable(name) in maps.ds}
     return held | ({AVAILABILITY: SERIES_NAMES[AVAILABILITY]} if len(maps.times) > 1 and "gps" in held else {})
 
@@ -85,6 +87,8 @@ def metric_colours(maps: MetricMaps, name: str) -> Colours:
         return Colours("viridis", Normalize(0, most), "satellites in view", ticks=ticks)
     if name in DOP_NAMES:
         return Colours(DOP_COLOUR_MAP, Normalize(1, MAX_DOP), f"{name.upper()} (lower is better)", "max")
+    if name in PROTECTION_NAMES:
+        return protection_colours(maps, name)
     if name == AVAILABILITY:
         label = f"share of epochs with $m_\\mathrm{{gps}}$ > {availability_threshold(maps):g}"
         return Colours(METRICS["gps"].colour_map, Normalize(0, 1), label)
@@ -149,7 +153,7 @@ def plot_metric(
         panels = [(item or "", [MapLayer(maps.m(name, time_of_day=item), colours)]) for item in items]
         return _figure(maps, headings[name], panels, obstacle_patches(maps)[1:], colours=colours, has_sky=False)
     time = (time or maps.times[0]) if TIME in dims else None
-    has_sky = TIME in dims or name == "gps" or name in SERIES_NAMES
+    has_sky = TIME in dims or maps.variable(name) != name or name in {**SERIES_NAMES, **PROTECTION_NAMES}
     panels = [
         (f"{z:g} m  ·  {_middle_of(maps, name, z, time)}", [free_layer(maps, name, z, time), obstacle_layer(maps, z)])
         for z in altitudes_m or maps.altitudes_m
@@ -165,7 +169,8 @@ def plot_metric(
         time=time,
         colours=colours,
         has_sky=has_sky,
-        is_median=name not in SERIES_NAMES,
+        is_median=name not in {**SERIES_NAMES, **PROTECTION_NAMES},
+        of=name,
     )
 
 
@@ -191,9 +196,8 @@ def plot_epochs(maps: GivenMaps, name: str = "gps", *, altitude_m: float | None 
         for time in maps.times
     ]
     colours = metric_colours(maps, name)
-    return _figure(
-        maps, f"{headings[name]} at each epoch, {z:g} m above ground", panels, obstacle_patches(maps), colours=colours
-    )
+    heading = f"{headings[name]} at each epoch, {z:g} m above ground"
+    return _figure(maps, heading, panels, obstacle_patches(maps), colours=colours, of=name)
 
 
 def _figure(
@@ -206,9 +210,10 @@ def _figure(
     colours: Colours | None = None,
     has_sky: bool = True,
     is_median: bool = True,
+    of: str = "gps",
 ) -> Figure:
-    """Return panels, each a title and the layers that it shows, with a key of patches and a colour bar."""
-    note = frame_note(maps, time, has_sky=has_sky, is_median=is_median)
+    """Return panels of a map (``of``), each a title and its layers, with a key of patches and a colour bar."""
+    note = frame_note(maps, time, has_sky=has_sky, is_median=is_median, of=of)
     frame = make_frame(maps.grid, [title for title, _ in panels], heading, note)
     for panel, (_, layers) in zip(frame.axes, panels, strict=True):
         draw_layers(panel, maps.grid, layers)
@@ -217,7 +222,7 @@ def _figure(
 
 
 def _middle_of(maps: MetricMaps, name: str, altitude_m: float, time: str | None) -> str:
-    """Return the mean over free cells as a text; the median for DOPs, which may be inf, and for satellites."""
+    """Return the mean over free cells as a text; the median for DOPs and levels, maybe inf, and for satellites."""
     values = values_of(maps, name, altitude_m, time)[maps.is_free(altitude_m, "centre")]
     if values.size == 0:
         return "no free cell"
@@ -225,6 +230,8 @@ def _middle_of(maps: MetricMaps, name: str, altitude_m: float, time: str | None)
         return f"median {np.quantile(values, 0.5, method='lower'):.0f}"
     if name in DOP_NAMES:
         return f"median {np.median(values):.2f}"
+    if name in LEVEL_NAMES:
+        return median_said(values)
     return f"mean {values.mean(dtype=np.float64):.2f}"
 
 

@@ -1,5 +1,6 @@
 """The lines below a figure's heading: what was guessed, the sky, the cells, the CRS, and whom to credit."""
 
+from jaxurban.io.attributes import CAVEAT
 from jaxurban.maps.guesses import is_of_sky
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.world.grid import Grid
@@ -11,15 +12,24 @@ SYSTEMS = {
 }
 
 
-def frame_note(maps: MetricMaps, time: str | None = None, *, has_sky: bool = True, is_median: bool = True) -> str:
-    """Return the lines below a figure's heading: guesses, if any; the sky, size of a cell, CRS, place, credit.
+def frame_note(
+    maps: MetricMaps, time: str | None = None, *, has_sky: bool = True, is_median: bool = True, of: str | None = None
+) -> str:
+    """Return the lines below a figure's heading: caveats and guesses, if any; the sky, cells, CRS, place, credit.
 
     ``has_sky``: the figure shows something of GPS, at a time or, left out, over all times of a series; guesses of the
-    sky are told only there. ``is_median``: see `sky_said`.
+    sky and caveats are told only there. ``is_median``: see `sky_said`. ``of``: the map that is shown alone.
     """
     sky = sky_said(maps, time, is_median=is_median) if has_sky else ""
-    guessed = f"Guessed: {guesses}\n" if (guesses := guesses_said(maps, has_sky)) else ""
-    return guessed + joined(sky, *ground_said(maps))
+    caveats = caveats_said(maps, of) if has_sky else []
+    guessed = [f"Guessed: {guesses}"] if (guesses := guesses_said(maps, has_sky)) else []
+    return "\n".join([*caveats, *guessed, joined(sky, *ground_said(maps))])
+
+
+def caveats_said(maps: MetricMaps, of: str | None = None) -> list[str]:
+    """Return what a reader must know of a map, or left out of all metrics that these maps hold."""
+    names = [maps.variable(name) for name in ((of,) if of else maps.metrics)]
+    return list(dict.fromkeys(said for name in names if name in maps.ds and (said := maps.ds[name].attrs.get(CAVEAT))))
 
 
 def guesses_said(maps: MetricMaps, has_sky: bool) -> str:
