@@ -1,0 +1,109 @@
+"""Protection maps: range errors as published, the metric, one level a choice of satellites, and who asks for them."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxurban.errors import InputError
+from jaxurban.metrics.base import Scene
+from jaxurban.metrics.protection import (
+    METRIC,
+    ProtectionParams,
+    levels_of_satellites,
+    protection_maps,
+    protection_metric,
+    ranging_of,
+)
+from jaxurban.metrics.protection.range_errors import galileo_receiver_sigma_m
+from jaxurban.metrics.registry import METRICS, ON_REQUEST, find_metric, known_metrics
+from jaxurban.world.sky import InView
+from tests.kernels.test_protection import EXAMPLE
+from tests.metrics.soft.scene import ALTITUDE_M, surface_of
+from tests.metrics.soft.scene import scene as soft_scene
+
+PARAMS = ProtectionParams()
+
+
+def drawn(num_gps: int, num_galileo: int, seed: int = 0) -> InView:
+    draw, num = np.random.default_rng(seed), num_gps + num_galileo
+    systems = ("gps",) * num_gps + ("galileo",) * num_galileo
+    return InView(draw.uniform(0, 2 * np.pi, num), np.arcsin(draw.uniform(0.15, 1, num)), systems)
+
+
+def test_range_errors_are_those_of_the_published_example():
+    east, north, up = -EXAMPLE[:, :3].T
+    in_view = InView(np.arctan2(east, north), np.arctan2(up, np.hypot(east, north)), ("gps",) * len(EXAMPLE))
+    found = ranging_of(in_view, PARAMS)
+    np.testing.assert_allclose(found.sigma_int_m**2, EXAMPLE[:, 3], atol=1e-4)
+    np.testing.assert_allclose(found.sigma_acc_m**2, EXAMPLE[:, 4], atol=1e-4)
+
+
+def test_galileo_has_a_table_that_ends_at_5_degrees():
+    found_m = galileo_receiver_sigma_m(np.radians([0.0, 5.0, 7.5, 10.0, 90.0]))
+    np.testing.assert_allclose(found_m, [0.4529, 0.4529, 0.4041, 0.3553, 0.2277])
+    in_view = InView(np.zeros(3), np.full(3, 0.6), ("galileo", "gps", "qzss"))
+    found = ranging_of(in_view, PARAMS)
+    assert found.sigma_int_m[0] < found.sigma_int_m[1] == found.sigma_int_m[2]
+    np.testing.assert_array_equal(found.p_const[found.constellation], [1e-4, 1e-8, 1e-4])
+
+
+def test_the_metric_falls_to_0_at_the_alert_limit():
+    np.testing.assert_allclose(protection_metric(np.array([0.0, 10.0, 40.0, 41.0, np.inf]), 40.0), [1, 0.75, 0, 0, 0])
+
+
+@pytest.mark.parametrize("counts", [(9, 0), (7, 6), (40, 30)])
+def test_every_cell_has_the_levels_of_its_own_satellites(counts):
+    in_view, draw = drawn(*counts), np.random.default_rng(3)
+    num = sum(counts)
+    words = draw.integers(0, 2**32, (-(-num // 32), 9, 11), dtype=np.uint32)
+    words[-1] &= np.uint32(2 ** (num % 32) - 1)
+    words[:, 3:5] = words[:, :1]
+    is_obstacle = draw.random((9, 11)) < 0.2
+    maps = protection_maps(jnp.asarray(words), is_obstacle, in_view, PARAMS)
+    levels = levels_of_satellites(in_view, PARAMS, words.reshape(len(words), -1)).reshape(2, 9, 11)
+    hpl_m, vpl_m = np.where(is_obstacle, np.inf, levels)
+    np.testing.assert_array_equal(maps.hpl, hpl_m.astype(np.float32))
+    np.testing.assert_array_equal(maps.vpl, vpl_m.astype(np.float32))
+    np.testing.assert_allclose(maps.m, 1 - np.minimum(hpl_m, 40) / 40, atol=1e-7)
+    np.testing.assert_array_equal(maps.within_limits, (hpl_m <= 40) & (vpl_m <= 35))
+    assert not maps.m[is_obstacle].any()
+    assert maps.within_limits.any()
+
+
+def test_a_scene_gives_m_alone_or_all_maps():
+    height_m, building = soft_scene()
+    surface = surface_of(height_m.astype(np.float32), building)
+    words = jnp.full((1, *surface.region.shape), 0b111111111, jnp.uint32)
+    nowhere = jnp.zeros(surface.region.shape, bool)
+    scene = Scene(surface, ALTITUDE_M, nowhere, in_view=drawn(9, 0), words=words)
+    found = METRIC.compute(scene, PARAMS)
+    assert {*found} == {*METRIC.variables}
+    assert len(np.unique(found["hpl"])) == 1
+    alone = METRIC.compute(Scene(surface, ALTITUDE_M, nowhere, in_view=drawn(9, 0), words=words, only_m=True), PARAMS)
+    assert [*alone] == ["protection"]
+    np.testing.assert_array_equal(alone["protection"], found["protection"])
+
+
+def test_it_is_made_on_request_and_no_metric_of_every_cost():
+    assert "protection" not in METRICS
+    assert [*known_metrics()] == [*METRICS, *ON_REQUEST]
+    assert find_metric("protection", known_metrics()) is METRIC
+    assert METRIC.soft is None
+    assert METRIC.colour not in {metric.colour for metric in METRICS.values()}
+    assert "no multipath" in METRIC.caveat
+    assert "no integrity" in METRIC.caveat
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        ({"horizontal_alert_limit_m": 0.0}, "horizontal_alert_limit_m must be positive metres"),
+        ({"bias_m": -1.0}, "bias_m must be 0 or more metres"),
+        ({"p_const": 0.5}, "p_const must be a probability from 0 to below 0.1"),
+        ({"phmi_vertical": 0.0}, "phmi_vertical must be a probability from 1e-15 to 0.1"),
+        ({"tolerance_m": (0.05, 0.0)}, "tolerance_m must be positive metres"),
+    ],
+)
+def test_a_wrong_setting_is_one_sentence(wrong, words):
+    with pytest.raises(InputError, match=words):
+        ProtectionParams(**wrong)
