@@ -21,6 +21,7 @@ if _TYPE_CHECKING:
     from jaxurban.metrics.gps import GpsParams as GpsParams
     from jaxurban.metrics.lidar import LidarParams as LidarParams
     from jaxurban.metrics.population import PopulationParams as PopulationParams
+    from jaxurban.metrics.protection import ProtectionParams as ProtectionParams
     from jaxurban.metrics.risk import RiskParams as RiskParams
     from jaxurban.metrics.weights import Weights as Weights
     from jaxurban.paths.batch import plan_many as plan_many
@@ -81,6 +82,7 @@ _NAMES = {
     "metrics.gps": "GpsParams",
     "metrics.lidar": "LidarParams",
     "metrics.population": "PopulationParams",
+    "metrics.protection": "ProtectionParams",
     "metrics.risk": "RiskParams",
     "metrics.weights": "Weights",
     "paths.batch": "plan_many",
