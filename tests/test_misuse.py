@@ -145,6 +145,9 @@ WRONG |= dict.fromkeys(
         *("climb_cost", "descent_cost", "reference_length_m", "reach_m", "range_m", "threshold_m", "snap", "tolerance"),
         *("default_height_m", "level_height_m", "mask_deg", "max_age_days", "wrong", "hold_out", "softness_m"),
         *("speed_m_s", "power_w", "swath_m", "value", "gdop_threshold", "availability_threshold", "normalise"),
+        *("horizontal_alert_limit_m", "vertical_alert_limit_m", "sigma_ura_m", "sigma_ure_m", "bias_m", "p_sat"),
+        *("p_const_gps", "p_const", "phmi_horizontal", "phmi_vertical", "pfa_horizontal", "pfa_vertical"),
+        *("p_unmonitored",),
         *(
             "clearance_m",
             "vertical_clearance_m",
@@ -185,6 +188,7 @@ WRONG |= {
     **{
         "others": {"gsp": 1},
         "SoftParams.others": RIGHT,
+        "ProtectionParams.tolerance_m": (0.0, 1e-4),
         "times": (),
         "compare.times": {"now": "then"},
         "scenario": "no.toml",

@@ -12,6 +12,8 @@ from jaxurban.paths.path import PlannedPath
 from jaxurban.planners.base import Status
 from jaxurban.report.figures.files import maps_figures
 from jaxurban.report.figures.metrics import AVAILABILITY, LOW
+from jaxurban.report.figures.notes import caveats_said
+from jaxurban.report.figures.protection import protection_texts
 from jaxurban.report.markdown import bullets, fill, listed, table
 
 Paths = Mapping[float, Sequence[PlannedPath]]
@@ -64,7 +66,7 @@ def summary_markdown(maps: MetricMaps, paths: Paths, run: Mapping[str, Any] | No
         what="Metric maps and paths" if any(paths.values()) else "Metric maps",
         paths=_path_section(maps, paths),
         pictures=_pictures(maps, facts, paths),
-        cautions="".join(f"\n- {line}" for line in _cautions(run)),
+        cautions="".join(f"\n- {line}" for line in (*caveats_said(maps), *_cautions(run))),
     )
     return f"{text}\n"
 
@@ -270,6 +272,7 @@ def _pictures(maps: MetricMaps, facts: Sequence[Facts], paths: Paths) -> str:
     texts["gps_epochs"] = f"GPS quality at each of {epochs}, at the lowest altitude."
     texts[AVAILABILITY] = f"at how many of {epochs} GPS is good enough, as a share."
     texts[LOW] = f"the GPS quality that 5 % of {epochs} stay below."
+    texts |= protection_texts(maps)
     drawn = maps_figures(maps, paths)
     return bullets(f"[`{name}.png`](figures/{name}.png): {text}" for name, text in texts.items() if name in drawn)
 

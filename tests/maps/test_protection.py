@@ -10,6 +10,7 @@ from scipy.ndimage import label
 
 import jaxurban as ju
 from jaxurban.errors import InputError
+from jaxurban.io.store import open_zarr
 from jaxurban.maps.build import compute_maps, soften, view_sky
 from jaxurban.maps.pipeline import inputs_of
 from jaxurban.maps.task import MapParams, MapTask
@@ -17,8 +18,11 @@ from jaxurban.metrics.gps import GpsParams
 from jaxurban.metrics.protection import CAVEAT, ProtectionParams
 from jaxurban.metrics.registry import METRICS
 from jaxurban.planners.base import Status
+from jaxurban.progress import Report
 from jaxurban.report.figures import plot_metric
+from jaxurban.scenario.run import Maker, make_zarr
 from jaxurban.scenario.settings import Scenario
+from tests import tiled_runs
 from tests.cli_runs import assert_one_sentence, run
 
 ALTITUDE_M, TIMES = 20.0, [f"2020-04-27T{hour:02d}:30:00Z" for hour in (0, 6, 12)]
@@ -92,6 +96,21 @@ def test_a_series_keeps_the_share_of_times_within_both_limits():
     with pytest.raises(InputError, match="hold Protection statistics over 3 epochs"):
         series.m("protection", time=TIMES[0])
     assert "share of epochs" in str([axes.get_ylabel() for axes in plot_metric(series, STATISTICS[0]).axes])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("series", ["epochs", "statistics"])
+def test_tiles_equal_the_whole(tmp_path, series):
+    made = tiled_runs.task(tiled_runs.city(), series)
+    task = replace(made, params=replace(made.params, others={"protection": ProtectionParams(p_const_gps=0.0)}))
+    with only_quick():
+        whole = compute_maps(task).ds
+        make_zarr(Maker(task, tmp_path / "tiled", "key", 1, None), Report(), (16, 16))
+    names = ("protection", "hpl", "vpl", "within_limits") if series == "epochs" else STATISTICS
+    with open_zarr(tmp_path / "tiled", tiled_runs.RESOLUTION_M) as tiled:
+        for name in names:
+            np.testing.assert_array_equal(tiled[name], whole[name])
+            assert len(np.unique(whole[name])) > 1
 
 
 def test_files_tell_what_it_leaves_out(maps, tmp_path):

@@ -13,7 +13,7 @@ LEVEL_NAMES = {"hpl": "Horizontal protection level (HPL)", "vpl": "Vertical prot
 LIMITS = {"hpl": "horizontal_alert_limit_m", "vpl": "vertical_alert_limit_m"}
 AVAILABILITY, LOW = f"{METRIC.name}_availability", f"{METRIC.name}_p05"
 SERIES_NAMES = {
-    AVAILABILITY: "Both protection levels within their alert limits",
+    AVAILABILITY: "Availability of both protection levels",
     LOW: "Protection that 5 % of the epochs stay below",
 }
 NAMES: Mapping[str, str] = {
@@ -26,6 +26,20 @@ NAMES: Mapping[str, str] = {
 def limits_said(maps: MetricMaps) -> str:
     """Return the alert limits in words."""
     return " and ".join(f"{name.upper()} ≤ {maps.ds.attrs[LIMITS[name]]:g} m" for name in LEVEL_NAMES)
+
+
+def protection_texts(maps: MetricMaps) -> dict[str, str]:
+    """Return what each picture shows of protection levels, by its name; empty where these maps hold none."""
+    if METRIC.name not in maps.metrics:
+        return {}
+    limits = limits_said(maps)
+    texts = dict.fromkeys(LEVEL_NAMES, "how far off a position can be at worst, in metres up to the alert limit.")
+    return texts | {
+        METRIC.name: "1 where HPL is 0 m, falling to 0 at the horizontal alert limit.",
+        WITHIN_LIMITS: f"where {limits}.",
+        AVAILABILITY: f"at how many epochs {limits}, as a share.",
+        LOW: "the protection that 5 % of the epochs stay below.",
+    }
 
 
 def median_said(level_m: np.ndarray) -> str:
@@ -42,5 +56,5 @@ def protection_colours(maps: MetricMaps, name: str) -> Colours:
         return Colours(f"{METRIC.colour_map}_r", Normalize(0, limit_m), label, "max")
     if name == LOW:
         return Colours(METRIC.colour_map, Normalize(0, 1), f"$m_\\mathrm{{{METRIC.name}}}$, 5th percentile")
-    what = "share of epochs with" if name == AVAILABILITY else "1:"
+    what = "share of epochs with" if name == AVAILABILITY else "1 where"
     return Colours(METRIC.colour_map, Normalize(0, 1), f"{what}\n{limits_said(maps)}")
