@@ -20,7 +20,7 @@ from jaxurban.io.store import GEOTIFF_FOLDER, no_value, short_number
 from jaxurban.metrics.availability import statistics_of
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY
 from jaxurban.metrics.custom import held_metrics
-from jaxurban.metrics.gps import DOPS
+from jaxurban.metrics.gps import DOPS, WEIGHTED_DOPS
 from jaxurban.metrics.protection import LEVELS
 from jaxurban.world.grid import Grid
 from jaxurban.world.tiling import tile_shape
@@ -223,7 +223,7 @@ def _write_layer(read: Read, grid: Grid, folder: Path, run_key: str | None, laye
     tags = layer.tags if run_key is None else layer.tags | {RUN_KEY: run_key}
     with whole_file(folder / GEOTIFF_FOLDER / layer.file) as scratch:
         # Averages of classes, of counts and of infinite DOPs and levels would be none of them in the overviews.
-        is_averaged = layer.dtype == np.float32 and layer.name not in (*DOPS, *LEVELS)
+        is_averaged = layer.dtype == np.float32 and layer.name not in (*DOPS, *WEIGHTED_DOPS, *LEVELS)
         write_cog(
             scratch,
             grid,

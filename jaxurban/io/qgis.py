@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 
 from jaxurban.metrics.custom import held_metrics
-from jaxurban.metrics.gps import DOPS
+from jaxurban.metrics.gps import DOPS, WEIGHTED_DOPS
 from jaxurban.metrics.protection import LEVELS, WITHIN_LIMITS
 
 COLOUR_MAPS = {  # of Matplotlib, at 17 places from low to high
@@ -51,7 +51,7 @@ def colours_of(colour_map: str, plain: str = "#333333") -> list[str]:
 def scale_of(ds: xr.Dataset, name: str) -> Scale:
     """Return how a variable of maps is coloured; its values are read where the range depends on them."""
     places = np.linspace(0, 1, NUM_PLACES)
-    if name in DOPS:
+    if name in (*DOPS, *WEIGHTED_DOPS):
         return Scale(1 + (HIGHEST_DOP - 1) * places, colours_of("viridis_r"))
     if name in LEVELS:
         limit_m = ds.attrs["horizontal_alert_limit_m" if name == "hpl" else "vertical_alert_limit_m"]

@@ -347,7 +347,7 @@ def soften(task: MapTask, *, time_index: int = 0, time_of_day: str = "day", dtyp
         surface=surface,
         building=jnp.asarray(building),
         height_m=jnp.asarray(city.buildings.height_m, dtype),
-        view=SkyView.of(surface, *task.angles(time_index)),
+        view=SkyView.of(surface, *task.angles(time_index), clocks=task.clocks(time_index)),
         population=None if city.blocks is None else BlockPopulation.of(city.blocks, task.region.bounds_m, dtype),
         time_of_day=time_of_day,
         reach_m=tuple((name, float(metric.reach_m(task.settings_of(metric)))) for name, metric in task.metrics.items()),

@@ -12,7 +12,7 @@ from jaxurban.maps.height_uncertainty import SPREAD
 from jaxurban.maps.task import MapTask
 from jaxurban.metrics.availability import SERIES, TimeTotals
 from jaxurban.metrics.base import ALTITUDE, TIME
-from jaxurban.metrics.gps import DOPS
+from jaxurban.metrics.gps import DOPS, WEIGHTED_DOPS
 from jaxurban.metrics.protection import LEVELS, WITHIN_LIMITS
 from jaxurban.world.city import joined_credits
 
@@ -32,6 +32,11 @@ LONG_NAMES = {  # of what is not a metric's m
     "hdop": "horizontal dilution of precision",
     "vdop": "vertical dilution of precision",
     "tdop": "time dilution of precision",
+    "wgdop": "geometric dilution of precision, weighted by elevation",
+    "wpdop": "position dilution of precision, weighted by elevation",
+    "whdop": "horizontal dilution of precision, weighted by elevation",
+    "wvdop": "vertical dilution of precision, weighted by elevation",
+    "wtdop": "time dilution of precision, weighted by elevation",
     "hpl": "horizontal protection level",
     "vpl": "vertical protection level",
     WITHIN_LIMITS: "both protection levels within their alert limits",
@@ -110,6 +115,8 @@ def empty_dataset(task: MapTask, make: Callable[[tuple[int, ...], np.dtype], obj
         "risk_threshold_m": params.risk.threshold_m,
         "risk_distance": params.risk.distance,
     }
+    if len(set(task.sky.systems)) > 1:
+        attrs["gps_clocks"] = params.gps.clocks
     if attribution:
         attrs["attribution"] = attribution
     if task.population is not None:
@@ -158,7 +165,10 @@ def _axis(axis: str, standard_name: str, long_name: str, **more: str) -> dict[st
 def _described(ds: xr.Dataset, task: MapTask) -> xr.Dataset:
     units, meanings = dict(UNITS), {"obstacle": "a roof reaches this altitude"}
     titles = dict(LONG_NAMES)
-    in_obstacles = {**dict.fromkeys((*DOPS, *LEVELS), "inf"), **dict.fromkeys(("num_visible", WITHIN_LIMITS), "0")}
+    in_obstacles = {
+        **dict.fromkeys((*DOPS, *WEIGHTED_DOPS, *LEVELS), "inf"),
+        **dict.fromkeys(("num_visible", WITHIN_LIMITS), "0"),
+    }
     caveats: dict[str, str] = {}
     for name, metric in task.metrics.items():
         units[name], meanings[name], label = metric.unit, metric.one_means, metric.label

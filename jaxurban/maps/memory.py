@@ -18,6 +18,7 @@ from jaxurban.maps.dataset import variables
 from jaxurban.maps.device import Gpu, gpu_free_bytes
 from jaxurban.maps.task import MapTask
 from jaxurban.metrics.base import Metric
+from jaxurban.metrics.registry import METRICS
 from jaxurban.world.grid import Grid
 from jaxurban.world.tiling import max_side_for, tile_shape
 
@@ -121,7 +122,10 @@ def _metric_bytes(task: MapTask, tile: Grid) -> float:
 
 def _gps_bytes(task: MapTask, tile: Grid, metric: Metric) -> float:
     cells, altitudes = _num_cells(tile), len(task.params.altitudes_m)
-    words = cells * (16 * altitudes + 48)  # of up to 64 satellites, twice if supersampled; one altitude's maps
+    weighted = 24 * (len(metric.also) > len(METRICS["gps"].also))  # DOPs, and m once more
+    words = cells * (
+        16 * altitudes + 48 + weighted
+    )  # of up to 64 satellites, twice if supersampled; maps of one altitude
     return words + (0 if task.keeps_times else cells * 4 * task.num_times * altitudes)
 
 

@@ -76,10 +76,11 @@ def inputs_of(task: MapTask) -> MapInputs:
       InputError: settings that `all_maps` knows nothing of: finer cells for rays, bounds, spreads and own layers.
     """
     params = task.params
-    if params.oversample > 1 or params.gps_bounds or params.height_samples or task.layers:
+    is_more = params.oversample > 1 or params.gps_bounds or params.height_samples or task.layers
+    if is_more or params.gps.weighting != "none":
         raise InputError(
-            "the maps as one function know no oversample, bounds, height_samples or own layers: leave them out, or "
-            "make the maps with build_maps"
+            "the maps as one function know no oversample, bounds, weighting, height_samples or own layers: leave them "
+            "out, or make the maps with build_maps"
         )
     if asked := [name for name in task.metrics if name in ON_REQUEST]:
         raise InputError(
@@ -110,7 +111,7 @@ def skies_of(task: MapTask, surface: Surface) -> SkyView:
     angles = [task.angles(t) for t in range(task.num_times)]
     most = max(1, *(len(azimuth_rad) for azimuth_rad, _ in angles))
     most = -(-most // SATELLITES_STEP) * SATELLITES_STEP
-    views = [SkyView.of(surface, *of_time, multiple_of=most) for of_time in angles]
+    views = [SkyView.of(surface, *of_time, most, task.clocks(t)) for t, of_time in enumerate(angles)]
     return jax.tree.map(lambda *values: jnp.asarray(np.stack(values)), *views)
 
 

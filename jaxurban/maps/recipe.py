@@ -111,7 +111,8 @@ class TileScene:
     def keep(self, time_index: int, words: jax.Array) -> None:
         """Let `view` return these words for a time, and forget all others."""
         self.forget()
-        self._seen[time_index] = SatelliteSet.of(*self.task.angles(time_index), self.task.params.gps), words
+        angles, clocks = self.task.angles(time_index), self.task.clocks(time_index)
+        self._seen[time_index] = SatelliteSet.of(*angles, self.task.params.gps, clocks), words
 
     def forget(self) -> None:
         """Free the memory of the satellites and words that `view` keeps."""

@@ -10,6 +10,7 @@ import numpy as np
 
 from jaxurban.errors import InputError, at_least
 from jaxurban.io.read.rasterise import build_surface, highest_top_m, surface_grid
+from jaxurban.kernels.dop import Clocks
 from jaxurban.maps.guesses import draws_guesses
 from jaxurban.maps.height_uncertainty import SPREAD, HeightStd, check_samples
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY, Metric
@@ -115,7 +116,8 @@ class MapTask:
             if TIME_OF_DAY not in metric.dims or self.city.blocks is not None
         }
         asked = {name: metric for name, metric in ON_REQUEST.items() if name in self.params.others}
-        return built_in | asked | {name: own_metric(name, layer) for name, layer in sorted(self.layers.items())}
+        made = {name: metric.under(self.settings_of(metric)) for name, metric in (built_in | asked).items()}
+        return made | {name: own_metric(name, layer) for name, layer in sorted(self.layers.items())}
 
     def settings_of(self, metric: Metric) -> Any:
         """Return the settings of a metric."""
@@ -183,6 +185,13 @@ class MapTask:
         """Return the satellites at or above the mask at a time."""
         systems = tuple(self.sky.systems[s] for s in self.satellites_at(time_index))
         return InView(*self.angles(time_index), systems)
+
+    def clocks(self, time_index: int) -> Clocks | None:
+        """Return which receiver clock each of the satellites of `angles` has; None where all share one."""
+        numbers = self.sky.system_numbers
+        if self.params.gps.clocks == "one" or not numbers.any():
+            return None
+        return Clocks(numbers[self.satellites_at(time_index)], int(numbers.max()) + 1)
 
     def with_margin(self, part: Grid | None = None, highest_m: float | None = None) -> Grid:
         """Return a grid grown by the margin that its metrics need.

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
@@ -50,6 +50,11 @@ def low_is_bad(m: AnyArray) -> AnyArray:
 def no_reach_m(params: Any) -> float:
     """Return 0: a metric that looks at nothing beside its own cell."""
     return 0.0
+
+
+def no_more(params: Any) -> dict[str, type]:
+    """Return nothing: a metric whose variables are the same under all settings."""
+    return {}
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,6 +139,7 @@ class Metric:
       reach_m: how far beyond a cell it looks sideways; satellites' shadows apart.
       soft: returns m of a soft scene, on its cells, with gradients; None where there is none.
       also: type of every further variable that ``compute`` returns.
+      also_under: returns the same of those that it returns under some settings alone.
       available: which of these, 0 or 1, says that a position is available, for its share of the times of a series;
         "" where that is m above a threshold.
       is_monotone: one more satellite in view never makes m less, so that roofs from above and below bracket it.
@@ -153,6 +159,7 @@ class Metric:
     reach_m: Callable[[Any], float] = no_reach_m
     soft: Callable[[SoftScene, Any], jax.Array] | None = None
     also: dict[str, type] = field(default_factory=dict)
+    also_under: Callable[[Any], dict[str, type]] = no_more
     available: str = ""
     is_monotone: bool = True
     caveat: str = ""
@@ -161,6 +168,11 @@ class Metric:
     def variables(self) -> tuple[str, ...]:
         """Its own variable and all others that ``compute`` returns."""
         return self.name, *self.also
+
+    def under(self, params: Any) -> "Metric":
+        """Return the metric as it is under some settings, with all the variables that it returns."""
+        more = self.also_under(params)
+        return replace(self, also={**self.also, **more}) if more else self
 
     @property
     def one_is(self) -> str:

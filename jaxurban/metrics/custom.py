@@ -18,6 +18,7 @@ import xarray as xr
 from jaxurban.errors import InputError, finite, one_of, typed
 from jaxurban.metrics.availability import statistics_of
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY, Metric, Scene, SoftScene, high_is_bad, low_is_bad
+from jaxurban.metrics.gps import WEIGHTED_DOPS
 from jaxurban.metrics.registry import known_metrics
 from jaxurban.world.surface import Surface
 
@@ -41,6 +42,7 @@ TAKEN = (
         "has_data",
     ),
     *(ALTITUDE, TIME, TIME_OF_DAY, "y", "x", "spatial_ref"),
+    *WEIGHTED_DOPS,
     *(name for metric in known_metrics().values() for name in metric.variables),
     *(f"{name}_{what}" for name in known_metrics() for what in ("lower", "upper", "mean", "std", "p05", "p95")),
     *(

@@ -12,7 +12,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Int, UInt
 
 from jaxurban.errors import InputError
-from jaxurban.kernels.dop import Geometry, geometry, unit_vectors
+from jaxurban.kernels.dop import AnyGeometry, Clocks, geometry, unit_vectors
 from jaxurban.kernels.shadows.doubling import (
     KernelShape,
     hand_on_at_once,
@@ -89,23 +89,32 @@ class SkyView(NamedTuple):
     """
 
     lines: Line
-    satellites: Geometry
+    satellites: AnyGeometry
     num: Int[AnyArray, ""]
 
     @classmethod
-    def of(cls, surface: Surface, azimuth_rad: ArrayLike, elevation_rad: ArrayLike, multiple_of: int = 1) -> "SkyView":
+    def of(
+        cls,
+        surface: Surface,
+        azimuth_rad: ArrayLike,
+        elevation_rad: ArrayLike,
+        multiple_of: int = 1,
+        clocks: Clocks | None = None,
+    ) -> "SkyView":
         """Return the view of satellites at ``[S]`` azimuths (clockwise from grid north) and elevations.
 
         Args:
           surface: where the roofs lie; its float type becomes that of the DOPs.
           azimuth_rad, elevation_rad: of the satellites at or above the mask; none are one that fills up.
           multiple_of: satellites are filled up to a multiple of this, so that few programs are compiled.
+          clocks: of the satellites; left out, all share one.
 
         Raises:
           InputError: a satellite below the horizon.
         """
         azimuth, elevation = above_horizon(np.atleast_1d(azimuth_rad), np.atleast_1d(elevation_rad))
-        satellites = geometry(unit_vectors(azimuth, elevation), np.dtype(surface.roof_m.dtype).type, multiple_of)
+        dtype = np.dtype(surface.roof_m.dtype).type
+        satellites = geometry(unit_vectors(azimuth, elevation), dtype, multiple_of, clocks)
         num, grid = len(azimuth), surface.grid
         filled = np.zeros((2, satellites.products.shape[-1]))
         filled[:, :num] = azimuth, elevation

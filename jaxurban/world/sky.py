@@ -43,6 +43,12 @@ class Sky:
     element_age_days: np.ndarray
     guesses: Mapping[str, str] = field(default_factory=dict)
 
+    @property
+    def system_numbers(self) -> np.ndarray:
+        """``[S]`` int number of each satellite's constellation, in the order in which the names name them."""
+        order = list(dict.fromkeys(self.systems))
+        return np.array([order.index(system) for system in self.systems], int)
+
     def above(self, mask_rad: float) -> "Sky":
         """Return the satellites that are at or above the elevation mask at any time."""
         keep = np.flatnonzero((self.elevation_rad >= mask_rad).any(axis=0))

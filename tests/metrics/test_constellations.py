@@ -31,21 +31,17 @@ def run(tmp_path_factory):
     return run_scenario(scenario, folder / "out"), folder / "out"
 
 
-def test_more_than_32_satellites_count_in_the_dops_of_an_open_sky(run):
+def test_more_than_32_satellites_of_four_systems_count_in_the_dops_of_an_open_sky(run):
     made, _ = run
     satellites = made.record["satellites"]
     above = [s for s in satellites if s["elevation_deg"][0] >= 5.0]
     assert len(above) > 32
     azimuth, elevation = (np.radians([s[name][0] for s in above]) for name in ("azimuth_grid_deg", "elevation_deg"))
-    rows = np.column_stack(
-        [
-            np.cos(elevation) * np.sin(azimuth),
-            np.cos(elevation) * np.cos(azimuth),
-            np.sin(elevation),
-            -np.ones(len(above)),
-        ]
-    )
-    gdop = math.sqrt(np.trace(np.linalg.inv(rows.T @ rows)))
+    clocks = [[-float(s["system"] == system) for s in above] for system in ("gps", *WALKER)]
+    places = [np.cos(elevation) * np.sin(azimuth), np.cos(elevation) * np.cos(azimuth), np.sin(elevation)]
+    rows = np.column_stack([*clocks, *places])
+    variance = np.diag(np.linalg.inv(rows.T @ rows))
+    gdop = math.sqrt(variance[-3:].sum() + variance[0])  # of the position and the first system's clock
     ds = made.maps[20.0].ds
     assert (ds["num_visible"].sel(altitude=800) == len(above)).all()  # above all roofs
     np.testing.assert_allclose(ds["gdop"].sel(altitude=800), gdop, rtol=1e-4)

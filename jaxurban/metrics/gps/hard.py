@@ -1,7 +1,7 @@
 """GPS quality: how well the satellites seen from each cell fix a position."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import jax
@@ -11,7 +11,7 @@ from jax import lax
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, UInt, UInt8
 
-from jaxurban.kernels.dop import Geometry, dops_of_words, geometry, unit_vectors
+from jaxurban.kernels.dop import AnyGeometry, Clocks, dops_of_words, geometry, unit_vectors
 from jaxurban.kernels.patterns import distinct_patterns, look_up
 from jaxurban.metrics.base import JAX_ALIGNMENT, AnyArray, zeros_for_jax
 from jaxurban.metrics.gps.params import GpsParams
@@ -35,8 +35,8 @@ class GpsMaps:
 
     Attributes:
       m: the metric, 0 to 1.
-      gdop, pdop, hdop, vdop, tdop: dilutions of precision; inf with fewer than four satellites or
-        where those seen leave the position undetermined.
+      gdop, pdop, hdop, vdop, tdop: dilutions of precision; inf with fewer satellites than three and one
+        for each clock or where those seen leave the position undetermined.
       num_visible: satellites seen.
     """
 
@@ -58,10 +58,19 @@ def gps_metric(gdop: Float[Array, "*C"], gdop_threshold: float | Array) -> Float
     return jnp.clip((gdop_threshold - jnp.minimum(gdop, gdop_threshold)) / (gdop_threshold - 1), 0, 1)
 
 
+def elevation_weights(elevation_rad: ArrayLike) -> np.ndarray:
+    """Return ``[S]`` weights of satellites, sin^2 of the elevation: one over the variance of a range, 1 at the zenith.
+
+    Source: Dach, Lutz, Walser and Fridez 2015, Bernese GNSS Software 5.2, elevation-dependent weighting w = cos^2 z;
+    the term of RTKLIB's variance of relative positioning that grows as 1 / sin^2 (Takasu, RTKLIB 2.4, rtkpos.c).
+    """
+    return np.sin(np.asarray(elevation_rad, float)) ** 2
+
+
 @jax.jit
 def maps_of_words(
     words: UInt[AnyArray, "W ..."],
-    satellites: Geometry,
+    satellites: AnyGeometry,
     gdop_threshold: float | Array,
     is_obstacle: Bool[Array, "..."] | None = None,
 ) -> GpsMaps:
@@ -80,7 +89,7 @@ def maps_of_words(
 
 
 def _in_equal_blocks(
-    words: UInt[Array, "W ..."], satellites: Geometry, gdop_threshold: float | Array, block_cells: int
+    words: UInt[Array, "W ..."], satellites: AnyGeometry, gdop_threshold: float | Array, block_cells: int
 ) -> GpsMaps:
     """Return `maps_of_words`, so many cells at once; a block of `BLOCK_CELLS` at least is made."""
     shape = words.shape[1:]
@@ -111,17 +120,31 @@ class SatelliteSet:
       table: the maps of every subset of up to `TABLE_SATELLITES` satellites, by its word: a city has
         far more cells than subsets. None for more satellites.
       gdop_threshold: of the metric.
+      weighted: the same satellites, each with the weight of its elevation; None where no weighted DOPs are wanted.
     """
 
-    satellites: Geometry
+    satellites: AnyGeometry
     table: GpsMaps | None
     gdop_threshold: float
+    weighted: "SatelliteSet | None" = None
 
     @classmethod
-    def of(cls, azimuth_rad: ArrayLike, elevation_rad: ArrayLike, params: GpsParams) -> "SatelliteSet":
-        """Return the set of the satellites at ``[S]`` azimuths and elevations."""
+    def of(
+        cls, azimuth_rad: ArrayLike, elevation_rad: ArrayLike, params: GpsParams, clocks: Clocks | None = None
+    ) -> "SatelliteSet":
+        """Return the set of the satellites at ``[S]`` azimuths and elevations; without clocks all share one."""
         directions = unit_vectors(azimuth_rad, elevation_rad)
-        satellites = geometry(directions, multiple_of=SATELLITES_STEP)
+        made = cls._of_geometry(directions, params, clocks)
+        if params.weighting == "none":
+            return made
+        weights = elevation_weights(elevation_rad)
+        return replace(made, weighted=cls._of_geometry(directions, params, clocks, weights))
+
+    @classmethod
+    def _of_geometry(
+        cls, directions: np.ndarray, params: GpsParams, clocks: Clocks | None, weights: np.ndarray | None = None
+    ) -> "SatelliteSet":
+        satellites = geometry(directions, multiple_of=SATELLITES_STEP, clocks=clocks, weights=weights)
         table = None
         if len(directions) <= TABLE_SATELLITES:
             num = max(BLOCK_CELLS, 2 ** len(directions))
@@ -189,6 +212,7 @@ def compute_gps(
     elevation_rad: ArrayLike,
     altitudes_m: ArrayLike,
     params: GpsParams | None = None,
+    clocks: Clocks | None = None,
 ) -> GpsMaps:
     """Return the GPS maps of the region at every altitude, for one time, ``[A, y, x]``.
 
@@ -200,13 +224,14 @@ def compute_gps(
       elevation_rad: ``[S]`` above the horizon.
       altitudes_m: ``[A]`` heights above the ground.
       params: settings; left out, the paper's.
+      clocks: of the satellites (`jaxurban.maps.task.MapTask.clocks`); left out, all share one.
 
     Raises:
       InputError: a satellite below the horizon.
     """
     words = visibility(surface, azimuth_rad, elevation_rad, altitudes_m)
     is_obstacle = obstacle_mask(surface.crop(surface.roof_m), altitudes_m)
-    return gps_of_words(words, is_obstacle, azimuth_rad, elevation_rad, params)
+    return gps_of_words(words, is_obstacle, azimuth_rad, elevation_rad, params, clocks)
 
 
 def gps_of_words(
@@ -215,6 +240,7 @@ def gps_of_words(
     azimuth_rad: ArrayLike,
     elevation_rad: ArrayLike,
     params: GpsParams | None = None,
+    clocks: Clocks | None = None,
 ) -> GpsMaps:
     """Return the GPS maps of satellites seen as `visibility` says, from the cells that are not obstacles.
 
@@ -223,5 +249,6 @@ def gps_of_words(
       is_obstacle: where nobody flies.
       azimuth_rad, elevation_rad: ``[S]`` as for `compute_gps`.
       params: settings; left out, the paper's.
+      clocks: of the satellites (`jaxurban.maps.task.MapTask.clocks`); left out, all share one.
     """
-    return SatelliteSet.of(azimuth_rad, elevation_rad, params or GpsParams()).maps(words, is_obstacle)
+    return SatelliteSet.of(azimuth_rad, elevation_rad, params or GpsParams(), clocks).maps(words, is_obstacle)

@@ -8,6 +8,7 @@ from jaxurban.metrics.gps.params import GpsParams
 from jaxurban.metrics.gps.soft import soft_gps
 
 DOPS = ("gdop", "pdop", "hdop", "vdop", "tdop")
+WEIGHTED_DOPS = tuple(f"w{name}" for name in DOPS)  # where satellites count by their elevation
 
 
 def _maps(scene: Scene, params: GpsParams) -> dict[str, Array]:
@@ -18,7 +19,16 @@ def _maps(scene: Scene, params: GpsParams) -> dict[str, Array]:
     if scene.only_m:
         return {"gps": scene.satellites.m(scene.words, scene.is_obstacle)}
     maps = scene.satellites.maps(scene.words, scene.is_obstacle)
-    return {"gps": maps.m, **{name: getattr(maps, name) for name in (*DOPS, "num_visible")}}
+    found = {"gps": maps.m, **{name: getattr(maps, name) for name in (*DOPS, "num_visible")}}
+    if (weighted := scene.satellites.weighted) is not None:
+        maps = weighted.maps(scene.words, scene.is_obstacle)
+        found |= {f"w{name}": getattr(maps, name) for name in DOPS}
+    return found
+
+
+def _also_under(params: GpsParams) -> dict[str, type]:
+    """Return the weighted DOPs, where they are wanted."""
+    return dict.fromkeys(WEIGHTED_DOPS, np.float32) if params.weighting == "elevation" else {}
 
 
 def _soft(scene: SoftScene, params: GpsParams) -> Array:
@@ -37,4 +47,5 @@ METRIC = Metric(
     colour="#0072b2",
     colour_map="viridis",
     also={**dict.fromkeys(DOPS, np.float32), "num_visible": np.uint8},
+    also_under=_also_under,
 )

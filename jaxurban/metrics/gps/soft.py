@@ -11,7 +11,7 @@ from jax import lax
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Int
 
-from jaxurban.kernels.dop import dops
+from jaxurban.kernels.dop import Clocks, dops
 from jaxurban.kernels.shadows.soft import Window, satellite_weights, shadow_heights
 from jaxurban.metrics.gps.hard import BLOCK_CELLS, compute_gps, gps_metric
 from jaxurban.metrics.gps.params import GpsParams
@@ -112,6 +112,7 @@ def soft_gps_maps(
     altitudes_m: ArrayLike,
     softness_m: float,
     params: GpsParams | None = None,
+    clocks: Clocks | None = None,
 ) -> Float[Array, "A y x"]:
     """Return the soft m_gps at every altitude, for one time; with softness 0 that of `compute_gps`, bit for bit.
 
@@ -122,6 +123,7 @@ def soft_gps_maps(
       altitudes_m: ``[A]`` heights above the ground.
       softness_m: see `soft_gps`; a plain number.
       params: settings; left out, the paper's.
+      clocks: of the satellites; left out, all share one.
 
     Raises:
       InputError: a softness that is negative or no number, or a satellite below the horizon.
@@ -129,6 +131,6 @@ def soft_gps_maps(
     params = params or GpsParams()
     check_softness(softness_m)
     if softness_m == 0:
-        return compute_gps(surface, azimuth_rad, elevation_rad, altitudes_m, params).m
-    view = SkyView.of(surface, azimuth_rad, elevation_rad)
+        return compute_gps(surface, azimuth_rad, elevation_rad, altitudes_m, params, clocks).m
+    view = SkyView.of(surface, azimuth_rad, elevation_rad, clocks=clocks)
     return jnp.stack([soft_gps(surface, z_m, params, softness_m, view) for z_m in np.asarray(altitudes_m, float)])

@@ -38,6 +38,7 @@ DOP_NAMES = {
     "vdop": "Vertical dilution of precision (VDOP)",
     "tdop": "Time dilution of precision (TDOP)",
 }
+DOP_NAMES |= {f"w{name}": f"{label}, weighted by elevation" for name, label in DOP_NAMES.items()}
 AVAILABILITY, LOW = "gps_availability", "gps_p05"
 SERIES_NAMES = {AVAILABILITY: "GPS availability", LOW: "GPS quality that 5 % of the epochs stay below"}
 DOP_COLOUR_MAP, HEIGHT_COLOUR_MAP = "viridis_r", "cividis"
