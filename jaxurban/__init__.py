@@ -18,6 +18,7 @@ if _TYPE_CHECKING:
     from jaxurban.maps.metric_maps import open_maps as open_maps
     from jaxurban.maps.pipeline import all_maps as all_maps
     from jaxurban.metrics.custom import Layer as Layer
+    from jaxurban.metrics.gps import DopParams as DopParams
     from jaxurban.metrics.gps import GpsParams as GpsParams
     from jaxurban.metrics.lidar import LidarParams as LidarParams
     from jaxurban.metrics.population import PopulationParams as PopulationParams
@@ -79,7 +80,7 @@ _NAMES = {
     "maps.metric_maps": "MetricMaps open_maps",
     "maps.pipeline": "all_maps",
     "metrics.custom": "Layer",
-    "metrics.gps": "GpsParams",
+    "metrics.gps": "DopParams GpsParams",
     "metrics.lidar": "LidarParams",
     "metrics.population": "PopulationParams",
     "metrics.protection": "ProtectionParams",

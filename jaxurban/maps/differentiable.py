@@ -14,7 +14,7 @@ from jaxurban.metrics.custom import Layer, own_metric
 from jaxurban.metrics.gps import GpsParams
 from jaxurban.metrics.lidar import LidarParams
 from jaxurban.metrics.population import BlockPopulation, PopulationParams
-from jaxurban.metrics.registry import METRICS
+from jaxurban.metrics.registry import METRICS, ON_REQUEST
 from jaxurban.metrics.risk import RiskParams
 from jaxurban.metrics.visibility import SkyView
 from jaxurban.metrics.weights import Weights
@@ -36,7 +36,8 @@ class SoftParams:
       softness_m: of all metrics (see `jaxurban.maps.differentiable`); above 0 for gradients by heights and altitude.
       gps, lidar, risk, population: settings of each metric; their leaves are the GDOP threshold, the lidar's range,
         d_thresh, and both gammas.
-      others: settings of further metrics by name; those that are not named have their defaults.
+      others: settings of further metrics by name; those that are not named have their defaults, and of those made on
+        request the named ones are there.
     """
 
     altitude_m: Float[Array, ""] | float
@@ -99,8 +100,9 @@ class SoftCity:
 
     @property
     def metrics(self) -> dict[str, Metric]:
-        """The metrics that have a soft form, by name, in the order of the layers: the built-in ones, then one's own."""
-        known = dict(METRICS) | {name: own_metric(name, layer) for name, layer in sorted(self.own)}
+        """The metrics that have a soft form, by name, in the order of the layers: as in maps, and one's own last."""
+        asked = {name: metric for name, metric in ON_REQUEST.items() if name in dict(self.reach_m)}
+        known = dict(METRICS) | asked | {name: own_metric(name, layer) for name, layer in sorted(self.own)}
         return {
             name: metric
             for name, metric in known.items()

@@ -84,8 +84,8 @@ def inputs_of(task: MapTask) -> MapInputs:
         )
     if asked := [name for name in task.metrics if name in ON_REQUEST]:
         raise InputError(
-            f"the maps as one function hold no {' and no '.join(asked)}, which has no gradient: leave it out of "
-            "others, or make the maps with build_maps"
+            f"the maps as one function hold no {' and no '.join(asked)}: leave it out of others, or make the maps with "
+            "build_maps"
         )
     surface = jax.tree.map(jnp.asarray, task.surface())
     blocks = task.city.blocks

@@ -102,7 +102,11 @@ class MapTask:
             raise InputError(
                 "bounds and height_samples need the maps of every time: give fewer, or set [gps] series = 'epochs'"
             )
-
+        if self.params.gps_bounds and self.clocks(0) is not None:
+            raise InputError(
+                "bounds of m_gps hold for one clock: with several, a first satellite of the first system may raise "
+                "GDOP. Set [gps] clocks = 'one', or give the orbits of one system"
+            )
         check_file_names(self.layers)
         if taken := {f"{name}_{what}" for name in self.spread_metrics for what in SPREAD} & {*self.layers}:
             raise InputError(f"a layer cannot be called {min(taken)!r}, a map of the spread: give it another name")

@@ -10,7 +10,7 @@ METRICS: Mapping[str, Metric] = {
     metric.name: metric for metric in (gps.METRIC, lidar.METRIC, population.METRIC, risk.METRIC)
 }
 # Made where somebody gives their settings or a weight.
-ON_REQUEST: Mapping[str, Metric] = {metric.name: metric for metric in (protection.METRIC,)}
+ON_REQUEST: Mapping[str, Metric] = {metric.name: metric for metric in (gps.HORIZONTAL, gps.VERTICAL, protection.METRIC)}
 
 
 def known_metrics() -> dict[str, Metric]:

@@ -27,7 +27,7 @@ from jaxurban.io.read.orbits import NOMINAL as NOMINAL
 from jaxurban.io.read.orbits import iso_utc
 from jaxurban.maps.height_uncertainty import HeightStd, check_samples
 from jaxurban.metrics.custom import Layer, check_file_names, check_name
-from jaxurban.metrics.gps import GpsParams
+from jaxurban.metrics.gps import DopParams, GpsParams
 from jaxurban.metrics.lidar import LidarParams
 from jaxurban.metrics.population import WEEKDAY_PROFILE, WEEKEND_PROFILE, PopulationParams, day_share
 from jaxurban.metrics.protection import ProtectionParams
@@ -276,6 +276,8 @@ class Scenario(_Section):
     lidar: LidarParams = LidarParams()
     population: PopulationSettings = PopulationSettings()
     risk: RiskParams = RiskParams()
+    gps_horizontal: DopParams | None = Field(default=None, exclude_if=operator.not_)  # left out: not made
+    gps_vertical: DopParams | None = Field(default=None, exclude_if=operator.not_)
     protection: ProtectionParams | None = Field(default=None, exclude_if=operator.not_)  # left out: not made
     layers: dict[str, Layer] = Field(default_factory=dict, exclude_if=operator.not_)  # of one's own
     weights: WeightSettings = Weights()

@@ -1,5 +1,8 @@
 """GPS: how well the satellites seen from each cell fix a position."""
 
+from jaxurban.metrics.gps.axes import HORIZONTAL as HORIZONTAL
+from jaxurban.metrics.gps.axes import VERTICAL as VERTICAL
+from jaxurban.metrics.gps.axes import DopParams as DopParams
 from jaxurban.metrics.gps.hard import BLOCK_CELLS as BLOCK_CELLS
 from jaxurban.metrics.gps.hard import SATELLITES_STEP as SATELLITES_STEP
 from jaxurban.metrics.gps.hard import GpsMaps as GpsMaps

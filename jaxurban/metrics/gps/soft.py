@@ -69,28 +69,55 @@ def soft_gps(
     Raises:
       InputError: a softness below 0.
     """
+    return soft_dop_metric(
+        surface, altitude_m, params.gdop_threshold, softness_m, view, cells=cells, oversample=oversample
+    )
+
+
+def soft_dop_metric(
+    surface: Surface,
+    altitude_m: ArrayLike,
+    threshold: ArrayLike,
+    softness_m: ArrayLike,
+    view: SkyView,
+    *,
+    dop: str = "gdop",
+    cells: Int[Array, "P 2"] | None = None,
+    oversample: int = 1,
+) -> Float[Array, "y x"] | Float[Array, " P"]:
+    """Return `soft_gps` of any DOP: with one of the position, such as ``"hdop"``, in the place of GDOP.
+
+    Args:
+      surface, altitude_m, softness_m, view, cells, oversample: as for `soft_gps`.
+      threshold: DOP at and above which m is 0.
+      dop: which of `jaxurban.kernels.dop.Dops`.
+
+    Raises:
+      InputError: a softness below 0.
+    """
     check_softness(softness_m)
-    arguments = altitude_m, params.gdop_threshold, softness_m
     rows, cols = surface.window
     window = rows.start, rows.stop, cols.start, cols.stop, oversample
-    return _soft_gps(surface.roof_m, surface.terrain_m, *arguments, view, cells, window=window)
+    numbers = altitude_m, threshold, softness_m
+    return _soft_gps(surface.roof_m, surface.terrain_m, *numbers, view, cells, window=window, dop=dop)
 
 
-@partial(jax.jit, static_argnames="window")
+@partial(jax.jit, static_argnames=("window", "dop"))
 def _soft_gps(
     roof_m: Array,
     terrain_m: Array | None,
     altitude_m: Array,
-    gdop_threshold: Array,
+    dop_threshold: Array,
     softness_m: Array,
     view: SkyView,
     cells: Array | None,
     *,
     window: Window,
+    dop: str = "gdop",
 ) -> Array:
     roof_m = jnp.asarray(roof_m)
     first_row, end_row, first_col, end_col, every = window
-    altitude, threshold, softness = (jnp.asarray(v, roof_m.dtype) for v in (altitude_m, gdop_threshold, softness_m))
+    altitude, threshold, softness = (jnp.asarray(v, roof_m.dtype) for v in (altitude_m, dop_threshold, softness_m))
     shadows_m = shadow_heights(roof_m if terrain_m is None else terrain_m + roof_m, view.lines, window)
 
     def chosen(values: Array) -> Array:
@@ -101,7 +128,7 @@ def _soft_gps(
 
     height_m = altitude if terrain_m is None else at_receivers(terrain_m) + altitude
     weights = satellite_weights(height_m, chosen(shadows_m), softness)
-    open_m = _in_blocks(lambda block: gps_metric(dops(view.satellites, block).gdop, threshold), weights)
+    open_m = _in_blocks(lambda block: gps_metric(getattr(dops(view.satellites, block), dop), threshold), weights)
     return (1 - soft_obstacle(at_receivers(roof_m), altitude, softness)) * open_m
 
 

@@ -1,0 +1,215 @@
+"""A receiver clock for each system, weighted DOPs, and HDOP and VDOP as metrics: in maps, paths and gradients."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy
+
+import jaxurban as ju
+from jaxurban.errors import InputError
+from jaxurban.kernels.dop import Clocks
+from jaxurban.maps.build import compute_maps, soften, view_sky
+from jaxurban.maps.pipeline import inputs_of, skies_of
+from jaxurban.maps.recipe import TileScene
+from jaxurban.maps.task import MapParams, MapTask
+from jaxurban.metrics.gps import DOPS, WEIGHTED_DOPS, GpsParams, SatelliteSet, maps_of_words
+from jaxurban.metrics.lidar import LidarParams
+from jaxurban.scenario.provenance import run_key
+from jaxurban.scenario.settings import Scenario
+from jaxurban.world.sky import Sky
+from tests.io.test_orbits import walker_tle
+
+TIMES = ("2020-04-27T03:00:00Z", "2020-04-27T09:00:00Z")
+SYSTEMS = ("gps", "galileo")
+Z_M = 5.0
+
+
+@pytest.fixture(scope="module")
+def task(tmp_path_factory) -> MapTask:
+    """A synthetic district under nominal GPS and a synthetic Galileo, with all that can be asked for."""
+    file = tmp_path_factory.mktemp("orbits") / "galileo.tle"
+    file.write_text(walker_tle("galileo", 40_000))
+    city = ju.demo_city(width_m=500, height_m=500)
+    grid = ju.Grid(city.crs, 10.0, *(int(np.ceil(v / 10.0)) + 5 for v in city.extent_m[1::-1]), 32, 32)
+    sky = view_sky(grid, ["nominal", file], TIMES, mask_deg=10.0, reference=None, max_age_days=90)
+    params = MapParams(
+        altitudes_m=(Z_M,),
+        mask_deg=10.0,
+        gps=GpsParams(weighting="elevation"),
+        lidar=LidarParams(beams=2, azimuths=8, range_m=40.0),
+        others={"gps_horizontal": ju.DopParams(4.0), "gps_vertical": ju.DopParams()},
+    )
+    return MapTask(city, grid, sky, params)
+
+
+@pytest.fixture(scope="module")
+def maps(task) -> ju.MetricMaps:
+    return compute_maps(task)
+
+
+def exact_dops(task, words, is_weighted=False):
+    """Every DOP of every cell in float64, [5, y, x], at the first time."""
+    azimuth, elevation = task.angles(0)
+    systems = np.asarray(task.sky.systems)[task.satellites_at(0)]
+    level = np.cos(elevation)
+    places = np.column_stack([np.sin(azimuth) * level, np.cos(azimuth) * level, np.sin(elevation)])
+    found = np.full((5, *words.shape), np.inf)
+    for cell, word in np.ndenumerate(words):
+        seen = (int(word) >> np.arange(len(azimuth))) & 1 == 1
+        clocks = [systems[seen] == system for system in SYSTEMS if np.any(systems[seen] == system)]
+        matrix = np.column_stack([*clocks, places[seen]]) * (np.sin(elevation[seen])[:, None] if is_weighted else 1.0)
+        if seen.any() and np.linalg.matrix_rank(matrix) == matrix.shape[1]:
+            variance = np.diag(np.linalg.inv(matrix.T @ matrix))
+            position = variance[-3:].sum()
+            squares = position + variance[0], position, variance[-3:-1].sum(), variance[-1], variance[0]
+            found[(slice(None), *cell)] = np.sqrt(squares)
+    return found
+
+
+@pytest.mark.parametrize(("names", "is_weighted"), [(DOPS, False), (WEIGHTED_DOPS, True)])
+def test_maps_of_two_systems_equal_float64_with_two_clocks(task, maps, names, is_weighted):
+    scene = TileScene(task, task.surface()).at(task.metrics["gps"], (0, 0))
+    words = np.where(scene.is_obstacle, 0, np.asarray(scene.words[0]))
+    exact = exact_dops(task, words, is_weighted)
+    is_useful = exact[0] < 20
+    assert is_useful.sum() > 500
+    assert np.isinf(exact[0][~np.asarray(scene.is_obstacle)]).any()
+    for name, expected in zip(names, exact, strict=True):
+        found = maps.m(name, Z_M)
+        np.testing.assert_allclose(found[is_useful], expected[is_useful], rtol=1e-5)
+        np.testing.assert_array_equal(np.isinf(found), np.isinf(expected))
+
+
+def test_one_clock_for_all_gives_smaller_dops_and_as_before_for_one_system(task, maps):
+    shared = MapParams(**{**vars(task.params), "gps": GpsParams(clocks="one"), "others": {}})
+    one = compute_maps(replace(task, params=shared))
+    less, more = one.m("pdop", Z_M), maps.m("pdop", Z_M)
+    assert np.all(less <= more * (1 + 1e-5))
+    assert np.median(more[np.isfinite(more)] / less[np.isfinite(more)]) > 1.02
+    assert maps.ds.attrs["gps_clocks"] == "system"
+    assert one.ds.attrs["gps_clocks"] == "one"
+    gps = [i for i, system in enumerate(task.sky.systems) if system == "gps"]
+    sky = Sky(
+        task.sky.times,
+        tuple(task.sky.names[i] for i in gps),
+        task.sky.azimuth_rad[:, gps],
+        task.sky.elevation_rad[:, gps],
+        ("gps",) * len(gps),
+        task.sky.element_age_days[:, gps],
+    )
+    alone = replace(task, sky=sky)
+    assert alone.clocks(0) is None
+    both = alone, replace(alone, params=shared)
+    tables = (SatelliteSet.of(*each.angles(0), each.params.gps, each.clocks(0)).table for each in both)
+    for found, other in zip(*map(jax.tree.leaves, tables), strict=True):
+        np.testing.assert_array_equal(found, other)
+
+
+def test_weighted_dops_and_new_metrics_are_there_only_where_they_are_asked_for(task, maps):
+    new = {*WEIGHTED_DOPS, "gps_horizontal", "gps_vertical"}
+    assert new <= {*maps.ds.data_vars}
+    assert list(maps.metrics) == [*("gps", "lidar", "population", "risk"), "gps_horizontal", "gps_vertical"]
+    plain = replace(task, params=replace(task.params, gps=GpsParams(), others={}))
+    assert not new & {*plain.metrics, *(name for metric in plain.metrics.values() for name in metric.also)}
+    assert SatelliteSet.of(*plain.angles(0), plain.params.gps, plain.clocks(0)).weighted is None
+
+
+def test_hdop_and_vdop_are_cost_layers_under_a_weight_and_limits_of_a_path(maps):
+    for name, dop, threshold in (("gps_horizontal", "hdop", 4.0), ("gps_vertical", "vdop", 20.0)):
+        expected = np.clip((threshold - np.minimum(maps.m(dop, Z_M), threshold)) / (threshold - 1), 0, 1)
+        np.testing.assert_allclose(maps.m(name, Z_M), expected, atol=1e-6)
+        np.testing.assert_allclose(maps.costs(Z_M)[name], 1 - expected, atol=1e-6)
+    components, _ = scipy.ndimage.label(maps.is_free(Z_M))
+    free = np.argwhere(components == np.argmax(np.bincount(components[components > 0])))
+    start, goal = (tuple(map(float, maps.grid.lonlat_of_cell(*free[at]))) for at in (0, -1))
+    weights = {"distance": 0.1, "gps": 0, "lidar": 0, "population": 0, "risk": 0, "gps_vertical": 0}
+    path = ju.plan(maps, start, goal, altitude_m=Z_M, weights=weights | {"gps_horizontal": 3.0})
+    assert path.cost_by_layer["gps_horizontal"] > 0
+    plain = ju.plan(maps, start, goal, altitude_m=Z_M, weights=weights | {"gps_horizontal": 0.0})
+    assert path.metrics["gps_horizontal"] > plain.metrics["gps_horizontal"]
+    limit = float(np.median(maps.m("hdop", Z_M)[tuple(free.T)]))
+    limits = ju.Constraints.read(require=f"hdop<={limit:g}")
+    kept = limits.is_free(maps, Z_M)
+    np.testing.assert_array_equal(kept, maps.is_free(Z_M) & (maps.m("hdop", Z_M) <= np.float32(f"{limit:g}")))
+    assert 0 < kept.sum() < maps.is_free(Z_M).sum()
+    bounded = ju.plan(maps, start, goal, altitude_m=Z_M, constraints=limits, snap=200.0)
+    assert "hdop" in str(bounded.settings["limits"])
+
+
+def test_maps_that_were_saved_hold_the_new_layers_and_say_what_they_are(maps, tmp_path):
+    held = ju.open_maps(maps.save(tmp_path / "maps", layers=("wgdop", "whdop")))
+    assert list(held.metrics) == list(maps.metrics)
+    np.testing.assert_array_equal(held.m("gps_vertical", Z_M), maps.m("gps_vertical", Z_M))
+    assert held.ds["whdop"].attrs["long_name"] == "horizontal dilution of precision, weighted by elevation"
+    assert held.ds["whdop"].attrs["in_obstacles"] == "inf"
+    assert len([*(tmp_path / "maps" / "geotiff").glob("whdop_*.tif")]) == len(TIMES)
+
+
+def test_patterns_and_cells_give_the_same_bits_with_several_clocks():
+    rng = np.random.default_rng(1)
+    angles = rng.uniform(0, 2 * np.pi, 20), rng.uniform(0.1, 1.5, 20)
+    satellites = SatelliteSet.of(*angles, GpsParams(), Clocks(np.arange(20) % 2, 2))
+    assert satellites.table is None
+    subsets = rng.integers(0, 2**20, 40, dtype=np.uint32)
+    words = jnp.asarray(subsets[rng.integers(0, 40, (1, 150, 130))])
+    is_obstacle = jnp.asarray(rng.random((150, 130)) < 0.2)
+    expected = maps_of_words(words, satellites.satellites, satellites.gdop_threshold, is_obstacle)
+    found = satellites.maps(words, is_obstacle)
+    for one, other in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
+        np.testing.assert_array_equal(one, other)
+    assert len(np.unique(found.gdop)) > 15
+
+
+def test_clocks_keep_their_numbers_at_every_time_and_skies_of_all_times_stack(task):
+    clocks = [task.clocks(t) for t in range(len(TIMES))]
+    assert {each.num for each in clocks} == {2}
+    for t, each in enumerate(clocks):
+        systems = np.asarray(task.sky.systems)[task.satellites_at(t)]
+        np.testing.assert_array_equal(np.asarray(SYSTEMS)[each.numbers], systems)
+    views = skies_of(task, task.surface())
+    assert views.satellites.members.shape[:2] == (len(TIMES), 2)
+
+
+@pytest.mark.slow
+def test_soft_maps_follow_the_clocks_and_their_gradients_equal_finite_differences(task):
+    cells = jnp.asarray(np.argwhere(np.ones((6, 5), bool)) * 3)
+    with jax.enable_x64(True):
+        soft = soften(task, dtype=np.float64)
+        params = ju.SoftParams(Z_M, 3.0, gps=task.params.gps, others=dict(task.params.others))
+        assert {"gps_horizontal", "gps_vertical"} <= set(soft.names)
+
+        @jax.jit
+        def total(height_m):
+            return sum(jnp.sum(soft.layer(name, height_m, params, cells)) for name in ("gps", "gps_horizontal"))
+
+        slope = jax.jit(jax.grad(total))(soft.height_m)
+        strongest = np.argsort(-np.abs(slope))[:5]
+        assert np.abs(slope[strongest]).min() > 1e-4
+        for building in strongest:
+            step = 1e-5 * (np.arange(len(slope)) == building)
+            expected = (total(soft.height_m + step) - total(soft.height_m - step)) / 2e-5
+            np.testing.assert_allclose(slope[building], expected, rtol=1e-5)
+
+
+def test_what_cannot_be_had_is_one_sentence(task):
+    with pytest.raises(InputError, match="bounds of m_gps hold for one clock"):
+        replace(task, params=replace(task.params, gps_bounds=True))
+    with pytest.raises(InputError, match="know no oversample, bounds, weighting"):
+        inputs_of(task)
+    with pytest.raises(InputError, match="clocks must be 'system' or 'one', got 'two'"):
+        GpsParams(clocks="two")
+    with pytest.raises(InputError, match="dop_threshold must be a number above 1"):
+        ju.DopParams(1.0)
+
+
+def test_a_runs_key_tells_clocks_and_weighting_apart():
+    bare = {"region": {"bounds": [-74.0, 40.75, -73.99, 40.76]}, "buildings": {"source": "synthetic"}}
+    asked = [{}, {"gps": {"clocks": "one"}}, {"gps": {"weighting": "elevation"}}, {"gps_horizontal": {}}]
+    scenarios = [Scenario.from_dict(bare | more) for more in asked]
+    assert len({run_key(scenario, {}, "cpu") for scenario in scenarios}) == len(asked)
+    assert scenarios[0].on_request == {}
+    assert scenarios[3].on_request == {"gps_horizontal": ju.DopParams()}
+    assert set(Scenario.from_dict(bare | {"weights": {"gps_vertical": 2.0}}).on_request) == {"gps_vertical"}
