@@ -96,7 +96,8 @@ def metric_colours(maps: MetricMaps, name: str) -> Colours:
     metric = find_metric("gps" if name == LOW else name, maps.metrics)
     over = ", 5th percentile" if name == LOW else ", median" if maps.variable(name) != name else ""
     one_is = f"\n(1: {meaning})" if (meaning := meaning_of(maps, name)) else ""
-    label = f"$m_\\mathrm{{{metric.name}}}${over}{one_is}"
+    written = metric.name.replace("_", "\\_")  # else what follows would be a subscript
+    label = f"$m_\\mathrm{{{written}}}${over}{one_is}"
     return Colours(metric.colour_map, Normalize(0, 1), label)
 
 
