@@ -55,7 +55,7 @@ def scale_of(ds: xr.Dataset, name: str) -> Scale:
         return Scale(1 + (HIGHEST_DOP - 1) * places, colours_of("viridis_r"))
     if name in LEVELS:
         limit_m = ds.attrs["horizontal_alert_limit_m" if name == "hpl" else "vertical_alert_limit_m"]
-        return Scale(limit_m * places, colours_of("cividis_r"))
+        return Scale(2 * limit_m * places, colours_of("cividis_r"))
     if name == "num_visible":
         return Scale(max(4.0, _ends(ds, name)[1]) * places, colours_of("viridis"))
     if name == "density":

@@ -33,7 +33,7 @@ def protection_texts(maps: MetricMaps) -> dict[str, str]:
     if METRIC.name not in maps.metrics:
         return {}
     limits = limits_said(maps)
-    texts = dict.fromkeys(LEVEL_NAMES, "how far off a position can be at worst, in metres up to the alert limit.")
+    texts = dict.fromkeys(LEVEL_NAMES, "how far off a position can be at worst, in metres; the scale ends at twice the alert limit.")
     return texts | {
         METRIC.name: "1 where HPL is 0 m, falling to 0 at the horizontal alert limit.",
         WITHIN_LIMITS: f"where {limits}.",
@@ -49,11 +49,11 @@ def median_said(level_m: np.ndarray) -> str:
 
 
 def protection_colours(maps: MetricMaps, name: str) -> Colours:
-    """Return how one of `NAMES` is drawn; levels run from 0 to their alert limit, larger ones in its colour."""
+    """Return how one of `NAMES` is drawn; levels run to twice their alert limit, larger ones in that colour."""
     if name in LEVEL_NAMES:
         limit_m = maps.ds.attrs[LIMITS[name]]
         label = f"{name.upper()} in metres (lower is better;\nalert limit {limit_m:g} m)"
-        return Colours(f"{METRIC.colour_map}_r", Normalize(0, limit_m), label, "max")
+        return Colours(f"{METRIC.colour_map}_r", Normalize(0, 2 * limit_m), label, "max")
     if name == LOW:
         return Colours(METRIC.colour_map, Normalize(0, 1), f"$m_\\mathrm{{{METRIC.name}}}$, 5th percentile")
     what = "share of epochs with" if name == AVAILABILITY else "1 where"
