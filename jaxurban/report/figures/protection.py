@@ -33,7 +33,7 @@ def protection_texts(maps: MetricMaps) -> dict[str, str]:
     if METRIC.name not in maps.metrics:
         return {}
     limits = limits_said(maps)
-    texts = dict.fromkeys(LEVEL_NAMES, "how far off a position can be at worst, in metres; the scale ends at twice the alert limit.")
+    texts = dict.fromkeys(LEVEL_NAMES, "how far off a position can be, in metres up to twice the alert limit.")
     return texts | {
         METRIC.name: "1 where HPL is 0 m, falling to 0 at the horizontal alert limit.",
         WITHIN_LIMITS: f"where {limits}.",
