@@ -42,6 +42,7 @@ if _TYPE_CHECKING:
     from jaxurban.planners.envelope import planned_cost as planned_cost
     from jaxurban.report.buildings import write_buildings as write_buildings
     from jaxurban.report.map_comparison import save_comparison as save_comparison
+    from jaxurban.report.receiver import save_validation as save_validation
     from jaxurban.report.run_montecarlo import study as study
     from jaxurban.report.run_sensitivity import sensitivity_study as sensitivity_study
     from jaxurban.report.sensitivity import save_sensitivity as save_sensitivity
@@ -56,6 +57,9 @@ if _TYPE_CHECKING:
     from jaxurban.studies.queries import make_queries as make_queries
     from jaxurban.studies.read_demonstrations import demonstrations_from_paths as demonstrations_from_paths
     from jaxurban.studies.read_demonstrations import read_demonstrations as read_demonstrations
+    from jaxurban.studies.receiver.settings import ReceiverSettings as ReceiverSettings
+    from jaxurban.studies.receiver.validate import ReceiverValidation as ReceiverValidation
+    from jaxurban.studies.receiver.validate import validate as validate
     from jaxurban.studies.sensitivity.buildings import building_costs as building_costs
     from jaxurban.studies.sensitivity.remade import RemadeSettings as RemadeSettings
     from jaxurban.studies.sensitivity.routes import SensitivityStudySettings as SensitivityStudySettings
@@ -101,6 +105,7 @@ _NAMES = {
     "planners.envelope": "planned_cost",
     "report.buildings": "write_buildings",
     "report.map_comparison": "save_comparison",
+    "report.receiver": "save_validation",
     "report.run_montecarlo": "study",
     "report.run_sensitivity": "sensitivity_study",
     "report.sensitivity": "save_sensitivity",
@@ -113,6 +118,8 @@ _NAMES = {
     "studies.montecarlo.trial": "BenchmarkSettings",
     "studies.queries": "make_queries",
     "studies.read_demonstrations": "demonstrations_from_paths read_demonstrations",
+    "studies.receiver.settings": "ReceiverSettings",
+    "studies.receiver.validate": "ReceiverValidation validate",
     "studies.sensitivity.buildings": "building_costs",
     "studies.sensitivity.remade": "RemadeSettings",
     "studies.sensitivity.routes": "SensitivityStudySettings",

@@ -237,6 +237,7 @@ MADE_BY = {  # what no constructor is meant for
     "Demonstration": "read_demonstrations",
     "MapComparison": "compare",
     "MetricMaps": "build_maps or open_maps",
+    "ReceiverValidation": "validate",
     "PlannedPath": "plan or plan_many",
     "RouteQuery": "make_queries",
     "Sensitivity": "sensitivity",

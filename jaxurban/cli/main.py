@@ -23,6 +23,7 @@ from jaxurban.cli.plan import plan
 from jaxurban.cli.sensitivity import sensitivity
 from jaxurban.cli.study import study
 from jaxurban.cli.tune import tune
+from jaxurban.cli.validate import validate
 from jaxurban.collector import collect_seldom
 from jaxurban.compile_cache import keep_programs
 from jaxurban.errors import InputError, reason_of
@@ -37,7 +38,7 @@ def app() -> None:
     """Metric maps for small drones over cities, and paths planned on them."""
 
 
-for command in (compare, demo, fetch, maps, plan, sensitivity, study, tune):
+for command in (compare, demo, fetch, maps, plan, sensitivity, study, tune, validate):
     app.add_command(command)
 
 

@@ -1,0 +1,101 @@
+"""jaxurban validate."""
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from jaxurban.cli.common import DEGREES, DEVICE, JSON_FLAG, numbers_in, print_json, tell
+from jaxurban.progress import reporting
+
+
+@click.command()
+@click.argument("scenario_file", metavar="SCENARIO", type=click.Path(path_type=Path))
+@click.argument("log_file", metavar="LOG", type=click.Path(path_type=Path))
+@click.option("-o", "output", type=click.Path(path_type=Path), required=True, help="Output folder.")
+@click.option("--set", "changes", metavar="KEY=VALUE", multiple=True, help="Change a setting of SCENARIO; repeatable.")
+@click.option(
+    "--antenna-height",
+    "antenna_height_m",
+    type=float,
+    default=2.0,
+    show_default=True,
+    metavar="METRES",
+    help="Of the receiver's antenna above the ground.",
+)
+@click.option("--resolution", "resolution_m", type=float, help="Of the maps, metres.  [default: the scenario's first]")
+@click.option(
+    "--sky-step",
+    "sky_step_s",
+    type=float,
+    default=30.0,
+    show_default=True,
+    metavar="SECONDS",
+    help="Satellites stand still for so long.",
+)
+@click.option(
+    "--piece",
+    "piece_m",
+    type=float,
+    default=25.0,
+    show_default=True,
+    help="Metres of track; medians are compared.",
+)
+@click.option("--pieces", "other_pieces", default="10,50,100", show_default=True, help="Lengths to tell too, metres.")
+@click.option(
+    "--block", "block_m", type=float, default=200.0, show_default=True, help="Metres of track that are drawn together."
+)
+@click.option(
+    "--shifts",
+    default="50,100,200,300,500,700,1000",
+    show_default=True,
+    help="Metres by which the city is shifted along the track, both ways.",
+)
+@click.option(
+    "--at-most",
+    "at_most_tracked",
+    type=click.IntRange(min=0),
+    default=8,
+    show_default=True,
+    help="The AUC tells pieces with at most so many satellites tracked.",
+)
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of the bootstrap.")
+@click.option("--overwrite", is_flag=True, help="Replace another validation in the output folder.")
+@DEGREES
+@DEVICE
+@JSON_FLAG
+def validate(
+    scenario_file: Path,
+    log_file: Path,
+    output: Path,
+    changes: tuple[str, ...],
+    overwrite: bool,
+    degrees: bool,
+    as_json: bool,
+    other_pieces: str,
+    shifts: str,
+    **given: Any,
+) -> int:
+    """Set the log of a receiver (LOG, .csv or .parquet) against maps of SCENARIO made at its times and its height.
+
+    LOG has the columns utc, lon_deg, lat_deg and num_tracked, error_2d_m or satellite (with cn0_dbhz, a row each).
+    """
+    from jaxurban.io.files import check_writable
+    from jaxurban.report.receiver import REPORT_FILE, numbers_of, save_validation
+    from jaxurban.scenario.settings import Scenario
+    from jaxurban.studies.receiver.settings import ReceiverSettings
+    from jaxurban.studies.receiver.validate import validate as validate_log
+
+    scenario = Scenario.from_toml(scenario_file, changes)
+    settings = ReceiverSettings(
+        **given, other_pieces_m=numbers_in("--pieces", other_pieces), shifts_m=numbers_in("--shifts", shifts)
+    )
+    check_writable(output)
+    with reporting("validate") as report:
+        found = validate_log(scenario, log_file, settings, progress=report)
+        report("report")
+        save_validation(found, output, overwrite, degrees=degrees)
+    tell(f"validation finished: read {output / REPORT_FILE}, look at {output / 'figures'}")
+    if as_json:
+        print_json({"folder": str(output), "report": str(output / REPORT_FILE), **numbers_of(found)})
+    return 0

@@ -1,0 +1,188 @@
+"""Logs of a satellite receiver: tables of where it was, when, and what it tracked, to `ReceiverLog`."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from jaxurban.errors import InputError, reason_of
+from jaxurban.io.tables import read_table
+
+UTC, LON, LAT = "utc", "lon_deg", "lat_deg"
+OTHER_NAMES = {LON: "lon", LAT: "lat"}
+TRACKED, ERROR, SATELLITE, CN0 = "num_tracked", "error_2d_m", "satellite", "cn0_dbhz"
+WITNESSES = (TRACKED, ERROR, SATELLITE)  # what a log may tell of how well the receiver did
+MOST_TRACKED = 200  # satellites: no receiver has so many channels for different ones
+LIKE_THIS = "2018-12-19T06:07:37Z"
+REMEDY = f"give a table with the columns {UTC} (as {LIKE_THIS}), {LON}, {LAT} and one of {', '.join(WITNESSES)}"
+
+
+@dataclass(frozen=True, eq=False)
+class ReceiverLog:
+    """What a receiver told along its way. ``N`` epochs in the order of their times.
+
+    Attributes:
+      name: of the file.
+      epochs: ``[N]`` rows ``utc`` (datetime64 with zone), ``lon_deg``, ``lat_deg`` (WGS 84), and where they are known
+        ``num_tracked`` and ``error_2d_m``, NaN where a row does not tell. Where the log names satellites and counts
+        none, ``num_tracked`` counts the names.
+      satellites: rows ``epoch`` (number of the epoch), ``satellite``, and ``cn0_dbhz`` where it is known, of every
+        satellite that was tracked; None where the log names none.
+    """
+
+    name: str
+    epochs: pd.DataFrame
+    satellites: pd.DataFrame | None = None
+
+    @property
+    def witnesses(self) -> tuple[str, ...]:
+        """Columns of the epochs that tell how well the receiver did."""
+        return tuple(name for name in (TRACKED, ERROR) if name in self.epochs)
+
+
+def read_receiver_log(source: str | Path | pd.DataFrame) -> ReceiverLog:
+    """Return a receiver's log.
+
+    A row is an epoch or, where there is a column ``satellite``, one satellite that it tracked: the rows of one time are
+    one epoch then, and a row that names none says that it tracked none.
+
+    Args:
+      source: a table, or its file (.csv, .parquet), with ``utc``, ``lon_deg`` (or ``lon``), ``lat_deg`` (or ``lat``)
+        and one or more of ``num_tracked``, ``error_2d_m`` and ``satellite``, the latter with ``cn0_dbhz`` or without.
+
+    Raises:
+      InputError: a file that cannot be read, no rows, a missing column, times that are none or of no known zone,
+        coordinates that are none, two rows of one time, or values that no receiver gives.
+    """
+    is_table = isinstance(source, pd.DataFrame)
+    name = "the table" if is_table else str(source)
+    table = source if isinstance(source, pd.DataFrame) else _read(source)
+    if table.empty:
+        raise InputError(f"the receiver log {name!r} has no rows: {REMEDY}")
+    table = _named(table, name)
+    table = table.assign(**{UTC: _times(table[UTC], name)})
+    for column, most in ((LON, 180), (LAT, 90)):
+        table[column] = _coordinates(table, column, most, name)
+    for column, most_value in ((TRACKED, MOST_TRACKED), (ERROR, np.inf), (CN0, np.inf)):
+        if column in table:
+            table[column] = _numbers(table, column, most_value, name)
+    table = table.sort_values(UTC, kind="stable", ignore_index=True)
+    if SATELLITE in table:
+        return _by_satellite(table, name)
+    if table[UTC].duplicated().any():
+        at = table[UTC][table[UTC].duplicated()].iloc[0]
+        raise InputError(
+            f"the receiver log {name!r} has two rows at {at.isoformat()}: keep one row an epoch, or "
+            f"name the satellites of rows in a column {SATELLITE}"
+        )
+    return ReceiverLog(name, table[[UTC, LON, LAT, *(each for each in (TRACKED, ERROR) if each in table)]])
+
+
+def _read(source: str | Path) -> pd.DataFrame:
+    try:
+        return read_table(source, "receiver log")
+    except InputError as error:
+        if isinstance(error.__cause__, pd.errors.EmptyDataError):
+            raise InputError(f"the receiver log {str(source)!r} is empty: {REMEDY}") from error
+        raise
+
+
+def _named(table: pd.DataFrame, name: str) -> pd.DataFrame:
+    """Return a table whose columns have our names, if it holds what is needed."""
+    table = table.rename(columns={column: str(column).strip() for column in table.columns})
+    table = table.rename(columns={other: ours for ours, other in OTHER_NAMES.items() if ours not in table})
+    if UTC not in table:
+        raise InputError(f"the receiver log {name!r} has no times (a column {UTC}): {REMEDY}")
+    if missing := [column for column in (LON, LAT) if column not in table]:
+        raise InputError(f"the receiver log {name!r} has no column {missing[0]}: {REMEDY}")
+    if not any(column in table for column in WITNESSES):
+        raise InputError(
+            f"the receiver log {name!r} has none of the columns {', '.join(WITNESSES)}, of which one must tell how "
+            "well the receiver did: add one"
+        )
+    return table
+
+
+def _times(column: pd.Series, name: str) -> pd.Series:
+    """Return times in UTC; text must say its zone, and so must the times of a Parquet file."""
+    what = f"the receiver log {name!r}"
+    if column.isna().any():
+        raise InputError(f"{what} has {int(column.isna().sum())} rows without a time: remove them")
+    if pd.api.types.is_numeric_dtype(column):
+        raise InputError(
+            f"{what} has numbers as times ({column.iloc[0]}), and whether they count from 1970, in GPS time or "
+            f"otherwise is not said: write {UTC} as {LIKE_THIS} (GPS time is 18 s ahead of UTC since 2017)"
+        )
+    remedy = f"write UTC with a Z, as {LIKE_THIS}, or local times with their offset, as 2018-12-19T15:07:37+09:00"
+    if pd.api.types.is_datetime64_any_dtype(column):
+        if column.dt.tz is None:
+            raise InputError(f"{what} has times without a zone ({column.iloc[0]}), which may be local ones: {remedy}")
+        return column.dt.tz_convert("UTC")
+    texts = column.astype(str).str.strip()
+    if len(local := texts[~texts.str.contains(r"(?:Z|UTC|[+-]\d\d:?\d\d)$", case=False)]):
+        try:
+            pd.to_datetime(local.iloc[0])
+        except (ValueError, OverflowError) as error:
+            raise InputError(f"{what} has {local.iloc[0]!r} as a time, which is none: {remedy}") from error
+        raise InputError(f"{what} has times without a zone ({local.iloc[0]!r}), which may be local ones: {remedy}")
+    try:
+        return pd.to_datetime(texts, utc=True, format="ISO8601")
+    except (ValueError, OverflowError) as error:
+        raise InputError(f"{what} has times that cannot be read ({reason_of(error)}): {remedy}") from error
+
+
+def _coordinates(table: pd.DataFrame, column: str, most: float, name: str) -> pd.Series:
+    values = pd.to_numeric(table[column], errors="coerce").astype(float)
+    if num := int((~np.isfinite(values)).sum()):
+        raise InputError(
+            f"the receiver log {name!r} has {num} rows without a number in {column}: remove the rows without a place"
+        )
+    if num := int((values.abs() > most).sum()):
+        hint = "; longitude and latitude may be swapped" if column == LAT else ""
+        raise InputError(
+            f"the receiver log {name!r} has {num} rows whose {column} is beyond {most} degrees{hint}: give "
+            "WGS 84 degrees"
+        )
+    return values
+
+
+def _numbers(table: pd.DataFrame, column: str, most: float, name: str) -> pd.Series:
+    """Return a column of numbers from 0 up, NaN where there is none; at least one must be there."""
+    values = pd.to_numeric(table[column], errors="coerce").astype(float)
+    wrong = table[column][(values.isna() & table[column].notna()) | (values < 0) | (values > most) | np.isinf(values)]
+    if len(wrong):
+        raise InputError(
+            f"the receiver log {name!r} has {wrong.iloc[0]!r} in {column}, where a number from 0 up belongs, or "
+            "nothing where it is not known"
+        )
+    if column in WITNESSES and values.isna().all():
+        raise InputError(f"the receiver log {name!r} has no value in {column}: fill it, or remove the column")
+    return values
+
+
+def _by_satellite(table: pd.DataFrame, name: str) -> ReceiverLog:
+    """Return the log of a table whose rows are satellites."""
+    number = table[UTC].ne(table[UTC].shift()).cumsum() - 1
+    epochs = table.groupby(number, sort=True)
+    moved = epochs[[LON, LAT]].nunique().gt(1).any(axis=1)
+    if moved.any():
+        at = table[UTC][number == moved.index[moved][0]].iloc[0]
+        raise InputError(f"the receiver log {name!r} is at two places at {at.isoformat()}: keep one receiver's rows")
+    named = table[SATELLITE].notna() & (table[SATELLITE].astype(str).str.strip() != "")
+    satellites = pd.DataFrame({"epoch": number[named], SATELLITE: table[SATELLITE][named].astype(str).str.strip()})
+    if CN0 in table:
+        satellites[CN0] = table[CN0][named]
+    if satellites.empty:
+        raise InputError(f"the receiver log {name!r} names no satellite in its column {SATELLITE}: fill or remove it")
+    if (twice := satellites.duplicated(["epoch", SATELLITE])).any():
+        first = satellites[twice].iloc[0]
+        at = table[UTC][number == first["epoch"]].iloc[0]
+        raise InputError(
+            f"the receiver log {name!r} has satellite {first[SATELLITE]!r} twice at {at.isoformat()}: keep one "
+            "signal's row"
+        )
+    made = epochs[[UTC, LON, LAT, *(each for each in (TRACKED, ERROR) if each in table)]].first()
+    if TRACKED not in made:
+        made[TRACKED] = np.bincount(satellites["epoch"], minlength=len(made)).astype(float)
+    return ReceiverLog(name, made.reset_index(drop=True), satellites.reset_index(drop=True))

@@ -1,0 +1,249 @@
+"""What a receiver's validation writes: report.md, all numbers as JSON, tables and figures."""
+
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from jaxurban.errors import typed
+from jaxurban.io.folders import own_folder
+from jaxurban.io.read.receiver import TRACKED
+from jaxurban.io.tables import records_of
+from jaxurban.report.figures.degrees import in_degrees
+from jaxurban.report.figures.receiver import LABELS, NAMES, validation_figures
+from jaxurban.report.markdown import bullets, counted, fill, table
+from jaxurban.report.save import Output, save
+from jaxurban.studies.receiver.scores import AUC, MAIN, SPEARMAN
+from jaxurban.studies.receiver.validate import ReceiverValidation
+
+REPORT_FILE, NUMBERS_FILE = "report.md", "validation.json"
+CAPTIONS = {
+    "track": "Prediction and receiver along the track",
+    "scatter": "Receiver against prediction, a point a piece of track",
+    "time_line": "Receiver and prediction over time",
+    "control": "Agreement by length of pieces, and with the city shifted along the track",
+}
+
+
+@typed
+def save_validation(
+    found: ReceiverValidation, folder: str | Path, overwrite: bool = False, *, degrees: bool = False
+) -> list[Path]:
+    """Write the report, its numbers (JSON), tables (CSV, Parquet) and figures (PNG); return the files.
+
+    Args:
+      found: from `jaxurban.validate`.
+      folder: where to; made if it is not there.
+      overwrite: replace another validation in it.
+      degrees: label the maps of figures by longitude and latitude instead of easting and northing.
+
+    Raises:
+      InputError: the folder cannot be written to, or holds another validation or other files.
+    """
+    asked = {
+        "log": found.log.name,
+        "scenario": found.scenario,
+        "settings": found.settings.to_dict(),
+        "epochs": found.summary,
+    }
+    with own_folder(Path(folder), "validate", _plain(asked), overwrite=overwrite):
+        return write_validation(found, Path(folder), degrees)
+
+
+def write_validation(found: ReceiverValidation, folder: Path, degrees: bool = False) -> list[Path]:
+    """Write what `save_validation` writes, into a folder that is held already."""
+    figures = in_degrees(validation_figures(found), found.background.grid, degrees)
+    pieces = found.pieces.assign(utc=found.pieces.utc.map(lambda time: time.isoformat()))
+    outputs: dict[str, Output] = {
+        REPORT_FILE: validation_markdown(found, list(figures)),
+        NUMBERS_FILE: f"{json.dumps(numbers_of(found), indent=2, allow_nan=False)}\n",
+        "tables/pieces": pieces,
+        "tables/scores": found.scores,
+        "tables/shifts": found.shifts,
+    }
+    if found.satellites is not None:
+        outputs["tables/satellites"] = found.satellites
+    return save(folder, {**outputs, **{f"figures/{name}.png": draw for name, draw in figures.items()}})
+
+
+def numbers_of(found: ReceiverValidation) -> dict[str, Any]:
+    """Return every number of a validation as plain values, None where there is none."""
+    return _plain(
+        {
+            "log": found.log.name,
+            "settings": found.settings.to_dict(),
+            "scenario": found.scenario,
+            "summary": found.summary,
+            "scores": records_of(found.scores),
+            "shifts": records_of(found.shifts),
+            "satellites": None if found.satellites is None else records_of(found.satellites),
+            "guesses": list(found.guesses),
+            "attribution": found.attribution,
+        }
+    )
+
+
+def _plain(value: Any) -> Any:
+    """Return a value as JSON holds it: None where it is no number, or infinite."""
+    if isinstance(value, dict):
+        return {name: _plain(item) for name, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def validation_markdown(found: ReceiverValidation, figures: list[str]) -> str:
+    """Return the report as Markdown; ``figures`` are the names of the pictures beside it."""
+    at_lengths = found.scores[found.scores.prediction == found.scores.witness.map(MAIN)]
+    text = fill(
+        "validate",
+        found=found,
+        settings=found.settings,
+        track=_track(found),
+        summary=bullets(f"**{_said(row)}**" for row in found.main.to_dict("records")),
+        scores=score_table(at_lengths),
+        undefined="No value stands where a coefficient is not defined: nothing varies, or all pieces are of one kind.",
+        others=_others(found),
+        satellites=_satellites(found),
+        shifts=_shifts(found),
+        how=_how(found),
+        guesses="" if not found.guesses else "Guessed:\n\n" + bullets(found.guesses),
+        figures="\n\n".join(f"![{CAPTIONS[name]}](figures/{name}.png)" for name in figures),
+    )
+    return f"{text}\n"
+
+
+def _track(found: ReceiverValidation) -> str:
+    of = found.summary
+    told = (
+        f"{of['epochs']:,} epochs from {of['first_utc']} to {of['last_utc']} over {of['length_m'] / 1000:.2f} km of "
+        f"track; {of['mean_num_visible']:.1f} satellites in view on average, of {of['mean_open_num_visible']:.1f} above"
+        " the mask"
+    )
+    if f"mean_{TRACKED}" in of:
+        told += f", {of[f'mean_{TRACKED}']:.1f} tracked"
+    out = of["epochs_left_out"]
+    return told + (f". Left out: {counted(out, 'epoch')} in a building or without data on the map." if out else ".")
+
+
+def _said(row: Mapping[Any, Any]) -> str:
+    """Return one row of the scores in words."""
+    parts = []
+    for coefficient, name in ((SPEARMAN, "Spearman"), (AUC, "AUC")):
+        if np.isfinite(row[coefficient]):
+            shifted = row[f"{coefficient}_shifted"]
+            control = f", shifted at most {shifted:.2f}" if np.isfinite(shifted) else ""
+            parts.append(f"{name} {with_interval(row, coefficient)}{control}")
+    what = f"{LABELS[row['witness']]} against {NAMES[row['prediction']]}"
+    return f"{what[0].upper()}{what[1:]}: {'; '.join(parts) or 'not defined'}"
+
+
+def with_interval(row: Mapping[Any, Any], coefficient: str) -> str:
+    """Return a coefficient with its interval, as ``0.55 (0.42 to 0.66)``; nothing where it is not defined."""
+    value, low, high = (row[f"{coefficient}{end}"] for end in ("", "_low", "_high"))
+    if not np.isfinite(value):
+        return ""
+    return f"{value:.2f}" + (f" ({low:.2f} to {high:.2f})" if np.isfinite(low) else "")
+
+
+def score_table(scores: pd.DataFrame) -> str:
+    """Return rows of scores as a table."""
+    rows = []
+    for row in scores.to_dict("records"):
+        is_each = not np.isfinite(row["piece_m"])
+        told = [
+            LABELS[row["witness"]],
+            NAMES[row["prediction"]],
+            "each epoch" if is_each else f"{row['piece_m']:g} m",
+            f"{row['num']:,}",
+        ]
+        for name in (SPEARMAN, AUC):
+            told += [with_interval(row, name), _number(row[f"{name}_open"]), _shifted(row, name)]
+        rows.append(tuple(told))
+    head = ("receiver", "maps", "pieces of", "number", "Spearman", "open sky", "shifted", "AUC", "open sky", "shifted")
+    return table(head, rows)
+
+
+def _number(value: float) -> str:
+    return f"{value:.2f}" if np.isfinite(value) else ""
+
+
+def _shifted(row: Mapping[Any, Any], name: str) -> str:
+    value = row[f"{name}_shifted"]
+    return f"{value:.2f} ({row[f'{name}_shifted_by_m']:+g} m)" if np.isfinite(value) else ""
+
+
+def _others(found: ReceiverValidation) -> str:
+    """Return what further quantities of the maps score over pieces of the chosen length."""
+    is_other = (found.scores.piece_m == found.settings.piece_m) & (
+        found.scores.prediction != found.scores.witness.map(MAIN)
+    )
+    if not is_other.any():
+        return ""
+    return f"Other quantities of the maps, over pieces of {found.settings.piece_m:g} m:\n\n" + score_table(
+        found.scores[is_other]
+    )
+
+
+def _satellites(found: ReceiverValidation) -> str:
+    if found.satellites is None:
+        return ""
+    rows = [
+        (
+            row["satellite"],
+            f"{row['epochs']:,}",
+            *(_share(row[name]) for name in ("in_sight", "tracked_in_sight", "tracked_hidden")),
+            *(_number(row[f"cn0_{where}_dbhz"]) for where in ("in_sight", "hidden")),
+        )
+        for row in found.satellites.to_dict("records")
+    ]
+    head = ("satellite", "epochs", "in sight", "tracked in sight", "tracked hidden", "C/N0 in sight", "C/N0 hidden")
+    return "By satellite, over epochs at which it is above the mask; C/N0 are medians, dB-Hz:\n\n" + table(head, rows)
+
+
+def _share(value: float) -> str:
+    return f"{value:.0%}" if np.isfinite(value) else ""
+
+
+def _shifts(found: ReceiverValidation) -> str:
+    chosen = found.shifts[(found.shifts.piece_m == found.settings.piece_m) | found.shifts.piece_m.isna()]
+    witnesses = list(dict.fromkeys(chosen.witness))
+    kept = [
+        (witness, name)
+        for witness in witnesses
+        for name in (SPEARMAN, AUC)
+        if chosen[chosen.witness == witness][name].notna().any()
+    ]
+    if len(set(chosen.shift_m)) < 2:
+        return "The track is too short for a shift."
+    values = {(row["witness"], row["shift_m"]): row for row in chosen.to_dict("records")}
+    rows = [
+        (
+            f"{shift_m:+g} m" if shift_m else "none",
+            *(_number(values[witness, shift_m][name]) for witness, name in kept),
+        )
+        for shift_m in sorted(set(chosen.shift_m))
+    ]
+    heads = {SPEARMAN: "Spearman", AUC: "AUC"}
+    return table(("shift", *(f"{LABELS[witness]}: {heads[name]}" for witness, name in kept)), rows)
+
+
+def _how(found: ReceiverValidation) -> str:
+    scenario, settings = found.scenario, found.settings
+    lines = [
+        f"Cells of {found.summary['resolution_m']:g} m, antenna {settings.antenna_height_m:g} m above the ground, "
+        f"elevation mask {scenario['gps']['mask_deg']:g} degrees, `oversample` {scenario['region']['oversample']}.",
+        f"Orbits: {', '.join(f'`{name}`' for name in scenario['gps']['orbits'])}; {found.summary['num_skies']} "
+        f"skies, one each {settings.sky_step_s:g} s.",
+        f"Buildings: `{scenario['buildings']['source']}`; terrain: `{scenario['terrain']['source'] or 'flat'}`.",
+        f"Intervals: percentiles of 2,000 draws of blocks with replacement (seed {settings.seed}), the same for all.",
+    ]
+    if found.attribution:
+        lines.append(f"Credit: {found.attribution}.")
+    return bullets(lines)

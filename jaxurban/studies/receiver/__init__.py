@@ -1,0 +1,1 @@
+"""A satellite receiver's log against maps that are made at its places and times."""

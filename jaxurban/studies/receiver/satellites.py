@@ -1,0 +1,132 @@
+"""Satellite by satellite: whether the receiver tracks those in sight, and how strongly it hears them."""
+
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from jaxurban.errors import InputError, nearest_name
+from jaxurban.io.read.receiver import CN0, SATELLITE, ReceiverLog
+from jaxurban.studies.receiver.agreement import Agreement, auc
+from jaxurban.studies.receiver.prediction import Prediction
+
+CN0_STEP_DBHZ = 0.1  # to which C/N0 is rounded; receivers tell no more
+# What a receiver calls a satellite, where the name in an element file tells it: CelesTrak writes (PRN 13) behind GPS
+# satellites and (C19) behind BeiDou's.
+IDS = {"G": re.compile(r"\(PRN 0*(\d+)\)"), "C": re.compile(r"\(C0*(\d+)\)")}
+MOST_NAMED = 5  # unknown satellites in a message
+
+
+@dataclass(frozen=True, eq=False)
+class TrackedSatellites:
+    """Which satellites were tracked. ``N`` epochs, ``S`` satellites of the prediction.
+
+    Attributes:
+      is_tracked: ``[N, S]`` bool.
+      cn0_dbhz: ``[N, S]`` carrier-to-noise density, NaN where it is not tracked or not told.
+    """
+
+    is_tracked: np.ndarray
+    cn0_dbhz: np.ndarray
+
+    @classmethod
+    def of(cls, log: ReceiverLog, names: Sequence[str], known: Iterable[str]) -> "TrackedSatellites | None":
+        """Return what a log tells of the satellites ``names``, None where it names none.
+
+        Args:
+          log: of the receiver.
+          names: of the satellites that stand above the mask at some time.
+          known: all satellites of the orbits; rows of one that is never above the mask are left out.
+
+        Raises:
+          InputError: a satellite that the orbits do not hold.
+        """
+        if log.satellites is None:
+            return None
+        numbers = _numbers(names)
+        given = log.satellites[SATELLITE].map(_plain)
+        held = _numbers(list(known))
+        if unknown := sorted(set(log.satellites[SATELLITE][~given.isin([*held])])):
+            more = f" and {len(unknown) - MOST_NAMED} more" if len(unknown) > MOST_NAMED else ""
+            raise InputError(
+                f"the receiver log {log.name!r} has satellites that [gps] orbits do not hold: "
+                f"{', '.join(map(repr, unknown[:MOST_NAMED]))}{more}{nearest_name(unknown[0], known)}; call them as "
+                "the orbits do, add the orbits of their system, or remove their rows"
+            )
+        is_tracked = np.zeros((len(log.epochs), len(names)), bool)
+        cn0_dbhz = np.full(is_tracked.shape, np.nan)
+        rows = given.isin([*numbers]).to_numpy()
+        at = log.satellites["epoch"].to_numpy()[rows], given[rows].map(numbers).to_numpy(np.int64)
+        is_tracked[at] = True
+        if CN0 in log.satellites:
+            cn0_dbhz[at] = log.satellites[CN0].to_numpy()[rows]
+        return cls(is_tracked, cn0_dbhz)
+
+
+def _plain(name: str) -> str:
+    return " ".join(name.upper().split())
+
+
+def _numbers(names: Sequence[str]) -> dict[str, int]:
+    """Return the number of each satellite by its name, and by what receivers call it where the name tells that."""
+    found = {_plain(name): s for s, name in enumerate(names)}
+    for s, name in enumerate(names):
+        for letter, tells in IDS.items():
+            if number := tells.search(name.upper()):
+                found |= {f"{letter}{int(number[1])}": s, f"{letter}{int(number[1]):02d}": s}
+    return found
+
+
+def table_of(tracked: TrackedSatellites, predicted: Prediction) -> pd.DataFrame:
+    """Return a row a satellite: when it is in sight, when it is tracked, and its median C/N0, in sight and hidden."""
+    is_known = _is_known(predicted, 0)
+    rows = []
+    for s, name in enumerate(predicted.names):
+        up = is_known & predicted.is_above[:, s]
+        seen, hidden = up & predicted.is_seen[0, :, s], up & ~predicted.is_seen[0, :, s]
+        row: dict[str, object] = {"satellite": name, "epochs": int(up.sum()), "in_sight": _mean(seen[up])}
+        for where, chosen in (("in_sight", seen), ("hidden", hidden)):
+            row[f"tracked_{where}"] = _mean(tracked.is_tracked[chosen, s])
+            cn0 = tracked.cn0_dbhz[chosen, s]
+            row[f"cn0_{where}_dbhz"] = float(np.median(cn0[~np.isnan(cn0)])) if (~np.isnan(cn0)).any() else np.nan
+        rows.append(row)
+    return pd.DataFrame(rows)
+
+
+def _mean(values: np.ndarray) -> float:
+    return float(values.mean()) if len(values) else np.nan
+
+
+def _is_known(predicted: Prediction, shift: int) -> np.ndarray:
+    return ~np.isnan(predicted.values["num_visible"][shift])
+
+
+def satellite_agreements(
+    tracked: TrackedSatellites, predicted: Prediction, shift: int, blocks: np.ndarray
+) -> dict[str, tuple[Agreement, np.ndarray]]:
+    """Return, by witness, the AUC of being in sight, and the blocks of its values.
+
+    Witnesses: ``satellite``, whether one above the mask is tracked, and ``cn0_dbhz`` of those that are. Alike values of
+    a block are one value that counts several times.
+
+    Args:
+      tracked: which were.
+      predicted: which are in sight.
+      shift: number of the shift.
+      blocks: ``[N]`` of the epochs.
+    """
+    epoch, s = np.nonzero(predicted.is_above & _is_known(predicted, shift)[:, None])
+    is_seen = predicted.is_seen[shift, epoch, s]
+    cn0 = np.round(tracked.cn0_dbhz[epoch, s] / CN0_STEP_DBHZ) * CN0_STEP_DBHZ
+    has_cn0 = ~np.isnan(cn0)
+    found = {SATELLITE: _counted(tracked.is_tracked[epoch, s].astype(float), is_seen, blocks[epoch])}
+    if has_cn0.any():
+        found[CN0] = _counted(cn0[has_cn0], is_seen[has_cn0], blocks[epoch][has_cn0])
+    return found
+
+
+def _counted(values: np.ndarray, is_positive: np.ndarray, blocks: np.ndarray) -> tuple[Agreement, np.ndarray]:
+    rows, num = np.unique(np.stack([blocks, values, is_positive], axis=1), axis=0, return_counts=True)
+    return lambda counts: auc(rows[:, 1], rows[:, 2] == 1, counts * num), rows[:, 0]

@@ -1,0 +1,200 @@
+"""validate: a receiver's log against maps that are made at its times, places and antenna height."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from jaxurban.compile_cache import keep_programs
+from jaxurban.errors import InputError, typed
+from jaxurban.io.read.orbits import read_orbits
+from jaxurban.io.read.receiver import TRACKED, UTC, ReceiverLog, read_receiver_log
+from jaxurban.progress import Progress, reporting
+from jaxurban.scenario.settings import NOMINAL, Scenario
+from jaxurban.studies.receiver.agreement import Scored, scored
+from jaxurban.studies.receiver.prediction import (
+    NUM_VISIBLE,
+    Background,
+    Prediction,
+    background,
+    predict,
+    region_of,
+    task_at,
+)
+from jaxurban.studies.receiver.satellites import TrackedSatellites, table_of
+from jaxurban.studies.receiver.scores import AUC, MAIN, OPEN, SPEARMAN, Row, agreements, pieces_of, tables
+from jaxurban.studies.receiver.settings import ReceiverSettings
+from jaxurban.studies.receiver.track import Track
+from jaxurban.world.show import Shown
+
+FEWEST_PIECES = 8  # fewer rank nothing
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ReceiverValidation(Shown):
+    """A receiver's log beside what maps say along its track.
+
+    Attributes:
+      log: what the receiver told.
+      settings: how the two were set beside each other.
+      scenario: the settings that the maps were made with.
+      summary: numbers of the whole: epochs, those in a building, length of the track, means.
+      epochs: a row an epoch: time, place, distance along the track, witnesses, predictions, and with ``open_`` before
+        their names what the open sky says; NaN in a building.
+      pieces: a row a piece of track of ``settings.piece_m``: medians of the same (see `pieces_of`).
+      scores: a row a ``witness``, ``prediction`` and ``piece_m`` (NaN: every epoch by itself): ``num`` pieces, and of
+        ``spearman`` and ``auc`` the value, the ends of its 95 % interval (``_low``, ``_high``), what the open sky
+        scores (``_open``) and the largest of all cities shifted by a block or more (``_shifted``, ``_shifted_by_m``).
+        Above 0 and a half the receiver does better where the maps say so; NaN where a coefficient is not defined.
+      shifts: a row a witness, length of pieces and shift of the city along the track, with both coefficients.
+      satellites: a row a satellite, None where the log names none (see
+        `jaxurban.studies.receiver.satellites.table_of`).
+      background: the map behind the track.
+      attribution: whom to credit for the city.
+      guesses: what city and sky rest on that no file says, a sentence each.
+    """
+
+    log: ReceiverLog
+    settings: ReceiverSettings
+    scenario: dict[str, Any]
+    summary: dict[str, Any]
+    epochs: pd.DataFrame
+    pieces: pd.DataFrame
+    scores: pd.DataFrame
+    shifts: pd.DataFrame
+    satellites: pd.DataFrame | None
+    background: Background
+    attribution: str = ""
+    guesses: tuple[str, ...] = ()
+
+    @property
+    def main(self) -> pd.DataFrame:
+        """The scores of each witness against the prediction that is its own, over pieces of the chosen length."""
+        is_main = self.scores.prediction == self.scores.witness.map(MAIN)
+        return self.scores[is_main & ((self.scores.piece_m == self.settings.piece_m) | self.scores.piece_m.isna())]
+
+    @property
+    def facts(self) -> dict[str, str]:
+        """Log, track, and what each witness scores."""
+        told = {}
+        for row in self.main.to_dict("records"):
+            parts = {"Spearman": row[SPEARMAN], "shifted at most": row[f"{SPEARMAN}_shifted"], "AUC": row[AUC]}
+            said = ", ".join(f"{name} {value:.2f}" for name, value in parts.items() if np.isfinite(value))
+            told[str(row["witness"])] = said or "not defined"
+        length = f"{self.summary['length_m'] / 1000:.2f} km, {self.summary['epochs']} epochs"
+        return {"log": self.log.name, "track": length, "cells": f"{self.summary['resolution_m']:g} m"} | told
+
+
+@typed
+def validate(
+    scenario: Scenario,
+    log: str | Path | pd.DataFrame,
+    settings: ReceiverSettings | None = None,
+    *,
+    progress: Progress = True,
+) -> ReceiverValidation:
+    """Return how well maps of a scenario foretell what a receiver told on its way through the city.
+
+    Satellites in view, dilutions of precision and m of GPS are those of maps of the scenario's city, orbits and mask,
+    at the log's times and the antenna's height, in the cells of the track. No number of theirs is fitted to the log.
+
+    Args:
+      scenario: of the maps; its times, altitudes and layers of one's own are not looked at.
+      log: the receiver's, as `jaxurban.io.read.receiver.read_receiver_log` takes it.
+      settings: how the two are set beside each other.
+      progress: as in `jaxurban.progress.reporting`.
+
+    Raises:
+      InputError: a log that cannot be read, lies outside the region, names unknown satellites or is too short, sources
+        of the scenario that cannot be used, or orbits too old for the log's times.
+    """
+    chosen = settings or ReceiverSettings()
+    told = read_receiver_log(log)
+    grid = region_of(scenario, chosen.resolution_m)
+    track = Track.of(told, grid, chosen.sky_step_s)
+    if len(np.unique(track.cut(chosen.piece_m))) < FEWEST_PIECES:
+        raise InputError(
+            f"the track of the receiver log {told.name!r} is {track.length_m:.0f} m long, less than {FEWEST_PIECES} "
+            f"pieces of {chosen.piece_m:g} m: give a longer log, or shorter pieces"
+        )
+    known = _orbit_names(scenario) if told.satellites is not None else ()
+    TrackedSatellites.of(told, known, known)  # refuses unknown ones before the work
+    keep_programs()
+    with reporting("validate", progress) as report:
+        report("read")
+        task = task_at(scenario, track.sky_times, grid, chosen)
+        predicted = predict(task, track, [each for each in chosen.shifts_m if each < track.length_m / 2], report)
+        report("background")
+        behind = background(task, track)
+        report("scores")
+        tracked = TrackedSatellites.of(told, predicted.names, known)
+        scores, shifts = tables(told, track, predicted, tracked, chosen)
+    pieces = pieces_of(told, track, predicted, chosen.piece_m, chosen.block_m)
+    return ReceiverValidation(
+        log=told,
+        settings=chosen,
+        scenario=scenario.model_dump(mode="json"),
+        summary=_summary(told, track, predicted, task.region.resolution_m),
+        epochs=_epochs(told, track, predicted),
+        pieces=pieces,
+        scores=scores,
+        shifts=shifts,
+        satellites=None if tracked is None else table_of(tracked, predicted),
+        background=behind,
+        attribution=task.city.attribution,
+        guesses=(*task.city.guesses.values(), *task.sky.guesses.values()),
+    )
+
+
+def _orbit_names(scenario: Scenario) -> tuple[str, ...]:
+    orbits = read_orbits([name if name == NOMINAL else scenario.path_of(name) for name in scenario.gps.orbits])
+    return tuple(satellite.name for satellite in orbits.satellites)
+
+
+def _summary(log: ReceiverLog, track: Track, predicted: Prediction, resolution_m: float) -> dict[str, Any]:
+    seen = predicted.values[NUM_VISIBLE][0]
+    found: dict[str, Any] = {
+        "epochs": len(seen),
+        "epochs_left_out": int(np.isnan(seen).sum()),
+        "first_utc": log.epochs[UTC].iloc[0].isoformat(),
+        "last_utc": log.epochs[UTC].iloc[-1].isoformat(),
+        "length_m": track.length_m,
+        "resolution_m": resolution_m,
+        "num_skies": len(track.sky_times),
+        "mean_num_visible": float(np.nanmean(seen)) if (~np.isnan(seen)).any() else np.nan,
+        "mean_open_num_visible": float(np.mean(predicted.open_sky[NUM_VISIBLE])),
+    }
+    return found | {f"mean_{name}": float(log.epochs[name].mean()) for name in log.witnesses if name == TRACKED}
+
+
+def _epochs(log: ReceiverLog, track: Track, predicted: Prediction) -> pd.DataFrame:
+    said = {name: values[0] for name, values in predicted.values.items()}
+    opened = {f"{OPEN}{name}": values for name, values in predicted.open_sky.items()}
+    return log.epochs.assign(x_m=track.x_m, y_m=track.y_m, along_m=track.along_m, **said, **opened)
+
+
+def paired(a: ReceiverValidation, b: ReceiverValidation, witness: str = TRACKED, coefficient: str = SPEARMAN) -> Scored:
+    """Return how much higher a coefficient is with the maps of ``b`` than with those of ``a``, and its 95 % interval.
+
+    Both are drawn on the same blocks of the pieces that both hold.
+
+    Args:
+      a, b: of one log under the same settings.
+      witness: of the log.
+      coefficient: ``"spearman"`` or ``"auc"``.
+
+    Raises:
+      InputError: validations of different logs, or that cut the track otherwise.
+    """
+    sides = (a, b)
+    lengths = {(side.settings.piece_m, side.settings.block_m, len(side.log.epochs)) for side in sides}
+    if len(lengths) > 1:
+        raise InputError("a and b are of different logs or pieces: make both with one log and the same settings")
+    held = [side.pieces.piece[side.pieces[witness].notna()].to_numpy() for side in sides]
+    common = np.intersect1d(held[0], held[1])
+    row = Row(witness, MAIN[witness], a.settings.piece_m)
+    made = [agreements(side.pieces[side.pieces.piece.isin(common)], row, side.settings) for side in sides]
+    one, other = (functions[coefficient] for functions, _ in made)
+    return scored(lambda counts: other(counts) - one(counts), made[0][1], a.settings.seed)
