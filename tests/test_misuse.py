@@ -27,6 +27,7 @@ SETTINGS = {"region": {"bounds": BOUNDS}, "buildings": {"source": "synthetic"}}
 RIGHT = "every value of the type is a right one here"
 MADE = (  # what functions return; XY is looked at where it is used
     *("MetricMaps", "CostMap", "MapComparison", "PlannedPath", "PlannedPaths", "RouteReport", "SensitivityStudy"),
+    "ReceiverValidation",
     *("SoftCity", "Demonstration", "InputError", "JaxurbanError", "Scenario", "XY", "City"),
 )
 METHODS = {  # of what they return
@@ -81,7 +82,7 @@ GOOD: dict[str, Callable[[], dict[str, Any]]] = {
     "Target.parse": lambda: {"text": "detour<=0.1"},
     "map_inputs": lambda: {"city": held("city"), "grid": held("grid")},
     "open_maps": lambda: {"folder": "no/such/place"},
-    **dict.fromkeys(("save_comparison", "save_sensitivity"), dict),
+    **dict.fromkeys(("save_comparison", "save_sensitivity", "save_validation"), dict),
     "Target": lambda: {"outcome": "detour", "sense": "<=", "value": 0.1},
     "Weights.parse": lambda: {"text": "gps=1"},
     "build_maps": lambda: {"city": held("city"), "resolution_m": 50.0, "altitudes_m": (20.0,), "progress": False},
@@ -109,6 +110,7 @@ GOOD: dict[str, Callable[[], dict[str, Any]]] = {
         "params": ju.SoftParams(altitude_m=20.0),
     },
     "study": lambda: {"maps": MAPS, "folder": "/proc/none", "instances": 1, "progress": False},
+    "validate": lambda: {"scenario": ju.Scenario.from_dict(SETTINGS), "log": "no-such.csv", "progress": False},
     "write_buildings": lambda: {"folder": "no/such/place", "planned": held("path"), "out": "/proc/none"},
 }
 
@@ -123,8 +125,10 @@ WRONG: dict[str, Any] = {
     **dict.fromkeys(("time", "MetricMaps.m.time"), "yesterday"),
     **dict.fromkeys(("folder", "maps", "maps_a", "maps_b", "path", "file"), "no/such/place"),
     **dict.fromkeys(("MetricMaps.save.folder", "save_comparison.folder", "save_sensitivity.folder"), "/proc/none"),
+    **dict.fromkeys(("other_pieces_m", "shifts_m"), (-1.0,)),
     **dict.fromkeys(("study.folder", "sensitivity_study.folder", "out"), "/proc/none"),
     **dict.fromkeys(("blocks", "table", "districts", "terrain", "buildings", "no_fly", "orbits"), "no-such.file"),
+    "log": "no-such.csv",
     **dict.fromkeys(("PlannedPath.save.file", "PlannedPaths.save.file", "PlannedPath.save.more"), "path.txt"),
     **dict.fromkeys(("plan_many.file", "FitSettings.state_file"), "no/such/place.parquet"),
     **dict.fromkeys(("altitudes_m", "nest_with_m", "MetricMaps.m.altitude_m", "factors"), (-1e300, 1e300)),
@@ -133,6 +137,7 @@ WRONG: dict[str, Any] = {
     **{name: {} for name in ("cities", "scenarios", "sources")},
     **{name: [] for name in ("queries", "demonstrations", "paths", "losses", "targets")},
     **dict.fromkeys(("seed", "height_seed", "height_samples", "num_heights", "bootstrap", "num_samples"), -1),
+    "at_most_tracked": -1,
     **dict.fromkeys(("max_rounds", "max_plans", "num", "num_segments", "num_threads", "workers"), 0),
     **dict.fromkeys(("budget_iterations", "oversample", "num_rows", "num_cols", "beams", "azimuths"), 0),
     **dict.fromkeys(("routes", "instances"), -1),
@@ -144,6 +149,7 @@ WRONG |= dict.fromkeys(
         *("altitude_m", "resolution_m", "width_m", "height_m", "min_altitude_m", "max_altitude_m", "level_step_m"),
         *("climb_cost", "descent_cost", "reference_length_m", "reach_m", "range_m", "threshold_m", "snap", "tolerance"),
         *("default_height_m", "level_height_m", "mask_deg", "max_age_days", "wrong", "hold_out", "softness_m"),
+        *("antenna_height_m", "piece_m", "block_m", "sky_step_s"),
         *("speed_m_s", "power_w", "swath_m", "value", "gdop_threshold", "availability_threshold", "normalise"),
         *("horizontal_alert_limit_m", "vertical_alert_limit_m", "sigma_ura_m", "sigma_ure_m", "bias_m", "p_sat"),
         *("p_const_gps", "p_const", "phmi_horizontal", "phmi_vertical", "pfa_horizontal", "pfa_vertical"),
@@ -207,6 +213,7 @@ WRONG |= dict.fromkeys(  # known only with the maps, the files or the folder, or
         *("SensitivityStudySettings.vary", "soft_city.time_of_day", "write_buildings.out", "write_buildings.scenario"),
         *("City.from_files.table", "City.from_files.districts", "City.from_files.blocks", "City.from_files.terrain"),
         *("read_demonstrations.metrics", "City.from_files.kind", "save_comparison.folder", "save_sensitivity.folder"),
+        "save_validation.folder",
         "open_maps.obstacles",
     ),
     RIGHT,

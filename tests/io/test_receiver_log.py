@@ -1,0 +1,101 @@
+"""Receiver logs: two shapes of tables, and what is wrong with one in one sentence."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from jaxurban.errors import InputError
+from jaxurban.io.read.receiver import ReceiverLog, read_receiver_log
+
+GOOD = pd.DataFrame(
+    {
+        "utc": ["2018-12-19T06:07:38Z", "2018-12-19T06:07:37Z", "2018-12-19T06:07:39Z"],
+        "lon_deg": [139.1, 139.0, 139.2],
+        "lat_deg": [35.1, 35.0, 35.2],
+        "num_tracked": [8, 7, 9],
+    }
+)
+BY_SATELLITE = pd.DataFrame(
+    {
+        "utc": ["2018-12-19T06:07:37Z"] * 2 + ["2018-12-19T06:07:38Z", "2018-12-19T06:07:39Z"],
+        "lon": [139.0, 139.0, 139.1, 139.2],
+        "lat": [35.0, 35.0, 35.1, 35.2],
+        "satellite": ["G01", "E11", "G01", None],
+        "cn0_dbhz": [45.0, 30.0, np.nan, np.nan],
+    }
+)
+
+
+def refused(table: pd.DataFrame, *words: str) -> None:
+    with pytest.raises(InputError) as raised:
+        read_receiver_log(table)
+    told = str(raised.value)
+    assert "\n" not in told
+    for word in words:
+        assert word in told
+
+
+def test_epochs_come_in_the_order_of_their_times():
+    log = read_receiver_log(GOOD)
+    assert log.epochs.num_tracked.tolist() == [7, 8, 9]
+    assert log.epochs.lon_deg.tolist() == [139.0, 139.1, 139.2]
+    assert (log.witnesses, log.satellites) == (("num_tracked",), None)
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet"])
+def test_a_file_is_read_as_the_table_that_it_holds(suffix, tmp_path):
+    file = tmp_path / f"log{suffix}"
+    GOOD.to_csv(file, index=False) if suffix == ".csv" else GOOD.to_parquet(file)
+    pd.testing.assert_frame_equal(read_receiver_log(file).epochs, read_receiver_log(GOOD).epochs)
+
+
+def test_an_offset_from_utc_is_taken_off():
+    local = GOOD.assign(utc=[time.replace("T06", "T15").replace("Z", "+09:00") for time in GOOD.utc])
+    pd.testing.assert_frame_equal(read_receiver_log(local).epochs, read_receiver_log(GOOD).epochs)
+    zoned = GOOD.assign(utc=pd.to_datetime(GOOD.utc).dt.tz_convert("Asia/Tokyo"))
+    assert read_receiver_log(zoned).epochs.utc.tolist() == read_receiver_log(GOOD).epochs.utc.tolist()
+
+
+def test_rows_of_one_time_are_an_epoch_where_they_name_satellites():
+    log = read_receiver_log(BY_SATELLITE)
+    assert log.epochs.num_tracked.tolist() == [2, 1, 0]
+    assert isinstance(log, ReceiverLog)
+    assert log.satellites.epoch.tolist() == [0, 0, 1]
+    assert log.satellites.satellite.tolist() == ["G01", "E11", "G01"]
+    assert log.satellites.cn0_dbhz.tolist()[:2] == [45.0, 30.0]
+
+
+@pytest.mark.parametrize(
+    ("table", "words"),
+    [
+        (GOOD.iloc[:0], ("no rows", "num_tracked")),
+        (GOOD.drop(columns="utc"), ("no times", "utc")),
+        (GOOD.assign(utc=GOOD.utc.str.rstrip("Z")), ("without a zone", "local", "+09:00")),
+        (GOOD.assign(utc=pd.to_datetime(GOOD.utc).dt.tz_localize(None)), ("without a zone", "local")),
+        (GOOD.assign(utc=[1545199657.0] * 3), ("numbers as times", "GPS time")),
+        (GOOD.assign(utc="noon"), ("'noon'", "Z")),
+        (GOOD.assign(utc="2018-13-41T06:07:37Z"), ("cannot be read", "Z")),
+        (GOOD.assign(utc=[None, *GOOD.utc[1:]]), ("1 rows without a time", "remove")),
+        (GOOD.drop(columns="lat_deg"), ("no column lat_deg",)),
+        (GOOD.drop(columns="num_tracked"), ("none of the columns num_tracked", "error_2d_m", "satellite")),
+        (GOOD.assign(lon_deg=[np.nan, 139.0, 139.0]), ("1 rows without a number in lon_deg", "remove")),
+        (GOOD.assign(lat_deg=139.0), ("beyond 90", "swapped")),
+        (GOOD.assign(utc=GOOD.utc[0]), ("two rows at 2018-12-19T06:07:38", "satellite")),
+        (GOOD.assign(num_tracked=[8, -1, 9]), ("-1", "num_tracked")),
+        (GOOD.assign(num_tracked="many"), ("'many'", "num_tracked")),
+        (GOOD.assign(num_tracked=np.nan), ("no value in num_tracked", "remove")),
+        (BY_SATELLITE.assign(lon=[139.0, 139.1, 139.1, 139.2]), ("two places at 2018-12-19T06:07:37",)),
+        (BY_SATELLITE.assign(satellite=None), ("names no satellite",)),
+        (BY_SATELLITE.assign(satellite="G01"), ("'G01' twice at 2018-12-19T06:07:37",)),
+    ],
+)
+def test_what_is_wrong_with_a_log_is_one_sentence(table, words):
+    refused(table, *words)
+
+
+def test_an_empty_file_says_what_belongs_there(tmp_path):
+    (tmp_path / "log.csv").write_text("")
+    with pytest.raises(InputError, match="is empty: give a table with the columns utc"):
+        read_receiver_log(tmp_path / "log.csv")
+    with pytest.raises(InputError, match="does not exist"):
+        read_receiver_log(tmp_path / "none.csv")
