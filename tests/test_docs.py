@@ -31,7 +31,7 @@ BLOCK = re.compile(r"^( *)```([\w-]*)[^\n]*\n(.*?)^\1```[ \t]*$", re.MULTILINE |
 LONG_PAGES = {  # of `make test-docs`
     *("docs/reference/api.md", "docs/sensitivity.md", "docs/study.md", "docs/tuning.md", "docs/tutorial.md"),
     *("docs/howto/own_city.md", "docs/howto/own_layer.md", "docs/howto/batches.md", "docs/howto/compare.md"),
-    "docs/howto/one_function.md",
+    *("docs/howto/one_function.md", "docs/howto/receiver.md"),
 }
 
 SCENARIO = """

@@ -1,5 +1,6 @@
 """What a receiver's validation writes: report.md, all numbers as JSON, tables and figures."""
 
+import hashlib
 import json
 import math
 from collections.abc import Mapping
@@ -11,10 +12,10 @@ import pandas as pd
 
 from jaxurban.errors import typed
 from jaxurban.io.folders import own_folder
-from jaxurban.io.read.receiver import TRACKED
+from jaxurban.io.read.receiver import TRACKED, ReceiverLog
 from jaxurban.io.tables import records_of
 from jaxurban.report.figures.degrees import in_degrees
-from jaxurban.report.figures.receiver import LABELS, NAMES, validation_figures
+from jaxurban.report.figures.receiver import LABELS, name_of, validation_figures
 from jaxurban.report.markdown import bullets, counted, fill, table
 from jaxurban.report.save import Output, save
 from jaxurban.studies.receiver.scores import AUC, MAIN, SPEARMAN
@@ -44,14 +45,17 @@ def save_validation(
     Raises:
       InputError: the folder cannot be written to, or holds another validation or other files.
     """
-    asked = {
-        "log": found.log.name,
-        "scenario": found.scenario,
-        "settings": found.settings.to_dict(),
-        "epochs": found.summary,
-    }
+    asked = {"log": found.log.name, "scenario": found.scenario, "settings": found.settings.to_dict()}
+    asked["rows"] = _digest(found.log)
     with own_folder(Path(folder), "validate", _plain(asked), overwrite=overwrite):
         return write_validation(found, Path(folder), degrees)
+
+
+def _digest(log: ReceiverLog) -> str:
+    """Return what tells a log from another of its name."""
+    tables = (log.epochs, log.satellites)
+    text = "".join(each.to_csv(index=False) for each in tables if each is not None)
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def write_validation(found: ReceiverValidation, folder: Path, degrees: bool = False) -> list[Path]:
@@ -140,7 +144,7 @@ def _said(row: Mapping[Any, Any]) -> str:
             shifted = row[f"{coefficient}_shifted"]
             control = f", shifted at most {shifted:.2f}" if np.isfinite(shifted) else ""
             parts.append(f"{name} {with_interval(row, coefficient)}{control}")
-    what = f"{LABELS[row['witness']]} against {NAMES[row['prediction']]}"
+    what = f"{LABELS[row['witness']]} against {name_of(row['prediction'])}"
     return f"{what[0].upper()}{what[1:]}: {'; '.join(parts) or 'not defined'}"
 
 
@@ -159,7 +163,7 @@ def score_table(scores: pd.DataFrame) -> str:
         is_each = not np.isfinite(row["piece_m"])
         told = [
             LABELS[row["witness"]],
-            NAMES[row["prediction"]],
+            name_of(row["prediction"]),
             "each epoch" if is_each else f"{row['piece_m']:g} m",
             f"{row['num']:,}",
         ]
@@ -221,7 +225,7 @@ def _shifts(found: ReceiverValidation) -> str:
         if chosen[chosen.witness == witness][name].notna().any()
     ]
     if len(set(chosen.shift_m)) < 2:
-        return "The track is too short for a shift."
+        return "No shift was asked for, or the track is too short for one."
     values = {(row["witness"], row["shift_m"]): row for row in chosen.to_dict("records")}
     rows = [
         (

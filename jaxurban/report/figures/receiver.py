@@ -23,7 +23,6 @@ from jaxurban.studies.receiver.validate import ReceiverValidation
 NAMES = {
     NUM_VISIBLE: "satellites in view",
     "gps": "GPS quality m",
-    **{name: name.upper() for name in ("gdop", "pdop", "hdop", "vdop", "tdop")},
     "line of sight": "line of sight",
 }
 LABELS = {
@@ -42,11 +41,12 @@ JITTER = 0.18  # sideways, of whole numbers in a scatter plot
 
 def validation_figures(found: ReceiverValidation) -> dict[str, Callable[[], Figure]]:
     """Return what draws each picture, by its name."""
-    figures: dict[str, Callable[[], Figure]] = {}
-    if found.log.witnesses:
-        figures |= {name: partial(draw, found) for name, draw in DRAWN.items()}
-    figures["control"] = partial(plot_control, found)
-    return figures
+    return {name: partial(draw, found) for name, draw in DRAWN.items()}
+
+
+def name_of(prediction: str) -> str:
+    """Return what figures and reports call a quantity of the maps."""
+    return NAMES.get(prediction, prediction.upper())
 
 
 def _note(found: ReceiverValidation, *more: str) -> str:
@@ -60,7 +60,7 @@ def _note(found: ReceiverValidation, *more: str) -> str:
 def plot_track(found: ReceiverValidation) -> Figure:
     """Return what the maps say and what the receiver told, along its way over the map of satellites in view."""
     witness = found.log.witnesses[0]
-    shown = {MAIN[witness]: f"maps: {NAMES[MAIN[witness]]}", witness: f"receiver: {LABELS[witness]}"}
+    shown = {MAIN[witness]: f"maps: {name_of(MAIN[witness])}", witness: f"receiver: {LABELS[witness]}"}
     behind = found.background
     frame = make_frame(
         behind.grid, list(shown.values()), "Prediction and receiver along the track", _note(found), footer_in=0.42
@@ -126,7 +126,7 @@ def plot_scatter(found: ReceiverValidation) -> Figure:
             panel.set_xscale("log")
             show_plain_log(panel.xaxis)
         num = int(np.isinf(known[name]).sum())
-        panel.set_xlabel(f"maps: {NAMES[name]}{f' ({num} undetermined, at the right edge)' if num else ''}")
+        panel.set_xlabel(f"maps: {name_of(name)}{f' ({num} undetermined, at the right edge)' if num else ''}")
         panel.set_ylabel(f"receiver: {LABELS[witness]}")
     return figure
 
@@ -174,9 +174,9 @@ def plot_time_line(found: ReceiverValidation) -> Figure:
             panel.set_ylim(bottom=0)
         else:
             dress(beside, has_grid=False)
-            panel.set_title(f"{LABELS[witness]} (left) and {NAMES[name]} (right)")
+            panel.set_title(f"{LABELS[witness]} (left) and {name_of(name)} (right)")
             panel.set_ylabel(LABELS[witness], color=RECEIVER_COLOUR)
-            beside.set_ylabel(NAMES[name], color=MAP_COLOUR)
+            beside.set_ylabel(name_of(name), color=MAP_COLOUR)
             for side, shown in ((panel, witness), (beside, name)):
                 _scale(side, shown)
     axes[-1].set_xlabel("UTC")
@@ -207,7 +207,7 @@ def plot_control(found: ReceiverValidation) -> Figure:
     coefficient = SPEARMAN if np.isfinite(first[SPEARMAN]) else AUC
     name = {SPEARMAN: "Spearman", AUC: "AUC"}[coefficient]
     scores = found.scores[(found.scores.witness == first.witness) & (found.scores.prediction == first.prediction)]
-    heading = f"{LABELS[first.witness]} against {NAMES[first.prediction]}: agreement and controls"
+    heading = f"{LABELS[first.witness]} against {name_of(first.prediction)}: agreement and controls"
     figure, (by_length, by_shift) = panels(
         2, heading[0].upper() + heading[1:], _note(found), panel_in=(4.2, 2.8), foot_in=legend_in(3)
     )
@@ -243,4 +243,5 @@ DRAWN: dict[str, Callable[[ReceiverValidation], Figure]] = {
     "track": plot_track,
     "scatter": plot_scatter,
     "time_line": plot_time_line,
+    "control": plot_control,
 }

@@ -175,7 +175,13 @@ def _epochs(log: ReceiverLog, track: Track, predicted: Prediction) -> pd.DataFra
     return log.epochs.assign(x_m=track.x_m, y_m=track.y_m, along_m=track.along_m, **said, **opened)
 
 
-def paired(a: ReceiverValidation, b: ReceiverValidation, witness: str = TRACKED, coefficient: str = SPEARMAN) -> Scored:
+def paired(
+    a: ReceiverValidation,
+    b: ReceiverValidation,
+    witness: str = TRACKED,
+    coefficient: str = SPEARMAN,
+    predictions: tuple[str | None, str | None] = (None, None),
+) -> Scored:
     """Return how much higher a coefficient is with the maps of ``b`` than with those of ``a``, and its 95 % interval.
 
     Both are drawn on the same blocks of the pieces that both hold.
@@ -184,17 +190,22 @@ def paired(a: ReceiverValidation, b: ReceiverValidation, witness: str = TRACKED,
       a, b: of one log under the same settings.
       witness: of the log.
       coefficient: ``"spearman"`` or ``"auc"``.
+      predictions: of ``a`` and of ``b`` that are set against the witness; None: the witness's own.
 
     Raises:
       InputError: validations of different logs, or that cut the track otherwise.
     """
-    sides = (a, b)
-    lengths = {(side.settings.piece_m, side.settings.block_m, len(side.log.epochs)) for side in sides}
-    if len(lengths) > 1:
+    if len({(side.settings.piece_m, side.settings.block_m, len(side.log.epochs)) for side in (a, b)}) > 1:
         raise InputError("a and b are of different logs or pieces: make both with one log and the same settings")
-    held = [side.pieces.piece[side.pieces[witness].notna()].to_numpy() for side in sides]
+    held = [side.pieces.piece[side.pieces[witness].notna()].to_numpy() for side in (a, b)]
     common = np.intersect1d(held[0], held[1])
-    row = Row(witness, MAIN[witness], a.settings.piece_m)
-    made = [agreements(side.pieces[side.pieces.piece.isin(common)], row, side.settings) for side in sides]
+    made = [
+        agreements(
+            side.pieces[side.pieces.piece.isin(common)],
+            Row(witness, prediction or MAIN[witness], a.settings.piece_m),
+            side.settings,
+        )
+        for side, prediction in zip((a, b), predictions, strict=True)
+    ]
     one, other = (functions[coefficient] for functions, _ in made)
     return scored(lambda counts: other(counts) - one(counts), made[0][1], a.settings.seed)

@@ -1,0 +1,73 @@
+"""What a validation writes: a report of its numbers, JSON without NaN, figures; the command and its errors."""
+
+import json
+
+import pandas as pd
+import pytest
+from matplotlib.text import Text
+
+import jaxurban as ju
+from jaxurban.report.figures.receiver import validation_figures
+from jaxurban.report.receiver import validation_markdown, with_interval
+from tests.cli_runs import assert_one_sentence, run
+from tests.receiver_logs import SCENARIO, drive, found, scenario, true_log
+
+
+def test_the_report_holds_the_numbers_of_the_scores():
+    report = validation_markdown(found(), ["track"])
+    for row in found().main.to_dict("records"):
+        assert with_interval(row, "spearman") in report
+    assert "shifted at most" in report
+    assert "line of sight only" in report
+    assert "nan" not in report
+
+
+def test_every_figure_names_what_it_shows():
+    for name, draw in validation_figures(found()).items():
+        figure = draw()
+        texts = " ".join(text.get_text() for text in figure.findobj(Text))
+        assert "2020-04-27" in texts, name
+        assert "satellites" in texts, name
+        assert all(panel.get_ylabel() or panel.get_title("left") for panel in figure.axes[:2]), name
+
+
+def test_a_log_of_errors_alone_is_drawn_too():
+    log = true_log()[["utc", "lon_deg", "lat_deg", "error_2d_m"]]
+    of = ju.validate(scenario(), log, ju.ReceiverSettings(sky_step_s=240.0, shifts_m=()), progress=False)
+    assert [draw().axes for draw in validation_figures(of).values()]
+    assert "No shift was asked for" in validation_markdown(of, [])
+
+
+@pytest.mark.slow
+def test_the_command_writes_a_folder_of_its_own(tmp_path, capsys):
+    toml = tmp_path / "town.toml"
+    toml.write_text(scenario().to_toml())
+    true_log().to_csv(tmp_path / "log.csv", index=False)
+    out = tmp_path / "out"
+    code, told, err = run(capsys, "validate", toml, tmp_path / "log.csv", "-o", out, "--sky-step", "240", "--json")
+    assert code == 0, err
+    numbers = json.loads((out / "validation.json").read_text(), parse_constant=pytest.fail)
+    assert json.loads(told)["scores"] == numbers["scores"]
+    assert len(pd.read_csv(out / "tables/pieces.csv")) == len(pd.read_parquet(out / "tables/pieces.parquet"))
+    for name in validation_figures(found()):
+        assert f"figures/{name}.png" in (out / "report.md").read_text()
+        assert (out / f"figures/{name}.png").stat().st_size > 5000
+    again = ("validate", toml, tmp_path / "log.csv", "-o", out, "--sky-step", "240", "--antenna-height", "3")
+    code, _, err = run(capsys, *again)
+    assert code == 2
+    assert_one_sentence(err, "holds another run", "--overwrite")
+    assert run(capsys, *again, "--overwrite")[0] == 0
+
+
+def test_a_log_of_local_times_ends_the_command_with_one_sentence(tmp_path, capsys):
+    toml, log = tmp_path / "town.toml", tmp_path / "log.csv"
+    toml.write_text(ju.Scenario.from_dict(SCENARIO).to_toml())
+    drive().assign(utc=drive().utc.dt.strftime("%Y-%m-%d %H:%M:%S"), num_tracked=5).to_csv(log, index=False)
+    code, out, err = run(capsys, "validate", toml, log, "-o", tmp_path / "out")
+    assert (code, out) == (2, "")
+    assert_one_sentence(err, "without a zone", "local", "Z")
+    log.write_text("utc,lon_deg,lat_deg\n2020-04-27T16:00:00Z,-73.9,40.7\n")
+    code, _, err = run(capsys, "validate", toml, log, "-o", tmp_path / "out")
+    assert code == 2
+    assert_one_sentence(err, "num_tracked")
+    assert not list((tmp_path / "out").rglob("*.md"))
