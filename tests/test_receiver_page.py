@@ -4,14 +4,23 @@ import json
 import time
 from pathlib import Path
 
+import numpy as np
+import pandas as pd
 import pytest
 
 import jaxurban as ju
 from benchmarks import receiver
+from jaxurban.io.read.receiver import read_receiver_log
+from jaxurban.kernels.dop import unit_vectors
 from jaxurban.report.receiver import with_interval
 from jaxurban.scenario.changes import changed
+from jaxurban.studies.receiver import prediction
+from jaxurban.studies.receiver.track import Track
 from tests.cli_runs import run
+from tests.embree_scene import CityScene
 from tests.receiver_logs import found
+
+REACH_M = 2500.0  # beyond it nothing of 334 m shadows a street from 10 degrees
 
 
 @pytest.fixture
@@ -57,6 +66,37 @@ def test_the_command_tells_streets_of_shinjuku_apart_and_a_shifted_city_does_not
     assert row["auc"] > 0.70
     assert row["spearman_shifted"] < 0.25 < row["spearman_low"]
     assert spent_s < 90.0
+
+
+@pytest.mark.data
+@pytest.mark.slow
+def test_lines_of_sight_from_the_track_are_those_through_exact_outlines(tokyo):
+    settings = ju.ReceiverSettings()
+    scenario, log = ju.Scenario.from_dict(receiver.SETTINGS), read_receiver_log(tokyo)
+    grid = prediction.region_of(scenario, None)
+    track = Track.of(log, grid, settings.sky_step_s)
+    task = prediction.task_at(scenario, track.sky_times, grid, settings)
+    made = prediction.predict(task, track, (), lambda *_, **__: None)
+    buildings = task.city.buildings
+    x_min, y_min, x_max, y_max = buildings.boxes_m
+    near = (x_max > track.x_m.min() - REACH_M) & (x_min < track.x_m.max() + REACH_M)
+    near &= (y_max > track.y_m.min() - REACH_M) & (y_min < track.y_m.max() + REACH_M)
+    scene = CityScene(buildings.polygons[near], buildings.height_m[near])
+    exact = np.zeros_like(made.is_above)
+    antenna_m = np.column_stack([track.x_m, track.y_m, np.full(len(track.sky), settings.antenna_height_m)])
+    for t in range(len(track.sky_times)):
+        epochs = track.sky == t
+        for s, toward in zip(task.satellites_at(t), unit_vectors(*task.angles(t)), strict=True):
+            rays = np.broadcast_to(toward, (epochs.sum(), 3))
+            exact[epochs, s] = np.isinf(scene.distance_m(antenna_m[epochs], rays))
+    known = ~np.isnan(made.values["num_visible"][0])
+    is_line = made.is_above & known[:, None]
+    assert (made.is_seen[0] == exact)[is_line].mean() > 0.98
+    told = pd.DataFrame({"piece": track.cut(25.0), "tracked": log.epochs.num_tracked})[known]
+    told = told.assign(ours=made.values["num_visible"][0][known], exact=(exact & is_line).sum(axis=1)[known])
+    ranks = told.groupby("piece").median().rank().corr()["tracked"]
+    assert ranks.exact == pytest.approx(0.555, abs=0.005)
+    assert abs(ranks.exact - ranks.ours) < 0.02
 
 
 @pytest.mark.data
