@@ -27,6 +27,7 @@ from jaxurban.report.figures.notes import (
     meaning_of,
     short_time,
     sky_said,
+    symbol_of,
     time_said,
 )
 from jaxurban.report.figures.paths import draw_ends
@@ -182,7 +183,7 @@ def _colours(found: MapComparison, layer: str, maps: Sequence[np.ndarray]) -> Co
     is_beyond = any(bool((np.abs(values) > limit).any()) for values in maps)
     unit = UNITS.get(given := unit_of(found.a, layer), given)
     meaning = meaning_of(found.a, layer) if layer in found.a.metrics else ""
-    name = f"$m_\\mathrm{{{layer}}}$" if layer in found.a.metrics else layer.upper() if layer in DOP_NAMES else unit
+    name = symbol_of(layer) if layer in found.a.metrics else layer.upper() if layer in DOP_NAMES else unit
     label = f"{name or heading_of(found, layer)}, B - A (red: B is higher)" + (
         f"\n(m of 1: {meaning})" if meaning else ""
     )

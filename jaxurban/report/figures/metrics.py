@@ -27,7 +27,7 @@ from jaxurban.report.figures.frame import (
     flat_layer,
     make_frame,
 )
-from jaxurban.report.figures.notes import frame_note, meaning_of, short_time
+from jaxurban.report.figures.notes import frame_note, meaning_of, short_time, symbol_of
 from jaxurban.report.figures.protection import LEVEL_NAMES, median_said, protection_colours
 from jaxurban.report.figures.protection import NAMES as PROTECTION_NAMES
 
@@ -96,8 +96,7 @@ def metric_colours(maps: MetricMaps, name: str) -> Colours:
     metric = find_metric("gps" if name == LOW else name, maps.metrics)
     over = ", 5th percentile" if name == LOW else ", median" if maps.variable(name) != name else ""
     one_is = f"\n(1: {meaning})" if (meaning := meaning_of(maps, name)) else ""
-    written = metric.name.replace("_", "\\_")  # else what follows would be a subscript
-    label = f"$m_\\mathrm{{{written}}}${over}{one_is}"
+    label = f"{symbol_of(metric.name)}{over}{one_is}"
     return Colours(metric.colour_map, Normalize(0, 1), label)
 
 

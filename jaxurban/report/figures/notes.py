@@ -54,6 +54,12 @@ def place_said(grid: Grid) -> str:
     return f"around {abs(lat):.3f}°{'N' if lat >= 0 else 'S'} {abs(lon):.3f}°{'E' if lon >= 0 else 'W'}"
 
 
+def symbol_of(name: str) -> str:
+    """Return m with the name of a metric below it, as Matplotlib writes mathematics."""
+    written = name.replace("_", "\\_")  # else what follows would be a subscript of its own
+    return f"$m_\\mathrm{{{written}}}$"
+
+
 def meaning_of(maps: MetricMaps, name: str) -> str:
     """Return what a value of one means, with these maps' own numbers; "" where they do not say."""
     meaning, attrs = str(maps.ds[maps.variable(name)].attrs.get("one_means", "")), maps.ds.attrs
