@@ -165,6 +165,7 @@ def test_the_order_of_satellites_and_those_that_fill_up_change_no_bit():
     np.testing.assert_array_equal(plain, padded)
 
 
+@pytest.mark.slow
 def test_weights_equal_float64_and_their_derivatives_finite_differences():
     rng = np.random.default_rng(8)
     directions, numbers = unit_vectors(rng.uniform(0, 6, 11), rng.uniform(0.2, 1.5, 11)), np.arange(11) % 3
@@ -184,6 +185,7 @@ def test_weights_equal_float64_and_their_derivatives_finite_differences():
         np.testing.assert_allclose(slope, (more - less) / 2e-6, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_system_fades_without_a_jump_and_its_slopes_stay_finite():
     rng = np.random.default_rng(9)
     directions, numbers = unit_vectors(rng.uniform(0, 6, 10), rng.uniform(0.2, 1.5, 10)), np.arange(10) % 2
