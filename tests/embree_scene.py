@@ -6,16 +6,16 @@ from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 
 
-def wall_triangles(polygons: np.ndarray, height_m: np.ndarray) -> np.ndarray:
-    """Return ``[N, 3, 3]`` float64 triangles of the walls, from the ground (0) to each roof."""
+def wall_triangles(polygons: np.ndarray, height_m: np.ndarray, floor_m: np.ndarray) -> np.ndarray:
+    """Return ``[N, 3, 3]`` float64 triangles of the walls, from each floor to each roof."""
     parts, part_owner = shapely.get_parts(polygons, return_index=True)
     rings, ring_owner = shapely.get_rings(parts, return_index=True)
     owner = part_owner[ring_owner]
     points, point_ring = shapely.get_coordinates(rings, return_index=True)
     first = np.flatnonzero(point_ring[:-1] == point_ring[1:])  # an edge joins two points of one ring
-    top = height_m[owner[point_ring[first]]]
+    top, floor = (values[owner[point_ring[first]]] for values in (height_m, floor_m))
     a, b = points[first], points[first + 1]
-    low_a, low_b = (np.column_stack([p, np.zeros(len(p))]) for p in (a, b))
+    low_a, low_b = (np.column_stack([p, floor]) for p in (a, b))
     high_a, high_b = (np.column_stack([p, top]) for p in (a, b))
     return np.concatenate([np.stack([low_a, low_b, high_b], 1), np.stack([low_a, high_b, high_a], 1)])
 
@@ -30,12 +30,19 @@ def roof_triangles(polygons: np.ndarray, height_m: np.ndarray) -> np.ndarray:
 
 
 class CityScene:
-    """Buildings extruded from the ground to their roofs, for ray queries in the polygons' CRS."""
+    """Buildings extruded from floors (left out, the ground) to roofs, for ray queries in the polygons' CRS."""
 
-    def __init__(self, polygons: np.ndarray, height_m: np.ndarray):
+    def __init__(self, polygons: np.ndarray, height_m: np.ndarray, floor_m: np.ndarray | None = None):
         areal = np.isin(shapely.get_type_id(polygons), (3, 6))  # Polygon, MultiPolygon
-        polygons, height_m = polygons[areal], np.asarray(height_m, float)[areal]
-        triangles = np.concatenate([wall_triangles(polygons, height_m), roof_triangles(polygons, height_m)])
+        floor_m = np.zeros(len(polygons)) if floor_m is None else floor_m
+        polygons, height_m, floor_m = polygons[areal], np.asarray(height_m, float)[areal], floor_m[areal]
+        hangs = floor_m > 0
+        faces = [
+            wall_triangles(polygons, height_m, floor_m),
+            roof_triangles(polygons, height_m),
+            roof_triangles(polygons[hangs], floor_m[hangs]),  # the undersides
+        ]
+        triangles = np.concatenate(faces)
         # Local coordinates first: in float32 an easting of 600 km has steps of 6 cm.
         self.origin_m = np.append(np.round(triangles.reshape(-1, 3).mean(axis=0))[:2], 0.0)
         self.scene = EmbreeScene(robust=True)

@@ -1,5 +1,6 @@
 """build_maps: a city and a sky in, the metric maps of a region out."""
 
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -12,7 +13,7 @@ import shapely
 from jaxtyping import DTypeLike
 
 from jaxurban.compile_cache import keep_programs
-from jaxurban.errors import InputError, one_of, typed
+from jaxurban.errors import GuessWarning, InputError, one_of, typed
 from jaxurban.io.layers import bands_of
 from jaxurban.io.read.guesses import warn_of
 from jaxurban.io.read.orbits import NOMINAL, iso_utc, look_angles, middle_epoch, parse_time, read_orbits
@@ -35,7 +36,7 @@ from jaxurban.metrics.registry import known_metrics
 from jaxurban.metrics.risk import RiskParams
 from jaxurban.metrics.visibility import SkyView
 from jaxurban.progress import Progress, reporting
-from jaxurban.world.city import City
+from jaxurban.world.city import SLABS, TO_GROUND, City
 from jaxurban.world.grid import Grid
 from jaxurban.world.sky import Sky
 from jaxurban.world.surface import Surface
@@ -325,6 +326,8 @@ def soft_city(
 def soften(task: MapTask, *, time_index: int = 0, time_of_day: str = "day", dtype: DTypeLike = np.float32) -> SoftCity:
     """Return a city made ready for soft, differentiable cost layers (on cells of the region, never supersampled).
 
+    What hangs reaches the ground in them; of a city with slabs that is warned of.
+
     Args:
       task: a city with outlines, the grid of the layers, the sky, and settings. Their lidar range and d_thresh, their
         lowest altitude and the city's highest roof are as far as is looked: parameters may not go beyond.
@@ -335,6 +338,13 @@ def soften(task: MapTask, *, time_index: int = 0, time_of_day: str = "day", dtyp
     Raises:
       InputError: a city whose roofs are a height raster, or no such time.
     """
+    if task.city.hanging == SLABS:
+        warnings.warn(
+            "soft layers know no slabs: in them, and in their gradients, everything that hangs reaches the ground",
+            GuessWarning,
+            stacklevel=3,
+        )
+        task = replace(task, city=replace(task.city, hanging=TO_GROUND))
     if not 0 <= time_index < task.num_times:
         raise InputError(f"time_index must be 0 to {task.num_times - 1}, one of the sky's times, got {time_index}")
     city, params = task.city, task.params

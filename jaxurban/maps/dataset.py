@@ -11,16 +11,16 @@ from jaxurban.io.attributes import CAVEAT, IN_OBSTACLES
 from jaxurban.maps.height_uncertainty import SPREAD
 from jaxurban.maps.task import MapTask
 from jaxurban.metrics.availability import SERIES, TimeTotals
-from jaxurban.metrics.base import ALTITUDE, TIME
+from jaxurban.metrics.base import ALTITUDE, TIME, UNDERSIDE
 from jaxurban.metrics.gps import DOPS, WEIGHTED_DOPS
 from jaxurban.metrics.protection import LEVELS, WITHIN_LIMITS
-from jaxurban.world.city import joined_credits
+from jaxurban.world.city import SLABS, joined_credits
 
 PLANE = ("y", "x")
 CONVENTIONS = "CF-1.11"
 UNITS = {  # of what is not a metric's m
     "density": "km-2",
-    **dict.fromkeys(("roof", "roof_touched", "terrain", *LEVELS), "m"),
+    **dict.fromkeys(("roof", "roof_touched", UNDERSIDE, "terrain", *LEVELS), "m"),
 }
 LONG_NAMES = {  # of what is not a metric's m
     "obstacle": "cells inside obstacles",
@@ -43,6 +43,7 @@ LONG_NAMES = {  # of what is not a metric's m
     "roof": "height of the roof over the cell's centre above the ground",
     "roof_touched": "height of the highest roof that shares area with the cell above the ground",
     "roof_guessed": "the roof's height is guessed",
+    UNDERSIDE: "height of the lowest underside of what hangs over the cell's centre above the ground",
     "terrain": "elevation of the ground",
     "has_data": "something is known of the cell",
 }
@@ -74,6 +75,8 @@ def variables(task: MapTask) -> dict[str, tuple[tuple[str, ...], np.dtype]]:
     names |= dict.fromkeys(("roof", "roof_touched"), (PLANE, np.float32))
     if task.draws_guesses:
         names["roof_guessed"] = (PLANE, np.bool_)
+    if task.city.hanging == SLABS and task.city.buildings is not None:
+        names[UNDERSIDE] = (PLANE, np.float32)
     if task.has_terrain:
         names["terrain"] = (PLANE, np.float32)
     names["has_data"] = (PLANE, np.bool_)

@@ -15,7 +15,7 @@ from jaxurban.io.read.knownarea import rays_leaving
 from jaxurban.io.read.raster import pixel_xy
 from jaxurban.io.read.rasterise import highest_top_m
 from jaxurban.metrics.population import BlockLayers, PopulationParams, region_blocks
-from jaxurban.world.city import Blocks, City, Raster
+from jaxurban.world.city import SLABS, Blocks, City, Raster
 from jaxurban.world.grid import Bounds, Grid
 from jaxurban.world.sky import Sky
 
@@ -83,11 +83,29 @@ def guesses_of(
     else:
         guesses.pop(NOMINAL_SKY, None)
     guesses |= _coverage_guesses(city, region)
+    guesses |= _hanging_guesses(city, region)
     for name, values in (bands or {}).items():
         guesses |= _layer_guesses(name, values[0], region)
     if city.blocks is not None and population_layers is not None:
         guesses |= _scale_guesses(city.blocks, region.bounds_m, population_layers, population)
     return guesses
+
+
+def _hanging_guesses(city: City, region: Grid) -> Guesses:
+    """Return how metrics take what hangs over a region; nothing where nothing does, or where it reaches the ground."""
+    if city.buildings is None or city.hanging != SLABS:
+        return {}
+    hanging = city.buildings.take(city.buildings.min_height_m > 0)
+    number = int(shapely.intersects(hanging.polygons, shapely.box(*region.bounds_m)).sum())
+    if not number:
+        return {}
+    return {
+        f"{number:,} hanging parts": (
+            f"{number:,} parts and decks hang over the region, from their floor to their top: lidar meets those with "
+            "their floor at or below the altitude as if they reached the ground, and none above it; paths keep away "
+            'from all that is under them; set [buildings] hanging = "to_ground" for none'
+        )
+    }
 
 
 def outside_share(city: City, region: Grid) -> float:

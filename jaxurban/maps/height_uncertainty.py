@@ -41,7 +41,8 @@ class HeightStd:
     Attributes:
       height: a tag or column: values are rounded to a metre and leave open whether a parapet or a machine room counts.
       levels: number of levels x level height: a storey more or less (ground floors and roofs differ).
-      default: nothing known but that a building stands: half the default height of 10 m; more among towers.
+      default: nothing known but that a building stands: half the default height of 10 m; more among towers. Also of
+        decks whose height is guessed by their layer.
       raster: a height raster, where a component of touching pixels above 0 counts as one building.
 
     Raises:
@@ -61,7 +62,7 @@ class HeightStd:
 
     def of(self, origin: np.ndarray) -> np.ndarray:
         """Return the standard deviation of buildings by their `HeightOrigin`, 0 for those of the synthetic city."""
-        by_origin = {item.name: getattr(self, item.name) for item in fields(self)}
+        by_origin = {item.name: getattr(self, item.name) for item in fields(self)} | {"layer": self.default}
         return np.array([by_origin.get(o.name.lower(), 0.0) for o in HeightOrigin])[origin]
 
 
@@ -76,7 +77,9 @@ def perturbed_cities(city: City, height_std: HeightStd, num_samples: int, seed: 
         if city.buildings is not None:
             errors_m = rng.standard_normal(len(city.buildings)) * height_std.of(city.buildings.origin)
             height_m = np.maximum(city.buildings.height_m + errors_m, 0.0)
-            yield replace(city, buildings=replace(city.buildings, height_m=height_m))
+            floor_m = city.buildings.min_height_m
+            floor_m = np.where(floor_m > 0, np.maximum(floor_m + errors_m, 0.0), floor_m)  # what hangs moves as a whole
+            yield replace(city, buildings=replace(city.buildings, height_m=height_m, min_height_m=floor_m))
         else:
             assert city.roofs is not None
             errors_m = np.append(0.0, rng.standard_normal(num_buildings) * height_std.raster)[labels]

@@ -86,20 +86,20 @@ def values_at(
     z_m: float,
     altitudes_m: Sequence[float],
     read: Callable[[float], np.ndarray],
-    is_defined: Callable[[float], np.ndarray],
+    is_under_sky: Callable[[float], np.ndarray],
     *,
     is_count: bool = False,
 ) -> np.ndarray:
     """Return a map's values at an altitude within the maps' range.
 
     Between two altitudes they run linearly from one map to the other (a count stays that of the lower one, which is in
-    view above it too); where the lower one holds an obstacle, and so no metric, the upper one's value stands.
+    view above it too); where a roof, or what hangs, is in or over the lower one, the upper one's value stands.
 
     Args:
       z_m: the altitude.
       altitudes_m: of the maps.
       read: the values at one of these.
-      is_defined: whether no roof reaches one of these at the cell's centre.
+      is_under_sky: whether nothing reaches one of these, or hangs above it, at the cell's centre.
       is_count: of whole things, such as satellites.
     """
     if z_m in altitudes_m:
@@ -108,7 +108,7 @@ def values_at(
     high_m = min(altitude_m for altitude_m in altitudes_m if altitude_m > z_m)
     share = float((z_m - low_m) / (high_m - low_m))
     lower, upper = read(low_m), read(high_m)
-    return np.where(is_defined(low_m), lower if is_count else (1 - share) * lower + share * upper, upper)
+    return np.where(is_under_sky(low_m), lower if is_count else (1 - share) * lower + share * upper, upper)
 
 
 def listed_m(altitudes_m: Iterable[float]) -> str:

@@ -19,6 +19,7 @@ from jaxurban.maps.device import Gpu, gpu_free_bytes
 from jaxurban.maps.task import MapTask
 from jaxurban.metrics.base import Metric
 from jaxurban.metrics.registry import METRICS
+from jaxurban.world.city import SLABS
 from jaxurban.world.grid import Grid
 from jaxurban.world.tiling import max_side_for, tile_shape
 
@@ -30,6 +31,7 @@ SERIES_BYTES = 384 * 2**20  # a tile's metric at every time of a long series tak
 COMPILING_BYTES = 400 * 2**20  # what JAX and the other libraries take once they work
 SURFACE_CELL_BYTES = 20  # rasters on the host and for JAX, and what puts them together
 TERRAIN_CELL_BYTES = 16  # the same of the terrain, and the sum of both
+RAISED_CELL_BYTES = 12  # where slabs hang: roofs of what stands, and of what an altitude meets (computed, not measured)
 LIDAR_CELL_BYTES = 16  # of cells within the lidar's range: crops with their halo, and padded (terrain: of both rasters)
 LIDAR_RESULT_BYTES = 24  # of counts and shares of the tile's own cells
 TERRAIN_RESULT_BYTES = 12  # the same over terrain
@@ -86,7 +88,9 @@ def tile_bytes(task: MapTask, tile: Grid, around: Grid | None = None) -> int:
       around: what is rasterised for it; left out, the halo of a tile that its neighbours hand shadows on to.
     """
     around = around or task.with_halo(tile)
-    surface = _num_cells(around) * (SURFACE_CELL_BYTES + TERRAIN_CELL_BYTES * task.has_terrain)
+    surface = _num_cells(around) * (
+        SURFACE_CELL_BYTES + TERRAIN_CELL_BYTES * task.has_terrain + RAISED_CELL_BYTES * (task.city.hanging == SLABS)
+    )
     try:
         return int(surface + _metric_bytes(task, tile) + _supersampling_bytes(task, tile))
     except OverflowError:  # of a range or threshold that is a mistyped number

@@ -12,7 +12,7 @@ import xarray as xr
 
 from jaxurban.errors import InputError, finite, one_of, typed
 from jaxurban.io.read.orbits import iso_utc, parse_time
-from jaxurban.metrics.base import Metric
+from jaxurban.metrics.base import UNDERSIDE, Metric
 from jaxurban.metrics.custom import held_metrics
 from jaxurban.metrics.obstacle import obstacle_mask
 from jaxurban.metrics.weights import normalised_map, total_map
@@ -51,7 +51,8 @@ class MetricMaps(Shown):
     [altitude, y, x]; ``gps``, ``gdop``, ``pdop``, ``hdop``, ``vdop``, ``tdop`` and ``num_visible``
     [time, altitude, y, x]; ``population`` and ``density`` (people per km2) [time_of_day, y, x], only
     with population data; ``roof`` (at the cell's centre), ``roof_touched`` (the highest that shares area with the
-    cell) and ``terrain`` (only if not flat) [y, x] in metres; ``has_data`` [y, x].
+    cell) and ``terrain`` (only if not flat) [y, x] in metres; ``has_data`` [y, x]. Roofs count what hangs; of a city
+    with slabs ``underside`` is the lowest floor over the cell's centre, 0 where nothing hangs.
     DOPs are inf with fewer than four satellites. Metrics are NaN only where ``has_data`` is False.
     Of a long series of times, instead of ``gps`` and the DOPs: ``gps_availability``, ``gps_median`` and ``gps_p05``
     [altitude, y, x], ``gps_epoch_mean`` [time, altitude] (mean m over free cells) and ``gps_worst_time`` [altitude].
@@ -197,7 +198,8 @@ class MetricMaps(Shown):
     def is_free(self, altitude_m: float, obstacles: Obstacles | None = None) -> np.ndarray:
         """Return ``[y, x]`` bool: no obstacle at an altitude, data there, and a value of every layer of one's own.
 
-        At one of the maps' altitudes a cell that ``obstacle`` blocks is never free, whatever the roofs say.
+        At one of the maps' altitudes a cell that ``obstacle`` blocks is never free, whatever the roofs say. Metrics are
+        defined under what hangs, but nobody may fly there: heights of floors are not known well enough.
 
         Args:
           altitude_m: above ground; one of the maps' altitudes, or any other.
@@ -212,7 +214,7 @@ class MetricMaps(Shown):
         is_held = altitude_m in self.altitudes_m
         if is_held:
             is_free = is_free & (self.m("obstacle", altitude_m) == 0)
-        if rule == "touched" or not is_held:
+        if rule == "touched" or not is_held or (obstacles is None and UNDERSIDE in self.ds):
             roof_m = self.m(self._roof(rule))  # NaN, an unknown height, is never free
             is_free = is_free & ~np.asarray(obstacle_mask(jnp.asarray(roof_m), [altitude_m])[0]) & ~np.isnan(roof_m)
         for name in self.metrics:
@@ -220,6 +222,10 @@ class MetricMaps(Shown):
                 for z_m in self._around(altitude_m):
                     is_free = is_free & ~np.isnan(self.m(name, z_m))
         return is_free
+
+    def is_under_sky(self, altitude_m: float) -> np.ndarray:
+        """Return ``[y, x]`` bool: `is_free` by centres, and nothing hangs over the cell's centre above the altitude."""
+        return self.with_obstacles("centre").is_free(altitude_m)
 
     def _around(self, altitude_m: float) -> list[float]:
         """Return an altitude if these maps hold it, else the nearest ones above and below that they hold."""

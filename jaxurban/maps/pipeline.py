@@ -24,6 +24,7 @@ from jaxurban.metrics.registry import METRICS, ON_REQUEST
 from jaxurban.metrics.risk import RiskParams, compute_risk
 from jaxurban.metrics.visibility import SkyView, visible_words
 from jaxurban.metrics.weights import GivenWeights, Weights
+from jaxurban.world.city import SLABS
 from jaxurban.world.surface import Surface
 
 
@@ -73,9 +74,14 @@ def inputs_of(task: MapTask) -> MapInputs:
     """Return a task's surface and settings, made ready for `all_maps`.
 
     Raises:
-      InputError: settings that `all_maps` knows nothing of: finer cells for rays, bounds, spreads and own layers.
+      InputError: what `all_maps` knows nothing of: slabs, finer cells for rays, bounds, spreads and own layers.
     """
     params = task.params
+    if task.city.hanging == SLABS:
+        raise InputError(
+            'the maps as one function know no slabs: read the city with hanging = "to_ground", or make the maps with '
+            "build_maps"
+        )
     is_more = params.oversample > 1 or params.gps_bounds or params.height_samples or task.layers
     if is_more or params.gps.weighting != "none":
         raise InputError(

@@ -27,11 +27,12 @@ from jaxurban.maps.supersampling import (
 )
 from jaxurban.maps.task import MapTask
 from jaxurban.metrics.availability import TimeTotals, row_sums, series_statistics
-from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY, Metric, Scene, in_type
+from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY, UNDERSIDE, Metric, Scene, in_type
 from jaxurban.metrics.gps import SatelliteSet
-from jaxurban.metrics.obstacle import obstacle_mask
+from jaxurban.metrics.obstacle import obstacle_mask, obstacles_on
 from jaxurban.metrics.population import BlockLayers
 from jaxurban.metrics.visibility import visibility
+from jaxurban.world.city import TO_GROUND, City
 from jaxurban.world.surface import Part, Surface
 
 
@@ -61,20 +62,23 @@ class TileScene:
     held: Collection[tuple[str, tuple[int, ...]]] = ()
     totals: dict[str, TimeTotals] = field(default_factory=dict, init=False)
     _seen: dict[int, tuple[SatelliteSet, jax.Array]] = field(default_factory=dict, init=False, repr=False)
+    _met: dict[float, tuple[Surface, Surface | None]] = field(default_factory=dict, init=False, repr=False)
 
     @cached_property
     def _own(self) -> tuple[jax.Array, list[jax.Array]]:
-        roof_m = self.surface.roof_m
-        return _roofs_and_obstacles(self.surface.part(roof_m), in_type(self.task.params.altitudes_m, roof_m.dtype))
+        surface, altitudes_m = self.surface, self.task.params.altitudes_m
+        if surface.slabs is not None:
+            return surface.crop(surface.at_altitude(np.inf).roof_m), list(obstacles_on(surface, altitudes_m))
+        return _roofs_and_obstacles(surface.part(surface.roof_m), in_type(altitudes_m, surface.roof_m.dtype))
 
     @property
     def roof_m(self) -> jax.Array:
-        """``[y, x]`` the roofs of the tile's own cells."""
+        """``[y, x]`` the highest roofs of the tile's own cells, what hangs included."""
         return self._own[0]
 
     @property
     def is_obstacle(self) -> list[jax.Array]:
-        """``[y, x]`` bool for each altitude: a roof reaches it."""
+        """``[y, x]`` bool for each altitude: a roof reaches it, or it lies in a slab."""
         return self._own[1]
 
     @cached_property
@@ -92,12 +96,25 @@ class TileScene:
         assert self.supersampled is not None
         return plain_bands(self.supersampled, self.task.params.oversample)
 
-    def supersampled_surface(self, all_touched: bool) -> Surface:
-        """Return the tile and all that shadows it, rasterised ``oversample`` times finer."""
+    def supersampled_surface(self, all_touched: bool, city: City | None = None) -> Surface:
+        """Return the tile and all that shadows it, rasterised ``oversample`` times finer, of another city if given."""
         task, region = self.task, self.surface.region
         return build_supersampled_surface(
-            task.city, region, task.with_margin(region), task.params.oversample, all_touched
+            city or task.city, region, task.with_margin(region), task.params.oversample, all_touched
         )
+
+    def surfaces_at(self, altitude_m: float) -> tuple[Surface, Surface | None]:
+        """Return what an altitude meets: the surface and the finer one, if any; keeps the last."""
+        if self.surface.slabs is None:
+            return self.surface, self.supersampled
+        if altitude_m not in self._met:
+            fine = self.supersampled
+            self._met.clear()
+            self._met[altitude_m] = (
+                self.surface.at_altitude(altitude_m),
+                None if fine is None else fine.at_altitude(altitude_m),
+            )
+        return self._met[altitude_m]
 
     def view(self, time_index: int) -> tuple[SatelliteSet, jax.Array]:
         """Return the satellites of a time, made ready, and the visibility words ``[W, A, y, x]``; keeps the last.
@@ -140,8 +157,9 @@ class TileScene:
             scene = replace(scene, population=BlockLayers(*(values[d] for values in self.task.population)))
         if (a := index.get(ALTITUDE)) is not None:
             altitude_m = self.task.params.altitudes_m[a]
+            surface, fine = self.surfaces_at(altitude_m)
             scene = replace(
-                scene, altitude_m=altitude_m, is_obstacle=self.is_obstacle[a], supersampled=self.supersampled
+                scene, surface=surface, altitude_m=altitude_m, is_obstacle=self.is_obstacle[a], supersampled=fine
             )
         if (t := index.get(TIME)) is not None:
             assert a is not None
@@ -277,11 +295,15 @@ def _statistics(tile: TileScene, metric: Metric) -> Iterator[MapLayer]:
 
 
 def _bounds(tile: TileScene, metric: Metric) -> Iterator[MapLayer]:
-    """Yield ``{metric}_lower`` and ``_upper``, which bracket the true m of free cells: roofs from above and below."""
+    """Yield ``{metric}_lower`` and ``_upper``, which bracket the true m of free cells: roofs from above and below.
+
+    What hangs reaches the ground in the one, and is not there in the other.
+    """
     task = tile.task
     settings, altitudes_m = task.settings_of(metric), np.asarray(task.params.altitudes_m)
-    for end, make_bands, all_touched in (("lower", upper_bands, True), ("upper", lower_bands, False)):
-        bands = make_bands(tile.supersampled_surface(all_touched), task.params.oversample)
+    to_ground = replace(task.city, hanging=TO_GROUND)
+    for end, make_bands, *rules in (("lower", upper_bands, True, to_ground), ("upper", lower_bands, False, None)):
+        bands = make_bands(tile.supersampled_surface(*rules), task.params.oversample)
         for t in range(task.num_times):
             tile.keep(t, visibility_at_centres(bands, *task.angles(t), altitudes_m))
             for a in range(len(altitudes_m)):
@@ -323,6 +345,8 @@ def _rasters(tile: TileScene) -> Iterator[MapLayer]:
     yield MapLayer("roof", (), tile.roof_m)
     assert surface.roof_touched_m is not None
     yield MapLayer("roof_touched", (), surface.roof_touched_m)
+    if surface.slabs is not None:
+        yield MapLayer(UNDERSIDE, (), surface.slabs.lowest_floors(surface.region))
     if surface.roof_guessed is not None:
         yield MapLayer("roof_guessed", (), surface.roof_guessed)
     if surface.terrain_m is not None:

@@ -20,6 +20,7 @@ from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float, UInt
 
@@ -27,7 +28,7 @@ from jaxurban.errors import InputError
 from jaxurban.io.read.rasterise import build_surface
 from jaxurban.kernels.shadows.supersampled import band_line, band_shadow_height, is_along_rows
 from jaxurban.kernels.shadows.sweep import ENTRY_STEPS, WORD_BITS
-from jaxurban.metrics.visibility import above_horizon
+from jaxurban.metrics.visibility import above_horizon, without_hidden
 from jaxurban.world.city import City
 from jaxurban.world.grid import Grid
 from jaxurban.world.surface import Surface
@@ -43,10 +44,7 @@ def supersampled_grid(grid: Grid, oversample: int) -> Grid:
     """
     if not (isinstance(oversample, int) and oversample >= 1):
         raise InputError(f"oversample must be a whole number of at least 1 (odd ones are best), got {oversample!r}")
-    n = oversample
-    return Grid(
-        grid.crs, grid.resolution_m / n, grid.first_row * n, grid.first_col * n, grid.num_rows * n, grid.num_cols * n
-    )
+    return grid.refined(oversample)
 
 
 def build_supersampled_surface(
@@ -77,8 +75,9 @@ class Bands:
       own_m: ``[y, x]`` top that hides all below it in the receiver's own cell; -inf where nothing does.
       ground_m: ``[y, x]`` terrain of the receivers; None for flat ground.
       entry_steps: share of a step before a row's middle at which a ray meets its roofs.
-      surface: the supersampled surface.
+      surface: the supersampled surface; its slabs count where ``has_slabs``.
       oversample: n.
+      has_slabs: whether what hangs shadows too, between floor and top.
     """
 
     along_rows: Float[Array, "Y+2n X+2n"]
@@ -88,6 +87,7 @@ class Bands:
     entry_steps: float
     surface: Surface
     oversample: int
+    has_slabs: bool = False
 
 
 def _widest(tops_m: jax.Array, axis: int, pick: Callable) -> jax.Array:
@@ -118,14 +118,15 @@ def _bands(
 
 def plain_bands(supersampled: Surface, oversample: int) -> Bands:
     """Return what shadows a map under the rule of `jaxurban.kernels.shadows.sweep` on its supersampled surface."""
-    return _bands(supersampled, oversample, supersampled.top_m, supersampled.top_m, ENTRY_STEPS, -jnp.inf)
+    bands = _bands(supersampled, oversample, supersampled.top_m, supersampled.top_m, ENTRY_STEPS, -jnp.inf)
+    return replace(bands, has_slabs=supersampled.slabs is not None)
 
 
 def upper_bands(touched: Surface, oversample: int) -> Bands:
     """Return what certainly shadows no less than the city: a satellite seen under it is seen in truth.
 
     Args:
-      touched: supersampled surface made with ``all_touched``.
+      touched: supersampled surface made with ``all_touched``, on which everything reaches the ground.
       oversample: n, odd.
 
     Raises:
@@ -143,7 +144,7 @@ def lower_bands(supersampled: Surface, oversample: int) -> Bands:
     """Return what certainly shadows no more than the city: a satellite hidden under it is hidden in truth.
 
     Args:
-      supersampled: supersampled surface, roofs at cell centres.
+      supersampled: supersampled surface, roofs at cell centres. Its slabs shadow nothing here.
       oversample: n, odd.
 
     Raises:
@@ -206,4 +207,8 @@ def visibility_at_centres(
     for s in range(len(azimuth)):
         seen = shadow_heights(bands, azimuth[s], elevation[s]) <= height_m
         words[s // WORD_BITS] |= seen.astype(jnp.uint32) << (s % WORD_BITS)
-    return jnp.stack(words)
+    seen_words = jnp.stack(words)
+    if not bands.has_slabs:
+        return seen_words
+    on_host, altitudes = np.array(seen_words), np.asarray(altitudes_m, bands.along_rows.dtype)
+    return jnp.asarray(without_hidden(on_host, bands.surface, azimuth, elevation, altitudes, bands.oversample))

@@ -19,7 +19,9 @@ from jaxurban.maps.recipe import TileScene, altitudes_made, tile_maps
 from jaxurban.maps.stopwatch import Stopwatch
 from jaxurban.maps.task import MapTask
 from jaxurban.metrics.visibility import handed_on
+from jaxurban.world.city import SLABS
 from jaxurban.world.grid import Grid
+from jaxurban.world.slabs import Slabs
 from jaxurban.world.surface import Surface
 from jaxurban.world.tiling import QUADRANTS, Quadrant, Tile, Tiling, quadrant_of
 
@@ -102,6 +104,8 @@ def raster_tile(job: TileJob, tile: Tile) -> dict[str, Any]:
             is_reported = tile in job.tiling.region_tiles
             tells_guessed = is_reported and job.task.draws_guesses
             arrays = rasterise(city, grid, job.task.params.all_touched, tells_guessed)._asdict()
+            if (slabs := arrays.pop("slabs")) is not None:
+                arrays |= {f"slab_{name}": values for name, values in slabs._asdict().items()}
             if is_reported:
                 arrays["block"] = rasterise_blocks(city, grid)
             else:
@@ -218,4 +222,14 @@ def _surface(job: TileJob, tile: Tile) -> Surface:
         region=region,
         roof_touched_m=jnp.asarray(own["roof_touched_m"]),
         roof_guessed=jnp.asarray(own["roof_guessed"]) if "roof_guessed" in own else None,
+        slabs=_slabs(job, region) if job.task.city.hanging == SLABS else None,
     )
+
+
+def _slabs(job: TileJob, region: Grid) -> Slabs:
+    """Return the slabs over a tile and over all that can shadow it."""
+    parts = []
+    for near in job.tiling.touching(job.task.with_margin(region)):
+        kept = job.work.load_arrays(_name("raster", near), *(f"slab_{name}" for name in Slabs._fields))
+        parts.append(Slabs(**{name.removeprefix("slab_"): values for name, values in kept.items()}))
+    return Slabs.joined(parts)

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 AnyArray = Array | np.ndarray
 ALTITUDE, TIME, TIME_OF_DAY = "altitude", "time", "time_of_day"
+UNDERSIDE = "underside"  # of maps in which something hangs: its lowest floor above the ground, 0 where nothing does
 JAX_ALIGNMENT = 64  # bytes, of arrays that JAX computes on as they are
 
 
@@ -63,9 +64,11 @@ class Scene:
 
     Attributes:
       surface: roofs, terrain and census blocks on the tile (``surface.region``), roofs and terrain on the margin too
-        (``surface.grid``), which holds every metric's reach; `Surface.crop` and `Surface.crop_with_halo` cut it.
+        (``surface.grid``), which holds every metric's reach; `Surface.crop` and `Surface.crop_with_halo` cut it. With
+        slabs it is that of the altitude, if there is one (`Surface.at_altitude`).
       altitude_m: height above the ground; None for metrics without that dim.
-      is_obstacle: ``[y, x]`` where the highest roof of the cell reaches the altitude; None without an altitude.
+      is_obstacle: ``[y, x]`` where the highest roof of the cell reaches the altitude, or a slab is; None without an
+        altitude.
       supersampled: the same surface with cells ``oversample`` times smaller; None where they are the map's own.
       oversample: how many times finer that is.
       satellites: those at or above the mask at the time, made ready; None for metrics without a time.

@@ -17,7 +17,17 @@ import xarray as xr
 
 from jaxurban.errors import InputError, finite, one_of, typed
 from jaxurban.metrics.availability import statistics_of
-from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY, Metric, Scene, SoftScene, high_is_bad, low_is_bad
+from jaxurban.metrics.base import (
+    ALTITUDE,
+    TIME,
+    TIME_OF_DAY,
+    UNDERSIDE,
+    Metric,
+    Scene,
+    SoftScene,
+    high_is_bad,
+    low_is_bad,
+)
 from jaxurban.metrics.gps import WEIGHTED_DOPS
 from jaxurban.metrics.registry import known_metrics
 from jaxurban.world.surface import Surface
@@ -38,6 +48,7 @@ TAKEN = (
         "roof",
         "roof_touched",
         "roof_guessed",
+        UNDERSIDE,
         "terrain",
         "has_data",
     ),

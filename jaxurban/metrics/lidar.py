@@ -1,7 +1,7 @@
 """Lidar visibility: the share of a spinning lidar's scan positions that see a building."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import jax
@@ -82,14 +82,18 @@ def compute_lidar(
     which is not a landmark. With terrain, receivers and roofs stand on it and it ends beams too.
     0 inside obstacles. What stands more than the range beyond the region changes nothing; beyond the
     surface nothing stands. Paper: section Lidar Visibility, scan(j) and m_lidar = s / k.
-    Departures: the ground ends beams, and rays follow the stepping rule of `jaxurban.kernels.lidar.flat`.
-    The gradient is zero.
+    Departures: the ground ends beams, and rays follow the stepping rule of `jaxurban.kernels.lidar.flat`. Slabs with
+    their floor at or below the altitude reach the ground, and higher ones are not met: a lidar is trusted with no
+    ceiling, and beams that pass under a floor below it are counted as returns. The gradient is zero.
 
     Args:
       surface: roofs, and terrain where there is any, on the region and its margin.
       altitudes_m: ``[A]`` heights above ground.
       params: the lidar.
     """
+    if surface.slabs is not None:
+        met = [(replace(surface.at_altitude(float(z_m)), slabs=None), [z_m]) for z_m in np.asarray(altitudes_m)]
+        return jnp.concatenate([compute_lidar(at, altitude_m, params) for at, altitude_m in met])
     heights_m = beam_heights(altitudes_m, params, surface)
     return lidar_of_beams(surface, in_type(altitudes_m, surface.roof_m.dtype), heights_m, params)
 

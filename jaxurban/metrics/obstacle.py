@@ -4,10 +4,12 @@ from collections.abc import Sequence
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float
 
 from jaxurban.metrics.base import in_type
+from jaxurban.world.surface import Surface
 
 
 def obstacle_mask(roof_m: Float[Array, "Y X"], altitudes_m: Sequence[float] | ArrayLike) -> Bool[Array, "A Y X"]:
@@ -26,6 +28,15 @@ def obstacle_mask(roof_m: Float[Array, "Y X"], altitudes_m: Sequence[float] | Ar
 @jax.jit
 def _mask(roof: Array, altitudes: Array) -> Array:
     return (roof >= altitudes[:, None, None]) & (roof > 0)
+
+
+def obstacles_on(surface: Surface, altitudes_m: Sequence[float] | ArrayLike) -> Bool[Array, "A y x"]:
+    """Return `obstacle_mask` of a surface's region, where slabs are obstacles from floor to top."""
+    if surface.slabs is None:
+        return obstacle_mask(surface.crop(surface.roof_m), altitudes_m)
+    met = [surface.at_altitude(float(z_m)) for z_m in np.asarray(altitudes_m)]
+    masks = [obstacle_mask(at.crop(at.roof_m), [z_m]) for at, z_m in zip(met, np.asarray(altitudes_m), strict=True)]
+    return jnp.concatenate(masks)
 
 
 @jax.jit

@@ -60,7 +60,9 @@ def compute_risk(
     each cell with a building is a column up to its roof, and d runs from the receiver to the nearest
     column; with terrain, receivers and columns stand on it. Bare ground is not an obstacle in either form.
     What stands more than the threshold beyond the region changes nothing; beyond the surface nothing
-    stands. Paper: eq. proximity_risk. Gradients: see `jaxurban.kernels.distance.exact`; ``"slice"`` has none
+    stands. Slabs are obstacles of the slices between floor and top; to ``"solid"`` those above the altitude are as
+    near as their floor and what is over it, others as what is below their top. Paper: eq. proximity_risk.
+    Gradients: see `jaxurban.kernels.distance.exact`; ``"slice"`` has none
     in heights.
 
     Args:
@@ -68,21 +70,28 @@ def compute_risk(
       altitudes_m: ``[A]`` heights above ground.
       params: the risk.
     """
+    if surface.slabs is not None and len(altitudes_m) > 1:
+        return jnp.concatenate([compute_risk(surface, [z_m], params) for z_m in np.asarray(altitudes_m)])
+    surface = surface.at_altitude(float(np.asarray(altitudes_m)[0])) if surface.slabs is not None else surface
     halo = kernel.window_cells(params.threshold_m, surface.grid.resolution_m)
     roof = surface.part(surface.roof_m, halo)
     is_solid = params.distance == "solid"
     terrain = None
     if is_solid and surface.terrain_m is not None:
         terrain = surface.part(surface.terrain_m, halo)
+    ceiling = None
+    if is_solid and surface.slabs is not None and len(surface.slabs.row):
+        ceiling = surface.part(jax.device_put(surface.slabs.lowest_floors(surface.grid)), halo)
     sizes = {"resolution_m": surface.grid.resolution_m, "cap_m": params.threshold_m}
     altitudes = in_type(altitudes_m, surface.roof_m.dtype)
-    return _risk(roof, terrain, altitudes, halo=halo, is_solid=is_solid, **sizes)
+    return _risk(roof, terrain, ceiling, altitudes, halo=halo, is_solid=is_solid, **sizes)
 
 
 @partial(jax.jit, static_argnames=("resolution_m", "cap_m", "halo", "is_solid"))
 def _risk(
     roof: Part,
     terrain: Part | None,
+    ceiling: Part | None,
     altitudes_m: jax.Array,
     *,
     resolution_m: float,
@@ -90,17 +99,27 @@ def _risk(
     halo: int,
     is_solid: bool,
 ) -> jax.Array:
-    """Return `compute_risk` of roofs (and, for ``"solid"``, terrain) on the region and ``halo`` cells around it."""
+    """Return `compute_risk` of roofs (and, for ``"solid"``, terrain) on the region and ``halo`` cells around it.
+
+    A ceiling is the lowest underside of what hangs above the altitude, 0 where nothing does. Over terrain it is as near
+    as a roof, with everything upside down.
+    """
     roof_m, terrain_m = roof.cut(), None if terrain is None else terrain.cut()
     has_building = roof_m > 0
+    ceiling_m = None if ceiling is None else ceiling.cut()
 
     def distance_at(altitude_m: jax.Array) -> jax.Array:
         if terrain_m is not None:
-            return kernel.capped_distance_over_terrain(
-                terrain_m + altitude_m, terrain_m + roof_m, has_building, resolution_m=resolution_m, cap_m=cap_m
-            )
+            nearest = partial(kernel.capped_distance_over_terrain, resolution_m=resolution_m, cap_m=cap_m)
+            distance_m = nearest(terrain_m + altitude_m, terrain_m + roof_m, has_building)
+            if ceiling_m is None:
+                return distance_m
+            under_m = nearest(-terrain_m - altitude_m, -terrain_m - ceiling_m, ceiling_m > 0)
+            return jnp.minimum(distance_m, under_m)
         if is_solid:
             source_m2 = jnp.where(has_building, jnp.maximum(altitude_m - roof_m, 0.0) ** 2, jnp.inf)
+            if ceiling_m is not None:
+                source_m2 = jnp.minimum(source_m2, jnp.where(ceiling_m > 0, (ceiling_m - altitude_m) ** 2, jnp.inf))
         else:
             source_m2 = jnp.where(obstacle_mask(roof_m, altitude_m[None])[0], 0.0, jnp.inf).astype(roof_m.dtype)
         return kernel.capped_distance(source_m2, resolution_m=resolution_m, cap_m=cap_m)

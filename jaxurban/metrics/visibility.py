@@ -21,11 +21,13 @@ from jaxurban.kernels.shadows.doubling import (
     shadow_heights_at_once,
     words_of,
 )
+from jaxurban.kernels.shadows.slabs import Receivers, hide_behind_slabs
 from jaxurban.kernels.shadows.soft import shadow_heights
 from jaxurban.kernels.shadows.sweep import WORD_BITS, Line, Ring, digital_lines, stacked
 from jaxurban.kernels.shadows.sweep_cpu import hand_on, mark_visible
 from jaxurban.metrics.base import AnyArray, in_type, zeros_for_jax
 from jaxurban.world.grid import Grid
+from jaxurban.world.slabs import PER_CELL
 from jaxurban.world.surface import Surface
 
 LEAST_DROP_M = 1e-9  # a ray on the horizon never climbs above a roof
@@ -188,8 +190,8 @@ def visibility(
     """Return which satellites are seen from each cell's centre, as bits.
 
     Satellite ``s`` is bit ``s % 32`` of word ``s // 32``. It is seen where its ray clears the roofs
-    and, with terrain, the ground; `shadow_height` states how exactly. Inside obstacles the result is
-    that of a receiver in a shaft with no walls of its own.
+    and, with terrain, the ground; `shadow_height` states how exactly, and `jaxurban.kernels.shadows.slabs` for what
+    hangs. Inside obstacles the result is that of a receiver in a shaft with no walls of its own.
 
     Args:
       surface: roofs and terrain; what stands outside it shadows nothing.
@@ -197,7 +199,7 @@ def visibility(
       elevation_rad: ``[S]`` above the horizon.
       altitudes_m: ``[A]`` heights above the ground.
       rings: ``[S]`` what the grids around the region hand on, by satellite; the surface's own margin is
-        not looked at then.
+        not looked at then, but for its slabs.
       shape: of the kernel: ``"sweep"`` or ``"doubling"`` (see `jaxurban.kernels.shadows.doubling`); left out, the one
         for JAX's platform.
 
@@ -207,7 +209,12 @@ def visibility(
     azimuth, elevation = above_horizon(azimuth_rad, elevation_rad)
     altitudes = in_type(altitudes_m, surface.roof_m.dtype)
     if len(azimuth) and (shape or kernel_shape()) == "doubling":
-        return _doubled(surface, azimuth, elevation, altitudes, rings)
+        doubled = _doubled(surface, azimuth, elevation, altitudes, rings)
+        return (
+            doubled
+            if surface.slabs is None
+            else jax.device_put(without_hidden(np.array(doubled), surface, azimuth, elevation, altitudes))
+        )
     rows, cols = surface.window
     words = zeros_for_jax((max(1, -(-len(azimuth) // WORD_BITS)), *altitudes.shape, *surface.region.shape), np.uint32)
     if not len(azimuth):
@@ -219,7 +226,47 @@ def visibility(
     lines = stacked(_lines_over(grid.padded(1, 1, 1, 1), azimuth, elevation))
     ring = None if rings is None else _stacked_rings(rings)
     mark_visible(words, top_m, ground_m, np.asarray(altitudes), lines, first_cell, ring)
-    return jax.device_put(words)
+    return jax.device_put(without_hidden(words, surface, azimuth, elevation, altitudes))
+
+
+def without_hidden(
+    words: UInt[np.ndarray, "W A y x"],
+    surface: Surface,
+    azimuth_rad: np.ndarray,
+    elevation_rad: np.ndarray,
+    altitudes_m: AnyArray,
+    every: int = 1,
+) -> UInt[np.ndarray, "W A y x"]:
+    """Return visibility words, altered, without the satellites that the surface's slabs hide.
+
+    Args:
+      words: as `visibility` gives them, on every ``every``-th cell of the region both ways, from ``every // 2`` on.
+      surface: whose slabs count.
+      azimuth_rad, elevation_rad: ``[S]`` of the satellites.
+      altitudes_m: ``[A]`` heights above the ground.
+      every: see above.
+    """
+    if (slabs := surface.slabs) is None:
+        return words
+    region, middle = surface.region, every // 2
+    first_row, first_col = (
+        (first + middle) * PER_CELL + PER_CELL // 2 for first in (region.first_row, region.first_col)
+    )
+    ground_m = np.empty((0, 0), np.float32)
+    if surface.terrain_m is not None:
+        rows, cols = surface.window
+        ground_m = np.asarray(surface.terrain_m)[rows, cols][middle::every, middle::every]
+    hide_behind_slabs(
+        words,
+        np.asarray(altitudes_m),
+        Receivers(first_row, first_col, every * PER_CELL, ground_m),
+        (slabs.row, slabs.col),
+        (slabs.ground_m.astype(float) + slabs.floor_m, slabs.ground_m.astype(float) + slabs.top_m),
+        azimuth_rad,
+        elevation_rad,
+        surface.grid.resolution_m / PER_CELL,
+    )
+    return words
 
 
 def _lines_over(grid: Grid, azimuth: np.ndarray, elevation: np.ndarray) -> list[Line]:

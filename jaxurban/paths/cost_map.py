@@ -429,13 +429,13 @@ def _of_levels(at: _When, levels_m: np.ndarray, constraints: Constraints) -> tup
     maps = at.maps
     is_free = constraints.free_levels(maps, levels_m.tolist(), time=at.time, time_of_day=at.time_of_day)
     costs = np.zeros((len(maps.metrics), *is_free.shape), np.float32)
-    is_defined = cache(lambda z_m: maps.is_free(z_m, "centre"))
+    is_under_sky = cache(maps.is_under_sky)
     closed = [np.flatnonzero(~of_level) for of_level in is_free]
     for (name, metric), layers in zip(maps.metrics.items(), costs, strict=True):
         read = cache(partial(at.read, name))
         is_flat = "altitude" not in maps.ds[maps.variable(name)].dims
         for level, z_m in enumerate(levels_m.tolist()):
-            m = read(maps.altitudes_m[0]) if is_flat else values_at(z_m, maps.altitudes_m, read, is_defined)
+            m = read(maps.altitudes_m[0]) if is_flat else values_at(z_m, maps.altitudes_m, read, is_under_sky)
             cost = np.asarray(metric.cost(m))
             layers[level] = cost
             layers[level].reshape(-1)[closed[level]] = np.nan_to_num(cost.reshape(-1)[closed[level]])

@@ -10,6 +10,7 @@ import pandas as pd
 from jaxurban.errors import InputError
 from jaxurban.maps.levels import values_at
 from jaxurban.maps.metric_maps import MetricMaps
+from jaxurban.metrics.base import UNDERSIDE
 from jaxurban.paths.crossings import RouteCrossings, clearance_m, cut_route, level_below_m, nearest_level_m
 from jaxurban.paths.path import PlannedPath
 
@@ -94,7 +95,7 @@ class RouteProfile:
                 z_m,
                 maps.altitudes_m,
                 lambda held_m: maps.m(name, held_m, **when)[row, col],
-                lambda held_m: maps.is_free(held_m, "centre")[row, col],
+                lambda held_m: maps.is_under_sky(held_m)[row, col],
                 is_count=name == VISIBLE,
             )
 
@@ -123,7 +124,8 @@ class RouteProfile:
         grid, attrs, ends = self.maps.grid, self.maps.ds.attrs, self.crossings.ends[:, :, :2]
         side_m = np.array([grid.num_cols, grid.num_rows]) * grid.resolution_m
         border_m = np.minimum(ends, side_m - ends).min(axis=(1, 2))
-        if "risk_threshold_m" not in attrs or "risk" not in self.maps.ds:
+        is_told = "risk_threshold_m" in attrs and "risk" in self.maps.ds
+        if not is_told or UNDERSIDE in self.maps.ds:  # what hangs between two maps is in neither's slice
             return border_m
         risk = self._sample("risk", below_m)  # between two maps, the lower one has all obstacles
         return np.maximum(border_m, risk * attrs["risk_threshold_m"] - math.sqrt(2) * grid.resolution_m)

@@ -81,7 +81,12 @@ def load_city(scenario: Scenario) -> City:
         census = CensusFiles(*places, population.block_field, population.district_field, population.commercial)
     city = read_city(
         BuildingFile(
-            scenario.path_of(file.source), file.kind, file.default_height_m, file.level_height_m, file.allow_none
+            scenario.path_of(file.source),
+            file.kind,
+            file.default_height_m,
+            file.level_height_m,
+            file.allow_none,
+            file.hanging,
         ),
         bounds=region.bounds,
         crs=region.crs,

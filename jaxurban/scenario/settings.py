@@ -38,6 +38,7 @@ from jaxurban.metrics.weights import MOST_WEIGHT, Weights
 from jaxurban.paths.vehicle import Vehicle
 from jaxurban.planners.registry import find_planner
 from jaxurban.scenario.changes import changed
+from jaxurban.world.city import TO_GROUND, Hanging
 from jaxurban.world.diagnostics import check_truths, sentence_of
 from jaxurban.world.grid import check_bounds, projected_crs
 
@@ -132,6 +133,7 @@ class BuildingSettings(_Section):
     height_std_m: HeightStd = HeightStd()
     height_samples: int = 0  # of the spread maps; 0: none are made
     height_seed: Seed = 0
+    hanging: Hanging = TO_GROUND  # parts with an underside, and areas of bridges
     credit: str = ""  # what the source's licence asks for; OSM's is known
 
     @model_validator(mode="after")

@@ -5,14 +5,17 @@ from dataclasses import dataclass, field, fields, replace
 from enum import IntEnum
 from functools import cached_property
 from pathlib import Path
-from typing import Literal, Self
+from typing import Literal, Self, get_args
 
 import numpy as np
 import shapely
 
-from jaxurban.errors import InputError, typed
+from jaxurban.errors import InputError, one_of, typed
 from jaxurban.world.diagnostics import ReadIssues
 from jaxurban.world.show import Shown
+
+Hanging = Literal["to_ground", "slabs"]
+TO_GROUND, SLABS = get_args(Hanging)
 
 OTHER_DISTRICT = 13  # the paper's label for every block that no district claims
 
@@ -25,6 +28,7 @@ class HeightOrigin(IntEnum):
     DEFAULT = 2  # neither: the default height
     RASTER = 3  # a height raster
     GENERATED = 4  # the synthetic city
+    LAYER = 5  # of a bridge's deck: its layer x a clearance
 
 
 class Zoning(IntEnum):
@@ -52,13 +56,12 @@ class _Rows:
 
 @dataclass(frozen=True)
 class Buildings(_Rows):
-    """Building outlines as prisms from the ground to a flat roof. ``B`` buildings.
+    """Building outlines as prisms with a flat roof. ``B`` buildings.
 
     Attributes:
       polygons: ``[B]`` object array of valid shapely Polygons or MultiPolygons, in the city's CRS.
       height_m: ``[B]`` float64 roof height above ground, > 0.
-      min_height_m: ``[B]`` float64 height of the underside (0 for most); the engine lets every
-        part reach the ground and only counts those that do not.
+      min_height_m: ``[B]`` float64 height of the underside, 0 for most; `City.hanging` says what it means.
       origin: ``[B]`` uint8, a `HeightOrigin` each.
       is_part: ``[B]`` bool, from ``building:part``.
     """
@@ -74,8 +77,8 @@ class Buildings(_Rows):
 
     @property
     def is_guessed(self) -> np.ndarray:
-        """``[B]`` bool: no height is known, and levels or the default stand in."""
-        return np.isin(self.origin, (HeightOrigin.LEVELS, HeightOrigin.DEFAULT))
+        """``[B]`` bool: no height is known, and levels, the default or a deck's layer stand in."""
+        return np.isin(self.origin, (HeightOrigin.LEVELS, HeightOrigin.DEFAULT, HeightOrigin.LAYER))
 
     def origin_counts(self) -> dict[str, int]:
         """Return the number of buildings by origin of height, only origins that occur."""
@@ -166,6 +169,11 @@ class City(Shown):
       attribution: the credit that the licence of the sources asks for wherever pictures are shown.
       bounds: west, south, east, north in degrees that the city was read for; None for all that there is.
       area: where the building source knows what stands, within ``extent_m``; None for all of it.
+      hanging: what buildings with an underside above the ground do: ``"to_ground"``, they reach it; ``"slabs"``, they
+        hang from floor to roof.
+
+    Raises:
+      InputError: neither buildings nor roofs, both, or an unknown way of hanging.
     """
 
     crs: str
@@ -182,8 +190,10 @@ class City(Shown):
     bounds: tuple[float, float, float, float] | None = None
     area: shapely.Geometry | None = None
     guesses: Mapping[str, str] = field(default_factory=dict)
+    hanging: Hanging = TO_GROUND
 
     def __post_init__(self) -> None:
+        one_of("hanging", self.hanging, get_args(Hanging))
         if (self.buildings is None) == (self.roofs is None):
             raise InputError("a City needs either buildings (outlines) or roofs (a height raster), and not both")
 
@@ -238,6 +248,7 @@ class City(Shown):
         allow_none: bool = False,
         kind: Literal["height", "surface"] = "height",
         credit: str = "",
+        hanging: Hanging = TO_GROUND,
     ) -> "City":
         """Return the city in a set of files, around a region; `jaxurban.io.read.city.read_city` does it.
 
@@ -258,6 +269,8 @@ class City(Shown):
           kind: of a raster of buildings: ``"height"`` above ground, or ``"surface"`` (a DSM), from which the terrain
             is taken; trees are in it too.
           credit: what the licences of these files ask for, beside OSM's own, which is known.
+          hanging: ``"slabs"``: parts above an underside and areas of bridges hang over the ground (see the page on the
+            model); ``"to_ground"``: parts reach it, and bridges are not read.
 
         Warns:
           GuessWarning: of each of the city's ``guesses``.
@@ -268,7 +281,7 @@ class City(Shown):
         # The one import against the layers, for the user's sake.
         from jaxurban.io.read.city import BuildingFile, CensusFiles, read_city
 
-        file = BuildingFile(buildings, kind, default_height_m, level_height_m, allow_none)
+        file = BuildingFile(buildings, kind, default_height_m, level_height_m, allow_none, hanging)
         census = None
         if blocks is not None:
             census = CensusFiles(blocks, table, districts, block_field, district_field, commercial)

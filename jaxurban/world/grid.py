@@ -322,6 +322,11 @@ class Grid:
         factors = pyproj.Proj(self.crs).get_factors(lon_deg, lat_deg)
         return math.radians(float(factors.meridian_convergence))
 
+    def refined(self, n: int) -> "Grid":
+        """Return the grid over the same box whose cells are n times smaller."""
+        side_m, first = self.resolution_m / n, (self.first_row * n, self.first_col * n)
+        return Grid(self.crs, side_m, *first, self.num_rows * n, self.num_cols * n)
+
     def padded(self, west: int, south: int, east: int, north: int) -> "Grid":
         """Return the grid grown by whole cells on each side."""
         return Grid(

@@ -9,6 +9,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxurban.errors import InputError
 from jaxurban.world.grid import Grid
+from jaxurban.world.slabs import Slabs
 
 NO_BUILDING = -1  # in a raster of building indices
 
@@ -68,7 +69,8 @@ class Surface:
     Row 0 is the southernmost row.
 
     Attributes:
-      roof_m: height of the highest roof in each cell above the ground there, 0 without a building, float32.
+      roof_m: height of the highest roof in each cell above the ground there, 0 without a building, float32; with
+        ``slabs``, of what stands on the ground: see `at_altitude`.
       terrain_m: ground elevation, float32; None for flat ground.
       has_data: where the building (or terrain) source knows anything; None where it does everywhere.
       block: index of the census block under each cell of the region, -1 without one; None without blocks.
@@ -78,6 +80,8 @@ class Surface:
         clear of; None where nobody plans (on supersampled surfaces, and those made by hand).
       roof_guessed: whether the height of each cell's roof in the region is guessed; None where nobody tells.
       most_halo: cells beyond the region that `crop_with_halo` gives at most; None for any number.
+      slabs: what hangs over the grid, and beyond it whatever can shadow the region; None where everything reaches the
+        ground, as ``roof_m`` then says.
     """
 
     roof_m: Float[Array, "Y X"]
@@ -89,6 +93,7 @@ class Surface:
     roof_touched_m: Float[Array, "y x"] | None = None
     roof_guessed: Bool[Array, "y x"] | None = None
     most_halo: int | None = field(default=None, metadata={"static": True})
+    slabs: Slabs | None = None
 
     @property
     def top_m(self) -> Float[Array, "Y X"]:
@@ -98,6 +103,18 @@ class Surface:
     def with_heights(self, height_m: Float[Array, " B"], building: Int[Array, "Y X"]) -> "Surface":
         """Return this surface with other heights of its buildings, to look at; arguments as in `roofs_of`."""
         return replace(self, roof_m=roofs_of(height_m, building), roof_touched_m=None, roof_guessed=None)
+
+    def at_altitude(self, altitude_m: float) -> "Surface":
+        """Return what an altitude meets: slabs with their floor at or below it reach the ground, higher ones are left.
+
+        A cell is then an obstacle at the altitude where its roof reaches it: what lies under a floor does not matter
+        there. At an altitude of inf every slab reaches the ground.
+        """
+        if self.slabs is None:
+            return self
+        is_below = self.slabs.floor_m <= np.float32(altitude_m)
+        roof_m = self.slabs.take(is_below).raised(np.asarray(self.roof_m), self.grid)
+        return replace(self, roof_m=jax.device_put(roof_m), slabs=self.slabs.take(~is_below))
 
     @property
     def window(self) -> tuple[slice, slice]:

@@ -7,12 +7,12 @@ region at least, and a line in `OUTLINE_READERS`.
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 import shapely
 
-from jaxurban.errors import InputError
+from jaxurban.errors import InputError, one_of
 from jaxurban.io.read.heights import MAX_HEIGHT_M
 from jaxurban.io.read.knownarea import area_of_outlines, area_of_raster
 from jaxurban.io.read.near import Near, box_between, meets
@@ -21,15 +21,16 @@ from jaxurban.io.read.outlines import Outlines, count_tags, to_buildings
 from jaxurban.io.read.raster import RASTER_SUFFIXES, check_range, raster_extent_m, read_raster
 from jaxurban.io.read.surfacemodel import check_is_no_surface, heights_of_surface
 from jaxurban.io.read.vector import VECTOR_SUFFIXES, read_vector
-from jaxurban.world.city import Buildings, Raster
+from jaxurban.world.city import SLABS, TO_GROUND, Buildings, Hanging, Raster
 from jaxurban.world.diagnostics import ReadIssue, ReadIssues
 from jaxurban.world.grid import Bounds, projected_crs
 
 Kind = Literal["height", "surface"]  # of a raster of buildings
 
-OUTLINE_READERS: dict[str, Callable[[Path, Near | None], Outlines]] = {
-    **dict.fromkeys(OSM_SUFFIXES, lambda path, near: read_osm(path)),  # its nodes lie anywhere before its ways
-    **dict.fromkeys(VECTOR_SUFFIXES, read_vector),
+OUTLINE_READERS: dict[str, Callable[[Path, Near | None, bool], Outlines]] = {
+    # Nodes of OSM lie anywhere before their ways.
+    **dict.fromkeys(OSM_SUFFIXES, lambda path, near, has_decks: read_osm(path, has_decks=has_decks)),
+    **dict.fromkeys(VECTOR_SUFFIXES, lambda path, near, has_decks: read_vector(path, near)),
 }
 LOWEST_ROOF_M = -100.0  # surface minus terrain dips below 0 by noise, at cuttings by tens of metres
 
@@ -46,6 +47,7 @@ class BuildingFile:
       default_height_m: height of a building without a usable height or levels.
       level_height_m: height of one level.
       allow_none: accept a region without a single building.
+      hanging: as `City.hanging`; with ``"slabs"`` areas of bridges are read as decks.
 
     Raises:
       InputError: a height setting that is not above 0, or above `MAX_HEIGHT_M`.
@@ -56,8 +58,10 @@ class BuildingFile:
     default_height_m: float = 10.0
     level_height_m: float = 3.0
     allow_none: bool = False
+    hanging: Hanging = TO_GROUND
 
     def __post_init__(self) -> None:
+        one_of("hanging", self.hanging, get_args(Hanging))
         for name in ("default_height_m", "level_height_m"):
             if not 0 < getattr(self, name) <= MAX_HEIGHT_M:
                 raise InputError(
@@ -111,6 +115,11 @@ def read_buildings(
         raise InputError(f"{str(path)!r} is not there: check the path of the buildings")
     suffix = path.suffix.lower()
     if suffix in RASTER_SUFFIXES:
+        if file.hanging == SLABS:
+            raise InputError(
+                f'[buildings] hanging = "slabs" is for outlines, and {str(path)!r} is a raster, in which nothing '
+                "hangs: leave it out"
+            )
         return _read_roofs(path, crs, bounds_m, file.kind, terrain)
     if file.kind == "surface":
         raise InputError(f'[buildings] kind = "surface" is for rasters, and {str(path)!r} is not one: leave it out')
@@ -119,19 +128,26 @@ def read_buildings(
             f"{str(path)!r} has the suffix {suffix!r}: buildings are read from "
             f"{', '.join((*OUTLINE_READERS, *RASTER_SUFFIXES))}"
         )
-    reader = OUTLINE_READERS[suffix]
+    reader, has_decks = OUTLINE_READERS[suffix], file.hanging == SLABS
     if bounds_m is not None:
-        outlines = reader(path, Near(bounds_m, crs))
+        outlines = reader(path, Near(bounds_m, crs), has_decks)
         source = _source_of(file, outlines, crs, bounds_m)
         if outlines.extent is None or len(source.buildings or ()):
             return source
-    return _source_of(file, reader(path, None), crs, bounds_m)  # what nothing is near of tells all that it covers
+    return _source_of(
+        file, reader(path, None, has_decks), crs, bounds_m
+    )  # what nothing is near of tells all that it covers
 
 
 def _source_of(file: BuildingFile, outlines: Outlines, crs: str, bounds_m: Bounds | None) -> BuildingSource:
     """Return the buildings that outlines make, those that touch ``bounds_m``."""
     buildings, boxes_m, issues = to_buildings(
-        file.source, outlines, crs, default_height_m=file.default_height_m, level_height_m=file.level_height_m
+        file.source,
+        outlines,
+        crs,
+        default_height_m=file.default_height_m,
+        level_height_m=file.level_height_m,
+        hanging=file.hanging,
     )
     if outlines.extent is None:
         area = area_of_outlines(buildings.polygons, boxes_m)

@@ -48,6 +48,15 @@ def burn_touched(
     return centre, np.maximum(centre, touched, out=touched)
 
 
+def burn_by_rule(
+    polygons: np.ndarray, heights_m: np.ndarray, grid: Grid, all_touched: bool, *, boxes_m: np.ndarray | None = None
+) -> np.ndarray:
+    """Return heights burnt by centres or, ``all_touched``, by touch, float32, 0 where no polygon is."""
+    if all_touched:
+        return burn_touched(polygons, heights_m, grid, 0.0, "float32", boxes_m=boxes_m)[1]
+    return burn(polygons, heights_m, grid, 0.0, "float32", boxes_m=boxes_m)
+
+
 def _burn(
     polygons: np.ndarray,
     values: np.ndarray,

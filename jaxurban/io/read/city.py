@@ -82,6 +82,7 @@ def read_city(
         sources={role: str(path) for role, path in roles.items() if path is not None},
         bounds=(west, south, east, north),
         area=source.area,
+        hanging=buildings.hanging,
     )
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import shapely
 
 from jaxurban.errors import GuessWarning
+from jaxurban.io.read.decks import LAYER_CLEARANCE_M
 from jaxurban.world.city import Blocks, Buildings, HeightOrigin
 from jaxurban.world.diagnostics import ReadIssue, ReadIssues
 from jaxurban.world.grid import Bounds
@@ -44,12 +45,15 @@ def height_guesses(buildings: Buildings | None, bounds_m: Bounds, file: "Buildin
     if buildings is None or (share := guessed_share(buildings, bounds_m)) < TOLD_SHARE:
         return {}
     inside = buildings.take(shapely.intersects(buildings.polygons, shapely.box(*bounds_m)))
-    num_levels, num_default = (int((inside.origin == o).sum()) for o in (HeightOrigin.LEVELS, HeightOrigin.DEFAULT))
+    num_levels, num_default, num_decks = (
+        int((inside.origin == o).sum()) for o in (HeightOrigin.LEVELS, HeightOrigin.DEFAULT, HeightOrigin.LAYER)
+    )
+    decks = f", {num_decks:,} decks of bridges by {LAYER_CLEARANCE_M:g} m a layer" if num_decks else ""
     return {
         f"{percent(share)} of heights": (
             f"the heights of {percent(share)} of the {len(inside):,} buildings in the region are guessed "
             f"({num_levels:,} by {file.level_height_m:g} m a level, {num_default:,} the default of "
-            f"{file.default_height_m:g} m): give a source with heights, or set [buildings] level_height_m and "
+            f"{file.default_height_m:g} m{decks}): give a source with heights, or set [buildings] level_height_m and "
             "default_height_m"
         )
     }

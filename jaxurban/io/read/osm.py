@@ -11,7 +11,7 @@ import shapely
 from osmium.filter import IdFilter, KeyFilter
 
 from jaxurban.errors import readable
-from jaxurban.io.read.outlines import Outlines
+from jaxurban.io.read.outlines import DECK, Outlines
 from jaxurban.world.diagnostics import ReadIssue
 from jaxurban.world.grid import WGS84, Bounds
 
@@ -25,14 +25,16 @@ TAGS = {
     "min_level": ("building:min_level",),
     "location": ("location",),
     "layer": ("layer",),
+    "man_made": ("man_made",),
 }
 OSM_SUFFIXES = (".pbf", ".osm")
 OSM_CREDIT = "© OpenStreetMap contributors"  # asked for by the ODbL
 HAS_BUILDING = KeyFilter("building", "building:part")
+HAS_BUILDING_OR_DECK = KeyFilter("building", "building:part", "man_made")
 _AREA_RELATIONS = ("multipolygon", "boundary")  # what libosmium makes areas of
 
 
-def read_osm(path: str | Path, file_format: str | None = None) -> Outlines:
+def read_osm(path: str | Path, file_format: str | None = None, *, has_decks: bool = False) -> Outlines:
     """Return the areas tagged ``building`` or ``building:part`` of an OSM file, ways and multipolygon relations.
 
     Coordinates are longitude and latitude; ``boxes`` are the file header's. Areas that
@@ -42,22 +44,26 @@ def read_osm(path: str | Path, file_format: str | None = None) -> Outlines:
     Args:
       path: the file.
       file_format: ``"pbf"`` or ``"osm"`` (XML); left out, its name tells.
+      has_decks: with the areas tagged ``man_made=bridge`` too.
 
     Raises:
       InputError: the file cannot be read to its end.
     """
     remedy = "it is damaged, cut short or of another kind; fetch it again, or put it in order with `osmium sort`"
     with readable(repr(str(path)), "OpenStreetMap data", remedy, RuntimeError, osmium.InvalidLocationError):
-        return _read(path, file_format or _format_of(path))
+        return _read(path, file_format or _format_of(path), has_decks)
 
 
-def _read(path: str | Path, file_format: str) -> Outlines:
+def _read(path: str | Path, file_format: str, has_decks: bool) -> Outlines:
     columns: dict[str, list[str | None]] = {name: [] for name in TAGS}
     shapes: list[str | None] = []  # WKB in hexadecimal, None where libosmium gave up
     broken: dict[int, tuple[bool, int]] = {}  # of those, place in `shapes`: whether it is a way, and its id
     open_ways, missing, ways, areas, relations = set(), set(), set(), set(), {}
     to_wkb = osmium.geom.WKBFactory()
-    for item in open_osm(path, file_format).with_areas(HAS_BUILDING).with_filter(HAS_BUILDING):
+    chosen = HAS_BUILDING_OR_DECK if has_decks else HAS_BUILDING
+    for item in open_osm(path, file_format).with_areas(chosen).with_filter(chosen):
+        if has_decks and not _is_building_or_deck(item.tags):
+            continue
         if isinstance(item, osmium.osm.Area):
             areas.add((item.from_way(), item.orig_id()))
             for name, keys in TAGS.items():
@@ -95,6 +101,10 @@ def _read(path: str | Path, file_format: str) -> Outlines:
             ReadIssue.POLYGONS_REPAIRED: sum(not polygons[place].is_empty for place in broken),
         },
     )
+
+
+def _is_building_or_deck(tags: Any) -> bool:
+    return "building" in tags or "building:part" in tags or tags.get("man_made") == DECK
 
 
 def _format_of(path: str | Path) -> str:

@@ -9,13 +9,15 @@ import numpy as np
 import shapely
 
 from jaxurban.errors import InputError
+from jaxurban.io.read.decks import with_decks
 from jaxurban.io.read.heights import Heights, estimate_heights, is_given
-from jaxurban.world.city import Buildings, HeightOrigin
+from jaxurban.world.city import SLABS, TO_GROUND, Buildings, Hanging, HeightOrigin
 from jaxurban.world.diagnostics import ReadIssue, ReadIssues
 from jaxurban.world.grid import Bounds, transformer
 
 REPLACED_SHARE = 0.9  # an outline covered at least so far by its parts is dropped (design, section 3)
 BELONGING_SHARE = 0.5  # a part is an outline's own if at least so much of it lies inside
+DECK = "bridge"  # of the tag man_made
 _NO = ("no", "false", "0", "0.0")
 
 
@@ -26,8 +28,8 @@ class Outlines:
     Attributes:
       polygons: ``[N]`` shapely Polygons or MultiPolygons in ``crs``, valid or not; None where none could be built.
       tags: ``[N]`` arrays of numbers, or of objects (text, numbers or None), by name: ``building``, ``part``,
-        ``height``, ``levels``, ``roof_levels``, ``min_height``, ``min_level``, ``location``, ``layer``. All are
-        optional; without ``building`` every outline is a building.
+        ``height``, ``levels``, ``roof_levels``, ``min_height``, ``min_level``, ``location``, ``layer``,
+        ``man_made``. All are optional; without ``building`` every outline is a building.
       crs: CRS of the coordinates, x before y.
       boxes: x_min, y_min, x_max, y_max in ``crs`` each, that the file says it covers.
       issues: what the reader met.
@@ -69,7 +71,13 @@ def count_tags(outlines: Outlines) -> dict[str, int]:
 
 
 def to_buildings(
-    path: str | Path, outlines: Outlines, crs: str, *, default_height_m: float, level_height_m: float
+    path: str | Path,
+    outlines: Outlines,
+    crs: str,
+    *,
+    default_height_m: float,
+    level_height_m: float,
+    hanging: Hanging = TO_GROUND,
 ) -> tuple[Buildings, list[Bounds], ReadIssues]:
     """Return the buildings that stand, the boxes in ``crs`` that the file declares to cover, and its issues.
 
@@ -85,12 +93,13 @@ def to_buildings(
       crs: projected CRS of the buildings.
       default_height_m: height of a building without a usable height or levels.
       level_height_m: height of one level.
+      hanging: ``"slabs"``: areas of bridges (``man_made=bridge``) that are no buildings are decks (see `with_decks`).
 
     Raises:
       InputError: no building and no declared box, in a file that was read as a whole.
     """
     issues = dict(outlines.issues)
-    stands, is_part = _buildings_and_parts(outlines, issues)
+    stands, is_part, is_deck = _stands_as_what(outlines, hanging == SLABS, issues)
     index = np.flatnonzero(stands)
     polygons, is_sound = _project(outlines.polygons[index], outlines.crs, crs, issues)
     polygons, index = polygons[is_sound], index[is_sound]
@@ -99,11 +108,14 @@ def to_buildings(
     if not (boxes_m or len(index) or outlines.extent):
         raise InputError(f"{str(path)!r} holds no building: give a file with polygons of buildings")
 
-    is_part = is_part[index]
+    is_part, is_deck = is_part[index], is_deck[index]
     tags = {name: column[index] for name, column in outlines.tags.items()}
     heights = estimate_heights(tags, len(index), default_height_m=default_height_m, level_height_m=level_height_m)
     issues |= heights.issues
-    outline, part, shared = _own_parts(polygons, is_part)
+    if is_deck.any():
+        layer = np.array([_number(text) for text in _texts(tags, "layer", len(index))])
+        heights = with_decks(heights, is_deck, layer)
+    outline, part, shared = _own_parts(polygons, ~is_part & ~is_deck, is_part)
     height_m, origin = _with_outline_heights(heights, outline, part, issues)
     height_m, min_height_m = _above_underside(height_m, heights.min_height_m, origin, issues)
     is_replaced = _covered_share(polygons, outline, shared) >= REPLACED_SHARE
@@ -113,24 +125,35 @@ def to_buildings(
     return buildings, boxes_m, issues
 
 
-def _buildings_and_parts(outlines: Outlines, issues: ReadIssues) -> tuple[np.ndarray, np.ndarray]:
-    """Return which outlines are tagged as standing above ground, and which of all are parts, ``[N]`` bool each."""
+def _texts(tags: Mapping[str, np.ndarray], name: str, num_outlines: int) -> np.ndarray:
+    """Return a tag of every outline as text in small letters, ``[N]``, empty where it is missing."""
+    column, words = tags.get(name, np.full(num_outlines, None, object)), np.full(num_outlines, "", object)
+    given = is_given(column)
+    words[given] = [str(value).strip().lower() for value in column[given]]
+    return words
+
+
+def _stands_as_what(
+    outlines: Outlines, has_decks: bool, issues: ReadIssues
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return which outlines are above ground, and which of all are parts, and decks of bridges, ``[N]`` bool each."""
 
     def text(name: str) -> np.ndarray:
-        column, words = outlines.column(name), np.full(len(outlines.polygons), "", object)
-        given = is_given(column)
-        words[given] = [str(value).strip().lower() for value in column[given]]
-        return words
+        return _texts(outlines.tags, name, len(outlines.polygons))
 
     def is_yes(name: str) -> np.ndarray:
         return (text(name) != "") & ~np.isin(text(name).astype(str), _NO)
 
     is_part = is_yes("part")
     is_building = (is_yes("building") if "building" in outlines.tags else True) | is_part
+    is_deck = has_decks & (text("man_made") == DECK)
+    if "building" in outlines.tags:
+        is_deck &= ~is_building
+    is_building = is_building | is_deck
     is_below = (text("location") == "underground") | _is_negative(text("layer"))
     issues[ReadIssue.NOT_BUILDINGS] = int(np.sum(~is_building))
     issues[ReadIssue.UNDERGROUND] = int(np.sum(is_building & is_below))
-    return is_building & ~is_below, is_part
+    return is_building & ~is_below, is_part, is_deck & ~is_part
 
 
 def _is_negative(layers: np.ndarray) -> np.ndarray:
@@ -171,9 +194,11 @@ def polygonal(geometry: shapely.Geometry) -> shapely.Geometry:
     return shapely.union_all(parts[shapely.get_dimensions(parts) == 2])
 
 
-def _own_parts(polygons: np.ndarray, is_part: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _own_parts(
+    polygons: np.ndarray, is_outline: np.ndarray, is_part: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return every pair of an outline and a part of its own: both indices, and the area that they share as polygons."""
-    outlines, parts = np.flatnonzero(~is_part), np.flatnonzero(is_part)
+    outlines, parts = np.flatnonzero(is_outline), np.flatnonzero(is_part)
     near_outline, near_part = shapely.STRtree(polygons[parts]).query(polygons[outlines], predicate="intersects")
     outline, part = outlines[near_outline], parts[near_part]
     shared = shapely.intersection(polygons[outline], polygons[part])

@@ -8,10 +8,12 @@ import jax
 import numpy as np
 
 from jaxurban.errors import InputError
-from jaxurban.io.read.burn import burn, burn_touched
+from jaxurban.io.read.burn import burn, burn_by_rule, burn_touched
+from jaxurban.io.read.hanging import burn_hanging
 from jaxurban.io.read.raster import resample_raster
-from jaxurban.world.city import Buildings, City
+from jaxurban.world.city import SLABS, Buildings, City
 from jaxurban.world.grid import Grid
+from jaxurban.world.slabs import Slabs
 from jaxurban.world.surface import NO_BUILDING, Surface
 
 NO_BLOCK = -1
@@ -50,13 +52,17 @@ def surface_grid(city: City, region: Grid, always_m: float, toward_m: Margins) -
 
 
 class Rasters(NamedTuple):
-    """A city on one grid, as `Surface` holds it, in host memory; ``has_data`` is None where data are everywhere."""
+    """A city on one grid, as `Surface` holds it, in host memory; ``has_data`` is None where data are everywhere.
+
+    ``roof_touched_m``, what planners keep clear of, takes everything that hangs as reaching the ground, always.
+    """
 
     roof_m: np.ndarray
     roof_touched_m: np.ndarray
     terrain_m: np.ndarray | None
     has_data: np.ndarray | None
     roof_guessed: np.ndarray | None
+    slabs: Slabs | None = None
 
 
 def rasterise(city: City, grid: Grid, all_touched: bool = False, tells_guessed: bool = False) -> Rasters:
@@ -83,7 +89,19 @@ def rasterise(city: City, grid: Grid, all_touched: bool = False, tells_guessed: 
         has_data = known if has_data is None else has_data & known
         terrain_m = np.where(known, terrain_m, UNKNOWN_GROUND_M).astype(np.float32)
     has_data = None if has_data is None or has_data.all() else has_data
-    return Rasters(touched_m if all_touched else roof_m, touched_m, terrain_m, has_data, guessed)
+    roof_m, slabs = touched_m if all_touched else roof_m, None
+    if city.buildings is not None and city.hanging == SLABS:
+        roof_m, slabs = _standing_and_hanging(city.buildings, grid, terrain_m, all_touched)
+    return Rasters(roof_m, touched_m, terrain_m, has_data, guessed, slabs)
+
+
+def _standing_and_hanging(
+    buildings: Buildings, grid: Grid, terrain_m: np.ndarray | None, all_touched: bool
+) -> tuple[np.ndarray, Slabs]:
+    """Return the roofs of what stands on the ground, raised by what rests on them, and what hangs freely."""
+    standing = buildings.take(buildings.min_height_m == 0)
+    roof_m = burn_by_rule(standing.polygons, standing.height_m, grid, all_touched, boxes_m=standing.boxes_m)
+    return roof_m, burn_hanging(buildings, grid, roof_m, terrain_m, all_touched)
 
 
 def _burn_roofs(
@@ -149,7 +167,7 @@ def build_surface(
     Raises:
       InputError: the terrain or the height raster does not cover any of the region.
     """
-    roof_m, touched_m, terrain_m, has_data, guessed = rasterise(city, grid, all_touched, tells_guessed)
+    roof_m, touched_m, terrain_m, has_data, guessed, slabs = rasterise(city, grid, all_touched, tells_guessed)
     window = region.window_in(grid)
     check_has_data([None if has_data is None else has_data[window]])
     arrays = {
@@ -164,4 +182,5 @@ def build_surface(
         **jax.device_put(arrays),
         grid=grid,
         region=region,
+        slabs=slabs,
     )

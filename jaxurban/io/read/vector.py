@@ -37,6 +37,7 @@ COLUMNS = {
     "min_level": ("building_min_level", "min_level", "min_floor"),
     "location": ("location",),
     "layer": ("layer",),
+    "man_made": ("man_made",),
 }
 OF_DAMAGED = (RuntimeError, LookupError, TypeError, AttributeError, shapely.errors.ShapelyError)  # raised by readers
 _UNDERGROUND = "is_underground"  # of Overture Maps: true or false

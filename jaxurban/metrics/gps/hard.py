@@ -15,7 +15,7 @@ from jaxurban.kernels.dop import AnyGeometry, Clocks, dops_of_words, geometry, u
 from jaxurban.kernels.patterns import distinct_patterns, look_up
 from jaxurban.metrics.base import JAX_ALIGNMENT, AnyArray, zeros_for_jax
 from jaxurban.metrics.gps.params import GpsParams
-from jaxurban.metrics.obstacle import obstacle_mask
+from jaxurban.metrics.obstacle import obstacles_on
 from jaxurban.metrics.visibility import visibility
 from jaxurban.world.surface import Surface
 
@@ -230,7 +230,7 @@ def compute_gps(
       InputError: a satellite below the horizon.
     """
     words = visibility(surface, azimuth_rad, elevation_rad, altitudes_m)
-    is_obstacle = obstacle_mask(surface.crop(surface.roof_m), altitudes_m)
+    is_obstacle = obstacles_on(surface, altitudes_m)
     return gps_of_words(words, is_obstacle, azimuth_rad, elevation_rad, params, clocks)
 
 

@@ -1,0 +1,161 @@
+"""Shadows of what hangs over the ground: every slab cast straight onto the receivers behind it.
+
+Slabs are few, so each walks along the digital line away from the satellite, cell by cell, as far as its shadow can
+reach. A receiver at height h, d rows (columns) behind a slab's cell, is hidden where its ray is between floor and top
+somewhere within that cell: from half a row before the cell's middle to half a row behind it the ray climbs from
+h + (d - 1/2) drop to h + (d + 1/2) drop; from its own cell, d = 0, a ray starts at h. So neighbouring cells of a thin
+slab leave no gap between them, however steep the ray. (Roofs are met a quarter row before the middle, `ENTRY_STEPS`.)
+
+The lines are those of `jaxurban.kernels.shadows.sweep.digital_line`. Bits are only ever taken away, each by numbers
+that depend on slab, receiver and satellite alone: a part of a map gets the same bits as the whole.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, UInt
+
+from jaxurban.kernels.compiled import compiled
+from jaxurban.kernels.shadows.sweep import WORD_BITS
+
+HALF_ROW = 0.5  # from a cell's middle to where a ray enters and leaves it, in rows (columns)
+LEAST_DROP_M = 1e-9  # a ray along the horizon is followed to the border of the map
+
+
+class Receivers(NamedTuple):
+    """Where the receivers of a map stand on the slabs' grid. ``y, x`` receivers.
+
+    Attributes:
+      first_row, first_col: global number of the southwesternmost receiver's cell.
+      every: cells from one receiver to the next, both ways.
+      ground_m: ``[y, x]`` elevation of the ground there; of no cells for flat ground.
+    """
+
+    first_row: int
+    first_col: int
+    every: int
+    ground_m: np.ndarray
+
+
+def hide_behind_slabs(
+    words: UInt[np.ndarray, "W A y x"],
+    altitudes_m: Float[np.ndarray, " A"],
+    receivers: Receivers,
+    cells: tuple[np.ndarray, np.ndarray],
+    heights_m: tuple[np.ndarray, np.ndarray],
+    azimuth_rad: np.ndarray,
+    elevation_rad: np.ndarray,
+    resolution_m: float,
+) -> None:
+    """Clear the bit of every satellite in the visibility words where a slab hides it.
+
+    Args:
+      words: satellite ``s`` is bit ``s % 32`` of word ``s // 32``; altered.
+      altitudes_m: heights of the receivers above the ground.
+      receivers: where they stand.
+      cells: ``[H]`` int64 each: global row and column of every slab.
+      heights_m: ``[H]`` float64 each: absolute height of its underside and of its top.
+      azimuth_rad, elevation_rad: ``[S]`` of the satellites, clockwise from grid north and above the horizon.
+      resolution_m: side of the slabs' cells.
+    """
+    num_rows, num_cols = words.shape[2:]
+    row, col = cells
+    if not len(row):
+        return
+    ground_m = receivers.ground_m
+    lowest_m, highest_m = (ground_m.min(), ground_m.max()) if ground_m.size else (0.0, 0.0)
+    spans = [
+        (min(int(cell.min()), first), max(int(cell.max()), first + receivers.every * (num - 1)))
+        for cell, first, num in ((row, receivers.first_row, num_rows), (col, receivers.first_col, num_cols))
+    ]
+    for number, (azimuth, elevation) in enumerate(zip(azimuth_rad, elevation_rad, strict=True)):
+        east, north = math.sin(azimuth), math.cos(azimuth)
+        is_rows = abs(north) >= abs(east)
+        along, across = (north, east) if is_rows else (east, north)
+        first, last = spans[0 if is_rows else 1]
+        sideways = np.floor(across / along * np.arange(first, last + 1) + 0.5).astype(np.int64)
+        _cast(
+            words[number // WORD_BITS],
+            ~np.uint32(1 << (number % WORD_BITS)),
+            np.asarray(altitudes_m, np.float64),
+            np.asarray(ground_m, np.float64),
+            (float(lowest_m), float(highest_m)),
+            (receivers.first_row, receivers.first_col, receivers.every),
+            (row, col) if is_rows else (col, row),
+            heights_m,
+            sideways,
+            first,
+            is_rows,
+            1 if along > 0 else -1,
+            resolution_m / abs(along) * math.tan(elevation),
+        )
+
+
+@compiled(nogil=True)
+def _cast(
+    words,
+    kept,
+    altitudes_m,
+    ground_m,
+    ground_range_m,
+    receivers,
+    cells,
+    heights_m,
+    sideways,
+    first,
+    is_rows,
+    ahead,
+    drop_m,
+):
+    """Clear one satellite's bit behind every slab.
+
+    Args:
+      words: ``[A, y, x]`` that hold its bit.
+      kept: every other bit.
+      altitudes_m: ``[A]``.
+      ground_m: ``[y, x]``, or of no cells.
+      ground_range_m: lowest and highest of it.
+      receivers: first row, first column, and of how many cells one is a receiver.
+      cells: ``[H]`` each: number of the slab's row and its column (column and row, unless ``is_rows``).
+      heights_m: ``[H]`` each: floor and top.
+      sideways: cells of the digital line by its row (column), from ``first`` on.
+      first: row (column) that it begins with.
+      is_rows: whether the line is followed row by row.
+      ahead: 1 where the satellite is beyond the last row (column), -1 where it is beyond the first.
+      drop_m: height that a ray gains from one row (column) to the next.
+    """
+    first_row, first_col, every = receivers
+    num_rows, num_cols = words.shape[1:]
+    first_along, first_across = (first_row, first_col) if is_rows else (first_col, first_row)
+    num_along, num_across = (num_rows, num_cols) if is_rows else (num_cols, num_rows)
+    last_along = first_along + every * (num_along - 1)
+    slab_along, slab_across = cells
+    floor_m, top_m = heights_m
+    rows_a_metre = 1 / max(drop_m, LEAST_DROP_M)
+    for slab in range(len(floor_m)):
+        at, floor, top = slab_along[slab], floor_m[slab], top_m[slab]
+        # Steps to the receivers: none is ahead of its slab, and none outside the map.
+        nearest = max(0, at - last_along if ahead > 0 else first_along - at)
+        farthest = at - first_along if ahead > 0 else last_along - at
+        phase = (at - first_along) * ahead % every
+        beside = slab_across[slab] - sideways[at - first] - first_across
+        for a in range(len(altitudes_m)):
+            low_m, high_m = ground_range_m[0] + altitudes_m[a], ground_range_m[1] + altitudes_m[a]
+            if top < low_m:
+                continue
+            # A step more on each side, should rounding matter.
+            begin = max(nearest, int(max((floor - high_m) * rows_a_metre - HALF_ROW - 1, 0.0)))
+            end = min(farthest, int(min((top - low_m) * rows_a_metre + HALF_ROW + 1, float(farthest))))
+            for step in range(begin + (phase - begin) % every, end + 1, every):
+                here = at - ahead * step
+                across = beside + sideways[here - first]
+                if across < 0 or across >= every * num_across or across % every:
+                    continue
+                i, j = (here - first_along) // every, across // every
+                r, c = (i, j) if is_rows else (j, i)
+                height_m = altitudes_m[a] + (ground_m[r, c] if ground_m.size else 0.0)
+                enters_m = height_m + max(step - HALF_ROW, 0.0) * drop_m
+                leaves_m = height_m + (step + HALF_ROW) * drop_m
+                if enters_m <= top and leaves_m >= floor:
+                    words[a, r, c] &= kept
