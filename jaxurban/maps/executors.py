@@ -138,7 +138,7 @@ def tile_graph(job: TileJob, call: Callable[..., Any]) -> list[Delayed]:
                 )
     finished = []
     for tile in tiling.region_tiles:
-        around = [rasters[near] for near in tiling.touching(job.haloed(tile))]
+        around = [rasters[near] for near in tiling.touching(job.looked_at(tile))]
         shadows = [each for q in QUADRANTS for near in tiling.upstream(tile, q) for each in sweep(near, q)]
         finished.append(task(finish_tile, f"{tile}", tile, after=[*around, *shadows]))
     return [*rasters.values(), *sweeps.values(), *finished]

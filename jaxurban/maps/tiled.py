@@ -62,6 +62,12 @@ class TileJob:
         """Return the grid of a tile and the halo that its lidar and risk maps look at."""
         return self.task.with_halo(self.tiling.grid_of(tile))
 
+    def looked_at(self, tile: Tile) -> Grid:
+        """Return the grid whose tiles' rasters a tile is finished from: with slabs, all that can shadow it."""
+        if self.task.city.hanging == SLABS and self.task.params.oversample == 1:
+            return self.task.with_margin(self.tiling.grid_of(tile))
+        return self.haloed(tile)
+
     def hands_on(self, tile: Tile, quadrant: Quadrant) -> bool:
         """Return whether a tile has shadows of a quadrant to hand on."""
         return bool(self.order[quadrant]) and self.tiling.hands_on(tile, quadrant)
@@ -222,14 +228,14 @@ def _surface(job: TileJob, tile: Tile) -> Surface:
         region=region,
         roof_touched_m=jnp.asarray(own["roof_touched_m"]),
         roof_guessed=jnp.asarray(own["roof_guessed"]) if "roof_guessed" in own else None,
-        slabs=_slabs(job, region) if job.task.city.hanging == SLABS else None,
+        slabs=_slabs(job, tile) if job.task.city.hanging == SLABS else None,
     )
 
 
-def _slabs(job: TileJob, region: Grid) -> Slabs:
-    """Return the slabs over a tile and over all that can shadow it."""
+def _slabs(job: TileJob, tile: Tile) -> Slabs:
+    """Return the slabs over a tile and over all that it looks at."""
     parts = []
-    for near in job.tiling.touching(job.task.with_margin(region)):
+    for near in job.tiling.touching(job.looked_at(tile)):
         kept = job.work.load_arrays(_name("raster", near), *(f"slab_{name}" for name in Slabs._fields))
         parts.append(Slabs(**{name.removeprefix("slab_"): values for name, values in kept.items()}))
     return Slabs.joined(parts)

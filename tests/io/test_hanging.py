@@ -1,0 +1,150 @@
+"""What hangs: which parts rest on roofs, which cells they take, and which areas of bridges are decks."""
+
+from dataclasses import replace
+
+import geopandas
+import numpy as np
+import pytest
+import shapely
+
+from jaxurban.errors import InputError
+from jaxurban.io.read.buildings import BuildingFile, read_buildings
+from jaxurban.io.read.osm import read_osm
+from jaxurban.io.read.outlines import to_buildings
+from jaxurban.io.read.rasterise import rasterise
+from jaxurban.world.city import SLABS, TO_GROUND, HeightOrigin
+from jaxurban.world.grid import Grid
+from jaxurban.world.slabs import PER_CELL
+from tests.hanging_city import CRS, DECK, SIDE_M, X_M, Y_M, city
+
+GRID = Grid(CRS, 2.0, int(Y_M / 2), int(X_M / 2), int(SIDE_M / 2), int(SIDE_M / 2))
+
+
+def cell_of(x_m: float, y_m: float) -> tuple[int, int]:
+    return int(y_m // 2), int(x_m // 2)
+
+
+@pytest.fixture(scope="module")
+def rasters():
+    return rasterise(city(), GRID)
+
+
+def test_without_what_hangs_the_rasters_are_the_same_to_the_bit():
+    whole = city()
+    standing = replace(whole, buildings=whole.buildings.take(whole.buildings.min_height_m == 0))
+    slabs, plain = rasterise(standing, GRID), rasterise(replace(standing, hanging=TO_GROUND), GRID)
+    assert plain.slabs is None
+    assert len(slabs.slabs.row) == 0
+    np.testing.assert_array_equal(slabs.roof_m, plain.roof_m)
+    np.testing.assert_array_equal(slabs.roof_touched_m, plain.roof_touched_m)
+
+
+def test_a_part_that_rests_on_a_roof_raises_it(rasters):
+    assert rasters.roof_m[cell_of(115, 270)] == 55
+    assert rasters.roof_m[cell_of(103, 270)] == 15
+    assert rasters.roof_m[cell_of(95, 270)] == 0
+
+
+def test_slabs_as_if_they_reached_the_ground_are_the_roofs_without_slabs(rasters):
+    to_ground = rasterise(city(TO_GROUND), GRID)
+    np.testing.assert_array_equal(rasters.slabs.raised(rasters.roof_m, GRID), to_ground.roof_m)
+    np.testing.assert_array_equal(rasters.roof_touched_m, to_ground.roof_touched_m)
+    assert rasters.roof_m[cell_of(300, 202)] == 0
+    assert to_ground.roof_m[cell_of(300, 202)] == 13.5
+
+
+def test_touched_slabs_as_if_they_reached_the_ground_are_no_lower_than_the_touched_roofs():
+    touched = rasterise(city(), GRID, all_touched=True)
+    raised_m = touched.slabs.raised(touched.roof_m, GRID)
+    to_ground_m = rasterise(city(TO_GROUND), GRID, all_touched=True).roof_m
+    assert np.all(raised_m >= to_ground_m)
+    assert np.sum(raised_m != to_ground_m) <= 1  # a corner that enters a cell by less than outlines are snapped
+
+
+def test_two_slabs_over_a_cell_stay_two(rasters):
+    slabs, cells = rasters.slabs.over_cells(GRID)
+    here = (cells[0] == cell_of(240, 340)[0]) & (cells[1] == cell_of(240, 340)[1])
+    assert sorted(zip(slabs.floor_m[here].tolist(), slabs.top_m[here].tolist(), strict=True)) == [(6, 8), (40, 44)]
+    assert rasters.slabs.lowest_floors(GRID)[cell_of(240, 340)] == 6
+
+
+def test_subcells_hold_the_area_of_a_deck(rasters):
+    of_deck = rasters.slabs.floor_m == 12
+    assert of_deck.sum() * (2.0 / PER_CELL) ** 2 == pytest.approx(DECK.area, rel=0.01)
+
+
+@pytest.mark.parametrize("with_terrain", [False, True])
+def test_a_part_of_a_grid_holds_the_slabs_of_the_whole(with_terrain):
+    whole, part = (
+        city(with_terrain=with_terrain),
+        replace(GRID, first_row=GRID.first_row + 60, num_rows=50, num_cols=77),
+    )
+    large, small = rasterise(whole, GRID), rasterise(whole, part)
+    inside = (large.slabs.row // PER_CELL >= part.first_row) & (large.slabs.row // PER_CELL < part.first_row + 50)
+    inside &= large.slabs.col // PER_CELL < part.first_col + 77
+    expected = large.slabs.take(inside)
+    assert len(expected.row) > 1000
+    for name, one, other in zip(expected._fields, expected, small.slabs, strict=True):
+        np.testing.assert_array_equal(one, other, name)
+    np.testing.assert_array_equal(large.roof_m[60:110, :77], small.roof_m)
+
+
+BRIDGES = {
+    "given": {"min_height": "6", "height": "7.5"},
+    "underside": {"min_height": "6"},
+    "top": {"height": "41"},
+    "layer": {"layer": "2"},
+    "nothing": {},
+    "upside down": {"min_height": "9", "height": "7"},
+}
+EXPECTED = [(6, 7.5), (6, 7), (40, 41), (10, 11), (5, 6), (9, 10)]
+
+
+def test_decks_of_bridges_hang_by_their_tags_or_by_their_layer(tmp_path):
+    shapes = [shapely.box(X_M + 40 * i, Y_M, X_M + 40 * i + 30, Y_M + 8) for i in range(len(BRIDGES) + 2)]
+    rows = [{"man_made": "bridge", **tags} for tags in BRIDGES.values()]
+    rows += [{"building": "yes", "height": "20"}, {"man_made": "pier"}]
+    path = tmp_path / "city.gpkg"
+    geopandas.GeoDataFrame(rows, geometry=shapes, crs=CRS).to_file(path)
+    plain = read_buildings(BuildingFile(path), CRS).buildings
+    assert plain.height_m.tolist() == [20]
+    decks = read_buildings(BuildingFile(path, hanging=SLABS), CRS).buildings
+    assert list(zip(decks.min_height_m, decks.height_m, strict=True)) == [*EXPECTED, (0, 20)]
+    guessed = [origin == HeightOrigin.LAYER for origin in decks.origin]
+    assert guessed == [False, False, False, True, True, False, False]
+    assert decks.is_guessed.tolist() == guessed
+
+
+def test_an_osm_file_gives_bridges_only_where_slabs_are_asked(tmp_path):
+    nodes = [(1, 0, 0), (2, 1, 0), (3, 1, 1), (4, 0, 1)]
+    text = '<?xml version="1.0"?><osm version="0.6">'
+    for first, tags in (
+        (0, {"man_made": "bridge", "layer": "1"}),
+        (10, {"man_made": "pier"}),
+        (20, {"building": "yes"}),
+    ):
+        text += "".join(
+            f'<node id="{first + n}" version="1" lon="{-74 + (x + first) * 1e-3}" lat="{40.7 + y * 1e-3}"/>'
+            for n, x, y in nodes
+        )
+        refs = "".join(f'<nd ref="{first + n}"/>' for n in (1, 2, 3, 4, 1))
+        said = "".join(f'<tag k="{key}" v="{value}"/>' for key, value in tags.items())
+        text += f'<way id="{first + 1}" version="1">{refs}{said}</way>'
+    path = tmp_path / "city.osm"
+    path.write_text(text + "</osm>")
+    plain, slabs = read_osm(path), read_osm(path, has_decks=True)
+    assert (len(plain.polygons), len(slabs.polygons)) == (1, 2)
+    heights = {"default_height_m": 10.0, "level_height_m": 3.0}
+    buildings, _, _ = to_buildings(path, slabs, CRS, **heights, hanging=SLABS)
+    assert sorted(buildings.min_height_m.tolist()) == [0, 5]
+    buildings, _, _ = to_buildings(path, slabs, CRS, **heights)
+    assert buildings.min_height_m.tolist() == [0]
+
+
+def test_slabs_of_a_height_raster_are_refused(tmp_path):
+    path = tmp_path / "roofs.tif"
+    path.write_bytes(b"")
+    with pytest.raises(InputError, match="is for outlines"):
+        read_buildings(BuildingFile(path, hanging=SLABS), CRS)
+    with pytest.raises(InputError, match="slabs"):
+        BuildingFile(path, hanging="slab")
