@@ -6,8 +6,9 @@ from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 
 
-def wall_triangles(polygons: np.ndarray, height_m: np.ndarray, floor_m: np.ndarray) -> np.ndarray:
-    """Return ``[N, 3, 3]`` float64 triangles of the walls, from each floor to each roof."""
+def wall_triangles(polygons: np.ndarray, height_m: np.ndarray, floor_m: np.ndarray | None = None) -> np.ndarray:
+    """Return ``[N, 3, 3]`` float64 triangles of the walls, from each floor (left out, the ground) to each roof."""
+    floor_m = np.zeros(len(polygons)) if floor_m is None else floor_m
     parts, part_owner = shapely.get_parts(polygons, return_index=True)
     rings, ring_owner = shapely.get_rings(parts, return_index=True)
     owner = part_owner[ring_owner]
