@@ -2,9 +2,9 @@
 
     python -m benchmarks.hanging [--resolution 2]
 
-Lower Manhattan with everything reaching the ground, with slabs of parts, and with decks of bridges too, at one time: obstacles, satellites, GPS quality and
-lidar of the cells near what hangs. Its witness is Embree, rays through the exact prisms with their floors. Needs the
-data folder (``JAXURBAN_DATA``) and the test dependencies.
+Lower Manhattan with everything reaching the ground, with slabs of parts, and with decks of bridges too, at one time:
+obstacles, satellites, GPS quality and lidar near what hangs. Its witness is Embree, rays through the exact prisms with
+their floors. Needs the data folder (``JAXURBAN_DATA``) and the test dependencies.
 """
 
 import argparse
