@@ -9,7 +9,7 @@ import shapely
 
 from jaxurban.errors import InputError
 from jaxurban.io.read.buildings import BuildingFile, read_buildings
-from jaxurban.io.read.osm import read_osm
+from jaxurban.io.read.osm import cut_buildings, read_osm
 from jaxurban.io.read.outlines import to_buildings
 from jaxurban.io.read.rasterise import rasterise
 from jaxurban.world.city import SLABS, TO_GROUND, HeightOrigin
@@ -148,3 +148,11 @@ def test_slabs_of_a_height_raster_are_refused(tmp_path):
         read_buildings(BuildingFile(path, hanging=SLABS), CRS)
     with pytest.raises(InputError, match="slabs"):
         BuildingFile(path, hanging="slab")
+
+
+@pytest.mark.data
+def test_what_is_cut_out_of_an_extract_holds_the_decks_too(data_dir, tmp_path):
+    source, cut = data_dir / "osm" / "lower-manhattan.osm.pbf", tmp_path / "cut.osm.pbf"
+    cut_buildings(source, cut, (-74.02, 40.70, -73.99, 40.72))
+    found, whole = (read_osm(path, has_decks=True).column("man_made") for path in (cut, source))
+    assert 20 < np.sum(found == "bridge") < np.sum(whole == "bridge") <= 58

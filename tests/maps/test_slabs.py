@@ -17,6 +17,7 @@ from jaxurban.metrics.custom import Layer
 from jaxurban.metrics.lidar import LidarParams
 from jaxurban.metrics.population import PopulationParams
 from jaxurban.metrics.risk import RiskParams, compute_risk
+from jaxurban.metrics.visibility import visibility
 from jaxurban.progress import Report
 from jaxurban.scenario import provenance
 from jaxurban.scenario.run import Maker, make_zarr
@@ -30,6 +31,7 @@ from tests.tiled_runs import sky
 RESOLUTION_M = 5.0
 REGION = Grid(CRS, RESOLUTION_M, int((Y_M + 100) // 5), int((X_M + 50) // 5), 67, 93)
 ALTITUDES_M = (2.0, 12.0, 13.0, 20.0, 42.0)
+SHAPES = "sweep", "doubling"
 ON_DECK = (20, 50)  # a cell of the region in the middle of the deck
 PARAMS = MapParams(altitudes_m=ALTITUDES_M, lidar=LidarParams(azimuths=36, range_m=70.0))
 
@@ -84,8 +86,8 @@ def test_under_a_deck_the_sky_overhead_is_shut_and_beside_it_more_is_seen(maps, 
     ],
 )
 def test_tiles_equal_the_untiled_maps(tmp_path, with_terrain, settings):
-    of = task(city(with_terrain=with_terrain), **settings)
-    make_zarr(Maker(replace(of, guesses=map_guesses(of)), tmp_path, "key", 2), Report(), (17, 29))
+    of = task(city(with_terrain=with_terrain), altitudes_m=(2.0, 13.0), **settings)
+    make_zarr(Maker(replace(of, guesses=map_guesses(of)), tmp_path, "key", 2), Report(), (34, 58))
     found, expected = store.open_zarr(tmp_path, None).load(), compute_maps(of).ds
     assert found.attrs.pop("run_key") == "key"
     xr.testing.assert_identical(found, expected)
@@ -114,6 +116,15 @@ def test_a_slab_moves_as_a_whole_where_heights_are_drawn():
     shares = ds["obstacle_share"].values[:, *ON_DECK]
     assert shares[0] == 0
     assert 0 < shares[1] <= 1
+
+
+def test_both_shapes_of_the_kernel_of_roofs_meet_the_same_slabs():
+    of = task(city(with_terrain=True))
+    surface, angles = of.surface(), of.angles(0)
+    sweep, doubling = (np.asarray(visibility(surface, *angles, [2.0, 13.0], shape=shape)) for shape in SHAPES)
+    without = np.asarray(visibility(replace(surface, slabs=None), *angles, [2.0, 13.0]))
+    assert np.mean(sweep != doubling) < 1e-3
+    assert np.mean(sweep != without) > 0.01
 
 
 def test_lidar_meets_slabs_at_or_below_the_altitude_and_none_above(maps):

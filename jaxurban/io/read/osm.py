@@ -160,7 +160,7 @@ def _xml_boxes(path: str | Path) -> tuple[Bounds, ...]:
 
 
 def cut_buildings(source: Path, target: Path, box: Bounds) -> None:
-    """Write the ways and relations tagged as buildings that have a node in a box, with all that they refer to.
+    """Write the ways and relations of buildings and decks that have a node in a box, with all that they refer to.
 
     Args:
       source: a PBF file, nodes before ways before relations.
@@ -176,16 +176,17 @@ def cut_buildings(source: Path, target: Path, box: Bounds) -> None:
     near = {way.id for way in _ways_in(file, IdFilter(members), box)} if members else set()
     result = osmium.io.File(str(target), "pbf")
     with osmium.BackReferenceWriter(result, ref_src=file, overwrite=True, remove_tags=False) as writer:
-        for way in _ways_in(file, HAS_BUILDING, box):
-            writer.add(way)
+        for way in _ways_in(file, HAS_BUILDING_OR_DECK, box):
+            if _is_building_or_deck(way.tags):
+                writer.add(way)
         for relation in _relations(file):
             if not near.isdisjoint(ways_of[relation.id]):
                 writer.add(relation)
 
 
 def _relations(file: osmium.io.File) -> Iterator[osmium.osm.Relation]:
-    for item in osmium.FileProcessor(file, osmium.osm.RELATION).with_filter(HAS_BUILDING):
-        if isinstance(item, osmium.osm.Relation):
+    for item in osmium.FileProcessor(file, osmium.osm.RELATION).with_filter(HAS_BUILDING_OR_DECK):
+        if isinstance(item, osmium.osm.Relation) and _is_building_or_deck(item.tags):
             yield item
 
 
