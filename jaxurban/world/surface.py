@@ -101,8 +101,8 @@ class Surface:
         return self.roof_m if self.terrain_m is None else self.terrain_m + self.roof_m
 
     def with_heights(self, height_m: Float[Array, " B"], building: Int[Array, "Y X"]) -> "Surface":
-        """Return this surface with other heights of its buildings, to look at; arguments as in `roofs_of`."""
-        return replace(self, roof_m=roofs_of(height_m, building), roof_touched_m=None, roof_guessed=None)
+        """Return this surface with other heights of its buildings, without slabs; arguments as in `roofs_of`."""
+        return replace(self, roof_m=roofs_of(height_m, building), roof_touched_m=None, roof_guessed=None, slabs=None)
 
     def at_altitude(self, altitude_m: float) -> "Surface":
         """Return what an altitude meets: slabs with their floor at or below it reach the ground, higher ones are left.
