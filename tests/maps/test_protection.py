@@ -172,7 +172,7 @@ def test_a_section_or_a_weight_asks_for_it():
 
 
 def test_what_has_no_gradient_says_so():
-    with pytest.raises(InputError, match="hold no protection, which has no gradient"):
+    with pytest.raises(InputError, match="the maps as one function hold no protection"):
         inputs_of(task_of())
     soft = soften(task_of())
     assert "protection" not in soft.names
