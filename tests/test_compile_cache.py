@@ -54,6 +54,7 @@ def test_the_first_maps_of_a_session_keep_their_programs_and_tell_it_once(tmp_pa
     assert programs == {path.name for path in folder.iterdir() if path.name.endswith("-cache")}  # all were found
 
 
+@pytest.mark.slow
 def test_a_users_own_folder_stays_and_so_does_what_is_kept_there(tmp_path):
     own = str(tmp_path / "own")
     assert session(tmp_path, **{FOLDER: own}) == [f"{own} 1.0"]
@@ -61,10 +62,12 @@ def test_a_users_own_folder_stays_and_so_does_what_is_kept_there(tmp_path):
     assert not (tmp_path / "jaxurban").exists()
 
 
+@pytest.mark.slow
 def test_a_user_who_wants_no_cache_gets_none(tmp_path):
     assert session(tmp_path, JAX_ENABLE_COMPILATION_CACHE="false") == ["None 1.0"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("is_there", [True, False])
 def test_where_the_folder_cannot_be_made_maps_are_made_without(tmp_path, is_there):
     in_the_way = tmp_path / "file"

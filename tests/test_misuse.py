@@ -151,6 +151,7 @@ WRONG |= dict.fromkeys(
         *("default_height_m", "level_height_m", "mask_deg", "max_age_days", "wrong", "hold_out", "softness_m"),
         *("antenna_height_m", "piece_m", "block_m", "sky_step_s"),
         *("speed_m_s", "power_w", "swath_m", "value", "gdop_threshold", "availability_threshold", "normalise"),
+        "dop_threshold",
         *("horizontal_alert_limit_m", "vertical_alert_limit_m", "sigma_ura_m", "sigma_ure_m", "bias_m", "p_sat"),
         *("p_const_gps", "p_const", "phmi_horizontal", "phmi_vertical", "pfa_horizontal", "pfa_vertical"),
         *("p_unmonitored",),
@@ -169,6 +170,7 @@ WRONG |= dict.fromkeys(
 )
 WRONG |= {
     **{"connectivity": 5, "diagonal": "never", "obstacles": "toched", "backend": "gpu", "kind": "roof", "nan": "open"},
+    **{"hanging": "in the air", "clocks": "two", "weighting": "sine"},
     **{
         "series": "all",
         "quantity": "people",

@@ -150,6 +150,7 @@ def test_slabs_of_a_height_raster_are_refused(tmp_path):
         BuildingFile(path, hanging="slab")
 
 
+@pytest.mark.slow
 @pytest.mark.data
 def test_what_is_cut_out_of_an_extract_holds_the_decks_too(data_dir, tmp_path):
     source, cut = data_dir / "osm" / "lower-manhattan.osm.pbf", tmp_path / "cut.osm.pbf"

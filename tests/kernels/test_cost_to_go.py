@@ -85,6 +85,7 @@ def test_fields_of_many_goals_and_maps_equal_dijkstras(num_steps):
         np.testing.assert_allclose(costs(fields), expected, rtol=1e-12, atol=1e-14)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "changed",
     [

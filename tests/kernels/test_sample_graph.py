@@ -123,6 +123,7 @@ def test_parents_lead_back_to_the_start_where_edges_cost_nothing(shape):
         assert node == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("shape", "together"),
     [("cpu", {}), ("gpu", {}), ("gpu", {"nodes_together": NUM_NODES, "edges_together": NUM_NODES})],

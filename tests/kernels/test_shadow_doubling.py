@@ -73,6 +73,7 @@ def walk(top_m, line, row, col, most_steps):
     return shadow_m
 
 
+@pytest.mark.slow
 def test_tiles_hand_on_within_rings_as_the_sweep_does():
     top_m, inner = tops(), (slice(9, 30), slice(12, 40))
     whole = swept(top_m, lines_of(SHAPE))

@@ -99,6 +99,7 @@ def test_over_times_it_is_every_time_s_maps(task, inputs, views, made):
             assert_same(name, made[name][t], values)
 
 
+@pytest.mark.slow
 def test_it_maps_over_sixteen_skies_thresholds_gammas_heights_and_weights(inputs, views):
     many = jax.tree.map(lambda values: jnp.concatenate([values] * 8), views)
     shapes = jax.eval_shape(jax.vmap(all_maps, (None, 0)), inputs, many)

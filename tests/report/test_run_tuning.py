@@ -34,6 +34,7 @@ def tune(capsys, made, *options):
     return run(capsys, "tune", made / "maps", made / "routes.geojson", *options)
 
 
+@pytest.mark.slow
 def test_a_fit_is_written_as_tables_pictures_and_a_report(made, tmp_path, capsys):
     code, out, err = tune(capsys, made, "-o", tmp_path / "out", "--bootstrap", 40, "--json")
     assert code == 0, err

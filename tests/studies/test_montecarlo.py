@@ -150,6 +150,7 @@ def study_elsewhere(folder: Path, out: Path, script: Path, workers: int) -> subp
     return subprocess.Popen([sys.executable, script, folder, out, str(workers)], env=environment, cwd=script.parent)
 
 
+@pytest.mark.slow
 def test_a_killed_study_goes_on_with_no_row_lost_or_doubled(folder, result, tmp_path):
     out = tmp_path / "out"
     job = study_elsewhere(folder, out, tmp_path / "job.py", workers=1)

@@ -98,6 +98,7 @@ def gdop_by_inverse(weights):
     return math.sqrt(np.trace(np.linalg.inv(normal))) if np.linalg.cond(normal) < 1e9 else math.inf
 
 
+@pytest.mark.slow
 def test_m_equals_its_definition_cell_by_cell():
     z_m, threshold, softness_m = 14.0, 20.0, 2.0
     with jax.enable_x64(True):
