@@ -24,6 +24,7 @@ from jaxurban.cli.sensitivity import sensitivity
 from jaxurban.cli.study import study
 from jaxurban.cli.tune import tune
 from jaxurban.cli.validate import validate
+from jaxurban.cli.view import view
 from jaxurban.collector import collect_seldom
 from jaxurban.compile_cache import keep_programs
 from jaxurban.errors import InputError, reason_of
@@ -39,6 +40,7 @@ def app() -> None:
 
 
 for command in (compare, demo, fetch, maps, plan, sensitivity, study, tune, validate):
+for command in (compare, demo, fetch, maps, plan, sensitivity, study, tune, view):
     app.add_command(command)
 
 

@@ -157,6 +157,16 @@ class CostMap(Shown):
         kept = [row for row, name in enumerate(self.names) if name in names]
         return replace(self, names=tuple(self.names[row] for row in kept), costs=self.costs[kept])
 
+    def with_weights(self, weights: GivenWeights) -> "CostMap":
+        """Return the map under other weights; what does not depend on them is shared (`Problem.with_weights`).
+
+        Raises:
+          InputError: a weight that is none, or of a metric that the maps lack.
+        """
+        other = replace(self, weights=Weights.of(weights).checked(self.maps.metrics))
+        vars(other).update(shortest=self.shortest, reachability=self.reachability, terrain_m=self.terrain_m)
+        return other
+
     def cost_of(self, name: str) -> float:
         """Return the largest cost of a metric, not weighted, over free cells; 0 where it costs nothing anywhere."""
         return float(self.costs[self.names.index(name)][self.is_free].max(initial=0.0))

@@ -51,6 +51,8 @@ def save_sensitivity(
 def write_sensitivity(found: Sensitivity, folder: Path, degrees: bool = False) -> list[Path]:
     """Write what `save_sensitivity` writes, into a folder that is held already."""
     tables = {f"tables/{name}": table.reset_index() for name, table in found.tables().items()}
+    if found.triangle is not None:
+        tables["tables/triangle_cells"] = found.triangle_cells()
     drawn = in_degrees(sensitivity_figures(found), found.maps.grid, degrees)
     figures = {f"figures/{name}.png": draw for name, draw in drawn.items()}
     return save(folder, {**tables, **figures, REPORT_FILE: sensitivity_markdown(found)})

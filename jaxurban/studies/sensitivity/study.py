@@ -107,6 +107,18 @@ class Sensitivity:
             )
         return found
 
+    def triangle_cells(self) -> pd.DataFrame:
+        """Return the cells of the triangle: a row for each corner of each, its ``route`` and its share of each weight.
+
+        The shares sum to 1. Corners of a cell follow each other around it; routes are numbered as in `tables`.
+        """
+        assert self.triangle is not None, "there is no triangle"
+        numbered = enumerate(self.triangle.cells, start=1)
+        return pd.concat(
+            [pd.DataFrame(cell, columns=list(self.triangle_names)).assign(route=number) for number, cell in numbered],
+            ignore_index=True,
+        )
+
 
 @typed
 @dataclass(frozen=True)

@@ -1,0 +1,122 @@
+"""jaxurban view."""
+
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from jaxurban.cli.common import (
+    OBSTACLES,
+    RESOLUTION,
+    Settings,
+    stored_cost_model,
+    stored_obstacles,
+    stored_settings,
+    stored_weights,
+    tell,
+)
+from jaxurban.errors import InputError
+
+if TYPE_CHECKING:
+    from jaxurban.view.viewer import Viewer
+    from jaxurban.world.city import City
+
+
+@click.command()
+@click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
+@RESOLUTION
+@OBSTACLES
+@click.option("--other", type=click.Path(path_type=Path), metavar="DIR", help="Further maps, to look at differences.")
+@click.option(
+    "--study", type=click.Path(path_type=Path), metavar="DIR", help="What `jaxurban sensitivity` wrote of one route."
+)
+@click.option(
+    "--export", type=click.Path(path_type=Path), metavar="PAGE.html", help="Write one file to look at, and end."
+)
+@click.option(
+    "--size", "size_mib", type=click.FloatRange(min=1), default=25, show_default=True, help="MiB of --export at most."
+)
+@click.option("--port", type=click.IntRange(0, 65535), default=0, help="To listen at.  [default: any that is free]")
+@click.option("--no-browser", is_flag=True, help="Open no browser; the address is told.")
+def view(
+    folder: Path,
+    resolution_m: float | None,
+    obstacles: str | None,
+    other: Path | None,
+    study: Path | None,
+    export: Path | None,
+    size_mib: float,
+    port: int,
+    no_browser: bool,
+) -> int:
+    """Look at the maps in DIR and plan on them, in a browser on this machine; Ctrl-C ends it."""
+    viewer = _viewer(folder, resolution_m, obstacles, other, study)
+    if export is not None:
+        from jaxurban.view.export import write_page
+
+        num_bytes = write_page(viewer, export, int(size_mib * 2**20))
+        tell(f"wrote {export} ({num_bytes / 2**20:.1f} MiB): open it in a browser")
+        return 0
+    from jaxurban.view.server import ViewerServer
+
+    with ViewerServer(viewer, port) as server:
+        tell(f"look at {server.url} (Ctrl-C ends it)")
+        if not no_browser:
+            import webbrowser
+
+            webbrowser.open(server.url)
+        try:
+            server.serve_forever()
+        except KeyboardInterrupt:
+            tell("the viewer has ended")
+    return 0
+
+
+def _viewer(
+    folder: Path, resolution_m: float | None, obstacles: str | None, other: Path | None, study: Path | None
+) -> "Viewer":
+    """Return the viewer of maps in a folder, which plans as the maps were made to be planned on."""
+    from jaxurban.maps.metric_maps import open_maps
+    from jaxurban.paths.constraints import CLEARANCES
+    from jaxurban.paths.vehicle import Vehicle
+    from jaxurban.studies.map_comparison.shared_part import shared_part
+    from jaxurban.view.outlines import Outlines
+    from jaxurban.view.plans import PlanDefaults
+    from jaxurban.view.study import WeightStudy
+    from jaxurban.view.viewer import Viewer
+
+    stored = stored_settings(folder)
+    maps = open_maps(folder, resolution_m, obstacles=stored_obstacles(stored, obstacles))  # type: ignore[arg-type]
+    planning: Settings = stored.get("planning", {})
+    clearance_m, vertical_clearance_m = (float(planning.get(name, 0.0)) for name in CLEARANCES)
+    defaults = PlanDefaults(
+        stored_weights(folder, stored),
+        stored_cost_model(stored, None),
+        clearance_m,
+        vertical_clearance_m,
+        Vehicle(**stored.get("vehicle", {})),
+        (str(folder), "--resolution", repr(maps.grid.resolution_m)),
+    )
+    others = None
+    if other is not None:
+        part = shared_part(maps, open_maps(other, maps.grid.resolution_m))
+        if part.a.grid != maps.grid or part.a.altitudes_m != maps.altitudes_m or part.a.times != maps.times:
+            raise InputError(f"the maps of {str(other)!r} do not hold every cell, altitude and time of {str(folder)!r}")
+        others = part.b
+    return Viewer(
+        maps,
+        others,
+        defaults=defaults,
+        study=None if study is None else WeightStudy.read(study),
+        outlines=Outlines(partial(_city, folder)) if stored else None,
+        names=(folder.resolve().name, "" if other is None else other.resolve().name),
+    )
+
+
+def _city(folder: Path) -> "City":
+    """Return the city that the maps in a folder were made of."""
+    from jaxurban.report.buildings import scenario_of
+    from jaxurban.scenario.run import load_city
+
+    return load_city(scenario_of(folder))

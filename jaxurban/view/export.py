@@ -1,0 +1,90 @@
+"""The viewer as one HTML file: the page with its answers inside, for whoever has neither Python nor the maps."""
+
+import base64
+import json
+from collections.abc import Iterator
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+from jaxurban.errors import InputError
+from jaxurban.io.files import check_writable, write_whole
+from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY
+from jaxurban.view.html import html_page
+from jaxurban.view.requests import Nothing, Shown
+from jaxurban.view.tiles import TILE, strides_of
+from jaxurban.view.viewer import Viewer
+
+SUFFIX = ".html"
+
+
+def write_page(viewer: Viewer, file: str | Path, most_bytes: int) -> int:
+    """Write the page with all maps of the viewer, as fine as a number of bytes allows, and return how many it has.
+
+    Every n-th cell is in it, the middle one of n x n; n is the smallest power of two that fits. It holds layers and
+    their values under the pointer; differences and routes need the maps.
+
+    Args:
+      viewer: of the maps.
+      file: ends in .html.
+      most_bytes: of the file.
+
+    Raises:
+      InputError: the file has another suffix or cannot be written, or even the coarsest page is larger.
+    """
+    file = Path(file)
+    if file.suffix.lower() != SUFFIX or file.is_dir():
+        raise InputError(f"the page {str(file)!r} must be a file that ends in {SUFFIX}")
+    check_writable(file.parent)
+    shape = viewer.maps.grid.shape
+    maps = list(_maps_of(viewer))
+    for stride in strides_of(shape):
+        if len(maps) * shape[0] * shape[1] / stride**2 / 8 > most_bytes:  # a map deflates to a few bits a cell or more
+            continue
+        page = _page(viewer, maps, stride, most_bytes)
+        if page is not None:
+            write_whole(file, page)
+            return len(page)
+    raise InputError(f"no page of these {len(maps)} maps has at most {most_bytes / 2**20:g} MiB: allow more (--size)")
+
+
+def _maps_of(viewer: Viewer) -> Iterator[Shown]:
+    """Yield every map of the first run."""
+    maps = viewer.maps
+    num = {
+        ALTITUDE: len(maps.altitudes_m),
+        TIME: len(maps.times) if maps.default_time is not None else 1,
+        TIME_OF_DAY: len(maps.times_of_day),
+    }
+    for name, layer in viewer.layers[0].items():
+        altitudes, times, days = (range(max(num[dim], 1) if dim in layer.dims else 1) for dim in num)
+        for at in product(altitudes, times, days):
+            yield Shown(layer=name, at=at)
+
+
+def _page(viewer: Viewer, maps: list[Shown], stride: int, most_bytes: int) -> bytes | None:
+    """Return the page with every map at one stride; None where it has more bytes."""
+    scene = viewer.scene(Nothing()) | {"strides": [stride], "has_outlines": False, "can_plan": False}
+    answers: dict[str, Any] = {_key("scene", {}): scene}
+    num_bytes = 0
+    num_rows, num_cols = (-(-size // (stride * TILE)) for size in viewer.maps.grid.shape)
+    for shown in maps:
+        told = {"layer": shown.layer, "at": list(shown.at), "minus": None}
+        answers[_key("legend", told)] = viewer.legend(shown)
+        for row, col in product(range(num_rows), range(num_cols)):
+            tile = told | {"stride": stride, "row": row, "col": col}
+            answers[_key("tile", tile)] = base64.b64encode(viewer.answer("tile", tile).body).decode()
+            num_bytes += len(answers[_key("tile", tile)])
+        if num_bytes > most_bytes:
+            return None
+    page = html_page(json.dumps(answers, separators=(",", ":"), default=_listed), viewer.names[0]).encode()
+    return page if len(page) <= most_bytes else None
+
+
+def _listed(value: Any) -> Any:
+    return value.tolist() if hasattr(value, "tolist") else dict(value)
+
+
+def _key(name: str, params: dict[str, Any]) -> str:
+    """Return what the page looks an answer up by: the request as its own script writes it."""
+    return name + json.dumps(params, separators=(",", ":"), ensure_ascii=False)

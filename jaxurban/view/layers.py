@@ -1,0 +1,254 @@
+"""The layers that the viewer draws: which there are, their values and their colours, which are those of our figures."""
+
+import base64
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+from matplotlib.colors import Normalize
+
+from jaxurban.errors import InputError, one_of
+from jaxurban.maps.metric_maps import MetricMaps
+from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY, high_is_bad
+from jaxurban.report.figures.colours import Colours, bar_ticks, ends_of, tick_label
+from jaxurban.report.figures.frame import NO_DATA_PATCH, OBSTACLE_COLOUR, round_length_m
+from jaxurban.report.figures.map_comparison import DIVERGING, SHOWN_SHARE
+from jaxurban.report.figures.metrics import (
+    BUILT_COLOUR,
+    EMPTY_COLOUR,
+    FREE_COLOUR,
+    HEIGHT_COLOUR_MAP,
+    density_colours,
+    drawn_names,
+    metric_colours,
+    roof_colours,
+    values_of,
+)
+from jaxurban.report.figures.paths import BLOCKED_COLOUR, COST_COLOURS
+from jaxurban.view.markup import legend
+
+H_NORM, COST_OF = "h_norm", "cost:"
+OBSTACLE, NOTHING = np.float32(-np.inf), np.float32(np.nan)  # how values travel: a cell in an obstacle; one not drawn
+BAR_IN = 2.6  # length of the colour bar on the page, which decides how many ticks have room
+ROOFS = {"roof": "Roofs, at the middle of a cell", "roof_touched": "Roofs, the highest that touches a cell"}
+GROUND = ROOFS | {"density": "People", "terrain": "Terrain"}
+UNITS = {"roof": "m", "roof_touched": "m", "terrain": "m", "density": "per km²"}
+HIDDEN = ("has_data",)
+
+
+@dataclass(frozen=True)
+class Place:
+    """Which of a layer's maps: altitude, time and time of day, None where a layer does not vary with it."""
+
+    altitude_m: float | None = None
+    time: str | None = None
+    time_of_day: str | None = None
+
+
+@dataclass(frozen=True)
+class Layer:
+    """A layer that can be drawn.
+
+    Attributes:
+      name: as requests name it.
+      heading: what it is called.
+      group: of the list that it stands in.
+      dims: of ``altitude``, ``time`` and ``time_of_day``, those that it varies with.
+      read: returns its values ``[Y, X]`` at a place.
+      colours: returns how these values are drawn.
+      zero: what a value of 0 means and its colour, where 0 is drawn apart.
+      blocked: colour of cells inside obstacles.
+      unit: of its values; "" for m, for counts and for dilutions of precision.
+    """
+
+    name: str
+    heading: str
+    group: str
+    dims: tuple[str, ...]
+    read: Callable[[Place], np.ndarray]
+    colours: Callable[[np.ndarray], Colours]
+    zero: tuple[str, str] | None = None
+    blocked: str = OBSTACLE_COLOUR
+    unit: str = ""
+
+    def values(self, maps: MetricMaps, at: Place) -> np.ndarray:
+        """Return ``[Y, X]`` float32; at an altitude `OBSTACLE` and `NOTHING` stand where there is no value."""
+        values = np.asarray(self.read(at), np.float32)
+        if ALTITUDE not in self.dims or self.name == "obstacle" or at.altitude_m is None:
+            return values
+        values = np.where(maps.is_free(at.altitude_m, "centre"), values, NOTHING)
+        is_blocked = (maps.m("obstacle", at.altitude_m) != 0) & maps.ds["has_data"].values
+        np.copyto(values, OBSTACLE, where=is_blocked)
+        return values
+
+
+def layers_of(maps: MetricMaps) -> dict[str, Layer]:
+    """Return every layer of these maps that can be drawn, by name, those that are looked at most first."""
+    found: dict[str, Layer] = {}
+
+    def add(name: str, *facts: Any, **options: Any) -> None:
+        found[name] = Layer(name, *facts, **options)
+
+    headings = drawn_names(maps)
+    for name in maps.metrics:
+        add(name, headings[name], "Metrics", _dims(maps, name), partial(_drawn, maps, name), _metric(maps, name))
+    flown = dict.fromkeys((ALTITUDE, *(dim for name in maps.metrics for dim in _dims(maps, name))))
+    add(H_NORM, "All costs together, H_norm", "Costs", tuple(flown), partial(_h_norm, maps), lambda _: COST_COLOURS)
+    found[H_NORM] = _blocked_in_ochre(found[H_NORM])
+    for name, metric in maps.metrics.items():
+        dims, read = _dims(maps, name), partial(_cost, maps, name)
+        label = f"c_{name}, cost before its weight (0: best, 1: worst)"
+        is_m = metric.cost is high_is_bad
+        scale = Colours(metric.colour_map if is_m else f"{metric.colour_map}_r", Normalize(0, 1), label)
+        add(f"{COST_OF}{name}", f"Cost of {metric.label}", "Costs", dims, read, lambda _, scale=scale: scale)
+    for name, heading in headings.items():
+        if name not in found and name != "obstacle":
+            add(name, heading, "Satellites", _dims(maps, name), partial(_drawn, maps, name), _metric(maps, name))
+    add("obstacle", headings["obstacle"], "Ground", (ALTITUDE,), partial(_drawn, maps, "obstacle"), _obstacles)
+    for name in [name for name in GROUND if name in maps.ds]:
+        zero = ("no building", EMPTY_COLOUR) if name in ROOFS else None
+        zero = ("no people in the data", EMPTY_COLOUR) if name == "density" else zero
+        scale_of = {"density": _people, "terrain": _terrain}.get(name, _roofs)
+        add(
+            name,
+            GROUND[name],
+            "Ground",
+            _dims(maps, name),
+            partial(_held, maps, name),
+            scale_of,
+            zero=zero,
+            unit=UNITS[name],
+        )
+    for name in [str(name) for name, array in maps.ds.data_vars.items() if array.dims[-2:] == ("y", "x")]:
+        if name not in found and name not in HIDDEN and maps.ds[name].dtype.kind in "fiub" and name != "gps_median":
+            unit = str(maps.ds[name].attrs.get("units", "1"))
+            read = partial(_held, maps, name)
+            add(name, name, "Further maps", _dims(maps, name), read, partial(_plain, f"{name} ({unit})"))
+    return found
+
+
+def _dims(maps: MetricMaps, name: str) -> tuple[str, ...]:
+    variable = maps.variable(name)
+    if variable not in maps.ds:  # the availability over several times, which is made here
+        return (ALTITUDE,)
+    return tuple(dim for dim in (ALTITUDE, TIME, TIME_OF_DAY) if dim in maps.ds[variable].dims)
+
+
+def _drawn(maps: MetricMaps, name: str, at: Place) -> np.ndarray:
+    if TIME_OF_DAY in _dims(maps, name) or at.altitude_m is None:
+        return _held(maps, name, at)
+    return values_of(maps, name, at.altitude_m, at.time)
+
+
+def _held(maps: MetricMaps, name: str, at: Place) -> np.ndarray:
+    return maps.m(name, at.altitude_m, time=at.time, time_of_day=at.time_of_day)
+
+
+def _cost(maps: MetricMaps, name: str, at: Place) -> np.ndarray:
+    return np.asarray(maps.metrics[name].cost(_held(maps, name, at)))
+
+
+def _h_norm(maps: MetricMaps, at: Place) -> np.ndarray:
+    altitude_m = maps.altitudes_m[0] if at.altitude_m is None else at.altitude_m
+    return maps.normalised(altitude_m, time=at.time, time_of_day=at.time_of_day)
+
+
+def _blocked_in_ochre(layer: Layer) -> Layer:
+    """Return a layer of greys, over which obstacles are drawn as our figures of costs draw them."""
+    return Layer(**{**vars(layer), "blocked": BLOCKED_COLOUR})
+
+
+def _metric(maps: MetricMaps, name: str) -> Callable[[np.ndarray], Colours]:
+    return lambda _: metric_colours(maps, name)
+
+
+def _people(values: np.ndarray) -> Colours:
+    return density_colours(ends_of(values)[1])
+
+
+def _roofs(values: np.ndarray) -> Colours:
+    scale = roof_colours(ends_of(values)[1])
+    return Colours(scale.cmap, scale.norm, "roof above ground (m)", scale.extend, scale.ticks)
+
+
+def _terrain(values: np.ndarray) -> Colours:
+    return _plain("elevation of the ground (m)", values, HEIGHT_COLOUR_MAP)
+
+
+def _plain(label: str, values: np.ndarray, colour_map: str = "viridis") -> Colours:
+    low, high = ends_of(values)
+    return Colours(colour_map, Normalize(low, high if high > low else low + 1), label)
+
+
+def _obstacles(values: np.ndarray) -> Colours:
+    raise InputError("obstacles are drawn by classes, not by a scale")
+
+
+def difference(values: np.ndarray, minus: np.ndarray) -> np.ndarray:
+    """Return ``[Y, X]`` values less others: `OBSTACLE` where one of them is, `NOTHING` where no number comes out."""
+    with np.errstate(invalid="ignore"):
+        found = values - minus
+    found[~np.isfinite(found)] = NOTHING
+    found[(values == OBSTACLE) | (minus == OBSTACLE)] = OBSTACLE
+    return found
+
+
+def difference_colours(values: np.ndarray) -> Colours:
+    """Return a scale as far on either side of 0, which holds `SHOWN_SHARE` of the cells that differ."""
+    size = np.abs(values[np.isfinite(values) & (values != 0)])
+    limit = round_length_m(max(float(np.quantile(size, SHOWN_SHARE)) if size.size else 1.0, 1e-12), down=False)
+    extend = "both" if size.size and float(size.max()) > limit else "neither"
+    label = "the first less the second (red: the first is higher)"
+    return Colours(DIVERGING, Normalize(-limit, limit), label, extend, (-limit, 0.0, limit))
+
+
+def legend_of(maps: MetricMaps, layer: Layer, values: np.ndarray, *, is_difference: bool = False) -> dict[str, Any]:
+    """Return how values become colours on the page, as JSON holds it.
+
+    ``edges`` has one number more than there are ``colours`` (base64, three bytes each): colour k is drawn from edge k
+    up to edge k + 1, the first and the last one beyond them too. ``flat`` are the colours of cells in obstacles, of
+    those without a value, and of a value of 0, where that is drawn apart; ``html`` is the legend.
+    """
+    has_classes = layer.name == "obstacle" and not is_difference
+    zero = None if is_difference else layer.zero
+    patches = [zero] if zero else []
+    patches += [("obstacle", layer.blocked)] if ALTITUDE in layer.dims and layer.name != "obstacle" else []
+    patches += [] if maps.ds["has_data"].values.all() else [NO_DATA_PATCH]
+    flat = {"flat": [layer.blocked, NO_DATA_PATCH[1], zero and zero[1]]}
+    if has_classes:
+        classes = [("free", FREE_COLOUR), ("obstacle", BUILT_COLOUR)]
+        colours = np.array([list(bytes.fromhex(colour[1:])) for _, colour in classes], np.uint8)
+        html = legend(layer.heading, colours, [], classes + patches)
+        return flat | {"edges": [-0.5, 0.5, 1.5], "colours": _text(colours), "ticks": [], "html": html}
+    scale = difference_colours(values) if is_difference else layer.colours(values)
+    steps = np.linspace(0, 1, 257)
+    colours = scale(np.asarray(scale.norm.inverse((steps[:-1] + steps[1:]) / 2)), bytes=True)[:, :3]
+    ticks = bar_ticks(scale, BAR_IN, is_lying=True)
+    texts = [tick_label(value) for value in ticks]
+    texts[0] = f"≤ {texts[0]}" if scale.extend in ("min", "both") else texts[0]
+    texts[-1] = f"≥ {texts[-1]}" if scale.extend in ("max", "both") else texts[-1]
+    marks = [(float(scale.norm(value)), text) for value, text in zip(ticks, texts, strict=True)]
+    shown = legend(plain_label(scale.label), colours[::8], marks, patches)
+    edges = np.asarray(scale.norm.inverse(steps), float).tolist()
+    return flat | {"edges": edges, "colours": _text(colours), "ticks": ticks, "html": shown}
+
+
+def find_layer(layers: Mapping[str, Layer], name: Any) -> Layer:
+    """Return a layer by its name.
+
+    Raises:
+      InputError: there is none.
+    """
+    return layers[one_of("layer", name, layers)]
+
+
+def plain_label(label: str) -> str:
+    """Return a label of matplotlib without its mathematics: ``m_gps``."""
+    return re.sub(r"\$(\w)_\\mathrm\{(\w+)\}\$", r"\1_\2", label).replace("\n", " ")
+
+
+def _text(colours: np.ndarray) -> str:
+    return base64.b64encode(colours.tobytes()).decode("ascii")

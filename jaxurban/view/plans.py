@@ -1,0 +1,243 @@
+"""Routes for the viewer: planned as ``jaxurban plan`` does, on cost maps that are kept while only weights change."""
+
+import json
+import shlex
+import tempfile
+from collections import OrderedDict
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass, field, replace
+from pathlib import Path as FilePath
+from threading import RLock
+from typing import Any, TypeVar
+
+import numpy as np
+
+from jaxurban.errors import InputError
+from jaxurban.maps.metric_maps import MetricMaps
+from jaxurban.metrics.weights import Weights
+from jaxurban.paths.cautions import cautions
+from jaxurban.paths.constraints import Constraints
+from jaxurban.paths.cost_map import CostMap, cost_map
+from jaxurban.paths.explain import RouteReport, explain
+from jaxurban.paths.export.write import FORMATS, WAYPOINTS
+from jaxurban.paths.path import PlannedPath
+from jaxurban.paths.simplify import simplify
+from jaxurban.paths.vehicle import Vehicle
+from jaxurban.planners.base import CostModel, Problem
+from jaxurban.planners.heuristics import AUTO
+from jaxurban.planners.registry import PLANNERS, find_planner
+from jaxurban.view.layers import Place
+from jaxurban.view.requests import Plan
+from jaxurban.view.tiles import middles
+
+ZONES_FILE = "zones.geojson"  # what the page saves drawn zones as, and the command names
+BUDGET_S, SAMPLING_BUDGET_S = 30.0, 2.0  # sampling planners take all that they may
+COARSE_CELLS = 150_000  # of the level that is planned on while something is dragged
+NUM_COST_MAPS, NUM_ROUTES = 2, 16  # that are kept
+Made = TypeVar("Made")
+
+
+@dataclass(frozen=True)
+class PlanDefaults:
+    """What routes are planned under where the page says nothing else; for maps of a run, its ``[planning]``.
+
+    Attributes:
+      weights: where the sliders start.
+      cost_model: its kind is where the page starts, all else of it stays.
+      clearance_m: where the page starts.
+      vertical_clearance_m, vehicle: of every route.
+      command: the folder and the resolution, as ``jaxurban plan`` takes them; empty for maps in memory.
+    """
+
+    weights: Weights = field(default_factory=Weights)
+    cost_model: CostModel = field(default_factory=CostModel)
+    clearance_m: float = 0.0
+    vertical_clearance_m: float = 0.0
+    vehicle: Vehicle = field(default_factory=Vehicle)
+    command: tuple[str, ...] = ()
+
+
+class Plans:
+    """Plans routes over maps, one at a time; threads wait for each other."""
+
+    def __init__(self, maps: MetricMaps, defaults: PlanDefaults) -> None:
+        self.maps, self.defaults = maps, defaults
+        self._lock = RLock()
+        self._cost_maps: OrderedDict[Hashable, CostMap] = OrderedDict()
+        self._coarse: OrderedDict[Hashable, Problem] = OrderedDict()
+        self._routes: OrderedDict[Hashable, tuple[PlannedPath, CostMap]] = OrderedDict()
+        self._reports: OrderedDict[Hashable, RouteReport] = OrderedDict()
+
+    def route(self, query: Plan, at: Place) -> tuple[PlannedPath, CostMap]:
+        """Return the route that is asked for, and the cost map that it lies on.
+
+        Raises:
+          InputError: as for `jaxurban.plan`.
+        """
+
+        def make() -> tuple[PlannedPath, CostMap]:
+            on = self._cost_map(query, at)
+            heuristic, budget_s = _search_of(query.planner)
+            found = on.plan(
+                query.start, query.goal, planner=query.planner, heuristic=heuristic, budget_s=budget_s, snap=query.snap
+            )
+            return found, on
+
+        with self._lock:
+            return _kept(self._routes, query.model_dump_json(), NUM_ROUTES, make)
+
+    def coarse_route(self, query: Plan, at: Place) -> tuple[np.ndarray, float]:
+        """Return the ``[N, 2]`` easting and northing of the cheapest route over every n-th cell, and how long they are.
+
+        What is shown while a slider or an end is dragged: under the cost model ``cell`` each of the larger steps counts
+        for the n that it stands for. The ends lie where they were asked for. Empty where those cells do not join them.
+        """
+        with self._lock:
+            on = self._cost_map(query, at)
+            grid, stride = on.grid, 1
+            while on.is_free.size > COARSE_CELLS * stride**2:
+                stride *= 2
+            rows, cols = (middles(size, stride) for size in grid.shape)
+            problem = _kept(self._coarse, self._key(query, at), NUM_COST_MAPS, lambda: _thinned(on, rows, cols, stride))
+            weights = on.weight_vector.copy()
+            weights[1:] *= stride if on.cost_model.kind == "cell" else 1
+            ends = [on.cell_of(name, place) for name, place in (("start", query.start), ("goal", query.goal))]
+            free = np.argwhere(problem.is_free)
+            nearest = [free[np.abs(free - np.array(cell) // stride).max(axis=1).argmin()].tolist() for _, cell in ends]
+            asked = problem.with_weights(weights).between(*(tuple(cell) for cell in nearest))
+            found = find_planner("astar-plus", "plus")(asked, budget_s=BUDGET_S, seed=0)
+            if not found.status.has_path:  # streets narrower than the large cells may join what these do not
+                return np.empty((0, 2)), stride * grid.resolution_m
+            corner = np.array([grid.x_min_m, grid.y_min_m])
+            points = [np.array([xy_m]) for xy_m, _ in ends]
+            return np.concatenate([points[0], found.points_m + corner, points[1]]), stride * grid.resolution_m
+
+    def report(self, query: Plan, at: Place) -> tuple[RouteReport, PlannedPath, list[str]]:
+        """Return a route explained, the route, and what its pilot should know (`cautions`).
+
+        Raises:
+          InputError: there is no route.
+        """
+        with self._lock:
+            planned, on = self.route(query, at)
+            found = _kept(self._reports, query.model_dump_json(), NUM_ROUTES, lambda: explain(planned, on.maps))
+            return found, planned, cautions(planned, on.maps, found.profile)
+
+    def file(self, query: Plan, at: Place, suffix: str) -> bytes:
+        """Return a route as ``jaxurban plan -o`` writes it; as waypoints, simplified by half a cell.
+
+        Raises:
+          InputError: there is no route.
+        """
+        with self._lock:
+            planned, on = self.route(query, at)
+            if not planned.status.has_path:
+                raise InputError(f"there is no route to save: {planned.status.sentence}")
+            if suffix in WAYPOINTS:
+                planned = simplify(planned, on, on.grid.resolution_m / 2)
+            return FORMATS[suffix]([("", planned)], None)
+
+    def command(self, query: Plan, at: Place) -> str:
+        """Return the command that gives the same route, coordinate for coordinate; empty for maps in memory.
+
+        (Of a planner that stops when its time is over, `SAMPLING_BUDGET_S`, another run may come further.)
+        """
+        if not self.defaults.command:
+            return ""
+        folder, *resolution = self.defaults.command
+        heuristic, budget_s = _search_of(query.planner)
+        values = {
+            "--start": ",".join(map(repr, query.start)),
+            "--goal": ",".join(map(repr, query.goal)),
+            "--altitude": repr(at.altitude_m),
+            "--time": at.time,
+            "--time-of-day": at.time_of_day,
+            "--weights": ",".join(f"{name}={value!r}" for name, value in query.weights.items()),
+            "--planner": query.planner,
+            "--heuristic": heuristic,
+            "--objective": "weighted",
+            "--budget": repr(budget_s),
+            "--seed": "0",
+            "--cost-model": query.cost_model,
+            "--obstacles": query.obstacles,
+            "--clearance": repr(query.clearance_m),
+            "--no-fly": ZONES_FILE if query.zones else None,
+        }
+        given = [part for name, value in values.items() if value is not None for part in (name, value)]
+        return shlex.join(["jaxurban", "plan", folder, *resolution, *given, *(["--snap"] if query.snap else [])])
+
+    def _cost_map(self, query: Plan, at: Place) -> CostMap:
+        """Return the cost map of a query; what does not depend on the weights is made once."""
+        weights = Weights.of({**self.defaults.weights.to_dict(), **query.weights})
+        on = _kept(self._cost_maps, self._key(query, at), NUM_COST_MAPS, lambda: self._made(query, at))
+        return on.with_weights(weights)
+
+    def _key(self, query: Plan, at: Place) -> Hashable:
+        return at, query.cost_model, query.obstacles, query.clearance_m, query.zones
+
+    def _made(self, query: Plan, at: Place) -> CostMap:
+        settings = self.defaults.cost_model.settings | {"cost_model": query.cost_model}
+        if at.altitude_m is None:
+            raise InputError("these maps hold no altitude to plan at")
+        return cost_map(
+            self.maps.with_obstacles(query.obstacles),
+            at.altitude_m,
+            cost_model=CostModel.from_settings(settings),
+            time=at.time,
+            time_of_day=at.time_of_day,
+            constraints=self._constraints(query),
+        )
+
+    def _constraints(self, query: Plan) -> Constraints:
+        """Return what closes cells: drawn zones are read from a file as those of the command are."""
+        defaults = self.defaults
+        kept = Constraints((), (), query.clearance_m, defaults.vertical_clearance_m, defaults.vehicle)
+        if not query.zones:
+            return kept
+        _check_zones(query.zones)
+        with tempfile.TemporaryDirectory() as folder:
+            file = FilePath(folder) / ZONES_FILE
+            file.write_text(query.zones, encoding="utf-8")
+            return replace(kept, zones=Constraints.read(file).zones)
+
+
+def _kept(held: OrderedDict[Hashable, Made], key: Hashable, most: int, make: Callable[[], Made]) -> Made:
+    """Return what is held under a key, made if it is not; the ones used last are held."""
+    if key not in held:
+        held[key] = make()
+    held.move_to_end(key)
+    while len(held) > most:
+        held.popitem(last=False)
+    return held[key]
+
+
+def _search_of(planner: str) -> tuple[str | None, float]:
+    """Return heuristic and budget: never one that depends on how many routes were planned before."""
+    find_planner(planner)
+    default = PLANNERS[planner].default_heuristic
+    takes_all = planner.startswith("bitstar") or planner == "astar-anytime"
+    return ("plus" if default == AUTO else None), (SAMPLING_BUDGET_S if takes_all else BUDGET_S)
+
+
+def _thinned(on: CostMap, rows: np.ndarray, cols: np.ndarray, stride: int) -> Problem:
+    is_free = on.is_free[np.ix_(rows, cols)]
+    if not is_free.any():
+        raise InputError("no cell is free at this altitude: fly higher, or loosen the constraints")
+    first = tuple(np.argwhere(is_free)[0].tolist())
+    costs, side_m = on.costs[:, rows[:, None], cols], stride * on.grid.resolution_m
+    return Problem(costs, is_free, first, first, side_m, on.weight_vector, on.cost_model)
+
+
+def _check_zones(text: str) -> None:
+    """Raise InputError unless a text is a GeoJSON collection of polygons in longitude and latitude."""
+    try:
+        features: Any = json.loads(text)["features"]
+        rings = [ring for each in features for ring in each["geometry"]["coordinates"]]
+        points = np.array([point for ring in rings for point in ring], float)
+        are_polygons = all(each["geometry"]["type"] == "Polygon" for each in features)
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
+        raise InputError("zones must be a GeoJSON FeatureCollection of polygons") from error
+    if not (are_polygons and points.ndim == 2 and points.shape[1] == 2 and np.isfinite(points).all()):
+        raise InputError("zones must be polygons of longitude and latitude")
+    if np.abs(points).max() > 180:
+        raise InputError("zones must be polygons of longitude and latitude, in degrees")

@@ -1,0 +1,105 @@
+"""What the page may ask for: the parameters of each request, checked before anything is done."""
+
+from typing import Annotated, Any, Literal, get_args
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from jaxurban.errors import InputError
+from jaxurban.maps.metric_maps import Obstacles
+from jaxurban.planners.base import CostKind
+
+MOST_LETTERS = 64 * 1024  # of zones
+Index = Annotated[int, Field(ge=0, le=10**6)]
+Name = Annotated[str, Field(max_length=100)]
+Degrees = Annotated[float, Field(ge=-360, le=360)]
+Metres = Annotated[float, Field(ge=0, le=10**5)]
+Weight = Annotated[float, Field(ge=0, le=10**30)]
+
+
+class Request(BaseModel):
+    """Parameters of a request; those that are not known are refused."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class Nothing(Request):
+    """No parameters."""
+
+
+class Which(Request):
+    """A map: its layer, and the numbers of its altitude, time and time of day in the lists of the scene."""
+
+    layer: Name
+    at: tuple[Index, Index, Index]
+    run: Index = 0
+
+
+class Shown(Request):
+    """What is drawn: a map, or what is left of it after another is taken off."""
+
+    layer: Name
+    at: tuple[Index, Index, Index]
+    minus: Which | None = None
+
+
+class Tile(Shown):
+    """A tile of it (`jaxurban.view.tiles`)."""
+
+    stride: Index
+    row: Index
+    col: Index
+
+
+class Cell(Request):
+    """A cell, at an altitude, time and time of day."""
+
+    at: tuple[Index, Index, Index]
+    row: Index
+    col: Index
+
+
+class Box(Request):
+    """A part of the region, metres from its southwest corner."""
+
+    west: float
+    south: float
+    east: float
+    north: float
+
+
+class Plan(Request):
+    """A route that is wanted; `jaxurban.plan` names the same.
+
+    ``zones`` is GeoJSON of the no-fly zones drawn, as text.
+    """
+
+    start: tuple[Degrees, Degrees]
+    goal: tuple[Degrees, Degrees]
+    at: tuple[Index, Index, Index]
+    weights: dict[Name, Weight]
+    planner: Name = "astar-plus"
+    cost_model: Literal[get_args(CostKind)] = "cell"  # type: ignore[valid-type]
+    obstacles: Literal[get_args(Obstacles)] = "touched"  # type: ignore[valid-type]
+    clearance_m: Metres = 0.0
+    snap: bool = True
+    zones: Annotated[str, Field(max_length=MOST_LETTERS)] = ""
+
+
+class Save(Plan):
+    """A route as a file of a format."""
+
+    format: Literal["geojson", "kml", "plan", "gpx"]
+
+
+def parse(kind: type[Request], given: Any) -> Any:
+    """Return the parameters of a request.
+
+    Raises:
+      InputError: they are not those of its kind.
+    """
+    try:
+        return kind.model_validate(given)
+    except ValidationError as error:
+        first = error.errors(include_url=False, include_input=False)[0]
+        where = ".".join(str(part)[:40] for part in first["loc"]) or "the request"
+        raise InputError(f"{where}: {first['msg']}") from error

@@ -1,0 +1,170 @@
+"""The viewer for a browser on this machine: Python's own server, which serves one page and answers its requests.
+
+No file is ever served by its name. A request must name this host, as a page of another site that resolves to
+127.0.0.1 would not, and must not come from a page of another origin.
+"""
+
+import json
+import logging
+from http import HTTPStatus
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from typing import Any
+
+from jaxurban.errors import InputError, JaxurbanError
+from jaxurban.view.html import html_page, policy_of
+from jaxurban.view.viewer import JSON, Answer, Viewer
+
+HOST = "127.0.0.1"
+MOST_BODY = 128 * 1024  # bytes of a request
+PATIENCE_S = 20.0  # for a request's bytes
+ASK = "/ask/"
+LOG = logging.getLogger("jaxurban")
+
+
+class _RefusedError(Exception):
+    def __init__(self, status: HTTPStatus, sentence: str) -> None:
+        super().__init__(sentence)
+        self.status = status
+
+
+class ViewerServer(ThreadingHTTPServer):
+    """Serves one viewer.
+
+    Args:
+      viewer: what answers.
+      port: 0 for any that is free.
+      host: to listen at.
+
+    Raises:
+      InputError: the port is taken, or cannot be listened at.
+    """
+
+    daemon_threads = True
+    request_queue_size = 64
+
+    def __init__(self, viewer: Viewer, port: int = 0, host: str = HOST) -> None:
+        self.viewer = viewer
+        self.page = html_page()
+        try:
+            super().__init__((host, port), _Handler)
+        except (OSError, OverflowError) as error:
+            raise InputError(f"cannot listen at {host}:{port} ({error}): name another --port") from error
+        names = {host, HOST, "localhost"}
+        self.hosts = {f"{name}:{self.server_port}" for name in names}
+
+    @property
+    def url(self) -> str:
+        """Where the page is."""
+        return f"http://{self.server_address[0]!s}:{self.server_port}/"
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Pass over a browser that has left."""
+
+
+class _Handler(BaseHTTPRequestHandler):
+    server: ViewerServer
+    protocol_version = "HTTP/1.1"
+    server_version, sys_version = "jaxurban", ""
+    timeout = PATIENCE_S
+
+    def do_GET(self) -> None:
+        self._give(self._page)
+
+    def do_HEAD(self) -> None:
+        self._give(self._page)
+
+    def do_POST(self) -> None:
+        self._give(self._answer)
+
+    def _page(self) -> Answer:
+        if self.path != "/":
+            raise _RefusedError(HTTPStatus.NOT_FOUND, "there is one page here, /")
+        return Answer("text/html; charset=utf-8", self.server.page.encode())
+
+    def _answer(self) -> Answer:
+        if not self.path.startswith(ASK):
+            raise _RefusedError(HTTPStatus.NOT_FOUND, f"requests go to {ASK}NAME")
+        if self.headers.get_content_type() != JSON:
+            raise _RefusedError(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, f"a request is {JSON}")
+        given = self._body()
+        try:
+            params = json.loads(given)
+        except (ValueError, RecursionError) as error:
+            raise _RefusedError(HTTPStatus.BAD_REQUEST, "the request is no JSON") from error
+        return self.server.viewer.answer(self.path.removeprefix(ASK)[:40], params)
+
+    def _body(self) -> bytes:
+        if "Transfer-Encoding" in self.headers:
+            raise _RefusedError(HTTPStatus.LENGTH_REQUIRED, "give the length of the request")
+        lengths = self.headers.get_all("Content-Length") or [""]
+        if len(lengths) > 1 or not (lengths[0].isascii() and lengths[0].isdigit()):
+            raise _RefusedError(HTTPStatus.LENGTH_REQUIRED, "give the length of the request")
+        if len(lengths[0]) > 9 or int(lengths[0]) > MOST_BODY:
+            raise _RefusedError(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"a request is at most {MOST_BODY} bytes")
+        body = self.rfile.read(int(lengths[0]))
+        if len(body) < int(lengths[0]):
+            raise _RefusedError(HTTPStatus.BAD_REQUEST, "the request ended early")
+        return body
+
+    def _check_sender(self) -> None:
+        if self.headers.get_all("Host") is None or self.headers.get_all("Host") != [self.headers["Host"]]:
+            raise _RefusedError(HTTPStatus.BAD_REQUEST, "name one Host")
+        if self.headers["Host"] not in self.server.hosts:
+            raise _RefusedError(HTTPStatus.FORBIDDEN, "this server answers to its own name alone")
+        origins = self.headers.get_all("Origin") or []
+        if any(origin not in {f"http://{host}" for host in self.server.hosts} for origin in origins):
+            raise _RefusedError(HTTPStatus.FORBIDDEN, "this server answers its own page alone")
+
+    def _give(self, make: Any) -> None:
+        """Send what is made, or in one sentence why it is not."""
+        try:
+            self._check_sender()
+            status, answer = HTTPStatus.OK, make()
+        except _RefusedError as refused:
+            self.close_connection = True  # its body may be unread
+            status, answer = refused.status, _sentence(refused)
+        except InputError as error:
+            status, answer = HTTPStatus.BAD_REQUEST, _sentence(error)
+        except (ConnectionError, TimeoutError):
+            self.close_connection = True
+            return
+        except MemoryError:
+            status, answer = HTTPStatus.SERVICE_UNAVAILABLE, Answer("text/plain", b"memory ran out")
+        except Exception as error:
+            LOG.warning(f"the viewer failed to answer {self.path[:60]!r}: {type(error).__name__}: {error}")
+            status = HTTPStatus.INTERNAL_SERVER_ERROR
+            answer = _sentence(JaxurbanError("that failed: see where the server runs"))
+        self.send_response(status)
+        self.send_header("Content-Type", answer.kind)
+        self.send_header("Content-Length", str(len(answer.body)))
+        self.send_header("X-Content-Type-Options", "nosniff")
+        self.send_header("Cache-Control", "no-store")
+        self.send_header("Referrer-Policy", "no-referrer")
+        self.send_header("Content-Security-Policy", policy_of(self.server.page, "'self'"))
+        if self.close_connection:
+            self.send_header("Connection", "close")
+        self.end_headers()
+        if self.command != "HEAD":
+            self.wfile.write(answer.body)
+
+    def send_error(self, code: int, message: str | None = None, explain: str | None = None) -> None:
+        """Refuse what is no proper request, in a sentence."""
+        self.close_connection = True
+        status = HTTPStatus.METHOD_NOT_ALLOWED if code == HTTPStatus.NOT_IMPLEMENTED else HTTPStatus(code)
+        if status >= HTTPStatus.INTERNAL_SERVER_ERROR:
+            status = HTTPStatus.BAD_REQUEST
+        body = (message or status.phrase)[:200].encode("utf-8", "replace")
+        self.send_response(status)
+        self.send_header("Content-Type", "text/plain; charset=utf-8")
+        self.send_header("Content-Length", str(len(body)))
+        self.send_header("Connection", "close")
+        self.end_headers()
+        if self.command != "HEAD":
+            self.wfile.write(body)
+
+    def log_message(self, format: str, *args: Any) -> None:
+        """Say nothing of requests."""
+
+
+def _sentence(error: Exception) -> Answer:
+    return Answer("text/plain; charset=utf-8", str(error).encode("utf-8", "replace"))

@@ -1,0 +1,338 @@
+"""Viewer: maps and what answers the page about them, whichever door it came in by."""
+
+import json
+import math
+from collections.abc import Callable, Mapping
+from functools import cached_property
+from html import escape
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from jaxurban.errors import InputError, one_of
+from jaxurban.maps.metric_maps import MetricMaps
+from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY
+from jaxurban.paths.profile import without_fix
+from jaxurban.planners.registry import PLANNERS
+from jaxurban.report.figures.metrics import DOP_NAMES, line_colour
+from jaxurban.report.figures.notes import place_said, time_said
+from jaxurban.report.figures.paths import planner_colours
+from jaxurban.view.coordinates import LonLatFit
+from jaxurban.view.layers import (
+    H_NORM,
+    Layer,
+    Place,
+    difference,
+    find_layer,
+    layers_of,
+    legend_of,
+)
+from jaxurban.view.markup import costs, layer_options, number, options, planners, profile, rows, sliders
+from jaxurban.view.outlines import Outlines
+from jaxurban.view.plans import PlanDefaults, Plans
+from jaxurban.view.requests import Box, Cell, Nothing, Plan, Request, Save, Shown, Tile, Which, parse
+from jaxurban.view.study import WeightStudy
+from jaxurban.view.tiles import TILE, Kept, strides_of, tile_bytes
+
+JSON, BYTES = "application/json", "application/octet-stream"
+BLOCK = 128  # cells a side that are read at once for the values under the pointer
+PLANNER_LINES = {**planner_colours(PLANNERS), "astar-plus": "#d62728"}
+TOTALS = {  # of `RouteReport.totals`, as the page shows them
+    "length_m": ("Length", "m"),
+    "cost": ("Cost", ""),
+    "people_overflown": ("People overflown", ""),
+    "under_4_satellites_m": ("Under 4 satellites", "m"),
+    "nearest_wall_m": ("Least clearance", "m"),
+    "least_over_roofs_m": ("Least over roofs", "m"),
+    "time_s": ("Time", "s"),
+    "energy_wh": ("Energy", "Wh"),
+}
+
+
+class Answer(NamedTuple):
+    """What a request gives."""
+
+    kind: str
+    body: bytes
+
+
+class Viewer:
+    """Maps, or two sets of them, and the answers to what the page asks.
+
+    Args:
+      maps: that are looked at and planned on.
+      other: further maps of the same cells, altitudes and times, whose layers can be taken off.
+      defaults: what routes are planned under at first.
+      study: of the weights of a route over these maps.
+      outlines: of the buildings.
+      names: what the maps, and the others, are called.
+    """
+
+    def __init__(
+        self,
+        maps: MetricMaps,
+        other: MetricMaps | None = None,
+        *,
+        defaults: PlanDefaults | None = None,
+        study: WeightStudy | None = None,
+        outlines: Outlines | None = None,
+        names: tuple[str, ...] = ("the maps", "the other maps"),
+    ) -> None:
+        self.runs = [maps] if other is None else [maps, other]
+        self.names, self.study, self.outlines = names[: len(self.runs)], study, outlines or Outlines()
+        self.plans = Plans(maps, defaults or PlanDefaults())
+        self.layers = [layers_of(each) for each in self.runs]
+        self.kept = Kept()
+        self._answers: dict[str, tuple[type[Request], Callable[[Any], Any]]] = {
+            "scene": (Nothing, self.scene),
+            "legend": (Shown, self.legend),
+            "tile": (Tile, self.tile),
+            "values": (Cell, self.values_at),
+            "plan": (Plan, self.plan),
+            "coarse": (Plan, self.coarse),
+            "report": (Plan, self.report),
+            "save": (Save, self.save),
+            "outlines": (Box, self.outlines_in),
+            "study": (Nothing, self.weights),
+        }
+
+    @property
+    def maps(self) -> MetricMaps:
+        """The maps that are planned on."""
+        return self.runs[0]
+
+    def answer(self, name: Any, params: Any) -> Answer:
+        """Return what a request gives: JSON, or the bytes of a tile or a file.
+
+        Raises:
+          InputError: no such request, or parameters that it does not take.
+        """
+        kind, make = self._answers[one_of("the request", name, self._answers)]
+        made = make(parse(kind, params))
+        return Answer(BYTES, made) if isinstance(made, bytes) else Answer(JSON, as_json(made))
+
+    def scene(self, _: Nothing) -> dict[str, Any]:
+        """Return what the page must know before it asks for anything else; ``html`` fills its places by name."""
+        grid, maps, defaults, layers = self.maps.grid, self.maps, self.plans.defaults, self.layers[0]
+        names = ("distance", *maps.metrics)
+        north_deg = math.degrees(grid.convergence_rad(*grid.centre_lonlat))
+        return {
+            "rows": grid.num_rows,
+            "cols": grid.num_cols,
+            "resolution_m": grid.resolution_m,
+            "corner_m": [grid.x_min_m, grid.y_min_m],
+            "lonlat": self.fit.to_dict(),
+            "north_deg": -north_deg,
+            "layers": [
+                {"name": name, "heading": layer.heading, "group": layer.group, "dims": layer.dims, "unit": layer.unit}
+                for name, layer in layers.items()
+            ],
+            "tile": TILE,
+            "strides": strides_of(grid.shape),
+            "weights": {name: float(defaults.weights[name]) for name in names},
+            "planner_colours": PLANNER_LINES,
+            "fields": {
+                "cost_model": defaults.cost_model.kind,
+                "obstacles": maps.obstacles,
+                "clearance_m": defaults.clearance_m,
+            },
+            "has_outlines": self.outlines.are_there,
+            "has_study": self.study is not None,
+            "can_plan": True,
+            "html": self._texts(north_deg),
+        }
+
+    def _texts(self, north_deg: float) -> dict[str, str]:
+        """Return the texts and lists of the page by the names of their places."""
+        grid, maps, layers = self.maps.grid, self.maps, self.layers[0]
+        cells = f"{grid.num_rows:,} × {grid.num_cols:,} cells of {grid.resolution_m:g} m"
+        summaries = {name: entry.summary for name, entry in PLANNERS.items()}
+        first = next((name for name in ("gps", H_NORM) if name in layers), next(iter(layers)))
+        north = f"true north {abs(north_deg):.2f}° {'west' if north_deg > 0 else 'east'} of the grid's north"
+        lists = {
+            "altitude": options(f"{z_m:g} m" for z_m in maps.altitudes_m),
+            "day": options(maps.times_of_day),
+            "time": options(map(time_said, maps.times)) if maps.default_time is not None else "",
+            "layer": layer_options(((name, each.heading, each.group) for name, each in layers.items()), first),
+        }
+        return {
+            "title": escape(self.names[0]),
+            "place": "<br>".join([place_said(grid), f"{cells} · {grid.crs}", north]),
+            "credit": escape(maps.ds.attrs.get("attribution", "")),
+            "sliders": sliders(self._labels, self._colours),
+            "planners": planners(summaries, PLANNER_LINES, "astar-plus"),
+            "minus-run": options(self.names),
+            **lists,
+            **{f"minus-{name}": text for name, text in lists.items()},
+        }
+
+    @cached_property
+    def _labels(self) -> dict[str, str]:
+        return {"distance": "Distance"} | {name: metric.label for name, metric in self.maps.metrics.items()}
+
+    @cached_property
+    def _colours(self) -> dict[str, str]:
+        return {name: line_colour(name) for name in self._labels}
+
+    @cached_property
+    def fit(self) -> LonLatFit:
+        """Longitude and latitude over the region."""
+        return LonLatFit.of(self.maps.grid)
+
+    def place(self, at: tuple[int, int, int], dims: tuple[str, ...] = (ALTITUDE, TIME, TIME_OF_DAY)) -> Place:
+        """Return altitude, time and time of day by their numbers, those of the dims alone.
+
+        Raises:
+          InputError: a number beyond the list.
+        """
+        maps = self.maps
+        times = maps.times if maps.default_time is not None else ()
+        lists = {ALTITUDE: maps.altitudes_m, TIME: times, TIME_OF_DAY: maps.times_of_day}
+        chosen: list[Any] = []
+        for (dim, held), index in zip(lists.items(), at, strict=True):
+            if dim in dims and held and index >= len(held):
+                raise InputError(f"{dim} {index} is not there: these maps hold {len(held)}, numbered from 0")
+            chosen.append(held[index] if dim in dims and held else None)
+        return Place(*chosen)
+
+    def values(self, which: Which) -> np.ndarray:
+        """Return the values ``[Y, X]`` of a map as they travel (`Layer.values`)."""
+        if which.run >= len(self.runs):
+            raise InputError(f"run {which.run} is not there: {len(self.runs)} are shown, numbered from 0")
+        maps, layers = self.runs[which.run], self.layers[which.run]
+        layer = find_layer(layers, which.layer)
+        at = self.place(which.at, layer.dims)
+        return self.kept.get((which.run, which.layer, at), lambda: layer.values(maps, at))
+
+    def shown(self, shown: Shown) -> np.ndarray:
+        """Return the values ``[Y, X]`` that are drawn."""
+        first = Which(layer=shown.layer, at=shown.at)
+        if shown.minus is None:
+            return self.values(first)
+        minus, key = shown.minus, ("difference", first.model_dump_json(), shown.minus.model_dump_json())
+        parts = self.values(first), self.values(minus)
+        return self.kept.get(key, lambda: difference(*parts))
+
+    def legend(self, shown: Shown) -> dict[str, Any]:
+        """Return how these values become colours (`legend_of`)."""
+        layer = find_layer(self.layers[0], shown.layer)
+        return legend_of(self.maps, layer, self.shown(shown), is_difference=shown.minus is not None)
+
+    def tile(self, tile: Tile) -> bytes:
+        """Return a tile of what is drawn (`tile_bytes`)."""
+        return tile_bytes(self.shown(tile), tile.stride, tile.row, tile.col)
+
+    def values_at(self, cell: Cell) -> list[dict[str, Any]]:
+        """Return the value of every layer in a cell: name, heading, value (None for none) and unit."""
+        grid = self.maps.grid
+        if not (cell.row < grid.num_rows and cell.col < grid.num_cols):
+            raise InputError(f"the cell {cell.row}, {cell.col} is outside: there are {grid.num_rows} x {grid.num_cols}")
+        found = []
+        for name, layer in self.layers[0].items():
+            if layer.group == "Costs" and name != H_NORM:
+                continue
+            value = self._value_in(layer, cell)
+            heading = name.upper() if name in DOP_NAMES else layer.heading
+            told = {"name": name, "heading": heading, "group": layer.group, "unit": layer.unit}
+            found.append(told | {"value": _number(value)})
+            if name == "density":
+                in_cell = {"name": "people", "heading": "People in the cell", "unit": ""}
+                found.append(told | in_cell | {"value": _number(value * grid.resolution_m**2 / 1e6)})
+        return found
+
+    def _value_in(self, layer: Layer, cell: Cell) -> float:
+        """Return a layer's value in a cell; of maps on disk a block around it is read and kept."""
+        at = self.place(cell.at, layer.dims)
+        variable = self.maps.variable(layer.name)
+        if variable not in self.maps.ds:
+            found = self.values(Which(layer=layer.name, at=cell.at))[cell.row, cell.col]
+            return float(found) if np.isfinite(found) else math.nan
+        array = self.maps.ds[variable]
+        row, col = cell.row // BLOCK * BLOCK, cell.col // BLOCK * BLOCK
+        numbers = {
+            dim: held.index(value)
+            for dim, held, value in zip(
+                (ALTITUDE, TIME, TIME_OF_DAY),
+                (self.maps.altitudes_m, self.maps.times, self.maps.times_of_day),
+                (at.altitude_m, at.time, at.time_of_day),
+                strict=True,
+            )
+            if dim in array.dims and value is not None
+        }
+        part = {"y": slice(row, row + BLOCK), "x": slice(col, col + BLOCK)}
+        block = self.kept.get(("block", layer.name, at, row, col), lambda: array.isel(numbers | part).values)
+        return float(block[cell.row - row, cell.col - col])
+
+    def plan(self, query: Plan) -> dict[str, Any]:
+        """Return a route: its points, cost and message, and the command that gives the same."""
+        at = self.place(query.at)
+        planned, _ = self.plans.route(query, at)
+        has_path = planned.status.has_path
+        return {
+            "planner": query.planner,
+            "has_path": has_path,
+            "xy_m": planned.xy_m,
+            "cost": _number(planned.cost),
+            "cost_by_layer": planned.cost_by_layer,
+            "text": f"cost {number(planned.cost)} · {planned.length_m / 1000:.2f} km" if has_path else "no path",
+            "html": costs(planned.cost_by_layer, self._labels, self._colours),
+            "message": " ".join(filter(None, (planned.search.sentence, planned.search.note))),
+            "command": self.plans.command(query, at),
+        }
+
+    def coarse(self, query: Plan) -> dict[str, Any]:
+        """Return the points of a route over larger cells, and their size."""
+        xy_m, cell_m = self.plans.coarse_route(query, self.place(query.at))
+        return {"planner": query.planner, "has_path": len(xy_m) > 0, "xy_m": xy_m, "cell_m": cell_m}
+
+    def report(self, query: Plan) -> dict[str, Any]:
+        """Return what a route meets: totals, the profile and where its crossings lie, and `RouteReport` as text."""
+        found, planned, told = self.plans.report(query, self.place(query.at))
+        table, totals = found.profile, found.totals
+        x_m, y_m = self.maps.grid.xy_of_lonlat(table["lon"].to_numpy(), table["lat"].to_numpy())
+        corner = self.maps.grid.x_min_m, self.maps.grid.y_min_m
+        lines = {name: (metric.label, self._colours[name]) for name, metric in self.maps.metrics.items()}
+        units = {name: text for name, text in TOTALS.items() if name in totals}
+        return {
+            "totals": rows((label, f"{number(totals[name])} {unit}") for name, (label, unit) in units.items()),
+            "svg": profile(table, lines, without_fix(table)),
+            "to_share": np.round(table["to_m"].to_numpy() / max(planned.length_m, 1e-9), 5),
+            "xy": np.round(np.stack([x_m - corner[0], y_m - corner[1]], axis=-1), 1),
+            "text": "\n\n".join([*told, found.table()]),
+        }
+
+    def save(self, query: Save) -> bytes:
+        """Return a route as a file."""
+        asked = Plan(**query.model_dump(exclude={"format"}))
+        return self.plans.file(asked, self.place(query.at), f".{query.format}")
+
+    def outlines_in(self, box: Box) -> dict[str, Any]:
+        """Return the outlines of buildings in a part of the region."""
+        return self.outlines.within(self.maps.grid, (box.west, box.south, box.east, box.north))
+
+    def weights(self, _: Nothing) -> dict[str, Any]:
+        """Return the triangle of weights of the study.
+
+        Raises:
+          InputError: no study is shown.
+        """
+        if self.study is None:
+            raise InputError("no study of weights is shown: name its folder with --study")
+        return self.study.to_dict(self.maps)
+
+
+def as_json(value: Any) -> bytes:
+    """Return a value as JSON; arrays are lists."""
+    return json.dumps(value, allow_nan=False, separators=(",", ":"), default=_plain).encode()
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    if isinstance(value, Mapping):
+        return dict(value)
+    raise TypeError(f"no JSON for {type(value).__name__}")
+
+
+def _number(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None

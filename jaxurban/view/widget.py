@@ -1,0 +1,77 @@
+"""The viewer in a notebook: the same page as a widget, whose requests are messages to the kernel."""
+
+import json
+from typing import TYPE_CHECKING, Any
+
+from jaxurban.errors import InputError, typed
+from jaxurban.maps.metric_maps import GivenMaps, as_maps
+from jaxurban.metrics.weights import GivenWeights, Weights
+from jaxurban.view.html import part
+from jaxurban.view.plans import PlanDefaults
+from jaxurban.view.viewer import JSON, Viewer
+
+if TYPE_CHECKING:
+    from anywidget import AnyWidget
+
+
+@typed
+def view(maps: GivenMaps, *, weights: GivenWeights = None, other: GivenMaps | None = None) -> "AnyWidget":
+    """Return a widget to look at maps and plan on them, which a notebook shows as the last line of a cell.
+
+    Args:
+      maps: from `build_maps` or `open_maps`, or their folder.
+      weights: where the sliders start; left out, `Weights()`.
+      other: further maps of the same cells, altitudes and times, to look at differences.
+
+    Raises:
+      InputError: anywidget is not installed, or the maps cannot be opened.
+    """
+    held = as_maps(maps)
+    others = None if other is None else as_maps(other)
+    if others is not None and (others.grid, others.altitudes_m, others.times) != (
+        held.grid,
+        held.altitudes_m,
+        held.times,
+    ):
+        raise InputError("the other maps must be of the same cells, altitudes and times")
+    command = () if held is maps else (str(maps), "--resolution", repr(held.grid.resolution_m))
+    chosen = Weights.of(weights).checked(held.metrics)
+    return widget_of(Viewer(held, others, defaults=PlanDefaults(chosen, command=command)))
+
+
+def widget_of(viewer: Viewer) -> "AnyWidget":
+    """Return the widget of a viewer.
+
+    Raises:
+      InputError: anywidget is not installed.
+    """
+    try:
+        from anywidget import AnyWidget
+        from traitlets import Unicode
+    except ModuleNotFoundError as error:
+        raise InputError("the viewer in a notebook needs anywidget: pip install 'jaxurban[notebook]'") from error
+
+    class ViewerWidget(AnyWidget):
+        """The page, and its requests answered."""
+
+        _esm = part("script")
+        _css = part("style")
+        markup = Unicode(part("markup")).tag(sync=True)
+
+    made = ViewerWidget()
+    made.on_msg(lambda widget, message, _: widget.send(*reply_to(viewer, message)))
+    return made
+
+
+def reply_to(viewer: Viewer, message: Any) -> tuple[dict[str, Any], list[bytes]]:
+    """Return the reply to a message of the page, and its buffers: its ``id`` with ``json``, bytes or ``error``."""
+    if not isinstance(message, dict):
+        return {"error": "a request is an object"}, []
+    reply: dict[str, Any] = {"id": message.get("id")}
+    try:
+        answer = viewer.answer(message.get("name"), message.get("parameters"))
+    except InputError as error:
+        return reply | {"error": str(error)}, []
+    if answer.kind == JSON:
+        return reply | {"json": json.loads(answer.body)}, []
+    return reply, [answer.body]
