@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from jaxurban.errors import InputError
+from jaxurban.errors import InputError, one_of
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.weights import Weights
 from jaxurban.paths.cautions import cautions
@@ -168,6 +168,8 @@ class Plans:
 
     def _cost_map(self, query: Plan, at: Place) -> CostMap:
         """Return the cost map of a query; what does not depend on the weights is made once."""
+        for name in query.weights:
+            one_of("weight", name, ("distance", *self.maps.metrics))
         weights = Weights.of({**self.defaults.weights.to_dict(), **query.weights})
         on = _kept(self._cost_maps, self._key(query, at), NUM_COST_MAPS, lambda: self._made(query, at))
         return on.with_weights(weights)

@@ -9,11 +9,11 @@ from jaxurban.maps.metric_maps import Obstacles
 from jaxurban.planners.base import CostKind
 
 MOST_LETTERS = 64 * 1024  # of zones
-Index = Annotated[int, Field(ge=0, le=10**6)]
+Index = Annotated[int, Field(strict=True, ge=0, le=10**6)]
 Name = Annotated[str, Field(max_length=100)]
-Degrees = Annotated[float, Field(ge=-360, le=360)]
-Metres = Annotated[float, Field(ge=0, le=10**5)]
-Weight = Annotated[float, Field(ge=0, le=10**30)]
+Degrees = Annotated[float, Field(strict=True, ge=-360, le=360)]
+Metres = Annotated[float, Field(strict=True, ge=0, le=10**5)]
+Weight = Annotated[float, Field(strict=True, ge=0, le=10**30)]
 
 
 class Request(BaseModel):
@@ -81,7 +81,7 @@ class Plan(Request):
     cost_model: Literal[get_args(CostKind)] = "cell"  # type: ignore[valid-type]
     obstacles: Literal[get_args(Obstacles)] = "touched"  # type: ignore[valid-type]
     clearance_m: Metres = 0.0
-    snap: bool = True
+    snap: Annotated[bool, Field(strict=True)] = True
     zones: Annotated[str, Field(max_length=MOST_LETTERS)] = ""
 
 

@@ -1,0 +1,51 @@
+"""A real browser for tests of the viewer: Debian's or whatever chromium there is, with every other host blocked."""
+
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from threading import Thread
+from typing import Any
+
+import pytest
+
+from jaxurban.view.server import ViewerServer
+from jaxurban.view.viewer import Viewer
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+SIZE = {"width": 1280, "height": 720}
+READY = '.jv[data-ready="yes"]'
+
+
+@contextmanager
+def served(viewer: Viewer) -> Iterator[ViewerServer]:
+    """Serve a viewer from a thread of this process."""
+    with ViewerServer(viewer) as server:
+        Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02}, daemon=True).start()
+        yield server
+        server.shutdown()
+
+
+@contextmanager
+def opened(url: str) -> Iterator[tuple[Any, list[str], list[str]]]:
+    """Open a page; yield it, the addresses that were asked for, and what went wrong on it."""
+    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    if CHROMIUM is None:
+        pytest.skip("there is no chromium here")
+    asked: list[str] = []
+    wrong: list[str] = []
+
+    def let_through(route: Any) -> None:
+        asked.append(route.request.url)
+        is_here = route.request.url.startswith(("http://127.0.0.1:", "file:", "data:", "blob:"))
+        route.continue_() if is_here else route.abort()
+
+    with playwright.sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        page = browser.new_context(viewport=SIZE, accept_downloads=True).new_page()
+        page.route("**/*", let_through)
+        page.on("pageerror", lambda error: wrong.append(str(error)))
+        page.on("console", lambda message: wrong.append(message.text) if message.type == "error" else None)
+        page.goto(url)
+        page.wait_for_selector(READY, timeout=60_000)
+        yield page, asked, wrong
+        browser.close()

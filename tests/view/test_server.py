@@ -1,0 +1,190 @@
+"""The server: what it answers, and 300 hostile requests that it refuses in a sentence."""
+
+import http.client
+import itertools
+import json
+import socket
+from contextlib import closing
+
+import pytest
+
+from jaxurban.view.server import MOST_BODY
+from jaxurban.view.viewer import Viewer
+from tests.made_maps import made_maps
+from tests.view.browser import served
+
+MAPS = made_maps(40, 60)
+FREE = MAPS.is_free(20.0)
+PLAN = {
+    "start": [-75.0, 0.0],
+    "goal": [-75.0, 0.0],
+    "at": [0, 0, 0],
+    "weights": {"distance": 0.1},
+}
+TILE = {"layer": "gps", "at": [0, 0, 0], "stride": 1, "row": 0, "col": 0}
+
+
+@pytest.fixture(scope="module")
+def server():
+    with served(Viewer(MAPS)) as running:
+        yield running
+
+
+def ask(server, method: str, path: str, body: bytes = b"", **headers: str) -> tuple[int, bytes]:
+    """Return status and body of a reply; a header of None is left out."""
+    connection = http.client.HTTPConnection("127.0.0.1", server.server_port, timeout=20)
+    given = {"Host": f"127.0.0.1:{server.server_port}", "Content-Type": "application/json"} | headers
+    connection.putrequest(method, path, skip_host=True, skip_accept_encoding=True)
+    for name, value in ({"Content-Length": str(len(body))} | given).items():
+        if value is not None:
+            connection.putheader(name, value)
+    connection.endheaders(body)
+    with closing(connection), connection.getresponse() as reply:
+        return reply.status, reply.read()
+
+
+def test_the_page_and_its_scene_are_served(server):
+    status, page = ask(server, "GET", "/")
+    assert status == 200
+    assert b"<!doctype html>" in page
+    status, scene = ask(server, "POST", "/ask/scene", b"{}")
+    assert status == 200
+    assert json.loads(scene)["rows"] == 40
+    assert ask(server, "POST", "/ask/tile", json.dumps(TILE).encode())[0] == 200
+
+
+def hostile(port: int) -> list[tuple[str, str, bytes, dict]]:
+    """Return requests that no page of ours sends: method, path, body, headers."""
+    own = f"127.0.0.1:{port}"
+    paths = [
+        *("/../../etc/passwd", "/etc/passwd", "//etc/passwd", "/%2e%2e/%2e%2e/etc/passwd", "/..%2f..%2fetc/passwd"),
+        *("/maps.zarr/5m/.zmetadata", "/run.json", "/ask", "/ask/", "/favicon.ico", "/index.html", "/viewer.js", "/?a"),
+        *("/ask/scene/../tile", "/ask/__class__", "/ask/_cost_map", "/a" * 5000, "http://evil.example/", "*"),
+    ]
+    found = [("GET", path, b"", {}) for path in paths] + [("POST", path, b"{}", {}) for path in paths]
+    found += [(method, "/", b"{}", {}) for method in ("PUT", "DELETE", "OPTIONS", "TRACE", "PATCH", "CONNECT", "FOO")]
+    hosts = [
+        "evil.example",
+        f"evil.example:{port}",
+        "127.0.0.1",
+        "localhost:1",
+        "",
+        "0.0.0.0",
+        f"[::1]:{port}",
+        own + ".",
+    ]
+    found += [("POST", "/ask/scene", b"{}", {"Host": host}) for host in hosts]
+    found += [("GET", "/", b"", {"Host": host}) for host in hosts]
+    origins = [
+        "http://evil.example",
+        "null",
+        "https://" + own,
+        "http://127.0.0.1",
+        f"http://evil.example:{port}",
+        "file://",
+    ]
+    found += [("POST", "/ask/scene", b"{}", {"Origin": origin}) for origin in origins]
+    found += [("GET", "/", b"", {"Origin": origin}) for origin in origins]
+    kinds = [
+        "text/plain",
+        "application/x-www-form-urlencoded",
+        "multipart/form-data; boundary=x",
+        "",
+        "application/jsonx",
+    ]
+    found += [("POST", "/ask/scene", b"{}", {"Content-Type": kind}) for kind in kinds]
+    lengths = ["-1", "1e9", "99999999999999999999", "0x10", "", " ", "+5", str(MOST_BODY + 1), "²", "1, 1"]
+    found += [("POST", "/ask/scene", b"{}", {"Content-Length": n.encode().decode("latin-1")}) for n in lengths]
+    found += [("POST", "/ask/scene", b"0\r\n\r\n", {"Transfer-Encoding": "chunked"})]
+    bodies = [
+        b"",
+        b"{",
+        b"[]",
+        b"null",
+        b"1",
+        b'"x"',
+        b"\xff\xfe",
+        b"[" * 60_000,
+        b'{"a":1}',
+        b"NaN",
+        b"{" + b'"a":' * 9000,
+    ]
+    found += [("POST", f"/ask/{name}", body, {}) for name, body in itertools.product(("scene", "tile", "plan"), bodies)]
+    odd = [-1, 10**9, 10**30, 1.5, "0", None, [], {}, True, "x" * 5000, [0] * 999]
+    for name, request in (("tile", TILE), ("plan", PLAN | {"planner": "astar-plus"})):
+        for key, value in itertools.product(request, odd):
+            found.append(("POST", f"/ask/{name}", json.dumps(request | {key: value}).encode(), {}))
+    for key, value in itertools.product(("row", "col", "at"), odd):
+        found.append(
+            ("POST", "/ask/values", json.dumps({"at": [0, 0, 0], "row": 0, "col": 0, key: value}).encode(), {})
+        )
+    zones = ["x", "[]", '{"features":1}', '{"features":[{}]}', "{" * 999, '{"type":"FeatureCollection","features":[]}']
+    ring = [[[0, 0], [1, 1]], [[0, 0]], [], [["a", "b"]], [[1e9, 0], [0, 1], [1, 1]], [[0, 0, 0, 0]] * 4, None]
+    zones += [
+        json.dumps({"features": [{"type": "Feature", "geometry": {"type": "Polygon", "coordinates": [each]}}]})
+        for each in ring
+    ]
+    odd_plans = [{"zones": text} for text in zones]
+    odd_plans += [
+        {"weights": each} for each in ({"noise": 1}, {"gps": -1}, {"gps": "1"}, {"gps": 1e31}, {"": 1}, {"own": 1})
+    ]
+    odd_plans += [{"planner": "rm -rf"}, {"planner": "astar-volume"}, {"cost_model": "x"}, {"obstacles": "x"}]
+    odd_plans += [{"clearance_m": -1}, {"clearance_m": "1"}, {"extra": 1}, {"start": [0, 0]}, {"goal": [40.0, -75.0]}]
+    found += [("POST", "/ask/plan", json.dumps(PLAN | each).encode(), {}) for each in odd_plans]
+    for name in ("save", "report", "coarse", "legend", "outlines", "study"):
+        found += [
+            ("POST", f"/ask/{name}", json.dumps(each).encode(), {}) for each in ({}, {"format": "../x"}, {"at": []})
+        ]
+    found.remove(("POST", "/ask/scene", b"{}", {"Content-Type": ""}))
+    return found
+
+
+def test_300_hostile_requests_are_refused_in_a_sentence_and_none_reaches_a_traceback(server, caplog, capfd):
+    requests = hostile(server.server_port)
+    for method, path, body, headers in requests:
+        status, said = ask(server, method, path, body, **headers)
+        assert 400 <= status < 500, (status, method, path[:60], body[:120], headers, said[:200])
+        assert b"Traceback" not in said
+        assert len(said.splitlines()) <= 1, said[:300]
+    assert len(requests) >= 300
+    assert not caplog.records
+    out, err = capfd.readouterr()
+    assert "Traceback" not in out + err
+    assert ask(server, "POST", "/ask/scene", b"{}")[0] == 200
+
+
+@pytest.mark.parametrize(
+    "raw",
+    [
+        b"\x16\x03\x01\x02\x00\x01\x00\x01\xfc\x03\x03\r\n\r\n",
+        b"GET / HTTP/1.1\r\n\r\n",
+        b"GET\r\n\r\n",
+        b"GET / HTTP/9.9\r\nHost: x\r\n\r\n",
+        b"GET / HTTP/1.1\r\nHost: a\r\nHost: b\r\n\r\n",
+        b"GET / HTTP/1.1\r\n" + b"A: b\r\n" * 200 + b"\r\n",
+        b"GET /" + b"a" * 70_000 + b" HTTP/1.1\r\n\r\n",
+        b"POST /ask/scene HTTP/1.1\r\nContent-Length: 5\r\nContent-Length: 6\r\n\r\nhello",
+    ],
+)
+def test_what_is_no_request_is_refused(server, raw, capfd):
+    with socket.create_connection(("127.0.0.1", server.server_port), timeout=20) as connection:
+        connection.sendall(raw)
+        connection.shutdown(socket.SHUT_WR)
+        reply = b"".join(iter(lambda: connection.recv(65536), b""))
+    assert b" 4" in reply.split(b"\r\n")[0] or reply[:4] != b"HTTP", reply[:200]
+    assert b"Traceback" not in reply
+    assert "Traceback" not in "".join(capfd.readouterr())
+
+
+def test_the_server_listens_on_this_machine_alone(server):
+    assert server.server_address[0] == "127.0.0.1"
+
+
+def test_a_browser_is_told_to_load_nothing_from_elsewhere(server):
+    connection = http.client.HTTPConnection("127.0.0.1", server.server_port)
+    with closing(connection):
+        connection.request("GET", "/")
+        policy = connection.getresponse().headers["Content-Security-Policy"]
+    assert "default-src 'none'" in policy
+    assert "connect-src 'self'" in policy
+    assert "script-src 'sha256-" in policy
