@@ -232,7 +232,7 @@ def legend_of(maps: MetricMaps, layer: Layer, values: np.ndarray, *, is_differen
     texts[-1] = f"≥ {texts[-1]}" if scale.extend in ("max", "both") else texts[-1]
     marks = [(float(scale.norm(value)), text) for value, text in zip(ticks, texts, strict=True)]
     shown = legend(plain_label(scale.label), colours[::8], marks, patches)
-    edges = np.asarray(scale.norm.inverse(steps), float).tolist()
+    edges = [float(f"{edge:.9g}") for edge in np.asarray(scale.norm.inverse(steps), float)]  # as fine as a float32
     return flat | {"edges": edges, "colours": _text(colours), "ticks": ticks, "html": shown}
 
 

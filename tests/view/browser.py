@@ -26,11 +26,20 @@ def served(viewer: Viewer) -> Iterator[ViewerServer]:
 
 
 @contextmanager
-def opened(url: str) -> Iterator[tuple[Any, list[str], list[str]]]:
-    """Open a page; yield it, the addresses that were asked for, and what went wrong on it."""
+def chromium() -> Iterator[Any]:
+    """Start the browser."""
     playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
     if CHROMIUM is None:
         pytest.skip("there is no chromium here")
+    with playwright.sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        yield browser
+        browser.close()
+
+
+@contextmanager
+def opened(browser: Any, url: str) -> Iterator[tuple[Any, list[str], list[str]]]:
+    """Open a page; yield it, the addresses that were asked for, and what went wrong on it."""
     asked: list[str] = []
     wrong: list[str] = []
 
@@ -39,13 +48,12 @@ def opened(url: str) -> Iterator[tuple[Any, list[str], list[str]]]:
         is_here = route.request.url.startswith(("http://127.0.0.1:", "file:", "data:", "blob:"))
         route.continue_() if is_here else route.abort()
 
-    with playwright.sync_playwright() as driver:
-        browser = driver.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
-        page = browser.new_context(viewport=SIZE, accept_downloads=True).new_page()
-        page.route("**/*", let_through)
-        page.on("pageerror", lambda error: wrong.append(str(error)))
-        page.on("console", lambda message: wrong.append(message.text) if message.type == "error" else None)
-        page.goto(url)
-        page.wait_for_selector(READY, timeout=60_000)
-        yield page, asked, wrong
-        browser.close()
+    context = browser.new_context(viewport=SIZE, accept_downloads=True)
+    page = context.new_page()
+    page.route("**/*", let_through)
+    page.on("pageerror", lambda error: wrong.append(str(error)))
+    page.on("console", lambda message: wrong.append(message.text) if message.type == "error" else None)
+    page.goto(url)
+    page.wait_for_selector(READY, timeout=60_000)
+    yield page, asked, wrong
+    context.close()

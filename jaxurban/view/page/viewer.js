@@ -233,7 +233,8 @@ async function start(root, ask) {
 
   // --- the pointer
   const look = latest(async ([x, y]) => {
-    const values = await ask('values', { at: places(), row: Math.floor(y / side), col: Math.floor(x / side) });
+    const cell = [y, x].map(metres => Math.floor(metres / side));
+    const values = await ask('values', { at: places(), row: cell[0], col: cell[1] });
     const table = is('values').tBodies[0], parts = [];
     const add = (className, facts, ...texts) => {
       const row = Object.assign(document.createElement('tr'), { className });
@@ -247,6 +248,7 @@ async function start(root, ask) {
       add(name === field('layer').value ? 'jv-chosen' : '', { layer: name, value }, heading, text);
     });
     table.replaceChildren(...parts);
+    is('values').dataset.cell = cell.join(' ');
   });
   const point = place => {
     is('at').textContent = !isInside(place) ? '' : toLonLat(place).map((degrees, k) =>

@@ -1,0 +1,238 @@
+"""The page in a real browser, every other host blocked: what a person sees, clicks, drags and saves."""
+
+import json
+import math
+import shlex
+
+import numpy as np
+import pytest
+
+from jaxurban.view.export import write_page
+from jaxurban.view.plans import PlanDefaults
+from jaxurban.view.viewer import Viewer
+from tests.cli_runs import run
+from tests.made_maps import made_maps
+from tests.view.browser import chromium, opened, served
+
+pytestmark = pytest.mark.slow
+MAPS = made_maps(160, 200)
+GRID = MAPS.grid
+FREE = np.argwhere(MAPS.is_free(20.0))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("maps") / "city"
+    folder.mkdir()
+    MAPS.save(folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def browser():
+    with chromium() as running:
+        yield running
+
+
+@pytest.fixture(scope="module")
+def page(browser, folder):
+    viewer = Viewer(MAPS, defaults=PlanDefaults(command=(str(folder), "--resolution", "10.0")), names=("city",))
+    with served(viewer) as server, opened(browser, server.url) as (page, asked, wrong):
+        yield page
+        assert asked
+        assert all(address.startswith(server.url) or address.startswith(("data:", "blob:")) for address in asked)
+        assert not wrong
+
+
+def pixel_of(page, row: float, col: float) -> tuple[float, float]:
+    """Return where on the page a place lies, by cells from the southwest corner, while the whole map is shown."""
+    box = page.locator('[data-is="map"]').bounding_box()
+    scale = 1.06 * max(GRID.num_cols / box["width"], GRID.num_rows / box["height"])
+    x = box["x"] + box["width"] / 2 + (col - GRID.num_cols / 2) / scale
+    return x, box["y"] + box["height"] / 2 - (row - GRID.num_rows / 2) / scale
+
+
+def show_all(page) -> None:
+    page.locator('[data-is="map"]').focus()
+    page.keyboard.press("0")
+
+
+def point_at(page, cell) -> dict[str, float | None]:
+    """Point at a cell; return what the page says of it by layer."""
+    page.mouse.move(*pixel_of(page, cell[0] + 0.5, cell[1] + 0.5))
+    until(page, lambda: page.locator('[data-is="values"]').get_attribute("data-cell") == f"{cell[0]} {cell[1]}")
+    rows = page.locator('[data-is="values"] tr[data-layer]')
+    said = rows.evaluate_all("rows => rows.map(row => [row.dataset.layer, row.dataset.value])")
+    return {name: None if value == "null" else float(value) for name, value in said}
+
+
+def until(page, is_so) -> None:
+    """Wait until something is so."""
+    for _ in range(300):
+        if is_so():
+            return
+        page.wait_for_timeout(100)
+    raise AssertionError("that did not happen within half a minute")
+
+
+def settle(page) -> None:
+    """Wait until nothing is planned or asked any more."""
+    page.wait_for_timeout(300)
+    until(page, lambda: page.locator('[data-is="tell"]').inner_text() != "Planning …")
+    page.wait_for_timeout(700)
+
+
+def test_the_values_under_the_pointer_and_the_legend_are_those_of_the_zarr(page):
+    for cell in FREE[[900, 9000, 15000]].tolist():
+        said = point_at(page, cell)
+        for name in ("gps", "lidar", "risk"):
+            assert said[name] == float(MAPS.m(name, 20.0)[tuple(cell)])
+        assert said["num_visible"] == float(MAPS.m("num_visible", 20.0)[tuple(cell)])
+        assert said["roof"] == float(MAPS.m("roof")[tuple(cell)])
+        lon, lat = GRID.lonlat_of_cell(*cell)
+        shown = page.locator('[data-is="at"]').inner_text().replace("°", "").split()
+        assert math.isclose(-float(shown[0]), lon, abs_tol=6e-5)
+        assert math.isclose(float(shown[2]), lat, abs_tol=6e-5)
+    ticks = page.locator(".jv-ticks span").all_inner_texts()
+    assert (ticks[0], ticks[-1]) == ("0", "1")
+    page.select_option('[name="layer"]', "roof")
+    until(page, lambda: "roof above ground (m)" in page.locator(".jv-legend").inner_text())
+    ticks = page.locator(".jv-ticks span").all_inner_texts()
+    assert float(ticks[-1]) == float(MAPS.m("roof").max())
+    page.select_option('[name="layer"]', "gps")
+
+
+def test_the_colour_of_a_cell_is_that_of_its_value(page):
+    page.wait_for_timeout(500)
+    cell = FREE[5000].tolist()
+    x, y = pixel_of(page, cell[0] + 0.5, cell[1] + 0.5)
+    box = page.locator('[data-is="map"]').bounding_box()
+    got = page.evaluate(
+        "([x, y]) => [...document.querySelector('[data-is=\"map\"]').getContext('2d').getImageData(x, y, 1, 1).data]",
+        [round(x - box["x"]), round(y - box["y"])],
+    )
+    from jaxurban.report.figures.metrics import metric_colours
+
+    near = MAPS.m("gps", 20.0)[max(cell[0] - 1, 0) : cell[0] + 2, max(cell[1] - 1, 0) : cell[1] + 2]
+    colours = metric_colours(MAPS, "gps")(near, bytes=True)[..., :3].reshape(-1, 3).astype(int)
+    assert np.abs(colours - got[:3]).max(axis=1).min() <= 4
+
+
+def plan_between(page, cells) -> None:
+    page.click('[data-tab="plan"]')
+    page.click('[data-do="clear"]')
+    show_all(page)
+    for cell in cells:
+        page.mouse.click(*pixel_of(page, cell[0] + 0.5, cell[1] + 0.5))
+    settle(page)
+
+
+def command_gives(page, capsys) -> dict:
+    """Run the printed command; return what it found."""
+    program, *arguments = shlex.split(page.locator('[data-is="command"]').inner_text())
+    assert program == "jaxurban"
+    code, out, err = run(capsys, *arguments, "--json")
+    assert code == 0, err
+    return json.loads(out)
+
+
+def saved(page, button: str) -> bytes:
+    with page.expect_download() as waiting:
+        page.click(button)
+    return open(waiting.value.path(), "rb").read()
+
+
+def test_start_and_goal_a_weight_and_a_zone_change_the_route_and_the_command_gives_it(
+    page, capsys, tmp_path, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    plan_between(page, FREE[[300, -300]].tolist())
+    first = command_gives(page, capsys)
+    route = json.loads(saved(page, '[data-save="geojson"]'))["features"][0]
+    assert route["geometry"]["coordinates"] == np.round(first["lonlat"], 7).tolist()
+    assert route["properties"]["cost"] == first["cost"]
+
+    slider = page.locator('[name="weight-gps"]')
+    slider.focus()
+    for _ in range(16):
+        page.keyboard.press("ArrowRight")
+    settle(page)
+    second = command_gives(page, capsys)
+    assert second["settings"]["weights"]["gps"] > 5 * first["settings"]["weights"]["gps"]
+    assert second["xy_m"] != first["xy_m"]
+
+    middle = GRID.cell_of_xy(*second["xy_m"][len(second["xy_m"]) // 2])
+    page.click('[data-do="zone"]')
+    show_all(page)
+    for row, col in ((-8, -8), (-8, 8), (8, 8), (8, -8)):
+        page.mouse.click(*pixel_of(page, middle[0] + row, middle[1] + col))
+    page.click('[data-do="zone"]')
+    settle(page)
+    (tmp_path / "zones.geojson").write_bytes(saved(page, '[data-do="save-zones"]'))
+    third = command_gives(page, capsys)
+    assert third["settings"]["limits"]["no_fly"][0]["name"] == "zone 1"
+    assert third["xy_m"] != second["xy_m"]
+    route = json.loads(saved(page, '[data-save="geojson"]'))["features"][0]
+    assert route["geometry"]["coordinates"] == np.round(third["lonlat"], 7).tolist()
+    assert b"<kml" in saved(page, '[data-save="kml"]')
+    assert json.loads(saved(page, '[data-save="plan"]'))["fileType"] == "Plan"
+    assert page.locator('[data-is="report"] svg').is_visible()
+
+
+def test_a_goal_that_is_dragged_takes_the_route_along(page, capsys):
+    plan_between(page, FREE[[300, -300]].tolist())
+    box = pixel_of(page, *(FREE[-300] + 0.5))
+    before = page.locator('[data-is="command"]').inner_text()
+    show_all(page)
+    box = pixel_of(page, *(FREE[-300] + 0.5))
+    page.mouse.move(*box)
+    page.mouse.down()
+    page.mouse.move(box[0] - 60, box[1] + 90, steps=4)
+    page.mouse.up()
+    settle(page)
+    assert page.locator('[data-is="command"]').inner_text() != before
+    assert command_gives(page, capsys)["status"] == "optimal"
+
+
+def test_planners_are_shown_side_by_side(page):
+    plan_between(page, FREE[[300, -300]].tolist())
+    page.locator('[data-page="plan"] details').evaluate("each => { each.open = true; }")
+    page.check('[data-is="planners"] input[value="astar-dist"]')
+    settle(page)
+    assert page.locator(".jv-route").count() == 2
+    page.uncheck('[data-is="planners"] input[value="astar-dist"]')
+
+
+def test_the_keyboard_alone_plans_a_route(page):
+    page.click('[data-tab="plan"]')
+    page.click('[data-do="clear"]')
+    show_all(page)
+    page.keyboard.press("Enter")
+    for _ in range(3):
+        page.keyboard.press("ArrowRight")
+    page.keyboard.press("Enter")
+    settle(page)
+    assert page.locator(".jv-route").count() == 1
+
+
+def test_the_exported_file_shows_maps_and_values_without_any_server(browser, tmp_path):
+    file = tmp_path / "page.html"
+    assert write_page(Viewer(MAPS, names=("city",)), file, 10 * 2**20) == file.stat().st_size < 10 * 2**20
+    with opened(browser, file.as_uri()) as (page, asked, wrong):
+        cell = FREE[5000].tolist()
+        assert point_at(page, cell)["gps"] == float(MAPS.m("gps", 20.0)[tuple(cell)])
+        page.select_option('[name="altitude"]', "1")
+        page.select_option('[name="layer"]', "h_norm")
+        until(page, lambda: "H_norm" in page.locator(".jv-legend").inner_text())
+        assert point_at(page, cell)["gps"] == float(MAPS.m("gps", 60.0)[tuple(cell)])
+        assert not page.locator('[data-tab="plan"]').is_visible()
+        assert all(address.startswith(("file:", "data:", "blob:")) for address in asked)
+        assert not wrong
+
+
+def test_a_page_of_few_bytes_holds_fewer_cells_and_is_no_larger(tmp_path):
+    viewer, file = Viewer(made_maps(300, 300)), tmp_path / "page.html"
+    whole = write_page(viewer, file, 20 * 2**20)
+    assert b'"strides":[1]' in file.read_bytes()
+    assert write_page(viewer, file, whole // 2) <= whole // 2
+    assert b'"strides":[2]' in file.read_bytes()
