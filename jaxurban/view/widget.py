@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 @typed
-def view(maps: GivenMaps, *, weights: GivenWeights = None, other: GivenMaps | None = None) -> "AnyWidget":
+def view(maps: GivenMaps, *, weights: GivenWeights = None, other: GivenMaps | None = None) -> Any:
     """Return a widget to look at maps and plan on them, which a notebook shows as the last line of a cell.
 
     Args:

@@ -1,5 +1,6 @@
 """The page in a real browser, every other host blocked: what a person sees, clicks, drags and saves."""
 
+import base64
 import json
 import math
 import shlex
@@ -8,11 +9,13 @@ import numpy as np
 import pytest
 
 from jaxurban.view.export import write_page
+from jaxurban.view.html import part
 from jaxurban.view.plans import PlanDefaults
 from jaxurban.view.viewer import Viewer
+from jaxurban.view.widget import reply_to
 from tests.cli_runs import run
 from tests.made_maps import made_maps
-from tests.view.browser import chromium, opened, served
+from tests.view.browser import READY, chromium, opened, served
 
 pytestmark = pytest.mark.slow
 MAPS = made_maps(160, 200)
@@ -228,6 +231,37 @@ def test_the_exported_file_shows_maps_and_values_without_any_server(browser, tmp
         assert not page.locator('[data-tab="plan"]').is_visible()
         assert all(address.startswith(("file:", "data:", "blob:")) for address in asked)
         assert not wrong
+
+
+def test_the_page_works_as_a_widget_by_messages_alone(browser):
+    viewer = Viewer(MAPS)
+
+    def kernel(message):
+        reply, buffers = reply_to(viewer, message)
+        return {"reply": reply, "buffers": [base64.b64encode(each).decode() for each in buffers]}
+
+    page = browser.new_page(viewport={"width": 1100, "height": 700})
+    page.expose_function("kernel", kernel)
+    page.set_content(f"<style>{part('style')}</style><div id='cell'></div>")
+    page.evaluate(
+        """async ([script, markup]) => {
+          let told;
+          const bytes = text => new DataView(Uint8Array.from(atob(text), letter => letter.charCodeAt(0)).buffer);
+          const model = { get: () => markup, on: (_, callback) => { told = callback; },
+            send: async message => { const { reply, buffers } = await window.kernel(message);
+              told(reply, buffers.map(bytes)); } };
+          const address = URL.createObjectURL(new Blob([script], { type: 'text/javascript' }));
+          (await import(address)).default.render({ model, el: document.getElementById('cell') });
+        }""",
+        [part("script"), part("markup")],
+    )
+    page.wait_for_selector(READY, timeout=60_000)
+    page.wait_for_timeout(500)
+    assert point_at(page, FREE[5000].tolist())["gps"] == float(MAPS.m("gps", 20.0)[tuple(FREE[5000])])
+    plan_between(page, FREE[[300, -300]].tolist())
+    assert "cost" in page.locator(".jv-route").inner_text()
+    assert not page.locator('[data-is="command"]').is_visible()
+    page.close()
 
 
 def test_a_page_of_few_bytes_holds_fewer_cells_and_is_no_larger(tmp_path):

@@ -1,0 +1,70 @@
+"""The viewer in a notebook: messages of the page and their replies, and a notebook that shows it."""
+
+import sys
+
+import pytest
+
+from jaxurban.errors import InputError
+from jaxurban.view.html import part
+from jaxurban.view.viewer import Viewer
+from jaxurban.view.widget import reply_to, view, widget_of
+from tests.made_maps import made_maps
+
+MAPS = made_maps(24, 30)
+TILE = {"layer": "gps", "at": [0, 0, 0], "stride": 1, "row": 0, "col": 0}
+
+
+def test_messages_are_answered_as_requests_are():
+    viewer = Viewer(MAPS)
+    reply, buffers = reply_to(viewer, {"id": 7, "name": "scene", "parameters": {}})
+    assert (reply["id"], reply["json"]["rows"], buffers) == (7, 24, [])
+    reply, buffers = reply_to(viewer, {"id": 8, "name": "tile", "parameters": TILE})
+    assert reply == {"id": 8}
+    assert buffers == [viewer.answer("tile", TILE).body]
+
+
+@pytest.mark.parametrize("message", [None, [], {}, {"id": 1, "name": "tile"}, {"id": 1, "name": [], "parameters": {}}])
+def test_what_is_no_request_is_answered_by_a_sentence(message):
+    reply, buffers = reply_to(Viewer(MAPS), message)
+    assert reply["error"]
+    assert not buffers
+
+
+def test_the_widget_carries_the_page_and_replies_to_it(monkeypatch):
+    pytest.importorskip("anywidget", reason="anywidget is not installed")
+    widget, sent = widget_of(Viewer(MAPS)), []
+    monkeypatch.setattr(type(widget), "send", lambda _, content, buffers: sent.append((content, buffers)))
+    assert widget._esm == part("script")
+    assert widget.markup == part("markup")
+    widget._handle_custom_msg({"id": 3, "name": "tile", "parameters": TILE}, [])
+    ((reply, buffers),) = sent
+    assert reply == {"id": 3}
+    assert len(buffers[0]) > 100
+
+
+def test_maps_of_other_cells_are_refused():
+    with pytest.raises(InputError, match="same cells"):
+        view(MAPS, other=made_maps(20, 30))
+
+
+def test_without_anywidget_the_remedy_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "anywidget", None)
+    with pytest.raises(InputError, match=r"pip install 'jaxurban\[notebook\]'"):
+        view(MAPS)
+
+
+@pytest.mark.slow
+def test_a_notebook_that_shows_the_viewer_runs_and_holds_the_widget(tmp_path):
+    pytest.importorskip("anywidget", reason="anywidget is not installed")
+    import nbformat
+    from nbclient import NotebookClient
+
+    MAPS.save(tmp_path / "city")
+    code = "import jaxurban as ju\nju.view(ju.open_maps('city'), weights={'gps': 2})"
+    notebook = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(code)])
+    NotebookClient(notebook, timeout=120, resources={"metadata": {"path": str(tmp_path)}}).execute()
+    (shown,) = [output for output in notebook.cells[0].outputs if output.output_type == "execute_result"]
+    model = shown["data"]["application/vnd.jupyter.widget-view+json"]["model_id"]
+    state = notebook.metadata["widgets"]["application/vnd.jupyter.widget-state+json"]["state"][model]["state"]
+    assert state["_anywidget_id"].endswith("ViewerWidget")
+    assert "jv-map" in state["markup"]
