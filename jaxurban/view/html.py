@@ -27,7 +27,7 @@ def html_page(data: str = "", title: str = "jaxurban") -> str:
         '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width">\n<link rel="icon" href="data:,">\n'
         f"{_policy_tag(data)}<title>{_escaped(title)}</title>\n<style>\n{part('style')}</style>\n</head>\n"
-        f'<body>\n<div class="jv">\n{part("markup")}</div>\n'
+        f'<body style="margin: 0">\n<div class="jv">\n{part("markup")}</div>\n'
         f'<script type="application/json" id="jv-data">{held}</script>\n'
         f'<script type="module">\n{part("script")}</script>\n</body>\n</html>\n'
     )

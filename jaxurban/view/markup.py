@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -22,9 +21,12 @@ def number(value: float | None) -> str:
     return f"{value:,.0f}" if abs(value) >= 1000 else f"{value:.3g}"
 
 
-def options(items: Iterable[Any]) -> str:
-    """Return the options of a list, numbered from 0."""
-    return "".join(f'<option value="{k}">{escape(str(item))}</option>' for k, item in enumerate(items))
+def options(items: Sequence[str], chosen: int = 0) -> str:
+    """Return the options of a list, numbered from 0; one of them is chosen, -1 the last."""
+    return "".join(
+        f'<option value="{k}"{" selected" * (k == chosen % len(items))}>{escape(item)}</option>'
+        for k, item in enumerate(items)
+    )
 
 
 def layer_options(layers: Iterable[tuple[str, str, str]], first: str) -> str:
@@ -73,6 +75,11 @@ def costs(parts: Mapping[str, float], labels: Mapping[str, str], colours: Mappin
     )
 
 
+def route_button(planner: str, colour: str, text: str) -> str:
+    """Return the button that chooses a route."""
+    return f'<button class="jv-route">{dot(colour)}{escape(planner)}<b>{escape(text)}</b></button>'
+
+
 def legend(
     label: str, colours: np.ndarray, ticks: Iterable[tuple[float, str]], patches: Iterable[Sequence[str]]
 ) -> str:
@@ -86,10 +93,10 @@ def legend(
     """
     bar = ",".join(f"rgb({r},{g},{b})" for r, g, b in colours.tolist())
     ticks = list(ticks)
-    inner = ["jv-first", *[""] * (len(ticks) - 2), "jv-last"]
+    shifts = ["0", *["-50%"] * (len(ticks) - 2), "-100%"]  # the ends' texts stay within the bar
     marks = "".join(
-        f'<span style="left:{100 * at:.2f}%" class="{place}">{escape(text)}</span>'
-        for place, (at, text) in zip(inner, ticks, strict=False)
+        f'<span style="left:{100 * at:.2f}%;transform:translateX({shift})">{escape(text)}</span>'
+        for shift, (at, text) in zip(shifts, ticks, strict=False)
     )
     gradient = f'<div class="jv-bar" style="background:linear-gradient(90deg,{bar})"></div>'
     scale = f'{gradient}<div class="jv-ticks">{marks}</div>' if ticks else ""
@@ -133,15 +140,18 @@ def profile(table: pd.DataFrame, lines: Mapping[str, tuple[str, str]], no_fix: I
     texts += [(LEFT - 4, MIDDLE + 16, "end", "m 1"), (LEFT - 4, bottom, "end", "0")]
     for k, anchor in enumerate(("start", "middle", "middle", "middle", "end")):
         texts.append((LEFT + (WIDE - LEFT) * k / 4, HIGH - 3, anchor, f"{total_m * k / 4000:.1f} km"))
-    words = "".join(f'<text x="{x:.0f}" y="{y}" text-anchor="{anchor}">{text}</text>' for x, y, anchor, text in texts)
+    words = "".join(
+        f'<text x="{x:.0f}" y="{y}" text-anchor="{anchor}" fill="#5c6670" font-size="11">{text}</text>'
+        for x, y, anchor, text in texts
+    )
     keys = {"roofs beneath": BUILT_COLOUR, "flight": ALTITUDE_COLOUR} | dict(lines.values())
     keys |= {"under 4 satellites": NO_FIX_COLOUR} if shaded else {}
     key = "".join(f"<span>{dot(colour)}{escape(label)}</span>" for label, colour in keys.items())
     return (
-        f'<svg viewBox="0 0 {WIDE} {HIGH}" fill="none">{shaded}'
+        f'<svg viewBox="0 0 {WIDE} {HIGH}" fill="none" stroke-width="1.4">{shaded}'
         f'<path d="{roofs}L{WIDE} {MIDDLE}L{LEFT} {MIDDLE}Z" fill="{BUILT_COLOUR}" stroke="none"/>'
         f'<path d="{trace(table["z_m"].to_numpy(), MIDDLE, 4, top_m)}" stroke="{ALTITUDE_COLOUR}"/>{metrics}{words}'
-        f'<path class="jv-here" d="M0 4V{bottom}"/></svg><p>{key}</p>'
+        f'<path class="jv-here" d="M0 4V{bottom}" stroke="#000" transform="translate(-9)"/></svg><p>{key}</p>'
     )
 
 
@@ -163,4 +173,5 @@ def triangle(names: Sequence[str], cells: Iterable[tuple[np.ndarray, str]], give
         for name, (x, y), drop in zip(names, CORNERS.tolist(), (0.07, 0.07, -0.02), strict=True)
     )
     x, y = given @ CORNERS
-    return f'{drawn}{words}<circle cx="{x:.4f}" cy="{y:.4f}" r="0.016"><title>the weights as given</title></circle>'
+    look = 'fill="#fff" stroke="#000" stroke-width="0.008" pointer-events="none"'
+    return f'{drawn}{words}<circle cx="{x:.4f}" cy="{y:.4f}" r="0.016" {look}/>'

@@ -12,6 +12,7 @@ from jaxurban.io.files import read_json
 from jaxurban.io.folders import RECORD_FILE
 from jaxurban.io.tables import read_table
 from jaxurban.maps.metric_maps import MetricMaps
+from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY
 from jaxurban.report.figures.metrics import percent
 from jaxurban.report.figures.sensitivity import CLUSTER_COLOURS
 from jaxurban.report.markdown import listed
@@ -62,7 +63,7 @@ class WeightStudy:
         return cls(query, tuple(str(name) for name in cells if name != "route"), query["weights"], routes, cells)
 
     def to_dict(self, maps: MetricMaps) -> dict[str, Any]:
-        """Return the triangle as JSON holds it; ``at`` numbers altitude, time and time of day.
+        """Return the triangle as JSON holds it; ``fields`` are those of the page, altitude and times by their numbers.
 
         Raises:
           InputError: the route was studied over other maps.
@@ -76,6 +77,7 @@ class WeightStudy:
             times.index(query["time"]) if query["time"] in times else 0,
             days.index(query["time_of_day"]) if query["time_of_day"] in days else 0,
         ]
+        all_weights = {name: self.weights[name] for name in ("distance", *maps.metrics)}
         cells, drawn = [], []
         for number, corners in self.cells.groupby("route", sort=True):
             row = self.routes[self.routes.route == number].iloc[0]
@@ -85,7 +87,7 @@ class WeightStudy:
                 ("Length", f"{row['length_m'] / 1000:.2f} km"),
                 *((f"Weight of {name}", f"{weight:.3g}") for name, weight in weights.items()),
             ]
-            cells.append({"weights": self.weights | weights, "html": rows(told)})
+            cells.append({"weights": all_weights | weights, "html": rows(told)})
             drawn.append((corners[list(self.names)].to_numpy(), CLUSTER_COLOURS[int(row["kind"]) - 1]))
         given = np.array([self.weights[name] for name in self.names])
         return {
@@ -93,10 +95,9 @@ class WeightStudy:
             "svg": triangle(self.names, drawn, given / given.sum()),
             "hint": f"{len(cells)} routes are cheapest somewhere among all shares of {listed(self.names)}. Point at a "
             "cell to see its route; the circle is the weights as given.",
-            "at": at,
-            "query": {
-                "start": query["start"],
-                "goal": query["goal"],
+            "ends": {"start": query["start"], "goal": query["goal"]},
+            "fields": {
+                **dict(zip((ALTITUDE, TIME, TIME_OF_DAY), at, strict=True)),
                 "cost_model": query["cost_model"],
                 "obstacles": query["obstacles"] or maps.obstacles,
                 "clearance_m": float(query["limits"].get("clearance_m", 0.0)),

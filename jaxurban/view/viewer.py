@@ -27,7 +27,7 @@ from jaxurban.view.layers import (
     layers_of,
     legend_of,
 )
-from jaxurban.view.markup import costs, layer_options, number, options, planners, profile, rows, sliders
+from jaxurban.view.markup import costs, layer_options, number, options, planners, profile, route_button, rows, sliders
 from jaxurban.view.outlines import Outlines
 from jaxurban.view.plans import PlanDefaults, Plans
 from jaxurban.view.requests import Box, Cell, Nothing, Plan, Request, Save, Shown, Tile, Which, parse
@@ -36,7 +36,7 @@ from jaxurban.view.tiles import TILE, Kept, strides_of, tile_bytes
 
 JSON, BYTES = "application/json", "application/octet-stream"
 BLOCK = 128  # cells a side that are read at once for the values under the pointer
-PLANNER_LINES = {**planner_colours(PLANNERS), "astar-plus": "#d62728"}
+PLANNER_LINES = planner_colours(PLANNERS)
 TOTALS = {  # of `RouteReport.totals`, as the page shows them
     "length_m": ("Length", "m"),
     "cost": ("Cost", ""),
@@ -122,7 +122,6 @@ class Viewer:
             "resolution_m": grid.resolution_m,
             "corner_m": [grid.x_min_m, grid.y_min_m],
             "lonlat": self.fit.to_dict(),
-            "north_deg": -north_deg,
             "layers": [
                 {"name": name, "heading": layer.heading, "group": layer.group, "dims": layer.dims, "unit": layer.unit}
                 for name, layer in layers.items()
@@ -149,10 +148,11 @@ class Viewer:
         summaries = {name: entry.summary for name, entry in PLANNERS.items()}
         first = next((name for name in ("gps", H_NORM) if name in layers), next(iter(layers)))
         north = f"true north {abs(north_deg):.2f}° {'west' if north_deg > 0 else 'east'} of the grid's north"
+        altitudes = [f"{z_m:g} m" for z_m in maps.altitudes_m]
         lists = {
-            "altitude": options(f"{z_m:g} m" for z_m in maps.altitudes_m),
-            "day": options(maps.times_of_day),
-            "time": options(map(time_said, maps.times)) if maps.default_time is not None else "",
+            "altitude": options(altitudes),
+            "time_of_day": options(maps.times_of_day),
+            "time": options([*map(time_said, maps.times)]) if maps.default_time is not None else "",
             "layer": layer_options(((name, each.heading, each.group) for name, each in layers.items()), first),
         }
         return {
@@ -161,9 +161,11 @@ class Viewer:
             "credit": escape(maps.ds.attrs.get("attribution", "")),
             "sliders": sliders(self._labels, self._colours),
             "planners": planners(summaries, PLANNER_LINES, "astar-plus"),
-            "minus-run": options(self.names),
             **lists,
             **{f"minus-{name}": text for name, text in lists.items()},
+            "minus-run": options(self.names, -1) if len(self.runs) > 1 else "",
+            "minus-altitude": options(altitudes, -1 if len(self.runs) == 1 else 0),
+            "north": f'<path d="M0-12 5 8 0 4-5 8Z" transform="rotate({-north_deg:.2f})"/>',
         }
 
     @cached_property
@@ -268,13 +270,14 @@ class Viewer:
         at = self.place(query.at)
         planned, _ = self.plans.route(query, at)
         has_path = planned.status.has_path
+        text = f"cost {number(planned.cost)} · {planned.length_m / 1000:.2f} km" if has_path else "no path"
         return {
             "planner": query.planner,
             "has_path": has_path,
             "xy_m": planned.xy_m,
             "cost": _number(planned.cost),
             "cost_by_layer": planned.cost_by_layer,
-            "text": f"cost {number(planned.cost)} · {planned.length_m / 1000:.2f} km" if has_path else "no path",
+            "button": route_button(query.planner, PLANNER_LINES[query.planner], text),
             "html": costs(planned.cost_by_layer, self._labels, self._colours),
             "message": " ".join(filter(None, (planned.search.sentence, planned.search.note))),
             "command": self.plans.command(query, at),
@@ -295,10 +298,10 @@ class Viewer:
         units = {name: text for name, text in TOTALS.items() if name in totals}
         return {
             "totals": rows((label, f"{number(totals[name])} {unit}") for name, (label, unit) in units.items()),
-            "svg": profile(table, lines, without_fix(table)),
+            "profile": profile(table, lines, without_fix(table)),
             "to_share": np.round(table["to_m"].to_numpy() / max(planned.length_m, 1e-9), 5),
             "xy": np.round(np.stack([x_m - corner[0], y_m - corner[1]], axis=-1), 1),
-            "text": "\n\n".join([*told, found.table()]),
+            "report-text": escape("\n\n".join([*told, found.table()])),
         }
 
     def save(self, query: Save) -> bytes:

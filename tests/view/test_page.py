@@ -151,7 +151,7 @@ def test_start_and_goal_a_weight_and_a_zone_change_the_route_and_the_command_giv
     monkeypatch.chdir(tmp_path)
     plan_between(page, FREE[[300, -300]].tolist())
     first = command_gives(page, capsys)
-    route = json.loads(saved(page, '[data-save="geojson"]'))["features"][0]
+    route = json.loads(saved(page, '[data-do="geojson"]'))["features"][0]
     assert route["geometry"]["coordinates"] == np.round(first["lonlat"], 7).tolist()
     assert route["properties"]["cost"] == first["cost"]
 
@@ -175,10 +175,10 @@ def test_start_and_goal_a_weight_and_a_zone_change_the_route_and_the_command_giv
     third = command_gives(page, capsys)
     assert third["settings"]["limits"]["no_fly"][0]["name"] == "zone 1"
     assert third["xy_m"] != second["xy_m"]
-    route = json.loads(saved(page, '[data-save="geojson"]'))["features"][0]
+    route = json.loads(saved(page, '[data-do="geojson"]'))["features"][0]
     assert route["geometry"]["coordinates"] == np.round(third["lonlat"], 7).tolist()
-    assert b"<kml" in saved(page, '[data-save="kml"]')
-    assert json.loads(saved(page, '[data-save="plan"]'))["fileType"] == "Plan"
+    assert b"<kml" in saved(page, '[data-do="kml"]')
+    assert json.loads(saved(page, '[data-do="plan"]'))["fileType"] == "Plan"
     assert page.locator('[data-is="report"] svg').is_visible()
 
 
@@ -227,6 +227,7 @@ def test_the_exported_file_shows_maps_and_values_without_any_server(browser, tmp
         page.select_option('[name="altitude"]', "1")
         page.select_option('[name="layer"]', "h_norm")
         until(page, lambda: "H_norm" in page.locator(".jv-legend").inner_text())
+        point_at(page, FREE[900].tolist())
         assert point_at(page, cell)["gps"] == float(MAPS.m("gps", 60.0)[tuple(cell)])
         assert not page.locator('[data-tab="plan"]').is_visible()
         assert all(address.startswith(("file:", "data:", "blob:")) for address in asked)

@@ -166,9 +166,9 @@ def test_a_report_tells_what_the_route_meets(viewer):
     found = answer(viewer, "report", **QUERY)
     assert len(found["xy"]) == len(found["to_share"]) > 10
     assert found["to_share"][-1] == pytest.approx(1, abs=1e-4)
-    assert "<svg" in found["svg"]
+    assert "<svg" in found["profile"]
     assert "Least clearance" in found["totals"]
-    assert "segment" in found["text"]
+    assert "segment" in found["report-text"]
 
 
 @pytest.mark.parametrize("name", ["geojson", "kml", "plan", "gpx"])
