@@ -32,6 +32,8 @@ LONG_PAGES = {  # of `make test-docs`
     *("docs/reference/api.md", "docs/sensitivity.md", "docs/study.md", "docs/tuning.md", "docs/tutorial.md"),
     *("docs/howto/own_city.md", "docs/howto/own_layer.md", "docs/howto/batches.md", "docs/howto/compare.md"),
     *("docs/howto/one_function.md", "docs/howto/receiver.md"),
+    "docs/howto/one_function.md",
+    "docs/howto/viewer.md",
 }
 
 SCENARIO = """
@@ -173,6 +175,8 @@ def why_not_run(arguments: list[str]) -> str:
     """Return why a command's options are only parsed, or nothing."""
     if arguments[0] == "fetch" and "--dry-run" not in arguments:
         return "it asks servers; tests/io/test_fetch.py asks a local one"
+    if arguments[0] == "view" and "--export" not in arguments:
+        return "it serves until somebody ends it; tests/view asks it"
     if arguments[0] == "demo" or "--cluster" in arguments:
         return "it has tests of its own: tests/world/test_synthetic.py, tests/maps/test_tiled.py"
     if arguments[0] == "tune" and "--by-city" in arguments:

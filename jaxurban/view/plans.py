@@ -65,23 +65,22 @@ class Plans:
         self._lock = RLock()
         self._cost_maps: OrderedDict[Hashable, CostMap] = OrderedDict()
         self._coarse: OrderedDict[Hashable, Problem] = OrderedDict()
-        self._routes: OrderedDict[Hashable, tuple[PlannedPath, CostMap]] = OrderedDict()
+        self._routes: OrderedDict[Hashable, PlannedPath] = OrderedDict()  # without their cost maps, which are large
         self._reports: OrderedDict[Hashable, RouteReport] = OrderedDict()
 
-    def route(self, query: Plan, at: Place) -> tuple[PlannedPath, CostMap]:
-        """Return the route that is asked for, and the cost map that it lies on.
+    def route(self, query: Plan, at: Place) -> PlannedPath:
+        """Return the route that is asked for.
 
         Raises:
           InputError: as for `jaxurban.plan`.
         """
 
-        def make() -> tuple[PlannedPath, CostMap]:
+        def make() -> PlannedPath:
             on = self._cost_map(query, at)
             heuristic, budget_s = _search_of(query.planner)
-            found = on.plan(
+            return on.plan(
                 query.start, query.goal, planner=query.planner, heuristic=heuristic, budget_s=budget_s, snap=query.snap
             )
-            return found, on
 
         with self._lock:
             return _kept(self._routes, query.model_dump_json(), NUM_ROUTES, make)
@@ -119,9 +118,9 @@ class Plans:
           InputError: there is no route.
         """
         with self._lock:
-            planned, on = self.route(query, at)
-            found = _kept(self._reports, query.model_dump_json(), NUM_ROUTES, lambda: explain(planned, on.maps))
-            return found, planned, cautions(planned, on.maps, found.profile)
+            planned, maps = self.route(query, at), self.maps.with_obstacles(query.obstacles)
+            found = _kept(self._reports, query.model_dump_json(), NUM_ROUTES, lambda: explain(planned, maps))
+            return found, planned, cautions(planned, maps, found.profile)
 
     def file(self, query: Plan, at: Place, suffix: str) -> bytes:
         """Return a route as ``jaxurban plan -o`` writes it; as waypoints, simplified by half a cell.
@@ -130,11 +129,11 @@ class Plans:
           InputError: there is no route.
         """
         with self._lock:
-            planned, on = self.route(query, at)
+            planned = self.route(query, at)
             if not planned.status.has_path:
                 raise InputError(f"there is no route to save: {planned.status.sentence}")
             if suffix in WAYPOINTS:
-                planned = simplify(planned, on, on.grid.resolution_m / 2)
+                planned = simplify(planned, self._cost_map(query, at), self.maps.grid.resolution_m / 2)
             return FORMATS[suffix]([("", planned)], None)
 
     def command(self, query: Plan, at: Place) -> str:

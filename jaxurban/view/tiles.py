@@ -10,7 +10,7 @@ import numpy as np
 from jaxurban.errors import InputError
 
 TILE = 256  # cells a side of a tile
-MOST_BYTES = 512 * 2**20  # of layers that are kept
+MOST_BYTES = 256 * 2**20  # of layers that are kept
 
 
 def strides_of(shape: tuple[int, int]) -> list[int]:

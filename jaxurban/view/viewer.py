@@ -268,7 +268,7 @@ class Viewer:
     def plan(self, query: Plan) -> dict[str, Any]:
         """Return a route: its points, cost and message, and the command that gives the same."""
         at = self.place(query.at)
-        planned, _ = self.plans.route(query, at)
+        planned = self.plans.route(query, at)
         has_path = planned.status.has_path
         text = f"cost {number(planned.cost)} · {planned.length_m / 1000:.2f} km" if has_path else "no path"
         return {
