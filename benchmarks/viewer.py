@@ -2,9 +2,9 @@
 
 usage: python -m benchmarks.viewer DIR [--pairs 20] [--json FILE]
 
-The server runs in a process of its own, as `jaxurban view` starts it, and is asked as its page asks it. Times are of the
-wall at the page's side; the server's own CPU seconds stand beside them, since other work on the machine counts in the
-one and hardly in the other.
+The server runs in a process of its own, as `jaxurban view` starts it, and is asked as its page asks it. Times are of
+the wall at the page's side; the server's own CPU seconds stand beside them, since other work on the machine counts in
+the one and hardly in the other.
 """
 
 import http.client

@@ -111,6 +111,7 @@ GOOD: dict[str, Callable[[], dict[str, Any]]] = {
     },
     "study": lambda: {"maps": MAPS, "folder": "/proc/none", "instances": 1, "progress": False},
     "validate": lambda: {"scenario": ju.Scenario.from_dict(SETTINGS), "log": "no-such.csv", "progress": False},
+    "view": lambda: {"maps": MAPS},
     "write_buildings": lambda: {"folder": "no/such/place", "planned": held("path"), "out": "/proc/none"},
 }
 
@@ -123,7 +124,7 @@ WRONG: dict[str, Any] = {
     **dict.fromkeys(("start_xy_m", "goal_xy_m"), ("east", "north")),
     "PlannedPath.save.end": "hover",
     **dict.fromkeys(("time", "MetricMaps.m.time"), "yesterday"),
-    **dict.fromkeys(("folder", "maps", "maps_a", "maps_b", "path", "file"), "no/such/place"),
+    **dict.fromkeys(("folder", "maps", "maps_a", "maps_b", "other", "path", "file"), "no/such/place"),
     **dict.fromkeys(("MetricMaps.save.folder", "save_comparison.folder", "save_sensitivity.folder"), "/proc/none"),
     **dict.fromkeys(("other_pieces_m", "shifts_m"), (-1.0,)),
     **dict.fromkeys(("study.folder", "sensitivity_study.folder", "out"), "/proc/none"),

@@ -66,6 +66,8 @@ class _Handler(BaseHTTPRequestHandler):
     protocol_version = "HTTP/1.1"
     server_version, sys_version = "jaxurban", ""
     timeout = PATIENCE_S
+    disable_nagle_algorithm = True  # else an answer waits 40 ms for the browser to acknowledge its head
+    wbufsize = -1
 
     def do_GET(self) -> None:
         self._give(self._page)
