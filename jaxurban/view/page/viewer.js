@@ -244,7 +244,7 @@ async function start(root, ask) {
     const drag = state.drag, place = toMetres(left, top);
     if (drag) {
       drag.isMoved ||= Math.hypot(left - drag.left, top - drag.top) > 3;
-      if (drag.end && drag.isMoved && isInside(place)) { state.ends[drag.end] = place; preview(); }
+      if (drag.end && drag.isMoved && isInside(place)) { state.ends[drag.end] = place; preview(state.plans); }
       if (!drag.end && drag.isMoved) {
         view.x -= (left - drag.left) * view.scale;
         view.y += (top - drag.top) * view.scale;
@@ -286,10 +286,10 @@ async function start(root, ask) {
   const isReady = () => state.ends.start && state.ends.goal;
   const placed = route => ({ ...route, xy_m: route.xy_m.map(([x, y]) => [x - west0, y - south0]) });
   const chosen = () => [...is('planners').querySelectorAll(':checked')].map(box => box.value);
-  const preview = latest(async () => {
-    if (!isReady()) return;
-    const asked = state.plans, found = await ask('coarse', query(chosen()[0] ?? 'astar-plus'));
-    if (asked !== state.plans || !found.has_path) return; // the route itself was asked for meanwhile
+  const preview = latest(async asked => { // until the route itself is asked for
+    if (asked !== state.plans || !isReady()) return;
+    const found = await ask('coarse', query(chosen()[0] ?? 'astar-plus'));
+    if (asked !== state.plans || !found.has_path) return;
     state.routes = [placed(found)];
     tell(`Preview on cells of ${found.cell_m} m: let go for the route itself.`);
     draw();
@@ -404,7 +404,7 @@ async function start(root, ask) {
   for (const [name, value] of Object.entries(scene.weights)) {
     const slider = field(`weight-${name}`), read = () => setWeight(name,
       slider.value === slider.min ? 0 : Number((10 ** slider.value).toPrecision(3)));
-    slider.oninput = () => { read(); preview(); };
+    slider.oninput = () => { read(); preview(state.plans); };
     slider.onchange = plan;
     setWeight(name, value);
   }
