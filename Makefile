@@ -34,7 +34,7 @@ test-long: $(VENV)/.dev
 	  tests/maps/test_protection.py tests/maps/test_slabs.py tests/metrics/test_protection_sidereon.py tests/report/test_receiver.py \
 	  tests/studies/test_receiver.py tests/test_receiver_page.py \
 	  tests/planners/test_bitstar_batched.py tests/maps/test_supersampling.py tests/scenario/test_run.py \
-	  tests/view/test_page.py tests/view/test_widget.py \
+	  tests/viewer/test_page.py tests/viewer/test_widget.py tests/viewer/test_study.py tests/cli/test_view.py \
 	  tests/planners/test_batch.py::test_a_sample_of_movingai_is_optimal_in_jax \
 	  tests/planners/test_batch.py::test_the_frontier_is_exact_for_every_band_on_many_maps_at_once \
 	  tests/maps/test_tiled.py::test_kill_9_of_the_run_loses_no_finished_tile_and_changes_no_byte \

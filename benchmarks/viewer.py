@@ -21,7 +21,7 @@ import psutil
 from scipy.ndimage import label
 
 from jaxurban.maps.metric_maps import MetricMaps, open_maps
-from jaxurban.view.tiles import TILE, strides_of
+from jaxurban.viewer.tiles import TILE, strides_of
 
 CANVAS = (980, 720)  # pixels of the map at 1280 x 720
 

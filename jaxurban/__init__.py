@@ -70,7 +70,7 @@ if _TYPE_CHECKING:
     from jaxurban.studies.tuning.target_fit import fit_targets as fit_targets
     from jaxurban.studies.tuning.targets import Target as Target
     from jaxurban.studies.tuning.weight_fit import fit_weights as fit_weights
-    from jaxurban.view.widget import view as view
+    from jaxurban.viewer.widget import view as view
     from jaxurban.world.city import City as City
     from jaxurban.world.grid import Grid as Grid
     from jaxurban.world.synthetic import demo_city as demo_city
@@ -130,7 +130,7 @@ _NAMES = {
     "studies.tuning.target_fit": "fit_targets",
     "studies.tuning.targets": "Target",
     "studies.tuning.weight_fit": "fit_weights",
-    "view.widget": "view",
+    "viewer.widget": "view",
     "world.city": "City",
     "world.grid": "Grid",
     "world.synthetic": "demo_city",

@@ -176,7 +176,7 @@ def why_not_run(arguments: list[str]) -> str:
     if arguments[0] == "fetch" and "--dry-run" not in arguments:
         return "it asks servers; tests/io/test_fetch.py asks a local one"
     if arguments[0] == "view" and "--export" not in arguments:
-        return "it serves until somebody ends it; tests/view asks it"
+        return "it serves until somebody ends it; tests/viewer asks it"
     if arguments[0] == "demo" or "--cluster" in arguments:
         return "it has tests of its own: tests/world/test_synthetic.py, tests/maps/test_tiled.py"
     if arguments[0] == "tune" and "--by-city" in arguments:

@@ -19,7 +19,7 @@ from jaxurban.cli.common import (
 from jaxurban.errors import InputError
 
 if TYPE_CHECKING:
-    from jaxurban.view.viewer import Viewer
+    from jaxurban.viewer.viewer import Viewer
     from jaxurban.world.city import City
 
 
@@ -53,12 +53,12 @@ def view(
     """Look at the maps in DIR and plan on them, in a browser on this machine; Ctrl-C ends it."""
     viewer = _viewer(folder, resolution_m, obstacles, other, study)
     if export is not None:
-        from jaxurban.view.export import write_page
+        from jaxurban.viewer.export import write_page
 
         num_bytes = write_page(viewer, export, int(size_mib * 2**20))
         tell(f"wrote {export} ({num_bytes / 2**20:.1f} MiB): open it in a browser")
         return 0
-    from jaxurban.view.server import ViewerServer
+    from jaxurban.viewer.server import ViewerServer
 
     with ViewerServer(viewer, port) as server:
         tell(f"look at {server.url} (Ctrl-C ends it)")
@@ -81,10 +81,10 @@ def _viewer(
     from jaxurban.paths.constraints import CLEARANCES
     from jaxurban.paths.vehicle import Vehicle
     from jaxurban.studies.map_comparison.shared_part import shared_part
-    from jaxurban.view.outlines import Outlines
-    from jaxurban.view.plans import PlanDefaults
-    from jaxurban.view.study import WeightStudy
-    from jaxurban.view.viewer import Viewer
+    from jaxurban.viewer.outlines import Outlines
+    from jaxurban.viewer.plans import PlanDefaults
+    from jaxurban.viewer.study import WeightStudy
+    from jaxurban.viewer.viewer import Viewer
 
     stored = stored_settings(folder)
     maps = open_maps(folder, resolution_m, obstacles=stored_obstacles(stored, obstacles))  # type: ignore[arg-type]

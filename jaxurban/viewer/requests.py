@@ -43,7 +43,7 @@ class Shown(Request):
 
 
 class Tile(Shown):
-    """A tile of it (`jaxurban.view.tiles`)."""
+    """A tile of it (`jaxurban.viewer.tiles`)."""
 
     stride: Index
     row: Index

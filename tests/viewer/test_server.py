@@ -8,10 +8,10 @@ from contextlib import closing
 
 import pytest
 
-from jaxurban.view.server import MOST_BODY
-from jaxurban.view.viewer import Viewer
+from jaxurban.viewer.server import MOST_BODY
+from jaxurban.viewer.viewer import Viewer
 from tests.made_maps import made_maps
-from tests.view.browser import served
+from tests.viewer.browser import served
 
 MAPS = made_maps(40, 60)
 FREE = MAPS.is_free(20.0)

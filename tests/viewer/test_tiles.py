@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from jaxurban.errors import InputError
-from jaxurban.view.tiles import TILE, Kept, middles, strides_of, tile_bytes
+from jaxurban.viewer.tiles import TILE, Kept, middles, strides_of, tile_bytes
 
 VALUES = np.random.default_rng(3).normal(size=(700, 530)).astype(np.float32)
 

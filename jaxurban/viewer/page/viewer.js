@@ -1,6 +1,6 @@
 // The page of the viewer. It asks one function, `ask(name, parameters)`, which each door brings along: a server over
 // HTTP, a notebook's kernel, or the answers that lie in the file itself. Places are metres from the maps' southwest
-// corner, x to the east of the grid and y to its north; values travel as `jaxurban.view.tiles` packs them.
+// corner, x to the east of the grid and y to its north; values travel as `jaxurban.viewer.tiles` packs them.
 const fromBase64 = text => Uint8Array.from(atob(text), letter => letter.charCodeAt(0));
 const clamp = (value, low, high) => Math.min(Math.max(value, low), high);
 const number = value => value === null ? '–'

@@ -26,9 +26,9 @@ from jaxurban.paths.vehicle import Vehicle
 from jaxurban.planners.base import CostModel, Problem
 from jaxurban.planners.heuristics import AUTO
 from jaxurban.planners.registry import PLANNERS, find_planner
-from jaxurban.view.layers import Place
-from jaxurban.view.requests import Plan
-from jaxurban.view.tiles import middles
+from jaxurban.viewer.layers import Place
+from jaxurban.viewer.requests import Plan
+from jaxurban.viewer.tiles import middles
 
 ZONES_FILE = "zones.geojson"  # what the page saves drawn zones as, and the command names
 BUDGET_S, SAMPLING_BUDGET_S = 30.0, 2.0  # sampling planners take all that they may

@@ -5,9 +5,9 @@ import sys
 import pytest
 
 from jaxurban.errors import InputError
-from jaxurban.view.html import part
-from jaxurban.view.viewer import Viewer
-from jaxurban.view.widget import reply_to, view, widget_of
+from jaxurban.viewer.html import part
+from jaxurban.viewer.viewer import Viewer
+from jaxurban.viewer.widget import reply_to, view, widget_of
 from tests.made_maps import made_maps
 
 MAPS = made_maps(24, 30)
@@ -68,3 +68,12 @@ def test_a_notebook_that_shows_the_viewer_runs_and_holds_the_widget(tmp_path):
     state = notebook.metadata["widgets"]["application/vnd.jupyter.widget-state+json"]["state"][model]["state"]
     assert state["_anywidget_id"].endswith("ViewerWidget")
     assert "jv-map" in state["markup"]
+
+
+def test_the_public_name_stays_the_function_after_its_package_was_imported():
+    import jaxurban as ju
+    import jaxurban.viewer.server
+
+    assert jaxurban.viewer.server
+    assert ju.view is view
+    assert ju.view is view  # once more: the first look imports

@@ -28,7 +28,7 @@ from jaxurban.report.figures.metrics import (
     values_of,
 )
 from jaxurban.report.figures.paths import BLOCKED_COLOUR, COST_COLOURS
-from jaxurban.view.markup import legend
+from jaxurban.viewer.markup import legend
 
 H_NORM, COST_OF = "h_norm", "cost:"
 OBSTACLE, NOTHING = np.float32(-np.inf), np.float32(np.nan)  # how values travel: a cell in an obstacle; one not drawn

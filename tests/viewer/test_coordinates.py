@@ -4,7 +4,7 @@ import numpy as np
 import pyproj
 import pytest
 
-from jaxurban.view.coordinates import LonLatFit
+from jaxurban.viewer.coordinates import LonLatFit
 from jaxurban.world.grid import Grid
 
 

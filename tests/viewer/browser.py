@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from jaxurban.view.server import ViewerServer
-from jaxurban.view.viewer import Viewer
+from jaxurban.viewer.server import ViewerServer
+from jaxurban.viewer.viewer import Viewer
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 SIZE = {"width": 1280, "height": 720}

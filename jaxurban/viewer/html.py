@@ -12,7 +12,7 @@ PARTS = {"markup": "viewer.html", "style": "viewer.css", "script": "viewer.js"}
 @cache
 def part(name: str) -> str:
     """Return a part of the page: ``"markup"``, ``"style"`` or ``"script"``."""
-    return (files("jaxurban.view") / "page" / PARTS[name]).read_text(encoding="utf-8")
+    return (files("jaxurban.viewer") / "page" / PARTS[name]).read_text(encoding="utf-8")
 
 
 def html_page(data: str = "", title: str = "jaxurban") -> str:

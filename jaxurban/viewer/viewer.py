@@ -17,8 +17,8 @@ from jaxurban.planners.registry import PLANNERS
 from jaxurban.report.figures.metrics import DOP_NAMES, line_colour
 from jaxurban.report.figures.notes import place_said, time_said
 from jaxurban.report.figures.paths import planner_colours
-from jaxurban.view.coordinates import LonLatFit
-from jaxurban.view.layers import (
+from jaxurban.viewer.coordinates import LonLatFit
+from jaxurban.viewer.layers import (
     H_NORM,
     Layer,
     Place,
@@ -27,12 +27,12 @@ from jaxurban.view.layers import (
     layers_of,
     legend_of,
 )
-from jaxurban.view.markup import costs, layer_options, number, options, planners, profile, route_button, rows, sliders
-from jaxurban.view.outlines import Outlines
-from jaxurban.view.plans import PlanDefaults, Plans
-from jaxurban.view.requests import Box, Cell, Nothing, Plan, Request, Save, Shown, Tile, Which, parse
-from jaxurban.view.study import WeightStudy
-from jaxurban.view.tiles import TILE, Kept, strides_of, tile_bytes
+from jaxurban.viewer.markup import costs, layer_options, number, options, planners, profile, route_button, rows, sliders
+from jaxurban.viewer.outlines import Outlines
+from jaxurban.viewer.plans import PlanDefaults, Plans
+from jaxurban.viewer.requests import Box, Cell, Nothing, Plan, Request, Save, Shown, Tile, Which, parse
+from jaxurban.viewer.study import WeightStudy
+from jaxurban.viewer.tiles import TILE, Kept, strides_of, tile_bytes
 
 JSON, BYTES = "application/json", "application/octet-stream"
 BLOCK = 128  # cells a side that are read at once for the values under the pointer

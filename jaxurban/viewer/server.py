@@ -11,8 +11,8 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
 
 from jaxurban.errors import InputError, JaxurbanError
-from jaxurban.view.html import html_page, policy_of
-from jaxurban.view.viewer import JSON, Answer, Viewer
+from jaxurban.viewer.html import html_page, policy_of
+from jaxurban.viewer.viewer import JSON, Answer, Viewer
 
 HOST = "127.0.0.1"
 MOST_BODY = 128 * 1024  # bytes of a request

@@ -8,14 +8,14 @@ import shlex
 import numpy as np
 import pytest
 
-from jaxurban.view.export import write_page
-from jaxurban.view.html import part
-from jaxurban.view.plans import PlanDefaults
-from jaxurban.view.viewer import Viewer
-from jaxurban.view.widget import reply_to
+from jaxurban.viewer.export import write_page
+from jaxurban.viewer.html import part
+from jaxurban.viewer.plans import PlanDefaults
+from jaxurban.viewer.viewer import Viewer
+from jaxurban.viewer.widget import reply_to
 from tests.cli_runs import run
 from tests.made_maps import made_maps
-from tests.view.browser import READY, chromium, opened, served
+from tests.viewer.browser import READY, chromium, opened, served
 
 pytestmark = pytest.mark.slow
 MAPS = made_maps(160, 200)

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Any
 from jaxurban.errors import InputError, typed
 from jaxurban.maps.metric_maps import GivenMaps, as_maps
 from jaxurban.metrics.weights import GivenWeights, Weights
-from jaxurban.view.html import part
-from jaxurban.view.plans import PlanDefaults
-from jaxurban.view.viewer import JSON, Viewer
+from jaxurban.viewer.html import part
+from jaxurban.viewer.plans import PlanDefaults
+from jaxurban.viewer.viewer import JSON, Viewer
 
 if TYPE_CHECKING:
     from anywidget import AnyWidget

@@ -12,9 +12,9 @@ from jaxurban.errors import InputError
 from jaxurban.metrics.weights import Weights
 from jaxurban.paths.plan import plan
 from jaxurban.report.figures.metrics import metric_colours
-from jaxurban.view.layers import layers_of
-from jaxurban.view.plans import PlanDefaults
-from jaxurban.view.viewer import Viewer
+from jaxurban.viewer.layers import layers_of
+from jaxurban.viewer.plans import PlanDefaults
+from jaxurban.viewer.viewer import Viewer
 from tests.cli_runs import run
 from tests.made_maps import made_maps
 

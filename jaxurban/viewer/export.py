@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import Any
 
 from jaxurban.errors import InputError
-from jaxurban.io.files import check_writable, write_whole
+from jaxurban.io.files import write_whole
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY
-from jaxurban.view.html import html_page
-from jaxurban.view.requests import Nothing, Shown
-from jaxurban.view.tiles import TILE, strides_of
-from jaxurban.view.viewer import Viewer
+from jaxurban.viewer.html import html_page
+from jaxurban.viewer.requests import Nothing, Shown
+from jaxurban.viewer.tiles import TILE, strides_of
+from jaxurban.viewer.viewer import Viewer
 
 SUFFIX = ".html"
 
@@ -33,9 +33,8 @@ def write_page(viewer: Viewer, file: str | Path, most_bytes: int) -> int:
       InputError: the file has another suffix or cannot be written, or even the coarsest page is larger.
     """
     file = Path(file)
-    if file.suffix.lower() != SUFFIX or file.is_dir():
-        raise InputError(f"the page {str(file)!r} must be a file that ends in {SUFFIX}")
-    check_writable(file.parent)
+    if file.suffix.lower() != SUFFIX or file.is_dir() or not file.parent.is_dir():
+        raise InputError(f"the page {str(file)!r} must be a file that ends in {SUFFIX}, in a folder that is there")
     shape = viewer.maps.grid.shape
     maps = list(_maps_of(viewer))
     for stride in strides_of(shape):

@@ -7,9 +7,9 @@ import pytest
 
 from jaxurban.errors import InputError
 from jaxurban.io.tables import read_table
-from jaxurban.view.plans import PlanDefaults
-from jaxurban.view.study import WeightStudy
-from jaxurban.view.viewer import Viewer
+from jaxurban.viewer.plans import PlanDefaults
+from jaxurban.viewer.study import WeightStudy
+from jaxurban.viewer.viewer import Viewer
 from tests.cli_runs import run
 from tests.made_maps import made_maps
 

@@ -16,7 +16,7 @@ from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY
 from jaxurban.report.figures.metrics import percent
 from jaxurban.report.figures.sensitivity import CLUSTER_COLOURS
 from jaxurban.report.markdown import listed
-from jaxurban.view.markup import rows, triangle
+from jaxurban.viewer.markup import rows, triangle
 
 ROUTES_TABLE, CELLS_TABLE = "tables/triangle.parquet", "tables/triangle_cells.parquet"
 
