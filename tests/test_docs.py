@@ -32,7 +32,6 @@ LONG_PAGES = {  # of `make test-docs`
     *("docs/reference/api.md", "docs/sensitivity.md", "docs/study.md", "docs/tuning.md", "docs/tutorial.md"),
     *("docs/howto/own_city.md", "docs/howto/own_layer.md", "docs/howto/batches.md", "docs/howto/compare.md"),
     *("docs/howto/one_function.md", "docs/howto/receiver.md"),
-    "docs/howto/one_function.md",
     "docs/howto/viewer.md",
 }
 

@@ -39,8 +39,7 @@ def app() -> None:
     """Metric maps for small drones over cities, and paths planned on them."""
 
 
-for command in (compare, demo, fetch, maps, plan, sensitivity, study, tune, validate):
-for command in (compare, demo, fetch, maps, plan, sensitivity, study, tune, view):
+for command in (compare, demo, fetch, maps, plan, sensitivity, study, tune, validate, view):
     app.add_command(command)
 
 
