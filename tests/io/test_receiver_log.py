@@ -56,6 +56,12 @@ def test_an_offset_from_utc_is_taken_off():
     assert read_receiver_log(zoned).epochs.utc.tolist() == read_receiver_log(GOOD).epochs.utc.tolist()
 
 
+@pytest.mark.parametrize("zone", [" UTC", "UTC", " gmt", "+00", "+0000", "+00:00", ".000Z", ".000 +00:00"])
+def test_a_zone_may_be_written_in_several_ways(zone):
+    written = GOOD.assign(utc=GOOD.utc.str.replace("T", " ").str.replace("Z", zone))
+    assert read_receiver_log(written).epochs.utc.tolist() == read_receiver_log(GOOD).epochs.utc.tolist()
+
+
 def test_rows_of_one_time_are_an_epoch_where_they_name_satellites():
     log = read_receiver_log(BY_SATELLITE)
     assert log.epochs.num_tracked.tolist() == [2, 1, 0]
@@ -74,14 +80,23 @@ def test_rows_of_one_time_are_an_epoch_where_they_name_satellites():
         (GOOD.assign(utc=pd.to_datetime(GOOD.utc).dt.tz_localize(None)), ("without a zone", "local")),
         (GOOD.assign(utc=[1545199657.0] * 3), ("numbers as times", "GPS time")),
         (GOOD.assign(utc="noon"), ("'noon'", "Z")),
-        (GOOD.assign(utc="2018-13-41T06:07:37Z"), ("cannot be read", "Z")),
+        (GOOD.assign(utc="2018-13-41T06:07:37Z"), ("'2018-13-41T06:07:37Z'", "cannot be read: write UTC")),
+        (GOOD.assign(utc=[*GOOD.utc[:2], "12/19/2018 06:07:39Z"]), ("'12/19/2018 06:07:39Z'", "cannot be read: write")),
+        (GOOD.assign(utc="2018-12-19"), ("without a zone",)),
         (GOOD.assign(utc=[None, *GOOD.utc[1:]]), ("1 rows without a time", "remove")),
         (GOOD.drop(columns="lat_deg"), ("no column lat_deg",)),
         (GOOD.drop(columns="num_tracked"), ("none of the columns num_tracked", "error_2d_m", "satellite")),
         (GOOD.assign(lon_deg=[np.nan, 139.0, 139.0]), ("1 rows without a number in lon_deg", "remove")),
         (GOOD.assign(lat_deg=139.0), ("beyond 90", "swapped")),
         (GOOD.assign(utc=GOOD.utc[0]), ("two rows at 2018-12-19T06:07:38", "satellite")),
-        (GOOD.assign(num_tracked=[8, -1, 9]), ("-1", "num_tracked")),
+        (GOOD.assign(num_tracked=[8, -1, 9]), ("has -1 in num_tracked",)),
+        (GOOD.assign(num_tracked=[8, 1e9, 9]), ("a number from 0 to 200",)),
+        (GOOD.assign(num_tracked=True), ("has True in num_tracked",)),
+        (GOOD.assign(error_2d_m=-0.5), ("has -0.5 in error_2d_m", "a number from 0 up")),
+        (GOOD.assign(**{" utc": GOOD.utc}), ("two columns utc", "keep one")),
+        (GOOD.assign(**{"lat_deg ": GOOD.lat_deg}), ("two columns lat_deg",)),
+        (GOOD.rename(columns={"utc": "Time"}), ("no times", "but 'Time', 'lon_deg'")),
+        (BY_SATELLITE.assign(cn0_dbhz=1e308), ("cn0_dbhz", "from 0 to 100")),
         (GOOD.assign(num_tracked="many"), ("'many'", "num_tracked")),
         (GOOD.assign(num_tracked=np.nan), ("no value in num_tracked", "remove")),
         (BY_SATELLITE.assign(lon=[139.0, 139.1, 139.1, 139.2]), ("two places at 2018-12-19T06:07:37",)),

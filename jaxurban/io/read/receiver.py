@@ -1,19 +1,25 @@
 """Logs of a satellite receiver: tables of where it was, when, and what it tracked, to `ReceiverLog`."""
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
+from textwrap import shorten
 
 import numpy as np
 import pandas as pd
 
-from jaxurban.errors import InputError, reason_of
+from jaxurban.errors import InputError
 from jaxurban.io.tables import read_table
 
 UTC, LON, LAT = "utc", "lon_deg", "lat_deg"
 OTHER_NAMES = {LON: "lon", LAT: "lat"}
 TRACKED, ERROR, SATELLITE, CN0 = "num_tracked", "error_2d_m", "satellite", "cn0_dbhz"
 WITNESSES = (TRACKED, ERROR, SATELLITE)  # what a log may tell of how well the receiver did
+MOST_COLUMNS_SAID = 120  # characters of the columns that a log has
 MOST_TRACKED = 200  # satellites: no receiver has so many channels for different ones
+MOST_CN0_DBHZ = 100.0  # under open sky it is 30 to 55: beyond, it is another quantity
+# The zone of a time, behind its minutes or seconds; pandas reads all but the names.
+ZONE = re.compile(r"(?:Z|UTC|GMT|:\d\d(?:\.\d+)?\s*[+-]\d\d(?::?\d\d)?)$", re.IGNORECASE)
 LIKE_THIS = "2018-12-19T06:07:37Z"
 REMEDY = f"give a table with the columns {UTC} (as {LIKE_THIS}), {LON}, {LAT} and one of {', '.join(WITNESSES)}"
 
@@ -52,8 +58,8 @@ def read_receiver_log(source: str | Path | pd.DataFrame) -> ReceiverLog:
         and one or more of ``num_tracked``, ``error_2d_m`` and ``satellite``, the latter with ``cn0_dbhz`` or without.
 
     Raises:
-      InputError: a file that cannot be read, no rows, a missing column, times that are none or of no known zone,
-        coordinates that are none, two rows of one time, or values that no receiver gives.
+      InputError: a file that cannot be read, no rows, a column that is missing or there twice, times that are none or
+        of no known zone, coordinates that are none, two rows of one time, or values that no receiver gives.
     """
     is_table = isinstance(source, pd.DataFrame)
     name = "the table" if is_table else str(source)
@@ -64,7 +70,7 @@ def read_receiver_log(source: str | Path | pd.DataFrame) -> ReceiverLog:
     table = table.assign(**{UTC: _times(table[UTC], name)})
     for column, most in ((LON, 180), (LAT, 90)):
         table[column] = _coordinates(table, column, most, name)
-    for column, most_value in ((TRACKED, MOST_TRACKED), (ERROR, np.inf), (CN0, np.inf)):
+    for column, most_value in ((TRACKED, MOST_TRACKED), (ERROR, np.inf), (CN0, MOST_CN0_DBHZ)):
         if column in table:
             table[column] = _numbers(table, column, most_value, name)
     table = table.sort_values(UTC, kind="stable", ignore_index=True)
@@ -92,10 +98,12 @@ def _named(table: pd.DataFrame, name: str) -> pd.DataFrame:
     """Return a table whose columns have our names, if it holds what is needed."""
     table = table.rename(columns={column: str(column).strip() for column in table.columns})
     table = table.rename(columns={other: ours for ours, other in OTHER_NAMES.items() if ours not in table})
-    if UTC not in table:
-        raise InputError(f"the receiver log {name!r} has no times (a column {UTC}): {REMEDY}")
-    if missing := [column for column in (LON, LAT) if column not in table]:
-        raise InputError(f"the receiver log {name!r} has no column {missing[0]}: {REMEDY}")
+    if twice := [column for column in (UTC, LON, LAT, *WITNESSES, CN0) if (table.columns == column).sum() > 1]:
+        raise InputError(f"the receiver log {name!r} has two columns {twice[0]}: keep one")
+    if missing := [column for column in (UTC, LON, LAT) if column not in table]:
+        what = f"no times (a column {UTC})" if missing[0] == UTC else f"no column {missing[0]}"
+        held = shorten(", ".join(map(repr, table.columns)), MOST_COLUMNS_SAID, placeholder=" ...")
+        raise InputError(f"the receiver log {name!r} has {what}, but {held}: {REMEDY}, parted by commas")
     if not any(column in table for column in WITNESSES):
         raise InputError(
             f"the receiver log {name!r} has none of the columns {', '.join(WITNESSES)}, of which one must tell how "
@@ -120,16 +128,26 @@ def _times(column: pd.Series, name: str) -> pd.Series:
             raise InputError(f"{what} has times without a zone ({column.iloc[0]}), which may be local ones: {remedy}")
         return column.dt.tz_convert("UTC")
     texts = column.astype(str).str.strip()
-    if len(local := texts[~texts.str.contains(r"(?:Z|UTC|[+-]\d\d:?\d\d)$", case=False)]):
+    if len(local := texts[~texts.str.contains(ZONE)]):
         try:
             pd.to_datetime(local.iloc[0])
         except (ValueError, OverflowError) as error:
             raise InputError(f"{what} has {local.iloc[0]!r} as a time, which is none: {remedy}") from error
         raise InputError(f"{what} has times without a zone ({local.iloc[0]!r}), which may be local ones: {remedy}")
+    iso = texts.str.replace(r"\s*(?:UTC|GMT)$", "Z", case=False, regex=True)
     try:
-        return pd.to_datetime(texts, utc=True, format="ISO8601")
+        return pd.to_datetime(iso, utc=True, format="ISO8601")
     except (ValueError, OverflowError) as error:
-        raise InputError(f"{what} has times that cannot be read ({reason_of(error)}): {remedy}") from error
+        wrong = next((text for text, each in zip(texts, iso, strict=True) if not _is_time(each)), texts.iloc[0])
+        raise InputError(f"{what} has {wrong!r} as a time, which cannot be read: {remedy}") from error
+
+
+def _is_time(text: str) -> bool:
+    try:
+        pd.to_datetime([text], utc=True, format="ISO8601")
+    except (ValueError, OverflowError):
+        return False
+    return True
 
 
 def _coordinates(table: pd.DataFrame, column: str, most: float, name: str) -> pd.Series:
@@ -148,12 +166,15 @@ def _coordinates(table: pd.DataFrame, column: str, most: float, name: str) -> pd
 
 
 def _numbers(table: pd.DataFrame, column: str, most: float, name: str) -> pd.Series:
-    """Return a column of numbers from 0 up, NaN where there is none; at least one must be there."""
+    """Return a column of numbers from 0 to ``most``, NaN where there is none; at least one must be there."""
     values = pd.to_numeric(table[column], errors="coerce").astype(float)
-    wrong = table[column][(values.isna() & table[column].notna()) | (values < 0) | (values > most) | np.isinf(values)]
-    if len(wrong):
+    is_wrong = (values.isna() & table[column].notna()) | (values < 0) | (values > most) | np.isinf(values)
+    if pd.api.types.is_bool_dtype(table[column]):
+        is_wrong |= True
+    if len(wrong := table[column][is_wrong].tolist()):  # a list's numbers are Python's
+        up_to = "up" if np.isinf(most) else f"to {most:g}"
         raise InputError(
-            f"the receiver log {name!r} has {wrong.iloc[0]!r} in {column}, where a number from 0 up belongs, or "
+            f"the receiver log {name!r} has {wrong[0]!r} in {column}, where a number from 0 {up_to} belongs, or "
             "nothing where it is not known"
         )
     if column in WITNESSES and values.isna().all():
