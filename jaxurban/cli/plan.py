@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from jaxurban.paths.explain import RouteReport
     from jaxurban.paths.path import PlannedPath
 
+LEAST_NAME_WIDTH = 20  # characters of the table's first column
 LEVEL_OPTIONS = ("min_altitude_m", "max_altitude_m", "level_step_m", "climb_cost", "descent_cost")  # of `Levels`
 
 
@@ -175,4 +176,5 @@ def _path_table(facts: Settings) -> str:
         rows += [(f"cost of {name}", f"{value:.3f}") for name, value in facts["cost_by_layer"].items()]
         rows += [(f"mean m_{name}", f"{value:.3f}") for name, value in facts["metrics"].items()]
     rows += [("expansions", f"{facts['num_expanded']}"), ("search time", f"{facts['elapsed_s']:.3f} s")]
-    return "\n".join([*(f"{name:<20}{value}" for name, value in rows), facts["message"]])
+    width = max(LEAST_NAME_WIDTH, *(len(name) + 1 for name, _ in rows))
+    return "\n".join([*(f"{name:<{width}}{value}" for name, value in rows), facts["message"]])

@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from jaxurban.cli import main as cli
+from jaxurban.cli.plan import _path_table
 from tests.cli_runs import assert_one_sentence, run
 
 SCENARIO = """
@@ -324,3 +325,12 @@ def test_a_reader_of_stdout_that_leaves_is_no_error(arguments):
     finally:
         os.close(write_end)
     assert (left.returncode, left.stderr) == (0, b"")
+
+
+def test_the_table_of_a_path_parts_long_names_from_their_numbers():
+    metrics = {"gps_horizontal": 0.9, "a_layer_of_a_very_long_name": 0.5}
+    facts = {"planner": "p", "heuristic": "h", "backend": "b", "status": "optimal", "cost": 1.0, "gap": 0.0}
+    facts |= {"length_m": 1.0, "snap_distance_m": {}, "cost_by_layer": metrics, "metrics": metrics, "message": ""}
+    lines = _path_table(facts | {"num_expanded": 1, "elapsed_s": 0.1}).splitlines()
+    assert f"{'mean m_gps_horizontal':<36}0.900" in lines
+    assert "cost of a_layer_of_a_very_long_name 0.500" in lines
