@@ -18,6 +18,7 @@ from jaxurban.report.figures.degrees import in_degrees
 from jaxurban.report.figures.receiver import LABELS, name_of, validation_figures
 from jaxurban.report.markdown import bullets, counted, fill, table
 from jaxurban.report.save import Output, save
+from jaxurban.studies.bootstrap import FEWEST_GROUPS
 from jaxurban.studies.receiver.scores import AUC, MAIN, SPEARMAN
 from jaxurban.studies.receiver.validate import ReceiverValidation
 
@@ -112,7 +113,7 @@ def validation_markdown(found: ReceiverValidation, figures: list[str]) -> str:
         track=_track(found),
         summary=bullets(f"**{_said(row)}**" for row in found.main.to_dict("records")),
         scores=score_table(at_lengths),
-        undefined="No value stands where a coefficient is not defined: nothing varies, or all pieces are of one kind.",
+        undefined=_undefined(found),
         others=_others(found),
         satellites=_satellites(found),
         shifts=_shifts(found),
@@ -121,6 +122,14 @@ def validation_markdown(found: ReceiverValidation, figures: list[str]) -> str:
         figures="\n\n".join(f"![{CAPTIONS[name]}](figures/{name}.png)" for name in figures),
     )
     return f"{text}\n"
+
+
+def _undefined(found: ReceiverValidation) -> str:
+    """Return why values and intervals are missing."""
+    told = "No value stands where a coefficient is not defined: nothing varies, or all pieces are of one kind."
+    lacks = any((found.scores[name].notna() & found.scores[f"{name}_low"].isna()).any() for name in (SPEARMAN, AUC))
+    few = f" No interval stands where a track has fewer than {FEWEST_GROUPS} blocks, or draws leave it undefined."
+    return told + few * lacks
 
 
 def _track(found: ReceiverValidation) -> str:

@@ -31,6 +31,30 @@ def test_every_figure_names_what_it_shows():
         assert all(panel.get_ylabel() or panel.get_title("left") for panel in figure.axes[:2]), name
 
 
+def test_what_a_short_still_log_lacks_is_said_and_not_drawn():
+    log = true_log()[:60].assign(num_tracked=[5, 8] * 30)
+    settings = ju.ReceiverSettings(sky_step_s=240.0, block_m=100.0, shifts_m=(100.0,))
+    of = ju.validate(scenario(), log, settings, progress=False)
+    assert of.scores.spearman_open.isna().all()
+    assert of.scores.spearman_low.isna().all()
+    assert "No interval stands where" in validation_markdown(of, [])
+    assert "No interval stands where" not in validation_markdown(found(), [])
+    (legend,) = validation_figures(of)["control"]().legends
+    shown = {text.get_text() for text in legend.texts}
+    assert shown == {"maps (too few blocks for an interval)", "shifted city, at most"}
+
+
+def test_scales_of_satellites_have_whole_numbers():
+    drawn = {name: draw() for name, draw in validation_figures(found()).items()}
+    panel = drawn["scatter"].axes[0]
+    for axis in (panel.xaxis, panel.yaxis):
+        assert all(float(value).is_integer() for value in axis.get_majorticklocs())
+    bars = [panel for panel in drawn["track"].axes if getattr(panel, "_colorbar", None)]
+    assert len(bars) == 3
+    labels = [text.get_text() for bar in bars for text in bar.get_xticklabels() + bar.get_yticklabels()]
+    assert all(float(label).is_integer() for label in labels if label)
+
+
 def test_a_log_of_errors_alone_is_drawn_too():
     log = true_log()[["utc", "lon_deg", "lat_deg", "error_2d_m"]]
     of = ju.validate(scenario(), log, ju.ReceiverSettings(sky_step_s=240.0, shifts_m=()), progress=False)

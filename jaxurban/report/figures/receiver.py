@@ -1,6 +1,8 @@
 """Pictures of a receiver's log beside maps: along the track, against each other, over time, and the controls."""
 
+import math
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -10,6 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap, LogNorm, Normalize
 from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from jaxurban.io.read.receiver import CN0, ERROR, SATELLITE, TRACKED, UTC
 from jaxurban.report.figures.charts import dress, legend_below, legend_in, panels, show_plain_log, styled
@@ -31,6 +34,7 @@ LABELS = {
     SATELLITE: "a satellite is tracked",
     CN0: "C/N0 of tracked satellites",
 }
+COUNTS = (NUM_VISIBLE, TRACKED)  # of satellites
 RECEIVER_COLOUR, MAP_COLOUR, OPEN_COLOUR = "#d55e00", "#0072b2", "#8a8a8a"
 # Fewer satellites are darker; neither end is as dark or as light as the track's colours.
 BEHIND = LinearSegmentedColormap.from_list("behind", ["#6f6f6f", "#fbfbfb"])
@@ -66,7 +70,8 @@ def plot_track(found: ReceiverValidation) -> Figure:
         behind.grid, list(shown.values()), "Prediction and receiver along the track", _note(found), footer_in=0.42
     )
     low, high = ends_of(behind.num_visible)
-    scale = Colours(BEHIND, Normalize(low, max(high, low + 1)), f"behind: satellites in view, {time_said(behind.time)}")
+    said = f"behind: satellites in view, {time_said(behind.time)}"
+    scale = _whole(Colours(BEHIND, Normalize(), said), low, max(high, low + 1))
     for panel, name in zip(frame.axes, shown, strict=True):
         draw_layers(
             panel, behind.grid, [MapLayer(behind.num_visible, scale), flat_layer(behind.is_obstacle, BUILDING_COLOUR)]
@@ -74,6 +79,8 @@ def plot_track(found: ReceiverValidation) -> Figure:
         values = found.pieces[name].to_numpy()
         least, most = _ends(values)
         colours = Colours("plasma", Normalize(least, most))
+        if name in COUNTS:
+            colours = _whole(colours, least, most)
         if _is_skewed(name):
             colours = Colours("plasma_r", LogNorm(max(least, LEAST_SHOWN), most))
         panel.scatter(
@@ -94,6 +101,13 @@ def _ends(values: np.ndarray) -> tuple[float, float]:
     """Return the ends of an axis: those of the finite values, some way apart."""
     low, high = ends_of(values)
     return low, high if high > low else low + 1.0
+
+
+def _whole(colours: Colours, low: float, high: float) -> Colours:
+    """Return colours of values between two ends whose bar has whole numbers alone, as those of satellites are."""
+    low, high = math.floor(low), math.ceil(high)
+    ticks = [float(value) for value in MaxNLocator(5, integer=True).tick_values(low, high) if low < value < high]
+    return replace(colours, norm=Normalize(low, high), ticks=ticks)
 
 
 def _is_skewed(name: str) -> bool:
@@ -122,6 +136,9 @@ def plot_scatter(found: ReceiverValidation) -> Figure:
             title += "  ·  line: medians"
         panel.set_title(title)
         _scale(panel, witness)
+        for axis, shown in ((panel.xaxis, name), (panel.yaxis, witness)):
+            if shown in COUNTS:
+                axis.set_major_locator(MaxNLocator(integer=True))
         if _is_skewed(name):
             panel.set_xscale("log")
             show_plain_log(panel.xaxis)
@@ -214,11 +231,14 @@ def plot_control(found: ReceiverValidation) -> Figure:
     place = np.arange(len(scores))
     values = scores[coefficient].to_numpy()
     width = np.abs(np.stack([values - scores[f"{coefficient}_low"], scores[f"{coefficient}_high"] - values]))
-    by_length.errorbar(
-        place, values, yerr=np.nan_to_num(width), fmt="o", color=MAP_COLOUR, capsize=3, label="maps, 95 % interval"
-    )
-    by_length.plot(place, scores[f"{coefficient}_open"], "s", color=OPEN_COLOUR, label="open sky, no city")
-    by_length.plot(place, scores[f"{coefficient}_shifted"], "x", color=RECEIVER_COLOUR, label="shifted city, at most")
+    said = "maps, 95 % interval" if np.isfinite(width).any() else "maps (too few blocks for an interval)"
+    by_length.errorbar(place, values, yerr=np.nan_to_num(width), fmt="o", color=MAP_COLOUR, capsize=3, label=said)
+    for beside, mark, colour, said in (
+        ("open", "s", OPEN_COLOUR, "open sky, no city"),
+        ("shifted", "x", RECEIVER_COLOUR, "shifted city, at most"),
+    ):
+        if (known := scores[f"{coefficient}_{beside}"]).notna().any():
+            by_length.plot(place, known, mark, color=colour, label=said)
     lengths = ["each epoch" if np.isnan(length) else f"{length:g} m" for length in scores.piece_m]
     by_length.set_xticks(place, lengths)
     by_length.set_xlim(-0.5, len(scores) - 0.5)
