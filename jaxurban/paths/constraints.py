@@ -4,7 +4,7 @@ import math
 import operator
 import re
 import warnings
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,9 @@ from jaxurban.io.read.airspace import read_zones
 from jaxurban.io.read.orbits import parse_time
 from jaxurban.io.read.zone import Zone, cell_boxes, touched_cells
 from jaxurban.maps.metric_maps import MetricMaps
-from jaxurban.metrics.registry import ON_REQUEST, known_metrics
+from jaxurban.metrics.availability import SERIES
+from jaxurban.metrics.gps import WEIGHTED_DOPS
+from jaxurban.metrics.registry import METRICS, ON_REQUEST, known_metrics
 from jaxurban.paths.clearance import closed_by_clearance, nearest_said
 from jaxurban.paths.vehicle import Vehicle
 
@@ -87,10 +89,11 @@ class Bound:
         """
         variable = maps.variable(self.variable)
         if variable not in maps.ds or maps.ds[variable].dims[-2:] != ("y", "x"):
-            held = [str(name) for name, array in maps.ds.data_vars.items() if array.dims[-2:] == ("y", "x")]
+            held = sorted(str(name) for name, array in maps.ds.data_vars.items() if array.dims[-2:] == ("y", "x"))
+            made_by = _made_by(variable, held)
+            meant = "" if made_by else nearest_name(self.variable, held)
             raise InputError(
-                f"the bound {self} is on a map that these maps do not hold{nearest_name(self.variable, held)}: "
-                f"they hold {', '.join(held)}{_made_by(variable)}"
+                f"the bound {self} is on a map that these maps do not hold{meant}: they hold {', '.join(held)}{made_by}"
             )
         is_kept = maps.ds["has_data"].values.copy()
         for z_m in maps.around(altitude_m):
@@ -326,10 +329,16 @@ def clearances_said(record: Mapping[str, Any]) -> list[str]:
     return [f"{said} of {record[name]:g} m" for name, said in KEPT_CLEAR.items() if record.get(name)]
 
 
-def _made_by(variable: str) -> str:
-    """Return which section makes a variable that maps hold on request alone; empty for others."""
-    makers = (name for name, metric in ON_REQUEST.items() if variable in metric.variables)
-    return "".join(f" (a scenario with [{name}] makes it)" for name in makers)
+def _made_by(variable: str, held: Collection[str]) -> str:
+    """Return what makes a variable that not all maps hold, as settings of a scenario; empty for others."""
+    made_of = {name: (f"[{name}]", metric.variables) for name, metric in ON_REQUEST.items()}
+    made_of["gps"] = '[gps] weighting = "elevation"', WEIGHTED_DOPS
+    for name, (setting, variables) in made_of.items():
+        is_series = f"{name}_{SERIES[0]}" in held
+        if variable in variables or (is_series and name == "gps" and variable in METRICS["gps"].variables):
+            told = '[gps] series = "epochs" instead of statistics' if is_series else setting
+            return f" (a scenario with {told} makes it)"
+    return ""
 
 
 def _at(held_m: float, altitude_m: float) -> str:

@@ -17,6 +17,7 @@ from jaxurban.maps.task import MapParams, MapTask
 from jaxurban.metrics.gps import GpsParams
 from jaxurban.metrics.protection import CAVEAT, ProtectionParams
 from jaxurban.metrics.registry import METRICS
+from jaxurban.paths.constraints import Bound
 from jaxurban.planners.base import Status
 from jaxurban.progress import Report
 from jaxurban.report.figures import plot_metric
@@ -93,6 +94,11 @@ def test_a_series_keeps_the_share_of_times_within_both_limits():
     np.testing.assert_allclose(series.m("protection"), each.ds["protection"].median("time")[0], atol=1e-6)
     assert 0 < float(shares.mean()) < 1
     assert series.ds["protection_availability"].attrs["comment"] == CAVEAT
+    for bound in ("hpl<=40", "hdop<=3"):
+        with pytest.raises(
+            InputError, match=r'a scenario with \[gps\] series = "epochs" instead of statistics makes it'
+        ):
+            Bound.parse(bound).is_kept(series, ALTITUDE_M)
     with pytest.raises(InputError, match="hold Protection statistics over 3 epochs"):
         series.m("protection", time=TIMES[0])
     assert "share of epochs" in str([axes.get_ylabel() for axes in plot_metric(series, STATISTICS[0]).axes])
@@ -146,6 +152,8 @@ def test_maps_without_it_say_who_makes_it(maps, ends):
     limits = ju.Constraints.read(require="hpl<=40")
     with pytest.raises(InputError, match=r"a scenario with \[protection\] makes it"):
         ju.plan(without, *ends, altitude_m=ALTITUDE_M, constraints=limits)
+    with pytest.raises(InputError, match=r'a scenario with \[gps\] weighting = "elevation" makes it'):
+        ju.plan(without, *ends, altitude_m=ALTITUDE_M, constraints=ju.Constraints.read(require="wgdop<=4"))
     path = ju.plan(without, *ends, altitude_m=ALTITUDE_M, weights={"protection": 2.0})
     assert "These maps hold no lidar and no population and no risk and no protection" in path.search.note
     assert "protection" not in ju.plan(without, *ends, altitude_m=ALTITUDE_M).search.note
@@ -156,6 +164,8 @@ def test_pictures_have_units_limits_and_the_caveat(maps, name, words):
     figure = plot_metric(maps, name)
     assert words in str([axes.get_ylabel() for axes in figure.axes])
     assert "no integrity" in " ".join(" ".join(text.get_text() for text in figure.texts).split())
+    ticks = [len(axes.get_yticks()) for axes in figure.axes if getattr(axes, "_colorbar", None)]
+    assert all((num == 2) == (name == "within_limits") for num in ticks)  # yes and no have nothing between
 
 
 def test_a_section_or_a_weight_asks_for_it():

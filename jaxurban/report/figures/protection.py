@@ -56,5 +56,5 @@ def protection_colours(maps: MetricMaps, name: str) -> Colours:
         return Colours(f"{METRIC.colour_map}_r", Normalize(0, 2 * limit_m), label, "max")
     if name == LOW:
         return Colours(METRIC.colour_map, Normalize(0, 1), f"$m_\\mathrm{{{METRIC.name}}}$, 5th percentile")
-    what = "share of epochs with" if name == AVAILABILITY else "1 where"
-    return Colours(METRIC.colour_map, Normalize(0, 1), f"{what}\n{limits_said(maps)}")
+    what, ticks = ("share of epochs with", None) if name == AVAILABILITY else ("1 where", ())
+    return Colours(METRIC.colour_map, Normalize(0, 1), f"{what}\n{limits_said(maps)}", ticks=ticks)
