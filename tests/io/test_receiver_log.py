@@ -100,6 +100,7 @@ def test_rows_of_one_time_are_an_epoch_where_they_name_satellites():
         (GOOD.assign(num_tracked="many"), ("'many'", "num_tracked")),
         (GOOD.assign(num_tracked=np.nan), ("no value in num_tracked", "remove")),
         (BY_SATELLITE.assign(lon=[139.0, 139.1, 139.1, 139.2]), ("two places at 2018-12-19T06:07:37",)),
+        (BY_SATELLITE.assign(num_tracked=[5, 6, 7, 8]), ("two values of num_tracked at 2018-12-19T06:07:37",)),
         (BY_SATELLITE.assign(satellite=None), ("names no satellite",)),
         (BY_SATELLITE.assign(satellite="G01"), ("'G01' twice at 2018-12-19T06:07:37",)),
     ],

@@ -139,6 +139,9 @@ def test_satellites_are_known_by_the_numbers_in_their_names():
     log = read_receiver_log(drive().iloc[:3].assign(satellite=["G13", "g05", "C19"]))
     tracked = TrackedSatellites.of(log, names, names)
     np.testing.assert_array_equal(tracked.is_tracked, np.eye(3, dtype=bool))
+    twice = drive().iloc[[0, 1, 1]].assign(satellite=["G13", "g05", names[1]])
+    with pytest.raises(InputError, match=r"under two names at one time, 'g05' and 'GPS BIIF-1  \(PRN 05\)'"):
+        TrackedSatellites.of(read_receiver_log(twice), names, names)
 
 
 def test_paired_differences_are_of_the_same_draws():

@@ -190,6 +190,10 @@ def _by_satellite(table: pd.DataFrame, name: str) -> ReceiverLog:
     if moved.any():
         at = table[UTC][number == moved.index[moved][0]].iloc[0]
         raise InputError(f"the receiver log {name!r} is at two places at {at.isoformat()}: keep one receiver's rows")
+    for column in (each for each in (TRACKED, ERROR) if each in table):
+        if (differs := epochs[column].nunique().gt(1)).any():
+            at = table[UTC][number == differs.index[differs][0]].iloc[0]
+            raise InputError(f"the receiver log {name!r} tells two values of {column} at {at.isoformat()}: keep one")
     named = table[SATELLITE].notna() & (table[SATELLITE].astype(str).str.strip() != "")
     satellites = pd.DataFrame({"epoch": number[named], SATELLITE: table[SATELLITE][named].astype(str).str.strip()})
     if CN0 in table:

@@ -41,7 +41,7 @@ class TrackedSatellites:
           known: all satellites of the orbits; rows of one that is never above the mask are left out.
 
         Raises:
-          InputError: a satellite that the orbits do not hold.
+          InputError: a satellite that the orbits do not hold, or one under two names at one time.
         """
         if log.satellites is None:
             return None
@@ -54,6 +54,13 @@ class TrackedSatellites:
                 f"the receiver log {log.name!r} has satellites that [gps] orbits do not hold: "
                 f"{', '.join(map(repr, unknown[:MOST_NAMED]))}{more}{nearest_name(unknown[0], known)}; call them as "
                 "the orbits do, add the orbits of their system, or remove their rows"
+            )
+        of = log.satellites.assign(of=given.map(held))
+        if (twice := of.duplicated(["epoch", "of"])).any():
+            named = of[SATELLITE][(of[["epoch", "of"]] == of[["epoch", "of"]][twice].iloc[0]).all(axis=1)]
+            raise InputError(
+                f"the receiver log {log.name!r} has one satellite under two names at one time, "
+                f"{' and '.join(map(repr, named))}: keep one"
             )
         is_tracked = np.zeros((len(log.epochs), len(names)), bool)
         cn0_dbhz = np.full(is_tracked.shape, np.nan)
