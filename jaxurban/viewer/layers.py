@@ -8,9 +8,9 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from matplotlib.colors import Normalize
+from matplotlib.colors import BoundaryNorm, ListedColormap, Normalize
 
-from jaxurban.errors import InputError, one_of
+from jaxurban.errors import one_of
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY, high_is_bad
 from jaxurban.report.figures.colours import Colours, bar_ticks, ends_of, tick_label
@@ -96,8 +96,15 @@ def layers_of(maps: MetricMaps) -> dict[str, Layer]:
     for name in maps.metrics:
         add(name, headings[name], "Metrics", _dims(maps, name), partial(_drawn, maps, name), _metric(maps, name))
     flown = dict.fromkeys((ALTITUDE, *(dim for name in maps.metrics for dim in _dims(maps, name))))
-    add(H_NORM, "All costs together, H_norm", "Costs", tuple(flown), partial(_h_norm, maps), lambda _: COST_COLOURS)
-    found[H_NORM] = _blocked_in_ochre(found[H_NORM])
+    add(
+        H_NORM,
+        "All costs together, H_norm",
+        "Costs",
+        tuple(flown),
+        partial(_h_norm, maps),
+        lambda _: COST_COLOURS,
+        blocked=BLOCKED_COLOUR,
+    )
     for name, metric in maps.metrics.items():
         dims, read = _dims(maps, name), partial(_cost, maps, name)
         label = f"c_{name}, cost before its weight (0: best, 1: worst)"
@@ -156,11 +163,6 @@ def _h_norm(maps: MetricMaps, at: Place) -> np.ndarray:
     return maps.normalised(altitude_m, time=at.time, time_of_day=at.time_of_day)
 
 
-def _blocked_in_ochre(layer: Layer) -> Layer:
-    """Return a layer of greys, over which obstacles are drawn as our figures of costs draw them."""
-    return Layer(**{**vars(layer), "blocked": BLOCKED_COLOUR})
-
-
 def _metric(maps: MetricMaps, name: str) -> Callable[[np.ndarray], Colours]:
     return lambda _: metric_colours(maps, name)
 
@@ -183,8 +185,10 @@ def _plain(label: str, values: np.ndarray, colour_map: str = "viridis") -> Colou
     return Colours(colour_map, Normalize(low, high if high > low else low + 1), label)
 
 
-def _obstacles(values: np.ndarray) -> Colours:
-    raise InputError("obstacles are drawn by classes, not by a scale")
+def _obstacles(_: np.ndarray) -> Colours:
+    return Colours(
+        ListedColormap([FREE_COLOUR, BUILT_COLOUR]), BoundaryNorm([-0.5, 0.5, 1.5], 2), "Obstacles", ticks=()
+    )
 
 
 def difference(values: np.ndarray, minus: np.ndarray) -> np.ndarray:
@@ -212,28 +216,32 @@ def legend_of(maps: MetricMaps, layer: Layer, values: np.ndarray, *, is_differen
     up to edge k + 1, the first and the last one beyond them too. ``flat`` are the colours of cells in obstacles, of
     those without a value, and of a value of 0, where that is drawn apart; ``html`` is the legend.
     """
-    has_classes = layer.name == "obstacle" and not is_difference
+    scale = difference_colours(values) if is_difference else layer.colours(values)
     zero = None if is_difference else layer.zero
     patches = [zero] if zero else []
     patches += [("obstacle", layer.blocked)] if ALTITUDE in layer.dims and layer.name != "obstacle" else []
     patches += [] if maps.ds["has_data"].values.all() else [NO_DATA_PATCH]
-    flat = {"flat": [layer.blocked, NO_DATA_PATCH[1], zero and zero[1]]}
-    if has_classes:
-        classes = [("free", FREE_COLOUR), ("obstacle", BUILT_COLOUR)]
-        colours = np.array([list(bytes.fromhex(colour[1:])) for _, colour in classes], np.uint8)
-        html = legend(layer.heading, colours, [], classes + patches)
-        return flat | {"edges": [-0.5, 0.5, 1.5], "colours": _text(colours), "ticks": [], "html": html}
-    scale = difference_colours(values) if is_difference else layer.colours(values)
-    steps = np.linspace(0, 1, 257)
-    colours = scale(np.asarray(scale.norm.inverse((steps[:-1] + steps[1:]) / 2)), bytes=True)[:, :3]
-    ticks = bar_ticks(scale, BAR_IN, is_lying=True)
-    texts = [tick_label(value) for value in ticks]
-    texts[0] = f"≤ {texts[0]}" if scale.extend in ("min", "both") else texts[0]
-    texts[-1] = f"≥ {texts[-1]}" if scale.extend in ("max", "both") else texts[-1]
-    marks = [(float(scale.norm(value)), text) for value, text in zip(ticks, texts, strict=True)]
-    shown = legend(plain_label(scale.label), colours[::8], marks, patches)
-    edges = [float(f"{edge:.9g}") for edge in np.asarray(scale.norm.inverse(steps), float)]  # as fine as a float32
-    return flat | {"edges": edges, "colours": _text(colours), "ticks": ticks, "html": shown}
+    flat = [layer.blocked, NO_DATA_PATCH[1], zero and zero[1]]
+    if isinstance(scale.norm, BoundaryNorm):  # classes, and no bar
+        edges, ticks, marks = scale.norm.boundaries, [], []
+        colours = scale.cmap(np.arange(len(edges) - 1), bytes=True)[:, :3]  # type: ignore[operator]
+        patches = [("free", FREE_COLOUR), ("obstacle", BUILT_COLOUR), *patches]
+    else:
+        steps = np.linspace(0, 1, 257)
+        edges = scale.norm.inverse(steps)
+        colours = scale(np.asarray(scale.norm.inverse((steps[:-1] + steps[1:]) / 2)), bytes=True)[:, :3]
+        ticks = bar_ticks(scale, BAR_IN, is_lying=True)
+        texts = [tick_label(value) for value in ticks]
+        texts[0] = f"≤ {texts[0]}" if scale.extend in ("min", "both") else texts[0]
+        texts[-1] = f"≥ {texts[-1]}" if scale.extend in ("max", "both") else texts[-1]
+        marks = [(float(scale.norm(value)), text) for value, text in zip(ticks, texts, strict=True)]
+    return {
+        "flat": flat,
+        "edges": [float(f"{edge:.9g}") for edge in np.asarray(edges, float)],  # as fine as a float32
+        "colours": base64.b64encode(colours.tobytes()).decode("ascii"),
+        "ticks": ticks,
+        "html": legend(plain_label(scale.label), colours[::8], marks, patches),
+    }
 
 
 def find_layer(layers: Mapping[str, Layer], name: Any) -> Layer:
@@ -248,7 +256,3 @@ def find_layer(layers: Mapping[str, Layer], name: Any) -> Layer:
 def plain_label(label: str) -> str:
     """Return a label of matplotlib without its mathematics: ``m_gps``."""
     return re.sub(r"\$(\w)_\\mathrm\{(\w+)\}\$", r"\1_\2", label).replace("\n", " ")
-
-
-def _text(colours: np.ndarray) -> str:
-    return base64.b64encode(colours.tobytes()).decode("ascii")

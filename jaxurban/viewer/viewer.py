@@ -123,7 +123,7 @@ class Viewer:
             "corner_m": [grid.x_min_m, grid.y_min_m],
             "lonlat": self.fit.to_dict(),
             "layers": [
-                {"name": name, "heading": layer.heading, "group": layer.group, "dims": layer.dims, "unit": layer.unit}
+                {"name": name, "told": _told(layer), "dims": layer.dims, "unit": layer.unit}
                 for name, layer in layers.items()
             ],
             "tile": TILE,
@@ -225,20 +225,19 @@ class Viewer:
         return tile_bytes(self.shown(tile), tile.stride, tile.row, tile.col)
 
     def values_at(self, cell: Cell) -> list[dict[str, Any]]:
-        """Return the value of every layer in a cell: name, heading, value (None for none) and unit."""
+        """Return the value of every layer in a cell: name, what it is told as, value (None for none) and unit."""
         grid = self.maps.grid
         if not (cell.row < grid.num_rows and cell.col < grid.num_cols):
             raise InputError(f"the cell {cell.row}, {cell.col} is outside: there are {grid.num_rows} x {grid.num_cols}")
         found = []
         for name, layer in self.layers[0].items():
-            if layer.group == "Costs" and name != H_NORM:
+            if not (heading := _told(layer)):
                 continue
             value = self._value_in(layer, cell)
-            heading = name.upper() if name in DOP_NAMES else layer.heading
-            told = {"name": name, "heading": heading, "group": layer.group, "unit": layer.unit}
+            told = {"name": name, "told": heading, "unit": layer.unit}
             found.append(told | {"value": _number(value)})
             if name == "density":
-                in_cell = {"name": "people", "heading": "People in the cell", "unit": ""}
+                in_cell = {"name": "people", "told": "People in the cell", "unit": ""}
                 found.append(told | in_cell | {"value": _number(value * grid.resolution_m**2 / 1e6)})
         return found
 
@@ -322,6 +321,13 @@ class Viewer:
         if self.study is None:
             raise InputError("no study of weights is shown: name its folder with --study")
         return self.study.to_dict(self.maps)
+
+
+def _told(layer: Layer) -> str:
+    """Return what a layer is called in the list of values of a cell; "" where it is not in it."""
+    if layer.group == "Costs" and layer.name != H_NORM:
+        return ""
+    return layer.name.upper() if layer.name in DOP_NAMES else layer.heading
 
 
 def as_json(value: Any) -> bytes:

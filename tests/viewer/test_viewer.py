@@ -96,6 +96,26 @@ def test_every_layer_of_the_maps_can_be_asked_for(viewer):
         assert len(answer(viewer, "tile", layer=name, at=[0, 0, 0], stride=1, row=0, col=0)) > 50
 
 
+def test_obstacles_are_drawn_by_classes(viewer):
+    legend = answer(viewer, "legend", layer="obstacle", at=[0, 0, 0])
+    assert legend["edges"] == [-0.5, 0.5, 1.5]
+    assert "free" in legend["html"]
+    assert np.array_equal(tile_of(viewer, "obstacle", [0, 0, 0]), MAPS.m("obstacle", 20.0))
+
+
+def test_maps_of_a_long_series_are_shown_by_their_median(viewer):
+    ds = MAPS.ds.drop_vars(["num_visible", "hdop"])
+    gps = ds["gps"].isel(time=0, drop=True)
+    ds = ds.drop_vars("gps").assign(gps_median=gps, gps_p05=0.5 * gps, gps_availability=gps)
+    series = Viewer(type(MAPS)(ds))
+    assert np.array_equal(tile_of(series, "gps", [0, 0, 0]), tile_of(viewer, "gps", [0, 0, 0]), equal_nan=True)
+    row, col = CELLS[700].tolist()
+    found = {each["name"]: each["value"] for each in answer(series, "values", at=[0, 0, 0], row=row, col=col)}
+    assert found["gps"] == float(gps[0, row, col])
+    assert answer(series, "plan", **QUERY)["has_path"]
+    assert answer(series, "scene")["html"]["time"] == ""
+
+
 def test_values_in_a_cell_are_the_maps_own(viewer):
     row, col = CELLS[700].tolist()
     found = {each["name"]: each["value"] for each in answer(viewer, "values", at=[1, 0, 1], row=row, col=col)}

@@ -42,9 +42,9 @@ function inFile(answers) { // the values under the pointer come from the tiles
     const { layers, tile, cols, strides: [stride] } = answers['scene{}'];
     const [y, x] = [row, col].map(cell => Math.floor(cell / stride)), [r, c] = [y, x].map(k => Math.floor(k / tile));
     const wide = Math.min(tile, Math.ceil(cols / stride) - c * tile);
-    return Promise.all(layers.map(async layer => {
-      const told = { layer: layer.name, at: ofLayer(layer, at), minus: null, stride, row: r, col: c };
-      const value = (await unpack(await ask('tile', told)))[(y - r * tile) * wide + x - c * tile];
+    return Promise.all(layers.filter(layer => layer.told).map(async layer => {
+      const request = { layer: layer.name, at: ofLayer(layer, at), minus: null, stride, row: r, col: c };
+      const value = (await unpack(await ask('tile', request)))[(y - r * tile) * wide + x - c * tile];
       return { ...layer, value: Number.isFinite(value) ? value : null };
     }));
   };
@@ -217,11 +217,11 @@ async function start(root, ask) {
     const values = await ask('values', { at: places(), row: cell[0], col: cell[1] });
     const table = is('values');
     table.replaceChildren();
-    for (const { name, heading, value, unit } of values) {
+    for (const { name, told, value, unit } of values) {
       const row = table.insertRow(), text = name === 'obstacle' ? ['no', 'yes'][value] : `${number(value)} ${unit}`;
       Object.assign(row.dataset, { layer: name, value });
       row.className = name === field('layer').value ? 'jv-chosen' : '';
-      for (const each of [heading, text]) row.insertCell().textContent = each;
+      for (const each of [told, text]) row.insertCell().textContent = each;
     }
     table.dataset.cell = cell.join(' ');
   });
