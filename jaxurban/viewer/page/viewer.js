@@ -275,14 +275,13 @@ async function start(root, ask) {
     point([view.x, view.y]);
     draw();
   };
-  map.onfocus = map.onblur = draw;
   // --- routes
   const zones = () => !state.zones.length ? '' : JSON.stringify({ type: 'FeatureCollection', features: state.zones.map(
     (zone, k) => ({ type: 'Feature', properties: { name: `zone ${k + 1}` },
       geometry: { type: 'Polygon', coordinates: [[...zone, zone[0]].map(toLonLat)] } })) });
-  const query = planner => ({ start: toLonLat(state.ends.start), goal: toLonLat(state.ends.goal), at: places(),
-    weights: state.weights, planner, cost_model: field('cost_model').value, obstacles: field('obstacles').value,
-    clearance_m: +field('clearance_m').value, snap: field('snap').checked, zones: zones() });
+  const query = planner => ({ start: toLonLat(state.ends.start), goal: toLonLat(state.ends.goal ?? state.ends.start),
+    cost_model: field('cost_model').value, obstacles: field('obstacles').value, zones: zones(), planner,
+    at: places(), weights: state.weights, clearance_m: +field('clearance_m').value, snap: field('snap').checked });
   const isReady = () => state.ends.start && state.ends.goal;
   const placed = route => ({ ...route, xy_m: route.xy_m.map(([x, y]) => [x - west0, y - south0]) });
   const chosen = () => [...is('planners').querySelectorAll(':checked')].map(box => box.value);
@@ -304,7 +303,8 @@ async function start(root, ask) {
     tell(found.find(route => !route.has_path)?.message ?? '');
     showRoutes(found);
   });
-  const plan = () => { state.plans++; hint(); if (isReady()) planAll(); };
+  const warm = () => state.ends.start && guard(ask)('coarse', query('astar-plus')); // makes what the route will need
+  const plan = () => { state.plans++; hint(); if (isReady()) planAll(); else warm(); };
   const showRoutes = (routes, route = routes.find(each => each.has_path) ?? routes[0]) => {
     Object.assign(state, { routes, route, report: null, linked: null, at: -1 });
     is('routes').innerHTML = routes.map(each => each.button).join('');
@@ -348,7 +348,7 @@ async function start(root, ask) {
     hint();
     draw();
   };
-  map.ondblclick = closeZone;
+  Object.assign(map, { ondblclick: closeZone, onfocus: draw, onblur: draw });
   const hint = () => {
     const { drawing, ends, zones: { length } } = state, button = root.querySelector('[data-do="zone"]');
     button.ariaPressed = Boolean(drawing);
