@@ -29,10 +29,12 @@ test-long: $(VENV)/.dev
 	  tests/maps/test_device.py tests/maps/test_held.py tests/scenario/test_additions.py tests/report/test_run_tuning.py \
 	  tests/report/test_map_comparison.py tests/io/test_burn.py tests/report/test_figures.py \
 	  tests/kernels/test_shadow_doubling.py tests/metrics/test_lidar_embree.py tests/studies/test_montecarlo.py \
-	  tests/io/test_hanging.py tests/metrics/soft/test_gps.py tests/maps/test_pipeline.py tests/kernels/test_cost_to_go.py \
-	  tests/test_compile_cache.py tests/kernels/test_sample_graph.py tests/kernels/test_dop_clocks.py tests/metrics/test_gps_clocks.py tests/test_clocks_page.py \
-	  tests/maps/test_protection.py tests/maps/test_slabs.py tests/metrics/test_protection_sidereon.py tests/report/test_receiver.py \
-	  tests/studies/test_receiver.py tests/test_receiver_page.py \
+	  tests/io/test_hanging.py tests/metrics/soft/test_gps.py tests/metrics/soft/test_risk.py tests/metrics/test_risk.py \
+	  tests/studies/test_sensitivity.py tests/maps/test_pipeline.py tests/kernels/test_cost_to_go.py \
+	  tests/test_compile_cache.py tests/kernels/test_sample_graph.py tests/kernels/test_dop_clocks.py \
+	  tests/metrics/test_gps_clocks.py tests/test_clocks_page.py tests/maps/test_protection.py tests/maps/test_slabs.py \
+	  tests/metrics/test_protection_sidereon.py tests/report/test_receiver.py tests/studies/test_receiver.py \
+	  tests/test_receiver_page.py \
 	  tests/planners/test_bitstar_batched.py tests/maps/test_supersampling.py tests/scenario/test_run.py \
 	  tests/viewer/test_page.py tests/viewer/test_widget.py tests/viewer/test_study.py tests/cli/test_view.py \
 	  tests/planners/test_batch.py::test_a_sample_of_movingai_is_optimal_in_jax \

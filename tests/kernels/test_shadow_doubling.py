@@ -129,6 +129,7 @@ def test_words_hold_more_than_32_satellites():
             np.testing.assert_array_equal(words[s // 32, a] >> (s % 32) & 1, expected)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("has_terrain", [False, True])
 def test_the_words_of_a_city_are_equal_by_both_shapes(has_terrain):
     city = ju.demo_city(1500, 1500)

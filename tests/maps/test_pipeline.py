@@ -60,6 +60,7 @@ def assert_same(name, found, expected):
     np.testing.assert_allclose(found, expected, rtol=2e-7 if name in ("population", "density") else 0, err_msg=name)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("has_terrain", [False, True])
 def test_it_gives_the_bits_of_the_recipe(has_terrain):
     task = task_of(has_terrain)

@@ -85,6 +85,7 @@ def test_the_map_of_a_sub_box_equals_the_crop_of_the_larger_map(distance):
     np.testing.assert_array_equal(part, whole[(slice(None), *region.window_in(REGION))])
 
 
+@pytest.mark.slow
 def test_solid_risk_has_finite_gradients_in_heights_and_altitude():
     roof_m = jnp.asarray(random_roof())
 

@@ -96,6 +96,7 @@ def test_bad_input_is_one_sentence_and_exit_two(made, tmp_path, capsys, options,
     assert_one_sentence(err, *words)
 
 
+@pytest.mark.slow
 def test_a_fit_replaces_no_file_that_it_did_not_make(made, tmp_path, capsys):
     fit = ("-o", tmp_path, "--rounds", 1, "--wish", "mean_gps>=0.9", "--metrics", "gps")
     (tmp_path / "report.md").write_text("mine")

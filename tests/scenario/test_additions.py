@@ -171,6 +171,7 @@ def test_a_changed_file_is_named_beside_what_would_have_been_added(tmp_path, cap
     assert_one_sentence(err, "now [60.0, 122.0]) and of other input files (layer_noise: what they hold has changed)")
 
 
+@pytest.mark.slow
 def test_damaged_maps_are_not_built_upon(tmp_path, capsys):
     out, file = tmp_path / "out", scenario_file(tmp_path, **SMALL)
     assert run(capsys, "maps", file, "-o", out)[0] == 0

@@ -88,6 +88,7 @@ def test_the_route_stays_the_same_inside_its_range_and_changes_outside(maps, end
                 assert np.allclose(*sums, rtol=1e-9) == is_same
 
 
+@pytest.mark.slow
 def test_report_names_every_weight_and_every_file_that_it_shows(found, tmp_path):
     files = save_sensitivity(found, tmp_path / "out")
     report = (tmp_path / "out" / "report.md").read_text()

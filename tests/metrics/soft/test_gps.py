@@ -150,6 +150,7 @@ def test_a_higher_roof_never_helps_and_a_higher_receiver_never_harms():
         np.testing.assert_allclose(np.sum(slopes["roof_m"]), -slopes["z_m"], rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_softness_0_is_the_exact_map():
     surface = surface_of(np.float32)
     view = view_of(surface)

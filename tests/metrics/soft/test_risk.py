@@ -52,6 +52,7 @@ def test_a_roof_at_the_altitude_is_an_obstacle_at_every_softness():
     np.testing.assert_allclose(soft_map(surface, 20.0, SLICE, 2.0), exact, atol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("params", "ground"), [(SLICE, None), (SOLID, None), (SOLID, hills())], ids=["slice", "solid", "solid-hills"]
 )
