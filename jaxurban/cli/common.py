@@ -161,22 +161,11 @@ def stored_settings(folder: Path) -> Settings:
     Raises:
       InputError: the record of the run that made them is damaged or missing, and with it their weights.
     """
-    from jaxurban.io.files import read_json
-    from jaxurban.io.store import RUN_FILE, are_of_a_run
+    from jaxurban.io.store import settings_of
 
     if folder.is_file():
         raise InputError(f"{str(folder)!r} is a file: give the folder that holds the maps")
-    remedy = "run the same `jaxurban maps` command again, which writes it anew"
-    try:
-        return read_json(folder / RUN_FILE)["settings"]
-    except FileNotFoundError as error:
-        if are_of_a_run(folder):
-            raise InputError(
-                f"{str(folder / RUN_FILE)!r}, with the settings of the maps, is missing: {remedy}"
-            ) from error
-        return {}
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputError(f"{str(folder / RUN_FILE)!r} cannot be read ({error}): {remedy}") from error
+    return settings_of(folder)
 
 
 def stored_weights(folder: Path, settings: Settings) -> "Weights":

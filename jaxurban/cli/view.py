@@ -9,8 +9,6 @@ import click
 from jaxurban.cli.common import (
     OBSTACLES,
     RESOLUTION,
-    Settings,
-    stored_cost_model,
     stored_obstacles,
     stored_settings,
     stored_weights,
@@ -78,8 +76,6 @@ def _viewer(
 ) -> "Viewer":
     """Return the viewer of maps in a folder, which plans as the maps were made to be planned on."""
     from jaxurban.maps.metric_maps import open_maps
-    from jaxurban.paths.constraints import CLEARANCES
-    from jaxurban.paths.vehicle import Vehicle
     from jaxurban.studies.map_comparison.shared_part import shared_part
     from jaxurban.viewer.outlines import Outlines
     from jaxurban.viewer.plans import PlanDefaults
@@ -88,16 +84,8 @@ def _viewer(
 
     stored = stored_settings(folder)
     maps = open_maps(folder, resolution_m, obstacles=stored_obstacles(stored, obstacles))  # type: ignore[arg-type]
-    planning: Settings = stored.get("planning", {})
-    clearance_m, vertical_clearance_m = (float(planning.get(name, 0.0)) for name in CLEARANCES)
-    defaults = PlanDefaults(
-        stored_weights(folder, stored),
-        stored_cost_model(stored, None),
-        clearance_m,
-        vertical_clearance_m,
-        Vehicle(**stored.get("vehicle", {})),
-        (str(folder), "--resolution", repr(maps.grid.resolution_m)),
-    )
+    command = (str(folder), "--resolution", repr(maps.grid.resolution_m))
+    defaults = PlanDefaults.of_settings(stored, stored_weights(folder, stored), command)
     others = None
     if other is not None:
         part = shared_part(maps, open_maps(other, maps.grid.resolution_m))

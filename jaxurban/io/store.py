@@ -24,7 +24,17 @@ from xarray.core import indexing
 from jaxurban.errors import InputError
 from jaxurban.io.attributes import IN_OBSTACLES
 from jaxurban.io.chunks import chunks_of, damaged, error_in, has_whole_metadata, metadata_file, metadata_of
-from jaxurban.io.files import BLANK, FIELD, SCRATCH_SUFFIX, holds_bytes, remove, seal, whole_file, write_whole
+from jaxurban.io.files import (
+    BLANK,
+    FIELD,
+    SCRATCH_SUFFIX,
+    holds_bytes,
+    read_json,
+    remove,
+    seal,
+    whole_file,
+    write_whole,
+)
 from jaxurban.world.tiling import tile_shape
 
 RUN_FILE = "run.json"
@@ -56,6 +66,25 @@ def are_of_a_run(folder: Path) -> bool:
     """Return whether maps under ``folder`` are those of ``jaxurban maps``, which writes `RUN_FILE` too."""
     files = map(metadata_file, stored_resolutions(folder).values())
     return any(b'"run_key"' in file.read_bytes() for file in files if file.is_file())
+
+
+def settings_of(folder: Path) -> dict[str, Any]:
+    """Return the settings that made the maps in ``folder``, empty where they were saved from Python.
+
+    Raises:
+      InputError: the record of the run that made them is damaged or missing, and with it their weights.
+    """
+    remedy = "run the same `jaxurban maps` command again, which writes it anew"
+    try:
+        return read_json(folder / RUN_FILE)["settings"]
+    except FileNotFoundError as error:
+        if are_of_a_run(folder):
+            raise InputError(
+                f"{str(folder / RUN_FILE)!r}, with the settings of the maps, is missing: {remedy}"
+            ) from error
+        return {}
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError(f"{str(folder / RUN_FILE)!r} cannot be read ({error}): {remedy}") from error
 
 
 def work_path(folder: Path, resolution_m: float) -> Path:

@@ -4,7 +4,7 @@ import json
 import shlex
 import tempfile
 from collections import OrderedDict
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path as FilePath
 from threading import RLock
@@ -16,7 +16,7 @@ from jaxurban.errors import InputError, one_of
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.weights import Weights
 from jaxurban.paths.cautions import cautions
-from jaxurban.paths.constraints import Constraints
+from jaxurban.paths.constraints import CLEARANCES, Constraints
 from jaxurban.paths.cost_map import CostMap, cost_map
 from jaxurban.paths.explain import RouteReport, explain
 from jaxurban.paths.export.write import FORMATS, WAYPOINTS
@@ -55,6 +55,14 @@ class PlanDefaults:
     vertical_clearance_m: float = 0.0
     vehicle: Vehicle = field(default_factory=Vehicle)
     command: tuple[str, ...] = ()
+
+    @classmethod
+    def of_settings(cls, settings: Mapping[str, Any], weights: Weights, command: tuple[str, ...]) -> "PlanDefaults":
+        """Return what routes are planned under over maps that were made with those settings, as a run records them."""
+        planning = settings.get("planning", {})
+        clearances = {name: float(planning.get(name, 0.0)) for name in CLEARANCES}
+        vehicle = Vehicle(**settings.get("vehicle", {}))
+        return cls(weights, CostModel.from_settings(planning), **clearances, vehicle=vehicle, command=command)
 
 
 class Plans:

@@ -1,9 +1,11 @@
 """The viewer in a notebook: the same page as a widget, whose requests are messages to the kernel."""
 
 import json
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from jaxurban.errors import InputError, typed
+from jaxurban.io.store import settings_of
 from jaxurban.maps.metric_maps import GivenMaps, as_maps
 from jaxurban.metrics.weights import GivenWeights, Weights
 from jaxurban.viewer.html import part
@@ -19,8 +21,9 @@ def view(maps: GivenMaps, *, weights: GivenWeights = None, other: GivenMaps | No
     """Return a widget to look at maps and plan on them, which a notebook shows as the last line of a cell.
 
     Args:
-      maps: from `build_maps` or `open_maps`, or their folder.
-      weights: where the sliders start; left out, `Weights()`.
+      maps: from `build_maps` or `open_maps`, or their folder; over a run's, routes are planned as its ``[planning]``
+        and ``[vehicle]`` say.
+      weights: where the sliders start; left out, those that a folder's maps were made with, else `Weights()`.
       other: further maps of the same cells, altitudes and times, to look at differences.
 
     Raises:
@@ -34,9 +37,11 @@ def view(maps: GivenMaps, *, weights: GivenWeights = None, other: GivenMaps | No
         held.times,
     ):
         raise InputError("the other maps must be of the same cells, altitudes and times")
+    stored: dict[str, Any] = {} if held is maps else settings_of(Path(str(maps)))
     command = () if held is maps else (str(maps), "--resolution", repr(held.grid.resolution_m))
-    chosen = Weights.of(weights).checked(held.metrics)
-    return widget_of(Viewer(held, others, defaults=PlanDefaults(chosen, command=command)))
+    chosen = Weights.of(stored.get("weights") if weights is None else weights).checked(held.metrics)
+    held = held.with_obstacles(stored.get("planning", {}).get("obstacles", held.obstacles))
+    return widget_of(Viewer(held, others, defaults=PlanDefaults.of_settings(stored, chosen, command)))
 
 
 def widget_of(viewer: Viewer) -> "AnyWidget":

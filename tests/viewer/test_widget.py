@@ -1,13 +1,19 @@
 """The viewer in a notebook: messages of the page and their replies, and a notebook that shows it."""
 
+import json
+import shlex
 import sys
 
+import numpy as np
 import pytest
 
 from jaxurban.errors import InputError
+from jaxurban.io.files import write_json
 from jaxurban.viewer.html import part
+from jaxurban.viewer.requests import Nothing
 from jaxurban.viewer.viewer import Viewer
 from jaxurban.viewer.widget import reply_to, view, widget_of
+from tests.cli_runs import run
 from tests.made_maps import made_maps
 
 MAPS = made_maps(24, 30)
@@ -45,6 +51,27 @@ def test_the_widget_carries_the_page_and_replies_to_it(monkeypatch):
 def test_maps_of_other_cells_are_refused():
     with pytest.raises(InputError, match="same cells"):
         view(MAPS, other=made_maps(20, 30))
+
+
+def test_over_a_runs_folder_the_page_plans_as_the_command_that_it_prints(tmp_path, monkeypatch, capsys):
+    made = made_maps()
+    made.save(tmp_path)
+    planning = {"clearance_m": 4.0, "vertical_clearance_m": 15.0, "diagonal": "always"}
+    settings = {"planning": planning, "vehicle": {"radius_m": 7.0}, "weights": {"gps": 3.0}}
+    write_json(tmp_path / "run.json", {"settings": settings})
+    monkeypatch.setattr("jaxurban.viewer.widget.widget_of", lambda viewer: viewer)
+    viewer = view(str(tmp_path))
+    scene = viewer.scene(Nothing())
+    assert (scene["weights"]["gps"], scene["fields"]["clearance_m"]) == (3.0, 4.0)
+    free = np.argwhere(made.is_free(60.0))
+    start, goal = (np.round(made.grid.lonlat_of_cell(*free[k]), 7).tolist() for k in (5, -9))
+    query = {"start": start, "goal": goal, "at": [1, 0, 0], "weights": scene["weights"], "clearance_m": 4.0}
+    found = json.loads(viewer.answer("plan", query).body)
+    code, _, err = run(capsys, *shlex.split(found["command"])[1:], "-o", tmp_path / "route.geojson")
+    assert code == 0, err
+    saved = viewer.answer("save", query | {"format": "geojson"}).body, (tmp_path / "route.geojson").read_bytes()
+    page, command = ([each["geometry"] for each in json.loads(data)["features"]] for data in saved)
+    assert page == command
 
 
 def test_without_anywidget_the_remedy_is_named(monkeypatch):
