@@ -220,7 +220,7 @@ def legend_of(maps: MetricMaps, layer: Layer, values: np.ndarray, *, is_differen
     zero = None if is_difference else layer.zero
     patches = [zero] if zero else []
     patches += [("obstacle", layer.blocked)] if ALTITUDE in layer.dims and layer.name != "obstacle" else []
-    patches += [] if maps.ds["has_data"].values.all() else [NO_DATA_PATCH]
+    patches += [NO_DATA_PATCH] if np.isnan(values).any() or not maps.ds["has_data"].values.all() else []
     flat = [layer.blocked, NO_DATA_PATCH[1], zero and zero[1]]
     if isinstance(scale.norm, BoundaryNorm):  # classes, and no bar
         edges, ticks, marks = scale.norm.boundaries, [], []

@@ -12,7 +12,7 @@ from jaxurban.errors import InputError
 from jaxurban.metrics.weights import Weights
 from jaxurban.paths.plan import plan
 from jaxurban.report.figures.metrics import metric_colours
-from jaxurban.viewer.layers import layers_of
+from jaxurban.viewer.layers import Place, layers_of, legend_of
 from jaxurban.viewer.plans import PlanDefaults
 from jaxurban.viewer.viewer import Viewer
 from tests.cli_runs import run
@@ -214,3 +214,11 @@ def test_names_out_of_files_cannot_become_markup():
     scene = answer(Viewer(type(MAPS)(ds), names=("<b>x</b>",)), "scene")
     assert "<script" not in json.dumps(scene)
     assert "<b>" not in scene["html"]["title"]
+
+
+def test_the_legend_names_cells_without_a_value_where_there_are_any():
+    layer = layers_of(MAPS)["risk"]
+    values = layer.values(MAPS, Place(20.0))
+    assert "no data" not in legend_of(MAPS, layer, values)["html"]
+    values[3, 4] = np.nan
+    assert "no data" in legend_of(MAPS, layer, values)["html"]
