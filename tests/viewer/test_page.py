@@ -4,6 +4,7 @@ import base64
 import json
 import math
 import shlex
+import time
 
 import numpy as np
 import pytest
@@ -272,3 +273,53 @@ def test_a_page_of_few_bytes_holds_fewer_cells_and_is_no_larger(tmp_path):
     assert b'"strides":[1]' in file.read_bytes()
     assert write_page(viewer, file, whole // 2) <= whole // 2
     assert b'"strides":[2]' in file.read_bytes()
+
+
+def test_a_refused_request_leaves_no_other_route_and_no_command_standing(browser, folder):
+    viewer = Viewer(MAPS, defaults=PlanDefaults(command=(str(folder), "--resolution", "10.0")))
+    with served(viewer) as server, opened(browser, server.url) as (page, _, _):
+        page.click('[data-tab="plan"]')
+        page.mouse.click(*pixel_of(page, *FREE[900]), button="right")  # which asks for nothing
+        assert page.locator('[data-is="hint"]').inner_text() == "Click the map for the start."
+        plan_between(page, FREE[[900, 15000]].tolist())
+        page.click("text=Planners and rules")
+        page.check('[value="theta-star"]')  # which does not know the cost model "cell"
+        page.check('[value="astar-dist"]')
+        settle(page)
+        assert page.locator(".jv-route").count() == 2
+        assert "theta-star" in page.locator('[data-is="tell"]').inner_text()
+        tell, at = (page.locator(f'[data-is="{name}"]').bounding_box() for name in ("tell", "at"))
+        assert tell["y"] >= at["y"] + at["height"]  # one reads both
+        page.fill('[name="clearance_m"]', "-5")
+        page.keyboard.press("Tab")
+        settle(page)
+        assert "clearance_m" in page.locator('[data-is="tell"]').inner_text()
+        assert page.locator(".jv-route").count() == 0
+        assert not page.locator('[data-is="command"]').is_visible()
+
+
+def test_the_old_profile_bears_the_pointer_until_the_new_one_is_there(browser):
+    class Slow(Viewer):
+        def report(self, query):
+            time.sleep(1)
+            return super().report(query)
+
+    with served(Slow(MAPS)) as server, opened(browser, server.url) as (page, _, wrong):
+        plan_between(page, FREE[[900, 15000]].tolist())
+        page.wait_for_selector('[data-is="profile"] svg')
+        box = page.locator('[data-is="profile"] svg').bounding_box()
+        page.locator('[name="weight-gps"]').press("ArrowRight")
+        page.wait_for_timeout(200)
+        until(page, lambda: page.locator('[data-is="tell"]').inner_text() == "")
+        for share in np.linspace(0.1, 0.9, 40):
+            page.mouse.move(box["x"] + share * box["width"], box["y"] + 40)
+        page.wait_for_timeout(1500)
+        assert not wrong
+
+
+def test_no_text_of_a_legend_breaks_within_a_tick(browser):
+    with served(Viewer(MAPS)) as server, opened(browser, server.url) as (page, _, _):
+        page.select_option('[name="layer"]', "hdop")
+        until(page, lambda: "\u2265" in page.locator(".jv-legend").inner_text())
+        heights = page.locator(".jv-ticks span").evaluate_all("all => all.map(each => each.offsetHeight)")
+        assert len(set(heights)) == 1

@@ -236,8 +236,8 @@ async function start(root, ask) {
   };
   const endAt = (...at) => state.tab === 'plan' && !state.drawing && Object.keys(state.ends).find(name =>
     Math.hypot(...toPixel(state.ends[name]).map((pixel, k) => pixel - at[k])) < 12);
-  map.onpointerdown = ({ pointerId, offsetX: left, offsetY: top }) => {
-    map.setPointerCapture(pointerId);
+  map.onpointerdown = ({ pointerId, button, offsetX: left, offsetY: top }) => {
+    if (button === 0) map.setPointerCapture(pointerId); else return;
     state.drag = { end: endAt(left, top), left, top, isMoved: false };
   };
   map.onpointermove = ({ offsetX: left, offsetY: top }) => {
@@ -269,7 +269,7 @@ async function start(root, ask) {
     const acts = { '+': () => zoom(0.7), '-': () => zoom(1 / 0.7), 0: fit, Enter: () => click([view.x, view.y]),
       Escape: () => { state.drawing = null; hint(); }, ArrowLeft: move(-60, 0), ArrowRight: move(60, 0),
       ArrowUp: move(0, 60), ArrowDown: move(0, -60) };
-    if (!acts[event.key]) return;
+    if (!acts[event.key] || event.ctrlKey || event.metaKey) return; // the browser's own zoom
     event.preventDefault();
     acts[event.key]();
     point([view.x, view.y]);
@@ -294,13 +294,13 @@ async function start(root, ask) {
     draw();
   });
   const planAll = latest(async () => {
-    const asked = state.plans, found = [];
+    const asked = state.plans, found = [], refused = [];
     tell('Planning …');
     for (const request of chosen().map(query)) {
-      found.push({ ...placed(await ask('plan', request)), request });
+      try { found.push({ ...placed(await ask('plan', request)), request }); } catch (e) { refused.push(e.message); }
       if (asked !== state.plans) return;
     }
-    tell(found.find(route => !route.has_path)?.message ?? '');
+    tell(refused[0] ?? found.find(route => !route.has_path)?.message ?? '');
     showRoutes(found);
   });
   const warm = () => state.ends.start && guard(ask)('coarse', query('astar-plus')); // makes what the route will need
@@ -330,10 +330,10 @@ async function start(root, ask) {
     here.setAttribute('transform', `translate(${xy[k] ? 36 + 864 * ((ends[k - 1] ?? 0) + ends[k]) / 2 : -9})`);
     draw();
   };
-  is('profile').onpointermove = event => {
-    const box = is('profile').firstElementChild.getBoundingClientRect();
-    const share = ((event.clientX - box.left) / box.width * 900 - 36) / 864;
-    link(clamp(state.report.to_share.findIndex(end => end >= share), 0, state.report.xy.length - 1));
+  is('profile').onpointermove = ({ clientX }) => { // the old profile stays until a new route's own comes
+    const { left, width } = is('profile').firstElementChild.getBoundingClientRect();
+    const share = ((clientX - left) / width * 900 - 36) / 864, ends = state.report?.to_share;
+    if (ends) link(clamp(ends.findIndex(end => end >= share), 0, ends.length - 1));
   };
   const click = place => {
     if (!isInside(place) || state.tab !== 'plan') return;
