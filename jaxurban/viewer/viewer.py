@@ -229,11 +229,12 @@ class Viewer:
         grid = self.maps.grid
         if not (cell.row < grid.num_rows and cell.col < grid.num_cols):
             raise InputError(f"the cell {cell.row}, {cell.col} is outside: there are {grid.num_rows} x {grid.num_cols}")
-        found = []
+        found, is_inside = [], self._value_in(self.layers[0]["obstacle"], cell) != 0
         for name, layer in self.layers[0].items():
             if not (heading := _told(layer)):
                 continue
-            value = self._value_in(layer, cell)
+            is_hidden = is_inside and ALTITUDE in layer.dims and name != "obstacle"  # the engine's 0 there is no value
+            value = math.nan if is_hidden else self._value_in(layer, cell)
             told = {"name": name, "told": heading, "unit": layer.unit}
             found.append(told | {"value": _number(value)})
             if name == "density":

@@ -222,3 +222,10 @@ def test_the_legend_names_cells_without_a_value_where_there_are_any():
     assert "no data" not in legend_of(MAPS, layer, values)["html"]
     values[3, 4] = np.nan
     assert "no data" in legend_of(MAPS, layer, values)["html"]
+
+
+def test_a_cell_inside_an_obstacle_has_no_quality(viewer):
+    row, col = np.argwhere(MAPS.m("obstacle", 20.0) != 0)[0].tolist()
+    said = {each["name"]: each["value"] for each in answer(viewer, "values", at=[0, 0, 0], row=row, col=col)}
+    assert (said["gps"], said["lidar"], said["num_visible"], said["obstacle"]) == (None, None, None, 1)
+    assert said["roof"] == MAPS.m("roof")[row, col]
