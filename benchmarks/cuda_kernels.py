@@ -269,7 +269,7 @@ KERNELS: dict[str, Callable[[], Call]] = {
     "recipe: roofs and obstacles": lambda: Call(recipe._roofs_and_obstacles, (part(REGION), ALTITUDES_M)),
     "obstacle": lambda: Call(obstacle._mask, (array(*REGION), ALTITUDES_M)),
     "risk": lambda: Call(
-        risk._risk, (part(REGION, 10), None, ALTITUDES_M), DISTANCE_5M | {"halo": 10, "is_solid": False}
+        risk._risk, (part(REGION, 10), None, None, ALTITUDES_M), DISTANCE_5M | {"halo": 10, "is_solid": False}
     ),
     "shadows: height": lambda: Call(sweep.shadow_height, (array(*SURFACE), line(SURFACE))),
     "shadows: sweep": lambda: Call(sweep.sweep, (array(*SURFACE), line(SURFACE))),
