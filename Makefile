@@ -34,7 +34,7 @@ test-long: $(VENV)/.dev
 	  tests/test_compile_cache.py tests/kernels/test_sample_graph.py tests/kernels/test_dop_clocks.py \
 	  tests/metrics/test_gps_clocks.py tests/test_clocks_page.py tests/maps/test_protection.py tests/maps/test_slabs.py \
 	  tests/metrics/test_protection_sidereon.py tests/report/test_receiver.py tests/studies/test_receiver.py \
-	  tests/test_receiver_page.py \
+	  tests/test_receiver_page.py tests/world/test_grid.py tests/kernels/test_distance.py tests/world/test_synthetic.py \
 	  tests/planners/test_bitstar_batched.py tests/maps/test_supersampling.py tests/scenario/test_run.py \
 	  tests/viewer/test_page.py tests/viewer/test_widget.py tests/viewer/test_study.py tests/cli/test_view.py \
 	  tests/planners/test_batch.py::test_a_sample_of_movingai_is_optimal_in_jax \

@@ -55,6 +55,7 @@ def test_distance_over_terrain_equals_brute_force():
     np.testing.assert_allclose(distance_m, expected, atol=1e-4)
 
 
+@pytest.mark.slow
 def test_gradients_are_those_of_the_nearest_source_and_finite_everywhere():
     depth_m = jnp.asarray([30.0, 0.0])
     row = jnp.arange(40)

@@ -69,6 +69,7 @@ def by_dijkstra(samples, cell_cost, is_line=True, tree=()):
     return found.min(axis=0), is_edge
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shape", SHAPES)
 @pytest.mark.parametrize("is_line", [True, False])
 def test_costs_are_dijkstras_at_every_node_of_every_query(is_line, shape):

@@ -37,6 +37,7 @@ def swept(top_m, lines, rings=None):
     return np.stack([np.asarray(shadow_height(top_m, line, ring)) for line, ring in each])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shape", [SHAPE, SHAPE[::-1], (1, 9), (9, 1)])
 def test_every_direction_throws_the_sweep_s_shadows(shape):
     top_m, lines = tops(shape), lines_of(shape)
@@ -90,6 +91,7 @@ def test_tiles_hand_on_within_rings_as_the_sweep_does():
         np.testing.assert_allclose(one, other, atol=ROUNDING_M)
 
 
+@pytest.mark.slow
 def test_the_derivative_of_a_shadow_is_that_of_its_one_roof():
     top_m = np.zeros(SHAPE, np.float32)
     top_m[12, 9] = 60.0

@@ -74,6 +74,7 @@ def test_it_gives_the_bits_of_the_recipe(has_terrain):
     assert {*found} >= {"obstacle", "gps", "gdop", "hdop", "num_visible", "lidar", "risk", "population", "density"}
 
 
+@pytest.mark.slow
 def test_where_the_terrain_is_unknown_the_maps_are_too_and_the_cost_s_derivatives_are_finite():
     task = task_of(has_terrain=True)
     terrain = task.city.terrain

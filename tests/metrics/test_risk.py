@@ -36,6 +36,7 @@ def solid_by_brute_force(roof_m, terrain_m, altitude_m, threshold_m):
     return np.minimum(np.sqrt(nearest_m2), threshold_m)
 
 
+@pytest.mark.slow
 def test_slice_equals_scipys_distance_transform_of_the_surface_with_its_margin():
     roof_m = random_roof()
     m = compute_risk(surface_of(roof_m), ALTITUDES_M, RiskParams())

@@ -48,6 +48,7 @@ def test_snapping_a_snapped_box_changes_nothing():
     assert Grid.from_bounds(LOWER_MANHATTAN, 5.0, crs, nest_with_m=(5.0,)) == grid
 
 
+@pytest.mark.slow
 @given(row=st.integers(0, 674), col=st.integers(0, 683))
 def test_cell_to_lonlat_and_back_is_the_same_cell(row, col):
     grid = Grid.from_bounds(LOWER_MANHATTAN, 5.0)

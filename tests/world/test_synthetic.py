@@ -137,6 +137,7 @@ def test_the_full_city_is_as_dense_and_as_built_as_manhattan(full_city):
     assert 40_000 < len(full_city.buildings) < 80_000
 
 
+@pytest.mark.slow
 def test_the_full_city_is_made_in_seconds():
     began = time.process_time()
     demo_city()
