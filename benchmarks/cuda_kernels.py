@@ -5,13 +5,12 @@ region of 8 M cells (5 m), or of a tile of 1 M cells where maps are made by tile
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from benchmarks.cuda_call import Call, array, float64, gradient, int32
 from jaxurban.kernels import dop
 from jaxurban.kernels.distance import exact as distance
 from jaxurban.kernels.distance import soft as soft_distance
@@ -42,42 +41,6 @@ from jaxurban.world import surface
 from jaxurban.world.grid import Grid
 from jaxurban.world.surface import Surface
 
-
-@dataclass(frozen=True)
-class Call:
-    """What to compile.
-
-    Attributes:
-      function: made by `jax.jit`.
-      arguments: arrays, or their shapes and types (`jax.ShapeDtypeStruct`).
-      static: arguments by name that the program is compiled for.
-      is_float64: it runs under ``jax.enable_x64(True)``.
-    """
-
-    function: Any
-    arguments: tuple
-    static: dict[str, Any] = field(default_factory=dict)
-    is_float64: bool = False
-
-
-def array(*shape: int, dtype: Any = jnp.float32) -> jax.ShapeDtypeStruct:
-    """Return the shape and type of an array."""
-    return jax.ShapeDtypeStruct(shape, dtype)
-
-
-def float64(*shape: int) -> jax.ShapeDtypeStruct:
-    return array(*shape, dtype=jnp.float64)
-
-
-def int32(*shape: int) -> jax.ShapeDtypeStruct:
-    return array(*shape, dtype=jnp.int32)
-
-
-def gradient(of: Callable, by: int | tuple[int, ...] = 0) -> Any:
-    """Return the compiled value and gradient of a function's sum."""
-    return jax.jit(jax.value_and_grad(lambda *arguments: jnp.sum(of(*arguments)), by))
-
-
 NUMBER, WHOLE = array(), int32()
 REGION, MARGIN, TILE = (4000, 2000), 120, (1000, 1000)
 SURFACE = tuple(side + 2 * MARGIN for side in REGION)
@@ -101,9 +64,10 @@ def lines() -> sweep.Line:
     return lines_over(SURFACE)
 
 
-def satellites(num: int, multiple_of: int = 8) -> dop.Geometry:
+def satellites(num: int, multiple_of: int = 8, num_clocks: int = 1) -> dop.AnyGeometry:
     rng = np.random.default_rng(0)
-    return dop.geometry(dop.unit_vectors(rng.uniform(0, 6, num), rng.uniform(0.1, 1.5, num)), multiple_of=multiple_of)
+    directions = dop.unit_vectors(rng.uniform(0, 6, num), rng.uniform(0.1, 1.5, num))
+    return dop.geometry(directions, multiple_of=multiple_of, clocks=dop.Clocks(np.arange(num) % num_clocks, num_clocks))
 
 
 GROWN = tuple(side + 2 for side in TILE)
@@ -288,6 +252,13 @@ KERNELS: dict[str, Callable[[], Call]] = {
     ),
     "GPS maps, 31 satellites": lambda: Call(
         gps.maps_of_words, (array(1, *REGION, dtype=jnp.uint32), satellites(31), NUMBER)
+    ),
+    "DOPs of weights, 2 clocks, gradient": lambda: Call(
+        gradient(lambda geometry, weights: dop.dops(geometry, weights).gdop, 1),
+        (satellites(16, 1, 2), array(16, gps.BLOCK_CELLS)),
+    ),
+    "GPS maps, 16 satellites, 2 clocks": lambda: Call(
+        gps.maps_of_words, (array(1, *REGION, dtype=jnp.uint32), satellites(16, 8, 2), NUMBER)
     ),
     "GPS maps, looked up": lambda: Call(hard_gps._looked_up, (SUBSETS, array(1, *REGION, dtype=jnp.uint32), MASK)),
     "GPS, soft": lambda: Call(
