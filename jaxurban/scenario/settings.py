@@ -4,19 +4,16 @@ import operator
 import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime, timedelta
+from datetime import timedelta
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import tomli_w
 from pydantic import (
-    AfterValidator,
     BaseModel,
     BeforeValidator,
     ConfigDict,
     Field,
-    GetPydanticSchema,
-    PlainSerializer,
     PrivateAttr,
     ValidationError,
     model_validator,
@@ -34,10 +31,22 @@ from jaxurban.metrics.protection import ProtectionParams
 from jaxurban.metrics.registry import ON_REQUEST
 from jaxurban.metrics.risk import RiskParams
 from jaxurban.metrics.settings import differentiable
-from jaxurban.metrics.weights import MOST_WEIGHT, Weights
+from jaxurban.metrics.weights import Weights
 from jaxurban.paths.vehicle import Vehicle
-from jaxurban.planners.registry import find_planner
 from jaxurban.scenario.changes import changed
+from jaxurban.scenario.values import (
+    Different,
+    DifferentList,
+    NonNegative,
+    PlannerName,
+    Positive,
+    PositiveInt,
+    Profile,
+    Seed,
+    StrList,
+    Utc,
+    WeightSettings,
+)
 from jaxurban.world.city import TO_GROUND, Hanging
 from jaxurban.world.diagnostics import check_truths, sentence_of
 from jaxurban.world.grid import check_bounds, projected_crs
@@ -45,59 +54,6 @@ from jaxurban.world.grid import check_bounds, projected_crs
 SYNTHETIC = "synthetic"
 MOST_TIMES = 100_000  # a year in steps of five minutes
 PAPER_PLANNERS = ("ptp", "astar-dist", "astar-plus", "bitstar-dist", "bitstar-plus")
-
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-PositiveInt = Annotated[int, Field(gt=0)]
-
-
-def _no_truth(value: Any) -> Any:
-    if isinstance(value, bool):
-        raise ValueError(f"a weight cannot be {str(value).lower()}: give a number")
-    return value
-
-
-def _not_too_heavy(weight: float) -> float:
-    if weight > MOST_WEIGHT:
-        raise ValueError(f"a weight must be at most {MOST_WEIGHT:g}, got {weight:g}")
-    return weight
-
-
-Weight = Annotated[NonNegative, BeforeValidator(_no_truth), AfterValidator(_not_too_heavy)]
-WeightTable = Annotated[  # weights by name; `Scenario` knows which names there are
-    dict[str, Weight], AfterValidator(lambda named: Weights(**named)), PlainSerializer(Weights.to_dict)
-]
-WeightSettings = Annotated[Weights, GetPydanticSchema(lambda _, handler: handler.generate_schema(WeightTable))]
-
-
-def _as_list(value: Any) -> Any:
-    return value if isinstance(value, list | tuple) else [value]
-
-
-def _all_different(values: tuple) -> tuple:
-    if len({f"{value:g}" if isinstance(value, float) else value for value in values}) < len(values):
-        raise ValueError("names a value twice (file names carry six digits)")
-    return values
-
-
-def _known_planner(name: str) -> str:
-    find_planner(name)
-    return name
-
-
-PlannerName = Annotated[str, AfterValidator(_known_planner)]
-
-
-def _as_utc(time: datetime) -> datetime:
-    return time.replace(tzinfo=UTC) if time.tzinfo is None else time.astimezone(UTC)
-
-
-Utc = Annotated[datetime, AfterValidator(_as_utc)]  # a naive time is UTC already
-Seed = Annotated[int, Field(ge=0)]
-StrList = Annotated[tuple[str, ...], BeforeValidator(_as_list), Field(min_length=1)]
-Different = AfterValidator(_all_different)
-DifferentList = Annotated[tuple[Positive, ...], BeforeValidator(_as_list), Field(min_length=1), Different]
-Profile = tuple[float, ...]
 
 
 class _Section(BaseModel):
