@@ -11,9 +11,9 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxurban.errors import InputError, typed
+from jaxurban.kernels.host import is_on_host
 from jaxurban.kernels.lidar import flat as kernel
 from jaxurban.kernels.lidar import soft as soft_kernel
-from jaxurban.kernels.lidar.byte_words import is_on_host
 from jaxurban.kernels.lidar.flat_cpu import count_on_host
 from jaxurban.kernels.lidar.supersampled import count_returns_at_centres, halo_cells, phase_starts, phases
 from jaxurban.kernels.lidar.terrain import count_returns_on_terrain

@@ -1,6 +1,7 @@
 """Obstacle: where a building stands at the height of flight; its soft form leans over one softness above the roof."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -27,7 +28,12 @@ def obstacle_mask(roof_m: Float[Array, "Y X"], altitudes_m: Sequence[float] | Ar
 
 @jax.jit
 def _mask(roof: Array, altitudes: Array) -> Array:
-    return (roof >= altitudes[:, None, None]) & (roof > 0)
+    return stands_at(roof, altitudes[:, None, None])
+
+
+def stands_at(roof_m: Any, altitude_m: Any) -> Any:
+    """Return where a roof is at or above the altitude: the rule itself, of arrays of NumPy or JAX."""
+    return (roof_m >= altitude_m) & (roof_m > 0)
 
 
 def obstacles_on(surface: Surface, altitudes_m: Sequence[float] | ArrayLike) -> Bool[Array, "A y x"]:

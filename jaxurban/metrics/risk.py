@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Literal
+from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
@@ -14,8 +14,10 @@ from jaxtyping import Array, Float, Int
 from jaxurban.errors import one_of, typed
 from jaxurban.kernels.distance import exact as kernel
 from jaxurban.kernels.distance import soft as soft_distance
+from jaxurban.kernels.distance.exact_cpu import distance_on_host
+from jaxurban.kernels.host import is_on_host
 from jaxurban.metrics.base import ALTITUDE, AnyArray, Metric, Scene, in_type, low_is_bad, on_scene
-from jaxurban.metrics.obstacle import obstacle_mask
+from jaxurban.metrics.obstacle import stands_at
 from jaxurban.metrics.settings import check_softness, check_value, differentiable, reach_of
 from jaxurban.world.surface import Part, Surface
 
@@ -84,7 +86,42 @@ def compute_risk(
         ceiling = surface.part(jax.device_put(surface.slabs.lowest_floors(surface.grid)), halo)
     sizes = {"resolution_m": surface.grid.resolution_m, "cap_m": params.threshold_m}
     altitudes = in_type(altitudes_m, surface.roof_m.dtype)
+    if terrain is None and is_on_host(surface.roof_m, altitudes):
+        return jnp.asarray(_risk_on_host(roof, ceiling, np.asarray(altitudes), halo=halo, is_solid=is_solid, **sizes))
     return _risk(roof, terrain, ceiling, altitudes, halo=halo, is_solid=is_solid, **sizes)
+
+
+def _sources(xp: Any, roof_m: Any, ceiling_m: Any, altitude_m: Any, is_solid: bool) -> Any:
+    """Return what each cell adds to the squared distance, inf where nothing stands or hangs; ``xp`` is NumPy or JAX."""
+    if not is_solid:
+        return xp.where(stands_at(roof_m, altitude_m), *roof_m.dtype.type([0, np.inf]))
+    source_m2 = xp.where(roof_m > 0, xp.maximum(altitude_m - roof_m, 0.0) ** 2, xp.inf)
+    if ceiling_m is None:
+        return source_m2
+    return xp.minimum(source_m2, xp.where(ceiling_m > 0, (ceiling_m - altitude_m) ** 2, xp.inf))
+
+
+def _share(distance_m: Any, cap_m: float) -> Any:
+    """Return distances as shares of the cap, by a product: XLA makes one of a division, and the bits must agree."""
+    one = distance_m.dtype.type(1)
+    return distance_m * (one / one.dtype.type(cap_m))
+
+
+def _risk_on_host(
+    roof: Part,
+    ceiling: Part | None,
+    altitudes_m: np.ndarray,
+    *,
+    resolution_m: float,
+    cap_m: float,
+    halo: int,
+    is_solid: bool,
+) -> np.ndarray:
+    """Return `_risk` without terrain, to the bit, by the kernel for a CPU."""
+    roof_m, ceiling_m = roof.cut_on_host(), None if ceiling is None else ceiling.cut_on_host()
+    sources = (_sources(np, roof_m, ceiling_m, altitude_m, is_solid) for altitude_m in altitudes_m)
+    nearest = partial(distance_on_host, halo=halo, resolution_m=resolution_m, cap_m=cap_m)
+    return _share(np.stack([nearest(source_m2) for source_m2 in sources]), cap_m)
 
 
 @partial(jax.jit, static_argnames=("resolution_m", "cap_m", "halo", "is_solid"))
@@ -105,27 +142,21 @@ def _risk(
     as a roof, with everything upside down.
     """
     roof_m, terrain_m = roof.cut(), None if terrain is None else terrain.cut()
-    has_building = roof_m > 0
     ceiling_m = None if ceiling is None else ceiling.cut()
 
     def distance_at(altitude_m: jax.Array) -> jax.Array:
         if terrain_m is not None:
             nearest = partial(kernel.capped_distance_over_terrain, resolution_m=resolution_m, cap_m=cap_m)
-            distance_m = nearest(terrain_m + altitude_m, terrain_m + roof_m, has_building)
+            distance_m = nearest(terrain_m + altitude_m, terrain_m + roof_m, roof_m > 0)
             if ceiling_m is None:
                 return distance_m
             under_m = nearest(-terrain_m - altitude_m, -terrain_m - ceiling_m, ceiling_m > 0)
             return jnp.minimum(distance_m, under_m)
-        if is_solid:
-            source_m2 = jnp.where(has_building, jnp.maximum(altitude_m - roof_m, 0.0) ** 2, jnp.inf)
-            if ceiling_m is not None:
-                source_m2 = jnp.minimum(source_m2, jnp.where(ceiling_m > 0, (ceiling_m - altitude_m) ** 2, jnp.inf))
-        else:
-            source_m2 = jnp.where(obstacle_mask(roof_m, altitude_m[None])[0], 0.0, jnp.inf).astype(roof_m.dtype)
+        source_m2 = _sources(jnp, roof_m, ceiling_m, altitude_m, is_solid)
         return kernel.capped_distance(source_m2, resolution_m=resolution_m, cap_m=cap_m)
 
     rows, cols = (slice(halo, size - halo) for size in roof_m.shape)
-    return lax.map(distance_at, altitudes_m)[:, rows, cols] / cap_m
+    return _share(lax.map(distance_at, altitudes_m)[:, rows, cols], cap_m)
 
 
 def soft_risk(

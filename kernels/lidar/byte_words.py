@@ -4,29 +4,12 @@ Bit b of word ``i * C + j`` stands for receiver ``(i + b * band, j)`` of a tile 
 columns, so that a look from all of a tile's receivers reads whole rows of what it looks at.
 """
 
-import jax
 import numpy as np
-from jaxtyping import Array
 
 from jaxurban.kernels.compiled import compiled
 
 WORD_BITS = 8
 AZIMUTHS_AT_ONCE = 8  # added up by carry-save adders before they are carried into the counts
-
-
-def is_on_host(values: Array | np.ndarray, *others: Array | np.ndarray) -> bool:
-    """Return whether none is traced and the values lie, or JAX would put them, in the memory of a CPU."""
-    if any(isinstance(array, jax.core.Tracer) for array in (values, *others)):
-        return False
-    held = values if isinstance(values, jax.Array) else jax.device_put(np.float32(0))
-    return all(device.platform == "cpu" for device in held.devices())
-
-
-def on_host(values: Array | np.ndarray) -> np.ndarray:
-    """Return values for Numba, read-only as those of JAX are: it compiles anew for another kind."""
-    array = np.ascontiguousarray(values).view()
-    array.flags.writeable = False
-    return array
 
 
 @compiled(nogil=True)

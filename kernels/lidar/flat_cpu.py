@@ -14,7 +14,8 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxurban.kernels.compiled import compiled
-from jaxurban.kernels.lidar.byte_words import AZIMUTHS_AT_ONCE, WORD_BITS, add_up, on_host, side_of_tiles
+from jaxurban.kernels.host import on_host
+from jaxurban.kernels.lidar.byte_words import AZIMUTHS_AT_ONCE, WORD_BITS, add_up, side_of_tiles
 
 TILE = (128, 512)  # most receivers taken together; rows a multiple of 8
 COLUMNS = 64  # that a tile's are a multiple of

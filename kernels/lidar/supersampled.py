@@ -14,8 +14,8 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int
 
+from jaxurban.kernels.host import is_on_host
 from jaxurban.kernels.lidar.bits import pack
-from jaxurban.kernels.lidar.byte_words import is_on_host
 from jaxurban.kernels.lidar.flat_cpu import count_on_host
 from jaxurban.kernels.lidar.steps import count_returns_by_steps
 

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from jaxurban.kernels.lidar.byte_words import is_on_host, on_host
+from jaxurban.kernels.host import is_on_host, on_host
 from jaxurban.kernels.lidar.steps import count_returns_on_terrain_by_steps
 from jaxurban.kernels.lidar.terrain_cpu import count_on_terrain
 from jaxurban.kernels.lidar.terrain_march import MOST_BEAMS, Looks

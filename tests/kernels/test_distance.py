@@ -7,6 +7,7 @@ import pytest
 from scipy.ndimage import distance_transform_edt
 
 from jaxurban.kernels.distance.exact import capped_distance, capped_distance_over_terrain
+from jaxurban.kernels.distance.exact_cpu import distance_on_host
 
 INF = np.float32(np.inf)
 
@@ -43,6 +44,22 @@ def test_distance_from_sources_below_equals_brute_force():
     distance_m = capped_distance(source_m2, resolution_m=5.0, cap_m=50.0)
     expected = brute_force(lambda i, j: depth_m[i, j], is_source, 5.0, 50.0)
     np.testing.assert_allclose(distance_m, expected, atol=1e-4)
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (131, 90), (40, 700), (600, 33)])
+@pytest.mark.parametrize(("resolution_m", "cap_m"), [(5.0, 50.0), (2.0, 33.0), (3.0, 3.0)])
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_the_kernel_for_a_cpu_gives_the_same_bits(shape, resolution_m, cap_m, dtype):
+    rng = np.random.default_rng(3)
+    is_source = rng.random(shape) < 0.002
+    source_m2 = np.where(is_source, np.where(rng.random(shape) < 0.5, 0, rng.uniform(0, 60, shape) ** 2), np.inf)
+    sizes = {"resolution_m": resolution_m, "cap_m": cap_m}
+    with jax.enable_x64(dtype == np.float64):
+        expected = np.asarray(capped_distance(jnp.asarray(source_m2, dtype), **sizes))
+    assert expected.dtype == dtype
+    for halo in {0, min(7, min(shape) // 3), min(shape) // 3}:
+        found = distance_on_host(source_m2.astype(dtype), halo, **sizes)
+        np.testing.assert_array_equal(found, expected[halo : shape[0] - halo, halo : shape[1] - halo], strict=True)
 
 
 def test_distance_over_terrain_equals_brute_force():
