@@ -48,7 +48,7 @@ def test_the_first_maps_of_a_session_keep_their_programs_and_tell_it_once(tmp_pa
     assert FOLDER in told
     assert settings == f"{folder} 0.0"
     kept = {path.name for path in folder.iterdir()}
-    assert any(name.startswith("jit__risk") for name in kept)
+    assert any(name.startswith("jit__roofs_and_obstacles") for name in kept)
     session(tmp_path)
     programs = {name for name in kept if name.endswith("-cache")}
     assert programs == {path.name for path in folder.iterdir() if path.name.endswith("-cache")}  # all were found
