@@ -11,6 +11,7 @@ import numpy as np
 from numba import njit
 from numba.core.caching import FunctionCache, IndexDataCacheFile
 from numba.core.dispatcher import Dispatcher
+from numba.core.runtime import rtsys
 
 from jaxurban.collector import paused_collector
 
@@ -51,8 +52,15 @@ class _Cache(FunctionCache):
         self._cache_file = _IndexOfOlderCode(self._cache_path, self._impl.filename_base, kept._source_stamp)
 
     def load_overload(self, sig, target_context):
-        with paused_collector():  # the first one imports what Numba knows of all types
-            return super().load_overload(sig, target_context)
+        """Return the machine code kept for a signature; None where there is none.
+
+        As Numba's own, which first registers all that it can compile, and imports SciPy for it. What is compiled
+        needs only the runtime that it calls, and compiling registers all of that by itself: 0.3 s less in a process
+        that finds everything in the cache.
+        """
+        rtsys.initialize(target_context)
+        with paused_collector(), self._guard_against_spurious_io_errors():
+            return self._load_overload(sig, target_context)
 
     def _index_key(self, sig, codegen):
         digest = hashlib.sha256()
