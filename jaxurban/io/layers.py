@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from jaxurban.errors import InputError
-from jaxurban.io.read.raster import read_bands, resample_raster
+from jaxurban.io.read.sampling import resample_raster
 from jaxurban.metrics.custom import Layer
 from jaxurban.world.city import Raster
 from jaxurban.world.grid import Grid
@@ -40,6 +40,8 @@ def _bands(name: str, layer: Layer, region: Grid, altitudes_m: Sequence[float], 
     num = 1 if layer.altitudes_m is None else len(layer.altitudes_m)
     bands: Sequence[Raster | np.ndarray]
     if isinstance(layer.source, str):
+        from jaxurban.io.read.raster import read_bands  # GDAL loads for files alone
+
         bands = read_bands(folder / layer.source, region.crs, region.bounds_m)
     else:
         given = np.ma.asarray(layer.source)  # what is masked holds no value

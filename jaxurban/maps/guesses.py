@@ -12,8 +12,8 @@ import shapely
 from jaxurban.io.layers import Bands
 from jaxurban.io.read.guesses import TOLD_SHARE, Guesses, guessed_share, percent
 from jaxurban.io.read.knownarea import rays_leaving
-from jaxurban.io.read.raster import pixel_xy
 from jaxurban.io.read.rasterise import highest_top_m
+from jaxurban.io.read.sampling import pixel_xy
 from jaxurban.metrics.population import BlockLayers, PopulationParams, region_blocks
 from jaxurban.world.city import SLABS, Blocks, City, Raster
 from jaxurban.world.grid import Bounds, Grid

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from jaxurban.errors import InputError
-from jaxurban.world.diagnostics import fields_of, model_in
+from jaxurban.scenario.validation import fields_of, model_in
 
 OPEN = ("layers", "weights")  # sections whose keys are names that a user chooses
 MOST_NEAR = 3

@@ -34,6 +34,7 @@ from jaxurban.metrics.settings import differentiable
 from jaxurban.metrics.weights import Weights
 from jaxurban.paths.vehicle import Vehicle
 from jaxurban.scenario.changes import changed
+from jaxurban.scenario.validation import check_truths, sentence_of
 from jaxurban.scenario.values import (
     Different,
     DifferentList,
@@ -48,7 +49,6 @@ from jaxurban.scenario.values import (
     WeightSettings,
 )
 from jaxurban.world.city import TO_GROUND, Hanging
-from jaxurban.world.diagnostics import check_truths, sentence_of
 from jaxurban.world.grid import check_bounds, projected_crs
 
 SYNTHETIC = "synthetic"

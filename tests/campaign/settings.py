@@ -6,7 +6,7 @@ from pathlib import Path
 
 from jaxurban.scenario.changes import keys_of
 from jaxurban.scenario.settings import Scenario
-from jaxurban.world.diagnostics import fields_of, model_in
+from jaxurban.scenario.validation import fields_of, model_in
 from tests.campaign.cases import REFUSED, TOLD, Case
 
 SCENARIO = """[region]

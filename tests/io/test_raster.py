@@ -11,7 +11,8 @@ import shapely
 from affine import Affine
 
 from jaxurban.errors import InputError
-from jaxurban.io.read.raster import heights_above, pixel_xy, raster_extent_m, read_raster, resample_raster, thinned
+from jaxurban.io.read.raster import raster_extent_m, read_raster
+from jaxurban.io.read.sampling import heights_above, pixel_xy, resample_raster, thinned
 from jaxurban.world.city import Raster
 from jaxurban.world.grid import Grid
 

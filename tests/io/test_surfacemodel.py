@@ -8,7 +8,8 @@ import pytest
 
 from jaxurban.errors import InputError
 from jaxurban.io.read.buildings import BuildingFile, read_buildings
-from jaxurban.io.read.raster import heights_above, read_raster
+from jaxurban.io.read.raster import read_raster
+from jaxurban.io.read.sampling import heights_above
 from jaxurban.io.read.surfacemodel import check_is_no_surface, heights_of_surface, low_levels
 from jaxurban.world.city import City, Raster
 

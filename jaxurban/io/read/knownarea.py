@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 import shapely
 
-from jaxurban.io.read.raster import pixel_xy
+from jaxurban.io.read.sampling import pixel_xy
 from jaxurban.world.city import City, Raster
 from jaxurban.world.grid import Bounds, Grid
 

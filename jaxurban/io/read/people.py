@@ -6,7 +6,8 @@ import numpy as np
 import shapely
 
 from jaxurban.errors import InputError
-from jaxurban.io.read.raster import open_raster, pixel_xy, raster_window
+from jaxurban.io.read.raster import open_raster, raster_window
+from jaxurban.io.read.sampling import pixel_xy
 from jaxurban.world.city import Raster
 from jaxurban.world.grid import Bounds
 

@@ -10,7 +10,7 @@ import numpy as np
 from jaxurban.errors import InputError
 from jaxurban.io.read.burn import burn, burn_by_rule, burn_touched
 from jaxurban.io.read.hanging import burn_hanging
-from jaxurban.io.read.raster import resample_raster
+from jaxurban.io.read.sampling import resample_raster
 from jaxurban.world.city import SLABS, Buildings, City
 from jaxurban.world.grid import Grid
 from jaxurban.world.slabs import Slabs

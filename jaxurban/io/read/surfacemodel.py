@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from jaxurban.errors import InputError
-from jaxurban.io.read.raster import heights_above, pixel_xy, thinned
+from jaxurban.io.read.sampling import heights_above, pixel_xy, thinned
 from jaxurban.world.city import Raster
 from jaxurban.world.diagnostics import ReadIssue, ReadIssues
 
