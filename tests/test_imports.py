@@ -36,5 +36,6 @@ def test_the_help_of_every_command_imports_nothing_heavy():
 
 def test_maps_of_the_demo_city_import_neither_stores_nor_tables_of_outlines():
     """Reading and writing files is another matter: what that needs comes when it is asked for."""
-    names = heavy_modules("import jaxurban as ju; ju.build_maps, ju.demo_city")
-    assert not {"dask", "geopandas", "matplotlib", "zarr"} & set(names)
+    run = "import jaxurban as ju; ju.build_maps(ju.demo_city(500, 500), altitudes_m=(20.0,), progress=False).m('gps')"
+    names = heavy_modules(run)
+    assert not {"dask", "geopandas", "matplotlib", "pydantic", "rasterio", "zarr"} & set(names)

@@ -4,8 +4,10 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pyproj
 import xarray as xr
+from xarray.indexes import PandasIndex
 
 from jaxurban.io.attributes import CAVEAT, IN_OBSTACLES
 from jaxurban.maps.height_uncertainty import SPREAD
@@ -92,20 +94,24 @@ def empty_dataset(task: MapTask, make: Callable[[tuple[int, ...], np.dtype], obj
     """
     region, params = task.region, task.params
     attribution = joined_credits(task.city.attribution, *(layer.credit for layer in task.layers.values()))
-    coords: dict[str, Any] = {
-        "y": ("y", region.y_m, _axis("Y", "projection_y_coordinate", "northing of the cell's centre", units="m")),
-        "x": ("x", region.x_m, _axis("X", "projection_x_coordinate", "easting of the cell's centre", units="m")),
-        "altitude": (
-            "altitude",
+    coords = {
+        "y": _held(
+            ("y",), region.y_m, _axis("Y", "projection_y_coordinate", "northing of the cell's centre", units="m")
+        ),
+        "x": _held(
+            ("x",), region.x_m, _axis("X", "projection_x_coordinate", "easting of the cell's centre", units="m")
+        ),
+        "altitude": _held(
+            ("altitude",),
             np.asarray(params.altitudes_m, float),
             _axis("Z", "height", "above ground", units="m", positive="up", reference="ground below (AGL)"),
         ),
-        "time": (
-            "time",
+        "time": _held(
+            ("time",),
             np.array([time.removesuffix("Z") for time in task.sky.times], "datetime64[ns]"),
             _axis("T", "time", "UTC"),
         ),
-        "spatial_ref": ((), 0, pyproj.CRS(region.crs).to_cf()),
+        "spatial_ref": _held((), np.asarray(0), pyproj.CRS(region.crs).to_cf()),
     }
     attrs: dict[str, object] = {
         "Conventions": CONVENTIONS,
@@ -124,20 +130,16 @@ def empty_dataset(task: MapTask, make: Callable[[tuple[int, ...], np.dtype], obj
         attrs["attribution"] = attribution
     if task.population is not None:
         names = np.asarray(params.times_of_day, np.dtypes.StringDType())
-        coords["time_of_day"] = ("time_of_day", names, {"long_name": "time of day"})
+        coords["time_of_day"] = _held(("time_of_day",), names, {"long_name": "time of day"})
         is_count = params.population.quantity == "count"
         norm_name = "pop_norm_per_block" if is_count else "pop_norm_per_km2"
         attrs[norm_name] = [float(value) for value in task.population.norm_per_km2]
     if not task.keeps_times:
         attrs["gps_availability_threshold"] = params.gps.availability_threshold
-    sizes = {
-        "y": region.num_rows,
-        "x": region.num_cols,
-        **{name: len(coord[1]) for name, coord in coords.items() if coord[0]},
-    }
+    sizes = {name: coord.size for name, coord in coords.items()}
     held = variables(task).items()
-    data = {name: (dims, make(tuple(sizes[dim] for dim in dims), kind)) for name, (dims, kind) in held}
-    ds = _described(xr.Dataset(data, coords, attrs), task)
+    data = {name: _held(dims, make(tuple(sizes[dim] for dim in dims), kind)) for name, (dims, kind) in held}
+    ds = _described(xr.Dataset(data, _indexed(coords), attrs), task)
     if "protection" in task.metrics:
         settings = task.settings_of(task.metrics["protection"])
         for name in ("horizontal_alert_limit_m", "vertical_alert_limit_m"):
@@ -159,6 +161,22 @@ def with_series(ds: xr.Dataset, task: MapTask, totals: Mapping[str, TimeTotals])
         mean, worst = (("time", "altitude"), sums.mean), ("altitude", ds["time"].values[sums.worst])
         ds = ds.assign({f"{name}_epoch_mean": mean, f"{name}_worst_time": worst})
     return _described(ds, task)
+
+
+def _held(dims: tuple[str, ...], values: Any, attrs: Mapping[str, Any] | None = None) -> xr.Variable:
+    """Return a variable of an array as it is; xarray's usual way loads Dask, 0.3 s, to ask whether it is one of its."""
+    return xr.Variable(dims, values, attrs, fastpath=True)
+
+
+def _indexed(coords: Mapping[str, xr.Variable]) -> xr.Coordinates:
+    """Return coordinates with an index for each axis (made here, as xarray's usual way loads Dask for these too)."""
+    indexes = {
+        name: PandasIndex(pd.Index(coord.values), name, coord_dtype=coord.dtype)
+        for name, coord in coords.items()
+        if coord.dims
+    }
+    axes = {name: index.create_variables(coords)[name] for name, index in indexes.items()}
+    return xr.Coordinates({**coords, **axes}, indexes)
 
 
 def _axis(axis: str, standard_name: str, long_name: str, **more: str) -> dict[str, str]:

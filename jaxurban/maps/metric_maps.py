@@ -187,8 +187,8 @@ class MetricMaps(Shown):
             "time": self._pick("time", _utc(time), self.times, self.times),
             "time_of_day": self._pick("time of day", time_of_day, self.times_of_day, self.times_of_day),
         }
-        array = self.ds[name]
-        return array.isel({dim: index for dim, index in wanted.items() if dim in array.dims}).values
+        maps = self.ds[name].variable  # without its coordinates, which nobody asks for and xarray would cut too
+        return maps.isel({dim: index for dim, index in wanted.items() if dim in maps.dims}).values
 
     def variable(self, name: str) -> str:
         """Return the variable that holds a metric: the median stands for it where a long series keeps statistics."""
