@@ -1,5 +1,7 @@
 import importlib
+import os
 import pickle
+import subprocess
 import sys
 
 import pytest
@@ -20,6 +22,38 @@ from jaxurban.kernels.compiled import compiled
 @compiled()
 def outer(x):
     return twice(x) + ADDED
+"""
+
+KERNEL = """
+import numpy as np
+from jaxurban.kernels.compiled import compiled
+
+@compiled()
+def doubled(x):
+    made = np.empty(len(x))
+    total = 0.0
+    for i in range(len(x)):
+        made[i] = 2 * x[i]
+        total += made[i]
+    if np.isnan(total):
+        raise ValueError("the sum is no number")
+    return made, total
+"""
+USE = """
+import sys
+import numpy as np
+from numba import njit
+from kernel_of_test import doubled
+
+made, total = doubled(np.arange(3.0))
+print(made.tolist(), total)
+try:
+    doubled(np.array([np.nan]))
+except ValueError as error:
+    print(error)
+print("numba.np.arraymath" in sys.modules)  # of what Numba loads to compile
+print(bool(doubled.stats.cache_hits))
+print(njit(lambda x: doubled(x)[1] + 1.0)(np.arange(3.0)))
 """
 
 
@@ -63,3 +97,18 @@ def test_a_cache_that_names_a_type_which_is_gone_is_made_anew(load_outer, tmp_pa
             version = pickle.load(file)
         index.write_bytes(pickle.dumps(version) + b"cmodule_that_is_gone\nGround\n.")
     assert load_outer(2, 10)(1.5) == 13.0
+
+
+@pytest.mark.slow
+def test_a_process_that_finds_all_in_the_cache_neither_loads_what_compiles_nor_answers_differently(tmp_path):
+    """And one that then compiles a function which calls what it found does."""
+    (tmp_path / "kernel_of_test.py").write_text(KERNEL)
+    own = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path), "PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path])}
+    for cached in (False, True):
+        run = subprocess.run([sys.executable, "-c", USE], env=own, capture_output=True, text=True, check=True)
+        *answers, loaded, is_hit, later = run.stdout.splitlines()
+        assert is_hit == str(cached)
+        assert answers == ["[0.0, 2.0, 4.0] 6.0", "the sum is no number"]
+        assert later == "7.0"
+        if cached:
+            assert loaded == "False"
