@@ -4,6 +4,9 @@
 in turn, after an untimed run of each that fills its caches of compiled programs. Prints a row for each job and each of
 its stages (``elapsed_s`` of run.json, wall): both medians and the median of the pairs' ratios, old over new. Then
 compares every value of the GeoTIFFs, overviews too, and of the Zarrs of both sides, and exits with 1 where one differs.
+
+So that both make the same maps, satellites share one clock: a checkout that can solve for one of each constellation is
+told not to, and one that cannot gets the scenario without that line.
 """
 
 import argparse
@@ -47,7 +50,20 @@ altitudes_m = [20, 60, 122, 600]
 source = "synthetic"
 """,
 }
+ONE_CLOCK = '[gps]\nclocks = "one"\n'
+KNOWS_CLOCKS = "import jaxurban; print('clocks' in jaxurban.GpsParams.__dataclass_fields__)"
 Figures = dict[str, float]  # of one run, by name
+
+
+def scenario_for(checkout: Path, job: str, caches: Path) -> str:
+    """Return the scenario of a job as a checkout takes it."""
+    command = [sys.executable, "-P", "-c", KNOWS_CLOCKS]
+    environment = environment_of(checkout, caches)
+    told = subprocess.run(command, cwd=caches, env=environment, capture_output=True, text=True, check=True).stdout
+    text = JOBS[job]
+    if told.strip() == "False":
+        return text
+    return text.replace("[gps]\n", ONE_CLOCK) if "[gps]" in text else text + ONE_CLOCK
 
 
 def run(checkout: Path, scenario: Path, folder: Path, caches: Path) -> Figures:
@@ -129,11 +145,15 @@ def main() -> None:
     print("| job | figure | old | new | old / new |\n|---|---|---|---|---|")
     try:
         for job in asked.only or JOBS:
-            scenario = work / f"{job}.toml"
-            scenario.write_text(JOBS[job])
-            pairs = []
+            pairs, scenarios = [], [place / f"{job}.toml" for _, place in sides]
+            for (side, place), scenario in zip(sides, scenarios, strict=True):
+                place.mkdir(exist_ok=True)
+                scenario.write_text(scenario_for(side, job, place / "caches"))
             for number in range(asked.pairs + 1):
-                found = [run(side, scenario, place / job, place / "caches") for side, place in sides]
+                found = [
+                    run(side, scenario, place / job, place / "caches")
+                    for (side, place), scenario in zip(sides, scenarios, strict=True)
+                ]
                 pairs.append((found[0], found[1]))
                 print(f"{job}: {number} of {asked.pairs} pairs", file=sys.stderr, flush=True)
             print("\n".join(rows(job, pairs[1:])), flush=True)
