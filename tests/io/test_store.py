@@ -1,6 +1,7 @@
 """Maps on disk: reopened equal, named by the contract, whole or not there."""
 
 import fcntl
+import itertools
 import random
 from pathlib import Path
 
@@ -8,6 +9,7 @@ import numpy as np
 import pytest
 import rasterio
 import xarray as xr
+import zarr
 
 from jaxurban.errors import InputError
 from jaxurban.io import files, store
@@ -249,6 +251,25 @@ def test_tiles_without_a_value_are_on_disk_like_all_others(ds, tmp_path):
     for name, array in ds.data_vars.items():
         values = np.full(ds.sizes["y"] * ds.sizes["x"], np.nan if array.dtype.kind == "f" else 0).reshape(30, 40)
         for index in np.ndindex(array.shape[:-2]):
-            for window in ((slice(0, 15), slice(0, 20)), (slice(0, 15), slice(20, 40)), (slice(15, 30), slice(0, 40))):
-                store.write_layer(tmp_path / "maps.zarr", name, index, window, values[window].astype(array.dtype))
+            for rows, cols in itertools.product((slice(0, 15), slice(15, 30)), (slice(0, 20), slice(20, 40))):
+                part = values[rows, cols].astype(array.dtype)
+                store.write_layer(tmp_path / "maps.zarr", name, index, (rows, cols), part)
     assert broken_chunks(tmp_path / "maps.zarr") == []
+
+
+def test_a_tile_is_written_as_the_zarr_library_writes_it(ds, tmp_path):
+    tile, rng = (16, 24), np.random.default_rng(3)  # neither divides the 30 rows and 40 columns
+    for name in ("ours", "theirs"):
+        store.create_zarr(ds, tmp_path / name, tile)
+    for name, array in ds.data_vars.items():
+        theirs = zarr.open_array(tmp_path / "theirs" / name, mode="r+", zarr_format=2)
+        values = (8 * rng.random((30, 40))).astype(array.dtype)
+        for index in np.ndindex(array.shape[:-2]):
+            for rows, cols in itertools.product((slice(14, 30), slice(0, 14)), (slice(0, 24), slice(24, 40))):
+                store.write_layer(tmp_path / "ours", name, index, (rows, cols), values[rows, cols])
+            theirs[index] = values[::-1]
+        assert {path.name for path in (tmp_path / "ours" / name).iterdir()} == {
+            path.name for path in (tmp_path / "theirs" / name).iterdir()
+        }
+        for path in (tmp_path / "theirs" / name).iterdir():
+            assert (tmp_path / "ours" / name / path.name).read_bytes() == path.read_bytes()
