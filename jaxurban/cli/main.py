@@ -28,6 +28,7 @@ from jaxurban.cli.view import view
 from jaxurban.collector import collect_seldom
 from jaxurban.compile_cache import keep_programs
 from jaxurban.errors import InputError, reason_of
+from jaxurban.io.gdal import limit_cache
 from jaxurban.progress import interrupted
 
 EXIT_BAD_INPUT, EXIT_INTERRUPTED = 2, 130
@@ -49,7 +50,7 @@ def _set_up_libraries() -> None:
     JAX keeps every program that it compiles, wherever that is, and takes a GPU's memory as needed.
     """
     os.environ["MPLBACKEND"] = "agg"  # pictures go to files, whatever is set for windows
-    os.environ.setdefault("GDAL_CACHEMAX", "64")  # MiB; GDAL's own way takes a twentieth of all memory
+    limit_cache()
     os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")  # JAX's own way takes three quarters at once
     os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
     keep_programs(quiet=True)

@@ -4,7 +4,7 @@ GDAL takes files named ``.ovr`` after another as its overviews. So the map and e
 plain files, and its COG driver has only to lay them out and to compress them: its own overviews take twice that time.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -18,11 +18,12 @@ from rasterio.windows import Window
 
 from jaxurban.io.bands import profile_of
 from jaxurban.io.files import SCRATCH_SUFFIX
+from jaxurban.io.gdal import without_cache
 from jaxurban.kernels.halving import Halving
 from jaxurban.world.grid import Grid
 
 BLOCK = 512  # cells of a block's side
-GDAL_CACHE_MIB = 64
+MARK_BYTES = 4  # of a block's size, which stands before it, and of its last bytes, which follow it again (GDAL on COG)
 LEVEL = 1  # of Zstandard: on these maps a predictor takes more time and more bytes, a higher level twice the time
 
 
@@ -98,7 +99,7 @@ def write_cog(
     """
     try:
         with (
-            rasterio.Env(GDAL_CACHEMAX=GDAL_CACHE_MIB),
+            without_cache(),
             TemporaryDirectory(SCRATCH_SUFFIX, ".plain.", path.parent) as folder,
         ):
             plain = Path(folder) / "plain.tif"
@@ -115,9 +116,7 @@ def write_cog(
                 overviews="FORCE_USE_EXISTING",
                 num_threads=1,
             )
-        with rasterio.open(path) as file:
-            for start in range(0, file.height, BLOCK):  # every block: GDAL tells nobody of a disk that fills up
-                file.read(1, window=Window(0, start, file.width, min(BLOCK, file.height - start)))
+        _check_blocks(path, [halving.shape for halving in _halvings(grid.shape, is_averaged)])
     except (RasterioError, SystemError) as error:
         raise OSError(f"GDAL could not write it ({error})") from error
 
@@ -145,6 +144,27 @@ def _write_plain(
         file.update_tags(**told["tags"])
         file.set_band_description(1, told["title"])
         file.set_band_unit(1, told["unit"])
+
+
+def _check_blocks(path: Path, shapes: Sequence[tuple[int, int]]) -> None:
+    """Raise OSError unless every block of a file and its overviews is there to its end.
+
+    GDAL does not tell everybody of a disk that fills up.
+    """
+    with rasterio.open(path) as file, path.open("rb") as data:
+        for number, shape in enumerate(shapes):
+            for row, col in np.ndindex(-(-shape[0] // BLOCK), -(-shape[1] // BLOCK)):
+                of_overview = {"ovr": number - 1} if number else {}
+                start, size = (
+                    int(file.get_tag_item(f"BLOCK_{what}_{col}_{row}", "TIFF", bidx=1, **of_overview) or 0)
+                    for what in ("OFFSET", "SIZE")
+                )
+                data.seek(max(0, start - MARK_BYTES))
+                before = data.read(MARK_BYTES)
+                data.seek(max(0, start + size - MARK_BYTES))
+                after = data.read(2 * MARK_BYTES)
+                if int.from_bytes(before, "little") != size or after != 2 * after[:MARK_BYTES].ljust(MARK_BYTES):
+                    raise OSError("GDAL did not write all of it")
 
 
 def _halvings(shape: tuple[int, int], is_averaged: bool) -> list[Halving]:

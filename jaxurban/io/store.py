@@ -8,7 +8,6 @@ that a missing one is damage; were it read all the same, it would be blocked cel
 
 import json
 import re
-from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal
 
@@ -16,14 +15,13 @@ import dask.array
 import numpy as np
 import pyproj
 import xarray as xr
-import zarr
 from numcodecs import Zstd
 from xarray.backends import BackendArray, BackendEntrypoint
 from xarray.core import indexing
 
 from jaxurban.errors import InputError
 from jaxurban.io.attributes import IN_OBSTACLES
-from jaxurban.io.chunks import chunks_of, damaged, error_in, has_whole_metadata, metadata_file, metadata_of
+from jaxurban.io.chunks import array_of, chunks_of, damaged, error_in, has_whole_metadata, metadata_file, metadata_of
 from jaxurban.io.files import (
     BLANK,
     FIELD,
@@ -224,7 +222,7 @@ def write_layer(
       values: ``[y, x]`` rows south to north; may stick out of the window in the south and in the east.
       is_inside: ``[y, x]``, or ``[A, y, x]`` at every altitude: cells inside obstacles, which hold no value in files.
     """
-    array = _array_of(path / name, (path / name / ".zarray").stat().st_mtime_ns)
+    array = array_of(path / name)
     rows, cols = window
     north, (num_rows, num_cols) = array.shape[-2] - rows.stop, array.chunks[-2:]
     own = slice(len(values) - rows.stop + rows.start, None), slice(cols.stop - cols.start)
@@ -240,12 +238,6 @@ def write_layer(
         np.copyto(part, no_value(array.dtype), where=is_hidden)
     key = array.metadata.encode_chunk_key((*index, north // num_rows, cols.start // num_cols))
     write_whole(path / name / key, array.metadata.compressor.encode(chunk))
-
-
-@lru_cache(maxsize=256)  # opening takes as long as writing half a million cells
-def _array_of(path: Path, changed_ns: int) -> Any:
-    """Return the array of a map to write to."""
-    return zarr.open_array(path, mode="r", zarr_format=2)
 
 
 def add_to_zarr(ds: xr.Dataset, path: Path) -> None:

@@ -93,3 +93,33 @@ def test_a_file_does_not_depend_on_how_many_rows_come_at_a_time(tmp_path, num_ro
 def test_a_file_leaves_nothing_beside_it(tmp_path):
     write(tmp_path / "a.tif", map_of((1301, 700), np.float32), True)
     assert [path.name for path in tmp_path.iterdir()] == ["a.tif"]
+
+
+@pytest.mark.parametrize("num_bytes", [1, 5000])
+def test_a_file_that_is_cut_short_is_told(tmp_path, num_bytes):
+    write(tmp_path / "a.tif", map_of((1301, 700), np.float32), True)
+    shapes = [halving.shape for halving in cog._halvings((1301, 700), True)]
+    cog._check_blocks(tmp_path / "a.tif", shapes)
+    with (tmp_path / "a.tif").open("r+b") as file:
+        file.truncate((tmp_path / "a.tif").stat().st_size - num_bytes)
+    with pytest.raises(OSError, match="did not write all"):
+        cog._check_blocks(tmp_path / "a.tif", shapes)
+
+
+def test_every_block_that_is_not_there_is_told_in_overviews_too(tmp_path):
+    write(tmp_path / "a.tif", map_of((1301, 700), np.float32), True)
+    whole, shapes = (tmp_path / "a.tif").read_bytes(), [halving.shape for halving in cog._halvings((1301, 700), True)]
+    with rasterio.open(tmp_path / "a.tif") as file:
+        blocks = [
+            tuple(
+                int(file.get_tag_item(f"BLOCK_{what}_{col}_{row}", "TIFF", bidx=1, **where))
+                for what in ("OFFSET", "SIZE")
+            )
+            for shape, where in zip(shapes, ({}, {"ovr": 0}, {"ovr": 1}), strict=True)
+            for row, col in np.ndindex(-(-shape[0] // 512), -(-shape[1] // 512))
+        ]
+    assert len(blocks) == 3 * 2 + 2 * 1 + 1
+    for start, size in blocks:
+        (tmp_path / "b.tif").write_bytes(whole[:start] + bytes(size) + whole[start + size :])  # a hole
+        with pytest.raises(OSError, match="did not write all"):
+            cog._check_blocks(tmp_path / "b.tif", shapes)

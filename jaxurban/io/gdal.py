@@ -1,0 +1,39 @@
+"""How much memory GDAL keeps blocks of rasters in; its own way takes a twentieth of the machine's."""
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from threading import Lock
+
+SETTING = "GDAL_CACHEMAX"
+COMMAND_MIB = 64
+
+
+def limit_cache() -> None:
+    """Limit GDAL's cache under commands, before GDAL is first used, unless the user has set it."""
+    os.environ.setdefault(SETTING, str(COMMAND_MIB))
+
+
+class _Users:
+    """How many work without the cache, which all threads share, and what it was before the first of them."""
+
+    lock, num, before = Lock(), 0, 0
+
+
+@contextmanager
+def without_cache() -> Iterator[None]:
+    """Let GDAL keep no block while the block runs: for files that are written block by block, each once."""
+    from rasterio.env import get_gdal_config, set_gdal_config  # a command's start imports no rasterio
+
+    with _Users.lock:
+        if _Users.num == 0:
+            _Users.before = get_gdal_config(SETTING)
+            set_gdal_config(SETTING, 0)
+        _Users.num += 1
+    try:
+        yield
+    finally:
+        with _Users.lock:
+            _Users.num -= 1
+            if _Users.num == 0:
+                set_gdal_config(SETTING, _Users.before)
