@@ -1,23 +1,22 @@
 """CostMap: metric maps at one altitude, or between several, under weights, ready for any number of queries."""
 
-import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, cached_property, partial
+from functools import cached_property
 
 import numpy as np
-import psutil
 
 from jaxurban.errors import InputError, finite, nearest_name, typed
 from jaxurban.io.read.orbits import iso_utc, parse_time
-from jaxurban.maps.levels import SAME_M, Levels, listed_m, values_at
-from jaxurban.maps.memory import gib
+from jaxurban.maps.levels import SAME_M, Levels, listed_m
 from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
 from jaxurban.metrics.weights import GivenWeights, Weights
+from jaxurban.paths.closed import why_closed
 from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.finish import finish
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.reachability import Reachability, levels_that_join
+from jaxurban.paths.read_costs import When, check_memory, costs_at
 from jaxurban.paths.search import PathSearch
 from jaxurban.paths.snapping import XY, Place, Point, free_place
 from jaxurban.planners.any_angle import check_line_model
@@ -28,7 +27,6 @@ from jaxurban.world.grid import Grid
 from jaxurban.world.show import Shown
 
 REFINING_SHARE = 0.25  # of the budget, kept for refinement where the caller wants it
-NODE_BYTES = 64  # of a volume and a search that visits all of it (docs/volume.md)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -197,7 +195,7 @@ class CostMap(Shown):
         """
         place_xy_m, cell = self.cell_of(name, place)
         level = self._level_of(name, cell, [value for value in place[2:] if value is not None])
-        is_free = self._levels_free[level]
+        is_free = self.levels_free[level]
         why = "" if is_free[cell] else self.why_closed(cell, level)
         found = free_place(
             name, place_xy_m, cell, is_free, self.grid, snap=snap, why_closed=why, remedy=self._remedy_here
@@ -205,14 +203,15 @@ class CostMap(Shown):
         return found if self.levels is None else replace(found, cell=(level, *found.cell))
 
     @property
-    def _levels_free(self) -> np.ndarray:
+    def levels_free(self) -> np.ndarray:
+        """``[K, Y, X]`` where a path may fly, on one altitude too."""
         return self.is_free.reshape(-1, *self.grid.shape)
 
     def _level_of(self, name: str, cell: Cell, altitude_m: Sequence[float]) -> int:
         if self.levels is None and altitude_m:
             raise InputError(f"{name} has an altitude, which only a path between levels takes: leave it out")
         if not altitude_m:
-            free = np.flatnonzero(self._levels_free[:, cell[0], cell[1]])
+            free = np.flatnonzero(self.levels_free[:, cell[0], cell[1]])
             return int(free[0]) if free.size else 0
         level = int(np.argmin(np.abs(self.altitudes_m - altitude_m[0])))
         if not abs(self.altitudes_m[level] - altitude_m[0]) < SAME_M:
@@ -239,22 +238,8 @@ class CostMap(Shown):
         return "fly at another level, or loosen the constraints" if self.constraints else "fly at another level"
 
     def why_closed(self, cell: Cell, level: int = 0) -> str:
-        """Return what closes a cell, an obstacle or each constraint by name, and which level over it is free."""
-        z_m, maps = float(self.altitudes_m[level]), self.maps
-        where = why_blocked(maps, z_m, cell)
-        if (self.levels is None and maps.is_free(z_m)[cell]) or (self.levels is not None and self.constraints):
-            reasons = self.constraints.reasons(maps, z_m, cell, self.time, self.time_of_day)
-            where = f"closed by {' and '.join(reasons)}" if reasons else where
-        if self.levels is None:
-            return f"{where} at {z_m:g} m"
-        when = {"time": self.time, "time_of_day": self.time_of_day}
-        levels_m, free = self.altitudes_m, np.flatnonzero(self._levels_free[:, cell[0], cell[1]])
-        if free.size:
-            return f"{where} at {z_m:g} m; the lowest free level there is {levels_m[free[0]]:g} m"
-        higher = [higher_m for higher_m in sorted(maps.altitudes_m) if higher_m > levels_m[-1]]
-        higher = [higher_m for higher_m in higher if self.constraints.is_free(maps, higher_m, **when)[cell]]
-        above = f"; the lowest free altitude there is {higher[0]:g} m (raise max_altitude_m)" if higher else ""
-        return f"{where} at every level {self._where}{above}"
+        """Return what closes a cell of a level and which one over it is free (`jaxurban.paths.closed`)."""
+        return why_closed(self, cell, level)
 
     @typed
     def plan(
@@ -308,13 +293,6 @@ class CostMap(Shown):
         return self.maps.m("terrain") if "terrain" in self.maps.ds else None
 
 
-def why_blocked(maps: MetricMaps, altitude_m: float, cell: Cell) -> str:
-    """Return how the rule of obstacles blocks a cell: by its centre or, under ``"touched"``, only by its edge."""
-    if maps.is_free(altitude_m, "centre")[cell]:
-        return "in a cell that an obstacle touches"
-    return "inside an obstacle (or where there are no data)"
-
-
 @typed
 def cost_map(
     maps: GivenMaps,
@@ -361,7 +339,7 @@ def cost_map(
         maps.around(altitudes_m[0])
     else:
         altitudes_m = levels.of(maps.altitudes_m)
-    at = _When(maps, time, time_of_day)
+    at = When(maps, time, time_of_day)
     limits = constraints.at(time)
     made = _made(at, altitudes_m, levels, weights, objective, CostModel.of(cost_model), limits)
     if levels is not None:
@@ -382,7 +360,7 @@ def cost_map_of(planned: PlannedPath, maps: MetricMaps) -> CostMap:
         levels = Levels(climb_cost=settings.get("climb_cost"), descent_cost=settings.get("descent_cost", 0.0))
         levels_m = np.asarray(settings["levels_m"], float)
         altitudes_m = levels_m[(levels_m >= planned.z_m.min()) & (levels_m <= planned.z_m.max())]
-    at = _When(maps.with_obstacles("centre"), settings["time"], settings["time_of_day"])
+    at = When(maps.with_obstacles("centre"), settings["time"], settings["time_of_day"])
     weights, cost_model = Weights.of(settings["weights"]), CostModel.from_settings(settings)
     made = _made(at, altitudes_m, levels, weights, settings["objective"], cost_model, Constraints())
     return replace(made, is_free=np.ones_like(made.is_free)).only(
@@ -391,7 +369,7 @@ def cost_map_of(planned: PlannedPath, maps: MetricMaps) -> CostMap:
 
 
 def _made(
-    at: "_When",
+    at: When,
     altitudes_m: np.ndarray,
     levels: Levels | None,
     weights: Weights,
@@ -402,8 +380,8 @@ def _made(
     """Return a cost map from checked values."""
     maps = at.maps
     if levels is not None:
-        _check_memory((len(altitudes_m), *maps.grid.shape))
-    is_free, costs = _of_levels(at, altitudes_m, constraints)
+        check_memory((len(altitudes_m), *maps.grid.shape))
+    is_free, costs = costs_at(at, altitudes_m, constraints)
     if levels is None:
         is_free, costs = is_free[0], costs[:, 0]
     return CostMap(
@@ -420,42 +398,3 @@ def _made(
         costs=costs,
         is_free=is_free,
     )
-
-
-@dataclass(frozen=True)
-class _When:
-    """Maps at one time."""
-
-    maps: MetricMaps
-    time: str | None
-    time_of_day: str | None
-
-    def read(self, name: str, altitude_m: float) -> np.ndarray:
-        return self.maps.m(name, altitude_m, time=self.time, time_of_day=self.time_of_day)
-
-
-def _of_levels(at: _When, levels_m: np.ndarray, constraints: Constraints) -> tuple[np.ndarray, np.ndarray]:
-    """Return ``[K, Y, X]`` where a path may fly, and ``[L, K, Y, X]`` the costs, of levels within the maps' range."""
-    maps = at.maps
-    is_free = constraints.free_levels(maps, levels_m.tolist(), time=at.time, time_of_day=at.time_of_day)
-    costs = np.zeros((len(maps.metrics), *is_free.shape), np.float32)
-    is_under_sky = cache(maps.is_under_sky)
-    closed = [np.flatnonzero(~of_level) for of_level in is_free]
-    for (name, metric), layers in zip(maps.metrics.items(), costs, strict=True):
-        read = cache(partial(at.read, name))
-        is_flat = "altitude" not in maps.ds[maps.variable(name)].dims
-        for level, z_m in enumerate(levels_m.tolist()):
-            m = read(maps.altitudes_m[0]) if is_flat else values_at(z_m, maps.altitudes_m, read, is_under_sky)
-            cost = np.asarray(metric.cost(m))
-            layers[level] = cost
-            layers[level].reshape(-1)[closed[level]] = np.nan_to_num(cost.reshape(-1)[closed[level]])
-    return is_free, costs
-
-
-def _check_memory(shape: tuple[int, int, int]) -> None:
-    needed, free = math.prod(shape) * NODE_BYTES, psutil.virtual_memory().available
-    if needed > free:
-        raise InputError(
-            f"a volume of {shape[0]} levels of {shape[1]} x {shape[2]} cells takes up to {gib(needed)} of memory and "
-            f"{gib(free)} are free: choose a longer level_step_m, closer altitude bounds, or coarser maps"
-        )

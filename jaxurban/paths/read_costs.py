@@ -1,0 +1,57 @@
+"""What maps hold at the levels of paths, at one time: where a path may fly, and what each metric costs there."""
+
+import math
+from dataclasses import dataclass
+from functools import cache, partial
+
+import numpy as np
+import psutil
+
+from jaxurban.errors import InputError
+from jaxurban.maps.levels import values_at
+from jaxurban.maps.memory import gib
+from jaxurban.maps.metric_maps import MetricMaps
+from jaxurban.paths.constraints import Constraints
+
+NODE_BYTES = 64  # of a volume and a search that visits all of it (docs/volume.md)
+
+
+@dataclass(frozen=True)
+class When:
+    """Maps at one time."""
+
+    maps: MetricMaps
+    time: str | None
+    time_of_day: str | None
+
+    def read(self, name: str, altitude_m: float) -> np.ndarray:
+        """Return a map ``[Y, X]`` at one of the maps' altitudes."""
+        return self.maps.m(name, altitude_m, time=self.time, time_of_day=self.time_of_day)
+
+
+def costs_at(at: When, levels_m: np.ndarray, constraints: Constraints) -> tuple[np.ndarray, np.ndarray]:
+    """Return ``[K, Y, X]`` where a path may fly, and ``[L, K, Y, X]`` the costs, of levels within the maps' range."""
+    maps = at.maps
+    is_free = constraints.free_levels(maps, levels_m.tolist(), time=at.time, time_of_day=at.time_of_day)
+    costs = np.empty((len(maps.metrics), *is_free.shape), np.float32)
+    is_under_sky = cache(maps.is_under_sky)
+    for (name, metric), layers in zip(maps.metrics.items(), costs, strict=True):
+        read = cache(partial(at.read, name))
+        is_flat = "altitude" not in maps.ds[maps.variable(name)].dims
+        for level, z_m in enumerate(levels_m.tolist()):
+            m = read(maps.altitudes_m[0]) if is_flat else values_at(z_m, maps.altitudes_m, read, is_under_sky)
+            layers[level] = np.asarray(metric.cost(m))
+            is_nothing = ~np.isfinite(layers[level])
+            is_nothing &= ~is_free[level]
+            layers[level][is_nothing] = np.nan_to_num(layers[level][is_nothing])
+    return is_free, costs
+
+
+def check_memory(shape: tuple[int, int, int]) -> None:
+    """Raise InputError unless a volume of ``[K, Y, X]`` nodes fits in the memory that is free."""
+    needed, free = math.prod(shape) * NODE_BYTES, psutil.virtual_memory().available
+    if needed > free:
+        raise InputError(
+            f"a volume of {shape[0]} levels of {shape[1]} x {shape[2]} cells takes up to {gib(needed)} of memory and "
+            f"{gib(free)} are free: choose a longer level_step_m, closer altitude bounds, or coarser maps"
+        )
