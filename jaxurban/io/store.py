@@ -8,6 +8,8 @@ that a missing one is damage; were it read all the same, it would be blocked cel
 
 import json
 import re
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -21,7 +23,16 @@ from xarray.core import indexing
 
 from jaxurban.errors import InputError
 from jaxurban.io.attributes import IN_OBSTACLES
-from jaxurban.io.chunks import array_of, chunks_of, damaged, error_in, has_whole_metadata, metadata_file, metadata_of
+from jaxurban.io.chunks import (
+    array_of,
+    chunks_of,
+    damaged,
+    error_in,
+    fill_window,
+    has_whole_metadata,
+    metadata_file,
+    metadata_of,
+)
 from jaxurban.io.files import (
     BLANK,
     FIELD,
@@ -42,6 +53,7 @@ COMPRESSOR = Zstd(level=1, checksum=True)
 GDAL_CRS = "_CRS"  # attribute: the CRS as GDAL's Zarr driver reads it
 TIMES = {"units": "seconds since 1970-01-01", "calendar": "proleptic_gregorian", "dtype": "int64"}
 NEEDED = ("obstacle", "has_data")  # without these it is not a folder of maps
+Read = Callable[[str, tuple], np.ndarray]  # a variable and a key
 
 
 def short_number(value: float) -> str:
@@ -159,14 +171,21 @@ def write_zarr(ds: xr.Dataset, folder: Path) -> Path:
     return path
 
 
-def _is_inside(ds: xr.Dataset, array: xr.Variable, key: tuple) -> np.ndarray | None:
-    """Return which cells of a part of a map lie inside obstacles; None where the map holds values of its own there."""
+def _is_inside(ds: xr.Dataset, array: xr.Variable, key: tuple, read: Read | None = None) -> np.ndarray | None:
+    """Return which cells of a part of a map lie inside obstacles; None where the map holds values of its own there.
+
+    ``read`` gives values of a variable by its name and key; left out, the dataset does.
+    """
     if IN_OBSTACLES not in array.attrs:
         return None
     at = dict(zip(array.dims, key, strict=True))
-    obstacle, has_data = (ds.variables[name][tuple(at[dim] for dim in ds.variables[name].dims)] for name in NEEDED)
     kept = [dim for dim in array.dims if np.ndim(at[dim]) or isinstance(at[dim], slice)]
-    return ((obstacle != 0) & has_data).set_dims(kept).values  # altitudes may come before times
+    found = []
+    for dims, name in ((ds.variables[name].dims, name) for name in NEEDED):
+        own = tuple(at[dim] for dim in dims)
+        values = ds.variables[name][own].values if read is None else read(name, own)
+        found.append(xr.Variable([dim for dim in dims if dim in kept], values))
+    return ((found[0] != 0) & found[1]).set_dims(kept).values  # altitudes may come before times
 
 
 def _with_hideable(ds: xr.Dataset) -> xr.Dataset:
@@ -309,15 +328,34 @@ class _Map(BackendArray):
 
     def _read(self, key: tuple) -> np.ndarray:
         try:
-            array = self.ds.variables[self.name]
-            values = np.asarray(array[key].values, order="C")
+            array, stored = self.ds.variables[self.name], partial(_stored, self.ds, self.path)
+            values = np.asarray(stored(self.name, key), order="C")
             if self.name == "obstacle":
                 values[_is_nothing(values)] = 1  # of a chunk that went after opening
-            elif (is_inside := _is_inside(self.ds, array, key)) is not None:
+            elif (is_inside := _is_inside(self.ds, array, key, stored)) is not None:
                 np.copyto(values, float(array.attrs[IN_OBSTACLES]), "unsafe", where=_is_hidden(values, is_inside))
             return values
         except Exception as error:
             raise error_in(self.path, error, (self.name, *NEEDED)) from error
+
+
+def _stored(ds: xr.Dataset, path: Path, name: str, key: tuple) -> np.ndarray:
+    """Return values of a map of a Zarr as its files hold them, rows south to north; a window of one layer directly."""
+    array = ds.variables[name]
+    if not (_is_map(array) and _is_window(key)):
+        return array[key].values
+    rows, cols = (range(size)[part] for part, size in zip(key[-2:], array.shape[-2:], strict=True))
+    found = np.empty((len(rows), len(cols)), array.dtype)
+    if found.size:
+        from_north = slice(array.shape[-2] - rows.stop, array.shape[-2] - rows.start)
+        fill_window(found[::-1], path / name, key[:-2], (from_north, slice(cols.start, cols.stop)))
+    return found
+
+
+def _is_window(key: tuple) -> bool:
+    """Return whether a key asks for cells side by side of one layer."""
+    are_places = (isinstance(index, int | np.integer) for index in key[:-2])
+    return all(are_places) and all(isinstance(part, slice) and part.step in (None, 1) for part in key[-2:])
 
 
 class _Maps(BackendEntrypoint):

@@ -273,3 +273,15 @@ def test_a_tile_is_written_as_the_zarr_library_writes_it(ds, tmp_path):
         }
         for path in (tmp_path / "theirs" / name).iterdir():
             assert (tmp_path / "ours" / name / path.name).read_bytes() == path.read_bytes()
+
+
+def test_any_part_of_opened_maps_is_that_part_of_all_of_them(ds, tmp_path):
+    store.write_zarr(ds, tmp_path)
+    maps = store.open_zarr(tmp_path, None)
+    every, parts = slice(None), (slice(3, 17), slice(-5, None), slice(0, 100), slice(20, 2, -3), 4, [1, 5])
+    for name, array in ds.data_vars.items():
+        for rows, cols in itertools.product((every, *parts), (every, slice(2, 30), 7, [3, 3])):
+            for at in (0, slice(None), [1, 0]):
+                key = {"y": rows, "x": cols, **dict.fromkeys(array.dims[:-2], at)}
+                found = maps[name].isel(key).values
+                assert np.array_equal(found, array.isel(key).values, equal_nan=array.dtype.kind == "f")
