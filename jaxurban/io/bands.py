@@ -7,11 +7,14 @@ from typing import Any
 import numpy as np
 import rasterio
 from affine import Affine
+from rasterio._err import CPLE_BaseError
 from rasterio.errors import RasterioError
 
 from jaxurban.io.files import whole_file
 from jaxurban.io.store import no_value
 from jaxurban.world.grid import Grid
+
+OF_WRITING = (RasterioError, CPLE_BaseError, SystemError)  # GDAL's errors, as of a full disk, as rasterio raises them
 
 
 def profile_of(grid: Grid, dtype: np.dtype, count: int = 1) -> dict[str, Any]:
@@ -54,6 +57,6 @@ def write_bands(
                 for number, (description, values) in enumerate(bands.items(), start=1):
                     raster.write(np.asarray(values, np.float32)[::-1], number)
                     raster.set_band_description(number, description)
-        except (RasterioError, SystemError) as error:
+        except OF_WRITING as error:
             raise OSError(f"GDAL could not write it ({error})") from error
     return file

@@ -12,11 +12,10 @@ from typing import Any
 
 import numpy as np
 import rasterio
-from rasterio.errors import RasterioError
 from rasterio.shutil import copy as copy_raster
 from rasterio.windows import Window
 
-from jaxurban.io.bands import profile_of
+from jaxurban.io.bands import OF_WRITING, profile_of
 from jaxurban.io.files import SCRATCH_SUFFIX
 from jaxurban.io.gdal import without_cache
 from jaxurban.kernels.halving import Halving
@@ -117,7 +116,7 @@ def write_cog(
                 num_threads=1,
             )
         _check_blocks(path, [halving.shape for halving in _halvings(grid.shape, is_averaged)])
-    except (RasterioError, SystemError) as error:
+    except OF_WRITING as error:
         raise OSError(f"GDAL could not write it ({error})") from error
 
 

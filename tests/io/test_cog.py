@@ -1,5 +1,7 @@
 """The GeoTIFFs whose overviews we make are those that GDAL makes alone, value by value and text by text."""
 
+import resource
+
 import numpy as np
 import pytest
 import rasterio
@@ -123,3 +125,16 @@ def test_every_block_that_is_not_there_is_told_in_overviews_too(tmp_path):
         (tmp_path / "b.tif").write_bytes(whole[:start] + bytes(size) + whole[start + size :])  # a hole
         with pytest.raises(OSError, match="did not write all"):
             cog._check_blocks(tmp_path / "b.tif", shapes)
+
+
+def test_a_disk_that_is_full_at_any_point_is_an_os_error(tmp_path):
+    values = np.random.default_rng(1).random((1024, 1024), np.float32)  # as noise, which no compression makes smaller
+    write(tmp_path / "whole.tif", values, True)
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    for most_bytes in range(0, (tmp_path / "whole.tif").stat().st_size, 150_000):
+        resource.setrlimit(resource.RLIMIT_FSIZE, (most_bytes, limits[1]))
+        try:
+            with pytest.raises(OSError, match=r"GDAL (could|did) not write"):
+                write(tmp_path / "a.tif", values, True)
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, limits)
