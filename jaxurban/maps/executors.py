@@ -5,7 +5,7 @@ import os
 import sys
 import uuid
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import CancelledError, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -21,6 +21,7 @@ from dask.delayed import Delayed, delayed
 from jaxurban.errors import InputError
 from jaxurban.maps.device import Gpu, bind_workers, use_device
 from jaxurban.maps.tiled import TileJob, finish_tile, raster_tile, sweep_tile
+from jaxurban.progress import LOG
 from jaxurban.world.tiling import QUADRANTS, Quadrant, Tile
 
 RETRIES = 3  # of a task whose worker was killed
@@ -237,6 +238,20 @@ def each_on_cluster(client: Any, function: Callable[[Any], Any], items: Iterable
         return client.gather(client.map(function, list(items), pure=False, retries=RETRIES))
 
 
+@contextmanager
+def _told_of_lost_scheduler(address: str, client: Any) -> Iterator[None]:
+    """Raise InputError where the scheduler at an address goes while it is used."""
+    try:
+        yield
+    except (CancelledError, RuntimeError, OSError) as error:
+        if client.status == "running":
+            raise
+        raise InputError(
+            f"the Dask scheduler at --cluster {address!r} is gone: start it and its workers, and run the same command "
+            "again, which goes on"
+        ) from error
+
+
 def _check_functions(job: TileJob) -> None:
     """Raise InputError unless the functions of a job's layers can be sent to worker processes."""
     from distributed.protocol.pickle import dumps
@@ -281,7 +296,7 @@ def cluster_client(
       num_threads: of each process.
 
     Raises:
-      InputError: ``distributed`` is not installed, or no scheduler responds.
+      InputError: ``distributed`` is not installed, no scheduler responds, or it goes while it is used.
     """
     try:
         from distributed import Client, LocalCluster, Nanny
@@ -295,7 +310,9 @@ def cluster_client(
             client = Client(address, timeout=10)
         except (OSError, ValueError, TimeoutError) as error:
             raise InputError(f"no Dask scheduler responds at --cluster {address!r}: {error}") from error
-        with client:
+        with client, _told_of_lost_scheduler(address, client):
+            if not client.scheduler_info()["workers"]:
+                LOG.warning(f"the cluster {address} has no worker yet: waiting for one (`dask worker {address}`)")
             yield client
         return
     _check_main()
