@@ -1,7 +1,6 @@
 """Functions compiled by Numba, kept on disk until anything that they are made of changes."""
 
 import hashlib
-import pickle
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from types import CodeType
@@ -33,14 +32,23 @@ def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     return decorate
 
 
-class _IndexOfOlderCode(IndexDataCacheFile):
-    """Numba's index of a function's machine code, which counts as empty where it names types that are gone."""
+class _KeptFiles(IndexDataCacheFile):
+    """Numba's files of a function's machine code: nothing is in those that are damaged or name types that are gone.
+
+    What unpickling raises at damaged bytes is in no list, a `MemoryError` among it.
+    """
 
     def _load_index(self):
         try:
             return super()._load_index()
-        except (AttributeError, ImportError, EOFError, pickle.UnpicklingError):
+        except Exception:
             return {}
+
+    def _load_data(self, name):
+        try:
+            return super()._load_data(name)
+        except Exception as error:
+            raise OSError(name) from error  # which Numba takes as a file that is gone
 
 
 class _Cache(FunctionCache):
@@ -49,7 +57,7 @@ class _Cache(FunctionCache):
     def __init__(self, function: Callable[..., Any]) -> None:
         super().__init__(function)
         kept = self._cache_file
-        self._cache_file = _IndexOfOlderCode(self._cache_path, self._impl.filename_base, kept._source_stamp)
+        self._cache_file = _KeptFiles(self._cache_path, self._impl.filename_base, kept._source_stamp)
 
     def load_overload(self, sig, target_context):
         """Return the machine code kept for a signature; None where there is none.

@@ -112,3 +112,15 @@ def test_a_process_that_finds_all_in_the_cache_neither_loads_what_compiles_nor_a
         assert later == "7.0"
         if cached:
             assert loaded == "False"
+
+
+@pytest.mark.parametrize("pattern", ["*.nbi", "*.nbc"])
+@pytest.mark.parametrize("damage", [lambda data: b"", lambda data: data[:100], lambda data: b"\x95" + 64 * b"\xff"])
+def test_a_damaged_cache_is_made_anew(load_outer, tmp_path, pattern, damage):
+    assert load_outer(2, 10)(1.5) == 13.0
+    for file in (tmp_path / "__pycache__").glob(pattern):
+        file.write_bytes(damage(file.read_bytes()))
+    assert load_outer(2, 10)(1.5) == 13.0
+    outer = load_outer(2, 10)
+    assert outer(1.5) == 13.0
+    assert sum(outer.stats.cache_hits.values()) == 1
