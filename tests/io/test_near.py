@@ -143,6 +143,13 @@ def test_geometry_of_row_groups_that_are_elsewhere_is_never_decoded(tmp_path, mo
     assert len(looked_at) == (0 if covering else pq.ParquetFile(path).num_row_groups)
 
 
+def test_a_copy_without_the_column_of_boxes_that_its_metadata_name_is_read_by_its_geometries(tmp_path):
+    path = write(town().to_crs(WGS84), tmp_path / "covered.parquet")
+    expected = facts_of(read_buildings(BuildingFile(path), UTM, bounds_m=BOX_M))
+    pq.write_table(pq.read_table(path).drop_columns("bbox"), path)
+    assert facts_of(read_buildings(BuildingFile(path), UTM, bounds_m=BOX_M)) == expected
+
+
 def test_coordinates_beyond_the_globe_are_refused_though_those_near_are_sound(tmp_path):
     frame = town().to_crs(WGS84)
     frame = gpd.GeoDataFrame(

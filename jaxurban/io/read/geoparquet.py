@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import geopandas as gpd
 import numpy as np
@@ -48,7 +49,7 @@ def read_near_parquet(
         box = None if crs is None else near.box_in(crs.to_wkt())
         if box is None:
             return None
-        features = _Features(file, geometry, facts.get("covering", {}).get("bbox", {}))
+        features = _Features(file, geometry, _covering(file, facts))
         is_near = features.near(box)
         if any(np.isinf(boxes).any() for boxes in features.boxes.values()):
             return None
@@ -59,6 +60,13 @@ def read_near_parquet(
     frame = table.drop_columns(geometry).to_pandas().reset_index(drop=True)
     shapes = gpd.GeoSeries.from_wkb(np.array(table[geometry]), crs=crs, index=frame.index)
     return gpd.GeoDataFrame(frame, geometry=shapes), features.extent
+
+
+def _covering(file: pq.ParquetFile, facts: dict[str, Any]) -> dict[str, list[str]]:
+    """Return where the sides of boxes stand; empty where the file does not say, or a copy left that column out."""
+    stated = facts.get("covering", {}).get("bbox", {})
+    held = {file.metadata.schema.column(k).path for k in range(len(file.metadata.schema))}
+    return stated if all(".".join(stated.get(side, ())) in held for side in SIDES) else {}
 
 
 @dataclass(frozen=True)
