@@ -1,6 +1,7 @@
 """Reading only what lies near a region: the same buildings as of the whole file, and nothing decoded of the rest."""
 
 import json
+import os
 from dataclasses import replace
 
 import geopandas as gpd
@@ -141,6 +142,18 @@ def test_geometry_of_row_groups_that_are_elsewhere_is_never_decoded(tmp_path, mo
     found = read_vector(path, Near(BOX_M, UTM))
     assert decoded == [len(found.polygons) + 1]  # and the point
     assert len(looked_at) == (0 if covering else pq.ParquetFile(path).num_row_groups)
+
+
+def test_a_geoparquet_file_that_is_cut_while_it_is_read_is_one_sentence(tmp_path, monkeypatch):
+    path = write(town(6000).to_crs(WGS84), tmp_path / "city.parquet")
+
+    def cut(*arguments):
+        os.truncate(path, 5000)
+        return wkb_boxes(*arguments)
+
+    monkeypatch.setattr(geoparquet, "wkb_boxes", cut)
+    with pytest.raises(InputError, match="give a whole one"):
+        read_buildings(BuildingFile(path), UTM, bounds_m=BOX_M)
 
 
 def test_a_copy_without_the_column_of_boxes_that_its_metadata_name_is_read_by_its_geometries(tmp_path):

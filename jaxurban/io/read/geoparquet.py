@@ -19,6 +19,7 @@ from jaxurban.io.read.wkb import wkb_boxes
 from jaxurban.world.grid import Bounds
 
 BATCH_ROWS = 50_000  # some ten megabytes of outlines
+BUFFER_BYTES = 1 << 20  # read at a time; a mapped file that is cut meanwhile would end the process without a word
 SIDES = ("xmin", "ymin", "xmax", "ymax")
 CRS_LEFT_OUT = "OGC:CRS84"  # of a file that names none, by the standard
 
@@ -40,7 +41,7 @@ def read_near_parquet(
     Returns:
       None where boxes are not known: a file without a CRS, or of geometries that are not little-endian WKB.
     """
-    with pq.ParquetFile(path, memory_map=True) as file:
+    with pq.ParquetFile(path, buffer_size=BUFFER_BYTES) as file:
         geo = json.loads((file.schema_arrow.metadata or {}).get(b"geo", b"{}"))
         geometry = geo.get("primary_column")
         facts = geo.get("columns", {}).get(geometry, {})
