@@ -86,7 +86,7 @@ class Contest:
     prepare: Callable[[], object] = lambda: None
 
 
-def against_pyastar2d(city: City, heuristic: str = "plus", bar: float | None = 1.0) -> Contest:
+def against_pyastar2d(city: City, heuristic: str = "tiles", bar: float | None = 1.0) -> Contest:
     """Entering a cell costs its weight, diagonal or not. The weights are scaled so that the least is 1.
 
     That is the least that pyastar2d takes, and what its bound counts for each step. Its compiled function is
@@ -125,7 +125,7 @@ def against_pyastar2d_once(city: City) -> Contest:
 
     def ours(start: Cell, goal: Cell) -> float:
         problem = Problem(cost[None], city.is_free, start, goal, 1.0, 0.0, CostModel(diagonal="always"))
-        return astar(problem, heuristic="plus").cost
+        return astar(problem, heuristic="tiles").cost
 
     return Contest("pyastar2d", "as above, one-off: all preparation counted", 1.8, ours, theirs, FLOAT32_ROUNDING)
 
@@ -208,11 +208,11 @@ def problem_of(cost: np.ndarray, is_free: np.ndarray, resolution_m, distance_wei
         distance_weight,
         CostModel(cost_model, reference_length_m=RESOLUTION_M, diagonal="always"),
     )
-    astar(problem, heuristic="plus")  # what serves all queries on the map is made now
+    astar(problem, heuristic="tiles")  # what serves all queries on the map is made now
     return problem
 
 
-def solver(problem: Problem, heuristic: str = "plus") -> Callable[[Cell, Cell], float]:
+def solver(problem: Problem, heuristic: str = "tiles") -> Callable[[Cell, Cell], float]:
     return lambda start, goal: astar(problem.between(start, goal), heuristic=heuristic).cost
 
 

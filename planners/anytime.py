@@ -15,7 +15,7 @@ from jaxurban.planners.search.grid import DEFER, PAUSED
 
 # Chosen on Lower Manhattan over the default weights and 20 random ones (docs/heuristics.md).
 LANDMARK_INFLATION = 1.07  # landmarks miss a few percent of the cost to go
-LEAST_INFLATION = 1.2  # of the other bounds, even where the map costs hardly more than they count
+LEAST_INFLATION = 1.2  # of the other bounds, even where the map costs hardly more than they count; all of the tiles'
 MAP_SHARE = 0.65  # of the median cell's cost, what paths pay: they seek the cheaper cells
 ROUND_FACTOR = 4  # less makes for more rounds: 2 expanded half as many nodes again until the end
 NEAR_ONE = 1.02  # an inflation below this is as slow as none
@@ -105,13 +105,15 @@ def astar_anytime(
 def first_inflation(heuristic: str, problem: Problem) -> float:
     """Return what to multiply a heuristic by so that a search hurries to the goal and its path stays good.
 
-    Landmarks see nearly all of the cost to go, whatever the weights, so a constant serves. The other bounds
-    see the distance and, ``plus``, what the map costs everywhere: they are brought up to what paths
+    Landmarks see nearly all of the cost to go, whatever the weights, and tiles most, so a constant serves. The
+    other bounds see the distance and, ``plus``, what the map costs everywhere: they are brought up to what paths
     typically pay, `MAP_SHARE` of the median cell's cost in place of what they count. Where they are 0
     everywhere no inflation helps.
     """
     if heuristic in ("landmarks", "exact"):
         return LANDMARK_INFLATION if heuristic == "landmarks" else 1.0
+    if heuristic == "tiles":
+        return LEAST_INFLATION
     share = 1.0 if problem.cost_model.kind == "cell" else problem.resolution_m / problem.cost_model.reference_length_m
     typical = share * problem.once("median_cost", lambda: float(np.median(problem.cost[problem.is_free])))
     counted = 0.0

@@ -31,7 +31,7 @@ def astar(
       budget_s: seconds of search and of what it needs (``setup_s`` of the path).
       seed: taken for the planner contract.
       heuristic: a name of `heuristics.HEURISTICS`, or ``"auto"``: landmarks where a map and weights serve
-        more than a few queries (see `landmarks.should_use`), else ``plus``. The path says which ran.
+        more than a few queries (see `landmarks.should_use`), else ``tiles``. The path says which ran.
       reopen: expand a node again when a cheaper way to it turns up after it was closed. It changes
         nothing with a consistent heuristic, as all admissible ones here are; with a printed one it
         mends some paths, at up to exponential cost.
@@ -90,7 +90,7 @@ astar_plus = partial(astar, heuristic=AUTO, planner="astar-plus")
 def warm_up(heuristic: str, is_anytime: bool = False) -> None:
     """Compile what a search with this heuristic runs, so that its time is the search's own."""
     problem = Problem(np.zeros((1, 1, 2)), np.ones((1, 2), bool), (0, 0), (0, 1), 1.0, 1.0)
-    for name in ("plus", "landmarks") if heuristic == AUTO else (heuristic,):
+    for name in ("tiles", "landmarks") if heuristic == AUTO else (heuristic,):
         search = prepare(name, problem, np.inf).search(problem)
         search.run()
         if is_anytime:

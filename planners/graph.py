@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from jaxurban.kernels.search.tiles import TileBound
 from jaxurban.planners.base import Problem
 from jaxurban.planners.moves import STEPS
 
@@ -61,7 +62,7 @@ class Heuristic(NamedTuple):
       rows, cols: ``[Y]``, ``[X]`` float64 map cost from each row and column to the goal's.
       field: ``[Y, X]`` float64 map cost to the goal, or ``[0, 0]``. With a distance part of 0 it may hold
         the whole cost to go; inf proves that there is no way.
-      landmarks: a second bound, of which the larger counts. A type of its own where there is one, so
+      landmarks, tiles: further bounds, of which the largest counts. A type of its own where there is one, so
         that the search is compiled without it for all others.
     """
 
@@ -72,6 +73,7 @@ class Heuristic(NamedTuple):
     cols: np.ndarray
     field: np.ndarray
     landmarks: LandmarkBound | None = None
+    tiles: TileBound | None = None
 
 
 def zero_heuristic(problem: Problem) -> Heuristic:

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxurban.kernels.search.bounds import cell_line_bound, line_line_bound, printed_plus_field
+from jaxurban.kernels.search.tiles import StepCost, TileBound, tile_bound, tile_minima
 from jaxurban.planners.base import Cell, Problem
 from jaxurban.planners.checks import check_name
 from jaxurban.planners.graph import Heuristic, graph_of, zero_heuristic
@@ -13,10 +14,10 @@ from jaxurban.planners.landmarks import NUM_LANDMARKS, landmark_bound, make_land
 from jaxurban.planners.search.fields import cost_to_go, has_cost_to_go, warm_up_fields
 from jaxurban.planners.search.grid import GridSearch, estimate
 
-ADMISSIBLE = ("none", "euclidean", "octile", "plus", "landmarks", "exact")  # all of them consistent too
+ADMISSIBLE = ("none", "euclidean", "octile", "plus", "tiles", "landmarks", "exact")  # all of them consistent too
 PRINTED = ("plus-printed", "plus-printed-from-0")
 HEURISTICS = ADMISSIBLE + PRINTED
-AUTO = "auto"  # "landmarks" where they serve the query best, else "plus"
+AUTO = "auto"  # "landmarks" where they serve the query best, else "tiles"
 
 
 class Prepared(NamedTuple):
@@ -43,7 +44,7 @@ class Prepared(NamedTuple):
 def prepare(name: str, problem: Problem, budget_s: float) -> Prepared:
     """Return the heuristic to run, with the tables made that all queries on the map (or to the goal) share.
 
-    `AUTO` spends at most half of the budget on landmarks and runs with ``plus`` if that is not enough.
+    `AUTO` spends at most half of the budget on landmarks and runs with ``tiles`` if that is not enough.
 
     Raises:
       InputError: an unknown name.
@@ -53,7 +54,7 @@ def prepare(name: str, problem: Problem, budget_s: float) -> Prepared:
     note = ""
     if is_auto:
         is_better, note = should_use(problem, budget_s)
-        name = "landmarks" if is_better else "plus"
+        name = "landmarks" if is_better else "tiles"
     makes_landmarks = name == "landmarks" and "landmarks" not in problem.shared
     makes_costs = name == "exact" and not has_cost_to_go(problem)
     if makes_landmarks or makes_costs:
@@ -74,7 +75,7 @@ def prepare(name: str, problem: Problem, budget_s: float) -> Prepared:
         is_ready, done = False, "were not done in"
     setup_s = time.perf_counter() - begin_s
     if is_auto and not is_ready:
-        name, is_ready = "plus", True
+        name, is_ready = "tiles", True
     return Prepared(name, is_ready, setup_s, f"{what} {done} {setup_s:.3g} s.")
 
 
@@ -85,6 +86,8 @@ def make_heuristic(name: str, problem: Problem) -> Heuristic:
     - ``euclidean``: ``distance_weight`` times the straight distance (the paper's h_dist).
     - ``octile``: the least length of an 8-connected path; Manhattan distance at connectivity 4.
     - ``plus``: octile, plus whole-row and whole-column minima of the map cost (admissible, consistent).
+    - ``tiles``: octile or, where larger, the cost to go over tiles of 8 x 8 cells that cost what their cheapest cell
+      does (admissible, consistent).
     - ``landmarks``: octile or, where larger, the best landmark's bound (admissible, consistent).
     - ``exact``: the cost to go itself.
     - ``plus-printed``, ``plus-printed-from-0``: octile, plus the paper's box minima, summed over indices
@@ -105,6 +108,8 @@ def make_heuristic(name: str, problem: Problem) -> Heuristic:
     )
     if name == "landmarks":
         return heuristic._replace(landmarks=landmark_bound(problem, make_landmarks(problem)))
+    if name == "tiles":
+        return heuristic._replace(tiles=_tile_bound(problem))
     sides_per_reference = problem.resolution_m / problem.cost_model.reference_length_m
     if name == "plus":
         bounds = (
@@ -123,6 +128,17 @@ def make_heuristic(name: str, problem: Problem) -> Heuristic:
         np.minimum(field, np.finfo(np.float64).max / 2, out=field)
         heuristic = heuristic._replace(field=field)
     return heuristic
+
+
+def _tile_bound(problem: Problem) -> TileBound:
+    """Return the tiles' bound on the cost to the problem's goal; the tiles' costs serve all queries on its map."""
+    minima = problem.once("tile_minima", lambda: tile_minima(problem.cost, problem.is_free))
+    graph = graph_of(problem)
+    share = graph.from_share + graph.to_share
+    straight, diagonal = ((float(graph.step_cost[step]), float(share[step])) for step in (0, -1))
+    if problem.cost_model.connectivity == 4:
+        diagonal = (2 * straight[0], 2 * straight[1])
+    return tile_bound(minima, StepCost(straight, diagonal), problem.start, problem.goal)
 
 
 def _weighted_layers(problem: Problem) -> np.ndarray:

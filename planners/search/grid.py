@@ -8,6 +8,7 @@ import numpy as np
 from jaxurban.kernels.compiled import compiled
 from jaxurban.kernels.search.heap import EXHAUSTED, FOUND, FULL, PAUSED, Heap, drop_top, push
 from jaxurban.kernels.search.prefetch import prefetch
+from jaxurban.kernels.search.tiles import tile_estimate
 from jaxurban.planners.base import Cell
 from jaxurban.planners.graph import Graph, Heuristic
 from jaxurban.planners.moves import STEPS, steps_back
@@ -134,7 +135,8 @@ def insert(queue, f, node):
 def refill(queue, graph, g, state):
     """Bring the next bucket's entries into an empty heap; it stays empty where no bucket is left.
 
-    They will soon be expanded, so what is known of them and of their neighbours is asked for now.
+    They will soon be expanded, so what is known of them and of their neighbours is asked for now. Those that have been
+    by now, from a lower f, are left out.
     """
     tally = queue.tally
     while queue.near.size[0] == 0 and tally[NUM_FAR] > 0:
@@ -155,12 +157,13 @@ def refill(queue, graph, g, state):
             tally[FREE_SLOT] = slot
             tally[NUM_FAR] -= 1
             node = np.int64(queue.far_node[slot])
-            insert(queue, queue.far_f[slot], node)
-            prefetch(graph.moves, node)
-            for beside in (node - graph.num_cols, node, node + graph.num_cols):
-                prefetch(g, beside)
-                prefetch(state, beside)
-                prefetch(graph.cost, beside)
+            if not state[np.uint64(node)] & CLOSED:
+                insert(queue, queue.far_f[slot], node)
+                prefetch(graph.moves, node)
+                for beside in (node - graph.num_cols, node, node + graph.num_cols):
+                    prefetch(g, beside)
+                    prefetch(state, beside)
+                    prefetch(graph.cost, beside)
             slot = next_slot
 
 
@@ -181,6 +184,14 @@ def _raised(value, landmarks, row, col):
 
 
 @compiled(forceinline=True)
+def _raised_by_tiles(value, tiles, row, col):
+    """Return the larger of a bound and the tiles', where there are any."""
+    if tiles is None:  # as above
+        return value
+    return max(value, tile_estimate(tiles, row, col))
+
+
+@compiled(forceinline=True)
 def estimate(heuristic, row, col, goal_row, goal_col):
     """Return ``h`` at a cell (see `Heuristic`)."""
     dr, dc = abs(row - goal_row), abs(col - goal_col)
@@ -190,7 +201,7 @@ def estimate(heuristic, row, col, goal_row, goal_col):
     if heuristic.field.size:
         return value + heuristic.field[row, col]
     value += max(heuristic.rows[row], heuristic.cols[col])
-    return _raised(value, heuristic.landmarks, row, col)
+    return _raised_by_tiles(_raised(value, heuristic.landmarks, row, col), heuristic.tiles, row, col)
 
 
 @compiled(nogil=True)

@@ -15,7 +15,7 @@ from tests.planners.test_landmarks import city
 ROUNDING = 1e-11  # of a cost summed in another order
 
 
-@pytest.mark.parametrize("heuristic", ["octile", "plus", "landmarks", "exact", "none"])
+@pytest.mark.parametrize("heuristic", ["octile", "plus", "tiles", "landmarks", "exact", "none"])
 @pytest.mark.parametrize(("cost_model", "inflation"), list(itertools.product(["cell", "line"], [None, 1.0, 5.0])))
 def test_the_certified_gap_is_never_below_the_true_one_and_shrinks_to_nothing(cost_model, inflation, heuristic):
     for seed in range(4):

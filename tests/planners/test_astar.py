@@ -242,7 +242,7 @@ def test_costs_orders_of_magnitude_apart_are_taken_in_their_order(cost_model):
             layers, np.ones((12, 60), bool), (1, 2), (10, 55), 2.0, distance_weight, CostModel(cost_model, 3.0)
         )
         optimum = exact_cost_to_go(problem)[problem.start]
-        for name in ("none", "plus"):
+        for name in ("none", "plus", "tiles"):
             path = astar(problem, heuristic=name)
             assert path.cost == pytest.approx(optimum, rel=1e-12)
             assert path.num_expanded < problem.cost.size
@@ -270,7 +270,7 @@ def test_planners_by_name_run_with_their_own_heuristic():
     problem = random_problem(2, "line", "both-free", 8)
     for name, entry in PLANNERS.items():
         ran = find_planner(name)(problem, budget_s=0.2, seed=0).heuristic
-        assert ran == ("plus" if entry.default_heuristic == "auto" else entry.default_heuristic)
+        assert ran == ("tiles" if entry.default_heuristic == "auto" else entry.default_heuristic)
     path = find_planner("astar-plus", "octile")(problem, budget_s=0.2, seed=3)
     assert (path.planner, path.heuristic, path.backend) == ("astar-plus", "octile", "numba")
 

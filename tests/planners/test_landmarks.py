@@ -104,10 +104,10 @@ def test_auto_builds_landmarks_once_the_queries_on_a_map_are_many():
     problem = city()
     for k in range(FEW_QUERIES + 3):
         path = astar_plus(problem.between((k % 2, 0), problem.goal), budget_s=60.0)
-        assert path.heuristic == ("plus" if k < FEW_QUERIES else "landmarks")
+        assert path.heuristic == ("tiles" if k < FEW_QUERIES else "landmarks")
         assert (path.setup_s > 0) == ("landmarks" in path.note) == (k == FEW_QUERIES)
     # Another map, or other weights, count for themselves.
-    assert astar_plus(city()).heuristic == "plus"
+    assert astar_plus(city()).heuristic == "tiles"
 
 
 def test_auto_uses_landmarks_that_are_there():
@@ -122,12 +122,12 @@ def test_auto_uses_landmarks_that_are_there():
 def test_auto_leaves_landmarks_that_the_budget_does_not_hold(monkeypatch):
     monkeypatch.setattr(landmarks_module, "FEW_QUERIES", 0)
     path = astar_plus(city(), budget_s=1e-3)
-    assert path.heuristic == "plus"
+    assert path.heuristic == "tiles"
     assert "Landmarks would speed up this map's many queries" in path.note
     monkeypatch.setattr(landmarks_module, "NODES_PER_S", 1e12)  # too hopeful: half of the budget goes
     monkeypatch.setattr("jaxurban.planners.search.grid.CHUNK", 10)
     path = astar_plus(city(), budget_s=1e-5)
-    assert path.heuristic == "plus"
+    assert path.heuristic == "tiles"
     assert "were not done in" in path.note
     assert path.setup_s > 0
 
