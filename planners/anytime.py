@@ -10,12 +10,13 @@ from jaxurban.errors import InputError
 from jaxurban.planners.astar import warm_up
 from jaxurban.planners.base import Path, Problem, Status
 from jaxurban.planners.checks import check_budget, free_ride
+from jaxurban.planners.graph import graph_of
 from jaxurban.planners.heuristics import ADMISSIBLE, AUTO, prepare
 from jaxurban.planners.search.grid import DEFER, PAUSED
 
 # Chosen on Lower Manhattan over the default weights and 20 random ones (docs/heuristics.md).
 LANDMARK_INFLATION = 1.07  # landmarks miss a few percent of the cost to go
-LEAST_INFLATION = 1.2  # of the other bounds, even where the map costs hardly more than they count; all of the tiles'
+LEAST_INFLATION = 1.2  # of the other bounds, even where the map costs hardly more than they count
 MAP_SHARE = 0.65  # of the median cell's cost, what paths pay: they seek the cheaper cells
 ROUND_FACTOR = 4  # less makes for more rounds: 2 expanded half as many nodes again until the end
 NEAR_ONE = 1.02  # an inflation below this is as slow as none
@@ -105,21 +106,21 @@ def astar_anytime(
 def first_inflation(heuristic: str, problem: Problem) -> float:
     """Return what to multiply a heuristic by so that a search hurries to the goal and its path stays good.
 
-    Landmarks see nearly all of the cost to go, whatever the weights, and tiles most, so a constant serves. The
-    other bounds see the distance and, ``plus``, what the map costs everywhere: they are brought up to what paths
-    typically pay, `MAP_SHARE` of the median cell's cost in place of what they count. Where they are 0
-    everywhere no inflation helps.
+    Landmarks see nearly all of the cost to go, whatever the weights, so a constant serves. The other bounds
+    see the distance and, ``plus`` and ``tiles``, what the map, or a tile, costs everywhere: they are brought up to
+    what paths typically pay, `MAP_SHARE` of the median cell's cost in place of what they count. Where they are 0
+    everywhere no inflation helps. Of tiles those count that the bound came to.
     """
     if heuristic in ("landmarks", "exact"):
         return LANDMARK_INFLATION if heuristic == "landmarks" else 1.0
-    if heuristic == "tiles":
-        return LEAST_INFLATION
     share = 1.0 if problem.cost_model.kind == "cell" else problem.resolution_m / problem.cost_model.reference_length_m
-    typical = share * problem.once("median_cost", lambda: float(np.median(problem.cost[problem.is_free])))
-    counted = 0.0
-    if heuristic == "plus":
-        minima = np.concatenate(problem.line_minima)
-        counted = share * float(minima[np.isfinite(minima)].mean())
+    if heuristic == "tiles":  # the map may not be weighed as a whole
+        sample, least = graph_of(problem, is_partial=True).sample, problem.weighed.minima
+        median = float(np.median(sample)) if sample.size else 0.0
+    else:
+        least = np.concatenate(problem.line_minima) if heuristic == "plus" else np.zeros(1)
+        median = problem.once("median_cost", lambda: float(np.median(problem.cost[problem.is_free])))
+    typical, counted = share * median, share * float(least[np.isfinite(least)].mean())
     per_side = problem.distance_weight * problem.resolution_m + counted
     if per_side == 0:
         return LEAST_INFLATION

@@ -12,6 +12,7 @@ from jaxurban.errors import InputError, typed
 from jaxurban.kernels.search.weighing import are_costs, in_rows, weighted_line_minima, weighted_sum
 from jaxurban.planners.cost import CostKind, PathFeatures, path_features
 from jaxurban.planners.moves import allowed_moves
+from jaxurban.planners.weighed import WeighedMap
 
 Diagonal = Literal["both-free", "always"]
 Cell = tuple[int, ...]  # row, column; in a volume level, row, column. Row 0 is in the south, level 0 the lowest
@@ -181,7 +182,7 @@ class Problem:
     cost_model: CostModel = CostModel()
     levels_m: Any = None  # kept as an array
     shared: dict[str, Any] = field(init=False, repr=False, default_factory=dict)  # what `once` made
-    _cost: list[np.ndarray] = field(init=False, repr=False, default_factory=list)  # of all on this map and weights
+    _cost: list[Any] = field(init=False, repr=False, default_factory=list)  # of all on this map and weights
     _moves: list[np.ndarray] = field(init=False, repr=False, default_factory=list)  # of all problems on these cells
 
     def __post_init__(self) -> None:
@@ -252,7 +253,7 @@ class Problem:
         return other
 
     def alone(self) -> "Problem":
-        """Return the same query with nothing made for it but moves and cost: no earlier search helps this one."""
+        """Return the same query with nothing made for it but moves and weighing: no earlier search helps this one."""
         _ = self.moves, self.cost
         return self._changed(shared={})
 
@@ -302,12 +303,22 @@ class Problem:
 
         Made when it is first asked for: A* on one altitude weighs the parts of a map that it comes to, and no others.
         """
+        if self.levels_m is None:
+            return self.weighed.whole()
         if not self._cost:
             cost = weighted_sum(self.costs, self.layer_weights)
-            if self.levels_m is not None:
-                cost[~self.is_free] = np.inf  # as the search through a volume knows closed nodes
+            cost[~self.is_free] = np.inf  # as the search through a volume knows closed nodes
             self._cost.append(_read_only(cost, np.float64))
-        return self._cost[0]
+        volume: np.ndarray = self._cost[0]
+        return volume
+
+    @property
+    def weighed(self) -> WeighedMap:
+        """The map of one altitude under the weights, weighed as far as was asked for."""
+        if not self._cost:
+            self._cost.append(WeighedMap(self.costs, self.layer_weights, self.is_free))
+        weighed: WeighedMap = self._cost[0]
+        return weighed
 
     @property
     def map_key(self) -> int:

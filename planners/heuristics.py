@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxurban.kernels.search.bounds import cell_line_bound, line_line_bound, printed_plus_field
-from jaxurban.kernels.search.tiles import StepCost, TileBound, tile_bound, tile_minima
+from jaxurban.kernels.search.tiles import StepCost, TileBound, advance_at_corners, begin_at_corners, tile_bound
 from jaxurban.planners.base import Cell, Problem
 from jaxurban.planners.checks import check_name
 from jaxurban.planners.graph import Heuristic, graph_of, zero_heuristic
@@ -38,7 +38,10 @@ class Prepared(NamedTuple):
     def search(self, problem: Problem) -> GridSearch:
         """Return the search for a problem, begun; by distance alone where the tables are not ready."""
         bound = make_heuristic(self.name if self.is_ready else "octile", problem)
-        return GridSearch(graph_of(problem), bound, problem.start, problem.goal)
+        # Others than tiles look at the whole map, or are there to compare with.
+        weighed = problem.weighed if bound.tiles is not None else None
+        graph = graph_of(problem, is_partial=weighed is not None)
+        return GridSearch(graph, bound, problem.start, problem.goal, weighed)
 
 
 def prepare(name: str, problem: Problem, budget_s: float) -> Prepared:
@@ -131,14 +134,18 @@ def make_heuristic(name: str, problem: Problem) -> Heuristic:
 
 
 def _tile_bound(problem: Problem) -> TileBound:
-    """Return the tiles' bound on the cost to the problem's goal; the tiles' costs serve all queries on its map."""
-    minima = problem.once("tile_minima", lambda: tile_minima(problem.cost, problem.is_free))
-    graph = graph_of(problem)
+    """Return the tiles' bound on the cost to the problem's goal; the parts of the map that it comes to are made."""
+    graph, weighed = graph_of(problem, is_partial=True), problem.weighed
     share = graph.from_share + graph.to_share
     straight, diagonal = ((float(graph.step_cost[step]), float(share[step])) for step in (0, -1))
     if problem.cost_model.connectivity == 4:
         diagonal = (2 * straight[0], 2 * straight[1])
-    return tile_bound(minima, StepCost(straight, diagonal), problem.start, problem.goal)
+    step_cost = StepCost(straight, diagonal)
+    num_i, num_j = (size - 2 for size in weighed.minima.shape)
+    search = begin_at_corners(num_i, num_j, problem.start, problem.goal)
+    while (part := advance_at_corners(search, weighed.minima, step_cost))[0] >= 0:
+        weighed.make(part)
+    return tile_bound(search, weighed.minima, step_cost, problem.goal)
 
 
 def _weighted_layers(problem: Problem) -> np.ndarray:

@@ -21,8 +21,9 @@ def add_up(costs, weights, row, first_col, sums):
     for layer in range(weights.size):
         weight = weights[layer]
         if weight != 0.0:
+            line = costs[layer, row, first_col : first_col + sums.size]
             for k in range(sums.size):
-                sums[k] += weight * costs[layer, row, first_col + k]
+                sums[k] += weight * line[k]
 
 
 def in_rows(layers: np.ndarray) -> np.ndarray:
@@ -33,7 +34,8 @@ def in_rows(layers: np.ndarray) -> np.ndarray:
 
 
 @compiled(nogil=True)
-def _add_up_rows(costs, weights, sums):
+def weigh_rows(costs, weights, sums):
+    """Set ``sums`` ``[Y, X]`` to the weighted sums of layers ``[L, Y, X]``."""
     for row in range(sums.shape[0]):
         add_up(costs, weights, row, 0, sums[row])
 
@@ -42,7 +44,7 @@ def weighted_sum(costs: np.ndarray, weights: np.ndarray) -> np.ndarray:
     """Return ``[*cells]`` float64 the weighted sum of layers ``[L, *cells]``, added in their order."""
     layers = in_rows(costs)
     sums = np.empty(layers.shape[1:])
-    _add_up_rows(layers, np.asarray(weights, np.float64), sums)
+    weigh_rows(layers, np.asarray(weights, np.float64), sums)
     return sums.reshape(costs.shape[1:])
 
 

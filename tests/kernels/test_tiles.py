@@ -5,7 +5,7 @@ import pytest
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
 
-from jaxurban.kernels.search.tiles import TILE, tile_minima
+from jaxurban.kernels.search.tiles import TILE
 from jaxurban.planners.astar import astar
 from jaxurban.planners.base import CostModel, Problem, Status
 from jaxurban.planners.graph import graph_of
@@ -45,7 +45,10 @@ def steps_of(problem):
 @pytest.mark.parametrize("shape", SHAPES)
 def test_a_tile_costs_what_its_cheapest_free_cell_does_rim_included(shape):
     problem = problem_on(shape, 1, CostModel(), share_free=0.1)
-    found = tile_minima(problem.cost, problem.is_free)
+    weighed = problem.weighed
+    for part in np.ndindex(weighed.readiness().shape):
+        weighed.make(part)
+    found = weighed.minima
     cost = np.where(problem.is_free, problem.cost, np.inf)
     expected = np.full(found.shape, np.inf)
     for i in range(found.shape[0] - 2):
