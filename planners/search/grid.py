@@ -184,11 +184,11 @@ def _raised(value, landmarks, row, col):
 
 
 @compiled(forceinline=True)
-def _raised_by_tiles(value, tiles, row, col):
-    """Return the larger of a bound and the tiles', where there are any."""
-    if tiles is None:  # as above
-        return value
-    return max(value, tile_estimate(tiles, row, col))
+def _with_map_part(value, heuristic, landmarks, tiles, row, col):
+    """Return a distance part with what rows and columns add, or raised to what landmarks or tiles prove."""
+    if tiles is not None:  # as above
+        return max(value, tile_estimate(tiles, row, col))
+    return _raised(value + max(heuristic.rows[row], heuristic.cols[col]), landmarks, row, col)
 
 
 @compiled(forceinline=True)
@@ -200,8 +200,7 @@ def estimate(heuristic, row, col, goal_row, goal_col):
         value += heuristic.euclidean * np.sqrt(float(dr * dr + dc * dc))
     if heuristic.field.size:
         return value + heuristic.field[row, col]
-    value += max(heuristic.rows[row], heuristic.cols[col])
-    return _raised_by_tiles(_raised(value, heuristic.landmarks, row, col), heuristic.tiles, row, col)
+    return _with_map_part(value, heuristic, heuristic.landmarks, heuristic.tiles, row, col)
 
 
 @compiled(nogil=True)
