@@ -4,17 +4,24 @@ import atexit
 import gc
 from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import cache
 
 MANY = 10_000  # objects
+FULL = 2  # the generation of a search through everything
+
+
+class _Frozen:
+    """How many objects `paused_collector` has left out of the search; 0: none, or no longer."""
+
+    num = 0
 
 
 @contextmanager
 def paused_collector() -> Iterator[None]:
     """Look for no cycles in the block: imports make objects by the hundred thousand, all of them to stay.
 
-    Looking at them again and again takes a quarter of an import. After a block that has made many they count as old,
-    so that the next look at what is new is not at all of them.
+    Looking at them again and again takes a quarter of an import. After a block that has made many, all that is there is
+    left out of the search until Python looks through everything, as it does in a session that goes on; a short one ends
+    without taking a million objects apart one by one. Does nothing where the user has frozen objects.
     """
     was_on = gc.isenabled()
     gc.disable()
@@ -22,10 +29,24 @@ def paused_collector() -> Iterator[None]:
         yield
     finally:
         if was_on:
-            if gc.get_count()[0] > MANY and not gc.get_freeze_count():
-                gc.freeze()
-                gc.unfreeze()  # what was frozen is in the oldest generation now, and nothing has been looked at
+            if gc.get_count()[0] > MANY and gc.get_freeze_count() <= _Frozen.num:
+                _freeze()
             gc.enable()
+
+
+def _freeze() -> None:
+    if _take_up not in gc.callbacks:
+        gc.callbacks.append(_take_up)
+        atexit.register(gc.callbacks.remove, _take_up)
+    gc.freeze()
+    _Frozen.num = gc.get_freeze_count()
+
+
+def _take_up(phase: str, info: dict[str, int]) -> None:
+    """Search among what `_freeze` left out too, where everything is searched, unless the user has frozen more since."""
+    if phase == "start" and info["generation"] == FULL and 0 < gc.get_freeze_count() <= _Frozen.num:
+        _Frozen.num = 0
+        gc.unfreeze()
 
 
 def collect_seldom() -> None:
@@ -34,15 +55,4 @@ def collect_seldom() -> None:
     It takes a tenth of the time of a run otherwise.
     """
     gc.set_threshold(10_000, 10, 10)
-    leave_cycles_at_exit()
-
-
-@cache
-def leave_cycles_at_exit() -> None:
-    """Let this process end without a last look for cycles, of which its libraries alone hold a million objects.
-
-    Taking these apart one by one takes a quarter of the time of a process that makes small maps; the system takes all
-    memory back at once. Python promises no finaliser at its end either; handlers of `atexit` run as ever, and what is
-    in no cycle, as an open file, is closed as ever.
-    """
     atexit.register(gc.freeze)

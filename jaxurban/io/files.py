@@ -15,6 +15,7 @@ import zlib
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from threading import Lock
 from typing import IO, Any
 
 import numpy as np
@@ -225,6 +226,9 @@ def read_json(path: Path) -> dict[str, Any]:
     return value
 
 
+_PARSING = Lock()  # headers of arrays are Python text, and 3.11 fails now and then where threads parse (CPython 106905)
+
+
 def write_npz(path: Path, arrays: Mapping[str, np.ndarray], is_compressed: bool = False) -> None:
     """Write arrays as .npz, with the checksum as the archive's comment, whole or not at all.
 
@@ -247,5 +251,5 @@ def read_npz(path: Path, wanted: Collection[str] | None = None) -> dict[str, np.
     """
     with path.open("rb") as file:
         _check_whole(path)
-        with np.load(file, allow_pickle=False) as kept:
+        with _PARSING, np.load(file, allow_pickle=False) as kept:
             return {name: kept[name] for name in kept.files if wanted is None or name in wanted}

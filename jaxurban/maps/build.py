@@ -12,7 +12,6 @@ import numpy as np
 import shapely
 from jaxtyping import DTypeLike
 
-from jaxurban.collector import leave_cycles_at_exit
 from jaxurban.compile_cache import keep_programs
 from jaxurban.errors import GuessWarning, InputError, one_of, typed
 from jaxurban.io.layers import bands_of
@@ -137,7 +136,6 @@ def build_maps(
     task = MapTask(city, region, sky, params, layers, bands_of(layers, region, params.altitudes_m))
     check_fits(task)
     keep_programs()
-    leave_cycles_at_exit()
     with reporting("build_maps", progress) as report:
         return compute_maps(task, stage=Stopwatch(on_stage=report).stage)
 
