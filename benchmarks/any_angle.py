@@ -18,8 +18,9 @@ from tqdm import tqdm
 from benchmarks.printed_heuristic import made_up_problem, problem_of_arrays, problem_of_maps, random_pairs
 from jaxurban.planners.any_angle import theta_star
 from jaxurban.planners.astar import astar
-from jaxurban.planners.base import CostModel, Path, Problem, Status
+from jaxurban.planners.base import Path, Problem, Status
 from jaxurban.planners.bitstar.planner import bitstar_plus
+from jaxurban.planners.cost_model import CostModel
 from jaxurban.planners.refine import refine
 
 

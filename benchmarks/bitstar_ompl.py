@@ -21,9 +21,10 @@ from tqdm import tqdm
 from benchmarks.printed_heuristic import made_up_problem, problem_of_maps
 from jaxurban.kernels.line.segment_cost import segment_cost
 from jaxurban.planners.astar import astar
-from jaxurban.planners.base import CostModel, Path, Problem
+from jaxurban.planners.base import Path, Problem
 from jaxurban.planners.bitstar.planner import bitstar_dist, bitstar_plus
 from jaxurban.planners.cost_grid import cost_grid_of
+from jaxurban.planners.cost_model import CostModel
 
 
 def far_apart(problem: Problem, seed: int) -> Problem:

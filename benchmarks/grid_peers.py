@@ -22,7 +22,8 @@ import jaxurban as ju
 from benchmarks.common import ROOT, Row, Timing, load, machine, markdown, row, write_json
 from jaxurban.kernels.search.bounds import printed_plus_field
 from jaxurban.planners.astar import astar
-from jaxurban.planners.base import Cell, CostModel, Problem
+from jaxurban.planners.base import Cell, Problem
+from jaxurban.planners.cost_model import CostModel
 from jaxurban.planners.graph import Graph, Heuristic, graph_of, zero_heuristic
 from jaxurban.planners.landmarks import make_landmarks
 from jaxurban.planners.moves import STEPS

@@ -26,7 +26,8 @@ from benchmarks.scenes import PLACES, SYNTHETIC, Place, load_place
 from jaxurban.maps.build import build_maps
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.paths.cost_map import CostMap, cost_map
-from jaxurban.planners.base import Cell, CostModel
+from jaxurban.planners.base import Cell
+from jaxurban.planners.cost_model import CostModel
 from jaxurban.report.markdown import framed
 from jaxurban.studies.demonstrations import Demonstration, optimal_demonstrations
 from jaxurban.studies.queries import RouteQuery

@@ -38,7 +38,7 @@ if _TYPE_CHECKING:
     from jaxurban.paths.simplify import simplify as simplify
     from jaxurban.paths.snapping import XY as XY
     from jaxurban.paths.vehicle import Vehicle as Vehicle
-    from jaxurban.planners.base import CostModel as CostModel
+    from jaxurban.planners.cost_model import CostModel as CostModel
     from jaxurban.planners.envelope import planned_cost as planned_cost
     from jaxurban.report.buildings import write_buildings as write_buildings
     from jaxurban.report.map_comparison import save_comparison as save_comparison
@@ -102,7 +102,7 @@ _NAMES = {
     "paths.simplify": "simplify",
     "paths.snapping": "XY",
     "paths.vehicle": "Vehicle",
-    "planners.base": "CostModel",
+    "planners.cost_model": "CostModel",
     "planners.envelope": "planned_cost",
     "report.buildings": "write_buildings",
     "report.map_comparison": "save_comparison",

@@ -8,11 +8,12 @@ import numpy as np
 from jaxurban.errors import InputError
 from jaxurban.kernels.line.segment_cost import CostGrid
 from jaxurban.kernels.search.heap import EXHAUSTED, FOUND, FULL, Heap, push
-from jaxurban.planners.base import EVERY_PATH, CostModel, Path, Problem, Status
+from jaxurban.planners.base import EVERY_PATH, Path, Problem, Status
 from jaxurban.planners.bitstar.bounds import HEURISTICS, Bounds, make_bounds
 from jaxurban.planners.checks import check_budget, check_name, free_ride
 from jaxurban.planners.cost import warm_up as warm_up_features
 from jaxurban.planners.cost_grid import cost_grid_of, reachable_cells
+from jaxurban.planners.cost_model import CostModel
 from jaxurban.planners.search.any_angle import MARGIN, NO_PARENT, TIE, AnyAngleNodes, Estimate, advance, shortcut
 
 CHUNK = 10_000  # expansions between two looks at the clock: some 5 to 50 ms

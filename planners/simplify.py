@@ -9,7 +9,8 @@ import numpy as np
 
 from jaxurban.errors import InputError
 from jaxurban.planners.any_angle import subdivided
-from jaxurban.planners.base import Path, Problem, Status, positive_m
+from jaxurban.planners.base import Path, Problem, Status
+from jaxurban.planners.cost_model import positive_m
 from jaxurban.planners.search.legs import fewest_legs, is_clear, nudged
 
 CLEAR_M = 0.02  # that legs keep from closed cells, so that coordinates of 7 decimals of a degree cannot enter them

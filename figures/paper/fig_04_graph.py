@@ -9,7 +9,8 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
 
 from figures.paper.common import PATH_M, TOWNS, Caption, save
-from jaxurban.planners.base import Cell, CostModel, Problem
+from jaxurban.planners.base import Cell, Problem
+from jaxurban.planners.cost_model import CostModel
 from jaxurban.planners.graph import graph_of
 from jaxurban.planners.moves import STEPS, allowed_moves
 from jaxurban.report.figures.colours import SMALL_PT

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from jaxurban.metrics.weights import Weights
     from jaxurban.paths.constraints import Constraints
     from jaxurban.paths.cost_map import CostMap
-    from jaxurban.planners.base import CostModel
+    from jaxurban.planners.cost_model import CostModel
 
 Settings = dict[str, Any]
 
@@ -186,7 +186,7 @@ def stored_cost_model(settings: Settings, kind: str | None) -> "CostModel":
     Raises:
       InputError: a value that is none of a cost model's.
     """
-    from jaxurban.planners.base import CostModel
+    from jaxurban.planners.cost_model import CostModel
 
     planning = settings.get("planning", {})
     return CostModel.from_settings(planning if kind is None else {**planning, "cost_model": kind})

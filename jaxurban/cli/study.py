@@ -44,7 +44,8 @@ if TYPE_CHECKING:
 @JSON_FLAG
 def study(scenario_file: Path, folder: Path, benchmark_folder: Path | None, as_json: bool, **given: Any) -> int:
     """Run every planner of SCENARIO's [study] on many random queries over its maps, and report what came out."""
-    from jaxurban.planners.base import EXIT_NO_PATH, CostModel
+    from jaxurban.planners.base import EXIT_NO_PATH
+    from jaxurban.planners.cost_model import CostModel
     from jaxurban.report.benchmark import check_exportable, export_benchmark
     from jaxurban.report.montecarlo import write_analysis
     from jaxurban.scenario.provenance import settings_of

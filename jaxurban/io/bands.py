@@ -11,7 +11,7 @@ from rasterio._err import CPLE_BaseError
 from rasterio.errors import RasterioError
 
 from jaxurban.io.files import whole_file
-from jaxurban.io.store import no_value
+from jaxurban.io.hidden import no_value
 from jaxurban.world.grid import Grid
 
 OF_WRITING = (RasterioError, CPLE_BaseError, SystemError)  # GDAL's errors, as of a full disk, as rasterio raises them

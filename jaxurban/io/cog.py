@@ -86,7 +86,7 @@ def write_cog(
     Args:
       path: where to.
       grid: of the map.
-      dtype: of its values; what stands for no value is `jaxurban.io.store.no_value`.
+      dtype: of its values; what stands for no value is `jaxurban.io.hidden.no_value`.
       rows: parts ``[y, x]`` of the map, all its rows from the north to the south.
       is_averaged: whether overviews hold means, else the cell in the middle.
       tags: of the file.

@@ -15,8 +15,9 @@ from jaxurban.io.attributes import CAVEAT, IN_OBSTACLES
 from jaxurban.io.chunks import Each, stored_rows
 from jaxurban.io.cog import write_cog
 from jaxurban.io.files import BLANK, FIELD, holds_bytes, is_whole, seal, whole_file
+from jaxurban.io.hidden import no_value
 from jaxurban.io.qgis import style
-from jaxurban.io.store import GEOTIFF_FOLDER, no_value, short_number
+from jaxurban.io.store import GEOTIFF_FOLDER, short_number
 from jaxurban.metrics.availability import statistics_of
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY
 from jaxurban.metrics.custom import held_metrics

@@ -8,7 +8,6 @@ that a missing one is damage; were it read all the same, it would be blocked cel
 
 import json
 import re
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal
@@ -44,6 +43,7 @@ from jaxurban.io.files import (
     whole_file,
     write_whole,
 )
+from jaxurban.io.hidden import NEEDED, cells_inside, is_hidden, is_nothing, no_value, with_hideable
 from jaxurban.world.tiling import tile_shape
 
 RUN_FILE = "run.json"
@@ -52,8 +52,6 @@ GEOTIFF_FOLDER = "geotiff"
 COMPRESSOR = Zstd(level=1, checksum=True)
 GDAL_CRS = "_CRS"  # attribute: the CRS as GDAL's Zarr driver reads it
 TIMES = {"units": "seconds since 1970-01-01", "calendar": "proleptic_gregorian", "dtype": "int64"}
-NEEDED = ("obstacle", "has_data")  # without these it is not a folder of maps
-Read = Callable[[str, tuple], np.ndarray]  # a variable and a key
 
 
 def short_number(value: float) -> str:
@@ -111,11 +109,6 @@ def remove_maps(folder: Path) -> None:
         remove(folder / part)
 
 
-def no_value(dtype: np.dtype) -> Any:
-    """Return what stands for no value in files: NaN, the highest unsigned number; None where there is nothing such."""
-    return {"f": np.nan, "u": np.iinfo(dtype).max if dtype.kind == "u" else None}.get(dtype.kind)
-
-
 def _is_map(array: xr.Variable) -> bool:
     return array.dims[-2:] == ("y", "x")
 
@@ -156,12 +149,12 @@ def write_zarr(ds: xr.Dataset, folder: Path) -> Path:
     """Write a dataset of maps under ``folder`` and return its place (``maps.zarr/5m``)."""
     path = zarr_path(folder, ds.attrs["resolution_m"])
     rows, cols = tile_shape((ds.sizes["y"], ds.sizes["x"]))
-    ds = _with_hideable(ds)
+    ds = with_hideable(ds)
     with whole_file(path) as scratch:
         _to_zarr(ds, scratch, "w", (rows, cols))
         for name, array in ds.variables.items():
             for place in np.ndindex(array.shape[:-2]) if _is_map(array) else ():
-                values, is_inside = array[place].values, _is_inside(ds, array, (*place, slice(None), slice(None)))
+                values, is_inside = array[place].values, cells_inside(ds, array, (*place, slice(None), slice(None)))
                 for stop in range(ds.sizes["y"], 0, -rows):
                     for start in range(0, ds.sizes["x"], cols):
                         part = slice(max(0, stop - rows), stop), slice(start, min(start + cols, ds.sizes["x"]))
@@ -169,44 +162,6 @@ def write_zarr(ds: xr.Dataset, folder: Path) -> Path:
                         write_layer(scratch, str(name), place, part, values[part], inside)
     write_root(folder)
     return path
-
-
-def _is_inside(ds: xr.Dataset, array: xr.Variable, key: tuple, read: Read | None = None) -> np.ndarray | None:
-    """Return which cells of a part of a map lie inside obstacles; None where the map holds values of its own there.
-
-    ``read`` gives values of a variable by its name and key; left out, the dataset does.
-    """
-    if IN_OBSTACLES not in array.attrs:
-        return None
-    at = dict(zip(array.dims, key, strict=True))
-    kept = [dim for dim in array.dims if np.ndim(at[dim]) or isinstance(at[dim], slice)]
-    found = []
-    for dims, name in ((ds.variables[name].dims, name) for name in NEEDED):
-        own = tuple(at[dim] for dim in dims)
-        values = ds.variables[name][own].values if read is None else read(name, own)
-        found.append(xr.Variable([dim for dim in dims if dim in kept], values))
-    return ((found[0] != 0) & found[1]).set_dims(kept).values  # altitudes may come before times
-
-
-def _with_hideable(ds: xr.Dataset) -> xr.Dataset:
-    """Return maps without `IN_OBSTACLES` where somebody has put what stands for no value inside obstacles."""
-    ds = ds.copy()
-    for name, array in ds.variables.items():
-        for place in np.ndindex(array.shape[:-2]) if IN_OBSTACLES in array.attrs else ():
-            part = (*place, slice(None), slice(None))
-            if _is_hidden(array[part].values, _is_inside(ds, array, part)).any():
-                ds[name].attrs = {key: value for key, value in array.attrs.items() if key != IN_OBSTACLES}
-                break
-    return ds
-
-
-def _is_hidden(values: np.ndarray, is_inside: np.ndarray | None) -> np.ndarray:
-    """Return where a file's values stand for what the engine holds: of counts also in a chunk that is not there."""
-    return _is_nothing(values) & (values.dtype.kind == "u" or is_inside)
-
-
-def _is_nothing(values: np.ndarray) -> np.ndarray:
-    return np.isnan(values) if values.dtype.kind == "f" else values == no_value(values.dtype)
 
 
 def create_zarr(ds: xr.Dataset, path: Path, tile: tuple[int, int]) -> None:
@@ -252,9 +207,9 @@ def write_layer(
     held = array.attrs.get(IN_OBSTACLES)
     if held is not None and is_inside is not None:
         bits = np.dtype(f"u{array.dtype.itemsize}")
-        is_hidden = part.view(bits) == array.dtype.type(float(str(held))).view(bits)  # a user's -0.0 stays
-        is_hidden &= (is_inside if is_inside.ndim == 2 else is_inside[index[-1]])[own][::-1]
-        np.copyto(part, no_value(array.dtype), where=is_hidden)
+        are_held = part.view(bits) == array.dtype.type(float(str(held))).view(bits)  # a user's -0.0 stays
+        are_held &= (is_inside if is_inside.ndim == 2 else is_inside[index[-1]])[own][::-1]
+        np.copyto(part, no_value(array.dtype), where=are_held)
     key = array.metadata.encode_chunk_key((*index, north // num_rows, cols.start // num_cols))
     write_whole(path / name / key, array.metadata.compressor.encode(chunk))
 
@@ -331,9 +286,9 @@ class _Map(BackendArray):
             array, stored = self.ds.variables[self.name], partial(_stored, self.ds, self.path)
             values = np.asarray(stored(self.name, key), order="C")
             if self.name == "obstacle":
-                values[_is_nothing(values)] = 1  # of a chunk that went after opening
-            elif (is_inside := _is_inside(self.ds, array, key, stored)) is not None:
-                np.copyto(values, float(array.attrs[IN_OBSTACLES]), "unsafe", where=_is_hidden(values, is_inside))
+                values[is_nothing(values)] = 1  # of a chunk that went after opening
+            elif (inside := cells_inside(self.ds, array, key, stored)) is not None:
+                np.copyto(values, float(array.attrs[IN_OBSTACLES]), "unsafe", where=is_hidden(values, inside))
             return values
         except Exception as error:
             raise error_in(self.path, error, (self.name, *NEEDED)) from error

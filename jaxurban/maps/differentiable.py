@@ -18,8 +18,9 @@ from jaxurban.metrics.registry import METRICS, ON_REQUEST
 from jaxurban.metrics.risk import RiskParams
 from jaxurban.metrics.visibility import SkyView
 from jaxurban.metrics.weights import Weights
-from jaxurban.planners.base import CostModel, Problem
+from jaxurban.planners.base import Problem
 from jaxurban.planners.cost import visit_counts
+from jaxurban.planners.cost_model import CostModel
 from jaxurban.world.surface import Surface
 
 CELLS_STEP = 256  # visited cells are filled up to a multiple of it, so that programs meet few shapes

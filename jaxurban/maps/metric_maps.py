@@ -286,7 +286,8 @@ class MetricMaps(Shown):
             nobody could read back: without obstacles, or a name that is a path.
         """
         from jaxurban.io.geotiff import geotiff_names, held_maps, write_geotiffs
-        from jaxurban.io.store import NEEDED, write_zarr
+        from jaxurban.io.hidden import NEEDED
+        from jaxurban.io.store import write_zarr
 
         if lost := [name for name in NEEDED if name not in self.ds]:
             raise InputError(f"these maps lack {', '.join(lost)}, without which nothing can open them: put it back")

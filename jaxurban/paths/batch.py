@@ -21,8 +21,9 @@ from jaxurban.paths.queries import Point, Query, read_queries
 from jaxurban.paths.results import BAD_INPUT, CRASHED, NOT_RUN, BatchResults, PlannedPaths, QueryResult
 from jaxurban.paths.search import PathSearch
 from jaxurban.paths.snapping import Place, one_place, snap_limit_m
-from jaxurban.planners.base import CostKind, CostModel, Path
+from jaxurban.planners.base import CostKind, Path
 from jaxurban.planners.batch import Backend, solve_many
+from jaxurban.planners.cost_model import CostModel
 from jaxurban.progress import LOG, Progress, reporting
 
 HELD_BYTES = 2 * 2**30  # of weighed maps at a time

@@ -20,8 +20,9 @@ from jaxurban.paths.read_costs import When, check_memory, costs_at
 from jaxurban.paths.search import PathSearch
 from jaxurban.paths.snapping import XY, Place, Point, free_place
 from jaxurban.planners.any_angle import check_line_model
-from jaxurban.planners.base import Cell, CostKind, CostModel, Problem
+from jaxurban.planners.base import Cell, CostKind, Problem
 from jaxurban.planners.cost import PathFeatures
+from jaxurban.planners.cost_model import CostModel
 from jaxurban.planners.refine import refine as refine_path
 from jaxurban.world.grid import Grid
 from jaxurban.world.show import Shown

@@ -9,7 +9,8 @@ from jaxurban.paths.cost_map import cost_map
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.search import PathSearch
 from jaxurban.paths.snapping import Point, one_place
-from jaxurban.planners.base import CostKind, CostModel
+from jaxurban.planners.base import CostKind
+from jaxurban.planners.cost_model import CostModel
 
 
 @typed

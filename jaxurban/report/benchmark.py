@@ -13,7 +13,8 @@ from jaxurban.io.store import short_number
 from jaxurban.io.tables import write_table
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.paths.constraints import Constraints
-from jaxurban.planners.base import CostModel, Status
+from jaxurban.planners.base import Status
+from jaxurban.planners.cost_model import CostModel
 from jaxurban.report.markdown import fill
 from jaxurban.studies.montecarlo.analysis import each
 from jaxurban.studies.montecarlo.sampling import KEY, weighed_metrics, weight_columns

@@ -10,7 +10,7 @@ import pandas as pd
 from jaxurban.errors import typed
 from jaxurban.io.folders import own_folder
 from jaxurban.paths.constraints import constraints_said
-from jaxurban.planners.base import CostModel
+from jaxurban.planners.cost_model import CostModel
 from jaxurban.report.figures.degrees import in_degrees
 from jaxurban.report.figures.sensitivity import sensitivity_figures
 from jaxurban.report.markdown import bullets, fill, listed, short, table

@@ -18,8 +18,8 @@ from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.queries import LONLAT, WEIGHT_PREFIX, XY, Query, read_queries
 from jaxurban.paths.snapping import one_place
 from jaxurban.planners.astar import astar
-from jaxurban.planners.base import CostModel
 from jaxurban.planners.base import Path as FoundPath
+from jaxurban.planners.cost_model import CostModel
 from jaxurban.studies.demonstrations import Demonstration, demonstration_from_line
 from jaxurban.studies.montecarlo.sampling import KEY, read_instances
 from jaxurban.studies.montecarlo.trial import HAS_PATH, WEIGHTED, BenchmarkSettings, limited

@@ -17,7 +17,8 @@ from jaxurban.metrics.weights import Weights
 from jaxurban.paths.constraints import KEPT_CLEAR, Constraints, constraints_said
 from jaxurban.paths.cost_map import CostMap, cost_map
 from jaxurban.paths.path import PlannedPath
-from jaxurban.planners.base import CostKind, CostModel
+from jaxurban.planners.base import CostKind
+from jaxurban.planners.cost_model import CostModel
 from jaxurban.studies.demonstrations import Demonstration, demonstration_from_line, demonstration_from_path
 from jaxurban.studies.drawn_demonstrations import MapOf, draw, holds_queries, read_drawn
 

@@ -23,7 +23,8 @@ from jaxurban.paths.export.write import FORMATS, WAYPOINTS
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.simplify import simplify
 from jaxurban.paths.vehicle import Vehicle
-from jaxurban.planners.base import CostModel, Problem
+from jaxurban.planners.base import Problem
+from jaxurban.planners.cost_model import CostModel
 from jaxurban.planners.heuristics import AUTO
 from jaxurban.planners.registry import PLANNERS, find_planner
 from jaxurban.viewer.layers import Place

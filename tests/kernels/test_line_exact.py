@@ -9,7 +9,7 @@ import pytest
 
 from jaxurban.kernels.line.cuts import cuts_needed
 from jaxurban.kernels.line.exact import exact_integrals, exact_line_cost
-from jaxurban.planners.base import CostModel
+from jaxurban.planners.cost_model import CostModel
 from tests.planners.problems import costed
 
 RESOLUTION_M = 4.0

@@ -7,7 +7,8 @@ from scipy.sparse.csgraph import dijkstra
 
 from jaxurban.kernels.search.tiles import TILE
 from jaxurban.planners.astar import astar
-from jaxurban.planners.base import CostModel, Problem, Status
+from jaxurban.planners.base import Problem, Status
+from jaxurban.planners.cost_model import CostModel
 from jaxurban.planners.graph import graph_of
 from jaxurban.planners.heuristics import heuristic_at, make_heuristic
 

@@ -6,7 +6,8 @@ import numpy as np
 from scipy.ndimage import label
 from scipy.sparse.csgraph import dijkstra
 
-from jaxurban.planners.base import CostModel, Problem
+from jaxurban.planners.base import Problem
+from jaxurban.planners.cost_model import CostModel
 
 
 def costed(points_m, costs, is_free, resolution_m, distance_weight, model):

@@ -8,7 +8,8 @@ import pytest
 from jaxurban.errors import InputError
 from jaxurban.planners.anytime import LANDMARK_INFLATION, LEAST_INFLATION, astar_anytime, first_inflation
 from jaxurban.planners.astar import astar
-from jaxurban.planners.base import CostModel, Path, Problem, Status
+from jaxurban.planners.base import Path, Problem, Status
+from jaxurban.planners.cost_model import CostModel
 from tests.planners.test_astar import exact_cost_to_go, random_problem
 from tests.planners.test_landmarks import city
 

@@ -11,7 +11,8 @@ from scipy.sparse.csgraph import dijkstra
 from jaxurban.errors import InputError
 from jaxurban.planners.anytime import astar_anytime
 from jaxurban.planners.astar import astar, astar_dist, astar_plus
-from jaxurban.planners.base import CostModel, Problem, Status
+from jaxurban.planners.base import Problem, Status
+from jaxurban.planners.cost_model import CostModel
 from jaxurban.planners.heuristics import ADMISSIBLE, HEURISTICS, heuristic_at, make_heuristic
 from jaxurban.planners.registry import PLANNERS, find_planner
 from jaxurban.planners.search import grid as search_module

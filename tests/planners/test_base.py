@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from jaxurban.errors import InputError
-from jaxurban.planners.base import CostModel, Problem, Status
+from jaxurban.planners.base import Problem, Status
+from jaxurban.planners.cost_model import CostModel
 from jaxurban.planners.moves import STEPS, allowed_moves
 
 FREE = np.array([[True, True, True], [True, False, True]])

@@ -11,8 +11,9 @@ from scipy.sparse.csgraph import dijkstra
 from jaxurban.errors import InputError
 from jaxurban.planners import batch as batch_module
 from jaxurban.planners.astar import astar
-from jaxurban.planners.base import CostModel, Problem, Status
+from jaxurban.planners.base import Problem, Status
 from jaxurban.planners.batch import FEW_TO_ONE_GOAL, GPU_BATCH, solve_many
+from jaxurban.planners.cost_model import CostModel
 from jaxurban.planners.landmarks import FEW_QUERIES
 from jaxurban.planners.moves import STEPS
 from jaxurban.planners.search import frontier as frontier_module

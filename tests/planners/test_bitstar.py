@@ -10,11 +10,12 @@ from scipy.optimize import minimize_scalar
 from shapely import LineString, box, union_all
 
 from jaxurban.errors import InputError
-from jaxurban.planners.base import CostModel, Problem, Status
+from jaxurban.planners.base import Problem, Status
 from jaxurban.planners.bitstar.batches import BitStarOptions, chosen_backend
 from jaxurban.planners.bitstar.bounds import HEURISTICS, make_bounds
 from jaxurban.planners.bitstar.planner import bitstar, bitstar_dist, bitstar_plus
 from jaxurban.planners.bitstar.samples import InformedSet, graph_radius
+from jaxurban.planners.cost_model import CostModel
 from jaxurban.planners.registry import PLANNERS
 from tests.planners.problems import ends_of, graph_cost, open_problem, reachable, walled_problem
 

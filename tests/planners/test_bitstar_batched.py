@@ -8,7 +8,7 @@ from shapely import LineString, box, union_all
 
 from jaxurban.errors import InputError
 from jaxurban.kernels.search.sample_graph import NO_PARENT
-from jaxurban.planners.base import CostModel, Status
+from jaxurban.planners.base import Status
 from jaxurban.planners.batch import solve_many
 from jaxurban.planners.bitstar import batched
 from jaxurban.planners.bitstar.batched import solve_batched
@@ -16,6 +16,7 @@ from jaxurban.planners.bitstar.batches import BitStarOptions
 from jaxurban.planners.bitstar.bounds import HEURISTICS, make_bounds
 from jaxurban.planners.bitstar.planner import bitstar, bitstar_plus
 from jaxurban.planners.bitstar.samples import InformedSet, graph_radius
+from jaxurban.planners.cost_model import CostModel
 from tests.planners.problems import graph_cost, open_problem, reachable, walled_problem
 
 PAIRS = [(heuristic, model) for heuristic in HEURISTICS for model in ("line", "cell")]

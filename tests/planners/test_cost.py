@@ -5,8 +5,8 @@ import itertools
 import numpy as np
 import pytest
 
-from jaxurban.planners.base import CostModel
 from jaxurban.planners.cost import path_states
+from jaxurban.planners.cost_model import CostModel
 from tests.planners.problems import costed
 
 CELL = CostModel("cell")

@@ -9,7 +9,8 @@ import pytest
 
 from jaxurban.errors import InputError
 from jaxurban.planners.astar import astar
-from jaxurban.planners.base import CostModel, Problem
+from jaxurban.planners.base import Problem
+from jaxurban.planners.cost_model import CostModel
 from jaxurban.planners.envelope import planned_cost
 from jaxurban.planners.ptp import ptp
 

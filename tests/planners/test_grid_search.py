@@ -7,7 +7,8 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
 from jaxurban.planners.astar import astar
-from jaxurban.planners.base import CostModel, Problem, Status
+from jaxurban.planners.base import Problem, Status
+from jaxurban.planners.cost_model import CostModel
 from jaxurban.planners.graph import graph_of, zero_heuristic
 from jaxurban.planners.moves import STEPS
 from jaxurban.planners.search.grid import DEFER, EXHAUSTED, FOUND, KEEP, REOPEN, GridSearch

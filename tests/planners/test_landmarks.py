@@ -7,7 +7,8 @@ import pytest
 
 from jaxurban.planners import landmarks as landmarks_module
 from jaxurban.planners.astar import astar, astar_dist, astar_plus
-from jaxurban.planners.base import CostModel, Problem, Status
+from jaxurban.planners.base import Problem, Status
+from jaxurban.planners.cost_model import CostModel
 from jaxurban.planners.heuristics import heuristic_at, make_heuristic
 from jaxurban.planners.landmarks import FEW_QUERIES, landmark_cells, make_landmarks
 from tests.planners.test_astar import exact_cost_to_go, random_problem

@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jaxurban.planners.base import CostModel, Problem, Status
+from jaxurban.planners.base import Problem, Status
+from jaxurban.planners.cost_model import CostModel
 from jaxurban.planners.ptp import ptp
 
 

@@ -12,9 +12,10 @@ from shapely import LineString, box, union_all
 from jaxurban.errors import InputError
 from jaxurban.planners.any_angle import theta_star
 from jaxurban.planners.astar import astar
-from jaxurban.planners.base import CostModel, Problem, Status
+from jaxurban.planners.base import Problem, Status
 from jaxurban.planners.bitstar.batches import BitStarOptions
 from jaxurban.planners.bitstar.planner import bitstar
+from jaxurban.planners.cost_model import CostModel
 from jaxurban.planners.ptp import ptp
 from jaxurban.planners.refine import refine
 

@@ -18,7 +18,8 @@ from shapely import (
 )
 
 from jaxurban.errors import InputError
-from jaxurban.planners.base import CostModel, Path, Problem, Status
+from jaxurban.planners.base import Path, Problem, Status
+from jaxurban.planners.cost_model import CostModel
 from jaxurban.planners.refine import refine
 from jaxurban.planners.registry import PLANNERS, find_planner
 from jaxurban.planners.search.legs import fewest_legs, is_clear

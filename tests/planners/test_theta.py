@@ -13,8 +13,9 @@ from jaxurban.errors import InputError
 from jaxurban.kernels.line.segment_cost import segment_cost
 from jaxurban.planners.any_angle import shortened, subdivided, theta_star
 from jaxurban.planners.astar import astar
-from jaxurban.planners.base import CostModel, Problem, Status
+from jaxurban.planners.base import Problem, Status
 from jaxurban.planners.cost_grid import cost_grid_of
+from jaxurban.planners.cost_model import CostModel
 from tests.free_space import pinched_corners
 
 

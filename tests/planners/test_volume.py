@@ -10,7 +10,8 @@ from scipy.sparse.csgraph import dijkstra
 from jaxurban.errors import InputError
 from jaxurban.planners import volume_astar as volume_module
 from jaxurban.planners.astar import astar
-from jaxurban.planners.base import CostModel, Problem, Status
+from jaxurban.planners.base import Problem, Status
+from jaxurban.planners.cost_model import CostModel
 from jaxurban.planners.volume_astar import VOLUME_HEURISTICS, bound_at, make_bound, volume_astar
 from tests.planners.problems import volume_problem
 

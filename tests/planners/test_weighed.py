@@ -8,7 +8,8 @@ import pytest
 from jaxurban.kernels.search.tiles import PART
 from jaxurban.planners.anytime import astar_anytime
 from jaxurban.planners.astar import astar
-from jaxurban.planners.base import CostModel, Problem
+from jaxurban.planners.base import Problem
+from jaxurban.planners.cost_model import CostModel
 
 SHAPE = (7 * PART[0] + 5, 2 * PART[1] + 3)
 

@@ -17,7 +17,8 @@ from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY
 from jaxurban.metrics.weights import GivenWeights, Weights
 from jaxurban.paths.constraints import Constraints
-from jaxurban.planners.base import CostKind, CostModel
+from jaxurban.planners.base import CostKind
+from jaxurban.planners.cost_model import CostModel
 from jaxurban.progress import Progress, reporting
 from jaxurban.scenario.differences import Differing, differing
 from jaxurban.studies.map_comparison.routes import ComparedRoutes, GivenRoutes, RouteSettings, compare_routes

@@ -19,7 +19,7 @@ from jaxurban.paths.queries import COLUMNS, LONLAT, WEIGHT_PREFIX, Point, Query
 from jaxurban.paths.queries import XY as XY_COLUMNS
 from jaxurban.paths.results import PlannedPaths
 from jaxurban.paths.snapping import snap_limit_m
-from jaxurban.planners.base import CostModel
+from jaxurban.planners.cost_model import CostModel
 from jaxurban.progress import Report
 from jaxurban.studies.map_comparison.shared_part import SharedPart
 from jaxurban.studies.montecarlo.sampling import sample_instances

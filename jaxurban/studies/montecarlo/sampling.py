@@ -17,7 +17,8 @@ from jaxurban.metrics.registry import METRICS
 from jaxurban.metrics.weights import MOST_WEIGHT, Weights
 from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.queries import WEIGHT_PREFIX, Query
-from jaxurban.planners.base import CostKind, CostModel
+from jaxurban.planners.base import CostKind
+from jaxurban.planners.cost_model import CostModel
 from jaxurban.studies.montecarlo.strata import NO_STRATUM, STRATA, strata_of
 from jaxurban.world.city import LandCover
 

@@ -13,7 +13,8 @@ from jaxurban.errors import InputError, at_least, positive, typed
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.cost_map import CostMap, cost_map
-from jaxurban.planners.base import Cell, CostKind, CostModel, Path, Status
+from jaxurban.planners.base import Cell, CostKind, Path, Status
+from jaxurban.planners.cost_model import CostModel
 from jaxurban.planners.registry import PLANNERS, find_planner
 from jaxurban.scenario.settings import PAPER_PLANNERS
 from jaxurban.studies.montecarlo.sampling import weighed_metrics

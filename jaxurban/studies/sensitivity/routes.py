@@ -14,7 +14,7 @@ from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.cost_map import CostMap, cost_map
 from jaxurban.planners.astar import astar
-from jaxurban.planners.base import CostModel
+from jaxurban.planners.cost_model import CostModel
 from jaxurban.studies.montecarlo.sampling import KEY
 from jaxurban.studies.montecarlo.trial import BAD_INPUT, CRASHED, KILLED, free_cell
 from jaxurban.studies.outcomes import outcomes_of

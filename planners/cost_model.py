@@ -1,0 +1,92 @@
+"""How steps are costed, and which the grid allows."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from jaxurban.errors import InputError, typed
+from jaxurban.planners.cost import CostKind
+
+Diagonal = Literal["both-free", "always"]
+
+
+@typed
+@dataclass(frozen=True)
+class CostModel:
+    """How steps are costed, and which steps the grid allows: one argument, so that none of it is lost on the way.
+
+    Attributes:
+      kind: ``"cell"`` (the paper) or ``"line"`` (see `Problem`).
+      reference_length_m: ``l_0`` of the line model.
+      connectivity: 4 or 8 neighbours, for grid planners.
+      diagonal: ``"both-free"`` allows a diagonal step only where both orthogonal neighbours are free, and no path of
+        any planner between two blocked cells that touch at a corner; ``"always"`` allows either.
+
+    Raises:
+      InputError: a value that is none of these.
+    """
+
+    kind: CostKind = "cell"
+    reference_length_m: float = 5.0
+    connectivity: Literal[4, 8] = 8
+    diagonal: Diagonal = "both-free"
+
+    def __post_init__(self) -> None:
+        if self.kind not in ("cell", "line"):
+            raise InputError(f"cost_model must be 'cell' or 'line', got {self.kind!r}")
+        if self.connectivity not in (4, 8):
+            raise InputError(f"connectivity must be 4 or 8, got {self.connectivity}")
+        if self.diagonal not in ("both-free", "always"):
+            raise InputError(f"diagonal must be 'both-free' or 'always', got {self.diagonal!r}")
+        object.__setattr__(self, "reference_length_m", positive_m("reference_length_m", self.reference_length_m))
+
+    @classmethod
+    def of(cls, given: "CostModel | CostKind") -> "CostModel":
+        """Return a cost model as it is, or the one of a kind that is named."""
+        return given if isinstance(given, CostModel) else cls(given)
+
+    @classmethod
+    @typed
+    def from_settings(cls, settings: Mapping[str, Any]) -> "CostModel":
+        """Return the model that settings give under the names of `settings`; what they leave out is the default."""
+        given = {name: settings.get(name, default) for name, default in cls().settings.items()}
+        return cls(given.pop("cost_model"), **given)
+
+    @property
+    def passes_corners(self) -> bool:
+        """Whether a path may pass between two blocked cells that touch at a corner."""
+        return self.diagonal == "always"
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """The model under the names of its parts in scenarios and files, ``kind`` as ``cost_model``."""
+        parts = asdict(self)
+        return {"cost_model": parts.pop("kind"), **parts}
+
+    @property
+    def joins_corners(self) -> bool:
+        """Whether a step may pass between two blocked cells that touch at a corner."""
+        return self.connectivity == 8 and self.diagonal == "always"
+
+    def __str__(self) -> str:
+        return (
+            f"{self.kind!r} (reference length {self.reference_length_m:g} m, {self.connectivity} neighbours, "
+            f"diagonal steps {self.diagonal!r})"
+        )
+
+
+def positive_m(name: str, value: Any) -> float:
+    """Return a length as a float.
+
+    Raises:
+      InputError: it is not a positive number of metres.
+    """
+    try:
+        length_m = float(value)
+    except (TypeError, ValueError):
+        length_m = np.nan
+    if not 0 < length_m < np.inf:
+        raise InputError(f"{name} must be a positive number of metres, got {value}")
+    return length_m
