@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import geopandas as gpd
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 import shapely
@@ -163,6 +164,55 @@ def test_a_copy_without_the_column_of_boxes_that_its_metadata_name_is_read_by_it
     assert facts_of(read_buildings(BuildingFile(path), UTM, bounds_m=BOX_M)) == expected
 
 
+def change_metadata(path, change):
+    """Write a GeoParquet file again with what ``change`` returns of its "geo" metadata."""
+    table = pq.read_table(path)
+    changed = change(json.loads(table.schema.metadata[b"geo"]))
+    pq.write_table(table.replace_schema_metadata({b"geo": json.dumps(changed)}), path)
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda geo: geo | {"primary_column": "foo"},
+        lambda geo: geo | {"columns": []},
+        lambda geo: geo | {"columns": {"foo": geo["columns"]["geometry"]}, "primary_column": "foo"},
+        lambda geo: geo | {"columns": {"geometry": []}},
+        lambda geo: geo | {"columns": {"geometry": geo["columns"]["geometry"] | {"covering": {"bbox": {"xmin": [1]}}}}},
+        lambda geo: [geo],
+        lambda geo: None,
+    ],
+)
+def test_damaged_metadata_of_geoparquet_are_one_sentence_that_says_so(tmp_path, damage):
+    path = write(town(60), tmp_path / "city.parquet")
+    change_metadata(path, damage)
+    for near in (Near(BOX_M, UTM), None):
+        with pytest.raises(InputError, match=r'city\.parquet.*\(its "geo" metadata are damaged\): give a whole one'):
+            read_vector(path, near)
+
+
+@pytest.mark.parametrize("near", [Near(BOX_M, UTM), None])
+def test_heights_that_pandas_wrote_as_an_index_are_read(tmp_path, near):
+    frame = town()
+    expected = read_vector(write(frame, tmp_path / "city.parquet"), near).tags["height"]
+    indexed = read_vector(write(frame.set_index("height"), tmp_path / "covered.parquet"), near)
+    np.testing.assert_array_equal(indexed.tags["height"], expected)
+
+
+@pytest.mark.parametrize("are_most", [False, True])
+def test_features_without_a_box_in_the_covering_column_are_read_by_their_geometries(tmp_path, are_most):
+    path = write(town().to_crs(WGS84), tmp_path / "covered.parquet")
+    expected = facts_of(read_buildings(BuildingFile(path), UTM, bounds_m=BOX_M))
+    table = pq.read_table(path)
+    boxes = table["bbox"].to_pylist()
+    for k in range(len(boxes)):
+        if k % 7 == 0 or (are_most and k % 50 < 40):
+            boxes[k] = None if k % 2 else dict.fromkeys(boxes[k])
+    boxes = pa.array(boxes, table["bbox"].type)
+    pq.write_table(table.set_column(table.column_names.index("bbox"), "bbox", boxes), path, row_group_size=50)
+    assert facts_of(read_buildings(BuildingFile(path), UTM, bounds_m=BOX_M)) == expected
+
+
 def test_coordinates_beyond_the_globe_are_refused_though_those_near_are_sound(tmp_path):
     frame = town().to_crs(WGS84)
     frame = gpd.GeoDataFrame(
@@ -175,10 +225,7 @@ def test_coordinates_beyond_the_globe_are_refused_though_those_near_are_sound(tm
 @pytest.mark.parametrize("change", [{"crs": None}, {"encoding": "polygon"}])
 def test_a_geoparquet_file_that_tells_no_boxes_is_read_as_a_whole_or_refused(tmp_path, change):
     path = write(town(), tmp_path / "city.parquet")
-    table = pq.read_table(path)
-    geo = json.loads(table.schema.metadata[b"geo"])
-    geo["columns"]["geometry"] |= change
-    pq.write_table(table.replace_schema_metadata({b"geo": json.dumps(geo)}), path)
+    change_metadata(path, lambda geo: geo | {"columns": {"geometry": geo["columns"]["geometry"] | change}})
     with pytest.raises(InputError, match=r"city\.parquet"):
         read_vector(path, Near(BOX_M, UTM))
 

@@ -1,7 +1,7 @@
 """GeoParquet: the features near a region, the geometry of no other decoded."""
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Hashable, Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -9,6 +9,7 @@ from typing import Any
 
 import geopandas as gpd
 import numpy as np
+import pandas as pd
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
@@ -30,8 +31,8 @@ def read_near_parquet(
     """Return the features of a GeoParquet file near a region, in their order, and the box of all features.
 
     Boxes are those of the file's covering column, and row groups that are elsewhere by its statistics are passed over;
-    without such a column they are found in the bytes of the geometries. Batch by batch: what stays are boxes and what
-    is near.
+    without such a column, or where it holds none, they are found in the bytes of the geometries. Batch by batch: what
+    stays are boxes and what is near.
 
     Args:
       path: the file.
@@ -42,9 +43,7 @@ def read_near_parquet(
       None where boxes are not known: a file without a CRS, or of geometries that are not little-endian WKB.
     """
     with pq.ParquetFile(path, buffer_size=BUFFER_BYTES) as file:
-        geo = json.loads((file.schema_arrow.metadata or {}).get(b"geo", b"{}"))
-        geometry = geo.get("primary_column")
-        facts = geo.get("columns", {}).get(geometry, {})
+        geometry, facts = _geometry_of(file.schema_arrow)
         declared = facts.get("crs", CRS_LEFT_OUT)
         crs = pyproj.CRS.from_user_input(declared) if facts.get("encoding") == "WKB" and declared else None
         box = None if crs is None else near.box_in(crs.to_wkt())
@@ -58,9 +57,43 @@ def read_near_parquet(
         schema = pa.schema([file.schema_arrow.field(name) for name in columns], file.schema_arrow.metadata)
         rows = [batch for group in is_near for batch in features.rows(group, columns, is_near[group])]
         table = pa.Table.from_batches(rows, schema)
-    frame = table.drop_columns(geometry).to_pandas().reset_index(drop=True)
+    frame = table.drop_columns(geometry).to_pandas()
+    frame = frame.reset_index(level=_index_columns(frame)).reset_index(drop=True)
     shapes = gpd.GeoSeries.from_wkb(np.array(table[geometry]), crs=crs, index=frame.index)
     return gpd.GeoDataFrame(frame, geometry=shapes), features.extent
+
+
+def read_whole_parquet(path: str | Path) -> gpd.GeoDataFrame:
+    """Return all features of a GeoParquet file."""
+    _geometry_of(pq.read_schema(path))
+    frame = gpd.read_parquet(path)
+    return frame.reset_index(level=_index_columns(frame))
+
+
+def _geometry_of(schema: pa.Schema) -> tuple[str, dict[str, Any]]:
+    """Return the name of the column of geometries, and what the "geo" metadata say of it; empty where there are none.
+
+    Raises:
+      ValueError: damaged metadata.
+    """
+    written = (schema.metadata or {}).get(b"geo")
+    if written is None:
+        return "", {}
+    try:
+        geo = json.loads(written)
+        name = geo["primary_column"]
+        facts, bbox = geo["columns"][name], geo["columns"][name].get("covering", {}).get("bbox", {})
+        is_sound = name in schema.names and all(isinstance(part, str) for path in bbox.values() for part in path)
+    except (ValueError, LookupError, TypeError, AttributeError):
+        is_sound = False
+    if not is_sound:
+        raise ValueError('its "geo" metadata are damaged')
+    return name, facts
+
+
+def _index_columns(frame: pd.DataFrame) -> list[Hashable]:
+    """Return the columns of a file that pandas wrote as an index, and reads as one."""
+    return [name for name in frame.index.names if name is not None and name not in frame.columns]
 
 
 def _covering(file: pq.ParquetFile, facts: dict[str, Any]) -> dict[str, list[str]]:
@@ -114,26 +147,36 @@ class _Features:
 
     @cached_property
     def _stated_extents(self) -> np.ndarray:
-        """``[G, 4]`` the box of each row group by the statistics of the covering; without any it may be anywhere."""
+        """``[G, 4]`` the box of each row group by the statistics of the covering; it may be anywhere without any.
+
+        So may a feature without a box, of which they say nothing else.
+        """
         extents = np.tile([-np.inf, -np.inf, np.inf, np.inf], (self.file.num_row_groups, 1))
         for group in range(len(extents)) if self.covering else ():
             facts = self.file.metadata.row_group(group)
             columns = {facts.column(k).path_in_schema: facts.column(k).statistics for k in range(facts.num_columns)}
             stated = [columns.get(".".join(self.covering[side])) for side in SIDES]
-            known = [one for one in stated if one is not None and one.has_min_max]
+            known = [one for one in stated if one is not None and one.has_min_max and not one.null_count]
             if len(known) == len(SIDES):
                 extents[group] = [*(one.min for one in known[:2]), *(one.max for one in known[2:])]
         return extents
 
     def _read_boxes(self, group: int) -> np.ndarray:
         if not self.covering:
-            boxes = [_boxes_of(batch.column(0)) for batch in self._batches(group, [self.geometry])]
-        else:
-            paths = [self.covering[side] for side in SIDES]
-            boxes = [
-                np.stack([_numbers(pc.struct_field(batch.column(path[0]), path[1:])) for path in paths], axis=1)
-                for batch in self._batches(group, sorted({path[0] for path in paths}))
-            ]
+            return self._decode_boxes(group)
+        paths = [self.covering[side] for side in SIDES]
+        stated = [
+            np.stack([_numbers(pc.struct_field(batch.column(path[0]), path[1:])) for path in paths], axis=1)
+            for batch in self._batches(group, sorted({path[0] for path in paths}))
+        ]
+        boxes = np.concatenate([np.empty((0, 4)), *stated])
+        is_left_out = np.isnan(boxes).any(axis=1)
+        if is_left_out.any():
+            boxes[is_left_out] = self._decode_boxes(group)[is_left_out]
+        return boxes
+
+    def _decode_boxes(self, group: int) -> np.ndarray:
+        boxes = [_boxes_of(batch.column(0)) for batch in self._batches(group, [self.geometry])]
         return np.concatenate([np.empty((0, 4)), *boxes])
 
     def _batches(self, group: int, columns: list[str]) -> Iterator[pa.RecordBatch]:

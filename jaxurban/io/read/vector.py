@@ -82,7 +82,9 @@ def _read(path: str | Path, role: str, *, every_layer: bool) -> list[gpd.GeoData
         if not Path(path).exists():
             raise FileNotFoundError
         if Path(path).suffix.lower() in PARQUET_SUFFIXES:
-            frames = [gpd.read_parquet(path)]
+            from jaxurban.io.read.geoparquet import read_whole_parquet  # imported here as in `_read_near`
+
+            frames = [read_whole_parquet(path)]
         else:
             layers = [layer for layer, _ in pyogrio.list_layers(path)] if every_layer else [_polygon_layer(path, role)]
             on_invalid = "raise" if every_layer else "ignore"
