@@ -131,6 +131,16 @@ def gdal(polygons, values, grid, fill, dtype):
     return rasterize(shapes, grid.shape, fill=fill, transform=Affine.identity(), dtype=dtype)
 
 
+def test_centres_on_the_south_and_the_east_side_are_held_as_by_gdal_where_row_0_is_in_the_south():
+    grid, square = ju.Grid(CRS, 1.0, 0, 0, 6, 6), shapely.box(1.5, 1.5, 4.5, 4.5)
+    held = np.zeros((6, 6))
+    held[1:4, 2:5] = 1  # rows 1 to 4 and columns 1 to 4 have their centres in it or on its border
+    np.testing.assert_array_equal(burnt([square], [1.0], grid)[0], held)
+    np.testing.assert_array_equal(rasterize([square], (6, 6), transform=Affine.identity()), held)
+    north_up = rasterize([square], (6, 6), transform=Affine(1, 0, 0, 0, -1, 6))[::-1]
+    np.testing.assert_array_equal(north_up, np.maximum(held, np.roll(held, 1, axis=0)))
+
+
 def test_borders_through_centres_fall_as_gdal_has_them():
     rng = np.random.default_rng(2)
     grid = ju.Grid(CRS, 1.0, 0, 0, 40, 40)

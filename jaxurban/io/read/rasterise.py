@@ -68,6 +68,10 @@ class Rasters(NamedTuple):
 def rasterise(city: City, grid: Grid, all_touched: bool = False, tells_guessed: bool = False) -> Rasters:
     """Return roofs, terrain and where they are known. Every cell depends on its own place alone.
 
+    A cell whose centre lies on the south or the east side of an outline is under its roof, one on the north or the west
+    side is not: what GDAL burns where row 0 is in the south. Into rasters whose row 0 is in the north, as most files
+    are, GDAL burns those on the north side too.
+
     Args:
       city: with outlines or a height raster.
       grid: where to burn.
