@@ -34,8 +34,18 @@ def keep_programs(quiet: bool = False) -> Path | None:
     return folder
 
 
+def has_programs() -> bool:
+    """Return whether compiled programs of earlier sessions are at hand."""
+    folder = sys.modules["jax"].config.jax_compilation_cache_dir if "jax" in sys.modules else _folder_named()
+    return folder is not None and any(Path(folder).glob("*-cache"))
+
+
+def _folder_named() -> str | None:
+    return os.environ.get(FOLDER.upper())
+
+
 def _has_chosen() -> bool:
-    if os.environ.get(FOLDER.upper()):
+    if _folder_named():
         return True
     config = sys.modules["jax"].config if "jax" in sys.modules else None
     return config is not None and bool(config.jax_compilation_cache_dir or not config.jax_enable_compilation_cache)

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from jaxurban.compile_cache import has_programs
+
 FOLDER, LEAST_S = "JAX_COMPILATION_CACHE_DIR", "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"
 MAPS = """
 import logging, sys
@@ -52,6 +54,18 @@ def test_the_first_maps_of_a_session_keep_their_programs_and_tell_it_once(tmp_pa
     session(tmp_path)
     programs = {name for name in kept if name.endswith("-cache")}
     assert programs == {path.name for path in folder.iterdir() if path.name.endswith("-cache")}  # all were found
+
+
+def test_programs_are_at_hand_once_a_session_has_kept_some(tmp_path, monkeypatch):
+    monkeypatch.delitem(sys.modules, "jax")
+    monkeypatch.delenv(FOLDER, raising=False)
+    assert not has_programs()
+    monkeypatch.setenv(FOLDER, str(tmp_path / "jax"))
+    assert not has_programs()
+    (tmp_path / "jax").mkdir()
+    assert not has_programs()
+    (tmp_path / "jax" / "jit_f-0123-cache").touch()
+    assert has_programs()
 
 
 @pytest.mark.slow

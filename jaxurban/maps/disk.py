@@ -10,8 +10,9 @@ from jaxurban.errors import InputError
 from jaxurban.io.geotiff import geotiff_names
 from jaxurban.io.store import GEOTIFF_FOLDER, ZARR_FOLDER
 from jaxurban.maps.dataset import PLANE, variables
-from jaxurban.maps.memory import gib, shape_of_tiles
+from jaxurban.maps.memory import shape_of_tiles, told_bytes
 from jaxurban.maps.task import MapTask
+from jaxurban.progress import LOG
 from jaxurban.world.tiling import Tiling
 
 RASTER_BYTES = 4  # of a cell of a tile, in the work folder as it is: its roof, and as much of its terrain
@@ -85,6 +86,8 @@ def disk_bytes(tasks: Sequence[MapTask], layers: Sequence[str] = (), num_workers
 def check_disk(tasks: Sequence[MapTask], folder: Path, layers: Sequence[str] = (), num_workers: int = 1) -> int:
     """Return about how many bytes of disk a run takes at its highest; what an earlier one left there counts as free.
 
+    The log warns of a disk that is too small for them.
+
     Raises:
       InputError: the disk of ``folder`` is too small even for compressible maps.
     """
@@ -93,7 +96,13 @@ def check_disk(tasks: Sequence[MapTask], folder: Path, layers: Sequence[str] = (
     least, free = disk_bytes(tasks, layers, num_workers, LEAST_SHARE), shutil.disk_usage(folder).free
     if least > free + held:
         raise InputError(
-            f"the maps need at least {gib(least)} of disk and {gib(free)} are free in {str(folder)!r}: use a smaller "
-            "region, a coarser [region] resolution_m, or another folder"
+            f"the maps need at least {told_bytes(least)} of disk and {told_bytes(free)} are free in {str(folder)!r}: "
+            "use a smaller region, a coarser [region] resolution_m, or another folder"
         )
-    return disk_bytes(tasks, layers, num_workers)
+    about = disk_bytes(tasks, layers, num_workers)
+    if about > free + held:
+        LOG.warning(
+            f"the maps take about {told_bytes(about)} of disk and {told_bytes(free)} are free in {str(folder)!r}: the "
+            "run begins, as they may become smaller, but may end for want of space; the same command then goes on"
+        )
+    return about

@@ -66,8 +66,10 @@ def parse_bytes(text: str, name: str = "memory") -> int:
     return int(float(match[1]) * UNITS[match[2].upper()])
 
 
-def gib(num_bytes: float) -> str:
+def told_bytes(num_bytes: float) -> str:
     """Return a size as people read it."""
+    if num_bytes < 2**30:
+        return f"{num_bytes / 2**20:.0f} MiB" if num_bytes >= 2**20 else "less than 1 MiB"
     return f"{num_bytes / 2**30:.1f} GiB" if num_bytes < 10 * 2**30 else f"{num_bytes / 2**30:,.0f} GiB"
 
 
@@ -212,12 +214,14 @@ class MemoryPlan:
     Attributes:
       ceiling_bytes: memory of all processes together.
       needed_bytes: the estimate for ``num_workers``.
-      num_workers: tiles worked on at a time.
+      num_workers: tiles worked on at a time, if there are so many; and GeoTIFFs.
+      num_at_once: tiles worked on at a time, which are no more than there are.
     """
 
     ceiling_bytes: int
     needed_bytes: int
     num_workers: int
+    num_at_once: int
 
 
 def free_bytes() -> int:
@@ -241,8 +245,9 @@ def check_fits(task: MapTask) -> int:
     if needed > free:
         raise InputError(
             f"the maps of {region.num_rows:,} x {region.num_cols:,} cells of {region.resolution_m:g} m need about "
-            f"{gib(needed)} of memory at once and {gib(free)} are free: choose a smaller region, a coarser "
-            "resolution_m or a shorter lidar range_m, or make them with `jaxurban maps`, which works tile by tile"
+            f"{told_bytes(needed)} of memory at once and {told_bytes(free)} are free: choose a smaller region, a "
+            "coarser resolution_m or a shorter lidar range_m, or make them with `jaxurban maps`, which works tile by "
+            "tile"
         )
     return psutil.Process().memory_info().rss + needed
 
@@ -276,13 +281,14 @@ def plan_memory(
     if fitting < least:
         remedy = "fewer --workers" if num_processes > 1 else "a coarser [region] resolution_m"
         raise InputError(
-            f"this job needs about {gib(base + per_tile_bytes * least)} of memory and may take {gib(ceiling_bytes)}: "
-            f"raise --memory, or choose {remedy}, a shorter [lidar] range_m or [risk] threshold_m, or fewer altitudes "
-            "or times"
+            f"this job needs about {told_bytes(base + per_tile_bytes * least)} of memory and may take "
+            f"{told_bytes(ceiling_bytes)}: raise --memory, or choose {remedy}, a shorter [lidar] range_m or [risk] "
+            "threshold_m, or fewer altitudes or times"
         )
     num = min(num_workers, fitting) // least * least
-    at_once = num if num_tiles is None else min(num, max(num_tiles, least))
-    return MemoryPlan(ceiling_bytes, int(base + at_once * per_tile_bytes), num)
+    num_tiles = num if num_tiles is None else num_tiles
+    needed_bytes = int(base + min(num, max(num_tiles, least)) * per_tile_bytes)
+    return MemoryPlan(ceiling_bytes, needed_bytes, num, min(num, num_tiles))
 
 
 def plan_run(
@@ -328,8 +334,8 @@ def _fitting_on_gpus(per_tile_bytes: int, num_workers: int, gpus: Sequence[Gpu])
     free = min(known)
     if per_tile_bytes > free:
         raise InputError(
-            f"a tile needs about {gib(per_tile_bytes)} of the GPU's memory and {gib(free)} are free: end what else "
-            "uses it, choose a shorter [lidar] range_m or fewer altitudes or times, or take --device cpu"
+            f"a tile needs about {told_bytes(per_tile_bytes)} of the GPU's memory and {told_bytes(free)} are free: end "
+            "what else uses it, choose a shorter [lidar] range_m or fewer altitudes or times, or take --device cpu"
         )
     return min(num_workers, int(free // per_tile_bytes) * max(1, len(gpus)))
 
@@ -337,10 +343,11 @@ def _fitting_on_gpus(per_tile_bytes: int, num_workers: int, gpus: Sequence[Gpu])
 def plan_sentence(tasks: Sequence[MapTask], plan: MemoryPlan, disk_bytes: int, duration: str) -> str:
     """Return what a run tells of its size, memory, disk and duration before it begins."""
     cells = sum(_num_cells(task.region) for task in tasks)
-    disk = "less than 0.1 GiB of disk" if disk_bytes < 0.1 * 2**30 else f"about {gib(disk_bytes)} of disk"
+    disk = f"{'about ' * (disk_bytes >= 2**20)}{told_bytes(disk_bytes)} of disk"
     if not plan.ceiling_bytes:
         return f"{cells:,} cells on a Dask cluster: {disk}"
     return (
-        f"{cells:,} cells, {plan.num_workers} tile{'s' * (plan.num_workers > 1)} at a time: about "
-        f"{gib(plan.needed_bytes)} of memory at most, of {gib(plan.ceiling_bytes)} allowed, {disk}, {duration}"
+        f"{cells:,} cells, {plan.num_at_once} tile{'s' * (plan.num_at_once > 1)} at a time: about "
+        f"{told_bytes(plan.needed_bytes)} of memory at most, of {told_bytes(plan.ceiling_bytes)} allowed, "
+        f"{disk}, {duration}"
     )

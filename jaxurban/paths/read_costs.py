@@ -9,7 +9,7 @@ import psutil
 
 from jaxurban.errors import InputError
 from jaxurban.maps.levels import values_at
-from jaxurban.maps.memory import gib
+from jaxurban.maps.memory import told_bytes
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.paths.constraints import Constraints
 
@@ -52,6 +52,7 @@ def check_memory(shape: tuple[int, int, int]) -> None:
     needed, free = math.prod(shape) * NODE_BYTES, psutil.virtual_memory().available
     if needed > free:
         raise InputError(
-            f"a volume of {shape[0]} levels of {shape[1]} x {shape[2]} cells takes up to {gib(needed)} of memory and "
-            f"{gib(free)} are free: choose a longer level_step_m, closer altitude bounds, or coarser maps"
+            f"a volume of {shape[0]} levels of {shape[1]} x {shape[2]} cells takes up to {told_bytes(needed)} of "
+            f"memory and {told_bytes(free)} are free: choose a longer level_step_m, closer altitude bounds, or "
+            "coarser maps"
         )

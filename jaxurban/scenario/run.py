@@ -12,6 +12,7 @@ from typing import Any
 import dask.array
 import numpy as np
 
+from jaxurban.compile_cache import has_programs
 from jaxurban.errors import InputError
 from jaxurban.io import store
 from jaxurban.io.chunks import Each
@@ -181,7 +182,7 @@ def _run(
     scenario: Scenario, folder: Path, overwrite: bool, resources: Resources, layers: Sequence[str], report: Report
 ) -> ScenarioRun:
     started_utc = datetime.now(UTC).isoformat(timespec="seconds")
-    watch = Stopwatch(on_stage=report)
+    watch, compiles = Stopwatch(on_stage=report), not has_programs()  # asked before a city is generated, which compiles
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", UserWarning)
         inputs = hash_inputs(scenario)
@@ -199,13 +200,13 @@ def _run(
         guesses = map_guesses(tasks[0])
         warn_of(guesses, known=tasks[0].city.guesses)
         check_writable(folder)
-        plan = MemoryPlan(0, 0, num_cores())  # the machines of a cluster are not ours to measure
+        plan = MemoryPlan(0, 0, num_cores(), num_cores())  # the machines of a cluster are not ours to measure
         if resources.cluster is None:
             at_most = resources.num_workers, resources.num_processes or 0, resources.gpus
             plan = plan_run(tasks, resources.memory_bytes, *at_most)
         disk_bytes = check_disk(tasks, folder, layers, plan.num_workers)
-        duration_s = foretold_s(tasks, layers, min(plan.num_workers, num_cores()))
-        LOG.info(plan_sentence(tasks, plan, disk_bytes, told(duration_s)))
+        duration_s = foretold_s(tasks, layers, min(plan.num_at_once, num_cores()))
+        LOG.info(plan_sentence(tasks, plan, disk_bytes, told(duration_s, compiles)))
         if added is not None and has_other_maps(folder, key):
             LOG.info(f"adding to the maps in {str(folder)!r}, which are kept: {added.what}")
         # Nothing of an older job is touched before this one can begin.

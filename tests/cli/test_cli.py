@@ -207,7 +207,7 @@ def test_bad_scenarios_are_one_sentence_and_exit_two(tmp_path, capsys, old, new,
     ("options", "words"),
     [
         (("--memory", "much"), ("4GiB", "much")),
-        (("--memory", "100MiB"), ("raise --memory", "0.1 GiB", "resolution_m")),
+        (("--memory", "100MiB"), ("raise --memory", "100 MiB", "resolution_m")),
         (("--workers", 0), ("--workers", "at least 1")),
         (("--workers", 2, "--memory", "1GiB"), ("raise --memory", "fewer --workers")),
         (("--workers", 2, "--cluster", "tcp://localhost:8786"), ("not both",)),

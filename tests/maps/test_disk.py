@@ -1,5 +1,6 @@
 """What a run says of its disk beforehand, against what lies there."""
 
+import re
 import shutil
 from collections import namedtuple
 from dataclasses import replace
@@ -53,6 +54,16 @@ def test_finer_maps_more_altitudes_and_layers_take_more(task):
     higher = replace(task, params=replace(task.params, altitudes_m=(20.0, 60.0, 122.0)))
     assert disk.disk_bytes([higher]) > least
     assert least < disk.disk_bytes([task, task]) < 2 * least
+
+
+def test_a_disk_with_room_for_the_least_but_not_for_what_is_foretold_is_warned_of(task, tmp_path, monkeypatch, caplog):
+    about = disk.disk_bytes([task])
+    monkeypatch.setattr(shutil, "disk_usage", lambda folder: Usage(0, 0, about))
+    disk.check_disk([task], tmp_path)
+    assert not caplog.records
+    monkeypatch.setattr(shutil, "disk_usage", lambda folder: Usage(0, 0, about - 1))
+    disk.check_disk([task], tmp_path)
+    assert re.search(r"about \d+ MiB of disk and \d+ MiB are free", caplog.text)
 
 
 def test_a_disk_too_small_for_the_least_is_refused_and_old_maps_count_as_free(task, tmp_path, monkeypatch):

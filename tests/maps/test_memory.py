@@ -15,7 +15,15 @@ from affine import Affine
 import jaxurban as ju
 from jaxurban.errors import InputError
 from jaxurban.maps import memory
-from jaxurban.maps.memory import parse_bytes, plan_memory, shape_of_tiles, tile_bytes
+from jaxurban.maps.memory import (
+    parse_bytes,
+    plan_memory,
+    plan_run,
+    plan_sentence,
+    shape_of_tiles,
+    tile_bytes,
+    told_bytes,
+)
 from jaxurban.maps.metric_maps import open_maps
 from jaxurban.maps.task import MapParams, MapTask
 from jaxurban.metrics.gps import GpsParams
@@ -44,6 +52,23 @@ def test_as_many_tiles_at_a_time_as_fit():
     assert plan.needed_bytes <= plan.ceiling_bytes
     each = 2 * GIB
     assert plan_memory(plan.needed_bytes + int(1.5 * each), each, 8).num_workers == 1
+
+
+@pytest.mark.parametrize(
+    ("num_bytes", "said"),
+    [(1, "less than 1 MiB"), (90 * 2**20, "90 MiB"), (1.26 * GIB, "1.3 GiB"), (2000 * GIB, "2,000 GiB")],
+)
+def test_sizes_are_told_as_people_read_them(num_bytes, said):
+    assert told_bytes(num_bytes) == said
+
+
+def test_no_more_tiles_at_a_time_are_told_than_there_are():
+    city, region = ju.demo_city(700, 700), ju.Grid("EPSG:32618", 2.0, 0, 0, 300, 300)
+    task = MapTask(city, region, Sky(("",), (), np.empty((1, 0)), np.empty((1, 0)), (), np.empty((1, 0))), MapParams())
+    plan = plan_run([task], None, 2)
+    assert (plan.num_workers, plan.num_at_once) == (2, 1)  # two threads write GeoTIFFs
+    assert "90,000 cells, 1 tile at a time" in plan_sentence([task], plan, GIB, "a few seconds")
+    assert plan_run([replace(task, region=replace(region, num_rows=3000))], None, 2).num_at_once == 2
 
 
 def test_a_job_that_cannot_fit_is_refused_naming_the_knob():
