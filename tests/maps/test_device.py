@@ -210,7 +210,7 @@ def test_the_command_plans_its_workers_by_the_memory_of_their_gpus(two_gpus, tmp
     assert code == 2
     assert "2 worker processes, each with a GPU of its own" in told
     assert "3 were asked for" in told
-    assert "of the GPU's memory and 0.0 GiB are free" in error
+    assert "of the GPU's memory and less than 1 MiB are free" in error
 
 
 def own_device() -> tuple[str, int]:

@@ -188,7 +188,7 @@ def told_and_peak(tmp_path, sections, cell_m, threshold_m=10):
     )
     arguments = ["maps", tmp_path / "fine.toml", "-o", tmp_path / "out"]
     done = subprocess.run([sys.executable, "-c", PEAK, *arguments], capture_output=True, text=True, check=True)
-    told = float(re.search(r"about ([\d.]+) GiB of memory at most", done.stderr)[1]) * GIB
+    told = parse_bytes(re.search(r"about ([\d.]+ [GM]iB) of memory at most", done.stderr)[1])
     return told, int(done.stdout.split()[-1]) * 1024
 
 
