@@ -13,7 +13,7 @@ from jaxurban.kernels.compiled import compiled
 from jaxurban.kernels.distance.exact import window_cells
 
 BLOCK = (512, 192)  # cells together: their squared distances along the rows fit a core's second cache
-AT_ONCE = 4  # offsets looked at in one go over a row
+AT_ONCE = 5  # offsets looked at in one go over a row
 
 
 def distance_on_host(
@@ -58,11 +58,15 @@ def _fill(distance_m, source_m2, run_m2, halo, cap_m, cap_m2):
                 if of_row < 0 or of_row >= source_m2.shape[0]:
                     along[i] = cap_m2
                     continue
-                _pad(padded, source_m2[of_row], col + halo - window)
-                _along_row(along[i], padded, run_m2, cap_m2)
+                first = col + halo - window
+                if first >= 0 and first + len(padded) <= source_m2.shape[1]:
+                    _along_row(along[i], source_m2[of_row][first : first + len(padded)], run_m2, cap_m2)
+                else:
+                    _pad(padded, source_m2[of_row], first)
+                    _along_row(along[i], padded, run_m2, cap_m2)
             for i in range(num_rows):
                 _along_columns(nearest, along[i:], run_m2)
-                _root(distance_m[row + i, col : col + BLOCK[1]], nearest, cap_m, cap_m2)
+                _root(distance_m[row + i][col : col + BLOCK[1]], nearest, cap_m, cap_m2)
 
 
 @compiled(nogil=True)
@@ -106,14 +110,15 @@ def _along_row(nearest, padded, run_m2, cap_m2):
     for k in range(1, len(run_m2), AT_ONCE):
         if not _is_any_farther(nearest, run_m2[k]):
             break
-        first, last = padded[at - k - 3 : at - k + num], padded[at + k : at + k + 3 + num]
-        a, b, c, d = run_m2[k], run_m2[k + 1], run_m2[k + 2], run_m2[k + 3]
+        first, last = padded[at - k - 4 : at - k + num], padded[at + k : at + k + 4 + num]
+        a, b, c, d, e = run_m2[k], run_m2[k + 1], run_m2[k + 2], run_m2[k + 3], run_m2[k + 4]
         for j in range(num):
-            one = min(first[j + 3], last[j]) + a
-            two = min(first[j + 2], last[j + 1]) + b
-            three = min(first[j + 1], last[j + 2]) + c
-            four = min(first[j], last[j + 3]) + d
-            nearest[j] = min(nearest[j], min(min(one, two), min(three, four)))
+            one = min(first[j + 4], last[j]) + a
+            two = min(first[j + 3], last[j + 1]) + b
+            three = min(first[j + 2], last[j + 2]) + c
+            four = min(first[j + 1], last[j + 3]) + d
+            five = min(first[j], last[j + 4]) + e
+            nearest[j] = min(min(nearest[j], five), min(min(one, two), min(three, four)))
 
 
 @compiled(nogil=True)
@@ -130,10 +135,13 @@ def _along_columns(nearest, along, run_m2):
     for k in range(1, len(run_m2), AT_ONCE):
         if not _is_any_farther(nearest, run_m2[k]):
             break
-        up_1, up_2, up_3, up_4 = along[at + k], along[at + k + 1], along[at + k + 2], along[at + k + 3]
-        down_1, down_2, down_3, down_4 = along[at - k], along[at - k - 1], along[at - k - 2], along[at - k - 3]
-        a, b, c, d = run_m2[k], run_m2[k + 1], run_m2[k + 2], run_m2[k + 3]
+        up_1, up_2, up_3 = along[at + k], along[at + k + 1], along[at + k + 2]
+        up_4, up_5 = along[at + k + 3], along[at + k + 4]
+        down_1, down_2, down_3 = along[at - k], along[at - k - 1], along[at - k - 2]
+        down_4, down_5 = along[at - k - 3], along[at - k - 4]
+        a, b, c, d, e = run_m2[k], run_m2[k + 1], run_m2[k + 2], run_m2[k + 3], run_m2[k + 4]
         for j in range(num):
             one, two = min(down_1[j], up_1[j]) + a, min(down_2[j], up_2[j]) + b
             three, four = min(down_3[j], up_3[j]) + c, min(down_4[j], up_4[j]) + d
-            nearest[j] = min(nearest[j], min(min(one, two), min(three, four)))
+            five = min(down_5[j], up_5[j]) + e
+            nearest[j] = min(min(nearest[j], five), min(min(one, two), min(three, four)))
