@@ -2,6 +2,9 @@
 
 GDAL takes files named ``.ovr`` after another as its overviews. So the map and each of its overviews are written once as
 plain files, and its COG driver has only to lay them out and to compress them: its own overviews take twice that time.
+
+Every block is written whole and once. GDAL's cache, which threads share, writes blocks that are not full yet, and parts
+of those that are filled later were lost.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
