@@ -37,9 +37,15 @@ def paused_collector() -> Iterator[None]:
 def _freeze() -> None:
     if _take_up not in gc.callbacks:
         gc.callbacks.append(_take_up)
-        atexit.register(gc.callbacks.remove, _take_up)
+        atexit.register(_leave)
     gc.freeze()
     _Frozen.num = gc.get_freeze_count()
+
+
+def _leave() -> None:
+    """Let the last search of a process go without what `_freeze` left out."""
+    if _take_up in gc.callbacks:  # the user may have emptied the list
+        gc.callbacks.remove(_take_up)
 
 
 def _take_up(phase: str, info: dict[str, int]) -> None:
