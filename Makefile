@@ -9,7 +9,7 @@ RAN := out/notebooks/.ran
 CUDA_PIP := $(CUDA_VENV)/bin/python -m pip --disable-pip-version-check -q
 CUDA_COMPILER := jax-cuda13-plugin jax-cuda13-pjrt nvidia-cuda-nvcc nvidia-nvvm nvidia-cuda-runtime nvidia-nvjitlink
 
-.PHONY: demo test test-slow test-long test-docs campaign lint wheel notebooks figures bench bench-gpu cuda-compile docs clean
+.PHONY: demo test test-slow test-docs campaign lint wheel notebooks figures bench bench-gpu cuda-compile docs clean
 
 demo: $(VENV)/.run
 	$(BIN)/jaxurban demo -o out/demo --overwrite
@@ -18,29 +18,9 @@ demo: $(VENV)/.run
 test: $(VENV)/.dev
 	$(BIN)/python -m pytest -n 2 --dist loadfile
 
+# All tests that are marked slow, by the marker alone: tests/test_suite.py holds that `.ci/run` runs each.
 test-slow: $(VENV)/.dev
-	$(BIN)/python -m pytest -m slow
-
-test-long: $(VENV)/.dev
-	$(BIN)/python -m pytest -n 2 --dist loadfile -m slow tests/test_damage.py tests/paths/test_cost_model.py \
-	  tests/maps/test_own_layers.py tests/test_toy_metric.py tests/studies/test_buildings.py tests/cli/test_cli.py \
-	  tests/test_manhattan.py tests/metrics/test_gps_embree.py tests/planners/test_walls.py tests/io/test_knownarea.py \
-	  tests/kernels/test_lidar.py tests/metrics/soft/test_lidar.py tests/studies/test_sensitivity_study.py \
-	  tests/maps/test_device.py tests/maps/test_held.py tests/scenario/test_additions.py tests/report/test_run_tuning.py \
-	  tests/report/test_map_comparison.py tests/io/test_burn.py tests/report/test_figures.py \
-	  tests/kernels/test_shadow_doubling.py tests/metrics/test_lidar_embree.py tests/studies/test_montecarlo.py \
-	  tests/io/test_hanging.py tests/metrics/soft/test_gps.py tests/metrics/soft/test_risk.py tests/metrics/test_risk.py \
-	  tests/studies/test_sensitivity.py tests/maps/test_pipeline.py tests/kernels/test_cost_to_go.py \
-	  tests/test_compile_cache.py tests/kernels/test_sample_graph.py tests/kernels/test_dop_clocks.py \
-	  tests/metrics/test_gps_clocks.py tests/test_clocks_page.py tests/maps/test_protection.py tests/maps/test_slabs.py \
-	  tests/metrics/test_protection_sidereon.py tests/report/test_receiver.py tests/studies/test_receiver.py \
-	  tests/test_receiver_page.py tests/world/test_grid.py tests/kernels/test_distance.py tests/world/test_synthetic.py \
-	  tests/planners/test_bitstar_batched.py tests/maps/test_supersampling.py tests/scenario/test_run.py \
-	  tests/viewer/test_page.py tests/viewer/test_widget.py tests/viewer/test_study.py tests/cli/test_view.py \
-	  tests/planners/test_batch.py::test_a_sample_of_movingai_is_optimal_in_jax \
-	  tests/planners/test_batch.py::test_the_frontier_is_exact_for_every_band_on_many_maps_at_once \
-	  tests/maps/test_tiled.py::test_kill_9_of_the_run_loses_no_finished_tile_and_changes_no_byte \
-	  tests/maps/test_tiled.py::test_kill_9_of_a_worker_costs_only_its_tile
+	$(BIN)/python -m pytest -n 2 --dist loadfile -m slow
 
 # Some 1,300 hostile inputs and 60 kills: half an hour. PART and KILLS make it less.
 campaign: $(VENV)/.dev

@@ -28,7 +28,7 @@ from tests.cli_runs import run
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 BLOCK = re.compile(r"^( *)```([\w-]*)[^\n]*\n(.*?)^\1```[ \t]*$", re.MULTILINE | re.DOTALL)
-LONG_PAGES = {  # of `make test-docs`
+LONG_PAGES = {  # marked slow
     *("docs/reference/api.md", "docs/sensitivity.md", "docs/study.md", "docs/tuning.md", "docs/tutorial.md"),
     *("docs/howto/own_city.md", "docs/howto/own_layer.md", "docs/howto/batches.md", "docs/howto/compare.md"),
     *("docs/howto/one_function.md", "docs/howto/receiver.md"),
