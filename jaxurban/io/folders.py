@@ -247,21 +247,18 @@ def _is_of(folder: Path, resolution_m: float, key: str) -> bool:
     return False
 
 
-def has_other_maps(folder: Path, *keys: str) -> bool:
-    """Return whether a folder holds maps of other settings or inputs than those of the runs of these keys."""
-    return not all(
-        any(_is_of(folder, resolution_m, key) for key in keys) for resolution_m in store.stored_resolutions(folder)
-    )
+def has_other_maps(folder: Path, key: str) -> bool:
+    """Return whether a folder holds maps of other settings or inputs than those of the run of a key."""
+    return not all(_is_of(folder, resolution_m, key) for resolution_m in store.stored_resolutions(folder))
 
 
-def prepare_folder(folder: Path, key: str, resolutions_m: Iterable[float], before: str | None = None) -> None:
+def prepare_folder(folder: Path, key: str, resolutions_m: Iterable[float]) -> None:
     """Make the output folder ready: remove another job's maps, sweep what a killed run left but for its tiles.
 
     Args:
       folder: of the maps.
       key: of the job.
       resolutions_m: of its maps.
-      before: key of the maps that the job adds to, which stay.
 
     Raises:
       InputError: a file is where a folder of maps belongs.
@@ -272,16 +269,8 @@ def prepare_folder(folder: Path, key: str, resolutions_m: Iterable[float], befor
     unfinished = [resolution_m for resolution_m in resolutions_m if stored_key(folder, resolution_m) != key]
     kept = [store.work_path(folder, resolution_m) for resolution_m in unfinished]
     sweep_scraps(folder, folder / store.ZARR_FOLDER, folder / store.GEOTIFF_FOLDER, keep=kept)
-    if has_other_maps(folder, key, *([] if before is None else [before])):
+    if has_other_maps(folder, key):
         store.remove_maps(folder)
-
-
-def remove_geotiffs_of(folder: Path, key: str) -> None:
-    """Remove the GeoTIFFs and styles of the run of a key, which another run has replaced by others of other names."""
-    for file in (folder / store.GEOTIFF_FOLDER).glob("*.*"):
-        with suppress(OSError), file.open("rb") as stream:
-            if file.suffix in (".tif", ".qml") and key.encode() in stream.read(HEAD_BYTES):
-                remove(file)
 
 
 def broken_files(folder: Path, resolution_m: float, each: Each = map) -> list[Path]:

@@ -4,7 +4,7 @@ A region in memory is one tile; a tiled run does many of the same; spreads by un
 whose roofs have moved. Who runs it, and where the layers go, is the caller's.
 """
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -52,14 +52,12 @@ class TileScene:
       task: what the maps are made of.
       surface: roofs, terrain and blocks of the tile (``surface.region``) and of what its metrics look at around it.
       rings: what the tiles around hand on, by time and satellite; None where the surface holds all that shadows.
-      held: metrics and places along their dims whose maps are there already and not made again.
       totals: the tile's sums over free cells by metric, where statistics over time are kept; `tile_maps` fills it.
     """
 
     task: MapTask
     surface: Surface
     rings: Mapping[tuple[int, int], Ring] | None = None
-    held: Collection[tuple[str, tuple[int, ...]]] = ()
     totals: dict[str, TimeTotals] = field(default_factory=dict, init=False)
     _seen: dict[int, tuple[SatelliteSet, jax.Array]] = field(default_factory=dict, init=False, repr=False)
     _met: dict[float, tuple[Surface, Surface | None]] = field(default_factory=dict, init=False, repr=False)
@@ -117,10 +115,7 @@ class TileScene:
         return self._met[altitude_m]
 
     def view(self, time_index: int) -> tuple[SatelliteSet, jax.Array]:
-        """Return the satellites of a time, made ready, and the visibility words ``[W, A, y, x]``; keeps the last.
-
-        At the altitudes `altitudes_made`.
-        """
+        """Return the satellites of a time, made ready, and the visibility words ``[W, A, y, x]``; keeps the last."""
         if time_index not in self._seen:
             self.keep(time_index, jax.block_until_ready(self._words(time_index)))
         return self._seen[time_index]
@@ -137,16 +132,13 @@ class TileScene:
 
     def _words(self, time_index: int) -> jax.Array:
         angles = self.task.angles(time_index)
-        altitudes_m = np.asarray(self.task.params.altitudes_m)[self._made_at(time_index)]
+        altitudes_m = np.asarray(self.task.params.altitudes_m)
         if self.supersampled is not None:
             return visibility_at_centres(self._bands, *angles, altitudes_m)
         rings = None
         if self.rings is not None:
             rings = [self.rings[time_index, int(s)] for s in self.task.satellites_at(time_index)]
         return visibility(self.surface, *angles, altitudes_m, rings)
-
-    def _made_at(self, time_index: int) -> list[int]:
-        return altitudes_made(self.task, self.held, time_index)
 
     def at(self, metric: Metric, place: tuple[int, ...], only_m: bool = False) -> Scene:
         """Return what a metric may look at, at one place along its dims; ``only_m``: for m and nothing else."""
@@ -164,7 +156,7 @@ class TileScene:
         if (t := index.get(TIME)) is not None:
             assert a is not None
             satellites, words = self.view(t)
-            words = _at(words, self._made_at(t).index(a))
+            words = _at(words, a)
             scene = replace(scene, satellites=satellites, in_view=self.task.in_view(t), words=words)
         if metric.name in self.task.bands:
             values = layer_values(self.task.bands[metric.name], self.surface.region, self.task.region, a)
@@ -177,15 +169,6 @@ def _roofs_and_obstacles(roof: Part, altitudes_m: jax.Array) -> tuple[jax.Array,
     """Return a part of the roofs, and at which cells they reach each altitude."""
     roof_m = roof.cut()
     return roof_m, list(obstacle_mask(roof_m, altitudes_m))
-
-
-def altitudes_made(task: MapTask, held: Collection[tuple[str, tuple[int, ...]]], time_index: int) -> list[int]:
-    """Return the numbers of the altitudes at which anything is made that looks at the satellites of a time."""
-    numbers = list(range(task.sizes[ALTITUDE]))
-    if not held or task.params.gps_bounds:  # bounds are made at all of them
-        return numbers
-    seeing = [metric.name for metric in task.metrics.values() if metric.dims == (TIME, ALTITUDE)]
-    return [a for a in numbers if any((name, (time_index, a)) not in held for name in seeing)]
 
 
 @jax.jit
@@ -250,8 +233,6 @@ def _maps(tile: TileScene, metric: Metric, only_m: bool = False) -> Iterator[Map
     """Yield the maps of a metric, place by place along its dims; ``only_m``: without its further variables."""
     settings = tile.task.settings_of(metric)
     for place in np.ndindex(*(tile.task.sizes[dim] for dim in metric.dims)):
-        if (metric.name, place) in tile.held:
-            continue
         for name, values in _set_out(metric.compute(tile.at(metric, place, only_m), settings)).items():
             yield MapLayer(name, place, values)
 

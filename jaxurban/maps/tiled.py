@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +13,7 @@ from jaxurban.io.folders import WorkFolder
 from jaxurban.io.read.rasterise import rasterise, rasterise_blocks
 from jaxurban.io.store import write_layer
 from jaxurban.kernels.shadows.sweep import Ring, digital_lines
-from jaxurban.maps.held import HeldMaps
-from jaxurban.maps.recipe import TileScene, altitudes_made, tile_maps
+from jaxurban.maps.recipe import TileScene, tile_maps
 from jaxurban.maps.stopwatch import Stopwatch
 from jaxurban.maps.task import MapTask
 from jaxurban.metrics.visibility import handed_on
@@ -34,13 +32,11 @@ class TileJob:
       task: what the maps are made of.
       work: where steps leave their results for each other.
       tiling: the tiles.
-      held: maps that are there already; None where all are made.
     """
 
     task: MapTask
     work: WorkFolder
     tiling: Tiling
-    held: HeldMaps | None = None
 
     @cached_property
     def order(self) -> dict[Quadrant, list[tuple[int, int]]]:
@@ -48,15 +44,11 @@ class TileJob:
         order: dict[Quadrant, list[tuple[int, int]]] = {quadrant: [] for quadrant in QUADRANTS}
         if self.task.params.oversample > 1:  # supersampled surfaces look beyond the tile: nothing is handed on
             return order
-        for t in filter(self.makes_time, range(self.task.num_times)):
+        for t in range(self.task.num_times):
             for s in self.task.satellites_at(t):
                 azimuth_rad = self.task.sky.azimuth_rad[t, s]
                 order[quadrant_of(np.sin(azimuth_rad), np.cos(azimuth_rad))].append((t, int(s)))
         return order
-
-    def makes_time(self, time_index: int) -> bool:
-        """Return whether anything is made that looks at the satellites of a time."""
-        return bool(altitudes_made(self.task, self.held.places if self.held else (), time_index))
 
     def haloed(self, tile: Tile) -> Grid:
         """Return the grid of a tile and the halo that its lidar and risk maps look at."""
@@ -183,17 +175,13 @@ def finish_tile(job: TileJob, tile: Tile) -> dict[str, Any]:
             for quadrant in QUADRANTS
             for seen, ring in zip(job.order[quadrant], _rings(job, tile, quadrant), strict=True)
         }
-    held = job.held
-    scene, window = TileScene(job.task, surface, rings, held.places if held else ()), job.tiling.reported(tile)
+    scene, window = TileScene(job.task, surface, rings), job.tiling.reported(tile)
     is_inside = np.asarray(scene.is_obstacle)
     if scene.has_data is not None:
         is_inside = is_inside & scene.has_data
-    rows, cols = (part.stop - part.start for part in window)
-    reported = is_inside[:, is_inside.shape[1] - rows :, :cols]  # what is held has no cell beyond the region
-    new = ((layer, is_inside) for layer in tile_maps(scene, watch.stage))
-    for layer, inside in chain(new, ((layer, reported) for layer in held.layers(window)) if held else ()):
+    for layer in tile_maps(scene, watch.stage):
         with watch.stage("write_zarr"):
-            write_layer(job.work.zarr, layer.name, layer.place, window, layer.values, inside)
+            write_layer(job.work.zarr, layer.name, layer.place, window, layer.values, is_inside)
     facts = {"totals": {metric: totals.facts for metric, totals in scene.totals.items()}}
     job.work.mark_done(name, facts)
     return {**facts, "seconds": watch.elapsed_s}

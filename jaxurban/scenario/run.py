@@ -6,18 +6,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import partial
+from itertools import count
 from pathlib import Path
 from typing import Any
 
 import dask.array
-import numpy as np
 
 from jaxurban.compile_cache import has_programs
 from jaxurban.errors import InputError
 from jaxurban.io import store
 from jaxurban.io.chunks import Each
 from jaxurban.io.files import check_writable, only_writer, sweep_scraps
-from jaxurban.io.folders import WorkFolder, broken_files, has_other_maps, prepare_folder, remove_geotiffs_of, stored_key
+from jaxurban.io.folders import WorkFolder, broken_files, has_other_maps, prepare_folder, stored_key
 from jaxurban.io.geotiff import geotiff_names, stale_geotiffs, write_geotiffs
 from jaxurban.io.layers import bands_of
 from jaxurban.io.read.city import BuildingFile, CensusFiles, read_city
@@ -36,7 +36,6 @@ from jaxurban.maps.executors import (
     work_in_threads,
     work_on_cluster,
 )
-from jaxurban.maps.held import HeldMaps
 from jaxurban.maps.memory import MemoryPlan, plan_run, plan_sentence, shape_of_tiles
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.maps.stopwatch import Stage, Stopwatch, untimed
@@ -45,7 +44,6 @@ from jaxurban.maps.tiled import TileJob, unmark_damaged
 from jaxurban.metrics.availability import TimeTotals
 from jaxurban.metrics.registry import METRICS
 from jaxurban.progress import LOG, Progress, Report, reporting
-from jaxurban.scenario.additions import Addition, addition_to
 from jaxurban.scenario.provenance import hash_inputs, other_maps, run_key, run_record, write_record
 from jaxurban.scenario.settings import NOMINAL, Scenario
 from jaxurban.world.city import City
@@ -187,12 +185,10 @@ def _run(
         warnings.simplefilter("always", UserWarning)
         inputs = hash_inputs(scenario)
         key = run_key(scenario, inputs, resources.backend)
-        added = None if overwrite else addition_to(folder, scenario, inputs, resources.backend)
-        before = None if added is None else added.key
-        if has_other_maps(folder, key, *([] if before is None else [before])) and not overwrite:
+        if has_other_maps(folder, key) and not overwrite:
             raise InputError(
-                f"{str(folder)!r} holds {other_maps(folder, scenario, inputs)}: choose another folder, or pass "
-                "--overwrite to replace them"
+                f"{str(folder)!r} holds {other_maps(folder, scenario, inputs)}: make these in another folder "
+                f"(jaxurban maps SCENARIO -o {_unused(folder)}), or pass --overwrite to replace them"
             )
         tasks = tasks_of(scenario, watch.stage)
         held = [name for name, (dims, _) in variables(tasks[0]).items() if dims[-2:] == PLANE]
@@ -207,16 +203,12 @@ def _run(
         disk_bytes = check_disk(tasks, folder, layers, plan.num_workers)
         duration_s = foretold_s(tasks, layers, min(plan.num_at_once, num_cores()))
         LOG.info(plan_sentence(tasks, plan, disk_bytes, told(duration_s, compiles)))
-        if added is not None and has_other_maps(folder, key):
-            LOG.info(f"adding to the maps in {str(folder)!r}, which are kept: {added.what}")
         # Nothing of an older job is touched before this one can begin.
         with only_writer(folder), resources.client(plan.num_workers) as client:
-            prepare_folder(folder, key, scenario.region.resolution_m, before)
+            prepare_folder(folder, key, scenario.region.resolution_m)
             tasks = [replace(task, guesses=guesses) for task in tasks]
-            makers = [Maker(task, folder, key, plan.num_workers, client, tuple(layers), added) for task in tasks]
+            makers = [Maker(task, folder, key, plan.num_workers, client, tuple(layers)) for task in tasks]
             made = [_maps_of(maker, watch, report) for maker in makers]
-            if before is not None:
-                remove_geotiffs_of(folder, before)
             messages = [str(item.message) for item in caught]
             record = run_record(scenario, tasks, inputs, key, watch.elapsed_s, started_utc, messages)
             is_kept = not any(is_new for _, is_new in made)
@@ -225,12 +217,16 @@ def _run(
     return ScenarioRun({maps.grid.resolution_m: maps.with_obstacles(rule) for maps, _ in made}, record)
 
 
+def _unused(folder: Path) -> str:
+    """Return the folder's name with the first number that no folder beside it has."""
+    return next(name for k in count(2) if not Path(name := f"{folder}-{k}").exists())
+
+
 @dataclass(frozen=True)
 class Maker:
     """A task, where its maps go and who works on them: threads of this process, or a cluster by its client.
 
     ``layers`` are GeoTIFFs too, beside obstacles and the metrics of the cost.
-    ``added``: what the task adds to the maps that are there.
     """
 
     task: MapTask
@@ -239,7 +235,6 @@ class Maker:
     num_workers: int
     client: Any = None
     layers: tuple[str, ...] = ()
-    added: Addition | None = None
 
     @property
     def each(self) -> Each:
@@ -247,27 +242,6 @@ class Maker:
         if self.client is None:
             return partial(each_in_threads, self.num_workers)
         return partial(each_on_cluster, self.client)
-
-    def held(self) -> HeldMaps | None:
-        """Return the maps that are there and stay as they are, None where there are none."""
-        grid, added = self.task.region, self.added
-        if added is None or stored_key(self.folder, grid.resolution_m) != added.key:
-            return None
-        before, now = sky_of(added.before, grid), self.task.sky
-        mask_rad = np.radians(self.task.params.mask_deg)
-        times = [
-            time
-            for t, time in enumerate(before.times)
-            if time in now.times and _seen(before, t, mask_rad) == _seen(now, now.times.index(time), mask_rad)
-        ]
-        return HeldMaps.of(store.zarr_path(self.folder.resolve(), grid.resolution_m), self.task, times)
-
-
-def _seen(sky: Sky, time_index: int, mask_rad: float) -> list[tuple[str, float, float]]:
-    """Return name, azimuth and elevation of the satellites above the mask at a time."""
-    above = np.flatnonzero(sky.elevation_rad[time_index] >= mask_rad)
-    angles = (values[time_index, above].tolist() for values in (sky.azimuth_rad, sky.elevation_rad))
-    return list(zip([sky.names[s] for s in above], *angles, strict=True))
 
 
 def _maps_of(maker: Maker, watch: Stopwatch, report: Report) -> tuple[MetricMaps, bool]:
@@ -282,7 +256,7 @@ def _maps_of(maker: Maker, watch: Stopwatch, report: Report) -> tuple[MetricMaps
         LOG.warning(f"{str(broken[0])!r}{others} is missing or damaged: {again}")
     if not is_kept:
         began = time.perf_counter()
-        seconds = make_zarr(maker, report, held=None if broken else maker.held())
+        seconds = make_zarr(maker, report)
         # Tiles are worked on side by side: a stage gets its share of the time that passed.
         scale = (time.perf_counter() - began) / (sum(seconds.values()) or 1.0)
         for name, busy_s in seconds.items():
@@ -302,16 +276,13 @@ def _maps_of(maker: Maker, watch: Stopwatch, report: Report) -> tuple[MetricMaps
     return MetricMaps(ds), not is_kept
 
 
-def make_zarr(
-    maker: Maker, report: Report, shape: tuple[int, int] | None = None, held: HeldMaps | None = None
-) -> dict[str, float]:
+def make_zarr(maker: Maker, report: Report, shape: tuple[int, int] | None = None) -> dict[str, float]:
     """Make the Zarr of one resolution tile by tile and return the seconds that all workers spent on each stage.
 
     Args:
       maker: what from and where to.
       report: gets how many tiles are done.
       shape: of the tiles; left out, `shape_of_tiles`.
-      held: maps that are there already.
 
     Raises:
       InputError: rasters without data in the region, or workers that are killed again and again.
@@ -322,8 +293,8 @@ def make_zarr(
     if task.city.roofs is not None or task.has_terrain:
         check_has_data(rasterise(task.city, tiling.grid_of(tile)).has_data for tile in tiling.region_tiles)
     work = WorkFolder(store.work_path(maker.folder.resolve(), grid.resolution_m))
-    damaged = work.begin(f"{maker.key} {shape}{f' {held.digest}' if held else ''}")
-    job = TileJob(task, work, tiling, held)
+    damaged = work.begin(f"{maker.key} {shape}")
+    job = TileJob(task, work, tiling)
     for path in [*damaged, *unmark_damaged(job, maker.each)]:
         LOG.warning(f"{str(path)!r} of the unfinished maps is damaged: making it again")
     if not work.zarr.exists():

@@ -208,6 +208,22 @@ def test_a_refused_job_leaves_the_old_maps_alone_even_with_overwrite(job, capsys
     assert {path: path.read_bytes() for path in job.rglob("*") if path.is_file()} == before
 
 
+@pytest.mark.parametrize("altitudes_m", [[20, 60], [60]])
+def test_a_changed_scenario_is_refused_with_both_differences_and_a_new_folder(job, capsys, altitudes_m):
+    (job.parent / "town.csv").write_text("new elements")
+    orbits = {"gps": {"orbits": str(job.parent / "town.csv")}}
+    made = files.read_json(job / "run.json")
+    inputs = {"orbits": {"path": "town.csv", "sha256": "of the old elements"}}
+    files.write_json(job / "run.json", made | {"inputs": inputs, "settings": made["settings"] | orbits})
+    before = {path: path.read_bytes() for path in job.rglob("*") if path.is_file()}
+    changed = Scenario.from_dict(SETTINGS | orbits | {"region": REGION | {"altitudes_m": altitudes_m}})
+    with pytest.raises(
+        InputError, match=r"altitudes_m was \[20.*other input files \(orbits.*-o \S*job-2\).*--overwrite"
+    ):
+        pipeline.run_scenario(changed, job)
+    assert {path: path.read_bytes() for path in job.rglob("*") if path.is_file()} == before
+
+
 def test_a_second_run_in_the_same_folder_is_refused(job):
     with (
         files.only_writer(job),
