@@ -1,7 +1,8 @@
-"""What a pilot should know of a planned route before it is flown, in short sentences."""
+"""What a pilot should know of a planned route before it is flown, in short sentences, each with its level."""
 
 import math
 from collections.abc import Iterator
+from typing import Literal
 
 import numpy as np
 import pandas as pd
@@ -9,18 +10,50 @@ import pandas as pd
 from jaxurban.errors import typed
 from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
 from jaxurban.paths.path import PlannedPath
-from jaxurban.paths.profile import CLEARANCE, OUTSIDE, OVER_ROOF, VISIBLE, cautious_profile, without_fix
+from jaxurban.paths.profile import (
+    CLEARANCE,
+    GUESSED,
+    OUTSIDE,
+    OVER_ROOF,
+    TO_GUESSED,
+    VISIBLE,
+    cautious_profile,
+    without_fix,
+)
 from jaxurban.paths.vehicle import Vehicle
 
 MOST_SEGMENTS = 3  # that a terminal line lists
 ROUNDING = 1e-9  # of climbs and turns that are just what the vehicle can
+NEAR_GUESSED_M = 50.0  # of a guessed roof a route passes it: what the risk metric counts as near by default
+LEAST_OVER_ROOFS_M = 1.0  # below which a height over a roof is beyond limits, where no vertical clearance was asked
+Level = Literal["guess", "note", "limit"]
+
+
+class Caution(str):
+    """A sentence to a pilot, a `str` that also has a level.
+
+    Attributes:
+      level: ``"guess"``: it rests on what no file says. ``"limit"``: something lies beyond limits: a stretch without a
+        fix, cells that a building as high touches, a height over a roof below the vertical clearance (1 m where none
+        was asked), a building nearer than the clearance and the vehicle's radius, or a manoeuvre beyond the vehicle.
+        ``"note"``: all else.
+    """
+
+    level: Level
+
+    def __new__(cls, text: str, level: Level = "note") -> "Caution":
+        """Return a sentence with a level."""
+        caution = super().__new__(cls, text)
+        caution.level = level
+        return caution
 
 
 @typed
-def cautions(planned: PlannedPath, maps: GivenMaps, profile: pd.DataFrame | None = None) -> list[str]:
-    """Return where GPS has no fix, how near buildings and roofs are, and what else to know, a sentence each.
+def cautions(planned: PlannedPath, maps: GivenMaps, profile: pd.DataFrame | None = None) -> list[Caution]:
+    """Return what the maps guess, where GPS has no fix, how near buildings and roofs are, and what else to know.
 
-    Also told: an end over a roof; climbs, descents and turns beyond the limits of the vehicle that it was planned for.
+    Also reported: an end over a roof; climbs, descents and turns beyond the limits of the vehicle that it was planned
+    for. A sentence each, what is guessed first.
 
     Distances are measured from the route to the edges of cells, so that 0 is contact; obstacles outside the region
     count as far as the risk map knows them (`explain`).
@@ -35,12 +68,35 @@ def cautions(planned: PlannedPath, maps: GivenMaps, profile: pd.DataFrame | None
     """
     maps = as_maps(maps)
     profile = cautious_profile(planned, maps) if profile is None else profile
-    return [*_fix(profile), _clearance(profile, maps), *_roofs(profile), *_ends(profile), *_manoeuvres(planned)]
+    limits = planned.settings.get("limits", {})
+    apart_m = limits.get("clearance_m", 0.0) + limits.get("vehicle_radius_m", 0.0)
+    above_m = limits.get("vertical_clearance_m") or LEAST_OVER_ROOFS_M
+    return [
+        *_guesses(profile, maps),
+        *_fix(profile),
+        _clearance(profile, maps, apart_m),
+        *_roofs(profile, above_m),
+        *_ends(profile),
+        *(Caution(sentence, "limit") for sentence in _manoeuvres(planned)),
+    ]
 
 
-def _fix(profile: pd.DataFrame) -> Iterator[str]:
+def _guesses(profile: pd.DataFrame, maps: MetricMaps) -> Iterator[Caution]:
+    """Yield what the maps rest on that no file says, and how much of the route is near roofs of guessed height."""
+    facts = [", ".join(maps.ds.attrs.get("guesses", ()))]
+    if GUESSED in profile:
+        length_m = profile["to_m"] - profile["from_m"]
+        facts.append(
+            f"{length_m[profile[TO_GUESSED] < NEAR_GUESSED_M].sum():.0f} of {length_m.sum():.0f} m of the route pass "
+            f"within {NEAR_GUESSED_M:g} m of guessed roofs"
+        )
+    if any(facts):
+        yield Caution(f"Guessed: {'; '.join(filter(None, facts))}.", "guess")
+
+
+def _fix(profile: pd.DataFrame) -> Iterator[Caution]:
     if VISIBLE not in profile:
-        yield "GPS: these maps hold no satellite counts, so where there is no fix is not known."
+        yield Caution("GPS: these maps hold no satellite counts, so where there is no fix is not known.")
         return
     segments = without_fix(profile)
     if not segments:
@@ -50,53 +106,81 @@ def _fix(profile: pd.DataFrame) -> Iterator[str]:
     where = ", ".join(f"{segments[k][0]:.0f} to {segments[k][1]:.0f} m" for k in longest)
     left = len(segments) - len(longest)
     more = f" and {left} shorter segment{'s' * (left > 1)}" if left else ""
-    yield (
+    yield Caution(
         f"GPS: no fix (fewer than four satellites) on {sum(lengths_m):.0f} of {profile['to_m'].iloc[-1]:.0f} m: "
-        f"from {where} along the route{more}."
+        f"from {where} along the route{more}.",
+        "limit",
     )
 
 
-def _clearance(profile: pd.DataFrame, maps: MetricMaps) -> str:
+def _clearance(profile: pd.DataFrame, maps: MetricMaps, apart_m: float) -> Caution:
     inside, outside = (int(np.argmin(profile[name])) for name in (CLEARANCE, OUTSIDE))
     inside_m, outside_m = float(profile[CLEARANCE].iloc[inside]), float(profile[OUTSIDE].iloc[outside])
-    if inside_m <= outside_m:
-        return f"Buildings: the nearest at flight height is {inside_m:.1f} m away, {_at(profile, inside)}."
     within_m = outside_m + math.sqrt(2) * maps.grid.resolution_m  # what risk takes for its distance, at most
     is_told = within_m < maps.ds.attrs.get("risk_threshold_m", 0.0) and maps.ds.attrs["risk_distance"] == "slice"
-    if is_told and profile[CLEARANCE].iloc[outside] > within_m + maps.grid.resolution_m:
-        return (
+    least_m = inside_m
+    if inside_m <= outside_m:
+        sentence = f"Buildings: the nearest at flight height is {inside_m:.1f} m away, {_at(profile, inside)}"
+    elif is_told and profile[CLEARANCE].iloc[outside] > within_m + maps.grid.resolution_m:
+        least_m = within_m
+        sentence = (
             f"Buildings: the nearest at flight height stands outside the region, {outside_m:.1f} to {within_m:.1f} m "
-            f"away, {_at(profile, outside)}."
+            f"away, {_at(profile, outside)}"
         )
-    known = f"; in the region the nearest is {inside_m:.1f} m away" if math.isfinite(inside_m) else ""
-    return (
-        f"Buildings: none at flight height is within {outside_m:.1f} m, {_at(profile, outside)}; what stands farther "
-        f"outside the region is not known{known}."
-    )
+    else:
+        known = f"; in the region the nearest is {inside_m:.1f} m away" if math.isfinite(inside_m) else ""
+        sentence = (
+            f"Buildings: none at flight height is within {outside_m:.1f} m, {_at(profile, outside)}; what stands "
+            f"farther outside the region is not known{known}"
+        )
+    guessed_m = float(profile[TO_GUESSED].min()) if TO_GUESSED in profile else math.inf
+    is_guess = guessed_m <= min(inside_m, outside_m)  # a guessed roof may be higher than the flight
+    if is_guess:
+        sentence += f", if guessed roofs are right: the nearest of those is {guessed_m:.1f} m away"
+    is_beyond = least_m < apart_m - ROUNDING or least_m <= 0
+    return Caution(f"{sentence}.", "limit" if is_beyond else "guess" if is_guess else "note")
 
 
-def _roofs(profile: pd.DataFrame) -> Iterator[str]:
+def _roofs(profile: pd.DataFrame, above_m: float) -> Iterator[Caution]:
     is_beside = profile[OVER_ROOF] <= 0  # of a cell that a building only touches
     if is_beside.any():
         beside_m = float((profile["to_m"] - profile["from_m"])[is_beside].sum())
-        yield f"Buildings: {beside_m:.1f} m of the route lie in cells that one as high touches, maybe in its outline."
+        yield Caution(
+            f"Buildings: {beside_m:.1f} m of the route lie in cells that one as high touches, maybe in its outline.",
+            "limit",
+        )
     over_m = profile[OVER_ROOF].where(~is_beside)
     if over_m.notna().any():
         least = int(np.nanargmin(over_m))
-        roof_m = float(profile["roof_m"].iloc[least])
-        yield (
+        level = "limit" if over_m.iloc[least] < above_m - ROUNDING else _level_of_roof(profile, least)
+        yield Caution(
             f"Roofs: the least height over one is {over_m.iloc[least]:.1f} m, {_at(profile, least)} "
-            f"(a roof of {roof_m:.1f} m)."
+            f"({_roof(profile, least)}).",
+            level,
         )
 
 
-def _ends(profile: pd.DataFrame) -> Iterator[str]:
+def _ends(profile: pd.DataFrame) -> Iterator[Caution]:
     for name, place in (("start", 0), ("goal", -1)):
         roof_m = float(profile["roof_m"].iloc[place])
         if roof_m >= float(profile["z_m"].iloc[place]):
-            yield f"The {name} is in a cell that a building of {roof_m:.1f} m touches."
+            yield Caution(f"The {name} is in a cell that a building of {roof_m:.1f} m touches.", "limit")
         elif roof_m > 0:
-            yield f"The {name} is over a roof of {roof_m:.1f} m, not over the ground."
+            sentence = f"The {name} is over {_roof(profile, place)}, not over the ground."
+            yield Caution(sentence, _level_of_roof(profile, place))
+
+
+def _is_guessed(profile: pd.DataFrame, place: int) -> bool:
+    return GUESSED in profile and bool(profile[GUESSED].iloc[place])
+
+
+def _level_of_roof(profile: pd.DataFrame, place: int) -> Level:
+    return "guess" if _is_guessed(profile, place) else "note"
+
+
+def _roof(profile: pd.DataFrame, place: int) -> str:
+    guessed = "guessed " if _is_guessed(profile, place) else ""
+    return f"a {guessed}roof of {float(profile['roof_m'].iloc[place]):.1f} m"
 
 
 def _manoeuvres(planned: PlannedPath) -> Iterator[str]:

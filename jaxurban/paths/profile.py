@@ -15,8 +15,9 @@ from jaxurban.paths.crossings import RouteCrossings, clearance_m, cut_route, lev
 from jaxurban.paths.path import PlannedPath
 
 FEWEST_SATELLITES = 4  # below, no position fix
-TOUCHED, VISIBLE = "roof_touched", "num_visible"
+TOUCHED, VISIBLE, GUESSED = "roof_touched", "num_visible", "roof_guessed"
 CLEARANCE, OUTSIDE, OVER_ROOF = "nearest_wall_m", "walls_outside_m", "least_over_roofs_m"
+TO_GUESSED = "guessed_roof_away_m"
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,6 +58,8 @@ class RouteProfile:
     def table(self, shown: Mapping[str, str]) -> pd.DataFrame:
         """Return a row for each crossing: its place, the maps that are shown by their columns, roofs and clearance.
 
+        Where the maps know which roofs are guessed, also whether the one beneath is, and how far the nearest is.
+
         Each takes the maps of the level nearest to it, as the planner did; of satellites and obstacles that below,
         where there are fewer of the ones and more of the others.
         """
@@ -66,11 +69,15 @@ class RouteProfile:
         columns = {"from_m": to_m - crossings.length_m, "to_m": to_m, "lon": lon, "lat": lat, "z_m": middle[:, 2]}
         levels_m = self.planned.settings.get("levels_m") or [self.planned.altitude_m]
         level_m, lowest_m = nearest_level_m(middle[:, 2], levels_m), crossings.ends[:, :, 2].min(axis=1)
-        for name, column in {**shown, self._roofs: "roof_m"}.items():
+        for name, column in {**shown, self._roofs: "roof_m", GUESSED: GUESSED}.items():
             if self.maps.variable(name) in self.maps.ds:
                 columns[column] = self._sample(name, level_m)
         if VISIBLE in columns:
             columns[VISIBLE] = columns[VISIBLE].astype(int)
+        if GUESSED in columns:
+            is_over = columns[GUESSED] = columns[GUESSED].astype(bool)
+            away_m = clearance_m(crossings.ends[:, :, :2], self.maps.m(GUESSED).astype(bool), grid.resolution_m)
+            columns[TO_GUESSED] = np.where(is_over, 0.0, away_m)  # `clearance_m` leaves out what roofs surround
         columns[OVER_ROOF] = np.where(columns["roof_m"] > 0, lowest_m - columns["roof_m"], np.nan)
         below_m = level_below_m(lowest_m, levels_m)
         columns[OUTSIDE] = self._outside_m(level_below_m(below_m, self.maps.altitudes_m))

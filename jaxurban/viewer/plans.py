@@ -15,7 +15,7 @@ import numpy as np
 from jaxurban.errors import InputError, one_of
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.weights import Weights
-from jaxurban.paths.cautions import cautions
+from jaxurban.paths.cautions import Caution, cautions
 from jaxurban.paths.constraints import CLEARANCES, Constraints
 from jaxurban.paths.cost_map import CostMap, cost_map
 from jaxurban.paths.explain import RouteReport, explain
@@ -120,7 +120,7 @@ class Plans:
             points = [np.array([xy_m]) for xy_m, _ in ends]
             return np.concatenate([points[0], found.points_m + corner, points[1]]), stride * grid.resolution_m
 
-    def report(self, query: Plan, at: Place) -> tuple[RouteReport, PlannedPath, list[str]]:
+    def report(self, query: Plan, at: Place) -> tuple[RouteReport, PlannedPath, list[Caution]]:
         """Return a route explained, the route, and what its pilot should know (`cautions`).
 
         Raises:

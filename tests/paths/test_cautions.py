@@ -44,6 +44,49 @@ def straight(maps, first=10, last=90, **options) -> ju.PlannedPath:
     return ju.plan(maps, **ends, altitude_m=ALTITUDE_M, objective="distance", **options)
 
 
+def with_guesses(maps, *parts) -> ju.MetricMaps:
+    """Return maps whose roofs in parts of the grid are guessed, and whose sky is nominal."""
+    is_guessed = np.zeros(maps.grid.shape, bool)
+    for part in parts:
+        is_guessed[part] = True
+    ds = maps.ds.assign(roof_guessed=(("y", "x"), is_guessed))
+    return ju.MetricMaps(ds.assign_attrs(guesses={"40 % of heights": "", "nominal satellites": ""}))
+
+
+LOW_ROOF, TOWER = np.s_[ROW, 30:40], np.s_[ROW + 4 : ROW + 9, 60:70]
+
+
+def test_what_the_maps_guess_is_the_first_caution_with_the_length_past_guessed_roofs(maps):
+    guessed = with_guesses(maps, LOW_ROOF)
+    first, *others = ju.cautions(straight(guessed), guessed)
+    # 100 m over the roof and 50 m on either side of it
+    assert first == (
+        "Guessed: 40 % of heights, nominal satellites; 200 of 800 m of the route pass within 50 m of guessed roofs."
+    )
+    assert first.level == "guess"
+    assert any("is 8.0 m" in line and line.endswith("(a guessed roof of 12.0 m).") for line in others)
+    assert any("35.0 m away" in line and "if guessed roofs are right" in line for line in others)
+    assert not any("uess" in line for line in ju.cautions(straight(maps), maps))
+
+
+def test_only_what_rests_on_a_guessed_roof_is_called_guessed(maps):
+    far = with_guesses(maps, TOWER)
+    told = ju.cautions(straight(far), far)
+    assert any(line.endswith("(a roof of 12.0 m).") and line.level == "note" for line in told)
+    assert any("if guessed roofs are right: the nearest of those is 35.0 m away" in line for line in told)
+    over = with_guesses(maps, LOW_ROOF)
+    (start,) = (line for line in ju.cautions(straight(over, first=33), over) if line.startswith("The start"))
+    assert (start, start.level) == ("The start is over a guessed roof of 12.0 m, not over the ground.", "guess")
+
+
+def test_a_stretch_without_a_fix_and_a_roof_close_below_are_beyond_limits(maps):
+    levels = {line.split(":")[0]: line.level for line in ju.cautions(straight(maps), maps)}
+    assert levels == {"GPS": "limit", "Buildings": "note", "Roofs": "note"}
+    roof_m = np.where(maps.m("roof") == 12.0, ALTITUDE_M - 0.4, maps.m("roof"))
+    low = ju.MetricMaps(maps.ds.assign(**dict.fromkeys(("roof", "roof_touched"), (("y", "x"), roof_m))))
+    assert [line.level for line in ju.cautions(straight(low), low) if line.startswith("Roofs")] == ["limit"]
+
+
 def test_segments_without_a_fix_are_told_with_their_places(maps):
     assert ju.cautions(straight(maps), maps)[0] == (
         "GPS: no fix (fewer than four satellites) on 210 of 800 m: from 295 to 395 m, 595 to 645 m, 745 to 775 m "
