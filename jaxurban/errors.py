@@ -310,19 +310,28 @@ def reason_of(error: BaseException) -> str:
     return said if len(said) <= MOST_SAID else f"{said[:MOST_SAID]} ..."
 
 
+def check_file(path: str | os.PathLike[str]) -> None:
+    """Raise OSError where a path names a pipe or a device, whose reading may never end; a missing file passes."""
+    if os.path.exists(path) and not (os.path.isfile(path) or os.path.isdir(path)):
+        raise OSError("it is a pipe or a device, not a file")
+
+
 @contextmanager
-def readable(what: str, kind: str, remedy: str, *errors: type[Exception]) -> Iterator[None]:
+def readable(path: str | Path, kind: str, remedy: str, *errors: type[Exception], what: str = "") -> Iterator[None]:
     """Turn errors of the block, which reads a file, into an InputError: what it is, the reason and the remedy.
 
     Args:
-      what: the file, for the message.
+      path: of the file.
       kind: what it cannot be read as.
       remedy: ends the sentence.
       errors: what a damaged file raises, beside OSError, ValueError and RecursionError (brackets in brackets); an
         InputError passes as it is.
+      what: the file, for the message; its path, if left out.
     """
+    what = what or repr(str(path))
     caught: tuple[type[Exception], ...] = (OSError, ValueError, RecursionError, *errors)
     try:
+        check_file(path)
         yield
     except InputError:
         raise

@@ -147,7 +147,7 @@ def _read_table(file: Path) -> list[dict[str, Any]]:
             f"{str(file)!r} is damaged, or not a file of such results: name another file, or remove this one, and what "
             "it held is made again"
         )
-    with readable(repr(str(file)), "results", "name another file, or remove this one", pa.ArrowException):
+    with readable(file, "results", "name another file, or remove this one", pa.ArrowException):
         table = pd.read_parquet(file)
     return records_of(table)
 

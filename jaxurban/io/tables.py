@@ -52,7 +52,8 @@ def read_table(file: str | Path, role: str) -> pd.DataFrame:
     """
     file = Path(file)
     suffix = _suffix(file)
-    with readable(f"the {role} file {str(file)!r}", suffix[1:], "make it again, or name another"):
+    what = f"the {role} file {str(file)!r}"
+    with readable(file, suffix[1:], "make it again, or name another", what=what):
         return pd.read_parquet(file) if suffix == ".parquet" else pd.read_csv(file)
 
 

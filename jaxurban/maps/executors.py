@@ -6,7 +6,7 @@ import sys
 import uuid
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import CancelledError, ThreadPoolExecutor
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -18,7 +18,7 @@ import jax
 from dask.callbacks import Callback
 from dask.delayed import Delayed, delayed
 
-from jaxurban.errors import InputError
+from jaxurban.errors import InputError, reason_of
 from jaxurban.maps.device import Gpu, bind_workers, use_device
 from jaxurban.maps.tiled import TileJob, finish_tile, raster_tile, sweep_tile
 from jaxurban.progress import LOG
@@ -300,9 +300,12 @@ def cluster_client(
     """
     try:
         from distributed import Client, LocalCluster, Nanny
+        from distributed.security import Security
+
+        security = Security.temporary()  # needs cryptography
     except ImportError as error:
         raise InputError(
-            "--cluster and --workers need Dask's distributed scheduler, which is not installed: "
+            "--cluster and --workers need Dask's distributed scheduler and cryptography, which are not installed: "
             "pip install 'jaxurban[cluster]', or leave them out to work in threads"
         ) from error
     if address is not None:
@@ -330,15 +333,22 @@ def cluster_client(
                 options["env"] = {**options["env"], **gpus[options["name"]].environment}
             super().__init__(*arguments, **options)
 
-    with (
-        LocalCluster(
-            n_workers=num_workers,
-            threads_per_worker=num_threads,
-            worker_class=Bound,
-            memory_limit=0,
-            dashboard_address="127.0.0.1:0",  # any free port: two runs may work side by side
-            env={**environment, "PYTHONPATH": os.environ.get("PYTHONPATH", "")},
-        ) as cluster,
-        Client(cluster) as client,
-    ):
-        yield client
+    options = {
+        "n_workers": num_workers,
+        "threads_per_worker": num_threads,
+        "worker_class": Bound,
+        "memory_limit": 0,
+        "dashboard_address": "127.0.0.1:0",  # any free port: two runs may work side by side
+        "env": {**environment, "PYTHONPATH": os.environ.get("PYTHONPATH", "")},
+        # Without its certificates any user of this machine could run code as this one.
+        "security": security,
+    }
+    with ExitStack() as stack:
+        try:
+            cluster = stack.enter_context(LocalCluster(**options))
+        except RuntimeError as error:
+            raise InputError(
+                f"a worker process ended while it started ({reason_of(error)}), most likely killed for lack of memory: "
+                "run the same command again, with fewer --workers if it happens again; finished tiles are kept"
+            ) from error
+        yield stack.enter_context(Client(cluster))

@@ -13,7 +13,7 @@ import pyproj
 import rasterio
 import shapely
 
-from jaxurban.errors import InputError
+from jaxurban.errors import InputError, check_file, reason_of
 from jaxurban.io.files import read_json, whole_file, write_json
 from jaxurban.io.store import RUN_FILE, short_number
 from jaxurban.maps.guesses import leaving_shares
@@ -140,13 +140,14 @@ def _orbit_files(scenario: Scenario) -> dict[str, str]:
 def _sha256(path: Path, role: str) -> str:
     digest = hashlib.sha256()
     try:
+        check_file(path)
         for part in _companions(path):
             digest.update(f"{part.name} {part.stat().st_size}\n".encode())
             with part.open("rb") as file:
                 while chunk := file.read(1 << 20):
                     digest.update(chunk)
-    except OSError as error:
-        raise InputError(f"cannot read the {role} file {str(path)!r}: {error.strerror or error}") from error
+    except (OSError, ValueError) as error:  # the latter: NUL in a name
+        raise InputError(f"cannot read the {role} file {str(path)!r}: {reason_of(error)}") from error
     return digest.hexdigest()
 
 

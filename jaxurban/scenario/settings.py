@@ -19,7 +19,7 @@ from pydantic import (
     model_validator,
 )
 
-from jaxurban.errors import InputError, typed
+from jaxurban.errors import InputError, check_file, reason_of, typed
 from jaxurban.io.read.orbits import NOMINAL as NOMINAL
 from jaxurban.io.read.orbits import iso_utc
 from jaxurban.maps.height_uncertainty import HeightStd, check_samples
@@ -298,10 +298,11 @@ class Scenario(_Section):
         """
         path = Path(path)
         try:
+            check_file(path)
             settings = tomllib.loads(path.read_text(encoding="utf-8"))
         except OSError as error:
-            raise InputError(f"cannot read the scenario {str(path)!r}: {error.strerror or error}") from error
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+            raise InputError(f"cannot read the scenario {str(path)!r}: {reason_of(error)}") from error
+        except (ValueError, RecursionError) as error:  # not TOML, not UTF-8, NUL in the name, tables in tables
             raise InputError(f"{str(path)!r} is not a scenario in TOML: {error}") from error
         name = " ".join([str(path), *(f"--set {change}" for change in changes)])
         return cls.from_dict(changed(settings, changes, cls), name=name, folder=path.resolve().parent)

@@ -1,11 +1,14 @@
 """Rasters: what is read, what is refused, and how values come onto a Grid."""
 
+import socket
 from dataclasses import replace
+from xml.sax.saxutils import escape
 
 import numpy as np
 import pyproj
 import pytest
 import rasterio
+import rasterio.shutil
 import rasterio.warp
 import shapely
 from affine import Affine
@@ -302,3 +305,31 @@ def test_a_thinned_raster_has_every_kth_pixel_where_it_was():
     x_m, y_m = pixel_xy(some, np.array(10.5), np.array(20.5), UTM)
     assert some.values[10, 20] == pixels[30, 60]
     np.testing.assert_allclose([x_m, y_m], pixel_xy(whole, np.array(30.5), np.array(60.5), UTM))
+
+
+@pytest.mark.parametrize(
+    "source", ["/vsicurl/{url}", "{url}", "WMS:{url}", "<GDAL_WMS><ServerUrl>{url}</ServerUrl></GDAL_WMS>", "inner.xml"]
+)
+def test_a_vrt_that_names_a_server_is_refused_before_a_request(tmp_path, source):
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        server.settimeout(0.05)
+        url = f"http://127.0.0.1:{server.getsockname()[1]}/a.tif"
+        (tmp_path / "inner.xml").write_text(f"<GDAL_WMS><ServerUrl>{url}</ServerUrl></GDAL_WMS>")
+        path = tmp_path / "mosaic.vrt"
+        path.write_text(
+            '<VRTDataset rasterXSize="2" rasterYSize="2"><SRS>EPSG:32618</SRS><GeoTransform>0,1,0,0,0,-1</GeoTransform>'
+            '<VRTRasterBand dataType="Float32" band="1"><SimpleSource><SourceFilename relativeToVRT="1">'
+            f"{escape(source.format(url=url))}</SourceFilename><SourceBand>1</SourceBand></SimpleSource>"
+            "</VRTRasterBand></VRTDataset>"
+        )
+        with pytest.raises(InputError, match=r"mosaic.*it names"):
+            raster_extent_m(path, "EPSG:32618")
+        with pytest.raises(TimeoutError):
+            server.accept()
+
+
+def test_a_vrt_of_files_beside_it_is_read(write, tmp_path):
+    whole = write(np.arange(4.0).reshape(2, 2))
+    vrt = tmp_path / "mosaic.vrt"
+    rasterio.shutil.copy(whole, vrt, driver="VRT")
+    assert raster_extent_m(vrt, UTM) == raster_extent_m(whole, UTM)

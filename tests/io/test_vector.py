@@ -1,6 +1,8 @@
 """GeoJSON, GeoPackage, Shapefile and GeoParquet files of buildings."""
 
 import json
+import os
+import socket
 
 import geopandas as gpd
 import numpy as np
@@ -10,7 +12,12 @@ import shapely
 
 from jaxurban.errors import InputError
 from jaxurban.io.read.buildings import BuildingFile, read_buildings
-from jaxurban.io.read.vector import read_vector
+from jaxurban.io.read.orbits import read_orbits
+from jaxurban.io.read.osm import read_osm
+from jaxurban.io.read.raster import raster_extent_m
+from jaxurban.io.read.vector import open_layers, read_vector
+from jaxurban.io.tables import read_table
+from jaxurban.scenario.settings import Scenario
 
 UTM, WGS84 = "EPSG:32618", "EPSG:4326"
 SQUARE = shapely.box(-74.0, 40.7, -73.999, 40.701)
@@ -166,3 +173,34 @@ def test_a_file_without_polygons_is_refused(tmp_path):
     frame({"height": [1]}, [SQUARE.centroid]).to_file(path)
     with pytest.raises(InputError, match=r"trees\.geojson.*holds no building"):
         read_buildings(BuildingFile(path), UTM)
+
+
+URL = "http://127.0.0.1:{port}/x.geojson"
+SOURCE = "<OGRVRTLayer name='b'><SrcDataSource>/vsicurl/{url}</SrcDataSource></OGRVRTLayer>"
+VRT = f"<OGRVRTDataSource>{SOURCE}</OGRVRTDataSource>"
+STREAM = '{{"type": "gdal_streamed_alg", "command_line": "gdal vector pipeline ! read /vsicurl/{url} ! write"}}'
+
+
+@pytest.mark.parametrize("text", [VRT, STREAM, '{{"a": "' + VRT + '"}}', "<?xml version='1.0'?>" + VRT])
+@pytest.mark.parametrize("suffix", [".geojson", ".kml", ".gpkg", ""])
+def test_a_file_that_sends_gdal_to_a_server_is_refused_before_a_request(tmp_path, text, suffix):
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        server.settimeout(0.05)
+        path = tmp_path / f"city{suffix}"
+        path.write_text(text.format(url=URL.format(port=server.getsockname()[1])))
+        for read in (read_vector, lambda path: open_layers(path, "zones")):
+            with pytest.raises(InputError, match="city"):
+                read(path)
+        with pytest.raises(TimeoutError):
+            server.accept()
+
+
+@pytest.mark.parametrize("suffix", [".geojson", ".parquet", ".shp", ".tif", ".osm", ".csv", ".toml", ".tle"])
+def test_a_pipe_is_refused_and_not_waited_for(tmp_path, suffix):
+    path = tmp_path / f"pipe{suffix}"
+    os.mkfifo(path)
+    readers = {".tif": raster_extent_m, ".osm": read_osm, ".csv": read_table, ".toml": Scenario.from_toml}
+    readers[".tle"] = read_orbits
+    arguments = {".tif": ["EPSG:32631"], ".csv": ["routes"]}
+    with pytest.raises(InputError, match=r"pipe.*a pipe or a device"):
+        readers.get(suffix, read_vector)(path, *arguments.get(suffix, []))

@@ -193,7 +193,7 @@ def _counts_in_blocks(fields: pd.DataFrame, path: str | Path) -> pd.DataFrame:
 def _counts_in_table(path: str | Path, block_keys: pd.Series, wanted: str) -> pd.DataFrame:
     """Return the counts of a CSV by key; ``wanted`` names the field that they are to join, for messages."""
     name = f"[population] table {str(path)!r}"
-    with readable(name, "CSV", "check the path and the file"):  # pandas' parser errors are ValueErrors
+    with readable(path, "CSV", "check the path and the file", what=name):  # pandas' parser errors are ValueErrors
         table = pd.read_csv(
             path, dtype=str, encoding="utf-8-sig", encoding_errors="replace", keep_default_na=False, index_col=False
         )

@@ -21,7 +21,7 @@ import numpy as np
 import shapely
 from pyproj import Geod
 
-from jaxurban.errors import InputError, finite
+from jaxurban.errors import InputError, check_file, finite
 from jaxurban.io.read.zone import DAY, THE_SHORT_WAY, Period, Zone, mended, the_short_way_too, warn
 
 SUFFIXES = (".json", ".geojson")
@@ -102,6 +102,7 @@ def _features(path: Path) -> list[Json] | None:
     if path.suffix.lower() not in SUFFIXES:
         return None
     try:
+        check_file(path)
         whole = json.loads(path.read_text(encoding="utf-8-sig"))
     except (OSError, ValueError, RecursionError):
         return None  # the reader of vector files says what is wrong with it

@@ -44,7 +44,7 @@ def read_land_cover(path: str | Path, crs: str, bounds_m: Bounds) -> LandCover:
     coast: list[shapely.LineString] = []
     to_wkb = osmium.geom.WKBFactory()
     remedy = "fetch it again, or name another file in [study] land_cover"
-    with readable(repr(str(path)), "OpenStreetMap data", remedy, RuntimeError):
+    with readable(path, "OpenStreetMap data", remedy, RuntimeError):
         areas = TagFilter(*WATER, *PARK)
         for item in open_osm(path).with_areas(areas).with_filter(TagFilter(*WATER, *PARK, COAST)):
             if isinstance(item, osmium.osm.Area) and item.num_rings()[0] and _has(item, WATER + PARK):

@@ -39,7 +39,7 @@ def read_map(file: Path) -> np.ndarray:
     Raises:
       InputError: it cannot be read, or its header and its rows do not agree.
     """
-    with readable(repr(str(file)), "a MovingAI map", "give a whole one", IndexError):
+    with readable(file, "a MovingAI map", "give a whole one", IndexError):
         lines = Path(file).read_text(encoding="ascii").splitlines()
         num_rows, num_cols = int(lines[1].split()[1]), int(lines[2].split()[1])
     rows = lines[4 : 4 + num_rows]
@@ -68,7 +68,7 @@ def read_scenarios(file: Path) -> list[GridProblem]:
       InputError: it cannot be read.
     """
     problems = []
-    with readable(repr(str(file)), "MovingAI scenarios", "give a whole file", IndexError):
+    with readable(file, "MovingAI scenarios", "give a whole file", IndexError):
         for line in Path(file).read_text(encoding="ascii").splitlines()[1:]:
             num_rows, x0, y0, x1, y1 = map(int, line.split()[3:8])
             length = float(line.split()[8])

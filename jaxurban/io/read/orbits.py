@@ -130,17 +130,18 @@ def _check_twice(orbits: Orbits) -> None:
 
 def _read_file(source: str | Path) -> list[EarthSatellite]:
     """Return the satellites of one file."""
-    with readable(f"the orbits file {source}", "text", REMEDY):
+    what = f"the orbits file {source}"
+    with readable(source, "text", REMEDY, what=what):
         text = Path(source).read_bytes().decode("utf-8-sig")
     start = text.lstrip()[:1]
     first_line = text.lstrip().partition("\n")[0]
     if start in ("{", "["):
-        with readable(f"the orbits file {source}", "JSON", REMEDY):
+        with readable(source, "JSON", REMEDY, what=what):
             parsed = json.loads(text)
         satellites = _from_omms(parsed if isinstance(parsed, list) else [parsed], source)
     elif start == "<":
         errors = (ElementTree.ParseError, AttributeError, TypeError)  # the latter: a segment without its parts
-        with readable(f"the orbits file {source}", "whole OMM segments in XML", REMEDY, *errors):
+        with readable(source, "whole OMM segments in XML", REMEDY, *errors, what=what):
             segments = list(omm.parse_xml(io.StringIO(text)))
         satellites = _from_omms(segments, source)
     elif "MEAN_MOTION" in first_line and "," in first_line:

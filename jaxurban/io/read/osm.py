@@ -50,7 +50,7 @@ def read_osm(path: str | Path, file_format: str | None = None, *, has_decks: boo
       InputError: the file cannot be read to its end.
     """
     remedy = "it is damaged, cut short or of another kind; fetch it again, or put it in order with `osmium sort`"
-    with readable(repr(str(path)), "OpenStreetMap data", remedy, RuntimeError, osmium.InvalidLocationError):
+    with readable(path, "OpenStreetMap data", remedy, RuntimeError, osmium.InvalidLocationError):
         return _read(path, file_format or _format_of(path), has_decks)
 
 

@@ -5,6 +5,7 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pyproj
@@ -13,12 +14,20 @@ from affine import Affine
 from rasterio.errors import NotGeoreferencedWarning, RasterioError
 from rasterio.windows import Window
 
-from jaxurban.errors import InputError, reason_of
+from jaxurban.errors import InputError, readable, reason_of
 from jaxurban.io.read.sampling import transformed
 from jaxurban.world.city import Raster
 from jaxurban.world.grid import Bounds, check_on_earth, transformer
 
-RASTER_SUFFIXES = (".tif", ".tiff", ".vrt", ".asc", ".img")
+# By the end of their names, the drivers of GDAL that may open them: others read what a file tells them to.
+DRIVERS = {
+    **dict.fromkeys((".tif", ".tiff"), "GTiff"),
+    **dict.fromkeys((".bil", ".flt"), "EHdr"),
+    **dict.fromkeys((".dt0", ".dt1", ".dt2"), "DTED"),
+    **{".vrt": "VRT", ".asc": "AAIGrid", ".img": "HFA", ".hgt": "SRTMHGT", ".png": "PNG"},
+}
+RASTER_SUFFIXES = tuple(DRIVERS)
+SOURCE_TAGS = ("SourceFilename", "SourceDataset")  # of a .vrt
 OWN_VALUES = "in a unit of your own"
 TERRAIN_RANGE_M = (-500.0, 9000.0)  # the shore of the Dead Sea lies at -430 m, the top of Everest at 8,849 m
 _MARGIN_PIXELS = 2  # bilinear sampling reaches half a pixel beyond the bounds, a curved border a little more
@@ -125,29 +134,47 @@ def open_raster(path: str | Path, holds: str = "heights in metres") -> Iterator[
       holds: what its values are; several bands are for values of one's own only.
     """
     name = repr(str(path))
+    with readable(path, "a raster", "give a file that GDAL opens", RasterioError), warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)  # said better below
+        suffix = Path(path).suffix.lower()
+        if suffix not in DRIVERS:
+            raise ValueError(f"of rasters {', '.join(DRIVERS)} are read: convert it with `gdal_translate`")
+        if suffix == ".vrt":
+            _check_sources(Path(path))
+        with rasterio.open(path, driver=DRIVERS[suffix]) as source:
+            if source.count != 1 and holds != OWN_VALUES:
+                raise InputError(f"{name} has {source.count} bands: give a raster with one band, {holds}")
+            if np.dtype(source.dtypes[0]).kind not in "iuf":
+                raise InputError(f"{name} holds {source.dtypes[0]} values: give real numbers, {holds}")
+            if source.crs is None or source.transform == Affine.identity():
+                raise InputError(
+                    f"{name} has no CRS or no position: set them with `gdal_edit.py -a_srs EPSG:... -a_ullr ...`"
+                )
+            pixel_area = source.transform.determinant
+            if not (np.isfinite(source.transform).all() and MOST_PIXEL > abs(pixel_area) > 1 / MOST_PIXEL):
+                raise InputError(
+                    f"{name} has pixels without area, or beyond all measure, by its geotransform "
+                    f"{source.transform[:6]}: set its position with `gdal_edit.py -a_ullr ...`"
+                )
+            check_on_earth(name, source.crs.to_wkt())
+            yield source
+
+
+def _check_sources(path: Path) -> None:
+    """Raise ValueError unless all that a .vrt is made of are rasters in files of this machine, and not on a server."""
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", NotGeoreferencedWarning)  # said better below
-            with rasterio.open(path) as source:
-                if source.count != 1 and holds != OWN_VALUES:
-                    raise InputError(f"{name} has {source.count} bands: give a raster with one band, {holds}")
-                if np.dtype(source.dtypes[0]).kind not in "iuf":
-                    raise InputError(f"{name} holds {source.dtypes[0]} values: give real numbers, {holds}")
-                if source.crs is None or source.transform == Affine.identity():
-                    raise InputError(
-                        f"{name} has no CRS or no position: set them with `gdal_edit.py -a_srs EPSG:... -a_ullr ...`"
-                    )
-                pixel_area = source.transform.determinant
-                if not (np.isfinite(source.transform).all() and MOST_PIXEL > abs(pixel_area) > 1 / MOST_PIXEL):
-                    raise InputError(
-                        f"{name} has pixels without area, or beyond all measure, by its geotransform "
-                        f"{source.transform[:6]}: set its position with `gdal_edit.py -a_ullr ...`"
-                    )
-                check_on_earth(name, source.crs.to_wkt())
-                yield source
-    except RasterioError as error:
-        remedy = "give a file that GDAL opens"
-        raise InputError(f"{name} cannot be read as a raster ({reason_of(error)}): {remedy}") from error
+        elements = list(ElementTree.fromstring(path.read_bytes()).iter())
+    except ElementTree.ParseError as error:
+        raise ValueError(reason_of(error)) from error
+    for element in elements:
+        if element.tag in SOURCE_TAGS:
+            is_relative = element.get("relativeToVRT") == "1"
+            source = path.parent / (element.text or "") if is_relative else Path(element.text or "")
+            if not source.is_file():
+                raise ValueError(f"it names {str(source)!r}, which is no file here")
+            with source.open("rb") as file:
+                if file.read(1) == b"<":
+                    raise ValueError(f"it names {source.name!r}, which may name others: only files of pixels are read")
 
 
 def _horizontal_crs(source: rasterio.DatasetReader) -> str:

@@ -122,14 +122,9 @@ def _mission(file: Path) -> Route:
     Raises:
       InputError: the file cannot be read, or holds no mission of two waypoints.
     """
-    with readable(
-        f"the routes file {str(file)!r}",
-        "a mission of QGroundControl",
-        "give a whole one",
-        LookupError,
-        TypeError,
-        AttributeError,
-    ):
+    errors = (LookupError, TypeError, AttributeError)
+    what = f"the routes file {str(file)!r}"
+    with readable(file, "a mission of QGroundControl", "give a whole one", *errors, what=what):
         plan = json.loads(file.read_text(encoding="utf-8"))
         items = plan["mission"]["items"]
         flown = [item for item in items if item.get("type") == "SimpleItem" and item["command"] in FLOWN + LANDINGS]

@@ -40,6 +40,18 @@ COLUMNS = {
     "man_made": ("man_made",),
 }
 OF_DAMAGED = (RuntimeError, LookupError, TypeError, AttributeError, shapely.errors.ShapelyError)  # raised by readers
+# How a file of a format begins. GDAL takes any format under any name, and some of them read other files, even from a
+# server: by their first bytes such are refused before GDAL sees them.
+BEGINNINGS = {
+    **dict.fromkeys((".geojson", ".json"), b"{"),
+    **dict.fromkeys((".kml", ".gpx"), b"<"),
+    **dict.fromkeys(PARQUET_SUFFIXES, b"PAR1"),
+    ".gpkg": b"SQLite format 3",
+    ".shp": bytes.fromhex("0000270a"),
+    ".fgb": b"fgb",
+}
+REFERRING = (b"<OGRVRTDataSource", b"gdal_streamed_alg", b"<OGRWFSDataSource", b"<OGRElasticDataSource")
+HEAD_BYTES = 1 << 16  # GDAL looks at fewer
 _UNDERGROUND = "is_underground"  # of Overture Maps: true or false
 _POLYGONS = (shapely.GeometryType.POLYGON, shapely.GeometryType.MULTIPOLYGON)
 
@@ -78,9 +90,8 @@ def open_layers(path: str | Path, role: str) -> list[gpd.GeoDataFrame]:
 def _read(path: str | Path, role: str, *, every_layer: bool) -> list[gpd.GeoDataFrame]:
     """Return the features of the one layer of polygons, or of every layer, checked."""
     name = _name(path, role)
-    with readable(name, "a vector file", WHOLE, *OF_DAMAGED):
-        if not Path(path).exists():
-            raise FileNotFoundError
+    with readable(path, "a vector file", WHOLE, *OF_DAMAGED, what=name):
+        _check_format(Path(path))
         if Path(path).suffix.lower() in PARQUET_SUFFIXES:
             from jaxurban.io.read.geoparquet import read_whole_parquet  # imported here as in `_read_near`
 
@@ -95,6 +106,18 @@ def _read(path: str | Path, role: str, *, every_layer: bool) -> list[gpd.GeoData
     for frame in frames:
         _check(name, frame, frame.total_bounds)
     return frames
+
+
+def _check_format(path: Path) -> None:
+    """Raise ValueError unless a file begins as one of its name does (of any format, if its name has no known end)."""
+    suffix = path.suffix.lower()
+    beginnings = (BEGINNINGS[suffix],) if suffix in BEGINNINGS else tuple(BEGINNINGS.values())
+    with path.open("rb") as file:
+        head = file.read(HEAD_BYTES)
+    if not head.removeprefix(b"\xef\xbb\xbf").lstrip().startswith(beginnings):
+        raise ValueError(f"it does not begin as {suffix if len(beginnings) == 1 else 'a known kind of'} file does")
+    if any(word in head for word in REFERRING):
+        raise ValueError("it refers to other files or servers, which are never opened")
 
 
 def _name(path: str | Path, role: str) -> str:
@@ -133,7 +156,8 @@ def _check(name: str, frame: gpd.GeoDataFrame, extent: Sequence[float]) -> None:
 def _read_near(path: str | Path, near: Near) -> tuple[gpd.GeoDataFrame, Bounds] | None:
     """Return the buildings of a file near a region, checked, and the box of all; None where boxes do not tell."""
     name, suffix = _name(path, BUILDINGS), Path(path).suffix.lower()
-    with readable(name, "a vector file", WHOLE, *OF_DAMAGED):
+    with readable(path, "a vector file", WHOLE, *OF_DAMAGED, what=name):
+        _check_format(Path(path))
         if suffix in PARQUET_SUFFIXES:
             # Imported here: Parquet's library takes 0.1 s to load, for which other formats need not wait.
             from jaxurban.io.read.geoparquet import read_near_parquet
