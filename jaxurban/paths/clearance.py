@@ -12,8 +12,6 @@ from scipy.ndimage import binary_dilation, distance_transform_edt, minimum_filte
 
 from jaxurban.errors import InputError
 from jaxurban.maps.metric_maps import MetricMaps
-from jaxurban.paths.export.base import Z_DECIMALS
-from jaxurban.paths.export.waypoints import GROUND_TOLERANCE_M
 from jaxurban.planners.base import Cell
 
 # What a file may take from a clearance: 8 mm by the seventh decimal of a degree, and up to 35 mm where a program draws
@@ -24,9 +22,8 @@ FILE_MARGIN_M = 0.05
 def obstacles_within(maps: MetricMaps, altitude_m: float, horizontal_m: float, vertical_m: float) -> np.ndarray:
     """Return ``[Y, X]`` bool: a roof that touches the cell reaches an altitude, or ends less than ``vertical_m`` below.
 
-    Cells without data and roofs of unknown height count, bare ground does not. The altitude is taken as files round it
-    where that is lower. Over terrain a roof is as high as it is over the lowest ground within ``horizontal_m``, from
-    which a path may pass it, and a mission may miss the height above ground by `GROUND_TOLERANCE_M`.
+    Cells without data and roofs of unknown height count, bare ground does not. Over terrain a roof is as high as it is
+    over the lowest ground within ``horizontal_m``, from which a path may pass it. No file is lower than planned.
 
     Raises:
       InputError: maps that hold no touched roofs.
@@ -37,11 +34,8 @@ def obstacles_within(maps: MetricMaps, altitude_m: float, horizontal_m: float, v
             "clearance (and the vehicle's radius) out"
         )
     roof_m = maps.m("roof_touched")
-    reached_m = np.float32(min(altitude_m, round(altitude_m, Z_DECIMALS)) - vertical_m)
-    over_m = roof_m
-    if "terrain" in maps.ds:
-        reached_m -= np.float32(GROUND_TOLERANCE_M)
-        over_m = roof_m + _over_lowest_ground_m(maps, horizontal_m)
+    reached_m = np.float32(altitude_m - vertical_m)
+    over_m = roof_m + _over_lowest_ground_m(maps, horizontal_m) if "terrain" in maps.ds else roof_m
     is_obstacle = (over_m >= reached_m) & (roof_m > 0) | np.isnan(roof_m) | ~maps.ds["has_data"].values
     if altitude_m in maps.altitudes_m:
         is_obstacle |= maps.m("obstacle", altitude_m) != 0

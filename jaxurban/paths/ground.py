@@ -6,12 +6,12 @@ import numpy as np
 
 from jaxurban.world.grid import Grid
 
-SAMPLES_A_CELL = 2  # the ground between cell centres bends little
-
 
 @dataclass(frozen=True)
 class Ground:
     """The ground under a path, at its points and between them. ``G`` places in order of travel.
+
+    Every second place is halfway between its neighbours, between which the ground is a parabola.
 
     Attributes:
       at: ``[G]`` places along the path, counted in its points: 2.5 is halfway from the third point to the fourth.
@@ -23,24 +23,38 @@ class Ground:
     lonlat: np.ndarray
     elevation_m: np.ndarray
 
+    @property
+    def cover_m(self) -> np.ndarray:
+        """``[G]`` elevations that, joined by straight lines, are nowhere below the ground."""
+        cover_m = self.elevation_m.copy()  # a parabola that bulges up lies below its tangents, which meet in the middle
+        cover_m[1::2] += np.maximum(cover_m[1::2] - (cover_m[:-1:2] + cover_m[2::2]) / 2, 0.0)
+        return cover_m
+
 
 def ground_along(points_m: np.ndarray, terrain_m: np.ndarray, grid: Grid) -> Ground:
-    """Return the ground under a polyline, every half cell and at its points.
+    """Return the ground under a polyline, at its points and wherever it bends between them.
 
     Args:
       points_m: ``[N, 2]`` x, y from the grid's southwest corner, N at least 1.
       terrain_m: ``[Y, X]`` elevation of the ground in each cell.
       grid: of ``terrain_m``.
     """
-    length_m = np.hypot(*np.diff(points_m, axis=0).T)
-    per_leg = np.maximum(np.ceil(length_m * SAMPLES_A_CELL / grid.resolution_m), 1).astype(int)
-    leg = np.repeat(np.arange(len(per_leg)), per_leg)
-    within = np.arange(len(leg)) - np.repeat(np.cumsum(per_leg) - per_leg, per_leg)
-    at = np.append(leg + within / per_leg[leg], len(points_m) - 1.0)
     number = np.arange(len(points_m))
+    bends = np.unique(np.concatenate([number, *map(_passes_whole, (points_m / grid.resolution_m - 0.5).T)]))
+    at = np.interp(np.arange(2 * len(bends) - 1) / 2, np.arange(len(bends)), bends)
     x_m, y_m = (np.interp(at, number, values) for values in points_m.T)
     lonlat = np.stack(grid.lonlat_of_xy(x_m + grid.x_min_m, y_m + grid.y_min_m), axis=-1)
     return Ground(at, lonlat, elevation_at(x_m, y_m, terrain_m, grid.resolution_m))
+
+
+def _passes_whole(values: np.ndarray) -> np.ndarray:
+    """Return where a row of values ``[N]``, joined by straight lines, passes whole numbers, counted in values."""
+    begin, end = values[:-1], values[1:]
+    low = np.floor(np.minimum(begin, end))
+    passed = np.maximum(np.ceil(np.maximum(begin, end)) - low - 1, 0).astype(int)
+    leg = np.repeat(np.arange(len(passed)), passed)
+    whole = low[leg] + 1 + np.arange(len(leg)) - np.repeat(np.cumsum(passed) - passed, passed)
+    return leg + (whole - begin[leg]) / (end - begin)[leg]
 
 
 def elevation_at(x_m: np.ndarray, y_m: np.ndarray, terrain_m: np.ndarray, resolution_m: float) -> np.ndarray:

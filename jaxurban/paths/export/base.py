@@ -13,6 +13,7 @@ if TYPE_CHECKING:
 
 DECIMALS = 7  # of a degree: about a centimetre
 Z_DECIMALS = 2  # of a metre
+FAR_DECIMALS = 6  # of a centimetre: what is so near to a whole one is that
 HEIGHT_REFERENCE = "altitude_m and z_m are metres above the ground below each point, not above sea level"
 
 # What a format is: the bytes of a file from paths by name and, if there is one, the report of the one path.
@@ -24,6 +25,12 @@ def positions(points: np.ndarray) -> list[list[float]]:
     """Return rounded coordinates; a lone point twice, since a line needs two positions."""
     listed = np.round(points, DECIMALS).tolist()
     return listed * 2 if len(listed) == 1 else listed
+
+
+def upward(height_m: np.ndarray) -> np.ndarray:
+    """Return heights as files write them: rounded up, so that no file is lower than the path."""
+    centimetres = np.asarray(height_m, float) * 10**Z_DECIMALS
+    return np.ceil(np.round(centimetres, FAR_DECIMALS)) / 10**Z_DECIMALS
 
 
 def facts_of(route: "PlannedPath", report: "RouteReport | None") -> tuple[dict[str, Any], list[dict[str, Any]]]:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jaxurban.paths.export.base import Z_DECIMALS, Named, facts_of, positions
+from jaxurban.paths.export.base import Z_DECIMALS, Named, facts_of, positions, upward
 
 if TYPE_CHECKING:
     from jaxurban.paths.explain import RouteReport
@@ -31,7 +31,7 @@ def to_geojson(routes: Named, report: "RouteReport | None") -> bytes:
     features = []
     for name, route in routes:
         facts, segments = facts_of(route, report)
-        heights: dict[str, Any] = {"z_m": np.round(route.z_m, Z_DECIMALS).tolist()}
+        heights: dict[str, Any] = {"z_m": upward(route.z_m).tolist()}
         if route.ground is not None:
             elevation_m = np.interp(np.arange(len(route.z_m)), route.ground.at, route.ground.elevation_m)
             heights |= {"ground_m": np.round(elevation_m, Z_DECIMALS).tolist(), "ground_reference": GROUND_REFERENCE}

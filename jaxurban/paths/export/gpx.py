@@ -8,7 +8,7 @@ terrain the ground's elevation is not known, and points have none; their height 
 from typing import TYPE_CHECKING
 from xml.etree import ElementTree
 
-from jaxurban.paths.export.base import DECIMALS, Z_DECIMALS, Named, facts_of
+from jaxurban.paths.export.base import DECIMALS, Z_DECIMALS, Named, facts_of, upward
 from jaxurban.paths.export.waypoints import waypoints
 
 if TYPE_CHECKING:
@@ -43,6 +43,6 @@ def _add_route(root: ElementTree.Element, name: str, route: "PlannedPath", repor
     for number, ((lon, lat), z_m) in enumerate(zip(along.lonlat, along.z_m, strict=True)):
         point = ElementTree.SubElement(element, "rtept", lat=f"{lat:.{DECIMALS}f}", lon=f"{lon:.{DECIMALS}f}")
         if along.ground_m is not None:
-            ElementTree.SubElement(point, "ele").text = f"{along.ground_m[number] + z_m:.{Z_DECIMALS}f}"
+            ElementTree.SubElement(point, "ele").text = f"{upward(along.ground_m[number] + z_m):.{Z_DECIMALS}f}"
         ElementTree.SubElement(point, "name").text = str(number + 1)
-        ElementTree.SubElement(point, "desc").text = f"{z_m:.{Z_DECIMALS}f} m above ground"
+        ElementTree.SubElement(point, "desc").text = f"{upward(z_m):.{Z_DECIMALS}f} m above ground"

@@ -1,4 +1,7 @@
-"""KML: of each path a LineString at its altitude above ground (``relativeToGround``), and all known of it as data."""
+"""KML: of each path a LineString at its altitude above ground (``relativeToGround``), and all known of it as data.
+
+Over maps with terrain its points are those of `waypoints`, as programs draw straight lines from one to the next.
+"""
 
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
@@ -6,7 +9,8 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from jaxurban.paths.export.base import DECIMALS, Z_DECIMALS, Named, facts_of, positions
+from jaxurban.paths.export.base import DECIMALS, Z_DECIMALS, Named, facts_of, positions, upward
+from jaxurban.paths.export.waypoints import waypoints
 
 if TYPE_CHECKING:
     from jaxurban.paths.explain import RouteReport
@@ -34,11 +38,12 @@ def _add_placemark(
     data = ElementTree.SubElement(placemark, "ExtendedData")
     for name, value in _flat(facts):
         ElementTree.SubElement(ElementTree.SubElement(data, "Data", name=name), "value").text = str(value)
+    along = route if route.ground is None else waypoints(route)
     line = ElementTree.SubElement(placemark, "LineString")
     ElementTree.SubElement(line, "altitudeMode").text = "relativeToGround"
     ElementTree.SubElement(line, "coordinates").text = " ".join(
         f"{lon:.{DECIMALS}f},{lat:.{DECIMALS}f},{z_m:.{Z_DECIMALS}f}"
-        for lon, lat, z_m in positions(np.column_stack([route.lonlat, route.z_m]))
+        for lon, lat, z_m in positions(np.column_stack([along.lonlat, upward(along.z_m)]))
     )
 
 

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from jaxurban.errors import InputError, one_of
-from jaxurban.paths.export.base import Z_DECIMALS, Named, facts_of
+from jaxurban.paths.export.base import Z_DECIMALS, Named, facts_of, upward
 from jaxurban.paths.export.geofence import exclusions
 from jaxurban.paths.export.waypoints import GROUND_TOLERANCE_M, Waypoints, waypoints
 
@@ -46,9 +46,10 @@ def height_note(route: "PlannedPath") -> str:
             "above ground only where the ground is as high as there. Home's elevation is not known and written as 0."
         )
     return (
-        f"Altitudes are relative to home and follow the ground: straight lines between waypoints keep the planned "
-        f"height above it within {GROUND_TOLERANCE_M:g} m. Home is at {route.ground.elevation_m[0]:.1f} m above the "
-        "zero of the terrain file, whose vertical datum need not be mean sea level."
+        f"Altitudes are relative to home and follow the ground: straight lines between waypoints keep at least the "
+        f"planned height above it, and at most {GROUND_TOLERANCE_M:g} m more. Home is at "
+        f"{route.ground.elevation_m[0]:.1f} m above the zero of the terrain file, whose vertical datum need not be "
+        "mean sea level."
     )
 
 
@@ -75,7 +76,7 @@ def to_qgc_plan(routes: Named, report: "RouteReport | None", end: str = "land") 
     facts, _ = facts_of(route, report)
     speed_m_s = facts.get("speed_m_s")
     along = waypoints(route)
-    home_m = 0.0 if along.ground_m is None else round(float(along.ground_m[0]), Z_DECIMALS)
+    home_m = 0.0 if along.ground_m is None else float(upward(along.ground_m[0]))
     rings, _ = exclusions(route)
     plan = {
         "fileType": "Plan",
@@ -106,7 +107,7 @@ def to_qgc_plan(routes: Named, report: "RouteReport | None", end: str = "land") 
 
 def _items(along: Waypoints, speed_m_s: float | None, end: str) -> list[dict[str, Any]]:
     """Return the items of a mission: take-off, the speed if it is given, waypoints, the end."""
-    places = zip(along.lonlat.tolist(), along.above_home_m.round(Z_DECIMALS).tolist(), strict=True)
+    places = zip(along.lonlat.tolist(), upward(along.above_home_m).tolist(), strict=True)
     takeoff, *others = [
         _place(MAV_CMD_NAV_WAYPOINT if number else MAV_CMD_NAV_TAKEOFF, lonlat, z_m)
         for number, (lonlat, z_m) in enumerate(places)

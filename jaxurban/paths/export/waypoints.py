@@ -1,8 +1,8 @@
 """The waypoints of a planned path: where it bends in plan or in height, over terrain also where the ground does.
 
 Points within a centimetre of the straight line between their neighbours are left out, so that a grid path is not a
-mission of thousands. Over maps with terrain points are added until the straight lines between waypoints miss the
-planned height above ground by at most `GROUND_TOLERANCE_M`.
+mission of thousands. No straight line between waypoints is lower than planned: these are raised by as much as a line
+would be. Over maps with terrain points are added until no line is more than `GROUND_TOLERANCE_M` higher.
 """
 
 from itertools import pairwise
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from jaxurban.paths.path import PlannedPath
 
 STRAIGHT_M = 0.01  # a waypoint closer than this to the line through its neighbours is left out
-GROUND_TOLERANCE_M = 1.0  # by which the straight lines may miss the planned height above ground
+GROUND_TOLERANCE_M = 1.0  # by which the straight lines may exceed the planned height above ground
 
 
 class Waypoints(NamedTuple):
@@ -25,7 +25,7 @@ class Waypoints(NamedTuple):
 
     Attributes:
       lonlat: ``[W, 2]`` longitude, latitude in degrees, as they are written.
-      z_m: ``[W]`` planned height above ground.
+      z_m: ``[W]`` height above ground, the planned one or more.
       ground_m: ``[W]`` the ground's elevation above the zero of the terrain file; None over maps without terrain.
     """
 
@@ -41,14 +41,23 @@ class Waypoints(NamedTuple):
 
 def waypoints(route: "PlannedPath") -> Waypoints:
     """Return the waypoints of a path."""
-    if route.ground is None:
-        kept = _turns(route.xy_m, route.z_m)
-        return Waypoints(np.round(route.lonlat[kept], DECIMALS), np.asarray(route.z_m)[kept], None)
-    ground, number = route.ground, np.arange(len(route.z_m))
-    xyz_m = np.column_stack([np.interp(ground.at, number, values) for values in (*route.xy_m.T, route.z_m)])
+    ground, lonlat = route.ground, route.lonlat
+    xyz_m = np.column_stack([route.xy_m, route.z_m])
+    height_m = xyz_m[:, 2]
+    if ground is not None:
+        lonlat, number = ground.lonlat, np.arange(len(xyz_m))
+        xyz_m = np.column_stack([np.interp(ground.at, number, values) for values in xyz_m.T])
+        height_m = xyz_m[:, 2] + ground.cover_m
     along_m = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(xyz_m, axis=0), axis=1)))
-    kept = _with_bends(_turns(xyz_m[:, :2], xyz_m[:, 2]), along_m, xyz_m[:, 2] + ground.elevation_m)
-    return Waypoints(np.round(ground.lonlat[kept], DECIMALS), xyz_m[kept, 2], ground.elevation_m[kept])
+    kept = _turns(xyz_m[:, :2], xyz_m[:, 2])
+    if ground is not None:
+        kept = _with_bends(kept, along_m, height_m)
+    too_low_m = height_m - np.interp(along_m, along_m[kept], height_m[kept])
+    of_leg_m = np.maximum.reduceat(too_low_m, kept[:-1]) if len(kept) > 1 else np.zeros(0)
+    raised_m = height_m[kept] + np.maximum(np.append(of_leg_m, 0.0), np.append(0.0, of_leg_m)).clip(0.0)
+    elevation_m = None if ground is None else ground.elevation_m[kept]
+    z_m = raised_m if elevation_m is None else raised_m - elevation_m
+    return Waypoints(np.round(lonlat[kept], DECIMALS), z_m, elevation_m)
 
 
 def _turns(xy_m: np.ndarray, z_m: np.ndarray) -> np.ndarray:
@@ -67,7 +76,9 @@ def _turns(xy_m: np.ndarray, z_m: np.ndarray) -> np.ndarray:
 
 
 def _with_bends(kept: np.ndarray, along_m: np.ndarray, height_m: np.ndarray) -> np.ndarray:
-    """Return the indices to keep and more, so that straight lines miss no height by more than the tolerance, ``[W]``.
+    """Return the indices to keep and more, so that lines miss no height by more than half the tolerance, ``[W]``.
+
+    Raised by the other half they are nowhere too low.
 
     Args:
       kept: indices that stay, first and last included.
@@ -80,7 +91,7 @@ def _with_bends(kept: np.ndarray, along_m: np.ndarray, height_m: np.ndarray) -> 
         inner = np.arange(first + 1, last)
         line_m = np.interp(along_m[inner], along_m[[first, last]], height_m[[first, last]])
         missed_m = np.abs(height_m[inner] - line_m)
-        if missed_m.max(initial=0.0) > GROUND_TOLERANCE_M:
+        if missed_m.max(initial=0.0) > GROUND_TOLERANCE_M / 2:
             worst = int(inner[np.argmax(missed_m)])
             bends.add(worst)
             spans += [(first, worst), (worst, last)]
