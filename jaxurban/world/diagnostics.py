@@ -18,6 +18,7 @@ class ReadIssue(StrEnum):
       NOT_BUILDINGS: building=no without building:part, left out.
       UNDERGROUND: location=underground or layer below 0, left out.
       OUTLINES_REPLACED_BY_PARTS: covered by their own parts to 90 % or more.
+      OUTLINES_KEPT_AS_PODIUMS: of these, under hanging parts where no part stands, up to the lowest floor.
       PARTS_GIVEN_OUTLINE_HEIGHT: parts without a height of their own.
       PARTS_HANGING: underside above the ground.
       MIN_HEIGHTS_ABOVE_ROOF: underside at or above the roof, set to 0.
@@ -48,6 +49,7 @@ class ReadIssue(StrEnum):
     NOT_BUILDINGS = "not_buildings"
     UNDERGROUND = "underground"
     OUTLINES_REPLACED_BY_PARTS = "outlines_replaced_by_parts"
+    OUTLINES_KEPT_AS_PODIUMS = "outlines_kept_as_podiums"
     PARTS_GIVEN_OUTLINE_HEIGHT = "parts_given_outline_height"
     PARTS_HANGING = "parts_hanging"
     MIN_HEIGHTS_ABOVE_ROOF = "min_heights_above_roof"

@@ -11,8 +11,10 @@ from jaxurban.errors import InputError
 from jaxurban.io.read.buildings import BuildingFile, read_buildings
 from jaxurban.io.read.osm import cut_buildings, read_osm
 from jaxurban.io.read.outlines import to_buildings
-from jaxurban.io.read.rasterise import rasterise
-from jaxurban.world.city import SLABS, TO_GROUND, HeightOrigin
+from jaxurban.io.read.rasterise import build_surface, rasterise
+from jaxurban.metrics.obstacle import obstacles_on
+from jaxurban.metrics.visibility import visibility
+from jaxurban.world.city import SLABS, TO_GROUND, City, HeightOrigin
 from jaxurban.world.grid import Grid
 from jaxurban.world.slabs import PER_CELL
 from tests.hanging_city import CRS, DECK, SIDE_M, X_M, Y_M, city
@@ -139,6 +141,33 @@ def test_an_osm_file_gives_bridges_only_where_slabs_are_asked(tmp_path):
     assert sorted(buildings.min_height_m.tolist()) == [0, 5]
     buildings, _, _ = to_buildings(path, slabs, CRS, **heights)
     assert buildings.min_height_m.tolist() == [0]
+
+
+def test_an_outline_stays_as_a_podium_under_hanging_parts_where_no_part_stands(tmp_path):
+    """A tower of 75 m of which a part from 20 m up and one from the ground are mapped: its lobby is no air."""
+    x_m, y_m = X_M + 100, Y_M + 100
+    lobby, standing = shapely.box(x_m, y_m, x_m + 40, y_m + 60), shapely.box(x_m + 40, y_m, x_m + 60, y_m + 60)
+    rows = [
+        {"building": "yes", "height": "75"},
+        {"building:part": "yes", "height": "75", "min_height": "20"},
+        {"building:part": "yes", "height": "90", "min_height": "75"},
+        {"building:part": "yes", "height": "30"},
+        {"building": "yes", "height": "12"},
+    ]
+    whole, top = shapely.union(lobby, standing), shapely.box(x_m + 10, y_m + 10, x_m + 20, y_m + 20)
+    beside, path = shapely.box(x_m + 200, y_m, x_m + 220, y_m + 20), tmp_path / "city.gpkg"
+    geopandas.GeoDataFrame(rows, geometry=[whole, lobby, top, standing, beside], crs=CRS).to_file(path)
+    for hanging, count in ((SLABS, 1), (TO_GROUND, None)):
+        source = read_buildings(BuildingFile(path, hanging=hanging), CRS)
+        assert source.issues["outlines_replaced_by_parts"] == 1
+        assert source.issues.get("outlines_kept_as_podiums") == count
+        extent_m = (X_M, Y_M, X_M + SIDE_M, Y_M + SIDE_M)
+        surface = build_surface(City(CRS, extent_m, source.buildings, hanging=hanging), GRID, GRID)
+        low, high = np.asarray(obstacles_on(surface, [2.0, 60.0]))
+        assert low[50:80, 50:80].all()  # 60 m from 100 m on, in cells of 2 m
+        assert high.sum() == lobby.area / 4
+        words = np.asarray(visibility(surface, np.zeros(1), np.array([0.1]), [2.0]))  # north, through the lobby
+        assert words[0, 0][cell_of(120, 90)] == 0
 
 
 def test_slabs_of_a_height_raster_are_refused(tmp_path):

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +17,7 @@ from jaxurban.world.grid import Bounds, transformer
 
 REPLACED_SHARE = 0.9  # an outline covered at least so far by its parts is dropped (design, section 3)
 BELONGING_SHARE = 0.5  # a part is an outline's own if at least so much of it lies inside
+PODIUM_M2 = 1.0  # less than this between two drawings of one wall is no podium
 DECK = "bridge"  # of the tag man_made
 _NO = ("no", "false", "0", "0.0")
 
@@ -85,7 +86,7 @@ def to_buildings(
     outline that its own parts cover to at least 90 % gives way to them; one that is tagged ``building:part`` as well is
     a part itself and stands. A part without usable height takes that of its highest outline, if it is known. An
     underside at or above the roof raises a roof that was only estimated from levels or by default, and is set to 0
-    under a roof with a height.
+    under a roof with a height. Where parts hang, an outline stays below those that no part stands under (`_podiums`).
 
     Args:
       path: the file, for messages.
@@ -120,7 +121,12 @@ def to_buildings(
     height_m, min_height_m = _above_underside(height_m, heights.min_height_m, origin, issues)
     is_replaced = _covered_share(polygons, outline, shared) >= REPLACED_SHARE
     issues[ReadIssue.OUTLINES_REPLACED_BY_PARTS] = int(np.sum(is_replaced))
-    buildings = Buildings(polygons, height_m, min_height_m, origin, is_part).take(~is_replaced)
+    buildings = Buildings(polygons, height_m, min_height_m, origin, is_part)
+    if hanging == SLABS:
+        buildings, is_podium = _podiums(buildings, outline, part, is_replaced)
+        issues[ReadIssue.OUTLINES_KEPT_AS_PODIUMS] = int(np.sum(is_podium))
+        is_replaced &= ~is_podium
+    buildings = buildings.take(~is_replaced)
     issues[ReadIssue.PARTS_HANGING] = int(np.sum(buildings.min_height_m > 0))
     return buildings, boxes_m, issues
 
@@ -215,6 +221,27 @@ def _covered_share(polygons: np.ndarray, outline: np.ndarray, shared: np.ndarray
         covered = shared[order[start : start + number]]
         share[owner] = shapely.area(shapely.union_all(covered)) / shapely.area(polygons[owner])
     return share
+
+
+def _podiums(
+    buildings: Buildings, outline: np.ndarray, part: np.ndarray, is_replaced: np.ndarray
+) -> tuple[Buildings, np.ndarray]:
+    """Return buildings whose replaced outlines are podiums where they have one, and which these are, ``[N]`` bool.
+
+    A podium lies under an outline's own hanging parts where none of its parts stands, up to their lowest floor.
+    """
+    polygons, height_m, origin = buildings.polygons.copy(), buildings.height_m.copy(), buildings.origin.copy()
+    is_podium, hangs = np.zeros(len(polygons), bool), buildings.min_height_m > 0
+    for owner in np.unique(outline[is_replaced[outline] & hangs[part]]):
+        own = part[outline == owner]
+        over, standing = own[hangs[own]], shapely.union_all(polygons[own[~hangs[own]]])
+        bare = shapely.difference(shapely.intersection(polygons[over], buildings.polygons[owner]), standing)
+        over, bare = over[shapely.area(bare) > PODIUM_M2], bare[shapely.area(bare) > PODIUM_M2]
+        lowest = over[np.argmin(buildings.min_height_m[over])] if len(over) else owner
+        if buildings.min_height_m[lowest] > buildings.min_height_m[owner]:
+            polygons[owner], is_podium[owner] = polygonal(shapely.union_all(bare)), True
+            height_m[owner], origin[owner] = buildings.min_height_m[lowest], buildings.origin[lowest]
+    return replace(buildings, polygons=polygons, height_m=height_m, origin=origin), is_podium
 
 
 def _with_outline_heights(
