@@ -225,6 +225,7 @@ def map_guesses(task: MapTask) -> Guesses:
         mask_deg=task.params.mask_deg,
         population_layers=task.population,
         population=task.params.population,
+        times_of_day=task.params.times_of_day,
         bands=task.bands,
     )
 

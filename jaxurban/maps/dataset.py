@@ -44,7 +44,7 @@ LONG_NAMES = {  # of what is not a metric's m
     WITHIN_LIMITS: "both protection levels within their alert limits",
     "roof": "height of the roof over the cell's centre above the ground",
     "roof_touched": "height of the highest roof that shares area with the cell above the ground",
-    "roof_guessed": "the roof's height is guessed",
+    "roof_guessed": "the height of the highest roof that touches the cell, or is over its centre, is guessed",
     UNDERSIDE: "height of the lowest underside of what hangs over the cell's centre above the ground",
     "terrain": "elevation of the ground",
     "has_data": "something is known of the cell",
@@ -75,7 +75,7 @@ def variables(task: MapTask) -> dict[str, tuple[tuple[str, ...], np.dtype]]:
     if task.params.height_samples:
         names["obstacle_share"] = (flown, np.float32)
     names |= dict.fromkeys(("roof", "roof_touched"), (PLANE, np.float32))
-    if task.draws_guesses:
+    if task.has_guessed_roofs:
         names["roof_guessed"] = (PLANE, np.bool_)
     if task.city.hanging == SLABS and task.city.buildings is not None:
         names[UNDERSIDE] = (PLANE, np.float32)

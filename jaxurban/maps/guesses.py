@@ -19,7 +19,6 @@ from jaxurban.world.city import SLABS, Blocks, City, Raster
 from jaxurban.world.grid import Bounds, Grid
 from jaxurban.world.sky import Sky
 
-DRAWN_SHARE = 0.10  # of buildings: from here on the picture of heights tells guessed ones apart
 EMPTY_SHARE = 0.10  # of the region without a census block (rivers and the sea often have none), of a layer's pixels
 SCALE_M, SCALE_SHARE = 1 / 3, 0.01  # no more than this share of inhabited blocks above this m: few set the scale
 SIDE_POINTS = 32  # along each side of a raster's outline, which another CRS bends
@@ -32,9 +31,9 @@ def is_of_sky(name: str) -> bool:
     return name in (NOMINAL_SKY, ELEMENTS_TIME) or name.endswith(BEYOND_DATA)
 
 
-def draws_guesses(city: City, region: Grid) -> bool:
-    """Return whether so many of a region's heights are guessed that pictures tell them apart."""
-    return city.buildings is not None and guessed_share(city.buildings, region.bounds_m) >= DRAWN_SHARE
+def has_guessed_roofs(city: City, region: Grid) -> bool:
+    """Return whether the height of any building in a region is guessed."""
+    return city.buildings is not None and guessed_share(city.buildings, region.bounds_m) > 0
 
 
 def time_guess(time: str) -> Guesses:
@@ -63,6 +62,7 @@ def guesses_of(
     mask_deg: float,
     population_layers: BlockLayers | None,
     population: PopulationParams,
+    times_of_day: Sequence[str] = (),
     bands: Mapping[str, Bands] | None = None,
 ) -> Guesses:
     """Return every guess behind a region's maps.
@@ -75,6 +75,7 @@ def guesses_of(
       mask_deg: elevation mask.
       population_layers: of the city's blocks, None without them.
       population: its settings.
+      times_of_day: of the population maps.
       bands: values of own layers, by name.
     """
     guesses = {**city.guesses, **sky.guesses}
@@ -87,6 +88,8 @@ def guesses_of(
     for name, values in (bands or {}).items():
         guesses |= _layer_guesses(name, values[0], region)
     if city.blocks is not None and population_layers is not None:
+        if city.sources and {*times_of_day} - {"night"}:
+            guesses |= _factor_guess(population)
         guesses |= _scale_guesses(city.blocks, region.bounds_m, population_layers, population)
     return guesses
 
@@ -176,6 +179,17 @@ def _visibility_guesses(city: City, region: Grid, sky: Sky, altitude_m: float, m
         f"{percent(share)} of {BEYOND_DATA}": (
             f"{percent(share)} of the visibility results at {altitude_m:g} m are of rays that leave the data below the "
             "highest roof and count as clear there, so GPS may look better than it is: give buildings farther around"
+        )
+    }
+
+
+def _factor_guess(params: PopulationParams) -> Guesses:
+    """Return that the people of other times than the night are the census's, times a factor."""
+    return {
+        "people by factors": (
+            f"people by day are not counted: they are the census's times {params.gamma_commercial:g} in commercial "
+            f"districts and {params.gamma_residential:g} elsewhere; set [population] gamma_commercial and "
+            "gamma_residential"
         )
     }
 

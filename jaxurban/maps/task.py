@@ -11,7 +11,7 @@ import numpy as np
 from jaxurban.errors import InputError, at_least
 from jaxurban.io.read.rasterise import build_surface, highest_top_m, surface_grid
 from jaxurban.kernels.dop import Clocks
-from jaxurban.maps.guesses import draws_guesses
+from jaxurban.maps.guesses import has_guessed_roofs
 from jaxurban.maps.height_uncertainty import SPREAD, HeightStd, check_samples
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY, Metric
 from jaxurban.metrics.custom import Layer, check_file_names, own_metric
@@ -172,9 +172,9 @@ class MapTask:
         return block_layers(self.city.blocks, params.times_of_day, params.population, self.region.bounds_m)
 
     @cached_property
-    def draws_guesses(self) -> bool:
-        """Whether roofs whose height is guessed are told apart: so many of the region's are."""
-        return draws_guesses(self.city, self.region)
+    def has_guessed_roofs(self) -> bool:
+        """Whether maps tell roofs of guessed height apart: the region has any."""
+        return has_guessed_roofs(self.city, self.region)
 
     def satellites_at(self, time_index: int) -> np.ndarray:
         """Return the numbers of the satellites at or above the mask at a time."""
@@ -222,4 +222,6 @@ class MapTask:
 
     def surface(self) -> Surface:
         """Return the city's rasters on the region and its margin."""
-        return build_surface(self.city, self.region, self.with_margin(), self.params.all_touched, self.draws_guesses)
+        return build_surface(
+            self.city, self.region, self.with_margin(), self.params.all_touched, self.has_guessed_roofs
+        )

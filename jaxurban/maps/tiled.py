@@ -100,7 +100,7 @@ def raster_tile(job: TileJob, tile: Tile) -> dict[str, Any]:
         with watch.stage("surface"):
             grid = job.tiling.grid_of(tile)
             is_reported = tile in job.tiling.region_tiles
-            tells_guessed = is_reported and job.task.draws_guesses
+            tells_guessed = is_reported and job.task.has_guessed_roofs
             arrays = rasterise(city, grid, job.task.params.all_touched, tells_guessed)._asdict()
             if (slabs := arrays.pop("slabs")) is not None:
                 arrays |= {f"slab_{name}": values for name, values in slabs._asdict().items()}

@@ -78,7 +78,8 @@ class Surface:
       region: the part of ``grid`` that maps report, grid of ``block``, ``roof_touched_m`` and ``roof_guessed``.
       roof_touched_m: height of the highest roof that shares area with each cell of the region, what planners keep
         clear of; None where nobody plans (on supersampled surfaces, and those made by hand).
-      roof_guessed: whether the height of each cell's roof in the region is guessed; None where nobody tells.
+      roof_guessed: whether the height of a cell's roof in the region, by its centre or by touch, is guessed; None where
+        no height is.
       most_halo: cells beyond the region that `crop_with_halo` gives at most; None for any number.
       slabs: what hangs over the grid, and beyond it whatever can shadow the region; None where everything reaches the
         ground, as ``roof_m`` then says.

@@ -9,7 +9,7 @@ import shapely
 from jaxurban.errors import InputError
 from jaxurban.io.read.buildings import BuildingFile, BuildingSource, read_buildings
 from jaxurban.io.read.census import CensusFiles, read_blocks
-from jaxurban.io.read.guesses import count_guesses, district_guesses, height_guesses, warn_of
+from jaxurban.io.read.guesses import FLAT_GROUND, count_guesses, district_guesses, height_guesses, warn_of
 from jaxurban.io.read.raster import raster_extent_m, read_raster
 from jaxurban.world.city import City
 from jaxurban.world.grid import WGS84, Bounds, check_bounds, projected_crs, transformer, utm_crs
@@ -66,6 +66,8 @@ def read_city(
         guesses |= count_guesses(block_issues, blocks) | district_guesses(block_issues, census)
         roles |= {"blocks": census.blocks, "table": census.table, "districts": census.districts}
     roles["terrain"] = terrain
+    if terrain is None:
+        guesses |= FLAT_GROUND
     warn_of(guesses)
     return City(
         crs=crs,

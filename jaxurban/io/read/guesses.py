@@ -19,6 +19,10 @@ if TYPE_CHECKING:
 
 Guesses = dict[str, str]
 
+FLAT_GROUND = {
+    "flat ground": "no terrain is given, so the ground is taken as flat: heights and shadows are wrong where it is "
+    "not; name an elevation raster in [terrain] source"
+}
 TOLD_SHARE = 0.01  # of buildings, cells or visibility results: a box in degrees and its projection differ by less
 
 

@@ -111,14 +111,14 @@ def _standing_and_hanging(
 def _burn_roofs(
     buildings: Buildings, grid: Grid, all_touched: bool, tells_guessed: bool
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-    """Return roofs by centres and by touch, and, if wanted, whether the height of each cell's roof is guessed."""
+    """Return roofs by centres and by touch, and, if wanted, whether the height of either of a cell is guessed."""
     polygons, height_m = buildings.polygons, buildings.height_m
     if not tells_guessed:
         return *burn_touched(polygons, height_m, grid, 0.0, "float32", boxes_m=buildings.boxes_m), None
     by_height, centre, touched = _burn_ranks(buildings, grid)
     roofs_m = np.append(height_m[by_height], 0.0).astype(np.float32)  # without a building the rank is -1
     is_guessed = np.append(buildings.is_guessed[by_height], False)
-    return roofs_m[centre], roofs_m[touched], is_guessed[touched if all_touched else centre]
+    return roofs_m[centre], roofs_m[touched], is_guessed[touched] | is_guessed[centre]
 
 
 def _burn_ranks(buildings: Buildings, grid: Grid) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

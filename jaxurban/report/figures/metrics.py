@@ -375,7 +375,7 @@ def roof_layers(maps: MetricMaps) -> list[MapLayer]:
 def plot_heights(maps: GivenMaps) -> Figure:
     """Return roof heights above ground and, where it is not flat, the terrain's elevation.
 
-    Roofs of guessed height are hatched where they are many (`jaxurban.maps.guesses.DRAWN_SHARE`).
+    Roofs of guessed height are hatched.
     """
     maps = as_maps(maps)
     roofs = roof_layers(maps)
@@ -389,7 +389,7 @@ def plot_heights(maps: GivenMaps) -> Figure:
     draw_layers(frame.axes[0], maps.grid, roofs)
     hatched = ""
     if "roof_guessed" in maps.ds:
-        is_guessed = maps.m("roof_guessed")
+        is_guessed = maps.m("roof_guessed") & (maps.m("roof") > 0)
         draw_hatch(frame.axes[0], maps.grid, is_guessed)
         hatched = f"height guessed\n({percent(is_guessed.sum() / max((maps.m('roof') > 0).sum(), 1))} of roofs)"
     add_bar_below(frame, frame.axes[0], roofs[1].colours)
