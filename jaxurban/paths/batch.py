@@ -162,10 +162,8 @@ class _Job:
             for k in group:
                 query = self.queries[k]
                 try:
-                    ends = (
-                        shared.locate("start", one_place("start", query.start, query.start_xy_m), snap=search.snap),
-                        shared.locate("goal", one_place("goal", query.goal, query.goal_xy_m), snap=search.snap),
-                    )
+                    start = one_place("start", query.start, query.start_xy_m)
+                    ends = shared.ends(start, one_place("goal", query.goal, query.goal_xy_m), snap=search.snap)
                 except InputError as error:
                     yield self._refuse(k, str(error))
                     continue

@@ -15,10 +15,10 @@ from jaxurban.paths.closed import why_closed
 from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.finish import finish
 from jaxurban.paths.path import PlannedPath
-from jaxurban.paths.reachability import Reachability, levels_that_join
+from jaxurban.paths.reachability import Reachability, islands_of, levels_that_join
 from jaxurban.paths.read_costs import When, check_memory, costs_at
 from jaxurban.paths.search import PathSearch
-from jaxurban.paths.snapping import XY, Place, Point, free_place
+from jaxurban.paths.snapping import XY, Place, Point, free_place, joined_ends, pocket_note
 from jaxurban.planners.any_angle import check_line_model
 from jaxurban.planners.base import Cell, CostKind, Problem
 from jaxurban.planners.cost import PathFeatures
@@ -203,6 +203,22 @@ class CostMap(Shown):
         )
         return found if self.levels is None else replace(found, cell=(level, *found.cell))
 
+    def ends(self, start: Point | XY, goal: Point | XY, *, snap: bool | float = False) -> tuple[Place, Place]:
+        """Return the cells of a query, as `locate` does; snapping moves them to cells that free ones join (errors too).
+
+        Where none within reach are joined, to the nearest free ones.
+        """
+        places = self.locate("start", start, snap=snap), self.locate("goal", goal, snap=snap)
+        if not any(place.is_snapped for place in places):
+            return places
+        at_xy_m = self.cell_of("start", start)[0], self.cell_of("goal", goal)[0]
+        return joined_ends(places, at_xy_m, self.islands, self.grid, snap)
+
+    @cached_property
+    def islands(self) -> np.ndarray:
+        """``[Y, X]`` or ``[K, Y, X]`` the number of the island of joined free cells, 0 where a cell is closed."""
+        return islands_of(self.is_free, self.cost_model.joins_corners)
+
     @property
     def levels_free(self) -> np.ndarray:
         """``[K, Y, X]`` where a path may fly, on one altitude too."""
@@ -258,7 +274,7 @@ class CostMap(Shown):
         """Return a path between two places, given as in `locate` (other arguments: `PathSearch`; errors: `plan`)."""
         search = PathSearch(planner, heuristic, budget_s, seed, snap, refine)
         find_path = search.find(is_for_volumes=self.levels is not None)
-        ends = self.locate("start", start, snap=search.snap), self.locate("goal", goal, snap=search.snap)
+        ends = self.ends(start, goal, snap=search.snap)
         problem = self.problem.between(ends[0].cell, ends[1].cell)
         if search.refine:
             check_line_model(problem, "refinement")
@@ -277,9 +293,10 @@ class CostMap(Shown):
 
     def what_would_join(self, start: Place, goal: Place) -> str:
         """Return a sentence on what would join two places that nothing joins."""
+        pocket = pocket_note(start, goal, self.islands, self.grid)
         if self.levels is None:
-            return self.reachability.what_would_join(start.cell, goal.cell, self.altitude_m)
-        return levels_that_join(self.reachability, start.cell, goal.cell, self.altitudes_m)
+            return f"{pocket} {self.reachability.what_would_join(start.cell, goal.cell, self.altitude_m)}".strip()
+        return f"{pocket} {levels_that_join(self.reachability, start.cell, goal.cell, self.altitudes_m)}".strip()
 
     def means(self, features: PathFeatures) -> dict[str, float]:
         """Return the mean of each metric m along a path, by the exact length in each cell."""

@@ -62,7 +62,8 @@ def plan(
       budget_s: seconds that the search may take.
       seed: for sampling planners.
       snap: move a start or goal inside an obstacle or closed by a constraint to the nearest free cell (of its level)
-        instead of failing: True by at most 50 m, a number by at most so many metres. The path's message says how far.
+        that is joined to the other end, instead of failing: True by at most 50 m, a number by at most so many metres.
+        The path's message says how far.
       refine: move the waypoints of what the planner found downhill, off the grid (`planners.refine`); within what
         is left of the budget. It takes the ``line`` cost model, or the ``distance`` objective.
       constraints: no-fly zones, bounds on maps and clearances, from `Constraints.read`; no path enters a cell that

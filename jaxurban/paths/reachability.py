@@ -41,7 +41,7 @@ class Reachability:
         """Return whether free cells join two cells at one altitude."""
         if altitude_m not in self._labels:
             is_free = self.constraints.is_free(self.maps, altitude_m, time=self.time, time_of_day=self.time_of_day)
-            self._labels[altitude_m] = label(is_free, generate_binary_structure(2, 2 if self.cuts_corners else 1))[0]
+            self._labels[altitude_m] = islands_of(is_free, self.cuts_corners)
         labels = self._labels[altitude_m]
         return bool(labels[start] == labels[goal] != 0)
 
@@ -95,16 +95,25 @@ class Reachability:
         return joined_sentence(tried) + unknown
 
 
+def islands_of(is_free: np.ndarray, cuts_corners: bool) -> np.ndarray:
+    """Return the number of the island of each free cell, ``[Y, X]`` or ``[K, Y, X]``, 0 where it is closed.
+
+    On one level cells join as on one altitude; from level to level straight up and down, which all climbs come to.
+    """
+    touching = generate_binary_structure(2, 2 if cuts_corners else 1)
+    if is_free.ndim == 3:
+        flat, touching = touching, generate_binary_structure(3, 1)
+        touching[1] = flat
+    return np.asarray(label(is_free, touching)[0])
+
+
 def levels_that_join(here: Reachability, start: Cell, goal: Cell, levels_m: np.ndarray) -> str:
     """Return a sentence on what would join two nodes: the paper's obstacles, no clearance, or higher levels."""
     maps = here.maps
-    # On one level as at one altitude; from level to level straight up and down, which all climbs come to.
-    touching = generate_binary_structure(3, 1)
-    touching[1] = generate_binary_structure(2, 2 if here.cuts_corners else 1)
 
     def joins(maps: MetricMaps, levels_m: np.ndarray, constraints: Constraints = here.constraints) -> bool:
         is_free = constraints.free_levels(maps, levels_m.tolist(), time=here.time, time_of_day=here.time_of_day)
-        islands, _ = label(is_free, touching)
+        islands = islands_of(is_free, here.cuts_corners)
         return bool(islands[start] == islands[goal] != 0)
 
     tried = {}

@@ -1,7 +1,7 @@
 """Snapping: a start or goal in a closed cell moves to the nearest free one, a short way and never in silence."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -52,11 +52,15 @@ class Place:
       cell: row and column; in a volume level, row and column.
       snap_distance_m: from the place that was given to the centre of the cell.
       is_snapped: the cell of the given place was closed, so this is another one.
+      passed_m: how far away a nearer free cell is that nothing joins to the other end; None where there is none.
+      num_passed: how many free cells are joined to that one.
     """
 
     cell: Cell
     snap_distance_m: float
     is_snapped: bool = False
+    passed_m: float | None = None
+    num_passed: int = 0
 
 
 def free_place(
@@ -107,12 +111,88 @@ def free_place(
     )
 
 
+def joined_ends(
+    ends: tuple[Place, Place],
+    at_xy_m: tuple[tuple[float, float], tuple[float, float]],
+    islands: np.ndarray,
+    grid: Grid,
+    snap: bool | float,
+) -> tuple[Place, Place]:
+    """Return the ends of a query, those that were snapped in cells that are joined to the other end.
+
+    Of all islands within reach the one to which they move the least in all; where no island is, they stay apart.
+
+    Args:
+      ends: from `free_place`.
+      at_xy_m: easting, northing of the places.
+      islands: ``[Y, X]`` or ``[K, Y, X]`` number of the island of each free cell, 0 where it is closed.
+      grid: of the cells.
+      snap: as in `free_place`.
+    """
+    if islands[ends[0].cell] == islands[ends[1].cell] or not any(place.is_snapped for place in ends):
+        return ends
+    start, goal = (
+        _nearest_of_islands(place, xy_m, islands, grid, snap) if place.is_snapped else {int(islands[place.cell]): place}
+        for place, xy_m in zip(ends, at_xy_m, strict=True)
+    )
+    if not (both := start.keys() & goal.keys()):
+        return ends
+    island = min(both, key=lambda number: (start[number].snap_distance_m + goal[number].snap_distance_m, number))
+    first, second = (
+        taken
+        if (taken := of_islands[island]).cell == place.cell
+        else replace(taken, passed_m=place.snap_distance_m, num_passed=int(np.sum(islands == islands[place.cell])))
+        for place, of_islands in zip(ends, (start, goal), strict=True)
+    )
+    return first, second
+
+
+def _nearest_of_islands(
+    place: Place, xy_m: tuple[float, float], islands: np.ndarray, grid: Grid, snap: bool | float
+) -> dict[int, Place]:
+    """Return the nearest cell of each island within reach of a place, on its own level."""
+    level, reach_m = place.cell[:-2], snap_limit_m(snap) or 0.0
+    row, col = (int(index) for index in grid.cell_of_xy(*xy_m))
+    cells = math.ceil(reach_m / grid.resolution_m) + 1
+    first_row, first_col = max(row - cells, 0), max(col - cells, 0)
+    near = islands[level][first_row : row + cells + 1, first_col : col + cells + 1]
+    rows, cols = np.nonzero(near)
+    x_m, y_m = grid.xy_of_cell(rows + first_row, cols + first_col)
+    away_m = np.hypot(x_m - xy_m[0], y_m - xy_m[1])
+    order = np.argsort(away_m, kind="stable")[: int(np.sum(away_m <= reach_m))]
+    numbers, nearest = np.unique(near[rows[order], cols[order]], return_index=True)
+    return {
+        int(number): Place((*level, int(rows[k] + first_row), int(cols[k] + first_col)), float(away_m[k]), True)
+        for number, k in zip(numbers, order[nearest], strict=True)
+    }
+
+
 def snap_note(start: Place, goal: Place) -> str:
     """Return a sentence for each end that was moved out of a closed cell, empty where none was."""
-    return " ".join(
-        f"The {name} was not free: it was moved {place.snap_distance_m:.1f} m, to the nearest free cell."
-        for name, place in (("start", start), ("goal", goal))
-        if place.is_snapped
+    sentences = []
+    for name, place in (("start", start), ("goal", goal)):
+        passed = ""
+        if place.passed_m is not None:
+            pocket = f"{place.passed_m:.1f} m away, lies in a pocket of {place.num_passed:,} cells"
+            passed = f" that is joined to the other end (a nearer one, {pocket})"
+        if place.is_snapped:
+            moved = f"it was moved {place.snap_distance_m:.1f} m, to the nearest free cell{passed}"
+            sentences.append(f"The {name} was not free: {moved}.")
+    return " ".join(sentences)
+
+
+def pocket_note(start: Place, goal: Place, islands: np.ndarray, grid: Grid) -> str:
+    """Return a sentence on which of two ends that nothing joins is closed in, empty where they are joined."""
+    if islands[start.cell] == islands[goal.cell]:
+        return ""
+    ends = {"start": start.cell, "goal": goal.cell}
+    sizes = {name: int(np.sum(islands == islands[cell])) for name, cell in ends.items()}
+    inner, outer = sorted(ends, key=lambda name: sizes[name])
+    cells = np.argwhere(islands == islands[ends[outer]])[:, -2:]
+    away_m = float(np.hypot(*(cells - ends[inner][-2:]).T).min()) * grid.resolution_m
+    return (
+        f"The {inner} lies in a pocket of {sizes[inner]:,} free cells, and the nearest cell that is joined to the "
+        f"{outer} is {away_m:.0f} m from it."
     )
 
 

@@ -103,7 +103,7 @@ def make_queries(
         except (TypeError, ValueError) as error:
             raise InputError(f"each of pairs must be a start and a goal, got {pair!r}") from error
         try:
-            ends = (cost_map.locate("start", start, snap=snap), cost_map.locate("goal", goal, snap=snap))
+            ends = cost_map.ends(start, goal, snap=snap)
         except InputError as error:
             raise InputError(f"pair {number}: {error}") from error
         queries.append(RouteQuery(cost_map, ends[0].cell, ends[1].cell, f"{number}"))

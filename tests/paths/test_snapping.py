@@ -106,6 +106,42 @@ def test_how_far_is_told_in_text_json_and_files(maps, ends, tmp_path, capsys):
     assert facts["snap_distance_m"] == {"start": pytest.approx(70.0, abs=0.01), "goal": pytest.approx(0.0, abs=0.01)}
 
 
+@pytest.fixture(scope="module")
+def with_court(maps) -> ju.MetricMaps:
+    """The block with a court of 3 x 2 cells east of the start's middle: 20 m from it, the street 70 m."""
+    obstacle, roof_m = maps.ds["obstacle"].values.copy(), maps.m("roof").copy()
+    obstacle[0, 14:17, 8:10] = roof_m[14:17, 8:10] = 0
+    return ju.MetricMaps(maps.ds.assign(obstacle=(("altitude", "y", "x"), obstacle), roof=(("y", "x"), roof_m)))
+
+
+@pytest.mark.parametrize("way", ["plan", "many", "study"])
+def test_a_court_that_is_closed_in_is_passed_for_the_nearest_cell_joined_to_the_other_end(way, with_court, ends):
+    assert snapped(way, with_court, ends, 75.0) == pytest.approx(70.0, abs=0.01)
+    assert snapped(way, with_court, ends, 25.0) == pytest.approx(20.0, abs=0.01)  # no such cell within reach
+    backward = {"start_xy_m": ends["goal_xy_m"], "goal_xy_m": ends["start_xy_m"]}
+    path = ju.plan(with_court, **backward, altitude_m=ALTITUDE_M, snap=75.0)
+    assert path.status.has_path
+    assert path.snap_distance_m == pytest.approx((0.0, 70.0), abs=0.01)
+    passed = "that is joined to the other end (a nearer one, 20.0 m away, lies in a pocket of 6 cells)."
+    assert f"The goal was not free: it was moved 70.0 m, to the nearest free cell {passed}" in path.to_dict()["message"]
+
+
+def test_two_ends_in_the_block_move_to_cells_that_are_joined(with_court, ends):
+    """Together they move the least: both into the court, although the street is as near to the second one."""
+    near = {"start_xy_m": middle(with_court, (15, 7)), "goal_xy_m": middle(with_court, (15, 11))}
+    path = ju.plan(with_court, **near, altitude_m=ALTITUDE_M, snap=True)
+    assert path.snap_distance_m == pytest.approx((10.0, 20.0), abs=0.01)
+    far = {"start_xy_m": middle(with_court, (15, 7)), "goal_xy_m": middle(with_court, (9, 12))}
+    assert ju.plan(with_court, **far, altitude_m=ALTITUDE_M, snap=True).snap_distance_m[0] == pytest.approx(10.0)
+
+
+def test_no_path_names_the_pocket_and_the_nearest_cell_that_is_joined(with_court, ends):
+    message = ju.plan(with_court, **ends, altitude_m=ALTITUDE_M, snap=25.0).to_dict()["message"]
+    assert (
+        "The start lies in a pocket of 6 free cells, and the nearest cell that is joined to the goal is 50 m" in message
+    )
+
+
 def test_a_free_place_says_nothing_of_snapping(maps, ends, tmp_path):
     path = ju.plan(maps, start_xy_m=middle(maps, (3, 3)), goal_xy_m=ends["goal_xy_m"], altitude_m=20.0, snap=True)
     assert "not free" not in path.to_dict()["message"]

@@ -256,7 +256,7 @@ def _plan(cost_map: CostMap, start: Point, goal: Point, snap: bool | float) -> t
     route = cost_map.plan(start, goal, snap=snap)
     if not route.status.has_path:
         raise InputError(f"there is no route to study: {route.to_dict()['message']}")
-    ends = [cost_map.locate(name, place, snap=snap).cell for name, place in (("start", start), ("goal", goal))]
+    ends = [place.cell for place in cost_map.ends(start, goal, snap=snap)]
     if ends[0] == ends[1]:
         raise InputError("start and goal lie in one cell, so there is no route to study: set them further apart")
     return RouteQuery(cost_map, ends[0], ends[1]), route
