@@ -173,12 +173,12 @@ WORDS = (
         r"people",
         (
             r"people per km|people under|population density",
-            r"people_overflown|People overflown|\"people\"|``people``|PEOPLE|people_per_unit",  # columns, a target
+            r"people_overflown|People overflown|\"people\"|``people``|PEOPLE",  # columns, a target
             r"(?:number of|strip of|how many|their|0|the|of|without|as many|as|Census Bureau counts) people",
             r"(?:which|not|by|lengths and|ask for more|more) people",
             r"people (?:in|at|by|of|cannot|come|that|with|per|are|now|inside|who|do|among)|block_people",
-            r"num_people|people_now",
-            r"jaxurban/(?:metrics/population|studies/tuning/calibration|world)",  # persons of census blocks
+            r"num_people",
+            r"jaxurban/(?:metrics/population|world)",  # persons of census blocks
             r"People do not|buildings, people and|people`` |\} people|metrics and people|People per km|_line\(people",
             r"for people|people (?:who|read|use)",
         ),

@@ -1,11 +1,12 @@
 """Table 5 of the paper: the people of Manhattan by day and night, and what the census gives under the paper's rule."""
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 
 from figures.paper.common import HAS_CENSUS, Caption, manhattan_blocks, save_table, synthetic_city
 from jaxurban.metrics.population import PopulationParams, block_people, day_share
-from jaxurban.studies.tuning.calibration import calibrate_gamma
 from jaxurban.world.city import Blocks
 
 MOSS = {"weekday-12": 3.94, "weekend-12": 2.90, "weekday-00": 2.05}  # millions in 2010: the paper's Table 5
@@ -34,12 +35,11 @@ def main() -> None:
     rows = {"Moss and Qing, as the paper quotes them": MOSS}
     if HAS_CENSUS:
         blocks = manhattan_blocks()
-        found = calibrate_gamma(blocks, 1e6 * MOSS["weekday-12"], {"residential": params.gamma_residential})
-        assert found.params is not None
-        gamma = found.params.gamma_commercial
+        none, one = (millions(blocks, replace(params, gamma_commercial=each))["weekday-12"] for each in (0.0, 1.0))
+        gamma = (MOSS["weekday-12"] - none) / (one - none)  # people are linear in it
         census = rows[f"Manhattan, 2010 census, {rule}"] = millions(blocks, params)
         rows[f"Manhattan, 2010 census, factors {gamma:.2f} and {params.gamma_residential:g}"] = millions(
-            blocks, found.params
+            blocks, replace(params, gamma_commercial=gamma)
         )
     synthetic = rows[f"the synthetic city, {rule}"] = millions(synthetic_city().blocks, params)
     table = pd.DataFrame(
