@@ -191,11 +191,14 @@ def _rows(part: pd.DataFrame) -> str:
 
 
 def _over_cities(of_all: pd.DataFrame) -> str:
-    """Return what the interval over cities says, and how much it may be trusted."""
+    """Return the intervals over cities, or that there are too few of them."""
     rows = of_all[of_all.cut == ALL]
     num = int(rows.cities.max())
-    if num < 2:
-        return "One city: nothing is said of others."
+    if num < FEWEST_GROUPS:
+        return (
+            f"These intervals are of {'this city' if num == 1 else f'these {num} cities'}: they say nothing of others. An interval "
+            f"over cities needs at least {FEWEST_GROUPS}."
+        )
     lines = [
         (
             row["weight_name"],
@@ -204,17 +207,9 @@ def _over_cities(of_all: pd.DataFrame) -> str:
                 for name, kind in STATISTICS.items()
             ),
         )
-        for row in rows.replace(np.nan, -1).to_dict("records")
-        if row["nearest"] > 0
+        for row in rows[rows[f"nearest_{OVER_CITIES}low"].notna()].to_dict("records")
     ]
-    trust = (
-        f"With {num} cities these are too narrow: a city unlike them is in no draw. They tell whether those at hand "
-        "differ by more than their routes do, and nothing of a city that was not looked at."
-        if num < FEWEST_GROUPS
-        else f"With {num} cities they are of cities like these."
-    )
-    head = f"Over all cities, with cities drawn as well as routes. {trust}"
-    return f"{head}\n\n{table(('weight', *STATISTICS), lines)}"
+    return f"Over cities like these {num}, whole cities drawn:\n\n{table(('weight', *STATISTICS), lines)}"
 
 
 def _where(of_all: pd.DataFrame) -> str:

@@ -1,18 +1,26 @@
-"""Bootstrap intervals, against the normal law."""
+"""Bootstrap intervals, against the normal law and by how often they contain a known truth."""
 
 import numpy as np
+import pandas as pd
 import pytest
 from scipy.stats import binom
 
 from jaxurban.studies.bootstrap import (
-    counts_over,
+    FEWEST_GROUPS,
+    Interval,
     counts_within,
+    draws_of,
+    ends_of,
+    holm,
     interval_of,
     mean_interval,
     mean_of,
     median_of,
+    p_value,
     share_interval,
 )
+from jaxurban.studies.montecarlo.complementarity import SUMS, _statistics
+from jaxurban.studies.sensitivity.summary import Drawn
 
 
 def test_the_interval_of_independent_values_is_that_of_the_normal_law():
@@ -35,25 +43,25 @@ def test_no_values_have_no_interval():
     assert np.isnan(mean_interval(np.empty(0), np.empty(0))).all()
 
 
-def test_draws_within_cities_leave_the_differences_of_cities_out_and_draws_of_cities_hold_them():
+def test_draws_within_cities_leave_the_differences_of_cities_out_and_draws_of_cities_contain_them():
     rng = np.random.default_rng(2)
     num_cities, num_groups = 40, 50
     levels, cities = rng.normal(0, 3.0, num_cities), np.repeat(np.arange(num_cities), num_groups)
     values, groups = levels[cities] + rng.normal(0, 1.0, cities.size), np.tile(np.arange(num_groups), num_cities)
     within = interval_of(values, counts_within(groups, cities), cities.size)
-    over = interval_of(values, counts_over(groups, cities), cities.size)
+    over = interval_of(values, counts_within(cities, np.zeros(cities.size)), num_cities)
     residual = values - np.array([values[cities == city].mean() for city in range(num_cities)])[cities]
-    half = 1.96 * residual.std() / np.sqrt(cities.size)
+    half = 1.96 * residual.std() / np.sqrt(cities.size - num_cities)
     assert (within.high - within.low) / 2 == pytest.approx(half, rel=0.1)
     of_means = [values[cities == city].mean() for city in range(num_cities)]
-    assert (over.high - over.low) / 2 == pytest.approx(1.96 * np.std(of_means) / np.sqrt(num_cities), rel=0.15)
+    assert (over.high - over.low) / 2 == pytest.approx(2.02 * np.std(of_means, ddof=1) / np.sqrt(num_cities), rel=0.1)
 
 
 def test_every_draw_within_cities_holds_each_city_as_often_as_it_is_there():
     cities = np.repeat(["a", "b"], [6, 10])
     counts = counts_within(np.repeat(np.arange(8), 2), cities)
-    assert (counts[:, :6].sum(axis=1) == 6).all()
-    assert (counts[:, 6:].sum(axis=1) == 10).all()
+    np.testing.assert_allclose(counts[:, :6].sum(axis=1), 6)
+    np.testing.assert_allclose(counts[:, 6:].sum(axis=1), 10)
     assert (counts[:, 0::2] == counts[:, 1::2]).all(), "both values of a group are drawn together"
 
 
@@ -73,3 +81,104 @@ def test_a_share_of_none_is_bounded_where_as_many_would_be_none_once_in_twenty_t
     full = share_interval(values + 1, counts_within(groups, np.zeros(60)), 60)
     assert full.mean == full.high == 1.0
     assert full.low == pytest.approx(1 - found.high)
+
+
+def normal(rng, num):
+    return rng.normal(size=num), np.arange(num), mean_of, 0.0
+
+
+def skewed(rng, num):
+    return rng.lognormal(0.0, 0.25, num), np.arange(num), mean_of, np.exp(0.25**2 / 2)
+
+
+def uneven(rng, num):
+    """Groups of 1 to 12 values that are alike within a group."""
+    groups = np.repeat(np.arange(num), rng.integers(1, 13, num))
+    return rng.normal(size=num)[groups] + rng.normal(size=groups.size), groups, mean_of, 0.0
+
+
+def exponential(rng, num):
+    return rng.exponential(size=num), np.arange(num), mean_of, 1.0
+
+
+def middle(rng, num):
+    return rng.normal(size=num), np.arange(num), median_of, 0.0
+
+
+def share(rng, num):
+    return (rng.random(num) < 0.3).astype(float), np.arange(num), share_interval, 0.3
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("num_groups", [FEWEST_GROUPS, 15, 30])
+@pytest.mark.parametrize("made", [normal, skewed, uneven, middle, share, exponential])
+def test_intervals_contain_the_truth_in_93_of_100_cases_and_less_often_where_values_are_skewed(made, num_groups):
+    rng, num, inside = np.random.default_rng(11), 2000, 0
+    counts = draws_of(num_groups)
+    for _ in range(num):
+        values, groups, statistic, truth = made(rng, num_groups)
+        if statistic is share_interval:
+            interval = share_interval(values, counts, num_groups)
+        else:
+            interval = interval_of(values, counts[:, groups], num_groups, statistic)
+        inside += interval.low <= truth <= interval.high
+    assert inside >= (0.91 if made is exponential else 0.93) * num, inside / num
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("num_groups", [FEWEST_GROUPS, 15, 30])
+@pytest.mark.parametrize("truth", [0.0, 0.5])
+def test_intervals_of_correlations_over_tiles_contain_the_truth_in_93_of_100_cases(truth, num_groups):
+    rng, num, inside = np.random.default_rng(12), 2000, 0
+    draws = draws_of(num_groups)
+    for _ in range(num):
+        gps = rng.normal(size=num_groups)
+        lidar = truth * gps + np.sqrt(1 - truth**2) * rng.normal(size=num_groups)
+        sums = np.zeros((num_groups, len(SUMS)))
+        sums[:, :6] = np.stack([np.ones(num_groups), gps, lidar, gps**2, lidar**2, gps * lidar], axis=1)
+        low, high = ends_of(_statistics(draws @ sums)["correlation"], num_groups)
+        inside += low <= truth <= high
+    assert inside >= 0.93 * num, inside / num
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("num_groups", [FEWEST_GROUPS, 15, 30])
+def test_intervals_over_pairs_of_several_cities_contain_the_truth_in_93_of_100_cases(num_groups):
+    """Means and the difference of two parts, pairs of places at two altitudes in three cities that differ."""
+    rng, num, inside = np.random.default_rng(13), 2000, np.zeros(2)
+    num_pairs = num_groups + 2  # each city further than the first costs a degree of freedom
+    pair = np.repeat(np.arange(num_pairs), 2)
+    table = pd.DataFrame({"city": np.array(["a", "b", "c"])[pair % 3], "instance": pair})
+    drawn = Drawn(table)
+    assert drawn.num_groups == num_groups
+    level, is_in = (pair % 3).astype(float), (pair // 3) % 2 == 0
+    differs = level[is_in].mean() - level[~is_in].mean()
+    for _ in range(num):
+        values = pd.Series(level + rng.normal(size=num_pairs)[pair] + 0.5 * rng.normal(size=pair.size))
+        mean, difference = drawn.interval(values), drawn.difference(values, is_in)
+        inside += mean.low <= level.mean() <= mean.high, difference.low <= differs <= difference.high
+    assert (inside >= 0.93 * num).all(), inside / num
+
+
+def test_eight_normal_values_have_the_interval_of_student():
+    inside, counts = 0, draws_of(8)
+    rng = np.random.default_rng(4)
+    for _ in range(2000):
+        values = rng.normal(size=8)
+        interval = interval_of(values, counts, 8)
+        inside += interval.low <= 0 <= interval.high
+    assert inside >= 1860
+
+
+def test_p_is_five_hundredths_at_an_end_of_the_interval_and_never_below_that_of_equal_signs():
+    interval = Interval(2.0, 1.0, 4.0)
+    assert p_value(interval, 1.0, 20) == pytest.approx(0.05)
+    assert p_value(interval, 4.0, 20) == pytest.approx(0.05)
+    assert p_value(interval, 2.0, 20) == 1.0
+    assert p_value(interval, -50.0, 10) == 2.0**-9
+    assert p_value(Interval(0.0, 0.0, 0.0), 0.01, 12) == 2.0**-11
+    assert np.isnan(p_value(Interval(1.0, np.nan, np.nan), 0.0, 5))
+
+
+def test_holm_gives_the_adjusted_p_of_a_worked_case():
+    np.testing.assert_allclose(holm([0.01, 0.04, np.nan, 0.03, 0.005]), [0.03, 0.06, np.nan, 0.06, 0.02])

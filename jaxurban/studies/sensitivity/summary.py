@@ -1,8 +1,7 @@
 """What the rows of a weight study say together: means and medians over routes, cut many ways, each with its interval.
 
 Intervals are 95 %, by bootstrap over pairs of places within their cities, all altitudes of a pair drawn together: they
-are of these cities. Over all cities there is a second one, for which cities are drawn first. With a few cities that one
-is too narrow: cities unlike those at hand are in no draw.
+are of these cities. From 8 cities on there is a second one, for which whole cities are drawn.
 """
 
 from collections.abc import Callable, Iterator
@@ -15,7 +14,6 @@ from jaxurban.studies.bootstrap import (
     NUM_DRAWS,
     Interval,
     Statistic,
-    counts_over,
     counts_within,
     ends_of,
     interval_of,
@@ -119,17 +117,20 @@ class Drawn:
         groups, cities = table.instance.to_numpy(), table.city.to_numpy()
         self.num_cities = table.city.nunique()
         self.num_pairs = len(table[["city", "instance"]].drop_duplicates())
+        self.num_groups = self.num_pairs - self.num_cities + 1  # as `ends_of` counts them
         self.within = counts_within(groups, cities) if len(table) else np.empty((NUM_DRAWS, 0), np.int64)
-        self.over = counts_over(groups, cities) if self.num_cities > 1 else None
+        self.over = counts_within(cities, np.zeros(len(table))) if self.num_cities > 1 else None
 
     def interval(self, values: pd.Series, statistic: Statistic = mean_of, *, over_cities: bool = False) -> Interval:
         """Return a statistic of the known values and its interval (`share_of`: see `share_interval`)."""
-        counts = self.over if over_cities and self.over is not None else self.within
+        counts, num = (
+            (self.over, self.num_cities) if over_cities and self.over is not None else (self.within, self.num_groups)
+        )
         known = values.notna().to_numpy()
         numbers = values.to_numpy(np.float64)[known]
         if statistic is share_of:
-            return share_interval(numbers, counts[:, known], self.num_pairs)
-        return interval_of(numbers, counts[:, known], self.num_pairs, statistic)
+            return share_interval(numbers, counts[:, known], num)
+        return interval_of(numbers, counts[:, known], num, statistic)
 
     def difference(self, values: pd.Series, is_in: np.ndarray) -> Interval:
         """Return the mean of the values that are in, less that of the others, and its interval."""
@@ -137,7 +138,7 @@ class Drawn:
         parts = [known & is_in, known & ~is_in]
         found = [numbers[part].mean() if part.any() else np.nan for part in parts]
         drawn = [mean_of(numbers[part], self.within[:, part]) for part in parts]
-        return Interval(float(found[0] - found[1]), *ends_of(drawn[0] - drawn[1], self.num_pairs))
+        return Interval(float(found[0] - found[1]), *ends_of(drawn[0] - drawn[1], self.num_groups))
 
 
 def named(name: str, interval: Interval) -> dict[str, float]:

@@ -10,15 +10,14 @@ import pandas as pd
 
 from jaxurban.errors import InputError, at_least, one_of, typed
 from jaxurban.metrics.weights import Weights
-from jaxurban.studies.bootstrap import NUM_DRAWS, ends_of
+from jaxurban.studies.bootstrap import counts_within, interval_of
 from jaxurban.studies.demonstrations import Demonstration
 from jaxurban.studies.queries import RouteQuery, check_alike
-from jaxurban.studies.tuning.confidence import draw_counts
 from jaxurban.studies.tuning.fenchel_young import LOSSES, trust_of, usual_regret
 from jaxurban.studies.tuning.fit_settings import FitSettings
 from jaxurban.studies.tuning.weight_fit import DISTRUSTED, WeightFit, fit_weights
 
-SPLIT, DRAWS = 0, 1  # streams of random numbers
+SPLIT = 0  # stream of random numbers
 MOST_HELD_OUT = 0.9
 
 
@@ -30,8 +29,8 @@ class FitComparison:
       fits: by name; the first is the one to use: to all cities, by the first loss.
       table: a row a fit: ``fit``, ``loss``, ``cities``, ``num_fitted``, ``num_bad`` (of these, hardly trusted), each
         weight (``w_distance`` ...), ``cosine`` to the pilot's weights, or without a pilot to the first fit's, of
-        w_j x std(phi_j), and the 95 % interval over bootstrap fits; ``held_out_regret``, the mean over held-out routes
-        that are not bad, its interval (cities, then routes of each, drawn anew) and ``worst``; ``all_held_out_regret``,
+        w_j x std(phi_j), and between which cosines 95 % of the bootstrap fits lie; ``held_out_regret``, the mean over held-out routes
+        that are not bad, its 95 % interval over pairs of ends within these cities and ``worst``; ``all_held_out_regret``,
         bad ones too; ``regret CITY``, the same mean by city; with a pilot ``pilot_regret``, by which share planned
         routes under the fit cost more than the cheapest ones under the pilot's weights, over the held-out routes'
         ends, bad ones too, and its interval.
@@ -218,7 +217,7 @@ class _Judge:
         """Return what a fit is worth, by the columns of the table."""
         reference = self.fits[0].vector if self.pilot is None else self.pilot
         near = [_cosine(each * self.spread, reference * self.spread) for each in self.fits[number].draws]
-        low, high = ends_of(np.array(near), len(self.fits[number].trust)) if near else (np.nan, np.nan)
+        low, high = np.quantile(near, [0.025, 0.975]) if near else (np.nan, np.nan)
         cosine = _cosine(self.fits[number].vector * self.spread, reference * self.spread)
         good = self.is_held_out & ~self.is_bad
         facts = {"cosine": cosine, "cosine_low": low, "cosine_high": high}
@@ -232,15 +231,11 @@ class _Judge:
         return facts
 
     def _mean(self, name: str, values: np.ndarray, chosen: np.ndarray) -> dict[str, float]:
-        """Return the mean of the chosen values and its 95 % interval, cities and then groups drawn anew."""
-        if not chosen.any():
-            return dict.fromkeys((name, f"{name}_low", f"{name}_high"), np.nan)
-        _, first, number = np.unique(self.group[chosen], return_index=True, return_inverse=True)
-        sums, counts = np.bincount(number, values[chosen]), np.bincount(number)
-        _, cities = np.unique(self.city[chosen][first], return_inverse=True)
-        draws = draw_counts(cities, NUM_DRAWS, np.random.default_rng([DRAWS, self.settings.seed]))
-        low, high = ends_of((draws @ sums) / (draws @ counts), len(counts))
-        return {name: float(values[chosen].mean()), f"{name}_low": low, f"{name}_high": high}
+        """Return the mean of the chosen values and its 95 % interval over pairs of ends within these cities."""
+        group, city = self.group[chosen], self.city[chosen]
+        num_groups = len(np.unique(group)) - len(np.unique(city)) + 1
+        interval = interval_of(values[chosen], counts_within(group, city, self.settings.seed), num_groups)
+        return dict(zip((name, f"{name}_low", f"{name}_high"), interval, strict=True))
 
     def routes(self) -> pd.DataFrame:
         """Return a row a demonstration, as the first fit sees it."""
