@@ -25,8 +25,7 @@ from jaxurban.studies.sensitivity.summary import ALL, CLEAR, CONSTANT, OVER_CITI
 
 REPORT_FILE = "report.md"
 FEW_SAMPLES = 64  # of one route's Sobol shares: with fewer its own intervals are wider than most shares
-STATISTICS = {"share": ".1%", "nearest": ".3g", "changes": ".0%", "regret": ".2%"}
-CHANCE = 0.05
+STATISTICS = {"regret": ".2%", "changes": ".0%", "nearest": ".3g", "share": ".1%"}
 SAMPLED = (
     "Routes were drawn by stratum and range in equal numbers, only where a path joins a pair at every altitude, not as "
     "anyone flies: means are over such routes, not over traffic."
@@ -116,7 +115,7 @@ def study_markdown(found: SensitivityStudy) -> str:
         num_clear=len(by_verdict[True]),
         num_refuted=len(by_verdict[False]),
         num_open=len(by_verdict[None]),
-        num_chance=max(1.0, CHANCE * len(claims)),
+        answer=_answer(of_all, settings.wrong),
         few=_few(found),
         supported=_claims(by_verdict[True]),
         refuted=_claims(by_verdict[False]),
@@ -164,6 +163,20 @@ def _few(found: SensitivityStudy) -> str:
     return f"**Too few pairs of places for an interval: {listed(few)}; draw more.**" if few else ""
 
 
+def _answer(of_all: pd.DataFrame, wrong: float) -> str:
+    """Return one sentence: what the cost is made of, and which wrong weight costs most."""
+    rows = of_all[of_all.cut == ALL].sort_values("share", ascending=False)
+    rows = rows[rows.cities == rows.cities.max()]  # a layer of one city says nothing of all routes
+    parts = listed(f"{row['weight_name']} {row['share']:.0%}" for row in rows.to_dict("records"))
+    made_of = f"In these routes {parts.replace(' ', ' makes up ', 1)} of the cost"
+    varied = rows[rows.regret.notna()]
+    if varied.empty:
+        return f"{made_of}."
+    most = varied.loc[varied.regret.idxmax()]
+    regret = interval_said(most, "regret", ".2%")
+    return f"{made_of}; a weight of {most.weight_name} {wrong:g} times wrong costs most: a mean regret of {regret}."
+
+
 def _claims(claims: Iterable[Finding]) -> str:
     lines = [f"{each.claim} *{each.evidence}.*" for each in claims]
     return bullets(lines) if lines else "Nothing that was looked at."
@@ -178,14 +191,19 @@ def interval_said(row: Any, name: str, kind: str) -> str:
 
 
 def _rows(part: pd.DataFrame) -> str:
+    """Return a table of a summary's rows, those of one part together, the costliest wrong weight first."""
+    order = part.assign(part=pd.factorize(part.value)[0]).sort_values(["part", "regret"], ascending=[True, False])
+    most = part.groupby("value").cities.transform("max")
     lines = [
         (
-            f"{row['value']}",
+            row["value"]
+            if row["cities"] == most[index]
+            else f"{row['value']} ({row['cities']} of {most[index]} cities)",
             row["weight_name"],
             str(row["routes"]),
             *(interval_said(row, *each) for each in STATISTICS.items()),
         )
-        for row in part.to_dict("records")
+        for index, row in zip(order.index, order.to_dict("records"), strict=True)
     ]
     return table(("of", "weight", "routes", *STATISTICS), lines)
 
@@ -195,10 +213,8 @@ def _over_cities(of_all: pd.DataFrame) -> str:
     rows = of_all[of_all.cut == ALL]
     num = int(rows.cities.max())
     if num < FEWEST_GROUPS:
-        return (
-            f"These intervals are of {'this city' if num == 1 else f'these {num} cities'}: they say nothing of others. An interval "
-            f"over cities needs at least {FEWEST_GROUPS}."
-        )
+        here = "this city" if num == 1 else f"these {num} cities"
+        return f"These intervals are of {here} and no others: one over cities needs at least {FEWEST_GROUPS} of them."
     lines = [
         (
             row["weight_name"],

@@ -160,6 +160,18 @@ def test_intervals_over_pairs_of_several_cities_contain_the_truth_in_93_of_100_c
     assert (inside >= 0.93 * num).all(), inside / num
 
 
+@pytest.mark.slow
+def test_intervals_over_routes_and_draws_of_heights_contain_the_truth_in_93_of_100_cases():
+    rng, num, inside = np.random.default_rng(14), 2000, 0
+    route, draw = (part.ravel() for part in np.indices((12, FEWEST_GROUPS)))
+    counts = counts_within(route, np.zeros(route.size)) * counts_within(draw, np.zeros(route.size), 1)
+    for _ in range(num):
+        values = rng.normal(size=12)[route] + rng.normal(size=FEWEST_GROUPS)[draw] + rng.normal(size=route.size)
+        interval = interval_of(values, counts, FEWEST_GROUPS)
+        inside += interval.low <= 0 <= interval.high
+    assert inside >= 0.93 * num, inside / num
+
+
 def test_eight_normal_values_have_the_interval_of_student():
     inside, counts = 0, draws_of(8)
     rng = np.random.default_rng(4)

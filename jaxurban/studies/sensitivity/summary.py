@@ -221,12 +221,14 @@ def summarise_remade(remade: pd.DataFrame) -> pd.DataFrame:
             drawn = Drawn(rows_at)
             if changed == HEIGHTS:  # both drawn: Owen's pigeonhole bootstrap (Ann. Appl. Stat. 1(2), 2007)
                 drawn.within = drawn.within * counts_within(draws[rows_at.index].to_numpy(), np.zeros(len(rows_at)), 1)
+                drawn.num_groups = min(drawn.num_groups, draws[rows_at.index].nunique())
             row: dict[str, Any] = {"changed": changed, "factor": at, "cut": cut, "of": value}
             row |= {
                 "routes": len(rows_at),
                 "draws": draws[rows_at.index].nunique(),
                 "pairs": drawn.num_pairs,
                 "cities": drawn.num_cities,
+                "groups": drawn.num_groups,
             }
             for statistic in REMADE_STATISTICS:
                 put = share_of if statistic in SHARES_OF_ROUTES else mean_of
