@@ -126,7 +126,7 @@ WRONG: dict[str, Any] = {
     **dict.fromkeys(("time", "MetricMaps.m.time"), "yesterday"),
     **dict.fromkeys(("folder", "maps", "maps_a", "maps_b", "other", "path", "file"), "no/such/place"),
     **dict.fromkeys(("MetricMaps.save.folder", "save_comparison.folder", "save_sensitivity.folder"), "/proc/none"),
-    **dict.fromkeys(("other_pieces_m", "shifts_m"), (-1.0,)),
+    "other_pieces_m": (-1.0,),
     **dict.fromkeys(("study.folder", "sensitivity_study.folder", "out"), "/proc/none"),
     **dict.fromkeys(("blocks", "table", "districts", "terrain", "buildings", "no_fly", "orbits"), "no-such.file"),
     "log": "no-such.csv",

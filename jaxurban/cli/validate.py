@@ -41,15 +41,14 @@ from jaxurban.progress import reporting
     show_default=True,
     help="Metres of track; medians are compared.",
 )
-@click.option("--pieces", "other_pieces", default="10,50,100", show_default=True, help="Lengths to tell too, metres.")
+@click.option("--pieces", "other_pieces", default="10,50,100", show_default=True, help="Lengths to report too, metres.")
 @click.option(
-    "--block", "block_m", type=float, default=200.0, show_default=True, help="Metres of track that are drawn together."
-)
-@click.option(
-    "--shifts",
-    default="50,100,200,300,500,700,1000",
+    "--block",
+    "block_m",
+    type=float,
+    default=200.0,
     show_default=True,
-    help="Metres by which the city is shifted along the track, both ways.",
+    help="Metres of track within which ranks compare.",
 )
 @click.option(
     "--at-most",
@@ -57,9 +56,8 @@ from jaxurban.progress import reporting
     type=click.IntRange(min=0),
     default=8,
     show_default=True,
-    help="The AUC tells pieces with at most so many satellites tracked.",
+    help="The AUC is of recognising pieces with at most so many satellites tracked.",
 )
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of the bootstrap.")
 @click.option("--overwrite", is_flag=True, help="Replace another validation in the output folder.")
 @DEGREES
 @DEVICE
@@ -73,7 +71,6 @@ def validate(
     degrees: bool,
     as_json: bool,
     other_pieces: str,
-    shifts: str,
     **given: Any,
 ) -> int:
     """Set the log of a receiver (LOG, .csv or .parquet) against maps of SCENARIO made at its times and its height.
@@ -87,9 +84,7 @@ def validate(
     from jaxurban.studies.receiver.validate import validate as validate_log
 
     scenario = Scenario.from_toml(scenario_file, changes)
-    settings = ReceiverSettings(
-        **given, other_pieces_m=numbers_in("--pieces", other_pieces), shifts_m=numbers_in("--shifts", shifts)
-    )
+    settings = ReceiverSettings(**given, other_pieces_m=numbers_in("--pieces", other_pieces))
     check_writable(output)
     with reporting("validate") as report:
         found = validate_log(scenario, log_file, settings, progress=report)

@@ -19,15 +19,16 @@ from jaxurban.report.figures.receiver import LABELS, name_of, validation_figures
 from jaxurban.report.markdown import bullets, counted, fill, table
 from jaxurban.report.save import Output, save
 from jaxurban.studies.bootstrap import FEWEST_GROUPS
-from jaxurban.studies.receiver.scores import AUC, MAIN, SPEARMAN
+from jaxurban.studies.receiver.scores import AUC, COEFFICIENTS, MAIN, SPEARMAN, WITHIN
 from jaxurban.studies.receiver.validate import ReceiverValidation
 
 REPORT_FILE, NUMBERS_FILE = "report.md", "validation.json"
+HEADS = {WITHIN: "rank correlation within blocks", SPEARMAN: "over the whole track", AUC: "AUC"}
 CAPTIONS = {
     "track": "Prediction and receiver along the track",
     "scatter": "Receiver against prediction, a point a piece of track",
     "time_line": "Receiver and prediction over time",
-    "control": "Agreement by length of pieces, and with the city shifted along the track",
+    "control": "Agreement by length of pieces, and at every shift along the track",
 }
 
 
@@ -116,7 +117,6 @@ def validation_markdown(found: ReceiverValidation, figures: list[str]) -> str:
         undefined=_undefined(found),
         others=_others(found),
         satellites=_satellites(found),
-        shifts=_shifts(found),
         how=_how(found),
         guesses="" if not found.guesses else "Guessed:\n\n" + bullets(found.guesses),
         figures="\n\n".join(f"![{CAPTIONS[name]}](figures/{name}.png)" for name in figures),
@@ -126,10 +126,10 @@ def validation_markdown(found: ReceiverValidation, figures: list[str]) -> str:
 
 def _undefined(found: ReceiverValidation) -> str:
     """Return why values and intervals are missing."""
-    told = "No value stands where a coefficient is not defined: nothing varies, or all pieces are of one kind."
-    lacks = any((found.scores[name].notna() & found.scores[f"{name}_low"].isna()).any() for name in (SPEARMAN, AUC))
-    few = f" No interval stands where a track has fewer than {FEWEST_GROUPS} blocks, or draws leave it undefined."
-    return told + few * lacks
+    undefined = "No value stands where a coefficient is not defined: nothing varies, or all pieces are of one kind."
+    lacks = bool((found.scores[WITHIN].notna() & found.scores[f"{WITHIN}_low"].isna()).any())
+    few = f" No interval stands where a track has fewer than {FEWEST_GROUPS} blocks."
+    return undefined + few * lacks
 
 
 def _track(found: ReceiverValidation) -> str:
@@ -147,22 +147,20 @@ def _track(found: ReceiverValidation) -> str:
 
 def _said(row: Mapping[Any, Any]) -> str:
     """Return one row of the scores in words."""
-    parts = []
-    for coefficient, name in ((SPEARMAN, "Spearman"), (AUC, "AUC")):
-        if np.isfinite(row[coefficient]):
-            shifted = row[f"{coefficient}_shifted"]
-            control = f", shifted at most {shifted:.2f}" if np.isfinite(shifted) else ""
-            parts.append(f"{name} {with_interval(row, coefficient)}{control}")
+    parts = [
+        f"{HEADS[name]} {with_interval(row, name)}, 95 % of shifts below {row[f'{name}_shifts_95']:.2f} "
+        f"(p {row[f'{name}_p']:.3f})"
+        for name in COEFFICIENTS
+        if np.isfinite(row[name])
+    ]
     what = f"{LABELS[row['witness']]} against {name_of(row['prediction'])}"
     return f"{what[0].upper()}{what[1:]}: {'; '.join(parts) or 'not defined'}"
 
 
 def with_interval(row: Mapping[Any, Any], coefficient: str) -> str:
-    """Return a coefficient with its interval, as ``0.55 (0.42 to 0.66)``; nothing where it is not defined."""
-    value, low, high = (row[f"{coefficient}{end}"] for end in ("", "_low", "_high"))
-    if not np.isfinite(value):
-        return ""
-    return f"{value:.2f}" + (f" ({low:.2f} to {high:.2f})" if np.isfinite(low) else "")
+    """Return a coefficient with the interval that it has, as ``0.42 (0.29 to 0.54)``; nothing where it is undefined."""
+    value, low, high = (row.get(f"{coefficient}{end}", math.nan) for end in ("", "_low", "_high"))
+    return _number(value) + (f" ({low:.2f} to {high:.2f})" if np.isfinite(low) else "")
 
 
 def score_table(scores: pd.DataFrame) -> str:
@@ -170,26 +168,21 @@ def score_table(scores: pd.DataFrame) -> str:
     rows = []
     for row in scores.to_dict("records"):
         is_each = not np.isfinite(row["piece_m"])
-        told = [
+        cells = [
             LABELS[row["witness"]],
             name_of(row["prediction"]),
             "each epoch" if is_each else f"{row['piece_m']:g} m",
             f"{row['num']:,}",
         ]
-        for name in (SPEARMAN, AUC):
-            told += [with_interval(row, name), _number(row[f"{name}_open"]), _shifted(row, name)]
-        rows.append(tuple(told))
-    head = ("receiver", "maps", "pieces of", "number", "Spearman", "open sky", "shifted", "AUC", "open sky", "shifted")
-    return table(head, rows)
+        for name in COEFFICIENTS:
+            cells += [with_interval(row, name), _number(row[f"{name}_shifts_95"]), _number(row[f"{name}_p"], 3)]
+        rows.append((*cells, _number(row[f"{SPEARMAN}_open"]), _number(row[f"{AUC}_open"])))
+    of_each = [head for name in COEFFICIENTS for head in (HEADS[name], "95 % of shifts below", "p")]
+    return table(("receiver", "maps", "pieces of", "number", *of_each, "open sky", "its AUC"), rows)
 
 
-def _number(value: float) -> str:
-    return f"{value:.2f}" if np.isfinite(value) else ""
-
-
-def _shifted(row: Mapping[Any, Any], name: str) -> str:
-    value = row[f"{name}_shifted"]
-    return f"{value:.2f} ({row[f'{name}_shifted_by_m']:+g} m)" if np.isfinite(value) else ""
+def _number(value: float, digits: int = 2) -> str:
+    return f"{value:.{digits}f}" if np.isfinite(value) else ""
 
 
 def _others(found: ReceiverValidation) -> str:
@@ -224,29 +217,6 @@ def _share(value: float) -> str:
     return f"{value:.0%}" if np.isfinite(value) else ""
 
 
-def _shifts(found: ReceiverValidation) -> str:
-    chosen = found.shifts[(found.shifts.piece_m == found.settings.piece_m) | found.shifts.piece_m.isna()]
-    witnesses = list(dict.fromkeys(chosen.witness))
-    kept = [
-        (witness, name)
-        for witness in witnesses
-        for name in (SPEARMAN, AUC)
-        if chosen[chosen.witness == witness][name].notna().any()
-    ]
-    if len(set(chosen.shift_m)) < 2:
-        return "No shift was asked for, or the track is too short for one."
-    values = {(row["witness"], row["shift_m"]): row for row in chosen.to_dict("records")}
-    rows = [
-        (
-            f"{shift_m:+g} m" if shift_m else "none",
-            *(_number(values[witness, shift_m][name]) for witness, name in kept),
-        )
-        for shift_m in sorted(set(chosen.shift_m))
-    ]
-    heads = {SPEARMAN: "Spearman", AUC: "AUC"}
-    return table(("shift", *(f"{LABELS[witness]}: {heads[name]}" for witness, name in kept)), rows)
-
-
 def _how(found: ReceiverValidation) -> str:
     scenario, settings = found.scenario, found.settings
     lines = [
@@ -255,7 +225,7 @@ def _how(found: ReceiverValidation) -> str:
         f"Orbits: {', '.join(f'`{name}`' for name in scenario['gps']['orbits'])}; {found.summary['num_skies']} "
         f"skies, one each {settings.sky_step_s:g} s.",
         f"Buildings: `{scenario['buildings']['source']}`; terrain: `{scenario['terrain']['source'] or 'flat'}`.",
-        f"Intervals: percentiles of 2,000 draws of blocks with replacement (seed {settings.seed}), the same for all.",
+        f"Intervals: the jackknife over blocks of {settings.block_m:g} m, on Fisher's scale.",
     ]
     if found.attribution:
         lines.append(f"Credit: {found.attribution}.")

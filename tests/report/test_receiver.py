@@ -16,8 +16,9 @@ from tests.receiver_logs import SCENARIO, drive, found, scenario, true_log
 def test_the_report_holds_the_numbers_of_the_scores():
     report = validation_markdown(found(), ["track"])
     for row in found().main.to_dict("records"):
-        assert with_interval(row, "spearman") in report
-    assert "shifted at most" in report
+        assert with_interval(row, "within") in report
+    assert report.index("rank correlation within blocks") < report.index("over the whole track")
+    assert "95 % of shifts below" in report
     assert "line of sight only" in report
     assert "nan" not in report
 
@@ -33,15 +34,16 @@ def test_every_figure_names_what_it_shows():
 
 def test_what_a_short_still_log_lacks_is_said_and_not_drawn():
     log = true_log()[:60].assign(num_tracked=[5, 8] * 30)
-    settings = ju.ReceiverSettings(sky_step_s=240.0, block_m=100.0, shifts_m=(100.0,))
+    settings = ju.ReceiverSettings(sky_step_s=240.0, block_m=100.0)
     of = ju.validate(scenario(), log, settings, progress=False)
     assert of.scores.spearman_open.isna().all()
-    assert of.scores.spearman_low.isna().all()
+    assert of.scores.within_low.isna().all()
     assert "No interval stands where" in validation_markdown(of, [])
     assert "No interval stands where" not in validation_markdown(found(), [])
     (legend,) = validation_figures(of)["control"]().legends
     shown = {text.get_text() for text in legend.texts}
-    assert shown == {"maps (too few blocks for an interval)", "shifted city, at most"}
+    assert "95 % interval" not in shown
+    assert {"within blocks", "whole track"} <= shown
 
 
 def test_scales_of_satellites_have_whole_numbers():
@@ -57,9 +59,9 @@ def test_scales_of_satellites_have_whole_numbers():
 
 def test_a_log_of_errors_alone_is_drawn_too():
     log = true_log()[["utc", "lon_deg", "lat_deg", "error_2d_m"]]
-    of = ju.validate(scenario(), log, ju.ReceiverSettings(sky_step_s=240.0, shifts_m=()), progress=False)
+    of = ju.validate(scenario(), log, ju.ReceiverSettings(sky_step_s=240.0), progress=False)
     assert [draw().axes for draw in validation_figures(of).values()]
-    assert "No shift was asked for" in validation_markdown(of, [])
+    assert "AUC" not in validation_markdown(of, []).split("## What agrees")[0]
 
 
 @pytest.mark.slow

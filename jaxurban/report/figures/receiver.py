@@ -20,7 +20,7 @@ from jaxurban.report.figures.colours import Colours, ends_of
 from jaxurban.report.figures.frame import MapLayer, add_bar_below, add_key, draw_layers, flat_layer, make_frame
 from jaxurban.report.figures.notes import joined, time_said
 from jaxurban.studies.receiver.prediction import NUM_VISIBLE
-from jaxurban.studies.receiver.scores import AUC, MAIN, OPEN, SPEARMAN
+from jaxurban.studies.receiver.scores import AUC, COEFFICIENTS, MAIN, OPEN, SPEARMAN, WITHIN
 from jaxurban.studies.receiver.validate import ReceiverValidation
 
 NAMES = {
@@ -36,6 +36,8 @@ LABELS = {
 }
 COUNTS = (NUM_VISIBLE, TRACKED)  # of satellites
 RECEIVER_COLOUR, MAP_COLOUR, OPEN_COLOUR = "#d55e00", "#0072b2", "#8a8a8a"
+CURVES = {WITHIN: "within blocks", SPEARMAN: "whole track", AUC: "AUC"}
+COLOURS = {WITHIN: MAP_COLOUR, SPEARMAN: OPEN_COLOUR, AUC: MAP_COLOUR}
 # Fewer satellites are darker; neither end is as dark or as light as the track's colours.
 BEHIND = LinearSegmentedColormap.from_list("behind", ["#6f6f6f", "#fbfbfb"])
 BUILDING_COLOUR = "#d9d2c3"
@@ -119,7 +121,7 @@ def _is_skewed(name: str) -> bool:
 def plot_scatter(found: ReceiverValidation) -> Figure:
     """Return the receiver against the prediction that is its own, a point a piece of track, a panel a witness."""
     rows = [row for row in found.main.to_dict("records") if row["witness"] in found.log.witnesses]
-    rng = np.random.default_rng(found.settings.seed)
+    rng = np.random.default_rng(0)
     figure, axes = panels(len(rows), "Receiver against prediction", _note(found), panel_in=(4.2, 3.4))
     for panel, row in zip(axes, rows, strict=True):
         witness, name = row["witness"], row["prediction"]
@@ -156,8 +158,7 @@ def _scale(panel: Axes, name: str) -> None:
 
 
 def _coefficients(row: Mapping[Any, Any]) -> str:
-    said = [f"Spearman {row[SPEARMAN]:.2f}"] if np.isfinite(row[SPEARMAN]) else []
-    return ", ".join([*said, *([f"AUC {row[AUC]:.2f}"] if np.isfinite(row[AUC]) else [])])
+    return ", ".join(f"{CURVES[name]} {row[name]:.2f}" for name in COEFFICIENTS if np.isfinite(row[name]))
 
 
 @styled
@@ -219,42 +220,39 @@ def _step(panel: Axes, times: np.ndarray, values: pd.Series, colour: str, label:
 
 @styled
 def plot_control(found: ReceiverValidation) -> Figure:
-    """Return the first witness's coefficient by length of pieces, and with the city shifted along the track."""
+    """Return the first witness's agreement by length of pieces, and at every shift of the maps along the track."""
     first = found.main.iloc[0]
-    coefficient = SPEARMAN if np.isfinite(first[SPEARMAN]) else AUC
-    name = {SPEARMAN: "Spearman", AUC: "AUC"}[coefficient]
+    shown = [name for name in COEFFICIENTS[:2] if np.isfinite(first[name])] or [AUC]
     scores = found.scores[(found.scores.witness == first.witness) & (found.scores.prediction == first.prediction)]
-    heading = f"{LABELS[first.witness]} against {name_of(first.prediction)}: agreement and controls"
+    heading = f"{LABELS[first.witness]} against {name_of(first.prediction)}: agreement, and every shift as control"
     figure, (by_length, by_shift) = panels(
-        2, heading[0].upper() + heading[1:], _note(found), panel_in=(4.2, 2.8), foot_in=legend_in(3)
+        2, heading[0].upper() + heading[1:], _note(found), panel_in=(4.2, 2.8), foot_in=legend_in(5)
     )
-    place = np.arange(len(scores))
-    values = scores[coefficient].to_numpy()
-    width = np.abs(np.stack([values - scores[f"{coefficient}_low"], scores[f"{coefficient}_high"] - values]))
-    said = "maps, 95 % interval" if np.isfinite(width).any() else "maps (too few blocks for an interval)"
-    by_length.errorbar(place, values, yerr=np.nan_to_num(width), fmt="o", color=MAP_COLOUR, capsize=3, label=said)
-    for beside, mark, colour, said in (
-        ("open", "s", OPEN_COLOUR, "open sky, no city"),
-        ("shifted", "x", RECEIVER_COLOUR, "shifted city, at most"),
-    ):
-        if (known := scores[f"{coefficient}_{beside}"]).notna().any():
-            by_length.plot(place, known, mark, color=colour, label=said)
-    lengths = ["each epoch" if np.isnan(length) else f"{length:g} m" for length in scores.piece_m]
-    by_length.set_xticks(place, lengths)
-    by_length.set_xlim(-0.5, len(scores) - 0.5)
-    by_length.set(xlabel="pieces of track", ylabel=name)
-    by_length.set_title("by length of pieces")
     is_shown = (found.shifts.witness == first.witness) & (
         (found.shifts.piece_m == first.piece_m) | found.shifts.piece_m.isna()
     )
-    shifts = found.shifts[is_shown].sort_values("shift_m")
-    block_m = found.settings.block_m
-    by_shift.axvspan(-block_m, block_m, color="#eeeeee", zorder=0)
-    by_shift.plot(shifts.shift_m, shifts[coefficient], color=MAP_COLOUR, marker="o", markersize=3.5, linewidth=1.2)
-    by_shift.set(xlabel="city shifted along the track (m)", ylabel=name)
-    by_shift.set_title("grey: nearer than a block, partly the same street")
+    shifts = found.shifts[is_shown].sort_values("shift")
+    step, unit = (1.0, "epochs") if np.isnan(first.piece_m) else (first.piece_m, "m")
+    place = np.arange(len(scores))
+    for aside, name in zip((-0.08, 0.08), shown, strict=False):
+        colour = COLOURS[name]
+        by_length.plot(place + aside, scores[name], "o", color=colour, label=CURVES[name])
+        by_length.plot(
+            place + aside, scores[f"{name}_shifts_95"], "x", color=colour, label=f"{CURVES[name]}: 95 % of shifts below"
+        )
+        by_shift.plot(shifts["shift"] * step, shifts[name], color=colour, linewidth=1.0)
+    if WITHIN in shown and (has_interval := scores.within_low.notna()).any():
+        ends = scores.within_low[has_interval], scores.within_high[has_interval]
+        by_length.vlines(place[has_interval] - 0.08, *ends, color=COLOURS[WITHIN], label="95 % interval")
+    lengths = ["each epoch" if np.isnan(length) else f"{length:g} m" for length in scores.piece_m]
+    by_length.set_xticks(place, lengths)
+    by_length.set_xlim(-0.5, len(scores) - 0.5)
+    by_length.set(xlabel="pieces of track", ylabel="AUC" if shown == [AUC] else "rank correlation")
+    by_length.set_title("by length of pieces")
+    by_shift.set(xlabel=f"maps shifted along the track ({unit})")
+    by_shift.set_title("every circular shift")
     for panel in (by_length, by_shift):
-        panel.axhline(0.0 if coefficient == SPEARMAN else 0.5, color="#999999", linewidth=0.7)
+        panel.axhline(0.5 if shown == [AUC] else 0.0, color="#999999", linewidth=0.7)
     legend_below(figure, by_length)
     return figure
 

@@ -1,80 +1,107 @@
-"""How well one quantity ranks another: Spearman's coefficient and the AUC, with intervals by a block bootstrap.
+"""How well one quantity ranks another along a track, and what chance leaves of it.
 
-Legend: ``N`` values, ``B`` draws, in each of which a value counts so many times.
+Legend: ``N`` values in the order of the track, ``G`` blocks of the track.
+
+**Within blocks** the ranks are those of the whole track less their mean over the value's block. What is left says
+whether the two quantities rise and fall together from one street to the next, and not that one quarter of the city is
+denser than another. **Shifts** are the control: the maps' values are moved along the track, its end joined to its
+beginning, by every number of places, so that both series stay what they are and only their pairing is lost.
 """
 
 from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
+from scipy.stats import rankdata
+from scipy.stats import t as student
 
-from jaxurban.studies.bootstrap import draws_of, ends_of
+from jaxurban.studies.bootstrap import FEWEST_GROUPS, LEVEL
 
-DRAWS_AT_ONCE = 100  # so that what they need stays small
-
-Agreement = Callable[[np.ndarray], np.ndarray]  # of how often each value counts, [B, N]: [B]
+UNKNOWN = (np.nan, np.nan)
 
 
 class Scored(NamedTuple):
-    """A coefficient, its 95 % interval, and its draws ``[B]``; NaN where it is not defined.
-
-    The interval is also NaN with fewer blocks than `jaxurban.studies.bootstrap.FEWEST_GROUPS`.
-    """
+    """A coefficient and its 95 % interval; NaN where it is not defined."""
 
     value: float
     low: float
     high: float
-    drawn: np.ndarray
 
 
-def scored(agreement: Agreement, blocks: np.ndarray, seed: int = 0) -> Scored:
-    """Return a coefficient with its percentile interval, whole blocks drawn with replacement.
+def spearman(a: np.ndarray, b: np.ndarray, blocks: np.ndarray | None = None) -> float:
+    """Return Spearman's rank correlation of values ``[N]``, ties by mean ranks; NaN where either does not vary.
 
     Args:
-      agreement: what is drawn.
-      blocks: ``[N]`` the block of each value.
-      seed: of the draws: with the same blocks and seed two coefficients are drawn on the same data.
+      a, b: the values.
+      blocks: ``[N]`` block of each value, for the correlation within blocks; None: over the whole track.
     """
-    if not len(blocks):
-        return Scored(np.nan, np.nan, np.nan, np.empty(0))
-    _, number = np.unique(blocks, return_inverse=True)
-    num_blocks = int(number.max()) + 1
-    (value,) = agreement(np.ones((1, len(blocks)), np.int64))
-    draws = draws_of(num_blocks, seed)
-    parts = [draws[first : first + DRAWS_AT_ONCE] for first in range(0, len(draws), DRAWS_AT_ONCE)]
-    drawn = np.concatenate([agreement(part[:, number]) for part in parts])
-    return Scored(float(value), *ends_of(drawn, num_blocks), drawn)
+    return _of_products(*(values.sum() for values in _products(a, b, blocks)))
 
 
-def midranks(values: np.ndarray, counts: np.ndarray) -> np.ndarray:
-    """Return ``[B, N]`` the mean rank, from 0 up and less a half, of values ``[N]`` that count ``[B, N]`` times."""
-    _, level = np.unique(values, return_inverse=True)
-    order = np.argsort(level, kind="stable")
-    first = np.flatnonzero(np.diff(level[order], prepend=-1))
-    of_level = np.add.reduceat(counts[:, order], first, axis=1)
-    return (np.cumsum(of_level, axis=1) - of_level / 2)[:, level]
+def _of_products(aa: float, ab: float, bb: float) -> float:
+    return float(ab / np.sqrt(aa * bb)) if aa * bb > 0 else np.nan
 
 
-def spearman(a: np.ndarray, b: np.ndarray, counts: np.ndarray) -> np.ndarray:
-    """Return ``[B]`` Spearman's rank correlation of values ``[N]`` that count ``[B, N]`` times, ties by mean ranks.
+def _products(a: np.ndarray, b: np.ndarray, blocks: np.ndarray | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return ``[G]`` sums over each block of the products of ranks, less their means: of a with a, a with b, b with b.
 
-    NaN where either does not vary.
+    Without blocks the whole track is one.
     """
-    total = counts.sum(axis=1)
-    of_a, of_b = (midranks(values, counts) - total[:, None] / 2 for values in (a, b))  # the mean rank is half the total
-    aa, ab, bb = (np.sum(counts * product, axis=1) for product in (of_a * of_a, of_a * of_b, of_b * of_b))
-    varies = (aa > 0) & (bb > 0)
-    return np.divide(ab, np.sqrt(aa * bb), out=np.full(len(counts), np.nan), where=varies)
+    _, number = np.unique(np.zeros(len(a)) if blocks is None else blocks, return_inverse=True)
+    of_a, of_b = (_centred(rankdata(values), number) for values in (a, b))
+    aa, ab, bb = (np.bincount(number, product) for product in (of_a * of_a, of_a * of_b, of_b * of_b))
+    return aa, ab, bb
 
 
-def auc(scores: np.ndarray, is_positive: np.ndarray, counts: np.ndarray) -> np.ndarray:
-    """Return ``[B]`` how likely a positive scores higher than a negative, ties by half; values count ``[B, N]`` times.
+def _centred(ranks: np.ndarray, number: np.ndarray) -> np.ndarray:
+    return ranks - (np.bincount(number, ranks) / np.bincount(number))[number]
 
-    The area under the receiver operating characteristic, by the ranks of Mann and Whitney. NaN without either kind.
+
+def without_each_block(a: np.ndarray, b: np.ndarray, blocks: np.ndarray) -> np.ndarray:
+    """Return ``[G]`` the correlation within blocks (`spearman`) when one block after the other is left out."""
+    products = np.stack(_products(a, b, blocks))
+    return np.array([_of_products(*left) for left in (products.sum(axis=1, keepdims=True) - products).T])
+
+
+def half_width(without_each: np.ndarray) -> float:
+    """Return half the 95 % interval of a statistic by the jackknife over blocks: Student's t, G - 2 degrees of freedom.
+
+    NaN with fewer blocks than `jaxurban.studies.bootstrap.FEWEST_GROUPS`, or where the statistic is not defined.
+
+    Args:
+      without_each: ``[G]`` the statistic when one block after the other is left out.
     """
-    of_positives = counts * is_positive
-    positives = of_positives.sum(axis=1)
-    negatives = counts.sum(axis=1) - positives
-    above = np.sum(of_positives * midranks(scores, counts), axis=1) - positives**2 / 2
-    pairs = positives * negatives
-    return np.divide(above, pairs, out=np.full(len(counts), np.nan), where=pairs > 0)
+    num = len(without_each)
+    if num < FEWEST_GROUPS:
+        return np.nan
+    deviation = np.sqrt((num - 1) * np.var(without_each))
+    return float(student.ppf((1 + LEVEL) / 2, num - 2) * deviation)
+
+
+def within_blocks(a: np.ndarray, b: np.ndarray, blocks: np.ndarray) -> Scored:
+    """Return the rank correlation within blocks of values ``[N]``, and its interval on Fisher's scale."""
+    value = spearman(a, b, blocks)
+    if not abs(value) < 1:
+        return Scored(value, *UNKNOWN)
+    half = half_width(np.arctanh(without_each_block(a, b, blocks)))
+    low, high = np.tanh(np.arctanh(value) + np.array([-half, half]))
+    return Scored(value, float(low), float(high))
+
+
+def auc(ranks: np.ndarray, is_positive: np.ndarray) -> float:
+    """Return how likely a positive ranks higher than a negative, ties by half; NaN without either kind.
+
+    The area under the receiver operating characteristic, by the ranks ``[N]`` (from 1, ties by their mean) of Mann and
+    Whitney.
+    """
+    positives = np.count_nonzero(is_positive)
+    pairs = positives * (len(ranks) - positives)
+    return float((ranks[is_positive].sum() - positives * (positives + 1) / 2) / pairs) if pairs else np.nan
+
+
+def shifted(coefficient: Callable[[np.ndarray], float], values: np.ndarray) -> np.ndarray:
+    """Return ``[N]`` a coefficient at every circular shift of the maps' values ``[N, ...]``, the first at none.
+
+    At number ``s`` each place of the track is set against the values ``s`` places ahead.
+    """
+    return np.array([coefficient(np.roll(values, -shift, axis=0)) for shift in range(len(values))])

@@ -35,24 +35,27 @@ NUM_VISIBLE = "num_visible"
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """What maps say at the epochs of a track. ``Q`` shifts, the first of them 0, ``N`` epochs, ``S`` satellites.
+    """What maps say at the epochs of a track. ``N`` epochs, ``S`` satellites.
 
     Attributes:
-      shifts_m: ``[Q]`` how far ahead along the track the places lie that the maps are looked at.
-      values: ``[Q, N]`` float64 by name: ``num_visible``, the DOPs (inf where undetermined) and ``gps``, m; NaN in a
+      values: ``[N]`` float64 by name: ``num_visible``, the DOPs (inf where undetermined) and ``gps``, m; NaN in a
         building and without data.
       open_sky: ``[N]`` the same without a city: every satellite above the mask is seen.
-      is_seen: ``[Q, N, S]`` bool: the satellite is in sight.
+      is_seen: ``[N, S]`` bool: the satellite is in sight.
       is_above: ``[N, S]`` bool: the satellite is at or above the mask.
       names: ``[S]`` of the satellites.
     """
 
-    shifts_m: np.ndarray
     values: Mapping[str, np.ndarray]
     open_sky: Mapping[str, np.ndarray]
     is_seen: np.ndarray
     is_above: np.ndarray
     names: tuple[str, ...]
+
+    @property
+    def is_known(self) -> np.ndarray:
+        """``[N]`` bool: the epoch lies outside buildings and has data."""
+        return ~np.isnan(self.values[NUM_VISIBLE])
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,28 +110,23 @@ def task_at(scenario: Scenario, times: Sequence[str], grid: Grid, settings: Rece
     return replace(task, region=grid)  # which nests with all of the scenario's resolutions
 
 
-def predict(task: MapTask, track: Track, shifts_m: Sequence[float], report: Report) -> Prediction:
-    """Return what the maps of a task say along a track, and at places shifted along it.
+def predict(task: MapTask, track: Track, report: Report) -> Prediction:
+    """Return what the maps of a task say along a track.
 
     Args:
       task: from `task_at`; its sky has the track's times.
       track: over the task's region.
-      shifts_m: further shifts, both ways.
-      report: told how many skies are done.
+      report: how many skies are done.
     """
-    shifts = np.array([0.0, *(sign * shift for shift in shifts_m for sign in (1, -1))])
-    places = np.stack([track.shifted(shift) for shift in shifts])
-    row, col = track.row[places], track.col[places]
     num_skies, num = len(track.sky_times), len(track.sky)
     names = task.sky.names
     values: dict[str, np.ndarray] = {}
     open_sky: dict[str, np.ndarray] = {}
-    is_seen = np.zeros((len(shifts), num, len(names)), bool)
-    is_above = np.zeros((num, len(names)), bool)
+    is_seen, is_above = (np.zeros((num, len(names)), bool) for _ in range(2))
     done = 0
-    for leg in _legs(track.sky, row, col):
+    for leg in _legs(track):
         now = (leg[0] <= track.sky) & (track.sky <= leg[-1])
-        tile = _tile(task, _box(task.region, row[:, now], col[:, now]), leg)
+        tile = _tile(task, _box(task.region, track.row[now], track.col[now]), leg)
         first = (
             tile.surface.region.first_row - task.region.first_row,
             tile.surface.region.first_col - task.region.first_col,
@@ -136,37 +134,35 @@ def predict(task: MapTask, track: Track, shifts_m: Sequence[float], report: Repo
         for t, number in enumerate(leg):
             report("skies", done, num_skies)
             epochs = np.flatnonzero(track.sky == number)
-            at = row[:, epochs] - first[0], col[:, epochs] - first[1]
+            at = track.row[epochs] - first[0], track.col[epochs] - first[1]
             scene = tile.at(METRIC, (t, 0))
             is_known = _is_known(tile)[at]
-            for name, found in METRIC.compute(scene, tile.task.params.gps).items():
-                kept = values.setdefault(name, np.full(row.shape, np.nan))
-                kept[:, epochs] = np.where(is_known, np.asarray(found)[at], np.nan)
+            for name, layer in METRIC.compute(scene, tile.task.params.gps).items():
+                along = values.setdefault(name, np.full(num, np.nan))
+                along[epochs] = np.where(is_known, np.asarray(layer)[at], np.nan)
             above = tile.task.satellites_at(t)
-            for name, found in METRIC.compute(_without_city(scene, len(above)), tile.task.params.gps).items():
-                open_sky.setdefault(name, np.full(num, np.nan))[epochs] = np.asarray(found)[0, 0]
+            for name, layer in METRIC.compute(_without_city(scene, len(above)), tile.task.params.gps).items():
+                open_sky.setdefault(name, np.full(num, np.nan))[epochs] = np.asarray(layer)[0, 0]
             words = np.asarray(scene.words)[:, at[0], at[1]]
             for bit, s in enumerate(above):
-                is_seen[:, epochs, s] = is_known & (words[bit // WORD_BITS] >> np.uint32(bit % WORD_BITS) & 1 == 1)
+                is_seen[epochs, s] = is_known & (words[bit // WORD_BITS] >> np.uint32(bit % WORD_BITS) & 1 == 1)
             is_above[np.ix_(epochs, above)] = True
             tile.forget()
             done += 1
     report("skies", num_skies, num_skies)
-    return Prediction(shifts, values, open_sky, is_seen, is_above, names)
+    return Prediction(values, open_sky, is_seen, is_above, names)
 
 
-def _legs(sky: np.ndarray, row: np.ndarray, col: np.ndarray) -> Iterator[list[int]]:
-    """Yield runs of skies whose places, ``[Q, N]``, lie in one box that is not too large; one sky at least."""
+def _legs(track: Track) -> Iterator[list[int]]:
+    """Yield runs of skies whose places lie in one box that is not too large; one sky at least."""
     leg: list[int] = []
     low, high = np.array([np.inf, np.inf]), np.array([-np.inf, -np.inf])
-    for number in range(int(sky[-1]) + 1):
-        now = sky == number
-        lowest = np.array([row[:, now].min(), col[:, now].min()])
-        highest = np.array([row[:, now].max(), col[:, now].max()])
-        joined = np.minimum(low, lowest), np.maximum(high, highest)
+    for number in range(int(track.sky[-1]) + 1):
+        cells = np.stack([track.row, track.col])[:, track.sky == number]
+        joined = np.minimum(low, cells.min(axis=1)), np.maximum(high, cells.max(axis=1))
         if leg and np.prod(joined[1] - joined[0] + 1) > LEG_CELLS:
             yield leg
-            leg, joined = [], (lowest, highest)
+            leg, joined = [], (cells.min(axis=1), cells.max(axis=1))
         low, high = joined
         leg.append(number)
     yield leg

@@ -1,18 +1,18 @@
 """Satellite by satellite: whether the receiver tracks those in sight, and how strongly it hears them."""
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
+from scipy.stats import rankdata
 
 from jaxurban.errors import InputError, nearest_name
 from jaxurban.io.read.receiver import CN0, SATELLITE, ReceiverLog
-from jaxurban.studies.receiver.agreement import Agreement, auc
+from jaxurban.studies.receiver.agreement import auc
 from jaxurban.studies.receiver.prediction import Prediction
 
-CN0_STEP_DBHZ = 0.1  # to which C/N0 is rounded; receivers tell no more
 # What a receiver calls a satellite, where the name in an element file tells it: CelesTrak writes (PRN 13) behind GPS
 # satellites and (C19) behind BeiDou's.
 IDS = {"G": re.compile(r"\(PRN 0*(\d+)\)"), "C": re.compile(r"\(C0*(\d+)\)")}
@@ -88,11 +88,11 @@ def _numbers(names: Sequence[str]) -> dict[str, int]:
 
 def table_of(tracked: TrackedSatellites, predicted: Prediction) -> pd.DataFrame:
     """Return a row a satellite: when it is in sight, when it is tracked, and its median C/N0, in sight and hidden."""
-    is_known = _is_known(predicted, 0)
+    is_known = predicted.is_known
     rows = []
     for s, name in enumerate(predicted.names):
         up = is_known & predicted.is_above[:, s]
-        seen, hidden = up & predicted.is_seen[0, :, s], up & ~predicted.is_seen[0, :, s]
+        seen, hidden = up & predicted.is_seen[:, s], up & ~predicted.is_seen[:, s]
         row: dict[str, object] = {"satellite": name, "epochs": int(up.sum()), "in_sight": _mean(seen[up])}
         for where, chosen in (("in_sight", seen), ("hidden", hidden)):
             row[f"tracked_{where}"] = _mean(tracked.is_tracked[chosen, s])
@@ -106,34 +106,22 @@ def _mean(values: np.ndarray) -> float:
     return float(values.mean()) if len(values) else np.nan
 
 
-def _is_known(predicted: Prediction, shift: int) -> np.ndarray:
-    return ~np.isnan(predicted.values["num_visible"][shift])
+def satellite_agreements(tracked: TrackedSatellites, predicted: Prediction) -> dict[str, Callable[[np.ndarray], float]]:
+    """Return, by witness, the AUC of being in sight, as a function of ``is_seen`` ``[N, S]`` at the known epochs.
 
-
-def satellite_agreements(
-    tracked: TrackedSatellites, predicted: Prediction, shift: int, blocks: np.ndarray
-) -> dict[str, tuple[Agreement, np.ndarray]]:
-    """Return, by witness, the AUC of being in sight, and the blocks of its values.
-
-    Witnesses: ``satellite``, whether one above the mask is tracked, and ``cn0_dbhz`` of those that are. Alike values of
-    a block are one value that counts several times.
-
-    Args:
-      tracked: which were.
-      predicted: which are in sight.
-      shift: number of the shift.
-      blocks: ``[N]`` of the epochs.
+    Witnesses: ``satellite``, whether one above the mask is tracked, and ``cn0_dbhz`` of those that are. A satellite
+    that is below the mask where the maps' values were moved from counts as hidden.
     """
-    epoch, s = np.nonzero(predicted.is_above & _is_known(predicted, shift)[:, None])
-    is_seen = predicted.is_seen[shift, epoch, s]
-    cn0 = np.round(tracked.cn0_dbhz[epoch, s] / CN0_STEP_DBHZ) * CN0_STEP_DBHZ
-    has_cn0 = ~np.isnan(cn0)
-    found = {SATELLITE: _counted(tracked.is_tracked[epoch, s].astype(float), is_seen, blocks[epoch])}
-    if has_cn0.any():
-        found[CN0] = _counted(cn0[has_cn0], is_seen[has_cn0], blocks[epoch][has_cn0])
-    return found
+    up = predicted.is_above[predicted.is_known]
+    cn0 = tracked.cn0_dbhz[predicted.is_known]
+    witnesses = {SATELLITE: tracked.is_tracked[predicted.is_known], CN0: cn0}
+    return {
+        witness: _auc_of(values, up & ~np.isnan(values))
+        for witness, values in witnesses.items()
+        if witness == SATELLITE or not np.isnan(cn0).all()
+    }
 
 
-def _counted(values: np.ndarray, is_positive: np.ndarray, blocks: np.ndarray) -> tuple[Agreement, np.ndarray]:
-    rows, num = np.unique(np.stack([blocks, values, is_positive], axis=1), axis=0, return_counts=True)
-    return lambda counts: auc(rows[:, 1], rows[:, 2] == 1, counts * num), rows[:, 0]
+def _auc_of(values: np.ndarray, is_counted: np.ndarray) -> Callable[[np.ndarray], float]:
+    ranks = rankdata(values[is_counted])
+    return lambda is_seen: auc(ranks, is_seen[is_counted])

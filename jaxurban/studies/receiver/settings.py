@@ -19,12 +19,10 @@ class ReceiverSettings:
       resolution_m: which of the scenario's resolutions; left out, the first.
       sky_step_s: satellites stand still for so long; each epoch takes the sky nearest to it, half as far off at most.
       piece_m: what is compared are medians over pieces of track so long.
-      other_pieces_m: lengths of pieces at which the same is told, beside.
-      block_m: pieces of one block of track so long are drawn together in the bootstrap, as neighbours are alike.
-      shifts_m: how far the city is shifted along the track, both ways, as a control; what is told as the control are
-        those of a block or more, as nearer streets are much the same street.
-      at_most_tracked: the AUC is of telling pieces with at most so many satellites tracked.
-      seed: of the bootstrap.
+      other_pieces_m: further lengths of pieces for which the same is reported.
+      block_m: length of the blocks of track within which ranks are compared, and of which one after the other is left
+        out for the interval.
+      at_most_tracked: the AUC is of recognising pieces with at most so many satellites tracked.
 
     Raises:
       InputError: a value that is none of these.
@@ -36,18 +34,15 @@ class ReceiverSettings:
     piece_m: float = 25.0
     other_pieces_m: Sequence[float] = (10.0, 50.0, 100.0)
     block_m: float = 200.0
-    shifts_m: Sequence[float] = (50.0, 100.0, 200.0, 300.0, 500.0, 700.0, 1000.0)
     at_most_tracked: int = 8
-    seed: int = 0
 
     def __post_init__(self) -> None:
         for name in ("antenna_height_m", "piece_m", "block_m", "sky_step_s"):
             positive(name, getattr(self, name), "seconds" if name.endswith("_s") else "metres")
         if self.resolution_m is not None:
             positive("resolution_m", self.resolution_m, "metres")
-        for name in ("other_pieces_m", "shifts_m"):
-            for value in getattr(self, name):
-                positive(f"each of {name}", value, "metres")
+        for value in self.other_pieces_m:
+            positive("each of other_pieces_m", value, "metres")
         if self.sky_step_s > MAX_SKY_STEP_S:
             raise InputError(f"sky_step_s must be at most {MAX_SKY_STEP_S:g} seconds, got {self.sky_step_s:g}")
         if self.block_m < self.piece_m:
@@ -55,7 +50,6 @@ class ReceiverSettings:
                 f"block_m must be at least piece_m, {self.piece_m:g}, got {self.block_m:g}: make it longer"
             )
         at_least("at_most_tracked", self.at_most_tracked)
-        at_least("seed", self.seed)
 
     @property
     def pieces_m(self) -> tuple[float, ...]:

@@ -56,16 +56,6 @@ class Track:
         """From the first epoch to the last along the track."""
         return float(self.along_m[-1])
 
-    def shifted(self, shift_m: float) -> np.ndarray:
-        """Return ``[N]`` the epoch whose place lies so far ahead along the track (behind, if negative) of each epoch.
-
-        The track's end is joined to its beginning. Without a shift each epoch is its own.
-        """
-        if shift_m == 0:
-            return np.arange(len(self.along_m))
-        wanted_m = (self.along_m + shift_m) % max(self.length_m, np.finfo(float).tiny)
-        return np.minimum(np.searchsorted(self.along_m, wanted_m), len(self.along_m) - 1)
-
     def cut(self, length_m: float) -> np.ndarray:
         """Return ``[N]`` the number of the piece of track of a length that each epoch lies on."""
         return (self.along_m // length_m).astype(np.int64)

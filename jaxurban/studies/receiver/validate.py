@@ -13,7 +13,7 @@ from jaxurban.io.read.orbits import read_orbits
 from jaxurban.io.read.receiver import TRACKED, UTC, ReceiverLog, read_receiver_log
 from jaxurban.progress import Progress, reporting
 from jaxurban.scenario.settings import NOMINAL, Scenario
-from jaxurban.studies.receiver.agreement import Scored, scored
+from jaxurban.studies.receiver.agreement import Scored, half_width, spearman, without_each_block
 from jaxurban.studies.receiver.prediction import (
     NUM_VISIBLE,
     Background,
@@ -24,7 +24,7 @@ from jaxurban.studies.receiver.prediction import (
     task_at,
 )
 from jaxurban.studies.receiver.satellites import TrackedSatellites, table_of
-from jaxurban.studies.receiver.scores import AUC, MAIN, OPEN, SPEARMAN, Row, agreements, pieces_of, tables
+from jaxurban.studies.receiver.scores import COEFFICIENTS, MAIN, OPEN, Row, compared, pieces_of, tables
 from jaxurban.studies.receiver.settings import ReceiverSettings
 from jaxurban.studies.receiver.track import Track
 from jaxurban.world.show import Shown
@@ -37,18 +37,21 @@ class ReceiverValidation(Shown):
     """A receiver's log beside what maps say along its track.
 
     Attributes:
-      log: what the receiver told.
+      log: what the receiver logged.
       settings: how the two were set beside each other.
       scenario: the settings that the maps were made with.
       summary: numbers of the whole: epochs, those in a building, length of the track, means.
       epochs: a row an epoch: time, place, distance along the track, witnesses, predictions, and with ``open_`` before
         their names what the open sky says; NaN in a building.
       pieces: a row a piece of track of ``settings.piece_m``: medians of the same (see `pieces_of`).
-      scores: a row a ``witness``, ``prediction`` and ``piece_m`` (NaN: every epoch by itself): ``num`` pieces, and of
-        ``spearman`` and ``auc`` the value, the ends of its 95 % interval (``_low``, ``_high``), what the open sky
-        scores (``_open``) and the largest of all cities shifted by a block or more (``_shifted``, ``_shifted_by_m``).
-        Above 0 and a half the receiver does better where the maps say so; NaN where a coefficient is not defined.
-      shifts: a row a witness, length of pieces and shift of the city along the track, with both coefficients.
+      scores: a row a ``witness``, ``prediction`` and ``piece_m`` (NaN: every epoch by itself): ``num`` pieces, and for
+        the rank correlation ``within`` blocks, ``spearman`` over the whole track and ``auc`` the value, what 95 % of
+        all shifts along the track stay at or below (``_shifts_95``), the share of all shifts, none included, that score
+        at least as high (``_p``), and what the open sky scores (``_open``); of ``within`` also the ends of its 95 %
+        interval (``_low``, ``_high``). Above 0 (``auc``: a half) the receiver does better where the maps say so; NaN
+        where a coefficient is not defined.
+      shifts: a row a witness, length of pieces and ``shift`` of the maps along the track, in pieces (where every epoch
+        counts by itself: in epochs), with the coefficients.
       satellites: a row a satellite, None where the log names none (see
         `jaxurban.studies.receiver.satellites.table_of`).
       background: the map behind the track.
@@ -78,13 +81,14 @@ class ReceiverValidation(Shown):
     @property
     def facts(self) -> dict[str, str]:
         """Log, track, and what each witness scores."""
-        told = {}
-        for row in self.main.to_dict("records"):
-            parts = {"Spearman": row[SPEARMAN], "shifted at most": row[f"{SPEARMAN}_shifted"], "AUC": row[AUC]}
-            said = ", ".join(f"{name} {value:.2f}" for name, value in parts.items() if np.isfinite(value))
-            told[str(row["witness"])] = said or "not defined"
         length = f"{self.summary['length_m'] / 1000:.2f} km, {self.summary['epochs']} epochs"
-        return {"log": self.log.name, "track": length, "cells": f"{self.summary['resolution_m']:g} m"} | told
+        facts = {"log": self.log.name, "track": length, "cells": f"{self.summary['resolution_m']:g} m"}
+        for row in self.main.to_dict("records"):
+            parts = [
+                f"{name} {row[name]:.2f} (p {row[f'{name}_p']:.3f})" for name in COEFFICIENTS if row[name] == row[name]
+            ]
+            facts[str(row["witness"])] = ", ".join(parts) or "not defined"
+        return facts
 
 
 @typed
@@ -95,7 +99,7 @@ def validate(
     *,
     progress: Progress = True,
 ) -> ReceiverValidation:
-    """Return how well maps of a scenario foretell what a receiver told on its way through the city.
+    """Return how well maps of a scenario predict what a receiver logged on its way through the city.
 
     Satellites in view, dilutions of precision and m of GPS are those of maps of the scenario's city, orbits and mask,
     at the log's times and the antenna's height, in the cells of the track. No number of theirs is fitted to the log.
@@ -125,7 +129,7 @@ def validate(
     with reporting("validate", progress) as report:
         report("read")
         task = task_at(scenario, track.sky_times, grid, chosen)
-        predicted = predict(task, track, [each for each in chosen.shifts_m if each < track.length_m / 2], report)
+        predicted = predict(task, track, report)
         report("background")
         behind = background(task, track)
         report("scores")
@@ -154,7 +158,7 @@ def _orbit_names(scenario: Scenario) -> tuple[str, ...]:
 
 
 def _summary(log: ReceiverLog, track: Track, predicted: Prediction, resolution_m: float) -> dict[str, Any]:
-    seen = predicted.values[NUM_VISIBLE][0]
+    seen = predicted.values[NUM_VISIBLE]
     found: dict[str, Any] = {
         "epochs": len(seen),
         "epochs_left_out": int(np.isnan(seen).sum()),
@@ -170,26 +174,23 @@ def _summary(log: ReceiverLog, track: Track, predicted: Prediction, resolution_m
 
 
 def _epochs(log: ReceiverLog, track: Track, predicted: Prediction) -> pd.DataFrame:
-    said = {name: values[0] for name, values in predicted.values.items()}
     opened = {f"{OPEN}{name}": values for name, values in predicted.open_sky.items()}
-    return log.epochs.assign(x_m=track.x_m, y_m=track.y_m, along_m=track.along_m, **said, **opened)
+    return log.epochs.assign(x_m=track.x_m, y_m=track.y_m, along_m=track.along_m, **predicted.values, **opened)
 
 
 def paired(
     a: ReceiverValidation,
     b: ReceiverValidation,
     witness: str = TRACKED,
-    coefficient: str = SPEARMAN,
     predictions: tuple[str | None, str | None] = (None, None),
 ) -> Scored:
-    """Return how much higher a coefficient is with the maps of ``b`` than with those of ``a``, and its 95 % interval.
+    """Return how much higher the correlation within blocks is with the maps of ``b`` than with those of ``a``.
 
-    Both are drawn on the same blocks of the pieces that both hold.
+    With its 95 % interval: the same blocks of the pieces that both have are left out in turn.
 
     Args:
       a, b: of one log under the same settings.
       witness: of the log.
-      coefficient: ``"spearman"`` or ``"auc"``.
       predictions: of ``a`` and of ``b`` that are set against the witness; None: the witness's own.
 
     Raises:
@@ -197,15 +198,14 @@ def paired(
     """
     if len({(side.settings.piece_m, side.settings.block_m, len(side.log.epochs)) for side in (a, b)}) > 1:
         raise InputError("a and b are of different logs or pieces: make both with one log and the same settings")
-    held = [side.pieces.piece[side.pieces[witness].notna()].to_numpy() for side in (a, b)]
-    common = np.intersect1d(held[0], held[1])
-    made = [
-        agreements(
-            side.pieces[side.pieces.piece.isin(common)],
-            Row(witness, prediction or MAIN[witness], a.settings.piece_m),
-            side.settings,
+    numbers = [side.pieces.piece[side.pieces[witness].notna()].to_numpy() for side in (a, b)]
+    common = np.intersect1d(numbers[0], numbers[1])
+    sides = [
+        compared(
+            side.pieces[side.pieces.piece.isin(common)], Row(witness, prediction or MAIN[witness], a.settings.piece_m)
         )
         for side, prediction in zip((a, b), predictions, strict=True)
     ]
-    one, other = (functions[coefficient] for functions, _ in made)
-    return scored(lambda counts: other(counts) - one(counts), made[0][1], a.settings.seed)
+    value = spearman(*sides[1]) - spearman(*sides[0])
+    half = half_width(without_each_block(*sides[1]) - without_each_block(*sides[0]))
+    return Scored(value, value - half, value + half)
