@@ -4,8 +4,12 @@ No file is ever served by its name. A request must name this host, as a page of 
 127.0.0.1 would not, and must not come from a page of another origin.
 """
 
+import io
 import json
 import logging
+import math
+import socket
+import time
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
@@ -16,7 +20,7 @@ from jaxurban.viewer.viewer import JSON, Answer, Viewer
 
 HOST = "127.0.0.1"
 MOST_BODY = 128 * 1024  # bytes of a request
-PATIENCE_S = 20.0  # for a request's bytes
+PATIENCE_S = 20.0  # for the first byte of a request, and from there for all of it
 ASK = "/ask/"
 LOG = logging.getLogger("jaxurban")
 
@@ -40,7 +44,7 @@ class ViewerServer(ThreadingHTTPServer):
     """
 
     daemon_threads = True
-    request_queue_size = 64
+    request_queue_size = 1024  # of connections that wait to be taken; more at once are reset by the system
 
     def __init__(self, viewer: Viewer, port: int = 0, host: str = HOST) -> None:
         self.viewer = viewer
@@ -61,13 +65,41 @@ class ViewerServer(ThreadingHTTPServer):
         """Pass over a browser that has left."""
 
 
+class _Requests(io.RawIOBase):
+    """The bytes of a connection's requests, each of which must come whole in `PATIENCE_S`, however it drips."""
+
+    def __init__(self, connection: socket.socket) -> None:
+        self.connection, self.until_s = connection, math.inf
+
+    def readable(self) -> bool:
+        return True
+
+    def readinto(self, buffer: Any) -> int:
+        left_s = min(PATIENCE_S, self.until_s - time.monotonic())
+        if left_s <= 0:
+            raise TimeoutError
+        self.connection.settimeout(left_s)
+        num_bytes = self.connection.recv_into(buffer)
+        self.until_s = min(self.until_s, time.monotonic() + PATIENCE_S)
+        self.connection.settimeout(PATIENCE_S)  # of what is sent
+        return num_bytes
+
+
 class _Handler(BaseHTTPRequestHandler):
     server: ViewerServer
     protocol_version = "HTTP/1.1"
     server_version, sys_version = "jaxurban", ""
-    timeout = PATIENCE_S
     disable_nagle_algorithm = True  # else an answer waits 40 ms for the browser to acknowledge its head
     wbufsize = -1
+
+    def setup(self) -> None:
+        super().setup()
+        self.requests = _Requests(self.connection)
+        self.rfile = io.BufferedReader(self.requests)
+
+    def handle_one_request(self) -> None:
+        self.requests.until_s = math.inf
+        super().handle_one_request()
 
     def do_GET(self) -> None:
         self._give(self._page)

@@ -4,10 +4,13 @@ import http.client
 import itertools
 import json
 import socket
+import time
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 
 import pytest
 
+from jaxurban.viewer import server as server_module
 from jaxurban.viewer.server import MOST_BODY
 from jaxurban.viewer.viewer import Viewer
 from tests.made_maps import made_maps
@@ -174,6 +177,26 @@ def test_what_is_no_request_is_refused(server, raw, capfd):
     assert b" 4" in reply.split(b"\r\n")[0] or reply[:4] != b"HTTP", reply[:200]
     assert b"Traceback" not in reply
     assert "Traceback" not in "".join(capfd.readouterr())
+
+
+@pytest.mark.slow
+def test_none_of_500_connections_at_once_is_reset(server):
+    with ThreadPoolExecutor(500) as threads:
+        replies = [threads.submit(ask, server, "POST", "/ask/scene", b"{}") for _ in range(500)]
+    assert {reply.result()[0] for reply in replies} == {200}
+
+
+def test_a_request_that_drips_ends_after_the_time_of_one(server, monkeypatch):
+    monkeypatch.setattr(server_module, "PATIENCE_S", 0.4)
+    with socket.create_connection(("127.0.0.1", server.server_port), timeout=5) as connection:
+
+        def drip() -> None:
+            for byte in b"GET / HTTP/1.1\r\nA: " + 100 * b"a":
+                connection.sendall(bytes([byte]))
+                time.sleep(0.05)
+
+        with pytest.raises(ConnectionError):
+            drip()
 
 
 def test_the_server_listens_on_this_machine_alone(server):
