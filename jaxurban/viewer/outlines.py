@@ -12,7 +12,7 @@ from jaxurban.errors import JaxurbanError
 from jaxurban.world.city import City
 from jaxurban.world.grid import Grid
 
-MOST_OUTLINES = 3000  # of one answer
+MOST_OUTLINES = 3000  # of one answer: the largest
 
 
 @dataclass
@@ -39,22 +39,23 @@ class Outlines:
     def within(self, grid: Grid, box_m: tuple[float, float, float, float]) -> dict[str, Any]:
         """Return rings of ``[N][2]`` metres from the grid's southwest corner that meet a box there.
 
-        ``state`` is ``"ready"``, ``"reading"`` (ask again), ``"many"`` (come closer) or why there are none.
+        ``state`` is ``"ready"``, ``"reading"`` (ask again) or why there are none; ``left_out`` is how many there are
+        beside the largest, which are the rings.
         """
         with self._lock:
             if self.load is not None and self._thread is None:
                 self._thread = Thread(target=self._read, daemon=True)
                 self._thread.start()
         if self._tree is None:
-            return {"state": self._why_not or ("reading" if self.load else "none"), "rings": []}
+            return {"state": self._why_not or ("reading" if self.load else "none"), "rings": [], "left_out": 0}
         corner = np.array([grid.x_min_m, grid.y_min_m])
         west, south, east, north = np.array(box_m) + np.tile(corner, 2)
         chosen = self._tree.query(shapely.box(west, south, east, north))
-        if len(chosen) > MOST_OUTLINES:
-            return {"state": "many", "rings": []}
         parts = shapely.get_parts(self._tree.geometries[chosen])
+        left_out = max(len(parts) - MOST_OUTLINES, 0)
+        parts = parts[np.argsort(-shapely.area(parts), kind="stable")[:MOST_OUTLINES]]
         rings = [np.round(shapely.get_coordinates(each.exterior) - corner, 2).tolist() for each in parts]
-        return {"state": "ready", "rings": rings}
+        return {"state": "ready", "rings": rings, "left_out": left_out}
 
     def _read(self) -> None:
         assert self.load is not None
