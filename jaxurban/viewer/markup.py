@@ -1,16 +1,20 @@
 """Pieces of the page that Python writes: lists to choose from, legends, tables, the profile and the triangle."""
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 
 import numpy as np
 import pandas as pd
 
+from jaxurban.paths.profile import CLEARANCE, GUESSED
 from jaxurban.report.figures.metrics import BUILT_COLOUR
 from jaxurban.report.figures.profile import ALTITUDE_COLOUR, NO_FIX_COLOUR
 
-WIDE, HIGH, LEFT, MIDDLE, FOOT = 900, 150, 36, 60, 16  # of the profile: its size, the axis, the two panels, the foot
-MOST_STEPS = 900  # of a line of the profile: one a pixel
+WIDE, HIGH, TOP, MIDDLE, BOTTOM = 1000, 150, 7, 62, 134  # of the profile: its size, the two panels' borders
+METRICS_HIGH, LETTERS = 52, 14  # of the profile: pixels of its lower panel and of a line of text
+GUESSED_COLOUR = "#b9a473"
+MOST_STEPS = 1000  # of a line of the profile
 CORNERS = np.array([[0.0, 0.866], [1.0, 0.866], [0.5, 0.0]])  # of the triangle on the page
 
 
@@ -75,9 +79,15 @@ def costs(parts: Mapping[str, float], labels: Mapping[str, str], colours: Mappin
     )
 
 
-def route_button(planner: str, colour: str, text: str) -> str:
-    """Return the button that chooses a route."""
-    return f'<button class="jv-route">{dot(colour)}{escape(planner)}<b>{escape(text)}</b></button>'
+def route_button(planner: str, colour: str, text: str, notes: Iterable[str] = ()) -> str:
+    """Return the button that chooses a route: what it costs, and below what else must be known of it."""
+    below = "".join(f"<small>{escape(note)}</small>" for note in notes)
+    return f'<button class="jv-route">{dot(colour)}{escape(planner)}<b>{escape(text)}</b>{below}</button>'
+
+
+def sentences(texts: Iterable[tuple[str, str]]) -> str:
+    """Return paragraphs, each given by its level and its text."""
+    return "".join(f'<p class="jv-{escape(level)}">{escape(text)}</p>' for level, text in texts)
 
 
 def legend(
@@ -105,7 +115,9 @@ def legend(
 
 
 def profile(table: pd.DataFrame, lines: Mapping[str, tuple[str, str]], no_fix: Iterable[tuple[float, float]]) -> str:
-    """Return what a route meets as SVG: flight and roofs above, the metrics below, and a key.
+    """Return what a route meets as SVG: flight and roofs above, the metrics below, labels and a key.
+
+    The drawing is stretched to the page's width, `WIDE` for the whole route; its height and its letters are not.
 
     Args:
       table: of `RouteReport.profile`.
@@ -113,46 +125,66 @@ def profile(table: pd.DataFrame, lines: Mapping[str, tuple[str, str]], no_fix: I
       no_fix: begin and end of segments with under four satellites, metres.
     """
     total_m = float(table["to_m"].iloc[-1]) or 1.0
-    top_m = 1.1 * max(float(table["z_m"].max()), float(table["roof_m"].max()), 1.0)
-    bottom = HIGH - FOOT
+    flight_m, roof_m = float(table["z_m"].max()), float(table["roof_m"].max())
+    per_m = (MIDDLE - TOP) / max(flight_m, roof_m, 1.0)
 
-    def trace(values: np.ndarray, low: float, high: float, most: float) -> str:
-        """Return the path of a line over the crossings, thinned to one step a pixel."""
+    def trace(values: np.ndarray, low: float, per_one: float) -> str:
+        """Return the path of a line over the crossings, thinned to `MOST_STEPS`."""
         at = np.unique(np.linspace(0, len(table) - 1, min(len(table), MOST_STEPS)).astype(int))
-        x = LEFT + (WIDE - LEFT) * table[["from_m", "to_m"]].to_numpy()[at].ravel() / total_m
-        y = np.repeat(low - (low - high) * values[at] / most, 2)
+        x = WIDE * table[["from_m", "to_m"]].to_numpy()[at].ravel() / total_m
+        y = np.repeat(low - per_one * values[at], 2)
         return "M" + "L".join(f"{a:.1f} {b:.1f}" for a, b in zip(x.tolist(), y.tolist(), strict=True))
 
-    roofs = trace(table["roof_m"].fillna(0.0).to_numpy(), MIDDLE, 4, top_m)
+    roofs_m = table["roof_m"].fillna(0.0).to_numpy()
+    roofs = {"roofs beneath": (BUILT_COLOUR, roofs_m)}
+    if GUESSED in table:
+        roofs["of guessed height"] = GUESSED_COLOUR, roofs_m * table[GUESSED].to_numpy()
+    beneath = "".join(
+        f'<path d="{trace(values_m, MIDDLE, per_m)}L{WIDE} {MIDDLE}L0 {MIDDLE}Z" fill="{colour}" stroke="none"/>'
+        for colour, values_m in roofs.values()
+    )
     shaded = "".join(
-        f'<rect x="{LEFT + (WIDE - LEFT) * begin / total_m:.1f}" y="4" height="{bottom - 4}" fill="{NO_FIX_COLOUR}" '
-        f'width="{max((WIDE - LEFT) * (end - begin) / total_m, 1):.1f}"/>'
+        f'<rect x="{WIDE * begin / total_m:.1f}" y="{TOP}" height="{BOTTOM - TOP}" fill="{NO_FIX_COLOUR}" '
+        f'width="{max(WIDE * (end - begin) / total_m, 1):.1f}"/>'
         for begin, end in no_fix
     )
     metrics = "".join(
-        f'<path d="{trace(table[name].to_numpy(), bottom, MIDDLE + 8, 1.0)}" stroke="{colour}"/>'
+        f'<path d="{trace(table[name].to_numpy(), BOTTOM, METRICS_HIGH)}" stroke="{colour}"/>'
         for name, (_, colour) in lines.items()
     )
-    texts: list[tuple[float, float, str, str]] = [
-        (LEFT - 4, 13, "end", f"{top_m:.0f} m"),
-        (LEFT - 4, MIDDLE, "end", "0 m"),
-    ]
-    texts += [(LEFT - 4, MIDDLE + 16, "end", "m 1"), (LEFT - 4, bottom, "end", "0")]
-    for k, anchor in enumerate(("start", "middle", "middle", "middle", "end")):
-        texts.append((LEFT + (WIDE - LEFT) * k / 4, HIGH - 3, anchor, f"{total_m * k / 4000:.1f} km"))
-    words = "".join(
-        f'<text x="{x:.0f}" y="{y}" text-anchor="{anchor}" fill="#5c6670" font-size="11">{text}</text>'
-        for x, y, anchor, text in texts
+    heights = {MIDDLE - per_m * flight_m: f"{flight_m:g} m", MIDDLE: "0 m"}
+    roof_y = MIDDLE - per_m * roof_m
+    if roof_m > 0 and min(abs(roof_y - y) for y in heights) > LETTERS:
+        heights[roof_y] = f"{number(roof_m)} m"
+    heights |= {BOTTOM - METRICS_HIGH: "m 1", BOTTOM: "0"}
+    words = "".join(f'<b style="top:{y - LETTERS / 2:.0f}px">{text}</b>' for y, text in heights.items())
+    places = [(at_m / total_m, BOTTOM + 2, text) for at_m, text in _distances(total_m)]
+    nearest = table.loc[table[CLEARANCE].idxmin()]
+    if np.isfinite(nearest[CLEARANCE]):
+        share = (nearest["from_m"] + nearest["to_m"]) / 2 / total_m
+        places.append((share, MIDDLE + 1, f"least clearance {number(nearest[CLEARANCE])} m"))
+        metrics += f'<path d="M{WIDE * share:.1f} {TOP}V{MIDDLE + 3}" stroke="#1f2429" stroke-dasharray="2 2"/>'
+    words += "".join(  # their own share of a text lies left of its place, so that none leaves the drawing
+        f'<span style="top:{y}px;left:{share:.2%};transform:translateX({-share:.0%})">{text}</span>'
+        for share, y, text in places
     )
-    keys = {"roofs beneath": BUILT_COLOUR, "flight": ALTITUDE_COLOUR} | dict(lines.values())
+    keys = {name: colour for name, (colour, _) in roofs.items()} | {"flight": ALTITUDE_COLOUR} | dict(lines.values())
     keys |= {"under 4 satellites": NO_FIX_COLOUR} if shaded else {}
+    flight = f'<path d="{trace(table["z_m"].to_numpy(), MIDDLE, per_m)}" stroke="{ALTITUDE_COLOUR}"/>'
     key = "".join(f"<span>{dot(colour)}{escape(label)}</span>" for label, colour in keys.items())
     return (
-        f'<svg viewBox="0 0 {WIDE} {HIGH}" fill="none" stroke-width="1.4">{shaded}'
-        f'<path d="{roofs}L{WIDE} {MIDDLE}L{LEFT} {MIDDLE}Z" fill="{BUILT_COLOUR}" stroke="none"/>'
-        f'<path d="{trace(table["z_m"].to_numpy(), MIDDLE, 4, top_m)}" stroke="{ALTITUDE_COLOUR}"/>{metrics}{words}'
-        f'<path class="jv-here" d="M0 4V{bottom}" stroke="#000" transform="translate(-9)"/></svg><p>{key}</p>'
+        f'<div><svg viewBox="0 0 {WIDE} {HIGH}" preserveAspectRatio="none" fill="none" stroke-width="1.4">'
+        f'{shaded}{beneath}{flight}{metrics}<path class="jv-here" d="M0 {TOP}V{BOTTOM}" stroke="#000" '
+        f'transform="translate(-9)"/></svg>{words}</div><p>{key}</p>'
     )
+
+
+def _distances(total_m: float) -> list[tuple[float, str]]:
+    """Return round distances along a route, seven at most, and how they are written."""
+    power = 10.0 ** math.floor(math.log10(total_m / 6))
+    step_m = next(factor * power for factor in (1, 2, 5, 10) if factor * power * 6 >= total_m)
+    unit, unit_m = ("km", 1000) if total_m >= 1000 else ("m", 1)
+    return [(k * step_m, f"{k * step_m / unit_m:g} {unit}") for k in range(int(total_m / step_m) + 1)]
 
 
 def triangle(names: Sequence[str], cells: Iterable[tuple[np.ndarray, str]], given: np.ndarray) -> str:

@@ -137,13 +137,33 @@ class Plans:
         Raises:
           InputError: there is no route.
         """
+        planned = self.mission(query, at) if suffix in WAYPOINTS else self.route(query, at)
+        if not planned.status.has_path:
+            raise InputError(f"there is no route to save: {planned.status.sentence}")
+        return FORMATS[suffix]([("", planned)], None)
+
+    def mission(self, query: Plan, at: Place) -> PlannedPath:
+        """Return the route that files of waypoints hold: simplified by half a cell, priced by the route's cost model.
+
+        Raises:
+          InputError: as for `jaxurban.plan`.
+        """
         with self._lock:
-            planned = self.route(query, at)
-            if not planned.status.has_path:
-                raise InputError(f"there is no route to save: {planned.status.sentence}")
-            if suffix in WAYPOINTS:
-                planned = simplify(planned, self._cost_map(query, at), self.maps.grid.resolution_m / 2)
-            return FORMATS[suffix]([("", planned)], None)
+            planned, key = self.route(query, at), ("mission", query.model_dump_json())
+            tolerance_m = self.maps.grid.resolution_m / 2
+            return _kept(
+                self._routes, key, NUM_ROUTES, lambda: simplify(planned, self._cost_map(query, at), tolerance_m)
+            )
+
+    def moved(self, query: Plan, at: Place) -> dict[str, str]:
+        """Return how far each end of a route was moved and out of what, by name; nothing of an end that was free."""
+        with self._lock:
+            planned, on, sentences = self.route(query, at), self._cost_map(query, at), {}
+            for name, moved_m in zip(("start", "goal"), planned.snap_distance_m, strict=True):
+                _, cell = on.cell_of(name, getattr(query, name))
+                if not on.is_free[cell]:
+                    sentences[name] = f"{name} moved {moved_m:.0f} m: it was {on.why_closed(cell)}"
+            return sentences
 
     def command(self, query: Plan, at: Place) -> str:
         """Return the command that gives the same route, coordinate for coordinate; empty for maps in memory.
@@ -176,6 +196,7 @@ class Plans:
 
     def _cost_map(self, query: Plan, at: Place) -> CostMap:
         """Return the cost map of a query; what does not depend on the weights is made once."""
+        find_planner(query.planner)
         for name in query.weights:
             one_of("weight", name, ("distance", *self.maps.metrics))
         weights = Weights.of({**self.defaults.weights.to_dict(), **query.weights})

@@ -12,10 +12,13 @@ import numpy as np
 from jaxurban.errors import InputError, one_of
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY
+from jaxurban.paths.export.waypoints import waypoints
+from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.profile import without_fix
+from jaxurban.planners.base import Status
 from jaxurban.planners.registry import PLANNERS
 from jaxurban.report.figures.metrics import DOP_NAMES, line_colour
-from jaxurban.report.figures.notes import place_said, time_said
+from jaxurban.report.figures.notes import guesses_said, place_said, time_said
 from jaxurban.report.figures.paths import planner_colours
 from jaxurban.viewer.coordinates import LonLatFit
 from jaxurban.viewer.layers import (
@@ -27,7 +30,18 @@ from jaxurban.viewer.layers import (
     layers_of,
     legend_of,
 )
-from jaxurban.viewer.markup import costs, layer_options, number, options, planners, profile, route_button, rows, sliders
+from jaxurban.viewer.markup import (
+    costs,
+    layer_options,
+    number,
+    options,
+    planners,
+    profile,
+    route_button,
+    rows,
+    sentences,
+    sliders,
+)
 from jaxurban.viewer.outlines import Outlines
 from jaxurban.viewer.plans import PlanDefaults, Plans
 from jaxurban.viewer.requests import Box, Cell, Nothing, Plan, Request, Save, Shown, Tile, Which, parse
@@ -148,6 +162,7 @@ class Viewer:
         summaries = {name: entry.summary for name, entry in PLANNERS.items()}
         first = next((name for name in ("gps", H_NORM) if name in layers), next(iter(layers)))
         north = f"true north {abs(north_deg):.2f}° {'west' if north_deg > 0 else 'east'} of the grid's north"
+        guessed = guesses_said(maps, has_sky=True)
         altitudes = [f"{z_m:g} m" for z_m in maps.altitudes_m]
         lists = {
             "altitude": options(altitudes),
@@ -157,6 +172,8 @@ class Viewer:
         }
         return {
             "title": escape(self.names[0]),
+            "guesses": escape(guessed and f"Guessed: {guessed}"),
+            "guesses-text": escape("\n".join(maps.ds.attrs.get("guesses", {}).values())),
             "place": "<br>".join([place_said(grid), f"{cells} · {grid.crs}", north]),
             "credit": escape(maps.ds.attrs.get("attribution", "")),
             "sliders": sliders(self._labels, self._colours),
@@ -268,16 +285,17 @@ class Viewer:
     def plan(self, query: Plan) -> dict[str, Any]:
         """Return a route: its points, cost and message, and the command that gives the same."""
         at = self.place(query.at)
-        planned = self.plans.route(query, at)
+        planned, moved = self.plans.route(query, at), self.plans.moved(query, at)
         has_path = planned.status.has_path
         text = f"cost {number(planned.cost)} · {planned.length_m / 1000:.2f} km" if has_path else "no path"
+        notes = [status_said(planned), *moved.values()]
         return {
             "planner": query.planner,
             "has_path": has_path,
             "xy_m": planned.xy_m,
             "cost": _number(planned.cost),
             "cost_by_layer": planned.cost_by_layer,
-            "button": route_button(query.planner, PLANNER_LINES[query.planner], text),
+            "button": route_button(query.planner, PLANNER_LINES[query.planner], text, notes),
             "html": costs(planned.cost_by_layer, self._labels, self._colours),
             "message": " ".join(filter(None, (planned.search.sentence, planned.search.note))),
             "command": self.plans.command(query, at),
@@ -289,20 +307,33 @@ class Viewer:
         return {"planner": query.planner, "has_path": len(xy_m) > 0, "xy_m": xy_m, "cell_m": cell_m}
 
     def report(self, query: Plan) -> dict[str, Any]:
-        """Return what a route meets: totals, the profile and where its crossings lie, and `RouteReport` as text."""
-        found, planned, told = self.plans.report(query, self.place(query.at))
+        """Return what a route meets: cautions, totals, the profile and where its crossings lie, its report as text.
+
+        ``mission`` are the waypoints of a ``.plan``, and ``saved`` how many they are and what they cost.
+        """
+        at = self.place(query.at)
+        found, planned, told = self.plans.report(query, at)
+        mission = self.plans.mission(query, at)
         table, totals = found.profile, found.totals
-        x_m, y_m = self.maps.grid.xy_of_lonlat(table["lon"].to_numpy(), table["lat"].to_numpy())
-        corner = self.maps.grid.x_min_m, self.maps.grid.y_min_m
         lines = {name: (metric.label, self._colours[name]) for name, metric in self.maps.metrics.items()}
         units = {name: text for name, text in TOTALS.items() if name in totals}
         return {
+            "cautions": sentences((each.level, each) for each in told),
             "totals": rows((label, f"{number(totals[name])} {unit}") for name, (label, unit) in units.items()),
             "profile": profile(table, lines, without_fix(table)),
             "to_share": np.round(table["to_m"].to_numpy() / max(planned.length_m, 1e-9), 5),
-            "xy": np.round(np.stack([x_m - corner[0], y_m - corner[1]], axis=-1), 1),
-            "report-text": escape("\n\n".join([*told, found.table()])),
+            "xy": self._on_page(table[["lon", "lat"]].to_numpy()),
+            "report-text": escape(found.table()),
+            "mission": self._on_page(lonlat := waypoints(mission).lonlat),
+            "saved": f"{len(lonlat)} waypoints, cost {number(mission.cost)}"
+            + (f", {mission.cost / planned.cost - 1:+.1%}" if planned.cost > 0 else ""),
         }
+
+    def _on_page(self, lonlat: np.ndarray) -> np.ndarray:
+        """Return places ``[N, 2]`` in metres from the maps' southwest corner."""
+        grid = self.maps.grid
+        x_m, y_m = grid.xy_of_lonlat(*lonlat.T)
+        return np.round(np.stack([x_m - grid.x_min_m, y_m - grid.y_min_m], axis=-1), 1)
 
     def save(self, query: Save) -> bytes:
         """Return a route as a file."""
@@ -322,6 +353,14 @@ class Viewer:
         if self.study is None:
             raise InputError("no study of weights is shown: name its folder with --study")
         return self.study.to_dict(self.maps)
+
+
+def status_said(planned: PlannedPath) -> str:
+    """Return how a planner ended, among which paths, and how far above the cheapest of them its path is at most."""
+    search, has_path = planned.search, planned.status.has_path
+    graph = f" ({search.graph})" if has_path and search.graph else ""
+    is_between = has_path and planned.status is not Status.OPTIMAL and search.gap < math.inf
+    return f"{planned.status.value}{graph}{f', at most {search.gap:.1%} above the cheapest' if is_between else ''}"
 
 
 def _told(layer: Layer) -> str:

@@ -16,7 +16,7 @@ from jaxurban.viewer.viewer import Viewer
 from jaxurban.viewer.widget import reply_to
 from tests.cli_runs import run
 from tests.made_maps import made_maps
-from tests.viewer.browser import READY, chromium, opened, served
+from tests.viewer.browser import READY, SIZE, chromium, opened, served
 
 pytestmark = pytest.mark.slow
 MAPS = made_maps(160, 200)
@@ -109,17 +109,21 @@ def test_the_values_under_the_pointer_and_the_legend_are_those_of_the_zarr(page)
 def test_the_colour_of_a_cell_is_that_of_its_value(page):
     page.wait_for_timeout(500)
     cell = FREE[5000].tolist()
-    x, y = pixel_of(page, cell[0] + 0.5, cell[1] + 0.5)
-    box = page.locator('[data-is="map"]').bounding_box()
-    got = page.evaluate(
-        "([x, y]) => [...document.querySelector('[data-is=\"map\"]').getContext('2d').getImageData(x, y, 1, 1).data]",
-        [round(x - box["x"]), round(y - box["y"])],
-    )
+    got = ink_at(page, pixel_of(page, cell[0] + 0.5, cell[1] + 0.5))
     from jaxurban.report.figures.metrics import metric_colours
 
     near = MAPS.m("gps", 20.0)[max(cell[0] - 1, 0) : cell[0] + 2, max(cell[1] - 1, 0) : cell[1] + 2]
     colours = metric_colours(MAPS, "gps")(near, bytes=True)[..., :3].reshape(-1, 3).astype(int)
-    assert np.abs(colours - got[:3]).max(axis=1).min() <= 4
+    assert np.abs(colours - got).max(axis=1).min() <= 4
+
+
+def ink_at(page, at) -> list[int]:
+    """Return red, green and blue of a pixel of the map."""
+    box = page.locator('[data-is="map"]').bounding_box()
+    return page.evaluate(
+        "([x, y]) => [...document.querySelector('[data-is=\"map\"]').getContext('2d').getImageData(x, y, 1, 1).data]",
+        [round(at[0] - box["x"]), round(at[1] - box["y"])],
+    )[:3]
 
 
 def plan_between(page, cells) -> None:
@@ -143,7 +147,7 @@ def command_gives(page, capsys) -> dict:
 def saved(page, button: str) -> bytes:
     with page.expect_download() as waiting:
         page.click(button)
-    return open(waiting.value.path(), "rb").read()
+    return waiting.value.path().read_bytes()
 
 
 def test_start_and_goal_a_weight_and_a_zone_change_the_route_and_the_command_gives_it(
@@ -182,6 +186,71 @@ def test_start_and_goal_a_weight_and_a_zone_change_the_route_and_the_command_giv
     assert b"<kml" in saved(page, '[data-do="kml"]')
     assert json.loads(saved(page, '[data-do="plan"]'))["fileType"] == "Plan"
     assert page.locator('[data-is="report"] svg').is_visible()
+
+
+def test_a_goal_in_a_building_moves_out_of_it_and_the_card_says_so(browser):
+    obstacle, row, col = MAPS.ds["obstacle"].copy(deep=True), 80, 100
+    roofs = {name: MAPS.ds[name].copy(deep=True) for name in ("roof", "roof_touched")}
+    for values in (obstacle, *roofs.values()):
+        values[..., row - 4 : row + 5, col - 4 : col + 5] = 90 if values.name in roofs else 1
+    maps = type(MAPS)(MAPS.ds.assign(obstacle=obstacle, **roofs))
+    with served(Viewer(maps)) as server, opened(browser, server.url) as (page, _, wrong):
+        plan_between(page, [FREE[300].tolist(), (row, col)])
+        assert "goal moved 50 m: it was inside an obstacle" in page.locator(".jv-route").inner_text()
+        show_all(page)
+        page.wait_for_timeout(300)
+        end = goal_of(page)
+        beside = np.array(GRID.cell_of_lonlat(*end))
+        assert np.abs(beside - (row, col)).max() == 5
+        at = pixel_of(page, *(beside + 0.5))
+        assert max(ink_at(page, at)) < 60  # the middle of the goal's mark
+        assert max(ink_at(page, pixel_of(page, row + 0.5, col + 0.5))) < 60  # and where it was asked for
+        page.mouse.move(*at)
+        page.mouse.down()
+        page.mouse.move(at[0] + 60, at[1] + 60, steps=3)  # which takes the mark along
+        page.mouse.up()
+        settle(page)
+        assert goal_of(page) != end
+        assert not wrong
+
+
+def goal_of(page) -> list[float]:
+    """Return longitude and latitude of the end of the route that the page saves."""
+    return json.loads(saved(page, '[data-do="geojson"]'))["features"][0]["geometry"]["coordinates"][-1][:2]
+
+
+def test_cautions_stand_open_and_the_mission_is_told_and_drawn_before_it_is_saved(page):
+    plan_between(page, FREE[[300, -300]].tolist())
+    cautions = page.locator('[data-is="cautions"] p')
+    assert all(cautions.nth(k).is_visible() for k in range(cautions.count()))
+    assert "Buildings: the nearest" in " ".join(cautions.all_inner_texts())
+    limits = page.locator('[data-is="cautions"] .jv-limit')
+    assert {limits.nth(k).evaluate("each => getComputedStyle(each).color") for k in range(limits.count())} == {
+        "rgb(176, 0, 32)"
+    }
+    button = page.locator('[data-do="plan"]').inner_text()
+    items = json.loads(saved(page, '[data-do="plan"]'))["mission"]["items"][:-1]  # the last one lands
+    assert f"{len(items)} waypoints, cost" in button
+    show_all(page)
+    page.wait_for_timeout(300)
+    for item in items[1:-1]:  # its ring is white within
+        x_m, y_m = GRID.xy_of_lonlat(item["params"][5], item["params"][4])
+        at = pixel_of(page, (y_m - GRID.y_min_m) / GRID.resolution_m, (x_m - GRID.x_min_m) / GRID.resolution_m)
+        assert min(ink_at(page, at)) > 100
+
+
+def test_the_letters_of_the_profile_are_as_large_on_every_screen(page):
+    plan_between(page, FREE[[300, -300]].tolist())
+    sizes = set()
+    for width in (1024, 1920):
+        page.set_viewport_size({"width": width, "height": 900})
+        sizes |= set(
+            page.locator('[data-is="profile"] div > :is(b, span)').evaluate_all(
+                "all => all.map(each => `${each.offsetHeight} ${getComputedStyle(each).fontSize}`)"
+            )
+        )
+    page.set_viewport_size(SIZE)
+    assert sizes == {"14 11px"}
 
 
 def test_a_goal_that_is_dragged_takes_the_route_along(page, capsys):

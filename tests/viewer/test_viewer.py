@@ -1,26 +1,38 @@
 """What the page is told, against the maps themselves, and routes against ``jaxurban plan``."""
 
 import base64
+import html
 import json
+import math
+import re
 import shlex
 import zlib
 
 import numpy as np
 import pytest
+import shapely
 
 from jaxurban.errors import InputError
 from jaxurban.metrics.weights import Weights
+from jaxurban.paths.cautions import cautions
+from jaxurban.paths.cost_map import cost_map
+from jaxurban.paths.explain import explain
 from jaxurban.paths.plan import plan
+from jaxurban.paths.simplify import simplify
 from jaxurban.report.figures.metrics import metric_colours
 from jaxurban.viewer.layers import Place, layers_of, legend_of
+from jaxurban.viewer.markup import number
+from jaxurban.viewer.outlines import MOST_OUTLINES, Outlines
 from jaxurban.viewer.plans import PlanDefaults
 from jaxurban.viewer.viewer import Viewer
+from jaxurban.world.grid import Grid
 from tests.cli_runs import run
 from tests.made_maps import made_maps
 
 MAPS = made_maps()
 CELLS = np.argwhere(MAPS.is_free(20.0))
 ENDS = [np.round(MAPS.grid.lonlat_of_cell(*CELLS[at]), 7).tolist() for at in (5, -9)]
+NEAR = np.round(MAPS.grid.lonlat_of_cell(*CELLS[np.hypot(*(CELLS - CELLS[5] - [7, 6]).T).argmin()]), 7).tolist()
 WEIGHTS = {"distance": 0.1, "gps": 3.0, "lidar": 0.7, "population": 0.0, "risk": 1.5}
 QUERY = {"start": ENDS[0], "goal": ENDS[1], "at": [0, 0, 1], "weights": WEIGHTS}
 
@@ -189,6 +201,84 @@ def test_a_report_tells_what_the_route_meets(viewer):
     assert "<svg" in found["profile"]
     assert "Least clearance" in found["totals"]
     assert "segment" in found["report-text"]
+
+
+def test_a_route_names_its_status_and_each_end_that_was_moved_with_its_cause(viewer):
+    obstacle = MAPS.grid.lonlat_of_cell(*np.argwhere(MAPS.m("obstacle", 20.0) != 0)[40].tolist())
+    route = answer(viewer, "plan", **QUERY | {"goal": np.round(obstacle, 7).tolist()})
+    moved_m = math.dist(route["xy_m"][-1], np.array(MAPS.grid.xy_of_lonlat(*obstacle)))
+    assert "<small>optimal (8-neighbour grid)</small>" in route["button"]
+    assert f"<small>goal moved {moved_m:.0f} m: it was inside an obstacle" in route["button"]
+    assert "start moved" not in route["button"]
+    assert "moved" not in answer(viewer, "plan", **QUERY)["button"]
+    any_angle = answer(viewer, "plan", **QUERY | {"planner": "theta-star", "cost_model": "line"})
+    gap = r"<small>feasible \(paths at any angle\), at most [\d.]+% above the cheapest</small>"
+    assert re.search(gap, any_angle["button"])
+
+
+def test_cautions_stand_outside_the_report_each_with_its_level(viewer):
+    found = answer(viewer, "report", **QUERY)
+    told = cautions(plan(MAPS, *ENDS, altitude_m=20.0, weights=Weights(**WEIGHTS), time_of_day="night"), MAPS)
+    assert found["cautions"] == "".join(f'<p class="jv-{each.level}">{html.escape(each)}</p>' for each in told)
+    assert told
+    assert not any(each in found["report-text"] for each in told)
+
+
+def test_guesses_of_the_maps_stand_on_the_page_before_any_route():
+    ds = MAPS.ds.assign_attrs(guesses={"89 % of heights": "the heights of 89 % are <guessed>"})
+    texts = answer(Viewer(type(MAPS)(ds)), "scene")["html"]
+    assert texts["guesses"] == "Guessed: 89 % of heights"
+    assert texts["guesses-text"] == "the heights of 89 % are &lt;guessed&gt;"
+    assert answer(Viewer(MAPS), "scene")["html"]["guesses"] == ""
+
+
+@pytest.mark.parametrize("cost_model", ["cell", "line"])
+def test_the_mission_that_is_drawn_is_the_one_that_is_saved_and_bears_its_cost(viewer, cost_model):
+    query = QUERY | {"cost_model": cost_model}
+    found, route = answer(viewer, "report", **query), answer(viewer, "plan", **query)
+    saved = json.loads(answer(viewer, "save", **query, format="plan"))
+    places = np.array([item["params"][4:6] for item in saved["mission"]["items"][:-1]])  # the last one lands
+    xy_m = np.stack(MAPS.grid.xy_of_lonlat(places[:, 1], places[:, 0]), axis=-1)
+    corner = np.array([MAPS.grid.x_min_m, MAPS.grid.y_min_m])
+    assert np.allclose(found["mission"], xy_m - corner, atol=0.06)
+    on = cost_map(MAPS, 20.0, weights=Weights(**WEIGHTS), cost_model=cost_model, time_of_day="night")
+    planned = on.plan(*ENDS, heuristic="plus")
+    assert planned.cost == route["cost"]
+    cost = simplify(planned, on, MAPS.grid.resolution_m / 2).cost
+    assert found["saved"] == f"{len(places)} waypoints, cost {number(cost)}, {cost / route['cost'] - 1:+.1%}"
+
+
+def test_a_profile_labels_the_flight_at_its_height_and_distances_so_that_none_equals_another(viewer):
+    long, near = (answer(viewer, "report", **QUERY | more)["profile"] for more in ({}, {"goal": NEAR}))
+    for drawn in (long, near):
+        heights = dict(re.findall(r'<b style="top:(\d+)px">([^<]+)</b>', drawn))
+        line_y = float(re.search(r'd="M0.0 ([\d.]+)L[^"]*" stroke="#d62728"', drawn)[1])
+        assert heights[f"{line_y - 7:.0f}"] == "20 m"
+        assert "22 m" not in heights.values()
+        ticks = re.findall(r">([\d.]+) (k?m)</span>", drawn.replace("least clearance ", "<i>"))
+        assert len({*ticks}) == len(ticks) >= 3
+    assert {unit for _, unit in ticks} == {"m"}
+    nearest_m = explain(plan(MAPS, ENDS[0], NEAR, altitude_m=20.0, weights=Weights(**WEIGHTS)), MAPS).totals
+    assert f"least clearance {number(nearest_m['nearest_wall_m'])} m" in near
+
+
+def test_of_too_many_outlines_the_largest_are_drawn_and_the_others_counted():
+    size_m = np.linspace(1, 9, MOST_OUTLINES + 500)
+    x_m, y_m = (10.0 * each for each in np.divmod(np.arange(len(size_m)), 60))
+    polygons = shapely.box(x_m, y_m, x_m + size_m, y_m + size_m)
+    outlines = Outlines()
+    outlines._tree = shapely.STRtree(polygons)
+    grid = Grid("EPSG:32618", 10.0, 0, 0, 60, 60)
+    found = outlines.within(grid, (0.0, 0.0, 1e4, 1e4))
+    areas = [shapely.Polygon(ring).area for ring in found["rings"]]
+    assert (found["state"], found["left_out"], len(areas)) == ("ready", 500, MOST_OUTLINES)
+    assert min(areas) == pytest.approx(size_m[500] ** 2, rel=0.02)
+
+
+@pytest.mark.parametrize("name", ["plan", "coarse", "report"])
+def test_a_planner_that_is_none_is_refused_everywhere(viewer, name):
+    with pytest.raises(InputError, match="planner"):
+        viewer.answer(name, QUERY | {"planner": "rm -rf"})
 
 
 @pytest.mark.parametrize("name", ["geojson", "kml", "plan", "gpx"])

@@ -15,7 +15,7 @@ async function unpack(packed) { // bytes by significance, deflated -> Float32Arr
 async function overHttp(name, parameters) {
   const kind = 'application/json', body = JSON.stringify(parameters);
   const reply = await fetch(`ask/${name}`, { method: 'POST', headers: { 'Content-Type': kind }, body });
-  if (!reply.ok) throw new Error(await reply.text());
+  if (!reply.ok) throw Object.assign(new Error(await reply.text()), { isOld: reply.status === 409 });
   return reply.headers.get('Content-Type') === kind ? reply.json() : new Uint8Array(await reply.arrayBuffer());
 }
 function overWidget(model) {
@@ -58,10 +58,17 @@ async function start(root, ask) {
   const scene = await ask('scene', {}), side = scene.resolution_m, wide = scene.cols * side, high = scene.rows * side;
   const layers = Object.fromEntries(scene.layers.map(layer => [layer.name, layer]));
   const map = is('map'), pen = map.getContext('2d'), tiles = new Map(), outlines = new Map();
-  const state = { tab: 'look', ends: {}, zones: [], routes: [], plans: 0, weights: { ...scene.weights } };
+  const state = { tab: 'look', ends: {}, marks: {}, zones: [], routes: [], plans: 0, weights: { ...scene.weights } };
   const view = { x: wide / 2, y: high / 2, scale: 1 }, [west0, south0] = scene.corner_m; // scale: metres a pixel
-  const tell = text => { is('tell').textContent = text; };
-  const guard = action => async (...given) => { try { return await action(...given); } catch (e) { tell(e.message); } };
+  const tell = (text, isOld = false) => { // that the maps are old stays
+    if (!root.querySelector('.jv-reload').hidden) return;
+    is('tell').textContent = text;
+    is('tell').classList.toggle('jv-limit', isOld);
+    root.querySelector('.jv-reload').hidden = !isOld;
+  };
+  const guard = action => async (...given) => {
+    try { return await action(...given); } catch (e) { tell(e.message, e.isOld); }
+  };
   const latest = action => { // one call at a time; of those that come meanwhile the last one waits
     let isBusy = false, next = null;
     return async (...given) => {
@@ -145,14 +152,22 @@ async function start(root, ask) {
     pen.imageSmoothingEnabled = false;
     const [west, north] = toMetres(0, 0), [east, south] = toMetres(width, height);
     if (state.shown) drawTiles(west, south, east, north, view.scale / ratio);
-    if (scene.has_outlines && view.scale < 1.5) drawOutlines(west, south, east, north);
+    is('left-out').textContent = scene.has_outlines && view.scale < 1.5 ? drawOutlines(west, south, east, north) : '';
     for (const zone of state.zones) line(zone, '#a01830', 1.5, { fill: '#a0183033' });
     if (state.drawing) line(state.drawing, '#a01830', 1.5);
     const routes = state.routes.map((route, k) => ({ ...route, width: 2.6 + 3 * k })).reverse(); // wide ones below
     for (const { xy_m, width } of routes) line(xy_m, '#fff', width + 2.4);
     for (const { xy_m, width, planner, cell_m } of routes)
       line(xy_m, scene.planner_colours[planner], width, { dash: cell_m && [6, 6] });
-    for (const [name, place] of Object.entries(state.ends)) mark(name, place);
+    if (state.report && !state.routes[0]?.cell_m) { // what a .plan holds
+      line(state.report.mission, '#1f2429', 1.4, { dash: [5, 4] });
+      for (const place of state.report.mission) spot(place, 2.5, '#fff', '#1f2429');
+    }
+    for (const [name, place] of Object.entries(state.ends)) {
+      line([place, markOf(name)], '#1f2429', 1);
+      spot(place, 1, '#1f2429', '#1f2429');
+      mark(name, markOf(name));
+    }
     if (state.linked) spot(state.linked, 5, '#1f2429', '#fff');
     if (map.matches(':focus-visible')) spot([view.x, view.y], 3, '#fff', '#1f2429');
     const most = 130 * view.scale, power = 10 ** Math.floor(Math.log10(most));
@@ -175,19 +190,25 @@ async function start(root, ask) {
         }
     }
   };
-  const drawOutlines = (west, south, east, north, step = 400) => {
+  const drawOutlines = (west, south, east, north, step = 400) => { // and what is missing of them
+    let leftOut = 0, isReading = false, whyNot = '';
     for (let x = Math.floor(west / step); x <= east / step; x++)
       for (let y = Math.floor(south / step); y <= north / step; y++) {
         const key = `${x} ${y}`, [left, low, right, top] = [x, y, x + 1, y + 1].map(each => each * step);
         const read = guard(async () => {
           const found = await ask('outlines', { west: left, south: low, east: right, north: top });
-          outlines.set(key, found.rings);
+          outlines.set(key, found);
           if (found.state === 'reading') setTimeout(read, 700);
           draw();
         });
-        if (!outlines.has(key)) { outlines.set(key, []); read(); }
-        for (const ring of outlines.get(key)) { line(ring, '#fffb', 2.4); line(ring, '#1f2429cc', 0.8); }
+        if (!outlines.has(key)) { outlines.set(key, { state: 'reading', rings: [], left_out: 0 }); read(); }
+        const { state: how, rings, left_out } = outlines.get(key);
+        for (const ring of rings) { line(ring, '#fffb', 2.4); line(ring, '#1f2429cc', 0.8); }
+        leftOut += left_out;
+        if (how === 'reading') isReading = true; else if (how !== 'ready') whyNot = how;
       }
+    return whyNot || (isReading ? 'Outlines are being read …' : leftOut
+      ? `The smallest outlines here, ${leftOut.toLocaleString('en')}, are not drawn` : '');
   };
   const line = (places, strokeStyle, lineWidth, { fill, dash } = {}) => {
     pen.beginPath();
@@ -205,6 +226,7 @@ async function start(root, ask) {
     pen.fill();
     pen.stroke();
   };
+  const markOf = name => state.marks[name] ?? state.ends[name]; // where the route itself begins or ends
   const mark = (name, place) => {
     const [left, top] = toPixel(place), ink = '#1f2429';
     spot(place, 7, ...(name === 'start' ? ['#fff', ink] : [ink, '#fff']));
@@ -234,8 +256,12 @@ async function start(root, ask) {
     const least = offs.reduce((best, off, k) => off < offs[best] ? k : best, 0);
     if (offs.length) link(offs[least] < 25 * view.scale ? least : -1);
   };
+  const setEnd = (name, place) => {
+    state.ends[name] = place;
+    delete state.marks[name];
+  };
   const endAt = (...at) => state.tab === 'plan' && !state.drawing && Object.keys(state.ends).find(name =>
-    Math.hypot(...toPixel(state.ends[name]).map((pixel, k) => pixel - at[k])) < 12);
+    Math.hypot(...toPixel(markOf(name)).map((pixel, k) => pixel - at[k])) < 12);
   map.onpointerdown = ({ pointerId, button, offsetX: left, offsetY: top }) => {
     if (button === 0) map.setPointerCapture(pointerId); else return;
     state.drag = { end: endAt(left, top), left, top, isMoved: false };
@@ -244,7 +270,7 @@ async function start(root, ask) {
     const drag = state.drag, place = toMetres(left, top);
     if (drag) {
       drag.isMoved ||= Math.hypot(left - drag.left, top - drag.top) > 3;
-      if (drag.end && drag.isMoved && isInside(place)) { state.ends[drag.end] = place; preview(state.plans); }
+      if (drag.end && drag.isMoved && isInside(place)) { setEnd(drag.end, place); preview(state.plans); }
       if (!drag.end && drag.isMoved) {
         view.x -= (left - drag.left) * view.scale;
         view.y += (top - drag.top) * view.scale;
@@ -297,16 +323,17 @@ async function start(root, ask) {
     const asked = state.plans, found = [], refused = [];
     tell('Planning …');
     for (const request of chosen().map(query)) {
-      try { found.push({ ...placed(await ask('plan', request)), request }); } catch (e) { refused.push(e.message); }
+      try { found.push({ ...placed(await ask('plan', request)), request }); } catch (e) { refused.push(e); }
       if (asked !== state.plans) return;
     }
-    tell(refused[0] ?? found.find(route => !route.has_path)?.message ?? '');
+    tell(refused[0]?.message ?? found.find(route => !route.has_path)?.message ?? '', refused[0]?.isOld);
     showRoutes(found);
   });
   const warm = () => state.ends.start && guard(ask)('coarse', query('astar-plus')); // makes what the route will need
   const plan = () => { state.plans++; hint(); if (isReady()) planAll(); else warm(); };
   const showRoutes = (routes, route = routes.find(each => each.has_path) ?? routes[0]) => {
-    Object.assign(state, { routes, route, report: null, linked: null, at: -1 });
+    const marks = route?.has_path ? { start: route.xy_m[0], goal: route.xy_m.at(-1) } : {};
+    Object.assign(state, { routes, route, marks, report: null, linked: null, at: -1 });
     is('routes').innerHTML = routes.map(each => each.button).join('');
     [...is('routes').children].forEach((button, k) =>
       Object.assign(button, { onclick: () => showRoutes(routes, routes[k]), ariaPressed: routes[k] === route }));
@@ -320,25 +347,35 @@ async function start(root, ask) {
     const found = await ask('report', route.request);
     if (state.route !== route) return;
     state.report = found;
-    for (const name of ['totals', 'profile', 'report-text']) is(name).innerHTML = found[name];
-    is('report').hidden = false;
+    draw();
+    for (const name of ['cautions', 'totals', 'profile', 'saved', 'report-text']) is(name).innerHTML = found[name];
+    if (!is('report').hidden) return;
+    is('report').hidden = false; // which takes of the map's height
+    const pixels = route.xy_m.map(toPixel);
+    if (pixels.some(([x, y]) => x < 0 || y < 0 || x > map.clientWidth || y > map.clientHeight)) {
+      const [x, y] = [0, 1].map(k => route.xy_m.map(place => place[k]));
+      const [[left, right], [low, top]] = [x, y].map(each => [Math.min(...each), Math.max(...each)]);
+      const scale = 1.3 * Math.max((right - left) / map.clientWidth, (top - low) / map.clientHeight);
+      Object.assign(view, { x: (left + right) / 2, y: (low + top) / 2, scale: Math.max(scale, view.scale) });
+      draw();
+    }
   });
   const link = k => { // the same place on the map and on the profile
     if (k === state.at) return;
     const { xy, to_share: ends } = state.report, here = is('profile').querySelector('.jv-here');
     Object.assign(state, { at: k, linked: xy[k] });
-    here.setAttribute('transform', `translate(${xy[k] ? 36 + 864 * ((ends[k - 1] ?? 0) + ends[k]) / 2 : -9})`);
+    here.setAttribute('transform', `translate(${xy[k] ? 500 * ((ends[k - 1] ?? 0) + ends[k]) : -9})`);
     draw();
   };
   is('profile').onpointermove = ({ clientX }) => { // the old profile stays until a new route's own comes
-    const { left, width } = is('profile').firstElementChild.getBoundingClientRect();
-    const share = ((clientX - left) / width * 900 - 36) / 864, ends = state.report?.to_share;
+    const { left, width } = is('profile').querySelector('svg').getBoundingClientRect();
+    const share = (clientX - left) / width, ends = state.report?.to_share;
     if (ends) link(clamp(ends.findIndex(end => end >= share), 0, ends.length - 1));
   };
   const click = place => {
     if (!isInside(place) || state.tab !== 'plan') return;
     if (state.drawing) state.drawing.push(place);
-    else { state.ends[state.ends.start ? 'goal' : 'start'] = place; plan(); }
+    else { setEnd(state.ends.start ? 'goal' : 'start', place); plan(); }
     draw();
   };
   const closeZone = () => {
@@ -366,6 +403,7 @@ async function start(root, ask) {
     zone: () => { if (state.drawing) closeZone(); else state.drawing = []; hint(); draw(); },
     'save-zones': () => download(zones(), 'zones.geojson'),
     clear: () => { Object.assign(state, { ends: {}, zones: [], drawing: null }); tell(''); showRoutes([]); plan(); },
+    reload: () => window.location.reload(),
     copy: () => navigator.clipboard.writeText(is('command').textContent),
   };
   for (const format of ['geojson', 'kml', 'plan']) actions[format] = async () =>
