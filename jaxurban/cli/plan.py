@@ -68,7 +68,6 @@ LEVEL_OPTIONS = ("min_altitude_m", "max_altitude_m", "level_step_m", "climb_cost
 def plan(folder: Path, files: Sequence[Path], profile: Path | None, as_json: bool, **given: Any) -> int:
     """Plan a path over the maps in DIR."""
     from jaxurban.maps.levels import Levels
-    from jaxurban.paths.cautions import cautions
     from jaxurban.paths.explain import check_flight, explain
     from jaxurban.paths.export.write import MISSION, check_export
     from jaxurban.paths.search import PathSearch
@@ -114,7 +113,7 @@ def plan(folder: Path, files: Sequence[Path], profile: Path | None, as_json: boo
         tell(f"wrote {profile}")
     facts = planned.to_dict()
     if planned.status.has_path:
-        facts["cautions"] = cautions(planned, maps, None if report is None else report.profile)
+        facts["cautions"] = planned.cautions
         for sentence in facts["cautions"]:
             tell(sentence)
     if as_json:

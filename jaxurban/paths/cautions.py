@@ -72,7 +72,7 @@ def cautions(planned: PlannedPath, maps: GivenMaps, profile: pd.DataFrame | None
     apart_m = limits.get("clearance_m", 0.0) + limits.get("vehicle_radius_m", 0.0)
     above_m = limits.get("vertical_clearance_m") or LEAST_OVER_ROOFS_M
     return [
-        *_guesses(profile, maps),
+        *guess_cautions(maps, profile),
         *_fix(profile),
         _clearance(profile, maps, apart_m),
         *_roofs(profile, above_m),
@@ -81,17 +81,16 @@ def cautions(planned: PlannedPath, maps: GivenMaps, profile: pd.DataFrame | None
     ]
 
 
-def _guesses(profile: pd.DataFrame, maps: MetricMaps) -> Iterator[Caution]:
-    """Yield what the maps rest on that no file says, and how much of the route is near roofs of guessed height."""
-    facts = [", ".join(maps.ds.attrs.get("guesses", ()))]
-    if GUESSED in profile:
+def guess_cautions(maps: MetricMaps | None, profile: pd.DataFrame | None = None) -> list[Caution]:
+    """Return what maps rest on that no file says and, of a route, how much of it is near roofs of guessed height."""
+    facts = ["" if maps is None else ", ".join(maps.ds.attrs.get("guesses", ()))]
+    if profile is not None and GUESSED in profile:
         length_m = profile["to_m"] - profile["from_m"]
         facts.append(
             f"{length_m[profile[TO_GUESSED] < NEAR_GUESSED_M].sum():.0f} of {length_m.sum():.0f} m of the route pass "
             f"within {NEAR_GUESSED_M:g} m of guessed roofs"
         )
-    if any(facts):
-        yield Caution(f"Guessed: {'; '.join(filter(None, facts))}.", "guess")
+    return [Caution(f"Guessed: {'; '.join(filter(None, facts))}.", "guess")] if any(facts) else []
 
 
 def _fix(profile: pd.DataFrame) -> Iterator[Caution]:
@@ -136,7 +135,8 @@ def _clearance(profile: pd.DataFrame, maps: MetricMaps, apart_m: float) -> Cauti
     guessed_m = float(profile[TO_GUESSED].min()) if TO_GUESSED in profile else math.inf
     is_guess = guessed_m <= min(inside_m, outside_m)  # a guessed roof may be higher than the flight
     if is_guess:
-        sentence += f", if guessed roofs are right: the nearest of those is {guessed_m:.1f} m away"
+        nearest = f"the nearest of those is {guessed_m:.1f} m away" if guessed_m > 0 else "the route passes over some"
+        sentence += f", if guessed roofs are right: {nearest}"
     is_beyond = least_m < apart_m - ROUNDING or least_m <= 0
     return Caution(f"{sentence}.", "limit" if is_beyond else "guess" if is_guess else "note")
 

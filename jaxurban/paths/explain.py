@@ -1,7 +1,7 @@
 """A planned route explained: what each layer and each segment costs, who is below, where GPS or room is scarce."""
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -12,6 +12,7 @@ import pandas as pd
 from jaxurban.errors import InputError, finite, typed
 from jaxurban.maps.metric_maps import GivenMaps, as_maps
 from jaxurban.metrics.population import M2_PER_KM2
+from jaxurban.paths.cautions import Caution, cautions
 from jaxurban.paths.cost_map import cost_map_of
 from jaxurban.paths.crossings import cut_evenly
 from jaxurban.paths.path import PlannedPath
@@ -51,6 +52,7 @@ class RouteReport:
         middle's ``lon``, ``lat`` and ``z_m``, and the value of every map.
       lines: longitude and latitude ``[K, 2]`` of each segment.
       settings: ``swath_m``, ``speed_m_s`` and ``power_w`` as they were given.
+      cautions: what a pilot should know of the route (`jaxurban.cautions`).
     """
 
     totals: Mapping[str, float]
@@ -59,12 +61,14 @@ class RouteReport:
     profile: pd.DataFrame
     lines: tuple[np.ndarray, ...]
     settings: Mapping[str, float | None]
+    cautions: Sequence[Caution] = ()
 
     def to_dict(self) -> dict[str, Any]:
-        """Return totals, extremes and segments as plain, JSON-ready values (None for no number)."""
+        """Return totals, cautions, extremes and segments as plain, JSON-ready values (None for no number)."""
         return {
             **_plain(self.settings),
             **_plain(self.totals),
+            "cautions": list(self.cautions),
             "extremes": {
                 str(name): _plain_extremes(str(name), row) for name, row in self.extremes.to_dict("index").items()
             },
@@ -183,6 +187,7 @@ def explain(
         profile=profile,
         lines=tuple(lonlat[first : last + 1] for first, last in parts),
         settings={"swath_m": swath_m, "speed_m_s": speed_m_s, "power_w": power_w},
+        cautions=cautions(planned, maps, profile),
     )
 
 

@@ -35,6 +35,7 @@ def finish(on: "CostMap", found: Path, ends: tuple[Place, Place], search: PathSe
         settings=_settings(on, ends, search),
         crs=on.grid.crs,
         zones=on.constraints.zones,
+        maps=on.maps,
     )
 
 

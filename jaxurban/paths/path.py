@@ -1,7 +1,8 @@
 """PlannedPath: a path over metric maps with its cost, metrics and settings."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +16,8 @@ from jaxurban.planners.base import Path, Status
 from jaxurban.world.show import Shown
 
 if TYPE_CHECKING:
+    from jaxurban.maps.metric_maps import MetricMaps
+    from jaxurban.paths.cautions import Caution
     from jaxurban.paths.explain import RouteReport
 
 
@@ -39,6 +42,7 @@ class PlannedPath(Shown):
       crs: CRS of ``xy_m``.
       ground: the ground under the path; None without a path, or over maps without terrain.
       zones: the no-fly zones that it was planned around, for the geofence of a mission.
+      maps: that it was planned on; None of a path made by hand.
     """
 
     status: Status
@@ -56,6 +60,14 @@ class PlannedPath(Shown):
     crs: str
     ground: Ground | None = None
     zones: tuple[Zone, ...] = ()
+    maps: "MetricMaps | None" = field(default=None, compare=False)
+
+    @cached_property
+    def cautions(self) -> "list[Caution]":
+        """What a pilot should know of it (`jaxurban.cautions`); empty without a path, or without its maps."""
+        from jaxurban.paths.cautions import cautions
+
+        return [] if self.maps is None or not self.status.has_path else cautions(self, self.maps)
 
     @property
     def facts(self) -> dict[str, str]:

@@ -92,7 +92,7 @@ def sensitivity_markdown(found: Sensitivity) -> str:
         alike=ALIKE,
         findings=bullets(_finding(found, name) for name in found.vary),
         where=", ".join(_where(found)),
-        note=f" {found.route.search.note}".rstrip(),
+        note="".join(f" {sentence}" for sentence in (found.route.search.note, *found.route.cautions) if sentence),
         costs=_costs(found),
         outcomes=_outcomes(found),
         ranges=_ranges(found),

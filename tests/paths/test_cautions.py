@@ -10,6 +10,7 @@ from scipy.ndimage import distance_transform_edt
 import jaxurban as ju
 from jaxurban.errors import InputError
 from jaxurban.io.store import write_zarr
+from jaxurban.paths.export.write import FORMATS
 from tests.cli_runs import run
 from tests.made_maps import made_maps
 from tests.paths.volumes import plan_volume
@@ -65,7 +66,9 @@ def test_what_the_maps_guess_is_the_first_caution_with_the_length_past_guessed_r
     )
     assert first.level == "guess"
     assert any("is 8.0 m" in line and line.endswith("(a guessed roof of 12.0 m).") for line in others)
-    assert any("35.0 m away" in line and "if guessed roofs are right" in line for line in others)
+    assert any(
+        "35.0 m away" in line and "if guessed roofs are right: the route passes over some." in line for line in others
+    )
     assert not any("uess" in line for line in ju.cautions(straight(maps), maps))
 
 
@@ -85,6 +88,30 @@ def test_a_stretch_without_a_fix_and_a_roof_close_below_are_beyond_limits(maps):
     roof_m = np.where(maps.m("roof") == 12.0, ALTITUDE_M - 0.4, maps.m("roof"))
     low = ju.MetricMaps(maps.ds.assign(**dict.fromkeys(("roof", "roof_touched"), (("y", "x"), roof_m))))
     assert [line.level for line in ju.cautions(straight(low), low) if line.startswith("Roofs")] == ["limit"]
+
+
+def test_every_file_of_a_route_says_what_is_guessed(maps, tmp_path):
+    guessed = with_guesses(maps, LOW_ROOF)
+    path = straight(guessed)
+    told = ju.cautions(path, guessed)
+    files = [tmp_path / f"route{suffix}" for suffix in FORMATS]
+    path.save(*files)
+    for file in files:
+        assert told[0] in file.read_text(), file
+    properties = json.loads((tmp_path / "route.geojson").read_text())["features"][0]["properties"]
+    assert properties["cautions"] == told == path.cautions == list(ju.explain(path, guessed).cautions)
+    assert json.loads((tmp_path / "route.plan").read_text())["note"].startswith(told[0])
+    several = ju.plan_many(guessed, [(path.lonlat[0], path.lonlat[-1])] * 2, altitude_m=ALTITUDE_M)
+    several.save(tmp_path / "several.geojson")
+    features = json.loads((tmp_path / "several.geojson").read_text())["features"]
+    assert [each["properties"]["cautions"] for each in features] == [[told[0].split(";")[0] + "."]] * 2
+
+
+def test_a_simplified_route_has_the_cautions_of_its_own_legs(maps):
+    on = ju.cost_map(maps, ALTITUDE_M, objective="distance")
+    path = on.plan(*(maps.grid.lonlat_of_cell(ROW, col) for col in (10, 90)))
+    simple = ju.simplify(path, on, tolerance_m=20.0)
+    assert simple.cautions == ju.cautions(simple, maps) != []
 
 
 def test_segments_without_a_fix_are_told_with_their_places(maps):
@@ -195,7 +222,7 @@ def test_between_two_altitudes_the_satellites_are_those_of_the_lower_map(maps):
 
 
 def test_the_command_line_tells_it_on_stderr_and_in_json(maps, tmp_path, capsys):
-    write_zarr(maps.ds, tmp_path / "maps")
+    write_zarr(with_guesses(maps, LOW_ROOF).ds, tmp_path / "maps")
     lonlat = ["{:.9f},{:.9f}".format(*maps.grid.lonlat_of_cell(ROW, col)) for col in (33, 90)]
     arguments = ("plan", tmp_path / "maps", "--start", lonlat[0], "--goal", lonlat[1], "--altitude", 20)
     code, out, err = run(capsys, *arguments)
@@ -206,6 +233,7 @@ def test_the_command_line_tells_it_on_stderr_and_in_json(maps, tmp_path, capsys)
     _, out, err = run(capsys, *arguments, "--json")
     told = json.loads(out)["cautions"]
     assert err.splitlines() == [f"jaxurban: {sentence}" for sentence in told]
+    assert told[0].startswith("Guessed: 40 % of heights, nominal satellites; ")
 
 
 def test_without_a_path_there_is_nothing_to_caution_of(maps):

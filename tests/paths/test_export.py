@@ -33,6 +33,7 @@ class Route:
     ground: Ground | None = None
     crs: str = GRID.crs
     zones: tuple[Zone, ...] = ()
+    cautions: tuple[str, ...] = ()
 
     @property
     def z_m(self):
@@ -50,6 +51,7 @@ class Route:
             "altitude_m": self.altitude_m,
             "cost": 12.5,
             "lower_bound": None,
+            "cost_by_layer": {"distance": 2.5, "gps": 10.0},
             "metrics": {"gps": 0.75, "risk": 0.5},
             **self.facts,
         }
@@ -75,6 +77,8 @@ def test_geojson_is_read_by_geopandas_at_the_same_place(route, tmp_path):
     assert frame.crs.to_epsg() == 4326
     assert frame["cost"][0] == 12.5
     assert frame["altitude_m"][0] == 60.0
+    assert frame[["mean_gps", "mean_risk"]].to_numpy().tolist() == [[0.75, 0.5]]  # beside the nested ``metrics``
+    assert frame["cost_gps"][0] == 10.0
     line = frame.to_crs(GRID.crs).geometry[0]
     assert not line.has_z
     np.testing.assert_allclose(shapely.get_coordinates(line), route.xy_m, atol=0.02)

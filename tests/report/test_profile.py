@@ -49,6 +49,16 @@ def test_the_curves_are_the_values_of_the_report_by_distance(maps, planned):
     assert all(panel.get_legend() for panel in (heights, metrics, walls))
 
 
+def test_roofs_of_guessed_height_are_hatched(maps, planned):
+    report = ju.explain(planned, maps)
+    profile = report.profile.assign(roof_m=12.0, roof_guessed=report.profile.index < 5)
+    heights = plot_profile(planned, maps, replace(report, profile=profile)).axes[0]
+    hatched = steps(heights)["of guessed height"]
+    assert hatched.get_hatch()
+    np.testing.assert_array_equal(hatched.get_data().values, np.where(profile.index < 5, 12.0, 0.0))
+    assert "of guessed height" not in steps(plot_profile(planned, maps, report).axes[0])
+
+
 def test_stretches_without_a_fix_are_shaded_over_their_whole_length(maps, planned):
     report = ju.explain(planned, maps)
     figure = plot_profile(planned, maps, report)

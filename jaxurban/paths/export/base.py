@@ -33,12 +33,26 @@ def upward(height_m: np.ndarray) -> np.ndarray:
     return np.ceil(np.round(centimetres, FAR_DECIMALS)) / 10**Z_DECIMALS
 
 
-def facts_of(route: "PlannedPath", report: "RouteReport | None") -> tuple[dict[str, Any], list[dict[str, Any]]]:
-    """Return what is known of the whole path, and of each segment."""
+def facts_of(
+    route: "PlannedPath", report: "RouteReport | None", *, is_alone: bool = True
+) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+    """Return what is known of the whole path, its ``cautions`` included, and of each segment.
+
+    ``is_alone``: of one of several paths in a file the cautions are only what its maps guess, since all else takes some
+    hundredths of a second a path.
+    """
+    from jaxurban.paths.cautions import guess_cautions
+
     known = {} if report is None else report.to_dict()
     segments = known.pop("segments", [])
     facts = known | route.to_dict()
     vehicle = Vehicle.of(facts.get("settings", {}))
     if vehicle.speed_m_s is not None:
         facts.setdefault("speed_m_s", vehicle.speed_m_s)
+    facts["cautions"] = route.cautions if is_alone else guess_cautions(route.maps)
     return facts | {"height_reference": HEIGHT_REFERENCE}, segments
+
+
+def description_of(facts: dict[str, Any], *more: str) -> str:
+    """Return the cautions of a path, more sentences on a file, and the planner's message as one text."""
+    return " ".join(filter(None, (*facts["cautions"], *more, facts["message"])))

@@ -2,7 +2,8 @@
 
 Coordinates are longitude and latitude only, since a third one would be a height above the ellipsoid; the altitudes
 above ground and all else that is known of the path are properties (``altitude_m``, ``z_m`` of each point, ``cost``,
-``metrics`` ...; ``height_reference`` says what the heights count from; over terrain, ``ground_m`` is the elevation
+``metrics`` ..., with the numbers of these two as ``cost_gps``, ``mean_gps`` ... too; ``cautions`` as sentences;
+``height_reference`` says what the heights count from; over terrain, ``ground_m`` is the elevation
 below each). With a report its facts are properties too, and each of its segments is a LineString more (``segment``:
 1, 2 ...). Of several paths each has a ``name``.
 """
@@ -30,7 +31,10 @@ def to_geojson(routes: Named, report: "RouteReport | None") -> bytes:
     """Return paths as GeoJSON."""
     features = []
     for name, route in routes:
-        facts, segments = facts_of(route, report)
+        facts, segments = facts_of(route, report, is_alone=len(routes) == 1)
+        # A GIS takes nested properties for text.
+        facts |= {f"cost_{name}": value for name, value in facts.get("cost_by_layer", {}).items()}
+        facts |= {f"mean_{name}": value for name, value in facts.get("metrics", {}).items()}
         heights: dict[str, Any] = {"z_m": upward(route.z_m).tolist()}
         if route.ground is not None:
             elevation_m = np.interp(np.arange(len(route.z_m)), route.ground.at, route.ground.elevation_m)

@@ -5,10 +5,10 @@ counts from that file's zero, whatever its vertical datum is, which the route's 
 terrain the ground's elevation is not known, and points have none; their height above ground is in words either way.
 """
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree
 
-from jaxurban.paths.export.base import DECIMALS, Z_DECIMALS, Named, facts_of, upward
+from jaxurban.paths.export.base import DECIMALS, Z_DECIMALS, Named, description_of, facts_of, upward
 from jaxurban.paths.export.waypoints import waypoints
 
 if TYPE_CHECKING:
@@ -29,17 +29,16 @@ def to_gpx(routes: Named, report: "RouteReport | None") -> bytes:
     """Return paths as routes of GPX 1.1."""
     root = ElementTree.Element("gpx", xmlns=NAMESPACE, version="1.1", creator="jaxurban")
     for name, route in routes:
-        _add_route(root, name, route, report)
+        _add_route(root, name, route, facts_of(route, report, is_alone=len(routes) == 1)[0])
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="utf-8", xml_declaration=True)
 
 
-def _add_route(root: ElementTree.Element, name: str, route: "PlannedPath", report: "RouteReport | None") -> None:
-    facts, _ = facts_of(route, report)
+def _add_route(root: ElementTree.Element, name: str, route: "PlannedPath", facts: dict[str, Any]) -> None:
     element, along = ElementTree.SubElement(root, "rte"), waypoints(route)
     title = name or f"{facts['planner']}, {route.altitude_m:g} m above ground"
     ElementTree.SubElement(element, "name").text = title
-    ElementTree.SubElement(element, "desc").text = f"{elevation_note(route)} {facts['message']}".strip()
+    ElementTree.SubElement(element, "desc").text = description_of(facts, elevation_note(route))
     for number, ((lon, lat), z_m) in enumerate(zip(along.lonlat, along.z_m, strict=True)):
         point = ElementTree.SubElement(element, "rtept", lat=f"{lat:.{DECIMALS}f}", lon=f"{lon:.{DECIMALS}f}")
         if along.ground_m is not None:

@@ -9,7 +9,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from jaxurban.paths.export.base import DECIMALS, Z_DECIMALS, Named, facts_of, positions, upward
+from jaxurban.paths.export.base import DECIMALS, Z_DECIMALS, Named, description_of, facts_of, positions, upward
 from jaxurban.paths.export.waypoints import waypoints
 
 if TYPE_CHECKING:
@@ -22,19 +22,17 @@ def to_kml(routes: Named, report: "RouteReport | None") -> bytes:
     root = ElementTree.Element("kml", xmlns="http://www.opengis.net/kml/2.2")
     document = ElementTree.SubElement(root, "Document")
     for name, route in routes:
-        _add_placemark(document, name, route, report)
+        _add_placemark(document, name, route, facts_of(route, report, is_alone=len(routes) == 1)[0])
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="utf-8", xml_declaration=True)
 
 
-def _add_placemark(
-    document: ElementTree.Element, name: str, route: "PlannedPath", report: "RouteReport | None"
-) -> None:
-    facts, _ = facts_of(route, report)
+def _add_placemark(document: ElementTree.Element, name: str, route: "PlannedPath", facts: dict[str, Any]) -> None:
     placemark = ElementTree.SubElement(document, "Placemark")
     title = name or f"{facts['planner']}, {route.altitude_m:g} m above ground"
     ElementTree.SubElement(placemark, "name").text = title
-    ElementTree.SubElement(placemark, "description").text = facts["message"]
+    ElementTree.SubElement(placemark, "description").text = description_of(facts)
+    del facts["cautions"]
     data = ElementTree.SubElement(placemark, "ExtendedData")
     for name, value in _flat(facts):
         ElementTree.SubElement(ElementTree.SubElement(data, "Data", name=name), "value").text = str(value)

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from jaxurban.errors import InputError, one_of
-from jaxurban.paths.export.base import Z_DECIMALS, Named, facts_of, upward
+from jaxurban.paths.export.base import Z_DECIMALS, Named, description_of, facts_of, upward
 from jaxurban.paths.export.geofence import exclusions
 from jaxurban.paths.export.waypoints import GROUND_TOLERANCE_M, Waypoints, waypoints
 
@@ -83,7 +83,7 @@ def to_qgc_plan(routes: Named, report: "RouteReport | None", end: str = "land") 
         "version": 1,
         "groundStation": "QGroundControl",
         # No key of the format: readers leave it alone.
-        "note": f"{mission_note(route, end)} {facts['message']}".strip(),
+        "note": description_of(facts, mission_note(route, end)),
         "settings": facts.get("settings", {}),  # nor is this: what the path was planned under, for fits of weights
         "mission": {
             "version": 2,

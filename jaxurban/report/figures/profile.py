@@ -12,9 +12,9 @@ from matplotlib.ticker import FixedLocator, NullLocator
 from jaxurban.maps.metric_maps import GivenMaps, as_maps
 from jaxurban.paths.explain import RouteReport, explain
 from jaxurban.paths.path import PlannedPath
-from jaxurban.paths.profile import CLEARANCE, without_fix
+from jaxurban.paths.profile import CLEARANCE, GUESSED, without_fix
 from jaxurban.report.figures.charts import chart, dress, show_plain, styled
-from jaxurban.report.figures.frame import FAINT_INK, TEXT_PT, head_room_in
+from jaxurban.report.figures.frame import FAINT_INK, HATCH, HATCH_COLOUR, TEXT_PT, head_room_in
 from jaxurban.report.figures.metrics import BUILT_COLOUR
 from jaxurban.report.figures.notes import frame_note
 
@@ -29,7 +29,8 @@ SIZE_IN, RIGHT = (10.0, 7.0), 0.79  # the legends stand beside the panels
 def plot_profile(planned: PlannedPath, maps: GivenMaps, report: RouteReport | None = None) -> Figure:
     """Return altitude and roofs beneath, metrics, and the clearance along a route, one above the other.
 
-    Segments with fewer than four satellites in view are shaded. The numbers on top are the report's segments.
+    Segments with fewer than four satellites in view are shaded, roofs of guessed height hatched. The numbers on top are
+    the report's segments.
 
     Args:
       planned: from `plan`.
@@ -77,6 +78,10 @@ def plot_profile(planned: PlannedPath, maps: GivenMaps, report: RouteReport | No
 
 def _draw_heights(panel: Axes, planned: PlannedPath, profile: pd.DataFrame, edges_km: np.ndarray) -> None:
     panel.stairs(profile["roof_m"], edges_km, fill=True, color=BUILT_COLOUR, label="roofs beneath")
+    if GUESSED in profile and profile[GUESSED].any():
+        guessed_m = profile["roof_m"].where(profile[GUESSED], 0.0)
+        hatched = panel.stairs(guessed_m, edges_km, fill=True, color=BUILT_COLOUR, label="of guessed height")
+        hatched.set(edgecolor=HATCH_COLOUR, hatch=HATCH, linewidth=0)
     moved_m = np.diff(np.column_stack([planned.xy_m, planned.z_m]), axis=0)
     along_km = np.append(0.0, np.cumsum(np.linalg.norm(moved_m, axis=1))) / 1000
     panel.plot(along_km, planned.z_m, color=ALTITUDE_COLOUR, linewidth=1.6, label="flight altitude")
