@@ -117,7 +117,7 @@ def _layers(ds: xr.Dataset, layers: Sequence[str]) -> Iterator[_Layer]:
             elif name in statistics:
                 tags |= {"time": f"{times[0]}/{times[-1]}", "num_times": str(len(times))}
             if "time" in tags and "constellations" in ds.attrs:
-                tags["constellation"] = ", ".join(ds.attrs["constellations"])
+                tags["constellation"] = ds.attrs["constellations"]
             yield _Layer(
                 file="_".join((*parts, f"{resolution}.tif")),
                 name=name,

@@ -1,5 +1,6 @@
 """build_maps: a city and a sky in, the metric maps of a region out."""
 
+import json
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -99,7 +100,7 @@ def build_maps(
       progress: as in `jaxurban.progress.reporting`.
 
     Warns:
-      GuessWarning: of each guess behind the maps (``ds.attrs["guesses"]``) that reading the city has not warned of.
+      GuessWarning: of each guess behind the maps (`MetricMaps.guesses`) that reading the city has not warned of.
 
     Raises:
       InputError: settings that do not fit the city, too few satellites, or too little memory.
@@ -241,7 +242,7 @@ def compute_maps(task: MapTask, surface: Surface | None = None, stage: Stage = u
     tile = TileScene(task, surface or task.surface())
     guesses = map_guesses(task)
     warn_of(guesses, known=task.city.guesses)
-    ds = empty_dataset(task).assign_attrs(guesses=guesses)
+    ds = empty_dataset(task).assign_attrs(guesses=json.dumps(guesses))
     for name, place, values in tile_maps(tile, stage):
         ds[name].values[place] = values
     return MetricMaps(ds if task.keeps_times else with_series(ds, task, tile.totals))

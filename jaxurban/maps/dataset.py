@@ -1,5 +1,6 @@
 """The datasets that hold metric maps: their variables, units, coordinates and attributes."""
 
+import json
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -119,8 +120,8 @@ def empty_dataset(task: MapTask, make: Callable[[tuple[int, ...], np.dtype], obj
         "resolution_m": region.resolution_m,
         "first_row": region.first_row,
         "first_col": region.first_col,
-        "satellites": list(task.sky.names),
-        "constellations": sorted(set(task.sky.systems)),
+        "satellites": ", ".join(task.sky.names),
+        "constellations": ", ".join(sorted(set(task.sky.systems))),
         "risk_threshold_m": params.risk.threshold_m,
         "risk_distance": params.risk.distance,
     }
@@ -145,7 +146,7 @@ def empty_dataset(task: MapTask, make: Callable[[tuple[int, ...], np.dtype], obj
         for name in ("horizontal_alert_limit_m", "vertical_alert_limit_m"):
             ds.attrs[name] = float(getattr(settings, name))
     for name, layer in task.layers.items():
-        ds[name].attrs["layer"] = layer.record
+        ds[name].attrs["layer"] = json.dumps(layer.record)
     return ds
 
 

@@ -1,7 +1,7 @@
 """Guesses: what maps rest on that their files do not say, each under a short name (for pictures) as one sentence.
 
 They are written down where they are made: on the `City` by what reads it, on the `Sky` by what sets it up, and by
-`guesses_of` what a region's maps add. The maps hold all of them (``ds.attrs["guesses"]``), and each is warned of once.
+`guesses_of` what a region's maps add. The maps hold all of them (`MetricMaps.guesses`), and each is warned of once.
 """
 
 from collections.abc import Mapping, Sequence

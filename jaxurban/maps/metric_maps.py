@@ -1,5 +1,6 @@
 """MetricMaps: the metric maps of one region at one resolution; save and open."""
 
+import json
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -91,6 +92,11 @@ class MetricMaps(Shown):
             "obstacles": self.obstacles,
             "credit": self.ds.attrs.get("attribution", ""),
         }
+
+    @property
+    def guesses(self) -> dict[str, str]:
+        """What the maps rest on that no file says, a sentence each by its short name (`jaxurban.maps.guesses`)."""
+        return json.loads(self.ds.attrs.get("guesses", "{}"))
 
     @property
     def grid(self) -> Grid:

@@ -123,7 +123,7 @@ def on_scene(soft: Callable[..., jax.Array], scene: SoftScene, params: Any) -> j
     return soft(*there, cells=scene.cells, reach_m=scene.reach_m)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Metric:
     """One metric of the maps, from its equation to its colour. Functions are named ones, so that it can be pickled.
 
@@ -166,6 +166,9 @@ class Metric:
     available: str = ""
     is_monotone: bool = True
     caveat: str = ""
+
+    def __repr__(self) -> str:
+        return f"<{self.label}: 1 means {self.one_means}>"
 
     @property
     def variables(self) -> tuple[str, ...]:

@@ -1,5 +1,6 @@
 """Cost layers of one's own: a raster, an array or a function of the surface as one more metric."""
 
+import json
 import keyword
 import math
 import re
@@ -220,7 +221,7 @@ def held_metrics(ds: xr.Dataset) -> dict[str, Metric]:
         for name, metric in known_metrics().items()
         if name in ds or (TIME in metric.dims and f"{name}_median" in ds)
     }
-    own = {str(name): held.attrs["layer"] for name, held in ds.variables.items() if "layer" in held.attrs}
+    own = {str(name): json.loads(held.attrs["layer"]) for name, held in ds.variables.items() if "layer" in held.attrs}
     return known | {name: own_metric(name, layer_of(own[name])) for name in sorted(own)}
 
 

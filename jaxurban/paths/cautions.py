@@ -83,7 +83,7 @@ def cautions(planned: PlannedPath, maps: GivenMaps, profile: pd.DataFrame | None
 
 def guess_cautions(maps: MetricMaps | None, profile: pd.DataFrame | None = None) -> list[Caution]:
     """Return what maps rest on that no file says and, of a route, how much of it is near roofs of guessed height."""
-    facts = ["" if maps is None else ", ".join(maps.ds.attrs.get("guesses", ()))]
+    facts = ["" if maps is None else ", ".join(maps.guesses)]
     if profile is not None and GUESSED in profile:
         length_m = profile["to_m"] - profile["from_m"]
         facts.append(

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxurban.io.attributes import names_in
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.rating import Rating, rating
 from jaxurban.paths.path import PlannedPath
@@ -58,7 +59,7 @@ def summary_markdown(maps: MetricMaps, paths: Paths, run: Mapping[str, Any] | No
         roofed=_percent(float((roof_m > 0).mean())),
         highest_m=roof_m.max(),
         buildings=_building_sentence(run),
-        num_satellites=len(maps.ds.attrs["satellites"]),
+        num_satellites=len(names_in(maps.ds.attrs, "satellites")),
         times=f"{times} and {len(maps.times) - 3} more epochs." if len(maps.times) > 3 else f"{times}.",
         sources="".join(f"\n- {line}" for line in _source_lines(run)),
         by_altitude=_altitude_table(facts),

@@ -1,5 +1,6 @@
 """A scenario carried out: files in, metric maps and run.json out, resumable."""
 
+import json
 import time
 import warnings
 from collections.abc import Sequence
@@ -298,7 +299,7 @@ def make_zarr(maker: Maker, report: Report, shape: tuple[int, int] | None = None
     for path in [*damaged, *unmark_damaged(job, maker.each)]:
         LOG.warning(f"{str(path)!r} of the unfinished maps is damaged: making it again")
     if not work.zarr.exists():
-        empty = empty_dataset(task, _no_values).assign_attrs(run_key=maker.key, guesses=task.guesses)
+        empty = empty_dataset(task, _no_values).assign_attrs(run_key=maker.key, guesses=json.dumps(task.guesses))
         store.create_zarr(empty, work.zarr, shape)
     seconds: dict[str, float] = {}
     totals: dict[str, TimeTotals] = {}

@@ -173,7 +173,7 @@ class Viewer:
         return {
             "title": escape(self.names[0]),
             "guesses": escape(guessed and f"Guessed: {guessed}"),
-            "guesses-text": escape("\n".join(maps.ds.attrs.get("guesses", {}).values())),
+            "guesses-text": escape("\n".join(maps.guesses.values())),
             "place": "<br>".join([place_said(grid), f"{cells} · {grid.crs}", north]),
             "credit": escape(maps.ds.attrs.get("attribution", "")),
             "sliders": sliders(self._labels, self._colours),

@@ -1,5 +1,7 @@
 """build_maps: what the maps of a whole city obey."""
 
+import json
+
 import numpy as np
 import pytest
 import shapely
@@ -89,6 +91,20 @@ def test_saved_maps_reopen_equal(maps, tmp_path):
     assert again.grid == maps.grid
     assert again.times == ("2020-04-27T16:00:00Z",)
     assert again.times_of_day == ("day", "night")
+
+
+def test_maps_with_an_own_layer_are_written_as_netcdf_by_xarray_alone(tmp_path):
+    layer = ju.Layer(source=np.ones((10, 10)), cost="high-is-bad", scale=(0.0, 80.0))
+    made = ju.build_maps(ju.demo_city(500, 500), resolution_m=50, altitudes_m=[20.0], layers={"roofs": layer})
+    made.ds.to_netcdf(tmp_path / "maps.nc", engine="scipy")
+    with xr.open_dataset(tmp_path / "maps.nc", engine="scipy") as read:
+        np.testing.assert_array_equal(read["gps"], made.ds["gps"])
+        assert json.loads(read.attrs["guesses"]) == made.guesses
+
+
+def test_the_metrics_of_maps_print_their_names(maps):
+    assert "'gps': <GPS quality: 1 means" in repr(maps.metrics)
+    assert " at 0x" not in repr(maps.metrics)
 
 
 def test_a_lone_wall_shadows_and_endangers_what_stands_near():

@@ -81,7 +81,7 @@ def test_guessed_heights_are_told_on_the_terminal_in_the_record_and_in_the_pictu
     found = json.loads((tmp_path / "out/run.json").read_text())["warnings"]
     assert sum(sentence in warning for warning in found) == 1
     maps = ju.open_maps(tmp_path / "out")
-    assert "50 % of heights" in maps.ds.attrs["guesses"]
+    assert "50 % of heights" in maps.guesses
     guessed = burn(houses[1:3], np.ones(2), maps.grid, 0, "uint8").astype(bool)
     assert guessed.sum() == 32
     np.testing.assert_array_equal(maps.m("roof_guessed"), guessed)
@@ -141,13 +141,13 @@ def test_python_is_warned_once_of_each_guess_and_maps_hold_all_of_them(tmp_path)
     write_buildings(tmp_path / "town.geojson", ["300", None, None, "25"], [None] * 4)
     city, at_reading = told_by(lambda: City.from_files(tmp_path / "town.geojson", bounds=BOUNDS))
     maps, at_building = told_by(lambda: ju.build_maps(city, BOUNDS, resolution_m=10.0, altitudes_m=[20.0]))
-    assert [*at_reading, *at_building] == list(maps.ds.attrs["guesses"].values())
+    assert [*at_reading, *at_building] == list(maps.guesses.values())
     assert len(at_reading) == 2
     assert any("nominal ones at 2020-04-27T16:00:00Z, the paper's time" in sentence for sentence in at_building)
     assert any("rays that leave the data" in sentence for sentence in at_building)
     ran = run_scenario(Scenario.from_toml(write_scenario(tmp_path)), tmp_path / "out")
-    assert ran.record["warnings"] == list(ran.maps[10.0].ds.attrs["guesses"].values())
-    assert ran.maps[10.0].ds.attrs["guesses"] == maps.ds.attrs["guesses"]
+    assert ran.record["warnings"] == list(ran.maps[10.0].guesses.values())
+    assert ran.maps[10.0].guesses == maps.guesses
     np.testing.assert_array_equal(ran.maps[10.0].m("roof_guessed"), maps.m("roof_guessed"))
 
 

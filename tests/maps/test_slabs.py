@@ -180,8 +180,8 @@ def test_own_layers_see_what_their_altitude_meets():
 
 
 def test_maps_tell_how_metrics_take_what_hangs(maps, grounded):
-    assert "5 hanging parts" in maps.ds.attrs["guesses"]
-    assert not any("hanging" in name for name in grounded.ds.attrs["guesses"])
+    assert "5 hanging parts" in maps.guesses
+    assert not any("hanging" in name for name in grounded.guesses)
     shown = guesses_of(
         city(),
         REGION,

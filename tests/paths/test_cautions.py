@@ -51,7 +51,7 @@ def with_guesses(maps, *parts) -> ju.MetricMaps:
     for part in parts:
         is_guessed[part] = True
     ds = maps.ds.assign(roof_guessed=(("y", "x"), is_guessed))
-    return ju.MetricMaps(ds.assign_attrs(guesses={"40 % of heights": "", "nominal satellites": ""}))
+    return ju.MetricMaps(ds.assign_attrs(guesses=json.dumps({"40 % of heights": "", "nominal satellites": ""})))
 
 
 LOW_ROOF, TOWER = np.s_[ROW, 30:40], np.s_[ROW + 4 : ROW + 9, 60:70]

@@ -1,5 +1,6 @@
 """Pictures show the right colour in the right place, to scale, with every label whole."""
 
+import json
 import subprocess
 import sys
 from dataclasses import replace
@@ -286,7 +287,7 @@ def at_epochs(num, maps=None):
     ds = xr.concat(parts, "time", data_vars="minimal", coords="minimal", compat="override", join="outer")
     ds["gps"] = ds["gps"] * xr.DataArray(np.linspace(1, 0.3, num).astype(np.float32), dims="time")
     ds["num_visible"][:] = (7 + np.arange(num, dtype=np.uint8))[:, None, None, None]
-    return MetricMaps(ds.assign_attrs(maps.ds.attrs, constellations=["galileo", "gps"]))
+    return MetricMaps(ds.assign_attrs(maps.ds.attrs, constellations="galileo, gps"))
 
 
 def test_every_epoch_is_drawn_and_the_share_of_good_ones():
@@ -310,7 +311,7 @@ def test_every_epoch_is_drawn_and_the_share_of_good_ones():
 def test_a_long_series_is_drawn_by_its_statistics(maps):
     ds = at_epochs(3).ds
     series = {f"gps_{what}": ds["gps"].isel(time=0) for what in ("median", "p05", "availability")}
-    maps = MetricMaps(ds.drop_vars(["gps", "gdop", "num_visible"]).assign(series).assign_attrs(satellites=["a", "b"]))
+    maps = MetricMaps(ds.drop_vars(["gps", "gdop", "num_visible"]).assign(series).assign_attrs(satellites="a, b"))
     figures = maps_figures(maps, {})
     assert {"gps", "gps_p05", "gps_availability"} <= set(figures)
     text = texts_of(figures["gps"]())
@@ -321,7 +322,8 @@ def test_a_long_series_is_drawn_by_its_statistics(maps):
 
 def test_notes_tell_the_place_and_only_the_guesses_that_concern_the_picture():
     maps = make_maps()
-    maps.ds.attrs["guesses"] = {name: "" for name in ("3 % of heights", NOMINAL_SKY, f"5 % of {BEYOND_DATA}")}
+    guesses = dict.fromkeys(("3 % of heights", NOMINAL_SKY, f"5 % of {BEYOND_DATA}"), "")
+    maps.ds.attrs["guesses"] = json.dumps(guesses)
     lon, lat = maps.grid.centre_lonlat
     place = f"around {lat:.3f}°N {-lon:.3f}°W"
     told = texts_of(plotting.plot_metric(maps, "gps"))
@@ -341,7 +343,7 @@ def test_notes_break_between_facts_and_within_one_only_where_it_is_too_long():
 def test_the_median_is_told_where_it_is_shown(maps):
     ds = at_epochs(3).ds
     series = {f"gps_{what}": ds["gps"].isel(time=0) for what in ("median", "p05", "availability")}
-    maps = MetricMaps(ds.drop_vars(["gps", "gdop", "num_visible"]).assign(series).assign_attrs(satellites=["a", "b"]))
+    maps = MetricMaps(ds.drop_vars(["gps", "gdop", "num_visible"]).assign(series).assign_attrs(satellites="a, b"))
     figures = maps_figures(maps, {})
     for name, is_median in (("gps", True), ("overview", True), ("gps_p05", False), ("gps_availability", False)):
         assert ("m_gps their median" in texts_of(figures[name]())) == is_median

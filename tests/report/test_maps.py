@@ -42,7 +42,9 @@ def make_maps(with_population: bool = True, altitudes_m=(20.0, 600.0)) -> Metric
         data["density"] = (("time_of_day", "y", "x"), density)
         coords["time_of_day"] = ["day", "night"]
     attrs = {"crs": "EPSG:32618", "resolution_m": RESOLUTION_M, "first_row": 450_700, "first_col": 58_400}
-    return MetricMaps(xr.Dataset(data, coords=coords, attrs=attrs | {"satellites": [f"G{i}" for i in range(9)]}))
+    return MetricMaps(
+        xr.Dataset(data, coords=coords, attrs=attrs | {"satellites": ", ".join(f"G{i}" for i in range(9))})
+    )
 
 
 def make_path(planner: str, status: Status, cost: float = np.inf, altitude_m: float = 20.0) -> PlannedPath:

@@ -225,7 +225,7 @@ def test_cautions_stand_outside_the_report_each_with_its_level(viewer):
 
 
 def test_guesses_of_the_maps_stand_on_the_page_before_any_route():
-    ds = MAPS.ds.assign_attrs(guesses={"89 % of heights": "the heights of 89 % are <guessed>"})
+    ds = MAPS.ds.assign_attrs(guesses=json.dumps({"89 % of heights": "the heights of 89 % are <guessed>"}))
     texts = answer(Viewer(type(MAPS)(ds)), "scene")["html"]
     assert texts["guesses"] == "Guessed: 89 % of heights"
     assert texts["guesses-text"] == "the heights of 89 % are &lt;guessed&gt;"

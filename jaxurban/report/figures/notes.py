@@ -1,6 +1,6 @@
 """The lines below a figure's heading: what was guessed, the sky, the cells, the CRS, and whom to credit."""
 
-from jaxurban.io.attributes import CAVEAT
+from jaxurban.io.attributes import CAVEAT, names_in
 from jaxurban.maps.guesses import is_of_sky
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.world.grid import Grid
@@ -34,7 +34,7 @@ def caveats_said(maps: MetricMaps, of: str | None = None) -> list[str]:
 
 def guesses_said(maps: MetricMaps, has_sky: bool) -> str:
     """Return the names of what maps rest on that no file says; those of satellites where the figure shows GPS."""
-    return ", ".join(name for name in maps.ds.attrs.get("guesses", ()) if has_sky or not is_of_sky(name))
+    return ", ".join(name for name in maps.guesses if has_sky or not is_of_sky(name))
 
 
 def ground_said(maps: MetricMaps) -> tuple[str, ...]:
@@ -88,11 +88,11 @@ def sky_said(maps: MetricMaps, time: str | None, *, is_median: bool = True) -> s
     In view are as many as the freest cell sees at the highest altitude. Without a time: of all of them, the statistics
     of a long series too. ``is_median``: what is shown of these rests on the median over the epochs.
     """
-    systems = " and ".join(SYSTEMS.get(name, name) for name in maps.ds.attrs.get("constellations", ()))
+    systems = " and ".join(SYSTEMS.get(name, name) for name in names_in(maps.ds.attrs, "constellations"))
     if maps.default_time is None:
         span = f"{time_said(maps.times[0])} to {time_said(maps.times[-1])}"
         told = f" of {systems}" if systems else ""
-        num = len(maps.ds.attrs.get("satellites", ()))
+        num = len(names_in(maps.ds.attrs, "satellites"))
         median = ", m_gps their median" if is_median else ""
         return f"{len(maps.times)} epochs, {span}{median}; {num} satellites{told}"
     times = maps.times if time is None else (time,)
