@@ -18,6 +18,7 @@ from jaxurban.paths.profile import (
     TO_GUESSED,
     VISIBLE,
     cautious_profile,
+    guessed_clearances,
     without_fix,
 )
 from jaxurban.paths.vehicle import Vehicle
@@ -132,9 +133,8 @@ def _clearance(profile: pd.DataFrame, maps: MetricMaps, apart_m: float) -> Cauti
             f"Buildings: none at flight height is within {outside_m:.1f} m, {_at(profile, outside)}; what stands "
             f"farther outside the region is not known{known}"
         )
-    guessed_m = float(profile[TO_GUESSED].min()) if TO_GUESSED in profile else math.inf
-    is_guess = guessed_m <= min(inside_m, outside_m)  # a guessed roof may be higher than the flight
-    if is_guess:
+    if is_guess := CLEARANCE in guessed_clearances(profile):
+        guessed_m = float(profile[TO_GUESSED].min())
         nearest = f"the nearest of those is {guessed_m:.1f} m away" if guessed_m > 0 else "the route passes over some"
         sentence += f", if guessed roofs are right: {nearest}"
     is_beyond = least_m < apart_m - ROUNDING or least_m <= 0

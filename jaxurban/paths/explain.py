@@ -16,7 +16,15 @@ from jaxurban.paths.cautions import Caution, cautions
 from jaxurban.paths.cost_map import cost_map_of
 from jaxurban.paths.crossings import cut_evenly
 from jaxurban.paths.path import PlannedPath
-from jaxurban.paths.profile import CLEARANCE, FEWEST_SATELLITES, OUTSIDE, OVER_ROOF, VISIBLE, RouteProfile
+from jaxurban.paths.profile import (
+    CLEARANCE,
+    FEWEST_SATELLITES,
+    OUTSIDE,
+    OVER_ROOF,
+    VISIBLE,
+    RouteProfile,
+    guessed_clearances,
+)
 from jaxurban.paths.vehicle import Vehicle
 
 SECONDS_PER_HOUR = 3600.0
@@ -80,11 +88,13 @@ class RouteReport:
         return "\n\n".join(["\n".join(self._totals()), self._extremes(), self._segments()])
 
     def _totals(self) -> Iterator[str]:
+        guessed = guessed_clearances(self.profile)
         for name, value in self.totals.items():
             label, unit = next(
                 ((name.removesuffix(end), unit) for end, unit in UNITS.items() if name.endswith(end)), (name, "")
             )
             unit = f"(strip of {self.settings['swath_m']:g} m)" if name == "people_overflown" else unit
+            unit += " (if guessed roofs are right)" * (name in guessed)
             yield f"{label.replace('_', ' '):<22}{_short(value)} {unit}".rstrip()
 
     def _extremes(self) -> str:

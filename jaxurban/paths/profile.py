@@ -147,6 +147,20 @@ def cautious_profile(planned: PlannedPath, maps: MetricMaps) -> pd.DataFrame:
     return RouteProfile.of(planned, maps).table({VISIBLE: VISIBLE})
 
 
+def guessed_clearances(profile: pd.DataFrame) -> set[str]:
+    """Return which least clearances, `CLEARANCE` and `OVER_ROOF`, rest on roofs of guessed height.
+
+    The distance to buildings does where one of guessed height is as near, since it may reach the flight.
+    """
+    names, over_m = set(), profile[OVER_ROOF]
+    if GUESSED in profile:
+        if profile[TO_GUESSED].min() <= profile[[CLEARANCE, OUTSIDE]].to_numpy().min():
+            names.add(CLEARANCE)
+        if over_m.notna().any() and profile[GUESSED].iloc[int(np.nanargmin(over_m))]:
+            names.add(OVER_ROOF)
+    return names
+
+
 def without_fix(profile: pd.DataFrame) -> list[tuple[float, float]]:
     """Return begin and end along the route of each segment with too few satellites for a fix, metres."""
     if VISIBLE not in profile:

@@ -107,6 +107,17 @@ def test_every_file_of_a_route_says_what_is_guessed(maps, tmp_path):
     assert [each["properties"]["cautions"] for each in features] == [[told[0].split(";")[0] + "."]] * 2
 
 
+def test_the_table_of_a_route_marks_clearances_that_rest_on_guessed_roofs(maps):
+    def marked(*parts):
+        guessed = with_guesses(maps, *parts)
+        table = ju.explain(straight(guessed), guessed).table()
+        return [line[:22].strip() for line in table.splitlines() if line.endswith("(if guessed roofs are right)")]
+
+    assert marked(LOW_ROOF) == ["nearest wall", "least over roofs"]
+    assert marked(TOWER) == ["nearest wall"]
+    assert marked() == []
+
+
 def test_a_simplified_route_has_the_cautions_of_its_own_legs(maps):
     on = ju.cost_map(maps, ALTITUDE_M, objective="distance")
     path = on.plan(*(maps.grid.lonlat_of_cell(ROW, col) for col in (10, 90)))
