@@ -49,7 +49,8 @@ def view(
     no_browser: bool,
 ) -> int:
     """Look at the maps in DIR and plan on them, in a browser on this machine; Ctrl-C ends it."""
-    viewer = _viewer(folder, resolution_m, obstacles, other, study)
+    opened = partial(_viewer, folder, resolution_m, obstacles, other, study)
+    viewer = opened()
     if export is not None:
         from jaxurban.viewer.export import write_page
 
@@ -58,7 +59,7 @@ def view(
         return 0
     from jaxurban.viewer.server import ViewerServer
 
-    with ViewerServer(viewer, port) as server:
+    with ViewerServer(viewer, port, again=opened) as server:
         tell(f"look at {server.url} (Ctrl-C ends it)")
         if not no_browser:
             import webbrowser

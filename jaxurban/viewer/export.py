@@ -63,7 +63,7 @@ def _maps_of(viewer: Viewer) -> Iterator[Shown]:
 
 def _page(viewer: Viewer, maps: list[Shown], stride: int, most_bytes: int) -> bytes | None:
     """Return the page with every map at one stride; None where it has more bytes."""
-    scene = viewer.scene(Nothing()) | {"strides": [stride], "has_outlines": False, "can_plan": False}
+    scene = viewer.scene(Nothing()) | {"strides": [stride], "has_outlines": False, "can_plan": False, "key": ""}
     answers: dict[str, Any] = {_key("scene", {}): scene}
     num_bytes = 0
     num_rows, num_cols = (-(-size // (stride * TILE)) for size in viewer.maps.grid.shape)

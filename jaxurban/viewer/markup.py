@@ -159,10 +159,11 @@ def profile(table: pd.DataFrame, lines: Mapping[str, tuple[str, str]], no_fix: I
     heights |= {BOTTOM - METRICS_HIGH: "m 1", BOTTOM: "0"}
     words = "".join(f'<b style="top:{y - LETTERS / 2:.0f}px">{text}</b>' for y, text in heights.items())
     places = [(at_m / total_m, BOTTOM + 2, text) for at_m, text in _distances(total_m)]
-    nearest = table.loc[table[CLEARANCE].idxmin()]
-    if np.isfinite(nearest[CLEARANCE]):
-        share = (nearest["from_m"] + nearest["to_m"]) / 2 / total_m
-        places.append((share, MIDDLE + 1, f"least clearance {number(nearest[CLEARANCE])} m"))
+    nearest = int(np.argmin(table[CLEARANCE]))
+    least_m = float(table[CLEARANCE].iloc[nearest])
+    if np.isfinite(least_m):
+        share = float(table[["from_m", "to_m"]].iloc[nearest].mean()) / total_m
+        places.append((share, MIDDLE + 1, f"least clearance {number(least_m)} m"))
         metrics += f'<path d="M{WIDE * share:.1f} {TOP}V{MIDDLE + 3}" stroke="#1f2429" stroke-dasharray="2 2"/>'
     words += "".join(  # their own share of a text lies left of its place, so that none leaves the drawing
         f'<span style="top:{y}px;left:{share:.2%};transform:translateX({-share:.0%})">{text}</span>'

@@ -10,13 +10,15 @@ import logging
 import math
 import socket
 import time
+from collections.abc import Callable
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from threading import Lock
 from typing import Any
 
 from jaxurban.errors import InputError, JaxurbanError
 from jaxurban.viewer.html import html_page, policy_of
-from jaxurban.viewer.viewer import JSON, Answer, Viewer
+from jaxurban.viewer.viewer import JSON, Answer, RemadeError, Viewer
 
 HOST = "127.0.0.1"
 MOST_BODY = 128 * 1024  # bytes of a request
@@ -36,6 +38,7 @@ class ViewerServer(ThreadingHTTPServer):
 
     Args:
       viewer: what answers.
+      again: returns another viewer once the maps of this one were made again, for the page that is loaded then.
       port: 0 for any that is free.
       host: to listen at.
 
@@ -46,8 +49,10 @@ class ViewerServer(ThreadingHTTPServer):
     daemon_threads = True
     request_queue_size = 1024  # of connections that wait to be taken; more at once are reset by the system
 
-    def __init__(self, viewer: Viewer, port: int = 0, host: str = HOST) -> None:
-        self.viewer = viewer
+    def __init__(
+        self, viewer: Viewer, port: int = 0, host: str = HOST, again: Callable[[], Viewer] | None = None
+    ) -> None:
+        self.viewer, self.again, self._lock = viewer, again, Lock()
         self.page = html_page()
         try:
             super().__init__((host, port), _Handler)
@@ -55,6 +60,15 @@ class ViewerServer(ThreadingHTTPServer):
             raise InputError(f"cannot listen at {host}:{port} ({error}): name another --port") from error
         names = {host, HOST, "localhost"}
         self.hosts = {f"{name}:{self.server_port}" for name in names}
+
+    def renew(self) -> None:
+        """Take another viewer if the maps were made again."""
+        with self._lock:
+            try:
+                self.viewer.check_current()
+            except RemadeError:
+                if self.again is not None:
+                    self.viewer = self.again()
 
     @property
     def url(self) -> str:
@@ -113,10 +127,12 @@ class _Handler(BaseHTTPRequestHandler):
     def _page(self) -> Answer:
         if self.path != "/":
             raise _RefusedError(HTTPStatus.NOT_FOUND, "there is one page here, /")
+        self.server.renew()
         return Answer("text/html; charset=utf-8", self.server.page.encode())
 
     def _answer(self) -> Answer:
-        if not self.path.startswith(ASK):
+        path, _, key = self.path.partition("?")
+        if not path.startswith(ASK):
             raise _RefusedError(HTTPStatus.NOT_FOUND, f"requests go to {ASK}NAME")
         if self.headers.get_content_type() != JSON:
             raise _RefusedError(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, f"a request is {JSON}")
@@ -125,7 +141,9 @@ class _Handler(BaseHTTPRequestHandler):
             params = json.loads(given)
         except (ValueError, RecursionError) as error:
             raise _RefusedError(HTTPStatus.BAD_REQUEST, "the request is no JSON") from error
-        return self.server.viewer.answer(self.path.removeprefix(ASK)[:40], params)
+        viewer = self.server.viewer
+        viewer.check_current(key)
+        return viewer.answer(path.removeprefix(ASK)[:40], params)
 
     def _body(self) -> bytes:
         if "Transfer-Encoding" in self.headers:
@@ -157,6 +175,8 @@ class _Handler(BaseHTTPRequestHandler):
         except _RefusedError as refused:
             self.close_connection = True  # its body may be unread
             status, answer = refused.status, _sentence(refused)
+        except RemadeError as error:
+            status, answer = HTTPStatus.CONFLICT, _sentence(error)
         except InputError as error:
             status, answer = HTTPStatus.BAD_REQUEST, _sentence(error)
         except (ConnectionError, TimeoutError):

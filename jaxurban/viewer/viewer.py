@@ -5,11 +5,14 @@ import math
 from collections.abc import Callable, Mapping
 from functools import cached_property
 from html import escape
+from pathlib import Path
 from typing import Any, NamedTuple
+from uuid import uuid4
 
 import numpy as np
 
 from jaxurban.errors import InputError, one_of
+from jaxurban.io.chunks import metadata_file
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY
 from jaxurban.paths.export.waypoints import waypoints
@@ -63,6 +66,10 @@ TOTALS = {  # of `RouteReport.totals`, as the page shows them
 }
 
 
+class RemadeError(InputError):
+    """The maps that a page shows are not those of their folder any more."""
+
+
 class Answer(NamedTuple):
     """What a request gives."""
 
@@ -80,6 +87,9 @@ class Viewer:
       study: of the weights of a route over these maps.
       outlines: of the buildings.
       names: what the maps, and the others, are called.
+
+    Attributes:
+      key: of this viewer alone: a page that has another's answers asks for no more of them here.
     """
 
     def __init__(
@@ -96,7 +106,8 @@ class Viewer:
         self.names, self.study, self.outlines = names[: len(self.runs)], study, outlines or Outlines()
         self.plans = Plans(maps, defaults or PlanDefaults())
         self.layers = [layers_of(each) for each in self.runs]
-        self.kept = Kept()
+        self.kept, self.key = Kept(), uuid4().hex
+        self._written = [written_at(each) for each in self.runs]
         self._answers: dict[str, tuple[type[Request], Callable[[Any], Any]]] = {
             "scene": (Nothing, self.scene),
             "legend": (Shown, self.legend),
@@ -120,10 +131,23 @@ class Viewer:
 
         Raises:
           InputError: no such request, or parameters that it does not take.
+          RemadeError: the maps were made again.
         """
+        self.check_current()
         kind, make = self._answers[one_of("the request", name, self._answers)]
         made = make(parse(kind, params))
         return Answer(BYTES, made) if isinstance(made, bytes) else Answer(JSON, as_json(made))
+
+    def check_current(self, key: str = "") -> None:
+        """Raise RemadeError if the maps were written again since they were opened, or a page has another viewer's key.
+
+        What is kept of them would be drawn beside what is read now.
+        """
+        if key not in ("", self.key) or self._written != [written_at(each) for each in self.runs]:
+            raise RemadeError(
+                f"the maps of {' or '.join(map(repr, self.names))} were made again or removed since they were opened: "
+                "what is shown is of the old ones; load them again"
+            )
 
     def scene(self, _: Nothing) -> dict[str, Any]:
         """Return what the page must know before it asks for anything else; ``html`` fills its places by name."""
@@ -131,6 +155,7 @@ class Viewer:
         names = ("distance", *maps.metrics)
         north_deg = math.degrees(grid.convergence_rad(*grid.centre_lonlat))
         return {
+            "key": self.key,
             "rows": grid.num_rows,
             "cols": grid.num_cols,
             "resolution_m": grid.resolution_m,
@@ -353,6 +378,15 @@ class Viewer:
         if self.study is None:
             raise InputError("no study of weights is shown: name its folder with --study")
         return self.study.to_dict(self.maps)
+
+
+def written_at(maps: MetricMaps) -> tuple[int, int] | None:
+    """Return which file the metadata of maps on disk are now, and when it was written; None where there is none."""
+    try:
+        found = metadata_file(Path(maps.ds.encoding["source"])).stat()
+    except (KeyError, OSError):
+        return None
+    return found.st_ino, found.st_mtime_ns
 
 
 def status_said(planned: PlannedPath) -> str:

@@ -1,7 +1,7 @@
 """A real browser for tests of the viewer: Debian's or whatever chromium there is, with every other host blocked."""
 
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from threading import Thread
 from typing import Any
@@ -17,9 +17,9 @@ READY = '.jv[data-ready="yes"]'
 
 
 @contextmanager
-def served(viewer: Viewer) -> Iterator[ViewerServer]:
+def served(viewer: Viewer, again: Callable[[], Viewer] | None = None) -> Iterator[ViewerServer]:
     """Serve a viewer from a thread of this process."""
-    with ViewerServer(viewer) as server:
+    with ViewerServer(viewer, again=again) as server:
         Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02}, daemon=True).start()
         yield server
         server.shutdown()

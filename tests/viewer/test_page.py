@@ -9,6 +9,7 @@ import time
 import numpy as np
 import pytest
 
+from jaxurban.maps.metric_maps import open_maps
 from jaxurban.viewer.export import write_page
 from jaxurban.viewer.html import part
 from jaxurban.viewer.plans import PlanDefaults
@@ -342,6 +343,26 @@ def test_a_page_of_few_bytes_holds_fewer_cells_and_is_no_larger(tmp_path):
     assert b'"strides":[1]' in file.read_bytes()
     assert write_page(viewer, file, whole // 2) <= whole // 2
     assert b'"strides":[2]' in file.read_bytes()
+
+
+def test_maps_that_were_made_again_are_named_on_the_page_and_a_button_loads_them(browser, tmp_path):
+    def opened_viewer() -> Viewer:
+        return Viewer(open_maps(tmp_path))
+
+    cell = FREE[5000].tolist()
+    MAPS.save(tmp_path)
+    with served(opened_viewer(), opened_viewer) as server, opened(browser, server.url) as (page, _, _):
+        before = point_at(page, cell)["gps"]
+        type(MAPS)(MAPS.ds.assign(gps=0.5 * MAPS.ds["gps"])).save(tmp_path)
+        page.select_option('[name="layer"]', "risk")
+        until(page, lambda: "were made again" in page.locator('[data-is="tell"]').inner_text())
+        page.select_option('[name="layer"]', "gps")
+        page.wait_for_timeout(500)
+        assert "were made again" in page.locator('[data-is="tell"]').inner_text()  # which nothing takes away
+        page.click('[data-do="reload"]')
+        page.wait_for_selector(READY, timeout=60_000)
+        assert math.isclose(point_at(page, cell)["gps"], 0.5 * before, rel_tol=1e-6)
+        assert not page.locator('[data-do="reload"]').is_visible()
 
 
 def test_a_refused_request_leaves_no_other_route_and_no_command_standing(browser, folder):

@@ -5,11 +5,14 @@ import itertools
 import json
 import socket
 import time
+import zlib
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 
+import numpy as np
 import pytest
 
+from jaxurban.maps.metric_maps import open_maps
 from jaxurban.viewer import server as server_module
 from jaxurban.viewer.server import MOST_BODY
 from jaxurban.viewer.viewer import Viewer
@@ -177,6 +180,32 @@ def test_what_is_no_request_is_refused(server, raw, capfd):
     assert b" 4" in reply.split(b"\r\n")[0] or reply[:4] != b"HTTP", reply[:200]
     assert b"Traceback" not in reply
     assert "Traceback" not in "".join(capfd.readouterr())
+
+
+def test_maps_that_were_made_again_are_refused_until_the_page_is_loaded_again(tmp_path):
+    def opened() -> Viewer:
+        return Viewer(open_maps(tmp_path))
+
+    def values(body: bytes) -> np.ndarray:
+        return np.frombuffer(zlib.decompress(body), np.uint8).reshape(4, -1).T.copy().view("<f4").ravel()
+
+    MAPS.save(tmp_path)
+    with served(opened(), again=opened) as server:
+        key = json.loads(ask(server, "POST", "/ask/scene", b"{}")[1])["key"]
+        tile = json.dumps(TILE).encode()
+        status, old = ask(server, "POST", f"/ask/tile?{key}", tile)
+        assert status == 200
+        type(MAPS)(MAPS.ds.assign(gps=0.5 * MAPS.ds["gps"])).save(tmp_path)
+        for address in ("/ask/tile", f"/ask/tile?{key}"):  # also what is kept of the old ones
+            status, sentence = ask(server, "POST", address, tile)
+            assert status == 409
+            assert b"were made again" in sentence
+        assert ask(server, "GET", "/")[0] == 200
+        assert ask(server, "POST", f"/ask/tile?{key}", tile)[0] == 409  # another page, still open
+        other = json.loads(ask(server, "POST", "/ask/scene", b"{}")[1])["key"]
+        status, new = ask(server, "POST", f"/ask/tile?{other}", tile)
+        is_free = np.isfinite(values(old))
+        assert np.allclose(values(new)[is_free], 0.5 * values(old)[is_free])
 
 
 @pytest.mark.slow

@@ -12,11 +12,17 @@ async function unpack(packed) { // bytes by significance, deflated -> Float32Arr
   for (let k = 0; k < 4; k++) for (let i = 0; i < size; i++) bytes[4 * i + k] = parts[k * size + i];
   return new Float32Array(bytes.buffer);
 }
-async function overHttp(name, parameters) {
-  const kind = 'application/json', body = JSON.stringify(parameters);
-  const reply = await fetch(`ask/${name}`, { method: 'POST', headers: { 'Content-Type': kind }, body });
-  if (!reply.ok) throw Object.assign(new Error(await reply.text()), { isOld: reply.status === 409 });
-  return reply.headers.get('Content-Type') === kind ? reply.json() : new Uint8Array(await reply.arrayBuffer());
+function overHttp() {
+  let key = ''; // of the maps that the scene is of: the server refuses those that were made since
+  return async (name, parameters) => {
+    const kind = 'application/json', body = JSON.stringify(parameters);
+    const reply = await fetch(`ask/${name}?${key}`, { method: 'POST', headers: { 'Content-Type': kind }, body });
+    if (!reply.ok) throw Object.assign(new Error(await reply.text()), { isOld: reply.status === 409 });
+    const isJson = reply.headers.get('Content-Type') === kind;
+    const answer = isJson ? await reply.json() : new Uint8Array(await reply.arrayBuffer());
+    key ||= answer.key ?? '';
+    return answer;
+  };
 }
 function overWidget(model) {
   const waiting = new Map();
@@ -463,7 +469,7 @@ async function start(root, ask) {
   root.dataset.ready = 'yes';
 }
 const held = document.getElementById('jv-data')?.textContent;
-if (held !== undefined) start(document.querySelector('.jv'), held ? inFile(JSON.parse(held)) : overHttp);
+if (held !== undefined) start(document.querySelector('.jv'), held ? inFile(JSON.parse(held)) : overHttp());
 export default { render({ model, el }) {
   el.innerHTML = `<div class="jv jv-inset">${model.get('markup')}</div>`;
   start(el.firstElementChild, overWidget(model));
