@@ -60,6 +60,18 @@ def assert_same(name, found, expected):
     np.testing.assert_allclose(found, expected, rtol=2e-7 if name in ("population", "density") else 0, err_msg=name)
 
 
+def test_jitted_all_maps_has_the_bits_of_build_maps_on_a_small_city():
+    city = ju.demo_city(600, 600)
+    expected = ju.build_maps(city, resolution_m=20.0, altitudes_m=(20.0,), times=TIMES[0])
+    inputs, skies = ju.map_inputs(city, expected.grid, altitudes_m=(20.0,), times=TIMES[0])
+    found = jax.jit(all_maps)(inputs, at(skies, 0))
+    assert {*found} >= {"obstacle", "gps", "gdop", "num_visible", "lidar", "risk", "population"}
+    for name, values in found.items():
+        array = expected.ds[name].squeeze("time") if "time" in expected.ds[name].dims else expected.ds[name]
+        assert name == "obstacle" or len(np.unique(values)) > 5, name
+        assert_same(name, values, array)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("has_terrain", [False, True])
 def test_it_gives_the_bits_of_the_recipe(has_terrain):
