@@ -69,25 +69,8 @@ def beams_of(params: LidarParams, altitude_m: float) -> tuple[np.ndarray, np.nda
     return directions.astype(np.float32), np.minimum(params.range_m, altitude_m / down).astype(np.float32)
 
 
-def scan_every_beam(caster: Caster, xy_m: np.ndarray, altitude_m: float, params: LidarParams) -> np.ndarray:
-    """Return ``[N]`` share of scan positions that return, every beam traced; a point's rays lie together."""
-    directions, length_m = beams_of(params, altitude_m)
-    num_beams, num_azimuths = directions.shape[:2]
-    share = np.empty(len(xy_m))
-    step = -(-BATCH_RAYS // (num_beams * num_azimuths))
-    lengths = np.repeat(length_m, num_azimuths)
-    for first in range(0, len(xy_m), step):
-        part = xy_m[first : first + step]
-        start_m = np.column_stack([part, np.full(len(part), altitude_m)]).astype(np.float32)
-        starts = np.repeat(start_m, num_beams * num_azimuths, axis=0)
-        rays = np.tile(directions.reshape(-1, 3), (len(part), 1))
-        hit = caster.is_blocked(starts, rays, np.tile(lengths, len(part)))
-        share[first : first + step] = hit.reshape(len(part), num_beams, num_azimuths).any(axis=1).mean(axis=1)
-    return share
-
-
 def scan_until_first_return(caster: Caster, xy_m: np.ndarray, altitude_m: float, params: LidarParams) -> np.ndarray:
-    """Return the same, leaving out the beams of scan positions that have returned: the fewest rays."""
+    """Return ``[N]`` share of scan positions that return; the beams of those that have are left out."""
     directions, length_m = beams_of(params, altitude_m)
     share = np.empty(len(xy_m))
     step = -(-BATCH_RAYS // params.azimuths)

@@ -1,4 +1,8 @@
-"""jaxurban: urban metric maps for small drones, as differentiable JAX, and planning on them."""
+"""jaxurban: urban metric maps for small drones, and planning on them.
+
+On a CPU the heavy kernels are compiled by Numba; under ``jax.jit``, ``jax.vmap``, on export and on a GPU maps are JAX.
+Gradients come from soft forms of the metrics.
+"""
 
 from importlib import import_module as _import_module
 from typing import TYPE_CHECKING as _TYPE_CHECKING

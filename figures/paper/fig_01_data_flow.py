@@ -343,9 +343,9 @@ def caption(facts: Facts) -> Caption:
         f"{grid.num_cols} cells of {grid.resolution_m:g} m): the path found costs {facts.planned.cost:,.0f} over "
         f"{facts.planned.length_m / 1000:.2f} km. Ours adds the way back: {len(facts.by_building):,} buildings change "
         f"its cost, one of {most.height_m:.1f} m by {most.per_metre:.1f} per metre of its height.",
-        "From surface to cost ours is one differentiable program, so that weights can be learned from given routes and "
-        f"one sees what makes a route dear. Slopes by height are those of maps smoothed over {SOFTNESS_M:g} m: the "
-        "exact cost moves in jumps.",
+        "Beside the exact maps ours has soft ones with derivatives, so that weights can be learned from routes and one "
+        f"sees what makes a route costly. Slopes by height are those of maps smoothed over {SOFTNESS_M:g} m: the exact "
+        "cost moves in jumps.",
     )
 
 

@@ -11,7 +11,11 @@ from jaxurban.metrics.settings import check_value, differentiable
 @typed
 @dataclass(frozen=True)
 class ProtectionParams:
-    """Settings of the protection levels; the defaults are those of LPV-200 with two constellations.
+    """Settings of the protection levels; the alert limits and probabilities are by default those of LPV-200.
+
+    LPV-200 has two further criteria that are not computed: an effective monitor threshold (EMT) of at most 15 m and a
+    standard deviation of the vertical accuracy of at most 1.87 m. So a position within both alert limits need not
+    meet LPV-200.
 
     Sources: Blanch et al. 2015 (IEEE Trans. AES 51) and EU-US Working Group C, ARAIM Milestone 3 report (2016) for
     errors, faults and budget; ICAO Annex 10, table 3.7.2.4-1 (LPV-200) for the alert limits; the GPS SPS performance
