@@ -1,7 +1,7 @@
 """A planned route explained: what each layer and each segment costs, who is below, where GPS or room is scarce."""
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -69,14 +69,14 @@ class RouteReport:
     profile: pd.DataFrame
     lines: tuple[np.ndarray, ...]
     settings: Mapping[str, float | None]
-    cautions: Sequence[Caution] = ()
+    cautions: list[Caution]
 
     def to_dict(self) -> dict[str, Any]:
         """Return totals, cautions, extremes and segments as plain, JSON-ready values (None for no number)."""
         return {
             **_plain(self.settings),
             **_plain(self.totals),
-            "cautions": list(self.cautions),
+            "cautions": self.cautions,
             "extremes": {
                 str(name): _plain_extremes(str(name), row) for name, row in self.extremes.to_dict("index").items()
             },

@@ -15,7 +15,6 @@ import numpy as np
 from jaxurban.errors import InputError, one_of
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.weights import Weights
-from jaxurban.paths.cautions import Caution, cautions
 from jaxurban.paths.constraints import CLEARANCES, Constraints
 from jaxurban.paths.cost_map import CostMap, cost_map
 from jaxurban.paths.explain import RouteReport, explain
@@ -120,8 +119,8 @@ class Plans:
             points = [np.array([xy_m]) for xy_m, _ in ends]
             return np.concatenate([points[0], found.points_m + corner, points[1]]), stride * grid.resolution_m
 
-    def report(self, query: Plan, at: Place) -> tuple[RouteReport, PlannedPath, list[Caution]]:
-        """Return a route explained, the route, and what its pilot should know (`cautions`).
+    def report(self, query: Plan, at: Place) -> tuple[RouteReport, PlannedPath]:
+        """Return a route explained, with what its pilot should know, and the route.
 
         Raises:
           InputError: there is no route.
@@ -129,7 +128,7 @@ class Plans:
         with self._lock:
             planned, maps = self.route(query, at), self.maps.with_obstacles(query.obstacles)
             found = _kept(self._reports, query.model_dump_json(), NUM_ROUTES, lambda: explain(planned, maps))
-            return found, planned, cautions(planned, maps, found.profile)
+            return found, planned
 
     def file(self, query: Plan, at: Place, suffix: str) -> bytes:
         """Return a route as ``jaxurban plan -o`` writes it; as waypoints, simplified by half a cell.

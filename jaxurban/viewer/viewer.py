@@ -337,13 +337,13 @@ class Viewer:
         ``mission`` are the waypoints of a ``.plan``, and ``saved`` how many they are and what they cost.
         """
         at = self.place(query.at)
-        found, planned, told = self.plans.report(query, at)
+        found, planned = self.plans.report(query, at)
         mission = self.plans.mission(query, at)
         table, totals = found.profile, found.totals
         lines = {name: (metric.label, self._colours[name]) for name, metric in self.maps.metrics.items()}
         units = {name: text for name, text in TOTALS.items() if name in totals}
         return {
-            "cautions": sentences((each.level, each) for each in told),
+            "cautions": sentences((each.level, each) for each in found.cautions),
             "totals": rows((label, f"{number(totals[name])} {unit}") for name, (label, unit) in units.items()),
             "profile": profile(table, lines, without_fix(table)),
             "to_share": np.round(table["to_m"].to_numpy() / max(planned.length_m, 1e-9), 5),

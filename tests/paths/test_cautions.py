@@ -99,7 +99,7 @@ def test_every_file_of_a_route_says_what_is_guessed(maps, tmp_path):
     for file in files:
         assert told[0] in file.read_text(), file
     properties = json.loads((tmp_path / "route.geojson").read_text())["features"][0]["properties"]
-    assert properties["cautions"] == told == path.cautions == list(ju.explain(path, guessed).cautions)
+    assert properties["cautions"] == told == path.cautions == ju.explain(path, guessed).cautions
     assert json.loads((tmp_path / "route.plan").read_text())["note"].startswith(told[0])
     several = ju.plan_many(guessed, [(path.lonlat[0], path.lonlat[-1])] * 2, altitude_m=ALTITUDE_M)
     several.save(tmp_path / "several.geojson")
