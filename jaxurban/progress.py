@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 
 LOG = logging.getLogger("jaxurban")
+SILENT_S = 5.0  # that a search may last before the log says that it runs
 EVERY_S = 10.0  # between two lines on one stage, and before the first line of a job
 
 interrupted = threading.Event()  # set by the command line at Ctrl-C, which is lost where a callback of JAX gets it
@@ -37,6 +38,18 @@ class Report:
 
     def finish(self) -> None:
         """End a job that went well."""
+
+
+@contextmanager
+def saying_later(sentence: str) -> Iterator[None]:
+    """Log a sentence, so that it is seen where nobody has set logging up, if the block lasts `SILENT_S` or longer."""
+    timer = threading.Timer(SILENT_S, LOG.warning, (sentence,))
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
 
 
 @contextmanager

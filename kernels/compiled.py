@@ -1,5 +1,6 @@
 """Functions compiled by Numba, kept on disk until anything that they are made of changes."""
 
+import functools
 import hashlib
 from collections.abc import Callable, Iterator
 from contextlib import suppress
@@ -13,6 +14,9 @@ from numba.core.dispatcher import Dispatcher
 from numba.core.runtime import rtsys
 
 from jaxurban.collector import paused_collector
+from jaxurban.progress import LOG
+
+COMPILING = LOG.getChild("compiling")  # its level is the switch: warnings are seen where nobody has set logging up
 
 
 def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
@@ -68,13 +72,21 @@ class _Cache(FunctionCache):
         """
         rtsys.initialize(target_context)
         with paused_collector(), self._guard_against_spurious_io_errors():
-            return self._load_overload(sig, target_context)
+            kept = self._load_overload(sig, target_context)
+        if kept is None:
+            _say_once()
+        return kept
 
     def _index_key(self, sig, codegen):
         digest = hashlib.sha256()
         for part in _parts(self._py_func, set()):
             digest.update(part.encode())
         return *super()._index_key(sig, codegen), digest.hexdigest()
+
+
+@functools.cache
+def _say_once() -> None:
+    COMPILING.warning("compiling what is run here for the first time, for some seconds; later sessions find it done")
 
 
 def _parts(function: Callable[..., Any], seen: set[Callable[..., Any]]) -> Iterator[str]:

@@ -1,7 +1,6 @@
 """Theta*: any-angle search under the line cost model (Nash, Daniel, Koenig & Felner 2007)."""
 
 import time
-from functools import cache
 
 import numpy as np
 
@@ -11,9 +10,8 @@ from jaxurban.kernels.search.heap import EXHAUSTED, FOUND, FULL, Heap, push
 from jaxurban.planners.base import EVERY_PATH, Path, Problem, Status
 from jaxurban.planners.bitstar.bounds import HEURISTICS, Bounds, make_bounds
 from jaxurban.planners.checks import check_budget, check_name, free_ride
-from jaxurban.planners.cost import warm_up as warm_up_features
+from jaxurban.planners.compiled_first import compiled_first
 from jaxurban.planners.cost_grid import cost_grid_of, reachable_cells
-from jaxurban.planners.cost_model import CostModel
 from jaxurban.planners.search.any_angle import MARGIN, NO_PARENT, TIE, AnyAngleNodes, Estimate, advance, shortcut
 
 CHUNK = 10_000  # expansions between two looks at the clock: some 5 to 50 ms
@@ -22,6 +20,7 @@ SPACING = 0.4  # cell sides between the points that shortcuts join; 0.7 loses 0.
 REACH = 64  # points that a shortcut may span: 128 gains less than 0.001 % (both on Lower Manhattan)
 
 
+@compiled_first()
 def theta_star(problem: Problem, *, budget_s: float = np.inf, seed: int = 0, heuristic: str = "plus") -> Path:
     """Return a path of straight segments between cells and points between them, free of the grid's eight directions.
 
@@ -49,7 +48,6 @@ def theta_star(problem: Problem, *, budget_s: float = np.inf, seed: int = 0, heu
     check_name("heuristic", heuristic, HEURISTICS)
     check_budget(budget_s)
     check_line_model(problem, "planner 'theta-star'")
-    _warm_up()
     begin_s = time.perf_counter()
     points_m, cost, note, num_expanded = np.empty((0, 2)), np.inf, "", 0
     is_reachable = reachable_cells(problem)
@@ -152,13 +150,3 @@ def _search(problem: Problem, cost_grid: CostGrid, bounds: Bounds, end_s: float)
         node = int(nodes.parent[node])
     cells = np.array(path[::-1], np.int64)
     return np.stack([cells % num_cols, cells // num_cols], axis=-1) + 0.5, num_expanded
-
-
-@cache
-def _warm_up() -> None:
-    """Compile what a search runs, so that its time is its own."""
-    problem = Problem(np.zeros((1, 1, 3)), np.ones((1, 3), bool), (0, 0), (0, 2), 1.0, 1.0, CostModel("line"))
-    cost_grid = cost_grid_of(problem, problem.is_free)
-    xy, _ = _search(problem, cost_grid, make_bounds("plus", problem, problem.is_free), np.inf)
-    shortened(cost_grid, xy)
-    warm_up_features()

@@ -7,10 +7,9 @@ from itertools import chain, repeat
 import numpy as np
 
 from jaxurban.errors import InputError
-from jaxurban.planners.astar import warm_up
 from jaxurban.planners.base import Path, Problem, Status
 from jaxurban.planners.checks import check_budget, free_ride
-from jaxurban.planners.graph import graph_of
+from jaxurban.planners.compiled_first import compiled_first
 from jaxurban.planners.heuristics import ADMISSIBLE, AUTO, prepare
 from jaxurban.planners.search.grid import DEFER, PAUSED
 
@@ -22,6 +21,7 @@ ROUND_FACTOR = 4  # less makes for more rounds: 2 expanded half as many nodes ag
 NEAR_ONE = 1.02  # an inflation below this is as slow as none
 
 
+@compiled_first()
 def astar_anytime(
     problem: Problem,
     *,
@@ -44,7 +44,7 @@ def astar_anytime(
 
     Args:
       problem: the query.
-      budget_s: seconds of search and of what it needs (``setup_s`` of the path).
+      budget_s: seconds of search and of the tables that its heuristic needs.
       seed: taken for the planner contract; it plays no part.
       heuristic: an admissible one of `heuristics.HEURISTICS`, or ``"auto"`` (see `astar.astar`).
       inflation: of the first round, at least 1; left out, as `first_inflation` judges the weights.
@@ -59,11 +59,10 @@ def astar_anytime(
         )
     if inflation is not None and not 1 <= inflation < np.inf:
         raise InputError(f"inflation must be a finite number of at least 1, got {inflation}")
-    warm_up(heuristic, is_anytime=True)
     prepared = prepare(heuristic, problem, budget_s)
     begin_s = time.perf_counter()
     search = prepared.search(problem)
-    end_s = begin_s + budget_s - prepared.setup_s
+    end_s = begin_s + budget_s - prepared.tables_s
     points_m, cost, low, ended, num_open = np.empty((0, 2)), np.inf, search.low_f, PAUSED, 0
     history: list[tuple[float, int, float]] = []
     bounds: list[float] = []
@@ -91,14 +90,13 @@ def astar_anytime(
         cost=cost,
         lower_bound=low,
         num_expanded=search.num_expanded,
-        elapsed_s=time.perf_counter() - begin_s,
+        elapsed_s=prepared.tables_s + time.perf_counter() - begin_s,
         planner="astar-anytime",
         heuristic=prepared.name,
         backend="numba",
         note=" ".join(filter(None, (prepared.note, free_ride(problem.distance_weight, cost)))),
         history=tuple(history),
         bounds=tuple(bounds),
-        setup_s=prepared.setup_s,
         graph=problem.grid_name,
     )
 
@@ -109,17 +107,17 @@ def first_inflation(heuristic: str, problem: Problem) -> float:
     Landmarks see nearly all of the cost to go, whatever the weights, so a constant serves. The other bounds
     see the distance and, ``plus`` and ``tiles``, what the map, or a tile, costs everywhere: they are brought up to
     what paths typically pay, `MAP_SHARE` of the median cell's cost in place of what they count. Where they are 0
-    everywhere no inflation helps. Of tiles those count that the bound came to.
+    everywhere no inflation helps.
     """
     if heuristic in ("landmarks", "exact"):
         return LANDMARK_INFLATION if heuristic == "landmarks" else 1.0
     share = 1.0 if problem.cost_model.kind == "cell" else problem.resolution_m / problem.cost_model.reference_length_m
-    if heuristic == "tiles":  # the map may not be weighed as a whole
-        sample, least = graph_of(problem, is_partial=True).sample, problem.weighed.minima
-        median = float(np.median(sample)) if sample.size else 0.0
-    else:
-        least = np.concatenate(problem.line_minima) if heuristic == "plus" else np.zeros(1)
-        median = problem.once("median_cost", lambda: float(np.median(problem.cost[problem.is_free])))
+    least = np.zeros(1)
+    if heuristic == "tiles":
+        least = problem.tile_minima
+    elif heuristic == "plus":
+        least = np.concatenate(problem.line_minima)
+    median = problem.once("median_cost", lambda: float(np.median(problem.cost[problem.is_free])))
     typical, counted = share * median, share * float(least[np.isfinite(least)].mean())
     per_side = problem.distance_weight * problem.resolution_m + counted
     if per_side == 0:

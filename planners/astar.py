@@ -1,17 +1,18 @@
 """A* on the grid: 4- or 8-connected, both cost models, several heuristics."""
 
 import time
-from functools import cache, partial
+from functools import partial
 
 import numpy as np
 
 from jaxurban.planners.base import Path, Problem, Status
 from jaxurban.planners.checks import check_budget, free_ride
-from jaxurban.planners.cost import warm_up as warm_up_features
+from jaxurban.planners.compiled_first import compiled_first
 from jaxurban.planners.heuristics import ADMISSIBLE, AUTO, heuristic_at, make_heuristic, prepare
 from jaxurban.planners.search.grid import EXHAUSTED, FOUND, KEEP, PAUSED, REOPEN
 
 
+@compiled_first()
 def astar(
     problem: Problem,
     *,
@@ -28,10 +29,9 @@ def astar(
 
     Args:
       problem: the query.
-      budget_s: seconds of search and of what it needs (``setup_s`` of the path).
+      budget_s: seconds of search and of the tables that its heuristic needs.
       seed: taken for the planner contract.
-      heuristic: a name of `heuristics.HEURISTICS`, or ``"auto"``: landmarks where a map and weights serve
-        more than a few queries (see `landmarks.should_use`), else ``tiles``. The path says which ran.
+      heuristic: a name of `heuristics.HEURISTICS`, or ``"auto"``: ``tiles``. The path says which ran.
       reopen: expand a node again when a cheaper way to it turns up after it was closed. It changes
         nothing with a consistent heuristic, as all admissible ones here are; with a printed one it
         mends some paths, at up to exponential cost.
@@ -41,14 +41,13 @@ def astar(
       InputError: an unknown heuristic, or a budget that is not positive.
     """
     check_budget(budget_s)
-    warm_up(heuristic)
     prepared = prepare(heuristic, problem, budget_s)
     begin_s = time.perf_counter()
     is_admissible = prepared.name in ADMISSIBLE
     search = prepared.search(problem)
     ended = PAUSED
     if prepared.is_ready:
-        ended = search.run(closed=REOPEN if reopen else KEEP, end_s=begin_s + budget_s - prepared.setup_s)
+        ended = search.run(closed=REOPEN if reopen else KEEP, end_s=begin_s + budget_s - prepared.tables_s)
     points_m, cost, note = np.empty((0, 2)), np.inf, prepared.note
     if ended == FOUND:
         status = Status.OPTIMAL if is_admissible else Status.FEASIBLE
@@ -71,12 +70,11 @@ def astar(
         cost=cost,
         lower_bound=lower_bound,
         num_expanded=search.num_expanded,
-        elapsed_s=time.perf_counter() - begin_s,
+        elapsed_s=prepared.tables_s + time.perf_counter() - begin_s,
         planner=planner,
         heuristic=prepared.name,
         backend="numba",
         note=note,
-        setup_s=prepared.setup_s,
         graph=problem.grid_name,
     )
 
@@ -84,15 +82,3 @@ def astar(
 # The paper's two: guided by the straight distance, and by distance and map costs, with an admissible bound.
 astar_dist = partial(astar, heuristic="euclidean", planner="astar-dist")
 astar_plus = partial(astar, heuristic=AUTO, planner="astar-plus")
-
-
-@cache
-def warm_up(heuristic: str, is_anytime: bool = False) -> None:
-    """Compile what a search with this heuristic runs, so that its time is the search's own."""
-    problem = Problem(np.zeros((1, 1, 2)), np.ones((1, 2), bool), (0, 0), (0, 1), 1.0, 1.0)
-    for name in ("tiles", "landmarks") if heuristic == AUTO else (heuristic,):
-        search = prepare(name, problem, np.inf).search(problem)
-        search.run()
-        if is_anytime:
-            search.requeue(1.0, search.lower_bound()[1])
-    warm_up_features()

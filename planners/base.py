@@ -9,11 +9,11 @@ from typing import Any, Protocol, TypeVar
 import numpy as np
 
 from jaxurban.errors import InputError
+from jaxurban.kernels.search.tiles import tile_minima
 from jaxurban.kernels.search.weighing import are_costs, in_rows, weighted_line_minima, weighted_sum
 from jaxurban.planners.cost import CostKind, PathFeatures, path_features
 from jaxurban.planners.cost_model import CostModel, positive_m
 from jaxurban.planners.moves import allowed_moves
-from jaxurban.planners.weighed import WeighedMap
 
 Cell = tuple[int, ...]  # row, column; in a volume level, row, column. Row 0 is in the south, level 0 the lowest
 T = TypeVar("T")
@@ -102,7 +102,7 @@ class Problem:
     cost_model: CostModel = field(default_factory=CostModel)
     levels_m: Any = None  # kept as an array
     shared: dict[str, Any] = field(init=False, repr=False, default_factory=dict)  # what `once` made
-    _cost: list[Any] = field(init=False, repr=False, default_factory=list)  # of all on this map and weights
+    _cost: list[np.ndarray] = field(init=False, repr=False, default_factory=list)  # of all on this map and weights
     _moves: list[np.ndarray] = field(init=False, repr=False, default_factory=list)  # of all problems on these cells
 
     def __post_init__(self) -> None:
@@ -219,26 +219,13 @@ class Problem:
 
     @property
     def cost(self) -> np.ndarray:
-        """``[Y, X]`` or ``[K, Y, X]`` float64 the weighted sum of the layers; inf where a volume is not free.
-
-        Made when it is first asked for: A* on one altitude weighs the parts of a map that it comes to, and no others.
-        """
-        if self.levels_m is None:
-            return self.weighed.whole()
+        """``[Y, X]`` or ``[K, Y, X]`` float64 the weighted sum of the layers; inf where a volume is not free."""
         if not self._cost:
             cost = weighted_sum(self.costs, self.layer_weights)
-            cost[~self.is_free] = np.inf  # as the search through a volume knows closed nodes
+            if self.levels_m is not None:
+                cost[~self.is_free] = np.inf  # as the search through a volume knows closed nodes
             self._cost.append(_read_only(cost, np.float64))
-        volume: np.ndarray = self._cost[0]
-        return volume
-
-    @property
-    def weighed(self) -> WeighedMap:
-        """The map of one altitude under the weights, weighed as far as was asked for."""
-        if not self._cost:
-            self._cost.append(WeighedMap(self.costs, self.layer_weights, self.is_free))
-        weighed: WeighedMap = self._cost[0]
-        return weighed
+        return self._cost[0]
 
     @property
     def map_key(self) -> int:
@@ -268,6 +255,11 @@ class Problem:
         from scipy.ndimage import label
 
         return np.asarray(label(self.is_free, np.ones((3, 3)) if self.cost_model.passes_corners else None)[0])
+
+    @property
+    def tile_minima(self) -> np.ndarray:
+        """``[I + 2, J + 2]`` the cheapest free cell of every tile, in a frame (see `kernels.search.tiles`)."""
+        return self.once("tile_minima", lambda: tile_minima(self.cost, self.is_free))
 
     @property
     def line_minima(self) -> tuple[np.ndarray, np.ndarray]:
@@ -302,14 +294,13 @@ class Path:
       cost: cost of the path under the problem's own model and objective; inf without a path.
       lower_bound: no path of this planner's graph is cheaper than this (-inf: nothing known).
       num_expanded: nodes expanded (edges evaluated for sampling planners).
-      elapsed_s: wall time of the search, compilation left out where it can be, and ``setup_s`` too.
+      elapsed_s: seconds of the budget that were used: of the search, and of the tables that its heuristic needs.
       planner, heuristic, backend: what ran.
       note: one more sentence, where there is something to say.
       history: of an anytime planner, after each batch: seconds, samples drawn (of `astar-anytime`: nodes
         expanded), cost of the best path.
       bounds: of `astar-anytime`: the lower bound proven by each entry of ``history``.
-      setup_s: what later queries on the same map (or goal) are spared: seconds spent on tables before the
-        search; they count towards the budget.
+      setup_s: seconds before that, of no budget: what the planner runs was compiled, or loaded (0: it was there).
       graph: what OPTIMAL and ``lower_bound`` are of: a grid (`Problem.grid_name`) or `EVERY_PATH`; empty where
         nothing is known of others.
     """

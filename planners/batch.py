@@ -1,11 +1,8 @@
 """Many problems at once: in threads with the compiled searches, or all together in JAX."""
 
 import os
-import time
-from collections import Counter
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
-from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from itertools import chain
@@ -19,14 +16,13 @@ from jaxurban.planners.base import Cell, Path, Problem
 from jaxurban.planners.bitstar.batched import solve_batched
 from jaxurban.planners.checks import check_budget
 from jaxurban.planners.heuristics import AUTO
-from jaxurban.planners.landmarks import FEW_QUERIES, NUM_LANDMARKS, make_landmarks
+from jaxurban.planners.landmarks import NUM_LANDMARKS, make_landmarks
 from jaxurban.planners.registry import PLANNERS, find_planner
 from jaxurban.planners.search.fields import (
     FIELDS_TOGETHER,
     Backend,
     field_backend,
     share_costs_to_go,
-    warm_up_fields,
 )
 from jaxurban.planners.search.frontier import solve_by_frontier
 
@@ -36,6 +32,11 @@ EXACT_PLANNERS = ("astar-dist", "astar-plus")  # which the frontier search can s
 FRONTIER_HEURISTICS = (None, AUTO, "octile")
 SAMPLING_PLANNERS = ("bitstar-dist", "bitstar-plus")  # whose batches `solve_batched` searches in bulk
 FEW_TO_ONE_GOAL = 8  # queries to one goal from which the costs to it are computed for the whole map
+# Others on one map and weights beyond which landmarks are made. On Lower Manhattan making them costs what some 50
+# queries save (`benchmarks/landmarks.py`).
+FEW_QUERIES = 16
+# Of one field, cautious: 7e6 on half a million cells, less where the map outgrows the cache. Taken for a GPU, too.
+NODES_PER_S = 3e6
 GOALS_TOGETHER = {"numba": 1, "jax": FIELDS_TOGETHER}  # whose fields are made, and held, at once
 GPU_BATCH = 32  # queries from which a GPU is worth its start
 
@@ -49,6 +50,7 @@ def solve_many(
     budget_s: float = np.inf,
     seed: int = 0,
     num_threads: int | None = None,
+    only: Sequence[int] | None = None,
 ) -> Generator[Outcome]:
     """Yield ``(index, path)`` of every problem as it is done; a planner's crash is an exception in the path's place.
 
@@ -62,11 +64,10 @@ def solve_many(
     - ``"auto"``: ``"jax"`` where JAX has a GPU, the planner is ``astar-dist`` or ``astar-plus`` and there are at least
       `GPU_BATCH` queries; else ``"numba"``, which is several times as fast on a CPU.
 
-    Where the planner chooses its heuristic itself, as ``astar-plus`` does, what queries share is made first,
-    within half of the budgets of those that share it: the costs to goals that at least `FEW_TO_ONE_GOAL` queries on a
-    map share each (``"exact"``), and the landmarks of a map with more than `FEW_QUERIES` others (``"numba"`` only).
-    Both are fields, which ``"auto"`` makes in JAX where it has a GPU (see `search.fields.field_backend`). Each path's
-    backend and heuristic say what ran; of ``"exact"`` the backend is what made the costs.
+    Where the planner chooses its heuristic itself, as ``astar-plus`` does, `choose_heuristics` does so from all
+    problems, and what queries share is made first. It consists of fields, which ``"auto"`` makes in JAX where it has a
+    GPU (see `search.fields.field_backend`). Each path's backend and heuristic say what ran; of ``"exact"`` the backend
+    is what made the costs.
 
     Args:
       problems: the queries; those on one map should come from one `Problem` by `Problem.between`.
@@ -75,6 +76,7 @@ def solve_many(
       budget_s: seconds for each query.
       seed: for each query.
       num_threads: of ``"numba"``; left out, one for every processor that this process may use.
+      only: the problems to solve, by number; all of them have their say in what is chosen.
 
     Raises:
       InputError: an unknown planner, heuristic or backend, a planner or heuristic that ``"jax"`` does not
@@ -86,9 +88,11 @@ def solve_many(
     check_budget(budget_s)
     if num_threads is not None and num_threads < 1:
         raise InputError(f"num_threads must be at least 1, got {num_threads}")
+    only = range(len(problems)) if only is None else only
     if backend == "jax" and planner in SAMPLING_PLANNERS:
-        chosen, seeds = heuristic or PLANNERS[planner].default_heuristic, [seed] * len(problems)
-        return solve_batched(problems, planner=planner, heuristic=chosen, seeds=seeds, budget_s=budget_s)
+        chosen, some = heuristic or PLANNERS[planner].default_heuristic, [problems[index] for index in only]
+        paths = solve_batched(some, planner=planner, heuristic=chosen, seeds=[seed] * len(some), budget_s=budget_s)
+        return ((only[k], path) for k, path in paths)
     makes_fields_by = backend
     is_for_frontier = planner in EXACT_PLANNERS and heuristic in FRONTIER_HEURISTICS
     if backend == "jax" and not is_for_frontier:
@@ -100,7 +104,39 @@ def solve_many(
         has_gpu = is_for_frontier and len(problems) >= GPU_BATCH and jax.default_backend() != "cpu"
         backend = "jax" if has_gpu else "numba"
     num_threads = num_threads or _num_processors()
-    return _solve(problems, planner, heuristic, backend, makes_fields_by, budget_s, seed, num_threads)
+    return _solve(problems, only, planner, heuristic, backend, makes_fields_by, budget_s, seed, num_threads)
+
+
+def choose_heuristics(
+    problems: Sequence[Problem], planner: str, heuristic: str | None, budget_s: float
+) -> list[str | None]:
+    """Return the heuristic of each problem, which all of them decide, and neither a clock nor what was solved before.
+
+    For planners that choose theirs: ``"exact"`` to goals that at least `FEW_TO_ONE_GOAL` queries on a map share (A*
+    alone), ``"landmarks"`` on a map with more than `FEW_QUERIES` others; where the fields should take no more than half
+    of the budgets of those that share them. Else the one named; None is the planner's default.
+    """
+    heuristics = [heuristic] * len(problems)
+    if (heuristic or PLANNERS[planner].default_heuristic) != AUTO:
+        return heuristics
+    by_goal: dict[tuple[int, Cell], list[int]] = {}
+    others: dict[int, list[int]] = {}
+    for index, problem in enumerate(problems):
+        by_goal.setdefault((problem.map_key, problem.goal), []).append(index)
+
+    def choose(name: str, indices: list[int], fewest: int, num_fields: int) -> bool:
+        expected_s = num_fields * problems[indices[0]].is_free.size / NODES_PER_S
+        is_chosen = len(indices) >= fewest and expected_s <= 0.5 * budget_s * len(indices)
+        for index in indices if is_chosen else ():
+            heuristics[index] = name
+        return is_chosen
+
+    for (map_key, _), indices in by_goal.items():
+        if planner not in EXACT_PLANNERS or not choose("exact", indices, FEW_TO_ONE_GOAL, 1):
+            others.setdefault(map_key, []).extend(indices)
+    for indices in others.values():
+        choose("landmarks", indices, FEW_QUERIES + 1, NUM_LANDMARKS)
+    return heuristics
 
 
 def _num_processors() -> int:
@@ -109,6 +145,7 @@ def _num_processors() -> int:
 
 def _solve(
     problems: Sequence[Problem],
+    only: Sequence[int],
     planner: str,
     heuristic: str | None,
     backend: str,
@@ -117,47 +154,33 @@ def _solve(
     seed: int,
     num_threads: int,
 ) -> Generator[Outcome]:
-    search = find_planner(planner, heuristic)
-    chooses = (heuristic or PLANNERS[planner].default_heuristic) == AUTO
-    by_goal: dict[tuple[int, Cell], list[int]] = {}
-    if chooses and planner in EXACT_PLANNERS:
-        for index, problem in enumerate(problems):
-            by_goal.setdefault((problem.map_key, problem.goal), []).append(index)
-    to_one_goal = [indices for indices in by_goal.values() if len(indices) >= FEW_TO_ONE_GOAL]
-    alone = sorted(set(range(len(problems))) - set(chain.from_iterable(to_one_goal)))
+    heuristics = choose_heuristics(problems, planner, heuristic, budget_s)
     run = partial(_in_threads, problems, num_threads=num_threads)
-    walk = partial(find_planner(planner, "exact" if to_one_goal else None), budget_s=budget_s, seed=seed)
-    made_by = field_backend(makes_fields_by) if to_one_goal else "numba"
-    for first in range(0, len(to_one_goal), GOALS_TOGETHER[made_by]):
-        groups = to_one_goal[first : first + GOALS_TOGETHER[made_by]]
-        to_goals = [problems[indices[0]] for indices in groups]
-        warm_up_fields(to_goals, made_by)
-        end_s = time.perf_counter() + 0.5 * budget_s * sum(map(len, groups))
-        try:
-            share_costs_to_go(to_goals, made_by, end_s)
-        except TimeoutError:
-            alone += chain.from_iterable(groups)
-            continue
+    to_one_goal: dict[tuple[int, Cell], list[int]] = {}
+    if heuristic != "exact":  # which makes each goal's field in a thread
+        for index in only:
+            if heuristics[index] == "exact":
+                to_one_goal.setdefault((problems[index].map_key, problems[index].goal), []).append(index)
+    goals = list(to_one_goal.values())
+    made_by = field_backend(makes_fields_by) if goals else "numba"
+    walk = partial(find_planner(planner, "exact" if goals else None), budget_s=budget_s, seed=seed)
+    for first in range(0, len(goals), GOALS_TOGETHER[made_by]):
+        groups = goals[first : first + GOALS_TOGETHER[made_by]]
+        share_costs_to_go([problems[indices[0]] for indices in groups], made_by)
         for index, outcome in run(list(chain.from_iterable(groups)), walk):
             yield index, replace(outcome, backend=made_by) if isinstance(outcome, Path) else outcome
+    walked = set(chain.from_iterable(goals))
+    alone = [index for index in only if index not in walked]
     if backend == "jax":
         together = [problems[index] for index in alone]
         for k, path in solve_by_frontier(together, planner=planner, budget_s=budget_s):
             yield alone[k], path
         return
-    if chooses:
-        _make_landmarks([problems[index] for index in alone], makes_fields_by, budget_s)
-    yield from run(alone, partial(search, budget_s=budget_s, seed=seed))
-
-
-def _make_landmarks(problems: list[Problem], makes_fields_by: Backend, budget_s: float) -> None:
-    """Make the landmarks of every map with more than a few queries, unless they take half of the budgets."""
-    for key, count in Counter(problem.map_key for problem in problems).items():
-        if count > FEW_QUERIES:
-            first = next(problem for problem in problems if problem.map_key == key)
-            warm_up_fields([first] * NUM_LANDMARKS, makes_fields_by)
-            with suppress(TimeoutError):
-                make_landmarks(first, backend=makes_fields_by, end_s=time.perf_counter() + 0.5 * budget_s * count)
+    for problem in {problems[k].map_key: problems[k] for k in alone if heuristics[k] == "landmarks"}.values():
+        make_landmarks(problem, backend=makes_fields_by)
+    for name in dict.fromkeys(heuristics[index] for index in alone):
+        search = partial(find_planner(planner, name), budget_s=budget_s, seed=seed)
+        yield from run([index for index in alone if heuristics[index] == name], search)
 
 
 def _in_threads(

@@ -4,7 +4,6 @@ cost(path) = weights . phi(path)        phi = (metres, cost of each layer[, metr
 """
 
 from dataclasses import dataclass
-from functools import cache
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -215,9 +214,3 @@ def path_states(points_m: np.ndarray, resolution_m: float) -> np.ndarray:
     for i, long in enumerate(is_long):
         segments.append(sample_segment(points[i], points[i + 1], resolution_m)[1:] if long else points[i + 1 : i + 2])
     return np.concatenate(segments)
-
-
-@cache
-def warm_up() -> None:
-    """Compile what an evaluation runs, once, so that a planner's time is its own."""
-    crossed_cells(np.array([[0.5, 0.5], [1.5, 0.5]]), 1.0)

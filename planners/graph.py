@@ -5,7 +5,6 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxurban.kernels.search.tiles import TileBound
-from jaxurban.kernels.search.weighing import weighted_sum
 from jaxurban.planners.base import Problem
 from jaxurban.planners.moves import STEPS
 
@@ -24,7 +23,6 @@ class Graph(NamedTuple):
       steps: ``[K, 2]`` int64 rows and columns of each step.
       step_cost, from_share, to_share: ``[K]`` float64.
       sample: ``[S]`` float64 costs of cells all over the map from which steps lead.
-      is_made: ``[P, Q]`` bool: the parts of the map (`kernels.search.tiles.PART`) whose costs are there.
     """
 
     cost: np.ndarray
@@ -35,7 +33,6 @@ class Graph(NamedTuple):
     from_share: np.ndarray
     to_share: np.ndarray
     sample: np.ndarray
-    is_made: np.ndarray
 
 
 class LandmarkBound(NamedTuple):
@@ -95,20 +92,17 @@ def zero_heuristic(problem: Problem) -> Heuristic:
     )
 
 
-def graph_of(problem: Problem, *, is_symmetric: bool = False, is_partial: bool = False) -> Graph:
+def graph_of(problem: Problem, *, is_symmetric: bool = False) -> Graph:
     """Return the problem's map as the search sees it.
 
     Args:
       problem: the query.
       is_symmetric: under the ``cell`` model, count half of each of a step's two cells instead of the one
         entered. A path from P to Q then costs ``(cost[P] - cost[Q]) / 2`` more than it does in truth.
-      is_partial: with those parts of the map only that are weighed already (see `WeighedMap`).
     """
-    cost = problem.weighed.cost if is_partial else problem.cost
-    moves = problem.moves.reshape(-1)
+    cost, moves = problem.cost, problem.moves.reshape(-1)
     stride = max(1, moves.size // SAMPLES)
-    layers = problem.costs.reshape(len(problem.costs), 1, moves.size)[..., ::stride]
-    sample = weighted_sum(layers, problem.layer_weights)[0, moves[::stride] > 0]
+    sample = cost.reshape(-1)[::stride][moves[::stride] > 0]
     steps = np.array(STEPS)
     length_m = np.hypot(*steps.T) * problem.resolution_m
     if problem.cost_model.kind == "line":
@@ -126,5 +120,4 @@ def graph_of(problem: Problem, *, is_symmetric: bool = False, is_partial: bool =
         from_share=from_share,
         to_share=to_share,
         sample=sample,
-        is_made=problem.weighed.readiness(),
     )

@@ -6,18 +6,18 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxurban.kernels.search.bounds import cell_line_bound, line_line_bound, printed_plus_field
-from jaxurban.kernels.search.tiles import StepCost, TileBound, advance_at_corners, begin_at_corners, tile_bound
+from jaxurban.kernels.search.tiles import StepCost, TileBound, costs_at_corners, tile_bound
 from jaxurban.planners.base import Cell, Problem
 from jaxurban.planners.checks import check_name
 from jaxurban.planners.graph import Heuristic, graph_of, zero_heuristic
-from jaxurban.planners.landmarks import NUM_LANDMARKS, landmark_bound, make_landmarks, should_use
+from jaxurban.planners.landmarks import NUM_LANDMARKS, landmark_bound, make_landmarks
 from jaxurban.planners.search.fields import cost_to_go, has_cost_to_go, warm_up_fields
 from jaxurban.planners.search.grid import GridSearch, estimate
 
 ADMISSIBLE = ("none", "euclidean", "octile", "plus", "tiles", "landmarks", "exact")  # all of them consistent too
 PRINTED = ("plus-printed", "plus-printed-from-0")
 HEURISTICS = ADMISSIBLE + PRINTED
-AUTO = "auto"  # "landmarks" where they serve the query best, else "tiles"
+AUTO = "auto"  # "tiles" for one query; of many, `planners.batch` chooses by what they share
 
 
 class Prepared(NamedTuple):
@@ -26,44 +26,35 @@ class Prepared(NamedTuple):
     Attributes:
       name: the heuristic.
       is_ready: whether its tables were made within the budget.
-      setup_s: what making them took; 0 where they were there already or there are none.
+      tables_s: what making them took, of the budget; 0 where they were there already or there are none.
       note: what to tell, where there is something.
     """
 
     name: str
     is_ready: bool
-    setup_s: float
+    tables_s: float
     note: str
 
     def search(self, problem: Problem) -> GridSearch:
         """Return the search for a problem, begun; by distance alone where the tables are not ready."""
         bound = make_heuristic(self.name if self.is_ready else "octile", problem)
-        # Others than tiles look at the whole map, or are there to compare with.
-        weighed = problem.weighed if bound.tiles is not None else None
-        graph = graph_of(problem, is_partial=weighed is not None)
-        return GridSearch(graph, bound, problem.start, problem.goal, weighed)
+        return GridSearch(graph_of(problem), bound, problem.start, problem.goal)
 
 
 def prepare(name: str, problem: Problem, budget_s: float) -> Prepared:
     """Return the heuristic to run, with the tables made that all queries on the map (or to the goal) share.
 
-    `AUTO` spends at most half of the budget on landmarks and runs with ``tiles`` if that is not enough.
-
     Raises:
       InputError: an unknown name.
     """
     check_name("heuristic", name, (AUTO, *HEURISTICS))
-    is_auto = name == AUTO
-    note = ""
-    if is_auto:
-        is_better, note = should_use(problem, budget_s)
-        name = "landmarks" if is_better else "tiles"
+    name = "tiles" if name == AUTO else name
     makes_landmarks = name == "landmarks" and "landmarks" not in problem.shared
     makes_costs = name == "exact" and not has_cost_to_go(problem)
     if makes_landmarks or makes_costs:
         warm_up_fields([problem] * (NUM_LANDMARKS if makes_landmarks else 1))
     begin_s = time.perf_counter()
-    end_s = begin_s + (0.5 if is_auto else 1.0) * budget_s
+    end_s = begin_s + budget_s
     is_ready, done = True, "took"
     try:
         if makes_landmarks:
@@ -73,13 +64,11 @@ def prepare(name: str, problem: Problem, budget_s: float) -> Prepared:
             what = "The costs to the goal, which all queries to it share,"
             cost_to_go(problem, end_s=end_s)
         else:
-            return Prepared(name, True, 0.0, note)
+            return Prepared(name, True, 0.0, "")
     except TimeoutError:
         is_ready, done = False, "were not done in"
-    setup_s = time.perf_counter() - begin_s
-    if is_auto and not is_ready:
-        name, is_ready = "tiles", True
-    return Prepared(name, is_ready, setup_s, f"{what} {done} {setup_s:.3g} s.")
+    tables_s = time.perf_counter() - begin_s
+    return Prepared(name, is_ready, tables_s, f"{what} {done} {tables_s:.3g} s.")
 
 
 def make_heuristic(name: str, problem: Problem) -> Heuristic:
@@ -134,18 +123,15 @@ def make_heuristic(name: str, problem: Problem) -> Heuristic:
 
 
 def _tile_bound(problem: Problem) -> TileBound:
-    """Return the tiles' bound on the cost to the problem's goal; the parts of the map that it comes to are made."""
-    graph, weighed = graph_of(problem, is_partial=True), problem.weighed
+    """Return the tiles' bound on the cost to the problem's goal."""
+    graph, minima = graph_of(problem), problem.tile_minima
     share = graph.from_share + graph.to_share
     straight, diagonal = ((float(graph.step_cost[step]), float(share[step])) for step in (0, -1))
     if problem.cost_model.connectivity == 4:
         diagonal = (2 * straight[0], 2 * straight[1])
     step_cost = StepCost(straight, diagonal)
-    num_i, num_j = (size - 2 for size in weighed.minima.shape)
-    search = begin_at_corners(num_i, num_j, problem.start, problem.goal)
-    while (part := advance_at_corners(search, weighed.minima, step_cost))[0] >= 0:
-        weighed.make(part)
-    return tile_bound(search, weighed.minima, step_cost, problem.goal)
+    corners, is_joined = costs_at_corners(minima, step_cost, problem.start, problem.goal)
+    return tile_bound(corners, is_joined, minima, step_cost, problem.goal)
 
 
 def _weighted_layers(problem: Problem) -> np.ndarray:

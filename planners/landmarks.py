@@ -17,11 +17,6 @@ from jaxurban.planners.graph import LandmarkBound
 from jaxurban.planners.search.fields import Backend, field_backend, symmetric_costs
 
 NUM_LANDMARKS = 8  # 8 float64 fill a cache line
-# Queries on one map and weights after which landmarks are built. On Lower Manhattan building costs what some 50
-# queries save (`benchmarks/landmarks.py`); who has planned this many is taken to go on.
-FEW_QUERIES = 16
-# Of one field, cautious: 7e6 on half a million cells, less where the map outgrows the cache. Taken for a GPU, too.
-NODES_PER_S = 3e6
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,24 +100,4 @@ def landmark_bound(problem: Problem, landmarks: Landmarks) -> LandmarkBound:
         cost=problem.cost,
         cost_share=cost_share,
         goal_term=cost_share * float(problem.cost[problem.goal]) - landmarks.slack,
-    )
-
-
-def should_use(problem: Problem, budget_s: float) -> tuple[bool, str]:
-    """Return whether landmarks serve the next query best, with a note where the budget forbids them.
-
-    They do where they are there already, and from the query after the first `FEW_QUERIES` on one map and
-    weights; building them must not be expected to take more than half of the budget.
-    """
-    if "landmarks" in problem.shared:
-        return True, ""
-    problem.shared["num_queries"] = problem.shared.get("num_queries", 0) + 1
-    if problem.shared["num_queries"] <= FEW_QUERIES:
-        return False, ""
-    expected_s = NUM_LANDMARKS * problem.is_free.size / NODES_PER_S
-    if expected_s <= 0.5 * budget_s:
-        return True, ""
-    return False, (
-        f"Landmarks would speed up this map's many queries, but building them takes some {expected_s:.2g} s: "
-        f"allow one query {2 * expected_s:.2g} s."
     )

@@ -66,8 +66,10 @@ def refine(problem: Problem, path: Path, *, budget_s: float = np.inf, moves: tup
             "the path crosses an obstacle, passes between two that touch at a corner, or leaves the map: give one "
             "that was planned for this problem"
         )
+    compile_s = time.perf_counter()
     _warm_up((1, *problem.is_free.shape) if "gradient" in moves else None)
     begin_s = time.perf_counter()
+    path = replace(path, setup_s=path.setup_s + begin_s - compile_s)
     end_s = begin_s + budget_s
     islands = problem.islands
     is_reachable = islands == islands[problem.start]

@@ -1,7 +1,6 @@
 """26-connected A* through a stack of levels."""
 
 import time
-from functools import cache
 
 import numpy as np
 
@@ -9,6 +8,7 @@ from jaxurban.kernels.search.bounds import sums_to
 from jaxurban.kernels.search.heap import EXHAUSTED, FOUND, FULL, PAUSED, Heap, push
 from jaxurban.planners.base import Cell, Path, Problem, Status
 from jaxurban.planners.checks import check_budget, check_name, free_ride
+from jaxurban.planners.compiled_first import compiled_first
 from jaxurban.planners.moves import STEPS, allowed_moves, steps_back
 from jaxurban.planners.search.volume import (
     CLOSED,
@@ -29,6 +29,7 @@ MARGIN = 1.15  # paths over Lower Manhattan cost up to 1.14 times what the cheap
 NOWHERE = -1  # as a goal: visit all that can be reached
 
 
+@compiled_first()
 def volume_astar(problem: Problem, *, budget_s: float = np.inf, seed: int = 0, heuristic: str = "plus") -> Path:
     """Return the cheapest path through the volume, or why there is none; ``points_m`` is ``[N, 3]``: x, y, altitude.
 
@@ -45,7 +46,6 @@ def volume_astar(problem: Problem, *, budget_s: float = np.inf, seed: int = 0, h
       InputError: an unknown heuristic, or a budget that is not positive.
     """
     check_budget(budget_s)
-    _warm_up()
     begin_s = time.perf_counter()
     bound = make_bound(heuristic, problem, begin_s + budget_s)
     start, goal = (int(np.ravel_multi_index(node, problem.is_free.shape)) for node in (problem.start, problem.goal))
@@ -218,12 +218,3 @@ def _points_m(problem: Problem, state: np.ndarray) -> np.ndarray:
     nodes = steps_back(problem.start, problem.goal, lambda *node: steps[state[node]])
     xy_m = (nodes[:, :0:-1] + 0.5) * problem.resolution_m
     return np.column_stack([xy_m, problem.levels_m[nodes[:, 0]]])
-
-
-@cache
-def _warm_up() -> None:
-    """Compile the search, so that its time is its own."""
-    problem = Problem(
-        np.zeros((1, 2, 1, 2)), np.ones((2, 1, 2), bool), (0, 0, 0), (1, 0, 1), 1.0, 1.0, levels_m=np.arange(2.0)
-    )
-    _Search(_graph(problem), make_bound("octile", problem), 0).run(3)

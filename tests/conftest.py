@@ -1,5 +1,6 @@
 """Shared fixtures: where the real data lie."""
 
+import logging
 import os
 from pathlib import Path
 
@@ -10,6 +11,9 @@ from hypothesis import settings
 PROGRAMS = Path(__file__).parents[1] / ".pytest_cache" / "programs"
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(PROGRAMS))
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
+
+# Which test compiles first on a fresh machine says nothing of what it tests.
+logging.getLogger("jaxurban.compiling").disabled = True
 
 settings.register_profile("shared-machine", deadline=None)  # a busy machine is no failure
 settings.load_profile("shared-machine")

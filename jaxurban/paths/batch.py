@@ -59,7 +59,12 @@ def plan_many(
     results too, each with its sentence. Ctrl-C returns what is done; searches that run end by their budgets.
 
     With ``file`` every result goes to a Parquet table, rewritten whole every few seconds, at the end and on the
-    way out of any error. The same call again takes from it what is done and plans only the rest.
+    way out of any error. The same call again takes from it what is done and plans only the rest; with a larger budget
+    also what a smaller one ended.
+
+    Planners that choose their heuristic, as ``astar-plus``, are given it by the whole table of queries (see
+    `choose_heuristics`), whatever is done already: resumed or not, on one thread or more, the routes are the same. The
+    column ``heuristic`` names it.
 
     Args:
       maps: from `build_maps` or `open_maps`, or the folder of one resolution's maps.
@@ -151,7 +156,8 @@ class _Job:
             yield from self._run_groups(groups[first : first + maps_at_once])
 
     def _run_groups(self, groups: Sequence[list[int]]) -> Iterator[int]:
-        waiting: list[tuple[int, str, CostMap, tuple[Place, Place]]] = []
+        located: list[tuple[int, str, CostMap, tuple[Place, Place]]] = []
+        waiting: list[int] = []  # by their numbers among those located
         search = self.search
         for group in groups:
             shared, error = self.map_of(self.queries[group[0]])
@@ -168,12 +174,12 @@ class _Job:
                     yield self._refuse(k, str(error))
                     continue
                 key = fingerprint(digest, ends)
-                kept = self.book.take(k, key, partial(finish, shared, ends=ends, search=search))
-                if kept:
+                located.append((k, key, shared, ends))
+                if self.book.take(k, key, search.budget_s, partial(finish, shared, ends=ends, search=search)):
                     yield k
                 else:
-                    waiting.append((k, key, shared, ends))
-        problems = [shared.problem.between(ends[0].cell, ends[1].cell) for _, _, shared, ends in waiting]
+                    waiting.append(len(located) - 1)
+        problems = [shared.problem.between(ends[0].cell, ends[1].cell) for _, _, shared, ends in located]
         outcomes = solve_many(
             problems,
             planner=search.planner or "astar-plus",
@@ -182,10 +188,11 @@ class _Job:
             budget_s=search.budget_s,
             seed=search.seed,
             num_threads=self.num_threads,
+            only=waiting,
         )
         with closing(outcomes):
             for i, outcome in outcomes:
-                k, key, shared, ends = waiting[i]
+                k, key, shared, ends = located[i]
                 if isinstance(outcome, Path):
                     planned = finish(shared, outcome, ends, search)
                     self.book.add(k, QueryResult(planned.status.value, planned.to_dict()["message"], planned, key))
@@ -204,7 +211,7 @@ class _Job:
         return k
 
     def _digest(self, shared: CostMap) -> str:
-        """Return what stands for a cost map and the settings of the search."""
-        search = (replace(self.search, snap=False), self.backend)
+        """Return what stands for a cost map and the settings of the search, but for its budget."""
+        search = (replace(self.search, snap=False, budget_s=np.inf), self.backend)
         settings = (shared.weights, shared.objective, shared.cost_model, search)
         return fingerprint(shared.costs, shared.is_free, settings)

@@ -3,7 +3,7 @@
 import json
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path as FilePath
 from typing import Any
 
@@ -20,7 +20,8 @@ from jaxurban.planners.base import Path, Status
 from jaxurban.world.show import Shown
 
 BAD_INPUT, CRASHED, NOT_RUN = "bad-input", "crashed", "not-run"  # beside the names of `Status`
-NEEDED = {"query", "status", "message", "key", "search", "x_m", "y_m"}  # of a file of results
+ENDED_BY_BUDGET = (Status.BUDGET_EMPTY.value, Status.BUDGET_FEASIBLE.value)
+NEEDED = {"query", "status", "message", "key", "budget_s", "search", "x_m", "y_m"}  # of a file of results
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,9 +68,11 @@ class PlannedPaths(Shown, Sequence[PlannedPath | None]):
         """How many queries ended how, and what the paths cost and measure together."""
         ends = Counter(result.status for result in self.results)
         found = [path for path in self if path is not None and path.status.has_path]
+        heuristics = Counter(path.search.heuristic for path in self if path is not None)
         return {
             "queries": f"{len(self):,}" + (" (interrupted)" if self.was_interrupted else ""),
             "statuses": ", ".join(f"{status} {number:,}" for status, number in ends.most_common()) or "none",
+            "heuristics": ", ".join(f"{name} {number:,}" for name, number in heuristics.most_common()) or "none",
             "cost": f"{sum(path.cost for path in found):,.2f} of {len(found):,} paths",
             "length": f"{sum(path.length_m for path in found) / 1000:,.1f} km",
         }
@@ -127,10 +130,12 @@ class BatchResults:
         if self._store is not None:
             self._store.add([_row(k, self.queries[k], result)])
 
-    def take(self, k: int, key: str, finish: Callable[[Path], PlannedPath]) -> bool:
-        """Return whether the file holds the result of a query, and note it."""
+    def take(self, k: int, key: str, budget_s: float, finish: Callable[[Path], PlannedPath]) -> bool:
+        """Return whether the file holds the result of a query, and note it; not one that a smaller budget ended."""
         row = None if self._store is None else self._store.get(k)
         if self._store is None or row is None or row["status"] == BAD_INPUT:
+            return False
+        if row["key"] == key and row["status"] in ENDED_BY_BUDGET and row["budget_s"] < budget_s:
             return False
         if row["key"] != key:
             raise InputError(
@@ -138,6 +143,9 @@ class BatchResults:
                 "weights or planner): name another file, or remove it"
             )
         path = None if row["search"] is None else finish(_path_of(row))
+        if path is not None:
+            kept_s = row["budget_s"] if np.isfinite(row["budget_s"]) else None
+            path = replace(path, settings={**path.settings, "budget_s": kept_s})
         self.add(k, QueryResult(row["status"], row["message"], path, key))
         return True
 
@@ -151,18 +159,20 @@ def _row(k: int, query: Query, result: QueryResult) -> dict[str, Any]:
     """Return a result as a flat row."""
     row: dict[str, Any] = {"query": k, **query.to_dict(), "status": result.status, "message": result.message}
     planned = result.path
-    points: dict[str, Any] = {"x_m": None, "y_m": None, "search": None}
+    points: dict[str, Any] = {"budget_s": None, "x_m": None, "y_m": None, "search": None}
     if planned is not None:
         facts = planned.to_dict()
         row |= {name: facts[name] for name in ("cost", "length_m")}
         row |= {f"cost_{name}": value for name, value in facts["cost_by_layer"].items()}
         row |= {f"m_{name}": value for name, value in facts["metrics"].items()}
-        names = ("objective_cost", "lower_bound", "num_points", "num_expanded", "elapsed_s")
+        names = ("objective_cost", "lower_bound", "num_points", "num_expanded", "elapsed_s", "setup_s")
         row |= {name: facts[name] for name in (*names, "planner", "heuristic", "backend")}
         row |= {f"{name}_snap_m": value for name, value in facts["snap_distance_m"].items()}
         rest = {item.name: getattr(planned.search, item.name) for item in fields(Path)}
         rest |= {"status": rest["status"].value, "points_m": planned.search.points_m[:1].tolist()}
-        points = {"x_m": planned.xy_m[:, 0], "y_m": planned.xy_m[:, 1], "search": json.dumps(rest)}
+        budget_s = planned.settings["budget_s"]
+        points = {"budget_s": np.inf if budget_s is None else budget_s, "search": json.dumps(rest)}
+        points |= {"x_m": planned.xy_m[:, 0], "y_m": planned.xy_m[:, 1]}
     return row | points | {"key": result.key}
 
 

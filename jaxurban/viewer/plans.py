@@ -24,8 +24,7 @@ from jaxurban.paths.simplify import simplify
 from jaxurban.paths.vehicle import Vehicle
 from jaxurban.planners.base import Problem
 from jaxurban.planners.cost_model import CostModel
-from jaxurban.planners.heuristics import AUTO
-from jaxurban.planners.registry import PLANNERS, find_planner
+from jaxurban.planners.registry import find_planner
 from jaxurban.viewer.layers import Place
 from jaxurban.viewer.requests import Plan
 from jaxurban.viewer.tiles import middles
@@ -85,10 +84,8 @@ class Plans:
 
         def make() -> PlannedPath:
             on = self._cost_map(query, at)
-            heuristic, budget_s = _search_of(query.planner)
-            return on.plan(
-                query.start, query.goal, planner=query.planner, heuristic=heuristic, budget_s=budget_s, snap=query.snap
-            )
+            budget_s = _budget_s(query.planner)
+            return on.plan(query.start, query.goal, planner=query.planner, budget_s=budget_s, snap=query.snap)
 
         with self._lock:
             return _kept(self._routes, query.model_dump_json(), NUM_ROUTES, make)
@@ -172,7 +169,6 @@ class Plans:
         if not self.defaults.command:
             return ""
         folder, *resolution = self.defaults.command
-        heuristic, budget_s = _search_of(query.planner)
         values = {
             "--start": ",".join(map(repr, query.start)),
             "--goal": ",".join(map(repr, query.goal)),
@@ -181,9 +177,8 @@ class Plans:
             "--time-of-day": at.time_of_day,
             "--weights": ",".join(f"{name}={value!r}" for name, value in query.weights.items()),
             "--planner": query.planner,
-            "--heuristic": heuristic,
             "--objective": "weighted",
-            "--budget": repr(budget_s),
+            "--budget": repr(_budget_s(query.planner)),
             "--seed": "0",
             "--cost-model": query.cost_model,
             "--obstacles": query.obstacles,
@@ -241,12 +236,10 @@ def _kept(held: OrderedDict[Hashable, Made], key: Hashable, most: int, make: Cal
     return held[key]
 
 
-def _search_of(planner: str) -> tuple[str | None, float]:
-    """Return heuristic and budget: never one that depends on how many routes were planned before."""
+def _budget_s(planner: str) -> float:
     find_planner(planner)
-    default = PLANNERS[planner].default_heuristic
     takes_all = planner.startswith("bitstar") or planner == "astar-anytime"
-    return ("plus" if default == AUTO else None), (SAMPLING_BUDGET_S if takes_all else BUDGET_S)
+    return SAMPLING_BUDGET_S if takes_all else BUDGET_S
 
 
 def _thinned(on: CostMap, rows: np.ndarray, cols: np.ndarray, stride: int) -> Problem:

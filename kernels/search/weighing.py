@@ -1,7 +1,7 @@
-"""What cells cost under weights: layers times their weights, added up in their order, over a map or a part of it.
+"""What cells cost under weights: layers times their weights, added up in their order, row by row.
 
 The layers lie apart, so that one pass reads each of them once. Sums are float64; the same weights give the same bits
-whatever part of a map is summed, and whoever sums it.
+whoever sums them.
 """
 
 import math
@@ -12,8 +12,8 @@ from jaxurban.kernels.compiled import compiled
 
 
 @compiled(forceinline=True)
-def add_up(costs, weights, row, first_col, sums):
-    """Set ``sums`` ``[N]`` to the weighted sums of the cells of a row from a column on.
+def add_up(costs, weights, row, sums):
+    """Set ``sums`` ``[X]`` to the weighted sums of the cells of a row.
 
     Layers ``costs`` ``[L, Y, X]`` of weight 0 (``weights`` ``[L]`` float64) are not read.
     """
@@ -21,7 +21,7 @@ def add_up(costs, weights, row, first_col, sums):
     for layer in range(weights.size):
         weight = weights[layer]
         if weight != 0.0:
-            line = costs[layer, row, first_col : first_col + sums.size]
+            line = costs[layer, row]
             for k in range(sums.size):
                 sums[k] += weight * line[k]
 
@@ -37,7 +37,7 @@ def in_rows(layers: np.ndarray) -> np.ndarray:
 def weigh_rows(costs, weights, sums):
     """Set ``sums`` ``[Y, X]`` to the weighted sums of layers ``[L, Y, X]``."""
     for row in range(sums.shape[0]):
-        add_up(costs, weights, row, 0, sums[row])
+        add_up(costs, weights, row, sums[row])
 
 
 def weighted_sum(costs: np.ndarray, weights: np.ndarray) -> np.ndarray:
@@ -64,7 +64,7 @@ def weighted_line_minima(costs, weights, is_free):
     # As whole numbers, whose order is that of numbers that are not negative: the processor then takes several at once.
     row_bits, sum_bits = rows.view(np.int64), sums.view(np.int64)
     for row in range(num_rows):
-        add_up(costs, weights, row, 0, sums)
+        add_up(costs, weights, row, sums)
         for col in range(num_cols):
             sums[col] = sums[col] if is_free[row, col] else np.inf
             cols[col] = sums[col] if sums[col] < cols[col] else cols[col]

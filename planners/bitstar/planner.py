@@ -1,7 +1,7 @@
 """BIT*: batch informed trees, an anytime planner that leaves the grid (Gammell, Srinivasa & Barfoot 2015)."""
 
 import time
-from functools import cache, partial
+from functools import partial
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from jaxurban.planners.bitstar.batches import (
     ended,
 )
 from jaxurban.planners.bitstar.search import EDGE, NOT_COSTED, BatchGraph, advance
-from jaxurban.planners.cost import warm_up as warm_up_features
+from jaxurban.planners.compiled_first import compiled_first
 from jaxurban.planners.cost_grid import cost_grid_of
 
 CHUNK = 20_000  # queue entries between two looks at the clock: some 20 ms
@@ -69,8 +69,7 @@ def bitstar(
       InputError: an unknown heuristic or backend, a number out of its range, or no limit of time, batches or samples.
     """
     check_limits(heuristic, budget_s, max_samples, options)
-    backend = chosen_backend(options.backend)
-    if backend == "jax":
+    if chosen_backend(options.backend) == "jax":
         paths = solve_batched(
             [problem],
             planner=planner,
@@ -81,17 +80,32 @@ def bitstar(
             options=options,
         )
         return next(paths)[1]
-    _warm_up()
-    begin_s = time.perf_counter()
-    batches = begun(problem, heuristic, options, seed)
-    if batches is not None and not batches.is_done:
-        _search(cost_grid_of(problem, batches.is_reachable), batches, Budget(begin_s, begin_s + budget_s, max_samples))
-    return ended(problem, batches, begin_s, planner, heuristic, backend)
+    limits = {"budget_s": budget_s, "max_samples": max_samples}
+    return _in_order(problem, heuristic=heuristic, seed=seed, options=options, planner=planner, **limits)
 
 
 # The paper's two: guided by the straight distance, and by distance and map costs.
 bitstar_dist = partial(bitstar, heuristic="euclidean", planner="bitstar-dist")
 bitstar_plus = partial(bitstar, heuristic="plus", planner="bitstar-plus")
+
+
+@compiled_first(budget_s=np.inf, max_samples=20)
+def _in_order(
+    problem: Problem,
+    *,
+    heuristic: str,
+    budget_s: float,
+    max_samples: int | None,
+    seed: int = 0,
+    options: BitStarOptions = DEFAULTS,
+    planner: str = "bitstar",
+) -> Path:
+    """Return the path of `bitstar`, whose graphs are searched in order of lower bounds."""
+    begin_s = time.perf_counter()
+    batches = begun(problem, heuristic, options, seed)
+    if batches is not None and not batches.is_done:
+        _search(cost_grid_of(problem, batches.is_reachable), batches, Budget(begin_s, begin_s + budget_s, max_samples))
+    return ended(problem, batches, begin_s, planner, heuristic, "numba")
 
 
 def _search(cost_grid: CostGrid, batches: Batches, budget: Budget) -> None:
@@ -122,14 +136,3 @@ def _filled(queue: Heap, f: np.ndarray) -> Heap:
     queue.f[: len(f)], edges["origin"], edges["target"], edges["cost"] = f[order], order, order, NOT_COSTED
     queue.size[0] = len(f)
     return queue
-
-
-@cache
-def _warm_up() -> None:
-    """Compile what a search runs, so that its time is its own."""
-    problem = Problem(np.zeros((1, 1, 2)), np.ones((1, 2), bool), (0, 0), (0, 1), 1.0, 1.0)
-    batches = begun(problem, "plus", BitStarOptions(max_batches=0), 0)
-    if batches is not None:
-        batches.bounds.through_cells(np.arange(2))
-        _search(cost_grid_of(problem, batches.is_reachable), batches, Budget(0.0, np.inf))
-    warm_up_features()

@@ -8,11 +8,10 @@ import numpy as np
 from jaxurban.kernels.compiled import compiled
 from jaxurban.kernels.search.heap import EXHAUSTED, FOUND, FULL, PAUSED, Heap, drop_top, push
 from jaxurban.kernels.search.prefetch import prefetch
-from jaxurban.kernels.search.tiles import PART, tile_estimate
+from jaxurban.kernels.search.tiles import tile_estimate
 from jaxurban.planners.base import Cell
 from jaxurban.planners.graph import Graph, Heuristic
 from jaxurban.planners.moves import STEPS, steps_back
-from jaxurban.planners.weighed import WeighedMap
 
 UNREACHED = 0  # a node's state as long as no way to it is known: its g is not written yet
 PARENT_STEP = 0x0F  # bits of the state after that: the step by which it was reached ...
@@ -22,7 +21,6 @@ REACHED = 0x40
 LATER = 0x20  # a cheaper way turned up after the node was closed, to be followed when `requeue` opens it again
 KEEP, REOPEN, DEFER = 0, 1, 2  # what a cheaper way to a closed node does: nothing, opens it, marks it LATER
 MAX_STEPS = 8
-UNMADE = 4  # how a chunk ended, beside those of `heap`: for want of the costs of a part of the map
 NOWHERE = -1  # a goal that is never met
 CHUNK = 200_000  # expansions between two looks at the clock: some 50 ms
 FIRST_ENTRIES = 4096  # of a queue; doubled when full
@@ -207,8 +205,6 @@ def estimate(heuristic, row, col, goal_row, goal_col):
 def advance(graph, heuristic, goal, order, nodes, max_expanded):
     """Expand nodes in order of f until the goal is met, no open f is below ``upper``, or ``max_expanded`` are done.
 
-    Or, `UNMADE`, until the next node lies in a part of the map whose costs are not there.
-
     ``f = g + inflation * h``. The queue holds outdated entries, which are skipped: a node's newest entry is
     its lowest. Equal f come in an order that only the problem decides, so runs repeat.
 
@@ -238,8 +234,6 @@ def advance(graph, heuristic, goal, order, nodes, max_expanded):
             drop_top(near)
             continue
         row, col = np.uint32(node) // np.uint32(graph.num_cols), np.uint32(node) % np.uint32(graph.num_cols)
-        if not graph.is_made[row // PART[0], col // PART[1]]:
-            return UNMADE, num_expanded
         drop_top(near)
         state[node] |= CLOSED
         if node == goal:
@@ -307,18 +301,10 @@ class GridSearch:
       graph, heuristic: what is searched, by which bound.
       start, goal: nodes; the goal `NOWHERE` is never met.
       num_expanded: nodes expanded so far.
-      weighed: the map, where not all parts of the graph's costs are there; they are made as the search comes to them.
     """
 
-    def __init__(
-        self,
-        graph: Graph,
-        heuristic: Heuristic,
-        start: Cell,
-        goal: Cell | None,
-        weighed: WeighedMap | None = None,
-    ) -> None:
-        self.graph, self.heuristic, self.weighed = graph, heuristic, weighed
+    def __init__(self, graph: Graph, heuristic: Heuristic, start: Cell, goal: Cell | None) -> None:
+        self.graph, self.heuristic = graph, heuristic
         self.start = start[0] * graph.num_cols + start[1]
         self.goal = NOWHERE if goal is None else goal[0] * graph.num_cols + goal[1]
         self.num_expanded = 0
@@ -361,17 +347,8 @@ class GridSearch:
                 return int(ended)
             if ended == FULL:
                 self._nodes = self._nodes._replace(queue=grown(self._nodes.queue))
-            elif ended == UNMADE:
-                self._make_part(int(self._nodes.queue.near.item[0]))
             if time.perf_counter() >= end_s:
                 return PAUSED
-
-    def _make_part(self, node: int) -> None:
-        """Have the costs of the part made in which a node lies."""
-        assert self.weighed is not None
-        row, col = divmod(node, self.graph.num_cols)
-        self.weighed.make((row // PART[0], col // PART[1]))
-        self.graph = self.graph._replace(is_made=self.weighed.readiness())
 
     def lower_bound(self) -> tuple[float, int]:
         """Return the least ``g + h`` among nodes still of use, which no path undercuts, and their number."""

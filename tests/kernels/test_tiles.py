@@ -46,10 +46,7 @@ def steps_of(problem):
 @pytest.mark.parametrize("shape", SHAPES)
 def test_a_tile_costs_what_its_cheapest_free_cell_does_rim_included(shape):
     problem = problem_on(shape, 1, CostModel(), share_free=0.1)
-    weighed = problem.weighed
-    for part in np.ndindex(weighed.readiness().shape):
-        weighed.make(part)
-    found = weighed.minima
+    found = problem.tile_minima
     cost = np.where(problem.is_free, problem.cost, np.inf)
     expected = np.full(found.shape, np.inf)
     for i in range(found.shape[0] - 2):

@@ -124,7 +124,7 @@ class Interrupting:
         self.after, self.error, self.asked = after, error, []
 
     def __call__(self, problems, **options):
-        self.asked.append(len(problems))
+        self.asked.append(len(options["only"]))
         for done, outcome in enumerate(solve_many(problems, **options)):
             if done == self.after:
                 raise self.error
@@ -161,15 +161,54 @@ def test_a_rerun_asks_only_what_the_file_lacks(maps, pairs, monkeypatch, tmp_pat
     assert counting.asked == [4, 0]
     rows = pd.read_parquet(file)
     assert rows["query"].tolist() == list(range(6))
-    timing = ["elapsed_s", "x_m", "y_m", "search", "key"]
+    clocks = ["elapsed_s", "setup_s"]
+    timing = [*clocks, "x_m", "y_m", "search", "key"]
     for other in (batch.to_dataframe(), again.to_dataframe(), rows):
         pd.testing.assert_frame_equal(
-            other.drop(columns=timing, errors="ignore"), whole.to_dataframe().drop(columns="elapsed_s"), rtol=1e-12
+            other.drop(columns=timing, errors="ignore"), whole.to_dataframe().drop(columns=clocks), rtol=1e-12
         )
     for kept, fresh in zip(again, whole, strict=True):
         np.testing.assert_allclose(kept.xy_m, fresh.xy_m, rtol=0, atol=1e-6)
         assert kept.metrics == pytest.approx(fresh.metrics)
         assert kept.settings == fresh.settings
+
+
+def test_a_larger_budget_plans_again_what_a_smaller_one_ended(maps, pairs, tmp_path, monkeypatch):
+    file = tmp_path / "answers.parquet"
+    whole = ju.plan_many(maps, pairs, altitude_m=20.0, budget_s=5.0, file=file)
+    table = pd.read_parquet(file)
+    table.loc[[1, 4], "status"] = ["budget-empty", "budget-feasible"]
+    write_table(table, file)
+    counting = Interrupting(99, None)
+    monkeypatch.setattr(many_module, "solve_many", counting)
+    for budget_s, num_asked, of_row in ((2.0, 0, 5.0), (5.0, 0, 5.0), (8.0, 2, 8.0), (9.0, 0, 8.0)):
+        batch = ju.plan_many(maps, pairs, altitude_m=20.0, budget_s=budget_s, file=file)
+        assert counting.asked.pop() == num_asked
+        assert batch[1].settings["budget_s"] == of_row
+        assert batch[0].settings["budget_s"] == 5.0
+    np.testing.assert_array_equal(batch[1].xy_m, whole[1].xy_m)
+
+
+def test_a_resumed_batch_gives_the_routes_of_the_whole_one(maps, monkeypatch, tmp_path):
+    free = np.argwhere(maps.is_free(20.0))
+    ends = np.random.default_rng(1).choice(len(free), (30, 2))
+    ends[20:, 1] = ends[0, 1]  # of which ten share a goal, and the rest are enough for landmarks
+    xy_m = np.stack([maps.grid.x_m[free[:, 1]], maps.grid.y_m[free[:, 0]]], axis=-1)
+    columns = ["start_x_m", "start_y_m", "goal_x_m", "goal_y_m"]
+    queries = pd.DataFrame(np.column_stack([xy_m[ends[:, 0]], xy_m[ends[:, 1]]]), columns=columns)
+    given = {"altitude_m": 20.0, "objective": "distance"}  # under which many routes are as short
+    whole = ju.plan_many(maps, queries, **given, num_threads=1)
+    names = [path.search.heuristic for path in whole]
+    assert names == ["exact"] + ["landmarks"] * 19 + ["exact"] * 10
+    assert whole.facts["heuristics"] == "landmarks 19, exact 11"
+    file = tmp_path / "answers.parquet"
+    with monkeypatch.context() as patched:
+        patched.setattr(many_module, "solve_many", Interrupting(14, KeyboardInterrupt()))
+        ju.plan_many(maps, queries, **given, file=file)
+    resumed = ju.plan_many(maps, queries, **given, file=file, num_threads=2)
+    for path, other in zip(resumed, whole, strict=True):
+        assert path.search.heuristic == other.search.heuristic
+        np.testing.assert_allclose(path.xy_m, other.xy_m, rtol=0, atol=1e-6)
 
 
 def test_a_file_with_other_results_is_left_alone(maps, pairs, tmp_path):

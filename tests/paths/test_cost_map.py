@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import jaxurban as ju
+from jaxurban import progress
 from jaxurban.errors import InputError
 
 
@@ -44,6 +45,54 @@ def test_rounding_takes_no_mean_out_of_0_to_1(maps):
     rounded = SimpleNamespace(mean_costs=np.full(4, np.nextafter(1.0, 2.0)))
     means = ju.cost_map(maps, 600.0).means(rounded)
     assert means == {"gps": 0.0, "lidar": 0.0, "population": 1.0, "risk": 0.0}
+
+
+@pytest.fixture(scope="module")
+def shortest(maps) -> ju.CostMap:
+    """Many routes are as short as the shortest."""
+    return ju.cost_map(maps, 20.0, objective="distance")
+
+
+@pytest.fixture(scope="module")
+def pairs(shortest) -> list:
+    free = np.random.default_rng(2).choice(np.argwhere(shortest.is_free), (4, 2))
+    return [[ju.XY(*shortest.grid.xy_of_cell(*cell)) for cell in pair] for pair in free]
+
+
+def test_thirty_equal_plans_are_one_route(maps, shortest, pairs):
+    for start, goal in pairs:
+        ends = {"start_xy_m": start, "goal_xy_m": goal}
+        alone = ju.plan(maps, **ends, altitude_m=20.0, objective="distance")
+        for _ in range(30):
+            path = shortest.plan(start, goal)
+            assert path.search.heuristic == alone.search.heuristic == "tiles"
+            np.testing.assert_array_equal(path.xy_m, alone.xy_m)
+
+
+def test_a_prepared_map_plans_by_landmarks_at_the_same_cost_and_leaves_the_other_as_it_was(maps, shortest, pairs):
+    before = [shortest.plan(*pair) for pair in pairs]
+    prepared = shortest.prepare()
+    for pair, path in zip(pairs, before, strict=True):
+        guided, after = prepared.plan(*pair), shortest.plan(*pair)
+        assert (guided.search.heuristic, after.search.heuristic) == ("landmarks", "tiles")
+        assert guided.search.cost == pytest.approx(path.search.cost, rel=1e-9)
+        np.testing.assert_array_equal(after.xy_m, path.xy_m)
+    assert prepared.plan(*pairs[0], heuristic="plus").search.heuristic == "plus"
+    assert prepared.plan(*pairs[0], planner="astar-dist").search.heuristic == "euclidean"
+    assert prepared.with_weights({"gps": 2}).plan(*pairs[0]).search.heuristic == "tiles"
+    assert prepared.only(["gps"]).plan(*pairs[0]).search.heuristic == "tiles"
+    with pytest.raises(InputError, match="landmarks are for one altitude"):
+        ju.cost_map(maps, ju.Levels(20.0, 600.0, 580.0)).prepare()
+
+
+def test_a_search_that_lasts_says_so_and_for_how_long(shortest, pairs, monkeypatch, caplog):
+    monkeypatch.setattr(progress, "SILENT_S", 0.01)
+    shortest.plan(*pairs[0], planner="bitstar-dist", budget_s=0.5)
+    assert "bitstar-dist is at work: its search may take up to 0.5 s (budget_s)" in caplog.text
+    caplog.clear()
+    monkeypatch.setattr(progress, "SILENT_S", 5.0)
+    shortest.plan(*pairs[0])
+    assert not caplog.records
 
 
 def test_a_map_without_a_free_cell_is_refused(maps):

@@ -12,9 +12,8 @@ from jaxurban.errors import InputError
 from jaxurban.planners import batch as batch_module
 from jaxurban.planners.astar import astar
 from jaxurban.planners.base import Problem, Status
-from jaxurban.planners.batch import FEW_TO_ONE_GOAL, GPU_BATCH, solve_many
+from jaxurban.planners.batch import FEW_QUERIES, FEW_TO_ONE_GOAL, GPU_BATCH, choose_heuristics, solve_many
 from jaxurban.planners.cost_model import CostModel
-from jaxurban.planners.landmarks import FEW_QUERIES
 from jaxurban.planners.moves import STEPS
 from jaxurban.planners.search import frontier as frontier_module
 from jaxurban.planners.search.fields import cost_to_go
@@ -184,6 +183,26 @@ def test_a_map_with_many_queries_gets_landmarks_and_the_answers_stay():
     assert {path.heuristic for path in paths.values()} == {"landmarks"}
     for index, query in enumerate(queries):
         assert_optimal(paths[index], query)
+
+
+def test_what_is_chosen_depends_on_all_queries_and_not_on_those_that_are_left():
+    problem = random_map(2)
+    queries = random_queries(problem, FEW_QUERIES + 1)
+    queries += [query.between(query.start, (20, 33)) for query in random_queries(problem, FEW_TO_ONE_GOAL)]
+    whole = dict(solve_many(queries, num_threads=1))
+    names = [whole[k].heuristic for k in range(len(queries))]
+    assert names == choose_heuristics(queries, "astar-plus", None, np.inf)
+    assert names == ["landmarks"] * (FEW_QUERIES + 1) + ["exact"] * FEW_TO_ONE_GOAL
+    only = [3, FEW_QUERIES + 4]
+    fresh = [problem.with_weights(problem.weights)]
+    rest = dict(solve_many([fresh[0].between(q.start, q.goal) for q in queries], only=only, num_threads=2))
+    assert sorted(rest) == only
+    for k in only:
+        assert rest[k].heuristic == names[k]
+        np.testing.assert_array_equal(rest[k].points_m, whole[k].points_m)
+    # Budgets that the fields would not fit into are left to the searches.
+    assert set(choose_heuristics(queries, "astar-plus", None, 1e-6)) == {None}
+    assert set(choose_heuristics(queries, "astar-plus", "tiles", np.inf)) == {"tiles"}
 
 
 def test_without_a_gpu_numba_is_chosen_and_every_planner_runs_on_it():

@@ -9,9 +9,9 @@ from jaxurban.errors import InputError
 from jaxurban.io.read.rasterise import rasterise
 from jaxurban.planners.astar import astar
 from jaxurban.planners.base import Problem, Status
-from jaxurban.planners.batch import FEW_TO_ONE_GOAL, solve_many
+from jaxurban.planners.batch import FEW_QUERIES, FEW_TO_ONE_GOAL, solve_many
 from jaxurban.planners.cost_model import CostModel
-from jaxurban.planners.landmarks import FEW_QUERIES, make_landmarks
+from jaxurban.planners.landmarks import make_landmarks
 from jaxurban.planners.search import fields as fields_module
 from jaxurban.planners.search.fields import (
     cost_to_go,

@@ -1,0 +1,70 @@
+"""What a planner runs is compiled before its clock starts: nothing is compiled, or loaded, during a search."""
+
+import subprocess
+import sys
+
+import pytest
+
+from jaxurban.planners.registry import PLANNERS, VOLUME_PLANNERS
+
+# In a process of its own, where no test has called a kernel yet; a child for each planner. A search on an uneven map
+# may use no compiled function under a signature that a plan across a few cells has not used.
+SCRIPT = """
+import os, sys
+import numpy as np
+from numba.core.dispatcher import Dispatcher
+from jaxurban.planners.base import Problem
+from jaxurban.planners.compiled_first import _few_cells
+from jaxurban.planners.cost_model import CostModel
+from jaxurban.planners.registry import PLANNERS, VOLUME_PLANNERS
+
+def problem(dtype, kind, num_levels):
+    rng = np.random.default_rng(0)
+    shape = (num_levels, 40, 50) if num_levels else (40, 50)
+    is_free = rng.random(shape) < 0.8
+    ends = ((0, 1, 1), (num_levels - 1, 38, 48)) if num_levels else ((1, 1), (38, 48))
+    for end in ends:
+        is_free[end] = True
+    levels_m = 10.0 * np.arange(num_levels) if num_levels else None
+    layers = rng.random((3, *shape)).astype(dtype)
+    weights = [0.1, 1.0, 0.0, 2.0] + ([0.1, 0.2] if num_levels else [])
+    return Problem(layers, is_free, *ends, 5.0, weights, CostModel(kind, 5.0), levels_m)
+
+def used():
+    modules = [module for name, module in sys.modules.items() if name.startswith("jaxurban")]
+    functions = {each for module in modules for each in vars(module).values() if isinstance(each, Dispatcher)}
+    assert functions
+    return {(each.__module__, each.__name__, str(kinds)) for each in functions for kinds in each.signatures}
+
+def check(name, num_levels):
+    entry = (VOLUME_PLANNERS if num_levels else PLANNERS)[name]
+    for dtype in (np.float32, np.float64):
+        for kind in ("cell", "line"):
+            if name == "theta-star" and kind == "cell":
+                continue
+            query = problem(dtype, kind, num_levels)
+            limit = {"max_samples": 200} if "bitstar" in name else {}
+            for heuristic in entry.heuristics or [None]:
+                chosen = {"heuristic": heuristic} if heuristic else {}
+                entry.run(_few_cells(query), budget_s=60.0, **chosen, **limit)
+                before = used()
+                path = entry.run(query, budget_s=60.0, **chosen, **limit)
+                assert used() == before, (name, heuristic, dtype, kind, used() - before)
+                assert path.setup_s < 1.0, path.setup_s
+
+wrong = []
+for name in sys.argv[1:]:
+    child = os.fork()
+    if not child:
+        check(name, 3 if name in VOLUME_PLANNERS else 0)
+        os._exit(0)
+    wrong += [name] if os.waitpid(child, 0)[1] else []
+sys.exit(f"compiled within a search: {wrong}" if wrong else 0)
+"""
+
+
+@pytest.mark.slow
+def test_no_planner_compiles_within_its_search():
+    command = [sys.executable, "-c", SCRIPT, *PLANNERS, *VOLUME_PLANNERS]
+    ended = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
+    assert ended.returncode == 0, ended.stderr
