@@ -87,9 +87,10 @@ def guess_cautions(maps: MetricMaps | None, profile: pd.DataFrame | None = None)
     facts = ["" if maps is None else ", ".join(maps.guesses)]
     if profile is not None and GUESSED in profile:
         length_m = profile["to_m"] - profile["from_m"]
+        near_m, over_m = length_m[profile[TO_GUESSED] < NEAR_GUESSED_M].sum(), length_m[profile[GUESSED]].sum()
         facts.append(
-            f"{length_m[profile[TO_GUESSED] < NEAR_GUESSED_M].sum():.0f} of {length_m.sum():.0f} m of the route pass "
-            f"within {NEAR_GUESSED_M:g} m of guessed roofs"
+            f"{near_m:.0f} of {length_m.sum():.0f} m of the route pass within {NEAR_GUESSED_M:g} m of guessed roofs, "
+            f"{over_m:.0f} m over them"
         )
     return [Caution(f"Guessed: {'; '.join(filter(None, facts))}.", "guess")] if any(facts) else []
 

@@ -62,7 +62,8 @@ def test_what_the_maps_guess_is_the_first_caution_with_the_length_past_guessed_r
     first, *others = ju.cautions(straight(guessed), guessed)
     # 100 m over the roof and 50 m on either side of it
     assert first == (
-        "Guessed: 40 % of heights, nominal satellites; 200 of 800 m of the route pass within 50 m of guessed roofs."
+        "Guessed: 40 % of heights, nominal satellites; 200 of 800 m of the route pass within 50 m of guessed roofs, "
+        "100 m over them."
     )
     assert first.level == "guess"
     assert any("is 8.0 m" in line and line.endswith("(a guessed roof of 12.0 m).") for line in others)

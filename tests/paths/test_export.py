@@ -34,6 +34,7 @@ class Route:
     crs: str = GRID.crs
     zones: tuple[Zone, ...] = ()
     cautions: tuple[str, ...] = ()
+    maps: None = None
 
     @property
     def z_m(self):
