@@ -190,6 +190,7 @@ outlines of buildings as high as the route, and the least height over roofs bene
 
 **{num_kept} of {len(kept)} routes keep what was asked** ({len(rows[rows.clearance > 0]) - len(kept)} found no path).
 Made by `python -m benchmarks.clearance` at commit {commit} in {elapsed_s / 60:.0f} minutes.
+<!-- measured code: planners jaxurban/paths -->
 
 """
     head = ["city", "clearance, vertical", "planner", "routes", "GeoJSON", "KML", "`.plan`", "in degrees", "over roofs"]

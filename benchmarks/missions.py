@@ -211,6 +211,7 @@ most), the length in closed cells, and the least distance to the exact outline o
 height (Shapely). MAVSDK reads each file:
 commands, frames, parameters, places and the geofence, item by item.
 Made by `python -m benchmarks.missions` at commit {machine()["commit"]}.
+<!-- measured code: planners jaxurban/paths -->
 
 {table(["city", *head], by_city)}
 {table(["planner", *head], by_planner)}"""

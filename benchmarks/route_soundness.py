@@ -238,6 +238,7 @@ Here Shapely judges routes by the outlines themselves: random pairs of cells of 
 {", ".join(f"{z:g}" for z in ALTITUDES_M)} m for the volume. A route along a wall (within 0.01 mm) is not inside it.
 Made by `python -m benchmarks.route_soundness` at commit {commit}; the cities are those of
 [errors by city](error_by_city.md).
+<!-- measured code: planners jaxurban/paths -->
 
 ## Inside outlines
 """

@@ -1,0 +1,48 @@
+"""Tables of the docs that are older than their code: found by git, and no reason for a build to fail."""
+
+import importlib.util
+import subprocess
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+SPEC = importlib.util.spec_from_file_location("stale_tables", ROOT / "docs" / "stale_tables.py")
+stale_tables = importlib.util.module_from_spec(SPEC)
+SPEC.loader.exec_module(stale_tables)
+
+
+def git(folder: Path, *arguments: str) -> str:
+    who = ("-c", "user.name=a", "-c", "user.email=a@example.org")
+    return subprocess.run(["git", *who, *arguments], cwd=folder, check=True, capture_output=True, text=True).stdout
+
+
+def test_a_table_goes_by_the_last_commit_named_before_its_code():
+    page = "commit 1111111 ... at commit 2222222.\n<!-- measured code: a b/c -->\ncommit 3333333\n| table without |\n"
+    assert stale_tables.tables_of(page) == [("2222222", ["a", "b/c"])]
+
+
+def test_commits_that_change_the_code_make_a_table_stale_and_others_do_not(tmp_path):
+    git(tmp_path, "init", "-q")
+    commits = []
+    for name in ("kernels/a.py", "docs/b.md", "kernels/c.py"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text("1")
+        git(tmp_path, "add", "-A")
+        git(tmp_path, "commit", "-qm", name)
+        commits.append(git(tmp_path, "rev-parse", "--short=7", "HEAD").strip())
+    assert [stale_tables.changes_since(commit, ["kernels"], tmp_path) for commit in commits] == [1, 1, 0]
+    assert stale_tables.changes_since("0000000", ["kernels"], tmp_path) == 0
+
+
+def test_without_a_repository_or_without_git_no_table_is_stale(tmp_path, monkeypatch):
+    monkeypatch.setenv("GIT_CEILING_DIRECTORIES", str(tmp_path.parent))
+    assert stale_tables.changes_since("54f463f", ["kernels"], tmp_path) == 0
+    monkeypatch.setenv("PATH", "")
+    assert stale_tables.changes_since("54f463f", ["kernels"]) == 0
+
+
+@pytest.mark.parametrize("page", sorted(page.relative_to(ROOT).as_posix() for page in (ROOT / "docs").rglob("*.md")))
+def test_every_page_names_code_that_exists(page):
+    for _, folders in stale_tables.tables_of((ROOT / page).read_text(encoding="utf-8")):
+        assert [folder for folder in folders if not (ROOT / folder).exists()] == []
