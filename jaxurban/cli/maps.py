@@ -117,6 +117,7 @@ def _make(
     layers: tuple[str, ...],
 ) -> dict[str, Any]:
     """Make the maps of one scenario, draw them as asked, and return the record of the run."""
+    from jaxurban.io.workspace import Workspace
     from jaxurban.scenario.run import run_scenario
 
     with reporting("maps") as report:
@@ -125,8 +126,9 @@ def _make(
             from jaxurban.report.figures import save_figures
 
             report("figures")
-            for resolution_m, made in run.maps.items():
-                save_figures(made, {}, folder / "figures" / f"{resolution_m:g}m", **drawn)
+            with Workspace.open(folder, "maps --figures", is_shared=True):
+                for resolution_m, made in run.maps.items():
+                    save_figures(made, {}, folder / "figures" / f"{resolution_m:g}m", **drawn)
     tell_warnings(run.record)
     tell(f"maps finished: {folder} (run.json tells what went in)")
     return run.record

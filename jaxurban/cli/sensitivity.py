@@ -127,8 +127,8 @@ def _refuse(defaults: Settings, given: Settings, whose: str) -> None:
 
 def _one(folder: Path, output: Path, as_json: bool, overwrite: bool, given: Settings) -> int:
     from jaxurban.io.files import check_writable
-    from jaxurban.io.folders import own_folder
     from jaxurban.io.tables import records_of
+    from jaxurban.io.workspace import Workspace
     from jaxurban.report.sensitivity import add_buildings, ranges, write_sensitivity
     from jaxurban.studies.sensitivity.study import SensitivitySettings
     from jaxurban.studies.sensitivity.study import sensitivity as study
@@ -159,7 +159,7 @@ def _one(folder: Path, output: Path, as_json: bool, overwrite: bool, given: Sett
     }
     query = {name: given[name] for name in ("altitude_m", "time", "time_of_day")} | ends
     key = {"maps": of_maps, "buildings": with_buildings} | query | dict(first.settings) | asdict(how)
-    with own_folder(output, "sensitivity", key, overwrite=overwrite), reporting("sensitivity") as report:
+    with Workspace.open(output, "sensitivity", key, overwrite=overwrite), reporting("sensitivity") as report:
         found = study(shared, **ends, settings=how, progress=report)
         report("report")
         write_sensitivity(found, output, given["degrees"])

@@ -19,6 +19,8 @@ from jaxurban.cli.common import (
 from jaxurban.errors import InputError
 from jaxurban.progress import reporting
 
+ANALYSIS_FOLDER = "analysis"
+
 if TYPE_CHECKING:
     from jaxurban.report.run_montecarlo import BenchmarkResult
     from jaxurban.scenario.settings import Scenario
@@ -44,6 +46,7 @@ if TYPE_CHECKING:
 @JSON_FLAG
 def study(scenario_file: Path, folder: Path, benchmark_folder: Path | None, as_json: bool, **given: Any) -> int:
     """Run every planner of SCENARIO's [study] on many random queries over its maps, and report what came out."""
+    from jaxurban.io.workspace import Workspace
     from jaxurban.planners.base import EXIT_NO_PATH
     from jaxurban.planners.cost_model import CostModel
     from jaxurban.report.benchmark import check_exportable, export_benchmark
@@ -67,8 +70,9 @@ def study(scenario_file: Path, folder: Path, benchmark_folder: Path | None, as_j
         check_exportable(settings.cost_model, settings.constraints)
     if given["workers"] is not None and given["cluster"] is not None:
         raise InputError("give either --workers, for processes of this machine, or --cluster, not both")
+    Workspace.check(folder / ANALYSIS_FOLDER, "study")
     result = _run(scenario, folder, settings, given)
-    report = write_analysis(result, folder / "analysis")
+    report = write_analysis(result, folder / ANALYSIS_FOLDER)
     tell(f"study finished: read {report}")
     made: dict[str, Any] = {"folder": str(folder), "report": str(report), "rows": str(result.folder / "rows.parquet")}
     made |= {"num_rows": len(result.rows), "statuses": result.rows.status.value_counts().to_dict()}

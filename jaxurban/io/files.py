@@ -14,40 +14,94 @@ import zipfile
 import zlib
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from contextvars import ContextVar
 from pathlib import Path
 from threading import Lock
-from typing import IO, Any
+from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
 
 from jaxurban.errors import InputError, reason_of
 
+if TYPE_CHECKING:
+    from jaxurban.io.workspace import Workspace
+
 LOCK_FILE = ".jaxurban.lock"
 SCRATCH_SUFFIX = ".jaxurban-part"  # of what is being written: ours to sweep, and nobody else's
+ELSEWHERE = "choose another folder with -o"
+
+
+RECORDER: ContextVar["Workspace | None"] = ContextVar("RECORDER", default=None)  # of what is written now, if anything
+
+
+def recorder_of(path: Path) -> "Workspace | None":
+    """Return what records a file of this path, if anything does."""
+    recorder = RECORDER.get()
+    return None if recorder is None or recorder.name_of(path) is None else recorder
+
+
+def is_changed(path: Path) -> bool:
+    """Return whether a file is recorded, there, and not as it was written."""
+    recorder = recorder_of(path)
+    return recorder is not None and recorder.is_changed(path)
+
+
+def make_way(path: Path) -> None:
+    """Clear the place of a file that is damaged or outdated, where files are recorded; a changed one is set aside.
+
+    Raises:
+      InputError: a file is there that the recorder did not write.
+    """
+    if (recorder := recorder_of(path)) is not None:
+        recorder.make_way(path)
 
 
 @contextmanager
-def whole_file(path: Path) -> Iterator[Path]:
-    """Yield a scratch path beside ``path`` that takes its name only if the block succeeds.
+def recorded_by(recorder: "Workspace | None") -> Iterator[None]:
+    """Let a recorder record what is written in the block; threads and processes that write enter it themselves."""
+    token = RECORDER.set(recorder)
+    try:
+        yield
+    finally:
+        RECORDER.reset(token)
 
-    Works for a file and for a folder (an old folder of that name is replaced).
+
+@contextmanager
+def scratch_for(path: Path) -> Iterator[Path]:
+    """Yield a scratch path beside ``path``, of which nothing is left after the block; made folders stay.
 
     Raises:
       InputError: the folder cannot be written to.
     """
-    scratch = path.with_name(f".{path.name}.{uuid.uuid4().hex[:8]}{SCRATCH_SUFFIX}")
+    scratch, recorder = path.with_name(f".{path.name}.{uuid.uuid4().hex[:8]}{SCRATCH_SUFFIX}"), recorder_of(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
+        if recorder is not None:
+            recorder.begin(scratch)
         yield scratch
-        if path.is_dir() and not scratch.is_dir():
-            raise InputError(f"cannot write {str(path)!r}: a folder of that name is in the way; move it")
-        put_in_place(scratch, path)
     except OSError as error:
         raise InputError(
             f"cannot write {str(path)!r}: {reason_of(error)}; free space there, or choose another folder"
         ) from error
     finally:
         remove(scratch)
+
+
+@contextmanager
+def whole_file(path: Path) -> Iterator[Path]:
+    """Yield a scratch path beside ``path`` that takes its name only if the block succeeds, and is recorded then.
+
+    Works for a file, and for a folder where there is none of that name.
+
+    Raises:
+      InputError: the folder cannot be written to, or a file is in the way that is not the recorder's.
+    """
+    with scratch_for(path) as scratch:
+        yield scratch
+        if path.is_dir() and not scratch.is_dir():
+            raise InputError(f"cannot write {str(path)!r}: a folder of that name is in the way; move it")
+        recorder = recorder_of(path)
+        (os.replace if recorder is None else recorder.put)(scratch, path)
 
 
 def write_whole(path: Path, content: str | bytes) -> None:
@@ -58,17 +112,6 @@ def write_whole(path: Path, content: str | bytes) -> None:
     """
     with whole_file(path) as scratch:
         scratch.write_bytes(content.encode() if isinstance(content, str) else content)
-
-
-def put_in_place(made: Path, path: Path) -> None:
-    """Give what was made its name, in place of an older file or folder."""
-    if not path.is_dir():
-        os.replace(made, path)
-        return
-    old = path.with_name(f".{path.name}.{uuid.uuid4().hex[:8]}.old{SCRATCH_SUFFIX}")
-    path.rename(old)
-    made.rename(path)
-    shutil.rmtree(old)
 
 
 def remove(path: Path) -> None:
@@ -132,12 +175,11 @@ def _locked(folder: Path, remedy: str, fcntl: Any) -> IO[str]:
             raise InputError(f"another run is writing to {str(folder)!r}: wait for it, or {remedy}") from error
 
 
-def sweep_scraps(*folders: Path, keep: Collection[Path] = ()) -> None:
-    """Remove what a killed run left half-written in folders, but for the work in ``keep``."""
+def sweep_scraps(*folders: Path) -> None:
+    """Remove what a killed run left half-written in folders."""
     for folder in folders:
-        for scrap in folder.glob(f".*{SCRATCH_SUFFIX}"):
-            if scrap not in keep:
-                remove(scrap)
+        for scrap in folder.glob(f".*.{8 * '[0-9a-f]'}{SCRATCH_SUFFIX}"):
+            remove(scrap)
 
 
 def holds_bytes(file: Path) -> bool:
@@ -149,6 +191,17 @@ def digest_of(path: Path, algorithm: str = "sha256") -> str:
     """Return the SHA-256 of a file, or another checksum, in hexadecimal."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, algorithm).hexdigest()
+
+
+def checksum_of(data: Path | bytes) -> str:
+    """Return what tells a file, or its bytes, from any other: CRC-32 and length; 2 GB/s, twice as fast as SHA-256."""
+    if isinstance(data, bytes):
+        return f"{zlib.crc32(data):08x}-{len(data)}"
+    crc = length = 0
+    with data.open("rb") as file:
+        while piece := file.read(PIECE_BYTES):
+            crc, length = zlib.crc32(piece, crc), length + len(piece)
+    return f"{crc:08x}-{length}"
 
 
 MARK, DIGITS = b"jaxurban-crc32:", 8

@@ -1,9 +1,8 @@
 """Folders that a run writes: its own, its unfinished work, and the maps that are there already."""
 
-import json
-import shutil
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,12 +13,7 @@ from jaxurban.errors import InputError
 from jaxurban.io import store
 from jaxurban.io.chunks import Each, broken_chunks, has_whole_metadata, metadata_file
 from jaxurban.io.files import (
-    LOCK_FILE,
     SCRATCH_SUFFIX,
-    check_writable,
-    digest_of,
-    only_writer,
-    put_in_place,
     read_json,
     read_npz,
     remove,
@@ -28,8 +22,14 @@ from jaxurban.io.files import (
     write_npz,
     write_whole,
 )
+from jaxurban.io.workspace import Workspace
+from jaxurban.progress import LOG
 
 KEY_FILE, ZARR_NAME, ARRAY_FOLDER, DONE_FOLDER = "key.txt", "zarr", "arrays", "done"
+OF_JOBS = re.compile(
+    rf"{KEY_FILE}|{ZARR_NAME}/([^/]+/)?(\.z\w+|\d+(\.\d+)*)|{ARRAY_FOLDER}/\w+\.npz|{DONE_FOLDER}/\w+\.json"
+    rf"|(.*/)?(\.[^/]*{re.escape(SCRATCH_SUFFIX)}|[^/]*\.partial)"
+)
 
 
 @dataclass(frozen=True)
@@ -51,9 +51,9 @@ class WorkFolder:
         if (self.path / KEY_FILE).is_file() and (self.path / KEY_FILE).read_bytes() == key.encode():
             self._sweep()
             return self._remove_damaged()
-        shutil.rmtree(self.path, ignore_errors=True)
+        self.discard()
         for name in (ARRAY_FOLDER, DONE_FOLDER):
-            (self.path / name).mkdir(parents=True)
+            (self.path / name).mkdir(parents=True, exist_ok=True)
         write_whole(self.path / KEY_FILE, key)
         return []
 
@@ -126,95 +126,33 @@ class WorkFolder:
     def remove_maps(self, names: Iterable[str]) -> None:
         """Remove the maps, and the marks of the tasks that they were made of."""
         self.unmark(names)
-        shutil.rmtree(self.zarr)
+        self._remove(self.zarr)
 
-    def finish(self, target: Path) -> None:
-        """Give the assembled maps their name and remove the rest."""
+    def finish(self, target: Path, checksums: Mapping[str, str]) -> None:
+        """Give the assembled maps their name and remove the rest.
+
+        Args:
+          target: their name.
+          checksums: of their chunks.
+        """
         self._sweep()
-        target.parent.mkdir(parents=True, exist_ok=True)
-        put_in_place(self.zarr, target)
-        shutil.rmtree(self.path)
+        store.put_zarr(self.zarr, target, checksums)
+        self.discard()
+
+    def discard(self) -> None:
+        """Remove the folder, but for files that no job writes there: those stay, and are reported."""
+        self._remove(self.path)
+        if self.path.exists():
+            LOG.warning(f"{str(self.path)!r} stays: it holds files that `jaxurban maps` did not write")
+
+    def _remove(self, folder: Path) -> None:
+        for path in [*sorted(folder.rglob("*"), reverse=True), folder]:
+            is_folder = path.is_dir() and not path.is_symlink()
+            if is_folder or OF_JOBS.fullmatch(path.relative_to(self.path).as_posix()):
+                with suppress(OSError):  # a folder in which others have files
+                    path.rmdir() if is_folder else path.unlink()
 
 
-RECORD_FILE = "made.json"  # whose folder it is, under which settings, and what was written
-ELSEWHERE = "choose another folder with -o"
-
-
-@contextmanager
-def own_folder(folder: Path, command: str, settings: Mapping[str, Any], *, overwrite: bool = False) -> Iterator[None]:
-    """Hold a folder, made if it is not there, for one run that writes all its files under it.
-
-    Args:
-      folder: where the run writes.
-      command: that runs.
-      settings: what decides its result, as JSON holds it; the same again goes on, or writes the same again.
-      overwrite: remove what this command wrote there under other settings.
-
-    Raises:
-      InputError: the folder cannot be written to, another run holds it, it is another command's or of other
-        settings, or it holds files that this command did not write, or that were changed since.
-    """
-    record = json.loads(json.dumps({"command": command, "asked": settings}))
-    check_writable(folder)
-    with only_writer(folder, ELSEWHERE):
-        _claim(folder, record, overwrite)
-        write_json(folder / RECORD_FILE, {**record, "written": None}, indent=2)
-        try:
-            yield
-        finally:
-            written = {name: digest_of(folder / name) for name in _names(folder)}
-            write_json(folder / RECORD_FILE, {**record, "written": written}, indent=2)
-
-
-def _names(folder: Path) -> list[str]:
-    files = sorted(path for path in folder.rglob("*") if not path.is_dir())
-    return [
-        path.relative_to(folder).as_posix()
-        for path in files
-        if path.name not in (RECORD_FILE, LOCK_FILE) and not path.name.endswith(SCRATCH_SUFFIX)
-    ]
-
-
-def _claim(folder: Path, record: Mapping[str, Any], overwrite: bool) -> None:
-    """Raise InputError unless the folder is empty or this run's; with ``overwrite``, empty one of other settings."""
-    names, command = _names(folder), record["command"]
-    try:
-        held = read_json(folder / RECORD_FILE)
-        before, written = held["asked"], held["written"]
-    except FileNotFoundError:
-        if names:
-            raise InputError(
-                f"{str(folder / names[0])!r} is there already, and not from `jaxurban {command}`: {ELSEWHERE}"
-            ) from None
-        return
-    except (OSError, ValueError, LookupError) as error:
-        raise InputError(
-            f"{str(folder / RECORD_FILE)!r}, which tells whose folder it is, cannot be read ({error}): {ELSEWHERE}, or "
-            "remove this one"
-        ) from error
-    if held["command"] != command:
-        raise InputError(f"{str(folder)!r} holds what `jaxurban {held['command']}` wrote: {ELSEWHERE}")
-    # Where a run was killed nobody wrote down what it made; it began in a folder without others' files.
-    foreign = [name for name in names if written is not None and written.get(name) != digest_of(folder / name)]
-    if foreign:
-        raise InputError(
-            f"{str(folder / foreign[0])!r} is not as `jaxurban {command}` wrote it: move it, or {ELSEWHERE}"
-        )
-    differing = [name for name in record["asked"] if record["asked"][name] != before.get(name)]
-    if differing and not overwrite:
-        name = differing[0]
-        was, now = str(before.get(name)), str(record["asked"][name])
-        said = f"its {name} is {was}, now {now}" if len(was + now) <= LONGEST_SAID else f"other {name}"
-        raise InputError(
-            f"{str(folder)!r} holds another run of `jaxurban {command}` ({said}): {ELSEWHERE}, or pass --overwrite to "
-            "replace it"
-        )
-    if overwrite:
-        for name in names:
-            (folder / name).unlink()
-
-
-LONGEST_SAID = 200  # characters of two settings that differ, in an error
 HEAD_BYTES = 1 << 16  # of a GeoTIFF: its tags
 
 
@@ -252,25 +190,34 @@ def has_other_maps(folder: Path, key: str) -> bool:
     return not all(_is_of(folder, resolution_m, key) for resolution_m in store.stored_resolutions(folder))
 
 
-def prepare_folder(folder: Path, key: str, resolutions_m: Iterable[float]) -> None:
+def prepare_folder(workspace: Workspace, key: str, resolutions_m: Sequence[float]) -> None:
     """Make the output folder ready: remove another job's maps, sweep what a killed run left but for its tiles.
 
     Args:
-      folder: of the maps.
+      workspace: in the folder of the maps.
       key: of the job.
       resolutions_m: of its maps.
 
     Raises:
-      InputError: a file is where a folder of maps belongs.
+      InputError: a file of others is where the maps belong.
     """
+    folder = workspace.folder
     for path in (folder / store.ZARR_FOLDER, folder / store.GEOTIFF_FOLDER):
         if path.exists() and not path.is_dir():
             raise InputError(f"{str(path)!r} is a file where the maps' folder belongs: move it")
     unfinished = [resolution_m for resolution_m in resolutions_m if stored_key(folder, resolution_m) != key]
     kept = [store.work_path(folder, resolution_m) for resolution_m in unfinished]
-    sweep_scraps(folder, folder / store.ZARR_FOLDER, folder / store.GEOTIFF_FOLDER, keep=kept)
+    for path in (folder / store.ZARR_FOLDER).glob(f".*m{SCRATCH_SUFFIX}"):
+        if path not in kept:
+            WorkFolder(path).discard()
+    sweep_scraps(folder, folder / store.ZARR_FOLDER, folder / store.GEOTIFF_FOLDER)
     if has_other_maps(folder, key):
-        store.remove_maps(folder)
+        # The Zarr goes last: while it stands the folder is known to hold that job's maps.
+        workspace.remove(name for name in workspace.written if not name.startswith(f"{store.ZARR_FOLDER}/"))
+        workspace.remove_all()
+    for resolution_m in unfinished:
+        files = (store.zarr_path(folder, resolution_m) / name for name in store.OF_ZARR)
+        workspace.check_way(name for name in map(workspace.name_of, files) if name and name not in workspace.written)
 
 
 def broken_files(folder: Path, resolution_m: float, each: Each = map) -> list[Path]:

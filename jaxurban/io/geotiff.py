@@ -14,10 +14,20 @@ from jaxurban.errors import one_of
 from jaxurban.io.attributes import CAVEAT, IN_OBSTACLES
 from jaxurban.io.chunks import Each, stored_rows
 from jaxurban.io.cog import write_cog
-from jaxurban.io.files import BLANK, FIELD, holds_bytes, is_whole, seal, whole_file
+from jaxurban.io.files import (
+    BLANK,
+    FIELD,
+    RECORDER,
+    holds_bytes,
+    is_whole,
+    recorded_by,
+    seal,
+    whole_file,
+)
 from jaxurban.io.hidden import no_value
 from jaxurban.io.qgis import style
 from jaxurban.io.store import GEOTIFF_FOLDER, short_number
+from jaxurban.io.workspace import Workspace
 from jaxurban.metrics.availability import statistics_of
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY
 from jaxurban.metrics.custom import held_metrics
@@ -135,14 +145,15 @@ def _styles(ds: xr.Dataset, layers: Sequence[str]) -> dict[str, str]:
     return {f"{name}_{resolution}m.qml": name for name in geotiff_names(held_maps(ds), held_metrics(ds), layers)}
 
 
-def _paths(ds: xr.Dataset, folder: Path, layers: Sequence[str]) -> list[Path]:
+def geotiff_paths(ds: xr.Dataset, folder: Path, layers: Sequence[str]) -> list[Path]:
+    """Return where the GeoTIFFs and styles of maps go; arguments as for `write_geotiffs`."""
     names = [*(layer.file for layer in _layers(ds, layers)), *_styles(ds, layers)]
     return [folder / GEOTIFF_FOLDER / name for name in names]
 
 
 def missing_geotiffs(ds: xr.Dataset, folder: Path) -> list[Path]:
     """Return the GeoTIFFs and styles of obstacles and metrics that are not there, or empty."""
-    return [path for path in _paths(ds, folder, ()) if not holds_bytes(path)]
+    return [path for path in geotiff_paths(ds, folder, ()) if not holds_bytes(path)]
 
 
 def stale_geotiffs(
@@ -152,13 +163,23 @@ def stale_geotiffs(
 
     Arguments as for `write_geotiffs`.
     """
-    paths = _paths(ds, folder, layers)
+    paths = geotiff_paths(ds, folder, layers)
     are_stale = each(partial(_is_stale, run_key), [path.resolve() for path in paths])  # others may work elsewhere
     return [path for path, is_stale in zip(paths, are_stale, strict=True) if is_stale]
 
 
 def _is_stale(run_key: str, path: Path) -> bool:
     return not is_whole(path) or _run_key(path) != run_key
+
+
+def is_of_run(path: Path, run_key: str) -> bool:
+    """Return whether a GeoTIFF, a style or the record of a run names the run of a key, whole or not."""
+    if path.suffix == ".tif":
+        return _run_key(path) == run_key
+    try:
+        return run_key.encode() in path.read_bytes()
+    except OSError:
+        return False
 
 
 def write_geotiffs(
@@ -197,7 +218,8 @@ def write_geotiffs(
     read = partial(_rows_of, ds) if path is None else partial(stored_rows, path)
     corner = (ds.attrs["first_row"], ds.attrs["first_col"])
     grid = Grid(ds.attrs["crs"], ds.attrs["resolution_m"], *corner, ds.sizes["y"], ds.sizes["x"])
-    write = partial(_write_layer, read, grid, folder.resolve(), run_key)  # others may work in another folder
+    # Others may work in another folder, and have no recorder of their own.
+    write = partial(_write_layer, read, grid, folder.resolve(), run_key, RECORDER.get())
     found = [layer for layer in _layers(ds, layers) if wanted(layer.file)]
     for _ in each(write, found):  # `map` does nothing until it is asked
         pass
@@ -219,10 +241,12 @@ def _rows_of(ds: xr.Dataset, name: str, place: tuple[int, ...], rows: slice) -> 
     return array[(*place, slice(num_rows - rows.stop, num_rows - rows.start))].values[::-1].copy()
 
 
-def _write_layer(read: Read, grid: Grid, folder: Path, run_key: str | None, layer: _Layer) -> None:
+def _write_layer(
+    read: Read, grid: Grid, folder: Path, run_key: str | None, recorder: Workspace | None, layer: _Layer
+) -> None:
     """Write one GeoTIFF."""
     tags = layer.tags if run_key is None else layer.tags | {RUN_KEY: run_key}
-    with whole_file(folder / GEOTIFF_FOLDER / layer.file) as scratch:
+    with recorded_by(recorder), whole_file(folder / GEOTIFF_FOLDER / layer.file) as scratch:
         # Averages of classes, of counts and of infinite DOPs and levels would be none of them in the overviews.
         is_averaged = layer.dtype == np.float32 and layer.name not in (*DOPS, *WEIGHTED_DOPS, *LEVELS)
         write_cog(

@@ -7,7 +7,9 @@ that a missing one is damage; were it read all the same, it would be blocked cel
 """
 
 import json
+import os
 import re
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal
@@ -36,9 +38,12 @@ from jaxurban.io.files import (
     BLANK,
     FIELD,
     SCRATCH_SUFFIX,
+    checksum_of,
     holds_bytes,
+    make_way,
     read_json,
-    remove,
+    recorder_of,
+    scratch_for,
     seal,
     whole_file,
     write_whole,
@@ -51,6 +56,7 @@ ZARR_FOLDER = "maps.zarr"
 GEOTIFF_FOLDER = "geotiff"
 COMPRESSOR = Zstd(level=1, checksum=True)
 GDAL_CRS = "_CRS"  # attribute: the CRS as GDAL's Zarr driver reads it
+OF_ZARR = ".zmetadata", ".zattrs", ".zgroup", "zarr.json"  # files by which a Zarr is known, of version 3 the last
 TIMES = {"units": "seconds since 1970-01-01", "calendar": "proleptic_gregorian", "dtype": "int64"}
 
 
@@ -67,7 +73,7 @@ def zarr_path(folder: Path, resolution_m: float) -> Path:
 def stored_resolutions(folder: Path) -> dict[float, Path]:
     """Return where the maps under ``folder`` lie, by resolution in metres."""
     named = ((re.fullmatch(r"([0-9.e+-]+)m", path.name), path) for path in sorted((folder / ZARR_FOLDER).glob("*m")))
-    return {float(match[1]): path for match, path in named if match and path.is_dir()}
+    return {float(match[1]): path for match, path in named if match and any((path / name).exists() for name in OF_ZARR)}
 
 
 def are_of_a_run(folder: Path) -> bool:
@@ -98,15 +104,6 @@ def settings_of(folder: Path) -> dict[str, Any]:
 def work_path(folder: Path, resolution_m: float) -> Path:
     """Return where the unfinished maps of one resolution lie under an output folder."""
     return folder / ZARR_FOLDER / f".{short_number(resolution_m)}m{SCRATCH_SUFFIX}"
-
-
-def remove_maps(folder: Path) -> None:
-    """Remove the maps that a job wrote under ``folder`` and its record, and nothing else.
-
-    The Zarr goes last: while it stands the folder is known to hold that job's maps.
-    """
-    for part in (RUN_FILE, GEOTIFF_FOLDER, ZARR_FOLDER):
-        remove(folder / part)
 
 
 def _is_map(array: xr.Variable) -> bool:
@@ -150,7 +147,8 @@ def write_zarr(ds: xr.Dataset, folder: Path) -> Path:
     path = zarr_path(folder, ds.attrs["resolution_m"])
     rows, cols = tile_shape((ds.sizes["y"], ds.sizes["x"]))
     ds = with_hideable(ds)
-    with whole_file(path) as scratch:
+    checksums = {}
+    with scratch_for(path) as scratch:
         _to_zarr(ds, scratch, "w", (rows, cols))
         for name, array in ds.variables.items():
             for place in np.ndindex(array.shape[:-2]) if _is_map(array) else ():
@@ -159,7 +157,8 @@ def write_zarr(ds: xr.Dataset, folder: Path) -> Path:
                     for start in range(0, ds.sizes["x"], cols):
                         part = slice(max(0, stop - rows), stop), slice(start, min(start + cols, ds.sizes["x"]))
                         inside = None if is_inside is None else is_inside[part]
-                        write_layer(scratch, str(name), place, part, values[part], inside)
+                        checksums |= write_layer(scratch, str(name), place, part, values[part], inside)
+        put_zarr(scratch, path, checksums)
     write_root(folder)
     return path
 
@@ -183,7 +182,7 @@ def write_layer(
     window: tuple[slice, slice],
     values: np.ndarray,
     is_inside: np.ndarray | None = None,
-) -> None:
+) -> dict[str, str]:
     """Write a tile of one map into a Zarr: one chunk, as the Zarr library writes it but without its threads for each.
 
     A tile without a value is written too: what is missing on disk counts as lost.
@@ -195,6 +194,9 @@ def write_layer(
       window: rows, from the south, and columns; they end where chunks do.
       values: ``[y, x]`` rows south to north; may stick out of the window in the south and in the east.
       is_inside: ``[y, x]``, or ``[A, y, x]`` at every altitude: cells inside obstacles, which hold no value in files.
+
+    Returns:
+      The checksum of the file by its name in the Zarr.
     """
     array = array_of(path / name)
     rows, cols = window
@@ -210,8 +212,32 @@ def write_layer(
         are_held = part.view(bits) == array.dtype.type(float(str(held))).view(bits)  # a user's -0.0 stays
         are_held &= (is_inside if is_inside.ndim == 2 else is_inside[index[-1]])[own][::-1]
         np.copyto(part, no_value(array.dtype), where=are_held)
-    key = array.metadata.encode_chunk_key((*index, north // num_rows, cols.start // num_cols))
-    write_whole(path / name / key, array.metadata.compressor.encode(chunk))
+    file = f"{name}/{array.metadata.encode_chunk_key((*index, north // num_rows, cols.start // num_cols))}"
+    data = bytes(array.metadata.compressor.encode(chunk))
+    write_whole(path / file, data)
+    return {file: checksum_of(data)}
+
+
+def put_zarr(made: Path, path: Path, checksums: Mapping[str, str]) -> None:
+    """Give a finished Zarr its name, its files recorded; of an older one only what is own goes.
+
+    Args:
+      made: the finished Zarr.
+      path: its name to be.
+      checksums: from `write_layer`.
+
+    Raises:
+      InputError: a file of others is in the way.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    recorder = recorder_of(path)
+    if recorder is None:
+        os.replace(made, path)
+        return
+    files = [metadata_file(made), *metadata_of(made), *(chunk.file for chunk in chunks_of(made))]
+    names = {file.relative_to(made).as_posix(): file for file in files}
+    all_checksums = {name: checksums.get(name) or checksum_of(file) for name, file in names.items()}
+    recorder.put_folder(made, path, all_checksums, metadata_file(path).name)
 
 
 def add_to_zarr(ds: xr.Dataset, path: Path) -> None:
@@ -235,9 +261,11 @@ def stale_root_files(folder: Path) -> list[Path]:
 
 
 def write_root(folder: Path) -> None:
-    """Write `root_files`."""
-    for file, data in root_files(folder).items():
-        write_whole(file, data)
+    """Write those of `root_files` that are stale."""
+    files = root_files(folder)
+    for file in stale_root_files(folder):
+        make_way(file)
+        write_whole(file, files[file])
 
 
 def open_zarr(folder: Path, resolution_m: float | None) -> xr.Dataset:

@@ -288,21 +288,26 @@ class MetricMaps(Shown):
             the cost; ``("all",)``: every one.
 
         Raises:
-          InputError: a layer that these maps do not hold, a folder that cannot be written to, or variables that
-            nobody could read back: without obstacles, or a name that is a path.
+          InputError: a layer that these maps do not hold, a folder that cannot be written to, a file in the way that
+            was not written so or was changed since, or variables that nobody could read back: without obstacles, or a
+            name that is a path.
         """
-        from jaxurban.io.geotiff import geotiff_names, held_maps, write_geotiffs
+        from jaxurban.io.geotiff import geotiff_paths, write_geotiffs
         from jaxurban.io.hidden import NEEDED
         from jaxurban.io.store import write_zarr
+        from jaxurban.io.workspace import Workspace
 
         if lost := [name for name in NEEDED if name not in self.ds]:
             raise InputError(f"these maps lack {', '.join(lost)}, without which nothing can open them: put it back")
         if paths := [name for name in map(str, self.ds.variables) if "/" in name]:
             raise InputError(f"a variable called {paths[0]!r} cannot be written: give it a name without /")
-        geotiff_names(held_maps(self.ds), self.metrics, layers)  # refuses what is not there
-        write_zarr(self.ds, Path(folder))
-        write_geotiffs(self.ds, Path(folder), layers=layers)
-        return Path(folder)
+        folder = Path(folder)
+        geotiffs = geotiff_paths(self.ds, folder, layers)  # refuses what is not there
+        with Workspace.open(folder, "maps", is_shared=True) as workspace:
+            workspace.check_way(path.relative_to(folder).as_posix() for path in geotiffs)
+            write_zarr(self.ds, folder)
+            write_geotiffs(self.ds, folder, layers=layers)
+        return folder
 
 
 GivenMaps = MetricMaps | str | Path  # what `as_maps` takes

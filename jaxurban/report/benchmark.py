@@ -11,6 +11,7 @@ from jaxurban.io.files import whole_file, write_whole
 from jaxurban.io.read.movingai import GridProblem, write_map, write_scenarios
 from jaxurban.io.store import short_number
 from jaxurban.io.tables import write_table
+from jaxurban.io.workspace import Workspace
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.paths.constraints import Constraints
 from jaxurban.planners.base import Status
@@ -53,6 +54,13 @@ def export_benchmark(
     check_exportable(settings.cost_model, settings.constraints)
     if not name.replace("-", "").isalnum():
         raise InputError(f"the benchmark's name must be of letters, digits and hyphens, got {name!r}")
+    with Workspace.open(folder, "study --benchmark", is_shared=True):
+        return _export(maps, instances, rows, folder, settings, name)
+
+
+def _export(
+    maps: MetricMaps, instances: pd.DataFrame, rows: pd.DataFrame, folder: Path, settings: BenchmarkSettings, name: str
+) -> dict[str, int]:
     num_shortest = 0
     for altitude_m in sorted(instances.altitude_m.unique()):
         stem = f"{name}_{short_number(altitude_m)}m"

@@ -3,8 +3,8 @@
 from pathlib import Path
 from typing import Any
 
-from jaxurban.io.files import whole_file
 from jaxurban.io.store import RUN_FILE
+from jaxurban.io.workspace import Workspace
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.paths.export import write_path
 from jaxurban.paths.path import PlannedPath
@@ -12,11 +12,13 @@ from jaxurban.paths.plan import plan
 from jaxurban.progress import Report
 from jaxurban.report.figures import save_figures
 from jaxurban.report.maps import summary_markdown
+from jaxurban.report.save import save
 from jaxurban.scenario.run import run_scenario
 from jaxurban.scenario.settings import PAPER_PLANNERS, Scenario
 
 BOUNDS = (-74.0, 40.755, -73.955, 40.80)  # about 3.8 x 5 km: the synthetic city scales itself to the box
 RESOLUTION_M = 5.0
+SCENARIO_FILE, SUMMARY_FILE = "scenario.toml", "summary.md"
 BUDGET_S = 2.0  # what the sampling planners use up; the others need less
 
 
@@ -32,20 +34,19 @@ def run_demo(folder: Path, report: Report, overwrite: bool = False, degrees: boo
             "buildings": {"source": "synthetic"},
         }
     )
+    Workspace.check(folder, "demo", (SCENARIO_FILE, SUMMARY_FILE), is_shared=True)
     run = run_scenario(scenario, folder, progress=report, overwrite=overwrite)
-    with whole_file(folder / "scenario.toml") as scratch:
-        scratch.write_text(scenario.to_toml(), encoding="utf-8")
     maps = run.maps[RESOLUTION_M]
     report("paths")
     paths = demo_paths(maps)
-    (folder / "paths").mkdir(exist_ok=True)
-    for altitude_m, planned in paths.items():
-        for path in planned:
-            write_path(path, folder / "paths" / f"{path.search.planner}_{altitude_m:g}m.geojson")
-    report("figures")
-    figures = save_figures(maps, paths, folder / "figures", degrees=degrees)
-    with whole_file(folder / "summary.md") as scratch:
-        scratch.write_text(summary_markdown(maps, paths, run.record), encoding="utf-8")
+    with Workspace.open(folder, "demo", is_shared=True):
+        save(folder, {SCENARIO_FILE: scenario.to_toml()})
+        for altitude_m, planned in paths.items():
+            for path in planned:
+                write_path(path, folder / "paths" / f"{path.search.planner}_{altitude_m:g}m.geojson")
+        report("figures")
+        figures = save_figures(maps, paths, folder / "figures", degrees=degrees)
+        save(folder, {SUMMARY_FILE: summary_markdown(maps, paths, run.record)})
     return {
         "folder": str(folder),
         "record": str(folder / RUN_FILE),

@@ -10,8 +10,8 @@ import pandas as pd
 
 from jaxurban.errors import typed
 from jaxurban.io.bands import write_bands
-from jaxurban.io.folders import own_folder
 from jaxurban.io.store import short_number
+from jaxurban.io.workspace import Workspace
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.report.figures.degrees import in_degrees
 from jaxurban.report.figures.map_comparison import EPOCHS, comparison_figures, heading_of
@@ -48,7 +48,7 @@ def save_comparison(
         key["routes"] = asdict(found.routes.settings) | {
             "queries": [query.to_dict() for query in found.routes.a.queries]
         }
-    with own_folder(folder, "compare", json.loads(json.dumps(key, default=str)), overwrite=overwrite):
+    with Workspace.open(folder, "compare", json.loads(json.dumps(key, default=str)), overwrite=overwrite):
         return write_comparison(found, folder, degrees)
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from jaxurban.io.workspace import Workspace
 from jaxurban.planners.base import Status
 from jaxurban.report.figures.montecarlo import study_figures
 from jaxurban.report.markdown import bullets, counted, fill, framed, listed
@@ -43,13 +44,14 @@ def write_analysis(result: BenchmarkResult, folder: str | Path) -> Path:
     """Write report.md with its tables (CSV) and figures (PNG) under ``folder`` and return the report's file.
 
     Raises:
-      InputError: the folder cannot be written to.
+      InputError: the folder cannot be written to, or holds files that this did not write, or that were changed since.
     """
     tables = tables_of(result)
     figures = study_figures(result.maps, result.table, tables)
     outputs: dict[str, Output] = {f"{TABLES}/{name}.csv": table for name, table in tables.items()}
     outputs |= {f"{FIGURES}/{name}.png": draw for name, draw in figures.items()}
-    return save(folder, {**outputs, REPORT_FILE: report_markdown(result, tables, list(figures))})[-1]
+    with Workspace.open(Path(folder), "study"):
+        return save(folder, {**outputs, REPORT_FILE: report_markdown(result, tables, list(figures))})[-1]
 
 
 def report_markdown(result: BenchmarkResult, tables: dict[str, pd.DataFrame], figures: Sequence[str] = ()) -> str:

@@ -11,9 +11,9 @@ import numpy as np
 import pandas as pd
 
 from jaxurban.errors import typed
-from jaxurban.io.folders import own_folder
 from jaxurban.io.read.receiver import TRACKED, ReceiverLog
 from jaxurban.io.tables import records_of
+from jaxurban.io.workspace import Workspace
 from jaxurban.report.figures.degrees import in_degrees
 from jaxurban.report.figures.receiver import LABELS, name_of, validation_figures
 from jaxurban.report.markdown import bullets, counted, fill, table
@@ -49,7 +49,7 @@ def save_validation(
     """
     asked = {"log": found.log.name, "scenario": found.scenario, "settings": found.settings.to_dict()}
     asked["rows"] = _digest(found.log)
-    with own_folder(Path(folder), "validate", _plain(asked), overwrite=overwrite):
+    with Workspace.open(Path(folder), "validate", _plain(asked), overwrite=overwrite):
         return write_validation(found, Path(folder), degrees)
 
 

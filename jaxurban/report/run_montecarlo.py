@@ -9,11 +9,12 @@ import numpy as np
 import pandas as pd
 
 from jaxurban.errors import InputError, one_of, typed
-from jaxurban.io.files import check_writable, only_writer, read_json, whole_file, write_json
+from jaxurban.io.files import read_json, write_json
 from jaxurban.io.read.landcover import read_land_cover
 from jaxurban.io.read.osm import OSM_SUFFIXES
 from jaxurban.io.rows import INSTANCES_FILE, PARTS_FOLDER, ROWS_FILE, SETTINGS_FILE, first_difference
 from jaxurban.io.tables import write_table
+from jaxurban.io.workspace import Workspace
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.registry import METRICS
 from jaxurban.paths.constraints import Constraints, constraints_said
@@ -112,9 +113,8 @@ def study(
         check_instances(instances, opened)
         instances = with_connection(instances, opened, model, constraints)
         _check_places(instances, opened, constraints)
-    check_writable(folder)
-    with only_writer(folder):
-        _claim(folder, settings, opened, instances, overwrite)
+    with Workspace.open(folder, "study", is_shared=True) as workspace:
+        _claim(workspace, settings, opened, instances, overwrite)
         write_table(instances, folder / INSTANCES_FILE)
         rows = run_benchmark(instances, source, folder, settings, workers, progress)
     return BenchmarkResult(folder, opened, instances, rows, settings)
@@ -175,9 +175,10 @@ def _check_places(instances: pd.DataFrame, maps: MetricMaps, constraints: Constr
 
 
 def _claim(
-    folder: Path, settings: BenchmarkSettings, maps: MetricMaps, instances: pd.DataFrame, overwrite: bool
+    workspace: Workspace, settings: BenchmarkSettings, maps: MetricMaps, instances: pd.DataFrame, overwrite: bool
 ) -> None:
     """Make the folder this benchmark's, or raise InputError if it is another's."""
+    folder = workspace.folder
     now = settings.to_dict() | {
         "maps": {name: str(maps.ds.attrs[name]) for name in ("crs", "resolution_m", "first_row", "first_col")}
         | {"run_key": str(maps.ds.attrs.get("run_key")), "obstacles": maps.obstacles},
@@ -194,10 +195,9 @@ def _claim(
                 f"{str(folder)!r} holds a study {other}: choose another folder, or pass --overwrite (overwrite=True) "
                 "to replace it"
             )
-        for old in (folder / ROWS_FILE, folder / INSTANCES_FILE, *(folder / PARTS_FOLDER).glob("*.json")):
-            old.unlink(missing_ok=True)
-    with whole_file(file) as scratch:
-        write_json(scratch, now, indent=2)
+        workspace.remove_all()
+        workspace.check_way((ROWS_FILE, INSTANCES_FILE, SETTINGS_FILE))
+    write_json(file, now, indent=2)
 
 
 def _deciding(settings: Mapping[str, Any]) -> dict[str, Any]:

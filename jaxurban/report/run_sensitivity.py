@@ -11,9 +11,9 @@ import numpy as np
 import pandas as pd
 
 from jaxurban.errors import GuessWarning, InputError, one_of, typed
-from jaxurban.io.folders import own_folder
 from jaxurban.io.rows import ROWS_FILE, RowStore, fingerprint
 from jaxurban.io.tables import read_table, records_of, write_table
+from jaxurban.io.workspace import Workspace
 from jaxurban.maps.memory import check_fits
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.maps.task import MapTask
@@ -106,7 +106,7 @@ def sensitivity_study(
     about = {city: _about(maps) for city, maps in opened.items()}
     key = settings.to_dict() | {"maps": about, "routes": _routes_key(instances)}
     job = settings if workers == 1 or settings.num_threads is not None else replace(settings, num_threads=1)
-    with own_folder(folder, "sensitivity", key, overwrite=overwrite), reporting("sensitivity", progress) as report:
+    with Workspace.open(folder, "sensitivity", key, overwrite=overwrite), reporting("sensitivity", progress) as report:
         write_table(instances, folder / INSTANCES_FILE)
         rows = _routes(folder, instances, given, job, workers, report)
         remade_table, skipped = pd.DataFrame(), tuple[str, ...]()

@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 import pandas as pd
 
 from jaxurban.errors import InputError
-from jaxurban.io.folders import own_folder
 from jaxurban.io.tables import records_of
+from jaxurban.io.workspace import Workspace
 from jaxurban.maps.metric_maps import MetricMaps, Obstacles, open_maps
 from jaxurban.metrics.weights import Weights
 from jaxurban.progress import Progress, reporting
@@ -129,7 +129,7 @@ def run_tuning(
         fit: WeightFit | TargetFit
         found: FitComparison | None = None
         # Other fits differ in the state of the fit, which holds its settings.
-        with own_folder(folder, "tune", {}, overwrite=overwrite):
+        with Workspace.open(folder, "tune", {}, overwrite=overwrite):
             report("rounds")
             if targets:
                 fit = fit_targets([each.query for each in demonstrations], targets, settings=how)

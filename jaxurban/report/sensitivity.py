@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from jaxurban.errors import typed
-from jaxurban.io.folders import own_folder
+from jaxurban.io.workspace import Workspace
 from jaxurban.paths.constraints import constraints_said
 from jaxurban.planners.cost_model import CostModel
 from jaxurban.report.figures.degrees import in_degrees
@@ -44,7 +44,7 @@ def save_sensitivity(
     folder, route = Path(folder), found.route
     settings = {"route": route.settings, "lonlat": route.lonlat[[0, -1]].tolist(), "weights": found.weights.tolist()}
     settings |= {"vary": found.vary, "factors": found.factors, "triangle": found.triangle_names}
-    with own_folder(folder, "sensitivity", json.loads(json.dumps(settings, default=str)), overwrite=overwrite):
+    with Workspace.open(folder, "sensitivity", json.loads(json.dumps(settings, default=str)), overwrite=overwrite):
         return write_sensitivity(found, folder, degrees)
 
 

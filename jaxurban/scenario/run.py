@@ -17,14 +17,15 @@ from jaxurban.compile_cache import has_programs
 from jaxurban.errors import InputError
 from jaxurban.io import store
 from jaxurban.io.chunks import Each
-from jaxurban.io.files import check_writable, only_writer, sweep_scraps
+from jaxurban.io.files import check_writable, is_changed, make_way, sweep_scraps
 from jaxurban.io.folders import WorkFolder, broken_files, has_other_maps, prepare_folder, stored_key
-from jaxurban.io.geotiff import geotiff_names, stale_geotiffs, write_geotiffs
+from jaxurban.io.geotiff import geotiff_names, geotiff_paths, is_of_run, stale_geotiffs, write_geotiffs
 from jaxurban.io.layers import bands_of
 from jaxurban.io.read.city import BuildingFile, CensusFiles, read_city
 from jaxurban.io.read.guesses import warn_of
 from jaxurban.io.read.rasterise import check_has_data, rasterise
 from jaxurban.io.store import open_whole
+from jaxurban.io.workspace import Workspace
 from jaxurban.maps.build import map_guesses, view_sky
 from jaxurban.maps.dataset import PLANE, empty_dataset, variables, with_series
 from jaxurban.maps.disk import check_disk
@@ -205,8 +206,14 @@ def _run(
         duration_s = foretold_s(tasks, layers, min(plan.num_at_once, num_cores()))
         LOG.info(plan_sentence(tasks, plan, disk_bytes, told(duration_s, compiles)))
         # Nothing of an older job is touched before this one can begin.
-        with only_writer(folder), resources.client(plan.num_workers) as client:
-            prepare_folder(folder, key, scenario.region.resolution_m)
+        with Workspace.open(folder, "maps", is_shared=True) as workspace, resources.client(plan.num_workers) as client:
+            prepare_folder(workspace, key, scenario.region.resolution_m)
+            planned = [
+                folder / store.RUN_FILE,
+                *(path for task in tasks for path in _geotiffs_of(task, folder, layers)),
+            ]
+            foreign = [path for path in planned if not is_of_run(path, key)]
+            workspace.check_way(name for name in map(workspace.name_of, foreign) if name not in workspace.written)
             tasks = [replace(task, guesses=guesses) for task in tasks]
             makers = [Maker(task, folder, key, plan.num_workers, client, tuple(layers)) for task in tasks]
             made = [_maps_of(maker, watch, report) for maker in makers]
@@ -264,12 +271,18 @@ def _maps_of(maker: Maker, watch: Stopwatch, report: Report) -> tuple[MetricMaps
             watch.add(name, busy_s * scale)
     for path in store.stale_root_files(folder) if is_kept else ():
         LOG.warning(f"{str(path)!r} is missing or damaged: writing it again")
-        store.write_root(folder)
+    store.write_root(folder)
     ds = store.open_zarr(folder, resolution_m)
     with watch.stage("verify"):
         stale = stale_geotiffs(ds, folder, maker.key, maker.each, maker.layers)
-        for path in stale if is_kept else ():
-            LOG.warning(f"{str(path)!r} is missing or damaged: writing it again")
+        edited = [path for path in stale if path.suffix == ".qml" and is_changed(path)]
+        for path in edited:  # styles are there to be edited
+            LOG.warning(f"{str(path)!r} was changed and stays: remove it, and the same command writes it again")
+        stale = [path for path in stale if path not in edited]
+        for path in stale:
+            if is_kept:
+                LOG.warning(f"{str(path)!r} is missing or damaged: writing it again")
+            make_way(path)
     with watch.stage("write_geotiff"):
         path = store.zarr_path(folder.resolve(), resolution_m)
         write_geotiffs(ds, folder, maker.key, maker.each, only=stale, layers=maker.layers, path=path)
@@ -302,6 +315,7 @@ def make_zarr(maker: Maker, report: Report, shape: tuple[int, int] | None = None
         empty = empty_dataset(task, _no_values).assign_attrs(run_key=maker.key, guesses=json.dumps(task.guesses))
         store.create_zarr(empty, work.zarr, shape)
     seconds: dict[str, float] = {}
+    checksums: dict[str, str] = {}
     totals: dict[str, TimeTotals] = {}
     num_done, stage = 0, f"tiles of {store.short_number(grid.resolution_m)} m"
     report(stage, num_done, len(tiling.region_tiles))
@@ -311,6 +325,7 @@ def make_zarr(maker: Maker, report: Report, shape: tuple[int, int] | None = None
         for name, busy_s in found["seconds"].items():
             seconds[name] = seconds.get(name, 0.0) + busy_s
         if "totals" in found:
+            checksums.update(found["checksums"])
             for metric, facts in found["totals"].items():
                 sums = TimeTotals.of(facts)
                 totals[metric] = totals[metric] + sums if metric in totals else sums
@@ -326,9 +341,13 @@ def make_zarr(maker: Maker, report: Report, shape: tuple[int, int] | None = None
         store.add_to_zarr(
             made[[f"{name}_{what}" for name in totals for what in ("epoch_mean", "worst_time")]], work.zarr
         )
-    work.finish(store.zarr_path(maker.folder, grid.resolution_m))
+    work.finish(store.zarr_path(maker.folder, grid.resolution_m), checksums)
     store.write_root(maker.folder)
     return seconds
+
+
+def _geotiffs_of(task: MapTask, folder: Path, layers: Sequence[str]) -> list[Path]:
+    return geotiff_paths(empty_dataset(task, _no_values), folder, layers)
 
 
 def _no_values(shape: tuple[int, ...], dtype: Any) -> dask.array.Array:

@@ -9,8 +9,8 @@ import pandas as pd
 
 from jaxurban.errors import InputError
 from jaxurban.io.files import read_json
-from jaxurban.io.folders import RECORD_FILE
 from jaxurban.io.tables import read_table
+from jaxurban.io.workspace import RECORD_FILE
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY
 from jaxurban.report.figures.metrics import percent
@@ -48,7 +48,7 @@ class WeightStudy:
           InputError: it holds none of one route, or none with a triangle.
         """
         try:
-            asked = read_json(folder / RECORD_FILE)["asked"]
+            asked = read_json(folder / RECORD_FILE)["sensitivity"]["asked"]
             query = {name: asked[name] for name in ("start", "goal", "altitude_m", "weights", "cost_model", "limits")}
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise InputError(

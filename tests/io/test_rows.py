@@ -57,7 +57,7 @@ def test_a_kill_between_table_and_parts_doubles_nothing(tmp_path):
 
 def test_what_was_being_written_is_swept(tmp_path):
     opened(tmp_path).add([row(1, "a")])
-    half = tmp_path / "parts" / ".x.json.0.jaxurban-part"
+    half = tmp_path / "parts" / ".x.json.0a1b2c3d.jaxurban-part"
     half.write_text(json.dumps([row(2, "a")])[:9])
     assert len(opened(tmp_path)) == 1
     assert not half.exists()

@@ -35,9 +35,9 @@ def task() -> MapTask:
 def test_what_is_foretold_of_scratch_lies_in_the_work_folder(task, tmp_path, monkeypatch, shape):
     found, finish = [], WorkFolder.finish
 
-    def counted(work, target):
+    def counted(work, *target):
         found.append(bytes_in(work.path / "arrays"))
-        finish(work, target)
+        finish(work, *target)
 
     monkeypatch.setattr(WorkFolder, "finish", counted)
     monkeypatch.setattr(disk, "shape_of_tiles", lambda task: shape)

@@ -154,9 +154,9 @@ def test_a_chunk_is_a_tile(made):
 def test_any_number_of_dask_workers_gives_the_same_bytes(city, whole, tmp_path, num_workers, monkeypatch):
     suffixes, finish = set(), WorkFolder.finish
 
-    def look_and_finish(work, target):
+    def look_and_finish(work, *target):
         suffixes.update(path.suffix for path in work.path.rglob("*") if path.is_file())
-        finish(work, target)
+        finish(work, *target)
 
     monkeypatch.setattr(WorkFolder, "finish", look_and_finish)
     distributed = pytest.importorskip("distributed", reason="needs the cluster extra")

@@ -14,7 +14,7 @@ import shapely
 
 import jaxurban as ju
 from jaxurban.errors import InputError
-from jaxurban.io import files, store
+from jaxurban.io import files
 from jaxurban.maps.executors import Resources
 from jaxurban.scenario import provenance as record
 from jaxurban.scenario import run as pipeline
@@ -154,11 +154,6 @@ def test_a_failed_job_leaves_no_empty_folder(tmp_path):
             Scenario.from_dict({"region": REGION, "buildings": {"source": "none.osm"}}), tmp_path / "out"
         )
     assert not (tmp_path / "out").exists()
-
-
-def test_overwriting_takes_the_old_record_first(job):
-    store.remove_maps(job)
-    assert not list(job.iterdir())
 
 
 def test_a_region_beyond_the_data_warns(tmp_path, capsys):

@@ -27,7 +27,7 @@ from jaxurban.io.fetch.validate import (
     read_block_zip,
     read_counts,
 )
-from jaxurban.io.files import digest_of, whole_file, write_whole
+from jaxurban.io.files import whole_file, write_whole
 from jaxurban.io.read.orbits import NOMINAL, middle_epoch, read_orbits
 from jaxurban.io.read.osm import cut_buildings, header_box
 from jaxurban.progress import LOG
@@ -80,7 +80,6 @@ def fetch(job: FetchJob, folder: Path, cache: Cache) -> tuple[dict[str, Any], di
         "files": parts.files,
         "left_out": parts.left_out,
         "num_requests": cache.client.num_requests,
-        "written": {path.name: digest_of(path) for path in sorted(folder.iterdir())},
     }
     write_whole(folder / RECORD_FILE, json.dumps(record, indent=1, ensure_ascii=False) + "\n")
     return settings, record

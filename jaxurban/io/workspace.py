@@ -1,0 +1,346 @@
+"""Workspace: a folder that commands write into, and the record of every file by its checksum as it was written.
+
+A command removes or replaces only files that this record holds and whose bytes are still those; all else is the
+user's. Each output is recorded by its own writer (`jaxurban.io.files.whole_file`) before it is put in place: in a
+journal, a line each, which a killed run leaves behind, and at the end of the run in ``made.json``.
+"""
+
+import json
+import os
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from itertools import count
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+from jaxurban.errors import InputError
+from jaxurban.io.files import (
+    ELSEWHERE,
+    LOCK_FILE,
+    SCRATCH_SUFFIX,
+    check_writable,
+    checksum_of,
+    only_writer,
+    read_json,
+    recorded_by,
+    remove,
+    write_json,
+)
+from jaxurban.progress import LOG
+
+RECORD_FILE, JOURNAL_FILE = "made.json", ".made.jsonl"
+KEPT_FOLDER = "kept"  # where files go that were in the way of an output
+LONGEST_SETTINGS = 200  # characters of two settings that differ, in an error
+Sections = dict[str, dict[str, Any]]  # by command: ``asked``, its settings, and ``written``, checksums by name
+
+
+@dataclass(frozen=True)
+class Workspace:
+    """A folder while one command writes there. Threads share it; sent to another process it holds no record.
+
+    Attributes:
+      folder: where the command writes.
+      command: without ``jaxurban``.
+      written: the checksum of each file as the command wrote it, by its name under the folder.
+    """
+
+    folder: Path
+    command: str
+    written: dict[str, str] = field(default_factory=dict)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Workspace, (self.folder.resolve(), self.command)  # another process appends to the journal
+
+    @classmethod
+    @contextmanager
+    def open(
+        cls,
+        folder: Path,
+        command: str,
+        settings: Mapping[str, Any] | None = None,
+        *,
+        overwrite: bool = False,
+        is_shared: bool = False,
+    ) -> Iterator["Workspace"]:
+        """Hold a folder, made if it is not there, for one run; what is written under it in the block is recorded.
+
+        Args:
+          folder: where the run writes.
+          command: that runs.
+          settings: what decides its result, as JSON holds it; the same again goes on, or writes the same again.
+          overwrite: remove what this command wrote there before; what was changed since, or is not its own, stays.
+          is_shared: other commands and the user may have files there; else only a folder that is empty, or this
+            command's with all of its files as they were written, is taken.
+
+        Raises:
+          InputError: the folder cannot be written to, another run holds it, it is another command's or of other
+            settings, or it holds files in the way that this command did not write, or that were changed since.
+        """
+        asked, is_new = json.loads(json.dumps(settings or {})), not folder.exists()
+        check_writable(folder)
+        try:
+            with only_writer(folder, ELSEWHERE):
+                sections = _sections(folder)
+                before = sections.get(command)
+                workspace = cls(folder, command, {} if before is None else before["written"])
+                workspace._claim(sections, asked, overwrite, is_shared)
+                sections[command] = {"asked": asked, "written": workspace.written}
+                _save(folder, sections)
+                try:
+                    with recorded_by(workspace):
+                        yield workspace
+                finally:
+                    _recover(folder, sections)
+                    if before is None and not workspace.written:
+                        del sections[command]
+                    _save(folder, sections)
+        finally:
+            if is_new:
+                with suppress(OSError):  # it holds what was written
+                    folder.rmdir()
+
+    @classmethod
+    def check(cls, folder: Path, command: str, names: Iterable[str] = (), *, is_shared: bool = False) -> None:
+        """Raise InputError where a run that writes files of these names would be refused when it does."""
+        if folder.is_dir():
+            with cls.open(folder, command, is_shared=is_shared) as workspace:
+                workspace.check_way(names)
+
+    def _claim(self, sections: Sections, asked: Mapping[str, Any], overwrite: bool, is_shared: bool) -> None:
+        folder, before = self.folder, sections.get(self.command)
+        if not is_shared:
+            if others := [name for name in sections if name != self.command]:
+                raise InputError(f"{str(folder)!r} holds what `jaxurban {others[0]}` wrote: {ELSEWHERE}")
+            if before is None and (names := _files_under(folder)):
+                raise InputError(
+                    f"{str(folder / names[0])!r} is there already, and not from `jaxurban {self.command}`: {ELSEWHERE}"
+                )
+            self.check_way(self.written)
+        if before is None:
+            return
+        name = next((name for name in asked if asked[name] != before["asked"].get(name)), None)
+        if name is not None and not overwrite:
+            was, now = str(before["asked"].get(name)), str(asked[name])
+            is_short = len(was + now) <= LONGEST_SETTINGS
+            difference = f"its {name} is {was}, now {now}" if is_short else f"other {name}"
+            raise InputError(
+                f"{str(folder)!r} holds another run of `jaxurban {self.command}` ({difference}): {ELSEWHERE}, or pass "
+                "--overwrite to replace it"
+            )
+        if overwrite:
+            self.remove_all()
+
+    def name_of(self, path: Path) -> str | None:
+        """Return the name of an output under the folder, None of a path elsewhere or of scratch."""
+        for resolve in (os.path.abspath, os.path.realpath):
+            with suppress(ValueError):
+                name = Path(resolve(path.parent), path.name).relative_to(resolve(self.folder))
+                return None if any(part.endswith(SCRATCH_SUFFIX) for part in name.parts) else name.as_posix()
+        return None
+
+    def is_own(self, path: Path, checksum: str | None = None) -> bool:
+        """Return whether a path is a file as this command wrote it, or one that holds just what is to be written."""
+        with suppress(OSError):
+            return path.is_file() and checksum_of(path) in (self.written.get(self.name_of(path) or ""), checksum)
+        return False
+
+    def is_changed(self, path: Path) -> bool:
+        """Return whether a path is there that this command wrote, and that is not as it was written."""
+        return self.name_of(path) in self.written and os.path.lexists(path) and not self.is_own(path)
+
+    def check_way(self, names: Iterable[str], remedy: str = ELSEWHERE) -> None:
+        """Raise InputError if anything under these names is not as this command wrote it."""
+        for path in (self.folder / name for name in names):
+            if os.path.lexists(path) and not self.is_own(path):
+                raise self._in_the_way(path, remedy)
+
+    def _in_the_way(self, path: Path, remedy: str = ELSEWHERE) -> InputError:
+        why = f"it is not as `jaxurban {self.command}` wrote it"
+        return InputError(f"{str(path)!r} is in the way ({why}): move it, or {remedy}")
+
+    def begin(self, scratch: Path) -> None:
+        """Record the name of a file that is about to be written, so that it is swept if the run is killed."""
+        with suppress(ValueError):
+            self._note([{"scratch": os.path.relpath(scratch.absolute(), self.folder.absolute())}])
+
+    def put(self, scratch: Path, path: Path) -> None:
+        """Record a finished file under its name, and give it that name.
+
+        Raises:
+          InputError: something is there that this command did not write, or that was changed since.
+        """
+        name, checksum = self.name_of(path), checksum_of(scratch)
+        assert name is not None
+        if os.path.lexists(path) and not self.is_own(path, checksum):
+            raise self._in_the_way(path)
+        self._note([{"name": name, "checksum": checksum}])
+        os.replace(scratch, path)
+        self.written[name] = checksum
+
+    def put_folder(self, made: Path, path: Path, checksums: Mapping[str, str], last: str) -> None:
+        """Record the files of a finished folder, and give it its name; own files of an older one go, others stay.
+
+        Args:
+          made: the finished folder.
+          path: its name to be.
+          checksums: of its files, by their names in it.
+          last: of its files that readers look for first.
+
+        Raises:
+          InputError: a file of others is in the way of one of these.
+        """
+        prefix = self.name_of(path)
+        names = {f"{prefix}/{name}": checksum for name, checksum in checksums.items()}
+        self.check_way(name for name in names if name not in self.written)
+        self.remove([f"{prefix}/{last}", *(name for name in self.written if name.startswith(f"{prefix}/"))])
+        for name in names:
+            self.make_way(self.folder / name)
+        self._note([{"name": name, "checksum": checksum} for name, checksum in names.items()])
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if not os.path.lexists(path):
+            made.rename(path)
+        else:
+            for name in sorted(checksums, key=lambda name: name == last):
+                (path / name).parent.mkdir(parents=True, exist_ok=True)
+                os.replace(made / name, path / name)
+        self.written.update(names)
+
+    def make_way(self, path: Path) -> None:
+        """Remove an own file; set one aside that this command wrote and that was changed since, and report it.
+
+        Raises:
+          InputError: something else is there.
+        """
+        if not os.path.lexists(path):
+            return
+        if self.is_own(path):
+            path.unlink()
+        elif self.is_changed(path):
+            self.set_aside(path)
+        else:
+            raise self._in_the_way(path)
+
+    def set_aside(self, path: Path) -> None:
+        """Move what is in the way of an output to `KEPT_FOLDER`, and report it."""
+        name = f"{KEPT_FOLDER}/{self.name_of(path)}"
+        numbered = (self.folder / (name if k == 1 else f"{name}.{k}") for k in count(1))
+        aside = next(aside for aside in numbered if not os.path.lexists(aside))
+        aside.parent.mkdir(parents=True, exist_ok=True)
+        path.rename(aside)
+        LOG.warning(f"{str(path)!r} was not as `jaxurban {self.command}` wrote it: it is {str(aside)!r} now")
+
+    def remove_all(self) -> None:
+        """Remove all own files; what was changed since, or is not own, stays and is reported."""
+        folders = {(self.folder / name).parent for name in self.written}
+        self.remove(self.written)
+        if left := [each for folder in sorted(folders | {self.folder}) for each in _files_of(folder)]:
+            others = f" and {len(left) - 1} more" if len(left) > 1 else ""
+            LOG.warning(f"{str(left[0])!r}{others} stay: not from `jaxurban {self.command}`, or changed since")
+
+    def remove(self, names: Iterable[str]) -> None:
+        """Remove those files that are own, and folders that are empty then."""
+        folders: set[Path] = set()
+        for name in list(names):
+            path = self.folder / name
+            if self.is_own(path):
+                path.unlink()
+                del self.written[name]
+                folders |= {parent for parent in path.parents if self.folder in parent.parents}
+        for folder in sorted(folders, key=lambda folder: -len(folder.parts)):
+            with suppress(OSError):  # others have files there
+                folder.rmdir()
+
+    def _note(self, lines: Iterable[Mapping[str, str]]) -> None:
+        text = "".join(f"\n{json.dumps({'command': self.command, **line})}" for line in lines)
+        with (self.folder / JOURNAL_FILE).open("ab", buffering=0) as file:
+            file.write(text.encode())
+
+
+def _files_of(folder: Path) -> list[Path]:
+    """Return the files in a folder but for what holds and records it."""
+    if not folder.is_dir():
+        return []
+    kept = (RECORD_FILE, JOURNAL_FILE, LOCK_FILE)
+    return [
+        path
+        for path in sorted(folder.iterdir())
+        if path.name not in kept and not path.name.endswith(SCRATCH_SUFFIX) and (path.is_symlink() or not path.is_dir())
+    ]
+
+
+def _files_under(folder: Path) -> list[str]:
+    folders = [folder, *(path for path in sorted(folder.rglob("*")) if path.is_dir())]
+    return [path.relative_to(folder).as_posix() for each in folders for path in _files_of(each)]
+
+
+def _sections(folder: Path) -> Sections:
+    """Return the record of a folder by command, with what a killed run left in the journal.
+
+    Raises:
+      InputError: it cannot be read.
+    """
+    sections: Sections = {}
+    for scrap in folder.glob(f".{RECORD_FILE}.*{SCRATCH_SUFFIX}"):
+        remove(scrap)
+    try:
+        sections = read_json(folder / RECORD_FILE)
+        if not all({"asked", "written"} <= set(section) for section in sections.values()):
+            raise ValueError("of another version")
+    except FileNotFoundError:
+        pass
+    except (OSError, ValueError, TypeError) as error:
+        raise InputError(
+            f"{str(folder / RECORD_FILE)!r}, which records whose folder it is, cannot be read ({error}): {ELSEWHERE}, "
+            "or remove this one"
+        ) from error
+    if (folder / JOURNAL_FILE).exists():
+        _recover(folder, sections)
+        _save(folder, sections)
+    return sections
+
+
+def _recover(folder: Path, sections: Sections) -> None:
+    """Take the lines of the journal into the record, and sweep the scratch that they name.
+
+    Of a name with several checksums one may be of a file that never came: the one that the file has counts.
+    """
+    noted: dict[tuple[str, str], list[str]] = {}
+    for line in _journal(folder):
+        if line.get("scratch"):
+            if line["scratch"].endswith(SCRATCH_SUFFIX) and ".." not in PurePosixPath(line["scratch"]).parts:
+                remove(folder / line["scratch"])
+        elif line["command"] in sections:
+            noted.setdefault((line["command"], line["name"]), []).append(line["checksum"])
+    for (command, name), checksums in noted.items():
+        written = sections[command]["written"]
+        possible = dict.fromkeys([*checksums, *([written[name]] if name in written else [])])
+        written[name] = checksums[-1]
+        if len(possible) > 1 and (folder / name).is_file() and (now := checksum_of(folder / name)) in possible:
+            written[name] = now
+
+
+def _journal(folder: Path) -> Iterator[dict[str, str]]:
+    try:
+        lines = (folder / JOURNAL_FILE).read_text(encoding="utf-8", errors="replace").splitlines()
+    except FileNotFoundError:
+        return
+    for line in lines:
+        with suppress(ValueError):  # the last one of a killed run
+            yield json.loads(line)
+
+
+def _save(folder: Path, sections: Sections) -> None:
+    """Write the record, of files that are there, and remove the journal."""
+    for section in sections.values():
+        there = sorted(item for item in section["written"].items() if os.path.lexists(folder / item[0]))
+        section["written"].clear()
+        section["written"].update(there)
+    record, held = folder / RECORD_FILE, None
+    with suppress(OSError, ValueError):
+        held = read_json(record)
+    if not sections:
+        record.unlink(missing_ok=True)
+    elif sections != held:
+        write_json(record, sections, indent=2)
+    (folder / JOURNAL_FILE).unlink(missing_ok=True)

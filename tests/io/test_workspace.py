@@ -1,0 +1,172 @@
+"""Workspace: what a command wrote, what it may remove, and whose all else is."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+from jaxurban.errors import InputError
+from jaxurban.io import files
+from jaxurban.io.workspace import Workspace
+from tests.logs import logged
+
+
+def write(folder, asked=3, command="tune", text="made", name=None, **options):
+    with Workspace.open(folder, command, {"seed": asked}, **options):
+        files.write_whole(folder / (name or f"figures/{asked}.txt"), text)
+
+
+def names_of(folder):
+    return sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
+
+
+def test_the_same_run_writes_again_and_another_is_refused(tmp_path):
+    write(tmp_path)
+    write(tmp_path, text="made again")
+    with pytest.raises(InputError, match=r"its seed is 3, now 4.*--overwrite"):
+        write(tmp_path, 4)
+    with pytest.raises(InputError, match="holds what `jaxurban tune` wrote"):
+        write(tmp_path, command="sensitivity", overwrite=True)
+    assert (tmp_path / "figures" / "3.txt").read_text() == "made again"
+    write(tmp_path, 4, overwrite=True)
+    assert names_of(tmp_path) == ["figures/4.txt", "made.json"]
+
+
+@pytest.mark.parametrize("overwrite", [False, True])
+@pytest.mark.parametrize("name", ["mine.txt", "figures/mine.txt", "figures/3.txt"])
+def test_a_folder_of_others_is_refused(tmp_path, name, overwrite):
+    (tmp_path / "figures").mkdir()
+    (tmp_path / name).write_text("mine")
+    with pytest.raises(InputError, match="is there already, and not from `jaxurban tune`"):
+        write(tmp_path, overwrite=overwrite)
+    assert names_of(tmp_path) == [name]
+
+
+@pytest.mark.parametrize("overwrite", [False, True])
+def test_a_changed_file_is_refused_and_a_new_one_stays(tmp_path, overwrite):
+    write(tmp_path)
+    (tmp_path / "figures" / "mine.txt").write_text("made")  # a copy
+    with logged() as told:
+        write(tmp_path, overwrite=overwrite)
+    assert [("mine.txt" in line and "stay" in line) for line in told] == [True] * overwrite
+    (tmp_path / "figures" / "3.txt").write_text("mine")
+    with pytest.raises(InputError, match="is not as `jaxurban tune` wrote it"):
+        write(tmp_path, overwrite=overwrite)
+    assert names_of(tmp_path) == ["figures/3.txt", "figures/mine.txt", "made.json"]
+    assert (tmp_path / "figures" / "3.txt").read_text() == "mine"
+
+
+def test_a_file_that_comes_during_the_run_is_not_taken_for_its_own(tmp_path):
+    with Workspace.open(tmp_path, "tune"):
+        files.write_whole(tmp_path / "a.txt", "made")
+        (tmp_path / "mine.txt").write_text("mine")
+        (tmp_path / "b.txt").write_text("mine")
+        (tmp_path / "a.txt").write_text("edited")
+        with pytest.raises(InputError, match=r"b\.txt' is in the way"):
+            files.write_whole(tmp_path / "b.txt", "made")
+    with pytest.raises(InputError, match=r"a\.txt' is in the way"):
+        write(tmp_path, overwrite=True)
+    assert [(tmp_path / name).read_text() for name in ("a.txt", "mine.txt", "b.txt")] == ["edited", "mine", "mine"]
+
+
+KILLED = """
+import os, signal, sys
+from pathlib import Path
+from jaxurban.io import files
+from jaxurban.io.workspace import Workspace
+
+folder = Path(sys.argv[1])
+with Workspace.open(folder, "tune", {"seed": 3}):
+    files.write_whole(folder / "figures" / "a.txt", "made")
+    with files.whole_file(folder / "figures" / "b.txt") as scratch:
+        scratch.write_text("half")
+        os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+@pytest.mark.parametrize("overwrite", [False, True])
+def test_after_kill_9_a_users_file_is_the_users_and_scratch_goes(tmp_path, overwrite):
+    subprocess.run([sys.executable, "-c", KILLED, str(tmp_path)], check=False)
+    assert len([name for name in names_of(tmp_path) if name.endswith(files.SCRATCH_SUFFIX)]) == 1
+    (tmp_path / "figures" / "mine.txt").write_text("mine")
+    write(tmp_path, overwrite=overwrite)
+    left = ["figures/3.txt", *(["figures/a.txt"] * (not overwrite)), "figures/mine.txt", "made.json"]
+    assert names_of(tmp_path) == left
+    write(tmp_path, overwrite=True)
+    assert (tmp_path / "figures" / "mine.txt").read_text() == "mine"
+
+
+def test_a_kill_between_the_record_and_the_file_leaves_the_old_file_known(tmp_path, monkeypatch):
+    write(tmp_path)
+    with monkeypatch.context() as patched, Workspace.open(tmp_path, "tune", {"seed": 3}):
+        patched.setattr(os, "replace", lambda *_: (_ for _ in ()).throw(OSError("killed")))
+        with pytest.raises(InputError, match="cannot write"):
+            files.write_whole(tmp_path / "figures" / "3.txt", "newer")
+    write(tmp_path, text="newest")
+    assert (tmp_path / "figures" / "3.txt").read_text() == "newest"
+
+
+def test_a_run_that_failed_goes_on_in_its_folder(tmp_path):
+    def stop():
+        with Workspace.open(tmp_path, "tune", {"seed": 3}):
+            files.write_whole(tmp_path / "state", "half")
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        stop()
+    write(tmp_path)
+    assert (tmp_path / "state").read_text() == "half"
+
+
+def test_a_run_that_was_refused_leaves_nothing(tmp_path):
+    def refuse(folder):
+        with Workspace.open(folder, "tune"):
+            raise InputError("no such weight")
+
+    for folder in (tmp_path / "new", tmp_path):
+        with pytest.raises(InputError, match="no such weight"):
+            refuse(folder)
+    assert not list(tmp_path.iterdir())
+
+
+def test_commands_share_a_folder_and_remove_their_own(tmp_path):
+    (tmp_path / "mine.txt").write_text("mine")
+    for command in ("maps", "demo"):
+        write(tmp_path, command=command, name=f"{command}.txt", is_shared=True)
+    write(tmp_path, 4, command="maps", name="new.txt", is_shared=True, overwrite=True)
+    assert names_of(tmp_path) == ["demo.txt", "made.json", "mine.txt", "new.txt"]
+    with pytest.raises(InputError, match="in the way"):
+        write(tmp_path, 4, command="maps", name="mine.txt", is_shared=True)
+
+
+def test_a_link_in_the_place_of_a_file_is_followed_nowhere(tmp_path):
+    write(tmp_path / "out")
+    (tmp_path / "mine.txt").write_text("mine")
+    (tmp_path / "out/figures/3.txt").unlink()
+    (tmp_path / "out/figures/3.txt").symlink_to(tmp_path / "mine.txt")
+    with pytest.raises(InputError, match="in the way"):
+        write(tmp_path / "out", overwrite=True)
+    (tmp_path / "out/figures").rename(tmp_path / "elsewhere")
+    (tmp_path / "out/figures").symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(InputError, match="in the way"):
+        write(tmp_path / "out")
+    assert (tmp_path / "mine.txt").read_text() == "mine"
+
+
+@pytest.mark.parametrize("text", ["{", '{"command": "tune", "asked": {}, "written": {}}'])
+def test_a_damaged_record_is_told(tmp_path, text):
+    write(tmp_path)
+    (tmp_path / "made.json").write_text(text)
+    with pytest.raises(InputError, match=r"made\.json.*cannot be read"):
+        write(tmp_path, 4, overwrite=True)
+
+
+def test_a_record_that_names_files_elsewhere_removes_none_of_them(tmp_path):
+    write(tmp_path / "out")
+    (tmp_path / "mine.txt").write_text("made")
+    record = files.read_json(tmp_path / "out/made.json")
+    record["tune"]["written"]["../mine.txt"] = files.checksum_of(b"made")
+    files.write_json(tmp_path / "out/made.json", record)
+    write(tmp_path / "out", 4, overwrite=True, is_shared=True)
+    assert (tmp_path / "mine.txt").read_text() == "made"
