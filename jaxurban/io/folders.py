@@ -216,8 +216,8 @@ def prepare_folder(workspace: Workspace, key: str, resolutions_m: Sequence[float
         workspace.remove(name for name in workspace.written if not name.startswith(f"{store.ZARR_FOLDER}/"))
         workspace.remove_all()
     for resolution_m in unfinished:
-        files = (store.zarr_path(folder, resolution_m) / name for name in store.OF_ZARR)
-        workspace.check_way(name for name in map(workspace.name_of, files) if name and name not in workspace.written)
+        path = store.zarr_path(folder, resolution_m)
+        workspace.check_way((path / name for name in store.OF_ZARR), is_mended=True)
 
 
 def broken_files(folder: Path, resolution_m: float, each: Each = map) -> list[Path]:

@@ -147,7 +147,7 @@ def write_zarr(ds: xr.Dataset, folder: Path) -> Path:
     path = zarr_path(folder, ds.attrs["resolution_m"])
     rows, cols = tile_shape((ds.sizes["y"], ds.sizes["x"]))
     ds = with_hideable(ds)
-    checksums = {}
+    checksums: dict[str, str] = {}
     with scratch_for(path) as scratch:
         _to_zarr(ds, scratch, "w", (rows, cols))
         for name, array in ds.variables.items():

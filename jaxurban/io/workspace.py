@@ -105,7 +105,7 @@ class Workspace:
         """Raise InputError where a run that writes files of these names would be refused when it does."""
         if folder.is_dir():
             with cls.open(folder, command, is_shared=is_shared) as workspace:
-                workspace.check_way(names)
+                workspace.check_way(folder / name for name in names)
 
     def _claim(self, sections: Sections, asked: Mapping[str, Any], overwrite: bool, is_shared: bool) -> None:
         folder, before = self.folder, sections.get(self.command)
@@ -116,7 +116,7 @@ class Workspace:
                 raise InputError(
                     f"{str(folder / names[0])!r} is there already, and not from `jaxurban {self.command}`: {ELSEWHERE}"
                 )
-            self.check_way(self.written)
+            self.check_way(folder / name for name in self.written)
         if before is None:
             return
         name = next((name for name in asked if asked[name] != before["asked"].get(name)), None)
@@ -149,10 +149,13 @@ class Workspace:
         """Return whether a path is there that this command wrote, and that is not as it was written."""
         return self.name_of(path) in self.written and os.path.lexists(path) and not self.is_own(path)
 
-    def check_way(self, names: Iterable[str], remedy: str = ELSEWHERE) -> None:
-        """Raise InputError if anything under these names is not as this command wrote it."""
-        for path in (self.folder / name for name in names):
-            if os.path.lexists(path) and not self.is_own(path):
+    def check_way(self, paths: Iterable[Path], remedy: str = ELSEWHERE, *, is_mended: bool = False) -> None:
+        """Raise InputError if anything is at these paths that is not as this command wrote it.
+
+        ``is_mended``: what it wrote may have changed since, as `make_way` is called later.
+        """
+        for path in paths:
+            if os.path.lexists(path) and not self.is_own(path) and not (is_mended and self.is_changed(path)):
                 raise self._in_the_way(path, remedy)
 
     def _in_the_way(self, path: Path, remedy: str = ELSEWHERE) -> InputError:
@@ -192,7 +195,7 @@ class Workspace:
         """
         prefix = self.name_of(path)
         names = {f"{prefix}/{name}": checksum for name, checksum in checksums.items()}
-        self.check_way(name for name in names if name not in self.written)
+        self.check_way((self.folder / name for name in names), is_mended=True)
         self.remove([f"{prefix}/{last}", *(name for name in self.written if name.startswith(f"{prefix}/"))])
         for name in names:
             self.make_way(self.folder / name)

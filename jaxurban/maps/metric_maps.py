@@ -304,7 +304,7 @@ class MetricMaps(Shown):
         folder = Path(folder)
         geotiffs = geotiff_paths(self.ds, folder, layers)  # refuses what is not there
         with Workspace.open(folder, "maps", is_shared=True) as workspace:
-            workspace.check_way(path.relative_to(folder).as_posix() for path in geotiffs)
+            workspace.check_way(geotiffs)
             write_zarr(self.ds, folder)
             write_geotiffs(self.ds, folder, layers=layers)
         return folder

@@ -196,7 +196,7 @@ def _claim(
                 "to replace it"
             )
         workspace.remove_all()
-        workspace.check_way((ROWS_FILE, INSTANCES_FILE, SETTINGS_FILE))
+        workspace.check_way(folder / name for name in (ROWS_FILE, INSTANCES_FILE, SETTINGS_FILE))
     write_json(file, now, indent=2)
 
 

@@ -212,8 +212,7 @@ def _run(
                 folder / store.RUN_FILE,
                 *(path for task in tasks for path in _geotiffs_of(task, folder, layers)),
             ]
-            foreign = [path for path in planned if not is_of_run(path, key)]
-            workspace.check_way(name for name in map(workspace.name_of, foreign) if name not in workspace.written)
+            workspace.check_way((path for path in planned if not is_of_run(path, key)), is_mended=True)
             tasks = [replace(task, guesses=guesses) for task in tasks]
             makers = [Maker(task, folder, key, plan.num_workers, client, tuple(layers)) for task in tasks]
             made = [_maps_of(maker, watch, report) for maker in makers]

@@ -34,7 +34,7 @@ def staged(folder: Path, names: Collection[str], *, overwrite: bool) -> Iterator
         raise InputError(f"a folder is in the way of the file {str(blocked[0])!r}: move it, or {ELSEWHERE}")
     with Workspace.open(folder, "fetch", is_shared=True) as workspace:
         if not overwrite:
-            workspace.check_way(names, REMEDY)
+            workspace.check_way((folder / name for name in names), REMEDY)
         for scrap in folder.glob(f"{STAGE_PREFIX}*{SCRATCH_SUFFIX}"):  # of a killed run
             shutil.rmtree(scrap, ignore_errors=True)
         stage = Path(tempfile.mkdtemp(SCRATCH_SUFFIX, STAGE_PREFIX, folder))
