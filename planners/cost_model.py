@@ -8,6 +8,7 @@ import numpy as np
 
 from jaxurban.errors import InputError, typed
 from jaxurban.planners.cost import CostKind
+from jaxurban.presets import DEFAULTS
 
 Diagonal = Literal["both-free", "always"]
 
@@ -18,7 +19,7 @@ class CostModel:
     """How steps are costed, and which steps the grid allows: one argument, so that none of it is lost on the way.
 
     Attributes:
-      kind: ``"cell"`` (the paper) or ``"line"`` (see `Problem`).
+      kind: ``"line"``, which does not depend on the resolution, or ``"cell"`` (the paper; see `Problem`).
       reference_length_m: ``l_0`` of the line model.
       connectivity: 4 or 8 neighbours, for grid planners.
       diagonal: ``"both-free"`` allows a diagonal step only where both orthogonal neighbours are free, and no path of
@@ -28,7 +29,7 @@ class CostModel:
       InputError: a value that is none of these.
     """
 
-    kind: CostKind = "cell"
+    kind: CostKind = DEFAULTS.cost_model
     reference_length_m: float = 5.0
     connectivity: Literal[4, 8] = 8
     diagonal: Diagonal = "both-free"
@@ -43,9 +44,9 @@ class CostModel:
         object.__setattr__(self, "reference_length_m", positive_m("reference_length_m", self.reference_length_m))
 
     @classmethod
-    def of(cls, given: "CostModel | CostKind") -> "CostModel":
-        """Return a cost model as it is, or the one of a kind that is named."""
-        return given if isinstance(given, CostModel) else cls(given)
+    def of(cls, given: "CostModel | CostKind | None") -> "CostModel":
+        """Return a cost model as it is, the one of a kind that is named, or the default."""
+        return given if isinstance(given, CostModel) else cls(given or DEFAULTS.cost_model)
 
     @classmethod
     @typed
@@ -90,3 +91,6 @@ def positive_m(name: str, value: Any) -> float:
     if not 0 < length_m < np.inf:
         raise InputError(f"{name} must be a positive number of metres, got {value}")
     return length_m
+
+
+DEFAULT_MODEL = CostModel()  # of settings that leave it out: the one that a preset replaces

@@ -13,13 +13,14 @@ from matplotlib.figure import Figure
 
 from figures.paper.common import PATH_M, TOWNS, Caption, Town, save
 from jaxurban.paths.cost_map import CostMap, cost_map
-from jaxurban.paths.finish import finish
+from jaxurban.paths.finish import finish, map_settings
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.search import PathSearch
 from jaxurban.paths.snapping import XY
 from jaxurban.planners.registry import find_planner
 from jaxurban.report.figures.frame import NO_DATA_COLOUR, Frame, MapLayer, add_key, add_scale, draw_layers, make_frame
 from jaxurban.report.figures.metrics import obstacle_patches
+from jaxurban.report.figures.notes import rules_said
 from jaxurban.report.figures.paths import (
     BLOCKED_COLOUR,
     COST_COLOURS,
@@ -152,8 +153,9 @@ def draw(town: Town, shared: CostMap, cases: Sequence[Case], results: Sequence[l
         "below: cost, length",
         *credit,
     ]
+    note = f"{'  ·  '.join(note)}\n{rules_said(map_settings(shared))}"
     footer_in = len(PAPER_PLANNERS) * LINE_IN + SCALE_IN
-    frame = make_frame(parts[0], titles, heading, "  ·  ".join(note), footer_in=footer_in, with_ticks=False)
+    frame = make_frame(parts[0], titles, heading, note, footer_in=footer_in, with_ticks=False)
     colours = planner_colours(PAPER_PLANNERS)
     layers = cost_layers(maps, altitude_m, shared.time, shared.time_of_day)
     for panel, part, paths in zip(frame.axes, parts, results, strict=True):

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from jaxurban.errors import InputError
+from jaxurban.presets import DEFAULTS, with_preset
 from jaxurban.progress import LOG
 
 if TYPE_CHECKING:
@@ -94,8 +95,16 @@ CONSTRAINTS = together(  # which `given_constraints` takes
         "vertical_clearance_m",
         type=float,
         metavar="METRES",
-        help="Keep so high over roofs, or clear of them.  [default: the scenario's, else 0]",
+        help="Keep so high over roofs, or clear of them.  [default: the scenario's, else 3]",
     ),
+)
+COST_MODEL = click.option(
+    "--cost-model", type=click.Choice(["cell", "line"]), help="line, or cell (the paper).  [default: the scenario's]"
+)
+PRESET = click.option(
+    "--preset",
+    type=click.Choice(["paper"]),
+    help="Plan as the paper does: cost model cell, obstacles at centres, no clearance; other options win over it.",
 )
 ENDS = [  # of a route, with the altitude: names, type and help of their options
     (("--start",), LONLAT, "Longitude,latitude in degrees."),
@@ -106,7 +115,8 @@ COSTS = together(  # what the cost map of a route depends on, beside its altitud
     click.option("--time-of-day", help="Of the population map, such as day or night; the first if left out."),
     click.option("--time", help="Time of the GPS map, UTC; the first if left out."),
     RESOLUTION,
-    click.option("--cost-model", type=click.Choice(["cell", "line"]), help="cell (the paper) or line."),
+    PRESET,
+    COST_MODEL,
     OBSTACLES,
     click.option("--weights", "weights_text", default="", help="As gps=1,risk=2; those not named keep their values."),
     CONSTRAINTS,
@@ -155,8 +165,12 @@ def take_snap(given: Settings) -> bool | float:
     return is_wanted if distance_m is None else distance_m
 
 
-def stored_settings(folder: Path) -> Settings:
+def stored_settings(folder: Path, preset: str | None = None) -> Settings:
     """Return the settings that made the maps in ``folder``, empty where they were saved from Python.
+
+    Args:
+      folder: of the maps.
+      preset: whose settings take the place of those in ``[planning]``.
 
     Raises:
       InputError: the record of the run that made them is damaged or missing, and with it their weights.
@@ -165,7 +179,7 @@ def stored_settings(folder: Path) -> Settings:
 
     if folder.is_file():
         raise InputError(f"{str(folder)!r} is a file: give the folder that holds the maps")
-    return settings_of(folder)
+    return {**with_preset(settings_of(folder), preset or "")}
 
 
 def stored_weights(folder: Path, settings: Settings) -> "Weights":
@@ -194,7 +208,7 @@ def stored_cost_model(settings: Settings, kind: str | None) -> "CostModel":
 
 def stored_obstacles(settings: Settings, given: "Obstacles | None") -> "Obstacles":
     """Return the rule of obstacles that is given, else that of those settings' ``[planning]``."""
-    return given or settings.get("planning", {}).get("obstacles", "touched")
+    return given or settings.get("planning", {}).get("obstacles", DEFAULTS.obstacles)
 
 
 def given_constraints(given: Settings, settings: Settings) -> "Constraints":
@@ -207,9 +221,10 @@ def given_constraints(given: Settings, settings: Settings) -> "Constraints":
     from jaxurban.paths.vehicle import Vehicle
 
     planning = settings.get("planning", {})
-    clearances = {name: planning.get(name, 0.0) if given[name] is None else given[name] for name in CLEARANCES}
+    clearances = {name: planning.get(name) if given[name] is None else given[name] for name in CLEARANCES}
     vehicle = Vehicle(**settings.get("vehicle", {}))
-    return Constraints.read(given["no_fly"], given["require"], **clearances, vehicle=vehicle)
+    known = {name: value for name, value in clearances.items() if value is not None}
+    return Constraints.read(given["no_fly"], given["require"], **known, vehicle=vehicle)
 
 
 def stored_cost_map(

@@ -7,10 +7,12 @@ import click
 
 from jaxurban.cli.common import (
     CONSTRAINTS,
+    COST_MODEL,
     DEGREES,
     DEVICE,
     JSON_FLAG,
     OBSTACLES,
+    PRESET,
     RESOLUTION,
     given_constraints,
     print_json,
@@ -42,7 +44,8 @@ from jaxurban.progress import reporting
 @RESOLUTION
 @OBSTACLES
 @click.option("--weights", "weights_text", default="", help="As gps=1,risk=2; those not named are as DIR_A was made.")
-@click.option("--cost-model", type=click.Choice(["cell", "line"]), help="cell (the paper) or line.")
+@PRESET
+@COST_MODEL
 @CONSTRAINTS
 @click.option("--snap", is_flag=True, help="Move ends of queries out of obstacles, by 50 m at most.")
 @click.option("--snap-distance", "snap_distance_m", type=float, metavar="METRES", help="--snap by at most so far.")
@@ -63,7 +66,7 @@ def compare(folder_a: Path, folder_b: Path, output: Path, as_json: bool, overwri
     from jaxurban.studies.map_comparison.compare import compare as compare_maps
     from jaxurban.studies.montecarlo.run import MapsFolder
 
-    stored = stored_settings(folder_a)
+    stored = stored_settings(folder_a, given["preset"])
     rule = stored_obstacles(stored, given["obstacles"])
     sides = [MapsFolder(folder, given["resolution_m"], rule) for folder in (folder_a, folder_b)]
     how = {

@@ -36,7 +36,7 @@ LEVEL_OPTIONS = ("min_altitude_m", "max_altitude_m", "level_step_m", "climb_cost
 @click.option("--objective", type=click.Choice(["weighted", "distance"]), help="What to minimise.")
 @click.option("--budget", "budget_s", type=float, help="Seconds that the search may take.")
 @click.option("--seed", type=click.IntRange(min=0))
-@click.option("--refine", is_flag=True, help="Then move the waypoints downhill; needs --cost-model line.")
+@click.option("--refine", is_flag=True, help="Then move the waypoints downhill; not under --cost-model cell.")
 @click.option("--volume", "is_volume", is_flag=True, help="Climb and descend on the way; --altitude is the start's.")
 @click.option("--goal-altitude", "goal_altitude_m", type=float, help="With --volume.  [default: --altitude]")
 @click.option("--min-altitude", "min_altitude_m", type=float, help="With --volume.  [default: the maps' lowest]")
@@ -89,7 +89,7 @@ def plan(folder: Path, files: Sequence[Path], profile: Path | None, as_json: boo
         from jaxurban.report.figures.files import check_picture, save_profile
 
         check_picture(profile)
-    stored = stored_settings(folder)
+    stored = stored_settings(folder, given["preset"])
     own = {name: value for name, value in stored.get("vehicle", {}).items() if name in ("speed_m_s", "power_w")}
     check_flight(**own | flight)
     planning = stored.get("planning", {}) | {name: value for name, value in given.items() if value is not None}

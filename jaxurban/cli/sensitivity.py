@@ -141,7 +141,7 @@ def _one(folder: Path, output: Path, as_json: bool, overwrite: bool, given: Sett
     chosen["num_samples"] = SAMPLES_OF_ONE if given["num_samples"] is None else given["num_samples"]
     chosen["tolerance"] = TOLERANCE if given["tolerance"] is None else given["tolerance"]
     how = SensitivitySettings(factors=_factors(given["factors_text"]), seed=given["seed"], **chosen)
-    shared = stored_cost_map(folder, stored_settings(folder), given, given["altitude_m"])
+    shared = stored_cost_map(folder, stored_settings(folder, given["preset"]), given, given["altitude_m"])
     shared.maps.check_altitude(given["altitude_m"])  # whose map its figures show
     check_writable(output)
     ends = {"start": given["start"], "goal": given["goal"], "snap": snap}
@@ -198,7 +198,7 @@ def _many(folders: Sequence[Path], output: Path, as_json: bool, overwrite: bool,
     remade = RemadeSettings(given["heights"], given["parameters"], factors)
     if given["scenario"] is not None and not (remade and len(folders) == 1):
         raise click.UsageError("--scenario belongs to --heights and --parameters of one DIR")
-    stored = {folder: stored_settings(folder) for folder in folders}
+    stored = {folder: stored_settings(folder, given["preset"]) for folder in folders}
     weights = {
         folder: Weights.parse(given["weights_text"], stored_weights(folder, its)) for folder, its in stored.items()
     }

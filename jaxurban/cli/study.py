@@ -10,6 +10,7 @@ from jaxurban.cli.common import (
     CONSTRAINTS,
     DEVICE,
     JSON_FLAG,
+    PRESET,
     default_workers,
     given_constraints,
     print_json,
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
 @click.option("--instances", "instances_file", type=click.Path(path_type=Path), help="Plan these (.parquet, .csv).")
 @click.option("--resolution", "resolution_m", type=float, help="Of the maps, metres.  [default: the scenario's first]")
 @click.option("--budget-iterations", type=click.IntRange(min=1), help="Samples a run instead of [study] budget_s.")
+@PRESET
 @CONSTRAINTS
 @click.option(
     "--workers", type=click.IntRange(min=1), help="Processes.  [default: one a core, where Dask is installed]"
@@ -55,12 +57,15 @@ def study(scenario_file: Path, folder: Path, benchmark_folder: Path | None, as_j
     from jaxurban.scenario.settings import Scenario
     from jaxurban.studies.montecarlo.trial import HAS_PATH, BenchmarkSettings
 
-    scenario = Scenario.from_toml(scenario_file)
+    changes = [f"planning.preset={given['preset']!r}"] if given["preset"] else []
+    scenario = Scenario.from_toml(scenario_file, changes)
     chosen = scenario.study
     settings = BenchmarkSettings(
         planners=chosen.planners,
         distance_only=chosen.distance_only,
-        cost_model=CostModel.from_settings({**scenario.planning.model_dump(), "cost_model": chosen.cost_model}),
+        cost_model=CostModel.from_settings(
+            scenario.planning.model_dump() | {"cost_model": chosen.cost_model or scenario.planning.cost_model}
+        ),
         budget_s=chosen.budget_s,
         budget_iterations=given["budget_iterations"] or chosen.budget_iterations,
         seed=chosen.seed,

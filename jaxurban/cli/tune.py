@@ -13,6 +13,7 @@ from jaxurban.cli.common import (
     DEVICE,
     JSON_FLAG,
     OBSTACLES,
+    PRESET,
     RESOLUTION,
     given_constraints,
     names_in,
@@ -57,6 +58,7 @@ if TYPE_CHECKING:
     "--cost-model", type=click.Choice(["cell", "line"]), help="[default: the routes' own, else the scenario's]"
 )
 @OBSTACLES
+@PRESET
 @CONSTRAINTS
 @click.option("--scale", type=click.Choice(["simplex", "distance"]), help="Weights sum to 1, or distance weighs 1.")
 @click.option("--bootstrap", type=click.IntRange(min=0), help="Fits for the intervals.  [default: 200]")
@@ -81,7 +83,7 @@ def tune(words: tuple[Path, ...], out: Path, **given: Any) -> int:
     def named(*options: str) -> dict[str, Any]:
         return {name: given[name] for name in options if given[name] is not None}
 
-    stored, weights = stored_settings(words[0]), named("scale", "bootstrap")
+    stored, weights = stored_settings(words[0], given["preset"]), named("scale", "bootstrap")
     compared = named("hold_out", "losses") | ({"by_city": True} if given["by_city"] else {})
     if given["wishes"] and (weights or compared):
         raise click.UsageError(

@@ -8,6 +8,7 @@ import click
 
 from jaxurban.cli.common import (
     OBSTACLES,
+    PRESET,
     RESOLUTION,
     stored_obstacles,
     stored_settings,
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 @click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
 @RESOLUTION
 @OBSTACLES
+@PRESET
 @click.option("--other", type=click.Path(path_type=Path), metavar="DIR", help="Further maps, to look at differences.")
 @click.option(
     "--study", type=click.Path(path_type=Path), metavar="DIR", help="What `jaxurban sensitivity` wrote of one route."
@@ -41,6 +43,7 @@ def view(
     folder: Path,
     resolution_m: float | None,
     obstacles: str | None,
+    preset: str | None,
     other: Path | None,
     study: Path | None,
     export: Path | None,
@@ -49,7 +52,7 @@ def view(
     no_browser: bool,
 ) -> int:
     """Look at the maps in DIR and plan on them, in a browser on this machine; Ctrl-C ends it."""
-    opened = partial(_viewer, folder, resolution_m, obstacles, other, study)
+    opened = partial(_viewer, folder, resolution_m, obstacles, preset, other, study)
     viewer = opened()
     if export is not None:
         from jaxurban.viewer.export import write_page
@@ -73,7 +76,12 @@ def view(
 
 
 def _viewer(
-    folder: Path, resolution_m: float | None, obstacles: str | None, other: Path | None, study: Path | None
+    folder: Path,
+    resolution_m: float | None,
+    obstacles: str | None,
+    preset: str | None,
+    other: Path | None,
+    study: Path | None,
 ) -> "Viewer":
     """Return the viewer of maps in a folder, which plans as the maps were made to be planned on."""
     from jaxurban.maps.metric_maps import open_maps
@@ -83,7 +91,7 @@ def _viewer(
     from jaxurban.viewer.study import WeightStudy
     from jaxurban.viewer.viewer import Viewer
 
-    stored = stored_settings(folder)
+    stored = stored_settings(folder, preset)
     maps = open_maps(folder, resolution_m, obstacles=stored_obstacles(stored, obstacles))  # type: ignore[arg-type]
     command = (str(folder), "--resolution", repr(maps.grid.resolution_m))
     defaults = PlanDefaults.of_settings(stored, stored_weights(folder, stored), command)

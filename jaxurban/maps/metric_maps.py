@@ -17,6 +17,7 @@ from jaxurban.metrics.base import UNDERSIDE, Metric
 from jaxurban.metrics.custom import held_metrics
 from jaxurban.metrics.obstacle import obstacle_mask
 from jaxurban.metrics.weights import normalised_map, total_map
+from jaxurban.presets import DEFAULTS
 from jaxurban.world.grid import Grid
 from jaxurban.world.show import Shown, listed
 
@@ -72,7 +73,7 @@ class MetricMaps(Shown):
     """
 
     ds: xr.Dataset
-    obstacles: Obstacles = "touched"
+    obstacles: Obstacles = DEFAULTS.obstacles
 
     def __post_init__(self) -> None:
         one_of("obstacles", self.obstacles, get_args(Obstacles))
@@ -314,7 +315,9 @@ GivenMaps = MetricMaps | str | Path  # what `as_maps` takes
 
 
 @typed
-def open_maps(folder: str | Path, resolution_m: float | None = None, *, obstacles: Obstacles = "touched") -> MetricMaps:
+def open_maps(
+    folder: str | Path, resolution_m: float | None = None, *, obstacles: Obstacles = DEFAULTS.obstacles
+) -> MetricMaps:
     """Return the maps that ``MetricMaps.save`` or ``jaxurban maps`` wrote under ``folder``.
 
     Every file is looked for; those of the maps are read, and compared with their checksums, when values are.

@@ -17,6 +17,7 @@ from jaxurban.metrics.weights import GivenWeights
 from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.cost_map import CostMap, cost_map
 from jaxurban.paths.finish import finish
+from jaxurban.paths.preset import under_preset
 from jaxurban.paths.queries import Point, Query, read_queries
 from jaxurban.paths.results import BAD_INPUT, CRASHED, NOT_RUN, BatchResults, PlannedPaths, QueryResult
 from jaxurban.paths.search import PathSearch
@@ -24,6 +25,7 @@ from jaxurban.paths.snapping import Place, one_place, snap_limit_m
 from jaxurban.planners.base import CostKind, Path
 from jaxurban.planners.batch import Backend, solve_many
 from jaxurban.planners.cost_model import CostModel
+from jaxurban.presets import BUDGET_S
 from jaxurban.progress import LOG, Progress, reporting
 
 HELD_BYTES = 2 * 2**30  # of weighed maps at a time
@@ -40,12 +42,13 @@ def plan_many(
     time_of_day: str | None = None,
     weights: GivenWeights = None,
     objective: str = "weighted",
-    cost_model: CostModel | CostKind = "cell",
+    cost_model: CostModel | CostKind | None = None,
     constraints: Constraints | None = None,
+    preset: str = "",
     planner: str = "astar-plus",
     heuristic: str | None = None,
     backend: Backend = "auto",
-    budget_s: float = 180.0,
+    budget_s: float = BUDGET_S,
     seed: int = 0,
     snap: bool | float = False,
     strict: bool = False,
@@ -71,7 +74,7 @@ def plan_many(
       queries: pairs of places or a table (see `read_queries`); a table's rows may have altitude, time, time of
         day and weights of their own.
       altitude_m, time, time_of_day, weights: for queries that say nothing of their own.
-      objective, cost_model, constraints: of all queries, as in `plan`.
+      objective, cost_model, constraints, preset: of all queries, as in `plan`.
       planner, heuristic: as in `plan`.
       backend: ``"numba"``, ``"jax"`` or ``"auto"`` (see `solve_many`).
       budget_s: seconds for each query.
@@ -93,7 +96,7 @@ def plan_many(
     snap_limit_m(snap)  # a wrong one is refused once, not with every query
     if num_threads is not None:
         at_least("num_threads", num_threads, 1)
-    maps = as_maps(maps)
+    maps, cost_model, constraints = under_preset(preset, as_maps(maps), cost_model, constraints)
     maps.costs(maps.altitudes_m[0] if altitude_m is None else altitude_m, time=time, time_of_day=time_of_day)
     batch = read_queries(
         queries, altitude_m=altitude_m, time=time, time_of_day=time_of_day, weights=weights, metrics=maps.metrics
@@ -116,7 +119,7 @@ def plan_many(
 
 
 def _map_of(
-    maps: MetricMaps, objective: str, cost_model: CostModel | CostKind, constraints: Constraints | None, query: Query
+    maps: MetricMaps, objective: str, cost_model: CostModel, constraints: Constraints, query: Query
 ) -> tuple[CostMap | None, str]:
     """Return the map of a query and those like it, or why there is none. Wrong settings of the batch are raised."""
     when: dict[str, Any] = {"time": query.time, "time_of_day": query.time_of_day}

@@ -22,24 +22,30 @@ FILE_MARGIN_M = 0.05
 def obstacles_within(maps: MetricMaps, altitude_m: float, horizontal_m: float, vertical_m: float) -> np.ndarray:
     """Return ``[Y, X]`` bool: a roof that touches the cell reaches an altitude, or ends less than ``vertical_m`` below.
 
+    Roofs count where the maps' rule of obstacles has them, and where a distance is kept in every cell that they touch.
     Cells without data and roofs of unknown height count, bare ground does not. Over terrain a roof is as high as it is
     over the lowest ground within ``horizontal_m``, from which a path may pass it. No file is lower than planned.
 
     Raises:
       InputError: maps that hold no touched roofs.
     """
-    if "roof_touched" not in maps.ds:
-        raise InputError(
-            "these maps hold no 'roof_touched', from which a clearance is measured: make them again, or leave the "
-            "clearance (and the vehicle's radius) out"
-        )
-    roof_m = maps.m("roof_touched")
+    roof_m = maps.m(_roofs(maps, horizontal_m))
     reached_m = np.float32(altitude_m - vertical_m)
     over_m = roof_m + _over_lowest_ground_m(maps, horizontal_m) if "terrain" in maps.ds else roof_m
     is_obstacle = (over_m >= reached_m) & (roof_m > 0) | np.isnan(roof_m) | ~maps.ds["has_data"].values
     if altitude_m in maps.altitudes_m:
         is_obstacle |= maps.m("obstacle", altitude_m) != 0
     return is_obstacle
+
+
+def _roofs(maps: MetricMaps, horizontal_m: float) -> str:
+    name = "roof_touched" if horizontal_m or maps.obstacles == "touched" else "roof"
+    if name not in maps.ds:
+        raise InputError(
+            "these maps hold no 'roof_touched', from which a clearance is measured: make them again, or keep none "
+            "(clearance_m and vertical_clearance_m 0, no radius of the vehicle)"
+        )
+    return name
 
 
 def _over_lowest_ground_m(maps: MetricMaps, reach_m: float) -> np.ndarray:
@@ -68,7 +74,7 @@ def closed_by_clearance(maps: MetricMaps, altitude_m: float, horizontal_m: float
     """Return ``[Y, X]`` bool: cells that a clearance closes at an altitude.
 
     Args:
-      maps: the metric maps; the roofs that touch a cell count, whatever their rule of obstacles is.
+      maps: the metric maps; a distance is kept from the roofs that touch a cell, whatever their rule of obstacles is.
       altitude_m: above ground.
       horizontal_m: least distance to obstacles and to the maps' border, beside `FILE_MARGIN_M`; 0 keeps none.
       vertical_m: least height over roofs; those less far below the altitude are obstacles too.
@@ -85,7 +91,7 @@ def nearest_said(
     """Return what a clearance keeps a cell from, a phrase, and whether that is a roof in the cell itself."""
     is_obstacle = obstacles_within(maps, altitude_m, horizontal_m, vertical_m)
     if is_obstacle[cell]:
-        roof_m = maps.m("roof_touched")[cell]
+        roof_m = maps.m(_roofs(maps, horizontal_m))[cell]
         return f"a roof of {roof_m:g} m is there" if roof_m > 0 else "what stands there is not known", True
     last = np.array(is_obstacle.shape) - 1
     border_m = min(*cell, *(last - cell)) * maps.grid.resolution_m

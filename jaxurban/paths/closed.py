@@ -16,7 +16,7 @@ def why_closed(cost_map: "CostMap", cell: Cell, level: int = 0) -> str:
     z_m, maps, constraints = float(cost_map.altitudes_m[level]), cost_map.maps, cost_map.constraints
     when = {"time": cost_map.time, "time_of_day": cost_map.time_of_day}
     where, is_volume = why_blocked(maps, z_m, cell), cost_map.levels is not None
-    if constraints if is_volume else maps.is_free(z_m)[cell]:
+    if maps.is_free(z_m)[cell]:
         reasons = constraints.reasons(maps, z_m, cell, **when)
         where = f"closed by {' and '.join(reasons)}" if reasons else where
     if not is_volume:

@@ -21,6 +21,7 @@ from jaxurban.metrics.gps import WEIGHTED_DOPS
 from jaxurban.metrics.registry import METRICS, ON_REQUEST, known_metrics
 from jaxurban.paths.clearance import closed_by_clearance, nearest_said
 from jaxurban.paths.vehicle import Vehicle
+from jaxurban.presets import DEFAULTS, Preset
 
 OPERATORS: dict[str, Callable] = {">=": operator.ge, "<=": operator.le, ">": operator.gt, "<": operator.lt}
 BOUND = re.compile(r"\s*(\w+)\s*([<>=!]+)\s*(\S+)\s*")
@@ -110,13 +111,15 @@ class Constraints:
     """No-fly zones, bounds and clearances. Cells that one of them closes are closed to every planner.
 
     Closed are cells that a zone touches, where a bound is not kept, or that lie nearer to an obstacle than the
-    clearance (`closed_by_clearance`), which is measured from the roofs that touch a cell under every rule of obstacles.
+    clearance (`closed_by_clearance`). A horizontal one is measured from the roofs that touch a cell under every rule of
+    obstacles, a vertical one alone from those that the maps' rule counts.
 
     Attributes:
       zones: from `jaxurban.io.read.airspace`; with times of their own they are closed until `at` knows better.
       bounds: what must hold at every cell of a path.
       clearance_m: horizontal distance that paths keep from buildings as high as they fly, and from the maps' border.
       vertical_clearance_m: height that paths keep over roofs; a roof nearer below counts as one as high as they fly.
+        Left out, 3 m, and 0 under the preset ``"paper"`` (`under`).
       vehicle: what flies; its radius is kept beside ``clearance_m``.
 
     Raises:
@@ -125,14 +128,14 @@ class Constraints:
 
     zones: tuple[Zone, ...] = ()
     bounds: tuple[Bound, ...] = ()
-    clearance_m: float = 0.0
-    vertical_clearance_m: float = 0.0
+    clearance_m: float = DEFAULTS.clearance_m
+    vertical_clearance_m: float | None = None
     vehicle: Vehicle = field(default_factory=Vehicle)
 
     def __post_init__(self) -> None:
         for name in CLEARANCES:
-            if finite(name, getattr(self, name), "metres") < 0:
-                raise InputError(f"{name} must be 0 or a positive number of metres, got {getattr(self, name):g}")
+            if (value := getattr(self, name)) is not None and finite(name, value, "metres") < 0:
+                raise InputError(f"{name} must be 0 or a positive number of metres, got {value:g}")
 
     @classmethod
     @typed
@@ -141,8 +144,8 @@ class Constraints:
         no_fly: str | Path | Iterable[str | Path] = (),
         require: Require = (),
         *,
-        clearance_m: float = 0.0,
-        vertical_clearance_m: float = 0.0,
+        clearance_m: float = DEFAULTS.clearance_m,
+        vertical_clearance_m: float | None = None,
         vehicle: Vehicle | None = None,
     ) -> "Constraints":
         """Return the constraints in files, texts and numbers.
@@ -151,7 +154,7 @@ class Constraints:
           no_fly: a file of polygons or several (GeoJSON, KML ...; `read_zones` says what is read).
           require: ``"gps>=0.3"``, a list of such, or ``{"gps": (">=", 0.3)}``.
           clearance_m: least horizontal distance to buildings as high as a path.
-          vertical_clearance_m: least height over roofs.
+          vertical_clearance_m: least height over roofs; left out, 3 m, and 0 under the preset ``"paper"``.
           vehicle: what flies; left out, a point that any route suits.
 
         Raises:
@@ -165,24 +168,35 @@ class Constraints:
         zones = tuple(zone for file in files for zone in read_zones(file))
         return cls(zones, tuple(bounds), clearance_m, vertical_clearance_m, vehicle or Vehicle())
 
-    def __bool__(self) -> bool:
-        return bool(self.zones or self.bounds or self.keeps_clear)
-
     def __str__(self) -> str:
         return constraints_said(self.to_dict())
 
     @property
     def keeps_clear(self) -> bool:
         """Whether paths keep a distance from obstacles."""
-        return bool(self._horizontal_m or self.vertical_clearance_m)
+        return bool(self.horizontal_m or self._vertical_m)
 
     @property
-    def _horizontal_m(self) -> float:
+    def horizontal_m(self) -> float:
+        """The clearance and the vehicle's radius."""
         return self.clearance_m + self.vehicle.radius_m
+
+    @property
+    def _vertical_m(self) -> float:
+        return DEFAULTS.vertical_clearance_m if self.vertical_clearance_m is None else self.vertical_clearance_m
+
+    @property
+    def _clearances_m(self) -> dict[str, float]:
+        return dict(zip(CLEARANCES, (self.clearance_m, self._vertical_m), strict=True))
+
+    def under(self, preset: Preset) -> "Constraints":
+        """Return the constraints with the vertical clearance of a preset where they were made without one."""
+        known = self.vertical_clearance_m is not None
+        return self if known else replace(self, vertical_clearance_m=preset.vertical_clearance_m)
 
     def without_clearance(self) -> "Constraints":
         """Return the zones and bounds alone."""
-        return Constraints(self.zones, self.bounds)
+        return Constraints(self.zones, self.bounds, vertical_clearance_m=0.0)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the constraints as plain, JSON-ready values; floors and ceilings are None where there are none.
@@ -201,7 +215,7 @@ class Constraints:
                 for zone in self.zones
             ],
             "require": [str(bound) for bound in self.bounds],
-            **{name: float(value) for name in CLEARANCES if (value := getattr(self, name))},
+            **{name: float(metres) for name, metres in self._clearances_m.items() if metres},
             **self.vehicle.to_dict(),
         }
 
@@ -227,17 +241,14 @@ class Constraints:
 
         Arguments and errors are those of `closed`.
         """
-        is_free = maps.is_free(altitude_m)
-        return is_free & ~self.closed(maps, altitude_m, time=time, time_of_day=time_of_day) if self else is_free
+        return maps.is_free(altitude_m) & ~self.closed(maps, altitude_m, time=time, time_of_day=time_of_day)
 
     def free_levels(
         self, maps: MetricMaps, levels_m: Sequence[float], *, time: str | None = None, time_of_day: str | None = None
     ) -> np.ndarray:
         """Return ``[K, Y, X]`` bool: where a path may fly on each level (see `closed_levels`)."""
         is_free = np.stack([maps.is_free(z_m) for z_m in levels_m])
-        if self:
-            is_free &= ~self.closed_levels(maps, levels_m, time=time, time_of_day=time_of_day)
-        return is_free
+        return is_free & ~self.closed_levels(maps, levels_m, time=time, time_of_day=time_of_day)
 
     def closed(
         self, maps: MetricMaps, altitude_m: float, *, time: str | None = None, time_of_day: str | None = None
@@ -289,7 +300,7 @@ class Constraints:
                 level_closed |= ~bound.is_kept(maps, z_m, time, time_of_day)
         if self.keeps_clear:
             for level_closed, z_m in zip(closed, levels_m, strict=True):
-                level_closed |= closed_by_clearance(maps, z_m, self._horizontal_m, self.vertical_clearance_m)
+                level_closed |= closed_by_clearance(maps, z_m, self.horizontal_m, self._vertical_m)
         return closed
 
     def reasons(
@@ -308,9 +319,9 @@ class Constraints:
                 held_m = min(maps.altitudes_m, key=lambda z_m: abs(z_m - altitude_m))  # between two, the nearer map's
                 value = maps.m(bound.variable, held_m, time=time, time_of_day=time_of_day)[cell]
                 bounds.append(f"the bound {bound} (it is {value:g} there{_at(held_m, altitude_m)})")
-        vertical_m = self.vertical_clearance_m
-        if self.keeps_clear and closed_by_clearance(maps, altitude_m, self._horizontal_m, vertical_m)[cell]:
-            phrase, is_over = nearest_said(maps, altitude_m, self._horizontal_m, vertical_m, cell)
+        vertical_m = self._vertical_m
+        if self.keeps_clear and closed_by_clearance(maps, altitude_m, self.horizontal_m, vertical_m)[cell]:
+            phrase, is_over = nearest_said(maps, altitude_m, self.horizontal_m, vertical_m, cell)
             said = clearances_said(self.to_dict())
             kept = said[-1:] if is_over else said[: len(said) - bool(vertical_m)]
             return [*zones, *bounds, f"the {' and the '.join(kept)} ({phrase})"]

@@ -15,6 +15,7 @@ from jaxurban.paths.closed import why_closed
 from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.finish import finish
 from jaxurban.paths.path import PlannedPath
+from jaxurban.paths.preset import under_preset
 from jaxurban.paths.reachability import Reachability, islands_of, levels_that_join
 from jaxurban.paths.read_costs import When, check_memory, costs_at
 from jaxurban.paths.search import PathSearch
@@ -27,6 +28,7 @@ from jaxurban.planners.heuristics import AUTO
 from jaxurban.planners.landmarks import make_landmarks
 from jaxurban.planners.refine import refine as refine_path
 from jaxurban.planners.registry import PLANNERS
+from jaxurban.presets import BUDGET_S
 from jaxurban.progress import saying_later
 from jaxurban.world.grid import Grid
 from jaxurban.world.show import Shown
@@ -269,13 +271,13 @@ class CostMap(Shown):
     @property
     def _remedy(self) -> str:
         first = "fly higher" if self.levels is None else "raise max_altitude_m"
-        return f"{first}, or loosen the constraints ({self.constraints})" if self.constraints else first
+        return f"{first}, or loosen the constraints ({said})" if (said := str(self.constraints)) else first
 
     @property
     def _remedy_here(self) -> str:
         if self.levels is None:
             return self._remedy
-        return "fly at another level, or loosen the constraints" if self.constraints else "fly at another level"
+        return "fly at another level" + ", or loosen the constraints" * bool(str(self.constraints))
 
     def why_closed(self, cell: Cell, level: int = 0) -> str:
         """Return what closes a cell of a level and which one over it is free (`jaxurban.paths.closed`)."""
@@ -289,7 +291,7 @@ class CostMap(Shown):
         *,
         planner: str | None = None,
         heuristic: str | None = None,
-        budget_s: float = 180.0,
+        budget_s: float = BUDGET_S,
         seed: int = 0,
         snap: bool | float = False,
         refine: bool = False,
@@ -345,10 +347,11 @@ def cost_map(
     *,
     weights: GivenWeights = None,
     objective: str = "weighted",
-    cost_model: CostModel | CostKind = "cell",
+    cost_model: CostModel | CostKind | None = None,
     time: str | None = None,
     time_of_day: str | None = None,
     constraints: Constraints | None = None,
+    preset: str = "",
 ) -> CostMap:
     """Return the maps at one altitude, or between levels, under weights, on which any number of paths can be planned.
 
@@ -358,13 +361,15 @@ def cost_map(
         (`values_at`), obstacles from the roofs' own heights. Or `Levels`, for paths that climb and descend.
       weights: default `Weights()`.
       objective: ``"weighted"``, or ``"distance"`` for the shortest path (its weighted cost is reported).
-      cost_model: how steps are costed and which are allowed, or its kind alone: ``"cell"`` (the paper) or
-        ``"line"``.
+      cost_model: how steps are costed and which are allowed, or its kind alone: ``"line"``, the default, or
+        ``"cell"`` (the paper).
       time: UTC time of the GPS map; the first if left out. Where it is named, zones that are not in force then, nor
         within an hour, close nothing (`Constraints.at`).
       time_of_day: of the population map; the first if left out.
       constraints: no-fly zones, bounds and clearances that close cells to every planner; a zone between two levels
-        closes the lower one.
+        closes the lower one. Left out, paths keep 3 m over roofs.
+      preset: ``"paper"`` for the paper's ``cell``, obstacles at centres and no clearance, instead of the defaults of
+        what is left out here; the maps take its rule of obstacles.
 
     Raises:
       InputError: an altitude beyond the maps', an unknown time, time of day or objective, a wrong weight, a bound on a
@@ -375,8 +380,7 @@ def cost_map(
         raise InputError(f"objective must be 'weighted' or 'distance', got {objective!r}")
     if not isinstance(constraints, Constraints | None):
         raise InputError(f"constraints must be Constraints, as from Constraints.read, got {type(constraints).__name__}")
-    constraints = Constraints() if constraints is None else constraints  # one that closes nothing may tell a vehicle
-    maps = as_maps(maps)
+    maps, cost_model, constraints = under_preset(preset, as_maps(maps), cost_model, constraints)
     weights = Weights.of(weights).checked(maps.metrics)
     levels = altitude_m if isinstance(altitude_m, Levels) else None
     if levels is None:
@@ -386,7 +390,7 @@ def cost_map(
         altitudes_m = levels.of(maps.altitudes_m)
     at = When(maps, time, time_of_day)
     limits = constraints.at(time)
-    made = _made(at, altitudes_m, levels, weights, objective, CostModel.of(cost_model), limits)
+    made = _made(at, altitudes_m, levels, weights, objective, cost_model, limits)
     if levels is not None:
         _ = made.shortest  # no free cell in a volume is refused at once
     return made
@@ -407,7 +411,7 @@ def cost_map_of(planned: PlannedPath, maps: MetricMaps) -> CostMap:
         altitudes_m = levels_m[(levels_m >= planned.z_m.min()) & (levels_m <= planned.z_m.max())]
     at = When(maps.with_obstacles("centre"), settings["time"], settings["time_of_day"])
     weights, cost_model = Weights.of(settings["weights"]), CostModel.from_settings(settings)
-    made = _made(at, altitudes_m, levels, weights, settings["objective"], cost_model, Constraints())
+    made = _made(at, altitudes_m, levels, weights, settings["objective"], cost_model, Constraints().without_clearance())
     return replace(made, is_free=np.ones_like(made.is_free)).only(
         [name for name in settings["weights"] if name != "distance"]
     )

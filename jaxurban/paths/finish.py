@@ -84,12 +84,10 @@ def _note(on: "CostMap", found: Path, ends: tuple[Place, Place]) -> str:
     if between := _between_m(on):
         low_m, high_m = between
         notes.append(f"Metrics at {on.altitude_m:g} m are interpolated between the maps of {low_m:g} and {high_m:g} m.")
-    if on.constraints and not has_path:
+    if (said := str(on.constraints)) and not has_path:
         without = sum(int(on.maps.is_free(z_m).sum()) for z_m in on.altitudes_m.tolist())
         share = 1 - on.is_free.sum() / without
-        notes.append(
-            f"Constraints were on ({on.constraints}): they close {share:.1%} of the cells without an obstacle."
-        )
+        notes.append(f"Constraints were on ({said}): they close {share:.1%} of the cells without an obstacle.")
     if found.status is Status.NO_PATH:
         notes.append(on.what_would_join(*ends))
     weighed = on.weights.to_dict()

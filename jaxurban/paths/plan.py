@@ -11,6 +11,7 @@ from jaxurban.paths.search import PathSearch
 from jaxurban.paths.snapping import Point, one_place
 from jaxurban.planners.base import CostKind
 from jaxurban.planners.cost_model import CostModel
+from jaxurban.presets import BUDGET_S
 
 
 @typed
@@ -26,14 +27,15 @@ def plan(
     planner: str | None = None,
     heuristic: str | None = None,
     objective: str = "weighted",
-    cost_model: CostModel | CostKind = "cell",
+    cost_model: CostModel | CostKind | None = None,
     time: str | None = None,
     time_of_day: str | None = None,
-    budget_s: float = 180.0,
+    budget_s: float = BUDGET_S,
     seed: int = 0,
     snap: bool | float = False,
     refine: bool = False,
     constraints: Constraints | None = None,
+    preset: str = "",
 ) -> PlannedPath:
     """Return a path from ``start`` to ``goal``, at one altitude or between levels.
 
@@ -55,8 +57,8 @@ def plan(
         ``"astar-volume"``.
       heuristic: left out, the planner's own.
       objective: ``"weighted"``, or ``"distance"`` for the shortest path (its weighted cost is reported).
-      cost_model: how steps are costed and which are allowed, or its kind alone: ``"cell"`` (the paper) or
-        ``"line"``.
+      cost_model: how steps are costed and which are allowed, or its kind alone: ``"line"``, the default, or
+        ``"cell"`` (the paper).
       time: UTC time of the GPS map; the first if left out.
       time_of_day: of the population map; the first if left out.
       budget_s: seconds that the search may take.
@@ -67,7 +69,8 @@ def plan(
       refine: move the waypoints of what the planner found downhill, off the grid (`planners.refine`); within what
         is left of the budget. It takes the ``line`` cost model, or the ``distance`` objective.
       constraints: no-fly zones, bounds on maps and clearances, from `Constraints.read`; no path enters a cell that
-        they close. A zone between two levels closes the lower one.
+        they close. A zone between two levels closes the lower one. Left out, paths keep 3 m over roofs.
+      preset: ``"paper"`` for the paper's ``cell``, obstacles at centres and no clearance (see `cost_map`).
 
     Raises:
       InputError: a place outside the maps or inside an obstacle or a constraint (names it and the nearest free cell, or
@@ -86,6 +89,7 @@ def plan(
         time=time,
         time_of_day=time_of_day,
         constraints=constraints,
+        preset=preset,
     )
     return shared.plan(
         *ends, planner=planner, heuristic=heuristic, budget_s=budget_s, seed=seed, snap=snap, refine=refine

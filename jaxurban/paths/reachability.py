@@ -47,8 +47,8 @@ class Reachability:
 
     @cached_property
     def _by_centre(self) -> "Reachability | None":
-        """Under the paper's rule of obstacles; None where these maps are under it, or a clearance counts more."""
-        if self.maps.obstacles == "centre" or self.constraints.keeps_clear:
+        """Under the paper's rule of obstacles; None where these maps are under it, or a distance counts more."""
+        if self.maps.obstacles == "centre" or self.constraints.horizontal_m:
             return None
         return replace(self, maps=self.maps.with_obstacles("centre"), _labels={})
 
@@ -119,7 +119,7 @@ def levels_that_join(here: Reachability, start: Cell, goal: Cell, levels_m: np.n
     tried = {}
     if here.constraints.keeps_clear:
         tried[NO_CLEARANCE] = joins(maps, levels_m, here.constraints.without_clearance())
-    elif maps.obstacles == "touched":
+    if maps.obstacles == "touched" and not here.constraints.horizontal_m:
         tried[CENTRE_REMEDY] = joins(maps.with_obstacles("centre"), levels_m)
     if higher_m := [z_m for z_m in sorted(maps.altitudes_m) if z_m > levels_m[-1]]:
         tops = (k for k in range(len(higher_m)) if joins(maps, np.append(levels_m, higher_m[: k + 1])))

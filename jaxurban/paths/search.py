@@ -7,6 +7,7 @@ import numpy as np
 from jaxurban.errors import InputError
 from jaxurban.planners.base import Planner
 from jaxurban.planners.registry import check_seed, find_planner
+from jaxurban.presets import BUDGET_S
 
 
 @dataclass(frozen=True)
@@ -26,7 +27,7 @@ class PathSearch:
 
     planner: str | None = None
     heuristic: str | None = None
-    budget_s: float = 180.0
+    budget_s: float = BUDGET_S
     seed: int = 0
     snap: bool | float = False
     refine: bool = False

@@ -87,7 +87,7 @@ def report_markdown(result: BenchmarkResult, tables: dict[str, pd.DataFrame], fi
         else f"{settings.budget_iterations} samples a run, other planners to their end",
         settings=settings,
         maps=result.maps,
-        constraints=f"\n- Constraints: {settings.constraints}." if settings.constraints else "",
+        constraints=f"\n- Constraints: {said}." if (said := str(settings.constraints)) else "",
         joined=listed(f"{share:.1%} at {z:g} m" for z, share in joined.items()),
         num_crashed=(table.status == CRASHED).sum(),
         num_odd=table.status.isin(["invalid", "bad-input"]).sum(),

@@ -18,6 +18,7 @@ from jaxurban.io.workspace import Workspace
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.registry import METRICS
 from jaxurban.paths.constraints import Constraints, constraints_said
+from jaxurban.paths.preset import under_preset
 from jaxurban.progress import Progress
 from jaxurban.scenario.settings import Scenario
 from jaxurban.studies.montecarlo.analysis import joined
@@ -98,14 +99,13 @@ def study(
     folder, settings = Path(folder), settings or BenchmarkSettings()
     if isinstance(workers, int) and workers < 1:
         raise InputError(f"workers must be at least 1, got {workers}")
-    source: MetricMaps | MapsFolder
-    if isinstance(maps, MetricMaps):
-        source = opened = maps
+    source = maps if isinstance(maps, MetricMaps | MapsFolder) else MapsFolder(maps)
+    source, model, constraints = under_preset(settings.preset, source, settings.cost_model, settings.constraints)
+    if isinstance(source, MetricMaps):
+        opened = source
     else:
-        source = maps if isinstance(maps, MapsFolder) else MapsFolder(maps)
         opened = source.open()
         source = replace(source, folder=Path(source.folder).resolve(), resolution_m=opened.grid.resolution_m)
-    model, constraints = settings.cost_model, settings.constraints
     if not isinstance(instances, pd.DataFrame):
         instances = sample_instances(opened, instances, cost_model=model, constraints=constraints, seed=settings.seed)
     else:

@@ -19,6 +19,7 @@ from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.maps.task import MapTask
 from jaxurban.metrics.registry import METRICS
 from jaxurban.metrics.weights import GivenWeights, Weights
+from jaxurban.paths.preset import under_preset
 from jaxurban.paths.queries import WEIGHT_PREFIX, read_queries
 from jaxurban.progress import LOG, Progress, Report, reporting
 from jaxurban.report.buildings import scenario_of
@@ -93,7 +94,10 @@ def sensitivity_study(
         raise InputError(
             f"routes must be how many to sample in each city, at least 1, or a table of them, got {routes!r}"
         )
-    given = named_sources(sources)
+    given = {
+        city: under_preset(settings.preset, source, settings.cost_model, settings.constraints)[0]
+        for city, source in named_sources(sources).items()
+    }
     opened = {city: source if isinstance(source, MetricMaps) else source.open() for city, source in given.items()}
     resolutions = {maps.grid.resolution_m for maps in opened.values()}
     if settings.cost_model.kind == "cell" and len(resolutions) > 1:

@@ -13,6 +13,7 @@ from jaxurban.io.tables import records_of
 from jaxurban.io.workspace import Workspace
 from jaxurban.maps.metric_maps import MetricMaps, Obstacles, open_maps
 from jaxurban.metrics.weights import Weights
+from jaxurban.presets import DEFAULTS
 from jaxurban.progress import Progress, reporting
 from jaxurban.report.figures.degrees import in_degrees
 from jaxurban.report.figures.fits import plot_fits
@@ -67,7 +68,7 @@ class TuneSettings:
     """
 
     resolution_m: float | None = None
-    obstacles: Obstacles = "touched"
+    obstacles: Obstacles = DEFAULTS.obstacles
     routes: Mapping[str, Any] = field(default_factory=dict)
     sample: int | None = None
     pilot: Weights | None = None
@@ -183,8 +184,9 @@ def _demonstrations(source: RoutesOnMaps, maps: MetricMaps, settings: TuneSettin
             settings.sample,
             altitudes_m=None if how.get("altitude_m") is None else (how["altitude_m"],),
             weights=[settings.pilot or Weights()],
-            cost_model=how.get("cost_model") or how.get("default_cost_model", "cell"),
+            cost_model=how.get("cost_model") or how.get("default_cost_model"),
             constraints=how.get("constraints"),
+            preset=how.get("preset", ""),
             seed=settings.fit.seed,
         )
         return read_demonstrations(instances, maps, **how)

@@ -184,7 +184,7 @@ def _setting(beside: PlannedBeside, names: Sequence[str]) -> str:
     )
     cells = ", ".join(f"{value:g}" for value in sorted({each.grid.resolution_m for each in units}))
     first = next(iter(units))
-    constraints = f" Constraints: {first.constraints}." if first.constraints else ""
+    constraints = f" Constraints: {said}." if (said := str(first.constraints)) else ""
     return (
         f"Weights fitted: {', '.join(names)}. Cost model: {first.cost_model} on cells of {cells} m.{constraints} "
         f"Obstacles: {first.maps.obstacles}. Altitudes and times: {flown}."

@@ -3,7 +3,7 @@
 import operator
 import tomllib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from datetime import timedelta
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -33,6 +33,7 @@ from jaxurban.metrics.risk import RiskParams
 from jaxurban.metrics.settings import differentiable
 from jaxurban.metrics.weights import Weights
 from jaxurban.paths.vehicle import Vehicle
+from jaxurban.presets import BUDGET_S, DEFAULTS, PRESETS
 from jaxurban.scenario.changes import changed
 from jaxurban.scenario.validation import check_truths, sentence_of
 from jaxurban.scenario.values import (
@@ -183,16 +184,24 @@ class PlanningSettings(_Section):
     """How paths are sought."""
 
     planner: PlannerName = "astar-plus"
-    obstacles: Literal["touched", "centre"] = "touched"
-    clearance_m: NonNegative = 0.0
-    vertical_clearance_m: NonNegative = 0.0
-    cost_model: Literal["cell", "line"] = "cell"
+    preset: Literal["", "paper"] = ""
+    obstacles: Literal["touched", "centre"] = DEFAULTS.obstacles
+    clearance_m: NonNegative = DEFAULTS.clearance_m
+    vertical_clearance_m: NonNegative = DEFAULTS.vertical_clearance_m
+    cost_model: Literal["cell", "line"] = DEFAULTS.cost_model
     objective: Literal["weighted", "distance"] = "weighted"
     connectivity: Literal[4, 8] = 8
     diagonal: Literal["both-free", "always"] = "both-free"
     reference_length_m: Positive = 5.0
-    budget_s: Positive = 180.0
+    budget_s: Positive = BUDGET_S
     seed: Seed = 0
+
+    @model_validator(mode="before")
+    @classmethod
+    def _under_preset(cls, settings: Any) -> Any:
+        """Return the settings with what they leave out as their preset has it."""
+        known = isinstance(settings, dict) and settings.get("preset", "") in [*PRESETS]
+        return asdict(PRESETS[settings.get("preset", "")]) | settings if known else settings
 
 
 def _dirichlet_or_list(value: Any) -> Any:
@@ -202,7 +211,7 @@ def _dirichlet_or_list(value: Any) -> Any:
 
 
 class StudySettings(_Section):
-    """A Monte Carlo study; planners are compared under the line model, which depends on no resolution."""
+    """A Monte Carlo study."""
 
     instances: PositiveInt = 200
     planners: tuple[PlannerName, ...] = PAPER_PLANNERS
@@ -212,7 +221,7 @@ class StudySettings(_Section):
     weights: Annotated[tuple[WeightSettings, ...] | Literal["dirichlet"], BeforeValidator(_dirichlet_or_list)] = (
         "dirichlet"
     )
-    cost_model: Literal["cell", "line"] = "line"
+    cost_model: Literal["cell", "line"] | None = None  # left out: that of ``[planning]``
     budget_s: Positive = 2.0
     budget_iterations: PositiveInt | None = None
     seed: Seed = 0

@@ -17,6 +17,7 @@ from jaxurban.metrics.weights import Weights
 from jaxurban.paths.constraints import KEPT_CLEAR, Constraints, constraints_said
 from jaxurban.paths.cost_map import CostMap, cost_map
 from jaxurban.paths.path import PlannedPath
+from jaxurban.paths.preset import under_preset
 from jaxurban.planners.base import CostKind
 from jaxurban.planners.cost_model import CostModel
 from jaxurban.studies.demonstrations import Demonstration, demonstration_from_line, demonstration_from_path
@@ -34,8 +35,9 @@ def read_demonstrations(
     time_of_day: str | None = None,
     *,
     cost_model: CostModel | CostKind | None = None,
-    default_cost_model: CostModel | CostKind = "cell",
+    default_cost_model: CostModel | CostKind | None = None,
     constraints: Constraints | None = None,
+    preset: str = "",
     metrics: Sequence[str] | None = None,
     planner: str | None = None,
     pilot: Weights | None = None,
@@ -56,6 +58,7 @@ def read_demonstrations(
       cost_model: of every route; left out, the one that jaxurban's own paths were planned under.
       default_cost_model: where no route names one.
       constraints: no-fly zones, bounds and clearances, as in `plan`.
+      preset: as in `plan`; of the cost model where no route names one.
       metrics: those whose weights are to be fitted; all if left out.
       planner: of a benchmark, the one whose paths are taken; left out, ``astar-plus``, or else its first.
       pilot: weights under which the routes of a table or a benchmark are the cheapest, instead of the rows' own.
@@ -64,7 +67,7 @@ def read_demonstrations(
       InputError: no lines, or a route without altitude, on no map, outside the maps or through obstacles, or paths
         that were planned under different cost models.
     """
-    maps = as_maps(maps)
+    maps, default, constraints = under_preset(preset, as_maps(maps), default_cost_model, constraints)
     file = file if isinstance(file, pd.DataFrame) else Path(file)
     if isinstance(file, pd.DataFrame) or holds_queries(file):
         drawn = read_drawn(file, planner)
@@ -72,13 +75,13 @@ def read_demonstrations(
         times = {"time": time, "time_of_day": time_of_day}
         taken = taken.assign(**{name: value for name, value in times.items() if value is not None})
         settings = [(repr(drawn.name), drawn.settings)]
-        model = _model_of(settings, cost_model, default_cost_model)
-        map_of = _cost_maps(maps, settings, model, constraints or Constraints(), None)
+        model = _model_of(settings, cost_model, default)
+        map_of = _cost_maps(maps, settings, model, constraints, None)
         return _on_metrics(draw(drawn._replace(queries=taken), maps, map_of, pilot), metrics)
     routes = read_routes(file)
     planned = [(f"route {route.name!r} of {str(file)!r}", route.settings) for route in routes]
-    model = _model_of(planned, cost_model, default_cost_model)
-    map_of = _cost_maps(maps, planned, model, constraints or Constraints(), metrics)
+    model = _model_of(planned, cost_model, default)
+    map_of = _cost_maps(maps, planned, model, constraints, metrics)
     demonstrations = []
     for (name, _), route in zip(planned, routes, strict=True):
         z_m = route.altitude_m if altitude_m is None else altitude_m
@@ -100,6 +103,7 @@ def demonstrations_from_paths(
     *,
     cost_model: CostModel | CostKind | None = None,
     constraints: Constraints | None = None,
+    preset: str = "",
     metrics: Sequence[str] | None = None,
 ) -> list[Demonstration]:
     """Return planned paths as demonstrations, each on the map that it was planned on.
@@ -109,6 +113,7 @@ def demonstrations_from_paths(
       maps: the maps that they were planned on, or their folder.
       cost_model: left out, the one that they were planned under.
       constraints: those that they were planned under; a path does not carry its zones.
+      preset: of the maps and the clearance, as in `plan`.
       metrics: as in `read_demonstrations`.
 
     Raises:
@@ -121,8 +126,9 @@ def demonstrations_from_paths(
     if not paths:
         raise InputError("there are no paths: give at least one")
     planned = [(f"path {number}", path.settings) for number, path in enumerate(paths, start=1)]
-    model = _model_of(planned, cost_model, "cell")
-    map_of = _cost_maps(as_maps(maps), planned, model, constraints or Constraints(), metrics)
+    maps, default, constraints = under_preset(preset, as_maps(maps), None, constraints)
+    model = _model_of(planned, cost_model, default)
+    map_of = _cost_maps(maps, planned, model, constraints, metrics)
     return [
         demonstration_from_path(
             map_of(path.altitude_m, path.settings["time"], path.settings["time_of_day"]), path, f"{number}"
@@ -162,7 +168,7 @@ def _cost_maps(
     return made
 
 
-def _model_of(planned: Planned, given: CostModel | CostKind | None, default: CostModel | CostKind) -> CostModel:
+def _model_of(planned: Planned, given: CostModel | CostKind | None, default: CostModel) -> CostModel:
     """Return the cost model of routes: the one given, else the one that they were planned under, else a default.
 
     Warns of routes that were planned under another one than is given.
@@ -190,7 +196,7 @@ def _model_of(planned: Planned, given: CostModel | CostKind | None, default: Cos
             f"{name} was planned under the cost model {one} and {other_name} under {other}: fit them apart, or name "
             "one for all (--cost-model, cost_model=)"
         )
-    return next(iter(models), CostModel.of(default))
+    return next(iter(models), default)
 
 
 def _compare_constraints(planned: Planned, constraints: Constraints) -> None:
@@ -202,17 +208,17 @@ def _compare_constraints(planned: Planned, constraints: Constraints) -> None:
             files = sorted({str(zone.get("file")) for zone in before.get("no_fly", ())})
             options = [f"--no-fly {file}" for file in files]
             options += [f"--require '{bound}'" for bound in before.get("require", ())]
-            kept = zip(("--clearance", "--vertical-clearance"), _clearances_m(before), strict=True)
-            options += [f"{option} {metres:g}" for option, metres in kept if metres]
+            kept = zip(("--clearance", "--vertical-clearance"), _clearances_m(before), _clearances_m(now), strict=True)
+            options += [f"{option} {metres:g}" for option, metres, other_m in kept if metres or other_m]
             remedy = (
                 f"give {' '.join(options)} (constraints=)"
                 if options
                 else "leave --no-fly, --require and clearances (constraints=) out"
             )
             warnings.warn(
-                f"{name} was planned under other constraints ({constraints_said(before) or 'none'}) than it is fitted "
-                f"under ({constraints or 'none'}): {remedy}, so that it is compared with routes under the same ones "
-                "(now it is fitted all the same)",
+                f"{name} was planned under other constraints ({constraints_said(before) or 'none'}) than it is "
+                f"fitted under ({constraints_said(now) or 'none'}): {remedy}, so that it is compared with routes under "
+                "the same ones (now it is fitted all the same)",
                 OtherSettingsWarning,
                 stacklevel=4,
             )

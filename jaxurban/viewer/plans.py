@@ -25,12 +25,13 @@ from jaxurban.paths.vehicle import Vehicle
 from jaxurban.planners.base import Problem
 from jaxurban.planners.cost_model import CostModel
 from jaxurban.planners.registry import find_planner
+from jaxurban.presets import BUDGET_S, DEFAULTS
 from jaxurban.viewer.layers import Place
 from jaxurban.viewer.requests import Plan
 from jaxurban.viewer.tiles import middles
 
 ZONES_FILE = "zones.geojson"  # what the page saves drawn zones as, and the command names
-BUDGET_S, SAMPLING_BUDGET_S = 30.0, 2.0  # sampling planners take all that they may
+SAMPLING_BUDGET_S = 2.0  # sampling planners take all that they may
 COARSE_CELLS = 150_000  # of the level that is planned on while something is dragged
 NUM_COST_MAPS, NUM_ROUTES = 2, 16  # that are kept
 Made = TypeVar("Made")
@@ -50,8 +51,8 @@ class PlanDefaults:
 
     weights: Weights = field(default_factory=Weights)
     cost_model: CostModel = field(default_factory=CostModel)
-    clearance_m: float = 0.0
-    vertical_clearance_m: float = 0.0
+    clearance_m: float = DEFAULTS.clearance_m
+    vertical_clearance_m: float = DEFAULTS.vertical_clearance_m
     vehicle: Vehicle = field(default_factory=Vehicle)
     command: tuple[str, ...] = ()
 
@@ -59,7 +60,7 @@ class PlanDefaults:
     def of_settings(cls, settings: Mapping[str, Any], weights: Weights, command: tuple[str, ...]) -> "PlanDefaults":
         """Return what routes are planned under over maps that were made with those settings, as a run records them."""
         planning = settings.get("planning", {})
-        clearances = {name: float(planning.get(name, 0.0)) for name in CLEARANCES}
+        clearances = {name: float(planning.get(name, getattr(DEFAULTS, name))) for name in CLEARANCES}
         vehicle = Vehicle(**settings.get("vehicle", {}))
         return cls(weights, CostModel.from_settings(planning), **clearances, vehicle=vehicle, command=command)
 
@@ -183,6 +184,7 @@ class Plans:
             "--cost-model": query.cost_model,
             "--obstacles": query.obstacles,
             "--clearance": repr(query.clearance_m),
+            "--vertical-clearance": repr(self.defaults.vertical_clearance_m),
             "--no-fly": ZONES_FILE if query.zones else None,
         }
         given = [part for name, value in values.items() if value is not None for part in (name, value)]

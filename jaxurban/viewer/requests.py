@@ -7,6 +7,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from jaxurban.errors import InputError
 from jaxurban.maps.metric_maps import Obstacles
 from jaxurban.planners.base import CostKind
+from jaxurban.presets import DEFAULTS
 
 MOST_LETTERS = 64 * 1024  # of zones
 Index = Annotated[int, Field(strict=True, ge=0, le=10**6)]
@@ -78,9 +79,9 @@ class Plan(Request):
     at: tuple[Index, Index, Index]
     weights: dict[Name, Weight]
     planner: Name = "astar-plus"
-    cost_model: Literal[get_args(CostKind)] = "cell"  # type: ignore[valid-type]
-    obstacles: Literal[get_args(Obstacles)] = "touched"  # type: ignore[valid-type]
-    clearance_m: Metres = 0.0
+    cost_model: Literal[get_args(CostKind)] = DEFAULTS.cost_model  # type: ignore[valid-type]
+    obstacles: Literal[get_args(Obstacles)] = DEFAULTS.obstacles  # type: ignore[valid-type]
+    clearance_m: Metres = DEFAULTS.clearance_m
     snap: Annotated[bool, Field(strict=True)] = True
     zones: Annotated[str, Field(max_length=MOST_LETTERS)] = ""
 

@@ -8,6 +8,7 @@ from jaxurban.errors import InputError, typed
 from jaxurban.io.store import settings_of
 from jaxurban.maps.metric_maps import GivenMaps, as_maps
 from jaxurban.metrics.weights import GivenWeights, Weights
+from jaxurban.presets import with_preset
 from jaxurban.viewer.html import part
 from jaxurban.viewer.plans import PlanDefaults
 from jaxurban.viewer.viewer import JSON, Viewer
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
 
 
 @typed
-def view(maps: GivenMaps, *, weights: GivenWeights = None, other: GivenMaps | None = None) -> Any:
+def view(maps: GivenMaps, *, weights: GivenWeights = None, other: GivenMaps | None = None, preset: str = "") -> Any:
     """Return a widget to look at maps and plan on them, which a notebook shows as the last line of a cell.
 
     Args:
@@ -25,6 +26,7 @@ def view(maps: GivenMaps, *, weights: GivenWeights = None, other: GivenMaps | No
         and ``[vehicle]`` say.
       weights: where the sliders start; left out, those that a folder's maps were made with, else `Weights()`.
       other: further maps of the same cells, altitudes and times, to look at differences.
+      preset: ``"paper"``: where the page starts, as in `jaxurban.cost_map`, over what the folder says.
 
     Raises:
       InputError: anywidget is not installed, or the maps cannot be opened.
@@ -37,7 +39,7 @@ def view(maps: GivenMaps, *, weights: GivenWeights = None, other: GivenMaps | No
         held.times,
     ):
         raise InputError("the other maps must be of the same cells, altitudes and times")
-    stored: dict[str, Any] = {} if held is maps else settings_of(Path(str(maps)))
+    stored = with_preset({} if held is maps else settings_of(Path(str(maps))), preset)
     command = () if held is maps else (str(maps), "--resolution", repr(held.grid.resolution_m))
     chosen = Weights.of(stored.get("weights") if weights is None else weights).checked(held.metrics)
     held = held.with_obstacles(stored.get("planning", {}).get("obstacles", held.obstacles))

@@ -190,7 +190,7 @@ def test_a_larger_budget_plans_again_what_a_smaller_one_ended(maps, pairs, tmp_p
 
 
 def test_a_resumed_batch_gives_the_routes_of_the_whole_one(maps, monkeypatch, tmp_path):
-    free = np.argwhere(maps.is_free(20.0))
+    free = np.argwhere(ju.Constraints().is_free(maps, 20.0))
     ends = np.random.default_rng(1).choice(len(free), (30, 2))
     ends[20:, 1] = ends[0, 1]  # of which ten share a goal, and the rest are enough for landmarks
     xy_m = np.stack([maps.grid.x_m[free[:, 1]], maps.grid.y_m[free[:, 0]]], axis=-1)

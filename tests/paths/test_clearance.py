@@ -244,7 +244,7 @@ def test_no_path_says_that_one_exists_without_the_clearance():
     ends = {"start_xy_m": walled.grid.xy_of_cell(20, 5), "goal_xy_m": walled.grid.xy_of_cell(20, 44)}
     constraints = ju.Constraints.read(clearance_m=6.0)
     message = ju.plan(walled, **ends, altitude_m=ALTITUDE_M, constraints=constraints).to_dict()["message"]
-    assert "Constraints were on (clearance of 6 m)" in message
+    assert "Constraints were on (clearance of 6 m, vertical clearance of 3 m)" in message
     assert "Start and goal are joined without a clearance, but not joined at a greater altitude" in message
     message = plan_volume(walled, **ends, constraints=constraints).to_dict()["message"]
     assert "Start and goal are joined without a clearance" in message
@@ -260,9 +260,9 @@ def test_a_clearance_that_is_none_is_refused(name, value):
 
 def test_without_a_clearance_nothing_is_kept_or_closed():
     maps = scattered(13)
-    assert ju.Constraints().to_dict() == {"no_fly": [], "require": []}
-    assert not ju.Constraints(vehicle=ju.Vehicle(speed_m_s=10.0))
-    assert np.array_equal(ju.Constraints(clearance_m=0.0).is_free(maps, 20.0), maps.is_free(20.0))
+    none = ju.Constraints(vertical_clearance_m=0.0)
+    assert none.to_dict() == {"no_fly": [], "require": []}
+    assert np.array_equal(none.is_free(maps, 20.0), maps.is_free(20.0))
     kept = ju.Constraints.read(**KEPT, vehicle=ju.Vehicle(radius_m=0.5)).to_dict()
     assert kept == {"no_fly": [], "require": [], **KEPT, "vehicle_radius_m": 0.5}
 
@@ -291,7 +291,7 @@ def test_the_command_line_takes_clearances_and_the_scenarios(tmp_path, capsys):
     stored = {"planning": {"clearance_m": 7.0}, "vehicle": {"radius_m": 1.5, "speed_m_s": 8.0}}
     write_json(tmp_path / "maps" / "run.json", {"settings": stored})
     for options, kept in (
-        ((), {"clearance_m": 7.0}),
+        ((), {"clearance_m": 7.0, "vertical_clearance_m": 3.0}),
         (("--clearance", 0, "--vertical-clearance", 4), {"vertical_clearance_m": 4.0}),
     ):
         code, out, _ = run(capsys, *command, *options, "--report")
@@ -311,7 +311,7 @@ def test_every_command_that_plans_takes_the_options_over_its_scenarios_settings(
         assert {"--clearance", "--vertical-clearance"} <= {name for param in command.params for name in param.opts}
     region = {"region": {"bounds": (-74.02, 40.70, -73.98, 40.73)}, "buildings": {"source": "synthetic"}}
     given = {"no_fly": (), "require": (), "clearance_m": None, "vertical_clearance_m": None}
-    assert given_constraints(given, settings_of(Scenario.from_dict(region))) == ju.Constraints()
+    assert given_constraints(given, settings_of(Scenario.from_dict(region))).to_dict() == ju.Constraints().to_dict()
     said = region | {"planning": KEPT, "vehicle": {"radius_m": 0.5, "speed_m_s": 9}}
     stored = settings_of(Scenario.from_dict(said))
     vehicle = ju.Vehicle(radius_m=0.5, speed_m_s=9.0)

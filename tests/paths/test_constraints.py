@@ -49,7 +49,9 @@ def test_constraints_close_what_their_zones_touch_and_their_bounds_forbid(maps):
 
 
 def test_a_zone_closes_from_its_floor_to_its_ceiling_both_included(maps):
-    constraints = ju.Constraints((zone_of_cells(maps, 40, 30, 5, floor_m=30.0, ceiling_m=50.0),))
+    constraints = ju.Constraints(
+        (zone_of_cells(maps, 40, 30, 5, floor_m=30.0, ceiling_m=50.0),), vertical_clearance_m=0.0
+    )
     for altitude_m, is_closed in ((29.9, False), (30.0, True), (50.0, True), (50.1, False)):
         assert constraints.closed(maps, altitude_m).any() == is_closed
     counts = [closed.sum() for closed in constraints.closed_levels(maps, [20.0, 30.0, 55.0, 60.0])]
@@ -72,7 +74,10 @@ def test_where_there_are_no_data_no_bound_holds(maps):
     has_data = maps.ds["has_data"].copy()
     has_data[:5] = False
     holey = ju.MetricMaps(maps.ds.assign(has_data=has_data))
-    assert ju.Constraints.read(require="roof>=0").closed(holey, ALTITUDE_M).sum() == 5 * maps.grid.num_cols
+    assert (
+        ju.Constraints.read(require="roof>=0", vertical_clearance_m=0.0).closed(holey, ALTITUDE_M).sum()
+        == 5 * maps.grid.num_cols
+    )
 
 
 @pytest.mark.parametrize("require", ["lidar>=0.3", "num_visible>=4"])
@@ -138,11 +143,13 @@ def test_without_a_path_the_constraints_are_named(maps, ends):
     zone = Zone("wall", zone.polygon.buffer(20.0, join_style="mitre"), maps.grid.crs)
     path = ju.plan(maps, **ends, altitude_m=ALTITUDE_M, constraints=ju.Constraints((zone,)))
     assert path.status is Status.NO_PATH
-    assert "Constraints were on (1 no-fly zone): they close" in path.to_dict()["message"]
+    assert "Constraints were on (1 no-fly zone, vertical clearance of 3 m): they close" in path.to_dict()["message"]
 
 
 def test_constraints_that_close_everything_are_refused(maps, ends):
-    with pytest.raises(InputError, match=r"no cell is free at this altitude: .* loosen the constraints \(hdop<=0.1\)"):
+    with pytest.raises(
+        InputError, match=r"no cell is free at this altitude: .* loosen the constraints \(hdop<=0.1, vertical clear"
+    ):
         ju.plan(maps, **ends, altitude_m=ALTITUDE_M, constraints=ju.Constraints.read(require="hdop<=0.1"), snap=True)
 
 
@@ -156,8 +163,8 @@ def test_bounds_are_read_from_text_lists_and_mappings():
     expected = ju.Constraints((), (Bound("gps", ">=", 0.3), Bound("num_visible", ">", 4.0)))
     assert ju.Constraints.read(require=["gps>=0.3", " num_visible > 4"]) == expected
     assert ju.Constraints.read(require={"gps": (">=", 0.3), "num_visible": (">", 4)}) == expected
-    assert not ju.Constraints.read()
-    assert str(expected) == "gps>=0.3, num_visible>4"
+    assert str(expected) == "gps>=0.3, num_visible>4, vertical clearance of 3 m"
+    assert str(ju.Constraints.read(vertical_clearance_m=0.0)) == ""
 
 
 @pytest.mark.parametrize(
@@ -189,7 +196,7 @@ def test_a_bound_on_a_map_that_is_not_there_names_those_that_are(maps, require, 
 def test_a_file_for_another_place_is_told(maps):
     far = Zone("far", shapely.box(10, 10, 11, 11), source="far.kml")
     with pytest.warns(IgnoredZoneWarning, match="no zone of 'far.kml' lies in the maps' region"):
-        assert not ju.Constraints((far,)).closed(maps, ALTITUDE_M).any()
+        assert not ju.Constraints((far,), vertical_clearance_m=0.0).closed(maps, ALTITUDE_M).any()
 
 
 def test_the_command_line_takes_files_and_bounds(maps, ends, tmp_path, capsys):

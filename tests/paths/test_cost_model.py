@@ -111,8 +111,13 @@ def test_each_part_of_a_cost_model_and_constraints_change_the_cost(plans):
 def test_every_way_gives_one_path_one_cost(maps, ends, plans, closing, model, constrained, tmp_path, monkeypatch):
     monkeypatch.setattr(local, "NUM_REPEATS", 2)
     monkeypatch.setattr(local, "NUM_NOISE", 2)
-    planned, constraints = plans[model, constrained], closing[constrained]
-    under = {"cost_model": model, "constraints": constraints}
+    closed = {"constraints": closing[constrained]}
+    costs = costs_of_every_way(maps, ends, plans[model, constrained], {"cost_model": model} | closed, closed, tmp_path)
+    assert costs == pytest.approx(dict.fromkeys(costs, plans[model, constrained].cost), rel=1e-9)
+
+
+def costs_of_every_way(maps, ends, planned, under, closed, folder) -> dict[str, float]:
+    """What a path costs by every way, under arguments of `plan`, and those of them that a path in a file needs."""
     costs = {}
     (answer,) = ju.plan_many(maps, [ends], altitude_m=ALTITUDE_M, weights=WEIGHTS, progress=False, **under)
     costs["plan_many"] = answer.cost
@@ -122,18 +127,88 @@ def test_every_way_gives_one_path_one_cost(maps, ends, plans, closing, model, co
     costs["sensitivity's gradient"] = float(found.local.cost["gradient"] @ VECTOR)
     given = found.breakpoints("gps").query("is_given")
     assert given.length_m.item() == pytest.approx(planned.length_m, rel=1e-9)
-    write_path(planned, tmp_path / "route.geojson")
+    write_path(planned, folder / "route.geojson")
     for name, (shown,) in {
-        "read_demonstrations": ju.read_demonstrations(tmp_path / "route.geojson", maps, constraints=constraints),
-        "demonstrations_from_paths": ju.demonstrations_from_paths([planned], maps, constraints=constraints),
+        "read_demonstrations": ju.read_demonstrations(folder / "route.geojson", maps, **closed),
+        "demonstrations_from_paths": ju.demonstrations_from_paths([planned], maps, **closed),
     }.items():
-        assert shown.query.cost_map.cost_model == model
+        assert shown.query.cost_map.cost_model == ju.CostModel.from_settings(planned.settings)
         costs[name] = float(shown.features @ VECTOR)
         costs[f"the search of {name}"] = float(shown.query.sums(shown.query.cheapest(VECTOR))[0] @ VECTOR)
     how = ju.BenchmarkSettings(planners=["astar-plus"], distance_only=(), **under)
-    found = ju.study(maps, tmp_path / "study", instances_of(maps), settings=how, progress=False)
-    costs["study"] = found.rows.cost.item()
-    assert costs == pytest.approx(dict.fromkeys(costs, planned.cost), rel=1e-9)
+    found = ju.study(maps, folder / "study", instances_of(maps), settings=how, progress=False)
+    return costs | {"study": found.rows.cost.item()}
+
+
+@pytest.fixture(scope="module")
+def low_roofs(maps) -> ju.MetricMaps:
+    """The same maps with roofs 2 m below the altitude, and walls that touch cells without covering their centres."""
+    rng = np.random.default_rng(8)
+    is_free = maps.m("roof") == 0
+    is_low, is_touched = (is_free & (rng.random(is_free.shape) < share) for share in (0.05, 0.02))
+    for row, col in (START, GOAL):
+        is_low[row, col] = is_touched[row, col] = False
+    roof_m = np.where(is_low, np.float32(ALTITUDE_M - 2), maps.m("roof"))
+    touched_m = np.where(is_touched, np.float32(80.0), roof_m)
+    return ju.MetricMaps(maps.ds.assign(roof=(("y", "x"), roof_m), roof_touched=(("y", "x"), touched_m)))
+
+
+@pytest.mark.parametrize("preset", ["", "paper"])
+def test_without_a_model_every_way_has_the_presets_rules_and_one_cost(
+    low_roofs, ends, preset, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.setattr(local, "NUM_REPEATS", 2)
+    monkeypatch.setattr(local, "NUM_NOISE", 2)
+    under = {"preset": preset} if preset else {}
+    kind, rule, clearance_m = ("cell", "centre", 0.0) if preset else ("line", "touched", 3.0)
+    constraints = ju.Constraints(vertical_clearance_m=clearance_m)
+    named = {"cost_model": kind, "constraints": constraints}
+    where = {"altitude_m": ALTITUDE_M, "weights": WEIGHTS}
+    expected = ju.plan(low_roofs.with_obstacles(rule), *ends, **where, **named)
+    planned = ju.plan(low_roofs, *ends, **where, **under)
+    assert planned.settings == expected.settings
+    costs = {"plan": planned.cost} | costs_of_every_way(low_roofs, ends, planned, under, under, tmp_path)
+    for planner in ("astar-dist", "astar-plus", "astar-anytime"):
+        costs[planner] = ju.plan(low_roofs, *ends, **where, **under, planner=planner).cost
+    compared = ju.compare(low_roofs, low_roofs, routes=[ends], weights=WEIGHTS, progress=False, **under)
+    costs["compare"] = compared.routes.table.query(f"altitude_m == {ALTITUDE_M}").cost_a.item()
+    write_zarr(low_roofs.ds, tmp_path / "maps")
+    write_json(tmp_path / "maps" / "run.json", {"settings": {"weights": WEIGHTS.to_dict()}})
+    places = [f"--{name}={lon},{lat}" for name, (lon, lat) in zip(("start", "goal"), ends, strict=True)]
+    quick = ("--vary", "gps", "--samples", 2, "--pareto", "distance,gps", "-o", tmp_path / "study-of-one")
+    options = ("--altitude", ALTITUDE_M, "--json", *(("--preset", preset) if preset else ()))
+    for command, more in (("plan", ()), ("sensitivity", quick)):
+        facts = json.loads(run(capsys, command, tmp_path / "maps", *places, *options, *more)[1])
+        costs[f"the command {command}"] = facts.get("route", facts)["cost"]
+    assert costs == pytest.approx(dict.fromkeys(costs, expected.cost), rel=1e-9)
+
+
+def test_a_preset_sets_only_what_is_left_out(low_roofs, ends):
+    paper = {"altitude_m": ALTITUDE_M, "preset": "paper"}
+    assert ju.cost_map(low_roofs, **paper, cost_model="line").cost_model.kind == "line"
+    kept = ju.cost_map(low_roofs, **paper, constraints=ju.Constraints(vertical_clearance_m=3.0))
+    assert kept.constraints.vertical_clearance_m == 3.0
+    bounded = ju.cost_map(low_roofs, **paper, constraints=ju.Constraints.read(require="gps>=0.1"))
+    assert (bounded.constraints.vertical_clearance_m, bounded.maps.obstacles) == (0.0, "centre")
+    with pytest.raises(ju.InputError, match="preset must be '' or 'paper', got 'papers'"):
+        ju.plan(low_roofs, *ends, altitude_m=ALTITUDE_M, preset="papers")
+    region = {"region": {"bounds": (-74.02, 40.70, -73.98, 40.73)}, "buildings": {"source": "synthetic"}}
+    planning = ju.Scenario.from_dict(region | {"planning": {"preset": "paper", "clearance_m": 2.0}}).planning
+    assert (planning.cost_model, planning.obstacles, planning.clearance_m) == ("cell", "centre", 2.0)
+    assert planning.vertical_clearance_m == 0.0
+    again = ju.Scenario.from_dict(region).planning
+    assert (again.cost_model, again.obstacles, again.vertical_clearance_m, again.budget_s) == (
+        "line",
+        "touched",
+        3.0,
+        10.0,
+    )
+
+
+def test_comparing_maps_keeps_a_vehicle_that_closes_nothing(maps, ends):
+    flown = ju.Constraints(vertical_clearance_m=0.0, vehicle=ju.Vehicle(speed_m_s=10.0, max_climb_m_s=2.0))
+    found = ju.compare(maps, maps, routes=[ends], constraints=flown, progress=False)
+    assert found.routes.a[0].settings["limits"]["vehicle_speed_m_s"] == 10.0
 
 
 @pytest.fixture(scope="module")
@@ -210,9 +285,13 @@ def test_routes_are_fitted_under_the_cost_model_they_were_planned_under_and_diff
 def test_routes_of_other_constraints_than_the_fits_are_told(maps, plans, zone_file, tmp_path):
     free, limited = (plans[MODELS[0], name] for name in ("none", "constraints"))
     file = routes_file(tmp_path / "routes.geojson", [limited])
-    with pytest.warns(OtherSettingsWarning, match=r"give --no-fly zone.geojson --require 'risk>=0.08' \(constraints="):
+    with pytest.warns(
+        OtherSettingsWarning, match=r"give --no-fly zone.geojson --require 'risk>=0.08' --vertical-clearance 3 \(c"
+    ):
         ju.read_demonstrations(file, maps)
-    with pytest.warns(OtherSettingsWarning, match=r"other constraints \(none\) .* leave --no-fly"):
+    with pytest.warns(
+        OtherSettingsWarning, match=r"other constraints \(vertical clearance of 3 m\) .* give --vertical-clearance 3"
+    ):
         ju.demonstrations_from_paths([free], maps, constraints=ju.Constraints.read(require="lidar>=0"))
     moved = tmp_path / "moved.geojson"
     moved.write_text(zone_file.read_text())  # the same zone from another file is no other constraint
@@ -229,7 +308,8 @@ def test_tune_takes_cost_model_and_constraints_from_its_routes_and_options(folde
     assert "other constraints" not in err
     report = (tmp_path / "fit" / "report.md").read_text()
     assert (
-        f"Cost model: {model} on cells of 10 m. Constraints: 1 no-fly zone, risk>=0.08. Obstacles: touched." in report
+        f"Cost model: {model} on cells of 10 m. Constraints: 1 no-fly zone, risk>=0.08, "
+        "vertical clearance of 3 m. Obstacles: touched." in report
     )
     assert "--cost-model cell" in (tmp_path / "fit" / "weights.toml").read_text()
     line = routes_file(tmp_path / "line.geojson", [plans[ju.CostModel("line", 4.0), "none"]])
@@ -237,7 +317,7 @@ def test_tune_takes_cost_model_and_constraints_from_its_routes_and_options(folde
         warnings.simplefilter("always")
         code, _, err = run(capsys, *asked, "--overwrite", "--also", folder, line)
     assert code == 2
-    assert "was planned under other constraints (1 no-fly zone, risk>=0.08) than it is fitted under (none): give" in err
+    assert "(1 no-fly zone, risk>=0.08, vertical clearance of 3 m) than it is fitted under (vertical" in err
     assert "error: the routes are costed by different cost models, 'cell'" in err
 
 
@@ -267,7 +347,10 @@ def test_a_folder_keeps_one_study_under_one_set_of_constraints(maps, closing, tm
     kept = json.loads((tmp_path / "study.json").read_text())
     assert ju.CostModel.from_settings(kept) == ju.CostModel("line")
     assert kept["limits"] == closing["constraints"].to_dict()
-    with pytest.raises(ju.InputError, match=r"its set of constraints is 1 no-fly zone, risk>=0.08, and none is"):
+    with pytest.raises(
+        ju.InputError,
+        match=r"its set of constraints is 1 no-fly zone, risk>=0.08, vertical clearance of 3 m, and vertical",
+    ):
         study()
     (zone,) = closing["constraints"].zones
     redrawn = dataclasses.replace(

@@ -29,7 +29,7 @@ def ends(maps) -> dict:
 
 def test_cell_cost_is_the_sum_over_the_cells_entered(maps, ends):
     weights = ju.Weights(distance=0.2, gps=0.5, lidar=2.0, population=3.0, risk=1.5)
-    path = ju.plan(maps, **ends, altitude_m=20.0, weights=weights, time_of_day="night")
+    path = ju.plan(maps, **ends, altitude_m=20.0, weights=weights, cost_model="cell", time_of_day="night")
     rows, cols = maps.grid.cell_of_xy(path.xy_m[:, 0], path.xy_m[:, 1])
     costs = maps.costs(20.0, time_of_day="night")
     length_m = np.hypot(*np.diff(path.xy_m, axis=0).T).sum()

@@ -151,11 +151,11 @@ def test_another_cost_map_or_no_tolerance_is_refused_in_one_sentence(maps):
     near = np.argwhere(kept.is_free)
     clear = kept.plan(*(ju.XY(*maps.grid.xy_of_cell(*near[at])) for at in (10, 20)))
     for route, other, said in (  # each would move the path by what it was not planned under
-        (clear, on, "limits clearance of 6 m, and this cost map has none"),
-        (path, kept, "limits none, and this cost map has clearance of 6 m"),
+        (clear, on, "limits clearance of 6 m, vertical clearance of 3 m, and this cost map has vertical"),
+        (path, kept, "limits vertical clearance of 3 m, and this cost map has clearance of 6 m"),
         (path, ju.cost_map(maps, ALTITUDE_M, weights=WEIGHTS), "weights "),
         (path, ju.cost_map(maps.with_obstacles("centre"), ALTITUDE_M), "obstacles touched, and this cost map has cent"),
-        (path, ju.cost_map(maps, ALTITUDE_M, cost_model="line"), "cost_model cell, and this cost map has line"),
+        (path, ju.cost_map(maps, ALTITUDE_M, cost_model="cell"), "cost_model line, and this cost map has cell"),
         (replace(path, xy_m=path.xy_m + 5.0), on, "in another region than"),
     ):
         with pytest.raises(InputError, match=f"{said}.*: give the cost map that it was planned on"):
@@ -177,7 +177,7 @@ def folder(maps, tmp_path_factory):
 def query(maps) -> tuple:
     places = (maps.grid.lonlat_of_xy(*place[:2]) for place in ends_of(maps))
     start, goal = ("{:.7f},{:.7f}".format(*place) for place in places)
-    return ("--start", start, "--goal", goal, "--altitude", 20, "--snap")
+    return ("--start", start, "--goal", goal, "--altitude", 20, "--snap", "--cost-model", "cell")
 
 
 def test_the_command_simplifies_missions_unless_told_otherwise_and_says_so(maps, folder, tmp_path, capsys):

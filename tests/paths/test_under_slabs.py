@@ -52,7 +52,8 @@ def test_where_planners_may_fly_is_where_they_may_if_everything_reaches_the_grou
         np.testing.assert_array_equal(maps.with_obstacles(rule).is_free(z_m), grounded.is_free(z_m))
         for clearance_m in ((0.0, 0.0), (15.0, 3.0)):
             np.testing.assert_array_equal(
-                obstacles_within(maps, z_m, *clearance_m), obstacles_within(grounded, z_m, *clearance_m)
+                obstacles_within(maps.with_obstacles(rule), z_m, *clearance_m),
+                obstacles_within(grounded, z_m, *clearance_m),
             )
 
 

@@ -35,7 +35,7 @@ def test_its_radius_is_kept_beside_the_clearance(maps):
     both = ju.Constraints(clearance_m=8.0, vehicle=ju.Vehicle(radius_m=4.0))
     assert np.array_equal(both.closed(maps, ALTITUDE_M), ju.Constraints(clearance_m=12.0).closed(maps, ALTITUDE_M))
     assert both.closed(maps, ALTITUDE_M).sum() > ju.Constraints(clearance_m=8.0).closed(maps, ALTITUDE_M).sum()
-    assert str(both) == "clearance of 8 m, vehicle's radius of 4 m"
+    assert str(both) == "clearance of 8 m, vehicle's radius of 4 m, vertical clearance of 3 m"
 
 
 def test_its_speed_and_power_are_those_of_report_and_mission_unless_others_are_given(maps, ends, tmp_path):

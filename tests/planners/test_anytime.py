@@ -54,7 +54,7 @@ def test_random_maps_of_every_kind_end_at_the_optimum_or_the_proof_that_there_is
 
 
 def test_a_first_path_comes_early_and_is_good():
-    problem = city(shape=(200, 220))
+    problem = city(shape=(200, 220), cost_model="cell")
     plain = astar(problem)
     path = astar_anytime(problem)
     _, num_expanded, cost = path.history[0]
@@ -83,7 +83,9 @@ def test_a_budget_that_ends_leaves_the_best_path_and_a_bound(monkeypatch):
 def test_the_first_inflation_brings_the_bound_up_to_what_paths_pay():
     def problem(cost, distance_weight, **options):
         layers = np.full((1, 5, 6), float(cost))
-        return Problem(layers, np.ones((5, 6), bool), (0, 0), (4, 5), 2.0, distance_weight, **options)
+        return Problem(
+            layers, np.ones((5, 6), bool), (0, 0), (4, 5), 2.0, distance_weight, **{"cost_model": "cell"} | options
+        )
 
     assert first_inflation("landmarks", problem(1, 1.0)) == LANDMARK_INFLATION
     assert first_inflation("octile", problem(0, 1.0)) == LEAST_INFLATION

@@ -107,7 +107,7 @@ def test_admissible_heuristics_are_consistent(cost_model, diagonal, connectivity
 def test_better_bounds_expand_fewer_nodes():
     rng = np.random.default_rng(4)
     layers = 0.5 + rng.random((1, 120, 90))
-    problem = Problem(layers, np.ones((120, 90), bool), (5, 5), (110, 40), 1.0, 1.0)
+    problem = Problem(layers, np.ones((120, 90), bool), (5, 5), (110, 40), 1.0, 1.0, "cell")
     counts = [astar(problem, heuristic=name).num_expanded for name in ("none", "euclidean", "octile", "plus")]
     assert counts == sorted(counts, reverse=True)
     assert counts[3] < 0.7 * counts[2]
@@ -143,7 +143,7 @@ WALL = np.array([[0.0, 5.0, 0.0], [0.0, 5.0, 0.0], [0.0, 0.0, 0.0]])
 @pytest.mark.parametrize(("name", "start", "goal"), [("plus-printed", 0, 2), ("plus-printed-from-0", 2, 0)])
 @pytest.mark.parametrize("reopen", [True, False])
 def test_the_printed_h_plus_misses_the_way_around_a_wall(name, start, goal, reopen):
-    problem = Problem(WALL[None], np.ones((3, 3), bool), (0, start), (0, goal), 1.0, 1.0)
+    problem = Problem(WALL[None], np.ones((3, 3), bool), (0, start), (0, goal), 1.0, 1.0, "cell")
     printed = astar(problem, heuristic=name, reopen=reopen)
     assert printed.cost == pytest.approx(5 + 2)
     assert printed.status is Status.FEASIBLE
@@ -159,7 +159,7 @@ def test_the_printed_h_plus_misses_the_way_around_a_wall(name, start, goal, reop
 
 
 def test_the_printed_h_plus_is_inconsistent_where_the_goal_lies_west():
-    problem = Problem(np.array([[[0.0, 0.0, 5.0]]]), np.ones((1, 3), bool), (0, 2), (0, 0), 1.0, 1.0)
+    problem = Problem(np.array([[[0.0, 0.0, 5.0]]]), np.ones((1, 3), bool), (0, 2), (0, 0), 1.0, 1.0, "cell")
     heuristic = make_heuristic("plus-printed", problem)
     values = [heuristic_at(heuristic, (0, col), (0, 0)) for col in range(3)]
     assert values == [0, 1, 7]  # the step from the last to the middle cell costs 1, the value falls by 6

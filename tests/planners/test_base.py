@@ -106,4 +106,4 @@ def test_a_cost_model_is_read_back_from_its_settings_and_takes_no_others():
     model = CostModel("line", 2, 4, "always")
     assert model.settings == {"cost_model": "line", "reference_length_m": 2, "connectivity": 4, "diagonal": "always"}
     assert CostModel.from_settings(model.settings | {"planner": "ptp"}) == model
-    assert CostModel.from_settings({}) == CostModel.of("cell") == CostModel()
+    assert CostModel.from_settings({}) == CostModel.of("line") == CostModel.of(None) == CostModel()

@@ -25,7 +25,7 @@ def test_samples_lie_one_resolution_step_apart_and_end_at_the_goal():
 
 @pytest.mark.parametrize("resolution_m", [0.1, 0.3, 5.0])
 def test_a_whole_number_of_steps_gets_no_sliver_step(resolution_m):
-    problem = Problem(np.ones((1, 1, 50)), np.ones((1, 50), bool), (0, 1), (0, 48), resolution_m, 0.0)
+    problem = Problem(np.ones((1, 1, 50)), np.ones((1, 50), bool), (0, 1), (0, 48), resolution_m, 0.0, "cell")
     path = ptp(problem)
     assert len(path.points_m) == 48
     assert path.cost == 47

@@ -175,6 +175,6 @@ def test_wrong_input_is_refused(change, options, message):
 
 
 def test_the_cell_model_is_refused_with_the_remedy():
-    problem = Problem(np.ones((1, *SHAPE)), np.ones(SHAPE, bool), (0, 0), (3, 2), 2.0, 1.0)
+    problem = Problem(np.ones((1, *SHAPE)), np.ones(SHAPE, bool), (0, 0), (3, 2), 2.0, 1.0, "cell")
     with pytest.raises(InputError, match=r"refinement weighs .* choose cost_model='line'"):
         refine(problem, astar(problem))

@@ -194,7 +194,8 @@ def test_wrong_settings_are_refused(options, message):
 
 def test_the_cell_model_is_refused_with_the_remedy_where_the_map_costs_anything():
     costly, costless = (
-        Problem(np.full((1, 4, 4), cost), np.ones((4, 4), bool), (0, 0), (3, 2), 2.0, 1.0) for cost in (0.1, 0.0)
+        Problem(np.full((1, 4, 4), cost), np.ones((4, 4), bool), (0, 0), (3, 2), 2.0, 1.0, "cell")
+        for cost in (0.1, 0.0)
     )
     with pytest.raises(InputError, match=r"planner 'theta-star' weighs .* choose cost_model='line'"):
         theta_star(costly)

@@ -42,6 +42,13 @@ from jaxurban.world.grid import Grid
 
 ALTITUDES_M = (20.0, 60.0, 122.0, 600.0)
 FLOWN = ("altitude", "y", "x")
+RULES = {
+    "cost_model": "line",
+    "weights": {"distance": 0.1, "gps": 1.0},
+    "objective": "weighted",
+    "obstacles": "touched",
+    "limits": {"vertical_clearance_m": 3.0},
+}
 
 
 def make_maps(rows=34, cols=40, resolution_m=100.0, seed=0, has_all_data=True, with_population=True) -> MetricMaps:
@@ -101,7 +108,7 @@ def make_path(maps, planner, altitude_m, status=Status.OPTIMAL, time_of_day="day
         metrics={},
         snap_distance_m=(0.0, 0.0),
         search=Path(status, xy_m, 1.0, 0.0, 1, 0.1, planner),
-        settings={"time": "2020-04-27T16:00:00Z", "time_of_day": time_of_day},
+        settings=RULES | {"time": "2020-04-27T16:00:00Z", "time_of_day": time_of_day},
         crs=grid.crs,
     )
 
@@ -572,3 +579,11 @@ def test_satellites_are_drawn_in_whole_numbers(maps):
     assert "median 7.0" not in texts_of(figure)
     (bar,) = [panel for panel in figure.axes if panel.get_ylabel() == "satellites in view"]
     assert [tick % 1 for tick in bar.get_yticks()] == [0] * len(bar.get_yticks())
+
+
+def test_pictures_of_routes_name_the_rules_that_they_were_planned_under():
+    maps = make_maps(34, 40)
+    said = "cost model: line · weights: distance 0.1, gps 1 · obstacles: touched, vertical clearance of 3 m"
+    for figure in (plotting.plot_paths(maps, make_paths(maps)), plotting.plot_overview(maps, make_paths(maps))):
+        assert said in " ".join(texts_of(figure).split())
+    assert "cost model" not in texts_of(plotting.plot_paths(maps, {}))

@@ -24,7 +24,9 @@ def cities():
     rng = np.random.default_rng(0)
     made = {}
     for number, name in enumerate(("Aton", "Beton")):
-        shown = optimal_demonstrations(made_queries(cost_map(small_maps(), 20.0), NUM, seed=number), HIDDEN)
+        shown = optimal_demonstrations(
+            made_queries(cost_map(small_maps(), 20.0, cost_model="cell"), NUM, seed=number), HIDDEN
+        )
         for k in range(0, NUM, 5):
             shown[k] = detour(shown[k], HIDDEN.vector(shown[k].query.names), rng)
         made[name] = shown

@@ -185,7 +185,8 @@ def dijkstra(cost: np.ndarray, is_free: np.ndarray, start: tuple, goal: tuple, s
 def test_regret_and_overlap_are_those_of_brute_force(maps):
     a, b = maps
     weights = {"distance": 0.02, "gps": 1.0, "lidar": 0.5, "risk": 3.0, "population": 0.0}
-    found = ju.compare(a, b, routes=6, weights=weights, progress=False)
+    rules = {"cost_model": "cell", "constraints": ju.Constraints(vertical_clearance_m=0.0)}
+    found = ju.compare(a, b, routes=6, weights=weights, **rules, progress=False)
     rows, num_dearer = found.routes.table, 0
     for row in rows[rows.altitude_m == 60.0].itertuples():
         layers = b.costs(60.0, time=row.time, time_of_day=row.time_of_day)

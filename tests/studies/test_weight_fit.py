@@ -18,7 +18,7 @@ NUM = 16  # the same everywhere: other shapes are compiled anew
 
 @pytest.fixture(scope="module")
 def demonstrations():
-    unit = cost_map(small_maps(), 20.0)
+    unit = cost_map(small_maps(), 20.0, cost_model="cell")
     return optimal_demonstrations(made_queries(unit, NUM), HIDDEN)
 
 
@@ -126,7 +126,9 @@ def test_several_altitudes_are_fitted_together():
     demonstrations = [
         each
         for altitude_m in (20.0, 60.0)
-        for each in optimal_demonstrations(made_queries(cost_map(maps, altitude_m), NUM // 2), HIDDEN)
+        for each in optimal_demonstrations(
+            made_queries(cost_map(maps, altitude_m, cost_model="cell"), NUM // 2), HIDDEN
+        )
     ]
     fit = fit_weights(demonstrations, bootstrap=0, scale="distance")
     assert fit.weights.distance == pytest.approx(1)

@@ -16,7 +16,7 @@ from jaxurban.paths.path import PlannedPath
 from jaxurban.report.figures.colours import SMALL_PT, Colours
 from jaxurban.report.figures.frame import INK, add_key, make_frame
 from jaxurban.report.figures.metrics import EMPTY_COLOUR
-from jaxurban.report.figures.notes import joined, place_said, time_said
+from jaxurban.report.figures.notes import joined, place_said, rules_said, time_said
 from jaxurban.report.figures.paths import draw_ends
 from jaxurban.world.city import City
 from jaxurban.world.grid import Grid
@@ -55,6 +55,7 @@ def plot_building_costs(
         "numbers: the costliest, by rank",
         city.attribution,
     )
+    note = f"{note}\n{rules_said(settings)}"
     heading = "What one more metre of each building costs the route"
     most = max(float(table.per_metre.abs().max()) if len(table) else 0.0, 1e-12)
     main = table.building[table.per_metre.abs() >= SHOWN_SHARE * most]

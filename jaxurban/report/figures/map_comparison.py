@@ -25,6 +25,7 @@ from jaxurban.report.figures.notes import (
     guesses_said,
     joined,
     meaning_of,
+    rules_said,
     short_time,
     sky_said,
     symbol_of,
@@ -154,7 +155,9 @@ def plot_changed_routes(found: MapComparison) -> Figure:
         (z_m, changed[changed.altitude_m == z_m]) for z_m in found.a.altitudes_m if (changed.altitude_m == z_m).any()
     ]
     titles = [f"{z_m:g} m  ·  {min(len(rows), MOST_ROUTES)} of {len(rows)} that change" for z_m, rows in panels]
-    frame = make_frame(found.grid, titles, "Routes that change, by altitude above ground", _note(found, None, False))
+    routes = (*found.routes.a, *found.routes.b)
+    note = f"{_note(found, None, False)}\n{rules_said(*(path.settings for path in routes if path is not None))}"
+    frame = make_frame(found.grid, titles, "Routes that change, by altitude above ground", note)
     for panel, (z_m, rows) in zip(frame.axes, panels, strict=True):
         draw_layers(panel, found.grid, [_mask_layer(found, CLOSED, z_m)])
         for number in rows["query"].head(MOST_ROUTES):

@@ -1,11 +1,16 @@
 """The lines below a figure's heading: what was guessed, the sky, the cells, the CRS, and whom to credit."""
 
+from collections.abc import Mapping
+from typing import Any
+
 from jaxurban.io.attributes import CAVEAT, names_in
 from jaxurban.maps.guesses import is_of_sky
 from jaxurban.maps.metric_maps import MetricMaps
+from jaxurban.paths.constraints import clearances_said
 from jaxurban.world.grid import Grid
 
 GAP = "  ·  "  # between two facts of a line
+MOST_RULES = 2  # weights, or the like, of the routes of one picture
 SYSTEMS = {
     **{"gps": "GPS", "galileo": "Galileo", "glonass": "GLONASS"},
     **{"beidou": "BeiDou", "qzss": "QZSS", "navic": "NavIC"},
@@ -24,6 +29,23 @@ def frame_note(
     caveats = caveats_said(maps, of) if has_sky else []
     guessed = [f"Guessed: {guesses}"] if (guesses := guesses_said(maps, has_sky)) else []
     return "\n".join([*caveats, *guessed, joined(sky, *ground_said(maps))])
+
+
+def rules_said(*settings: Mapping[str, Any]) -> str:
+    """Return what routes were planned under, from their settings: cost model, weights, obstacles and clearances."""
+    rules: dict[str, list[str]] = {"cost model": [], "weights": [], "obstacles": []}
+    for each in settings:
+        weights = ", ".join(f"{name} {weight:g}" for name, weight in each["weights"].items())
+        rules["cost model"].append(each["cost_model"])
+        rules["weights"].append("the distance alone" if each["objective"] == "distance" else weights)
+        rules["obstacles"].append(", ".join([each["obstacles"], *clearances_said(each["limits"])]))
+    distinct = {name: list(dict.fromkeys(values)) for name, values in rules.items() if values}
+    return joined(
+        *(
+            f"{name}: {' or '.join(values[:MOST_RULES])}{' ...' * (len(values) > MOST_RULES)}"
+            for name, values in distinct.items()
+        )
+    )
 
 
 def caveats_said(maps: MetricMaps, of: str | None = None) -> list[str]:

@@ -35,7 +35,7 @@ from jaxurban.report.figures.metrics import (
     obstacle_patches,
     roof_layers,
 )
-from jaxurban.report.figures.notes import frame_note, joined, meaning_of, time_said
+from jaxurban.report.figures.notes import frame_note, joined, meaning_of, rules_said, time_said
 
 # The paper's colours (tab10), then the rest of tab10 for planners that it does not have.
 PLANNER_COLOURS = {
@@ -129,6 +129,7 @@ def plot_paths(
         not_same if len(times_of_day) > 1 else "",
         "below: cost, length" if most else "",
     )
+    note = "\n".join(filter(None, [note, rules_said(*(path.settings for *_, each in panels for path in each))]))
     what = "Cost and paths" if most else "Cost"
     frame = make_frame(
         maps.grid,
@@ -268,7 +269,7 @@ def plot_overview(maps: GivenMaps, paths: Paths, *, altitude_m: float | None = N
         maps.grid,
         list(names.values()),
         f"Metric maps{what}, {z:g} m above ground",
-        frame_note(maps, time),
+        "\n".join(filter(None, [frame_note(maps, time), rules_said(*(path.settings for path in planned))])),
         footer_in=FOOTER_IN,
         with_ticks=False,
     )

@@ -25,7 +25,7 @@ from jaxurban.report.figures.frame import (
     make_frame,
 )
 from jaxurban.report.figures.metrics import obstacle_patches, percent
-from jaxurban.report.figures.notes import frame_note, joined
+from jaxurban.report.figures.notes import frame_note, joined, rules_said
 from jaxurban.report.figures.paths import BLOCKED_COLOUR, cost_layers, draw_ends
 from jaxurban.report.markdown import counted, listed
 from jaxurban.studies.outcomes import outcome_label
@@ -301,7 +301,12 @@ def _feature_label(found: Sensitivity, name: str) -> str:
 def _maps(found: Sensitivity, titles: list[str], heading: str) -> Frame:
     """Return a frame of maps of the normalised cost, on which routes are drawn."""
     settings = found.route.settings
-    frame = make_frame(found.maps.grid, titles, heading, _note(found, "grey: normalised cost, black: lowest"))
+    frame = make_frame(
+        found.maps.grid,
+        titles,
+        heading,
+        _note(found, "grey: normalised cost, black: lowest") + f"\n{rules_said(settings)}",
+    )
     for panel in frame.axes:
         draw_layers(
             panel,

@@ -11,6 +11,7 @@ from matplotlib.ticker import MaxNLocator
 
 from jaxurban.kernels.search.weighing import weighted_sum
 from jaxurban.paths.cost_map import CostMap
+from jaxurban.paths.finish import map_settings
 from jaxurban.report.figures.charts import chart, dress, show_plain_log, styled
 from jaxurban.report.figures.colours import SMALL_PT, Colours
 from jaxurban.report.figures.frame import (
@@ -24,7 +25,7 @@ from jaxurban.report.figures.frame import (
     mark_ends,
 )
 from jaxurban.report.figures.metrics import line_colour, obstacle_patches
-from jaxurban.report.figures.notes import frame_note, joined
+from jaxurban.report.figures.notes import frame_note, joined, rules_said
 from jaxurban.report.figures.paths import BLOCKED_COLOUR
 from jaxurban.studies.beside_demonstrations import PlannedBeside
 from jaxurban.studies.tuning.target_fit import TargetFit
@@ -201,6 +202,8 @@ def plot_routes(beside: PlannedBeside, cost_map: CostMap, weights: np.ndarray, g
     title = joined(f"{cost_map.altitude_m:g} m above ground", cost_map.time_of_day)
     overlap = beside.table["overlap"].iloc[shown].mean()
     note = joined(frame_note(maps, cost_map.time), f"{100 * overlap:.0f} % of the {given}s' cells shared")
+    fitted = dict(zip(("distance", *cost_map.names), weights.tolist(), strict=True))
+    note = f"{note}\n{rules_said(map_settings(cost_map) | {'weights': fitted})}"
     frame = make_frame(grid, [title], f"{given.capitalize()}s and routes under the fitted weights", note)
     cost = weighted_sum(cost_map.costs, weights[1:])
     free = cost[cost_map.is_free]

@@ -17,8 +17,10 @@ from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY
 from jaxurban.metrics.weights import GivenWeights, Weights
 from jaxurban.paths.constraints import Constraints
+from jaxurban.paths.preset import under_preset
 from jaxurban.planners.base import CostKind
 from jaxurban.planners.cost_model import CostModel
+from jaxurban.presets import BUDGET_S
 from jaxurban.progress import Progress, reporting
 from jaxurban.scenario.differences import Differing, differing
 from jaxurban.studies.map_comparison.routes import ComparedRoutes, GivenRoutes, RouteSettings, compare_routes
@@ -158,10 +160,11 @@ def compare(
     routes: GivenRoutes = 0,
     times: Mapping[str, str] | None = None,
     weights: GivenWeights = None,
-    cost_model: CostModel | CostKind = "cell",
+    cost_model: CostModel | CostKind | None = None,
     constraints: Constraints | None = None,
+    preset: str = "",
     snap: bool | float = False,
-    budget_s: float = 180.0,
+    budget_s: float = BUDGET_S,
     cover: LandCover | None = None,
     tolerance: float = SAME,
     seed: int = 0,
@@ -178,8 +181,8 @@ def compare(
         places or a table as `plan_many` takes them, or instances; without an altitude they are planned at each.
       times: B's time by A's, to set maps of different times beside each other; left out, the times that both hold, and
         where each holds a single one, these two.
-      weights, cost_model, constraints, snap, budget_s: of the routes, as in `plan_many`; a route's weights may be its
-        own. They count the metrics that both hold.
+      weights, cost_model, constraints, preset, snap, budget_s: of the routes, as in `plan_many`; a route's weights may
+        be its own. They count the metrics that both hold.
       cover: water and parks, which are strata of their own then.
       tolerance: by how much values may differ, in their unit, and have not changed.
       seed: of sampled routes.
@@ -191,10 +194,10 @@ def compare(
     tolerance = finite("tolerance", tolerance)
     if tolerance < 0:
         raise InputError(f"tolerance must not be negative, got {tolerance:g}")
-    chosen = RouteSettings(
-        Weights.of(weights), CostModel.of(cost_model), constraints or Constraints(), snap, budget_s, seed
-    )
     a, b = (maps.open() if isinstance(maps, MapsFolder) else as_maps(maps) for maps in (maps_a, maps_b))
+    a, model, limits = under_preset(preset, a, cost_model, constraints)
+    b, *_ = under_preset(preset, b, cost_model, constraints)
+    chosen = RouteSettings(Weights.of(weights), model, limits, snap, budget_s, seed)
     part = shared_part(a, b, times)
     with reporting("compare", progress) as report:
         strata = strata_of(a, cover)[part.a.grid.window_in(a.grid)]

@@ -3,7 +3,7 @@
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol, get_args
@@ -16,6 +16,7 @@ from jaxurban.io.tables import read_table, records_of
 from jaxurban.maps.executors import cluster_client
 from jaxurban.maps.metric_maps import MetricMaps, Obstacles, open_maps
 from jaxurban.paths.cost_map import CostMap
+from jaxurban.presets import DEFAULTS
 from jaxurban.progress import Progress, Report, reporting
 from jaxurban.studies.montecarlo.sampling import KEY
 from jaxurban.studies.montecarlo.trial import CRASHED, HAS_PATH, BenchmarkSettings, row_columns
@@ -37,10 +38,14 @@ class MapsFolder:
 
     folder: str | Path
     resolution_m: float | None = None
-    obstacles: Obstacles = "touched"
+    obstacles: Obstacles = DEFAULTS.obstacles
 
     def __post_init__(self) -> None:
         one_of("obstacles", self.obstacles, get_args(Obstacles))
+
+    def with_obstacles(self, obstacles: Obstacles) -> "MapsFolder":
+        """Return the same folder with another rule of where planners may fly."""
+        return replace(self, obstacles=obstacles)
 
     def open(self) -> MetricMaps:
         """Return the maps."""

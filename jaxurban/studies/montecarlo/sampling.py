@@ -16,6 +16,7 @@ from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
 from jaxurban.metrics.registry import METRICS
 from jaxurban.metrics.weights import MOST_WEIGHT, Weights
 from jaxurban.paths.constraints import Constraints
+from jaxurban.paths.preset import under_preset
 from jaxurban.paths.queries import WEIGHT_PREFIX, Query
 from jaxurban.planners.base import CostKind
 from jaxurban.planners.cost_model import CostModel
@@ -62,8 +63,9 @@ def sample_instances(
     *,
     altitudes_m: Sequence[float] | None = None,
     weights: str | Sequence[Weights] = DIRICHLET,
-    cost_model: CostModel | CostKind = "line",
+    cost_model: CostModel | CostKind | None = None,
     constraints: Constraints | None = None,
+    preset: str = "",
     cover: LandCover | None = None,
     seed: int = 0,
 ) -> pd.DataFrame:
@@ -88,7 +90,8 @@ def sample_instances(
         they are; or weights, which take turns.
       cost_model: its reference length is what the share of distance is divided by; its rule for diagonal steps
         tells which pairs are joined.
-      constraints: no-fly zones and bounds that close cells to starts, goals and paths.
+      constraints: no-fly zones, bounds and clearances that close cells to starts, goals and paths.
+      preset: as in `jaxurban.cost_map`.
       cover: water and parks, which are strata of their own then (`demo.demo_cover`, `io.landcover.read_land_cover`).
       seed: of everything.
 
@@ -96,7 +99,7 @@ def sample_instances(
       InputError: ``num`` below 1, an unknown altitude, none or one twice, no weights, or too few free cells for any
         pair of places.
     """
-    maps = as_maps(maps)
+    maps, model, constraints = under_preset(preset, as_maps(maps), cost_model, constraints)
     altitudes_m = maps.altitudes_m if altitudes_m is None else tuple(float(z) for z in altitudes_m)
     listed = None if isinstance(weights, str) else [each.checked(maps.metrics) for each in weights]
     if not altitudes_m or len(set(altitudes_m)) != len(altitudes_m):
@@ -110,7 +113,6 @@ def sample_instances(
         raise InputError(f"weights is an empty list: give at least one, or {DIRICHLET!r}")
     for altitude_m in altitudes_m:
         maps.check_altitude(altitude_m)
-    model, constraints = CostModel.of(cost_model), constraints or Constraints()
     is_free = np.logical_and.reduce([_always_free(maps, z, constraints) for z in altitudes_m])
     places = _Places(maps, is_free, cover, at_least("seed", seed))
     names = ("distance", *maps.metrics)

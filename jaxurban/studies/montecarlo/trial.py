@@ -13,8 +13,9 @@ from jaxurban.errors import InputError, at_least, positive, typed
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.cost_map import CostMap, cost_map
+from jaxurban.paths.preset import settle_preset
 from jaxurban.planners.base import Cell, CostKind, Path, Status
-from jaxurban.planners.cost_model import CostModel
+from jaxurban.planners.cost_model import DEFAULT_MODEL, CostModel
 from jaxurban.planners.registry import PLANNERS, find_planner
 from jaxurban.scenario.settings import PAPER_PLANNERS
 from jaxurban.studies.montecarlo.sampling import weighed_metrics
@@ -42,26 +43,29 @@ class BenchmarkSettings:
     Attributes:
       planners: each plans every instance.
       distance_only: planners that also plan the shortest path; its weighted cost is reported.
-      cost_model: see `Problem`; ``"line"`` depends on no resolution. Costs are reported under both kinds.
+      cost_model: see `Problem`; left out, the preset's. Costs are reported under both kinds.
       budget_s: seconds for each run.
       budget_iterations: instead, samples for planners that draw any, while the others run to their end: rows then
         repeat exactly, whatever the number of workers, but for ``elapsed_s``.
       seed: of the sampling of instances, and of sampling planners, mixed with the instance's number.
-      constraints: no-fly zones and bounds that close cells to starts, goals and every planner.
+      constraints: no-fly zones, bounds and clearances that close cells to starts, goals and every planner.
+      preset: ``"paper"`` for its cost model, obstacles and clearance instead of the defaults of what is left out.
 
     Raises:
-      InputError: no planner, or an unknown one.
+      InputError: no planner, an unknown one, or an unknown preset.
     """
 
     planners: Sequence[str] | str = PAPER_PLANNERS
     distance_only: Sequence[str] | str = ("astar-dist",)
-    cost_model: CostModel = field(default_factory=lambda: CostModel("line"))
+    cost_model: CostModel = DEFAULT_MODEL
     budget_s: float = 2.0
     budget_iterations: int | None = None
     seed: int = 0
     constraints: Constraints = field(default_factory=Constraints)
+    preset: str = ""
 
     def __post_init__(self) -> None:
+        settle_preset(self)
         for name in ("planners", "distance_only"):
             given = getattr(self, name)
             object.__setattr__(self, name, tuple(dict.fromkeys([given] if isinstance(given, str) else given)))
@@ -94,8 +98,15 @@ class BenchmarkSettings:
 
     def cost_map(self, maps: MetricMaps, altitude_m: float, time: str | None, time_of_day: str | None) -> CostMap:
         """Return the cost map of instances at one altitude and time (errors as in `jaxurban.cost_map`)."""
-        model, constraints = self.cost_model, self.constraints
-        return cost_map(maps, altitude_m, cost_model=model, time=time, time_of_day=time_of_day, constraints=constraints)
+        return cost_map(
+            maps,
+            altitude_m,
+            cost_model=self.cost_model,
+            time=time,
+            time_of_day=time_of_day,
+            constraints=self.constraints,
+            preset=self.preset,
+        )
 
     def solve(self, on: CostMap, instance: Mapping[str, Any], runs: Sequence[tuple[str, ...]]) -> list[dict[str, Any]]:
         """Return a row (see `row_columns`) for each planner on an instance; a planner that crashes is a row too."""

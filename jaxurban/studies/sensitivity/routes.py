@@ -13,8 +13,9 @@ from jaxurban.errors import InputError, at_least, positive, typed
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.cost_map import CostMap, cost_map
+from jaxurban.paths.preset import settle_preset
 from jaxurban.planners.astar import astar
-from jaxurban.planners.cost_model import CostModel
+from jaxurban.planners.cost_model import DEFAULT_MODEL, CostModel
 from jaxurban.studies.montecarlo.sampling import KEY
 from jaxurban.studies.montecarlo.trial import BAD_INPUT, CRASHED, KILLED, free_cell
 from jaxurban.studies.outcomes import outcomes_of
@@ -41,10 +42,11 @@ class SensitivityStudySettings:
         these times each weight.
       wrong: a wrong weight is so many times too large or too small.
       num_samples: N of each route's Sobol indices, a power of two, N x (2 + weights that vary) searches; 0: none.
-      cost_model: of the routes; ``"line"`` depends on no resolution.
-      constraints: no-fly zones and bounds that close cells to every route.
+      cost_model: of the routes; left out, the preset's.
+      constraints: no-fly zones, bounds and clearances that close cells to every route.
       seed: of the sampling of routes and weights, mixed with the city's name and the route's number.
       num_threads: of the searches of a route; left out, one a core, and one where several processes work.
+      preset: ``"paper"`` for its cost model, obstacles and clearance instead of the defaults of what is left out.
 
     Raises:
       InputError: a value that is none of these.
@@ -54,12 +56,14 @@ class SensitivityStudySettings:
     factors: tuple[float, float] = (0.1, 10.0)
     wrong: float = 2.0
     num_samples: int = 32
-    cost_model: CostModel = field(default_factory=lambda: CostModel("line"))
+    cost_model: CostModel = DEFAULT_MODEL
     constraints: Constraints = field(default_factory=Constraints)
     seed: int = 0
     num_threads: int | None = None
+    preset: str = ""
 
     def __post_init__(self) -> None:
+        settle_preset(self)
         at_least("seed", self.seed)
         if self.num_threads is not None:
             at_least("num_threads", self.num_threads, 1)
@@ -79,8 +83,15 @@ class SensitivityStudySettings:
 
     def cost_map(self, maps: MetricMaps, altitude_m: float, time: str | None, time_of_day: str | None) -> CostMap:
         """Return the cost map of routes at one altitude and time (errors as in `jaxurban.cost_map`)."""
-        model, constraints = self.cost_model, self.constraints
-        return cost_map(maps, altitude_m, cost_model=model, time=time, time_of_day=time_of_day, constraints=constraints)
+        return cost_map(
+            maps,
+            altitude_m,
+            cost_model=self.cost_model,
+            time=time,
+            time_of_day=time_of_day,
+            constraints=self.constraints,
+            preset=self.preset,
+        )
 
     def solve(self, on: CostMap, instance: Mapping[str, Any], runs: Sequence[tuple[str, ...]]) -> list[dict[str, Any]]:
         """Return the row of a route (see `route_row`); one that fails is a row with its status."""
