@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -128,6 +129,18 @@ def test_a_simplified_route_has_the_cautions_of_its_own_legs(maps):
     path = on.plan(*(maps.grid.lonlat_of_cell(ROW, col) for col in (10, 90)))
     simple = ju.simplify(path, on, tolerance_m=20.0)
     assert simple.cautions == ju.cautions(simple, maps) != []
+
+
+def test_what_was_asked_of_clearances_is_the_limit(maps):
+    def levels(**limits):
+        asked = replace(path, settings=path.settings | {"limits": limits})
+        return {line.split(":")[0]: line.level for line in ju.cautions(asked, maps)}
+
+    path = straight(maps)  # 35 m from the tower, 8 m over the roof
+    assert levels(clearance_m=34.0, vertical_clearance_m=8.0)["Buildings"] == "note"
+    assert levels(clearance_m=34.0, vehicle_radius_m=2.0)["Buildings"] == "limit"
+    assert levels(vertical_clearance_m=8.0)["Roofs"] == "note"
+    assert levels(vertical_clearance_m=8.5)["Roofs"] == "limit"
 
 
 def test_segments_without_a_fix_are_told_with_their_places(maps):

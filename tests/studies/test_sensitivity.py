@@ -93,6 +93,7 @@ def test_report_names_every_weight_and_every_file_that_it_shows(found, tmp_path)
     files = save_sensitivity(found, tmp_path / "out")
     report = (tmp_path / "out" / "report.md").read_text()
     assert report == sensitivity_markdown(found)
+    assert all(sentence in report for sentence in found.route.cautions or ["no caution"])
     for name in found.names:
         assert name in report
     shown = {part.split(")")[0] for part in report.split("](")[1:]}
