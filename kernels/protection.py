@@ -12,6 +12,7 @@ AXES = 3  # east, north, up
 WORD_BITS = 32
 # Of a pivot of the normal matrix to its diagonal, below which the satellites leave the position undetermined.
 LEAST_PIVOT = 1e-13
+SAME = 1 - 1e-9  # priors that differ by less, as products of the same numbers may, are equal
 MOST_HALVINGS = 100  # of the interval that holds a protection level
 NO_EVENT = -1  # second event of a mode of one
 SQRT_HALF, SQRT_TWO_PI = math.sqrt(0.5), math.sqrt(2 * math.pi)
@@ -71,7 +72,8 @@ def protection_levels(
     Q' = Q above 0 and 1 below. The horizontal level is the hypotenuse of east and north.
 
     Fault modes are each satellite and each constellation in view, then pairs of these by falling probability until
-    what is left is at most ``p_unmonitored``. Modes whose subset leaves the position undetermined are left too. inf
+    what is left is at most ``p_unmonitored``; of pairs of equal probability all or none, so that no order of satellites
+    or systems has a say. Modes whose subset leaves the position undetermined are left too. inf
     where more is left than that, or where all satellites leave the position undetermined.
 
     Sources: Blanch et al. 2012 (ION GNSS) and 2015 (IEEE Trans. AES 51, "Baseline advanced RAIM user algorithm and
@@ -188,7 +190,8 @@ def _fault_modes(prior, p_unmonitored):
                 pairs[at, 0], pairs[at, 1], p_pair[at] = one, other, prior[one] * prior[other]
                 at += 1
         for pair in np.argsort(-p_pair, kind="mergesort"):
-            if p_left <= p_unmonitored or p_pair[pair] == 0:
+            is_enough = p_left <= p_unmonitored and p_pair[pair] < p_mode[num_modes - 1] * SAME
+            if is_enough or p_pair[pair] == 0:
                 break
             modes[num_modes], p_mode[num_modes] = pairs[pair], p_pair[pair]
             p_left -= p_pair[pair]

@@ -78,11 +78,12 @@ def slow_levels(satellites: Ranging, budget: RiskBudget) -> tuple[float, float]:
     at_most_two = [(one | other, p * q) for (one, p), (other, q) in combinations(events, 2)]
     several = np.prod([1 + np.longdouble(p) for _, p in events]) - 1 - sum(np.longdouble(p) for _, p in events)
     left = float(several)
-    for lost, prior in sorted(at_most_two, key=lambda mode: -mode[1]):
+    for equal in sorted({float(f"{prior:.9e}") for _, prior in at_most_two}, reverse=True):
         if left <= budget.p_unmonitored:
             break
-        modes.append((lost, prior))
-        left -= prior
+        taken = [mode for mode in at_most_two if mode[1] == pytest.approx(equal, rel=1e-8, abs=0)]
+        modes += taken
+        left -= sum(prior for _, prior in taken)
     whole = gains(satellites, np.arange(num))
     if whole is None:
         return np.inf, np.inf
@@ -181,6 +182,18 @@ def test_levels_do_not_depend_on_the_order_of_satellites_nor_on_those_unseen():
     chosen = np.flatnonzero(seen[:, 0])
     alone = Ranging(*(values[chosen] for values in satellites[:-1]), satellites.p_const)
     np.testing.assert_allclose(levels_of(alone, FINE), of_all[:, 0], rtol=1e-12)
+
+
+@pytest.mark.parametrize("counts", [(8, 7, 9), (9, 8, 7, 8)])
+def test_levels_do_not_depend_on_the_order_of_systems(counts):
+    """With three and more, pairs of a constellation and a satellite are equally probable, and only some were taken."""
+    satellites = drawn(6, counts, p_const=(1e-4,) * len(counts))
+    of_all = levels_of(satellites, FINE)
+    for order in (np.roll(range(len(counts)), 1), range(len(counts))[::-1]):
+        rows = np.concatenate([np.flatnonzero(satellites.constellation == c) for c in order])
+        renamed = Ranging(*(values[rows] for values in satellites[:-1]), satellites.p_const)
+        renamed = renamed._replace(constellation=np.argsort(order)[renamed.constellation])
+        np.testing.assert_allclose(levels_of(renamed, FINE), of_all, rtol=1e-9)
 
 
 def test_tails_and_quantiles_are_scipys():
