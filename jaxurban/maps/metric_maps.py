@@ -15,7 +15,7 @@ from jaxurban.errors import InputError, finite, one_of, typed
 from jaxurban.io.read.orbits import iso_utc, parse_time
 from jaxurban.metrics.base import UNDERSIDE, Metric
 from jaxurban.metrics.custom import held_metrics
-from jaxurban.metrics.obstacle import obstacle_mask
+from jaxurban.metrics.obstacle import stands_at
 from jaxurban.metrics.weights import normalised_map, total_map
 from jaxurban.presets import DEFAULTS
 from jaxurban.world.grid import Grid
@@ -223,7 +223,7 @@ class MetricMaps(Shown):
             is_free = is_free & (self.m("obstacle", altitude_m) == 0)
         if rule == "touched" or not is_held or (obstacles is None and UNDERSIDE in self.ds):
             roof_m = self.m(self._roof(rule))  # NaN, an unknown height, is never free
-            is_free = is_free & ~np.asarray(obstacle_mask(jnp.asarray(roof_m), [altitude_m])[0]) & ~np.isnan(roof_m)
+            is_free = is_free & ~stands_at(roof_m, roof_m.dtype.type(altitude_m)) & ~np.isnan(roof_m)
         for name in self.metrics:
             if "layer" in self.ds[self.variable(name)].attrs:
                 for z_m in self._around(altitude_m):
