@@ -49,8 +49,10 @@ class OtherSettingsWarning(UserWarning):
 
 
 def nearest_name(name: str, valid: Iterable[str]) -> str:
-    """Return ``" (did you mean 'x'?)"`` for the valid name closest to ``name``, or ``""``."""
-    close = difflib.get_close_matches(str(name), list(valid), n=1, cutoff=0.5)
+    """Return ``" (did you mean 'x'?)"`` for the valid name that begins with ``name`` or is closest to it, or ``""``."""
+    names = list(valid)
+    begun = [each for each in names if str(name) and each.startswith(str(name))]
+    close = difflib.get_close_matches(str(name), begun or names, n=1, cutoff=0.0 if begun else 0.5)
     return f" (did you mean {close[0]!r}?)" if close else ""
 
 

@@ -51,6 +51,14 @@ def test_every_planner_starts_and_ends_at_cell_centres(maps, ends):
         np.testing.assert_allclose(np.stack(maps.grid.xy_of_lonlat(*path.lonlat.T), axis=-1), path.xy_m, atol=1e-3)
 
 
+@pytest.mark.parametrize(
+    ("name", "meant"), [("astar", "astar-plus"), ("bitstar", "bitstar-plus"), ("theta", "theta-star")]
+)
+def test_a_planner_that_begins_as_the_name_asked_for_is_suggested_first(maps, ends, name, meant):
+    with pytest.raises(InputError, match=f"unknown planner '{name}' .did you mean '{meant}'"):
+        ju.plan(maps, **ends, altitude_m=600.0, planner=name)
+
+
 def test_the_straight_line_is_the_shortest_and_astar_the_cheapest(maps, ends):
     straight = ju.plan(maps, **ends, altitude_m=600.0, planner="ptp", cost_model="line")
     cheapest = ju.plan(maps, **ends, altitude_m=600.0, planner="astar-plus", cost_model="line")
