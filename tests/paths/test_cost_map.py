@@ -85,9 +85,9 @@ def test_a_prepared_map_plans_by_landmarks_at_the_same_cost_and_leaves_the_other
         ju.cost_map(maps, ju.Levels(20.0, 600.0, 580.0)).prepare()
 
 
-def test_a_search_that_lasts_says_so_and_for_how_long(shortest, pairs, monkeypatch, caplog):
+def test_a_search_that_lasts_says_so_and_for_how_long(maps, shortest, pairs, monkeypatch, caplog):
     monkeypatch.setattr(progress, "SILENT_S", 0.01)
-    shortest.plan(*pairs[0], planner="bitstar-dist", budget_s=0.5)
+    ju.cost_map(maps, 20.0).plan(*pairs[1], planner="bitstar-dist", budget_s=0.5)
     assert "bitstar-dist is at work: its search may take up to 0.5 s (budget_s)" in caplog.text
     caplog.clear()
     monkeypatch.setattr(progress, "SILENT_S", 5.0)
