@@ -24,8 +24,9 @@ OUTCOMES = {
 
 INTERVALS = (
     "Low and high are the 5th and 95th percentile of fits to demonstrations drawn anew with replacement (bootstrap), "
-    "widened to all weights that explain these very demonstrations as well. They say what other demonstrations of the "
-    "same kind would change, not whether these demonstrations are good ones."
+    "widened to all weights that explain these very demonstrations as well. Of lines that were redrawn on the grid "
+    "they contain all weights under which any routes within 3 cells of the lines are the cheapest. They say what other "
+    "demonstrations of the same kind would change, not whether these demonstrations are good ones."
 )
 
 

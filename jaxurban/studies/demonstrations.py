@@ -7,11 +7,13 @@ from itertools import pairwise
 
 import numpy as np
 import shapely
+from scipy.ndimage import distance_transform_edt
 
 from jaxurban.errors import InputError, typed
 from jaxurban.metrics.weights import Weights
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.path import PlannedPath
+from jaxurban.paths.snapping import MAX_SNAP_M, XY, Place, snap_note
 from jaxurban.planners.astar import astar
 from jaxurban.planners.base import Cell, Problem
 from jaxurban.studies.queries import RouteQuery
@@ -19,6 +21,7 @@ from jaxurban.studies.queries import RouteQuery
 ON_CENTRE = 0.01  # of a cell side: a point this near a centre is the centre, written with few decimals
 # A line is followed on the grid within so many cells to either side, the next where obstacles close the one before.
 CORRIDORS_CELLS = (1.5, 3.0, 6.0, 12.0, 24.0)
+DRAWN_CELLS = 3.0  # the route that was meant by a line is within so many cells of it
 
 
 @typed
@@ -30,11 +33,13 @@ class Demonstration:
       query: the route's ends on its map.
       points_m: ``[N, 2]`` the route on the grid, metres from the map's southwest corner.
       note: what had to be done to the route; empty where nothing had.
+      drawn_cells: within how many cells of ``points_m`` the route that was meant runs; 0: these are its points.
     """
 
     query: RouteQuery
     points_m: np.ndarray
     note: str = ""
+    drawn_cells: float = 0.0
 
     @cached_property
     def sums(self) -> np.ndarray:
@@ -45,6 +50,24 @@ class Demonstration:
     def features(self) -> np.ndarray:
         """``[K]`` what weights multiply, so that cost = W . features."""
         return self.sums[0]
+
+    @cached_property
+    def least_features(self) -> np.ndarray:
+        """``[K]`` below which no feature of the route that was meant lies: each the least within ``drawn_cells``."""
+        if not self.drawn_cells:
+            return self.features
+        on, side_m = self.query.cost_map, self.query.cost_map.grid.resolution_m
+        cells, pad = np.floor(self.points_m[:, ::-1] / side_m).astype(int), int(np.ceil(self.drawn_cells))
+        low, high = np.maximum(cells.min(axis=0) - pad, 0), cells.max(axis=0) + pad + 1
+        here = tuple(map(slice, low, high))
+        is_far = np.ones(on.is_free[here].shape, bool)
+        is_far[tuple((cells - low).T)] = False
+        is_near = on.is_free[here] & (distance_transform_edt(is_far) <= self.drawn_cells)
+        ends = [tuple((cells[k] - low).tolist()) for k in (0, -1)]
+        weights = np.eye(self.features.size)
+        within = Problem(on.costs[:, *here], is_near, *ends, side_m, weights[0], on.cost_model)
+        routes_m = [astar(within.with_weights(each)).points_m + low[::-1] * side_m for each in weights]
+        return np.min([self.features, *(self.query.sums(route_m)[0] for route_m in routes_m)], axis=0)
 
 
 def optimal_demonstrations(queries: Sequence[RouteQuery], weights: Weights) -> list[Demonstration]:
@@ -76,43 +99,65 @@ def demonstration_from_path(cost_map: CostMap, planned: PlannedPath, name: str =
     return demonstration_from_line(cost_map, planned.xy_m, name)
 
 
-def demonstration_from_line(cost_map: CostMap, xy_m: np.ndarray, name: str = "") -> Demonstration:
+def demonstration_from_line(cost_map: CostMap, xy_m: np.ndarray, name: str = "", label: str = "") -> Demonstration:
     """Return a route as a demonstration that planners of the grid could have made.
 
     A route over centres of cells is taken as it is, where straight runs may skip what lies between their ends (as
     missions do). Any other line is redrawn on
     the grid, leg by leg, by the shortest grid path within a narrow corridor around it: a grid path is up to
     8.24 % longer than the line that it follows, and a demonstration must not seem cheaper than every route that it
-    is compared with. Legs are the line's own, simplified by half a cell.
+    is compared with. Legs are the line's own, simplified by half a cell; ends in closed cells move to the nearest free
+    ones that are joined, by at most 50 m (`jaxurban.paths.snapping`).
 
     Args:
       cost_map: from `jaxurban.cost_map`.
       xy_m: ``[N, 2]`` easting, northing in the maps' CRS, ``N >= 2``.
       name: for messages and reports.
+      label: what messages call the route; left out, by its name.
 
     Raises:
       InputError: fewer than two points, points that are not finite, or a route that leaves the maps, ends where
-        it starts, or cannot be followed through free cells.
+        it starts or too far inside an obstacle, or cannot be followed through free cells.
     """
     grid = cost_map.grid
     points = np.asarray(xy_m, np.float64)
-    label = f"demonstration {name!r}" if name else "the demonstration"
+    label = label or (f"demonstration {name!r}" if name else "the demonstration")
     if points.ndim != 2 or points.shape[1] != 2 or len(points) < 2 or not np.isfinite(points).all():
         raise InputError(f"{label} must be [N, 2] finite metres with N >= 2, got shape {points.shape}")
     local = (points - np.array([grid.x_min_m, grid.y_min_m])) / grid.resolution_m
     if np.any(local < 0) or np.any(local >= (grid.num_cols, grid.num_rows)):
         raise InputError(f"{label} leaves the maps: clip it to their region, or make maps of a larger one")
-    note, filled = "", _filled(local)
+    note, drawn_cells, filled = "", 0.0, _filled(local)
     if _is_grid_path(cost_map, filled):
         local = np.floor(filled) + 0.5  # decimals lost in a file must not make a diagonal step graze a third cell
     else:
+        ends = _free_ends(cost_map, points, label)
+        for k, end in ((0, ends[0]), (-1, ends[1])):
+            if end.is_snapped:
+                local[k] = np.array(end.cell[::-1]) + 0.5
         local, widest = _follow(cost_map, local, label)
-        if widest > CORRIDORS_CELLS[0]:
-            note = f"followed within {widest * grid.resolution_m:.0f} m, since obstacles close the way nearer to it"
+        wide = f"followed within {widest * grid.resolution_m:.0f} m, since obstacles close the way nearer to it"
+        notes = [snap_note(*ends).removesuffix("."), wide if widest > CORRIDORS_CELLS[0] else ""]
+        note, drawn_cells = "; ".join(filter(None, notes)), max(widest, DRAWN_CELLS)
     start, goal = (tuple(cell) for cell in np.floor(local[[0, -1], ::-1]).astype(int).tolist())
     if start == goal:
         raise InputError(f"{label} starts and ends in one cell: leave it out, or cut it in two")
-    return Demonstration(RouteQuery(cost_map, start, goal, name), local * grid.resolution_m, note)
+    return Demonstration(RouteQuery(cost_map, start, goal, name), local * grid.resolution_m, note, drawn_cells)
+
+
+def _free_ends(cost_map: CostMap, xy_m: np.ndarray, label: str) -> tuple[Place, Place]:
+    """Return the free cells in which a line starts and ends, moved by at most `MAX_SNAP_M`."""
+    ends = {"start": XY(*xy_m[0].tolist()), "goal": XY(*xy_m[-1].tolist())}
+    for name, end in ends.items():
+        cell = cost_map.cell_of(name, end)[1]
+        try:
+            cost_map.locate(name, end, snap=True)
+        except InputError as error:
+            raise InputError(
+                f"the {name} of {label} is {cost_map.why_closed(cell)}, and no free cell is within {MAX_SNAP_M:g} m of "
+                "it: move it there"
+            ) from error
+    return cost_map.ends(*ends.values(), snap=True)
 
 
 def _filled(local: np.ndarray) -> np.ndarray:
@@ -142,12 +187,6 @@ def _follow(cost_map: CostMap, local: np.ndarray, label: str) -> tuple[np.ndarra
     line = shapely.LineString(local).simplify(0.5)
     corners = shapely.get_coordinates(line)
     cells = [(int(row), int(col)) for col, row in np.floor(corners)]
-    for which, cell in (("start", cells[0]), ("goal", cells[-1])):
-        if not cost_map.is_free[cell]:
-            remedy = "clip the route, or give its altitude"
-            if cost_map.maps.obstacles == "touched" and cost_map.maps.is_free(cost_map.altitude_m, "centre")[cell]:
-                remedy += ", or, if it was planned so, choose obstacles = centre (--obstacles centre)"
-            raise InputError(f"{label}: its {which} is {cost_map.why_closed(cell)}: {remedy}")
     # A corner inside an obstacle is skipped: the legs around it are one.
     kept = [k for k, cell in enumerate(cells) if cost_map.is_free[cell]]
     points, widest = [np.array(cells[0][::-1]) + 0.5], CORRIDORS_CELLS[0]
@@ -162,7 +201,7 @@ def _follow(cost_map: CostMap, local: np.ndarray, label: str) -> tuple[np.ndarra
         else:
             raise InputError(
                 f"{label} cannot be followed through free cells at {cost_map.altitude_m:g} m within "
-                f"{CORRIDORS_CELLS[-1] * cost_map.grid.resolution_m:.0f} m of it: check its altitude"
+                f"{CORRIDORS_CELLS[-1] * cost_map.grid.resolution_m:.0f} m of it: fly higher, or draw it elsewhere"
             )
         widest = max(widest, width)
         points.extend(path[1:])

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from jaxurban.errors import InputError, OtherSettingsWarning, typed
+from jaxurban.errors import InputError, LeftOutWarning, OtherSettingsWarning, typed
 from jaxurban.io.read.routes import read_routes
 from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
 from jaxurban.metrics.weights import Weights
@@ -22,6 +22,9 @@ from jaxurban.planners.base import CostKind
 from jaxurban.planners.cost_model import CostModel
 from jaxurban.studies.demonstrations import Demonstration, demonstration_from_line, demonstration_from_path
 from jaxurban.studies.drawn_demonstrations import MapOf, draw, holds_queries, read_drawn
+
+ORDINALS = ("first", "second", "third", "fourth", "fifth", "sixth", "seventh", "eighth", "ninth", "tenth")
+MOST_REASONS = 3  # in an error; a warning has them all
 
 Planned = Sequence[tuple[str, Mapping[str, Any]]]  # routes by name, with the settings they were planned under
 
@@ -44,8 +47,10 @@ def read_demonstrations(
 ) -> list[Demonstration]:
     """Return the routes of a file as demonstrations; lists of several files or cities may be joined with ``+``.
 
-    Lines are taken as they are. A table of queries (of `sample_instances`, or what `plan_many` saved) and the folder of
-    a Monte Carlo benchmark hold no lines: their routes are found anew, each under its row's own weights.
+    Lines are taken as they are; ends in closed cells move to free ones by at most 50 m, and lines of no use are left
+    out with a warning that says which and why. A table of queries (of `sample_instances`, or what `plan_many` saved)
+    and the folder of a Monte Carlo benchmark hold no lines: their routes are found anew, each under its row's own
+    weights.
 
     Altitude and times are those given here; where left out, the feature's own properties ``altitude_m``, ``time`` and
     ``time_of_day`` (paths that jaxurban wrote carry them); without these, times are the maps' first ones.
@@ -64,8 +69,8 @@ def read_demonstrations(
       pilot: weights under which the routes of a table or a benchmark are the cheapest, instead of the rows' own.
 
     Raises:
-      InputError: no lines, or a route without altitude, on no map, outside the maps or through obstacles, or paths
-        that were planned under different cost models.
+      InputError: no lines, or none with an altitude, on a map, inside the maps and past obstacles, or paths that were
+        planned under different cost models.
     """
     maps, default, constraints = under_preset(preset, as_maps(maps), default_cost_model, constraints)
     file = file if isinstance(file, pd.DataFrame) else Path(file)
@@ -82,17 +87,31 @@ def read_demonstrations(
     planned = [(f"route {route.name!r} of {str(file)!r}", route.settings) for route in routes]
     model = _model_of(planned, cost_model, default)
     map_of = _cost_maps(maps, planned, model, constraints, metrics)
-    demonstrations = []
-    for (name, _), route in zip(planned, routes, strict=True):
+    demonstrations, reasons = [], []
+    for number, route in enumerate(routes):
         z_m = route.altitude_m if altitude_m is None else altitude_m
-        if z_m is None:
-            raise InputError(f"{name} has no altitude: give it a property altitude_m, or pass --altitude (altitude_m=)")
+        place = ", ".join(f"{degrees:.6f}" for degrees in route.lonlat[0])
+        line = f"the {ORDINALS[number]} line" if number < len(ORDINALS) else f"line {number + 1}"
+        label = f"{line} ({route.name!r}, from {place})"
         try:
+            if z_m is None:
+                raise InputError(
+                    f"{label} has no altitude: give it a property altitude_m, or pass --altitude (altitude_m=)"
+                )
             on = map_of(float(z_m), time or route.time, time_of_day or route.time_of_day)
             x_m, y_m = maps.grid.xy_of_lonlat(route.lonlat[:, 0], route.lonlat[:, 1])
+            xy_m = np.stack([x_m, y_m], axis=-1)
+            demonstrations.append(demonstration_from_line(on, xy_m, route.name, label))
         except InputError as error:
-            raise InputError(f"{name}: {error}") from error
-        demonstrations.append(demonstration_from_line(on, np.stack([x_m, y_m], axis=-1), route.name))
+            reasons.append(f"{error}" if label in f"{error}" else f"{label}: {error}")
+    some = "; ".join(reasons[:MOST_REASONS]) + ("; ..." if len(reasons) > MOST_REASONS else "")
+    if not demonstrations:
+        raise InputError(
+            some if len(routes) == 1 else f"none of the {len(routes)} lines of {str(file)!r} is of use: {some}"
+        )
+    if reasons:
+        left_out = f"{len(reasons)} of {len(routes)} lines of {str(file)!r} were left out: {'; '.join(reasons)}"
+        warnings.warn(left_out, LeftOutWarning, stacklevel=3)
     return demonstrations
 
 

@@ -1,5 +1,6 @@
 """The metrics as one registry, and layers of one's own beside them."""
 
+import json
 import pickle
 from dataclasses import replace
 
@@ -108,7 +109,7 @@ def test_a_function_sees_the_surface_and_has_gradients_where_it_has_a_soft_form(
 
 def test_maps_say_which_layers_they_hold():
     ds = xr.Dataset({name: (("y", "x"), VALUES) for name in ("risk", "gps_median", "noise", "roof")})
-    ds["noise"].attrs["layer"] = NOISE.record
+    ds["noise"].attrs["layer"] = json.dumps(NOISE.record)
     held = held_metrics(ds)
     assert list(held) == ["gps", "risk", "noise"]
     assert held["noise"].cost(1.0) == 1.0

@@ -40,6 +40,11 @@ def made_queries(unit: CostMap, num: int, seed: int = 0, apart: float = 18.0) ->
     return queries
 
 
+def thinned(points_m: np.ndarray) -> np.ndarray:
+    """Return every sixth point of a route, and its last."""
+    return points_m[np.unique(np.append(np.arange(0, len(points_m), 6), len(points_m) - 1))]
+
+
 def cosine(fit, demonstrations: Sequence[Demonstration], hidden: ju.Weights) -> float:
     """Return the cosine between w_j x std(phi_j) of a fit and of hidden weights."""
     vector = np.array([float(getattr(hidden, name)) for name in fit.names])

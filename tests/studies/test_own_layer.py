@@ -1,5 +1,7 @@
 """One's own cost layer goes through every study as the built-in metrics do, by its name, and its weight counts."""
 
+import json
+
 import numpy as np
 import pytest
 
@@ -32,7 +34,7 @@ def maps() -> ju.MetricMaps:
     made = made_maps(30, 36)
     loud = np.zeros(made.grid.shape, np.float32)
     loud[4:, 16:20] = 1.0
-    made.ds["noise"] = (("y", "x"), loud, {"layer": Layer("noise.tif", "high-is-bad", (0.0, 80.0)).record})
+    made.ds["noise"] = (("y", "x"), loud, {"layer": json.dumps(Layer("noise.tif", "high-is-bad", (0.0, 80.0)).record)})
     return made
 
 

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 import jaxurban as ju
-from jaxurban.errors import InputError
+from jaxurban.errors import InputError, LeftOutWarning
 from jaxurban.paths.cost_map import cost_map
 from jaxurban.paths.export.write import write_path
 from jaxurban.studies.demonstrations import demonstration_from_line, optimal_demonstrations
 from jaxurban.studies.queries import RouteQuery, check_alike
 from jaxurban.studies.route_pool import RoutePool
-from tests.studies.routes_made import HIDDEN, made_queries, small_maps, write_geojson
+from tests.studies.routes_made import HIDDEN, made_queries, small_maps, thinned, write_geojson
 
 
 @pytest.fixture(scope="module")
@@ -102,6 +102,64 @@ def test_routes_outside_the_maps_or_nowhere_are_refused(maps, tmp_path):
         ju.read_demonstrations(file(*[tuple(map(float, end)) for end in ends]), maps, 60.0)
     with pytest.raises(InputError, match="no metric 'gsp'"):
         ju.read_demonstrations(file((-10.0, 40.0), (-10.1, 40.0)), maps, 60.0, metrics=["gsp"])
+
+
+def write_lines(file, maps, *lines_m):
+    """Write lines of eastings and northings; return the file."""
+    features = [
+        {
+            "type": "Feature",
+            "properties": {},
+            "geometry": {
+                "type": "LineString",
+                "coordinates": np.stack(maps.grid.lonlat_of_xy(*line_m), axis=1).tolist(),
+            },
+        }
+        for line_m in (np.transpose(line) for line in lines_m)
+    ]
+    file.write_text(json.dumps({"type": "FeatureCollection", "features": features}))
+    return file
+
+
+def test_drawn_lines_start_in_free_cells_near_their_ends_and_those_of_no_use_are_listed(maps, tmp_path):
+    unit = cost_map(maps, 20.0)
+    walls, (query,) = np.argwhere(~unit.is_free), made_queries(unit, 1)
+    inside, start, goal = (maps.grid.xy_of_cell(*map(int, cell)) for cell in (walls[0], query.start, query.goal))
+    away = (start[0] - 1e5, start[1])
+    file = write_lines(tmp_path / "lines.geojson", maps, (inside, goal), (away, goal), (start, goal))
+    left_out = r"1 of 3 lines of '.*' were left out: the second line \('2', from -7\d\.\d+, 40\.\d+\) leaves the maps"
+    with pytest.warns(LeftOutWarning, match=left_out):
+        first, third = ju.read_demonstrations(file, maps, altitude_m=20.0)
+    assert unit.is_free[first.query.start]
+    assert "The start was not free: it was moved " in first.note
+    assert (first.query.name, third.query.name) == ("1", "3")
+    assert "not free" not in third.note
+    assert min(first.drawn_cells, third.drawn_cells) >= 3.0
+
+
+def test_a_line_that_starts_far_inside_an_obstacle_names_its_place_and_asks_for_no_altitude(tmp_path):
+    maps = small_maps()
+    for name in ("roof", "roof_touched"):
+        maps.ds[name][5:25, 5:25] = 99.0
+    maps.ds["obstacle"][:, 5:25, 5:25] = 1
+    inside, goal = (maps.grid.xy_of_cell(*cell) for cell in ((15, 15), (33, 30)))
+    file = write_lines(tmp_path / "lines.geojson", maps, (inside, goal))
+    with pytest.raises(
+        InputError, match=r"the start of the first line \('1', from .*\) is inside an obstacle"
+    ) as caught:
+        ju.read_demonstrations(file, maps, altitude_m=20.0)
+    assert "no free cell is within 50 m of it" in str(caught.value)
+    assert "give" not in str(caught.value)
+
+
+def test_no_route_near_a_line_adds_up_less_than_its_least_features(maps):
+    unit = cost_map(maps, 20.0, cost_model="line")
+    (shown,) = optimal_demonstrations(made_queries(unit, 1), HIDDEN)
+    corner_m = np.array([maps.grid.x_min_m, maps.grid.y_min_m])
+    drawn = demonstration_from_line(unit, thinned(shown.points_m) + corner_m)
+    assert np.all(drawn.least_features <= np.minimum(drawn.features, shown.features) + 1e-9)
+    assert drawn.least_features[0] > 0.9 * shown.features[0]
+    np.testing.assert_array_equal(shown.least_features, shown.features)
 
 
 def test_maps_with_other_units_of_population_are_not_mixed():

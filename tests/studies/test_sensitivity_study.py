@@ -38,7 +38,7 @@ def other_maps() -> ju.MetricMaps:
     made = made_maps(60, 70)
     loud = np.random.default_rng(4).random(made.grid.shape).astype(np.float32)
     ds = made.ds.drop_vars(["population", "density", "time_of_day"])
-    ds["noise"] = (("y", "x"), loud, {"layer": Layer("noise.tif", "high-is-bad", (0.0, 1.0)).record})
+    ds["noise"] = (("y", "x"), loud, {"layer": json.dumps(Layer("noise.tif", "high-is-bad", (0.0, 1.0)).record)})
     return ju.MetricMaps(ds)
 
 

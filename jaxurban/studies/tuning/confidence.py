@@ -96,12 +96,13 @@ def near_optimal_range(weights: np.ndarray, task: FitTask, scale: np.ndarray, to
 
     That is, whose mean regret over the known routes, weighted by trust, is at most that of the fit plus a tolerance:
     a polytope, whose extent along each weight takes two linear programs (costs in the regrets' denominators are
-    taken at the fit). Where the demonstrations are exactly cheapest under a hidden W, it holds that W, however many
-    there are; inf where a weight may grow without end.
+    taken at the fit). Where the demonstrations are exactly cheapest under a hidden W, it contains that W, however many
+    there are; inf where a weight may grow without end. Of routes that are known as a line only, ``demo`` are features
+    that are nowhere above theirs: their cost is then nowhere above theirs either, and the hidden W is contained too.
 
     Args:
       weights: ``[F]`` of the fit, of features in the task's units.
-      task: its routes and trust.
+      task: its routes and trust, with the least that the demonstrations may add up as ``demo``.
       scale: ``[F]`` a with a . W = 1 for the W that are compared.
       tolerance: of mean regret.
     """
@@ -113,7 +114,7 @@ def near_optimal_range(weights: np.ndarray, task: FitTask, scale: np.ndarray, to
     query, route = np.nonzero(routes @ weights <= FAR * cost[:, None])
     slack = np.zeros((len(query), num_queries))
     slack[np.arange(len(query)), query] = -cost[query]  # slacks are counted in costs, so that all are near 1
-    regret = float(np.sum(share * (cost - np.min(routes @ weights, axis=1))))
+    regret = float(np.sum(share * np.maximum(cost - np.min(routes @ weights, axis=1), 0.0)))
     centre = demo.mean(axis=0) / (demo.mean(axis=0) @ weights)
     bound = np.concatenate([-(regret + tolerance) * centre, share * cost])
     above = np.vstack([np.hstack([demo[query] - routes[query, route], slack]), bound])

@@ -63,7 +63,8 @@ class WeightFit:
       shares: ``[K]`` part of the demonstrations' cost that each weight makes up; they sum to 1.
       spread: ``[K]`` w_j x std(phi_j) over the demonstrations, scaled to length 1: what fits are compared by.
       interval: ``[2, K]`` 5th and 95th percentile of the weights over bootstrap fits, widened to all weights that
-        explain the demonstrations as well (`confidence.near_optimal_range`); NaN without bootstrap.
+        explain the demonstrations as well (`confidence.near_optimal_range`), or, of lines that were redrawn on the
+        grid, any routes within 3 cells of them; NaN without bootstrap.
       draws: ``[B, K]`` the weights of the bootstrap fits.
       regret: ``[Q]`` by which share each is costlier than the cheapest route under the weights, by search.
       trust: ``[Q]`` in [0, 1] weight that each demonstration had in the end.
@@ -187,7 +188,8 @@ def fit_weights(
         draws = np.array([_scaled(fit.weights_of(row), scale) for row in log_draws]).reshape(-1, len(names))
         interval = np.full((2, len(names)), np.nan)
         if bootstrap:
-            interval = fit.near_optimal_range(np.ones(len(names)) if scale == "simplex" else np.eye(len(names))[0])
+            sides = np.ones(len(names)) if scale == "simplex" else np.eye(len(names))[0]
+            interval = fit.near_optimal_range(sides, np.array([each.least_features for each in demonstrations]))
         if len(draws):
             by_draw = np.percentile(draws, [5, 95], axis=0)
             interval = np.stack([np.minimum(by_draw[0], interval[0]), np.maximum(by_draw[1], interval[1])])
@@ -287,10 +289,16 @@ class _Fit:
         cheapest = self.pool.cheapest(weights[None])[0, :, 0]
         return (self.demo @ weights) / (cheapest @ weights) - 1
 
-    def near_optimal_range(self, scale: np.ndarray) -> np.ndarray:
-        """Return ``[2, K]`` the range of each weight, a . W = 1 for ``scale`` a, that explains the routes as well."""
+    def near_optimal_range(self, scale: np.ndarray, least: np.ndarray) -> np.ndarray:
+        """Return ``[2, K]`` the range of each weight, a . W = 1 for ``scale`` a, that explains the routes as well.
+
+        Args:
+          scale: ``[K]`` a.
+          least: ``[Q, K]`` features that the demonstrations have at least (`Demonstration.least_features`).
+        """
         unit = self.unit[self.is_fitted]
         here = self.task(2, LAST_NOISE, np.random.default_rng(self.seed))
+        here = here._replace(demo=(least / self.unit)[:, self.is_fitted])
         ends = np.zeros((2, len(self.unit)))
         scaled = (self.weights * self.unit)[self.is_fitted]
         ends[:, self.is_fitted] = near_optimal_range(scaled, here, scale[self.is_fitted] / unit, SETTLED) / unit
@@ -329,8 +337,8 @@ def _said_of_constant(name: str, is_left_out: bool) -> str:
 def _open(names: Sequence[str], constant: Sequence[str], interval: np.ndarray) -> list[str]:
     """Return a sentence for each weight that the demonstrations leave open within a wide range."""
     return [
-        f"The weight of {name} is hardly pinned down: anything from {low:.3g} to {high:.3g} explains such routes; the "
-        "value given is one of them."
+        f"The weight of {name} is hardly pinned down: with other weights to match, nothing from {low:.3g} to "
+        f"{high:.3g} is ruled out; the value given is one of them."
         for name, low, high in zip(names, *interval, strict=True)
         if name not in constant and np.isfinite(high) and high > 0 and low < high / WIDE
     ]
