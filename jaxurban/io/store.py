@@ -10,9 +10,10 @@ import json
 import os
 import re
 from collections.abc import Mapping
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import dask.array
 import numpy as np
@@ -293,17 +294,46 @@ def open_zarr(folder: Path, resolution_m: float | None) -> xr.Dataset:
     return ds
 
 
+class _Opened(NamedTuple):
+    """A Zarr when it was opened: which file its metadata were, when written, and with which bytes."""
+
+    path: Path
+    place: tuple[int, int]
+    metadata: bytes
+
+    @classmethod
+    def at(cls, path: Path) -> "_Opened":
+        return cls(path, cls._place(path), metadata_file(path).read_bytes())
+
+    @staticmethod
+    def _place(path: Path) -> tuple[int, int]:
+        found = metadata_file(path).stat()
+        return found.st_ino, found.st_mtime_ns
+
+    def check(self) -> None:
+        """Raise InputError unless the Zarr is still the one that was opened, or was mended by the same run."""
+        with suppress(OSError):
+            if self.place == self._place(self.path):
+                return
+            # Maps that were saved from Python have no key of a run: the same metadata may go with other values.
+            if b'"run_key"' in self.metadata and self.metadata == metadata_file(self.path).read_bytes():
+                return
+        raise InputError(
+            f"the maps in {str(self.path)!r} were made again or removed since they were opened: open them again"
+        )
+
+
 class _Map(BackendArray):
     """A map in a Zarr, read when it is looked at, with the engine's values; one that cannot be read is an InputError.
 
     Attributes:
       ds: the Zarr as it is, rows south to north.
-      path: of the Zarr.
+      opened: the Zarr when it was opened.
       name: of the map.
     """
 
-    def __init__(self, ds: xr.Dataset, path: Path, name: str) -> None:
-        self.ds, self.path, self.name = ds, path, name
+    def __init__(self, ds: xr.Dataset, opened: "_Opened", name: str) -> None:
+        self.ds, self.opened, self.path, self.name = ds, opened, opened.path, name
         self.shape, self.dtype = ds.variables[name].shape, ds.variables[name].dtype
 
     def __getitem__(self, key: indexing.ExplicitIndexer) -> Any:
@@ -317,9 +347,11 @@ class _Map(BackendArray):
                 values[is_nothing(values)] = 1  # of a chunk that went after opening
             elif (inside := cells_inside(self.ds, array, key, stored)) is not None:
                 np.copyto(values, float(array.attrs[IN_OBSTACLES]), "unsafe", where=is_hidden(values, inside))
-            return values
         except Exception as error:
+            self.opened.check()
             raise error_in(self.path, error, (self.name, *NEEDED)) from error
+        self.opened.check()  # after reading: metadata go first where maps are removed, and come last
+        return values
 
 
 def _stored(ds: xr.Dataset, path: Path, name: str, key: tuple) -> np.ndarray:
@@ -346,6 +378,7 @@ class _Maps(BackendEntrypoint):
 
     def open_dataset(self, filename_or_obj: Any, *, drop_variables: Any = None) -> xr.Dataset:
         how: dict[str, Any] = {"consolidated": False, "mask_and_scale": False}
+        opened = _Opened.at(Path(filename_or_obj))
         ds = xr.open_dataset(filename_or_obj, engine="zarr", chunks=None, cache=False, **how)
         for array in ds.variables.values():
             array.attrs = {key: value for key, value in array.attrs.items() if key not in (GDAL_CRS, "_FillValue")}
@@ -353,13 +386,14 @@ class _Maps(BackendEntrypoint):
         maps = {
             name: xr.Variable(
                 ds[name].dims,
-                indexing.LazilyIndexedArray(_Map(ds, Path(filename_or_obj), str(name))),
+                indexing.LazilyIndexedArray(_Map(ds, opened, str(name))),
                 ds[name].attrs,
                 ds[name].encoding,
             )
             for name in ds.data_vars
         }
         coords = ds.coords.to_dataset().load()  # small, and damage shows at once
+        opened.check()
         strings = [name for name, coord in coords.variables.items() if coord.dtype.kind == "U"]
         coords = coords.assign_coords({name: coords[name].astype(np.dtypes.StringDType()) for name in strings})
         return xr.Dataset(maps, coords.coords, ds.attrs)

@@ -219,6 +219,34 @@ def test_a_changed_scenario_is_refused_with_both_differences_and_a_new_folder(jo
     assert {path: path.read_bytes() for path in job.rglob("*") if path.is_file()} == before
 
 
+def test_open_maps_refuse_to_read_those_of_another_run(job, tmp_path):
+    maps, swapped = ju.open_maps(job), ju.open_maps(shutil.copytree(job, tmp_path / "swapped"))
+    ends = [(float(maps.grid.x_m[k]), float(maps.grid.y_m[k])) for k in (2, -3)]
+    chunk = job / "maps.zarr/20m/gps/0.0.0.0"
+    chunk.unlink()
+    pipeline.run_scenario(Scenario.from_dict(SETTINGS), job)  # mended by the same run
+    assert maps.m("gps", 20.0).size
+    pipeline.run_scenario(Scenario.from_dict(SETTINGS | {"gps": {"mask_deg": 15.0}}), job, overwrite=True)
+    (tmp_path / "swapped").rename(tmp_path / "old")
+    shutil.copytree(job, tmp_path / "swapped")
+    for each in (maps, swapped):
+        with pytest.raises(InputError, match="made again or removed since they were opened"):
+            each.m("risk", 20.0)
+        with pytest.raises(InputError, match="open them again"):
+            ju.plan(each, start_xy_m=ends[0], goal_xy_m=ends[1], altitude_m=20.0, snap=True)
+    assert ju.open_maps(job).m("gps", 20.0).size
+
+
+def test_open_maps_refuse_to_read_those_that_were_saved_over_them(tmp_path):
+    made = ju.build_maps(ju.demo_city(500, 500), resolution_m=20.0, altitudes_m=(20.0,))
+    made.save(tmp_path)
+    maps = ju.open_maps(tmp_path)
+    maps.m("risk", 20.0)
+    made.save(tmp_path)
+    with pytest.raises(InputError, match="made again or removed"):
+        maps.m("risk", 20.0)
+
+
 def test_a_second_run_in_the_same_folder_is_refused(job):
     with (
         files.only_writer(job),
