@@ -17,11 +17,11 @@ from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY
 from jaxurban.paths.export.waypoints import waypoints
 from jaxurban.paths.path import PlannedPath
-from jaxurban.paths.profile import without_fix
+from jaxurban.paths.profile import CLEARANCE, cautious_profile, without_fix
 from jaxurban.planners.base import Status
 from jaxurban.planners.registry import PLANNERS
 from jaxurban.report.figures.metrics import DOP_NAMES, line_colour
-from jaxurban.report.figures.notes import guesses_said, place_said, time_said
+from jaxurban.report.figures.notes import guesses_said, place_said, rules_said, time_said
 from jaxurban.report.figures.paths import planner_colours
 from jaxurban.viewer.coordinates import LonLatFit
 from jaxurban.viewer.layers import (
@@ -334,24 +334,26 @@ class Viewer:
     def report(self, query: Plan) -> dict[str, Any]:
         """Return what a route meets: cautions, totals, the profile and where its crossings lie, its report as text.
 
-        ``mission`` are the waypoints of a ``.plan``, and ``saved`` how many they are and what they cost.
+        ``mission`` are the waypoints of a ``.plan``, and ``saved`` their number, their cost and least clearance.
         """
         at = self.place(query.at)
         found, planned = self.plans.report(query, at)
         mission = self.plans.mission(query, at)
+        least_m = float(cautious_profile(mission, self.maps)[CLEARANCE].min())
         table, totals = found.profile, found.totals
         lines = {name: (metric.label, self._colours[name]) for name, metric in self.maps.metrics.items()}
         units = {name: text for name, text in TOTALS.items() if name in totals}
         return {
             "cautions": sentences((each.level, each) for each in found.cautions),
             "totals": rows((label, f"{number(totals[name])} {unit}") for name, (label, unit) in units.items()),
-            "profile": profile(table, lines, without_fix(table)),
+            "profile": profile(table, lines, without_fix(table)) + sentences([("note", rules_said(planned.settings))]),
             "to_share": np.round(table["to_m"].to_numpy() / max(planned.length_m, 1e-9), 5),
             "xy": self._on_page(table[["lon", "lat"]].to_numpy()),
             "report-text": escape(found.table()),
             "mission": self._on_page(lonlat := waypoints(mission).lonlat),
             "saved": f"{len(lonlat)} waypoints, cost {number(mission.cost)}"
-            + (f", {mission.cost / planned.cost - 1:+.1%}" if planned.cost > 0 else ""),
+            + (f", {mission.cost / planned.cost - 1:+.1%}" if planned.cost > 0 else "")
+            + (f", least clearance {number(least_m)} m" if math.isfinite(least_m) else ""),
         }
 
     def _on_page(self, lonlat: np.ndarray) -> np.ndarray:

@@ -200,6 +200,7 @@ def test_a_report_tells_what_the_route_meets(viewer):
     assert found["to_share"][-1] == pytest.approx(1, abs=1e-4)
     assert "<svg" in found["profile"]
     assert "Least clearance" in found["totals"]
+    assert re.search("cost model: line .* gps 3, .* obstacles: touched, vertical clearance of 3 m", found["profile"])
     assert "segment" in found["report-text"]
 
 
@@ -244,8 +245,10 @@ def test_the_mission_that_is_drawn_is_the_one_that_is_saved_and_bears_its_cost(v
     on = cost_map(MAPS, 20.0, weights=Weights(**WEIGHTS), cost_model=cost_model, time_of_day="night")
     planned = on.plan(*ENDS, heuristic="plus")
     assert planned.cost == route["cost"]
-    cost = simplify(planned, on, MAPS.grid.resolution_m / 2).cost
-    assert found["saved"] == f"{len(places)} waypoints, cost {number(cost)}, {cost / route['cost'] - 1:+.1%}"
+    mission = simplify(planned, on, MAPS.grid.resolution_m / 2)
+    prices = f"cost {number(mission.cost)}, {mission.cost / route['cost'] - 1:+.1%}"
+    least_m = explain(mission, MAPS).totals["nearest_wall_m"]
+    assert found["saved"] == f"{len(places)} waypoints, {prices}, least clearance {number(least_m)} m"
 
 
 def test_a_profile_labels_the_flight_at_its_height_and_distances_so_that_none_equals_another(viewer):

@@ -167,7 +167,13 @@ async function start(root, ask) {
       line(xy_m, scene.planner_colours[planner], width, { dash: cell_m && [6, 6] });
     if (state.report && !state.routes[0]?.cell_m) { // what a .plan holds
       line(state.report.mission, '#1f2429', 1.4, { dash: [5, 4] });
-      for (const place of state.report.mission) spot(place, 2.5, '#fff', '#1f2429');
+      let last = [-99, -99]; // else they would hide the route from afar
+      for (const place of state.report.mission) {
+        const at = toPixel(place);
+        if (Math.hypot(at[0] - last[0], at[1] - last[1]) < 14) continue;
+        spot(place, 2.5, '#fff', '#1f2429');
+        last = at;
+      }
     }
     for (const [name, place] of Object.entries(state.ends)) {
       line([place, markOf(name)], '#1f2429', 1);
