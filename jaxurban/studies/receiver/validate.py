@@ -46,10 +46,10 @@ class ReceiverValidation(Shown):
       pieces: a row a piece of track of ``settings.piece_m``: medians of the same (see `pieces_of`).
       scores: a row a ``witness``, ``prediction`` and ``piece_m`` (NaN: every epoch by itself): ``num`` pieces, and for
         the rank correlation ``within`` blocks, ``spearman`` over the whole track and ``auc`` the value, what 95 % of
-        all shifts along the track stay at or below (``_shifts_95``), the share of all shifts, none included, that score
-        at least as high (``_p``), and what the open sky scores (``_open``); of ``within`` also the ends of its 95 %
-        interval (``_low``, ``_high``). Above 0 (``auc``: a half) the receiver does better where the maps say so; NaN
-        where a coefficient is not defined.
+        all shifts along the track stay at or below (``_shifts_95``), the share of all shifts, that of 0 m among them,
+        that score at least as high (``_p``), and what the open sky scores (``_open``); of ``within`` also the ends of
+        its 95 % interval (``_low``, ``_high``). Above 0 (``auc``: a half) the receiver does better where the maps say
+        so; NaN where a coefficient is not defined.
       shifts: a row a witness, length of pieces and ``shift`` of the maps along the track, in pieces (where every epoch
         counts by itself: in epochs), with the coefficients.
       satellites: a row a satellite, None where the log names none (see
