@@ -91,6 +91,8 @@ class Problem:
         descended. One number stands for w_0, with layers of weight 1, and climb and descent of none.
       cost_model: how steps are costed, and which are allowed; its kind stands for the rest's defaults.
       levels_m: ``[K]`` ascending altitudes above ground of a volume; None on one altitude.
+      leg_margin_m: that straight legs keep from cells that are not free and from the map's border, less than half a
+        cell. Steps between the centres of neighbours keep it; with one, no diagonal step passes a closed cell.
     """
 
     costs: np.ndarray
@@ -101,6 +103,7 @@ class Problem:
     weights: Any  # kept as an array
     cost_model: CostModel = field(default_factory=CostModel)
     levels_m: Any = None  # kept as an array
+    leg_margin_m: float = 0.0
     shared: dict[str, Any] = field(init=False, repr=False, default_factory=dict)  # what `once` made
     _cost: list[np.ndarray] = field(init=False, repr=False, default_factory=list)  # of all on this map and weights
     _moves: list[np.ndarray] = field(init=False, repr=False, default_factory=list)  # of all problems on these cells
@@ -117,6 +120,8 @@ class Problem:
             object.__setattr__(self, "levels_m", _checked_levels(self.levels_m, is_free))
         object.__setattr__(self, "cost_model", CostModel.of(self.cost_model))
         positive_m("resolution_m", self.resolution_m)
+        if not 0 <= self.leg_margin_m < self.resolution_m / 2:
+            raise InputError(f"leg_margin_m must be from 0 up to half a cell, got {self.leg_margin_m!r}")
         # Each layer, not only the sum, so that a negative one cannot hide behind another; NaN fails too.
         if not are_costs(in_rows(costs), in_rows(is_free[None])[0]):
             raise InputError("costs must be finite and not negative on free cells: check the maps")
@@ -244,7 +249,7 @@ class Problem:
         if not self._moves:
             num_rows, num_cols = self.is_free.shape[-2:]
             levels = self.is_free.reshape(-1, num_rows, num_cols)
-            keeps_corners = self.cost_model.diagonal == "both-free"
+            keeps_corners = self.cost_model.diagonal == "both-free" or self.leg_margin_m > 0
             allowed = [allowed_moves(is_free, self.cost_model.connectivity, keeps_corners) for is_free in levels]
             self._moves.append(_read_only(allowed[0] if self.levels_m is None else np.stack(allowed), np.uint8))
         return self._moves[0]
@@ -254,7 +259,8 @@ class Problem:
         """``[Y, X]`` the number of the part of the map in which paths off the grid join a cell; 0: blocked."""
         from scipy.ndimage import label
 
-        return np.asarray(label(self.is_free, np.ones((3, 3)) if self.cost_model.passes_corners else None)[0])
+        passes_corners = self.cost_model.passes_corners and not self.leg_margin_m
+        return np.asarray(label(self.is_free, np.ones((3, 3)) if passes_corners else None)[0])
 
     @property
     def tile_minima(self) -> np.ndarray:

@@ -30,6 +30,7 @@ def compiled_first(**options: Any) -> Callable[[Callable[..., Path]], Callable[.
             setup_s = 0.0
             chosen = {"heuristic": asked["heuristic"]} if "heuristic" in asked else {}
             kinds = (planner, *chosen.values(), problem.costs.dtype, problem.is_free.ndim, problem.cost_model)
+            kinds += (problem.leg_margin_m > 0,)
             with _COMPILING:
                 if kinds not in _COMPILED:
                     begin_s = time.perf_counter()
@@ -51,4 +52,5 @@ def _few_cells(problem: Problem) -> Problem:
     costs = np.zeros((len(problem.costs), *is_free.shape), problem.costs.dtype)
     start, goal = ((0, 0, 2), (1, 4, 2)) if is_volume else ((0, 2), (4, 2))
     levels_m = np.arange(2.0) if is_volume else None
-    return Problem(costs, is_free, start, goal, 1.0, 1.0, problem.cost_model, levels_m)
+    margin_m = 0.25 if problem.leg_margin_m else 0.0
+    return Problem(costs, is_free, start, goal, 1.0, 1.0, problem.cost_model, levels_m, margin_m)

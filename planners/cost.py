@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from jaxurban.errors import InputError
-from jaxurban.kernels.line.traversal import crossed_cells, is_free_way
+from jaxurban.kernels.line.clear import are_clear
+from jaxurban.kernels.line.traversal import Crossings, crossed_cells, is_free_way
 from jaxurban.planners.moves import STEPS
 
 if TYPE_CHECKING:
@@ -27,8 +28,8 @@ class PathFeatures:
     Attributes:
       phi: ``[W]`` float64 what the weights multiply: metres, then how much of each layer's cost counts, then in a
         volume metres climbed and descended; the layers are inf for a path that is not valid.
-      is_valid: every crossed cell is on the map and free, and so is the way through corners (`is_free_way`); in a
-        volume, every step is one that the search may take.
+      is_valid: every crossed cell is on the map and free, and so is the way through corners (`is_free_way`), and legs
+        keep the problem's margin; in a volume, every step is one that the search may take.
       counted: the cells whose costs count, in order of travel, and ``count`` how often each is.
       crossed: the cells that the path crosses, in order of travel, and ``length_m`` how far it runs in each (a node of
         a volume holds half-way to its neighbours).
@@ -81,7 +82,7 @@ def path_features(problem: "Problem", points_m: np.ndarray, kind: CostKind | Non
     crossings = crossed_cells(points_m, problem.resolution_m)
     metres = [float(np.hypot(*np.diff(points_m, axis=0).T).sum())]
     crossed = (crossings.row, crossings.col)
-    if not is_free_way(crossings, problem.is_free, problem.cost_model.passes_corners):
+    if not _is_way(problem, problem.is_free, points_m, crossings):
         none = (np.empty(0, np.int64), np.empty(0, np.int64))
         return _features(problem, metres, False, none, np.empty(0), crossed, crossings.length_m)
     if kind == "line":
@@ -107,6 +108,14 @@ def _volume_features(problem: "Problem", points_m: np.ndarray, kind: CostKind) -
         counted, leg, in_state_m = _nodes_crossed(problem, path_states(points_m, problem.resolution_m))
         count = np.append(leg[1:] != leg[:-1], in_state_m[-1] > 0).astype(np.float64)
     return _features(problem, metres, _is_allowed(problem, points_m), counted, count, crossed, crossed_m)
+
+
+def _is_way(problem: "Problem", is_free: np.ndarray, points_m: np.ndarray, crossings: Crossings) -> bool:
+    """Return whether a path ``[N, 2]`` on one level is a free way that keeps the problem's margin, but for rounding."""
+    margin = problem.leg_margin_m / problem.resolution_m
+    return is_free_way(crossings, is_free, problem.cost_model.passes_corners) and (
+        margin == 0 or bool(are_clear(is_free, points_m / problem.resolution_m, margin - ROUNDING))
+    )
 
 
 def _nodes_of(problem: "Problem", points_m: np.ndarray) -> np.ndarray:
@@ -160,7 +169,7 @@ def _is_allowed(problem: "Problem", points_m: np.ndarray) -> bool:
     steps, is_climb = np.diff(nodes, axis=0), np.diff(points_m[:, 2]) != 0
     for first, last in _runs(~is_climb):
         way = crossed_cells(points_m[first : last + 1, :2], problem.resolution_m)
-        if not is_free_way(way, problem.is_free[nodes[first, 0]], problem.cost_model.passes_corners):
+        if not _is_way(problem, problem.is_free[nodes[first, 0]], points_m[first : last + 1, :2], way):
             return False
     is_node = np.append(is_climb, len(nodes) == 1) | np.append(False, is_climb)
     if np.abs(steps[is_climb]).max(initial=0) > 1 or not problem.is_free[tuple(nodes[is_node].T)].all():

@@ -21,4 +21,5 @@ def cost_grid_of(problem: Problem, is_reachable: np.ndarray) -> CostGrid:
         per_side=float(problem.distance_weight * problem.resolution_m),
         is_line=is_line,
         passes_corners=problem.cost_model.passes_corners,
+        margin=problem.leg_margin_m / problem.resolution_m,
     )

@@ -8,10 +8,11 @@ from itertools import pairwise
 import numpy as np
 
 from jaxurban.errors import InputError
+from jaxurban.kernels.line.clear import is_clear
 from jaxurban.planners.any_angle import subdivided
 from jaxurban.planners.base import Path, Problem, Status
 from jaxurban.planners.cost_model import positive_m
-from jaxurban.planners.search.legs import fewest_legs, is_clear, nudged
+from jaxurban.planners.search.legs import fewest_legs, nudged
 
 CLEAR_M = 0.02  # that legs keep from closed cells, so that coordinates of 7 decimals of a degree cannot enter them
 NUDGES = (1.5, 3.0)  # by how many such distances points may move where the path itself passes nearer
@@ -24,12 +25,13 @@ ALIKE = 0.05  # sine of the angle between legs that run alike
 def simplify(problem: Problem, path: Path, tolerance_m: float) -> Path:
     """Return the path with as few waypoints as keep it within a tolerance of where it was, clear of closed cells.
 
-    Waypoints are places along the path, at most a cell apart. Every leg that skips some keeps `CLEAR_M` from every cell
-    that is not free and from the map's border, so that rounding of a file's coordinates takes it into none. Where the
-    path passes nearer, its points are first moved aside, each twice by at most three times that, or a quarter of the
-    tolerance, where that mends it; what cannot be mended, as a step between two obstacles that touch at a corner
-    (``diagonal="always"``), stays as it was planned, and the note says so. In a volume the parts on one level are
-    simplified, each on its level's cells; climbs and descents stay. The ends stay.
+    Waypoints are places along the path, at most a cell apart. Every leg that skips some keeps `CLEAR_M`, or the
+    problem's larger margin, from every cell that is not free and from the map's border, so that rounding of a file's
+    coordinates takes it into none. Where the path passes nearer, its points are first moved aside, each twice by at
+    most three times `CLEAR_M`, or a quarter of the tolerance, where that mends it; what cannot be mended, as a step
+    between two obstacles that touch at a corner (``diagonal="always"``), stays as it was planned, and the note says so.
+    In a volume the parts on one level are simplified, each on its level's cells; climbs and descents stay. The ends
+    stay.
 
     The cost is that of the new path, which may be above or below the old. The status is that of the path where
     nothing changed, else FEASIBLE (BUDGET_FEASIBLE where the path was). The lower bound stays that of the planner's
@@ -59,7 +61,8 @@ def simplify(problem: Problem, path: Path, tolerance_m: float) -> Path:
         points_m = path.points_m[first : last + 1]
         if level is not None:
             is_free = problem.is_free if problem.levels_m is None else problem.is_free[level]
-            xy = _fewest(is_free, points_m[:, :2] / problem.resolution_m, tolerance_m, problem.resolution_m)
+            margin = max(CLEAR_M, problem.leg_margin_m) / problem.resolution_m
+            xy = _fewest(is_free, points_m[:, :2] / problem.resolution_m, tolerance_m, problem.resolution_m, margin)
             num_near += int(np.sum(~_are_clear(is_free, xy, CLEAR_M / problem.resolution_m)))
             xy_m = xy * problem.resolution_m
             xy_m[[0, -1]] = points_m[[0, -1], :2]
@@ -95,12 +98,12 @@ def _level_parts(problem: Problem, points_m: np.ndarray) -> list[tuple[int | Non
     return [(int(level[a]) if is_level[a] else None, a, b) for a, b in pairwise(cuts)] if last else []
 
 
-def _fewest(is_free: np.ndarray, xy: np.ndarray, tolerance_m: float, side_m: float) -> np.ndarray:
-    """Return the waypoints ``[W, 2]`` of a path of points ``[N, 2]`` on one level, in cell sides."""
+def _fewest(is_free: np.ndarray, xy: np.ndarray, tolerance_m: float, side_m: float, margin: float) -> np.ndarray:
+    """Return the waypoints ``[W, 2]`` of a path of points ``[N, 2]`` on one level, in cell sides, as the margin is."""
     if len(xy) < 2:
         return xy
-    margin, tolerance = CLEAR_M / side_m, tolerance_m / side_m
-    rings = np.minimum(np.array(NUDGES) * margin, tolerance / 4)
+    tolerance = tolerance_m / side_m
+    rings = np.minimum(np.array(NUDGES) * CLEAR_M / side_m, tolerance / 4)
     turn = np.arange(DIRECTIONS) * (2 * np.pi / DIRECTIONS)
     around = np.stack([np.cos(turn), np.sin(turn)], axis=1)
     offsets = np.concatenate([np.zeros((1, 2)), *(ring * around for ring in rings)])
@@ -183,4 +186,4 @@ def _warm_up() -> None:
     """Compile what a simplification runs, so that its time is its own."""
     is_free = np.ones((1, 4), bool)
     is_free.flags.writeable = False  # as a problem's are: another type to the compiler
-    _fewest(is_free, np.array([[0.5, 0.5], [1.5, 0.999], [2.5, 0.5]]), 0.5, 1.0)
+    _fewest(is_free, np.array([[0.5, 0.5], [1.5, 0.999], [2.5, 0.5]]), 0.5, 1.0, CLEAR_M)

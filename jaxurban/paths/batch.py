@@ -216,5 +216,5 @@ class _Job:
     def _digest(self, shared: CostMap) -> str:
         """Return what stands for a cost map and the settings of the search, but for its budget."""
         search = (replace(self.search, snap=False, budget_s=np.inf), self.backend)
-        settings = (shared.weights, shared.objective, shared.cost_model, search)
+        settings = (shared.weights, shared.objective, shared.cost_model, shared.leg_margin_m, search)
         return fingerprint(shared.costs, shared.is_free, settings)

@@ -1,8 +1,9 @@
 """Clearance: which cells lie nearer to obstacles than a route must keep, and how near one of them does.
 
 The distance is that between the squares of cells, so that no point of a free cell is nearer to the outline of a
-building, which lies within the cells that it touches. It is never less than what is kept, and up to a cell's diagonal
-more.
+building, which lies within the cells that it touches. These distances come in steps: 0, 1, 1.41, 2, 2.24 ... cells.
+What is asked beyond a step, up to half a cell, the legs of routes keep from closed cells; more closes the next step.
+A straight line from a leg to an obstacle runs through closed cells last: so it is as long as both together, or longer.
 """
 
 import math
@@ -17,6 +18,7 @@ from jaxurban.planners.base import Cell
 # What a file may take from a clearance: 8 mm by the seventh decimal of a degree, and up to 35 mm where a program draws
 # a leg of 1 km straight in degrees instead of in the maps' CRS (length^2 / 8 R x tan of a latitude up to 60 degrees).
 FILE_MARGIN_M = 0.05
+MOST_LEG_MARGIN = 0.49  # cell sides: steps between the centres of cells keep half a side from closed cells
 
 
 def obstacles_within(maps: MetricMaps, altitude_m: float, horizontal_m: float, vertical_m: float) -> np.ndarray:
@@ -70,19 +72,42 @@ def distance_to_obstacles_m(is_obstacle: np.ndarray, resolution_m: float) -> np.
     return distance_transform_edt(~grown)[1:-1, 1:-1] * resolution_m
 
 
+def closing_step_m(horizontal_m: float, resolution_m: float) -> tuple[float, float]:
+    """Return a clearance as the distance between squares below which cells are closed, and what legs keep beside it.
+
+    Args:
+      horizontal_m: least distance to obstacles; 0 closes the cells of obstacles alone.
+      resolution_m: side of a cell.
+    """
+    if horizontal_m == 0:
+        return 0.0, 0.0
+    sides = (horizontal_m + FILE_MARGIN_M) / resolution_m
+    whole = np.arange(math.ceil(sides) + 1)
+    steps = np.unique(np.hypot(whole, whole[:, None]))
+    step = float(steps[np.searchsorted(steps, sides - MOST_LEG_MARGIN)])
+    return step * resolution_m, max(0.0, sides - step) * resolution_m
+
+
+def kept_m(horizontal_m: float, resolution_m: float) -> float:
+    """Return what routes keep at least of obstacles under a clearance that is asked, in their files too."""
+    return max(horizontal_m, closing_step_m(horizontal_m, resolution_m)[0] - FILE_MARGIN_M * (horizontal_m > 0))
+
+
 def closed_by_clearance(maps: MetricMaps, altitude_m: float, horizontal_m: float, vertical_m: float) -> np.ndarray:
     """Return ``[Y, X]`` bool: cells that a clearance closes at an altitude.
 
     Args:
       maps: the metric maps; a distance is kept from the roofs that touch a cell, whatever their rule of obstacles is.
       altitude_m: above ground.
-      horizontal_m: least distance to obstacles and to the maps' border, beside `FILE_MARGIN_M`; 0 keeps none.
+      horizontal_m: least distance to obstacles and to the maps' border, beside `FILE_MARGIN_M`, of legs that keep the
+        margin of `closing_step_m`; 0 keeps none.
       vertical_m: least height over roofs; those less far below the altitude are obstacles too.
     """
     is_obstacle = obstacles_within(maps, altitude_m, horizontal_m, vertical_m)
-    if horizontal_m == 0:
+    step_m, _ = closing_step_m(horizontal_m, maps.grid.resolution_m)
+    if step_m == 0:
         return is_obstacle
-    return distance_to_obstacles_m(is_obstacle, maps.grid.resolution_m) < horizontal_m + FILE_MARGIN_M
+    return distance_to_obstacles_m(is_obstacle, maps.grid.resolution_m) < step_m * (1 - 1e-9)
 
 
 def nearest_said(

@@ -19,7 +19,7 @@ from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.availability import SERIES
 from jaxurban.metrics.gps import WEIGHTED_DOPS
 from jaxurban.metrics.registry import METRICS, ON_REQUEST, known_metrics
-from jaxurban.paths.clearance import closed_by_clearance, nearest_said
+from jaxurban.paths.clearance import closed_by_clearance, closing_step_m, kept_m, nearest_said
 from jaxurban.paths.vehicle import Vehicle
 from jaxurban.presets import DEFAULTS, Preset
 
@@ -193,6 +193,20 @@ class Constraints:
         """Return the constraints with the vertical clearance of a preset where they were made without one."""
         known = self.vertical_clearance_m is not None
         return self if known else replace(self, vertical_clearance_m=preset.vertical_clearance_m)
+
+    def leg_margin_m(self, resolution_m: float) -> float:
+        """Return what straight legs keep from closed cells of that side, for the clearance (`closing_step_m`)."""
+        return closing_step_m(self.horizontal_m, resolution_m)[1]
+
+    def kept_note(self, resolution_m: float) -> str:
+        """Return a sentence on the horizontal distance that is really kept, empty where that is what was asked."""
+        kept = kept_m(self.horizontal_m, resolution_m)
+        if kept <= self.horizontal_m + 0.05:
+            return ""
+        return (
+            f"{self.horizontal_m:g} m are to be kept from obstacles: on these cells of {resolution_m:g} m routes keep "
+            f"at least {kept:g} m."
+        )
 
     def without_clearance(self) -> "Constraints":
         """Return the zones and bounds alone."""

@@ -145,6 +145,7 @@ class CostMap(Shown):
             weights=np.eye(len(self.weight_vector))[0],
             cost_model=self.cost_model,
             levels_m=None if self.levels is None else self.altitudes_m,
+            leg_margin_m=self.leg_margin_m,
         )
 
     @typed
@@ -242,7 +243,12 @@ class CostMap(Shown):
     @cached_property
     def islands(self) -> np.ndarray:
         """``[Y, X]`` or ``[K, Y, X]`` the number of the island of joined free cells, 0 where a cell is closed."""
-        return islands_of(self.is_free, self.cost_model.joins_corners)
+        return islands_of(self.is_free, self.cost_model.joins_corners and not self.leg_margin_m)
+
+    @property
+    def leg_margin_m(self) -> float:
+        """What straight legs keep from closed cells, for the clearance."""
+        return self.constraints.leg_margin_m(self.grid.resolution_m)
 
     @property
     def levels_free(self) -> np.ndarray:

@@ -78,7 +78,7 @@ def _note(on: "CostMap", found: Path, ends: tuple[Place, Place]) -> str:
     notes = [found.note]
     if not on.is_weighed and on.objective == "weighted":
         notes = ["All weights are zero, so every path is as cheap: the distance was minimised instead."]
-    notes.append(snap_note(*ends))
+    notes += [snap_note(*ends), on.constraints.kept_note(on.grid.resolution_m)]
     if on.is_weighed and on.weights.distance == 0 and not found.note and has_path:
         notes.append("The distance weighs nothing, so the path may be far longer than it need be.")
     if between := _between_m(on):

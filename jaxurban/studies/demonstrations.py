@@ -231,6 +231,7 @@ def _shortest_within(
             resolution_m=1.0,
             weights=1.0,
             cost_model=cost_map.cost_model,
+            leg_margin_m=cost_map.leg_margin_m / cost_map.grid.resolution_m,
         )
     )
     return found.points_m + low[::-1] if found.status.has_path else None

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxurban.kernels.compiled import compiled
+from jaxurban.kernels.line.clear import keeps_off
 from jaxurban.kernels.line.traversal import DIAGONAL_SIDES, TOUCH_CELLS
 
 
@@ -20,17 +21,21 @@ class CostGrid(NamedTuple):
       per_side: distance cost per cell side.
       is_line: which cost model.
       passes_corners: segments may pass between two blocked cells that touch at a corner.
+      margin: that segments keep from blocked cells and from the map's border, below half a cell side (`keeps_off`).
     """
 
     cell_cost: np.ndarray
     per_side: float
     is_line: bool
     passes_corners: bool
+    margin: float = 0.0
 
 
 @compiled()
 def is_pinched(cost_grid, row, col, to_row, to_col):
-    """Whether the cells beside a step to a diagonal neighbour leave no gap between them."""
+    """Whether the cells beside a step to a diagonal neighbour leave no gap between them, or none for the margin."""
+    if cost_grid.margin > 0.0:
+        return max(cost_grid.cell_cost[to_row, col], cost_grid.cell_cost[row, to_col]) == np.inf
     if cost_grid.passes_corners:
         return False
     return cost_grid.cell_cost[to_row, col] == np.inf and cost_grid.cell_cost[row, to_col] == np.inf
@@ -49,6 +54,8 @@ def segment_cost(cost_grid, x0, y0, x1, y1, limit):
     length = np.sqrt(dx * dx + dy * dy)
     total = cost_grid.per_side * length
     if total >= limit:
+        return np.inf
+    if cost_grid.margin > 0.0 and not keeps_off(cost_grid.cell_cost, np.inf, x0, y0, x1, y1, cost_grid.margin):
         return np.inf
     row, col = int(np.floor(y0)), int(np.floor(x0))
     num_x = abs(int(np.floor(x1)) - col)

@@ -58,11 +58,13 @@ def solve_batched(
       options: as in `bitstar`.
 
     Raises:
-      InputError: as in `bitstar`, or more or fewer seeds than problems.
+      InputError: as in `bitstar`, or more or fewer seeds than problems, or problems with a margin of legs.
     """
     check_limits(heuristic, budget_s, max_samples, options)
     if len(seeds) != len(problems):
         raise InputError(f"seeds must be one for each of {len(problems)} problems, got {len(seeds)}")
+    if any(problem.leg_margin_m for problem in problems):
+        raise InputError("BIT* with backend 'jax' tests no legs for this clearance: take backend='numba'")
     return _solve(problems, planner, heuristic, seeds, Budget(0.0, budget_s, max_samples), options)
 
 
@@ -122,7 +124,7 @@ class _Graphs:
     def __init__(self, cost_grid: CostGrid, kind: str) -> None:
         self.kind = kind
         self._cell_cost: np.ndarray | jax.Array = cost_grid.cell_cost
-        _, self._per_side, self._is_line, self._passes_corners = cost_grid
+        _, self._per_side, self._is_line, self._passes_corners, _ = cost_grid
         self._candidates, self._edges = CANDIDATES, EDGES
 
     def search(self, queries: list[Batches]) -> float:

@@ -1,4 +1,4 @@
-"""The compiled parts of simplification: straight legs clear of closed cells, nudged points, the fewest legs.
+"""The compiled parts of simplification: nudged points, the fewest legs.
 
 Points are x, y in cell sides from the map's southwest corner.
 """
@@ -6,39 +6,11 @@ Points are x, y in cell sides from the map's southwest corner.
 import numpy as np
 
 from jaxurban.kernels.compiled import compiled
+from jaxurban.kernels.line.clear import is_clear
 
 STUCK = 1e9  # what a leg that is not clear counts among nudges, so that there are as few as can be
 REACH = 256  # points that a leg may span, lest a way over open land of thousands takes seconds
 AHEAD = 1e-12  # relative: sums this much smaller are smaller
-
-
-@compiled()
-def is_clear(is_free, x0, y0, x1, y1, margin):
-    """Whether a segment keeps more than a margin from every cell that is not free, and from the map's border.
-
-    The margin counts along x and y: no cell's square, grown by it on all sides, meets the segment. Column after column
-    of grown squares, the part of the segment within it lies between two heights, which name the rows to look at. A
-    segment that is clear crosses free cells only, and passes no corner between two closed ones.
-    """
-    num_rows, num_cols = is_free.shape
-    if x1 < x0:
-        x0, y0, x1, y1 = x1, y1, x0, y0
-    slope = (y1 - y0) / (x1 - x0) if x1 > x0 else 0.0
-    first, last = int(np.floor(x0 - margin)), int(np.floor(x1 + margin))
-    if first < 0 or last >= num_cols:
-        return False
-    for col in range(first, last + 1):
-        west, east = max(x0, col - margin), min(x1, col + 1 + margin)
-        low, high = y0 + (west - x0) * slope, y0 + (east - x0) * slope
-        if x1 == x0:
-            low, high = y0, y1
-        bottom, top = int(np.floor(min(low, high) - margin)), int(np.floor(max(low, high) + margin))
-        if bottom < 0 or top >= num_rows:
-            return False
-        for row in range(bottom, top + 1):
-            if not is_free[row, col]:
-                return False
-    return True
 
 
 @compiled()

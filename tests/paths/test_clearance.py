@@ -17,9 +17,15 @@ from benchmarks.clearance import READERS
 from jaxurban.cli.common import given_constraints
 from jaxurban.errors import InputError, OtherSettingsWarning
 from jaxurban.io.files import write_json
-from jaxurban.io.read.zone import cell_boxes
+from jaxurban.io.read.zone import cell_boxes, touched_cells
 from jaxurban.io.store import write_zarr
-from jaxurban.paths.clearance import FILE_MARGIN_M, closed_by_clearance, distance_to_obstacles_m
+from jaxurban.paths.clearance import (
+    FILE_MARGIN_M,
+    closed_by_clearance,
+    closing_step_m,
+    distance_to_obstacles_m,
+    kept_m,
+)
 from jaxurban.planners.base import Status
 from jaxurban.planners.registry import PLANNERS
 from jaxurban.scenario.provenance import settings_of
@@ -49,9 +55,24 @@ def boxes_of(maps: ju.MetricMaps) -> tuple[np.ndarray, np.ndarray]:
     return cell_boxes(maps.grid, cells, 1), maps.m("roof_touched")[tuple(cells.T)].astype(float)
 
 
+@settings(deadline=None)
+@given(asked_m=st.floats(1e-6, 60.0), side_m=st.sampled_from([1.0, 2.0, 2.5, 5.0, 10.0]))
+def test_step_and_margin_of_legs_come_to_what_is_asked_and_files_may_take(asked_m, side_m):
+    step_m, margin_m = closing_step_m(asked_m, side_m)
+    assert step_m + margin_m >= asked_m + FILE_MARGIN_M - 1e-9
+    assert 0 <= margin_m < side_m / 2
+    below_m = distance_to_obstacles_m(np.pad(np.ones((1, 1), bool), 70), 1.0) * side_m
+    below_m = below_m[below_m < step_m * (1 - 1e-9)].max(initial=-side_m)
+    assert below_m + side_m / 2 < asked_m + FILE_MARGIN_M + 0.02 * side_m  # no lower step does with half a cell
+    assert asked_m <= kept_m(asked_m, side_m) <= asked_m + side_m
+
+
 def assert_keeps_clear(maps, xyz_m, clearance_m, vertical_clearance_m) -> None:
-    """Check every leg, at its lower end, against the squares of the roofs."""
+    """Check every leg, at the lower ends of 20 parts of it, against the squares of the roofs."""
     boxes, roof_m = boxes_of(maps)
+    if np.ptp(xyz_m[:, 2]):
+        at = np.linspace(0, len(xyz_m) - 1, 20 * (len(xyz_m) - 1) + 1)
+        xyz_m = np.column_stack([np.interp(at, np.arange(len(xyz_m)), values) for values in xyz_m.T])
     for start, end in itertools.pairwise(xyz_m if len(xyz_m) > 1 else [*xyz_m, *xyz_m]):
         leg, z_m = shapely.LineString([start[:2], end[:2]]), min(start[2], end[2])
         as_high = roof_m + vertical_clearance_m >= z_m
@@ -91,16 +112,16 @@ def test_the_distance_is_that_between_squares_and_to_the_border(seed, share, sid
 
 @pytest.mark.parametrize("rule", ["touched", "centre"])
 @pytest.mark.parametrize("altitude_m", [20.0, 33.0, 60.0])
-def test_closed_is_what_lies_nearer_to_a_roof_than_is_kept_under_either_rule(rule, altitude_m):
+def test_closed_is_what_lies_nearer_to_a_roof_than_the_step_of_the_clearance_under_either_rule(rule, altitude_m):
     maps = scattered(1)
     cells = np.argwhere(np.ones(maps.grid.shape, bool))
     boxes, roof_m = boxes_of(maps)
     own = cell_boxes(maps.grid, cells, 1)
     tree = shapely.STRtree(boxes[roof_m + 4.0 >= altitude_m])
-    near = np.unique(tree.query(own, predicate="dwithin", distance=7.0 + FILE_MARGIN_M)[0])
+    near = np.unique(tree.query(own, predicate="dwithin", distance=4.99)[0])  # legs keep the other 2.05 m
     by_hand = np.zeros(maps.grid.shape, bool)
     by_hand[tuple(cells[near].T)] = True
-    by_hand[[0, 1, -1, -2]] = by_hand[:, [0, 1, -1, -2]] = True  # 0 and 5 m from the border
+    by_hand[[0, -1]] = by_hand[:, [0, -1]] = True  # 0 m from the border
     constraints = ju.Constraints.read(**KEPT)
     assert np.array_equal(constraints.closed(maps.with_obstacles(rule), altitude_m), by_hand)
     assert 0.1 < by_hand.mean() < 0.9
@@ -122,7 +143,7 @@ def test_unknown_roofs_and_cells_without_data_are_kept_clear_of():
     roof_m[10, 10], has_data[20, 30] = np.nan, False
     plane = {name: (("y", "x"), values) for name, values in (("roof_touched", roof_m), ("has_data", has_data))}
     unknown = ju.MetricMaps(maps.ds.assign(obstacle=0 * maps.ds["obstacle"], **plane))
-    closed = closed_by_clearance(unknown, ALTITUDE_M, 1.0, 0.0)
+    closed = closed_by_clearance(unknown, ALTITUDE_M, 3.0, 0.0)
     by_hand = np.zeros(maps.grid.shape, bool)
     by_hand[9:12, 9:12] = by_hand[19:22, 29:32] = True
     by_hand[[0, -1]] = by_hand[:, [0, -1]] = True
@@ -137,21 +158,68 @@ def test_maps_without_touched_roofs_know_no_clearance():
 
 @pytest.mark.parametrize("refine", [False, True])
 @pytest.mark.parametrize("planner", PLANNERS)
-@pytest.mark.parametrize("seed", [4, 5])
-def test_every_planner_keeps_it_and_every_file_too(planner, refine, seed, tmp_path):
-    maps, constraints = scattered(seed), ju.Constraints.read(**KEPT)
+@pytest.mark.parametrize(("seed", "clearance_m"), [(4, 7.0), (5, 5.0), (6, 2.0)])
+def test_every_planner_keeps_it_and_every_file_too(planner, refine, seed, clearance_m, tmp_path):
+    """Legs keep 2.05, 0.05 and 2.05 m from closed cells, beside 5, 5 and 0 m between squares."""
+    kept = KEPT | {"clearance_m": clearance_m}
+    maps, constraints = scattered(seed), ju.Constraints.read(**kept)
     num_found = 0
     for altitude_m in (20.0, 33.0):
         is_free = constraints.is_free(maps, altitude_m)
-        how = {"planner": planner, "budget_s": 0.3, "refine": refine, "cost_model": "line", "constraints": constraints}
+        on = ju.cost_map(maps, altitude_m, cost_model="line", constraints=constraints)
         for ends in ends_in(maps, is_free):
-            path = ju.plan(maps, **ends, altitude_m=altitude_m, **how)
+            start, goal = (ju.XY(*xy_m) for xy_m in ends.values())
+            path = on.plan(start, goal, planner=planner, budget_s=0.3, refine=refine)
             if not path.status.has_path:
                 continue
             num_found += 1
-            assert_keeps_clear(maps, np.column_stack([path.xy_m, path.z_m]), **KEPT)
-            assert_files_keep_clear(maps, path, tmp_path)
+            for route in (path, ju.simplify(path, on, 2.5)):
+                assert_keeps_clear(maps, np.column_stack([route.xy_m, route.z_m]), **kept)
+                assert_files_keep_clear(maps, route, tmp_path, **kept)
     assert num_found == 4 or planner == "ptp"
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_no_leg_comes_nearer_to_random_outlines_than_is_asked(seed, tmp_path):
+    """Whatever is asked, at any angle: theta* and A*, refined and simplified, against the outlines by Shapely."""
+    rng, maps = np.random.default_rng(seed), made_maps(40, 50, resolution_m=SIDE_M)
+    west, south, east, north = maps.grid.bounds_m
+    corners_m = rng.uniform([west, south], [east, north], (14, 1, 2)) + rng.normal(0, 9, (14, 5, 2))
+    outlines = shapely.convex_hull(shapely.multipoints(corners_m))
+    roof_m = np.where(touched_cells(shapely.union_all(outlines), maps.grid), np.float32(60), np.float32(0))
+    plane = {name: (("y", "x"), roof_m) for name in ("roof", "roof_touched")}
+    obstacle = np.stack([roof_m >= z_m for z_m in maps.altitudes_m]).astype(np.uint8)
+    maps = ju.MetricMaps(maps.ds.assign(obstacle=(("altitude", "y", "x"), obstacle), **plane))
+    constraints = ju.Constraints(clearance_m=float(rng.choice([0.5, 2.0, 3.0, 4.9, 5.0, 7.0, 7.3, 10.0])))
+    on = ju.cost_map(maps, ALTITUDE_M, cost_model="line", constraints=constraints)
+    for ends in ends_in(maps, on.is_free):
+        start, goal = (ju.XY(*xy_m) for xy_m in ends.values())
+        for planner, refine in (("astar-plus", True), ("theta-star", False), ("theta-star", True)):
+            path = on.plan(start, goal, planner=planner, refine=refine, budget_s=1.0)
+            for route in (path, ju.simplify(path, on, 5.0)):
+                file = route.save(tmp_path / "route.geojson")
+                x_m, y_m = maps.grid.xy_of_lonlat(*READERS[".geojson"](file)[:, :2].T)
+                legs = shapely.LineString(np.column_stack([x_m, y_m]))
+                assert shapely.distance(outlines, legs).min() >= constraints.clearance_m
+                assert legs.distance(shapely.box(west, south, east, north).exterior) >= constraints.clearance_m
+
+
+def test_five_metres_on_cells_of_five_close_what_less_does():
+    maps = scattered(4)
+    closed = {asked_m: ju.Constraints(clearance_m=asked_m).closed(maps, ALTITUDE_M) for asked_m in (3.0, 5.0, 7.0, 9.6)}
+    assert np.array_equal(closed[5.0], closed[3.0])
+    assert np.array_equal(closed[7.0], closed[3.0])
+    assert closed[9.6].sum() > 1.5 * closed[5.0].sum()
+
+
+def test_the_message_names_what_is_really_kept_where_that_is_more():
+    maps = scattered(4)
+    ends = ends_in(maps, ju.Constraints(clearance_m=3.0).is_free(maps, ALTITUDE_M))[0]
+    for asked_m, words in ((3.0, "on these cells of 5 m routes keep at least 4.95 m"), (5.0, "")):
+        constraints = ju.Constraints(clearance_m=asked_m)
+        message = ju.plan(maps, **ends, altitude_m=ALTITUDE_M, constraints=constraints).to_dict()["message"]
+        assert words in message
+        assert ("routes keep at least" in message) == bool(words)
 
 
 def test_without_it_paths_come_nearer():
@@ -172,19 +240,19 @@ def test_paths_that_climb_keep_it_and_their_files_too(seed, tmp_path):
         assert path.status is Status.OPTIMAL
         assert np.ptp(path.z_m) == 40
         assert_keeps_clear(maps, np.column_stack([path.xy_m, path.z_m]), **KEPT)
-        assert_files_keep_clear(maps, path, tmp_path)
+        assert_files_keep_clear(maps, path, tmp_path, **KEPT)
 
 
-def assert_files_keep_clear(maps, path, folder) -> None:
+def assert_files_keep_clear(maps, path, folder, **kept) -> None:
     for suffix, read in READERS.items():
         path.save(folder / f"route{suffix}")
         lonlatz = read(folder / f"route{suffix}")
         x_m, y_m = maps.grid.xy_of_lonlat(*lonlatz[:, :2].T)
-        assert_keeps_clear(maps, np.column_stack([x_m, y_m, lonlatz[:, 2]]), **KEPT)
+        assert_keeps_clear(maps, np.column_stack([x_m, y_m, lonlatz[:, 2]]), **kept)
 
 
 def test_a_path_through_the_corners_of_free_cells_keeps_it_after_rounding(tmp_path):
-    maps, kept = scattered(9), {"clearance_m": 5.0, "vertical_clearance_m": 2.0}  # 5 m: just one cell, which rounds
+    maps, kept = scattered(9), {"clearance_m": 4.95, "vertical_clearance_m": 2.0}  # and 5 cm more: just one cell
     constraints = ju.Constraints.read(**kept)
     is_free = constraints.is_free(maps, ALTITUDE_M)
     path = ju.plan(maps, **ends_in(maps, is_free)[0], altitude_m=ALTITUDE_M, constraints=constraints)
@@ -198,7 +266,7 @@ def test_a_path_through_the_corners_of_free_cells_keeps_it_after_rounding(tmp_pa
         there = replace(path, xy_m=xy_m, lonlat=lonlat, z_m=np.full(2, ALTITUDE_M))
         there.save(tmp_path / "corner.geojson")
         read_m = maps.grid.xy_of_lonlat(*READERS[".geojson"](tmp_path / "corner.geojson")[0, :2])
-        assert high.distance(shapely.Point(read_m)) >= 5.0
+        assert high.distance(shapely.Point(read_m)) >= 4.95
 
 
 def test_files_round_an_altitude_up_so_that_what_is_just_free_stays_so(tmp_path):
@@ -325,7 +393,7 @@ def test_over_terrain_what_stands_higher_up_the_slope_is_as_high_as_a_path():
     flat, rng = scattered(5), np.random.default_rng(5)
     terrain_m = (0.3 * flat.grid.x_m + rng.uniform(0.0, 2.0, flat.grid.shape)).astype(np.float32)
     maps = ju.MetricMaps(flat.ds.assign(terrain=(("y", "x"), terrain_m)))
-    kept = {"clearance_m": 12.0, "vertical_clearance_m": 4.0}
+    kept = {"clearance_m": 14.0, "vertical_clearance_m": 4.0}
     closed = ju.Constraints.read(**kept).closed(maps, ALTITUDE_M)
     boxes, roof_m = boxes_of(maps)
     top_m = roof_m + terrain_m[maps.m("roof_touched") > 0]

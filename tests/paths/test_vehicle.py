@@ -34,7 +34,8 @@ def of(**vehicle: float) -> ju.Constraints:
 def test_its_radius_is_kept_beside_the_clearance(maps):
     both = ju.Constraints(clearance_m=8.0, vehicle=ju.Vehicle(radius_m=4.0))
     assert np.array_equal(both.closed(maps, ALTITUDE_M), ju.Constraints(clearance_m=12.0).closed(maps, ALTITUDE_M))
-    assert both.closed(maps, ALTITUDE_M).sum() > ju.Constraints(clearance_m=8.0).closed(maps, ALTITUDE_M).sum()
+    kept_m = both.leg_margin_m(10.0), ju.Constraints(clearance_m=8.0).leg_margin_m(10.0)  # both close the cells beside
+    assert kept_m == pytest.approx((2.05, 0.0))
     assert str(both) == "clearance of 8 m, vehicle's radius of 4 m, vertical clearance of 3 m"
 
 

@@ -180,3 +180,5 @@ def test_wrong_arguments_are_refused_at_once():
         solve_many([problem], planner="bitstar-plus", backend="jax")
     with pytest.raises(InputError, match="seeds must be one for each of 1 problems, got 2"):
         solve([problem], seeds=[0, 1], max_samples=1)
+    with pytest.raises(InputError, match="tests no legs for this clearance"):
+        solve([replace(problem, leg_margin_m=0.1 * problem.resolution_m)], max_samples=1)

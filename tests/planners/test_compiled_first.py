@@ -28,7 +28,8 @@ def problem(dtype, kind, num_levels):
     levels_m = 10.0 * np.arange(num_levels) if num_levels else None
     layers = rng.random((3, *shape)).astype(dtype)
     weights = [0.1, 1.0, 0.0, 2.0] + ([0.1, 0.2] if num_levels else [])
-    return Problem(layers, is_free, *ends, 5.0, weights, CostModel(kind, 5.0), levels_m)
+    margin_m = 0.5 if dtype == np.float64 else 0.0
+    return Problem(layers, is_free, *ends, 5.0, weights, CostModel(kind, 5.0), levels_m, margin_m)
 
 def used():
     modules = [module for name, module in sys.modules.items() if name.startswith("jaxurban")]
