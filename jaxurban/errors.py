@@ -64,7 +64,8 @@ def typed(public: Public) -> Public:
     """
     is_class = inspect.isclass(public)
     function = public.__init__ if is_class else public
-    parameters = inspect.signature(function).parameters.values()
+    signature = inspect.signature(function)
+    parameters = signature.parameters.values()
     in_order = [p.name for p in parameters if p.kind is not p.KEYWORD_ONLY]
     the_rest = [p.name for p in parameters if p.kind is p.VAR_POSITIONAL]
     further = next((p.name for p in parameters if p.kind is p.VAR_KEYWORD), None)
@@ -89,6 +90,11 @@ def typed(public: Public) -> Public:
                 unit = next((f" ({unit})" for end, unit in UNITS.items() if name.endswith(end)), "")
                 raise InputError(f"{name} must be {listed}{unit}, got {_shown(value)}")
             check_range(name, value)
+        try:
+            signature.bind(*args, **kwargs)
+        except TypeError as error:
+            wrong = next((name for name in kwargs if name not in names), "")
+            raise InputError(f"{public.__name__}: {error}{wrong and nearest_name(wrong, names)}") from error
         return function(*args, **kwargs)
 
     if is_class:
@@ -234,6 +240,7 @@ UNITS = {  # what messages add, by the end of an argument's name
     **{"_m": "metres", "_s": "seconds", "_deg": "degrees", "_w": "watts"},
 }
 MADE_BY = {  # what no constructor is meant for
+    "Constraints": 'Constraints.read, as in Constraints.read(require=["gps>=0.3"])',
     "City": "City.from_files or demo_city",
     "CostMap": "cost_map",
     "Demonstration": "read_demonstrations",

@@ -296,3 +296,22 @@ def test_a_wrong_value_names_the_argument(name, parameter, tmp_path, monkeypatch
     told = call(name, parameter, value, GOOD.get(name, dict)())
     assert re.search(words_of(parameter, value), told, re.IGNORECASE)
     assert "\n" not in told
+
+
+@pytest.mark.parametrize(
+    ("call", "sentence"),
+    [
+        (lambda: ju.plan("maps", (0, 0), (1, 1)), "plan: missing a required argument: 'altitude_m'"),
+        (
+            lambda: ju.build_maps(ju.demo_city(500, 500), altitude_m=20),
+            r"build_maps: .*'altitude_m' \(did you mean 'altitudes_m'\?\)",
+        ),
+        (
+            lambda: ju.plan("maps", (0, 0), (1, 1), altitude_m=20, constraints={"gps": 0.3}),
+            r"Constraints\.read\(require=\[\"gps>=0\.3\"\]\)",
+        ),
+    ],
+)
+def test_arguments_that_are_missing_misspelt_or_of_another_kind_name_the_remedy(call, sentence):
+    with pytest.raises(InputError, match=sentence):
+        call()

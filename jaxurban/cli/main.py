@@ -18,6 +18,7 @@ from jaxurban.cli.common import logged_on_stderr, tell
 from jaxurban.cli.compare import compare
 from jaxurban.cli.demo import demo
 from jaxurban.cli.fetch import fetch
+from jaxurban.cli.info import info
 from jaxurban.cli.maps import maps
 from jaxurban.cli.plan import plan
 from jaxurban.cli.sensitivity import sensitivity
@@ -40,7 +41,7 @@ def app() -> None:
     """Metric maps for small drones over cities, and paths planned on them."""
 
 
-for command in (compare, demo, fetch, maps, plan, sensitivity, study, tune, validate, view):
+for command in (compare, demo, fetch, info, maps, plan, sensitivity, study, tune, validate, view):
     app.add_command(command)
 
 
@@ -98,18 +99,46 @@ def _run(arguments: Sequence[str] | None) -> int:
             "space, or mend that, and run the same command again, which goes on"
         )
     except (KeyboardInterrupt, click.Abort):
-        tell("interrupted; finished files are kept, and the same command resumes")
-        sys.stdout.flush()
-        sys.stderr.flush()
-        # At once: libraries' threads that were writing would only complain of the interpreter's end.
-        os._exit(EXIT_INTERRUPTED)
+        _end_interrupted()
     except Exception as error:
-        if "proj.db" not in str(error):
+        if interrupted.is_set():  # in the midst of an import, Ctrl-C comes as what the import makes of it
+            _end_interrupted()
+        remedy = _remedy_in_environment(str(error))
+        if not remedy:
             raise
-        code = _fail(
-            "PROJ does not find its database proj.db: unset PROJ_DATA and PROJ_LIB, or point them to its folder"
-        )
+        code = _fail(remedy)
     return code or 0
+
+
+def _end_interrupted() -> None:
+    """End the process at once: libraries' threads that were writing would only complain of the interpreter's end."""
+    tell("interrupted; finished files are kept, and the same command resumes")
+    for stream in filter(None, (sys.stdout, sys.stderr)):
+        stream.flush()
+    os._exit(EXIT_INTERRUPTED)
+
+
+def _remedy_in_environment(message: str) -> str:
+    """Return what to do where an error of a library comes from a variable of the environment, else an empty text."""
+    if "proj.db" in message:
+        return "PROJ does not find its database proj.db: unset PROJ_DATA and PROJ_LIB, or point them to its folder"
+    for name, value in os.environ.items():
+        is_named = name in message or name.lower() in message
+        if name.startswith("JAX_") and (is_named or (name == "JAX_PLATFORMS" and not _has_backend())):
+            return f"JAX does not work under {name}={value}: unset it, or choose another value"
+        if name == "NUMBA_DISABLE_JIT" and value not in ("", "0"):
+            return f"jaxurban needs Numba's compiler: unset {name}"
+    return ""
+
+
+def _has_backend() -> bool:
+    """Return whether JAX starts on some device."""
+    import jax
+
+    try:
+        return bool(jax.devices())
+    except (RuntimeError, AssertionError):
+        return False
 
 
 def _drop_stdout() -> None:

@@ -71,9 +71,12 @@ def zarr_path(folder: Path, resolution_m: float) -> Path:
     return folder / ZARR_FOLDER / f"{short_number(resolution_m)}m"
 
 
+NUMBER_M = r"(\d+(?:\.\d+)?(?:e[+-]?\d+)?)m"  # as `short_number` writes it
+
+
 def stored_resolutions(folder: Path) -> dict[float, Path]:
     """Return where the maps under ``folder`` lie, by resolution in metres."""
-    named = ((re.fullmatch(r"([0-9.e+-]+)m", path.name), path) for path in sorted((folder / ZARR_FOLDER).glob("*m")))
+    named = [(re.fullmatch(NUMBER_M, path.name), path) for path in sorted((folder / ZARR_FOLDER).glob("*m"))]
     return {float(match[1]): path for match, path in named if match and any((path / name).exists() for name in OF_ZARR)}
 
 
@@ -248,11 +251,14 @@ def add_to_zarr(ds: xr.Dataset, path: Path) -> None:
 
 def root_files(folder: Path) -> dict[Path, bytes]:
     """Return what the files say that make one Zarr of all resolutions under ``folder``, by their path."""
-    parts: dict[str, Any] = {".zgroup": {"zarr_format": 2}}
+    names = [path.name for path in dict(sorted(stored_resolutions(folder).items())).values()]
+    hint = f"maps of several resolutions: open one with xarray.open_zarr(..., group=...), of {', '.join(names)}"
+    parts: dict[str, Any] = {".zgroup": {"zarr_format": 2}, ".zattrs": {"comment": hint}}
     for path in filter(has_whole_metadata, dict(sorted(stored_resolutions(folder).items())).values()):
         held = json.loads(metadata_file(path).read_bytes())["metadata"]
         parts |= {f"{path.name}/{name}": part for name, part in held.items()}
-    said = {".zgroup": parts[".zgroup"], ".zmetadata": {"metadata": parts, "zarr_consolidated_format": 1}}
+    said = {name: parts[name] for name in (".zgroup", ".zattrs")}
+    said[".zmetadata"] = {"metadata": parts, "zarr_consolidated_format": 1}
     return {folder / ZARR_FOLDER / name: json.dumps(value).encode() for name, value in said.items()}
 
 
@@ -283,12 +289,13 @@ def open_zarr(folder: Path, resolution_m: float | None) -> xr.Dataset:
     if resolution_m is not None and resolution_m not in found:
         raise InputError(f"{str(folder)!r} holds no maps at {short_number(resolution_m)} m, only at {listed} m")
     path = found[resolution_m] if resolution_m is not None else next(iter(found.values()))
-    if (path / "zarr.json").is_file():
+    is_old = (path / "zarr.json").is_file()
+    ds = xr.Dataset() if is_old else open_whole(path)
+    if is_old or not isinstance(ds.attrs.get("guesses", ""), str):
         raise InputError(
             f"the maps in {str(path)!r} were written by an older version of jaxurban: make the maps anew with "
             "`jaxurban maps` and --overwrite (those saved from Python: save them again)"
         )
-    ds = open_whole(path)
     if lost := [name for name in NEEDED if name not in ds]:
         raise InputError(f"the maps in {str(path)!r} lack {', '.join(lost)}: remove them and make them again")
     return ds

@@ -54,6 +54,9 @@ ENDLESS_BYTES = 2**80  # more than any machine has
 CGROUP = Path("/sys/fs/cgroup")  # what a container may use, under Linux
 
 
+MOST_UNITS = 1e12  # of memory, in any unit
+
+
 def parse_bytes(text: str, name: str = "memory") -> int:
     """Return the bytes in a size such as ``"4GiB"``, ``"512 MB"`` or ``"4g"``; all units are powers of 1,024.
 
@@ -61,7 +64,7 @@ def parse_bytes(text: str, name: str = "memory") -> int:
       InputError: no such size.
     """
     match = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([KMGT]?)(?:i?B)?\s*", text, re.IGNORECASE)
-    if match is None or float(match[1]) == 0:
+    if match is None or not 0 < float(match[1]) < MOST_UNITS:
         raise InputError(f"{name} must be a size such as 4GiB or 800MiB, got {text!r}")
     return int(float(match[1]) * UNITS[match[2].upper()])
 

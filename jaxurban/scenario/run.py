@@ -205,6 +205,11 @@ def _run(
         disk_bytes = check_disk(tasks, folder, layers, plan.num_workers)
         duration_s = foretold_s(tasks, layers, min(plan.num_at_once, num_cores()))
         LOG.info(plan_sentence(tasks, plan, disk_bytes, told(duration_s, compiles)))
+        if (resources.num_processes or 1) > plan.num_at_once:
+            LOG.warning(
+                f"--workers {resources.num_processes} brings nothing here: no more than {plan.num_at_once} "
+                f"tile{'s' * (plan.num_at_once > 1)} can be worked on at a time; leave it out"
+            )
         # Nothing of an older job is touched before this one can begin.
         with Workspace.open(folder, "maps", is_shared=True) as workspace, resources.client(plan.num_workers) as client:
             prepare_folder(workspace, key, scenario.region.resolution_m)
@@ -304,7 +309,8 @@ def make_zarr(maker: Maker, report: Report, shape: tuple[int, int] | None = None
     shape = shape or shape_of_tiles(task)
     tiling = Tiling.over(grid, task.with_margin(), shape)
     if task.city.roofs is not None or task.has_terrain:
-        check_has_data(rasterise(task.city, tiling.grid_of(tile)).has_data for tile in tiling.region_tiles)
+        data = (rasterise(task.city, tiling.grid_of(tile)).has_data for tile in tiling.region_tiles)
+        check_has_data(data, task.city)
     work = WorkFolder(store.work_path(maker.folder.resolve(), grid.resolution_m))
     damaged = work.begin(f"{maker.key} {shape}")
     job = TileJob(task, work, tiling)

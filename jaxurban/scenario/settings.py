@@ -2,7 +2,7 @@
 
 import operator
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from datetime import timedelta
 from pathlib import Path
@@ -325,7 +325,7 @@ class Scenario(_Section):
           InputError: an unknown key (names the nearest one), a missing one or a bad value.
         """
         try:
-            scenario = cls.model_validate(settings)
+            scenario = cls.model_validate(_with_bounds(settings, folder or Path()))
         except ValidationError as error:
             raise InputError(f"{name}: {sentence_of(error, cls, settings)}") from error
         if folder is not None:
@@ -357,6 +357,17 @@ class Scenario(_Section):
     def is_synthetic(self) -> bool:
         """Whether the source is the synthetic city."""
         return self.buildings.source == SYNTHETIC
+
+
+def _with_bounds(settings: Mapping[str, Any], folder: Path) -> Mapping[str, Any]:
+    """Return settings with the bounds that the file of buildings covers, where they give none."""
+    region, buildings = settings.get("region", {}), settings.get("buildings")
+    source = buildings.get("source") if isinstance(buildings, Mapping) else None
+    if not isinstance(region, Mapping) or "bounds" in region or not isinstance(source, str) or source == SYNTHETIC:
+        return settings
+    from jaxurban.io.read.extent import lonlat_extent  # imported here: it brings the readers
+
+    return {**settings, "region": {**region, "bounds": lonlat_extent(folder / source)}}
 
 
 def _without_none(value: Any) -> Any:

@@ -1,6 +1,6 @@
 """Kinds of values in a scenario, each with its check."""
 
-from datetime import UTC, datetime
+from datetime import datetime
 from typing import Annotated, Any
 
 from pydantic import AfterValidator, BeforeValidator, Field, GetPydanticSchema, PlainSerializer
@@ -51,7 +51,9 @@ PlannerName = Annotated[str, AfterValidator(_known_planner)]
 
 
 def _as_utc(time: datetime) -> datetime:
-    return time.replace(tzinfo=UTC) if time.tzinfo is None else time.astimezone(UTC)
+    from jaxurban.io.read.orbits import parse_time  # imported here: it brings Skyfield
+
+    return parse_time(time)
 
 
 Utc = Annotated[datetime, AfterValidator(_as_utc)]  # a naive time is UTC already

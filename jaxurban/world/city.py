@@ -233,7 +233,7 @@ class City(Shown):
         cls,
         buildings: str | Path,
         *,
-        bounds: Sequence[float],
+        bounds: Sequence[float] | None = None,
         crs: str | None = None,
         blocks: str | Path | None = None,
         table: str | Path | None = None,
@@ -254,8 +254,8 @@ class City(Shown):
 
         Args:
           buildings: ``.osm.pbf``, ``.osm``, ``.geojson``, ``.gpkg``, ``.shp``, ``.parquet`` or a height raster.
-          bounds: west, south, east, north of the region in degrees. Buildings are kept as far around it
-            as one of 1,000 m could shadow it from a satellite at the elevation mask.
+          bounds: west, south, east, north of the region in degrees; left out, what the file of buildings covers.
+            Buildings are kept as far around it as one of 1,000 m could shadow it from a satellite at the mask.
           crs: projected CRS in metres; left out, the UTM zone of the region's centre.
           blocks, table: census blocks (any vector format) and their population table (CSV); or a raster of people, each
             pixel of which is a block, and no table.

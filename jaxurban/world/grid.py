@@ -32,8 +32,10 @@ def utm_crs(lon_deg: float, lat_deg: float) -> str:
         area_of_interest=AreaOfInterest(lon_deg, lat_deg, lon_deg, lat_deg),
     )
     if not infos:
+        swapped = "latitude and longitude look swapped (longitude comes first), else " if abs(lon_deg) <= 84 else ""
         raise InputError(
-            f"no UTM zone covers longitude {lon_deg}, latitude {lat_deg}: set [region] crs to a projected CRS"
+            f"no UTM zone covers longitude {lon_deg:g}, latitude {lat_deg:g}: {swapped}set [region] crs to a projected "
+            "CRS"
         )
     return f"{infos[0].auth_name}:{infos[0].code}"
 
@@ -82,6 +84,19 @@ def check_scale(crs: str, lon_deg: float, lat_deg: float) -> None:
             f"a metre of {crs} is {1.0 / scale:.3g} m on the ground at {lon_deg:.2f}, {lat_deg:.2f} (lon, lat): "
             f"use a CRS made for that place, such as {utm_crs(lon_deg, lat_deg)}"
         )
+
+
+def where_it_lies(extent: Sequence[float], bounds: Sequence[float]) -> str:
+    """Return in words what a file covers, and whether bounds beside it have latitude and longitude swapped.
+
+    Args:
+      extent: west, south, east, north of the file in degrees.
+      bounds: of a region that it does not reach, the same.
+    """
+    west, south, east, north = extent
+    is_swapped = max(west, bounds[1]) <= min(east, bounds[3]) and max(south, bounds[0]) <= min(north, bounds[2])
+    hint = "; latitude and longitude look swapped (longitude comes first)" if is_swapped else ""
+    return f"it covers about {west:.4f}, {south:.4f}, {east:.4f}, {north:.4f} (west, south, east, north){hint}"
 
 
 def check_bounds(bounds: Sequence[float]) -> tuple[float, float, float, float]:

@@ -1,6 +1,9 @@
 """Bad sources through the command line: one clear sentence, exit code 2 (3 for no path), nothing half-written."""
 
 import json
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +13,7 @@ import rasterio
 from affine import Affine
 
 from tests.cli_runs import assert_one_sentence, run
+from tests.made_maps import made_maps
 
 WEST, SOUTH, EAST, NORTH = -74.012, 40.706, -74.008, 40.709
 SYNTHETIC_BOUNDS = (-74.0, 40.755, -73.993, 40.761)
@@ -147,3 +151,41 @@ def test_a_torn_run_file_is_named(tmp_path, capsys):
     code, _, err = run(capsys, "plan", tmp_path, "--start", "-74,40.7", "--goal", "-74,40.71", "--altitude", 20)
     assert code == 2
     assert_one_sentence(err, "run.json")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "setting", ["JAX_PLATFORMS=bogus", "JAX_PLATFORMS=cuda", "JAX_ENABLE_X64=bogus", "NUMBA_DISABLE_JIT=1"]
+)
+def test_a_variable_of_the_environment_that_libraries_refuse_is_one_sentence(tmp_path, setting):
+    made_maps(num_rows=20, num_cols=20).save(tmp_path)
+    lon, lat = made_maps(num_rows=20, num_cols=20).grid.centre_lonlat
+    ends = f"--start={lon},{lat}", f"--goal={lon + 1e-4},{lat}"
+    name, value = setting.split("=")
+    command = [sys.executable, "-m", "jaxurban", "plan", tmp_path, *ends, "--altitude", "60", "--snap"]
+    done = subprocess.run(command, env=os.environ | {name: value}, capture_output=True, text=True)
+    assert (done.returncode, done.stdout) == (2, ""), done.stderr
+    assert_one_sentence(done.stderr.splitlines()[-1], name)
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize("time", ["9999-12-31T23:59:59-10:00", "0001-01-01T00:00:00+10:00", "1979-12-31T00:00:00Z"])
+def test_a_time_without_satellites_is_refused(tmp_path, capsys, time):
+    scenario = write_scenario(tmp_path, "synthetic", f'[gps]\ntimes = ["{time}"]\n', SYNTHETIC_BOUNDS)
+    fails(capsys, tmp_path, scenario, "gps.times.0", "is not a time")
+
+
+def test_tables_in_tables_without_end_are_one_sentence(tmp_path, capsys):
+    scenario = tmp_path / "deep.toml"
+    scenario.write_text("a = " + "{a = " * 3000 + "1" + "}" * 3000)
+    fails(capsys, tmp_path, scenario, "not a scenario in TOML")
+
+
+def test_a_name_with_nul_is_one_sentence(tmp_path, capsys):
+    scenario = write_scenario(tmp_path, "a\\u0000b.geojson")
+    fails(capsys, tmp_path, scenario, "buildings", "null")
+
+
+def test_an_endless_source_is_one_sentence(tmp_path, capsys):
+    (tmp_path / "endless.geojson").symlink_to("/dev/zero")
+    fails(capsys, tmp_path, write_scenario(tmp_path, "endless.geojson"), "a pipe or a device")

@@ -9,10 +9,11 @@ import shapely
 from jaxurban.errors import InputError
 from jaxurban.io.read.buildings import BuildingFile, BuildingSource, read_buildings
 from jaxurban.io.read.census import CensusFiles, read_blocks
+from jaxurban.io.read.extent import lonlat_extent
 from jaxurban.io.read.guesses import FLAT_GROUND, count_guesses, district_guesses, height_guesses, warn_of
 from jaxurban.io.read.raster import raster_extent_m, read_raster
 from jaxurban.world.city import City
-from jaxurban.world.grid import WGS84, Bounds, check_bounds, projected_crs, transformer, utm_crs
+from jaxurban.world.grid import WGS84, Bounds, check_bounds, projected_crs, transformer, utm_crs, where_it_lies
 
 TALLEST_M = 1000.0  # no roof stands higher; bounds how far away its shadow can come from
 RELIEF_M = 1000.0  # terrain is read as far as a hill this much higher could shadow the region
@@ -21,7 +22,7 @@ RELIEF_M = 1000.0  # terrain is read as far as a hill this much higher could sha
 def read_city(
     buildings: BuildingFile,
     *,
-    bounds: Sequence[float],
+    bounds: Sequence[float] | None = None,
     crs: str | None = None,
     census: CensusFiles | None = None,
     terrain: str | Path | None = None,
@@ -32,7 +33,7 @@ def read_city(
     Args:
       buildings: their file. Buildings are kept as far around the region as one of 1,000 m could shadow it from a
         satellite at the elevation mask.
-      bounds: west, south, east, north of the region in degrees.
+      bounds: west, south, east, north of the region in degrees; left out, what the file covers (`lonlat_extent`).
       crs: projected CRS in metres; left out, the UTM zone of the region's centre.
       census: blocks with their people; left out, none.
       terrain: ground elevation raster; left out, flat.
@@ -44,7 +45,8 @@ def read_city(
     Raises:
       InputError: a file that is missing, unreadable or of the wrong kind, or no building in the region.
     """
-    west, south, east, north = check_bounds(bounds)
+    bounds = check_bounds(lonlat_extent(buildings.source) if bounds is None else bounds)
+    west, south, east, north = bounds
     if crs is None:
         crs = utm_crs((west + east) / 2, (south + north) / 2)
     projected_crs(crs)
@@ -97,12 +99,8 @@ def _check_has_building(
             return
     elif source.roofs is not None and (source.roofs.values > 0).any():
         return
-    west, south, east, north = transformer(crs, WGS84).transform_bounds(*source.file_extent_m)
-    swapped = shapely.box(bounds[1], bounds[0], bounds[3], bounds[2])
-    is_swapped = shapely.intersects(shapely.box(west, south, east, north), swapped)
-    hint = "; latitude and longitude look swapped (longitude comes first)" if is_swapped else ""
+    extent = transformer(crs, WGS84).transform_bounds(*source.file_extent_m)
     raise InputError(
-        f"{str(buildings.source)!r} has no building in the region {list(bounds)}: it covers about {west:.3f}, "
-        f"{south:.3f}, {east:.3f}, {north:.3f} (west, south, east, north){hint}; move [region] bounds there, or set "
-        "[buildings] allow_none = true if there are none"
+        f"{str(buildings.source)!r} has no building in the region {list(bounds)}: {where_it_lies(extent, bounds)}; "
+        "move [region] bounds there, or set [buildings] allow_none = true if there are none"
     )

@@ -211,19 +211,25 @@ def _from_omms(messages: Iterable[Any], source: str | Path) -> list[EarthSatelli
     return satellites
 
 
+FIRST_YEAR, LAST_YEAR = 1980, 2200  # GPS time begins in 1980; xarray's nanoseconds end in 2262
+
+
 def parse_time(time: str | datetime | np.datetime64) -> datetime:
     """Return a time in UTC, to the microsecond; without an offset it is taken as UTC.
 
     Raises:
-      InputError: not an ISO 8601 date and time.
+      InputError: not an ISO 8601 date and time, or one before there were satellites.
     """
     try:
         if isinstance(time, np.datetime64):
             time = str(time.astype("datetime64[us]"))
         parsed = time if isinstance(time, datetime) else datetime.fromisoformat(time)
-        return parsed.replace(tzinfo=UTC) if parsed.tzinfo is None else parsed.astimezone(UTC)
+        parsed = parsed.replace(tzinfo=UTC) if parsed.tzinfo is None else parsed.astimezone(UTC)
     except (TypeError, ValueError, OverflowError) as error:
-        raise InputError(f"{time!r} is not a time: write it as 2020-04-27T16:00:00Z") from error
+        raise InputError(f"{str(time)!r} is not a time: write it as 2020-04-27T16:00:00Z") from error
+    if not FIRST_YEAR <= parsed.year <= LAST_YEAR:
+        raise InputError(f"{str(time)!r} is not a time between the years {FIRST_YEAR} and {LAST_YEAR}")
+    return parsed
 
 
 def iso_utc(time: datetime) -> str:

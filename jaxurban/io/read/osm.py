@@ -51,7 +51,7 @@ def read_osm(path: str | Path, file_format: str | None = None, *, has_decks: boo
     """
     remedy = "it is damaged, cut short or of another kind; fetch it again, or put it in order with `osmium sort`"
     with readable(path, "OpenStreetMap data", remedy, RuntimeError, osmium.InvalidLocationError):
-        return _read(path, file_format or _format_of(path), has_decks)
+        return _read(path, file_format or format_of(path), has_decks)
 
 
 def _read(path: str | Path, file_format: str, has_decks: bool) -> Outlines:
@@ -107,7 +107,8 @@ def _is_building_or_deck(tags: Any) -> bool:
     return "building" in tags or "building:part" in tags or tags.get("man_made") == DECK
 
 
-def _format_of(path: str | Path) -> str:
+def format_of(path: str | Path) -> str:
+    """Return pyosmium's name of the format that a file's name ends in."""
     return "osm" if str(path).lower().endswith(".osm") else "pbf"
 
 
@@ -118,7 +119,7 @@ def open_osm(path: str | Path, file_format: str | None = None) -> osmium.FilePro
       path: the file.
       file_format: ``"pbf"`` or ``"osm"`` (XML); left out, its name tells.
     """
-    file_format = file_format or _format_of(path)
+    file_format = file_format or format_of(path)
     file = osmium.io.File(str(path), file_format)
     locations: Any = osmium.index.create_map("flex_mem")  # Any: the package's own annotation says str
     if file_format == "osm":  # so the Overpass API writes XML; PBF is sorted

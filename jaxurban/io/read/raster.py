@@ -17,7 +17,7 @@ from rasterio.windows import Window
 from jaxurban.errors import InputError, readable, reason_of
 from jaxurban.io.read.sampling import transformed
 from jaxurban.world.city import Raster
-from jaxurban.world.grid import Bounds, check_on_earth, transformer
+from jaxurban.world.grid import WGS84, Bounds, check_on_earth, transformer, where_it_lies
 
 # By the end of their names, the drivers of GDAL that may open them: others read what a file tells them to.
 DRIVERS = {
@@ -221,4 +221,9 @@ def raster_window(name: str, source: rasterio.DatasetReader, crs: str, bounds_m:
         end_row = min(source.height, math.ceil(row.max()) + _MARGIN_PIXELS)
         if first_col < end_col and first_row < end_row:
             return Window(first_col, first_row, end_col - first_col, end_row - first_row)
-    raise InputError(f"{name} does not reach the region: give a raster that covers it, or change [region] bounds")
+    corners = transformed(source.transform, np.array([0, source.width]), np.array([source.height, 0]))
+    extent = transformer(_horizontal_crs(source), WGS84).transform_bounds(*np.transpose(corners).ravel())
+    where = where_it_lies(extent, transformer(crs, WGS84).transform_bounds(*bounds_m))
+    raise InputError(
+        f"{name} does not reach the region: {where}; give a raster that covers it, or change [region] bounds"
+    )

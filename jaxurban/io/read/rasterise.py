@@ -12,7 +12,7 @@ from jaxurban.io.read.burn import burn, burn_by_rule, burn_touched
 from jaxurban.io.read.hanging import burn_hanging
 from jaxurban.io.read.sampling import resample_raster
 from jaxurban.world.city import SLABS, Buildings, City
-from jaxurban.world.grid import Grid
+from jaxurban.world.grid import WGS84, Grid, transformer
 from jaxurban.world.slabs import Slabs
 from jaxurban.world.surface import NO_BUILDING, Surface
 
@@ -154,10 +154,16 @@ def rasterise_blocks(city: City, grid: Grid) -> np.ndarray | None:
     return burn(blocks.polygons, np.arange(len(blocks)), grid, NO_BLOCK, "int32", boxes_m=blocks.boxes_m)
 
 
-def check_has_data(has_data: Iterable[np.ndarray | None]) -> None:
+def check_has_data(has_data: Iterable[np.ndarray | None], city: City) -> None:
     """Raise InputError unless a part of the region has data; stops at the first one."""
     if not any(part is None or part.any() for part in has_data):
-        raise InputError("the rasters hold no data in the region: check [region] bounds and the raster's CRS")
+        names = [city.sources[role] for role in ("buildings", "terrain") if role in city.sources]
+        box = transformer(city.crs, WGS84).transform_bounds(*city.known_extent_m)
+        raise InputError(
+            f"{' and '.join(names) or 'the rasters'} hold no data in the region: what was read covers "
+            f"{', '.join(f'{value:.4f}' for value in box)} (west, south, east, north): move [region] bounds there, or "
+            "check the raster's CRS and its nodata value"
+        )
 
 
 def build_surface(
@@ -173,7 +179,7 @@ def build_surface(
     """
     roof_m, touched_m, terrain_m, has_data, guessed, slabs = rasterise(city, grid, all_touched, tells_guessed)
     window = region.window_in(grid)
-    check_has_data([None if has_data is None else has_data[window]])
+    check_has_data([None if has_data is None else has_data[window]], city)
     arrays = {
         "roof_m": roof_m,
         "terrain_m": terrain_m,
