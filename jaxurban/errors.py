@@ -28,6 +28,10 @@ class InputError(JaxurbanError, ValueError):
     """A wrong argument, file or setting: one sentence that names it and the remedy."""
 
 
+class RemadeError(InputError):
+    """Maps that were opened are not those of their folder any more."""
+
+
 class StaleElementsWarning(UserWarning):
     """Orbital elements are old at the chosen time: one sentence for the user."""
 

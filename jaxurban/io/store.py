@@ -23,7 +23,7 @@ from numcodecs import Zstd
 from xarray.backends import BackendArray, BackendEntrypoint
 from xarray.core import indexing
 
-from jaxurban.errors import InputError
+from jaxurban.errors import InputError, RemadeError
 from jaxurban.io.attributes import IN_OBSTACLES
 from jaxurban.io.chunks import (
     array_of,
@@ -57,6 +57,7 @@ ZARR_FOLDER = "maps.zarr"
 GEOTIFF_FOLDER = "geotiff"
 COMPRESSOR = Zstd(level=1, checksum=True)
 GDAL_CRS = "_CRS"  # attribute: the CRS as GDAL's Zarr driver reads it
+OPENED = "opened"  # encoding of a dataset that was opened: what checks that its files are still those
 OF_ZARR = ".zmetadata", ".zattrs", ".zgroup", "zarr.json"  # files by which a Zarr is known, of version 3 the last
 TIMES = {"units": "seconds since 1970-01-01", "calendar": "proleptic_gregorian", "dtype": "int64"}
 
@@ -318,14 +319,14 @@ class _Opened(NamedTuple):
         return found.st_ino, found.st_mtime_ns
 
     def check(self) -> None:
-        """Raise InputError unless the Zarr is still the one that was opened, or was mended by the same run."""
+        """Raise RemadeError unless the Zarr is still the one that was opened, or was mended by the same run."""
         with suppress(OSError):
             if self.place == self._place(self.path):
                 return
             # Maps that were saved from Python have no key of a run: the same metadata may go with other values.
             if b'"run_key"' in self.metadata and self.metadata == metadata_file(self.path).read_bytes():
                 return
-        raise InputError(
+        raise RemadeError(
             f"the maps in {str(self.path)!r} were made again or removed since they were opened: open them again"
         )
 
@@ -403,7 +404,9 @@ class _Maps(BackendEntrypoint):
         opened.check()
         strings = [name for name, coord in coords.variables.items() if coord.dtype.kind == "U"]
         coords = coords.assign_coords({name: coords[name].astype(np.dtypes.StringDType()) for name in strings})
-        return xr.Dataset(maps, coords.coords, ds.attrs)
+        found = xr.Dataset(maps, coords.coords, ds.attrs)
+        found.encoding[OPENED] = opened
+        return found
 
 
 def open_whole(path: Path) -> xr.Dataset:

@@ -16,9 +16,9 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from threading import Lock
 from typing import Any
 
-from jaxurban.errors import InputError, JaxurbanError
+from jaxurban.errors import InputError, JaxurbanError, RemadeError
 from jaxurban.viewer.html import html_page, policy_of
-from jaxurban.viewer.viewer import JSON, Answer, RemadeError, Viewer
+from jaxurban.viewer.viewer import JSON, Answer, Viewer
 
 HOST = "127.0.0.1"
 MOST_BODY = 128 * 1024  # bytes of a request

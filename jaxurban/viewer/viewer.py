@@ -5,14 +5,13 @@ import math
 from collections.abc import Callable, Mapping
 from functools import cached_property
 from html import escape
-from pathlib import Path
 from typing import Any, NamedTuple
 from uuid import uuid4
 
 import numpy as np
 
-from jaxurban.errors import InputError, one_of
-from jaxurban.io.chunks import metadata_file
+from jaxurban.errors import InputError, RemadeError, one_of
+from jaxurban.io.store import OPENED
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY
 from jaxurban.paths.export.waypoints import waypoints
@@ -66,10 +65,6 @@ TOTALS = {  # of `RouteReport.totals`, as the page shows them
 }
 
 
-class RemadeError(InputError):
-    """The maps that a page shows are not those of their folder any more."""
-
-
 class Answer(NamedTuple):
     """What a request gives."""
 
@@ -107,7 +102,6 @@ class Viewer:
         self.plans = Plans(maps, defaults or PlanDefaults())
         self.layers = [layers_of(each) for each in self.runs]
         self.kept, self.key = Kept(), uuid4().hex
-        self._written = [written_at(each) for each in self.runs]
         self._answers: dict[str, tuple[type[Request], Callable[[Any], Any]]] = {
             "scene": (Nothing, self.scene),
             "legend": (Shown, self.legend),
@@ -143,11 +137,11 @@ class Viewer:
 
         What is kept of them would be drawn beside what is read now.
         """
-        if key not in ("", self.key) or self._written != [written_at(each) for each in self.runs]:
-            raise RemadeError(
-                f"the maps of {' or '.join(map(repr, self.names))} were made again or removed since they were opened: "
-                "what is shown is of the old ones; load them again"
-            )
+        if key not in ("", self.key):
+            raise RemadeError("the maps of this page were made again or removed since they were opened: load it again")
+        for maps in self.runs:
+            if OPENED in maps.ds.encoding:
+                maps.ds.encoding[OPENED].check()
 
     def scene(self, _: Nothing) -> dict[str, Any]:
         """Return what the page must know before it asks for anything else; ``html`` fills its places by name."""
@@ -380,15 +374,6 @@ class Viewer:
         if self.study is None:
             raise InputError("no study of weights is shown: name its folder with --study")
         return self.study.to_dict(self.maps)
-
-
-def written_at(maps: MetricMaps) -> tuple[int, int] | None:
-    """Return which file the metadata of maps on disk are now, and when it was written; None where there is none."""
-    try:
-        found = metadata_file(Path(maps.ds.encoding["source"])).stat()
-    except (KeyError, OSError):
-        return None
-    return found.st_ino, found.st_mtime_ns
 
 
 def status_said(planned: PlannedPath) -> str:
