@@ -41,11 +41,13 @@ class Report:
 
 
 @contextmanager
-def saying_later(sentence: str) -> Iterator[None]:
-    """Log a sentence, so that it is seen where nobody has set logging up, if the block lasts `SILENT_S` or longer."""
-    timer = threading.Timer(SILENT_S, LOG.warning, (sentence,))
+def saying_later(planner: str, budget_s: float) -> Iterator[None]:
+    """Warn that a planner is at work, and for how long, where the block, its search, lasts `SILENT_S` or longer."""
+    sentence = "%s is at work: its search may take up to %g s (budget_s), compiling apart"
+    timer = threading.Timer(SILENT_S, LOG.warning, (sentence, planner, budget_s))
     timer.daemon = True
-    timer.start()
+    if budget_s > SILENT_S:
+        timer.start()
     try:
         yield
     finally:

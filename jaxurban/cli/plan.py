@@ -174,6 +174,7 @@ def _path_table(facts: Settings) -> str:
         rows += [("moved to cells", ", ".join(moved))]
         rows += [(f"cost of {name}", f"{value:.3f}") for name, value in facts["cost_by_layer"].items()]
         rows += [(f"mean m_{name}", f"{value:.3f}") for name, value in facts["metrics"].items()]
-    rows += [("expansions", f"{facts['num_expanded']}"), ("search time", f"{facts['elapsed_s']:.3f} s")]
+    setup = f", after {facts['setup_s']:.1f} s of compiling" if facts["setup_s"] >= 1 else ""
+    rows += [("expansions", f"{facts['num_expanded']}"), ("search time", f"{facts['elapsed_s']:.3f} s{setup}")]
     width = max(LEAST_NAME_WIDTH, *(len(name) + 1 for name, _ in rows))
     return "\n".join([*(f"{name:<{width}}{value}" for name, value in rows), facts["message"]])

@@ -305,7 +305,8 @@ class CostMap(Shown):
         """Return a path between two places, given as in `locate` (other arguments: `PathSearch`; errors: `plan`)."""
         search = PathSearch(planner, heuristic, budget_s, seed, snap, refine)
         find_path = search.find(is_for_volumes=self.levels is not None)
-        if self.is_prepared and heuristic is None and PLANNERS[planner or "astar-plus"].default_heuristic == AUTO:
+        name = planner or ("astar-plus" if self.levels is None else "astar-volume")
+        if self.is_prepared and heuristic is None and PLANNERS[name].default_heuristic == AUTO:
             find_path = replace(search, heuristic="landmarks").find()
         ends = self.ends(start, goal, snap=search.snap)
         problem = self.problem.between(ends[0].cell, ends[1].cell)
@@ -313,8 +314,7 @@ class CostMap(Shown):
             check_line_model(problem, "refinement")
         # An anytime planner would leave nothing of the budget to refine with.
         share = 1 - REFINING_SHARE if search.refine else 1.0
-        limit = f"up to {search.budget_s:g} s (budget_s)" if np.isfinite(search.budget_s) else "any time"
-        with saying_later(f"{planner or 'the planner'} is at work: its search may take {limit}, compiling apart"):
+        with saying_later(name, search.budget_s):
             found = find_path(problem, budget_s=search.budget_s * share, seed=search.seed)
         if search.refine and found.status.has_path:
             left_s = search.budget_s - found.elapsed_s

@@ -331,6 +331,7 @@ def test_the_table_of_a_path_parts_long_names_from_their_numbers():
     metrics = {"gps_horizontal": 0.9, "a_layer_of_a_very_long_name": 0.5}
     facts = {"planner": "p", "heuristic": "h", "backend": "b", "status": "optimal", "cost": 1.0, "gap": 0.0}
     facts |= {"length_m": 1.0, "snap_distance_m": {}, "cost_by_layer": metrics, "metrics": metrics, "message": ""}
-    lines = _path_table(facts | {"num_expanded": 1, "elapsed_s": 0.1}).splitlines()
+    lines = _path_table(facts | {"num_expanded": 1, "elapsed_s": 0.1, "setup_s": 3.0}).splitlines()
+    assert lines[-1].split(maxsplit=2)[2] == "0.100 s, after 3.0 s of compiling"
     assert f"{'mean m_gps_horizontal':<36}0.900" in lines
     assert "cost of a_layer_of_a_very_long_name 0.500" in lines
