@@ -63,4 +63,4 @@ def load_problem(folder: Path) -> Problem:
     is_free = kept["is_free"]
     cost = np.where(is_free, kept["cost"].astype(np.float64), 0.0)
     anywhere = tuple(int(number) for number in np.argwhere(is_free)[0])
-    return Problem(cost[None], is_free, anywhere, anywhere, RESOLUTIONS_M[0], float(kept["distance_weight"]))
+    return Problem(cost[None], is_free, anywhere, anywhere, RESOLUTIONS_M[0], float(kept["distance_weight"]), "cell")

@@ -125,7 +125,7 @@ def against_pyastar2d_once(city: City) -> Contest:
         return float(cost[tuple(cells[1:].T)].sum(dtype=np.float64))
 
     def ours(start: Cell, goal: Cell) -> float:
-        problem = Problem(cost[None], city.is_free, start, goal, 1.0, 0.0, CostModel(diagonal="always"))
+        problem = Problem(cost[None], city.is_free, start, goal, 1.0, 0.0, CostModel("cell", diagonal="always"))
         return astar(problem, heuristic="tiles").cost
 
     return Contest("pyastar2d", "as above, one-off: all preparation counted", 1.8, ours, theirs, FLOAT32_ROUNDING)

@@ -28,6 +28,7 @@ from jaxurban.io.read.rasterise import rasterise
 from jaxurban.maps.build import compute_maps
 from jaxurban.maps.levels import Levels
 from jaxurban.maps.metric_maps import MetricMaps
+from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.cost_map import CostMap, cost_map
 from jaxurban.paths.snapping import XY
 from jaxurban.planners.base import Cell, Status
@@ -130,8 +131,9 @@ def _begin(maps: MetricMaps, buildings: Buildings) -> None:
     """Make a worker process ready."""
     global _bench
     by_rule = {rule: maps.with_obstacles(rule) for rule in RULES}
-    flat = {rule: cost_map(held, ALTITUDE_M, cost_model="line") for rule, held in by_rule.items()}
-    volume = {rule: cost_map(held, Levels(), cost_model="line") for rule, held in by_rule.items()}
+    nothing_kept = Constraints(vertical_clearance_m=0.0)  # the rule of obstacles alone is tried
+    flat = {rule: cost_map(held, ALTITUDE_M, constraints=nothing_kept) for rule, held in by_rule.items()}
+    volume = {rule: cost_map(held, Levels(), constraints=nothing_kept) for rule, held in by_rule.items()}
     _bench = Bench(flat, volume, Outlines(buildings))
 
 

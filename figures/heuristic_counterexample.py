@@ -21,7 +21,9 @@ BEST, PRINTED = "#0072b2", "#d55e00"  # told apart by readers with any colour vi
 
 def counterexample() -> dict[str, object]:
     """Return both paths, their costs, and what the culprit node's value is and should be."""
-    problem = Problem(COST[None], np.ones(COST.shape, bool), START, GOAL, resolution_m=1.0, weights=1.0)
+    problem = Problem(
+        COST[None], np.ones(COST.shape, bool), START, GOAL, resolution_m=1.0, weights=1.0, cost_model="cell"
+    )
     best, printed = astar(problem), astar(problem, heuristic="plus-printed", reopen=True)
     return {
         "best": best,

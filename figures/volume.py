@@ -32,7 +32,7 @@ def wall() -> tuple[np.ndarray, float, dict[str, np.ndarray], np.ndarray]:
     paths = {}
     for climb_cost in (1.0, 10.0):
         flat, weights = np.zeros((0, *is_free.shape)), [1.0, climb_cost, 0.0]
-        problem = Problem(flat, is_free, (0, 8, 3), (0, 8, 37), 5.0, weights, levels_m=levels_m)
+        problem = Problem(flat, is_free, (0, 8, 3), (0, 8, 37), 5.0, weights, "cell", levels_m)
         paths[f"climb {climb_cost:g} per m"] = volume_astar(problem).points_m
     return roof_m, 5.0, paths, levels_m
 

@@ -24,7 +24,7 @@
 # | `astar-anytime` | A\* in a hurry first, then ever closer to the best path, with a proven gap |
 # | `theta-star` | A\* whose legs may point anywhere, not only to the eight neighbours |
 #
-# All pay the same: the cost model `line` costs every path by the exact length in each cell.
+# All pay the same: the default cost model, `line`, costs every path by the exact length in each cell.
 
 # %%
 # %matplotlib inline
@@ -42,7 +42,7 @@ from jaxurban.report.figures import plot_paths
 
 city = ju.demo_city(width_m=2_000, height_m=3_000)
 maps = ju.build_maps(city, resolution_m=10.0, altitudes_m=(20.0,))
-weighted = ju.cost_map(maps, 20.0, cost_model="line")
+weighted = ju.cost_map(maps, 20.0)
 x_m, y_m = maps.grid.x_m, maps.grid.y_m
 ends = ju.XY(x_m[60], y_m[40]), ju.XY(x_m[125], y_m[240])
 planners = ("ptp", "astar-dist", "astar-plus", "bitstar-dist", "bitstar-plus", "astar-anytime", "theta-star")
@@ -120,7 +120,7 @@ pd.DataFrame(rows, ["queries", "sum of costs", "what ran"]).T.sort_index()
 # %%
 cost = np.array([[0, 5, 0], [0, 5, 0], [0, 0, 0]], float)  # row 0 in the south
 start, goal = (0, 0), (0, 2)
-nine = Problem(cost[None], np.ones((3, 3), bool), start, goal, resolution_m=1.0, weights=1.0)
+nine = Problem(cost[None], np.ones((3, 3), bool), start, goal, resolution_m=1.0, weights=1.0, cost_model="cell")
 printed, truth = make_heuristic("plus-printed", nine), make_heuristic("exact", nine)
 
 
@@ -158,7 +158,7 @@ for name in ("plus-printed", "plus"):
 # [heuristics.md](../docs/heuristics.md) has the proof, and the figures for 200 queries on Lower Manhattan.
 
 # %%
-by_cell = ju.cost_map(maps, 20.0)
+by_cell = ju.cost_map(maps, 20.0, cost_model="cell")
 rows = []
 for row in ju.sample_instances(maps, 40, weights=[ju.Weights()]).query("is_connected").itertuples():
     ends = ju.XY(row.start_x_m, row.start_y_m), ju.XY(row.goal_x_m, row.goal_y_m)

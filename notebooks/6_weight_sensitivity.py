@@ -34,7 +34,7 @@ from jaxurban.report.figures.sensitivity import (
 city = ju.demo_city(width_m=2_000, height_m=3_000)
 maps = ju.build_maps(city, resolution_m=20.0, altitudes_m=(20.0,))
 start, goal = maps.grid.lonlat_of_cell(20, 30), maps.grid.lonlat_of_cell(120, 62)
-found = ju.sensitivity(ju.cost_map(maps, 20.0, cost_model="line"), start, goal, snap=True)
+found = ju.sensitivity(ju.cost_map(maps, 20.0), start, goal, snap=True)
 print(f"{found.num_plans:,} searches in {found.elapsed_s:.1f} s")
 
 # %% [markdown]
@@ -100,7 +100,7 @@ plot_pareto(found)
 # The cheapest route under weights of your own, beside the shortest one (in blue), which no weight changes.
 
 # %%
-on = ju.cost_map(maps, 20.0, cost_model="line")
+on = ju.cost_map(maps, 20.0)
 redraw = route_under(on, start, goal, snap=True)
 redraw(distance=0.1, gps=1.0, lidar=1.0, population=1.0, risk=1.0)
 
