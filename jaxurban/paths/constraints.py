@@ -19,7 +19,7 @@ from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.availability import SERIES
 from jaxurban.metrics.gps import WEIGHTED_DOPS
 from jaxurban.metrics.registry import METRICS, ON_REQUEST, known_metrics
-from jaxurban.paths.clearance import closed_by_clearance, closing_step_m, kept_m, nearest_said
+from jaxurban.paths.clearance import FILE_MARGIN_M, closed_by_clearance, closing_step_m, kept_m, nearest_said
 from jaxurban.paths.vehicle import Vehicle
 from jaxurban.presets import DEFAULTS, Preset
 
@@ -198,16 +198,6 @@ class Constraints:
         """Return what straight legs keep from closed cells of that side, for the clearance (`closing_step_m`)."""
         return closing_step_m(self.horizontal_m, resolution_m)[1]
 
-    def kept_note(self, resolution_m: float) -> str:
-        """Return a sentence on the horizontal distance that is really kept, empty where that is what was asked."""
-        kept = kept_m(self.horizontal_m, resolution_m)
-        if kept <= self.horizontal_m + 0.05:
-            return ""
-        return (
-            f"{self.horizontal_m:g} m are to be kept from obstacles: on these cells of {resolution_m:g} m routes keep "
-            f"at least {kept:g} m."
-        )
-
     def without_clearance(self) -> "Constraints":
         """Return the zones and bounds alone."""
         return Constraints(self.zones, self.bounds, vertical_clearance_m=0.0)
@@ -352,6 +342,13 @@ def constraints_said(record: Mapping[str, Any]) -> str:
 def clearances_said(record: Mapping[str, Any]) -> list[str]:
     """Return a phrase for each distance that constraints, as `Constraints.to_dict` holds them, keep from obstacles."""
     return [f"{said} of {record[name]:g} m" for name, said in KEPT_CLEAR.items() if record.get(name)]
+
+
+def kept_said(record: Mapping[str, Any], resolution_m: float) -> str:
+    """Return the horizontal distance that is really kept, a phrase; empty where that is what such constraints ask."""
+    asked_m = record.get("clearance_m", 0.0) + record.get("vehicle_radius_m", 0.0)
+    kept = kept_m(asked_m, resolution_m)
+    return f"at least {kept:g} m kept on cells of {resolution_m:g} m" if kept > asked_m + FILE_MARGIN_M else ""
 
 
 def _made_by(variable: str, held: Collection[str]) -> str:

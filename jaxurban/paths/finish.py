@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jaxurban.metrics.registry import METRICS, ON_REQUEST
+from jaxurban.paths.constraints import kept_said
 from jaxurban.paths.ground import ground_along
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.search import PathSearch
@@ -78,7 +79,9 @@ def _note(on: "CostMap", found: Path, ends: tuple[Place, Place]) -> str:
     notes = [found.note]
     if not on.is_weighed and on.objective == "weighted":
         notes = ["All weights are zero, so every path is as cheap: the distance was minimised instead."]
-    notes += [snap_note(*ends), on.constraints.kept_note(on.grid.resolution_m)]
+    notes.append(snap_note(*ends))
+    if kept := kept_said(on.constraints.to_dict(), on.grid.resolution_m):
+        notes.append(f"Distance to obstacles: {on.constraints.horizontal_m:g} m asked, {kept}.")
     if on.is_weighed and on.weights.distance == 0 and not found.note and has_path:
         notes.append("The distance weighs nothing, so the path may be far longer than it need be.")
     if between := _between_m(on):

@@ -63,9 +63,11 @@ class Demonstration:
         is_far = np.ones(on.is_free[here].shape, bool)
         is_far[tuple((cells - low).T)] = False
         is_near = on.is_free[here] & (distance_transform_edt(is_far) <= self.drawn_cells)
-        ends = [tuple((cells[k] - low).tolist()) for k in (0, -1)]
         weights = np.eye(self.features.size)
-        within = Problem(on.costs[:, *here], is_near, *ends, side_m, weights[0], on.cost_model)
+        start, goal = (tuple((cells[k] - low).tolist()) for k in (0, -1))
+        within = Problem(
+            on.costs[:, *here], is_near, start, goal, side_m, weights[0], on.cost_model, leg_margin_m=on.leg_margin_m
+        )
         routes_m = [astar(within.with_weights(each)).points_m + low[::-1] * side_m for each in weights]
         return np.min([self.features, *(self.query.sums(route_m)[0] for route_m in routes_m)], axis=0)
 

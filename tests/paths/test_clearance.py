@@ -28,6 +28,7 @@ from jaxurban.paths.clearance import (
 )
 from jaxurban.planners.base import Status
 from jaxurban.planners.registry import PLANNERS
+from jaxurban.report.figures.notes import rules_said
 from jaxurban.scenario.provenance import settings_of
 from jaxurban.scenario.settings import Scenario
 from tests.cli_runs import assert_one_sentence, run
@@ -215,11 +216,12 @@ def test_five_metres_on_cells_of_five_close_what_less_does():
 def test_the_message_names_what_is_really_kept_where_that_is_more():
     maps = scattered(4)
     ends = ends_in(maps, ju.Constraints(clearance_m=3.0).is_free(maps, ALTITUDE_M))[0]
-    for asked_m, words in ((3.0, "on these cells of 5 m routes keep at least 4.95 m"), (5.0, "")):
+    for asked_m, words in ((3.0, "3 m asked, at least 4.95 m kept on cells of 5 m."), (5.0, "")):
         constraints = ju.Constraints(clearance_m=asked_m)
-        message = ju.plan(maps, **ends, altitude_m=ALTITUDE_M, constraints=constraints).to_dict()["message"]
-        assert words in message
-        assert ("routes keep at least" in message) == bool(words)
+        path = ju.plan(maps, **ends, altitude_m=ALTITUDE_M, constraints=constraints)
+        assert words in path.to_dict()["message"]
+        for said in (path.to_dict()["message"], rules_said(path.settings)):
+            assert ("at least 4.95 m kept on cells of 5 m" in said) == bool(words)
 
 
 def test_without_it_paths_come_nearer():

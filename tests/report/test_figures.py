@@ -48,6 +48,7 @@ RULES = {
     "objective": "weighted",
     "obstacles": "touched",
     "limits": {"vertical_clearance_m": 3.0},
+    "resolution_m": 5.0,
 }
 
 

@@ -6,7 +6,7 @@ from typing import Any
 from jaxurban.io.attributes import CAVEAT, names_in
 from jaxurban.maps.guesses import is_of_sky
 from jaxurban.maps.metric_maps import MetricMaps
-from jaxurban.paths.constraints import clearances_said
+from jaxurban.paths.constraints import clearances_said, kept_said
 from jaxurban.world.grid import Grid
 
 GAP = "  ·  "  # between two facts of a line
@@ -38,7 +38,8 @@ def rules_said(*settings: Mapping[str, Any]) -> str:
         weights = ", ".join(f"{name} {weight:g}" for name, weight in each["weights"].items())
         rules["cost model"].append(each["cost_model"])
         rules["weights"].append("the distance alone" if each["objective"] == "distance" else weights)
-        rules["obstacles"].append(", ".join([each["obstacles"], *clearances_said(each["limits"])]))
+        clearances = [*clearances_said(each["limits"]), kept_said(each["limits"], each["resolution_m"])]
+        rules["obstacles"].append(", ".join(filter(None, [each["obstacles"], *clearances])))
     distinct = {name: list(dict.fromkeys(values)) for name, values in rules.items() if values}
     return joined(
         *(
