@@ -356,8 +356,13 @@ async function start(root, ask) {
     draw();
   };
   const report = latest(async route => {
+    const follows = 'Cautions and profile follow …';
+    if (!is('tell').textContent) tell(follows);
+    is('report').ariaBusy = true;
     const found = await ask('report', route.request);
+    if (is('tell').textContent === follows) tell('');
     if (state.route !== route) return;
+    is('report').ariaBusy = false;
     state.report = found;
     draw();
     for (const name of ['cautions', 'totals', 'profile', 'saved', 'report-text']) is(name).innerHTML = found[name];
