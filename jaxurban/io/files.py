@@ -126,10 +126,11 @@ def remove(path: Path) -> None:
 def check_writable(folder: Path) -> None:
     """Make ``folder`` and raise InputError if nothing can be written there."""
     try:
+        str(folder).encode()  # Parquet takes no other names
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
             pass
-    except OSError as error:
+    except (OSError, ValueError) as error:
         raise InputError(
             f"cannot write to the output folder {str(folder)!r}: {reason_of(error)}; choose another with -o"
         ) from error

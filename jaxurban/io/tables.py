@@ -54,7 +54,11 @@ def read_table(file: str | Path, role: str) -> pd.DataFrame:
     suffix = _suffix(file)
     what = f"the {role} file {str(file)!r}"
     with readable(file, suffix[1:], "make it again, or name another", what=what):
-        return pd.read_parquet(file) if suffix == ".parquet" else pd.read_csv(file)
+        table = pd.read_parquet(file) if suffix == ".parquet" else pd.read_csv(file)
+        for name in table.select_dtypes(object):
+            if not all(pd.api.types.is_hashable(value) for value in table[name]):
+                raise ValueError(f"its column {name!r} holds lists or tables")
+        return table
 
 
 def records_of(table: pd.DataFrame) -> list[dict[str, Any]]:

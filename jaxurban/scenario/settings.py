@@ -213,7 +213,7 @@ def _dirichlet_or_list(value: Any) -> Any:
 class StudySettings(_Section):
     """A Monte Carlo study."""
 
-    instances: PositiveInt = 200
+    instances: Annotated[PositiveInt, Field(le=1_000_000)] = 200
     planners: tuple[PlannerName, ...] = PAPER_PLANNERS
     distance_only: tuple[PlannerName, ...] = ("astar-dist",)  # run for the shortest path too
     altitudes_m: DifferentList | None = None

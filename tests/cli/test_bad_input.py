@@ -8,10 +8,14 @@ from pathlib import Path
 
 import numpy as np
 import osmium
+import pandas as pd
 import pytest
 import rasterio
 from affine import Affine
 
+from jaxurban.errors import InputError
+from jaxurban.io.files import check_writable
+from jaxurban.io.tables import read_table
 from tests.cli_runs import assert_one_sentence, run
 from tests.made_maps import made_maps
 
@@ -189,3 +193,19 @@ def test_a_name_with_nul_is_one_sentence(tmp_path, capsys):
 def test_an_endless_source_is_one_sentence(tmp_path, capsys):
     (tmp_path / "endless.geojson").symlink_to("/dev/zero")
     fails(capsys, tmp_path, write_scenario(tmp_path, "endless.geojson"), "a pipe or a device")
+
+
+def test_a_table_of_lists_is_refused_by_its_column(tmp_path):
+    pd.DataFrame({"crs": [["EPSG:32618"]], "altitude_m": [20.0]}).to_parquet(tmp_path / "lists.parquet")
+    with pytest.raises(InputError, match=r"lists\.parquet.*'crs' holds lists"):
+        read_table(tmp_path / "lists.parquet", "instances")
+
+
+def test_an_output_folder_whose_name_is_no_text_is_refused(tmp_path):
+    with pytest.raises(InputError, match="cannot write to the output folder"):
+        check_writable(tmp_path / "\udcff")
+
+
+def test_more_instances_than_any_study_has_are_refused(tmp_path, capsys):
+    scenario = write_scenario(tmp_path, "synthetic", "[study]\ninstances = 1000000000\n", SYNTHETIC_BOUNDS)
+    fails(capsys, tmp_path, scenario, "study.instances", "1000000")

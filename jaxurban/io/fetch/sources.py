@@ -124,13 +124,14 @@ def sources_of(census_year: str, given: Mapping[str, str]) -> dict[str, Source]:
 def _check_url(source: Source, url: str) -> None:
     """Raise InputError unless a template can stand in for a source's own."""
     try:
+        parts = urlsplit(url)
         used = {field for _, field, _, _ in string.Formatter().parse(url) if field is not None}
     except ValueError as error:
-        raise InputError(f"the URL {url!r} of source {source.name!r} has an odd brace ({error}): double it") from error
+        remedy = "mend it, and double an odd brace"
+        raise InputError(f"the URL {url!r} of source {source.name!r} cannot be used ({error}): {remedy}") from error
     if unknown := sorted(used - set(source.placeholders)):
         known = ", ".join(f"{{{field}}}" for field in source.placeholders) or "none"
         raise InputError(f"the URL of source {source.name!r} has the placeholder {{{unknown[0]}}}: there are {known}")
-    parts = urlsplit(url)
     if source.name != "checksum" and (parts.scheme not in ("http", "https") or not parts.hostname):
         raise InputError(f"the URL {url!r} of source {source.name!r} must begin with https:// or http:// and a host")
 
