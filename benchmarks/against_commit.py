@@ -19,6 +19,7 @@ import numpy as np
 
 from benchmarks.checkouts import output_of, start
 from benchmarks.common import ROOT, load
+from jaxurban.studies.bootstrap import draws_of, interval_of, median_of
 
 NAMES = (
     "build_maps",
@@ -34,16 +35,13 @@ NAMES = (
     "first",
 )
 SCRIPT = "workloads.py"
-NUM_DRAWS = 10_000
 MEMORY_PAIRS = 3  # it hardly varies
 Pair = tuple[float, float]  # of OLD and NEW
 
 
 def interval(ratios: np.ndarray, seed: int = 0) -> tuple[float, float]:
-    """Return the 2.5 and 97.5 percentiles of the median of ratios ``[P]`` drawn anew with replacement."""
-    drawn = np.random.default_rng(seed).choice(ratios, (NUM_DRAWS, len(ratios)))
-    low, high = np.percentile(np.median(drawn, axis=1), [2.5, 97.5])
-    return float(low), float(high)
+    """Return the 95 % interval of the median of ratios ``[P]``; NaN with too few of them."""
+    return interval_of(ratios, draws_of(len(ratios), seed), len(ratios), median_of)[1:]
 
 
 def row(name: str, pairs: list[Pair]) -> str:

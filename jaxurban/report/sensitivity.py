@@ -16,13 +16,13 @@ from jaxurban.report.figures.sensitivity import sensitivity_figures
 from jaxurban.report.markdown import bullets, fill, listed, short, table
 from jaxurban.report.save import save
 from jaxurban.studies.outcomes import outcome_label, outcome_names, outcome_unit
+from jaxurban.studies.sensitivity.sobol import FEW_SAMPLES
 from jaxurban.studies.sensitivity.study import Sensitivity
 
 REPORT_FILE = "report.md"
 ALIKE = 0.05  # routes are much the same where no outcome differs by more than this share
 MORE = 1.1  # the change of a weight that the report tells about: 10 %
 CLEAR = 2.0  # standard errors from 0
-FEW_PLANS = 300  # for Sobol indices: with fewer their intervals mean little
 TOP_BUILDINGS = 10
 
 
@@ -99,8 +99,9 @@ def sensitivity_markdown(found: Sensitivity) -> str:
         more=MORE - 1,
         clear=CLEAR,
         changes=_changes(found),
-        too_few="**These are too few plans for such indices: take more `--samples`.**"
-        if found.sobol.num_evaluations < FEW_PLANS
+        too_few=f"**These are too few plans for such indices, and ± below is no 95 % interval: take {FEW_SAMPLES} "
+        "`--samples` or more.**"
+        if found.sobol.num_evaluations < FEW_SAMPLES * (2 + len(found.vary))
         else "",
         together="The weights vary together and independently, each" if len(found.vary) > 1 else "The weight varies",
         indices=bullets(_indices(found, outcome) for outcome in found.sobol.spread.index),

@@ -21,10 +21,10 @@ from jaxurban.studies.outcomes import outcome_label
 from jaxurban.studies.sensitivity import summary
 from jaxurban.studies.sensitivity.findings import change_said, findings
 from jaxurban.studies.sensitivity.routes import SensitivityStudySettings
+from jaxurban.studies.sensitivity.sobol import FEW_SAMPLES
 from jaxurban.studies.sensitivity.summary import ALL, CLEAR, CONSTANT, OVER_CITIES, UNCLEAR
 
 REPORT_FILE = "report.md"
-FEW_SAMPLES = 64  # of one route's Sobol shares: with fewer its own intervals are wider than most shares
 STATISTICS = {"regret": ".2%", "changes": ".0%", "nearest": ".3g", "share": ".1%"}
 SAMPLED = (
     "Routes were drawn by stratum and range in equal numbers, only where a path joins a pair at every altitude, not as "
@@ -274,7 +274,7 @@ def _sobol(found: SensitivityStudy) -> str:
         low=low,
         high=high,
         num_samples=num,
-        own=wide if np.isfinite(own_ci) else "",
+        own=wide if np.isfinite(own_ci) and num >= FEW_SAMPLES else "",
         few=few,
         rows=table(("outcome", *names), lines),
     )

@@ -51,9 +51,14 @@ def ends_of(drawn: np.ndarray, num_groups: int) -> tuple[float, float]:
     known = drawn[np.isfinite(drawn)]
     if num_groups < FEWEST_GROUPS or len(known) < LEVEL * len(drawn):
         return np.nan, np.nan
-    tail = special.ndtr(-_student(num_groups) * np.sqrt(num_groups / (num_groups - 1)))
+    tail = special.ndtr(-reach_of(num_groups))
     low, high = np.quantile(known, [tail, 1 - tail])
     return float(low), float(high)
+
+
+def reach_of(num_groups: int) -> float:
+    """Return how many standard errors of its draws an interval reaches to each side."""
+    return _student(num_groups) * np.sqrt(num_groups / (num_groups - 1))
 
 
 def _student(num_groups: int) -> float:

@@ -34,6 +34,7 @@ def test_hidden_weights_come_back_from_optimal_routes(fit, demonstrations):
     assert fit.best_mean_regret <= fit.regret.mean() + 1e-12
     assert fit.unidentified == fit.warnings == ()
     assert sum(fit.vector) == pytest.approx(1)
+    assert f"{fit}".splitlines()[2].split()[:2] == ["distance", f"{fit.vector[0]:.3g}"]
 
 
 def test_intervals_hold_the_hidden_weights(fit):

@@ -15,14 +15,17 @@ import numpy as np
 import pandas as pd
 from SALib.analyze import sobol as analysis
 from SALib.sample import sobol as sampling
+from scipy import special
 
 from jaxurban.errors import InputError, one_of
+from jaxurban.studies.bootstrap import reach_of
 from jaxurban.studies.outcomes import outcomes_of
 from jaxurban.studies.route_pool import RoutePool
 from jaxurban.studies.sensitivity.breakpoints import OnPlans
 
 NUM_RESAMPLES = 1000  # of the bootstrap that gives the confidence intervals
 CONFIDENCE = 0.95
+FEW_SAMPLES = 64  # with fewer, intervals contain known indices in 62 to 94 % of the cases only
 CONSTANT = 1e-12  # relative: an outcome that varies by less does not vary
 NUM_AT_ONCE = 64  # weights planned under between two reports of progress
 
@@ -171,4 +174,7 @@ def _indices(problem: dict, values: np.ndarray, seed: int) -> pd.DataFrame:
             conf_level=CONFIDENCE,
             seed=seed + 1,  # SALib takes 0 for none
         )
-    return pd.DataFrame(dict(zip(columns, (found[k] for k in ("S1", "S1_conf", "ST", "ST_conf")), strict=True)), index)
+    num_samples = len(values) // (len(index) + 2)
+    wider = reach_of(num_samples) / special.ndtri((1 + CONFIDENCE) / 2)  # SALib's ends are those of the normal law
+    parts = found["S1"], found["S1_conf"] * wider, found["ST"], found["ST_conf"] * wider
+    return pd.DataFrame(dict(zip(columns, parts, strict=True)), index)

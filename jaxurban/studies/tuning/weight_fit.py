@@ -101,6 +101,10 @@ class WeightFit:
         """``[K]`` the weights in the order of ``names``."""
         return self.weights.vector(self.names)
 
+    def __str__(self) -> str:
+        """Return the table of weights and what a reader must know, a line each."""
+        return "\n".join([self.table().to_string(float_format="{:.3g}".format), *self.unidentified, *self.warnings])
+
     def table(self) -> pd.DataFrame:
         """Return a row a weight: weight, its interval, share of cost, spread."""
         return pd.DataFrame(
