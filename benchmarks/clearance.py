@@ -155,7 +155,7 @@ def fly(place: Place, num_pairs: int) -> pd.DataFrame:
     with tempfile.TemporaryDirectory() as folder:
         for horizontal_m, vertical_m in (*CLEARANCES_M, (0.0, 0.0)):
             constraints = ju.Constraints.read(clearance_m=horizontal_m, vertical_clearance_m=vertical_m)
-            planners = PLANNERS if constraints else {"theta-star": PLANNERS["theta-star"]}  # shows what is at stake
+            planners = PLANNERS if horizontal_m else {"theta-star": PLANNERS["theta-star"]}  # shows what is at stake
             routes = city.routes(constraints, num_pairs, planners)
             for name, path in tqdm(routes, total=num_pairs * len(planners), desc=place.name, mininterval=20):
                 row = {"city": place.name, "clearance": horizontal_m, "vertical": vertical_m, "planner": name}
