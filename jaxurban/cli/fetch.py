@@ -59,7 +59,7 @@ class BoxType(click.ParamType):
     help="The longest silence of a server, seconds.",
 )
 @click.option("--offline", "is_offline", is_flag=True, help="Make no request: use what the cache has.")
-@click.option("--overwrite", is_flag=True, help="Replace files that are there.")
+@click.option("--overwrite", is_flag=True, help="Move files that are in the way to the folder kept.")
 @click.option("--dry-run", "is_dry_run", is_flag=True, help="List the requests, and make none.")
 @JSON_FLAG
 def fetch(
