@@ -31,7 +31,8 @@ class Chunk(NamedTuple):
 
 def metadata_of(path: Path) -> list[Path]:
     """Return the files of a Zarr's metadata, but for the one that holds them all."""
-    return [path / ".zattrs", path / ".zgroup", *sorted(path.glob("*/.za*"))]
+    arrays = (*path.glob("*/.zarray"), *path.glob("*/.zattrs"))
+    return [path / ".zattrs", path / ".zgroup", *sorted(arrays)]
 
 
 def has_whole_metadata(path: Path) -> bool:

@@ -179,7 +179,7 @@ def _locked(folder: Path, remedy: str, fcntl: Any) -> IO[str]:
 def sweep_scraps(*folders: Path) -> None:
     """Remove what a killed run left half-written in folders."""
     for folder in folders:
-        for scrap in folder.glob(f".*.{8 * '[0-9a-f]'}{SCRATCH_SUFFIX}"):
+        for scrap in folder.glob(f".*.{8 * '[0-9a-z_]'}{SCRATCH_SUFFIX}"):
             remove(scrap)
 
 

@@ -1,0 +1,245 @@
+"""Attempts to lose a user's file: every command, before, during, between and after killed runs."""
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+
+import pytest
+
+from jaxurban.io.files import SCRATCH_SUFFIX
+from jaxurban.io.workspace import Workspace
+from tests.cli_runs import run
+
+SCENARIO = """
+[region]
+bounds = [-74.0, 40.755, -73.993, 40.761]
+resolution_m = 20
+altitudes_m = [60]
+[buildings]
+source = "synthetic"
+[study]
+instances = 2
+planners = ["astar-dist"]
+altitudes_m = [60]
+"""
+ENDS = ("--start", "-73.999,40.756", "--goal", "-73.994,40.76", "--altitude", 60, "--snap", "--snap-distance", 200)
+COMMANDS = {  # what runs, and what makes it another run
+    "maps": (("maps", "town.toml"), ("--set", "gps.mask_deg=15", "--overwrite")),
+    "compare": (("compare", "maps", "maps", "--routes", 0), ("--tolerance", 0.5, "--overwrite")),
+    "tune": (
+        ("tune", "maps", "--sample", 2, "--pilot", "distance=0.1,gps=1,risk=1", "--bootstrap", 0, "--rounds", 2),
+        ("--seed", 3, "--overwrite"),
+    ),
+    "sensitivity": (
+        ("sensitivity", "maps", *ENDS, "--samples", 2, "--tolerance", 0.5, "--vary", "gps,risk"),
+        ("--seed", 3, "--overwrite"),
+    ),
+    "study": (("study", "town.toml", "--workers", 1), ("--overwrite",)),
+}
+PLANTED = "the user's words"
+
+pytestmark = [
+    pytest.mark.filterwarnings("ignore:Object at"),  # Zarr's own, of files that it does not know
+    pytest.mark.filterwarnings("ignore:.*is damaged. it is now"),  # rows that were changed
+]
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory) -> Path:
+    """Return a folder with a scenario, its maps, and what each command makes of them."""
+    folder = tmp_path_factory.mktemp("place")
+    (folder / "town.toml").write_text(SCENARIO)
+    for name, (command, _) in COMMANDS.items():
+        done = subprocess.run(words(command, name), cwd=folder, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
+    return folder
+
+
+def words(command: tuple, out: str, *more: object) -> list[str]:
+    return [sys.executable, "-m", "jaxurban", *map(str, command), "-o", out, *map(str, more)]
+
+
+def outputs_of(out: Path) -> list[Path]:
+    names = ("made.json", ".made.jsonl", ".jaxurban.lock")
+    files = (path for path in sorted(out.rglob("*")) if path.is_file() and path.name not in names)
+    return [path for path in files if not any(part.endswith(SCRATCH_SUFFIX) for part in path.relative_to(out).parts)]
+
+
+def plant(out: Path, what: str) -> dict[Path, bytes]:
+    """Put files of a user beside the outputs, or change outputs; return them with their bytes."""
+    outputs = outputs_of(out)
+    planted: dict[Path, bytes] = {}
+    by_kind = {(path.suffix, path.parent): path for path in outputs}.values()
+    if what == "changed":
+        path = next(
+            path for path in reversed(outputs) if path.suffix in (".md", ".qml", ".csv", ".parquet", ".npz", "")
+        )
+        planted[path] = path.read_bytes() + b"\n" + PLANTED.encode()
+    else:
+        for path in by_kind:
+            planted[path.with_name(f"my_copy{path.suffix}")] = path.read_bytes()
+            planted[path.with_name(f"{path.name}.bak")] = path.read_bytes()
+        for folder in {out, *(path.parent for path in outputs)}:
+            planted[folder / "mine.txt"] = PLANTED.encode()
+            planted[folder / "my folder/mine.txt"] = PLANTED.encode()
+    for path, data in planted.items():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(data)
+    return planted
+
+
+def assert_kept(planted: dict[Path, bytes], out: Path) -> None:
+    for path, data in planted.items():
+        others = out / "kept" / path.relative_to(out), path.with_name(f"{path.name}.damaged")
+        assert any(place.is_file() and place.read_bytes() == data for place in (path, *others)), f"{path} is lost"
+
+
+def go_on(place: Path, name: str, monkeypatch, capsys) -> None:
+    """Run the command again as it was, then as another one that replaces it; it may be refused, and not crash."""
+    monkeypatch.chdir(place)
+    for more in ((), COMMANDS[name][1], ("--overwrite",)):
+        code, _, err = run(capsys, *COMMANDS[name][0], "-o", "out", *more)
+        assert code in (0, 2), err
+
+
+@pytest.fixture
+def job(place, tmp_path) -> Path:
+    for name in ("town.toml", "maps"):
+        (shutil.copytree if name == "maps" else shutil.copy)(place / name, tmp_path / name)
+    return tmp_path
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("what", ["beside", "changed"])
+@pytest.mark.parametrize("name", COMMANDS)
+def test_nothing_is_lost_between_runs(place, job, name, what, monkeypatch, capsys):
+    shutil.copytree(place / name, job / "out")
+    planted = plant(job / "out", what)
+    go_on(job, name, monkeypatch, capsys)
+    assert_kept(planted, job / "out")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", COMMANDS)
+def test_nothing_is_lost_that_was_there_before(place, job, name, monkeypatch, capsys):
+    """Under every name that the command writes."""
+    names = [path.relative_to(place / name) for path in outputs_of(place / name)]
+    planted = {job / "out" / each: PLANTED.encode() for each in names}
+    for path, data in planted.items():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(data)
+    go_on(job, name, monkeypatch, capsys)
+    assert all(path.read_bytes() == data for path, data in planted.items())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", COMMANDS)
+def test_nothing_is_lost_that_comes_during_a_run(job, name, monkeypatch, capsys):
+    planted, put = {}, Workspace.put
+
+    def late(workspace, scratch, path):
+        put(workspace, scratch, path)
+        for each in (path.with_name("mine.txt"), path.with_name(f"my_copy{path.suffix}")):
+            planted[each] = path.read_bytes()
+            each.write_bytes(planted[each])
+
+    monkeypatch.chdir(job)
+    with monkeypatch.context() as patched:
+        patched.setattr(Workspace, "put", late)
+        assert run(capsys, *COMMANDS[name][0], "-o", "out")[0] in (0, 2)
+    assert len(planted) > 4
+    planted = {job / path: data for path, data in planted.items()}
+    go_on(job, name, monkeypatch, capsys)
+    assert_kept(planted, job / "out")
+
+
+KILLER = """
+    import os, sys
+    from jaxurban.io.workspace import Workspace
+
+    put, calls = Workspace.put, []
+
+    def killed(workspace, scratch, path):
+        calls.append(1)
+        if len(calls) == 3:
+            os.kill(os.getpid(), int(sys.argv.pop()))
+        put(workspace, scratch, path)
+
+    Workspace.put = killed
+    from jaxurban.cli.main import main
+
+    main(sys.argv[1:-1])
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("ended", [signal.SIGKILL, signal.SIGTERM])
+@pytest.mark.parametrize("name", COMMANDS)
+def test_nothing_is_lost_after_a_kill_and_the_run_goes_on(place, job, name, ended, monkeypatch, capsys):
+    command = [sys.executable, "-c", textwrap.dedent(KILLER), *words(COMMANDS[name][0], "out")[3:], str(int(ended))]
+    done = subprocess.run(command, cwd=job, capture_output=True, text=True, check=False)
+    assert done.returncode == -ended, done.stderr
+    planted = plant(job / "out", "beside") | {job / "out/mine.txt": PLANTED.encode()}
+    (job / "out/mine.txt").write_text(PLANTED)
+    monkeypatch.chdir(job)
+    code, _, err = run(capsys, *COMMANDS[name][0], "-o", "out")
+    assert code == 0, err
+    made = {path.relative_to(place / name) for path in outputs_of(place / name)}
+    assert made <= {path.relative_to(job / "out") for path in outputs_of(job / "out")}
+    if name == "maps":
+        kept = [each for each in made if each.name != "run.json"]
+        assert [each for each in kept if (place / name / each).read_bytes() != (job / "out" / each).read_bytes()] == []
+    go_on(job, name, monkeypatch, capsys)
+    assert_kept(planted, job / "out")
+    assert not [path for path in (job / "out").rglob("*") if path.name.endswith(SCRATCH_SUFFIX)]
+
+
+def test_refused_options_leave_no_record(job_of_maps, monkeypatch, capsys):
+    monkeypatch.chdir(job_of_maps)
+    for more in (("--triangle", "gps"), ("--pareto", "gps,gps"), ("--range", "0,1"), ("--vary", "x")):
+        assert run(capsys, "sensitivity", "maps", *ENDS, "-o", "out", *more)[0] == 2
+        assert not os.path.exists("out/made.json")
+    for more in (("--range", "0,1"), ("--vary", "x")):
+        assert run(capsys, "sensitivity", "maps", "--routes", 2, "-o", "out", *more)[0] == 2
+        assert not os.path.exists("out/made.json")
+
+
+@pytest.fixture
+def job_of_maps(tmp_path, capsys) -> Path:
+    (tmp_path / "town.toml").write_text(SCENARIO)
+    assert run(capsys, "maps", tmp_path / "town.toml", "-o", tmp_path / "maps")[0] == 0
+    return tmp_path
+
+
+def test_the_demo_replaces_no_scenario_or_summary_of_the_users(tmp_path, monkeypatch, capsys):
+    from jaxurban.report import demo
+
+    monkeypatch.setattr(demo, "BOUNDS", (-74.0, 40.755, -73.993, 40.761))
+    monkeypatch.setattr(demo, "RESOLUTION_M", 20.0)
+    monkeypatch.setattr(demo, "demo_paths", lambda maps: {})
+    monkeypatch.setattr(demo, "save_figures", lambda *_, **__: [])
+    for name in ("scenario.toml", "summary.md"):
+        (tmp_path / name).write_text(PLANTED)
+        code, _, err = run(capsys, "demo", "-o", tmp_path, "--overwrite")
+        assert (code, name in err) == (2, True)
+        assert [path.name for path in tmp_path.iterdir()] == [name]
+        (tmp_path / name).unlink()
+    for _ in range(2):
+        assert run(capsys, "demo", "-o", tmp_path)[0] == 0
+
+
+def test_a_scenario_that_was_fetched_and_edited_is_kept(tmp_path):
+    from jaxurban.io.fetch.staging import staged
+
+    def fetch(**options):
+        with staged(tmp_path, ["scenario.toml"], **options) as stage:
+            (stage / "scenario.toml").write_text("fetched")
+
+    fetch(overwrite=False)
+    (tmp_path / "scenario.toml").write_text(PLANTED)
+    fetch(overwrite=True)
+    assert [(tmp_path / name).read_text() for name in ("scenario.toml", "kept/scenario.toml")] == ["fetched", PLANTED]
