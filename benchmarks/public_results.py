@@ -120,7 +120,7 @@ def planned(name: str, maps: Any, queries: pd.DataFrame, **how: Any) -> Facts:
 
 def free_cells(maps: Any) -> np.ndarray:
     """Return ``[N, 2]`` row and column of the cells where planners may fly."""
-    return np.argwhere(maps.is_free(ALTITUDE_M))
+    return np.argwhere(ju.Constraints().is_free(maps, ALTITUDE_M))
 
 
 def synthetic(folder: Path) -> Facts:

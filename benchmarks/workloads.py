@@ -43,7 +43,7 @@ Found = dict[str, Any]  # CPU seconds or bytes by part, and "answer", which both
 
 def random_queries(maps: Any, num: int, seed: int) -> pd.DataFrame:
     """Return queries between random cells of the largest free part of the maps."""
-    parts, _ = label(maps.is_free(ALTITUDE_M))
+    parts, _ = label(ju.Constraints().is_free(maps, ALTITUDE_M))
     cells = np.argwhere(parts == 1 + np.argmax(np.bincount(parts.ravel())[1:]))
     ends = cells[np.random.default_rng(seed).integers(len(cells), size=(num, 2))]
     x_m, y_m = (maps.ds[name].values.astype(float) for name in ("x", "y"))
@@ -241,7 +241,7 @@ def memory(folder: Path, num_runs: int) -> Found:
     """The greatest memory of a process that opens maps of 8 M cells and plans once on them, MiB."""
     maps = ju.open_maps(folder / LARGE)
     x_m, y_m = (maps.ds[name].values.astype(float) for name in ("x", "y"))
-    free = maps.is_free(ALTITUDE_M)
+    free = ju.Constraints().is_free(maps, ALTITUDE_M)
     # Along the middle, without `label`, which takes memory of its own.
     cells = [(int(row), int(np.flatnonzero(free[row])[0])) for row in (free.shape[0] // 4, 3 * free.shape[0] // 4)]
     (start, goal) = ((x_m[col], y_m[row]) for row, col in cells)
