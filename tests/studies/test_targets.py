@@ -98,8 +98,7 @@ def test_a_target_for_a_metric_left_out_is_refused(queries):
 @pytest.mark.slow
 def test_on_the_synthetic_city_a_reachable_pair_is_met_and_an_unreachable_one_told():
     maps = ju.build_maps(ju.demo_city(3000, 3000), resolution_m=10.0, altitudes_m=(60.0,))
-    over_roofs = cost_map(maps, 60.0, constraints=ju.Constraints(vertical_clearance_m=0.0))
-    queries = made_queries(over_roofs, 12, apart=60.0)
+    queries = made_queries(cost_map(maps, 60.0, cost_model="line"), 12, apart=60.0)
     reachable = fit_targets(queries, targets("mean_lidar>=0.07", "detour<=0.2"))
     assert reachable.is_met
     assert reachable.outcomes["missed_by"].max() <= 0.02
