@@ -55,7 +55,7 @@ def read_table(file: str | Path, role: str) -> pd.DataFrame:
     what = f"the {role} file {str(file)!r}"
     with readable(file, suffix[1:], "make it again, or name another", what=what):
         table = pd.read_parquet(file) if suffix == ".parquet" else pd.read_csv(file)
-        for name in table.select_dtypes(object):
+        for name in table.columns[[pd.api.types.is_object_dtype(kind) for kind in table.dtypes]]:
             if not all(pd.api.types.is_hashable(value) for value in table[name]):
                 raise ValueError(f"its column {name!r} holds lists or tables")
         return table
