@@ -11,6 +11,7 @@ import pytest
 
 import jaxurban as ju
 from jaxurban.errors import InputError
+from jaxurban.io.files import read_json, write_json
 from jaxurban.progress import Report
 from jaxurban.scenario import run as pipeline
 from jaxurban.scenario.settings import Scenario
@@ -132,6 +133,23 @@ def test_a_folder_in_the_place_of_a_chunk_is_told_and_mended(job):
     assert str(chunk) in told_on_use(job)
     assert [sentence.split("'")[1] for sentence in mend(job)] == [str(chunk)]
     assert without_times(files_of(job)) == without_times(before)
+
+
+def test_what_cannot_be_moved_out_of_the_way_is_one_sentence(job):
+    (job / "kept").write_text("mine")
+    harm(job / "geotiff/gps_20m_20m.tif", "cut", random.Random(0))
+    with pytest.raises(InputError, match=r"gps_20m_20m\.tif' is in the way"):
+        pipeline.run_scenario(Scenario.from_dict(SETTINGS), job)
+    assert (job / "kept").read_text() == "mine"
+
+
+def test_the_record_of_another_run_in_the_place_of_ours_is_kept(job):
+    record = read_json(job / "run.json")
+    write_json(job / "run.json", record | {"run_key": "another"})
+    data = (job / "run.json").read_bytes()
+    pipeline.run_scenario(Scenario.from_dict(SETTINGS), job)
+    assert (job / "kept/run.json").read_bytes() == data
+    assert read_json(job / "run.json")["run_key"] == record["run_key"]
 
 
 def test_a_damaged_coordinate_is_told_when_maps_are_opened(job):

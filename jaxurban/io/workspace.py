@@ -225,12 +225,19 @@ class Workspace:
             raise self._in_the_way(path)
 
     def set_aside(self, path: Path) -> None:
-        """Move what is in the way of an output to `KEPT_FOLDER`, and report it."""
+        """Move what is in the way of an output to `KEPT_FOLDER`, and report it.
+
+        Raises:
+          InputError: it cannot be moved there.
+        """
         name = f"{KEPT_FOLDER}/{self.name_of(path)}"
         numbered = (self.folder / (name if k == 1 else f"{name}.{k}") for k in count(1))
         aside = next(aside for aside in numbered if not os.path.lexists(aside))
-        aside.parent.mkdir(parents=True, exist_ok=True)
-        path.rename(aside)
+        try:
+            aside.parent.mkdir(parents=True, exist_ok=True)
+            path.rename(aside)
+        except OSError as error:
+            raise self._in_the_way(path) from error
         LOG.warning(f"{str(path)!r} was not as `jaxurban {self.command}` wrote it: it is {str(aside)!r} now")
 
     def remove_all(self) -> None:

@@ -14,7 +14,7 @@ import rasterio
 import shapely
 
 from jaxurban.errors import InputError, check_file, reason_of
-from jaxurban.io.files import make_way, read_json, write_json
+from jaxurban.io.files import is_changed, make_way, read_json, write_json
 from jaxurban.io.store import RUN_FILE, short_number
 from jaxurban.maps.guesses import leaving_shares
 from jaxurban.maps.task import MapTask
@@ -96,7 +96,6 @@ def write_record(file: Path, record: dict[str, Any], is_kept: bool) -> dict[str,
         held = read_json(file)
     except (OSError, ValueError):
         held = {}
-        make_way(file)
         if is_kept:
             LOG.warning(f"{str(file)!r} is missing or damaged: writing it again")
     record = json.loads(json.dumps(record))
@@ -104,6 +103,8 @@ def write_record(file: Path, record: dict[str, Any], is_kept: bool) -> dict[str,
         record |= {name: held[name] for name in ("started_utc", "elapsed_s")}
         record["warnings"] = list(dict.fromkeys([*held["warnings"], *record["warnings"]]))
     if record != held:
+        if is_changed(file):
+            make_way(file)
         write_json(file, record, indent=2)
     return record
 
