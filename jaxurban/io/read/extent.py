@@ -28,7 +28,7 @@ def lonlat_extent(path: str | Path) -> Bounds:
         raise InputError(f"{str(path)!r} has the suffix {suffix!r}: an extent is read from {known}")
     if suffix in OSM_SUFFIXES and Path(path).is_file() and (box := header_box(path, format_of(path))):
         return box
-    outlines = OUTLINE_READERS[suffix](path, None, False)
+    outlines = OUTLINE_READERS[suffix](Path(path), None, False)
     if not len(outlines.polygons) or shapely.is_empty(outlines.polygons).all():
         raise InputError(f"{str(path)!r} holds no outline that would say where it lies: give bounds")
     box = shapely.total_bounds(outlines.polygons)
