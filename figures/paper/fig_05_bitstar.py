@@ -11,6 +11,7 @@ from matplotlib.patches import Patch
 
 import jaxurban as ju
 from figures.paper.common import Caption, save
+from jaxurban.paths.finish import map_settings
 from jaxurban.planners.astar import astar
 from jaxurban.planners.base import Problem
 from jaxurban.planners.bitstar.batches import Batch, BitStarOptions
@@ -30,7 +31,7 @@ from jaxurban.report.figures.frame import (
     write_legend,
 )
 from jaxurban.report.figures.metrics import percent
-from jaxurban.report.figures.notes import frame_note
+from jaxurban.report.figures.notes import frame_note, rules_said
 
 ALTITUDE_M, RESOLUTION_M = 20.0, 5.0
 ENDS = ((0.25, 0.20), (0.80, 0.70))  # start and goal as shares of the map, north and east
@@ -48,7 +49,7 @@ PAPER = (
 
 def query(maps: ju.MetricMaps, weights: ju.Weights) -> Problem:
     """Return the query of the figure, between the free cells nearest to `ENDS`."""
-    problem = ju.cost_map(maps, ALTITUDE_M, weights=weights, cost_model="line").problem
+    problem = ju.cost_map(maps, ALTITUDE_M, weights=weights).problem
     free = np.argwhere(problem.is_free)
     start, goal = (
         tuple(int(v) for v in free[np.hypot(*(free - np.array(at) * problem.is_free.shape).T).argmin()]) for at in ENDS
@@ -195,7 +196,8 @@ def main() -> None:
     first, second, last = batches[1], batches[2], batches[-1]
     kept, *_ = first.tree.pruned(*first.path[[0, -1]].tolist())
     picture = Picture(maps, problem)
-    note = f"{ALTITUDE_M:g} m above ground  ·  {frame_note(maps)}  ·  line cost model"
+    rules = rules_said(map_settings(ju.cost_map(maps, ALTITUDE_M, weights=WEIGHTS)))
+    note = f"{ALTITUDE_M:g} m above ground  ·  {frame_note(maps)}\n{rules}"
     frame = make_frame(maps.grid, panel_titles(problem, batches, kept), "BIT*: a search in batches of samples", note)
     for panel in frame.axes:
         picture.ground(panel)
