@@ -22,7 +22,7 @@ def plot_fits(found: FitComparison) -> Figure:
     reference = "the pilot's weights" if found.reference == "pilot" else f"the fit {found.reference!r}"
     held_out = int(found.routes.is_held_out.sum())
     bad = int(found.routes.is_bad.sum())
-    bars = "bars: 95 % intervals, of cosines over bootstrap fits"
+    bars = "bars: intervals, of cosines over bootstrap fits"
     note = f"{held_out} of {len(found.routes)} routes held out; {bad} found bad; {bars}"
     height_in = 1.5 + ROW_IN * len(fits)
     figure = chart(WIDTH_IN, height_in, "Fits compared", note)

@@ -29,7 +29,7 @@ from jaxurban.studies.sensitivity.summary import ALL, CLEAR, Drawn
 DOT: dict[str, Any] = {"markersize": 4.5, "capsize": 2, "elinewidth": 0.9, "linestyle": "none"}
 MARKERS = "osD^vP*X"
 NUM_FACTORS = 60  # at which an interval is drawn
-INTERVALS = "bars: 95 % intervals; hollow: too few pairs for one"
+INTERVALS = "bars: intervals over pairs of places; hollow: too few pairs for one"
 
 
 def study_figures(tables: Mapping[str, pd.DataFrame], wrong: float) -> dict[str, Callable[[], Figure]]:
