@@ -1,4 +1,4 @@
-"""95 % intervals by the bootstrap over groups: what belongs to one group is drawn together.
+"""Intervals of nominally 95 % by the bootstrap over groups: what belongs to one group is drawn together.
 
 Plain percentiles of few groups are too narrow: of 8 normal values they contain the mean in 88 % of the cases. Here
 n - 1 of n groups are drawn, so that draws scatter as n groups do (Rao and Wu, J. Am. Stat. Assoc. 83, 1988), and ends

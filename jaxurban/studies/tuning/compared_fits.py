@@ -30,8 +30,8 @@ class FitComparison:
       table: a row a fit: ``fit``, ``loss``, ``cities``, ``num_fitted``, ``num_bad`` (of these, hardly trusted), each
         weight (``w_distance`` ...), ``cosine`` to the pilot's weights, or without a pilot to the first fit's, of
         w_j x std(phi_j), and between which cosines 95 % of the bootstrap fits lie; ``held_out_regret``, the mean over
-        held-out routes that are not bad, its 95 % interval over pairs of ends within these cities and ``worst``;
-        ``all_held_out_regret``, bad ones too; ``regret CITY``, the same mean by city; with a pilot ``pilot_regret``, by
+        held-out routes that are not bad, its interval (some 90 %, as regrets are skewed) over pairs of ends within
+        these cities and ``worst``; ``all_held_out_regret``, bad ones too; ``regret CITY``, the same mean by city; with a pilot ``pilot_regret``, by
         which share planned routes under the fit cost more than the cheapest ones under the pilot's weights, over the
         held-out routes' ends, bad ones too, and its interval.
       routes: a row a demonstration: ``city``, ``name``, ``altitude_m``, ``is_held_out``, ``regret`` and ``trust``
@@ -231,7 +231,7 @@ class _Judge:
         return facts
 
     def _mean(self, name: str, values: np.ndarray, chosen: np.ndarray) -> dict[str, float]:
-        """Return the mean of the chosen values and its 95 % interval over pairs of ends within these cities."""
+        """Return the mean of the chosen values and its interval over pairs of ends within these cities."""
         group, city = self.group[chosen], self.city[chosen]
         num_groups = len(np.unique(group)) - len(np.unique(city)) + 1
         interval = interval_of(values[chosen], counts_within(group, city, self.settings.seed), num_groups)
