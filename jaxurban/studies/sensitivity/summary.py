@@ -1,7 +1,8 @@
 """What the rows of a weight study say together: means and medians over routes, cut many ways, each with its interval.
 
-Intervals are 95 % (of mean regrets some 90 %), by bootstrap over pairs of places within their cities, all altitudes of a
-pair drawn together: they are of these cities. From 8 cities on there is a second one, for which whole cities are drawn.
+Intervals are 95 % (of mean regrets some 90 %), by bootstrap over pairs of places within their cities, all altitudes of
+a pair drawn together: they are of these cities. From 8 cities on there is a second one, for which whole cities are
+drawn.
 """
 
 from collections.abc import Callable, Iterator

@@ -28,12 +28,12 @@ class FitComparison:
     Attributes:
       fits: by name; the first is the one to use: to all cities, by the first loss.
       table: a row a fit: ``fit``, ``loss``, ``cities``, ``num_fitted``, ``num_bad`` (of these, hardly trusted), each
-        weight (``w_distance`` ...), ``cosine`` to the pilot's weights, or without a pilot to the first fit's, of
-        w_j x std(phi_j), and between which cosines 95 % of the bootstrap fits lie; ``held_out_regret``, the mean over
-        held-out routes that are not bad, its interval (some 90 %, as regrets are skewed) over pairs of ends within
-        these cities and ``worst``; ``all_held_out_regret``, bad ones too; ``regret CITY``, the same mean by city; with a pilot ``pilot_regret``, by
-        which share planned routes under the fit cost more than the cheapest ones under the pilot's weights, over the
-        held-out routes' ends, bad ones too, and its interval.
+        weight (``w_distance`` ...), ``cosine`` to the pilot's weights, or without a pilot to the first fit's, of w_j x
+        std(phi_j), and between which cosines 95 % of the bootstrap fits lie; ``held_out_regret``, the mean over held-
+        out routes that are not bad, its interval (some 90 %, as regrets are skewed) over pairs of ends within these
+        cities and ``worst``; ``all_held_out_regret``, bad ones too; ``regret CITY``, the same mean by city; with a
+        pilot ``pilot_regret``, by which share planned routes under the fit cost more than the cheapest ones under the
+        pilot's weights, over the held-out routes' ends, bad ones too, and its interval.
       routes: a row a demonstration: ``city``, ``name``, ``altitude_m``, ``is_held_out``, ``regret`` and ``trust``
         under the first fit, and ``is_bad``: so far above most that it hardly counts.
       reference: what cosines are to: ``"pilot"`` or the name of the first fit.
