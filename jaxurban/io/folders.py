@@ -226,7 +226,7 @@ def broken_files(folder: Path, resolution_m: float, each: Each = map) -> list[Pa
     ``each`` calls a function with each of many pieces of that.
     """
     path = store.zarr_path(folder.resolve(), resolution_m)  # others may work in another folder
-    if not path.exists():
+    if path not in store.stored_resolutions(folder.resolve()).values():
         return []
     if not has_whole_metadata(path):
         return [metadata_file(path)]
