@@ -211,6 +211,15 @@ def test_the_report_holds_every_table_figure_and_sentence(result, tmp_path):
     assert "nan" not in report
 
 
+def test_a_study_without_a_path_has_its_report(result, tmp_path):
+    of_paths = result.rows.columns[result.rows.columns.str.match("cost|gap|length|detour|m_|search_cost")]
+    nothing = dict.fromkeys(of_paths, np.nan) | {"status": "no-path"}
+    without = replace(result, rows=result.rows[result.rows.planner == "ptp"].assign(**nothing))
+    report = write_analysis(without, tmp_path).read_text()
+    assert "## GPS and lidar" in report
+    assert not (tmp_path / "figures" / "costs.png").exists()
+
+
 def test_the_benchmark_can_be_solved_by_its_page_alone(result, tmp_path):
     counts = export_benchmark(result.maps, result.instances, result.rows, tmp_path, result.settings, "made-city")
     assert counts["weighted"] == 24

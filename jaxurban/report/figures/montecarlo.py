@@ -288,11 +288,12 @@ def study_figures(
 ) -> dict[str, Callable[[], Figure]]:
     """Return what draws each picture that a study's tables allow, by name."""
     paired, where = tables["paired"], joined(*ground_said(maps))
-    figures: dict[str, Callable[[], Figure]] = {
-        "success": lambda: plot_success(tables["success"], where),
-        "costs": lambda: plot_costs(table, where),
-        "times": lambda: plot_times(table, where),
-    }
+    weighted = weighted_rows(table)
+    figures: dict[str, Callable[[], Figure]] = {"success": lambda: plot_success(tables["success"], where)}
+    if weighted.is_joined.any():
+        figures["costs"] = lambda: plot_costs(table, where)
+    if (weighted.elapsed_s > 0).any():
+        figures["times"] = lambda: plot_times(table, where)
     if len(tables["usage"]):
         figures["usage"] = lambda: plot_usage(tables["usage"], maps.metrics, where)
     if len(paired) and np.isfinite(paired.cost_ratio).any():
