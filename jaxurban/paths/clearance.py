@@ -54,7 +54,8 @@ def _over_lowest_ground_m(maps: MetricMaps, reach_m: float) -> np.ndarray:
     """Return ``[Y, X]`` how much higher each cell's ground is than the lowest known within a reach (and more) of it."""
     ground_m = np.where(maps.ds["has_data"].values, maps.m("terrain"), np.inf)
     cells = min(math.ceil(reach_m / maps.grid.resolution_m) + 1, max(ground_m.shape))  # squares, not centres, so near
-    return np.where(np.isfinite(ground_m), ground_m - minimum_filter(ground_m, 2 * cells + 1, mode="nearest"), 0.0)
+    lowest_m = minimum_filter(ground_m, 2 * cells + 1, mode="nearest")
+    return np.subtract(ground_m, lowest_m, out=np.zeros_like(ground_m), where=np.isfinite(ground_m))
 
 
 def distance_to_obstacles_m(is_obstacle: np.ndarray, resolution_m: float) -> np.ndarray:

@@ -98,6 +98,13 @@ def demonstration_from_path(cost_map: CostMap, planned: PlannedPath, name: str =
         raise InputError(
             f"demonstration {name or 'route'!r} is a path without points ({planned.status.value}): leave it out"
         )
+    for end, xy_m in (("start", planned.xy_m[0]), ("goal", planned.xy_m[-1])):
+        cell = cost_map.cell_of(end, XY(*xy_m.tolist()))[1]
+        if not cost_map.is_free[cell]:
+            raise InputError(
+                f"the {end} of demonstration {name or 'route'!r} is {cost_map.why_closed(cell)}: give the maps and "
+                "constraints that it was planned on, or choose obstacles = centre if it was planned by centres"
+            )
     return demonstration_from_line(cost_map, planned.xy_m, name)
 
 

@@ -314,7 +314,7 @@ def test_a_zone_closes_at_no_named_time_and_opens_where_the_named_one_is_outside
     ring = np.column_stack(grid.lonlat_of_xy(*corners_m)).tolist()
     when = {"permanent": "NO", "startDateTime": "2026-01-01T00:00:00Z"}
     file = written(tmp_path / "z.json", zone(polygon([[*ring, ring[0]]], **agl(0, 120)), applicability=[when]))
-    constraints = ju.Constraints.read(no_fly=file)
+    constraints = ju.Constraints.read(no_fly=file, vertical_clearance_m=0.0)
     closed = ju.cost_map(maps, 20.0, constraints=constraints)
     assert closed.constraints == constraints
     assert constraints.closed(maps, 20.0).sum() > 100

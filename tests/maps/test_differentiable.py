@@ -102,7 +102,7 @@ def test_the_gradient_of_a_path_agrees_with_finite_differences_in_everything():
     with jax.enable_x64(True):
         soft = city()
         points_m = astar(problem_of(soft)).points_m
-        visits = path_visits(points_m, REGION.shape, REGION.resolution_m, CostModel())
+        visits = path_visits(points_m, REGION.shape, REGION.resolution_m, CostModel("cell"))
         leaves, shape = jax.tree.flatten((PARAMS, WEIGHTS))
         names = [jax.tree_util.keystr(path) for path, _ in jax.tree_util.tree_flatten_with_path((PARAMS, WEIGHTS))[0]]
         inputs = {"heights": soft.height_m} | dict(zip(names, map(jnp.asarray, leaves), strict=True))
@@ -123,7 +123,7 @@ def test_the_gradient_of_the_path_is_that_of_replanned_costs():
     with jax.enable_x64(True):
         soft = city()
         problem = problem_of(soft)
-        visits = path_visits(astar(problem).points_m, REGION.shape, REGION.resolution_m, CostModel())
+        visits = path_visits(astar(problem).points_m, REGION.shape, REGION.resolution_m, CostModel("cell"))
         _, (by_height, by_params, _) = cost_and_slopes(soft, soft.height_m, PARAMS, WEIGHTS, visits)
 
         def replanned(height_m=soft.height_m, params=PARAMS):
@@ -150,9 +150,10 @@ def test_the_gradient_through_the_planner_and_the_whole_maps_is_that_of_the_path
 
         inputs = (soft.height_m, PARAMS, WEIGHTS)
         through_maps = jax.jit(jax.grad(optimal, (0, 1, 2)))(*inputs)
-        visits = path_visits(astar(problem).points_m, REGION.shape, REGION.resolution_m, CostModel())
+        visits = path_visits(astar(problem).points_m, REGION.shape, REGION.resolution_m, CostModel("cell"))
         _, of_the_path = cost_and_slopes(soft, *inputs, visits)
-        jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-12), through_maps, of_the_path)
+        for one, other in zip(jax.tree.leaves(through_maps), jax.tree.leaves(of_the_path), strict=True):
+            np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-12)
 
 
 def test_one_program_serves_other_values_and_other_skies():

@@ -54,7 +54,8 @@ class Wall:
         flat = ju.cost_map(self.maps.with_obstacles(obstacles), ALTITUDE_M, cost_model="line")
         for planner in PLANNERS:
             for refine in (False, True):
-                path = flat.plan(*self.ends, planner=planner, budget_s=BUDGET_S, refine=refine)
+                budget_s = 10.0 if planner in COMPLETE and not refine else BUDGET_S
+                path = flat.plan(*self.ends, planner=planner, budget_s=budget_s, refine=refine)
                 if path.status.has_path:
                     yield planner, path
 
