@@ -243,3 +243,22 @@ def test_a_scenario_that_was_fetched_and_edited_is_kept(tmp_path):
     (tmp_path / "scenario.toml").write_text(PLANTED)
     fetch(overwrite=True)
     assert [(tmp_path / name).read_text() for name in ("scenario.toml", "kept/scenario.toml")] == ["fetched", PLANTED]
+
+
+def test_a_refused_overwrite_has_removed_nothing(job_of_maps, monkeypatch, capsys):
+    monkeypatch.chdir(job_of_maps)
+    for command in (("maps",), ("study", "--workers", 1)):
+        assert run(capsys, command[0], "town.toml", *command[1:], "-o", "maps")[0] == 0
+    (job_of_maps / "maps/geotiff/gps_40m_20m.tif").write_text(PLANTED)
+    rows = job_of_maps / "maps/study/rows.parquet"
+    rows.write_bytes(rows.read_bytes() + PLANTED.encode())
+    (job_of_maps / "other.toml").write_text(SCENARIO + "budget_s = 0.7\n")
+    outputs = [path for path in outputs_of(job_of_maps) if path.name != "run.json"]  # which names the scenario's file
+    before = {path: path.read_bytes() for path in outputs}
+    for name, command in (
+        ("gps_40m_20m.tif", ("maps", "town.toml", "--set", "region.altitudes_m=[40]")),
+        ("rows.parquet", ("study", "other.toml", "--workers", 1)),
+    ):
+        code, _, err = run(capsys, *command, "-o", "maps", "--overwrite")
+        assert (code, name in err) == (2, True), err
+        assert [path for path in outputs if not path.is_file() or path.read_bytes() != before[path]] == []

@@ -206,6 +206,9 @@ def prepare_folder(workspace: Workspace, key: str, resolutions_m: Sequence[float
         if path.exists() and not path.is_dir():
             raise InputError(f"{str(path)!r} is a file where the maps' folder belongs: move it")
     unfinished = [resolution_m for resolution_m in resolutions_m if stored_key(folder, resolution_m) != key]
+    for resolution_m in unfinished:
+        path = store.zarr_path(folder, resolution_m)
+        workspace.check_way((path / name for name in store.OF_ZARR), is_mended=True)
     kept = [store.work_path(folder, resolution_m) for resolution_m in unfinished]
     for path in (folder / store.ZARR_FOLDER).glob(f".*m{SCRATCH_SUFFIX}"):
         if path not in kept:
@@ -215,9 +218,6 @@ def prepare_folder(workspace: Workspace, key: str, resolutions_m: Sequence[float
         # The Zarr goes last: while it stands the folder is known to hold that job's maps.
         workspace.remove(name for name in workspace.written if not name.startswith(f"{store.ZARR_FOLDER}/"))
         workspace.remove_all()
-    for resolution_m in unfinished:
-        path = store.zarr_path(folder, resolution_m)
-        workspace.check_way((path / name for name in store.OF_ZARR), is_mended=True)
 
 
 def broken_files(folder: Path, resolution_m: float, each: Each = map) -> list[Path]:

@@ -195,8 +195,8 @@ def _claim(
                 f"{str(folder)!r} holds a study {other}: choose another folder, or pass --overwrite (overwrite=True) "
                 "to replace it"
             )
-        workspace.remove_all()
         workspace.check_way(folder / name for name in (ROWS_FILE, INSTANCES_FILE, SETTINGS_FILE))
+        workspace.remove_all()
     write_json(file, now, indent=2)
 
 

@@ -212,12 +212,12 @@ def _run(
             )
         # Nothing of an older job is touched before this one can begin.
         with Workspace.open(folder, "maps", is_shared=True) as workspace, resources.client(plan.num_workers) as client:
-            prepare_folder(workspace, key, scenario.region.resolution_m)
             planned = [
                 folder / store.RUN_FILE,
                 *(path for task in tasks for path in _geotiffs_of(task, folder, layers)),
             ]
             workspace.check_way((path for path in planned if not is_of_run(path, key)), is_mended=True)
+            prepare_folder(workspace, key, scenario.region.resolution_m)
             tasks = [replace(task, guesses=guesses) for task in tasks]
             makers = [Maker(task, folder, key, plan.num_workers, client, tuple(layers)) for task in tasks]
             made = [_maps_of(maker, watch, report) for maker in makers]
