@@ -98,7 +98,8 @@ def typed(public: Public) -> Public:
             signature.bind(*args, **kwargs)
         except TypeError as error:
             wrong = next((name for name in kwargs if name not in names), "")
-            raise InputError(f"{public.__name__}: {error}{wrong and nearest_name(wrong, names)}") from error
+            fault = f"there is no argument {wrong!r}{nearest_name(wrong, names)}" if wrong else str(error)
+            raise InputError(f"{public.__name__}: {fault}") from error
         return function(*args, **kwargs)
 
     if is_class:

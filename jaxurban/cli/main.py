@@ -124,8 +124,8 @@ def _remedy_in_environment(message: str) -> str:
         return "PROJ does not find its database proj.db: unset PROJ_DATA and PROJ_LIB, or point them to its folder"
     for name, value in os.environ.items():
         is_named = name in message or name.lower() in message
-        if name.startswith("JAX_") and (is_named or (name == "JAX_PLATFORMS" and not _has_backend())):
-            return f"JAX does not work under {name}={value}: unset it, or choose another value"
+        if name.startswith(("JAX_", "NUMBA_")) and (is_named or (name == "JAX_PLATFORMS" and not _has_backend())):
+            return f"{name.partition('_')[0]} does not work under {name}={value}: unset it, or choose another value"
         if name == "NUMBA_DISABLE_JIT" and value not in ("", "0"):
             return f"jaxurban needs Numba's compiler: unset {name}"
     return ""

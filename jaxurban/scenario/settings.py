@@ -314,7 +314,12 @@ class Scenario(_Section):
         except (ValueError, RecursionError) as error:  # not TOML, not UTF-8, NUL in the name, tables in tables
             raise InputError(f"{str(path)!r} is not a scenario in TOML: {error}") from error
         name = " ".join([str(path), *(f"--set {change}" for change in changes)])
-        return cls.from_dict(changed(settings, changes, cls), name=name, folder=path.resolve().parent)
+        try:
+            return cls.from_dict(changed(settings, changes, cls), name=name, folder=path.resolve().parent)
+        except RecursionError as error:
+            raise InputError(
+                f"{str(path)!r} holds tables in tables without end: give sections and their keys"
+            ) from error
 
     @classmethod
     @typed

@@ -178,6 +178,10 @@ def test_a_file_without_polygons_is_refused(tmp_path):
 URL = "http://127.0.0.1:{port}/x.geojson"
 SOURCE = "<OGRVRTLayer name='b'><SrcDataSource>/vsicurl/{url}</SrcDataSource></OGRVRTLayer>"
 VRT = f"<OGRVRTDataSource>{SOURCE}</OGRVRTDataSource>"
+LINKED = (
+    '{{"type": "FeatureCollection", "{crs}": {{"type": "{kind}", "properties": {{"href": "{url}", "url": "{url}"}}}}, '
+)
+LINKED += '"features": []}}'
 STREAM = '{{"type": "gdal_streamed_alg", "command_line": "gdal vector pipeline ! read /vsicurl/{url} ! write"}}'
 
 
@@ -191,6 +195,19 @@ def test_a_file_that_sends_gdal_to_a_server_is_refused_before_a_request(tmp_path
         for read in (read_vector, lambda path: open_layers(path, "zones")):
             with pytest.raises(InputError, match="city"):
                 read(path)
+        with pytest.raises(TimeoutError):
+            server.accept()
+
+
+@pytest.mark.parametrize("crs", ["crs", r"\u0063rs"])
+@pytest.mark.parametrize("kind", ["link", "URL"])
+def test_a_geojson_whose_crs_is_on_a_server_is_refused_before_a_request(tmp_path, crs, kind):
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        server.settimeout(0.05)
+        path = tmp_path / "city.geojson"
+        path.write_text(LINKED.format(crs=crs, kind=kind, url=URL.format(port=server.getsockname()[1])))
+        with pytest.raises(InputError, match="refers to other files or servers"):
+            read_vector(path)
         with pytest.raises(TimeoutError):
             server.accept()
 

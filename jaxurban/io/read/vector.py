@@ -1,6 +1,7 @@
 """Vector files of any format, opened the same way for every use, and the building outlines in them."""
 
 import json
+import re
 from collections.abc import Sequence
 from functools import reduce
 from pathlib import Path
@@ -52,6 +53,7 @@ BEGINNINGS = {
 }
 REFERRING = (b"<OGRVRTDataSource", b"gdal_streamed_alg", b"<OGRWFSDataSource", b"<OGRElasticDataSource")
 HEAD_BYTES = 1 << 16  # GDAL looks at fewer
+ESCAPE = re.compile(rb"\\u00([2-7][0-9a-fA-F])")  # a plain letter of JSON in digits
 _UNDERGROUND = "is_underground"  # of Overture Maps: true or false
 _POLYGONS = (shapely.GeometryType.POLYGON, shapely.GeometryType.MULTIPOLYGON)
 
@@ -115,9 +117,26 @@ def _check_format(path: Path) -> None:
     with path.open("rb") as file:
         head = file.read(HEAD_BYTES)
     if not head.removeprefix(b"\xef\xbb\xbf").lstrip().startswith(beginnings):
-        raise ValueError(f"it does not begin as {suffix if len(beginnings) == 1 else 'a known kind of'} file does")
-    if any(word in head for word in REFERRING):
+        raise ValueError(
+            f"it does not begin as {f'a {suffix}' if len(beginnings) == 1 else 'a known kind of'} file does"
+        )
+    if any(word in head for word in REFERRING) or (beginnings[0] == b"{" and _links_crs(path.read_bytes())):
         raise ValueError("it refers to other files or servers, which are never opened")
+
+
+def _links_crs(text: bytes) -> bool:
+    """Return whether a ``crs`` in a text of JSON is a link, which GDAL would follow to a server."""
+    plain = ESCAPE.sub(lambda match: bytes.fromhex(match[1].decode()), text)
+    for match in re.finditer(rb'"crs"\s*:\s*(?=\{)', plain):
+        try:
+            crs, _ = json.JSONDecoder().raw_decode(
+                plain[match.end() : match.end() + HEAD_BYTES].decode(errors="replace")
+            )
+        except ValueError:
+            return True
+        if str(crs.get("type")).lower() in ("link", "url"):
+            return True
+    return False
 
 
 def _name(path: str | Path, role: str) -> str:
