@@ -161,7 +161,7 @@ def test_the_estimate_of_fine_cells_is_above_the_truth_and_not_twice_it(tmp_path
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("cell_m", "range_m"), [(0.4, 100), (0.2, 100), (0.1, 30)])
-def test_over_terrain_the_estimate_is_above_the_truth_and_not_1_75_times_it(tmp_path, cell_m, range_m):
+def test_over_terrain_the_estimate_is_above_the_truth_and_not_twice_it(tmp_path, cell_m, range_m):
     ground_m = 5 + 4 * np.sin(np.arange(60)[:, None] / 5) * np.cos(np.arange(60) / 7)
     hills = {"width": 60, "height": 60, "count": 1, "dtype": "float32", "crs": "EPSG:4326"}
     place = Affine(0.0002, 0, -73.985, 0, -0.0002, 40.755)
@@ -170,7 +170,7 @@ def test_over_terrain_the_estimate_is_above_the_truth_and_not_1_75_times_it(tmp_
     sections = YARD + f'[lidar]\nrange_m = {range_m}\n[terrain]\nsource = "hills.tif"\n'
     told, peak = told_and_peak(tmp_path, sections, cell_m)
     assert peak < told + 0.05 * GIB  # told to a tenth
-    assert told < 1.75 * peak
+    assert told < 2 * peak
 
 
 YARD = '[buildings]\nsource = "tower.geojson"\n'
