@@ -33,15 +33,16 @@ from jaxurban.report.figures.sensitivity import (
 
 city = ju.demo_city(width_m=2_000, height_m=3_000)
 maps = ju.build_maps(city, resolution_m=20.0, altitudes_m=(20.0,))
-start, goal = maps.grid.lonlat_of_cell(20, 30), maps.grid.lonlat_of_cell(120, 62)
+start, goal = maps.grid.lonlat_of_cell(18, 32), maps.grid.lonlat_of_cell(120, 62)
 found = ju.sensitivity(ju.cost_map(maps, 20.0), start, goal, snap=True)
 print(f"{found.num_plans:,} searches in {found.elapsed_s:.1f} s")
 
 # %% [markdown]
 # ## What the route is made of
 #
-# `gradient` is what one more unit of a weight would cost. `elasticity` is the weight's share of the cost: a weight with
-# a small share can hardly matter, whatever it is.
+# `gradient` is what one more unit of a weight would cost. `elasticity` is the weight's share of the cost. A share is a
+# level: a number added to a layer everywhere raises it and changes no route, so it says nothing of how much a weight
+# matters.
 
 # %%
 found.local.cost.round(3)
