@@ -157,7 +157,7 @@ city.counts
 # longitude, latitude.
 
 # %%
-start, goal = (WEST + 0.00090, SOUTH + 0.00060), (east - 0.00030, north - 0.00030)
+start, goal = (WEST + 0.00090, SOUTH + 0.00060), (east - 0.00029, north - 0.00043)
 route = ju.plan(maps, start, goal, altitude_m=20.0)
 print(f"{route.status.value}: {route.length_m:,.0f} m, cost {route.cost:.1f}")
 plot_overview(maps, {20.0: [route]})
