@@ -159,13 +159,19 @@ def _one(folder: Path, output: Path, as_json: bool, overwrite: bool, given: Sett
     }
     query = {name: given[name] for name in ("altitude_m", "time", "time_of_day")} | ends
     key = {"maps": of_maps, "buildings": with_buildings} | query | dict(first.settings) | asdict(how)
-    with Workspace.open(output, "sensitivity", key, overwrite=overwrite), reporting("sensitivity") as report:
+    names = []
+    if with_buildings:
+        from jaxurban.report.buildings import BUILDINGS_FILES, write_buildings
+
+        names = [f"buildings/{name}" for name in BUILDINGS_FILES]
+    with (
+        Workspace.open(output, "sensitivity", key, names=names, overwrite=overwrite),
+        reporting("sensitivity") as report,
+    ):
         found = study(shared, **ends, settings=how, progress=report)
         report("report")
         write_sensitivity(found, output, given["degrees"])
         if with_buildings:
-            from jaxurban.report.buildings import write_buildings
-
             report("buildings")
             drawn = {"scenario": scenario, "degrees": given["degrees"]}
             add_buildings(output, write_buildings(folder, first, output / "buildings", **drawn))

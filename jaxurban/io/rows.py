@@ -2,11 +2,13 @@
 
 import hashlib
 import json
+import os
 import time
 import uuid
 import warnings
 import zipfile
 from collections.abc import Iterable, Mapping, Sequence
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +17,7 @@ import pandas as pd
 import pyarrow as pa
 
 from jaxurban.errors import InputError, readable
-from jaxurban.io.files import is_whole, read_npz, sweep_scraps, write_json, write_npz
+from jaxurban.io.files import is_whole, read_npz, recorder_of, sweep_scraps, write_json, write_npz
 from jaxurban.io.tables import records_of, write_table
 
 ROWS_FILE, PARTS_FOLDER, ASIDE_SUFFIX = "rows.parquet", "parts", ".damaged"
@@ -63,7 +65,9 @@ class RowStore:
             self._take(_read_arrays(file, settings) if file.suffix == ".npz" else _read_table(file))
 
     def _part_files(self) -> list[Path]:
-        return sorted(self._parts.glob(f"{32 * '[0-9a-f]'}.json")) if self._parts else []  # no copies of the user's
+        parts = sorted(self._parts.glob(f"{32 * '[0-9a-f]'}.json")) if self._parts else []
+        recorder = recorder_of(self.file)
+        return [part for part in parts if recorder is None or recorder.name_of(part) in recorder.written]
 
     def _take(self, rows: Iterable[Mapping[Any, Any]]) -> None:
         for row in rows:
@@ -170,7 +174,8 @@ def _is_sound(file: Path) -> bool:
     """Return whether a file is as it was written; set it aside if not."""
     if is_whole(file):
         return True
-    aside = file.with_name(f"{file.name}{ASIDE_SUFFIX}")
+    names = (f"{file.name}{ASIDE_SUFFIX}{'' if k == 1 else k}" for k in count(1))
+    aside = next(path for path in map(file.with_name, names) if not os.path.lexists(path))
     warnings.warn(
         f"{str(file)!r} is damaged: it is now {aside.name!r}, and the rows that it held are made again", stacklevel=3
     )

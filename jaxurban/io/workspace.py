@@ -8,7 +8,7 @@ journal, a line each, which a killed run leaves behind, and at the end of the ru
 import json
 import os
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass, field
 from itertools import count
 from pathlib import Path, PurePosixPath
@@ -24,6 +24,7 @@ from jaxurban.io.files import (
     only_writer,
     read_json,
     recorded_by,
+    recorder_of,
     remove,
     write_json,
 )
@@ -60,6 +61,7 @@ class Workspace:
         command: str,
         settings: Mapping[str, Any] | None = None,
         *,
+        names: Iterable[str] = (),
         overwrite: bool = False,
         is_shared: bool = False,
     ) -> Iterator["Workspace"]:
@@ -69,6 +71,7 @@ class Workspace:
           folder: where the run writes.
           command: that runs.
           settings: what decides its result, as JSON holds it; the same again goes on, or writes the same again.
+          names: of files that the run will write: refused here if they are not this command's.
           overwrite: remove what this command wrote there before; what was changed since, or is not its own, stays.
           is_shared: other commands and the user may have files there; else only a folder that is empty, or this
             command's with all of its files as they were written, is taken.
@@ -84,7 +87,7 @@ class Workspace:
                 sections = _sections(folder)
                 before = sections.get(command)
                 workspace = cls(folder, command, {} if before is None else before["written"])
-                workspace._claim(sections, asked, overwrite, is_shared)
+                workspace._claim(sections, asked, names, overwrite, is_shared)
                 sections[command] = {"asked": asked, "written": workspace.written}
                 _save(folder, sections)
                 try:
@@ -101,22 +104,37 @@ class Workspace:
                     folder.rmdir()
 
     @classmethod
+    @contextmanager
+    def shared(cls, folder: Path, command: str, names: Iterable[str]) -> Iterator[None]:
+        """Record files that are written in the block: as the command's in whose run it is, else as this command's.
+
+        Raises:
+          InputError: as of `open`, or something is at these names that is not as it was written.
+        """
+        recorder = recorder_of(folder / RECORD_FILE)
+        with nullcontext() if recorder else cls.open(folder, command, names=names, is_shared=True):
+            yield
+
+    @classmethod
     def check(cls, folder: Path, command: str, names: Iterable[str] = (), *, is_shared: bool = False) -> None:
         """Raise InputError where a run that writes files of these names would be refused when it does."""
         if folder.is_dir():
-            with cls.open(folder, command, is_shared=is_shared) as workspace:
-                workspace.check_way(folder / name for name in names)
+            with cls.open(folder, command, names=names, is_shared=is_shared):
+                pass
 
-    def _claim(self, sections: Sections, asked: Mapping[str, Any], overwrite: bool, is_shared: bool) -> None:
+    def _claim(
+        self, sections: Sections, asked: Mapping[str, Any], names: Iterable[str], overwrite: bool, is_shared: bool
+    ) -> None:
         folder, before = self.folder, sections.get(self.command)
         if not is_shared:
             if others := [name for name in sections if name != self.command]:
                 raise InputError(f"{str(folder)!r} holds what `jaxurban {others[0]}` wrote: {ELSEWHERE}")
-            if before is None and (names := _files_under(folder)):
+            if before is None and (there := _files_under(folder)):
                 raise InputError(
-                    f"{str(folder / names[0])!r} is there already, and not from `jaxurban {self.command}`: {ELSEWHERE}"
+                    f"{str(folder / there[0])!r} is there already, and not from `jaxurban {self.command}`: {ELSEWHERE}"
                 )
             self.check_way(folder / name for name in self.written)
+        self.check_way(folder / name for name in names)
         if before is None:
             return
         name = next((name for name in asked if asked[name] != before["asked"].get(name)), None)
@@ -133,33 +151,47 @@ class Workspace:
 
     def name_of(self, path: Path) -> str | None:
         """Return the name of an output under the folder, None of a path elsewhere or of scratch."""
-        for resolve in (os.path.abspath, os.path.realpath):
+        absolute, real = os.path.abspath, os.path.realpath
+        for of_path, of_folder in ((absolute, absolute), (absolute, real), (real, real)):
             with suppress(ValueError):
-                name = Path(resolve(path.parent), path.name).relative_to(resolve(self.folder))
+                name = Path(of_path(path.parent), path.name).relative_to(of_folder(self.folder))
                 return None if any(part.endswith(SCRATCH_SUFFIX) for part in name.parts) else name.as_posix()
         return None
 
-    def is_own(self, path: Path, checksum: str | None = None) -> bool:
-        """Return whether a path is a file as this command wrote it, or one that holds just what is to be written."""
+    def _obstacle(self, path: Path) -> Path | None:
+        """Return the first of the folders between this one and a path that is a link or no folder, if any is."""
+        name = PurePosixPath(self.name_of(path) or "")
+        above = [self.folder / parent for parent in reversed(name.parents[:-1])]
+        return next((each for each in above if each.is_symlink() or (each.exists() and not each.is_dir())), None)
+
+    def is_own(self, path: Path) -> bool:
+        """Return whether a path is a file as this command wrote it; none is behind a link to another folder."""
+        checksum = self.written.get(self.name_of(path) or "")
         with suppress(OSError):
-            return path.is_file() and checksum_of(path) in (self.written.get(self.name_of(path) or ""), checksum)
+            return (
+                checksum is not None and path.is_file() and not self._obstacle(path) and checksum_of(path) == checksum
+            )
         return False
 
     def is_changed(self, path: Path) -> bool:
         """Return whether a path is there that this command wrote, and that is not as it was written."""
-        return self.name_of(path) in self.written and os.path.lexists(path) and not self.is_own(path)
+        is_known = self.name_of(path) in self.written and os.path.lexists(path)
+        return is_known and not self.is_own(path) and not self._obstacle(path)
 
     def check_way(self, paths: Iterable[Path], remedy: str = ELSEWHERE, *, is_mended: bool = False) -> None:
-        """Raise InputError if anything is at these paths that is not as this command wrote it.
+        """Raise InputError if anything is at these paths, or in place of a folder of theirs, that is not as written.
 
         ``is_mended``: what it wrote may have changed since, as `make_way` is called later.
         """
         for path in paths:
+            if obstacle := self._obstacle(path):
+                raise self._in_the_way(obstacle, remedy)
             if os.path.lexists(path) and not self.is_own(path) and not (is_mended and self.is_changed(path)):
                 raise self._in_the_way(path, remedy)
 
     def _in_the_way(self, path: Path, remedy: str = ELSEWHERE) -> InputError:
-        why = f"it is not as `jaxurban {self.command}` wrote it"
+        is_link = path.is_symlink() and path.is_dir()
+        why = "a link to a folder" if is_link else f"it is not as `jaxurban {self.command}` wrote it"
         return InputError(f"{str(path)!r} is in the way ({why}): move it, or {remedy}")
 
     def begin(self, scratch: Path) -> None:
@@ -168,15 +200,17 @@ class Workspace:
             self._note([{"scratch": os.path.relpath(scratch.absolute(), self.folder.absolute())}])
 
     def put(self, scratch: Path, path: Path) -> None:
-        """Record a finished file under its name, and give it that name.
+        """Record a finished file under its name, and give it that name; one of the user's with just its bytes stays so.
 
         Raises:
           InputError: something is there that this command did not write, or that was changed since.
         """
         name, checksum = self.name_of(path), checksum_of(scratch)
         assert name is not None
-        if os.path.lexists(path) and not self.is_own(path, checksum):
-            raise self._in_the_way(path)
+        with suppress(OSError):
+            if not self.is_own(path) and path.is_file() and checksum_of(path) == checksum:
+                return
+        self.check_way([path])
         self._note([{"name": name, "checksum": checksum}])
         os.replace(scratch, path)
         self.written[name] = checksum

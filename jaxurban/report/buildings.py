@@ -11,6 +11,7 @@ import pandas as pd
 from jaxurban.errors import InputError, typed
 from jaxurban.io.files import read_json
 from jaxurban.io.store import RUN_FILE
+from jaxurban.io.workspace import Workspace
 from jaxurban.maps.build import soften
 from jaxurban.maps.differentiable import SoftParams
 from jaxurban.paths.path import PlannedPath
@@ -21,6 +22,8 @@ from jaxurban.scenario.provenance import hash_inputs
 from jaxurban.scenario.run import tasks_of
 from jaxurban.scenario.settings import Scenario
 from jaxurban.studies.sensitivity.buildings import building_costs
+
+BUILDINGS_FILES = "buildings.csv", "buildings.parquet", "buildings.png"
 
 
 def scenario_of(folder: Path, scenario: Path | None = None) -> Scenario:
@@ -93,8 +96,8 @@ def write_buildings(
       The table of `jaxurban.studies.sensitivity.buildings.building_costs`.
 
     Raises:
-      InputError: there is no route, sources that are not found or changed, buildings from a height raster, or a route
-        over statistics of many epochs.
+      InputError: there is no route, sources that are not found or changed, buildings from a height raster, a route over
+        statistics of many epochs, or files of these names that were not written so, or changed since.
     """
     settings = scenario_of(Path(folder), None if scenario is None else Path(scenario))
     if not softness_m > 0:
@@ -115,5 +118,6 @@ def write_buildings(
         soft = soften(task, time_index=time_index, time_of_day=time_of_day, dtype=np.float64)
         table = building_costs(city, soft, planned, params)
     picture = {"buildings.png": partial(plot_building_costs, city, planned, table, task.region)}
-    save(out, {"buildings": table.reset_index(), **in_degrees(picture, task.region, degrees)})
+    with Workspace.shared(Path(out), "sensitivity --buildings", BUILDINGS_FILES):
+        save(out, {"buildings": table.reset_index(), **in_degrees(picture, task.region, degrees)})
     return table

@@ -6,6 +6,7 @@ import pandas as pd
 import pytest
 
 from jaxurban.io.rows import RowStore
+from jaxurban.io.workspace import Workspace
 
 COLUMNS = {"k": "int64", "name": "object", "value": "float64"}
 
@@ -92,3 +93,22 @@ def test_damaged_rows_are_told_set_aside_and_made_again(tmp_path, damage):
     store = opened(tmp_path)
     store.add([row(1, "a"), row(2, "b", 0.25)])
     assert saved(store).k.tolist() == [1, 2]
+
+
+def test_parts_and_damaged_rows_of_the_users_are_kept(tmp_path):
+    for k in (1, 2):
+        with Workspace.open(tmp_path, "study", is_shared=True):
+            store = opened(tmp_path)
+            store.add([row(k, "a")])
+            theirs = tmp_path / "parts" / f"{32 * 'b'}.json"
+            theirs.write_text("mine")
+            store.save(COLUMNS)
+        assert list((tmp_path / "parts").iterdir()) == [theirs]
+        file = tmp_path / "rows.parquet"
+        file.write_text(f"edit {k}")
+        with Workspace.open(tmp_path, "study", is_shared=True):
+            aside = f"rows.parquet.damaged{'2' * (k == 2)}"
+            with pytest.warns(UserWarning, match=rf"now '{aside}'"):
+                assert opened(tmp_path).rows == []
+    asides = sorted(tmp_path.glob("*.damaged*"))
+    assert [path.read_text() for path in asides] == ["edit 1", "edit 2"]

@@ -170,3 +170,85 @@ def test_a_record_that_names_files_elsewhere_removes_none_of_them(tmp_path):
     files.write_json(tmp_path / "out/made.json", record)
     write(tmp_path / "out", 4, overwrite=True, is_shared=True)
     assert (tmp_path / "mine.txt").read_text() == "made"
+
+
+def test_files_behind_a_linked_folder_are_the_users(tmp_path):
+    out, copies, text = tmp_path / "out", tmp_path / "copies", "figures/3.txt"
+    for shared in (False, True):
+        write(out)
+        (out / "figures").rename(copies)
+        (out / "figures").symlink_to(copies)
+        with pytest.raises(InputError, match=r"figures' is in the way \(a link to a folder\)"):
+            write(out, 4, name="figures/new.txt", overwrite=True, is_shared=shared)
+        with pytest.raises(InputError, match="in the way"), Workspace.open(out, "maps", is_shared=True):
+            files.make_way(out / text)
+        assert names_of(copies) == ["3.txt"]
+        (out / "figures").unlink()
+        copies.rename(out / "figures")
+
+
+def test_a_linked_output_folder_is_as_good_as_any(tmp_path):
+    (tmp_path / "real/place").mkdir(parents=True)
+    (tmp_path / "link").symlink_to(tmp_path / "real")
+    write(tmp_path / "link/place")
+    write(tmp_path / "link/place", 4, overwrite=True)
+    assert names_of(tmp_path / "real/place") == ["figures/4.txt", "made.json"]
+
+
+def test_a_resolved_path_into_a_linked_folder_of_a_linked_output_folder_is_recorded(tmp_path):
+    for name in ("real", "disk"):
+        (tmp_path / name).mkdir()
+    (tmp_path / "out").symlink_to(tmp_path / "real")
+    (tmp_path / "real/geotiff").symlink_to(tmp_path / "disk")
+    (tmp_path / "disk/gps.tif").write_text("mine")
+    with Workspace.open(tmp_path / "out", "maps", is_shared=True), pytest.raises(InputError, match="in the way"):
+        files.write_whole((tmp_path / "out").resolve() / "geotiff/gps.tif", "made")
+    assert (tmp_path / "disk/gps.tif").read_text() == "mine"
+
+
+def test_a_users_file_of_just_the_bytes_to_be_written_stays_the_users(tmp_path):
+    (tmp_path / "a.txt").write_text("made")
+    write(tmp_path, name="a.txt", is_shared=True)
+    assert names_of(tmp_path) == ["a.txt"]
+    with pytest.raises(InputError, match=r"a\.txt' is in the way"):
+        write(tmp_path, name="a.txt", text="newer", is_shared=True)
+    assert (tmp_path / "a.txt").read_text() == "made"
+
+
+def test_a_folder_that_cannot_be_put_in_place_removes_nothing_of_the_older_one(tmp_path):
+    def put(names):
+        with files.scratch_for(tmp_path / "out/20m") as made:
+            for name in names:
+                files.write_whole(made / name, "made")
+            workspace.put_folder(made, tmp_path / "out/20m", dict.fromkeys(names, files.checksum_of(b"made")), names[0])
+
+    with Workspace.open(tmp_path / "out", "maps", is_shared=True) as workspace:
+        put(["meta", "gps/0"])
+        (tmp_path / "out/20m/risk").write_text("mine")
+        with pytest.raises(InputError, match=r"risk' is in the way"):
+            put(["meta", "gps/0", "risk/0"])
+    assert names_of(tmp_path / "out/20m") == ["gps/0", "meta", "risk"]
+
+
+def test_a_file_in_the_way_of_a_new_output_refuses_before_the_old_ones_go(tmp_path):
+    write(tmp_path)
+    (tmp_path / "buildings.csv").write_text("mine")
+    with pytest.raises(InputError, match=r"buildings\.csv' is in the way"):
+        write(tmp_path, 4, overwrite=True, names=["buildings.csv"], name="buildings.csv")
+    assert names_of(tmp_path) == ["buildings.csv", "figures/3.txt", "made.json"]
+
+
+def test_pictures_and_tables_from_python_replace_none_of_the_users(tmp_path):
+    def save(text):
+        with Workspace.shared(tmp_path, "maps --figures", ["gps.png"]):
+            files.write_whole(tmp_path / "gps.png", text)
+
+    for text in ("made", "newer"):
+        save(text)
+    (tmp_path / "gps.png").write_text("mine")
+    with pytest.raises(InputError, match=r"gps\.png' is in the way"):
+        save("newest")
+    with Workspace.open(tmp_path, "demo", is_shared=True) as workspace:
+        with Workspace.shared(tmp_path / "figures", "maps --figures", ["gps.png"]):
+            files.write_whole(tmp_path / "figures/gps.png", "made")
+        assert list(workspace.written) == ["figures/gps.png"]

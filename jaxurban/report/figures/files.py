@@ -7,6 +7,7 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from jaxurban.errors import InputError
+from jaxurban.io.workspace import Workspace
 from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
 from jaxurban.paths.explain import RouteReport
 from jaxurban.paths.path import PlannedPath
@@ -41,11 +42,13 @@ def save_figures(maps: GivenMaps, paths: Paths, folder: str | Path, *, degrees: 
       degrees: label the maps by longitude and latitude instead of easting and northing.
 
     Raises:
-      InputError: the folder cannot be written to.
+      InputError: the folder cannot be written to, or holds such files that were not written so, or changed since.
     """
     maps = as_maps(maps)
     figures = in_degrees(maps_figures(maps, paths), maps.grid, degrees)
-    return save(folder, {f"{name}.png": draw for name, draw in figures.items()})
+    outputs = {f"{name}.png": draw for name, draw in figures.items()}
+    with Workspace.shared(Path(folder), "maps --figures", outputs):
+        return save(folder, outputs)
 
 
 def maps_figures(maps: MetricMaps, paths: Paths) -> dict[str, Callable[[], Figure]]:
