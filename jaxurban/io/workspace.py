@@ -264,9 +264,7 @@ class Workspace:
         Raises:
           InputError: it cannot be moved there.
         """
-        name = f"{KEPT_FOLDER}/{self.name_of(path)}"
-        numbered = (self.folder / (name if k == 1 else f"{name}.{k}") for k in count(1))
-        aside = next(aside for aside in numbered if not os.path.lexists(aside))
+        aside = _unused(self.folder / KEPT_FOLDER / str(self.name_of(path)))
         try:
             aside.parent.mkdir(parents=True, exist_ok=True)
             path.rename(aside)
@@ -299,6 +297,12 @@ class Workspace:
         text = "".join(f"\n{json.dumps({'command': self.command, **line})}" for line in lines)
         with (self.folder / JOURNAL_FILE).open("ab", buffering=0) as file:
             file.write(text.encode())
+
+
+def _unused(path: Path) -> Path:
+    """Return the path, or the first numbered one at which nothing is."""
+    numbered = (path if k == 1 else path.with_name(f"{path.name}.{k}") for k in count(1))
+    return next(each for each in numbered if not os.path.lexists(each))
 
 
 def _files_of(folder: Path) -> list[Path]:
@@ -381,8 +385,14 @@ def _save(folder: Path, sections: Sections) -> None:
         section["written"].clear()
         section["written"].update(there)
     record, held = folder / RECORD_FILE, None
-    with suppress(OSError, ValueError):
+    try:
         held = read_json(record)
+    except OSError:
+        pass
+    except ValueError:  # it could be read when the run began
+        aside = _unused(record)
+        record.rename(aside)
+        LOG.warning(f"{str(record)!r} was changed during the run: it is {str(aside)!r} now")
     if not sections:
         record.unlink(missing_ok=True)
     elif sections != held:

@@ -252,3 +252,11 @@ def test_pictures_and_tables_from_python_replace_none_of_the_users(tmp_path):
         with Workspace.shared(tmp_path / "figures", "maps --figures", ["gps.png"]):
             files.write_whole(tmp_path / "figures/gps.png", "made")
         assert list(workspace.written) == ["figures/gps.png"]
+
+
+def test_a_record_that_the_user_replaced_during_the_run_is_kept(tmp_path):
+    with Workspace.open(tmp_path, "tune"):
+        (tmp_path / "made.json").write_text("mine")
+        files.write_whole(tmp_path / "a.txt", "made")
+    assert (tmp_path / "made.json.2").read_text() == "mine"
+    assert list(files.read_json(tmp_path / "made.json")["tune"]["written"]) == ["a.txt"]
