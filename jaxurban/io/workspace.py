@@ -185,13 +185,13 @@ class Workspace:
         """
         for path in paths:
             if obstacle := self._obstacle(path):
-                raise self._in_the_way(obstacle, remedy)
+                what = "link" if obstacle.is_symlink() else "file"
+                raise InputError(f"{str(obstacle)!r} is a {what} in the way of a folder: move it, or {remedy}")
             if os.path.lexists(path) and not self.is_own(path) and not (is_mended and self.is_changed(path)):
                 raise self._in_the_way(path, remedy)
 
     def _in_the_way(self, path: Path, remedy: str = ELSEWHERE) -> InputError:
-        is_link = path.is_symlink() and path.is_dir()
-        why = "a link to a folder" if is_link else f"it is not as `jaxurban {self.command}` wrote it"
+        why = f"it is not as `jaxurban {self.command}` wrote it"
         return InputError(f"{str(path)!r} is in the way ({why}): move it, or {remedy}")
 
     def begin(self, scratch: Path) -> None:

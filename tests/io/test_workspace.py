@@ -178,7 +178,7 @@ def test_files_behind_a_linked_folder_are_the_users(tmp_path):
         write(out)
         (out / "figures").rename(copies)
         (out / "figures").symlink_to(copies)
-        with pytest.raises(InputError, match=r"figures' is in the way \(a link to a folder\)"):
+        with pytest.raises(InputError, match=r"figures' is a link in the way of a folder"):
             write(out, 4, name="figures/new.txt", overwrite=True, is_shared=shared)
         with pytest.raises(InputError, match="in the way"), Workspace.open(out, "maps", is_shared=True):
             files.make_way(out / text)
@@ -225,7 +225,7 @@ def test_a_folder_that_cannot_be_put_in_place_removes_nothing_of_the_older_one(t
     with Workspace.open(tmp_path / "out", "maps", is_shared=True) as workspace:
         put(["meta", "gps/0"])
         (tmp_path / "out/20m/risk").write_text("mine")
-        with pytest.raises(InputError, match=r"risk' is in the way"):
+        with pytest.raises(InputError, match=r"risk' is a file in the way"):
             put(["meta", "gps/0", "risk/0"])
     assert names_of(tmp_path / "out/20m") == ["gps/0", "meta", "risk"]
 
