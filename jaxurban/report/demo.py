@@ -41,6 +41,7 @@ def run_demo(folder: Path, report: Report, overwrite: bool = False, degrees: boo
     paths = demo_paths(maps)
     with Workspace.open(folder, "demo", is_shared=True):
         save(folder, {SCENARIO_FILE: scenario.to_toml()})
+        (folder / "paths").mkdir(exist_ok=True)
         for altitude_m, planned in paths.items():
             for path in planned:
                 write_path(path, folder / "paths" / f"{path.search.planner}_{altitude_m:g}m.geojson")
