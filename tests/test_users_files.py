@@ -262,3 +262,16 @@ def test_a_refused_overwrite_has_removed_nothing(job_of_maps, monkeypatch, capsy
         code, _, err = run(capsys, *command, "-o", "maps", "--overwrite")
         assert (code, name in err) == (2, True), err
         assert [path for path in outputs if not path.is_file() or path.read_bytes() != before[path]] == []
+
+
+@pytest.mark.slow
+def test_the_demo_writes_maps_routes_figures_and_a_summary(tmp_path, monkeypatch, capsys):
+    from jaxurban.report import demo
+
+    monkeypatch.setattr(demo, "BOUNDS", (-74.0, 40.755, -73.986, 40.767))
+    monkeypatch.setattr(demo, "RESOLUTION_M", 20.0)
+    assert run(capsys, "demo", "-o", tmp_path / "out")[0] == 0
+    summary = (tmp_path / "out" / "summary.md").read_text()
+    written = [route.name for route in (tmp_path / "out" / "paths").glob("*.geojson")]
+    assert {name.rpartition("_")[0] for name in written} >= {"ptp", "astar-dist", "astar-plus", "bitstar-plus"}
+    assert all(f"figures/{picture.name}" in summary for picture in (tmp_path / "out" / "figures").glob("*.png"))
