@@ -9,12 +9,11 @@ import shapely
 
 from benchmarks.against_commit import interval
 from benchmarks.common import Growth, Timing, in_turn, markdown, row
-from benchmarks.docstring_facts import lost_facts
 from benchmarks.embree_peer import Caster, scan_until_first_return, see_satellites
 from benchmarks.missions import Mission, clearance_m, legs_m, summary
 from benchmarks.route_soundness import Outlines, Route, by_planner, price
 from benchmarks.same_results import compare
-from benchmarks.structure import num_arguments, num_code_lines, record_classes
+from benchmarks.structure import code_lines_and_tokens, num_arguments, record_classes
 from jaxurban.metrics.lidar import LidarParams
 from jaxurban.world.city import Buildings
 from tests.embree_scene import roof_triangles, wall_triangles
@@ -126,21 +125,11 @@ class B(A):
 
 def test_code_lines_are_no_blanks_comments_or_docstrings_and_self_is_no_argument():
     tree = ast.parse(CODE)
-    assert num_code_lines(CODE, tree) == 6
+    lines, num_tokens = code_lines_and_tokens(CODE)
+    assert (len(lines), num_tokens) == (6, 37)
     classes = [node for node in ast.walk(tree) if isinstance(node, ast.ClassDef)]
     assert record_classes(classes) == ["A", "B"]
     assert [num_arguments(node) for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)] == [5]
-
-
-def test_a_docstring_fact_is_lost_where_its_number_or_shape_is_told_nowhere(tmp_path):
-    before, moved, lost = (tmp_path / f"{name}.py" for name in ("before", "moved", "lost"))
-    before.write_text(CODE)
-    moved.write_text(
-        "# heights in metres ``[Y, X]`` and\n" + CODE.replace("Return ``[Y, X]`` heights in", "``[Y, X]`` heights in")
-    )
-    lost.write_text(CODE.replace("[Y, X]", "[N]"))
-    assert lost_facts([before], [moved]) == []
-    assert len(lost_facts([before], [lost])) == 1
 
 
 def test_results_differ_by_name_and_by_share_and_ratios_have_an_interval():
