@@ -15,16 +15,45 @@ import math
 import sys
 
 import numpy as np
-from scipy.ndimage import label
+from scipy.ndimage import distance_transform_edt, gaussian_filter, label
 from tqdm import tqdm
 
-from benchmarks.printed_heuristic import made_up_problem, problem_of_maps
 from jaxurban.kernels.line.segment_cost import segment_cost
+from jaxurban.maps.metric_maps import open_maps
+from jaxurban.metrics.weights import Weights
 from jaxurban.planners.astar import astar
 from jaxurban.planners.base import Path, Problem
 from jaxurban.planners.bitstar.planner import bitstar_dist, bitstar_plus
 from jaxurban.planners.cost_grid import cost_grid_of
 from jaxurban.planners.cost_model import CostModel
+
+
+def problem_on(layers: np.ndarray, is_free: np.ndarray, resolution_m: float, distance_weight: float) -> Problem:
+    """Return a problem on weighted layers ``[L, Y, X]``; start and goal are set by `far_apart`."""
+    anywhere = tuple(int(v) for v in np.argwhere(is_free)[0])
+    return Problem(layers, is_free, anywhere, anywhere, resolution_m, distance_weight, "line")
+
+
+def problem_of_maps(folder: str, altitude_m: float) -> Problem:
+    """Return a problem with the default weights on the maps of a folder; costs inside obstacles are kept."""
+    maps, weights = open_maps(folder), Weights()
+    costs = maps.costs(altitude_m)
+    layers = np.stack([weights[name] * np.nan_to_num(np.asarray(c), nan=1.0) for name, c in costs.items()])
+    return problem_on(layers, maps.is_free(altitude_m), maps.grid.resolution_m, weights.distance)
+
+
+def synthetic_problem(seed: int, num_rows: int, num_cols: int) -> Problem:
+    """Return a synthetic city: streets between blocks of buildings, three smooth layers and a risk layer."""
+    rng = np.random.default_rng(seed)
+    rows, cols = np.mgrid[:num_rows, :num_cols]
+    is_street = (rows % 18 < 4) | (cols % 40 < 6)
+    is_free = is_street | (rng.random((num_rows, num_cols)) < 0.3) | (gaussian_filter(rng.random(rows.shape), 20) > 0.5)
+    risk = 1 - np.minimum(distance_transform_edt(is_free) * 5.0 / 50.0, 1.0)
+    smooth = np.stack([gaussian_filter(rng.standard_normal(rows.shape), sigma) for sigma in (4, 8, 25)])
+    smooth /= 2 * smooth.std(axis=(1, 2), keepdims=True)
+    layers = np.concatenate([np.where(is_free, np.clip(smooth, 0, 1), 1.0), risk[None]])
+    layers[2] *= 0.1  # population relative to its densest block
+    return problem_on(layers, is_free, 5.0, 0.1)
 
 
 def far_apart(problem: Problem, seed: int) -> Problem:
@@ -189,9 +218,9 @@ def main() -> None:
         print("left out: the package ompl is not installed beside jaxurban (pip install ompl)")
         return
     if options.maps is None:
-        problem = made_up_problem("line", 0, options.size, options.size)
+        problem = synthetic_problem(0, options.size, options.size)
     else:
-        problem = problem_of_maps(options.maps, None, options.altitude, None, "line")
+        problem = problem_of_maps(options.maps, options.altitude)
     problem = far_apart(problem, options.query)
     print(f"{' x '.join(map(str, problem.is_free.shape))} cells, from {problem.start} to {problem.goal}\n")
     print(compare(problem, options.seeds, options.ompl_budget, options.budget))

@@ -1,12 +1,15 @@
 """Tables of the docs that are older than their code: found by git, and no reason for a build to fail."""
 
 import importlib.util
+import re
 import subprocess
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).parents[1]
+PAGES = sorted(page.relative_to(ROOT).as_posix() for page in (ROOT / "docs").rglob("*.md"))
+PAST_SCRIPT = re.compile(r"`(benchmarks/\w+\.py)`\s+of commit ([0-9a-f]{7,40})")
 SPEC = importlib.util.spec_from_file_location("stale_tables", ROOT / "docs" / "stale_tables.py")
 stale_tables = importlib.util.module_from_spec(SPEC)
 SPEC.loader.exec_module(stale_tables)
@@ -42,7 +45,17 @@ def test_without_a_repository_or_without_git_no_table_is_stale(tmp_path, monkeyp
     assert stale_tables.changes_since("54f463f", ["kernels"]) == 0
 
 
-@pytest.mark.parametrize("page", sorted(page.relative_to(ROOT).as_posix() for page in (ROOT / "docs").rglob("*.md")))
+@pytest.mark.parametrize("page", PAGES)
 def test_every_page_names_code_that_exists(page):
     for _, folders in stale_tables.tables_of((ROOT / page).read_text(encoding="utf-8")):
         assert [folder for folder in folders if not (ROOT / folder).exists()] == []
+
+
+def test_the_history_holds_every_script_that_a_page_names_with_its_commit():
+    asked = ["git", "-C", str(ROOT), "rev-parse", "--is-shallow-repository"]
+    if subprocess.run(asked, capture_output=True, text=True, check=False).stdout.strip() != "false":
+        pytest.skip("no repository with its whole history")
+    named = {match for page in PAGES for match in PAST_SCRIPT.findall((ROOT / page).read_text(encoding="utf-8"))}
+    assert named
+    for script, commit in named:
+        git(ROOT, "cat-file", "-e", f"{commit}:{script}")

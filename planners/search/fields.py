@@ -37,7 +37,7 @@ class TileWork(NamedTuple):
 
 
 # A CPU relaxes a cell least often with small tiles and few passes; a GPU wants few rounds of few launches, each of much
-# work (`benchmarks/fields.py` counts both).
+# work (docs/planners.md counts both).
 TILE_WORK = {"cpu": TileWork(16, 8, 1, 64, 256), "gpu": TileWork(32, 16, 14, 128, 1024)}
 FIELDS_TOGETHER = 16
 BYTES_OF_FIELDS = {"cpu": 2**30, "gpu": 24 * 2**30}  # of the fields that are made together, with their maps
