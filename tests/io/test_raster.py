@@ -308,18 +308,27 @@ def test_a_thinned_raster_has_every_kth_pixel_where_it_was():
 
 
 @pytest.mark.parametrize(
-    "source", ["/vsicurl/{url}", "{url}", "WMS:{url}", "<GDAL_WMS><ServerUrl>{url}</ServerUrl></GDAL_WMS>", "inner.xml"]
+    ("source", "tag", "name_space"),
+    [
+        ("/vsicurl/{url}", "SourceFilename", ""),
+        ("/vsicurl/{url}", "sourcefilename", ""),
+        ("/vsicurl/{url}", "SourceFilename", ' xmlns="any"'),
+        ("{url}", "SourceFilename", ""),
+        ("WMS:{url}", "SourceFilename", ""),
+        ("<GDAL_WMS><ServerUrl>{url}</ServerUrl></GDAL_WMS>", "SourceFilename", ""),
+        ("inner.xml", "SourceFilename", ""),
+    ],
 )
-def test_a_vrt_that_names_a_server_is_refused_before_a_request(tmp_path, source):
+def test_a_vrt_that_names_a_server_is_refused_before_a_request(tmp_path, source, tag, name_space):
     with socket.create_server(("127.0.0.1", 0)) as server:
         server.settimeout(0.05)
         url = f"http://127.0.0.1:{server.getsockname()[1]}/a.tif"
-        (tmp_path / "inner.xml").write_text(f"<GDAL_WMS><ServerUrl>{url}</ServerUrl></GDAL_WMS>")
+        (tmp_path / "inner.xml").write_text(f"\n <GDAL_WMS><ServerUrl>{url}</ServerUrl></GDAL_WMS>")
         path = tmp_path / "mosaic.vrt"
         path.write_text(
-            '<VRTDataset rasterXSize="2" rasterYSize="2"><SRS>EPSG:32618</SRS><GeoTransform>0,1,0,0,0,-1</GeoTransform>'
-            '<VRTRasterBand dataType="Float32" band="1"><SimpleSource><SourceFilename relativeToVRT="1">'
-            f"{escape(source.format(url=url))}</SourceFilename><SourceBand>1</SourceBand></SimpleSource>"
+            f'<VRTDataset rasterXSize="2" rasterYSize="2"{name_space}><SRS>EPSG:32618</SRS><GeoTransform>0,1,0,0,0,-1'
+            f'</GeoTransform><VRTRasterBand dataType="Float32" band="1"><SimpleSource><{tag} relativeToVRT="1">'
+            f"{escape(source.format(url=url))}</{tag}><SourceBand>1</SourceBand></SimpleSource>"
             "</VRTRasterBand></VRTDataset>"
         )
         with pytest.raises(InputError, match=r"mosaic.*it names"):

@@ -27,7 +27,8 @@ DRIVERS = {
     **{".vrt": "VRT", ".asc": "AAIGrid", ".img": "HFA", ".hgt": "SRTMHGT", ".png": "PNG"},
 }
 RASTER_SUFFIXES = tuple(DRIVERS)
-SOURCE_TAGS = ("SourceFilename", "SourceDataset")  # of a .vrt
+SOURCE_TAGS = ("sourcefilename", "sourcedataset")  # of a .vrt; GDAL takes them in any case and namespace
+HEAD_BYTES = 4096  # GDAL knows a file by no more, blanks passed over
 OWN_VALUES = "in a unit of your own"
 TERRAIN_RANGE_M = (-500.0, 9000.0)  # the shore of the Dead Sea lies at -430 m, the top of Everest at 8,849 m
 _MARGIN_PIXELS = 2  # bilinear sampling reaches half a pixel beyond the bounds, a curved border a little more
@@ -167,13 +168,13 @@ def _check_sources(path: Path) -> None:
     except ElementTree.ParseError as error:
         raise ValueError(reason_of(error)) from error
     for element in elements:
-        if element.tag in SOURCE_TAGS:
+        if element.tag.rpartition("}")[2].lower() in SOURCE_TAGS:
             is_relative = element.get("relativeToVRT") == "1"
             source = path.parent / (element.text or "") if is_relative else Path(element.text or "")
             if not source.is_file():
                 raise ValueError(f"it names {str(source)!r}, which is no file here")
             with source.open("rb") as file:
-                if file.read(1) == b"<":
+                if file.read(HEAD_BYTES).lstrip()[:1] in (b"<", b"{"):
                     raise ValueError(f"it names {source.name!r}, which may name others: only files of pixels are read")
 
 
