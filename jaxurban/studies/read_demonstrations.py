@@ -56,7 +56,7 @@ def read_demonstrations(
     ``time_of_day`` (paths that jaxurban wrote carry them); without these, times are the maps' first ones.
 
     Args:
-      file: GeoJSON, KML, or another vector file that GDAL reads, with LineStrings; a mission (``.plan``); a table of
+      file: GeoJSON, KML, GPX, or another vector file, with LineStrings; a mission (``.plan``); a table of
         queries (``.csv``, ``.parquet``), or such a table itself; or the folder of `study`.
       maps: from `build_maps` or `open_maps`, or the folder of one resolution's maps.
       altitude_m, time, time_of_day: of every route.

@@ -257,7 +257,7 @@ class City(Shown):
           bounds: west, south, east, north of the region in degrees; left out, what the file of buildings covers.
             Buildings are kept as far around it as one of 1,000 m could shadow it from a satellite at the mask.
           crs: projected CRS in metres; left out, the UTM zone of the region's centre.
-          blocks, table: census blocks (any vector format) and their population table (CSV); or a raster of people, each
+          blocks, table: census blocks (a vector file) and their population table (CSV); or a raster of people, each
             pixel of which is a block, and no table.
           districts: district polygons; blocks take the one of largest overlap.
           terrain: ground elevation raster; left out, flat.

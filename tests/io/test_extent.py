@@ -55,6 +55,12 @@ def test_info_says_what_a_file_holds_and_where(town, capsys):
     assert facts["heights by height"] == "2 (100.0%)"
 
 
+@pytest.mark.parametrize("name", ["nothing", "nothing.tif", "nothing.osm.pbf", "nothing.geojson"])
+def test_info_says_that_a_file_does_not_exist(tmp_path, capsys, name):
+    code, _, err = run(capsys, "info", tmp_path / name)
+    assert (code, f"{name}' does not exist: check the path" in err) == (2, True)
+
+
 def test_info_says_what_a_folder_of_maps_holds(tmp_path, capsys):
     maps = ju.build_maps(ju.demo_city(500, 500), resolution_m=50, altitudes_m=[20.0])
     maps.save(tmp_path)

@@ -149,6 +149,14 @@ def test_a_file_of_another_kind_is_refused_by_name(tmp_path, suffix, content):
         read_vector(path)
 
 
+@pytest.mark.parametrize("name", ["blocks.zip", "blocks.gdb", "blocks.tab"])
+def test_a_format_that_is_not_read_is_refused_with_what_to_do(tmp_path, name):
+    path = tmp_path / name
+    path.mkdir() if name.endswith("gdb") else path.write_bytes(b"PK\x03\x04 and more")
+    with pytest.raises(InputError, match=rf"{name}' is of a format that is not read: unpack it, or .*`ogr2ogr`$"):
+        open_layers(path, "no-fly")
+
+
 def test_a_table_without_geometry_is_refused(tmp_path):
     path = tmp_path / "table.parquet"
     pd.DataFrame({"height": np.ones(2)}).to_parquet(path)

@@ -30,7 +30,7 @@ Facts = Mapping[str, tuple[str, Any]]  # a feature's filled properties: plain na
 
 
 def read_zones(path: str | Path) -> tuple[Zone, ...]:
-    """Return the no-fly zones of a file: GeoJSON, KML, GeoPackage, Shapefile and whatever GDAL reads; ED-269, ED-318.
+    """Return the no-fly zones of a file: GeoJSON, KML, GeoPackage, Shapefile, FlatGeobuf, GeoParquet; ED-269, ED-318.
 
     A file of geographical zones of ED-269 or ED-318 is read as these say (`read_geozones`); of every other vector file
     every layer (every folder of a KML file) is read; features that are not polygons are left out with a warning.

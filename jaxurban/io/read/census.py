@@ -43,7 +43,7 @@ class CensusFiles:
     """Census blocks, their people and their districts, as files.
 
     Attributes:
-      blocks: block polygons, any vector format; or a raster of people, each pixel of which is a block (WorldPop, GHSL,
+      blocks: block polygons, a vector file; or a raster of people, each pixel of which is a block (WorldPop, GHSL,
         LandScan: `jaxurban.io.read.people`), which takes no table.
       table: CSV of population with one header row or two (the second is words where the first names columns).
         Its id column is the one that joins most blocks, its count column is found by `COUNT_COLUMNS`, or else is

@@ -20,6 +20,8 @@ def lonlat_extent(path: str | Path) -> Bounds:
     Raises:
       InputError: a file that cannot be read, or one without an outline.
     """
+    if not Path(path).exists():
+        raise InputError(f"{str(path)!r} does not exist: check the path")
     suffix = Path(path).suffix.lower()
     if suffix in RASTER_SUFFIXES:
         return raster_extent_m(path, WGS84)

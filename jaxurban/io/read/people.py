@@ -23,7 +23,7 @@ def read_people(
     cover the ground without gap or overlap, and nobody is lost or counted twice. Pixels without data are left out.
 
     Args:
-      path: a single-band file that GDAL reads, with a CRS; values are counts of people, not densities.
+      path: a single-band file whose name ends as in `DRIVERS`, with a CRS; values are counts of people, not densities.
       crs: projected CRS in metres.
       bounds_m: read only the pixels around this box of ``crs``; left out, all.
 

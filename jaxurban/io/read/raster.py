@@ -52,7 +52,7 @@ def read_raster(
     (see `UNITS_M`); without any, values are metres. Cells that it declares empty (by a nodata value or a mask) are NaN.
 
     Args:
-      path: a single-band file that GDAL reads, with a CRS.
+      path: a single-band file whose name ends as in `DRIVERS`, with a CRS.
       crs: projected CRS of ``bounds_m``.
       bounds_m: x_min, y_min, x_max, y_max; the window is two pixels wider on each side. None: the whole file.
       range_m: a value beyond these is not a height but, most likely, an undeclared nodata value.

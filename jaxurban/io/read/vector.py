@@ -1,4 +1,4 @@
-"""Vector files of any format, opened the same way for every use, and the building outlines in them."""
+"""Vector files, opened the same way for every use, and the building outlines in them."""
 
 import json
 import re
@@ -59,7 +59,7 @@ _POLYGONS = (shapely.GeometryType.POLYGON, shapely.GeometryType.MULTIPOLYGON)
 
 
 def open_frame(path: str | Path, role: str, *, allow_empty: bool = False) -> gpd.GeoDataFrame:
-    """Return the features of a vector file (any format of GDAL, or GeoParquet), as they are.
+    """Return the features of a vector file (of a format in `BEGINNINGS`), as they are.
 
     A ring of too few points becomes an empty place, and no error.
 
@@ -111,15 +111,22 @@ def _read(path: str | Path, role: str, *, every_layer: bool) -> list[gpd.GeoData
 
 
 def _check_format(path: Path) -> None:
-    """Raise ValueError unless a file begins as one of its name does (of any format, if its name has no known end)."""
+    """Raise ValueError unless a file begins as one of its name does (of any format, if its name has no known end).
+
+    Raises:
+      InputError: a folder, or a name of no known end on a file of another format.
+    """
     suffix = path.suffix.lower()
     beginnings = (BEGINNINGS[suffix],) if suffix in BEGINNINGS else tuple(BEGINNINGS.values())
+    other = InputError(
+        f"{str(path)!r} is of a format that is not read: unpack it, or make a GeoPackage of it with `ogr2ogr`"
+    )
+    if path.is_dir():
+        raise other
     with path.open("rb") as file:
         head = file.read(HEAD_BYTES)
     if not head.removeprefix(b"\xef\xbb\xbf").lstrip().startswith(beginnings):
-        raise ValueError(
-            f"it does not begin as {f'a {suffix}' if len(beginnings) == 1 else 'a known kind of'} file does"
-        )
+        raise ValueError(f"it does not begin as a {suffix} file does") if suffix in BEGINNINGS else other
     if any(word in head for word in REFERRING) or (beginnings[0] == b"{" and _links_crs(path.read_bytes())):
         raise ValueError("it refers to other files or servers, which are never opened")
 
