@@ -118,7 +118,7 @@ class Workspace:
     @classmethod
     def check(cls, folder: Path, command: str, names: Iterable[str] = (), *, is_shared: bool = False) -> None:
         """Raise InputError where a run that writes files of these names would be refused when it does."""
-        if folder.is_dir():
+        if os.path.lexists(folder):
             with cls.open(folder, command, names=names, is_shared=is_shared):
                 pass
 

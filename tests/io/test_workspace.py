@@ -254,6 +254,14 @@ def test_pictures_and_tables_from_python_replace_none_of_the_users(tmp_path):
         assert list(workspace.written) == ["figures/gps.png"]
 
 
+@pytest.mark.parametrize("kind", ["file", "link to nowhere"])
+def test_a_check_refuses_what_is_in_the_place_of_the_folder(tmp_path, kind):
+    folder = tmp_path / "analysis"
+    folder.write_text("mine") if kind == "file" else folder.symlink_to(tmp_path / "nowhere")
+    with pytest.raises(InputError, match=r"cannot write to the output folder .*analysis"):
+        Workspace.check(folder, "study")
+
+
 def test_a_record_that_the_user_replaced_during_the_run_is_kept(tmp_path):
     with Workspace.open(tmp_path, "tune"):
         (tmp_path / "made.json").write_text("mine")
