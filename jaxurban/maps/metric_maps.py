@@ -283,6 +283,8 @@ class MetricMaps(Shown):
     def save(self, folder: str | Path, *, layers: Sequence[str] = ()) -> Path:
         """Write Zarr, cloud-optimised GeoTIFFs and their QGIS styles under ``folder``; return it.
 
+        The record of ``jaxurban maps`` stays beside maps of its own run alone: it holds their weights and settings.
+
         Args:
           folder: where to; its page in the reference (files) tells what lies there.
           layers: variables that are GeoTIFFs too, such as ``("hdop", "roof")``, beside obstacles and the metrics of
@@ -293,9 +295,9 @@ class MetricMaps(Shown):
             was not written so or was changed since, or variables that nobody could read back: without obstacles, or a
             name that is a path.
         """
-        from jaxurban.io.geotiff import geotiff_paths, write_geotiffs
+        from jaxurban.io.geotiff import RUN_KEY, geotiff_paths, is_of_run, write_geotiffs
         from jaxurban.io.hidden import NEEDED
-        from jaxurban.io.store import write_zarr
+        from jaxurban.io.store import RUN_FILE, are_of_a_run, write_zarr
         from jaxurban.io.workspace import Workspace
 
         if lost := [name for name in NEEDED if name not in self.ds]:
@@ -306,8 +308,13 @@ class MetricMaps(Shown):
         geotiffs = geotiff_paths(self.ds, folder, layers)  # refuses what is not there
         with Workspace.open(folder, "maps", is_shared=True) as workspace:
             workspace.check_way(geotiffs)
-            write_zarr(self.ds, folder)
-            write_geotiffs(self.ds, folder, layers=layers)
+            ds = self.ds.copy()
+            if RUN_KEY in ds.attrs and not is_of_run(folder / RUN_FILE, ds.attrs[RUN_KEY]):
+                del ds.attrs[RUN_KEY]
+            write_zarr(ds, folder)
+            write_geotiffs(ds, folder, layers=layers)
+            if not are_of_a_run(folder):
+                workspace.remove([RUN_FILE])
         return folder
 
 

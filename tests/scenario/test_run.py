@@ -15,6 +15,7 @@ import shapely
 import jaxurban as ju
 from jaxurban.errors import InputError
 from jaxurban.io import files
+from jaxurban.io.store import settings_of
 from jaxurban.maps.executors import Resources
 from jaxurban.scenario import provenance as record
 from jaxurban.scenario import run as pipeline
@@ -217,6 +218,19 @@ def test_a_changed_scenario_is_refused_with_both_differences_and_a_new_folder(jo
     ):
         pipeline.run_scenario(changed, job)
     assert {path: path.read_bytes() for path in job.rglob("*") if path.is_file()} == before
+
+
+def test_saved_maps_have_the_record_of_their_own_run_or_none(tmp_path):
+    scenario = Scenario.from_dict(SETTINGS | {"weights": {"gps": 7}})
+    made = next(iter(pipeline.run_scenario(scenario, tmp_path / "run").maps.values()))
+    made.save(tmp_path / "copy")
+    assert settings_of(tmp_path / "copy") == {}
+    made.save(tmp_path / "run")
+    assert settings_of(tmp_path / "run")["weights"]["gps"] == 7
+    ju.build_maps(ju.demo_city(500, 500), resolution_m=made.grid.resolution_m, altitudes_m=[60.0]).save(
+        tmp_path / "run"
+    )
+    assert settings_of(tmp_path / "run") == {}
 
 
 def test_open_maps_refuse_to_read_those_of_another_run(job, tmp_path):
