@@ -239,7 +239,6 @@ def _kept(held: OrderedDict[Hashable, Made], key: Hashable, most: int, make: Cal
 
 
 def _budget_s(planner: str) -> float:
-    find_planner(planner)
     takes_all = planner.startswith("bitstar") or planner == "astar-anytime"
     return SAMPLING_BUDGET_S if takes_all else BUDGET_S
 
