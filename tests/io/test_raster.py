@@ -337,6 +337,23 @@ def test_a_vrt_that_names_a_server_is_refused_before_a_request(tmp_path, source,
             server.accept()
 
 
+def test_a_processed_vrt_whose_arguments_are_on_a_server_is_refused_before_a_request(write, tmp_path):
+    write(RAMP)
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        server.settimeout(0.05)
+        path = tmp_path / "mosaic.vrt"
+        path.write_text(
+            '<VRTDataset subClass="VRTProcessedDataset"><Input><SourceFilename relativeToVRT="1">heights.tif'
+            "</SourceFilename></Input><ProcessingSteps><Step><Algorithm>LocalScaleOffset</Algorithm>"
+            f'<Argument name="gain_dataset_filename_1">/vsicurl/http://127.0.0.1:{server.getsockname()[1]}/a.tif'
+            "</Argument></Step></ProcessingSteps></VRTDataset>"
+        )
+        with pytest.raises(InputError, match=r"mosaic.*it names"):
+            raster_extent_m(path, UTM)
+        with pytest.raises(TimeoutError):
+            server.accept()
+
+
 def test_a_vrt_of_files_beside_it_is_read(write, tmp_path):
     whole = write(np.arange(4.0).reshape(2, 2))
     vrt = tmp_path / "mosaic.vrt"
