@@ -337,7 +337,10 @@ def test_a_vrt_that_names_a_server_is_refused_before_a_request(tmp_path, source,
             server.accept()
 
 
-def test_a_processed_vrt_whose_arguments_are_on_a_server_is_refused_before_a_request(write, tmp_path):
+@pytest.mark.parametrize(
+    "named", ['<Argument name="gain_dataset_filename_1">{}</Argument>', '<MDI key="X_DATASET">{}</MDI>']
+)
+def test_a_vrt_that_names_a_server_beside_its_source_is_refused_before_a_request(write, tmp_path, named):
     write(RAMP)
     with socket.create_server(("127.0.0.1", 0)) as server:
         server.settimeout(0.05)
@@ -345,8 +348,8 @@ def test_a_processed_vrt_whose_arguments_are_on_a_server_is_refused_before_a_req
         path.write_text(
             '<VRTDataset subClass="VRTProcessedDataset"><Input><SourceFilename relativeToVRT="1">heights.tif'
             "</SourceFilename></Input><ProcessingSteps><Step><Algorithm>LocalScaleOffset</Algorithm>"
-            f'<Argument name="gain_dataset_filename_1">/vsicurl/http://127.0.0.1:{server.getsockname()[1]}/a.tif'
-            "</Argument></Step></ProcessingSteps></VRTDataset>"
+            f"{named.format(f'/vsicurl/http://127.0.0.1:{server.getsockname()[1]}/a.tif')}</Step></ProcessingSteps>"
+            "</VRTDataset>"
         )
         with pytest.raises(InputError, match=r"mosaic.*it names"):
             raster_extent_m(path, UTM)

@@ -27,7 +27,7 @@ DRIVERS = {
     **{".vrt": "VRT", ".asc": "AAIGrid", ".img": "HFA", ".hgt": "SRTMHGT", ".png": "PNG"},
 }
 RASTER_SUFFIXES = tuple(DRIVERS)
-SOURCE_TAGS, NOTE_TAG = ("sourcefilename", "sourcedataset"), "mdi"  # of a .vrt; GDAL takes any case and namespace
+SOURCE_TAGS = ("sourcefilename", "sourcedataset")  # of a .vrt; GDAL takes them in any case and namespace
 HEAD_BYTES = 4096  # GDAL knows a file by no more, blanks passed over
 OWN_VALUES = "in a unit of your own"
 TERRAIN_RANGE_M = (-500.0, 9000.0)  # the shore of the Dead Sea lies at -430 m, the top of Everest at 8,849 m
@@ -169,7 +169,7 @@ def _check_sources(path: Path) -> None:
         raise ValueError(reason_of(error)) from error
     for element in elements:
         tag, text = element.tag.rpartition("}")[2].lower(), element.text or ""
-        if tag != NOTE_TAG and any(sign in text for sign in ("/vsi", "://")):
+        if any(sign in text for sign in ("/vsi", "://")):
             raise ValueError(f"it names {text!r}, which is no file here")
         if tag in SOURCE_TAGS:
             is_relative = element.get("relativeToVRT") == "1"
