@@ -61,6 +61,7 @@ def compare(folder_a: Path, folder_b: Path, output: Path, as_json: bool, overwri
     """Report how the maps in DIR_B differ from those in DIR_A: by layer, altitude and stratum, and in the routes."""
     from jaxurban.io.files import check_writable
     from jaxurban.io.tables import records_of
+    from jaxurban.io.workspace import Workspace
     from jaxurban.metrics.weights import Weights
     from jaxurban.report.map_comparison import REPORT_FILE, save_comparison
     from jaxurban.studies.map_comparison.compare import compare as compare_maps
@@ -80,6 +81,7 @@ def compare(folder_a: Path, folder_b: Path, output: Path, as_json: bool, overwri
         "seed": given["seed"],
     }
     check_writable(output)
+    Workspace.check(output, "compare")
     with reporting("compare") as report:
         found = compare_maps(*sides, **how, progress=report)
         report("report")

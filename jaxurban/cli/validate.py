@@ -78,6 +78,7 @@ def validate(
     LOG has the columns utc, lon_deg, lat_deg and num_tracked, error_2d_m or satellite (with cn0_dbhz, a row each).
     """
     from jaxurban.io.files import check_writable
+    from jaxurban.io.workspace import Workspace
     from jaxurban.report.receiver import REPORT_FILE, numbers_of, save_validation
     from jaxurban.scenario.settings import Scenario
     from jaxurban.studies.receiver.settings import ReceiverSettings
@@ -86,6 +87,7 @@ def validate(
     scenario = Scenario.from_toml(scenario_file, changes)
     settings = ReceiverSettings(**given, other_pieces_m=numbers_in("--pieces", other_pieces))
     check_writable(output)
+    Workspace.check(output, "validate")
     with reporting("validate") as report:
         found = validate_log(scenario, log_file, settings, progress=report)
         report("report")

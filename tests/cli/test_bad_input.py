@@ -206,3 +206,22 @@ def test_an_output_folder_whose_name_is_no_text_is_refused(tmp_path):
 def test_more_instances_than_any_study_has_are_refused(tmp_path, capsys):
     scenario = write_scenario(tmp_path, "synthetic", "[study]\ninstances = 1000000000\n", SYNTHETIC_BOUNDS)
     fails(capsys, tmp_path, scenario, "study.instances", "1000000")
+
+
+@pytest.mark.parametrize("command", ["compare", "validate"])
+def test_an_output_folder_of_others_is_refused_before_the_work(tmp_path, capsys, monkeypatch, command):
+    from jaxurban.studies.map_comparison import compare
+    from jaxurban.studies.receiver import validate
+
+    def work(*_, **__):
+        raise AssertionError("the work began")
+
+    monkeypatch.setattr(compare, "compare", work)
+    monkeypatch.setattr(validate, "validate", work)
+    scenario = tmp_path / "city.toml"
+    scenario.write_text('[region]\nbounds = [-74.0, 40.755, -73.993, 40.761]\n[buildings]\nsource = "synthetic"\n')
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out/notes.txt").write_text("mine")
+    inputs = (scenario, tmp_path / "log.csv") if command == "validate" else (tmp_path / "a", tmp_path / "b")
+    code, _, err = run(capsys, command, *inputs, "-o", tmp_path / "out")
+    assert (code, "notes.txt' is there already, and not from" in err) == (2, True)
