@@ -8,11 +8,15 @@ import sys
 import textwrap
 from pathlib import Path
 
+import numpy as np
 import pytest
+import zarr
 
-from jaxurban.io.files import SCRATCH_SUFFIX
+import jaxurban as ju
+from jaxurban.io.files import SCRATCH_SUFFIX, read_json, write_json
 from jaxurban.io.workspace import Workspace
-from tests.cli_runs import run
+from tests.cli_runs import assert_one_sentence, run
+from tests.receiver_logs import scenario, true_log
 
 SCENARIO = """
 [region]
@@ -38,8 +42,14 @@ COMMANDS = {  # what runs, and what makes it another run
         ("sensitivity", "maps", *ENDS, "--samples", 2, "--tolerance", 0.5, "--vary", "gps,risk"),
         ("--seed", 3, "--overwrite"),
     ),
+    "routes": (
+        ("sensitivity", "maps", "--routes", 1, "--samples", 2, "--workers", 1),
+        ("--seed", 3, "--overwrite"),
+    ),
+    "validate": (("validate", "drive.toml", "log.csv", "--sky-step", 300), ("--block", 150, "--overwrite")),
     "study": (("study", "town.toml", "--workers", 1), ("--overwrite",)),
 }
+OF_THEIR_OWN = [name for name in COMMANDS if name not in ("maps", "study")]  # folders that they share with none
 PLANTED = "the user's words"
 
 pytestmark = [
@@ -53,6 +63,8 @@ def place(tmp_path_factory) -> Path:
     """Return a folder with a scenario, its maps, and what each command makes of them."""
     folder = tmp_path_factory.mktemp("place")
     (folder / "town.toml").write_text(SCENARIO)
+    (folder / "drive.toml").write_text(scenario().to_toml())
+    true_log()[:400].to_csv(folder / "log.csv", index=False)
     for name, (command, _) in COMMANDS.items():
         done = subprocess.run(words(command, name), cwd=folder, capture_output=True, text=True, check=False)
         assert done.returncode == 0, done.stderr
@@ -108,7 +120,7 @@ def go_on(place: Path, name: str, monkeypatch, capsys) -> None:
 
 @pytest.fixture
 def job(place, tmp_path) -> Path:
-    for name in ("town.toml", "maps"):
+    for name in ("town.toml", "drive.toml", "log.csv", "maps"):
         (shutil.copytree if name == "maps" else shutil.copy)(place / name, tmp_path / name)
     return tmp_path
 
@@ -262,6 +274,74 @@ def test_a_refused_overwrite_has_removed_nothing(job_of_maps, monkeypatch, capsy
         code, _, err = run(capsys, *command, "-o", "maps", "--overwrite")
         assert (code, name in err) == (2, True), err
         assert [path for path in outputs if not path.is_file() or path.read_bytes() != before[path]] == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", OF_THEIR_OWN)
+def test_every_output_is_checked_before_any_older_one_is_removed(place, job, name, monkeypatch, capsys):
+    checked: list[str] = []
+
+    def open_noted(folder, *arguments, names=(), **options):
+        checked.extend(names)
+        return opened(folder, *arguments, names=names, **options)
+
+    shutil.copytree(place / name, job / "out")
+    out, opened = job / "out", Workspace.open
+    monkeypatch.chdir(job)
+    record = read_json(out / "made.json")
+    (section,) = record.values()
+    user, *_ = (each for each in reversed(section["written"]) if each != "report.md")
+    del section["written"][user]  # it has not been there, and is the user's now
+    write_json(out / "made.json", record)
+    (out / user).write_text(PLANTED)
+    before = {path: path.read_bytes() for path in outputs_of(out)}
+    monkeypatch.setattr(Workspace, "open", open_noted)
+    code, _, err = run(capsys, *COMMANDS[name][0], "-o", "out", *COMMANDS[name][1])
+    assert code == 2
+    assert f"{user}' is in the way" in err
+    assert {path: path.read_bytes() for path in outputs_of(out)} == before
+    assert {path.relative_to(place / name).as_posix() for path in outputs_of(place / name)} <= set(checked)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["array", "group", "file", "consolidated", "other resolution"])
+def test_what_a_user_adds_to_the_zarr_is_kept_and_the_maps_are_read(place, job, kind, monkeypatch, capsys):
+    """`maps` in each of its ways, and `MetricMaps.save`."""
+    monkeypatch.chdir(job)
+    path = job / "maps/maps.zarr/20m"
+    mine = path.with_name("10m") if kind == "other resolution" else path / "mine"
+    if kind == "file":
+        mine.write_text(PLANTED)
+    else:
+        array = zarr.open_group(mine, mode="w", zarr_format=2).create_array("heights", shape=(3, 4), dtype="f4")
+        array[:] = 1.0
+    if kind == "array":
+        (mine / "heights").rename(path / "heights")
+    if kind == "consolidated":
+        zarr.consolidate_metadata(path, zarr_format=2)
+    places = [path / "heights", mine]
+    kept = {each: each.read_bytes() for top in places for each in (top, *top.rglob("*")) if each.is_file()}
+    made = ju.open_maps(place / "maps")
+    again, other = (("maps", "town.toml", "-o", "maps", *more) for more in ((), COMMANDS["maps"][1]))
+    coarse = (*again, "--set", "region.resolution_m=30", "--overwrite")
+    for command in (again, None, other, coarse, coarse):
+        if command is None:
+            made.save("maps")
+        else:
+            code, _, err = run(capsys, *command)
+            assert code == 0, err
+        assert np.isfinite(ju.open_maps("maps").m("gps", 60.0)).any()
+        assert {each: each.read_bytes() for each in kept} == kept
+
+
+@pytest.mark.parametrize("command", [("maps", "town.toml"), ("study", "town.toml"), ("demo",), ("tune", "maps")])
+def test_an_empty_name_is_not_the_current_folder(tmp_path, command, monkeypatch, capsys):
+    (tmp_path / "town.toml").write_text(SCENARIO)
+    monkeypatch.chdir(tmp_path)
+    code, _, err = run(capsys, *command, "-o", "")
+    assert code == 2
+    assert_one_sentence(err, "-o", "the name is empty")
+    assert [path.name for path in tmp_path.iterdir()] == ["town.toml"]
 
 
 @pytest.mark.slow

@@ -42,6 +42,19 @@ class LonLat(click.ParamType):
         return lon, lat
 
 
+class NamedPath(click.Path):
+    """A path; an empty one, as of a variable that is not set, is not the current folder."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the path of ``value``."""
+        if value == "":
+            self.fail("the name is empty: name a file or a folder (. is the current one)", param, ctx)
+        return super().convert(value, param, ctx)
+
+
+PATH = NamedPath(path_type=Path)
+
+
 def together(*parameters: Callable) -> Callable[[Callable], Callable]:
     """Return what adds options to a command, in this order."""
 
@@ -79,9 +92,7 @@ OBSTACLES = click.option(
     "paths then cut true outlines.  [default: the scenario's, else touched]",
 )
 CONSTRAINTS = together(  # which `given_constraints` takes
-    click.option(
-        "--no-fly", type=click.Path(path_type=Path), multiple=True, help="Closed polygons (GeoJSON, KML); repeatable."
-    ),
+    click.option("--no-fly", type=PATH, multiple=True, help="Closed polygons (GeoJSON, KML); repeatable."),
     click.option("--require", multiple=True, help="What must hold all along, such as gps>=0.3; repeatable."),
     click.option(
         "--clearance",
@@ -134,7 +145,7 @@ COSTS = together(  # what the cost map of a route depends on, beside its altitud
     ),
 )
 ROUTE = together(  # a route over maps, under costs: what `stored_cost_map` takes, and the ends
-    click.argument("folder", metavar="DIR", type=click.Path(path_type=Path)),
+    click.argument("folder", metavar="DIR", type=PATH),
     *(click.option(*names, type=kind, required=True, help=told) for names, kind, told in ENDS),
     COSTS,
 )

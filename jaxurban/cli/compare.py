@@ -12,6 +12,7 @@ from jaxurban.cli.common import (
     DEVICE,
     JSON_FLAG,
     OBSTACLES,
+    PATH,
     PRESET,
     RESOLUTION,
     given_constraints,
@@ -28,9 +29,9 @@ from jaxurban.progress import reporting
 
 
 @click.command()
-@click.argument("folder_a", metavar="DIR_A", type=click.Path(path_type=Path))
-@click.argument("folder_b", metavar="DIR_B", type=click.Path(path_type=Path))
-@click.option("-o", "output", type=click.Path(path_type=Path), required=True, help="Output folder.")
+@click.argument("folder_a", metavar="DIR_A", type=PATH)
+@click.argument("folder_b", metavar="DIR_B", type=PATH)
+@click.option("-o", "output", type=PATH, required=True, help="Output folder.")
 @click.option(
     "--routes",
     default="20",

@@ -4,12 +4,12 @@ from pathlib import Path
 
 import click
 
-from jaxurban.cli.common import DEGREES, DEVICE, JSON_FLAG, print_json, tell
+from jaxurban.cli.common import DEGREES, DEVICE, JSON_FLAG, PATH, print_json, tell
 from jaxurban.progress import reporting
 
 
 @click.command()
-@click.option("-o", "folder", type=click.Path(path_type=Path), default=Path("out/demo"), show_default=True)
+@click.option("-o", "folder", type=PATH, default=Path("out/demo"), show_default=True)
 @click.option("--overwrite", is_flag=True, help="Replace maps of other settings in the output folder.")
 @DEGREES
 @DEVICE

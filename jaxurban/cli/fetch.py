@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from jaxurban.cli.common import JSON_FLAG, print_json, tell
+from jaxurban.cli.common import JSON_FLAG, PATH, print_json, tell
 from jaxurban.errors import InputError
 
 if TYPE_CHECKING:
@@ -34,7 +34,7 @@ class BoxType(click.ParamType):
 
 @click.command()
 @click.option("--bounds", type=BoxType(), required=True, help="West, south, east, north of the region in degrees.")
-@click.option("-o", "folder", type=click.Path(path_type=Path), required=True, help="Folder for the files.")
+@click.option("-o", "folder", type=PATH, required=True, help="Folder for the files.")
 @click.option("--what", default="osm,census,districts,orbits", show_default=True, help="What to fetch.")
 @click.option(
     "--date",

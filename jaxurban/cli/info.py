@@ -6,12 +6,12 @@ from typing import Any
 
 import click
 
-from jaxurban.cli.common import JSON_FLAG, print_json
+from jaxurban.cli.common import JSON_FLAG, PATH, print_json
 from jaxurban.errors import InputError
 
 
 @click.command()
-@click.argument("path", metavar="FILE|DIR", type=click.Path(path_type=Path))
+@click.argument("path", metavar="FILE|DIR", type=PATH)
 @JSON_FLAG
 def info(path: Path, as_json: bool) -> None:
     """Say what a file of buildings, a raster or a folder of maps holds: extent, CRS, counts, guessed heights."""

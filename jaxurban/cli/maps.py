@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from jaxurban.cli.common import DEGREES, DEVICE_CHOICE, JSON_FLAG, names_in, print_json, tell, tell_warnings
+from jaxurban.cli.common import DEGREES, DEVICE_CHOICE, JSON_FLAG, PATH, names_in, print_json, tell, tell_warnings
 from jaxurban.errors import InputError
 from jaxurban.progress import reporting
 
@@ -20,8 +20,8 @@ TAKEN = (".", "geotiff", "maps.zarr", "figures")  # no folder of a scenario besi
 
 
 @click.command()
-@click.argument("scenario_files", metavar="SCENARIO...", type=click.Path(path_type=Path), nargs=-1, required=True)
-@click.option("-o", "folder", type=click.Path(path_type=Path), required=True, help="Output folder.")
+@click.argument("scenario_files", metavar="SCENARIO...", type=PATH, nargs=-1, required=True)
+@click.option("-o", "folder", type=PATH, required=True, help="Output folder.")
 @click.option(
     "--set",
     "changes",

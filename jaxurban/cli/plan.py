@@ -10,6 +10,7 @@ import click
 from jaxurban.cli.common import (
     DEVICE,
     JSON_FLAG,
+    PATH,
     ROUTE,
     Settings,
     print_json,
@@ -50,10 +51,8 @@ LEVEL_OPTIONS = ("min_altitude_m", "max_altitude_m", "level_step_m", "climb_cost
 @click.option("--speed", "speed_m_s", type=float, help="Metres per second, for times.  [default: the vehicle's]")
 @click.option("--power", "power_w", type=float, help="Watts in flight, for energy.  [default: the vehicle's]")
 @click.option("--swath", "swath_m", type=float, help="Of the strip of people overflown, metres.  [default: 10]")
-@click.option("--profile", type=click.Path(path_type=Path), help="Draw what the route meets, as PNG.")
-@click.option(
-    "-o", "files", type=click.Path(path_type=Path), multiple=True, help=".geojson, .kml, .gpx or .plan; repeatable."
-)
+@click.option("--profile", type=PATH, help="Draw what the route meets, as PNG.")
+@click.option("-o", "files", type=PATH, multiple=True, help=".geojson, .kml, .gpx or .plan; repeatable.")
 @click.option(
     "--simplify",
     "simplify_m",

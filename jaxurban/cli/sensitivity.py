@@ -13,6 +13,7 @@ from jaxurban.cli.common import (
     DEVICE,
     ENDS,
     JSON_FLAG,
+    PATH,
     Settings,
     default_workers,
     given_constraints,
@@ -52,9 +53,7 @@ MANY = together(
         "--routes", "num_routes", type=click.IntRange(min=1), help="Sample so many in each DIR.  [default: 30]"
     ),
     click.option("--altitudes", "altitudes_text", default="", metavar="M,...", help="Of --routes.  [default: all]"),
-    click.option(
-        "--queries", type=click.Path(path_type=Path), help="Study these routes (.csv, .parquet), not sampled ones."
-    ),
+    click.option("--queries", type=PATH, help="Study these routes (.csv, .parquet), not sampled ones."),
     click.option("--wrong", type=float, help="A wrong weight is so many times off, for its regret.  [default: 2]"),
     click.option("--heights", type=click.IntRange(min=0), default=0, help="Plan on maps of so many draws of heights."),
     click.option("--parameters", is_flag=True, help="Plan on maps of other thresholds, range and gammas."),
@@ -71,7 +70,7 @@ MANY = together(
 
 
 @click.command()
-@click.argument("folders", metavar="DIR...", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.argument("folders", metavar="DIR...", nargs=-1, required=True, type=PATH)
 @together(*(click.option(*names, type=kind, help=f"Of one route: {told}") for names, kind, told in ENDS))
 @MANY
 @COSTS
@@ -96,7 +95,7 @@ MANY = together(
     help="That made the maps, where --buildings, --heights or --parameters needs its folder; of one DIR.",
 )
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
-@click.option("-o", "output", type=click.Path(path_type=Path), default=Path("out/sensitivity"), show_default=True)
+@click.option("-o", "output", type=PATH, default=Path("out/sensitivity"), show_default=True)
 @click.option("--overwrite", is_flag=True, help="Replace another run of sensitivity in the output folder.")
 @DEGREES
 @DEVICE
@@ -129,7 +128,7 @@ def _one(folder: Path, output: Path, as_json: bool, overwrite: bool, given: Sett
     from jaxurban.io.files import check_writable
     from jaxurban.io.tables import records_of
     from jaxurban.io.workspace import Workspace
-    from jaxurban.report.sensitivity import add_buildings, ranges, write_sensitivity
+    from jaxurban.report.sensitivity import FILES, add_buildings, ranges, write_sensitivity
     from jaxurban.studies.sensitivity.study import SensitivitySettings
     from jaxurban.studies.sensitivity.study import sensitivity as study
 
@@ -159,11 +158,11 @@ def _one(folder: Path, output: Path, as_json: bool, overwrite: bool, given: Sett
     }
     query = {name: given[name] for name in ("altitude_m", "time", "time_of_day")} | ends
     key = {"maps": of_maps, "buildings": with_buildings} | query | dict(first.settings) | asdict(how)
-    names = []
+    names = [*FILES]
     if with_buildings:
         from jaxurban.report.buildings import BUILDINGS_FILES, write_buildings
 
-        names = [f"buildings/{name}" for name in BUILDINGS_FILES]
+        names += [f"buildings/{name}" for name in BUILDINGS_FILES]
     with (
         Workspace.open(output, "sensitivity", key, names=names, overwrite=overwrite),
         reporting("sensitivity") as report,

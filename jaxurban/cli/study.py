@@ -10,6 +10,7 @@ from jaxurban.cli.common import (
     CONSTRAINTS,
     DEVICE,
     JSON_FLAG,
+    PATH,
     PRESET,
     default_workers,
     given_constraints,
@@ -29,9 +30,9 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.argument("scenario_file", metavar="SCENARIO", type=click.Path(path_type=Path))
-@click.option("-o", "folder", type=click.Path(path_type=Path), required=True, help="Folder of the maps and the study.")
-@click.option("--instances", "instances_file", type=click.Path(path_type=Path), help="Plan these (.parquet, .csv).")
+@click.argument("scenario_file", metavar="SCENARIO", type=PATH)
+@click.option("-o", "folder", type=PATH, required=True, help="Folder of the maps and the study.")
+@click.option("--instances", "instances_file", type=PATH, help="Plan these (.parquet, .csv).")
 @click.option("--resolution", "resolution_m", type=float, help="Of the maps, metres.  [default: the scenario's first]")
 @click.option("--budget-iterations", type=click.IntRange(min=1), help="Samples a run instead of [study] budget_s.")
 @PRESET
@@ -40,9 +41,7 @@ if TYPE_CHECKING:
     "--workers", type=click.IntRange(min=1), help="Processes.  [default: one a core, where Dask is installed]"
 )
 @click.option("--cluster", metavar="ADDRESS", help="Work on the Dask cluster of a scheduler, such as tcp://host:8786.")
-@click.option(
-    "--benchmark", "benchmark_folder", type=click.Path(path_type=Path), help="Export a public benchmark to it."
-)
+@click.option("--benchmark", "benchmark_folder", type=PATH, help="Export a public benchmark to it.")
 @click.option("--overwrite", is_flag=True, help="Replace maps or a study of other settings in the output folder.")
 @DEVICE
 @JSON_FLAG

@@ -13,6 +13,7 @@ from jaxurban.cli.common import (
     DEVICE,
     JSON_FLAG,
     OBSTACLES,
+    PATH,
     PRESET,
     RESOLUTION,
     given_constraints,
@@ -29,11 +30,11 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.argument("words", metavar="DIR [ROUTES]...", type=click.Path(path_type=Path), nargs=-1, required=True)
-@click.option("-o", "out", type=click.Path(path_type=Path), required=True, help="Output folder.")
+@click.argument("words", metavar="DIR [ROUTES]...", type=PATH, nargs=-1, required=True)
+@click.option("-o", "out", type=PATH, required=True, help="Output folder.")
 @click.option(
     "--also",
-    type=(click.Path(path_type=Path), click.Path(path_type=Path)),
+    type=(PATH, PATH),
     multiple=True,
     metavar="DIR ROUTES",
     help="Further maps and routes, fitted together with the first; repeatable.",

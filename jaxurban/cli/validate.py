@@ -5,14 +5,14 @@ from typing import Any
 
 import click
 
-from jaxurban.cli.common import DEGREES, DEVICE, JSON_FLAG, numbers_in, print_json, tell
+from jaxurban.cli.common import DEGREES, DEVICE, JSON_FLAG, PATH, numbers_in, print_json, tell
 from jaxurban.progress import reporting
 
 
 @click.command()
-@click.argument("scenario_file", metavar="SCENARIO", type=click.Path(path_type=Path))
-@click.argument("log_file", metavar="LOG", type=click.Path(path_type=Path))
-@click.option("-o", "output", type=click.Path(path_type=Path), required=True, help="Output folder.")
+@click.argument("scenario_file", metavar="SCENARIO", type=PATH)
+@click.argument("log_file", metavar="LOG", type=PATH)
+@click.option("-o", "output", type=PATH, required=True, help="Output folder.")
 @click.option("--set", "changes", metavar="KEY=VALUE", multiple=True, help="Change a setting of SCENARIO; repeatable.")
 @click.option(
     "--antenna-height",

@@ -8,6 +8,7 @@ import click
 
 from jaxurban.cli.common import (
     OBSTACLES,
+    PATH,
     PRESET,
     RESOLUTION,
     stored_obstacles,
@@ -23,17 +24,13 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
+@click.argument("folder", metavar="DIR", type=PATH)
 @RESOLUTION
 @OBSTACLES
 @PRESET
-@click.option("--other", type=click.Path(path_type=Path), metavar="DIR", help="Further maps, to look at differences.")
-@click.option(
-    "--study", type=click.Path(path_type=Path), metavar="DIR", help="What `jaxurban sensitivity` wrote of one route."
-)
-@click.option(
-    "--export", type=click.Path(path_type=Path), metavar="PAGE.html", help="Write one file to look at, and end."
-)
+@click.option("--other", type=PATH, metavar="DIR", help="Further maps, to look at differences.")
+@click.option("--study", type=PATH, metavar="DIR", help="What `jaxurban sensitivity` wrote of one route.")
+@click.option("--export", type=PATH, metavar="PAGE.html", help="Write one file to look at, and end.")
 @click.option(
     "--size", "size_mib", type=click.FloatRange(min=1), default=25, show_default=True, help="MiB of --export at most."
 )

@@ -1,6 +1,8 @@
 """The files of a Zarr: its chunks and metadata, whether they are as they were written, and rows as they hold them."""
 
+import json
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
 from functools import lru_cache
 from itertools import chain, product
 from pathlib import Path
@@ -30,14 +32,19 @@ class Chunk(NamedTuple):
 
 
 def metadata_of(path: Path) -> list[Path]:
-    """Return the files of a Zarr's metadata, but for the one that holds them all."""
-    arrays = (*path.glob("*/.zarray"), *path.glob("*/.zattrs"))
-    return [path / ".zattrs", path / ".zgroup", *sorted(arrays)]
+    """Return the files of a Zarr's metadata, but for the one that holds them all; arrays of others are not in it.
+
+    Raises:
+      OSError, ValueError, TypeError: that one is missing or damaged.
+    """
+    return [path / str(name) for name in dict(dict(json.loads(metadata_file(path).read_bytes())).get("metadata", {}))]
 
 
 def has_whole_metadata(path: Path) -> bool:
     """Return whether the metadata of a Zarr, of all its arrays together, are as they were written."""
-    return is_whole(metadata_file(path), *metadata_of(path))
+    with suppress(OSError, ValueError, TypeError):
+        return is_whole(metadata_file(path), *metadata_of(path))
+    return False
 
 
 def array_of(path: Path) -> Any:
@@ -52,7 +59,7 @@ def _opened(path: Path, changed_ns: int) -> Any:
 
 def chunks_of(path: Path, name: str | None = None) -> Iterator[Chunk]:
     """Yield the chunks that a Zarr, or one array of it, should hold."""
-    for own, array in zarr.open_group(path, mode="r", use_consolidated=False).arrays():
+    for own, array in zarr.open_group(path, mode="r", zarr_format=2, use_consolidated=True).arrays():
         if name is None or own == name:
             for place in np.ndindex(array.cdata_shape):
                 yield Chunk(array, place, path / own / array.metadata.encode_chunk_key(place))

@@ -38,6 +38,7 @@ from jaxurban.io.chunks import (
 from jaxurban.io.files import (
     BLANK,
     FIELD,
+    MARK,
     SCRATCH_SUFFIX,
     checksum_of,
     holds_bytes,
@@ -78,7 +79,14 @@ NUMBER_M = r"(\d+(?:\.\d+)?(?:e[+-]?\d+)?)m"  # as `short_number` writes it
 def stored_resolutions(folder: Path) -> dict[float, Path]:
     """Return where the maps under ``folder`` lie, by resolution in metres."""
     named = [(re.fullmatch(NUMBER_M, path.name), path) for path in sorted((folder / ZARR_FOLDER).glob("*m"))]
-    return {float(match[1]): path for match, path in named if match and any((path / name).exists() for name in OF_ZARR)}
+    return {float(match[1]): path for match, path in named if match and _is_of_maps(path)}
+
+
+def _is_of_maps(path: Path) -> bool:
+    """Return whether a folder is a Zarr of maps, be they damaged, and not one of the user's under such a name."""
+    held = metadata_file(path)
+    is_ours = (path / NEEDED[0]).is_dir() or (held.is_file() and MARK in held.read_bytes())
+    return is_ours and any((path / name).exists() for name in OF_ZARR)
 
 
 def are_of_a_run(folder: Path) -> bool:
@@ -136,9 +144,10 @@ def _to_zarr(ds: xr.Dataset, path: Path, mode: Literal["w", "a"], tile: tuple[in
     encoding = {str(name): _encoding(array, tile) for name, array in ds.variables.items()}
     how: dict[str, Any] = {"zarr_format": 2, "consolidated": False, "write_empty_chunks": True, "compute": False}
     ds.to_zarr(path, mode=mode, encoding=encoding, **how)
-    parts = {file.relative_to(path).as_posix(): json.loads(file.read_bytes()) for file in metadata_of(path)}
+    files = [path / ".zattrs", path / ".zgroup", *sorted((*path.glob("*/.zarray"), *path.glob("*/.zattrs")))]
+    parts = {file.relative_to(path).as_posix(): json.loads(file.read_bytes()) for file in files}
     metadata_file(path).write_text(json.dumps({"metadata": parts, "zarr_consolidated_format": 1, FIELD: BLANK}))
-    seal(metadata_file(path), *metadata_of(path))
+    seal(metadata_file(path), *files)
 
 
 def _gdal_crs(crs: str) -> dict[str, str]:
@@ -385,7 +394,7 @@ class _Maps(BackendEntrypoint):
     """How xarray opens the Zarr: as it always does, with rows from the south and `_Map` around every map."""
 
     def open_dataset(self, filename_or_obj: Any, *, drop_variables: Any = None) -> xr.Dataset:
-        how: dict[str, Any] = {"consolidated": False, "mask_and_scale": False}
+        how: dict[str, Any] = {"consolidated": True, "mask_and_scale": False}  # of these maps, no array of others
         opened = _Opened.at(Path(filename_or_obj))
         ds = xr.open_dataset(filename_or_obj, engine="zarr", chunks=None, cache=False, **how)
         for array in ds.variables.values():

@@ -274,11 +274,11 @@ class Workspace:
 
     def remove_all(self) -> None:
         """Remove all own files; what was changed since, or is not own, stays and is reported."""
-        folders = {(self.folder / name).parent for name in self.written}
+        folders = {(self.folder / name).parent for name in self.written} - {self.folder}
         self.remove(self.written)
-        if left := [each for folder in sorted(folders | {self.folder}) for each in _files_of(folder)]:
-            others = f" and {len(left) - 1} more" if len(left) > 1 else ""
-            LOG.warning(f"{str(left[0])!r}{others} stay: not from `jaxurban {self.command}`, or changed since")
+        if left := {*_files_of(self.folder), *(folder / name for folder in folders for name in _files_under(folder))}:
+            others = f" and {len(left) - 1} more stay" if len(left) > 1 else " stays"
+            LOG.warning(f"{str(min(left))!r}{others}: not from `jaxurban {self.command}`, or changed since")
 
     def remove(self, names: Iterable[str]) -> None:
         """Remove those files that are own, and folders that are empty then."""
@@ -318,8 +318,8 @@ def _files_of(folder: Path) -> list[Path]:
 
 
 def _files_under(folder: Path) -> list[str]:
-    folders = [folder, *(path for path in sorted(folder.rglob("*")) if path.is_dir())]
-    return [path.relative_to(folder).as_posix() for each in folders for path in _files_of(each)]
+    below = (each for each in sorted(folder.rglob("*")) if each.is_dir() and SCRATCH_SUFFIX not in str(each))
+    return [path.relative_to(folder).as_posix() for each in (folder, *below) for path in _files_of(each)]
 
 
 def _sections(folder: Path) -> Sections:

@@ -16,7 +16,7 @@ from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.report.figures.degrees import in_degrees
 from jaxurban.report.figures.map_comparison import EPOCHS, comparison_figures, heading_of
 from jaxurban.report.markdown import bullets, cell, fill, listed, table
-from jaxurban.report.save import Output, save
+from jaxurban.report.save import Output, files_of, save
 from jaxurban.scenario.differences import NOT_SET
 from jaxurban.studies.map_comparison.compare import CLOSED, EVERYWHERE, MASKS, SAME, MapComparison, Place, unit_of
 from jaxurban.studies.queries import population_norms
@@ -48,8 +48,20 @@ def save_comparison(
         key["routes"] = asdict(found.routes.settings) | {
             "queries": [query.to_dict() for query in found.routes.a.queries]
         }
-    with Workspace.open(folder, "compare", json.loads(json.dumps(key, default=str)), overwrite=overwrite):
-        return write_comparison(found, folder, degrees)
+    outputs: dict[str, Output] = {"tables/layers": found.table}
+    if found.routes is not None:
+        outputs["tables/routes"] = found.routes.table
+    figures = in_degrees(comparison_figures(found), found.grid, degrees)
+    outputs |= {f"figures/{name}.png": draw for name, draw in figures.items()}
+    outputs[REPORT_FILE] = comparison_markdown(found, list(figures))
+    asked, differences = json.loads(json.dumps(key, default=str)), [_difference(found, layer) for layer in found.layers]
+    names = [*differences, *files_of(outputs)]
+    with Workspace.open(folder, "compare", asked, names=names, overwrite=overwrite):
+        files = [
+            _write_difference(found, layer, folder / name)
+            for layer, name in zip(found.layers, differences, strict=True)
+        ]
+        return files + save(folder, outputs)
 
 
 def _identity(maps: MetricMaps) -> dict[str, str]:
@@ -57,18 +69,11 @@ def _identity(maps: MetricMaps) -> dict[str, str]:
     return {name: str(maps.ds.attrs.get(name)) for name in names} | {"obstacles": maps.obstacles}
 
 
-def write_comparison(found: MapComparison, folder: Path, degrees: bool = False) -> list[Path]:
-    """Write what `save_comparison` writes, into a folder that is held already."""
-    outputs: dict[str, Output] = {"tables/layers": found.table}
-    if found.routes is not None:
-        outputs["tables/routes"] = found.routes.table
-    figures = in_degrees(comparison_figures(found), found.grid, degrees)
-    pictures = {f"figures/{name}.png": draw for name, draw in figures.items()}
-    files = [_write_difference(found, layer, folder / "difference") for layer in found.layers]
-    return files + save(folder, {**outputs, **pictures, REPORT_FILE: comparison_markdown(found, list(figures))})
+def _difference(found: MapComparison, layer: str) -> str:
+    return f"difference/{layer}_{short_number(found.grid.resolution_m)}m.tif"
 
 
-def _write_difference(found: MapComparison, layer: str, folder: Path) -> Path:
+def _write_difference(found: MapComparison, layer: str, file: Path) -> Path:
     bands = {
         _band(place): found.of(layer, place.altitude_m, time=place.time, time_of_day=place.time_of_day)
         for place in found.places(layer)
@@ -76,7 +81,6 @@ def _write_difference(found: MapComparison, layer: str, folder: Path) -> Path:
     tags = {"layer": layer, "difference": "B - A", "maps_a": found.names[0], "maps_b": found.names[1]}
     if credit := found.a.ds.attrs.get("attribution"):
         tags["attribution"] = credit
-    file = folder / f"{layer}_{short_number(found.grid.resolution_m)}m.tif"
     return write_bands(file, found.grid, bands, unit_of(found.a, layer), tags)
 
 

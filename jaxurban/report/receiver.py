@@ -17,7 +17,7 @@ from jaxurban.io.workspace import Workspace
 from jaxurban.report.figures.degrees import in_degrees
 from jaxurban.report.figures.receiver import LABELS, name_of, validation_figures
 from jaxurban.report.markdown import bullets, counted, fill, table
-from jaxurban.report.save import Output, save
+from jaxurban.report.save import Output, files_of, save
 from jaxurban.studies.bootstrap import FEWEST_GROUPS
 from jaxurban.studies.receiver.scores import AUC, COEFFICIENTS, MAIN, SPEARMAN, WITHIN
 from jaxurban.studies.receiver.validate import ReceiverValidation
@@ -49,8 +49,19 @@ def save_validation(
     """
     asked = {"log": found.log.name, "scenario": found.scenario, "settings": found.settings.to_dict()}
     asked["rows"] = _digest(found.log)
-    with Workspace.open(Path(folder), "validate", _plain(asked), overwrite=overwrite):
-        return write_validation(found, Path(folder), degrees)
+    figures = in_degrees(validation_figures(found), found.background.grid, degrees)
+    outputs: dict[str, Output] = {
+        REPORT_FILE: validation_markdown(found, list(figures)),
+        NUMBERS_FILE: f"{json.dumps(numbers_of(found), indent=2, allow_nan=False)}\n",
+        "tables/pieces": found.pieces.assign(utc=found.pieces.utc.map(lambda time: time.isoformat())),
+        "tables/scores": found.scores,
+        "tables/shifts": found.shifts,
+    }
+    if found.satellites is not None:
+        outputs["tables/satellites"] = found.satellites
+    outputs |= {f"figures/{name}.png": draw for name, draw in figures.items()}
+    with Workspace.open(Path(folder), "validate", _plain(asked), names=files_of(outputs), overwrite=overwrite):
+        return save(folder, outputs)
 
 
 def _digest(log: ReceiverLog) -> str:
@@ -58,22 +69,6 @@ def _digest(log: ReceiverLog) -> str:
     tables = (log.epochs, log.satellites)
     text = "".join(each.to_csv(index=False) for each in tables if each is not None)
     return hashlib.sha256(text.encode()).hexdigest()
-
-
-def write_validation(found: ReceiverValidation, folder: Path, degrees: bool = False) -> list[Path]:
-    """Write what `save_validation` writes, into a folder that is held already."""
-    figures = in_degrees(validation_figures(found), found.background.grid, degrees)
-    pieces = found.pieces.assign(utc=found.pieces.utc.map(lambda time: time.isoformat()))
-    outputs: dict[str, Output] = {
-        REPORT_FILE: validation_markdown(found, list(figures)),
-        NUMBERS_FILE: f"{json.dumps(numbers_of(found), indent=2, allow_nan=False)}\n",
-        "tables/pieces": pieces,
-        "tables/scores": found.scores,
-        "tables/shifts": found.shifts,
-    }
-    if found.satellites is not None:
-        outputs["tables/satellites"] = found.satellites
-    return save(folder, {**outputs, **{f"figures/{name}.png": draw for name, draw in figures.items()}})
 
 
 def numbers_of(found: ReceiverValidation) -> dict[str, Any]:

@@ -24,7 +24,7 @@ from jaxurban.paths.queries import WEIGHT_PREFIX, read_queries
 from jaxurban.progress import LOG, Progress, Report, reporting
 from jaxurban.report.buildings import scenario_of
 from jaxurban.report.run_montecarlo import INSTANCES_FILE, check_instances
-from jaxurban.report.sensitivity_study import SensitivityStudy, write_sensitivity_study
+from jaxurban.report.sensitivity_study import FILES, SensitivityStudy, write_sensitivity_study
 from jaxurban.scenario.run import tasks_of as maps_tasks_of
 from jaxurban.scenario.settings import Scenario
 from jaxurban.studies.montecarlo.run import InstanceRuns, MapsFolder, helpers, keep_rows, solve, tasks_of
@@ -110,7 +110,11 @@ def sensitivity_study(
     about = {city: _about(maps) for city, maps in opened.items()}
     key = settings.to_dict() | {"maps": about, "routes": _routes_key(instances)}
     job = settings if workers == 1 or settings.num_threads is not None else replace(settings, num_threads=1)
-    with Workspace.open(folder, "sensitivity", key, overwrite=overwrite), reporting("sensitivity", progress) as report:
+    names = [INSTANCES_FILE, *(f"{name}/{ROWS_FILE}" for name in (ROUTES_FOLDER, REMADE_FOLDER)), *FILES]
+    with (
+        Workspace.open(folder, "sensitivity", key, names=names, overwrite=overwrite),
+        reporting("sensitivity", progress) as report,
+    ):
         write_table(instances, folder / INSTANCES_FILE)
         rows = _routes(folder, instances, given, job, workers, report)
         remade_table, skipped = pd.DataFrame(), tuple[str, ...]()

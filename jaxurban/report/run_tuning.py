@@ -13,13 +13,14 @@ from jaxurban.io.tables import records_of
 from jaxurban.io.workspace import Workspace
 from jaxurban.maps.metric_maps import MetricMaps, Obstacles, open_maps
 from jaxurban.metrics.weights import Weights
+from jaxurban.paths.cost_map import CostMap
 from jaxurban.presets import DEFAULTS
 from jaxurban.progress import Progress, reporting
 from jaxurban.report.figures.degrees import in_degrees
 from jaxurban.report.figures.fits import plot_fits
 from jaxurban.report.figures.tuning import plot_learning, plot_regret, plot_routes, plot_targets, plot_weights
 from jaxurban.report.fits import fits_section, is_compared
-from jaxurban.report.save import Output, save
+from jaxurban.report.save import Output, files_of, save
 from jaxurban.report.tuning import (
     FitSource,
     imitation_report,
@@ -33,13 +34,15 @@ from jaxurban.studies.demonstrations import Demonstration
 from jaxurban.studies.montecarlo.sampling import sample_instances
 from jaxurban.studies.queries import maps_of
 from jaxurban.studies.read_demonstrations import read_demonstrations
-from jaxurban.studies.tuning.compared_fits import FitComparison, compare_fits
+from jaxurban.studies.tuning.compared_fits import FitComparison, compare_fits, state_files
 from jaxurban.studies.tuning.fit_settings import FitSettings
 from jaxurban.studies.tuning.target_fit import TargetFit, fit_targets
 from jaxurban.studies.tuning.targets import Target
 from jaxurban.studies.tuning.weight_fit import WeightFit
 
 STATE_FILE = "fit-state.npz"
+TABLES = "learning_curve", "fewer_examples", "fits", "routes", "targets", "weights", "examples"
+FIGURES = "weights", "learning_curve", "regret", "fits", "targets"
 STUDY_FOLDER = "study"  # of `jaxurban study`, beside the maps
 
 
@@ -130,7 +133,11 @@ def run_tuning(
         fit: WeightFit | TargetFit
         found: FitComparison | None = None
         # Other fits differ in the state of the fit, which holds its settings.
-        with Workspace.open(folder, "tune", {}, overwrite=overwrite):
+        states = state_files(Path(STATE_FILE), list(cities), settings.losses, settings.by_city)
+        pictures = [*FIGURES, *_pictures(demonstrations)]
+        outputs = [*TABLES, *(f"figures/{name}.png" for name in pictures), "weights.toml", "report.md"]
+        names = [*map(str, states), *files_of(outputs)]
+        with Workspace.open(folder, "tune", {}, names=names, overwrite=overwrite):
             report("rounds")
             if targets:
                 fit = fit_targets([each.query for each in demonstrations], targets, settings=how)
@@ -151,8 +158,7 @@ def run_tuning(
             beside = plan_beside(demonstrations, fit.weights)
             report("figures and report")
             files = [(_routes_said(source, settings), str(source.maps)) for source in sources]
-            outputs = outputs_of(fit, beside, files, command, targets, found, degrees)
-            save(folder, outputs)
+            save(folder, outputs_of(fit, beside, files, command, targets, found, degrees))
     facts = _facts(fit, folder)
     return facts if found is None or not is_compared(found) else facts | {"fits": records_of(found.table)}
 
@@ -226,12 +232,12 @@ def outputs_of(
       found: further fits, which the fit is compared with, and routes that were held out.
       degrees: as in `run_tuning`.
     """
-    maps = maps_of(each.query for each in beside.demonstrations)
+    pictures = _pictures(beside.demonstrations)
+    maps = [*pictures.values()]
     unit = weight_units(maps[0])
     units = [unit[name] for name in fit.names]
     vector = fit.weights.vector(fit.names)
     routes = beside.table
-    pictures = {f"routes_{number}": one for number, one in enumerate(maps, start=1)}
     source = FitSource(tuple(files), command, tuple(pictures))
     outputs: dict[str, Output] = {
         "learning_curve": fit.curve,
@@ -261,6 +267,11 @@ def outputs_of(
         )
     outputs |= {"weights": weights.assign(unit=units), "examples": routes}
     return outputs | {"weights.toml": weights_toml(fit, maps[0]), "report.md": report}
+
+
+def _pictures(demonstrations: Sequence[Demonstration]) -> dict[str, CostMap]:
+    """Return the maps that routes are drawn on, by the name of the picture."""
+    return {f"routes_{k}": one for k, one in enumerate(maps_of(each.query for each in demonstrations), start=1)}
 
 
 def _facts(fit: WeightFit | TargetFit, folder: Path) -> dict[str, Any]:

@@ -1,6 +1,6 @@
 """Writing what a job made: reports, tables and pictures under one folder, each file whole or not there at all."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +15,11 @@ from jaxurban.io.tables import SUFFIXES, write_table
 
 DPI, NUM_COLOURS, NUM_ROUNDS = 110, 256, 10
 Output = str | pd.DataFrame | Callable[[], Figure]  # a text, a table, or what draws a picture
+
+
+def files_of(names: Iterable[str]) -> list[str]:
+    """Return the names of the files that `save` writes for outputs of these names."""
+    return [f"{name}{suffix}" for name in names for suffix in ([""] if Path(name).suffix else reversed(SUFFIXES))]
 
 
 def save(folder: str | Path, outputs: Mapping[str, Output]) -> list[Path]:
@@ -32,8 +37,7 @@ def save(folder: str | Path, outputs: Mapping[str, Output]) -> list[Path]:
     for name, output in outputs.items():
         file = Path(folder) / name
         if isinstance(output, pd.DataFrame):
-            both = [file.with_name(f"{file.name}{suffix}") for suffix in SUFFIXES]
-            files += [write_table(output, each) for each in ([file] if file.suffix else reversed(both))]
+            files += [write_table(output, Path(folder) / each) for each in files_of([name])]
             continue
         with whole_file(file) as scratch:
             if isinstance(output, str):

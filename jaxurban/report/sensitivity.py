@@ -14,12 +14,15 @@ from jaxurban.planners.cost_model import CostModel
 from jaxurban.report.figures.degrees import in_degrees
 from jaxurban.report.figures.sensitivity import sensitivity_figures
 from jaxurban.report.markdown import bullets, fill, listed, short, table
-from jaxurban.report.save import save
+from jaxurban.report.save import files_of, save
 from jaxurban.studies.outcomes import outcome_label, outcome_names, outcome_unit
 from jaxurban.studies.sensitivity.sobol import FEW_SAMPLES
 from jaxurban.studies.sensitivity.study import Sensitivity
 
 REPORT_FILE = "report.md"
+TABLES = "cost_gradient", "local", "sobol", "sobol_spread", "switches", "pareto", "triangle", "triangle_cells"
+FIGURES = "switches", "switch_routes", "sobol", "pareto", "triangle", "triangle_routes"
+FILES = files_of([*(f"tables/{name}" for name in TABLES), *(f"figures/{name}.png" for name in FIGURES), REPORT_FILE])
 ALIKE = 0.05  # routes are much the same where no outcome differs by more than this share
 MORE = 1.1  # the change of a weight that the report tells about: 10 %
 CLEAR = 2.0  # standard errors from 0
@@ -44,7 +47,8 @@ def save_sensitivity(
     folder, route = Path(folder), found.route
     settings = {"route": route.settings, "lonlat": route.lonlat[[0, -1]].tolist(), "weights": found.weights.tolist()}
     settings |= {"vary": found.vary, "factors": found.factors, "triangle": found.triangle_names}
-    with Workspace.open(folder, "sensitivity", json.loads(json.dumps(settings, default=str)), overwrite=overwrite):
+    asked = json.loads(json.dumps(settings, default=str))
+    with Workspace.open(folder, "sensitivity", asked, names=FILES, overwrite=overwrite):
         return write_sensitivity(found, folder, degrees)
 
 

@@ -12,7 +12,7 @@ import pandas as pd
 from jaxurban.paths.queries import WEIGHT_PREFIX
 from jaxurban.report.figures.sensitivity_study import study_figures
 from jaxurban.report.markdown import bullets, counted, fill, listed, table
-from jaxurban.report.save import Output, save
+from jaxurban.report.save import Output, files_of, save
 from jaxurban.studies.bootstrap import FEWEST_GROUPS
 from jaxurban.studies.montecarlo.complementarity import Finding
 from jaxurban.studies.montecarlo.sampling import weighed_metrics, weight_columns
@@ -83,6 +83,11 @@ class SensitivityStudy:
         if "weights" not in tables:
             return []
         return findings(tables["weights"], tables.get("sobol"), tables.get("remade_summary"), self.settings.wrong)
+
+
+TABLES = "routes", "weights", "summary", "sobol", "sobol_summary", "remade", "remade_summary"
+FIGURES = "share", "regret", "nearest", "where", "sobol", "remade"
+FILES = files_of([*(f"tables/{name}" for name in TABLES), *(f"figures/{name}.png" for name in FIGURES), REPORT_FILE])
 
 
 def write_sensitivity_study(found: SensitivityStudy) -> list[Path]:

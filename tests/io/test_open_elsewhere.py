@@ -285,7 +285,7 @@ def test_a_layer_that_is_not_there_is_refused_before_anything_is_written(maps, t
 
 def test_maps_of_an_older_format_are_refused_with_the_remedy(folder, tmp_path):
     old = tmp_path / "maps.zarr" / "5m"
-    old.mkdir(parents=True)
+    (old / "obstacle").mkdir(parents=True)
     (old / "zarr.json").write_text('{"zarr_format": 3, "node_type": "group"}')
     with pytest.raises(InputError, match=r"older version of jaxurban: make the maps anew .*--overwrite"):
         ju.open_maps(tmp_path)

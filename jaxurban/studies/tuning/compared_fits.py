@@ -103,9 +103,11 @@ def compare_fits(
     group = _groups(city, queries)
     is_held_out = split(city, group, hold_out, settings.seed)
     fits: dict[str, tuple[WeightFit, str, list[str]]] = {}
-    for name, loss, members in _plans(list(cities), losses, by_city):
+    plans = _plans(list(cities), losses, by_city)
+    file = settings.state_file
+    kept = [None for _ in plans] if file is None else state_files(Path(file), list(cities), losses, by_city)
+    for (name, loss, members), state_file in zip(plans, kept, strict=True):
         fitted = np.flatnonzero(~is_held_out & np.isin(city, members))
-        state_file = settings.state_file if not fits else _beside(settings.state_file, name)
         how = replace(settings, state_file=state_file)
         seen = [demonstrations[k] for k in fitted]
         fits[name] = (fit_weights(seen, scale=scale, loss=loss, bootstrap=bootstrap, settings=how), loss, members)
@@ -175,11 +177,10 @@ def _plans(cities: list[str], losses: Sequence[str], by_city: bool) -> list[tupl
     return plans
 
 
-def _beside(file: str | Path | None, name: str) -> Path | None:
-    """Return a file beside another for the fit of a name."""
-    if file is None:
-        return None
-    return Path(file).with_stem(f"{Path(file).stem}-{re.sub(r'[^0-9a-zA-Z]+', '-', name)}")
+def state_files(file: Path, cities: list[str], losses: Sequence[str], by_city: bool) -> list[Path]:
+    """Return where the searches of each fit of `compare_fits` are kept: those of the first in ``file``."""
+    others = [re.sub(r"[^0-9a-zA-Z]+", "-", name) for name, _, _ in _plans(cities, losses, by_city)[1:]]
+    return [file, *(file.with_stem(f"{file.stem}-{name}") for name in others)]
 
 
 class _Judge:
