@@ -18,6 +18,7 @@ CLEAR_M = 0.02  # that legs keep from closed cells, so that coordinates of 7 dec
 NUDGES = (1.5, 3.0)  # by how many such distances points may move where the path itself passes nearer
 DIRECTIONS = 8
 SPACING = 1.0  # cell sides between the points along a path at which it may turn
+PART = 0.3  # cell sides: five parts make a diagonal step, whose corner then lies within one of them
 SHORT_M = 1.0  # legs shorter than this between two turns are left out where one turn does for both
 ALIKE = 0.05  # sine of the angle between legs that run alike
 
@@ -176,8 +177,8 @@ def _are_clear(is_free: np.ndarray, xy: np.ndarray, margin: float) -> np.ndarray
 
 
 def _divided(xy: np.ndarray, is_far: np.ndarray) -> np.ndarray:
-    """Return the points with others along the legs that are not clear, a quarter of a cell side apart."""
-    parts = [xy[k : k + 1] if is_far[k] else subdivided(xy[k : k + 2], 0.25)[:-1] for k in range(len(is_far))]
+    """Return the points with others along the legs that are not clear, `PART` apart."""
+    parts = [xy[k : k + 1] if is_far[k] else subdivided(xy[k : k + 2], PART)[:-1] for k in range(len(is_far))]
     return np.concatenate([*parts, xy[-1:]])
 
 

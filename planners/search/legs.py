@@ -17,6 +17,7 @@ AHEAD = 1e-12  # relative: sums this much smaller are smaller
 def nudged(is_free, xy, is_movable, offsets, margin):
     """Return points ``[N, 2]``, some moved by one of a few offsets, so that as few legs as can be are not clear.
 
+    Legs that are not clear stay where they are: moved, one through the corner of two closed cells would enter one.
     Of such ways the one whose points move the least in all, by dynamic programming over the offsets of each point.
 
     Args:
@@ -40,7 +41,7 @@ def nudged(is_free, xy, is_movable, offsets, margin):
                     continue
                 from_x, from_y = xy[k - 1] + offsets[p]
                 if not is_clear(is_free, from_x, from_y, x, y, margin):
-                    reach += STUCK
+                    reach = reach + STUCK if c == p == 0 else np.inf
                 if reach < best[k, c]:
                     best[k, c], parent[k, c] = reach, p
     found = xy.copy()

@@ -179,6 +179,18 @@ def test_a_step_between_two_obstacles_that_touch_stays_as_it_was_planned_and_is_
     assert len(simple.points_m) <= 4
 
 
+def test_a_refined_path_between_obstacles_that_touch_stays_free_when_simplified():
+    """Its legs run through corners from which no point may be moved aside alone."""
+    num_near = 0
+    for seed in range(12):
+        problem = flat_problem(seed, diagonal="always")
+        path = refine(problem, find_planner("astar-plus")(problem, budget_s=10.0, seed=0), moves=("compass",))
+        simple = simplify(problem, path, 1.0)
+        assert simple.cost < np.inf, seed
+        num_near += "pass nearer" in simple.note
+    assert num_near
+
+
 def volume(seed, kind="line"):
     rng, low, start, goal = city(seed, (24, 24), 0.6)
     _, high, *_ = city(seed + 100, (24, 24), 0.8)
