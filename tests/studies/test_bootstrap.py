@@ -18,6 +18,7 @@ from jaxurban.studies.bootstrap import (
     median_of,
     p_value,
     share_interval,
+    share_of,
 )
 from jaxurban.studies.montecarlo.complementarity import SUMS, _statistics
 from jaxurban.studies.sensitivity.summary import Drawn
@@ -147,17 +148,29 @@ def test_intervals_over_pairs_of_several_cities_contain_the_truth_in_93_of_100_c
     """Means and the difference of two parts, pairs of places at two altitudes in three cities that differ."""
     rng, num, inside = np.random.default_rng(13), 2000, np.zeros(2)
     num_pairs = num_groups + 2  # each city further than the first costs a degree of freedom
-    pair = np.repeat(np.arange(num_pairs), 2)
+    pair = np.repeat(np.arange(2 * num_pairs), 2)
     table = pd.DataFrame({"city": np.array(["a", "b", "c"])[pair % 3], "instance": pair})
-    drawn = Drawn(table)
-    assert drawn.num_groups == num_groups
-    level, is_in = (pair % 3).astype(float), (pair // 3) % 2 == 0
+    level, is_in = (pair % 3).astype(float), pair % 2 == 0
+    both, part = Drawn(table), Drawn(table[is_in])
+    assert part.num_groups == both.difference(pd.Series(level), is_in)[1] == num_groups
     differs = level[is_in].mean() - level[~is_in].mean()
     for _ in range(num):
-        values = pd.Series(level + rng.normal(size=num_pairs)[pair] + 0.5 * rng.normal(size=pair.size))
-        mean, difference = drawn.interval(values), drawn.difference(values, is_in)
-        inside += mean.low <= level.mean() <= mean.high, difference.low <= differs <= difference.high
+        values = pd.Series(level + rng.normal(size=2 * num_pairs)[pair] + 0.5 * rng.normal(size=pair.size))
+        mean, (difference, _) = part.interval(values[is_in]), both.difference(values, is_in)
+        inside += mean.low <= level[is_in].mean() <= mean.high, difference.low <= differs <= difference.high
     assert (inside >= 0.93 * num).all(), inside / num
+
+
+def test_values_of_few_pairs_have_no_interval_however_many_pairs_a_table_has():
+    """Of 60 pairs the values of 7 are known, or 7 lie in one of two parts; with 8 there is an interval."""
+    pair, rng = np.arange(60), np.random.default_rng(15)
+    drawn, values = Drawn(pd.DataFrame({"city": "a", "instance": pair})), pd.Series(rng.normal(size=60))
+    for num, is_known in ((FEWEST_GROUPS - 1, False), (FEWEST_GROUPS, True)):
+        difference, num_groups = drawn.difference(values, pair < num)
+        assert num_groups == num
+        assert np.isfinite(difference.low) == is_known
+        assert np.isfinite(drawn.interval(values.where(pair < num)).low) == is_known
+        assert np.isfinite(drawn.interval((values > 0).astype(float).where(pair < num), share_of).low) == is_known
 
 
 @pytest.mark.slow

@@ -162,10 +162,10 @@ def _strata(weights: pd.DataFrame) -> Iterator[Claim]:
         for stratum in strata if len(strata) > 1 else ():
             is_in = ((part.start_stratum == stratum) | (part.goal_stratum == stratum)).to_numpy()
             if 0 < is_in.sum() < len(is_in):
-                more = drawn.difference(part.regret, is_in)
+                more, num_groups = drawn.difference(part.regret, is_in)
                 claim = f"A wrong weight of {name} costs more on routes that start or end in places of {stratum!r}."
                 evidence = f"by {shown(more, '.2%')} than on the others ({is_in.sum()} routes)"
-                yield _test(claim, True, more, 0.0, drawn.num_groups, evidence)
+                yield _test(claim, True, more, 0.0, num_groups, evidence)
 
 
 def _outcomes(shares: pd.DataFrame) -> Iterator[Claim]:

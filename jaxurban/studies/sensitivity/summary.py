@@ -116,30 +116,40 @@ class Drawn:
 
     def __init__(self, table: pd.DataFrame) -> None:
         groups, cities = table.instance.to_numpy(), table.city.to_numpy()
+        self.pair, self.city = table.groupby(["city", "instance"]).ngroup().to_numpy(), cities
         self.num_cities = table.city.nunique()
-        self.num_pairs = len(table[["city", "instance"]].drop_duplicates())
-        self.num_groups = self.num_pairs - self.num_cities + 1  # as `ends_of` counts them
+        self.num_pairs = len(np.unique(self.pair))
+        self.num_groups = self.num_pairs - self.num_cities + 1  # as `ends_of` counts them, at most
         self.within = counts_within(groups, cities) if len(table) else np.empty((NUM_DRAWS, 0), np.int64)
         self.over = counts_within(cities, np.zeros(len(table))) if self.num_cities > 1 else None
 
+    def groups_of(self, chosen: np.ndarray) -> int:
+        """Return how many groups, as `ends_of` counts them, the rows ``[N]`` bool hold that are chosen."""
+        return min(self.num_groups, len(np.unique(self.pair[chosen])) - len(np.unique(self.city[chosen])) + 1)
+
     def interval(self, values: pd.Series, statistic: Statistic = mean_of, *, over_cities: bool = False) -> Interval:
         """Return a statistic of the known values and its interval (`share_of`: see `share_interval`)."""
-        counts, num = (
-            (self.over, self.num_cities) if over_cities and self.over is not None else (self.within, self.num_groups)
-        )
         known = values.notna().to_numpy()
+        if over_cities and self.over is not None:
+            counts, num = self.over, len(np.unique(self.city[known]))
+        else:
+            counts, num = self.within, self.groups_of(known)
         numbers = values.to_numpy(np.float64)[known]
         if statistic is share_of:
             return share_interval(numbers, counts[:, known], num)
         return interval_of(numbers, counts[:, known], num, statistic)
 
-    def difference(self, values: pd.Series, is_in: np.ndarray) -> Interval:
-        """Return the mean of the values that are in, less that of the others, and its interval."""
+    def difference(self, values: pd.Series, is_in: np.ndarray) -> tuple[Interval, int]:
+        """Return the mean of the values that are in, less that of the others, with its interval; and its groups.
+
+        These are those of the part that has fewer: what scatters most has no more degrees of freedom.
+        """
         numbers, known = values.to_numpy(np.float64), values.notna().to_numpy()
         parts = [known & is_in, known & ~is_in]
         found = [numbers[part].mean() if part.any() else np.nan for part in parts]
         drawn = [mean_of(numbers[part], self.within[:, part]) for part in parts]
-        return Interval(float(found[0] - found[1]), *ends_of(drawn[0] - drawn[1], self.num_groups))
+        num_groups = min(map(self.groups_of, parts))
+        return Interval(float(found[0] - found[1]), *ends_of(drawn[0] - drawn[1], num_groups)), num_groups
 
 
 def named(name: str, interval: Interval) -> dict[str, float]:
