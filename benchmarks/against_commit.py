@@ -1,15 +1,17 @@
-"""CPU seconds of one checkout over another's, on the same work, in turn: has a change made anything slower?
+"""One checkout against another on the same work, in turn: has a change made anything slower, or any result another?
 
 ``python -m benchmarks.against_commit OLD NEW [--pairs 15] [--only NAME]`` runs each workload of `benchmarks.workloads`
-as a fresh process of OLD and of NEW in turn, so that the machine's other load hits both alike. Only the measured part
-counts, warm; what is compiled is compiled in a process before the first pair. Prints a row for each part: both medians,
-the median of the pairs' ratios, new over old, and its 95 % interval from a bootstrap over the pairs. Each side reads
-maps that it made itself, once, under ``--maps``, as neither need read the other's files.
+as a fresh process of OLD and of NEW in turn, so that the machine's other load hits both alike; what is compiled is
+compiled in a process before the first pair. Prints a row for each measured part: both medians, the median of the pairs'
+ratios, new over old, and its 95 % interval from a bootstrap over the pairs. Then it compares every result of both
+sides, and exits with 1 where one differs. Each side reads maps that it made itself, once, under ``--maps``.
 """
 
 import argparse
 import json
+import os
 import shutil
+import subprocess
 import sys
 import tempfile
 import time
@@ -17,25 +19,14 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.checkouts import output_of, start
 from benchmarks.common import ROOT, load
+from benchmarks.workloads import WORKLOADS
 from jaxurban.studies.bootstrap import draws_of, interval_of, median_of
 
-NAMES = (
-    "build_maps",
-    "series",
-    "supersampled",
-    "terrain",
-    "gradient",
-    "astar",
-    "plan_many",
-    "bitstar",
-    "tune",
-    "memory",
-    "first",
-)
-SCRIPT = "workloads.py"
-MEMORY_PAIRS = 3  # it hardly varies
+XLA_CACHE = ROOT / "out" / "compiled"  # of all checkouts: JAX finds programs in it by what they compute
+WHOLE_COMMANDS = ("studies", "memory", "first", "manhattan", "tokyo", "paper")
+FEW_PAIRS = 3  # of these
+MOST_SHOWN = 15  # differences of a workload
 Pair = tuple[float, float]  # of OLD and NEW
 
 
@@ -52,56 +43,97 @@ def row(name: str, pairs: list[Pair]) -> str:
     return f"| {name} | {len(pairs)} | {middles} | {low:.4f} to {high:.4f} |"
 
 
-def measure(name: str, sides: dict[str, Path], maps: Path, work: Path, num_pairs: int) -> dict[str, list[Pair]]:
-    """Return the pairs of each measured part of a workload; complains where the sides answer differently.
+def difference(old: str, new: str) -> str:
+    """Return two values, and by which share they differ where both are numbers."""
+    both = f"{old} -> {new}"
+    try:
+        before, after = float(old), float(new)
+    except ValueError:
+        return both
+    return f"{both} (by {abs(after - before) / max(abs(before), 1e-300):.1e})"
 
-    Args:
-      name: of the workload.
-      sides: the checkouts by ``"old"`` and ``"new"``.
-      maps: holds what each side reads.
-      work: holds each side's caches.
-      num_pairs: after an untimed run of each side.
+
+def compare(old: dict[str, str], new: dict[str, str]) -> list[str]:
+    """Return a line for each result that differs or that one side lacks."""
+    lines = [f"{name}: {difference(old[name], new[name])}" for name in old if name in new and old[name] != new[name]]
+    lines += [f"{name}: only in OLD ({old[name]})" for name in old if name not in new]
+    return lines + [f"{name}: only in NEW ({new[name]})" for name in new if name not in old]
+
+
+def run(checkout: Path, maps: Path, name: str, caches: Path) -> dict[str, dict]:
+    """Return what a workload took on a checkout's jaxurban, and what came out, in a process of its own.
+
+    What Numba and Python compile is kept in ``caches``, not in the checkout, which stays as it is: Numba does not see a
+    change in another file than that of a compiled function, so each state of files has a folder of its own.
+
+    Raises:
+      SystemExit: it failed.
     """
-    found: dict[str, list[dict]] = {side: [] for side in sides}
+    caches.mkdir(parents=True, exist_ok=True)
+    # Else every process would compile all libraries to bytecode again: the prefix hides what lies beside them.
+    inherited = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
+    own = {
+        "PYTHONPATH": str(checkout.resolve()),
+        "PYTHONPYCACHEPREFIX": str(caches / "python"),
+        "NUMBA_CACHE_DIR": str(caches / "numba"),
+        "JAX_COMPILATION_CACHE_DIR": str(XLA_CACHE),
+        "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
+        "JAX_PLATFORMS": "cpu",
+    }
+    # -P: names of this folder's files must not hide installed modules.
+    command = [
+        sys.executable,
+        "-P",
+        str(ROOT / "benchmarks" / "workloads.py"),
+        str(checkout.resolve()),
+        str(maps),
+        name,
+    ]
+    done = subprocess.run(command, cwd=caches, env=inherited | own, stdout=subprocess.PIPE, text=True)
+    if done.returncode:
+        raise SystemExit(f"failed with code {done.returncode}: {' '.join(command)}")
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+def measure(name: str, sides: list[Path], maps: Path, work: Path, num_pairs: int) -> tuple[list[str], list[str]]:
+    """Return the rows of a workload after an untimed run of each of two checkouts, and how their results differ."""
+    found: list[list[dict]] = [[], []]
     for number in range(num_pairs + 1):
         # Who comes first changes, so that neither is always the one that finds the machine warm.
-        for side in sorted(sides, reverse=bool(number % 2)):
-            printed = output_of(start(sides[side], SCRIPT, maps / side, name, caches=work / side))
-            found[side].append(json.loads(printed))
+        for side in (0, 1) if number % 2 else (1, 0):
+            found[side].append(run(sides[side], maps / f"{side}", name, work / f"{side}"))
         print(f"{name}: {number} of {num_pairs} pairs", file=sys.stderr, flush=True)
-    answers = {side: runs[-1].pop("answer") for side, runs in found.items()}
-    if len(set(answers.values())) > 1:
-        print(f"{name} answers differently: {answers}", file=sys.stderr)
-    parts = found["old"][-1]
-    return {
-        part: [(old[part], new[part]) for old, new in zip(found["old"][1:], found["new"][1:], strict=True)]
-        for part in parts
-    }
+    took = [[each["took"] for each in runs[1:]] for runs in found]
+    parts = [part for part in took[0][0] if part in took[1][0]]
+    rows = [row(part, [(old[part], new[part]) for old, new in zip(*took, strict=True)]) for part in parts]
+    return rows, compare(*(runs[-1]["facts"] for runs in found))
 
 
 def main() -> None:
-    """Print the table that the command line asks for."""
+    """Print the table that the command line asks for, and the differences."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("old", type=Path, metavar="OLD", help="checkout")
     parser.add_argument("new", type=Path, metavar="NEW", help="checkout")
     parser.add_argument("--pairs", type=int, default=15)
-    parser.add_argument("--only", action="append", choices=NAMES, metavar="NAME", help=f"of {', '.join(NAMES)}")
+    parser.add_argument("--only", action="append", choices=WORKLOADS, metavar="NAME", help=f"of {', '.join(WORKLOADS)}")
     parser.add_argument("--maps", type=Path, default=ROOT / "out" / "workloads", help="kept for further runs")
     asked = parser.parse_args()
-    names, began_s, before = asked.only or NAMES, time.perf_counter(), load()
-    maps, work = asked.maps.resolve(), Path(tempfile.mkdtemp(prefix="against-commit-"))
-    sides = {"old": asked.old, "new": asked.new}
+    began_s, before, maps = time.perf_counter(), load(), asked.maps.resolve()
+    work, different = Path(tempfile.mkdtemp(prefix="against-commit-")), False
     try:
-        for side, checkout in sides.items():
-            output_of(start(checkout, SCRIPT, maps / side, *names, "--prepare", caches=work / side))
         print("| CPU seconds of | pairs | old | new | new / old | 95 % interval |\n|---|---|---|---|---|---|")
-        for name in names:
-            num_pairs = min(asked.pairs, MEMORY_PAIRS) if name == "memory" else asked.pairs
-            parts = measure(name, sides, maps, work, num_pairs)
-            print("\n".join(row(part, pairs) for part, pairs in parts.items()), flush=True)
+        for name in asked.only or WORKLOADS:
+            num_pairs = min(asked.pairs, FEW_PAIRS) if name in WHOLE_COMMANDS else asked.pairs
+            rows, lines = measure(name, [asked.old, asked.new], maps, work, num_pairs)
+            print("\n".join(rows), flush=True)
+            if lines:
+                different = True
+                print("\n".join([f"{name}: {len(lines)} results differ", *lines[:MOST_SHOWN]]), file=sys.stderr)
     finally:
         shutil.rmtree(work, ignore_errors=True)
-    print(f"\n{time.perf_counter() - began_s:.0f} s; load {before} before, {load()} after")
+    answers = "results differ (above)" if different else "every result is the same"
+    print(f"\n{time.perf_counter() - began_s:.0f} s; load {before} before, {load()} after; {answers}")
+    sys.exit(different)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
-"""How far the maps are from exact geometry, by metric, altitude and resolution; writes docs/error_table.md.
+"""How far the maps are from exact geometry: prints the tables of docs/error_table.md and docs/error_by_city.md.
 
-Run as ``python -m benchmarks.error_table``; with ``--by-city`` it writes docs/error_by_city.md, every city at one
+``python -m benchmarks.error_table`` goes by metric, altitude and resolution; with ``--by-city`` over every city at one
 resolution. Exact geometry is the outlines extruded to their roofs: Embree rays for GPS and lidar, Shapely distances
 for risk. Two kinds of points: cell centres, where the map was computed, and (not by city) points anywhere in free
 space, where a user looks the map up.
@@ -10,14 +10,13 @@ import argparse
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import shapely
 
-from benchmarks.common import ROOT, machine
+from benchmarks.common import machine
 from benchmarks.embree_peer import EmbreePool, scan_until_first_return, see_satellites
-from benchmarks.scenes import ALTITUDES_M, PLACES, TIME, Scene, load_place, load_scene
+from benchmarks.scenes import ALTITUDES_M, PLACES, Scene, load_place, load_scene
 from jaxurban.kernels.dop import LEAST_SATELLITES, unit_vectors
 from jaxurban.metrics.gps import GpsParams, compute_gps
 from jaxurban.metrics.lidar import LidarParams, compute_lidar
@@ -169,7 +168,6 @@ def compare(truth: Truth, resolution_m: float, lines: dict[str, list[str]]) -> N
         for name in ("lidar", "risk"):
             cells = (np.abs(centre[name]), centre[name], np.abs(anywhere[name]), anywhere[name])
             lines[name].append(f"{start} {' | '.join(mean_of(values) for values in cells)} |")
-        print(*(table[-1] for table in lines.values()), sep="\n", flush=True)
 
 
 def city_lines(truth: Truth) -> list[str]:
@@ -191,17 +189,9 @@ def city_lines(truth: Truth) -> list[str]:
             f"{100 * np.mean(true_risk < 1):.0f}",
         ]
         lines.append(f"| {truth.scene.name} | {altitude_m:.0f} m | {' | '.join(cells)} |")
-        print(lines[-1], flush=True)
     return lines
 
 
-ADVICE = """\
-Between buildings (20 m up) 2 m cells halve the errors of 5 m ones: m_gps is off by 0.013 instead of 0.025 on average,
-m_lidar by 0.004 instead of 0.009, m_risk by 0.012 instead of 0.034; from 60 m up 5 m cells are enough, as every mean
-error is 0.014 or less. Use 10 m for surveys and not for routes: 20 m up it calls 5 % of all points wrongly free or
-blocked and misses 18 % of the truly blocked lines of sight, and at every resolution errors are on the optimistic
-side (satellites called visible, walls taken to be farther than they are: by 1.6 m on average at 5 m, 20 m up).
-These are figures of one city; others differ, some for the worse: [errors by city](error_by_city.md)."""
 HEADS = {
     "gps": "lines of sight right, % | of those blocked | of those clear | error of m at centres | error of m anywhere",
     "lidar": "error of m at centres | its bias | error of m anywhere | its bias",
@@ -216,27 +206,16 @@ TITLES = {
 }
 
 
-def document(scene: Scene, commit: object, lines: dict[str, list[str]]) -> str:
-    """Return docs/error_table.md."""
-    about = f"""\
-# How far the maps are from exact geometry
+CITY_HEAD = (
+    "cells with m_gps within 0.02, % | error of m_gps | lines of sight right, % | of those blocked | of those clear "
+    "| error of m_lidar | its bias | walls near are farther by | cells near walls, %"
+)
 
-{ADVICE}
 
-{scene.name}, {TIME}, {len(scene.azimuth_rad)} satellites above 5 degrees. Witnesses: Embree rays through the exact,
-extruded outlines (GPS, lidar) and Shapely distances to them (risk). *At centres*: {NUM_GPS_POINTS:,} random free cells
-({NUM_LIDAR_POINTS:,} for lidar), truth at the cell's centre, where the map was computed. *Anywhere*: as many random
-points that are free in truth and on the map, truth at the point, the map read at the cell that holds it.
-Errors of m are mean absolute errors, bias is map less truth, ± is one standard error.
-Made by `python -m benchmarks.error_table` at commit {commit}.
-{MEASURED_CODE}
-"""
-    tables = []
-    for name, head in HEADS.items():
-        columns = head.count("|") + 3
-        rows = "\n".join(sorted(lines[name], key=order))
-        tables.append(f"\n## {TITLES[name]}\n\n| altitude | cells | {head} |\n{'|---' * columns}|\n{rows}\n")
-    return about + "".join(tables)
+def printed(start: str, head: str, lines: list[str]) -> None:
+    """Print a table in Markdown."""
+    columns = f"| {start} | {head} |"
+    print(columns, "|---" * (columns.count("|") - 1) + "|", *lines, sep="\n", flush=True)
 
 
 def order(line: str) -> tuple[float, float]:
@@ -245,69 +224,27 @@ def order(line: str) -> tuple[float, float]:
     return altitude, -cells
 
 
-CITY_HEAD = (
-    "city | altitude | cells with m_gps within 0.02, % | error of m_gps | lines of sight right, % | of those blocked "
-    "| of those clear | error of m_lidar | its bias | walls near are farther by | cells near walls, %"
-)
-MEASURED_CODE = (
-    "<!-- measured code: kernels/shadows kernels/lidar kernels/distance jaxurban/metrics jaxurban/io/read -->"
-)
-CITY_ADVICE = """\
-**Figures differ by city**: narrow streets, small outlines and many towers make errors larger, so no city's figure is a
-promise for another. Trials in cities that took no part in the work gave 85 to 93 % of the cells within 0.02 of the
-exact m_gps at 5 m, 20 m up with one satellite system, lidar biases of up to 0.007 of m, and walls 2.6 m farther than
-they are where they are near. **With several systems the share can be lower**: in Midtown Manhattan (5 m cells, 20 m up)
-GPS and Galileo together gave 80.9 and 82.6 % at two times and four systems 78.6 %, with m_gps too high by 0.018 to
-0.022 on average. How errors fall with the size of cells: [errors by resolution](error_table.md)."""
-
-
-def city_document(scenes: list[Scene], commit: object, lines: list[str]) -> str:
-    """Return docs/error_by_city.md."""
-    skies = "\n".join(
-        f"- {scene.name}: {scene.place.time}, {len(scene.azimuth_rad)} satellites above 5 degrees" for scene in scenes
-    )
-    about = f"""\
-# How far the maps are from exact geometry, by city
-
-{CITY_ADVICE}
-
-{CITY_RESOLUTION_M:g} m cells; {NUM_GPS_POINTS:,} random free cells of each city and altitude ({NUM_LIDAR_POINTS:,} for
-lidar), truth at their centres by Embree rays through the exact, extruded outlines and by Shapely distances to them.
-Errors of m are mean absolute errors, bias is map less truth, ± is one standard error. Walls are *near* where the true
-distance is below {RISK.threshold_m:g} m. Made by `python -m benchmarks.error_table --by-city` at commit {commit}.
-{MEASURED_CODE}
-
-{skies}
-
-| {CITY_HEAD} |
-{"|---" * (CITY_HEAD.count("|") + 1)}|
-"""
-    return about + "\n".join(lines) + "\n"
-
-
 def main() -> None:
-    """Make a table."""
+    """Print the tables that the command line asks for."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("-o", "--output", type=Path, help="left out: the page of the docs")
     parser.add_argument("--resolutions", type=float, nargs="+", default=RESOLUTIONS_M, help="metres")
     parser.add_argument("--by-city", action="store_true", help="every city at hand at one resolution instead")
     options = parser.parse_args()
-    commit = machine()["commit"]
+    print(f"commit {machine()['commit']}")
     if options.by_city:
-        scenes, city_rows = [], []
+        rows = []
         for place in (place for place in PLACES.values() if place.is_here):
-            scenes.append(load_place(place))
-            with exact(scenes[-1]) as truth:
-                city_rows += city_lines(truth)
-        name, text = "error_by_city.md", city_document(scenes, commit, city_rows)
-    else:
-        scene = load_scene()
-        lines: dict[str, list[str]] = {name: [] for name in HEADS}
-        with exact(scene) as truth:
-            for resolution_m in options.resolutions:
-                compare(truth, resolution_m, lines)
-        name, text = "error_table.md", document(scene, commit, lines)
-    (options.output or ROOT / "docs" / name).write_text(text)
+            with exact(load_place(place)) as truth:
+                rows += city_lines(truth)
+        printed("city | altitude", CITY_HEAD, rows)
+        return
+    lines: dict[str, list[str]] = {name: [] for name in HEADS}
+    with exact(load_scene()) as truth:
+        for resolution_m in options.resolutions:
+            compare(truth, resolution_m, lines)
+    for name, head in HEADS.items():
+        print(f"\n## {TITLES[name]}\n")
+        printed("altitude | cells", head, sorted(lines[name], key=order))
 
 
 if __name__ == "__main__":

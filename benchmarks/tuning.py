@@ -5,43 +5,27 @@ Manhattan (docs/tuning.md: 10 m, 20 m altitude). A hidden W over distance, gps, 
 Dirichlet(1) and raised to at least 0.05; 32 demonstrations are the cheapest routes under it, between random free
 cells at least 300 m apart. W's distance weight is per metre (``metre``), or per step of one cell side, the unit in
 which the other weights of the 'cell' model are (``step``).
-
-``--cities`` fits over the three cities of `benchmarks.scenes` at once instead, over distance, gps, lidar and risk:
-instances of `sample_instances` at two altitudes each, on maps of 20 m that are made and kept in DIR. A quarter of the
-instances is held out, and the losses and the cities are compared (`compare_fits`).
 """
 
 import argparse
-import time
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 from scipy import ndimage
 
 import jaxurban as ju
 from benchmarks.common import load, machine
-from benchmarks.scenes import PLACES, SYNTHETIC, Place, load_place
-from jaxurban.maps.build import build_maps
-from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.paths.cost_map import CostMap, cost_map
 from jaxurban.planners.base import Cell
-from jaxurban.planners.cost_model import CostModel
-from jaxurban.report.markdown import framed
 from jaxurban.studies.demonstrations import Demonstration, optimal_demonstrations
 from jaxurban.studies.queries import RouteQuery
 from jaxurban.studies.route_pool import RoutePool
-from jaxurban.studies.tuning.compared_fits import compare_fits
-from jaxurban.studies.tuning.fenchel_young import LOSSES
 from jaxurban.studies.tuning.fit_settings import FitSettings
 from jaxurban.studies.tuning.weight_fit import fit_weights
 
 METRICS = ("gps", "population", "risk")
 NUM_DEMONSTRATIONS, NUM_UNSEEN, FLOOR = 32, 60, 0.05
-CITY_METRICS, CITY_ALTITUDES_M, CITY_RESOLUTION_M = ("gps", "lidar", "risk"), (20.0, 60.0), 20.0
-BAD = 0.02  # a detour that costs more than this share is one that a fit should find
-ENDS = ("start", "goal")
 LEAST_APART_M, LONGEST_DETOUR = 300.0, 1.6  # of the straight distance, by way of the detour's point
 
 
@@ -49,8 +33,6 @@ def main() -> None:
     """Print a row a hidden W, and the medians."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path)
-    parser.add_argument("--cities", action="store_true")
-    parser.add_argument("--instances", type=int, default=20, help="of each city, with --cities")
     parser.add_argument("--resolution", type=float, default=10.0)
     parser.add_argument("--altitude", type=float, default=20.0)
     parser.add_argument("--cost-model", choices=("cell", "line"), default="cell")
@@ -59,9 +41,6 @@ def main() -> None:
     parser.add_argument("--detours", type=float, default=0.0)
     parser.add_argument("--unit", choices=("metre", "step"), default="metre")
     options = parser.parse_args()
-    if options.cities:
-        compare_over_cities(options)
-        return
     unit = cost_map(
         ju.open_maps(options.folder, options.resolution),
         options.altitude,
@@ -104,86 +83,6 @@ def run(unit: CostMap, number: int, options: argparse.Namespace) -> tuple[float,
         flush=True,
     )
     return cosine, regret, inside, fit.elapsed_s
-
-
-def compare_over_cities(options: argparse.Namespace) -> None:
-    """Print the fits of each hidden W over the three cities, as Markdown."""
-    maps = {place.name: maps_of(place, options.folder) for place in PLACES.values() if place.is_here}
-    print(machine(), "load", load())
-    print(
-        f"{options.cost_model} model, {options.instances} instances a city at {CITY_ALTITUDES_M} m, "
-        f"{options.detours:.0%} detours"
-    )
-    rows = []
-    for number in range(options.first, options.first + options.hidden):
-        rng, begin_s = np.random.default_rng(number), time.perf_counter()
-        hidden = FLOOR + (1 - 4 * FLOOR) * rng.dirichlet(np.ones(4))
-        unit = maps[SYNTHETIC.name]
-        hidden[0] /= unit.grid.resolution_m if options.cost_model == "cell" else CostModel("line").reference_length_m
-        pilot = ju.Weights(
-            **{"population": 0.0, **dict(zip(("distance", *CITY_METRICS), hidden.tolist(), strict=True))}
-        )
-        cities, are_bad = {}, []
-        for name, each in maps.items():
-            shown = drawn_routes(each, pilot, number, options)
-            bad = rng.choice(len(shown), round(options.detours * len(shown)), replace=False)
-            costs = np.array([each.features @ hidden for each in shown])
-            for k in bad:
-                shown[k] = detour(shown[k], hidden, rng)
-            cities[name] = shown
-            are_bad += (np.array([each.features @ hidden for each in shown]) > costs * (1 + BAD)).tolist()
-        found = compare_fits(cities, losses=tuple(LOSSES), pilot=pilot, bootstrap=50, settings=FitSettings(seed=number))
-        rows.append(found.table.assign(number=number))
-        told = ", ".join(f"{value:.3f}" for value in hidden / hidden.sum())
-        said, bad = found.routes.is_bad.to_numpy(), np.array(are_bad)
-        print(
-            f"\nhidden W {number} (distance, gps, lidar, risk): {told}; {(said & bad).sum()} of {bad.sum()} detours of "
-            f"more than {BAD:.0%} found, {(said & ~bad).sum()} of {(~bad).sum()} other routes taken for bad; "
-            f"{time.perf_counter() - begin_s:.0f} s\n\n{framed(shown_table(found.table))}",
-            flush=True,
-        )
-    by_fit = pd.concat(rows).groupby("fit", sort=False)
-    print(f"\nover {options.hidden} hidden W:")
-    for name, each in by_fit:
-        print(f"{name}: least cosine {each.cosine.min():.6f}, largest regret {100 * each.pilot_regret.max():.2g} %")
-
-
-def maps_of(place: Place, folder: Path) -> MetricMaps:
-    """Return the maps of a city, made where the folder does not hold them yet."""
-    kept = folder / place.name.split()[0].lower()
-    if not kept.exists():
-        build_maps(
-            load_place(place).city,
-            place.bounds,
-            resolution_m=CITY_RESOLUTION_M,
-            altitudes_m=CITY_ALTITUDES_M,
-            orbits=place.orbits if place.orbits.exists() else "nominal",
-            times=[place.time],
-            progress=False,
-        ).save(kept)
-    return ju.open_maps(kept)
-
-
-def drawn_routes(maps: MetricMaps, pilot: ju.Weights, seed: int, options: argparse.Namespace) -> list[Demonstration]:
-    """Return the cheapest routes of sampled instances under the pilot's weights, at both altitudes."""
-    instances = ju.sample_instances(maps, options.instances, weights=[pilot], cost_model=options.cost_model, seed=seed)
-    units = {z: cost_map(maps, z, cost_model=options.cost_model).only(CITY_METRICS) for z in CITY_ALTITUDES_M}
-    shown = []
-    for row in instances[instances.is_connected].itertuples():
-        unit = units[row.altitude_m]
-        ends = [unit.locate(end, ju.XY(getattr(row, f"{end}_x_m"), getattr(row, f"{end}_y_m"))).cell for end in ENDS]
-        shown += optimal_demonstrations([RouteQuery(unit, *ends, f"{row.instance}")], pilot)
-    return shown
-
-
-def shown_table(table: pd.DataFrame) -> pd.DataFrame:
-    """Return the columns that tell the fits apart, regrets in percent."""
-    regrets = [name for name in table if "regret" in name or name == "worst"]
-    shown = table.assign(**{name: 100 * table[name] for name in regrets})
-    for name in ("cosine", "cosine_low", "cosine_high"):
-        shown[name] = [f"{value:.6f}" for value in table[name]]
-    kept = ["fit", "num_fitted", "num_bad", "cosine", "cosine_low", "cosine_high", *regrets]
-    return shown[kept].rename(columns={name: f"{name}, %" for name in regrets})
 
 
 def weights_of(unit: CostMap, vector: np.ndarray) -> ju.Weights:

@@ -1,12 +1,14 @@
-"""Runs one workload on the jaxurban of one checkout and prints, as JSON, the CPU seconds of its measured parts.
+"""Runs one workload on the jaxurban of one checkout and prints, as JSON, what it took and what came out.
 
 `benchmarks.against_commit` starts this in a fresh process for each measurement. It imports nothing else of this folder
-and uses public names only. A workload runs once untimed, so that nothing compiles in what is timed.
+and uses public names and commands only. CPU seconds are of all threads, after an untimed run, so that nothing compiles
+in what is timed; commands are measured whole. What comes out is named and compared as text: arrays by a hash, their
+type, shape and sum.
 """
 
 import argparse
 import dataclasses
-import gc
+import hashlib
 import json
 import os
 import re
@@ -14,144 +16,202 @@ import resource
 import statistics
 import subprocess
 import sys
+import tempfile
 import time
-from collections.abc import Callable
-from inspect import signature
+from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
+import rasterio
+import xarray as xr
 from scipy.ndimage import label
 
 import jaxurban as ju
 from jaxurban.world.city import Raster
 
+DATA = Path(os.environ.get("JAXURBAN_DATA", Path(__file__).resolve().parents[2] / "shared" / "data")).resolve()
 ALTITUDE_M = 20.0
-LARGE, MIDDLE, SMALL = "large", "middle", "small"  # folders of maps, made once by `prepare`
+LARGE, MIDDLE, SMALL = "large", "middle", "small"  # folders of maps, made once
 CITIES = {  # width and height in metres, metres a cell
     LARGE: ((10_000, 20_000), 5.0),  # 2000 x 4000 cells
     MIDDLE: ((3_400, 3_400), 5.0),
     SMALL: ((1_000, 1_000), 10.0),
 }
-INSTANCES, ROUTES = "instances.parquet", "routes.geojson"
-NUM_QUERIES, NUM_ROUTES, NUM_INSTANCES, NUM_SAMPLES = 200, 20, 30, 8000
+HIDDEN = ju.Weights(distance=0.3, gps=0.5, lidar=0.2, population=2.0, risk=3.0)
 BUDGET_S = 1e6  # no search meets it
-LEAST_S = 2.0  # CPU seconds of all runs in a process
-Found = dict[str, Any]  # CPU seconds or bytes by part, and "answer", which both checkouts must share
+LEAST_S, NUM_RUNS = 2.0, 3  # CPU seconds of all timed runs in a process, and how many at least
+OF_THE_CLOCK = re.compile(r"elapsed|seconds|_utc|setup_s|batches|version|_key$")
+SCENARIOS = {  # of `jaxurban maps`, from files to files
+    "tokyo": f"""
+[region]
+bounds = [139.680, 35.655, 139.785, 35.720]
+resolution_m = 2.0
+altitudes_m = [20, 60, 122]
+[buildings]
+source = "{DATA}/tokyo/tokyo-central-lod2.parquet"
+[gps]
+orbits = ["{DATA}/tokyo/gps_2018-12-19.tle", "{DATA}/tokyo/galileo_2018-12-19.tle"]
+times = ["2018-12-19T06:20:00Z"]
+""",
+    "paper": """
+[region]
+bounds = [-74.04, 40.68, -73.9215, 40.8601]
+resolution_m = [2.0, 5.0, 10.0]
+altitudes_m = [20, 60, 122, 600]
+[buildings]
+source = "synthetic"
+""",
+    "manhattan": f"""
+[region]
+bounds = [-74.02, 40.70, -73.98, 40.73]
+resolution_m = 5.0
+altitudes_m = [20]
+[buildings]
+source = "{DATA}/osm/lower-manhattan.osm.pbf"
+[gps]
+orbits = "{DATA}/gps/gps-ops_2020-04-27.tle"
+times = ["2020-04-27T16:00:00Z"]
+[population]
+blocks = "{DATA}/census/tl_2010_36061_tabblock10.shp"
+table = "{DATA}/census/DECENNIALSF12010.P1_nyc_blocks.csv"
+districts = "{DATA}/districts/nyc_community_districts.geojson"
+""",
+    "small": """
+[region]
+bounds = [-73.976, 40.7755, -73.964, 40.7845]
+resolution_m = 10.0
+altitudes_m = [20, 60]
+[buildings]
+source = "synthetic"
+[study]
+instances = 4
+planners = ["ptp", "astar-dist", "astar-plus", "theta-star", "bitstar-dist", "bitstar-plus"]
+""",
+}
+FIRST = """
+import jaxurban as ju
+maps = ju.build_maps(ju.demo_city(600, 600), resolution_m=20.0)
+x_m, y_m = (maps.ds[name].values.astype(float) for name in ("x", "y"))
+print(ju.plan(maps, start_xy_m=(x_m[0], y_m[0]), goal_xy_m=(x_m[-1], y_m[-1]), altitude_m=600.0).cost)
+"""
+Took = dict[str, float]  # CPU seconds, or what its name says, by part
+Facts = dict[str, str]  # by name
 
 
-def random_queries(maps: Any, num: int, seed: int) -> pd.DataFrame:
+def digest(array: Any) -> str:
+    """Return what stands for an array: a hash of its bytes, its type and shape, and its sum for a person to read."""
+    values = np.ascontiguousarray(array)
+    total = f" sum {np.nansum(values, dtype=float)!r}" if values.dtype.kind in "fiub" else ""
+    return f"{hashlib.sha256(values.tobytes()).hexdigest()[:20]} {values.dtype}{list(values.shape)}{total}"
+
+
+def of_dataset(name: str, dataset: xr.Dataset) -> Facts:
+    """Return a digest of every variable and coordinate."""
+    return {f"{name} {variable}": digest(dataset[variable].values) for variable in sorted(map(str, dataset.variables))}
+
+
+def of_paths(name: str, paths: list[Any]) -> Facts:
+    """Return status, cost, length, metrics and points of paths."""
+    facts = {}
+    for k, path in enumerate(paths):
+        numbers = {"cost": path.cost, "length_m": path.length_m} | dict(path.metrics)
+        facts |= {f"{name} {k} {key}": repr(float(value)) for key, value in numbers.items()}
+        facts |= {f"{name} {k} status": path.status.value, f"{name} {k} points": digest(path.xy_m)}
+    return facts
+
+
+def of_files(folder: Path) -> Facts:
+    """Return what the GeoTIFFs (overviews too), Zarrs and tables under a folder hold; what the clock decides apart."""
+    facts: Facts = {}
+    for file in sorted(folder.rglob("*")):
+        name = str(file.relative_to(folder))
+        if file.suffix == ".tif":
+            with rasterio.open(file) as raster:
+                levels = [{}, *({"overview_level": level} for level in range(len(raster.overviews(1))))]
+            for level in levels:
+                with rasterio.open(file, **level) as raster:
+                    facts[f"{name} {level}"] = digest(raster.read(1))
+        elif file.parent.suffix == ".zarr" and file.is_dir():
+            facts |= of_dataset(name, xr.open_zarr(file.parent, group=file.name))
+        elif file.suffix in (".csv", ".parquet"):
+            table = pd.read_csv(file, dtype=str) if file.suffix == ".csv" else pd.read_parquet(file)
+            kept = table[[column for column in table if not OF_THE_CLOCK.search(column)]].astype(str)
+            rows = sorted(kept.itertuples(index=False, name=None))
+            facts |= {f"{name} row {k} {c}": v for k, row in enumerate(rows) for c, v in zip(kept, row, strict=True)}
+    return facts
+
+
+def timed(name: str, work: Callable[[], Facts]) -> tuple[Took, Facts]:
+    """Return the median CPU seconds of runs after an untimed one, more of them of short work."""
+    facts, seconds = work(), []
+    while len(seconds) < NUM_RUNS or sum(seconds) < LEAST_S:
+        began_s = time.process_time()
+        work()
+        seconds.append(time.process_time() - began_s)
+    return {name: statistics.median(seconds)}, facts
+
+
+def used_by(command: list[str], environment: dict[str, str] | None = None) -> tuple[Took, str]:
+    """Return what a process took, and what it printed.
+
+    Raises:
+      SystemExit: it failed.
+    """
+    began_s = time.perf_counter()
+    with tempfile.TemporaryFile("w+") as printed:
+        process = subprocess.Popen(command, env=environment, stdout=printed, stderr=subprocess.STDOUT)
+        _, status, used = os.wait4(process.pid, 0)
+        wall_s = time.perf_counter() - began_s
+        printed.seek(0)
+        text = printed.read()
+    if status:
+        raise SystemExit(f"{command} failed: {text[-2000:]}")
+    took = {"CPU": used.ru_utime + used.ru_stime, "wall": wall_s, "memory, MiB": used.ru_maxrss / 1024}
+    return took, text
+
+
+def jaxurban(name: str, *words: object) -> Took:
+    """Run a command of jaxurban; return what it took by ``name``."""
+    took, _ = used_by([sys.executable, "-P", "-m", "jaxurban", *map(str, words)])
+    return {f"{name}, {part}": value for part, value in took.items()}
+
+
+def opened(folder: Path, name: str) -> ju.MetricMaps:
+    """Return maps of the synthetic city, made and saved where they are not yet there."""
+    (width_m, height_m), resolution_m = CITIES[name]
+    if not (folder / name).exists():
+        maps = ju.build_maps(ju.demo_city(width_m, height_m), resolution_m=resolution_m, altitudes_m=(ALTITUDE_M,))
+        maps.save(folder / f"{name}-unfinished")
+        (folder / f"{name}-unfinished").rename(folder / name)
+    return ju.open_maps(folder / name)
+
+
+def queries(maps: ju.MetricMaps, num: int, seed: int) -> pd.DataFrame:
     """Return queries between random cells of the largest free part of the maps."""
     parts, _ = label(ju.Constraints().is_free(maps, ALTITUDE_M))
     cells = np.argwhere(parts == 1 + np.argmax(np.bincount(parts.ravel())[1:]))
     ends = cells[np.random.default_rng(seed).integers(len(cells), size=(num, 2))]
     x_m, y_m = (maps.ds[name].values.astype(float) for name in ("x", "y"))
-    return pd.DataFrame(
-        {
-            "start_x_m": x_m[ends[:, 0, 1]],
-            "start_y_m": y_m[ends[:, 0, 0]],
-            "goal_x_m": x_m[ends[:, 1, 1]],
-            "goal_y_m": y_m[ends[:, 1, 0]],
-        }
-    )
+    of = {"start_x_m": x_m[ends[:, 0, 1]], "start_y_m": y_m[ends[:, 0, 0]]}
+    return pd.DataFrame(of | {"goal_x_m": x_m[ends[:, 1, 1]], "goal_y_m": y_m[ends[:, 1, 0]]})
 
 
-def prepare(folder: Path, names: list[str]) -> None:
-    """Make the maps, instances and routes that the workloads read, those not there yet."""
-    for name in names:
-        (width_m, height_m), resolution_m = CITIES[name]
-        if not (folder / name).exists():
-            city = ju.demo_city(width_m, height_m)
-            maps = ju.build_maps(city, resolution_m=resolution_m, altitudes_m=(ALTITUDE_M,))
-            maps.save(folder / f"{name}-unfinished")
-            (folder / f"{name}-unfinished").rename(folder / name)
-    maps = ju.open_maps(folder / SMALL)
-    if not (folder / INSTANCES).exists():
-        ju.sample_instances(maps, NUM_INSTANCES, altitudes_m=[ALTITUDE_M], seed=0).to_parquet(folder / INSTANCES)
-    if not (folder / ROUTES).exists():
-        hidden = ju.Weights(distance=0.3, gps=0.5, lidar=0.2, population=2.0, risk=3.0)
-        paths = ju.plan_many(maps, random_queries(maps, NUM_ROUTES, 1), altitude_m=ALTITUDE_M, weights=hidden)
-        lines = [
-            {
-                "type": "Feature",
-                "properties": {"altitude_m": ALTITUDE_M},
-                "geometry": {"type": "LineString", "coordinates": path.lonlat.tolist()},
-            }
-            for path in paths
-        ]
-        (folder / ROUTES).write_text(json.dumps({"type": "FeatureCollection", "features": lines}))
+def ends_of(maps: ju.MetricMaps, seed: int) -> Iterator[dict[str, Any]]:
+    """Yield the ends of twelve random queries as `plan` takes them."""
+    for row in queries(maps, 12, seed).itertuples():
+        yield {"start_xy_m": (row.start_x_m, row.start_y_m), "goal_xy_m": (row.goal_x_m, row.goal_y_m)}
 
 
-def settings(kind: Callable[..., Any], name: str, **values: Any) -> dict[str, Any]:
-    """Return the arguments that set values of a call: older checkouts take them one by one, newer ones together."""
-    return {"settings": getattr(ju, name)(**values)} if "settings" in signature(kind).parameters else values
+def build(name: str, width_m: float, height_m: float, how: dict[str, Any], folder: Path) -> tuple[Took, Facts]:
+    """The maps of a synthetic city, made in memory at 10 m; the city is made before."""
+    city, how = ju.demo_city(width_m, height_m), {"altitudes_m": (ALTITUDE_M,)} | how
+    return timed(name, lambda: of_dataset(name, ju.build_maps(city, resolution_m=10.0, **how).ds))
 
 
-def timed(work: Callable[[], Any]) -> tuple[float, Any]:
-    """Return the CPU seconds of a call, all threads, and what it returns.
-
-    Python's collector of reference cycles rests meanwhile, as in `timeit`: whether it comes in one call or the next
-    says nothing of either.
-    """
-    gc.collect()
-    gc.disable()
-    try:
-        began_s = time.process_time()
-        found = work()
-        return time.process_time() - began_s, found
-    finally:
-        gc.enable()
-
-
-def repeated(name: str, work: Callable[[], Any], num_runs: int) -> Found:
-    """Return the median CPU seconds of runs after an untimed one, more of them of short work.
-
-    ``work`` returns the answer.
-    """
-    answer = work()
-    seconds: list[float] = []
-    while len(seconds) < num_runs or sum(seconds) < LEAST_S:
-        seconds.append(timed(work)[0])
-    return {name: statistics.median(seconds), "answer": repr(answer)}
-
-
-def build_maps(folder: Path, num_runs: int) -> Found:
-    """The maps of the synthetic city, 10 m, two altitudes; the city is made before."""
-    city = ju.demo_city(5_000, 10_000)
-
-    def work() -> float:
-        maps = ju.build_maps(city, resolution_m=10.0, altitudes_m=(20.0, 60.0))
-        return float(sum(maps.ds[name].sum() for name in ("gps", "lidar", "risk", "population")))
-
-    return repeated("build_maps", work, num_runs)
-
-
-def made_otherwise(name: str, num_runs: int, city: Any = None, **how: Any) -> Found:
-    """The maps of a smaller synthetic city, 10 m, made in one way."""
-    city = ju.demo_city(2_500, 5_000) if city is None else city
-
-    def work() -> float:
-        maps = ju.build_maps(city, resolution_m=10.0, **{"altitudes_m": (20.0,)} | how)
-        return float(sum(maps.ds[layer].sum() for layer in ("gps", "lidar", "risk", "population")))
-
-    return repeated(name, work, num_runs)
-
-
-def series(folder: Path, num_runs: int) -> Found:
-    """Maps of six times and four altitudes: mostly occlusion and DOPs."""
-    times = [f"2024-05-29T{hour:02d}:00:00Z" for hour in range(0, 24, 4)]
-    return made_otherwise(
-        "series", num_runs, ju.demo_city(5_000, 5_000), times=times, altitudes_m=(20.0, 40.0, 60.0, 122.0)
-    )
-
-
-def supersampled(folder: Path, num_runs: int) -> Found:
-    """Maps of cells sampled 2 x 2 times."""
-    return made_otherwise("supersampled", num_runs, oversample=2)
-
-
-def terrain(folder: Path, num_runs: int) -> Found:
+def terrain(folder: Path) -> tuple[Took, Facts]:
     """Maps over hills of 10 m: mostly lidar."""
     city = ju.demo_city(2_000, 2_000)
     x_m, y_m, east_m, north_m = city.extent_m
@@ -161,142 +221,158 @@ def terrain(folder: Path, num_runs: int) -> Found:
     ground = Raster(hills_m, (50.0, 0.0, x_m - 1000, 0.0, -50.0, north_m + 1000), city.crs)
     extent_m = (x_m - 1000, north_m + 1000 - 50 * num, x_m - 1000 + 50 * num, north_m + 1000)
     hilly = dataclasses.replace(city, terrain=ground, terrain_extent_m=extent_m)
-    return made_otherwise("terrain", num_runs, hilly)
+    how = {"resolution_m": 10.0, "altitudes_m": (ALTITUDE_M,)}
+    return timed("terrain", lambda: of_dataset("terrain", ju.build_maps(hilly, **how).ds))
 
 
-def gradient(folder: Path, num_runs: int) -> Found:
+def gradient(folder: Path) -> tuple[Took, Facts]:
     """The gradient of a route's cost by every building, through soft maps; the route and the soft city made before."""
     city = ju.demo_city(3_000, 3_000)
     maps = ju.build_maps(city, resolution_m=10.0, altitudes_m=(ALTITUDE_M,))
-    row = next(random_queries(maps, 1, 4).itertuples())
-    ends = {"start_xy_m": (row.start_x_m, row.start_y_m), "goal_xy_m": (row.goal_x_m, row.goal_y_m)}
-    planned = ju.plan(maps, **ends, altitude_m=ALTITUDE_M, planner="astar-plus", budget_s=BUDGET_S)
+    planned = ju.plan(maps, **next(ends_of(maps, 4)), altitude_m=ALTITUDE_M, planner="astar-plus", budget_s=BUDGET_S)
     params = ju.SoftParams(ALTITUDE_M, 2.0)
     soft = ju.soft_city(city, maps.grid, params)
 
-    def work() -> str:
-        return f"{ju.building_costs(city, soft, planned, params)['per_metre'].abs().sum():.6g}"
+    def work() -> Facts:
+        return {"gradient": f"{ju.building_costs(city, soft, planned, params)['per_metre'].abs().sum():.6g}"}
 
-    return repeated("gradient", work, num_runs)
-
-
-def plan_row(maps: Any, row: Any) -> float:
-    """Return the cost of one query of `random_queries`."""
-    ends = {"start_xy_m": (row.start_x_m, row.start_y_m), "goal_xy_m": (row.goal_x_m, row.goal_y_m)}
-    return float(ju.plan(maps, **ends, altitude_m=ALTITUDE_M, planner="astar-plus", budget_s=BUDGET_S).cost)
+    return timed("gradient", work)
 
 
-def astar(folder: Path, num_runs: int) -> Found:
+def astar(folder: Path) -> tuple[Took, Facts]:
     """A* on 8 M cells: the first plan on opened maps, then later ones; compiled before on small maps."""
-    small = ju.open_maps(folder / SMALL)
-    plan_row(small, next(random_queries(small, 1, 0).itertuples()))
-    maps = ju.open_maps(folder / LARGE)
-    rows = list(random_queries(maps, 1 + num_runs, 2).itertuples())
-    runs = [timed(lambda row=row: plan_row(maps, row)) for row in rows]
-    later_s = statistics.median(seconds for seconds, _ in runs[1:])
-    return {"astar, first": runs[0][0], "astar, later": later_s, "answer": repr([cost for _, cost in runs])}
+    how = {"altitude_m": ALTITUDE_M, "planner": "astar-plus", "budget_s": BUDGET_S}
+    small, maps = opened(folder, SMALL), opened(folder, LARGE)
+    ju.plan(small, **next(ends_of(small, 0)), **how)
+    seconds, paths = [], []
+    for ends in ends_of(maps, 2):
+        began_s = time.process_time()
+        paths.append(ju.plan(maps, **ends, **how))
+        seconds.append(time.process_time() - began_s)
+    return {"astar, first": seconds[0], "astar, later": statistics.median(seconds[1:])}, of_paths("astar", paths)
 
 
-def plan_many(folder: Path, num_runs: int) -> Found:
-    """200 queries on the synthetic city in the size of Lower Manhattan, 5 m."""
-    maps = ju.open_maps(folder / MIDDLE)
-    queries = random_queries(maps, NUM_QUERIES, 3)
-
-    def work() -> float:
-        return float(sum(path.cost for path in ju.plan_many(maps, queries, altitude_m=ALTITUDE_M, budget_s=BUDGET_S)))
-
-    return repeated("plan_many", work, num_runs)
+def many(name: str, maps_name: str, num: int, how: dict[str, Any], folder: Path) -> tuple[Took, Facts]:
+    """A batch of random queries."""
+    maps = opened(folder, maps_name)
+    asked, how = queries(maps, num, 3), {"altitude_m": ALTITUDE_M, "budget_s": BUDGET_S} | how
+    return timed(name, lambda: of_paths(name, list(ju.plan_many(maps, asked, **how))))
 
 
-def bitstar(folder: Path, num_runs: int) -> Found:
-    """BIT* with a fixed number of samples, on the instances of a small study, and the rows that this keeps."""
-    maps, instances = ju.open_maps(folder / SMALL), pd.read_parquet(folder / INSTANCES)
-    scratch = Path.cwd()  # the checkout's caches
-
-    told = {"planners": ("bitstar-plus",), "distance_only": (), "budget_iterations": NUM_SAMPLES, "seed": 0}
-    how = settings(ju.study, "BenchmarkSettings", **told)
-
-    def work() -> list[float]:
-        out = scratch / f"study-{time.time_ns()}"
-        return ju.study(maps, out, instances=instances, **how).rows["cost_line"].sort_values().tolist()
-
-    return repeated("bitstar", work, num_runs)
+def volume(folder: Path) -> tuple[Took, Facts]:
+    """Paths between levels."""
+    maps = ju.build_maps(ju.demo_city(1_000, 1_000), resolution_m=10.0, altitudes_m=(20.0, 60.0))
+    how = {"altitude_m": ju.Levels(level_step_m=20.0), "budget_s": BUDGET_S, "cost_model": "line"}
+    ends = list(ends_of(maps, 5))
+    return timed("volume", lambda: of_paths("volume", [ju.plan(maps, **each, **how) for each in ends]))
 
 
-def tune(folder: Path, num_runs: int) -> Found:
+def fit(folder: Path) -> tuple[Took, Facts]:
     """`fit_weights` on 20 routes; reading them is left out."""
-    # The reader goes by the field's word in newer checkouts.
-    read = getattr(ju, "read_examples", None) or ju.read_demonstrations
-    routes = read(folder / ROUTES, ju.open_maps(folder / SMALL))
+    maps, file = opened(folder, SMALL), folder / "routes.geojson"
+    if not file.exists():
+        lines = [
+            {
+                "type": "Feature",
+                "properties": {"altitude_m": ALTITUDE_M},
+                "geometry": {"type": "LineString", "coordinates": path.lonlat.tolist()},
+            }
+            for path in ju.plan_many(maps, queries(maps, 20, 1), altitude_m=ALTITUDE_M, weights=HIDDEN)
+        ]
+        file.write_text(json.dumps({"type": "FeatureCollection", "features": lines}))
+    routes = ju.read_demonstrations(file, maps)
 
-    how = settings(ju.fit_weights, "FitSettings", seed=0)
+    def work() -> Facts:  # the numbers alone, whatever holds them
+        found = repr(ju.fit_weights(routes, bootstrap=50, settings=ju.FitSettings(seed=0)).weights)
+        return {f"fit {k}": number for k, number in enumerate(re.findall(r"\d[\d.e-]*", found))}
 
-    def work() -> list[str]:  # the numbers alone, whatever holds them
-        return re.findall(r"\d[\d.e-]*", repr(ju.fit_weights(routes, bootstrap=50, **how).weights))
-
-    return repeated("tune", work, num_runs)
+    return timed("fit", work)
 
 
-def memory(folder: Path, num_runs: int) -> Found:
+def files(name: str, folder: Path) -> tuple[Took, Facts]:
+    """A whole ``jaxurban maps``; its stages are of the wall."""
+    if str(DATA) in SCENARIOS[name] and not DATA.exists():
+        return {}, {f"{name}": "left out: no data"}
+    with tempfile.TemporaryDirectory(dir=folder) as scratch:
+        scenario, out = Path(scratch, "scenario.toml"), Path(scratch, "out")
+        scenario.write_text(SCENARIOS[name])
+        took = jaxurban(name, "maps", scenario, "-o", out)
+        stages = json.loads((out / "run.json").read_text())["elapsed_s"]
+        return took | {f"{name}, {stage}, wall": float(s) for stage, s in stages.items()}, of_files(out)
+
+
+def studies(folder: Path) -> tuple[Took, Facts]:
+    """The commands ``study`` (BIT* by a number of samples) and ``sensitivity``, and the tables that they write."""
+    with tempfile.TemporaryDirectory(dir=folder) as scratch:
+        scenario, out, table = Path(scratch, "scenario.toml"), Path(scratch, "out"), Path(scratch, "queries.csv")
+        scenario.write_text(SCENARIOS["small"])
+        took = jaxurban("study", "study", scenario, "-o", out, "--budget-iterations", 300, "--workers", 1)
+        queries(ju.open_maps(out), 3, 6).assign(altitude_m=ALTITUDE_M).to_csv(table, index=False)
+        asked = ("--queries", table, "--samples", 16, "--workers", 1)
+        took |= jaxurban("sensitivity", "sensitivity", out, *asked, "-o", Path(scratch, "sensitivity"))
+        return took, of_files(Path(scratch))
+
+
+def memory(folder: Path) -> tuple[Took, Facts]:
     """The greatest memory of a process that opens maps of 8 M cells and plans once on them, MiB."""
     maps = ju.open_maps(folder / LARGE)
     x_m, y_m = (maps.ds[name].values.astype(float) for name in ("x", "y"))
     free = ju.Constraints().is_free(maps, ALTITUDE_M)
     # Along the middle, without `label`, which takes memory of its own.
     cells = [(int(row), int(np.flatnonzero(free[row])[0])) for row in (free.shape[0] // 4, 3 * free.shape[0] // 4)]
-    (start, goal) = ((x_m[col], y_m[row]) for row, col in cells)
+    start, goal = ((x_m[col], y_m[row]) for row, col in cells)
     path = ju.plan(maps, start_xy_m=start, goal_xy_m=goal, altitude_m=ALTITUDE_M, budget_s=BUDGET_S, snap=True)
-    return {
-        "memory, MiB": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
-        "answer": f"{path.status.value} {path.cost!r}",
-    }
+    used_mib = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    return {"memory, MiB": used_mib}, of_paths("memory", [path])
 
 
-def first(folder: Path, num_runs: int) -> Found:
-    """All of a process that makes maps as its first act, its user having set nothing about caches."""
-    script = "import jaxurban as ju; print(float(ju.build_maps(ju.demo_city(1000, 1000)).ds['gps'].mean()))"
-    own = {name: value for name, value in os.environ.items() if not name.startswith("JAX_")}
-    own |= {"JAX_PLATFORMS": "cpu", "XDG_CACHE_HOME": str(folder.resolve() / "caches")}
-    found = []
-    for _ in range(num_runs + 1):  # the first fills the caches
-        before = resource.getrusage(resource.RUSAGE_CHILDREN)
-        done = subprocess.run([sys.executable, "-c", script], env=own, capture_output=True, text=True, check=True)
-        after = resource.getrusage(resource.RUSAGE_CHILDREN)
-        found.append(after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime)
-    return {"first build_maps of a session": statistics.median(found[1:]), "answer": done.stdout.strip()}
+def first(folder: Path) -> tuple[Took, Facts]:
+    """All of a process that makes maps of 30 x 30 cells and plans as its first act: caches empty, then filled."""
+    own = {name: value for name, value in os.environ.items() if not name.startswith(("JAX_", "NUMBA_"))}
+    with tempfile.TemporaryDirectory(dir=folder) as caches:
+        own |= {"JAX_PLATFORMS": "cpu", "XDG_CACHE_HOME": caches, "NUMBA_CACHE_DIR": f"{caches}/numba"}
+        runs = [used_by([sys.executable, "-P", "-c", FIRST], own) for _ in range(1 + NUM_RUNS)]
+    filled_s = statistics.median(took["CPU"] for took, _ in runs[1:])
+    printed = {f"first {k}": text.strip().splitlines()[-1] for k, (_, text) in enumerate(runs)}
+    return {"first, empty caches": runs[0][0]["CPU"], "first, filled caches": filled_s}, printed
 
 
-WORKLOADS: dict[str, tuple[Callable[[Path, int], Found], list[str]]] = {  # and the maps that they read
-    "build_maps": (build_maps, []),
-    "series": (series, []),
-    "supersampled": (supersampled, []),
-    "terrain": (terrain, []),
-    "gradient": (gradient, []),
-    "astar": (astar, [SMALL, LARGE]),
-    "plan_many": (plan_many, [MIDDLE]),
-    "bitstar": (bitstar, [SMALL]),
-    "tune": (tune, [SMALL]),
-    "memory": (memory, [LARGE]),
-    "first": (first, []),
+TIMES = [f"2024-05-29T{hour:02d}:00:00Z" for hour in range(0, 24, 4)]
+WORKLOADS: dict[str, Callable[[Path], tuple[Took, Facts]]] = {
+    "build_maps": partial(build, "build_maps", 5_000, 10_000, {"altitudes_m": (20.0, 60.0)}),
+    "series": partial(build, "series", 5_000, 5_000, {"times": TIMES, "altitudes_m": (20.0, 40.0, 60.0, 122.0)}),
+    "supersampled": partial(build, "supersampled", 2_500, 5_000, {"oversample": 2}),
+    "spread": partial(build, "spread", 1_000, 1_000, {"oversample": 3, "gps_bounds": True, "height_samples": 2}),
+    "terrain": terrain,
+    "gradient": gradient,
+    "astar": astar,
+    "plan_many": partial(many, "plan_many", MIDDLE, 200, {}),
+    "landmarks": partial(many, "landmarks", MIDDLE, 200, {"heuristic": "landmarks"}),
+    "astar-line": partial(many, "astar-line", SMALL, 30, {"planner": "astar-dist", "cost_model": "line"}),
+    "theta-star": partial(many, "theta-star", SMALL, 30, {"planner": "theta-star", "cost_model": "line"}),
+    "volume": volume,
+    "fit": fit,
+    "studies": studies,
+    "memory": memory,
+    "first": first,
+    "manhattan": partial(files, "manhattan"),
+    "tokyo": partial(files, "tokyo"),
+    "paper": partial(files, "paper"),
 }
 
 
 def main() -> None:
-    """Run the workload that the command line names, or make what they read."""
+    """Run the workload that the command line names."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("checkout", type=Path)
-    parser.add_argument("folder", type=Path, help="of the maps that workloads read")
-    parser.add_argument("names", nargs="+", choices=WORKLOADS)
-    parser.add_argument("--prepare", action="store_true", help="make what these workloads read")
-    parser.add_argument("--runs", type=int, default=3, help="of which the median is taken")
+    parser.add_argument("folder", type=Path, help="of the maps that workloads read, made where they are not there")
+    parser.add_argument("name", choices=WORKLOADS)
     asked = parser.parse_args()
     if not Path(ju.__file__).is_relative_to(asked.checkout):
         raise SystemExit(f"jaxurban is imported from {ju.__file__}, not from {asked.checkout}")
     asked.folder.mkdir(parents=True, exist_ok=True)
-    if asked.prepare:
-        prepare(asked.folder, sorted({SMALL, *(each for name in asked.names for each in WORKLOADS[name][1])}))
-        return
-    print(json.dumps(WORKLOADS[asked.names[0]][0](asked.folder, asked.runs)))
+    took, facts = WORKLOADS[asked.name](asked.folder)
+    print(json.dumps({"took": took, "facts": facts}))
 
 
 if __name__ == "__main__":

@@ -1,18 +1,16 @@
 """The benchmarks' arithmetic, and Embree's two ways to scan, on what can be worked out by hand."""
 
 import ast
-from types import SimpleNamespace
 
 import numpy as np
+import pandas as pd
 import pytest
 import shapely
 
-from benchmarks.against_commit import interval
+from benchmarks.against_commit import compare, interval
 from benchmarks.common import Growth, Timing, in_turn, markdown, row
 from benchmarks.embree_peer import Caster, scan_until_first_return, see_satellites
-from benchmarks.missions import Mission, clearance_m, legs_m, summary
-from benchmarks.route_soundness import Outlines, Route, by_planner, price
-from benchmarks.same_results import compare
+from benchmarks.random_routes import Outlines, legs_m, prices, tables
 from benchmarks.structure import code_lines_and_tokens, num_arguments, record_classes
 from jaxurban.metrics.lidar import LidarParams
 from jaxurban.world.city import Buildings
@@ -82,28 +80,28 @@ def test_what_a_route_cuts_is_measured_once_on_the_outline_and_at_the_lower_end_
     assert outlines.cut(np.array([[0, 4, 31], [58, 4, 31], [100, 4, 20]], float))[0] == pytest.approx(2.0, abs=1e-4)
 
 
-def test_shares_count_paths_alone_and_prices_pairs_with_both():
-    def route(rule: str, length_m: float, inside_m: float) -> Route:
-        return Route(rule, "astar-plus", "", length_m, 2 * length_m, inside_m, inside_m / 2)
+def routes() -> pd.DataFrame:
+    """Four pairs under two rules: the third without a path under the first rule, the fourth from a place to itself."""
+    same = {"city": "a", "planner": "astar-plus", "planned": 9, "written": 5, "shortest planned": 1.0, "shortest": 2.0}
+    same |= dict.fromkeys((".geojson", ".kml", ".plan", "in degrees", "over .geojson", "over .kml", "over .plan"), 4.0)
+    same |= {"apart": 2.5, "dearer": 0.5, "crossed": 0.0, "from outlines": 3.0, "read equal": True}
+    lengths_m = {"centre": (100, 200, np.inf, 0), "touched": (110, 200, 300, 0)}
+    inside_m = {"centre": (4.0, 0.0, 0.0, 0.0), "touched": (0.0, 0.0, 0.0, 0.0)}
+    return pd.DataFrame(
+        same | {"rule": rule, "pair": k, "length_m": m, "cost": 2 * m, "inside": inside_m[rule][k], "depth": 2.0}
+        for rule in lengths_m
+        for k, m in enumerate(lengths_m[rule])
+    )
 
-    none = np.inf
-    centre = [route("centre", length_m, inside_m) for length_m, inside_m in ((100, 4), (200, 0), (none, 0))]
-    touched = [route("touched", length_m, 0) for length_m in (110, 200, none, 400)]
-    others = [
-        Route(rule, planner, "", 10, 10, 0, 0) for rule in ("touched", "centre") for planner in ("theta-star", "volume")
-    ]
-    figures = by_planner(centre + touched + others)
-    assert figures["centre"]["astar-plus"] == {
-        "paths": 2,
-        "share_cutting": 0.5,
-        "mean_inside_of_those_m": 4.0,
-        "most_inside_m": 4.0,
-        "deepest_m": 2.0,
-    }
-    assert figures["touched"]["astar-plus"]["share_cutting"] == 0.0
-    prices = price(centre + touched + others)["astar-plus"]
-    assert prices["length_mean"] == pytest.approx(5.0)
-    assert prices["length_most"] == prices["cost_most"] == pytest.approx(10.0)
+
+def test_shares_count_paths_alone_and_prices_pairs_with_both():
+    inside, price, clearance, missions = tables(routes()).split("\n\n")
+    assert "| a | centre | astar-plus | 3 | 33% | 4.0 m, 4.0 m | 2.0 m |" in inside
+    assert "| a | touched | astar-plus | 4 | 0% | 0.0 m, 0.0 m | 2.0 m |" in inside
+    assert price.endswith("| a | touched | astar-plus | 5.00% (9.5%; 10.0%) | 5.00% (9.5%; 10.0%) |")
+    assert clearance.count(" 4.000 m |") == 10
+    assert missions.endswith("| 9 (9) | 5 (5) | 1.00 m, 2.00 m | 2.50 m | +50.00% (+50.00%) | 0.000 m | 3.000 m | 4 |")
+    assert prices(routes()[lambda rows: rows.rule == "touched"]) == {}
 
 
 CODE = '''"""A module."""
@@ -140,19 +138,13 @@ def test_results_differ_by_name_and_by_share_and_ratios_have_an_interval():
     assert 0.9 < low < 1.0 < high < 1.1
 
 
-def test_a_missions_clearance_is_to_the_outlines_that_reach_the_lower_end_of_a_leg():
+def test_clearance_is_to_the_outlines_that_reach_the_lower_end_of_a_leg_and_height_over_those_beneath():
     one = np.zeros(1)
-    tower = Buildings(np.array([shapely.box(50, 0, 60, 10)]), one + 40, one, one.astype(np.uint8), one > 0)
-    scene = SimpleNamespace(city=SimpleNamespace(buildings=tower))
+    outlines = Outlines(Buildings(np.array([shapely.box(50, 0, 60, 10)]), one + 40, one, one.astype(np.uint8), one > 0))
     beside = np.array([[0.0, 22, 30], [100, 22, 30], [100, 60, 30]])
-    assert clearance_m(scene, beside) == pytest.approx(12.0)
-    assert clearance_m(scene, beside + np.array([0, 0, 20])) == np.inf
+    assert outlines.nearest_m(beside) == pytest.approx(12.0)
+    assert outlines.nearest_m(beside + np.array([0, 0, 20])) == outlines.over_roofs_m(beside) == np.inf
     climbing = np.array([[55.0, 14, 60], [55, 14, 20]])
-    assert clearance_m(scene, climbing) == pytest.approx(4.0)
+    assert outlines.nearest_m(climbing) == pytest.approx(4.0)
+    assert outlines.over_roofs_m(np.array([[55.0, 14, 60], [55, 4, 46]])) == pytest.approx(6.0)
     np.testing.assert_allclose(legs_m(climbing), [40.0])
-
-
-def test_the_row_of_missions_tells_how_many_were_read_back_equal():
-    flown = [Mission("a", "land", 100 * k, 10 * k, 1.0, 5.0 * k, 2.0, 3.0 * k, 1.0, 0.0, 0, k - 1) for k in (1, 2)]
-    row_ = summary(flown)
-    assert (row_[0], row_[1], row_[2], row_[-1]) == ("2", "150 (200)", "15 (20)", "1")

@@ -8,7 +8,7 @@ import shapely
 from scipy.ndimage import label
 
 import jaxurban as ju
-from benchmarks.clearance import read_plan
+from benchmarks.random_routes import read_plan
 from jaxurban.cli import main as cli
 from jaxurban.paths.cost_map import cost_map
 from jaxurban.paths.export.qgc_plan import GROUND_TOLERANCE_M

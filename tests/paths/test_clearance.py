@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from scipy.ndimage import label
 
 import jaxurban as ju
-from benchmarks.clearance import READERS
+from benchmarks.random_routes import READERS
 from jaxurban.cli.common import given_constraints
 from jaxurban.errors import InputError, OtherSettingsWarning
 from jaxurban.io.files import write_json

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import shapely
 
-from benchmarks.clearance import READERS
+from benchmarks.random_routes import READERS
 from jaxurban.errors import InputError
 from jaxurban.io.read.routes import read_routes
 from jaxurban.io.read.zone import Zone
