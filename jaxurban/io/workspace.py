@@ -88,7 +88,7 @@ class Workspace:
                 before = sections.get(command)
                 workspace = cls(folder, command, {} if before is None else before["written"])
                 workspace._claim(sections, asked, names, overwrite, is_shared)
-                sections[command] = {"asked": asked, "written": workspace.written}
+                sections[command] = {"asked": asked or (before or {"asked": {}})["asked"], "written": workspace.written}
                 _save(folder, sections)
                 try:
                     with recorded_by(workspace):
@@ -165,12 +165,12 @@ class Workspace:
         return next((each for each in above if each.is_symlink() or (each.exists() and not each.is_dir())), None)
 
     def is_own(self, path: Path) -> bool:
-        """Return whether a path is a file as this command wrote it; none is behind a link to another folder."""
+        """Return whether a path is a file as this command wrote it; a link is not, nor what is behind one."""
         checksum = self.written.get(self.name_of(path) or "")
+        if checksum is None or path.is_symlink() or not path.is_file() or self._obstacle(path):
+            return False
         with suppress(OSError):
-            return (
-                checksum is not None and path.is_file() and not self._obstacle(path) and checksum_of(path) == checksum
-            )
+            return checksum_of(path) == checksum
         return False
 
     def is_changed(self, path: Path) -> bool:

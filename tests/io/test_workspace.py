@@ -33,6 +33,14 @@ def test_the_same_run_writes_again_and_another_is_refused(tmp_path):
     assert names_of(tmp_path) == ["figures/4.txt", "made.json"]
 
 
+def test_a_check_leaves_the_settings_that_the_record_holds(tmp_path):
+    write(tmp_path)
+    Workspace.check(tmp_path, "tune")
+    write(tmp_path, text="made again")
+    with pytest.raises(InputError, match="its seed is 3, now 4"):
+        write(tmp_path, 4)
+
+
 @pytest.mark.parametrize("overwrite", [False, True])
 @pytest.mark.parametrize("name", ["mine.txt", "figures/mine.txt", "figures/3.txt"])
 def test_a_folder_of_others_is_refused(tmp_path, name, overwrite):
@@ -138,6 +146,15 @@ def test_commands_share_a_folder_and_remove_their_own(tmp_path):
     assert names_of(tmp_path) == ["demo.txt", "made.json", "mine.txt", "new.txt"]
     with pytest.raises(InputError, match="in the way"):
         write(tmp_path, 4, command="maps", name="mine.txt", is_shared=True)
+
+
+def test_a_link_to_a_copy_of_an_output_is_the_users(tmp_path):
+    write(tmp_path / "out")
+    (tmp_path / "out/figures/3.txt").rename(tmp_path / "mine.txt")
+    (tmp_path / "out/figures/3.txt").symlink_to(tmp_path / "mine.txt")
+    with pytest.raises(InputError, match="in the way"):
+        write(tmp_path / "out", 4, overwrite=True)
+    assert (tmp_path / "out/figures/3.txt").is_symlink()
 
 
 def test_a_link_in_the_place_of_a_file_is_followed_nowhere(tmp_path):
