@@ -9,7 +9,7 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 PAGES = sorted(page.relative_to(ROOT).as_posix() for page in (ROOT / "docs").rglob("*.md"))
-PAST_SCRIPT = re.compile(r"`(benchmarks/\w+\.py)`\s+of commit ([0-9a-f]{7,40})")
+PAST_SCRIPT = re.compile(r"`((?:benchmarks|figures/paper)/\w+\.py)`\s+of commit ([0-9a-f]{7,40})")
 SPEC = importlib.util.spec_from_file_location("stale_tables", ROOT / "docs" / "stale_tables.py")
 stale_tables = importlib.util.module_from_spec(SPEC)
 SPEC.loader.exec_module(stale_tables)
