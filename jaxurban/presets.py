@@ -43,10 +43,10 @@ DEFAULTS = Preset()
 PRESETS = {"": DEFAULTS, PAPER: Preset("cell", "centre", 0.0, 0.0)}
 
 
-def with_preset(settings: Mapping[str, Any], name: str) -> Mapping[str, Any]:
-    """Return the settings that maps were made with, those of a named preset in the place of theirs in ``[planning]``.
+def planning_under(preset: str, given: Mapping[str, Any]) -> dict[str, Any]:
+    """Return settings of a ``[planning]``: those given, and else those of a preset, theirs where none is named.
 
     Raises:
       InputError: an unknown preset.
     """
-    return {**settings, "planning": settings.get("planning", {}) | asdict(Preset.of(name))} if name else settings
+    return {**asdict(Preset.of(preset or given.get("preset", ""))), **given}

@@ -91,6 +91,3 @@ def positive_m(name: str, value: Any) -> float:
     if not 0 < length_m < np.inf:
         raise InputError(f"{name} must be a positive number of metres, got {value}")
     return length_m
-
-
-DEFAULT_MODEL = CostModel()  # of settings that leave it out: the one that a preset replaces

@@ -121,7 +121,7 @@ def test_pictures_take_one_path_several_or_a_batch(paths):
         (lambda: ju.plan(MAPS, START, GOAL, altitude_m=20.0, planner=5), "planner must be a text or None"),
         (
             lambda: ju.plan(MAPS, START, GOAL, altitude_m=20.0, budget_s="long"),
-            "budget_s must be a number .seconds., got 'long'",
+            "budget_s must be a number or None .seconds., got 'long'",
         ),
         (lambda: ju.plan(MAPS, START, GOAL, altitude_m=20.0, constraints="a.kml"), "constraints must be Constraints"),
         (lambda: ju.plan_many(MAPS, 5), "queries must be"),

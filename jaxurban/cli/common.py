@@ -1,4 +1,4 @@
-"""What commands share: option types, stored settings, progress, messages."""
+"""What commands share: option types, what they ask for, progress, messages."""
 
 import json
 import logging
@@ -12,16 +12,10 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from jaxurban.errors import InputError
-from jaxurban.presets import DEFAULTS, with_preset
 from jaxurban.progress import LOG
 
 if TYPE_CHECKING:
-    from jaxurban.maps.levels import Levels
-    from jaxurban.maps.metric_maps import Obstacles
-    from jaxurban.metrics.weights import Weights
     from jaxurban.paths.constraints import Constraints
-    from jaxurban.paths.cost_map import CostMap
-    from jaxurban.planners.cost_model import CostModel
 
 Settings = dict[str, Any]
 
@@ -115,7 +109,8 @@ COST_MODEL = click.option(
 PRESET = click.option(
     "--preset",
     type=click.Choice(["paper"]),
-    help="Plan as the paper does: cost model cell, obstacles at centres, no clearance; other options win over it.",
+    help="Plan as the paper does: cost model cell, obstacles at centres, no clearance, "
+    "where neither the scenario nor another option says so.",
 )
 ENDS = [  # of a route, with the altitude: names, type and help of their options
     (("--start",), LONLAT, "Longitude,latitude in degrees."),
@@ -144,7 +139,7 @@ COSTS = together(  # what the cost map of a route depends on, beside its altitud
         help="--snap by at most so far instead of 50 m.",
     ),
 )
-ROUTE = together(  # a route over maps, under costs: what `stored_cost_map` takes, and the ends
+ROUTE = together(  # a route over maps, under costs: what `given_rules` takes and more, and the ends
     click.argument("folder", metavar="DIR", type=PATH),
     *(click.option(*names, type=kind, required=True, help=told) for names, kind, told in ENDS),
     COSTS,
@@ -176,94 +171,27 @@ def take_snap(given: Settings) -> bool | float:
     return is_wanted if distance_m is None else distance_m
 
 
-def stored_settings(folder: Path, preset: str | None = None) -> Settings:
-    """Return the settings that made the maps in ``folder``, empty where they were saved from Python.
-
-    Args:
-      folder: of the maps.
-      preset: whose settings take the place of those in ``[planning]``.
-
-    Raises:
-      InputError: the record of the run that made them is damaged or missing, and with it their weights.
-    """
-    from jaxurban.io.store import settings_of
-
-    if folder.is_file():
-        raise InputError(f"{str(folder)!r} is a file: give the folder that holds the maps")
-    return {**with_preset(settings_of(folder), preset or "")}
-
-
-def stored_weights(folder: Path, settings: Settings) -> "Weights":
-    """Return the weights that those settings hold, the defaults where they hold none."""
-    from jaxurban.metrics.weights import Weights
-
-    try:
-        return Weights.of(settings.get("weights")).checked(settings.get("layers", ()))
-    except InputError as error:
-        raise InputError(
-            f"{str(folder / 'run.json')!r} names weights that do not exist ({error}): make the maps again"
-        ) from error
-
-
-def stored_cost_model(settings: Settings, kind: str | None) -> "CostModel":
-    """Return the cost model of those settings' ``[planning]``, of another kind where one is given.
-
-    Raises:
-      InputError: a value that is none of a cost model's.
-    """
-    from jaxurban.planners.cost_model import CostModel
-
-    planning = settings.get("planning", {})
-    return CostModel.from_settings(planning if kind is None else {**planning, "cost_model": kind})
-
-
-def stored_obstacles(settings: Settings, given: "Obstacles | None") -> "Obstacles":
-    """Return the rule of obstacles that is given, else that of those settings' ``[planning]``."""
-    return given or settings.get("planning", {}).get("obstacles", DEFAULTS.obstacles)
-
-
-def given_constraints(given: Settings, settings: Settings) -> "Constraints":
-    """Return what the options of `CONSTRAINTS` ask for; clearances left out, and the vehicle, are those of settings.
+def given_constraints(given: Settings) -> "Constraints":
+    """Return what the options of `CONSTRAINTS` ask for.
 
     Raises:
       InputError: a file or a bound that cannot be read, or a clearance that is none.
     """
     from jaxurban.paths.constraints import CLEARANCES, Constraints
-    from jaxurban.paths.vehicle import Vehicle
 
-    planning = settings.get("planning", {})
-    clearances = {name: planning.get(name) if given[name] is None else given[name] for name in CLEARANCES}
-    vehicle = Vehicle(**settings.get("vehicle", {}))
-    known = {name: value for name, value in clearances.items() if value is not None}
-    return Constraints.read(given["no_fly"], given["require"], **known, vehicle=vehicle)
+    return Constraints.read(given["no_fly"], given["require"], **{name: given[name] for name in CLEARANCES})
 
 
-def stored_cost_map(
-    folder: Path, stored: Settings, given: Settings, altitude_m: "float | Levels", objective: str = "weighted"
-) -> "CostMap":
-    """Return the cost map that the options of `ROUTE` ask for; what they leave out is as the maps were made with.
-
-    Args:
-      folder: of the maps.
-      stored: their settings.
-      given: the options.
-      altitude_m, objective: as in `jaxurban.cost_map`.
-    """
-    from jaxurban.maps.metric_maps import open_maps
+def given_rules(given: Settings) -> Settings:
+    """Return what the options of routes' costs ask for, as the functions of Python take it."""
     from jaxurban.metrics.weights import Weights
-    from jaxurban.paths.cost_map import cost_map
 
-    model = stored_cost_model(stored, given["cost_model"])
-    return cost_map(
-        open_maps(folder, given["resolution_m"], obstacles=stored_obstacles(stored, given["obstacles"])),
-        altitude_m,
-        weights=Weights.parse(given["weights_text"], stored_weights(folder, stored)),
-        objective=objective,
-        cost_model=model,
-        time=given["time"],
-        time_of_day=given["time_of_day"],
-        constraints=given_constraints(given, stored),
-    )
+    return {
+        "weights": Weights.named_in(given["weights_text"]),
+        "cost_model": given["cost_model"],
+        "constraints": given_constraints(given),
+        "preset": given["preset"] or "",
+    }
 
 
 def tell_warnings(record: Settings) -> None:

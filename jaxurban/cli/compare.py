@@ -15,12 +15,8 @@ from jaxurban.cli.common import (
     PATH,
     PRESET,
     RESOLUTION,
-    given_constraints,
+    given_rules,
     print_json,
-    stored_cost_model,
-    stored_obstacles,
-    stored_settings,
-    stored_weights,
     take_snap,
     tell,
 )
@@ -63,23 +59,18 @@ def compare(folder_a: Path, folder_b: Path, output: Path, as_json: bool, overwri
     from jaxurban.io.files import check_writable
     from jaxurban.io.tables import records_of
     from jaxurban.io.workspace import Workspace
-    from jaxurban.metrics.weights import Weights
     from jaxurban.report.map_comparison import REPORT_FILE, save_comparison
     from jaxurban.studies.map_comparison.compare import compare as compare_maps
     from jaxurban.studies.montecarlo.run import MapsFolder
 
-    stored = stored_settings(folder_a, given["preset"])
-    rule = stored_obstacles(stored, given["obstacles"])
-    sides = [MapsFolder(folder, given["resolution_m"], rule) for folder in (folder_a, folder_b)]
+    sides = [MapsFolder(folder, given["resolution_m"], given["obstacles"]) for folder in (folder_a, folder_b)]
     how = {
         "routes": _routes(given["routes"]),
         "times": _times(given["times"]),
-        "weights": Weights.parse(given["weights_text"], stored_weights(folder_a, stored)),
-        "cost_model": stored_cost_model(stored, given["cost_model"]),
-        "constraints": given_constraints(given, stored),
         "snap": take_snap(given),
         "tolerance": given["tolerance"],
         "seed": given["seed"],
+        **given_rules(given),
     }
     check_writable(output)
     Workspace.check(output, "compare")

@@ -13,9 +13,8 @@ from jaxurban.cli.common import (
     PATH,
     ROUTE,
     Settings,
+    given_rules,
     print_json,
-    stored_cost_map,
-    stored_settings,
     take_snap,
     tell,
 )
@@ -67,8 +66,11 @@ LEVEL_OPTIONS = ("min_altitude_m", "max_altitude_m", "level_step_m", "climb_cost
 def plan(folder: Path, files: Sequence[Path], profile: Path | None, as_json: bool, **given: Any) -> int:
     """Plan a path over the maps in DIR."""
     from jaxurban.maps.levels import Levels
+    from jaxurban.maps.metric_maps import open_maps
+    from jaxurban.paths.cost_map import cost_map
     from jaxurban.paths.explain import check_flight, explain
     from jaxurban.paths.export.write import MISSION, check_export
+    from jaxurban.paths.preset import search_on
     from jaxurban.paths.search import PathSearch
     from jaxurban.paths.simplify import simplify
 
@@ -88,18 +90,19 @@ def plan(folder: Path, files: Sequence[Path], profile: Path | None, as_json: boo
         from jaxurban.report.figures.files import check_picture, save_profile
 
         check_picture(profile)
-    stored = stored_settings(folder, given["preset"])
-    own = {name: value for name, value in stored.get("vehicle", {}).items() if name in ("speed_m_s", "power_w")}
+    maps = open_maps(folder, given["resolution_m"], obstacles=given["obstacles"])
+    own = {name: value for name, value in maps.recorded.get("vehicle", {}).items() if name in ("speed_m_s", "power_w")}
     check_flight(**own | flight)
-    planning = stored.get("planning", {}) | {name: value for name, value in given.items() if value is not None}
     start, goal, altitude_m = given["start"], given["goal"], given["altitude_m"]
     if is_volume:
-        start, goal = (*start, altitude_m), (*goal, planning.get("goal_altitude_m", altitude_m))
+        goal_altitude_m = altitude_m if given["goal_altitude_m"] is None else given["goal_altitude_m"]
+        start, goal = (*start, altitude_m), (*goal, goal_altitude_m)
         altitude_m = Levels(**{name: given[name] for name in LEVEL_OPTIONS if given[name] is not None})
-    names = ("heuristic", "budget_s", "refine", *(() if is_volume else ("planner", "seed")))
-    search = {name: planning[name] for name in names if name in planning}
+    names = ("planner", "heuristic", "objective", "budget_s", "seed", "refine")
+    search = search_on(maps, is_for_volumes=is_volume, **{name: given[name] for name in names})
+    at = {"objective": search.pop("objective", "weighted")} | {name: given[name] for name in ("time", "time_of_day")}
     PathSearch(**search).find(is_for_volumes=is_volume)  # a wrong name is refused before the maps are read
-    shared = stored_cost_map(folder, stored, given, altitude_m, planning.get("objective", "weighted"))
+    shared = cost_map(maps, altitude_m, **at, **given_rules(given))
     planned, maps = shared.plan(start, goal, snap=snap, **search), shared.maps
     if simplify_m:
         planned = simplify(planned, shared, simplify_m)

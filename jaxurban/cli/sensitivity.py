@@ -16,15 +16,10 @@ from jaxurban.cli.common import (
     PATH,
     Settings,
     default_workers,
-    given_constraints,
+    given_rules,
     names_in,
     numbers_in,
     print_json,
-    stored_cost_map,
-    stored_cost_model,
-    stored_obstacles,
-    stored_settings,
-    stored_weights,
     take_snap,
     tell,
     together,
@@ -128,6 +123,8 @@ def _one(folder: Path, output: Path, as_json: bool, overwrite: bool, given: Sett
     from jaxurban.io.files import check_writable
     from jaxurban.io.tables import records_of
     from jaxurban.io.workspace import Workspace
+    from jaxurban.maps.metric_maps import open_maps
+    from jaxurban.paths.cost_map import cost_map
     from jaxurban.report.sensitivity import FILES, add_buildings, ranges, write_sensitivity
     from jaxurban.studies.sensitivity.study import SensitivitySettings
     from jaxurban.studies.sensitivity.study import sensitivity as study
@@ -140,7 +137,9 @@ def _one(folder: Path, output: Path, as_json: bool, overwrite: bool, given: Sett
     chosen["num_samples"] = SAMPLES_OF_ONE if given["num_samples"] is None else given["num_samples"]
     chosen["tolerance"] = TOLERANCE if given["tolerance"] is None else given["tolerance"]
     how = SensitivitySettings(factors=_factors(given["factors_text"]), seed=given["seed"], **chosen)
-    shared = stored_cost_map(folder, stored_settings(folder, given["preset"]), given, given["altitude_m"])
+    maps = open_maps(folder, given["resolution_m"], obstacles=given["obstacles"])
+    at = {name: given[name] for name in ("time", "time_of_day")}
+    shared = cost_map(maps, given["altitude_m"], **at, **given_rules(given))
     shared.maps.check_altitude(given["altitude_m"])  # whose map its figures show
     check_writable(output)
     ends = {"start": given["start"], "goal": given["goal"], "snap": snap}
@@ -184,7 +183,6 @@ def _one(folder: Path, output: Path, as_json: bool, overwrite: bool, given: Sett
 
 def _many(folders: Sequence[Path], output: Path, as_json: bool, overwrite: bool, given: Settings) -> int:
     from jaxurban.io.tables import read_table, records_of
-    from jaxurban.metrics.weights import Weights
     from jaxurban.planners.base import EXIT_NO_PATH
     from jaxurban.report.buildings import scenario_of
     from jaxurban.report.run_sensitivity import sensitivity_study
@@ -203,44 +201,28 @@ def _many(folders: Sequence[Path], output: Path, as_json: bool, overwrite: bool,
     remade = RemadeSettings(given["heights"], given["parameters"], factors)
     if given["scenario"] is not None and not (remade and len(folders) == 1):
         raise click.UsageError("--scenario belongs to --heights and --parameters of one DIR")
-    stored = {folder: stored_settings(folder, given["preset"]) for folder in folders}
-    weights = {
-        folder: Weights.parse(given["weights_text"], stored_weights(folder, its)) for folder, its in stored.items()
-    }
-    models = {folder: stored_cost_model(its, given["cost_model"]) for folder, its in stored.items()}
-    first = folders[0]
-    for folder in folders[1:]:
-        if weights[folder] != weights[first]:
-            raise InputError(f"the maps of {first} and {folder} were made with other weights: name them (--weights)")
-        if models[folder] != models[first]:
-            raise InputError(
-                f"the maps of {first} and {folder} were made with other cost models: name one (--cost-model), and make "
-                "the maps with the same [planning]"
-            )
+    rules = given_rules(given)
+    weights = rules.pop("weights")
     settings = SensitivityStudySettings(
         vary=names_in(given["vary"]),
         factors=_factors(given["factors_text"]),
         wrong=WRONG if given["wrong"] is None else given["wrong"],
         num_samples=SAMPLES_OF_MANY if given["num_samples"] is None else given["num_samples"],
-        cost_model=models[first],
-        constraints=given_constraints(given, stored[first]),
+        **rules,
         seed=given["seed"],
     )
     routes = given["num_routes"] or NUM_ROUTES
     altitudes = numbers_in("--altitudes", given["altitudes_text"]) if given["altitudes_text"] else None
     scenario = given["scenario"]
     found = sensitivity_study(
-        [
-            MapsFolder(folder, given["resolution_m"], stored_obstacles(stored[folder], given["obstacles"]))
-            for folder in folders
-        ],
+        [MapsFolder(folder, given["resolution_m"], given["obstacles"]) for folder in folders],
         output,
         routes if given["queries"] is None else read_table(given["queries"], "queries"),
         altitudes_m=altitudes,
-        weights=weights[first],
+        weights=weights,
         settings=settings,
         remade=remade,
-        scenarios=None if scenario is None else {first.resolve().name: scenario_of(first, scenario)},
+        scenarios=None if scenario is None else {folders[0].resolve().name: scenario_of(folders[0], scenario)},
         workers=given["cluster"] or given["workers"] or default_workers(),
         overwrite=overwrite,
     )

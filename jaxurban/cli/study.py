@@ -52,26 +52,25 @@ def study(scenario_file: Path, folder: Path, benchmark_folder: Path | None, as_j
     from jaxurban.planners.cost_model import CostModel
     from jaxurban.report.benchmark import check_exportable, export_benchmark
     from jaxurban.report.montecarlo import write_analysis
-    from jaxurban.scenario.provenance import settings_of
     from jaxurban.scenario.settings import Scenario
     from jaxurban.studies.montecarlo.trial import HAS_PATH, BenchmarkSettings
 
     changes = [f"planning.preset={given['preset']!r}"] if given["preset"] else []
     scenario = Scenario.from_toml(scenario_file, changes)
     chosen = scenario.study
+    planning = scenario.planning.model_dump()
+    model = CostModel.from_settings(planning | {"cost_model": chosen.cost_model or planning["cost_model"]})
     settings = BenchmarkSettings(
         planners=chosen.planners,
         distance_only=chosen.distance_only,
-        cost_model=CostModel.from_settings(
-            scenario.planning.model_dump() | {"cost_model": chosen.cost_model or scenario.planning.cost_model}
-        ),
+        cost_model=model,
         budget_s=chosen.budget_s,
         budget_iterations=given["budget_iterations"] or chosen.budget_iterations,
         seed=chosen.seed,
-        constraints=given_constraints(given, settings_of(scenario)),
+        constraints=given_constraints(given).under(planning, scenario.vehicle),
     )
     if benchmark_folder is not None:
-        check_exportable(settings.cost_model, settings.constraints)
+        check_exportable(model, settings.constraints)
     if given["workers"] is not None and given["cluster"] is not None:
         raise InputError("give either --workers, for processes of this machine, or --cluster, not both")
     Workspace.check(folder / ANALYSIS_FOLDER, "study")
@@ -118,7 +117,7 @@ def _run(
     with reporting("maps") as report:
         run = run_scenario(scenario, folder, report, given["overwrite"])
     tell_warnings(run.record)
-    maps = MapsFolder(folder, given["resolution_m"] or resolutions_m[0], scenario.planning.obstacles)
+    maps = MapsFolder(folder, given["resolution_m"] or resolutions_m[0])
     if instances is None:
         instances = sample_instances(
             maps.open(),

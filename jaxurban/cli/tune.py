@@ -19,9 +19,6 @@ from jaxurban.cli.common import (
     given_constraints,
     names_in,
     print_json,
-    stored_cost_model,
-    stored_obstacles,
-    stored_settings,
     tell,
 )
 
@@ -84,7 +81,7 @@ def tune(words: tuple[Path, ...], out: Path, **given: Any) -> int:
     def named(*options: str) -> dict[str, Any]:
         return {name: given[name] for name in options if given[name] is not None}
 
-    stored, weights = stored_settings(words[0], given["preset"]), named("scale", "bootstrap")
+    weights = named("scale", "bootstrap")
     compared = named("hold_out", "losses") | ({"by_city": True} if given["by_city"] else {})
     if given["wishes"] and (weights or compared):
         raise click.UsageError(
@@ -92,17 +89,14 @@ def tune(words: tuple[Path, ...], out: Path, **given: Any) -> int:
         )
     if "losses" in compared:
         compared["losses"] = names_in(compared["losses"])
-    on_maps = named("altitude_m", "time", "time_of_day", "planner")
-    on_maps |= {"default_cost_model": stored_cost_model(stored, None)}
-    on_maps |= {"constraints": given_constraints(given, stored)}
-    if given["cost_model"] is not None:
-        on_maps["cost_model"] = stored_cost_model(stored, given["cost_model"])
+    on_maps = named("altitude_m", "time", "time_of_day", "planner", "cost_model", "preset")
+    on_maps["constraints"] = given_constraints(given)
     if given["metrics"] is not None:
         on_maps["metrics"] = names_in(given["metrics"])
     nothing = Weights(**dict.fromkeys(Weights().to_dict(), 0.0))
     settings = TuneSettings(
         resolution_m=given["resolution_m"],
-        obstacles=stored_obstacles(stored, given["obstacles"]),
+        obstacles=given["obstacles"],
         routes=on_maps,
         sample=given["sample"],
         pilot=None if given["pilot"] is None else Weights.parse(given["pilot"], nothing),

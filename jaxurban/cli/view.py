@@ -11,9 +11,6 @@ from jaxurban.cli.common import (
     PATH,
     PRESET,
     RESOLUTION,
-    stored_obstacles,
-    stored_settings,
-    stored_weights,
     tell,
 )
 from jaxurban.errors import InputError
@@ -82,16 +79,17 @@ def _viewer(
 ) -> "Viewer":
     """Return the viewer of maps in a folder, which plans as the maps were made to be planned on."""
     from jaxurban.maps.metric_maps import open_maps
+    from jaxurban.paths.preset import under_preset
     from jaxurban.studies.map_comparison.shared_part import shared_part
     from jaxurban.viewer.outlines import Outlines
     from jaxurban.viewer.plans import PlanDefaults
     from jaxurban.viewer.study import WeightStudy
     from jaxurban.viewer.viewer import Viewer
 
-    stored = stored_settings(folder, preset)
-    maps = open_maps(folder, resolution_m, obstacles=stored_obstacles(stored, obstacles))  # type: ignore[arg-type]
+    maps = open_maps(folder, resolution_m, obstacles=obstacles)  # type: ignore[arg-type]
     command = (str(folder), "--resolution", repr(maps.grid.resolution_m))
-    defaults = PlanDefaults.of_settings(stored, stored_weights(folder, stored), command)
+    defaults = PlanDefaults.of(maps, command, preset=preset or "")
+    maps, *_ = under_preset(preset or "", maps, None, None)
     others = None
     if other is not None:
         part = shared_part(maps, open_maps(other, maps.grid.resolution_m))
@@ -103,7 +101,7 @@ def _viewer(
         others,
         defaults=defaults,
         study=None if study is None else WeightStudy.read(study),
-        outlines=Outlines(partial(_city, folder)) if stored else None,
+        outlines=Outlines(partial(_city, folder)) if maps.recorded else None,
         names=(folder.resolve().name, "" if other is None else other.resolve().name),
     )
 

@@ -291,6 +291,8 @@ def open_zarr(folder: Path, resolution_m: float | None) -> xr.Dataset:
     Raises:
       InputError: no maps there, several resolutions and none chosen, or maps that are damaged (see `open_whole`).
     """
+    if folder.is_file():
+        raise InputError(f"{str(folder)!r} is a file: give the folder that holds the maps")
     listed = ", ".join(map(short_number, sorted(found := stored_resolutions(folder))))
     if not found:
         raise InputError(f"{str(folder)!r} holds no metric maps: make them with `jaxurban maps SCENARIO -o {folder}`")

@@ -5,7 +5,7 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import jax.numpy as jnp
 import numpy as np
@@ -17,11 +17,12 @@ from jaxurban.metrics.base import UNDERSIDE, Metric
 from jaxurban.metrics.custom import held_metrics
 from jaxurban.metrics.obstacle import stands_at
 from jaxurban.metrics.weights import normalised_map, total_map
-from jaxurban.presets import DEFAULTS
+from jaxurban.presets import planning_under
 from jaxurban.world.grid import Grid
 from jaxurban.world.show import Shown, listed
 
 Obstacles = Literal["touched", "centre"]
+OF_ROUTES = ("weights", "planning", "vehicle")  # sections of a scenario that routes over its maps are planned under
 
 
 def _placed(ds: xr.Dataset) -> xr.Dataset:
@@ -63,21 +64,42 @@ class MetricMaps(Shown):
     Maps that were opened from a folder are read when they are looked at.
 
     Attributes:
-      ds: the dataset; ``ds.attrs`` hold CRS, resolution and provenance.
-      obstacles: where every planner may fly. ``"touched"``: in cells that share no area with a roof that reaches the
-        altitude. ``"centre"``: in cells whose centre no such roof covers, the paper's rule, which is that of
-        ``obstacle`` and of every metric; paths then cut true outlines.
+      ds: the dataset; ``ds.attrs`` hold CRS, resolution, provenance and `recorded`.
+      rule: where every planner may fly (`obstacles`); None: as the scenario or a preset has it.
 
     Raises:
       InputError: an unknown rule of obstacles, or a part of maps that leaves cells out.
     """
 
     ds: xr.Dataset
-    obstacles: Obstacles = DEFAULTS.obstacles
+    rule: Obstacles | None = None
 
     def __post_init__(self) -> None:
-        one_of("obstacles", self.obstacles, get_args(Obstacles))
         object.__setattr__(self, "ds", _placed(self.ds))
+        one_of("obstacles", self.obstacles, get_args(Obstacles))
+
+    @property
+    def recorded(self) -> dict[str, Any]:
+        """The ``[weights]``, ``[planning]`` and ``[vehicle]`` of the scenario; empty for maps without one.
+
+        Of ``[planning]`` what was given. Whatever plans on these maps takes from here what its caller leaves out.
+        """
+        return json.loads(self.ds.attrs.get("settings", "{}"))
+
+    def with_recorded(self, settings: Mapping[str, Any]) -> "MetricMaps":
+        """Return the same maps as those of a run of such settings."""
+        kept = {name: settings[name] for name in OF_ROUTES if name in settings}
+        return replace(self, ds=self.ds.assign_attrs(settings=json.dumps(kept)))
+
+    @property
+    def obstacles(self) -> Obstacles:
+        """Where every planner may fly.
+
+        ``"touched"``: in cells that share no area with a roof that reaches the altitude. ``"centre"``: in cells whose
+        centre no such roof covers, the paper's rule, which is that of ``obstacle`` and of every metric; paths then cut
+        true outlines.
+        """
+        return self.rule or planning_under("", self.recorded.get("planning", {}))["obstacles"]
 
     @property
     def facts(self) -> dict[str, str]:
@@ -253,7 +275,7 @@ class MetricMaps(Shown):
     @typed
     def with_obstacles(self, obstacles: Obstacles) -> "MetricMaps":
         """Return the same maps with another rule of where planners may fly (see ``obstacles``)."""
-        return replace(self, obstacles=obstacles)
+        return replace(self, rule=obstacles)
 
     @typed
     def costs(self, altitude_m: float, *, time: str | None = None, time_of_day: str | None = None) -> dict:
@@ -323,7 +345,7 @@ GivenMaps = MetricMaps | str | Path  # what `as_maps` takes
 
 @typed
 def open_maps(
-    folder: str | Path, resolution_m: float | None = None, *, obstacles: Obstacles = DEFAULTS.obstacles
+    folder: str | Path, resolution_m: float | None = None, *, obstacles: Obstacles | None = None
 ) -> MetricMaps:
     """Return the maps that ``MetricMaps.save`` or ``jaxurban maps`` wrote under ``folder``.
 
@@ -333,14 +355,14 @@ def open_maps(
     Args:
       folder: the output folder.
       resolution_m: which of them; may be left out when there is one.
-      obstacles: where planners may fly (see `MetricMaps`).
+      obstacles: where planners may fly (see `MetricMaps`); left out, as the scenario has it.
 
     Raises:
       InputError: no maps there, or several and none chosen, or an unknown rule of obstacles; damaged ones (later too,
-        when values are read).
+        when values are read), or a run's without its settings (``run.json``).
     """
     from jaxurban.io.geotiff import missing_geotiffs
-    from jaxurban.io.store import open_zarr
+    from jaxurban.io.store import open_zarr, settings_of
 
     ds = open_zarr(Path(folder), resolution_m)
     if "run_key" in ds.attrs and (lost := missing_geotiffs(ds, Path(folder))):
@@ -349,7 +371,8 @@ def open_maps(
             f"{str(lost[0])!r}{others} is missing or empty: the same `jaxurban maps` command writes it again",
             stacklevel=2,
         )
-    return MetricMaps(ds, obstacles)
+    maps = MetricMaps(ds, obstacles)
+    return maps.with_recorded(settings) if (settings := settings_of(Path(folder))) else maps
 
 
 def as_maps(given: GivenMaps) -> MetricMaps:

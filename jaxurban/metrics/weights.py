@@ -63,17 +63,18 @@ class Weights:
         return f"Weights({', '.join(f'{name}={value!r}' for name, value in self.to_dict().items())})"
 
     @classmethod
-    def of(cls, given: "GivenWeights") -> "Weights":
-        """Return weights that are given as such, as numbers by name (the others at their default), or not at all.
+    def of(cls, given: "GivenWeights", base: Mapping[str, float] | None = None) -> "Weights":
+        """Return weights that are given as such, as numbers by name (the others as ``base`` has them), or not at all.
 
         Raises:
           InputError: they are none of these.
         """
-        if given is None or isinstance(given, Weights):
-            return given or cls()
+        if isinstance(given, Weights):
+            return given
+        given = {} if given is None else given
         if not isinstance(given, Mapping) or not all(isinstance(name, str) and name != "self" for name in given):
             raise InputError(f'weights must be Weights or numbers by name such as {{"risk": 5}}, got {given!r}')
-        return cls(**given)
+        return cls(**{**(base or {}), **given})
 
     @classmethod
     @typed
@@ -83,14 +84,23 @@ class Weights:
         Raises:
           InputError: a value that is not a number >= 0; `checked` tells which names maps hold.
         """
-        values = (base or cls()).to_dict()
+        return cls.of(cls.named_in(text), (base or cls()).to_dict()).checked()
+
+    @staticmethod
+    def named_in(text: str) -> dict[str, float]:
+        """Return the weights in ``"gps=1,noise=2"`` alone.
+
+        Raises:
+          InputError: a value that is no number.
+        """
+        values: dict[str, float] = {}
         for part in filter(None, (item.strip() for item in text.split(","))):
             name, _, number = (item.strip() for item in part.partition("="))
             try:
                 values[name] = float(number)
             except ValueError as error:
                 raise InputError(f"weight {part!r} must read name=number, as in gps=1,risk=0.5") from error
-        return cls.of(values).checked()
+        return values
 
     def to_dict(self) -> dict[str, Any]:
         """Return the weights by name, the distance first."""

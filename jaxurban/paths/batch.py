@@ -17,7 +17,7 @@ from jaxurban.metrics.weights import GivenWeights
 from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.cost_map import CostMap, cost_map
 from jaxurban.paths.finish import finish
-from jaxurban.paths.preset import under_preset
+from jaxurban.paths.preset import search_on, under_preset, weights_on
 from jaxurban.paths.queries import Point, Query, read_queries
 from jaxurban.paths.results import BAD_INPUT, CRASHED, NOT_RUN, BatchResults, PlannedPaths, QueryResult
 from jaxurban.paths.search import PathSearch
@@ -25,7 +25,6 @@ from jaxurban.paths.snapping import Place, one_place, snap_limit_m
 from jaxurban.planners.base import CostKind, Path
 from jaxurban.planners.batch import Backend, solve_many
 from jaxurban.planners.cost_model import CostModel
-from jaxurban.presets import BUDGET_S
 from jaxurban.progress import LOG, Progress, reporting
 
 HELD_BYTES = 2 * 2**30  # of weighed maps at a time
@@ -41,15 +40,15 @@ def plan_many(
     time: str | None = None,
     time_of_day: str | None = None,
     weights: GivenWeights = None,
-    objective: str = "weighted",
+    objective: str | None = None,
     cost_model: CostModel | CostKind | None = None,
     constraints: Constraints | None = None,
     preset: str = "",
-    planner: str = "astar-plus",
+    planner: str | None = None,
     heuristic: str | None = None,
     backend: Backend = "auto",
-    budget_s: float = BUDGET_S,
-    seed: int = 0,
+    budget_s: float | None = None,
+    seed: int | None = None,
     snap: bool | float = False,
     strict: bool = False,
     file: str | FilePath | None = None,
@@ -70,7 +69,8 @@ def plan_many(
     column ``heuristic`` names it.
 
     Args:
-      maps: from `build_maps` or `open_maps`, or the folder of one resolution's maps.
+      maps: from `build_maps` or `open_maps`, or the folder of one resolution's maps; what is left out is as their
+        scenario gives it, as in `plan`.
       queries: pairs of places or a table (see `read_queries`); a table's rows may have altitude, time, time of
         day and weights of their own.
       altitude_m, time, time_of_day, weights: for queries that say nothing of their own.
@@ -89,14 +89,17 @@ def plan_many(
       InputError: an argument that is wrong for all queries, a file that holds results of other queries; with
         ``strict`` any query's error too.
     """
-    search = PathSearch(planner, heuristic, budget_s, seed, snap)
-    search.find()
+    named: dict[str, Any] = {"planner": planner, "heuristic": heuristic, "budget_s": budget_s, "seed": seed}
+    PathSearch(**{name: value for name, value in named.items() if value is not None}).find()
     if file is not None and (FilePath(file).suffix != ".parquet" or not FilePath(file).parent.is_dir()):
         raise InputError(f"file {str(file)!r} must end in .parquet and lie in a folder that exists")
     snap_limit_m(snap)  # a wrong one is refused once, not with every query
     if num_threads is not None:
         at_least("num_threads", num_threads, 1)
     maps, cost_model, constraints = under_preset(preset, as_maps(maps), cost_model, constraints)
+    chosen = {"planner": "astar-plus"} | search_on(maps, objective=objective, **named)
+    objective, weights = chosen.pop("objective", "weighted"), weights_on(maps, weights)
+    search = PathSearch(**chosen, snap=snap)
     maps.costs(maps.altitudes_m[0] if altitude_m is None else altitude_m, time=time, time_of_day=time_of_day)
     batch = read_queries(
         queries, altitude_m=altitude_m, time=time, time_of_day=time_of_day, weights=weights, metrics=maps.metrics

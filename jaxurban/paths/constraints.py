@@ -5,7 +5,7 @@ import operator
 import re
 import warnings
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,7 @@ from jaxurban.metrics.gps import WEIGHTED_DOPS
 from jaxurban.metrics.registry import METRICS, ON_REQUEST, known_metrics
 from jaxurban.paths.clearance import FILE_MARGIN_M, closed_by_clearance, closing_step_m, kept_m, nearest_said
 from jaxurban.paths.vehicle import Vehicle
-from jaxurban.presets import DEFAULTS, Preset
+from jaxurban.presets import DEFAULTS
 
 OPERATORS: dict[str, Callable] = {">=": operator.ge, "<=": operator.le, ">": operator.gt, "<": operator.lt}
 BOUND = re.compile(r"\s*(\w+)\s*([<>=!]+)\s*(\S+)\s*")
@@ -119,8 +119,10 @@ class Constraints:
       bounds: what must hold at every cell of a path.
       clearance_m: horizontal distance that paths keep from buildings as high as they fly, and from the maps' border.
       vertical_clearance_m: height that paths keep over roofs; a roof nearer below counts as one as high as they fly.
-        Left out, 3 m, and 0 under the preset ``"paper"`` (`under`).
       vehicle: what flies; its radius is kept beside ``clearance_m``.
+
+    What of these three is left out is as the maps' scenario has it, or else the preset (`under`): 0 m, 3 m over roofs
+    (0 under ``"paper"``), and a point that any route suits.
 
     Raises:
       InputError: a clearance that is not a number of metres from 0 up.
@@ -128,9 +130,9 @@ class Constraints:
 
     zones: tuple[Zone, ...] = ()
     bounds: tuple[Bound, ...] = ()
-    clearance_m: float = DEFAULTS.clearance_m
+    clearance_m: float | None = None
     vertical_clearance_m: float | None = None
-    vehicle: Vehicle = field(default_factory=Vehicle)
+    vehicle: Vehicle | None = None
 
     def __post_init__(self) -> None:
         for name in CLEARANCES:
@@ -144,7 +146,7 @@ class Constraints:
         no_fly: str | Path | Iterable[str | Path] = (),
         require: Require = (),
         *,
-        clearance_m: float = DEFAULTS.clearance_m,
+        clearance_m: float | None = None,
         vertical_clearance_m: float | None = None,
         vehicle: Vehicle | None = None,
     ) -> "Constraints":
@@ -154,8 +156,8 @@ class Constraints:
           no_fly: a file of polygons or several (GeoJSON, KML ...; `read_zones` says what is read).
           require: ``"gps>=0.3"``, a list of such, or ``{"gps": (">=", 0.3)}``.
           clearance_m: least horizontal distance to buildings as high as a path.
-          vertical_clearance_m: least height over roofs; left out, 3 m, and 0 under the preset ``"paper"``.
-          vehicle: what flies; left out, a point that any route suits.
+          vertical_clearance_m: least height over roofs.
+          vehicle: what flies.
 
         Raises:
           InputError: a file or a bound that cannot be read, or a clearance below 0.
@@ -166,7 +168,7 @@ class Constraints:
         else:
             bounds = [Bound.parse(text) for text in ([require] if isinstance(require, str) else require)]
         zones = tuple(zone for file in files for zone in read_zones(file))
-        return cls(zones, tuple(bounds), clearance_m, vertical_clearance_m, vehicle or Vehicle())
+        return cls(zones, tuple(bounds), clearance_m, vertical_clearance_m, vehicle)
 
     def __str__(self) -> str:
         return constraints_said(self.to_dict())
@@ -179,20 +181,21 @@ class Constraints:
     @property
     def horizontal_m(self) -> float:
         """The clearance and the vehicle's radius."""
-        return self.clearance_m + self.vehicle.radius_m
+        return self._clearances_m[CLEARANCES[0]] + (self.vehicle or Vehicle()).radius_m
 
     @property
     def _vertical_m(self) -> float:
-        return DEFAULTS.vertical_clearance_m if self.vertical_clearance_m is None else self.vertical_clearance_m
+        return self._clearances_m[CLEARANCES[1]]
 
     @property
     def _clearances_m(self) -> dict[str, float]:
-        return dict(zip(CLEARANCES, (self.clearance_m, self._vertical_m), strict=True))
+        asked = {name: getattr(self, name) for name in CLEARANCES}
+        return {name: getattr(DEFAULTS, name) if value is None else value for name, value in asked.items()}
 
-    def under(self, preset: Preset) -> "Constraints":
-        """Return the constraints with the vertical clearance of a preset where they were made without one."""
-        known = self.vertical_clearance_m is not None
-        return self if known else replace(self, vertical_clearance_m=preset.vertical_clearance_m)
+    def under(self, planning: Mapping[str, Any], vehicle: Vehicle) -> "Constraints":
+        """Return the constraints, what they leave out taken from a whole ``[planning]`` and a vehicle."""
+        rest = {**{name: planning[name] for name in CLEARANCES}, "vehicle": vehicle}
+        return replace(self, **{name: value for name, value in rest.items() if getattr(self, name) is None})
 
     def leg_margin_m(self, resolution_m: float) -> float:
         """Return what straight legs keep from closed cells of that side, for the clearance (`closing_step_m`)."""
@@ -200,7 +203,7 @@ class Constraints:
 
     def without_clearance(self) -> "Constraints":
         """Return the zones and bounds alone."""
-        return Constraints(self.zones, self.bounds, vertical_clearance_m=0.0)
+        return Constraints(self.zones, self.bounds, 0.0, 0.0, Vehicle())
 
     def to_dict(self) -> dict[str, Any]:
         """Return the constraints as plain, JSON-ready values; floors and ceilings are None where there are none.
@@ -220,7 +223,7 @@ class Constraints:
             ],
             "require": [str(bound) for bound in self.bounds],
             **{name: float(metres) for name, metres in self._clearances_m.items() if metres},
-            **self.vehicle.to_dict(),
+            **(self.vehicle or Vehicle()).to_dict(),
         }
 
     def at(self, time: str | None) -> "Constraints":

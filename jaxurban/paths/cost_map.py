@@ -15,7 +15,7 @@ from jaxurban.paths.closed import why_closed
 from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.finish import finish
 from jaxurban.paths.path import PlannedPath
-from jaxurban.paths.preset import under_preset
+from jaxurban.paths.preset import under_preset, weights_on
 from jaxurban.paths.reachability import Reachability, islands_of, levels_that_join
 from jaxurban.paths.read_costs import When, check_memory, costs_at
 from jaxurban.paths.search import PathSearch
@@ -172,7 +172,7 @@ class CostMap(Shown):
         Raises:
           InputError: a weight that is none, or of a metric that the maps lack.
         """
-        other = replace(self, weights=Weights.of(weights).checked(self.maps.metrics), is_prepared=False)
+        other = replace(self, weights=weights_on(self.maps, weights), is_prepared=False)
         vars(other).update(shortest=self.shortest, reachability=self.reachability, terrain_m=self.terrain_m)
         return other
 
@@ -362,10 +362,11 @@ def cost_map(
     """Return the maps at one altitude, or between levels, under weights, on which any number of paths can be planned.
 
     Args:
-      maps: from `build_maps` or `open_maps`, or the folder of one resolution's maps.
+      maps: from `build_maps` or `open_maps`, or the folder of one resolution's maps. Weights, cost model, rule of
+        obstacles, clearances and vehicle that are left out here are as the maps' scenario gives them, if there is one.
       altitude_m: within the range of the maps' altitudes; between two of them metrics are taken linearly from both
         (`values_at`), obstacles from the roofs' own heights. Or `Levels`, for paths that climb and descend.
-      weights: default `Weights()`.
+      weights: default `Weights()`; numbers by name leave the others as the scenario has them.
       objective: ``"weighted"``, or ``"distance"`` for the shortest path (its weighted cost is reported).
       cost_model: how steps are costed and which are allowed, or its kind alone: ``"line"``, the default, or
         ``"cell"`` (the paper).
@@ -375,7 +376,7 @@ def cost_map(
       constraints: no-fly zones, bounds and clearances that close cells to every planner; a zone between two levels
         closes the lower one. Left out, paths keep 3 m over roofs.
       preset: ``"paper"`` for the paper's ``cell``, obstacles at centres and no clearance, instead of the defaults of
-        what is left out here; the maps take its rule of obstacles.
+        what is left out here and in the maps' scenario.
 
     Raises:
       InputError: an altitude beyond the maps', an unknown time, time of day or objective, a wrong weight, a bound on a
@@ -387,7 +388,7 @@ def cost_map(
     if not isinstance(constraints, Constraints | None):
         raise InputError(f"constraints must be Constraints, as from Constraints.read, got {type(constraints).__name__}")
     maps, cost_model, constraints = under_preset(preset, as_maps(maps), cost_model, constraints)
-    weights = Weights.of(weights).checked(maps.metrics)
+    weights = weights_on(maps, weights)
     levels = altitude_m if isinstance(altitude_m, Levels) else None
     if levels is None:
         altitudes_m = np.array([finite("altitude_m", altitude_m, "metres, or Levels")])

@@ -1,17 +1,19 @@
 """plan: a path between two places over metric maps, evaluated the same way for every planner."""
 
+from typing import Any
+
 from jaxurban.errors import typed
 from jaxurban.maps.levels import Levels
-from jaxurban.maps.metric_maps import GivenMaps
+from jaxurban.maps.metric_maps import GivenMaps, as_maps
 from jaxurban.metrics.weights import GivenWeights
 from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.cost_map import cost_map
 from jaxurban.paths.path import PlannedPath
+from jaxurban.paths.preset import search_on
 from jaxurban.paths.search import PathSearch
 from jaxurban.paths.snapping import Point, one_place
 from jaxurban.planners.base import CostKind
 from jaxurban.planners.cost_model import CostModel
-from jaxurban.presets import BUDGET_S
 
 
 @typed
@@ -26,12 +28,12 @@ def plan(
     weights: GivenWeights = None,
     planner: str | None = None,
     heuristic: str | None = None,
-    objective: str = "weighted",
+    objective: str | None = None,
     cost_model: CostModel | CostKind | None = None,
     time: str | None = None,
     time_of_day: str | None = None,
-    budget_s: float = BUDGET_S,
-    seed: int = 0,
+    budget_s: float | None = None,
+    seed: int | None = None,
     snap: bool | float = False,
     refine: bool = False,
     constraints: Constraints | None = None,
@@ -43,7 +45,9 @@ def plan(
     the map is then shared.
 
     Args:
-      maps: from `build_maps` or `open_maps`, or the folder of one resolution's maps.
+      maps: from `build_maps` or `open_maps`, or the folder of one resolution's maps. What is left out here is as
+        their scenario's ``[weights]``, ``[planning]`` and ``[vehicle]`` give it, as for the command ``plan``, if there
+        is one (`MetricMaps.recorded`).
       start, goal: longitude, latitude in degrees; between levels also an altitude, one of the levels (left out, the
         lowest that is free there).
       altitude_m: within the range of the maps' altitudes; between two of them metrics are taken linearly from both,
@@ -52,7 +56,7 @@ def plan(
         length in space, and each metre of climb and descent; 8 neighbours are 26 there. ``objective="distance"`` leaves
         climb and descent out too.
       start_xy_m, goal_xy_m: easting, northing in the maps' CRS (and altitude), instead of ``start`` and ``goal``.
-      weights: default `Weights()`.
+      weights: default `Weights()`; numbers by name leave the others as the scenario has them.
       planner: ``"ptp"``, ``"astar-dist"``, ``"astar-plus"`` ...; left out, ``"astar-plus"``, and between levels
         ``"astar-volume"``.
       heuristic: left out, the planner's own.
@@ -61,7 +65,7 @@ def plan(
         ``"cell"`` (the paper).
       time: UTC time of the GPS map; the first if left out.
       time_of_day: of the population map; the first if left out.
-      budget_s: seconds that the search may take.
+      budget_s: seconds that the search may take; default 10.
       seed: for sampling planners.
       snap: move a start or goal inside an obstacle or closed by a constraint to the nearest free cell (of its level)
         that is joined to the other end, instead of failing: True by at most 50 m, a number by at most so many metres.
@@ -78,19 +82,22 @@ def plan(
         altitude that hold no level, or a volume that memory cannot hold.
     """
     # A wrong name is refused before the maps are read.
-    PathSearch(planner, heuristic, seed=seed, refine=refine).find(is_for_volumes=isinstance(altitude_m, Levels))
+    is_volume = isinstance(altitude_m, Levels)
+    named: dict[str, Any] = {"planner": planner, "heuristic": heuristic, "budget_s": budget_s, "seed": seed}
+    given = {name: value for name, value in named.items() if value is not None}
+    PathSearch(**given, refine=refine).find(is_for_volumes=is_volume)
     ends = one_place("start", start, start_xy_m), one_place("goal", goal, goal_xy_m)
+    maps = as_maps(maps)
+    search = search_on(maps, is_for_volumes=is_volume, objective=objective, **named)
     shared = cost_map(
         maps,
         altitude_m,
         weights=weights,
-        objective=objective,
+        objective=search.pop("objective", "weighted"),
         cost_model=cost_model,
         time=time,
         time_of_day=time_of_day,
         constraints=constraints,
         preset=preset,
     )
-    return shared.plan(
-        *ends, planner=planner, heuristic=heuristic, budget_s=budget_s, seed=seed, snap=snap, refine=refine
-    )
+    return shared.plan(*ends, snap=snap, refine=refine, **search)

@@ -51,7 +51,7 @@ def export_benchmark(
       InputError: a name of other characters, a folder that cannot be written to, or what `check_exportable` refuses.
     """
     folder = Path(folder)
-    check_exportable(settings.cost_model, settings.constraints)
+    check_exportable(CostModel.of(settings.cost_model), settings.constraints)
     if not name.replace("-", "").isalnum():
         raise InputError(f"the benchmark's name must be of letters, digits and hyphens, got {name!r}")
     with Workspace.open(folder, "study --benchmark", is_shared=True):
@@ -71,7 +71,8 @@ def _export(
     for suffix in (".parquet", ".csv"):
         write_table(table, (folder / INSTANCES_FILE).with_suffix(suffix))
     counts = {"shortest": num_shortest, "weighted": len(table), "proven": int(table.grid_optimum.notna().sum())}
-    model, length_m = settings.cost_model, settings.cost_model.reference_length_m
+    model = CostModel.of(settings.cost_model)
+    length_m = model.reference_length_m
     cost_rules = {
         "cell": "plus w_j c_j(Q) summed over j, Q the cell in which the step ends",
         "line": f"plus the integral of w_j c_j along it over {length_m:g} m, cut exactly at cell borders",

@@ -100,12 +100,10 @@ def study(
     if isinstance(workers, int) and workers < 1:
         raise InputError(f"workers must be at least 1, got {workers}")
     source = maps if isinstance(maps, MetricMaps | MapsFolder) else MapsFolder(maps)
-    source, model, constraints = under_preset(settings.preset, source, settings.cost_model, settings.constraints)
-    if isinstance(source, MetricMaps):
-        opened = source
-    else:
-        opened = source.open()
-        source = replace(source, folder=Path(source.folder).resolve(), resolution_m=opened.grid.resolution_m)
+    opened = source if isinstance(source, MetricMaps) else source.open()
+    opened, model, constraints = under_preset(settings.preset, opened, settings.cost_model, settings.constraints)
+    settings = replace(settings, cost_model=model, constraints=constraints, preset="")
+    source = opened if isinstance(source, MetricMaps) else source.at(opened)
     if not isinstance(instances, pd.DataFrame):
         instances = sample_instances(opened, instances, cost_model=model, constraints=constraints, seed=settings.seed)
     else:

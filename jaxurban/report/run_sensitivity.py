@@ -75,7 +75,7 @@ def sensitivity_study(
         table of instances (see `sample_instances`) or of queries (as `plan_many` takes it), with a column ``city``
         where there are several.
       altitudes_m: of sampled routes; left out, all that the maps hold.
-      weights: of sampled routes, and of those that name none; default `Weights()`.
+      weights: of sampled routes, and of those that name none; left out, those of the maps' scenarios, else `Weights()`.
       settings: what is asked of every route.
       remade: which maps are made anew to see what changes; left out, none.
       scenarios: of cities whose maps are made anew; left out, the record in their folder tells the sources.
@@ -94,13 +94,22 @@ def sensitivity_study(
         raise InputError(
             f"routes must be how many to sample in each city, at least 1, or a table of them, got {routes!r}"
         )
-    given = {
-        city: under_preset(settings.preset, source, settings.cost_model, settings.constraints)[0]
-        for city, source in named_sources(sources).items()
-    }
-    opened = {city: source if isinstance(source, MetricMaps) else source.open() for city, source in given.items()}
+    given, opened, rules = named_sources(sources), dict[str, MetricMaps](), dict[str, Any]()
+    for city, source in given.items():
+        maps = source if isinstance(source, MetricMaps) else source.open()
+        maps, *rest = under_preset(settings.preset, maps, settings.cost_model, settings.constraints)
+        opened[city], rules[city] = maps, [*rest, Weights.of(weights, maps.recorded.get("weights"))]
+        given[city] = maps if isinstance(source, MetricMaps) else source.at(maps)
+    (first, (model, constraints, weights)), *others = rules.items()
+    for city, other in others:
+        if other != rules[first]:
+            raise InputError(
+                f"the scenarios of {first} and {city} give other weights, cost models, clearances or vehicles: name "
+                "them for both (--weights, --cost-model, --clearance, --vertical-clearance), or make them the same"
+            )
+    settings = replace(settings, cost_model=model, constraints=constraints, preset="")
     resolutions = {maps.grid.resolution_m for maps in opened.values()}
-    if settings.cost_model.kind == "cell" and len(resolutions) > 1:
+    if model.kind == "cell" and len(resolutions) > 1:
         listed = ", ".join(f"{each:g} m" for each in sorted(resolutions))
         raise InputError(
             f"the maps have cells of {listed}, on which the 'cell' cost model costs differently: use cost_model='line'"
@@ -130,7 +139,7 @@ def sensitivity_study(
 
 
 def named_sources(sources: Any) -> dict[str, Source]:
-    """Return the maps of each city by its name: folders as `MapsFolder` of one resolution.
+    """Return the maps of each city by its name: folders as `MapsFolder`.
 
     Raises:
       InputError: none, or two of one name.
@@ -151,12 +160,7 @@ def named_sources(sources: Any) -> dict[str, Source]:
         )
     found: dict[str, Source] = {}
     for name, source in listed:
-        if isinstance(source, MetricMaps):
-            found[name] = source
-            continue
-        place = source if isinstance(source, MapsFolder) else MapsFolder(source)
-        resolution_m = place.open().grid.resolution_m
-        found[name] = replace(place, folder=Path(place.folder).resolve(), resolution_m=resolution_m)
+        found[name] = source if isinstance(source, MetricMaps | MapsFolder) else MapsFolder(source)
     return found
 
 

@@ -14,7 +14,6 @@ from jaxurban.io.workspace import Workspace
 from jaxurban.maps.metric_maps import MetricMaps, Obstacles, open_maps
 from jaxurban.metrics.weights import Weights
 from jaxurban.paths.cost_map import CostMap
-from jaxurban.presets import DEFAULTS
 from jaxurban.progress import Progress, reporting
 from jaxurban.report.figures.degrees import in_degrees
 from jaxurban.report.figures.fits import plot_fits
@@ -59,7 +58,7 @@ class TuneSettings:
 
     Attributes:
       resolution_m: of the maps; needed where a folder holds several.
-      obstacles: where routes may fly (see `jaxurban.maps.metric_maps.MetricMaps`).
+      obstacles: where routes may fly (see `jaxurban.maps.metric_maps.MetricMaps`); None: as the scenario has it.
       routes: further arguments of `read_demonstrations`: altitude_m, cost_model, constraints, metrics ...
       sample: instances to draw on each city's maps, at every altitude, instead of routes from files; their routes are
         the pilot's.
@@ -71,7 +70,7 @@ class TuneSettings:
     """
 
     resolution_m: float | None = None
-    obstacles: Obstacles = DEFAULTS.obstacles
+    obstacles: Obstacles | None = None
     routes: Mapping[str, Any] = field(default_factory=dict)
     sample: int | None = None
     pilot: Weights | None = None

@@ -225,8 +225,7 @@ def _run(
             record = run_record(scenario, tasks, inputs, key, watch.elapsed_s, started_utc, messages)
             is_kept = not any(is_new for _, is_new in made)
             record = write_record(folder / store.RUN_FILE, record, is_kept)
-    rule = scenario.planning.obstacles
-    return ScenarioRun({maps.grid.resolution_m: maps.with_obstacles(rule) for maps, _ in made}, record)
+    return ScenarioRun({maps.grid.resolution_m: maps.with_recorded(record["settings"]) for maps, _ in made}, record)
 
 
 def _unused(folder: Path) -> str:

@@ -3,7 +3,7 @@
 import operator
 import tomllib
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from datetime import timedelta
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -33,7 +33,7 @@ from jaxurban.metrics.risk import RiskParams
 from jaxurban.metrics.settings import differentiable
 from jaxurban.metrics.weights import Weights
 from jaxurban.paths.vehicle import Vehicle
-from jaxurban.presets import BUDGET_S, DEFAULTS, PRESETS
+from jaxurban.presets import BUDGET_S, DEFAULTS, planning_under
 from jaxurban.scenario.changes import changed
 from jaxurban.scenario.validation import check_truths, sentence_of
 from jaxurban.scenario.values import (
@@ -196,12 +196,11 @@ class PlanningSettings(_Section):
     budget_s: Positive = BUDGET_S
     seed: Seed = 0
 
-    @model_validator(mode="before")
-    @classmethod
-    def _under_preset(cls, settings: Any) -> Any:
-        """Return the settings with what they leave out as their preset has it."""
-        known = isinstance(settings, dict) and settings.get("preset", "") in [*PRESETS]
-        return asdict(PRESETS[settings.get("preset", "")]) | settings if known else settings
+    @model_validator(mode="after")
+    def _under_preset(self) -> "PlanningSettings":
+        """Take what is left out from the preset; ``model_fields_set`` stays what was given."""
+        self.__dict__.update(planning_under(self.preset, self.model_dump(exclude_unset=True)))
+        return self
 
 
 def _dirichlet_or_list(value: Any) -> Any:

@@ -73,6 +73,7 @@ def read_demonstrations(
         planned under different cost models.
     """
     maps, default, constraints = under_preset(preset, as_maps(maps), default_cost_model, constraints)
+    cost_model = None if cost_model is None else under_preset(preset, maps, cost_model, None)[1]
     file = file if isinstance(file, pd.DataFrame) else Path(file)
     if isinstance(file, pd.DataFrame) or holds_queries(file):
         drawn = read_drawn(file, planner)

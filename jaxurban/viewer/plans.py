@@ -4,7 +4,7 @@ import json
 import shlex
 import tempfile
 from collections import OrderedDict
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field, replace
 from pathlib import Path as FilePath
 from threading import RLock
@@ -14,12 +14,13 @@ import numpy as np
 
 from jaxurban.errors import InputError, one_of
 from jaxurban.maps.metric_maps import MetricMaps
-from jaxurban.metrics.weights import Weights
+from jaxurban.metrics.weights import GivenWeights, Weights
 from jaxurban.paths.constraints import CLEARANCES, Constraints
 from jaxurban.paths.cost_map import CostMap, cost_map
 from jaxurban.paths.explain import RouteReport, explain
 from jaxurban.paths.export.write import FORMATS, WAYPOINTS
 from jaxurban.paths.path import PlannedPath
+from jaxurban.paths.preset import under_preset, weights_on
 from jaxurban.paths.simplify import simplify
 from jaxurban.paths.vehicle import Vehicle
 from jaxurban.planners.base import Problem
@@ -39,7 +40,7 @@ Made = TypeVar("Made")
 
 @dataclass(frozen=True)
 class PlanDefaults:
-    """What routes are planned under where the page says nothing else; for maps of a run, its ``[planning]``.
+    """What routes are planned under where the page says nothing else.
 
     Attributes:
       weights: where the sliders start.
@@ -53,16 +54,17 @@ class PlanDefaults:
     cost_model: CostModel = field(default_factory=CostModel)
     clearance_m: float = DEFAULTS.clearance_m
     vertical_clearance_m: float = DEFAULTS.vertical_clearance_m
-    vehicle: Vehicle = field(default_factory=Vehicle)
+    vehicle: Vehicle | None = None
     command: tuple[str, ...] = ()
 
     @classmethod
-    def of_settings(cls, settings: Mapping[str, Any], weights: Weights, command: tuple[str, ...]) -> "PlanDefaults":
-        """Return what routes are planned under over maps that were made with those settings, as a run records them."""
-        planning = settings.get("planning", {})
-        clearances = {name: float(planning.get(name, getattr(DEFAULTS, name))) for name in CLEARANCES}
-        vehicle = Vehicle(**settings.get("vehicle", {}))
-        return cls(weights, CostModel.from_settings(planning), **clearances, vehicle=vehicle, command=command)
+    def of(
+        cls, maps: MetricMaps, command: tuple[str, ...] = (), weights: GivenWeights = None, preset: str = ""
+    ) -> "PlanDefaults":
+        """Return what routes over maps are planned under where weights and a preset are given, and nothing else."""
+        _, model, limits = under_preset(preset, maps, None, None)
+        clearances = {name: float(getattr(limits, name)) for name in CLEARANCES}
+        return cls(weights_on(maps, weights), model, **clearances, vehicle=limits.vehicle, command=command)
 
 
 class Plans:

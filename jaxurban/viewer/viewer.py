@@ -78,7 +78,7 @@ class Viewer:
     Args:
       maps: that are looked at and planned on.
       other: further maps of the same cells, altitudes and times, whose layers can be taken off.
-      defaults: what routes are planned under at first.
+      defaults: what routes are planned under at first; left out, `PlanDefaults.of` the maps.
       study: of the weights of a route over these maps.
       outlines: of the buildings.
       names: what the maps, and the others, are called.
@@ -99,7 +99,7 @@ class Viewer:
     ) -> None:
         self.runs = [maps] if other is None else [maps, other]
         self.names, self.study, self.outlines = names[: len(self.runs)], study, outlines or Outlines()
-        self.plans = Plans(maps, defaults or PlanDefaults())
+        self.plans = Plans(maps, defaults or PlanDefaults.of(maps))
         self.layers = [layers_of(each) for each in self.runs]
         self.kept, self.key = Kept(), uuid4().hex
         self._answers: dict[str, tuple[type[Request], Callable[[Any], Any]]] = {

@@ -1,14 +1,12 @@
 """The viewer in a notebook: the same page as a widget, whose requests are messages to the kernel."""
 
 import json
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from jaxurban.errors import InputError, typed
-from jaxurban.io.store import settings_of
 from jaxurban.maps.metric_maps import GivenMaps, as_maps
-from jaxurban.metrics.weights import GivenWeights, Weights
-from jaxurban.presets import with_preset
+from jaxurban.metrics.weights import GivenWeights
+from jaxurban.paths.preset import under_preset
 from jaxurban.viewer.html import part
 from jaxurban.viewer.plans import PlanDefaults
 from jaxurban.viewer.viewer import JSON, Viewer
@@ -22,11 +20,11 @@ def view(maps: GivenMaps, *, weights: GivenWeights = None, other: GivenMaps | No
     """Return a widget to look at maps and plan on them, which a notebook shows as the last line of a cell.
 
     Args:
-      maps: from `build_maps` or `open_maps`, or their folder; over a run's, routes are planned as its ``[planning]``
-        and ``[vehicle]`` say.
-      weights: where the sliders start; left out, those that a folder's maps were made with, else `Weights()`.
+      maps: from `build_maps` or `open_maps`, or their folder; routes are planned as their scenario's ``[planning]`` and
+        ``[vehicle]`` say, if there is one.
+      weights: where the sliders start; left out, those of the scenario, else `Weights()`.
       other: further maps of the same cells, altitudes and times, to look at differences.
-      preset: ``"paper"``: where the page starts, as in `jaxurban.cost_map`, over what the folder says.
+      preset: ``"paper"``: where the page starts, as in `jaxurban.cost_map`.
 
     Raises:
       InputError: anywidget is not installed, or the maps cannot be opened.
@@ -39,11 +37,10 @@ def view(maps: GivenMaps, *, weights: GivenWeights = None, other: GivenMaps | No
         held.times,
     ):
         raise InputError("the other maps must be of the same cells, altitudes and times")
-    stored = with_preset({} if held is maps else settings_of(Path(str(maps))), preset)
     command = () if held is maps else (str(maps), "--resolution", repr(held.grid.resolution_m))
-    chosen = Weights.of(stored.get("weights") if weights is None else weights).checked(held.metrics)
-    held = held.with_obstacles(stored.get("planning", {}).get("obstacles", held.obstacles))
-    return widget_of(Viewer(held, others, defaults=PlanDefaults.of_settings(stored, chosen, command)))
+    defaults = PlanDefaults.of(held, command, weights, preset)
+    held, *_ = under_preset(preset, held, None, None)
+    return widget_of(Viewer(held, others, defaults=defaults))
 
 
 def widget_of(viewer: Viewer) -> "AnyWidget":

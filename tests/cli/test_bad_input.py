@@ -17,6 +17,7 @@ from jaxurban.errors import InputError
 from jaxurban.io.files import check_writable
 from jaxurban.io.tables import read_table
 from tests.cli_runs import assert_one_sentence, run
+from tests.made_maps import made_maps
 
 WEST, SOUTH, EAST, NORTH = -74.012, 40.706, -74.008, 40.709
 SYNTHETIC_BOUNDS = (-74.0, 40.755, -73.993, 40.761)
@@ -151,6 +152,7 @@ def test_a_goal_that_is_walled_in_ends_with_exit_code_three(tmp_path, capsys, mo
 
 
 def test_a_torn_run_file_is_named(tmp_path, capsys):
+    made_maps().save(tmp_path)
     (tmp_path / "run.json").write_text('{"settings": ')
     code, _, err = run(capsys, "plan", tmp_path, "--start", "-74,40.7", "--goal", "-74,40.71", "--altitude", 20)
     assert code == 2

@@ -167,7 +167,7 @@ def test_maps_without_touched_roofs_are_refused_for_planning(gap):
         ju.plan(old, **ENDS, altitude_m=20.0)
     assert ju.plan(old.with_obstacles("centre"), **ENDS, altitude_m=20.0).status.has_path
     with pytest.raises(InputError, match="'touched' or 'centre'"):
-        replace(gap, obstacles="edges")
+        replace(gap, rule="edges")
 
 
 def test_an_example_that_only_a_touch_closes_names_the_rule_under_which_it_is_free(gap):

@@ -26,6 +26,7 @@ from jaxurban.paths.clearance import (
     distance_to_obstacles_m,
     kept_m,
 )
+from jaxurban.paths.preset import under_preset
 from jaxurban.planners.base import Status
 from jaxurban.planners.registry import PLANNERS
 from jaxurban.report.figures.notes import rules_said
@@ -381,13 +382,15 @@ def test_every_command_that_plans_takes_the_options_over_its_scenarios_settings(
         assert {"--clearance", "--vertical-clearance"} <= {name for param in command.params for name in param.opts}
     region = {"region": {"bounds": (-74.02, 40.70, -73.98, 40.73)}, "buildings": {"source": "synthetic"}}
     given = {"no_fly": (), "require": (), "clearance_m": None, "vertical_clearance_m": None}
-    assert given_constraints(given, settings_of(Scenario.from_dict(region))).to_dict() == ju.Constraints().to_dict()
+    assert given_constraints(given) == ju.Constraints()
     said = region | {"planning": KEPT, "vehicle": {"radius_m": 0.5, "speed_m_s": 9}}
-    stored = settings_of(Scenario.from_dict(said))
+    maps = scattered(5).with_recorded(settings_of(Scenario.from_dict(said)))
     vehicle = ju.Vehicle(radius_m=0.5, speed_m_s=9.0)
-    assert given_constraints(given, stored) == ju.Constraints(**KEPT, vehicle=vehicle)
-    changed = given_constraints(given | {"clearance_m": 0.0}, stored)
-    assert changed == ju.Constraints(vertical_clearance_m=KEPT["vertical_clearance_m"], vehicle=vehicle)
+    assert under_preset("", maps, None, given_constraints(given))[2] == ju.Constraints(**KEPT, vehicle=vehicle)
+    changed = under_preset("", maps, None, given_constraints(given | {"clearance_m": 0.0}))[2]
+    assert changed == ju.Constraints(
+        clearance_m=0.0, vertical_clearance_m=KEPT["vertical_clearance_m"], vehicle=vehicle
+    )
 
 
 def test_over_terrain_what_stands_higher_up_the_slope_is_as_high_as_a_path():

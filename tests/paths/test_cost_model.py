@@ -153,18 +153,30 @@ def low_roofs(maps) -> ju.MetricMaps:
     return ju.MetricMaps(maps.ds.assign(roof=(("y", "x"), roof_m), roof_touched=(("y", "x"), touched_m)))
 
 
-@pytest.mark.parametrize("preset", ["", "paper"])
-def test_without_a_model_every_way_has_the_presets_rules_and_one_cost(
-    low_roofs, ends, preset, tmp_path, monkeypatch, capsys
+@pytest.mark.parametrize(
+    ("preset", "planning", "rules"),
+    [
+        ("", {}, ("line", "touched", 3.0)),
+        ("paper", {}, ("cell", "centre", 0.0)),
+        ("", {"cost_model": "cell", "vertical_clearance_m": 0.0}, ("cell", "touched", 0.0)),
+        ("", {"preset": "paper", "vertical_clearance_m": 3.0}, ("cell", "centre", 3.0)),
+        ("paper", {"cost_model": "line", "vertical_clearance_m": 3.0}, ("line", "centre", 3.0)),
+    ],
+)
+def test_without_a_model_every_way_has_the_rules_of_scenario_and_preset_and_one_cost(
+    low_roofs, ends, preset, planning, rules, tmp_path, monkeypatch, capsys
 ):
     monkeypatch.setattr(local, "NUM_REPEATS", 2)
     monkeypatch.setattr(local, "NUM_NOISE", 2)
     under = {"preset": preset} if preset else {}
-    kind, rule, clearance_m = ("cell", "centre", 0.0) if preset else ("line", "touched", 3.0)
+    kind, rule, clearance_m = rules
     constraints = ju.Constraints(vertical_clearance_m=clearance_m)
     named = {"cost_model": kind, "constraints": constraints}
     where = {"altitude_m": ALTITUDE_M, "weights": WEIGHTS}
     expected = ju.plan(low_roofs.with_obstacles(rule), *ends, **where, **named)
+    write_zarr(low_roofs.ds, tmp_path / "maps")
+    write_json(tmp_path / "maps" / "run.json", {"settings": {"weights": WEIGHTS.to_dict(), "planning": planning}})
+    low_roofs = ju.open_maps(tmp_path / "maps")
     planned = ju.plan(low_roofs, *ends, **where, **under)
     assert planned.settings == expected.settings
     costs = {"plan": planned.cost} | costs_of_every_way(low_roofs, ends, planned, under, under, tmp_path)
@@ -172,8 +184,6 @@ def test_without_a_model_every_way_has_the_presets_rules_and_one_cost(
         costs[planner] = ju.plan(low_roofs, *ends, **where, **under, planner=planner).cost
     compared = ju.compare(low_roofs, low_roofs, routes=[ends], weights=WEIGHTS, progress=False, **under)
     costs["compare"] = compared.routes.table.query(f"altitude_m == {ALTITUDE_M}").cost_a.item()
-    write_zarr(low_roofs.ds, tmp_path / "maps")
-    write_json(tmp_path / "maps" / "run.json", {"settings": {"weights": WEIGHTS.to_dict()}})
     places = [f"--{name}={lon},{lat}" for name, (lon, lat) in zip(("start", "goal"), ends, strict=True)]
     quick = ("--vary", "gps", "--samples", 2, "--pareto", "distance,gps", "-o", tmp_path / "study-of-one")
     options = ("--altitude", ALTITUDE_M, "--json", *(("--preset", preset) if preset else ()))

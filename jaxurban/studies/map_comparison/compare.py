@@ -15,9 +15,9 @@ from jaxurban.io.files import read_json
 from jaxurban.io.store import RUN_FILE
 from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY
-from jaxurban.metrics.weights import GivenWeights, Weights
+from jaxurban.metrics.weights import GivenWeights
 from jaxurban.paths.constraints import Constraints
-from jaxurban.paths.preset import under_preset
+from jaxurban.paths.preset import under_preset, weights_on
 from jaxurban.planners.base import CostKind
 from jaxurban.planners.cost_model import CostModel
 from jaxurban.presets import BUDGET_S
@@ -181,8 +181,8 @@ def compare(
         places or a table as `plan_many` takes them, or instances; without an altitude they are planned at each.
       times: B's time by A's, to set maps of different times beside each other; left out, the times that both hold, and
         where each holds a single one, these two.
-      weights, cost_model, constraints, preset, snap, budget_s: of the routes, as in `plan_many`; a route's weights may
-        be its own. They count the metrics that both hold.
+      weights, cost_model, constraints, preset, snap, budget_s: of the routes on both, as in `plan_many`, what is left
+        out as A's scenario gives it; a route's weights may be its own. They count the metrics that both hold.
       cover: water and parks, which are strata of their own then.
       tolerance: by how much values may differ, in their unit, and have not changed.
       seed: of sampled routes.
@@ -196,8 +196,8 @@ def compare(
         raise InputError(f"tolerance must not be negative, got {tolerance:g}")
     a, b = (maps.open() if isinstance(maps, MapsFolder) else as_maps(maps) for maps in (maps_a, maps_b))
     a, model, limits = under_preset(preset, a, cost_model, constraints)
-    b, *_ = under_preset(preset, b, cost_model, constraints)
-    chosen = RouteSettings(Weights.of(weights), model, limits, snap, budget_s, seed)
+    b = b.with_obstacles(b.rule or a.obstacles)
+    chosen = RouteSettings(weights_on(a, weights), model, limits, snap, budget_s, seed)
     part = shared_part(a, b, times)
     with reporting("compare", progress) as report:
         strata = strata_of(a, cover)[part.a.grid.window_in(a.grid)]

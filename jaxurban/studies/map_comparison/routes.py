@@ -129,6 +129,9 @@ def compare_routes(
         "constraints": settings.constraints,
         "snap": settings.snap,
         "budget_s": settings.budget_s,
+        "planner": "astar-plus",
+        "objective": "weighted",
+        "seed": settings.seed,
         "progress": report,
     }
     a, b = (plan_many(maps, queries, **how) for maps in (part.a, part.b))

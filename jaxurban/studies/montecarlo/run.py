@@ -3,7 +3,7 @@
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol, get_args
@@ -16,7 +16,6 @@ from jaxurban.io.tables import read_table, records_of
 from jaxurban.maps.executors import cluster_client
 from jaxurban.maps.metric_maps import MetricMaps, Obstacles, open_maps
 from jaxurban.paths.cost_map import CostMap
-from jaxurban.presets import DEFAULTS
 from jaxurban.progress import Progress, Report, reporting
 from jaxurban.studies.montecarlo.sampling import KEY
 from jaxurban.studies.montecarlo.trial import CRASHED, HAS_PATH, BenchmarkSettings, row_columns
@@ -33,19 +32,20 @@ class MapsFolder:
     Attributes:
       folder: of the maps, as `open_maps` takes it.
       resolution_m: which of them, where it holds several.
-      obstacles: where planners may fly (see `jaxurban.maps.metric_maps.MetricMaps`).
+      obstacles: where planners may fly (see `jaxurban.maps.metric_maps.MetricMaps`); None: as the scenario has it.
     """
 
     folder: str | Path
     resolution_m: float | None = None
-    obstacles: Obstacles = DEFAULTS.obstacles
+    obstacles: Obstacles | None = None
 
     def __post_init__(self) -> None:
-        one_of("obstacles", self.obstacles, get_args(Obstacles))
+        if self.obstacles is not None:
+            one_of("obstacles", self.obstacles, get_args(Obstacles))
 
-    def with_obstacles(self, obstacles: Obstacles) -> "MapsFolder":
-        """Return the same folder with another rule of where planners may fly."""
-        return replace(self, obstacles=obstacles)
+    def at(self, opened: MetricMaps) -> "MapsFolder":
+        """Return the folder by its whole path, with the resolution and the rule of its opened maps."""
+        return MapsFolder(Path(self.folder).resolve(), opened.grid.resolution_m, opened.obstacles)
 
     def open(self) -> MetricMaps:
         """Return the maps."""

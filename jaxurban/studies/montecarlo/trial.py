@@ -13,10 +13,10 @@ from jaxurban.errors import InputError, at_least, positive, typed
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.cost_map import CostMap, cost_map
-from jaxurban.paths.preset import settle_preset
 from jaxurban.planners.base import Cell, CostKind, Path, Status
-from jaxurban.planners.cost_model import DEFAULT_MODEL, CostModel
+from jaxurban.planners.cost_model import CostModel
 from jaxurban.planners.registry import PLANNERS, find_planner
+from jaxurban.presets import Preset
 from jaxurban.scenario.settings import PAPER_PLANNERS
 from jaxurban.studies.montecarlo.sampling import weighed_metrics
 from jaxurban.world.grid import Grid
@@ -43,13 +43,14 @@ class BenchmarkSettings:
     Attributes:
       planners: each plans every instance.
       distance_only: planners that also plan the shortest path; its weighted cost is reported.
-      cost_model: see `Problem`; left out, the preset's. Costs are reported under both kinds.
+      cost_model: see `Problem`, or its kind alone. Costs are reported under both kinds.
       budget_s: seconds for each run.
       budget_iterations: instead, samples for planners that draw any, while the others run to their end: rows then
         repeat exactly, whatever the number of workers, but for ``elapsed_s``.
       seed: of the sampling of instances, and of sampling planners, mixed with the instance's number.
       constraints: no-fly zones, bounds and clearances that close cells to starts, goals and every planner.
-      preset: ``"paper"`` for its cost model, obstacles and clearance instead of the defaults of what is left out.
+      preset: ``"paper"`` for its cost model, obstacles and clearance instead of the defaults of what is left out here
+        and in the scenario of the maps, from which the study takes what it gives.
 
     Raises:
       InputError: no planner, an unknown one, or an unknown preset.
@@ -57,7 +58,7 @@ class BenchmarkSettings:
 
     planners: Sequence[str] | str = PAPER_PLANNERS
     distance_only: Sequence[str] | str = ("astar-dist",)
-    cost_model: CostModel = DEFAULT_MODEL
+    cost_model: CostModel | CostKind | None = None
     budget_s: float = 2.0
     budget_iterations: int | None = None
     seed: int = 0
@@ -65,7 +66,8 @@ class BenchmarkSettings:
     preset: str = ""
 
     def __post_init__(self) -> None:
-        settle_preset(self)
+        Preset.of(self.preset)  # refuses an unknown one, as the next line does
+        CostModel.of(self.cost_model)
         for name in ("planners", "distance_only"):
             given = getattr(self, name)
             object.__setattr__(self, name, tuple(dict.fromkeys([given] if isinstance(given, str) else given)))
@@ -94,7 +96,7 @@ class BenchmarkSettings:
         """Return what decides a row, but for its planner, as plain, JSON-ready values."""
         numbers = {name: getattr(self, name) for name in ("budget_s", "budget_iterations", "seed")}
         numbers["budget_s"] = float(self.budget_s)
-        return {**self.cost_model.settings, **numbers, "limits": self.constraints.to_dict()}
+        return {**CostModel.of(self.cost_model).settings, **numbers, "limits": self.constraints.to_dict()}
 
     def cost_map(self, maps: MetricMaps, altitude_m: float, time: str | None, time_of_day: str | None) -> CostMap:
         """Return the cost map of instances at one altitude and time (errors as in `jaxurban.cost_map`)."""

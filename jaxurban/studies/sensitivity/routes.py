@@ -13,9 +13,10 @@ from jaxurban.errors import InputError, at_least, positive, typed
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.cost_map import CostMap, cost_map
-from jaxurban.paths.preset import settle_preset
 from jaxurban.planners.astar import astar
-from jaxurban.planners.cost_model import DEFAULT_MODEL, CostModel
+from jaxurban.planners.base import CostKind
+from jaxurban.planners.cost_model import CostModel
+from jaxurban.presets import Preset
 from jaxurban.studies.montecarlo.sampling import KEY
 from jaxurban.studies.montecarlo.trial import BAD_INPUT, CRASHED, KILLED, free_cell
 from jaxurban.studies.outcomes import outcomes_of
@@ -42,11 +43,12 @@ class SensitivityStudySettings:
         these times each weight.
       wrong: a wrong weight is so many times too large or too small.
       num_samples: N of each route's Sobol indices, a power of two, N x (2 + weights that vary) searches; 0: none.
-      cost_model: of the routes; left out, the preset's.
+      cost_model: of the routes, or its kind alone.
       constraints: no-fly zones, bounds and clearances that close cells to every route.
       seed: of the sampling of routes and weights, mixed with the city's name and the route's number.
       num_threads: of the searches of a route; left out, one a core, and one where several processes work.
-      preset: ``"paper"`` for its cost model, obstacles and clearance instead of the defaults of what is left out.
+      preset: ``"paper"`` for its cost model, obstacles and clearance instead of the defaults of what is left out here
+        and in the scenario of the maps, from which the study takes what it gives.
 
     Raises:
       InputError: a value that is none of these.
@@ -56,14 +58,15 @@ class SensitivityStudySettings:
     factors: tuple[float, float] = (0.1, 10.0)
     wrong: float = 2.0
     num_samples: int = 32
-    cost_model: CostModel = DEFAULT_MODEL
+    cost_model: CostModel | CostKind | None = None
     constraints: Constraints = field(default_factory=Constraints)
     seed: int = 0
     num_threads: int | None = None
     preset: str = ""
 
     def __post_init__(self) -> None:
-        settle_preset(self)
+        Preset.of(self.preset)  # refuses an unknown one, as the next line does
+        CostModel.of(self.cost_model)
         at_least("seed", self.seed)
         if self.num_threads is not None:
             at_least("num_threads", self.num_threads, 1)
@@ -79,7 +82,7 @@ class SensitivityStudySettings:
     def to_dict(self) -> dict[str, Any]:
         """Return what decides a row, as plain, JSON-ready values."""
         chosen = {name: getattr(self, name) for name in ("factors", "vary", "wrong", "num_samples", "seed")}
-        return {**self.cost_model.settings, **chosen, "limits": self.constraints.to_dict()}
+        return {**CostModel.of(self.cost_model).settings, **chosen, "limits": self.constraints.to_dict()}
 
     def cost_map(self, maps: MetricMaps, altitude_m: float, time: str | None, time_of_day: str | None) -> CostMap:
         """Return the cost map of routes at one altitude and time (errors as in `jaxurban.cost_map`)."""

@@ -1,0 +1,140 @@
+"""What the scenario of maps gives holds wherever routes are planned on them, and a preset sets only the rest."""
+
+import json
+
+import numpy as np
+import pytest
+
+import jaxurban as ju
+from jaxurban.io.files import write_json
+from jaxurban.scenario.provenance import settings_of
+from jaxurban.scenario.run import run_scenario
+from jaxurban.viewer.plans import PlanDefaults
+from tests.cli_runs import assert_one_sentence, run
+from tests.made_maps import made_maps
+from tests.scenario.test_changes import TEXT
+
+ALTITUDE_M = 20.0
+MADE = made_maps(40, 60)
+START, GOAL = (
+    tuple(float(v) for v in MADE.grid.lonlat_of_cell(*np.argwhere(MADE.is_free(ALTITUDE_M))[k])) for k in (5, -9)
+)
+PLANNING = [
+    {},
+    {"vertical_clearance_m": 0.0, "obstacles": "centre"},
+    {"clearance_m": 1.0, "cost_model": "cell", "connectivity": 4},
+    {"preset": "paper", "vertical_clearance_m": 3.0},
+    {"planner": "astar-dist", "objective": "distance"},
+    {"planner": "bitstar-plus", "seed": 5, "budget_s": 0.5},
+]
+
+
+def folder_of(place, **settings):
+    """A folder of maps whose record holds settings."""
+    MADE.save(place)
+    write_json(place / "run.json", {"settings": settings})
+    return place
+
+
+def command(capsys, name, folder, *options):
+    """What a command says of one route."""
+    ends = [f"--{end}={lon},{lat}" for end, (lon, lat) in (("start", START), ("goal", GOAL))]
+    code, out, err = run(capsys, name, folder, *ends, "--altitude", ALTITUDE_M, "--json", *options)
+    assert code == 0, err
+    return json.loads(out)
+
+
+@pytest.mark.parametrize("preset", ["", "paper"])
+@pytest.mark.parametrize("planning", PLANNING, ids=lambda planning: ",".join(planning) or "none")
+def test_python_plans_over_a_folder_as_the_command_does(planning, preset, tmp_path, capsys):
+    weights = ju.Weights(distance=0.02, gps=3.0, risk=0.5).to_dict()
+    folder = folder_of(tmp_path / "a", planning=planning, vehicle={"radius_m": 3.0, "speed_m_s": 9.0}, weights=weights)
+    maps, under = ju.open_maps(folder), {"preset": preset}
+    maps.save(tmp_path / "copy")
+    for named, text in (({}, ""), ({"weights": {"lidar": 4.0}, "cost_model": "line"}, "lidar=4")):
+        options = ["--weights", text, "--cost-model", "line"] if text else []
+        options += ["--preset", preset] if preset else []
+        expected = command(capsys, "plan", folder, *options)
+        assert expected["settings"]["limits"]["vehicle_radius_m"] == 3.0
+        assert expected["settings"]["weights"]["gps"] == 3.0
+        assert command(capsys, "plan", tmp_path / "copy", *options)["settings"] == expected["settings"]
+        cut = ju.MetricMaps(maps.ds.isel(x=slice(0, 60)))
+        found = [ju.plan(on, START, GOAL, altitude_m=ALTITUDE_M, **named, **under) for on in (str(folder), maps, cut)]
+        (one,) = ju.plan_many(folder, [(START, GOAL)], altitude_m=ALTITUDE_M, progress=False, **named, **under).results
+        for path in found:
+            assert path.settings == expected["settings"]
+            assert path.search.planner == expected["planner"]
+            if "bitstar" not in expected["planner"]:  # whose way depends on how far it comes in its budget
+                assert path.xy_m.tolist() == expected["xy_m"]
+                assert one.path.cost == pytest.approx(expected["cost"], rel=1e-9)
+        without = {name: value for name, value in expected["settings"].items() if name != "budget_s"}
+        assert one.path.settings | without == one.path.settings
+
+
+def test_what_is_named_wins_over_the_scenario(tmp_path):
+    planning = {"clearance_m": 1.0, "vertical_clearance_m": 5.0, "obstacles": "centre", "objective": "distance"}
+    maps = ju.open_maps(folder_of(tmp_path, planning=planning, vehicle={"radius_m": 3.0}))
+    on = ju.cost_map(maps, ALTITUDE_M, constraints=ju.Constraints(clearance_m=0.0, vehicle=ju.Vehicle(radius_m=1.0)))
+    assert on.constraints.to_dict() == {
+        "no_fly": [],
+        "require": [],
+        "vertical_clearance_m": 5.0,
+        "vehicle_radius_m": 1.0,
+    }
+    assert (maps.obstacles, maps.with_obstacles("touched").obstacles) == ("centre", "touched")
+    for rule, preset in (("touched", "paper"), ("centre", "")):
+        assert ju.cost_map(ju.open_maps(tmp_path, obstacles=rule), ALTITUDE_M, preset=preset).maps.obstacles == rule
+    planned = ju.plan(maps, START, GOAL, altitude_m=ALTITUDE_M, objective="weighted")
+    assert planned.settings["objective"] == "weighted"
+    defaults = ju.plan(ju.MetricMaps(MADE.ds), START, GOAL, altitude_m=ALTITUDE_M).settings
+    assert defaults["limits"] == {"no_fly": [], "require": [], "vertical_clearance_m": 3.0}
+
+
+def test_a_presets_rule_is_one_for_commands_studies_and_the_viewer(tmp_path, capsys):
+    given = {"vertical_clearance_m": 3.0, "cost_model": "line"}  # the defaults, but given
+    lines = "\n".join(f"{name} = {json.dumps(value)}" for name, value in given.items())
+    (tmp_path / "town.toml").write_text(f"{TEXT}[planning]\n{lines}\n", encoding="utf-8")
+    study = ju.Scenario.from_toml(tmp_path / "town.toml", ["planning.preset='paper'"]).planning
+    assert (study.cost_model, study.obstacles, study.vertical_clearance_m) == ("line", "centre", 3.0)
+    settings = settings_of(ju.Scenario.from_toml(tmp_path / "town.toml"))
+    assert settings["planning"] == given  # what was given, and no default
+    folder = folder_of(tmp_path / "a", **settings)
+    paper = ("--preset", "paper")
+    quick = ("--vary", "gps", "--samples", 2, "--pareto", "distance,gps", "-o", tmp_path / "one")
+    for facts in (command(capsys, "plan", folder, *paper), command(capsys, "sensitivity", folder, *paper, *quick)):
+        facts = facts.get("route", facts)["settings"]
+        assert (facts["cost_model"], facts["obstacles"]) == ("line", "centre")
+        assert facts["limits"]["vertical_clearance_m"] == 3.0
+    maps = ju.open_maps(folder)
+    defaults = PlanDefaults.of(maps, preset="paper")
+    assert (defaults.cost_model.kind, defaults.vertical_clearance_m) == ("line", 3.0)
+    found = ju.compare(maps, maps, routes=[(START, GOAL)], preset="paper", progress=False).routes.a[0].settings
+    assert (found["cost_model"], found["obstacles"], found["limits"]["vertical_clearance_m"]) == ("line", "centre", 3.0)
+    drawn = ju.sample_instances(maps, 2, altitudes_m=[ALTITUDE_M], weights=[ju.Weights()], preset="paper")
+    shown = ju.read_demonstrations(drawn, maps, preset="paper")[0].query.cost_map
+    assert (shown.cost_model.kind, shown.maps.obstacles) == ("line", "centre")
+    assert shown.constraints.vertical_clearance_m == 3.0
+    nothing = folder_of(tmp_path / "b", planning={})
+    facts = command(capsys, "plan", nothing, *paper)["settings"]
+    assert (facts["cost_model"], facts["obstacles"]) == ("cell", "centre")
+    assert "vertical_clearance_m" not in facts["limits"]
+
+
+def test_a_run_knows_its_scenario_in_memory_and_in_its_folder(tmp_path):
+    (tmp_path / "town.toml").write_text(f"{TEXT}[planning]\nobstacles = 'centre'\n[vehicle]\nradius_m = 2\n")
+    (held,) = run_scenario(ju.Scenario.from_toml(tmp_path / "town.toml"), tmp_path / "out").maps.values()
+    opened = ju.open_maps(tmp_path / "out")
+    for maps in (held, opened):
+        assert maps.recorded["planning"] == {"obstacles": "centre"}
+        assert maps.recorded["vehicle"] == {"radius_m": 2.0}
+        assert maps.obstacles == "centre"
+    (tmp_path / "out" / "run.json").unlink()
+    with pytest.raises(ju.InputError, match=r"run.json.*is missing: run the same `jaxurban maps` command again"):
+        ju.open_maps(tmp_path / "out")
+
+
+def test_many_routes_over_cities_of_other_scenarios_are_refused(tmp_path, capsys):
+    folders = [folder_of(tmp_path / name, vehicle={"radius_m": r}) for name, r in (("a", 1.0), ("b", 2.0))]
+    code, _, err = run(capsys, "sensitivity", *folders, "--routes", 1, "-o", tmp_path / "out")
+    assert code == 2
+    assert_one_sentence(err, "a and b give other weights, cost models, clearances or vehicles")
