@@ -32,7 +32,8 @@ def changes_since(commit: str, folders: list[str], root: Path = ROOT) -> int:
 def stale_tables() -> list[str]:
     """Return a sentence for each table whose code has changed since its commit."""
     return [
-        f"{page.relative_to(ROOT)}: the table of commit {commit} is older than {num} commits to {', '.join(folders)}"
+        f"{page.relative_to(ROOT)}: the table of commit {commit} is older than {num} commit{'s' * (num != 1)} to "
+        f"{', '.join(folders)}"
         for page in sorted((ROOT / "docs").rglob("*.md"))
         for commit, folders in tables_of(page.read_text(encoding="utf-8"))
         if (num := changes_since(commit, folders))

@@ -38,6 +38,15 @@ def test_commits_that_change_the_code_make_a_table_stale_and_others_do_not(tmp_p
     assert stale_tables.changes_since("0000000", ["kernels"], tmp_path) == 0
 
 
+@pytest.mark.parametrize(("num", "said"), [(1, "1 commit to kernels, planners"), (2, "2 commits to kernels, planners")])
+def test_a_stale_table_is_listed_with_how_many_commits_are_later(num, said, monkeypatch, tmp_path):
+    (tmp_path / "docs").mkdir()
+    (tmp_path / "docs" / "page.md").write_text("commit 1111111\n<!-- measured code: kernels planners -->\n")
+    monkeypatch.setattr(stale_tables, "ROOT", tmp_path)
+    monkeypatch.setattr(stale_tables, "changes_since", lambda commit, folders: num)
+    assert stale_tables.stale_tables() == [f"docs/page.md: the table of commit 1111111 is older than {said}"]
+
+
 def test_without_a_repository_or_without_git_no_table_is_stale(tmp_path, monkeypatch):
     monkeypatch.setenv("GIT_CEILING_DIRECTORIES", str(tmp_path.parent))
     assert stale_tables.changes_since("54f463f", ["kernels"], tmp_path) == 0
