@@ -197,7 +197,7 @@ def main() -> None:
     kept, *_ = first.tree.pruned(*first.path[[0, -1]].tolist())
     picture = Picture(maps, problem)
     rules = rules_said(map_settings(ju.cost_map(maps, ALTITUDE_M, weights=WEIGHTS)))
-    note = f"{ALTITUDE_M:g} m above ground  ·  {frame_note(maps)}\n{rules}"
+    note = f"{frame_note(maps)}\n{ALTITUDE_M:g} m above ground  ·  {rules}"
     frame = make_frame(maps.grid, panel_titles(problem, batches, kept), "BIT*: a search in batches of samples", note)
     for panel in frame.axes:
         picture.ground(panel)
