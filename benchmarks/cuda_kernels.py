@@ -5,12 +5,12 @@ region of 8 M cells (5 m), or of a tile of 1 M cells where maps are made by tile
 """
 
 from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from benchmarks.cuda_call import Call, array, float64, gradient, int32
 from jaxurban.kernels import dop
 from jaxurban.kernels.distance import exact as distance
 from jaxurban.kernels.distance import soft as soft_distance
@@ -40,6 +40,41 @@ from jaxurban.studies.tuning.targets import Target
 from jaxurban.world import surface
 from jaxurban.world.grid import Grid
 from jaxurban.world.surface import Surface
+
+
+class Call(NamedTuple):
+    """What to compile.
+
+    Attributes:
+      function: made by `jax.jit`.
+      arguments: arrays, or their shapes and types (`jax.ShapeDtypeStruct`).
+      static: arguments by name that the program is compiled for.
+      is_float64: it runs under ``jax.enable_x64(True)``.
+    """
+
+    function: Any
+    arguments: tuple
+    static: dict[str, Any] = {}  # noqa: RUF012
+    is_float64: bool = False
+
+
+def array(*shape: int, dtype: Any = jnp.float32) -> jax.ShapeDtypeStruct:
+    """Return the shape and type of an array."""
+    return jax.ShapeDtypeStruct(shape, dtype)
+
+
+def float64(*shape: int) -> jax.ShapeDtypeStruct:
+    return array(*shape, dtype=jnp.float64)
+
+
+def int32(*shape: int) -> jax.ShapeDtypeStruct:
+    return array(*shape, dtype=jnp.int32)
+
+
+def gradient(of: Callable, by: int | tuple[int, ...] = 0) -> Any:
+    """Return the compiled value and gradient of a function's sum."""
+    return jax.jit(jax.value_and_grad(lambda *arguments: jnp.sum(of(*arguments)), by))
+
 
 NUMBER, WHOLE = array(), int32()
 REGION, MARGIN, TILE = (4000, 2000), 120, (1000, 1000)

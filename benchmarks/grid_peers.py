@@ -20,7 +20,6 @@ from tqdm import tqdm
 
 import jaxurban as ju
 from benchmarks.common import ROOT, Row, Timing, load, machine, markdown, row, write_json
-from jaxurban.kernels.search.bounds import printed_plus_field
 from jaxurban.planners.astar import astar
 from jaxurban.planners.base import Cell, Problem
 from jaxurban.planners.cost_model import CostModel
@@ -32,7 +31,6 @@ from jaxurban.planners.search.grid import GridSearch
 CITY_M = (10_000.0, 20_000.0)
 RESOLUTION_M = 5.0
 ALTITUDE_M = 20.0
-FIELD_BAR_S = 0.5
 FLOAT32_ROUNDING = 1e-5  # pyastar2d adds float32 costs over some thousand steps
 TCOD_CARDINAL, TCOD_DIAGONAL = 5, 7
 TCOD_UNIT = 1000  # of cost 1, in tcod's whole numbers: the longest paths stay below 2^31
@@ -257,18 +255,6 @@ def run(contest: Contest, queries: list[tuple[Cell, Cell]]) -> Row:
     return row("A*", contest.peer, "searches", (1, ours), (1, theirs), contest.bar, note)
 
 
-def field_seconds(city: City, num_runs: int) -> float:
-    """Return the median time of the printed h_plus for every cell, both index ranges in turn."""
-    goal = tuple(size // 2 for size in city.is_free.shape)
-    printed_plus_field(city.layers[:, :2, :2], (0, 0), 1)
-    wall_s = []
-    for k in range(num_runs):
-        begin_s = time.perf_counter()
-        printed_plus_field(city.layers, goal, k % 2)
-        wall_s.append(time.perf_counter() - begin_s)
-    return float(np.median(wall_s))
-
-
 def main() -> None:
     """Run the contests that the command line asks for."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -289,17 +275,14 @@ def main() -> None:
         against_tcod,
     )
     rows = [run(contest(city), queries) for contest in contests]
-    field_s = field_seconds(city, 6)
     size = " x ".join(map(str, city.is_free.shape[::-1]))
     print(f"Synthetic city, {size} cells of 5 m, 20 m up, by day, default weights; {options.queries} queries.\n")
     print(markdown(rows, []))
-    print(f"\nPrinted h_plus of all cells, {len(city.layers)} layers: {field_s:.3f} s (bar {FIELD_BAR_S} s).")
     report = {
         "machine": machine(),
         "load_averages": [begin_load, load()],
         "cells": size,
         "queries": options.queries,
-        "printed_plus_field_s": field_s,
     }
     print(f"\n{report}")
     write_json(options.output, report, rows, [])
