@@ -35,9 +35,29 @@ class PlannerRun(NamedTuple):
     objective: str
 
 
+class InstanceRules:
+    """Base of the settings of a study, for what every instance's cost map is made under."""
+
+    cost_model: CostModel | CostKind | None
+    constraints: Constraints
+    preset: str
+
+    def cost_map(self, maps: MetricMaps, altitude_m: float, time: str | None, time_of_day: str | None) -> CostMap:
+        """Return the cost map of instances at one altitude and time (errors as in `jaxurban.cost_map`)."""
+        return cost_map(
+            maps,
+            altitude_m,
+            cost_model=self.cost_model,
+            time=time,
+            time_of_day=time_of_day,
+            constraints=self.constraints,
+            preset=self.preset,
+        )
+
+
 @typed
 @dataclass(frozen=True)
-class BenchmarkSettings:
+class BenchmarkSettings(InstanceRules):
     """How every instance is solved.
 
     Attributes:
@@ -97,18 +117,6 @@ class BenchmarkSettings:
         numbers = {name: getattr(self, name) for name in ("budget_s", "budget_iterations", "seed")}
         numbers["budget_s"] = float(self.budget_s)
         return {**CostModel.of(self.cost_model).settings, **numbers, "limits": self.constraints.to_dict()}
-
-    def cost_map(self, maps: MetricMaps, altitude_m: float, time: str | None, time_of_day: str | None) -> CostMap:
-        """Return the cost map of instances at one altitude and time (errors as in `jaxurban.cost_map`)."""
-        return cost_map(
-            maps,
-            altitude_m,
-            cost_model=self.cost_model,
-            time=time,
-            time_of_day=time_of_day,
-            constraints=self.constraints,
-            preset=self.preset,
-        )
 
     def solve(self, on: CostMap, instance: Mapping[str, Any], runs: Sequence[tuple[str, ...]]) -> list[dict[str, Any]]:
         """Return a row (see `row_columns`) for each planner on an instance; a planner that crashes is a row too."""

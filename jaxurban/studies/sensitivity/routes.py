@@ -10,15 +10,14 @@ from typing import Any
 import numpy as np
 
 from jaxurban.errors import InputError, at_least, positive, typed
-from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.paths.constraints import Constraints
-from jaxurban.paths.cost_map import CostMap, cost_map
+from jaxurban.paths.cost_map import CostMap
 from jaxurban.planners.astar import astar
 from jaxurban.planners.base import CostKind
 from jaxurban.planners.cost_model import CostModel
 from jaxurban.presets import Preset
 from jaxurban.studies.montecarlo.sampling import KEY
-from jaxurban.studies.montecarlo.trial import BAD_INPUT, CRASHED, KILLED, free_cell
+from jaxurban.studies.montecarlo.trial import BAD_INPUT, CRASHED, KILLED, InstanceRules, free_cell
 from jaxurban.studies.outcomes import outcomes_of
 from jaxurban.studies.queries import RouteQuery
 from jaxurban.studies.route_pool import RoutePool
@@ -33,7 +32,7 @@ TEXTS = ("city", "status", "note", "vary", "changed")
 
 @typed
 @dataclass(frozen=True)
-class SensitivityStudySettings:
+class SensitivityStudySettings(InstanceRules):
     """What is asked of every route of a weight study.
 
     Attributes:
@@ -83,18 +82,6 @@ class SensitivityStudySettings:
         """Return what decides a row, as plain, JSON-ready values."""
         chosen = {name: getattr(self, name) for name in ("factors", "vary", "wrong", "num_samples", "seed")}
         return {**CostModel.of(self.cost_model).settings, **chosen, "limits": self.constraints.to_dict()}
-
-    def cost_map(self, maps: MetricMaps, altitude_m: float, time: str | None, time_of_day: str | None) -> CostMap:
-        """Return the cost map of routes at one altitude and time (errors as in `jaxurban.cost_map`)."""
-        return cost_map(
-            maps,
-            altitude_m,
-            cost_model=self.cost_model,
-            time=time,
-            time_of_day=time_of_day,
-            constraints=self.constraints,
-            preset=self.preset,
-        )
 
     def solve(self, on: CostMap, instance: Mapping[str, Any], runs: Sequence[tuple[str, ...]]) -> list[dict[str, Any]]:
         """Return the row of a route (see `route_row`); one that fails is a row with its status."""
