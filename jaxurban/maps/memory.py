@@ -28,11 +28,10 @@ DEFAULT_SHARE = 0.5  # of the memory that is free when a run begins
 SERIES_BYTES = 384 * 2**20  # a tile's metric at every time of a long series takes at most this
 
 # Measured (see docs/scale.md) and rounded up.
-COMPILING_BYTES = 400 * 2**20  # what JAX and the other libraries take once they work
-SURFACE_CELL_BYTES = 20  # rasters on the host and for JAX, and what puts them together
-TERRAIN_CELL_BYTES = 16  # the same of the terrain, and the sum of both
+COMPILING_BYTES = 320 * 2**20  # what compiling takes beside the libraries, which this process holds already
+SURFACE_CELL_BYTES = 20  # rasters on the host and for JAX while they are put together, or crops of them for the lidar
+TERRAIN_CELL_BYTES = 16  # the same of the terrain
 RAISED_CELL_BYTES = 12  # where slabs hang: roofs of what stands, and of what an altitude meets (computed, not measured)
-LIDAR_CELL_BYTES = 16  # of cells within the lidar's range: crops with their halo, and padded (terrain: of both rasters)
 LIDAR_RESULT_BYTES = 24  # of counts and shares of the tile's own cells
 TERRAIN_RESULT_BYTES = 12  # the same over terrain
 LOOK_BYTES = 64  # a look of a ray, while equal ones are joined (`kernels.lidar.terrain.distinct_looks`) or listed
@@ -141,10 +140,9 @@ def _gps_bytes(task: MapTask, tile: Grid, metric: Metric) -> float:
 def _lidar_bytes(task: MapTask, tile: Grid, metric: Metric) -> float:
     steps = num_steps(tile.resolution_m, task.params.lidar.range_m)
     halo = steps - 1
-    around = _num_cells(tile, halo) * LIDAR_CELL_BYTES
     if task.has_terrain:
-        return around + _num_cells(tile) * TERRAIN_RESULT_BYTES + _looks_bytes(task, steps, halo)
-    return around + _num_cells(tile) * LIDAR_RESULT_BYTES + _bitmap_bytes(task, steps, halo)
+        return _num_cells(tile) * TERRAIN_RESULT_BYTES + _looks_bytes(task, steps, halo)
+    return _num_cells(tile) * LIDAR_RESULT_BYTES + _bitmap_bytes(task, steps, halo)
 
 
 def _bitmap_bytes(task: MapTask, steps: int, halo: int, num_phases: int = 1) -> float:

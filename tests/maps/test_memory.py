@@ -161,7 +161,7 @@ def test_the_estimate_of_fine_cells_is_above_the_truth_and_not_twice_it(tmp_path
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("cell_m", "range_m"), [(0.4, 100), (0.2, 100), (0.1, 30)])
-def test_over_terrain_the_estimate_is_above_the_truth_and_not_twice_it(tmp_path, cell_m, range_m):
+def test_over_terrain_the_estimate_is_above_the_truth_and_not_1_6_times_it(tmp_path, cell_m, range_m):
     ground_m = 5 + 4 * np.sin(np.arange(60)[:, None] / 5) * np.cos(np.arange(60) / 7)
     hills = {"width": 60, "height": 60, "count": 1, "dtype": "float32", "crs": "EPSG:4326"}
     place = Affine(0.0002, 0, -73.985, 0, -0.0002, 40.755)
@@ -170,7 +170,7 @@ def test_over_terrain_the_estimate_is_above_the_truth_and_not_twice_it(tmp_path,
     sections = YARD + f'[lidar]\nrange_m = {range_m}\n[terrain]\nsource = "hills.tif"\n'
     told, peak = told_and_peak(tmp_path, sections, cell_m)
     assert peak < told + 0.05 * GIB  # told to a tenth
-    assert told < 2 * peak
+    assert told < 1.6 * peak
 
 
 YARD = '[buildings]\nsource = "tower.geojson"\n'
@@ -195,11 +195,11 @@ def told_and_peak(tmp_path, sections, cell_m, threshold_m=10):
 
 @pytest.mark.slow
 def test_a_run_stays_under_its_ceiling_on_a_region_that_needs_several_times_more_at_once(tmp_path):
-    """20 million cells at 4 altitudes: 3.1 GB of maps alone, under 1.4 GiB, of which libraries take the half."""
+    """20 million cells at 4 altitudes: 3.1 GB of maps alone, under 1.25 GiB, of which libraries take the half."""
     (tmp_path / "scenario.toml").write_text(
         '[region]\nbounds = [-74.03, 40.69, -73.912, 40.76]\nresolution_m = 2\n[buildings]\nsource = "synthetic"\n'
     )
-    arguments = ["maps", tmp_path / "scenario.toml", "-o", tmp_path / "out", "--memory", "1.4GiB"]
+    arguments = ["maps", tmp_path / "scenario.toml", "-o", tmp_path / "out", "--memory", "1.25GiB"]
     done = subprocess.run([sys.executable, "-c", PEAK, *arguments], capture_output=True, text=True, check=True)
-    assert int(done.stdout.split()[-1]) * 1024 < 1.4 * GIB
-    assert open_maps(tmp_path / "out").ds.nbytes > 2 * 1.4 * GIB
+    assert int(done.stdout.split()[-1]) * 1024 < 1.25 * GIB
+    assert open_maps(tmp_path / "out").ds.nbytes > 2 * 1.25 * GIB
