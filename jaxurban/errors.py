@@ -9,7 +9,7 @@ import numbers
 import os
 import types
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
@@ -100,12 +100,31 @@ def typed(public: Public) -> Public:
             wrong = next((name for name in kwargs if name not in names), "")
             fault = f"there is no argument {wrong!r}{nearest_name(wrong, names)}" if wrong else str(error)
             raise InputError(f"{public.__name__}: {fault}") from error
-        return function(*args, **kwargs)
+        try:
+            return function(*args, **kwargs)
+        except (RuntimeError, AssertionError) as error:
+            if remedy := platform_remedy(error):
+                raise InputError(remedy) from error
+            raise
 
     if is_class:
         public.__init__ = checked  # type: ignore[method-assign]
         return public
     return checked  # type: ignore[return-value]
+
+
+def platform_remedy(error: Exception) -> str:
+    """Return what to do where an error comes from JAX's start on the platforms that are chosen, else an empty text."""
+    chosen = os.environ.get("JAX_PLATFORMS")
+    if not chosen:
+        return ""
+    if "JAX_PLATFORMS" not in str(error):  # as of CUDA without its plugin
+        import jax
+
+        with suppress(RuntimeError, AssertionError):
+            jax.devices()
+            return ""
+    return f"JAX does not work under JAX_PLATFORMS={chosen}: unset it, or choose another value"
 
 
 class _PublicNames(dict):

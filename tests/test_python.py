@@ -3,6 +3,7 @@
 import ast
 import dataclasses
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -52,6 +53,30 @@ def test_paths_show_a_few_facts_and_no_arrays(what, words, paths):
     assert "array" not in text
     assert html.count("<table>") == 1
     assert html.count("<tr>") == len(shown.facts)
+
+
+UNDER_PLATFORMS = """
+import os
+import jax
+import jaxurban as ju
+before = dict(os.environ), jax.config.jax_platforms
+try:
+    ju.build_maps(ju.demo_city(400, 400), resolution_m=50, altitudes_m=(20,), progress=False)
+except ju.InputError as error:
+    print(error)
+after = dict(os.environ), jax.config.jax_platforms
+assert before[1] == after[1] == before[0]["JAX_PLATFORMS"] == after[0]["JAX_PLATFORMS"]
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("platforms", ["bogus", "cuda", "cpu,bogus"])
+def test_platforms_without_a_device_are_one_sentence(platforms, tmp_path):
+    env = {**os.environ, "JAX_PLATFORMS": platforms, "XDG_CACHE_HOME": str(tmp_path)}
+    env |= {"CUDA_VISIBLE_DEVICES": ""}
+    done = subprocess.run([sys.executable, "-c", UNDER_PLATFORMS], env=env, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == f"JAX does not work under JAX_PLATFORMS={platforms}: unset it, or choose another value\n"
 
 
 def test_a_path_saves_itself_in_every_format(paths, tmp_path):

@@ -28,7 +28,7 @@ from jaxurban.cli.validate import validate
 from jaxurban.cli.view import view
 from jaxurban.collector import collect_seldom
 from jaxurban.compile_cache import keep_programs
-from jaxurban.errors import InputError, reason_of
+from jaxurban.errors import InputError, platform_remedy, reason_of
 from jaxurban.io.gdal import limit_cache
 from jaxurban.progress import interrupted
 
@@ -103,7 +103,7 @@ def _run(arguments: Sequence[str] | None) -> int:
     except Exception as error:
         if interrupted.is_set():  # in the midst of an import, Ctrl-C comes as what the import makes of it
             _end_interrupted()
-        remedy = _remedy_in_environment(str(error))
+        remedy = _remedy_in_environment(error)
         if not remedy:
             raise
         code = _fail(remedy)
@@ -118,27 +118,17 @@ def _end_interrupted() -> None:
     os._exit(EXIT_INTERRUPTED)
 
 
-def _remedy_in_environment(message: str) -> str:
+def _remedy_in_environment(error: Exception) -> str:
     """Return what to do where an error of a library comes from a variable of the environment, else an empty text."""
+    message = str(error)
     if "proj.db" in message:
         return "PROJ does not find its database proj.db: unset PROJ_DATA and PROJ_LIB, or point them to its folder"
     for name, value in os.environ.items():
-        is_named = name in message or name.lower() in message
-        if name.startswith(("JAX_", "NUMBA_")) and (is_named or (name == "JAX_PLATFORMS" and not _has_backend())):
+        if name.startswith(("JAX_", "NUMBA_")) and (name in message or name.lower() in message):
             return f"{name.partition('_')[0]} does not work under {name}={value}: unset it, or choose another value"
         if name == "NUMBA_DISABLE_JIT" and value not in ("", "0"):
             return f"jaxurban needs Numba's compiler: unset {name}"
-    return ""
-
-
-def _has_backend() -> bool:
-    """Return whether JAX starts on some device."""
-    import jax
-
-    try:
-        return bool(jax.devices())
-    except (RuntimeError, AssertionError):
-        return False
+    return platform_remedy(error)
 
 
 def _drop_stdout() -> None:
