@@ -6,7 +6,9 @@ import importlib
 import inspect
 import math
 import numbers
+import operator
 import os
+import re
 import types
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -52,11 +54,11 @@ class OtherSettingsWarning(UserWarning):
     """Routes are fitted under other settings than they were planned under: one sentence for the user."""
 
 
-def nearest_name(name: str, valid: Iterable[str]) -> str:
+def nearest_name(name: str, valid: Iterable[str], least: float = 0.5) -> str:
     """Return ``" (did you mean 'x'?)"`` for the valid name that begins with ``name`` or is closest to it, or ``""``."""
     names = list(valid)
     begun = [each for each in names if str(name) and each.startswith(str(name))]
-    close = difflib.get_close_matches(str(name), begun or names, n=1, cutoff=0.0 if begun else 0.5)
+    close = difflib.get_close_matches(str(name), begun or names, n=1, cutoff=0.0 if begun else least)
     return f" (did you mean {close[0]!r}?)" if close else ""
 
 
@@ -98,7 +100,8 @@ def typed(public: Public) -> Public:
             signature.bind(*args, **kwargs)
         except TypeError as error:
             wrong = next((name for name in kwargs if name not in names), "")
-            fault = f"there is no argument {wrong!r}{nearest_name(wrong, names)}" if wrong else str(error)
+            meant = nearest_name(wrong, names, 0.8) or _place_of(wrong, function) or nearest_name(wrong, names)
+            fault = f"there is no argument {wrong!r}{meant}" if wrong else str(error)
             raise InputError(f"{public.__name__}: {fault}") from error
         try:
             return function(*args, **kwargs)
@@ -111,6 +114,23 @@ def typed(public: Public) -> Public:
         public.__init__ = checked  # type: ignore[method-assign]
         return public
     return checked  # type: ignore[return-value]
+
+
+def _place_of(name: str, function: Callable, levels: int = 2) -> str:
+    """Return ``" (give constraints=Constraints.read(name=...))"`` of an argument of what makes another one, or ``""``."""
+    package, makers = importlib.import_module(__name__.partition(".")[0]), []
+    for parameter, hint in get_type_hints(function, localns=_PublicNames()).items():
+        for kind in (hint, *get_args(hint)):
+            if parameter != "return" and getattr(kind, "__name__", "") in package.__all__:
+                called = re.split(",| or ", MADE_BY.get(kind.__name__, kind.__name__))[0]
+                makers.append((parameter, called, operator.attrgetter(called)(package)))
+    for parameter, called, maker in makers:
+        if name in inspect.signature(maker).parameters:
+            return f" (give {parameter}={called}({name}=...))"
+    for parameter, called, maker in makers if levels > 1 else ():
+        if place := _place_of(name, maker, levels - 1):
+            return place.replace("give ", f"give {parameter}={called}(") + ")"
+    return ""
 
 
 def platform_remedy(error: Exception) -> str:

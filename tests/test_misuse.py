@@ -314,6 +314,27 @@ def test_a_wrong_value_names_the_argument(name, parameter, tmp_path, monkeypatch
             lambda: ju.plan("maps", (0, 0), (1, 1), altitude_m=20, constraints={"gps": 0.3}),
             r"Constraints\.read\(require=\[\"gps>=0\.3\"\]\)",
         ),
+        (
+            lambda: ju.plan("maps", (0, 0), (1, 1), altitude_m=20, clearance_m=5.0),
+            r"'clearance_m' \(give constraints=Constraints\.read\(clearance_m=\.\.\.\)\)",
+        ),
+        (
+            lambda: ju.cost_map("maps", 20, radius_m=0.5),
+            r"'radius_m' \(give constraints=Constraints\.read\(vehicle=Vehicle\(radius_m=\.\.\.\)\)\)",
+        ),
+        (lambda: ju.plan(MAPS, altitude_m=20), "start is missing: give it as longitude, latitude or as start_xy_m"),
+        (lambda: ju.plan(MAPS, START, altitude_m=20), "goal is missing: give it as"),
+        (
+            lambda: ju.plan(MAPS, START, GOAL, altitude_m=20, start_xy_m=(0, 0)),
+            "start: give it either as longitude, latitude or as start_xy_m, and not both",
+        ),
+        (
+            lambda: ju.MetricMaps(MAPS.ds.drop_vars(["population", "density"], errors="ignore")).m(
+                "gps", time_of_day="noon"
+            ),
+            "there are no maps for time of day noon: these maps hold none, so leave it out",
+        ),
+        (lambda: held("path").save("a\0.plan"), r"cannot write 'a\\x00\.plan': no file's name can hold NUL"),
     ],
 )
 def test_arguments_that_are_missing_misspelt_or_of_another_kind_name_the_remedy(call, sentence):

@@ -74,6 +74,8 @@ def scratch_for(path: Path) -> Iterator[Path]:
       InputError: the folder cannot be written to.
     """
     scratch, recorder = path.with_name(f".{path.name}.{uuid.uuid4().hex[:8]}{SCRATCH_SUFFIX}"), recorder_of(path)
+    if "\0" in str(path):
+        raise InputError(f"cannot write {str(path)!r}: no file's name can hold NUL; choose another")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         if recorder is not None:

@@ -23,7 +23,7 @@ EMPTY_SHARE = 0.10  # of the region without a census block (rivers and the sea o
 SCALE_M, SCALE_SHARE = 1 / 3, 0.01  # no more than this share of inhabited blocks above this m: few set the scale
 SIDE_POINTS = 32  # along each side of a raster's outline, which another CRS bends
 NOMINAL_SKY, ELEMENTS_TIME = "nominal satellites", "time of the elements"
-BEYOND_DATA = "satellite answers beyond the data"
+BEYOND_DATA = "lines of sight to satellites leave the data"
 
 
 def is_of_sky(name: str) -> bool:

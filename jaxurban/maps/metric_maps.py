@@ -163,7 +163,7 @@ class MetricMaps(Shown):
         if value is None:
             return 0
         if value not in given:
-            listed = ", ".join(str(item) for item in shown)
+            listed = ", ".join(str(item) for item in shown) or "none, so leave it out"
             raise InputError(f"there are no maps for {name} {value}: these maps hold {listed}")
         return list(given).index(value)
 

@@ -100,7 +100,8 @@ def plan_many(
     chosen = {"planner": "astar-plus"} | search_on(maps, objective=objective, **named)
     objective, weights = chosen.pop("objective", "weighted"), weights_on(maps, weights)
     search = PathSearch(**chosen, snap=snap)
-    maps.costs(maps.altitudes_m[0] if altitude_m is None else altitude_m, time=time, time_of_day=time_of_day)
+    held_m = maps.altitudes_m[0] if altitude_m is None else maps.around(altitude_m)[0]
+    maps.costs(held_m, time=time, time_of_day=time_of_day)  # refuses what is wrong for all queries
     batch = read_queries(
         queries, altitude_m=altitude_m, time=time, time_of_day=time_of_day, weights=weights, metrics=maps.metrics
     )

@@ -29,7 +29,9 @@ def one_place(name: str, lonlat: Point | None, xy_m: Point | None) -> Point | XY
     Raises:
       InputError: it is given in neither, or in both, or is not two numbers, and maybe an altitude.
     """
-    if (lonlat is None) == (xy_m is None):
+    if lonlat is None and xy_m is None:
+        raise InputError(f"{name} is missing: give it as longitude, latitude or as {name}_xy_m")
+    if lonlat is not None and xy_m is not None:
         raise InputError(f"{name}: give it either as longitude, latitude or as {name}_xy_m, and not both")
     if isinstance(lonlat, XY):
         lonlat, xy_m = None, lonlat

@@ -84,6 +84,10 @@ def test_a_batch_takes_any_altitude_and_refuses_one_beyond(maps, ends):
     rows = batch.to_dataframe()
     assert rows.status.tolist() == ["optimal", "bad-input", "bad-input"]
     assert rows.message[1] == "there are no maps for altitude 19 m: these maps reach from 20 to 60 m"
+    xy = pd.DataFrame([columns])
+    assert ju.plan_many(maps, xy, altitude_m=Z_M, progress=False)[0].cost == batch[0].cost
+    with pytest.raises(InputError, match="there are no maps for altitude 19 m: these maps reach from 20 to 60 m"):
+        ju.plan_many(maps, xy, altitude_m=19.0, progress=False)
 
 
 @pytest.mark.parametrize("altitude_m", [19.999, 60.001, -1.0, np.nan, np.inf])
