@@ -117,7 +117,7 @@ def typed(public: Public) -> Public:
 
 
 def _place_of(name: str, function: Callable, levels: int = 2) -> str:
-    """Return ``" (give constraints=Constraints.read(name=...))"`` of an argument of what makes another one, or ``""``."""
+    """Return ``" (give constraints=Constraints.read(name=...))"`` for an argument of what makes another, or ``""``."""
     package, makers = importlib.import_module(__name__.partition(".")[0]), []
     for parameter, hint in get_type_hints(function, localns=_PublicNames()).items():
         for kind in (hint, *get_args(hint)):
