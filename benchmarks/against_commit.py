@@ -104,7 +104,7 @@ def measure(name: str, sides: list[Path], maps: Path, work: Path, num_pairs: int
             found[side].append(run(sides[side], maps / f"{side}", name, work / f"{side}"))
         print(f"{name}: {number} of {num_pairs} pairs", file=sys.stderr, flush=True)
     took = [[each["took"] for each in runs[1:]] for runs in found]
-    parts = [part for part in took[0][0] if part in took[1][0]]
+    parts = [part for part in took[0][0] if all(each.get(part) for runs in took for each in runs)]  # of both, and not 0
     rows = [row(part, [(old[part], new[part]) for old, new in zip(*took, strict=True)]) for part in parts]
     return rows, compare(*(runs[-1]["facts"] for runs in found))
 

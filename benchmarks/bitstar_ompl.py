@@ -21,11 +21,11 @@ from tqdm import tqdm
 from jaxurban.kernels.line.segment_cost import segment_cost
 from jaxurban.maps.metric_maps import open_maps
 from jaxurban.metrics.weights import Weights
-from jaxurban.planners.astar import astar
+from jaxurban.planners.any_angle import theta_star
 from jaxurban.planners.base import Path, Problem
 from jaxurban.planners.bitstar.planner import bitstar_dist, bitstar_plus
 from jaxurban.planners.cost_grid import cost_grid_of
-from jaxurban.planners.cost_model import CostModel
+from jaxurban.planners.refine import refine
 
 
 def problem_on(layers: np.ndarray, is_free: np.ndarray, resolution_m: float, distance_weight: float) -> Problem:
@@ -129,35 +129,6 @@ def solve_with_ompl(problem: Problem, budget_s: float, seed: int) -> tuple[float
     return cost, count["samples"], count["edges"]
 
 
-def any_angle_reference(problem: Problem, factor: int = 2, reach: int = 200) -> float:
-    """Return the cost of A*'s path on cells ``factor`` times finer, cut short at its best: no optimum, but near one.
-
-    Of all ways through the path's points in their order, none more than ``reach`` points apart.
-    """
-    cost = np.kron(problem.cost, np.ones((factor, factor)))
-    is_free = np.kron(problem.is_free, np.ones((factor, factor), bool))
-    start, goal = (tuple(factor * v + factor // 2 for v in cell) for cell in (problem.start, problem.goal))
-    fine = Problem(
-        cost[None],
-        is_free,
-        start,
-        goal,
-        problem.resolution_m / factor,
-        problem.distance_weight,
-        CostModel("line", problem.cost_model.reference_length_m),
-    )
-    points = astar(fine).points_m / problem.resolution_m
-    points[[0, -1]] = [[col + 0.5, row + 0.5] for row, col in (problem.start, problem.goal)]
-    cost_grid = cost_grid_of(problem, problem.is_free)
-    best = np.full(len(points), np.inf)
-    best[0] = 0.0
-    for k in range(1, len(points)):
-        best[k] = min(
-            best[j] + segment_cost(cost_grid, *points[j], *points[k], math.inf) for j in range(max(0, k - reach), k)
-        )
-    return float(best[-1])
-
-
 def first_time(path: Path, cost: float) -> float:
     """Return when a path's history first meets a cost, seconds; inf for never."""
     return next((at_s for at_s, _, found in path.history if found <= cost * (1 + 1e-9)), math.inf)
@@ -174,12 +145,12 @@ def compare(problem: Problem, num_seeds: int, ompl_s: float, ours_s: float) -> s
     if not np.isfinite(ompl_cost).any():
         return f"OMPL BITstar found no path in {ompl_s:g} s with any of {num_seeds} seeds: nothing to compare with."
     target = float(np.median(ompl_cost[np.isfinite(ompl_cost)]))
-    reference = any_angle_reference(problem)
+    reference = refine(problem, theta_star(problem)).cost
     lines = [
         f"OMPL BITstar, {ompl_s:g} s, {num_seeds} seeds: a path in {np.isfinite(ompl_cost).sum()} runs, median cost of "
         f"these {target:.2f}, best {ompl_cost.min():.2f}; {np.median(num_samples):.0f} samples and "
         f"{np.median(num_edges):.0f} edges costed (medians).",
-        f"Any-angle reference: {reference:.2f} (A* on half-size cells, cut short).\n",
+        f"Any-angle reference: {reference:.2f} (theta-star, refined).\n",
         "| planner | reaches OMPL's median cost after, median (worst) | reaches OMPL's best after "
         "| median cost at OMPL's numbers of samples, against OMPL's (paths found) | seconds for that "
         f"| above the reference after {ours_s:g} s, median (worst) |",

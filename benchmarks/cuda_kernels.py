@@ -115,7 +115,7 @@ VIEW = visibility.SkyView(lines(), satellites(NUM_SATELLITES, 1), WHOLE)
 SUBSETS = gps.GpsMaps(*[array(2**NUM_SATELLITES)] * 6, array(2**NUM_SATELLITES, dtype=jnp.uint8))
 
 NUM_AZIMUTHS, NUM_BEAMS, RANGE_M = 360, 16, 100.0
-STEPS_5M, STEPS_2M, STEPS_FINE = (flat.num_steps(side_m, RANGE_M) for side_m in (5.0, 2.0, 5.0 / PER_CELL))
+STEPS_5M, STEPS_FINE = (flat.num_steps(side_m, RANGE_M) for side_m in (5.0, 5.0 / PER_CELL))
 RAYS = flat.ray_offsets(NUM_AZIMUTHS, STEPS_5M)
 STARTS = supersampled.phase_starts(RAYS, 1)
 FINE_RAYS = supersampled.phase_starts(flat.ray_offsets(NUM_AZIMUTHS, STEPS_FINE), PER_CELL)
@@ -134,7 +134,7 @@ def part(shape: tuple[int, int], halo: int = 0) -> surface.Part:
     return surface.Part(array(*SURFACE), (WHOLE, WHOLE), (rows, cols), ((0, 0), (0, 0)))
 
 
-DISTANCE_5M, DISTANCE_2M = {"resolution_m": 5.0, "cap_m": 50.0}, {"resolution_m": 2.0, "cap_m": 50.0}
+DISTANCE_5M = {"resolution_m": 5.0, "cap_m": 50.0}
 NEAREST = {"resolution_m": 5.0, "halo": 10}
 LAYERS, POINTS = array(NUM_LAYERS, *REGION), array(NUM_POINTS, 2)
 VOLUME, VOLUME_POINTS = array(NUM_LAYERS, 4, *TILE), array(NUM_POINTS, 3)
@@ -211,10 +211,6 @@ def soft_people(block, blocks, params):
 def soft_shadow_weights(roof_m, shadow_lines):
     """Return how much each satellite counts, of roofs."""
     return soft_shadows.satellite_weights(20.0, soft_shadows.shadow_heights(roof_m, shadow_lines, WINDOW), 2.0)
-
-
-def soft_gps(roof_m, view, cells):
-    return soft_gps_metric._soft_gps(roof_m, None, 20.0, 20.0, 2.0, view, cells, window=WINDOW)
 
 
 def nearest(roof_m):
@@ -299,12 +295,8 @@ KERNELS: dict[str, Callable[[], Call]] = {
     "GPS, soft": lambda: Call(
         soft_gps_metric._soft_gps, (array(*SURFACE), None, NUMBER, NUMBER, NUMBER, VIEW, None), {"window": WINDOW}
     ),
-    "GPS, soft, gradient of a path": lambda: Call(gradient(soft_gps), (array(*SURFACE), VIEW, CELLS)),
     "GPS series, sums of rows": lambda: Call(availability.row_sums, (array(*REGION), array(*REGION, dtype=bool))),
     "lidar: flat, 5 m": lambda: Call(flat.count_returns, (around(REGION, STEPS_5M - 1), array(1, STEPS_5M), RAYS)),
-    "lidar: flat, 2 m, tile": lambda: Call(
-        flat.count_returns, (around(TILE, STEPS_2M - 1), array(1, STEPS_2M), flat.ray_offsets(NUM_AZIMUTHS, STEPS_2M))
-    ),
     "lidar: flat by steps": lambda: Call(
         steps.count_returns_by_steps,
         (around(REGION, STEPS_5M - 1, 1), array(1, STEPS_5M), STARTS),
@@ -334,14 +326,10 @@ KERNELS: dict[str, Callable[[], Call]] = {
         soft_lidar.soft_returns_at,
         (soft_lidar.ScansAt(around(REGION, STEPS_5M - 1), None, HEIGHTS_M, SCAN, RAYS, NUMBER, CELLS),),
     ),
-    "lidar: soft, of a path, gradient": lambda: Call(
-        gradient(returns_at), (around(REGION, STEPS_5M - 1), None, HEIGHTS_M, SCAN, CELLS)
-    ),
     "lidar: soft, of a path, terrain, gradient": lambda: Call(
         gradient(returns_at), (around(REGION, STEPS_5M - 1), around(REGION, STEPS_5M - 1), HEIGHTS_M, SCAN, CELLS)
     ),
     "distance, 5 m": lambda: Call(distance.capped_distance, (around(REGION, 10),), DISTANCE_5M),
-    "distance, 2 m": lambda: Call(distance.capped_distance, (array(10_000, 5_000),), DISTANCE_2M),
     "distance over terrain": lambda: Call(
         distance.capped_distance_over_terrain, (array(*REGION), array(*REGION), array(*REGION, dtype=bool)), DISTANCE_5M
     ),
@@ -349,9 +337,6 @@ KERNELS: dict[str, Callable[[], Call]] = {
     "distance: soft, gradient": lambda: Call(gradient(nearest), (around(REGION, 10),)),
     "distance: soft, of a path": lambda: Call(
         soft_distance.nearest_column_at, (around(REGION, 10), None, HEIGHTS_M, NUMBER, NUMBER, CELLS), NEAREST
-    ),
-    "distance: soft, of a path, gradient": lambda: Call(
-        gradient(nearest_at), (around(REGION, 10), None, HEIGHTS_M, CELLS)
     ),
     "distance: soft, of a path, terrain, gradient": lambda: Call(
         gradient(nearest_at, (0, 1)), (around(REGION, 10), around(REGION, 10), HEIGHTS_M, CELLS)

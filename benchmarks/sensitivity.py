@@ -1,4 +1,4 @@
-"""Route switches against brute force on a grid of weights, and Sobol indices against known ones.
+"""Route switches against brute force on a grid of weights, and Sobol indices of the weights.
 
 ``python -m benchmarks.sensitivity MAPS --resolution 20 --altitude 20`` takes a folder that ``jaxurban maps`` wrote.
 Prints JSON. The brute force is one search for each of ``side`` x ``side`` weights: some 40,000 at 200.
@@ -19,7 +19,7 @@ from jaxurban.paths.cost_map import cost_map
 from jaxurban.studies.queries import RouteQuery
 from jaxurban.studies.route_pool import RoutePool
 from jaxurban.studies.sensitivity.breakpoints import EXACT, find_breakpoints
-from jaxurban.studies.sensitivity.sobol import sobol_indices, sobol_of_weights
+from jaxurban.studies.sensitivity.sobol import sobol_of_weights
 
 SHARED = ("gps", "population", "risk")
 
@@ -88,23 +88,6 @@ def _along(places: np.ndarray, ends: np.ndarray) -> np.ndarray:
     return np.stack([1 - second, second], axis=-1)
 
 
-def ishigami(num_samples: int) -> dict[str, list[float]]:
-    """Return Sobol indices of the Ishigami function (a = 7, b = 0.1) beside its known ones."""
-    a, b, pi = 7.0, 0.1, np.pi
-
-    def evaluate(x):
-        return {"y": np.sin(x[:, 0]) + a * np.sin(x[:, 1]) ** 2 + b * x[:, 2] ** 4 * np.sin(x[:, 0])}
-
-    found = sobol_indices(evaluate, ("x1", "x2", "x3"), -pi * np.ones(3), pi * np.ones(3), num_samples=num_samples)
-    one, two = 0.5 * (1 + b * pi**4 / 5) ** 2, a**2 / 8
-    both = b**2 * pi**8 * (1 / 18 - 1 / 50)
-    total = one + two + both
-    known = {"known_first": [one, two, 0.0], "known_total": [one + both, two, both]}
-    return {name: (np.array(v) / total).tolist() for name, v in known.items()} | {
-        name: found.table[name].tolist() for name in found.table
-    }
-
-
 def queries_of(folder: str, resolution_m, altitude_m: float, cost_model, num: int, seed: int) -> list[RouteQuery]:
     """Return random queries of at least 1.5 km between cells that are joined."""
     unit = cost_map(open_maps(folder, resolution_m), altitude_m, cost_model=cost_model)
@@ -136,7 +119,7 @@ def main() -> None:
     where = (options.maps, options.resolution, options.altitude, options.cost_model)
     queries = queries_of(*where, max(options.queries, options.sobol_queries), options.seed)
     weights = np.array([float(getattr(given, name)) for name in queries[0].names])
-    report: dict[str, object] = {"ishigami": ishigami(4096)}
+    report: dict[str, object] = {}
     begin_s = time.perf_counter()
     pool = RoutePool(queries[: options.sobol_queries])
     found = sobol_of_weights(pool, weights, queries[0].names[1:], num_samples=options.samples, seed=options.seed)

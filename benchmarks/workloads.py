@@ -43,7 +43,7 @@ CITIES = {  # width and height in metres, metres a cell
 HIDDEN = ju.Weights(distance=0.3, gps=0.5, lidar=0.2, population=2.0, risk=3.0)
 BUDGET_S = 1e6  # no search meets it
 LEAST_S, NUM_RUNS = 2.0, 3  # CPU seconds of all timed runs in a process, and how many at least
-OF_THE_CLOCK = re.compile(r"elapsed|seconds|_utc|setup_s|batches|version|_key$")
+OF_THE_CLOCK = re.compile(r"elapsed|seconds|fastest|time_ratio|_utc|_s$|_s_|batches|version|_key$")
 SCENARIOS = {  # of `jaxurban maps`, from files to files
     "tokyo": f"""
 [region]
@@ -138,7 +138,7 @@ def of_files(folder: Path) -> Facts:
             facts |= of_dataset(name, xr.open_zarr(file.parent, group=file.name))
         elif file.suffix in (".csv", ".parquet"):
             table = pd.read_csv(file, dtype=str) if file.suffix == ".csv" else pd.read_parquet(file)
-            kept = table[[column for column in table if not OF_THE_CLOCK.search(column)]].astype(str)
+            kept = table[[column for column in table if not OF_THE_CLOCK.search(column)]].map(str)
             rows = sorted(kept.itertuples(index=False, name=None))
             facts |= {f"{name} row {k} {c}": v for k, row in enumerate(rows) for c, v in zip(kept, row, strict=True)}
     return facts
