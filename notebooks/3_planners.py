@@ -13,7 +13,7 @@
 #
 # **Which planner finds the cheapest path, how soon, and can its result be trusted?**
 #
-# The paper's five planners, and two more that this package adds, on one query at 20 m:
+# The paper's five planners, and one more that this package adds, on one query at 20 m:
 #
 # | planner | idea |
 # |---|---|
@@ -21,7 +21,6 @@
 # | `astar-dist` | A\* from cell to cell, guided by the straight distance to the goal |
 # | `astar-plus` | A\* guided by distance and by what the maps cost at least |
 # | `bitstar-dist`, `bitstar-plus` | BIT\*: random points joined to a tree, better with every batch; bounds as above |
-# | `astar-anytime` | A\* in a hurry first, then ever closer to the best path, with a proven gap |
 # | `theta-star` | A\* whose legs may point anywhere, not only to the eight neighbours |
 #
 # All pay the same: the default cost model, `line`, costs every path by the exact length in each cell.
@@ -45,7 +44,7 @@ maps = ju.build_maps(city, resolution_m=10.0, altitudes_m=(20.0,))
 weighted = ju.cost_map(maps, 20.0)
 x_m, y_m = maps.grid.x_m, maps.grid.y_m
 ends = ju.XY(x_m[60], y_m[40]), ju.XY(x_m[125], y_m[240])
-planners = ("ptp", "astar-dist", "astar-plus", "bitstar-dist", "bitstar-plus", "astar-anytime", "theta-star")
+planners = ("ptp", "astar-dist", "astar-plus", "bitstar-dist", "bitstar-plus", "theta-star")
 paths = {name: weighted.plan(*ends, planner=name, budget_s=2.0, snap=True) for name in planners}
 
 # %% [markdown]
@@ -79,7 +78,7 @@ plot_paths(maps, {20.0: list(paths.values())})
 
 # %%
 figure, axes = plt.subplots(figsize=(7.5, 4.0), layout="constrained")
-for name in ("bitstar-dist", "bitstar-plus", "astar-anytime"):
+for name in ("bitstar-dist", "bitstar-plus"):
     seconds, _, costs = np.array(paths[name].search.history).T
     axes.step(seconds, costs, where="post", marker=".", label=name)
 for name, marker in (("astar-dist", "s"), ("astar-plus", "o"), ("theta-star", "*")):

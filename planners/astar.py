@@ -9,7 +9,7 @@ from jaxurban.planners.base import Path, Problem, Status
 from jaxurban.planners.checks import check_budget, free_ride
 from jaxurban.planners.compiled_first import compiled_first
 from jaxurban.planners.heuristics import ADMISSIBLE, AUTO, heuristic_at, make_heuristic, prepare
-from jaxurban.planners.search.grid import EXHAUSTED, FOUND, KEEP, PAUSED, REOPEN
+from jaxurban.planners.search.grid import EXHAUSTED, FOUND, PAUSED
 
 
 @compiled_first()
@@ -47,7 +47,7 @@ def astar(
     search = prepared.search(problem)
     ended = PAUSED
     if prepared.is_ready:
-        ended = search.run(closed=REOPEN if reopen else KEEP, end_s=begin_s + budget_s - prepared.tables_s)
+        ended = search.run(reopen=reopen, end_s=begin_s + budget_s - prepared.tables_s)
     points_m, cost, note = np.empty((0, 2)), np.inf, prepared.note
     if ended == FOUND:
         status = Status.OPTIMAL if is_admissible else Status.FEASIBLE

@@ -53,7 +53,7 @@ class Status(Enum):
             Status.BUDGET_FEASIBLE: "The budget ended with a path in hand; a larger one may find a cheaper path.",
             Status.NO_PATH: "No path of this planner's graph joins start and goal: fly higher, or move one of them.",
             Status.BLOCKED: "The straight line crosses an obstacle: fly higher, or use a search such as astar-dist.",
-            Status.BUDGET_EMPTY: "The budget ended before a path was found: raise it, or try astar-anytime.",
+            Status.BUDGET_EMPTY: "The budget ended before a path was found: raise it, or try bitstar-plus.",
         }[self]
 
 
@@ -303,9 +303,7 @@ class Path:
       elapsed_s: seconds of the budget that were used: of the search, and of the tables that its heuristic needs.
       planner, heuristic, backend: what ran.
       note: one more sentence, where there is something to say.
-      history: of an anytime planner, after each batch: seconds, samples drawn (of `astar-anytime`: nodes
-        expanded), cost of the best path.
-      bounds: of `astar-anytime`: the lower bound proven by each entry of ``history``.
+      history: of an anytime planner, after each batch: seconds, samples drawn, cost of the best path.
       setup_s: seconds before that, of no budget: what the planner runs was compiled, or loaded (0: it was there).
       graph: what OPTIMAL and ``lower_bound`` are of: a grid (`Problem.grid_name`) or `EVERY_PATH`; empty where
         nothing is known of others.
@@ -322,7 +320,6 @@ class Path:
     backend: str = "numpy"
     note: str = ""
     history: tuple[tuple[float, int, float], ...] = ()
-    bounds: tuple[float, ...] = ()
     setup_s: float = 0.0
     graph: str = ""
 

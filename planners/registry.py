@@ -8,12 +8,11 @@ import numpy as np
 
 from jaxurban.errors import InputError, nearest_name
 from jaxurban.planners.any_angle import theta_star
-from jaxurban.planners.anytime import astar_anytime
 from jaxurban.planners.astar import astar_dist, astar_plus
 from jaxurban.planners.base import Path, Planner
 from jaxurban.planners.bitstar.bounds import HEURISTICS as OFF_GRID_HEURISTICS
 from jaxurban.planners.bitstar.planner import bitstar_dist, bitstar_plus
-from jaxurban.planners.heuristics import ADMISSIBLE, AUTO, HEURISTICS
+from jaxurban.planners.heuristics import AUTO, HEURISTICS
 from jaxurban.planners.ptp import ptp
 from jaxurban.planners.volume_astar import VOLUME_HEURISTICS, volume_astar
 
@@ -39,9 +38,6 @@ PLANNERS = {
     "ptp": PlannerEntry(ptp, "the straight segment from start to goal"),
     "astar-dist": PlannerEntry(astar_dist, "A* guided by the straight distance", "euclidean", (AUTO, *HEURISTICS)),
     "astar-plus": PlannerEntry(astar_plus, "A* guided by distance and map costs", AUTO, (AUTO, *HEURISTICS)),
-    "astar-anytime": PlannerEntry(
-        astar_anytime, "A* in a hurry first, then ever closer to the best path", AUTO, (AUTO, *ADMISSIBLE)
-    ),
     "bitstar-dist": PlannerEntry(
         bitstar_dist, "batch informed trees guided by the straight distance", "euclidean", OFF_GRID_HEURISTICS
     ),

@@ -179,7 +179,7 @@ class CostMap(Shown):
     def prepare(self) -> "CostMap":
         """Return the map with landmarks, for many queries under these weights, each two to three times as fast.
 
-        They guide ``astar-plus`` and ``astar-anytime`` where a query names no heuristic. Costs are the same; between
+        They guide ``astar-plus`` where a query names no heuristic. Costs are the same; between
         equally cheap routes another one may come. This map stays as it is.
 
         Raises:

@@ -137,8 +137,7 @@ class PlannedPath(Shown):
             "num_points": len(self.xy_m),
             "batches": [
                 {"elapsed_s": seconds, "samples": samples, "cost": _number(cost)}
-                | ({"lower_bound": _number(self.search.bounds[at])} if self.search.bounds else {})
-                for at, (seconds, samples, cost) in enumerate(self.search.history)
+                for seconds, samples, cost in self.search.history
             ],
             "crs": self.crs,
             "settings": dict(self.settings),

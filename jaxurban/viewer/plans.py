@@ -241,8 +241,7 @@ def _kept(held: OrderedDict[Hashable, Made], key: Hashable, most: int, make: Cal
 
 
 def _budget_s(planner: str) -> float:
-    takes_all = planner.startswith("bitstar") or planner == "astar-anytime"
-    return SAMPLING_BUDGET_S if takes_all else BUDGET_S
+    return SAMPLING_BUDGET_S if planner.startswith("bitstar") else BUDGET_S
 
 
 def _thinned(on: CostMap, rows: np.ndarray, cols: np.ndarray, stride: int) -> Problem:

@@ -18,8 +18,6 @@ PARENT_STEP = 0x0F  # bits of the state after that: the step by which it was rea
 NO_PARENT = 0x08  # ... or this, at the start
 CLOSED = 0x10
 REACHED = 0x40
-LATER = 0x20  # a cheaper way turned up after the node was closed, to be followed when `requeue` opens it again
-KEEP, REOPEN, DEFER = 0, 1, 2  # what a cheaper way to a closed node does: nothing, opens it, marks it LATER
 MAX_STEPS = 8
 NOWHERE = -1  # a goal that is never met
 CHUNK = 200_000  # expansions between two looks at the clock: some 50 ms
@@ -29,20 +27,6 @@ BUCKETS_PER_STEP = 512  # in the cost of a typical step: some five entries a buc
 NUM_FAR, FREE_SLOT, BUCKET = 0, 1, 2  # places in a queue's ``tally``
 NO_SLOT = -1
 ROUNDING = 1 - 1e-12  # a closed node is not worth expanding again for a gain that rounding explains
-
-
-class Order(NamedTuple):
-    """In which order nodes are expanded, and which are.
-
-    Attributes:
-      closed: `KEEP`, `REOPEN` or `DEFER`: what a cheaper way to a closed node does.
-      inflation: what h is multiplied by.
-      upper: f from which on nodes are of no use.
-    """
-
-    closed: int
-    inflation: float
-    upper: float
 
 
 class Queue(NamedTuple):
@@ -202,11 +186,12 @@ def estimate(heuristic, row, col, goal_row, goal_col):
 
 
 @compiled(nogil=True)
-def advance(graph, heuristic, goal, order, nodes, max_expanded):
-    """Expand nodes in order of f until the goal is met, no open f is below ``upper``, or ``max_expanded`` are done.
+def advance(graph, heuristic, goal, reopen, nodes, max_expanded):
+    """Expand nodes in order of f until the goal is met, none is open, or ``max_expanded`` are done.
 
-    ``f = g + inflation * h``. The queue holds outdated entries, which are skipped: a node's newest entry is
-    its lowest. Equal f come in an order that only the problem decides, so runs repeat.
+    ``f = g + h``. The queue holds outdated entries, which are skipped: a node's newest entry is
+    its lowest. Equal f come in an order that only the problem decides, so runs repeat. With ``reopen`` a cheaper way to
+    a closed node opens it again.
 
     All neighbours are looked at before any is changed, without branches, which would go the wrong way half of the time.
 
@@ -217,13 +202,13 @@ def advance(graph, heuristic, goal, order, nodes, max_expanded):
     g, state, queue = nodes.g, nodes.state, nodes.queue
     near = queue.near
     # A way to a node is cheaper where it costs less than this times the way known; a closed node that is kept has none.
-    if_closed = -1.0 if order.closed == KEEP else ROUNDING
+    if_closed = ROUNDING if reopen else -1.0
     cheaper_steps, cheaper_gs = np.empty(MAX_STEPS, np.uint64), np.empty(MAX_STEPS)
     num_expanded = 0
     while True:
         if near.size[0] == 0:
             refill(queue, graph, g, state)
-        if near.size[0] == 0 or near.f[0] >= order.upper:
+        if near.size[0] == 0 or near.f[0] == np.inf:
             return EXHAUSTED, num_expanded
         if num_expanded >= max_expanded:
             return PAUSED, num_expanded
@@ -254,44 +239,10 @@ def advance(graph, heuristic, goal, order, nodes, max_expanded):
             k, to_g = cheaper_steps[i], cheaper_gs[i]
             to = np.uint64(np.int64(node) + offsets[k])
             g[to] = to_g
-            if order.closed == DEFER and state[to] & CLOSED:
-                state[to] = k | REACHED | CLOSED | LATER
-                continue
             state[to] = k | REACHED
             to_row, to_col = np.int64(row) + graph.steps[k, 0], np.int64(col) + graph.steps[k, 1]
             to_h = estimate(heuristic, to_row, to_col, goal_row, goal_col)
-            insert(queue, to_g + order.inflation * to_h, to)
-
-
-@compiled()
-def _is_of_use(state):
-    """Whether a node in this state is open or marked LATER."""
-    return state != UNREACHED and (not state & CLOSED or state & LATER)
-
-
-@compiled(nogil=True)
-def lowest_open(graph, heuristic, goal, g, state):
-    """Return the least ``g + h`` of a node that is open or marked LATER, inf without one, and their number."""
-    goal_row, goal_col = goal // graph.num_cols, goal % graph.num_cols
-    low, num_open = np.inf, 0
-    for node in range(g.size):
-        if _is_of_use(state[node]):
-            num_open += 1
-            h = estimate(heuristic, node // graph.num_cols, node % graph.num_cols, goal_row, goal_col)
-            low = min(low, g[node] + h)
-    return low, num_open
-
-
-@compiled(nogil=True)
-def requeue(graph, heuristic, inflation, goal, nodes):
-    """Open every node marked LATER, let closed ones be opened again, and put the open ones into an empty queue."""
-    goal_row, goal_col = goal // graph.num_cols, goal % graph.num_cols
-    g, state = nodes.g, nodes.state
-    for node in range(g.size):
-        if _is_of_use(state[node]):
-            h = estimate(heuristic, node // graph.num_cols, node % graph.num_cols, goal_row, goal_col)
-            insert(nodes.queue, g[node] + inflation * h, node)
-        state[node] &= PARENT_STEP | REACHED
+            insert(queue, to_g + to_h, to)
 
 
 class GridSearch:
@@ -332,16 +283,15 @@ class GridSearch:
             refill(self._nodes.queue, self.graph, self._nodes.g, self._nodes.state)
         return float(near.f[0]) if near.size[0] else np.inf
 
-    def run(self, *, closed: int = KEEP, inflation: float = 1.0, upper: float = np.inf, end_s: float = np.inf) -> int:
-        """Search on and return FOUND (the goal was met), EXHAUSTED (no open f is below ``upper``) or PAUSED.
+    def run(self, *, reopen: bool = False, end_s: float = np.inf) -> int:
+        """Search on and return FOUND (the goal was met), EXHAUSTED (no node is open) or PAUSED.
 
         Args:
-          closed, inflation, upper: see `Order`.
+          reopen: expand a closed node again where a cheaper way to it turns up.
           end_s: time of `time.perf_counter` at which to pause; heeded within some 50 ms.
         """
-        order = Order(closed, inflation, upper)
         while True:
-            ended, num_done = advance(self.graph, self.heuristic, self.goal, order, self._nodes, CHUNK)
+            ended, num_done = advance(self.graph, self.heuristic, self.goal, reopen, self._nodes, CHUNK)
             self.num_expanded += num_done
             if ended in (FOUND, EXHAUSTED):
                 return int(ended)
@@ -349,16 +299,6 @@ class GridSearch:
                 self._nodes = self._nodes._replace(queue=grown(self._nodes.queue))
             if time.perf_counter() >= end_s:
                 return PAUSED
-
-    def lower_bound(self) -> tuple[float, int]:
-        """Return the least ``g + h`` among nodes still of use, which no path undercuts, and their number."""
-        low, num_open = lowest_open(self.graph, self.heuristic, self.goal, self._nodes.g, self._nodes.state)
-        return float(low), int(num_open)
-
-    def requeue(self, inflation: float, num_open: int) -> None:
-        """Order the open nodes, and those marked `LATER`, by another inflation; all may be expanded again."""
-        self._nodes = self._nodes._replace(queue=empty_queue(self.graph, max(FIRST_ENTRIES, num_open)))
-        requeue(self.graph, self.heuristic, inflation, self.goal, self._nodes)
 
     def points_m(self, resolution_m: float) -> np.ndarray:
         """Return ``[N, 2]`` the cell centres from start to goal, by the steps that led to each cell."""

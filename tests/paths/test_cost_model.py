@@ -180,7 +180,7 @@ def test_without_a_model_every_way_has_the_rules_of_scenario_and_preset_and_one_
     planned = ju.plan(low_roofs, *ends, **where, **under)
     assert planned.settings == expected.settings
     costs = {"plan": planned.cost} | costs_of_every_way(low_roofs, ends, planned, under, under, tmp_path)
-    for planner in ("astar-dist", "astar-plus", "astar-anytime"):
+    for planner in ("astar-dist", "astar-plus"):
         costs[planner] = ju.plan(low_roofs, *ends, **where, **under, planner=planner).cost
     compared = ju.compare(low_roofs, low_roofs, routes=[ends], weights=WEIGHTS, progress=False, **under)
     costs["compare"] = compared.routes.table.query(f"altitude_m == {ALTITUDE_M}").cost_a.item()

@@ -174,7 +174,7 @@ def test_an_unbounded_budget_is_written_as_none(maps, ends, tmp_path):
     assert planned.to_dict()["settings"]["budget_s"] is None
 
 
-def test_refinement_has_its_share_of_an_anytime_planners_budget(maps, ends):
+def test_refinement_has_its_share_of_a_sampling_planners_budget(maps, ends):
     planned = ju.plan(
         maps, altitude_m=20.0, cost_model="line", planner="bitstar-dist", budget_s=1.0, refine=True, **ends
     )

@@ -9,7 +9,6 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
 from jaxurban.errors import InputError
-from jaxurban.planners.anytime import astar_anytime
 from jaxurban.planners.astar import astar, astar_dist, astar_plus
 from jaxurban.planners.base import Problem, Status
 from jaxurban.planners.cost_model import CostModel
@@ -115,10 +114,7 @@ def test_better_bounds_expand_fewer_nodes():
 
 @pytest.mark.data
 @pytest.mark.parametrize("name", [pytest.param("NewYork_0_512", marks=pytest.mark.slow), "Berlin_0_256"])
-@pytest.mark.parametrize(
-    "search",
-    [astar, pytest.param(astar_plus, marks=pytest.mark.slow), pytest.param(astar_anytime, marks=pytest.mark.slow)],
-)
+@pytest.mark.parametrize("search", [astar, pytest.param(astar_plus, marks=pytest.mark.slow)])
 def test_every_published_length_of_movingai_is_reproduced(data_dir, name, search):
     rows = (data_dir / "movingai" / f"{name}.map").read_text().splitlines()[4:]
     is_free = np.array([list(row) for row in rows[::-1]]) == "."  # the file's first row is the northern one

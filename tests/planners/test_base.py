@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from jaxurban.errors import InputError
-from jaxurban.planners.base import Problem, Status
+from jaxurban.planners.base import Path, Problem, Status
 from jaxurban.planners.cost_model import CostModel
 from jaxurban.planners.moves import STEPS, allowed_moves
 
@@ -107,3 +107,19 @@ def test_a_cost_model_is_read_back_from_its_settings_and_takes_no_others():
     assert model.settings == {"cost_model": "line", "reference_length_m": 2, "connectivity": 4, "diagonal": "always"}
     assert CostModel.from_settings(model.settings | {"planner": "ptp"}) == model
     assert CostModel.from_settings({}) == CostModel.of("line") == CostModel.of(None) == CostModel()
+
+
+@pytest.mark.parametrize(
+    ("status", "cost", "lower_bound", "gap"),
+    [
+        (Status.FEASIBLE, 6.0, 4.0, 0.5),
+        (Status.OPTIMAL, 6.0, 6.0, 0.0),
+        (Status.OPTIMAL, 0.0, 0.0, 0.0),
+        (Status.FEASIBLE, 6.0, 0.0, np.inf),
+        (Status.FEASIBLE, 6.0, -np.inf, np.inf),
+        (Status.NO_PATH, np.inf, np.inf, np.inf),
+        (Status.BUDGET_EMPTY, np.inf, 3.0, np.inf),
+    ],
+)
+def test_a_gap_is_what_the_path_may_cost_too_much(status, cost, lower_bound, gap):
+    assert Path(status, np.empty((0, 2)), cost, lower_bound, 0, 0.0, "none").gap == gap

@@ -11,7 +11,7 @@ from jaxurban.planners.base import Problem, Status
 from jaxurban.planners.cost_model import CostModel
 from jaxurban.planners.graph import graph_of, zero_heuristic
 from jaxurban.planners.moves import STEPS
-from jaxurban.planners.search.grid import DEFER, EXHAUSTED, FOUND, KEEP, REOPEN, GridSearch
+from jaxurban.planners.search.grid import EXHAUSTED, FOUND, GridSearch
 
 FREE = 1e-200  # what a step that costs nothing costs for SciPy, which takes an edge of 0 for none
 SHAPE = (41, 53)
@@ -65,15 +65,15 @@ def test_paths_cost_what_dijkstra_finds(seed, dtype):
 @settings(max_examples=25, deadline=None)
 @given(
     seed=st.integers(0, 10**6),
-    closed=st.sampled_from([KEEP, REOPEN, DEFER]),
+    reopen=st.booleans(),
     left_there=st.sampled_from([0.0, -1.0, np.nan, np.inf, 5e-324]),
 )
-def test_costs_to_all_cells_are_dijkstras_whatever_the_memory_held(seed, closed, left_there):
+def test_costs_to_all_cells_are_dijkstras_whatever_the_memory_held(seed, reopen, left_there):
     problem = random_problem(seed)
     search = GridSearch(graph_of(problem), zero_heuristic(problem), problem.start, None)
     search._nodes.g[search._nodes.state == 0] = left_there
     assert search.cost_to((search.start + 1) % problem.is_free.size) == np.inf
-    assert search.run(closed=closed) == EXHAUSTED
+    assert search.run(reopen=reopen) == EXHAUSTED
     found = search.costs_from_start().reshape(problem.is_free.shape)
     np.testing.assert_allclose(found, costs_to_all(problem), rtol=1e-12, atol=1e5 * FREE)
 

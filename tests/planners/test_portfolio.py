@@ -19,7 +19,6 @@ DISCRETISATION = {
     "ptp": EXACT,
     "astar-dist": OCTILE,
     "astar-plus": OCTILE,
-    "astar-anytime": OCTILE,
     "bitstar-dist": EXACT,  # the first batch is the straight segment
     "bitstar-plus": EXACT,
     "theta-star": EXACT,

@@ -84,7 +84,7 @@ def test_an_iteration_budget_repeats_exactly_but_for_the_time(maps, instances):
 def test_a_row_does_not_depend_on_what_was_asked_before(maps, instances):
     runs = [
         PlannerRun("astar-plus", "distance"),
-        PlannerRun("astar-anytime", "weighted"),
+        PlannerRun("astar-dist", "weighted"),
         PlannerRun("astar-plus", "weighted"),
     ]
     used = FEW_SAMPLES.cost_map(maps, 20.0, None, None)
