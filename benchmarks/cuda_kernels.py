@@ -314,9 +314,9 @@ KERNELS: dict[str, Callable[[], Call]] = {
         lidar._share, (array(4, *REGION, dtype=jnp.int32), array(*REGION), ALTITUDES_M), {"num_azimuths": NUM_AZIMUTHS}
     ),
     "lidar: supersampled, tile": lambda: Call(
-        supersampled._count,
-        (around(TILE, FINE_HALO, PER_CELL**2), array(STEPS_FINE), FINE_RAYS),
-        {"halo": FINE_HALO, "shape": None},
+        steps.count_returns_by_steps,
+        (around(TILE, FINE_HALO, PER_CELL**2), array(1, STEPS_FINE), FINE_RAYS),
+        {"halo": FINE_HALO},
     ),
     "lidar: soft, tile": lambda: Call(soft_lidar.soft_returns, (around(TILE, STEPS_5M - 1), SCAN, RAYS, NUMBER)),
     "lidar: soft, tile, gradient": lambda: Call(
