@@ -6,6 +6,8 @@ import numpy as np
 
 from jaxurban.world.grid import Grid
 
+MOST_BULGE_M = 0.05  # between two places whose middle is a place too, by which the ground leaves the straight line
+
 
 @dataclass(frozen=True)
 class Ground:
@@ -32,7 +34,7 @@ class Ground:
 
 
 def ground_along(points_m: np.ndarray, terrain_m: np.ndarray, grid: Grid) -> Ground:
-    """Return the ground under a polyline, at its points and wherever it bends between them.
+    """Return the ground under a polyline, at its points, wherever it bends and as often as it bulges between them.
 
     Args:
       points_m: ``[N, 2]`` x, y from the grid's southwest corner, N at least 1.
@@ -41,10 +43,20 @@ def ground_along(points_m: np.ndarray, terrain_m: np.ndarray, grid: Grid) -> Gro
     """
     number = np.arange(len(points_m))
     bends = np.unique(np.concatenate([number, *map(_passes_whole, (points_m / grid.resolution_m - 0.5).T)]))
-    at = np.interp(np.arange(2 * len(bends) - 1) / 2, np.arange(len(bends)), bends)
-    x_m, y_m = (np.interp(at, number, values) for values in points_m.T)
+    *_, elevation_m = _halved(bends, points_m, terrain_m, grid)
+    bulge_m = np.abs(elevation_m[1::2] - (elevation_m[:-1:2] + elevation_m[2::2]) / 2)
+    pieces = np.fmax(np.ceil(np.sqrt(bulge_m / MOST_BULGE_M)), 1)  # each of n bulges by the bulge / n²
+    bends = np.interp(np.arange(pieces.sum() + 1), np.append(0, np.cumsum(pieces)), bends)
+    at, x_m, y_m, elevation_m = _halved(bends, points_m, terrain_m, grid)
     lonlat = np.stack(grid.lonlat_of_xy(x_m + grid.x_min_m, y_m + grid.y_min_m), axis=-1)
-    return Ground(at, lonlat, elevation_at(x_m, y_m, terrain_m, grid.resolution_m))
+    return Ground(at, lonlat, elevation_m)
+
+
+def _halved(bends: np.ndarray, points_m: np.ndarray, terrain_m: np.ndarray, grid: Grid) -> tuple[np.ndarray, ...]:
+    """Return places along a path and halfway between them, ``[2 N - 1]``, their x and y, and the elevation there."""
+    at = np.interp(np.arange(2 * len(bends) - 1) / 2, np.arange(len(bends)), bends)
+    x_m, y_m = (np.interp(at, np.arange(len(points_m)), values) for values in points_m.T)
+    return at, x_m, y_m, elevation_at(x_m, y_m, terrain_m, grid.resolution_m)
 
 
 def _passes_whole(values: np.ndarray) -> np.ndarray:

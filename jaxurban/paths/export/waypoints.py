@@ -12,12 +12,14 @@ import numpy as np
 import shapely
 
 from jaxurban.paths.export.base import DECIMALS
+from jaxurban.paths.ground import MOST_BULGE_M
 
 if TYPE_CHECKING:
     from jaxurban.paths.path import PlannedPath
 
 STRAIGHT_M = 0.01  # a waypoint closer than this to the line through its neighbours is left out
 GROUND_TOLERANCE_M = 1.0  # by which the straight lines may exceed the planned height above ground
+MISSED_M = GROUND_TOLERANCE_M / 2 - MOST_BULGE_M  # twice, and the rest is for the ground's cover and for rounding up
 
 
 class Waypoints(NamedTuple):
@@ -76,9 +78,9 @@ def _turns(xy_m: np.ndarray, z_m: np.ndarray) -> np.ndarray:
 
 
 def _with_bends(kept: np.ndarray, along_m: np.ndarray, height_m: np.ndarray) -> np.ndarray:
-    """Return the indices to keep and more, so that lines miss no height by more than half the tolerance, ``[W]``.
+    """Return the indices to keep and more, so that lines miss no height by more than `MISSED_M`, ``[W]``.
 
-    Raised by the other half they are nowhere too low.
+    Raised by as much they are nowhere too low.
 
     Args:
       kept: indices that stay, first and last included.
@@ -91,7 +93,7 @@ def _with_bends(kept: np.ndarray, along_m: np.ndarray, height_m: np.ndarray) -> 
         inner = np.arange(first + 1, last)
         line_m = np.interp(along_m[inner], along_m[[first, last]], height_m[[first, last]])
         missed_m = np.abs(height_m[inner] - line_m)
-        if missed_m.max(initial=0.0) > GROUND_TOLERANCE_M / 2:
+        if missed_m.max(initial=0.0) > MISSED_M:
             worst = int(inner[np.argmax(missed_m)])
             bends.add(worst)
             spans += [(first, worst), (worst, last)]
