@@ -7,8 +7,6 @@ Gradients come from soft forms of the metrics.
 from importlib import import_module as _import_module
 from typing import TYPE_CHECKING as _TYPE_CHECKING
 
-from jaxurban.collector import paused_collector as _paused_collector
-
 if _TYPE_CHECKING:
     from jaxurban.errors import InputError as InputError
     from jaxurban.errors import JaxurbanError as JaxurbanError
@@ -146,8 +144,7 @@ __all__ = sorted(_HOMES)
 def __getattr__(name: str) -> object:
     if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    with _paused_collector():
-        return getattr(_import_module(_HOMES[name]), name)
+    return getattr(_import_module(_HOMES[name]), name)
 
 
 def __dir__() -> list[str]:

@@ -13,7 +13,6 @@ from numba.core.caching import FunctionCache, IndexDataCacheFile
 from numba.core.dispatcher import Dispatcher
 from numba.core.runtime import rtsys
 
-from jaxurban.collector import paused_collector
 from jaxurban.progress import LOG
 
 COMPILING = LOG.getChild("compiling")  # its level is the switch: warnings are seen where nobody has set logging up
@@ -71,7 +70,7 @@ class _Cache(FunctionCache):
         that finds everything in the cache.
         """
         rtsys.initialize(target_context)
-        with paused_collector(), self._guard_against_spurious_io_errors():
+        with self._guard_against_spurious_io_errors():
             kept = self._load_overload(sig, target_context)
         if kept is None:
             _say_once()

@@ -1,17 +1,10 @@
-"""How much memory GDAL keeps blocks of rasters in; its own way takes a twentieth of the machine's."""
+"""How much memory GDAL keeps blocks of rasters in."""
 
-import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from threading import Lock
 
 SETTING = "GDAL_CACHEMAX"
-COMMAND_MIB = 64
-
-
-def limit_cache() -> None:
-    """Limit GDAL's cache under commands, before GDAL is first used, unless the user has set it."""
-    os.environ.setdefault(SETTING, str(COMMAND_MIB))
 
 
 class _Users:

@@ -13,7 +13,6 @@ import numpy as np
 import shapely
 from jaxtyping import DTypeLike
 
-from jaxurban.compile_cache import keep_programs
 from jaxurban.errors import GuessWarning, InputError, one_of, typed
 from jaxurban.io.layers import bands_of
 from jaxurban.io.read.guesses import warn_of
@@ -136,7 +135,6 @@ def build_maps(
     layers = check_layers(layers)
     task = MapTask(city, region, sky, params, layers, bands_of(layers, region, params.altitudes_m))
     check_fits(task)
-    keep_programs()
     with reporting("build_maps", progress) as report:
         return compute_maps(task, stage=Stopwatch(on_stage=report).stage)
 
@@ -271,7 +269,6 @@ def map_inputs(
     """
     settings = replace(params or MapParams(), altitudes_m=tuple(altitudes_m))
     _check_region(city, grid)
-    keep_programs()
     sky = view_sky(grid, orbits, _checked_times(times), mask_deg=settings.mask_deg, reference=None, max_age_days=90.0)
     task = MapTask(city, grid, sky, settings)
     inputs = inputs_of(task)
@@ -308,7 +305,6 @@ def soft_city(
         orbits.
     """
     _check_region(city, grid)
-    keep_programs()
     times = None if time is None else [time]
     sky = view_sky(grid, orbits, times, mask_deg=mask_deg, reference=None, max_age_days=90.0)
     settings = MapParams(

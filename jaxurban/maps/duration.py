@@ -42,15 +42,8 @@ def _core_ns(task: MapTask, layers: Sequence[str]) -> float:
     )
 
 
-def told(seconds: float, compiles: bool = False) -> str:
-    """Return a foretold time as people read it.
-
-    Args:
-      seconds: from `foretold_s`.
-      compiles: no programs of earlier runs are kept.
-    """
-    if compiles:
-        return f"{told(seconds)}, and about half a minute more to compile, as every first run on a machine does"
+def told(seconds: float) -> str:
+    """Return a time from `foretold_s` as people read it."""
     if seconds < 10:
         return "a few seconds"
     if seconds < 90:

@@ -13,7 +13,6 @@ from typing import Any
 
 import dask.array
 
-from jaxurban.compile_cache import has_programs
 from jaxurban.errors import InputError
 from jaxurban.io import store
 from jaxurban.io.chunks import Each
@@ -182,7 +181,7 @@ def _run(
     scenario: Scenario, folder: Path, overwrite: bool, resources: Resources, layers: Sequence[str], report: Report
 ) -> ScenarioRun:
     started_utc = datetime.now(UTC).isoformat(timespec="seconds")
-    watch, compiles = Stopwatch(on_stage=report), not has_programs()  # asked before a city is generated, which compiles
+    watch = Stopwatch(on_stage=report)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", UserWarning)
         inputs = hash_inputs(scenario)
@@ -204,7 +203,7 @@ def _run(
             plan = plan_run(tasks, resources.memory_bytes, *at_most)
         disk_bytes = check_disk(tasks, folder, layers, plan.num_workers)
         duration_s = foretold_s(tasks, layers, min(plan.num_at_once, num_cores()))
-        LOG.info(plan_sentence(tasks, plan, disk_bytes, told(duration_s, compiles)))
+        LOG.info(plan_sentence(tasks, plan, disk_bytes, told(duration_s)))
         if (resources.num_processes or 1) > plan.num_at_once:
             LOG.warning(
                 f"--workers {resources.num_processes} brings nothing here: no more than {plan.num_at_once} "

@@ -32,10 +32,6 @@ def test_the_time_grows_with_what_is_made_and_shrinks_with_cores(task):
     assert foretold_s([task], ("all",)) > alone
 
 
-def test_what_a_first_run_compiles_is_told_too():
-    assert told(3, compiles=True).startswith("a few seconds, and about half a minute more to compile")
-
-
 @pytest.mark.parametrize(
     ("seconds", "said"),
     [(3, "a few seconds"), (47, "about 50 s"), (600, "about 10 min"), (9000, "about 2.5 h")],

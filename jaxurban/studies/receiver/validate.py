@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from jaxurban.compile_cache import keep_programs
 from jaxurban.errors import InputError, typed
 from jaxurban.io.read.orbits import read_orbits
 from jaxurban.io.read.receiver import TRACKED, UTC, ReceiverLog, read_receiver_log
@@ -125,7 +124,6 @@ def validate(
         )
     known = _orbit_names(scenario) if told.satellites is not None else ()
     TrackedSatellites.of(told, known, known)  # refuses unknown ones before the work
-    keep_programs()
     with reporting("validate", progress) as report:
         report("read")
         task = task_at(scenario, track.sky_times, grid, chosen)

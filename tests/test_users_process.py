@@ -1,0 +1,63 @@
+"""Importing and calling jaxurban changes nothing of the user's process."""
+
+import subprocess
+import sys
+
+import pytest
+
+# What a process holds; the cache folder of Numba apart, which is documented to be the caller's choice.
+STATE = """
+import gc, json, logging, os, sys
+import dask, jax, matplotlib, numba, numpy, pandas, pyproj, rasterio, xarray, zarr
+import distributed, geopandas, optax, pyogrio, pydantic, requests, scipy.spatial, shapely, skyfield.api, tqdm
+import SALib.sample.sobol
+from rasterio.env import get_gdal_config
+
+def state():
+    numbas = {key: value for key, value in vars(numba.config).items() if key.isupper() and key != "CACHE_DIR"}
+    loggers = [logging.getLogger(), *filter(lambda each: isinstance(each, logging.Logger),
+               (logging.getLogger(name) for name in sorted(logging.Logger.manager.loggerDict)))]
+    gdal = ("GDAL_CACHEMAX", "GDAL_NUM_THREADS", "GDAL_DISABLE_READDIR_ON_OPEN", "CPL_DEBUG", "OGR_INTERLEAVED_READING",
+            "OSM_USE_CUSTOM_INDEXING", "GTIFF_IMPLICIT_JPEG_OVR", "NUM_THREADS")
+    return {
+        "thresholds of the collector": gc.get_threshold(), "is the collector on": gc.isenabled(),
+        "its callbacks": [f"{each.__module__}.{each.__qualname__}" for each in gc.callbacks],
+        "frozen objects": gc.get_freeze_count(),
+        "jax.config": {key: repr(value) for key, value in jax.config.values.items()},
+        "numba.config": {key: repr(value) for key, value in sorted(numbas.items())},
+        "logging": {each.name: [each.level, each.disabled, list(map(repr, each.handlers))]
+                    for each in loggers if each.handlers or each.level},
+        "gdal": {name: get_gdal_config(name) for name in gdal},
+        "environment": dict(sorted(os.environ.items())),
+        "recursion": sys.getrecursionlimit(), "hooks": [repr(sys.excepthook), repr(sys.unraisablehook)],
+    }
+
+before = state()
+"""
+COMPARE = """
+after = state()
+for name in before:
+    assert before[name] == after[name], (name, before[name], after[name])
+"""
+IMPORT = "import jaxurban as ju"
+EVERY_NAME = IMPORT + "; [getattr(ju, name) for name in ju.__all__]"
+USE = (
+    IMPORT
+    + """
+import tempfile
+maps = ju.build_maps(ju.demo_city(400, 400), resolution_m=20.0, altitudes_m=[60.0], progress=False)
+with tempfile.TemporaryDirectory() as folder:
+    maps.save(folder)
+    maps = ju.open_maps(folder)
+    free = numpy.argwhere(maps.is_free(60.0))
+    ends = [tuple(map(float, maps.grid.lonlat_of_cell(*cell))) for cell in free[[0, 5]]]
+    assert ju.plan(maps, *ends, altitude_m=60.0, snap=True).status.has_path
+"""
+)
+
+
+@pytest.mark.parametrize("action", [IMPORT, EVERY_NAME, USE], ids=["import", "every name", "maps and a plan"])
+def test_the_users_process_stays_as_libraries_alone_leave_it(action):
+    command = [sys.executable, "-W", "ignore::UserWarning", "-c", f"{STATE}\n{action}\n{COMPARE}"]
+    ended = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert ended.returncode == 0, ended.stderr
