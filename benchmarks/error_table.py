@@ -18,8 +18,9 @@ from benchmarks.common import machine
 from benchmarks.embree_peer import EmbreePool, scan_until_first_return, see_satellites
 from benchmarks.scenes import ALTITUDES_M, PLACES, Scene, load_place, load_scene
 from jaxurban.kernels.dop import LEAST_SATELLITES, unit_vectors
-from jaxurban.metrics.gps import GpsParams, compute_gps
+from jaxurban.metrics.gps import GpsParams, SatelliteSet
 from jaxurban.metrics.lidar import LidarParams, compute_lidar
+from jaxurban.metrics.obstacle import obstacles_on
 from jaxurban.metrics.risk import RiskParams, compute_risk
 from jaxurban.metrics.visibility import visibility
 from jaxurban.world.grid import Grid
@@ -44,9 +45,10 @@ class Maps:
 
 def compute(scene: Scene, resolution_m: float) -> Maps:
     surface, sky = scene.surface(resolution_m), (scene.azimuth_rad, scene.elevation_rad)
+    words = visibility(surface, *sky, ALTITUDES_M)
     return Maps(
-        np.asarray(visibility(surface, *sky, ALTITUDES_M))[0],
-        np.asarray(compute_gps(surface, *sky, ALTITUDES_M, GPS).m),
+        np.asarray(words)[0],
+        np.asarray(SatelliteSet.of(*sky, GPS).m(words, obstacles_on(surface, ALTITUDES_M))),
         np.asarray(compute_lidar(surface, ALTITUDES_M, LIDAR)),
         np.asarray(compute_risk(surface, ALTITUDES_M, RISK)),
         np.asarray(surface.crop(surface.roof_m)),

@@ -19,7 +19,7 @@ from scipy.ndimage import label
 
 from benchmarks.gpu_inputs import load_problem, load_surface
 from jaxurban.kernels.distance.exact import capped_distance, capped_distance_over_terrain
-from jaxurban.metrics.gps import GpsParams, compute_gps, gps_of_words, soft_gps
+from jaxurban.metrics.gps import GpsParams, SatelliteSet, soft_gps
 from jaxurban.metrics.lidar import LidarParams, compute_lidar, soft_lidar
 from jaxurban.metrics.obstacle import obstacle_mask
 from jaxurban.metrics.risk import RiskParams, compute_risk, soft_risk
@@ -212,9 +212,10 @@ def dops(run: Run) -> None:
         azimuth_rad, elevation_rad = rng.uniform(0, 2 * np.pi, num), rng.uniform(0.1, 1.5, num)
         words = jnp.asarray(rng.integers(0, 2**num, (1, 1, side, side)), jnp.uint32)
         is_obstacle = jnp.zeros((1, side, side), bool)
+        satellites = SatelliteSet.of(azimuth_rad, elevation_rad, GpsParams())
         run.timed(
             f"GPS maps of {num} satellites",
-            lambda at=(words, is_obstacle, azimuth_rad, elevation_rad): gps_of_words(*at).gdop,
+            lambda satellites=satellites, at=(words, is_obstacle): satellites.maps(*at).gdop,
             side**2,
             "cells",
             DOP,
@@ -228,7 +229,9 @@ def pipeline(run: Run) -> None:
     altitudes_m = jnp.asarray(ALTITUDES_M)
 
     def maps() -> list[jax.Array]:
-        gps = compute_gps(surface, azimuth_rad, elevation_rad, altitudes_m)
+        words = visibility(surface, azimuth_rad, elevation_rad, altitudes_m)
+        satellites = SatelliteSet.of(azimuth_rad, elevation_rad, GpsParams())
+        gps = satellites.maps(words, obstacle_mask(surface.crop(surface.roof_m), altitudes_m))
         lidar_m = jnp.concatenate([compute_lidar(surface, [z_m], LidarParams()) for z_m in ALTITUDES_M])
         risk_m = compute_risk(surface, altitudes_m, RiskParams())
         return [obstacle_mask(surface.roof_m, altitudes_m), *jax.tree.leaves(gps), lidar_m, risk_m]

@@ -11,11 +11,12 @@ from benchmarks.common import Growth, Row, Side, Timing, clocked, in_turn, row
 from benchmarks.scenes import ALTITUDES_M, Scene
 from jaxurban.io.read.rasterise import build_surface
 from jaxurban.maps.build import compute_maps
-from jaxurban.metrics.gps import compute_gps
+from jaxurban.metrics.gps import GpsParams, SatelliteSet
 from jaxurban.metrics.lidar import LidarParams, compute_lidar
 from jaxurban.metrics.obstacle import obstacle_mask
-from jaxurban.metrics.population import population_maps
+from jaxurban.metrics.population import block_layers, map_blocks
 from jaxurban.metrics.risk import RiskParams, compute_risk
+from jaxurban.metrics.visibility import visibility
 from jaxurban.world.grid import Grid
 from jaxurban.world.surface import Surface
 from jaxurban.world.synthetic import demo_city
@@ -92,11 +93,17 @@ def growth(scene: Scene, num_runs: int) -> list[Growth]:
     largest = build_surface(city, region, region)
     assert city.blocks is not None
     blocks, z_m = city.blocks, jnp.asarray([GROWTH_ALTITUDE_M])
+    sky = scene.azimuth_rad, scene.elevation_rad
+
+    def gps(tile: Surface) -> object:
+        is_obstacle = obstacle_mask(tile.crop(tile.roof_m), z_m)
+        return SatelliteSet.of(*sky, GpsParams()).maps(visibility(tile, *sky, z_m), is_obstacle)
+
     metrics: dict[str, Callable[[Surface], object]] = {
         "obstacle": lambda tile: obstacle_mask(tile.crop(tile.roof_m), z_m),
-        "gps": lambda tile: compute_gps(tile, scene.azimuth_rad, scene.elevation_rad, z_m),
+        "gps": gps,
         "lidar": lambda tile: compute_lidar(tile, [GROWTH_ALTITUDE_M], LidarParams()),
-        "population": lambda tile: population_maps(tile.block, blocks, ("day",)),
+        "population": lambda tile: map_blocks(tile.block, block_layers(blocks, ("day",)).m),
         "risk": lambda tile: compute_risk(tile, z_m, RiskParams()),
     }
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from jaxurban.kernels.distance.exact import capped_distance, capped_distance_over_terrain
-from jaxurban.metrics.gps import GpsParams, gps_of_words, soft_gps
+from jaxurban.metrics.gps import GpsParams, SatelliteSet, soft_gps
 from jaxurban.metrics.lidar import LidarParams, compute_lidar, soft_lidar
 from jaxurban.metrics.visibility import SkyView, visibility
 from jaxurban.planners.base import Problem
@@ -99,7 +99,7 @@ def test_dilutions_are_the_same_to_a_ten_thousandth(gpu, num):
     angles = rng.uniform(0, 6, num), rng.uniform(0.1, 1.5, num)
 
     def dilutions(words: jax.Array) -> jax.Array:
-        maps = gps_of_words(words, jnp.zeros(words.shape[1:], bool), *angles)
+        maps = SatelliteSet.of(*angles, GpsParams()).maps(words, jnp.zeros(words.shape[1:], bool))
         return jnp.stack([maps.gdop, maps.pdop, maps.hdop, maps.vdop, maps.tdop])
 
     cpu_dops, gpu_dops = on_both(dilutions, words, gpu)

@@ -233,7 +233,17 @@ def block_layers(
     params: PopulationParams | None = None,
     bounds_m: Bounds | None = None,
 ) -> BlockLayers:
-    """Return the metric and the density of every block at each time of day; arguments as in `population_maps`."""
+    """Return the metric and the density of every block at each time of day.
+
+    Args:
+      blocks: the census blocks.
+      times_of_day: see `day_share`.
+      params: left out, the paper's.
+      bounds_m: the region's box, to normalise by the blocks that touch it; left out, by all of them.
+
+    Raises:
+      InputError: no such time of day.
+    """
     params = params or PopulationParams()
     shares = np.array([day_share(time_of_day, params) for time_of_day in times_of_day], np.float32)
     layers = layers_of_blocks(BlockPopulation.of(blocks, bounds_m), shares, params)
@@ -244,29 +254,6 @@ def block_layers(
 def layers_of_blocks(blocks: BlockPopulation, shares: Float[Array, " T"], params: PopulationParams) -> BlockLayers:
     """Return `block_values` at several times of day: one after the other, as one by one they have the same bits."""
     return BlockLayers(*lax.map(lambda share: block_values(blocks, share, params), shares))
-
-
-def population_maps(
-    block: Int[Array, "y x"],
-    blocks: Blocks,
-    times_of_day: Sequence[str] = ("day", "night"),
-    params: PopulationParams | None = None,
-    bounds_m: Bounds | None = None,
-) -> BlockLayers:
-    """Return the metric and the density over a region at each time of day, ``[T, y, x]``; 0 in cells without a block.
-
-    Args:
-      block: index into ``blocks`` of the block under each cell, -1 without one.
-      blocks: the census blocks.
-      times_of_day: see `day_share`.
-      params: left out, the paper's.
-      bounds_m: the region's box, to normalise by the blocks that touch it; left out, by all of them.
-
-    Raises:
-      InputError: no such time of day.
-    """
-    m, density, norm = block_layers(blocks, times_of_day, params, bounds_m)
-    return BlockLayers(map_blocks(block, m), map_blocks(block, density), norm)
 
 
 def population_totals(

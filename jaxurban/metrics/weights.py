@@ -171,11 +171,6 @@ def _number(name: str, value: Any) -> float:
     return number
 
 
-def cost_map(costs: Mapping[str, Float[AnyArray, "Y X"]], weights: Weights) -> Float[Array, "Y X"]:
-    """Return the weighted sum of cost layers, the sum over j of w_j c_j (Eq. c_cost_fun without distance)."""
-    return sum((weights[name] * jnp.asarray(cost) for name, cost in costs.items()), jnp.zeros(()))
-
-
 def total_map(costs: Mapping[str, Float[AnyArray, "Y X"]]) -> Float[Array, "Y X"]:
     """Return H_total, the unweighted sum of the cost layers."""
     return sum((jnp.asarray(cost) for cost in costs.values()), jnp.zeros(()))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from jaxurban.maps.differentiable import CELLS_STEP, SoftCity, SoftParams, path_visits
-from jaxurban.metrics.gps import GpsParams, compute_gps
+from jaxurban.metrics.gps import GpsParams
 from jaxurban.metrics.lidar import LidarParams, compute_lidar
 from jaxurban.metrics.population import BlockPopulation, PopulationParams
 from jaxurban.metrics.risk import RiskParams, compute_risk
@@ -21,6 +21,7 @@ from jaxurban.planners.envelope import planned_cost
 from jaxurban.world.city import Zoning
 from tests.metrics.soft.differences import anyhow, axes, check_gradient
 from tests.metrics.soft.scene import ALTITUDE_M, CELLS, REGION, scene, surface_of
+from tests.metrics.whole_maps import compute_gps
 
 HEIGHT_M, BUILDING = scene()
 AZIMUTH_RAD = np.radians([10.0, 80.0, 190.0, 285.0, 140.0])

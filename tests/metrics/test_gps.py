@@ -10,11 +10,12 @@ import pytest
 from jaxurban.errors import InputError
 from jaxurban.io.read.orbits import look_angles, read_orbits
 from jaxurban.kernels.shadows.sweep import digital_line, shadow_height
-from jaxurban.metrics.gps import GpsParams, SatelliteSet, compute_gps, gps_metric, hard, maps_of_words
+from jaxurban.metrics.gps import GpsParams, SatelliteSet, gps_metric, hard, maps_of_words
 from jaxurban.metrics.rating import Rating, rating
 from jaxurban.metrics.visibility import shadow_reach_m, visibility
 from jaxurban.world.grid import Grid
 from jaxurban.world.surface import Surface
+from tests.metrics.whole_maps import compute_gps
 
 ALTITUDES_M = [20.0, 60.0]
 # Axes, diagonals and directions a hair beside them, high and low.

@@ -19,10 +19,10 @@ from jaxurban.metrics.population import (
     density_per_km2,
     map_blocks,
     normaliser,
-    population_maps,
     population_totals,
 )
 from jaxurban.world.city import Blocks, Zoning
+from tests.metrics.whole_maps import population_maps
 
 # Four blocks of 100 m x 100 m in a row: commercial, residential, other, empty.
 BLOCKS = Blocks(

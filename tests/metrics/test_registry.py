@@ -13,7 +13,7 @@ import xarray as xr
 from jaxurban.errors import InputError
 from jaxurban.metrics.base import Scene, SoftScene
 from jaxurban.metrics.custom import Layer, held_metrics, own_metric
-from jaxurban.metrics.gps import SatelliteSet, compute_gps
+from jaxurban.metrics.gps import SatelliteSet
 from jaxurban.metrics.lidar import LidarParams, compute_lidar
 from jaxurban.metrics.obstacle import obstacle_mask
 from jaxurban.metrics.population import BlockLayers
@@ -21,6 +21,7 @@ from jaxurban.metrics.registry import METRICS, find_metric
 from jaxurban.metrics.risk import RiskParams, compute_risk
 from jaxurban.metrics.visibility import SkyView, visibility
 from tests.metrics.soft.scene import ALTITUDE_M, CELLS, REGION, scene, surface_of
+from tests.metrics.whole_maps import compute_gps
 
 AZIMUTH_RAD, ELEVATION_RAD = np.radians([10.0, 80.0, 190.0, 285.0, 140.0]), np.radians([35.0, 50.0, 25.0, 40.0, 65.0])
 HEIGHT_M, BUILDING = scene()

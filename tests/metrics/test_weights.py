@@ -7,7 +7,7 @@ import pytest
 
 from jaxurban.errors import InputError
 from jaxurban.metrics.registry import METRICS, find_metric
-from jaxurban.metrics.weights import Weights, cost_map, normalised_map, total_map
+from jaxurban.metrics.weights import Weights, normalised_map, total_map
 
 
 def test_population_is_its_own_cost_and_the_others_are_one_minus_m():
@@ -17,13 +17,6 @@ def test_population_is_its_own_cost_and_the_others_are_one_minus_m():
         np.testing.assert_array_equal(METRICS[name].cost(m), 1 - m)
     with pytest.raises(InputError, match="did you mean 'gps'"):
         find_metric("gbs")
-
-
-def test_cost_map_is_linear_in_the_weights():
-    costs = {"gps": jnp.array([[0.5, 1.0]]), "risk": jnp.array([[0.25, 0.0]])}
-    np.testing.assert_allclose(cost_map(costs, Weights(gps=2.0, risk=4.0)), [[2.0, 2.0]])
-    gradient = jax.grad(lambda w: cost_map(costs, w).sum())(Weights(gps=2.0, risk=4.0))
-    assert (gradient.gps, gradient.risk, gradient.lidar) == (1.5, 0.25, 0.0)
 
 
 def test_normalised_map_spans_zero_to_one_over_free_cells_only():

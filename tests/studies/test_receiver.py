@@ -10,11 +10,11 @@ import pytest
 import jaxurban as ju
 from jaxurban.errors import InputError
 from jaxurban.io.read.receiver import read_receiver_log
-from jaxurban.metrics.gps import compute_gps
 from jaxurban.studies.receiver import prediction
 from jaxurban.studies.receiver.satellites import TrackedSatellites
 from jaxurban.studies.receiver.track import Track
 from jaxurban.studies.receiver.validate import paired
+from tests.metrics.whole_maps import compute_gps
 from tests.receiver_logs import SCENARIO, SETTINGS, drive, found, scenario, seen, surface, true_log
 
 GRID = ju.Grid.from_bounds(SCENARIO["region"]["bounds"], 5.0)

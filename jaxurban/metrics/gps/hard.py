@@ -15,9 +15,6 @@ from jaxurban.kernels.dop import AnyGeometry, Clocks, dops_of_words, geometry, u
 from jaxurban.kernels.patterns import distinct_patterns, look_up
 from jaxurban.metrics.base import JAX_ALIGNMENT, AnyArray, zeros_for_jax
 from jaxurban.metrics.gps.params import GpsParams
-from jaxurban.metrics.obstacle import obstacles_on
-from jaxurban.metrics.visibility import visibility
-from jaxurban.world.surface import Surface
 
 SATELLITES_STEP = 8  # the DOP program is compiled for 8, 16, 24 ... satellites
 BLOCK_CELLS = 2**14  # cells whose DOPs are made at once: what they need in between fits a core's cache
@@ -204,51 +201,3 @@ def _looked_up(table, words: UInt[Array, "W ..."], is_obstacle: Bool[Array, "...
     """Return the entries of a table (or of each of a tree of tables) at the first word; at 0 inside obstacles."""
     index = jnp.where(is_obstacle, jnp.uint32(0), words[0])
     return jax.tree.map(lambda values: values[index], table)
-
-
-def compute_gps(
-    surface: Surface,
-    azimuth_rad: ArrayLike,
-    elevation_rad: ArrayLike,
-    altitudes_m: ArrayLike,
-    params: GpsParams | None = None,
-    clocks: Clocks | None = None,
-) -> GpsMaps:
-    """Return the GPS maps of the region at every altitude, for one time, ``[A, y, x]``.
-
-    Without satellites m is 0 everywhere. The hard maps have zero derivative in heights.
-
-    Args:
-      surface: roofs and terrain of the region and its margin (see `shadow_reach_m`).
-      azimuth_rad: ``[S]`` clockwise from grid north, of the satellites at or above the mask.
-      elevation_rad: ``[S]`` above the horizon.
-      altitudes_m: ``[A]`` heights above the ground.
-      params: settings; left out, the paper's.
-      clocks: of the satellites (`jaxurban.maps.task.MapTask.clocks`); left out, all share one.
-
-    Raises:
-      InputError: a satellite below the horizon.
-    """
-    words = visibility(surface, azimuth_rad, elevation_rad, altitudes_m)
-    is_obstacle = obstacles_on(surface, altitudes_m)
-    return gps_of_words(words, is_obstacle, azimuth_rad, elevation_rad, params, clocks)
-
-
-def gps_of_words(
-    words: UInt[Array, "W A y x"],
-    is_obstacle: Bool[Array, "A y x"],
-    azimuth_rad: ArrayLike,
-    elevation_rad: ArrayLike,
-    params: GpsParams | None = None,
-    clocks: Clocks | None = None,
-) -> GpsMaps:
-    """Return the GPS maps of satellites seen as `visibility` says, from the cells that are not obstacles.
-
-    Args:
-      words: satellite ``s`` is bit ``s % 32`` of word ``s // 32``.
-      is_obstacle: where nobody flies.
-      azimuth_rad, elevation_rad: ``[S]`` as for `compute_gps`.
-      params: settings; left out, the paper's.
-      clocks: of the satellites (`jaxurban.maps.task.MapTask.clocks`); left out, all share one.
-    """
-    return SatelliteSet.of(azimuth_rad, elevation_rad, params or GpsParams(), clocks).maps(words, is_obstacle)

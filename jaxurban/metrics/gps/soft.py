@@ -6,14 +6,13 @@ from functools import partial
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import lax
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Int
 
-from jaxurban.kernels.dop import Clocks, dops
+from jaxurban.kernels.dop import dops
 from jaxurban.kernels.shadows.soft import Window, satellite_weights, shadow_heights
-from jaxurban.metrics.gps.hard import BLOCK_CELLS, compute_gps, gps_metric
+from jaxurban.metrics.gps.hard import BLOCK_CELLS, gps_metric
 from jaxurban.metrics.gps.params import GpsParams
 from jaxurban.metrics.obstacle import soft_obstacle
 from jaxurban.metrics.settings import check_softness
@@ -45,10 +44,9 @@ def soft_gps(
     """Return soft m_gps at one altitude, on the region ``[y, x]`` or at chosen cells ``[P]``.
 
     ``m = (1 - soft_obstacle) x (T - min(GDOP, T)) / (T - 1)``, GDOP from satellites weighted by
-    `jaxurban.kernels.shadows.soft.satellite_weights`. As softness goes to 0 it tends to `compute_gps` wherever no
-    shadow ends at the altitude itself; at softness 0 it is that but for rounding (`soft_gps_maps` turns to the exact
-    program, bit for bit). Fewer than four satellites need no rule of their own: as the fourth weight goes to 0, GDOP
-    passes T and m comes to 0. Computed in the type of the roofs.
+    `jaxurban.kernels.shadows.soft.satellite_weights`. As softness goes to 0 it tends to the exact map wherever no
+    shadow ends at the altitude itself; at softness 0 it is that but for rounding. Fewer than four satellites need no
+    rule of their own: as the fourth weight goes to 0, GDOP passes T and m comes to 0. Computed in the roofs' type.
 
     Differentiable in ``surface.roof_m`` (and terrain), ``altitude_m``, ``params.gdop_threshold`` and ``softness_m``,
     all of which may be traced; batch by `jax.vmap`. The gradient by roofs and altitude is exact for the soft map while
@@ -130,34 +128,3 @@ def _soft_gps(
     weights = satellite_weights(height_m, chosen(shadows_m), softness)
     open_m = _in_blocks(lambda block: gps_metric(getattr(dops(view.satellites, block), dop), threshold), weights)
     return (1 - soft_obstacle(at_receivers(roof_m), altitude, softness)) * open_m
-
-
-def soft_gps_maps(
-    surface: Surface,
-    azimuth_rad: ArrayLike,
-    elevation_rad: ArrayLike,
-    altitudes_m: ArrayLike,
-    softness_m: float,
-    params: GpsParams | None = None,
-    clocks: Clocks | None = None,
-) -> Float[Array, "A y x"]:
-    """Return the soft m_gps at every altitude, for one time; with softness 0 that of `compute_gps`, bit for bit.
-
-    Args:
-      surface: roofs and terrain of the region and its margin.
-      azimuth_rad: ``[S]`` clockwise from grid north, of the satellites at or above the mask.
-      elevation_rad: ``[S]`` above the horizon.
-      altitudes_m: ``[A]`` heights above the ground.
-      softness_m: see `soft_gps`; a plain number.
-      params: settings; left out, the paper's.
-      clocks: of the satellites; left out, all share one.
-
-    Raises:
-      InputError: a softness that is negative or no number, or a satellite below the horizon.
-    """
-    params = params or GpsParams()
-    check_softness(softness_m)
-    if softness_m == 0:
-        return compute_gps(surface, azimuth_rad, elevation_rad, altitudes_m, params, clocks).m
-    view = SkyView.of(surface, azimuth_rad, elevation_rad, clocks=clocks)
-    return jnp.stack([soft_gps(surface, z_m, params, softness_m, view) for z_m in np.asarray(altitudes_m, float)])

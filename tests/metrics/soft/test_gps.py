@@ -13,11 +13,12 @@ from jaxurban.errors import InputError
 from jaxurban.maps.build import view_sky
 from jaxurban.maps.supersampling import plain_bands, visibility_at_centres
 from jaxurban.maps.task import MapParams, MapTask
-from jaxurban.metrics.gps import GpsParams, compute_gps, gps_of_words, soft_gps, soft_gps_maps
+from jaxurban.metrics.gps import GpsParams, SatelliteSet, soft_gps
 from jaxurban.metrics.obstacle import obstacle_mask
 from jaxurban.metrics.visibility import SkyView
 from jaxurban.world.grid import Grid
 from jaxurban.world.surface import Surface
+from tests.metrics.whole_maps import compute_gps
 
 # One satellite a quadrant swept along rows and columns both ways, low and high, and one more.
 AZIMUTH_RAD = np.radians([10.0, 80.0, 190.0, 285.0, 140.0, 330.0, 235.0])
@@ -154,8 +155,7 @@ def test_a_higher_roof_never_helps_and_a_higher_receiver_never_harms():
 def test_softness_0_is_the_exact_map():
     surface = surface_of(np.float32)
     view = view_of(surface)
-    exact = compute_gps(surface, AZIMUTH_RAD, ELEVATION_RAD, [14.0, 30.0]).m
-    np.testing.assert_array_equal(soft_gps_maps(surface, AZIMUTH_RAD, ELEVATION_RAD, [14.0, 30.0], 0), exact)
+    exact = compute_gps(surface, AZIMUTH_RAD, ELEVATION_RAD, [14.0]).m
     (_, m), slopes = SLOPES(inputs_of(surface, view, softness_m=0.0), surface, view, MIX)
     np.testing.assert_allclose(m, exact[0], atol=1e-5)
     assert not np.any(slopes["heights_m"])
@@ -167,7 +167,7 @@ def test_an_oversampled_view_at_softness_0_is_the_oversampled_exact_map():
     fine = replace(fine, roof_m=fine.roof_m[:, :33])
     words = visibility_at_centres(plain_bands(fine, 3), AZIMUTH_RAD, ELEVATION_RAD, [14.0])
     is_obstacle = obstacle_mask(fine.crop(fine.roof_m)[1::3, 1::3], [14.0])
-    exact = gps_of_words(words, is_obstacle, AZIMUTH_RAD, ELEVATION_RAD).m[0]
+    exact = SatelliteSet.of(AZIMUTH_RAD, ELEVATION_RAD, GpsParams()).maps(words, is_obstacle).m[0]
     found = soft_gps(fine, 14.0, GpsParams(), 0.0, SkyView.of(fine, AZIMUTH_RAD, ELEVATION_RAD), oversample=3)
     assert len(np.unique(exact)) > 3
     np.testing.assert_allclose(found, exact, atol=1e-5)
@@ -260,7 +260,7 @@ def test_where_all_satellites_are_hidden_m_and_its_slopes_are_0_and_not_nan():
 def test_wrong_softness_and_satellites_are_refused():
     surface = surface_of(np.float32)
     with pytest.raises(InputError, match="softness_m must be 0"):
-        soft_gps_maps(surface, AZIMUTH_RAD, ELEVATION_RAD, [20.0], -1.0)
+        soft_gps(surface, 20.0, GpsParams(), -1.0, view_of(surface))
     with pytest.raises(InputError, match="below the horizon"):
         SkyView.of(surface, [0.0, 1.0], [0.3, -0.1])
 

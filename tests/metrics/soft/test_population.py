@@ -9,9 +9,10 @@ import pytest
 import shapely
 
 from jaxurban.errors import InputError
-from jaxurban.metrics.population import BlockPopulation, PopulationParams, population_maps, soft_population
+from jaxurban.metrics.population import BlockPopulation, PopulationParams, soft_population
 from jaxurban.world.city import Blocks, Zoning
 from tests.metrics.soft.differences import anyhow, check_gradient
+from tests.metrics.whole_maps import population_maps
 
 NUM_BLOCKS = 12
 BOUNDS_M = (0.0, 0.0, 950.0, 100.0)  # the last two blocks lie beyond
