@@ -59,7 +59,7 @@ def _without_widgets(notebook: nbformat.NotebookNode) -> nbformat.NotebookNode:
     for cell in notebook.cells:
         for output in cell.get("outputs", ()):
             if WIDGET in output.get("data", {}):
-                output.data = {"text/plain": "(Sliders: they work in a running notebook.)"}
+                output.data = {"text/plain": "(The viewer: it works in a running notebook.)"}
     return notebook
 
 

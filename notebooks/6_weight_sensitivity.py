@@ -21,7 +21,7 @@
 # %%
 # %matplotlib inline
 import jaxurban as ju
-from jaxurban.report.figures import route_under, weight_sliders
+from jaxurban.report.figures import plot_paths
 from jaxurban.report.figures.sensitivity import (
     plot_breakpoint_routes,
     plot_breakpoints,
@@ -101,17 +101,18 @@ plot_pareto(found)
 # The cheapest route under weights of your own, beside the shortest one (in blue), which no weight changes.
 
 # %%
-on = ju.cost_map(maps, 20.0)
-redraw = route_under(on, start, goal, snap=True)
-redraw(distance=0.1, gps=1.0, lidar=1.0, population=1.0, risk=1.0)
+mine = {"distance": 0.1, "gps": 1.0, "lidar": 1.0, "population": 1.0, "risk": 1.0}
+on = ju.cost_map(maps, 20.0, weights=mine)
+shortest = ju.cost_map(maps, 20.0, objective="distance").plan(start, goal, snap=True)
+plot_paths(maps, [shortest, on.plan(start, goal, snap=True)], names=["shortest", "cheapest under my weights"])
 
 # %% [markdown]
-# With `ipywidgets` and a running notebook, sliders: let one go, and the route is planned anew.
+# In a running notebook the viewer has sliders: set two ends, let a slider go, and the route is planned anew.
 
 # %%
-weight_sliders(on, start, goal, snap=True)
+ju.view(maps, weights=mine)
 
 # %% [markdown]
 # ## A question to try
 #
-# Which weight could you leave out altogether? Set it to 0 in `redraw`, and compare the cost by the given weights.
+# Which weight could you leave out altogether? Set it to 0 in `mine`, and compare the cost by the given weights.

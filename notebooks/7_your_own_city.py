@@ -38,7 +38,7 @@ import pandas as pd
 import shapely
 
 import jaxurban as ju
-from jaxurban.report.figures import plot_heights, plot_overview, weight_sliders
+from jaxurban.report.figures import plot_heights, plot_overview
 
 folder = Path(tempfile.mkdtemp(prefix="my-town-"))
 os.environ["XDG_CACHE_HOME"] = str(folder / "cache")  # so that nothing is kept elsewhere; leave this out at home
@@ -163,10 +163,10 @@ print(f"{route.status.value}: {route.length_m:,.0f} m, cost {route.cost:.1f}")
 plot_overview(maps, {20.0: [route]})
 
 # %% [markdown]
-# Other weights, other routes: let a slider go, and the route is planned anew beside the shortest one.
+# Other weights, other routes: in a running notebook, set two ends in the viewer and let a slider go.
 
 # %%
-weight_sliders(maps, start, goal, altitude_m=20.0)
+ju.view(maps)
 
 # %% [markdown]
 # The same route from the command line:

@@ -24,7 +24,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxurban as ju
-from jaxurban.report.figures import plot_metric, plot_paths, weight_sliders
+from jaxurban.report.figures import plot_metric, plot_paths
 from jaxurban.report.figures.sensitivity import plot_breakpoint_routes
 
 city = ju.demo_city(width_m=2_000, height_m=3_000)
@@ -102,10 +102,10 @@ found = ju.sensitivity(on, start, goal, snap=True, settings=settings)
 plot_breakpoint_routes(found)
 
 # %% [markdown]
-# And by hand, where a notebook is running:
+# And by hand, in the viewer, where a notebook is running:
 
 # %%
-weight_sliders(on, start, goal, snap=True)
+ju.view(maps, weights={"complaints": 3, "gusts": 1})
 
 # %% [markdown]
 # ## A question to try

@@ -13,5 +13,3 @@ from jaxurban.report.figures.metrics import plot_sensor_choice as plot_sensor_ch
 from jaxurban.report.figures.paths import plot_overview as plot_overview
 from jaxurban.report.figures.paths import plot_paths as plot_paths
 from jaxurban.report.figures.profile import plot_profile as plot_profile
-from jaxurban.report.figures.sliders import route_under as route_under
-from jaxurban.report.figures.sliders import weight_sliders as weight_sliders
