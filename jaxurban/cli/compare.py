@@ -6,18 +6,13 @@ from typing import Any
 import click
 
 from jaxurban.cli.common import (
-    CONSTRAINTS,
-    COST_MODEL,
     DEGREES,
     DEVICE,
     JSON_FLAG,
     OBSTACLES,
     PATH,
-    PRESET,
     RESOLUTION,
-    given_rules,
     print_json,
-    take_snap,
     tell,
 )
 from jaxurban.errors import InputError
@@ -29,33 +24,19 @@ from jaxurban.progress import reporting
 @click.argument("folder_b", metavar="DIR_B", type=PATH)
 @click.option("-o", "output", type=PATH, required=True, help="Output folder.")
 @click.option(
-    "--routes",
-    default="20",
-    show_default=True,
-    metavar="NUMBER|FILE",
-    help="Queries to plan on both: so many sampled at each altitude, or a table (.csv, .parquet); 0 for none.",
-)
-@click.option(
     "--time", "times", multiple=True, metavar="A=B", help="Set B's time B beside A's time A, UTC; repeatable."
 )
 @RESOLUTION
 @OBSTACLES
-@click.option("--weights", "weights_text", default="", help="As gps=1,risk=2; those not named are as DIR_A was made.")
-@PRESET
-@COST_MODEL
-@CONSTRAINTS
-@click.option("--snap", is_flag=True, help="Move ends of queries out of obstacles, by 50 m at most.")
-@click.option("--snap-distance", "snap_distance_m", type=float, metavar="METRES", help="--snap by at most so far.")
 @click.option(
     "--tolerance", type=float, default=1e-6, show_default=True, help="Values that differ by no more are the same."
 )
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of sampled queries.")
 @click.option("--overwrite", is_flag=True, help="Replace another comparison in the output folder.")
 @DEGREES
 @DEVICE
 @JSON_FLAG
 def compare(folder_a: Path, folder_b: Path, output: Path, as_json: bool, overwrite: bool, **given: Any) -> int:
-    """Report how the maps in DIR_B differ from those in DIR_A: by layer, altitude and stratum, and in the routes."""
+    """Report how the maps in DIR_B differ from those in DIR_A: by layer, altitude and time."""
     from jaxurban.io.files import check_writable
     from jaxurban.io.tables import records_of
     from jaxurban.io.workspace import Workspace
@@ -64,37 +45,18 @@ def compare(folder_a: Path, folder_b: Path, output: Path, as_json: bool, overwri
     from jaxurban.studies.montecarlo.run import MapsFolder
 
     sides = [MapsFolder(folder, given["resolution_m"], given["obstacles"]) for folder in (folder_a, folder_b)]
-    how = {
-        "routes": _routes(given["routes"]),
-        "times": _times(given["times"]),
-        "snap": take_snap(given),
-        "tolerance": given["tolerance"],
-        "seed": given["seed"],
-        **given_rules(given),
-    }
     check_writable(output)
     Workspace.check(output, "compare")
     with reporting("compare") as report:
-        found = compare_maps(*sides, **how, progress=report)
+        found = compare_maps(*sides, times=_times(given["times"]), tolerance=given["tolerance"], progress=report)
         report("report")
         save_comparison(found, output, overwrite, degrees=given["degrees"])
     tell(f"comparison finished: read {output / REPORT_FILE}, look at {output / 'figures'}")
     if as_json:
         made: dict[str, Any] = {"folder": str(output), "report": str(output / REPORT_FILE)}
         made |= {"left_out": dict(found.part.left_out), "settings": found.settings, "layers": records_of(found.table)}
-        print_json(made | {"routes": None if found.routes is None else records_of(found.routes.table)})
+        print_json(made)
     return 0
-
-
-def _routes(text: str) -> Any:
-    """Return how many routes are asked for, or the table in a file."""
-    if text.isdecimal():
-        return int(text)
-    from jaxurban.io.tables import read_table
-
-    if not text.endswith((".csv", ".parquet")):
-        raise InputError(f"--routes {text!r} must be how many to sample, as 20, or a table (.csv, .parquet)")
-    return read_table(text, "routes")
 
 
 def _times(pairs: tuple[str, ...]) -> dict[str, str] | None:

@@ -182,8 +182,6 @@ def test_without_a_model_every_way_has_the_rules_of_scenario_and_preset_and_one_
     costs = {"plan": planned.cost} | costs_of_every_way(low_roofs, ends, planned, under, under, tmp_path)
     for planner in ("astar-dist", "astar-plus"):
         costs[planner] = ju.plan(low_roofs, *ends, **where, **under, planner=planner).cost
-    compared = ju.compare(low_roofs, low_roofs, routes=[ends], weights=WEIGHTS, progress=False, **under)
-    costs["compare"] = compared.routes.table.query(f"altitude_m == {ALTITUDE_M}").cost_a.item()
     places = [f"--{name}={lon},{lat}" for name, (lon, lat) in zip(("start", "goal"), ends, strict=True)]
     quick = ("--vary", "gps", "--samples", 2, "--pareto", "distance,gps", "-o", tmp_path / "study-of-one")
     options = ("--altitude", ALTITUDE_M, "--json", *(("--preset", preset) if preset else ()))
@@ -213,12 +211,6 @@ def test_a_preset_sets_only_what_is_left_out(low_roofs, ends):
         3.0,
         10.0,
     )
-
-
-def test_comparing_maps_keeps_a_vehicle_that_closes_nothing(maps, ends):
-    flown = ju.Constraints(vertical_clearance_m=0.0, vehicle=ju.Vehicle(speed_m_s=10.0, max_climb_m_s=2.0))
-    found = ju.compare(maps, maps, routes=[ends], constraints=flown, progress=False)
-    assert found.routes.a[0].settings["limits"]["vehicle_speed_m_s"] == 10.0
 
 
 @pytest.fixture(scope="module")

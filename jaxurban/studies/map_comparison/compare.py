@@ -1,4 +1,4 @@
-"""compare: two sets of maps of one place, cell by cell, by stratum, and by the routes that they lead to."""
+"""compare: two sets of maps of one place, cell by cell."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -15,25 +15,15 @@ from jaxurban.io.files import read_json
 from jaxurban.io.store import RUN_FILE
 from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY
-from jaxurban.metrics.weights import GivenWeights
-from jaxurban.paths.constraints import Constraints
-from jaxurban.paths.preset import under_preset, weights_on
-from jaxurban.planners.base import CostKind
-from jaxurban.planners.cost_model import CostModel
-from jaxurban.presets import BUDGET_S
 from jaxurban.progress import Progress, reporting
 from jaxurban.scenario.differences import Differing, differing
-from jaxurban.studies.map_comparison.routes import ComparedRoutes, GivenRoutes, RouteSettings, compare_routes
 from jaxurban.studies.map_comparison.shared_part import SharedPart, shared_part
 from jaxurban.studies.montecarlo.run import MapsFolder
-from jaxurban.studies.montecarlo.strata import STRATA, strata_of
-from jaxurban.world.city import LandCover
 from jaxurban.world.grid import Grid
 from jaxurban.world.show import Shown
 
 CLOSED = "closed"  # the layer of cells that no planner enters, beside ``obstacle``, the metrics' rule
 MASKS = ("obstacle", CLOSED)
-EVERYWHERE = "all"  # the stratum of all cells
 SAME = 1e-6  # values that differ by no more, as on another device, have not changed
 QUANTILES = (0.05, 0.5, 0.95)
 
@@ -53,12 +43,11 @@ class MapComparison(Shown):
     Attributes:
       part: the maps, cut to what they share.
       names: what A and B are called.
-      table: a row a layer, altitude, time, time of day and stratum (of A; ``all`` first): ``cells`` that are free (by
-        the rule of ``obstacle``) and hold a number in both, ``mean``, ``median``, ``p05``, ``p95`` and ``rms`` of B - A
+      table: a row a layer, altitude, time and time of day: ``cells`` that are free (by the rule of ``obstacle``) and
+        hold a number in both, ``mean``, ``median``, ``p05``, ``p95`` and ``rms`` of B - A
         in the layer's ``unit``, ``share_changed``, the share of cells that differ by more than ``tolerance``. Of
         ``obstacle`` and of ``closed`` (cells that no planner enters) the cells are all with data in both; ``gained``
         and ``lost`` count those blocked in B alone and in A alone.
-      routes: what becomes of routes; None where none were asked for.
       settings: of the scenarios that made the maps, A's and B's value by dotted key where they differ; None where one
         of them was not made by `jaxurban maps`.
       tolerance: up to which values are the same.
@@ -67,7 +56,6 @@ class MapComparison(Shown):
     part: SharedPart
     names: tuple[str, str]
     table: pd.DataFrame
-    routes: ComparedRoutes | None = None
     settings: Differing | None = field(default_factory=dict)
     tolerance: float = SAME
 
@@ -93,18 +81,21 @@ class MapComparison(Shown):
 
     @property
     def facts(self) -> dict[str, str]:
-        """What is compared, how much of it changed, and what the routes do."""
+        """What is compared, and how much of it changed."""
         held = self.a.facts
-        whole = self.table[self.table.stratum == EVERYWHERE]
-        changed = whole.groupby("layer", sort=False)["share_changed"].max()
         facts = {"A": self.names[0], "B": self.names[1]} | {name: held[name] for name in ("grid", "CRS", "altitudes")}
         facts["times"] = ", ".join(
             of_a if of_a == of_b else f"{of_a} of A beside {of_b} of B" for of_a, of_b in self.part.times.items()
         )
-        facts["cells changed, at most"] = ", ".join(f"{name} {share:.1%}" for name, share in changed.items())
+        facts["cells changed, at most"] = ", ".join(f"{name} {share:.1%}" for name, share in self.most_changed.items())
         facts["left out"] = ", ".join(self.part.left_out)
         facts["settings that differ"] = ", ".join(self.settings or ())
-        return facts | ({} if self.routes is None else {"routes": self.routes.sentence})
+        return facts
+
+    @property
+    def most_changed(self) -> pd.Series:
+        """By layer, the largest share of cells that changed in any of its maps."""
+        return self.table.groupby("layer", sort=False)["share_changed"].max()
 
     def places(self, layer: str) -> list[Place]:
         """Return the maps of a layer that are compared."""
@@ -157,35 +148,20 @@ def compare(
     maps_a: GivenMaps | MapsFolder,
     maps_b: GivenMaps | MapsFolder,
     *,
-    routes: GivenRoutes = 0,
     times: Mapping[str, str] | None = None,
-    weights: GivenWeights = None,
-    cost_model: CostModel | CostKind | None = None,
-    constraints: Constraints | None = None,
-    preset: str = "",
-    snap: bool | float = False,
-    budget_s: float = BUDGET_S,
-    cover: LandCover | None = None,
     tolerance: float = SAME,
-    seed: int = 0,
     progress: Progress = True,
 ) -> MapComparison:
-    """Return how maps B differ from maps A: cell by cell, by stratum and altitude, and in the routes that they lead to.
+    """Return how maps B differ from maps A, cell by cell.
 
     Both must lie on one CRS and resolution; what is compared are the cells, altitudes, times and layers that both hold.
 
     Args:
       maps_a, maps_b: from `build_maps` or `open_maps`, or folders of one resolution's maps; a `MapsFolder` where a
         folder holds several, or planners are to keep another rule of obstacles.
-      routes: how many to sample at each altitude (`sample_instances`, between cells that are free in both); or pairs of
-        places or a table as `plan_many` takes them, or instances; without an altitude they are planned at each.
       times: B's time by A's, to set maps of different times beside each other; left out, the times that both hold, and
         where each holds a single one, these two.
-      weights, cost_model, constraints, preset, snap, budget_s: of the routes on both, as in `plan_many`, what is left
-        out as A's scenario gives it; a route's weights may be its own. They count the metrics that both hold.
-      cover: water and parks, which are strata of their own then.
       tolerance: by how much values may differ, in their unit, and have not changed.
-      seed: of sampled routes.
       progress: as in `jaxurban.progress.reporting`.
 
     Raises:
@@ -195,22 +171,17 @@ def compare(
     if tolerance < 0:
         raise InputError(f"tolerance must not be negative, got {tolerance:g}")
     a, b = (maps.open() if isinstance(maps, MapsFolder) else as_maps(maps) for maps in (maps_a, maps_b))
-    a, model, limits = under_preset(preset, a, cost_model, constraints)
-    b = b.with_obstacles(b.rule or a.obstacles)
-    chosen = RouteSettings(weights_on(a, weights), model, limits, snap, budget_s, seed)
-    part = shared_part(a, b, times)
+    part = shared_part(a, b.with_obstacles(b.rule or a.obstacles), times)
+    rows: list[dict[str, Any]] = []
     with reporting("compare", progress) as report:
-        strata = strata_of(a, cover)[part.a.grid.window_in(a.grid)]
-        rows: list[dict[str, Any]] = []
         for number, layer in enumerate(names := layers_of(part)):
             report("layers", number, len(names))
-            rows += _rows(part, layer, strata, tolerance)
+            rows += _rows(part, layer, tolerance)
         report("layers", len(names), len(names))
-        found = compare_routes(part, routes, chosen, strata, cover, report)
     names_of = tuple(_name(maps, other) for maps, other in ((maps_a, "A"), (maps_b, "B")))
     held = [_settings(maps) for maps in (maps_a, maps_b)]
     settings = None if held[0] is None or held[1] is None else differing(held[0], held[1])
-    return MapComparison(part, (names_of[0], names_of[1]), pd.DataFrame(rows), found, settings, tolerance)
+    return MapComparison(part, (names_of[0], names_of[1]), pd.DataFrame(rows), settings, tolerance)
 
 
 def layers_of(part: SharedPart) -> tuple[str, ...]:
@@ -258,16 +229,12 @@ def _blocked(maps: MetricMaps, layer: str, altitude_m: float) -> np.ndarray:
     return ~maps.is_free(altitude_m) if layer == CLOSED else maps.m(layer, altitude_m) != 0
 
 
-def _rows(part: SharedPart, layer: str, strata: np.ndarray, tolerance: float) -> Iterator[dict[str, Any]]:
-    """Yield the rows of a layer's maps, each over all cells and over each stratum that has any."""
+def _rows(part: SharedPart, layer: str, tolerance: float) -> Iterator[dict[str, Any]]:
+    """Yield the row of each of a layer's maps."""
     for place in _places(part, layer):
         change = _difference(part, layer, place)
-        is_known = ~np.isnan(change)
-        for stratum in (EVERYWHERE, *STRATA):
-            chosen = is_known if stratum == EVERYWHERE else is_known & (strata == STRATA.index(stratum))
-            if stratum == EVERYWHERE or chosen.any():
-                head = {"layer": layer, "unit": unit_of(part.a, layer), **place._asdict(), "stratum": stratum}
-                yield head | _statistics(change[chosen], tolerance, layer in MASKS)
+        head = {"layer": layer, "unit": unit_of(part.a, layer), **place._asdict()}
+        yield head | _statistics(change[~np.isnan(change)], tolerance, layer in MASKS)
 
 
 def _statistics(values: np.ndarray, tolerance: float, is_mask: bool) -> dict[str, Any]:
