@@ -147,6 +147,8 @@ class Metric:
         "" where that is m above a threshold.
       is_monotone: one more satellite in view never makes m less, so that roofs from above and below bracket it.
       caveat: what every output of it says to whoever reads it.
+      cell_bytes: what computing it holds at its highest, of each cell of a tile and of those within its reach; with a
+        time, ``jaxurban.maps.memory`` adds what each altitude and each time of a series take.
     """
 
     name: str
@@ -166,6 +168,7 @@ class Metric:
     available: str = ""
     is_monotone: bool = True
     caveat: str = ""
+    cell_bytes: int = 16
 
     def __repr__(self) -> str:
         return f"<{self.label}: 1 means {self.one_means}>"

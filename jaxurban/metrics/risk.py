@@ -229,4 +229,5 @@ METRIC = Metric(
     one_means="no obstacle within the threshold",
     colour="#009e73",
     colour_map="inferno",
+    cell_bytes=64,  # squared distances and what a pass over them holds
 )

@@ -28,7 +28,6 @@ from jaxurban.io.workspace import Workspace
 from jaxurban.maps.build import map_guesses, view_sky
 from jaxurban.maps.dataset import PLANE, empty_dataset, variables, with_series
 from jaxurban.maps.disk import check_disk
-from jaxurban.maps.duration import foretold_s, told
 from jaxurban.maps.executors import (
     Resources,
     each_in_threads,
@@ -159,7 +158,7 @@ def run_scenario(
 
     Finished resolutions, tiles and files of the same inputs are kept, once all of them have been read; what is
     damaged or missing is named in the log and made anew, and nothing half-written is taken for finished. One sentence
-    there tells size, memory and disk before the work begins.
+    there says how large the region is and how much memory it takes before the work begins.
 
     Args:
       scenario: the settings.
@@ -201,9 +200,8 @@ def _run(
         if resources.cluster is None:
             at_most = resources.num_workers, resources.num_processes or 0, resources.gpus
             plan = plan_run(tasks, resources.memory_bytes, *at_most)
-        disk_bytes = check_disk(tasks, folder, layers, plan.num_workers)
-        duration_s = foretold_s(tasks, layers, min(plan.num_at_once, num_cores()))
-        LOG.info(plan_sentence(tasks, plan, disk_bytes, told(duration_s)))
+        check_disk(tasks, folder)
+        LOG.info(plan_sentence(tasks, plan))
         if (resources.num_processes or 1) > plan.num_at_once:
             LOG.warning(
                 f"--workers {resources.num_processes} brings nothing here: no more than {plan.num_at_once} "

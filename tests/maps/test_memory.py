@@ -67,7 +67,7 @@ def test_no_more_tiles_at_a_time_are_told_than_there_are():
     task = MapTask(city, region, Sky(("",), (), np.empty((1, 0)), np.empty((1, 0)), (), np.empty((1, 0))), MapParams())
     plan = plan_run([task], None, 2)
     assert (plan.num_workers, plan.num_at_once) == (2, 1)  # two threads write GeoTIFFs
-    assert "90,000 cells, 1 tile at a time" in plan_sentence([task], plan, GIB, "a few seconds")
+    assert "90,000 cells, 1 tile at a time" in plan_sentence([task], plan)
     assert plan_run([replace(task, region=replace(region, num_rows=3000))], None, 2).num_at_once == 2
 
 

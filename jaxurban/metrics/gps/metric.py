@@ -48,4 +48,5 @@ METRIC = Metric(
     colour_map="viridis",
     also={**dict.fromkeys(DOPS, np.float32), "num_visible": np.uint8},
     also_under=_also_under,
+    cell_bytes=72,  # DOPs, m, and both weighted ones once more
 )

@@ -39,4 +39,5 @@ METRIC = Metric(
     available=WITHIN_LIMITS,
     is_monotone=False,
     caveat=CAVEAT,
+    cell_bytes=40,  # the distinct patterns at worst, their number in each cell, and one altitude's maps
 )
