@@ -1,8 +1,8 @@
 """CostMap: metric maps at one altitude, or between several, under weights, ready for any number of queries."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property, partial
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.finish import finish
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.preset import under_preset, weights_on
-from jaxurban.paths.reachability import Reachability, islands_of, levels_that_join
+from jaxurban.paths.reachability import islands_at, islands_of, what_would_join
 from jaxurban.paths.read_costs import When, check_memory, costs_at
 from jaxurban.paths.search import PathSearch
 from jaxurban.paths.snapping import XY, Place, Point, free_place, joined_ends, pocket_note
@@ -173,7 +173,7 @@ class CostMap(Shown):
           InputError: a weight that is none, or of a metric that the maps lack.
         """
         other = replace(self, weights=weights_on(self.maps, weights), is_prepared=False)
-        vars(other).update(shortest=self.shortest, reachability=self.reachability, terrain_m=self.terrain_m)
+        vars(other).update(shortest=self.shortest, terrain_m=self.terrain_m)
         return other
 
     def prepare(self) -> "CostMap":
@@ -189,7 +189,7 @@ class CostMap(Shown):
             raise InputError("landmarks are for one altitude: leave prepare() out of a map between levels")
         make_landmarks(self.problem)
         prepared = replace(self, is_prepared=True)
-        vars(prepared).update(problem=self.problem, shortest=self.shortest, reachability=self.reachability)
+        vars(prepared).update(problem=self.problem, shortest=self.shortest)
         return prepared
 
     def cost_of(self, name: str) -> float:
@@ -244,6 +244,11 @@ class CostMap(Shown):
     def islands(self) -> np.ndarray:
         """``[Y, X]`` or ``[K, Y, X]`` the number of the island of joined free cells, 0 where a cell is closed."""
         return islands_of(self.is_free, self.cost_model.joins_corners and not self.leg_margin_m)
+
+    @cached_property
+    def islands_at(self) -> Callable[[tuple[float, ...], bool], np.ndarray]:
+        """The islands of other levels, with or without the clearances, each made once (`reachability.islands_at`)."""
+        return cache(partial(islands_at, self))
 
     @property
     def leg_margin_m(self) -> float:
@@ -321,17 +326,10 @@ class CostMap(Shown):
             found = refine_path(problem, found, budget_s=max(left_s, search.budget_s * REFINING_SHARE / 2))
         return finish(self, found, ends, search)
 
-    @cached_property
-    def reachability(self) -> Reachability:
-        """What joins places on these maps."""
-        return Reachability(self.maps, self.constraints, self.time, self.time_of_day, self.cost_model.joins_corners)
-
     def what_would_join(self, start: Place, goal: Place) -> str:
         """Return a sentence on what would join two places that nothing joins."""
         pocket = pocket_note(start, goal, self.islands, self.grid)
-        if self.levels is None:
-            return f"{pocket} {self.reachability.what_would_join(start.cell, goal.cell, self.altitude_m)}".strip()
-        return f"{pocket} {levels_that_join(self.reachability, start.cell, goal.cell, self.altitudes_m)}".strip()
+        return f"{pocket} {what_would_join(self, start.cell, goal.cell)}".strip()
 
     def means(self, features: PathFeatures) -> dict[str, float]:
         """Return the mean of each metric m along a path, by the exact length in each cell."""

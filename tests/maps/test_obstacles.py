@@ -11,6 +11,7 @@ import jaxurban as ju
 from jaxurban.errors import InputError
 from jaxurban.paths import reachability
 from jaxurban.paths.queries import XY
+from jaxurban.paths.reachability import islands_of
 from jaxurban.planners.base import Status
 from jaxurban.planners.registry import PLANNERS
 from jaxurban.world.city import Buildings
@@ -84,9 +85,11 @@ def test_no_path_says_what_would_join_start_and_goal():
     path = ju.plan(maps, **ENDS, altitude_m=20.0)
     assert path.status is Status.NO_PATH
     message = path.to_dict()["message"]
-    assert "joined under obstacles = centre" in message
-    assert "at 60 m" in message
-    assert "Finer maps" in message
+    assert "but not joined without a clearance" in message
+    assert "Start and goal are joined at 60 m" in message
+    assert "Finer maps or obstacles = centre (--obstacles centre) may join them too" in message
+    by_centre = walled((-50, 95.0, 250, 105.0)).with_obstacles("centre")
+    assert "obstacles = centre" not in ju.plan(by_centre, **ENDS, altitude_m=20.0).to_dict()["message"]
     assert ju.plan(maps.with_obstacles("centre"), **ENDS, altitude_m=20.0).status is Status.OPTIMAL
 
 
@@ -94,64 +97,43 @@ def test_no_path_tells_what_would_not_help_either():
     maps = walled((-50, 95.0, 250, 105.0), height_m=90.0)
     path = ju.plan(maps, **ENDS, altitude_m=20.0)
     message = path.to_dict()["message"]
-    assert "not joined under obstacles = centre" in message
-    assert "nor at a greater altitude of these maps" in message
-
-
-def test_no_path_looks_at_the_finer_maps_of_its_folder(tmp_path):
-    walls = (-50, 97.6, 97.4, 102.4), (103.5, 97.6, 250, 102.4)
-    for resolution_m in (5.0, 1.0):
-        walled(*walls, resolution_m=resolution_m, altitudes_m=(20.0,)).save(tmp_path)
-    path = ju.plan(ju.open_maps(tmp_path, 5.0), **ENDS, altitude_m=20.0)
-    assert path.status is Status.NO_PATH
-    assert "in cells of 1 m" in path.to_dict()["message"]
-    assert "Finer maps" not in path.to_dict()["message"]
-    assert ju.plan(ju.open_maps(tmp_path, 1.0), **ENDS, altitude_m=20.0).status is Status.OPTIMAL
-    for file in (tmp_path / "maps.zarr" / "1m" / "roof_touched").glob("[0-9]*"):
-        file.unlink()
-    path = ju.plan(ju.open_maps(tmp_path, 5.0), **ENDS, altitude_m=20.0)
-    assert path.status is Status.NO_PATH
-    assert "Finer maps" in path.to_dict()["message"]
+    assert "not joined without a clearance nor at a greater altitude of these maps" in message
 
 
 def test_a_climb_between_cells_that_only_a_touch_closes_says_so():
     maps = walled((-50, 97.6, 97.4, 102.4), (103.5, 97.6, 250, 102.4))
     path = plan_volume(maps, **ENDS, max_altitude_m=20.0)
     assert path.status is Status.NO_PATH
-    assert "joined under obstacles = centre" in path.to_dict()["message"]
-    assert "and with max_altitude_m 60" in path.to_dict()["message"]
+    assert "joined with max_altitude_m 60, but not joined without a clearance" in path.to_dict()["message"]
     assert plan_volume(maps, **ENDS, max_altitude_m=60.0).status is Status.OPTIMAL
 
 
 def test_a_climb_that_no_greater_altitude_joins_says_so():
     maps = walled((-50, 95.0, 250, 105.0), height_m=90.0, altitudes_m=(20.0, 40.0, 60.0))
     message = plan_volume(maps, **ENDS, max_altitude_m=40.0).to_dict()["message"]
-    assert "nor at any greater altitude of these maps" in message
+    assert "nor at a greater altitude of these maps" in message
     top = plan_volume(maps, **ENDS).to_dict()["message"]
     assert "altitude of these maps" not in top
 
 
-def test_what_would_join_is_found_once_for_a_batch(tmp_path, monkeypatch):
-    for resolution_m in (5.0, 1.0):
-        walled((-50, 97.6, 97.4, 102.4), (103.5, 97.6, 250, 102.4), resolution_m=resolution_m).save(tmp_path)
-    maps = ju.open_maps(tmp_path, 5.0)
-    opened = []
+def test_what_would_join_is_found_once_for_a_batch(monkeypatch):
+    maps, labelled = walled((-50, 97.6, 97.4, 102.4), (103.5, 97.6, 250, 102.4)), []
 
-    def open_and_count(*args, **how):
-        opened.append(args)
-        return ju.open_maps(*args, **how)
+    def label_and_count(is_free, cuts_corners):
+        labelled.append(is_free)
+        return islands_of(is_free, cuts_corners)
 
-    monkeypatch.setattr(reachability, "open_maps", open_and_count)
+    monkeypatch.setattr(reachability, "islands_of", label_and_count)
     ends = pd.DataFrame([[*ENDS["start_xy_m"], *ENDS["goal_xy_m"]]] * 3, columns=list(XY))
     answers = ju.plan_many(maps, ends, altitude_m=20.0, progress=False).to_dataframe()
-    assert all("in cells of 1 m" in message for message in answers["message"])
-    assert len(opened) == 1
+    assert all("joined at 60 m" in message for message in answers["message"])
+    assert len(labelled) == 2  # without a clearance, and at 60 m
 
 
 def test_a_study_of_a_route_that_is_not_there_says_what_would_join_its_ends():
     maps = walled((-50, 97.6, 97.4, 102.4), (103.5, 97.6, 250, 102.4))
     ends = {name.removesuffix("_xy_m"): maps.grid.lonlat_of_xy(*xy_m) for name, xy_m in ENDS.items()}
-    with pytest.raises(InputError, match="joined under obstacles = centre"):
+    with pytest.raises(InputError, match="joined at 60 m"):
         ju.sensitivity(ju.cost_map(maps, 20.0), **ends)
 
 
