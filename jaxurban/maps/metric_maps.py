@@ -331,8 +331,8 @@ class MetricMaps(Shown):
         with Workspace.open(folder, "maps", is_shared=True) as workspace:
             workspace.check_way(geotiffs)
             ds = self.ds.copy()
-            if RUN_KEY in ds.attrs and not is_of_run(folder / RUN_FILE, ds.attrs[RUN_KEY]):
-                del ds.attrs[RUN_KEY]
+            if RUN_KEY in ds.attrs:  # a run's own folder has the settings in its record, and needs no key of another's
+                ds.attrs.pop("settings" if is_of_run(folder / RUN_FILE, ds.attrs[RUN_KEY]) else RUN_KEY, None)
             write_zarr(ds, folder)
             write_geotiffs(ds, folder, layers=layers)
             if not are_of_a_run(folder):
