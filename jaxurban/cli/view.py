@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 @OBSTACLES
 @PRESET
 @click.option("--other", type=PATH, metavar="DIR", help="Further maps, to look at differences.")
-@click.option("--study", type=PATH, metavar="DIR", help="What `jaxurban sensitivity` wrote of one route.")
 @click.option("--export", type=PATH, metavar="PAGE.html", help="Write one file to look at, and end.")
 @click.option(
     "--size", "size_mib", type=click.FloatRange(min=1), default=25, show_default=True, help="MiB of --export at most."
@@ -39,14 +38,13 @@ def view(
     obstacles: str | None,
     preset: str | None,
     other: Path | None,
-    study: Path | None,
     export: Path | None,
     size_mib: float,
     port: int,
     no_browser: bool,
 ) -> int:
     """Look at the maps in DIR and plan on them, in a browser on this machine; Ctrl-C ends it."""
-    opened = partial(_viewer, folder, resolution_m, obstacles, preset, other, study)
+    opened = partial(_viewer, folder, resolution_m, obstacles, preset, other)
     viewer = opened()
     if export is not None:
         from jaxurban.viewer.export import write_page
@@ -70,12 +68,7 @@ def view(
 
 
 def _viewer(
-    folder: Path,
-    resolution_m: float | None,
-    obstacles: str | None,
-    preset: str | None,
-    other: Path | None,
-    study: Path | None,
+    folder: Path, resolution_m: float | None, obstacles: str | None, preset: str | None, other: Path | None
 ) -> "Viewer":
     """Return the viewer of maps in a folder, which plans as the maps were made to be planned on."""
     from jaxurban.maps.metric_maps import open_maps
@@ -83,7 +76,6 @@ def _viewer(
     from jaxurban.studies.map_comparison.shared_part import shared_part
     from jaxurban.viewer.outlines import Outlines
     from jaxurban.viewer.plans import PlanDefaults
-    from jaxurban.viewer.study import WeightStudy
     from jaxurban.viewer.viewer import Viewer
 
     maps = open_maps(folder, resolution_m, obstacles=obstacles)  # type: ignore[arg-type]
@@ -100,7 +92,6 @@ def _viewer(
         maps,
         others,
         defaults=defaults,
-        study=None if study is None else WeightStudy.read(study),
         outlines=Outlines(partial(_city, folder)) if maps.recorded else None,
         names=(folder.resolve().name, "" if other is None else other.resolve().name),
     )

@@ -1,4 +1,4 @@
-"""Pieces of the page that Python writes: lists to choose from, legends, tables, the profile and the triangle."""
+"""Pieces of the page that Python writes: lists to choose from, legends, tables and the profile."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -15,7 +15,6 @@ WIDE, HIGH, TOP, MIDDLE, BOTTOM = 1000, 150, 7, 62, 134  # of the profile: its s
 METRICS_HIGH, LETTERS = 52, 14  # of the profile: pixels of its lower panel and of a line of text
 GUESSED_COLOUR = "#b9a473"
 MOST_STEPS = 1000  # of a line of the profile
-CORNERS = np.array([[0.0, 0.866], [1.0, 0.866], [0.5, 0.0]])  # of the triangle on the page
 
 
 def number(value: float | None) -> str:
@@ -186,25 +185,3 @@ def _distances(total_m: float) -> list[tuple[float, str]]:
     step_m = next(factor * power for factor in (1, 2, 5, 10) if factor * power * 6 >= total_m)
     unit, unit_m = ("km", 1000) if total_m >= 1000 else ("m", 1)
     return [(k * step_m, f"{k * step_m / unit_m:g} {unit}") for k in range(int(total_m / step_m) + 1)]
-
-
-def triangle(names: Sequence[str], cells: Iterable[tuple[np.ndarray, str]], given: np.ndarray) -> str:
-    """Return the triangle of three weights as SVG.
-
-    Args:
-      names: of the weights.
-      cells: ``[V, 3]`` corners of each cell, as shares of the weights, and its colour.
-      given: ``[3]`` shares of the weights that were given.
-    """
-    drawn = "".join(
-        f'<polygon points="{" ".join(f"{x:.4f},{y:.4f}" for x, y in corners @ CORNERS)}" fill="{colour}" tabindex="0" '
-        f'role="button" aria-label="route {k + 1}"/>'
-        for k, (corners, colour) in enumerate(cells)
-    )
-    words = "".join(
-        f'<text x="{x}" y="{y + drop}" text-anchor="middle">all on {escape(name)}</text>'
-        for name, (x, y), drop in zip(names, CORNERS.tolist(), (0.07, 0.07, -0.02), strict=True)
-    )
-    x, y = given @ CORNERS
-    look = 'fill="#fff" stroke="#000" stroke-width="0.008" pointer-events="none"'
-    return f'{drawn}{words}<circle cx="{x:.4f}" cy="{y:.4f}" r="0.016" {look}/>'

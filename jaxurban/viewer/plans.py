@@ -23,17 +23,14 @@ from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.preset import under_preset, weights_on
 from jaxurban.paths.simplify import simplify
 from jaxurban.paths.vehicle import Vehicle
-from jaxurban.planners.base import Problem
 from jaxurban.planners.cost_model import CostModel
 from jaxurban.planners.registry import find_planner
 from jaxurban.presets import BUDGET_S, DEFAULTS
 from jaxurban.viewer.layers import Place
 from jaxurban.viewer.requests import Plan
-from jaxurban.viewer.tiles import middles
 
 ZONES_FILE = "zones.geojson"  # what the page saves drawn zones as, and the command names
 SAMPLING_BUDGET_S = 2.0  # sampling planners take all that they may
-COARSE_CELLS = 150_000  # of the level that is planned on while something is dragged
 NUM_COST_MAPS, NUM_ROUTES = 2, 16  # that are kept
 Made = TypeVar("Made")
 
@@ -74,7 +71,6 @@ class Plans:
         self.maps, self.defaults = maps, defaults
         self._lock = RLock()
         self._cost_maps: OrderedDict[Hashable, CostMap] = OrderedDict()
-        self._coarse: OrderedDict[Hashable, Problem] = OrderedDict()
         self._routes: OrderedDict[Hashable, PlannedPath] = OrderedDict()  # without their cost maps, which are large
         self._reports: OrderedDict[Hashable, RouteReport] = OrderedDict()
 
@@ -92,32 +88,6 @@ class Plans:
 
         with self._lock:
             return _kept(self._routes, query.model_dump_json(), NUM_ROUTES, make)
-
-    def coarse_route(self, query: Plan, at: Place) -> tuple[np.ndarray, float]:
-        """Return the ``[N, 2]`` easting and northing of the cheapest route over every n-th cell, and how long they are.
-
-        What is shown while a slider or an end is dragged: under the cost model ``cell`` each of the larger steps counts
-        for the n that it stands for. The ends lie where they were asked for. Empty where those cells do not join them.
-        """
-        with self._lock:
-            on = self._cost_map(query, at)
-            grid, stride = on.grid, 1
-            while on.is_free.size > COARSE_CELLS * stride**2:
-                stride *= 2
-            rows, cols = (middles(size, stride) for size in grid.shape)
-            problem = _kept(self._coarse, self._key(query, at), NUM_COST_MAPS, lambda: _thinned(on, rows, cols, stride))
-            weights = on.weight_vector.copy()
-            weights[1:] *= stride if on.cost_model.kind == "cell" else 1
-            ends = [on.cell_of(name, place) for name, place in (("start", query.start), ("goal", query.goal))]
-            free = np.argwhere(problem.is_free)
-            nearest = [free[np.abs(free - np.array(cell) // stride).max(axis=1).argmin()].tolist() for _, cell in ends]
-            asked = problem.with_weights(weights).between(*(tuple(cell) for cell in nearest))
-            found = find_planner("astar-plus", "plus")(asked, budget_s=BUDGET_S, seed=0)
-            if not found.status.has_path:  # streets narrower than the large cells may join what these do not
-                return np.empty((0, 2)), stride * grid.resolution_m
-            corner = np.array([grid.x_min_m, grid.y_min_m])
-            points = [np.array([xy_m]) for xy_m, _ in ends]
-            return np.concatenate([points[0], found.points_m + corner, points[1]]), stride * grid.resolution_m
 
     def report(self, query: Plan, at: Place) -> tuple[RouteReport, PlannedPath]:
         """Return a route explained, with what its pilot should know, and the route.
@@ -198,11 +168,9 @@ class Plans:
         for name in query.weights:
             one_of("weight", name, ("distance", *self.maps.metrics))
         weights = Weights.of({**self.defaults.weights.to_dict(), **query.weights})
-        on = _kept(self._cost_maps, self._key(query, at), NUM_COST_MAPS, lambda: self._made(query, at))
+        key = at, query.cost_model, query.obstacles, query.clearance_m, query.zones
+        on = _kept(self._cost_maps, key, NUM_COST_MAPS, lambda: self._made(query, at))
         return on.with_weights(weights)
-
-    def _key(self, query: Plan, at: Place) -> Hashable:
-        return at, query.cost_model, query.obstacles, query.clearance_m, query.zones
 
     def _made(self, query: Plan, at: Place) -> CostMap:
         settings = self.defaults.cost_model.settings | {"cost_model": query.cost_model}
@@ -242,15 +210,6 @@ def _kept(held: OrderedDict[Hashable, Made], key: Hashable, most: int, make: Cal
 
 def _budget_s(planner: str) -> float:
     return SAMPLING_BUDGET_S if planner.startswith("bitstar") else BUDGET_S
-
-
-def _thinned(on: CostMap, rows: np.ndarray, cols: np.ndarray, stride: int) -> Problem:
-    is_free = on.is_free[np.ix_(rows, cols)]
-    if not is_free.any():
-        raise InputError("no cell is free at this altitude: fly higher, or loosen the constraints")
-    first = tuple(np.argwhere(is_free)[0].tolist())
-    costs, side_m = on.costs[:, rows[:, None], cols], stride * on.grid.resolution_m
-    return Problem(costs, is_free, first, first, side_m, on.weight_vector, on.cost_model)
 
 
 def _check_zones(text: str) -> None:

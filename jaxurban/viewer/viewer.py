@@ -22,7 +22,7 @@ from jaxurban.planners.registry import PLANNERS
 from jaxurban.report.figures.metrics import DOP_NAMES, line_colour
 from jaxurban.report.figures.notes import guesses_said, place_said, rules_said, time_said
 from jaxurban.report.figures.paths import planner_colours
-from jaxurban.viewer.coordinates import LonLatFit
+from jaxurban.viewer.coordinates import lonlat_fit
 from jaxurban.viewer.layers import (
     H_NORM,
     Layer,
@@ -47,7 +47,6 @@ from jaxurban.viewer.markup import (
 from jaxurban.viewer.outlines import Outlines
 from jaxurban.viewer.plans import PlanDefaults, Plans
 from jaxurban.viewer.requests import Box, Cell, Nothing, Plan, Request, Save, Shown, Tile, Which, parse
-from jaxurban.viewer.study import WeightStudy
 from jaxurban.viewer.tiles import TILE, Kept, strides_of, tile_bytes
 
 JSON, BYTES = "application/json", "application/octet-stream"
@@ -79,7 +78,6 @@ class Viewer:
       maps: that are looked at and planned on.
       other: further maps of the same cells, altitudes and times, whose layers can be taken off.
       defaults: what routes are planned under at first; left out, `PlanDefaults.of` the maps.
-      study: of the weights of a route over these maps.
       outlines: of the buildings.
       names: what the maps, and the others, are called.
 
@@ -93,12 +91,11 @@ class Viewer:
         other: MetricMaps | None = None,
         *,
         defaults: PlanDefaults | None = None,
-        study: WeightStudy | None = None,
         outlines: Outlines | None = None,
         names: tuple[str, ...] = ("the maps", "the other maps"),
     ) -> None:
         self.runs = [maps] if other is None else [maps, other]
-        self.names, self.study, self.outlines = names[: len(self.runs)], study, outlines or Outlines()
+        self.names, self.outlines = names[: len(self.runs)], outlines or Outlines()
         self.plans = Plans(maps, defaults or PlanDefaults.of(maps))
         self.layers = [layers_of(each) for each in self.runs]
         self.kept, self.key = Kept(), uuid4().hex
@@ -108,11 +105,9 @@ class Viewer:
             "tile": (Tile, self.tile),
             "values": (Cell, self.values_at),
             "plan": (Plan, self.plan),
-            "coarse": (Plan, self.coarse),
             "report": (Plan, self.report),
             "save": (Save, self.save),
             "outlines": (Box, self.outlines_in),
-            "study": (Nothing, self.weights),
         }
 
     @property
@@ -154,7 +149,7 @@ class Viewer:
             "cols": grid.num_cols,
             "resolution_m": grid.resolution_m,
             "corner_m": [grid.x_min_m, grid.y_min_m],
-            "lonlat": self.fit.to_dict(),
+            "lonlat": lonlat_fit(grid),
             "layers": [
                 {"name": name, "told": _told(layer), "dims": layer.dims, "unit": layer.unit}
                 for name, layer in layers.items()
@@ -169,7 +164,6 @@ class Viewer:
                 "clearance_m": defaults.clearance_m,
             },
             "has_outlines": self.outlines.are_there,
-            "has_study": self.study is not None,
             "can_plan": True,
             "html": self._texts(north_deg),
         }
@@ -211,11 +205,6 @@ class Viewer:
     @cached_property
     def _colours(self) -> dict[str, str]:
         return {name: line_colour(name) for name in self._labels}
-
-    @cached_property
-    def fit(self) -> LonLatFit:
-        """Longitude and latitude over the region."""
-        return LonLatFit.of(self.maps.grid)
 
     def place(self, at: tuple[int, int, int], dims: tuple[str, ...] = (ALTITUDE, TIME, TIME_OF_DAY)) -> Place:
         """Return altitude, time and time of day by their numbers, those of the dims alone.
@@ -320,11 +309,6 @@ class Viewer:
             "command": self.plans.command(query, at),
         }
 
-    def coarse(self, query: Plan) -> dict[str, Any]:
-        """Return the points of a route over larger cells, and their size."""
-        xy_m, cell_m = self.plans.coarse_route(query, self.place(query.at))
-        return {"planner": query.planner, "has_path": len(xy_m) > 0, "xy_m": xy_m, "cell_m": cell_m}
-
     def report(self, query: Plan) -> dict[str, Any]:
         """Return what a route meets: cautions, totals, the profile and where its crossings lie, its report as text.
 
@@ -364,16 +348,6 @@ class Viewer:
     def outlines_in(self, box: Box) -> dict[str, Any]:
         """Return the outlines of buildings in a part of the region."""
         return self.outlines.within(self.maps.grid, (box.west, box.south, box.east, box.north))
-
-    def weights(self, _: Nothing) -> dict[str, Any]:
-        """Return the triangle of weights of the study.
-
-        Raises:
-          InputError: no study is shown.
-        """
-        if self.study is None:
-            raise InputError("no study of weights is shown: name its folder with --study")
-        return self.study.to_dict(self.maps)
 
 
 def status_said(planned: PlannedPath) -> str:

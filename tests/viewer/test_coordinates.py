@@ -4,7 +4,7 @@ import numpy as np
 import pyproj
 import pytest
 
-from jaxurban.viewer.coordinates import LonLatFit
+from jaxurban.viewer.coordinates import lonlat_fit
 from jaxurban.world.grid import Grid
 
 
@@ -22,11 +22,11 @@ from jaxurban.world.grid import Grid
 def test_the_fit_is_within_a_tenth_of_a_cell_of_proj(crs, corner, size_m, resolution_m):
     first_col, first_row = (int(value / resolution_m) for value in corner)
     size = int(size_m / resolution_m)
-    fit = LonLatFit.of(Grid(crs, resolution_m, first_row, first_col, size, size))
+    fit = lonlat_fit(Grid(crs, resolution_m, first_row, first_col, size, size))
     rng = np.random.default_rng(5)
     u, v = rng.uniform(-1, 1, (2, 2000))
-    terms = u[:, None] ** fit.powers[:, 0] * v[:, None] ** fit.powers[:, 1]
-    x_m, y_m = pyproj.Transformer.from_crs("EPSG:4326", crs, always_xy=True).transform(terms @ fit.lon, terms @ fit.lat)
+    terms = u[:, None] ** fit["powers"][:, 0] * v[:, None] ** fit["powers"][:, 1]
+    to_metres = pyproj.Transformer.from_crs("EPSG:4326", crs, always_xy=True)
+    x_m, y_m = to_metres.transform(terms @ fit["lon"], terms @ fit["lat"])
     off_m = np.hypot(x_m - corner[0] - (u + 1) / 2 * size_m, y_m - corner[1] - (v + 1) / 2 * size_m)
     assert off_m.max() < 0.1 * resolution_m
-    assert fit.worst_cells < 0.1

@@ -187,13 +187,6 @@ def test_new_weights_give_what_a_plan_from_scratch_gives(viewer):
         assert shown["cost"] == scratch.cost
 
 
-def test_the_coarse_route_begins_and_ends_where_it_was_asked_for(viewer):
-    found = answer(viewer, "coarse", **QUERY)
-    assert found["has_path"]
-    ends = np.stack(MAPS.grid.xy_of_lonlat(*np.array(ENDS).T), axis=-1)
-    assert np.allclose(np.array(found["xy_m"])[[0, -1]], ends)
-
-
 def test_a_report_tells_what_the_route_meets(viewer):
     found = answer(viewer, "report", **QUERY)
     assert len(found["xy"]) == len(found["to_share"]) > 10
@@ -278,7 +271,7 @@ def test_of_too_many_outlines_the_largest_are_drawn_and_the_others_counted():
     assert min(areas) == pytest.approx(size_m[500] ** 2, rel=0.02)
 
 
-@pytest.mark.parametrize("name", ["plan", "coarse", "report"])
+@pytest.mark.parametrize("name", ["plan", "report"])
 def test_a_planner_that_is_none_is_refused_everywhere(viewer, name):
     with pytest.raises(InputError, match="planner"):
         viewer.answer(name, QUERY | {"planner": "rm -rf"})
@@ -295,7 +288,7 @@ def test_maps_in_memory_have_no_command():
 
 @pytest.mark.parametrize(
     ("name", "params"),
-    [("tile", {"layer": "gps", "at": [0, 0, 0], "stride": 3, "row": 0, "col": 0}), ("study", {}), ("nothing", {})],
+    [("tile", {"layer": "gps", "at": [0, 0, 0], "stride": 3, "row": 0, "col": 0}), ("nothing", {})],
 )
 def test_what_is_not_there_is_refused(viewer, name, params):
     with pytest.raises(InputError):

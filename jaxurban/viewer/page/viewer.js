@@ -163,9 +163,8 @@ async function start(root, ask) {
     if (state.drawing) line(state.drawing, '#a01830', 1.5);
     const routes = state.routes.map((route, k) => ({ ...route, width: 2.6 + 3 * k })).reverse(); // wide ones below
     for (const { xy_m, width } of routes) line(xy_m, '#fff', width + 2.4);
-    for (const { xy_m, width, planner, cell_m } of routes)
-      line(xy_m, scene.planner_colours[planner], width, { dash: cell_m && [6, 6] });
-    if (state.report && !state.routes[0]?.cell_m) { // what a .plan holds
+    for (const { xy_m, width, planner } of routes) line(xy_m, scene.planner_colours[planner], width);
+    if (state.report) { // what a .plan holds
       line(state.report.mission, '#1f2429', 1.4, { dash: [5, 4] });
       let last = [-99, -99]; // else they would hide the route from afar
       for (const place of state.report.mission) {
@@ -282,7 +281,7 @@ async function start(root, ask) {
     const drag = state.drag, place = toMetres(left, top);
     if (drag) {
       drag.isMoved ||= Math.hypot(left - drag.left, top - drag.top) > 3;
-      if (drag.end && drag.isMoved && isInside(place)) { setEnd(drag.end, place); preview(state.plans); }
+      if (drag.end && drag.isMoved && isInside(place)) setEnd(drag.end, place);
       if (!drag.end && drag.isMoved) {
         view.x -= (left - drag.left) * view.scale;
         view.y += (top - drag.top) * view.scale;
@@ -323,14 +322,6 @@ async function start(root, ask) {
   const isReady = () => state.ends.start && state.ends.goal;
   const placed = route => ({ ...route, xy_m: route.xy_m.map(([x, y]) => [x - west0, y - south0]) });
   const chosen = () => [...is('planners').querySelectorAll(':checked')].map(box => box.value);
-  const preview = latest(async asked => { // until the route itself is asked for
-    if (asked !== state.plans || !isReady()) return;
-    const found = await ask('coarse', query(chosen()[0] ?? 'astar-plus'));
-    if (asked !== state.plans || !found.has_path) return;
-    state.routes = [placed(found)];
-    tell(`Preview on cells of ${found.cell_m} m: let go for the route itself.`);
-    draw();
-  });
   const planAll = latest(async () => {
     const asked = state.plans, found = [], refused = [];
     tell('Planning …');
@@ -341,8 +332,7 @@ async function start(root, ask) {
     tell(refused[0]?.message ?? found.find(route => !route.has_path)?.message ?? '', refused[0]?.isOld);
     showRoutes(found);
   });
-  const warm = () => state.ends.start && guard(ask)('coarse', query('astar-plus')); // makes what the route will need
-  const plan = () => { state.plans++; hint(); if (isReady()) planAll(); else warm(); };
+  const plan = () => { state.plans++; hint(); if (isReady()) planAll(); };
   const showRoutes = (routes, route = routes.find(each => each.has_path) ?? routes[0]) => {
     const marks = route?.has_path ? { start: route.xy_m[0], goal: route.xy_m.at(-1) } : {};
     Object.assign(state, { routes, route, marks, report: null, linked: null, at: -1 });
@@ -433,25 +423,6 @@ async function start(root, ask) {
     state.weights = { ...state.weights, [name]: value };
     slider.previousElementSibling.textContent = number(value);
   };
-  const showStudy = guard(async () => {
-    if (state.study) return;
-    const { cells, svg, hint: told, ends, fields } = state.study = await ask('study', {});
-    is('weigh-hint').textContent = told;
-    is('triangle').innerHTML = svg;
-    setFields(fields);
-    show();
-    const choose = latest(async k => {
-      const { weights: its, html } = cells[k];
-      [...all('polygon')].forEach((cell, each) => cell.classList.toggle('jv-chosen', each === k));
-      for (const name of Object.keys(its)) setWeight(name, its[name]);
-      state.ends = { start: [0, 0], goal: [0, 0] };
-      const request = { ...query('astar-plus'), ...ends }, route = placed(await ask('plan', request));
-      state.ends = { start: route.xy_m[0], goal: route.xy_m.at(-1) };
-      is('weigh-table').innerHTML = html;
-      showRoutes([{ ...route, request }]);
-    });
-    [...all('polygon')].forEach((cell, k) => { cell.onpointerenter = cell.onfocus = () => choose(k); });
-  });
   const setFields = values => Object.entries(values).forEach(([name, value]) =>
     Object.assign(field(name), { [name === 'snap' ? 'checked' : 'value']: value }));
   for (const [name, html] of Object.entries(scene.html)) (is(name) ?? field(name)).innerHTML = html;
@@ -459,19 +430,17 @@ async function start(root, ask) {
   for (const [name, value] of Object.entries(scene.weights)) {
     const slider = field(`weight-${name}`), read = () => setWeight(name,
       slider.value === slider.min ? 0 : Number((10 ** slider.value).toPrecision(3)));
-    slider.oninput = () => { read(); preview(state.plans); };
+    slider.oninput = read;
     slider.onchange = plan;
     setWeight(name, value);
   }
   for (const each of all('select, input:not([type="range"])')) each.onchange = () => { show(); plan(); };
   is('minus').ontoggle = show;
   root.querySelector('nav').hidden = is('minus').hidden = !scene.can_plan;
-  root.querySelector('[data-tab="weigh"]').hidden = !scene.has_study;
   for (const button of all('[data-tab]')) button.onclick = () => {
     state.tab = button.dataset.tab;
     for (const each of all('[data-tab]')) each.ariaSelected = each === button;
     for (const page of all('[data-page]')) page.hidden = page.dataset.page !== state.tab;
-    if (state.tab === 'weigh') showStudy();
   };
   hint();
   fit();
