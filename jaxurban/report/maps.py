@@ -1,7 +1,6 @@
 """summary.md: what the maps and paths of a run show, for a reader new to them."""
 
 from collections.abc import Callable, Mapping, Sequence
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -47,7 +46,6 @@ def summary_markdown(maps: MetricMaps, paths: Paths, run: Mapping[str, Any] | No
     times = listed(time.replace("T", " ").replace("Z", " UTC") for time in maps.times[:3])
     text = fill(
         "summary",
-        opening=_opening(facts),
         width_km=(grid.x_max_m - grid.x_min_m) / 1000,
         height_km=(grid.y_max_m - grid.y_min_m) / 1000,
         west=west,
@@ -66,7 +64,7 @@ def summary_markdown(maps: MetricMaps, paths: Paths, run: Mapping[str, Any] | No
         population=_population_section(maps, run),
         what="Metric maps and paths" if any(paths.values()) else "Metric maps",
         paths=_path_section(maps, paths),
-        pictures=_pictures(maps, facts, paths),
+        pictures=_pictures(maps, paths),
         cautions="".join(f"\n- {line}" for line in (*caveats_said(maps), *_cautions(run))),
     )
     return f"{text}\n"
@@ -109,20 +107,6 @@ def _facts(maps: MetricMaps, altitude_m: float) -> Facts:
     return facts
 
 
-def _opening(facts: Sequence[Facts]) -> str:
-    low, high = (choose(facts, key=lambda fact: fact["altitude_m"]) for choose in (min, max))
-    sentences = []
-    for fact in [low] if len(facts) == 1 else [low, high]:
-        free = "no cell is free"
-        if np.isfinite(fact["gps"]):
-            share = _percent(fact["gps_preferred"])
-            free = f"in the free ones GPS is the better sensor in {share}, lidar in the rest"
-        sentences.append(
-            f"At {fact['altitude_m']:g} m, obstacles take {_percent(fact['obstacle'])} of the cells; {free}."
-        )
-    return " ".join(sentences)
-
-
 def _source_lines(run: Mapping[str, Any]) -> list[str]:
     lines, sources, seconds = [], _look_up(run, "inputs"), _look_up(run, "elapsed_s")
     if sources:
@@ -153,6 +137,8 @@ def _altitude_table(facts: Sequence[Facts]) -> str:
         "mean m_lidar": ("lidar", _thousandths),
         "GPS better": ("gps_preferred", _percent),
         "mean m_risk": ("risk", _thousandths),
+        "too few satellites": ("undetermined", _percent),
+        "correlation of m_gps and m_lidar": ("correlation", lambda value: "-" if np.isnan(value) else f"{value:.2f}"),
     }
     return table(columns, [[show(fact[name]) for name, show in columns.values()] for fact in facts])
 
@@ -179,14 +165,19 @@ def _path_section(maps: MetricMaps, paths: Paths) -> str:
         return ""
     rows = []
     for path in planned:
+        best = min(other.cost for other in paths[path.altitude_m])
         cells = [f"{path.altitude_m:g}", path.settings["time_of_day"] or "-", path.search.planner, path.status.value]
         if path.status.has_path:
-            cells += [f"{path.cost:,.1f}", f"{path.length_m:,.0f}"]
+            cells += [
+                f"{path.cost:,.1f}",
+                _percent(path.cost / best - 1 if best > 0 else np.nan),
+                f"{path.length_m:,.0f}",
+            ]
             cells += [f"{path.metrics[name]:.3f}" for name in maps.metrics]
         else:
-            cells += ["-"] * (2 + len(maps.metrics))
+            cells += ["-"] * (3 + len(maps.metrics))
         rows.append([*cells, f"{path.search.elapsed_s:.3f}"])
-    head = ["altitude (m)", "time of day", "planner", "status", "cost", "length (m)"]
+    head = ["altitude (m)", "time of day", "planner", "status", "cost", "above the cheapest", "length (m)"]
     head += [f"mean m_{name}" for name in maps.metrics] + ["search (s)"]
     settings = planned[0].settings
     weights = ", ".join(f"{name} {value:g}" for name, value in settings["weights"].items())
@@ -205,63 +196,20 @@ def _path_section(maps: MetricMaps, paths: Paths) -> str:
             f" *{Status.OPTIMAL.value}* says that no path of the planner's own graph is cheaper, here "
             f"{listed(f'the {graph}' for graph in graphs)}: a planner that searches others may find a cheaper one."
         )
-    sentences = [_path_sentence(z, paths[z]) for z in maps.altitudes_m if paths.get(z)]
-    return "\n\n".join(("## Paths", words, table(head, rows), bullets(sentences)))
+    return "\n\n".join(("## Paths", words, table(head, rows)))
 
 
-def _path_sentence(altitude_m: float, planned: Sequence[PlannedPath]) -> str:
-    """Return which planners did best at an altitude, by how much, and which found nothing."""
-    found = [path for path in planned if path.status.has_path]
-    failed = [f"{path.search.planner} ended as *{path.status.value}*" for path in planned if not path.status.has_path]
-    parts = []
-    if found:
-        best = min(path.cost for path in found)
-        winners = [path for path in found if path.cost <= best * (1 + 1e-9)]
-        names = listed(path.search.planner for path in winners)
-        parts.append(f"the cheapest path costs {best:,.1f} over {winners[0].length_m / 1000:.2f} km ({names})")
-        parts += [
-            f"{path.search.planner} costs {100 * (path.cost / best - 1):.1f} % more over {path.length_m / 1000:.2f} km"
-            for path in found
-            if all(path is not winner for winner in winners)
-        ]
-    return f"At {altitude_m:g} m " + "; ".join(parts + failed) + "."
-
-
-def _trend(values: Sequence[float], show: Callable[[float], str]) -> str:
-    """Return how numbers change from the first to the last, with both named; differences that do not show count not."""
-    first, last = show(values[0]), show(values[-1])
-    steps = [after - before for before, after in pairwise(values) if show(before) != show(after)]
-    if not steps:
-        return f"stays at {first}"
-    word = "rises" if min(steps) >= 0 else "falls" if max(steps) <= 0 else "varies"
-    return f"{word} from {first} to {last}"
-
-
-def _pictures(maps: MetricMaps, facts: Sequence[Facts], paths: Paths) -> str:
-    facts = sorted(facts, key=lambda fact: fact["altitude_m"])
-    low, high = facts[0], facts[-1]
-    between = f"at {low['altitude_m']:g} m"
-    if len(facts) > 1:
-        between = f"between {low['altitude_m']:g} m and {high['altitude_m']:g} m"
-
-    def trend(name: str, show: Callable[[float], str] = _thousandths) -> str:
-        return _trend([fact[name] for fact in facts], show)
-
+def _pictures(maps: MetricMaps, paths: Paths) -> str:
     texts = {
         "heights": "roof heights on a square-root scale, so that houses and towers can both be told apart.",
-        "obstacle": f"the cells that no path may cross. Their share {trend('obstacle', _percent)} {between}.",
-        "gps": f"how well satellites fix a position. The mean {trend('gps')} {between}; at {low['altitude_m']:g} m "
-        f"{_percent(low['undetermined'])} of the free cells see too few satellites for a fix.",
-        "gps_rating": "the same as classes of GDOP. The share rated good or better "
-        f"{trend('good', _percent)} {between}.",
-        "lidar": f"how much of a scan returns from buildings. The mean {trend('lidar')} {between}: lidar needs walls "
-        "within its range.",
-        "sensor_choice": f"which of the two serves better. The share of free cells where GPS does "
-        f"{trend('gps_preferred', _percent)} {between}.{_correlation_sentence(low)}",
-        "risk": f"the distance to the nearest obstacle, up to the threshold. The mean {trend('risk')} {between}.",
+        "obstacle": "the cells that no path may cross.",
+        "gps": "how well satellites fix a position.",
+        "gps_rating": "the same as classes of GDOP.",
+        "lidar": "how much of a scan returns from buildings: lidar needs walls within its range.",
+        "sensor_choice": "which of GPS and lidar serves better.",
+        "risk": "the distance to the nearest obstacle, up to the threshold.",
+        "population": "people per km² on a logarithmic scale, the same for every time of day.",
     }
-    if maps.times_of_day:
-        texts["population"] = _population_sentence(maps)
     total = (
         f"the sum of the costs of {listed(maps.metrics)}, each weighing 1, from black (best) to white (worst) on one "
         "scale for all altitudes"
@@ -276,27 +224,6 @@ def _pictures(maps: MetricMaps, facts: Sequence[Facts], paths: Paths) -> str:
     texts |= protection_texts(maps)
     drawn = maps_figures(maps, paths)
     return bullets(f"[`{name}.png`](figures/{name}.png): {text}" for name, text in texts.items() if name in drawn)
-
-
-def _correlation_sentence(fact: Facts) -> str:
-    correlation = fact["correlation"]
-    if not np.isfinite(correlation):
-        return ""
-    meaning = (
-        "one tends to be strong where the other is weak"
-        if correlation < -0.1
-        else (
-            "both tend to be strong in the same places" if correlation > 0.1 else "neither tells much about the other"
-        )
-    )
-    return f" At {fact['altitude_m']:g} m their correlation over free cells is {correlation:.2f}: {meaning}."
-
-
-def _population_sentence(maps: MetricMaps) -> str:
-    totals = {name: np.nansum(maps.m("density", time_of_day=name), dtype=np.float64) for name in maps.times_of_day}
-    cell_km2 = maps.grid.resolution_m**2 / 1e6
-    sums = listed(f"{total * cell_km2:,.0f} ({name})" for name, total in totals.items())
-    return f"people per km² on a logarithmic scale, the same for every time of day; in all {sums}."
 
 
 def _cautions(run: Mapping[str, Any]) -> list[str]:
