@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from datetime import UTC, datetime
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -71,11 +70,12 @@ def fetch(
     from jaxurban.io.fetch.staging import SCENARIO_FILE, staged
 
     job = _job(**settings)
-    cache_of = partial(open_cache, most_bytes=job.most_bytes, timeout_s=timeout_s)
     if is_dry_run:
-        with cache_of(is_offline=True) as cache:
-            return _list(job, cache, as_json)
-    with staged(folder, targets(job.what), overwrite=overwrite) as stage, cache_of(is_offline=is_offline) as cache:
+        return _list(job, as_json)
+    with (
+        staged(folder, targets(job.what), overwrite=overwrite) as stage,
+        open_cache(most_bytes=job.most_bytes, timeout_s=timeout_s, is_offline=is_offline) as cache,
+    ):
         record, has_scenario = _fetch(job, stage, cache)
     scenario = folder / SCENARIO_FILE if has_scenario else None
     for note in record["left_out"]:
@@ -121,25 +121,17 @@ def _named_urls(sources: Sequence[str]) -> dict[str, str]:
     return {name.strip(): url.strip() for name, _, url in (text.partition("=") for text in sources)}
 
 
-def _list(job: "FetchJob", cache: "Cache", as_json: bool) -> int:
-    """Show the requests that would be made."""
-    from jaxurban.io.fetch.download import is_fresh
+def _list(job: "FetchJob", as_json: bool) -> int:
+    """Show the requests that would be made, were nothing in the cache."""
     from jaxurban.io.fetch.plan import plan_fetch
 
     plan = plan_fetch(job)
-    rows = []
-    for download in plan.downloads:
-        entry = cache.find(download.url)
-        is_known = entry is not None and is_fresh(entry, download)
-        state = "new" if entry is None else "none: in the cache" if is_known else "only if it has changed"
-        if download.md5_url and not is_known:
-            rows.append({"source": "checksum", "request": "new", "url": download.md5_url})
-        rows.append({"source": download.source.name, "request": state, "url": download.url})
+    rows = [{"source": download.source.name, "url": download.url} for download in plan.downloads]
     if as_json:
         print_json({"requests": rows, "left_out": plan.left_out})
     else:
         for row in rows:
-            print(f"{row['source']}: {row['url']} (request: {row['request']})")
+            print(f"{row['source']}: {row['url']}")
     for note in plan.left_out:
         tell(note)
     return 0

@@ -1,36 +1,65 @@
-"""A polite client: one connection, a bounded number of tries, and a cache in which every file is whole and checked."""
+"""Downloads, one at a time, and a cache in which every file is whole and was read once."""
 
 import hashlib
+import importlib.metadata
 import json
 import os
 import re
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass
 from datetime import UTC, datetime
+from itertools import chain
 from pathlib import Path
-from typing import TypeVar
-from urllib.parse import urlsplit
+from typing import Any
+
+import requests
+from requests.adapters import HTTPAdapter
+from urllib3 import BaseHTTPResponse, Retry
+from urllib3.exceptions import HTTPError
 
 from jaxurban.errors import InputError, reason_of
-from jaxurban.io.fetch.http import OVERRIDE, BusyError, Client
 from jaxurban.io.fetch.sources import Source
-from jaxurban.io.files import digest_of, only_writer, sweep_scraps, whole_file, write_whole
+from jaxurban.io.files import digest_of, only_writer, scratch_for, sweep_scraps, write_whole
 from jaxurban.progress import LOG
 
-FIRST_WAIT_S = 2.0  # before the second try; it doubles with each
-MOST_WAIT_S = 120.0  # a server that asks for more is left for another day
-MOST_TIMEOUT_S = 3600.0
-MOST_CHECKSUM_BYTES = 1000
-OK, NOT_MODIFIED, NOT_FOUND = 200, 304, 404
+CHUNK_BYTES = 1 << 18
+CONNECT_TIMEOUT_S, MOST_TIMEOUT_S = 30.0, 3600.0
+MOST_WAIT_S = 120  # a server that asks for more is left for another day
+MOST_REDIRECTS = 5
+BUSY = (429, 502, 503, 504)
+BACKOFF = 2.0  # the waits before the tries are 0, 4 and 8 s
+OVERRIDE = "another place for the file can be given with --source"
 ELSEWHERE = "set XDG_CACHE_HOME to another folder that can be written to"
-
-Result = TypeVar("Result")
+CERTIFICATES = "check the clock and the certificates of this machine (REQUESTS_CA_BUNDLE)"
+LATER = "run the same command later, or with a longer --timeout"
+NETWORK = "check the network and its proxy (HTTPS_PROXY), and run the same command again, or with --offline"
+REASONS = (  # the first that fits
+    (requests.ReadTimeout, f"sends nothing for too long: {LATER}"),
+    (requests.exceptions.SSLError, f"does not prove who it is: {CERTIFICATES}"),
+    (requests.exceptions.ChunkedEncodingError, "broke off in the middle of the file: run the same command again"),
+    (requests.ConnectionError, f"cannot be reached, falls silent or breaks off: {NETWORK}"),
+    (requests.TooManyRedirects, f"leads in circles (more than {MOST_REDIRECTS} redirects): {OVERRIDE}"),
+)
 
 
 class UnfitError(Exception):
     """What was downloaded is another kind of file, or damaged: the reason, in a few words."""
+
+
+class _Retry(Retry):
+    """Waits as long as a busy server asks, up to `MOST_WAIT_S`."""
+
+    def get_retry_after(self, response: BaseHTTPResponse) -> float | None:
+        wait_s = super().get_retry_after(response)
+        if wait_s is not None and wait_s > MOST_WAIT_S:
+            raise HTTPError(f"it is busy and asks to come again in {wait_s:.0f} s")
+        return wait_s
+
+    def sleep(self, response: BaseHTTPResponse | None = None) -> None:
+        LOG.info("the server is busy; waiting before the next try")
+        super().sleep(response)
 
 
 @dataclass(frozen=True)
@@ -40,28 +69,24 @@ class Download:
     Attributes:
       source: whose it is, and how it wants requests.
       url: where it is.
-      check: raises `UnfitError` or `InputError` for another kind of file, or a damaged one.
-      md5_url: where its MD5 is published, None where it is not.
+      check: reads it; raises for another kind of file, or a damaged one.
     """
 
     source: Source
     url: str
     check: Callable[[Path], object]
-    md5_url: str | None = None
 
 
 @dataclass(frozen=True)
 class CacheEntry:
-    """A file of the cache: its place, whence and when it came, and what tells its version."""
+    """A file of the cache: its place, whence and when it came, and its version; looked after at its time stamp."""
 
     path: Path
     url: str
     fetched_utc: str
-    checked_utc: str
     num_bytes: int
     sha256: str
-    etag: str | None
-    last_modified: str | None
+    etag: str
 
 
 def cache_folder() -> Path:
@@ -75,13 +100,17 @@ class Cache:
 
     Attributes:
       folder: of the cache.
-      client: makes the requests.
+      most_bytes: the largest file accepted.
+      timeout_s: the longest silence of a server.
       is_offline: use what the cache has, however old, and make no request.
+      num_requests: made so far, redirects and further tries not counted.
     """
 
     folder: Path
-    client: Client
+    most_bytes: int
+    timeout_s: float
     is_offline: bool
+    num_requests: int = 0
 
     def get(self, download: Download) -> CacheEntry:
         """Return a file, from the cache where its copy is fresh or the server says that it has not changed.
@@ -90,109 +119,86 @@ class Cache:
           InputError: it cannot be had, or fails its check; the cache is as before.
         """
         url, name = download.url, download.source.name
-        entry = self.find(url)
-        problem = None if entry is None else _problem(download, entry.path)  # another run's checks may have been wider
-        if entry is not None and problem is None and (self.is_offline or is_fresh(entry, download)):
-            LOG.info(f"{name}: the copy of {entry.checked_utc} in the cache ({url})")
-            return entry
-        if self.is_offline:
-            state = "is not in the cache"
-            if problem is not None:
-                state = f"has a copy that does not serve ({problem}) in the cache"
-            raise InputError(
-                f"{url} ({name}) {state} {str(self.folder)!r}: run once without --offline, where there is a network"
-            )
-        md5 = None if download.md5_url is None else self._published_md5(download.md5_url)
-        known = entry if problem is None else None
-        return self._with_tries(url, download.source.num_tries, lambda: self._attempt(download, known, md5))
-
-    def find(self, url: str) -> CacheEntry | None:
-        """Return the cached copy of a URL, None where there is none or it is not as it was."""
-        path = self._path(url)
-        with suppress(OSError, ValueError, TypeError, RecursionError):
-            entry = CacheEntry(path=path, **json.loads(path.with_suffix(".json").read_text(encoding="utf-8")))
-            if _is_sound(entry) and digest_of(path) == entry.sha256:
+        path = self.folder / f"{hashlib.sha256(url.encode()).hexdigest()[:32]}.body"
+        entry = _entry(path)
+        problem = "" if entry is None else _problem(download, path)  # another run's checks may have been wider
+        if entry is not None and not problem:
+            age_s = time.time() - path.stat().st_mtime
+            if self.is_offline or 0 <= age_s < download.source.fresh_s:
+                LOG.info(f"{name}: the copy of {entry.fetched_utc} in the cache ({url})")
                 return entry
-        return None
-
-    def _path(self, url: str) -> Path:
-        return self.folder / f"{hashlib.sha256(url.encode()).hexdigest()[:32]}.body"
-
-    def _keep(self, entry: CacheEntry) -> CacheEntry:
-        facts = {name: value for name, value in asdict(entry).items() if name != "path"}
-        write_whole(entry.path.with_suffix(".json"), json.dumps(facts))
-        return entry
-
-    def _with_tries(self, url: str, num_tries: int, attempt: Callable[[], Result]) -> Result:
-        """Return what an attempt returns, made again while the server is busy and asks for no long wait."""
-        for number in range(1, num_tries + 1):
-            try:
-                return attempt()
-            except BusyError as busy:
-                wait_s = FIRST_WAIT_S * 2 ** (number - 1) if busy.wait_s is None else busy.wait_s
-                if wait_s > MOST_WAIT_S:
-                    wait = f"{wait_s:.0f} s" if wait_s <= 86_400 else "more than a day"
-                    raise InputError(
-                        f"{url} {busy} and asks to wait {wait}: run the same command after "
-                        "that; what was downloaded is kept"
-                    ) from busy
-                if number == num_tries:
-                    times = "once" if num_tries == 1 else f"{num_tries} times"
-                    raise InputError(
-                        f"{url} {busy} (tried {times}): run the same command later; what was downloaded "
-                        f"is kept; {OVERRIDE}"
-                    ) from busy
-                LOG.info(f"{urlsplit(url).hostname} {busy}; trying again in {wait_s:.0f} s")
-                time.sleep(wait_s)
-        raise AssertionError("unreachable: the last try returns or raises")
-
-    def _attempt(self, download: Download, known: CacheEntry | None, md5: str | None) -> CacheEntry:
-        """Make one request; return the new file, or the known one where it has not changed."""
-        url, name = download.url, download.source.name
-        conditions = {} if known is None else {"If-None-Match": known.etag, "If-Modified-Since": known.last_modified}
-        headers = {header: value for header, value in conditions.items() if value}
+        if self.is_offline:
+            state = f"has a copy that does not serve ({problem}) in" if problem else "is not in"
+            raise InputError(
+                f"{url} ({name}) {state} the cache {str(self.folder)!r}: run once without --offline, where there "
+                "is a network"
+            )
         LOG.info(f"{name}: asking {url}")
-        with self.client.open_response(url, headers, (OK, NOT_MODIFIED) if headers else (OK,)) as response:
-            now = datetime.now(UTC).isoformat(timespec="seconds")
-            if response.status_code == NOT_MODIFIED:
-                assert known is not None
-                LOG.info(f"{name}: not changed since {known.fetched_utc}")
-                return self._keep(replace(known, checked_utc=now))
-            path = self._path(url)
-            with whole_file(path) as scratch:
-                with scratch.open("wb") as file:
-                    file.writelines(self.client.chunks(response))
-                if md5 is not None and digest_of(scratch, "md5") != md5:
+        etag = "" if entry is None or problem else entry.etag
+        with scratch_for(path) as scratch:
+            response = self._receive(download, {"If-None-Match": etag} if etag else {}, scratch)
+            if entry is not None and response.status_code == requests.codes.not_modified:
+                os.utime(path)
+                return entry
+            if problem := _problem(download, scratch):
+                raise InputError(f"{url} is not the {name} file that was requested: {problem}")
+            facts: dict[str, Any] = {
+                "url": url,
+                "fetched_utc": datetime.now(UTC).isoformat(timespec="seconds"),
+                "num_bytes": scratch.stat().st_size,
+                "sha256": digest_of(scratch),
+                "etag": response.headers.get("ETag", ""),
+            }
+            os.replace(scratch, path)
+        write_whole(path.with_suffix(".json"), json.dumps(facts))
+        return CacheEntry(path, **facts)
+
+    def _receive(self, download: Download, headers: dict[str, str], scratch: Path) -> requests.Response:
+        """Return the response to a request, its body in a file."""
+        url = download.url
+        retry = _Retry(
+            download.source.num_tries - 1,
+            connect=0,
+            read=0,
+            status_forcelist=BUSY,
+            backoff_factor=BACKOFF,
+            raise_on_status=False,
+        )
+        timeout_s = (min(self.timeout_s, CONNECT_TIMEOUT_S), self.timeout_s)
+        self.num_requests += 1
+        try:
+            with requests.Session() as session:
+                session.max_redirects = MOST_REDIRECTS
+                session.headers["User-Agent"] = f"jaxurban/{importlib.metadata.version('jaxurban')} (jaxurban fetch)"
+                for scheme in ("http://", "https://"):
+                    session.mount(scheme, HTTPAdapter(max_retries=retry))
+                with session.get(url, headers=headers, stream=True, timeout=timeout_s) as response:
+                    self._save(response, url, scratch)
+                    return response
+        except (requests.RequestException, HTTPError) as error:
+            said = next((words for kind, words in REASONS if isinstance(error, kind)), None)
+            raise InputError(f"{url} {said or f'cannot be requested ({error}): {OVERRIDE}'}") from error
+
+    def _save(self, response: requests.Response, url: str, scratch: Path) -> None:
+        """Write the body of a response to a file; stop at one that is too large."""
+        places = [hop.url for hop in (*response.history, response)]
+        if url.startswith("https:") and not all(place.startswith("https:") for place in places):
+            raise InputError(f"{url} leads to {places[-1]}, which is not encrypted: {OVERRIDE}")
+        if response.status_code not in (requests.codes.ok, requests.codes.not_modified):
+            what = f"answers {response.status_code} {response.reason or ''}"[:200]
+            remedy = "run the same command later" if response.status_code in BUSY else OVERRIDE
+            raise InputError(f"{places[-1]} {what}: {remedy}")
+        declared = response.headers.get("Content-Length", "")
+        num_bytes = int(declared[:18]) if declared.isdecimal() else 0
+        with scratch.open("wb") as file:
+            for chunk in chain([b""], response.iter_content(CHUNK_BYTES)):  # what is declared comes first
+                num_bytes = max(num_bytes, file.tell() + len(chunk))
+                if num_bytes > self.most_bytes:
                     raise InputError(
-                        f"{url} does not match its published MD5 checksum: it was replaced or "
-                        "damaged on the way; run the same command again"
+                        f"{url} is larger than {megabytes(self.most_bytes)} ({megabytes(num_bytes)} or more): ask for "
+                        "a smaller region or extract, or raise --max-size"
                     )
-                if problem := _problem(download, scratch):
-                    raise InputError(f"{url} is not the {name} file that was requested: {problem}")
-                num_bytes, sha256 = scratch.stat().st_size, digest_of(scratch)
-        etag, last_modified = (_plain(response.headers.get(header)) for header in ("ETag", "Last-Modified"))
-        return self._keep(CacheEntry(path, url, now, now, num_bytes, sha256, etag, last_modified))
-
-    def _published_md5(self, url: str) -> str | None:
-        """Return the checksum in a published file, None (and say so) where there is no such file."""
-
-        def request() -> str | None:
-            body = b""
-            with self.client.open_response(url, {}, (OK, NOT_FOUND)) as response:
-                if response.status_code == NOT_FOUND:
-                    LOG.info(f"checksum: the publisher gives none at {url}")
-                    return None
-                for chunk in self.client.chunks(response):
-                    body += chunk
-                    if len(body) > MOST_CHECKSUM_BYTES:
-                        break
-            words = body[:MOST_CHECKSUM_BYTES].decode("ascii", "replace").split()
-            if not words or len(words[0]) != 32 or not set(words[0].lower()) <= set("0123456789abcdef"):
-                raise InputError(f"{url} is not an MD5 checksum: give its place with --source checksum=URL")
-            return words[0].lower()
-
-        LOG.info(f"checksum: asking {url}")
-        return self._with_tries(url, 4, request)
+                file.write(chunk)
 
 
 @contextmanager
@@ -213,17 +219,24 @@ def open_cache(*, most_bytes: int, timeout_s: float, is_offline: bool) -> Iterat
                 raise InputError(f"cannot make the cache {str(folder)!r} ({reason_of(error)}): {ELSEWHERE}") from error
             stack.enter_context(only_writer(folder, ELSEWHERE))
             sweep_scraps(folder)
-        yield Cache(folder, stack.enter_context(Client(most_bytes, timeout_s)), is_offline)
+        yield Cache(folder, most_bytes, timeout_s, is_offline)
 
 
-def is_fresh(entry: CacheEntry, download: Download) -> bool:
-    """Return whether a cached copy is young enough to be used without a request."""
-    age_s = (datetime.now(UTC) - datetime.fromisoformat(entry.checked_utc)).total_seconds()
-    return 0 <= age_s < download.source.fresh_s
+def megabytes(num_bytes: int) -> str:
+    """Return a size as ``--max-size`` is given: in units of 2^20 bytes."""
+    return f"{num_bytes / 2**20:,.1f} MB"
 
 
-def _problem(download: Download, path: Path) -> str | None:
-    """Return why a file fails its check, None where it does not."""
+def _entry(path: Path) -> CacheEntry | None:
+    """Return the cached copy at a path, None where there is none or it is not as it was."""
+    with suppress(OSError, ValueError, TypeError, RecursionError):
+        entry = CacheEntry(path, **json.loads(path.with_suffix(".json").read_text(encoding="utf-8")))
+        return entry if digest_of(path) == entry.sha256 else None
+    return None
+
+
+def _problem(download: Download, path: Path) -> str:
+    """Return why a file fails its check, nothing where it does not."""
     try:
         download.check(path)
     except MemoryError:
@@ -232,20 +245,4 @@ def _problem(download: Download, path: Path) -> str | None:
         said = " ".join(str(error).split())
         reason = said if isinstance(error, UnfitError | InputError) else f"it cannot be read ({said})"
         return re.sub(rf"(the \w+ file |districts )?'?{re.escape(str(path))}'?", "it", reason)
-    return None
-
-
-def _plain(header: str | None) -> str | None:
-    """Return a header that can be sent back, None for another."""
-    return header if header and header.isascii() and header.isprintable() else None
-
-
-def _is_sound(entry: CacheEntry) -> bool:
-    """Return whether what is known of a file makes sense.
-
-    Raises:
-      TypeError, ValueError: it does not.
-    """
-    texts = (entry.url, entry.fetched_utc, entry.sha256, entry.etag or "-", entry.last_modified or "-")
-    has_zone = datetime.fromisoformat(entry.checked_utc).tzinfo is not None
-    return has_zone and all(isinstance(text, str) and _plain(text) for text in texts) and entry.num_bytes >= 0
+    return ""

@@ -17,9 +17,7 @@ import shapely
 from jaxurban.errors import InputError
 from jaxurban.io.fetch.download import Cache, CacheEntry, Download, UnfitError
 from jaxurban.io.fetch.plan import BLOCK_MARGIN_M, FetchJob, block_download, plan_fetch, population_download
-from jaxurban.io.fetch.sources import Source
-from jaxurban.io.fetch.staging import RECORD_FILE, SCENARIO_FILE
-from jaxurban.io.fetch.validate import (
+from jaxurban.io.fetch.reading import (
     check_buildings,
     counties_of,
     orbits_suffix,
@@ -27,6 +25,8 @@ from jaxurban.io.fetch.validate import (
     read_block_zip,
     read_counts,
 )
+from jaxurban.io.fetch.sources import Source
+from jaxurban.io.fetch.staging import RECORD_FILE, SCENARIO_FILE
 from jaxurban.io.files import whole_file, write_whole
 from jaxurban.io.read.orbits import NOMINAL, middle_epoch, read_orbits
 from jaxurban.io.read.osm import cut_buildings, header_box
@@ -79,7 +79,7 @@ def fetch(job: FetchJob, folder: Path, cache: Cache) -> tuple[dict[str, Any], di
         "bounds": list(job.bounds),
         "files": parts.files,
         "left_out": parts.left_out,
-        "num_requests": cache.client.num_requests,
+        "num_requests": cache.num_requests,
     }
     write_whole(folder / RECORD_FILE, json.dumps(record, indent=1, ensure_ascii=False) + "\n")
     return settings, record
@@ -184,26 +184,21 @@ class _Fetching:
     def _counts(self) -> pd.DataFrame:
         """Return the whole table of population, which may come in pages."""
         pages: list[pd.DataFrame] = []
-        seen: set[str] = set()
         has_more = True
         while has_more:
-            if len(pages) == MOST_PAGES:
-                raise InputError(f"the population table has more than {MOST_PAGES} pages: ask for a smaller region")
             download = population_download(self.job, sum(map(len, pages)))
             entry = self.cache.get(download)
             page, has_more = read_counts(entry.path)
-            if has_more and page.empty:
-                raise InputError(f"{entry.url} says that there is more to send, but sends nothing: run it again later")
-            ids = set(page.get("GEOID", ()))
-            if not seen.isdisjoint(ids):
-                raise InputError(
-                    f"{entry.url} sends again what an earlier page of it held: its pages must go on from {{offset}} in "
-                    "the URL; give another place, or a table of the whole region, with --source population=URL"
-                )
-            seen |= ids
             self._note(entry, download.source, "population.csv")
             pages.append(page)
-        return pd.concat(pages, ignore_index=True)
+            table = pd.concat(pages, ignore_index=True)
+            if has_more and (len(pages) == MOST_PAGES or page.empty or table.duplicated().any()):
+                raise InputError(
+                    f"{entry.url} says that there is more to send, but sends nothing new or has more than {MOST_PAGES} "
+                    "pages, which must go on from {offset} in the URL: run it again later, ask for a smaller region, "
+                    "or give a table of the whole region with --source population=URL"
+                )
+        return table
 
     def districts(self, download: Download) -> dict[str, Any]:
         name = self._copy(self.cache.get(download), download.source, "districts.geojson")

@@ -4,21 +4,17 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import date
 from functools import cached_property
-from pathlib import Path
-from urllib.parse import urlsplit
 
 import shapely
 
 from jaxurban.errors import InputError, one_of
-from jaxurban.io.fetch.download import Download, UnfitError
+from jaxurban.io.fetch.download import Download
+from jaxurban.io.fetch.reading import check_orbits, osm_format, read_block_zip, read_counts, read_geojson
 from jaxurban.io.fetch.sources import CENSUS_YEARS, MOST_OVERPASS_KM2, Source, overpass_query, sources_of
-from jaxurban.io.fetch.validate import check_districts, check_osm, orbits_suffix, read_block_zip, read_counts
-from jaxurban.io.read.orbits import WARN_AGE_DAYS, read_orbits
+from jaxurban.io.read.orbits import WARN_AGE_DAYS
 from jaxurban.world.grid import WGS84, Bounds, check_bounds, transformer, utm_crs
 
 WHAT = ("osm", "census", "districts", "orbits")
-CHECKSUM_HOST = "download.geofabrik.de"
-MOST_AGE_DAYS = 90  # of element sets: what a scenario accepts unless it sets another
 BLOCK_MARGIN_M = 100.0  # the maps' box is snapped outward and densified, and NAD83 is a metre or two off WGS 84
 # Where the Census Bureau counts people, roughly (its own response decides): the states, Hawaii, Alaska, Puerto Rico.
 CENSUS_BOXES = (
@@ -137,7 +133,7 @@ def plan_fetch(job: FetchJob) -> FetchPlan:
         source = sources["districts"]
         if source.is_given or _touches(job.bounds, (NYC_BOX,)):
             field = job.district_field
-            downloads.append(Download(source, source.url, lambda path: check_districts(path, job.crs, field)))
+            downloads.append(Download(source, source.url, lambda path: read_geojson(path, job.crs, field)))
         else:
             left_out.append(
                 "districts: none are known for this region (only New York City's), so every block counts "
@@ -146,7 +142,7 @@ def plan_fetch(job: FetchJob) -> FetchPlan:
     if "orbits" in job.what:
         elements = sources["orbits"]
         if elements.is_given or job.day is None or abs((job.day - job.today).days) <= WARN_AGE_DAYS:
-            downloads.append(Download(elements, elements.url, lambda path: _check_orbits(path, job.day)))
+            downloads.append(Download(elements, elements.url, lambda path: check_orbits(path, job.day)))
         else:
             left_out.append(
                 f"element sets: CelesTrak has the current ones only, and {job.day} is not within "
@@ -164,9 +160,7 @@ def _osm_download(job: FetchJob) -> Download:
     source, box = job.sources["osm"], job.box(job.margin_m)
     url = source.fill(box, query=overpass_query(box))
     if "{" not in source.url:  # an extract
-        checksum = job.sources["checksum"]
-        has_checksum = checksum.is_given or urlsplit(source.url).hostname == CHECKSUM_HOST
-        return Download(source, url, check_osm, checksum.fill(url=source.url) if has_checksum else None)
+        return Download(source, url, osm_format)
     x_min, y_min, x_max, y_max = transformer(WGS84, job.crs).transform_bounds(*box)
     area_km2 = (x_max - x_min) * (y_max - y_min) / 1e6
     if area_km2 > MOST_OVERPASS_KM2:
@@ -175,7 +169,7 @@ def _osm_download(job: FetchJob) -> Download:
             f"shared server, is asked for {MOST_OVERPASS_KM2:g} km2 at most: give an extract that covers it with "
             "--extract URL (download.geofabrik.de has them), or a smaller region"
         )
-    return Download(source, url, check_osm)
+    return Download(source, url, osm_format)
 
 
 def population_download(job: FetchJob, offset: int) -> Download:
@@ -188,15 +182,3 @@ def block_download(job: FetchJob, county: str) -> Download:
     """Return the download of the blocks of a county."""
     source = job.sources["blocks"]
     return Download(source, source.fill(county=county), lambda path: read_block_zip(path, job.most_bytes))
-
-
-def _check_orbits(path: Path, day: date | None) -> None:
-    orbits_suffix(path)
-    if day is None:
-        return
-    age_days = max(abs((one.epoch.utc_datetime().date() - day).days) for one in read_orbits(path).satellites)
-    if age_days > MOST_AGE_DAYS:
-        raise UnfitError(
-            f"it has elements {age_days} days away from {day}, and SGP4 is not trusted beyond "
-            f"{MOST_AGE_DAYS}: choose a --date near them, or leave orbits out of --what"
-        )

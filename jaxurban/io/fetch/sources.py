@@ -90,7 +90,6 @@ def sources_of(census_year: str, given: Mapping[str, str]) -> dict[str, Source]:
             "ODbL 1.0: keep the credit, share changed data alike",
             DAY_S,
         ),
-        Source("checksum", "{url}.md5", ("url",), "Geofabrik GmbH", "as the extract", 0.0),
         Source("population", counts, (*BOX, "offset"), *CENSUS_CREDIT, 30 * DAY_S),
         Source("blocks", BLOCK_FILES[census_year], ("county",), *CENSUS_CREDIT, 30 * DAY_S),
         Source(
@@ -132,7 +131,7 @@ def _check_url(source: Source, url: str) -> None:
     if unknown := sorted(used - set(source.placeholders)):
         known = ", ".join(f"{{{field}}}" for field in source.placeholders) or "none"
         raise InputError(f"the URL of source {source.name!r} has the placeholder {{{unknown[0]}}}: there are {known}")
-    if source.name != "checksum" and (parts.scheme not in ("http", "https") or not parts.hostname):
+    if parts.scheme not in ("http", "https") or not parts.hostname:
         raise InputError(f"the URL {url!r} of source {source.name!r} must begin with https:// or http:// and a host")
 
 
