@@ -16,7 +16,6 @@ from jaxurban.io.read import geoparquet
 from jaxurban.io.read.buildings import BuildingFile, read_buildings
 from jaxurban.io.read.near import MARGIN_M, Near
 from jaxurban.io.read.vector import read_vector
-from jaxurban.io.read.wkb import wkb_boxes
 from jaxurban.world.city import City
 
 UTM, WGS84 = "EPSG:32618", "EPSG:4326"
@@ -134,25 +133,25 @@ def test_an_outline_wider_than_the_margin_comes_with_the_parts_at_its_far_end(tm
 
 
 @pytest.mark.parametrize("covering", [True, False])
-def test_geometry_of_row_groups_that_are_elsewhere_is_never_decoded(tmp_path, monkeypatch, covering):
+def test_with_boxes_no_geometry_elsewhere_is_decoded(tmp_path, monkeypatch, covering):
     path = write(town().to_crs(WGS84), tmp_path / ("covered.parquet" if covering else "city.parquet"))
-    looked_at, decoded = [], []
-    monkeypatch.setattr(geoparquet, "wkb_boxes", lambda *data: looked_at.append(1) or wkb_boxes(*data))
-    from_wkb = gpd.GeoSeries.from_wkb
-    monkeypatch.setattr(gpd.GeoSeries, "from_wkb", lambda data, **k: decoded.append(len(data)) or from_wkb(data, **k))
+    decoded = []
+    from_wkb = shapely.from_wkb
+    monkeypatch.setattr(shapely, "from_wkb", lambda data, **k: decoded.append(len(data)) or from_wkb(data, **k))
     found = read_vector(path, Near(BOX_M, UTM))
-    assert decoded == [len(found.polygons) + 1]  # and the point
-    assert len(looked_at) == (0 if covering else pq.ParquetFile(path).num_row_groups)
+    num_near = len(found.polygons) + 1  # and the point
+    assert decoded == ([num_near] if covering else [pq.read_metadata(path).num_rows, num_near])
 
 
 def test_a_geoparquet_file_that_is_cut_while_it_is_read_is_one_sentence(tmp_path, monkeypatch):
     path = write(town(6000).to_crs(WGS84), tmp_path / "city.parquet")
+    bounds = shapely.bounds
 
-    def cut(*arguments):
+    def cut(shapes):
         os.truncate(path, 5000)
-        return wkb_boxes(*arguments)
+        return bounds(shapes)
 
-    monkeypatch.setattr(geoparquet, "wkb_boxes", cut)
+    monkeypatch.setattr(geoparquet.shapely, "bounds", cut)
     with pytest.raises(InputError, match="give a whole one"):
         read_buildings(BuildingFile(path), UTM, bounds_m=BOX_M)
 
@@ -228,30 +227,6 @@ def test_a_geoparquet_file_that_tells_no_boxes_is_read_as_a_whole_or_refused(tmp
     change_metadata(path, lambda geo: geo | {"columns": {"geometry": geo["columns"]["geometry"] | change}})
     with pytest.raises(InputError, match=r"city\.parquet"):
         read_vector(path, Near(BOX_M, UTM))
-
-
-def test_boxes_of_bytes_are_those_of_the_geometries():
-    polygon = shapely.Polygon([(0, 0), (4, 1), (3, 5)], [[(1, 1), (2, 1), (2, 2)]])
-    shapes = [
-        polygon,
-        shapely.MultiPolygon([polygon, shapely.box(7, -3, 9, 1)]),
-        shapely.Point(3, 4),
-        shapely.LineString([(5, 2), (1, 9)]),
-        shapely.GeometryCollection([shapely.MultiPoint([(1, 2), (3, 1)]), shapely.MultiPolygon([polygon])]),
-        shapely.force_3d(polygon, 5.0),
-        shapely.Polygon(),
-        shapely.Point(),
-    ]
-
-    def boxes(**how):
-        parts = shapely.to_wkb(shapely.set_srid(shapes, 4326), **how)
-        return wkb_boxes(np.frombuffer(b"".join(parts), np.uint8), np.append(0, np.cumsum([len(p) for p in parts])))
-
-    for how in ({"flavor": "iso"}, {"flavor": "extended"}, {"include_srid": True}):
-        np.testing.assert_array_equal(boxes(**how), shapely.bounds(shapes))
-    assert np.isinf(boxes(byte_order=0)).all()
-    cut = np.frombuffer(shapely.to_wkb(polygon)[:-4], np.uint8)
-    assert np.isinf(wkb_boxes(cut, np.array([0, len(cut)]))).all()
 
 
 @pytest.mark.parametrize("suffix", [".geojson", ".gpkg"])
