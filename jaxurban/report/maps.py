@@ -12,7 +12,7 @@ from jaxurban.paths.path import PlannedPath
 from jaxurban.planners.base import Status
 from jaxurban.report.figures.files import maps_figures
 from jaxurban.report.figures.metrics import AVAILABILITY, LOW
-from jaxurban.report.figures.notes import caveats_said
+from jaxurban.report.figures.notes import caveats_said, rules_said
 from jaxurban.report.figures.protection import protection_texts
 from jaxurban.report.markdown import bullets, fill, listed, table
 
@@ -179,13 +179,12 @@ def _path_section(maps: MetricMaps, paths: Paths) -> str:
         rows.append([*cells, f"{path.search.elapsed_s:.3f}"])
     head = ["altitude (m)", "time of day", "planner", "status", "cost", "above the cheapest", "length (m)"]
     head += [f"mean m_{name}" for name in maps.metrics] + ["search (s)"]
-    settings = planned[0].settings
-    weights = ", ".join(f"{name} {value:g}" for name, value in settings["weights"].items())
     words = (
         "Means are along the path, by length. The cost is the weighted sum that all planners are judged by "
-        f"(model `{settings['cost_model']}`; weights: {weights}; it has no unit)."
+        f"(it has no unit). Planned under: {rules_said(*(path.settings for path in planned))}."
     )
-    if settings["cost_model"] == "cell" and any(path.search.planner.startswith("bitstar") for path in planned):
+    model = planned[0].settings["cost_model"]
+    if model == "cell" and any(path.search.planner.startswith("bitstar") for path in planned):
         words += (
             " The model counts the maps once a step, and a grid planner's diagonal step is one step of 1.41 cells, "
             "so grid paths look cheaper than straight ones: the model `line` compares planners fairly."

@@ -13,6 +13,7 @@ from jaxurban.report.figures.montecarlo import study_figures
 from jaxurban.report.markdown import bullets, counted, fill, framed, listed
 from jaxurban.report.run_montecarlo import BenchmarkResult
 from jaxurban.report.save import Output, save
+from jaxurban.report.sensitivity_study import weights_said
 from jaxurban.studies.bootstrap import FEWEST_GROUPS
 from jaxurban.studies.montecarlo import analysis
 from jaxurban.studies.montecarlo.analysis import each
@@ -87,6 +88,7 @@ def report_markdown(result: BenchmarkResult, tables: dict[str, pd.DataFrame], fi
         else f"{settings.budget_iterations} samples a run, other planners to their end",
         settings=settings,
         maps=result.maps,
+        weights=weights_said(result.instances),
         constraints=f"\n- Constraints: {said}." if (said := str(settings.constraints)) else "",
         joined=listed(f"{share:.1%} at {z:g} m" for z, share in joined.items()),
         num_crashed=(table.status == CRASHED).sum(),

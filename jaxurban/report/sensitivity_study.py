@@ -131,7 +131,7 @@ def study_markdown(found: SensitivityStudy) -> str:
         sobol=_sobol(found),
         remade=_remade(found),
         cities="; ".join(f"{city}, {grid}" for city, grid in found.cities.items()),
-        weights=_weights(found.instances),
+        weights=weights_said(found.instances),
         norms=_norms(found.norms),
         origin=SAMPLED if found.is_sampled else GIVEN,
         fewest=FEWEST_GROUPS,
@@ -328,7 +328,8 @@ def _norms(norms: Mapping[str, Mapping[str, float]]) -> str:
     )
 
 
-def _weights(instances: pd.DataFrame) -> str:
+def weights_said(instances: pd.DataFrame) -> str:
+    """Return the weights that all instances share, or that each has its own."""
     columns = weight_columns(weighed_metrics(instances.columns))
     if len(instances[list(columns)].drop_duplicates()) > 1:
         return "those of each route (`instances.parquet`)"

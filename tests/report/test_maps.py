@@ -67,6 +67,10 @@ def make_path(planner: str, status: Status, cost: float = np.inf, altitude_m: fl
             "time_of_day": "day",
             "cost_model": "cell",
             "weights": {"distance": 0.1, "gps": 1.0},
+            "objective": "weighted",
+            "obstacles": "touched",
+            "limits": {"vertical_clearance_m": 3.0},
+            "resolution_m": 5.0,
         },
         crs="EPSG:32618",
     )
@@ -108,6 +112,8 @@ def test_paths_are_compared_with_the_cheapest(summary):
     assert row_of(summary, "20", "day", "ptp")[3:11] == ["blocked"] + ["-"] * 7
     assert row_of(summary, "20", "day", "astar-plus")[3:8] == ["optimal", "100.0", "0.0 %", "1,500", "0.250"]
     assert row_of(summary, "20", "day", "astar-dist")[3:6] == ["optimal", "110.0", "10.0 %"]
+    rules = "cost model: cell  ·  weights: distance 0.1, gps 1  ·  obstacles: touched, vertical clearance of 3 m"
+    assert f"Planned under: {rules}." in summary
 
 
 def test_a_report_without_paths_names_none_and_one_with_says_of_which_graph_a_path_is_optimal(summary):

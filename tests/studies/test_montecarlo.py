@@ -22,7 +22,7 @@ from jaxurban.maps.executors import cluster_client
 from jaxurban.planners.astar import astar
 from jaxurban.planners.base import Problem
 from jaxurban.report.benchmark import export_benchmark
-from jaxurban.report.montecarlo import write_analysis
+from jaxurban.report.montecarlo import report_markdown, tables_of, write_analysis
 from jaxurban.studies.montecarlo.run import InstanceRuns, MapsFolder, solve_on
 from jaxurban.studies.montecarlo.trial import DISTANCE, PlannerRun
 from tests.cli_runs import assert_one_sentence, run
@@ -201,6 +201,11 @@ def test_a_planner_that_kills_its_worker_costs_its_own_rows_alone(folder, result
 
 def test_the_report_holds_every_table_figure_and_sentence(result, tmp_path):
     report = write_analysis(result, tmp_path).read_text()
+    assert "Weights: those of each route (`instances.parquet`). Obstacles: touched." in report
+    same = result.instances.assign(w_distance=0.25)
+    same.loc[:, same.columns.str.startswith("w_")] = same.filter(like="w_").iloc[0].to_numpy()
+    told = report_markdown(replace(result, instances=same), tables_of(result))
+    assert f" Weights: distance 0.25, gps {same.w_gps.iloc[0]:g}, " in told
     for name in ("choices", "success", "costs", "paired", "times", "usage", "objectives", "complementarity"):
         assert (tmp_path / "tables" / f"{name}.csv").is_file()
     for title in ("Which planner, when", "Cost", "Planners two by two", "GPS and lidar"):
