@@ -89,6 +89,16 @@ def test_the_route_stays_the_same_inside_its_range_and_changes_outside(maps, end
 
 
 @pytest.mark.slow
+def test_it_shows_the_route_and_what_each_weight_does(found):
+    text = repr(found)
+    assert text.startswith(f"Sensitivity(route: cost {found.route.cost:,.2f}, ")
+    for name in found.vary:
+        assert f"{name}: {found.weights[found.names.index(name)]:g}, " in text
+        assert f"{len(found.lines[name].cells)}" in found.facts[name].rpartition(": ")[2]
+    assert "array" not in text
+    assert found._repr_html_().count("<tr>") == len(found.facts)
+
+
 def test_report_names_every_weight_and_every_file_that_it_shows(found, tmp_path):
     files = save_sensitivity(found, tmp_path / "out")
     report = (tmp_path / "out" / "report.md").read_text()

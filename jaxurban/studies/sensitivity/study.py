@@ -23,12 +23,13 @@ from jaxurban.studies.sensitivity.breakpoints import Partition, check_tolerance,
 from jaxurban.studies.sensitivity.local import LocalSensitivity, local_sensitivity
 from jaxurban.studies.sensitivity.pareto import ParetoFront, check_objectives, pareto_front
 from jaxurban.studies.sensitivity.sobol import SobolIndices, check_vary, sobol_of_weights
+from jaxurban.world.show import Shown
 
 NUM_CLUSTERS = 7  # of routes over a triangle: a picture of more colours is hard to read
 
 
-@dataclass(frozen=True, eq=False)
-class Sensitivity:
+@dataclass(frozen=True, eq=False, repr=False)
+class Sensitivity(Shown):
     """What the weights do to one route. ``K`` weights.
 
     Attributes:
@@ -69,6 +70,20 @@ class Sensitivity:
     triangle_routes: list[np.ndarray]
     num_plans: int
     elapsed_s: float
+
+    @property
+    def facts(self) -> dict[str, str]:
+        """The route, and of each weight that varies its share of the cost and how many routes its range holds."""
+        low, high = self.factors
+        shares = dict(zip(self.names, self.local.cost["elasticity"], strict=True))
+        return {
+            "route": f"cost {self.route.cost:,.2f}, {self.route.length_m:,.0f} m at {self.route.altitude_m:g} m",
+            "each weight varies": f"from {low:g} to {high:g} times its value",
+        } | {
+            name: f"{weight:g}, {shares[name]:.1%} of the cost, routes over its range: {len(self.lines[name].cells)}"
+            for name, weight in zip(self.names, self.weights, strict=True)
+            if name in self.vary
+        }
 
     def breakpoints(self, name: str) -> pd.DataFrame:
         """Return the routes along the range of one weight: ``from`` and ``to`` its value, and their outcomes.
