@@ -16,7 +16,7 @@ from jaxurban.kernels.distance import exact as distance
 from jaxurban.kernels.distance import soft as soft_distance
 from jaxurban.kernels.lidar import flat, steps, supersampled
 from jaxurban.kernels.lidar import soft as soft_lidar
-from jaxurban.kernels.line import exact, segment_costs, smooth, smooth_volume
+from jaxurban.kernels.line import segment_costs
 from jaxurban.kernels.search import cost_to_go, frontier, sample_graph
 from jaxurban.kernels.shadows import doubling, sweep
 from jaxurban.kernels.shadows import soft as soft_shadows
@@ -29,7 +29,6 @@ from jaxurban.metrics.gps import soft as soft_gps_metric
 from jaxurban.metrics.lidar import LidarParams
 from jaxurban.metrics.risk import RiskParams
 from jaxurban.metrics.weights import Weights
-from jaxurban.planners import refine
 from jaxurban.planners.bitstar.batched import EDGES_TOGETHER, NODES_TOGETHER
 from jaxurban.planners.moves import STEPS
 from jaxurban.planners.search.fields import TILE_WORK
@@ -82,7 +81,7 @@ SURFACE = tuple(side + 2 * MARGIN for side in REGION)
 CELLS = int32(512, 2)  # of a path
 HEIGHTS_M = array(512)
 ALTITUDES_M = array(4)
-NUM_SATELLITES, NUM_LAYERS, NUM_POINTS = 9, 4, 64
+NUM_SATELLITES = 9
 AZIMUTH_RAD, ELEVATION_RAD = np.linspace(0.3, 6.0, NUM_SATELLITES), np.linspace(0.3, 1.2, NUM_SATELLITES)
 WORDS = array(1, 4, *REGION, dtype=jnp.uint32)
 
@@ -136,8 +135,6 @@ def part(shape: tuple[int, int], halo: int = 0) -> surface.Part:
 
 DISTANCE_5M = {"resolution_m": 5.0, "cap_m": 50.0}
 NEAREST = {"resolution_m": 5.0, "halo": 10}
-LAYERS, POINTS = array(NUM_LAYERS, *REGION), array(NUM_POINTS, 2)
-VOLUME, VOLUME_POINTS = array(NUM_LAYERS, 4, *TILE), array(NUM_POINTS, 3)
 EDGES = float64(*REGION), float64(1024, 2), float64(1024, 2), float64()
 LINE, CELL = ({"is_line": is_line, "passes_corners": array(dtype=bool)} for is_line in (True, False))
 
@@ -223,18 +220,6 @@ def nearest_at(roof_m, ground_m, heights_m, cells):
 
 def returns_at(roof_m, ground_m, heights_m, scan, cells):
     return soft_lidar.soft_returns_at(soft_lidar.ScansAt(roof_m, ground_m, heights_m, scan, RAYS, 2.0, cells))
-
-
-def line_smooth(points, layers):
-    return smooth.line_smooth(points, layers, 5.0, 0.1, 5.0, num_cuts=32)
-
-
-def line_exact(points, layers):
-    return exact.exact_line_cost(points, layers, 5.0, 0.1, 5.0, num_borders=32)
-
-
-def line_volume(points, layers, levels_m):
-    return smooth_volume.volume_line_integrals(points, layers, levels_m, 5.0, num_cuts=32).per_layer_m
 
 
 def inputs() -> tuple[pipeline.MapInputs, visibility.SkyView]:
@@ -348,17 +333,6 @@ KERNELS: dict[str, Callable[[], Call]] = {
     "population: under cells": lambda: Call(population.map_blocks, (int32(*REGION), array(40_000))),
     "population, gradient by gammas": lambda: Call(
         gradient(soft_people, 2), (int32(*REGION), BLOCKS, population.PopulationParams())
-    ),
-    "line: smooth": lambda: Call(smooth.line_integrals, (POINTS, LAYERS, NUMBER), {"num_cuts": 32}),
-    "line: smooth, gradient": lambda: Call(gradient(line_smooth, (0, 1)), (POINTS, LAYERS)),
-    "line: exact": lambda: Call(exact.exact_integrals, (POINTS, LAYERS, NUMBER), {"num_borders": 32}),
-    "line: exact, gradient": lambda: Call(gradient(line_exact, (0, 1)), (POINTS, LAYERS)),
-    "line: volume": lambda: Call(
-        smooth_volume.volume_line_integrals, (VOLUME_POINTS, VOLUME, array(4), NUMBER), {"num_cuts": 32}
-    ),
-    "line: volume, gradient": lambda: Call(gradient(line_volume, (0, 1)), (VOLUME_POINTS, VOLUME, array(4))),
-    "line: refinement's gradient": lambda: Call(
-        refine._block_gradient, (array(refine.BLOCK + 1, 2), array(1, *REGION), NUMBER)
     ),
     "edges of BIT*, line": lambda: Call(segment_costs.segment_costs, EDGES, LINE, True),
     "edges of BIT*, cell": lambda: Call(segment_costs.segment_costs, EDGES, CELL, True),

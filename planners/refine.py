@@ -1,18 +1,13 @@
-"""Refinement of any planner's path: waypoints moved downhill, never into an obstacle, never to a higher cost."""
+"""Refinement of any planner's path: waypoints moved by a compass search, never into an obstacle or to a higher cost."""
 
 import time
-from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from scipy.ndimage import uniform_filter
 
 from jaxurban.errors import InputError
 from jaxurban.kernels.line.segment_cost import CostGrid
-from jaxurban.kernels.line.smooth import line_smooth
 from jaxurban.planners.any_angle import check_line_model, shortened, subdivided
 from jaxurban.planners.base import EVERY_PATH, Path, Problem, Status
 from jaxurban.planners.bitstar.bounds import make_bounds
@@ -22,20 +17,16 @@ from jaxurban.planners.search.any_angle import TIE, move_points
 
 LONGEST = 8  # cell sides that a segment may grow to
 SPACINGS = (LONGEST, 4, 2, 1)  # cell sides between waypoints, one level after the other: long bends first
-ROUNDS = 20  # moves of every waypoint on a level, of each kind
+ROUNDS = 20  # moves of every waypoint on a level
 FIRST_STEP, LAST_STEP = 1.0, 1e-3  # cell sides: a waypoint's step when a level begins, and where it ends
-MOVES = ("gradient", "compass")
-Directions = Callable[[np.ndarray], list[np.ndarray]]  # of waypoints [N, 2]: directions [N, 2] to try in turn
-BLOCK = 128  # segments that the compiled gradient takes at once, so that it is compiled for one length only
 
 
-def refine(problem: Problem, path: Path, *, budget_s: float = np.inf, moves: tuple[str, ...] = MOVES) -> Path:
+def refine(problem: Problem, path: Path, *, budget_s: float = np.inf) -> Path:
     """Return the path with its waypoints moved to where it costs less under the ``line`` model; its ends stay.
 
     Level by level the path is subdivided, more finely each time, and cut short again. On each level
-    waypoints move down the gradient of the `line-smooth` cost, and then along the directions of the grid and of
-    their segments (a compass search, which finds its way along the kinks that cell borders and corners of
-    obstacles give the exact cost), by steps that grow and shrink. Each single move is made only where it
+    waypoints move along the directions of the grid and of their segments (a compass search, which finds its way along
+    the kinks that cell borders and corners of obstacles give the exact cost), by steps that grow and shrink. Each single move is made only where it
     lowers the exact cost of the two segments that it changes, so the path stays free and never gets
     costlier. Where the whole does not end up cheaper the path itself comes back, with a note.
 
@@ -48,7 +39,6 @@ def refine(problem: Problem, path: Path, *, budget_s: float = np.inf, moves: tup
       problem: the query, under the ``line`` cost model, or under any where only length costs.
       path: what a planner returned for it; where there is no path it comes back as it is.
       budget_s: seconds of refinement.
-      moves: of `MOVES`, those to make.
 
     Raises:
       InputError: the ``cell`` cost model with map costs, a path that is blocked or off the map, or a budget that is not
@@ -56,8 +46,6 @@ def refine(problem: Problem, path: Path, *, budget_s: float = np.inf, moves: tup
     """
     check_line_model(problem, "refinement")
     check_budget(budget_s)
-    if unknown := set(moves) - set(MOVES):
-        raise InputError(f"moves must be of {', '.join(MOVES)}, got {', '.join(sorted(unknown))}")
     if not path.status.has_path:
         return path
     before = problem.cost_of(path.points_m)
@@ -67,7 +55,7 @@ def refine(problem: Problem, path: Path, *, budget_s: float = np.inf, moves: tup
             "that was planned for this problem"
         )
     compile_s = time.perf_counter()
-    _warm_up((1, *problem.is_free.shape) if "gradient" in moves else None)
+    _warm_up()
     begin_s = time.perf_counter()
     path = replace(path, setup_s=path.setup_s + begin_s - compile_s)
     end_s = begin_s + budget_s
@@ -76,15 +64,10 @@ def refine(problem: Problem, path: Path, *, budget_s: float = np.inf, moves: tup
     cost_grid = cost_grid_of(problem, is_reachable)
     # A point on the map's outer border belongs to no cell.
     xy = np.minimum(path.points_m / problem.resolution_m, np.array(problem.is_free.shape[::-1]) * (1 - TIE))
-    directions: dict[str, Directions] = {"compass": _compass}
-    if "gradient" in moves:
-        layer = _filled(cost_grid.cell_cost)
-        directions["gradient"] = lambda xy: [smooth_gradient(cost_grid, layer, xy)]
     best, points_m, is_spent = before, path.points_m, False
     for spacing in SPACINGS:
         moved = subdivided(xy, spacing)
-        for name in moves:
-            _move(cost_grid, moved, end_s, directions[name])
+        _move(cost_grid, moved, end_s)
         moved = shortened(cost_grid, moved)
         moved_m = moved * problem.resolution_m
         moved_m[[0, -1]] = path.points_m[[0, -1]]
@@ -114,52 +97,21 @@ def refine(problem: Problem, path: Path, *, budget_s: float = np.inf, moves: tup
     return _noted(refined, f"Refinement lowered what the search minimises by {1 - best / before:.2%}.")
 
 
-def smooth_gradient(cost_grid: CostGrid, layer: jax.Array, xy: np.ndarray) -> np.ndarray:
-    """Return ``[N, 2]`` the gradient of the `line-smooth` cost with respect to waypoints, per cell side.
-
-    Args:
-      cost_grid: whose distance cost counts.
-      layer: ``[1, Y, X]`` cell cost per cell side, finite everywhere.
-      xy: ``[N, 2]`` waypoints in cell sides, no more than ``LONGEST`` apart.
-    """
-    gradient = np.zeros(xy.shape)
-    for first in range(0, len(xy) - 1, BLOCK):
-        points = xy[first : first + BLOCK + 1]
-        padded = np.concatenate([points, np.repeat(points[-1:], BLOCK + 1 - len(points), axis=0)])
-        block = _block_gradient(jnp.asarray(padded), layer, cost_grid.per_side)
-        gradient[first : first + BLOCK + 1] += np.asarray(block)[: len(points)]
-    return gradient
-
-
-@jax.jit
-def _block_gradient(points: jax.Array, layer: jax.Array, per_side: float) -> jax.Array:
-    return jax.grad(line_smooth)(points, layer, 1.0, per_side, 1.0, num_cuts=LONGEST + 1)
-
-
 def _compass(xy: np.ndarray) -> list[np.ndarray]:
     """Return directions ``[N, 2]`` along which cost maps have edges: those of cells, and past corners of obstacles."""
     onward = np.diff(xy, axis=0, append=xy[-1:])
     return [*(np.broadcast_to(axis, xy.shape) for axis in np.eye(2)), onward, np.roll(onward, 1, axis=0)]
 
 
-def _move(cost_grid: CostGrid, xy: np.ndarray, end_s: float, find_directions: Directions) -> None:
+def _move(cost_grid: CostGrid, xy: np.ndarray, end_s: float) -> None:
     """Move waypoints, altered in place, round after round, until the steps are small or time is up."""
-    steps = [np.full(len(xy), FIRST_STEP) for _ in find_directions(xy)]
+    steps = [np.full(len(xy), FIRST_STEP) for _ in _compass(xy)]
     for _ in range(ROUNDS):
         if time.perf_counter() >= end_s or max(step.max() for step in steps) < LAST_STEP:
             break
-        for direction, step in zip(find_directions(xy), steps, strict=True):
+        for direction, step in zip(_compass(xy), steps, strict=True):
             direction = direction / np.maximum(np.hypot(*direction.T), np.finfo(float).tiny)[:, None]
             move_points(cost_grid, xy, direction, step, float(LONGEST))
-
-
-def _filled(cell_cost: np.ndarray) -> jax.Array:
-    """Return ``[1, Y, X]`` the cell cost, with the mean of a cell's free neighbours where it is inf, 0 without any."""
-    is_open = np.isfinite(cell_cost)
-    open_cost = np.where(is_open, cell_cost, 0.0)
-    share = uniform_filter(is_open.astype(np.float64), 3, mode="constant")
-    mean = uniform_filter(open_cost, 3, mode="constant") / np.maximum(share, 1 / 18)
-    return jnp.asarray(np.where(is_open, cell_cost, mean)[None])
 
 
 def _noted(path: Path, note: str) -> Path:
@@ -167,11 +119,9 @@ def _noted(path: Path, note: str) -> Path:
 
 
 @cache
-def _warm_up(shape: tuple[int, ...] | None) -> None:
-    """Compile what a refinement runs, the gradient for layers of this shape (None: not at all)."""
+def _warm_up() -> None:
+    """Compile what a refinement runs."""
     cost_grid = CostGrid(np.ones((1, 2)), 1.0, True, False)
     xy = np.array([[0.5, 0.5], [1.0, 0.5], [1.5, 0.5]])
-    if shape is not None:
-        smooth_gradient(cost_grid, jnp.zeros(shape), xy)
-    _move(cost_grid, xy, np.inf, _compass)
+    _move(cost_grid, xy, np.inf)
     shortened(cost_grid, xy)

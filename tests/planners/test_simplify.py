@@ -142,7 +142,7 @@ def test_every_planners_path_stays_within_the_tolerance_and_clear_of_closed_cell
         path = find_planner(name)(problem, budget_s=0.2, seed=seed)
         if not path.status.has_path:
             continue
-        for found in (path, refine(problem, path, moves=("compass",))) if kind == "line" else (path,):
+        for found in (path, refine(problem, path)) if kind == "line" else (path,):
             for tolerance_m in (0.3, 2.5):
                 simple = simplify(problem, found, tolerance_m)
                 judge(problem, found, simple, tolerance_m)
@@ -184,7 +184,7 @@ def test_a_refined_path_between_obstacles_that_touch_stays_free_when_simplified(
     num_near = 0
     for seed in range(12):
         problem = flat_problem(seed, diagonal="always")
-        path = refine(problem, find_planner("astar-plus")(problem, budget_s=10.0, seed=0), moves=("compass",))
+        path = refine(problem, find_planner("astar-plus")(problem, budget_s=10.0, seed=0))
         simple = simplify(problem, path, 1.0)
         assert simple.cost < np.inf, seed
         num_near += "pass nearer" in simple.note

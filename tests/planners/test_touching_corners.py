@@ -144,14 +144,13 @@ def test_neither_a_planner_nor_refinement_takes_a_short_cut_through_a_diagonal_w
     through = run(name, always(problem))
     with pytest.raises(InputError, match="passes between two that touch at a corner"):
         refine(problem, through)
-    by_compass = partial(refine, moves=("compass",))
-    assert by_compass(always(problem), through).cost <= through.cost < np.inf
+    assert refine(always(problem), through).cost <= through.cost < np.inf
     path = run(name, problem)
     if name == "ptp":
         assert path.status is Status.BLOCKED
         return
     wall = LineString([[0.0, 0.0], [5.0 * (SIZE - 1) - 1e-6] * 2])
-    refined = by_compass(problem, path)
+    refined = refine(problem, path)
     for found in (path, refined):
         assert not LineString(found.points_m).intersects(wall)
     assert through.cost < refined.cost <= path.cost < np.inf
@@ -170,7 +169,7 @@ def test_paths_on_maps_full_of_touching_corners_are_found_free_again():
             problem = Problem(rng.random((1, 24, 24)), is_free, start, goal, 5.0, 0.2, model)
             for name in PLANNERS:
                 path = run(name, problem)
-                for found in (path, refine(problem, path, moves=("compass",))) if path.status.has_path else ():
+                for found in (path, refine(problem, path)) if path.status.has_path else ():
                     costs = costed(found.points_m, problem.costs, is_free, 5.0, 0.2, model)
                     assert costs.is_valid
                     assert found.cost == pytest.approx(costs.total, rel=1e-12)
