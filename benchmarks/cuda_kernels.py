@@ -17,7 +17,7 @@ from jaxurban.kernels.distance import soft as soft_distance
 from jaxurban.kernels.lidar import flat, steps, supersampled
 from jaxurban.kernels.lidar import soft as soft_lidar
 from jaxurban.kernels.line import segment_costs
-from jaxurban.kernels.search import cost_to_go, frontier, sample_graph
+from jaxurban.kernels.search import frontier, sample_graph
 from jaxurban.kernels.shadows import doubling, sweep
 from jaxurban.kernels.shadows import soft as soft_shadows
 from jaxurban.kernels.shadows import supersampled as fine_shadows
@@ -31,7 +31,6 @@ from jaxurban.metrics.risk import RiskParams
 from jaxurban.metrics.weights import Weights
 from jaxurban.planners.bitstar.batched import EDGES_TOGETHER, NODES_TOGETHER
 from jaxurban.planners.moves import STEPS
-from jaxurban.planners.search.fields import TILE_WORK
 from jaxurban.planners.search.frontier import CELLS_TOGETHER, QUERIES_TOGETHER
 from jaxurban.studies.sensitivity import buildings
 from jaxurban.studies.tuning import confidence, fenchel_young, target_fit
@@ -158,25 +157,6 @@ SAMPLES = sample_graph.Samples(
     int32(NUM_NODES), float64(NUM_NODES, 2), *[float64(NUM_NODES)] * 9, int32(NUM_NODES), float64(NUM_NODES)
 )
 GRAPH = sample_graph.Sizes(64, 16, min(NODES_TOGETHER["gpu"], NUM_NODES), min(EDGES_TOGETHER["gpu"], 16 * NUM_NODES))
-NUM_GOALS, FIELDS = 16, TILE_WORK["gpu"]
-FIELD_GOALS = int32(NUM_GOALS, 2), int32(NUM_GOALS)
-FIELD_MAPS = cost_to_go.FieldMaps(
-    float64(4, *REGION), array(4, *REGION, dtype=jnp.uint8), *[float64(4, 8)] * 3, float64(4)
-)
-FIELD_WORK = {
-    "steps": STEPS,
-    "num_together": min(FIELDS.tiles_a_field * NUM_GOALS, FIELDS.max_tiles),
-    "tile": FIELDS.tile,
-    "num_passes": FIELDS.num_passes,
-    "unroll": FIELDS.unroll,
-}
-
-
-def open_fields() -> cost_to_go.CostFields:
-    with jax.enable_x64(True):
-        return jax.eval_shape(lambda *goals: cost_to_go.begin(*goals, REGION, FIELDS.tile), *FIELD_GOALS)
-
-
 NAMES = ("distance", "gps", "lidar", "population", "risk")
 NUM_DEMONSTRATIONS, NUM_ROUTES, NUM_NOISE = 64, 128, 64
 TARGETS = (Target("mean_gps", ">=", 0.8), Target("detour", "<=", 0.2))
@@ -342,8 +322,6 @@ KERNELS: dict[str, Callable[[], Call]] = {
         {"is_line": True, "sizes": GRAPH},
         True,
     ),
-    "fields: begin": lambda: Call(cost_to_go.begin, FIELD_GOALS, {"shape": REGION, "tile": FIELDS.tile}, True),
-    "fields: advance": lambda: Call(cost_to_go.advance, (open_fields(), FIELD_MAPS, WHOLE), FIELD_WORK, True),
     "frontier: begin": lambda: Call(
         frontier.begin, (open_cells(), grids(), WHOLE, WHOLE, WHOLE, WHOLE, float64()), {}, True
     ),

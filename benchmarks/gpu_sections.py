@@ -27,7 +27,6 @@ from jaxurban.metrics.visibility import SkyView, visibility
 from jaxurban.planners.base import Problem
 from jaxurban.planners.batch import solve_many
 from jaxurban.planners.bitstar.planner import BitStarOptions, bitstar_plus
-from jaxurban.planners.search.fields import cost_to_go
 from jaxurban.world.grid import Grid
 from jaxurban.world.surface import Surface
 
@@ -262,17 +261,6 @@ def backends(run: Run) -> tuple[str, ...]:
     return ("jax",)
 
 
-def fields(run: Run) -> None:
-    query = random_queries(run.problem(), 1)[0]
-    for backend in backends(run):
-
-        def costs(backend: str = backend) -> np.ndarray:
-            query.shared.pop("cost_to_go", None)  # the map keeps the last goal's
-            return cost_to_go(query, backend)
-
-        run.timed("costs from everywhere to one goal", costs, query.cost.size, "cells", COST, by=backend)
-
-
 def frontier(run: Run) -> None:
     problem, num = run.problem(), 8 if run.is_small else 256
     for backend in backends(run):
@@ -318,7 +306,7 @@ def gradients(run: Run) -> None:
 
 SECTIONS = {
     section.__name__: section
-    for section in (copy, occlusion, lidar, distance, dops, pipeline, fields, frontier, bitstar, gradients)
+    for section in (copy, occlusion, lidar, distance, dops, pipeline, frontier, bitstar, gradients)
 }
 
 

@@ -3,10 +3,9 @@
 import os
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
-from dataclasses import replace
 from functools import partial
 from itertools import chain
-from typing import get_args
+from typing import Literal, get_args
 
 import jax
 import numpy as np
@@ -18,15 +17,11 @@ from jaxurban.planners.checks import check_budget
 from jaxurban.planners.heuristics import AUTO
 from jaxurban.planners.landmarks import NUM_LANDMARKS, make_landmarks
 from jaxurban.planners.registry import PLANNERS, find_planner
-from jaxurban.planners.search.fields import (
-    FIELDS_TOGETHER,
-    Backend,
-    field_backend,
-    share_costs_to_go,
-)
+from jaxurban.planners.search.fields import cost_to_go
 from jaxurban.planners.search.frontier import solve_by_frontier
 
 Outcome = tuple[int, Path | Exception]
+Backend = Literal["auto", "numba", "jax"]
 
 EXACT_PLANNERS = ("astar-dist", "astar-plus")  # which the frontier search can stand for
 FRONTIER_HEURISTICS = (None, AUTO, "octile")
@@ -35,9 +30,8 @@ FEW_TO_ONE_GOAL = 8  # queries to one goal from which the costs to it are comput
 # Others on one map and weights beyond which landmarks are made. On Lower Manhattan making them costs what some 50
 # queries save (docs/heuristics.md).
 FEW_QUERIES = 16
-# Of one field, cautious: 7e6 on half a million cells, less where the map outgrows the cache. Taken for a GPU, too.
+# Of one field, cautious: 7e6 on half a million cells, less where the map outgrows the cache.
 NODES_PER_S = 3e6
-GOALS_TOGETHER = {"numba": 1, "jax": FIELDS_TOGETHER}  # whose fields are made, and held, at once
 GPU_BATCH = 32  # queries from which a GPU is worth its start
 
 
@@ -65,9 +59,8 @@ def solve_many(
       `GPU_BATCH` queries; else ``"numba"``, which is several times as fast on a CPU.
 
     Where the planner chooses its heuristic itself, as ``astar-plus`` does, `choose_heuristics` does so from all
-    problems, and what queries share is made first. It consists of fields, which ``"auto"`` makes in JAX where it has a
-    GPU (see `search.fields.field_backend`). Each path's backend and heuristic say what ran; of ``"exact"`` the backend
-    is what made the costs.
+    problems, and what queries share is made first: fields, by Dijkstra's search in Numba, on which ``"exact"`` walks in
+    Numba too. Each path's backend and heuristic say what ran.
 
     Args:
       problems: the queries; those on one map should come from one `Problem` by `Problem.between`.
@@ -93,7 +86,6 @@ def solve_many(
         chosen, some = heuristic or PLANNERS[planner].default_heuristic, [problems[index] for index in only]
         paths = solve_batched(some, planner=planner, heuristic=chosen, seeds=[seed] * len(some), budget_s=budget_s)
         return ((only[k], path) for k, path in paths)
-    makes_fields_by = backend
     is_for_frontier = planner in EXACT_PLANNERS and heuristic in FRONTIER_HEURISTICS
     if backend == "jax" and not is_for_frontier:
         raise InputError(
@@ -104,7 +96,7 @@ def solve_many(
         has_gpu = is_for_frontier and len(problems) >= GPU_BATCH and jax.default_backend() != "cpu"
         backend = "jax" if has_gpu else "numba"
     num_threads = num_threads or _num_processors()
-    return _solve(problems, only, planner, heuristic, backend, makes_fields_by, budget_s, seed, num_threads)
+    return _solve(problems, only, planner, heuristic, backend, budget_s, seed, num_threads)
 
 
 def choose_heuristics(
@@ -149,7 +141,6 @@ def _solve(
     planner: str,
     heuristic: str | None,
     backend: str,
-    makes_fields_by: Backend,
     budget_s: float,
     seed: int,
     num_threads: int,
@@ -161,15 +152,11 @@ def _solve(
         for index in only:
             if heuristics[index] == "exact":
                 to_one_goal.setdefault((problems[index].map_key, problems[index].goal), []).append(index)
-    goals = list(to_one_goal.values())
-    made_by = field_backend(makes_fields_by) if goals else "numba"
-    walk = partial(find_planner(planner, "exact" if goals else None), budget_s=budget_s, seed=seed)
-    for first in range(0, len(goals), GOALS_TOGETHER[made_by]):
-        groups = goals[first : first + GOALS_TOGETHER[made_by]]
-        share_costs_to_go([problems[indices[0]] for indices in groups], made_by)
-        for index, outcome in run(list(chain.from_iterable(groups)), walk):
-            yield index, replace(outcome, backend=made_by) if isinstance(outcome, Path) else outcome
-    walked = set(chain.from_iterable(goals))
+    walk = partial(find_planner(planner, "exact" if to_one_goal else None), budget_s=budget_s, seed=seed)
+    for indices in to_one_goal.values():
+        cost_to_go(problems[indices[0]])
+        yield from run(indices, walk)
+    walked = set(chain.from_iterable(to_one_goal.values()))
     alone = [index for index in only if index not in walked]
     if backend == "jax":
         together = [problems[index] for index in alone]
@@ -177,7 +164,7 @@ def _solve(
             yield alone[k], path
         return
     for problem in {problems[k].map_key: problems[k] for k in alone if heuristics[k] == "landmarks"}.values():
-        make_landmarks(problem, backend=makes_fields_by)
+        make_landmarks(problem)
     for name in dict.fromkeys(heuristics[index] for index in alone):
         search = partial(find_planner(planner, name), budget_s=budget_s, seed=seed)
         yield from run([index for index in alone if heuristics[index] == name], search)

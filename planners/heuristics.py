@@ -10,8 +10,8 @@ from jaxurban.kernels.search.tiles import StepCost, TileBound, costs_at_corners,
 from jaxurban.planners.base import Cell, Problem
 from jaxurban.planners.checks import check_name
 from jaxurban.planners.graph import Heuristic, graph_of, zero_heuristic
-from jaxurban.planners.landmarks import NUM_LANDMARKS, landmark_bound, make_landmarks
-from jaxurban.planners.search.fields import cost_to_go, has_cost_to_go, warm_up_fields
+from jaxurban.planners.landmarks import landmark_bound, make_landmarks
+from jaxurban.planners.search.fields import cost_to_go, has_cost_to_go
 from jaxurban.planners.search.grid import GridSearch, estimate
 
 ADMISSIBLE = ("none", "euclidean", "octile", "plus", "tiles", "landmarks", "exact")  # all of them consistent too
@@ -51,8 +51,6 @@ def prepare(name: str, problem: Problem, budget_s: float) -> Prepared:
     name = "tiles" if name == AUTO else name
     makes_landmarks = name == "landmarks" and "landmarks" not in problem.shared
     makes_costs = name == "exact" and not has_cost_to_go(problem)
-    if makes_landmarks or makes_costs:
-        warm_up_fields([problem] * (NUM_LANDMARKS if makes_landmarks else 1))
     begin_s = time.perf_counter()
     end_s = begin_s + budget_s
     is_ready, done = True, "took"

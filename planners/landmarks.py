@@ -14,7 +14,7 @@ from scipy.ndimage import label
 
 from jaxurban.planners.base import Cell, Problem
 from jaxurban.planners.graph import LandmarkBound
-from jaxurban.planners.search.fields import Backend, field_backend, symmetric_costs
+from jaxurban.planners.search.fields import symmetric_costs
 
 NUM_LANDMARKS = 8  # 8 float64 fill a cache line
 
@@ -29,44 +29,36 @@ class Landmarks:
       slack: what the bound is lowered by, so that rounding never lifts it above the true cost: one unit in
         the last place of the largest cost, for every cell, more than the sums along any path can lose.
       elapsed_s: wall time of building.
-      backend: what made the costs, ``"numba"`` or ``"jax"``.
     """
 
     cells: tuple[Cell, ...]
     costs: np.ndarray
     slack: float
     elapsed_s: float
-    backend: str
 
 
-def make_landmarks(
-    problem: Problem, num: int = NUM_LANDMARKS, backend: Backend = "auto", end_s: float = np.inf
-) -> Landmarks:
+def make_landmarks(problem: Problem, num: int = NUM_LANDMARKS, end_s: float = np.inf) -> Landmarks:
     """Return landmarks for a problem's map and weights, built once for all its queries (`Problem.between`).
 
-    Landmarks that are there already are returned, whatever their number and whatever made them.
+    Landmarks that are there already are returned, whatever their number.
 
     Args:
       problem: the query; its start and goal play no part.
       num: how many, where the map has as many cells.
-      backend: see `search.fields.field_backend`.
       end_s: time of `time.perf_counter` to give up at.
 
     Raises:
-      InputError: an unknown backend.
       TimeoutError: the clock passed it.
     """
     if "landmarks" not in problem.shared:
         begin_s = time.perf_counter()
         cells = landmark_cells(problem, num)
         costs = np.empty((*problem.is_free.shape, len(cells)))
-        for k, field in enumerate(symmetric_costs([problem.between(cell, cell) for cell in cells], backend, end_s)):
-            costs[..., k] = field
+        for k, cell in enumerate(cells):
+            costs[..., k] = symmetric_costs(problem.between(cell, cell), end_s)
         largest = np.max(costs, where=np.isfinite(costs), initial=0.0)
         slack = float(largest) * problem.is_free.size * np.finfo(np.float64).eps
-        problem.shared["landmarks"] = Landmarks(
-            tuple(cells), costs, slack, time.perf_counter() - begin_s, field_backend(backend)
-        )
+        problem.shared["landmarks"] = Landmarks(tuple(cells), costs, slack, time.perf_counter() - begin_s)
     made: Landmarks = problem.shared["landmarks"]
     return made
 

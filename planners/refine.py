@@ -26,9 +26,9 @@ def refine(problem: Problem, path: Path, *, budget_s: float = np.inf) -> Path:
 
     Level by level the path is subdivided, more finely each time, and cut short again. On each level
     waypoints move along the directions of the grid and of their segments (a compass search, which finds its way along
-    the kinks that cell borders and corners of obstacles give the exact cost), by steps that grow and shrink. Each single move is made only where it
-    lowers the exact cost of the two segments that it changes, so the path stays free and never gets
-    costlier. Where the whole does not end up cheaper the path itself comes back, with a note.
+    the kinks that cell borders and corners of obstacles give the exact cost), by steps that grow and shrink. Each
+    single move is made only where it lowers the exact cost of the two segments that it changes, so the path stays free
+    and never gets costlier. Where the whole does not end up cheaper the path itself comes back, with a note.
 
     The status is that of a path off the grid: OPTIMAL where the cost meets a lower bound of every curve,
     BUDGET_FEASIBLE where the path had it or the budget ended before the last level, else FEASIBLE. The

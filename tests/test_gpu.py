@@ -14,7 +14,6 @@ from jaxurban.metrics.visibility import SkyView, visibility
 from jaxurban.planners.base import Problem
 from jaxurban.planners.batch import solve_many
 from jaxurban.planners.bitstar.planner import BitStarOptions, bitstar_plus
-from jaxurban.planners.search.fields import cost_to_go
 from jaxurban.world.grid import Grid
 from jaxurban.world.surface import Surface
 
@@ -145,13 +144,6 @@ def test_costs_of_many_queries_are_those_of_numba(gpu, queries):
     costs = [[paths[k].cost for k in range(len(queries))] for paths in (found, expected)]
     assert np.isfinite(costs[1]).sum() > 10
     np.testing.assert_allclose(costs[0], costs[1], rtol=1e-9)
-
-
-def test_costs_from_everywhere_to_a_goal_are_dijkstras(gpu, queries):
-    query = queries[0]
-    found = cost_to_go(query, "jax")
-    query.shared.pop("cost_to_go")
-    np.testing.assert_allclose(found, cost_to_go(query, "numba"), rtol=1e-9)
 
 
 def test_bitstar_finds_the_same_cost_at_equal_samples(gpu, queries):
