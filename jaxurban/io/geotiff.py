@@ -12,8 +12,8 @@ import xarray as xr
 
 from jaxurban.errors import one_of
 from jaxurban.io.attributes import CAVEAT, IN_OBSTACLES
+from jaxurban.io.bands import BLOCK, write_cog
 from jaxurban.io.chunks import Each, stored_rows
-from jaxurban.io.cog import write_cog
 from jaxurban.io.files import (
     BLANK,
     FIELD,
@@ -34,7 +34,6 @@ from jaxurban.metrics.custom import held_metrics
 from jaxurban.metrics.gps import DOPS, WEIGHTED_DOPS
 from jaxurban.metrics.protection import LEVELS
 from jaxurban.world.grid import Grid
-from jaxurban.world.tiling import tile_shape
 
 ALL = "all"  # stands for every map that is held
 CREDIT = "attribution"  # attribute of the maps
@@ -71,7 +70,6 @@ class _Layer(NamedTuple):
       place: along the variable's axes before y and x.
       in_obstacle: the place of the obstacles inside which it has no data; None where it has data there.
       dtype: of the file's values.
-      rows_at_once: that are read together.
       tags: what the file says.
     """
 
@@ -80,7 +78,6 @@ class _Layer(NamedTuple):
     place: tuple[int, ...]
     in_obstacle: tuple[int, ...] | None
     dtype: np.dtype
-    rows_at_once: int
     tags: dict[str, str]
 
     @property
@@ -100,7 +97,6 @@ def _layers(ds: xr.Dataset, layers: Sequence[str]) -> Iterator[_Layer]:
     resolution = f"{short_number(ds.attrs['resolution_m'])}m"
     times = [f"{time}Z" for time in np.datetime_as_string(ds["time"].values, unit="s")]
     common = {"credit": ds.attrs[CREDIT]} if CREDIT in ds.attrs else {}
-    tile = tile_shape((ds.sizes["y"], ds.sizes["x"]))
     norm_name = next((name for name in ("pop_norm_per_km2", "pop_norm_per_block") if name in ds.attrs), "")
     walls = [str(dim) for dim in ds["obstacle"].dims[:-2]]
     metrics = held_metrics(ds)
@@ -134,7 +130,6 @@ def _layers(ds: xr.Dataset, layers: Sequence[str]) -> Iterator[_Layer]:
                 place=index,
                 in_obstacle=tuple(at[dim] for dim in walls) if IN_OBSTACLES in array.attrs else None,
                 dtype=np.dtype(np.uint8 if array.dtype in (np.bool_, np.uint8) else np.float32),
-                rows_at_once=array.encoding.get("chunks", tile)[-2],
                 tags=tags,
             )
 
@@ -263,9 +258,9 @@ def _write_layer(
 
 
 def _parts(read: Read, layer: _Layer, num_rows: int) -> Iterator[np.ndarray]:
-    """Yield a map from the north to the south, as GeoTIFFs hold it, so many rows at a time as a chunk has."""
-    for start in range(0, num_rows, layer.rows_at_once):
-        rows = slice(start, min(start + layer.rows_at_once, num_rows))
+    """Yield a map from the north to the south, as GeoTIFFs hold it, some rows at a time."""
+    for start in range(0, num_rows, 2 * BLOCK):
+        rows = slice(start, min(start + 2 * BLOCK, num_rows))
         values = read(layer.name, layer.place, rows).astype(layer.dtype, copy=False)
         if layer.name != "has_data":
             is_hidden = ~read("has_data", (), rows)
