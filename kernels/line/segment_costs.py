@@ -1,12 +1,10 @@
 """What many straight segments cost over a map of cells at once, in JAX.
 
-Segments are cut where they pass from cell to cell. A CPU walks along all of them from cut to cut. On a GPU, where each
-step of that walk would be several kernels, many cuts are looked at together: how many of the other direction come
-before a cut follows from where it lies, and so does the cell that ends there.
+Segments are cut where they pass from cell to cell; all of them are walked along together, from cut to cut.
 """
 
 from functools import partial
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -14,8 +12,6 @@ from jax import lax
 from jaxtyping import Array, Bool, Float
 
 from jaxurban.kernels.line.traversal import DIAGONAL_SIDES, TOUCH_CELLS
-
-CUTS_TOGETHER = 64  # of each direction of a segment, on a GPU
 
 
 class _Segment(NamedTuple):
@@ -57,7 +53,7 @@ class _Walk(NamedTuple):
     total: Array
 
 
-@partial(jax.jit, static_argnames=("is_line", "shape"))
+@partial(jax.jit, static_argnames="is_line")
 def segment_costs(
     cell_cost: Float[Array, "Y X"],
     start: Float[Array, "E 2"],
@@ -65,8 +61,6 @@ def segment_costs(
     per_side: float | Float[Array, ""],
     is_line: bool,
     passes_corners: bool | Bool[Array, ""],
-    *,
-    shape: Literal["cpu", "gpu"] | None = None,
 ) -> Float[Array, " E"]:
     """Return the cost of each of ``E`` segments, inf where it is not a free way, infinite costs being blocked cells.
 
@@ -77,9 +71,8 @@ def segment_costs(
     lies; states stand one cell side apart, the end is one, the start is none, and a segment up to a diagonal long has
     no other. A segment of no length costs nothing.
 
-    On a CPU it takes as many rounds as the segment with most cells has cells, on a GPU one for each `CUTS_TOGETHER` of
-    a direction. The precision is that of the coordinates: call it under ``jax.enable_x64(True)``, since float32 tells
-    no corners apart.
+    It takes as many rounds as the segment with most cells has cells. The precision is that of the coordinates: call it
+    under ``jax.enable_x64(True)``, since float32 tells no corners apart.
 
     Args:
       cell_cost: cost of a cell per cell side crossed (`line`) or per state (`cell`); inf: no way through.
@@ -87,16 +80,9 @@ def segment_costs(
       per_side: distance cost per cell side.
       is_line: which cost model.
       passes_corners: segments may pass between two blocked cells that touch at a corner.
-      shape: of the computation, for a CPU or a GPU; left out, for the platform for which it is compiled. Costs are the
-        same but for the order in which they are added.
     """
     segments = jax.vmap(_segment)(start, end)
-    by_walks, by_cuts = (partial(costs, is_line=is_line) for costs in (_by_walks, _by_cuts))
-    on_map = segments, per_side * segments.length, cell_cost, jnp.asarray(passes_corners)
-    if shape is None:
-        total = lax.platform_dependent(*on_map, cpu=by_walks, default=by_cuts)
-    else:
-        total = (by_walks if shape == "cpu" else by_cuts)(*on_map)
+    total = _by_walks(segments, per_side * segments.length, cell_cost, jnp.asarray(passes_corners), is_line=is_line)
     if not is_line:
         last = segments.cell + segments.step * segments.num_cuts
         total += _cost_at(cell_cost, last[:, 1], last[:, 0])
@@ -171,56 +157,3 @@ def _by_walks(
         return go_on(lax.while_loop(is_under_way, go_on, start)).total
 
     return jax.vmap(cost)(segments, distance_cost)
-
-
-def _by_cuts(
-    segments: _Segment, distance_cost: Array, cell_cost: Array, passes_corners: Array, *, is_line: bool
-) -> Array:
-    """Return what the segments cost, ``[E]``."""
-
-    def some(i: Array, total: Array) -> Array:
-        def cost(segment: _Segment) -> Array:
-            first = i * CUTS_TOGETHER
-            x, y = (_before_cuts(segment, axis, first, cell_cost, passes_corners, is_line) for axis in (0, 1))
-            return x + y
-
-        return total + jax.vmap(cost)(segments)
-
-    num_turns = jnp.max(segments.num_cuts, initial=0) // CUTS_TOGETHER + 1  # x has its end as one cut more
-    return lax.fori_loop(0, num_turns, some, distance_cost)
-
-
-def _before_cuts(
-    segment: _Segment, axis: int, first: Array, cell_cost: Array, passes_corners: Array, is_line: bool
-) -> Array:
-    """Return what lies before each of `CUTS_TOGETHER` cuts of x or y, and after the cut before; all in all.
-
-    The end of the segment counts as one more cut of x, a corner touched as one of x alone.
-    """
-    other = 1 - axis
-
-    def cut_of(axis: int, k: Array) -> Array:
-        return segment.of(axis).cut(k)
-
-    k = first + jnp.arange(CUTS_TOGETHER, dtype=jnp.int32)
-    is_end = k == segment.num_cuts[axis]
-    at = jnp.where(is_end, segment.length, cut_of(axis, k))
-
-    def is_before(m: Array) -> Array:
-        cut = cut_of(other, m)
-        return (m < 0) | ((m < segment.num_cuts[other]) & (cut < at) & ~(jnp.abs(at - cut) < TOUCH_CELLS))
-
-    # How many cuts of the other direction come before, by where the segment is; rounding may tell one too many.
-    away = jnp.floor(segment.start[other] + at / segment.along[other]).astype(jnp.int32) - segment.cell[other]
-    m = jnp.clip(segment.step[other] * away, 0, segment.num_cuts[other])
-    m = jnp.where(is_end, segment.num_cuts[other], m - 1 + is_before(m - 1) + is_before(m))
-    beyond = jnp.where(m < segment.num_cuts[other], cut_of(other, m), jnp.inf)
-    is_corner = ~is_end & (jnp.abs(at - beyond) < TOUCH_CELLS)
-    behind = [jnp.where(number > 0, cut_of(of, number - 1), 0.0) for of, number in ((axis, k), (other, m))]
-    is_corner_behind = (k > 0) & (m > 0) & (jnp.abs(behind[0] - behind[1]) < TOUCH_CELLS)
-    last = jnp.where(is_corner_behind, jnp.minimum(*behind), jnp.maximum(*behind))
-    begin, to = (jnp.minimum(side, segment.length) for side in (last, jnp.minimum(at, beyond)))
-    num_passed = (k, m) if axis == 0 else (m, k)
-    cost = _cost_between(segment, begin, to, num_passed, is_corner, cell_cost, passes_corners, is_line)
-    is_cut = k <= segment.num_cuts[axis] if axis == 0 else (k < segment.num_cuts[axis]) & ~is_corner
-    return jnp.sum(jnp.where(is_cut, cost, 0.0))

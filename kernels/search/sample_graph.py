@@ -6,17 +6,17 @@ call serves queries of any sizes and stages, and its shapes depend on nothing bu
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
 from jaxurban.kernels.line.segment_costs import segment_costs
-from jaxurban.kernels.search.relaxation import NO_PARENT as NO_PARENT
-from jaxurban.kernels.search.relaxation import Edges, OfNode, Tree, relaxed_by_edges, relaxed_by_nodes
 
 NO_QUERY = -1
+NO_PARENT = -1
+BY_TREE = -1  # in place of an edge's number: the parent in the tree given, or none
 MOST_SQUARES = 1 << 12  # along a side of the map, so that a square's number fits beside its query's
 SQUARES_OF_A_QUERY = 1 << 26
 
@@ -70,6 +70,21 @@ class Sizes(NamedTuple):
     edges_together: int
 
 
+class Edges(NamedTuple):
+    """Edges in a list with room for ``E``: in the first ``num`` places, what lies behind means nothing.
+
+    Attributes:
+      origin, target: ``[E]`` int32 nodes.
+      cost: ``[E]`` float64, inf where no way leads along the edge.
+      num: int32.
+    """
+
+    origin: Array
+    target: Array
+    cost: Array
+    num: Array
+
+
 class Trees(NamedTuple):
     """What a search found. ``N`` nodes.
 
@@ -90,7 +105,7 @@ class Trees(NamedTuple):
     num_edges: Array
 
 
-@partial(jax.jit, static_argnames=("is_line", "sizes", "shape"))
+@partial(jax.jit, static_argnames=("is_line", "sizes"))
 def search_samples(
     samples: Samples,
     cell_cost: Array,
@@ -99,7 +114,6 @@ def search_samples(
     *,
     is_line: bool,
     sizes: Sizes,
-    shape: Literal["cpu", "gpu"] | None = None,
 ) -> Trees:
     """Return the cheapest paths from every query's start over its random geometric graph and the tree given.
 
@@ -113,8 +127,6 @@ def search_samples(
       samples: the nodes.
       cell_cost, per_side, passes_corners, is_line: the map of all queries, as in `segment_costs`.
       sizes: room; too little is told in the result, and nothing is searched then.
-      shape: of the computation, for a CPU or a GPU; left out, for the platform for which it is compiled. Of equally
-        cheap paths another one may be found.
     """
     order = jnp.argsort(_squares(samples, cell_cost.shape)[0]).astype(jnp.int32)
     place = jnp.zeros_like(order).at[order].set(jnp.arange(order.size, dtype=jnp.int32))
@@ -124,38 +136,20 @@ def search_samples(
 
     ordered = Samples(*(values[order] for values in samples))
     ordered = ordered._replace(parent=renumbered(ordered.parent, place))
-    edges, of_node, most_candidates = neighbours(ordered, cell_cost.shape, sizes)
+    edges, num_of_node, most_candidates = neighbours(ordered, cell_cost.shape, sizes)
     num_edges = edges.num
-    has_room = num_edges <= edges.cost.size
-    edges = edges._replace(num=jnp.where(has_room, num_edges, 0))
-
-    def by_edges(edges: Edges, samples: Samples, *on_map: Any) -> tuple[Tree, Array]:
-        edges = costed(edges, samples, *on_map, is_line=is_line, sizes=sizes, shape="cpu")
-        return relaxed_by_edges(edges, _tree_of(samples), sizes.edges_together)
-
-    def by_nodes(edges: Edges, samples: Samples, *on_map: Any) -> tuple[Tree, Array]:
-        edges = costed(edges, samples, *on_map, is_line=is_line, sizes=sizes, shape="gpu")
-        edges_of_node = of_node._replace(num=jnp.where(has_room, of_node.num, 0))
-        return relaxed_by_nodes(edges, edges_of_node, _tree_of(samples), sizes.candidates)
-
-    search = edges, ordered, cell_cost, per_side, passes_corners
-    if shape is None:
-        tree, num_rounds = lax.platform_dependent(*search, cpu=by_edges, default=by_nodes)
-    else:
-        tree, num_rounds = (by_edges if shape == "cpu" else by_nodes)(*search)
+    edges = edges._replace(num=jnp.where(num_edges <= edges.cost.size, num_edges, 0))
+    edges = costed(edges, ordered, cell_cost, per_side, passes_corners, is_line=is_line, sizes=sizes)
+    g, parent, edge_cost, num_rounds = relaxed(edges, ordered, sizes.edges_together)
     return Trees(
-        tree.g[place],
-        renumbered(tree.parent[place], order),
-        tree.edge_cost[place],
-        of_node.num[place],
+        g[place],
+        renumbered(parent[place], order),
+        edge_cost[place],
+        num_of_node[place],
         num_rounds,
         most_candidates,
         num_edges,
     )
-
-
-def _tree_of(samples: Samples) -> Tree:
-    return Tree(samples.g, samples.parent, samples.edge_cost)
 
 
 def _squares(samples: Samples, shape: tuple[int, ...]) -> tuple[Array, Array]:
@@ -172,8 +166,8 @@ def _squares(samples: Samples, shape: tuple[int, ...]) -> tuple[Array, Array]:
     return jnp.where(samples.query == NO_QUERY, jnp.iinfo(jnp.int64).max, square), num_cols
 
 
-def neighbours(samples: Samples, shape: tuple[int, ...], sizes: Sizes) -> tuple[Edges, OfNode, Array]:
-    """Return the edges within the radius, yet without costs, the edges of each node, and `most_candidates`.
+def neighbours(samples: Samples, shape: tuple[int, ...], sizes: Sizes) -> tuple[Edges, Array, Array]:
+    """Return the edges within the radius, yet without costs, ``[N]`` how many lead to each node, and `most_candidates`.
 
     An edge is kept where by its lower bound it may give its end a lower cost than it has, and the query a cheaper path.
     Where edges lack room their number tells it; where candidates do, no edge is kept.
@@ -199,8 +193,8 @@ def neighbours(samples: Samples, shape: tuple[int, ...], sizes: Sizes) -> tuple[
     slot = jnp.arange(sizes.candidates, dtype=jnp.int32)
     num_places = sizes.edges * square.size
 
-    def turn(carry: tuple[Edges, OfNode, Array]) -> tuple[Edges, OfNode, Array]:
-        edges, of_node, first = carry
+    def turn(carry: tuple[Edges, Array, Array]) -> tuple[Edges, Array, Array]:
+        edges, num_of_node, first = carry
 
         def here(values: Array) -> Array:
             return lax.dynamic_slice_in_dim(values, first, sizes.nodes_together)[:, None]
@@ -222,25 +216,21 @@ def neighbours(samples: Samples, shape: tuple[int, ...], sizes: Sizes) -> tuple[
         is_edge &= (reach < here(samples.g)) & (reach + here(samples.to_goal) < here(samples.incumbent))
         num_here = jnp.sum(is_edge, axis=1, dtype=jnp.int32)
         behind = edges.num + jnp.cumsum(num_here)
-        of_node_here = OfNode(behind - num_here, num_here)
-        place = of_node_here.first[:, None] + jnp.cumsum(is_edge, axis=1, dtype=jnp.int32) - 1
+        place = (behind - num_here)[:, None] + jnp.cumsum(is_edge, axis=1, dtype=jnp.int32) - 1
         place = jnp.where(is_edge, place, num_places)  # out of bounds, hence dropped
         edges = edges._replace(
             origin=edges.origin.at[place].set(origin, mode="drop"),
             target=edges.target.at[place].set(node, mode="drop"),
             num=behind[-1],
         )
-        of_node = OfNode(
-            *(lax.dynamic_update_slice_in_dim(*whole, first, 0) for whole in zip(of_node, of_node_here, strict=True))
-        )
-        return edges, of_node, first + sizes.nodes_together
+        num_of_node = lax.dynamic_update_slice_in_dim(num_of_node, num_here, first, 0)
+        return edges, num_of_node, first + sizes.nodes_together
 
     nowhere = jnp.zeros(num_places, jnp.int32)
     edges = Edges(nowhere, nowhere, jnp.zeros(num_places), jnp.int32(0))
-    none = jnp.zeros(square.size, jnp.int32)
-    carry = (edges, OfNode(none, none), jnp.int32(0))
-    edges, of_node, _ = _in_turns(turn, carry, num_nodes, square.size // sizes.nodes_together)
-    return edges, of_node, most_candidates
+    carry = (edges, jnp.zeros(square.size, jnp.int32), jnp.int32(0))
+    edges, num_of_node, _ = _in_turns(turn, carry, num_nodes, square.size // sizes.nodes_together)
+    return edges, num_of_node, most_candidates
 
 
 def costed(
@@ -252,13 +242,8 @@ def costed(
     *,
     is_line: bool,
     sizes: Sizes,
-    shape: Literal["cpu", "gpu"],
 ) -> Edges:
-    """Return the edges with the costs of those that, by their costs, may still help.
-
-    For a CPU the others are dropped, for a GPU they stay, with cost inf. So many are costed in each turn that no place
-    goes empty.
-    """
+    """Return the edges that by their costs may still help, with these."""
     num_places = edges.cost.size
 
     def turn(carry: tuple[Edges, Array]) -> tuple[Edges, Array]:
@@ -269,25 +254,57 @@ def costed(
             for nodes in (kept.origin, kept.target)
         )
         start, end = samples.xy[origin], samples.xy[target]
-        cost = segment_costs(cell_cost, start, end, per_side, is_line, passes_corners, shape=shape)
+        cost = segment_costs(cell_cost, start, end, per_side, is_line, passes_corners)
         reach = samples.from_start[origin] + cost
         is_kept = is_edge & (reach < samples.g[target]) & (reach + samples.to_goal[target] < samples.incumbent[target])
-        if shape == "gpu":
-            cost = jnp.where(is_kept, cost, jnp.inf)
-            kept = kept._replace(cost=lax.dynamic_update_slice_in_dim(kept.cost, cost, first, 0))
-        else:
-            behind = kept.num + jnp.cumsum(is_kept, dtype=jnp.int32)
-            place = jnp.where(is_kept, behind - 1, num_places)  # at or before the edge's own
-            kept = Edges(
-                kept.origin.at[place].set(origin, mode="drop"),
-                kept.target.at[place].set(target, mode="drop"),
-                kept.cost.at[place].set(cost, mode="drop"),
-                behind[-1],
-            )
+        behind = kept.num + jnp.cumsum(is_kept, dtype=jnp.int32)
+        place = jnp.where(is_kept, behind - 1, num_places)  # at or before the edge's own
+        kept = Edges(
+            kept.origin.at[place].set(origin, mode="drop"),
+            kept.target.at[place].set(target, mode="drop"),
+            kept.cost.at[place].set(cost, mode="drop"),
+            behind[-1],
+        )
         return kept, first + sizes.edges_together
 
-    carry = (edges if shape == "gpu" else edges._replace(num=jnp.int32(0)), jnp.int32(0))
+    carry = (edges._replace(num=jnp.int32(0)), jnp.int32(0))
     return _in_turns(turn, carry, edges.num, num_places // sizes.edges_together)[0]
+
+
+def relaxed(edges: Edges, tree: Samples, edges_together: int) -> tuple[Array, Array, Array, Array]:
+    """Return ``g``, ``parent`` and ``edge_cost`` when no edge, nor the tree given, lowers a cost, and the rounds done.
+
+    Each round looks at the edges of the tree given, then at all others, ``edges_together`` of them together. Parents
+    change with a strictly lower cost only, so that they lead back to the start even where edges cost nothing.
+    """
+    is_child = tree.parent != NO_PARENT
+    tree_parent = jnp.maximum(tree.parent, 0)
+    tree_cost = jnp.where(is_child, tree.edge_cost, jnp.inf)
+
+    def one_turn(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+        g, reached_by, first = carry
+        origin, target, cost = (lax.dynamic_slice_in_dim(values, first, edges_together) for values in edges[:3])
+        edge = first + jnp.arange(edges_together, dtype=jnp.int32)
+        reach = jnp.where(edge < edges.num, g[origin] + cost, jnp.inf)
+        lowest = g.at[target].min(reach)
+        is_better = (reach < g[target]) & (reach == lowest[target])
+        reached_by = reached_by.at[jnp.where(is_better, target, g.size)].set(edge, mode="drop")
+        return lowest, reached_by, first + edges_together
+
+    def go_on(carry: tuple[Array, Array, Array, Array]) -> tuple[Array, Array, Array, Array]:
+        before, reached_by, _, num_rounds = carry
+        along_tree = before[tree_parent] + tree_cost
+        reached_by = jnp.where(along_tree < before, BY_TREE, reached_by)
+        g = jnp.minimum(before, along_tree)
+        g, reached_by, _ = lax.while_loop(lambda turn: turn[2] < edges.num, one_turn, (g, reached_by, jnp.int32(0)))
+        return g, reached_by, jnp.any(g < before), num_rounds + 1
+
+    to_begin = (tree.g, jnp.full(tree.g.size, BY_TREE, jnp.int32), jnp.array(True), jnp.int32(0))
+    g, reached_by, _, num_rounds = lax.while_loop(lambda carry: carry[2], go_on, to_begin)
+    is_by_tree = reached_by == BY_TREE
+    edge = jnp.clip(reached_by, 0, edges.cost.size - 1)
+    parent = jnp.where(is_by_tree, tree.parent, edges.origin[edge])
+    return g, parent, jnp.where(is_by_tree, tree.edge_cost, edges.cost[edge]), num_rounds
 
 
 def _in_turns(turn: Callable[[Any], Any], carry: Any, num: Array, most_turns: int) -> Any:

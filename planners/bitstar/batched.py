@@ -19,7 +19,7 @@ from jaxurban.planners.bitstar.batches import DEFAULTS, Batches, BitStarOptions,
 from jaxurban.planners.cost_grid import cost_grid_of
 
 QUERIES_TOGETHER = {"cpu": 64, "gpu": 256}
-MOST_NODES = {"cpu": 2**18, "gpu": 2**21}  # of all queries that run together: some 2 kB each, on a GPU 5 kB
+MOST_NODES = {"cpu": 2**18, "gpu": 2**21}  # of all queries that run together: some 2 kB each
 FEWEST_NODES = 1024  # room for so many, and for 4, 16 ... times as many, so that few shapes are compiled
 # What a turn does together: on a CPU what fits into its caches.
 NODES_TOGETHER = {"cpu": 256, "gpu": 2**16}

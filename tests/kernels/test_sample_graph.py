@@ -41,13 +41,10 @@ def samples_of(seed, cell_cost, **given):
     return Samples(**fields | given)
 
 
-SHAPES = ("cpu", "gpu")
-
-
-def search(samples, cell_cost, is_line=True, per_side=PER_SIDE, sizes=SIZES, shape=None):
+def search(samples, cell_cost, is_line=True, per_side=PER_SIDE, sizes=SIZES):
     with jax.enable_x64(True):
         samples = Samples(*(jnp.asarray(values) for values in samples))
-        trees = search_samples(samples, cell_cost, per_side, False, is_line=is_line, sizes=sizes, shape=shape)
+        trees = search_samples(samples, cell_cost, per_side, False, is_line=is_line, sizes=sizes)
         return trees._replace(**{name: np.asarray(value) for name, value in trees._asdict().items()})
 
 
@@ -70,14 +67,13 @@ def by_dijkstra(samples, cell_cost, is_line=True, tree=()):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("shape", SHAPES)
 @pytest.mark.parametrize("is_line", [True, False])
-def test_costs_are_dijkstras_at_every_node_of_every_query(is_line, shape):
+def test_costs_are_dijkstras_at_every_node_of_every_query(is_line):
     for seed in range(2):
         cell_cost = a_map(seed)
         samples = samples_of(seed, cell_cost)
         expected, is_edge = by_dijkstra(samples, cell_cost, is_line)
-        trees = search(samples, cell_cost, is_line, shape=shape)
+        trees = search(samples, cell_cost, is_line)
         np.testing.assert_allclose(trees.g, expected, rtol=1e-12)
         assert 110 < np.isfinite(expected).sum() < sum(COUNTS)
         # All edges but those to the starts, which nothing can improve.
@@ -89,8 +85,7 @@ def test_costs_are_dijkstras_at_every_node_of_every_query(is_line, shape):
         np.testing.assert_allclose(trees.g[has_parent], trees.g[parent] + trees.edge_cost[has_parent], rtol=1e-12)
 
 
-@pytest.mark.parametrize("shape", SHAPES)
-def test_edges_of_the_tree_given_count_where_they_are_longer_than_the_radius(shape):
+def test_edges_of_the_tree_given_count_where_they_are_longer_than_the_radius():
     cell_cost = np.full(SHAPE, 0.5)
     samples = samples_of(3, cell_cost)
     first = COUNTS[0] + COUNTS[1]  # the third query's nodes lie too far apart to be joined
@@ -101,21 +96,20 @@ def test_edges_of_the_tree_given_count_where_they_are_longer_than_the_radius(sha
         edge_cost[b] = segment_cost(cost_grid, *samples.xy[a], *samples.xy[b], np.inf)
         g[b], parent[b] = g[a] + edge_cost[b], a
     grown = samples._replace(g=g, parent=parent, edge_cost=edge_cost)
-    trees = search(grown, cell_cost, shape=shape)
+    trees = search(grown, cell_cost)
     np.testing.assert_allclose(trees.g, by_dijkstra(samples, cell_cost, True, tree)[0], rtol=1e-12)
     assert np.isfinite(trees.g[first + 4])
     # With bounds that are tight no edge promises more than what is known, but for rounding.
     bounds = {"from_start": trees.g, "least_per_side": np.full(NUM_NODES, PER_SIDE + 0.5)}
     known = {"g": trees.g, "parent": trees.parent, "edge_cost": trees.edge_cost}
-    again = search(samples._replace(**bounds, **known), cell_cost, shape=shape)
+    again = search(samples._replace(**bounds, **known), cell_cost)
     assert again.num_edges < trees.num_edges / 4
     np.testing.assert_array_equal(again.g, trees.g)
     np.testing.assert_array_equal(again.parent, trees.parent)
 
 
-@pytest.mark.parametrize("shape", SHAPES)
-def test_parents_lead_back_to_the_start_where_edges_cost_nothing(shape):
-    parent = search(samples_of(4, np.zeros(SHAPE)), np.zeros(SHAPE), per_side=0.0, shape=shape).parent
+def test_parents_lead_back_to_the_start_where_edges_cost_nothing():
+    parent = search(samples_of(4, np.zeros(SHAPE)), np.zeros(SHAPE), per_side=0.0).parent
     for node in range(COUNTS[0]):
         num_steps = 0
         while parent[node] != NO_PARENT:
@@ -125,14 +119,11 @@ def test_parents_lead_back_to_the_start_where_edges_cost_nothing(shape):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("shape", "together"),
-    [("cpu", {}), ("gpu", {}), ("gpu", {"nodes_together": NUM_NODES, "edges_together": NUM_NODES})],
-)
-def test_too_little_room_is_told_and_nothing_is_searched(shape, together):
+@pytest.mark.parametrize("together", [{}, {"nodes_together": NUM_NODES, "edges_together": NUM_NODES}])
+def test_too_little_room_is_told_and_nothing_is_searched(together):
     cell_cost = a_map(0)
     samples = samples_of(0, cell_cost)
-    trees = search(samples, cell_cost, sizes=SIZES._replace(candidates=16, edges=1, **together), shape=shape)
+    trees = search(samples, cell_cost, sizes=SIZES._replace(candidates=16, edges=1, **together))
     np.testing.assert_array_equal(trees.g, samples.g)
     assert trees.most_candidates == search(samples, cell_cost).most_candidates > 16
     assert trees.num_costed.sum() == 0

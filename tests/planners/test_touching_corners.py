@@ -2,7 +2,7 @@
 
 import itertools
 from dataclasses import replace
-from functools import cache, partial
+from functools import cache
 
 import jax
 import numpy as np
@@ -70,9 +70,9 @@ def cell_cost_of(seed):
     return np.where(pinched_map(seed), np.random.default_rng(seed).random((1, *SHAPE))[0], np.inf)
 
 
-def bulk_costs(cell_cost, segments, is_line, passes_corners, shape="cpu"):
+def bulk_costs(cell_cost, segments, is_line, passes_corners):
     with jax.enable_x64(True):
-        return segment_costs(cell_cost, segments[:, 0], segments[:, 1], 0.3, is_line, passes_corners, shape=shape)
+        return segment_costs(cell_cost, segments[:, 0], segments[:, 1], 0.3, is_line, passes_corners)
 
 
 def compiled_costs(cell_cost, segments, is_line, passes_corners):
@@ -82,7 +82,7 @@ def compiled_costs(cell_cost, segments, is_line, passes_corners):
 
 @pytest.mark.parametrize("diagonal", ["both-free", "always"])
 @pytest.mark.parametrize("cost_model", ["line", "cell"])
-@pytest.mark.parametrize("walk", [bulk_costs, partial(bulk_costs, shape="gpu"), compiled_costs])
+@pytest.mark.parametrize("walk", [bulk_costs, compiled_costs])
 def test_every_walker_finds_the_way_free_where_the_evaluation_does(walk, cost_model, diagonal):
     num_pinched = 0
     for seed in range(3):
