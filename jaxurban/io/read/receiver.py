@@ -16,11 +16,20 @@ OTHER_NAMES = {LON: "lon", LAT: "lat"}
 TRACKED, ERROR, SATELLITE, CN0 = "num_tracked", "error_2d_m", "satellite", "cn0_dbhz"
 WITNESSES = (TRACKED, ERROR, SATELLITE)  # what a log may tell of how well the receiver did
 MOST_COLUMNS_SAID = 120  # characters of the columns that a log has
-MOST_TRACKED = 200  # satellites: no receiver has so many channels for different ones
-MOST_CN0_DBHZ = 100.0  # under open sky it is 30 to 55: beyond, it is another quantity
+RANGES = {  # of a value; no receiver has channels for more satellites, and C/N0 is 30 to 55 under open sky
+    LON: (-180.0, 180.0),
+    LAT: (-90.0, 90.0),
+    TRACKED: (0.0, 200.0),
+    ERROR: (0.0, np.inf),
+    CN0: (0.0, 100.0),
+}
 # The zone of a time, behind its minutes or seconds; pandas reads all but the names.
 ZONE = re.compile(r"(?:Z|UTC|GMT|:\d\d(?:\.\d+)?\s*[+-]\d\d(?::?\d\d)?)$", re.IGNORECASE)
 LIKE_THIS = "2018-12-19T06:07:37Z"
+TIME_REMEDY = (
+    f"write UTC with a Z, as {LIKE_THIS} (GPS time is 18 s ahead of it since 2017), or local times with their offset, "
+    "as 2018-12-19T15:07:37+09:00, and remove rows without a time"
+)
 REMEDY = f"give a table with the columns {UTC} (as {LIKE_THIS}), {LON}, {LAT} and one of {', '.join(WITNESSES)}"
 
 
@@ -68,11 +77,9 @@ def read_receiver_log(source: str | Path | pd.DataFrame) -> ReceiverLog:
         raise InputError(f"the receiver log {name!r} has no rows: {REMEDY}")
     table = _named(table, name)
     table = table.assign(**{UTC: _times(table[UTC], name)})
-    for column, most in ((LON, 180), (LAT, 90)):
-        table[column] = _coordinates(table, column, most, name)
-    for column, most_value in ((TRACKED, MOST_TRACKED), (ERROR, np.inf), (CN0, MOST_CN0_DBHZ)):
+    for column in RANGES:
         if column in table:
-            table[column] = _numbers(table, column, most_value, name)
+            table[column] = _numbers(table, column, name)
     table = table.sort_values(UTC, kind="stable", ignore_index=True)
     if SATELLITE in table:
         return _by_satellite(table, name)
@@ -114,68 +121,34 @@ def _named(table: pd.DataFrame, name: str) -> pd.DataFrame:
 
 def _times(column: pd.Series, name: str) -> pd.Series:
     """Return times in UTC; text must say its zone, and so must the times of a Parquet file."""
-    what = f"the receiver log {name!r}"
-    if column.isna().any():
-        raise InputError(f"{what} has {int(column.isna().sum())} rows without a time: remove them")
-    if pd.api.types.is_numeric_dtype(column):
-        raise InputError(
-            f"{what} has numbers as times ({column.iloc[0]}), and whether they count from 1970, in GPS time or "
-            f"otherwise is not said: write {UTC} as {LIKE_THIS} (GPS time is 18 s ahead of UTC since 2017)"
-        )
-    remedy = f"write UTC with a Z, as {LIKE_THIS}, or local times with their offset, as 2018-12-19T15:07:37+09:00"
-    if pd.api.types.is_datetime64_any_dtype(column):
-        if column.dt.tz is None:
-            raise InputError(f"{what} has times without a zone ({column.iloc[0]}), which may be local ones: {remedy}")
-        return column.dt.tz_convert("UTC")
     texts = column.astype(str).str.strip()
-    if len(local := texts[~texts.str.contains(ZONE)]):
-        try:
-            pd.to_datetime(local.iloc[0])
-        except (ValueError, OverflowError) as error:
-            raise InputError(f"{what} has {local.iloc[0]!r} as a time, which is none: {remedy}") from error
-        raise InputError(f"{what} has times without a zone ({local.iloc[0]!r}), which may be local ones: {remedy}")
-    iso = texts.str.replace(r"\s*(?:UTC|GMT)$", "Z", case=False, regex=True)
-    try:
-        return pd.to_datetime(iso, utc=True, format="ISO8601")
-    except (ValueError, OverflowError) as error:
-        wrong = next((text for text, each in zip(texts, iso, strict=True) if not _is_time(each)), texts.iloc[0])
-        raise InputError(f"{what} has {wrong!r} as a time, which cannot be read: {remedy}") from error
-
-
-def _is_time(text: str) -> bool:
-    try:
-        pd.to_datetime([text], utc=True, format="ISO8601")
-    except (ValueError, OverflowError):
-        return False
-    return True
-
-
-def _coordinates(table: pd.DataFrame, column: str, most: float, name: str) -> pd.Series:
-    values = pd.to_numeric(table[column], errors="coerce").astype(float)
-    if num := int((~np.isfinite(values)).sum()):
+    if isinstance(column.dtype, pd.DatetimeTZDtype):
+        times = column.dt.tz_convert("UTC")
+    else:
+        zoned = texts.where(texts.str.contains(ZONE, na=False))
+        iso = zoned.str.replace(r"\s*(?:UTC|GMT)$", "Z", case=False, regex=True)
+        times = pd.to_datetime(iso, utc=True, format="ISO8601", errors="coerce")
+    if (is_wrong := times.isna()).any():
         raise InputError(
-            f"the receiver log {name!r} has {num} rows without a number in {column}: remove the rows without a place"
+            f"the receiver log {name!r} has {str(texts[is_wrong].iloc[0])!r} as a time, which is none or without a "
+            f"zone and may be a local one: {TIME_REMEDY}"
         )
-    if num := int((values.abs() > most).sum()):
-        hint = "; longitude and latitude may be swapped" if column == LAT else ""
-        raise InputError(
-            f"the receiver log {name!r} has {num} rows whose {column} is beyond {most} degrees{hint}: give "
-            "WGS 84 degrees"
-        )
-    return values
+    return times
 
 
-def _numbers(table: pd.DataFrame, column: str, most: float, name: str) -> pd.Series:
-    """Return a column of numbers from 0 to ``most``, NaN where there is none; at least one must be there."""
+def _numbers(table: pd.DataFrame, column: str, name: str) -> pd.Series:
+    """Return a column of numbers, NaN where a receiver told none; no place may lack any, nor all of a witness."""
+    low, high = RANGES[column]
     values = pd.to_numeric(table[column], errors="coerce").astype(float)
-    is_wrong = (values.isna() & table[column].notna()) | (values < 0) | (values > most) | np.isinf(values)
+    is_left_out = table[column].isna() & (column not in (LON, LAT))
+    is_wrong = ~(np.isfinite(values) & values.between(low, high) | is_left_out)
     if pd.api.types.is_bool_dtype(table[column]):
         is_wrong |= True
     if len(wrong := table[column][is_wrong].tolist()):  # a list's numbers are Python's
-        up_to = "up" if np.isinf(most) else f"to {most:g}"
+        hint = " (longitude and latitude may be swapped)" if column == LAT else ""
         raise InputError(
-            f"the receiver log {name!r} has {wrong[0]!r} in {column}, where a number from 0 {up_to} belongs, or "
-            "nothing where it is not known"
+            f"the receiver log {name!r} has {wrong[0]!r} in {column} of {len(wrong)} row(s), where a number from "
+            f"{low:g} to {high:g} belongs{hint}: mend them, or remove the rows"
         )
     if column in WITNESSES and values.isna().all():
         raise InputError(f"the receiver log {name!r} has no value in {column}: fill it, or remove the column")
@@ -186,14 +159,12 @@ def _by_satellite(table: pd.DataFrame, name: str) -> ReceiverLog:
     """Return the log of a table whose rows are satellites."""
     number = table[UTC].ne(table[UTC].shift()).cumsum() - 1
     epochs = table.groupby(number, sort=True)
-    moved = epochs[[LON, LAT]].nunique().gt(1).any(axis=1)
-    if moved.any():
-        at = table[UTC][number == moved.index[moved][0]].iloc[0]
-        raise InputError(f"the receiver log {name!r} is at two places at {at.isoformat()}: keep one receiver's rows")
-    for column in (each for each in (TRACKED, ERROR) if each in table):
+    for column in (each for each in (LON, LAT, TRACKED, ERROR) if each in table):
         if (differs := epochs[column].nunique().gt(1)).any():
             at = table[UTC][number == differs.index[differs][0]].iloc[0]
-            raise InputError(f"the receiver log {name!r} tells two values of {column} at {at.isoformat()}: keep one")
+            raise InputError(
+                f"the receiver log {name!r} has two values of {column} at {at.isoformat()}: keep one receiver's rows"
+            )
     named = table[SATELLITE].notna() & (table[SATELLITE].astype(str).str.strip() != "")
     satellites = pd.DataFrame({"epoch": number[named], SATELLITE: table[SATELLITE][named].astype(str).str.strip()})
     if CN0 in table:
