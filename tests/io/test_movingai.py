@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from jaxurban.errors import InputError
-from jaxurban.io.read.movingai import GridProblem, read_map, read_scenarios, write_map, write_scenarios
+from jaxurban.io.read.movingai import GridProblem, write_map, write_scenarios
+from tests.movingai import read_map, read_scenarios
 
 
 def test_a_map_is_written_north_first_and_read_back(tmp_path):
@@ -32,16 +32,3 @@ def test_a_published_map_and_its_scenarios_are_read(data_dir):
     assert len(problems) == 930
     assert all(is_free[problem.start] and is_free[problem.goal] for problem in problems)
     assert problems[0] == GridProblem((255 - 165, 248), (255 - 164, 249), 2.0)
-
-
-@pytest.mark.parametrize("text", ["", "type octile\nheight 2\nwidth 3\nmap\n...\n", "type octile\nheight x\n"])
-def test_a_broken_map_is_named(tmp_path, text):
-    (tmp_path / "bad.map").write_text(text)
-    with pytest.raises(InputError, match=r"bad\.map"):
-        read_map(tmp_path / "bad.map")
-
-
-def test_broken_scenarios_are_named(tmp_path):
-    (tmp_path / "bad.scen").write_text("version 1\n0\ta.map\t3\n")
-    with pytest.raises(InputError, match=r"bad\.scen"):
-        read_scenarios(tmp_path / "bad.scen")

@@ -16,7 +16,6 @@ import pytest
 
 import jaxurban as ju
 from jaxurban.errors import InputError
-from jaxurban.io.read.movingai import read_map, read_scenarios
 from jaxurban.io.store import write_zarr
 from jaxurban.maps.executors import cluster_client
 from jaxurban.planners.astar import astar
@@ -27,6 +26,7 @@ from jaxurban.studies.montecarlo.run import InstanceRuns, MapsFolder, solve_on
 from jaxurban.studies.montecarlo.trial import DISTANCE, PlannerRun
 from tests.cli_runs import assert_one_sentence, run
 from tests.made_maps import made_maps
+from tests.movingai import read_map, read_scenarios
 
 SETTINGS = ju.BenchmarkSettings(budget_iterations=200, seed=2)
 ONE = replace(SETTINGS, planners=["ptp"], distance_only=())

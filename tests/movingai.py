@@ -1,0 +1,22 @@
+"""Reading MovingAI's grid benchmark files, for tests of what is written and of what was published."""
+
+from pathlib import Path
+
+import numpy as np
+
+from jaxurban.io.read.movingai import GridProblem
+
+
+def read_map(file: Path) -> np.ndarray:
+    """Return ``[Y, X]`` bool, the free cells of a ``.map`` file."""
+    rows = file.read_text(encoding="ascii").splitlines()[4:]
+    return np.array([[cell in ".G" for cell in row] for row in rows])[::-1]
+
+
+def read_scenarios(file: Path) -> list[GridProblem]:
+    """Return the problems of a ``.scen`` file."""
+    problems = []
+    for line in file.read_text(encoding="ascii").splitlines()[1:]:
+        num_rows, x0, y0, x1, y1 = map(int, line.split()[3:8])
+        problems.append(GridProblem((num_rows - 1 - y0, x0), (num_rows - 1 - y1, x1), float(line.split()[8])))
+    return problems
