@@ -23,7 +23,7 @@ from benchmarks.common import ROOT, Row, Timing, load, machine, markdown, row, w
 from jaxurban.planners.astar import astar
 from jaxurban.planners.base import Cell, Problem
 from jaxurban.planners.cost_model import CostModel
-from jaxurban.planners.graph import Graph, Heuristic, graph_of, zero_heuristic
+from jaxurban.planners.graph import NO_HEURISTIC, Graph, Heuristic, graph_of
 from jaxurban.planners.landmarks import make_landmarks
 from jaxurban.planners.moves import STEPS
 from jaxurban.planners.search.grid import GridSearch
@@ -181,7 +181,7 @@ def against_tcod(city: City) -> Contest:
         return float(finder.distance[goal])
 
     problem = problem_of(cost, city.is_free, 1.0, 0.0)
-    bound = zero_heuristic(problem)._replace(
+    bound = NO_HEURISTIC._replace(
         straight=float(TCOD_CARDINAL * least), diagonal=float((TCOD_DIAGONAL - TCOD_CARDINAL) * least)
     )
     is_diagonal = np.abs(STEPS).sum(axis=1) == 2

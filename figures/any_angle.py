@@ -50,7 +50,7 @@ def city() -> Problem:
 def paths_of(problem: Problem) -> dict[str, Path]:
     """Return the three paths by label."""
     angled = theta_star(problem)
-    return dict(zip(STYLES, (astar(problem, heuristic="plus"), angled, refine(problem, angled)), strict=True))
+    return dict(zip(STYLES, (astar(problem), angled, refine(problem, angled)), strict=True))
 
 
 def draw(axes: Axes, problem: Problem, paths: dict[str, Path], has_points: bool = False) -> None:

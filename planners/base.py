@@ -10,7 +10,7 @@ import numpy as np
 
 from jaxurban.errors import InputError
 from jaxurban.kernels.search.tiles import tile_minima
-from jaxurban.kernels.search.weighing import are_costs, in_rows, weighted_line_minima, weighted_sum
+from jaxurban.kernels.search.weighing import are_costs, in_rows, weighted_sum
 from jaxurban.planners.cost import CostKind, PathFeatures, path_features
 from jaxurban.planners.cost_model import CostModel, positive_m
 from jaxurban.planners.moves import allowed_moves
@@ -266,11 +266,6 @@ class Problem:
     def tile_minima(self) -> np.ndarray:
         """``[I + 2, J + 2]`` the cheapest free cell of every tile, in a frame (see `kernels.search.tiles`)."""
         return self.once("tile_minima", lambda: tile_minima(self.cost, self.is_free))
-
-    @property
-    def line_minima(self) -> tuple[np.ndarray, np.ndarray]:
-        """Cheapest free cell of every row ``[Y]`` and of every column ``[X]``."""
-        return self.once("line_minima", lambda: weighted_line_minima(self.costs, self.layer_weights, self.is_free))
 
 
 def _checked_levels(levels_m: Any, is_free: np.ndarray) -> np.ndarray:

@@ -58,12 +58,11 @@ class Heuristic(NamedTuple):
     """A bound ``h(n)`` on the cost to the goal, evaluated node by node. ``Y`` rows, ``X`` columns.
 
     With ``dr, dc`` rows and columns to the goal: a distance part ``euclidean * hypot(dr, dc)
-    + straight * max(dr, dc) + diagonal * min(dr, dc)``, plus a map part ``max(rows[r], cols[c])``
-    or, where ``field`` has any cells, ``field[r, c]``. Landmarks may raise it.
+    + straight * max(dr, dc) + diagonal * min(dr, dc)``, plus ``field[r, c]`` where it has any cells. Landmarks or
+    tiles may raise it.
 
     Attributes:
       euclidean, straight, diagonal: cost per cell side.
-      rows, cols: ``[Y]``, ``[X]`` float64 map cost from each row and column to the goal's.
       field: ``[Y, X]`` float64 map cost to the goal, or ``[0, 0]``. With a distance part of 0 it may hold
         the whole cost to go; inf proves that there is no way.
       landmarks, tiles: further bounds, of which the largest counts. A type of its own where there is one, so
@@ -73,23 +72,12 @@ class Heuristic(NamedTuple):
     euclidean: float
     straight: float
     diagonal: float
-    rows: np.ndarray
-    cols: np.ndarray
     field: np.ndarray
     landmarks: LandmarkBound | None = None
     tiles: TileBound | None = None
 
 
-def zero_heuristic(problem: Problem) -> Heuristic:
-    """Return the bound 0, which makes A* Dijkstra's search."""
-    return Heuristic(
-        euclidean=0.0,
-        straight=0.0,
-        diagonal=0.0,
-        rows=np.zeros(problem.is_free.shape[0]),
-        cols=np.zeros(problem.is_free.shape[1]),
-        field=np.empty((0, 0)),
-    )
+NO_HEURISTIC = Heuristic(0.0, 0.0, 0.0, np.empty((0, 0)))  # 0, which makes A* Dijkstra's search
 
 
 def graph_of(problem: Problem, *, is_symmetric: bool = False) -> Graph:

@@ -5,16 +5,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxurban.kernels.search.bounds import cell_line_bound, line_line_bound, printed_plus_field
+from jaxurban.kernels.search.bounds import printed_plus_field
 from jaxurban.kernels.search.tiles import StepCost, TileBound, costs_at_corners, tile_bound
 from jaxurban.planners.base import Cell, Problem
 from jaxurban.planners.checks import check_name
-from jaxurban.planners.graph import Heuristic, graph_of, zero_heuristic
+from jaxurban.planners.graph import NO_HEURISTIC, Heuristic, graph_of
 from jaxurban.planners.landmarks import landmark_bound, make_landmarks
 from jaxurban.planners.search.fields import cost_to_go, has_cost_to_go
 from jaxurban.planners.search.grid import GridSearch, estimate
 
-ADMISSIBLE = ("none", "euclidean", "octile", "plus", "tiles", "landmarks", "exact")  # all of them consistent too
+ADMISSIBLE = ("none", "euclidean", "octile", "tiles", "landmarks", "exact")  # all of them consistent too
 PRINTED = ("plus-printed", "plus-printed-from-0")
 HEURISTICS = ADMISSIBLE + PRINTED
 AUTO = "auto"  # "tiles" for one query; of many, `planners.batch` chooses by what they share
@@ -75,7 +75,6 @@ def make_heuristic(name: str, problem: Problem) -> Heuristic:
     - ``none``: 0, which makes A* Dijkstra's search.
     - ``euclidean``: ``distance_weight`` times the straight distance (the paper's h_dist).
     - ``octile``: the least length of an 8-connected path; Manhattan distance at connectivity 4.
-    - ``plus``: octile, plus whole-row and whole-column minima of the map cost (admissible, consistent).
     - ``tiles``: octile or, where larger, the cost to go over tiles of 8 x 8 cells that cost what their cheapest cell
       does (admissible, consistent).
     - ``landmarks``: octile or, where larger, the best landmark's bound (admissible, consistent).
@@ -87,33 +86,22 @@ def make_heuristic(name: str, problem: Problem) -> Heuristic:
       InputError: an unknown name.
     """
     check_name("heuristic", name, HEURISTICS)
-    heuristic = zero_heuristic(problem)
     if name in ("none", "exact"):
-        return heuristic if name == "none" else heuristic._replace(field=cost_to_go(problem))
+        return NO_HEURISTIC if name == "none" else NO_HEURISTIC._replace(field=cost_to_go(problem))
     per_side = problem.distance_weight * problem.resolution_m
     if name == "euclidean":
-        return heuristic._replace(euclidean=per_side)
-    heuristic = heuristic._replace(
+        return NO_HEURISTIC._replace(euclidean=per_side)
+    heuristic = NO_HEURISTIC._replace(
         straight=per_side, diagonal=per_side * (np.sqrt(2) - 1 if problem.cost_model.connectivity == 8 else 1)
     )
     if name == "landmarks":
         return heuristic._replace(landmarks=landmark_bound(problem, make_landmarks(problem)))
     if name == "tiles":
         return heuristic._replace(tiles=_tile_bound(problem))
-    sides_per_reference = problem.resolution_m / problem.cost_model.reference_length_m
-    if name == "plus":
-        bounds = (
-            cell_line_bound(minima, goal)
-            if problem.cost_model.kind == "cell"
-            else line_line_bound(minima, goal, sides_per_reference)
-            for minima, goal in zip(problem.line_minima, problem.goal, strict=True)
-        )
-        heuristic = heuristic._replace(rows=next(bounds), cols=next(bounds))
-    elif name in PRINTED:
-        first_index = 1 if name == "plus-printed" else 0
-        field = printed_plus_field(_weighted_layers(problem), problem.goal, first_index=first_index)
+    if name in PRINTED:
+        field = printed_plus_field(_weighted_layers(problem), problem.goal, first_index=int(name == "plus-printed"))
         if problem.cost_model.kind == "line":
-            field *= sides_per_reference
+            field *= problem.resolution_m / problem.cost_model.reference_length_m
         # Inf comes of NaN inside obstacles here; the search would take it for a proof that there is no way.
         np.minimum(field, np.finfo(np.float64).max / 2, out=field)
         heuristic = heuristic._replace(field=field)

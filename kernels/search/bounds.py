@@ -1,4 +1,4 @@
-"""Map-cost parts of A*'s heuristics: whole-row and whole-column bounds, and the printed h_plus."""
+"""Parts of the planners' bounds: cheapest cells of rows and columns, sums along a row, and the printed h_plus."""
 
 import numpy as np
 
@@ -24,35 +24,6 @@ def sums_to(goal: int, up: np.ndarray, down: np.ndarray) -> np.ndarray:
       up, down: ``[N - 1]`` cost of the step from place i to i + 1, and back.
     """
     return np.concatenate([np.cumsum(up[:goal][::-1])[::-1], [0.0], np.cumsum(down[goal:])])
-
-
-def cell_line_bound(minima: np.ndarray, goal: int) -> np.ndarray:
-    """Return ``[N]`` the least map cost of a path from each row (or column) to the goal's, ``cell`` model.
-
-    Such a path enters every row between, the goal's included and its own left out, and a step into a row
-    costs at least that row's cheapest cell. Admissible and consistent: one step changes the row by one
-    at most, and entering costs no less than the difference.
-
-    Args:
-      minima: ``[N]`` cheapest cell of every row (or column).
-      goal: index of the goal's row (or column).
-    """
-    return sums_to(goal, minima[1:], minima[:-1])
-
-
-def line_line_bound(minima: np.ndarray, goal: int, per_cell_side: float) -> np.ndarray:
-    """Return ``[N]`` the least map cost of a path from each row (or column) to the goal's, ``line`` model.
-
-    A path between cell centres crosses the rows between in full and half of its two end rows. It holds
-    for any curve between the centres, not only for grid paths. Admissible and consistent.
-
-    Args:
-      minima: ``[N]`` cheapest cell of every row (or column).
-      goal: index of the goal's row (or column).
-      per_cell_side: resolution over reference length: the cost of one cell side at cost 1.
-    """
-    steps = (minima[:-1] + minima[1:]) * (0.5 * per_cell_side)
-    return sums_to(goal, steps, steps)
 
 
 def printed_plus_field(layers: np.ndarray, goal: tuple[int, ...], first_index: int) -> np.ndarray:

@@ -11,21 +11,6 @@ import numpy as np
 from jaxurban.kernels.compiled import compiled
 
 
-@compiled(forceinline=True)
-def add_up(costs, weights, row, sums):
-    """Set ``sums`` ``[X]`` to the weighted sums of the cells of a row.
-
-    Layers ``costs`` ``[L, Y, X]`` of weight 0 (``weights`` ``[L]`` float64) are not read.
-    """
-    sums[:] = 0.0
-    for layer in range(weights.size):
-        weight = weights[layer]
-        if weight != 0.0:
-            line = costs[layer, row]
-            for k in range(sums.size):
-                sums[k] += weight * line[k]
-
-
 def in_rows(layers: np.ndarray) -> np.ndarray:
     """Return layers ``[L, *cells]`` as ``[L, Y, X]``, the last axis in ``X``: read-only, as compiled loops expect."""
     rows = np.ascontiguousarray(layers).reshape(len(layers), math.prod(layers.shape[1:-1]), layers.shape[-1])
@@ -35,9 +20,19 @@ def in_rows(layers: np.ndarray) -> np.ndarray:
 
 @compiled(nogil=True)
 def weigh_rows(costs, weights, sums):
-    """Set ``sums`` ``[Y, X]`` to the weighted sums of layers ``[L, Y, X]``."""
+    """Set ``sums`` ``[Y, X]`` to the weighted sums of layers ``costs`` ``[L, Y, X]``.
+
+    Layers of weight 0 (``weights`` ``[L]`` float64) are not read.
+    """
     for row in range(sums.shape[0]):
-        add_up(costs, weights, row, sums[row])
+        total = sums[row]
+        total[:] = 0.0
+        for layer in range(weights.size):
+            weight = weights[layer]
+            if weight != 0.0:
+                line = costs[layer, row]
+                for k in range(total.size):
+                    total[k] += weight * line[k]
 
 
 def weighted_sum(costs: np.ndarray, weights: np.ndarray) -> np.ndarray:
@@ -46,33 +41,6 @@ def weighted_sum(costs: np.ndarray, weights: np.ndarray) -> np.ndarray:
     sums = np.empty(layers.shape[1:])
     weigh_rows(layers, np.asarray(weights, np.float64), sums)
     return sums.reshape(costs.shape[1:])
-
-
-@compiled(nogil=True)
-def weighted_line_minima(costs, weights, is_free):
-    """Return the cheapest free cell of every row ``[Y]`` and of every column ``[X]``, inf without one.
-
-    No map of the sums is made.
-
-    Args:
-      costs: ``[L, Y, X]``, not negative on free cells.
-      weights: ``[L]`` float64, not negative.
-      is_free: ``[Y, X]`` bool.
-    """
-    num_rows, num_cols = is_free.shape
-    rows, cols, sums = np.full(num_rows, np.inf), np.full(num_cols, np.inf), np.empty(num_cols)
-    # As whole numbers, whose order is that of numbers that are not negative: the processor then takes several at once.
-    row_bits, sum_bits = rows.view(np.int64), sums.view(np.int64)
-    for row in range(num_rows):
-        add_up(costs, weights, row, sums)
-        for col in range(num_cols):
-            sums[col] = sums[col] if is_free[row, col] else np.inf
-            cols[col] = sums[col] if sums[col] < cols[col] else cols[col]
-        least = row_bits[row]
-        for col in range(num_cols):
-            least = min(least, sum_bits[col])
-        row_bits[row] = least
-    return rows, cols
 
 
 @compiled(nogil=True)

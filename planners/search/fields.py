@@ -3,7 +3,7 @@
 import numpy as np
 
 from jaxurban.planners.base import Problem
-from jaxurban.planners.graph import graph_of, zero_heuristic
+from jaxurban.planners.graph import NO_HEURISTIC, graph_of
 from jaxurban.planners.search.grid import EXHAUSTED, GridSearch
 
 
@@ -20,7 +20,7 @@ def symmetric_costs(problem: Problem, end_s: float = np.inf) -> np.ndarray:
     Raises:
       TimeoutError: the clock passed it.
     """
-    search = GridSearch(graph_of(problem, is_symmetric=True), zero_heuristic(problem), problem.goal, None)
+    search = GridSearch(graph_of(problem, is_symmetric=True), NO_HEURISTIC, problem.goal, None)
     if search.run(end_s=end_s) != EXHAUSTED:
         raise TimeoutError
     return search.costs_from_start().reshape(problem.is_free.shape)

@@ -151,9 +151,11 @@ def refill(queue, graph, g, state):
 
 # Inlined by force: LLVM would not, and counting references to the arrays took four fifths of the time.
 @compiled(forceinline=True)
-def _raised(value, landmarks, row, col):
-    """Return the larger of a bound and the landmarks', where there are any."""
-    if landmarks is None:  # decided when it is compiled
+def _raised(value, landmarks, tiles, row, col):
+    """Return the larger of a bound and of what landmarks or tiles prove, where there are any."""
+    if tiles is not None:  # decided when it is compiled
+        return max(value, tile_estimate(tiles, row, col))
+    if landmarks is None:  # likewise
         return value
     apart = 0.0
     for k in range(landmarks.at_goal.size):
@@ -166,14 +168,6 @@ def _raised(value, landmarks, row, col):
 
 
 @compiled(forceinline=True)
-def _with_map_part(value, heuristic, landmarks, tiles, row, col):
-    """Return a distance part with what rows and columns add, or raised to what landmarks or tiles prove."""
-    if tiles is not None:  # as above
-        return max(value, tile_estimate(tiles, row, col))
-    return _raised(value + max(heuristic.rows[row], heuristic.cols[col]), landmarks, row, col)
-
-
-@compiled(forceinline=True)
 def estimate(heuristic, row, col, goal_row, goal_col):
     """Return ``h`` at a cell (see `Heuristic`)."""
     dr, dc = abs(row - goal_row), abs(col - goal_col)
@@ -182,7 +176,7 @@ def estimate(heuristic, row, col, goal_row, goal_col):
         value += heuristic.euclidean * np.sqrt(float(dr * dr + dc * dc))
     if heuristic.field.size:
         return value + heuristic.field[row, col]
-    return _with_map_part(value, heuristic, heuristic.landmarks, heuristic.tiles, row, col)
+    return _raised(value, heuristic.landmarks, heuristic.tiles, row, col)
 
 
 @compiled(nogil=True)

@@ -1,9 +1,9 @@
-"""Map-cost bounds, against reductions over boxes and sums over rows written out."""
+"""Map-cost bounds, against reductions over boxes written out."""
 
 import numpy as np
 import pytest
 
-from jaxurban.kernels.search.bounds import cell_line_bound, line_line_bound, line_minima, printed_plus_field
+from jaxurban.kernels.search.bounds import line_minima, printed_plus_field, sums_to
 
 
 def box_reduction(layers, goal, first_index):
@@ -38,23 +38,13 @@ def test_the_printed_field_counts_the_nodes_own_column_where_the_goal_lies_west(
     assert printed_plus_field(layers[..., ::-1], (0, 2), 1)[0, 0] == 1.0  # mirrored it is right
 
 
-def test_cell_bounds_count_the_lines_entered():
-    minima = np.array([1.0, 2.0, 4.0, 8.0])
-    np.testing.assert_array_equal(cell_line_bound(minima, 2), [6, 4, 0, 4])
-    np.testing.assert_array_equal(cell_line_bound(minima, 0), [0, 1, 3, 7])
-    np.testing.assert_array_equal(cell_line_bound(minima[:1], 0), [0])
-
-
-def test_line_bounds_count_the_end_lines_half():
-    minima = np.array([1.0, 2.0, 4.0, 8.0])
-    np.testing.assert_array_equal(line_line_bound(minima, 2, 1.0), [0.5 + 2 + 2, 3, 0, 6])
-    np.testing.assert_array_equal(line_line_bound(minima, 3, 2.0), [21, 18, 12, 0])
-
-
-def test_a_line_of_obstacles_bounds_what_lies_beyond_by_infinity():
+def test_a_line_of_obstacles_has_no_cheapest_cell():
     is_free = np.array([[True, False, True], [True, False, True]])
     rows, cols = line_minima(np.full((2, 3), 2.0), is_free)
     np.testing.assert_array_equal(rows, [2, 2])
     np.testing.assert_array_equal(cols, [2, np.inf, 2])
-    np.testing.assert_array_equal(cell_line_bound(cols, 0), [0, 2, np.inf])
-    np.testing.assert_array_equal(line_line_bound(cols, 2, 1.0), [np.inf, np.inf, 0])
+
+
+def test_sums_along_a_row_count_the_steps_between():
+    np.testing.assert_array_equal(sums_to(2, np.array([2.0, 4.0, 8.0]), np.array([1.0, 2.0, 4.0])), [6, 4, 0, 4])
+    np.testing.assert_array_equal(sums_to(0, np.empty(0), np.empty(0)), [0])

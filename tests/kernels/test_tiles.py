@@ -81,14 +81,14 @@ def test_no_step_lowers_the_bound_by_more_than_it_costs(shape, kind, connectivit
 
 
 @pytest.mark.parametrize("kind", ["cell", "line"])
-def test_the_bound_sees_costs_that_rows_and_columns_do_not(kind):
+def test_the_bound_sees_costs_that_the_distance_does_not(kind):
     y, x = np.mgrid[:200, :300]
     noise = 1 + 0.05 * np.random.default_rng(0).random(y.shape)
     layers = ((2 + 1.8 * np.sin(x / 40) * np.sin(y / 30)) * noise)[None]
     problem = Problem(layers, np.ones(y.shape, bool), (60, 60), (150, 250), 1.0, 0.1, CostModel(kind, 1.0))
-    plus, tiles = (astar(problem, heuristic=name) for name in ("plus", "tiles"))
-    assert tiles.cost == pytest.approx(plus.cost, rel=1e-12)
-    assert tiles.num_expanded < 0.5 * plus.num_expanded
+    octile, tiles = (astar(problem, heuristic=name) for name in ("octile", "tiles"))
+    assert tiles.cost == pytest.approx(octile.cost, rel=1e-12)
+    assert tiles.num_expanded < 0.5 * octile.num_expanded
 
 
 def test_a_wall_thicker_than_a_tile_proves_that_there_is_no_way_before_the_search_begins():
@@ -104,6 +104,6 @@ def test_a_detour_beyond_what_the_bound_looks_at_is_found():
     is_free[:58, 30] = False  # thinner than a tile: the bound goes straight through
     is_free[2:, 34] = False
     problem = Problem(np.ones((1, 60, 400)), is_free, (0, 25), (0, 40), 1.0, 1.0)
-    plus, tiles = (astar(problem, heuristic=name) for name in ("plus", "tiles"))
+    octile, tiles = (astar(problem, heuristic=name) for name in ("octile", "tiles"))
     assert tiles.status is Status.OPTIMAL
-    assert tiles.cost == pytest.approx(plus.cost, rel=1e-12)
+    assert tiles.cost == pytest.approx(octile.cost, rel=1e-12)

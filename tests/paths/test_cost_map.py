@@ -77,7 +77,7 @@ def test_a_prepared_map_plans_by_landmarks_at_the_same_cost_and_leaves_the_other
         assert (guided.search.heuristic, after.search.heuristic) == ("landmarks", "tiles")
         assert guided.search.cost == pytest.approx(path.search.cost, rel=1e-9)
         np.testing.assert_array_equal(after.xy_m, path.xy_m)
-    assert prepared.plan(*pairs[0], heuristic="plus").search.heuristic == "plus"
+    assert prepared.plan(*pairs[0], heuristic="octile").search.heuristic == "octile"
     assert prepared.plan(*pairs[0], planner="astar-dist").search.heuristic == "euclidean"
     assert prepared.with_weights({"gps": 2}).plan(*pairs[0]).search.heuristic == "tiles"
     assert prepared.only(["gps"]).plan(*pairs[0]).search.heuristic == "tiles"

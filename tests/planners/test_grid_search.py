@@ -9,7 +9,7 @@ from scipy.sparse.csgraph import dijkstra
 from jaxurban.planners.astar import astar
 from jaxurban.planners.base import Problem, Status
 from jaxurban.planners.cost_model import CostModel
-from jaxurban.planners.graph import graph_of, zero_heuristic
+from jaxurban.planners.graph import NO_HEURISTIC, graph_of
 from jaxurban.planners.moves import STEPS
 from jaxurban.planners.search.grid import EXHAUSTED, FOUND, GridSearch
 
@@ -55,7 +55,7 @@ def costs_to_all(problem):
 def test_paths_cost_what_dijkstra_finds(seed, dtype):
     problem = random_problem(seed, dtype=dtype)
     expected = costs_to_all(problem)
-    for name in ("none", "plus"):
+    for name in ("none", "tiles"):
         path = astar(problem, heuristic=name)
         assert (path.status is Status.OPTIMAL) == np.isfinite(expected[problem.goal])
         if path.status is Status.OPTIMAL:
@@ -70,7 +70,7 @@ def test_paths_cost_what_dijkstra_finds(seed, dtype):
 )
 def test_costs_to_all_cells_are_dijkstras_whatever_the_memory_held(seed, reopen, left_there):
     problem = random_problem(seed)
-    search = GridSearch(graph_of(problem), zero_heuristic(problem), problem.start, None)
+    search = GridSearch(graph_of(problem), NO_HEURISTIC, problem.start, None)
     search._nodes.g[search._nodes.state == 0] = left_there
     assert search.cost_to((search.start + 1) % problem.is_free.size) == np.inf
     assert search.run(reopen=reopen) == EXHAUSTED
@@ -80,7 +80,7 @@ def test_costs_to_all_cells_are_dijkstras_whatever_the_memory_held(seed, reopen,
 
 def test_a_search_that_ends_early_knows_no_way_to_what_it_has_not_come_to():
     problem = random_problem(0, free_share=1.0).between((1, 1), (2, 2))
-    search = GridSearch(graph_of(problem), zero_heuristic(problem), problem.start, problem.goal)
+    search = GridSearch(graph_of(problem), NO_HEURISTIC, problem.start, problem.goal)
     assert search.run() == FOUND
     assert 0 < search.cost_to(search.goal) < np.inf
     assert search.cost_to(problem.is_free.size - 1) == np.inf

@@ -87,7 +87,7 @@ def test_every_cost_over_lower_manhattan_equals_dijkstra(maps, cost_model):
         for goal in (free[k] for k in rng.integers(len(free), size=10)):
             for name, heuristic in (
                 ("astar-dist", None),
-                ("astar-plus", "plus"),
+                ("astar-plus", "tiles"),
                 ("astar-plus", "landmarks"),
                 ("astar-plus", "exact"),
             ):

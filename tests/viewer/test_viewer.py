@@ -236,7 +236,7 @@ def test_the_mission_that_is_drawn_is_the_one_that_is_saved_and_bears_its_cost(v
     corner = np.array([MAPS.grid.x_min_m, MAPS.grid.y_min_m])
     assert np.allclose(found["mission"], xy_m - corner, atol=0.06)
     on = cost_map(MAPS, 20.0, weights=Weights(**WEIGHTS), cost_model=cost_model, time_of_day="night")
-    planned = on.plan(*ENDS, heuristic="plus")
+    planned = on.plan(*ENDS)
     assert planned.cost == route["cost"]
     mission = simplify(planned, on, MAPS.grid.resolution_m / 2)
     prices = f"cost {number(mission.cost)}, {mission.cost / route['cost'] - 1:+.1%}"
