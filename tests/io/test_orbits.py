@@ -235,10 +235,10 @@ def cut_json():
         (b"<ndm><omm>", "cannot be read as whole OMM segments in XML"),
         (b"<ndm><segment><data/></segment></ndm>", "cannot be read as whole OMM segments in XML"),
         (b"OBJECT_NAME,EPOCH,MEAN_MOTION\nGPS,2024-03-31T12:00:07,2.0", "element set 1 .* is cut"),
-        (TLE[:-20].encode(), "line 2 of .* is cut or damaged .a line is shorter than 69"),
-        (TLE[:90].encode(), "line 2 of .* must follow each other"),
-        (TLE.replace("54.4469", "54.4569").encode(), "line 2 of .* checksum"),
-        (TLE.encode() + b"GPS BIIA-14 (PRN 26)\n", "ends after the name"),
+        (TLE[:-20].encode(), "element set of .* is cut or damaged .*of 69 characters"),
+        (TLE[:90].encode(), "must follow each other"),
+        (TLE.replace("54.4469", "54.4569").encode(), "element set of .* checksum"),
+        (TLE.encode() + b"GPS BIIA-14 (PRN 26)\n", "must follow each other"),
     ],
 )
 def test_a_file_that_is_no_orbits_is_refused_in_one_sentence(tmp_path, content, message):

@@ -18,6 +18,7 @@ import numpy as np
 from sgp4 import omm
 from sgp4.io import verify_checksum
 from skyfield.api import EarthSatellite, Timescale, load, wgs84
+from skyfield.iokit import parse_tle_file
 
 from jaxurban.errors import InputError, StaleElementsWarning, readable
 from jaxurban.io.read.nominal import TABLE_DATE, nominal_satellites
@@ -155,31 +156,21 @@ def _read_file(source: str | Path) -> list[EarthSatellite]:
 
 def _from_tles(text: str, source: str | Path) -> list[EarthSatellite]:
     """Return the satellites of two-line elements."""
-    lines = [(n, line.rstrip()) for n, line in enumerate(text.splitlines(), start=1) if line.strip()]
-    satellites: list[EarthSatellite] = []
-    name = ""
-    rest = iter(lines)
-    for number, line in rest:
-        if not line.startswith(("1 ", "2 ")):
-            name = line.removeprefix("0 ").strip()
-            continue
-        _, second = next(rest, (number, ""))
-        try:
-            if not (line.startswith("1 ") and second.startswith("2 ") and line[2:7] == second[2:7]):
-                raise ValueError("a line 1 and a line 2 of one satellite must follow each other")
-            if len(line) < TLE_LENGTH or len(second) < TLE_LENGTH:
-                raise ValueError(f"a line is shorter than {TLE_LENGTH} characters")
-            verify_checksum(line, second)
-            satellite = EarthSatellite(line, second, name or f"catalogue number {line[2:7].strip()}", _timescale())
-        except ValueError as error:
-            reason = str(error).splitlines()[0].rstrip(":")
-            raise InputError(
-                f"the element set at line {number} of {source} is cut or damaged ({reason}): download the file again"
-            ) from error
-        satellites.append(satellite)
-        name = ""
-    if satellites and name:
-        raise InputError(f"the orbits file {source} ends after the name {name!r}: download the file again")
+    lines = [line.rstrip() for line in text.splitlines() if line.strip()]
+    first, second = ([line for line in lines if line.startswith(digit)] for digit in ("1 ", "2 "))
+    try:
+        verify_checksum(*first, *second)
+        satellites = list(parse_tle_file((line.encode() for line in lines), _timescale()))
+        numbers = [[line[2:7] for line in part] for part in (first, second)]
+        if numbers[0] != numbers[1] or len(satellites) < len(first) or (second and lines[-1] != second[-1]):
+            raise ValueError(
+                f"a line 1 and a line 2 of one satellite, of {TLE_LENGTH} characters, must follow each other"
+            )
+    except ValueError as error:
+        reason = str(error).splitlines()[0].rstrip(":")
+        raise InputError(f"an element set of {source} is cut or damaged ({reason}): download the file again") from error
+    for satellite in satellites:
+        satellite.name = satellite.name or f"catalogue number {satellite.model.satnum}"
     return satellites
 
 
