@@ -1,11 +1,10 @@
 """Who works on the tiles: threads of this process, processes of this machine, or a Dask cluster."""
 
-import multiprocessing
 import os
 import sys
 import uuid
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import CancelledError, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -238,20 +237,6 @@ def each_on_cluster(client: Any, function: Callable[[Any], Any], items: Iterable
         return client.gather(client.map(function, list(items), pure=False, retries=RETRIES))
 
 
-@contextmanager
-def _told_of_lost_scheduler(address: str, client: Any) -> Iterator[None]:
-    """Raise InputError where the scheduler at an address goes while it is used."""
-    try:
-        yield
-    except (CancelledError, RuntimeError, OSError) as error:
-        if client.status == "running":
-            raise
-        raise InputError(
-            f"the Dask scheduler at --cluster {address!r} is gone: start it and its workers, and run the same command "
-            "again, which goes on"
-        ) from error
-
-
 def _check_functions(job: TileJob) -> None:
     """Raise InputError unless the functions of a job's layers can be sent to worker processes."""
     from distributed.protocol.pickle import dumps
@@ -267,12 +252,7 @@ def _check_functions(job: TileJob) -> None:
 
 
 def _check_main() -> None:
-    """Raise InputError where worker processes, each of which imports the main script, would run it again.
-
-    In such a worker, where the check of the script's text let it pass, end it without a word.
-    """
-    if getattr(multiprocessing.current_process(), "_inheriting", False):
-        raise SystemExit(1)
+    """Raise InputError where worker processes, each of which imports the main script, would run it again."""
     main = sys.modules.get("__main__")
     file = getattr(main, "__file__", None)  # none in a notebook or at the prompt
     if file is None or not file.endswith(".py") or "__name__" in Path(file).read_text(errors="replace"):
@@ -296,7 +276,7 @@ def cluster_client(
       num_threads: of each process.
 
     Raises:
-      InputError: ``distributed`` is not installed, no scheduler responds, or it goes while it is used.
+      InputError: ``distributed`` is not installed, or no scheduler responds.
     """
     try:
         from distributed import Client, LocalCluster, Nanny
@@ -313,7 +293,7 @@ def cluster_client(
             client = Client(address, timeout=10)
         except (OSError, ValueError, TimeoutError) as error:
             raise InputError(f"no Dask scheduler responds at --cluster {address!r}: {error}") from error
-        with client, _told_of_lost_scheduler(address, client):
+        with client:
             if not client.scheduler_info()["workers"]:
                 LOG.warning(f"the cluster {address} has no worker yet: waiting for one (`dask worker {address}`)")
             yield client

@@ -1,4 +1,4 @@
-"""A Dask cluster of somebody else's: one without workers, and one whose scheduler goes."""
+"""A Dask cluster of somebody else's without workers, and one of our own."""
 
 import json
 import signal
@@ -11,21 +11,15 @@ import psutil
 import pytest
 
 from jaxurban.errors import InputError
-from jaxurban.maps.executors import cluster_client, each_on_cluster
+from jaxurban.maps.executors import cluster_client
 
 pytest.importorskip("distributed", reason="needs the cluster extra")
 from distributed import Client
 from distributed.security import Security
 
 
-def work_without_scheduler(address: str, scheduler: subprocess.Popen) -> None:
-    with cluster_client(address, None) as client:
-        scheduler.kill()
-        each_on_cluster(client, abs, [1])
-
-
 @pytest.mark.slow
-def test_a_cluster_without_workers_is_told_and_a_scheduler_that_goes_is_one_sentence(tmp_path, caplog):
+def test_a_cluster_without_workers_is_warned_of(tmp_path, caplog):
     file = tmp_path / "scheduler.json"
     options = ["--port", "0", "--dashboard-address", "127.0.0.1:0", "--host", "127.0.0.1"]
     command = [sys.executable, "-m", "distributed.cli.dask_scheduler", *options, "--scheduler-file", str(file)]
@@ -34,8 +28,8 @@ def test_a_cluster_without_workers_is_told_and_a_scheduler_that_goes_is_one_sent
             while not file.exists():
                 time.sleep(0.1)
             address = json.loads(file.read_text())["address"]
-            with pytest.raises(InputError, match="is gone: start it"):
-                work_without_scheduler(address, scheduler)
+            with cluster_client(address, None):
+                pass
         finally:
             scheduler.kill()
     assert f"the cluster {address} has no worker yet: waiting for one" in caplog.text
