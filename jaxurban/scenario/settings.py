@@ -314,7 +314,7 @@ class Scenario(_Section):
             raise InputError(f"{str(path)!r} is not a scenario in TOML: {error}") from error
         name = " ".join([str(path), *(f"--set {change}" for change in changes)])
         try:
-            return cls.from_dict(changed(settings, changes, cls), name=name, folder=path.resolve().parent)
+            return cls.from_dict(changed(settings, changes), name=name, folder=path.resolve().parent)
         except RecursionError as error:
             raise InputError(
                 f"{str(path)!r} holds tables in tables without end: give sections and their keys"

@@ -4,11 +4,11 @@ import itertools
 from collections.abc import Iterator
 from pathlib import Path
 
-from jaxurban.scenario.changes import keys_of
 from jaxurban.scenario.settings import Scenario
 from jaxurban.scenario.validation import fields_of, model_in
 from tests.campaign.cases import REFUSED, TOLD, Case
 
+OPEN = ("layers", "weights")  # sections whose keys are names that a user chooses
 SCENARIO = """[region]
 bounds = [-74.0, 40.755, -73.995, 40.759]
 resolution_m = 25
@@ -39,6 +39,15 @@ def kind_of(key: str) -> str:
     if "bool" in annotation or "Literal" in annotation:
         return "choice"
     return "number" if "float" in annotation or "int" in annotation else "text" if "str" in annotation else "other"
+
+
+def keys_of(model: type) -> list[str]:
+    """Return every dotted key of a scenario but those of the sections that a user names keys in."""
+    found = []
+    for section, annotation in fields_of(model).items():
+        inner = None if section in OPEN else model_in(annotation)
+        found += [section] if inner is None else [f"{section}.{key}" for key in fields_of(inner)]
+    return found
 
 
 def of_settings() -> Iterator[Case]:

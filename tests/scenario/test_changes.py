@@ -7,9 +7,10 @@ from pathlib import Path
 import pytest
 
 from jaxurban.scenario import provenance
-from jaxurban.scenario.changes import changed, keys_of
+from jaxurban.scenario.changes import changed
 from jaxurban.scenario.differences import differences_said, differing
 from jaxurban.scenario.settings import Scenario
+from tests.campaign.settings import keys_of
 from tests.cli_runs import assert_one_sentence, run
 
 TEXT = """
@@ -57,22 +58,22 @@ def test_a_change_is_as_if_the_file_said_it(file, tmp_path):
 def test_the_settings_that_are_given_stay_as_they_are():
     given = {"gps": {"mask_deg": 5}, "region": {"altitudes_m": [20]}}
     copy = json.loads(json.dumps(given))
-    assert changed(given, ["gps.mask_deg=9", "lidar.range_m=50"], Scenario)["lidar"] == {"range_m": 50}
+    assert changed(given, ["gps.mask_deg=9", "lidar.range_m=50"])["lidar"] == {"range_m": 50}
     assert given == copy
 
 
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ("gps.mask_degree=10", ("'gps.mask_degree'", "'gps.mask_deg'")),
-        ("mask_deg=10", ("'mask_deg'", "'gps.mask_deg'")),
-        ("region.range_m=10", ("'lidar.range_m'",)),
-        ("gsp.mask_deg=10", ("'gps.mask_deg'",)),
+        ("gps.mask_degree=10", ("'gps.mask_degree'", "'mask_deg'")),
+        ("mask_deg=10", ("unknown section 'mask_deg'", "gps, ")),
+        ("region.range_m=10", ("'region.range_m'", "bounds, ")),
+        ("gsp.mask_deg=10", ("'gsp'", "'gps'")),
         ("gps.mask_deg", ("key=value",)),
         ("buildings.source=town.osm", ("not TOML", "quotes")),
         ("gps.mask_deg=true", ("mask_deg",)),
         ("gps.mask_deg=95", ("gps.mask_deg", "--set gps.mask_deg=95")),
-        ("region=5", ("'region'", "region.bounds")),
+        ("region=5", ("region", "table of settings")),
         ("weights.gsp=2", ("'gsp'",)),
     ],
 )
