@@ -1,12 +1,12 @@
-"""Charts: figures with a heading, panels of one look laid out in inches, legends, and plain logarithmic axes."""
+"""Charts: figures with a heading, panels of one look, legends, and plain logarithmic axes."""
 
 import math
-from collections.abc import Sequence
 
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import FuncFormatter, Locator, LogLocator, MaxNLocator, NullFormatter
 
 from jaxurban.report.figures.colours import SMALL_PT
@@ -28,21 +28,19 @@ styled = rc_context(  # a decorator of functions that draw; ticks are made later
     }
 )
 TICKS_PER_DECADE: tuple[tuple[float, ...], ...] = ((1.0,), (1.0, 2.0, 5.0), tuple(range(1, 10)))
-LEGEND_COLUMNS, ROW_IN = 6, 0.17
+LEGEND_COLUMNS = 6
 FEW_TICKS = 3  # that a logarithmic axis has at least
-LEFT_IN, EDGE_IN, TITLE_IN, FOOT_IN = 0.75, 0.2, 0.33, 0.55
+EDGE_IN, GAP_IN, TITLE_IN = 0.2, 0.6, 0.8
 
 
 def chart(width_in: float, height_in: float, heading: str, note: str) -> Figure:
-    """Return an empty figure with a heading, the lines of a note below it, broken where they are too long."""
-    figure = Figure(figsize=(width_in, height_in))
+    """Return a figure with a heading and, below it, a note, and so many inches that matplotlib lays out."""
+    head_in = head_room_in(note, width_in - EDGE_IN)
+    below = (0, 0, 1, height_in / (height_in + head_in))
+    layout = ConstrainedLayoutEngine(w_pad=0.08, h_pad=0.06, rect=below)
+    figure = Figure(figsize=(width_in, height_in + head_in), layout=layout)
     write_head(figure, heading, note, EDGE_IN)
     return figure
-
-
-def head_in(width_in: float, note: str) -> float:
-    """Return the height that the heading and the note of a chart take at its top, and the title of a panel."""
-    return head_room_in(note, width_in - EDGE_IN) + TITLE_IN
 
 
 def panels(
@@ -51,47 +49,28 @@ def panels(
     note: str,
     *,
     panel_in: tuple[float, float] = (2.9, 2.0),
-    gap_in: tuple[float, float] = (0.75, 0.8),
-    foot_in: float = 0.0,
     most_in_row: int = 3,
     shares_y: bool = False,
-    right_in: float = 0.0,
 ) -> tuple[Figure, list[Axes]]:
     """Return a figure with so many panels of equal size.
 
     Args:
       num: of panels.
       heading, note: see `chart`.
-      panel_in: width and height of a panel.
-      gap_in: between two panels, for their labels.
-      foot_in: room for a legend at the foot.
+      panel_in: width and height of a panel, about.
       most_in_row: panels side by side; four are two above two where that is 3.
       shares_y: whether the panels have one scale, labelled at the left of each row.
-      right_in: room for a colour bar at the right.
     """
     num_cols = min(most_in_row, num) if (num, most_in_row) != (4, 3) else 2
     num_rows = math.ceil(num / num_cols)
-    width = max(LEFT_IN + num_cols * (panel_in[0] + gap_in[0]) - gap_in[0] + 0.15, 6.4) + right_in
-    top_in = head_in(width, note)
-    height = top_in + num_rows * (panel_in[1] + gap_in[1]) - gap_in[1] + FOOT_IN + foot_in
-    figure = chart(width, height, heading, note)
-    axes: list[Axes] = []
-    for number in range(num):
-        row, col = divmod(number, num_cols)
-        x, y = LEFT_IN + col * (panel_in[0] + gap_in[0]), height - top_in - row * (panel_in[1] + gap_in[1])
-        box = (x / width, (y - panel_in[1]) / height, panel_in[0] / width, panel_in[1] / height)
-        panel = figure.add_axes(box, sharey=axes[0] if axes and shares_y else None)
+    width_in, height_in = num_cols * (panel_in[0] + GAP_IN), num_rows * (panel_in[1] + TITLE_IN)
+    figure = chart(max(width_in, 6.4), height_in, heading, note)
+    axes = figure.subplots(num_rows, num_cols, sharey=shares_y, squeeze=False).ravel().tolist()
+    for panel in axes[num:]:
+        panel.remove()
+    for panel in axes[:num]:
         dress(panel)
-        panel.tick_params(labelleft=not shares_y or col == 0)
-        axes.append(panel)
-    return figure, axes
-
-
-def label_rows(axes: Sequence[Axes], label: str) -> None:
-    """Name what panels show upward that share that scale: at the first of each row."""
-    for panel in axes:
-        if panel.yaxis.get_tick_params()["labelleft"]:
-            panel.set_ylabel(label)
+    return figure, axes[:num]
 
 
 def dress(panel: Axes, has_grid: bool = True) -> None:
@@ -104,12 +83,7 @@ def dress(panel: Axes, has_grid: bool = True) -> None:
 def legend_below(figure: Figure, panel: Axes, columns: int = LEGEND_COLUMNS) -> None:
     """Write the legend of a panel at the foot of its figure."""
     handles, names = panel.get_legend_handles_labels()
-    figure.legend(handles, names, loc="lower center", ncols=min(columns, len(names)))
-
-
-def legend_in(num: int) -> float:
-    """Return the room that `legend_below` needs at the foot of a figure for so many entries, inches."""
-    return 0.1 + ROW_IN * math.ceil(num / LEGEND_COLUMNS)
+    figure.legend(handles, names, loc="outside lower center", ncols=min(columns, len(names)))
 
 
 def show_plain(axis: Axis) -> None:

@@ -3,9 +3,11 @@
 import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from matplotlib import colormaps
+from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colorbar import Colorbar
 from matplotlib.colors import Colormap, LogNorm, Normalize
@@ -13,6 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, MaxNLocator
 
 SMALL_PT = 8.0  # of tick labels
+BAR_SHARE = 0.6  # of the figure's height, about, that a bar beside panels takes
 LETTER_IN, LINE_IN = 0.065, 0.17  # width and height that a letter of a tick label takes
 
 Box = tuple[float, float, float, float]  # left, bottom, width, height in figure fractions
@@ -74,15 +77,18 @@ def bar_ticks(colours: Colours, length_in: float, is_lying: bool) -> list[float]
     return sorted(shown)
 
 
-def add_colour_bar(figure: Figure, box: Box, colours: Colours) -> Colorbar:
-    """Add a colour bar in ``box`` (figure fractions), lying if it is wider than tall, and return it."""
-    width_in, height_in = box[2] * figure.get_figwidth(), box[3] * figure.get_figheight()
-    is_lying, length_in = width_in > height_in, max(width_in, height_in)
+def add_colour_bar(figure: Figure, place: Box | list[Axes], colours: Colours) -> Colorbar:
+    """Add a colour bar in a box (figure fractions), lying if it is wider than tall, or beside panels; return it."""
+    is_lying, length_in = False, BAR_SHARE * figure.get_figheight()
+    where: dict[str, Any] = {"ax": place}
+    if isinstance(place, tuple):
+        width_in, height_in = place[2] * figure.get_figwidth(), place[3] * figure.get_figheight()
+        is_lying, length_in, where = width_in > height_in, max(width_in, height_in), {"cax": figure.add_axes(place)}
     bar = figure.colorbar(
         ScalarMappable(cmap=colours.cmap, norm=colours.norm),
-        cax=figure.add_axes(box),
         orientation="horizontal" if is_lying else "vertical",
         extend=colours.extend,
+        **where,
     )
     width = max(24 if is_lying else 12, int(length_in * 15))  # letters on a line of the label
     lines = [part for line in colours.label.splitlines() for part in textwrap.wrap(line, width)]

@@ -5,7 +5,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from jaxurban.report.figures.charts import chart, dress, show_plain_log, styled
+from jaxurban.report.figures.charts import chart, dress, legend_below, show_plain_log, styled
 from jaxurban.report.figures.frame import FAINT_INK
 from jaxurban.studies.tuning.compared_fits import FitComparison
 
@@ -24,10 +24,8 @@ def plot_fits(found: FitComparison) -> Figure:
     bad = int(found.routes.is_bad.sum())
     bars = "bars: intervals, of cosines over bootstrap fits"
     note = f"{held_out} of {len(found.routes)} routes held out; {bad} found bad; {bars}"
-    height_in = 1.5 + ROW_IN * len(fits)
-    figure = chart(WIDTH_IN, height_in, "Fits compared", note)
+    figure = chart(WIDTH_IN, 1.0 + ROW_IN * len(fits), "Fits compared", note)
     near, left = figure.subplots(1, 2, sharey=True)
-    figure.subplots_adjust(left=0.2, right=0.97, top=1 - 0.85 / height_in, bottom=0.6 / height_in, wspace=0.08)
     places = np.arange(len(fits))[::-1]
     far = 1 - fits[["cosine", "cosine_high", "cosine_low"]].set_axis(["mean", "low", "high"], axis=1)
     _draw(near, places, far, LEAST_FAR, SEEN_COLOUR, "")
@@ -41,7 +39,7 @@ def plot_fits(found: FitComparison) -> Figure:
         _draw(left, places - 0.14, 100 * _ends(fits, "pilot_regret"), 100 * LEAST_REGRET, PILOT_COLOUR, label)
     left.plot([], [], "|", color=CITY_COLOUR, markersize=8, label="held-out routes of one city")
     left.set(xlabel=f"regret (%; no less than {100 * LEAST_REGRET:g} is shown)")
-    left.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, columnspacing=1.0, handletextpad=0.3)
+    legend_below(figure, left)
     for panel in (near, left):
         least, most = panel.dataLim.intervalx  # all may be the same
         margin = max(1.6, (LEAST_SPAN / (most / least)) ** 0.5)

@@ -13,7 +13,7 @@ from matplotlib.ticker import FuncFormatter, MaxNLocator, PercentFormatter
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.base import Metric
 from jaxurban.metrics.registry import METRICS
-from jaxurban.report.figures.charts import legend_below, legend_in, panels, show_plain, styled
+from jaxurban.report.figures.charts import legend_below, panels, show_plain, styled
 from jaxurban.report.figures.colours import Colours, add_colour_bar
 from jaxurban.report.figures.frame import FAINT_INK, INK
 from jaxurban.report.figures.notes import ground_said, joined, sky_said
@@ -22,36 +22,17 @@ from jaxurban.studies.montecarlo.analysis import each, facts_of, range_names, we
 from jaxurban.studies.montecarlo.trial import DISTANCE, WEIGHTED
 
 PANEL_IN = 2.45
-BAR_IN = 0.85  # room for a colour bar at the right
 SHARES = Colours("Greys", LogNorm(1e-6, 0.3), "share of the free cells", extend="max")
 RATIO_AXIS = (1.1, 2.0)  # the least and the greatest end of the axis of cost ratios
 MARKERS = "osD^vP*X"
 
 
 def _panels(
-    num: int,
-    heading: str,
-    note: str,
-    *,
-    height_in: float = 2.38,
-    shares_y: bool = True,
-    right_in: float = 0.0,
-    num_entries: int = 1,
+    num: int, heading: str, note: str, *, height_in: float = 2.38, shares_y: bool = True
 ) -> tuple[Figure, list[Axes]]:
-    """Return a figure with a row of panels and room for a legend of so many entries at its foot."""
-    gap_in = 0.26 if shares_y else 0.6
-    width_in = max(PANEL_IN - gap_in, (5.5 + gap_in) / num - gap_in)
-    figure, axes = panels(
-        num,
-        heading,
-        note,
-        panel_in=(width_in, height_in),
-        gap_in=(gap_in, 0.0),
-        foot_in=legend_in(num_entries),
-        most_in_row=num,
-        shares_y=shares_y,
-        right_in=right_in,
-    )
+    """Return a figure with a row of panels."""
+    panel_in = PANEL_IN, height_in
+    figure, axes = panels(num, heading, note, panel_in=panel_in, most_in_row=num, shares_y=shares_y)
     for panel in axes:
         panel.spines[["top", "right"]].set_visible(False)
     return figure, axes
@@ -70,7 +51,7 @@ class Series(NamedTuple):
 def _by_altitude(rows: pd.DataFrame, heading: str, note: str) -> tuple[Figure, list[Axes], list[Series], int]:
     """Return a figure with a panel for each altitude, the panels, each planner's series in them, and its planners."""
     altitudes, colours = sorted(rows.altitude_m.unique()), planner_colours(sorted(rows.planner.unique()))
-    figure, axes = _panels(len(altitudes), heading, note, num_entries=len(colours))
+    figure, axes = _panels(len(altitudes), heading, note)
     series = []
     for panel, altitude_m in zip(axes, altitudes, strict=True):
         panel.set_title(f"{altitude_m:g} m")
@@ -173,7 +154,7 @@ def plot_usage(usage: pd.DataFrame, metrics: Mapping[str, Metric] = METRICS, whe
     runs = list(usage[["planner", "objective"]].drop_duplicates().itertuples(index=False, name=None))
     colours = planner_colours(sorted(usage.planner.unique()))
     note = "mean m over the instances that all of these solved, by altitude"
-    figure, axes = _panels(len(names), "Metrics along the paths", _lines(note, where), num_entries=len(runs))
+    figure, axes = _panels(len(names), "Metrics along the paths", _lines(note, where))
     for panel, metric in zip(axes, names, strict=True):
         for rank, (planner, objective) in enumerate(runs):
             at = usage[(usage.planner == planner) & (usage.objective == objective)].set_index("altitude_m")
@@ -201,8 +182,6 @@ def plot_paired(paired: pd.DataFrame, where: str = "") -> Figure:
     shown = paired[np.isfinite(paired.cost_ratio)].iloc[::-1]
     note = "geometric mean of cost ratios where both found a path, 95 % bootstrap interval"
     figure, (panel,) = _panels(1, "Planners two by two", _lines(note, where), height_in=0.28 + 0.28 * len(shown))
-    box = panel.get_position()
-    panel.set_position((0.38, box.y0, 0.42, box.height))
     y = np.arange(len(shown))
     ends = np.abs(shown[["low", "high"]].to_numpy().T - shown.cost_ratio.to_numpy())
     panel.axvline(1.0, color=FAINT_INK, linewidth=0.8)
@@ -228,7 +207,7 @@ def plot_objectives(objectives: pd.DataFrame, where: str = "") -> Figure:
     note = "distance-only over weighted runs of the same planner, 95 % interval"
     colours = planner_colours(sorted(objectives.planner.unique()))
     heading, note = "Shortest path against cheapest path", _lines(note, where)
-    figure, axes = _panels(2, heading, note, num_entries=len(colours))
+    figure, axes = _panels(2, heading, note)
     titles = ("weighted cost, ratio", "length, ratio")
     for panel, name, title in zip(axes, ("cost_ratio", "length_ratio"), titles, strict=True):
         for rank, (planner, colour) in enumerate(colours.items()):
@@ -255,9 +234,7 @@ def plot_complementarity(maps: MetricMaps, table: pd.DataFrame, *, time: str | N
     note = "left: mean m, and share of cells where a sensor serves (m >= 0.5); then cells by m"
     note = _lines(note, joined(sky_said(maps, time or maps.default_time), *ground_said(maps)))
     heading = "GPS and lidar over the free cells"
-    figure, (first, *others) = _panels(
-        len(altitudes) + 1, heading, note, shares_y=False, height_in=2.18, right_in=BAR_IN
-    )
+    figure, (first, *others) = _panels(len(altitudes) + 1, heading, note, shares_y=False, height_in=2.18)
     x = np.arange(len(altitudes))
     for name in ("gps", "lidar"):
         colour = METRICS[name].colour
@@ -277,8 +254,7 @@ def plot_complementarity(maps: MetricMaps, table: pd.DataFrame, *, time: str | N
         correlation = f", r = {row.correlation:+.2f}" if np.isfinite(row.correlation) else ""
         panel.set(xlim=(0, 1), ylim=(0, 1), xlabel="m_gps", title=f"{row.altitude_m:g} m{correlation}")
     others[0].set_ylabel("m_lidar", labelpad=1)
-    box, width_in = others[-1].get_position(), figure.get_figwidth()
-    add_colour_bar(figure, (box.x1 + 0.15 / width_in, box.y0, 0.12 / width_in, box.height), SHARES)
+    add_colour_bar(figure, others, SHARES)
     legend_below(figure, first, columns=5)
     return figure
 

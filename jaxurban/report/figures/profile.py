@@ -14,7 +14,7 @@ from jaxurban.paths.explain import RouteReport, explain
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.profile import CLEARANCE, GUESSED, without_fix
 from jaxurban.report.figures.charts import chart, dress, show_plain, styled
-from jaxurban.report.figures.frame import FAINT_INK, HATCH, HATCH_COLOUR, TEXT_PT, head_room_in
+from jaxurban.report.figures.frame import FAINT_INK, HATCH, HATCH_COLOUR, TEXT_PT
 from jaxurban.report.figures.metrics import BUILT_COLOUR
 from jaxurban.report.figures.notes import frame_note
 
@@ -22,7 +22,7 @@ ALTITUDE_COLOUR, CLEARANCE_COLOUR, NO_FIX_COLOUR = "#d62728", "#5b3a8c", "#ffd9d
 LINEAR_UP_TO_M = 10.0  # above, the scale of clearance is logarithmic: near obstacles matter most
 CLEARANCE_TICKS_M = (0, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10_000)
 NO_FIX_PT = 1.0  # at the ends of what is shaded, so that a single cell is seen
-SIZE_IN, RIGHT = (10.0, 7.0), 0.79  # the legends stand beside the panels
+SIZE_IN = 10.0, 6.1
 
 
 @styled
@@ -52,8 +52,6 @@ def plot_profile(planned: PlannedPath, maps: GivenMaps, report: RouteReport | No
     note = frame_note(maps, planned.settings["time"])
     figure = chart(*SIZE_IN, heading, note)
     axes = figure.subplots(3, 1, sharex=True, height_ratios=(1, 1.3, 1))
-    top = 1 - (head_room_in(note, SIZE_IN[0] - 0.2) + 0.27) / SIZE_IN[1]
-    figure.subplots_adjust(left=0.075, right=RIGHT, top=top, bottom=0.075, hspace=0.12)
     _draw_heights(axes[0], planned, profile, edges_km)
     for name, metric in maps.metrics.items():
         label = metric.label if metric.one_is == "best" else f"{metric.label} (1: {metric.one_is})"

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from jaxurban.io.read.receiver import CN0, ERROR, SATELLITE, TRACKED, UTC
-from jaxurban.report.figures.charts import dress, legend_below, legend_in, panels, show_plain_log, styled
+from jaxurban.report.figures.charts import dress, legend_below, panels, show_plain_log, styled
 from jaxurban.report.figures.colours import Colours, ends_of
 from jaxurban.report.figures.frame import MapLayer, add_bar_below, add_key, draw_layers, flat_layer, make_frame
 from jaxurban.report.figures.notes import joined, time_said
@@ -165,15 +165,12 @@ def _coefficients(row: Mapping[Any, Any]) -> str:
 def plot_time_line(found: ReceiverValidation) -> Figure:
     """Return receiver, maps and open sky over time, a panel a witness."""
     witnesses = found.log.witnesses
-    num_lines = 3
     figure, axes = panels(
         len(witnesses),
         "Receiver and prediction over time",
         _note(found),
         panel_in=(9.2, 2.3),
         most_in_row=1,
-        foot_in=legend_in(num_lines),
-        right_in=0.5,
     )
     pieces = found.pieces.sort_values(UTC)
     times = pieces[UTC].dt.tz_localize(None).to_numpy()
@@ -202,7 +199,10 @@ def plot_time_line(found: ReceiverValidation) -> Figure:
         legend_below(figure, axes[0])
     else:
         figure.legend(
-            [*axes[0].lines, *figure.axes[-1].lines], ["receiver", "maps", "open sky"], loc="lower center", ncols=3
+            [*axes[0].lines, *figure.axes[-1].lines],
+            ["receiver", "maps", "open sky"],
+            loc="outside lower center",
+            ncols=3,
         )
     return figure
 
@@ -225,9 +225,7 @@ def plot_control(found: ReceiverValidation) -> Figure:
     shown = [name for name in COEFFICIENTS[:2] if np.isfinite(first[name])] or [AUC]
     scores = found.scores[(found.scores.witness == first.witness) & (found.scores.prediction == first.prediction)]
     heading = f"{LABELS[first.witness]} against {name_of(first.prediction)}: agreement, and every shift as control"
-    figure, (by_length, by_shift) = panels(
-        2, heading[0].upper() + heading[1:], _note(found), panel_in=(4.2, 2.8), foot_in=legend_in(5)
-    )
+    figure, (by_length, by_shift) = panels(2, heading[0].upper() + heading[1:], _note(found), panel_in=(4.2, 2.8))
     is_shown = (found.shifts.witness == first.witness) & (
         (found.shifts.piece_m == first.piece_m) | found.shifts.piece_m.isna()
     )

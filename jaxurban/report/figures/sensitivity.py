@@ -13,8 +13,8 @@ from matplotlib.patches import Patch, Polygon
 from matplotlib.patheffects import Normal, Stroke
 from matplotlib.ticker import LogLocator, NullLocator
 
-from jaxurban.report.figures.charts import chart, dress, head_in, label_rows, panels, show_plain, styled
-from jaxurban.report.figures.colours import Colours, add_colour_bar
+from jaxurban.report.figures.charts import chart, dress, panels, show_plain, styled
+from jaxurban.report.figures.colours import SMALL_PT, Colours, add_colour_bar
 from jaxurban.report.figures.frame import (
     FAINT_INK,
     INK,
@@ -63,7 +63,6 @@ def plot_breakpoints(found: Sensitivity) -> Figure:
         "Cheapest cost along the range of each weight",
         _note(found, "a dot: a breakpoint, where the route changes; red: the given weight; all other weights as given"),
         shares_y=True,
-        gap_in=(0.35, 0.8),
     )
     for panel, name in zip(axes, found.vary, strict=True):
         line, column = found.lines[name], found.names.index(name)
@@ -85,7 +84,7 @@ def plot_breakpoints(found: Sensitivity) -> Figure:
             show_plain(axis)
         panel.set(xlim=(values[0], values[-1]), xlabel=f"weight of {name} (1)")
         panel.set_title(f"{name}: {counted(len(at), 'breakpoint')}")
-    label_rows(axes, "cheapest cost (1)")
+    figure.supylabel("cheapest cost (1)", size=SMALL_PT)
     return figure
 
 
@@ -129,10 +128,8 @@ def plot_triangle(found: Sensitivity) -> Figure:
     given = found.weights[at]
     known = "" if parts.is_complete else "; not all routes were looked for"
     note = _note(found, f"three weights that sum to {given.sum():g}, in all shares, the others as given{known}")
-    width_in, height_in = 8.8, 4.75 + head_in(8.8, note)
-    top = 1 - head_in(width_in, note) / height_in
-    figure = chart(width_in, height_in, f"{len(parts.cells)} cheapest routes over a triangle of weights", note)
-    panel = figure.add_axes((0.02, 0.04, 0.64, top))
+    figure = chart(8.8, 4.9, f"{len(parts.cells)} cheapest routes over a triangle of weights", note)
+    panel = figure.subplots()
     for number, (cell, cluster) in enumerate(zip(parts.cells, found.clusters, strict=True)):
         colour = CLUSTER_COLOURS[cluster] if number in found.representatives else _pale(CLUSTER_COLOURS[cluster])
         panel.add_patch(Polygon(cell @ CORNERS, facecolor=colour, edgecolor="white", linewidth=0.5))
@@ -157,12 +154,12 @@ def plot_triangle(found: Sensitivity) -> Figure:
         for k, length_km in enumerate(lengths_km)
     ]
     handles.append(Line2D([], [], markersize=11, label="given weights", **star))
-    figure.legend(
+    panel.legend(
         handles=handles,
         title="cluster: share of the triangle, routes,\nlength of the route in full colour",
         alignment="left",
         loc="upper left",
-        bbox_to_anchor=(0.68, top),
+        bbox_to_anchor=(1.0, 1.0),
     )
     return figure
 
@@ -199,9 +196,7 @@ def plot_sobol(found: Sensitivity) -> Figure:
             f"Sobol indices over {low:g} to {high:g} times each weight, {found.sobol.num_evaluations:,} plans; "
             f"bars: {100 * CONFIDENCE:g} % confidence, cut at {SHARES_SHOWN[0]:g} and {SHARES_SHOWN[1]:g}",
         ),
-        foot_in=0.35,
         shares_y=True,
-        gap_in=(0.35, 0.8),
     )
     lowest, highest = -0.1, 1.05
     for panel, outcome in zip(axes, outcomes, strict=True):
@@ -221,14 +216,13 @@ def plot_sobol(found: Sensitivity) -> Figure:
             highest = max(highest, float(np.nan_to_num((rows[kind] + rows[f"{kind}_ci"]).max())) + 0.03)
         panel.set(title=outcome_label(outcome), xlabel="weight")
     axes[0].set_ylim(max(lowest, SHARES_SHOWN[0]), min(highest, SHARES_SHOWN[1]))
-    label_rows(axes, "share of variance (1)")
+    figure.supylabel("share of variance (1)", size=SMALL_PT)
     figure.legend(
         handles=[
             Patch(color=FIRST_COLOUR, label="first-order: alone"),
             Patch(color=TOTAL_COLOUR, label="total: with its interactions"),
         ],
-        loc="lower left",
-        bbox_to_anchor=(0.05, 0.0),
+        loc="outside lower left",
         ncols=2,
     )
     return figure
@@ -240,10 +234,8 @@ def plot_pareto(found: Sensitivity) -> Figure:
     front = found.front
     routes = counted(len(front.points), "route")
     note = _note(found, f"{routes}, each the cheapest for some weights of these alone (supported points)")
-    width_in, height_in = 7.6, 4.1 + head_in(7.6, note)
-    bottom, top = 0.55 / height_in, 1 - head_in(width_in, note) / height_in
-    figure = chart(width_in, height_in, f"Best trade-offs between {listed(front.objectives)}", note)
-    panel = figure.add_axes((0.1, bottom, 0.68, top - bottom))
+    figure = chart(7.6, 4.2, f"Best trade-offs between {listed(front.objectives)}", note)
+    panel = figure.subplots()
     order = front.points.sort_values(front.objectives[0])
     x, y = (order[name].to_numpy() for name in front.objectives[:2])
     gradient = found.local.cost["gradient"].to_numpy()
@@ -275,11 +267,11 @@ def plot_pareto(found: Sensitivity) -> Figure:
             edgecolors=GIVEN_COLOUR,
             label="given weights",
         )
-        add_colour_bar(figure, (0.81, bottom, 0.022, 0.85 * (top - bottom)), colours)
+        add_colour_bar(figure, [panel], colours)
     panel.set(xlabel=_feature_label(found, front.objectives[0]), ylabel=_feature_label(found, front.objectives[1]))
     panel.margins(0.06)
     dress(panel)
-    figure.legend(loc="upper right", bbox_to_anchor=(0.99, top))
+    panel.legend(loc="best", frameon=True)
     return figure
 
 

@@ -10,10 +10,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
 from jaxurban.report.figures.charts import (
-    LEFT_IN,
     chart,
     dress,
-    label_rows,
     legend_below,
     panels,
     show_plain_log,
@@ -82,7 +80,7 @@ def _by_city(summary: pd.DataFrame, name: str, heading: str, note: str) -> Figur
     cut = "city" if (summary.cut == "city").any() else ALL
     part = summary[summary.cut == cut]
     cities = list(dict.fromkeys(part.value))
-    figure, (panel,) = panels(1, heading, f"{note}; {INTERVALS}", panel_in=(5.6, 2.5), foot_in=0.1)
+    figure, (panel,) = panels(1, heading, f"{note}; {INTERVALS}", panel_in=(5.9, 2.5))
     for k, (city, look) in enumerate(zip(cities, looks(cities), strict=True)):
         rows = part[part.value == city].set_index("weight_name").reindex(weights)
         dots(panel, np.arange(len(weights)) + (k - (len(cities) - 1) / 2) * 0.18, rows, name, look)
@@ -117,9 +115,7 @@ def plot_nearest(weights: pd.DataFrame, wrong: float) -> Figure:
         len(altitudes),
         "How far a weight may be off before the route changes",
         "share of routes whose nearest breakpoint lies within the factor, up or down; bands: 95 % intervals",
-        foot_in=0.3,
         shares_y=True,
-        gap_in=(0.3, 0.8),
     )
     end = max(varied.nearest.max(), 1.01)
     for panel, altitude_m in zip(axes, altitudes, strict=True):
@@ -164,9 +160,7 @@ def plot_where(summary: pd.DataFrame, wrong: float) -> Figure:
         max(1, len(names)),
         "Where a wrong weight costs",
         f"regret of a weight {wrong:g} times wrong, on routes that start or end there; {INTERVALS}",
-        foot_in=0.3,
         shares_y=True,
-        gap_in=(0.3, 0.8),
     )
     for panel, name in zip(axes, names, strict=False):
         for k, (kind, look) in enumerate(zip(kinds, looks(kinds), strict=True)):
@@ -194,7 +188,6 @@ def plot_sobol_shares(shares: pd.DataFrame) -> Figure:
         "total Sobol shares, means over routes; pale: not told from 0; "
         f"{INTERVALS}; triangles: above {SHARES_SHOWN[1]:g}",
         shares_y=True,
-        gap_in=(0.35, 0.8),
     )
     for panel, outcome in zip(axes, outcomes, strict=False):
         rows = total[total.outcome == outcome].set_index("weight_name").reindex(names)
@@ -204,11 +197,12 @@ def plot_sobol_shares(shares: pd.DataFrame) -> Figure:
                 look = {"color": CLUSTER_COLOURS[1], "marker": "o", "alpha": alpha}
                 dots(panel, np.flatnonzero(which).astype(float), rows[which], "share", look)
         beyond = np.flatnonzero((rows.share > SHARES_SHOWN[1]).to_numpy())
-        panel.plot(beyond, np.full(len(beyond), SHARES_SHOWN[1]), "^", color=CLUSTER_COLOURS[1], clip_on=False)
+        marks = panel.plot(beyond, np.full(len(beyond), SHARES_SHOWN[1]), "^", color=CLUSTER_COLOURS[1], clip_on=False)
+        marks[0].set_in_layout(False)  # where there are none, they lie nowhere
         panel.set_xticks(range(len(names)), names)
         panel.set(title=outcome_label(str(outcome)), xlim=(-0.6, len(names) - 0.4))
     axes[0].set_ylim(0, SHARES_SHOWN[1])
-    label_rows(axes, "share of variance (1)")
+    figure.supylabel("share of variance (1)", size=TEXT_PT - 1)
     return figure
 
 
@@ -220,14 +214,10 @@ def plot_remade(remade: pd.DataFrame) -> Figure:
         change_said(*each).removeprefix("a ").replace(" its value", "")
         for each in zip(part.changed, part.factor, strict=True)
     ]
-    height_in, left_in, width_in = 0.24 * len(names) + 0.2, 2.9, 2.6
-    page = (left_in + 2 * width_in + 0.65, 0.95 + height_in + 0.55)
-    figure = chart(*page, "Routes on maps made anew", f"other heights, other parameters; {INTERVALS}")
-    for k, (name, label) in enumerate(
-        (("is_other", "routes that change"), ("nominal_regret", "regret of the nominal route"))
-    ):
-        box = (left_in + k * (width_in + LEFT_IN / 2), 0.55, width_in, height_in)
-        panel = figure.add_axes((box[0] / page[0], box[1] / page[1], box[2] / page[0], box[3] / page[1]))
+    height_in, note = 0.24 * len(names) + 0.8, f"other heights, other parameters; {INTERVALS}"
+    figure = chart(8.7, height_in, "Routes on maps made anew", note)
+    drawn = {"is_other": "routes that change", "nominal_regret": "regret of the nominal route"}
+    for k, (panel, (name, label)) in enumerate(zip(figure.subplots(1, 2), drawn.items(), strict=True)):
         dress(panel, has_grid=False)
         panel.grid(axis="x", linewidth=0.4, alpha=0.5)
         dots(

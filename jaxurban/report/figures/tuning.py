@@ -53,7 +53,6 @@ def plot_weights(fit: WeightFit | TargetFit, units: Sequence[str]) -> Figure:
     figure = _figure(0.75 + 0.55 * len(values), "Fitted weights", subtitle if has_interval else "")
     is_imitation = isinstance(fit, WeightFit)
     axes = figure.subplots(1, 2, width_ratios=(1.6, 1))[:] if is_imitation else np.array([figure.subplots()])
-    figure.subplots_adjust(left=0.2, right=0.97, wspace=0.1)
     places = np.arange(len(values))[::-1]
     is_shown = values > 0
     ends = np.concatenate([values[is_shown], high[np.isfinite(high)], np.maximum(low, values / 100)[np.isfinite(low)]])
@@ -88,7 +87,6 @@ def plot_learning(fit: WeightFit | TargetFit) -> Figure:
     figure = _figure(3.4, "Learning curves", note)
     fewer = fit.by_demonstrations if isinstance(fit, WeightFit) else pd.DataFrame()
     panels = figure.subplots(1, 3 if len(fewer) else 2)
-    figure.subplots_adjust(left=0.08, right=0.985, wspace=0.5)
     for name, colour, label in (
         ("mean_regret", PLANNED_COLOUR, "mean regret of demonstrations"),
         ("worst_gap", SHORTEST_COLOUR, "largest gain by a new route"),
@@ -140,7 +138,6 @@ def plot_regret(fit: WeightFit, names: Sequence[str]) -> Figure:
     )
     figure = _figure(3.2, "Regret of each demonstration: its cost above the cheapest route's", note)
     panel = figure.subplots()
-    figure.subplots_adjust(left=0.09, right=0.95)
     trust = Colours("Blues", Normalize(-0.25, 1))  # what is not trusted is pale
     places = np.arange(1, len(names) + 1)
     panel.bar(places, 100 * fit.regret, color=trust(fit.trust), edgecolor=FAINT_INK, linewidth=0.3)
@@ -164,7 +161,6 @@ def plot_targets(fit: TargetFit) -> Figure:
     """Return for each target its bound, and what the shortest routes, the fit, and the target alone reach."""
     figure = _figure(0.9 + 0.75 * len(fit.outcomes), "Targets and outcomes", "green: where the target is met")
     panels = figure.subplots(len(fit.outcomes), 1, squeeze=False)[:, 0]
-    figure.subplots_adjust(left=0.2, right=0.78, hspace=1.1)
     rows = zip(panels, fit.outcomes.iterrows(), fit.alone["reached"], strict=True)
     for panel, (target, row), alone in rows:
         marks = (
@@ -238,9 +234,7 @@ def plot_routes(beside: PlannedBeside, cost_map: CostMap, weights: np.ndarray, g
 
 def _figure(height_in: float, heading: str, note: str) -> Figure:
     """Return an empty figure with a heading; ``height_in`` is what is left for its panels."""
-    figure, total_in = chart(WIDTH_IN, height_in + 1.2, heading, note), height_in + 1.2
-    figure.subplots_adjust(top=1 - 0.68 / total_in, bottom=0.55 / total_in)
-    return figure
+    return chart(WIDTH_IN, height_in + 0.6, heading, note)
 
 
 def _dressed(figure: Figure) -> Figure:
