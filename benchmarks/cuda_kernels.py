@@ -24,7 +24,6 @@ from jaxurban.kernels.shadows import supersampled as fine_shadows
 from jaxurban.maps import pipeline, recipe
 from jaxurban.maps.differentiable import PathVisits, SoftCity, SoftParams
 from jaxurban.metrics import availability, gps, lidar, obstacle, population, risk, visibility
-from jaxurban.metrics.gps import hard as hard_gps
 from jaxurban.metrics.gps import soft as soft_gps_metric
 from jaxurban.metrics.lidar import LidarParams
 from jaxurban.metrics.risk import RiskParams
@@ -97,7 +96,7 @@ def lines() -> sweep.Line:
     return lines_over(SURFACE)
 
 
-def satellites(num: int, multiple_of: int = 8, num_clocks: int = 1) -> dop.AnyGeometry:
+def satellites(num: int, multiple_of: int = 8, num_clocks: int = 1) -> dop.Geometry:
     rng = np.random.default_rng(0)
     directions = dop.unit_vectors(rng.uniform(0, 6, num), rng.uniform(0.1, 1.5, num))
     return dop.geometry(directions, multiple_of=multiple_of, clocks=dop.Clocks(np.arange(num) % num_clocks, num_clocks))
@@ -110,7 +109,6 @@ BANDS = fine_shadows.band_line(AZIMUTH_RAD[0], ELEVATION_RAD[0], 5.0 / PER_CELL,
 FINE = tuple(PER_CELL * side + 2 * PER_CELL for side in SURFACE)
 WINDOW = (MARGIN, MARGIN + REGION[0], MARGIN, MARGIN + REGION[1], 1)
 VIEW = visibility.SkyView(lines(), satellites(NUM_SATELLITES, 1), WHOLE)
-SUBSETS = gps.GpsMaps(*[array(2**NUM_SATELLITES)] * 6, array(2**NUM_SATELLITES, dtype=jnp.uint8))
 
 NUM_AZIMUTHS, NUM_BEAMS, RANGE_M = 360, 16, 100.0
 STEPS_5M, STEPS_FINE = (flat.num_steps(side_m, RANGE_M) for side_m in (5.0, 5.0 / PER_CELL))
@@ -211,7 +209,6 @@ def inputs() -> tuple[pipeline.MapInputs, visibility.SkyView]:
 
 DOUBLED = {"passes": doubling.num_passes(max(SURFACE))}
 RINGS = sweep.Ring(*(array(NUM_SATELLITES, *side.shape) for side in RING))
-MASK = array(*REGION, dtype=bool)
 
 KERNELS: dict[str, Callable[[], Call]] = {
     "all maps": lambda: Call(jax.jit(pipeline.all_maps), inputs()),
@@ -256,7 +253,6 @@ KERNELS: dict[str, Callable[[], Call]] = {
     "GPS maps, 16 satellites, 2 clocks": lambda: Call(
         gps.maps_of_words, (array(1, *REGION, dtype=jnp.uint32), satellites(16, 8, 2), NUMBER)
     ),
-    "GPS maps, looked up": lambda: Call(hard_gps._looked_up, (SUBSETS, array(1, *REGION, dtype=jnp.uint32), MASK)),
     "GPS, soft": lambda: Call(
         soft_gps_metric._soft_gps, (array(*SURFACE), None, NUMBER, NUMBER, NUMBER, VIEW, None), {"window": WINDOW}
     ),

@@ -7,10 +7,11 @@ from jax import lax
 
 from benchmarks.common import Row, clocked, in_turn, row
 from benchmarks.scenes import ALTITUDES_M, Scene
-from jaxurban.kernels.dop import LEAST_SATELLITES, Dops, Geometry, dops_of_words, geometry, unit_vectors
+from jaxurban.kernels.dop import Dops, Geometry, dops_of_words, geometry, unit_vectors
 from jaxurban.metrics.gps import BLOCK_CELLS, SATELLITES_STEP
 from jaxurban.metrics.visibility import visibility
 
+LEAST_SATELLITES = 4  # three coordinates and the clock
 BATCH = 2**16  # matrices in one call of the peer: more or fewer are slower
 
 

@@ -15,9 +15,10 @@ import numpy as np
 import shapely
 
 from benchmarks.common import machine
+from benchmarks.dilution import LEAST_SATELLITES
 from benchmarks.embree_peer import EmbreePool, scan_until_first_return, see_satellites
 from benchmarks.scenes import ALTITUDES_M, PLACES, Scene, load_place, load_scene
-from jaxurban.kernels.dop import LEAST_SATELLITES, unit_vectors
+from jaxurban.kernels.dop import unit_vectors
 from jaxurban.metrics.gps import GpsParams, SatelliteSet
 from jaxurban.metrics.lidar import LidarParams, compute_lidar
 from jaxurban.metrics.obstacle import obstacles_on

@@ -12,11 +12,10 @@ import numpy as np
 from benchmarks.common import Row, clocked, in_turn, machine, markdown, row
 from benchmarks.scenes import MASK_DEG, SYNTHETIC, TOKYO, Place, load_place
 from benchmarks.sidereon_peer import Peer
-from jaxurban.kernels.patterns import distinct_patterns
 from jaxurban.maps.build import view_sky
 from jaxurban.maps.task import MapParams, MapTask
 from jaxurban.metrics.protection import ProtectionParams, levels_of_satellites, protection_maps, ranging_of
-from jaxurban.metrics.visibility import visibility
+from jaxurban.metrics.visibility import distinct_choices, visibility
 from jaxurban.world.sky import InView
 
 DISTRICT = replace(TOKYO, name="Tokyo", bounds=(139.680, 35.655, 139.785, 35.720))
@@ -46,9 +45,7 @@ def views(
 def measure(place: Place, altitude_m: float, num_runs: int) -> list[Row]:
     """Return the row of the protection maps; its note says how many patterns there are, and how far levels differ."""
     is_obstacle, [(words, in_view)] = views(place, altitude_m, RESOLUTION_M, [place.time])
-    found = distinct_patterns(words.reshape(len(words), -1), is_obstacle.ravel(), is_obstacle.size)
-    assert found is not None
-    patterns = found[0]
+    patterns, _ = distinct_choices(words, is_obstacle)
     peer = Peer(ranging_of(in_view, PARAMS), in_view.systems, PARAMS.budget)
     sides = {
         "ours": clocked(lambda: protection_maps(words, is_obstacle, in_view, PARAMS)),

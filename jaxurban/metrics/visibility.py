@@ -9,10 +9,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
-from jaxtyping import Array, Float, Int, UInt
+from jaxtyping import Array, Bool, Float, Int, UInt
 
 from jaxurban.errors import InputError
-from jaxurban.kernels.dop import AnyGeometry, Clocks, geometry, unit_vectors
+from jaxurban.kernels.dop import Clocks, Geometry, geometry, unit_vectors
 from jaxurban.kernels.shadows.doubling import (
     KernelShape,
     hand_on_at_once,
@@ -91,7 +91,7 @@ class SkyView(NamedTuple):
     """
 
     lines: Line
-    satellites: AnyGeometry
+    satellites: Geometry
     num: Int[AnyArray, ""]
 
     @classmethod
@@ -118,7 +118,7 @@ class SkyView(NamedTuple):
         dtype = np.dtype(surface.roof_m.dtype).type
         satellites = geometry(unit_vectors(azimuth, elevation), dtype, multiple_of, clocks)
         num, grid = len(azimuth), surface.grid
-        filled = np.zeros((2, satellites.products.shape[-1]))
+        filled = np.zeros((2, len(satellites.rows)))
         filled[:, :num] = azimuth, elevation
         place = grid.resolution_m, grid.first_row, grid.first_col, grid.shape
         lines = digital_lines(filled[0], filled[1], *place)
@@ -267,6 +267,26 @@ def without_hidden(
         surface.grid.resolution_m / PER_CELL,
     )
     return words
+
+
+def distinct_choices(
+    words: UInt[AnyArray, "W ..."], is_obstacle: Bool[AnyArray, "..."]
+) -> tuple[UInt[np.ndarray, "W P"], Int[np.ndarray, "..."]]:
+    """Return every choice of satellites that some cell sees once, and the number of each cell's.
+
+    Cells that see what the one before them sees are not sorted.
+
+    Args:
+      words: satellite ``s`` is bit ``s % 32`` of word ``s // 32``; any axes of cells behind.
+      is_obstacle: cells that see no satellite, whatever the words say.
+    """
+    flat = np.where(is_obstacle, np.uint32(0), words).reshape(len(words), -1)
+    is_new = np.append(True, (flat[:, 1:] != flat[:, :-1]).any(axis=0))[: flat.shape[1]]
+    runs = flat[:, is_new]
+    number, first = np.zeros(runs.shape[1], np.int64), np.zeros(0, np.int64)
+    for word in runs:
+        _, first, number = np.unique(number << WORD_BITS | word, return_index=True, return_inverse=True)
+    return runs[:, first], number.astype(np.int32)[np.cumsum(is_new) - 1].reshape(words.shape[1:])
 
 
 def _lines_over(grid: Grid, azimuth: np.ndarray, elevation: np.ndarray) -> list[Line]:

@@ -26,7 +26,7 @@ def random_sky(num, seed):
 
 
 @pytest.mark.parametrize("num", [6, 12, 33])
-def test_dops_up_to_20_equal_float64_to_1e_4(num):
+def test_dops_up_to_20_equal_float64_to_1e_5(num):
     rng = np.random.default_rng(num)
     directions = random_sky(num, num)
     is_seen = rng.random((20_000, num)) < rng.uniform(0.2, 1, (20_000, 1))
@@ -37,7 +37,7 @@ def test_dops_up_to_20_equal_float64_to_1e_4(num):
     expected = inverse_dops(directions, is_seen)
     is_useful = (expected[0] < 20) & (is_seen.sum(axis=1) >= 4)
     assert is_useful.sum() > 100
-    np.testing.assert_allclose(found[:, is_useful], expected[:, is_useful], rtol=5e-5)
+    np.testing.assert_allclose(found[:, is_useful], expected[:, is_useful], rtol=1e-5)
     assert np.all(np.isinf(found[:, is_seen.sum(axis=1) < 4]))
 
 
@@ -57,15 +57,14 @@ def test_satellites_on_one_cone_leave_the_position_undetermined():
     assert np.all(np.isinf(dops(with_zenith, jnp.array([1.0, 1, 1, 1, 1, 0]))))
 
 
-def test_dops_are_the_same_bits_in_any_order_of_the_satellites_left_out():
-    # Satellites that weigh nothing change the order in which sums are made, and nothing else.
+def test_satellites_that_fill_up_change_no_bit():
+    # A sum has as many terms, some of them 0, and is added up in the same order (up to 31 of them).
     directions = random_sky(12, 5)
     words = jnp.asarray(np.random.default_rng(0).integers(0, 2**12, (1, 500)), jnp.uint32)
     plain = dops_of_words(geometry(directions), words)
-    padded = dops_of_words(geometry(directions, multiple_of=32), words)
+    np.testing.assert_array_equal(plain, dops_of_words(geometry(directions, multiple_of=24), words))
     alone = jnp.stack([jnp.stack(dops_of_words(geometry(directions), words[:, i])) for i in range(5)], axis=1)
-    np.testing.assert_array_equal(plain, padded)
-    np.testing.assert_array_equal(np.array(plain)[:, :5], alone)
+    np.testing.assert_allclose(np.array(plain)[:, :5], alone, rtol=1e-6)
 
 
 @pytest.mark.parametrize("num", [0, 3])

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from jaxurban.kernels.patterns import distinct_patterns
 from jaxurban.metrics.protection import ProtectionParams, levels_of_satellites, ranging_of
+from jaxurban.metrics.visibility import distinct_choices
 
 pytestmark = [pytest.mark.data, pytest.mark.slow]
 
@@ -27,7 +27,7 @@ def test_levels_of_what_a_city_leaves_in_view_are_sidereons(city, data_dir):
     is_obstacle, seen = protection.views(place, 20.0, 5.0, times)
     num, num_near = 0, 0
     for words, in_view in seen:
-        patterns, _ = distinct_patterns(words.reshape(len(words), -1), is_obstacle.ravel(), is_obstacle.size)
+        patterns, _ = distinct_choices(words, is_obstacle)
         patterns = patterns[:, : PATTERNS - num]
         ours = levels_of_satellites(in_view, PARAMS, patterns)
         theirs = peer.Peer(ranging_of(in_view, PARAMS), in_view.systems, PARAMS.budget).levels(patterns)

@@ -1,7 +1,7 @@
 """GPS quality: how well the satellites seen from each cell fix a position."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 
 import jax
@@ -11,16 +11,14 @@ from jax import lax
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, UInt, UInt8
 
-from jaxurban.kernels.dop import AnyGeometry, Clocks, dops_of_words, geometry, unit_vectors
-from jaxurban.kernels.patterns import distinct_patterns, look_up
-from jaxurban.metrics.base import JAX_ALIGNMENT, AnyArray, zeros_for_jax
+from jaxurban.kernels.dop import Clocks, Geometry, dops_of_words, geometry, unit_vectors
+from jaxurban.metrics.base import AnyArray
 from jaxurban.metrics.gps.params import GpsParams
+from jaxurban.metrics.visibility import distinct_choices
 
 SATELLITES_STEP = 8  # the DOP program is compiled for 8, 16, 24 ... satellites
-BLOCK_CELLS = 2**14  # cells whose DOPs are made at once: what they need in between fits a core's cache
+BLOCK_CELLS = 2**12  # cells whose DOPs are made at once: what they need in between fits a core's cache
 WIDE_BLOCK_CELLS = 2**22  # the same on a GPU, which has a launch for every block
-TABLE_SATELLITES = 16  # up to here the maps of all subsets are made once and looked up
-LEAST_CELLS_A_PATTERN = 4  # above, on a CPU, those of the subsets that are seen, where so many cells share one
 
 
 @jax.tree_util.register_dataclass
@@ -37,13 +35,13 @@ class GpsMaps:
       num_visible: satellites seen.
     """
 
-    m: Float[Array, "*C"]
-    gdop: Float[Array, "*C"]
-    pdop: Float[Array, "*C"]
-    hdop: Float[Array, "*C"]
-    vdop: Float[Array, "*C"]
-    tdop: Float[Array, "*C"]
-    num_visible: UInt8[Array, "*C"]
+    m: Float[AnyArray, "*C"]
+    gdop: Float[AnyArray, "*C"]
+    pdop: Float[AnyArray, "*C"]
+    hdop: Float[AnyArray, "*C"]
+    vdop: Float[AnyArray, "*C"]
+    tdop: Float[AnyArray, "*C"]
+    num_visible: UInt8[AnyArray, "*C"]
 
 
 def gps_metric(gdop: Float[Array, "*C"], gdop_threshold: float | Array) -> Float[Array, "*C"]:
@@ -65,28 +63,20 @@ def elevation_weights(elevation_rad: ArrayLike) -> np.ndarray:
 
 
 @jax.jit
-def maps_of_words(
-    words: UInt[AnyArray, "W ..."],
-    satellites: AnyGeometry,
-    gdop_threshold: float | Array,
-    is_obstacle: Bool[Array, "..."] | None = None,
-) -> GpsMaps:
+def maps_of_words(words: UInt[AnyArray, "W ..."], satellites: Geometry, gdop_threshold: float | Array) -> GpsMaps:
     """Return the maps of the satellites whose bits are set, made block by block of cells.
 
     Args:
       words: satellite ``s`` is bit ``s % 32`` of word ``s // 32``; any axes of cells behind.
       satellites: their geometry.
       gdop_threshold: see `gps_metric`.
-      is_obstacle: where no satellite is seen, whatever the words say; left out, nowhere.
     """
-    if is_obstacle is not None:
-        words = jnp.where(is_obstacle, jnp.uint32(0), words)
     small, wide = (partial(_in_equal_blocks, block_cells=cells) for cells in (BLOCK_CELLS, WIDE_BLOCK_CELLS))
     return lax.platform_dependent(words, satellites, gdop_threshold, cpu=small, default=wide)
 
 
 def _in_equal_blocks(
-    words: UInt[Array, "W ..."], satellites: AnyGeometry, gdop_threshold: float | Array, block_cells: int
+    words: UInt[Array, "W ..."], satellites: Geometry, gdop_threshold: float | Array, block_cells: int
 ) -> GpsMaps:
     """Return `maps_of_words`, so many cells at once; a block of `BLOCK_CELLS` at least is made."""
     shape = words.shape[1:]
@@ -114,14 +104,11 @@ class SatelliteSet:
 
     Attributes:
       satellites: their geometry.
-      table: the maps of every subset of up to `TABLE_SATELLITES` satellites, by its word: a city has
-        far more cells than subsets. None for more satellites.
       gdop_threshold: of the metric.
       weighted: the same satellites, each with the weight of its elevation; None where no weighted DOPs are wanted.
     """
 
-    satellites: AnyGeometry
-    table: GpsMaps | None
+    satellites: Geometry
     gdop_threshold: float
     weighted: "SatelliteSet | None" = None
 
@@ -131,73 +118,30 @@ class SatelliteSet:
     ) -> "SatelliteSet":
         """Return the set of the satellites at ``[S]`` azimuths and elevations; without clocks all share one."""
         directions = unit_vectors(azimuth_rad, elevation_rad)
-        made = cls._of_geometry(directions, params, clocks)
-        if params.weighting == "none":
-            return made
-        weights = elevation_weights(elevation_rad)
-        return replace(made, weighted=cls._of_geometry(directions, params, clocks, weights))
 
-    @classmethod
-    def _of_geometry(
-        cls, directions: np.ndarray, params: GpsParams, clocks: Clocks | None, weights: np.ndarray | None = None
-    ) -> "SatelliteSet":
-        satellites = geometry(directions, multiple_of=SATELLITES_STEP, clocks=clocks, weights=weights)
-        table = None
-        if len(directions) <= TABLE_SATELLITES:
-            num = max(BLOCK_CELLS, 2 ** len(directions))
-            subsets = np.arange(num, dtype=np.uint32)[None]
-            table = maps_of_words(subsets, satellites, params.gdop_threshold)
-        return cls(satellites, table, params.gdop_threshold)
+        def made(weights: np.ndarray | None, weighted: "SatelliteSet | None" = None) -> "SatelliteSet":
+            satellites = geometry(directions, multiple_of=SATELLITES_STEP, clocks=clocks, weights=weights)
+            return cls(satellites, params.gdop_threshold, weighted)
 
-    def maps(self, words: UInt[Array, "W ..."], is_obstacle: Bool[Array, "..."]) -> GpsMaps:
-        """Return the maps of the satellites seen; inside obstacles no satellite is."""
-        if self.table is not None:
-            return _looked_up(self.table, words, is_obstacle)
-        if jax.default_backend() == "cpu" and (found := self._maps_of_patterns(words, is_obstacle)) is not None:
-            return found
-        return maps_of_words(words, self.satellites, self.gdop_threshold, is_obstacle)
+        return made(None, made(elevation_weights(elevation_rad)) if params.weighting == "elevation" else None)
 
-    def m(self, words: UInt[Array, "W ..."], is_obstacle: Bool[Array, "..."]) -> Float[Array, "*C"]:
+    def maps(self, words: UInt[AnyArray, "W ..."], is_obstacle: Bool[AnyArray, "..."]) -> GpsMaps:
+        """Return the maps of the satellites seen, each choice of them solved once; inside obstacles none is seen."""
+        table, number = self._of_choices(words, is_obstacle)
+        return GpsMaps(*(np.take(values, number) for values in table))
+
+    def m(self, words: UInt[AnyArray, "W ..."], is_obstacle: Bool[AnyArray, "..."]) -> Float[np.ndarray, "*C"]:
         """Return the metric alone."""
-        if self.table is None:
-            return self.maps(words, is_obstacle).m
-        return _looked_up(self.table.m, words, is_obstacle)
+        table, number = self._of_choices(words, is_obstacle)
+        return np.take(table[0], number)
 
-    def _maps_of_patterns(self, words: UInt[Array, "W ..."], is_obstacle: Bool[Array, "..."]) -> GpsMaps | None:
-        """Return the maps by way of every subset that is seen, once; None where too few cells share one.
-
-        They are those of `maps_of_words` to the bit, which takes the subsets a block at a time: one program.
-        """
-        shape, num_cells = words.shape[1:], math.prod(words.shape[1:])
-        flat, is_nothing = np.asarray(words).reshape(len(words), -1), np.asarray(is_obstacle).ravel()
-        distinct = distinct_patterns(flat, is_nothing, num_cells // LEAST_CELLS_A_PATTERN)
-        if distinct is None:
-            return None
-        patterns, number = distinct
-        num_patterns = patterns.shape[1]
-        values, num_visible = np.empty((num_patterns, 6), np.float32), np.empty((num_patterns, 1), np.uint8)
-        for first in range(0, num_patterns, BLOCK_CELLS):
-            block = np.zeros((len(patterns), BLOCK_CELLS), np.uint32)
-            part = patterns[:, first : first + BLOCK_CELLS]
-            block[:, : part.shape[1]] = part
-            made = maps_of_words(block, self.satellites, self.gdop_threshold)
-            rows = slice(first, first + part.shape[1])
-            of_all = (made.m, made.gdop, made.pdop, made.hdop, made.vdop, made.tdop)
-            values[rows] = np.stack(of_all, axis=1)[: part.shape[1]]
-            num_visible[rows, 0] = np.asarray(made.num_visible)[: part.shape[1]]
-        return GpsMaps(*_spread(values, number, shape), *_spread(num_visible, number, shape))
-
-
-def _spread(table: np.ndarray, number: np.ndarray, shape: tuple[int, ...]) -> list[Array]:
-    """Return each column of a table ``[P, V]`` at the cells, whose rows are numbered."""
-    width = -(-len(number) // JAX_ALIGNMENT) * JAX_ALIGNMENT  # every column begins where JAX takes it as it is
-    found = zeros_for_jax((table.shape[1], width), table.dtype)[:, : len(number)]
-    look_up(table, number, found)
-    return [jax.device_put(column.reshape(shape)) for column in found]
-
-
-@jax.jit
-def _looked_up(table, words: UInt[Array, "W ..."], is_obstacle: Bool[Array, "..."]):
-    """Return the entries of a table (or of each of a tree of tables) at the first word; at 0 inside obstacles."""
-    index = jnp.where(is_obstacle, jnp.uint32(0), words[0])
-    return jax.tree.map(lambda values: values[index], table)
+    def _of_choices(self, words: AnyArray, is_obstacle: AnyArray) -> tuple[list[np.ndarray], np.ndarray]:
+        """Return the maps of every choice that is seen, made in blocks by one program, and each cell's number."""
+        choices, number = distinct_choices(words, is_obstacle)
+        num = choices.shape[1]
+        padded = np.pad(choices, [(0, 0), (0, -num % BLOCK_CELLS)])
+        blocks = [
+            jax.tree.leaves(maps_of_words(block, self.satellites, self.gdop_threshold))
+            for block in np.split(padded, padded.shape[1] // BLOCK_CELLS, axis=1)
+        ]
+        return [np.concatenate(parts)[:num] for parts in zip(*blocks, strict=True)], number

@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Array
 
-from jaxurban.metrics.base import ALTITUDE, TIME, Metric, Scene, SoftScene, low_is_bad
+from jaxurban.metrics.base import ALTITUDE, TIME, AnyArray, Metric, Scene, SoftScene, low_is_bad
 from jaxurban.metrics.gps.params import GpsParams
 from jaxurban.metrics.gps.soft import soft_gps
 
@@ -11,7 +11,7 @@ DOPS = ("gdop", "pdop", "hdop", "vdop", "tdop")
 WEIGHTED_DOPS = tuple(f"w{name}" for name in DOPS)  # where satellites count by their elevation
 
 
-def _maps(scene: Scene, params: GpsParams) -> dict[str, Array]:
+def _maps(scene: Scene, params: GpsParams) -> dict[str, AnyArray]:
     """Return m, the DOPs and the satellites seen; they were made ready under the same settings."""
     assert scene.satellites is not None
     assert scene.words is not None

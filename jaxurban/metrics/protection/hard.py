@@ -5,11 +5,11 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float32, UInt, UInt8
 
-from jaxurban.kernels.patterns import distinct_patterns, look_up
 from jaxurban.kernels.protection import protection_levels
 from jaxurban.metrics.base import AnyArray
 from jaxurban.metrics.protection.params import ProtectionParams
 from jaxurban.metrics.protection.range_errors import ranging_of
+from jaxurban.metrics.visibility import distinct_choices
 from jaxurban.world.sky import InView
 
 
@@ -56,22 +56,9 @@ def protection_maps(
       in_view: the satellites.
       params: settings.
     """
-    shape = words.shape[1:]
-    flat, is_nothing = np.asarray(words).reshape(len(words), -1), np.asarray(is_obstacle).ravel()
-    patterns, number = _distinct(flat, is_nothing)
-    hpl_m, vpl_m = levels_of_satellites(in_view, params, patterns)
+    choices, number = distinct_choices(words, is_obstacle)
+    hpl_m, vpl_m = levels_of_satellites(in_view, params, choices)
     is_within = (hpl_m <= params.horizontal_alert_limit_m) & (vpl_m <= params.vertical_alert_limit_m)
-    table = np.stack([protection_metric(hpl_m, params.horizontal_alert_limit_m), hpl_m, vpl_m], axis=1)
-    levels, within = np.empty((3, len(number)), np.float32), np.empty((1, len(number)), np.uint8)
-    look_up(table.astype(np.float32), number, levels)
-    look_up(is_within[:, None].astype(np.uint8), number, within)
-    return ProtectionMaps(*(values.reshape(shape) for values in (*levels, *within)))
-
-
-def _distinct(words: np.ndarray, is_nothing: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return every pattern of words once, and the number of each cell's."""
-    found = distinct_patterns(words, is_nothing, words.shape[1])
-    if found is None:  # more than 64 satellites
-        patterns, number = np.unique(np.where(is_nothing, np.uint32(0), words), axis=1, return_inverse=True)
-        found = patterns, number.ravel().astype(np.int32)
-    return found
+    levels = [protection_metric(hpl_m, params.horizontal_alert_limit_m), hpl_m, vpl_m]
+    table = [*(level.astype(np.float32) for level in levels), is_within.astype(np.uint8)]
+    return ProtectionMaps(*(np.take(values, number) for values in table))
