@@ -7,7 +7,7 @@ import os
 import re
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from itertools import chain
@@ -211,14 +211,15 @@ def open_cache(*, most_bytes: int, timeout_s: float, is_offline: bool) -> Iterat
     if not 0 < timeout_s <= MOST_TIMEOUT_S:
         raise InputError(f"--timeout must be above 0 and at most {MOST_TIMEOUT_S:,.0f} s, got {timeout_s:g}")
     folder = cache_folder()
-    with ExitStack() as stack:
-        if not is_offline:
-            try:
-                folder.mkdir(parents=True, exist_ok=True)
-            except OSError as error:
-                raise InputError(f"cannot make the cache {str(folder)!r} ({reason_of(error)}): {ELSEWHERE}") from error
-            stack.enter_context(only_writer(folder, ELSEWHERE))
-            sweep_scraps(folder)
+    if is_offline:
+        yield Cache(folder, most_bytes, timeout_s, is_offline)
+        return
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"cannot make the cache {str(folder)!r} ({reason_of(error)}): {ELSEWHERE}") from error
+    with only_writer(folder, ELSEWHERE):
+        sweep_scraps(folder)
         yield Cache(folder, most_bytes, timeout_s, is_offline)
 
 

@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 import shapely
 
+from jaxurban.io.read.near import meets
 from jaxurban.kernels.outlines import burn_outlines
 from jaxurban.world.grid import Grid
 
@@ -66,9 +67,8 @@ def _burn(
     touched: np.ndarray,
 ) -> None:
     """Burn the polygons whose box meets the grid, in place."""
-    x_min, y_min, x_max, y_max = grid.bounds_m
-    west, south, east, north = shapely.bounds(polygons).T if boxes_m is None else boxes_m
-    near = np.flatnonzero((west <= x_max) & (east >= x_min) & (south <= y_max) & (north >= y_min))
+    boxes = shapely.bounds(polygons) if boxes_m is None else boxes_m.T
+    near = np.flatnonzero(meets(boxes, grid.bounds_m))
     if near.size:
         rings = _rings_of(polygons[near])
         burn_outlines(

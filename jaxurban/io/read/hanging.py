@@ -5,6 +5,7 @@ import math
 import numpy as np
 
 from jaxurban.io.read.burn import burn_by_rule
+from jaxurban.io.read.near import meets
 from jaxurban.kernels.slabs import settle
 from jaxurban.world.city import Buildings
 from jaxurban.world.grid import Grid
@@ -26,9 +27,7 @@ def burn_hanging(
       terrain_m: ``[Y, X]`` elevation of the ground; None for flat ground.
       all_touched: see above.
     """
-    x_min, y_min, x_max, y_max = grid.bounds_m
-    west, south, east, north = buildings.boxes_m
-    is_near = (west <= x_max) & (east >= x_min) & (south <= y_max) & (north >= y_min)
+    is_near = meets(buildings.boxes_m.T, grid.bounds_m)
     finer = grid.refined(PER_CELL)
     places, heights = [np.empty((2, 0), np.int64)], [np.empty((2, 0), np.float32)]
     for i in np.flatnonzero(is_near & (buildings.min_height_m > 0)):
