@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import shapely
+from scipy.interpolate import PchipInterpolator
 
 from jaxurban.world.city import OTHER_DISTRICT
-from jaxurban.world.pchip import pchip
 
 Box = tuple[float, float, float, float]  # x_min, y_min, x_max, y_max, metres
 Cluster = tuple[float, float, float, float]  # centre s, q and radii in s, q of a cluster of towers
@@ -126,12 +126,12 @@ class CityPlan:
     def parts(self) -> list[Part]:
         """Return the island and, where the box reaches them, the suburbs beyond its two rivers."""
         shore_s = np.linspace(-1.0, 1.0, 161)
-        west, east = (pchip(SHORES[:, 0], SHORES[:, side], shore_s) for side in (1, 2))
+        west, east = (PchipInterpolator(SHORES[:, 0], SHORES[:, side])(shore_s) for side in (1, 2))
         island = self._polygon(np.r_[shore_s, shore_s[::-1]], np.r_[-west, east[::-1]])
         far_s, far_q = 4.0 + self.box.length / self.length_m, 4.0 + self.box.length / self.width_m  # beyond any box
         ends = float(EAST_BANK[0, 0]), float(EAST_BANK[-1, 0])
         bank_s = np.r_[-far_s, np.linspace(*ends, 401), far_s]
-        bank_q = pchip(EAST_BANK[:, 0], EAST_BANK[:, 1], np.clip(bank_s, *ends))
+        bank_q = PchipInterpolator(EAST_BANK[:, 0], EAST_BANK[:, 1])(np.clip(bank_s, *ends))
         east_side = self._polygon(np.r_[bank_s, far_s, -far_s], np.r_[bank_q, far_q, far_q])
         west_side = self._polygon(np.array([-far_s, far_s, far_s, -far_s]), np.repeat([WEST_BANK_Q, -far_q], 2))
         parts = [
