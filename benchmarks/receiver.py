@@ -143,7 +143,6 @@ def page(tracks: Mapping[str, ReceiverValidation], others: Sequence[tuple[Change
         changes=changes_table(first, others),
         block=f"{first.settings.block_m:g}",
         piece=f"{first.settings.piece_m:g}",
-        at_most=first.settings.at_most_tracked,
     )
 
 
@@ -157,7 +156,7 @@ def tracks_table(tracks: Mapping[str, ReceiverValidation]) -> str:
         of_within = with_interval(row, WITHIN), f"{min(starts):.2f} to {max(starts):.2f}"
         controls = [
             (f"{row[f'{each}_shifts_95']:.2f}", f"{largest_shifted(validation, each):.2f}", f"{row[f'{each}_p']:.3f}")
-            for each in COEFFICIENTS[:2]
+            for each in COEFFICIENTS
         ]
         rows.append((name, length, row["num"], *of_within, *controls[0], with_interval(row, SPEARMAN), *controls[1]))
     of_each = "95 % of shifts below", "largest", "p"

@@ -18,7 +18,7 @@ SCENARIO = {
     "buildings": {"source": "synthetic"},
     "gps": {"mask_deg": 10.0},
 }
-SETTINGS = ju.ReceiverSettings(sky_step_s=240.0, block_m=100.0, at_most_tracked=5)
+SETTINGS = ju.ReceiverSettings(sky_step_s=240.0, block_m=100.0)
 SPEED_M_S, NUM_LEGS = 6.0, 8
 
 

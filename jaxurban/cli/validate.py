@@ -5,7 +5,7 @@ from typing import Any
 
 import click
 
-from jaxurban.cli.common import DEGREES, DEVICE, JSON_FLAG, PATH, numbers_in, print_json, tell
+from jaxurban.cli.common import DEVICE, JSON_FLAG, PATH, numbers_in, print_json, tell
 from jaxurban.progress import reporting
 
 
@@ -50,16 +50,7 @@ from jaxurban.progress import reporting
     show_default=True,
     help="Metres of track within which ranks compare.",
 )
-@click.option(
-    "--at-most",
-    "at_most_tracked",
-    type=click.IntRange(min=0),
-    default=8,
-    show_default=True,
-    help="The AUC is of recognising pieces with at most so many satellites tracked.",
-)
 @click.option("--overwrite", is_flag=True, help="Replace another validation in the output folder.")
-@DEGREES
 @DEVICE
 @JSON_FLAG
 def validate(
@@ -68,14 +59,13 @@ def validate(
     output: Path,
     changes: tuple[str, ...],
     overwrite: bool,
-    degrees: bool,
     as_json: bool,
     other_pieces: str,
     **given: Any,
 ) -> int:
     """Set the log of a receiver (LOG, .csv or .parquet) against maps of SCENARIO made at its times and its height.
 
-    LOG has the columns utc, lon_deg, lat_deg and num_tracked, error_2d_m or satellite (with cn0_dbhz, a row each).
+    LOG has the columns utc, lon_deg, lat_deg and num_tracked, error_2d_m or satellite (a row each).
     """
     from jaxurban.io.files import check_writable
     from jaxurban.io.workspace import Workspace
@@ -91,7 +81,7 @@ def validate(
     with reporting("validate") as report:
         found = validate_log(scenario, log_file, settings, progress=report)
         report("report")
-        save_validation(found, output, overwrite, degrees=degrees)
+        save_validation(found, output, overwrite)
     tell(f"validation finished: read {output / REPORT_FILE}, look at {output / 'figures'}")
     if as_json:
         print_json({"folder": str(output), "report": str(output / REPORT_FILE), **numbers_of(found)})

@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from jaxurban.errors import InputError
-from jaxurban.io.read.receiver import ReceiverLog, read_receiver_log
+from jaxurban.io.read.receiver import read_receiver_log
 
 GOOD = pd.DataFrame(
     {
@@ -21,7 +21,6 @@ BY_SATELLITE = pd.DataFrame(
         "lon": [139.0, 139.0, 139.1, 139.2],
         "lat": [35.0, 35.0, 35.1, 35.2],
         "satellite": ["G01", "E11", "G01", None],
-        "cn0_dbhz": [45.0, 30.0, np.nan, np.nan],
     }
 )
 
@@ -39,7 +38,7 @@ def test_epochs_come_in_the_order_of_their_times():
     log = read_receiver_log(GOOD)
     assert log.epochs.num_tracked.tolist() == [7, 8, 9]
     assert log.epochs.lon_deg.tolist() == [139.0, 139.1, 139.2]
-    assert (log.witnesses, log.satellites) == (("num_tracked",), None)
+    assert log.witnesses == ("num_tracked",)
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".parquet"])
@@ -65,10 +64,8 @@ def test_a_zone_may_be_written_in_several_ways(zone):
 def test_rows_of_one_time_are_an_epoch_where_they_name_satellites():
     log = read_receiver_log(BY_SATELLITE)
     assert log.epochs.num_tracked.tolist() == [2, 1, 0]
-    assert isinstance(log, ReceiverLog)
-    assert log.satellites.epoch.tolist() == [0, 0, 1]
-    assert log.satellites.satellite.tolist() == ["G01", "E11", "G01"]
-    assert log.satellites.cn0_dbhz.tolist()[:2] == [45.0, 30.0]
+    twice = read_receiver_log(BY_SATELLITE.assign(satellite=["G01", "G01", "G01", ""]))
+    assert twice.epochs.num_tracked.tolist() == [1, 1, 0]
 
 
 @pytest.mark.parametrize(
@@ -96,13 +93,11 @@ def test_rows_of_one_time_are_an_epoch_where_they_name_satellites():
         (GOOD.assign(**{" utc": GOOD.utc}), ("two columns utc", "keep one")),
         (GOOD.assign(**{"lat_deg ": GOOD.lat_deg}), ("two columns lat_deg",)),
         (GOOD.rename(columns={"utc": "Time"}), ("no times", "but 'Time', 'lon_deg'")),
-        (BY_SATELLITE.assign(cn0_dbhz=1e308), ("cn0_dbhz", "from 0 to 100")),
         (GOOD.assign(num_tracked="many"), ("'many'", "num_tracked")),
         (GOOD.assign(num_tracked=np.nan), ("no value in num_tracked", "remove")),
         (BY_SATELLITE.assign(lon=[139.0, 139.1, 139.1, 139.2]), ("two values of lon_deg at 2018-12-19T06:07:37",)),
         (BY_SATELLITE.assign(num_tracked=[5, 6, 7, 8]), ("two values of num_tracked at 2018-12-19T06:07:37",)),
         (BY_SATELLITE.assign(satellite=None), ("names no satellite",)),
-        (BY_SATELLITE.assign(satellite="G01"), ("'G01' twice at 2018-12-19T06:07:37",)),
     ],
 )
 def test_what_is_wrong_with_a_log_is_one_sentence(table, words):

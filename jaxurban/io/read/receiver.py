@@ -13,15 +13,14 @@ from jaxurban.io.tables import read_table
 
 UTC, LON, LAT = "utc", "lon_deg", "lat_deg"
 OTHER_NAMES = {LON: "lon", LAT: "lat"}
-TRACKED, ERROR, SATELLITE, CN0 = "num_tracked", "error_2d_m", "satellite", "cn0_dbhz"
+TRACKED, ERROR, SATELLITE = "num_tracked", "error_2d_m", "satellite"
 WITNESSES = (TRACKED, ERROR, SATELLITE)  # what a log may tell of how well the receiver did
 MOST_COLUMNS_SAID = 120  # characters of the columns that a log has
-RANGES = {  # of a value; no receiver has channels for more satellites, and C/N0 is 30 to 55 under open sky
+RANGES = {  # of a value; no receiver has channels for more satellites
     LON: (-180.0, 180.0),
     LAT: (-90.0, 90.0),
     TRACKED: (0.0, 200.0),
     ERROR: (0.0, np.inf),
-    CN0: (0.0, 100.0),
 }
 # The zone of a time, behind its minutes or seconds; pandas reads all but the names.
 ZONE = re.compile(r"(?:Z|UTC|GMT|:\d\d(?:\.\d+)?\s*[+-]\d\d(?::?\d\d)?)$", re.IGNORECASE)
@@ -42,13 +41,10 @@ class ReceiverLog:
       epochs: ``[N]`` rows ``utc`` (datetime64 with zone), ``lon_deg``, ``lat_deg`` (WGS 84), and where they are known
         ``num_tracked`` and ``error_2d_m``, NaN where a row does not tell. Where the log names satellites and counts
         none, ``num_tracked`` counts the names.
-      satellites: rows ``epoch`` (number of the epoch), ``satellite``, and ``cn0_dbhz`` where it is known, of every
-        satellite that was tracked; None where the log names none.
     """
 
     name: str
     epochs: pd.DataFrame
-    satellites: pd.DataFrame | None = None
 
     @property
     def witnesses(self) -> tuple[str, ...]:
@@ -64,7 +60,7 @@ def read_receiver_log(source: str | Path | pd.DataFrame) -> ReceiverLog:
 
     Args:
       source: a table, or its file (.csv, .parquet), with ``utc``, ``lon_deg`` (or ``lon``), ``lat_deg`` (or ``lat``)
-        and one or more of ``num_tracked``, ``error_2d_m`` and ``satellite``, the latter with ``cn0_dbhz`` or without.
+        and one or more of ``num_tracked``, ``error_2d_m`` and ``satellite``.
 
     Raises:
       InputError: a file that cannot be read, no rows, a column that is missing or there twice, times that are none or
@@ -82,7 +78,7 @@ def read_receiver_log(source: str | Path | pd.DataFrame) -> ReceiverLog:
             table[column] = _numbers(table, column, name)
     table = table.sort_values(UTC, kind="stable", ignore_index=True)
     if SATELLITE in table:
-        return _by_satellite(table, name)
+        table = _counted(table, name)
     if table[UTC].duplicated().any():
         at = table[UTC][table[UTC].duplicated()].iloc[0]
         raise InputError(
@@ -105,7 +101,7 @@ def _named(table: pd.DataFrame, name: str) -> pd.DataFrame:
     """Return a table whose columns have our names, if it holds what is needed."""
     table = table.rename(columns={column: str(column).strip() for column in table.columns})
     table = table.rename(columns={other: ours for ours, other in OTHER_NAMES.items() if ours not in table})
-    if twice := [column for column in (UTC, LON, LAT, *WITNESSES, CN0) if (table.columns == column).sum() > 1]:
+    if twice := [column for column in (UTC, LON, LAT, *WITNESSES) if (table.columns == column).sum() > 1]:
         raise InputError(f"the receiver log {name!r} has two columns {twice[0]}: keep one")
     if missing := [column for column in (UTC, LON, LAT) if column not in table]:
         what = f"no times (a column {UTC})" if missing[0] == UTC else f"no column {missing[0]}"
@@ -155,30 +151,19 @@ def _numbers(table: pd.DataFrame, column: str, name: str) -> pd.Series:
     return values
 
 
-def _by_satellite(table: pd.DataFrame, name: str) -> ReceiverLog:
-    """Return the log of a table whose rows are satellites."""
-    number = table[UTC].ne(table[UTC].shift()).cumsum() - 1
-    epochs = table.groupby(number, sort=True)
-    for column in (each for each in (LON, LAT, TRACKED, ERROR) if each in table):
-        if (differs := epochs[column].nunique().gt(1)).any():
-            at = table[UTC][number == differs.index[differs][0]].iloc[0]
-            raise InputError(
-                f"the receiver log {name!r} has two values of {column} at {at.isoformat()}: keep one receiver's rows"
-            )
-    named = table[SATELLITE].notna() & (table[SATELLITE].astype(str).str.strip() != "")
-    satellites = pd.DataFrame({"epoch": number[named], SATELLITE: table[SATELLITE][named].astype(str).str.strip()})
-    if CN0 in table:
-        satellites[CN0] = table[CN0][named]
-    if satellites.empty:
+def _counted(table: pd.DataFrame, name: str) -> pd.DataFrame:
+    """Return a row an epoch of a table whose rows are satellites: how many each epoch names, if it counts none."""
+    satellites = table[SATELLITE].astype("string").str.strip()
+    satellites = satellites.mask(satellites == "")
+    if satellites.isna().all():
         raise InputError(f"the receiver log {name!r} names no satellite in its column {SATELLITE}: fill or remove it")
-    if (twice := satellites.duplicated(["epoch", SATELLITE])).any():
-        first = satellites[twice].iloc[0]
-        at = table[UTC][number == first["epoch"]].iloc[0]
-        raise InputError(
-            f"the receiver log {name!r} has satellite {first[SATELLITE]!r} twice at {at.isoformat()}: keep one "
-            "signal's row"
-        )
-    made = epochs[[UTC, LON, LAT, *(each for each in (TRACKED, ERROR) if each in table)]].first()
+    columns = [column for column in (LON, LAT, TRACKED, ERROR) if column in table]
+    epochs = table.assign(**{SATELLITE: satellites}).groupby(UTC, sort=True)
+    for column in columns:
+        if (differs := epochs[column].nunique().gt(1)).any():
+            at = pd.Timestamp(differs.index[differs][0]).isoformat()
+            raise InputError(f"the receiver log {name!r} has two values of {column} at {at}: keep one receiver's rows")
+    made = epochs[columns].first()
     if TRACKED not in made:
-        made[TRACKED] = np.bincount(satellites["epoch"], minlength=len(made)).astype(float)
-    return ReceiverLog(name, made.reset_index(drop=True), satellites.reset_index(drop=True))
+        made[TRACKED] = epochs[SATELLITE].nunique().astype(float)
+    return made.reset_index()

@@ -88,17 +88,6 @@ def within_blocks(a: np.ndarray, b: np.ndarray, blocks: np.ndarray) -> Scored:
     return Scored(value, float(low), float(high))
 
 
-def auc(ranks: np.ndarray, is_positive: np.ndarray) -> float:
-    """Return how likely a positive ranks higher than a negative, ties by half; NaN without either kind.
-
-    The area under the receiver operating characteristic, by the ranks ``[N]`` (from 1, ties by their mean) of Mann and
-    Whitney.
-    """
-    positives = np.count_nonzero(is_positive)
-    pairs = positives * (len(ranks) - positives)
-    return float((ranks[is_positive].sum() - positives * (positives + 1) / 2) / pairs) if pairs else np.nan
-
-
 def shifted(coefficient: Callable[[np.ndarray], float], values: np.ndarray) -> np.ndarray:
     """Return ``[N]`` a coefficient at every circular shift of the maps' values ``[N, ...]``, the first at none.
 

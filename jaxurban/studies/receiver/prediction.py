@@ -4,20 +4,16 @@ The values are those of maps of these times and this height in the cells of the 
 (`jaxurban.maps.recipe`), leg by leg, so that memory is that of a leg and its surroundings.
 """
 
-import math
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
-import jax
 import numpy as np
 
 from jaxurban.errors import InputError
 from jaxurban.io.read.orbits import parse_time
-from jaxurban.kernels.shadows.sweep import WORD_BITS
 from jaxurban.maps.recipe import TileScene
 from jaxurban.maps.task import MapTask
-from jaxurban.metrics.base import Scene
 from jaxurban.metrics.gps import METRIC
 from jaxurban.progress import Report
 from jaxurban.scenario.run import tasks_of
@@ -28,49 +24,7 @@ from jaxurban.world.grid import Grid
 from jaxurban.world.sky import Sky
 
 LEG_CELLS = 1_500_000  # of the box around a leg
-MAP_CELLS = 1_000_000  # of the picture behind the track
-MAP_EDGE_M = 60.0  # around the track in it
 NUM_VISIBLE = "num_visible"
-
-
-@dataclass(frozen=True, eq=False)
-class Prediction:
-    """What maps say at the epochs of a track. ``N`` epochs, ``S`` satellites.
-
-    Attributes:
-      values: ``[N]`` float64 by name: ``num_visible``, the DOPs (inf where undetermined) and ``gps``, m; NaN in a
-        building and without data.
-      open_sky: ``[N]`` the same without a city: every satellite above the mask is seen.
-      is_seen: ``[N, S]`` bool: the satellite is in sight.
-      is_above: ``[N, S]`` bool: the satellite is at or above the mask.
-      names: ``[S]`` of the satellites.
-    """
-
-    values: Mapping[str, np.ndarray]
-    open_sky: Mapping[str, np.ndarray]
-    is_seen: np.ndarray
-    is_above: np.ndarray
-    names: tuple[str, ...]
-
-    @property
-    def is_known(self) -> np.ndarray:
-        """``[N]`` bool: the epoch lies outside buildings and has data."""
-        return ~np.isnan(self.values[NUM_VISIBLE])
-
-
-@dataclass(frozen=True, eq=False)
-class Background:
-    """The map behind a track. ``Y, X`` cells of ``grid``.
-
-    Attributes:
-      num_visible: ``[Y, X]`` satellites in view at ``time``; NaN in buildings and without data.
-      is_obstacle: ``[Y, X]`` a roof reaches the antenna's height.
-    """
-
-    grid: Grid
-    time: str
-    num_visible: np.ndarray
-    is_obstacle: np.ndarray
 
 
 def region_of(scenario: Scenario, resolution_m: float | None) -> Grid:
@@ -110,47 +64,36 @@ def task_at(scenario: Scenario, times: Sequence[str], grid: Grid, settings: Rece
     return replace(task, region=grid)  # which nests with all of the scenario's resolutions
 
 
-def predict(task: MapTask, track: Track, report: Report) -> Prediction:
-    """Return what the maps of a task say along a track.
+def predict(task: MapTask, track: Track, report: Report) -> dict[str, np.ndarray]:
+    """Return what the maps of a task say along a track of N epochs.
+
+    By name ``[N]`` float64: ``num_visible``, the DOPs (inf where undetermined) and ``gps``, m; NaN in a building and
+    without data.
 
     Args:
       task: from `task_at`; its sky has the track's times.
       track: over the task's region.
       report: how many skies are done.
     """
-    num_skies, num = len(track.sky_times), len(track.sky)
-    names = task.sky.names
-    values: dict[str, np.ndarray] = {}
-    open_sky: dict[str, np.ndarray] = {}
-    is_seen, is_above = (np.zeros((num, len(names)), bool) for _ in range(2))
-    done = 0
+    num_skies, values = len(track.sky_times), dict[str, np.ndarray]()
     for leg in _legs(track):
         now = (leg[0] <= track.sky) & (track.sky <= leg[-1])
         tile = _tile(task, _box(task.region, track.row[now], track.col[now]), leg)
-        first = (
-            tile.surface.region.first_row - task.region.first_row,
-            tile.surface.region.first_col - task.region.first_col,
-        )
+        region = tile.surface.region
         for t, number in enumerate(leg):
-            report("skies", done, num_skies)
+            report("skies", number, num_skies)
             epochs = np.flatnonzero(track.sky == number)
-            at = track.row[epochs] - first[0], track.col[epochs] - first[1]
-            scene = tile.at(METRIC, (t, 0))
-            is_known = _is_known(tile)[at]
-            for name, layer in METRIC.compute(scene, tile.task.params.gps).items():
-                along = values.setdefault(name, np.full(num, np.nan))
+            row = track.row[epochs] - region.first_row + task.region.first_row
+            at = row, track.col[epochs] - region.first_col + task.region.first_col
+            is_known = ~np.asarray(tile.is_obstacle[0])[at]
+            if tile.has_data is not None:
+                is_known &= tile.has_data[at]
+            for name, layer in METRIC.compute(tile.at(METRIC, (t, 0)), tile.task.params.gps).items():
+                along = values.setdefault(name, np.full(len(track.sky), np.nan))
                 along[epochs] = np.where(is_known, np.asarray(layer)[at], np.nan)
-            above = tile.task.satellites_at(t)
-            for name, layer in METRIC.compute(_without_city(scene, len(above)), tile.task.params.gps).items():
-                open_sky.setdefault(name, np.full(num, np.nan))[epochs] = np.asarray(layer)[0, 0]
-            words = np.asarray(scene.words)[:, at[0], at[1]]
-            for bit, s in enumerate(above):
-                is_seen[epochs, s] = is_known & (words[bit // WORD_BITS] >> np.uint32(bit % WORD_BITS) & 1 == 1)
-            is_above[np.ix_(epochs, above)] = True
             tile.forget()
-            done += 1
     report("skies", num_skies, num_skies)
-    return Prediction(values, open_sky, is_seen, is_above, names)
+    return values
 
 
 def _legs(track: Track) -> Iterator[list[int]]:
@@ -191,37 +134,3 @@ def _tile(task: MapTask, region: Grid, skies: Sequence[int]) -> TileScene:
     )
     part = replace(task, region=region, sky=some)
     return TileScene(part, part.surface())
-
-
-def _is_known(tile: TileScene) -> np.ndarray:
-    """Return ``[y, x]`` bool: data, and no roof that reaches the antenna's height."""
-    is_free = ~np.asarray(tile.is_obstacle[0])
-    return is_free if tile.has_data is None else is_free & tile.has_data
-
-
-def _without_city(scene: Scene, num_satellites: int) -> Scene:
-    """Return a scene in which nothing hides a satellite."""
-    assert scene.words is not None
-    assert scene.is_obstacle is not None
-    num_words, *shape = scene.words.shape
-    bits = [min(max(num_satellites - WORD_BITS * w, 0), WORD_BITS) for w in range(num_words)]
-    words = np.stack([np.full(shape, (1 << num) - 1, np.uint32) for num in bits])
-    return replace(scene, words=jax.device_put(words), is_obstacle=jax.device_put(np.zeros(shape, bool)))
-
-
-def background(task: MapTask, track: Track) -> Background:
-    """Return the satellites in view around a track in the middle of its time, on coarser cells if there are many."""
-    edge = math.ceil(MAP_EDGE_M / task.region.resolution_m)
-    box = _box(task.region, track.row, track.col).padded(edge, edge, edge, edge)
-    coarser = math.ceil(math.sqrt(box.num_rows * box.num_cols / MAP_CELLS))
-    first_row, first_col = box.first_row // coarser, box.first_col // coarser
-    end_row, end_col = (
-        -(-(first + num) // coarser) for first, num in ((box.first_row, box.num_rows), (box.first_col, box.num_cols))
-    )
-    grid = Grid(box.crs, box.resolution_m * coarser, first_row, first_col, end_row - first_row, end_col - first_col)
-    middle = len(track.sky_times) // 2
-    tile = _tile(task, grid, [middle])
-    found = METRIC.compute(tile.at(METRIC, (0, 0)), tile.task.params.gps)[NUM_VISIBLE]
-    is_obstacle = np.asarray(tile.is_obstacle[0])
-    seen = np.where(_is_known(tile), np.asarray(found, np.float32), np.float32(np.nan))
-    return Background(grid, track.sky_times[middle], seen, is_obstacle)

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from jaxurban.errors import InputError, at_least, positive, typed
+from jaxurban.errors import InputError, positive, typed
 
 MAX_SKY_STEP_S = 300.0  # a satellite moves by half a degree a minute: more would no longer be the log's sky
 
@@ -22,7 +22,6 @@ class ReceiverSettings:
       other_pieces_m: further lengths of pieces for which the same is reported.
       block_m: length of the blocks of track within which ranks are compared, and of which one after the other is left
         out for the interval.
-      at_most_tracked: the AUC is of recognising pieces with at most so many satellites tracked.
 
     Raises:
       InputError: a value that is none of these.
@@ -34,7 +33,6 @@ class ReceiverSettings:
     piece_m: float = 25.0
     other_pieces_m: Sequence[float] = (10.0, 50.0, 100.0)
     block_m: float = 200.0
-    at_most_tracked: int = 8
 
     def __post_init__(self) -> None:
         for name in ("antenna_height_m", "piece_m", "block_m", "sky_step_s"):
@@ -49,7 +47,6 @@ class ReceiverSettings:
             raise InputError(
                 f"block_m must be at least piece_m, {self.piece_m:g}, got {self.block_m:g}: make it longer"
             )
-        at_least("at_most_tracked", self.at_most_tracked)
 
     @property
     def pieces_m(self) -> tuple[float, ...]:

@@ -8,22 +8,12 @@ import numpy as np
 import pandas as pd
 
 from jaxurban.errors import InputError, typed
-from jaxurban.io.read.orbits import read_orbits
 from jaxurban.io.read.receiver import TRACKED, UTC, ReceiverLog, read_receiver_log
 from jaxurban.progress import Progress, reporting
-from jaxurban.scenario.settings import NOMINAL, Scenario
+from jaxurban.scenario.settings import Scenario
 from jaxurban.studies.receiver.agreement import Scored, half_width, spearman, without_each_block
-from jaxurban.studies.receiver.prediction import (
-    NUM_VISIBLE,
-    Background,
-    Prediction,
-    background,
-    predict,
-    region_of,
-    task_at,
-)
-from jaxurban.studies.receiver.satellites import TrackedSatellites, table_of
-from jaxurban.studies.receiver.scores import COEFFICIENTS, MAIN, OPEN, Row, compared, pieces_of, tables
+from jaxurban.studies.receiver.prediction import NUM_VISIBLE, predict, region_of, task_at
+from jaxurban.studies.receiver.scores import COEFFICIENTS, MAIN, Row, compared, pieces_of, tables
 from jaxurban.studies.receiver.settings import ReceiverSettings
 from jaxurban.studies.receiver.track import Track
 from jaxurban.world.show import Shown
@@ -40,20 +30,15 @@ class ReceiverValidation(Shown):
       settings: how the two were set beside each other.
       scenario: the settings that the maps were made with.
       summary: numbers of the whole: epochs, those in a building, length of the track, means.
-      epochs: a row an epoch: time, place, distance along the track, witnesses, predictions, and with ``open_`` before
-        their names what the open sky says; NaN in a building.
+      epochs: a row an epoch: time, place, distance along the track, witnesses and predictions; NaN in a building.
       pieces: a row a piece of track of ``settings.piece_m``: medians of the same (see `pieces_of`).
-      scores: a row a ``witness``, ``prediction`` and ``piece_m`` (NaN: every epoch by itself): ``num`` pieces, and for
-        the rank correlation ``within`` blocks, ``spearman`` over the whole track and ``auc`` the value, what 95 % of
-        all shifts along the track stay at or below (``_shifts_95``), the share of all shifts, that of 0 m among them,
-        that score at least as high (``_p``), and what the open sky scores (``_open``); of ``within`` also the ends of
-        its 95 % interval (``_low``, ``_high``). Above 0 (``auc``: a half) the receiver does better where the maps say
-        so; NaN where a coefficient is not defined.
-      shifts: a row a witness, length of pieces and ``shift`` of the maps along the track, in pieces (where every epoch
-        counts by itself: in epochs), with the coefficients.
-      satellites: a row a satellite, None where the log names none (see
-        `jaxurban.studies.receiver.satellites.table_of`).
-      background: the map behind the track.
+      scores: a row a ``witness``, ``prediction`` and ``piece_m``: ``num`` pieces, and for the rank correlation
+        ``within`` blocks and ``spearman`` over the whole track the value, what 95 % of all shifts along the track stay
+        at or below (``_shifts_95``) and the share of all shifts, that of 0 m among them, that score at least as high
+        (``_p``); of ``within`` also the ends of its 95 % interval (``_low``, ``_high``). Above 0 the receiver does
+        better where the maps say so; NaN where a coefficient is not defined.
+      shifts: a row a witness, length of pieces and ``shift`` of the maps along the track, in pieces, with the
+        coefficients.
       attribution: whom to credit for the city.
       guesses: what city and sky rest on that no file says, a sentence each.
     """
@@ -66,8 +51,6 @@ class ReceiverValidation(Shown):
     pieces: pd.DataFrame
     scores: pd.DataFrame
     shifts: pd.DataFrame
-    satellites: pd.DataFrame | None
-    background: Background
     attribution: str = ""
     guesses: tuple[str, ...] = ()
 
@@ -75,7 +58,7 @@ class ReceiverValidation(Shown):
     def main(self) -> pd.DataFrame:
         """The scores of each witness against the prediction that is its own, over pieces of the chosen length."""
         is_main = self.scores.prediction == self.scores.witness.map(MAIN)
-        return self.scores[is_main & ((self.scores.piece_m == self.settings.piece_m) | self.scores.piece_m.isna())]
+        return self.scores[is_main & (self.scores.piece_m == self.settings.piece_m)]
 
     @property
     def facts(self) -> dict[str, str]:
@@ -110,8 +93,8 @@ def validate(
       progress: as in `jaxurban.progress.reporting`.
 
     Raises:
-      InputError: a log that cannot be read, lies outside the region, names unknown satellites or is too short, sources
-        of the scenario that cannot be used, or orbits too old for the log's times.
+      InputError: a log that cannot be read, lies outside the region or is too short, sources of the scenario that
+        cannot be used, or orbits too old for the log's times.
     """
     chosen = settings or ReceiverSettings()
     told = read_receiver_log(log)
@@ -122,42 +105,28 @@ def validate(
             f"the track of the receiver log {told.name!r} is {track.length_m:.0f} m long, less than {FEWEST_PIECES} "
             f"pieces of {chosen.piece_m:g} m: give a longer log, or shorter pieces"
         )
-    known = _orbit_names(scenario) if told.satellites is not None else ()
-    TrackedSatellites.of(told, known, known)  # refuses unknown ones before the work
     with reporting("validate", progress) as report:
         report("read")
         task = task_at(scenario, track.sky_times, grid, chosen)
         predicted = predict(task, track, report)
-        report("background")
-        behind = background(task, track)
         report("scores")
-        tracked = TrackedSatellites.of(told, predicted.names, known)
-        scores, shifts = tables(told, track, predicted, tracked, chosen)
-    pieces = pieces_of(told, track, predicted, chosen.piece_m, chosen.block_m)
+        scores, shifts = tables(told, track, predicted, chosen)
     return ReceiverValidation(
         log=told,
         settings=chosen,
         scenario=scenario.model_dump(mode="json"),
-        summary=_summary(told, track, predicted, task.region.resolution_m),
-        epochs=_epochs(told, track, predicted),
-        pieces=pieces,
+        summary=_summary(told, track, predicted[NUM_VISIBLE], task.region.resolution_m),
+        epochs=told.epochs.assign(x_m=track.x_m, y_m=track.y_m, along_m=track.along_m, **predicted),
+        pieces=pieces_of(told, track, predicted, chosen.piece_m, chosen.block_m),
         scores=scores,
         shifts=shifts,
-        satellites=None if tracked is None else table_of(tracked, predicted),
-        background=behind,
         attribution=task.city.attribution,
         guesses=(*task.city.guesses.values(), *task.sky.guesses.values()),
     )
 
 
-def _orbit_names(scenario: Scenario) -> tuple[str, ...]:
-    orbits = read_orbits([name if name == NOMINAL else scenario.path_of(name) for name in scenario.gps.orbits])
-    return tuple(satellite.name for satellite in orbits.satellites)
-
-
-def _summary(log: ReceiverLog, track: Track, predicted: Prediction, resolution_m: float) -> dict[str, Any]:
-    seen = predicted.values[NUM_VISIBLE]
-    found: dict[str, Any] = {
+def _summary(log: ReceiverLog, track: Track, seen: np.ndarray, resolution_m: float) -> dict[str, Any]:
+    return {
         "epochs": len(seen),
         "epochs_left_out": int(np.isnan(seen).sum()),
         "first_utc": log.epochs[UTC].iloc[0].isoformat(),
@@ -166,14 +135,8 @@ def _summary(log: ReceiverLog, track: Track, predicted: Prediction, resolution_m
         "resolution_m": resolution_m,
         "num_skies": len(track.sky_times),
         "mean_num_visible": float(np.nanmean(seen)) if (~np.isnan(seen)).any() else np.nan,
-        "mean_open_num_visible": float(np.mean(predicted.open_sky[NUM_VISIBLE])),
+        **{f"mean_{name}": float(log.epochs[name].mean()) for name in log.witnesses if name == TRACKED},
     }
-    return found | {f"mean_{name}": float(log.epochs[name].mean()) for name in log.witnesses if name == TRACKED}
-
-
-def _epochs(log: ReceiverLog, track: Track, predicted: Prediction) -> pd.DataFrame:
-    opened = {f"{OPEN}{name}": values for name, values in predicted.open_sky.items()}
-    return log.epochs.assign(x_m=track.x_m, y_m=track.y_m, along_m=track.along_m, **predicted.values, **opened)
 
 
 def paired(
