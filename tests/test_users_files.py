@@ -33,7 +33,7 @@ altitudes_m = [60]
 ENDS = ("--start", "-73.999,40.756", "--goal", "-73.994,40.76", "--altitude", 60, "--snap", "--snap-distance", 200)
 COMMANDS = {  # what runs, and what makes it another run
     "maps": (("maps", "town.toml"), ("--set", "gps.mask_deg=15", "--overwrite")),
-    "compare": (("compare", "maps", "maps", "--routes", 0), ("--tolerance", 0.5, "--overwrite")),
+    "compare": (("compare", "maps", "maps"), ("--tolerance", 0.5, "--overwrite")),
     "tune": (
         ("tune", "maps", "--sample", 2, "--pilot", "distance=0.1,gps=1,risk=1", "--bootstrap", 0, "--rounds", 2),
         ("--seed", 3, "--overwrite"),

@@ -360,12 +360,6 @@ def of_tables() -> Iterator[Case]:
             partial(put, "q.csv", table.to_csv(index=False)),
         )
         yield Case(
-            f"compared with {name} {value!r}",
-            ("compare", "{base}", "{base}", "-o", "{out}", "--routes", "{in}/q.csv"),
-            partial(put, "q.csv", table.to_csv(index=False)),
-            TOLD,
-        )
-        yield Case(
             f"sensitivity with {name} {value!r}",
             ("sensitivity", "{base}", "-o", "{out}", "--queries", "{in}/q.csv", "--samples", "0", "--workers", "1"),
             partial(put, "q.csv", table.to_csv(index=False)),

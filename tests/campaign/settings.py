@@ -102,13 +102,10 @@ def of_options() -> Iterator[Case]:
         *(("--seed", text) for text in ("-1", "1.5", "99999999999999999999999999x")),
     ):
         yield Case(f"plan {option} {value!r}", (*PLAN, option, value))
-    compare = ("compare", "{base}", "{base}", "-o", "{out}", "--routes", "0")
+    compare = ("compare", "{base}", "{base}", "-o", "{out}")
     for option, value in (
-        *(("--snap-distance", text) for text in ("-5", "nan", "1e300")),
         *(("--tolerance", text) for text in ("-1", "nan", "1e300", "x")),
-        *(("--routes", text) for text in ("-3", "+5", "5e2", "1_0", " 7", "no-such.csv", "x", "")),
         *(("--time", text) for text in ("now", "a=b", "==")),
-        ("--weights", "distance=0,gps=0,lidar=0,population=0,risk=0"),
         *(("--resolution", text) for text in ("7", "nan", "-1")),
     ):
         yield Case(f"compare {option} {value!r}", (*compare, option, value))

@@ -34,7 +34,7 @@ def plot_scatter(found: ReceiverValidation) -> Figure:
     when = f"{time_said(of['first_utc'])} to {of['last_utc'][11:16]} UTC"
     rows = found.main.to_dict("records")
     note = joined(when, track, cells, found.attribution)
-    figure, axes = panels(len(rows), "Receiver against prediction", note, panel_in=(4.2, 3.4))
+    figure, axes = panels(len(rows), "Receiver against prediction, with rank correlations", note, panel_in=(4.2, 3.4))
     for panel, row in zip(axes, rows, strict=True):
         witness, name = row["witness"], row["prediction"]
         known = found.pieces[found.pieces[witness].notna() & found.pieces[name].notna()]
