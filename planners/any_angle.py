@@ -9,10 +9,10 @@ from jaxurban.kernels.line.segment_cost import CostGrid
 from jaxurban.kernels.search.heap import EXHAUSTED, FOUND, FULL, Heap, push
 from jaxurban.planners.base import EVERY_PATH, Path, Problem, Status
 from jaxurban.planners.bitstar.bounds import HEURISTICS, Bounds, make_bounds
-from jaxurban.planners.checks import check_budget, check_name, free_ride
+from jaxurban.planners.checks import check_budget, check_name
 from jaxurban.planners.compiled_first import compiled_first
 from jaxurban.planners.cost_grid import cost_grid_of, reachable_cells
-from jaxurban.planners.search.any_angle import MARGIN, NO_PARENT, TIE, AnyAngleNodes, Estimate, advance, shortcut
+from jaxurban.planners.search.any_angle import MARGIN, NO_PARENT, AnyAngleNodes, Estimate, advance, shortcut
 
 CHUNK = 10_000  # expansions between two looks at the clock: some 5 to 50 ms
 FIRST_HEAP = 4096  # entries; doubled when full
@@ -49,33 +49,24 @@ def theta_star(problem: Problem, *, budget_s: float = np.inf, seed: int = 0, heu
     check_budget(budget_s)
     check_line_model(problem, "planner 'theta-star'")
     begin_s = time.perf_counter()
-    points_m, cost, note, num_expanded = np.empty((0, 2)), np.inf, "", 0
+    points_m, status, lower_bound, num_expanded = np.empty(0), Status.NO_PATH, np.inf, 0
     is_reachable = reachable_cells(problem)
-    if is_reachable is None:
-        status, lower_bound = Status.NO_PATH, np.inf
-    else:
+    if is_reachable is not None:
         bounds = make_bounds(heuristic, problem, is_reachable)
-        lower_bound = bounds.from_start_to_goal()
         cost_grid = cost_grid_of(problem, is_reachable)
         xy, num_expanded = _search(problem, cost_grid, bounds, begin_s + budget_s)
-        status = Status.BUDGET_EMPTY
+        status, lower_bound = Status.FEASIBLE if len(xy) else Status.BUDGET_EMPTY, bounds.from_start_to_goal()
         if len(xy):
             points_m = shortened(cost_grid, xy) * problem.resolution_m
-            cost = problem.cost_of(points_m)
-            status = Status.OPTIMAL if cost <= lower_bound * (1 + TIE) else Status.FEASIBLE
-            lower_bound = min(lower_bound, cost)
-            note = free_ride(problem.distance_weight, cost)
-    return Path(
-        status=status,
-        points_m=points_m,
-        cost=cost,
-        lower_bound=lower_bound,
+    return Path.of(
+        problem,
+        points_m,
+        status,
+        lower_bound,
+        begin_s,
         num_expanded=num_expanded,
-        elapsed_s=time.perf_counter() - begin_s,
         planner="theta-star",
         heuristic=heuristic,
-        backend="numba",
-        note=note,
         graph=EVERY_PATH,
     )
 

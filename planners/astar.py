@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 
 from jaxurban.planners.base import Path, Problem, Status
-from jaxurban.planners.checks import check_budget, free_ride
+from jaxurban.planners.checks import check_budget
 from jaxurban.planners.compiled_first import compiled_first
 from jaxurban.planners.heuristics import ADMISSIBLE, AUTO, heuristic_at, make_heuristic, prepare
 from jaxurban.planners.search.grid import EXHAUSTED, FOUND, PAUSED
@@ -48,34 +48,24 @@ def astar(
     ended = PAUSED
     if prepared.is_ready:
         ended = search.run(reopen=reopen, end_s=begin_s + budget_s - prepared.tables_s)
-    points_m, cost, note = np.empty((0, 2)), np.inf, prepared.note
+    points_m, lower_bound = np.empty(0), search.low_f
     if ended == FOUND:
         status = Status.OPTIMAL if is_admissible else Status.FEASIBLE
         points_m = search.points_m(problem.resolution_m)
-        cost = problem.cost_of(points_m)
-        note = " ".join(filter(None, (note, free_ride(problem.distance_weight, cost))))
     else:
         status = Status.NO_PATH if ended == EXHAUSTED else Status.BUDGET_EMPTY
-    if status is Status.OPTIMAL:
-        lower_bound = cost
-    elif status is Status.NO_PATH:
-        lower_bound = np.inf
-    elif is_admissible:
-        lower_bound = search.low_f
-    else:
+    if not is_admissible:
         lower_bound = heuristic_at(make_heuristic("octile", problem), problem.start, problem.goal)
-    return Path(
-        status=status,
-        points_m=points_m,
-        cost=cost,
-        lower_bound=lower_bound,
+    return Path.of(
+        problem,
+        points_m,
+        status,
+        lower_bound,
+        begin_s - prepared.tables_s,
         num_expanded=search.num_expanded,
-        elapsed_s=prepared.tables_s + time.perf_counter() - begin_s,
         planner=planner,
         heuristic=prepared.name,
-        backend="numba",
-        note=note,
-        graph=problem.grid_name,
+        note=prepared.note,
     )
 
 

@@ -1,10 +1,11 @@
 """What every planner takes and gives: Problem, Path, Status, and the planner contract."""
 
 import copy
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from enum import Enum
-from typing import Any, Protocol, TypeVar
+from typing import Any, Protocol, Self, TypeVar
 
 import numpy as np
 
@@ -19,6 +20,7 @@ Cell = tuple[int, ...]  # row, column; in a volume level, row, column. Row 0 is 
 T = TypeVar("T")
 
 EVERY_PATH = "paths at any angle"  # of `Path.graph`
+ROUNDING = 1 + 1e-12  # a path that much above the lower bound is the best one
 EXIT_PATH, EXIT_NO_PATH, EXIT_BUDGET = 0, 3, 4
 
 
@@ -317,6 +319,39 @@ class Path:
     history: tuple[tuple[float, int, float], ...] = ()
     setup_s: float = 0.0
     graph: str = ""
+
+    @classmethod
+    def of(
+        cls, problem: Problem, points_m: np.ndarray, status: Status, lower_bound: float, begin_s: float, **ran: Any
+    ) -> Self:
+        """Return what a planner found, costed along the exact cells, and when it did.
+
+        Args:
+          problem: the query.
+          points_m: of the path; empty without one.
+          status: how the planner ended; a path at any angle that meets the bound is OPTIMAL.
+          lower_bound: what was proven; an OPTIMAL path's is its cost, and without any path it is inf.
+          begin_s: of `time.perf_counter`.
+          ran: what ran, and more of the attributes.
+        """
+        cost, notes = problem.cost_of(points_m) if len(points_m) else np.inf, [ran.pop("note", "")]
+        if status.has_path and ran.get("graph") == EVERY_PATH and cost <= lower_bound * ROUNDING:
+            status = Status.OPTIMAL
+        if status is Status.OPTIMAL:
+            lower_bound = cost
+        if problem.distance_weight == 0 and cost == 0:
+            notes.append(
+                "The path costs nothing under these weights, so its shape means nothing: weigh the distance too."
+            )
+        return cls(
+            status=status,
+            points_m=points_m if len(points_m) else np.empty((0, problem.is_free.ndim)),
+            cost=cost,
+            lower_bound=np.inf if status is Status.NO_PATH else min(lower_bound, cost),
+            elapsed_s=time.perf_counter() - begin_s,
+            note=" ".join(filter(None, notes)),
+            **{"graph": problem.grid_name, "backend": "numba"} | ran,
+        )
 
     @property
     def sentence(self) -> str:

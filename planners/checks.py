@@ -1,4 +1,4 @@
-"""What planners check before they begin, and what they say of a path that costs nothing."""
+"""What planners check before they begin."""
 
 from collections.abc import Collection
 
@@ -17,8 +17,6 @@ def check_name(kind: str, name: str, accepted: Collection[str]) -> None:
         raise InputError(f"unknown {kind} {name!r}{nearest_name(name, accepted)}: choose one of {', '.join(accepted)}")
 
 
-def free_ride(distance_weight: float, cost: float) -> str:
-    """Return what to say of a path that costs nothing, else nothing."""
-    if distance_weight == 0 and cost == 0:
-        return "The path costs nothing under these weights, so its shape means nothing: weigh the distance too."
-    return ""
+def power_of_two(number: int) -> int:
+    """Return the least power of two that is not below a number, so that few shapes are compiled."""
+    return 1 << (number - 1).bit_length()

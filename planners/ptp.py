@@ -19,13 +19,15 @@ def ptp(problem: Problem, *, budget_s: float = np.inf, seed: int = 0) -> Path:
     begin_s = time.perf_counter()
     start_m, goal_m = (np.array(cell_centre_m(cell, problem.resolution_m)) for cell in (problem.start, problem.goal))
     points_m = sample_segment(start_m, goal_m, problem.resolution_m)
-    found = problem.features(points_m)
-    return Path(
-        status=Status.FEASIBLE if found.is_valid else Status.BLOCKED,
-        points_m=points_m if found.is_valid else np.empty((0, 2)),
-        cost=found.cost(problem.weights),
-        lower_bound=problem.distance_weight * float(found.phi[0]),
+    is_valid = problem.features(points_m).is_valid
+    return Path.of(
+        problem,
+        points_m if is_valid else np.empty(0),
+        Status.FEASIBLE if is_valid else Status.BLOCKED,
+        problem.distance_weight * float(np.hypot(*(goal_m - start_m))),
+        begin_s,
         num_expanded=len(points_m) - 1,
-        elapsed_s=time.perf_counter() - begin_s,
         planner="ptp",
+        backend="numpy",
+        graph="",
     )

@@ -6,8 +6,8 @@ import numpy as np
 
 from jaxurban.kernels.search.bounds import sums_to
 from jaxurban.kernels.search.heap import EXHAUSTED, FOUND, FULL, PAUSED, Heap, push
-from jaxurban.planners.base import Cell, Path, Problem, Status
-from jaxurban.planners.checks import check_budget, check_name, free_ride
+from jaxurban.planners.base import Path, Problem, Status
+from jaxurban.planners.checks import check_budget, check_name
 from jaxurban.planners.compiled_first import compiled_first
 from jaxurban.planners.moves import STEPS, allowed_moves, steps_back
 from jaxurban.planners.search.volume import (
@@ -17,7 +17,6 @@ from jaxurban.planners.search.volume import (
     VolumeBound,
     VolumeGraph,
     advance_in_volume,
-    estimate_in_volume,
 )
 
 VOLUME_HEURISTICS = ("none", "octile", "plus")  # all admissible and consistent
@@ -51,28 +50,16 @@ def volume_astar(problem: Problem, *, budget_s: float = np.inf, seed: int = 0, h
     start, goal = (int(np.ravel_multi_index(node, problem.is_free.shape)) for node in (problem.start, problem.goal))
     search = _Search(_graph(problem), bound, start)
     ended = search.run(goal, begin_s + budget_s)
-    points_m, cost, lower_bound, note = np.empty((0, 3)), np.inf, float(search.heap.f[0]), ""
-    if ended == FOUND:
-        status = Status.OPTIMAL
-        points_m = _points_m(problem, search.state)
-        cost = lower_bound = problem.cost_of(points_m)
-        note = free_ride(problem.distance_weight, cost)
-    elif ended == EXHAUSTED:
-        status, lower_bound = Status.NO_PATH, np.inf
-    else:
-        status = Status.BUDGET_EMPTY
-    return Path(
-        status=status,
-        points_m=points_m,
-        cost=cost,
-        lower_bound=lower_bound,
+    ways = {FOUND: Status.OPTIMAL, EXHAUSTED: Status.NO_PATH}
+    return Path.of(
+        problem,
+        _points_m(problem, search.state) if ended == FOUND else np.empty(0),
+        ways.get(ended, Status.BUDGET_EMPTY),
+        float(search.heap.f[0]),
+        begin_s,
         num_expanded=search.num_expanded,
-        elapsed_s=time.perf_counter() - begin_s,
         planner="astar-volume",
         heuristic=heuristic,
-        backend="numba",
-        note=note,
-        graph=problem.grid_name,
     )
 
 
@@ -100,11 +87,6 @@ def make_bound(name: str, problem: Problem, end_s: float = np.inf) -> VolumeBoun
         plan=_seen_from_above(problem, end_s) if name == "plus" else np.empty((0, 0)),
         rise=_costs_of_rising(problem),
     )
-
-
-def bound_at(bound: VolumeBound, node: Cell, goal: Cell) -> float:
-    """Return ``h`` at a node."""
-    return float(estimate_in_volume(bound, *node, *goal[1:]))
 
 
 def _rises_m(problem: Problem) -> np.ndarray:

@@ -16,6 +16,7 @@ from jaxurban.kernels.line.segment_cost import CostGrid
 from jaxurban.kernels.search.sample_graph import NO_PARENT, NO_QUERY, Samples, Sizes, search_samples
 from jaxurban.planners.base import Path, Problem
 from jaxurban.planners.bitstar.batches import DEFAULTS, Batches, BitStarOptions, Budget, begun, check_limits, ended
+from jaxurban.planners.checks import power_of_two
 from jaxurban.planners.cost_grid import cost_grid_of
 
 QUERIES_TOGETHER = {"cpu": 64, "gpu": 256}
@@ -149,8 +150,8 @@ class _Graphs:
                 edges = -(-int(trees.num_edges) // len(samples.g))
                 if trees.most_candidates <= sizes.candidates and edges <= sizes.edges:
                     break
-                self._candidates = max(self._candidates, _power_of_two(int(trees.most_candidates)))
-                self._edges = max(self._edges, _power_of_two(edges))
+                self._candidates = max(self._candidates, power_of_two(int(trees.most_candidates)))
+                self._edges = max(self._edges, power_of_two(edges))
             g, parent, edge_cost, num_costed = (np.asarray(values) for values in trees[:4])
         first = 0
         for batches in queries:
@@ -207,7 +208,3 @@ def _padded(parts: list[dict[str, np.ndarray]], num_nodes: int) -> Samples:
     return Samples(
         **{name: jnp.asarray(np.concatenate([part[name] for part in [*parts, nothing]])) for name in nothing}
     )
-
-
-def _power_of_two(number: int) -> int:
-    return 1 << (number - 1).bit_length()

@@ -8,15 +8,14 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxurban.errors import InputError
-from jaxurban.planners.base import EVERY_PATH, Path, Problem, Status
+from jaxurban.planners.base import EVERY_PATH, ROUNDING, Path, Problem, Status
 from jaxurban.planners.bitstar.bounds import HEURISTICS, Bounds, make_bounds
 from jaxurban.planners.bitstar.samples import InformedSet, graph_radius
 from jaxurban.planners.bitstar.tree import Tree
-from jaxurban.planners.checks import check_budget, check_name, free_ride
+from jaxurban.planners.checks import check_budget, check_name
 from jaxurban.planners.cost_grid import reachable_cells
 
 MOST_IN_A_BATCH = 100_000  # samples, so that the clock is looked at between them
-ROUNDING = 1 + 1e-12  # a path that much above the lower bound is the best one
 BACKENDS = ("numba", "jax", "auto")
 
 
@@ -210,30 +209,21 @@ def ended(
     problem: Problem, batches: Batches | None, begin_s: float, planner: str, heuristic: str, backend: str
 ) -> Path:
     """Return the path of a query whose batches have ended, costed anew along the exact cells that it crosses."""
-    points_m, cost, lower_bound, note = np.empty((0, 2)), np.inf, np.inf, ""
-    status = Status.NO_PATH
+    points_m, status, lower_bound = np.empty(0), Status.NO_PATH, np.inf
     if batches is not None:
-        status = Status.BUDGET_EMPTY
-        lower_bound = batches.bounds.from_start_to_goal()
         points_m = batches.xy * problem.resolution_m
-    if batches is not None and len(points_m):
-        cost = problem.cost_of(points_m)
-        lower_bound = min(lower_bound, cost)
-        status = Status.BUDGET_FEASIBLE if batches.is_spent else Status.FEASIBLE
-        if cost <= lower_bound * ROUNDING:
-            status = Status.OPTIMAL
-        note = free_ride(problem.distance_weight, cost)
-    return Path(
-        status=status,
+        found = Status.BUDGET_FEASIBLE if batches.is_spent else Status.FEASIBLE
+        status, lower_bound = found if len(points_m) else Status.BUDGET_EMPTY, batches.bounds.from_start_to_goal()
+    return Path.of(
+        problem,
+        points_m,
+        status,
+        lower_bound,
+        begin_s,
         graph=EVERY_PATH,
-        points_m=points_m,
-        cost=cost,
-        lower_bound=lower_bound,
         num_expanded=0 if batches is None else batches.num_costed,
-        elapsed_s=time.perf_counter() - begin_s,
         planner=planner,
         heuristic=heuristic,
         backend=backend,
-        note=note,
         history=() if batches is None else tuple(batches.history),
     )

@@ -10,7 +10,7 @@ import numpy as np
 
 from jaxurban.kernels.search.frontier import Grids, advance, begin, drop, empty_frontier, is_crowded, with_list_of
 from jaxurban.planners.base import Cell, Path, Problem, Status
-from jaxurban.planners.checks import free_ride
+from jaxurban.planners.checks import power_of_two
 from jaxurban.planners.graph import graph_of
 from jaxurban.planners.heuristics import make_heuristic
 from jaxurban.planners.moves import STEPS, steps_back
@@ -76,7 +76,7 @@ class _Batch:
         self.map_index = {id(problem.cost): k for k, problem in enumerate(self.maps)}
         self.bands = [_band(problem, band_steps) for problem in self.maps]
         fitting = max(1, BYTES_OF_G[kind] // (BYTES_A_CELL * self.maps[0].cost.size))
-        num_places = min(_power_of_two(len(queries)), QUERIES_TOGETHER[kind], fitting)
+        num_places = min(power_of_two(len(queries)), QUERIES_TOGETHER[kind], fitting)
         self.num_together = CELLS_TOGETHER * num_places
         # query number, problem, begin
         self.places: list[tuple[int, Problem, float] | None] = [None] * num_places
@@ -141,44 +141,36 @@ class _Batch:
             if running is None:
                 continue
             index, problem, begin_s = running
-            elapsed_s = time.perf_counter() - begin_s
-            is_out = elapsed_s >= self.budget_s
+            is_out = time.perf_counter() - begin_s >= self.budget_s
             if np.isinf(lowest_f[place]) or is_out:
-                path = self._path(place, problem, float(lowest_f[place]), int(num_expanded[place]), elapsed_s)
+                path = self._path(place, problem, float(lowest_f[place]), int(num_expanded[place]), begin_s)
                 done.append((index, path))
                 self.frontier = drop(self.frontier, place)
                 self.places[place] = None
         return done
 
-    def _path(self, place: int, problem: Problem, lowest_f: float, num_expanded: int, elapsed_s: float) -> Path:
+    def _path(self, place: int, problem: Problem, lowest_f: float, num_expanded: int, begin_s: float) -> Path:
         is_reached = bool(self.frontier.g[place, _flat(problem.goal, problem)] < np.inf)
-        is_done = np.isinf(lowest_f)
-        points_m, cost, note = np.empty((0, 2)), np.inf, ""
-        if is_reached:
-            points_m = _points_m(problem, np.asarray(self.frontier.reached_by[place]))
-            cost = problem.cost_of(points_m)
-            status = Status.OPTIMAL if is_done else Status.BUDGET_FEASIBLE
-            note = free_ride(problem.distance_weight, cost)
+        if np.isinf(lowest_f):
+            status = Status.OPTIMAL if is_reached else Status.NO_PATH
         else:
-            status = Status.NO_PATH if is_done else Status.BUDGET_EMPTY
-        return Path(
-            status=status,
-            points_m=points_m,
-            cost=cost,
-            lower_bound=cost if is_done else min(cost, lowest_f),
+            status = Status.BUDGET_FEASIBLE if is_reached else Status.BUDGET_EMPTY
+        return Path.of(
+            problem,
+            _points_m(problem, np.asarray(self.frontier.reached_by[place])) if is_reached else np.empty(0),
+            status,
+            lowest_f,
+            begin_s,
             num_expanded=num_expanded,
-            elapsed_s=elapsed_s,
             planner=self.planner,
             heuristic="octile",
             backend="jax",
-            note=note,
-            graph=problem.grid_name,
         )
 
 
 def _grids(maps: list[Problem]) -> Grids:
     """Return the maps on the device, the first one repeated to a power of two so that few shapes are compiled."""
-    maps = maps + maps[:1] * (_power_of_two(len(maps)) - len(maps))
+    maps = maps + maps[:1] * (power_of_two(len(maps)) - len(maps))
     graphs = [graph_of(problem) for problem in maps]
     bounds = [make_heuristic("octile", problem) for problem in maps]
     # A cell that no path may cross can cost anything, NaN too, which would spread.
@@ -216,7 +208,3 @@ def _points_m(problem: Problem, reached_by: np.ndarray) -> np.ndarray:
 
 def _flat(cell: Cell, problem: Problem) -> int:
     return cell[0] * problem.cost.shape[1] + cell[1]
-
-
-def _power_of_two(number: int) -> int:
-    return 1 << (number - 1).bit_length()

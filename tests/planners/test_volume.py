@@ -12,7 +12,8 @@ from jaxurban.planners import volume_astar as volume_module
 from jaxurban.planners.astar import astar
 from jaxurban.planners.base import Problem, Status
 from jaxurban.planners.cost_model import CostModel
-from jaxurban.planners.volume_astar import VOLUME_HEURISTICS, bound_at, make_bound, volume_astar
+from jaxurban.planners.search.volume import estimate_in_volume
+from jaxurban.planners.volume_astar import VOLUME_HEURISTICS, make_bound, volume_astar
 from tests.planners.problems import volume_problem
 
 LEVELS_M = np.array([20.0, 22.0, 29.0, 60.0])
@@ -81,7 +82,9 @@ def test_cost_equals_scipy_dijkstra_and_bounds_are_admissible_and_consistent(cos
         edges = graph.tocoo()
         for name in VOLUME_HEURISTICS:
             bound = make_bound(name, problem)
-            values = np.array([bound_at(bound, node, problem.goal) for node in np.ndindex(problem.is_free.shape)])
+            values = np.array(
+                [estimate_in_volume(bound, *node, *problem.goal[1:]) for node in np.ndindex(problem.is_free.shape)]
+            )
             assert np.all((values <= cost_to_go + 1e-9)[problem.is_free.ravel()])
             assert np.all(values[edges.row] <= edges.data + values[edges.col] + 1e-9)
             path = volume_astar(problem, heuristic=name)
