@@ -4,7 +4,7 @@ import json
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from functools import lru_cache
-from itertools import chain, product
+from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -123,39 +123,6 @@ def stored_rows(path: Path, name: str, place: tuple[int, ...], rows: slice) -> n
       InputError: they cannot be read.
     """
     try:
-        found = np.empty((rows.stop - rows.start, array_of(path / name).shape[-1]), array_of(path / name).dtype)
-        fill_window(found, path / name, place, (rows, slice(0, found.shape[1])))
-        return found
+        return array_of(path / name)[(*place, rows)]
     except Exception as error:
         raise error_in(path, error, (name,)) from error
-
-
-def fill_window(found: np.ndarray, path: Path, place: tuple[int, ...], window: tuple[slice, slice]) -> None:
-    """Fill ``found`` ``[y, x]`` with a part of one map of a Zarr as its files hold it, rows from the north.
-
-    Chunk by chunk: the Zarr library sends each through threads of its own. A missing one reads as its fill value.
-
-    Args:
-      found: of the window's shape.
-      path: of the array.
-      place: along its axes before y and x.
-      window: rows, from the north, and columns, without a step.
-    """
-    array = array_of(path)
-    for (row, inner_rows, rows), (col, inner_cols, cols) in product(*map(_parts, window, array.chunks[-2:])):
-        part = found[rows, cols]
-        try:
-            data = (path / array.metadata.encode_chunk_key((*place, row, col))).read_bytes()
-        except FileNotFoundError:
-            part[:] = array.fill_value
-            continue
-        chunk = np.frombuffer(array.metadata.compressor.decode(data), array.dtype).reshape(array.chunks[-2:])
-        part[:] = chunk[inner_rows, inner_cols]
-
-
-def _parts(window: slice, size: int) -> Iterator[tuple[int, slice, slice]]:
-    """Yield the number of each chunk under a window of one axis, what of it lies there, and where in the window."""
-    for number in range(window.start // size, -(-window.stop // size)):
-        start, stop = max(window.start, number * size), min(window.stop, (number + 1) * size)
-        first = number * size
-        yield number, slice(start - first, stop - first), slice(start - window.start, stop - window.start)

@@ -1,6 +1,5 @@
 """What files hold in cells inside obstacles, where the engine holds 0: no value, as no value was computed there."""
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -9,7 +8,6 @@ import xarray as xr
 from jaxurban.io.attributes import IN_OBSTACLES
 
 NEEDED = ("obstacle", "has_data")  # which cells these are; without them it is not a folder of maps
-Read = Callable[[str, tuple], np.ndarray]  # a variable and a key
 
 
 def no_value(dtype: np.dtype) -> Any:
@@ -17,11 +15,8 @@ def no_value(dtype: np.dtype) -> Any:
     return {"f": np.nan, "u": np.iinfo(dtype).max if dtype.kind == "u" else None}.get(dtype.kind)
 
 
-def cells_inside(ds: xr.Dataset, array: xr.Variable, key: tuple, read: Read | None = None) -> np.ndarray | None:
-    """Return which cells of a part of a map lie inside obstacles; None where the map holds values of its own there.
-
-    ``read`` gives values of a variable by its name and key; left out, the dataset does.
-    """
+def cells_inside(ds: xr.Dataset, array: xr.Variable, key: tuple) -> np.ndarray | None:
+    """Return which cells of a part of a map lie inside obstacles; None where the map holds values of its own there."""
     if IN_OBSTACLES not in array.attrs:
         return None
     at = dict(zip(array.dims, key, strict=True))
@@ -29,8 +24,7 @@ def cells_inside(ds: xr.Dataset, array: xr.Variable, key: tuple, read: Read | No
     found = []
     for dims, name in ((ds.variables[name].dims, name) for name in NEEDED):
         own = tuple(at[dim] for dim in dims)
-        values = ds.variables[name][own].values if read is None else read(name, own)
-        found.append(xr.Variable([dim for dim in dims if dim in kept], values))
+        found.append(xr.Variable([dim for dim in dims if dim in kept], ds.variables[name][own].values))
     return ((found[0] != 0) & found[1]).set_dims(kept).values  # altitudes may come before times
 
 

@@ -11,7 +11,6 @@ import os
 import re
 from collections.abc import Mapping
 from contextlib import suppress
-from functools import partial
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -30,7 +29,6 @@ from jaxurban.io.chunks import (
     chunks_of,
     damaged,
     error_in,
-    fill_window,
     has_whole_metadata,
     metadata_file,
     metadata_of,
@@ -360,36 +358,17 @@ class _Map(BackendArray):
 
     def _read(self, key: tuple) -> np.ndarray:
         try:
-            array, stored = self.ds.variables[self.name], partial(_stored, self.ds, self.path)
-            values = np.asarray(stored(self.name, key), order="C")
+            array = self.ds.variables[self.name]
+            values = np.asarray(array[key].values, order="C")
             if self.name == "obstacle":
                 values[is_nothing(values)] = 1  # of a chunk that went after opening
-            elif (inside := cells_inside(self.ds, array, key, stored)) is not None:
+            elif (inside := cells_inside(self.ds, array, key)) is not None:
                 np.copyto(values, float(array.attrs[IN_OBSTACLES]), "unsafe", where=is_hidden(values, inside))
         except Exception as error:
             self.opened.check()
             raise error_in(self.path, error, (self.name, *NEEDED)) from error
         self.opened.check()  # after reading: metadata go first where maps are removed, and come last
         return values
-
-
-def _stored(ds: xr.Dataset, path: Path, name: str, key: tuple) -> np.ndarray:
-    """Return values of a map of a Zarr as its files hold them, rows south to north; a window of one layer directly."""
-    array = ds.variables[name]
-    if not (_is_map(array) and _is_window(key)):
-        return array[key].values
-    rows, cols = (range(size)[part] for part, size in zip(key[-2:], array.shape[-2:], strict=True))
-    found = np.empty((len(rows), len(cols)), array.dtype)
-    if found.size:
-        from_north = slice(array.shape[-2] - rows.stop, array.shape[-2] - rows.start)
-        fill_window(found[::-1], path / name, key[:-2], (from_north, slice(cols.start, cols.stop)))
-    return found
-
-
-def _is_window(key: tuple) -> bool:
-    """Return whether a key asks for cells side by side of one layer."""
-    are_places = (isinstance(index, int | np.integer) for index in key[:-2])
-    return all(are_places) and all(isinstance(part, slice) and part.step in (None, 1) for part in key[-2:])
 
 
 class _Maps(BackendEntrypoint):
