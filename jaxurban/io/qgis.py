@@ -4,21 +4,16 @@ from collections.abc import Sequence
 from typing import NamedTuple
 from xml.sax.saxutils import quoteattr
 
+import matplotlib
 import numpy as np
 import xarray as xr
+from matplotlib.colors import to_hex
 
 from jaxurban.metrics.custom import held_metrics
 from jaxurban.metrics.gps import DOPS, WEIGHTED_DOPS
 from jaxurban.metrics.protection import LEVELS, WITHIN_LIMITS
 
-COLOUR_MAPS = {  # of Matplotlib, at 17 places from low to high
-    "viridis": "44015448186a472d7b4240863b528b33638d2c728e26828e21918c1fa08828ae803fbc735ec96284d44baddc30d8e219fde725",
-    "plasma": "0d08873105974c02a16600a77e03a89511a1aa2395bc3587cc4778da5a6ae66c5cf0804ef89540fdac33fdc527f8df25f0f921",
-    "magma": "0000040a08221d114736106b51127c6a1c818326819c2e7fb73779d0416fe75263f56b5cfc8961fea772fec488fde2a3fcfdbf",
-    "inferno": "0000040b0724210c4a3d096557106e71196e8a226aa32c61bc3754d24644e45a31f1731df98e09fcac11f9cb35f2ea69fcffa4",
-    "cividis": "00224e002e6a1a386f32436d434e6c535a6d61656f6f70737d7c788c88789b9476aba072bcae6ccdbb63dec958f0d846fee838",
-}
-NUM_PLACES = 17
+NUM_PLACES = 17  # of a colour map, from low to high
 HIGHEST_DOP = 20.0  # where the paper's rating turns poor
 CLASSES = {  # of variables that are 0 or 1: name and colour of each
     "obstacle": (("free", "#f4f4ee"), ("obstacle", "#4a4a4a")),
@@ -35,17 +30,9 @@ class Scale(NamedTuple):
     colours: Sequence[str]
 
 
-def colours_of(colour_map: str, plain: str = "#333333") -> list[str]:
-    """Return a colour map at `NUM_PLACES` places; of one that is not ours, from white to the ``plain`` colour."""
-    name = colour_map.removesuffix("_r")
-    if name in COLOUR_MAPS:
-        packed = COLOUR_MAPS[name]
-        colours = [f"#{packed[i : i + 6]}" for i in range(0, 6 * NUM_PLACES, 6)]
-    else:
-        end = np.array([int(plain[i : i + 2], 16) for i in (1, 3, 5)])
-        shades = (np.rint(255 + (end - 255) * share).astype(int) for share in np.linspace(0, 1, NUM_PLACES))
-        return ["#{:02x}{:02x}{:02x}".format(*shade) for shade in shades]
-    return colours[::-1] if colour_map.endswith("_r") else colours
+def colours_of(colour_map: str) -> list[str]:
+    """Return a colour map of Matplotlib at `NUM_PLACES` places."""
+    return [to_hex(colour) for colour in matplotlib.colormaps[colour_map](np.linspace(0, 1, NUM_PLACES))]
 
 
 def scale_of(ds: xr.Dataset, name: str) -> Scale:
@@ -70,7 +57,7 @@ def scale_of(ds: xr.Dataset, name: str) -> Scale:
     of = name if name in metrics else next((held for held in metrics if name.startswith(f"{held}_")), "")
     if not of:
         return Scale(places, colours_of("cividis"))
-    return Scale(places, colours_of(metrics[of].colour_map, metrics[of].colour))
+    return Scale(places, colours_of(metrics[of].colour_map))
 
 
 def _ends(ds: xr.Dataset, name: str) -> tuple[float, float]:

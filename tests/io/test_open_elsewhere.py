@@ -16,7 +16,7 @@ import jaxurban as ju
 from jaxurban.errors import InputError
 from jaxurban.io.attributes import IN_OBSTACLES
 from jaxurban.io.geotiff import write_geotiffs
-from jaxurban.io.qgis import COLOUR_MAPS, colours_of, scale_of
+from jaxurban.io.qgis import scale_of
 from jaxurban.maps.build import compute_maps
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.custom import Layer, check_file_names
@@ -234,14 +234,6 @@ def test_geopandas_opens_a_route_and_finds_the_maps_values_under_it(maps, folder
     with rasterio.open(folder / "geotiff" / "risk_60m_20m.tif") as file:
         found = [value for (value,) in file.sample(zip(x_m, y_m, strict=True))]
     np.testing.assert_array_equal(found, maps.m("risk", 60.0)[maps.grid.cell_of_xy(x_m, y_m)])
-
-
-def test_colour_maps_are_those_of_matplotlib():
-    values = np.linspace(0, 1, 400)
-    for name in [*COLOUR_MAPS, "viridis_r", "magma_r"]:
-        stops = np.array([matplotlib.colors.to_rgb(colour) for colour in colours_of(name)])
-        ours = np.stack([np.interp(values, np.linspace(0, 1, len(stops)), stops[:, i]) for i in range(3)], axis=1)
-        np.testing.assert_allclose(ours, matplotlib.colormaps[name](values)[:, :3], atol=0.05)
 
 
 @pytest.mark.parametrize("name", ["gps", "lidar", "risk", "population", "hdop", "num_visible", "density", "roof"])
