@@ -1,20 +1,25 @@
-"""Functions compiled by Numba, kept on disk until anything that they are made of changes."""
+"""Functions compiled by Numba, kept on disk until a file that they are made of changes."""
 
 import functools
 import hashlib
-from collections.abc import Callable, Iterator
+import os
+import re
+import sys
+from collections.abc import Callable
 from contextlib import suppress
-from types import CodeType
+from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numba import njit
-from numba.core.caching import FunctionCache, IndexDataCacheFile
-from numba.core.dispatcher import Dispatcher
-from numba.core.runtime import rtsys
+import numba
 
 from jaxurban.progress import LOG
 
+try:
+    from numba.core import event  # documented (Numba's event API); without it nothing is said of compiling
+except ImportError:
+    event = None  # type: ignore[assignment]
+
+config: Any = numba.config
 COMPILING = LOG.getChild("compiling")  # its level is the switch: warnings are seen where nobody has set logging up
 
 
@@ -23,93 +28,58 @@ def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
 
     Numba's own ``cache=True`` compiles anew when the file of the outer function changes, but goes on with the old
     machine code when a compiled function that it calls, or a constant that it reads, changes in another file. Here
-    both are part of the key, so that compiled functions can be shared between files.
+    the folder is named by all files of the package that the function's own file imports from, so that compiled
+    functions can be shared between files. They are imported at its top, from their modules.
     """
 
     def decorate(function: Callable[..., Any]) -> Any:
-        dispatcher = njit(**options)(function)
-        with suppress(RuntimeError):  # a read-only install without a home: nothing is kept, each process compiles
-            dispatcher._cache = _Cache(function)  # as ``cache=True`` does, with its `FunctionCache`
-        return dispatcher
+        before = config.CACHE_DIR
+        with suppress(RuntimeError, OSError):  # a read-only install without a home: each process compiles
+            config.CACHE_DIR = str(_folder(function.__module__, before))
+            try:
+                return numba.njit(cache=True, **options)(function)
+            finally:
+                config.CACHE_DIR = before
+        return numba.njit(**options)(function)
 
     return decorate
 
 
-class _KeptFiles(IndexDataCacheFile):
-    """Numba's files of a function's machine code: nothing is in those that are damaged or name types that are gone.
-
-    What unpickling raises at damaged bytes is in no list, a `MemoryError` among it.
-    """
-
-    def _load_index(self):
-        try:
-            return super()._load_index()
-        except Exception:
-            return {}
-
-    def _load_data(self, name):
-        try:
-            return super()._load_data(name)
-        except Exception as error:
-            raise OSError(name) from error  # which Numba takes as a file that is gone
-
-
-class _Cache(FunctionCache):
-    """Machine code by signature, processor, and the code of a function and of all compiled ones that it reaches."""
-
-    def __init__(self, function: Callable[..., Any]) -> None:
-        super().__init__(function)
-        kept = self._cache_file
-        self._cache_file = _KeptFiles(self._cache_path, self._impl.filename_base, kept._source_stamp)
-
-    def load_overload(self, sig, target_context):
-        """Return the machine code kept for a signature; None where there is none.
-
-        As Numba's own, which first registers all that it can compile, and imports SciPy for it. What is compiled
-        needs only the runtime that it calls, and compiling registers all of that by itself: 0.3 s less in a process
-        that finds everything in the cache.
-        """
-        rtsys.initialize(target_context)
-        with self._guard_against_spurious_io_errors():
-            kept = self._load_overload(sig, target_context)
-        if kept is None:
-            _say_once()
-        return kept
-
-    def _index_key(self, sig, codegen):
-        digest = hashlib.sha256()
-        for part in _parts(self._py_func, set()):
-            digest.update(part.encode())
-        return *super()._index_key(sig, codegen), digest.hexdigest()
+@functools.cache
+def _folder(module: str, chosen: str) -> Path:
+    """Return the folder for the machine code of a module, made: in ``chosen``, beside it, or in the user's cache."""
+    beside = Path(sys.modules[module].__file__ or "").parent / "__pycache__"
+    own = Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"), "jaxurban", "numba")
+    for folder in (Path(chosen),) if chosen else (beside, own):
+        with suppress(OSError):
+            found = folder / f"numba-{_digest(module)}"
+            found.mkdir(parents=True, exist_ok=True)
+            if os.access(found, os.W_OK | os.X_OK):
+                return found
+    raise OSError("no folder can be written to")
 
 
 @functools.cache
-def _say_once() -> None:
-    COMPILING.warning("compiling what is run here for the first time, for some seconds; later sessions find it done")
+def _digest(module: str) -> str:
+    """Return a hash of the source of a module and of those of its package that it imports from."""
+    source = Path(sys.modules[module].__file__ or "").read_text(encoding="utf-8")
+    inner = re.findall(rf"^from ({module.partition('.')[0]}\.[\w.]+) import", source, re.MULTILINE)
+    return hashlib.sha256("".join([source, *map(_digest, inner)]).encode()).hexdigest()[:16]
 
 
-def _parts(function: Callable[..., Any], seen: set[Callable[..., Any]]) -> Iterator[str]:
-    """Yield what a function is made of: its code, the values of the global names in it, and the same of inner ones.
+class _Say(event.Listener if event else object):  # type: ignore[misc]
+    """Says once that kernels of this package are compiled."""
 
-    A value that no text stands for, as a function that is not compiled, has its address in it: it is never found again
-    in the cache, and so compiled anew, which is slow but right.
-    """
-    seen.add(function)
-    for code in _codes(function.__code__):
-        yield repr((code.co_code, code.co_names, code.co_varnames))
-        yield repr([const for const in code.co_consts if not isinstance(const, CodeType)])
-        for name in code.co_names:
-            value = function.__globals__.get(name)
-            if not isinstance(value, Dispatcher):
-                yield repr(value.tolist() if isinstance(value, np.ndarray) else value)
-            elif value.py_func not in seen:
-                yield repr(value.targetoptions)
-                yield from _parts(value.py_func, seen)
+    has_said = False
+
+    def on_start(self, event: Any) -> None:
+        module = event.data["dispatcher"].py_func.__module__
+        if not _Say.has_said and module.startswith("jaxurban."):
+            _Say.has_said = True
+            COMPILING.warning("jaxurban compiles its kernels, which takes some 30 s, once a machine")
+
+    def on_end(self, event: Any) -> None: ...
 
 
-def _codes(code: CodeType) -> Iterator[CodeType]:
-    """Yield a function's code and that of what is defined inside it, as comprehensions."""
-    yield code
-    for const in code.co_consts:
-        if isinstance(const, CodeType):
-            yield from _codes(const)
+if event:
+    event.register("numba:compile", _Say())

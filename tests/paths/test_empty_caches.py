@@ -21,7 +21,7 @@ pytestmark = pytest.mark.slow
 
 CACHES = ("NUMBA_CACHE_DIR", "JAX_COMPILATION_CACHE_DIR", "XDG_CACHE_HOME")
 BUDGET_S = 2.0
-COMPILING = "compiling what is run here for the first time"
+COMPILING = "jaxurban compiles its kernels, which takes some 30 s, once a machine"
 SCRIPT = """
 import sys
 import pandas as pd

@@ -12,7 +12,6 @@ from jaxurban.planners.registry import PLANNERS, VOLUME_PLANNERS
 SCRIPT = """
 import os, sys
 import numpy as np
-from numba.core.dispatcher import Dispatcher
 from jaxurban.planners.base import Problem
 from jaxurban.planners.compiled_first import _few_cells
 from jaxurban.planners.cost_model import CostModel
@@ -33,7 +32,7 @@ def problem(dtype, kind, num_levels):
 
 def used():
     modules = [module for name, module in sys.modules.items() if name.startswith("jaxurban")]
-    functions = {each for module in modules for each in vars(module).values() if isinstance(each, Dispatcher)}
+    functions = {each for module in modules for each in vars(module).values() if hasattr(each, "nopython_signatures")}
     assert functions
     return {(each.__module__, each.__name__, str(kinds)) for each in functions for kinds in each.signatures}
 
