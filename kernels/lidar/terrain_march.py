@@ -1,4 +1,4 @@
-"""Rays over terrain that end at different steps for the receivers of a part of a tile: bytes in place of bits.
+"""Rays over terrain, followed for the receivers of a part of a tile together.
 
 A byte for each ray and receiver holds how many of its lowest beams the ground has ended, or `RETURNED`. At each look
 the heights are compared with a few beams at once, those that receivers may have lost and the next ones, and give for
@@ -6,7 +6,7 @@ each receiver how many beams are not above the roof and how many are not above t
 meets the roof where the first number is above the ray's byte; the second then raises the byte.
 
 Legend: ``K`` azimuths, ``N`` steps, ``B`` beams, ``U`` looks, ``P`` phases, ``h, w`` cells around the tile, ``r, c``
-receivers of the part, ``W`` words of the tile, see `jaxurban.kernels.lidar.terrain_cpu`.
+receivers of the part, see `jaxurban.kernels.lidar.terrain_cpu`.
 """
 
 from typing import NamedTuple
@@ -39,22 +39,7 @@ class Looks(NamedTuple):
 
 
 @compiled(nogil=True)
-def march(
-    counts,
-    states,
-    ground_m,
-    rise_m,
-    own_m,
-    returned,
-    ended,
-    column,
-    stride,
-    looks,
-    heights_m,
-    out_of_range,
-    first,
-    end,
-):
+def march(counts, states, ground_m, rise_m, own_m, column, looks, heights_m, out_of_range, end):
     """Fill ``counts`` of the receivers of a part, int32, some of which may lie beyond its last row and column.
 
     Args:
@@ -63,36 +48,25 @@ def march(
       ground_m: ``[P, h, w]`` ground elevation around the tile, -inf beyond the raster.
       rise_m: ``[P, h, w]`` how far roofs rise above it, -inf where there is none.
       own_m: ``[r, c]`` the receivers' own ground.
-      returned: ``[K, W]`` bits of the rays that have returned before step ``first``.
-      ended: ``[K]`` lowest beams that have ended before it, for all receivers.
       column: first column of the part in the tile.
-      stride: columns of the tile.
       looks: of all rays.
       heights_m: ``[N, B + 2 * BEAMS_AT_ONCE]`` each beam's lowest height over each step's segment, then inf.
       out_of_range: ``[N]`` lowest beams whose range has ended.
-      first: step from which rays are followed.
       end: step before which they are followed.
     """
     start, first_look, rays, first_ray = looks
-    num_azimuths, (rows, wide) = len(ended), own_m.shape
-    band = rows // 8  # bit b of word (i, j) stands for receiver (i + b * band, j)
-    for k in range(num_azimuths):
-        before = np.uint8(ended[k])
-        for b in range(8):
-            bit = np.uint8(1 << b)
-            for i in range(band):
-                of_words, state = returned[k, i * stride + column : i * stride + column + wide], states[k, b * band + i]
-                for j in range(wide):
-                    state[j] = RETURNED if of_words[j] & bit else before
+    num_azimuths, (rows, wide) = len(states), own_m.shape
+    states[:] = np.uint8(out_of_range[0])
     flat = states.reshape(num_azimuths, rows * wide)
-    for_all, for_any = ended.copy(), ended.copy()
+    for_all = np.full(num_azimuths, out_of_range[0])
+    for_any = for_all.copy()
     base_m = np.nanmin(own_m)
-    highest_m, top_m = _highest_of_blocks(ground_m, rise_m, base_m)
+    highest_m, top_m = highest_of_blocks(ground_m, rise_m, base_m)
     met, landed = np.empty((rows, wide), np.uint8), np.empty((rows, wide), np.uint8)
     spare = np.empty((rows, wide), np.uint8)
     flat_met, flat_landed, flat_spare = met.reshape(-1), landed.reshape(-1), spare.reshape(-1)
-    for n in range(first, end):
-        if n > first and out_of_range[n] > out_of_range[n - 1]:
+    for n in range(end):
+        if n > 0 and out_of_range[n] > out_of_range[n - 1]:
             for k in range(num_azimuths):
                 if for_all[k] < out_of_range[n]:
                     for_all[k] = out_of_range[n]
@@ -156,7 +130,7 @@ def _tally(found, state):
 
 
 @compiled(nogil=True)
-def _highest_of_blocks(ground_m, rise_m, base_m):
+def highest_of_blocks(ground_m, rise_m, base_m):
     """Return how far any ground, and any roof, of each block of cells lies above a level; exact bounds."""
     kind = ground_m.dtype.type
     shape = (len(ground_m), ground_m.shape[1] // BLOCK + 1, ground_m.shape[2] // BLOCK + 1)
