@@ -14,12 +14,11 @@ from jaxurban.report.figures.sensitivity_study import study_figures
 from jaxurban.report.markdown import bullets, counted, fill, listed, table
 from jaxurban.report.save import Output, files_of, save
 from jaxurban.studies.bootstrap import FEWEST_GROUPS
-from jaxurban.studies.montecarlo.complementarity import Finding
 from jaxurban.studies.montecarlo.sampling import weighed_metrics, weight_columns
 from jaxurban.studies.montecarlo.trial import HAS_PATH
 from jaxurban.studies.outcomes import outcome_label
 from jaxurban.studies.sensitivity import summary
-from jaxurban.studies.sensitivity.findings import change_said, findings
+from jaxurban.studies.sensitivity.findings import Finding, change_said, findings
 from jaxurban.studies.sensitivity.routes import SensitivityStudySettings
 from jaxurban.studies.sensitivity.sobol import FEW_SAMPLES
 from jaxurban.studies.sensitivity.summary import ALL, CLEAR, CONSTANT, OVER_CITIES, UNCLEAR

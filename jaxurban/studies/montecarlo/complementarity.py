@@ -1,20 +1,17 @@
-"""Whether GPS and lidar complement each other, by altitude: the paper's main finding, judged by the numbers."""
+"""Whether GPS and lidar complement each other, by altitude: the numbers of the paper's main finding."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
 
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.studies.bootstrap import draws_of, ends_of
-from jaxurban.studies.montecarlo.analysis import each
 
 GOOD = 0.5  # a sensor serves where its m is at least this
 TILE_M = 500.0  # cells nearer than this are much alike, so whole tiles are drawn
 FEWEST = 0.005  # share of cells where GPS is poor, below which nothing is said about them
 SUMS = ("n", "gps", "lidar", "gps2", "lidar2", "both2", "poor", "lidar_poor", "lidar_good")
-RISING = 1e-3  # differences of means smaller than this count as none
 
 
 def complementarity(
@@ -95,104 +92,3 @@ def _statistics(sums: np.ndarray) -> dict[str, np.ndarray]:
         "lidar_where_gps_good": where_good,
         "difference": where_poor - where_good,
     }
-
-
-class Finding(NamedTuple):
-    """A claim and what the numbers say: ``holds`` is None where they cannot tell."""
-
-    claim: str
-    holds: bool | None
-    evidence: str
-
-
-def findings(table: pd.DataFrame) -> list[Finding]:
-    """Return the three claims of the paper's finding, each judged by `complementarity`'s numbers."""
-    altitudes = table.altitude_m.tolist()
-    low, high = table.iloc[0], table.iloc[-1]
-    several = len(table) > 1
-    trend = bool(np.all(np.diff(table.gps) > -RISING) and np.all(np.diff(table.lidar) < RISING))
-    clear = table[np.isfinite(table.difference)]
-    coexist = [
-        f"{row.altitude_m:g} m: m_lidar is {row.lidar_where_gps_poor:.2f} where GPS is poor and "
-        f"{row.lidar_where_gps_good:.2f} elsewhere, difference {row.difference:+.2f}"
-        f"{_interval(row.difference_low, row.difference_high)}"
-        for row in each(clear)
-    ]
-    unclear = [f"{z:g}" for z in altitudes if z not in set(clear.altitude_m)]
-    if unclear:
-        coexist.append(f"at {', '.join(unclear)} m GPS is poor in fewer than {FEWEST:.1%} of the free cells")
-    known = table[np.isfinite(table.correlation)]
-    listed = ", ".join(
-        f"{row.correlation:+.2f}{_interval(row.correlation_low, row.correlation_high)} at {row.altitude_m:g} m"
-        for row in each(known)
-    )
-    steps = "; ".join(
-        f"to {row.altitude_m:g} m it changes by {row.step:+.2f}{_interval(row.step_low, row.step_high)}"
-        for row in each(known[np.isfinite(known.step)])
-    )
-    return [
-        Finding(
-            "With altitude GPS gets better and lidar worse",
-            trend if several else None,
-            f"mean m_gps goes from {low.gps:.2f} at {altitudes[0]:g} m to {high.gps:.2f} at {altitudes[-1]:g} m, mean "
-            f"m_lidar from {low.lidar:.2f} to {high.lidar:.2f}",
-        ),
-        Finding(
-            "Where GPS is poor, lidar is good",
-            _is_good(clear),
-            "; ".join(coexist),
-        ),
-        Finding(
-            "The higher the flight, the more apparent this is",
-            _is_falling(known),
-            f"the correlation of m_gps and m_lidar over free cells is {listed or 'not defined at any altitude'}"
-            + (f"; {steps}" if steps else ""),
-        ),
-    ]
-
-
-def _interval(low: float, high: float) -> str:
-    """Return an interval as text, or nothing where it is not known."""
-    return f" ({low:+.2f} to {high:+.2f})" if np.isfinite(low) else ""
-
-
-def _is_good(clear: pd.DataFrame) -> bool | None:
-    """Return whether lidar is good where GPS is poor, and better than elsewhere; None where intervals cannot tell.
-
-    Altitudes at which no interval is known, as GPS is poor in too few cells, are passed over.
-    """
-    clear = clear[np.isfinite(clear.difference_low)]
-    if ((clear.lidar_where_gps_poor < GOOD) | (clear.difference_high < 0)).any():
-        return False
-    return True if len(clear) and (clear.difference_low > 0).all() else None
-
-
-def _is_falling(known: pd.DataFrame) -> bool | None:
-    """Return whether the correlation falls from altitude to altitude; None where a step's interval holds 0."""
-    steps = known[np.isfinite(known.step)]
-    if (steps.step_low > 0).any():
-        return False
-    return True if len(steps) and (steps.step_high < 0).all() else None
-
-
-def verdict(table: pd.DataFrame) -> str:
-    """Return one sentence: whether the complementarity of GPS and lidar holds, by `complementarity`'s numbers."""
-    held = [each.holds for each in findings(table)]
-    if not any(holds is not None for holds in held):
-        return (
-            "These maps cannot tell whether GPS and lidar complement each other: use more altitudes, or a denser city."
-        )
-    if all(held):
-        word = "holds"
-    elif True in held:
-        word = "is borne out in part only"
-    else:
-        word = "is refuted" if None not in held else "is not borne out as far as these maps can tell"
-    low = table.iloc[0]
-    return (
-        f"The paper's finding that GPS and lidar complement each other {word}: of its three claims "
-        f"{held.count(True)} {'holds' if held.count(True) == 1 else 'hold'}, {held.count(False)} "
-        f"{'does' if held.count(False) == 1 else 'do'} not, {held.count(None)} cannot be told; at "
-        f"{low.altitude_m:g} m GPS serves (m >= {GOOD:g}) in {low.gps_serves:.1%} of the free cells, lidar in "
-        f"{low.lidar_serves:.1%}, and one or the other in {low.either_serves:.1%}."
-    )

@@ -12,7 +12,6 @@ import pandas as pd
 
 from jaxurban.studies.bootstrap import FEWEST_GROUPS, LEVEL, Interval, holm, p_value, share_of
 from jaxurban.studies.montecarlo.analysis import each
-from jaxurban.studies.montecarlo.complementarity import Finding
 from jaxurban.studies.outcomes import outcome_label
 from jaxurban.studies.sensitivity.remade import HEIGHTS
 from jaxurban.studies.sensitivity.routes import ROUTE_KEY
@@ -20,6 +19,14 @@ from jaxurban.studies.sensitivity.summary import ALL, Drawn, by_stratum
 
 SMALL = 0.01  # of a cost: a regret below this is called small
 MOST = 0.5
+
+
+class Finding(NamedTuple):
+    """A claim and what the numbers say: ``holds`` is None where they cannot tell."""
+
+    claim: str
+    holds: bool | None
+    evidence: str
 
 
 class Claim(NamedTuple):
