@@ -22,8 +22,8 @@ SECTIONS = {  # title of each table, and what it says
     "choices": (
         "Which planner, when",
         "`cheapest`: least mean cost over the cheapest known, among planners that solve at least "
-        f"{analysis.RELIABLE:.0%} of the joined pairs. `fastest_near_best`: least median time among those within 5 % of "
-        "the cheapest on nine of ten pairs. `straight_enough`: share of pairs whose straight line is free and within "
+        f"{analysis.RELIABLE:.0%} of the joined pairs. `fastest_near_best`: least median time among those within 5 % "
+        "of the cheapest on nine of ten pairs. `straight_enough`: share of pairs whose straight line is free and within "
         f"{analysis.NEAR - 1:.0%}.",
     ),
     "success": (
@@ -36,8 +36,8 @@ SECTIONS = {  # title of each table, and what it says
     ),
     "costs": (
         "Cost",
-        "Cost over the cheapest path known, where a path is found; `best_share` of them are within 1 %. A path may be `optimal` and above 1: it is the "
-        "cheapest on its planner's grid, and another is off it.",
+        "Cost over the cheapest path known, where a path is found; `best_share` of them are within 1 %. A path may be "
+        "`optimal` and above 1: it is the cheapest on its planner's grid, and another is off it.",
     ),
     "paired": (
         "Planners two by two",
