@@ -6,15 +6,14 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import shapely
-from matplotlib.axes import Axes
 from matplotlib.collections import PathCollection
 from matplotlib.colors import SymLogNorm
 from matplotlib.figure import Figure
 from matplotlib.path import Path
 
 from jaxurban.paths.path import PlannedPath
-from jaxurban.report.figures.colours import SMALL_PT, Colours
-from jaxurban.report.figures.frame import INK, add_key, make_frame
+from jaxurban.report.figures.colours import Colours
+from jaxurban.report.figures.frame import add_key, make_frame
 from jaxurban.report.figures.metrics import EMPTY_COLOUR
 from jaxurban.report.figures.notes import joined, place_said, rules_said, time_said
 from jaxurban.report.figures.paths import draw_ends
@@ -27,9 +26,7 @@ SHOWN_SHARE = 0.01  # buildings with less of the largest effect may lie outside 
 MARGIN_M = 120.0  # around what the picture shows
 
 
-def plot_building_costs(
-    city: City, planned: PlannedPath, table: pd.DataFrame, grid: Grid, num_labels: int = 10
-) -> Figure:
+def plot_building_costs(city: City, planned: PlannedPath, table: pd.DataFrame, grid: Grid) -> Figure:
     """Return the map of the buildings, coloured by what one more metre of each costs the route.
 
     Colours are logarithmic on both sides of zero: red costs, blue helps, grey has no effect. The picture holds the
@@ -40,7 +37,6 @@ def plot_building_costs(
       planned: the route.
       table: from `jaxurban.studies.sensitivity.buildings.building_costs`.
       grid: the region; buildings beyond it are not drawn.
-      num_labels: how many of the costliest are numbered by rank, those with less than a hundredth of the largest never.
     """
     assert city.buildings is not None
     settings = planned.settings
@@ -52,7 +48,6 @@ def plot_building_costs(
         f"{grid.resolution_m:g} m cells",
         grid.crs,
         place_said(grid),
-        "numbers: the costliest, by rank",
         city.attribution,
     )
     note = f"{note}\n{rules_said(settings)}"
@@ -90,7 +85,6 @@ def plot_building_costs(
     panel.plot(*planned.xy_m.T, color="white", linewidth=3.2, solid_joinstyle="round", zorder=3)
     panel.plot(*planned.xy_m.T, color=ROUTE_COLOUR, linewidth=1.5, solid_joinstyle="round", zorder=4)
     draw_ends(panel, [planned])
-    _number(panel, city, planned, table[table.per_metre >= SHOWN_SHARE * most].head(num_labels), set(seen.tolist()))
     patches = [("no effect", UNTOUCHED_COLOUR), ("route", ROUTE_COLOUR)]
     add_key(frame, patches, colours, has_ends=True)
     return frame.figure
@@ -105,38 +99,6 @@ def _around(planned: PlannedPath, polygons: np.ndarray, grid: Grid) -> Grid:
     end = np.ceil(high / grid.resolution_m - 1e-6).astype(int)
     num_cols, num_rows = (int(size) for size in end - first)
     return replace(grid, first_row=int(first[1]), first_col=int(first[0]), num_rows=num_rows, num_cols=num_cols)
-
-
-def _number(panel: Axes, city: City, planned: PlannedPath, first: pd.DataFrame, seen: set[int]) -> None:
-    """Write ranks beside the outlines, off the route; those in the same place share one label."""
-    assert city.buildings is not None
-    labels: list[tuple[np.ndarray, list[str]]] = []
-    reach_m = 0.025 * (panel.get_xlim()[1] - panel.get_xlim()[0])
-    for rank, building in enumerate(first.building, start=1):
-        at_m = shapely.get_coordinates(shapely.point_on_surface(city.buildings.polygons[building]))[0]
-        near = [ranks for other_m, ranks in labels if np.hypot(*(other_m - at_m)) < reach_m]
-        if building not in seen:
-            continue
-        if near:
-            near[0].append(str(rank))
-        else:
-            labels.append((at_m, [str(rank)]))
-    look = {"boxstyle": "round,pad=0.15", "facecolor": "white", "edgecolor": INK, "linewidth": 0.5, "alpha": 0.9}
-    for at_m, ranks in labels:
-        nearest_m = planned.xy_m[np.argmin(np.hypot(*(planned.xy_m - at_m).T))]
-        away = (at_m - nearest_m) / max(np.hypot(*(at_m - nearest_m)), 1e-9)
-        panel.annotate(
-            ", ".join(ranks),
-            (at_m[0], at_m[1]),
-            (30 * away[0], 30 * away[1]),
-            textcoords="offset points",
-            size=SMALL_PT,
-            ha="left" if away[0] >= 0 else "right",
-            va="center",
-            bbox=look,
-            arrowprops={"arrowstyle": "-", "color": INK, "linewidth": 0.6, "shrinkA": 0, "shrinkB": 0},
-            zorder=30,
-        )
 
 
 def _outline(polygon: shapely.Polygon | shapely.MultiPolygon) -> Path:
