@@ -53,4 +53,5 @@ def write_png(figure: Figure, file: Path) -> None:
     canvas = FigureCanvasAgg(figure)
     canvas.draw()
     image = Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3].copy())
-    image.quantize(NUM_COLOURS, kmeans=1, dither=Image.Dither.NONE).save(file, format="png", optimize=True)
+    rare_too, plain = Image.Quantize.MAXCOVERAGE, Image.Dither.NONE  # by median cut, lines and legends lose theirs
+    image.quantize(NUM_COLOURS, rare_too, kmeans=1, dither=plain).save(file, format="png", optimize=True)
