@@ -1,15 +1,13 @@
 """The part of a fit's report that compares it with further fits, and judges all by routes that none of them saw."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
 from jaxurban.io.tables import records_of
-from jaxurban.report.markdown import bullets, counted, fill, listed, table
+from jaxurban.report.markdown import fill, framed, table
 from jaxurban.studies.tuning.compared_fits import FitComparison
-
-MOST_NAMED = 20  # bad routes named in the report; the table of routes names all
 
 
 def is_compared(found: FitComparison) -> bool:
@@ -31,52 +29,12 @@ def fits_section(found: FitComparison) -> str:
         cells += [percent(row["all_held_out_regret"]), *([_interval(row, "pilot_regret")] if has_pilot else [])]
         rows.append(cells)
     reference = "the pilot's" if found.reference == "pilot" else f"those of the fit {found.reference!r}"
-    return fill("fits", fits=table(head, rows), reference=reference, sentences=bullets(_sentences(found)))
-
-
-def _sentences(found: FitComparison) -> Iterator[str]:
-    """Yield what the comparison supports."""
-    routes, fits = found.routes, found.table
-    held_out, bad = int(routes.is_held_out.sum()), routes[routes.is_bad]
-    if held_out:
-        by_city = [
-            f"{int(each.is_held_out.sum())} of {len(each)} in {name}"
-            for name, each in routes.groupby("city", sort=False)
-        ]
-        yield (
-            f"{held_out} of {counted(len(routes), 'route')} were held out, drawn with seed {found.seed}: "
-            f"{listed(by_city)}; routes between the same places stay together."
-        )
-    else:
-        yield "No route was held out (--hold-out), so that the fits are judged by nothing that they have not seen."
-    if len(bad):
-        worst = bad.sort_values("regret", ascending=False).to_dict("records")[:MOST_NAMED]
-        named = [f"{row['name']} ({row['city']}, {percent(row['regret'])})" for row in worst]
-        more = f" and {len(bad) - MOST_NAMED} more" if len(bad) > MOST_NAMED else ""
-        yield (
-            f"{counted(len(bad), 'route was', 'routes were')} found bad, so much dearer than the cheapest one under "
-            f"the first fit that they hardly count: {', '.join(named)}{more}."
-        )
-    else:
-        yield "No route was found bad."
-    if not held_out:
-        return
-    if not (routes.is_held_out & ~routes.is_bad).any():
-        yield "Every route that was held out was found bad, so that regrets judge no fit: give more routes."
-    rows = records_of(fits)
-    for row in rows[1:]:
-        if row["cities"] == rows[0]["cities"]:
-            here, first = (percent(each["held_out_regret"]) for each in (row, rows[0]))
-            if here and first:
-                yield f"On held-out routes that are not bad, {row['fit']!r} leaves {here}, {rows[0]['fit']!r} {first}."
-    unseen = [
-        f"{percent(row[f'regret {city}'])} on {city}"
-        for city in dict.fromkeys(routes.city)
-        for row in rows
-        if row["fit"] == f"without {city}"
-    ]
-    if unseen:
-        yield f"Fitted without a city and judged by its held-out routes, weights leave {listed(unseen)}."
+    by_city = found.routes.groupby("city", sort=False).agg(
+        routes=("name", "size"), held_out=("is_held_out", "sum"), bad=("is_bad", "sum")
+    )
+    return fill(
+        "fits", fits=table(head, rows), reference=reference, seed=found.seed, routes=framed(by_city.reset_index())
+    )
 
 
 def _draws(row: Mapping[str, Any]) -> str:

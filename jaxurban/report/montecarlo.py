@@ -23,8 +23,8 @@ SECTIONS = {  # title of each table, and what it says
         "Which planner, when",
         "`cheapest`: least mean cost over the cheapest known, among planners that solve at least "
         f"{analysis.RELIABLE:.0%} of the joined pairs. `fastest_near_best`: least median time among those within 5 % "
-        "of the cheapest on nine of ten pairs. `straight_enough`: share of pairs whose straight line is free and within "
-        f"{analysis.NEAR - 1:.0%}.",
+        "of the cheapest on nine of ten pairs. `straight_enough`: share of pairs whose straight line is free and "
+        f"within {analysis.NEAR - 1:.0%}.",
     ),
     "success": (
         "How often a path is found",

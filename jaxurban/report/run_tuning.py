@@ -16,7 +16,6 @@ from jaxurban.metrics.weights import Weights
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.progress import Progress, reporting
 from jaxurban.report.figures.degrees import in_degrees
-from jaxurban.report.figures.fits import plot_fits
 from jaxurban.report.figures.tuning import plot_learning, plot_regret, plot_routes, plot_targets, plot_weights
 from jaxurban.report.fits import fits_section, is_compared
 from jaxurban.report.save import Output, files_of, save
@@ -41,7 +40,7 @@ from jaxurban.studies.tuning.weight_fit import WeightFit
 
 STATE_FILE = "fit-state.npz"
 TABLES = "learning_curve", "fewer_examples", "fits", "routes", "targets", "weights", "examples"
-FIGURES = "weights", "learning_curve", "regret", "fits", "targets"
+FIGURES = "weights", "learning_curve", "regret", "targets"
 STUDY_FOLDER = "study"  # of `jaxurban study`, beside the maps
 
 
@@ -251,7 +250,7 @@ def outputs_of(
         fits = ""
         if found is not None and is_compared(found):
             fits = fits_section(found)
-            outputs |= {"fits": found.table, "routes": found.routes, "figures/fits.png": lambda: plot_fits(found)}
+            outputs |= {"fits": found.table, "routes": found.routes}
         report = imitation_report(fit, beside, source, fits)
     else:
         weights = pd.DataFrame({"name": fit.names, "weight": vector})

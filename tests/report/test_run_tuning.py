@@ -163,11 +163,10 @@ def test_cities_are_fitted_together_and_judged_by_routes_held_out(made, tmp_path
     assert facts["fits"][0]["cosine"] > 0.99
     assert facts["fits"][0]["pilot_regret"] < 1e-3
     report = (tmp_path / "out" / "report.md").read_text()
-    for words in ("## Fits compared", "4 of 16 in maps", "in second", "(figures/fits.png)", "| only second |"):
+    for words in ("## Fits compared", "| maps | 16 | 4 |", "| only second |"):
         assert words in report
     routes = pd.read_csv(tmp_path / "out" / "routes.csv")
     assert len(pd.read_csv(tmp_path / "out" / "examples.csv")) == (~routes.is_held_out).sum()
-    assert (tmp_path / "out" / "figures" / "fits.png").is_file()
     assert [*pd.read_csv(tmp_path / "out" / "fits.csv")["fit"]] == [row["fit"] for row in facts["fits"]]
 
 
