@@ -6,7 +6,6 @@ symmetric. The ``line`` model is; under ``cell`` a step costs the cell entered, 
 its two cells, and a path from n to t costs S plus (c(t) - c(n)) / 2: one field serves both ways.
 """
 
-import time
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,13 +27,11 @@ class Landmarks:
       costs: ``[Y, X, K]`` float64 symmetric costs S; inf where there is no way.
       slack: what the bound is lowered by, so that rounding never lifts it above the true cost: one unit in
         the last place of the largest cost, for every cell, more than the sums along any path can lose.
-      elapsed_s: wall time of building.
     """
 
     cells: tuple[Cell, ...]
     costs: np.ndarray
     slack: float
-    elapsed_s: float
 
 
 def make_landmarks(problem: Problem, num: int = NUM_LANDMARKS, end_s: float = np.inf) -> Landmarks:
@@ -51,14 +48,13 @@ def make_landmarks(problem: Problem, num: int = NUM_LANDMARKS, end_s: float = np
       TimeoutError: the clock passed it.
     """
     if "landmarks" not in problem.shared:
-        begin_s = time.perf_counter()
         cells = landmark_cells(problem, num)
         costs = np.empty((*problem.is_free.shape, len(cells)))
         for k, cell in enumerate(cells):
             costs[..., k] = symmetric_costs(problem.between(cell, cell), end_s)
         largest = np.max(costs, where=np.isfinite(costs), initial=0.0)
         slack = float(largest) * problem.is_free.size * np.finfo(np.float64).eps
-        problem.shared["landmarks"] = Landmarks(tuple(cells), costs, slack, time.perf_counter() - begin_s)
+        problem.shared["landmarks"] = Landmarks(tuple(cells), costs, slack)
     made: Landmarks = problem.shared["landmarks"]
     return made
 
