@@ -17,7 +17,7 @@ from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from pathlib import Path
 from threading import Lock
-from typing import IO, TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -145,37 +145,21 @@ def only_writer(folder: Path, remedy: str = "choose another folder") -> Iterator
     Raises:
       InputError: another run holds it, or it cannot be written to; ``remedy`` ends the sentence.
     """
+    from filelock import FileLock, Timeout  # it loads asyncio, for which reading alone need not wait
+
+    lock = FileLock(folder / LOCK_FILE, blocking=False, thread_local=False)
     try:
-        import fcntl
-    except ImportError:  # not a Unix: two runs in one folder are the user's to avoid
+        lock.acquire()
+    except Timeout as error:
+        raise InputError(f"another run is writing to {str(folder)!r}: wait for it, or {remedy}") from error
+    except OSError as error:
+        raise InputError(f"cannot write to {str(folder)!r} ({reason_of(error)}): {remedy}") from error
+    try:
         yield
-        return
-    file = _locked(folder, remedy, fcntl)
-    with file:
-        try:
-            yield
-        finally:
-            (folder / LOCK_FILE).unlink(missing_ok=True)
-
-
-def _locked(folder: Path, remedy: str, fcntl: Any) -> IO[str]:
-    """Return the folder's lock file, open and locked."""
-    while True:
-        try:
-            file = (folder / LOCK_FILE).open("a")
-        except OSError as error:
-            raise InputError(f"cannot write to {str(folder)!r} ({reason_of(error)}): {remedy}") from error
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            # An earlier holder may have removed the file between our opening and locking it: the lock on a file
-            # without a name holds nothing.
-            with suppress(FileNotFoundError):
-                if os.path.samestat(os.fstat(file.fileno()), (folder / LOCK_FILE).stat()):
-                    return file
-            file.close()
-        except BlockingIOError as error:
-            file.close()
-            raise InputError(f"another run is writing to {str(folder)!r}: wait for it, or {remedy}") from error
+    finally:
+        with suppress(OSError):  # Windows removes no open file
+            (folder / LOCK_FILE).unlink()
+        lock.release()
 
 
 def sweep_scraps(*folders: Path) -> None:
