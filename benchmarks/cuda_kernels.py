@@ -20,7 +20,6 @@ from jaxurban.kernels.line import segment_costs
 from jaxurban.kernels.search import frontier, sample_graph
 from jaxurban.kernels.shadows import doubling, sweep
 from jaxurban.kernels.shadows import soft as soft_shadows
-from jaxurban.kernels.shadows import supersampled as fine_shadows
 from jaxurban.maps import pipeline, recipe
 from jaxurban.maps.differentiable import PathVisits, SoftCity, SoftParams
 from jaxurban.metrics import availability, gps, lidar, obstacle, population, risk, visibility
@@ -105,8 +104,6 @@ def satellites(num: int, multiple_of: int = 8, num_clocks: int = 1) -> dop.Geome
 GROWN = tuple(side + 2 for side in TILE)
 RING = sweep.Ring(array(GROWN[1]), array(GROWN[1]), array(TILE[0]), array(TILE[0]))
 PER_CELL = 3  # subcells a cell side, of supersampled maps
-BANDS = fine_shadows.band_line(AZIMUTH_RAD[0], ELEVATION_RAD[0], 5.0 / PER_CELL, 0, SURFACE[0], PER_CELL)
-FINE = tuple(PER_CELL * side + 2 * PER_CELL for side in SURFACE)
 WINDOW = (MARGIN, MARGIN + REGION[0], MARGIN, MARGIN + REGION[1], 1)
 VIEW = visibility.SkyView(lines(), satellites(NUM_SATELLITES, 1), WHOLE)
 
@@ -231,11 +228,6 @@ KERNELS: dict[str, Callable[[], Call]] = {
     "shadows: height": lambda: Call(sweep.shadow_height, (array(*SURFACE), line(SURFACE))),
     "shadows: sweep": lambda: Call(sweep.sweep, (array(*SURFACE), line(SURFACE))),
     "shadows: height in a ring": lambda: Call(sweep.shadow_height, (array(*TILE), line(GROWN), RING)),
-    "shadows: supersampled": lambda: Call(
-        fine_shadows.band_shadow_height,
-        (array(*FINE), BANDS, NUMBER, (WHOLE, WHOLE)),
-        {"per_band": PER_CELL, "shape": REGION},
-    ),
     "shadows: soft weights": lambda: Call(jax.jit(soft_shadow_weights), (array(*SURFACE), lines())),
     "shadows: soft weights, gradient": lambda: Call(gradient(soft_shadow_weights), (array(*SURFACE), lines())),
     "DOPs of weights": lambda: Call(dop.dops, (satellites(9, 1), array(9, gps.BLOCK_CELLS))),

@@ -19,16 +19,16 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float, UInt
 
 from jaxurban.errors import InputError
 from jaxurban.io.read.rasterise import build_surface
-from jaxurban.kernels.shadows.supersampled import band_line, band_shadow_height, is_along_rows
-from jaxurban.kernels.shadows.sweep import ENTRY_STEPS, WORD_BITS
-from jaxurban.metrics.visibility import above_horizon, without_hidden
+from jaxurban.kernels.shadows.sweep import ENTRY_STEPS, WORD_BITS, stacked
+from jaxurban.kernels.shadows.sweep_cpu import mark_visible
+from jaxurban.metrics.base import AnyArray, zeros_for_jax
+from jaxurban.metrics.visibility import above_horizon, lines_over, without_hidden
 from jaxurban.world.city import City
 from jaxurban.world.grid import Grid
 from jaxurban.world.surface import Surface
@@ -67,59 +67,42 @@ def build_supersampled_surface(
 
 @dataclass(frozen=True)
 class Bands:
-    """What shadows the cells of a map, ready for sweeps in both directions. ``Y, X`` subcells, ``y, x`` map cells.
+    """What shadows the cells of a map. ``Y, X`` subcells, ``y, x`` map cells.
 
     Attributes:
-      along_rows: ``[Y + 2n, X + 2n]`` absolute height of tops, -inf around.
-      along_cols: ``[X + 2n, Y + 2n]`` the same for sweeps along columns, turned.
-      own_m: ``[y, x]`` top that hides all below it in the receiver's own cell; -inf where nothing does.
-      ground_m: ``[y, x]`` terrain of the receivers; None for flat ground.
+      along_rows: ``[Y, X]`` absolute height of tops, for rays that go from row to row.
+      along_cols: ``[Y, X]`` the same for rays that go from column to column.
+      own_m: ``[y, x]`` top that hides all below it in the receiver's own cell; None where nothing does.
       entry_steps: share of a step before a row's middle at which a ray meets its roofs.
       surface: the supersampled surface; its slabs count where ``has_slabs``.
       oversample: n.
       has_slabs: whether what hangs shadows too, between floor and top.
     """
 
-    along_rows: Float[Array, "Y+2n X+2n"]
-    along_cols: Float[Array, "X+2n Y+2n"]
-    own_m: Float[Array, "y x"] | float
-    ground_m: Float[Array, "y x"] | None
+    along_rows: Float[np.ndarray, "Y X"]
+    along_cols: Float[np.ndarray, "Y X"]
+    own_m: Float[np.ndarray, "y x"] | None
     entry_steps: float
     surface: Surface
     oversample: int
     has_slabs: bool = False
 
 
-def _widest(tops_m: jax.Array, axis: int, pick: Callable) -> jax.Array:
+def _widest(tops_m: np.ndarray, axis: int, pick: Callable) -> np.ndarray:
     """Return the highest (lowest) of each cell and its neighbours along an axis; nothing stands beyond the edge."""
-    width = [(0, 0), (0, 0)]
-    width[axis] = (1, 1)
-    padded = jnp.pad(tops_m, width, constant_values=-jnp.inf)
-    size = tops_m.shape[axis]
-    before, after = (jax.lax.slice_in_dim(padded, start, start + size, axis=axis) for start in (0, 2))
+    padded = np.pad(tops_m, [(int(k == axis), int(k == axis)) for k in range(2)], constant_values=-np.inf)
+    before, after = (np.take(padded, start + np.arange(tops_m.shape[axis]), axis) for start in (0, 2))
     return pick(pick(before, tops_m), after)
 
 
-def _at_receivers(supersampled: Surface, values: jax.Array, oversample: int) -> jax.Array:
-    return supersampled.crop(values)[oversample // 2 :: oversample, oversample // 2 :: oversample]
-
-
-def _bands(
-    supersampled: Surface, oversample: int, rows_m: jax.Array, cols_m: jax.Array, entry_steps: float, own_m
-) -> Bands:
-    n = oversample
-
-    def pad(tops_m: jax.Array) -> jax.Array:
-        return jnp.pad(tops_m, n, constant_values=-jnp.inf)
-
-    ground_m = None if supersampled.terrain_m is None else _at_receivers(supersampled, supersampled.terrain_m, n)
-    return Bands(pad(rows_m), pad(cols_m.T), own_m, ground_m, entry_steps, supersampled, n)
+def _at_receivers(supersampled: Surface, values: AnyArray, oversample: int) -> np.ndarray:
+    return np.asarray(values)[supersampled.window][oversample // 2 :: oversample, oversample // 2 :: oversample]
 
 
 def plain_bands(supersampled: Surface, oversample: int) -> Bands:
     """Return what shadows a map under the rule of `jaxurban.kernels.shadows.sweep` on its supersampled surface."""
-    bands = _bands(supersampled, oversample, supersampled.top_m, supersampled.top_m, ENTRY_STEPS, -jnp.inf)
-    return replace(bands, has_slabs=supersampled.slabs is not None)
+    tops_m = np.asarray(supersampled.top_m)
+    return Bands(tops_m, tops_m, None, ENTRY_STEPS, supersampled, oversample, supersampled.slabs is not None)
 
 
 def upper_bands(touched: Surface, oversample: int) -> Bands:
@@ -133,11 +116,10 @@ def upper_bands(touched: Surface, oversample: int) -> Bands:
       InputError: an even n.
     """
     _check_odd(oversample)
-    tops_m = touched.top_m
-    rows_m, cols_m = (_widest(tops_m, axis, jnp.maximum) for axis in (1, 0))
-    is_roof = touched.roof_m > 0
-    own_m = _at_receivers(touched, jnp.where(is_roof, tops_m, -jnp.inf), oversample)
-    return _bands(touched, oversample, rows_m, cols_m, WHOLE_ROW_STEPS, own_m)
+    tops_m = np.asarray(touched.top_m)
+    rows_m, cols_m = (_widest(tops_m, axis, np.maximum) for axis in (1, 0))
+    own_m = _at_receivers(touched, np.where(np.asarray(touched.roof_m) > 0, tops_m, -np.inf), oversample)
+    return Bands(rows_m, cols_m, own_m, WHOLE_ROW_STEPS, touched, oversample)
 
 
 def lower_bands(supersampled: Surface, oversample: int) -> Bands:
@@ -151,35 +133,14 @@ def lower_bands(supersampled: Surface, oversample: int) -> Bands:
       InputError: an even n.
     """
     _check_odd(oversample)
-    covered_m = _widest(_widest(supersampled.top_m, 0, jnp.minimum), 1, jnp.minimum)
-    rows_m, cols_m = (_widest(covered_m, axis, jnp.minimum) for axis in (1, 0))
-    return _bands(supersampled, oversample, rows_m, cols_m, WHOLE_ROW_STEPS, -jnp.inf)
+    covered_m = _widest(_widest(np.asarray(supersampled.top_m), 0, np.minimum), 1, np.minimum)
+    rows_m, cols_m = (_widest(covered_m, axis, np.minimum) for axis in (1, 0))
+    return Bands(rows_m, cols_m, None, WHOLE_ROW_STEPS, supersampled, oversample)
 
 
 def _check_odd(oversample: int) -> None:
     if oversample % 2 == 0:
         raise InputError(f"bounds need an odd oversample (a subcell at each map cell's centre), got {oversample}")
-
-
-def shadow_heights(bands: Bands, azimuth_rad: float, elevation_rad: float) -> Float[Array, "y x"]:
-    """Return the absolute height below which each map cell does not see a source, ``[y, x]``.
-
-    Subcells count as in `jaxurban.kernels.shadows.sweep.shadow_height`; in about the time of the plain map's sweep, as
-    rows of subcells are taken n at once, with results at every n-th one.
-    """
-    n, outer, region = bands.oversample, bands.surface.grid, bands.surface.region
-    along_rows = is_along_rows(azimuth_rad)
-    first_subcell, num_subcells = (outer.first_row, outer.num_rows) if along_rows else (outer.first_col, outer.num_cols)
-    line = band_line(azimuth_rad, elevation_rad, outer.resolution_m, first_subcell // n, num_subcells // n, n)
-    first = (region.first_row - outer.first_row) // n, (region.first_col - outer.first_col) // n
-    shape = region.num_rows // n, region.num_cols // n
-    if along_rows:
-        shadow_m = band_shadow_height(bands.along_rows, line, bands.entry_steps, first, per_band=n, shape=shape)
-    else:
-        shadow_m = band_shadow_height(
-            bands.along_cols, line, bands.entry_steps, first[::-1], per_band=n, shape=shape[::-1]
-        ).T
-    return jnp.maximum(shadow_m, bands.own_m)
 
 
 def visibility_at_centres(
@@ -199,16 +160,25 @@ def visibility_at_centres(
       InputError: a satellite below the horizon.
     """
     azimuth, elevation = above_horizon(azimuth_rad, elevation_rad)
-    height_m = jnp.asarray(altitudes_m, bands.along_rows.dtype)[:, None, None]
-    if bands.ground_m is not None:
-        height_m = height_m + bands.ground_m
-    shape = tuple(size // bands.oversample for size in bands.surface.region.shape)
-    words = [jnp.zeros((len(height_m), *shape), jnp.uint32)] * max(1, -(-len(azimuth) // WORD_BITS))
-    for s in range(len(azimuth)):
-        seen = shadow_heights(bands, azimuth[s], elevation[s]) <= height_m
-        words[s // WORD_BITS] |= seen.astype(jnp.uint32) << (s % WORD_BITS)
-    seen_words = jnp.stack(words)
-    if not bands.has_slabs:
-        return seen_words
-    on_host, altitudes = np.array(seen_words), np.asarray(altitudes_m, bands.along_rows.dtype)
-    return jnp.asarray(without_hidden(on_host, bands.surface, azimuth, elevation, altitudes, bands.oversample))
+    surface, n, altitudes = bands.surface, bands.oversample, np.asarray(altitudes_m, bands.along_rows.dtype)
+    shape = tuple(size // n for size in surface.region.shape)
+    words = zeros_for_jax((max(1, -(-len(azimuth) // WORD_BITS)), len(altitudes), *shape), np.uint32)
+    rows, cols = surface.window
+    ground_m = None if surface.terrain_m is None else np.asarray(surface.terrain_m)[rows, cols]
+    mark_visible(
+        words,
+        bands.along_rows,
+        ground_m,
+        altitudes,
+        stacked(lines_over(surface.grid.padded(1, 1, 1, 1), azimuth, elevation)),
+        (rows.start, cols.start),
+        every=n,
+        entry_steps=bands.entry_steps,
+        turned_top_m=bands.along_cols,
+    )
+    if bands.own_m is not None:
+        ground = 0 if surface.terrain_m is None else _at_receivers(surface, surface.terrain_m, n)
+        words *= bands.own_m <= altitudes[:, None, None] + ground
+    if bands.has_slabs:
+        without_hidden(words, surface, azimuth, elevation, altitudes, n)
+    return jax.device_put(words)

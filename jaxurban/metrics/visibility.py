@@ -223,7 +223,7 @@ def visibility(
     if rings is not None:
         top_m, grid, first_cell = np.ascontiguousarray(top_m[rows, cols]), surface.region, (0, 0)
     ground_m = None if surface.terrain_m is None else np.ascontiguousarray(np.asarray(surface.terrain_m)[rows, cols])
-    lines = stacked(_lines_over(grid.padded(1, 1, 1, 1), azimuth, elevation))
+    lines = stacked(lines_over(grid.padded(1, 1, 1, 1), azimuth, elevation))
     ring = None if rings is None else _stacked_rings(rings)
     mark_visible(words, top_m, ground_m, np.asarray(altitudes), lines, first_cell, ring)
     return jax.device_put(without_hidden(words, surface, azimuth, elevation, altitudes))
@@ -289,7 +289,8 @@ def distinct_choices(
     return runs[:, first], number.astype(np.int32)[np.cumsum(is_new) - 1].reshape(words.shape[1:])
 
 
-def _lines_over(grid: Grid, azimuth: np.ndarray, elevation: np.ndarray) -> list[Line]:
+def lines_over(grid: Grid, azimuth: np.ndarray, elevation: np.ndarray) -> list[Line]:
+    """Return the digital line toward each satellite over a grid."""
     return digital_lines(azimuth, elevation, grid.resolution_m, grid.first_row, grid.first_col, grid.shape)
 
 
@@ -302,7 +303,7 @@ def _doubled(
     if rings is not None:
         grid, top_m = surface.region.padded(1, 1, 1, 1), surface.crop(top_m)
     ground_m = None if surface.terrain_m is None else surface.crop(surface.terrain_m)
-    lines = _lines_over(grid, azimuth, elevation)
+    lines = lines_over(grid, azimuth, elevation)
     ring = None if rings is None else _stacked_rings(rings)
     highest_m = max(float(jnp.max(values)) for values in (top_m, *(ring or ())))
     rise_m = highest_m - float(altitudes.min() + (0 if ground_m is None else jnp.min(ground_m)))

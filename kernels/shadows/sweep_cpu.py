@@ -51,6 +51,10 @@ def mark_visible(
     lines: Line,
     first_cell: tuple[int, int] = (0, 0),
     rings: Ring | None = None,
+    *,
+    every: int = 1,
+    entry_steps: float = ENTRY_STEPS,
+    turned_top_m: Float[np.ndarray, "Y X"] | None = None,
 ) -> None:
     """Set the bit of every satellite in the visibility words where it is seen.
 
@@ -64,14 +68,18 @@ def mark_visible(
       lines: from `digital_line`, for the surface grown by one cell on each side, fields stacked along ``S``.
       first_cell: row and column of the region's southwest cell in the surface.
       rings: what the grids around the surface hand on, fields stacked along ``S``; left out, nothing stands there.
+      every: n: receivers stand in every n-th cell of the region both ways, from ``n // 2`` on; the words are theirs.
+      entry_steps: share of a step before a cell's middle at which a ray meets its roof.
+      turned_top_m: the tops for lines that head east or west; left out, those for all.
     """
     ground_m = np.empty((0, 0), top_m.dtype) if ground_m is None else ground_m
     for heading in np.unique(lines.heading):
         is_turned, toward_last = heading in (EAST, WEST), heading in (NORTH, EAST)
-        bundle = _bundle(lines, heading, top_m, rings)
+        tops = turned_top_m if is_turned and turned_top_m is not None else top_m
+        bundle = _bundle(lines, heading, tops, rings, entry_steps)
         no_edges = np.empty((0, 2, 0), top_m.dtype)
         region = first_cell[::-1] if is_turned else first_cell
-        _sweep(words, top_m, ground_m, altitudes_m, bundle, region, is_turned, toward_last, no_edges, no_edges)
+        _sweep(words, tops, ground_m, altitudes_m, bundle, region, is_turned, toward_last, no_edges, no_edges, every)
 
 
 def hand_on(top_m: Float[np.ndarray, "Y X"], lines: Line, rings: Ring) -> Ring:
@@ -87,11 +95,13 @@ def hand_on(top_m: Float[np.ndarray, "Y X"], lines: Line, rings: Ring) -> Ring:
         words, tops, ground_m, altitudes_m = nothing
         bundle = _bundle(lines, heading, top_m, rings)
         ends, sides = (cols, rows) if is_turned else (rows, cols)
-        _sweep(words, tops, ground_m, altitudes_m, bundle, (0, 0), is_turned, toward_last, ends, sides)
+        _sweep(words, tops, ground_m, altitudes_m, bundle, (0, 0), is_turned, toward_last, ends, sides, 1)
     return Ring(rows[:, 0], rows[:, 1], cols[:, 0], cols[:, 1])
 
 
-def _bundle(lines: Line, heading: int, top_m: np.ndarray, rings: Ring | None) -> _Bundle:
+def _bundle(
+    lines: Line, heading: int, top_m: np.ndarray, rings: Ring | None, entry_steps: float = ENTRY_STEPS
+) -> _Bundle:
     """Return what a sweep needs of the lines of one heading and of the rings."""
     number = np.flatnonzero(lines.heading == heading)
     num_rows, num_cols = top_m.shape if heading in (NORTH, SOUTH) else top_m.shape[::-1]
@@ -110,15 +120,15 @@ def _bundle(lines: Line, heading: int, top_m: np.ndarray, rings: Ring | None) ->
             south_m, north_m, west_m, east_m = west_m, east_m, south_m[:, 1:-1], north_m[:, 1:-1]
         near_m, left_m, right_m = north_m if heading in (NORTH, EAST) else south_m, west_m, east_m
     borders = (np.ascontiguousarray(side, top_m.dtype) for side in (near_m, left_m, right_m))
-    return _Bundle(number, drop_m, top_m.dtype.type(ENTRY_STEPS) * drop_m, shifts, *borders)
+    return _Bundle(number, drop_m, top_m.dtype.type(entry_steps) * drop_m, shifts, *borders)
 
 
 @compiled(nogil=True)
-def _sweep(words, top_m, ground_m, altitudes_m, bundle, first_cell, is_turned, toward_last, ends, sides):
+def _sweep(words, top_m, ground_m, altitudes_m, bundle, first_cell, is_turned, toward_last, ends, sides, every):
     """Sweep the lines of one heading over a surface, and mark words, or keep what is handed on.
 
     Args:
-      words: ``[W, A, y, x]`` of the region; no altitudes where nothing is marked.
+      words: ``[W, A, y / n, x / n]`` of the region; no altitudes where nothing is marked.
       top_m: ``[Y, X]``.
       ground_m: ``[y, x]``; of no cells for flat ground.
       altitudes_m: ``[A]``.
@@ -128,12 +138,13 @@ def _sweep(words, top_m, ground_m, altitudes_m, bundle, first_cell, is_turned, t
       toward_last: the source is beyond the last row.
       ends: ``[S, 2, C]`` max(raised, sweep) in the first and last row, filled; of no satellites if they are not kept.
       sides: ``[S, 2, R]`` the same in the first and last column.
+      every: receivers stand in every n-th cell of the region both ways, from ``n // 2`` on.
     """
     number, drop_m, entry_m, shifts, near_m, left_m, right_m = bundle
     num_lines, num_rows = shifts.shape
     num_cols = near_m.shape[1] - 2
     num_words, num_altitudes = words.shape[:2]
-    region_rows, region_cols = words.shape[2:]
+    region_rows, region_cols = words.shape[2] * every, words.shape[3] * every
     if is_turned:
         region_rows, region_cols = region_cols, region_rows
     first_row, first_col = first_cell
@@ -163,7 +174,7 @@ def _sweep(words, top_m, ground_m, altitudes_m, bundle, first_cell, is_turned, t
         for i in range(size):
             at = size - 1 - i if toward_last else i
             row = strip_row + at
-            is_inner = has_marks and inner[0] <= row < inner[1]
+            is_inner = has_marks and inner[0] <= row < inner[1] and (row - first_row) % every == every // 2
             for col in range(0, num_cols, COLUMNS):
                 width = min(COLUMNS, num_cols - col)
                 begin, end = max(col, first_col), min(col + width, end_col)  # columns of the region
@@ -207,7 +218,7 @@ def _sweep(words, top_m, ground_m, altitudes_m, bundle, first_cell, is_turned, t
         if has_marks:
             for w in range(num_words):
                 for a in range(num_altitudes):
-                    _join(words[w, a], marks[w, a, : inner[1] - inner[0]], inner[0] - first_row, is_turned)
+                    _join(words[w, a], marks[w, a, : inner[1] - inner[0]], inner[0] - first_row, is_turned, every)
 
 
 @compiled(nogil=True)
@@ -254,9 +265,22 @@ def _take(rows, values, first, is_turned):
 
 
 @compiled(nogil=True)
-def _join(words, rows, first, is_turned):
-    """Join rows of words with those of an array, from one on; with its columns, where these are turned."""
+def _join(words, rows, first, is_turned, every):
+    """Join rows of words with those of an array, from one on; with its columns, where these are turned.
+
+    Of both every n-th counts, from ``n // 2`` on.
+    """
     num_cols = rows.shape[1]
+    if every > 1:
+        for i in range(len(rows)):
+            at, is_kept = (first + i) // every, (first + i) % every == every // 2
+            for j in range(num_cols // every if is_kept else 0):
+                word = rows[i, j * every + every // 2]
+                if is_turned:
+                    words[j, at] |= word
+                else:
+                    words[at, j] |= word
+        return
     if not is_turned:
         for i in range(len(rows)):
             for j in range(num_cols):
