@@ -48,7 +48,7 @@ def astar(
     ended = PAUSED
     if prepared.is_ready:
         ended = search.run(reopen=reopen, end_s=begin_s + budget_s - prepared.tables_s)
-    points_m, lower_bound = np.empty(0), search.low_f
+    points_m, lower_bound = np.empty(0), search.low_f if ended == PAUSED else np.inf
     if ended == FOUND:
         status = Status.OPTIMAL if is_admissible else Status.FEASIBLE
         points_m = search.points_m(problem.resolution_m)
