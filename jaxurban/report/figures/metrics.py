@@ -275,7 +275,7 @@ def _plot_classes(
     """Return panels (title, class numbers) by altitude over free cells, the classes being (name, colour)."""
     panels = []
     for z, (title, numbers) in found.items():
-        shown = np.where(maps.is_free(z, "centre"), numbers, -1)
+        shown = np.where(maps.is_free(z, "centre"), numbers.astype(int), -1)
         layers = [classes_layer(shown, [colour for _, colour in names]), obstacle_layer(maps, z)]
         panels.append((f"{z:g} m  ·  {title}", layers))
     heading = f"{heading}, by altitude above ground"
