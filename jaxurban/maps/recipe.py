@@ -233,20 +233,8 @@ def _maps(tile: TileScene, metric: Metric, only_m: bool = False) -> Iterator[Map
     """Yield the maps of a metric, place by place along its dims; ``only_m``: without its further variables."""
     settings = tile.task.settings_of(metric)
     for place in np.ndindex(*(tile.task.sizes[dim] for dim in metric.dims)):
-        for name, values in _set_out(metric.compute(tile.at(metric, place, only_m), settings)).items():
+        for name, values in metric.compute(tile.at(metric, place, only_m), settings).items():
             yield MapLayer(name, place, values)
-
-
-def _set_out(maps: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return maps, all on their way to the host before the first is waited for; on a CPU they are there.
-
-    The caller names them only as it goes through them: kept while the next ones are made, they cost memory and time.
-    """
-    if jax.default_backend() != "cpu":
-        for values in maps.values():
-            if isinstance(values, jax.Array):
-                values.copy_to_host_async()
-    return maps
 
 
 def _statistics(tile: TileScene, metric: Metric) -> Iterator[MapLayer]:

@@ -21,7 +21,6 @@ from jaxurban.io.folders import WorkFolder
 from jaxurban.maps.build import compute_maps
 from jaxurban.maps.device import Gpu
 from jaxurban.maps.executors import cluster_client
-from jaxurban.maps.recipe import TileScene, tile_maps
 from jaxurban.metrics.custom import Layer
 from jaxurban.progress import Report
 from jaxurban.scenario.run import Maker, make_zarr
@@ -100,26 +99,6 @@ def test_while_a_tiles_results_are_waited_for_another_tile_is_begun(city, cache,
     with_layer = replace(plain, params=params, layers={"slow": Layer(values, "high-is-bad", scale=(0, 1))})
     make_zarr(Maker(with_layer, tmp_path, "key", num_threads), Report(), RAGGED)
     assert in_time == [num_threads > 1]
-
-
-def test_the_maps_of_a_place_leave_a_gpu_together_and_are_the_same(city, monkeypatch):
-    """As if the CPU were a GPU: how many maps have set out when the first of a place is handed over."""
-    tile = TileScene(task(city), task(city).surface())
-    expected, sent = list(tile_maps(tile)), []
-    array = type(tile.is_obstacle[0])
-    send = array.copy_to_host_async
-    monkeypatch.setattr(array, "copy_to_host_async", lambda values: (sent.append(1), send(values)))
-    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
-    monkeypatch.setattr("jaxurban.metrics.visibility.kernel_shape", lambda: "sweep")
-    found, when = [], {}
-    for layer in tile_maps(tile):
-        found.append(layer)
-        when[layer.name, layer.place] = len(sent)
-    assert when["gps", (0, 0)] == when["num_visible", (0, 0)] == 7
-    assert when["gps", (0, 1)] == 14
-    for before, after in zip(expected, found, strict=True):
-        assert before[:2] == after[:2]
-        np.testing.assert_array_equal(before.values, after.values)
 
 
 def test_statistics_over_time_of_tiles_equal_the_untiled_ones(city, tmp_path):
