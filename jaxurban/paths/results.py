@@ -183,5 +183,6 @@ def _path_of(row: dict[str, Any]) -> Path:
     if rest["points_m"]:
         xy_m = np.stack([row["x_m"], row["y_m"]], axis=1)
         points_m = xy_m - (xy_m[0] - rest["points_m"][0])
-    rest |= {"history": tuple(map(tuple, rest["history"])), "bounds": tuple(rest["bounds"])}
+    rest.pop("bounds", None)  # of files that hold those of `astar-anytime`
+    rest["history"] = tuple(map(tuple, rest["history"]))
     return Path(**(rest | {"status": Status(rest["status"]), "points_m": points_m}))
