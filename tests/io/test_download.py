@@ -235,6 +235,20 @@ def test_a_size_is_told_as_it_was_given():
     assert download.megabytes(parse_bytes("500MB")) == "500.0 MB"
 
 
+def test_no_password_of_netrc_is_sent_but_that_of_the_url_to_its_own_host(server, tmp_path, monkeypatch):
+    (tmp_path / "netrc").write_text(
+        "machine 127.0.0.1 login me password secret\nmachine localhost login me password b\n"
+    )
+    monkeypatch.setenv("NETRC", str(tmp_path / "netrc"))
+    url = server.put("/a", send(BODY))
+    get(url)
+    get(url.replace("//", "//me:mine@"))
+    moved = server.put("/b", send(b"", 302, Location=url.replace("127.0.0.1", "localhost") + "?b"))
+    get(moved.replace("//", "//me:mine@"))
+    sent = [headers.get("Authorization") for _, headers in server.asked]
+    assert sent == [None, "Basic bWU6bWluZQ==", "Basic bWU6bWluZQ==", None]
+
+
 def test_proxies_are_used(server, monkeypatch):
     for name in ("NO_PROXY", "no_proxy", "http_proxy"):
         monkeypatch.delenv(name, raising=False)

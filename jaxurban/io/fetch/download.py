@@ -16,6 +16,7 @@ from typing import Any
 
 import requests
 from requests.adapters import HTTPAdapter
+from requests.auth import HTTPBasicAuth
 from urllib3 import BaseHTTPResponse, Retry
 from urllib3.exceptions import HTTPError
 
@@ -60,6 +61,20 @@ class _Retry(Retry):
     def sleep(self, response: BaseHTTPResponse | None = None) -> None:
         LOG.info("the server is busy; waiting before the next try")
         super().sleep(response)
+
+
+class _Session(requests.Session):
+    """Sends the password of a URL to its own host, and none of ``~/.netrc``."""
+
+    def __init__(self, url: str) -> None:
+        super().__init__()
+        user, password = requests.utils.get_auth_from_url(url)
+        self.auth = HTTPBasicAuth(user, password) if user else lambda request: request
+
+    def rebuild_auth(self, prepared_request: requests.PreparedRequest, response: requests.Response) -> None:
+        """Keep the password within its host when a redirect leads on."""
+        if self.should_strip_auth(response.request.url or "", prepared_request.url or ""):
+            prepared_request.headers.pop("Authorization", None)
 
 
 @dataclass(frozen=True)
@@ -167,7 +182,7 @@ class Cache:
         timeout_s = (min(self.timeout_s, CONNECT_TIMEOUT_S), self.timeout_s)
         self.num_requests += 1
         try:
-            with requests.Session() as session:
+            with _Session(url) as session:
                 session.max_redirects = MOST_REDIRECTS
                 session.headers["User-Agent"] = f"jaxurban/{importlib.metadata.version('jaxurban')} (jaxurban fetch)"
                 for scheme in ("http://", "https://"):
