@@ -1,6 +1,6 @@
 """jaxurban on one GPU: is every part right there, and how fast, in one run of at most ten minutes.
 
-``make bench-gpu``, or ``python -m benchmarks.gpu``: sections copy, occlusion, lidar, distance, DOPs, pipeline, fields,
+``make bench-gpu``, or ``python -m benchmarks.gpu``: sections copy, occlusion, lidar, distance, DOPs, pipeline,
 frontier, BIT* and gradients, each in processes of its own (`benchmarks.gpu_sections`): first JAX's CPU backend, or
 Numba where that is the default, then the GPU, then for loops the GPU with XLA's command buffers around them. What the
 GPU gives is compared with what the CPU gave. Prints a Markdown table, writes ``out/gpu/gpu.json``; the exit status is 1
@@ -36,12 +36,11 @@ SECTIONS = {  # and the seconds that each process of a section may take
     "distance": 40.0,
     "dops": 30.0,
     "pipeline": 60.0,
-    "fields": 60.0,
     "frontier": 90.0,
     "bitstar": 60.0,
     "gradients": 60.0,
 }
-LOOPS = ("copy", "occlusion", "lidar", "fields", "frontier")  # tried with command buffers too
+LOOPS = ("copy", "occlusion", "lidar", "frontier")  # tried with command buffers too
 COMMAND_BUFFERS = "--xla_gpu_enable_command_buffer=+WHILE,+CONDITIONAL --xla_gpu_graph_min_graph_size=1"
 CPU, GPU, GRAPHS = "CPU", "GPU", "GPU, command buffers"
 COLUMNS = (

@@ -377,7 +377,7 @@ def test_the_command_line_takes_clearances_and_the_scenarios(tmp_path, capsys):
 
 
 def test_every_command_that_plans_takes_the_options_over_its_scenarios_settings():
-    for module in ("plan", "study", "sensitivity", "tune", "compare"):
+    for module in ("plan", "study", "sensitivity", "tune"):
         command = getattr(import_module(f"jaxurban.cli.{module}"), module)
         assert {"--clearance", "--vertical-clearance"} <= {name for param in command.params for name in param.opts}
     region = {"region": {"bounds": (-74.02, 40.70, -73.98, 40.73)}, "buildings": {"source": "synthetic"}}

@@ -4,7 +4,6 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from jaxurban.report.montecarlo import _costs_text
 from jaxurban.studies.montecarlo import analysis
 from jaxurban.studies.montecarlo.trial import row_columns
 
@@ -117,11 +116,3 @@ def test_the_planner_to_choose_answers_reliably_and_costs_least(table):
     assert short.straight_enough == pytest.approx(4 / 6)
     long = found.loc["long"]
     assert (long.joined_pairs, long.reliable, long.cheapest, long.fastest_near_best) == (5, DEAR, DEAR, "none")
-
-
-def test_optimal_paths_that_are_dearer_than_others_are_explained(table):
-    assert "dearer" not in _costs_text(analysis.costs(table), table)
-    cheaper = table.assign(ratio=np.where(table.planner == CHEAP, 1.05, table.ratio))
-    told = _costs_text(analysis.costs(cheaper), cheaper)
-    assert "10 of the 10 paths with the status `optimal` (`astar-plus`) are more than 1% dearer" in told
-    assert "the cheapest on their planner's grid, and others are off it" in told
