@@ -10,6 +10,7 @@ import sys
 import time
 from datetime import UTC, datetime, timedelta
 from email.utils import format_datetime
+from io import BytesIO
 
 import pytest
 import requests
@@ -134,14 +135,15 @@ def test_a_server_that_closes_at_once_is_one_sentence(server):
 def test_no_redirect_leads_from_an_encrypted_place_to_an_open_one(server, monkeypatch):
     url = server.put("/a", send(BODY))
 
-    def get_there(self, url, **options):  # the server here has no certificate: a redirect of one that has
-        response = requests.api.get(url.replace("https:", "http:"), **options)
-        response.history = [requests.Response()]
-        response.history[0].url = url
+    def moved(self, request, **options):  # the server here has no certificate: one that has leads to it
+        response = requests.Response()
+        response.status_code, response.url, response.request, response.raw = 302, request.url, request, BytesIO()
+        response.headers["Location"] = url
         return response
 
-    monkeypatch.setattr(requests.Session, "get", get_there)
-    assert_refused(url.replace("http:", "https:"), "leads to http:.*, which is not encrypted")
+    monkeypatch.setattr(requests.adapters.HTTPAdapter, "send", moved)
+    assert_refused("https://here.invalid/a", "leads to http:.*, which is not encrypted")
+    assert not server.asked
 
 
 def test_a_silent_server_is_left(server):

@@ -13,6 +13,7 @@ from datetime import UTC, datetime
 from itertools import chain
 from pathlib import Path
 from typing import Any
+from urllib.parse import urljoin
 
 import requests
 from requests.adapters import HTTPAdapter
@@ -64,12 +65,19 @@ class _Retry(Retry):
 
 
 class _Session(requests.Session):
-    """Sends the password of a URL to its own host, and none of ``~/.netrc``."""
+    """Sends the password of a URL to its own host, and none of ``~/.netrc``; stays on https."""
 
     def __init__(self, url: str) -> None:
         super().__init__()
         user, password = requests.utils.get_auth_from_url(url)
         self.auth = HTTPBasicAuth(user, password) if user else lambda request: request
+
+    def get_redirect_target(self, resp: requests.Response) -> str | None:
+        """Return where a response leads, which is never from https to http."""
+        target = super().get_redirect_target(resp)
+        if target and resp.url.startswith("https:") and not urljoin(resp.url, target).startswith("https:"):
+            raise InputError(f"{resp.url} leads to {target}, which is not encrypted: {OVERRIDE}")
+        return target
 
     def rebuild_auth(self, prepared_request: requests.PreparedRequest, response: requests.Response) -> None:
         """Keep the password within its host when a redirect leads on."""
@@ -196,13 +204,10 @@ class Cache:
 
     def _save(self, response: requests.Response, url: str, scratch: Path) -> None:
         """Write the body of a response to a file; stop at one that is too large."""
-        places = [hop.url for hop in (*response.history, response)]
-        if url.startswith("https:") and not all(place.startswith("https:") for place in places):
-            raise InputError(f"{url} leads to {places[-1]}, which is not encrypted: {OVERRIDE}")
         if response.status_code not in (requests.codes.ok, requests.codes.not_modified):
             what = f"answers {response.status_code} {response.reason or ''}"[:200]
             remedy = "run the same command later" if response.status_code in BUSY else OVERRIDE
-            raise InputError(f"{places[-1]} {what}: {remedy}")
+            raise InputError(f"{response.url} {what}: {remedy}")
         declared = response.headers.get("Content-Length", "")
         num_bytes = int(declared[:18]) if declared.isdecimal() else 0
         with scratch.open("wb") as file:
