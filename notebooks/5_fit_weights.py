@@ -100,7 +100,7 @@ for name, weights in (("default weights", ju.Weights()), ("fitted weights", fit.
 
 # %%
 x_m, y_m = maps.grid.x_m, maps.grid.y_m
-ends = {"start_xy_m": (x_m[30], y_m[20]), "goal_xy_m": (x_m[62], y_m[120]), "altitude_m": 20.0, "snap": True}
+ends = {"start_xy_m": (x_m[32], y_m[18]), "goal_xy_m": (x_m[62], y_m[120]), "altitude_m": 20.0, "snap": True}
 two = [ju.plan(maps, **ends), ju.plan(maps, **ends, weights=fit.weights)]
 plot_paths(maps, two, names=["default weights", "fitted weights"])
 
