@@ -67,18 +67,14 @@ summary[summary.cut == "all"].sort_values("regret", ascending=False)[
 plot_regret(summary, found.settings.wrong)
 
 # %% [markdown]
-# ## Claims that are worth a test
+# ## Differences that are worth a test
 #
-# The study looks at some thirty claims and corrects their p for that (Holm). These are the first six. They were made up
-# on the same routes, so they are ideas to test on others. More cities would be needed for anything about cities in
+# The study makes some twenty comparisons and corrects their p for that (Holm). These are the first six. They were made
+# up on the same routes, so they are ideas to test on others. More cities would be needed for anything about cities in
 # general, however many routes there are.
 
 # %%
-verdicts = {True: "holds", False: "does not hold", None: "open"}
-pd.DataFrame(
-    [(each.claim, verdicts[each.holds], each.evidence) for each in found.findings[:6]],
-    columns=["claim", "verdict", "why"],
-)
+found.tables["comparisons"].head(6)
 
 # %% [markdown]
 # ## Shares of the cost
@@ -106,7 +102,7 @@ plot_nearest(found.tables["weights"], found.settings.wrong)
 plot_where(summary, found.settings.wrong)
 
 # %% [markdown]
-# Every number lies in `folder / "study"` as CSV and Parquet, with a report in sentences. It can be deleted:
+# Every number lies in `folder / "study"` as CSV and Parquet, with a report. It can be deleted:
 
 # %%
 shutil.rmtree(folder)
@@ -114,5 +110,5 @@ shutil.rmtree(folder)
 # %% [markdown]
 # ## A question to try
 #
-# Do ten more routes in each city settle a claim that is open now? Ask for 20, and compare the claims. What would it
-# take to settle those about cities?
+# Do ten more routes in each city settle a comparison that is open now? Ask for 20, and look at its p. What would settle
+# one over cities?

@@ -231,10 +231,10 @@ def _many(folders: Sequence[Path], output: Path, as_json: bool, overwrite: bool,
         tell("warning: no route was found, so that nothing can be said: the report tells why")
     tell(f"sensitivity finished: read {output / 'report.md'}, look at {output / 'figures'}")
     if as_json:
-        claims = [each._asdict() for each in found.findings]
-        kept = {name: records_of(table) for name, table in found.tables.items() if name.endswith("summary")}
+        shown = ("summary", "comparisons")
+        kept = {name: records_of(table) for name, table in found.tables.items() if name.endswith(shown)}
         statuses = found.rows.status.value_counts().to_dict()
-        print_json({"folder": str(output), "statuses": statuses, "findings": claims, "tables": kept})
+        print_json({"folder": str(output), "statuses": statuses, "tables": kept})
     return 0 if has_route else EXIT_NO_PATH
 
 

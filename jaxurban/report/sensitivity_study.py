@@ -1,6 +1,6 @@
-"""report.md of a weight study over many routes: what they support and what not, tables and figures."""
+"""report.md of a weight study over many routes: its tables and figures."""
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -11,17 +11,16 @@ import pandas as pd
 
 from jaxurban.paths.queries import WEIGHT_PREFIX
 from jaxurban.report.figures.sensitivity_study import study_figures
-from jaxurban.report.markdown import bullets, counted, fill, listed, table
+from jaxurban.report.markdown import bullets, fill, framed, table
 from jaxurban.report.save import Output, files_of, save
 from jaxurban.studies.bootstrap import FEWEST_GROUPS
 from jaxurban.studies.montecarlo.sampling import weighed_metrics, weight_columns
 from jaxurban.studies.montecarlo.trial import HAS_PATH
 from jaxurban.studies.outcomes import outcome_label
 from jaxurban.studies.sensitivity import summary
-from jaxurban.studies.sensitivity.findings import Finding, change_said, findings
 from jaxurban.studies.sensitivity.routes import SensitivityStudySettings
 from jaxurban.studies.sensitivity.sobol import FEW_SAMPLES
-from jaxurban.studies.sensitivity.summary import ALL, CLEAR, CONSTANT, OVER_CITIES, UNCLEAR
+from jaxurban.studies.sensitivity.summary import ALL, CLEAR, CUTS, UNCLEAR, change_said
 
 REPORT_FILE = "report.md"
 STATISTICS = {"regret": ".2%", "changes": ".0%", "nearest": ".3g", "share": ".1%"}
@@ -71,20 +70,13 @@ class SensitivityStudy:
         shares = summary.shares_table(routes)
         if len(shares):
             found |= {"sobol": shares, "sobol_summary": summary.summarise_shares(shares)}
+        found["comparisons"] = summary.comparisons_of(found["weights"], shares)
         if len(self.remade) and self.remade.status.isin(HAS_PATH).any():
             found |= {"remade": self.remade, "remade_summary": summary.summarise_remade(self.remade)}
         return found
 
-    @cached_property
-    def findings(self) -> list[Finding]:
-        """Every claim that was looked at, and whether the routes bear it out."""
-        tables = self.tables
-        if "weights" not in tables:
-            return []
-        return findings(tables["weights"], tables.get("sobol"), tables.get("remade_summary"), self.settings.wrong)
 
-
-TABLES = "routes", "weights", "summary", "sobol", "sobol_summary", "remade", "remade_summary"
+TABLES = "routes", "weights", "summary", "sobol", "sobol_summary", "comparisons", "remade", "remade_summary"
 FIGURES = "share", "regret", "nearest", "where", "sobol", "remade"
 FILES = files_of([*(f"tables/{name}" for name in TABLES), *(f"figures/{name}.png" for name in FIGURES), REPORT_FILE])
 
@@ -101,89 +93,48 @@ def write_sensitivity_study(found: SensitivityStudy) -> list[Path]:
 
 def study_markdown(found: SensitivityStudy) -> str:
     """Return the report as Markdown; it names figures and tables as `write_sensitivity_study` does."""
-    if "weights" not in found.tables:
-        return (
-            f"# What the weights do to many routes\n\n{_asked(found)}\n\nNo route was found, so nothing can be said.\n"
-        )
-    claims, of_all = found.findings, found.tables["summary"]
-    by_verdict = {holds: [each for each in claims if each.holds is holds] for holds in (True, False, None)}
-    settings = found.settings
+    settings, tables = found.settings, found.tables
     text = fill(
         "sensitivity_study",
-        asked=_asked(found),
+        cities=_cities(found),
         settings=settings,
         constraints=str(settings.constraints) or "none",
-        wrong=settings.wrong,
-        limit=min(settings.factors[1], 1 / settings.factors[0]),
-        num_claims=len(claims),
-        num_clear=len(by_verdict[True]),
-        num_refuted=len(by_verdict[False]),
-        num_open=len(by_verdict[None]),
-        answer=_answer(of_all, settings.wrong),
-        few=_few(found),
-        supported=_claims(by_verdict[True]),
-        refuted=_claims(by_verdict[False]),
-        undecided=_claims(by_verdict[None]),
-        by_all=_rows(of_all[of_all.cut.isin([ALL, "city"])]),
-        over_cities=_over_cities(of_all),
-        where=_where(of_all),
-        sobol=_sobol(found),
-        remade=_remade(found),
-        cities="; ".join(f"{city}, {grid}" for city, grid in found.cities.items()),
         weights=weights_said(found.instances),
-        norms=_norms(found.norms),
         origin=SAMPLED if found.is_sampled else GIVEN,
+        results=_results(tables, settings) if "weights" in tables else "No route was found.",
+        remade=_remade(found),
         fewest=FEWEST_GROUPS,
     )
     return f"{text}\n"
 
 
-def _asked(found: SensitivityStudy) -> str:
-    instances, statuses = found.instances, found.rows.status.value_counts()
-    num = instances.groupby("city").instance.nunique()
-    altitudes = listed(f"{z:g} m" for z in sorted(instances.altitude_m.unique()))
-    pairs = listed(f"{counted(int(each), 'pair')} of places in {city}" for city, each in num.items())
-    lost = {name: count for name, count in statuses.items() if name not in HAS_PATH}
-    failed = listed(f"{count} with status {name}" for name, count in lost.items()) if lost else "none"
-    return (
-        f"{pairs}, at {altitudes}: {counted(len(found.rows), 'route')}, {statuses.sum() - sum(lost.values())} of them "
-        f"found; not found: {failed}.{_reasons(found.rows)}"
+def _cities(found: SensitivityStudy) -> str:
+    """Return what was asked in each city, and the reasons why routes were not found."""
+    rows = []
+    for city, part in found.rows.groupby("city", sort=False):
+        norms = ", ".join(f"{number:,.0f} ({day})" for day, number in found.norms.get(str(city), {}).items())
+        altitudes = ", ".join(f"{z:g} m" for z in sorted(part.altitude_m.unique()))
+        counts = part.instance.nunique(), len(part), part.status.isin(HAS_PATH).sum()
+        rows.append((city, found.cities[str(city)], altitudes, *map(str, counts), norms))
+    head = ("city", "maps", "altitudes", "pairs of places", "routes", "found", "population is divided by")
+    tables = [table(head, rows)]
+    if len(lost := found.rows[~found.rows.status.isin(HAS_PATH)]):
+        reasons = lost.fillna({"note": ""}).value_counts(["status", "note"]).head(MOST_REASONS)
+        tables.append(framed(reasons.rename("routes").reset_index()))
+    return "\n\n".join(tables)
+
+
+def _results(tables: Mapping[str, pd.DataFrame], settings: SensitivityStudySettings) -> str:
+    of_all = tables["summary"]
+    return fill(
+        "sensitivity_results",
+        wrong=settings.wrong,
+        limit=min(settings.factors[1], 1 / settings.factors[0]),
+        by_all=_rows(of_all[of_all.cut.isin([ALL, "city"])]),
+        where=_where(of_all),
+        sobol=_sobol(tables["sobol_summary"], settings) if "sobol_summary" in tables else "",
+        comparisons=framed(tables["comparisons"]),
     )
-
-
-def _reasons(rows: pd.DataFrame) -> str:
-    """Return why routes were not found, each reason once and the commonest first; nothing where all were."""
-    counts = rows.loc[~rows.status.isin(HAS_PATH), "note"].value_counts()
-    if counts.empty:
-        return ""
-    lines = [f"{note} ({counted(int(count), 'route')})" for note, count in counts.head(MOST_REASONS).items()]
-    more = len(counts) - len(lines)
-    return "\n\n" + bullets(lines + ([f"further reasons: {more}, in `tables/routes`"] if more else []))
-
-
-def _few(found: SensitivityStudy) -> str:
-    pairs = found.instances.groupby("city").instance.nunique()
-    few = [f"{city} ({each})" for city, each in pairs.items() if each < FEWEST_GROUPS]
-    return f"**Too few pairs of places for an interval: {listed(few)}; draw more.**" if few else ""
-
-
-def _answer(of_all: pd.DataFrame, wrong: float) -> str:
-    """Return one sentence: what the cost is made of, and which wrong weight costs most."""
-    rows = of_all[of_all.cut == ALL].sort_values("share", ascending=False)
-    rows = rows[rows.cities == rows.cities.max()]  # a layer of one city says nothing of all routes
-    parts = listed(f"{row['weight_name']} {row['share']:.0%}" for row in rows.to_dict("records"))
-    made_of = f"In these routes {parts.replace(' ', ' makes up ', 1)} of the cost"
-    varied = rows[rows.regret.notna()]
-    if varied.empty:
-        return f"{made_of}."
-    most = varied.loc[varied.regret.idxmax()]
-    regret = interval_said(most, "regret", ".2%")
-    return f"{made_of}; a weight of {most.weight_name} {wrong:g} times wrong costs most: a mean regret of {regret}."
-
-
-def _claims(claims: Iterable[Finding]) -> str:
-    lines = [f"{each.claim} *{each.evidence}.*" for each in claims]
-    return bullets(lines) if lines else "Nothing that was looked at."
 
 
 def interval_said(row: Any, name: str, kind: str) -> str:
@@ -197,91 +148,30 @@ def interval_said(row: Any, name: str, kind: str) -> str:
 def _rows(part: pd.DataFrame) -> str:
     """Return a table of a summary's rows, those of one part together, the costliest wrong weight first."""
     order = part.assign(part=pd.factorize(part.value)[0]).sort_values(["part", "regret"], ascending=[True, False])
-    most = part.groupby("value").cities.transform("max")
     lines = [
         (
-            row["value"]
-            if row["cities"] == most[index]
-            else f"{row['value']} ({row['cities']} of {most[index]} cities)",
-            row["weight_name"],
-            str(row["routes"]),
+            *(str(row[name]) for name in ("value", "weight_name", "cities", "routes")),
             *(interval_said(row, *each) for each in STATISTICS.items()),
         )
-        for index, row in zip(order.index, order.to_dict("records"), strict=True)
+        for row in order.to_dict("records")
     ]
-    return table(("of", "weight", "routes", *STATISTICS), lines)
-
-
-def _over_cities(of_all: pd.DataFrame) -> str:
-    """Return the intervals over cities, or that there are too few of them."""
-    rows = of_all[of_all.cut == ALL]
-    num = int(rows.cities.max())
-    if num < FEWEST_GROUPS:
-        here = "this city" if num == 1 else f"these {num} cities"
-        return f"These intervals are of {here} and no others: one over cities needs at least {FEWEST_GROUPS} of them."
-    lines = [
-        (
-            row["weight_name"],
-            *(
-                f"{row[f'{name}_{OVER_CITIES}low']:{kind}} to {row[f'{name}_{OVER_CITIES}high']:{kind}}"
-                for name, kind in STATISTICS.items()
-            ),
-        )
-        for row in rows[rows[f"nearest_{OVER_CITIES}low"].notna()].to_dict("records")
-    ]
-    return f"Over cities like these {num}, whole cities drawn:\n\n{table(('weight', *STATISTICS), lines)}"
+    return table(("of", "weight", "cities", "routes", *STATISTICS), lines)
 
 
 def _where(of_all: pd.DataFrame) -> str:
-    parts = []
-    for cut in ("altitude_m", "stratum", "range", "time_of_day", "time"):
-        part = of_all[(of_all.cut == cut) & (of_all.weight_name != "distance")]
-        if len(part):
-            title = {"altitude_m": "altitude", "time_of_day": "time of day"}.get(cut, cut)
-            note = " (a route counts in both of its strata)" if cut == "stratum" else ""
-            parts += [f"By {title}{note}:", _rows(part)]
-    return "\n\n".join(parts) or "All routes are of one altitude, stratum, range and time."
+    parts = [of_all[(of_all.cut == cut) & (of_all.weight_name != "distance")] for cut in CUTS if cut != "city"]
+    return "\n\n".join(_rows(part) for part in parts if len(part))
 
 
-def _sobol(found: SensitivityStudy) -> str:
-    if "sobol_summary" not in found.tables:
-        return ""
-    rows = found.tables["sobol_summary"]
-    rows, num = rows[rows.kind == "total"], found.settings.num_samples
-    names = list(dict.fromkeys(rows.weight_name))
-    lines = []
-    for outcome, part in rows.groupby("outcome", sort=False):
-        by_name = part.set_index("weight_name")
-        lines.append(
-            (
-                outcome_label(str(outcome)),
-                *(share_said(by_name.loc[name]) if name in by_name.index else "" for name in names),
-            )
-        )
-    low, high = found.settings.factors
-    few = (
-        f" **{num} samples are few for one route: read no single route's shares from `tables/sobol`.**"
-        if num < FEW_SAMPLES
-        else ""
-    )
-    beyond = [row for row in rows.to_dict("records") if row["verdict"] == CLEAR and row["share_high"] > 1]
-    if beyond:
-        said = listed(f"{outcome_label(row['outcome'])} by {row['weight_name']}" for row in beyond)
-        few += (
-            f" **No true share is above 1: where its interval reaches beyond ({said}), the samples are too few, "
-            "because the outcome hardly varies on some routes.**"
-        )
-    own_ci = float(rows.own_ci.median())
-    wide = f"; one route's own 95 % interval is some ± {own_ci:.2f} wide, which the mean of many narrows"
-    return fill(
-        "sensitivity_sobol",
-        low=low,
-        high=high,
-        num_samples=num,
-        own=wide if np.isfinite(own_ci) and num >= FEW_SAMPLES else "",
-        few=few,
-        rows=table(("outcome", *names), lines),
-    )
+def _sobol(shares: pd.DataFrame, settings: SensitivityStudySettings) -> str:
+    total = shares[shares.kind == "total"]
+    told = total.assign(told=[share_said(row) for row in total.to_dict("records")])
+    wide = told.pivot(index="outcome", columns="weight_name", values="told").fillna("")
+    wide = wide.reindex(total.outcome.unique())[list(total.weight_name.unique())]
+    lines = [(outcome_label(str(outcome)), *row) for outcome, row in zip(wide.index, wide.to_numpy(), strict=True)]
+    low, high = settings.factors
+    rows = table(("outcome", *wide.columns), lines)
+    return fill("sensitivity_sobol", low=low, high=high, settings=settings, few=FEW_SAMPLES, rows=rows)
 
 
 def share_said(row: Any) -> str:
@@ -290,13 +180,13 @@ def share_said(row: Any) -> str:
         return interval_said(row, "share", ".2f")
     if row["verdict"] == UNCLEAR:
         return f"not told from 0 (at most {max(row['share_high'], 0.0):.2f})"
-    return str(row["verdict"]) if row["verdict"] != CONSTANT else "route does not vary"
+    return str(row["verdict"])
 
 
 def _remade(found: SensitivityStudy) -> str:
     skipped = bullets(f"Not made anew: {reason}" for reason in found.skipped) if found.skipped else ""
     if "remade_summary" not in found.tables:
-        return f"## Other heights, other parameters\n\n{skipped}" if skipped else ""
+        return skipped
     kinds = {"is_other": ".0%", "nominal_regret": ".2%", "nominal_is_closed": ".0%"}
     lines = [
         (
@@ -308,23 +198,7 @@ def _remade(found: SensitivityStudy) -> str:
         for row in found.tables["remade_summary"].to_dict("records")
     ]
     rows = table(("maps with", "of", "routes", "changes", "regret", "closed"), lines)
-    picture = "![Other heights, other parameters](figures/remade.png)"
-    return fill("sensitivity_remade", rows=rows, skipped=skipped, picture=picture)
-
-
-def _norms(norms: Mapping[str, Mapping[str, float]]) -> str:
-    """Return that population is divided by other numbers from city to city; nothing where it is not."""
-    held = {city: of_city for city, of_city in norms.items() if of_city}
-    if all(of_city == next(iter(held.values())) for of_city in held.values()):
-        return ""
-    said = "; ".join(
-        f"{city} {listed(f'{number:,.0f} at {day}' for day, number in of_city.items())}"
-        for city, of_city in held.items()
-    )
-    return (
-        f"\n- **Population is normalised by different numbers ({said}), so that one weight of population means "
-        "different things in these cities**: set `[population] normalise` to a number to compare them."
-    )
+    return fill("sensitivity_remade", rows=rows, skipped=skipped)
 
 
 def weights_said(instances: pd.DataFrame) -> str:

@@ -22,9 +22,8 @@ from jaxurban.metrics.custom import Layer
 from jaxurban.report.figures.sensitivity_study import plot_nearest, plot_where, study_figures
 from jaxurban.report.sensitivity_study import _rows, share_said, study_markdown
 from jaxurban.studies.montecarlo.sampling import sample_joined
-from jaxurban.studies.sensitivity.findings import findings
 from jaxurban.studies.sensitivity.remade import parameters_of, remade_of, remade_rows, with_parameter
-from jaxurban.studies.sensitivity.summary import summarise, summarise_shares
+from jaxurban.studies.sensitivity.summary import comparisons_of, shares_table, summarise, summarise_shares
 from tests.cli_runs import assert_one_sentence, run
 from tests.made_maps import made_maps
 
@@ -126,10 +125,11 @@ def test_a_route_that_fails_is_a_row_with_its_status(folders, found, tmp_path):
     again = ju.sensitivity_study(folders[0], tmp_path, rows, settings=SETTINGS)
     assert again.rows.sort_values("instance").status.tolist() == ["bad-input", "bad-input", "optimal"]
     report = (tmp_path / "report.md").read_text()
-    assert "2 with status bad-input" in report
     assert "start and goal lie in one cell" in report
     assert "is inside an obstacle" in report
-    assert "Too few pairs of places for an interval: alpha (3)" in report
+    asked = report.split("| --- |")[1].splitlines()[1]
+    assert asked.startswith("| alpha | ")
+    assert "| 20 m | 3 | 3 | 1 |" in asked
 
 
 @pytest.mark.parametrize(
@@ -216,19 +216,11 @@ def test_the_report_names_every_figure_and_no_share_below_zero(found):
     assert "nan" not in report.replace("dominant", "")
     sobol = report.split("## What the routes are like")[1].split("##")[0]
     assert "| -" not in sobol.replace("| ---", "")
-    assert "2 samples are few for one route" in report
-    shares = found.tables["sobol_summary"]
-    beyond = shares[(shares.kind == "total") & (shares.verdict == "clear") & (shares.share_high > 1)]
-    assert len(beyond)  # of so few samples
-    assert "No true share is above 1: where its interval reaches beyond (" in sobol
-    assert "In cities in general" in report.split("<summary>Open")[1]
-    answer = report.index("**In these routes ")
-    assert answer < report.index("| of | weight | routes | regret |") < report.index("<details>")
-    claims = [len([each for each in found.findings if each.holds is holds]) for holds in (True, False, None)]
-    assert (
-        f"bear out {claims[0]} of {sum(claims)} claims; {claims[1]} are contradicted, and {claims[2]} are open"
-        in report
-    )
+    assert "2 samples each; with fewer than 64" in report
+    general = found.tables["comparisons"].query("part == 'over cities'")
+    assert len(general) == 1
+    assert general[["low", "high", "p"]].isna().all(axis=None), "two cities say nothing of others"
+    assert report.index("| of | weight | cities | routes | regret |") < report.index("| quantity | part | first |")
 
 
 def test_the_report_says_whether_routes_were_drawn_or_given(found):
@@ -247,12 +239,11 @@ def test_panels_that_are_compared_share_their_scale(found):
     assert figures[0].axes[0].get_ylim()[1] >= np.nan_to_num(shown)
 
 
-def test_the_report_tells_of_a_weight_of_population_that_means_different_things(found):
-    def told(norm: float) -> str:
-        return study_markdown(replace(found, norms={"alpha": {"day": 5e4}, "beta": {"day": norm}, "gamma": {}}))
-
-    assert "normalised by different numbers (alpha 50,000 at day; beta 123 at day), so that one weight" in told(123.0)
-    assert "normalised by different" not in told(5e4)
+def test_the_report_says_by_what_population_is_normalised_in_each_city(found):
+    report = study_markdown(replace(found, norms={"alpha": {"day": 5e4, "night": 3e4}, "beta": {}}))
+    alpha, beta = report.split("\n\n")[1].splitlines()[2:]
+    assert alpha.endswith("| 50,000 (day), 30,000 (night) |")
+    assert beta.endswith("|  |")
 
 
 def test_no_text_of_a_figure_leaves_the_page(found):
@@ -284,38 +275,42 @@ def made_weights(regret: dict[str, float], num: int = 40, spread: float = 0.002,
     return pd.DataFrame(rows)
 
 
-def test_claims_hold_where_what_is_known_is_clear_and_only_there():
-    table = made_weights({"gps": 0.03, "risk": 0.02, "lidar": 0.0101})
-    told = {each.claim: each.holds for each in findings(table, None, None, 2.0)}
-    assert told["Of all weights, that of gps costs most when 2 times wrong."] is True
-    assert told["In a the weight of gps costs most when 2 times wrong."] is True
-    assert told["In b the weight of gps costs most when 2 times wrong."] is True
-    assert told["In cities in general the weight of gps costs most when 2 times wrong."] is None
-    assert told["A weight of gps that is 2 times wrong costs less than 1% on average."] is False
-    assert told["A weight of lidar that is 2 times wrong costs less than 1% on average."] is None
-    assert told["Most routes change where the weight of gps is up to 2 times wrong."] is True
-    few = {each.claim: each.holds for each in findings(made_weights({"gps": 0.03, "risk": 0.0}, 2), None, None, 2.0)}
-    assert set(few.values()) == {None}, "four pairs support nothing"
+def compared(weights: pd.DataFrame) -> pd.DataFrame:
+    return comparisons_of(weights, shares_table(weights))
 
 
-def test_a_layer_of_one_altitude_alone_is_in_no_claim_on_altitudes():
+def test_comparisons_are_told_from_chance_where_what_is_known_is_clear_and_only_there():
+    table = compared(made_weights({"gps": 0.03, "risk": 0.02, "lidar": 0.0101})).set_index("part")
+    for part in ("all", "a", "b"):
+        assert table.loc[part, ["quantity", "first", "second"]].tolist() == ["regret", "gps", "risk"]
+        assert table.loc[part, "low"] < 0.01 < table.loc[part, "high"]
+        assert table.loc[part, "p"] < 0.05
+    assert np.isnan(table.loc["over cities", "p"]), "two cities say nothing of cities in general"
+    alike = compared(made_weights({"gps": 0.03, "risk": 0.03}))
+    assert alike[alike.part != "over cities"].p.gt(0.05).all()
+    few = compared(made_weights({"gps": 0.03, "risk": 0.0}, 2))
+    assert few.p.isna().all(), "four pairs support nothing"
+
+
+def test_a_layer_of_one_altitude_alone_is_not_compared_with_another():
     table = made_weights({"gps": 0.03, "risk": 0.02})
     high = table.assign(altitude_m=60.0)
-    claims = [each.claim for each in findings(pd.concat([table, high[high.weight_name == "gps"]]), None, None, 2.0)]
-    told = [claim for claim in claims if "at 20 m than at 60 m" in claim]
-    assert told == ["A wrong weight of gps costs more at 20 m than at 60 m."]
+    found = compared(pd.concat([table, high[high.weight_name == "gps"].assign(regret=0.01)]))
+    (row,) = found[found["first"] == "20 m"].to_dict("records")
+    assert (row["quantity"], row["second"]) == ("regret of gps", "60 m")
+    assert row["difference"] == pytest.approx(0.02, abs=0.001)
 
 
 @pytest.mark.slow
-def test_of_equal_weights_a_claim_is_decided_in_fewer_than_one_study_of_twenty():
-    """Four weights that cost the same, in two strata: no claim on a difference is true."""
+def test_of_equal_weights_a_difference_is_told_in_fewer_than_one_study_of_twenty():
+    """Four weights that cost the same, in two strata: no difference is true."""
     wrong = 0
     for seed in range(60):
         table = made_weights(dict.fromkeys(("gps", "risk", "lidar", "population"), 0.03), 15, 0.01, seed)
         table.loc[table.instance % 2 == 0, ["start_stratum", "goal_stratum"]] = "dense"
-        table = table.assign(nearest=np.where(table.instance % 2, 1.5, 3.0))  # half of the routes change
-        decided = [each for each in findings(table, None, None, 2.0) if each.holds is not None]
-        wrong += any("less than 1%" not in each.claim for each in decided)
+        found = compared(table)
+        assert (found.second == "elsewhere").sum() == 8
+        wrong += (found.p < 0.05).any()
     assert wrong <= 6  # of 60: 3 expected at most
 
 

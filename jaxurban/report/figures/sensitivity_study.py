@@ -21,8 +21,7 @@ from jaxurban.report.figures.frame import FAINT_INK, TEXT_PT
 from jaxurban.report.figures.sensitivity import CLUSTER_COLOURS, SHARES_SHOWN
 from jaxurban.studies.bootstrap import share_of
 from jaxurban.studies.outcomes import outcome_label
-from jaxurban.studies.sensitivity.findings import change_said
-from jaxurban.studies.sensitivity.summary import ALL, CLEAR, Drawn
+from jaxurban.studies.sensitivity.summary import ALL, CLEAR, Drawn, change_said
 
 DOT: dict[str, Any] = {"markersize": 4.5, "capsize": 2, "elinewidth": 0.9, "linestyle": "none"}
 MARKERS = "osD^vP*X"
@@ -210,10 +209,7 @@ def plot_sobol_shares(shares: pd.DataFrame) -> Figure:
 def plot_remade(remade: pd.DataFrame) -> Figure:
     """Return how many routes change on maps made anew, and what the routes of the nominal maps cost there."""
     part = remade[remade.of == ALL].iloc[::-1].reset_index(drop=True)
-    names = [
-        change_said(*each).removeprefix("a ").replace(" its value", "")
-        for each in zip(part.changed, part.factor, strict=True)
-    ]
+    names = [change_said(*each) for each in zip(part.changed, part.factor, strict=True)]
     height_in, note = 0.24 * len(names) + 0.8, f"other heights, other parameters; {INTERVALS}"
     figure = chart(8.7, height_in, "Routes on maps made anew", note)
     drawn = {"is_other": "routes that change", "nominal_regret": "regret of the nominal route"}

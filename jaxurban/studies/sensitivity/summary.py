@@ -2,7 +2,7 @@
 
 Intervals are 95 % (of mean regrets some 90 %), by bootstrap over pairs of places within their cities, all altitudes of
 a pair drawn together: they are of these cities. From 8 cities on there is a second one, for which whole cities are
-drawn.
+drawn. Differences are many: their p are corrected over all of them by Holm's method.
 """
 
 from collections.abc import Callable, Iterator
@@ -12,14 +12,17 @@ import numpy as np
 import pandas as pd
 
 from jaxurban.studies.bootstrap import (
+    FEWEST_GROUPS,
     NUM_DRAWS,
     Interval,
     Statistic,
     counts_within,
     ends_of,
+    holm,
     interval_of,
     mean_of,
     median_of,
+    p_value,
     share_interval,
     share_of,
 )
@@ -31,7 +34,7 @@ DESCRIBED = ("time", "time_of_day", "start_stratum", "goal_stratum", "range", "d
 ALL = "all"
 CUTS = ("city", "altitude_m", "stratum", "range", "time", "time_of_day")
 BOTH = (("city", "altitude_m"), ("stratum", "altitude_m"))
-OVER_CITIES = "cities_"
+OVER_CITIES = "over cities"
 CLEAR, UNCLEAR, TOO_FEW, CONSTANT = "clear", "not told from 0", "too few routes", "does not vary"
 REMADE_STATISTICS = ("is_other", "overlap", "is_closed", "regret", "nominal_is_closed", "nominal_regret")
 SHARES_OF_ROUTES = ("is_other", "is_closed", "nominal_is_closed")
@@ -160,7 +163,7 @@ def named(name: str, interval: Interval) -> dict[str, float]:
 def summarise(weights: pd.DataFrame, wrong: float) -> pd.DataFrame:
     """Return which weights matter where: a row for each part (``cut``, ``value``) and weight, see `statistics_of`.
 
-    Of all routes also the ends over cities, ``share_cities_low`` and the like; no number with one city.
+    Of all routes in 8 cities or more also ``over cities``, with the interval for which whole cities are drawn.
 
     Args:
       weights: from `weights_table`.
@@ -170,15 +173,82 @@ def summarise(weights: pd.DataFrame, wrong: float) -> pd.DataFrame:
     for cut, value, part in cuts_of(weights):
         for name, of_weight in part.groupby("weight_name", sort=False):
             drawn = Drawn(of_weight)
-            row: dict[str, Any] = {"cut": cut, "value": value, "weight_name": name, "routes": len(of_weight)}
-            row |= {"pairs": drawn.num_pairs, "cities": drawn.num_cities}
-            for statistic, (values, put) in statistics_of(wrong).items():
-                row |= named(statistic, drawn.interval(values(of_weight), put))
-                if cut == ALL and drawn.num_cities > 1:
-                    over = drawn.interval(values(of_weight), put, over_cities=True)
-                    row |= {f"{statistic}_{OVER_CITIES}low": over.low, f"{statistic}_{OVER_CITIES}high": over.high}
-            rows.append(row)
+            parts = {cut: value}
+            if cut == ALL and drawn.num_cities >= FEWEST_GROUPS:
+                parts[OVER_CITIES] = OVER_CITIES
+            for cut_at, value_at in parts.items():
+                row: dict[str, Any] = {"cut": cut_at, "value": value_at, "weight_name": name, "routes": len(of_weight)}
+                row |= {"pairs": drawn.num_pairs, "cities": drawn.num_cities}
+                for statistic, (values, put) in statistics_of(wrong).items():
+                    over_cities = cut_at == OVER_CITIES
+                    row |= named(statistic, drawn.interval(values(of_weight), put, over_cities=over_cities))
+                rows.append(row)
     return pd.DataFrame(rows)
+
+
+def comparisons_of(weights: pd.DataFrame, shares: pd.DataFrame) -> pd.DataFrame:
+    """Return what is larger than what: a row a comparison, ``quantity`` of ``first`` less that of ``second``.
+
+    Compared are, in each ``part`` of the routes, the weight of the largest mean regret (and, of each outcome, of the
+    largest total Sobol share) with the one that it is least clearly ahead of, route by route; and the regret of each
+    weight at the lowest altitude with that at the highest, pair by pair, and in each stratum with that elsewhere.
+    ``p`` is two-sided, of no difference, and corrected over all rows; of the weight that was picked as the first it is
+    one-sided, times the number of weights. NaN with fewer pairs or cities than an interval takes.
+
+    Args:
+      weights: from `weights_table`.
+      shares: from `shares_table`.
+    """
+    varied = weights[weights.varies & weights.regret.notna()]
+    rows = _leads(varied, "regret", "regret", ALL)
+    if varied.city.nunique() > 1:
+        for city, part in varied.groupby("city", sort=False):
+            rows += _leads(part, "regret", "regret", str(city))
+        rows += _leads(varied, "regret", "regret", OVER_CITIES)
+    for name, part in varied.groupby("weight_name", sort=False):
+        rows += _apart(part.reset_index(drop=True), f"regret of {name}")
+    for outcome, part in shares[shares.total.notna()].groupby("outcome", sort=False):
+        rows += _leads(part, "total", f"total Sobol share of {outcome}", ALL)
+    table = pd.DataFrame(rows, columns=["quantity", "part", "first", "second", "difference", "low", "high", "p"])
+    return table.assign(p=holm(table.p.tolist()))
+
+
+def _leads(rows: pd.DataFrame, column: str, quantity: str, part: str) -> list[tuple[Any, ...]]:
+    """Return the least clear lead of the weight with the largest mean of a column; none without another weight.
+
+    Weights that some city lacks are left out.
+    """
+    wide = rows.pivot(index=list(ROUTE_KEY), columns="weight_name", values=column)
+    wide = wide.loc[:, wide.notna().groupby(level="city").any().all()]
+    if wide.shape[1] < 2:
+        return []
+    first, tests = str(wide.mean().idxmax()), []
+    for name in map(str, wide.columns.drop(first)):
+        both = wide[[first, name]].dropna().reset_index()
+        drawn, over_cities = Drawn(both), part == OVER_CITIES
+        lead = drawn.interval(both[first] - both[name], over_cities=over_cities)
+        p = p_value(lead, 0.0, drawn.num_cities if over_cities else drawn.num_groups)
+        tests.append((quantity, part, first, name, *lead, float(np.minimum(1.0, p / 2 * len(wide.columns)))))
+    return [max(tests, key=lambda test: (np.nan_to_num(test[-1], nan=np.inf), -test[4]))]
+
+
+def _apart(part: pd.DataFrame, quantity: str) -> list[tuple[Any, ...]]:
+    """Return how far the regrets of one weight are apart between altitudes, and between strata."""
+    rows: list[tuple[Any, ...]] = []
+    low, high = part.altitude_m.min(), part.altitude_m.max()
+    wide = part.pivot(index=["city", "instance"], columns="altitude_m", values="regret")
+    both = wide[[low, high]].dropna().reset_index() if low < high else wide[:0]
+    if len(both):
+        drawn = Drawn(both)
+        more = drawn.interval(both[low] - both[high])
+        rows.append((quantity, ALL, f"{low:g} m", f"{high:g} m", *more, p_value(more, 0.0, drawn.num_groups)))
+    drawn = Drawn(part)
+    for stratum in sorted({*part.start_stratum.dropna(), *part.goal_stratum.dropna()}):
+        is_in = ((part.start_stratum == stratum) | (part.goal_stratum == stratum)).to_numpy()
+        if not is_in.all():
+            more, num_groups = drawn.difference(part.regret, is_in)
+            rows.append((quantity, ALL, stratum, "elsewhere", *more, p_value(more, 0.0, num_groups)))
+    return rows
 
 
 def shares_table(routes: pd.DataFrame) -> pd.DataFrame:
@@ -246,3 +316,8 @@ def summarise_remade(remade: pd.DataFrame) -> pd.DataFrame:
                 row |= named(statistic, drawn.interval(rows_at[statistic], put))
             rows.append(row)
     return pd.DataFrame(rows)
+
+
+def change_said(changed: str, factor: float) -> str:
+    """Return what was changed in perturbed maps, in words."""
+    return "heights drawn as well as they are known" if changed == HEIGHTS else f"{changed} x {factor:g}"
