@@ -25,7 +25,7 @@ import jaxurban as ju
 from jaxurban.report.figures import plot_paths
 from jaxurban.report.figures.tuning import plot_learning, plot_routes, plot_weights
 from jaxurban.report.tuning import weight_units
-from jaxurban.studies.beside_demonstrations import plan_beside
+from jaxurban.studies.demonstrations import plan_beside
 
 city = ju.demo_city(width_m=2_000, height_m=3_000)
 maps = ju.build_maps(city, resolution_m=20.0, altitudes_m=(20.0,))

@@ -7,6 +7,7 @@ parameter's name. A new parameter fails until somebody writes there what a wrong
 import functools
 import inspect
 import re
+import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -49,6 +50,7 @@ def held(what: str) -> Any:
             columns=["start_lon", "start_lat", "goal_lon", "goal_lat", "altitude_m", "w_gps"],
         ),
         "path": lambda: ju.plan(MAPS, START, GOAL, altitude_m=20.0),
+        "file": lambda: held("path").save(Path(tempfile.mkdtemp()) / "path.geojson"),
         "paths": lambda: ju.plan_many(MAPS, [(START, GOAL)], altitude_m=20.0, progress=False),
         "cost_map": lambda: ju.cost_map(MAPS, 20.0),
         "query": lambda: ju.make_queries(held("cost_map"), [(START, GOAL)])[0],
@@ -100,7 +102,7 @@ GOOD: dict[str, Callable[[], dict[str, Any]]] = {
     "plan": lambda: {"maps": MAPS, "start": START, "goal": GOAL, "altitude_m": 20.0},
     "plan_many": lambda: {"maps": MAPS, "queries": [(START, GOAL)], "altitude_m": 20.0, "progress": False},
     "planned_cost": lambda: {"problem": held("query").problem(np.ones(5))},
-    "read_demonstrations": lambda: {"file": held("table"), "maps": MAPS},
+    "read_demonstrations": lambda: {"file": held("file"), "maps": MAPS},
     "sample_instances": lambda: {"maps": MAPS, "num": 1},
     "sensitivity": lambda: {"cost_map": held("cost_map"), "start": START, "goal": GOAL},
     "sensitivity_study": lambda: {"sources": {"here": MAPS}, "folder": "/proc/none", "routes": 1, "progress": False},

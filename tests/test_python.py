@@ -230,7 +230,7 @@ def test_a_thing_of_another_kind_is_one_sentence(call, words):
             lambda: ju.fit_weights(5),
             "demonstrations must be a sequence of Demonstration (from read_demonstrations), got 5",
         ),
-        (lambda: ju.read_demonstrations(5, MAPS), "file must be a text, a path or a DataFrame, got 5"),
+        (lambda: ju.read_demonstrations(5, MAPS), "file must be a text or a path, got 5"),
         (lambda: ju.FitSettings(max_rounds="a"), "max_rounds must be a whole number, got 'a'"),
         (lambda: ju.FitSettings(max_rounds=True), "max_rounds must be a whole number, got True"),
         (lambda: ju.SensitivitySettings(seed=-1), "seed must be a whole number from 0 up, got -1"),

@@ -37,10 +37,7 @@ if TYPE_CHECKING:
     help="Further maps and routes, fitted together with the first; repeatable.",
 )
 @click.option("--sample", type=click.IntRange(min=1), help="Draw so many instances a city instead of reading ROUTES.")
-@click.option(
-    "--pilot", help="Weights as gps=1,risk=2, that draw the routes of tables and of --sample; 0 if not named."
-)
-@click.option("--planner", help="Of a study: whose paths are taken.  [default: astar-plus]")
+@click.option("--pilot", help="Weights as gps=1,risk=2, that plan the routes of --sample; 0 if not named.")
 @click.option(
     "--hold-out", type=float, help="Share of the routes that no fit sees and all are judged by.  [default: 0]"
 )
@@ -71,8 +68,7 @@ if TYPE_CHECKING:
 def tune(words: tuple[Path, ...], out: Path, **given: Any) -> int:
     """Fit weights to demonstrated ROUTES over the maps in each DIR, or to targets for outcomes.
 
-    ROUTES are files of lines (GeoJSON, KML, a .plan), tables of instances (.csv, .parquet) or folders of a study; left
-    out, the study in DIR. Several DIRs, each with its ROUTES, are fitted together.
+    ROUTES are files of lines (GeoJSON, KML, a .plan). Several DIRs, each with its ROUTES, are fitted together.
     """
     from jaxurban.metrics.weights import Weights
     from jaxurban.report.run_tuning import RoutesOnMaps, TuneSettings, run_tuning
@@ -89,7 +85,7 @@ def tune(words: tuple[Path, ...], out: Path, **given: Any) -> int:
         )
     if "losses" in compared:
         compared["losses"] = names_in(compared["losses"])
-    on_maps = named("altitude_m", "time", "time_of_day", "planner", "cost_model", "preset")
+    on_maps = named("altitude_m", "time", "time_of_day", "cost_model", "preset")
     on_maps["constraints"] = given_constraints(given)
     if given["metrics"] is not None:
         on_maps["metrics"] = names_in(given["metrics"])
@@ -121,13 +117,12 @@ def tune(words: tuple[Path, ...], out: Path, **given: Any) -> int:
 
 
 def _sources(words: tuple[Path, ...]) -> "list[RoutesOnMaps]":
-    """Return the folders of maps, each with the routes that follow it; a folder with rows is one of routes."""
-    from jaxurban.io.rows import ROWS_FILE
+    """Return the folders of maps, each with the routes that follow it."""
     from jaxurban.report.run_tuning import RoutesOnMaps
 
     sources = [RoutesOnMaps(words[0])]
     for word in words[1:]:
-        if word.is_dir() and not (word / ROWS_FILE).exists():
+        if word.is_dir():
             sources.append(RoutesOnMaps(word))
         else:
             sources[-1] = sources[-1]._replace(routes=(*sources[-1].routes, word))

@@ -1,5 +1,6 @@
 """Fitting weights from files, and writing what came of it: tables, pictures, a report, and weights to paste."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -13,6 +14,7 @@ from jaxurban.io.tables import records_of
 from jaxurban.io.workspace import Workspace
 from jaxurban.maps.metric_maps import MetricMaps, Obstacles, open_maps
 from jaxurban.metrics.weights import Weights
+from jaxurban.paths.batch import plan_many
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.progress import Progress, reporting
 from jaxurban.report.figures.degrees import in_degrees
@@ -27,11 +29,10 @@ from jaxurban.report.tuning import (
     weights_option,
     weights_toml,
 )
-from jaxurban.studies.beside_demonstrations import PlannedBeside, plan_beside
-from jaxurban.studies.demonstrations import Demonstration
-from jaxurban.studies.montecarlo.sampling import sample_instances
+from jaxurban.studies.demonstrations import Demonstration, PlannedBeside, plan_beside
+from jaxurban.studies.montecarlo.sampling import PLACES, TIMES, sample_instances
 from jaxurban.studies.queries import maps_of
-from jaxurban.studies.read_demonstrations import read_demonstrations
+from jaxurban.studies.read_demonstrations import demonstrations_from_paths, read_demonstrations
 from jaxurban.studies.tuning.compared_fits import FitComparison, compare_fits, state_files
 from jaxurban.studies.tuning.fit_settings import FitSettings
 from jaxurban.studies.tuning.target_fit import TargetFit, fit_targets
@@ -40,12 +41,12 @@ from jaxurban.studies.tuning.weight_fit import WeightFit
 
 STATE_FILE = "fit-state.npz"
 TABLES = "learning_curve", "fewer_examples", "fits", "routes", "targets", "weights", "examples"
+UNDER = "cost_model", "constraints", "preset"  # settings of routes
 FIGURES = "weights", "learning_curve", "regret", "targets"
-STUDY_FOLDER = "study"  # of `jaxurban study`, beside the maps
 
 
 class RoutesOnMaps(NamedTuple):
-    """The folder of maps, and the files of routes that lie on them; none: the benchmark in the folder's ``study``."""
+    """The folder of maps, and the files of routes that lie on them; none where instances are sampled."""
 
     maps: Path
     routes: tuple[Path, ...] = ()
@@ -61,7 +62,7 @@ class TuneSettings:
       routes: further arguments of `read_demonstrations`: altitude_m, cost_model, constraints, metrics ...
       sample: instances to draw on each city's maps, at every altitude, instead of routes from files; their routes are
         the pilot's.
-      pilot: weights under which routes of tables and of sampled instances are drawn, and which fits are compared with.
+      pilot: weights under which the routes of sampled instances are planned.
       targets: fit to these, such as ``mean_gps>=0.8``, instead of to the routes.
       weights: further arguments of `fit_weights`: scale, bootstrap.
       hold_out, losses, by_city: as in `compare_fits`; the first loss alone and nothing else is one fit.
@@ -173,41 +174,40 @@ def _names_of(folders: Sequence[Path]) -> list[str]:
 
 def _demonstrations(source: RoutesOnMaps, maps: MetricMaps, settings: TuneSettings) -> list[Demonstration]:
     """Return the routes of one source on its maps."""
-    how = {**settings.routes, "pilot": settings.pilot}
-    if settings.sample is not None:
-        if source.routes:
+    if settings.sample is None:
+        if not source.routes:
             raise InputError(
-                f"{str(source.routes[0])!r} holds routes, and others are to be sampled: choose one of both"
+                f"there are no routes for the maps in {str(source.maps)!r}: name files of routes after it, or sample "
+                "instances (--sample)"
             )
-        if settings.pilot is None and not settings.targets:
-            raise InputError(
-                "sampled instances have no routes of their own: name the weights of the pilot who flies them"
-            )
-        instances = sample_instances(
-            maps,
-            settings.sample,
-            altitudes_m=None if how.get("altitude_m") is None else (how["altitude_m"],),
-            weights=[settings.pilot or Weights()],
-            cost_model=how.get("cost_model") or how.get("default_cost_model"),
-            constraints=how.get("constraints"),
-            preset=how.get("preset", ""),
-            seed=settings.fit.seed,
-        )
-        return read_demonstrations(instances, maps, **how)
-    if not source.routes and not (source.maps / STUDY_FOLDER).is_dir():
-        raise InputError(
-            f"there are no routes for the maps in {str(source.maps)!r}: name files of routes after it, run `jaxurban "
-            "study` there, or sample instances (--sample)"
-        )
-    files = source.routes or (source.maps / STUDY_FOLDER,)
-    return [each for file in files for each in read_demonstrations(file, maps, **how)]
+        return [each for file in source.routes for each in read_demonstrations(file, maps, **settings.routes)]
+    if source.routes:
+        raise InputError(f"{str(source.routes[0])!r} holds routes, and others are to be sampled: choose one of both")
+    if settings.pilot is None and not settings.targets:
+        raise InputError("sampled instances have no routes of their own: name the weights of the pilot who flies them")
+    given = settings.routes
+    altitude_m, under = given.get("altitude_m"), {name: given[name] for name in UNDER if name in given}
+    instances = sample_instances(
+        maps,
+        settings.sample,
+        altitudes_m=None if altitude_m is None else (altitude_m,),
+        weights=[settings.pilot or Weights()],
+        seed=settings.fit.seed,
+        **under,
+    )
+    times = {name: given[name] for name in ("time", "time_of_day") if given.get(name) is not None}
+    how: dict[str, Any] = {"planner": "astar-plus", "objective": "weighted", "budget_s": math.inf, "progress": False}
+    asked = [*PLACES, "altitude_m", *TIMES, *(f"w_{name}" for name in ("distance", *maps.metrics))]
+    planned = plan_many(maps, instances[instances.is_connected].assign(**times)[asked], **how, **under)
+    paths = [path for path in planned if path is not None and path.status.has_path]
+    return demonstrations_from_paths(paths, maps, metrics=given.get("metrics"), **under)
 
 
 def _routes_said(source: RoutesOnMaps, settings: TuneSettings) -> str:
     """Return where the routes of a source are from, for the report."""
     if settings.sample is not None:
         return f"{settings.sample} instances sampled with seed {settings.fit.seed}"
-    return ", ".join(str(file) for file in source.routes or (source.maps / STUDY_FOLDER,))
+    return ", ".join(map(str, source.routes))
 
 
 def outputs_of(

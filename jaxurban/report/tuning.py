@@ -10,7 +10,7 @@ import pandas as pd
 from jaxurban.metrics.weights import Weights
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.report.markdown import bullets, counted, fill, table
-from jaxurban.studies.beside_demonstrations import PlannedBeside
+from jaxurban.studies.demonstrations import PlannedBeside
 from jaxurban.studies.tuning.target_fit import TargetFit
 from jaxurban.studies.tuning.targets import Target
 from jaxurban.studies.tuning.weight_fit import WeightFit

@@ -1,4 +1,4 @@
-"""Demonstrations: routes that were shown, and what each crosses, measured as the planners' own routes are."""
+"""Demonstrations: routes that were shown, measured as planners' routes are, and beside those that weights lead to."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -6,13 +6,13 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
+import pandas as pd
 import shapely
 from scipy.ndimage import distance_transform_edt
 
 from jaxurban.errors import InputError, typed
 from jaxurban.metrics.weights import Weights
 from jaxurban.paths.cost_map import CostMap
-from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.snapping import MAX_SNAP_M, XY, Place, snap_note
 from jaxurban.planners.astar import astar
 from jaxurban.planners.base import Cell, Problem
@@ -79,33 +79,6 @@ def optimal_demonstrations(queries: Sequence[RouteQuery], weights: Weights) -> l
       InputError: no path joins the ends of a query.
     """
     return [Demonstration(query, query.cheapest(weights.vector(query.names))) for query in queries]
-
-
-def demonstration_from_path(cost_map: CostMap, planned: PlannedPath, name: str = "") -> Demonstration:
-    """Return a planned path as a demonstration (see `demonstration_from_line`).
-
-    Raises:
-      InputError: the path has no points, climbs, or is of another altitude than the map.
-    """
-    if planned.altitude_m != cost_map.altitude_m:
-        raise InputError(
-            f"demonstration {name or 'route'!r} is a path at {planned.altitude_m:g} m and the map is of "
-            f"{cost_map.altitude_m:g} m: give the map of its own altitude"
-        )
-    if len(planned.z_m) and np.ptp(planned.z_m) > 0:
-        raise InputError(f"demonstration {name or 'route'!r} changes its altitude, and fits take one: leave it out")
-    if len(planned.xy_m) == 0:
-        raise InputError(
-            f"demonstration {name or 'route'!r} is a path without points ({planned.status.value}): leave it out"
-        )
-    for end, xy_m in (("start", planned.xy_m[0]), ("goal", planned.xy_m[-1])):
-        cell = cost_map.cell_of(end, XY(*xy_m.tolist()))[1]
-        if not cost_map.is_free[cell]:
-            raise InputError(
-                f"the {end} of demonstration {name or 'route'!r} is {cost_map.why_closed(cell)}: give the maps and "
-                "constraints that it was planned on, or choose obstacles = centre if it was planned by centres"
-            )
-    return demonstration_from_line(cost_map, planned.xy_m, name)
 
 
 def demonstration_from_line(cost_map: CostMap, xy_m: np.ndarray, name: str = "", label: str = "") -> Demonstration:
@@ -244,3 +217,57 @@ def _shortest_within(
         )
     )
     return found.points_m + low[::-1] if found.status.has_path else None
+
+
+@dataclass(frozen=True, eq=False)
+class PlannedBeside:
+    """Routes under weights, beside the demonstrations that have the same ends.
+
+    Attributes:
+      demonstrations: as given.
+      planned: the cheapest routes under the weights.
+      table: a row a demonstration: where it lies, ``length_m`` and the mean of each metric along it, the same of the
+        planned route (``planned_length_m`` ...), and ``overlap``, the share of the demonstration's cells that the
+        planned route shares.
+    """
+
+    demonstrations: tuple[Demonstration, ...]
+    planned: tuple[Demonstration, ...]
+    table: pd.DataFrame
+
+
+def plan_beside(demonstrations: Sequence[Demonstration], weights: Weights) -> PlannedBeside:
+    """Return each demonstration beside the cheapest route under weights between its ends."""
+    planned = optimal_demonstrations([each.query for each in demonstrations], weights)
+    rows = []
+    for number, (given, found) in enumerate(zip(demonstrations, planned, strict=True), start=1):
+        on = given.query.cost_map
+        cells = _cells(given)
+        rows.append(
+            {
+                "name": given.query.name or f"{number}",
+                "altitude_m": on.altitude_m,
+                "time": on.time,
+                "time_of_day": on.time_of_day,
+                **_means(given, ""),
+                **_means(found, "planned_"),
+                "overlap": len(cells & _cells(found)) / len(cells),
+                "note": given.note,
+            }
+        )
+    return PlannedBeside(tuple(demonstrations), tuple(planned), pd.DataFrame(rows))
+
+
+def _means(route: Demonstration, prefix: str) -> dict[str, float]:
+    length_m, *sums = route.sums[1].tolist()
+    means = zip(route.query.cost_map.names, sums, strict=True)
+    return {f"{prefix}length_m": length_m} | {f"{prefix}mean_{name}": value / length_m for name, value in means}
+
+
+def _cells(route: Demonstration) -> set[tuple[int, int]]:
+    return cells_of(route.points_m, route.query.cost_map.grid.resolution_m)
+
+
+def cells_of(points_m: np.ndarray, resolution_m: float) -> set[tuple[int, int]]:
+    """Return the cells, column and row, of points ``[N, 2]`` in metres from the map's southwest corner."""
+    return set(map(tuple, np.floor(points_m / resolution_m).astype(int).tolist()))

@@ -344,7 +344,7 @@ def test_demonstrations_planned_with_another_clearance_are_told(tmp_path):
     path = ju.plan(maps, **ends, altitude_m=ALTITUDE_M, constraints=constraints)
     for suffix in READERS:
         file = path.save(tmp_path / f"route{suffix}")
-        with pytest.warns(OtherSettingsWarning, match="give --clearance 7 --vertical-clearance 4"):
+        with pytest.warns(OtherSettingsWarning, match="clearance of 7 m, vertical clearance of 4 m"):
             ju.read_demonstrations(file, maps)
         ju.read_demonstrations(file, maps, constraints=constraints)  # warnings fail
 

@@ -287,13 +287,10 @@ def test_routes_are_fitted_under_the_cost_model_they_were_planned_under_and_diff
 def test_routes_of_other_constraints_than_the_fits_are_told(maps, plans, zone_file, tmp_path):
     free, limited = (plans[MODELS[0], name] for name in ("none", "constraints"))
     file = routes_file(tmp_path / "routes.geojson", [limited])
-    with pytest.warns(
-        OtherSettingsWarning, match=r"give --no-fly zone.geojson --require 'risk>=0.08' --vertical-clearance 3 \(c"
-    ):
+    constraints = "1 no-fly zone, risk>=0.08, vertical clearance of 3 m"
+    with pytest.warns(OtherSettingsWarning, match=rf"other constraints \({constraints}\) than .*--no-fly, --require"):
         ju.read_demonstrations(file, maps)
-    with pytest.warns(
-        OtherSettingsWarning, match=r"other constraints \(vertical clearance of 3 m\) .* give --vertical-clearance 3"
-    ):
+    with pytest.warns(OtherSettingsWarning, match=r"\(vertical clearance of 3 m\) than it is fitted under \(lidar>=0"):
         ju.demonstrations_from_paths([free], maps, constraints=ju.Constraints.read(require="lidar>=0"))
     moved = tmp_path / "moved.geojson"
     moved.write_text(zone_file.read_text())  # the same zone from another file is no other constraint

@@ -109,7 +109,10 @@ def test_a_presets_rule_is_one_for_commands_studies_and_the_viewer(tmp_path, cap
     defaults = PlanDefaults.of(maps, preset="paper")
     assert (defaults.cost_model.kind, defaults.vertical_clearance_m) == ("line", 3.0)
     drawn = ju.sample_instances(maps, 2, altitudes_m=[ALTITUDE_M], weights=[ju.Weights()], preset="paper")
-    shown = ju.read_demonstrations(drawn, maps, preset="paper")[0].query.cost_map
+    (row,) = drawn[drawn.instance == 0].itertuples()
+    ends = ju.XY(row.start_x_m, row.start_y_m), ju.XY(row.goal_x_m, row.goal_y_m)
+    path = ju.plan(maps, *ends, altitude_m=ALTITUDE_M, preset="paper")
+    shown = ju.demonstrations_from_paths(path, maps, preset="paper")[0].query.cost_map
     assert (shown.cost_model.kind, shown.maps.obstacles) == ("line", "centre")
     assert shown.constraints.vertical_clearance_m == 3.0
     nothing = folder_of(tmp_path / "b", planning={})

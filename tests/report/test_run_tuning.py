@@ -151,11 +151,11 @@ def test_ctrl_c_keeps_the_searches_and_the_same_command_ends_alike(made, tmp_pat
 @pytest.mark.slow
 def test_cities_are_fitted_together_and_judged_by_routes_held_out(made, tmp_path, capsys):
     write_zarr(small_maps().ds, tmp_path / "second")
-    instances = ju.sample_instances(small_maps(), 12, weights=[HIDDEN], altitudes_m=[20.0], seed=1)
-    instances.to_csv(tmp_path / "instances.csv", index=False)
+    queries = made_queries(cost_map(small_maps(), 20.0), 12, seed=1)
+    write_geojson(tmp_path / "second.geojson", optimal_demonstrations(queries, HIDDEN))
     pilot = ",".join(f"{name}={value}" for name, value in HIDDEN.to_dict().items())
     options = ("--hold-out", 0.25, "--losses", "robust,plain", "--by-city", "--pilot", pilot, "--bootstrap", 8)
-    arguments = (made / "maps", made / "routes.geojson", tmp_path / "second", tmp_path / "instances.csv")
+    arguments = (made / "maps", made / "routes.geojson", tmp_path / "second", tmp_path / "second.geojson")
     code, out, err = run(capsys, "tune", *arguments, "-o", tmp_path / "out", *options, "--rounds", 14, "--json")
     assert code == 0, err
     facts = json.loads(out)
@@ -181,7 +181,7 @@ def test_sampled_instances_are_flown_by_the_pilot_and_need_one(made, tmp_path, c
         (sampled, ("name the weights of the pilot",)),
         ((*sampled, "--pilot", "distance=0,gps=0"), ("every weight of the pilot is 0",)),
         ((*sampled, made / "maps", "--pilot", "gps=1"), ("named twice",)),
-        (("tune", made / "maps", "-o", tmp_path / "other"), ("jaxurban study", "--sample")),
+        (("tune", made / "maps", "-o", tmp_path / "other"), ("name files of routes", "--sample")),
         (
             ("tune", made / "maps", made / "routes.geojson", "-o", tmp_path / "b", "--sample", 3),
             ("choose one of both",),

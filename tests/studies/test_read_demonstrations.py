@@ -10,6 +10,7 @@ from jaxurban.errors import InputError, LeftOutWarning
 from jaxurban.paths.cost_map import cost_map
 from jaxurban.paths.export.write import write_path
 from jaxurban.studies.demonstrations import demonstration_from_line, optimal_demonstrations
+from jaxurban.studies.montecarlo.sampling import PLACES
 from jaxurban.studies.queries import RouteQuery, check_alike
 from jaxurban.studies.route_pool import RoutePool
 from tests.studies.routes_made import HIDDEN, made_queries, small_maps, thinned, write_geojson
@@ -25,6 +26,11 @@ def demonstrations(maps):
     return optimal_demonstrations(made_queries(cost_map(maps, 20.0), 4), HIDDEN)
 
 
+def ends_of(maps, demonstrations):
+    """Return start and goal of demonstrations in metres."""
+    return [[maps.grid.xy_of_cell(*cell) for cell in (each.query.start, each.query.goal)] for each in demonstrations]
+
+
 def test_routes_come_back_from_a_file_as_they_were(maps, demonstrations, tmp_path):
     read = ju.read_demonstrations(write_geojson(tmp_path / "routes.geojson", demonstrations), maps)
     for one, other in zip(read, demonstrations, strict=True):
@@ -35,7 +41,7 @@ def test_routes_come_back_from_a_file_as_they_were(maps, demonstrations, tmp_pat
 
 
 def test_planned_paths_are_demonstrations_of_zero_regret(maps, demonstrations, tmp_path):
-    ends = [[maps.grid.xy_of_cell(*cell) for cell in (e.query.start, e.query.goal)] for e in demonstrations]
+    ends = ends_of(maps, demonstrations)
     paths = [ju.plan(maps, start_xy_m=a, goal_xy_m=b, altitude_m=20.0, weights=HIDDEN) for a, b in ends]
     taken = ju.demonstrations_from_paths(paths, maps)
     cheapest = RoutePool([e.query for e in taken]).cheapest(np.tile(_vector(), (4, 1, 1)))[0, :, 0]
@@ -45,6 +51,43 @@ def test_planned_paths_are_demonstrations_of_zero_regret(maps, demonstrations, t
     write_path(paths[0], tmp_path / "path.geojson")
     (read,) = ju.read_demonstrations(tmp_path / "path.geojson", maps)
     np.testing.assert_allclose(read.features, taken[0].features, rtol=1e-12)
+
+
+@pytest.mark.parametrize("suffix", [".geojson", ".kml", ".plan"])
+def test_files_of_paths_bring_their_cost_model_and_their_features(maps, demonstrations, tmp_path, suffix):
+    (start, goal), *_ = ends_of(maps, demonstrations)
+    path = ju.plan(maps, start_xy_m=start, goal_xy_m=goal, altitude_m=20.0, weights=HIDDEN, cost_model="line")
+    write_path(path, tmp_path / f"path{suffix}")
+    (read,) = ju.read_demonstrations(tmp_path / f"path{suffix}", maps)
+    assert read.query.cost_map.cost_model.kind == "line"
+    assert read.query.cost_map.altitude_m == path.altitude_m
+    assert read.features @ HIDDEN.vector(read.query.names) == pytest.approx(path.cost, rel=1e-9)
+
+
+def test_a_table_of_queries_is_planned_first_and_its_paths_are_taken_at_their_own_cost(maps, tmp_path):
+    instances = ju.sample_instances(maps, 6, weights=[HIDDEN], seed=2).query("is_connected")
+    queries = instances[[*PLACES, "altitude_m"]]
+    paths = ju.plan_many(maps, queries, weights=HIDDEN, cost_model="line", progress=False)
+    paths.save(tmp_path / "paths.geojson")
+    for read in (
+        ju.demonstrations_from_paths(paths, maps),
+        ju.read_demonstrations(tmp_path / "paths.geojson", maps),
+    ):
+        costs = [each.features @ HIDDEN.vector(each.query.names) for each in read]
+        np.testing.assert_allclose(costs, [path.cost for path in paths], rtol=1e-9)
+    paths.save(tmp_path / "paths.csv")
+    with pytest.raises(InputError, match="is a table, which holds no lines: plan its queries first"):
+        ju.read_demonstrations(tmp_path / "paths.csv", maps)
+
+
+def test_wrong_missions_are_one_sentence(maps, tmp_path):
+    for text, words in (
+        ('{"mission": {"items": []}}', "no mission of two waypoints"),
+        ("[]", "cannot be read as a mission"),
+    ):
+        (tmp_path / "broken.plan").write_text(text)
+        with pytest.raises(InputError, match=words):
+            ju.read_demonstrations(tmp_path / "broken.plan", maps)
 
 
 @pytest.mark.slow
@@ -127,7 +170,7 @@ def test_drawn_lines_start_in_free_cells_near_their_ends_and_those_of_no_use_are
     inside, start, goal = (maps.grid.xy_of_cell(*map(int, cell)) for cell in (walls[0], query.start, query.goal))
     away = (start[0] - 1e5, start[1])
     file = write_lines(tmp_path / "lines.geojson", maps, (inside, goal), (away, goal), (start, goal))
-    left_out = r"1 of 3 lines of '.*' were left out: the second line \('2', from -7\d\.\d+, 40\.\d+\) leaves the maps"
+    left_out = r"1 of 3 lines of '.*' were left out: line 2 \('2', from -7\d\.\d+, 40\.\d+\) leaves the maps"
     with pytest.warns(LeftOutWarning, match=left_out):
         first, third = ju.read_demonstrations(file, maps, altitude_m=20.0)
     assert unit.is_free[first.query.start]
@@ -144,9 +187,7 @@ def test_a_line_that_starts_far_inside_an_obstacle_names_its_place_and_asks_for_
     maps.ds["obstacle"][:, 5:25, 5:25] = 1
     inside, goal = (maps.grid.xy_of_cell(*cell) for cell in ((15, 15), (33, 30)))
     file = write_lines(tmp_path / "lines.geojson", maps, (inside, goal))
-    with pytest.raises(
-        InputError, match=r"the start of the first line \('1', from .*\) is inside an obstacle"
-    ) as caught:
+    with pytest.raises(InputError, match=r"the start of line 1 \('1', from .*\) is inside an obstacle") as caught:
         ju.read_demonstrations(file, maps, altitude_m=20.0)
     assert "no free cell is within 50 m of it" in str(caught.value)
     assert "give" not in str(caught.value)

@@ -27,7 +27,7 @@ from jaxurban.report.figures.frame import (
 from jaxurban.report.figures.metrics import line_colour, obstacle_patches
 from jaxurban.report.figures.notes import frame_note, joined, rules_said
 from jaxurban.report.figures.paths import BLOCKED_COLOUR
-from jaxurban.studies.beside_demonstrations import PlannedBeside
+from jaxurban.studies.demonstrations import PlannedBeside
 from jaxurban.studies.tuning.target_fit import TargetFit
 from jaxurban.studies.tuning.weight_fit import WeightFit
 

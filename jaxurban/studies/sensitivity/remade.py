@@ -15,7 +15,7 @@ from jaxurban.maps.height_uncertainty import perturbed_cities
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.maps.task import MapTask
 from jaxurban.planners.astar import astar
-from jaxurban.studies.beside_demonstrations import cells_of
+from jaxurban.studies.demonstrations import cells_of
 from jaxurban.studies.montecarlo.trial import BAD_INPUT
 from jaxurban.studies.queries import RouteQuery
 from jaxurban.studies.sensitivity.routes import ROUTE_KEY, SensitivityStudySettings, query_of, row_of
