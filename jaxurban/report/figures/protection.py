@@ -28,20 +28,6 @@ def limits_said(maps: MetricMaps) -> str:
     return " and ".join(f"{name.upper()} ≤ {maps.ds.attrs[LIMITS[name]]:g} m" for name in LEVEL_NAMES)
 
 
-def protection_texts(maps: MetricMaps) -> dict[str, str]:
-    """Return what each picture shows of protection levels, by its name; empty where these maps hold none."""
-    if METRIC.name not in maps.metrics:
-        return {}
-    limits = limits_said(maps)
-    texts = dict.fromkeys(LEVEL_NAMES, "how far off a position can be, in metres up to twice the alert limit.")
-    return texts | {
-        METRIC.name: "1 where HPL is 0 m, falling to 0 at the horizontal alert limit.",
-        WITHIN_LIMITS: f"where {limits}.",
-        AVAILABILITY: f"at how many epochs {limits}, as a share.",
-        LOW: "the protection that 5 % of the epochs stay below.",
-    }
-
-
 def median_said(level_m: np.ndarray) -> str:
     """Return the median of levels in words."""
     middle_m = np.quantile(level_m, 0.5, method="higher")
