@@ -4,6 +4,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from itertools import compress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,11 +20,12 @@ from jaxurban.paths.cost_map import CostMap
 from jaxurban.progress import Progress, reporting
 from jaxurban.report.figures.degrees import in_degrees
 from jaxurban.report.figures.tuning import plot_learning, plot_regret, plot_routes, plot_targets, plot_weights
-from jaxurban.report.fits import fits_section, is_compared
 from jaxurban.report.save import Output, files_of, save
 from jaxurban.report.tuning import (
     FitSource,
+    fits_section,
     imitation_report,
+    is_compared,
     targets_report,
     weight_units,
     weights_option,
@@ -40,7 +42,7 @@ from jaxurban.studies.tuning.targets import Target
 from jaxurban.studies.tuning.weight_fit import WeightFit
 
 STATE_FILE = "fit-state.npz"
-TABLES = "learning_curve", "fewer_examples", "fits", "routes", "targets", "weights", "examples"
+TABLES = "learning_curve", "fewer_examples", "fits", "targets", "weights", "examples"
 UNDER = "cost_model", "constraints", "preset"  # settings of routes
 FIGURES = "weights", "learning_curve", "regret", "targets"
 
@@ -146,13 +148,11 @@ def run_tuning(
                     hold_out=settings.hold_out,
                     losses=settings.losses,
                     by_city=settings.by_city,
-                    pilot=settings.pilot,
                     **settings.weights,
                     settings=how,
                 )
                 fit = found.best
-                is_seen = ~found.routes.is_held_out
-                demonstrations = [each for each, is_fitted in zip(demonstrations, is_seen, strict=True) if is_fitted]
+                demonstrations = list(compress(demonstrations, ~found.is_held_out))
             report("routes under the fitted weights")
             beside = plan_beside(demonstrations, fit.weights)
             report("figures and report")
@@ -250,7 +250,7 @@ def outputs_of(
         fits = ""
         if found is not None and is_compared(found):
             fits = fits_section(found)
-            outputs |= {"fits": found.table, "routes": found.routes}
+            outputs["fits"] = found.table
         report = imitation_report(fit, beside, source, fits)
     else:
         weights = pd.DataFrame({"name": fit.names, "weight": vector})

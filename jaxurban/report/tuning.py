@@ -9,8 +9,9 @@ import pandas as pd
 
 from jaxurban.metrics.weights import Weights
 from jaxurban.paths.cost_map import CostMap
-from jaxurban.report.markdown import bullets, counted, fill, table
+from jaxurban.report.markdown import bullets, counted, fill, framed, table
 from jaxurban.studies.demonstrations import PlannedBeside
+from jaxurban.studies.tuning.compared_fits import FitComparison
 from jaxurban.studies.tuning.target_fit import TargetFit
 from jaxurban.studies.tuning.targets import Target
 from jaxurban.studies.tuning.weight_fit import WeightFit
@@ -106,6 +107,18 @@ def imitation_report(fit: WeightFit, beside: PlannedBeside, source: FitSource, f
         warnings=bullets(fit.warnings) or "None.",
     )
     return f"{text}\n"
+
+
+def is_compared(found: FitComparison) -> bool:
+    """Return whether there is more to report than one fit to all routes."""
+    return len(found.fits) > 1 or bool(found.is_held_out.any())
+
+
+def fits_section(found: FitComparison) -> str:
+    """Return the section of a report on several fits."""
+    num_held_out, num_bad = int(found.is_held_out.sum()), int(found.is_bad.sum())
+    fits = framed(found.table.filter(regex="^(?!w_)"))
+    return fill("fits", fits=fits, num=len(found.is_bad), num_held_out=num_held_out, num_bad=num_bad)
 
 
 def _fewer(fit: WeightFit) -> str:
