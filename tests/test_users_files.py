@@ -245,10 +245,10 @@ def test_the_demo_replaces_no_scenario_or_summary_of_the_users(tmp_path, monkeyp
 
 
 def test_a_scenario_that_was_fetched_and_edited_is_kept(tmp_path):
-    from jaxurban.io.fetch.staging import staged
+    from jaxurban.io.fetch import staged
 
     def fetch(**options):
-        with staged(tmp_path, ["scenario.toml"], **options) as stage:
+        with staged(tmp_path, [], **options) as stage:
             (stage / "scenario.toml").write_text("fetched")
 
     fetch(overwrite=False)

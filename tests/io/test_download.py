@@ -11,14 +11,14 @@ import time
 from datetime import UTC, datetime, timedelta
 from email.utils import format_datetime
 from io import BytesIO
+from types import SimpleNamespace
 
 import pytest
 import requests
 
 from jaxurban.errors import InputError
-from jaxurban.io.fetch import download
-from jaxurban.io.fetch.download import Download, UnfitError, cache_folder, open_cache
-from jaxurban.io.fetch.sources import Source
+from jaxurban.io import download
+from jaxurban.io.download import Source, cache_folder, open_cache
 from jaxurban.io.files import LOCK_FILE
 from jaxurban.maps.memory import parse_bytes
 from tests.misbehaving_server import drip, send, serve, unless_known
@@ -38,16 +38,18 @@ def server(tmp_path, monkeypatch):
 
 def is_good(path):
     if not path.read_bytes().startswith(b"good"):
-        raise UnfitError("it is not good")
-
-
-def wanted(url, check, **options):
-    return Download(Source("osm", url, (), "credit", "licence", **({"fresh_s": 0.0} | options)), url, check)
+        raise InputError("it is not good")
+    return path
 
 
 def get(url, *, most_bytes=MB, timeout_s=5.0, is_offline=False, **options):
+    """Return the facts of a file, and where the cache has it."""
+    source = Source("osm", url, "credit", "licence", **({"fresh_s": 0.0} | options))
     with open_cache(most_bytes=most_bytes, timeout_s=timeout_s, is_offline=is_offline) as cache:
-        return cache.get(wanted(url, is_good, **options))
+        facts, _ = cache.get(source, url, is_good)
+    return SimpleNamespace(
+        path=next(cache_folder().glob(f"{hashlib.sha256(url.encode()).hexdigest()[:9]}*.body")), **facts
+    )
 
 
 def files_in_cache():
@@ -286,9 +288,9 @@ def test_two_runs_do_not_share_the_cache_at_a_time(server):
 def test_a_killed_run_leaves_nothing_that_is_used(server):
     url = server.put("/a", drip(server, b"good" * 1000, 0.02))
     code = (
-        "from jaxurban.io.fetch.download import *\n"
+        "from jaxurban.io.download import *\n"
         "with open_cache(most_bytes=10**9, timeout_s=60.0, is_offline=False) as cache:\n"
-        f"    cache.get(Download(Source('osm', '', (), '', '', 0.0), {url!r}, print))\n"
+        f"    cache.get(Source('osm', '', '', '', 0.0), {url!r}, print)\n"
     )
     with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.DEVNULL) as process:
         while not (server.asked and any(cache_folder().glob(".*"))):
