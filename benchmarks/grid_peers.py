@@ -22,11 +22,10 @@ import jaxurban as ju
 from benchmarks.common import ROOT, Row, Timing, load, machine, markdown, row, write_json
 from jaxurban.planners.astar import astar
 from jaxurban.planners.base import Cell, Problem
+from jaxurban.planners.bounds import make_landmarks
 from jaxurban.planners.cost_model import CostModel
-from jaxurban.planners.graph import NO_HEURISTIC, Graph, Heuristic, graph_of
-from jaxurban.planners.landmarks import make_landmarks
 from jaxurban.planners.moves import STEPS
-from jaxurban.planners.search.grid import GridSearch
+from jaxurban.planners.search.grid import NO_HEURISTIC, Graph, GridSearch, Heuristic, graph_of
 
 CITY_M = (10_000.0, 20_000.0)
 RESOLUTION_M = 5.0

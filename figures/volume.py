@@ -14,8 +14,8 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 import jaxurban as ju
+from jaxurban.planners.astar import volume_astar
 from jaxurban.planners.base import Problem
-from jaxurban.planners.volume_astar import volume_astar
 from jaxurban.report.save import write_png
 
 FILE = Path(__file__).with_suffix(".png")

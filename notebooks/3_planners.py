@@ -36,7 +36,7 @@ from jaxurban.planners.astar import astar
 from jaxurban.planners.base import Problem
 from jaxurban.planners.bitstar.batches import BitStarOptions
 from jaxurban.planners.bitstar.planner import bitstar_plus
-from jaxurban.planners.heuristics import heuristic_at, make_heuristic
+from jaxurban.planners.bounds import heuristic_at, make_heuristic
 from jaxurban.report.figures import plot_paths
 
 city = ju.demo_city(width_m=2_000, height_m=3_000)

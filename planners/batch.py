@@ -13,11 +13,9 @@ import numpy as np
 from jaxurban.errors import InputError
 from jaxurban.planners.base import Cell, Path, Problem
 from jaxurban.planners.bitstar.batched import solve_batched
+from jaxurban.planners.bounds import AUTO, NUM_LANDMARKS, cost_to_go, make_landmarks
 from jaxurban.planners.checks import check_budget
-from jaxurban.planners.heuristics import AUTO
-from jaxurban.planners.landmarks import NUM_LANDMARKS, make_landmarks
 from jaxurban.planners.registry import PLANNERS, find_planner
-from jaxurban.planners.search.fields import cost_to_go
 from jaxurban.planners.search.frontier import solve_by_frontier
 
 Outcome = tuple[int, Path | Exception]

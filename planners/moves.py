@@ -1,22 +1,11 @@
 """The steps of a grid planner and where each of them is allowed."""
 
-import operator
-from collections.abc import Callable
-
 import numpy as np
 
 from jaxurban.kernels.compiled import compiled
 
 # (row, column) of the eight steps; bit k of a cell's moves stands for step k.
 STEPS = ((1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (1, -1), (-1, 1), (-1, -1))
-
-
-def steps_back(start: tuple[int, ...], goal: tuple[int, ...], step_to: Callable[..., tuple[int, ...]]) -> np.ndarray:
-    """Return ``[N, D]`` the cells (or nodes) from start to goal, given the step by which each one was reached."""
-    cells = [goal]
-    while cells[-1] != start:
-        cells.append(tuple(map(operator.sub, cells[-1], step_to(*cells[-1]))))
-    return np.array(cells[::-1])
 
 
 def allowed_moves(is_free: np.ndarray, connectivity: int, needs_both_free: bool) -> np.ndarray:

@@ -8,13 +8,12 @@ import numpy as np
 
 from jaxurban.errors import InputError, nearest_name
 from jaxurban.planners.any_angle import theta_star
-from jaxurban.planners.astar import astar_dist, astar_plus
+from jaxurban.planners.astar import astar_dist, astar_plus, volume_astar
 from jaxurban.planners.base import Path, Planner
 from jaxurban.planners.bitstar.bounds import HEURISTICS as OFF_GRID_HEURISTICS
 from jaxurban.planners.bitstar.planner import bitstar_dist, bitstar_plus
-from jaxurban.planners.heuristics import AUTO, HEURISTICS
+from jaxurban.planners.bounds import AUTO, HEURISTICS, VOLUME_HEURISTICS
 from jaxurban.planners.ptp import ptp
-from jaxurban.planners.volume_astar import VOLUME_HEURISTICS, volume_astar
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,8 @@ from matplotlib.patches import Patch, Rectangle
 from figures.paper.common import PATH_M, TOWNS, Caption, save
 from jaxurban.planners.base import Cell, Problem
 from jaxurban.planners.cost_model import CostModel
-from jaxurban.planners.graph import graph_of
 from jaxurban.planners.moves import STEPS, allowed_moves
+from jaxurban.planners.search.grid import graph_of
 from jaxurban.report.figures.colours import SMALL_PT
 from jaxurban.report.figures.frame import FAINT_INK, INK, TEXT_PT
 from jaxurban.report.figures.metrics import percent

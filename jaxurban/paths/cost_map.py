@@ -22,10 +22,9 @@ from jaxurban.paths.search import PathSearch
 from jaxurban.paths.snapping import XY, Place, Point, free_place, joined_ends, pocket_note
 from jaxurban.planners.any_angle import check_line_model
 from jaxurban.planners.base import Cell, CostKind, Problem
+from jaxurban.planners.bounds import AUTO, make_landmarks
 from jaxurban.planners.cost import PathFeatures
 from jaxurban.planners.cost_model import CostModel
-from jaxurban.planners.heuristics import AUTO
-from jaxurban.planners.landmarks import make_landmarks
 from jaxurban.planners.refine import refine as refine_path
 from jaxurban.planners.registry import PLANNERS
 from jaxurban.presets import BUDGET_S

@@ -1,12 +1,26 @@
-"""A 4-ary heap of open nodes or edges, lowest first, for compiled searches."""
+"""What is open in compiled searches, lowest first: a 4-ary heap, and for grids one behind buckets."""
 
-from typing import NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
+from llvmlite import ir
+from numba import types
+from numba.extending import intrinsic
 
 from jaxurban.kernels.compiled import compiled
 
 FOUND, EXHAUSTED, PAUSED, FULL = range(4)  # how a chunk of search ended: FULL for want of room in the heap
+UNREACHED = 0  # a node's state as long as no way to it is known: its g is not written yet
+PARENT_STEP = 0x1F  # bits of the state after that: the step by which it was reached ...
+NO_PARENT = 0x1F  # ... or this, at the start
+CLOSED = 0x20
+REACHED = 0x40
+NUM_BUCKETS = 2048
+BUCKETS_PER_STEP = 512  # in the cost of a typical step: some five entries a bucket on city maps
+NUM_FAR, FREE_SLOT, BUCKET = 0, 1, 2  # places in a queue's ``tally``
+NO_SLOT = -1
+BYTES, WORD = ir.IntType(8).as_pointer(), ir.IntType(32)
+READ, KEEP_CLOSE, DATA = 0, 3, 1  # LLVM's words: what for, how near to the core, and that it is no code
 
 
 class Heap(NamedTuple):
@@ -78,3 +92,126 @@ def drop_top(heap):
         i = low
     heap.f[i] = f
     heap.item[i] = item
+
+
+def _prefetch(typing_context, array, index):
+    """Ask for the cache line where an item of an array ``[N]`` begins; an index outside the array does no harm."""
+
+    def generate(context, builder, signature, arguments):
+        values, place = arguments
+        data = context.make_array(signature.args[0])(context, builder, values).data
+        address = builder.bitcast(builder.gep(data, [place]), BYTES)
+        hint = [ir.Constant(WORD, word) for word in (READ, KEEP_CLOSE, DATA)]
+        kind = ir.FunctionType(ir.VoidType(), [BYTES, *[WORD] * len(hint)])
+        function = builder.module.globals.get("llvm.prefetch") or ir.Function(builder.module, kind, "llvm.prefetch")
+        builder.call(function, [address, *hint])
+        return context.get_dummy_value()
+
+    return types.void(array, index), generate
+
+
+prefetch: Any = intrinsic(_prefetch)
+
+
+class Queue(NamedTuple):
+    """Open nodes by f: a 4-ary heap of the lowest, and buckets of equal width for the rest. ``Q`` entries.
+
+    A heap of all open nodes took two thirds of a search, most of it in mispredicted branches on the way
+    down. Here an entry waits unsorted in its bucket until all of lower buckets are taken, and the heap
+    stays a dozen entries high. The order is that of one heap, but among equal f.
+
+    Attributes:
+      near: heap of the nodes, int32, of the buckets up to the current one.
+      far_f, far_node, far_next: ``[Q]`` slots of the linked lists of later buckets; the next slot, int32.
+      first: ``[B + 1]`` int32 first slot of each bucket, and of what lies beyond them. Once they are empty
+        they begin again at the lowest f beyond.
+      tally: ``[3]`` int64 entries in the lists, first free slot, current bucket.
+      scale: ``[2]`` f where the buckets begin, and buckets per cost; 0: all is in the heap.
+    """
+
+    near: Heap
+    far_f: np.ndarray
+    far_node: np.ndarray
+    far_next: np.ndarray
+    first: np.ndarray
+    tally: np.ndarray
+    scale: np.ndarray
+
+
+def empty_queue(num_entries: int, step: float) -> Queue:
+    """Return a queue with room for that many entries, its buckets fitted to what a step costs (the order never is)."""
+    return Queue(
+        near=Heap.empty(num_entries),
+        far_f=np.empty(num_entries),
+        far_node=np.empty(num_entries, np.int32),
+        far_next=np.arange(1, num_entries + 1, dtype=np.int32),
+        first=np.full(NUM_BUCKETS + 1, NO_SLOT, np.int32),
+        tally=np.zeros(3, np.int64),
+        scale=np.array([0.0, BUCKETS_PER_STEP / step if step > 0 else 0.0]),
+    )
+
+
+def grown(queue: Queue) -> Queue:
+    """Return the queue with room for twice as many entries."""
+    size = queue.far_next.size
+    return queue._replace(
+        near=queue.near.grown(),
+        far_f=np.resize(queue.far_f, 2 * size),
+        far_node=np.resize(queue.far_node, 2 * size),
+        # The last free slot leads to the first new one.
+        far_next=np.concatenate([queue.far_next, np.arange(size + 1, 2 * size + 1, dtype=np.int32)]),
+    )
+
+
+@compiled(forceinline=True)
+def insert(queue, f, node):
+    """Put a node into a queue that has room."""
+    tally = queue.tally
+    bucket = (f - queue.scale[0]) * queue.scale[1]
+    if not bucket >= tally[BUCKET] + 1:  # NaN, of an infinite f, comes here too
+        push(queue.near, f, node)
+        return
+    place = int(min(bucket, NUM_BUCKETS))
+    slot = tally[FREE_SLOT]
+    tally[FREE_SLOT] = queue.far_next[slot]
+    queue.far_f[slot] = f
+    queue.far_node[slot] = node
+    queue.far_next[slot] = queue.first[place]
+    queue.first[place] = slot
+    tally[NUM_FAR] += 1
+
+
+@compiled(forceinline=True)
+def refill(queue, graph, g, state):
+    """Bring the next bucket's entries into an empty heap; it stays empty where no bucket is left.
+
+    They will soon be expanded, so what is known of them and of their neighbours is asked for now. Those that have been
+    by now, from a lower f, are left out.
+    """
+    tally = queue.tally
+    while queue.near.size[0] == 0 and tally[NUM_FAR] > 0:
+        place = tally[BUCKET] + 1
+        tally[BUCKET] = place
+        if place == NUM_BUCKETS:
+            tally[BUCKET] = 0
+            queue.scale[0] = np.inf
+            slot = queue.first[place]
+            while slot != NO_SLOT:
+                queue.scale[0] = min(queue.scale[0], queue.far_f[slot])
+                slot = queue.far_next[slot]
+        slot = queue.first[place]
+        queue.first[place] = NO_SLOT
+        while slot != NO_SLOT:
+            next_slot = queue.far_next[slot]
+            queue.far_next[slot] = tally[FREE_SLOT]
+            tally[FREE_SLOT] = slot
+            tally[NUM_FAR] -= 1
+            node = np.int64(queue.far_node[slot])
+            if not state[np.uint64(node)] & CLOSED:
+                insert(queue, queue.far_f[slot], node)
+                prefetch(graph.moves, node)
+                for beside in (node - graph.num_cols, node, node + graph.num_cols):
+                    prefetch(g, beside)
+                    prefetch(state, beside)
+                    prefetch(graph.cost, beside)
+            slot = next_slot

@@ -10,10 +10,10 @@ import numpy as np
 
 from jaxurban.kernels.search.frontier import Grids, advance, begin, drop, empty_frontier, is_crowded, with_list_of
 from jaxurban.planners.base import Cell, Path, Problem, Status
+from jaxurban.planners.bounds import make_heuristic
 from jaxurban.planners.checks import power_of_two
-from jaxurban.planners.graph import graph_of
-from jaxurban.planners.heuristics import make_heuristic
-from jaxurban.planners.moves import STEPS, steps_back
+from jaxurban.planners.moves import STEPS
+from jaxurban.planners.search.grid import graph_of, way_m
 
 BAND_STEPS = 8.0  # a band that spans this many steps over the map's median cell
 ROUNDS_AT_ONCE = 64  # between two looks at the clock: some 0.1 s
@@ -155,9 +155,10 @@ class _Batch:
             status = Status.OPTIMAL if is_reached else Status.NO_PATH
         else:
             status = Status.BUDGET_FEASIBLE if is_reached else Status.BUDGET_EMPTY
+        reached_by = np.asarray(self.frontier.reached_by[place]).reshape(problem.cost.shape)
         return Path.of(
             problem,
-            _points_m(problem, np.asarray(self.frontier.reached_by[place])) if is_reached else np.empty(0),
+            way_m(problem, reached_by, np.array(STEPS)) if is_reached else np.empty(0),
             status,
             lowest_f,
             begin_s,
@@ -197,13 +198,6 @@ def _band(problem: Problem, band_steps: float) -> float:
     share = graph.from_share[0] + graph.to_share[0]
     step = float(graph.step_cost[0] + share * np.median(problem.cost[problem.is_free]))
     return band_steps * step if step > 0 else 0.0  # 0 times a band without end is not a number
-
-
-def _points_m(problem: Problem, reached_by: np.ndarray) -> np.ndarray:
-    """Return ``[N, 2]`` the cell centres from start to goal, by the steps that led to each cell."""
-    reached_by = reached_by.reshape(problem.cost.shape)
-    cells = steps_back(problem.start, problem.goal, lambda row, col: STEPS[reached_by[row, col]])
-    return (cells[:, ::-1] + 0.5) * problem.resolution_m
 
 
 def _flat(cell: Cell, problem: Problem) -> int:

@@ -1,84 +1,200 @@
-"""The compiled A* search: a heap behind buckets, run in bounded chunks that the caller resumes."""
+"""The compiled A* search over a grid, or over a stack of them, run in bounded chunks that the caller resumes."""
 
+import operator
 import time
 from typing import NamedTuple
 
 import numpy as np
 
 from jaxurban.kernels.compiled import compiled
-from jaxurban.kernels.search.heap import EXHAUSTED, FOUND, FULL, PAUSED, Heap, drop_top, push
-from jaxurban.kernels.search.prefetch import prefetch
-from jaxurban.kernels.search.tiles import tile_estimate
-from jaxurban.planners.base import Cell
-from jaxurban.planners.graph import Graph, Heuristic
-from jaxurban.planners.moves import STEPS, steps_back
+from jaxurban.kernels.search.heap import (
+    CLOSED,
+    EXHAUSTED,
+    FOUND,
+    FULL,
+    NO_PARENT,
+    NUM_FAR,
+    PARENT_STEP,
+    PAUSED,
+    REACHED,
+    UNREACHED,
+    Queue,
+    drop_top,
+    empty_queue,
+    grown,
+    insert,
+    refill,
+)
+from jaxurban.kernels.search.tiles import TileBound, tile_estimate
+from jaxurban.planners.base import Cell, Problem
+from jaxurban.planners.moves import STEPS
 
-UNREACHED = 0  # a node's state as long as no way to it is known: its g is not written yet
-PARENT_STEP = 0x0F  # bits of the state after that: the step by which it was reached ...
-NO_PARENT = 0x08  # ... or this, at the start
-CLOSED = 0x10
-REACHED = 0x40
-MAX_STEPS = 8
+# (levels up, rows, columns): the eight steps of a level, those that also climb, and descend, straight up, and down.
+ALL_STEPS = np.array([(up, *step) for up in (0, 1, -1) for step in STEPS] + [(1, 0, 0), (-1, 0, 0)])
+MAX_STEPS = len(ALL_STEPS)
 NOWHERE = -1  # a goal that is never met
-CHUNK = 200_000  # expansions between two looks at the clock: some 50 ms
+CHUNK = 50_000  # expansions between two looks at the clock: some 15 ms on one level
 FIRST_ENTRIES = 4096  # of a queue; doubled when full
-NUM_BUCKETS = 2048
-BUCKETS_PER_STEP = 512  # in the cost of a typical step: some five entries a bucket on city maps
-NUM_FAR, FREE_SLOT, BUCKET = 0, 1, 2  # places in a queue's ``tally``
-NO_SLOT = -1
 ROUNDING = 1 - 1e-12  # a closed node is not worth expanding again for a gain that rounding explains
+SAMPLES = 4093  # cells of a map that stand for all
 
 
-class Queue(NamedTuple):
-    """Open nodes by f: a 4-ary heap of the lowest, and buckets of equal width for the rest. ``Q`` entries.
+class Graph(NamedTuple):
+    """A grid as the search sees it; nodes are flat cell numbers. ``M`` nodes, ``K`` steps, ``H`` levels.
 
-    A heap of all open nodes took two thirds of a search, most of it in mispredicted branches on the way
-    down. Here an entry waits unsorted in its bucket until all of lower buckets are taken, and the heap
-    stays a dozen entries high. The order is that of one heap, but among equal f.
+    A volume is one grid, its levels stacked row upon row. On level l step k from P to Q costs
+    ``step_cost[l * K + k] + from_share[l * K + k] * cost[P] + to_share[l * K + k] * cost[Q]``.
 
     Attributes:
-      near: heap of the nodes, int32, of the buckets up to the current one.
-      far_f, far_node, far_next: ``[Q]`` slots of the linked lists of later buckets; the next slot, int32.
-      first: ``[B + 1]`` int32 first slot of each bucket, and of what lies beyond them. Once they are empty
-        they begin again at the lowest f beyond.
-      tally: ``[3]`` int64 entries in the lists, first free slot, current bucket.
-      scale: ``[2]`` f where the buckets begin, and buckets per cost; 0: all is in the heap.
+      cost: ``[M]`` float64 map cost; inf where a node of a volume is not free.
+      moves: ``[M]`` uint8, bit k: step k of the first eight is allowed on the node's level. In a volume a step to
+        another level is where it is allowed on both.
+      num_cols: cells in a row.
+      steps: ``[K, 2]`` int64 rows and columns of each step: eight, or in a volume all of `ALL_STEPS`.
+      step_cost, from_share, to_share: ``[H * K]`` float64.
+      sample: ``[S]`` float64 costs of cells all over the map from which steps lead.
+      plane: nodes of a level of a volume; None on one altitude.
     """
 
-    near: Heap
-    far_f: np.ndarray
-    far_node: np.ndarray
-    far_next: np.ndarray
-    first: np.ndarray
-    tally: np.ndarray
-    scale: np.ndarray
+    cost: np.ndarray
+    moves: np.ndarray
+    num_cols: int
+    steps: np.ndarray
+    step_cost: np.ndarray
+    from_share: np.ndarray
+    to_share: np.ndarray
+    sample: np.ndarray
+    plane: int | None = None
 
 
-def empty_queue(graph: Graph, num_entries: int) -> Queue:
-    """Return a queue with room for that many entries, its buckets fitted to the graph's costs (the order never is)."""
-    cost = float(graph.sample.mean()) if graph.sample.size else 0.0
-    step = float(np.mean(graph.step_cost + (graph.from_share + graph.to_share) * cost))
-    return Queue(
-        near=Heap.empty(num_entries),
-        far_f=np.empty(num_entries),
-        far_node=np.empty(num_entries, np.int32),
-        far_next=np.arange(1, num_entries + 1, dtype=np.int32),
-        first=np.full(NUM_BUCKETS + 1, NO_SLOT, np.int32),
-        tally=np.zeros(3, np.int64),
-        scale=np.array([0.0, BUCKETS_PER_STEP / step if step > 0 else 0.0]),
+class LandmarkBound(NamedTuple):
+    """Costs to a few cells, which bound the cost to the goal (see `landmarks`). ``K`` landmarks.
+
+    The bound is the greatest ``|costs[r, c, k] - at_goal[k]|``, plus ``goal_term - cost_share * cost[r, c]``.
+
+    Attributes:
+      costs: ``[Y, X, K]`` float64, inf where there is no way.
+      at_goal: ``[K]`` the same at the goal.
+      cost: ``[Y, X]`` the problem's map cost.
+      cost_share, goal_term: what turns symmetric costs into those of the problem's steps.
+    """
+
+    costs: np.ndarray
+    at_goal: np.ndarray
+    cost: np.ndarray
+    cost_share: float
+    goal_term: float
+
+
+class LevelBound(NamedTuple):
+    """What a volume's levels add to a bound. ``H`` of them.
+
+    Attributes:
+      num_rows: of a level.
+      rise: ``[H]`` float64 the least cost of changing to the goal's level.
+    """
+
+    num_rows: int
+    rise: np.ndarray
+
+
+class Heuristic(NamedTuple):
+    """A bound ``h(n)`` on the cost to the goal, evaluated node by node. ``Y`` rows, ``X`` columns.
+
+    With ``dr, dc`` rows and columns to the goal: a distance part ``euclidean * hypot(dr, dc)
+    + straight * max(dr, dc) + diagonal * min(dr, dc)``, plus ``field[r, c]`` where it has any cells. Landmarks or
+    tiles may raise it. In a volume rows and columns are those of the plan, and ``levels`` adds its part.
+
+    Attributes:
+      euclidean, straight, diagonal: cost per cell side.
+      field: ``[Y, X]`` float64 map cost to the goal, or ``[0, 0]``. With a distance part of 0 it may hold
+        the whole cost to go; inf proves that there is no way.
+      landmarks, tiles: further bounds, of which the largest counts. A type of its own where there is one, so
+        that the search is compiled without it for all others.
+      levels: of a volume.
+    """
+
+    euclidean: float
+    straight: float
+    diagonal: float
+    field: np.ndarray
+    landmarks: LandmarkBound | None = None
+    tiles: TileBound | None = None
+    levels: LevelBound | None = None
+
+
+NO_HEURISTIC = Heuristic(0.0, 0.0, 0.0, np.empty((0, 0)))  # 0, which makes A* Dijkstra's search
+
+
+def graph_of(problem: Problem, *, is_symmetric: bool = False) -> Graph:
+    """Return the problem's map as the search sees it.
+
+    Args:
+      problem: the query.
+      is_symmetric: under the ``cell`` model, count half of each of a step's two cells instead of the one
+        entered. A path from P to Q then costs ``(cost[P] - cost[Q]) / 2`` more than it does in truth.
+    """
+    cost, moves = problem.cost, problem.moves.reshape(-1)
+    stride = max(1, moves.size // SAMPLES)
+    sample = cost.reshape(-1)[::stride][moves[::stride] > 0]
+    num_rows, num_cols = cost.shape[-2:]
+    is_volume = problem.levels_m is not None
+    up, rows, cols = (ALL_STEPS if is_volume else ALL_STEPS[: len(STEPS)]).T
+    rise_m = rises_m(problem)[:, 1 + up]
+    length_m = np.hypot(rise_m, np.hypot(rows, cols) * problem.resolution_m)
+    if problem.cost_model.kind == "line":
+        # Half of an edge lies in each of its two cells.
+        from_share = to_share = length_m / (2 * problem.cost_model.reference_length_m)
+    else:
+        from_share = np.full(length_m.shape, 0.5 if is_symmetric else 0.0)
+        to_share = 1.0 - from_share
+    return Graph(
+        cost=cost.reshape(-1),
+        moves=moves,
+        num_cols=num_cols,
+        steps=np.stack([up * num_rows + rows, cols], axis=1),
+        step_cost=(problem.distance_weight * length_m + height_cost(problem, rise_m)).reshape(-1),
+        from_share=from_share.reshape(-1),
+        to_share=to_share.reshape(-1),
+        sample=sample,
+        plane=num_rows * num_cols if is_volume else None,
     )
 
 
-def grown(queue: Queue) -> Queue:
-    """Return the queue with room for twice as many entries."""
-    size = queue.far_next.size
-    return queue._replace(
-        near=queue.near.grown(),
-        far_f=np.resize(queue.far_f, 2 * size),
-        far_node=np.resize(queue.far_node, 2 * size),
-        # The last free slot leads to the first new one.
-        far_next=np.concatenate([queue.far_next, np.arange(size + 1, 2 * size + 1, dtype=np.int32)]),
-    )
+def rises_m(problem: Problem) -> np.ndarray:
+    """Return ``[H, 3]`` metres from each level to the one below, to itself, and to the one above (0: none)."""
+    levels_m = np.zeros(1) if problem.levels_m is None else problem.levels_m
+    framed = np.pad(levels_m, 1, mode="edge")
+    return np.stack([framed[:-2], framed[1:-1], framed[2:]], axis=1) - levels_m[:, None]
+
+
+def height_cost(problem: Problem, rise_m: np.ndarray) -> np.ndarray:
+    """Return what the height alone of steps that rise so many metres costs."""
+    climb_cost, descent_cost = problem.height_costs
+    return np.where(rise_m > 0, climb_cost * rise_m, -descent_cost * rise_m)
+
+
+def cell_of(problem: Problem, node: Cell) -> Cell:
+    """Return row and column of a cell, or of a volume's node, in a grid of all levels, row upon row."""
+    return node if problem.levels_m is None else (node[0] * problem.is_free.shape[1] + node[1], node[2])
+
+
+def way_m(problem: Problem, states: np.ndarray, steps: np.ndarray) -> np.ndarray:
+    """Return ``[N, 2]`` (in a volume ``[N, 3]``) the centres from start to goal.
+
+    Args:
+      problem: the query.
+      states: ``[Y, X]`` uint8 whose bits `PARENT_STEP` number the step that led to each cell; in a volume of all
+        levels, row upon row.
+      steps: ``[K, 2]`` rows and columns of each step, likewise.
+    """
+    start, cells = cell_of(problem, problem.start), [cell_of(problem, problem.goal)]
+    while cells[-1] != start:
+        cells.append(tuple(map(operator.sub, cells[-1], steps[states[cells[-1]] & PARENT_STEP])))
+    row, col = np.array(cells[::-1]).T
+    level, row = np.divmod(row, problem.is_free.shape[-2])
+    xy_m = (np.stack([col, row], axis=1) + 0.5) * problem.resolution_m
+    return xy_m if problem.levels_m is None else np.column_stack([xy_m, problem.levels_m[level]])
 
 
 class GridNodes(NamedTuple):
@@ -93,60 +209,6 @@ class GridNodes(NamedTuple):
     g: np.ndarray
     state: np.ndarray
     queue: Queue
-
-
-@compiled(forceinline=True)
-def insert(queue, f, node):
-    """Put a node into a queue that has room."""
-    tally = queue.tally
-    bucket = (f - queue.scale[0]) * queue.scale[1]
-    if not bucket >= tally[BUCKET] + 1:  # NaN, of an infinite f, comes here too
-        push(queue.near, f, node)
-        return
-    place = int(min(bucket, NUM_BUCKETS))
-    slot = tally[FREE_SLOT]
-    tally[FREE_SLOT] = queue.far_next[slot]
-    queue.far_f[slot] = f
-    queue.far_node[slot] = node
-    queue.far_next[slot] = queue.first[place]
-    queue.first[place] = slot
-    tally[NUM_FAR] += 1
-
-
-@compiled(forceinline=True)
-def refill(queue, graph, g, state):
-    """Bring the next bucket's entries into an empty heap; it stays empty where no bucket is left.
-
-    They will soon be expanded, so what is known of them and of their neighbours is asked for now. Those that have been
-    by now, from a lower f, are left out.
-    """
-    tally = queue.tally
-    while queue.near.size[0] == 0 and tally[NUM_FAR] > 0:
-        place = tally[BUCKET] + 1
-        tally[BUCKET] = place
-        if place == NUM_BUCKETS:
-            tally[BUCKET] = 0
-            queue.scale[0] = np.inf
-            slot = queue.first[place]
-            while slot != NO_SLOT:
-                queue.scale[0] = min(queue.scale[0], queue.far_f[slot])
-                slot = queue.far_next[slot]
-        slot = queue.first[place]
-        queue.first[place] = NO_SLOT
-        while slot != NO_SLOT:
-            next_slot = queue.far_next[slot]
-            queue.far_next[slot] = tally[FREE_SLOT]
-            tally[FREE_SLOT] = slot
-            tally[NUM_FAR] -= 1
-            node = np.int64(queue.far_node[slot])
-            if not state[np.uint64(node)] & CLOSED:
-                insert(queue, queue.far_f[slot], node)
-                prefetch(graph.moves, node)
-                for beside in (node - graph.num_cols, node, node + graph.num_cols):
-                    prefetch(g, beside)
-                    prefetch(state, beside)
-                    prefetch(graph.cost, beside)
-            slot = next_slot
 
 
 # Inlined by force: LLVM would not, and counting references to the arrays took four fifths of the time.
@@ -168,15 +230,38 @@ def _raised(value, landmarks, tiles, row, col):
 
 
 @compiled(forceinline=True)
+def _on_plan(levels, row, goal_row):
+    """Return the rows of a cell and of the goal on their levels, and what changing from one level to the other adds."""
+    if levels is None:  # likewise
+        return row, goal_row, 0.0
+    return row % levels.num_rows, goal_row % levels.num_rows, levels.rise[row // levels.num_rows]
+
+
+@compiled(forceinline=True)
 def estimate(heuristic, row, col, goal_row, goal_col):
     """Return ``h`` at a cell (see `Heuristic`)."""
+    row, goal_row, value = _on_plan(heuristic.levels, row, goal_row)
     dr, dc = abs(row - goal_row), abs(col - goal_col)
-    value = heuristic.straight * max(dr, dc) + heuristic.diagonal * min(dr, dc)
+    value += heuristic.straight * max(dr, dc) + heuristic.diagonal * min(dr, dc)
     if heuristic.euclidean > 0.0:
         value += heuristic.euclidean * np.sqrt(float(dr * dr + dc * dc))
     if heuristic.field.size:
         return value + heuristic.field[row, col]
     return _raised(value, heuristic.landmarks, heuristic.tiles, row, col)
+
+
+@compiled(forceinline=True)
+def _steps_from(plane, moves, cost, node):
+    """Return the bits of the steps that lead from a node, how many there may be, and where tables have its level's."""
+    if plane is None:  # likewise
+        return moves[node], len(STEPS), 0
+    here, above, below = np.uint32(moves[node]), node + np.uint64(plane), node - np.uint64(plane)
+    bits = here
+    if above < np.uint64(moves.size):
+        bits |= (here & moves[above]) << 8 | np.uint32(cost[above] < np.inf) << 24
+    if node >= np.uint64(plane):
+        bits |= (here & moves[below]) << 16 | np.uint32(cost[below] < np.inf) << 25
+    return bits, MAX_STEPS, np.int64(node // np.uint64(plane)) * MAX_STEPS
 
 
 @compiled(nogil=True)
@@ -218,12 +303,12 @@ def advance(graph, heuristic, goal, reopen, nodes, max_expanded):
         if node == goal:
             return FOUND, num_expanded
         num_expanded += 1
-        moves, node_g, node_cost = graph.moves[node], g[node], graph.cost[node]
-        num_cheaper = 0
-        for k in range(MAX_STEPS):
-            is_allowed = (moves >> k) & 1
+        steps, num_steps, first = _steps_from(graph.plane, graph.moves, graph.cost, node)
+        node_g, node_cost, num_cheaper = g[node], graph.cost[node], 0
+        for k in range(num_steps):
+            is_allowed, i = (steps >> k) & 1, first + k
             to = np.uint64(np.int64(node) + offsets[k] * is_allowed)
-            to_g = node_g + (graph.step_cost[k] + graph.from_share[k] * node_cost + graph.to_share[k] * graph.cost[to])
+            to_g = node_g + (graph.step_cost[i] + graph.from_share[i] * node_cost + graph.to_share[i] * graph.cost[to])
             known_g, to_state = g[to], state[to]
             limit = known_g * (if_closed if to_state & CLOSED else 1.0)
             limit = np.inf if to_state == UNREACHED else limit
@@ -244,7 +329,7 @@ class GridSearch:
 
     Attributes:
       graph, heuristic: what is searched, by which bound.
-      start, goal: nodes; the goal `NOWHERE` is never met.
+      start, goal: nodes, given as row and column (`cell_of`); the goal `NOWHERE` is never met.
       num_expanded: nodes expanded so far.
     """
 
@@ -254,19 +339,25 @@ class GridSearch:
         self.goal = NOWHERE if goal is None else goal[0] * graph.num_cols + goal[1]
         self.num_expanded = 0
         num_nodes = graph.cost.size
-        queue = empty_queue(graph, FIRST_ENTRIES)
+        cost = float(graph.sample.mean()) if graph.sample.size else 0.0
+        queue = empty_queue(FIRST_ENTRIES, float(np.mean(graph.step_cost + (graph.from_share + graph.to_share) * cost)))
         # Memory that is not written to is not taken: what the search does not come to costs nothing.
         self._nodes = GridNodes(np.empty(num_nodes), np.zeros(num_nodes, np.uint8), queue)
         self._nodes.g[self.start], self._nodes.state[self.start] = 0.0, NO_PARENT | REACHED
         insert(queue, 0.0 if goal is None else estimate(heuristic, *start, *goal), self.start)
 
-    def cost_to(self, node: int) -> float:
-        """Return the cost of the cheapest way found to a node, inf without one."""
-        return np.inf if self._nodes.state[node] == UNREACHED else float(self._nodes.g[node])
+    @property
+    def states(self) -> np.ndarray:
+        """``[Y, X]`` uint8 of each node, levels stacked row upon row."""
+        return self._nodes.state.reshape(-1, self.graph.num_cols)
 
-    def costs_from_start(self) -> np.ndarray:
-        """Return ``[M]`` float64 the cost of the cheapest way found to each node, inf without one."""
-        np.copyto(self._nodes.g, np.inf, where=self._nodes.state == UNREACHED)
+    def costs_from_start(self, *, final: bool = False) -> np.ndarray:
+        """Return ``[M]`` float64 the cost of the cheapest way found to each node, inf without one.
+
+        Args:
+          final: leave out what a further search may still lower.
+        """
+        np.copyto(self._nodes.g, np.inf, where=self._nodes.state & (CLOSED if final else REACHED) == 0)
         return self._nodes.g
 
     @property
@@ -277,15 +368,16 @@ class GridSearch:
             refill(self._nodes.queue, self.graph, self._nodes.g, self._nodes.state)
         return float(near.f[0]) if near.size[0] else np.inf
 
-    def run(self, *, reopen: bool = False, end_s: float = np.inf) -> int:
+    def run(self, *, reopen: bool = False, end_s: float = np.inf, chunk: int = 0) -> int:
         """Search on and return FOUND (the goal was met), EXHAUSTED (no node is open) or PAUSED.
 
         Args:
           reopen: expand a closed node again where a cheaper way to it turns up.
           end_s: time of `time.perf_counter` at which to pause; heeded within some 50 ms.
+          chunk: expansions between two looks at it; left out, `CHUNK`.
         """
         while True:
-            ended, num_done = advance(self.graph, self.heuristic, self.goal, reopen, self._nodes, CHUNK)
+            ended, num_done = advance(self.graph, self.heuristic, self.goal, reopen, self._nodes, chunk or CHUNK)
             self.num_expanded += num_done
             if ended in (FOUND, EXHAUSTED):
                 return int(ended)
@@ -293,10 +385,3 @@ class GridSearch:
                 self._nodes = self._nodes._replace(queue=grown(self._nodes.queue))
             if time.perf_counter() >= end_s:
                 return PAUSED
-
-    def points_m(self, resolution_m: float) -> np.ndarray:
-        """Return ``[N, 2]`` the cell centres from start to goal, by the steps that led to each cell."""
-        state = self._nodes.state.reshape(-1, self.graph.num_cols)
-        start, goal = (divmod(node, self.graph.num_cols) for node in (self.start, self.goal))
-        cells = steps_back(start, goal, lambda row, col: STEPS[state[row, col] & PARENT_STEP])
-        return (cells[:, ::-1] + 0.5) * resolution_m

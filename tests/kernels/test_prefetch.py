@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from jaxurban.kernels.compiled import compiled
-from jaxurban.kernels.search.prefetch import prefetch
+from jaxurban.kernels.search.heap import prefetch
 
 
 @compiled()

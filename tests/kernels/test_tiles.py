@@ -8,9 +8,9 @@ from scipy.sparse.csgraph import dijkstra
 from jaxurban.kernels.search.tiles import TILE
 from jaxurban.planners.astar import astar
 from jaxurban.planners.base import Problem, Status
+from jaxurban.planners.bounds import heuristic_at, make_heuristic
 from jaxurban.planners.cost_model import CostModel
-from jaxurban.planners.graph import graph_of
-from jaxurban.planners.heuristics import heuristic_at, make_heuristic
+from jaxurban.planners.search.grid import graph_of
 
 SHAPES = [
     (43, 61),

@@ -11,8 +11,8 @@ from scipy.sparse.csgraph import dijkstra
 from jaxurban.errors import InputError
 from jaxurban.planners.astar import astar, astar_dist, astar_plus
 from jaxurban.planners.base import Problem, Status
+from jaxurban.planners.bounds import ADMISSIBLE, HEURISTICS, heuristic_at, make_heuristic
 from jaxurban.planners.cost_model import CostModel
-from jaxurban.planners.heuristics import ADMISSIBLE, HEURISTICS, heuristic_at, make_heuristic
 from jaxurban.planners.registry import PLANNERS, find_planner
 from jaxurban.planners.search import grid as search_module
 
@@ -282,12 +282,6 @@ def test_planners_by_name_run_with_their_own_heuristic():
 def test_unknown_names_are_refused_with_the_nearest_one(name, heuristic, message):
     with pytest.raises(InputError, match=message):
         find_planner(name, heuristic)
-
-
-@pytest.mark.parametrize("budget_s", [0.0, -1.0, np.nan])
-def test_a_budget_that_is_not_positive_is_refused(budget_s):
-    with pytest.raises(InputError, match="budget_s must be a positive number of seconds"):
-        astar(random_problem(2, "cell", "both-free", 8), budget_s=budget_s)
 
 
 def test_an_unknown_heuristic_is_refused_with_the_nearest_one():

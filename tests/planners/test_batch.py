@@ -13,10 +13,10 @@ from jaxurban.planners import batch as batch_module
 from jaxurban.planners.astar import astar
 from jaxurban.planners.base import Problem, Status
 from jaxurban.planners.batch import FEW_QUERIES, FEW_TO_ONE_GOAL, GPU_BATCH, choose_heuristics, solve_many
+from jaxurban.planners.bounds import cost_to_go
 from jaxurban.planners.cost_model import CostModel
 from jaxurban.planners.moves import STEPS
 from jaxurban.planners.search import frontier as frontier_module
-from jaxurban.planners.search.fields import cost_to_go
 from jaxurban.planners.search.frontier import solve_by_frontier
 
 SHAPE = (21, 34)

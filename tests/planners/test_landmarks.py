@@ -7,9 +7,8 @@ import pytest
 
 from jaxurban.planners.astar import astar, astar_dist, astar_plus
 from jaxurban.planners.base import Problem, Status
+from jaxurban.planners.bounds import heuristic_at, landmark_cells, make_heuristic, make_landmarks
 from jaxurban.planners.cost_model import CostModel
-from jaxurban.planners.heuristics import heuristic_at, make_heuristic
-from jaxurban.planners.landmarks import landmark_cells, make_landmarks
 from tests.planners.test_astar import exact_cost_to_go, random_problem
 
 

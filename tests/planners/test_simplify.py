@@ -19,13 +19,13 @@ from shapely import (
 
 from jaxurban.errors import InputError
 from jaxurban.kernels.line.clear import is_clear
+from jaxurban.planners.astar import volume_astar
 from jaxurban.planners.base import Path, Problem, Status
 from jaxurban.planners.cost_model import CostModel
 from jaxurban.planners.refine import refine
 from jaxurban.planners.registry import PLANNERS, find_planner
 from jaxurban.planners.search.legs import fewest_legs
 from jaxurban.planners.simplify import CLEAR_M, simplify
-from jaxurban.planners.volume_astar import volume_astar
 from tests.free_space import Obstacles
 from tests.planners.problems import volume_problem
 

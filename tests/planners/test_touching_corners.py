@@ -12,11 +12,11 @@ from shapely import LineString
 from jaxurban.errors import InputError
 from jaxurban.kernels.line.segment_cost import CostGrid, segment_cost
 from jaxurban.kernels.line.segment_costs import segment_costs
+from jaxurban.planners.astar import volume_astar
 from jaxurban.planners.base import Path, Problem, Status
 from jaxurban.planners.cost_model import CostModel
 from jaxurban.planners.refine import refine
 from jaxurban.planners.registry import PLANNERS
-from jaxurban.planners.volume_astar import volume_astar
 from tests.free_space import Obstacles
 from tests.planners.problems import costed, volume_problem
 

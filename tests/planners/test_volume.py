@@ -8,12 +8,12 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
 from jaxurban.errors import InputError
-from jaxurban.planners import volume_astar as volume_module
-from jaxurban.planners.astar import astar
+from jaxurban.planners.astar import astar, volume_astar
 from jaxurban.planners.base import Problem, Status
+from jaxurban.planners.bounds import VOLUME_HEURISTICS, heuristic_at, make_heuristic
 from jaxurban.planners.cost_model import CostModel
-from jaxurban.planners.search.volume import estimate_in_volume
-from jaxurban.planners.volume_astar import VOLUME_HEURISTICS, make_bound, volume_astar
+from jaxurban.planners.search import grid as search_module
+from jaxurban.planners.search.grid import cell_of
 from tests.planners.problems import volume_problem
 
 LEVELS_M = np.array([20.0, 22.0, 29.0, 60.0])
@@ -81,10 +81,9 @@ def test_cost_equals_scipy_dijkstra_and_bounds_are_admissible_and_consistent(cos
         optimum = cost_to_go.reshape(problem.is_free.shape)[problem.start]
         edges = graph.tocoo()
         for name in VOLUME_HEURISTICS:
-            bound = make_bound(name, problem)
-            values = np.array(
-                [estimate_in_volume(bound, *node, *problem.goal[1:]) for node in np.ndindex(problem.is_free.shape)]
-            )
+            bound, goal = make_heuristic(name, problem), cell_of(problem, problem.goal)
+            nodes = np.ndindex(problem.is_free.shape)
+            values = np.array([heuristic_at(bound, cell_of(problem, node), goal) for node in nodes])
             assert np.all((values <= cost_to_go + 1e-9)[problem.is_free.ravel()])
             assert np.all(values[edges.row] <= edges.data + values[edges.col] + 1e-9)
             path = volume_astar(problem, heuristic=name)
@@ -199,15 +198,12 @@ def test_a_closed_court_is_left_through_the_air_only():
 def test_a_spent_budget_leaves_a_bound_below_the_optimum(monkeypatch):
     problem = random_volume(1, "cell", "both-free", 8, shape=(30, 30)).between((3, 0, 0), (3, 29, 29))
     optimum = volume_astar(problem).cost
-    monkeypatch.setattr(volume_module, "CHUNK", 20)
-    monkeypatch.setattr(volume_module, "SHORT_CHUNK", 20)
+    monkeypatch.setattr(search_module, "CHUNK", 20)
     for heuristic in ("octile", "plus"):
         path = volume_astar(problem, budget_s=1e-9, heuristic=heuristic)
         assert path.status is Status.BUDGET_EMPTY
         assert path.num_expanded == 20
         assert 0 < path.lower_bound <= optimum
-    with pytest.raises(InputError, match="budget_s"):
-        volume_astar(problem, budget_s=0)
 
 
 def test_what_costs_nothing_says_that_its_shape_means_nothing():
