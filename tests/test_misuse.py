@@ -302,7 +302,7 @@ def test_a_wrong_value_names_the_argument(name, parameter, tmp_path, monkeypatch
 @pytest.mark.parametrize(
     ("call", "sentence"),
     [
-        (lambda: ju.plan("maps", (0, 0), (1, 1)), "plan: missing a required argument: 'altitude_m'"),
+        (lambda: ju.plan("maps", (0, 0), (1, 1)), "plan: missing a required (keyword-only )?argument: 'altitude_m'"),
         (
             lambda: ju.plan("maps", (0, 0), (1, 1), altitudes_m=20),
             r"plan: there is no argument 'altitudes_m' \(did you mean 'altitude_m'\?\)",
