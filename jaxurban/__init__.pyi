@@ -41,8 +41,8 @@ from jaxurban.report.sensitivity import save_sensitivity as save_sensitivity
 from jaxurban.report.sensitivity_study import SensitivityStudy as SensitivityStudy
 from jaxurban.scenario.settings import Scenario as Scenario
 from jaxurban.studies.demonstrations import Demonstration as Demonstration
-from jaxurban.studies.map_comparison.compare import MapComparison as MapComparison
-from jaxurban.studies.map_comparison.compare import compare as compare
+from jaxurban.studies.map_comparison import MapComparison as MapComparison
+from jaxurban.studies.map_comparison import compare as compare
 from jaxurban.studies.montecarlo.run import MapsFolder as MapsFolder
 from jaxurban.studies.montecarlo.sampling import sample_instances as sample_instances
 from jaxurban.studies.montecarlo.trial import BenchmarkSettings as BenchmarkSettings

@@ -5,16 +5,7 @@ from typing import Any
 
 import click
 
-from jaxurban.cli.common import (
-    DEGREES,
-    DEVICE,
-    JSON_FLAG,
-    OBSTACLES,
-    PATH,
-    RESOLUTION,
-    print_json,
-    tell,
-)
+from jaxurban.cli.common import DEGREES, DEVICE, JSON_FLAG, OBSTACLES, PATH, RESOLUTION, print_json, tell
 from jaxurban.errors import InputError
 from jaxurban.progress import reporting
 
@@ -41,7 +32,7 @@ def compare(folder_a: Path, folder_b: Path, output: Path, as_json: bool, overwri
     from jaxurban.io.tables import records_of
     from jaxurban.io.workspace import Workspace
     from jaxurban.report.map_comparison import REPORT_FILE, save_comparison
-    from jaxurban.studies.map_comparison.compare import compare as compare_maps
+    from jaxurban.studies.map_comparison import compare as compare_maps
     from jaxurban.studies.montecarlo.run import MapsFolder
 
     sides = [MapsFolder(folder, given["resolution_m"], given["obstacles"]) for folder in (folder_a, folder_b)]

@@ -73,7 +73,7 @@ def _viewer(
     """Return the viewer of maps in a folder, which plans as the maps were made to be planned on."""
     from jaxurban.maps.metric_maps import open_maps
     from jaxurban.paths.preset import under_preset
-    from jaxurban.studies.map_comparison.shared_part import shared_part
+    from jaxurban.studies.map_comparison import shared_part
     from jaxurban.viewer.outlines import Outlines
     from jaxurban.viewer.plans import PlanDefaults
     from jaxurban.viewer.viewer import Viewer

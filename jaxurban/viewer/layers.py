@@ -14,8 +14,8 @@ from jaxurban.errors import one_of
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY, high_is_bad
 from jaxurban.report.figures.colours import Colours, bar_ticks, ends_of, tick_label
-from jaxurban.report.figures.frame import NO_DATA_PATCH, OBSTACLE_COLOUR, round_length_m
-from jaxurban.report.figures.map_comparison import DIVERGING, SHOWN_SHARE
+from jaxurban.report.figures.frame import NO_DATA_PATCH, OBSTACLE_COLOUR
+from jaxurban.report.figures.map_comparison import difference_colours
 from jaxurban.report.figures.metrics import (
     BUILT_COLOUR,
     EMPTY_COLOUR,
@@ -32,6 +32,7 @@ from jaxurban.viewer.markup import legend
 
 H_NORM, COST_OF = "h_norm", "cost:"
 OBSTACLE, NOTHING = np.float32(-np.inf), np.float32(np.nan)  # how values travel: a cell in an obstacle; one not drawn
+DIFFERENCE = "the first less the second (red: the first is higher)"
 BAR_IN = 2.6  # length of the colour bar on the page, which decides how many ticks have room
 ROOFS = {"roof": "Roofs, at the middle of a cell", "roof_touched": "Roofs, the highest that touches a cell"}
 GROUND = ROOFS | {"density": "People", "terrain": "Terrain"}
@@ -200,15 +201,6 @@ def difference(values: np.ndarray, minus: np.ndarray) -> np.ndarray:
     return found
 
 
-def difference_colours(values: np.ndarray) -> Colours:
-    """Return a scale as far on either side of 0, which holds `SHOWN_SHARE` of the cells that differ."""
-    size = np.abs(values[np.isfinite(values) & (values != 0)])
-    limit = round_length_m(max(float(np.quantile(size, SHOWN_SHARE)) if size.size else 1.0, 1e-12), down=False)
-    extend = "both" if size.size and float(size.max()) > limit else "neither"
-    label = "the first less the second (red: the first is higher)"
-    return Colours(DIVERGING, Normalize(-limit, limit), label, extend, (-limit, 0.0, limit))
-
-
 def legend_of(maps: MetricMaps, layer: Layer, values: np.ndarray, *, is_difference: bool = False) -> dict[str, Any]:
     """Return how values become colours on the page, as JSON holds it.
 
@@ -216,7 +208,8 @@ def legend_of(maps: MetricMaps, layer: Layer, values: np.ndarray, *, is_differen
     up to edge k + 1, the first and the last one beyond them too. ``flat`` are the colours of cells in obstacles, of
     those without a value, and of a value of 0, where that is drawn apart; ``html`` is the legend.
     """
-    scale = difference_colours(values) if is_difference else layer.colours(values)
+    is_changed = np.isfinite(values) & (values != 0)
+    scale = difference_colours(np.abs(values[is_changed]), DIFFERENCE) if is_difference else layer.colours(values)
     zero = None if is_difference else layer.zero
     patches = [zero] if zero else []
     patches += [("obstacle", layer.blocked)] if ALTITUDE in layer.dims and layer.name != "obstacle" else []

@@ -212,13 +212,13 @@ def test_more_instances_than_any_study_has_are_refused(tmp_path, capsys):
 
 @pytest.mark.parametrize("command", ["compare", "validate"])
 def test_an_output_folder_of_others_is_refused_before_the_work(tmp_path, capsys, monkeypatch, command):
-    from jaxurban.studies.map_comparison import compare
+    from jaxurban.studies import map_comparison
     from jaxurban.studies.receiver import validate
 
     def work(*_, **__):
         raise AssertionError("the work began")
 
-    monkeypatch.setattr(compare, "compare", work)
+    monkeypatch.setattr(map_comparison, "compare", work)
     monkeypatch.setattr(validate, "validate", work)
     scenario = tmp_path / "city.toml"
     scenario.write_text('[region]\nbounds = [-74.0, 40.755, -73.993, 40.761]\n[buildings]\nsource = "synthetic"\n')

@@ -9,7 +9,7 @@ from matplotlib.colors import Normalize
 from matplotlib.text import Text
 
 import jaxurban as ju
-from jaxurban.report.figures.map_comparison import _colours, comparison_figures, plot_difference
+from jaxurban.report.figures.map_comparison import comparison_figures, difference_colours, plot_difference
 from tests.cli_runs import assert_one_sentence, run
 from tests.made_maps import made_maps
 from tests.studies.test_map_comparison import changed_from
@@ -32,7 +32,7 @@ def test_the_folder_holds_report_tables_maps_and_figures(found, tmp_path):
     table = pd.read_csv(tmp_path / "ab/tables/layers.csv")
     assert len(table) == len(pd.read_parquet(tmp_path / "ab/tables/layers.parquet")) == len(found.table)
     for row in found.table.query("layer == 'obstacle'").itertuples():
-        assert f"| {row.gained:,} | {row.lost:,} |" in report
+        assert f"| {row.gained} | {row.lost} |" in report
     with pytest.raises(ju.InputError, match="holds another run") as refused:
         ju.save_comparison(ju.compare(found.b, found.a, progress=False), tmp_path / "ab")
     assert len(str(refused.value)) < 600
@@ -58,8 +58,9 @@ def test_difference_maps_open_elsewhere_north_up_with_band_names(found, tmp_path
 
 
 def test_one_scale_is_centred_at_zero_and_says_its_unit(found):
-    maps = [found.of("risk", z) for z in found.a.altitudes_m]
-    colours = _colours(found, "risk", maps)
+    colours = difference_colours(np.array([0.02, 0.1, np.inf]), "label")
+    assert colours.norm.vmax == 0.1
+    assert colours.extend == "both"
     assert isinstance(colours.norm, Normalize)
     assert colours.norm.vmin == -colours.norm.vmax
     assert colours.norm(0.0) == 0.5
@@ -84,7 +85,7 @@ def test_the_command_compares_folders_and_names_the_settings_that_differ(capsys,
     assert code == 0, err
     report = (tmp_path / "ab/report.md").read_text(encoding="utf-8")
     assert "| `lidar.range_m` | `100.0` | `60.0` |" in report
-    assert "The same in both: gps, population" in report
+    assert "The same in both: obstacle, closed, gps, population" in report
     table = pd.read_csv(tmp_path / "ab/tables/layers.csv").set_index("layer")
     assert table.rms["lidar"] > 0
     assert table.rms.drop("lidar").max() == 0
@@ -94,8 +95,8 @@ def test_the_command_compares_folders_and_names_the_settings_that_differ(capsys,
 
 
 def test_the_legend_names_what_is_blocked_where(found):
-    names = {text.get_text() for text in plot_difference(found, "closed").findobj(Text)}
-    assert {"free in both", "blocked in both", "blocked only in A", "blocked only in B"} <= names
+    for layer, words in (("closed", "blocked in A and B"), ("gps", "blocked in A or B")):
+        assert words in {text.get_text() for text in plot_difference(found, layer).findobj(Text)}
 
 
 def test_a_figure_names_the_time_of_both(found):

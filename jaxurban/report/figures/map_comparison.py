@@ -1,7 +1,8 @@
 """The picture of two sets of maps side by side: what differs in a layer, on one scale around zero."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import partial
+from typing import Any
 
 import numpy as np
 from matplotlib.colors import Normalize
@@ -9,26 +10,12 @@ from matplotlib.figure import Figure
 
 from jaxurban.errors import one_of
 from jaxurban.report.figures.colours import Colours
-from jaxurban.report.figures.frame import (
-    MapLayer,
-    add_key,
-    classes_layer,
-    draw_layers,
-    flat_layer,
-    make_frame,
-    round_length_m,
-)
-from jaxurban.report.figures.metrics import DOP_NAMES, FREE_COLOUR, OBSTACLE_COLOUR, percent
+from jaxurban.report.figures.frame import MapLayer, add_key, draw_layers, flat_layer, make_frame, round_length_m
+from jaxurban.report.figures.metrics import DOP_NAMES, OBSTACLE_COLOUR, percent
 from jaxurban.report.figures.notes import ground_said, guesses_said, joined, meaning_of, symbol_of, time_said
-from jaxurban.studies.map_comparison.compare import CLOSED, MASKS, MapComparison, Place, unit_of
+from jaxurban.studies.map_comparison import CLOSED, MASKS, MapComparison, unit_of
 
 DIVERGING = "RdBu_r"  # red: B is higher
-MASK_COLOURS = {
-    "free in both": FREE_COLOUR,
-    "blocked in both": "#9a9a9a",
-    "blocked only in A": "#2166ac",
-    "blocked only in B": "#b2182b",
-}
 SHOWN_SHARE = 0.99  # of the changed cells lie within the colour bar
 MOST_DOP = 5.0  # of the colour bar of dilutions of precision, whose tail has no end
 
@@ -43,18 +30,15 @@ def heading_of(found: MapComparison, layer: str) -> str:
     """Return what figures and reports call a layer."""
     if layer == CLOSED:
         return "Cells that no planner enters"
-    return (
-        found.a.metrics[layer].label
-        if layer in found.a.metrics
-        else str(found.a.ds[layer].attrs.get("long_name", layer))
-    )
+    metric = found.a.metrics.get(layer)
+    return metric.label if metric else str(found.a.ds[layer].attrs.get("long_name", layer))
 
 
 def plot_difference(found: MapComparison, layer: str, *, time: str | None = None) -> Figure:
     """Return panels of B - A of a layer by altitude or time of day, all on one scale centred at 0.
 
-    Cells that are blocked in either are grey; colours reach as far as 99 % of the changed cells (of dilutions of
-    precision to 5 at most). Of ``obstacle`` and ``closed``: cells that are blocked in both, in A alone and in B alone.
+    Cells that are blocked in either are grey, of ``obstacle`` and ``closed`` those that are blocked in both; colours
+    reach as far as 99 % of the changed cells (of dilutions of precision to 5 at most).
 
     Args:
       found: the comparison.
@@ -67,59 +51,44 @@ def plot_difference(found: MapComparison, layer: str, *, time: str | None = None
     places = found.places(one_of("layer", layer, found.layers))
     times = list(dict.fromkeys(place.time for place in places))
     time = times[0] if time is None else one_of("time", time, times)
-    places = [place for place in places if place.time == time]
-    by = ", by altitude above ground" if places[0].altitude_m is not None else ""
-    titles = [_title(found, layer, place) for place in places]
-    frame = make_frame(found.grid, titles, f"{heading_of(found, layer)}, B - A{by}", _note(found, time))
-    if layer in MASKS:
-        for panel, place in zip(frame.axes, places, strict=True):
-            draw_layers(panel, found.grid, [_mask_layer(found, layer, place)])
-        add_key(frame, [*MASK_COLOURS.items()])
-        return frame.figure
-    maps = [found.of(layer, **place._asdict()) for place in places]
-    colours = _colours(found, layer, maps)
+    rows: list[Any] = list(found.table[found.table.layer == layer].itertuples())
+    drawn = [(place, row) for place, row in zip(places, rows, strict=True) if place.time == time]
+    titles = [
+        joined(
+            place.time_of_day if place.altitude_m is None else f"{place.altitude_m:g} m",
+            f"mean {row.mean:+.3g}, {percent(row.share_changed)} changed" if row.share_changed else "unchanged",
+        )
+        for place, row in drawn
+    ]
+    frame = make_frame(found.grid, titles, f"{heading_of(found, layer)}, B - A", _note(found, time))
+    maps = [found.of(layer, **place._asdict()) for place, _ in drawn]
+    changed = np.concatenate([np.abs(values[np.abs(values) > found.tolerance]) for values in maps])
+    colours = difference_colours(changed, _label(found, layer), MOST_DOP if layer in DOP_NAMES else np.inf)
     has_data = found.a.ds["has_data"].values & found.b.ds["has_data"].values
-    for panel, values in zip(frame.axes, maps, strict=True):
-        blocked = [flat_layer(np.isnan(values) & has_data, OBSTACLE_COLOUR)] if by else []
+    for panel, (place, _), values in zip(frame.axes, drawn, maps, strict=True):
+        is_grey = np.isnan(values)
+        if layer in MASKS and place.altitude_m is not None:
+            is_grey = ~found.a.is_free(place.altitude_m, None if layer == CLOSED else "centre") & (values == 0)
         shown = MapLayer(np.clip(values, colours.norm.vmin, colours.norm.vmax), colours)
-        draw_layers(panel, found.grid, [shown, *blocked])
-    add_key(frame, [("blocked in A or B", OBSTACLE_COLOUR)] if by else [], colours)
+        draw_layers(panel, found.grid, [shown, flat_layer(is_grey & has_data, OBSTACLE_COLOUR)])
+    add_key(frame, [(f"blocked in A {'and' if layer in MASKS else 'or'} B", OBSTACLE_COLOUR)], colours)
     return frame.figure
 
 
-def _mask_layer(found: MapComparison, layer: str, place: Place) -> MapLayer:
-    """Return `MASK_COLOURS`' classes of blocked cells."""
-    assert place.altitude_m is not None
-    change = found.of(layer, place.altitude_m)
-    is_blocked = ~found.a.is_free(place.altitude_m) if layer == CLOSED else found.a.m(layer, place.altitude_m) != 0
-    classes = np.select([np.isnan(change), change < 0, change > 0, is_blocked], [-1, 2, 3, 1], 0).astype(np.int8)
-    return classes_layer(classes, list(MASK_COLOURS.values()))
+def difference_colours(changed: np.ndarray, label: str, most: float = np.inf) -> Colours:
+    """Return a scale as far on either side of 0, at most ``most``, which holds `SHOWN_SHARE` of changes' sizes."""
+    finite = changed[np.isfinite(changed)]
+    limit = round_length_m(max(float(np.quantile(finite, SHOWN_SHARE)) if len(finite) else 1.0, 1e-12), down=False)
+    limit = min(limit, most)
+    extend = "both" if len(changed) and float(changed.max()) > limit else "neither"
+    return Colours(DIVERGING, Normalize(-limit, limit), label, extend, (-limit, 0.0, limit))
 
 
-def _colours(found: MapComparison, layer: str, maps: Sequence[np.ndarray]) -> Colours:
-    """Return one scale for all panels, as far on either side of 0."""
-    size = np.concatenate([np.abs(values[np.isfinite(values) & (np.abs(values) > found.tolerance)]) for values in maps])
-    limit = round_length_m(max(float(np.quantile(size, SHOWN_SHARE)) if len(size) else 1.0, 1e-12), down=False)
-    limit = min(limit, MOST_DOP) if layer in DOP_NAMES else limit
-    is_beyond = any(bool((np.abs(values) > limit).any()) for values in maps)
+def _label(found: MapComparison, layer: str) -> str:
     is_metric, unit = layer in found.a.metrics, unit_of(found.a, layer)
     label = f"{symbol_of(layer) if is_metric else layer}{'' if unit == '1' else f' [{unit}]'}, B - A (red: B is higher)"
-    if is_metric and (meaning := meaning_of(found.a, layer)):
-        label += f"\n(m of 1: {meaning})"
-    return Colours(DIVERGING, Normalize(-limit, limit), label, "both" if is_beyond else "neither", (-limit, 0.0, limit))
-
-
-def _title(found: MapComparison, layer: str, place: Place) -> str:
-    chosen = found.table.layer == layer
-    for name, value in place._asdict().items():
-        if value is not None:
-            chosen &= found.table[name] == value
-    row = found.table[chosen].iloc[0]
-    where = place.time_of_day if place.altitude_m is None else f"{place.altitude_m:g} m"
-    if layer in MASKS:
-        return joined(where, f"{row.gained:,} cells gained, {row.lost:,} lost")
-    changed = f"mean {row['mean']:+.3g}, {percent(row.share_changed)} changed" if row.share_changed else "unchanged"
-    return joined(where, changed)
+    meaning = meaning_of(found.a, layer) if is_metric else ""
+    return f"{label}\n(m of 1: {meaning})" if meaning else label
 
 
 def _note(found: MapComparison, time: str | None) -> str:

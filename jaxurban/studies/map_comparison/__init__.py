@@ -1,1 +1,0 @@
-"""Two sets of maps of one place, side by side."""
