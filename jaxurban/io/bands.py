@@ -12,8 +12,8 @@ from affine import Affine
 from rasterio.shutil import copy as copy_raster
 from rasterio.windows import Window
 
+from jaxurban.io.attributes import no_value
 from jaxurban.io.files import SCRATCH_SUFFIX, whole_file
-from jaxurban.io.hidden import no_value
 from jaxurban.world.grid import Grid
 
 BLOCK = 512  # cells of a block's side
@@ -88,7 +88,7 @@ def write_cog(
     Args:
       path: where to.
       grid: of the map.
-      dtype: of its values; what stands for no value is `jaxurban.io.hidden.no_value`.
+      dtype: of its values; what stands for no value is `jaxurban.io.attributes.no_value`.
       rows: parts ``[y, x]`` of the map, all its rows from the north to the south; each but the last has a multiple of
         `BLOCK` rows, as GDAL writes a block that is full once.
       is_averaged: whether overviews hold means of the cells that they cover, NaN left out, else the nearest cell.

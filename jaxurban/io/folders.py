@@ -1,7 +1,7 @@
 """Folders that a run writes: its own, its unfinished work, and the maps that are there already."""
 
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -128,15 +128,10 @@ class WorkFolder:
         self.unmark(names)
         self._remove(self.zarr)
 
-    def finish(self, target: Path, checksums: Mapping[str, str]) -> None:
-        """Give the assembled maps their name and remove the rest.
-
-        Args:
-          target: their name.
-          checksums: of their chunks.
-        """
+    def finish(self, target: Path) -> None:
+        """Give the assembled maps their name ``target`` and remove the rest."""
         self._sweep()
-        store.put_zarr(self.zarr, target, checksums)
+        store.put_zarr(self.zarr, target)
         self.discard()
 
     def discard(self) -> None:

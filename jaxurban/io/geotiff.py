@@ -11,7 +11,7 @@ import rasterio
 import xarray as xr
 
 from jaxurban.errors import one_of
-from jaxurban.io.attributes import CAVEAT, IN_OBSTACLES
+from jaxurban.io.attributes import CAVEAT, IN_OBSTACLES, no_value
 from jaxurban.io.bands import BLOCK, write_cog
 from jaxurban.io.chunks import Each, stored_rows
 from jaxurban.io.files import (
@@ -24,7 +24,6 @@ from jaxurban.io.files import (
     seal,
     whole_file,
 )
-from jaxurban.io.hidden import no_value
 from jaxurban.io.qgis import style
 from jaxurban.io.store import GEOTIFF_FOLDER, short_number
 from jaxurban.io.workspace import Workspace

@@ -9,7 +9,6 @@ that a missing one is damage; were it read all the same, it would be blocked cel
 import json
 import os
 import re
-from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -23,16 +22,8 @@ from xarray.backends import BackendArray, BackendEntrypoint
 from xarray.core import indexing
 
 from jaxurban.errors import InputError, RemadeError
-from jaxurban.io.attributes import IN_OBSTACLES
-from jaxurban.io.chunks import (
-    array_of,
-    chunks_of,
-    damaged,
-    error_in,
-    has_whole_metadata,
-    metadata_file,
-    metadata_of,
-)
+from jaxurban.io.attributes import IN_OBSTACLES, NEEDED, cells_inside, is_hidden, is_nothing, no_value, with_hideable
+from jaxurban.io.chunks import array_of, chunks_of, damaged, error_in, has_whole_metadata, metadata_file, metadata_of
 from jaxurban.io.files import (
     BLANK,
     FIELD,
@@ -48,7 +39,6 @@ from jaxurban.io.files import (
     whole_file,
     write_whole,
 )
-from jaxurban.io.hidden import NEEDED, cells_inside, is_hidden, is_nothing, no_value, with_hideable
 from jaxurban.world.tiling import tile_shape
 
 RUN_FILE = "run.json"
@@ -159,7 +149,6 @@ def write_zarr(ds: xr.Dataset, folder: Path) -> Path:
     path = zarr_path(folder, ds.attrs["resolution_m"])
     rows, cols = tile_shape((ds.sizes["y"], ds.sizes["x"]))
     ds = with_hideable(ds)
-    checksums: dict[str, str] = {}
     with scratch_for(path) as scratch:
         _to_zarr(ds, scratch, "w", (rows, cols))
         for name, array in ds.variables.items():
@@ -169,8 +158,8 @@ def write_zarr(ds: xr.Dataset, folder: Path) -> Path:
                     for start in range(0, ds.sizes["x"], cols):
                         part = slice(max(0, stop - rows), stop), slice(start, min(start + cols, ds.sizes["x"]))
                         inside = None if is_inside is None else is_inside[part]
-                        checksums |= write_layer(scratch, str(name), place, part, values[part], inside)
-        put_zarr(scratch, path, checksums)
+                        write_layer(scratch, str(name), place, part, values[part], inside)
+        put_zarr(scratch, path)
     write_root(folder)
     return path
 
@@ -194,7 +183,7 @@ def write_layer(
     window: tuple[slice, slice],
     values: np.ndarray,
     is_inside: np.ndarray | None = None,
-) -> dict[str, str]:
+) -> None:
     """Write a tile of one map into a Zarr: one chunk, as the Zarr library writes it but without its threads for each.
 
     A tile without a value is written too: what is missing on disk counts as lost.
@@ -207,11 +196,10 @@ def write_layer(
       values: ``[y, x]`` rows south to north; may stick out of the window in the south and in the east.
       is_inside: ``[y, x]``, or ``[A, y, x]`` at every altitude: cells inside obstacles, which hold no value in files.
 
-    Returns:
-      The checksum of the file by its name in the Zarr.
+    Raises:
+      InputError: it cannot be written.
     """
-    array = array_of(path / name)
-    rows, cols = window
+    array, (rows, cols) = array_of(path / name), window
     north, (num_rows, num_cols) = array.shape[-2] - rows.stop, array.chunks[-2:]
     own = slice(len(values) - rows.stop + rows.start, None), slice(cols.stop - cols.start)
     values = values[own][::-1]
@@ -224,19 +212,16 @@ def write_layer(
         are_held = part.view(bits) == array.dtype.type(float(str(held))).view(bits)  # a user's -0.0 stays
         are_held &= (is_inside if is_inside.ndim == 2 else is_inside[index[-1]])[own][::-1]
         np.copyto(part, no_value(array.dtype), where=are_held)
-    file = f"{name}/{array.metadata.encode_chunk_key((*index, north // num_rows, cols.start // num_cols))}"
-    data = bytes(array.metadata.compressor.encode(chunk))
-    write_whole(path / file, data)
-    return {file: checksum_of(data)}
+    key = array.metadata.encode_chunk_key((*index, north // num_rows, cols.start // num_cols))
+    write_whole(path / name / key, bytes(array.metadata.compressor.encode(chunk)))
 
 
-def put_zarr(made: Path, path: Path, checksums: Mapping[str, str]) -> None:
+def put_zarr(made: Path, path: Path) -> None:
     """Give a finished Zarr its name, its files recorded; of an older one only what is own goes.
 
     Args:
       made: the finished Zarr.
       path: its name to be.
-      checksums: from `write_layer`.
 
     Raises:
       InputError: a file of others is in the way.
@@ -247,9 +232,8 @@ def put_zarr(made: Path, path: Path, checksums: Mapping[str, str]) -> None:
         os.replace(made, path)
         return
     files = [metadata_file(made), *metadata_of(made), *(chunk.file for chunk in chunks_of(made))]
-    names = {file.relative_to(made).as_posix(): file for file in files}
-    all_checksums = {name: checksums.get(name) or checksum_of(file) for name, file in names.items()}
-    recorder.put_folder(made, path, all_checksums, metadata_file(path).name)
+    checksums = {file.relative_to(made).as_posix(): checksum_of(file) for file in files}
+    recorder.put_folder(made, path, checksums, metadata_file(path).name)
 
 
 def add_to_zarr(ds: xr.Dataset, path: Path) -> None:
@@ -299,13 +283,7 @@ def open_zarr(folder: Path, resolution_m: float | None) -> xr.Dataset:
     if resolution_m is not None and resolution_m not in found:
         raise InputError(f"{str(folder)!r} holds no maps at {short_number(resolution_m)} m, only at {listed} m")
     path = found[resolution_m] if resolution_m is not None else next(iter(found.values()))
-    is_old = (path / "zarr.json").is_file()
-    ds = xr.Dataset() if is_old else open_whole(path)
-    if is_old or not isinstance(ds.attrs.get("guesses", ""), str):
-        raise InputError(
-            f"the maps in {str(path)!r} were written by an older version of jaxurban: make the maps anew with "
-            "`jaxurban maps` and --overwrite (those saved from Python: save them again)"
-        )
+    ds = open_whole(path)
     if lost := [name for name in NEEDED if name not in ds]:
         raise InputError(f"the maps in {str(path)!r} lack {', '.join(lost)}: remove them and make them again")
     return ds
@@ -381,19 +359,14 @@ class _Maps(BackendEntrypoint):
         for array in ds.variables.values():
             array.attrs = {key: value for key, value in array.attrs.items() if key not in (GDAL_CRS, "_FillValue")}
         ds = ds.isel({"y": slice(None, None, -1)}, missing_dims="ignore")
-        maps = {
-            name: xr.Variable(
-                ds[name].dims,
-                indexing.LazilyIndexedArray(_Map(ds, opened, str(name))),
-                ds[name].attrs,
-                ds[name].encoding,
-            )
-            for name in ds.data_vars
-        }
+        maps = {}
+        for name, held in ds.data_vars.items():
+            lazy = indexing.LazilyIndexedArray(_Map(ds, opened, str(name)))
+            maps[name] = xr.Variable(held.dims, lazy, held.attrs, held.encoding)
         coords = ds.coords.to_dataset().load()  # small, and damage shows at once
         opened.check()
-        strings = [name for name, coord in coords.variables.items() if coord.dtype.kind == "U"]
-        coords = coords.assign_coords({name: coords[name].astype(np.dtypes.StringDType()) for name in strings})
+        for name in [name for name, coord in coords.variables.items() if coord.dtype.kind == "U"]:
+            coords[name] = coords[name].astype(np.dtypes.StringDType())
         found = xr.Dataset(maps, coords.coords, ds.attrs)
         found.encoding[OPENED] = opened
         return found

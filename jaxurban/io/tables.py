@@ -14,30 +14,21 @@ SUFFIXES = (".parquet", ".csv")
 
 
 def write_table(table: pd.DataFrame, file: str | Path) -> Path:
-    """Write a table, whole or not at all, and return its file.
+    """Write a table, whole or not at all, Parquet with its checksum, and return its file.
 
     Raises:
       InputError: the name ends neither in .parquet nor in .csv, or the folder cannot be written to.
     """
     file = Path(file)
-    if _suffix(file) == ".parquet":
-        write_results(file, table)
-    else:
+    if _suffix(file) == ".csv":
         write_whole(file, table.to_csv(index=False, lineterminator="\n"))
-    return file
-
-
-def write_results(file: Path, table: pd.DataFrame) -> None:
-    """Write a table as Parquet with its checksum; the file that was there stays until the new one is complete.
-
-    Raises:
-      InputError: the folder cannot be written to.
-    """
+        return file
     made = pa.Table.from_pandas(table, preserve_index=False)
     made = made.replace_schema_metadata({**(made.schema.metadata or {}), FIELD: BLANK})
     with whole_file(file) as scratch:
         pq.write_table(made, scratch, compression="zstd")
         seal(scratch)
+    return file
 
 
 def read_table(file: str | Path, role: str) -> pd.DataFrame:

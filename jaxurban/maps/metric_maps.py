@@ -317,8 +317,8 @@ class MetricMaps(Shown):
             was not written so or was changed since, or variables that nobody could read back: without obstacles, or a
             name that is a path.
         """
+        from jaxurban.io.attributes import NEEDED
         from jaxurban.io.geotiff import RUN_KEY, geotiff_paths, is_of_run, write_geotiffs
-        from jaxurban.io.hidden import NEEDED
         from jaxurban.io.store import RUN_FILE, are_of_a_run, write_zarr
         from jaxurban.io.workspace import Workspace
 

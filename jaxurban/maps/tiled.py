@@ -161,8 +161,7 @@ def _rings(job: TileJob, tile: Tile, quadrant: Quadrant) -> list[Ring]:
 def finish_tile(job: TileJob, tile: Tile) -> dict[str, Any]:
     """Make and write every map of a tile of the region, mark it done, and return what is marked.
 
-    ``seconds`` by stage; ``totals``: the facts of `TimeTotals` by metric, where statistics over time are kept;
-    ``checksums`` of the chunks by their names.
+    ``seconds`` by stage; ``totals``: the facts of `TimeTotals` by metric, where statistics over time are kept.
     """
     name = _name("tile", tile)
     if (facts := job.work.done(name)) is not None:
@@ -180,12 +179,10 @@ def finish_tile(job: TileJob, tile: Tile) -> dict[str, Any]:
     is_inside = np.asarray(scene.is_obstacle)
     if scene.has_data is not None:
         is_inside = is_inside & scene.has_data
-    checksums: dict[str, str] = {}
     for layer in tile_maps(scene, watch.stage):
         with watch.stage("write_zarr"):
-            checksums |= write_layer(job.work.zarr, layer.name, layer.place, window, layer.values, is_inside)
-    totals = {metric: totals.facts for metric, totals in scene.totals.items()}
-    facts = {"totals": totals, "checksums": checksums}
+            write_layer(job.work.zarr, layer.name, layer.place, window, layer.values, is_inside)
+    facts = {"totals": {metric: totals.facts for metric, totals in scene.totals.items()}}
     job.work.mark_done(name, facts)
     return {**facts, "seconds": watch.elapsed_s}
 

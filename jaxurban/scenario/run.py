@@ -316,7 +316,6 @@ def make_zarr(maker: Maker, report: Report, shape: tuple[int, int] | None = None
         empty = empty_dataset(task, _no_values).assign_attrs(run_key=maker.key, guesses=json.dumps(task.guesses))
         store.create_zarr(empty, work.zarr, shape)
     seconds: dict[str, float] = {}
-    checksums: dict[str, str] = {}
     totals: dict[str, TimeTotals] = {}
     num_done, stage = 0, f"tiles of {store.short_number(grid.resolution_m)} m"
     report(stage, num_done, len(tiling.region_tiles))
@@ -326,7 +325,6 @@ def make_zarr(maker: Maker, report: Report, shape: tuple[int, int] | None = None
         for name, busy_s in found["seconds"].items():
             seconds[name] = seconds.get(name, 0.0) + busy_s
         if "totals" in found:
-            checksums.update(found["checksums"])
             for metric, facts in found["totals"].items():
                 sums = TimeTotals.of(facts)
                 totals[metric] = totals[metric] + sums if metric in totals else sums
@@ -342,7 +340,7 @@ def make_zarr(maker: Maker, report: Report, shape: tuple[int, int] | None = None
         store.add_to_zarr(
             made[[f"{name}_{what}" for name in totals for what in ("epoch_mean", "worst_time")]], work.zarr
         )
-    work.finish(store.zarr_path(maker.folder, grid.resolution_m), checksums)
+    work.finish(store.zarr_path(maker.folder, grid.resolution_m))
     store.write_root(maker.folder)
     return seconds
 

@@ -279,7 +279,7 @@ def test_maps_of_an_older_format_are_refused_with_the_remedy(folder, tmp_path):
     old = tmp_path / "maps.zarr" / "5m"
     (old / "obstacle").mkdir(parents=True)
     (old / "zarr.json").write_text('{"zarr_format": 3, "node_type": "group"}')
-    with pytest.raises(InputError, match=r"older version of jaxurban: make the maps anew .*--overwrite"):
+    with pytest.raises(InputError, match=r"not as they were written: run the same `jaxurban maps`"):
         ju.open_maps(tmp_path)
 
 
