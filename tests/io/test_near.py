@@ -1,18 +1,15 @@
 """Reading only what lies near a region: the same buildings as of the whole file, and nothing decoded of the rest."""
 
 import json
-import os
 from dataclasses import replace
 
 import geopandas as gpd
 import numpy as np
-import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 import shapely
 
 from jaxurban.errors import InputError
-from jaxurban.io.read import geoparquet
 from jaxurban.io.read.buildings import BuildingFile, read_buildings
 from jaxurban.io.read.near import MARGIN_M, Near
 from jaxurban.io.read.vector import read_vector
@@ -132,37 +129,6 @@ def test_an_outline_wider_than_the_margin_comes_with_the_parts_at_its_far_end(tm
         assert len(part.buildings) == 0
 
 
-@pytest.mark.parametrize("covering", [True, False])
-def test_with_boxes_no_geometry_elsewhere_is_decoded(tmp_path, monkeypatch, covering):
-    path = write(town().to_crs(WGS84), tmp_path / ("covered.parquet" if covering else "city.parquet"))
-    decoded = []
-    from_wkb = shapely.from_wkb
-    monkeypatch.setattr(shapely, "from_wkb", lambda data, **k: decoded.append(len(data)) or from_wkb(data, **k))
-    found = read_vector(path, Near(BOX_M, UTM))
-    num_near = len(found.polygons) + 1  # and the point
-    assert decoded == ([num_near] if covering else [pq.read_metadata(path).num_rows, num_near])
-
-
-def test_a_geoparquet_file_that_is_cut_while_it_is_read_is_one_sentence(tmp_path, monkeypatch):
-    path = write(town(6000).to_crs(WGS84), tmp_path / "city.parquet")
-    bounds = shapely.bounds
-
-    def cut(shapes):
-        os.truncate(path, 5000)
-        return bounds(shapes)
-
-    monkeypatch.setattr(geoparquet.shapely, "bounds", cut)
-    with pytest.raises(InputError, match="give a whole one"):
-        read_buildings(BuildingFile(path), UTM, bounds_m=BOX_M)
-
-
-def test_a_copy_without_the_column_of_boxes_that_its_metadata_name_is_read_by_its_geometries(tmp_path):
-    path = write(town().to_crs(WGS84), tmp_path / "covered.parquet")
-    expected = facts_of(read_buildings(BuildingFile(path), UTM, bounds_m=BOX_M))
-    pq.write_table(pq.read_table(path).drop_columns("bbox"), path)
-    assert facts_of(read_buildings(BuildingFile(path), UTM, bounds_m=BOX_M)) == expected
-
-
 def change_metadata(path, change):
     """Write a GeoParquet file again with what ``change`` returns of its "geo" metadata."""
     table = pq.read_table(path)
@@ -177,16 +143,15 @@ def change_metadata(path, change):
         lambda geo: geo | {"columns": []},
         lambda geo: geo | {"columns": {"foo": geo["columns"]["geometry"]}, "primary_column": "foo"},
         lambda geo: geo | {"columns": {"geometry": []}},
-        lambda geo: geo | {"columns": {"geometry": geo["columns"]["geometry"] | {"covering": {"bbox": {"xmin": [1]}}}}},
         lambda geo: [geo],
         lambda geo: None,
     ],
 )
-def test_damaged_metadata_of_geoparquet_are_one_sentence_that_says_so(tmp_path, damage):
+def test_damaged_metadata_of_geoparquet_are_one_sentence(tmp_path, damage):
     path = write(town(60), tmp_path / "city.parquet")
     change_metadata(path, damage)
     for near in (Near(BOX_M, UTM), None):
-        with pytest.raises(InputError, match=r'city\.parquet.*\(its "geo" metadata are damaged\): give a whole one'):
+        with pytest.raises(InputError, match=r"city\.parquet' cannot be read as a vector file .*: give a whole one"):
             read_vector(path, near)
 
 
@@ -196,20 +161,6 @@ def test_heights_that_pandas_wrote_as_an_index_are_read(tmp_path, near):
     expected = read_vector(write(frame, tmp_path / "city.parquet"), near).tags["height"]
     indexed = read_vector(write(frame.set_index("height"), tmp_path / "covered.parquet"), near)
     np.testing.assert_array_equal(indexed.tags["height"], expected)
-
-
-@pytest.mark.parametrize("are_most", [False, True])
-def test_features_without_a_box_in_the_covering_column_are_read_by_their_geometries(tmp_path, are_most):
-    path = write(town().to_crs(WGS84), tmp_path / "covered.parquet")
-    expected = facts_of(read_buildings(BuildingFile(path), UTM, bounds_m=BOX_M))
-    table = pq.read_table(path)
-    boxes = table["bbox"].to_pylist()
-    for k in range(len(boxes)):
-        if k % 7 == 0 or (are_most and k % 50 < 40):
-            boxes[k] = None if k % 2 else dict.fromkeys(boxes[k])
-    boxes = pa.array(boxes, table["bbox"].type)
-    pq.write_table(table.set_column(table.column_names.index("bbox"), "bbox", boxes), path, row_group_size=50)
-    assert facts_of(read_buildings(BuildingFile(path), UTM, bounds_m=BOX_M)) == expected
 
 
 def test_coordinates_beyond_the_globe_are_refused_though_those_near_are_sound(tmp_path):

@@ -95,9 +95,7 @@ def _read(path: str | Path, role: str, *, every_layer: bool) -> list[gpd.GeoData
     with readable(path, "a vector file", WHOLE, *OF_DAMAGED, what=name):
         _check_format(Path(path))
         if Path(path).suffix.lower() in PARQUET_SUFFIXES:
-            from jaxurban.io.read.geoparquet import read_whole_parquet  # imported here as in `_read_near`
-
-            frames = [read_whole_parquet(path)]
+            frames = [_read_parquet(path, is_of_buildings=role == BUILDINGS)]
         else:
             layers = [layer for layer, _ in pyogrio.list_layers(path)] if every_layer else [_polygon_layer(path, role)]
             on_invalid = "raise" if every_layer else "ignore"
@@ -108,6 +106,18 @@ def _read(path: str | Path, role: str, *, every_layer: bool) -> list[gpd.GeoData
     for frame in frames:
         _check(name, frame, frame.total_bounds)
     return frames
+
+
+def _read_parquet(path: str | Path, *, is_of_buildings: bool) -> gpd.GeoDataFrame:
+    """Return the features of a GeoParquet file, of buildings with the columns that say something of them alone."""
+    import pyarrow.parquet as pq  # imported here: it takes 0.1 s to load, for which other formats need not wait
+
+    schema = pq.read_schema(path)
+    shapes = json.loads((schema.metadata or {}).get(b"geo", b"{}")).get("columns", {})
+    columns = [name for name in schema.names if name in shapes or not is_of_buildings or _is_of_buildings(name)]
+    frame = gpd.read_parquet(path, columns=columns)
+    index = [name for name in frame.index.names if name is not None and name not in frame.columns]
+    return frame.reset_index(level=index)  # pandas wrote it as an index
 
 
 def _check_format(path: Path) -> None:
@@ -180,26 +190,21 @@ def _check(name: str, frame: gpd.GeoDataFrame, extent: Sequence[float]) -> None:
 
 
 def _read_near(path: str | Path, near: Near) -> tuple[gpd.GeoDataFrame, Bounds] | None:
-    """Return the buildings of a file near a region, checked, and the box of all; None where boxes do not tell."""
-    name, suffix = _name(path, BUILDINGS), Path(path).suffix.lower()
-    with readable(path, "a vector file", WHOLE, *OF_DAMAGED, what=name):
-        _check_format(Path(path))
-        if suffix in PARQUET_SUFFIXES:
-            # Imported here: Parquet's library takes 0.1 s to load, for which other formats need not wait.
-            from jaxurban.io.read.geoparquet import read_near_parquet
+    """Return the buildings near a region by the index of a GeoPackage or a Shapefile, in order, and the box of all.
 
-            found = read_near_parquet(path, near, _is_of_buildings)
-        elif suffix in INDEXED_SUFFIXES:
-            found = _read_indexed(path, near)
-        else:
-            return None
+    None where boxes do not tell.
+    """
+    if Path(path).suffix.lower() not in INDEXED_SUFFIXES:
+        return None
+    with readable(path, "a vector file", WHOLE, *OF_DAMAGED, what=_name(path, BUILDINGS)):
+        _check_format(Path(path))
+        found = _read_indexed(path, near)
     if found is not None:
-        _check(name, *found)
+        _check(_name(path, BUILDINGS), *found)
     return found
 
 
 def _read_indexed(path: str | Path, near: Near) -> tuple[gpd.GeoDataFrame, Bounds] | None:
-    """Return the buildings near a region by the index of a GeoPackage or a Shapefile, in their order."""
     layer = _polygon_layer(path, BUILDINGS)
     facts = pyogrio.read_info(path, layer=layer, force_total_bounds=True)
     box = near.box_in(facts["crs"]) if facts["crs"] and facts["geometry_type"] else None
@@ -237,8 +242,8 @@ def read_vector(path: str | Path, near: Near | None = None) -> Outlines:
 
     Args:
       path: the file.
-      near: the region whose surroundings are needed: what lies elsewhere may be left out. Of GeoParquet, GeoPackages
-        and Shapefiles it is not even decoded. None reads all.
+      near: the region whose surroundings are needed: what lies elsewhere may be left out. Of GeoPackages and
+        Shapefiles it is not even decoded. None reads all.
 
     Raises:
       InputError: a file that cannot be read, has no CRS, or holds coordinates beyond the globe though its CRS is in
