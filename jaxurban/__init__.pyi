@@ -26,7 +26,7 @@ from jaxurban.paths.explain import RouteReport as RouteReport
 from jaxurban.paths.explain import explain as explain
 from jaxurban.paths.path import PlannedPath as PlannedPath
 from jaxurban.paths.plan import plan as plan
-from jaxurban.paths.results import PlannedPaths as PlannedPaths
+from jaxurban.paths.queries import PlannedPaths as PlannedPaths
 from jaxurban.paths.simplify import simplify as simplify
 from jaxurban.paths.snapping import XY as XY
 from jaxurban.paths.vehicle import Vehicle as Vehicle

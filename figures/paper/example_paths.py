@@ -13,9 +13,8 @@ from matplotlib.figure import Figure
 
 from figures.paper.common import PATH_M, TOWNS, Caption, Town, save
 from jaxurban.paths.cost_map import CostMap, cost_map
-from jaxurban.paths.finish import finish, map_settings
-from jaxurban.paths.path import PlannedPath
-from jaxurban.paths.search import PathSearch
+from jaxurban.paths.path import PlannedPath, finish, map_settings
+from jaxurban.paths.preset import PathSearch
 from jaxurban.paths.snapping import XY
 from jaxurban.planners.registry import find_planner
 from jaxurban.report.figures.frame import NO_DATA_COLOUR, Frame, MapLayer, add_key, add_scale, draw_layers, make_frame

@@ -11,7 +11,7 @@ from matplotlib.patches import Patch
 
 import jaxurban as ju
 from figures.paper.common import Caption, save
-from jaxurban.paths.finish import map_settings
+from jaxurban.paths.path import map_settings
 from jaxurban.planners.astar import astar
 from jaxurban.planners.base import Problem
 from jaxurban.planners.bitstar.batches import Batch, BitStarOptions

@@ -70,8 +70,7 @@ def plan(folder: Path, files: Sequence[Path], profile: Path | None, as_json: boo
     from jaxurban.paths.cost_map import cost_map
     from jaxurban.paths.explain import check_flight, explain
     from jaxurban.paths.export.write import MISSION, check_export
-    from jaxurban.paths.preset import search_on
-    from jaxurban.paths.search import PathSearch
+    from jaxurban.paths.preset import PathSearch, objective_on
     from jaxurban.paths.simplify import simplify
 
     with_report, is_volume, snap = given["with_report"], given["is_volume"], take_snap(given)
@@ -98,12 +97,11 @@ def plan(folder: Path, files: Sequence[Path], profile: Path | None, as_json: boo
         goal_altitude_m = altitude_m if given["goal_altitude_m"] is None else given["goal_altitude_m"]
         start, goal = (*start, altitude_m), (*goal, goal_altitude_m)
         altitude_m = Levels(**{name: given[name] for name in LEVEL_OPTIONS if given[name] is not None})
-    names = ("planner", "heuristic", "objective", "budget_s", "seed", "refine")
-    search = search_on(maps, is_for_volumes=is_volume, **{name: given[name] for name in names})
-    at = {"objective": search.pop("objective", "weighted")} | {name: given[name] for name in ("time", "time_of_day")}
-    PathSearch(**search).find(is_for_volumes=is_volume)  # a wrong name is refused before the maps are read
+    names = ("planner", "heuristic", "budget_s", "seed", "refine")
+    search = PathSearch.of(maps, is_for_volumes=is_volume, snap=snap, **{name: given[name] for name in names})
+    at = {"objective": objective_on(maps, given["objective"])} | {name: given[name] for name in ("time", "time_of_day")}
     shared = cost_map(maps, altitude_m, **at, **given_rules(given))
-    planned, maps = shared.plan(start, goal, snap=snap, **search), shared.maps
+    planned, maps = shared.found(start, goal, search), shared.maps
     if simplify_m:
         planned = simplify(planned, shared, simplify_m)
     is_explained = planned.status.has_path and (with_report or profile is not None)
@@ -135,7 +133,7 @@ def _write(
     end: str | None,
 ) -> None:
     """Write a path to a file, simplified where it is a file of waypoints and nothing was said, and tell of it."""
-    from jaxurban.paths.export.gpx import elevation_note
+    from jaxurban.paths.export.gpx_kml import elevation_note
     from jaxurban.paths.export.qgc_plan import mission_note
     from jaxurban.paths.export.write import MISSION, WAYPOINTS, write_path
     from jaxurban.paths.simplify import simplify

@@ -1,9 +1,9 @@
 """plan_many: thousands of queries over metric maps, none of which is lost once it is done."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path as FilePath
 from typing import Any
 
@@ -12,16 +12,23 @@ import pandas as pd
 
 from jaxurban.errors import InputError, at_least, typed
 from jaxurban.io.rows import fingerprint
-from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
+from jaxurban.maps.metric_maps import GivenMaps, as_maps
 from jaxurban.metrics.weights import GivenWeights
 from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.cost_map import CostMap, cost_map
-from jaxurban.paths.finish import finish
-from jaxurban.paths.preset import search_on, under_preset, weights_on
-from jaxurban.paths.queries import Point, Query, read_queries
-from jaxurban.paths.results import BAD_INPUT, CRASHED, NOT_RUN, BatchResults, PlannedPaths, QueryResult
-from jaxurban.paths.search import PathSearch
-from jaxurban.paths.snapping import Place, one_place, snap_limit_m
+from jaxurban.paths.path import finish
+from jaxurban.paths.preset import PathSearch, objective_on, under_preset, weights_on
+from jaxurban.paths.queries import (
+    BAD_INPUT,
+    CRASHED,
+    NOT_RUN,
+    BatchResults,
+    PlannedPaths,
+    Query,
+    QueryResult,
+    read_queries,
+)
+from jaxurban.paths.snapping import Place, Point, snap_limit_m
 from jaxurban.planners.base import CostKind, Path
 from jaxurban.planners.batch import Backend, solve_many
 from jaxurban.planners.cost_model import CostModel
@@ -89,25 +96,28 @@ def plan_many(
       InputError: an argument that is wrong for all queries, a file that holds results of other queries; with
         ``strict`` any query's error too.
     """
-    named: dict[str, Any] = {"planner": planner, "heuristic": heuristic, "budget_s": budget_s, "seed": seed}
-    PathSearch(**{name: value for name, value in named.items() if value is not None}).find()
+    maps = as_maps(maps)
+    search = PathSearch.of(maps, planner=planner, heuristic=heuristic, budget_s=budget_s, seed=seed, snap=snap)
     if file is not None and (FilePath(file).suffix != ".parquet" or not FilePath(file).parent.is_dir()):
         raise InputError(f"file {str(file)!r} must end in .parquet and lie in a folder that exists")
     snap_limit_m(snap)  # a wrong one is refused once, not with every query
     if num_threads is not None:
         at_least("num_threads", num_threads, 1)
-    maps, cost_model, constraints = under_preset(preset, as_maps(maps), cost_model, constraints)
-    chosen = {"planner": "astar-plus"} | search_on(maps, objective=objective, **named)
-    objective, weights = chosen.pop("objective", "weighted"), weights_on(maps, weights)
-    search = PathSearch(**chosen, snap=snap)
-    held_m = maps.altitudes_m[0] if altitude_m is None else maps.around(altitude_m)[0]
-    maps.costs(held_m, time=time, time_of_day=time_of_day)  # refuses what is wrong for all queries
+    maps, cost_model, constraints = under_preset(preset, maps, cost_model, constraints)
+    weights = weights_on(maps, weights)
+    objective = objective_on(maps, objective)
+
+    @lru_cache(maxsize=max(1, HELD_BYTES // (BYTES_A_CELL * int(np.prod(maps.grid.shape)))))
+    def map_of(altitude_m: float, time: str | None, time_of_day: str | None) -> CostMap:
+        rules: dict[str, Any] = {"objective": objective, "cost_model": cost_model, "constraints": constraints}
+        return cost_map(maps, altitude_m, time=time, time_of_day=time_of_day, **rules)
+
+    map_of(maps.altitudes_m[0] if altitude_m is None else altitude_m, time, time_of_day)  # what is wrong for all
     batch = read_queries(
         queries, altitude_m=altitude_m, time=time, time_of_day=time_of_day, weights=weights, metrics=maps.metrics
     )
     book = BatchResults(batch, None if file is None else FilePath(file))
-    map_of = partial(_map_of, maps, objective, cost_model, constraints)
-    job = _Job(maps, batch, map_of, search, backend, num_threads, strict, book)
+    job = _Job(batch, map_of, search, backend, num_threads, strict, book)
     was_interrupted = False
     try:
         with reporting("plan_many", progress) as report:
@@ -122,27 +132,12 @@ def plan_many(
     return PlannedPaths(batch, [book.results.get(k, not_run) for k in range(len(batch))], was_interrupted)
 
 
-def _map_of(
-    maps: MetricMaps, objective: str, cost_model: CostModel, constraints: Constraints, query: Query
-) -> tuple[CostMap | None, str]:
-    """Return the map of a query and those like it, or why there is none. Wrong settings of the batch are raised."""
-    when: dict[str, Any] = {"time": query.time, "time_of_day": query.time_of_day}
-    try:
-        maps.is_free(query.altitude_m)
-        maps.costs(maps.around(query.altitude_m)[0], **when)
-    except InputError as error:
-        return None, str(error)
-    under: dict[str, Any] = {"objective": objective, "cost_model": cost_model, "constraints": constraints}
-    return cost_map(maps, query.altitude_m, weights=query.weights, **when, **under), ""
-
-
 @dataclass(frozen=True, eq=False)
 class _Job:
     """The way of a batch: cost maps are made as far as they can be held, their queries located and solved."""
 
-    maps: MetricMaps
     queries: list[Query]
-    map_of: Callable[[Query], tuple[CostMap | None, str]]
+    map_of: Any  # of altitude, time and time of day; which holds as many as there is room for
     search: PathSearch
     backend: Backend
     num_threads: int | None
@@ -157,26 +152,25 @@ class _Job:
                 yield self._refuse(k, query.error)
             else:
                 by_map.setdefault((query.altitude_m, query.time, query.time_of_day, query.weights), []).append(k)
-        maps_at_once = max(1, HELD_BYTES // (BYTES_A_CELL * int(np.prod(self.maps.grid.shape))))
-        groups = list(by_map.values())
-        for first in range(0, len(groups), maps_at_once):
-            yield from self._run_groups(groups[first : first + maps_at_once])
+        groups, at_once = list(by_map.values()), self.map_of.cache_info().maxsize
+        for first in range(0, len(groups), at_once):
+            yield from self._run_groups(groups[first : first + at_once])
 
     def _run_groups(self, groups: Sequence[list[int]]) -> Iterator[int]:
         located: list[tuple[int, str, CostMap, tuple[Place, Place]]] = []
         waiting: list[int] = []  # by their numbers among those located
         search = self.search
         for group in groups:
-            shared, error = self.map_of(self.queries[group[0]])
-            if shared is None:
-                yield from [self._refuse(k, error) for k in group]
+            first = self.queries[group[0]]
+            try:
+                shared = self.map_of(first.altitude_m, first.time, first.time_of_day).with_weights(first.weights)
+            except InputError as error:
+                yield from [self._refuse(k, str(error)) for k in group]
                 continue
             digest = self._digest(shared)
             for k in group:
-                query = self.queries[k]
                 try:
-                    start = one_place("start", query.start, query.start_xy_m)
-                    ends = shared.ends(start, one_place("goal", query.goal, query.goal_xy_m), snap=search.snap)
+                    ends = shared.ends(self.queries[k].start, self.queries[k].goal, snap=search.snap)
                 except InputError as error:
                     yield self._refuse(k, str(error))
                     continue
@@ -189,7 +183,7 @@ class _Job:
         problems = [shared.problem.between(ends[0].cell, ends[1].cell) for _, _, shared, ends in located]
         outcomes = solve_many(
             problems,
-            planner=search.planner or "astar-plus",
+            planner=search.planner,
             heuristic=search.heuristic,
             backend=self.backend,
             budget_s=search.budget_s,
@@ -202,13 +196,13 @@ class _Job:
                 k, key, shared, ends = located[i]
                 if isinstance(outcome, Path):
                     planned = finish(shared, outcome, ends, search)
-                    self.book.add(k, QueryResult(planned.status.value, planned.to_dict()["message"], planned, key))
+                    self.book.add(k, QueryResult(planned.status.value, planned.message, planned, key))
                 elif self.strict:
                     raise outcome
-                elif isinstance(outcome, InputError):
-                    self.book.add(k, QueryResult(BAD_INPUT, str(outcome), key=key))
                 else:
-                    self.book.add(k, QueryResult(CRASHED, f"{type(outcome).__name__}: {outcome}", key=key))
+                    is_input = isinstance(outcome, InputError)
+                    message = str(outcome) if is_input else f"{type(outcome).__name__}: {outcome}"
+                    self.book.add(k, QueryResult(BAD_INPUT if is_input else CRASHED, message, key=key))
                 yield k
 
     def _refuse(self, k: int, error: str) -> int:

@@ -201,10 +201,6 @@ class Constraints:
         """Return what straight legs keep from closed cells of that side, for the clearance (`closing_step_m`)."""
         return closing_step_m(self.horizontal_m, resolution_m)[1]
 
-    def without_clearance(self) -> "Constraints":
-        """Return the zones and bounds alone."""
-        return Constraints(self.zones, self.bounds, 0.0, 0.0, Vehicle())
-
     def to_dict(self) -> dict[str, Any]:
         """Return the constraints as plain, JSON-ready values; floors and ceilings are None where there are none.
 

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property, partial
+from typing import Any
 
 import numpy as np
 
@@ -11,22 +12,19 @@ from jaxurban.io.read.orbits import iso_utc, parse_time
 from jaxurban.maps.levels import SAME_M, Levels, listed_m
 from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
 from jaxurban.metrics.weights import GivenWeights, Weights
-from jaxurban.paths.closed import why_closed
 from jaxurban.paths.constraints import Constraints
-from jaxurban.paths.finish import finish
-from jaxurban.paths.path import PlannedPath
-from jaxurban.paths.preset import under_preset, weights_on
-from jaxurban.paths.reachability import islands_at, islands_of, what_would_join
+from jaxurban.paths.path import PlannedPath, finish
+from jaxurban.paths.preset import PathSearch, under_preset, weights_on
+from jaxurban.paths.reachability import islands_at, islands_of, why_closed
 from jaxurban.paths.read_costs import When, check_memory, costs_at
-from jaxurban.paths.search import PathSearch
-from jaxurban.paths.snapping import XY, Place, Point, free_place, joined_ends, pocket_note
+from jaxurban.paths.snapping import XY, Place, Point, free_place, joined_ends
 from jaxurban.planners.any_angle import check_line_model
 from jaxurban.planners.base import Cell, CostKind, Problem
 from jaxurban.planners.bounds import AUTO, make_landmarks
 from jaxurban.planners.cost import PathFeatures
 from jaxurban.planners.cost_model import CostModel
 from jaxurban.planners.refine import refine as refine_path
-from jaxurban.planners.registry import PLANNERS
+from jaxurban.planners.registry import PLANNERS, find_planner
 from jaxurban.presets import BUDGET_S
 from jaxurban.progress import saying_later
 from jaxurban.world.grid import Grid
@@ -242,12 +240,17 @@ class CostMap(Shown):
     @cached_property
     def islands(self) -> np.ndarray:
         """``[Y, X]`` or ``[K, Y, X]`` the number of the island of joined free cells, 0 where a cell is closed."""
-        return islands_of(self.is_free, self.cost_model.joins_corners and not self.leg_margin_m)
+        return islands_of(self.is_free, self.cuts_corners)
 
     @cached_property
-    def islands_at(self) -> Callable[[tuple[float, ...], bool], np.ndarray]:
-        """The islands of other levels, with or without the clearances, each made once (`reachability.islands_at`)."""
+    def islands_at(self) -> Callable[[tuple[float, ...]], np.ndarray]:
+        """The islands of other levels, each made once (`reachability.islands_at`)."""
         return cache(partial(islands_at, self))
+
+    @property
+    def cuts_corners(self) -> bool:
+        """Whether a free cell joins those that it touches with a corner."""
+        return self.cost_model.joins_corners and not self.leg_margin_m
 
     @property
     def leg_margin_m(self) -> float:
@@ -290,7 +293,7 @@ class CostMap(Shown):
         return "fly at another level" + ", or loosen the constraints" * bool(str(self.constraints))
 
     def why_closed(self, cell: Cell, level: int = 0) -> str:
-        """Return what closes a cell of a level and which one over it is free (`jaxurban.paths.closed`)."""
+        """Return what closes a cell of a level and which one over it is free (`jaxurban.paths.reachability`)."""
         return why_closed(self, cell, level)
 
     @typed
@@ -307,28 +310,27 @@ class CostMap(Shown):
         refine: bool = False,
     ) -> PlannedPath:
         """Return a path between two places, given as in `locate` (other arguments: `PathSearch`; errors: `plan`)."""
-        search = PathSearch(planner, heuristic, budget_s, seed, snap, refine)
-        find_path = search.find(is_for_volumes=self.levels is not None)
-        name = planner or ("astar-plus" if self.levels is None else "astar-volume")
-        if self.is_prepared and heuristic is None and PLANNERS[name].default_heuristic == AUTO:
-            find_path = replace(search, heuristic="landmarks").find()
+        given: dict[str, Any] = {"planner": planner, "heuristic": heuristic, "budget_s": budget_s, "seed": seed}
+        is_for_volumes = self.levels is not None
+        return self.found(start, goal, PathSearch.of(is_for_volumes=is_for_volumes, snap=snap, refine=refine, **given))
+
+    def found(self, start: Point | XY, goal: Point | XY, search: PathSearch) -> PlannedPath:
+        """Return a path between two places, given as in `locate`, searched for in one way."""
+        if self.is_prepared and search.heuristic is None and PLANNERS[search.planner].default_heuristic == AUTO:
+            search = replace(search, heuristic="landmarks")
+        find_path = find_planner(search.planner, search.heuristic, is_for_volumes=self.levels is not None)
         ends = self.ends(start, goal, snap=search.snap)
         problem = self.problem.between(ends[0].cell, ends[1].cell)
         if search.refine:
             check_line_model(problem, "refinement")
         # An anytime planner would leave nothing of the budget to refine with.
         share = 1 - REFINING_SHARE if search.refine else 1.0
-        with saying_later(name, search.budget_s):
+        with saying_later(search.planner, search.budget_s):
             found = find_path(problem, budget_s=search.budget_s * share, seed=search.seed)
         if search.refine and found.status.has_path:
             left_s = search.budget_s - found.elapsed_s
             found = refine_path(problem, found, budget_s=max(left_s, search.budget_s * REFINING_SHARE / 2))
         return finish(self, found, ends, search)
-
-    def what_would_join(self, start: Place, goal: Place) -> str:
-        """Return a sentence on what would join two places that nothing joins."""
-        pocket = pocket_note(start, goal, self.islands, self.grid)
-        return f"{pocket} {what_would_join(self, start.cell, goal.cell)}".strip()
 
     def means(self, features: PathFeatures) -> dict[str, float]:
         """Return the mean of each metric m along a path, by the exact length in each cell."""
@@ -415,7 +417,7 @@ def cost_map_of(planned: PlannedPath, maps: MetricMaps) -> CostMap:
         altitudes_m = levels_m[(levels_m >= planned.z_m.min()) & (levels_m <= planned.z_m.max())]
     at = When(maps.with_obstacles("centre"), settings["time"], settings["time_of_day"])
     weights, cost_model = Weights.of(settings["weights"]), CostModel.from_settings(settings)
-    made = _made(at, altitudes_m, levels, weights, settings["objective"], cost_model, Constraints().without_clearance())
+    made = _made(at, altitudes_m, levels, weights, settings["objective"], cost_model, Constraints((), (), 0.0, 0.0))
     return replace(made, is_free=np.ones_like(made.is_free)).only(
         [name for name in settings["weights"] if name != "distance"]
     )

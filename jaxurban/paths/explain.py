@@ -14,7 +14,6 @@ from jaxurban.maps.metric_maps import GivenMaps, as_maps
 from jaxurban.metrics.population import M2_PER_KM2
 from jaxurban.paths.cautions import Caution, cautions
 from jaxurban.paths.cost_map import cost_map_of
-from jaxurban.paths.crossings import cut_evenly
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.profile import (
     CLEARANCE,
@@ -23,6 +22,7 @@ from jaxurban.paths.profile import (
     OVER_ROOF,
     VISIBLE,
     RouteProfile,
+    cut_evenly,
     guessed_clearances,
 )
 from jaxurban.paths.vehicle import Vehicle

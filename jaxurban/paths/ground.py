@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.ndimage import map_coordinates
 
 from jaxurban.world.grid import Grid
 
@@ -77,15 +78,6 @@ def elevation_at(x_m: np.ndarray, y_m: np.ndarray, terrain_m: np.ndarray, resolu
       terrain_m: ``[Y, X]`` elevation at cell centres; as at the border beyond the outermost centres.
       resolution_m: side of a cell.
     """
-    ends = np.array(terrain_m.shape) - 1
-    place = np.clip(np.stack([y_m, x_m], axis=-1) / resolution_m - 0.5, 0, ends)
-    low = np.minimum(place.astype(int), np.maximum(ends - 1, 0))
-    high = np.minimum(low + 1, ends)
-    up, right = (place - low).T
-    (south, west), (north, east) = low.T, high.T
-    terrain_m = terrain_m.astype(np.float64)
-    smooth_m = (1 - up) * ((1 - right) * terrain_m[south, west] + right * terrain_m[south, east]) + up * (
-        (1 - right) * terrain_m[north, west] + right * terrain_m[north, east]
-    )
-    own = np.rint(place).astype(int)
-    return np.where(np.isnan(smooth_m), terrain_m[own[:, 0], own[:, 1]], smooth_m)
+    place = np.clip(np.stack([y_m, x_m]) / resolution_m - 0.5, 0, np.array(terrain_m.shape)[:, None] - 1)
+    smooth_m = map_coordinates(terrain_m, place, np.float64, order=1, mode="nearest")
+    return np.where(np.isnan(smooth_m), terrain_m[tuple(np.rint(place).astype(int))], smooth_m)

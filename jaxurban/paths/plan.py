@@ -9,8 +9,7 @@ from jaxurban.metrics.weights import GivenWeights
 from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.cost_map import cost_map
 from jaxurban.paths.path import PlannedPath
-from jaxurban.paths.preset import search_on
-from jaxurban.paths.search import PathSearch
+from jaxurban.paths.preset import PathSearch, objective_on
 from jaxurban.paths.snapping import Point, one_place
 from jaxurban.planners.base import CostKind
 from jaxurban.planners.cost_model import CostModel
@@ -81,23 +80,20 @@ def plan(
         the lowest free level), an altitude beyond the maps', an unknown planner, heuristic or objective, bounds of
         altitude that hold no level, or a volume that memory cannot hold.
     """
-    # A wrong name is refused before the maps are read.
-    is_volume = isinstance(altitude_m, Levels)
-    named: dict[str, Any] = {"planner": planner, "heuristic": heuristic, "budget_s": budget_s, "seed": seed}
-    given = {name: value for name, value in named.items() if value is not None}
-    PathSearch(**given, refine=refine).find(is_for_volumes=is_volume)
-    ends = one_place("start", start, start_xy_m), one_place("goal", goal, goal_xy_m)
     maps = as_maps(maps)
-    search = search_on(maps, is_for_volumes=is_volume, objective=objective, **named)
+    given: dict[str, Any] = {"planner": planner, "heuristic": heuristic, "budget_s": budget_s, "seed": seed}
+    is_volume = isinstance(altitude_m, Levels)  # a wrong name is refused before the maps are read
+    search = PathSearch.of(maps, is_for_volumes=is_volume, snap=snap, refine=refine, **given)
+    ends = one_place("start", start, start_xy_m), one_place("goal", goal, goal_xy_m)
     shared = cost_map(
         maps,
         altitude_m,
         weights=weights,
-        objective=search.pop("objective", "weighted"),
+        objective=objective_on(maps, objective),
         cost_model=cost_model,
         time=time,
         time_of_day=time_of_day,
         constraints=constraints,
         preset=preset,
     )
-    return shared.plan(*ends, snap=snap, refine=refine, **search)
+    return shared.found(*ends, search)

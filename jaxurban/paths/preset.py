@@ -1,14 +1,18 @@
 """Under a preset: the one place where what a caller leaves out of a query takes its default."""
 
+from dataclasses import dataclass
 from typing import Any
 
+from jaxurban.errors import InputError
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.weights import GivenWeights, Weights
 from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.vehicle import Vehicle
-from jaxurban.planners.cost import CostKind
+from jaxurban.planners.base import CostKind
+from jaxurban.planners.checks import check_budget
 from jaxurban.planners.cost_model import CostModel
-from jaxurban.presets import planning_under
+from jaxurban.planners.registry import check_seed, find_planner
+from jaxurban.presets import BUDGET_S, planning_under
 
 
 def under_preset(
@@ -45,15 +49,54 @@ def weights_on(maps: MetricMaps, given: GivenWeights) -> Weights:
     return Weights.of(given, maps.recorded.get("weights")).checked(maps.metrics)
 
 
-def search_on(maps: MetricMaps, *, is_for_volumes: bool = False, **given: Any) -> dict[str, Any]:
-    """Return how a path is searched for, by name: what is given (not None), and else what the maps' scenario says.
+def objective_on(maps: MetricMaps, objective: str | None) -> str:
+    """Return an objective, where none is given as the maps' scenario has it."""
+    return objective or maps.recorded.get("planning", {}).get("objective", "weighted")
 
-    Args:
-      maps: the maps.
-      is_for_volumes: whether the path may climb, for which no scenario names planner or seed.
-      given: as in `jaxurban.plan`.
+
+@dataclass(frozen=True)
+class PathSearch:
+    """How a path is searched for: what does not change the map.
+
+    Attributes:
+      planner: ``"ptp"``, ``"astar-dist"``, ``"astar-plus"`` ...
+      heuristic: left out, the planner's own.
+      budget_s: seconds that the search may take.
+      seed: for sampling planners.
+      snap: move a start or goal inside an obstacle or closed by a constraint to the nearest free cell instead of
+        failing: True by at most 50 m, a number by at most so many metres. The path's message says how far.
+      refine: move the waypoints of what the planner found downhill, off the grid (`planners.refine`); within what
+        is left of the budget. It takes the ``line`` cost model, or the ``distance`` objective.
     """
-    names = ("objective", "budget_s", *(() if is_for_volumes else ("planner", "seed")))
-    planning = maps.recorded.get("planning", {})
-    stored = {name: planning[name] for name in names if name in planning}
-    return stored | {name: value for name, value in given.items() if value is not None}
+
+    planner: str
+    heuristic: str | None = None
+    budget_s: float = BUDGET_S
+    seed: int = 0
+    snap: bool | float = False
+    refine: bool = False
+
+    @classmethod
+    def of(cls, maps: MetricMaps | None = None, *, is_for_volumes: bool = False, **given: Any) -> "PathSearch":
+        """Return a search whose values can be, what is left out (or None) as the maps' scenario says it.
+
+        Args:
+          maps: None where no scenario is asked.
+          is_for_volumes: whether the path may climb, for which no scenario names planner or seed.
+          given: the attributes.
+
+        Raises:
+          InputError: an unknown planner, a heuristic that it does not take, a wrong seed or budget, or refinement of a
+            path that may climb.
+        """
+        recorded = {} if maps is None else maps.recorded.get("planning", {})
+        names = ("budget_s",) if is_for_volumes else ("budget_s", "planner", "seed")
+        chosen = {"planner": "astar-volume" if is_for_volumes else "astar-plus"}
+        chosen |= {name: recorded[name] for name in names if name in recorded}
+        search = cls(**chosen | {name: value for name, value in given.items() if value is not None})
+        check_seed(search.seed)
+        check_budget(search.budget_s)
+        if is_for_volumes and search.refine:
+            raise InputError("refine moves waypoints on one altitude: leave it out of a path that climbs and descends")
+        find_planner(search.planner, search.heuristic, is_for_volumes=is_for_volumes)
+        return search

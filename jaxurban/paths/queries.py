@@ -1,22 +1,34 @@
-"""Query: one query of a batch, and how batches of them are read."""
+"""The queries of a batch, how they are read, what became of each, and the file that keeps that."""
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+import json
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from pathlib import Path as FilePath
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from jaxurban.errors import InputError, finite, nearest_name
+from jaxurban.errors import InputError, finite, nearest_name, typed
+from jaxurban.io.rows import RowStore
+from jaxurban.io.tables import SUFFIXES, write_table
 from jaxurban.metrics.registry import METRICS
 from jaxurban.metrics.weights import GivenWeights, Weights
-
-Point = tuple[float, float]
+from jaxurban.paths.export.write import FORMATS, write_path
+from jaxurban.paths.path import PlannedPath
+from jaxurban.paths.snapping import XY, Point
+from jaxurban.planners.base import Path, Status
+from jaxurban.world.show import Shown
 
 LONLAT = ("start_lon", "start_lat", "goal_lon", "goal_lat")
-XY = ("start_x_m", "start_y_m", "goal_x_m", "goal_y_m")
+IN_METRES = ("start_x_m", "start_y_m", "goal_x_m", "goal_y_m")
 WEIGHT_PREFIX = "w_"
 WEIGHT_COLUMNS = tuple(WEIGHT_PREFIX + name for name in Weights().to_dict())
-COLUMNS = (*LONLAT, *XY, "altitude_m", "time", "time_of_day", *WEIGHT_COLUMNS)
+COLUMNS = (*LONLAT, *IN_METRES, "altitude_m", "time", "time_of_day", *WEIGHT_COLUMNS)
+BAD_INPUT, CRASHED, NOT_RUN = "bad-input", "crashed", "not-run"  # beside the names of `Status`
+ENDED_BY_BUDGET = (Status.BUDGET_EMPTY.value, Status.BUDGET_FEASIBLE.value)
+NEEDED = {"query", "status", "message", "key", "budget_s", "search", "x_m", "y_m"}  # of a file of results
 
 
 @dataclass(frozen=True)
@@ -24,8 +36,7 @@ class Query:
     """One query of a batch, not yet checked against any maps.
 
     Attributes:
-      start, goal: longitude, latitude in degrees, or None where metres are given.
-      start_xy_m, goal_xy_m: easting, northing in the maps' CRS, or None.
+      start, goal: longitude, latitude in degrees, or `XY` in the maps' CRS.
       altitude_m: flight altitude above ground.
       time: UTC time of the GPS map; None for the first.
       time_of_day: of the population map; None for the first.
@@ -33,10 +44,8 @@ class Query:
       error: why the query cannot be planned at all, or nothing.
     """
 
-    start: Point | None
-    goal: Point | None
-    start_xy_m: Point | None
-    goal_xy_m: Point | None
+    start: Point | XY
+    goal: Point | XY
     altitude_m: float
     time: str | None
     time_of_day: str | None
@@ -45,10 +54,9 @@ class Query:
 
     def to_dict(self) -> dict[str, object]:
         """Return the query as the columns that `read_queries` takes."""
-        places = (self.start, self.goal) if self.start_xy_m is None else (self.start_xy_m, self.goal_xy_m)
-        numbers = [value for place in places for value in (place or (np.nan, np.nan))]
+        names = IN_METRES if isinstance(self.start, XY) else LONLAT
         return {
-            **dict(zip(LONLAT if self.start_xy_m is None else XY, numbers, strict=True)),
+            **dict(zip(names, (*self.start[:2], *self.goal[:2]), strict=True)),
             "altitude_m": self.altitude_m,
             "time": self.time,
             "time_of_day": self.time_of_day,
@@ -80,12 +88,11 @@ def read_queries(
     Raises:
       InputError: a column that is not known or missing.
     """
-    base = Query(None, None, None, None, np.nan, time, time_of_day, Weights.of(weights).checked(metrics))
+    no_place = (np.nan, np.nan)
+    base = Query(no_place, no_place, np.nan, time, time_of_day, Weights.of(weights).checked(metrics))
     known = tuple(dict.fromkeys((*COLUMNS, *(WEIGHT_PREFIX + name for name in metrics))))
     if altitude_m is not None:
         base = replace(base, altitude_m=finite("altitude_m", altitude_m, "metres"))
-    if isinstance(queries, str) or not isinstance(queries, pd.DataFrame | Sequence | np.ndarray):
-        raise InputError(f"queries must be a table or pairs of (lon, lat), got {type(queries).__name__}")
     if not isinstance(queries, pd.DataFrame):
         return [_of_pair(pair, base) for pair in queries]
     for name in map(str, queries.columns):
@@ -94,12 +101,13 @@ def read_queries(
                 f"queries have an unknown column {name!r}{nearest_name(name, known)}: the columns are "
                 f"{', '.join(known)}"
             )
-    has_xy = XY[0] in queries.columns
-    if missing := [name for name in (XY if has_xy else LONLAT) if name not in queries.columns]:
-        raise InputError(f"queries lack the columns {', '.join(missing)}: give {', '.join(LONLAT)} or {', '.join(XY)}")
-    if has_xy and (both := [name for name in LONLAT if name in queries.columns]):
-        raise InputError(f"queries have {XY[0]} and {both[0]}: give places in degrees or in metres, not in both")
-    return [_of_row(row, has_xy, base) for row in queries.to_dict("records")]
+    names = IN_METRES if IN_METRES[0] in queries else LONLAT
+    if missing := [name for name in names if name not in queries]:
+        given = f"{', '.join(LONLAT)} or {', '.join(IN_METRES)}"
+        raise InputError(f"queries lack the columns {', '.join(missing)}: give {given}")
+    if names == IN_METRES and (both := [name for name in LONLAT if name in queries]):
+        raise InputError(f"queries have {names[0]} and {both[0]}: give places in degrees or in metres, not in both")
+    return [_of_row(row, names, base) for row in queries.to_dict("records")]
 
 
 def _of_pair(pair: tuple[Point, Point], base: Query) -> Query:
@@ -108,38 +116,194 @@ def _of_pair(pair: tuple[Point, Point], base: Query) -> Query:
         numbers = [float(value) for value in (start_lon, start_lat, goal_lon, goal_lat)]
     except (TypeError, ValueError):
         return replace(base, error=f"a query must be ((lon, lat), (lon, lat)), got {pair!r}")
-    return _checked(replace(base, start=(numbers[0], numbers[1]), goal=(numbers[2], numbers[3])))
+    return _of_row(dict(zip(LONLAT, numbers, strict=True)), LONLAT, base)
 
 
-def _of_row(row: dict, has_xy: bool, base: Query) -> Query:
-    given = {str(name): value for name, value in row.items() if not pd.isna(value)}
+def _of_row(row: Mapping, names: Sequence[str], base: Query) -> Query:
+    """Return the query of a row, with an error where a number is missing, not finite or no number."""
+    given, query = {str(name): value for name, value in row.items() if not pd.isna(value)}, base
+    weights = {name.removeprefix(WEIGHT_PREFIX): name for name in given if name.startswith(WEIGHT_PREFIX)}
+    time = given.get("time", base.time)
     try:
-        numbers = [float(given.get(name, np.nan)) for name in (XY if has_xy else LONLAT)]
-        start, goal = (numbers[0], numbers[1]), (numbers[2], numbers[3])
-        weights = {
-            name.removeprefix(WEIGHT_PREFIX): float(value)
-            for name, value in given.items()
-            if name.startswith(WEIGHT_PREFIX)
-        }
+        start_x, start_y, goal_x, goal_y = (float(given.get(name, np.nan)) for name in names)
+        is_xy = names == IN_METRES
         query = replace(
             base,
+            start=XY(start_x, start_y) if is_xy else (start_x, start_y),
+            goal=XY(goal_x, goal_y) if is_xy else (goal_x, goal_y),
             altitude_m=float(given.get("altitude_m", base.altitude_m)),
-            time=None if given.get("time", base.time) is None else str(given.get("time", base.time)),
+            time=None if time is None else str(time),
             time_of_day=given.get("time_of_day", base.time_of_day),
-            weights=base.weights.replace(**weights).checked(),
+            weights=base.weights.replace(**{name: float(given[column]) for name, column in weights.items()}).checked(),
         )
+        for end, place in (("start", query.start[:2]), ("goal", query.goal[:2])):
+            if not np.isfinite(place).all():
+                raise InputError(f"{end} needs two finite numbers, got {place}")
+        if not np.isfinite(query.altitude_m):
+            raise InputError("the altitude is missing: give altitude_m for all queries or in each row")
     except ValueError as error:  # InputError is one
-        return replace(base, error=str(error))
-    return _checked(
-        replace(query, start_xy_m=start, goal_xy_m=goal) if has_xy else replace(query, start=start, goal=goal)
-    )
-
-
-def _checked(query: Query) -> Query:
-    """Return the query with an error where a number is missing or not finite."""
-    for name, place in (("start", query.start or query.start_xy_m), ("goal", query.goal or query.goal_xy_m)):
-        if place is None or not np.isfinite(place).all():
-            return replace(query, error=f"{name} needs two finite numbers, got {place}")
-    if not np.isfinite(query.altitude_m):
-        return replace(query, error="the altitude is missing: give altitude_m for all queries or in each row")
+        return replace(query, error=str(error))
     return query
+
+
+@dataclass(frozen=True, eq=False)
+class QueryResult:
+    """What became of one query.
+
+    Attributes:
+      status: the name of a `Status`, or `BAD_INPUT`, `CRASHED` or `NOT_RUN`.
+      message: what happened, in a sentence or two.
+      path: what the planner gave; None where it did not run to its end.
+      key: stands for the query: map, weights, places, planner and settings.
+    """
+
+    status: str
+    message: str
+    path: PlannedPath | None = None
+    key: str = ""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class PlannedPaths(Shown, Sequence[PlannedPath | None]):
+    """The paths of a batch in the order of its queries; None where there is not even a planner's verdict.
+
+    Attributes:
+      queries: of the batch.
+      results: what became of each.
+      was_interrupted: whether Ctrl-C ended the batch before its end.
+    """
+
+    queries: Sequence[Query]
+    results: Sequence[QueryResult]
+    was_interrupted: bool = False
+
+    def __len__(self) -> int:
+        return len(self.results)
+
+    def __getitem__(self, index: Any) -> Any:
+        if isinstance(index, slice):
+            return [result.path for result in self.results[index]]
+        return self.results[index].path
+
+    @property
+    def facts(self) -> dict[str, str]:
+        """How many queries ended how, and what the paths cost and measure together."""
+        ends = Counter(result.status for result in self.results)
+        found = [path for path in self if path is not None and path.status.has_path]
+        heuristics = Counter(path.search.heuristic for path in self if path is not None)
+        return {
+            "queries": f"{len(self):,}" + (" (interrupted)" if self.was_interrupted else ""),
+            "statuses": ", ".join(f"{status} {number:,}" for status, number in ends.most_common()) or "none",
+            "heuristics": ", ".join(f"{name} {number:,}" for name, number in heuristics.most_common()) or "none",
+            "cost": f"{sum(path.cost for path in found):,.2f} of {len(found):,} paths",
+            "length": f"{sum(path.length_m for path in found) / 1000:,.1f} km",
+        }
+
+    @typed
+    def save(self, file: str | FilePath) -> FilePath:
+        """Write the batch and return the file, by its suffix a table or the paths themselves.
+
+        ``.parquet`` and ``.csv`` hold `to_dataframe`; ``.geojson`` and ``.kml`` a line for each path that was found,
+        whose name is the query's number.
+
+        Raises:
+          InputError: another suffix, no path at all, or a folder that does not exist or cannot be written to.
+        """
+        file = FilePath(file)
+        if file.suffix.lower() in SUFFIXES:
+            return write_table(self.to_dataframe(), file)
+        if file.suffix.lower() not in FORMATS:
+            known = ", ".join((*SUFFIXES, *FORMATS))
+            raise InputError(f"cannot tell the format of {str(file)!r}: end its name in one of {known}")
+        if not write_path(self, file, names=[f"query {k}" for k in range(len(self))]):
+            raise InputError("there is no path to save: to_dataframe tells what became of each query")
+        return file
+
+    @typed
+    def to_dataframe(self, *, with_points: bool = False) -> pd.DataFrame:
+        """Return a table with one row a query: the query, status and message, costs, metrics, search.
+
+        Args:
+          with_points: also the columns ``x_m`` and ``y_m``, the path's eastings and northings as lists, and
+            ``search``, the rest of what the planner reported, as JSON.
+        """
+        rows = [_row(k, *pair) for k, pair in enumerate(zip(self.queries, self.results, strict=True))]
+        table = pd.DataFrame(rows, columns=list(dict.fromkeys(name for row in rows for name in row)))
+        return table if with_points else table.drop(columns=["x_m", "y_m", "search", "key"], errors="ignore")
+
+
+class BatchResults:
+    """The results so far, and their file, from which a batch that was ended goes on."""
+
+    def __init__(self, queries: list[Query], file: FilePath | None) -> None:
+        self.queries = queries
+        self.results: dict[int, QueryResult] = {}
+        self.counts = {"paths": 0, "none": 0}
+        self._store = None if file is None else RowStore(file, ["query"])
+        for row in () if self._store is None else self._store.rows:
+            if not row.keys() >= NEEDED or row["query"] >= len(queries):
+                raise InputError(f"{str(file)!r} holds no results of these queries: name another file, or remove it")
+
+    def add(self, k: int, result: QueryResult) -> None:
+        """Note a result, and keep it in the file."""
+        self.results[k] = result
+        has_path = result.path is not None and result.path.status.has_path
+        self.counts["paths" if has_path else "none"] += 1
+        if self._store is not None:
+            self._store.add([_row(k, self.queries[k], result)])
+
+    def take(self, k: int, key: str, budget_s: float, finish: Callable[[Path], PlannedPath]) -> bool:
+        """Return whether the file holds the result of a query, and note it; not one that a smaller budget ended."""
+        row = None if self._store is None else self._store.get(k)
+        if self._store is None or row is None or row["status"] == BAD_INPUT:
+            return False
+        if row["key"] == key and row["status"] in ENDED_BY_BUDGET and row["budget_s"] < budget_s:
+            return False
+        if row["key"] != key:
+            raise InputError(
+                f"{str(self._store.file)!r} holds results of other queries (query {k} differs in its place, map, "
+                "weights or planner): name another file, or remove it"
+            )
+        path = None if row["search"] is None else finish(_path_of(row))
+        if path is not None:
+            kept_s = row["budget_s"] if np.isfinite(row["budget_s"]) else None
+            path = replace(path, settings={**path.settings, "budget_s": kept_s})
+        self.add(k, QueryResult(row["status"], row["message"], path, key))
+        return True
+
+    def save(self) -> None:
+        """Write what is known, with what an earlier run knew and this one has not come to yet."""
+        if self._store is not None:
+            self._store.save()
+
+
+def _row(k: int, query: Query, result: QueryResult) -> dict[str, Any]:
+    """Return a result as a flat row."""
+    row: dict[str, Any] = {"query": k, **query.to_dict(), "status": result.status, "message": result.message}
+    planned = result.path
+    points: dict[str, Any] = {"budget_s": None, "x_m": None, "y_m": None, "search": None}
+    if planned is not None:
+        facts = planned.to_dict()
+        row |= {name: facts[name] for name in ("cost", "length_m")}
+        row |= {f"cost_{name}": value for name, value in facts["cost_by_layer"].items()}
+        row |= {f"m_{name}": value for name, value in facts["metrics"].items()}
+        names = ("objective_cost", "lower_bound", "num_points", "num_expanded", "elapsed_s", "setup_s")
+        row |= {name: facts[name] for name in (*names, "planner", "heuristic", "backend")}
+        row |= {f"{name}_snap_m": value for name, value in facts["snap_distance_m"].items()}
+        rest = {item.name: getattr(planned.search, item.name) for item in fields(Path)}
+        rest |= {"status": rest["status"].value, "points_m": planned.search.points_m[:1].tolist()}
+        budget_s = planned.settings["budget_s"]
+        points = {"budget_s": np.inf if budget_s is None else budget_s, "search": json.dumps(rest)}
+        points |= {"x_m": planned.xy_m[:, 0], "y_m": planned.xy_m[:, 1]}
+    return row | points | {"key": result.key}
+
+
+def _path_of(row: dict[str, Any]) -> Path:
+    """Return the planner's path from a row that `_row` made."""
+    rest = json.loads(row["search"])
+    points_m = np.empty((0, 2))
+    if rest["points_m"]:
+        xy_m = np.stack([row["x_m"], row["y_m"]], axis=1)
+        points_m = xy_m - (xy_m[0] - rest["points_m"][0])
+    rest |= {"status": Status(rest["status"]), "points_m": points_m, "history": tuple(map(tuple, rest["history"]))}
+    return Path(**rest)

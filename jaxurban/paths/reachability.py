@@ -1,4 +1,4 @@
-"""Whether two places are joined by free cells, and what would join them where they are not."""
+"""Why a cell is closed, whether two places are joined by free cells, and what would join them where they are not."""
 
 from typing import TYPE_CHECKING
 
@@ -23,33 +23,42 @@ def islands_of(is_free: np.ndarray, cuts_corners: bool) -> np.ndarray:
     return np.asarray(label(is_free, touching)[0])
 
 
-def islands_at(on: "CostMap", levels_m: tuple[float, ...], keeps_clear: bool) -> np.ndarray:
-    """Return `islands_of` the free cells of other levels under a cost map's constraints, or without its clearances."""
-    limits = on.constraints if keeps_clear else on.constraints.without_clearance()
-    is_free = limits.free_levels(on.maps, [*levels_m], time=on.time, time_of_day=on.time_of_day)
-    cuts_corners = on.cost_model.joins_corners and not limits.leg_margin_m(on.grid.resolution_m)
-    return islands_of(is_free[0] if on.levels is None else is_free, cuts_corners)
+def islands_at(on: "CostMap", levels_m: tuple[float, ...]) -> np.ndarray:
+    """Return `islands_of` the free cells of other levels under a cost map's constraints."""
+    is_free = on.constraints.free_levels(on.maps, levels_m, time=on.time, time_of_day=on.time_of_day)
+    return islands_of(is_free[0] if on.levels is None else is_free, on.cuts_corners)
 
 
 def what_would_join(on: "CostMap", start: Cell, goal: Cell) -> str:
-    """Return sentences on what would join two nodes that nothing joins: no clearance, or a greater altitude."""
-    levels_m = tuple(on.altitudes_m.tolist())
+    """Return sentences on what would join two nodes that nothing joins: a greater altitude, or what may."""
+    levels_m = on.altitudes_m.tolist()
     higher_m = [z_m for z_m in sorted(on.maps.altitudes_m) if z_m > levels_m[-1]]
-    if on.levels is None:
-        tops = {f"at {z_m:g} m": (z_m,) for z_m in higher_m}
+    joined = "Start and goal are not joined at a greater altitude of these maps. " if higher_m else ""
+    for k, z_m in enumerate(higher_m):
+        islands = on.islands_at((z_m,) if on.levels is None else (*levels_m, *higher_m[: k + 1]))
+        if islands[start] == islands[goal] != 0:
+            joined = f"Start and goal are joined {'at' if on.levels is None else 'with max_altitude_m'} {z_m:g} m. "
+            break
+    finer = "A smaller clearance or finer maps" if on.constraints.keeps_clear else "Finer maps"
+    return f"{joined}{finer} may join them too."
+
+
+def why_closed(on: "CostMap", cell: Cell, level: int = 0) -> str:
+    """Return what closes a cell, an obstacle or each constraint by name, and which level over it is free."""
+    z_m, maps, when = float(on.altitudes_m[level]), on.maps, {"time": on.time, "time_of_day": on.time_of_day}
+    reasons = on.constraints.reasons(maps, z_m, cell, **when) if maps.is_free(z_m)[cell] else []
+    if reasons:
+        where = f"closed by {' and '.join(reasons)}"
+    elif maps.is_free(z_m, "centre")[cell]:
+        where = "in a cell that an obstacle touches"
     else:
-        tops = {f"with max_altitude_m {z_m:g}": (*levels_m, *higher_m[: k + 1]) for k, z_m in enumerate(higher_m)}
-
-    def joins(levels_m: tuple[float, ...], keeps_clear: bool = True) -> bool:
-        islands = on.islands_at(levels_m, keeps_clear)
-        return bool(islands[start] == islands[goal] != 0)
-
-    tried = {"without a clearance": joins(levels_m, False)} if on.constraints.keeps_clear else {}
-    if tops:
-        lowest = next((phrase for phrase, top in tops.items() if joins(top)), "")
-        tried[lowest or "at a greater altitude of these maps"] = bool(lowest)
-    joined, apart = ([what for what, is_so in tried.items() if is_so is wanted] for wanted in (True, False))
-    phrases = [f"joined {' and '.join(joined)}"] if joined else []
-    phrases += [f"not joined {' nor '.join(apart)}"] if apart else []
-    centre = " or obstacles = centre (--obstacles centre)" * (on.maps.obstacles == "touched")
-    return f"Start and goal are {', but '.join(phrases)}. " * bool(phrases) + f"Finer maps{centre} may join them too."
+        where = "inside an obstacle (or where there are no data)"
+    if on.levels is None:
+        return f"{where} at {z_m:g} m"
+    levels_m, free = on.altitudes_m, np.flatnonzero(on.levels_free[:, cell[0], cell[1]])
+    if free.size:
+        return f"{where} at {z_m:g} m; the lowest free level there is {levels_m[free[0]]:g} m"
+    higher_m = [z_m for z_m in sorted(maps.altitudes_m) if z_m > levels_m[-1]]
+    lowest_m = next((z_m for z_m in higher_m if on.constraints.is_free(maps, z_m, **when)[cell]), None)
+    above = "" if lowest_m is None else f"; the lowest free altitude there is {lowest_m:g} m (raise max_altitude_m)"
+    return f"{where} at every level from {levels_m[0]:g} to {levels_m[-1]:g} m{above}"

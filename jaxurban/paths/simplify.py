@@ -8,8 +8,7 @@ import shapely
 from jaxurban.errors import InputError, positive, typed
 from jaxurban.paths.constraints import constraints_said
 from jaxurban.paths.cost_map import CostMap
-from jaxurban.paths.finish import map_settings, measured
-from jaxurban.paths.path import PlannedPath
+from jaxurban.paths.path import PlannedPath, map_settings, measured
 from jaxurban.planners.simplify import simplify as simplify_path
 
 SAME_PLACE_M = 1e-6  # of a path in the maps' CRS and from its map's corner

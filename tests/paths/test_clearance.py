@@ -304,7 +304,7 @@ def test_a_start_too_near_is_told_by_what_and_moved_on_request():
         assert ju.plan(maps, **at, constraints=constraints, snap=True).status is Status.OPTIMAL
 
 
-def test_no_path_says_that_one_exists_without_the_clearance():
+def test_no_path_names_the_clearance_among_what_may_join():
     maps = scattered(12)
     roof_m = np.zeros(maps.grid.shape, np.float32)
     roof_m[:, 25] = 80.0
@@ -316,9 +316,9 @@ def test_no_path_says_that_one_exists_without_the_clearance():
     constraints = ju.Constraints.read(clearance_m=6.0)
     message = ju.plan(walled, **ends, altitude_m=ALTITUDE_M, constraints=constraints).to_dict()["message"]
     assert "Constraints were on (clearance of 6 m, vertical clearance of 3 m)" in message
-    assert "Start and goal are joined without a clearance, but not joined at a greater altitude" in message
+    assert "not joined at a greater altitude of these maps. A smaller clearance or finer maps may join them" in message
     message = plan_volume(walled, **ends, constraints=constraints).to_dict()["message"]
-    assert "Start and goal are joined without a clearance" in message
+    assert "A smaller clearance or finer maps may join them" in message
     assert ju.plan(walled, **ends, altitude_m=ALTITUDE_M).status is Status.OPTIMAL
 
 

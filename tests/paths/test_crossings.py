@@ -7,7 +7,7 @@ import pytest
 import shapely
 from scipy.ndimage import distance_transform_edt
 
-from jaxurban.paths.crossings import clearance_m, cut_evenly, cut_route, nearest_level_m
+from jaxurban.paths.profile import clearance_m, cut_evenly, cut_route, nearest_level_m
 
 OBSTACLES = np.random.default_rng(3).random((30, 40)) < 0.08
 RES = 5.0

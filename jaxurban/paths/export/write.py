@@ -12,8 +12,7 @@ from jaxurban.errors import InputError, one_of
 from jaxurban.io.files import write_whole
 from jaxurban.paths.export.base import Encode
 from jaxurban.paths.export.geojson import to_geojson
-from jaxurban.paths.export.gpx import to_gpx
-from jaxurban.paths.export.kml import to_kml
+from jaxurban.paths.export.gpx_kml import to_gpx, to_kml
 from jaxurban.paths.export.qgc_plan import ENDS, to_qgc_plan
 
 if TYPE_CHECKING:

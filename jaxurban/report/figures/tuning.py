@@ -11,7 +11,7 @@ from matplotlib.ticker import MaxNLocator
 
 from jaxurban.kernels.search.weighing import weighted_sum
 from jaxurban.paths.cost_map import CostMap
-from jaxurban.paths.finish import map_settings
+from jaxurban.paths.path import map_settings
 from jaxurban.report.figures.charts import chart, dress, show_plain_log, styled
 from jaxurban.report.figures.colours import SMALL_PT, Colours
 from jaxurban.report.figures.frame import (

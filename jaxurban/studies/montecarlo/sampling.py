@@ -18,6 +18,7 @@ from jaxurban.metrics.weights import MOST_WEIGHT, Weights
 from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.preset import under_preset
 from jaxurban.paths.queries import WEIGHT_PREFIX, Query
+from jaxurban.paths.snapping import XY
 from jaxurban.planners.base import CostKind
 from jaxurban.planners.cost_model import CostModel
 from jaxurban.studies.montecarlo.strata import NO_STRATUM, STRATA, strata_of
@@ -176,11 +177,8 @@ def instances_of_queries(maps: GivenMaps, queries: Sequence[Query]) -> pd.DataFr
         try:
             if query.error:
                 raise InputError(query.error)
-            for end, lonlat, xy_m in (
-                ("start", query.start, query.start_xy_m),
-                ("goal", query.goal, query.goal_xy_m),
-            ):
-                x_m, y_m = map(float, grid.xy_of_lonlat(*lonlat) if lonlat is not None else xy_m or (np.nan, np.nan))
+            for end, place in (("start", query.start), ("goal", query.goal)):
+                x_m, y_m = map(float, place[:2] if isinstance(place, XY) else grid.xy_of_lonlat(*place[:2]))
                 lon, lat = map(float, grid.lonlat_of_xy(x_m, y_m))
                 row |= {f"{end}_x_m": x_m, f"{end}_y_m": y_m, f"{end}_lon": lon, f"{end}_lat": lat}
                 stratum = int(strata[grid.cell_of_xy(x_m, y_m)]) if grid.contains_xy(x_m, y_m) else NO_STRATUM
