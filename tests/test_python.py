@@ -16,7 +16,7 @@ import pytest
 import jaxurban as ju
 from jaxurban.errors import InputError, typed
 from jaxurban.io.store import write_zarr
-from jaxurban.paths.export import write_path
+from jaxurban.paths.export.write import write_path
 from jaxurban.report.figures import plot_metric, plot_overview, plot_paths
 from tests.made_maps import made_maps
 

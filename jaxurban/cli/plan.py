@@ -152,14 +152,10 @@ def _write(
 
 
 def _check_volume_options(is_volume: bool, given: Settings) -> None:
-    """Raise unless the options of --volume come with it, and another planner without it."""
+    """Raise unless the options of --volume come with it."""
     for name in () if is_volume else ("goal_altitude_m", *LEVEL_OPTIONS):
         if given[name] is not None:
             raise click.UsageError(f"--{name.removesuffix('_m').replace('_', '-')} belongs to --volume: add that")
-    if is_volume and given["planner"]:
-        raise click.UsageError("--volume has a planner of its own, astar-volume: leave --planner out")
-    if is_volume and given["refine"]:
-        raise click.UsageError("--refine moves waypoints at one altitude: leave it or --volume out")
 
 
 def _path_table(facts: Settings) -> str:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from jaxurban.errors import InputError, at_least, typed
+from jaxurban.errors import InputError, typed
 from jaxurban.io.rows import fingerprint
 from jaxurban.maps.metric_maps import GivenMaps, as_maps
 from jaxurban.metrics.weights import GivenWeights
@@ -18,17 +18,8 @@ from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.cost_map import CostMap, cost_map
 from jaxurban.paths.path import finish
 from jaxurban.paths.preset import PathSearch, objective_on, under_preset, weights_on
-from jaxurban.paths.queries import (
-    BAD_INPUT,
-    CRASHED,
-    NOT_RUN,
-    BatchResults,
-    PlannedPaths,
-    Query,
-    QueryResult,
-    read_queries,
-)
-from jaxurban.paths.snapping import Place, Point, snap_limit_m
+from jaxurban.paths.queries import BAD_INPUT, CRASHED, BatchResults, PlannedPaths, Query, QueryResult, read_queries
+from jaxurban.paths.snapping import Place, Point
 from jaxurban.planners.base import CostKind, Path
 from jaxurban.planners.batch import Backend, solve_many
 from jaxurban.planners.cost_model import CostModel
@@ -100,9 +91,6 @@ def plan_many(
     search = PathSearch.of(maps, planner=planner, heuristic=heuristic, budget_s=budget_s, seed=seed, snap=snap)
     if file is not None and (FilePath(file).suffix != ".parquet" or not FilePath(file).parent.is_dir()):
         raise InputError(f"file {str(file)!r} must end in .parquet and lie in a folder that exists")
-    snap_limit_m(snap)  # a wrong one is refused once, not with every query
-    if num_threads is not None:
-        at_least("num_threads", num_threads, 1)
     maps, cost_model, constraints = under_preset(preset, maps, cost_model, constraints)
     weights = weights_on(maps, weights)
     objective = objective_on(maps, objective)
@@ -128,8 +116,7 @@ def plan_many(
         LOG.warning("interrupted: %d of %d queries are done", len(book.results), len(batch))
     finally:
         book.save()
-    not_run = QueryResult(NOT_RUN, "The batch ended before this query was done.")
-    return PlannedPaths(batch, [book.results.get(k, not_run) for k in range(len(batch))], was_interrupted)
+    return book.paths(was_interrupted)
 
 
 @dataclass(frozen=True, eq=False)

@@ -153,11 +153,10 @@ def _roofs(profile: pd.DataFrame, above_m: float) -> Iterator[Caution]:
     over_m = profile[OVER_ROOF].where(~is_beside)
     if over_m.notna().any():
         least = int(np.nanargmin(over_m))
-        level = "limit" if over_m.iloc[least] < above_m - ROUNDING else _level_of_roof(profile, least)
+        roof, level = _roof(profile, least)
         yield Caution(
-            f"Roofs: the least height over one is {over_m.iloc[least]:.1f} m, {_at(profile, least)} "
-            f"({_roof(profile, least)}).",
-            level,
+            f"Roofs: the least height over one is {over_m.iloc[least]:.1f} m, {_at(profile, least)} ({roof}).",
+            "limit" if over_m.iloc[least] < above_m - ROUNDING else level,
         )
 
 
@@ -167,21 +166,14 @@ def _ends(profile: pd.DataFrame) -> Iterator[Caution]:
         if roof_m >= float(profile["z_m"].iloc[place]):
             yield Caution(f"The {name} is in a cell that a building of {roof_m:.1f} m touches.", "limit")
         elif roof_m > 0:
-            sentence = f"The {name} is over {_roof(profile, place)}, not over the ground."
-            yield Caution(sentence, _level_of_roof(profile, place))
+            roof, level = _roof(profile, place)
+            yield Caution(f"The {name} is over {roof}, not over the ground.", level)
 
 
-def _is_guessed(profile: pd.DataFrame, place: int) -> bool:
-    return GUESSED in profile and bool(profile[GUESSED].iloc[place])
-
-
-def _level_of_roof(profile: pd.DataFrame, place: int) -> Level:
-    return "guess" if _is_guessed(profile, place) else "note"
-
-
-def _roof(profile: pd.DataFrame, place: int) -> str:
-    guessed = "guessed " if _is_guessed(profile, place) else ""
-    return f"a {guessed}roof of {float(profile['roof_m'].iloc[place]):.1f} m"
+def _roof(profile: pd.DataFrame, place: int) -> tuple[str, Level]:
+    is_guessed = GUESSED in profile and bool(profile[GUESSED].iloc[place])
+    said = f"a {'guessed ' * is_guessed}roof of {float(profile['roof_m'].iloc[place]):.1f} m"
+    return said, "guess" if is_guessed else "note"
 
 
 def _manoeuvres(planned: PlannedPath) -> Iterator[str]:

@@ -24,7 +24,7 @@ from jaxurban.paths.vehicle import Vehicle
 from jaxurban.presets import DEFAULTS
 
 OPERATORS: dict[str, Callable] = {">=": operator.ge, "<=": operator.le, ">": operator.gt, "<": operator.lt}
-BOUND = re.compile(r"\s*(\w+)\s*([<>=!]+)\s*(\S+)\s*")
+BOUND = re.compile(r"\s*(\w+)\s*([<>=!]+)\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?|[-+]?inf|nan)\s*", re.IGNORECASE)
 MOST_NAMED = 3  # zones, in a warning
 CLEARANCES = ("clearance_m", "vertical_clearance_m")
 KEPT_CLEAR = {  # entries of `Constraints.to_dict`, as messages call them
@@ -71,7 +71,7 @@ class Bound:
         Raises:
           InputError: text that does not read name, comparison, number.
         """
-        if (found := BOUND.fullmatch(text)) is None or not _is_number(found[3]):
+        if (found := BOUND.fullmatch(text)) is None:
             raise InputError(
                 f"the bound {text!r} must read name, one of {', '.join(OPERATORS)}, number, as in gps>=0.3 or "
                 "num_visible>=4"
@@ -298,11 +298,10 @@ class Constraints:
             files = ", ".join(sorted({repr(zone.source) for zone in self.zones}))
             sentence = f"no zone of {files} lies in the maps' region, so that nothing is closed: check the file"
             warnings.warn(sentence, IgnoredZoneWarning, stacklevel=2)
-        for bound in self.bounds:
-            for level_closed, z_m in zip(closed, levels_m, strict=True):
+        for level_closed, z_m in zip(closed, levels_m, strict=True):
+            for bound in self.bounds:
                 level_closed |= ~bound.is_kept(maps, z_m, time, time_of_day)
-        if self.keeps_clear:
-            for level_closed, z_m in zip(closed, levels_m, strict=True):
+            if self.keeps_clear:
                 level_closed |= closed_by_clearance(maps, z_m, self.horizontal_m, self._vertical_m)
         return closed
 
@@ -371,11 +370,3 @@ def _bound(name: str, given: object) -> Bound:
     if not isinstance(given, (tuple, list)) or len(given) != 2:
         raise InputError(f"the bound on {name!r} must be a comparison and a number, as in ('>=', 0.3), got {given!r}")
     return Bound.parse(f"{name}{given[0]}{given[1]}")
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxurban.errors import InputError, finite, nearest_name, typed
+from jaxurban.errors import InputError, finite, one_of, typed
 from jaxurban.io.read.orbits import iso_utc, parse_time
 from jaxurban.maps.levels import SAME_M, Levels, listed_m
 from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
@@ -16,7 +16,7 @@ from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.path import PlannedPath, finish
 from jaxurban.paths.preset import PathSearch, under_preset, weights_on
 from jaxurban.paths.reachability import islands_at, islands_of, why_closed
-from jaxurban.paths.read_costs import When, check_memory, costs_at
+from jaxurban.paths.read_costs import check_memory, costs_at
 from jaxurban.paths.snapping import XY, Place, Point, free_place, joined_ends
 from jaxurban.planners.any_angle import check_line_model
 from jaxurban.planners.base import Cell, CostKind, Problem
@@ -131,7 +131,7 @@ class CostMap(Shown):
     def shortest(self) -> Problem:
         """The same of the shortest path."""
         if not self.is_free.any():
-            raise InputError(f"no cell is free {self._where}: {self._remedy}")
+            raise InputError(f"no cell is free at {listed_m(self.altitudes_m)} m: {self._remedy}")
         free = tuple(int(index) for index in np.unravel_index(np.argmax(self.is_free), self.is_free.shape))
         return Problem(
             costs=self.costs,
@@ -154,9 +154,7 @@ class CostMap(Shown):
         """
         names = (metrics,) if isinstance(metrics, str) else tuple(metrics)
         for name in names:
-            if name not in self.names:
-                hint = nearest_name(name, self.names) or f": they hold {', '.join(self.names)}"
-                raise InputError(f"these maps hold no metric {name!r}{hint}")
+            one_of("metric", name, self.names)
         if not names or len(set(names)) < len(names):
             raise InputError(f"metrics must name different metrics, and at least one, got {', '.join(names) or 'none'}")
         kept = [row for row, name in enumerate(self.names) if name in names]
@@ -221,9 +219,7 @@ class CostMap(Shown):
         level = self._level_of(name, cell, [value for value in place[2:] if value is not None])
         is_free = self.levels_free[level]
         why = "" if is_free[cell] else self.why_closed(cell, level)
-        found = free_place(
-            name, place_xy_m, cell, is_free, self.grid, snap=snap, why_closed=why, remedy=self._remedy_here
-        )
+        found = free_place(name, place_xy_m, cell, is_free, self.grid, snap=snap, why_closed=why, remedy=self._remedy)
         return found if self.levels is None else replace(found, cell=(level, *found.cell))
 
     def ends(self, start: Point | XY, goal: Point | XY, *, snap: bool | float = False) -> tuple[Place, Place]:
@@ -266,8 +262,7 @@ class CostMap(Shown):
         if self.levels is None and altitude_m:
             raise InputError(f"{name} has an altitude, which only a path between levels takes: leave it out")
         if not altitude_m:
-            free = np.flatnonzero(self.levels_free[:, cell[0], cell[1]])
-            return int(free[0]) if free.size else 0
+            return int(np.argmax(self.levels_free[:, cell[0], cell[1]]))  # the lowest free one
         level = int(np.argmin(np.abs(self.altitudes_m - altitude_m[0])))
         if not abs(self.altitudes_m[level] - altitude_m[0]) < SAME_M:
             raise InputError(
@@ -277,20 +272,9 @@ class CostMap(Shown):
         return level
 
     @property
-    def _where(self) -> str:
-        low_m, high_m = self.altitudes_m[[0, -1]]
-        return f"at {low_m:g} m" if self.levels is None else f"from {low_m:g} to {high_m:g} m"
-
-    @property
     def _remedy(self) -> str:
-        first = "fly higher" if self.levels is None else "raise max_altitude_m"
+        first = "fly higher" if self.levels is None else "fly at another level, raise max_altitude_m"
         return f"{first}, or loosen the constraints ({said})" if (said := str(self.constraints)) else first
-
-    @property
-    def _remedy_here(self) -> str:
-        if self.levels is None:
-            return self._remedy
-        return "fly at another level" + ", or loosen the constraints" * bool(str(self.constraints))
 
     def why_closed(self, cell: Cell, level: int = 0) -> str:
         """Return what closes a cell of a level and which one over it is free (`jaxurban.paths.reachability`)."""
@@ -365,17 +349,8 @@ def cost_map(
         obstacles, clearances and vehicle that are left out here are as the maps' scenario gives them, if there is one.
       altitude_m: within the range of the maps' altitudes; between two of them metrics are taken linearly from both
         (`values_at`), obstacles from the roofs' own heights. Or `Levels`, for paths that climb and descend.
-      weights: default `Weights()`; numbers by name leave the others as the scenario has them.
+      weights, cost_model, time, time_of_day, constraints, preset: as in `plan`.
       objective: ``"weighted"``, or ``"distance"`` for the shortest path (its weighted cost is reported).
-      cost_model: how steps are costed and which are allowed, or its kind alone: ``"line"``, the default, or
-        ``"cell"`` (the paper).
-      time: UTC time of the GPS map; the first if left out. Where it is named, zones that are not in force then, nor
-        within an hour, close nothing (`Constraints.at`).
-      time_of_day: of the population map; the first if left out.
-      constraints: no-fly zones, bounds and clearances that close cells to every planner; a zone between two levels
-        closes the lower one. Left out, paths keep 3 m over roofs.
-      preset: ``"paper"`` for the paper's ``cell``, obstacles at centres and no clearance, instead of the defaults of
-        what is left out here and in the maps' scenario.
 
     Raises:
       InputError: an altitude beyond the maps', an unknown time, time of day or objective, a wrong weight, a bound on a
@@ -384,8 +359,6 @@ def cost_map(
     """
     if objective not in ("weighted", "distance"):
         raise InputError(f"objective must be 'weighted' or 'distance', got {objective!r}")
-    if not isinstance(constraints, Constraints | None):
-        raise InputError(f"constraints must be Constraints, as from Constraints.read, got {type(constraints).__name__}")
     maps, cost_model, constraints = under_preset(preset, as_maps(maps), cost_model, constraints)
     weights = weights_on(maps, weights)
     levels = altitude_m if isinstance(altitude_m, Levels) else None
@@ -394,62 +367,34 @@ def cost_map(
         maps.around(altitudes_m[0])
     else:
         altitudes_m = levels.of(maps.altitudes_m)
-    at = When(maps, time, time_of_day)
-    limits = constraints.at(time)
-    made = _made(at, altitudes_m, levels, weights, objective, cost_model, limits)
+    rules = {"weights": weights, "objective": objective, "cost_model": cost_model}
+    made = made_on(maps, altitudes_m, levels, time, time_of_day, constraints.at(time), **rules)
     if levels is not None:
         _ = made.shortest  # no free cell in a volume is refused at once
     return made
 
 
-def cost_map_of(planned: PlannedPath, maps: MetricMaps) -> CostMap:
-    """Return the map that a path was planned on, from its settings; of a volume the levels that the path comes to.
-
-    Every cell is free, as paths do not keep what closed cells.
-
-    Raises:
-      InputError: the maps lack a metric that the path was planned on.
-    """
-    settings, levels, altitudes_m = planned.settings, None, np.array([planned.altitude_m])
-    if "levels_m" in settings:
-        levels = Levels(climb_cost=settings.get("climb_cost"), descent_cost=settings.get("descent_cost", 0.0))
-        levels_m = np.asarray(settings["levels_m"], float)
-        altitudes_m = levels_m[(levels_m >= planned.z_m.min()) & (levels_m <= planned.z_m.max())]
-    at = When(maps.with_obstacles("centre"), settings["time"], settings["time_of_day"])
-    weights, cost_model = Weights.of(settings["weights"]), CostModel.from_settings(settings)
-    made = _made(at, altitudes_m, levels, weights, settings["objective"], cost_model, Constraints((), (), 0.0, 0.0))
-    return replace(made, is_free=np.ones_like(made.is_free)).only(
-        [name for name in settings["weights"] if name != "distance"]
-    )
-
-
-def _made(
-    at: When,
+def made_on(
+    maps: MetricMaps,
     altitudes_m: np.ndarray,
     levels: Levels | None,
-    weights: Weights,
-    objective: str,
-    cost_model: CostModel,
+    time: str | None,
+    time_of_day: str | None,
     constraints: Constraints,
+    **rules: Any,
 ) -> CostMap:
     """Return a cost map from checked values."""
-    maps = at.maps
     if levels is not None:
         check_memory((len(altitudes_m), *maps.grid.shape))
-    is_free, costs = costs_at(at, altitudes_m, constraints)
-    if levels is None:
-        is_free, costs = is_free[0], costs[:, 0]
+    is_free, costs = costs_at(maps, altitudes_m, constraints, time=time, time_of_day=time_of_day)
+    rules |= {"constraints": constraints, "names": tuple(maps.metrics)}
     return CostMap(
         maps=maps,
         altitudes_m=altitudes_m,
         levels=levels,
-        time=maps.default_time if at.time is None else iso_utc(parse_time(at.time)),
-        time_of_day=at.time_of_day or next(iter(maps.times_of_day), None),
-        weights=weights,
-        objective=objective,
-        cost_model=cost_model,
-        constraints=constraints,
-        names=tuple(maps.metrics),
-        costs=costs,
-        is_free=is_free,
+        time=maps.default_time if time is None else iso_utc(parse_time(time)),
+        time_of_day=time_of_day or next(iter(maps.times_of_day), None),
+        costs=costs[:, 0] if levels is None else costs,
+        is_free=is_free[0] if levels is None else is_free,
+        **rules,
     )

@@ -2,18 +2,21 @@
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from jaxurban.errors import InputError, finite, typed
-from jaxurban.maps.metric_maps import GivenMaps, as_maps
+from jaxurban.errors import InputError, positive, typed
+from jaxurban.maps.levels import Levels
+from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
 from jaxurban.metrics.population import M2_PER_KM2
+from jaxurban.metrics.weights import Weights
 from jaxurban.paths.cautions import Caution, cautions
-from jaxurban.paths.cost_map import cost_map_of
+from jaxurban.paths.constraints import Constraints
+from jaxurban.paths.cost_map import CostMap, made_on
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.profile import (
     CLEARANCE,
@@ -26,6 +29,7 @@ from jaxurban.paths.profile import (
     guessed_clearances,
 )
 from jaxurban.paths.vehicle import Vehicle
+from jaxurban.planners.cost_model import CostModel
 
 SECONDS_PER_HOUR = 3600.0
 DENSITY = "density_per_km2"
@@ -155,32 +159,38 @@ def explain(
     if num_segments < 1:
         raise InputError(f"num_segments must be at least 1, got {num_segments}")
     route = RouteProfile.of(planned, maps)
-    vehicle = Vehicle.of(planned.settings)
-    speed_m_s = vehicle.speed_m_s if speed_m_s is None else speed_m_s
-    power_w = vehicle.power_w if power_w is None else power_w
-    check_flight(speed_m_s, power_w, swath_m)
+    given: dict[str, Any] = {"speed_m_s": speed_m_s, "power_w": power_w}
+    given |= {name: getattr(Vehicle.of(planned.settings), name) for name, value in given.items() if value is None}
+    vehicle = replace(Vehicle.of(planned.settings), **given)
+    check_flight(**given, swath_m=swath_m)
     crossings, names, grid = route.crossings, tuple(maps.metrics), maps.grid
     profile = route.table({name: name for name in names} | EXTRA_MAPS)
-    on = cost_map_of(planned, maps)
+    on = _cost_map_of(planned, maps)
     states = crossings.states[:, : 2 if on.levels is None else 3]
     lonlat = np.stack(grid.lonlat_of_xy(states[:, 0] + grid.x_min_m, states[:, 1] + grid.y_min_m), axis=-1)
 
     rise_m = np.diff(crossings.ends[:, :, 2])[:, 0]
-    flight_s = None if speed_m_s is None else vehicle.flight_s(crossings.length_m, rise_m, speed_m_s)
+    flight_s = None if vehicle.speed_m_s is None else vehicle.flight_s(crossings.length_m, rise_m, vehicle.speed_m_s)
 
     def row(first: int, last: int) -> dict[str, float]:
         """Return what the route from one state to another costs and meets."""
         chosen = (first <= crossings.step) & (crossings.step < max(last, 1))
-        features = on.shortest.features(states[first : last + 1])
+        part, features = profile[chosen], on.shortest.features(states[first : last + 1])
+        length_m = (part["to_m"] - part["from_m"]).to_numpy()
+        found = {"from_m": part["from_m"].min(), "to_m": part["to_m"].max(), "length_m": float(length_m.sum())}
         by_name = dict(zip(on.weight_names, (on.weight_vector * features.phi).tolist(), strict=True))
-        costs = {"cost": sum(by_name.values())} | {f"cost_of_{name}": cost for name, cost in by_name.items()}
-        costs |= {f"mean_{name}": mean for name, mean in on.means(features).items()}
-        part = profile[chosen]
-        ranges = {f"{end}_{name}": getattr(part[name], end)() for end in ("min", "max") for name in names}
+        found |= {"cost": sum(by_name.values())} | {f"cost_of_{name}": cost for name, cost in by_name.items()}
+        found |= {f"mean_{name}": mean for name, mean in on.means(features).items()}
         if DENSITY in part:
-            costs["people_overflown"] = float(part[DENSITY] @ crossings.ground_m[chosen]) * swath_m / M2_PER_KM2
-        time_s = None if flight_s is None else float(flight_s[chosen].sum())
-        return _sums(part, costs, time_s, power_w) | ranges
+            found["people_overflown"] = float(part[DENSITY] @ crossings.ground_m[chosen]) * swath_m / M2_PER_KM2
+        if VISIBLE in part:
+            found["under_4_satellites_m"] = float(length_m[part[VISIBLE] < FEWEST_SATELLITES].sum())
+        found |= {name: float(part[name].min()) for name in (CLEARANCE, OUTSIDE, OVER_ROOF)}
+        if flight_s is not None:
+            found["time_s"] = float(flight_s[chosen].sum())
+        if flight_s is not None and vehicle.power_w is not None:
+            found["energy_wh"] = found["time_s"] * vehicle.power_w / SECONDS_PER_HOUR
+        return found | {f"{end}_{name}": getattr(part[name], end)() for end in ("min", "max") for name in names}
 
     num_steps = len(states) - 1
     whole = row(0, num_steps)
@@ -196,58 +206,49 @@ def explain(
         extremes=_extremes(profile, names),
         profile=profile,
         lines=tuple(lonlat[first : last + 1] for first, last in parts),
-        settings={"swath_m": swath_m, "speed_m_s": speed_m_s, "power_w": power_w},
+        settings={"swath_m": swath_m, **given},
         cautions=cautions(planned, maps, profile),
     )
 
 
+def _cost_map_of(planned: PlannedPath, maps: MetricMaps) -> CostMap:
+    """Return the map that a path was planned on, from its settings; of a volume the levels that the path comes to.
+
+    Every cell is free, as paths do not keep what closed cells.
+
+    Raises:
+      InputError: the maps lack a metric that the path was planned on.
+    """
+    settings, levels, altitudes_m = planned.settings, None, np.array([planned.altitude_m])
+    if "levels_m" in settings:
+        levels = Levels(climb_cost=settings.get("climb_cost"), descent_cost=settings.get("descent_cost", 0.0))
+        levels_m = np.asarray(settings["levels_m"], float)
+        altitudes_m = levels_m[(levels_m >= planned.z_m.min()) & (levels_m <= planned.z_m.max())]
+    rules = {name: settings[name] for name in ("time", "time_of_day", "objective")}
+    rules |= {"weights": Weights.of(settings["weights"]), "cost_model": CostModel.from_settings(settings)}
+    nothing = Constraints((), (), 0.0, 0.0)
+    made = made_on(maps.with_obstacles("centre"), altitudes_m, levels, constraints=nothing, **rules)
+    names = [name for name in settings["weights"] if name != "distance"]
+    return replace(made, is_free=np.ones_like(made.is_free)).only(names)
+
+
 def check_flight(speed_m_s: float | None = None, power_w: float | None = None, swath_m: float = 10.0) -> None:
     """Raise InputError unless `explain` takes these values: call it before a long search."""
-    for name, value in (("speed_m_s", speed_m_s), ("power_w", power_w), ("swath_m", swath_m)):
-        if value is not None and finite(name, value) <= 0:
-            raise InputError(f"{name} must be a finite number above 0, got {value}")
-    if power_w is not None and speed_m_s is None:
-        raise InputError("power_w tells an energy only over a time: give the speed (speed_m_s, --speed) too")
-
-
-def _sums(
-    part: pd.DataFrame, costs: Mapping[str, float], time_s: float | None, power_w: float | None
-) -> dict[str, float]:
-    """Return what rows of the profile add up to and their clearance, their costs, means and people among them."""
-    length_m = (part["to_m"] - part["from_m"]).to_numpy()
-    row = {"from_m": part["from_m"].min(), "to_m": part["to_m"].max(), "length_m": float(length_m.sum()), **costs}
-    if VISIBLE in part:
-        row["under_4_satellites_m"] = float(length_m[part[VISIBLE] < FEWEST_SATELLITES].sum())
-    row |= {name: float(part[name].min()) for name in (CLEARANCE, OUTSIDE, OVER_ROOF)}
-    if time_s is not None:
-        row["time_s"] = time_s
-        if power_w is not None:
-            row["energy_wh"] = row["time_s"] * power_w / SECONDS_PER_HOUR
-    return row
-
-
-def _mean_along(values: np.ndarray, length_m: np.ndarray) -> float:
-    """Return the mean over the length; of a route without length, of its one place."""
-    weights = length_m if length_m.sum() > 0 else np.ones(len(length_m))
-    return float(values @ weights / weights.sum()) if len(values) else math.nan
-
-
-def _median_along(values: np.ndarray, length_m: np.ndarray) -> float:
-    """Return the value that at least half of the length does not exceed; one of the values."""
-    order = np.argsort(values)
-    done_m = np.cumsum(length_m[order])
-    return values[order][np.searchsorted(done_m, done_m[-1] / 2)]
+    Vehicle(speed_m_s=speed_m_s, power_w=power_w)
+    positive("swath_m", swath_m, "metres")
 
 
 def _extremes(profile: pd.DataFrame, metrics: tuple[str, ...]) -> pd.DataFrame:
     names = [name for name in (*metrics, VISIBLE, DENSITY, CLEARANCE) if name in profile]
     length_m = (profile["to_m"] - profile["from_m"]).to_numpy()
-    rows = {}
+    along, rows = length_m if length_m.any() else None, {}  # None: a route without length, of one place
     for name in names:
         values = profile[name].to_numpy()
-        is_count = name == VISIBLE
-        rows[name] = {"mean": math.nan if is_count else _mean_along(values, length_m)}
-        rows[name] |= {"median": float(_median_along(values, length_m)) if is_count else math.nan}
+        if name == VISIBLE:
+            middle = float(np.quantile(values, 0.5, weights=along, method="inverted_cdf"))  # one of the values
+            rows[name] = {"mean": math.nan, "median": middle}
+        else:
+            rows[name] = {"mean": float(np.average(values, weights=along)), "median": math.nan}
         for end, place in (("min", np.argmin(values)), ("max", np.argmax(values))):
             at = profile.iloc[place]
             rows[name] |= {end: values[place], f"{end}_at_m": (at["from_m"] + at["to_m"]) / 2}

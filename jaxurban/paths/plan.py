@@ -62,7 +62,8 @@ def plan(
       objective: ``"weighted"``, or ``"distance"`` for the shortest path (its weighted cost is reported).
       cost_model: how steps are costed and which are allowed, or its kind alone: ``"line"``, the default, or
         ``"cell"`` (the paper).
-      time: UTC time of the GPS map; the first if left out.
+      time: UTC time of the GPS map; the first if left out. Where it is named, zones that are not in force then, nor
+        within an hour, close nothing (`Constraints.at`).
       time_of_day: of the population map; the first if left out.
       budget_s: seconds that the search may take; default 10.
       seed: for sampling planners.
@@ -73,7 +74,8 @@ def plan(
         is left of the budget. It takes the ``line`` cost model, or the ``distance`` objective.
       constraints: no-fly zones, bounds on maps and clearances, from `Constraints.read`; no path enters a cell that
         they close. A zone between two levels closes the lower one. Left out, paths keep 3 m over roofs.
-      preset: ``"paper"`` for the paper's ``cell``, obstacles at centres and no clearance (see `cost_map`).
+      preset: ``"paper"`` for the paper's ``cell``, obstacles at centres and no clearance, instead of the defaults of
+        what is left out here and in the maps' scenario.
 
     Raises:
       InputError: a place outside the maps or inside an obstacle or a constraint (names it and the nearest free cell, or

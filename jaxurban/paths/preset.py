@@ -7,6 +7,7 @@ from jaxurban.errors import InputError
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.weights import GivenWeights, Weights
 from jaxurban.paths.constraints import Constraints
+from jaxurban.paths.snapping import snap_limit_m
 from jaxurban.paths.vehicle import Vehicle
 from jaxurban.planners.base import CostKind
 from jaxurban.planners.checks import check_budget
@@ -86,8 +87,8 @@ class PathSearch:
           given: the attributes.
 
         Raises:
-          InputError: an unknown planner, a heuristic that it does not take, a wrong seed or budget, or refinement of a
-            path that may climb.
+          InputError: an unknown planner, a heuristic that it does not take, a wrong seed, budget or distance of
+            snapping, or refinement of a path that may climb.
         """
         recorded = {} if maps is None else maps.recorded.get("planning", {})
         names = ("budget_s",) if is_for_volumes else ("budget_s", "planner", "seed")
@@ -96,6 +97,7 @@ class PathSearch:
         search = cls(**chosen | {name: value for name, value in given.items() if value is not None})
         check_seed(search.seed)
         check_budget(search.budget_s)
+        snap_limit_m(search.snap)
         if is_for_volumes and search.refine:
             raise InputError("refine moves waypoints on one altitude: leave it out of a path that climbs and descends")
         find_planner(search.planner, search.heuristic, is_for_volumes=is_for_volumes)

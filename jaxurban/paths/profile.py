@@ -169,8 +169,6 @@ class RouteProfile:
     @classmethod
     def of(cls, planned: PlannedPath, maps: MetricMaps) -> "RouteProfile":
         """Return the route cut on its maps."""
-        if not isinstance(planned, PlannedPath):
-            raise InputError(f"a route must be one path, as from plan, got {type(planned).__name__}")
         grid, settings = maps.grid, planned.settings
         if not planned.status.has_path:
             raise InputError(f"there is no path to explain: {planned.status.sentence}")

@@ -24,8 +24,7 @@ from jaxurban.world.show import Shown
 LONLAT = ("start_lon", "start_lat", "goal_lon", "goal_lat")
 IN_METRES = ("start_x_m", "start_y_m", "goal_x_m", "goal_y_m")
 WEIGHT_PREFIX = "w_"
-WEIGHT_COLUMNS = tuple(WEIGHT_PREFIX + name for name in Weights().to_dict())
-COLUMNS = (*LONLAT, *IN_METRES, "altitude_m", "time", "time_of_day", *WEIGHT_COLUMNS)
+COLUMNS = (*LONLAT, *IN_METRES, "altitude_m", "time", "time_of_day")
 BAD_INPUT, CRASHED, NOT_RUN = "bad-input", "crashed", "not-run"  # beside the names of `Status`
 ENDED_BY_BUDGET = (Status.BUDGET_EMPTY.value, Status.BUDGET_FEASIBLE.value)
 NEEDED = {"query", "status", "message", "key", "budget_s", "search", "x_m", "y_m"}  # of a file of results
@@ -90,7 +89,8 @@ def read_queries(
     """
     no_place = (np.nan, np.nan)
     base = Query(no_place, no_place, np.nan, time, time_of_day, Weights.of(weights).checked(metrics))
-    known = tuple(dict.fromkeys((*COLUMNS, *(WEIGHT_PREFIX + name for name in metrics))))
+    weighed = dict.fromkeys((*base.weights.to_dict(), *metrics))
+    known = (*COLUMNS, *(WEIGHT_PREFIX + name for name in weighed))
     if altitude_m is not None:
         base = replace(base, altitude_m=finite("altitude_m", altitude_m, "metres"))
     if not isinstance(queries, pd.DataFrame):
@@ -270,6 +270,12 @@ class BatchResults:
             path = replace(path, settings={**path.settings, "budget_s": kept_s})
         self.add(k, QueryResult(row["status"], row["message"], path, key))
         return True
+
+    def paths(self, was_interrupted: bool) -> PlannedPaths:
+        """Return the results of all queries, those too that were not run."""
+        not_run = QueryResult(NOT_RUN, "The batch ended before this query was done.")
+        results = [self.results.get(k, not_run) for k in range(len(self.queries))]
+        return PlannedPaths(self.queries, results, was_interrupted)
 
     def save(self) -> None:
         """Write what is known, with what an earlier run knew and this one has not come to yet."""

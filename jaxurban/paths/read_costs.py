@@ -1,8 +1,8 @@
 """What maps hold at the levels of paths, at one time: where a path may fly, and what each metric costs there."""
 
 import math
-from dataclasses import dataclass
 from functools import cache, partial
+from typing import Any
 
 import numpy as np
 import psutil
@@ -16,27 +16,15 @@ from jaxurban.paths.constraints import Constraints
 NODE_BYTES = 64  # of a volume and a search that visits all of it (docs/volume.md)
 
 
-@dataclass(frozen=True)
-class When:
-    """Maps at one time."""
-
-    maps: MetricMaps
-    time: str | None
-    time_of_day: str | None
-
-    def read(self, name: str, altitude_m: float) -> np.ndarray:
-        """Return a map ``[Y, X]`` at one of the maps' altitudes."""
-        return self.maps.m(name, altitude_m, time=self.time, time_of_day=self.time_of_day)
-
-
-def costs_at(at: When, levels_m: np.ndarray, constraints: Constraints) -> tuple[np.ndarray, np.ndarray]:
+def costs_at(
+    maps: MetricMaps, levels_m: np.ndarray, constraints: Constraints, **when: Any
+) -> tuple[np.ndarray, np.ndarray]:
     """Return ``[K, Y, X]`` where a path may fly, and ``[L, K, Y, X]`` the costs, of levels within the maps' range."""
-    maps = at.maps
-    is_free = constraints.free_levels(maps, levels_m.tolist(), time=at.time, time_of_day=at.time_of_day)
+    is_free = constraints.free_levels(maps, levels_m.tolist(), **when)
     costs = np.empty((len(maps.metrics), *is_free.shape), np.float32)
     is_under_sky = cache(maps.is_under_sky)
     for (name, metric), layers in zip(maps.metrics.items(), costs, strict=True):
-        read = cache(partial(at.read, name))
+        read = cache(partial(maps.m, name, **when))
         is_flat = "altitude" not in maps.ds[maps.variable(name)].dims
         for level, z_m in enumerate(levels_m.tolist()):
             m = read(maps.altitudes_m[0]) if is_flat else values_at(z_m, maps.altitudes_m, read, is_under_sky)

@@ -94,13 +94,12 @@ def free_place(
     """
     cap_m = snap_limit_m(snap)
     if is_free[cell]:
-        return Place(cell, _distance_m(grid, cell, xy_m))
-    rows, cols = np.nonzero(is_free)
+        return Place(cell, float(np.hypot(*np.subtract(grid.xy_of_cell(*cell), xy_m))))
+    rows, cols, away_m = _away(is_free, xy_m, grid)
     if rows.size == 0:
         raise InputError(f"{name} is {why_closed}, and no cell is free at this altitude: {remedy}")
-    x_m, y_m = grid.xy_of_cell(rows, cols)
-    at = int(np.argmin((x_m - xy_m[0]) ** 2 + (y_m - xy_m[1]) ** 2))
-    nearest = Place((int(rows[at]), int(cols[at])), float(np.hypot(x_m[at] - xy_m[0], y_m[at] - xy_m[1])), True)
+    at = int(np.argmin(away_m))
+    nearest = Place((int(rows[at]), int(cols[at])), float(away_m[at]), True)
     if cap_m is not None and nearest.snap_distance_m <= cap_m:
         return nearest
     lon, lat = grid.lonlat_of_cell(*nearest.cell)
@@ -131,7 +130,7 @@ def joined_ends(
       grid: of the cells.
       snap: as in `free_place`.
     """
-    if islands[ends[0].cell] == islands[ends[1].cell] or not any(place.is_snapped for place in ends):
+    if islands[ends[0].cell] == islands[ends[1].cell]:
         return ends
     start, goal = (
         _nearest_of_islands(place, xy_m, islands, grid, snap) if place.is_snapped else {int(islands[place.cell]): place}
@@ -154,19 +153,21 @@ def _nearest_of_islands(
 ) -> dict[int, Place]:
     """Return the nearest cell of each island within reach of a place, on its own level."""
     level, reach_m = place.cell[:-2], snap_limit_m(snap) or 0.0
-    row, col = (int(index) for index in grid.cell_of_xy(*xy_m))
-    cells = math.ceil(reach_m / grid.resolution_m) + 1
-    first_row, first_col = max(row - cells, 0), max(col - cells, 0)
-    near = islands[level][first_row : row + cells + 1, first_col : col + cells + 1]
-    rows, cols = np.nonzero(near)
-    x_m, y_m = grid.xy_of_cell(rows + first_row, cols + first_col)
-    away_m = np.hypot(x_m - xy_m[0], y_m - xy_m[1])
-    order = np.argsort(away_m, kind="stable")[: int(np.sum(away_m <= reach_m))]
-    numbers, nearest = np.unique(near[rows[order], cols[order]], return_index=True)
+    rows, cols, away_m = _away(islands[level] > 0, xy_m, grid)
+    near = np.flatnonzero(away_m <= reach_m)
+    order = near[np.argsort(away_m[near], kind="stable")]
+    numbers, nearest = np.unique(islands[level][rows[order], cols[order]], return_index=True)
     return {
-        int(number): Place((*level, int(rows[k] + first_row), int(cols[k] + first_col)), float(away_m[k]), True)
+        int(number): Place((*level, int(rows[k]), int(cols[k])), float(away_m[k]), True)
         for number, k in zip(numbers, order[nearest], strict=True)
     }
+
+
+def _away(is_free: np.ndarray, xy_m: tuple[float, float], grid: Grid) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return rows and columns of the free cells, and how far their centres are from a place."""
+    rows, cols = np.nonzero(is_free)
+    x_m, y_m = grid.xy_of_cell(rows, cols)
+    return rows, cols, np.hypot(x_m - xy_m[0], y_m - xy_m[1])
 
 
 def snap_note(start: Place, goal: Place) -> str:
@@ -209,8 +210,3 @@ def snap_limit_m(snap: bool | float) -> float | None:
     if not isinstance(snap, int | float) or not snap > 0:
         raise InputError(f"snap must be True (at most {MAX_SNAP_M:g} m), False, or metres above 0, got {snap!r}")
     return float(snap)
-
-
-def _distance_m(grid: Grid, cell: Cell, xy_m: tuple[float, float]) -> float:
-    x_m, y_m = grid.xy_of_cell(*cell)
-    return float(np.hypot(x_m - xy_m[0], y_m - xy_m[1]))

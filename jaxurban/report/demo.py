@@ -6,7 +6,7 @@ from typing import Any
 from jaxurban.io.store import RUN_FILE
 from jaxurban.io.workspace import Workspace
 from jaxurban.maps.metric_maps import MetricMaps
-from jaxurban.paths.export import write_path
+from jaxurban.paths.export.write import write_path
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.plan import plan
 from jaxurban.progress import Report

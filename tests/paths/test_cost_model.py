@@ -16,7 +16,7 @@ import jaxurban as ju
 from jaxurban.errors import OtherSettingsWarning
 from jaxurban.io.files import write_json
 from jaxurban.io.store import write_zarr
-from jaxurban.paths.export import write_path
+from jaxurban.paths.export.write import write_path
 from jaxurban.studies.montecarlo.trial import BenchmarkSettings
 from jaxurban.studies.sensitivity import local
 from tests.cli_runs import assert_one_sentence, run

@@ -166,7 +166,7 @@ def test_the_report_is_json_ready_and_its_table_holds_every_segment(report):
 @pytest.mark.parametrize(
     ("changed", "words"),
     [
-        ({"speed_m_s": 0.0}, "speed_m_s must be a finite number above 0"),
+        ({"speed_m_s": 0.0}, "speed_m_s must be a positive number of metres per second, got 0.0"),
         ({"speed_m_s": math.nan}, "speed_m_s"),
         ({"power_w": 200.0}, "give the speed"),
         ({"swath_m": -1.0}, "swath_m"),

@@ -12,7 +12,7 @@ import shapely
 
 from jaxurban.errors import InputError
 from jaxurban.io.read.zone import Zone
-from jaxurban.paths.export import check_export, write_path
+from jaxurban.paths.export.write import check_export, write_path
 from jaxurban.paths.ground import Ground
 from jaxurban.planners.base import Status
 from jaxurban.world.grid import Grid

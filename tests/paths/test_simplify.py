@@ -12,7 +12,8 @@ import jaxurban as ju
 from jaxurban.errors import InputError
 from jaxurban.io.read.zone import Zone
 from jaxurban.io.store import write_zarr
-from jaxurban.paths.export import GROUND_TOLERANCE_M, write_path
+from jaxurban.paths.export.waypoints import GROUND_TOLERANCE_M
+from jaxurban.paths.export.write import write_path
 from jaxurban.planners.base import Status
 from tests.cli_runs import run
 from tests.free_space import Obstacles

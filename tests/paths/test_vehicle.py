@@ -106,7 +106,7 @@ def test_a_scenario_says_it_in_one_table_and_writes_it_back():
         ({"radius_m": -0.1}, "radius_m must be 0 or a positive number of metres"),
         ({"speed_m_s": 0.0}, "speed_m_s must be a positive number of metres per second"),
         ({"max_turn_deg": 181.0}, "max_turn_deg must be at most 180 degrees"),
-        ({"power_w": 100.0}, "give speed_m_s too"),
+        ({"power_w": 100.0}, "give the speed"),
         ({"max_descent_m_s": "slow"}, "max_descent_m_s must be a number or None"),
     ],
 )

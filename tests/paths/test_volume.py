@@ -14,7 +14,7 @@ import jaxurban as ju
 from jaxurban.errors import InputError
 from jaxurban.io.read.zone import Zone
 from jaxurban.maps.levels import Levels
-from jaxurban.paths.export import write_path
+from jaxurban.paths.export.write import write_path
 from jaxurban.planners.base import Status
 from tests.cli_runs import assert_one_sentence, run
 from tests.made_maps import made_maps

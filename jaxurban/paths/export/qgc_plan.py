@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import shapely
 
-from jaxurban.errors import InputError, one_of
+from jaxurban.errors import InputError
 from jaxurban.io.read.outlines import polygonal
 from jaxurban.paths.export.base import DECIMALS, Z_DECIMALS, Named, description_of, facts_of, upward
 from jaxurban.paths.export.waypoints import GROUND_TOLERANCE_M, Waypoints, waypoints
@@ -75,9 +75,8 @@ def to_qgc_plan(routes: Named, report: "RouteReport | None", end: str = "land") 
       end: of `ENDS`.
 
     Raises:
-      InputError: several paths, or an end that is none.
+      InputError: several paths.
     """
-    one_of("end", end, ENDS)
     if len(routes) > 1:
         raise InputError(f"a .plan holds one path, and these are {len(routes)}: write a file for each")
     ((_, route),) = routes
