@@ -6,13 +6,14 @@ from functools import cache
 from itertools import pairwise
 
 import numpy as np
+import shapely
 
 from jaxurban.errors import InputError
-from jaxurban.kernels.line.clear import is_clear
+from jaxurban.kernels.compiled import compiled
+from jaxurban.kernels.line.clear import are_clear, is_clear
 from jaxurban.planners.any_angle import subdivided
 from jaxurban.planners.base import Path, Problem, Status
 from jaxurban.planners.cost_model import positive_m
-from jaxurban.planners.search.legs import fewest_legs, nudged
 
 CLEAR_M = 0.02  # that legs keep from closed cells, so that coordinates of 7 decimals of a degree cannot enter them
 NUDGES = (1.5, 3.0)  # by how many such distances points may move where the path itself passes nearer
@@ -21,6 +22,9 @@ SPACING = 1.0  # cell sides between the points along a path at which it may turn
 PART = 0.3  # cell sides: five parts make a diagonal step, whose corner then lies within one of them
 SHORT_M = 1.0  # legs shorter than this between two turns are left out where one turn does for both
 ALIKE = 0.05  # sine of the angle between legs that run alike
+STUCK = 1e9  # what a leg that is not clear counts among nudges, so that there are as few as can be
+REACH = 256  # points that a leg may span, lest a way over open land of thousands takes seconds
+AHEAD = 1e-12  # relative: sums this much smaller are smaller
 
 
 def simplify(problem: Problem, path: Path, tolerance_m: float) -> Path:
@@ -120,7 +124,7 @@ def _fewest(is_free: np.ndarray, xy: np.ndarray, tolerance_m: float, side_m: flo
         tolerance -= float(np.hypot(*(moved - xy).T).max())
         xy = moved
     xy = subdivided(xy, SPACING)
-    kept = np.flatnonzero(fewest_legs(is_free, xy, tolerance, margin))
+    kept = fewest_legs(is_free, xy, tolerance, margin)
     return _without_short_legs(is_free, xy, kept, tolerance, margin, SHORT_M / side_m)
 
 
@@ -131,25 +135,16 @@ def _without_short_legs(
 
     Where the legs before and after meet, or at one of the two, or in their middle.
     """
-    points, at = [xy[k] for k in kept], kept.tolist()
-    k = 1
-    while k < len(points) - 2:
+    points, at = list(xy[kept]), kept.tolist()
+    for k in range(len(points) - 3, 0, -1):
         before, here, there, after = points[k - 1 : k + 3]
-        first, last = max(k - 2, 0), min(k + 3, len(points) - 1)
         middles = [_crossing(before, here, there, after), (here + there) / 2, here, there]
         for middle in middles if np.hypot(*(there - here)) < short else ():
-            way = np.array([*points[first:k], middle, *points[k + 2 : last + 1]])
-            was = xy[at[first] : at[last] + 1]
-            if (
-                is_clear(is_free, *before, *middle, margin)
-                and is_clear(is_free, *middle, *after, margin)
-                and _farthest(was, way) <= tolerance
-                and _farthest(middle[None], was) <= tolerance
-            ):
+            way, was = np.array([before, middle, after]), xy[at[k - 1] : at[k + 2] + 1]
+            off = max(farthest(was, way), farthest(middle[None], was))
+            if off <= tolerance and are_clear(is_free, way, margin):
                 points[k : k + 2], at[k : k + 2] = [middle], [at[k]]
                 break
-        else:
-            k += 1
     return np.array(points)
 
 
@@ -162,13 +157,10 @@ def _crossing(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> np.
     return a + (b - a) * ((w_x * v_y - w_y * v_x) / turn)
 
 
-def _farthest(xy: np.ndarray, way: np.ndarray) -> float:
-    """Return how far points ``[N, 2]`` are at most from a polyline ``[W, 2]``."""
-    along, from_start = np.diff(way, axis=0), xy[:, None] - way[:-1]
-    squares = np.maximum((along**2).sum(axis=-1), np.finfo(float).tiny)
-    share = np.clip((from_start * along).sum(axis=-1) / squares, 0.0, 1.0)
-    away = from_start - share[..., None] * along
-    return float(np.hypot(away[..., 0], away[..., 1]).min(axis=1).max())
+def farthest(before: np.ndarray, after: np.ndarray) -> float:
+    """Return how far the points of a path ``[N, 2]`` are at most from what it became, ``[W, 2]``."""
+    line = shapely.LineString(after if len(after) > 1 else np.repeat(after, 2, axis=0))
+    return float(shapely.distance(shapely.points(before), line).max())
 
 
 def _are_clear(is_free: np.ndarray, xy: np.ndarray, margin: float) -> np.ndarray:
@@ -180,6 +172,102 @@ def _divided(xy: np.ndarray, is_far: np.ndarray) -> np.ndarray:
     """Return the points with others along the legs that are not clear, `PART` apart."""
     parts = [xy[k : k + 1] if is_far[k] else subdivided(xy[k : k + 2], PART)[:-1] for k in range(len(is_far))]
     return np.concatenate([*parts, xy[-1:]])
+
+
+@compiled()
+def nudged(is_free, xy, is_movable, offsets, margin):
+    """Return points ``[N, 2]``, some moved by one of a few offsets, so that as few legs as can be are not clear.
+
+    Legs that are not clear stay where they are: moved, one through the corner of two closed cells would enter one.
+    Of such ways the one whose points move the least in all, by dynamic programming over the offsets of each point.
+
+    Args:
+      is_free: ``[Y, X]`` bool.
+      xy: ``[N, 2]`` points.
+      is_movable: ``[N]`` bool.
+      offsets: ``[C, 2]``; the first is 0, 0.
+      margin: see `is_clear`.
+    """
+    num, num_offsets = len(xy), len(offsets)
+    best = np.full((num, num_offsets), np.inf)
+    parent = np.zeros((num, num_offsets), np.int64)
+    best[0, 0] = 0.0
+    for k in range(1, num):
+        for c in range(num_offsets if is_movable[k] else 1):
+            x, y = xy[k] + offsets[c]
+            moved = np.hypot(offsets[c, 0], offsets[c, 1])
+            for p in range(num_offsets if is_movable[k - 1] else 1):
+                reach = best[k - 1, p] + moved
+                if reach >= best[k, c]:
+                    continue
+                from_x, from_y = xy[k - 1] + offsets[p]
+                if not is_clear(is_free, from_x, from_y, x, y, margin):
+                    reach = reach + STUCK if c == p == 0 else np.inf
+                if reach < best[k, c]:
+                    best[k, c], parent[k, c] = reach, p
+    found = xy.copy()
+    c = int(np.argmin(best[num - 1]))
+    for k in range(num - 1, -1, -1):
+        found[k] = xy[k] + offsets[c]
+        c = int(parent[k, c])
+    return found
+
+
+@compiled()
+def is_within(xy, first, last, tolerance):
+    """Whether the points between two lie within a tolerance of the segment that joins these."""
+    x0, y0 = xy[first]
+    dx, dy = xy[last] - xy[first]
+    length = np.hypot(dx, dy)
+    for k in range(first + 1, last):
+        x, y = xy[k, 0] - x0, xy[k, 1] - y0
+        share = 0.0
+        if length > 0.0:
+            share = min(max((x * dx + y * dy) / (length * length), 0.0), 1.0)
+        if np.hypot(x - share * dx, y - share * dy) > tolerance:
+            return False
+    return True
+
+
+@compiled()
+def fewest_legs(is_free, xy, tolerance, margin):
+    """Return ``[K]`` which points to keep, ends included: the fewest legs, and of these ways the most even.
+
+    The most even way has the least sum of its legs' squared lengths, so that none is shorter than it need be.
+
+    A leg may skip up to `REACH` points that lie within the tolerance of it where it is clear (`is_clear`); from one
+    point to the next it always may lead, as the path does. Every two points that such a leg joins are an edge of a
+    graph, and the shortest way through it is the answer (Imai & Iri 1988, "Polygonal approximations of a curve"). From
+    each point the cone of directions that still pass all points since within the tolerance says when to stop looking
+    farther (Chan & Chin 1996, "Approximation of polygonal curves with minimum number of line segments or minimum
+    error").
+    """
+    num = len(xy)
+    legs, squares, parent = np.full(num, num), np.full(num, np.inf), np.zeros(num, np.int64)
+    legs[0], squares[0] = 0, 0.0
+    for i in range(num - 1):
+        axis, low, high, farthest = 0.0, -np.inf, np.inf, 0.0
+        for j in range(i + 1, min(num, i + 1 + REACH)):
+            (x0, y0), (x1, y1) = xy[i], xy[j]
+            away, heading = np.hypot(x1 - x0, y1 - y0), np.arctan2(y1 - y0, x1 - x0)
+            axis = heading if low == -np.inf else axis
+            turn = (heading - axis + np.pi) % (2 * np.pi) - np.pi
+            number, total = legs[i] + 1, squares[i] + away * away
+            if number < legs[j] or (number == legs[j] and total < squares[j] * (1 - AHEAD)):
+                # No point since is farther from the first one, nor from the ray: then the segment's end is no bar.
+                is_near = low <= turn <= high and (away >= farthest or is_within(xy, i, j, tolerance))
+                if j == i + 1 or (is_near and is_clear(is_free, x0, y0, x1, y1, margin)):
+                    legs[j], squares[j], parent[j] = number, total, i
+            farthest = max(farthest, away)
+            if away > tolerance:
+                half = np.arcsin(tolerance / away)
+                low, high = max(low, turn - half), min(high, turn + half)
+                if low > high:
+                    break
+    kept = [num - 1]
+    while kept[-1] > 0:
+        kept.append(parent[kept[-1]])
+    return np.array(kept[::-1])
 
 
 @cache

@@ -3,12 +3,12 @@
 from dataclasses import replace
 
 import numpy as np
-import shapely
 
 from jaxurban.errors import InputError, positive, typed
 from jaxurban.paths.constraints import constraints_said
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.path import PlannedPath, map_settings, measured
+from jaxurban.planners.simplify import farthest
 from jaxurban.planners.simplify import simplify as simplify_path
 
 SAME_PLACE_M = 1e-6  # of a path in the maps' CRS and from its map's corner
@@ -40,7 +40,7 @@ def simplify(planned: PlannedPath, on: CostMap, tolerance_m: float) -> PlannedPa
     points_m = planned.search.points_m
     found = simplify_path(on.problem, planned.search, tolerance_m)
     after = measured(on, found.points_m)
-    moved_m = farthest_m(points_m[:, :2], found.points_m[:, :2])
+    moved_m = farthest(points_m[:, :2], found.points_m[:, :2])
     said = (
         f"Simplified to {tolerance_m:g} m: {len(found.points_m)} of {len(points_m)} waypoints, at most {moved_m:.2f} m "
         f"from the planned path; {_change(planned.cost, after['cost'])}."
@@ -48,12 +48,6 @@ def simplify(planned: PlannedPath, on: CostMap, tolerance_m: float) -> PlannedPa
     search = replace(found, note=" ".join(filter(None, (found.note, said))))
     settings = {**planned.settings, "simplify_m": tolerance_m}
     return replace(planned, **after, status=found.status, search=search, settings=settings)
-
-
-def farthest_m(before_m: np.ndarray, after_m: np.ndarray) -> float:
-    """Return how far the points of a path ``[N, 2]`` are at most from what it became, ``[W, 2]``."""
-    line = shapely.LineString(after_m if len(after_m) > 1 else np.repeat(after_m, 2, axis=0))
-    return float(shapely.distance(shapely.points(before_m), line).max())
 
 
 def _change(before: float, after: float) -> str:
