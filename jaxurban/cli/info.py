@@ -48,7 +48,7 @@ def _bounds_of(grid: Any) -> list[float]:
 
 
 def _of_file(file: Path) -> dict[str, Any]:
-    from jaxurban.io.read.extent import lonlat_extent
+    from jaxurban.io.read.buildings import lonlat_extent
     from jaxurban.io.read.raster import RASTER_SUFFIXES, read_raster
     from jaxurban.world.city import City, HeightOrigin
     from jaxurban.world.grid import WGS84

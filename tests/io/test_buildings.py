@@ -70,7 +70,7 @@ def test_a_height_raster_with_a_value_that_is_no_height_is_refused(tmp_path, val
 
 def test_a_missing_file_and_a_folder_are_refused(tmp_path):
     for path in (tmp_path / "nowhere.osm.pbf", tmp_path):
-        with pytest.raises(InputError, match="is not there"):
+        with pytest.raises(InputError, match="does not exist"):
             read_buildings(BuildingFile(path), UTM)
 
 

@@ -21,8 +21,7 @@ from jaxurban.io.download import Cache
 from jaxurban.io.fetch_plan import FetchJob, plan_fetch
 from jaxurban.io.read.buildings import BuildingFile, read_buildings
 from jaxurban.io.read.census import CensusFiles, read_blocks
-from jaxurban.io.read.nominal import nominal_satellites
-from jaxurban.io.read.orbits import _timescale
+from jaxurban.io.read.orbits import _timescale, nominal_satellites
 from jaxurban.io.read.osm import cut_buildings
 from jaxurban.scenario.run import run_scenario
 from jaxurban.scenario.settings import Scenario

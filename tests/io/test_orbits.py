@@ -16,8 +16,15 @@ from skyfield.api import EarthSatellite, load, wgs84
 from skyfield.framelib import itrs
 
 from jaxurban.errors import InputError, StaleElementsWarning
-from jaxurban.io.read.nominal import LATITUDE_RATE_DEG, SLOTS, nominal_satellites
-from jaxurban.io.read.orbits import look_angles, middle_epoch, parse_time, read_orbits
+from jaxurban.io.read.orbits import (
+    LATITUDE_RATE_DEG,
+    SLOTS,
+    look_angles,
+    middle_epoch,
+    nominal_satellites,
+    parse_time,
+    read_orbits,
+)
 
 LON_DEG, LAT_DEG = -74.0, 40.715
 MILLIDEGREE_RAD = math.radians(1e-3)
@@ -223,17 +230,17 @@ def cut_json():
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (b"\x00\x00\x00\x0d\x0a\x09OSMHeader\x18\xff\xfe", "cannot be read as text"),
+        (b"\x00\x00\x00\x0d\x0a\x09OSMHeader\x18\xff\xfe", "cannot be read as whole element sets"),
         (b"", "holds no element set"),
         (b"No GP data found\n", "holds no element set"),
         (b'{"type": "FeatureCollection", "features": []}', "not an OMM .no EPOCH"),
         (b"[]", "holds no element set"),
         (b"[1, 2]", "not an OMM"),
-        (b'[{"OBJECT_NAME": ', "cannot be read as JSON"),
+        (b'[{"OBJECT_NAME": ', "cannot be read as whole element sets"),
         (cut_json().encode(), "no MEAN_MOTION|no ARG_OF_PERICENTER"),
         (b"<html><body>Not found</body></html>", "holds no element set"),
-        (b"<ndm><omm>", "cannot be read as whole OMM segments in XML"),
-        (b"<ndm><segment><data/></segment></ndm>", "cannot be read as whole OMM segments in XML"),
+        (b"<ndm><omm>", "cannot be read as whole element sets"),
+        (b"<ndm><segment><data/></segment></ndm>", "cannot be read as whole element sets"),
         (b"OBJECT_NAME,EPOCH,MEAN_MOTION\nGPS,2024-03-31T12:00:07,2.0", "element set 1 .* is cut"),
         (TLE[:-20].encode(), "element set of .* is cut or damaged .*of 69 characters"),
         (TLE[:90].encode(), "must follow each other"),
@@ -252,7 +259,7 @@ def test_a_file_that_is_no_orbits_is_refused_in_one_sentence(tmp_path, content, 
 
 @pytest.mark.data
 def test_an_osm_extract_given_as_orbits_is_refused(data_dir):
-    with pytest.raises(InputError, match="cannot be read as text"):
+    with pytest.raises(InputError, match="cannot be read as whole element sets"):
         read_orbits(data_dir / "osm" / "helsinki.osm.pbf")
 
 

@@ -20,7 +20,7 @@ from jaxurban.errors import GuessWarning
 from jaxurban.io.read.burn import burn, burn_touched
 from jaxurban.io.read.census import CensusFiles, read_blocks
 from jaxurban.io.read.guesses import FLAT_GROUND
-from jaxurban.io.read.nominal import nominal_satellites
+from jaxurban.io.read.orbits import nominal_satellites
 from jaxurban.io.read.rasterise import build_surface
 from jaxurban.maps.build import map_guesses, view_sky
 from jaxurban.maps.guesses import _scale_guesses, has_guessed_roofs, leaving_shares

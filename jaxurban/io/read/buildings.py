@@ -16,18 +16,19 @@ from jaxurban.errors import InputError, one_of
 from jaxurban.io.read.heights import MAX_HEIGHT_M
 from jaxurban.io.read.knownarea import area_of_outlines, area_of_raster
 from jaxurban.io.read.near import Near, box_between, meets
-from jaxurban.io.read.osm import OSM_SUFFIXES, read_osm
+from jaxurban.io.read.osm import OSM_SUFFIXES, format_of, header_box, read_osm
 from jaxurban.io.read.outlines import Outlines, count_tags, to_buildings
 from jaxurban.io.read.raster import RASTER_SUFFIXES, check_range, raster_extent_m, read_raster
 from jaxurban.io.read.surfacemodel import check_is_no_surface, heights_of_surface
 from jaxurban.io.read.vector import VECTOR_SUFFIXES, read_vector
 from jaxurban.world.city import SLABS, TO_GROUND, Buildings, Hanging, Raster
 from jaxurban.world.diagnostics import ReadIssue, ReadIssues
-from jaxurban.world.grid import Bounds, projected_crs
+from jaxurban.world.grid import WGS84, Bounds, projected_crs, transformer
 
 Kind = Literal["height", "surface"]  # of a raster of buildings
 
-OUTLINE_READERS: dict[str, Callable[[Path, Near | None, bool], Outlines]] = {
+OutlineReader = Callable[[Path, Near | None, bool], Outlines]
+OUTLINE_READERS: dict[str, OutlineReader] = {
     # Nodes of OSM lie anywhere before their ways.
     **dict.fromkeys(OSM_SUFFIXES, lambda path, near, has_decks: read_osm(path, has_decks=has_decks)),
     **dict.fromkeys(VECTOR_SUFFIXES, lambda path, near, has_decks: read_vector(path, near)),
@@ -110,33 +111,60 @@ def read_buildings(
         are not heights or look like elevations, or a surface without terrain or that is not a raster.
     """
     projected_crs(crs)
-    path = Path(file.source)
-    if not path.is_file():
-        raise InputError(f"{str(path)!r} is not there: check the path of the buildings")
-    suffix = path.suffix.lower()
-    if suffix in RASTER_SUFFIXES:
-        if file.hanging == SLABS:
-            raise InputError(
-                f'[buildings] hanging = "slabs" is for outlines, and {str(path)!r} is a raster, in which nothing '
-                "hangs: leave it out"
-            )
+    path, is_slabs = Path(file.source), file.hanging == SLABS
+    read = _reader_of(path)
+    if read is None and is_slabs:
+        raise InputError(
+            f'[buildings] hanging = "slabs" is for outlines, and {str(path)!r} is a raster, in which nothing '
+            "hangs: leave it out"
+        )
+    if read is None:
         return _read_roofs(path, crs, bounds_m, file.kind, terrain)
     if file.kind == "surface":
         raise InputError(f'[buildings] kind = "surface" is for rasters, and {str(path)!r} is not one: leave it out')
-    if suffix not in OUTLINE_READERS:
-        raise InputError(
-            f"{str(path)!r} has the suffix {suffix!r}: buildings are read from "
-            f"{', '.join((*OUTLINE_READERS, *RASTER_SUFFIXES))}"
-        )
-    reader, has_decks = OUTLINE_READERS[suffix], file.hanging == SLABS
     if bounds_m is not None:
-        outlines = reader(path, Near(bounds_m, crs), has_decks)
+        outlines = read(path, Near(bounds_m, crs), is_slabs)
         source = _source_of(file, outlines, crs, bounds_m)
         if outlines.extent is None or len(source.buildings or ()):
             return source
     return _source_of(
-        file, reader(path, None, has_decks), crs, bounds_m
+        file, read(path, None, is_slabs), crs, bounds_m
     )  # what nothing is near of tells all that it covers
+
+
+def _reader_of(path: Path) -> OutlineReader | None:
+    """Return what reads a file of outlines, None for a raster.
+
+    Raises:
+      InputError: no such file, or an unknown suffix.
+    """
+    if not path.is_file():
+        raise InputError(f"{str(path)!r} does not exist: check the path")
+    suffix = path.suffix.lower()
+    if suffix not in (*OUTLINE_READERS, *RASTER_SUFFIXES):
+        known = ", ".join((*OUTLINE_READERS, *RASTER_SUFFIXES))
+        raise InputError(f"{str(path)!r} has the suffix {suffix!r}: buildings are read from {known}")
+    return OUTLINE_READERS.get(suffix)
+
+
+def lonlat_extent(path: str | Path) -> Bounds:
+    """Return west, south, east, north in degrees of the box that a file of buildings or a raster covers.
+
+    Of OpenStreetMap it is the box that the file declares, and without one, as of other outlines, that around all
+    outlines: such a file is read whole.
+
+    Raises:
+      InputError: a file that cannot be read, or one without an outline.
+    """
+    read = _reader_of(Path(path))
+    if read is None:
+        return raster_extent_m(path, WGS84)
+    if Path(path).suffix.lower() in OSM_SUFFIXES and (box := header_box(path, format_of(path))):
+        return box
+    outlines = read(Path(path), None, False)
+    if not len(outlines.polygons) or shapely.is_empty(outlines.polygons).all():
+        raise InputError(f"{str(path)!r} holds no outline that would say where it lies: give bounds")
+    return transformer(outlines.crs, WGS84).transform_bounds(*shapely.total_bounds(outlines.polygons))
 
 
 def _source_of(file: BuildingFile, outlines: Outlines, crs: str, bounds_m: Bounds | None) -> BuildingSource:

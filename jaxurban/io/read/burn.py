@@ -1,13 +1,16 @@
-"""Polygons burnt into the cells of a grid."""
+"""Polygons burnt into the cells of a grid, and what hangs over the ground into their subcells, sparse: `Slabs`."""
 
-from typing import NamedTuple
+import math
 
 import numpy as np
 import shapely
 
 from jaxurban.io.read.near import meets
 from jaxurban.kernels.outlines import burn_outlines
+from jaxurban.kernels.slabs import settle
+from jaxurban.world.city import Buildings
 from jaxurban.world.grid import Grid
+from jaxurban.world.slabs import PER_CELL, Slabs
 
 
 def burn(
@@ -66,59 +69,78 @@ def _burn(
     centre: np.ndarray,
     touched: np.ndarray,
 ) -> None:
-    """Burn the polygons whose box meets the grid, in place."""
+    """Burn the polygons whose box meets the grid, in place.
+
+    Those with a single ring come first: `shapely.to_ragged_array` makes a geometry of every ring, which takes ten times
+    as long.
+    """
     boxes = shapely.bounds(polygons) if boxes_m is None else boxes_m.T
     near = np.flatnonzero(meets(boxes, grid.bounds_m))
-    if near.size:
-        rings = _rings_of(polygons[near])
-        burn_outlines(
-            rings.points / grid.resolution_m,
-            rings.ring_start,
-            rings.outline_start,
-            values[near].astype(centre.dtype)[rings.polygon],
-            grid.first_row,
-            grid.first_col,
-            centre,
-            touched,
-        )
-
-
-class _Rings(NamedTuple):
-    """Polygons as flat arrays. ``P`` corners of ``R`` rings of ``N`` outlines, each an exterior ring and its holes.
-
-    Attributes:
-      points: ``[P, 2]`` x, y.
-      ring_start: ``[R + 1]`` where each ring begins in ``points``, and the end.
-      outline_start: ``[N + 1]`` where each outline begins in the rings, and the end.
-      polygon: ``[N]`` number of the polygon that each outline is, or is a part of.
-    """
-
-    points: np.ndarray
-    ring_start: np.ndarray
-    outline_start: np.ndarray
-    polygon: np.ndarray
-
-
-def _rings_of(polygons: np.ndarray) -> _Rings:
-    """Return the rings of polygons, those with a single ring first.
-
-    `shapely.to_ragged_array` makes a geometry of every ring, which takes ten times as long.
-    """
-    is_single = shapely.get_type_id(polygons) == shapely.GeometryType.POLYGON
-    is_single &= shapely.get_num_interior_rings(polygons) == 0
-    single, others = np.flatnonzero(is_single), np.flatnonzero(~is_single)
+    if not near.size:
+        return
+    is_single = shapely.get_type_id(polygons[near]) == shapely.GeometryType.POLYGON
+    is_single &= shapely.get_num_interior_rings(polygons[near]) == 0
+    single, others = near[is_single], near[~is_single]
     parts, owner = shapely.get_parts(polygons[others], return_index=True)
     rings, outline = shapely.get_rings(parts, return_index=True)
     both = polygons[single], rings
     num_rings = np.append(np.ones(len(single), np.int64), np.bincount(outline, minlength=len(parts)))
-    return _Rings(
-        points=np.concatenate([shapely.get_coordinates(shapes) for shapes in both]),
-        ring_start=_starts(np.concatenate([shapely.get_num_coordinates(shapes) for shapes in both])),
-        outline_start=_starts(num_rings),
-        polygon=np.append(single, others[owner]),
+    burn_outlines(
+        np.concatenate([shapely.get_coordinates(shapes) for shapes in both]) / grid.resolution_m,
+        _starts(np.concatenate([shapely.get_num_coordinates(shapes) for shapes in both])),
+        _starts(num_rings),
+        values[np.append(single, others[owner])].astype(centre.dtype),
+        grid.first_row,
+        grid.first_col,
+        centre,
+        touched,
     )
 
 
 def _starts(counts: np.ndarray) -> np.ndarray:
     """Return where each of ``[N]`` runs begins, and the end, ``[N + 1]`` int64."""
     return np.append(0, np.cumsum(counts, dtype=np.int64))
+
+
+def burn_hanging(
+    buildings: Buildings, grid: Grid, roof_m: np.ndarray, terrain_m: np.ndarray | None, all_touched: bool
+) -> Slabs:
+    """Return what hangs freely over the cells of a grid; what rests on a roof raises it.
+
+    A slab covers subcells, and cells, as a roof does: those whose centre lies in its outline (``all_touched``: every
+    one that it shares area with). Every cell depends on its own place alone.
+
+    Args:
+      buildings: of which those with an underside above the ground hang.
+      grid: where to burn.
+      roof_m: ``[Y, X]`` float32 roofs of those that stand; raised in place.
+      terrain_m: ``[Y, X]`` elevation of the ground; None for flat ground.
+      all_touched: see above.
+    """
+    is_near = meets(buildings.boxes_m.T, grid.bounds_m)
+    finer = grid.refined(PER_CELL)
+    places, heights = [np.empty((2, 0), np.int64)], [np.empty((2, 0), np.float32)]
+    for i in np.flatnonzero(is_near & (buildings.min_height_m > 0)):
+        window = _window(finer, buildings.boxes_m[:, i])
+        held = np.stack(np.nonzero(burn_by_rule(buildings.polygons[i : i + 1], np.ones(1), window, all_touched)))
+        places.append(held + np.array([[window.first_row], [window.first_col]]))
+        of_one = np.array([[buildings.min_height_m[i]], [buildings.height_m[i]]], np.float32)
+        heights.append(np.broadcast_to(of_one, held.shape))
+    (row, col), (floor_m, top_m) = (np.concatenate(values, axis=1) for values in (places, heights))
+    cell = (row // PER_CELL - grid.first_row) * grid.num_cols + col // PER_CELL - grid.first_col
+    order = np.lexsort((floor_m, cell))
+    row, col, cell, floor_m, top_m = (values[order] for values in (row, col, cell, floor_m, top_m))
+    is_of_cell = (row % PER_CELL == PER_CELL // 2) & (col % PER_CELL == PER_CELL // 2) | all_touched
+    hangs = settle(roof_m.reshape(-1), cell, floor_m, top_m, is_of_cell)
+    ground_m = np.zeros(len(cell), np.float32) if terrain_m is None else terrain_m.reshape(-1)[cell]
+    return Slabs(row, col, floor_m, top_m, ground_m, is_of_cell).take(hangs)
+
+
+def _window(grid: Grid, box_m: np.ndarray) -> Grid:
+    """Return the part of a grid around a box, which meets it, with a cell more on each side."""
+    west, south, east, north = box_m / grid.resolution_m
+    first_row = max(math.floor(south) - 1, grid.first_row)
+    first_col = max(math.floor(west) - 1, grid.first_col)
+    end_row = min(math.ceil(north) + 1, grid.first_row + grid.num_rows)
+    end_col = min(math.ceil(east) + 1, grid.first_col + grid.num_cols)
+    return Grid(grid.crs, grid.resolution_m, first_row, first_col, end_row - first_row, end_col - first_col)

@@ -7,9 +7,8 @@ from pathlib import Path
 import shapely
 
 from jaxurban.errors import InputError
-from jaxurban.io.read.buildings import BuildingFile, BuildingSource, read_buildings
+from jaxurban.io.read.buildings import BuildingFile, BuildingSource, lonlat_extent, read_buildings
 from jaxurban.io.read.census import CensusFiles, read_blocks
-from jaxurban.io.read.extent import lonlat_extent
 from jaxurban.io.read.guesses import FLAT_GROUND, count_guesses, district_guesses, height_guesses, warn_of
 from jaxurban.io.read.raster import raster_extent_m, read_raster
 from jaxurban.world.city import City

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import shapely
 
 from jaxurban.errors import GuessWarning
-from jaxurban.io.read.decks import LAYER_CLEARANCE_M
+from jaxurban.io.read.heights import LAYER_CLEARANCE_M
 from jaxurban.world.city import Blocks, Buildings, HeightOrigin
 from jaxurban.world.diagnostics import ReadIssue, ReadIssues
 from jaxurban.world.grid import Bounds

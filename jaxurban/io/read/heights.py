@@ -1,9 +1,9 @@
-"""Heights as people write them: tags and columns to metres, with the origin of each height kept."""
+"""Heights as people write them: tags and columns to metres, with the origin of each height kept, and those of decks."""
 
 import math
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from decimal import Decimal
 from functools import lru_cache
 from typing import Any
@@ -17,6 +17,10 @@ from jaxurban.world.diagnostics import ReadIssue, ReadIssues
 FOOT_M = 0.3048  # international foot, exact
 INCH_M = 0.0254  # international inch, exact
 MAX_HEIGHT_M = 1000.0  # the tallest building stands at 828 m: more is a slip of the keyboard or of the unit
+# Over freeways the least clearance is 16 ft, 4.9 m (AASHTO, A Policy on Geometric Design of Highways and Streets). A
+# layer of OSM orders what crosses and is no height: one more above the ground is taken as one more such clearance.
+LAYER_CLEARANCE_M = 5.0
+DECK_DEPTH_M = 1.0  # girder, slab and pavement of spans of some 25 m, at a depth of a 25th of the span
 
 _NUMBER = r"(\d+(?:[.,]\d+)?|[.,]\d+)"
 _ABOUT = r"(?:~|≈|ca\.?|approx\.?)?\s*"
@@ -161,4 +165,30 @@ def estimate_heights(
                 np.sum(given_min & ~has_min) + np.sum(given_min_level & ~has_min_level)
             ),
         },
+    )
+
+
+def with_decks(heights: Heights, is_deck: np.ndarray, layer: np.ndarray) -> Heights:
+    """Return heights in which decks hang: from ``min_height`` to ``height`` where both are given.
+
+    Without ``min_height`` a deck is `DECK_DEPTH_M` deep, below its ``height``; with neither it hangs at
+    `LAYER_CLEARANCE_M` a layer (at least one), and its height is a guess.
+
+    Args:
+      heights: of ``N`` outlines, by their tags.
+      is_deck: ``[N]`` bool.
+      layer: ``[N]`` float64 of each outline, NaN where it has none.
+    """
+    is_given, floor_m = heights.origin == HeightOrigin.HEIGHT, heights.min_height_m
+    by_layer_m = np.fmax(layer, 1.0) * LAYER_CLEARANCE_M
+    below_top_m = np.where(is_given, np.maximum(heights.height_m - DECK_DEPTH_M, 0.0), by_layer_m)
+    floor_m = np.where(floor_m > 0, floor_m, below_top_m)
+    top_m = np.where(is_given & (heights.height_m > floor_m), heights.height_m, floor_m + DECK_DEPTH_M)
+    is_guess = ~is_given & (heights.min_height_m == 0)
+    origin = np.where(is_guess, HeightOrigin.LAYER, HeightOrigin.HEIGHT).astype(np.uint8)
+    return replace(
+        heights,
+        height_m=np.where(is_deck, top_m, heights.height_m),
+        min_height_m=np.where(is_deck, floor_m, heights.min_height_m),
+        origin=np.where(is_deck, origin, heights.origin),
     )

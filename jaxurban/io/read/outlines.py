@@ -9,8 +9,7 @@ import numpy as np
 import shapely
 
 from jaxurban.errors import InputError
-from jaxurban.io.read.decks import with_decks
-from jaxurban.io.read.heights import Heights, estimate_heights, is_given
+from jaxurban.io.read.heights import Heights, estimate_heights, is_given, with_decks
 from jaxurban.world.city import SLABS, TO_GROUND, Buildings, Hanging, HeightOrigin
 from jaxurban.world.diagnostics import ReadIssue, ReadIssues
 from jaxurban.world.grid import Bounds, transformer

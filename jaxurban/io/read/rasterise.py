@@ -8,8 +8,7 @@ import jax
 import numpy as np
 
 from jaxurban.errors import InputError
-from jaxurban.io.read.burn import burn, burn_by_rule, burn_touched
-from jaxurban.io.read.hanging import burn_hanging
+from jaxurban.io.read.burn import burn, burn_by_rule, burn_hanging, burn_touched
 from jaxurban.io.read.sampling import resample_raster
 from jaxurban.world.city import SLABS, Buildings, City
 from jaxurban.world.grid import WGS84, Grid, transformer
