@@ -1,17 +1,19 @@
-"""Progress of long jobs: a bar on a terminal, elsewhere lines in the log "jaxurban"."""
+"""Progress of long jobs: a bar on a terminal, elsewhere lines in the log "jaxurban"; and how long stages take."""
 
 import logging
 import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass, field
 
 LOG = logging.getLogger("jaxurban")
 SILENT_S = 5.0  # that a search may last before the log says that it runs
 EVERY_S = 10.0  # between two lines on one stage, and before the first line of a job
 
 interrupted = threading.Event()  # set by the command line at Ctrl-C, which is lost where a callback of JAX gets it
+Stage = Callable[[str], AbstractContextManager[object]]  # `Stopwatch.stage`, or nullcontext where nothing is timed
 Progress = bool | Callable[[str, int, int], object]  # a function gets stage, done, total
 
 
@@ -38,6 +40,33 @@ class Report:
 
     def finish(self) -> None:
         """End a job that went well."""
+
+
+@dataclass
+class Stopwatch:
+    """Seconds by stage; a stage entered again adds to its time. One for each thread.
+
+    Attributes:
+      elapsed_s: seconds by stage.
+      on_stage: gets each stage that begins.
+    """
+
+    elapsed_s: dict[str, float] = field(default_factory=dict)
+    on_stage: Report = field(default_factory=Report)
+
+    def add(self, name: str, seconds: float) -> None:
+        """Add to the time of a stage."""
+        self.elapsed_s[name] = self.elapsed_s.get(name, 0.0) + seconds
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Time the block under ``name``."""
+        self.on_stage(name)
+        began = time.perf_counter()
+        try:
+            yield
+        finally:
+            self.add(name, time.perf_counter() - began)
 
 
 @contextmanager

@@ -31,7 +31,7 @@ from jaxurban.io.read.osm import read_osm as read_outlines
 from jaxurban.io.read.vector import open_frame
 from jaxurban.io.workspace import Workspace
 from jaxurban.progress import LOG
-from jaxurban.world.diagnostics import ReadIssue
+from jaxurban.world.city import ReadIssue
 
 MOST_COUNTIES = 12
 CUT_REMEDY = "fetch it again, put it in order with `osmium sort`, or name another"

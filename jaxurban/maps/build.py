@@ -3,6 +3,7 @@
 import json
 import warnings
 from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -20,13 +21,12 @@ from jaxurban.io.read.orbits import NOMINAL, iso_utc, look_angles, middle_epoch,
 from jaxurban.io.read.rasterise import building_index
 from jaxurban.maps.dataset import empty_dataset, with_series
 from jaxurban.maps.differentiable import SoftCity, SoftParams
-from jaxurban.maps.guesses import Guesses, guesses_of, nominal_guess, time_guess
+from jaxurban.maps.guesses import Guesses, map_guesses, nominal_guess, time_guess
 from jaxurban.maps.height_uncertainty import HeightStd
 from jaxurban.maps.memory import check_fits
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.maps.pipeline import MapInputs, inputs_of, skies_of
 from jaxurban.maps.recipe import TileScene, tile_maps
-from jaxurban.maps.stopwatch import Stage, Stopwatch, untimed
 from jaxurban.maps.task import PAPER_ALTITUDES_M, MapParams, MapTask
 from jaxurban.metrics.custom import Layer, check_layers, check_name
 from jaxurban.metrics.gps import GpsParams
@@ -35,7 +35,7 @@ from jaxurban.metrics.population import BlockPopulation, PopulationParams
 from jaxurban.metrics.registry import known_metrics
 from jaxurban.metrics.risk import RiskParams
 from jaxurban.metrics.visibility import SkyView
-from jaxurban.progress import Progress, reporting
+from jaxurban.progress import Progress, Stage, Stopwatch, reporting
 from jaxurban.world.city import SLABS, TO_GROUND, City
 from jaxurban.world.grid import Grid
 from jaxurban.world.sky import Sky
@@ -214,22 +214,7 @@ def view_sky(
     return replace(sky, guesses=guesses)
 
 
-def map_guesses(task: MapTask) -> Guesses:
-    """Return every guess behind the maps of a region."""
-    return guesses_of(
-        task.city,
-        task.region,
-        task.sky,
-        altitudes_m=task.params.altitudes_m,
-        mask_deg=task.params.mask_deg,
-        population_layers=task.population,
-        population=task.params.population,
-        times_of_day=task.params.times_of_day,
-        bands=task.bands,
-    )
-
-
-def compute_maps(task: MapTask, surface: Surface | None = None, stage: Stage = untimed) -> MetricMaps:
+def compute_maps(task: MapTask, surface: Surface | None = None, stage: Stage = nullcontext) -> MetricMaps:
     """Return the maps of a task, made in memory as one tile.
 
     Args:

@@ -25,21 +25,14 @@ UNITS = {  # of what is not a metric's m
     "density": "km-2",
     **dict.fromkeys(("roof", "roof_touched", UNDERSIDE, "terrain", *LEVELS), "m"),
 }
+OF_DOP = {"g": "geometric", "p": "position", "h": "horizontal", "v": "vertical", "t": "time"}
 LONG_NAMES = {  # of what is not a metric's m
     "obstacle": "cells inside obstacles",
     "obstacle_share": "share of height samples with an obstacle",
     "density": "people per square kilometre",
     "num_visible": "satellites in view",
-    "gdop": "geometric dilution of precision",
-    "pdop": "position dilution of precision",
-    "hdop": "horizontal dilution of precision",
-    "vdop": "vertical dilution of precision",
-    "tdop": "time dilution of precision",
-    "wgdop": "geometric dilution of precision, weighted by elevation",
-    "wpdop": "position dilution of precision, weighted by elevation",
-    "whdop": "horizontal dilution of precision, weighted by elevation",
-    "wvdop": "vertical dilution of precision, weighted by elevation",
-    "wtdop": "time dilution of precision, weighted by elevation",
+    **{name: f"{OF_DOP[name[-4]]} dilution of precision" for name in DOPS},
+    **{name: f"{OF_DOP[name[-4]]} dilution of precision, weighted by elevation" for name in WEIGHTED_DOPS},
     "hpl": "horizontal protection level",
     "vpl": "vertical protection level",
     WITHIN_LIMITS: "both protection levels within their alert limits",
@@ -95,23 +88,13 @@ def empty_dataset(task: MapTask, make: Callable[[tuple[int, ...], np.dtype], obj
     """
     region, params = task.region, task.params
     attribution = joined_credits(task.city.attribution, *(layer.credit for layer in task.layers.values()))
+    times = np.array([time.removesuffix("Z") for time in task.sky.times], "datetime64[ns]")
+    heights = {"units": "m", "positive": "up", "reference": "ground below (AGL)"}
     coords = {
-        "y": _held(
-            ("y",), region.y_m, _axis("Y", "projection_y_coordinate", "northing of the cell's centre", units="m")
-        ),
-        "x": _held(
-            ("x",), region.x_m, _axis("X", "projection_x_coordinate", "easting of the cell's centre", units="m")
-        ),
-        "altitude": _held(
-            ("altitude",),
-            np.asarray(params.altitudes_m, float),
-            _axis("Z", "height", "above ground", units="m", positive="up", reference="ground below (AGL)"),
-        ),
-        "time": _held(
-            ("time",),
-            np.array([time.removesuffix("Z") for time in task.sky.times], "datetime64[ns]"),
-            _axis("T", "time", "UTC"),
-        ),
+        "y": _axis("y", region.y_m, "Y", "projection_y_coordinate", "northing of the cell's centre", units="m"),
+        "x": _axis("x", region.x_m, "X", "projection_x_coordinate", "easting of the cell's centre", units="m"),
+        "altitude": _axis("altitude", np.asarray(params.altitudes_m, float), "Z", "height", "above ground", **heights),
+        "time": _axis("time", times, "T", "time", "UTC"),
         "spatial_ref": _held((), np.asarray(0), pyproj.CRS(region.crs).to_cf()),
     }
     attrs: dict[str, object] = {
@@ -132,9 +115,8 @@ def empty_dataset(task: MapTask, make: Callable[[tuple[int, ...], np.dtype], obj
     if task.population is not None:
         names = np.asarray(params.times_of_day, np.dtypes.StringDType())
         coords["time_of_day"] = _held(("time_of_day",), names, {"long_name": "time of day"})
-        is_count = params.population.quantity == "count"
-        norm_name = "pop_norm_per_block" if is_count else "pop_norm_per_km2"
-        attrs[norm_name] = [float(value) for value in task.population.norm_per_km2]
+        per = "block" if params.population.quantity == "count" else "km2"
+        attrs[f"pop_norm_per_{per}"] = [float(value) for value in task.population.norm_per_km2]
     if not task.keeps_times:
         attrs["gps_availability_threshold"] = params.gps.availability_threshold
     sizes = {name: coord.size for name, coord in coords.items()}
@@ -180,8 +162,8 @@ def _indexed(coords: Mapping[str, xr.Variable]) -> xr.Coordinates:
     return xr.Coordinates({**coords, **axes}, indexes)
 
 
-def _axis(axis: str, standard_name: str, long_name: str, **more: str) -> dict[str, str]:
-    return {"standard_name": standard_name, "long_name": long_name, "axis": axis, **more}
+def _axis(name: str, values: np.ndarray, axis: str, standard_name: str, long_name: str, **more: str) -> xr.Variable:
+    return _held((name,), values, {"standard_name": standard_name, "long_name": long_name, "axis": axis, **more})
 
 
 def _described(ds: xr.Dataset, task: MapTask) -> xr.Dataset:

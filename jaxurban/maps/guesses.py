@@ -1,15 +1,15 @@
 """Guesses: what maps rest on that their files do not say, each under a short name (for pictures) as one sentence.
 
 They are written down where they are made: on the `City` by what reads it, on the `Sky` by what sets it up, and by
-`guesses_of` what a region's maps add. The maps hold all of them (`MetricMaps.guesses`), and each is warned of once.
+`map_guesses` what a region's maps add. The maps hold all of them (`MetricMaps.guesses`), and each is warned of once.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 import shapely
 
-from jaxurban.io.layers import Bands
 from jaxurban.io.read.guesses import TOLD_SHARE, Guesses, guessed_share, percent
 from jaxurban.io.read.knownarea import rays_leaving
 from jaxurban.io.read.rasterise import highest_top_m
@@ -18,6 +18,9 @@ from jaxurban.metrics.population import BlockLayers, PopulationParams, region_bl
 from jaxurban.world.city import SLABS, Blocks, City, Raster
 from jaxurban.world.grid import Bounds, Grid
 from jaxurban.world.sky import Sky
+
+if TYPE_CHECKING:
+    from jaxurban.maps.task import MapTask
 
 EMPTY_SHARE = 0.10  # of the region without a census block (rivers and the sea often have none), of a layer's pixels
 SCALE_M, SCALE_SHARE = 1 / 3, 0.01  # no more than this share of inhabited blocks above this m: few set the scale
@@ -53,44 +56,24 @@ def nominal_guess(times: Sequence[str], is_papers: bool) -> Guesses:
     }
 
 
-def guesses_of(
-    city: City,
-    region: Grid,
-    sky: Sky,
-    *,
-    altitudes_m: Sequence[float],
-    mask_deg: float,
-    population_layers: BlockLayers | None,
-    population: PopulationParams,
-    times_of_day: Sequence[str] = (),
-    bands: Mapping[str, Bands] | None = None,
-) -> Guesses:
-    """Return every guess behind a region's maps.
+def map_guesses(task: "MapTask") -> Guesses:
+    """Return every guess behind the maps of a region.
 
-    Args:
-      city: what is mapped. One that is from no files (the synthetic city) has no real sky and nothing beyond its edge.
-      region: the maps' grid.
-      sky: their satellites.
-      altitudes_m: flight altitudes.
-      mask_deg: elevation mask.
-      population_layers: of the city's blocks, None without them.
-      population: its settings.
-      times_of_day: of the population maps.
-      bands: values of own layers, by name.
+    A city that is from no files (the synthetic one) has no real sky and nothing beyond its edge.
     """
-    guesses = {**city.guesses, **sky.guesses}
+    city, region, params = task.city, task.region, task.params
+    guesses = {**city.guesses, **task.sky.guesses}
     if city.sources:
-        guesses |= _visibility_guesses(city, region, sky, min(altitudes_m), mask_deg)
+        guesses |= _visibility_guesses(city, region, task.sky, min(params.altitudes_m), params.mask_deg)
     else:
         guesses.pop(NOMINAL_SKY, None)
-    guesses |= _coverage_guesses(city, region)
-    guesses |= _hanging_guesses(city, region)
-    for name, values in (bands or {}).items():
+    guesses |= _coverage_guesses(city, region) | _hanging_guesses(city, region)
+    for name, values in task.bands.items():
         guesses |= _layer_guesses(name, values[0], region)
-    if city.blocks is not None and population_layers is not None:
-        if city.sources and {*times_of_day} - {"night"}:
-            guesses |= _factor_guess(population)
-        guesses |= _scale_guesses(city.blocks, region.bounds_m, population_layers, population)
+    if city.blocks is not None and task.population is not None:
+        if city.sources and {*params.times_of_day} - {"night"}:
+            guesses |= _factor_guess(params.population)
+        guesses |= _scale_guesses(city.blocks, region.bounds_m, task.population, params.population)
     return guesses
 
 
@@ -111,21 +94,22 @@ def _hanging_guesses(city: City, region: Grid) -> Guesses:
     }
 
 
-def outside_share(city: City, region: Grid) -> float:
-    """Return the share of the region that lies beyond what the building source covers."""
+def outside_share(region: Grid, known: shapely.Geometry) -> float:
+    """Return the share of a region that lies beyond what is known, in the region's CRS."""
     whole = shapely.box(*region.bounds_m)
-    return 1.0 - float(shapely.intersection(whole, city.known_area).area) / float(whole.area)
+    return 1.0 - float(shapely.intersection(whole, known).area) / float(whole.area)
 
 
 def _coverage_guesses(city: City, region: Grid) -> Guesses:
     """Return how much of the region is taken as free of buildings, or of people, as nothing is known there."""
-    guesses, box = {}, shapely.box(*region.bounds_m)
-    if (outside := outside_share(city, region)) > TOLD_SHARE:
+    guesses = {}
+    if (outside := outside_share(region, city.known_area)) > TOLD_SHARE:
         guesses[f"{percent(outside)} of the region without data"] = (
             f"{percent(outside)} of the region lies beyond what the building source covers and is taken as free of "
             "buildings: give a source that covers it, or a smaller region"
         )
     if city.blocks is not None and city.sources:
+        box = shapely.box(*region.bounds_m)
         empty = 1.0 - float(shapely.area(shapely.intersection(city.blocks.polygons, box)).sum()) / float(box.area)
         if empty > EMPTY_SHARE:
             guesses[f"{percent(empty)} of the region without census"] = (
@@ -142,8 +126,8 @@ def _layer_guesses(name: str, band: Raster | np.ndarray, region: Grid) -> Guesse
     (num_rows, num_cols), along = band.values.shape, np.linspace(0.0, 1.0, SIDE_POINTS)
     row = np.concatenate([0 * along, along, 0 * along + 1, 1 - along]) * num_rows
     col = np.concatenate([along, 0 * along + 1, 1 - along, 0 * along]) * num_cols
-    raster, whole = shapely.Polygon(np.stack(pixel_xy(band, row, col, region.crs), -1)), shapely.box(*region.bounds_m)
-    outside = 1.0 - float(shapely.intersection(whole, shapely.make_valid(raster)).area) / float(whole.area)
+    raster = shapely.Polygon(np.stack(pixel_xy(band, row, col, region.crs), -1))
+    outside = outside_share(region, shapely.make_valid(raster))
     guesses = {}
     if outside > TOLD_SHARE:
         guesses[f"{percent(outside)} of the region beyond layer {name}"] = (

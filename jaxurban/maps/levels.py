@@ -37,13 +37,10 @@ class Levels:
     descent_cost: float = 0.0
 
     def __post_init__(self) -> None:
-        for name in ("climb_cost", "descent_cost"):
-            value = getattr(self, name)
-            if value is not None and finite(name, value, "cost per metre") < 0:
+        for name, value in vars(self).items():
+            unit = "cost per metre" if name.endswith("cost") else "metres"
+            if value is not None and finite(name, value, unit) < 0 and name.endswith("cost"):
                 raise InputError(f"{name} must be a finite cost per metre >= 0, got {value:g}")
-        for name in ("min_altitude_m", "max_altitude_m", "level_step_m"):
-            if getattr(self, name) is not None:
-                finite(name, getattr(self, name), "metres")
 
     def of(self, altitudes_m: Iterable[float]) -> np.ndarray:
         """Return ``[K]`` ascending levels: the altitudes within the bounds, and with a step also every step between.

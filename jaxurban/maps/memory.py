@@ -1,7 +1,8 @@
-"""How much memory the work on tiles takes, and how many tiles at a time fit under a ceiling."""
+"""How much memory and disk the work on tiles takes, and how many tiles at a time fit under a ceiling."""
 
 import math
 import re
+import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -39,8 +40,8 @@ GEOTIFF_CELL_BYTES = 14  # of a row of tiles, all across the region, while a Geo
 PROGRAM_BYTES = 120 * 2**20  # the programs compiled for the tiles of one resolution
 WORKER_BYTES = 700 * 2**20  # a worker process with everything imported, before its first tile
 CGROUP = Path("/sys/fs/cgroup")  # what a container may use, under Linux
-
-
+WORK_CELL_BYTES = 8  # on the disk, of a cell of the region: both its roofs, until maps are whole
+LEAST_SHARE = 0.02  # on the disk, of the maps' values, as compressed as any city's were (docs/scale.md)
 MOST_UNITS = 1e12  # of memory, in any unit
 
 
@@ -269,3 +270,28 @@ def plan_sentence(tasks: Sequence[MapTask], plan: MemoryPlan) -> str:
         f"{cells:,} cells, {plan.num_at_once} tile{'s' * (plan.num_at_once > 1)} at a time: about "
         f"{told_bytes(plan.needed_bytes)} of memory at most, of {told_bytes(plan.ceiling_bytes)} allowed"
     )
+
+
+def least_disk_bytes(tasks: Sequence[MapTask]) -> int:
+    """Return how many bytes of disk a run takes at least, its resolutions one after the other."""
+    work = max(WORK_CELL_BYTES * _num_cells(task.region) for task in tasks)
+    return int(work + LEAST_SHARE * sum(map(maps_bytes, tasks)))
+
+
+def check_disk(tasks: Sequence[MapTask], folder: Path) -> None:
+    """Raise InputError where a disk is too small even for compressible maps; what an earlier run left counts as free.
+
+    Args:
+      tasks: of the resolutions.
+      folder: of the maps.
+    """
+    from jaxurban.io.store import GEOTIFF_FOLDER, ZARR_FOLDER  # imported here: it brings Dask
+
+    files = (file for name in (ZARR_FOLDER, GEOTIFF_FOLDER) for file in (folder / name).rglob("*"))
+    left = sum(file.stat().st_size for file in files if file.is_file())
+    least, free = least_disk_bytes(tasks), shutil.disk_usage(folder).free
+    if least > free + left:
+        raise InputError(
+            f"the maps need at least {told_bytes(least)} of disk and {told_bytes(free)} are free in {str(folder)!r}: "
+            "use a smaller region, a coarser [region] resolution_m, or another folder"
+        )

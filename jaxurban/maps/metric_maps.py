@@ -159,18 +159,16 @@ class MetricMaps(Shown):
         """The metrics of the cost that these maps hold by name, one's own too, in the order of the cost's layers."""
         return held_metrics(self.ds)
 
-    def _pick(self, name: str, value, given: Sequence, shown: Sequence) -> int:
-        if value is None:
-            return 0
-        if value not in given:
-            listed = ", ".join(str(item) for item in shown) or "none, so leave it out"
-            raise InputError(f"there are no maps for {name} {value}: these maps hold {listed}")
-        return list(given).index(value)
+    def _pick(self, name: str, value, held: Sequence) -> int:
+        if value is not None and value not in held:
+            shown = ", ".join(map(str, held)) or "none, so leave it out"
+            raise InputError(f"there are no maps for {name} {value}: these maps hold {shown}")
+        return 0 if value is None else held.index(value)
 
     @typed
     def check_altitude(self, altitude_m: float) -> None:
         """Raise InputError unless these maps hold an altitude."""
-        self._pick("altitude", altitude_m, self.altitudes_m, self.altitudes_m)
+        self._pick("altitude", altitude_m, self.altitudes_m)
 
     @typed
     def around(self, altitude_m: float) -> list[float]:
@@ -185,7 +183,8 @@ class MetricMaps(Shown):
             raise InputError(
                 f"there are no maps for altitude {altitude_m:g} m: these maps reach from {low_m:g} to {high_m:g} m"
             )
-        return self._around(altitude_m)
+        low_m = max(z_m for z_m in self.altitudes_m if z_m <= altitude_m)
+        return sorted({low_m, min(z_m for z_m in self.altitudes_m if z_m >= altitude_m)})
 
     @typed
     def m(
@@ -212,9 +211,9 @@ class MetricMaps(Shown):
         if name not in self.ds:
             raise InputError(f"these maps hold no {name!r}: they hold {', '.join(map(str, self.ds.data_vars))}")
         wanted = {
-            "altitude": self._pick("altitude", altitude_m, self.altitudes_m, self.altitudes_m),
-            "time": self._pick("time", _utc(time), self.times, self.times),
-            "time_of_day": self._pick("time of day", time_of_day, self.times_of_day, self.times_of_day),
+            "altitude": self._pick("altitude", altitude_m, self.altitudes_m),
+            "time": self._pick("time", None if time is None else iso_utc(parse_time(time)), self.times),
+            "time_of_day": self._pick("time of day", time_of_day, self.times_of_day),
         }
         maps = self.ds[name].variable  # without its coordinates, which nobody asks for and xarray would cut too
         return maps.isel({dim: index for dim, index in wanted.items() if dim in maps.dims}).values
@@ -244,33 +243,22 @@ class MetricMaps(Shown):
         if is_held:
             is_free = is_free & (self.m("obstacle", altitude_m) == 0)
         if rule == "touched" or not is_held or (obstacles is None and UNDERSIDE in self.ds):
-            roof_m = self.m(self._roof(rule))  # NaN, an unknown height, is never free
+            if rule == "touched" and "roof_touched" not in self.ds:
+                raise InputError(
+                    "these maps hold no 'roof_touched', the roofs that planners keep clear of: make them again, or "
+                    'plan with obstacles = "centre" (--obstacles centre), under which paths cut true outlines'
+                )
+            roof_m = self.m("roof" if rule == "centre" else "roof_touched")  # NaN, an unknown height, is never free
             is_free = is_free & ~stands_at(roof_m, roof_m.dtype.type(altitude_m)) & ~np.isnan(roof_m)
         for name in self.metrics:
             if "layer" in self.ds[self.variable(name)].attrs:
-                for z_m in self._around(altitude_m):
+                for z_m in self.around(float(np.clip(altitude_m, min(self.altitudes_m), max(self.altitudes_m)))):
                     is_free = is_free & ~np.isnan(self.m(name, z_m))
         return is_free
 
     def is_under_sky(self, altitude_m: float) -> np.ndarray:
         """Return ``[y, x]`` bool: `is_free` by centres, and nothing hangs over the cell's centre above the altitude."""
         return self.with_obstacles("centre").is_free(altitude_m)
-
-    def _around(self, altitude_m: float) -> list[float]:
-        """Return an altitude if these maps hold it, else the nearest ones above and below that they hold."""
-        low = max((z_m for z_m in self.altitudes_m if z_m <= altitude_m), default=None)
-        high = min((z_m for z_m in self.altitudes_m if z_m >= altitude_m), default=None)
-        return sorted({z_m for z_m in (low, high) if z_m is not None})
-
-    def _roof(self, rule: Obstacles) -> str:
-        if rule == "centre":
-            return "roof"
-        if "roof_touched" not in self.ds:
-            raise InputError(
-                "these maps hold no 'roof_touched', the roofs that planners keep clear of: make them again, or plan "
-                'with obstacles = "centre" (--obstacles centre), under which paths cut true outlines'
-            )
-        return "roof_touched"
 
     @typed
     def with_obstacles(self, obstacles: Obstacles) -> "MetricMaps":
@@ -386,7 +374,3 @@ def as_maps(given: GivenMaps) -> MetricMaps:
     if not isinstance(given, str | Path):
         raise InputError(f"maps must be MetricMaps or the folder that holds them, got {type(given).__name__}")
     return open_maps(given)
-
-
-def _utc(time: str | None) -> str | None:
-    return None if time is None else iso_utc(parse_time(time))

@@ -5,6 +5,7 @@ whose roofs have moved. Who runs it, and where the layers go, is the caller's.
 """
 
 from collections.abc import Iterator, Mapping
+from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -16,7 +17,6 @@ from jaxurban.io.layers import layer_values
 from jaxurban.io.read.rasterise import build_surface, highest_top_m
 from jaxurban.kernels.shadows.sweep import Ring
 from jaxurban.maps.height_uncertainty import Spread, perturbed_cities
-from jaxurban.maps.stopwatch import Stage, untimed
 from jaxurban.maps.supersampling import (
     Bands,
     build_supersampled_surface,
@@ -32,6 +32,7 @@ from jaxurban.metrics.gps import SatelliteSet
 from jaxurban.metrics.obstacle import obstacle_mask, obstacles_on
 from jaxurban.metrics.population import BlockLayers
 from jaxurban.metrics.visibility import visibility
+from jaxurban.progress import Stage
 from jaxurban.world.city import TO_GROUND, City
 from jaxurban.world.surface import Part, Surface
 
@@ -177,7 +178,7 @@ def _at(words: jax.Array, altitude: int) -> jax.Array:
     return jax.lax.dynamic_index_in_dim(words, altitude, 1, keepdims=False)
 
 
-def tile_maps(tile: TileScene, stage: Stage = untimed) -> Iterator[MapLayer]:
+def tile_maps(tile: TileScene, stage: Stage = nullcontext) -> Iterator[MapLayer]:
     """Yield every layer of a tile, one at a time, so that few of them need be in memory; NaN where nothing is known.
 
     Integers keep 0 there. Each cell depends on the city around it alone, so a tile's layers equal the crop of the

@@ -14,13 +14,12 @@ from jaxurban.io.read.rasterise import rasterise, rasterise_blocks
 from jaxurban.io.store import write_layer
 from jaxurban.kernels.shadows.sweep import Ring, digital_lines
 from jaxurban.maps.recipe import TileScene, tile_maps
-from jaxurban.maps.stopwatch import Stopwatch
 from jaxurban.maps.task import MapTask
 from jaxurban.metrics.visibility import handed_on
+from jaxurban.progress import Stopwatch
 from jaxurban.world.city import SLABS
 from jaxurban.world.grid import Grid
-from jaxurban.world.slabs import Slabs
-from jaxurban.world.surface import Surface
+from jaxurban.world.surface import Slabs, Surface
 from jaxurban.world.tiling import QUADRANTS, Quadrant, Tile, Tiling, quadrant_of
 
 

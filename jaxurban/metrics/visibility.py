@@ -27,8 +27,7 @@ from jaxurban.kernels.shadows.sweep import WORD_BITS, Line, Ring, digital_lines,
 from jaxurban.kernels.shadows.sweep_cpu import hand_on, mark_visible
 from jaxurban.metrics.base import AnyArray, in_type, zeros_for_jax
 from jaxurban.world.grid import Grid
-from jaxurban.world.slabs import PER_CELL
-from jaxurban.world.surface import Surface
+from jaxurban.world.surface import PER_CELL, Surface
 
 LEAST_DROP_M = 1e-9  # a ray on the horizon never climbs above a roof
 

@@ -13,7 +13,7 @@ from jaxurban.report.figures.degrees import in_degrees
 from jaxurban.report.figures.map_comparison import comparison_figures, heading_of
 from jaxurban.report.markdown import bullets, fill, framed, listed, table
 from jaxurban.report.save import Output, files_of, save
-from jaxurban.scenario.differences import NOT_SET
+from jaxurban.scenario.changes import NOT_SET
 from jaxurban.studies.map_comparison import MapComparison, unit_of
 from jaxurban.studies.queries import population_norms
 

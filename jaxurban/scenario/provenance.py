@@ -20,7 +20,7 @@ from jaxurban.maps.guesses import leaving_shares
 from jaxurban.maps.task import MapTask
 from jaxurban.metrics.population import population_totals
 from jaxurban.progress import LOG
-from jaxurban.scenario.differences import differences_said, differing
+from jaxurban.scenario.changes import differences_said, differing
 from jaxurban.scenario.settings import NOMINAL, Scenario
 from jaxurban.world.city import City
 from jaxurban.world.grid import Grid
@@ -71,7 +71,11 @@ def run_record(
         "versions": versions(),
         "settings": settings_of(scenario),
         "inputs": inputs,
-        "region": _region_record([task.region for task in tasks]),
+        "region": {
+            "crs": region.crs,
+            "bounds_m": list(region.bounds_m),
+            "cells": {short_number(task.region.resolution_m): list(task.region.shape) for task in tasks},
+        },
         "buildings": _building_record(city, region),
         "epochs": list(sky.times),
         "satellites_above_mask": sky.count_by_system(np.radians(scenario.gps.mask_deg)),
@@ -110,16 +114,18 @@ def write_record(file: Path, record: dict[str, Any], is_kept: bool) -> dict[str,
 
 
 def hash_inputs(scenario: Scenario) -> dict[str, dict[str, str]]:
-    """Return path and SHA-256 of every file that a scenario names (a Shapefile with its companions).
+    """Return path and SHA-256 by role of every file that a scenario names (a Shapefile with its companions).
+
+    Of several files of orbits the second is ``orbits_2``.
 
     Raises:
       InputError: a file that is missing or cannot be read.
     """
-    population = scenario.population
+    population, orbits = scenario.population, [name for name in scenario.gps.orbits if name != NOMINAL]
     named = {
         "buildings": None if scenario.is_synthetic else scenario.buildings.source,
         "terrain": scenario.terrain.source,
-        **_orbit_files(scenario),
+        **{"orbits" if i == 1 else f"orbits_{i}": name for i, name in enumerate(orbits, start=1)},
         "blocks": population.blocks,
         "table": population.table,
         "districts": population.districts,
@@ -130,12 +136,6 @@ def hash_inputs(scenario: Scenario) -> dict[str, dict[str, str]]:
         for role, name in named.items()
         if name is not None
     }
-
-
-def _orbit_files(scenario: Scenario) -> dict[str, str]:
-    """Return the orbit files by role: ``orbits``, and ``orbits_2`` ... where there are several."""
-    files = [name for name in scenario.gps.orbits if name != NOMINAL]
-    return {"orbits" if i == 1 else f"orbits_{i}": name for i, name in enumerate(files, start=1)}
 
 
 def _sha256(path: Path, role: str) -> str:
@@ -178,9 +178,8 @@ def code_hash() -> str:
 
 def run_key(scenario: Scenario, inputs: dict[str, dict[str, str]], backend: str) -> str:
     """Return a short hash of all that maps depend on: settings, input bytes, our code, the libraries, JAX's backend."""
-    settings = scenario.model_dump(mode="json", exclude=set(NOT_OF_MAPS))
     facts = {
-        "settings": settings,
+        "settings": scenario.model_dump(mode="json", exclude=set(NOT_OF_MAPS)),
         "inputs": inputs,
         "code": code_hash(),
         "versions": versions(),
@@ -198,16 +197,13 @@ def other_maps(folder: Path, scenario: Scenario, inputs: Mapping[str, Mapping[st
         return "maps of other settings or inputs, or made by another version of jaxurban or its libraries"
     both = ({name: one[name] for name in one if name not in NOT_OF_MAPS} for one in (settings, settings_of(scenario)))
     said = [f"of other settings ({differences_said(found)})"] if (found := differing(*both)) else []
+    sums = [{role: file.get("sha256") for role, file in each.items()} for each in (files, inputs)]
     roles = [role for role in {**files, **inputs} if not said or (role in files and role in inputs)]
-    if others := [role for role in roles if _sum(files, role) != _sum(inputs, role)]:
+    if others := [role for role in roles if sums[0].get(role) != sums[1].get(role)]:
         said.append(f"of other input files ({', '.join(others)}: what they hold has changed)")
     if found := differing(made_by, versions()):
         said.append(f"made by other versions ({differences_said(found)})")
     return f"maps {' and '.join(said) or 'made by other code of jaxurban, or on another device'}"
-
-
-def _sum(inputs: Mapping[str, Mapping[str, str]], role: str) -> str | None:
-    return inputs.get(role, {}).get("sha256")
 
 
 def versions() -> dict[str, str]:
@@ -219,34 +215,21 @@ def versions() -> dict[str, str]:
     }
 
 
-def _region_record(grids: Sequence[Grid]) -> dict[str, Any]:
-    first = grids[0]
-    return {
-        "crs": first.crs,
-        "bounds_m": list(first.bounds_m),
-        "cells": {short_number(g.resolution_m): list(g.shape) for g in grids},
-    }
-
-
 def _building_record(city: City, region: Grid) -> dict[str, Any]:
     record: dict[str, Any] = {"faults": dict(city.read_issues), "source_counts": dict(city.counts)}
-    if city.buildings is not None:
-        inside = city.buildings.take(shapely.intersects(city.buildings.polygons, shapely.box(*region.bounds_m)))
-        counts = inside.origin_counts()
-        record |= {
-            "in_region": len(inside),
-            "height_origin_counts": counts,
-            "height_origin_shares": {name: round(n / max(len(inside), 1), 4) for name, n in counts.items()},
-            "highest_m": float(inside.height_m.max(initial=0.0)),
-            "hanging_parts": int((inside.min_height_m > 0).sum()),
-        }
-    else:
+    if city.buildings is None:
         assert city.roofs is not None
-        record |= {
-            "height_origin_shares": {"raster": 1.0},
-            "highest_m": float(np.nanmax(city.roofs.values, initial=0.0)),
-        }
-    return record
+        highest_m = float(np.nanmax(city.roofs.values, initial=0.0))
+        return record | {"height_origin_shares": {"raster": 1.0}, "highest_m": highest_m}
+    inside = city.buildings.take(shapely.intersects(city.buildings.polygons, shapely.box(*region.bounds_m)))
+    counts = inside.origin_counts()
+    return record | {
+        "in_region": len(inside),
+        "height_origin_counts": counts,
+        "height_origin_shares": {name: round(n / max(len(inside), 1), 4) for name, n in counts.items()},
+        "highest_m": float(inside.height_m.max(initial=0.0)),
+        "hanging_parts": int((inside.min_height_m > 0).sum()),
+    }
 
 
 def _satellite_record(sky: Sky) -> list[dict[str, Any]]:

@@ -4,6 +4,7 @@ import json
 import time
 import warnings
 from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import partial
@@ -25,9 +26,8 @@ from jaxurban.io.read.guesses import warn_of
 from jaxurban.io.read.rasterise import check_has_data, rasterise
 from jaxurban.io.store import open_whole
 from jaxurban.io.workspace import Workspace
-from jaxurban.maps.build import map_guesses, view_sky
+from jaxurban.maps.build import view_sky
 from jaxurban.maps.dataset import PLANE, empty_dataset, variables, with_series
-from jaxurban.maps.disk import check_disk
 from jaxurban.maps.executors import (
     Resources,
     each_in_threads,
@@ -36,19 +36,18 @@ from jaxurban.maps.executors import (
     work_in_threads,
     work_on_cluster,
 )
-from jaxurban.maps.memory import MemoryPlan, plan_run, plan_sentence, shape_of_tiles
+from jaxurban.maps.guesses import map_guesses
+from jaxurban.maps.memory import MemoryPlan, check_disk, plan_run, plan_sentence, shape_of_tiles
 from jaxurban.maps.metric_maps import MetricMaps
-from jaxurban.maps.stopwatch import Stage, Stopwatch, untimed
 from jaxurban.maps.task import MapParams, MapTask
 from jaxurban.maps.tiled import TileJob, unmark_damaged
 from jaxurban.metrics.availability import TimeTotals
 from jaxurban.metrics.registry import METRICS
-from jaxurban.progress import LOG, Progress, Report, reporting
+from jaxurban.progress import LOG, Progress, Report, Stage, Stopwatch, reporting
 from jaxurban.scenario.provenance import hash_inputs, other_maps, run_key, run_record, write_record
 from jaxurban.scenario.settings import NOMINAL, Scenario
 from jaxurban.world.city import City
 from jaxurban.world.grid import Grid
-from jaxurban.world.sky import Sky
 from jaxurban.world.synthetic import demo_city_for_bounds
 from jaxurban.world.tiling import Tiling
 
@@ -96,7 +95,7 @@ def load_city(scenario: Scenario) -> City:
     return city.credited(file.credit, scenario.terrain.credit, population.credit)
 
 
-def tasks_of(scenario: Scenario, stage: Stage = untimed) -> list[MapTask]:
+def tasks_of(scenario: Scenario, stage: Stage = nullcontext) -> list[MapTask]:
     """Return what the maps of a scenario are made of, a task for each resolution, all over the same snapped box.
 
     Args:
@@ -125,25 +124,22 @@ def tasks_of(scenario: Scenario, stage: Stage = untimed) -> list[MapTask]:
     )
     with stage("read"):
         city = load_city(scenario)
+    orbits = [name if name == NOMINAL else scenario.path_of(name) for name in gps.orbits]
     tasks = []
     with stage("orbits"):
         for resolution_m in region.resolution_m:
             grid = Grid.from_bounds(region.bounds, resolution_m, region.crs, region.resolution_m)
             bands = bands_of(scenario.layers, grid, params.altitudes_m, scenario.path_of(""))
-            tasks.append(MapTask(city, grid, sky_of(scenario, grid), params, scenario.layers, bands))
+            sky = view_sky(
+                grid,
+                orbits,
+                gps.utc_times,
+                mask_deg=gps.mask_deg,
+                reference=gps.reference,
+                max_age_days=gps.max_age_days,
+            )
+            tasks.append(MapTask(city, grid, sky, params, scenario.layers, bands))
     return tasks
-
-
-def sky_of(scenario: Scenario, grid: Grid) -> Sky:
-    """Return the satellites of a scenario over a grid.
-
-    Raises:
-      InputError: unreadable or stale orbits, or no satellite above the mask at some time.
-    """
-    gps = scenario.gps
-    orbits = [name if name == NOMINAL else scenario.path_of(name) for name in gps.orbits]
-    mask_deg, max_age_days = gps.mask_deg, gps.max_age_days
-    return view_sky(grid, orbits, gps.utc_times, mask_deg=mask_deg, reference=gps.reference, max_age_days=max_age_days)
 
 
 def run_scenario(
@@ -211,7 +207,7 @@ def _run(
         with Workspace.open(folder, "maps", is_shared=True) as workspace, resources.client(plan.num_workers) as client:
             planned = [
                 folder / store.RUN_FILE,
-                *(path for task in tasks for path in _geotiffs_of(task, folder, layers)),
+                *(path for task in tasks for path in geotiff_paths(empty_dataset(task, _no_values), folder, layers)),
             ]
             workspace.check_way((path for path in planned if not is_of_run(path, key)), is_mended=True)
             prepare_folder(workspace, key, scenario.region.resolution_m)
@@ -343,10 +339,6 @@ def make_zarr(maker: Maker, report: Report, shape: tuple[int, int] | None = None
     work.finish(store.zarr_path(maker.folder, grid.resolution_m))
     store.write_root(maker.folder)
     return seconds
-
-
-def _geotiffs_of(task: MapTask, folder: Path, layers: Sequence[str]) -> list[Path]:
-    return geotiff_paths(empty_dataset(task, _no_values), folder, layers)
 
 
 def _no_values(shape: tuple[int, ...], dtype: Any) -> dask.array.Array:

@@ -35,8 +35,7 @@ from jaxurban.metrics.weights import Weights
 from jaxurban.paths.vehicle import Vehicle
 from jaxurban.presets import BUDGET_S, DEFAULTS, planning_under
 from jaxurban.scenario.changes import changed
-from jaxurban.scenario.validation import check_truths, sentence_of
-from jaxurban.scenario.values import (
+from jaxurban.scenario.validation import (
     Different,
     DifferentList,
     NonNegative,
@@ -48,6 +47,8 @@ from jaxurban.scenario.values import (
     StrList,
     Utc,
     WeightSettings,
+    check_truths,
+    sentence_of,
 )
 from jaxurban.world.city import TO_GROUND, Hanging
 from jaxurban.world.grid import check_bounds, projected_crs

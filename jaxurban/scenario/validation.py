@@ -1,12 +1,23 @@
-"""What was found wrong in settings, as one sentence."""
+"""Kinds of values in a scenario, each with its check, and what was found wrong in settings, as one sentence."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass
-from typing import Any, cast, get_args
+from datetime import datetime
+from typing import Annotated, Any, cast, get_args
 
-from pydantic import BaseModel, ValidationError
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    Field,
+    GetPydanticSchema,
+    PlainSerializer,
+    ValidationError,
+)
 
 from jaxurban.errors import check_range, nearest_name
+from jaxurban.metrics.weights import Weights
+from jaxurban.planners.registry import find_planner
 
 UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")
 NO_LIST = ("tuple_type", "list_type")
@@ -78,3 +89,46 @@ def model_in(annotation: Any) -> type | None:
     if isinstance(annotation, type) and (issubclass(annotation, BaseModel) or is_dataclass(annotation)):
         return annotation
     return next(filter(None, map(model_in, get_args(annotation))), None)
+
+
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+PositiveInt = Annotated[int, Field(gt=0)]
+
+
+WeightTable = Annotated[  # weights by name; `Scenario` knows which names there are
+    dict[str, Any], AfterValidator(lambda named: Weights(**named).checked()), PlainSerializer(Weights.to_dict)
+]
+WeightSettings = Annotated[Weights, GetPydanticSchema(lambda _, handler: handler.generate_schema(WeightTable))]
+
+
+def _as_list(value: Any) -> Any:
+    return value if isinstance(value, list | tuple) else [value]
+
+
+def _all_different(values: tuple) -> tuple:
+    if len({f"{value:g}" if isinstance(value, float) else value for value in values}) < len(values):
+        raise ValueError("names a value twice (file names carry six digits)")
+    return values
+
+
+def _known_planner(name: str) -> str:
+    find_planner(name)
+    return name
+
+
+PlannerName = Annotated[str, AfterValidator(_known_planner)]
+
+
+def _as_utc(time: datetime) -> datetime:
+    from jaxurban.io.read.orbits import parse_time  # imported here: it brings Skyfield
+
+    return parse_time(time)
+
+
+Utc = Annotated[datetime, AfterValidator(_as_utc)]  # a naive time is UTC already
+Seed = Annotated[int, Field(ge=0)]
+StrList = Annotated[tuple[str, ...], BeforeValidator(_as_list), Field(min_length=1)]
+Different = AfterValidator(_all_different)
+DifferentList = Annotated[tuple[Positive, ...], BeforeValidator(_as_list), Field(min_length=1), Different]
+Profile = tuple[float, ...]

@@ -16,7 +16,7 @@ from jaxurban.metrics.obstacle import obstacles_on
 from jaxurban.metrics.visibility import visibility
 from jaxurban.world.city import SLABS, TO_GROUND, City, HeightOrigin
 from jaxurban.world.grid import Grid
-from jaxurban.world.slabs import PER_CELL
+from jaxurban.world.surface import PER_CELL
 from tests.hanging_city import CRS, DECK, SIDE_M, X_M, Y_M, city
 
 GRID = Grid(CRS, 2.0, int(Y_M / 2), int(X_M / 2), int(SIDE_M / 2), int(SIDE_M / 2))

@@ -8,7 +8,7 @@ import pytest
 
 from jaxurban.errors import InputError
 from jaxurban.io.folders import WorkFolder
-from jaxurban.maps import disk
+from jaxurban.maps.memory import check_disk, least_disk_bytes
 from jaxurban.maps.task import MapTask
 from jaxurban.progress import Report
 from jaxurban.scenario.run import Maker, make_zarr
@@ -39,22 +39,22 @@ def test_less_is_asked_for_than_the_maps_and_their_work_folder_take(task, tmp_pa
 
     monkeypatch.setattr(WorkFolder, "finish", counted)
     make_zarr(Maker(task, tmp_path, "key", 2), Report())
-    assert 0.1 * most[0] < disk.least_bytes([task]) < most[0]
+    assert 0.1 * most[0] < least_disk_bytes([task]) < most[0]
 
 
 def test_finer_maps_and_more_altitudes_take_more(task):
-    least = disk.least_bytes([task])
-    assert least < disk.least_bytes([task, task]) < 2 * least
-    assert disk.least_bytes([replace(task, params=replace(task.params, altitudes_m=(20.0, 60.0, 122.0)))]) > least
+    least = least_disk_bytes([task])
+    assert least < least_disk_bytes([task, task]) < 2 * least
+    assert least_disk_bytes([replace(task, params=replace(task.params, altitudes_m=(20.0, 60.0, 122.0)))]) > least
 
 
 def test_a_disk_too_small_for_the_least_is_refused_and_old_maps_count_as_free(task, tmp_path, monkeypatch):
-    least = disk.least_bytes([task])
+    least = least_disk_bytes([task])
     monkeypatch.setattr(shutil, "disk_usage", lambda folder: Usage(0, 0, least))
-    disk.check_disk([task], tmp_path)
+    check_disk([task], tmp_path)
     monkeypatch.setattr(shutil, "disk_usage", lambda folder: Usage(0, 0, least - 1000))
     with pytest.raises(InputError, match=r"at least .* of disk and .* are free in .*: use a smaller region"):
-        disk.check_disk([task], tmp_path)
+        check_disk([task], tmp_path)
     (tmp_path / "maps.zarr").mkdir()
     (tmp_path / "maps.zarr" / "chunk").write_bytes(bytes(1000))
-    disk.check_disk([task], tmp_path)
+    check_disk([task], tmp_path)

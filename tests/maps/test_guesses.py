@@ -22,8 +22,8 @@ from jaxurban.io.read.census import CensusFiles, read_blocks
 from jaxurban.io.read.guesses import FLAT_GROUND
 from jaxurban.io.read.orbits import nominal_satellites
 from jaxurban.io.read.rasterise import build_surface
-from jaxurban.maps.build import map_guesses, view_sky
-from jaxurban.maps.guesses import _scale_guesses, has_guessed_roofs, leaving_shares
+from jaxurban.maps.build import view_sky
+from jaxurban.maps.guesses import _scale_guesses, has_guessed_roofs, leaving_shares, map_guesses
 from jaxurban.maps.task import MapParams, MapTask
 from jaxurban.metrics.population import PopulationParams, block_layers, population_totals
 from jaxurban.report import figures as plotting

@@ -1,6 +1,5 @@
 """Cost layers of one's own in the maps: rasters, arrays and functions, tiled and whole, saved and opened."""
 
-import threading
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,10 +14,9 @@ import jaxurban as ju
 from jaxurban.errors import InputError
 from jaxurban.io import store
 from jaxurban.io.layers import bands_of, layer_values
-from jaxurban.maps.build import compute_maps, map_guesses, view_sky
-from jaxurban.maps.executors import work_on_cluster
+from jaxurban.maps.build import compute_maps, view_sky
+from jaxurban.maps.guesses import map_guesses
 from jaxurban.maps.task import MapParams, MapTask
-from jaxurban.maps.tiled import TileJob
 from jaxurban.metrics.base import ALTITUDE, Metric, high_is_bad
 from jaxurban.metrics.custom import Layer, own_metric
 from jaxurban.metrics.registry import METRICS
@@ -176,19 +174,6 @@ def test_a_function_that_looks_beyond_its_reach_is_told(task):
     short = {"walls": replace(task.layers["walls"], reach_m=REACH_M / 2)}
     with pytest.raises(InputError, match="looks 60 m sideways, beyond its reach_m"):
         compute_maps(replace(task, layers=short))
-
-
-def test_a_function_that_cannot_travel_is_refused_by_a_cluster_in_one_sentence(task):
-    pytest.importorskip("distributed", reason="needs the cluster extra")
-    lock = threading.Lock()
-
-    def locked(surface, altitude_m):
-        with lock:
-            return highest_around(surface, altitude_m)
-
-    fixed = replace(task, layers={"walls": Layer(locked, "high-is-bad", (0.0, 1.0))})
-    with pytest.raises(InputError, match="layer 'walls' cannot be sent to worker processes"):
-        work_on_cluster(TileJob(fixed, None, None), None, None)
 
 
 @pytest.mark.parametrize("crs", ["EPSG:32618", "EPSG:4326"])

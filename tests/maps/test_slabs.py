@@ -8,14 +8,13 @@ import xarray as xr
 
 from jaxurban.errors import GuessWarning, InputError
 from jaxurban.io import store
-from jaxurban.maps.build import compute_maps, map_guesses, soften
-from jaxurban.maps.guesses import guesses_of
+from jaxurban.maps.build import compute_maps, soften
+from jaxurban.maps.guesses import map_guesses
 from jaxurban.maps.pipeline import inputs_of
 from jaxurban.maps.task import MapParams, MapTask
 from jaxurban.metrics.base import UNDERSIDE
 from jaxurban.metrics.custom import Layer
 from jaxurban.metrics.lidar import LidarParams
-from jaxurban.metrics.population import PopulationParams
 from jaxurban.metrics.risk import RiskParams, compute_risk
 from jaxurban.metrics.visibility import visibility
 from jaxurban.progress import Report
@@ -182,15 +181,7 @@ def test_own_layers_see_what_their_altitude_meets():
 def test_maps_tell_how_metrics_take_what_hangs(maps, grounded):
     assert "5 hanging parts" in maps.guesses
     assert not any("hanging" in name for name in grounded.guesses)
-    shown = guesses_of(
-        city(),
-        REGION,
-        sky(),
-        altitudes_m=ALTITUDES_M,
-        mask_deg=5.0,
-        population_layers=None,
-        population=PopulationParams(),
-    )
+    shown = map_guesses(task(city()))
     assert "lidar meets those with their floor at or below" in shown["5 hanging parts"]
 
 

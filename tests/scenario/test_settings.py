@@ -116,7 +116,7 @@ def test_a_series_of_epochs_includes_both_ends():
         ),
         ({"planning": {"seed": -1}}, "greater than or equal to 0"),
         ({"gps": {"mask_deg": 90}}, "less than 90"),
-        ({"weights": {"risk": -1}}, "greater than or equal to 0"),
+        ({"weights": {"risk": -1}}, "weights: weight risk must be a finite number >= 0"),
         ({"risk": {"distance": "round"}}, "'slice' or 'solid'"),
         ({"weights": {"gps": 1e308}}, r"weights: gps must be a finite number, of at most 1e\+30, got 1e\+308"),
         ({"study": {"weights": ["dirichlet"]}}, "study.weights.0: must be a table of settings, got 'dirichlet'"),
@@ -138,7 +138,7 @@ def test_a_series_of_epochs_includes_both_ends():
         ({"layers": {"noise": NOISE | {"sale": 1}}}, "unknown key 'layers.noise.sale' .*'scale'"),
         ({"layers": {"gps": NOISE}}, "cannot be called 'gps'"),
         ({"layers": {"my noise": NOISE}}, "letters, digits and _"),
-        ({"study": {"weights": [{"gps": -1.0}]}}, "study.weights.0.gps: input should be greater than or equal to 0"),
+        ({"study": {"weights": [{"gps": -1.0}]}}, "study.weights.0: weight gps must be a finite number >= 0"),
     ],
 )
 def test_a_bad_setting_is_one_sentence(settings, words):

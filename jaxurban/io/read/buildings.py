@@ -21,8 +21,7 @@ from jaxurban.io.read.outlines import Outlines, count_tags, to_buildings
 from jaxurban.io.read.raster import RASTER_SUFFIXES, check_range, raster_extent_m, read_raster
 from jaxurban.io.read.surfacemodel import check_is_no_surface, heights_of_surface
 from jaxurban.io.read.vector import VECTOR_SUFFIXES, read_vector
-from jaxurban.world.city import SLABS, TO_GROUND, Buildings, Hanging, Raster
-from jaxurban.world.diagnostics import ReadIssue, ReadIssues
+from jaxurban.world.city import SLABS, TO_GROUND, Buildings, Hanging, Raster, ReadIssue, ReadIssues
 from jaxurban.world.grid import WGS84, Bounds, projected_crs, transformer
 
 Kind = Literal["height", "surface"]  # of a raster of buildings
@@ -79,7 +78,7 @@ class BuildingSource:
       roofs: roof heights above ground, or None for outlines.
       area: where it knows what stands, in the city's CRS: of what was kept; the whole file's where nothing was.
       file_extent_m: x_min, y_min, x_max, y_max in the city's CRS of the whole file.
-      issues: what was met, mended and left out in what was read, counted by `jaxurban.world.diagnostics.ReadIssue`: in
+      issues: what was met, mended and left out in what was read, counted by `jaxurban.world.city.ReadIssue`: in
         an OpenStreetMap file all of it, in other files the surroundings of the region.
       counts: outlines that were read by tags, before any rule (see `count_tags`); empty for a raster.
       attribution: the credit that the licence asks for, "" where nothing is known.

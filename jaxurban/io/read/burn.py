@@ -10,7 +10,7 @@ from jaxurban.kernels.outlines import burn_outlines
 from jaxurban.kernels.slabs import settle
 from jaxurban.world.city import Buildings
 from jaxurban.world.grid import Grid
-from jaxurban.world.slabs import PER_CELL, Slabs
+from jaxurban.world.surface import PER_CELL, Slabs
 
 
 def burn(

@@ -24,8 +24,7 @@ from jaxurban.io.read.districts import (
 from jaxurban.io.read.raster import RASTER_SUFFIXES, open_raster, raster_window
 from jaxurban.io.read.sampling import pixel_xy
 from jaxurban.io.read.vector import open_frame
-from jaxurban.world.city import OTHER_DISTRICT, Blocks, Raster
-from jaxurban.world.diagnostics import ReadIssue, ReadIssues
+from jaxurban.world.city import OTHER_DISTRICT, Blocks, Raster, ReadIssue, ReadIssues
 
 # Names of the column of total population, the first found wins, case ignored: 2010 SF1 (data.census.gov, American
 # FactFinder), 2020 P1 and DHC, TIGER with counts, GIS joins, and plain tables.

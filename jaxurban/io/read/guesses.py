@@ -9,8 +9,7 @@ import shapely
 
 from jaxurban.errors import GuessWarning
 from jaxurban.io.read.heights import LAYER_CLEARANCE_M
-from jaxurban.world.city import Blocks, Buildings, HeightOrigin
-from jaxurban.world.diagnostics import ReadIssue, ReadIssues
+from jaxurban.world.city import Blocks, Buildings, HeightOrigin, ReadIssue, ReadIssues
 from jaxurban.world.grid import Bounds
 
 if TYPE_CHECKING:

@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from jaxurban.world.city import HeightOrigin
-from jaxurban.world.diagnostics import ReadIssue, ReadIssues
+from jaxurban.world.city import HeightOrigin, ReadIssue, ReadIssues
 
 FOOT_M = 0.3048  # international foot, exact
 INCH_M = 0.0254  # international inch, exact

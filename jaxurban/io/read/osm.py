@@ -12,7 +12,7 @@ from osmium.filter import IdFilter, KeyFilter
 
 from jaxurban.errors import readable
 from jaxurban.io.read.outlines import DECK, Outlines
-from jaxurban.world.diagnostics import ReadIssue
+from jaxurban.world.city import ReadIssue
 from jaxurban.world.grid import WGS84, Bounds
 
 TAGS = {

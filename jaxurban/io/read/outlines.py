@@ -10,8 +10,7 @@ import shapely
 
 from jaxurban.errors import InputError
 from jaxurban.io.read.heights import Heights, estimate_heights, is_given, with_decks
-from jaxurban.world.city import SLABS, TO_GROUND, Buildings, Hanging, HeightOrigin
-from jaxurban.world.diagnostics import ReadIssue, ReadIssues
+from jaxurban.world.city import SLABS, TO_GROUND, Buildings, Hanging, HeightOrigin, ReadIssue, ReadIssues
 from jaxurban.world.grid import Bounds, transformer
 
 REPLACED_SHARE = 0.9  # an outline covered at least so far by its parts is dropped (design, section 3)

@@ -12,8 +12,7 @@ from jaxurban.io.read.burn import burn, burn_by_rule, burn_hanging, burn_touched
 from jaxurban.io.read.sampling import resample_raster
 from jaxurban.world.city import SLABS, Buildings, City
 from jaxurban.world.grid import WGS84, Grid, transformer
-from jaxurban.world.slabs import Slabs
-from jaxurban.world.surface import NO_BUILDING, Surface
+from jaxurban.world.surface import NO_BUILDING, Slabs, Surface
 
 NO_BLOCK = -1
 UNKNOWN_GROUND_M = -500.0  # below all real ground: what stands where the terrain is unknown shadows nothing

@@ -7,8 +7,7 @@ import numpy as np
 
 from jaxurban.errors import InputError
 from jaxurban.io.read.sampling import heights_above, pixel_xy, thinned
-from jaxurban.world.city import Raster
-from jaxurban.world.diagnostics import ReadIssue, ReadIssues
+from jaxurban.world.city import Raster, ReadIssue, ReadIssues
 
 GROUND_M = 2.0  # nothing this low above the terrain is a building: noise of two models, cars, hedges
 BLOCK_M = 100.0  # wider than most halls: a street, a yard or a clearing lies in almost every block of a city
