@@ -1,15 +1,12 @@
 """Who works on the tiles: threads of this process, processes of this machine, or a Dask cluster."""
 
 import os
-import sys
 import uuid
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import partial
-from pathlib import Path
-from pickle import PicklingError
 from typing import Any
 
 import dask.threaded
@@ -164,11 +161,8 @@ def work_in_threads(job: TileJob, num_threads: int, on_result: Tell) -> None:
             on_result(result)
 
     with Listener():
-        dask.compute(*tile_graph(job, partial(_call, job)), scheduler=dask.threaded.get, num_workers=num_threads)
-
-
-def _call(job: TileJob, function: Callable, *arguments: Any) -> Any:
-    return function(job, *arguments)
+        tasks = tile_graph(job, lambda function, *arguments: function(job, *arguments))
+        dask.compute(*tasks, scheduler=dask.threaded.get, num_workers=num_threads)
 
 
 def work_on_cluster(job: TileJob, client: Any, on_result: Tell) -> None:
@@ -187,15 +181,8 @@ def work_on_cluster(job: TileJob, client: Any, on_result: Tell) -> None:
         def __init__(self, job: TileJob) -> None:
             self.job = job
 
-    _check_functions(job)
     name = f"jaxurban-job-{uuid.uuid4().hex}"
-    for attempt in range(1 + RETRIES):
-        try:
-            client.register_plugin(JobHolder(job), name)
-            break
-        except OSError:  # a worker died while it got it; the scheduler tells the next one
-            if attempt == RETRIES:
-                raise
+    client.register_plugin(JobHolder(job), name)
     futures = client.compute(tile_graph(job, partial(_call_in_worker, name)), retries=RETRIES)
     try:
         with _told_of_killed_workers("tile"):
@@ -237,32 +224,6 @@ def each_on_cluster(client: Any, function: Callable[[Any], Any], items: Iterable
         return client.gather(client.map(function, list(items), pure=False, retries=RETRIES))
 
 
-def _check_functions(job: TileJob) -> None:
-    """Raise InputError unless the functions of a job's layers can be sent to worker processes."""
-    from distributed.protocol.pickle import dumps
-
-    for name, layer in job.task.layers.items():
-        try:
-            dumps(layer)
-        except (PicklingError, TypeError, AttributeError) as error:
-            raise InputError(
-                f"layer {name!r} cannot be sent to worker processes ({error}): make it a plain function of a module, "
-                "or work in threads"
-            ) from error
-
-
-def _check_main() -> None:
-    """Raise InputError where worker processes, each of which imports the main script, would run it again."""
-    main = sys.modules.get("__main__")
-    file = getattr(main, "__file__", None)  # none in a notebook or at the prompt
-    if file is None or not file.endswith(".py") or "__name__" in Path(file).read_text(errors="replace"):
-        return
-    raise InputError(
-        f"worker processes would run {file!r} again from its beginning: put what it does under "
-        "`if __name__ == '__main__':`, or work in one process"
-    )
-
-
 @contextmanager
 def cluster_client(
     address: str | None, num_workers: int | None, gpus: Sequence[Gpu] = (), num_threads: int = 1
@@ -298,19 +259,13 @@ def cluster_client(
                 LOG.warning(f"the cluster {address} has no worker yet: waiting for one (`dask worker {address}`)")
             yield client
         return
-    _check_main()
-    # Compiled programs are kept where this process keeps them.
-    cache = jax.config.values.get("jax_compilation_cache_dir")
-    environment = {"JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0"}
-    if cache:
-        environment["JAX_COMPILATION_CACHE_DIR"] = str(cache)
 
     class Bound(Nanny):
         """What starts a worker process: by its number, on its GPU."""
 
         def __init__(self, *arguments: Any, **options: Any) -> None:
             if gpus:
-                options["env"] = {**options["env"], **gpus[options["name"]].environment}
+                options["env"] = gpus[options["name"]].environment
             super().__init__(*arguments, **options)
 
     options = {
@@ -319,7 +274,6 @@ def cluster_client(
         "worker_class": Bound,
         "memory_limit": 0,
         "dashboard_address": "127.0.0.1:0",  # any free port: two runs may work side by side
-        "env": {**environment, "PYTHONPATH": os.environ.get("PYTHONPATH", "")},
         # Without its certificates any user of this machine could run code as this one.
         "security": security,
     }
@@ -328,7 +282,8 @@ def cluster_client(
             cluster = stack.enter_context(LocalCluster(**options))
         except RuntimeError as error:
             raise InputError(
-                f"a worker process ended while it started ({reason_of(error)}), most likely killed for lack of memory: "
-                "run the same command again, with fewer --workers if it happens again; finished tiles are kept"
+                f"a worker process ended while it started ({reason_of(error)}): a script must do its work under `if "
+                "__name__ == '__main__':`; else memory ran out, most likely: run the same again, with fewer --workers "
+                "if it happens again; what is finished is kept"
             ) from error
         yield stack.enter_context(Client(cluster))

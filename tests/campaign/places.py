@@ -83,8 +83,9 @@ def run_place(place: Place, base: Path) -> Verdict:
             return Verdict(place.name, "hang", str(error))
         told = done.stderr.decode(errors="replace")
         left = [] if place.may_leave else list(scraps(Path(folder)))
-    if place.codes == (1,):  # Python's own way to end by an error: one sentence, told once
-        is_told = told.count("jaxurban.errors.InputError") == 1 and "__main__" in told and done.returncode == 1
+    if place.codes == (1,):  # Python's own way to end by an error: one sentence, told last
+        last = told.strip().splitlines()[-1]
+        is_told = last.startswith("jaxurban.errors.InputError") and "__main__" in last and done.returncode == 1
         return Verdict(place.name, "" if is_told else "traceback", told)
     fault = fault_of(done.returncode, told, place.codes)
     if not fault and done.returncode and left:

@@ -245,25 +245,16 @@ def test_kill_9_of_workers_three_times_a_run(tmp_path, cache, whole, seed):
     kill_workers(tmp_path, cache, seed, 3, whole)
 
 
-def test_workers_that_die_as_the_job_comes_and_goes_cost_nothing(city, whole, tmp_path, monkeypatch):
+def test_a_worker_that_dies_as_the_job_goes_costs_nothing(city, whole, tmp_path, monkeypatch):
     distributed = pytest.importorskip("distributed", reason="needs the cluster extra")
-    register, calls = distributed.Client.register_plugin, []
-
-    def failing_once(client, plugin, name=None, **options):
-        calls.append(name)
-        if len(calls) == 1:
-            raise OSError("Stream is closed")
-        return register(client, plugin, name, **options)
 
     def failing(client, name, **options):
         raise OSError("Stream is closed")
 
-    monkeypatch.setattr(distributed.Client, "register_plugin", failing_once)
     monkeypatch.setattr(distributed.Client, "unregister_worker_plugin", failing)
     options = {"processes": False, "dashboard_address": "127.0.0.1:0", "threads_per_worker": 1}
     with distributed.LocalCluster(n_workers=1, **options) as cluster, distributed.Client(cluster) as client:
         make(tmp_path, city, client=client)
-    assert len(calls) == 2
     assert files_of(tmp_path) == whole
 
 
