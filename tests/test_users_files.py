@@ -43,7 +43,7 @@ COMMANDS = {  # what runs, and what makes it another run
         ("--seed", 3, "--overwrite"),
     ),
     "routes": (
-        ("sensitivity", "maps", "--routes", 1, "--samples", 2, "--workers", 1),
+        ("sensitivity-study", "maps", "--routes", 1, "--samples", 2, "--workers", 1),
         ("--seed", 3, "--overwrite"),
     ),
     "validate": (("validate", "drive.toml", "log.csv", "--sky-step", 300), ("--block", 150, "--overwrite")),
@@ -216,7 +216,7 @@ def test_refused_options_leave_no_record(job_of_maps, monkeypatch, capsys):
         assert run(capsys, "sensitivity", "maps", *ENDS, "-o", "out", *more)[0] == 2
         assert not os.path.exists("out/made.json")
     for more in (("--range", "0,1"), ("--vary", "x")):
-        assert run(capsys, "sensitivity", "maps", "--routes", 2, "-o", "out", *more)[0] == 2
+        assert run(capsys, "sensitivity-study", "maps", "--routes", 2, "-o", "out", *more)[0] == 2
         assert not os.path.exists("out/made.json")
 
 

@@ -20,20 +20,23 @@ if TYPE_CHECKING:
 Settings = dict[str, Any]
 
 
-class LonLat(click.ParamType):
-    """``LON,LAT`` in degrees."""
+class Numbers(click.ParamType):
+    """Numbers with commas between them, ``count`` of them where that is given."""
 
-    name = "LON,LAT"
+    def __init__(self, name: str, example: str, count: int = 0) -> None:
+        self.name, self.example, self.count = name, example, count
 
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, float]:
-        """Return the two numbers of ``value``."""
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, ...]:
+        """Return the numbers of ``value``."""
         if isinstance(value, tuple):
             return value
         try:
-            lon, lat = (float(part) for part in str(value).split(","))
+            numbers = tuple(float(part) for part in str(value).split(","))
         except ValueError:
-            self.fail(f"{value!r} must be longitude,latitude in degrees, as in -74.0,40.7", param, ctx)
-        return lon, lat
+            numbers = ()
+        if len(numbers) != (self.count or len(numbers) or 1):
+            self.fail(f"{value!r} must be {self.example}", param, ctx)
+        return numbers
 
 
 class NamedPath(click.Path):
@@ -68,7 +71,7 @@ def _use_device(ctx: click.Context, param: click.Parameter, value: str | None) -
         use_device(value)
 
 
-LONLAT = LonLat()
+LONLAT = Numbers("LON,LAT", "longitude,latitude in degrees, as in -74.0,40.7", 2)
 DEVICE_CHOICE = partial(
     click.option,
     "--device",
@@ -112,20 +115,24 @@ PRESET = click.option(
     help="Plan as the paper does: cost model cell, obstacles at centres, no clearance, "
     "where neither the scenario nor another option says so.",
 )
-ENDS = [  # of a route, with the altitude: names, type and help of their options
-    (("--start",), LONLAT, "Longitude,latitude in degrees."),
-    (("--goal",), LONLAT, "Longitude,latitude in degrees."),
-    (("--altitude", "altitude_m"), float, "Metres above ground, within the maps' range."),
-]
-COSTS = together(  # what the cost map of a route depends on, beside its altitude
-    click.option("--time-of-day", help="Of the population map, such as day or night; the first if left out."),
-    click.option("--time", help="Time of the GPS map, UTC; the first if left out."),
+RULES = together(  # what `given_rules` takes, and which maps
     RESOLUTION,
     PRESET,
     COST_MODEL,
     OBSTACLES,
     click.option("--weights", "weights_text", default="", help="As gps=1,risk=2; those not named keep their values."),
     CONSTRAINTS,
+)
+ROUTE = together(  # a route over maps, under costs
+    click.argument("folder", metavar="DIR", type=PATH),
+    click.option("--start", type=LONLAT, required=True, help="Longitude,latitude in degrees."),
+    click.option("--goal", type=LONLAT, required=True, help="Longitude,latitude in degrees."),
+    click.option(
+        "--altitude", "altitude_m", type=float, required=True, help="Metres above ground, within the maps' range."
+    ),
+    click.option("--time-of-day", help="Of the population map, such as day or night; the first if left out."),
+    click.option("--time", help="Time of the GPS map, UTC; the first if left out."),
+    RULES,
     click.option(
         "--snap",
         is_flag=True,
@@ -139,10 +146,13 @@ COSTS = together(  # what the cost map of a route depends on, beside its altitud
         help="--snap by at most so far instead of 50 m.",
     ),
 )
-ROUTE = together(  # a route over maps, under costs: what `given_rules` takes and more, and the ends
-    click.argument("folder", metavar="DIR", type=PATH),
-    *(click.option(*names, type=kind, required=True, help=told) for names, kind, told in ENDS),
-    COSTS,
+WORKERS = together(  # what `given_workers` takes
+    click.option(
+        "--workers", type=click.IntRange(min=1), help="Processes.  [default: one a core, where Dask is installed]"
+    ),
+    click.option(
+        "--cluster", metavar="ADDRESS", help="Work on the Dask cluster of a scheduler, such as tcp://host:8786."
+    ),
 )
 DEGREES = click.option("--degrees", is_flag=True, help="Label the maps of figures by longitude and latitude.")
 JSON_FLAG = click.option("--json", "as_json", is_flag=True, help="Print one machine-readable object on stdout.")
@@ -151,18 +161,6 @@ JSON_FLAG = click.option("--json", "as_json", is_flag=True, help="Print one mach
 def names_in(text: str) -> tuple[str, ...]:
     """Return the names in ``"gps,risk"``."""
     return tuple(part.strip() for part in text.split(",") if part.strip())
-
-
-def numbers_in(option: str, text: str) -> tuple[float, ...]:
-    """Return the numbers in ``"0.1,10"``.
-
-    Raises:
-      InputError: one is none (names the option).
-    """
-    try:
-        return tuple(float(part) for part in text.split(","))
-    except ValueError as error:
-        raise InputError(f"{option} {text!r} must be numbers, as in 20,60") from error
 
 
 def take_snap(given: Settings) -> bool | float:
@@ -205,12 +203,22 @@ def tell(message: str) -> None:
     LOG.info(message)
 
 
-def default_workers() -> int:
-    """Return a process a core, or one where Dask's scheduler is not installed, which a warning says."""
+def given_workers(given: Settings) -> int | str:
+    """Return the address or the processes that the options of `WORKERS` name; left out, a process a core.
+
+    One process where Dask's scheduler is not installed, which a warning says.
+
+    Raises:
+      InputError: both.
+    """
     from importlib.util import find_spec
 
     from jaxurban.maps.executors import num_cores
 
+    if given["workers"] is not None and given["cluster"] is not None:
+        raise InputError("give either --workers, for processes of this machine, or --cluster, not both")
+    if wanted := given["cluster"] or given["workers"]:
+        return wanted
     if find_spec("distributed") is not None:
         return num_cores()
     tell("working on one core: several need Dask's scheduler, pip install 'jaxurban[cluster]'")

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from jaxurban.cli.common import JSON_FLAG, PATH, names_in, numbers_in, print_json, tell
+from jaxurban.cli.common import JSON_FLAG, PATH, Numbers, names_in, print_json, tell
 from jaxurban.errors import InputError
 
 if TYPE_CHECKING:
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.option("--bounds", required=True, metavar="W,S,E,N", help="Of the region, degrees.")
+@click.option("--bounds", type=Numbers("W,S,E,N", "west, south, east, north", 4), required=True, help="Degrees.")
 @click.option("-o", "folder", type=PATH, required=True, help="Folder for the files.")
 @click.option("--what", default="osm,census,districts,orbits", show_default=True, help="What to fetch.")
 @click.option(
@@ -90,7 +90,7 @@ def fetch(
 
 def _job(
     *,
-    bounds: str,
+    bounds: tuple[float, ...],
     what: str,
     day: datetime | None,
     extract: str | None,
@@ -106,7 +106,7 @@ def _job(
         raise InputError(f"--source must be NAME=URL, such as {example}, got {bad[0]!r}")
     named = {name.strip(): url.strip() for name, _, url in (text.partition("=") for text in sources)}
     return FetchJob(
-        bounds=numbers_in("--bounds", bounds),
+        bounds=bounds,
         what=names_in(what),
         day=None if day is None else day.date(),
         given_urls=named | {name: url for name, url in (("osm", extract), ("districts", districts)) if url},

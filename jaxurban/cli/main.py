@@ -24,7 +24,7 @@ from jaxurban.cli.fetch import fetch
 from jaxurban.cli.info import info
 from jaxurban.cli.maps import maps
 from jaxurban.cli.plan import plan
-from jaxurban.cli.sensitivity import sensitivity
+from jaxurban.cli.sensitivity import sensitivity, sensitivity_study
 from jaxurban.cli.study import study
 from jaxurban.cli.tune import tune
 from jaxurban.cli.validate import validate
@@ -41,7 +41,7 @@ def app() -> None:
     """Metric maps for small drones over cities, and paths planned on them."""
 
 
-for command in (compare, demo, fetch, info, maps, plan, sensitivity, study, tune, validate, view):
+for command in (compare, demo, fetch, info, maps, plan, sensitivity, sensitivity_study, study, tune, validate, view):
     app.add_command(command)
 
 
@@ -78,7 +78,8 @@ def _run(arguments: Sequence[str] | None) -> int:
     stdout = sys.stdout
     try:
         _set_up_libraries()
-        code = app.main(args=arguments, prog_name="jaxurban", standalone_mode=False)
+        words = list(sys.argv[1:] if arguments is None else arguments)  # commands find them in their context
+        code = app.main(args=words, prog_name="jaxurban", standalone_mode=False, obj=words)
         if sys.stdout is not None:
             sys.stdout.flush()  # what cannot be printed is told now, not at the interpreter's end
     except InputError as error:

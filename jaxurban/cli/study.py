@@ -12,8 +12,9 @@ from jaxurban.cli.common import (
     JSON_FLAG,
     PATH,
     PRESET,
-    default_workers,
+    WORKERS,
     given_constraints,
+    given_workers,
     print_json,
     tell,
     tell_warnings,
@@ -37,10 +38,7 @@ if TYPE_CHECKING:
 @click.option("--budget-iterations", type=click.IntRange(min=1), help="Samples a run instead of [study] budget_s.")
 @PRESET
 @CONSTRAINTS
-@click.option(
-    "--workers", type=click.IntRange(min=1), help="Processes.  [default: one a core, where Dask is installed]"
-)
-@click.option("--cluster", metavar="ADDRESS", help="Work on the Dask cluster of a scheduler, such as tcp://host:8786.")
+@WORKERS
 @click.option("--benchmark", "benchmark_folder", type=PATH, help="Export a public benchmark to it.")
 @click.option("--overwrite", is_flag=True, help="Replace maps or a study of other settings in the output folder.")
 @DEVICE
@@ -71,10 +69,9 @@ def study(scenario_file: Path, folder: Path, benchmark_folder: Path | None, as_j
     )
     if benchmark_folder is not None:
         check_exportable(model, settings.constraints)
-    if given["workers"] is not None and given["cluster"] is not None:
-        raise InputError("give either --workers, for processes of this machine, or --cluster, not both")
+    workers = given_workers(given)
     Workspace.check(folder / ANALYSIS_FOLDER, "study")
-    result = _run(scenario, folder, settings, given)
+    result = _run(scenario, folder, settings, workers, given)
     report = write_analysis(result, folder / ANALYSIS_FOLDER)
     tell(f"study finished: read {report}")
     made: dict[str, Any] = {"folder": str(folder), "report": str(report), "rows": str(result.folder / "rows.parquet")}
@@ -96,7 +93,7 @@ def study(scenario_file: Path, folder: Path, benchmark_folder: Path | None, as_j
 
 
 def _run(
-    scenario: "Scenario", folder: Path, settings: "BenchmarkSettings", given: Mapping[str, Any]
+    scenario: "Scenario", folder: Path, settings: "BenchmarkSettings", workers: int | str, given: Mapping[str, Any]
 ) -> "BenchmarkResult":
     """Return the benchmark of a scenario, its maps made first where they are not there yet."""
     from jaxurban.report.run_montecarlo import land_cover_of
@@ -129,7 +126,6 @@ def _run(
             cover=cover,
             seed=settings.seed,
         )
-    workers = given["cluster"] or given["workers"] or default_workers()
     return run_study(
         maps, folder / "study", instances, settings=settings, workers=workers, overwrite=given["overwrite"]
     )

@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
-from click.core import ParameterSource
 
 from jaxurban.cli.common import (
     CONSTRAINTS,
@@ -103,7 +102,8 @@ def tune(words: tuple[Path, ...], out: Path, **given: Any) -> int:
     )
     sources = [*_sources(words), *(RoutesOnMaps(folder, (routes,)) for folder, routes in given["also"])]
     how = {name: given[name] for name in ("overwrite", "degrees")}
-    facts = run_tuning(sources, out, settings, **how, command=_command())
+    command = shlex.join(["jaxurban", *(word for word in click.get_current_context().obj if word != "--json")])
+    facts = run_tuning(sources, out, settings, **how, command=command)
     for warning in facts.get("unidentified", []) + facts.get("warnings", []):
         tell(f"warning: {warning}")
     if "message" in facts:
@@ -127,19 +127,3 @@ def _sources(words: tuple[Path, ...]) -> "list[RoutesOnMaps]":
         else:
             sources[-1] = sources[-1]._replace(routes=(*sources[-1].routes, word))
     return sources
-
-
-def _command() -> str:
-    """Return the command as it was given, for the report."""
-    context = click.get_current_context()
-    words = ["jaxurban", "tune"]
-    for param in context.command.params:
-        name = param.name or ""
-        if context.get_parameter_source(name) is not ParameterSource.COMMANDLINE or name == "as_json":
-            continue
-        value = context.params[name]
-        for one in value if param.multiple else (value,):
-            parts = [str(part) for part in one] if isinstance(one, tuple) else [str(one)]
-            is_flag = isinstance(param, click.Option) and param.is_flag
-            words += [*param.opts[:1], *([] if is_flag else parts)] if isinstance(param, click.Option) else parts
-    return shlex.join(words)

@@ -5,7 +5,7 @@ from typing import Any
 
 import click
 
-from jaxurban.cli.common import DEVICE, JSON_FLAG, PATH, numbers_in, print_json, tell
+from jaxurban.cli.common import DEVICE, JSON_FLAG, PATH, Numbers, print_json, tell
 from jaxurban.progress import reporting
 
 
@@ -41,7 +41,14 @@ from jaxurban.progress import reporting
     show_default=True,
     help="Metres of track; medians are compared.",
 )
-@click.option("--pieces", "other_pieces", default="10,50,100", show_default=True, help="Lengths to report too, metres.")
+@click.option(
+    "--pieces",
+    "other_pieces_m",
+    type=Numbers("M,...", "numbers, as in 10,50"),
+    default="10,50,100",
+    show_default=True,
+    help="Lengths to report too, metres.",
+)
 @click.option(
     "--block",
     "block_m",
@@ -60,7 +67,6 @@ def validate(
     changes: tuple[str, ...],
     overwrite: bool,
     as_json: bool,
-    other_pieces: str,
     **given: Any,
 ) -> int:
     """Set the log of a receiver (LOG, .csv or .parquet) against maps of SCENARIO made at its times and its height.
@@ -75,7 +81,7 @@ def validate(
     from jaxurban.studies.receiver.validate import validate as validate_log
 
     scenario = Scenario.from_toml(scenario_file, changes)
-    settings = ReceiverSettings(**given, other_pieces_m=numbers_in("--pieces", other_pieces))
+    settings = ReceiverSettings(**given)
     check_writable(output)
     Workspace.check(output, "validate")
     with reporting("validate") as report:

@@ -2,17 +2,11 @@
 
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from jaxurban.cli.common import (
-    OBSTACLES,
-    PATH,
-    PRESET,
-    RESOLUTION,
-    tell,
-)
+from jaxurban.cli.common import OBSTACLES, PATH, PRESET, RESOLUTION, tell
 from jaxurban.errors import InputError
 
 if TYPE_CHECKING:
@@ -32,19 +26,9 @@ if TYPE_CHECKING:
 )
 @click.option("--port", type=click.IntRange(0, 65535), default=0, help="To listen at.  [default: any that is free]")
 @click.option("--no-browser", is_flag=True, help="Open no browser; the address is told.")
-def view(
-    folder: Path,
-    resolution_m: float | None,
-    obstacles: str | None,
-    preset: str | None,
-    other: Path | None,
-    export: Path | None,
-    size_mib: float,
-    port: int,
-    no_browser: bool,
-) -> int:
+def view(folder: Path, export: Path | None, size_mib: float, port: int, no_browser: bool, **given: Any) -> int:
     """Look at the maps in DIR and plan on them, in a browser on this machine; Ctrl-C ends it."""
-    opened = partial(_viewer, folder, resolution_m, obstacles, preset, other)
+    opened = partial(_viewer, folder, **given)
     viewer = opened()
     if export is not None:
         from jaxurban.viewer.export import write_page

@@ -352,6 +352,7 @@ def of_tables() -> Iterator[Case]:
         "altitude_m": 20.0,
         "w_gps": 1.0,
     }
+    queries = "--queries", "{in}/q.csv"
     for name, value in itertools.product(sound, ("", "x", 1e300, "nan", -1e300, "[1]")):
         table = pd.DataFrame([sound | {name: value}])
         yield Case(
@@ -361,7 +362,7 @@ def of_tables() -> Iterator[Case]:
         )
         yield Case(
             f"sensitivity with {name} {value!r}",
-            ("sensitivity", "{base}", "-o", "{out}", "--queries", "{in}/q.csv", "--samples", "0", "--workers", "1"),
+            ("sensitivity-study", "{base}", "-o", "{out}", "--samples", "0", "--workers", "1", *queries),
             partial(put, "q.csv", table.to_csv(index=False)),
             TOLD,
         )

@@ -136,6 +136,6 @@ def test_a_run_knows_its_scenario_in_memory_and_in_its_folder(tmp_path):
 
 def test_many_routes_over_cities_of_other_scenarios_are_refused(tmp_path, capsys):
     folders = [folder_of(tmp_path / name, vehicle={"radius_m": r}) for name, r in (("a", 1.0), ("b", 2.0))]
-    code, _, err = run(capsys, "sensitivity", *folders, "--routes", 1, "-o", tmp_path / "out")
+    code, _, err = run(capsys, "sensitivity-study", *folders, "--routes", 1, "-o", tmp_path / "out")
     assert code == 2
     assert_one_sentence(err, "a and b give other weights, cost models, clearances or vehicles")

@@ -155,7 +155,7 @@ def test_routes_are_a_number_or_a_table(folders, tmp_path, routes):
 
 
 def test_a_city_named_twice_is_refused(folders, tmp_path, capsys):
-    code, _, err = run(capsys, "sensitivity", folders[0], folders[0], "--routes", 2, "-o", tmp_path / "out")
+    code, _, err = run(capsys, "sensitivity-study", folders[0], folders[0], "--routes", 2, "-o", tmp_path / "out")
     assert code == 2
     assert_one_sentence(err, "alpha, alpha", "name each once")
 
@@ -400,11 +400,11 @@ def test_the_command_studies_cities_and_remakes_their_maps(tmp_path, capsys):
         assert code == 0, err
     cities, out = [tmp_path / "one", tmp_path / "two"], tmp_path / "out"
     options = ["--routes", 8, "--altitudes", "20,60", "--samples", 2, "--workers", 1, "-o", out, "--json"]
-    code, text, err = run(capsys, "sensitivity", *cities, *options)
+    code, text, err = run(capsys, "sensitivity-study", *cities, *options)
     assert code == 0, err
     assert json.loads(text)["statuses"] == {"optimal": 2 * 8 * 2}
     remade = ["--heights", 2, "--parameters", "--parameter-factors", "0.5"]
-    code, text, err = run(capsys, "sensitivity", *cities, *options, *remade)
+    code, text, err = run(capsys, "sensitivity-study", *cities, *options, *remade)
     assert code == 0, err
     told = json.loads(text)["tables"]["remade_summary"]
     assert {row["changed"] for row in told} >= {"heights", "gps.gdop_threshold", "lidar.range_m", "risk.threshold_m"}
@@ -415,9 +415,8 @@ def test_the_command_studies_cities_and_remakes_their_maps(tmp_path, capsys):
     pd.read_parquet(out / "instances.parquet").query("city == 'one'")[
         ["start_lon", "start_lat", "goal_lon", "goal_lat", "altitude_m"]
     ].to_csv(queries, index=False)
-    code, _, err = run(
-        capsys, "sensitivity", cities[0], "--queries", queries, "--samples", 0, "--workers", 1, "-o", tmp_path / "q"
-    )
+    options = ["--queries", queries, "--samples", 0, "--workers", 1, "-o", tmp_path / "q"]
+    code, _, err = run(capsys, "sensitivity-study", cities[0], *options)
     assert code == 0, err
     assert len(pd.read_parquet(tmp_path / "q/routes/rows.parquet")) == 16
 
@@ -451,8 +450,6 @@ def test_own_layers_take_part_by_their_name(found):
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (["--start", "-74,40.7"], ["--goal"]),
-        (["--triangle", "gps,risk,lidar"], ["--triangle is of one route"]),
         (["--routes", 3, "--queries", "a.csv"], ["--queries"]),
         (["--altitudes", "low"], ["--altitudes", "20,60"]),
         (["--samples", 3], ["power of two"]),
@@ -466,7 +463,7 @@ def test_own_layers_take_part_by_their_name(found):
     ],
 )
 def test_wrong_options_are_one_sentence_and_exit_2(folders, tmp_path, capsys, options, words):
-    code, _, err = run(capsys, "sensitivity", folders[0], *options, "--workers", 1, "-o", tmp_path / "out")
+    code, _, err = run(capsys, "sensitivity-study", folders[0], *options, "--workers", 1, "-o", tmp_path / "out")
     assert code == 2
     assert_one_sentence(err, *words)
     assert not (tmp_path / "out/report.md").exists()
