@@ -13,8 +13,8 @@ import pyproj
 import rasterio
 import shapely
 
-from jaxurban.errors import InputError, check_file, reason_of
-from jaxurban.io.files import is_changed, make_way, read_json, write_json
+from jaxurban.errors import readable
+from jaxurban.io.files import digest_of, is_changed, make_way, read_json, write_json
 from jaxurban.io.store import RUN_FILE, short_number
 from jaxurban.maps.guesses import leaving_shares
 from jaxurban.maps.task import MapTask
@@ -139,17 +139,9 @@ def hash_inputs(scenario: Scenario) -> dict[str, dict[str, str]]:
 
 
 def _sha256(path: Path, role: str) -> str:
-    digest = hashlib.sha256()
-    try:
-        check_file(path)
-        for part in _companions(path):
-            digest.update(f"{part.name} {part.stat().st_size}\n".encode())
-            with part.open("rb") as file:
-                while chunk := file.read(1 << 20):
-                    digest.update(chunk)
-    except (OSError, ValueError) as error:  # the latter: NUL in a name
-        raise InputError(f"cannot read the {role} file {str(path)!r}: {reason_of(error)}") from error
-    return digest.hexdigest()
+    with readable(path, "bytes", "name a file that can be read", what=f"the {role} file {str(path)!r}"):
+        parts = "".join(f"{part.name} {digest_of(part)}\n" for part in _companions(path))
+    return hashlib.sha256(parts.encode()).hexdigest()
 
 
 def _companions(path: Path) -> list[Path]:

@@ -21,7 +21,6 @@ from jaxurban.io.files import check_writable, is_changed, make_way, sweep_scraps
 from jaxurban.io.folders import WorkFolder, broken_files, has_other_maps, prepare_folder, stored_key
 from jaxurban.io.geotiff import geotiff_names, geotiff_paths, is_of_run, stale_geotiffs, write_geotiffs
 from jaxurban.io.layers import bands_of
-from jaxurban.io.read.city import BuildingFile, CensusFiles, read_city
 from jaxurban.io.read.guesses import warn_of
 from jaxurban.io.read.rasterise import check_has_data, rasterise
 from jaxurban.io.store import open_whole
@@ -51,6 +50,8 @@ from jaxurban.world.grid import Grid
 from jaxurban.world.synthetic import demo_city_for_bounds
 from jaxurban.world.tiling import Tiling
 
+OF_BUILDINGS = ("kind", "default_height_m", "level_height_m", "allow_none", "hanging")  # of `City.from_files`
+
 
 @dataclass(frozen=True)
 class ScenarioRun:
@@ -73,24 +74,17 @@ def load_city(scenario: Scenario) -> City:
     def path(name: str | None) -> Path | None:
         return None if name is None else scenario.path_of(name)
 
-    census = None
-    if population.blocks is not None:
-        places = (scenario.path_of(population.blocks), path(population.table), path(population.districts))
-        census = CensusFiles(*places, population.block_field, population.district_field, population.commercial)
-    city = read_city(
-        BuildingFile(
-            scenario.path_of(file.source),
-            file.kind,
-            file.default_height_m,
-            file.level_height_m,
-            file.allow_none,
-            file.hanging,
-        ),
+    city = City.from_files(
+        scenario.path_of(file.source),
         bounds=region.bounds,
         crs=region.crs,
-        census=census,
+        blocks=path(population.blocks),
+        table=path(population.table),
+        districts=path(population.districts),
         terrain=path(scenario.terrain.source),
         mask_deg=scenario.gps.mask_deg,
+        **{name: getattr(population, name) for name in ("block_field", "district_field", "commercial")},
+        **{name: getattr(file, name) for name in OF_BUILDINGS},
     )
     return city.credited(file.credit, scenario.terrain.credit, population.credit)
 

@@ -19,7 +19,7 @@ from pydantic import (
     model_validator,
 )
 
-from jaxurban.errors import InputError, check_file, reason_of, typed
+from jaxurban.errors import InputError, readable, typed
 from jaxurban.io.read.orbits import NOMINAL as NOMINAL
 from jaxurban.io.read.orbits import iso_utc
 from jaxurban.maps.height_uncertainty import HeightStd, check_samples
@@ -306,20 +306,10 @@ class Scenario(_Section):
           InputError: no such file, not TOML, an unknown key (names near ones) or a bad value.
         """
         path = Path(path)
-        try:
-            check_file(path)
-            settings = tomllib.loads(path.read_text(encoding="utf-8"))
-        except OSError as error:
-            raise InputError(f"cannot read the scenario {str(path)!r}: {reason_of(error)}") from error
-        except (ValueError, RecursionError) as error:  # not TOML, not UTF-8, NUL in the name, tables in tables
-            raise InputError(f"{str(path)!r} is not a scenario in TOML: {error}") from error
-        name = " ".join([str(path), *(f"--set {change}" for change in changes)])
-        try:
-            return cls.from_dict(changed(settings, changes), name=name, folder=path.resolve().parent)
-        except RecursionError as error:
-            raise InputError(
-                f"{str(path)!r} holds tables in tables without end: give sections and their keys"
-            ) from error
+        with readable(path, "a scenario in TOML", "give sections and their keys"):  # also tables in tables without end
+            settings = changed(tomllib.loads(path.read_text(encoding="utf-8")), changes)
+            name = " ".join([str(path), *(f"--set {change}" for change in changes)])
+            return cls.from_dict(settings, name=name, folder=path.resolve().parent)
 
     @classmethod
     @typed

@@ -181,7 +181,7 @@ def test_a_start_inside_a_building_names_the_nearest_free_cell(made, capsys):
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ('source = "synthetic"', 'source = "none.osm.pbf"', ("cannot read the buildings file", "none.osm.pbf")),
+        ('source = "synthetic"', 'source = "none.osm.pbf"', ("the buildings file", "none.osm.pbf", "does not exist")),
         ("resolution_m", "resolution", ("resolution_m",)),
         ("[-74.0, 40.755, -73.99, 40.765]", "[40.755, -120.0, 40.765, -73.99]", ("longitude first",)),
         ("altitudes_m = [20, 60]", "altitudes_m = []", ("altitudes_m",)),

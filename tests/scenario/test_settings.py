@@ -148,12 +148,12 @@ def test_a_bad_setting_is_one_sentence(settings, words):
 
 
 def test_missing_and_broken_files_are_one_sentence(tmp_path):
-    with pytest.raises(InputError, match="cannot read the scenario"):
+    with pytest.raises(InputError, match="does not exist: check the path"):
         Scenario.from_toml(tmp_path / "none.toml")
     broken = tmp_path / "broken.toml"
     broken.write_text("[region\n")
-    with pytest.raises(InputError, match="not a scenario in TOML"):
+    with pytest.raises(InputError, match="cannot be read as a scenario in TOML"):
         Scenario.from_toml(broken)
     broken.write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(InputError, match="not a scenario in TOML"):
+    with pytest.raises(InputError, match="cannot be read as a scenario in TOML"):
         Scenario.from_toml(broken)
