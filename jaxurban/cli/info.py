@@ -43,8 +43,7 @@ def _of_maps(folder: Path) -> dict[str, Any]:
 def _bounds_of(grid: Any) -> list[float]:
     from jaxurban.world.grid import WGS84, transformer
 
-    box_m = grid.x_min_m, grid.y_min_m, grid.x_max_m, grid.y_max_m
-    return [round(value, 6) for value in transformer(grid.crs, WGS84).transform_bounds(*box_m)]
+    return [round(value, 6) for value in transformer(grid.crs, WGS84).transform_bounds(*grid.bounds_m)]
 
 
 def _of_file(file: Path) -> dict[str, Any]:

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from jaxurban.cli.common import OBSTACLES, PATH, PRESET, RESOLUTION, tell
-from jaxurban.errors import InputError
 
 if TYPE_CHECKING:
     from jaxurban.viewer.viewer import Viewer
@@ -56,26 +55,15 @@ def _viewer(
 ) -> "Viewer":
     """Return the viewer of maps in a folder, which plans as the maps were made to be planned on."""
     from jaxurban.maps.metric_maps import open_maps
-    from jaxurban.paths.preset import under_preset
-    from jaxurban.studies.map_comparison import shared_part
     from jaxurban.viewer.outlines import Outlines
-    from jaxurban.viewer.plans import PlanDefaults
-    from jaxurban.viewer.viewer import Viewer
+    from jaxurban.viewer.widget import viewer_of
 
     maps = open_maps(folder, resolution_m, obstacles=obstacles)  # type: ignore[arg-type]
-    command = (str(folder), "--resolution", repr(maps.grid.resolution_m))
-    defaults = PlanDefaults.of(maps, command, preset=preset or "")
-    maps, *_ = under_preset(preset or "", maps, None, None)
-    others = None
-    if other is not None:
-        part = shared_part(maps, open_maps(other, maps.grid.resolution_m))
-        if part.a.grid != maps.grid or part.a.altitudes_m != maps.altitudes_m or part.a.times != maps.times:
-            raise InputError(f"the maps of {str(other)!r} do not hold every cell, altitude and time of {str(folder)!r}")
-        others = part.b
-    return Viewer(
+    return viewer_of(
         maps,
-        others,
-        defaults=defaults,
+        None if other is None else open_maps(other, maps.grid.resolution_m),
+        str(folder),
+        preset=preset or "",
         outlines=Outlines(partial(_city, folder)) if maps.recorded else None,
         names=(folder.resolve().name, "" if other is None else other.resolve().name),
     )

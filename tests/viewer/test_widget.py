@@ -49,7 +49,7 @@ def test_the_widget_carries_the_page_and_replies_to_it(monkeypatch):
 
 
 def test_maps_of_other_cells_are_refused():
-    with pytest.raises(InputError, match="same cells"):
+    with pytest.raises(InputError, match="hold every cell"):
         view(MAPS, other=made_maps(20, 30))
 
 
