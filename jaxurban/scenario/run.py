@@ -19,14 +19,14 @@ from jaxurban.io import store
 from jaxurban.io.chunks import Each
 from jaxurban.io.files import check_writable, is_changed, make_way, sweep_scraps
 from jaxurban.io.folders import WorkFolder, broken_files, has_other_maps, prepare_folder, stored_key
-from jaxurban.io.geotiff import geotiff_names, geotiff_paths, is_of_run, stale_geotiffs, write_geotiffs
+from jaxurban.io.geotiff import geotiff_paths, is_of_run, stale_geotiffs, write_geotiffs
 from jaxurban.io.layers import bands_of
 from jaxurban.io.read.guesses import warn_of
 from jaxurban.io.read.rasterise import check_has_data, rasterise
 from jaxurban.io.store import open_whole
 from jaxurban.io.workspace import Workspace
 from jaxurban.maps.build import view_sky
-from jaxurban.maps.dataset import PLANE, empty_dataset, variables, with_series
+from jaxurban.maps.dataset import empty_dataset, with_series
 from jaxurban.maps.executors import (
     Resources,
     each_in_threads,
@@ -162,17 +162,10 @@ def run_scenario(
       InputError: bad settings or sources, too little memory or disk, a layer that the maps would not hold, or a folder
         that holds another job's maps.
     """
-    with reporting("maps", progress) as report:
-        return _run(scenario, folder, overwrite, resources or Resources(), layers, report)
-
-
-def _run(
-    scenario: Scenario, folder: Path, overwrite: bool, resources: Resources, layers: Sequence[str], report: Report
-) -> ScenarioRun:
-    started_utc = datetime.now(UTC).isoformat(timespec="seconds")
-    watch = Stopwatch(on_stage=report)
-    with warnings.catch_warnings(record=True) as caught:
+    resources, started_utc = resources or Resources(), datetime.now(UTC).isoformat(timespec="seconds")
+    with reporting("maps", progress) as report, warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", UserWarning)
+        watch = Stopwatch(on_stage=report)
         inputs = hash_inputs(scenario)
         key = run_key(scenario, inputs, resources.backend)
         if has_other_maps(folder, key) and not overwrite:
@@ -181,8 +174,9 @@ def _run(
                 f"(jaxurban maps SCENARIO -o {_unused(folder)}), or pass --overwrite to replace them"
             )
         tasks = tasks_of(scenario, watch.stage)
-        held = [name for name, (dims, _) in variables(tasks[0]).items() if dims[-2:] == PLANE]
-        geotiff_names(held, tasks[0].metrics, layers)  # refuses what is not there
+        planned = [folder / store.RUN_FILE]
+        for task in tasks:
+            planned += geotiff_paths(empty_dataset(task, _no_values), folder, layers)  # refuses what is not there
         guesses = map_guesses(tasks[0])
         warn_of(guesses, known=tasks[0].city.guesses)
         check_writable(folder)
@@ -199,10 +193,6 @@ def _run(
             )
         # Nothing of an older job is touched before this one can begin.
         with Workspace.open(folder, "maps", is_shared=True) as workspace, resources.client(plan.num_workers) as client:
-            planned = [
-                folder / store.RUN_FILE,
-                *(path for task in tasks for path in geotiff_paths(empty_dataset(task, _no_values), folder, layers)),
-            ]
             workspace.check_way((path for path in planned if not is_of_run(path, key)), is_mended=True)
             prepare_folder(workspace, key, scenario.region.resolution_m)
             tasks = [replace(task, guesses=guesses) for task in tasks]

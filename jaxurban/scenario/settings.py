@@ -22,7 +22,7 @@ from pydantic import (
 from jaxurban.errors import InputError, readable, typed
 from jaxurban.io.read.orbits import NOMINAL as NOMINAL
 from jaxurban.io.read.orbits import iso_utc
-from jaxurban.maps.height_uncertainty import HeightStd, check_samples
+from jaxurban.maps.height_uncertainty import HeightStd
 from jaxurban.metrics.custom import Layer, check_file_names, check_name
 from jaxurban.metrics.gps import DopParams, GpsParams
 from jaxurban.metrics.lidar import LidarParams
@@ -93,11 +93,6 @@ class BuildingSettings(_Section):
     height_seed: Seed = 0
     hanging: Hanging = TO_GROUND  # parts with an underside, and areas of bridges
     credit: str = ""  # what the source's licence asks for; OSM's is known
-
-    @model_validator(mode="after")
-    def _check(self) -> "BuildingSettings":
-        check_samples(self.height_samples)
-        return self
 
 
 class TerrainSettings(_Section):
@@ -329,7 +324,7 @@ class Scenario(_Section):
 
     def to_toml(self) -> str:
         """Return the scenario as TOML, every setting written out."""
-        return tomli_w.dumps(_without_none(self.model_dump(mode="python")))
+        return tomli_w.dumps(self.model_dump(exclude_none=True))
 
     def path_of(self, name: str) -> Path:
         """Return the path that a setting names, relative ones taken from the scenario's folder."""
@@ -363,11 +358,3 @@ def _with_bounds(settings: Mapping[str, Any], folder: Path) -> Mapping[str, Any]
     from jaxurban.io.read.buildings import lonlat_extent  # imported here: it brings the readers
 
     return {**settings, "region": {**region, "bounds": lonlat_extent(folder / source)}}
-
-
-def _without_none(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _without_none(item) for key, item in value.items() if item is not None}
-    if isinstance(value, tuple | list):
-        return [_without_none(item) for item in value]
-    return value
