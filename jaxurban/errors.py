@@ -91,8 +91,7 @@ def typed(public: Public) -> Public:
         for name, value in (*named, *kwargs.items()):
             allowed = [] if name == further else kinds().get(name if name in names else further, [])
             if allowed and not any(is_one(value) for _, is_one in allowed):
-                *others, last = dict.fromkeys(told for told, _ in allowed)
-                listed = f"{', '.join(others)} or {last}" if others else last
+                listed = _either(dict.fromkeys(told for told, _ in allowed))
                 unit = next((f" ({unit})" for end, unit in UNITS.items() if name.endswith(end)), "")
                 raise InputError(f"{name} must be {listed}{unit}, got {_shown(value)}")
             check_range(name, value)
@@ -114,6 +113,11 @@ def typed(public: Public) -> Public:
         public.__init__ = checked  # type: ignore[method-assign]
         return public
     return checked  # type: ignore[return-value]
+
+
+def _either(choices: Iterable[str]) -> str:
+    *others, last = choices
+    return f"{', '.join(others)} or {last}" if others else last
 
 
 def _place_of(name: str, function: Callable, levels: int = 2) -> str:
@@ -212,11 +216,7 @@ def _kind_of_items(hint: Any) -> Kind | None:
     if not (is_of_numbers or _names_ours(items)):
         return None
     kinds = _kinds(items)
-    told = (
-        "numbers"
-        if is_of_numbers
-        else " or ".join(told.partition(" ")[2] if told.startswith(("a ", "an ")) else told for told, _ in kinds)
-    )
+    told = "numbers" if is_of_numbers else " or ".join(re.sub("^an? ", "", told) for told, _ in kinds)
     has_items = KINDS[origin][1]
 
     def is_one(value: Any) -> bool:
@@ -241,26 +241,18 @@ def _is_number(value: Any) -> bool:
     return is_scalar and not isinstance(value, bool)
 
 
-def _has_items(value: Any) -> bool:
-    return isinstance(value, Iterable) and not isinstance(value, str | bytes)
-
-
-def _is_text(value: Any) -> bool:  # or a time, which may be of any kind where a text is asked for
-    return isinstance(value, str | datetime) or type(value).__name__ == "datetime64"
-
-
-def _is_text_path(value: Any) -> bool:
-    return isinstance(value, str | os.PathLike)
-
-
 KINDS: dict[Any, Kind] = {
     bool: ("True or False", lambda value: type(value).__name__ in ("bool", "bool_")),
     int: ("a whole number", lambda value: isinstance(value, numbers.Integral) and not isinstance(value, bool)),
     float: ("a number", _is_number),
-    str: ("a text", _is_text),
-    Path: ("a path", _is_text_path),
+    # A time may be of any kind where a text is asked for.
+    str: ("a text", lambda value: isinstance(value, str | datetime) or type(value).__name__ == "datetime64"),
+    Path: ("a path", lambda value: isinstance(value, str | os.PathLike)),
     types.NoneType: ("None", lambda value: value is None),
-    **dict.fromkeys((Sequence, Iterable, list, tuple), ("a sequence", _has_items)),
+    **dict.fromkeys(
+        (Sequence, Iterable, list, tuple),
+        ("a sequence", lambda value: isinstance(value, Iterable) and not isinstance(value, str | bytes)),
+    ),
     **dict.fromkeys((Mapping, dict), ("a dict", lambda value: isinstance(value, Mapping))),
     Callable: ("a function", callable),
 }
@@ -307,9 +299,7 @@ def one_of(name: str, value: Choice, choices: Iterable[Choice]) -> Choice:
     valid = list(choices)
     if value not in valid:
         hint = nearest_name(str(value), [str(choice) for choice in valid])
-        *others, last = map(repr, valid)
-        listed = f"{', '.join(others)} or {last}" if others else last
-        raise InputError(f"{name} must be {listed}, got {value!r}{hint}")
+        raise InputError(f"{name} must be {_either(map(repr, valid))}, got {value!r}{hint}")
     return value
 
 

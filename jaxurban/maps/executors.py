@@ -111,32 +111,25 @@ def tile_graph(job: TileJob, call: Callable[..., Any]) -> list[Delayed]:
       job: the job.
       call: calls ``raster_tile``, ``sweep_tile`` or ``finish_tile`` with the job and further arguments.
     """
-    tiling = job.tiling
-    rasters: dict[Tile, Delayed] = {}
-    sweeps: dict[tuple[Tile, Quadrant], Delayed] = {}
+    tiling, sweeps = job.tiling, dict[tuple[Tile, Quadrant], Delayed]()
 
     def task(function: Callable, name: str, *arguments: Any, after: list[Delayed]) -> Delayed:
         key = f"{function.__name__}-{name}"
         return delayed(partial(_after, call, function, arguments), pure=False)(after, dask_key_name=key)
 
-    for tile in tiling.tiles:
-        rasters[tile] = task(raster_tile, f"{tile}", tile, after=[])
+    def upstream(tile: Tile, quadrant: Quadrant) -> list[Delayed]:
+        return [sweeps[near, quadrant] for near in tiling.upstream(tile, quadrant) if (near, quadrant) in sweeps]
 
-    def sweep(tile: Tile, quadrant: Quadrant) -> list[Delayed]:
-        """Return the task, if there is one, made after those upstream."""
-        return [sweeps[tile, quadrant]] if (tile, quadrant) in sweeps else []
-
+    rasters = {tile: task(raster_tile, f"{tile}", tile, after=[]) for tile in tiling.tiles}
     for quadrant in QUADRANTS:
         for tile in sorted(tiling.tiles, key=lambda tile: -tile[0] * quadrant[0] - tile[1] * quadrant[1]):
             if job.hands_on(tile, quadrant):
-                before = [each for near in tiling.upstream(tile, quadrant) for each in sweep(near, quadrant)]
-                sweeps[tile, quadrant] = task(
-                    sweep_tile, f"{tile}-{quadrant}", tile, quadrant, after=[rasters[tile], *before]
-                )
+                after = [rasters[tile], *upstream(tile, quadrant)]
+                sweeps[tile, quadrant] = task(sweep_tile, f"{tile}-{quadrant}", tile, quadrant, after=after)
     finished = []
     for tile in tiling.region_tiles:
         around = [rasters[near] for near in tiling.touching(job.looked_at(tile))]
-        shadows = [each for q in QUADRANTS for near in tiling.upstream(tile, q) for each in sweep(near, q)]
+        shadows = [each for quadrant in QUADRANTS for each in upstream(tile, quadrant)]
         finished.append(task(finish_tile, f"{tile}", tile, after=[*around, *shadows]))
     return [*rasters.values(), *sweeps.values(), *finished]
 
