@@ -145,6 +145,7 @@ def test_what_needs_an_authorisation_is_closed_and_told_and_what_restricts_nothi
 WINTER = {"permanent": "NO", "startDateTime": "2026-01-01T00:00:00Z", "endDateTime": "2026-03-31T23:59:59Z"}
 OFFICE = {"schedule": [{"day": ["MON", "FRI"], "startTime": "08:00:00.00Z", "endTime": "16:00:00Z"}]}
 NIGHT = {"schedule": [{"day": ["SAT"], "startTime": "22:00Z", "endTime": "04:00Z"}]}
+LATE = {"schedule": [{"day": ["MON"], "startTime": "20:00Z", "endTime": "24:00:00Z"}]}
 EAST = {"schedule": [{"day": ["MON"], "startTime": "01:00:00+02:00", "endTime": "03:00:00+02:00"}]}
 
 
@@ -175,6 +176,8 @@ def test_hours_that_no_clock_shows_are_taken_to_be_in_force_always(tmp_path, sta
         (WINTER | NIGHT, "2026-01-10T21:30:00Z", True),  # a Saturday
         (WINTER | NIGHT, "2026-01-11T03:00:00Z", True),
         (WINTER | NIGHT, "2026-01-11T05:00:00Z", False),
+        (WINTER | LATE, "2026-01-05T23:30:00Z", True),
+        (WINTER | LATE, "2026-01-06T00:00:01Z", False),
         (WINTER | EAST, "2026-01-04T23:30:00Z", True),  # Sunday in UTC, Monday there
         (WINTER | EAST, "2026-01-05T01:30:00Z", False),
         (WINTER | {"schedule": [{"day": ["ANY"], "startEvent": "SR", "endEvent": "SS"}]}, "2026-02-03T01:00:00Z", True),

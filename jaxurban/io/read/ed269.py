@@ -12,8 +12,9 @@ In doubt a zone is closed higher, lower, wider and longer than it may be meant, 
 import json
 import math
 import re
+from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
-from datetime import datetime, timedelta
+from datetime import datetime, time, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -29,13 +30,16 @@ OPEN = "NO_RESTRICTION"  # a zone that tells, and closes nothing
 ON_APPROVAL = ("REQ_AUTHORISATION", "REQ_AUTHORIZATION", "CONDITIONAL")
 METRES = {"M": 1.0, "FT": 0.3048}
 DAYS = ("MON", "TUE", "WED", "THU", "FRI", "SAT", "SUN")
-TIME_OF_DAY = re.compile(r"([01]?\d|2[0-3]|24(?=:00)):([0-5]\d)(?::([0-5]\d)(?:\.\d+)?)?(Z|[+-][01]\d:?[0-5]\d)")
+MIDNIGHT = re.compile(r"(^|T)24:00")  # an end
+NO_LIMITS = "have limits that are not metres or feet above ground, and reach on to every altitude there"
 CORNERS = 64  # of a circle: with what follows its polygon is at most 0.3 % wider
 WIDER = 1e-3  # of a circle's radius, for edges that are straight in degrees
 MOST_M = 300_000.0  # radius of a circle whose edges are as good as straight in degrees
 MOST_NAMED = 3
 GEOD = Geod(ellps="WGS84")
 Json = Mapping[str, Any]
+Told = dict[str, list[str]]  # what must be said of zones, a sentence each, with the names that it is true of
+BROKEN = (LookupError, TypeError, ValueError, ArithmeticError, AttributeError, shapely.errors.ShapelyError)
 
 
 def read_geozones(path: str | Path) -> tuple[Zone, ...] | None:
@@ -54,47 +58,35 @@ def read_geozones(path: str | Path) -> tuple[Zone, ...] | None:
     features = _features(Path(path))
     if features is None:
         return None
-    file, zones, told = Path(path).name, [], _Told()
+    file, zones = Path(path).name, []
+    told: Told = defaultdict(list)
     for number, feature in enumerate(features, start=1):
         facts = feature["properties"] if isinstance(feature.get("properties"), dict) else feature
         name = _name(facts, number)
         restriction = str(facts.get("restriction", facts.get("type", ""))).upper()
         if restriction == OPEN:
-            told.add("restrict nothing, and are left out", name)
+            told["restrict nothing, and are left out"].append(name)
             continue
         if restriction in ON_APPROVAL:
-            told.add("need an authorisation or hold on conditions, and are closed", name)
+            told["need an authorisation or hold on conditions, and are closed"].append(name)
         label = f"{name!r} of {file!r}"
         periods = _periods(facts, name, told)
         for volume, shape in _volumes(feature, label):
             floor_m, ceiling_m = _limits(volume, label, name, told)
             if not shape.is_valid:
-                told.add("have outlines that cross themselves, and close all that these enclose", name)
+                told["have outlines that cross themselves, and close all that these enclose"].append(name)
                 shape = mended(shape)
             if (wider := the_short_way_too(shape)) is not shape:
-                told.add(THE_SHORT_WAY, name)
+                told[THE_SHORT_WAY].append(name)
                 shape = wider
             zones.append(Zone(name, shape, "EPSG:4326", floor_m, ceiling_m, file, periods))
-    told.warn(file)
+    for sentence, names in told.items():
+        several = list(dict.fromkeys(names))
+        shown = ", ".join(map(repr, several[:MOST_NAMED])) + ", ..." * (len(several) > MOST_NAMED)
+        warn(f"zones of {file!r} that {sentence}: {len(several)} ({shown})")
     if not zones:
         raise InputError(f"the no-fly file {str(path)!r} holds no zone that restricts flights: give another file")
     return tuple(zones)
-
-
-class _Told:
-    """What must be said of zones, a sentence each, with the first of the names that it is true of."""
-
-    def __init__(self) -> None:
-        self.names: dict[str, list[str]] = {}
-
-    def add(self, sentence: str, name: str) -> None:
-        self.names.setdefault(sentence, []).append(name)
-
-    def warn(self, file: str) -> None:
-        for sentence, names in self.names.items():
-            several = list(dict.fromkeys(names))
-            shown = ", ".join(map(repr, several[:MOST_NAMED])) + ", ..." * (len(several) > MOST_NAMED)
-            warn(f"zones of {file!r} that {sentence}: {len(several)} ({shown})")
 
 
 def _features(path: Path) -> list[Json] | None:
@@ -148,39 +140,24 @@ def _volumes(feature: Json, label: str) -> Iterator[tuple[Json, shapely.Geometry
         raise InputError(f"the no-fly zone {label} has no geometry: mend the file")
     for volume in volumes:
         try:
-            yield (volume, _projection(volume)) if ed269 else ({**(volume.get("layer") or {})}, _outline(volume))
-        except (
-            LookupError,
-            TypeError,
-            ValueError,
-            ArithmeticError,
-            AttributeError,
-            shapely.errors.ShapelyError,
-        ) as error:
+            limits = volume if ed269 else {**(volume.get("layer") or {})}
+            yield limits, _outline(volume["horizontalProjection"] if ed269 else volume, limits)
+        except BROKEN as error:
             why = str(error) if isinstance(error, ValueError) else "a part is missing, or is of another kind"
             raise InputError(f"the outline of the no-fly zone {label} cannot be read ({why}): mend the file") from error
 
 
-def _projection(volume: Json) -> shapely.Geometry:
-    """Return the outline of a volume of ED-269."""
-    shape = volume["horizontalProjection"]
-    if str(shape["type"]).lower() == "circle":
-        return _circle(shape["center"], float(shape["radius"]) * METRES[str(volume["uomDimensions"]).upper()])
-    return _polygon(shape["coordinates"])
-
-
-def _outline(geometry: Json) -> shapely.Geometry:
-    """Return the outline of a geometry of ED-318."""
-    if geometry["type"] == "Point":
-        return _circle(geometry["coordinates"], float(geometry["extent"]["radius"]))  # in metres, whatever its layer
-    if geometry["type"] == "MultiPolygon":
-        return shapely.union_all([_polygon(rings) for rings in geometry["coordinates"]])
-    return _polygon(geometry["coordinates"])
-
-
-def _polygon(rings: Sequence[Any]) -> shapely.Geometry:
-    shell, *holes = ([_place(corner) for corner in ring] for ring in rings)
-    return shapely.Polygon(shell, holes)
+def _outline(shape: Json, limits: Json) -> shapely.Geometry:
+    """Return the outline of a projection of ED-269, or of a geometry of ED-318."""
+    kind = str(shape["type"]).lower()
+    if kind == "circle":
+        return _circle(shape["center"], float(shape["radius"]) * METRES[str(limits["uomDimensions"]).upper()])
+    if kind == "point":
+        return _circle(shape["coordinates"], float(shape["extent"]["radius"]))  # in metres, whatever its layer
+    polygons = shape["coordinates"] if kind == "multipolygon" else [shape["coordinates"]]
+    rings = [[[_place(corner) for corner in ring] for ring in polygon] for polygon in polygons]
+    shapes = [shapely.Polygon(shell, holes) for shell, *holes in rings]
+    return shapes[0] if len(shapes) == 1 else shapely.union_all(shapes)
 
 
 def _place(corner: Sequence[Any]) -> tuple[float, float]:
@@ -207,7 +184,7 @@ def _circle(centre: Sequence[Any], radius_m: float) -> shapely.Geometry:
     return shapely.Polygon(np.column_stack([around, lats]))
 
 
-def _limits(volume: Json, label: str, name: str, told: _Told) -> tuple[float, float]:
+def _limits(volume: Json, label: str, name: str, told: Told) -> tuple[float, float]:
     """Return floor and ceiling of a volume in metres above ground, infinite where it has none that can be used."""
     is_ed269 = "uomDimensions" in volume or "lowerLimit" in volume or "upperLimit" in volume
     keys = ("Limit", "VerticalReference") if is_ed269 else ("", "Reference")
@@ -218,14 +195,16 @@ def _limits(volume: Json, label: str, name: str, told: _Told) -> tuple[float, fl
         if value is None:
             limits.append(none)
         elif zero != "AGL" or unit is None:
-            told.add("have limits that are not metres or feet above ground, and reach on to every altitude there", name)
+            told["have limits that are not metres or feet above ground, and reach on to every altitude there"].append(
+                name
+            )
             limits.append(none)
         else:
             limits.append(finite(f"the {end} limit of the no-fly zone {label}", value, "metres or feet") * unit)
     return limits[0], limits[1]
 
 
-def _periods(facts: Json, name: str, told: _Told) -> tuple[Period, ...]:
+def _periods(facts: Json, name: str, told: Told) -> tuple[Period, ...]:
     """Return when a zone is in force, nothing for always."""
     given = facts.get("applicability", facts.get("limitedApplicability"))
     periods: list[Period] = []
@@ -237,7 +216,7 @@ def _periods(facts: Json, name: str, told: _Told) -> tuple[Period, ...]:
             schedule = when.get("schedule") or []
             periods += [Period(start, end, *_days(daily)) for daily in schedule] or [Period(start, end)]
         except (ValueError, TypeError, AttributeError, KeyError):
-            told.add("have times that cannot be read, and are taken to be in force always", name)
+            told["have times that cannot be read, and are taken to be in force always"].append(name)
             return ()
     return tuple(periods)
 
@@ -250,10 +229,10 @@ def _time(text: str | None) -> datetime | None:
     """
     if text is None:
         return None
-    time = datetime.fromisoformat(text)
-    if time.tzinfo is None:
+    moment = datetime.fromisoformat(text)
+    if moment.tzinfo is None:
         raise ValueError("no offset")
-    return time
+    return moment
 
 
 def _days(daily: Json) -> tuple[frozenset[int], tuple[timedelta, timedelta] | None]:
@@ -265,7 +244,7 @@ def _days(daily: Json) -> tuple[frozenset[int], tuple[timedelta, timedelta] | No
         return days, (-DAY / 2, DAY + DAY / 2)  # sunrise and the like, in whatever part of the world
     if daily.get("startTime") is None and daily.get("endTime") is None:
         return days, None
-    return days, (_clock(daily["startTime"]), _clock(daily["endTime"]))
+    return days, (_clock(daily["startTime"]), _clock(MIDNIGHT.sub(r"\g<1>00:00", str(daily["endTime"]))))
 
 
 def _clock(text: str) -> timedelta:
@@ -274,12 +253,7 @@ def _clock(text: str) -> timedelta:
     Raises:
       ValueError: it is none, or has no offset.
     """
-    found = TIME_OF_DAY.fullmatch(str(text).strip().rpartition("T")[2])
-    if found is None:
-        raise ValueError(f"{text!r} is no time of day with an offset")
-    hours, minutes, seconds, offset = found.groups()
-    since = timedelta(hours=int(hours), minutes=int(minutes), seconds=int(seconds or 0))
-    if offset == "Z":
-        return since
-    sign = -1 if offset[0] == "-" else 1
-    return since - sign * timedelta(hours=int(offset[1:3]), minutes=int(offset[-2:]))
+    clock = time.fromisoformat(str(text).strip().rpartition("T")[2])
+    if (offset := clock.utcoffset()) is None:
+        raise ValueError("no offset")
+    return timedelta(hours=clock.hour, minutes=clock.minute, seconds=clock.second) - offset
