@@ -199,7 +199,7 @@ def test_an_outline_that_crosses_itself_closes_all_that_it_encloses(tmp_path):
     turn = np.linspace(0, 4 * np.pi, 6)
     star = shapely.Polygon(np.column_stack([LON + 0.001 * np.sin(turn), LAT + 0.001 * np.cos(turn)]))
     file = write_geojson(tmp_path / "a.geojson", (star, {"name": "star"}))
-    with pytest.warns(IgnoredZoneWarning, match="'star' of 'a.geojson' crosses itself"):
+    with pytest.warns(IgnoredZoneWarning, match="'a.geojson' that have outlines that cross themselves.*'star'"):
         (zone,) = read_zones(file)
     assert zone.polygon.is_valid
     assert zone.polygon.contains(shapely.Point(LON, LAT))  # gone around twice

@@ -104,9 +104,9 @@ def test_what_is_wrong_with_a_log_is_one_sentence(table, words):
     refused(table, *words)
 
 
-def test_an_empty_file_says_what_belongs_there(tmp_path):
+def test_an_empty_file_and_a_missing_one_are_refused(tmp_path):
     (tmp_path / "log.csv").write_text("")
-    with pytest.raises(InputError, match="is empty: give a table with the columns utc"):
+    with pytest.raises(InputError, match="cannot be read as csv"):
         read_receiver_log(tmp_path / "log.csv")
     with pytest.raises(InputError, match="does not exist"):
         read_receiver_log(tmp_path / "none.csv")

@@ -1,6 +1,7 @@
 """No-fly zones from files: GeoJSON, KML and other vector files, and the geographical zones of ED-269 and ED-318."""
 
 import re
+from collections import defaultdict
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ from jaxurban.errors import InputError, finite
 from jaxurban.io.read.ed269 import read_geozones
 from jaxurban.io.read.heights import is_blank
 from jaxurban.io.read.vector import open_layers
-from jaxurban.io.read.zone import THE_SHORT_WAY, Zone, mended, the_short_way_too, warn
+from jaxurban.io.read.zone import Told, Zone, warn, warn_of, whole_outline
 
 # Properties that are read, in any case and with or without "_", "-", " " and ":". All are metres above ground.
 FLOOR_NAMES = ("floor_m", "floor_m_agl", "lower_limit_m", "min_altitude_m", "minimumAltitude", "minAltitude")
@@ -52,6 +53,7 @@ def read_zones(path: str | Path) -> tuple[Zone, ...]:
         return geozones
     file = Path(path).name
     zones: list[Zone] = []
+    told: Told = defaultdict(list)
     num_others = 0
     for frame in open_layers(path, ROLE):
         num_others += sum(not _is_all_area(shape) for shape in frame.geometry)
@@ -66,11 +68,9 @@ def read_zones(path: str | Path) -> tuple[Zone, ...]:
             label = f"{name!r} of {file!r}"
             if not np.isfinite(shapely.get_coordinates(shape)).all():
                 raise InputError(f"the no-fly zone {label} has a corner that is not a number: mend the file")
-            whole = _valid(shape, label)
-            if areas.crs.is_geographic and (wider := the_short_way_too(whole)) is not whole:
-                warn(f"zones of {file!r} that {THE_SHORT_WAY}: 1 ({name!r})")
-                whole = wider
+            whole = whole_outline(shapely.force_2d(shape), name, told, is_lonlat=areas.crs.is_geographic)
             zones.append(Zone(name, whole, crs, *_heights(facts, shape, label), file))
+    warn_of(told, file)
     if not zones:
         raise InputError(f"the {ROLE} file {str(path)!r} holds no polygons: give a file of polygons")
     if num_others:
@@ -80,16 +80,6 @@ def read_zones(path: str | Path) -> tuple[Zone, ...]:
 
 def _is_all_area(shape: shapely.Geometry | None) -> bool:
     return shape is not None and bool(np.all(shapely.get_dimensions(shapely.get_parts(shape)) == 2))
-
-
-def _valid(shape: shapely.Geometry, label: str) -> shapely.Geometry:
-    shape = shapely.force_2d(shape)
-    if shape.is_valid and shape.geom_type in ("Polygon", "MultiPolygon"):
-        return shape
-    whole = mended(shape)
-    if not shape.is_valid and not whole.is_empty:
-        warn(f"the outline of {label} crosses itself: all that it encloses is closed")
-    return whole
 
 
 def _plain(name: object) -> str:

@@ -23,7 +23,7 @@ import shapely
 from pyproj import Geod
 
 from jaxurban.errors import InputError, check_file, finite
-from jaxurban.io.read.zone import DAY, THE_SHORT_WAY, Period, Zone, mended, the_short_way_too, warn
+from jaxurban.io.read.zone import DAY, Period, Told, Zone, warn_of, whole_outline
 
 SUFFIXES = (".json", ".geojson")
 OPEN = "NO_RESTRICTION"  # a zone that tells, and closes nothing
@@ -35,10 +35,8 @@ NO_LIMITS = "have limits that are not metres or feet above ground, and reach on 
 CORNERS = 64  # of a circle: with what follows its polygon is at most 0.3 % wider
 WIDER = 1e-3  # of a circle's radius, for edges that are straight in degrees
 MOST_M = 300_000.0  # radius of a circle whose edges are as good as straight in degrees
-MOST_NAMED = 3
 GEOD = Geod(ellps="WGS84")
 Json = Mapping[str, Any]
-Told = dict[str, list[str]]  # what must be said of zones, a sentence each, with the names that it is true of
 BROKEN = (LookupError, TypeError, ValueError, ArithmeticError, AttributeError, shapely.errors.ShapelyError)
 
 
@@ -73,17 +71,9 @@ def read_geozones(path: str | Path) -> tuple[Zone, ...] | None:
         periods = _periods(facts, name, told)
         for volume, shape in _volumes(feature, label):
             floor_m, ceiling_m = _limits(volume, label, name, told)
-            if not shape.is_valid:
-                told["have outlines that cross themselves, and close all that these enclose"].append(name)
-                shape = mended(shape)
-            if (wider := the_short_way_too(shape)) is not shape:
-                told[THE_SHORT_WAY].append(name)
-                shape = wider
+            shape = whole_outline(shape, name, told, is_lonlat=True)
             zones.append(Zone(name, shape, "EPSG:4326", floor_m, ceiling_m, file, periods))
-    for sentence, names in told.items():
-        several = list(dict.fromkeys(names))
-        shown = ", ".join(map(repr, several[:MOST_NAMED])) + ", ..." * (len(several) > MOST_NAMED)
-        warn(f"zones of {file!r} that {sentence}: {len(several)} ({shown})")
+    warn_of(told, file)
     if not zones:
         raise InputError(f"the no-fly file {str(path)!r} holds no zone that restricts flights: give another file")
     return tuple(zones)

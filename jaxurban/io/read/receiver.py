@@ -66,11 +66,10 @@ def read_receiver_log(source: str | Path | pd.DataFrame) -> ReceiverLog:
       InputError: a file that cannot be read, no rows, a column that is missing or there twice, times that are none or
         of no known zone, coordinates that are none, two rows of one time, or values that no receiver gives.
     """
-    is_table = isinstance(source, pd.DataFrame)
-    name = "the table" if is_table else str(source)
-    table = source if isinstance(source, pd.DataFrame) else _read(source)
+    table = source if isinstance(source, pd.DataFrame) else read_table(source, "receiver log")
+    name = "the table" if table is source else str(source)
     if table.empty:
-        raise InputError(f"the receiver log {name!r} has no rows: {REMEDY}")
+        raise _wrong(name, f"has no rows: {REMEDY}")
     table = _named(table, name)
     table = table.assign(**{UTC: _times(table[UTC], name)})
     for column in RANGES:
@@ -81,20 +80,13 @@ def read_receiver_log(source: str | Path | pd.DataFrame) -> ReceiverLog:
         table = _counted(table, name)
     if table[UTC].duplicated().any():
         at = table[UTC][table[UTC].duplicated()].iloc[0]
-        raise InputError(
-            f"the receiver log {name!r} has two rows at {at.isoformat()}: keep one row an epoch, or "
-            f"name the satellites of rows in a column {SATELLITE}"
-        )
+        remedy = f"keep one row an epoch, or name the satellites of rows in a column {SATELLITE}"
+        raise _wrong(name, f"has two rows at {at.isoformat()}: {remedy}")
     return ReceiverLog(name, table[[UTC, LON, LAT, *(each for each in (TRACKED, ERROR) if each in table)]])
 
 
-def _read(source: str | Path) -> pd.DataFrame:
-    try:
-        return read_table(source, "receiver log")
-    except InputError as error:
-        if isinstance(error.__cause__, pd.errors.EmptyDataError):
-            raise InputError(f"the receiver log {str(source)!r} is empty: {REMEDY}") from error
-        raise
+def _wrong(name: str, why: str) -> InputError:
+    return InputError(f"the receiver log {name!r} {why}")
 
 
 def _named(table: pd.DataFrame, name: str) -> pd.DataFrame:
@@ -102,16 +94,13 @@ def _named(table: pd.DataFrame, name: str) -> pd.DataFrame:
     table = table.rename(columns={column: str(column).strip() for column in table.columns})
     table = table.rename(columns={other: ours for ours, other in OTHER_NAMES.items() if ours not in table})
     if twice := [column for column in (UTC, LON, LAT, *WITNESSES) if (table.columns == column).sum() > 1]:
-        raise InputError(f"the receiver log {name!r} has two columns {twice[0]}: keep one")
+        raise _wrong(name, f"has two columns {twice[0]}: keep one")
     if missing := [column for column in (UTC, LON, LAT) if column not in table]:
         what = f"no times (a column {UTC})" if missing[0] == UTC else f"no column {missing[0]}"
         held = shorten(", ".join(map(repr, table.columns)), MOST_COLUMNS_SAID, placeholder=" ...")
-        raise InputError(f"the receiver log {name!r} has {what}, but {held}: {REMEDY}, parted by commas")
+        raise _wrong(name, f"has {what}, but {held}: {REMEDY}, parted by commas")
     if not any(column in table for column in WITNESSES):
-        raise InputError(
-            f"the receiver log {name!r} has none of the columns {', '.join(WITNESSES)}, of which one must tell how "
-            "well the receiver did: add one"
-        )
+        raise _wrong(name, f"has none of the columns {', '.join(WITNESSES)}, to tell how well it did: add one")
     return table
 
 
@@ -125,10 +114,8 @@ def _times(column: pd.Series, name: str) -> pd.Series:
         iso = zoned.str.replace(r"\s*(?:UTC|GMT)$", "Z", case=False, regex=True)
         times = pd.to_datetime(iso, utc=True, format="ISO8601", errors="coerce")
     if (is_wrong := times.isna()).any():
-        raise InputError(
-            f"the receiver log {name!r} has {str(texts[is_wrong].iloc[0])!r} as a time, which is none or without a "
-            f"zone and may be a local one: {TIME_REMEDY}"
-        )
+        why = "which is none or without a zone and may be a local one"
+        raise _wrong(name, f"has {str(texts[is_wrong].iloc[0])!r} as a time, {why}: {TIME_REMEDY}")
     return times
 
 
@@ -142,12 +129,10 @@ def _numbers(table: pd.DataFrame, column: str, name: str) -> pd.Series:
         is_wrong |= True
     if len(wrong := table[column][is_wrong].tolist()):  # a list's numbers are Python's
         hint = " (longitude and latitude may be swapped)" if column == LAT else ""
-        raise InputError(
-            f"the receiver log {name!r} has {wrong[0]!r} in {column} of {len(wrong)} row(s), where a number from "
-            f"{low:g} to {high:g} belongs{hint}: mend them, or remove the rows"
-        )
+        rule = f"where a number from {low:g} to {high:g} belongs{hint}: mend them, or remove the rows"
+        raise _wrong(name, f"has {wrong[0]!r} in {column} of {len(wrong)} row(s), {rule}")
     if column in WITNESSES and values.isna().all():
-        raise InputError(f"the receiver log {name!r} has no value in {column}: fill it, or remove the column")
+        raise _wrong(name, f"has no value in {column}: fill it, or remove the column")
     return values
 
 
@@ -156,13 +141,13 @@ def _counted(table: pd.DataFrame, name: str) -> pd.DataFrame:
     satellites = table[SATELLITE].astype("string").str.strip()
     satellites = satellites.mask(satellites == "")
     if satellites.isna().all():
-        raise InputError(f"the receiver log {name!r} names no satellite in its column {SATELLITE}: fill or remove it")
+        raise _wrong(name, f"names no satellite in its column {SATELLITE}: fill or remove it")
     columns = [column for column in (LON, LAT, TRACKED, ERROR) if column in table]
     epochs = table.assign(**{SATELLITE: satellites}).groupby(UTC, sort=True)
     for column in columns:
         if (differs := epochs[column].nunique().gt(1)).any():
             at = pd.Timestamp(differs.index[differs][0]).isoformat()
-            raise InputError(f"the receiver log {name!r} has two values of {column} at {at}: keep one receiver's rows")
+            raise _wrong(name, f"has two values of {column} at {at}: keep one receiver's rows")
     made = epochs[columns].first()
     if TRACKED not in made:
         made[TRACKED] = epochs[SATELLITE].nunique().astype(float)

@@ -21,6 +21,9 @@ BLOCK = 16  # cells a side that are looked at at once
 FLIGHT = timedelta(hours=1)  # from the time that is planned for: a zone in force by then is closed
 DAY = timedelta(days=1)
 ROUND = 360.0  # degrees of longitude
+MOST_NAMED = 3
+Told = dict[str, list[str]]  # what must be said of zones, a sentence each, with the names that it is true of
+CROSSING = "have outlines that cross themselves, and close all that these enclose"
 THE_SHORT_WAY = (
     "have edges of more than 180 degrees of longitude, and are closed the short way too, across the antimeridian "
     "(cut them there)"
@@ -191,6 +194,19 @@ def mended(shape: shapely.Geometry) -> shapely.Geometry:
     return polygonal(shapely.make_valid(shape, method="structure", keep_collapsed=False))
 
 
+def whole_outline(shape: shapely.Geometry, name: str, told: Told, *, is_lonlat: bool) -> shapely.Geometry:
+    """Return valid polygons that close all that the outline of a zone may mean; ``told`` gets what was done."""
+    if not shape.is_valid or shape.geom_type not in ("Polygon", "MultiPolygon"):
+        polygons = mended(shape)
+        if not shape.is_valid and not polygons.is_empty:
+            told[CROSSING].append(name)
+        shape = polygons
+    wider = the_short_way_too(shape) if is_lonlat else shape
+    if wider is not shape:
+        told[THE_SHORT_WAY].append(name)
+    return wider
+
+
 def the_short_way_too(shape: shapely.Geometry) -> shapely.Geometry:
     """Return a shape in longitude and latitude, and where edges span more than 180 degrees both ways that they may go.
 
@@ -211,6 +227,14 @@ def the_short_way_too(shape: shapely.Geometry) -> shapely.Geometry:
 def _metres_per_unit(crs: str) -> float:
     parsed = pyproj.CRS.from_user_input(crs)
     return METRES_PER_DEGREE if parsed.is_geographic else parsed.axis_info[0].unit_conversion_factor
+
+
+def warn_of(told: Told, file: str) -> None:
+    """Warn of zones of a file, a sentence each with the first names."""
+    for sentence, names in told.items():
+        several = list(dict.fromkeys(names))
+        shown = ", ".join(map(repr, several[:MOST_NAMED])) + ", ..." * (len(several) > MOST_NAMED)
+        warn(f"zones of {file!r} that {sentence}: {len(several)} ({shown})")
 
 
 def warn(sentence: str) -> None:
