@@ -10,7 +10,6 @@ from jaxurban.cli.common import OBSTACLES, PATH, PRESET, RESOLUTION, tell
 
 if TYPE_CHECKING:
     from jaxurban.viewer.viewer import Viewer
-    from jaxurban.world.city import City
 
 
 @click.command()
@@ -30,7 +29,7 @@ def view(folder: Path, export: Path | None, size_mib: float, port: int, no_brows
     opened = partial(_viewer, folder, **given)
     viewer = opened()
     if export is not None:
-        from jaxurban.viewer.export import write_page
+        from jaxurban.viewer.html import write_page
 
         num_bytes = write_page(viewer, export, int(size_mib * 2**20))
         tell(f"wrote {export} ({num_bytes / 2**20:.1f} MiB): open it in a browser")
@@ -55,23 +54,13 @@ def _viewer(
 ) -> "Viewer":
     """Return the viewer of maps in a folder, which plans as the maps were made to be planned on."""
     from jaxurban.maps.metric_maps import open_maps
-    from jaxurban.viewer.outlines import Outlines
-    from jaxurban.viewer.widget import viewer_of
+    from jaxurban.viewer.viewer import Viewer
 
     maps = open_maps(folder, resolution_m, obstacles=obstacles)  # type: ignore[arg-type]
-    return viewer_of(
+    return Viewer(
         maps,
         None if other is None else open_maps(other, maps.grid.resolution_m),
-        str(folder),
-        preset=preset or "",
-        outlines=Outlines(partial(_city, folder)) if maps.recorded else None,
         names=(folder.resolve().name, "" if other is None else other.resolve().name),
+        folder=str(folder),
+        preset=preset or "",
     )
-
-
-def _city(folder: Path) -> "City":
-    """Return the city that the maps in a folder were made of."""
-    from jaxurban.report.buildings import scenario_of
-    from jaxurban.scenario.run import load_city
-
-    return load_city(scenario_of(folder))

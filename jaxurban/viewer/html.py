@@ -1,11 +1,27 @@
-"""The page of the viewer: its markup, style and script, put together from the package's files."""
+"""The page of the viewer: its markup, style and script, put together from the package's files.
+
+It can hold its answers, for whoever has neither Python nor the maps.
+"""
 
 import base64
 import hashlib
+import json
 import re
+from collections.abc import Iterator
 from functools import cache
 from importlib.resources import files
+from itertools import product
+from pathlib import Path
+from typing import Any
 
+from jaxurban.errors import InputError
+from jaxurban.io.files import write_whole
+from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY
+from jaxurban.viewer.requests import Nothing, Shown
+from jaxurban.viewer.tiles import TILE, strides_of
+from jaxurban.viewer.viewer import Viewer, as_json
+
+SUFFIX = ".html"
 PARTS = {"markup": "viewer.html", "style": "viewer.css", "script": "viewer.js"}
 
 
@@ -53,3 +69,70 @@ def _policy_tag(data: str) -> str:
 
 def _escaped(text: str) -> str:
     return text.replace("&", "&amp;").replace("<", "&lt;")
+
+
+def write_page(viewer: Viewer, file: str | Path, most_bytes: int) -> int:
+    """Write the page with all maps of the viewer, as fine as a number of bytes allows, and return how many it has.
+
+    Every n-th cell is in it, the middle one of n x n; n is the smallest power of two that fits. It holds layers and
+    their values under the pointer; differences and routes need the maps.
+
+    Args:
+      viewer: of the maps.
+      file: ends in .html.
+      most_bytes: of the file.
+
+    Raises:
+      InputError: the file has another suffix or cannot be written, or even the coarsest page is larger.
+    """
+    file = Path(file)
+    if file.suffix.lower() != SUFFIX or file.is_dir() or not file.parent.is_dir():
+        raise InputError(f"the page {str(file)!r} must be a file that ends in {SUFFIX}, in a folder that is there")
+    shape = viewer.maps.grid.shape
+    maps = list(_maps_of(viewer))
+    for stride in strides_of(shape):
+        if len(maps) * shape[0] * shape[1] / stride**2 / 8 > most_bytes:  # a map deflates to a few bits a cell or more
+            continue
+        page = _page(viewer, maps, stride, most_bytes)
+        if page is not None:
+            write_whole(file, page)
+            return len(page)
+    raise InputError(f"no page of these {len(maps)} maps has at most {most_bytes / 2**20:g} MiB: allow more (--size)")
+
+
+def _maps_of(viewer: Viewer) -> Iterator[Shown]:
+    """Yield every map of the first run."""
+    maps = viewer.maps
+    num = {
+        ALTITUDE: len(maps.altitudes_m),
+        TIME: len(maps.times) if maps.default_time is not None else 1,
+        TIME_OF_DAY: len(maps.times_of_day),
+    }
+    for name, layer in viewer.layers[0].items():
+        altitudes, times, days = (range(max(num[dim], 1) if dim in layer.dims else 1) for dim in num)
+        for at in product(altitudes, times, days):
+            yield Shown(layer=name, at=at)
+
+
+def _page(viewer: Viewer, maps: list[Shown], stride: int, most_bytes: int) -> bytes | None:
+    """Return the page with every map at one stride; None where it has more bytes."""
+    scene = viewer.scene(Nothing()) | {"strides": [stride], "can_plan": False, "key": ""}
+    answers: dict[str, Any] = {_key("scene", {}): scene}
+    num_bytes = 0
+    num_rows, num_cols = (-(-size // (stride * TILE)) for size in viewer.maps.grid.shape)
+    for shown in maps:
+        told = {"layer": shown.layer, "at": list(shown.at), "minus": None}
+        answers[_key("legend", told)] = viewer.legend(shown)
+        for row, col in product(range(num_rows), range(num_cols)):
+            tile = told | {"stride": stride, "row": row, "col": col}
+            answers[_key("tile", tile)] = base64.b64encode(viewer.answer("tile", tile).body).decode()
+            num_bytes += len(answers[_key("tile", tile)])
+        if num_bytes > most_bytes:
+            return None
+    page = html_page(as_json(answers).decode(), viewer.names[0]).encode()
+    return page if len(page) <= most_bytes else None
+
+
+def _key(name: str, params: dict[str, Any]) -> str:
+    """Return what the page looks an answer up by: the request as its own script writes it."""
+    return name + json.dumps(params, separators=(",", ":"), ensure_ascii=False)

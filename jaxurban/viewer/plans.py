@@ -3,76 +3,53 @@
 import json
 import shlex
 import tempfile
-from collections import OrderedDict
-from collections.abc import Callable, Hashable
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path as FilePath
-from threading import RLock
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
 from jaxurban.errors import InputError, one_of
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.weights import GivenWeights, Weights
-from jaxurban.paths.constraints import CLEARANCES, Constraints
+from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.cost_map import CostMap, cost_map
 from jaxurban.paths.explain import RouteReport, explain
 from jaxurban.paths.export.write import FORMATS, WAYPOINTS
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.preset import under_preset, weights_on
 from jaxurban.paths.simplify import simplify
-from jaxurban.paths.vehicle import Vehicle
 from jaxurban.planners.cost_model import CostModel
 from jaxurban.planners.registry import find_planner
-from jaxurban.presets import BUDGET_S, DEFAULTS
+from jaxurban.presets import BUDGET_S
 from jaxurban.viewer.layers import Place
 from jaxurban.viewer.requests import Plan
+from jaxurban.viewer.tiles import Kept
 
 ZONES_FILE = "zones.geojson"  # what the page saves drawn zones as, and the command names
 SAMPLING_BUDGET_S = 2.0  # sampling planners take all that they may
-NUM_COST_MAPS, NUM_ROUTES = 2, 16  # that are kept
-Made = TypeVar("Made")
-
-
-@dataclass(frozen=True)
-class PlanDefaults:
-    """What routes are planned under where the page says nothing else.
-
-    Attributes:
-      weights: where the sliders start.
-      cost_model: its kind is where the page starts, all else of it stays.
-      clearance_m: where the page starts.
-      vertical_clearance_m, vehicle: of every route.
-      command: the folder and the resolution, as ``jaxurban plan`` takes them; empty for maps in memory.
-    """
-
-    weights: Weights = field(default_factory=Weights)
-    cost_model: CostModel = field(default_factory=CostModel)
-    clearance_m: float = DEFAULTS.clearance_m
-    vertical_clearance_m: float = DEFAULTS.vertical_clearance_m
-    vehicle: Vehicle | None = None
-    command: tuple[str, ...] = ()
-
-    @classmethod
-    def of(
-        cls, maps: MetricMaps, command: tuple[str, ...] = (), weights: GivenWeights = None, preset: str = ""
-    ) -> "PlanDefaults":
-        """Return what routes over maps are planned under where weights and a preset are given, and nothing else."""
-        _, model, limits = under_preset(preset, maps, None, None)
-        clearances = {name: float(getattr(limits, name)) for name in CLEARANCES}
-        return cls(weights_on(maps, weights), model, **clearances, vehicle=limits.vehicle, command=command)
+NUM_ROUTES = 16  # that are kept
 
 
 class Plans:
-    """Plans routes over maps, one at a time; threads wait for each other."""
+    """Plans routes over maps, one at a time; what the page does not say is as in the maps' scenario, or the preset.
 
-    def __init__(self, maps: MetricMaps, defaults: PlanDefaults) -> None:
-        self.maps, self.defaults = maps, defaults
-        self._lock = RLock()
-        self._cost_maps: OrderedDict[Hashable, CostMap] = OrderedDict()
-        self._routes: OrderedDict[Hashable, PlannedPath] = OrderedDict()  # without their cost maps, which are large
-        self._reports: OrderedDict[Hashable, RouteReport] = OrderedDict()
+    Args:
+      maps: the maps.
+      folder: that they lie in; empty for maps in memory.
+      weights: where the sliders start; left out, those of the scenario, else `Weights()`.
+      preset: as in `jaxurban.cost_map`.
+
+    Attributes:
+      maps: under the preset's rule of obstacles.
+      cost_model: its kind is where the page starts, all else of it stays.
+      limits: their clearance is where the page starts, all else of them stays.
+    """
+
+    def __init__(self, maps: MetricMaps, folder: str = "", weights: GivenWeights = None, preset: str = "") -> None:
+        self.maps, self.cost_model, self.limits = under_preset(preset, maps, None, None)
+        self.weights, self.folder = weights_on(maps, weights), folder
+        self._cost_maps, self._routes, self._reports = (Kept(most, lambda _: 1) for most in (2, NUM_ROUTES, NUM_ROUTES))
 
     def route(self, query: Plan, at: Place) -> PlannedPath:
         """Return the route that is asked for.
@@ -86,8 +63,7 @@ class Plans:
             budget_s = _budget_s(query.planner)
             return on.plan(query.start, query.goal, planner=query.planner, budget_s=budget_s, snap=query.snap)
 
-        with self._lock:
-            return _kept(self._routes, query.model_dump_json(), NUM_ROUTES, make)
+        return self._routes.get(query.model_dump_json(), make)  # without its cost map, which is large
 
     def report(self, query: Plan, at: Place) -> tuple[RouteReport, PlannedPath]:
         """Return a route explained, with what its pilot should know, and the route.
@@ -95,10 +71,8 @@ class Plans:
         Raises:
           InputError: there is no route.
         """
-        with self._lock:
-            planned, maps = self.route(query, at), self.maps.with_obstacles(query.obstacles)
-            found = _kept(self._reports, query.model_dump_json(), NUM_ROUTES, lambda: explain(planned, maps))
-            return found, planned
+        planned, maps = self.route(query, at), self.maps.with_obstacles(query.obstacles)
+        return self._reports.get(query.model_dump_json(), lambda: explain(planned, maps)), planned
 
     def file(self, query: Plan, at: Place, suffix: str) -> bytes:
         """Return a route as ``jaxurban plan -o`` writes it; as waypoints, simplified by half a cell.
@@ -117,32 +91,28 @@ class Plans:
         Raises:
           InputError: as for `jaxurban.plan`.
         """
-        with self._lock:
-            planned, key = self.route(query, at), ("mission", query.model_dump_json())
-            tolerance_m = self.maps.grid.resolution_m / 2
-            return _kept(
-                self._routes, key, NUM_ROUTES, lambda: simplify(planned, self._cost_map(query, at), tolerance_m)
-            )
+        planned, tolerance_m = self.route(query, at), self.maps.grid.resolution_m / 2
+        key = "mission", query.model_dump_json()
+        return self._routes.get(key, lambda: simplify(planned, self._cost_map(query, at), tolerance_m))
 
     def moved(self, query: Plan, at: Place) -> dict[str, str]:
         """Return how far each end of a route was moved and out of what, by name; nothing of an end that was free."""
-        with self._lock:
-            planned, on, sentences = self.route(query, at), self._cost_map(query, at), {}
-            for name, moved_m in zip(("start", "goal"), planned.snap_distance_m, strict=True):
-                _, cell = on.cell_of(name, getattr(query, name))
-                if not on.is_free[cell]:
-                    sentences[name] = f"{name} moved {moved_m:.0f} m: it was {on.why_closed(cell)}"
-            return sentences
+        planned, on, sentences = self.route(query, at), self._cost_map(query, at), {}
+        for name, moved_m in zip(("start", "goal"), planned.snap_distance_m, strict=True):
+            _, cell = on.cell_of(name, getattr(query, name))
+            if not on.is_free[cell]:
+                sentences[name] = f"{name} moved {moved_m:.0f} m: it was {on.why_closed(cell)}"
+        return sentences
 
     def command(self, query: Plan, at: Place) -> str:
         """Return the command that gives the same route, coordinate for coordinate; empty for maps in memory.
 
         (Of a planner that stops when its time is over, `SAMPLING_BUDGET_S`, another run may come further.)
         """
-        if not self.defaults.command:
+        if not self.folder:
             return ""
-        folder, *resolution = self.defaults.command
         values = {
+            "--resolution": repr(self.maps.grid.resolution_m),
             "--start": ",".join(map(repr, query.start)),
             "--goal": ",".join(map(repr, query.goal)),
             "--altitude": repr(at.altitude_m),
@@ -156,24 +126,23 @@ class Plans:
             "--cost-model": query.cost_model,
             "--obstacles": query.obstacles,
             "--clearance": repr(query.clearance_m),
-            "--vertical-clearance": repr(self.defaults.vertical_clearance_m),
+            "--vertical-clearance": repr(self.limits.vertical_clearance_m),
             "--no-fly": ZONES_FILE if query.zones else None,
         }
         given = [part for name, value in values.items() if value is not None for part in (name, value)]
-        return shlex.join(["jaxurban", "plan", folder, *resolution, *given, *(["--snap"] if query.snap else [])])
+        return shlex.join(["jaxurban", "plan", self.folder, *given, *(["--snap"] if query.snap else [])])
 
     def _cost_map(self, query: Plan, at: Place) -> CostMap:
         """Return the cost map of a query; what does not depend on the weights is made once."""
         find_planner(query.planner)
         for name in query.weights:
             one_of("weight", name, ("distance", *self.maps.metrics))
-        weights = Weights.of({**self.defaults.weights.to_dict(), **query.weights})
+        weights = Weights.of({**self.weights.to_dict(), **query.weights})
         key = at, query.cost_model, query.obstacles, query.clearance_m, query.zones
-        on = _kept(self._cost_maps, key, NUM_COST_MAPS, lambda: self._made(query, at))
-        return on.with_weights(weights)
+        return self._cost_maps.get(key, lambda: self._made(query, at)).with_weights(weights)
 
     def _made(self, query: Plan, at: Place) -> CostMap:
-        settings = self.defaults.cost_model.settings | {"cost_model": query.cost_model}
+        settings = self.cost_model.settings | {"cost_model": query.cost_model}
         if at.altitude_m is None:
             raise InputError("these maps hold no altitude to plan at")
         return cost_map(
@@ -187,8 +156,7 @@ class Plans:
 
     def _constraints(self, query: Plan) -> Constraints:
         """Return what closes cells: drawn zones are read from a file as those of the command are."""
-        defaults = self.defaults
-        kept = Constraints((), (), query.clearance_m, defaults.vertical_clearance_m, defaults.vehicle)
+        kept = replace(self.limits, clearance_m=query.clearance_m)
         if not query.zones:
             return kept
         _check_zones(query.zones)
@@ -196,16 +164,6 @@ class Plans:
             file = FilePath(folder) / ZONES_FILE
             file.write_text(query.zones, encoding="utf-8")
             return replace(kept, zones=Constraints.read(file).zones)
-
-
-def _kept(held: OrderedDict[Hashable, Made], key: Hashable, most: int, make: Callable[[], Made]) -> Made:
-    """Return what is held under a key, made if it is not; the ones used last are held."""
-    if key not in held:
-        held[key] = make()
-    held.move_to_end(key)
-    while len(held) > most:
-        held.popitem(last=False)
-    return held[key]
 
 
 def _budget_s(planner: str) -> float:

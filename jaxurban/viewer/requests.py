@@ -59,15 +59,6 @@ class Cell(Request):
     col: Index
 
 
-class Box(Request):
-    """A part of the region, metres from its southwest corner."""
-
-    west: float
-    south: float
-    east: float
-    north: float
-
-
 class Plan(Request):
     """A route that is wanted; `jaxurban.plan` names the same.
 

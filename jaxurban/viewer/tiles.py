@@ -1,16 +1,23 @@
-"""Layers cut into tiles of a pyramid: at stride n the page gets every n-th cell, the middle one of n x n, as it is."""
+"""Maps as the page gets them: tiles of a pyramid, and polynomials for the longitude and latitude of any place.
+
+At stride n it gets every n-th cell, the middle one of n x n, as it is.
+"""
 
 import zlib
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
+from operator import attrgetter
 from threading import Lock
+from typing import Any
 
 import numpy as np
 
 from jaxurban.errors import InputError
+from jaxurban.world.grid import Grid
 
 TILE = 256  # cells a side of a tile
 MOST_BYTES = 256 * 2**20  # of layers that are kept
+DEGREE, NUM_FITTED = 4, 17  # of the polynomials, and places a side that they are fitted to
 
 
 def strides_of(shape: tuple[int, int]) -> list[int]:
@@ -47,29 +54,43 @@ def tile_bytes(values: np.ndarray, stride: int, row: int, col: int) -> bytes:
     return zlib.compress(cells.view(np.uint8).reshape(-1, 4).T.tobytes(), 1)
 
 
+def lonlat_fit(grid: Grid) -> dict[str, np.ndarray]:
+    """Return longitude and latitude as polynomials of u and v, which run from -1 to 1 from border to border.
+
+    ``powers`` are ``[P, 2]`` of u and v of each term, ``lon`` and ``lat`` ``[P]`` its coefficients, degrees.
+    """
+    powers = np.array([(i, j) for i in range(DEGREE + 1) for j in range(DEGREE + 1 - i)])
+    uv = np.stack(np.meshgrid(*[np.linspace(-1, 1, NUM_FITTED)] * 2), axis=-1).reshape(-1, 2)
+    low_m, high_m = np.array([[grid.x_min_m, grid.y_min_m], [grid.x_max_m, grid.y_max_m]])
+    lonlat = np.stack(grid.lonlat_of_xy(*((low_m + high_m) / 2 + uv * (high_m - low_m) / 2).T), axis=-1)
+    lon, lat = np.linalg.lstsq(np.prod(uv[:, None] ** powers, axis=-1), lonlat, rcond=None)[0].T
+    return {"powers": powers, "lon": lon, "lat": lat}
+
+
 class Kept:
-    """Arrays that were made, the latest used ones up to a number of bytes; several threads may ask.
+    """What was made, the latest used ones up to a sum of sizes; several threads may ask.
 
     Attributes:
-      most_bytes: what all of them may take; the one asked for last is always kept.
+      most: what all of them may take; the one asked for last is always kept.
+      size_of: returns what one of them takes; left out, the bytes of an array.
     """
 
-    def __init__(self, most_bytes: int = MOST_BYTES) -> None:
-        self.most_bytes = most_bytes
-        self._held: OrderedDict[Hashable, np.ndarray] = OrderedDict()
+    def __init__(self, most: int = MOST_BYTES, size_of: Callable[[Any], int] = attrgetter("nbytes")) -> None:
+        self.most, self.size_of = most, size_of
+        self._held: OrderedDict[Hashable, Any] = OrderedDict()
         self._lock = Lock()
 
-    def get(self, key: Hashable, make: Callable[[], np.ndarray]) -> np.ndarray:
-        """Return the array of a key, made by ``make`` if it is not here; no two are made at once."""
+    def get(self, key: Hashable, make: Callable[[], Any]) -> Any:
+        """Return what is kept under a key, made by ``make`` if it is not here; no two are made at once."""
         with self._lock:
             if key not in self._held:
                 self._held[key] = make()
             self._held.move_to_end(key)
-            while len(self._held) > 1 and self.num_bytes > self.most_bytes:
+            while len(self._held) > 1 and self.size > self.most:
                 self._held.popitem(last=False)
             return self._held[key]
 
     @property
-    def num_bytes(self) -> int:
+    def size(self) -> int:
         """How much is kept."""
-        return sum(array.nbytes for array in self._held.values())
+        return sum(map(self.size_of, self._held.values()))

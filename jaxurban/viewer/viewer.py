@@ -14,6 +14,7 @@ from jaxurban.errors import InputError, RemadeError, one_of
 from jaxurban.io.store import OPENED
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY
+from jaxurban.metrics.weights import GivenWeights
 from jaxurban.paths.export.waypoints import waypoints
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.profile import CLEARANCE, cautious_profile, without_fix
@@ -22,16 +23,8 @@ from jaxurban.planners.registry import PLANNERS
 from jaxurban.report.figures.metrics import DOP_NAMES, line_colour
 from jaxurban.report.figures.notes import guesses_said, place_said, rules_said, time_said
 from jaxurban.report.figures.paths import planner_colours
-from jaxurban.viewer.coordinates import lonlat_fit
-from jaxurban.viewer.layers import (
-    H_NORM,
-    Layer,
-    Place,
-    difference,
-    find_layer,
-    layers_of,
-    legend_of,
-)
+from jaxurban.studies.map_comparison import shared_part
+from jaxurban.viewer.layers import H_NORM, Layer, Place, difference, find_layer, layers_of, legend_of
 from jaxurban.viewer.markup import (
     costs,
     layer_options,
@@ -44,10 +37,9 @@ from jaxurban.viewer.markup import (
     sentences,
     sliders,
 )
-from jaxurban.viewer.outlines import Outlines
-from jaxurban.viewer.plans import PlanDefaults, Plans
-from jaxurban.viewer.requests import Box, Cell, Nothing, Plan, Request, Save, Shown, Tile, Which, parse
-from jaxurban.viewer.tiles import TILE, Kept, strides_of, tile_bytes
+from jaxurban.viewer.plans import Plans
+from jaxurban.viewer.requests import Cell, Nothing, Plan, Request, Save, Shown, Tile, Which, parse
+from jaxurban.viewer.tiles import TILE, Kept, lonlat_fit, strides_of, tile_bytes
 
 JSON, BYTES = "application/json", "application/octet-stream"
 BLOCK = 128  # cells a side that are read at once for the values under the pointer
@@ -76,10 +68,12 @@ class Viewer:
 
     Args:
       maps: that are looked at and planned on.
-      other: further maps of the same cells, altitudes and times, whose layers can be taken off.
-      defaults: what routes are planned under at first; left out, `PlanDefaults.of` the maps.
-      outlines: of the buildings.
+      other: further maps that hold every cell, altitude and time of these, whose layers can be taken off.
       names: what the maps, and the others, are called.
+      folder, weights, preset: of `Plans`.
+
+    Raises:
+      InputError: the others do not, or as of `Plans`.
 
     Attributes:
       key: of this viewer alone: a page that has another's answers asks for no more of them here.
@@ -90,13 +84,14 @@ class Viewer:
         maps: MetricMaps,
         other: MetricMaps | None = None,
         *,
-        defaults: PlanDefaults | None = None,
-        outlines: Outlines | None = None,
         names: tuple[str, ...] = ("the maps", "the other maps"),
+        folder: str = "",
+        weights: GivenWeights = None,
+        preset: str = "",
     ) -> None:
-        self.runs = [maps] if other is None else [maps, other]
-        self.names, self.outlines = names[: len(self.runs)], outlines or Outlines()
-        self.plans = Plans(maps, defaults or PlanDefaults.of(maps))
+        self.plans = Plans(maps, folder, weights, preset)
+        self.runs = [self.plans.maps] if other is None else [self.plans.maps, _same_part(maps, other)]
+        self.names = names[: len(self.runs)]
         self.layers = [layers_of(each) for each in self.runs]
         self.kept, self.key = Kept(), uuid4().hex
         self._answers: dict[str, tuple[type[Request], Callable[[Any], Any]]] = {
@@ -107,7 +102,6 @@ class Viewer:
             "plan": (Plan, self.plan),
             "report": (Plan, self.report),
             "save": (Save, self.save),
-            "outlines": (Box, self.outlines_in),
         }
 
     @property
@@ -140,7 +134,7 @@ class Viewer:
 
     def scene(self, _: Nothing) -> dict[str, Any]:
         """Return what the page must know before it asks for anything else; ``html`` fills its places by name."""
-        grid, maps, defaults, layers = self.maps.grid, self.maps, self.plans.defaults, self.layers[0]
+        grid, maps, layers = self.maps.grid, self.maps, self.layers[0]
         names = ("distance", *maps.metrics)
         north_deg = math.degrees(grid.convergence_rad(*grid.centre_lonlat))
         return {
@@ -156,14 +150,13 @@ class Viewer:
             ],
             "tile": TILE,
             "strides": strides_of(grid.shape),
-            "weights": {name: float(defaults.weights[name]) for name in names},
+            "weights": {name: float(self.plans.weights[name]) for name in names},
             "planner_colours": PLANNER_LINES,
             "fields": {
-                "cost_model": defaults.cost_model.kind,
+                "cost_model": self.plans.cost_model.kind,
                 "obstacles": maps.obstacles,
-                "clearance_m": defaults.clearance_m,
+                "clearance_m": self.plans.limits.clearance_m,
             },
-            "has_outlines": self.outlines.are_there,
             "can_plan": True,
             "html": self._texts(north_deg),
         }
@@ -345,9 +338,13 @@ class Viewer:
         asked = Plan(**query.model_dump(exclude={"format"}))
         return self.plans.file(asked, self.place(query.at), f".{query.format}")
 
-    def outlines_in(self, box: Box) -> dict[str, Any]:
-        """Return the outlines of buildings in a part of the region."""
-        return self.outlines.within(self.maps.grid, (box.west, box.south, box.east, box.north))
+
+def _same_part(maps: MetricMaps, other: MetricMaps) -> MetricMaps:
+    """Return the part of other maps that lies where these do."""
+    part = shared_part(maps, other)
+    if part.a.grid != maps.grid or part.a.altitudes_m != maps.altitudes_m or part.a.times != maps.times:
+        raise InputError("the other maps must hold every cell, altitude and time of those that are planned on")
+    return part.b
 
 
 def status_said(planned: PlannedPath) -> str:

@@ -4,12 +4,9 @@ import json
 from typing import TYPE_CHECKING, Any
 
 from jaxurban.errors import InputError, typed
-from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
+from jaxurban.maps.metric_maps import GivenMaps, as_maps
 from jaxurban.metrics.weights import GivenWeights
-from jaxurban.paths.preset import under_preset
-from jaxurban.studies.map_comparison import shared_part
 from jaxurban.viewer.html import part
-from jaxurban.viewer.plans import PlanDefaults
 from jaxurban.viewer.viewer import JSON, Viewer
 
 if TYPE_CHECKING:
@@ -28,40 +25,11 @@ def view(maps: GivenMaps, *, weights: GivenWeights = None, other: GivenMaps | No
       preset: ``"paper"``: where the page starts, as in `jaxurban.cost_map`.
 
     Raises:
-      InputError: anywidget is not installed, or the maps cannot be opened.
+      InputError: anywidget is not installed, the maps cannot be opened, or the others do not hold the same.
     """
     held = as_maps(maps)
-    folder = None if held is maps else str(maps)
-    return widget_of(viewer_of(held, None if other is None else as_maps(other), folder, weights, preset))
-
-
-def viewer_of(
-    maps: MetricMaps,
-    other: MetricMaps | None,
-    folder: str | None,
-    weights: GivenWeights = None,
-    preset: str = "",
-    **shown: Any,
-) -> Viewer:
-    """Return the viewer of maps, which plans as their scenario says, and of the same part of further ones.
-
-    Args:
-      maps, other, weights, preset: as for `view`.
-      folder: of the maps, for the commands that the page shows; None for maps in memory.
-      shown: further arguments of `Viewer`.
-
-    Raises:
-      InputError: further maps that do not hold every cell, altitude and time of the first.
-    """
-    if other is not None:
-        shared = shared_part(maps, other)
-        if (shared.a.grid, shared.a.altitudes_m, shared.a.times) != (maps.grid, maps.altitudes_m, maps.times):
-            raise InputError("the other maps must hold every cell, altitude and time of those that are planned on")
-        other = shared.b
-    command = () if folder is None else (folder, "--resolution", repr(maps.grid.resolution_m))
-    defaults = PlanDefaults.of(maps, command, weights, preset)
-    maps, *_ = under_preset(preset, maps, None, None)
-    return Viewer(maps, other, defaults=defaults, **shown)
+    others, folder = None if other is None else as_maps(other), "" if held is maps else str(maps)
+    return widget_of(Viewer(held, others, folder=folder, weights=weights, preset=preset))
 
 
 def widget_of(viewer: Viewer) -> "AnyWidget":

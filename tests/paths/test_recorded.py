@@ -9,7 +9,7 @@ import jaxurban as ju
 from jaxurban.io.files import write_json
 from jaxurban.scenario.provenance import settings_of
 from jaxurban.scenario.run import run_scenario
-from jaxurban.viewer.plans import PlanDefaults
+from jaxurban.viewer.plans import Plans
 from tests.cli_runs import assert_one_sentence, run
 from tests.made_maps import made_maps
 from tests.scenario.test_changes import TEXT
@@ -106,8 +106,8 @@ def test_a_presets_rule_is_one_for_commands_studies_and_the_viewer(tmp_path, cap
         assert (facts["cost_model"], facts["obstacles"]) == ("line", "centre")
         assert facts["limits"]["vertical_clearance_m"] == 3.0
     maps = ju.open_maps(folder)
-    defaults = PlanDefaults.of(maps, preset="paper")
-    assert (defaults.cost_model.kind, defaults.vertical_clearance_m) == ("line", 3.0)
+    plans = Plans(maps, preset="paper")
+    assert (plans.cost_model.kind, plans.limits.vertical_clearance_m) == ("line", 3.0)
     drawn = ju.sample_instances(maps, 2, altitudes_m=[ALTITUDE_M], weights=[ju.Weights()], preset="paper")
     (row,) = drawn[drawn.instance == 0].itertuples()
     ends = ju.XY(row.start_x_m, row.start_y_m), ju.XY(row.goal_x_m, row.goal_y_m)

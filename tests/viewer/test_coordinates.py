@@ -4,7 +4,7 @@ import numpy as np
 import pyproj
 import pytest
 
-from jaxurban.viewer.coordinates import lonlat_fit
+from jaxurban.viewer.tiles import lonlat_fit
 from jaxurban.world.grid import Grid
 
 

@@ -10,9 +10,7 @@ import numpy as np
 import pytest
 
 from jaxurban.maps.metric_maps import open_maps
-from jaxurban.viewer.export import write_page
-from jaxurban.viewer.html import part
-from jaxurban.viewer.plans import PlanDefaults
+from jaxurban.viewer.html import part, write_page
 from jaxurban.viewer.viewer import Viewer
 from jaxurban.viewer.widget import reply_to
 from tests.cli_runs import run
@@ -41,7 +39,7 @@ def browser():
 
 @pytest.fixture(scope="module")
 def page(browser, folder):
-    viewer = Viewer(MAPS, defaults=PlanDefaults(command=(str(folder), "--resolution", "10.0")), names=("city",))
+    viewer = Viewer(MAPS, folder=str(folder), names=("city",))
     with served(viewer) as server, opened(browser, server.url) as (page, asked, wrong):
         yield page
         assert asked
@@ -369,7 +367,7 @@ def test_maps_that_were_made_again_are_named_on_the_page_and_a_button_loads_them
 
 
 def test_a_refused_request_leaves_no_other_route_and_no_command_standing(browser, folder):
-    viewer = Viewer(MAPS, defaults=PlanDefaults(command=(str(folder), "--resolution", "10.0")))
+    viewer = Viewer(MAPS, folder=str(folder))
     with served(viewer) as server, opened(browser, server.url) as (page, _, _):
         page.click('[data-tab="plan"]')
         page.mouse.click(*pixel_of(page, *FREE[900]), button="right")  # which asks for nothing

@@ -137,7 +137,7 @@ def hostile(port: int) -> list[tuple[str, str, bytes, dict]]:
     odd_plans += [{"planner": "rm -rf"}, {"planner": "astar-volume"}, {"cost_model": "x"}, {"obstacles": "x"}]
     odd_plans += [{"clearance_m": -1}, {"clearance_m": "1"}, {"extra": 1}, {"start": [0, 0]}, {"goal": [40.0, -75.0]}]
     found += [("POST", "/ask/plan", json.dumps(PLAN | each).encode(), {}) for each in odd_plans]
-    for name in ("save", "report", "legend", "outlines"):
+    for name in ("save", "report", "legend", "values"):
         found += [
             ("POST", f"/ask/{name}", json.dumps(each).encode(), {}) for each in ({}, {"format": "../x"}, {"at": []})
         ]

@@ -49,7 +49,7 @@ def test_a_tile_that_is_not_there_is_refused(place):
 
 
 def test_what_is_kept_stays_below_its_bound():
-    kept, made = Kept(most_bytes=3 * 80), []
+    kept, made = Kept(3 * 80), []
 
     def make(key: int) -> np.ndarray:
         made.append(key)
@@ -57,5 +57,5 @@ def test_what_is_kept_stays_below_its_bound():
 
     for key in (1, 2, 3, 1, 4, 1, 2):
         kept.get(key, lambda key=key: make(key))
-        assert kept.num_bytes <= 3 * 80
+        assert kept.size <= 3 * 80
     assert made == [1, 2, 3, 4, 2]

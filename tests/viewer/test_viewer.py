@@ -10,7 +10,6 @@ import zlib
 
 import numpy as np
 import pytest
-import shapely
 
 from jaxurban.errors import InputError
 from jaxurban.metrics.weights import Weights
@@ -22,10 +21,7 @@ from jaxurban.paths.simplify import simplify
 from jaxurban.report.figures.metrics import metric_colours
 from jaxurban.viewer.layers import Place, layers_of, legend_of
 from jaxurban.viewer.markup import number
-from jaxurban.viewer.outlines import MOST_OUTLINES, Outlines
-from jaxurban.viewer.plans import PlanDefaults
 from jaxurban.viewer.viewer import Viewer
-from jaxurban.world.grid import Grid
 from tests.cli_runs import run
 from tests.made_maps import made_maps
 
@@ -58,7 +54,7 @@ def answer(viewer: Viewer, name: str, **params):
 def viewer(tmp_path_factory) -> Viewer:
     folder = tmp_path_factory.mktemp("maps")
     MAPS.save(folder)
-    return Viewer(MAPS, MAPS, defaults=PlanDefaults(command=(str(folder), "--resolution", "10.0")))
+    return Viewer(MAPS, MAPS, folder=str(folder))
 
 
 def tile_of(viewer: Viewer, layer: str, at: list[int], **more) -> np.ndarray:
@@ -256,19 +252,6 @@ def test_a_profile_labels_the_flight_at_its_height_and_distances_so_that_none_eq
     assert {unit for _, unit in ticks} == {"m"}
     nearest_m = explain(plan(MAPS, ENDS[0], NEAR, altitude_m=20.0, weights=Weights(**WEIGHTS)), MAPS).totals
     assert f"least clearance {number(nearest_m['nearest_wall_m'])} m" in near
-
-
-def test_of_too_many_outlines_the_largest_are_drawn_and_the_others_counted():
-    size_m = np.linspace(1, 9, MOST_OUTLINES + 500)
-    x_m, y_m = (10.0 * each for each in np.divmod(np.arange(len(size_m)), 60))
-    polygons = shapely.box(x_m, y_m, x_m + size_m, y_m + size_m)
-    outlines = Outlines()
-    outlines._tree = shapely.STRtree(polygons)
-    grid = Grid("EPSG:32618", 10.0, 0, 0, 60, 60)
-    found = outlines.within(grid, (0.0, 0.0, 1e4, 1e4))
-    areas = [shapely.Polygon(ring).area for ring in found["rings"]]
-    assert (found["state"], found["left_out"], len(areas)) == ("ready", 500, MOST_OUTLINES)
-    assert min(areas) == pytest.approx(size_m[500] ** 2, rel=0.02)
 
 
 @pytest.mark.parametrize("name", ["plan", "report"])

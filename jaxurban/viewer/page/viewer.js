@@ -63,7 +63,7 @@ async function start(root, ask) {
   const field = name => root.querySelector(`[name="${name}"]`), all = what => root.querySelectorAll(what);
   const scene = await ask('scene', {}), side = scene.resolution_m, wide = scene.cols * side, high = scene.rows * side;
   const layers = Object.fromEntries(scene.layers.map(layer => [layer.name, layer]));
-  const map = is('map'), pen = map.getContext('2d'), tiles = new Map(), outlines = new Map();
+  const map = is('map'), pen = map.getContext('2d'), tiles = new Map();
   const state = { tab: 'look', ends: {}, marks: {}, zones: [], routes: [], plans: 0, weights: { ...scene.weights } };
   const view = { x: wide / 2, y: high / 2, scale: 1 }, [west0, south0] = scene.corner_m; // scale: metres a pixel
   const tell = (text, isOld = false) => { // that the maps are old stays
@@ -158,7 +158,6 @@ async function start(root, ask) {
     pen.imageSmoothingEnabled = false;
     const [west, north] = toMetres(0, 0), [east, south] = toMetres(width, height);
     if (state.shown) drawTiles(west, south, east, north, view.scale / ratio);
-    is('left-out').textContent = scene.has_outlines && view.scale < 1.5 ? drawOutlines(west, south, east, north) : '';
     for (const zone of state.zones) line(zone, '#a01830', 1.5, { fill: '#a0183033' });
     if (state.drawing) line(state.drawing, '#a01830', 1.5);
     const routes = state.routes.map((route, k) => ({ ...route, width: 2.6 + 3 * k })).reverse(); // wide ones below
@@ -200,26 +199,6 @@ async function start(root, ask) {
           pen.drawImage(picture, left, bottom - up, picture.width * pixels, up);
         }
     }
-  };
-  const drawOutlines = (west, south, east, north, step = 400) => { // and what is missing of them
-    let leftOut = 0, isReading = false, whyNot = '';
-    for (let x = Math.floor(west / step); x <= east / step; x++)
-      for (let y = Math.floor(south / step); y <= north / step; y++) {
-        const key = `${x} ${y}`, [left, low, right, top] = [x, y, x + 1, y + 1].map(each => each * step);
-        const read = guard(async () => {
-          const found = await ask('outlines', { west: left, south: low, east: right, north: top });
-          outlines.set(key, found);
-          if (found.state === 'reading') setTimeout(read, 700);
-          draw();
-        });
-        if (!outlines.has(key)) { outlines.set(key, { state: 'reading', rings: [], left_out: 0 }); read(); }
-        const { state: how, rings, left_out } = outlines.get(key);
-        for (const ring of rings) { line(ring, '#fffb', 2.4); line(ring, '#1f2429cc', 0.8); }
-        leftOut += left_out;
-        if (how === 'reading') isReading = true; else if (how !== 'ready') whyNot = how;
-      }
-    return whyNot || (isReading ? 'Outlines are being read …' : leftOut
-      ? `The smallest outlines here, ${leftOut.toLocaleString('en')}, are not drawn` : '');
   };
   const line = (places, strokeStyle, lineWidth, { fill, dash } = {}) => {
     pen.beginPath();
