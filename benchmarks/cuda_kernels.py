@@ -14,12 +14,13 @@ import numpy as np
 from jaxurban.kernels import dop
 from jaxurban.kernels.distance import exact as distance
 from jaxurban.kernels.distance import soft as soft_distance
-from jaxurban.kernels.lidar import flat, steps, supersampled
+from jaxurban.kernels.lidar import flat, steps
 from jaxurban.kernels.lidar import soft as soft_lidar
 from jaxurban.kernels.line import segment_costs
 from jaxurban.kernels.search import frontier, sample_graph
-from jaxurban.kernels.shadows import doubling, sweep
-from jaxurban.kernels.shadows import soft as soft_shadows
+from jaxurban.kernels.shadows import sweep
+from jaxurban.kernels.shadows.sweep import shadow_heights
+from jaxurban.kernels.soft_step import satellite_weights
 from jaxurban.maps import pipeline, recipe
 from jaxurban.maps.differentiable import PathVisits, SoftCity, SoftParams
 from jaxurban.metrics import availability, gps, lidar, obstacle, population, risk, visibility
@@ -80,7 +81,6 @@ HEIGHTS_M = array(512)
 ALTITUDES_M = array(4)
 NUM_SATELLITES = 9
 AZIMUTH_RAD, ELEVATION_RAD = np.linspace(0.3, 6.0, NUM_SATELLITES), np.linspace(0.3, 1.2, NUM_SATELLITES)
-WORDS = array(1, 4, *REGION, dtype=jnp.uint32)
 
 
 def line(shape: tuple[int, ...]) -> sweep.Line:
@@ -110,9 +110,10 @@ VIEW = visibility.SkyView(lines(), satellites(NUM_SATELLITES, 1), WHOLE)
 NUM_AZIMUTHS, NUM_BEAMS, RANGE_M = 360, 16, 100.0
 STEPS_5M, STEPS_FINE = (flat.num_steps(side_m, RANGE_M) for side_m in (5.0, 5.0 / PER_CELL))
 RAYS = flat.ray_offsets(NUM_AZIMUTHS, STEPS_5M)
-STARTS = supersampled.phase_starts(RAYS, 1)
-FINE_RAYS = supersampled.phase_starts(flat.ray_offsets(NUM_AZIMUTHS, STEPS_FINE), PER_CELL)
-FINE_HALO = supersampled.halo_cells(STEPS_FINE, PER_CELL)
+STARTS = flat.phase_starts(RAYS, 1)
+RAYS_5M = {"halo": STEPS_5M - 1}
+FINE_RAYS = flat.phase_starts(flat.ray_offsets(NUM_AZIMUTHS, STEPS_FINE), PER_CELL)
+FINE_HALO = flat.halo_cells(STEPS_FINE, PER_CELL)
 SCAN = soft_lidar.Scan(NUMBER, NUMBER, NUMBER, array(NUM_BEAMS), array(NUM_BEAMS))
 
 
@@ -182,7 +183,7 @@ def soft_people(block, blocks, params):
 
 def soft_shadow_weights(roof_m, shadow_lines):
     """Return how much each satellite counts, of roofs."""
-    return soft_shadows.satellite_weights(20.0, soft_shadows.shadow_heights(roof_m, shadow_lines, WINDOW), 2.0)
+    return satellite_weights(20.0, shadow_heights(roof_m, shadow_lines, WINDOW), 2.0)
 
 
 def nearest(roof_m):
@@ -204,22 +205,18 @@ def inputs() -> tuple[pipeline.MapInputs, visibility.SkyView]:
     return pipeline.MapInputs(city, ALTITUDES_M, array(4, STEPS_5M), array(2), BLOCKS, *params), sky
 
 
-DOUBLED = {"passes": doubling.num_passes(max(SURFACE))}
 RINGS = sweep.Ring(*(array(NUM_SATELLITES, *side.shape) for side in RING))
 
 KERNELS: dict[str, Callable[[], Call]] = {
     "all maps": lambda: Call(jax.jit(pipeline.all_maps), inputs()),
-    "shadows: doubling": lambda: Call(doubling.shadow_heights_at_once, (array(*SURFACE), lines()), DOUBLED),
-    "shadows: doubling, hand on": lambda: Call(
-        doubling.hand_on_at_once, (array(*TILE), lines_over(GROWN), RINGS), {"passes": doubling.num_passes(max(GROWN))}
+    "shadows: doubling": lambda: Call(
+        sweep.shadow_heights_at_once, (array(*SURFACE), lines()), {"passes": sweep.num_passes(max(SURFACE))}
     ),
+    "shadows: doubling, hand on": lambda: Call(sweep.handed_on, (array(*TILE), lines_over(GROWN), RINGS)),
     "shadows: doubling, words": lambda: Call(
-        visibility._doubled_words,
-        (array(*SURFACE), None, ALTITUDES_M, lines(), None),
-        DOUBLED | {"window": WINDOW[:4]},
+        sweep.visible_words, (array(*SURFACE), array(4, 1, 1), lines(), WHOLE), {"window": WINDOW}
     ),
     "surface: cut": lambda: Call(surface._cut, (part(REGION),)),
-    "recipe: a layer": lambda: Call(recipe._at, (WORDS, WHOLE)),
     "recipe: roofs and obstacles": lambda: Call(recipe._roofs_and_obstacles, (part(REGION), ALTITUDES_M)),
     "obstacle": lambda: Call(obstacle._mask, (array(*REGION), ALTITUDES_M)),
     "risk": lambda: Call(
@@ -249,22 +246,26 @@ KERNELS: dict[str, Callable[[], Call]] = {
         soft_gps_metric._soft_gps, (array(*SURFACE), None, NUMBER, NUMBER, NUMBER, VIEW, None), {"window": WINDOW}
     ),
     "GPS series, sums of rows": lambda: Call(availability.row_sums, (array(*REGION), array(*REGION, dtype=bool))),
-    "lidar: flat, 5 m": lambda: Call(flat.count_returns, (around(REGION, STEPS_5M - 1), array(1, STEPS_5M), RAYS)),
+    "lidar: flat, 5 m": lambda: Call(
+        flat.count_returns, (around(REGION, STEPS_5M - 1, 1), array(1, STEPS_5M), STARTS), RAYS_5M
+    ),
     "lidar: flat by steps": lambda: Call(
         steps.count_returns_by_steps,
         (around(REGION, STEPS_5M - 1, 1), array(1, STEPS_5M), STARTS),
-        {"halo": STEPS_5M - 1},
+        RAYS_5M,
     ),
     "lidar: terrain, tile": lambda: Call(
         steps.count_returns_on_terrain_by_steps,
         (around(TILE, STEPS_5M - 1, 1), around(TILE, STEPS_5M - 1, 1), array(1, STEPS_5M, NUM_BEAMS), STARTS),
-        {"halo": STEPS_5M - 1},
+        RAYS_5M,
     ),
-    "lidar: flat, share": lambda: Call(
-        lidar._flat_share, (part(REGION, STEPS_5M - 1), array(1), array(1, STEPS_5M), RAYS)
+    "lidar: flat, part": lambda: Call(
+        lidar._counts_by_jax,
+        (part(REGION, STEPS_5M - 1), None, array(1, STEPS_5M), STARTS),
+        RAYS_5M | {"oversample": 1},
     ),
     "lidar: share": lambda: Call(
-        lidar._share, (array(4, *REGION, dtype=jnp.int32), array(*REGION), ALTITUDES_M), {"num_azimuths": NUM_AZIMUTHS}
+        lidar._share, (array(4, *REGION, dtype=jnp.int32), part(REGION), ALTITUDES_M), {"num_azimuths": NUM_AZIMUTHS}
     ),
     "lidar: supersampled, tile": lambda: Call(
         steps.count_returns_by_steps,

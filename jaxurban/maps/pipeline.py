@@ -156,7 +156,7 @@ def all_maps(inputs: MapInputs, sky: SkyView, weights: GivenWeights = None) -> d
         "gps": gps.m,
         **{name: getattr(gps, name) for name in ("gdop", "pdop", "hdop", "vdop", "tdop", "num_visible")},
         "lidar": lidar_of_beams(surface, altitudes_m, inputs.beams_m, inputs.lidar),
-        "risk": compute_risk(surface, altitudes_m, inputs.risk),
+        "risk": compute_risk(surface, altitudes_m, inputs.risk, "jax"),
     }
     if (blocks := inputs.population) is not None and surface.block is not None:
         layers = layers_of_blocks(blocks, inputs.day_share, inputs.people)

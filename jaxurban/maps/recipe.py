@@ -27,7 +27,7 @@ from jaxurban.maps.supersampling import (
 )
 from jaxurban.maps.task import MapTask
 from jaxurban.metrics.availability import TimeTotals, row_sums, series_statistics
-from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY, UNDERSIDE, Metric, Scene, in_type
+from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY, UNDERSIDE, AnyArray, Metric, Scene, in_type
 from jaxurban.metrics.gps import SatelliteSet
 from jaxurban.metrics.obstacle import obstacle_mask, obstacles_on
 from jaxurban.metrics.population import BlockLayers
@@ -60,7 +60,7 @@ class TileScene:
     surface: Surface
     rings: Mapping[tuple[int, int], Ring] | None = None
     totals: dict[str, TimeTotals] = field(default_factory=dict, init=False)
-    _seen: dict[int, tuple[SatelliteSet, jax.Array]] = field(default_factory=dict, init=False, repr=False)
+    _seen: dict[int, tuple[SatelliteSet, np.ndarray]] = field(default_factory=dict, init=False, repr=False)
     _met: dict[float, tuple[Surface, Surface | None]] = field(default_factory=dict, init=False, repr=False)
 
     @cached_property
@@ -115,13 +115,13 @@ class TileScene:
             )
         return self._met[altitude_m]
 
-    def view(self, time_index: int) -> tuple[SatelliteSet, jax.Array]:
+    def view(self, time_index: int) -> tuple[SatelliteSet, np.ndarray]:
         """Return the satellites of a time, made ready, and the visibility words ``[W, A, y, x]``; keeps the last."""
         if time_index not in self._seen:
-            self.keep(time_index, jax.block_until_ready(self._words(time_index)))
+            self.keep(time_index, np.asarray(self._words(time_index)))
         return self._seen[time_index]
 
-    def keep(self, time_index: int, words: jax.Array) -> None:
+    def keep(self, time_index: int, words: np.ndarray) -> None:
         """Let `view` return these words for a time, and forget all others."""
         self.forget()
         angles, clocks = self.task.angles(time_index), self.task.clocks(time_index)
@@ -131,7 +131,7 @@ class TileScene:
         """Free the memory of the satellites and words that `view` keeps."""
         self._seen.clear()
 
-    def _words(self, time_index: int) -> jax.Array:
+    def _words(self, time_index: int) -> AnyArray:
         angles = self.task.angles(time_index)
         altitudes_m = np.asarray(self.task.params.altitudes_m)
         if self.supersampled is not None:
@@ -139,17 +139,18 @@ class TileScene:
         rings = None
         if self.rings is not None:
             rings = [self.rings[time_index, int(s)] for s in self.task.satellites_at(time_index)]
-        return visibility(self.surface, *angles, altitudes_m, rings)
+        return visibility(self.surface, *angles, altitudes_m, rings, self.task.params.engine)
 
     def at(self, metric: Metric, place: tuple[int, ...], only_m: bool = False) -> Scene:
         """Return what a metric may look at, at one place along its dims; ``only_m``: for m and nothing else."""
         index = dict(zip(metric.dims, place, strict=True))
-        scene = Scene(self.surface, oversample=self.task.params.oversample, only_m=only_m)
+        params = self.task.params
+        scene = Scene(self.surface, oversample=params.oversample, only_m=only_m, engine=params.engine)
         if (d := index.get(TIME_OF_DAY)) is not None:
             assert self.task.population is not None
             scene = replace(scene, population=BlockLayers(*(values[d] for values in self.task.population)))
         if (a := index.get(ALTITUDE)) is not None:
-            altitude_m = self.task.params.altitudes_m[a]
+            altitude_m = params.altitudes_m[a]
             surface, fine = self.surfaces_at(altitude_m)
             scene = replace(
                 scene, surface=surface, altitude_m=altitude_m, is_obstacle=self.is_obstacle[a], supersampled=fine
@@ -157,8 +158,7 @@ class TileScene:
         if (t := index.get(TIME)) is not None:
             assert a is not None
             satellites, words = self.view(t)
-            words = _at(words, a)
-            scene = replace(scene, satellites=satellites, in_view=self.task.in_view(t), words=words)
+            scene = replace(scene, satellites=satellites, in_view=self.task.in_view(t), words=words[:, a])
         if metric.name in self.task.bands:
             values = layer_values(self.task.bands[metric.name], self.surface.region, self.task.region, a)
             scene = replace(scene, rasters={metric.name: values})
@@ -170,12 +170,6 @@ def _roofs_and_obstacles(roof: Part, altitudes_m: jax.Array) -> tuple[jax.Array,
     """Return a part of the roofs, and at which cells they reach each altitude."""
     roof_m = roof.cut()
     return roof_m, list(obstacle_mask(roof_m, altitudes_m))
-
-
-@jax.jit
-def _at(words: jax.Array, altitude: int) -> jax.Array:
-    """Return the words ``[W, A, y, x]`` of one altitude: one program serves all."""
-    return jax.lax.dynamic_index_in_dim(words, altitude, 1, keepdims=False)
 
 
 def tile_maps(tile: TileScene, stage: Stage = nullcontext) -> Iterator[MapLayer]:

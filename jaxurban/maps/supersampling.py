@@ -18,16 +18,15 @@ are valid but wide: a cell on each side closes streets.
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-import jax
 import numpy as np
 from jax.typing import ArrayLike
-from jaxtyping import Array, Float, UInt
+from jaxtyping import Float, UInt
 
 from jaxurban.errors import InputError
 from jaxurban.io.read.rasterise import build_surface
 from jaxurban.kernels.shadows.sweep import ENTRY_STEPS, WORD_BITS, stacked
 from jaxurban.kernels.shadows.sweep_cpu import mark_visible
-from jaxurban.metrics.base import AnyArray, zeros_for_jax
+from jaxurban.metrics.base import AnyArray
 from jaxurban.metrics.visibility import above_horizon, lines_over, without_hidden
 from jaxurban.world.city import City
 from jaxurban.world.grid import Grid
@@ -145,10 +144,10 @@ def _check_odd(oversample: int) -> None:
 
 def visibility_at_centres(
     bands: Bands, azimuth_rad: ArrayLike, elevation_rad: ArrayLike, altitudes_m: ArrayLike
-) -> UInt[Array, "W A y x"]:
+) -> UInt[np.ndarray, "W A y x"]:
     """Return which satellites are seen from each map cell, as bits, from the supersampled surface.
 
-    As `jaxurban.metrics.visibility.visibility` says it.
+    As `jaxurban.metrics.visibility.visibility` says it, by Numba wherever JAX computes.
 
     Args:
       bands: `plain_bands`, `upper_bands` or `lower_bands`.
@@ -162,7 +161,7 @@ def visibility_at_centres(
     azimuth, elevation = above_horizon(azimuth_rad, elevation_rad)
     surface, n, altitudes = bands.surface, bands.oversample, np.asarray(altitudes_m, bands.along_rows.dtype)
     shape = tuple(size // n for size in surface.region.shape)
-    words = zeros_for_jax((max(1, -(-len(azimuth) // WORD_BITS)), len(altitudes), *shape), np.uint32)
+    words = np.zeros((max(1, -(-len(azimuth) // WORD_BITS)), len(altitudes), *shape), np.uint32)
     rows, cols = surface.window
     ground_m = None if surface.terrain_m is None else np.asarray(surface.terrain_m)[rows, cols]
     mark_visible(
@@ -181,4 +180,4 @@ def visibility_at_centres(
         words *= bands.own_m <= altitudes[:, None, None] + ground
     if bands.has_slabs:
         without_hidden(words, surface, azimuth, elevation, altitudes, n)
-    return jax.device_put(words)
+    return words

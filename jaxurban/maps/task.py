@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from jaxurban.errors import InputError, at_least
+from jaxurban.errors import InputError, at_least, one_of
 from jaxurban.io.read.rasterise import build_surface, highest_top_m, surface_grid
 from jaxurban.kernels.dop import Clocks
+from jaxurban.kernels.engine import ENGINES, Engine
 from jaxurban.maps.guesses import has_guessed_roofs
 from jaxurban.maps.height_uncertainty import SPREAD, HeightStd, check_samples
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY, Metric
@@ -31,7 +32,9 @@ PAPER_ALTITUDES_M = (20.0, 60.0, 122.0, 600.0)
 
 @dataclass(frozen=True)
 class MapParams:
-    """Everything that metric maps depend on besides city, sky and grid; `build_maps` says what each means.
+    """Everything that metric maps depend on besides city, sky and grid, and the engine, which changes no bit of them.
+
+    `build_maps` says what each means.
 
     ``others`` holds the settings of further metrics by name; those that nobody sets have their defaults, and of
     `ON_REQUEST` those that are named are made.
@@ -54,6 +57,7 @@ class MapParams:
     height_samples: int = 0
     height_seed: int = 0
     others: Mapping[str, Any] = field(default_factory=dict)
+    engine: Engine = "auto"
 
     def __post_init__(self) -> None:
         values = [float(value) for value in self.altitudes_m]
@@ -66,6 +70,7 @@ class MapParams:
             raise InputError(f"mask_deg must lie in 0 to 90 degrees, got {self.mask_deg}")
         if self.oversample < 1:
             raise InputError(f"oversample must be a whole number from 1 up, got {self.oversample}")
+        one_of("engine", self.engine, ENGINES)
         check_samples(self.height_samples)
         at_least("height_seed", self.height_seed)
 

@@ -5,13 +5,13 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 
 from jaxurban.io.chunks import Each, broken_chunks, has_whole_metadata, metadata_file
 from jaxurban.io.folders import WorkFolder
 from jaxurban.io.read.rasterise import rasterise, rasterise_blocks
 from jaxurban.io.store import write_layer
+from jaxurban.kernels.engine import on_device_of
 from jaxurban.kernels.shadows.sweep import Ring, digital_lines
 from jaxurban.maps.recipe import TileScene, tile_maps
 from jaxurban.maps.task import MapTask
@@ -121,7 +121,7 @@ def sweep_tile(job: TileJob, tile: Tile, quadrant: Quadrant) -> dict[str, Any]:
         with watch.stage("gps"):
             grid = job.tiling.grid_of(tile)
             kept = job.work.load_arrays(_name("raster", tile), "roof_m", "terrain_m")
-            top_m = jnp.asarray(kept["roof_m"] + kept.get("terrain_m", np.float32(0)))
+            top_m = kept["roof_m"] + kept.get("terrain_m", np.float32(0))
             ringed = grid.padded(1, 1, 1, 1)
             pairs = job.order[quadrant]
             azimuth_rad, elevation_rad = (
@@ -129,7 +129,7 @@ def sweep_tile(job: TileJob, tile: Tile, quadrant: Quadrant) -> dict[str, Any]:
             )
             at = ringed.first_row, ringed.first_col, ringed.shape
             lines = digital_lines(azimuth_rad, elevation_rad, ringed.resolution_m, *at)
-            edges = handed_on(top_m, lines, _rings(job, tile, quadrant))
+            edges = handed_on(top_m, lines, _rings(job, tile, quadrant), job.task.params.engine)
             rows = edges.south if quadrant[0] > 0 else edges.north
             cols = edges.west if quadrant[1] > 0 else edges.east
             job.work.save_arrays(name, rows=np.asarray(rows), cols=np.asarray(cols))
@@ -175,12 +175,13 @@ def finish_tile(job: TileJob, tile: Tile) -> dict[str, Any]:
             for seen, ring in zip(job.order[quadrant], _rings(job, tile, quadrant), strict=True)
         }
     scene, window = TileScene(job.task, surface, rings), job.tiling.reported(tile)
-    is_inside = np.asarray(scene.is_obstacle)
-    if scene.has_data is not None:
-        is_inside = is_inside & scene.has_data
-    for layer in tile_maps(scene, watch.stage):
-        with watch.stage("write_zarr"):
-            write_layer(job.work.zarr, layer.name, layer.place, window, layer.values, is_inside)
+    with on_device_of(job.task.params.engine):
+        is_inside = np.asarray(scene.is_obstacle)
+        if scene.has_data is not None:
+            is_inside = is_inside & scene.has_data
+        for layer in tile_maps(scene, watch.stage):
+            with watch.stage("write_zarr"):
+                write_layer(job.work.zarr, layer.name, layer.place, window, layer.values, is_inside)
     facts = {"totals": {metric: totals.facts for metric, totals in scene.totals.items()}}
     job.work.mark_done(name, facts)
     return {**facts, "seconds": watch.elapsed_s}
@@ -191,7 +192,7 @@ def _surface(job: TileJob, tile: Tile) -> Surface:
     region = job.tiling.grid_of(tile)
     grid = job.haloed(tile)
     halo = region.first_row - grid.first_row
-    rasters = {"roof_m": np.zeros(grid.shape, np.float32), "has_data": np.ones(grid.shape, bool)}
+    rasters: dict[str, Any] = {"roof_m": np.zeros(grid.shape, np.float32), "has_data": np.ones(grid.shape, bool)}
     if job.task.has_terrain:
         rasters["terrain_m"] = np.zeros(grid.shape, np.float32)
     for near in job.tiling.touching(grid):
@@ -205,16 +206,16 @@ def _surface(job: TileJob, tile: Tile) -> Surface:
     rows, cols = (part.stop - part.start for part in job.tiling.reported(tile))
     rasters["has_data"][halo : halo + region.num_rows - rows] = False
     rasters["has_data"][:, halo + cols : grid.num_cols - halo] = False
-    own = job.work.load_arrays(_name("raster", tile), "block", "roof_touched_m", "roof_guessed")
+    own: dict[str, Any] = job.work.load_arrays(_name("raster", tile), "block", "roof_touched_m", "roof_guessed")
     return Surface(
-        roof_m=jnp.asarray(rasters["roof_m"]),
-        terrain_m=jnp.asarray(rasters["terrain_m"]) if "terrain_m" in rasters else None,
-        has_data=None if rasters["has_data"].all() else jnp.asarray(rasters["has_data"]),
-        block=jnp.asarray(own["block"]) if "block" in own else None,
+        roof_m=rasters["roof_m"],
+        terrain_m=rasters.get("terrain_m"),
+        has_data=None if rasters["has_data"].all() else rasters["has_data"],
+        block=own.get("block"),
         grid=grid,
         region=region,
-        roof_touched_m=jnp.asarray(own["roof_touched_m"]),
-        roof_guessed=jnp.asarray(own["roof_guessed"]) if "roof_guessed" in own else None,
+        roof_touched_m=own["roof_touched_m"],
+        roof_guessed=own.get("roof_guessed"),
         slabs=_slabs(job, tile) if job.task.city.hanging == SLABS else None,
     )
 

@@ -1,6 +1,5 @@
 """What a metric is: its parameters, its maps, its cost and how it is shown; and what it may look at."""
 
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -10,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, DTypeLike, Float, Int, UInt
 
+from jaxurban.kernels.engine import Engine
 from jaxurban.world.surface import Surface
 
 if TYPE_CHECKING:
@@ -21,21 +21,12 @@ if TYPE_CHECKING:
 AnyArray = Array | np.ndarray
 ALTITUDE, TIME, TIME_OF_DAY = "altitude", "time", "time_of_day"
 UNDERSIDE = "underside"  # of maps in which something hangs: its lowest floor above the ground, 0 where nothing does
-JAX_ALIGNMENT = 64  # bytes, of arrays that JAX computes on as they are
 
 
 def in_type(values: Any, dtype: DTypeLike) -> AnyArray:
     """Return numbers as an array of a type; on the host, where no program is compiled for it, if JAX holds none yet."""
     is_held = any(isinstance(value, jax.Array) for value in jax.tree.leaves(values))
     return jnp.asarray(values, dtype) if is_held else np.asarray(values, dtype)
-
-
-def zeros_for_jax(shape: tuple[int, ...], dtype: DTypeLike) -> np.ndarray:
-    """Return an array of zeros to be filled on the host that `jax.device_put` takes over on a CPU without copying."""
-    num_bytes = math.prod(shape) * np.dtype(dtype).itemsize
-    memory = np.zeros(num_bytes + JAX_ALIGNMENT, np.uint8)
-    start = -memory.ctypes.data % JAX_ALIGNMENT
-    return memory[start : start + num_bytes].view(dtype).reshape(shape)
 
 
 def high_is_bad(m: AnyArray) -> AnyArray:
@@ -78,6 +69,7 @@ class Scene:
       rasters: ``[y, x]`` the values of rasters of one's own at the altitude, by the name of their layer; NaN where
         they hold nothing.
       only_m: nothing but the metric itself is wanted, no further variables.
+      engine: which form of its kernels runs (`jaxurban.kernels.engine`).
     """
 
     surface: Surface
@@ -87,10 +79,11 @@ class Scene:
     oversample: int = 1
     satellites: "SatelliteSet | None" = None
     in_view: "InView | None" = None
-    words: UInt[Array, "W y x"] | None = None
+    words: UInt[AnyArray, "W y x"] | None = None
     population: "BlockLayers | None" = None
     rasters: dict[str, np.ndarray] = field(default_factory=dict)
     only_m: bool = False
+    engine: Engine = "auto"
 
 
 class SoftScene(NamedTuple):

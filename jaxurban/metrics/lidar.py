@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -11,12 +12,12 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxurban.errors import InputError, typed
-from jaxurban.kernels.host import is_on_host
+from jaxurban.kernels.engine import Engine, runs_numba
 from jaxurban.kernels.lidar import flat as kernel
 from jaxurban.kernels.lidar import soft as soft_kernel
 from jaxurban.kernels.lidar.flat_cpu import count_on_host
-from jaxurban.kernels.lidar.supersampled import count_returns_at_centres, halo_cells, phase_starts, phases
-from jaxurban.kernels.lidar.terrain import count_returns_on_terrain
+from jaxurban.kernels.lidar.steps import count_returns_on_terrain_by_steps
+from jaxurban.kernels.lidar.terrain_cpu import MOST_BEAMS, count_on_terrain_on_host
 from jaxurban.metrics.base import ALTITUDE, AnyArray, Metric, Scene, in_type, low_is_bad, on_scene
 from jaxurban.metrics.obstacle import obstacle_mask, soft_obstacle
 from jaxurban.metrics.settings import check_softness, check_value, differentiable, reach_of
@@ -74,7 +75,7 @@ def reach_m(params: LidarParams) -> float:
 
 
 def compute_lidar(
-    surface: Surface, altitudes_m: Sequence[float] | jax.Array, params: LidarParams
+    surface: Surface, altitudes_m: Sequence[float] | jax.Array, params: LidarParams, engine: Engine = "auto"
 ) -> Float[Array, "A y x"]:
     """Return m_lidar, the share of scan positions that return, on the region, ``[A, y, x]`` float32 in [0, 1].
 
@@ -90,12 +91,13 @@ def compute_lidar(
       surface: roofs, and terrain where there is any, on the region and its margin.
       altitudes_m: ``[A]`` heights above ground.
       params: the lidar.
+      engine: which form counts, see `jaxurban.kernels.engine`; Numba's over terrain is for at most `MOST_BEAMS` beams.
     """
     if surface.slabs is not None:
         met = [(replace(surface.at_altitude(float(z_m)), slabs=None), [z_m]) for z_m in np.asarray(altitudes_m)]
-        return jnp.concatenate([compute_lidar(at, altitude_m, params) for at, altitude_m in met])
+        return jnp.concatenate([compute_lidar(at, altitude_m, params, engine) for at, altitude_m in met])
     heights_m = beam_heights(altitudes_m, params, surface)
-    return lidar_of_beams(surface, in_type(altitudes_m, surface.roof_m.dtype), heights_m, params)
+    return lidar_of_beams(surface, in_type(altitudes_m, surface.roof_m.dtype), heights_m, params, engine)
 
 
 def beam_heights(altitudes_m: Sequence[float] | ArrayLike, params: LidarParams, surface: Surface) -> np.ndarray:
@@ -120,36 +122,59 @@ def beam_heights(altitudes_m: Sequence[float] | ArrayLike, params: LidarParams, 
 
 
 def lidar_of_beams(
-    surface: Surface, altitudes_m: Float[AnyArray, " A"], heights_m: Float[AnyArray, "A N ..."], params: LidarParams
+    surface: Surface,
+    altitudes_m: Float[AnyArray, " A"],
+    heights_m: Float[AnyArray, "A N ..."],
+    params: LidarParams,
+    engine: Engine = "jax",
 ) -> Float[Array, "A y x"]:
     """Return `compute_lidar` of beams made ready by `beam_heights`; surface, altitudes and heights may be traced."""
-    steps = heights_m.shape[1]
-    offsets = kernel.ray_offsets(params.azimuths, steps)
-    if surface.terrain_m is None:
-        roof = surface.part(surface.roof_m, steps - 1)
-        if not is_on_host(surface.roof_m, altitudes_m, heights_m):
-            return _flat_share(roof, altitudes_m, heights_m, offsets)
-        counts = count_on_host(roof.cut_on_host()[None], heights_m, phase_starts(offsets, 1), steps - 1)
-        own_m = surface.part(surface.roof_m).cut_on_host()
-        return _share(counts, own_m, altitudes_m, num_azimuths=params.azimuths)
-    roof_m, terrain_m = (surface.crop_with_halo(values, steps - 1) for values in (surface.roof_m, surface.terrain_m))
-    starts = phase_starts(offsets, 1)
-    returns = count_returns_on_terrain(roof_m[None], terrain_m[None], heights_m, starts, halo=steps - 1)
-    return _share(returns, surface.crop(surface.roof_m), altitudes_m, num_azimuths=params.azimuths)
+    counts = _counts(surface, heights_m, params, 1, engine)
+    return _share(counts, surface.part(surface.roof_m), altitudes_m, num_azimuths=params.azimuths)
 
 
-@jax.jit
-def _flat_share(roof: Part, altitudes_m: Array, thresholds_m: Array, offsets: Array) -> Array:
-    """Return the share of scan positions that return over flat ground, of roofs with their halo."""
-    roof_m, halo = roof.cut(), thresholds_m.shape[1] - 1
-    returns = kernel.count_returns(roof_m, thresholds_m, offsets)
-    rows, cols = (slice(halo, size - halo) for size in roof_m.shape)
-    return _share(returns, roof_m[rows, cols], altitudes_m, num_azimuths=len(offsets))
+def _counts(
+    surface: Surface, heights_m: Float[AnyArray, "A N ..."], params: LidarParams, oversample: int, engine: Engine
+) -> Int[AnyArray, "A y x"]:
+    """Return how many scan positions return, from every ``oversample``-th cell of the region both ways."""
+    steps, n = heights_m.shape[1], oversample
+    halo, starts = kernel.halo_cells(steps, n), kernel.phase_starts(kernel.ray_offsets(params.azimuths, steps), n)
+    rasters = surface.roof_m, surface.terrain_m
+    is_on_host = runs_numba(engine, rasters, heights_m)
+    if surface.terrain_m is not None:
+        is_on_host &= heights_m.shape[-1] <= MOST_BEAMS
+    if not is_on_host:
+        parts = (None if values is None else surface.part(values, halo * n) for values in rasters)
+        return _counts_by_jax(*parts, heights_m, starts, halo=halo, oversample=n)
+    cut: list[Any] = [
+        kernel.phases(surface.part(np.asarray(values), halo * n).cut(), n) for values in rasters if values is not None
+    ]
+    if len(cut) == 2:
+        return count_on_terrain_on_host(cut[0], cut[1], heights_m, starts, halo, _receiver_phase(n))
+    return count_on_host(cut[0], heights_m, starts, halo)
+
+
+@partial(jax.jit, static_argnames=("halo", "oversample"))
+def _counts_by_jax(
+    roof: Part, terrain: Part | None, heights_m: Array, starts: Array, *, halo: int, oversample: int
+) -> Array:
+    """Return `_counts` of parts with their halo, by the JAX form for the platform that this is compiled for."""
+    roof_m = kernel.phases(roof.cut(), oversample)
+    if terrain is None:
+        return kernel.count_returns(roof_m, heights_m, starts, halo=halo)
+    terrain_m = kernel.phases(terrain.cut(), oversample)
+    sizes = {"halo": halo, "receiver_phase": _receiver_phase(oversample)}
+    return count_returns_on_terrain_by_steps(roof_m, terrain_m, heights_m, starts, **sizes)
+
+
+def _receiver_phase(oversample: int) -> int:
+    return (oversample // 2) * (oversample + 1)
 
 
 @partial(jax.jit, static_argnames="num_azimuths")
-def _share(returns: Array, roof_m: Array, altitudes_m: Array, *, num_azimuths: int) -> Array:
+def _share(returns: Array, roof: Part, altitudes_m: Array, *, num_azimuths: int) -> Array:
     """Return the share of scan positions that return, 0 inside obstacles."""
+    roof_m = roof.cut()
     share = returns.astype(roof_m.dtype) / num_azimuths
     return jnp.where(obstacle_mask(roof_m, altitudes_m), 0.0, share)
 
@@ -158,8 +183,9 @@ def lidar_at_centres(
     supersampled: Surface,
     oversample: int,
     is_obstacle: Bool[Array, "A y x"],
-    altitudes_m: ArrayLike,
+    altitudes_m: Sequence[float] | ArrayLike,
     params: LidarParams,
+    engine: Engine = "auto",
 ) -> Float[Array, "A y x"]:
     """Return m_lidar at the map's cells with rays through the supersampled surface: `compute_lidar`, supersampled.
 
@@ -169,25 +195,10 @@ def lidar_at_centres(
       is_obstacle: where nobody flies: m is 0 there.
       altitudes_m: ``[A]`` heights above ground.
       params: the lidar.
+      engine: as in `compute_lidar`.
     """
-    n, resolution_m = oversample, supersampled.grid.resolution_m
-    steps = kernel.num_steps(resolution_m, params.range_m)
-    halo = halo_cells(steps, n)
-    starts = phase_starts(kernel.ray_offsets(params.azimuths, steps), n)
-    lowest_m = kernel.lowest_heights(
-        np.asarray(altitudes_m, float), params.elevations_rad, resolution_m, params.range_m, steps
-    )
-    roof_m = phases(supersampled.crop_with_halo(supersampled.roof_m, halo * n), n)
-    if supersampled.terrain_m is None:
-        thresholds_m = kernel.round_up(kernel.flat_thresholds(lowest_m), roof_m.dtype)
-        returns = count_returns_at_centres(roof_m, jnp.asarray(thresholds_m), starts, halo)
-    else:
-        terrain_m = phases(supersampled.crop_with_halo(supersampled.terrain_m, halo * n), n)
-        beams_m = jnp.asarray(kernel.round_up(lowest_m, roof_m.dtype))
-        returns = count_returns_on_terrain(
-            roof_m, terrain_m, beams_m, starts, halo=halo, receiver_phase=(n // 2) * (n + 1)
-        )
-    return jnp.where(is_obstacle, 0.0, returns.astype(roof_m.dtype) / params.azimuths)
+    counts = _counts(supersampled, beam_heights(altitudes_m, params, supersampled), params, oversample, engine)
+    return jnp.where(is_obstacle, 0.0, jnp.asarray(counts, supersampled.roof_m.dtype) / params.azimuths)
 
 
 def soft_lidar(
@@ -247,12 +258,12 @@ def soft_lidar(
 def _map(scene: Scene, params: LidarParams) -> dict[str, AnyArray]:
     assert scene.altitude_m is not None
     assert scene.is_obstacle is not None
+    altitudes_m, engine = [scene.altitude_m], scene.engine
     if scene.supersampled is None:
-        return {"lidar": np.asarray(compute_lidar(scene.surface, [scene.altitude_m], params))[0]}
-    altitudes_m = np.array([scene.altitude_m])
-    return {
-        "lidar": lidar_at_centres(scene.supersampled, scene.oversample, scene.is_obstacle[None], altitudes_m, params)[0]
-    }
+        return {"lidar": np.asarray(compute_lidar(scene.surface, altitudes_m, params, engine))[0]}
+    is_obstacle = scene.is_obstacle[None]
+    maps = lidar_at_centres(scene.supersampled, scene.oversample, is_obstacle, altitudes_m, params, engine)
+    return {"lidar": maps[0]}
 
 
 METRIC = Metric(

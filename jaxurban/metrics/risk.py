@@ -15,7 +15,7 @@ from jaxurban.errors import one_of, typed
 from jaxurban.kernels.distance import exact as kernel
 from jaxurban.kernels.distance import soft as soft_distance
 from jaxurban.kernels.distance.exact_cpu import distance_on_host
-from jaxurban.kernels.host import is_on_host
+from jaxurban.kernels.engine import Engine, runs_numba
 from jaxurban.metrics.base import ALTITUDE, AnyArray, Metric, Scene, in_type, low_is_bad, on_scene
 from jaxurban.metrics.obstacle import stands_at
 from jaxurban.metrics.settings import check_softness, check_value, differentiable, reach_of
@@ -53,8 +53,8 @@ def reach_m(params: RiskParams) -> float:
 
 
 def compute_risk(
-    surface: Surface, altitudes_m: Sequence[float] | jax.Array, params: RiskParams
-) -> Float[Array, "A y x"]:
+    surface: Surface, altitudes_m: Sequence[float] | jax.Array, params: RiskParams, engine: Engine = "auto"
+) -> Float[AnyArray, "A y x"]:
     """Return m_risk = min(d / d_thresh, 1) on the region, ``[A, y, x]`` float32; 0 inside obstacles.
 
     d is the exact Euclidean distance between cell centres to the nearest obstacle cell of the slice
@@ -71,23 +71,24 @@ def compute_risk(
       surface: roofs, and terrain where there is any, on the region and its margin.
       altitudes_m: ``[A]`` heights above ground.
       params: the risk.
+      engine: which form runs, see `jaxurban.kernels.engine`; to ``"solid"`` over terrain JAX's alone.
     """
     if surface.slabs is not None and len(altitudes_m) > 1:
-        return jnp.concatenate([compute_risk(surface, [z_m], params) for z_m in np.asarray(altitudes_m)])
+        return np.concatenate([compute_risk(surface, [z_m], params, engine) for z_m in np.asarray(altitudes_m)])
     surface = surface.at_altitude(float(np.asarray(altitudes_m)[0])) if surface.slabs is not None else surface
     halo = kernel.window_cells(params.threshold_m, surface.grid.resolution_m)
-    roof = surface.part(surface.roof_m, halo)
     is_solid = params.distance == "solid"
-    terrain = None
+    terrain = ceiling = None
     if is_solid and surface.terrain_m is not None:
         terrain = surface.part(surface.terrain_m, halo)
-    ceiling = None
     if is_solid and surface.slabs is not None and len(surface.slabs.row):
-        ceiling = surface.part(jax.device_put(surface.slabs.lowest_floors(surface.grid)), halo)
+        ceiling = surface.part(surface.slabs.lowest_floors(surface.grid), halo)
     sizes = {"resolution_m": surface.grid.resolution_m, "cap_m": params.threshold_m}
     altitudes = in_type(altitudes_m, surface.roof_m.dtype)
-    if terrain is None and is_on_host(surface.roof_m, altitudes):
-        return jnp.asarray(_risk_on_host(roof, ceiling, np.asarray(altitudes), halo=halo, is_solid=is_solid, **sizes))
+    if terrain is None and runs_numba(engine, surface.roof_m, altitudes):
+        roof = surface.part(np.asarray(surface.roof_m), halo)
+        return _risk_on_host(roof, ceiling, np.asarray(altitudes), halo=halo, is_solid=is_solid, **sizes)
+    roof = surface.part(surface.roof_m, halo)
     return _risk(roof, terrain, ceiling, altitudes, halo=halo, is_solid=is_solid, **sizes)
 
 
@@ -118,7 +119,7 @@ def _risk_on_host(
     is_solid: bool,
 ) -> np.ndarray:
     """Return `_risk` without terrain, to the bit, by the kernel for a CPU."""
-    roof_m, ceiling_m = roof.cut_on_host(), None if ceiling is None else ceiling.cut_on_host()
+    roof_m, ceiling_m = roof.cut(), None if ceiling is None else ceiling.cut()
     sources = (_sources(np, roof_m, ceiling_m, altitude_m, is_solid) for altitude_m in altitudes_m)
     nearest = partial(distance_on_host, halo=halo, resolution_m=resolution_m, cap_m=cap_m)
     return _share(np.stack([nearest(source_m2) for source_m2 in sources]), cap_m)
@@ -214,7 +215,7 @@ def soft_risk(
 
 def _map(scene: Scene, params: RiskParams) -> dict[str, AnyArray]:
     assert scene.altitude_m is not None
-    return {"risk": np.asarray(compute_risk(scene.surface, [scene.altitude_m], params))[0]}
+    return {"risk": np.asarray(compute_risk(scene.surface, [scene.altitude_m], params, scene.engine))[0]}
 
 
 METRIC = Metric(

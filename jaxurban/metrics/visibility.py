@@ -2,34 +2,22 @@
 
 import math
 from collections.abc import Sequence
-from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int, UInt
 
 from jaxurban.errors import InputError
 from jaxurban.kernels.dop import Clocks, Geometry, geometry, unit_vectors
-from jaxurban.kernels.shadows.doubling import (
-    KernelShape,
-    hand_on_at_once,
-    kernel_shape,
-    num_passes,
-    shadow_heights_at_once,
-    words_of,
-)
+from jaxurban.kernels.engine import Engine, runs_numba
+from jaxurban.kernels.shadows import sweep
 from jaxurban.kernels.shadows.slabs import Receivers, hide_behind_slabs
-from jaxurban.kernels.shadows.soft import shadow_heights
 from jaxurban.kernels.shadows.sweep import WORD_BITS, Line, Ring, digital_lines, stacked
 from jaxurban.kernels.shadows.sweep_cpu import hand_on, mark_visible
-from jaxurban.metrics.base import AnyArray, in_type, zeros_for_jax
+from jaxurban.metrics.base import AnyArray, in_type
 from jaxurban.world.grid import Grid
 from jaxurban.world.surface import PER_CELL, Surface
-
-LEAST_DROP_M = 1e-9  # a ray on the horizon never climbs above a roof
 
 
 def shadow_reach_m(
@@ -125,7 +113,7 @@ class SkyView(NamedTuple):
 
 
 def visible_words(surface: Surface, altitudes_m: Float[Array, " A"], sky: SkyView) -> UInt[Array, "W A y x"]:
-    """Return `jaxurban.metrics.visibility.visibility` of a sky, by the shape for the platform that it is compiled for.
+    """Return `visibility` of a sky, by JAX; everything may be traced.
 
     Args:
       surface: roofs and terrain; what stands outside it shadows nothing.
@@ -133,45 +121,30 @@ def visible_words(surface: Surface, altitudes_m: Float[Array, " A"], sky: SkyVie
       sky: over this surface.
     """
     rows, cols = surface.window
-    shadows_m = shadow_heights(surface.top_m, sky.lines, (rows.start, rows.stop, cols.start, cols.stop, 1))
-    is_there = jnp.arange(len(shadows_m)) < sky.num
-    shadows_m = jnp.where(is_there[:, None, None], shadows_m, jnp.inf)
-    return words_of(shadows_m, None if surface.terrain_m is None else surface.crop(surface.terrain_m), altitudes_m)
+    window = rows.start, rows.stop, cols.start, cols.stop, 1
+    ground_m = None if surface.terrain_m is None else surface.crop(surface.terrain_m)
+    height_m = _heights(ground_m, altitudes_m)
+    return sweep.visible_words(surface.top_m, height_m, sky.lines, sky.num, window=window)
 
 
-@partial(jax.jit, static_argnames=("passes", "window"))
-def _doubled_words(
-    top_m: Array,
-    ground_m: Array | None,
-    altitudes_m: Array,
-    lines: Line,
-    rings: Ring | None,
-    *,
-    passes: int,
-    window: tuple[int, int, int, int] | None,
-) -> Array:
-    """Return visibility words ``[W, A, y, x]`` of stacked lines, on a window (or all) of the cells of ``top_m``."""
-    shadows_m = shadow_heights_at_once(top_m, lines, passes=passes, rings=rings)
-    if window is not None:
-        shadows_m = shadows_m[:, window[0] : window[1], window[2] : window[3]]
-    return words_of(shadows_m, ground_m, altitudes_m)
+def _heights(ground_m: AnyArray | None, altitudes_m: AnyArray) -> AnyArray:
+    """Return the absolute height of receivers, ``[A, y, x]`` or over flat ground ``[A, 1, 1]``."""
+    z_m = altitudes_m[:, None, None]
+    return z_m if ground_m is None else ground_m + z_m
 
 
-def handed_on(
-    top_m: Float[Array, "Y X"], lines: Sequence[Line], rings: Sequence[Ring], shape: KernelShape | None = None
-) -> Ring:
+def handed_on(top_m: Float[AnyArray, "Y X"], lines: Sequence[Line], rings: Sequence[Ring], engine: Engine) -> Ring:
     """Return what a grid hands on to its neighbours, as `jaxurban.kernels.shadows.sweep_cpu.hand_on` says.
 
     Args:
       top_m: absolute height of roofs and bare ground.
       lines: ``[S]`` for the grid grown by one cell on each side.
       rings: ``[S]`` what the grids around this one hand on.
-      shape: as in `visibility`.
+      engine: as in `visibility`.
     """
-    if (shape or kernel_shape()) == "doubling":
-        passes = num_passes(max(top_m.shape) + 2)
-        return hand_on_at_once(top_m, stacked(lines), _stacked_rings(rings), passes=passes)
-    return hand_on(np.asarray(top_m), stacked(lines), _stacked_rings(rings))
+    if runs_numba(engine, top_m):
+        return hand_on(np.asarray(top_m), stacked(lines), _stacked_rings(rings))
+    return sweep.handed_on(top_m, stacked(lines), _stacked_rings(rings))
 
 
 def _stacked_rings(rings: Sequence[Ring]) -> Ring:
@@ -184,8 +157,8 @@ def visibility(
     elevation_rad: ArrayLike,
     altitudes_m: ArrayLike | Sequence[float],
     rings: Sequence[Ring] | None = None,
-    shape: KernelShape | None = None,
-) -> UInt[Array, "W A y x"]:
+    engine: Engine = "auto",
+) -> UInt[AnyArray, "W A y x"]:
     """Return which satellites are seen from each cell's centre, as bits.
 
     Satellite ``s`` is bit ``s % 32`` of word ``s // 32``. It is seen where its ray clears the roofs
@@ -199,33 +172,31 @@ def visibility(
       altitudes_m: ``[A]`` heights above the ground.
       rings: ``[S]`` what the grids around the region hand on, by satellite; the surface's own margin is
         not looked at then, but for its slabs.
-      shape: of the kernel: ``"sweep"`` or ``"doubling"`` (see `jaxurban.kernels.shadows.doubling`); left out, the one
-        for JAX's platform.
+      engine: which form runs, see `jaxurban.kernels.engine`; what slabs hide is Numba's.
 
     Raises:
       InputError: a satellite below the horizon.
     """
     azimuth, elevation = above_horizon(azimuth_rad, elevation_rad)
-    altitudes = in_type(altitudes_m, surface.roof_m.dtype)
-    if len(azimuth) and (shape or kernel_shape()) == "doubling":
-        doubled = _doubled(surface, azimuth, elevation, altitudes, rings)
-        return (
-            doubled
-            if surface.slabs is None
-            else jax.device_put(without_hidden(np.array(doubled), surface, azimuth, elevation, altitudes))
-        )
-    rows, cols = surface.window
-    words = zeros_for_jax((max(1, -(-len(azimuth) // WORD_BITS)), *altitudes.shape, *surface.region.shape), np.uint32)
-    if not len(azimuth):
-        return jax.device_put(words)
-    top_m, grid, first_cell = np.asarray(surface.top_m), surface.grid, (rows.start, cols.start)
+    altitudes, (rows, cols) = in_type(altitudes_m, surface.roof_m.dtype), surface.window
+    top_m, grid, (num_rows, num_cols) = surface.top_m, surface.grid, surface.region.shape
+    ground_m = None if surface.terrain_m is None else surface.terrain_m[rows, cols]
+    first_row, first_col, ring = rows.start, cols.start, None
     if rings is not None:
-        top_m, grid, first_cell = np.ascontiguousarray(top_m[rows, cols]), surface.region, (0, 0)
-    ground_m = None if surface.terrain_m is None else np.ascontiguousarray(np.asarray(surface.terrain_m)[rows, cols])
-    lines = stacked(lines_over(grid.padded(1, 1, 1, 1), azimuth, elevation))
-    ring = None if rings is None else _stacked_rings(rings)
-    mark_visible(words, top_m, ground_m, np.asarray(altitudes), lines, first_cell, ring)
-    return jax.device_put(without_hidden(words, surface, azimuth, elevation, altitudes))
+        top_m, grid, first_row, first_col, ring = top_m[rows, cols], surface.region, 0, 0, _stacked_rings(rings)
+    num_words = max(1, -(-len(azimuth) // WORD_BITS))
+    words: Any = np.zeros((num_words, len(altitudes), num_rows, num_cols), np.uint32)
+    if len(azimuth) and runs_numba(engine, top_m, altitudes):
+        lines = stacked(lines_over(grid.padded(1, 1, 1, 1), azimuth, elevation))
+        ground = None if ground_m is None else np.ascontiguousarray(ground_m)
+        tops = np.ascontiguousarray(top_m)
+        mark_visible(words, tops, ground, np.asarray(altitudes), lines, (first_row, first_col), ring)
+    elif len(azimuth):
+        lines = stacked(lines_over(grid if ring is None else grid.padded(1, 1, 1, 1), azimuth, elevation))
+        window = first_row, first_row + num_rows, first_col, first_col + num_cols, 1
+        height_m, num = _heights(ground_m, altitudes), np.int32(len(azimuth))
+        words = sweep.visible_words(top_m, height_m, lines, num, ring, window=window)
+    return words if surface.slabs is None else without_hidden(np.array(words), surface, azimuth, elevation, altitudes)
 
 
 def without_hidden(
@@ -291,22 +262,3 @@ def distinct_choices(
 def lines_over(grid: Grid, azimuth: np.ndarray, elevation: np.ndarray) -> list[Line]:
     """Return the digital line toward each satellite over a grid."""
     return digital_lines(azimuth, elevation, grid.resolution_m, grid.first_row, grid.first_col, grid.shape)
-
-
-def _doubled(
-    surface: Surface, azimuth: np.ndarray, elevation: np.ndarray, altitudes: AnyArray, rings: Sequence[Ring] | None
-) -> Array:
-    """Return the words by doubling; arguments as in `visibility`."""
-    rows, cols = surface.window
-    grid, top_m = surface.grid, surface.top_m
-    if rings is not None:
-        grid, top_m = surface.region.padded(1, 1, 1, 1), surface.crop(top_m)
-    ground_m = None if surface.terrain_m is None else surface.crop(surface.terrain_m)
-    lines = lines_over(grid, azimuth, elevation)
-    ring = None if rings is None else _stacked_rings(rings)
-    highest_m = max(float(jnp.max(values)) for values in (top_m, *(ring or ())))
-    rise_m = highest_m - float(altitudes.min() + (0 if ground_m is None else jnp.min(ground_m)))
-    least_drop_m = max(min(float(line.drop_m) for line in lines), LEAST_DROP_M)
-    passes = num_passes(min(max(grid.shape), rise_m / least_drop_m + 2))
-    window = None if rings is not None else (rows.start, rows.stop, cols.start, cols.stop)
-    return _doubled_words(top_m, ground_m, altitudes, stacked(lines), ring, passes=passes, window=window)

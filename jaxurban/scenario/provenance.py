@@ -52,6 +52,7 @@ def run_record(
     elapsed_s: Mapping[str, float],
     started_utc: str,
     messages: Sequence[str],
+    engine: str,
 ) -> dict[str, Any]:
     """Return what run.json holds; the arguments are what `run_scenario` worked with, a task for each resolution."""
     city, region, sky = tasks[0].city, tasks[0].region, tasks[-1].sky
@@ -68,6 +69,7 @@ def run_record(
         "started_utc": started_utc,
         "elapsed_s": {name: round(seconds, 3) for name, seconds in elapsed_s.items()},
         "run_key": key,
+        "engine": engine,
         "versions": versions(),
         "settings": settings_of(scenario),
         "inputs": inputs,
@@ -94,7 +96,7 @@ def write_record(file: Path, record: dict[str, Any], is_kept: bool) -> dict[str,
     Args:
       file: run.json.
       record: from `run_record`.
-      is_kept: whether no map was made: times and warnings then stay those of the run that made them.
+      is_kept: whether no map was made: times, engine and warnings then stay those of the run that made them.
     """
     try:
         held = read_json(file)
@@ -104,7 +106,7 @@ def write_record(file: Path, record: dict[str, Any], is_kept: bool) -> dict[str,
             LOG.warning(f"{str(file)!r} is missing or damaged: writing it again")
     record = json.loads(json.dumps(record))
     if is_kept and held.get("run_key") == record["run_key"]:
-        record |= {name: held[name] for name in ("started_utc", "elapsed_s")}
+        record |= {name: held[name] for name in ("started_utc", "elapsed_s", "engine")}
         record["warnings"] = list(dict.fromkeys([*held["warnings"], *record["warnings"]]))
     if record != held:
         if is_changed(file):
@@ -168,10 +170,16 @@ def code_hash() -> str:
     return digest.hexdigest()
 
 
+def _of_maps(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the settings that maps depend on: `NOT_OF_MAPS` and the engine, which changes no bit, are left out."""
+    region = {name: value for name, value in settings["region"].items() if name != "engine"}
+    return {name: value for name, value in settings.items() if name not in NOT_OF_MAPS} | {"region": region}
+
+
 def run_key(scenario: Scenario, inputs: dict[str, dict[str, str]], backend: str) -> str:
-    """Return a short hash of all that maps depend on: settings, input bytes, our code, the libraries, JAX's backend."""
+    """Return a short hash of all that maps depend on: settings, input bytes, our code, the libraries, what computes."""
     facts = {
-        "settings": scenario.model_dump(mode="json", exclude=set(NOT_OF_MAPS)),
+        "settings": _of_maps(scenario.model_dump(mode="json")),
         "inputs": inputs,
         "code": code_hash(),
         "versions": versions(),
@@ -187,8 +195,8 @@ def other_maps(folder: Path, scenario: Scenario, inputs: Mapping[str, Mapping[st
         settings, files, made_by = held["settings"], held["inputs"], held["versions"]
     except (OSError, ValueError, LookupError):
         return "maps of other settings or inputs, or made by another version of jaxurban or its libraries"
-    both = ({name: one[name] for name in one if name not in NOT_OF_MAPS} for one in (settings, settings_of(scenario)))
-    said = [f"of other settings ({differences_said(found)})"] if (found := differing(*both)) else []
+    found = differing(_of_maps(settings), _of_maps(settings_of(scenario)))
+    said = [f"of other settings ({differences_said(found)})"] if found else []
     sums = [{role: file.get("sha256") for role, file in each.items()} for each in (files, inputs)]
     roles = [role for role in {**files, **inputs} if not said or (role in files and role in inputs)]
     if others := [role for role in roles if sums[0].get(role) != sums[1].get(role)]:

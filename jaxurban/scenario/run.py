@@ -25,6 +25,7 @@ from jaxurban.io.read.guesses import warn_of
 from jaxurban.io.read.rasterise import check_has_data, rasterise
 from jaxurban.io.store import open_whole
 from jaxurban.io.workspace import Workspace
+from jaxurban.kernels.engine import chosen
 from jaxurban.maps.build import view_sky
 from jaxurban.maps.dataset import empty_dataset, with_series
 from jaxurban.maps.executors import (
@@ -115,6 +116,7 @@ def tasks_of(scenario: Scenario, stage: Stage = nullcontext) -> list[MapTask]:
         height_samples=buildings.height_samples,
         height_seed=buildings.height_seed,
         others={name: getattr(scenario, name) for name in METRICS if hasattr(scenario, name)} | scenario.on_request,
+        engine=region.engine,
     )
     with stage("read"):
         city = load_city(scenario)
@@ -167,7 +169,8 @@ def run_scenario(
         warnings.simplefilter("always", UserWarning)
         watch = Stopwatch(on_stage=report)
         inputs = hash_inputs(scenario)
-        key = run_key(scenario, inputs, resources.backend)
+        engine = chosen(scenario.region.engine, resources.backend)
+        key = run_key(scenario, inputs, "cpu" if engine == "numba" else resources.backend)
         if has_other_maps(folder, key) and not overwrite:
             raise InputError(
                 f"{str(folder)!r} holds {other_maps(folder, scenario, inputs)}: make these in another folder "
@@ -199,7 +202,7 @@ def run_scenario(
             makers = [Maker(task, folder, key, plan.num_workers, client, tuple(layers)) for task in tasks]
             made = [_maps_of(maker, watch, report) for maker in makers]
             messages = [str(item.message) for item in caught]
-            record = run_record(scenario, tasks, inputs, key, watch.elapsed_s, started_utc, messages)
+            record = run_record(scenario, tasks, inputs, key, watch.elapsed_s, started_utc, messages, engine)
             is_kept = not any(is_new for _, is_new in made)
             record = write_record(folder / store.RUN_FILE, record, is_kept)
     return ScenarioRun({maps.grid.resolution_m: maps.with_recorded(record["settings"]) for maps, _ in made}, record)

@@ -22,6 +22,7 @@ from pydantic import (
 from jaxurban.errors import InputError, readable, typed
 from jaxurban.io.read.orbits import NOMINAL as NOMINAL
 from jaxurban.io.read.orbits import iso_utc
+from jaxurban.kernels.engine import Engine
 from jaxurban.maps.height_uncertainty import HeightStd
 from jaxurban.metrics.custom import Layer, check_file_names, check_name
 from jaxurban.metrics.gps import DopParams, GpsParams
@@ -63,13 +64,14 @@ class _Section(BaseModel):
 
 
 class Region(_Section):
-    """Where, how fine and how high."""
+    """Where, how fine and how high, and by which engine."""
 
     bounds: tuple[float, float, float, float]
     crs: str | None = None
     resolution_m: DifferentList = (5.0,)
     altitudes_m: DifferentList = (20.0, 60.0, 122.0, 600.0)
     oversample: PositiveInt = 1
+    engine: Engine = "auto"  # which changes no bit of the maps on a CPU
 
     @model_validator(mode="after")
     def _check(self) -> "Region":

@@ -1,7 +1,7 @@
 """Surface: a city as rasters on one grid, the region plus the margin that shadows and endangers it."""
 
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -94,22 +94,20 @@ class Part:
       pad: rows of zeros before and after, and columns.
     """
 
-    values: Float[Array, "*B Y X"]
+    values: Float[Array | np.ndarray, "*B Y X"]
     first_cell: tuple[int, int]
     shape: tuple[int, int] = field(metadata={"static": True})
     pad: tuple[tuple[int, int], tuple[int, int]] = field(metadata={"static": True})
 
-    def cut(self) -> jax.Array:
-        """Return the part."""
-        *before, _, _ = self.values.shape
-        cut = jax.lax.dynamic_slice(self.values, (0,) * len(before) + self.first_cell, (*before, *self.shape))
-        return jnp.pad(cut, [(0, 0)] * len(before) + list(self.pad)) if np.any(self.pad) else cut
-
-    def cut_on_host(self) -> np.ndarray:
-        """Return the part as NumPy's, which compiles nothing; of values that are not traced."""
-        (row, col), (rows, cols) = self.first_cell, self.shape
-        cut = np.asarray(self.values)[..., row : row + rows, col : col + cols]
-        return np.pad(cut, [(0, 0)] * (cut.ndim - 2) + list(self.pad)) if np.any(self.pad) else cut
+    def cut(self) -> Any:
+        """Return the part; of NumPy's values as NumPy's, which compiles nothing."""
+        (row, col), (rows, cols), before = self.first_cell, self.shape, self.values.shape[:-2]
+        xp: Any = np if isinstance(self.values, np.ndarray) else jnp
+        if xp is np:
+            cut = self.values[..., row : row + rows, col : col + cols]
+        else:
+            cut = jax.lax.dynamic_slice(self.values, (0,) * len(before) + self.first_cell, (*before, *self.shape))
+        return xp.pad(cut, [(0, 0)] * len(before) + list(self.pad)) if np.any(self.pad) else cut
 
 
 _cut = jax.jit(Part.cut)
@@ -184,7 +182,7 @@ class Surface:
         """Return the region's part of an array on ``grid`` with ``halo`` more cells on each side, as `part` says it."""
         return _cut(self.part(values, halo))
 
-    def part(self, values: jax.Array, halo: int = 0) -> Part:
+    def part(self, values: jax.Array | np.ndarray, halo: int = 0) -> Part:
         """Return the region's part of an array on ``grid`` with ``halo`` more cells on each side, not cut yet.
 
         0 where the surface ends: beyond it nothing stands.

@@ -19,11 +19,14 @@ range matters: each step has one threshold, and the step's result for all receiv
 ``roof >= threshold``. A scan position is then an OR of shifted bitmaps. Bit b of a word holds the
 cell b bands of rows further north, so that shifting by any number of rows and columns only changes
 the address. Counts over azimuths are kept as bit slices too.
+
+On a raster n times finer than the map the receivers lie n subcells apart, so a ray's step looks at the same place among
+n x n for all of them. It is kept as n x n rasters of the map's size (`phases`), and a step is a shift of one of them: a
+map's cell costs n times the steps of a plain map, not n^3 times.
 """
 
 import math
 from functools import partial
-from typing import Literal
 
 import jax
 import jax.numpy as jnp
@@ -31,10 +34,8 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-from jaxurban.kernels.lidar.bits import pack
-from jaxurban.kernels.lidar.steps import count_returns_by_steps
+from jaxurban.kernels.lidar.steps import WORD_BITS, count_returns_by_steps, pack
 
-WORD_BITS = 32
 STEPS_PER_PASS = 7  # bitmaps combined per pass over the words: 1.5 times faster than one by one on large maps
 AZIMUTHS_AT_ONCE = 8  # added up by carry-save adders before they are carried into the counts
 TINY_M = float(np.finfo(np.float32).tiny)  # below every roof, above the ground
@@ -55,6 +56,34 @@ def ray_offsets(num_azimuths: int, steps: int) -> np.ndarray:
     direction = np.stack([np.cos(azimuth_rad), np.sin(azimuth_rad)], axis=-1)
     point = direction[:, None, :] * np.arange(steps)[None, :, None]
     return (np.sign(point) * np.floor(np.abs(point) + 0.5 + 1e-9)).astype(np.int32)
+
+
+def halo_cells(steps: int, per_cell: int) -> int:
+    """Return how many map cells beyond a receiver's own its rays reach, for N steps of a subcell."""
+    return (steps - 1 + per_cell // 2) // per_cell
+
+
+def phases(supersampled: Float[Array, "nY nX"], per_cell: int) -> Float[Array, "P Y X"]:
+    """Return the ``n * n`` rasters of every n-th cell; raster p begins at cell (p // n, p % n)."""
+    rows, cols = (size // per_cell for size in supersampled.shape)
+    split = supersampled.reshape(rows, per_cell, cols, per_cell).transpose(1, 3, 0, 2)
+    return split.reshape(per_cell**2, rows, cols)
+
+
+def phase_starts(offsets: Int[np.ndarray, "K N 2"], per_cell: int) -> Int[np.ndarray, "K N 3"]:
+    """Return phase, row and column where each step of each ray finds what the southwest receiver looks at.
+
+    Rows and columns count from the corner of phases that reach `halo_cells` beyond the receivers.
+
+    Args:
+      offsets: from `ray_offsets`, in subcells from a receiver, which stands in the
+        cell (n // 2, n // 2) of its map cell.
+      per_cell: n.
+    """
+    halo = halo_cells(offsets.shape[1], per_cell)
+    cell, phase = np.divmod(offsets + per_cell // 2, per_cell)
+    starts = [phase[..., 0] * per_cell + phase[..., 1], cell[..., 0] + halo, cell[..., 1] + halo]
+    return np.stack(starts, axis=-1).astype(np.int32)
 
 
 def lowest_heights(
@@ -141,45 +170,34 @@ def _add_one(slices: tuple[jax.Array, ...], carry: jax.Array) -> tuple[jax.Array
     return tuple(total)
 
 
-@partial(jax.jit, static_argnames="shape")
+@partial(jax.jit, static_argnames="halo")
 def count_returns(
-    roof_m: Float[Array, "Y+2H X+2H"],
-    thresholds_m: Float[Array, "A N"],
-    offsets: Int[Array, "K N 2"],
-    *,
-    shape: Literal["cpu", "gpu"] | None = None,
+    roof_m: Float[Array, "P Y+2H X+2H"], thresholds_m: Float[Array, "A N"], starts: Int[Array, "K N 3"], *, halo: int
 ) -> Int[Array, "A Y X"]:
-    """Return how many of K scan positions meet a building, over flat ground, ``[A, Y, X]`` int32.
+    """Return how many of K scan positions meet a building, over flat ground, ``[A, Y, X]`` int32, by JAX.
 
     Args:
-      roof_m: ``[Y + 2H, X + 2H]`` roof heights with their halo of ``H = N - 1`` cells, 0 without a building.
+      roof_m: `phases` of roof heights with their halo, 0 without a building.
       thresholds_m: ``[A, N]`` from `flat_thresholds`, rounded up to the type of ``roof_m``.
-      offsets: ``[K, N, 2]`` from `ray_offsets`.
-      shape: of the computation, for a CPU or a GPU; left out, for the platform for which it is compiled. The counts
-        are the same.
+      starts: ``[K, N, 3]`` from `phase_starts`.
+      halo: H, from `halo_cells`.
 
-    Cells inside buildings get a number too (K, mostly). Altitudes that no roof reaches cost nothing on a CPU.
-    The gradient is zero.
+    Cells inside buildings get a number too (K, mostly). The form for a CPU, to which altitudes that no roof reaches
+    cost nothing, is for a single phase. The gradient is zero.
     """
-    if shape is None:
-        return lax.platform_dependent(roof_m, thresholds_m, offsets, cpu=_count_by_azimuths, default=_count_by_steps)
-    return (_count_by_azimuths if shape == "cpu" else _count_by_steps)(roof_m, thresholds_m, offsets)
+    by_steps = partial(count_returns_by_steps, halo=halo)
+    by_azimuths = partial(count_returns_by_azimuths, halo=halo) if len(roof_m) == 1 else by_steps
+    return lax.platform_dependent(roof_m, thresholds_m, starts, cpu=by_azimuths, default=by_steps)
 
 
-def _count_by_steps(roof_m: jax.Array, thresholds_m: jax.Array, offsets: jax.Array) -> jax.Array:
-    halo = thresholds_m.shape[1] - 1
-    starts = jnp.pad(offsets + halo, ((0, 0), (0, 0), (1, 0)))  # all in the one phase
-    return count_returns_by_steps(roof_m[None], thresholds_m, starts, halo=halo)
-
-
-def _count_by_azimuths(roof_m: jax.Array, thresholds_m: jax.Array, offsets: jax.Array) -> jax.Array:
-    steps, halo = thresholds_m.shape[1], thresholds_m.shape[1] - 1
+def count_returns_by_azimuths(roof_m: jax.Array, thresholds_m: jax.Array, starts: jax.Array, *, halo: int) -> jax.Array:
+    """Return `count_returns` of a single phase, by the form for a CPU."""
+    roof_m, starts, steps = roof_m[0], starts[..., 1:], thresholds_m.shape[1]
     rows, cols = (size - 2 * halo for size in roof_m.shape)
     band = -(-rows // WORD_BITS)
     highest_m = jnp.nanmax(roof_m)
-    num_azimuths = len(offsets)
+    num_azimuths = len(starts)
     num_slices = max(3, num_azimuths.bit_length())
-    starts = offsets + halo
     padded_m = jnp.pad(roof_m, ((0, WORD_BITS * band - rows), (0, 0)))
 
     def count_at(threshold_m: jax.Array) -> jax.Array:

@@ -1,11 +1,12 @@
 """Lidar scan returns over flat ground on a CPU: rows of bitmaps joined for eight steps at once, azimuth by azimuth.
 
-The counts are those of `jaxurban.kernels.lidar.flat` and `jaxurban.kernels.lidar.supersampled`, whose thresholds and
-looks these are. A roof has a rank, a byte: how many of the different thresholds it reaches, so that a step's bitmap
-around a tile of receivers is a comparison of bytes. Words hold eight receivers (`jaxurban.kernels.lidar.byte_words`).
-Neighbouring azimuths look at nearly the same rows, so they are taken one after the other for a row of words: what they
-read stays in the nearest cache. The first steps, which an azimuth has in common with the one before, are not joined
-again, and steps at which no roof in sight is high enough are left out.
+The counts are those of `jaxurban.kernels.lidar.flat`, whose thresholds and looks these are. A roof has a rank, a byte:
+how many of the different thresholds it reaches, so that a step's bitmap around a tile of receivers is a comparison of
+bytes. Words hold eight receivers: bit b of word ``i * C + j`` stands for receiver ``(i + b * band, j)`` of a tile of
+``R = 8 * band`` rows and ``C`` columns, so that a look from all of a tile's receivers reads whole rows of what it looks
+at. Neighbouring azimuths look at nearly the same rows, so they are taken one after the other for a row of words: what
+they read stays in the nearest cache. The first steps, which an azimuth has in common with the one before, are not
+joined again, and steps at which no roof in sight is high enough are left out.
 
 Legend: ``P`` phases, ``Y, X`` cells and their halo, ``y, x`` receivers, ``N`` steps, ``K`` azimuths, ``W`` words.
 """
@@ -13,15 +14,15 @@ Legend: ``P`` phases, ``Y, X`` cells and their halo, ``y, x`` receivers, ``N`` s
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from jaxurban.kernels.compiled import compiled
-from jaxurban.kernels.host import on_host
-from jaxurban.kernels.lidar.byte_words import AZIMUTHS_AT_ONCE, WORD_BITS, add_up, side_of_tiles
+from jaxurban.kernels.compiled import compiled, on_host
 
 TILE = (128, 512)  # most receivers taken together; rows a multiple of 8
 COLUMNS = 64  # that a tile's are a multiple of
 BITMAP_BYTES = 2**20  # of the bitmaps of some steps, which a core's cache holds
 STEPS_AT_ONCE = 8  # bitmaps joined in one pass over a row
 NEVER = 2**16  # a rank that no roof has
+WORD_BITS = 8
+AZIMUTHS_AT_ONCE = 8  # added up by carry-save adders before they are carried into the counts
 
 
 def count_on_host(
@@ -33,9 +34,9 @@ def count_on_host(
     """Return how many of K scan positions meet a building, over flat ground, ``[A, Y, X]`` int32.
 
     Args:
-      roof_m: roof heights, 0 without a building, as `jaxurban.kernels.lidar.supersampled.phases`.
+      roof_m: roof heights, 0 without a building, as `jaxurban.kernels.lidar.flat.phases`.
       thresholds_m: from `jaxurban.kernels.lidar.flat.flat_thresholds`, rounded up to the type of ``roof_m``.
-      starts: from `jaxurban.kernels.lidar.supersampled.phase_starts`.
+      starts: from `jaxurban.kernels.lidar.flat.phase_starts`.
       halo: H, cells beyond the receivers.
 
     Altitudes that no roof reaches cost nothing.
@@ -251,3 +252,51 @@ def _join(returned, joined, bitmaps, at, num_at, num_same, shape):
                 for column in range(cols):
                     j = np.uint64(column)
                     returned[after + j] |= joined[before + j]
+
+
+@compiled(nogil=True)
+def side_of_tiles(size, most, multiple):
+    """Return the side of tiles of about the same size, none above ``most``, a multiple of something."""
+    num_tiles = (size + most - 1) // most
+    return ((size + num_tiles - 1) // num_tiles + multiple - 1) // multiple * multiple
+
+
+@compiled(nogil=True)
+def _sums(a, b, c):
+    """Return the sum and the carry of three bits in each place of words."""
+    either = a ^ b
+    return either ^ c, (a & b) | (either & c)
+
+
+@compiled(nogil=True)
+def add_up(returned, counts, band, cols):
+    """Fill how many of the rows of words ``[K, W]``, K a multiple of 8, have each receiver's bit set; 0 before."""
+    num_slices = 3
+    while (1 << num_slices) <= len(returned):
+        num_slices += 1
+    slices = np.zeros((num_slices, returned.shape[1]), np.uint8)
+    words, places = returned.view(np.uint64), slices.view(np.uint64)
+    ones, twos, fours = places[0], places[1], places[2]
+    carry = np.empty_like(ones)
+    for k in range(0, len(words), AZIMUTHS_AT_ONCE):
+        a, b, c, d = words[k], words[k + 1], words[k + 2], words[k + 3]
+        e, f, g, h = words[k + 4], words[k + 5], words[k + 6], words[k + 7]
+        for i in range(len(carry)):
+            one, two_a = _sums(ones[i], a[i], b[i])
+            one, two_b = _sums(one, c[i], d[i])
+            one, two_c = _sums(one, e[i], f[i])
+            ones[i], two_d = _sums(one, g[i], h[i])
+            two, four_a = _sums(twos[i], two_a, two_b)
+            twos[i], four_b = _sums(two, two_c, two_d)
+            fours[i], carry[i] = _sums(fours[i], four_a, four_b)
+        for s in range(3, num_slices):
+            place = places[s]
+            for i in range(len(carry)):
+                place[i], carry[i] = place[i] ^ carry[i], place[i] & carry[i]
+    for b in range(WORD_BITS):
+        for i in range(max(0, min(band, counts.shape[0] - b * band))):
+            of_row = counts[b * band + i]
+            for s in range(num_slices):
+                bits = slices[s, i * cols : (i + 1) * cols]
+                for j in range(len(of_row)):
+                    of_row[j] |= np.int32((bits[j] >> b) & 1) << s

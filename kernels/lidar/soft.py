@@ -14,8 +14,7 @@ Who that is, is found outside the gradient; what is differentiated is the one ma
 """
 
 from collections.abc import Callable
-from functools import partial
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -140,38 +139,33 @@ def _clearance_jvp(primals, tangents):
     return deciding.clearance_m, jax.jvp(decide, (roof_m, scan), (d_roof_m, d_scan))[1]
 
 
-@partial(jax.jit, static_argnames="shape")
+@jax.jit
 def soft_returns(
-    roof_m: Float[Array, "Y+2H X+2H"],
-    scan: Scan,
-    offsets: Int[Array, "K N 2"],
-    softness_m: Float[Array, ""],
-    *,
-    shape: Literal["cpu", "gpu"] | None = None,
+    roof_m: Float[Array, "Y+2H X+2H"], scan: Scan, offsets: Int[Array, "K N 2"], softness_m: Float[Array, ""]
 ) -> Float[Array, "Y X"]:
     """Return the share of scan positions that return softly, over level ground, for every cell.
 
     Takes 5 bytes a step for each cell (float32), and no more for the gradient on a CPU; on a GPU the gradient takes
-    some 1.5 kB a cell.
+    some 1.5 kB a cell. Both forms give the same but for the order in which azimuths are added.
 
     Args:
       roof_m: roof heights with their halo, 0 without a building.
       scan: from `scan_of`.
       offsets: from `jaxurban.kernels.lidar.flat.ray_offsets`.
       softness_m: of the margins; 0 gives the exact result.
-      shape: of the computation, for a CPU or a GPU; left out, for the platform for which it is compiled. Results are
-        the same but for the order in which azimuths are added.
     """
-    one_by_one = partial(_returns, at_once=1, unroll=STEPS_PER_PASS)
-    together = partial(_returns, at_once=azimuths_at_once(len(offsets)), unroll=offsets.shape[1])
-    return _by_platform(shape, one_by_one, together)(roof_m, scan, offsets, softness_m)
+    return lax.platform_dependent(roof_m, scan, offsets, softness_m, cpu=one_by_one, default=together)
 
 
-def _by_platform(shape: str | None, cpu: Callable, gpu: Callable) -> Callable:
-    """Return the function of a shape, or one that is the platform's for which it is compiled."""
-    if shape is None:
-        return partial(lax.platform_dependent, cpu=cpu, default=gpu)
-    return cpu if shape == "cpu" else gpu
+def one_by_one(roof_m: jax.Array, scan: Scan, offsets: jax.Array, softness_m: jax.Array) -> jax.Array:
+    """Return `soft_returns`, by the form for a CPU."""
+    return _returns(roof_m, scan, offsets, softness_m, at_once=1, unroll=STEPS_PER_PASS)
+
+
+def together(roof_m: jax.Array, scan: Scan, offsets: jax.Array, softness_m: jax.Array) -> jax.Array:
+    """Return `soft_returns`, by the form for a GPU."""
+    num_azimuths, steps, _ = offsets.shape
+    return _returns(roof_m, scan, offsets, softness_m, at_once=azimuths_at_once(num_azimuths), unroll=steps)
 
 
 def azimuths_at_once(num_azimuths: int) -> int:
@@ -264,20 +258,24 @@ def _returns_at(at: ScansAt, at_once: int) -> jax.Array:
     return _total_of_groups(of_azimuth, at.offsets, nothing, at_once) / len(at.offsets)
 
 
-@partial(jax.jit, static_argnames="shape")
-def soft_returns_at(at: ScansAt, *, shape: Literal["cpu", "gpu"] | None = None) -> Float[Array, " P"]:
+@jax.jit
+def soft_returns_at(at: ScansAt) -> Float[Array, " P"]:
     """Return the share of scan positions that return softly, at chosen cells alone.
 
     Over terrain receivers and roofs stand on it, and a beam's height where it enters a segment is the least that it
     has had above the ground of the cells before.
-
-    Args:
-      at: the cells, and what stands around them.
-      shape: as in `soft_returns`.
     """
-    one_by_one = partial(_in_batches, at_once=1)
-    together = partial(_in_batches, at_once=azimuths_at_once(len(at.offsets)))
-    return _by_platform(shape, one_by_one, together)(at)
+    return lax.platform_dependent(at, cpu=one_by_one_at, default=together_at)
+
+
+def one_by_one_at(at: ScansAt) -> jax.Array:
+    """Return `soft_returns_at`, by the form for a CPU."""
+    return _in_batches(at, at_once=1)
+
+
+def together_at(at: ScansAt) -> jax.Array:
+    """Return `soft_returns_at`, by the form for a GPU."""
+    return _in_batches(at, at_once=azimuths_at_once(len(at.offsets)))
 
 
 def _in_batches(at: ScansAt, *, at_once: int) -> jax.Array:

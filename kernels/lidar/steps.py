@@ -1,9 +1,9 @@
 """Lidar scan returns shaped for a GPU: the rays of all azimuths and cells together, a few steps a turn.
 
-The rules are those of `jaxurban.kernels.lidar.flat` and `jaxurban.kernels.lidar.terrain`, and so are the counts, bit
-for bit. Every loop has a known number of turns, a few steps of a ray each, so that nothing waits for a result: a GPU
-starts a few kernels a turn. What the rays have met stays in memory between turns: over flat ground a bit for each cell
-and azimuth, over terrain a byte. A CPU is many times slower with it than with its own shapes.
+The rules are those of `jaxurban.kernels.lidar.flat` and, over terrain, of `jaxurban.kernels.lidar.terrain_cpu`, and so
+are the counts, bit for bit. Every loop has a known number of turns, a few steps of a ray each, so that nothing waits
+for a result: a GPU starts a few kernels a turn. What the rays have met stays in memory between turns: over flat ground
+a bit for each cell and azimuth, over terrain a byte. A CPU is many times slower with it than with its own forms.
 """
 
 from functools import partial
@@ -12,12 +12,27 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Float, Int
-
-from jaxurban.kernels.lidar.bits import pack
+from jax.typing import DTypeLike
+from jaxtyping import Array, Float, Int, UInt
 
 WORD_BITS = 32
 STEPS_AT_ONCE = 4  # of rays, in one turn of the loop: what they have met is read and written once
+
+
+def pack(
+    heights_m: Float[Array, "*n Y X"], least_m: Float[Array, "..."], band: int, dtype: DTypeLike = jnp.uint32
+) -> UInt[Array, "*n y X"]:
+    """Return ``heights_m >= least_m`` as words: bit b of word (i, j) stands for cell (i + b * band, j), b bands north.
+
+    A word begins in each row but the last ones, from which there is no cell for every bit.
+    """
+    num_bits = 8 * jnp.dtype(dtype).itemsize
+    num_words = heights_m.shape[-2] - (num_bits - 1) * band
+    words = jnp.zeros((*heights_m.shape[:-2], num_words, heights_m.shape[-1]), dtype)
+    for bit in range(num_bits):
+        rows = heights_m[..., bit * band : bit * band + num_words, :]
+        words = words | ((rows >= least_m).astype(dtype) << bit)
+    return words
 
 
 @partial(jax.jit, static_argnames="halo")
@@ -27,9 +42,9 @@ def count_returns_by_steps(
     """Return how many of K scan positions meet a building, over flat ground, ``[A, Y, X]`` int32.
 
     Args:
-      roof_m: roof heights, 0 without a building, as `jaxurban.kernels.lidar.supersampled.phases`.
+      roof_m: roof heights, 0 without a building, as `jaxurban.kernels.lidar.flat.phases`.
       thresholds_m: from `jaxurban.kernels.lidar.flat.flat_thresholds`, rounded up to the type of ``roof_m``.
-      starts: from `jaxurban.kernels.lidar.supersampled.phase_starts`.
+      starts: from `jaxurban.kernels.lidar.flat.phase_starts`.
       halo: H, cells beyond the receivers.
     """
     rows, cols = (size - 2 * halo for size in roof_m.shape[1:])
@@ -62,10 +77,10 @@ def count_returns_on_terrain_by_steps(
     """Return how many of K scan positions meet a building before the terrain, ``[A, Y, X]`` int32.
 
     Args:
-      roof_m: roof heights above their ground, 0 without a building, as `jaxurban.kernels.lidar.supersampled.phases`.
+      roof_m: roof heights above their ground, 0 without a building, as `jaxurban.kernels.lidar.flat.phases`.
       terrain_m: ground elevation, likewise.
       lowest_m: from `jaxurban.kernels.lidar.flat.lowest_heights`, rounded up to the type of ``roof_m``.
-      starts: from `jaxurban.kernels.lidar.supersampled.phase_starts`.
+      starts: from `jaxurban.kernels.lidar.flat.phase_starts`.
       halo: H, cells beyond the receivers.
       receiver_phase: the phase in which receivers stand.
     """

@@ -12,16 +12,19 @@ import pytest
 from jaxurban.kernels.lidar import soft as soft_lidar
 from jaxurban.kernels.lidar.flat import (
     count_returns,
+    count_returns_by_azimuths,
     flat_thresholds,
+    halo_cells,
     lowest_heights,
     num_steps,
+    phase_starts,
+    phases,
     ray_offsets,
     round_up,
 )
 from jaxurban.kernels.lidar.flat_cpu import count_on_host
-from jaxurban.kernels.lidar.steps import count_returns_by_steps
-from jaxurban.kernels.lidar.supersampled import count_returns_at_centres, halo_cells, phase_starts, phases
-from jaxurban.kernels.lidar.terrain import count_returns_on_terrain
+from jaxurban.kernels.lidar.steps import count_returns_by_steps, count_returns_on_terrain_by_steps
+from jaxurban.kernels.lidar.terrain_cpu import count_on_terrain_on_host
 
 
 @numba.njit
@@ -67,19 +70,23 @@ def random_city(size: int, halo: int, seed: int) -> np.ndarray:
     return (np.round(8 * np.maximum(blocks, single)) / 8).astype(np.float32)
 
 
-def counts_of(roof_m, terrain_m, altitudes_m, elevations_rad, num_azimuths, range_m, resolution_m, shape=None):
+FLAT = {  # Numba, and JAX's form for a CPU and for a GPU
+    "numba": count_on_host,
+    "cpu": jax.jit(count_returns_by_azimuths, static_argnames="halo"),
+    "gpu": count_returns_by_steps,
+}
+ON_TERRAIN = {"numba": count_on_terrain_on_host, "jax": count_returns_on_terrain_by_steps}
+
+
+def counts_of(roof_m, terrain_m, altitudes_m, elevations_rad, num_azimuths, range_m, resolution_m, form="numba"):
     steps = num_steps(resolution_m, range_m)
     lowest_m = lowest_heights(np.array(altitudes_m), elevations_rad, resolution_m, range_m, steps)
-    offsets = jnp.asarray(ray_offsets(num_azimuths, steps))
+    starts = phase_starts(ray_offsets(num_azimuths, steps), 1)
     if terrain_m is None:
         thresholds_m = round_up(flat_thresholds(lowest_m), np.float32)
-        if shape == "host":
-            return count_on_host(roof_m[None], thresholds_m, phase_starts(np.asarray(offsets), 1), steps - 1)
-        return np.asarray(count_returns(roof_m, thresholds_m, offsets, shape=shape))
-    beams_m, starts = round_up(lowest_m, np.float32), phase_starts(np.asarray(offsets), 1)
-    return np.asarray(
-        count_returns_on_terrain(roof_m[None], terrain_m[None], beams_m, starts, halo=steps - 1, shape=shape)
-    )
+        return np.asarray(FLAT[form](roof_m[None], thresholds_m, starts, halo=steps - 1))
+    beams_m = round_up(lowest_m, np.float32)
+    return np.asarray(ON_TERRAIN[form](roof_m[None], terrain_m[None], beams_m, starts, halo=steps - 1))
 
 
 CASES = {
@@ -93,18 +100,14 @@ CASES = {
 PARAMS = [pytest.param(name, marks=[pytest.mark.slow] if name == "the default puck" else []) for name in CASES]
 
 
-SHAPES = ("cpu", "gpu")
-FLAT_SHAPES = (*SHAPES, "host")  # compiled by JAX for either, and on a CPU from values that are known
-
-
-@pytest.mark.parametrize("shape", FLAT_SHAPES)
+@pytest.mark.parametrize("form", FLAT)
 @pytest.mark.parametrize("name", PARAMS)
-def test_counts_equal_a_marcher_of_single_beams_in_every_cell(name, shape):
+def test_counts_equal_a_marcher_of_single_beams_in_every_cell(name, form):
     altitudes_m, (low, high, num_beams), num_azimuths, range_m, resolution_m = CASES[name]
     elevations_rad = np.linspace(np.deg2rad(low), np.deg2rad(high), num_beams)
     halo = num_steps(resolution_m, range_m) - 1
     roof_m = random_city(200, halo, seed=len(name))
-    counts = counts_of(roof_m, None, altitudes_m, elevations_rad, num_azimuths, range_m, resolution_m, shape)
+    counts = counts_of(roof_m, None, altitudes_m, elevations_rad, num_azimuths, range_m, resolution_m, form)
     flat = np.zeros_like(roof_m)
     for altitude_m, count in zip(altitudes_m, counts, strict=True):
         expected = march_rays(roof_m, flat, halo, altitude_m, elevations_rad, num_azimuths, range_m, resolution_m)
@@ -112,14 +115,14 @@ def test_counts_equal_a_marcher_of_single_beams_in_every_cell(name, shape):
     assert counts.min() < counts.max()
 
 
-@pytest.mark.parametrize("shape", SHAPES)
-def test_counts_on_hills_equal_the_marcher_in_every_cell(shape):
+@pytest.mark.parametrize("form", ON_TERRAIN)
+def test_counts_on_hills_equal_the_marcher_in_every_cell(form):
     elevations_rad, halo = np.deg2rad(np.linspace(-15, 15, 16)), 20
     roof_m = random_city(50, halo, seed=3)
     row, col = np.indices(roof_m.shape)
     terrain_m = (np.round(8 * (12 * np.sin(row / 9) + 8 * np.cos(col / 6) + 30)) / 8).astype(np.float32)
     altitudes_m = [3.0, 20.0, 400.0]
-    counts = counts_of(roof_m, terrain_m, altitudes_m, elevations_rad, 31, 100.0, 5.0, shape)
+    counts = counts_of(roof_m, terrain_m, altitudes_m, elevations_rad, 31, 100.0, 5.0, form)
     for altitude_m, count in zip(altitudes_m, counts, strict=True):
         expected = march_rays(roof_m, terrain_m, halo, altitude_m, elevations_rad, 31, 100.0, 5.0)
         np.testing.assert_array_equal(count, expected)
@@ -129,7 +132,7 @@ def test_counts_on_hills_equal_the_marcher_in_every_cell(shape):
     assert (counts[0] < flat[0]).any()  # hills hide buildings
     plateau_m = np.full_like(roof_m, 33.3)
     np.testing.assert_array_equal(
-        counts_of(roof_m, plateau_m, altitudes_m, elevations_rad, 31, 100.0, 5.0, shape), flat
+        counts_of(roof_m, plateau_m, altitudes_m, elevations_rad, 31, 100.0, 5.0, form), flat
     )  # constant terrain is flat
 
 
@@ -141,16 +144,16 @@ GROUNDS = {
 }
 
 
-@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("form", ON_TERRAIN)
 @pytest.mark.parametrize("name", GROUNDS)
-def test_counts_on_any_ground_equal_the_marcher_over_several_tiles(name, shape):
+def test_counts_on_any_ground_equal_the_marcher_over_several_tiles(name, form):
     rng = np.random.default_rng(len(name))
     elevations_rad, halo = np.deg2rad(np.linspace(-25, 15, 6)), 8
     roof_m = (random_city(300, halo, seed=4) * np.float32(np.pi / 3))[:90]  # heights whose sums are rounded
     row, col = np.indices(roof_m.shape)
     terrain_m = GROUNDS[name](rng, 700 + 3 * np.sin(row / 9) + 0.02 * col).astype(np.float32)
     altitudes_m = [4.0, 40.0]  # where the ground ends beams, and where it ends none
-    counts = counts_of(roof_m, terrain_m, altitudes_m, elevations_rad, 18, 40.0, 5.0, shape)
+    counts = counts_of(roof_m, terrain_m, altitudes_m, elevations_rad, 18, 40.0, 5.0, form)
     for altitude_m, count in zip(altitudes_m, counts, strict=True):
         expected = march_rays(roof_m, terrain_m, halo, altitude_m, elevations_rad, 18, 40.0, 5.0)
         np.testing.assert_array_equal(count, expected)
@@ -168,18 +171,18 @@ def test_a_long_wall_returns_the_share_of_azimuths_that_reach_it():
     np.testing.assert_allclose(counts / 720, np.broadcast_to(expected[:, None], counts.shape), atol=0.01)
 
 
-@pytest.mark.parametrize("shape", FLAT_SHAPES)
-def test_a_roof_that_is_unknown_is_no_building_and_hides_no_other(shape):
+@pytest.mark.parametrize("form", FLAT)
+def test_a_roof_that_is_unknown_is_no_building_and_hides_no_other(form):
     elevations_rad, halo = np.deg2rad(np.linspace(-15, 15, 4)), 6
     roof_m = random_city(40, halo, seed=2)
     unknown_m = np.where(np.random.default_rng(0).random(roof_m.shape) < 0.02, np.nan, roof_m).astype(np.float32)
-    expected = counts_of(np.nan_to_num(unknown_m), None, [5.0], elevations_rad, 12, 30.0, 5.0, shape)
+    expected = counts_of(np.nan_to_num(unknown_m), None, [5.0], elevations_rad, 12, 30.0, 5.0, form)
     assert expected.max() > 0
-    np.testing.assert_array_equal(counts_of(unknown_m, None, [5.0], elevations_rad, 12, 30.0, 5.0, shape), expected)
+    np.testing.assert_array_equal(counts_of(unknown_m, None, [5.0], elevations_rad, 12, 30.0, 5.0, form), expected)
     steps = num_steps(5.0, 30.0)
     lowest_m = lowest_heights(np.array([5.0]), elevations_rad, 5.0, 30.0, steps)
     thresholds_m, starts = round_up(flat_thresholds(lowest_m), np.float32), phase_starts(ray_offsets(12, steps), 2)
-    count = count_returns_by_steps if shape == "gpu" else count_returns_at_centres
+    count = count_on_host if form == "numba" else count_returns
     found = [
         count(phases(jnp.asarray(roofs), 2), thresholds_m, starts, halo=halo // 2)
         for roofs in (unknown_m, np.nan_to_num(unknown_m))
@@ -194,7 +197,7 @@ def test_counts_of_fine_cells_and_long_rays_need_many_ranks_and_bitmaps_a_few_st
     rng = np.random.default_rng(9)
     shape = 140 + 2 * 400, 600 + 2 * 400
     roof_m = np.where(rng.random(shape) < 5e-5, rng.uniform(1, 30, shape), 0).astype(np.float32)
-    few = counts_of(roof_m, None, [6.0], elevations_rad, 6, 100.0, 0.25, "host")
+    few = counts_of(roof_m, None, [6.0], elevations_rad, 6, 100.0, 0.25)
     np.testing.assert_array_equal(few, counts_of(roof_m, None, [6.0], elevations_rad, 6, 100.0, 0.25, "gpu"))
     assert few.min() < few.max()
 
@@ -202,10 +205,10 @@ def test_counts_of_fine_cells_and_long_rays_need_many_ranks_and_bitmaps_a_few_st
 def test_new_heights_altitudes_and_azimuths_of_known_shapes_compile_nothing():
     elevations_rad = np.deg2rad(np.linspace(-60, -5, 7))
     roof_m = random_city(200, 19, seed=1)
-    counts_of(roof_m, None, [1.0, 10.0, 30.0], elevations_rad, 30, 47.0, 2.5)
-    compiled = count_returns._cache_size()
-    counts_of(roof_m + 1, None, [2.0, 15.0, 90.0], -elevations_rad[::-1], 30, 46.5, 2.5)
-    assert count_returns._cache_size() == compiled
+    counts_of(roof_m, None, [1.0, 10.0, 30.0], elevations_rad, 30, 47.0, 2.5, "cpu")
+    compiled = FLAT["cpu"]._cache_size()
+    counts_of(roof_m + 1, None, [2.0, 15.0, 90.0], -elevations_rad[::-1], 30, 46.5, 2.5, "cpu")
+    assert FLAT["cpu"]._cache_size() == compiled
 
 
 @pytest.mark.parametrize("num_azimuths", [8, 360])
@@ -217,9 +220,9 @@ def test_rays_have_the_symmetry_of_the_grid(num_azimuths):
     np.testing.assert_array_equal(offsets[num_azimuths // 4, -1], [0, 50])  # then east
 
 
-@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("form", ON_TERRAIN)
 @pytest.mark.parametrize(("per_cell", "on_terrain"), [(3, False), (2, False), (3, True)])
-def test_receivers_of_a_coarser_map_get_the_counts_of_their_fine_cells(per_cell, on_terrain, shape):
+def test_receivers_of_a_coarser_map_get_the_counts_of_their_fine_cells(per_cell, on_terrain, form):
     elevations_rad, fine_m, range_m, num_azimuths = np.deg2rad(np.linspace(-15, 15, 5)), 2.0, 30.0, 24
     steps = num_steps(fine_m, range_m)
     halo = halo_cells(steps, per_cell) * per_cell
@@ -234,20 +237,18 @@ def test_receivers_of_a_coarser_map_get_the_counts_of_their_fine_cells(per_cell,
     starts = phase_starts(ray_offsets(num_azimuths, steps), per_cell)
     coarse_halo, centre = halo // per_cell, per_cell // 2
     if on_terrain:
-        found = count_returns_on_terrain(
-            phases(jnp.asarray(roof_m), per_cell),
-            phases(jnp.asarray(terrain_m), per_cell),
+        found = ON_TERRAIN[form](
+            phases(roof_m, per_cell),
+            phases(terrain_m, per_cell),
             round_up(lowest_m, np.float32),
             starts,
             halo=coarse_halo,
             receiver_phase=centre * (per_cell + 1),
-            shape=shape,
         )
     else:
         thresholds_m = round_up(flat_thresholds(lowest_m), np.float32)
-        rasters = phases(jnp.asarray(roof_m), per_cell)
-        count = count_returns_by_steps if shape == "gpu" else count_returns_at_centres
-        found = count(rasters, thresholds_m, starts, halo=coarse_halo)
+        count = count_on_host if form == "numba" else count_returns
+        found = count(phases(roof_m, per_cell), thresholds_m, starts, halo=coarse_halo)
     np.testing.assert_array_equal(found, dense[:, centre::per_cell, centre::per_cell])
     assert found.min() < found.max()
 
@@ -277,42 +278,49 @@ def test_counts_can_be_traced_and_exported_and_for_a_gpu_have_no_loop_whose_end_
     row, col = np.indices(roof_m.shape)
     terrain_m = jnp.asarray((8 * np.sin(row / 15) + 6 * np.cos(col / 11)).astype(np.float32)) if on_terrain else None
 
-    def counts(roof_m, terrain_m, shape=None):
-        lowest_m = lowest_heights(np.array([5.0]), elevations_rad, 5.0, 30.0, halo + 1)
-        offsets = ray_offsets(12, halo + 1)
+    lowest_m = lowest_heights(np.array([5.0]), elevations_rad, 5.0, 30.0, halo + 1)
+    starts = phase_starts(ray_offsets(12, halo + 1), 1)
+
+    def counts(roof_m, terrain_m, flat=count_returns):
         if terrain_m is None:
-            return count_returns(roof_m, round_up(flat_thresholds(lowest_m), np.float32), offsets, shape=shape)
-        beams_m, starts = round_up(lowest_m, np.float32), phase_starts(offsets, 1)
-        return count_returns_on_terrain(roof_m[None], terrain_m[None], beams_m, starts, halo=halo, shape=shape)
+            return flat(roof_m[None], round_up(flat_thresholds(lowest_m), np.float32), starts, halo=halo)
+        beams_m = round_up(lowest_m, np.float32)
+        return count_returns_on_terrain_by_steps(roof_m[None], terrain_m[None], beams_m, starts, halo=halo)
 
     traced = jax.jit(counts)
-    np.testing.assert_array_equal(traced(roof_m, terrain_m), counts(roof_m, terrain_m))
+    np.testing.assert_array_equal(
+        traced(roof_m, terrain_m), counts_of(roof_m, terrain_m, [5.0], elevations_rad, 12, 30.0, 5.0)
+    )
     jax.export.export(traced, platforms=("cuda",))(roof_m, terrain_m)
-    found = primitives_of(jax.make_jaxpr(partial(counts, shape="gpu"))(roof_m, terrain_m).jaxpr)
+    found = primitives_of(jax.make_jaxpr(partial(counts, flat=count_returns_by_steps))(roof_m, terrain_m).jaxpr)
     assert "scan" in found
     assert not found & {"while", "cond"}
-    if not on_terrain:  # the walk sees the loops of the shape for a CPU
-        cpu = primitives_of(jax.make_jaxpr(partial(counts, shape="cpu"))(roof_m, terrain_m).jaxpr)
+    if not on_terrain:  # the walk sees the loops of the form for a CPU
+        cpu = primitives_of(jax.make_jaxpr(partial(counts, flat=count_returns_by_azimuths))(roof_m, terrain_m).jaxpr)
         assert cpu >= {"while", "cond"}
 
 
 @pytest.mark.parametrize("on_terrain", [False, True])
 @pytest.mark.parametrize("num_azimuths", [16, 43])
-def test_soft_returns_of_both_shapes_are_the_same_for_any_number_of_azimuths(num_azimuths, on_terrain):
+def test_soft_returns_of_both_forms_are_the_same_for_any_number_of_azimuths(num_azimuths, on_terrain):
     halo, softness_m, range_m = 4, jnp.float32(2.0), jnp.float32(20.0)
     roof_m = jnp.asarray(random_city(9, halo, seed=2))
     offsets, cells = jnp.asarray(ray_offsets(num_azimuths, halo + 1)), jnp.indices((9, 9)).reshape(2, -1).T
     hills_m = 3 * jnp.sin(jnp.arange(roof_m.size, dtype=jnp.float32).reshape(roof_m.shape))
 
-    def mean_return(roof_m, shape):
+    forms = soft_lidar.one_by_one, soft_lidar.together
+    forms_at = soft_lidar.one_by_one_at, soft_lidar.together_at
+
+    def mean_return(roof_m, number):
         scan = soft_lidar.scan_of(jnp.float32(0 if on_terrain else 9), range_m, np.deg2rad([-15.0, 0.0, 15.0]), 5.0)
         if not on_terrain:
-            return soft_lidar.soft_returns(roof_m, scan, offsets, softness_m, shape=shape).mean()
+            return forms[number](roof_m, scan, offsets, softness_m).mean()
         heights_m = jnp.full(len(cells), 9.0, jnp.float32)
         at = soft_lidar.ScansAt(roof_m, hills_m, heights_m, scan, offsets, softness_m, cells)
-        return soft_lidar.soft_returns_at(at, shape=shape).mean()
+        return forms_at[number](at).mean()
 
-    (by_cpu, cpu_slope), (by_gpu, gpu_slope) = (jax.value_and_grad(mean_return)(roof_m, shape) for shape in SHAPES)
+    both = (jax.jit(jax.value_and_grad(partial(mean_return, number=number))) for number in (0, 1))
+    (by_cpu, cpu_slope), (by_gpu, gpu_slope) = (each(roof_m) for each in both)
     assert 0.02 < float(by_cpu) < 0.98
     np.testing.assert_allclose(by_gpu, by_cpu, rtol=1e-6)
     assert float(jnp.abs(cpu_slope).max()) > 1e-4

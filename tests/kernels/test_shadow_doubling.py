@@ -1,6 +1,7 @@
 """Doubling against the sweep: the same shadows and words, whole, within rings and over a city."""
 
 import math
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -9,10 +10,23 @@ import pytest
 
 import jaxurban as ju
 from jaxurban.io.read.rasterise import build_surface
-from jaxurban.kernels.shadows.doubling import num_passes, shadow_heights_at_once, words_of
-from jaxurban.kernels.shadows.soft import satellite_weights, shadow_heights
-from jaxurban.kernels.shadows.sweep import Ring, digital_lines, shadow_height, stacked
-from jaxurban.metrics.visibility import handed_on, visibility
+from jaxurban.kernels.shadows.sweep import (
+    Ring,
+    digital_lines,
+    edges_by_doubling,
+    edges_by_sweep,
+    heights_by_doubling,
+    heights_by_sweep,
+    num_passes,
+    shadow_height,
+    shadow_heights_at_once,
+    stacked,
+    words_by_doubling,
+    words_by_sweep,
+)
+from jaxurban.kernels.shadows.sweep_cpu import hand_on
+from jaxurban.kernels.soft_step import satellite_weights
+from jaxurban.metrics.visibility import SkyView, visibility
 from jaxurban.world.grid import Grid
 from jaxurban.world.surface import Surface
 
@@ -86,9 +100,12 @@ def test_tiles_hand_on_within_rings_as_the_sweep_does():
     passes = num_passes(30)
     found = shadow_heights_at_once(top_m[inner], stacked(lines), passes=passes, rings=ring)
     np.testing.assert_allclose(found, swept(top_m[inner], lines, rings), atol=ROUNDING_M)
-    both = [handed_on(jnp.asarray(top_m[inner]), lines, rings, shape) for shape in ("sweep", "doubling")]
-    for one, other in zip(*both, strict=True):
-        np.testing.assert_allclose(one, other, atol=ROUNDING_M)
+    forms = hand_on, jax.jit(edges_by_sweep), jax.jit(edges_by_doubling)
+    for numba, sweep, doubling in zip(
+        *(form(top_m[inner].copy(), stacked(lines), ring) for form in forms), strict=True
+    ):
+        np.testing.assert_array_equal(sweep, numba)
+        np.testing.assert_allclose(doubling, numba, atol=ROUNDING_M)
 
 
 @pytest.mark.slow
@@ -103,37 +120,44 @@ def test_the_derivative_of_a_shadow_is_that_of_its_one_roof():
 
 
 @pytest.mark.slow
-def test_soft_shadows_have_the_same_gradients_by_both_shapes():
+def test_soft_shadows_have_the_same_gradients_by_both_forms():
     with jax.enable_x64(True):
         top_m = jnp.asarray(tops(), jnp.float64) + np.random.default_rng(2).uniform(0, 0.1, SHAPE)  # no two tie
         lines, at = stacked(lines_of(SHAPE)), jnp.asarray(np.random.default_rng(3).uniform(size=(14, 20, 30)))
 
-        def weighted(top_m, shape):
-            shadows_m = shadow_heights(top_m, lines, (9, 29, 12, 42, 1), shape)
+        def weighted(top_m, form):
+            shadows_m = form(top_m, lines, (9, 29, 12, 42, 1))
             return jnp.sum(at * satellite_weights(30.0, shadows_m, 2.0))
 
         (swept, by_sweep), (doubled, by_doubling) = (
-            jax.value_and_grad(weighted)(top_m, shape) for shape in ("sweep", "doubling")
+            jax.jit(jax.value_and_grad(partial(weighted, form=form)))(top_m)
+            for form in (heights_by_sweep, heights_by_doubling)
         )
     assert float(doubled) == pytest.approx(float(swept), rel=1e-12)
     np.testing.assert_allclose(by_doubling, by_sweep, atol=1e-12)
     assert np.count_nonzero(by_sweep) > 50
 
 
-def test_words_hold_more_than_32_satellites():
-    shadows_m = np.random.default_rng(0).uniform(0, 40, (70, 3, 4)).astype(np.float32)
-    ground_m = np.random.default_rng(1).uniform(0, 9, (3, 4)).astype(np.float32)
-    words = np.asarray(words_of(shadows_m, ground_m, jnp.asarray([5.0, 20.0])))
-    assert words.shape == (3, 2, 3, 4)
+@pytest.mark.parametrize("form", [words_by_sweep, words_by_doubling])
+def test_words_hold_more_than_32_satellites_and_none_that_fills_up(form):
+    top_m, num, window = tops(), 67, (9, 29, 12, 42, 1)
+    lines = (lines_of(SHAPE) * 5)[:70]
+    height_m = (np.random.default_rng(1).uniform(0, 9, (20, 30)) + np.array([5.0, 60.0])[:, None, None]).astype(
+        np.float32
+    )
+    arguments = stacked(lines), np.int32(num), None
+    words = np.asarray(jax.jit(form, static_argnames="window")(top_m, height_m, *arguments, window=window))
+    assert words.shape == (3, 2, 20, 30)
+    shadows_m = swept(top_m, lines)[:, 9:29, 12:42]
     for s in range(70):
-        for a, altitude_m in enumerate((5.0, 20.0)):
-            expected = shadows_m[s] <= ground_m + np.float32(altitude_m)
-            np.testing.assert_array_equal(words[s // 32, a] >> (s % 32) & 1, expected)
+        seen = words[s // 32] >> (s % 32) & 1
+        np.testing.assert_array_equal(seen, (shadows_m[s] <= height_m) & (s < num))
+    assert not (words[2] >> 6).any()
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("has_terrain", [False, True])
-def test_the_words_of_a_city_are_equal_by_both_shapes(has_terrain):
+def test_the_words_of_a_city_are_equal_by_all_forms(has_terrain):
     city = ju.demo_city(1500, 1500)
     x_min, y_min, _, _ = city.extent_m
     region = Grid(city.crs, 5.0, round(y_min / 5) + 70, round(x_min / 5) + 70, 160, 160)
@@ -142,8 +166,15 @@ def test_the_words_of_a_city_are_equal_by_both_shapes(has_terrain):
     if has_terrain:
         hills_m = 20 * np.sin(np.arange(300) / 30)[:, None] * np.cos(np.arange(300) / 40)
         surface = Surface(surface.roof_m, hills_m.astype(np.float32), None, None, outer, region)
-    arguments = surface, AZIMUTH_RAD, ELEVATION_RAD, (20.0, 60.0)
-    words = [np.asarray(visibility(*arguments, shape=shape)) for shape in ("sweep", "doubling")]
-    np.testing.assert_array_equal(*words)
-    share = np.mean([words[0] >> s & 1 for s in range(len(AZIMUTH_RAD))])
+    numba, jaxs = (
+        np.asarray(visibility(surface, AZIMUTH_RAD, ELEVATION_RAD, (20.0, 60.0), engine=engine))
+        for engine in ("numba", "jax")
+    )
+    np.testing.assert_array_equal(jaxs, numba)
+    height_m = np.float32([20, 60])[:, None, None] + (surface.terrain_m[70:-70, 70:-70] if has_terrain else 0)
+    sky = SkyView.of(surface, AZIMUTH_RAD, ELEVATION_RAD)
+    form = jax.jit(words_by_doubling, static_argnames="window")
+    doubled = form(surface.top_m, height_m, sky.lines, sky.num, None, window=(70, 230, 70, 230, 1))
+    np.testing.assert_array_equal(doubled, numba)
+    share = np.mean([numba >> s & 1 for s in range(len(AZIMUTH_RAD))])
     assert 0.4 < share < 0.99

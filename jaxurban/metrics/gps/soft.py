@@ -11,7 +11,8 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Int
 
 from jaxurban.kernels.dop import dops
-from jaxurban.kernels.shadows.soft import Window, satellite_weights, shadow_heights
+from jaxurban.kernels.shadows.sweep import Window, shadow_heights
+from jaxurban.kernels.soft_step import satellite_weights
 from jaxurban.metrics.gps.hard import BLOCK_CELLS, gps_metric
 from jaxurban.metrics.gps.params import GpsParams
 from jaxurban.metrics.obstacle import soft_obstacle
@@ -44,7 +45,7 @@ def soft_gps(
     """Return soft m_gps at one altitude, on the region ``[y, x]`` or at chosen cells ``[P]``.
 
     ``m = (1 - soft_obstacle) x (T - min(GDOP, T)) / (T - 1)``, GDOP from satellites weighted by
-    `jaxurban.kernels.shadows.soft.satellite_weights`. As softness goes to 0 it tends to the exact map wherever no
+    `jaxurban.kernels.soft_step.satellite_weights`. As softness goes to 0 it tends to the exact map wherever no
     shadow ends at the altitude itself; at softness 0 it is that but for rounding. Fewer than four satellites need no
     rule of their own: as the fourth weight goes to 0, GDOP passes T and m comes to 0. Computed in the roofs' type.
 

@@ -1,6 +1,7 @@
 """Soft lidar: its limit, its gradients, its batches."""
 
 from dataclasses import replace
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -124,7 +125,7 @@ def test_each_chosen_cell_may_have_an_altitude_of_its_own():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("num_azimuths", [7, 80])  # a GPU takes them at once, or in two turns
-def test_the_shape_for_a_gpu_gives_the_values_and_gradients_of_the_one_for_a_cpu(num_azimuths):
+def test_the_form_for_a_gpu_gives_the_values_and_gradients_of_the_one_for_a_cpu(num_azimuths):
     rng = np.random.default_rng(0)
     steps = flat.num_steps(5.0, 40.0)
     shape = 15 + 2 * (steps - 1), 12 + 2 * (steps - 1)
@@ -134,21 +135,21 @@ def test_the_shape_for_a_gpu_gives_the_values_and_gradients_of_the_one_for_a_cpu
     cells = jnp.asarray(rng.integers(0, (15, 12), (20, 2)))
     weight = jnp.asarray(rng.uniform(0.5, 1.5, (15, 12)))
 
-    def of_map(roof_m, terrain_m, altitude_m, range_m, shape):
+    def of_map(roof_m, terrain_m, altitude_m, range_m, form):
         scan = soft.scan_of(altitude_m, range_m, PARAMS.elevations_rad, 5.0)
-        return (weight * soft.soft_returns(roof_m, scan, offsets, jnp.asarray(2.0), shape=shape)).sum()
+        return (weight * form(roof_m, scan, offsets, jnp.asarray(2.0))).sum()
 
-    def of_cells(roof_m, terrain_m, altitude_m, range_m, shape):
+    def of_cells(roof_m, terrain_m, altitude_m, range_m, form):
         scan = soft.scan_of(0.0 * altitude_m, range_m, PARAMS.elevations_rad, 5.0)
         heights_m = altitude_m + jnp.arange(len(cells))
         at = soft.ScansAt(roof_m, terrain_m, heights_m, scan, offsets, jnp.asarray(2.0), cells)
-        found = soft.soft_returns_at(at, shape=shape)
-        return (weight[cells[:, 0], cells[:, 1]] * found).sum()
+        return (weight[cells[:, 0], cells[:, 1]] * form(at)).sum()
 
-    for total, ground_m in ((of_map, None), (of_cells, None), (of_cells, terrain_m)):
+    of_all, at_cells = (soft.one_by_one, soft.together), (soft.one_by_one_at, soft.together_at)
+    for total, ground_m, forms in ((of_map, None, of_all), (of_cells, None, at_cells), (of_cells, terrain_m, at_cells)):
         by = (0, 2, 3) if ground_m is None else (0, 1, 2, 3)
         arguments = roof_m, ground_m, jnp.asarray(15.0), jnp.asarray(39.0)
-        cpu, gpu = (jax.value_and_grad(total, by)(*arguments, shape) for shape in ("cpu", "gpu"))
+        cpu, gpu = (jax.jit(jax.value_and_grad(partial(total, form=form), by))(*arguments) for form in forms)
         np.testing.assert_allclose(gpu[0], cpu[0], rtol=1e-6)
         for found, expected in zip(gpu[1], cpu[1], strict=True):
             assert np.abs(expected).max() > 1e-3
