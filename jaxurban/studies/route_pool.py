@@ -19,7 +19,7 @@ from jaxurban.planners.batch import solve_many
 from jaxurban.studies.queries import RouteQuery
 
 Backend = Literal["numba", "jax"]
-SAME = 1e-9  # relative: routes whose features differ by less cost the same under every W
+DIGITS = 10  # of features: routes that agree in so many cost the same under every W
 BLOCK = 64  # routes a query: arrays grow by so many at once, so that compiled code meets few shapes
 TOGETHER = 32  # searches at a time of JAX: each holds a cost map of its own
 FEW_CELLS = 1 << 15  # a search over fewer is over sooner than a thread has taken it up
@@ -61,7 +61,7 @@ class RoutePool:
         self.num_plans = 0
         self._store = store
         self._workers = workers or os.cpu_count() or 1
-        self._routes: list[list[np.ndarray]] = [[] for _ in self.queries]  # [2, K]: features, integrals
+        self._routes: list[dict[tuple[str, ...], np.ndarray]] = [{} for _ in self.queries]  # [2, K] by features
         self._sums: dict[tuple[int, bytes], np.ndarray] = {}  # [2, K] by query and hash of the points
         for query, route in enumerate(known):
             self._add(query, route)
@@ -79,7 +79,7 @@ class RoutePool:
         filled = np.full(shape, NOT_A_ROUTE)
         for query, routes in enumerate(self._routes):
             if routes:
-                filled[:, query, : len(routes)] = np.stack(routes, axis=1)
+                filled[:, query, : len(routes)] = np.stack([*routes.values()], axis=1)
         return filled
 
     @property
@@ -135,9 +135,6 @@ class RoutePool:
         return self._sums[key]
 
     def _add(self, query: int, route: np.ndarray) -> None:
-        if self._routes[query]:
-            known = np.array(self._routes[query])[:, 0]
-            scale = np.maximum(np.abs(known), np.abs(route[0])) + 1e-12
-            if np.any(np.all(np.abs(known - route[0]) <= SAME * scale, axis=1)):
-                return
-        self._routes[query].append(np.array(route))
+        """Keep a route ``[2, K]``, unless one is known whose features agree with its own in `DIGITS`."""
+        features = tuple(f"{value:.{DIGITS - 1}e}" for value in route[0].tolist())
+        self._routes[query].setdefault(features, np.array(route))

@@ -90,16 +90,6 @@ def test_wrong_missions_are_one_sentence(maps, tmp_path):
             ju.read_demonstrations(tmp_path / "broken.plan", maps)
 
 
-@pytest.mark.slow
-def test_both_backends_find_routes_of_one_cost(maps, demonstrations):
-    queries = [each.query for each in demonstrations]
-    weights = _vector()[None]
-    costs = [RoutePool(queries, backend=backend).cheapest(weights)[0] @ _vector() for backend in ("numba", "jax")]
-    np.testing.assert_allclose(costs[0], costs[1], rtol=1e-9)
-    with pytest.raises(InputError, match="backend"):
-        RoutePool(queries, backend="cuda")
-
-
 def test_a_drawn_line_is_followed_on_the_grid_around_obstacles(maps):
     unit = cost_map(maps, 20.0)
     grid = unit.grid
