@@ -30,9 +30,8 @@ from jaxurban.report.figures.receiver import name_of
 from jaxurban.report.markdown import table
 from jaxurban.report.receiver import score_table, with_interval
 from jaxurban.scenario.changes import changed
-from jaxurban.studies.receiver.agreement import Scored, spearman
 from jaxurban.studies.receiver.prediction import NUM_VISIBLE
-from jaxurban.studies.receiver.scores import COEFFICIENTS, SPEARMAN, WITHIN, Row, compared
+from jaxurban.studies.receiver.scores import COEFFICIENTS, SPEARMAN, WITHIN, Scored, compared, spearman
 from jaxurban.studies.receiver.validate import ReceiverValidation, paired
 
 PAGE, TEMPLATE = ROOT / "docs" / "validation_receiver.md", Path(__file__).with_name("receiver_page.md")
@@ -167,7 +166,7 @@ def tracks_table(tracks: Mapping[str, ReceiverValidation]) -> str:
 def within_by_start(validation: ReceiverValidation) -> list[float]:
     """Return the correlation within blocks, the blocks begun at each piece of the first block in turn."""
     settings = validation.settings
-    receiver, maps, _ = compared(validation.pieces, Row(TRACKED, NUM_VISIBLE, settings.piece_m))
+    receiver, maps, _ = compared(validation.pieces, TRACKED, NUM_VISIBLE)
     along_m = validation.pieces.piece.to_numpy() * settings.piece_m
     starts_m = np.arange(0.0, settings.block_m, settings.piece_m)
     return [spearman(receiver, maps, (along_m + start_m) // settings.block_m) for start_m in starts_m]

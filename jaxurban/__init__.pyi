@@ -49,7 +49,7 @@ from jaxurban.studies.montecarlo.trial import BenchmarkSettings as BenchmarkSett
 from jaxurban.studies.queries import make_queries as make_queries
 from jaxurban.studies.read_demonstrations import demonstrations_from_paths as demonstrations_from_paths
 from jaxurban.studies.read_demonstrations import read_demonstrations as read_demonstrations
-from jaxurban.studies.receiver.settings import ReceiverSettings as ReceiverSettings
+from jaxurban.studies.receiver.prediction import ReceiverSettings as ReceiverSettings
 from jaxurban.studies.receiver.validate import ReceiverValidation as ReceiverValidation
 from jaxurban.studies.receiver.validate import validate as validate
 from jaxurban.studies.sensitivity.buildings import building_costs as building_costs

@@ -1,5 +1,6 @@
 """jaxurban validate."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -9,38 +10,18 @@ from jaxurban.cli.common import DEVICE, JSON_FLAG, PATH, Numbers, print_json, te
 from jaxurban.progress import reporting
 
 
+def _number(flag: str, name: str, default: float, text: str) -> Callable[[Callable], Callable]:
+    return click.option(flag, name, type=float, default=default, show_default=True, help=text)
+
+
 @click.command()
 @click.argument("scenario_file", metavar="SCENARIO", type=PATH)
 @click.argument("log_file", metavar="LOG", type=PATH)
 @click.option("-o", "output", type=PATH, required=True, help="Output folder.")
 @click.option("--set", "changes", metavar="KEY=VALUE", multiple=True, help="Change a setting of SCENARIO; repeatable.")
-@click.option(
-    "--antenna-height",
-    "antenna_height_m",
-    type=float,
-    default=2.0,
-    show_default=True,
-    metavar="METRES",
-    help="Of the receiver's antenna above the ground.",
-)
-@click.option("--resolution", "resolution_m", type=float, help="Of the maps, metres.  [default: the scenario's first]")
-@click.option(
-    "--sky-step",
-    "sky_step_s",
-    type=float,
-    default=30.0,
-    show_default=True,
-    metavar="SECONDS",
-    help="Satellites stand still for so long.",
-)
-@click.option(
-    "--piece",
-    "piece_m",
-    type=float,
-    default=25.0,
-    show_default=True,
-    help="Metres of track; medians are compared.",
-)
+@_number("--antenna-height", "antenna_height_m", 2.0, "Metres of the receiver's antenna above the ground.")
+@_number("--sky-step", "sky_step_s", 30.0, "Seconds for which satellites stand still.")
+@_number("--piece", "piece_m", 25.0, "Metres of track; medians are compared.")
 @click.option(
     "--pieces",
     "other_pieces_m",
@@ -49,14 +30,7 @@ from jaxurban.progress import reporting
     show_default=True,
     help="Lengths to report too, metres.",
 )
-@click.option(
-    "--block",
-    "block_m",
-    type=float,
-    default=200.0,
-    show_default=True,
-    help="Metres of track within which ranks compare.",
-)
+@_number("--block", "block_m", 200.0, "Metres of track within which ranks compare.")
 @click.option("--overwrite", is_flag=True, help="Replace another validation in the output folder.")
 @DEVICE
 @JSON_FLAG
@@ -71,13 +45,16 @@ def validate(
 ) -> int:
     """Set the log of a receiver (LOG, .csv or .parquet) against maps of SCENARIO made at its times and its height.
 
-    LOG has the columns utc, lon_deg, lat_deg and num_tracked, error_2d_m or satellite (a row each).
+    LOG has the columns utc, lon_deg, lat_deg and num_tracked or error_2d_m, a row an epoch.
     """
+    import pandas as pd
+
     from jaxurban.io.files import check_writable
+    from jaxurban.io.tables import records_of
     from jaxurban.io.workspace import Workspace
-    from jaxurban.report.receiver import REPORT_FILE, numbers_of, save_validation
+    from jaxurban.report.receiver import REPORT_FILE, save_validation
     from jaxurban.scenario.settings import Scenario
-    from jaxurban.studies.receiver.settings import ReceiverSettings
+    from jaxurban.studies.receiver.prediction import ReceiverSettings
     from jaxurban.studies.receiver.validate import validate as validate_log
 
     scenario = Scenario.from_toml(scenario_file, changes)
@@ -90,5 +67,7 @@ def validate(
         save_validation(found, output, overwrite)
     tell(f"validation finished: read {output / REPORT_FILE}, look at {output / 'figures'}")
     if as_json:
-        print_json({"folder": str(output), "report": str(output / REPORT_FILE), **numbers_of(found)})
+        (summary,) = records_of(pd.DataFrame([found.summary]))
+        made = {"folder": str(output), "report": str(output / REPORT_FILE), "summary": summary}
+        print_json(made | {"scores": records_of(found.scores), "guesses": list(found.guesses)})
     return 0

@@ -1,7 +1,6 @@
 """What a receiver's validation writes: report.md, all numbers as JSON, tables and figures."""
 
 import hashlib
-import json
 import math
 from collections.abc import Mapping
 from functools import partial
@@ -12,8 +11,7 @@ import numpy as np
 import pandas as pd
 
 from jaxurban.errors import typed
-from jaxurban.io.read.receiver import TRACKED, ReceiverLog
-from jaxurban.io.tables import records_of
+from jaxurban.io.read.receiver import TRACKED
 from jaxurban.io.workspace import Workspace
 from jaxurban.report.figures.receiver import LABELS, name_of, plot_scatter
 from jaxurban.report.markdown import bullets, fill, table
@@ -22,14 +20,13 @@ from jaxurban.studies.bootstrap import FEWEST_GROUPS
 from jaxurban.studies.receiver.scores import COEFFICIENTS, MAIN, SPEARMAN, WITHIN
 from jaxurban.studies.receiver.validate import ReceiverValidation
 
-REPORT_FILE, NUMBERS_FILE = "report.md", "validation.json"
-FIGURE_FILE = "figures/scatter.png"
+REPORT_FILE, FIGURE_FILE = "report.md", "figures/scatter.png"
 HEADS = {WITHIN: "rank correlation within blocks", SPEARMAN: "over the whole track"}
 
 
 @typed
 def save_validation(found: ReceiverValidation, folder: str | Path, overwrite: bool = False) -> list[Path]:
-    """Write the report, its numbers (JSON), tables (CSV, Parquet) and a figure (PNG); return the files.
+    """Write the report, tables (CSV, Parquet) and a figure (PNG); return the files.
 
     Args:
       found: from `jaxurban.validate`.
@@ -39,57 +36,24 @@ def save_validation(found: ReceiverValidation, folder: str | Path, overwrite: bo
     Raises:
       InputError: the folder cannot be written to, or holds another validation or other files.
     """
-    asked = {"log": found.log.name, "scenario": found.scenario, "settings": found.settings.to_dict()}
-    asked["rows"] = _digest(found.log)
+    rows = hashlib.sha256(found.log.epochs.to_csv(index=False).encode()).hexdigest()  # of two logs of one name
+    asked = {"log": found.log.name, "rows": rows, "scenario": found.scenario, "settings": found.settings.to_dict()}
     outputs: dict[str, Output] = {
         REPORT_FILE: validation_markdown(found),
-        NUMBERS_FILE: f"{json.dumps(numbers_of(found), indent=2, allow_nan=False)}\n",
         "tables/pieces": found.pieces.assign(utc=found.pieces.utc.map(lambda time: time.isoformat())),
         "tables/scores": found.scores,
         "tables/shifts": found.shifts,
         FIGURE_FILE: partial(plot_scatter, found),
     }
-    with Workspace.open(Path(folder), "validate", _plain(asked), names=files_of(outputs), overwrite=overwrite):
+    with Workspace.open(Path(folder), "validate", asked, names=files_of(outputs), overwrite=overwrite):
         return save(folder, outputs)
-
-
-def _digest(log: ReceiverLog) -> str:
-    """Return what tells a log from another of its name."""
-    return hashlib.sha256(log.epochs.to_csv(index=False).encode()).hexdigest()
-
-
-def numbers_of(found: ReceiverValidation) -> dict[str, Any]:
-    """Return every number of a validation as plain values, None where there is none."""
-    return _plain(
-        {
-            "log": found.log.name,
-            "settings": found.settings.to_dict(),
-            "scenario": found.scenario,
-            "summary": found.summary,
-            "scores": records_of(found.scores),
-            "shifts": records_of(found.shifts),
-            "guesses": list(found.guesses),
-            "attribution": found.attribution,
-        }
-    )
-
-
-def _plain(value: Any) -> Any:
-    """Return a value as JSON holds it: None where it is no number, or infinite."""
-    if isinstance(value, dict):
-        return {name: _plain(item) for name, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    if isinstance(value, np.generic):
-        value = value.item()
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def validation_markdown(found: ReceiverValidation) -> str:
     """Return the report as Markdown."""
     of, settings, scenario = found.summary, found.settings, found.scenario
     is_main = found.scores.prediction == found.scores.witness.map(MAIN)
-    others = found.scores[~is_main & (found.scores.piece_m == settings.piece_m)]
+    others = found.scores[~is_main]
     facts = {
         "epochs": f"{of['epochs']:,}, of which {of['epochs_left_out']:,} are left out: in a building or without data",
         "time": f"{of['first_utc']} to {of['last_utc']}",

@@ -1,4 +1,4 @@
-"""Receiver logs: two shapes of tables, and what is wrong with one in one sentence."""
+"""Receiver logs: tables of epochs, and what is wrong with one in one sentence."""
 
 import numpy as np
 import pandas as pd
@@ -13,14 +13,6 @@ GOOD = pd.DataFrame(
         "lon_deg": [139.1, 139.0, 139.2],
         "lat_deg": [35.1, 35.0, 35.2],
         "num_tracked": [8, 7, 9],
-    }
-)
-BY_SATELLITE = pd.DataFrame(
-    {
-        "utc": ["2018-12-19T06:07:37Z"] * 2 + ["2018-12-19T06:07:38Z", "2018-12-19T06:07:39Z"],
-        "lon": [139.0, 139.0, 139.1, 139.2],
-        "lat": [35.0, 35.0, 35.1, 35.2],
-        "satellite": ["G01", "E11", "G01", None],
     }
 )
 
@@ -61,13 +53,6 @@ def test_a_zone_may_be_written_in_several_ways(zone):
     assert read_receiver_log(written).epochs.utc.tolist() == read_receiver_log(GOOD).epochs.utc.tolist()
 
 
-def test_rows_of_one_time_are_an_epoch_where_they_name_satellites():
-    log = read_receiver_log(BY_SATELLITE)
-    assert log.epochs.num_tracked.tolist() == [2, 1, 0]
-    twice = read_receiver_log(BY_SATELLITE.assign(satellite=["G01", "G01", "G01", ""]))
-    assert twice.epochs.num_tracked.tolist() == [1, 1, 0]
-
-
 @pytest.mark.parametrize(
     ("table", "words"),
     [
@@ -82,10 +67,10 @@ def test_rows_of_one_time_are_an_epoch_where_they_name_satellites():
         (GOOD.assign(utc="2018-12-19"), ("without a zone",)),
         (GOOD.assign(utc=[None, *GOOD.utc[1:]]), ("a time, which is none", "remove rows without")),
         (GOOD.drop(columns="lat_deg"), ("no column lat_deg",)),
-        (GOOD.drop(columns="num_tracked"), ("none of the columns num_tracked", "error_2d_m", "satellite")),
+        (GOOD.drop(columns="num_tracked"), ("none of the columns num_tracked", "error_2d_m")),
         (GOOD.assign(lon_deg=[np.nan, 139.0, 139.0]), ("has nan in lon_deg of 1 row(s)", "remove")),
         (GOOD.assign(lat_deg=139.0), ("from -90 to 90", "swapped")),
-        (GOOD.assign(utc=GOOD.utc[0]), ("two rows at 2018-12-19T06:07:38", "satellite")),
+        (GOOD.assign(utc=GOOD.utc[0]), ("two rows at 2018-12-19T06:07:38", "one row an epoch")),
         (GOOD.assign(num_tracked=[8, -1, 9]), ("has -1 in num_tracked",)),
         (GOOD.assign(num_tracked=[8, 1e9, 9]), ("a number from 0 to 200",)),
         (GOOD.assign(num_tracked=True), ("has True in num_tracked",)),
@@ -95,9 +80,6 @@ def test_rows_of_one_time_are_an_epoch_where_they_name_satellites():
         (GOOD.rename(columns={"utc": "Time"}), ("no times", "but 'Time', 'lon_deg'")),
         (GOOD.assign(num_tracked="many"), ("'many'", "num_tracked")),
         (GOOD.assign(num_tracked=np.nan), ("no value in num_tracked", "remove")),
-        (BY_SATELLITE.assign(lon=[139.0, 139.1, 139.1, 139.2]), ("two values of lon_deg at 2018-12-19T06:07:37",)),
-        (BY_SATELLITE.assign(num_tracked=[5, 6, 7, 8]), ("two values of num_tracked at 2018-12-19T06:07:37",)),
-        (BY_SATELLITE.assign(satellite=None), ("names no satellite",)),
     ],
 )
 def test_what_is_wrong_with_a_log_is_one_sentence(table, words):

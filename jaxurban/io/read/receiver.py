@@ -13,8 +13,7 @@ from jaxurban.io.tables import read_table
 
 UTC, LON, LAT = "utc", "lon_deg", "lat_deg"
 OTHER_NAMES = {LON: "lon", LAT: "lat"}
-TRACKED, ERROR, SATELLITE = "num_tracked", "error_2d_m", "satellite"
-WITNESSES = (TRACKED, ERROR, SATELLITE)  # what a log may tell of how well the receiver did
+WITNESSES = TRACKED, ERROR = "num_tracked", "error_2d_m"  # what a log may hold of how well the receiver did
 MOST_COLUMNS_SAID = 120  # characters of the columns that a log has
 RANGES = {  # of a value; no receiver has channels for more satellites
     LON: (-180.0, 180.0),
@@ -29,7 +28,7 @@ TIME_REMEDY = (
     f"write UTC with a Z, as {LIKE_THIS} (GPS time is 18 s ahead of it since 2017), or local times with their offset, "
     "as 2018-12-19T15:07:37+09:00, and remove rows without a time"
 )
-REMEDY = f"give a table with the columns {UTC} (as {LIKE_THIS}), {LON}, {LAT} and one of {', '.join(WITNESSES)}"
+REMEDY = f"give a table with the columns {UTC} (as {LIKE_THIS}), {LON}, {LAT} and {' or '.join(WITNESSES)}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,8 +38,7 @@ class ReceiverLog:
     Attributes:
       name: of the file.
       epochs: ``[N]`` rows ``utc`` (datetime64 with zone), ``lon_deg``, ``lat_deg`` (WGS 84), and where they are known
-        ``num_tracked`` and ``error_2d_m``, NaN where a row does not tell. Where the log names satellites and counts
-        none, ``num_tracked`` counts the names.
+        ``num_tracked`` and ``error_2d_m``, NaN where a row does not tell.
     """
 
     name: str
@@ -49,18 +47,15 @@ class ReceiverLog:
     @property
     def witnesses(self) -> tuple[str, ...]:
         """Columns of the epochs that tell how well the receiver did."""
-        return tuple(name for name in (TRACKED, ERROR) if name in self.epochs)
+        return tuple(name for name in WITNESSES if name in self.epochs)
 
 
 def read_receiver_log(source: str | Path | pd.DataFrame) -> ReceiverLog:
-    """Return a receiver's log.
-
-    A row is an epoch or, where there is a column ``satellite``, one satellite that it tracked: the rows of one time are
-    one epoch then, and a row that names none says that it tracked none.
+    """Return a receiver's log, a row an epoch.
 
     Args:
       source: a table, or its file (.csv, .parquet), with ``utc``, ``lon_deg`` (or ``lon``), ``lat_deg`` (or ``lat``)
-        and one or more of ``num_tracked``, ``error_2d_m`` and ``satellite``.
+        and ``num_tracked``, ``error_2d_m`` or both.
 
     Raises:
       InputError: a file that cannot be read, no rows, a column that is missing or there twice, times that are none or
@@ -76,13 +71,10 @@ def read_receiver_log(source: str | Path | pd.DataFrame) -> ReceiverLog:
         if column in table:
             table[column] = _numbers(table, column, name)
     table = table.sort_values(UTC, kind="stable", ignore_index=True)
-    if SATELLITE in table:
-        table = _counted(table, name)
-    if table[UTC].duplicated().any():
-        at = table[UTC][table[UTC].duplicated()].iloc[0]
-        remedy = f"keep one row an epoch, or name the satellites of rows in a column {SATELLITE}"
-        raise _wrong(name, f"has two rows at {at.isoformat()}: {remedy}")
-    return ReceiverLog(name, table[[UTC, LON, LAT, *(each for each in (TRACKED, ERROR) if each in table)]])
+    if (is_second := table[UTC].duplicated()).any():
+        at = table[UTC][is_second].iloc[0].isoformat()
+        raise _wrong(name, f"has two rows at {at}: keep one row an epoch")
+    return ReceiverLog(name, table[[UTC, LON, LAT, *(each for each in WITNESSES if each in table)]])
 
 
 def _wrong(name: str, why: str) -> InputError:
@@ -134,21 +126,3 @@ def _numbers(table: pd.DataFrame, column: str, name: str) -> pd.Series:
     if column in WITNESSES and values.isna().all():
         raise _wrong(name, f"has no value in {column}: fill it, or remove the column")
     return values
-
-
-def _counted(table: pd.DataFrame, name: str) -> pd.DataFrame:
-    """Return a row an epoch of a table whose rows are satellites: how many each epoch names, if it counts none."""
-    satellites = table[SATELLITE].astype("string").str.strip()
-    satellites = satellites.mask(satellites == "")
-    if satellites.isna().all():
-        raise _wrong(name, f"names no satellite in its column {SATELLITE}: fill or remove it")
-    columns = [column for column in (LON, LAT, TRACKED, ERROR) if column in table]
-    epochs = table.assign(**{SATELLITE: satellites}).groupby(UTC, sort=True)
-    for column in columns:
-        if (differs := epochs[column].nunique().gt(1)).any():
-            at = pd.Timestamp(differs.index[differs][0]).isoformat()
-            raise _wrong(name, f"has two values of {column} at {at}: keep one receiver's rows")
-    made = epochs[columns].first()
-    if TRACKED not in made:
-        made[TRACKED] = epochs[SATELLITE].nunique().astype(float)
-    return made.reset_index()

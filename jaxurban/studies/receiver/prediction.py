@@ -1,66 +1,148 @@
-"""What maps say along a receiver's track, at its times and its antenna's height.
+"""The track of a receiver over a grid, and what maps say along it, at its times and its antenna's height.
 
 The values are those of maps of these times and this height in the cells of the track, made by the same recipe
 (`jaxurban.maps.recipe`), leg by leg, so that memory is that of a leg and its surroundings.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
-from jaxurban.errors import InputError
+from jaxurban.errors import InputError, positive, typed
 from jaxurban.io.read.orbits import parse_time
+from jaxurban.io.read.receiver import LAT, LON, UTC, ReceiverLog
 from jaxurban.maps.recipe import TileScene
 from jaxurban.maps.task import MapTask
 from jaxurban.metrics.gps import METRIC
 from jaxurban.progress import Report
 from jaxurban.scenario.run import tasks_of
 from jaxurban.scenario.settings import PopulationSettings, Scenario
-from jaxurban.studies.receiver.settings import ReceiverSettings
-from jaxurban.studies.receiver.track import Track
 from jaxurban.world.grid import Grid
-from jaxurban.world.sky import Sky
 
 LEG_CELLS = 1_500_000  # of the box around a leg
 NUM_VISIBLE = "num_visible"
+MAX_SKY_STEP_S = 300.0  # a satellite moves by half a degree a minute: more would no longer be the log's sky
 
 
-def region_of(scenario: Scenario, resolution_m: float | None) -> Grid:
-    """Return the grid of a scenario at one of its resolutions, the first if left out.
+@typed
+@dataclass(frozen=True)
+class ReceiverSettings:
+    """How a receiver's log is set against maps. None of these is fitted to a log.
+
+    Attributes:
+      antenna_height_m: of the receiver's antenna above the ground.
+      sky_step_s: satellites stand still for so long; each epoch takes the sky nearest to it, half as far off at most.
+      piece_m: what is compared are medians over pieces of track so long.
+      other_pieces_m: further lengths of pieces for which the same is reported.
+      block_m: length of the blocks of track within which ranks are compared, and of which one after the other is left
+        out for the interval.
 
     Raises:
-      InputError: not one of the scenario's resolutions.
+      InputError: a value that is none of these.
     """
+
+    antenna_height_m: float = 2.0
+    sky_step_s: float = 30.0
+    piece_m: float = 25.0
+    other_pieces_m: Sequence[float] = (10.0, 50.0, 100.0)
+    block_m: float = 200.0
+
+    def __post_init__(self) -> None:
+        for name in ("antenna_height_m", "piece_m", "block_m", "sky_step_s"):
+            positive(name, getattr(self, name), "seconds" if name.endswith("_s") else "metres")
+        for value in self.other_pieces_m:
+            positive("each of other_pieces_m", value, "metres")
+        if self.sky_step_s > MAX_SKY_STEP_S:
+            raise InputError(f"sky_step_s must be at most {MAX_SKY_STEP_S:g} seconds, got {self.sky_step_s:g}")
+        if self.block_m < self.piece_m:
+            raise InputError(
+                f"block_m must be at least piece_m, {self.piece_m:g}, got {self.block_m:g}: make it longer"
+            )
+
+    @property
+    def pieces_m(self) -> tuple[float, ...]:
+        """All lengths of pieces, from short to long."""
+        return tuple(sorted({float(self.piece_m), *map(float, self.other_pieces_m)}))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the settings as plain, JSON-ready values."""
+        return asdict(self) | {"other_pieces_m": list(self.other_pieces_m)}
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """Where a receiver was, epoch by epoch. ``N`` epochs, ``T`` skies.
+
+    Attributes:
+      x_m, y_m: ``[N]`` places in the grid's CRS.
+      row, col: ``[N]`` the grid's cells that hold them.
+      sky: ``[N]`` number of the sky of each epoch, not falling.
+      sky_times: ``[T]`` UTC times of the skies, whole seconds, ISO 8601 with a trailing ``Z``.
+    """
+
+    x_m: np.ndarray
+    y_m: np.ndarray
+    row: np.ndarray
+    col: np.ndarray
+    sky: np.ndarray
+    sky_times: tuple[str, ...]
+
+    @classmethod
+    def of(cls, log: ReceiverLog, grid: Grid, sky_step_s: float) -> "Track":
+        """Return the track of a log, its time cut into windows of ``sky_step_s`` with a sky in the middle of each.
+
+        Raises:
+          InputError: a place outside the grid.
+        """
+        lon_deg, lat_deg = (log.epochs[name].to_numpy() for name in (LON, LAT))
+        x_m, y_m = grid.xy_of_lonlat(lon_deg, lat_deg)
+        if not (is_inside := grid.contains_xy(x_m, y_m)).all():
+            num = int((~is_inside).sum())
+            spans = f"{lon_deg.min():.4f}, {lat_deg.min():.4f}, {lon_deg.max():.4f}, {lat_deg.max():.4f}"
+            raise InputError(
+                f"{num} of the {len(is_inside)} places of the receiver log {log.name!r} lie outside "
+                "the region: remove these rows, see whether lon_deg and lat_deg are swapped, or let [region] bounds of "
+                f"the scenario hold the track, [{spans}] and some metres around it"
+            )
+        row, col = grid.cell_of_xy(x_m, y_m)
+        first = log.epochs[UTC].iloc[0]
+        window = ((log.epochs[UTC] - first).dt.total_seconds().to_numpy() // sky_step_s).astype(np.int64)
+        numbers, sky = np.unique(window, return_inverse=True)
+        middles = [(first + pd.Timedelta(seconds=(number + 0.5) * sky_step_s)).round("s") for number in numbers]
+        return cls(x_m, y_m, row, col, sky, tuple(f"{time:%Y-%m-%dT%H:%M:%S}Z" for time in middles))
+
+    @cached_property
+    def along_m(self) -> np.ndarray:
+        """``[N]`` distance from the first epoch along the track."""
+        return np.cumsum(np.hypot(np.diff(self.x_m, prepend=self.x_m[0]), np.diff(self.y_m, prepend=self.y_m[0])))
+
+
+def region_of(scenario: Scenario) -> Grid:
+    """Return the grid of a scenario at the first of its resolutions."""
     held = scenario.region.resolution_m
-    if resolution_m is not None and resolution_m not in held:
-        raise InputError(
-            f"resolution_m must be one of the scenario's, {', '.join(f'{value:g}' for value in held)}, got "
-            f"{resolution_m:g}: set [region] resolution_m"
-        )
-    return Grid.from_bounds(scenario.region.bounds, resolution_m or held[0], scenario.region.crs, held)
+    return Grid.from_bounds(scenario.region.bounds, held[0], scenario.region.crs, held)
 
 
-def task_at(scenario: Scenario, times: Sequence[str], grid: Grid, settings: ReceiverSettings) -> MapTask:
+def task_at(scenario: Scenario, times: Sequence[str], grid: Grid, antenna_height_m: float) -> MapTask:
     """Return what maps of a scenario at other times, and at the antenna's height alone, are made of.
 
     Nothing of people, of layers of one's own and of uncertainty is in it: satellites depend on none.
     """
     of_log: dict[str, Any] = {"times": tuple(map(parse_time, times)), "start": None, "stop": None, "step_s": None}
-    reference = scenario.gps.reference or grid.centre_lonlat
-    gps = replace(scenario.gps, **of_log, reference=reference, series="epochs", bounds=False)
-    region = {"resolution_m": (grid.resolution_m,), "altitudes_m": (float(settings.antenna_height_m),)}
-    changed = scenario.model_copy(
-        update={
-            "region": scenario.region.model_copy(update=region),
-            "gps": gps,
-            "buildings": scenario.buildings.model_copy(update={"height_samples": 0}),
-            "population": PopulationSettings(),
-            "layers": {},
-        }
-    )
-    (task,) = tasks_of(changed)
+    of_log |= {"reference": scenario.gps.reference or grid.centre_lonlat, "series": "epochs", "bounds": False}
+    region = {"resolution_m": (grid.resolution_m,), "altitudes_m": (antenna_height_m,)}
+    update = {
+        "region": scenario.region.model_copy(update=region),
+        "gps": replace(scenario.gps, **of_log),
+        "buildings": scenario.buildings.model_copy(update={"height_samples": 0}),
+        "population": PopulationSettings(),
+        "layers": {},
+    }
+    (task,) = tasks_of(scenario.model_copy(update=update))
     return replace(task, region=grid)  # which nests with all of the scenario's resolutions
 
 
@@ -114,23 +196,14 @@ def _legs(track: Track) -> Iterator[list[int]]:
 def _box(region: Grid, row: np.ndarray, col: np.ndarray) -> Grid:
     """Return the part of a region that holds cells."""
     first_row, first_col = int(row.min()), int(col.min())
-    shape = int(row.max()) - first_row + 1, int(col.max()) - first_col + 1
-    return Grid(
-        region.crs, region.resolution_m, region.first_row + first_row, region.first_col + first_col, shape[0], shape[1]
-    )
+    num_rows, num_cols = int(row.max()) - first_row + 1, int(col.max()) - first_col + 1
+    corner = {"first_row": region.first_row + first_row, "first_col": region.first_col + first_col}
+    return Grid(region.crs, region.resolution_m, **corner, num_rows=num_rows, num_cols=num_cols)
 
 
-def _tile(task: MapTask, region: Grid, skies: Sequence[int]) -> TileScene:
+def _tile(task: MapTask, region: Grid, skies: list[int]) -> TileScene:
     """Return a part of a task, over another region and at some of its times, ready for its maps."""
-    sky, chosen = task.sky, list(skies)
-    some = Sky(
-        tuple(sky.times[t] for t in chosen),
-        sky.names,
-        sky.azimuth_rad[chosen],
-        sky.elevation_rad[chosen],
-        sky.systems,
-        sky.element_age_days[chosen],
-        sky.guesses,
-    )
-    part = replace(task, region=region, sky=some)
+    sky = task.sky
+    of_time = {name: getattr(sky, name)[skies] for name in ("azimuth_rad", "elevation_rad", "element_age_days")}
+    part = replace(task, region=region, sky=replace(sky, times=tuple(sky.times[t] for t in skies), **of_time))
     return TileScene(part, part.surface())

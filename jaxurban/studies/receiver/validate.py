@@ -11,11 +11,18 @@ from jaxurban.errors import InputError, typed
 from jaxurban.io.read.receiver import TRACKED, UTC, ReceiverLog, read_receiver_log
 from jaxurban.progress import Progress, reporting
 from jaxurban.scenario.settings import Scenario
-from jaxurban.studies.receiver.agreement import Scored, half_width, spearman, without_each_block
-from jaxurban.studies.receiver.prediction import NUM_VISIBLE, predict, region_of, task_at
-from jaxurban.studies.receiver.scores import COEFFICIENTS, MAIN, Row, compared, pieces_of, tables
-from jaxurban.studies.receiver.settings import ReceiverSettings
-from jaxurban.studies.receiver.track import Track
+from jaxurban.studies.receiver.prediction import NUM_VISIBLE, ReceiverSettings, Track, predict, region_of, task_at
+from jaxurban.studies.receiver.scores import (
+    COEFFICIENTS,
+    MAIN,
+    Scored,
+    compared,
+    half_width,
+    pieces_of,
+    spearman,
+    tables,
+    without_each_block,
+)
 from jaxurban.world.show import Shown
 
 FEWEST_PIECES = 8  # fewer rank nothing
@@ -63,8 +70,9 @@ class ReceiverValidation(Shown):
     @property
     def facts(self) -> dict[str, str]:
         """Log, track, and what each witness scores."""
-        length = f"{self.summary['length_m'] / 1000:.2f} km, {self.summary['epochs']} epochs"
-        facts = {"log": self.log.name, "track": length, "cells": f"{self.summary['resolution_m']:g} m"}
+        of = self.summary
+        length = f"{of['length_m'] / 1000:.2f} km, {of['epochs']} epochs"
+        facts = {"log": self.log.name, "track": length, "cells": f"{of['resolution_m']:g} m"}
         for row in self.main.to_dict("records"):
             parts = [
                 f"{name} {row[name]:.2f} (p {row[f'{name}_p']:.3f})" for name in COEFFICIENTS if row[name] == row[name]
@@ -98,45 +106,45 @@ def validate(
     """
     chosen = settings or ReceiverSettings()
     told = read_receiver_log(log)
-    grid = region_of(scenario, chosen.resolution_m)
+    grid = region_of(scenario)
     track = Track.of(told, grid, chosen.sky_step_s)
-    if len(np.unique(track.cut(chosen.piece_m))) < FEWEST_PIECES:
+    if len(np.unique(track.along_m // chosen.piece_m)) < FEWEST_PIECES:
         raise InputError(
-            f"the track of the receiver log {told.name!r} is {track.length_m:.0f} m long, less than {FEWEST_PIECES} "
+            f"the track of the receiver log {told.name!r} is {track.along_m[-1]:.0f} m long, less than {FEWEST_PIECES} "
             f"pieces of {chosen.piece_m:g} m: give a longer log, or shorter pieces"
         )
     with reporting("validate", progress) as report:
         report("read")
-        task = task_at(scenario, track.sky_times, grid, chosen)
+        task = task_at(scenario, track.sky_times, grid, float(chosen.antenna_height_m))
         predicted = predict(task, track, report)
         report("scores")
-        scores, shifts = tables(told, track, predicted, chosen)
+        epochs = told.epochs.assign(x_m=track.x_m, y_m=track.y_m, along_m=track.along_m, **predicted)
+        scores, shifts = tables(epochs, told.witnesses, list(predicted), chosen)
+    seen = epochs[NUM_VISIBLE]
+    summary = {
+        "epochs": len(epochs),
+        "epochs_left_out": int(seen.isna().sum()),
+        "first_utc": epochs[UTC].iloc[0].isoformat(),
+        "last_utc": epochs[UTC].iloc[-1].isoformat(),
+        "length_m": float(track.along_m[-1]),
+        "resolution_m": grid.resolution_m,
+        "num_skies": len(track.sky_times),
+        "mean_num_visible": float(seen.mean()),
+    }
+    if TRACKED in epochs:
+        summary[f"mean_{TRACKED}"] = float(epochs[TRACKED].mean())
     return ReceiverValidation(
         log=told,
         settings=chosen,
         scenario=scenario.model_dump(mode="json"),
-        summary=_summary(told, track, predicted[NUM_VISIBLE], task.region.resolution_m),
-        epochs=told.epochs.assign(x_m=track.x_m, y_m=track.y_m, along_m=track.along_m, **predicted),
-        pieces=pieces_of(told, track, predicted, chosen.piece_m, chosen.block_m),
+        summary=summary,
+        epochs=epochs,
+        pieces=pieces_of(epochs, chosen.piece_m, chosen.block_m),
         scores=scores,
         shifts=shifts,
         attribution=task.city.attribution,
         guesses=(*task.city.guesses.values(), *task.sky.guesses.values()),
     )
-
-
-def _summary(log: ReceiverLog, track: Track, seen: np.ndarray, resolution_m: float) -> dict[str, Any]:
-    return {
-        "epochs": len(seen),
-        "epochs_left_out": int(np.isnan(seen).sum()),
-        "first_utc": log.epochs[UTC].iloc[0].isoformat(),
-        "last_utc": log.epochs[UTC].iloc[-1].isoformat(),
-        "length_m": track.length_m,
-        "resolution_m": resolution_m,
-        "num_skies": len(track.sky_times),
-        "mean_num_visible": float(np.nanmean(seen)) if (~np.isnan(seen)).any() else np.nan,
-        **{f"mean_{name}": float(log.epochs[name].mean()) for name in log.witnesses if name == TRACKED},
-    }
 
 
 def paired(
@@ -162,9 +170,7 @@ def paired(
     numbers = [side.pieces.piece[side.pieces[witness].notna()].to_numpy() for side in (a, b)]
     common = np.intersect1d(numbers[0], numbers[1])
     sides = [
-        compared(
-            side.pieces[side.pieces.piece.isin(common)], Row(witness, prediction or MAIN[witness], a.settings.piece_m)
-        )
+        compared(side.pieces[side.pieces.piece.isin(common)], witness, prediction or MAIN[witness])
         for side, prediction in zip((a, b), predictions, strict=True)
     ]
     value = spearman(*sides[1]) - spearman(*sides[0])
