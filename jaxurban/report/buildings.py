@@ -1,6 +1,5 @@
 """What buildings cost a route over a folder of maps: the sources read again, a table and a map written."""
 
-from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
@@ -47,20 +46,15 @@ def scenario_of(folder: Path, scenario: Path | None = None) -> Scenario:
         raise InputError(
             f"{str(file)!r} is not the record of a run ({error}): run the same `jaxurban maps` command again"
         ) from error
-    tried = (scenario.parent,) if scenario is not None else (Path(), folder, folder.parent)
-    return _with_sources(record, [path.resolve() for path in tried], str(file))
-
-
-def _with_sources(record: dict, folders: Sequence[Path], name: str) -> Scenario:
-    for folder in folders:
-        found = Scenario.from_dict(record["settings"], name=name, folder=folder)
+    folders = [path.resolve() for path in ((Path(), folder, folder.parent) if scenario is None else (scenario.parent,))]
+    for each in folders:
+        found = Scenario.from_dict(record["settings"], name=str(file), folder=each)
         if not all(found.path_of(source["path"]).exists() for source in record["inputs"].values()):
             continue
         for role, source in hash_inputs(found).items():
             if source["sha256"] != record["inputs"][role]["sha256"]:
                 raise InputError(
-                    f"{source['path']!r} is not the file that the maps were made from: put it back, or "
-                    "make the maps again"
+                    f"{source['path']!r} is not the file that the maps were made from: put it back, or make them again"
                 )
         return found
     names = ", ".join(repr(source["path"]) for source in record["inputs"].values())

@@ -20,7 +20,7 @@ from jaxurban.studies.bootstrap import (
     share_interval,
     share_of,
 )
-from jaxurban.studies.montecarlo.complementarity import SUMS, _statistics
+from jaxurban.studies.montecarlo.complementarity import _statistics
 from jaxurban.studies.sensitivity.summary import Drawn
 
 
@@ -135,7 +135,7 @@ def test_intervals_of_correlations_over_tiles_contain_the_truth_in_93_of_100_cas
     for _ in range(num):
         gps = rng.normal(size=num_groups)
         lidar = truth * gps + np.sqrt(1 - truth**2) * rng.normal(size=num_groups)
-        sums = np.zeros((num_groups, len(SUMS)))
+        sums = np.zeros((num_groups, 9))
         sums[:, :6] = np.stack([np.ones(num_groups), gps, lidar, gps**2, lidar**2, gps * lidar], axis=1)
         low, high = ends_of(_statistics(draws @ sums)["correlation"], num_groups)
         inside += low <= truth <= high

@@ -3,13 +3,12 @@
 import math
 from dataclasses import replace
 
+import geopandas as gpd
 import numpy as np
 import pandas as pd
 import shapely
-from matplotlib.collections import PathCollection
 from matplotlib.colors import SymLogNorm
 from matplotlib.figure import Figure
-from matplotlib.path import Path
 
 from jaxurban.paths.path import PlannedPath
 from jaxurban.report.figures.colours import Colours
@@ -39,54 +38,33 @@ def plot_building_costs(city: City, planned: PlannedPath, table: pd.DataFrame, g
       grid: the region; buildings beyond it are not drawn.
     """
     assert city.buildings is not None
-    settings = planned.settings
-    note = joined(
-        f"{planned.altitude_m:g} m above ground",
-        time_said(settings["time"]),
-        settings["time_of_day"],
-        f"softness {table.attrs['softness_m']:g} m",
-        f"{grid.resolution_m:g} m cells",
-        grid.crs,
-        place_said(grid),
-        city.attribution,
-    )
-    note = f"{note}\n{rules_said(settings)}"
-    heading = "What one more metre of each building costs the route"
+    settings, polygons = planned.settings, city.buildings.polygons
+    place = f"{planned.altitude_m:g} m above ground", time_said(settings["time"]), settings["time_of_day"]
+    cells = f"softness {table.attrs['softness_m']:g} m", f"{grid.resolution_m:g} m cells", grid.crs, place_said(grid)
+    note = f"{joined(*place, *cells, city.attribution)}\n{rules_said(settings)}"
     most = max(float(table.per_metre.abs().max()) if len(table) else 0.0, 1e-12)
     main = table.building[table.per_metre.abs() >= SHOWN_SHARE * most]
-    shown = _around(planned, city.buildings.polygons[main], grid)
-    frame = make_frame(shown, [f"{planned.search.planner}, cost {planned.cost:,.1f}"], heading, note)
+    shown = _around(planned, polygons[main], grid)
+    title = f"{planned.search.planner}, cost {planned.cost:,.1f}"
+    frame = make_frame(shown, [title], "What one more metre of each building costs the route", note)
     panel = frame.axes[0]
     panel.set_facecolor(EMPTY_COLOUR)
     top = 10.0 ** math.ceil(math.log10(most))
     ticks = sorted(sign * top * 10.0**-power for sign in (-1, 1) for power in range(DECADES))
     norm = SymLogNorm(top / 10**DECADES, vmin=-top, vmax=top)
     colours = Colours("RdBu_r", norm, "cost per metre of height", ticks=[*ticks, 0.0])
-    seen = np.flatnonzero(shapely.intersects(city.buildings.polygons, shapely.box(*shown.bounds_m)))
-    others = np.setdiff1d(seen, table.building)
-    panel.add_collection(
-        PathCollection(
-            [_outline(city.buildings.polygons[i]) for i in others], facecolor=UNTOUCHED_COLOUR, linewidth=0, zorder=1
-        )
-    )
-    drawn = table[table.building.isin(seen)]
-    drawn = drawn.iloc[np.argsort(drawn.per_metre.abs(), kind="stable")]  # what matters most comes on top
-    panel.add_collection(
-        PathCollection(
-            [_outline(city.buildings.polygons[i]) for i in drawn.building],
-            array=drawn.per_metre.to_numpy(),
-            cmap=colours.cmap,
-            norm=norm,
-            edgecolor="#555555",
-            linewidth=0.25,
-            zorder=2,
-        )
-    )
-    panel.plot(*planned.xy_m.T, color="white", linewidth=3.2, solid_joinstyle="round", zorder=3)
-    panel.plot(*planned.xy_m.T, color=ROUTE_COLOUR, linewidth=1.5, solid_joinstyle="round", zorder=4)
+    seen = np.flatnonzero(shapely.intersects(polygons, shapely.box(*shown.bounds_m)))
+    drawn = table[table.building.isin(seen)].sort_values("per_metre", key=np.abs)  # what matters most comes on top
+    how = {"ax": panel, "aspect": None, "autolim": False}
+    if len(others := np.setdiff1d(seen, table.building)):
+        gpd.GeoSeries(polygons[others]).plot(color=UNTOUCHED_COLOUR, linewidth=0, zorder=1, **how)
+    if len(drawn):
+        face = list(colours(drawn.per_metre.to_numpy()))
+        gpd.GeoSeries(polygons[drawn.building]).plot(color=face, edgecolor="#555555", linewidth=0.25, zorder=2, **how)
+    for colour, width, order in (("white", 3.2, 3), (ROUTE_COLOUR, 1.5, 4)):
+        panel.plot(*planned.xy_m.T, color=colour, linewidth=width, solid_joinstyle="round", zorder=order)
     draw_ends(panel, [planned])
-    patches = [("no effect", UNTOUCHED_COLOUR), ("route", ROUTE_COLOUR)]
-    add_key(frame, patches, colours, has_ends=True)
+    add_key(frame, [("no effect", UNTOUCHED_COLOUR), ("route", ROUTE_COLOUR)], colours, has_ends=True)
     return frame.figure
 
 
@@ -96,15 +74,5 @@ def _around(planned: PlannedPath, polygons: np.ndarray, grid: Grid) -> Grid:
     low = np.maximum(boxes[:, :2].min(axis=0) - MARGIN_M, grid.bounds_m[:2])
     high = np.minimum(boxes[:, 2:].max(axis=0) + MARGIN_M, grid.bounds_m[2:])
     first = np.floor(low / grid.resolution_m + 1e-6).astype(int)
-    end = np.ceil(high / grid.resolution_m - 1e-6).astype(int)
-    num_cols, num_rows = (int(size) for size in end - first)
+    num_cols, num_rows = map(int, np.ceil(high / grid.resolution_m - 1e-6).astype(int) - first)
     return replace(grid, first_row=int(first[1]), first_col=int(first[0]), num_rows=num_rows, num_cols=num_cols)
-
-
-def _outline(polygon: shapely.Polygon | shapely.MultiPolygon) -> Path:
-    """Return a polygon with its holes as one path (rings run opposite ways, so that holes stay empty)."""
-    rings = []
-    for part in shapely.get_parts(polygon):
-        part = shapely.orient_polygons(part)
-        rings += [Path(np.asarray(ring.coords), closed=True) for ring in (part.exterior, *part.interiors)]
-    return Path.make_compound_path(*rings)

@@ -11,7 +11,6 @@ from jaxurban.studies.bootstrap import draws_of, ends_of
 GOOD = 0.5  # a sensor serves where its m is at least this
 TILE_M = 500.0  # cells nearer than this are much alike, so whole tiles are drawn
 FEWEST = 0.005  # share of cells where GPS is poor, below which nothing is said about them
-SUMS = ("n", "gps", "lidar", "gps2", "lidar2", "both2", "poor", "lidar_poor", "lidar_good")
 
 
 def complementarity(

@@ -19,12 +19,8 @@ from jaxurban.planners.cost_model import CostModel
 from jaxurban.world.city import City, HeightOrigin
 
 
-def route_visits(soft: SoftCity, planned: PlannedPath) -> PathVisits:
-    """Return which cells of a soft city's region a planned route's cost counts, and how often.
-
-    Raises:
-      InputError: there is no route, or it lies on another grid.
-    """
+def _visits(soft: SoftCity, planned: PlannedPath, params: SoftParams) -> PathVisits:
+    """Return which cells of a soft city's region a route's cost counts, and how often, if it was planned on them."""
     region = soft.surface.region
     if not planned.status.has_path:
         raise InputError("there is no route, so no building costs it anything: plan one that reaches its goal")
@@ -33,17 +29,6 @@ def route_visits(soft: SoftCity, planned: PlannedPath) -> PathVisits:
             f"the route lies on cells of {planned.settings['resolution_m']:g} m in {planned.crs} and the soft city on "
             f"cells of {region.resolution_m:g} m in {region.crs}: make both from the same maps"
         )
-    points_m = planned.xy_m - np.array([region.x_min_m, region.y_min_m])
-    return path_visits(
-        points_m,
-        region.shape,
-        region.resolution_m,
-        CostModel.from_settings(planned.settings),
-    )
-
-
-def _check_same(soft: SoftCity, planned: PlannedPath, params: SoftParams) -> None:
-    """Raise InputError unless a route was planned at the altitude and the time of day of a soft city."""
     if len(planned.z_m) and np.ptp(planned.z_m) > 0:
         raise InputError("the route changes its altitude and a soft city has one: plan it at that altitude")
     wanted_m = float(np.asarray(params.altitude_m))
@@ -57,6 +42,8 @@ def _check_same(soft: SoftCity, planned: PlannedPath, params: SoftParams) -> Non
             f"the route was planned by {time_of_day} and the soft city is of {soft.time_of_day}: give soft_city "
             f"time_of_day={time_of_day!r}"
         )
+    points_m = planned.xy_m - np.array([region.x_min_m, region.y_min_m])
+    return path_visits(points_m, region.shape, region.resolution_m, CostModel.from_settings(planned.settings))
 
 
 def weights_of(planned: PlannedPath) -> Weights:
@@ -96,8 +83,7 @@ def building_costs(
       InputError: there is no route, it lies on another grid, altitude or time of day, or it climbs.
     """
     assert city.buildings is not None
-    _check_same(soft, planned, params)
-    visits = route_visits(soft, planned)
+    visits = _visits(soft, planned, params)
     weights = weights_of(planned) if weights is None else Weights.of(weights).checked(soft.names)
     slopes, soft_cost = _slopes(soft, params, weights, visits)
     by_metric = {name: np.asarray(slope, np.float64) for name, slope in slopes.items()}
