@@ -24,8 +24,8 @@ import jaxurban as ju
 from jaxurban.io.read.census import CensusFiles, read_blocks
 from jaxurban.io.read.districts import read_districts
 from jaxurban.report.figures import plot_metric
-from jaxurban.report.figures.colours import SMALL_PT
-from jaxurban.report.figures.frame import FAINT_INK, INK
+from jaxurban.report.figures.frame import KEY
+from jaxurban.report.figures.style import FAINT_INK, INK, SMALL_PT
 from jaxurban.report.markdown import framed
 from jaxurban.report.save import write_png
 from jaxurban.scenario.run import ScenarioRun, load_city, run_scenario
@@ -213,31 +213,28 @@ def write_beneath(figure: Figure, caption: Caption) -> None:
     paragraphs = [textwrap.fill(UNIT.sub("\u00a0", text), letters) for text in caption]  # no line begins with a unit
     room_in = sum(LINE_IN * (text.count("\n") + 1) + 0.07 for text in paragraphs) + 0.16
     total_in = height_in + room_in
+    figure.set_size_inches(width_in, total_in)
+
+    def lifted(y: float) -> float:
+        return (y * height_in + room_in) / total_in
+
     if (layout := figure.get_layout_engine()) is not None:
-        figure.set_size_inches(width_in, total_in)
-        layout.set(rect=(0, room_in / total_in, 1, 1 - room_in / total_in))
-    else:
-        boxes = [axes.get_position(original=True) for axes in figure.axes]
-        figure.set_size_inches(width_in, total_in)
-        for axes, box in zip(figure.axes, boxes, strict=True):
-            bottom = (box.y0 * height_in + room_in) / total_in
-            axes.set_position((box.x0, bottom, box.width, box.height * height_in / total_in))
-        for item in (*figure.texts, *figure.legends):
-            _lift(item, height_in, room_in, total_in)
+        x0, y0, width, height = layout.get()["rect"]
+        layout.set(rect=(x0, lifted(y0), width, height * height_in / total_in))
+    for axes in figure.axes:
+        if layout is None or axes.get_gid() == KEY:
+            box = axes.get_position(original=True)
+            axes.set_position((box.x0, lifted(box.y0), box.width, box.height * height_in / total_in))
+    for text in figure.texts:
+        text.set_y(lifted(text.get_position()[1]))
+    for legend in figure.legends if layout is None else ():  # at the foot
+        legend.set_bbox_to_anchor((0, room_in / total_in, 1, 1 - room_in / total_in))
     y_in = room_in - 0.08
     for head, text in zip(HEADS, paragraphs, strict=True):
         look = {"va": "top", "size": SMALL_PT + 0.5, "in_layout": False, "linespacing": 1.2}
         figure.text(0.15 / width_in, y_in / total_in, head, weight="bold", color=INK, **look)
         figure.text(CAPTION_COLUMN_IN / width_in, y_in / total_in, text, color=FAINT_INK, **look)
         y_in -= LINE_IN * (text.count("\n") + 1) + 0.07
-
-
-def _lift(item, height_in: float, room_in: float, total_in: float) -> None:
-    if hasattr(item, "get_position"):
-        x, y = item.get_position()
-        item.set_position((x, (y * height_in + room_in) / total_in))
-    else:  # a legend of the figure, which stands at its foot
-        item.set_bbox_to_anchor((0, room_in / total_in, 1, 1 - room_in / total_in))
 
 
 def save_table(table: pd.DataFrame, name: str, title: str, caption: Caption) -> None:

@@ -17,7 +17,7 @@ from jaxurban.paths.path import PlannedPath, finish, map_settings
 from jaxurban.paths.preset import PathSearch
 from jaxurban.paths.snapping import XY
 from jaxurban.planners.registry import find_planner
-from jaxurban.report.figures.frame import NO_DATA_COLOUR, Frame, MapLayer, add_key, add_scale, draw_layers, make_frame
+from jaxurban.report.figures.frame import NO_DATA_COLOUR, MapLayer, add_key, add_scale, draw_layers, make_frame
 from jaxurban.report.figures.metrics import obstacle_patches
 from jaxurban.report.figures.notes import rules_said
 from jaxurban.report.figures.paths import (
@@ -168,7 +168,7 @@ def draw(town: Town, shared: CostMap, cases: Sequence[Case], results: Sequence[l
                 line.set_linestyle(dash)
         draw_ends(panel, paths)
         legend_below(panel, frame, handles)
-        draw_scale(frame, panel, part)
+        add_scale(frame, panel, panel, footer_in)
     patches = obstacle_patches(maps, BLOCKED_COLOUR)
     if any(not _holds(maps.grid, part) for part in parts):
         patches = [*patches[:1], ("beyond the\nregion, or\nno data", NO_DATA_COLOUR)]
@@ -179,18 +179,6 @@ def draw(town: Town, shared: CostMap, cases: Sequence[Case], results: Sequence[l
 def _holds(grid: Grid, part: Grid) -> bool:
     outer, inner = grid.bounds_m, part.bounds_m
     return outer[0] <= inner[0] and outer[1] <= inner[1] and inner[2] <= outer[2] and inner[3] <= outer[3]
-
-
-def draw_scale(frame: Frame, panel, part: Grid) -> None:
-    """Draw a panel's scale bar under its legend."""
-    width_in, height_in = frame.figure.get_size_inches()
-    box = panel.get_position()
-    bottom_in = box.y0 * height_in - len(PAPER_PLANNERS) * LINE_IN - SCALE_IN
-    size_in = (frame.panel_in[0], SCALE_IN)
-    axes = frame.figure.add_axes((box.x0, bottom_in / height_in, size_in[0] / width_in, size_in[1] / height_in))
-    axes.set(xlim=(0, size_in[0]), ylim=(0, size_in[1]))
-    axes.set_axis_off()
-    add_scale(axes, (part.x_max_m - part.x_min_m) / frame.panel_in[0])
 
 
 def by_planner(paths: Sequence[PlannedPath]) -> dict[str, PlannedPath]:

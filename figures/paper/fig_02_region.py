@@ -20,17 +20,9 @@ from figures.paper.common import (
     save,
     synthetic_city,
 )
-from jaxurban.report.figures.colours import SMALL_PT, Colours
-from jaxurban.report.figures.frame import (
-    FAINT_INK,
-    INK,
-    Frame,
-    add_bar_below,
-    add_key,
-    make_frame,
-    write_legend,
-)
+from jaxurban.report.figures.frame import Frame, add_bar_below, add_key, make_frame, write_legend
 from jaxurban.report.figures.metrics import ROOF_TICKS_M
+from jaxurban.report.figures.style import FAINT_INK, INK, SMALL_PT, Colours
 from jaxurban.world.city import OTHER_DISTRICT
 from jaxurban.world.grid import WGS84, Grid, transformer
 from jaxurban.world.synthetic_streets import CityPlan
@@ -80,7 +72,7 @@ def begin(title: str, credit: str = "", footer_in: float = 0.0) -> Frame:
 def add_legend(frame: Frame, entries: dict[str, dict]) -> None:
     """Write the key column: the entries, each with the look of its patch, then north and scale."""
     add_key(frame)
-    write_legend(frame, {name: Patch(**look) for name, look in entries.items()})
+    write_legend(frame.key, [Patch(label=name, **look) for name, look in entries.items()])
 
 
 def draw_box(frame: Frame, polygon: shapely.Polygon, colour: str, style: str, width: float) -> dict:

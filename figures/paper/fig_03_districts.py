@@ -20,8 +20,8 @@ from figures.paper.common import (
     synthetic_city,
 )
 from jaxurban.metrics.population import block_layers
-from jaxurban.report.figures.colours import Colours
-from jaxurban.report.figures.frame import INK, add_key, make_frame
+from jaxurban.report.figures.frame import add_key, make_frame
+from jaxurban.report.figures.style import INK, Colours
 from jaxurban.world.city import Blocks
 from jaxurban.world.grid import Grid
 from jaxurban.world.synthetic_streets import CityPlan

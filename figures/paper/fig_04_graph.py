@@ -13,9 +13,8 @@ from jaxurban.planners.base import Cell, Problem
 from jaxurban.planners.cost_model import CostModel
 from jaxurban.planners.moves import STEPS, allowed_moves
 from jaxurban.planners.search.grid import graph_of
-from jaxurban.report.figures.colours import SMALL_PT
-from jaxurban.report.figures.frame import FAINT_INK, INK, TEXT_PT
 from jaxurban.report.figures.metrics import percent
+from jaxurban.report.figures.style import FAINT_INK, INK, SMALL_PT, TEXT_PT
 
 ALTITUDE_M = 20.0
 # v_0 in the middle; v_1 north of it, then clockwise, so that straight neighbours are odd and diagonal ones even.

@@ -18,20 +18,10 @@ from jaxurban.planners.bitstar.batches import Batch, BitStarOptions
 from jaxurban.planners.bitstar.bounds import make_bounds
 from jaxurban.planners.bitstar.planner import bitstar_plus
 from jaxurban.planners.bitstar.tree import Tree
-from jaxurban.report.figures.colours import Colours
-from jaxurban.report.figures.frame import (
-    FAINT_INK,
-    INK,
-    Frame,
-    MapLayer,
-    add_key,
-    draw_layers,
-    flat_layer,
-    make_frame,
-    write_legend,
-)
+from jaxurban.report.figures.frame import Frame, MapLayer, add_key, draw_layers, flat_layer, make_frame, write_legend
 from jaxurban.report.figures.metrics import percent
 from jaxurban.report.figures.notes import frame_note, rules_said
+from jaxurban.report.figures.style import FAINT_INK, INK, Colours
 
 ALTITUDE_M, RESOLUTION_M = 20.0, 5.0
 ENDS = ((0.25, 0.20), (0.80, 0.70))  # start and goal as shares of the map, north and east
@@ -167,7 +157,9 @@ def add_legend(frame: Frame) -> None:
         "start": Line2D([], [], mfc="white", mec="black", markersize=6, **dot),
         "goal": Line2D([], [], linestyle="none", marker="*", mfc="white", mec="black", markersize=10),
     }
-    write_legend(frame, handles)
+    for name, handle in handles.items():
+        handle.set_label(name)
+    write_legend(frame.key, list(handles.values()))
     add_key(frame)
 
 

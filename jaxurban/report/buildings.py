@@ -15,7 +15,7 @@ from jaxurban.maps.build import soften
 from jaxurban.maps.differentiable import SoftParams
 from jaxurban.paths.path import PlannedPath
 from jaxurban.report.figures.buildings import plot_building_costs
-from jaxurban.report.figures.degrees import in_degrees
+from jaxurban.report.figures.frame import in_degrees
 from jaxurban.report.save import save
 from jaxurban.scenario.provenance import hash_inputs
 from jaxurban.scenario.run import tasks_of

@@ -9,7 +9,7 @@ from jaxurban.io.bands import write_bands
 from jaxurban.io.store import short_number
 from jaxurban.io.workspace import Workspace
 from jaxurban.maps.metric_maps import MetricMaps
-from jaxurban.report.figures.degrees import in_degrees
+from jaxurban.report.figures.frame import in_degrees
 from jaxurban.report.figures.map_comparison import comparison_figures, heading_of
 from jaxurban.report.markdown import bullets, fill, framed, listed, table
 from jaxurban.report.save import Output, files_of, save

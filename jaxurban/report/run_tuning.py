@@ -18,7 +18,7 @@ from jaxurban.metrics.weights import Weights
 from jaxurban.paths.batch import plan_many
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.progress import Progress, reporting
-from jaxurban.report.figures.degrees import in_degrees
+from jaxurban.report.figures.frame import in_degrees
 from jaxurban.report.figures.tuning import plot_learning, plot_regret, plot_routes, plot_targets, plot_weights
 from jaxurban.report.save import Output, files_of, save
 from jaxurban.report.tuning import (

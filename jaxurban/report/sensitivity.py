@@ -10,7 +10,7 @@ from jaxurban.errors import typed
 from jaxurban.io.workspace import Workspace
 from jaxurban.paths.constraints import constraints_said
 from jaxurban.planners.cost_model import CostModel
-from jaxurban.report.figures.degrees import in_degrees
+from jaxurban.report.figures.frame import in_degrees
 from jaxurban.report.figures.notes import joined
 from jaxurban.report.figures.sensitivity import sensitivity_figures
 from jaxurban.report.markdown import fill, framed, listed, short, table

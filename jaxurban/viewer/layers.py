@@ -13,7 +13,6 @@ from matplotlib.colors import BoundaryNorm, ListedColormap, Normalize
 from jaxurban.errors import one_of
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY, high_is_bad
-from jaxurban.report.figures.colours import Colours, bar_ticks, ends_of, tick_label
 from jaxurban.report.figures.frame import NO_DATA_PATCH, OBSTACLE_COLOUR
 from jaxurban.report.figures.map_comparison import difference_colours
 from jaxurban.report.figures.metrics import (
@@ -28,6 +27,7 @@ from jaxurban.report.figures.metrics import (
     values_of,
 )
 from jaxurban.report.figures.paths import BLOCKED_COLOUR, COST_COLOURS
+from jaxurban.report.figures.style import Colours, bar_ticks, ends_of, tick_label
 from jaxurban.viewer.markup import legend
 
 H_NORM, COST_OF = "h_norm", "cost:"

@@ -11,11 +11,11 @@ from matplotlib.colors import SymLogNorm
 from matplotlib.figure import Figure
 
 from jaxurban.paths.path import PlannedPath
-from jaxurban.report.figures.colours import Colours
 from jaxurban.report.figures.frame import add_key, make_frame
 from jaxurban.report.figures.metrics import EMPTY_COLOUR
 from jaxurban.report.figures.notes import joined, place_said, rules_said, time_said
 from jaxurban.report.figures.paths import draw_ends
+from jaxurban.report.figures.style import Colours
 from jaxurban.world.city import City
 from jaxurban.world.grid import Grid
 

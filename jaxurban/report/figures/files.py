@@ -11,7 +11,7 @@ from jaxurban.io.workspace import Workspace
 from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
 from jaxurban.paths.explain import RouteReport
 from jaxurban.paths.path import PlannedPath
-from jaxurban.report.figures.degrees import in_degrees
+from jaxurban.report.figures.frame import in_degrees
 from jaxurban.report.figures.metrics import (
     SERIES_NAMES,
     drawn_names,

@@ -1,41 +1,41 @@
-"""Map panels in a projected frame: layout, scale bar, north arrow, colour bars and legends.
+"""Map panels in a projected frame, with scale bar, north arrow, colour bars and legends; by metres or by degrees.
 
-Every figure is laid out in inches: panels of equal size with the map's own proportions, and on the right
-a key column with the legend, the colour bar, the north arrow and the scale bar, so that nothing covers the map.
+Matplotlib lays the panels and the colour bars out; a key column on the right holds the legend, the north arrow and the
+scale bar, so that nothing covers the map.
 """
 
 import math
-import textwrap
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.colors import BoundaryNorm, ListedColormap, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Patch, Rectangle
-from matplotlib.ticker import FixedLocator, FuncFormatter
+from matplotlib.patches import Patch
+from matplotlib.ticker import FixedFormatter, FixedLocator, FuncFormatter
+from matplotlib.transforms import offset_copy
+from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
 
-from jaxurban.report.figures.colours import SMALL_PT, Box, Colours, add_colour_bar
-from jaxurban.report.figures.notes import GAP
+from jaxurban.report.figures.style import FAINT_INK, INK, SMALL_PT, TEXT_PT, Colours, add_colour_bar, chart
 from jaxurban.world.grid import Grid
 
 MAX_CELLS = 1500  # a side; larger maps are thinned before they are drawn
 WIDTH_IN, MAX_HEIGHT_IN = 11.0, 9.0
-HEAD_IN, LEFT_IN, BOTTOM_IN = 0.62, 0.72, 0.52
-TITLE_IN, GAP_IN, KEY_IN = 0.27, 0.22, 1.55
+LEFT_IN, BOTTOM_IN, BAR_IN = 0.75, 0.52, 1.0  # what the ticks of outer panels and a colour bar beside them take
+TITLE_IN, GAP_IN, KEY_IN = 0.32, 0.22, 1.4
 SLOT_IN, MIN_WIDTH_IN = 1.95, 7.2  # room for a panel's title and footer; for the heading
-TEXT_PT = 9.0
-LETTERS_PER_IN, LINE_IN = 14.0, 0.15  # of TEXT_PT
 OBSTACLE_COLOUR, NO_DATA_COLOUR = "#c4c4c4", "#efe4d6"
 NO_DATA_PATCH = ("no data", NO_DATA_COLOUR)
-INK, FAINT_INK = "#1a1a1a", "#555555"
 HATCH, HATCH_COLOUR, HATCHED_GROUND = "////////", "#ffffff", "#7d7c78"
-MAP = "map"  # gid of a panel over a grid
+MAP, KEY = "map", "key"  # gid of a panel over a grid, and of the key column
+NUM_PLACES = 65  # along an edge, between which degrees are interpolated
 ENDS = (("start", "o", 6.5), ("goal", "*", 12.0))  # of a route: name, marker and its size
 END_LOOK: dict[str, Any] = {"linestyle": "none", "markeredgecolor": "black", "markerfacecolor": "white"}
 
@@ -64,7 +64,7 @@ class Frame:
       axes: the panels, in reading order.
       key: invisible axes over the key column, in inches from its lower left corner.
       grid: what the panels show.
-      panel_in: width and height of a panel.
+      panel_in: width and height of a panel, about.
     """
 
     figure: Figure
@@ -112,83 +112,44 @@ def make_frame(
       with_ticks: whether eastings and northings are shown.
     """
     tall = (grid.y_max_m - grid.y_min_m) / (grid.x_max_m - grid.x_min_m)
-    num_rows, num_cols, width, height = _best_layout(len(titles), tall, footer_in)
-    slot = max(width, SLOT_IN, (MIN_WIDTH_IN - LEFT_IN - KEY_IN) / num_cols - GAP_IN)
-    total_w = LEFT_IN + num_cols * (slot + GAP_IN) + KEY_IN
-    head_in = head_room_in(note, total_w - LEFT_IN)
-    row_in = TITLE_IN + height + footer_in
-    bottom_in = BOTTOM_IN if with_ticks else 0.12
-    total_h = head_in + num_rows * row_in + bottom_in
-    figure = Figure(figsize=(total_w, total_h), facecolor="white")
-    write_head(figure, heading, note, LEFT_IN)
-    axes = []
-    for number, title in enumerate(titles):
-        row, col = divmod(number, num_cols)
-        x_in = LEFT_IN + col * (slot + GAP_IN) + (slot - width) / 2
-        y_in = total_h - head_in - row * row_in - TITLE_IN - height
-        panel = figure.add_axes((x_in / total_w, y_in / total_h, width / total_w, height / total_h))
-        _dress(panel, grid, title, width, height)
-        is_left, is_bottom = col == 0 and with_ticks, number + num_cols >= len(titles) and with_ticks
+    num_rows, num_cols, width = _best_layout(len(titles), tall, footer_in)
+    width_in = LEFT_IN + num_cols * (max(width, SLOT_IN) + GAP_IN) + BAR_IN + KEY_IN
+    height_in = num_rows * (TITLE_IN + width * tall + footer_in) + BOTTOM_IN * with_ticks
+    figure = chart(max(width_in, MIN_WIDTH_IN), height_in, heading, note, right_in=KEY_IN)
+    axes = figure.subplots(num_rows, num_cols, squeeze=False).ravel().tolist()
+    for panel in axes[len(titles) :]:
+        panel.remove()
+    for number, (panel, title) in enumerate(zip(axes, titles, strict=False)):
+        _dress(panel, grid, title, width, width * tall)
+        is_left, is_bottom = number % num_cols == 0 and with_ticks, number + num_cols >= len(titles) and with_ticks
         panel.tick_params(labelleft=is_left, labelbottom=is_bottom, left=with_ticks, bottom=with_ticks)
         panel.set_ylabel("northing (km)" if is_left else "", size=SMALL_PT)
         panel.set_xlabel("easting (km)" if is_bottom else "", size=SMALL_PT)
-        axes.append(panel)
-    key_h = total_h - head_in - TITLE_IN - bottom_in
-    key_w = KEY_IN - 0.12
-    key = figure.add_axes((1 - (key_w + 0.04) / total_w, bottom_in / total_h, key_w / total_w, key_h / total_h))
-    key.set(xlim=(0, key_w), ylim=(0, key_h))
+    key_w, key_h = KEY_IN - 0.1, height_in - TITLE_IN - 0.1
+    total_w, total_h = figure.get_size_inches()
+    key = figure.add_axes((1 - key_w / total_w, 0.1 / total_h, key_w / total_w, key_h / total_h))
+    key.set(xlim=(0, key_w), ylim=(0, key_h), gid=KEY)
     key.set_axis_off()
-    return Frame(figure, tuple(axes), key, grid, (width, height))
+    return Frame(figure, tuple(axes[: len(titles)]), key, grid, (width, width * tall))
 
 
-def write_head(figure: Figure, heading: str, note: str, left_in: float) -> None:
-    """Write a figure's heading and, below it, the lines of a note, broken where they are too long."""
-    width, height = figure.get_size_inches()
-    lines = _wrapped(note, width - left_in)
-    figure.text(left_in / width, 1 - 0.10 / height, heading, va="top", size=12, weight="bold", color=INK)
-    figure.text(left_in / width, 1 - 0.36 / height, "\n".join(lines), va="top", size=TEXT_PT, color=FAINT_INK)
-
-
-def head_room_in(note: str, width_in: float) -> float:
-    """Return the height in inches that `write_head` takes, where a note has a width to itself."""
-    return HEAD_IN + LINE_IN * (len(_wrapped(note, width_in)) - 1)
-
-
-def _wrapped(note: str, width_in: float) -> list[str]:
-    """Return the lines of a note, broken between facts, and within one only where it is longer than a line."""
-    lines: list[str] = []
-    for line in note.replace(" %", "\N{NO-BREAK SPACE}%").splitlines():
-        shown = ""
-        for fact in line.split(GAP):
-            if shown and len(together := f"{shown}{GAP}{fact}") <= int(width_in * LETTERS_PER_IN):
-                shown = together
-                continue
-            *whole, last = textwrap.wrap(fact, int(width_in * LETTERS_PER_IN)) or [""]
-            lines += [*filter(None, [shown]), *whole]
-            shown = last
-        lines.append(shown)
-    return [line.replace("\N{NO-BREAK SPACE}", " ") for line in lines]
-
-
-def _best_layout(num: int, tall: float, footer_in: float) -> tuple[int, int, float, float]:
-    """Return rows, columns, panel width and height in inches of the layout with the largest panels."""
+def _best_layout(num: int, tall: float, footer_in: float) -> tuple[int, int, float]:
+    """Return rows, columns and panel width in inches of the layout with the largest panels."""
     layouts = []
     for num_cols in range(1, num + 1):
         num_rows = math.ceil(num / num_cols)
-        room_w = (WIDTH_IN - LEFT_IN - KEY_IN) / num_cols - GAP_IN
+        room_w = (WIDTH_IN - LEFT_IN - BAR_IN - KEY_IN) / num_cols - GAP_IN
         if num_cols > 1 and room_w < SLOT_IN:
             break
-        room_h = (MAX_HEIGHT_IN - HEAD_IN - BOTTOM_IN) / num_rows - TITLE_IN - footer_in
-        width = min(room_w, max(room_h, 0.5) / tall)
-        layouts.append((num_rows, num_cols, width))
+        room_h = (MAX_HEIGHT_IN - 0.62 - BOTTOM_IN) / num_rows - TITLE_IN - footer_in
+        layouts.append((num_rows, num_cols, min(room_w, max(room_h, 0.5) / tall)))
     widest = max(width for *_, width in layouts)
     # A flatter figure reads better on a screen: worth panels smaller by a tenth.
-    num_rows, num_cols, width = min(layout for layout in layouts if layout[2] > 0.9 * widest)
-    return num_rows, num_cols, width, width * tall
+    return min(layout for layout in layouts if layout[2] > 0.9 * widest)
 
 
 def _dress(panel: Axes, grid: Grid, title: str, width_in: float, height_in: float) -> None:
-    panel.set(xlim=(grid.x_min_m, grid.x_max_m), ylim=(grid.y_min_m, grid.y_max_m), aspect="equal")
+    panel.set(xlim=(grid.x_min_m, grid.x_max_m), ylim=(grid.y_min_m, grid.y_max_m), aspect="equal", anchor="NW")
     panel.set_title(title, size=TEXT_PT, loc="left", pad=4, color=INK)
     panel.set_facecolor(NO_DATA_COLOUR)
     panel.set_gid(MAP)
@@ -277,69 +238,52 @@ def add_key(
     has_ends: bool = False,
     hatched: str = "",
 ) -> None:
-    """Fill the key column: legend patches (name, colour), colour bar with its label, north arrow, scale bar.
+    """Add a colour bar beside the panels, and to the key column legend patches (name, colour), north arrow, scale bar.
 
     ``hatched``: a legend entry of its own for what `draw_hatch` marks.
     ``has_ends``: entries for what `mark_ends` draws.
     ``has_scale``: not where panels show windows of different sizes, which each want a scale bar of their own.
     """
-    _, top = frame.key.get_ylim()
     add_north(frame)
     if has_scale:
-        add_scale(frame.key, (frame.grid.x_max_m - frame.grid.x_min_m) / frame.panel_in[0])
-    entries: dict[str, Artist] = {
-        name: Patch(facecolor=colour, edgecolor=FAINT_INK, linewidth=0.4) for name, colour in patches
-    }
+        add_scale(frame, frame.axes[0], frame.key)
+    look: dict[str, Any] = {"edgecolor": FAINT_INK, "linewidth": 0.4}
+    entries: list[Artist] = [Patch(facecolor=colour, label=name, **look) for name, colour in patches]
     if hatched:
-        entries[hatched] = Patch(facecolor=HATCHED_GROUND, edgecolor=HATCH_COLOUR, hatch=HATCH, linewidth=0.4)
-    if has_ends:
-        entries |= {
-            name: Line2D([], [], marker=marker, markersize=0.9 * size, **END_LOOK) for name, marker, size in ENDS
-        }
+        look |= {"edgecolor": HATCH_COLOUR, "hatch": HATCH}
+        entries.append(Patch(facecolor=HATCHED_GROUND, label=hatched, **look))
+    for name, marker, size in ENDS if has_ends else ():
+        entries.append(Line2D([], [], marker=marker, markersize=0.9 * size, label=name, **END_LOOK))
     if entries:
-        write_legend(frame, entries)
-        lines = sum(1 + name.count("\n") for name in entries)
-        top -= 0.175 * lines + 0.06 * len(entries) + 0.1
+        write_legend(frame.key, entries)
     if colours is not None:
-        height = min(3.0, top - 1.4)
-        add_colour_bar(frame.figure, _key_box(frame, 0.02, top - height, 0.16, height), colours)
+        add_colour_bar(frame.figure, [*frame.axes], colours, 0.9 * frame.key.get_ylim()[1])
 
 
-def write_legend(frame: Frame, entries: Mapping[str, Artist]) -> None:
-    """Write a legend at the top of the key column."""
-    frame.key.legend(
-        entries.values(),
-        entries.keys(),
+def write_legend(panel: Axes, entries: Sequence[Artist], y: float = 1.0, drop_in: float = 0.0) -> None:
+    """Write a legend at a height of axes (1: their top) and below it, so many inches further down."""
+    panel.legend(
+        handles=list(entries),
         loc="upper left",
-        bbox_to_anchor=(-0.04, 1.02),
+        bbox_to_anchor=(0, y),
+        bbox_transform=offset_copy(panel.transAxes, panel.get_figure(root=True), y=-drop_in),
         fontsize=SMALL_PT,
         frameon=False,
-        handlelength=1.2,
-        handleheight=1.0,
-        borderpad=0.2,
-        labelspacing=0.45,
+        handlelength=1.4,
+        borderpad=0,
+        borderaxespad=0,
+        labelspacing=0.35,
     )
-
-
-def _key_box(frame: Frame, x_in: float, y_in: float, width_in: float, height_in: float) -> Box:
-    """Return a box of the key column, inches, as figure fractions."""
-    corner = frame.key.transData.transform([(x_in, y_in), (x_in + width_in, y_in + height_in)])
-    (x0, y0), (x1, y1) = frame.figure.transFigure.inverted().transform(corner)
-    return x0, y0, x1 - x0, y1 - y0
 
 
 def drop_in(panel: Axes) -> float:
     """Return how far below a panel its footer begins, inches: under the tick labels, where it has them."""
-    return BOTTOM_IN - 0.06 if panel.xaxis.get_tick_params()["labelbottom"] else 0.07
+    return 0.42 if panel.xaxis.get_tick_params()["labelbottom"] else 0.07
 
 
 def add_bar_below(frame: Frame, panel: Axes, colours: Colours) -> None:
     """Add a lying colour bar in the footer of a panel."""
-    box, (total_w, total_h) = panel.get_position(), frame.figure.get_size_inches()
-    # The numbers at its ends stay beneath the map, and a narrow map's bar still has room for them.
-    width, height = max(box.width - 0.36 / total_w, 1.1 / total_w), 0.09 / total_h
-    below = (box.x0 + (box.width - width) / 2, box.y0 - drop_in(panel) / total_h - height, width, height)
-    add_colour_bar(frame.figure, below, colours)
+    add_colour_bar(frame.figure, [panel], colours, max(frame.panel_in[0], SLOT_IN), "bottom")
 
 
 def round_length_m(length_m: float, down: bool = True) -> float:
@@ -359,17 +303,77 @@ def add_north(frame: Frame) -> None:
     key.text(x_in + 0.3 * east, y_in + 0.3 * north, "N", ha="center", va="center", size=TEXT_PT, color=INK)
 
 
-def add_scale(key: Axes, metres_per_in: float) -> None:
-    """Draw a scale bar at the foot of axes over inches."""
-    length_m = round_length_m(1.1 * metres_per_in)
-    length_in = length_m / metres_per_in
+def add_scale(frame: Frame, panel: Axes, place: Axes, drop_in: float = 0.0) -> None:
+    """Draw a panel's scale bar at the foot of axes, or so many inches below it."""
+    low_m, high_m = panel.get_xlim()
+    metres_per_in = (high_m - low_m) / frame.panel_in[0]
+    length_m = round_length_m(0.8 * metres_per_in)
     name = f"{length_m / 1000:g} km" if length_m >= 1000 else f"{length_m:g} m"
-    for start_in, colour in ((0.05, INK), (0.05 + length_in / 2, "white")):
-        key.add_patch(Rectangle((start_in, 0.12), length_in / 2, 0.07, facecolor=colour, edgecolor=INK, linewidth=0.7))
-    key.text(0.05 + length_in / 2, 0.23, name, ha="center", va="bottom", size=SMALL_PT, color=INK, gid="scale")
+    bar = AnchoredSizeBar(
+        panel.transData,
+        length_m,
+        name,
+        "lower left",
+        pad=0.2,
+        borderpad=0,
+        frameon=False,
+        size_vertical=0.05 * metres_per_in,
+        color=INK,
+        label_top=True,
+        fontproperties={"size": SMALL_PT},
+        bbox_to_anchor=(0, 0),
+        bbox_transform=offset_copy(place.transAxes, frame.figure, y=-drop_in),
+    )
+    place.add_artist(bar)
 
 
 def true_north(grid: Grid) -> tuple[float, float]:
     """Return the unit vector (east, north in the grid's frame) toward true north at the grid's centre."""
     azimuth_rad = -grid.convergence_rad(*grid.centre_lonlat)
     return math.sin(azimuth_rad), math.cos(azimuth_rad)
+
+
+def show_degrees(figure: Figure, grid: Grid) -> Figure:
+    """Label the maps of a figure by degrees, and return it; maps without ticks, as in the overview, stay without.
+
+    A tick stands where its meridian or parallel meets the map's lower or left edge: in a projection these run a little
+    askew, so that it holds at that edge.
+
+    Args:
+      figure: from any function that draws maps.
+      grid: any grid in the CRS of its maps.
+    """
+    for panel in figure.axes:
+        if panel.get_gid() == MAP:
+            (west_m, east_m), (south_m, north_m) = panel.get_xlim(), panel.get_ylim()
+            x_m, y_m = np.linspace(west_m, east_m, NUM_PLACES), np.linspace(south_m, north_m, NUM_PLACES)
+            longitudes = grid.lonlat_of_xy(x_m, np.full(NUM_PLACES, south_m))[0]
+            latitudes = grid.lonlat_of_xy(np.full(NUM_PLACES, west_m), y_m)[1]
+            tall = (north_m - south_m) / (east_m - west_m)
+            slot_in = panel.get_position().size * figure.get_size_inches()
+            width_in = min(slot_in[0], slot_in[1] / tall)
+            _label(panel, panel.xaxis, x_m, np.unwrap(longitudes, period=360.0), "EW", width_in)
+            _label(panel, panel.yaxis, y_m, latitudes, "NS", width_in * tall)
+    return figure
+
+
+def in_degrees(
+    figures: Mapping[str, Callable[[], Figure]], grid: Grid, is_wanted: bool
+) -> dict[str, Callable[[], Figure]]:
+    """Return what draws figures, their maps labelled by degrees where that is wanted."""
+
+    def labelled(draw: Callable[[], Figure]) -> Figure:
+        return show_degrees(draw(), grid)
+
+    return {name: partial(labelled, draw) if is_wanted else draw for name, draw in figures.items()}
+
+
+def _label(panel: Axes, axis: Axis, at_m: np.ndarray, degrees: np.ndarray, sides: str, room_in: float) -> None:
+    is_x = axis is panel.xaxis
+    # A tick of longitude needs more room, and the last one leaves some free for the next panel's first.
+    ticks, step = round_ticks(degrees[0], degrees[-1], room_in / (0.75 if is_x else 0.5), 0.3 * is_x / room_in)
+    axis.set_major_locator(FixedLocator(np.interp(ticks, degrees, at_m).tolist()))
+    shown, decimals = (ticks + 180) % 360 - 180 if is_x else ticks, decimals_of(step)
+    names = [f"{abs(tick):.{decimals}f}°{sides[0 if tick >= 0 else 1]}" for tick in shown]
+    axis.set_major_formatter(FixedFormatter(names))
+    axis.set_label_text("")  # the letters say which it is

@@ -9,10 +9,10 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 from jaxurban.errors import one_of
-from jaxurban.report.figures.colours import Colours
 from jaxurban.report.figures.frame import MapLayer, add_key, draw_layers, flat_layer, make_frame, round_length_m
 from jaxurban.report.figures.metrics import DOP_NAMES, OBSTACLE_COLOUR, percent
 from jaxurban.report.figures.notes import ground_said, guesses_said, joined, meaning_of, symbol_of, time_said
+from jaxurban.report.figures.style import Colours
 from jaxurban.studies.map_comparison import CLOSED, MASKS, MapComparison, unit_of
 
 DIVERGING = "RdBu_r"  # red: B is higher

@@ -14,7 +14,6 @@ from jaxurban.metrics.custom import colour_of
 from jaxurban.metrics.gps import GpsParams
 from jaxurban.metrics.rating import RATING_UPPER_GDOP, Rating, rating
 from jaxurban.metrics.registry import METRICS, find_metric
-from jaxurban.report.figures.colours import Colours, ends_of
 from jaxurban.report.figures.frame import (
     NO_DATA_PATCH,
     OBSTACLE_COLOUR,
@@ -30,6 +29,7 @@ from jaxurban.report.figures.frame import (
 from jaxurban.report.figures.notes import frame_note, meaning_of, short_time, symbol_of
 from jaxurban.report.figures.protection import LEVEL_NAMES, median_said, protection_colours
 from jaxurban.report.figures.protection import NAMES as PROTECTION_NAMES
+from jaxurban.report.figures.style import Colours, ends_of
 
 DOP_NAMES = {
     "gdop": "Geometric dilution of precision (GDOP)",

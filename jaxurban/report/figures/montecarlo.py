@@ -13,11 +13,18 @@ from matplotlib.ticker import FuncFormatter, MaxNLocator, PercentFormatter
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.base import Metric
 from jaxurban.metrics.registry import METRICS
-from jaxurban.report.figures.charts import legend_below, panels, show_plain, styled
-from jaxurban.report.figures.colours import Colours, add_colour_bar
-from jaxurban.report.figures.frame import FAINT_INK, INK
 from jaxurban.report.figures.notes import ground_said, joined, sky_said
 from jaxurban.report.figures.paths import planner_colours
+from jaxurban.report.figures.style import (
+    FAINT_INK,
+    INK,
+    Colours,
+    add_colour_bar,
+    legend_below,
+    panels,
+    show_plain,
+    styled,
+)
 from jaxurban.studies.montecarlo.analysis import each, facts_of, range_names, weighted_rows
 from jaxurban.studies.montecarlo.trial import DISTANCE, WEIGHTED
 

@@ -15,7 +15,6 @@ from matplotlib.patheffects import Normal, Stroke
 from jaxurban.errors import InputError
 from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
 from jaxurban.paths.path import PlannedPath
-from jaxurban.report.figures.colours import SMALL_PT, Colours, ends_of
 from jaxurban.report.figures.frame import (
     SLOT_IN,
     Frame,
@@ -26,6 +25,7 @@ from jaxurban.report.figures.frame import (
     drop_in,
     make_frame,
     mark_ends,
+    write_legend,
 )
 from jaxurban.report.figures.metrics import (
     density_colours,
@@ -36,6 +36,7 @@ from jaxurban.report.figures.metrics import (
     roof_layers,
 )
 from jaxurban.report.figures.notes import frame_note, joined, meaning_of, rules_said, time_said
+from jaxurban.report.figures.style import Colours, ends_of
 
 # The paper's colours (tab10), then the rest of tab10 for planners that it does not have.
 PLANNER_COLOURS = {
@@ -136,7 +137,7 @@ def plot_paths(
         titles,
         f"{what}, by altitude above ground",
         note,
-        footer_in=most * LINE_IN + 0.1,
+        footer_in=most * LINE_IN + 0.1 * bool(most),
     )
     scale = _total_colours(totals)
     for panel, total, (z, _, _, planned) in zip(frame.axes, totals, panels, strict=True):
@@ -229,17 +230,7 @@ def legend_below(panel: Axes, frame: Frame, handles: Sequence[Line2D]) -> None:
         name, _, told = str(handle.get_label()).rpartition(": ")
         handle.set_label(f"{shortened(name, most - len(told) - 2)}: {told}")
     if handles:
-        panel.legend(
-            handles=list(handles),
-            loc="upper left",
-            bbox_to_anchor=(-0.01, -drop_in(panel) / frame.panel_in[1]),
-            fontsize=SMALL_PT - 0.5,
-            frameon=False,
-            borderpad=0.1,
-            borderaxespad=0.1,
-            labelspacing=0.25,
-            handlelength=1.6,
-        )
+        write_legend(panel, handles, 0.0, drop_in(panel))
 
 
 def plot_overview(maps: GivenMaps, paths: Paths, *, altitude_m: float | None = None) -> Figure:

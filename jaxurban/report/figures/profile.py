@@ -13,10 +13,10 @@ from jaxurban.maps.metric_maps import GivenMaps, as_maps
 from jaxurban.paths.explain import RouteReport, explain
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.profile import CLEARANCE, GUESSED, without_fix
-from jaxurban.report.figures.charts import chart, dress, show_plain, styled
-from jaxurban.report.figures.frame import FAINT_INK, HATCH, HATCH_COLOUR, TEXT_PT
+from jaxurban.report.figures.frame import HATCH, HATCH_COLOUR
 from jaxurban.report.figures.metrics import BUILT_COLOUR
 from jaxurban.report.figures.notes import frame_note
+from jaxurban.report.figures.style import FAINT_INK, TEXT_PT, chart, dress, show_plain, styled
 
 ALTITUDE_COLOUR, CLEARANCE_COLOUR, NO_FIX_COLOUR = "#d62728", "#5b3a8c", "#ffd9d4"
 LINEAR_UP_TO_M = 10.0  # above, the scale of clearance is logarithmic: near obstacles matter most

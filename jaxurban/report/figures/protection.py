@@ -7,7 +7,7 @@ from matplotlib.colors import Normalize
 
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.protection import METRIC, WITHIN_LIMITS
-from jaxurban.report.figures.colours import Colours
+from jaxurban.report.figures.style import Colours
 
 LEVEL_NAMES = {"hpl": "Horizontal protection level (HPL)", "vpl": "Vertical protection level (VPL)"}
 LIMITS = {"hpl": "horizontal_alert_limit_m", "vpl": "vertical_alert_limit_m"}

@@ -6,9 +6,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from jaxurban.io.read.receiver import ERROR, TRACKED
-from jaxurban.report.figures.charts import panels, show_plain_log, styled
-from jaxurban.report.figures.colours import ends_of
 from jaxurban.report.figures.notes import joined, time_said
+from jaxurban.report.figures.style import ends_of, panels, show_plain_log, styled
 from jaxurban.studies.receiver.prediction import NUM_VISIBLE
 from jaxurban.studies.receiver.scores import SPEARMAN, WITHIN
 from jaxurban.studies.receiver.validate import ReceiverValidation

@@ -13,20 +13,23 @@ from matplotlib.patches import Patch, Polygon
 from matplotlib.patheffects import Normal, Stroke
 from matplotlib.ticker import LogLocator, NullLocator
 
-from jaxurban.report.figures.charts import chart, dress, panels, show_plain, styled
-from jaxurban.report.figures.colours import SMALL_PT, Colours, add_colour_bar
-from jaxurban.report.figures.frame import (
-    FAINT_INK,
-    INK,
-    TEXT_PT,
-    Frame,
-    add_key,
-    draw_layers,
-    make_frame,
-)
+from jaxurban.report.figures.frame import Frame, add_key, draw_layers, make_frame
 from jaxurban.report.figures.metrics import obstacle_patches, percent
 from jaxurban.report.figures.notes import frame_note, joined, rules_said
 from jaxurban.report.figures.paths import BLOCKED_COLOUR, cost_layers, draw_ends
+from jaxurban.report.figures.style import (
+    FAINT_INK,
+    INK,
+    SMALL_PT,
+    TEXT_PT,
+    Colours,
+    add_colour_bar,
+    chart,
+    dress,
+    panels,
+    show_plain,
+    styled,
+)
 from jaxurban.report.markdown import counted, listed
 from jaxurban.studies.outcomes import outcome_label
 from jaxurban.studies.sensitivity.sobol import CONFIDENCE

@@ -9,7 +9,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
-from jaxurban.report.figures.charts import (
+from jaxurban.report.figures.sensitivity import CLUSTER_COLOURS, SHARES_SHOWN
+from jaxurban.report.figures.style import (
+    FAINT_INK,
+    TEXT_PT,
     chart,
     dress,
     legend_below,
@@ -17,8 +20,6 @@ from jaxurban.report.figures.charts import (
     show_plain_log,
     styled,
 )
-from jaxurban.report.figures.frame import FAINT_INK, TEXT_PT
-from jaxurban.report.figures.sensitivity import CLUSTER_COLOURS, SHARES_SHOWN
 from jaxurban.studies.bootstrap import share_of
 from jaxurban.studies.outcomes import outcome_label
 from jaxurban.studies.sensitivity.summary import ALL, CLEAR, Drawn, change_said

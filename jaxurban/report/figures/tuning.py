@@ -12,21 +12,11 @@ from matplotlib.ticker import MaxNLocator
 from jaxurban.kernels.search.weighing import weighted_sum
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.path import map_settings
-from jaxurban.report.figures.charts import chart, dress, show_plain_log, styled
-from jaxurban.report.figures.colours import SMALL_PT, Colours
-from jaxurban.report.figures.frame import (
-    FAINT_INK,
-    TEXT_PT,
-    MapLayer,
-    add_key,
-    draw_layers,
-    flat_layer,
-    make_frame,
-    mark_ends,
-)
+from jaxurban.report.figures.frame import MapLayer, add_key, draw_layers, flat_layer, make_frame, mark_ends
 from jaxurban.report.figures.metrics import line_colour, obstacle_patches
 from jaxurban.report.figures.notes import frame_note, joined, rules_said
 from jaxurban.report.figures.paths import BLOCKED_COLOUR
+from jaxurban.report.figures.style import FAINT_INK, SMALL_PT, TEXT_PT, Colours, chart, dress, show_plain_log, styled
 from jaxurban.studies.demonstrations import PlannedBeside
 from jaxurban.studies.tuning.target_fit import TargetFit
 from jaxurban.studies.tuning.weight_fit import WeightFit
