@@ -69,7 +69,7 @@ def plan(folder: Path, files: Sequence[Path], profile: Path | None, as_json: boo
     from jaxurban.maps.metric_maps import open_maps
     from jaxurban.paths.cost_map import cost_map
     from jaxurban.paths.explain import check_flight, explain
-    from jaxurban.paths.export.write import MISSION, check_export
+    from jaxurban.paths.export.write import MISSION, encoder_of
     from jaxurban.paths.preset import PathSearch, objective_on
     from jaxurban.paths.simplify import simplify
 
@@ -79,7 +79,7 @@ def plan(folder: Path, files: Sequence[Path], profile: Path | None, as_json: boo
         raise click.UsageError("--swath is the report's: add --report")
     _check_volume_options(is_volume, given)
     for file in files:
-        check_export(file)
+        encoder_of(file)
     if given["end"] is not None and not any(file.suffix.lower() == MISSION for file in files):
         raise click.UsageError("--end is of a mission: add -o FILE.plan")
     if (simplify_m := given["simplify_m"]) is not None and not 0 <= simplify_m < math.inf:
@@ -107,7 +107,7 @@ def plan(folder: Path, files: Sequence[Path], profile: Path | None, as_json: boo
     is_explained = planned.status.has_path and (with_report or profile is not None)
     report = explain(planned, maps, **flight) if is_explained else None
     for file in files:
-        _write(file, planned, shared, report if with_report else None, simplify_m, given["end"])
+        _write(file, planned, shared, report if with_report else None, given)
     if report is not None and profile is not None:
         save_profile(planned, maps, profile, report)
         tell(f"wrote {profile}")
@@ -124,14 +124,7 @@ def plan(folder: Path, files: Sequence[Path], profile: Path | None, as_json: boo
     return planned.status.exit_code
 
 
-def _write(
-    file: Path,
-    planned: "PlannedPath",
-    shared: "CostMap",
-    report: "RouteReport | None",
-    simplify_m: float | None,
-    end: str | None,
-) -> None:
+def _write(file: Path, planned: "PlannedPath", on: "CostMap", report: "RouteReport | None", given: Settings) -> None:
     """Write a path to a file, simplified where it is a file of waypoints and nothing was said, and tell of it."""
     from jaxurban.paths.export.gpx_kml import elevation_note
     from jaxurban.paths.export.qgc_plan import mission_note
@@ -143,11 +136,11 @@ def _write(
         return
     suffix, said = file.suffix.lower(), []
     if suffix in WAYPOINTS:
-        if simplify_m is None:
-            plain, planned = planned, simplify(planned, shared, shared.grid.resolution_m / 2)
+        if given["simplify_m"] is None:
+            plain, planned = planned, simplify(planned, on, on.grid.resolution_m / 2)
             said = [f"{planned.search.note.removeprefix(plain.search.note).strip()} (--simplify 0 keeps every turn)"]
-        said.append(mission_note(planned, end or "land") if suffix == MISSION else elevation_note(planned))
-    write_path(planned, file, report, end=end if suffix == MISSION else None)
+        said.append(mission_note(planned, given["end"] or "land") if suffix == MISSION else elevation_note(planned))
+    write_path(planned, file, report, end=given["end"] if suffix == MISSION else None)
     tell(" ".join([f"wrote {file}" + ":" * bool(said), *said]))
 
 

@@ -18,7 +18,7 @@ from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.cost_map import CostMap, cost_map
 from jaxurban.paths.path import finish
 from jaxurban.paths.preset import PathSearch, objective_on, under_preset, weights_on
-from jaxurban.paths.queries import BAD_INPUT, CRASHED, BatchResults, PlannedPaths, Query, QueryResult, read_queries
+from jaxurban.paths.queries import BAD_INPUT, CRASHED, BatchResults, PlannedPaths, QueryResult, read_queries
 from jaxurban.paths.snapping import Place, Point
 from jaxurban.planners.base import CostKind, Path
 from jaxurban.planners.batch import Backend, solve_many
@@ -105,7 +105,7 @@ def plan_many(
         queries, altitude_m=altitude_m, time=time, time_of_day=time_of_day, weights=weights, metrics=maps.metrics
     )
     book = BatchResults(batch, None if file is None else FilePath(file))
-    job = _Job(batch, map_of, search, backend, num_threads, strict, book)
+    job = _Job(map_of, search, backend, num_threads, strict, book)
     was_interrupted = False
     try:
         with reporting("plan_many", progress) as report:
@@ -123,7 +123,6 @@ def plan_many(
 class _Job:
     """The way of a batch: cost maps are made as far as they can be held, their queries located and solved."""
 
-    queries: list[Query]
     map_of: Any  # of altitude, time and time of day; which holds as many as there is room for
     search: PathSearch
     backend: Backend
@@ -134,7 +133,7 @@ class _Job:
     def run(self) -> Iterator[int]:
         """Do the batch; yield each query's number when it has its result."""
         by_map: dict[tuple, list[int]] = {}
-        for k, query in enumerate(self.queries):
+        for k, query in enumerate(self.book.queries):
             if query.error:
                 yield self._refuse(k, query.error)
             else:
@@ -148,7 +147,7 @@ class _Job:
         waiting: list[int] = []  # by their numbers among those located
         search = self.search
         for group in groups:
-            first = self.queries[group[0]]
+            first = self.book.queries[group[0]]
             try:
                 shared = self.map_of(first.altitude_m, first.time, first.time_of_day).with_weights(first.weights)
             except InputError as error:
@@ -157,7 +156,7 @@ class _Job:
             digest = self._digest(shared)
             for k in group:
                 try:
-                    ends = shared.ends(self.queries[k].start, self.queries[k].goal, snap=search.snap)
+                    ends = shared.ends(self.book.queries[k].start, self.book.queries[k].goal, snap=search.snap)
                 except InputError as error:
                     yield self._refuse(k, str(error))
                     continue

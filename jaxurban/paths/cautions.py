@@ -102,13 +102,12 @@ def _fix(profile: pd.DataFrame) -> Iterator[Caution]:
     segments = without_fix(profile)
     if not segments:
         return
-    lengths_m = [to_m - from_m for from_m, to_m in segments]
-    longest = sorted(sorted(range(len(segments)), key=lambda k: -lengths_m[k])[:MOST_SEGMENTS])
-    where = ", ".join(f"{segments[k][0]:.0f} to {segments[k][1]:.0f} m" for k in longest)
-    left = len(segments) - len(longest)
+    longest = sorted(sorted(segments, key=lambda ends: ends[0] - ends[1])[:MOST_SEGMENTS])
+    where = ", ".join(f"{from_m:.0f} to {to_m:.0f} m" for from_m, to_m in longest)
+    all_m, left = sum(to_m - from_m for from_m, to_m in segments), len(segments) - len(longest)
     more = f" and {left} shorter segment{'s' * (left > 1)}" if left else ""
     yield Caution(
-        f"GPS: no fix (fewer than four satellites) on {sum(lengths_m):.0f} of {profile['to_m'].iloc[-1]:.0f} m: "
+        f"GPS: no fix (fewer than four satellites) on {all_m:.0f} of {profile['to_m'].iloc[-1]:.0f} m: "
         f"from {where} along the route{more}.",
         "limit",
     )

@@ -15,9 +15,8 @@ from jaxurban.metrics.weights import GivenWeights, Weights
 from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.path import PlannedPath, finish
 from jaxurban.paths.preset import PathSearch, under_preset, weights_on
-from jaxurban.paths.reachability import islands_at, islands_of, why_closed
 from jaxurban.paths.read_costs import check_memory, costs_at
-from jaxurban.paths.snapping import XY, Place, Point, free_place, joined_ends
+from jaxurban.paths.snapping import XY, Place, Point, free_place, islands_at, islands_of, joined_ends, why_closed
 from jaxurban.planners.any_angle import check_line_model
 from jaxurban.planners.base import Cell, CostKind, Problem
 from jaxurban.planners.bounds import AUTO, make_landmarks
@@ -131,7 +130,7 @@ class CostMap(Shown):
     def shortest(self) -> Problem:
         """The same of the shortest path."""
         if not self.is_free.any():
-            raise InputError(f"no cell is free at {listed_m(self.altitudes_m)} m: {self._remedy}")
+            raise InputError(f"no cell is free at {listed_m(self.altitudes_m)} m: {self.remedy}")
         free = tuple(int(index) for index in np.unravel_index(np.argmax(self.is_free), self.is_free.shape))
         return Problem(
             costs=self.costs,
@@ -215,12 +214,8 @@ class CostMap(Shown):
           InputError: a place outside the maps, no such level, or inside an obstacle or closed by a constraint, unless
             ``snap`` reaches a free cell (names the constraint and the nearest free cell).
         """
-        place_xy_m, cell = self.cell_of(name, place)
-        level = self._level_of(name, cell, [value for value in place[2:] if value is not None])
-        is_free = self.levels_free[level]
-        why = "" if is_free[cell] else self.why_closed(cell, level)
-        found = free_place(name, place_xy_m, cell, is_free, self.grid, snap=snap, why_closed=why, remedy=self._remedy)
-        return found if self.levels is None else replace(found, cell=(level, *found.cell))
+        xy_m, cell = self.cell_of(name, place)
+        return free_place(self, name, xy_m, self._level_of(name, cell, place[2:]), cell, snap)
 
     def ends(self, start: Point | XY, goal: Point | XY, *, snap: bool | float = False) -> tuple[Place, Place]:
         """Return the cells of a query, as `locate` does; snapping moves them to cells that free ones join (errors too).
@@ -230,8 +225,7 @@ class CostMap(Shown):
         places = self.locate("start", start, snap=snap), self.locate("goal", goal, snap=snap)
         if not any(place.is_snapped for place in places):
             return places
-        at_xy_m = self.cell_of("start", start)[0], self.cell_of("goal", goal)[0]
-        return joined_ends(places, at_xy_m, self.islands, self.grid, snap)
+        return joined_ends(self, places, (self.cell_of("start", start)[0], self.cell_of("goal", goal)[0]), snap)
 
     @cached_property
     def islands(self) -> np.ndarray:
@@ -240,7 +234,7 @@ class CostMap(Shown):
 
     @cached_property
     def islands_at(self) -> Callable[[tuple[float, ...]], np.ndarray]:
-        """The islands of other levels, each made once (`reachability.islands_at`)."""
+        """The islands of other levels, each made once (`snapping.islands_at`)."""
         return cache(partial(islands_at, self))
 
     @property
@@ -258,26 +252,26 @@ class CostMap(Shown):
         """``[K, Y, X]`` where a path may fly, on one altitude too."""
         return self.is_free.reshape(-1, *self.grid.shape)
 
-    def _level_of(self, name: str, cell: Cell, altitude_m: Sequence[float]) -> int:
-        if self.levels is None and altitude_m:
-            raise InputError(f"{name} has an altitude, which only a path between levels takes: leave it out")
-        if not altitude_m:
+    def _level_of(self, name: str, cell: Cell, given: Sequence[float | None]) -> int:
+        altitude_m = next((value for value in given if value is not None), None)
+        if altitude_m is None:
             return int(np.argmax(self.levels_free[:, cell[0], cell[1]]))  # the lowest free one
-        level = int(np.argmin(np.abs(self.altitudes_m - altitude_m[0])))
-        if not abs(self.altitudes_m[level] - altitude_m[0]) < SAME_M:
-            raise InputError(
-                f"{name} altitude {altitude_m[0]:g} m is none of the levels {listed_m(self.altitudes_m)} m: choose "
-                "one of them"
-            )
+        if self.levels is None:
+            raise InputError(f"{name} has an altitude, which only a path between levels takes: leave it out")
+        level = int(np.argmin(np.abs(self.altitudes_m - altitude_m)))
+        if not abs(self.altitudes_m[level] - altitude_m) < SAME_M:
+            levels = f"the levels {listed_m(self.altitudes_m)} m: choose one of them"
+            raise InputError(f"{name} altitude {altitude_m:g} m is none of {levels}")
         return level
 
     @property
-    def _remedy(self) -> str:
+    def remedy(self) -> str:
+        """What opens cells."""
         first = "fly higher" if self.levels is None else "fly at another level, raise max_altitude_m"
         return f"{first}, or loosen the constraints ({said})" if (said := str(self.constraints)) else first
 
     def why_closed(self, cell: Cell, level: int = 0) -> str:
-        """Return what closes a cell of a level and which one over it is free (`jaxurban.paths.reachability`)."""
+        """Return what closes a cell of a level and which one over it is free (`jaxurban.paths.snapping`)."""
         return why_closed(self, cell, level)
 
     @typed

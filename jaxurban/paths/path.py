@@ -11,13 +11,11 @@ import numpy as np
 
 from jaxurban.errors import InputError, typed
 from jaxurban.io.read.zone import Zone
-from jaxurban.metrics.registry import METRICS, ON_REQUEST
 from jaxurban.paths.constraints import kept_said
 from jaxurban.paths.export.write import MISSION, write_path
 from jaxurban.paths.ground import Ground, ground_along
 from jaxurban.paths.preset import PathSearch
-from jaxurban.paths.reachability import what_would_join
-from jaxurban.paths.snapping import Place, pocket_note, snap_note
+from jaxurban.paths.snapping import Place, pocket_note, snap_note, what_would_join
 from jaxurban.planners.base import Path, Status
 from jaxurban.world.show import Shown
 
@@ -165,6 +163,10 @@ def finish(on: "CostMap", found: Path, ends: tuple[Place, Place], search: PathSe
       ends: from `locate`.
       search: how it was searched for, for the record.
     """
+    budget_s = search.budget_s if np.isfinite(search.budget_s) else None
+    settings = map_settings(on) | {"budget_s": budget_s, "seed": search.seed}
+    if on.levels is not None:
+        settings["goal_altitude_m"] = float(on.altitudes_m[ends[1].cell[0]])
     nowhere: dict[str, Any] = {"xy_m": np.empty((0, 2)), "lonlat": np.empty((0, 2)), "z_m": np.empty(0), "metrics": {}}
     no_path = nowhere | {"cost": math.inf, "cost_by_layer": {}, "length_m": math.inf}
     return PlannedPath(
@@ -173,7 +175,7 @@ def finish(on: "CostMap", found: Path, ends: tuple[Place, Place], search: PathSe
         altitude_m=float(on.altitudes_m[0 if on.levels is None else ends[0].cell[0]]),
         snap_distance_m=(ends[0].snap_distance_m, ends[1].snap_distance_m),
         search=replace(found, note=_note(on, found, ends)),
-        settings=_settings(on, ends, search),
+        settings=settings,
         crs=on.grid.crs,
         zones=on.constraints.zones,
         maps=on.maps,
@@ -221,22 +223,15 @@ def _note(on: "CostMap", found: Path, ends: tuple[Place, Place]) -> str:
         share = 1 - on.is_free.sum() / without
         notes.append(f"Constraints were on ({said}): they close {share:.1%} of the cells without an obstacle.")
     if found.status is Status.NO_PATH:
-        notes += [pocket_note(*ends, on.islands, on.grid), what_would_join(on, ends[0].cell, ends[1].cell)]
-    weighed = on.weights.to_dict()
-    asked = [*(name for name in METRICS if on.weights[name] > 0), *(name for name in ON_REQUEST if weighed.get(name))]
-    if missing := [name for name in asked if name not in on.names]:
+        notes += [pocket_note(on, *ends), what_would_join(on, ends[0].cell, ends[1].cell)]
+    asked = [name for name, weight in on.weights.to_dict().items() if weight > 0]
+    if missing := [name for name in asked if name not in ("distance", *on.names)]:
         notes.append(f"These maps hold no {' and no '.join(missing)}, so that weight is ignored.")
-    return " ".join(filter(None, (*notes, *caveats_of(on))))
-
-
-def caveats_of(on: "CostMap") -> list[str]:
-    """Return what a reader must know of the metrics that a path pays for or is bounded by."""
     bounded = {bound.variable for bound in on.constraints.bounds}
-    return [
-        metric.caveat
-        for name, metric in on.maps.metrics.items()
-        if metric.caveat and ((name in on.names and on.weights[name] > 0) or bounded & {*metric.variables})
-    ]
+    for name, metric in on.maps.metrics.items():  # that the path pays for or is bounded by
+        if (name in on.names and on.weights[name] > 0) or bounded & {*metric.variables}:
+            notes.append(metric.caveat)
+    return " ".join(filter(None, notes))
 
 
 def map_settings(on: "CostMap") -> dict[str, Any]:
@@ -258,16 +253,6 @@ def map_settings(on: "CostMap") -> dict[str, Any]:
     climb_cost, descent_cost = on.weight_vector[-2:].tolist()
     levels = {"levels_m": on.altitudes_m.tolist(), "climb_cost": climb_cost, "descent_cost": descent_cost}
     return settings | asked | levels
-
-
-def _settings(on: "CostMap", ends: tuple[Place, Place], search: PathSearch) -> dict[str, Any]:
-    settings = map_settings(on) | {
-        "budget_s": search.budget_s if np.isfinite(search.budget_s) else None,
-        "seed": search.seed,
-    }
-    if on.levels is not None:
-        settings["goal_altitude_m"] = float(on.altitudes_m[ends[1].cell[0]])
-    return settings
 
 
 def _between_m(on: "CostMap") -> list[float]:

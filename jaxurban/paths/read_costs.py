@@ -5,11 +5,10 @@ from functools import cache, partial
 from typing import Any
 
 import numpy as np
-import psutil
 
 from jaxurban.errors import InputError
 from jaxurban.maps.levels import values_at
-from jaxurban.maps.memory import told_bytes
+from jaxurban.maps.memory import free_bytes, told_bytes
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.paths.constraints import Constraints
 
@@ -37,7 +36,7 @@ def costs_at(
 
 def check_memory(shape: tuple[int, int, int]) -> None:
     """Raise InputError unless a volume of ``[K, Y, X]`` nodes fits in the memory that is free."""
-    needed, free = math.prod(shape) * NODE_BYTES, psutil.virtual_memory().available
+    needed, free = math.prod(shape) * NODE_BYTES, free_bytes()
     if needed > free:
         raise InputError(
             f"a volume of {shape[0]} levels of {shape[1]} x {shape[2]} cells takes up to {told_bytes(needed)} of "

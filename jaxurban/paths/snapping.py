@@ -1,14 +1,19 @@
-"""Snapping: a start or goal in a closed cell moves to the nearest free one, a short way and never in silence."""
+"""The ends of a query: why a cell is closed, the nearest free one, never in silence, and what joins two of them."""
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from scipy.ndimage import generate_binary_structure, label
 
 from jaxurban.errors import InputError
 from jaxurban.planners.base import Cell
 from jaxurban.world.grid import Grid
+
+if TYPE_CHECKING:
+    from jaxurban.paths.cost_map import CostMap
 
 Point = tuple[float, ...]  # longitude, latitude in degrees, and between levels an altitude if liked
 SUCH_AS = ("(583960.0, 4507351.0)", "(-74.0, 40.7)")
@@ -66,43 +71,33 @@ class Place:
 
 
 def free_place(
-    name: str,
-    xy_m: tuple[float, float],
-    cell: Cell,
-    is_free: np.ndarray,
-    grid: Grid,
-    *,
-    snap: bool | float,
-    why_closed: str,
-    remedy: str,
+    on: "CostMap", name: str, xy_m: tuple[float, float], level: int, cell: Cell, snap: bool | float
 ) -> Place:
     """Return the cell of a place, or the free cell nearest to the place if its own is closed and ``snap`` allows it.
 
     Args:
+      on: whose cells.
       name: ``"start"`` or ``"goal"``, for messages.
       xy_m: easting, northing of the place.
-      cell: the cell that it lies in.
-      is_free: ``[Y, X]`` bool.
-      grid: of ``is_free``.
+      level: its number; 0 on one altitude.
+      cell: row and column of the cell that it lies in.
       snap: False never moves it, True by at most `MAX_SNAP_M`, a number by at most so many metres, from the place
-        to the centre of the free cell.
-      why_closed: what closes ``cell``, for messages.
-      remedy: what opens cells, where no cell is free.
+        to the centre of the free cell of its level.
 
     Raises:
       InputError: the cell is closed, and ``snap`` is off or the nearest free cell farther away than it allows.
     """
-    cap_m = snap_limit_m(snap)
+    cap_m, is_free, of_level = snap_limit_m(snap), on.levels_free[level], () if on.levels is None else (level,)
     if is_free[cell]:
-        return Place(cell, float(np.hypot(*np.subtract(grid.xy_of_cell(*cell), xy_m))))
-    rows, cols, away_m = _away(is_free, xy_m, grid)
+        return Place((*of_level, *cell), float(np.hypot(*np.subtract(on.grid.xy_of_cell(*cell), xy_m))))
+    why_closed, (rows, cols, away_m) = on.why_closed(cell, level), _away(is_free, xy_m, on.grid)
     if rows.size == 0:
-        raise InputError(f"{name} is {why_closed}, and no cell is free at this altitude: {remedy}")
+        raise InputError(f"{name} is {why_closed}, and no cell is free at this altitude: {on.remedy}")
     at = int(np.argmin(away_m))
-    nearest = Place((int(rows[at]), int(cols[at])), float(away_m[at]), True)
+    nearest = Place((*of_level, int(rows[at]), int(cols[at])), float(away_m[at]), True)
     if cap_m is not None and nearest.snap_distance_m <= cap_m:
         return nearest
-    lon, lat = grid.lonlat_of_cell(*nearest.cell)
+    lon, lat = on.grid.lonlat_of_cell(*nearest.cell[-2:])
     needed_m = math.ceil(nearest.snap_distance_m)
     too_far = "" if cap_m is None else f", farther than it may be moved ({cap_m:g} m)"
     option = "--snap (snap=True)" if needed_m <= MAX_SNAP_M else f"--snap-distance {needed_m} (snap={needed_m})"
@@ -113,27 +108,23 @@ def free_place(
 
 
 def joined_ends(
-    ends: tuple[Place, Place],
-    at_xy_m: tuple[tuple[float, float], tuple[float, float]],
-    islands: np.ndarray,
-    grid: Grid,
-    snap: bool | float,
+    on: "CostMap", ends: tuple[Place, Place], at_xy_m: Iterable[tuple[float, float]], snap: bool | float
 ) -> tuple[Place, Place]:
     """Return the ends of a query, those that were snapped in cells that are joined to the other end.
 
     Of all islands within reach the one to which they move the least in all; where no island is, they stay apart.
 
     Args:
+      on: whose cells.
       ends: from `free_place`.
       at_xy_m: easting, northing of the places.
-      islands: ``[Y, X]`` or ``[K, Y, X]`` number of the island of each free cell, 0 where it is closed.
-      grid: of the cells.
       snap: as in `free_place`.
     """
+    islands = on.islands
     if islands[ends[0].cell] == islands[ends[1].cell]:
         return ends
     start, goal = (
-        _nearest_of_islands(place, xy_m, islands, grid, snap) if place.is_snapped else {int(islands[place.cell]): place}
+        _nearest_of_islands(on, place, xy_m, snap) if place.is_snapped else {int(islands[place.cell]): place}
         for place, xy_m in zip(ends, at_xy_m, strict=True)
     )
     if not (both := start.keys() & goal.keys()):
@@ -148,15 +139,14 @@ def joined_ends(
     return first, second
 
 
-def _nearest_of_islands(
-    place: Place, xy_m: tuple[float, float], islands: np.ndarray, grid: Grid, snap: bool | float
-) -> dict[int, Place]:
+def _nearest_of_islands(on: "CostMap", place: Place, xy_m: tuple[float, float], snap: bool | float) -> dict[int, Place]:
     """Return the nearest cell of each island within reach of a place, on its own level."""
     level, reach_m = place.cell[:-2], snap_limit_m(snap) or 0.0
-    rows, cols, away_m = _away(islands[level] > 0, xy_m, grid)
+    islands = on.islands[level]
+    rows, cols, away_m = _away(islands > 0, xy_m, on.grid)
     near = np.flatnonzero(away_m <= reach_m)
     order = near[np.argsort(away_m[near], kind="stable")]
-    numbers, nearest = np.unique(islands[level][rows[order], cols[order]], return_index=True)
+    numbers, nearest = np.unique(islands[rows[order], cols[order]], return_index=True)
     return {
         int(number): Place((*level, int(rows[k]), int(cols[k])), float(away_m[k]), True)
         for number, k in zip(numbers, order[nearest], strict=True)
@@ -184,15 +174,16 @@ def snap_note(start: Place, goal: Place) -> str:
     return " ".join(sentences)
 
 
-def pocket_note(start: Place, goal: Place, islands: np.ndarray, grid: Grid) -> str:
+def pocket_note(on: "CostMap", start: Place, goal: Place) -> str:
     """Return a sentence on which of two ends that nothing joins is closed in, empty where they are joined."""
+    islands = on.islands
     if islands[start.cell] == islands[goal.cell]:
         return ""
     ends = {"start": start.cell, "goal": goal.cell}
     sizes = {name: int(np.sum(islands == islands[cell])) for name, cell in ends.items()}
     inner, outer = sorted(ends, key=lambda name: sizes[name])
     cells = np.argwhere(islands == islands[ends[outer]])[:, -2:]
-    away_m = float(np.hypot(*(cells - ends[inner][-2:]).T).min()) * grid.resolution_m
+    away_m = float(np.hypot(*(cells - ends[inner][-2:]).T).min()) * on.grid.resolution_m
     return (
         f"The {inner} lies in a pocket of {sizes[inner]:,} free cells, and the nearest cell that is joined to the "
         f"{outer} is {away_m:.0f} m from it."
@@ -210,3 +201,56 @@ def snap_limit_m(snap: bool | float) -> float | None:
     if not isinstance(snap, int | float) or not snap > 0:
         raise InputError(f"snap must be True (at most {MAX_SNAP_M:g} m), False, or metres above 0, got {snap!r}")
     return float(snap)
+
+
+def islands_of(is_free: np.ndarray, cuts_corners: bool) -> np.ndarray:
+    """Return the number of the island of each free cell, ``[Y, X]`` or ``[K, Y, X]``, 0 where it is closed.
+
+    On one level cells join as on one altitude; from level to level straight up and down, which all climbs come to.
+    """
+    touching = generate_binary_structure(2, 2 if cuts_corners else 1)
+    if is_free.ndim == 3:
+        flat, touching = touching, generate_binary_structure(3, 1)
+        touching[1] = flat
+    return np.asarray(label(is_free, touching)[0])
+
+
+def islands_at(on: "CostMap", levels_m: tuple[float, ...]) -> np.ndarray:
+    """Return `islands_of` the free cells of other levels under a cost map's constraints."""
+    is_free = on.constraints.free_levels(on.maps, levels_m, time=on.time, time_of_day=on.time_of_day)
+    return islands_of(is_free[0] if on.levels is None else is_free, on.cuts_corners)
+
+
+def what_would_join(on: "CostMap", start: Cell, goal: Cell) -> str:
+    """Return sentences on what would join two nodes that nothing joins: a greater altitude, or what may."""
+    levels_m = on.altitudes_m.tolist()
+    higher_m = [z_m for z_m in sorted(on.maps.altitudes_m) if z_m > levels_m[-1]]
+    joined = "Start and goal are not joined at a greater altitude of these maps. " if higher_m else ""
+    for k, z_m in enumerate(higher_m):
+        islands = on.islands_at((z_m,) if on.levels is None else (*levels_m, *higher_m[: k + 1]))
+        if islands[start] == islands[goal] != 0:
+            joined = f"Start and goal are joined {'at' if on.levels is None else 'with max_altitude_m'} {z_m:g} m. "
+            break
+    finer = "A smaller clearance or finer maps" if on.constraints.keeps_clear else "Finer maps"
+    return f"{joined}{finer} may join them too."
+
+
+def why_closed(on: "CostMap", cell: Cell, level: int = 0) -> str:
+    """Return what closes a cell, an obstacle or each constraint by name, and which level over it is free."""
+    z_m, maps, when = float(on.altitudes_m[level]), on.maps, {"time": on.time, "time_of_day": on.time_of_day}
+    reasons = on.constraints.reasons(maps, z_m, cell, **when) if maps.is_free(z_m)[cell] else []
+    if reasons:
+        where = f"closed by {' and '.join(reasons)}"
+    elif maps.is_free(z_m, "centre")[cell]:
+        where = "in a cell that an obstacle touches"
+    else:
+        where = "inside an obstacle (or where there are no data)"
+    if on.levels is None:
+        return f"{where} at {z_m:g} m"
+    levels_m, free = on.altitudes_m, np.flatnonzero(on.levels_free[:, cell[0], cell[1]])
+    if free.size:
+        return f"{where} at {z_m:g} m; the lowest free level there is {levels_m[free[0]]:g} m"
+    higher_m = [z_m for z_m in sorted(maps.altitudes_m) if z_m > levels_m[-1]]
+    lowest_m = next((z_m for z_m in higher_m if on.constraints.is_free(maps, z_m, **when)[cell]), None)
+    above = "" if lowest_m is None else f"; the lowest free altitude there is {lowest_m:g} m (raise max_altitude_m)"
+    return f"{where} at every level from {levels_m[0]:g} to {levels_m[-1]:g} m{above}"

@@ -72,9 +72,5 @@ class Vehicle:
           rise_m: ``[M]`` how much higher each ends than it begins.
           speed_m_s: along the route.
         """
-        at_least_s = [air_m / speed_m_s]
-        if self.max_climb_m_s is not None:
-            at_least_s.append(rise_m / self.max_climb_m_s)
-        if self.max_descent_m_s is not None:
-            at_least_s.append(-rise_m / self.max_descent_m_s)
-        return np.maximum.reduce(at_least_s)
+        climb_m_s, descent_m_s = self.max_climb_m_s or np.inf, self.max_descent_m_s or np.inf
+        return np.maximum(air_m / speed_m_s, np.maximum(rise_m / climb_m_s, -rise_m / descent_m_s))

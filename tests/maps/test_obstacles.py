@@ -9,9 +9,9 @@ import shapely
 
 import jaxurban as ju
 from jaxurban.errors import InputError
-from jaxurban.paths import reachability
+from jaxurban.paths import snapping
 from jaxurban.paths.queries import IN_METRES
-from jaxurban.paths.reachability import islands_of
+from jaxurban.paths.snapping import islands_of
 from jaxurban.planners.base import Status
 from jaxurban.planners.registry import PLANNERS
 from jaxurban.world.city import Buildings
@@ -119,7 +119,7 @@ def test_what_would_join_is_found_once_for_a_batch(monkeypatch):
         labelled.append(is_free)
         return islands_of(is_free, cuts_corners)
 
-    monkeypatch.setattr(reachability, "islands_of", label_and_count)
+    monkeypatch.setattr(snapping, "islands_of", label_and_count)
     ends = pd.DataFrame([[*ENDS["start_xy_m"], *ENDS["goal_xy_m"]]] * 3, columns=list(IN_METRES))
     answers = ju.plan_many(maps, ends, altitude_m=20.0, progress=False).to_dataframe()
     assert all("joined at 60 m" in message for message in answers["message"])

@@ -12,7 +12,7 @@ import shapely
 
 from jaxurban.errors import InputError
 from jaxurban.io.read.zone import Zone
-from jaxurban.paths.export.write import check_export, write_path
+from jaxurban.paths.export.write import encoder_of, write_path
 from jaxurban.paths.ground import Ground
 from jaxurban.planners.base import Status
 from jaxurban.world.grid import Grid
@@ -170,7 +170,7 @@ def test_an_old_file_is_replaced_and_no_scrap_stays(route, tmp_path):
 )
 def test_a_file_that_cannot_be_is_refused_in_one_sentence(name, fault, route, tmp_path):
     (tmp_path / "folder.kml").mkdir()
-    for call in (lambda file: write_path(route, file), check_export):
+    for call in (lambda file: write_path(route, file), encoder_of):
         with pytest.raises(InputError, match=fault):
             call(tmp_path / name)
     assert [file.name for file in tmp_path.iterdir()] == ["folder.kml"]

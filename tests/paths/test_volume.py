@@ -271,7 +271,7 @@ def test_the_command_line_plans_through_the_volume(maps, ends, tmp_path, capsys)
     assert_one_sentence(err, "--climb-cost", "--volume")
     code, _, err = run(capsys, *places, "--volume", "--planner", "ptp")
     assert code == 2
-    assert_one_sentence(err, "--planner")
+    assert_one_sentence(err, "choose one of astar-volume")
 
 
 def test_a_volume_flies_over_a_zone_with_a_ceiling_and_around_one_without():

@@ -50,7 +50,7 @@ def write_path(
         names that are not one for each, or a folder that does not exist or cannot be written to.
     """
     file = Path(file)
-    encode = _encoder(file)
+    encode = encoder_of(file)
     if end is not None:
         if file.suffix.lower() != MISSION:
             raise InputError(f"only a {MISSION} says how the flight ends, and {str(file)!r} is none: leave end out")
@@ -67,12 +67,8 @@ def write_path(
     return bool(found)
 
 
-def check_export(file: str | Path) -> None:
-    """Raise InputError unless `write_path` can write this file: call it before a long search."""
-    _encoder(Path(file))
-
-
-def _encoder(file: Path) -> Encode:
+def encoder_of(file: Path) -> Encode:
+    """Return what `write_path` writes a file by; raise InputError where it cannot: call it before a long search."""
     encode = FORMATS.get(file.suffix.lower())
     if encode is None:
         raise InputError(f"cannot tell the format of {str(file)!r}: end its name in one of {', '.join(FORMATS)}")
