@@ -56,7 +56,19 @@ with tempfile.TemporaryDirectory() as folder:
 )
 
 
-@pytest.mark.parametrize("action", [IMPORT, EVERY_NAME, USE], ids=["import", "every name", "maps and a plan"])
+DEVICES = (
+    IMPORT
+    + """
+from jaxurban.maps.executors import Resources
+assert Resources().on_device("cpu") == Resources() and Resources(num_processes=2).on_device("cpu").num_processes == 2
+for engine in ("numba", "jax"):
+    ju.build_maps(ju.demo_city(400, 400), resolution_m=20.0, altitudes_m=[60.0], engine=engine, progress=False)
+"""
+)
+ACTIONS = {"import": IMPORT, "every name": EVERY_NAME, "maps and a plan": USE, "devices and engines": DEVICES}
+
+
+@pytest.mark.parametrize("action", ACTIONS.values(), ids=ACTIONS.keys())
 def test_the_users_process_stays_as_libraries_alone_leave_it(action):
     command = [sys.executable, "-W", "ignore::UserWarning", "-c", f"{STATE}\n{action}\n{COMPARE}"]
     ended = subprocess.run(command, capture_output=True, text=True, check=False)

@@ -2,6 +2,7 @@
 
 import json
 import logging
+import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -66,9 +67,23 @@ def together(*parameters: Callable) -> Callable[[Callable], Callable]:
 def _use_device(ctx: click.Context, param: click.Parameter, value: str | None) -> None:
     """Choose the device before anything computes."""
     if value is not None:
-        from jaxurban.maps.device import use_device
+        from jaxurban.maps.device import check_device
 
-        use_device(value)
+        if value == "cpu":
+            stay_on_cpu()
+        check_device(value)
+
+
+def stay_on_cpu(is_inherited: bool = True) -> None:
+    """Let JAX compute on the CPU in this process, a command's own, before its first use; and in those that it starts.
+
+    ``is_inherited``: whether in those too.
+    """
+    import jax
+
+    if is_inherited:
+        os.environ["JAX_PLATFORMS"] = "cpu"
+    jax.config.update("jax_platforms", "cpu")
 
 
 LONLAT = Numbers("LON,LAT", "longitude,latitude in degrees, as in -74.0,40.7", 2)

@@ -7,7 +7,17 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from jaxurban.cli.common import DEGREES, DEVICE_CHOICE, JSON_FLAG, PATH, names_in, print_json, tell, tell_warnings
+from jaxurban.cli.common import (
+    DEGREES,
+    DEVICE_CHOICE,
+    JSON_FLAG,
+    PATH,
+    names_in,
+    print_json,
+    stay_on_cpu,
+    tell,
+    tell_warnings,
+)
 from jaxurban.errors import InputError
 from jaxurban.progress import reporting
 
@@ -78,7 +88,11 @@ def maps(
         raise click.UsageError("--degrees belongs to --figures: add that")
     drawn = {"degrees": degrees} if figures else None
     changes += () if engine is None else (f'region.engine = "{engine}"',)
+    if device == "cpu":
+        stay_on_cpu()
     resources = Resources(None if memory is None else parse_bytes(memory), workers, cluster).on_device(device)
+    if resources.gpus:  # which are the workers' own
+        stay_on_cpu(is_inherited=False)
     if len(scenario_files) == 1:
         scenario = Scenario.from_toml(scenario_files[0], changes)
         record = _make(scenario, folder, overwrite, drawn, resources, names_in(layers))

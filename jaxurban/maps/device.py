@@ -54,8 +54,8 @@ class Gpu:
         }
 
 
-def use_device(name: str) -> None:
-    """Let JAX compute on a device, before its first use; worker processes of this one will too.
+def check_device(name: str) -> None:
+    """Say in the log on which device JAX computes; nothing of this process is changed for it.
 
     Args:
       name: ``"cpu"``, ``"gpu"``, or ``"auto"`` for a GPU where JAX finds one, else the CPU.
@@ -64,9 +64,6 @@ def use_device(name: str) -> None:
       InputError: another name, or no GPU that JAX can use.
     """
     one_of("device", name, DEVICES)
-    if name == "cpu":
-        os.environ["JAX_PLATFORMS"] = "cpu"
-        jax.config.update("jax_platforms", "cpu")
     if name == "gpu" and jax.default_backend() == "cpu":
         raise InputError(NO_GPU)
     told = f"device: {jax.local_devices()[0].device_kind} ({jax.default_backend()})"
@@ -76,12 +73,12 @@ def use_device(name: str) -> None:
 
 
 def bind_workers(name: str, num_workers: int) -> tuple[Gpu, ...]:
-    """Return the GPU of each worker process, and keep this one off them; empty where the workers compute on a CPU.
+    """Return the GPU of each worker process; empty where the workers compute on a CPU.
 
     Where that is fewer processes than were asked for, the log says so.
 
     Args:
-      name: of the device, as for `use_device`.
+      name: of the device, as for `check_device`.
       num_workers: how many processes are asked for.
 
     Raises:
@@ -89,14 +86,13 @@ def bind_workers(name: str, num_workers: int) -> tuple[Gpu, ...]:
     """
     one_of("device", name, DEVICES)
     if name == "cpu":
-        use_device(name)
+        check_device(name)
         return ()
     gpus = find_gpus()
     if not gpus:
         if name == "gpu":
             raise InputError(NO_GPU)
         return ()
-    jax.config.update("jax_platforms", "cpu")  # of this process alone, before JAX's first use; not of the environment
     bound = gpus_of_workers(gpus, num_workers)
     kinds = " or ".join(sorted({gpu.kind for gpu in bound}))
     told = f"device: {len(bound)} worker process{'es' * (len(bound) > 1)}, each with a GPU of its own ({kinds})"

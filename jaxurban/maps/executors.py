@@ -15,7 +15,7 @@ from dask.callbacks import Callback
 from dask.delayed import Delayed, delayed
 
 from jaxurban.errors import InputError, reason_of
-from jaxurban.maps.device import Gpu, bind_workers, use_device
+from jaxurban.maps.device import Gpu, bind_workers, check_device
 from jaxurban.maps.tiled import TileJob, finish_tile, raster_tile, sweep_tile
 from jaxurban.progress import LOG
 from jaxurban.world.tiling import QUADRANTS, Quadrant, Tile
@@ -52,7 +52,7 @@ class Resources:
         The workers of a cluster compute on what they were started with.
 
         Args:
-          name: as for `jaxurban.maps.device.use_device`; None if none was asked for.
+          name: as for `jaxurban.maps.device.check_device`; None if none was asked for.
 
         Raises:
           InputError: no such device.
@@ -61,7 +61,7 @@ class Resources:
             gpus = bind_workers(name or "auto", self.num_processes)
             return replace(self, gpus=gpus, num_processes=len(gpus) or self.num_processes)
         if name is not None:
-            use_device(name)
+            check_device(name)
         return self
 
     @property

@@ -33,20 +33,20 @@ def gpu(monkeypatch):
 @needs_cpu
 def test_the_cpu_is_told_and_a_gpu_that_is_not_there_refused(caplog):
     caplog.set_level(logging.INFO, "jaxurban")
-    device.use_device("auto")
+    device.check_device("auto")
     assert caplog.messages == ["device: cpu (cpu)"]
     assert device.gpu_free_bytes() is None
     with pytest.raises(InputError, match=r"no GPU that JAX can use: install jaxurban\[cuda13\]"):
-        device.use_device("gpu")
+        device.check_device("gpu")
     with pytest.raises(InputError, match="device must be 'auto', 'cpu' or 'gpu', got 'tpu'"):
-        device.use_device("tpu")
+        device.check_device("tpu")
 
 
 @pytest.mark.parametrize(("value", "taken"), [("false", "as needed"), ("true", "at once")])
 def test_a_gpu_is_told_with_its_free_memory(gpu, value, taken, monkeypatch, caplog):
     monkeypatch.setenv(device.PREALLOCATE, value)
     caplog.set_level(logging.INFO, "jaxurban")
-    device.use_device("gpu")
+    device.check_device("gpu")
     assert caplog.messages == [f"device: NVIDIA H200 (gpu), 3 GiB of memory, taken {taken}"]
 
 
@@ -119,8 +119,9 @@ def two_gpus(monkeypatch):
     jax.config.update("jax_platforms", before)
 
 
-def test_more_workers_than_gpus_are_told_in_one_sentence_and_this_process_keeps_to_the_cpu(two_gpus, caplog):
+def test_more_workers_than_gpus_are_told_in_one_sentence_and_this_process_stays_as_it_is(two_gpus, caplog):
     caplog.set_level(logging.INFO, "jaxurban")
+    before = jax.config.values["jax_platforms"]
     resources = Resources(num_processes=5).on_device(None)
     assert [(gpu.name, gpu.limit_bytes) for gpu in resources.gpus] == [("1", 4 * GIB), ("2", 3 * GIB)]
     assert (resources.num_processes, resources.backend) == (2, "gpu")
@@ -128,8 +129,7 @@ def test_more_workers_than_gpus_are_told_in_one_sentence_and_this_process_keeps_
         "device: 2 worker processes, each with a GPU of its own (NVIDIA H200) and 3 GiB of memory, taken as needed; "
         "5 were asked for, and more than one a GPU would only share it"
     ]
-    assert jax.config.values["jax_platforms"] == "cpu"
-    assert "JAX_PLATFORMS" not in os.environ  # the workers' own
+    assert (jax.config.values["jax_platforms"], os.environ.get("JAX_PLATFORMS")) == (before, None)
     caplog.clear()
     assert [gpu.name for gpu in Resources(num_processes=1).on_device("gpu").gpus] == ["1"]
     assert caplog.messages == [
@@ -137,12 +137,23 @@ def test_more_workers_than_gpus_are_told_in_one_sentence_and_this_process_keeps_
     ]
 
 
-def test_workers_on_the_cpu_are_as_many_as_were_asked_for(two_gpus, monkeypatch):
-    monkeypatch.setenv("JAX_PLATFORMS", "")  # set anew by --device cpu, and back at the end
-    assert Resources(num_processes=5).on_device("cpu") == Resources(num_processes=5)
-    assert os.environ["JAX_PLATFORMS"] == "cpu"
-    monkeypatch.setattr(device, "entry_points", lambda group: [])
+@pytest.mark.parametrize(("options", "inherited"), [(["--device", "cpu"], "cpu"), ([], None)])
+def test_a_command_keeps_its_own_process_off_the_workers_gpus(
+    two_gpus, monkeypatch, tmp_path, capsys, options, inherited
+):
+    set_up = {}
+    monkeypatch.setattr(jax.config, "update", set_up.__setitem__)
+    monkeypatch.setenv("JAX_PLATFORMS", "")
     monkeypatch.delenv("JAX_PLATFORMS")
+    code, _, _ = run(capsys, "maps", tmp_path / "none.toml", "-o", tmp_path, "--workers", "2", *options)
+    assert (code, set_up) == (2, {"jax_platforms": "cpu"})
+    assert os.environ.get("JAX_PLATFORMS") == inherited
+
+
+def test_workers_on_the_cpu_are_as_many_as_were_asked_for(two_gpus, monkeypatch):
+    assert Resources(num_processes=5).on_device("cpu") == Resources(num_processes=5)
+    assert "JAX_PLATFORMS" not in os.environ
+    monkeypatch.setattr(device, "entry_points", lambda group: [])
     assert Resources(num_processes=5).on_device("auto") == Resources(num_processes=5)
     with pytest.raises(InputError, match="no GPU that JAX can use"):
         Resources(num_processes=5).on_device("gpu")
