@@ -25,7 +25,7 @@ FOLDERS = ("kernels", "planners", "jaxurban/io", "jaxurban/studies")
 NUMBERS = {"sign": 3, "comparison": 3, "off by one": 2, "unit": 2}  # of each kind in each folder
 GOING = re.compile(  # what docs and issues say will go or be replaced
     r"compiled|two_floats|patterns|kernels/(dop|host)|terrain_cpu|supersampled"
-    r"|heuristics|io/(fetch|download|cog|chunks|files|folders|workspace|rows|store|hidden)|geoparquet|movingai|receiver"
+    r"|heuristics|io/(fetch|download|cog|chunks|files|folders|workspace|rows|store|hidden)|receiver"
     r"|compared_fits|complementarity|sensitivity/buildings|map_comparison"
 )
 NOT_COPIED = (".git", ".venv*", "out", "build", ".*_cache", ".hypothesis", "*.egg-info")

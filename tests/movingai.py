@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxurban.io.read.movingai import GridProblem
+from jaxurban.report.benchmark import GridProblem
 
 
 def read_map(file: Path) -> np.ndarray:

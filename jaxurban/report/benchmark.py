@@ -1,14 +1,14 @@
 """Instances as a public benchmark: MovingAI files for shortest paths, maps and Parquet for weighted ones."""
 
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 
 from jaxurban.errors import InputError
 from jaxurban.io.files import whole_file, write_whole
-from jaxurban.io.read.movingai import GridProblem, write_map, write_scenarios
 from jaxurban.io.store import short_number
 from jaxurban.io.tables import write_table
 from jaxurban.io.workspace import Workspace
@@ -23,6 +23,38 @@ from jaxurban.studies.montecarlo.trial import DISTANCE, WEIGHTED, BenchmarkSetti
 
 INSTANCES_FILE, COSTS_FOLDER, GRID_FOLDER, PAGE_FILE = "instances.parquet", "costs", "movingai", "README.md"
 GRID_PLANNERS = ("astar-dist", "astar-plus")  # what is optimal on the grid, where their status says so
+# MovingAI's grid format: ``.map`` and ``.scen`` files (Sturtevant 2012, movingai.com/benchmarks/formats), whose first
+# row is the northern one and whose y counts southward; here row 0 is in the south.
+FREE, BLOCKED = ".", "@"
+BUCKET = 4  # problems are sorted into buckets of so many cells of optimal length
+
+
+class GridProblem(NamedTuple):
+    """A shortest-path query on a map, cells as (row, column) from the southwest; ``length`` in cell sides."""
+
+    start: tuple[int, int]
+    goal: tuple[int, int]
+    length: float
+
+
+def write_map(is_free: np.ndarray, file: Path) -> None:
+    """Write ``[Y, X]`` free cells as a ``.map`` file."""
+    num_rows, num_cols = is_free.shape
+    text = np.full((num_rows, num_cols + 1), ord("\n"), np.uint8)
+    text[:, :-1] = np.where(is_free[::-1], ord(FREE), ord(BLOCKED))
+    write_whole(file, f"type octile\nheight {num_rows}\nwidth {num_cols}\nmap\n".encode() + text.tobytes())
+
+
+def write_scenarios(problems: Iterable[GridProblem], shape: tuple[int, int], map_name: str, file: Path) -> None:
+    """Write problems on a map of a shape (rows, columns) as a ``.scen`` file, short ones first."""
+    num_rows, num_cols = shape
+    lines = ["version 1"]
+    for start, goal, length in sorted(problems, key=lambda problem: problem.length):
+        (row0, col0), (row1, col1) = start, goal
+        places = (col0, num_rows - 1 - row0, col1, num_rows - 1 - row1)
+        facts = (int(length / BUCKET), map_name, num_cols, num_rows, *places, f"{length:.8f}")
+        lines.append("\t".join(map(str, facts)))
+    write_whole(file, "\n".join(lines) + "\n")
 
 
 def export_benchmark(

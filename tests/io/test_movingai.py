@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from jaxurban.io.read.movingai import GridProblem, write_map, write_scenarios
+from jaxurban.report.benchmark import GridProblem, write_map, write_scenarios
 from tests.movingai import read_map, read_scenarios
 
 
