@@ -31,13 +31,18 @@ def burn(
     Returns:
       ``[Y, X]`` array of ``dtype``, row 0 in the south.
     """
-    centre = np.full(grid.shape, fill, dtype)
-    _burn(polygons, values, grid, boxes_m, centre, np.empty((0, 0), dtype))
-    return centre
+    return burn_touched(polygons, values, grid, fill, dtype, boxes_m=boxes_m, has_touched=False)[0]
 
 
 def burn_touched(
-    polygons: np.ndarray, values: np.ndarray, grid: Grid, fill: float, dtype: str, *, boxes_m: np.ndarray | None = None
+    polygons: np.ndarray,
+    values: np.ndarray,
+    grid: Grid,
+    fill: float,
+    dtype: str,
+    *,
+    boxes_m: np.ndarray | None = None,
+    has_touched: bool = True,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return what `burn` does, and the highest value among the polygons that share area with each cell.
 
@@ -46,38 +51,14 @@ def burn_touched(
 
     Args:
       polygons, values, grid, fill, dtype, boxes_m: as there.
+      has_touched: False leaves the second array empty.
     """
-    centre, touched = (np.full(grid.shape, fill, dtype) for _ in range(2))
-    _burn(polygons, values, grid, boxes_m, centre, touched)
-    return centre, np.maximum(centre, touched, out=touched)
-
-
-def burn_by_rule(
-    polygons: np.ndarray, heights_m: np.ndarray, grid: Grid, all_touched: bool, *, boxes_m: np.ndarray | None = None
-) -> np.ndarray:
-    """Return heights burnt by centres or, ``all_touched``, by touch, float32, 0 where no polygon is."""
-    if all_touched:
-        return burn_touched(polygons, heights_m, grid, 0.0, "float32", boxes_m=boxes_m)[1]
-    return burn(polygons, heights_m, grid, 0.0, "float32", boxes_m=boxes_m)
-
-
-def _burn(
-    polygons: np.ndarray,
-    values: np.ndarray,
-    grid: Grid,
-    boxes_m: np.ndarray | None,
-    centre: np.ndarray,
-    touched: np.ndarray,
-) -> None:
-    """Burn the polygons whose box meets the grid, in place.
-
-    Those with a single ring come first: `shapely.to_ragged_array` makes a geometry of every ring, which takes ten times
-    as long.
-    """
+    centre, touched = (np.full(shape, fill, dtype) for shape in (grid.shape, grid.shape if has_touched else (0, 0)))
     boxes = shapely.bounds(polygons) if boxes_m is None else boxes_m.T
     near = np.flatnonzero(meets(boxes, grid.bounds_m))
     if not near.size:
-        return
+        return centre, touched
+    # Rings on their own come first: `shapely.to_ragged_array` makes a geometry of every ring, in ten times the time.
     is_single = shapely.get_type_id(polygons[near]) == shapely.GeometryType.POLYGON
     is_single &= shapely.get_num_interior_rings(polygons[near]) == 0
     single, others = near[is_single], near[~is_single]
@@ -95,6 +76,16 @@ def _burn(
         centre,
         touched,
     )
+    return centre, np.maximum(centre, touched, out=touched) if has_touched else touched
+
+
+def burn_by_rule(
+    polygons: np.ndarray, heights_m: np.ndarray, grid: Grid, all_touched: bool, *, boxes_m: np.ndarray | None = None
+) -> np.ndarray:
+    """Return heights burnt by centres or, ``all_touched``, by touch, float32, 0 where no polygon is."""
+    if all_touched:
+        return burn_touched(polygons, heights_m, grid, 0.0, "float32", boxes_m=boxes_m)[1]
+    return burn(polygons, heights_m, grid, 0.0, "float32", boxes_m=boxes_m)
 
 
 def _starts(counts: np.ndarray) -> np.ndarray:

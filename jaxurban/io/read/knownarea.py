@@ -4,6 +4,7 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
+import pandas as pd
 import shapely
 
 from jaxurban.io.read.sampling import pixel_xy
@@ -41,11 +42,8 @@ def area_of_outlines(polygons: np.ndarray, boxes: Sequence[Bounds]) -> shapely.G
     part_of_bin = np.empty(len(low), int)
     found_bin, found_part = shapely.STRtree(parts).query(shapely.points(low + GAP_M / 2), predicate="within")
     part_of_bin[found_bin] = found_part
-    part = part_of_bin[owner]
-    least, most = np.full((len(parts), 2), np.inf), np.full((len(parts), 2), -np.inf)
-    np.minimum.at(least, part, bounds[:, :2])
-    np.maximum.at(most, part, bounds[:, 2:])
-    return shapely.union_all([declared, *shapely.box(*least.T, *most.T)])
+    hulls = pd.DataFrame(bounds).groupby(part_of_bin[owner]).agg({0: "min", 1: "min", 2: "max", 3: "max"})
+    return shapely.union_all([declared, *shapely.box(*hulls.to_numpy().T)])
 
 
 def area_of_raster(raster: Raster, crs: str) -> shapely.Geometry:

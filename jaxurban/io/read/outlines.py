@@ -112,7 +112,7 @@ def to_buildings(
     heights = estimate_heights(tags, len(index), default_height_m=default_height_m, level_height_m=level_height_m)
     issues |= heights.issues
     if is_deck.any():
-        layer = np.array([_number(text) for text in _texts(tags, "layer", len(index))])
+        layer = np.array([_number(text) for text in _texts(outlines.column("layer")[index])])
         heights = with_decks(heights, is_deck, layer)
     outline, part, shared = _own_parts(polygons, ~is_part & ~is_deck, is_part)
     height_m, origin = _with_outline_heights(heights, outline, part, issues)
@@ -129,10 +129,9 @@ def to_buildings(
     return buildings, boxes_m, issues
 
 
-def _texts(tags: Mapping[str, np.ndarray], name: str, num_outlines: int) -> np.ndarray:
+def _texts(column: np.ndarray) -> np.ndarray:
     """Return a tag of every outline as text in small letters, ``[N]``, empty where it is missing."""
-    column, words = tags.get(name, np.full(num_outlines, None, object)), np.full(num_outlines, "", object)
-    given = is_given(column)
+    words, given = np.full(len(column), "", object), is_given(column)
     words[given] = [str(value).strip().lower() for value in column[given]]
     return words
 
@@ -142,19 +141,18 @@ def _stands_as_what(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return which outlines are above ground, and which of all are parts, and decks of bridges, ``[N]`` bool each."""
 
-    def text(name: str) -> np.ndarray:
-        return _texts(outlines.tags, name, len(outlines.polygons))
-
     def is_yes(name: str) -> np.ndarray:
-        return (text(name) != "") & ~np.isin(text(name).astype(str), _NO)
+        text = _texts(outlines.column(name))
+        return (text != "") & ~np.isin(text.astype(str), _NO)
 
     is_part = is_yes("part")
     is_building = (is_yes("building") if "building" in outlines.tags else True) | is_part
-    is_deck = has_decks & (text("man_made") == DECK)
+    is_deck = has_decks & (_texts(outlines.column("man_made")) == DECK)
     if "building" in outlines.tags:
         is_deck &= ~is_building
     is_building = is_building | is_deck
-    is_below = (text("location") == "underground") | _is_negative(text("layer"))
+    is_below = _texts(outlines.column("location")) == "underground"
+    is_below |= _is_negative(_texts(outlines.column("layer")))
     issues[ReadIssue.NOT_BUILDINGS] = int(np.sum(~is_building))
     issues[ReadIssue.UNDERGROUND] = int(np.sum(is_building & is_below))
     return is_building & ~is_below, is_part, is_deck & ~is_part

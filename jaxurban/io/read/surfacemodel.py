@@ -120,16 +120,11 @@ def low_levels(raster: Raster, crs: str) -> np.ndarray:
     row, col = num_rows / 2 + np.array([0, 1, 0]), num_cols / 2 + np.array([0, 0, 1])
     x_m, y_m = pixel_xy(raster, row, col, crs)
     down_m, right_m = np.hypot(x_m[1:] - x_m[0], y_m[1:] - y_m[0])
-    samples = []
-    for size, pixel_m in ((num_rows, down_m), (num_cols, right_m)):
-        side = max(1, round(BLOCK_M / pixel_m))
-        within = np.arange(0, side, -(-side // SAMPLES_A_SIDE))
-        index = np.arange(0, size, side)[:, None] + within
-        samples.append(np.where(index < size, index, -1))
-    rows, cols = samples
-    values = raster.values[rows[:, None, :, None], cols[None, :, None, :]]
-    values = np.where((rows < 0)[:, None, :, None] | (cols < 0)[None, :, None, :], np.nan, values)
-    values = np.sort(values.reshape(-1, rows.shape[1] * cols.shape[1]), axis=1)  # NaN last
+    height, width = (max(1, round(BLOCK_M / pixel_m)) for pixel_m in (down_m, right_m))  # of a block
+    padded = np.pad(raster.values, ((0, -num_rows % height), (0, -num_cols % width)), constant_values=np.nan)
+    blocks = padded.reshape(len(padded) // height, height, -1, width).swapaxes(1, 2)
+    samples = blocks[..., :: -(-height // SAMPLES_A_SIDE), :: -(-width // SAMPLES_A_SIDE)]
+    values = np.sort(samples.reshape(samples.shape[0] * samples.shape[1], -1), axis=1)  # NaN last
     num = np.isfinite(values).sum(axis=1)
     is_told = num >= values.shape[1] / 4
     values, num = values[is_told], num[is_told]
