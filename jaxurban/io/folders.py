@@ -22,6 +22,7 @@ from jaxurban.io.files import (
     write_npz,
     write_whole,
 )
+from jaxurban.io.geotiff import is_of_run
 from jaxurban.io.workspace import Workspace
 from jaxurban.progress import LOG
 
@@ -148,9 +149,6 @@ class WorkFolder:
                     path.rmdir() if is_folder else path.unlink()
 
 
-HEAD_BYTES = 1 << 16  # of a GeoTIFF: its tags
-
-
 def stored_key(folder: Path, resolution_m: float) -> str | None:
     """Return the run key of the maps that lie under ``folder``, None without any, or where they are damaged."""
     if resolution_m not in store.stored_resolutions(folder):
@@ -173,11 +171,7 @@ def _is_of(folder: Path, resolution_m: float, key: str) -> bool:
     found = stored_key(folder, resolution_m)
     if found is not None:
         return found == key
-    for file in _witnesses(folder, resolution_m):
-        with suppress(OSError), file.open("rb") as stream:
-            if key.encode() in stream.read(HEAD_BYTES):
-                return True
-    return False
+    return any(is_of_run(file, key) for file in _witnesses(folder, resolution_m))
 
 
 def has_other_maps(folder: Path, key: str) -> bool:

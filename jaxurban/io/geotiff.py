@@ -1,23 +1,27 @@
-"""Metric maps as cloud-optimised GeoTIFF with their QGIS styles, each file whole or not there at all."""
+"""Metric maps as cloud-optimised GeoTIFF with their QGIS styles, and maps as bands of one; whole, or not there."""
 
-import re
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from tempfile import TemporaryDirectory
+from typing import Any, NamedTuple
 
 import numpy as np
 import rasterio
 import xarray as xr
+from affine import Affine
+from rasterio.shutil import copy as copy_raster
+from rasterio.windows import Window
 
 from jaxurban.errors import one_of
 from jaxurban.io.attributes import CAVEAT, IN_OBSTACLES, no_value
-from jaxurban.io.bands import BLOCK, write_cog
 from jaxurban.io.chunks import Each, stored_rows
 from jaxurban.io.files import (
     BLANK,
     FIELD,
     RECORDER,
+    SCRATCH_SUFFIX,
     holds_bytes,
     is_whole,
     recorded_by,
@@ -34,6 +38,9 @@ from jaxurban.metrics.gps import DOPS, WEIGHTED_DOPS
 from jaxurban.metrics.protection import LEVELS
 from jaxurban.world.grid import Grid
 
+BLOCK = 512  # cells of a block's side
+LEVEL = 1  # of Zstandard: on these maps a predictor takes more time and more bytes, a higher level twice the time
+HEAD_BYTES = 1 << 20  # of a GeoTIFF: its tags and where its blocks lie
 ALL = "all"  # stands for every map that is held
 CREDIT = "attribution"  # attribute of the maps
 RUN_KEY = "run_key"
@@ -163,17 +170,14 @@ def stale_geotiffs(
 
 
 def _is_stale(run_key: str, path: Path) -> bool:
-    return not is_whole(path) or _run_key(path) != run_key
+    return not (is_whole(path) and is_of_run(path, run_key))
 
 
 def is_of_run(path: Path, run_key: str) -> bool:
-    """Return whether a GeoTIFF, a style or the record of a run names the run of a key, whole or not."""
-    if path.suffix == ".tif":
-        return _run_key(path) == run_key
-    try:
-        return run_key.encode() in path.read_bytes()
-    except OSError:
-        return False
+    """Return whether a file names the run of a key, as GeoTIFFs, styles, Zarrs and records do; whole or not."""
+    with suppress(OSError), path.open("rb") as file:
+        return run_key.encode() in file.read(HEAD_BYTES if path.suffix == ".tif" else -1)
+    return False
 
 
 def write_geotiffs(
@@ -269,13 +273,99 @@ def _parts(read: Read, layer: _Layer, num_rows: int) -> Iterator[np.ndarray]:
         yield values
 
 
-def _run_key(path: Path) -> str | None:
-    """Return the run that a GeoTIFF or a style says it is of."""
-    if path.suffix == ".qml":
-        found = re.search(rf"{RUN_KEY}=(\w+)", path.read_text(encoding="utf-8"))
-        return found and found[1]
+@contextmanager
+def _writing() -> Iterator[None]:
+    """Raise OSError where GDAL fails, as on a full disk; rasterio has no public class for all that it raises then."""
     try:
-        with rasterio.open(path) as file:
-            return file.tags().get(RUN_KEY)
-    except rasterio.RasterioIOError:
-        return None
+        yield
+    except Exception as error:
+        if isinstance(error, SystemError) or type(error).__module__.partition(".")[0] == "rasterio":
+            raise OSError(f"GDAL could not write it ({error})") from error
+        raise
+
+
+def profile_of(grid: Grid, dtype: np.dtype, count: int = 1) -> dict[str, Any]:
+    """Return how rasterio opens a new GeoTIFF of so many bands on a grid: tiled, north-up, with what is no data."""
+    return {
+        "driver": "GTiff",
+        "width": grid.num_cols,
+        "height": grid.num_rows,
+        "count": count,
+        "dtype": dtype,
+        "crs": grid.crs,
+        "transform": Affine(grid.resolution_m, 0, grid.x_min_m, 0, -grid.resolution_m, grid.y_max_m),
+        "nodata": no_value(dtype),
+        "tiled": True,
+        "bigtiff": "IF_SAFER",
+    }
+
+
+def write_bands(
+    file: Path, grid: Grid, bands: Mapping[str, np.ndarray], unit: str = "1", tags: Mapping[str, str] | None = None
+) -> Path:
+    """Write maps as bands (float32, Zstandard, north-up, NaN = no data) and return the file.
+
+    Args:
+      file: named ``.tif``.
+      grid: of the maps.
+      bands: ``[Y, X]`` by description, rows south to north.
+      unit: of their values.
+      tags: of the file.
+
+    Raises:
+      InputError: the folder cannot be written to.
+    """
+    profile = profile_of(grid, np.dtype(np.float32), len(bands))
+    with whole_file(file) as scratch, _writing(), rasterio.open(scratch, "w", **profile, compress="ZSTD") as raster:
+        raster.update_tags(**(tags or {}))
+        raster.units = [unit] * len(bands)
+        for number, (description, values) in enumerate(bands.items(), start=1):
+            raster.write(np.asarray(values, np.float32)[::-1], number)
+            raster.set_band_description(number, description)
+    return file
+
+
+def write_cog(
+    path: Path,
+    grid: Grid,
+    dtype: np.dtype,
+    rows: Iterable[np.ndarray],
+    *,
+    is_averaged: bool,
+    tags: Mapping[str, str],
+    title: str,
+    unit: str,
+) -> None:
+    """Write a map as a cloud-optimised GeoTIFF (ZSTD, north-up, the same bytes for the same map).
+
+    Args:
+      path: where to.
+      grid: of the map.
+      dtype: of its values; what stands for no value is `jaxurban.io.attributes.no_value`.
+      rows: parts ``[y, x]`` of the map, all its rows from the north to the south; each but the last has a multiple of
+        `BLOCK` rows, as GDAL writes a block that is full once.
+      is_averaged: whether overviews hold means of the cells that they cover, NaN left out, else the nearest cell.
+      tags: of the file.
+      title: of its band.
+      unit: of its values.
+
+    Raises:
+      OSError: the file cannot be written.
+    """
+    # Overviews go through a scratch file of GDAL's own, on which Zstandard would spend a third of all time.
+    quick = rasterio.Env(COG_TMP_COMPRESSION="PACKBITS")
+    with _writing(), quick, TemporaryDirectory(SCRATCH_SUFFIX, ".plain.", path.parent) as folder:
+        plain, row = Path(folder) / "plain.tif", 0
+        with rasterio.open(plain, "w", **profile_of(grid, dtype), blockxsize=BLOCK, blockysize=BLOCK) as file:
+            for part in rows:
+                file.write(part, 1, window=Window(0, row, part.shape[1], len(part)))
+                row += len(part)
+            file.update_tags(**tags)
+            file.set_band_description(1, title)
+            file.set_band_unit(1, unit)
+        resampling = "average" if is_averaged else "nearest"
+        how = {"compress": "ZSTD", "level": LEVEL, "predictor": "NO", "blocksize": BLOCK, "bigtiff": "IF_SAFER"}
+        copy_raster(plain, path, driver="COG", overview_resampling=resampling, num_threads=1, **how)
+        with rasterio.open(path) as file:  # GDAL does not report every disk that fills up; the map is the file's end
+            for _, window in file.block_windows(1):
+                file.read(1, window=window)

@@ -5,7 +5,7 @@ from typing import Any
 from zlib import crc32
 
 from jaxurban.errors import typed
-from jaxurban.io.bands import write_bands
+from jaxurban.io.geotiff import write_bands
 from jaxurban.io.store import short_number
 from jaxurban.io.workspace import Workspace
 from jaxurban.maps.metric_maps import MetricMaps

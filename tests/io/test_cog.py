@@ -7,8 +7,8 @@ import pytest
 import rasterio
 from rasterio.shutil import copy
 
-from jaxurban.io import bands
-from jaxurban.io.bands import profile_of
+from jaxurban.io import geotiff
+from jaxurban.io.geotiff import profile_of
 from jaxurban.world.grid import Grid
 
 rio_cogeo = pytest.importorskip("rio_cogeo", reason="needs the dev extra")
@@ -29,10 +29,10 @@ def map_of(shape: tuple[int, int], dtype: type) -> np.ndarray:
     return values
 
 
-def write(path, values: np.ndarray, is_averaged: bool, num_rows: int = bands.BLOCK) -> None:
+def write(path, values: np.ndarray, is_averaged: bool, num_rows: int = geotiff.BLOCK) -> None:
     parts = (values[start : start + num_rows] for start in range(0, len(values), num_rows))
     about = {"is_averaged": is_averaged, "tags": TAGS, "title": "GPS quality", "unit": "1"}
-    bands.write_cog(path, grid_of(values.shape), values.dtype, parts, **about)
+    geotiff.write_cog(path, grid_of(values.shape), values.dtype, parts, **about)
 
 
 def facts_of(path) -> list:

@@ -17,6 +17,8 @@ from jaxurban.io.chunks import broken_chunks
 from jaxurban.io.files import is_whole
 from jaxurban.io.geotiff import missing_geotiffs, stale_geotiffs, write_geotiffs
 
+KEY, OTHER = 16 * "a", 16 * "b"  # of runs
+
 
 @pytest.fixture
 def ds() -> xr.Dataset:
@@ -114,31 +116,31 @@ def test_a_failed_write_leaves_the_old_file_and_no_scrap(tmp_path):
 
 
 def test_files_of_another_run_are_stale(ds, tmp_path):
-    files = write_geotiffs(ds, tmp_path, run_key="a")
-    assert stale_geotiffs(ds, tmp_path, "a") == []
-    assert stale_geotiffs(ds, tmp_path, "b") == files
+    files = write_geotiffs(ds, tmp_path, run_key=KEY)
+    assert stale_geotiffs(ds, tmp_path, KEY) == []
+    assert stale_geotiffs(ds, tmp_path, OTHER) == files
     before = [file.stat().st_mtime_ns for file in files]
-    assert write_geotiffs(ds, tmp_path, run_key="b", only=files[1:2]) == files[1:2]
+    assert write_geotiffs(ds, tmp_path, run_key=OTHER, only=files[1:2]) == files[1:2]
     after = [file.stat().st_mtime_ns for file in files]
     assert (after[1] > before[1], after[0], after[2:]) == (True, before[0], before[2:])
 
 
 def test_any_flipped_bit_of_a_geotiff_makes_it_stale(ds, tmp_path):
     """Data, overviews, tags, place and checksum alike: GDAL itself reads most of them without a word."""
-    file, *_ = write_geotiffs(ds, tmp_path, run_key="a")
+    file, *_ = write_geotiffs(ds, tmp_path, run_key=KEY)
     whole = file.read_bytes()
     num_bits, at = 8 * len(whole), whole.find(b"jaxurban-crc32:") * 8
     for bit in {*random.Random(0).sample(range(num_bits), 100), *range(at, at + 8 * 23, 3), 0, num_bits - 1}:
         file.write_bytes(flipped(whole, bit))
         assert not is_whole(file)
-    assert stale_geotiffs(ds, tmp_path, "a") == [file]
+    assert stale_geotiffs(ds, tmp_path, KEY) == [file]
     for size in (0, 1, at // 8 + 20, len(whole) - 1):
         file.write_bytes(whole[:size])
-        assert stale_geotiffs(ds, tmp_path, "a") == [file]
+        assert stale_geotiffs(ds, tmp_path, KEY) == [file]
         assert missing_geotiffs(ds, tmp_path) == ([] if size else [file])
     file.unlink()
-    assert missing_geotiffs(ds, tmp_path) == stale_geotiffs(ds, tmp_path, "a") == [file]
-    write_geotiffs(ds, tmp_path, run_key="a", only=[file])
+    assert missing_geotiffs(ds, tmp_path) == stale_geotiffs(ds, tmp_path, KEY) == [file]
+    write_geotiffs(ds, tmp_path, run_key=KEY, only=[file])
     assert file.read_bytes() == whole
 
 
