@@ -3,7 +3,7 @@
 import base64
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -34,10 +34,7 @@ H_NORM, COST_OF = "h_norm", "cost:"
 OBSTACLE, NOTHING = np.float32(-np.inf), np.float32(np.nan)  # how values travel: a cell in an obstacle; one not drawn
 DIFFERENCE = "the first less the second (red: the first is higher)"
 BAR_IN = 2.6  # length of the colour bar on the page, which decides how many ticks have room
-ROOFS = {"roof": "Roofs, at the middle of a cell", "roof_touched": "Roofs, the highest that touches a cell"}
-GROUND = ROOFS | {"density": "People", "terrain": "Terrain"}
-UNITS = {"roof": "m", "roof_touched": "m", "terrain": "m", "density": "per km²"}
-HIDDEN = ("has_data",)
+HIDDEN = ("has_data", "gps_median")
 
 
 @dataclass(frozen=True)
@@ -90,51 +87,33 @@ def layers_of(maps: MetricMaps) -> dict[str, Layer]:
     """Return every layer of these maps that can be drawn, by name, those that are looked at most first."""
     found: dict[str, Layer] = {}
 
-    def add(name: str, *facts: Any, **options: Any) -> None:
-        found[name] = Layer(name, *facts, **options)
+    def add(name: str, heading: str, group: str, colours: Callable[[np.ndarray], Colours], **more: Any) -> None:
+        facts = more if "read" in more else {"dims": _dims(maps, name), "read": partial(_held, maps, name)} | more
+        found[name] = Layer(name, heading, group, colours=colours, **facts)
 
     headings = drawn_names(maps)
     for name in maps.metrics:
-        add(name, headings[name], "Metrics", _dims(maps, name), partial(_drawn, maps, name), _metric(maps, name))
-    flown = dict.fromkeys((ALTITUDE, *(dim for name in maps.metrics for dim in _dims(maps, name))))
-    add(
-        H_NORM,
-        "All costs together, H_norm",
-        "Costs",
-        tuple(flown),
-        partial(_h_norm, maps),
-        lambda _: COST_COLOURS,
-        blocked=BLOCKED_COLOUR,
-    )
+        add(name, headings[name], "Metrics", partial(_metric, maps, name))
+    flown = tuple(dict.fromkeys((ALTITUDE, *(dim for name in maps.metrics for dim in _dims(maps, name)))))
+    total = {"dims": flown, "read": partial(_h_norm, maps), "blocked": BLOCKED_COLOUR}
+    add(H_NORM, "All costs together, H_norm", "Costs", partial(_always, COST_COLOURS), **total)
     for name, metric in maps.metrics.items():
-        dims, read = _dims(maps, name), partial(_cost, maps, name)
         label = f"c_{name}, cost before its weight (0: best, 1: worst)"
         is_m = metric.cost is high_is_bad
         scale = Colours(metric.colour_map if is_m else f"{metric.colour_map}_r", Normalize(0, 1), label)
-        add(f"{COST_OF}{name}", f"Cost of {metric.label}", "Costs", dims, read, lambda _, scale=scale: scale)
+        cost = {"dims": _dims(maps, name), "read": partial(_cost, maps, name)}
+        add(f"{COST_OF}{name}", f"Cost of {metric.label}", "Costs", partial(_always, scale), **cost)
     for name, heading in headings.items():
         if name not in found and name != "obstacle":
-            add(name, heading, "Satellites", _dims(maps, name), partial(_drawn, maps, name), _metric(maps, name))
-    add("obstacle", headings["obstacle"], "Ground", (ALTITUDE,), partial(_drawn, maps, "obstacle"), _obstacles)
-    for name in [name for name in GROUND if name in maps.ds]:
-        zero = ("no building", EMPTY_COLOUR) if name in ROOFS else None
-        zero = ("no people in the data", EMPTY_COLOUR) if name == "density" else zero
-        scale_of = {"density": _people, "terrain": _terrain}.get(name, _roofs)
-        add(
-            name,
-            GROUND[name],
-            "Ground",
-            _dims(maps, name),
-            partial(_held, maps, name),
-            scale_of,
-            zero=zero,
-            unit=UNITS[name],
-        )
+            add(name, heading, "Satellites", partial(_metric, maps, name))
+    add("obstacle", headings["obstacle"], "Ground", _obstacles)
+    for name, (heading, unit, zero, colours) in GROUND.items():
+        if name in maps.ds:
+            add(name, heading, "Ground", colours, zero=zero, unit=unit)
     for name in [str(name) for name, array in maps.ds.data_vars.items() if array.dims[-2:] == ("y", "x")]:
-        if name not in found and name not in HIDDEN and maps.ds[name].dtype.kind in "fiub" and name != "gps_median":
+        if name not in found and name not in HIDDEN and maps.ds[name].dtype.kind in "fiub":
             unit = str(maps.ds[name].attrs.get("units", "1"))
-            read = partial(_held, maps, name)
-            add(name, name, "Further maps", _dims(maps, name), read, partial(_plain, f"{name} ({unit})"))
+            add(name, name, "Further maps", partial(_plain, f"{name} ({unit})"))
     return found
 
 
@@ -145,13 +124,9 @@ def _dims(maps: MetricMaps, name: str) -> tuple[str, ...]:
     return tuple(dim for dim in (ALTITUDE, TIME, TIME_OF_DAY) if dim in maps.ds[variable].dims)
 
 
-def _drawn(maps: MetricMaps, name: str, at: Place) -> np.ndarray:
-    if TIME_OF_DAY in _dims(maps, name) or at.altitude_m is None:
-        return _held(maps, name, at)
-    return values_of(maps, name, at.altitude_m, at.time)
-
-
 def _held(maps: MetricMaps, name: str, at: Place) -> np.ndarray:
+    if maps.variable(name) not in maps.ds and at.altitude_m is not None:
+        return values_of(maps, name, at.altitude_m, at.time)
     return maps.m(name, at.altitude_m, time=at.time, time_of_day=at.time_of_day)
 
 
@@ -164,21 +139,12 @@ def _h_norm(maps: MetricMaps, at: Place) -> np.ndarray:
     return maps.normalised(altitude_m, time=at.time, time_of_day=at.time_of_day)
 
 
-def _metric(maps: MetricMaps, name: str) -> Callable[[np.ndarray], Colours]:
-    return lambda _: metric_colours(maps, name)
+def _metric(maps: MetricMaps, name: str, _: np.ndarray) -> Colours:
+    return metric_colours(maps, name)
 
 
-def _people(values: np.ndarray) -> Colours:
-    return density_colours(ends_of(values)[1])
-
-
-def _roofs(values: np.ndarray) -> Colours:
-    scale = roof_colours(ends_of(values)[1])
-    return Colours(scale.cmap, scale.norm, "roof above ground (m)", scale.extend, scale.ticks)
-
-
-def _terrain(values: np.ndarray) -> Colours:
-    return _plain("elevation of the ground (m)", values, HEIGHT_COLOUR_MAP)
+def _always(colours: Colours, _: np.ndarray) -> Colours:
+    return colours
 
 
 def _plain(label: str, values: np.ndarray, colour_map: str = "viridis") -> Colours:
@@ -190,6 +156,20 @@ def _obstacles(_: np.ndarray) -> Colours:
     return Colours(
         ListedColormap([FREE_COLOUR, BUILT_COLOUR]), BoundaryNorm([-0.5, 0.5, 1.5], 2), "Obstacles", ticks=()
     )
+
+
+def _roofs(values: np.ndarray) -> Colours:
+    return replace(roof_colours(ends_of(values)[1]), label="roof above ground (m)")
+
+
+NO_BUILDING, NOBODY = ("no building", EMPTY_COLOUR), ("no people in the data", EMPTY_COLOUR)
+GROUND: dict[str, tuple[str, str, tuple[str, str] | None, Callable[[np.ndarray], Colours]]] = {
+    # heading, unit, what 0 means and its colour, colours
+    "roof": ("Roofs, at the middle of a cell", "m", NO_BUILDING, _roofs),
+    "roof_touched": ("Roofs, the highest that touches a cell", "m", NO_BUILDING, _roofs),
+    "density": ("People", "per km²", NOBODY, lambda values: density_colours(ends_of(values)[1])),
+    "terrain": ("Terrain", "m", None, partial(_plain, "elevation of the ground (m)", colour_map=HEIGHT_COLOUR_MAP)),
+}
 
 
 def difference(values: np.ndarray, minus: np.ndarray) -> np.ndarray:

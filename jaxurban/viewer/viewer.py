@@ -269,18 +269,10 @@ class Viewer:
             return float(found) if np.isfinite(found) else math.nan
         array = self.maps.ds[variable]
         row, col = cell.row // BLOCK * BLOCK, cell.col // BLOCK * BLOCK
-        numbers = {
-            dim: held.index(value)
-            for dim, held, value in zip(
-                (ALTITUDE, TIME, TIME_OF_DAY),
-                (self.maps.altitudes_m, self.maps.times, self.maps.times_of_day),
-                (at.altitude_m, at.time, at.time_of_day),
-                strict=True,
-            )
-            if dim in array.dims and value is not None
-        }
-        part = {"y": slice(row, row + BLOCK), "x": slice(col, col + BLOCK)}
-        block = self.kept.get(("block", layer.name, at, row, col), lambda: array.isel(numbers | part).values)
+        numbers = zip((ALTITUDE, TIME, TIME_OF_DAY), cell.at, strict=True)
+        part: dict[str, Any] = {dim: number for dim, number in numbers if dim in array.dims}
+        part |= {"y": slice(row, row + BLOCK), "x": slice(col, col + BLOCK)}
+        block = self.kept.get(("block", layer.name, at, row, col), lambda: array.isel(part).values)
         return float(block[cell.row - row, cell.col - col])
 
     def plan(self, query: Plan) -> dict[str, Any]:
