@@ -1,16 +1,43 @@
-"""Tables as files: Parquet or CSV by the end of their names."""
+"""Tables as files, Parquet or CSV by the end of their names, and RowStore: a long job's rows, whatever kills it."""
 
+import hashlib
+import json
+import os
+import time
+import uuid
+import warnings
+import zipfile
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import count
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
 from jaxurban.errors import InputError, readable
-from jaxurban.io.files import BLANK, FIELD, seal, whole_file, write_whole
+from jaxurban.io.files import (
+    BLANK,
+    FIELD,
+    is_whole,
+    read_npz,
+    recorder_of,
+    seal,
+    sweep_scraps,
+    whole_file,
+    write_json,
+    write_npz,
+    write_whole,
+)
 
 SUFFIXES = (".parquet", ".csv")
+ROWS_FILE, PARTS_FOLDER, ASIDE_SUFFIX = "rows.parquet", "parts", ".damaged"
+SETTINGS_FILE, INSTANCES_FILE = "study.json", "instances.parquet"  # beside the rows of a Monte Carlo benchmark
+SAVE_EVERY_S = 5.0
+SAVING_SHARE = 0.05  # of the time, at most, goes into saving
+Row = Mapping[str, Any]
 
 
 def write_table(table: pd.DataFrame, file: str | Path) -> Path:
@@ -63,3 +90,159 @@ def _suffix(file: Path) -> str:
     if suffix not in SUFFIXES:
         raise InputError(f"cannot tell the format of {str(file)!r}: end its name in {' or '.join(SUFFIXES)}")
     return suffix
+
+
+class RowStore:
+    """Rows by key in one file that is always whole: Parquet, or .npz for rows of arrays. One process writes.
+
+    With parts each `add` is a small file at once, and `save` joins all of them into the file; a job killed between the
+    two steps of that leaves rows in both places: the file wins. Without, the file is written anew by `save`, and by
+    `add` every few seconds.
+    """
+
+    def __init__(
+        self, file: Path, key: Sequence[str], *, has_parts: bool = False, settings: Mapping[str, Any] | None = None
+    ) -> None:
+        """Open the store; ``key`` are the columns that name a row.
+
+        Args:
+          file: ends in .parquet or .npz; begins with no row where there is none.
+          key: columns that name a row.
+          has_parts: the folder is the job's own: each `add` is kept at once in the folder `PARTS_FOLDER`, and a damaged
+            file is named in a warning and set aside, so that the job makes its rows again.
+          settings: what all rows depend on, as JSON holds it; kept in an .npz.
+
+        Raises:
+          InputError: the file cannot be read, is damaged, or holds rows of other settings.
+        """
+        self.file, self.key, self._settings = file, tuple(key), settings
+        self._parts = file.parent / PARTS_FOLDER if has_parts else None
+        self._rows: dict[tuple, dict[str, Any]] = {}
+        self._is_saved, self._saved_s, self._saving_s = True, time.perf_counter(), 0.0
+        if self._parts:
+            self._parts.mkdir(parents=True, exist_ok=True)
+            sweep_scraps(file.parent)
+            sweep_scraps(self._parts)
+            for part in self._part_files():
+                if _is_sound(part):
+                    self._take(json.loads(part.read_text(encoding="utf-8"))["rows"])
+        if file.exists() and (not has_parts or _is_sound(file)):
+            self._take(_read_arrays(file, settings) if file.suffix == ".npz" else _read_table(file))
+
+    def _part_files(self) -> list[Path]:
+        parts = sorted(self._parts.glob(f"{32 * '[0-9a-f]'}.json")) if self._parts else []
+        recorder = recorder_of(self.file)
+        return [part for part in parts if recorder is None or recorder.name_of(part) in recorder.written]
+
+    def _take(self, rows: Iterable[Mapping[Any, Any]]) -> None:
+        for row in rows:
+            if missing := [name for name in self.key if name not in row]:
+                raise InputError(f"{str(self.file)!r} holds no {missing[0]!r}: name another file, or remove it")
+            self._rows[tuple(row[name] for name in self.key)] = dict(row)
+
+    def __contains__(self, key: tuple) -> bool:
+        return key in self._rows
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    def get(self, *key: Any) -> dict[str, Any] | None:
+        """Return the row of a key, None where there is none."""
+        return self._rows.get(key)
+
+    @property
+    def rows(self) -> list[dict[str, Any]]:
+        """All rows, in the order of their keys."""
+        return [self._rows[key] for key in sorted(self._rows)]
+
+    def add(self, rows: Sequence[Row]) -> None:
+        """Keep rows, in place of those of the same key; with parts all or none are on disk when this returns."""
+        if self._parts:
+            write_json(self._parts / f"{uuid.uuid4().hex}.json", {"rows": list(rows)})
+        self._take(rows)
+        self._is_saved = False
+        if not self._parts and time.perf_counter() - self._saved_s > max(SAVE_EVERY_S, self._saving_s / SAVING_SHARE):
+            self.save()
+
+    def save(self, columns: Mapping[str, str] | None = None) -> None:
+        """Write all rows into the file, in the order of their keys, and remove the parts.
+
+        Args:
+          columns: the type of each column of a table, missing numbers being NaN; guessed if left out.
+        """
+        if self._is_saved and not self._parts:
+            return
+        begin_s, parts = time.perf_counter(), self._part_files()
+        if self.file.suffix == ".npz":
+            arrays = {
+                f"{name}_{k}": np.asarray(value) for k, row in enumerate(self.rows) for name, value in row.items()
+            }
+            arrays["settings"] = np.array(json.dumps(self._settings, sort_keys=True))
+            write_npz(self.file, arrays, is_compressed=True)
+        else:
+            table = pd.DataFrame(self.rows)
+            if columns:
+                table = pd.DataFrame(self.rows, columns=list(columns), dtype=object).astype(dict(columns))
+            write_table(table, self.file)
+        for part in parts:
+            part.unlink()
+        self._is_saved, self._saved_s = True, time.perf_counter()
+        self._saving_s = self._saved_s - begin_s
+
+
+def fingerprint(*parts: Any) -> str:
+    """Return 16 hexadecimal digits that stand for arrays, by their bytes, and other values, by their ``repr``."""
+    digest = hashlib.sha256()
+    for part in parts:
+        is_array = isinstance(part, np.ndarray)
+        digest.update(np.ascontiguousarray(part).tobytes() if is_array else repr(part).encode())
+    return digest.hexdigest()[:16]
+
+
+def first_difference(before: Mapping[str, Any], now: Mapping[str, Any]) -> str | None:
+    """Return in which setting a stored job differs from this one, for a message; None where in none."""
+    for name, value in json.loads(json.dumps(now)).items():
+        if before.get(name) != value:
+            return f"its {name.replace('_', ' ')} is {before.get(name)}, and {value} is given now"
+    return None
+
+
+def _read_table(file: Path) -> list[dict[str, Any]]:
+    if not is_whole(file):
+        raise InputError(
+            f"{str(file)!r} is damaged, or not a file of such results: name another file, or remove this one, and what "
+            "it held is made again"
+        )
+    with readable(file, "results", "name another file, or remove this one", pa.ArrowException):
+        table = pd.read_parquet(file)
+    return records_of(table)
+
+
+def _read_arrays(file: Path, settings: Mapping[str, Any] | None) -> list[dict[str, Any]]:
+    try:
+        stored = read_npz(file)
+        before = json.loads(str(stored.pop("settings")))
+    except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
+        raise InputError(
+            f"{str(file)!r} cannot be read: remove it, pass --overwrite, or name another folder"
+        ) from error
+    if difference := first_difference(before, settings or {}):
+        raise InputError(f"{str(file)!r} is of other settings ({difference}): pass --overwrite, or name another folder")
+    rows: dict[str, dict[str, Any]] = {}
+    for label, value in stored.items():
+        name, _, number = label.rpartition("_")
+        rows.setdefault(number, {})[name] = value if value.ndim else value.item()
+    return list(rows.values())
+
+
+def _is_sound(file: Path) -> bool:
+    """Return whether a file is as it was written; set it aside if not."""
+    if is_whole(file):
+        return True
+    names = (f"{file.name}{ASIDE_SUFFIX}{'' if k == 1 else k}" for k in count(1))
+    aside = next(path for path in map(file.with_name, names) if not os.path.lexists(path))
+    warnings.warn(
+        f"{str(file)!r} is damaged: it is now {aside.name!r}, and the rows that it held are made again", stacklevel=3
+    )
+    file.replace(aside)
+    return False

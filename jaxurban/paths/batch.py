@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from jaxurban.errors import InputError, typed
-from jaxurban.io.rows import fingerprint
+from jaxurban.io.tables import fingerprint
 from jaxurban.maps.metric_maps import GivenMaps, as_maps
 from jaxurban.metrics.weights import GivenWeights
 from jaxurban.paths.constraints import Constraints

@@ -11,8 +11,7 @@ import numpy as np
 import pandas as pd
 
 from jaxurban.errors import InputError, finite, nearest_name, typed
-from jaxurban.io.rows import RowStore
-from jaxurban.io.tables import SUFFIXES, write_table
+from jaxurban.io.tables import SUFFIXES, RowStore, write_table
 from jaxurban.metrics.registry import METRICS
 from jaxurban.metrics.weights import GivenWeights, Weights
 from jaxurban.paths.export.write import FORMATS, write_path

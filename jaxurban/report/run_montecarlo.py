@@ -12,8 +12,7 @@ from jaxurban.errors import InputError, one_of, typed
 from jaxurban.io.files import read_json, write_json
 from jaxurban.io.read.landcover import read_land_cover
 from jaxurban.io.read.osm import OSM_SUFFIXES
-from jaxurban.io.rows import INSTANCES_FILE, PARTS_FOLDER, ROWS_FILE, SETTINGS_FILE, first_difference
-from jaxurban.io.tables import write_table
+from jaxurban.io.tables import INSTANCES_FILE, PARTS_FOLDER, ROWS_FILE, SETTINGS_FILE, first_difference, write_table
 from jaxurban.io.workspace import Workspace
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.registry import METRICS

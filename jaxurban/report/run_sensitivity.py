@@ -11,8 +11,7 @@ import numpy as np
 import pandas as pd
 
 from jaxurban.errors import GuessWarning, InputError, one_of, typed
-from jaxurban.io.rows import ROWS_FILE, RowStore, fingerprint
-from jaxurban.io.tables import read_table, records_of, write_table
+from jaxurban.io.tables import ROWS_FILE, RowStore, fingerprint, read_table, records_of, write_table
 from jaxurban.io.workspace import Workspace
 from jaxurban.maps.memory import check_fits
 from jaxurban.maps.metric_maps import MetricMaps

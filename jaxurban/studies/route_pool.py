@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 
 from jaxurban.errors import one_of
-from jaxurban.io.rows import RowStore, fingerprint
+from jaxurban.io.tables import RowStore, fingerprint
 from jaxurban.planners.batch import solve_many
 from jaxurban.studies.queries import RouteQuery
 

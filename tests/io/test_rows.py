@@ -5,7 +5,7 @@ import json
 import pandas as pd
 import pytest
 
-from jaxurban.io.rows import RowStore
+from jaxurban.io.tables import RowStore
 from jaxurban.io.workspace import Workspace
 
 COLUMNS = {"k": "int64", "name": "object", "value": "float64"}

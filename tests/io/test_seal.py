@@ -8,8 +8,7 @@ import pytest
 
 from jaxurban.errors import InputError
 from jaxurban.io import files
-from jaxurban.io.rows import RowStore
-from jaxurban.io.tables import write_table
+from jaxurban.io.tables import RowStore, write_table
 
 
 def flips(data: bytes, num: int) -> list[bytes]:

@@ -6,8 +6,7 @@ import pytest
 
 import jaxurban as ju
 from jaxurban.errors import InputError
-from jaxurban.io.rows import RowStore
-from jaxurban.io.tables import write_table
+from jaxurban.io.tables import RowStore, write_table
 from jaxurban.paths import batch as many_module
 from jaxurban.paths.queries import LONLAT
 from jaxurban.planners.base import Status
@@ -244,8 +243,8 @@ def test_a_crash_is_a_row_and_strict_raises_it(maps, pairs, monkeypatch):
 
 
 def test_the_file_is_rewritten_on_the_way(maps, pairs, monkeypatch, tmp_path):
-    monkeypatch.setattr("jaxurban.io.rows.SAVE_EVERY_S", 0.0)
-    monkeypatch.setattr("jaxurban.io.rows.SAVING_SHARE", np.inf)
+    monkeypatch.setattr("jaxurban.io.tables.SAVE_EVERY_S", 0.0)
+    monkeypatch.setattr("jaxurban.io.tables.SAVING_SHARE", np.inf)
     saved = []
     monkeypatch.setattr(RowStore, "save", lambda self, save=RowStore.save: (save(self), saved.append(len(self))))
     ju.plan_many(maps, pairs, altitude_m=20.0, file=tmp_path / "answers.parquet")

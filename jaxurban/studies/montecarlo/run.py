@@ -11,8 +11,7 @@ from typing import Any, NamedTuple, Protocol, get_args
 import pandas as pd
 
 from jaxurban.errors import InputError, one_of, typed
-from jaxurban.io.rows import ROWS_FILE, RowStore
-from jaxurban.io.tables import read_table, records_of
+from jaxurban.io.tables import ROWS_FILE, RowStore, read_table, records_of
 from jaxurban.maps.executors import cluster_client
 from jaxurban.maps.metric_maps import MetricMaps, Obstacles, open_maps
 from jaxurban.paths.cost_map import CostMap

@@ -8,7 +8,7 @@ from typing import Any, get_args
 import numpy as np
 
 from jaxurban.errors import InputError, at_least, one_of, typed
-from jaxurban.io.rows import RowStore, fingerprint
+from jaxurban.io.tables import RowStore, fingerprint
 from jaxurban.progress import Progress
 from jaxurban.studies.queries import RouteQuery, maps_of
 from jaxurban.studies.route_pool import Backend, RoutePool

@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from jaxurban.errors import at_least, one_of, typed
-from jaxurban.io.rows import fingerprint
+from jaxurban.io.tables import fingerprint
 from jaxurban.metrics.weights import Weights
 from jaxurban.progress import reporting
 from jaxurban.studies.demonstrations import Demonstration
