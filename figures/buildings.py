@@ -10,7 +10,7 @@ from jaxurban.maps.build import compute_maps, soften, view_sky
 from jaxurban.maps.differentiable import SoftParams
 from jaxurban.maps.task import MapParams, MapTask
 from jaxurban.report.figures.buildings import plot_building_costs
-from jaxurban.report.save import write_png
+from jaxurban.report.write import write_png
 from jaxurban.studies.sensitivity.buildings import building_costs
 from jaxurban.world.grid import Grid
 

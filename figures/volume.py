@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 import jaxurban as ju
 from jaxurban.planners.astar import volume_astar
 from jaxurban.planners.base import Problem
-from jaxurban.report.save import write_png
+from jaxurban.report.write import write_png
 
 FILE = Path(__file__).with_suffix(".png")
 ROOF, COLOURS = "#8a8a8a", "plasma"

@@ -53,7 +53,7 @@ from jaxurban.studies.receiver.prediction import ReceiverSettings as ReceiverSet
 from jaxurban.studies.receiver.validate import ReceiverValidation as ReceiverValidation
 from jaxurban.studies.receiver.validate import validate as validate
 from jaxurban.studies.sensitivity.buildings import building_costs as building_costs
-from jaxurban.studies.sensitivity.remade import RemadeSettings as RemadeSettings
+from jaxurban.studies.sensitivity.routes import RemadeSettings as RemadeSettings
 from jaxurban.studies.sensitivity.routes import SensitivityStudySettings as SensitivityStudySettings
 from jaxurban.studies.sensitivity.study import SensitivitySettings as SensitivitySettings
 from jaxurban.studies.sensitivity.study import sensitivity as sensitivity

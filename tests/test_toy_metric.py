@@ -24,7 +24,7 @@ from jaxurban.progress import Report
 from jaxurban.report.figures import plot_metric, plot_overview, plot_paths
 from jaxurban.scenario.run import Maker, make_zarr
 from jaxurban.studies.demonstrations import optimal_demonstrations
-from jaxurban.studies.sensitivity import local
+from jaxurban.studies.sensitivity import sobol
 from jaxurban.world.sky import Sky
 from tests import tiled_runs
 from tests.cli_runs import run
@@ -151,8 +151,8 @@ def test_every_planner_pays_for_it(maps, ends, planner):
 
 @pytest.mark.slow
 def test_batches_fits_sensitivity_and_studies_take_it(maps, ends, path, tmp_path, monkeypatch):
-    monkeypatch.setattr(local, "NUM_REPEATS", 2)
-    monkeypatch.setattr(local, "NUM_NOISE", 2)
+    monkeypatch.setattr(sobol, "NUM_REPEATS", 2)
+    monkeypatch.setattr(sobol, "NUM_NOISE", 2)
     table = pd.DataFrame([dict(zip(("start_lon", "start_lat", "goal_lon", "goal_lat"), np.ravel(ends), strict=True))])
     table = table.assign(**{f"w_{name}": value for name, value in WEIGHTS.items()})
     batch = ju.plan_many(maps, table, altitude_m=ALTITUDE_M, progress=False)

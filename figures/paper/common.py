@@ -26,8 +26,7 @@ from jaxurban.io.read.districts import read_districts
 from jaxurban.report.figures import plot_metric
 from jaxurban.report.figures.frame import KEY
 from jaxurban.report.figures.style import FAINT_INK, INK, SMALL_PT
-from jaxurban.report.markdown import framed
-from jaxurban.report.save import write_png
+from jaxurban.report.write import framed, write_png
 from jaxurban.scenario.run import ScenarioRun, load_city, run_scenario
 from jaxurban.scenario.settings import Scenario
 from jaxurban.studies.montecarlo.strata import STRATA, strata_of

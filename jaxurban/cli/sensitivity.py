@@ -156,8 +156,7 @@ def sensitivity_study(folders: Sequence[Path], output: Path, as_json: bool, over
     from jaxurban.report.run_sensitivity import sensitivity_study as study
     from jaxurban.studies.montecarlo.run import MapsFolder
     from jaxurban.studies.montecarlo.trial import HAS_PATH
-    from jaxurban.studies.sensitivity.remade import RemadeSettings
-    from jaxurban.studies.sensitivity.routes import SensitivityStudySettings
+    from jaxurban.studies.sensitivity.routes import RemadeSettings, SensitivityStudySettings
 
     if given["queries"] is not None and (given["num_routes"] is not None or given["altitudes_m"]):
         raise click.UsageError("--queries names the routes: leave out --routes and --altitudes, or --queries")

@@ -16,7 +16,7 @@ from jaxurban.maps.differentiable import SoftParams
 from jaxurban.paths.path import PlannedPath
 from jaxurban.report.figures.buildings import plot_building_costs
 from jaxurban.report.figures.frame import in_degrees
-from jaxurban.report.save import save
+from jaxurban.report.write import save
 from jaxurban.scenario.provenance import hash_inputs
 from jaxurban.scenario.run import tasks_of
 from jaxurban.scenario.settings import Scenario

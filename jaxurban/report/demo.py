@@ -12,7 +12,7 @@ from jaxurban.paths.plan import plan
 from jaxurban.progress import Report
 from jaxurban.report.figures import save_figures
 from jaxurban.report.maps import summary_markdown
-from jaxurban.report.save import save
+from jaxurban.report.write import save
 from jaxurban.scenario.run import run_scenario
 from jaxurban.scenario.settings import PAPER_PLANNERS, Scenario
 

@@ -12,7 +12,7 @@ from jaxurban.metrics.rating import Rating, rating
 from jaxurban.paths.path import PlannedPath
 from jaxurban.report.figures.files import maps_figures
 from jaxurban.report.figures.notes import caveats_said, rules_said
-from jaxurban.report.markdown import bullets, fill, framed, listed, table
+from jaxurban.report.write import bullets, fill, framed, listed, table
 
 Paths = Mapping[float, Sequence[PlannedPath]]
 

@@ -8,10 +8,9 @@ import pandas as pd
 
 from jaxurban.io.workspace import Workspace
 from jaxurban.report.figures.montecarlo import study_figures
-from jaxurban.report.markdown import counted, fill, framed, listed
 from jaxurban.report.run_montecarlo import BenchmarkResult
-from jaxurban.report.save import Output, save
 from jaxurban.report.sensitivity_study import weights_said
+from jaxurban.report.write import Output, counted, fill, framed, listed, save
 from jaxurban.studies.bootstrap import FEWEST_GROUPS
 from jaxurban.studies.montecarlo import analysis
 from jaxurban.studies.montecarlo.complementarity import complementarity

@@ -14,8 +14,7 @@ from jaxurban.errors import typed
 from jaxurban.io.read.receiver import TRACKED
 from jaxurban.io.workspace import Workspace
 from jaxurban.report.figures.receiver import LABELS, name_of, plot_scatter
-from jaxurban.report.markdown import bullets, fill, table
-from jaxurban.report.save import Output, files_of, save
+from jaxurban.report.write import Output, bullets, files_of, fill, save, table
 from jaxurban.studies.bootstrap import FEWEST_GROUPS
 from jaxurban.studies.receiver.scores import COEFFICIENTS, MAIN, SPEARMAN, WITHIN
 from jaxurban.studies.receiver.validate import ReceiverValidation

@@ -35,8 +35,16 @@ from jaxurban.studies.montecarlo.sampling import (
     weight_columns,
 )
 from jaxurban.studies.queries import population_norms
-from jaxurban.studies.sensitivity.remade import REMADE_KEY, RemadeSettings, num_remade, remade_of, remade_rows
-from jaxurban.studies.sensitivity.routes import ROUTE_KEY, SensitivityStudySettings, row_columns
+from jaxurban.studies.sensitivity.routes import (
+    REMADE_KEY,
+    ROUTE_KEY,
+    RemadeSettings,
+    SensitivityStudySettings,
+    num_remade,
+    remade_of,
+    remade_rows,
+    row_columns,
+)
 
 ROUTES_FOLDER, REMADE_FOLDER = "routes", "remade"
 ONE_RUN: tuple[str, ...] = ()

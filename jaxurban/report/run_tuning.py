@@ -20,7 +20,6 @@ from jaxurban.paths.cost_map import CostMap
 from jaxurban.progress import Progress, reporting
 from jaxurban.report.figures.frame import in_degrees
 from jaxurban.report.figures.tuning import plot_learning, plot_regret, plot_routes, plot_targets, plot_weights
-from jaxurban.report.save import Output, files_of, save
 from jaxurban.report.tuning import (
     FitSource,
     fits_section,
@@ -31,6 +30,7 @@ from jaxurban.report.tuning import (
     weights_option,
     weights_toml,
 )
+from jaxurban.report.write import Output, files_of, save
 from jaxurban.studies.demonstrations import Demonstration, PlannedBeside, plan_beside
 from jaxurban.studies.montecarlo.sampling import PLACES, TIMES, sample_instances
 from jaxurban.studies.queries import maps_of

@@ -13,8 +13,7 @@ from jaxurban.planners.cost_model import CostModel
 from jaxurban.report.figures.frame import in_degrees
 from jaxurban.report.figures.notes import joined
 from jaxurban.report.figures.sensitivity import sensitivity_figures
-from jaxurban.report.markdown import fill, framed, listed, short, table
-from jaxurban.report.save import files_of, save
+from jaxurban.report.write import files_of, fill, framed, listed, save, short, table
 from jaxurban.studies.outcomes import outcome_label, outcome_names, outcome_unit
 from jaxurban.studies.sensitivity.sobol import FEW_SAMPLES
 from jaxurban.studies.sensitivity.study import Sensitivity

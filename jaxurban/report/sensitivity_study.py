@@ -11,8 +11,7 @@ import pandas as pd
 
 from jaxurban.paths.queries import WEIGHT_PREFIX
 from jaxurban.report.figures.sensitivity_study import study_figures
-from jaxurban.report.markdown import bullets, fill, framed, table
-from jaxurban.report.save import Output, files_of, save
+from jaxurban.report.write import Output, bullets, files_of, fill, framed, save, table
 from jaxurban.studies.bootstrap import FEWEST_GROUPS
 from jaxurban.studies.montecarlo.sampling import weighed_metrics, weight_columns
 from jaxurban.studies.montecarlo.trial import HAS_PATH
@@ -41,7 +40,7 @@ class SensitivityStudy:
       cities: how the cities are called, with their grids in words.
       instances: the routes asked for.
       rows: what was found for each (`jaxurban.studies.sensitivity.routes.route_row`).
-      remade: how each route differs on maps made anew (`jaxurban.studies.sensitivity.remade.remade_rows`).
+      remade: how each route differs on maps made anew (`jaxurban.studies.sensitivity.routes.remade_rows`).
       skipped: why maps were not made anew, a sentence a city.
       settings: what was asked.
       is_sampled: whether the routes were drawn, by stratum and range, or given.

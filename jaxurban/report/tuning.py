@@ -9,7 +9,7 @@ import pandas as pd
 
 from jaxurban.metrics.weights import Weights
 from jaxurban.paths.cost_map import CostMap
-from jaxurban.report.markdown import bullets, counted, fill, framed, table
+from jaxurban.report.write import bullets, counted, fill, framed, table
 from jaxurban.studies.demonstrations import PlannedBeside
 from jaxurban.studies.tuning.compared_fits import FitComparison
 from jaxurban.studies.tuning.target_fit import TargetFit

@@ -18,7 +18,7 @@ from jaxurban.io.files import write_json
 from jaxurban.io.store import write_zarr
 from jaxurban.paths.export.write import write_path
 from jaxurban.studies.montecarlo.trial import BenchmarkSettings
-from jaxurban.studies.sensitivity import local
+from jaxurban.studies.sensitivity import sobol
 from tests.cli_runs import assert_one_sentence, run
 from tests.made_maps import made_maps
 from tests.studies.routes_made import write_geojson
@@ -109,8 +109,8 @@ def test_each_part_of_a_cost_model_and_constraints_change_the_cost(plans):
     "model", [pytest.param(m, marks=() if m in QUICK_MODELS else pytest.mark.slow) for m in MODELS], ids=str
 )
 def test_every_way_gives_one_path_one_cost(maps, ends, plans, closing, model, constrained, tmp_path, monkeypatch):
-    monkeypatch.setattr(local, "NUM_REPEATS", 2)
-    monkeypatch.setattr(local, "NUM_NOISE", 2)
+    monkeypatch.setattr(sobol, "NUM_REPEATS", 2)
+    monkeypatch.setattr(sobol, "NUM_NOISE", 2)
     closed = {"constraints": closing[constrained]}
     costs = costs_of_every_way(maps, ends, plans[model, constrained], {"cost_model": model} | closed, closed, tmp_path)
     assert costs == pytest.approx(dict.fromkeys(costs, plans[model, constrained].cost), rel=1e-9)
@@ -166,8 +166,8 @@ def low_roofs(maps) -> ju.MetricMaps:
 def test_without_a_model_every_way_has_the_rules_of_scenario_and_preset_and_one_cost(
     low_roofs, ends, preset, planning, rules, tmp_path, monkeypatch, capsys
 ):
-    monkeypatch.setattr(local, "NUM_REPEATS", 2)
-    monkeypatch.setattr(local, "NUM_NOISE", 2)
+    monkeypatch.setattr(sobol, "NUM_REPEATS", 2)
+    monkeypatch.setattr(sobol, "NUM_NOISE", 2)
     under = {"preset": preset} if preset else {}
     kind, rule, clearance_m = rules
     constraints = ju.Constraints(vertical_clearance_m=clearance_m)

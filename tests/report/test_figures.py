@@ -30,7 +30,7 @@ from jaxurban.report.figures.metrics import percent
 from jaxurban.report.figures.notes import joined
 from jaxurban.report.figures.paths import PLANNER_COLOURS
 from jaxurban.report.figures.style import Colours, bar_ticks, wrapped
-from jaxurban.report.save import DPI, write_png
+from jaxurban.report.write import DPI, write_png
 from jaxurban.world.grid import Grid
 
 ALTITUDES_M = (20.0, 60.0, 122.0, 600.0)

@@ -13,8 +13,7 @@ from jaxurban.planners.moves import STEPS
 from jaxurban.studies.outcomes import cluster_routes
 from jaxurban.studies.queries import RouteQuery
 from jaxurban.studies.route_pool import RoutePool
-from jaxurban.studies.sensitivity.breakpoints import find_breakpoints, nearest_breakpoints
-from jaxurban.studies.sensitivity.pareto import pareto_front
+from jaxurban.studies.sensitivity.breakpoints import find_breakpoints, nearest_breakpoints, pareto_front
 from tests.made_maps import made_maps
 
 GIVEN = np.array([0.1, 1.0, 1.0, 1.0, 1.0])

@@ -53,7 +53,7 @@ def test_its_weight_changes_the_route_of_plan_many_and_explain_agrees(maps, ends
 
 
 def test_sensitivity_finds_the_breakpoints_of_its_weight(maps, ends, monkeypatch):
-    monkeypatch.setattr("jaxurban.studies.sensitivity.local.NUM_REPEATS", 2)
+    monkeypatch.setattr("jaxurban.studies.sensitivity.sobol.NUM_REPEATS", 2)
     how = ju.SensitivitySettings(vary=("noise", "gps"), num_samples=4, objectives=("distance", "noise"), max_plans=20)
     found = ju.sensitivity(ju.cost_map(maps, 20.0, weights=LOUD.replace(noise=1.0)), *ends, settings=how)
     assert found.names == NAMES

@@ -17,7 +17,7 @@ from jaxurban.report.figures.sensitivity import sensitivity_figures
 from jaxurban.report.sensitivity import ranges, save_sensitivity, sensitivity_markdown
 from jaxurban.studies.queries import RouteQuery
 from jaxurban.studies.route_pool import RoutePool
-from jaxurban.studies.sensitivity.local import local_sensitivity
+from jaxurban.studies.sensitivity.sobol import local_sensitivity
 from tests.cli_runs import assert_one_sentence, run
 from tests.made_maps import made_maps
 

@@ -22,7 +22,7 @@ from jaxurban.metrics.custom import Layer
 from jaxurban.report.figures.sensitivity_study import plot_nearest, plot_where, study_figures
 from jaxurban.report.sensitivity_study import _rows, share_said, study_markdown
 from jaxurban.studies.montecarlo.sampling import sample_joined
-from jaxurban.studies.sensitivity.remade import parameters_of, remade_of, remade_rows, with_parameter
+from jaxurban.studies.sensitivity.routes import parameters_of, remade_of, remade_rows, with_parameter
 from jaxurban.studies.sensitivity.summary import comparisons_of, shares_table, summarise, summarise_shares
 from tests.cli_runs import assert_one_sentence, run
 from tests.made_maps import made_maps

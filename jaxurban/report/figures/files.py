@@ -26,7 +26,7 @@ from jaxurban.report.figures.metrics import (
 from jaxurban.report.figures.paths import Paths, by_altitude, plot_overview, plot_paths
 from jaxurban.report.figures.profile import plot_profile
 from jaxurban.report.figures.protection import NAMES as PROTECTION
-from jaxurban.report.save import save
+from jaxurban.report.write import save
 
 
 def save_figures(maps: GivenMaps, paths: Paths, folder: str | Path, *, degrees: bool = False) -> list[Path]:

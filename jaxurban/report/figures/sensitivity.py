@@ -30,7 +30,7 @@ from jaxurban.report.figures.style import (
     show_plain,
     styled,
 )
-from jaxurban.report.markdown import counted, listed
+from jaxurban.report.write import counted, listed
 from jaxurban.studies.outcomes import outcome_label
 from jaxurban.studies.sensitivity.sobol import CONFIDENCE
 from jaxurban.studies.sensitivity.study import Sensitivity

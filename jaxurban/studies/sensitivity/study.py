@@ -19,10 +19,21 @@ from jaxurban.progress import Progress, reporting
 from jaxurban.studies.outcomes import cluster_routes, outcomes_of
 from jaxurban.studies.queries import RouteQuery, check_flat
 from jaxurban.studies.route_pool import RoutePool
-from jaxurban.studies.sensitivity.breakpoints import Partition, check_tolerance, find_breakpoints
-from jaxurban.studies.sensitivity.local import LocalSensitivity, local_sensitivity
-from jaxurban.studies.sensitivity.pareto import ParetoFront, check_objectives, pareto_front
-from jaxurban.studies.sensitivity.sobol import SobolIndices, check_vary, sobol_of_weights
+from jaxurban.studies.sensitivity.breakpoints import (
+    ParetoFront,
+    Partition,
+    check_objectives,
+    check_tolerance,
+    find_breakpoints,
+    pareto_front,
+)
+from jaxurban.studies.sensitivity.sobol import (
+    LocalSensitivity,
+    SobolIndices,
+    check_vary,
+    local_sensitivity,
+    sobol_of_weights,
+)
 from jaxurban.world.show import Shown
 
 NUM_CLUSTERS = 7  # of routes over a triangle: a picture of more colours is hard to read
