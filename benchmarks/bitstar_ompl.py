@@ -23,8 +23,8 @@ from jaxurban.maps.metric_maps import open_maps
 from jaxurban.metrics.weights import Weights
 from jaxurban.planners.any_angle import theta_star
 from jaxurban.planners.base import Path, Problem
+from jaxurban.planners.bitstar.bounds import cost_grid_of
 from jaxurban.planners.bitstar.planner import bitstar_dist, bitstar_plus
-from jaxurban.planners.cost_grid import cost_grid_of
 from jaxurban.planners.refine import refine
 
 

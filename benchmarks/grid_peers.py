@@ -24,8 +24,8 @@ from jaxurban.planners.astar import astar
 from jaxurban.planners.base import Cell, Problem
 from jaxurban.planners.bounds import make_landmarks
 from jaxurban.planners.cost_model import CostModel
+from jaxurban.planners.grid_search import NO_HEURISTIC, Graph, GridSearch, Heuristic, graph_of
 from jaxurban.planners.moves import STEPS
-from jaxurban.planners.search.grid import NO_HEURISTIC, Graph, GridSearch, Heuristic, graph_of
 
 CITY_M = (10_000.0, 20_000.0)
 RESOLUTION_M = 5.0

@@ -9,7 +9,7 @@ from jaxurban.kernels.search.heap import EXHAUSTED, FOUND, PAUSED
 from jaxurban.planners.base import Path, Problem, Status
 from jaxurban.planners.bounds import AUTO, PRINTED, TABLES, has_tables, heuristic_at, make_heuristic
 from jaxurban.planners.compiled_first import compiled_first
-from jaxurban.planners.search.grid import GridSearch, cell_of, graph_of, way_m
+from jaxurban.planners.grid_search import GridSearch, cell_of, graph_of, way_m
 
 
 @compiled_first()

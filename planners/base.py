@@ -9,11 +9,11 @@ from typing import Any, Protocol, Self, TypeVar
 
 import numpy as np
 
-from jaxurban.errors import InputError
+from jaxurban.errors import InputError, positive
 from jaxurban.kernels.search.tiles import tile_minima
 from jaxurban.kernels.search.weighing import are_costs, in_rows, weighted_sum
 from jaxurban.planners.cost import CostKind, PathFeatures, path_features
-from jaxurban.planners.cost_model import CostModel, positive_m
+from jaxurban.planners.cost_model import CostModel
 from jaxurban.planners.moves import allowed_moves
 
 Cell = tuple[int, ...]  # row, column; in a volume level, row, column. Row 0 is in the south, level 0 the lowest
@@ -114,16 +114,10 @@ class Problem:
         given = np.asarray(self.costs)
         costs = _read_only(given, np.float32 if given.dtype == np.float32 else np.float64)
         is_free = _read_only(self.is_free, np.bool_)
-        num_dims = 2 if self.levels_m is None else 3
-        if is_free.ndim != num_dims or costs.ndim != num_dims + 1 or costs.shape[1:] != is_free.shape:
-            over = "[L, Y, X] over is_free [Y, X]" if num_dims == 2 else "[L, K, Y, X] over is_free [K, Y, X]"
-            raise InputError(f"costs must be {over}, got {costs.shape} and {is_free.shape}")
         if self.levels_m is not None:
-            object.__setattr__(self, "levels_m", _checked_levels(self.levels_m, is_free))
+            object.__setattr__(self, "levels_m", np.asarray(self.levels_m, np.float64))
         object.__setattr__(self, "cost_model", CostModel.of(self.cost_model))
-        positive_m("resolution_m", self.resolution_m)
-        if not 0 <= self.leg_margin_m < self.resolution_m / 2:
-            raise InputError(f"leg_margin_m must be from 0 up to half a cell, got {self.leg_margin_m!r}")
+        positive("resolution_m", self.resolution_m, "metres")
         # Each layer, not only the sum, so that a negative one cannot hide behind another; NaN fails too.
         if not are_costs(in_rows(costs), in_rows(is_free[None])[0]):
             raise InputError("costs must be finite and not negative on free cells: check the maps")
@@ -268,15 +262,6 @@ class Problem:
     def tile_minima(self) -> np.ndarray:
         """``[I + 2, J + 2]`` the cheapest free cell of every tile, in a frame (see `kernels.search.tiles`)."""
         return self.once("tile_minima", lambda: tile_minima(self.cost, self.is_free))
-
-
-def _checked_levels(levels_m: Any, is_free: np.ndarray) -> np.ndarray:
-    levels_m = np.asarray(levels_m, np.float64)
-    if levels_m.shape != is_free.shape[:1]:
-        raise InputError(f"levels_m must be [K] for is_free [K, Y, X], got {levels_m.shape} and {is_free.shape}")
-    if not (np.isfinite(levels_m).all() and np.all(np.diff(levels_m) > 0)):
-        raise InputError(f"levels_m must be finite and ascending, got {levels_m.tolist()}")
-    return levels_m
 
 
 def _read_only(values: np.ndarray, dtype: type) -> np.ndarray:

@@ -10,13 +10,12 @@ from typing import Literal, get_args
 import jax
 import numpy as np
 
-from jaxurban.errors import InputError
+from jaxurban.errors import InputError, at_least, one_of
 from jaxurban.planners.base import Cell, Path, Problem
 from jaxurban.planners.bitstar.batched import solve_batched
 from jaxurban.planners.bounds import AUTO, NUM_LANDMARKS, cost_to_go, make_landmarks
-from jaxurban.planners.checks import check_budget
+from jaxurban.planners.frontier import solve_by_frontier
 from jaxurban.planners.registry import PLANNERS, find_planner
-from jaxurban.planners.search.frontier import solve_by_frontier
 
 Outcome = tuple[int, Path | Exception]
 Backend = Literal["auto", "numba", "jax"]
@@ -71,14 +70,12 @@ def solve_many(
 
     Raises:
       InputError: an unknown planner, heuristic or backend, a planner or heuristic that ``"jax"`` does not
-        have, or a budget or number of threads that is not positive.
+        have, or a wrong number of threads.
     """
     find_planner(planner, heuristic)
-    if backend not in get_args(Backend):
-        raise InputError(f"backend must be one of {', '.join(get_args(Backend))}, got {backend!r}")
-    check_budget(budget_s)
-    if num_threads is not None and num_threads < 1:
-        raise InputError(f"num_threads must be at least 1, got {num_threads}")
+    one_of("backend", backend, get_args(Backend))
+    if num_threads is not None:
+        at_least("num_threads", num_threads, 1)
     only = range(len(problems)) if only is None else only
     if backend == "jax" and planner in SAMPLING_PLANNERS:
         chosen, some = heuristic or PLANNERS[planner].default_heuristic, [problems[index] for index in only]

@@ -18,7 +18,7 @@ from jaxurban.kernels.search.bounds import printed_plus_field, sums_to
 from jaxurban.kernels.search.heap import CLOSED, EXHAUSTED, PAUSED
 from jaxurban.kernels.search.tiles import StepCost, TileBound, costs_at_corners, tile_bound
 from jaxurban.planners.base import Cell, Problem
-from jaxurban.planners.search.grid import (
+from jaxurban.planners.grid_search import (
     NO_HEURISTIC,
     GridSearch,
     Heuristic,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from jaxurban.errors import InputError
-from jaxurban.kernels.line.clear import are_clear
+from jaxurban.kernels.line.segment_cost import are_clear
 from jaxurban.kernels.line.traversal import Crossings, crossed_cells, is_free_way
 from jaxurban.planners.moves import STEPS
 

@@ -2,11 +2,9 @@
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
-import numpy as np
-
-from jaxurban.errors import InputError, typed
+from jaxurban.errors import one_of, positive, typed
 from jaxurban.planners.cost import CostKind
 from jaxurban.presets import DEFAULTS
 
@@ -35,13 +33,11 @@ class CostModel:
     diagonal: Diagonal = "both-free"
 
     def __post_init__(self) -> None:
-        if self.kind not in ("cell", "line"):
-            raise InputError(f"cost_model must be 'cell' or 'line', got {self.kind!r}")
-        if self.connectivity not in (4, 8):
-            raise InputError(f"connectivity must be 4 or 8, got {self.connectivity}")
-        if self.diagonal not in ("both-free", "always"):
-            raise InputError(f"diagonal must be 'both-free' or 'always', got {self.diagonal!r}")
-        object.__setattr__(self, "reference_length_m", positive_m("reference_length_m", self.reference_length_m))
+        one_of("cost_model", self.kind, get_args(CostKind))
+        one_of("connectivity", self.connectivity, (4, 8))
+        one_of("diagonal", self.diagonal, get_args(Diagonal))
+        length_m = positive("reference_length_m", self.reference_length_m, "metres")
+        object.__setattr__(self, "reference_length_m", length_m)
 
     @classmethod
     def of(cls, given: "CostModel | CostKind | None") -> "CostModel":
@@ -76,18 +72,3 @@ class CostModel:
             f"{self.kind!r} (reference length {self.reference_length_m:g} m, {self.connectivity} neighbours, "
             f"diagonal steps {self.diagonal!r})"
         )
-
-
-def positive_m(name: str, value: Any) -> float:
-    """Return a length as a float.
-
-    Raises:
-      InputError: it is not a positive number of metres.
-    """
-    try:
-        length_m = float(value)
-    except (TypeError, ValueError):
-        length_m = np.nan
-    if not 0 < length_m < np.inf:
-        raise InputError(f"{name} must be a positive number of metres, got {value}")
-    return length_m

@@ -8,12 +8,9 @@ import numpy as np
 
 from jaxurban.errors import InputError
 from jaxurban.kernels.line.segment_cost import CostGrid
-from jaxurban.planners.any_angle import check_line_model, shortened, subdivided
+from jaxurban.planners.any_angle import TIE, check_line_model, move_points, shortened, subdivided
 from jaxurban.planners.base import EVERY_PATH, Path, Problem, Status
-from jaxurban.planners.bitstar.bounds import make_bounds
-from jaxurban.planners.checks import check_budget
-from jaxurban.planners.cost_grid import cost_grid_of
-from jaxurban.planners.search.any_angle import TIE, move_points
+from jaxurban.planners.bitstar.bounds import cost_grid_of, make_bounds
 
 LONGEST = 8  # cell sides that a segment may grow to
 SPACINGS = (LONGEST, 4, 2, 1)  # cell sides between waypoints, one level after the other: long bends first
@@ -41,11 +38,9 @@ def refine(problem: Problem, path: Path, *, budget_s: float = np.inf) -> Path:
       budget_s: seconds of refinement.
 
     Raises:
-      InputError: the ``cell`` cost model with map costs, a path that is blocked or off the map, or a budget that is not
-        positive.
+      InputError: the ``cell`` cost model with map costs, or a path that is blocked or off the map.
     """
     check_line_model(problem, "refinement")
-    check_budget(budget_s)
     if not path.status.has_path:
         return path
     before = problem.cost_of(path.points_m)

@@ -4,16 +4,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
-import numpy as np
-
 from jaxurban.errors import InputError, nearest_name
-from jaxurban.planners.any_angle import theta_star
+from jaxurban.planners.any_angle import ptp, theta_star
 from jaxurban.planners.astar import astar_dist, astar_plus, volume_astar
 from jaxurban.planners.base import Path, Planner
 from jaxurban.planners.bitstar.bounds import HEURISTICS as OFF_GRID_HEURISTICS
 from jaxurban.planners.bitstar.planner import bitstar_dist, bitstar_plus
 from jaxurban.planners.bounds import AUTO, HEURISTICS, VOLUME_HEURISTICS
-from jaxurban.planners.ptp import ptp
 
 
 @dataclass(frozen=True)
@@ -52,16 +49,6 @@ VOLUME_PLANNERS = {
         volume_astar, "A* between levels, for paths that climb and descend", "plus", VOLUME_HEURISTICS
     ),
 }
-
-
-def check_seed(seed: int) -> None:
-    """Refuse a seed that no generator of random numbers takes.
-
-    Raises:
-      InputError: it is not a whole number, or negative.
-    """
-    if not isinstance(seed, (int, np.integer)) or seed < 0:
-        raise InputError(f"seed must be a whole number >= 0, got {seed!r}")
 
 
 def find_planner(name: str, heuristic: str | None = None, *, is_for_volumes: bool = False) -> Planner:

@@ -8,12 +8,11 @@ from itertools import pairwise
 import numpy as np
 import shapely
 
-from jaxurban.errors import InputError
+from jaxurban.errors import InputError, positive
 from jaxurban.kernels.compiled import compiled
-from jaxurban.kernels.line.clear import are_clear, is_clear
+from jaxurban.kernels.line.segment_cost import are_clear, is_clear
 from jaxurban.planners.any_angle import subdivided
 from jaxurban.planners.base import Path, Problem, Status
-from jaxurban.planners.cost_model import positive_m
 
 CLEAR_M = 0.02  # that legs keep from closed cells, so that coordinates of 7 decimals of a degree cannot enter them
 NUDGES = (1.5, 3.0)  # by how many such distances points may move where the path itself passes nearer
@@ -50,7 +49,7 @@ def simplify(problem: Problem, path: Path, tolerance_m: float) -> Path:
     Raises:
       InputError: a tolerance that is not a positive number of metres, or a path that is blocked or off the map.
     """
-    tolerance_m = positive_m("tolerance_m", tolerance_m)
+    tolerance_m = positive("tolerance_m", tolerance_m, "metres")
     if not path.status.has_path:
         return path
     before = problem.cost_of(path.points_m)

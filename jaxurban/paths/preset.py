@@ -3,16 +3,15 @@
 from dataclasses import dataclass
 from typing import Any
 
-from jaxurban.errors import InputError
+from jaxurban.errors import InputError, at_least
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.weights import GivenWeights, Weights
 from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.snapping import snap_limit_m
 from jaxurban.paths.vehicle import Vehicle
 from jaxurban.planners.base import CostKind
-from jaxurban.planners.checks import check_budget
 from jaxurban.planners.cost_model import CostModel
-from jaxurban.planners.registry import check_seed, find_planner
+from jaxurban.planners.registry import find_planner
 from jaxurban.presets import BUDGET_S, planning_under
 
 
@@ -95,8 +94,9 @@ class PathSearch:
         chosen = {"planner": "astar-volume" if is_for_volumes else "astar-plus"}
         chosen |= {name: recorded[name] for name in names if name in recorded}
         search = cls(**chosen | {name: value for name, value in given.items() if value is not None})
-        check_seed(search.seed)
-        check_budget(search.budget_s)
+        at_least("seed", search.seed)
+        if not search.budget_s > 0:
+            raise InputError(f"budget_s must be a positive number of seconds, got {search.budget_s}")
         snap_limit_m(search.snap)
         if is_for_volumes and search.refine:
             raise InputError("refine moves waypoints on one altitude: leave it out of a path that climbs and descends")

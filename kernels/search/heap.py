@@ -182,7 +182,7 @@ def insert(queue, f, node):
 
 
 @compiled(forceinline=True)
-def refill(queue, graph, g, state):
+def refill(queue, num_cols, moves, cost, g, state):
     """Bring the next bucket's entries into an empty heap; it stays empty where no bucket is left.
 
     They will soon be expanded, so what is known of them and of their neighbours is asked for now. Those that have been
@@ -209,9 +209,9 @@ def refill(queue, graph, g, state):
             node = np.int64(queue.far_node[slot])
             if not state[np.uint64(node)] & CLOSED:
                 insert(queue, queue.far_f[slot], node)
-                prefetch(graph.moves, node)
-                for beside in (node - graph.num_cols, node, node + graph.num_cols):
+                prefetch(moves, node)
+                for beside in (node - num_cols, node, node + num_cols):
                     prefetch(g, beside)
                     prefetch(state, beside)
-                    prefetch(graph.cost, beside)
+                    prefetch(cost, beside)
             slot = next_slot

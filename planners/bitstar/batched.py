@@ -16,8 +16,8 @@ from jaxurban.kernels.line.segment_cost import CostGrid
 from jaxurban.kernels.search.sample_graph import NO_PARENT, NO_QUERY, Samples, Sizes, search_samples
 from jaxurban.planners.base import Path, Problem
 from jaxurban.planners.bitstar.batches import DEFAULTS, Batches, BitStarOptions, Budget, begun, check_limits, ended
-from jaxurban.planners.checks import power_of_two
-from jaxurban.planners.cost_grid import cost_grid_of
+from jaxurban.planners.bitstar.bounds import cost_grid_of
+from jaxurban.planners.compiled_first import power_of_two
 
 QUERIES_TOGETHER = {"cpu": 64, "gpu": 256}
 MOST_NODES = {"cpu": 2**18, "gpu": 2**21}  # of all queries that run together: some 2 kB each
@@ -61,7 +61,7 @@ def solve_batched(
     Raises:
       InputError: as in `bitstar`, or more or fewer seeds than problems, or problems with a margin of legs.
     """
-    check_limits(heuristic, budget_s, max_samples, options)
+    check_limits(budget_s, max_samples, options)
     if len(seeds) != len(problems):
         raise InputError(f"seeds must be one for each of {len(problems)} problems, got {len(seeds)}")
     if any(problem.leg_margin_m for problem in problems):
@@ -97,7 +97,7 @@ def _run_together(
 ) -> Iterator[tuple[int, Budget]]:
     """Search the queries' graphs batch by batch; yield the number of each that is done, and the budget as it is then.
 
-    JAX works in a thread of its own, as in `planners.search.frontier`: a Ctrl-C lets it end its turn, and the setting
+    JAX works in a thread of its own, as in `planners.frontier`: a Ctrl-C lets it end its turn, and the setting
     for float64 stays there.
     """
     running = {index: batches for index, batches in queries.items() if batches is not None and not batches.is_done}

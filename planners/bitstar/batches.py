@@ -7,35 +7,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxurban.errors import InputError
+from jaxurban.errors import InputError, at_least, one_of, positive
 from jaxurban.planners.base import EVERY_PATH, ROUNDING, Path, Problem, Status
-from jaxurban.planners.bitstar.bounds import HEURISTICS, Bounds, make_bounds
-from jaxurban.planners.bitstar.samples import InformedSet, graph_radius
+from jaxurban.planners.bitstar.bounds import Bounds, InformedSet, graph_radius, make_bounds, reachable_cells
 from jaxurban.planners.bitstar.tree import Tree
-from jaxurban.planners.checks import check_budget, check_name
-from jaxurban.planners.cost_grid import reachable_cells
 
 MOST_IN_A_BATCH = 100_000  # samples, so that the clock is looked at between them
 BACKENDS = ("numba", "jax", "auto")
-
-
-def chosen_backend(name: str) -> str:
-    """Return ``"numba"`` or ``"jax"``: the name itself, or what ``"auto"`` picks.
-
-    ``auto`` picks numba: on a CPU the compiled search, which costs only the edges that come first in its queue, is
-    several times as fast (docs/benchmarks.md), and on a GPU nothing was measured.
-
-    Raises:
-      InputError: an unknown name.
-    """
-    check_name("backend", name, BACKENDS)
-    return "numba" if name == "auto" else name
-
-
-def check_count(name: str, value: int | None) -> None:
-    """Raise InputError unless a limit is None or not negative."""
-    if value is not None and not value >= 0:
-        raise InputError(f"{name} must be a whole number >= 0, got {value}")
 
 
 @dataclass(frozen=True)
@@ -50,12 +28,12 @@ class BitStarOptions:
       target_cost: end with a path this cheap.
       min_improvement: end with the first batch that improves a path by a smaller share of its cost.
       backend: what searches the graph of a batch: ``"numba"`` in order of lower bounds, costing each edge as it comes
-        first in the queue; ``"jax"`` all at once on JAX's device (`bitstar.batched`); ``"auto"`` picks
-        (`chosen_backend`).
+        first in the queue; ``"jax"`` all at once on JAX's device (`bitstar.batched`); ``"auto"`` picks numba: on a CPU
+        it is several times as fast (docs/benchmarks.md), and on a GPU nothing was measured.
       on_batch: called with each `Batch` when it ends, to draw or record it; its time counts towards the budget.
 
     Raises:
-      InputError: a number out of its range.
+      InputError: a number out of its range, or an unknown backend.
     """
 
     batch_samples: int = 100
@@ -68,28 +46,27 @@ class BitStarOptions:
     on_batch: "Callable[[Batch], None] | None" = None
 
     def __post_init__(self) -> None:
-        if not 1 <= self.batch_samples < np.inf:
-            raise InputError(f"batch_samples must be a whole number >= 1, got {self.batch_samples}")
-        if not 0 < self.eta < np.inf:
-            raise InputError(f"eta must be a positive number, got {self.eta}")
+        at_least("batch_samples", self.batch_samples, 1)
+        positive("eta", self.eta)
+        one_of("backend", self.backend, BACKENDS)
         for name in ("growth", "target_cost", "min_improvement"):
             if not 0 <= getattr(self, name) < np.inf:
                 raise InputError(f"{name} must be a number >= 0, got {getattr(self, name)}")
-        check_count("max_batches", self.max_batches)
+        if self.max_batches is not None:
+            at_least("max_batches", self.max_batches)
 
 
 DEFAULTS = BitStarOptions()
 
 
-def check_limits(heuristic: str, budget_s: float, max_samples: int | None, options: BitStarOptions) -> None:
+def check_limits(budget_s: float, max_samples: int | None, options: BitStarOptions) -> None:
     """Refuse what no search can be run with.
 
     Raises:
-      InputError: an unknown heuristic, a number out of its range, or no limit of time, batches or samples.
+      InputError: a number of samples out of its range, or no limit of time, batches or samples.
     """
-    check_name("heuristic", heuristic, HEURISTICS)
-    check_budget(budget_s)
-    check_count("max_samples", max_samples)
+    if max_samples is not None:
+        at_least("max_samples", max_samples)
     if budget_s == np.inf and options.max_batches is None and max_samples is None:
         raise InputError("budget_s is inf and nothing else ends the search: give it, max_batches or max_samples")
 

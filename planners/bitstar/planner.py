@@ -16,12 +16,11 @@ from jaxurban.planners.bitstar.batches import (
     Budget,
     begun,
     check_limits,
-    chosen_backend,
     ended,
 )
+from jaxurban.planners.bitstar.bounds import cost_grid_of
 from jaxurban.planners.bitstar.search import EDGE, NOT_COSTED, BatchGraph, advance
 from jaxurban.planners.compiled_first import compiled_first
-from jaxurban.planners.cost_grid import cost_grid_of
 
 CHUNK = 20_000  # queue entries between two looks at the clock: some 20 ms
 FIRST_QUEUE = 4096  # entries; doubled when full
@@ -66,10 +65,10 @@ def bitstar(
       planner: the name that the path carries.
 
     Raises:
-      InputError: an unknown heuristic or backend, a number out of its range, or no limit of time, batches or samples.
+      InputError: an unknown heuristic, a number out of its range, or no limit of time, batches or samples.
     """
-    check_limits(heuristic, budget_s, max_samples, options)
-    if chosen_backend(options.backend) == "jax":
+    check_limits(budget_s, max_samples, options)
+    if options.backend == "jax":
         paths = solve_batched(
             [problem],
             planner=planner,

@@ -10,7 +10,7 @@ from jaxurban.planners.astar import astar
 from jaxurban.planners.base import Problem, Status
 from jaxurban.planners.bounds import heuristic_at, make_heuristic
 from jaxurban.planners.cost_model import CostModel
-from jaxurban.planners.search.grid import graph_of
+from jaxurban.planners.grid_search import graph_of
 
 SHAPES = [
     (43, 61),

@@ -9,12 +9,12 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
 from jaxurban.errors import InputError
+from jaxurban.planners import grid_search as search_module
 from jaxurban.planners.astar import astar, astar_dist, astar_plus
 from jaxurban.planners.base import Problem, Status
 from jaxurban.planners.bounds import ADMISSIBLE, HEURISTICS, heuristic_at, make_heuristic
 from jaxurban.planners.cost_model import CostModel
 from jaxurban.planners.registry import PLANNERS, find_planner
-from jaxurban.planners.search import grid as search_module
 
 VARIANTS = list(itertools.product(["cell", "line"], ["both-free", "always"], [8, 4]))
 

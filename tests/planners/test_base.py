@@ -19,7 +19,6 @@ def make(costs=LAYERS, is_free=FREE, start=(0, 0), goal=(0, 2), resolution_m=1.0
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"costs": LAYERS[0]}, r"costs must be \[L, Y, X\]"),
         ({"costs": np.where(FREE, np.nan, 0)[None]}, "costs must be finite"),
         ({"costs": np.array([-np.ones((2, 3)), 2 * np.ones((2, 3))])}, "not negative"),
         ({"costs": np.full((1, 2, 3), np.inf)}, "costs must be finite"),

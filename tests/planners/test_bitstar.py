@@ -11,10 +11,9 @@ from shapely import LineString, box, union_all
 
 from jaxurban.errors import InputError
 from jaxurban.planners.base import Problem, Status
-from jaxurban.planners.bitstar.batches import BitStarOptions, chosen_backend
-from jaxurban.planners.bitstar.bounds import HEURISTICS, make_bounds
+from jaxurban.planners.bitstar.batches import BitStarOptions
+from jaxurban.planners.bitstar.bounds import HEURISTICS, InformedSet, graph_radius, make_bounds
 from jaxurban.planners.bitstar.planner import bitstar, bitstar_dist, bitstar_plus
-from jaxurban.planners.bitstar.samples import InformedSet, graph_radius
 from jaxurban.planners.cost_model import CostModel
 from jaxurban.planners.registry import PLANNERS
 from tests.planners.problems import ends_of, graph_cost, open_problem, reachable, walled_problem
@@ -43,7 +42,6 @@ def test_one_batch_finds_the_best_path_of_its_graph(cost_model, heuristic, backe
 
 
 def test_auto_picks_numba():
-    assert chosen_backend("auto") == "numba"
     assert bitstar_dist(open_problem((4, 4), (0, 0), (3, 2)), options=BitStarOptions(backend="auto")).backend == "numba"
 
 
@@ -240,15 +238,14 @@ def test_the_budget_is_heeded_on_a_large_map():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"heuristic": "pluss"}, "unknown heuristic 'pluss'.*did you mean 'plus'"),
-        ({"backend": "jaxx"}, "unknown backend 'jaxx'.*did you mean 'jax'"),
-        ({"budget_s": 0.0}, "budget_s must be a positive number of seconds"),
+        ({"heuristic": "pluss"}, "heuristic must be .*, got 'pluss' .did you mean 'plus'"),
+        ({"backend": "jaxx"}, "backend must be .*, got 'jaxx' .did you mean 'jax'"),
         ({"budget_s": np.inf}, "nothing else ends the search"),
-        ({"batch_samples": 0}, "batch_samples must be a whole number >= 1, got 0"),
+        ({"batch_samples": 0}, "batch_samples must be a whole number from 1 up, got 0"),
         ({"eta": np.nan}, "eta must be a positive number, got nan"),
         ({"growth": -0.5}, "growth must be a number >= 0, got -0.5"),
         ({"min_improvement": -1}, "min_improvement must be a number >= 0, got -1"),
-        ({"max_samples": -1}, "max_samples must be a whole number >= 0, got -1"),
+        ({"max_samples": -1}, "max_samples must be a whole number from 0 up, got -1"),
     ],
 )
 def test_wrong_settings_are_refused(options, message):

@@ -13,9 +13,8 @@ from jaxurban.planners.batch import solve_many
 from jaxurban.planners.bitstar import batched
 from jaxurban.planners.bitstar.batched import solve_batched
 from jaxurban.planners.bitstar.batches import BitStarOptions
-from jaxurban.planners.bitstar.bounds import HEURISTICS, make_bounds
+from jaxurban.planners.bitstar.bounds import HEURISTICS, InformedSet, graph_radius, make_bounds
 from jaxurban.planners.bitstar.planner import bitstar, bitstar_plus
-from jaxurban.planners.bitstar.samples import InformedSet, graph_radius
 from jaxurban.planners.cost_model import CostModel
 from tests.planners.problems import graph_cost, open_problem, reachable, walled_problem
 

@@ -8,9 +8,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from jaxurban.kernels.line.segment_cost import segment_cost
 from jaxurban.planners.base import Problem
-from jaxurban.planners.bitstar.bounds import HEURISTICS, make_bounds
-from jaxurban.planners.bitstar.samples import InformedSet, graph_radius
-from jaxurban.planners.cost_grid import cost_grid_of
+from jaxurban.planners.bitstar.bounds import HEURISTICS, InformedSet, cost_grid_of, graph_radius, make_bounds
 from jaxurban.planners.cost_model import CostModel
 
 MODELS = ("cell", "line")

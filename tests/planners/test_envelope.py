@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from jaxurban.errors import InputError
+from jaxurban.planners.any_angle import ptp
 from jaxurban.planners.astar import astar
 from jaxurban.planners.base import Problem
 from jaxurban.planners.cost_model import CostModel
 from jaxurban.planners.envelope import planned_cost
-from jaxurban.planners.ptp import ptp
 
 EXACT = partial(astar, heuristic="octile")
 

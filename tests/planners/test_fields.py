@@ -54,7 +54,7 @@ def test_plan_many_walks_on_the_fields_of_all_shared_goals_and_weights(backend):
 
 def test_a_spent_clock_keeps_nothing(monkeypatch):
     problem = random_map(0)
-    monkeypatch.setattr("jaxurban.planners.search.grid.CHUNK", 1)
+    monkeypatch.setattr("jaxurban.planners.grid_search.CHUNK", 1)
     with pytest.raises(TimeoutError):
         cost_to_go(problem, end_s=0.0)
     assert not has_tables("exact", problem)

@@ -120,7 +120,7 @@ def test_landmarks_are_made_once_for_all_queries_on_a_map():
 
 @pytest.mark.parametrize("name", ["landmarks", "exact"])
 def test_a_budget_that_ends_while_tables_are_built_is_reported_as_spent(monkeypatch, name):
-    monkeypatch.setattr("jaxurban.planners.search.grid.CHUNK", 10)
+    monkeypatch.setattr("jaxurban.planners.grid_search.CHUNK", 10)
     problem = city()
     path = astar(problem, heuristic=name, budget_s=1e-6)
     assert path.status is Status.BUDGET_EMPTY

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from jaxurban.planners.any_angle import ptp
 from jaxurban.planners.base import Problem, Status
 from jaxurban.planners.cost_model import CostModel
-from jaxurban.planners.ptp import ptp
 
 
 def test_samples_lie_one_resolution_step_apart_and_end_at_the_goal():

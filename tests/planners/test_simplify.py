@@ -18,7 +18,7 @@ from shapely import (
 )
 
 from jaxurban.errors import InputError
-from jaxurban.kernels.line.clear import is_clear
+from jaxurban.kernels.line.segment_cost import is_clear
 from jaxurban.planners.astar import volume_astar
 from jaxurban.planners.base import Path, Problem, Status
 from jaxurban.planners.cost_model import CostModel

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import jaxurban as ju
+from jaxurban.planners.any_angle import ptp
 from jaxurban.planners.base import Path, Status
-from jaxurban.planners.ptp import ptp
 from jaxurban.planners.registry import PLANNERS, PlannerEntry
 from jaxurban.studies.montecarlo.sampling import sample_instances
 from jaxurban.studies.montecarlo.trial import BenchmarkSettings, PlannerRun, row_columns, solve_instance

@@ -286,7 +286,7 @@ def advance(graph, heuristic, goal, reopen, nodes, max_expanded):
     num_expanded = 0
     while True:
         if near.size[0] == 0:
-            refill(queue, graph, g, state)
+            refill(queue, graph.num_cols, graph.moves, graph.cost, g, state)
         if near.size[0] == 0 or near.f[0] == np.inf:
             return EXHAUSTED, num_expanded
         if num_expanded >= max_expanded:
@@ -363,9 +363,10 @@ class GridSearch:
     @property
     def low_f(self) -> float:
         """The least f in the queue, inf where it is empty."""
-        near = self._nodes.queue.near
+        (g, state, queue), graph = self._nodes, self.graph
+        near = queue.near
         if not near.size[0]:
-            refill(self._nodes.queue, self.graph, self._nodes.g, self._nodes.state)
+            refill(queue, graph.num_cols, graph.moves, graph.cost, g, state)
         return float(near.f[0]) if near.size[0] else np.inf
 
     def run(self, *, reopen: bool = False, end_s: float = np.inf, chunk: int = 0) -> int:

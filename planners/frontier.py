@@ -11,9 +11,9 @@ import numpy as np
 from jaxurban.kernels.search.frontier import Grids, advance, begin, drop, empty_frontier, is_crowded, with_list_of
 from jaxurban.planners.base import Cell, Path, Problem, Status
 from jaxurban.planners.bounds import make_heuristic
-from jaxurban.planners.checks import power_of_two
+from jaxurban.planners.compiled_first import power_of_two
+from jaxurban.planners.grid_search import graph_of, way_m
 from jaxurban.planners.moves import STEPS
-from jaxurban.planners.search.grid import graph_of, way_m
 
 BAND_STEPS = 8.0  # a band that spans this many steps over the map's median cell
 ROUNDS_AT_ONCE = 64  # between two looks at the clock: some 0.1 s
