@@ -103,8 +103,8 @@ class Cache:
     is_offline: bool
     num_requests: int = 0
 
-    def get(self, source: Source, url: str, read: Callable[[Path], Content]) -> tuple[dict[str, Any], Content]:
-        """Return the facts of a file, and what ``read`` makes of it, which raises for another kind or a damaged one.
+    def get(self, source: Source, url: str, read: Callable[[Path], Content]) -> tuple[Path, dict[str, Any], Content]:
+        """Return a file in the cache, its facts, and what ``read`` makes of it; it raises for another kind or damage.
 
         The file is from the cache where its copy is fresh or the server says that it has not changed. The facts are
         ``url``, ``fetched_utc``, ``num_bytes``, ``sha256`` and ``etag``, "" where the server gave none.
@@ -118,7 +118,7 @@ class Cache:
             try:
                 content = _read(read, path)
                 LOG.info(f"{source.name}: the copy of {facts['fetched_utc']} in the cache ({url})")
-                return facts, content
+                return path, facts, content
             except InputError as error:
                 facts, problem = {}, str(error)
         if self.is_offline:
@@ -137,7 +137,7 @@ class Cache:
                 raise InputError(f"{url} is not the {source.name} file that was requested: {error}") from error
             if is_same:
                 os.utime(path)
-                return facts, content
+                return path, facts, content
             facts = {
                 "url": url,
                 "fetched_utc": datetime.now(UTC).isoformat(timespec="seconds"),
@@ -147,7 +147,7 @@ class Cache:
             }
             os.replace(scratch, path)
         write_whole(path.with_suffix(".json"), json.dumps(facts))
-        return facts, content
+        return path, facts, content
 
     def _receive(self, source: Source, url: str, etag: str, scratch: Path) -> requests.Response:
         """Return the response to a request, its body in a file; stop at one that is too large."""

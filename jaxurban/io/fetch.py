@@ -117,24 +117,26 @@ class Fetching:
     left_out: list[str]
     files: list[Settings] = field(default_factory=list)
 
-    def _get(self, name: str, file: str, read: Callable[[Path], Content], **part: Any) -> Content:
-        """Return what a download holds, and note it; a copy of it is in the folder where ``read`` makes one."""
+    def _get(self, name: str, file: str, read: Callable[[Path], Content], **part: Any) -> tuple[Path, Content]:
+        """Return a download and what it holds, and note of which file it is."""
         source = self.job.sources[name]
-        facts, content = self.cache.get(source, self.job.url(name, **part), read)
+        path, facts, content = self.cache.get(source, self.job.url(name, **part), read)
         facts = {key: value for key, value in facts.items() if key != "etag"}
         self.files.append({"source": name, "file": file, "credit": source.credit, "licence": source.licence, **facts})
-        return content
+        return path, content
 
     def buildings(self) -> str:
         """Get the buildings; return their file."""
-        name, problem = self._get("osm", "", self.read_osm)
+        path, (name, problem) = self._get("osm", "", self.read_osm)
         self.files[-1]["file"] = name
         if problem:
             raise InputError(f"{self.job.url('osm')} {problem}")
+        if not (self.folder / name).exists():
+            shutil.copyfile(path, self.folder / name)
         return name
 
     def read_osm(self, path: Path) -> tuple[str, str]:
-        """Copy OpenStreetMap data, an extract cut to the region; return the file's name, and why it does not serve."""
+        """Read OpenStreetMap data, an extract cut to the region; return the file's name, and why it does not serve."""
         with path.open("rb") as file:
             is_extract = b"OSMHeader" in file.read(20)  # PBF, each block of which bears its own checksum
         name, file_format = FILES["osm"][is_extract], "pbf" if is_extract else "osm"
@@ -142,18 +144,16 @@ class Fetching:
             LOG.info(f"osm: cutting the region and {self.job.margin_m:g} m around it out of the extract")
             with readable(path, "OpenStreetMap data", CUT_REMEDY, RuntimeError):
                 cut_buildings(path, self.folder / name, self.job.box(self.job.margin_m))
-        else:
+        elif remark := re.search(rb"<remark>\s*(.*?)\s*</remark>", path.read_bytes(), re.DOTALL):
             # With status 200 the Overpass API sends what it had when its time or memory ran out.
-            if remark := re.search(rb"<remark>\s*(.*?)\s*</remark>", path.read_bytes(), re.DOTALL):
-                said = remark[1].decode("utf-8", "replace")
-                raise InputError(f"the server says {said!r}: ask for a smaller region, or later")
-            shutil.copyfile(path, self.folder / name)
+            said = remark[1].decode("utf-8", "replace")
+            raise InputError(f"the server says {said!r}: ask for a smaller region, or later")
         outlines = read_outlines(self.folder / name if is_extract else path, file_format)
         covered, problem = header_box(path, file_format), ""
         if covered is not None and not shapely.box(*covered).contains(shapely.box(*self.job.bounds)):
             shown = ", ".join(f"{value:.3f}" for value in covered)
             problem = f"covers {shown} (west, south, east, north), not all of the region: name another with --extract"
-        elif shapely.is_empty(outlines.polygons).all():
+        elif not shapely.get_num_coordinates(outlines.polygons).any():
             bare = outlines.issues[ReadIssue.WAYS_WITH_MISSING_NODES]
             problem = "has no building in the region: check --bounds, longitude first"
             if bare:
@@ -164,16 +164,16 @@ class Fetching:
 
     def orbits(self) -> Settings:
         """Get the element sets."""
-        time = self._get("orbits", ORBITS_FILE, self.read_orbits)
+        path, time = self._get("orbits", ORBITS_FILE, self.read_orbits)
+        shutil.copyfile(path, self.folder / ORBITS_FILE)
         LOG.info(f"orbits: the GPS maps are of {time}")
         return {"orbits": ORBITS_FILE, "times": [time]}
 
     def read_orbits(self, path: Path) -> str:
-        """Copy element sets; return the time of the maps, at which they may not be too old."""
+        """Read element sets; return the time of the maps, at which they may not be too old."""
         orbits = read_orbits(path)
         time = f"{self.job.day}{NOON}" if self.job.day else str(middle_epoch(orbits))
         look_angles(orbits, [time], 0.0, 0.0)
-        shutil.copyfile(path, self.folder / ORBITS_FILE)
         return time
 
     def census(self) -> Settings:
@@ -189,7 +189,7 @@ class Fetching:
                 f"the region needs ({', '.join(counties[:3])} ...)"
             )
         read = partial(read_block_zip, most_bytes=self.cache.most_bytes)
-        frames = [self._get("blocks", BLOCKS_FILE, read, county=county) for county in counties]
+        frames = [self._get("blocks", BLOCKS_FILE, read, county=county)[1] for county in counties]
         blocks = pd.concat([frame.to_crs(frames[0].crs) for frame in frames], ignore_index=True)
         west, south, east, north = self.job.box(BLOCK_MARGIN_M)
         blocks = gpd.GeoDataFrame(blocks, crs=frames[0].crs).cx[west:east, south:north]
@@ -203,7 +203,7 @@ class Fetching:
         """Return the whole table of population, which may come in pages."""
         table, has_more = pd.DataFrame(), True
         while has_more:
-            page, has_more = self._get("population", COUNTS_FILE, read_counts, offset=len(table))
+            _, (page, has_more) = self._get("population", COUNTS_FILE, read_counts, offset=len(table))
             table = pd.concat([table, page], ignore_index=True)
             if has_more and (page.empty or table.duplicated().any()):
                 raise InputError(
@@ -214,7 +214,8 @@ class Fetching:
 
     def districts(self) -> Settings:
         """Get the districts."""
-        self._get("districts", DISTRICTS_FILE, self.read_districts)
+        path, _ = self._get("districts", DISTRICTS_FILE, self.read_districts)
+        shutil.copyfile(path, self.folder / DISTRICTS_FILE)
         found: Settings = {"districts": DISTRICTS_FILE, "district_field": self.job.district_field}
         if self.job.district_field != NYC_FIELD or not shapely.box(*self.job.bounds).intersects(shapely.box(*NYC_BOX)):
             found["commercial"] = []
@@ -225,12 +226,11 @@ class Fetching:
         return found
 
     def read_districts(self, path: Path) -> None:
-        """Copy the GeoJSON of districts."""
+        """Read the GeoJSON of districts, which must hold some."""
         if not path.read_bytes().removeprefix(b"\xef\xbb\xbf").lstrip().startswith(b"{"):
             raise InputError("it is not GeoJSON")
         if not len(read_districts(path, self.job.crs, self.job.district_field)[0]):
             raise InputError("it holds no polygons on this globe")
-        shutil.copyfile(path, self.folder / DISTRICTS_FILE)
 
 
 def read_block_zip(path: Path, most_bytes: int) -> gpd.GeoDataFrame:
