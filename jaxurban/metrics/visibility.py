@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+import pandas as pd
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int, UInt
 
@@ -244,19 +245,16 @@ def distinct_choices(
 ) -> tuple[UInt[np.ndarray, "W P"], Int[np.ndarray, "..."]]:
     """Return every choice of satellites that some cell sees once, and the number of each cell's.
 
-    Cells that see what the one before them sees are not sorted.
-
     Args:
       words: satellite ``s`` is bit ``s % 32`` of word ``s // 32``; any axes of cells behind.
       is_obstacle: cells that see no satellite, whatever the words say.
     """
-    flat = np.where(is_obstacle, np.uint32(0), words).reshape(len(words), -1)
-    is_new = np.append(True, (flat[:, 1:] != flat[:, :-1]).any(axis=0))[: flat.shape[1]]
-    runs = flat[:, is_new]
-    number, first = np.zeros(runs.shape[1], np.int64), np.zeros(0, np.int64)
-    for word in runs:
-        _, first, number = np.unique(number << WORD_BITS | word, return_index=True, return_inverse=True)
-    return runs[:, first], number.astype(np.int32)[np.cumsum(is_new) - 1].reshape(words.shape[1:])
+    choices: list[np.ndarray] = []
+    number = np.zeros(1, np.int64)
+    for word in words:
+        number, pairs = pd.factorize(number << WORD_BITS | np.where(is_obstacle, np.uint32(0), word).reshape(-1))
+        choices = [earlier[pairs >> WORD_BITS] for earlier in choices] + [pairs.astype(np.uint32)]
+    return np.stack(choices), number.reshape(words.shape[1:])
 
 
 def lines_over(grid: Grid, azimuth: np.ndarray, elevation: np.ndarray) -> list[Line]:
