@@ -179,7 +179,7 @@ def why_not_run(arguments: list[str]) -> str:
     if arguments[0] == "demo" or "--cluster" in arguments:
         return "it has tests of its own: tests/world/test_synthetic.py, tests/maps/test_tiled.py"
     if arguments[0] == "tune" and "--by-city" in arguments:
-        return "the pages make maps of one city; tests/report/test_run_tuning.py fits several"
+        return "the pages make maps of one city; tests/report/test_tuning.py fits several"
     return ""
 
 

@@ -22,7 +22,7 @@ from jaxurban.cli.common import (
 )
 
 if TYPE_CHECKING:
-    from jaxurban.report.run_tuning import RoutesOnMaps
+    from jaxurban.report.tuning import RoutesOnMaps
 
 
 @click.command()
@@ -70,7 +70,7 @@ def tune(words: tuple[Path, ...], out: Path, **given: Any) -> int:
     ROUTES are files of lines (GeoJSON, KML, a .plan). Several DIRs, each with its ROUTES, are fitted together.
     """
     from jaxurban.metrics.weights import Weights
-    from jaxurban.report.run_tuning import RoutesOnMaps, TuneSettings, run_tuning
+    from jaxurban.report.tuning import RoutesOnMaps, TuneSettings, run_tuning
     from jaxurban.studies.tuning.fit_settings import FitSettings
 
     def named(*options: str) -> dict[str, Any]:
@@ -118,7 +118,7 @@ def tune(words: tuple[Path, ...], out: Path, **given: Any) -> int:
 
 def _sources(words: tuple[Path, ...]) -> "list[RoutesOnMaps]":
     """Return the folders of maps, each with the routes that follow it."""
-    from jaxurban.report.run_tuning import RoutesOnMaps
+    from jaxurban.report.tuning import RoutesOnMaps
 
     sources = [RoutesOnMaps(words[0])]
     for word in words[1:]:

@@ -1,49 +1,340 @@
-"""report.md and weights.toml of a fit of weights, for a reader who has not seen the code."""
+"""Fitting weights from files, and writing what came of it: tables, pictures, report.md, and weights to paste."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from itertools import compress
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 
+from jaxurban.errors import InputError
+from jaxurban.io.tables import records_of
+from jaxurban.io.workspace import Workspace
+from jaxurban.maps.metric_maps import MetricMaps, Obstacles, open_maps
 from jaxurban.metrics.weights import Weights
+from jaxurban.paths.batch import plan_many
 from jaxurban.paths.cost_map import CostMap
-from jaxurban.report.write import bullets, counted, fill, framed, table
-from jaxurban.studies.demonstrations import PlannedBeside
-from jaxurban.studies.tuning.compared_fits import FitComparison
-from jaxurban.studies.tuning.target_fit import TargetFit
+from jaxurban.progress import Progress, reporting
+from jaxurban.report.figures.frame import in_degrees
+from jaxurban.report.figures.tuning import plot_learning, plot_regret, plot_routes, plot_targets, plot_weights
+from jaxurban.report.write import Output, bullets, files_of, fill, framed, save
+from jaxurban.studies.demonstrations import Demonstration, PlannedBeside, plan_beside
+from jaxurban.studies.montecarlo.sampling import PLACES, TIMES, sample_instances
+from jaxurban.studies.queries import maps_of
+from jaxurban.studies.read_demonstrations import demonstrations_from_paths, read_demonstrations
+from jaxurban.studies.tuning.compared_fits import FitComparison, compare_fits, state_files
+from jaxurban.studies.tuning.fit_settings import FitSettings
+from jaxurban.studies.tuning.target_fit import TargetFit, fit_targets
 from jaxurban.studies.tuning.targets import Target
 from jaxurban.studies.tuning.weight_fit import WeightFit
 
+STATE_FILE = "fit-state.npz"
+TABLES = "learning_curve", "fewer_examples", "fits", "targets", "weights", "examples"
 EXPLAINED = 1e-4  # a demonstration within this share of the cheapest route is explained
-OUTCOMES = {
-    "detour": "how much longer routes are than the shortest ones, as a share, mean over the queries",
-    "length_m": "length of a route in metres, mean over the queries",
-    "people": "the integral of m_population along all routes, as a share of the shortest routes'",
-}
+UNDER = "cost_model", "constraints", "preset"  # settings of routes
+FIGURES = "weights", "learning_curve", "regret", "targets"
 
-INTERVALS = (
-    "Low and high are the 5th and 95th percentile of fits to demonstrations drawn anew with replacement (bootstrap), "
-    "widened to all weights that explain these very demonstrations as well. Of lines that were redrawn on the grid "
-    "they contain all weights under which any routes within 3 cells of the lines are the cheapest. They say what other "
-    "demonstrations of the same kind would change, not whether these demonstrations are good ones."
-)
+
+class RoutesOnMaps(NamedTuple):
+    """The folder of maps, and the files of routes that lie on them; none where instances are sampled."""
+
+    maps: Path
+    routes: tuple[Path, ...] = ()
 
 
 @dataclass(frozen=True)
-class FitSource:
-    """What a fit was made from, for its report.
+class TuneSettings:
+    """How weights are fitted.
 
     Attributes:
-      files: of routes, and the folders of the maps that they lie on.
-      command: that made the fit.
-      figures: names of the pictures of routes.
+      resolution_m: of the maps; needed where a folder holds several.
+      obstacles: where routes may fly (see `jaxurban.maps.metric_maps.MetricMaps`); None: as the scenario has it.
+      routes: further arguments of `read_demonstrations`: altitude_m, cost_model, constraints, metrics ...
+      sample: instances to draw on each city's maps, at every altitude, instead of routes from files; their routes are
+        the pilot's.
+      pilot: weights under which the routes of sampled instances are planned.
+      targets: fit to these, such as ``mean_gps>=0.8``, instead of to the routes.
+      weights: further arguments of `fit_weights`: scale, bootstrap.
+      hold_out, losses, by_city: as in `compare_fits`; the first loss alone and nothing else is one fit.
+      fit: of the search.
     """
 
-    files: tuple[tuple[str, str], ...]
-    command: str
-    figures: tuple[str, ...]
+    resolution_m: float | None = None
+    obstacles: Obstacles | None = None
+    routes: Mapping[str, Any] = field(default_factory=dict)
+    sample: int | None = None
+    pilot: Weights | None = None
+    targets: tuple[str, ...] = ()
+    weights: Mapping[str, Any] = field(default_factory=dict)
+    hold_out: float = 0.0
+    losses: tuple[str, ...] = ("robust",)
+    by_city: bool = False
+    fit: FitSettings = field(default_factory=FitSettings)
+
+
+def run_tuning(
+    sources: Sequence[RoutesOnMaps],
+    folder: Path,
+    settings: TuneSettings,
+    *,
+    overwrite: bool = False,
+    degrees: bool = False,
+    command: str = "jaxurban.report.tuning.run_tuning",
+    progress: Progress = True,
+) -> dict[str, Any]:
+    """Fit weights, write everything under ``folder``, and return the facts that ``--json`` prints.
+
+    A run that was interrupted goes on where it stopped; one that had finished ends at the same weights again.
+
+    Args:
+      sources: routes and maps; all of them are fitted together.
+      folder: written to; made if it is not there.
+      settings: of the fit.
+      overwrite: forget the fit of other routes or settings that the folder holds.
+      degrees: label the maps of figures by longitude and latitude instead of easting and northing.
+      command: for the report.
+      progress: as in `jaxurban.progress.reporting`.
+
+    Raises:
+      InputError: routes or maps that cannot be read or do not go together, a wrong setting, or a folder that holds
+        another fit or other files, or cannot be written to.
+    """
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"cannot write to the output folder {str(folder)!r}: it is a file")
+    if settings.pilot is not None and not any(settings.pilot.to_dict().values()):
+        raise InputError("every weight of the pilot is 0, so that all routes cost the same: give one above 0 (--pilot)")
+    opened = [open_maps(source.maps, settings.resolution_m, obstacles=settings.obstacles) for source in sources]
+    drawn = [source.maps.resolve() for source in sources if not source.routes]
+    if len(set(drawn)) < len(drawn):
+        twice = next(each for each in drawn if drawn.count(each) > 1)
+        raise InputError(
+            f"the maps in {str(twice)!r} are named twice, so that their routes would count twice: name them once"
+        )
+    targets = [Target.parse(text, opened[0].metrics) for text in settings.targets]
+    with reporting("tune", progress) as report:
+        report("routes")
+        cities: dict[str, list[Demonstration]] = {}
+        names = _names_of([source.maps for source in sources])
+        for source, maps, name in zip(sources, opened, names, strict=True):
+            cities.setdefault(name, []).extend(_demonstrations(source, maps, settings))
+        demonstrations = [each for shown in cities.values() for each in shown]
+        how = replace(settings.fit, state_file=folder / STATE_FILE, progress=report)
+        fit: WeightFit | TargetFit
+        found: FitComparison | None = None
+        # Other fits differ in the state of the fit, which holds its settings.
+        states = state_files(Path(STATE_FILE), list(cities), settings.losses, settings.by_city)
+        pictures = [*FIGURES, *_pictures(demonstrations)]
+        outputs = [*TABLES, *(f"figures/{name}.png" for name in pictures), "weights.toml", "report.md"]
+        names = [*map(str, states), *files_of(outputs)]
+        with Workspace.open(folder, "tune", {}, names=names, overwrite=overwrite):
+            report("rounds")
+            if targets:
+                fit = fit_targets([each.query for each in demonstrations], targets, settings=how)
+            else:
+                found = compare_fits(
+                    cities,
+                    hold_out=settings.hold_out,
+                    losses=settings.losses,
+                    by_city=settings.by_city,
+                    **settings.weights,
+                    settings=how,
+                )
+                fit = found.best
+                demonstrations = list(compress(demonstrations, ~found.is_held_out))
+            report("routes under the fitted weights")
+            beside = plan_beside(demonstrations, fit.weights)
+            report("figures and report")
+            drawn_from = [(_routes_said(source, settings), str(source.maps)) for source in sources]
+            asked = {"targets": ", ".join(map(str, targets)), "command": command}
+            asked["sources"] = "; ".join(f"`{routes}` over the maps in `{where}`" for routes, where in drawn_from)
+            if found is not None and len(found.fits) == 1 and not found.is_held_out.any():
+                found = None  # nothing to compare
+            save(folder, outputs_of(fit, beside, asked, found, degrees))
+    facts = _facts(fit, folder)
+    return facts if found is None else facts | {"fits": records_of(found.table)}
+
+
+def _names_of(folders: Sequence[Path]) -> list[str]:
+    """Return a name for the city of each folder of maps: the folder's own, with a number where another has it too."""
+    names: dict[Path, str] = {}
+    for folder in (folder.resolve() for folder in folders):
+        if folder not in names:
+            number = sum(one.name == folder.name for one in names)
+            names[folder] = folder.name + (f" {number + 1}" if number else "")
+    return [names[folder.resolve()] for folder in folders]
+
+
+def _demonstrations(source: RoutesOnMaps, maps: MetricMaps, settings: TuneSettings) -> list[Demonstration]:
+    """Return the routes of one source on its maps."""
+    if settings.sample is None:
+        if not source.routes:
+            raise InputError(
+                f"there are no routes for the maps in {str(source.maps)!r}: name files of routes after it, or sample "
+                "instances (--sample)"
+            )
+        return [each for file in source.routes for each in read_demonstrations(file, maps, **settings.routes)]
+    if source.routes:
+        raise InputError(f"{str(source.routes[0])!r} holds routes, and others are to be sampled: choose one of both")
+    if settings.pilot is None and not settings.targets:
+        raise InputError("sampled instances have no routes of their own: name the weights of the pilot who flies them")
+    given = settings.routes
+    altitude_m, under = given.get("altitude_m"), {name: given[name] for name in UNDER if name in given}
+    instances = sample_instances(
+        maps,
+        settings.sample,
+        altitudes_m=None if altitude_m is None else (altitude_m,),
+        weights=[settings.pilot or Weights()],
+        seed=settings.fit.seed,
+        **under,
+    )
+    times = {name: given[name] for name in ("time", "time_of_day") if given.get(name) is not None}
+    how: dict[str, Any] = {"planner": "astar-plus", "objective": "weighted", "budget_s": math.inf, "progress": False}
+    asked = [*PLACES, "altitude_m", *TIMES, *(f"w_{name}" for name in ("distance", *maps.metrics))]
+    planned = plan_many(maps, instances[instances.is_connected].assign(**times)[asked], **how, **under)
+    paths = [path for path in planned if path is not None and path.status.has_path]
+    return demonstrations_from_paths(paths, maps, metrics=given.get("metrics"), **under)
+
+
+def _routes_said(source: RoutesOnMaps, settings: TuneSettings) -> str:
+    """Return where the routes of a source are from, for the report."""
+    if settings.sample is not None:
+        return f"{settings.sample} instances sampled with seed {settings.fit.seed}"
+    return ", ".join(map(str, source.routes))
+
+
+def outputs_of(
+    fit: WeightFit | TargetFit,
+    beside: PlannedBeside,
+    asked: Mapping[str, str],
+    found: FitComparison | None = None,
+    degrees: bool = False,
+) -> dict[str, Output]:
+    """Return what a fit writes, by file name: tables, pictures, the report and weights.toml.
+
+    Args:
+      fit: of the weights.
+      beside: of the demonstrations with the routes under those weights.
+      asked: for the report: ``sources`` of the routes, ``targets`` and ``command``.
+      found: further fits, which the fit is compared with, and routes that were held out.
+      degrees: as in `run_tuning`.
+    """
+    pictures = _pictures(beside.demonstrations)
+    first = next(iter(pictures.values()))
+    units = [weight_units(first)[name] for name in fit.names]
+    vector, routes, fields = fit.weights.vector(fit.names), beside.table, dict(asked)
+    outputs: dict[str, Output] = {
+        "learning_curve": fit.curve,
+        "figures/weights.png": lambda: plot_weights(fit, units),
+        "figures/learning_curve.png": lambda: plot_learning(fit),
+    }
+    if isinstance(fit, WeightFit):
+        template, given, weights = "imitation", "demonstration", fit.table().reset_index()
+        routes = routes.assign(regret=fit.regret, trust=fit.trust)
+        outputs["fewer_examples"] = fit.by_demonstrations
+        outputs["figures/regret.png"] = lambda: plot_regret(fit, [*routes["name"]])
+        fields |= {"fits": "", "fewer": framed(fit.by_demonstrations), "regrets": framed(_regrets(fit))}
+        fields |= {name: bullets(getattr(fit, name)) or "None." for name in ("unidentified", "warnings")}
+        if found is not None:
+            outputs["fits"] = found.table
+            fields["fits"] = fits_section(found)
+    else:
+        template, given = "targets", "given route"
+        weights = pd.DataFrame({"name": fit.names, "weight": vector})
+        alone = fit.alone[["reached", "missed_by", "is_met"]].add_suffix("_alone")
+        outputs["targets"] = outcomes = fit.outcomes.join(alone).reset_index()
+        outputs["figures/targets.png"] = lambda: plot_targets(fit)
+        fields["outcomes"] = framed(outcomes)
+    outputs |= {"weights": weights.assign(unit=units), "examples": routes}
+    for name, one in pictures.items():
+        outputs |= in_degrees(
+            {f"figures/{name}.png": partial(plot_routes, beside, one, vector, given)}, one.grid, degrees
+        )
+    report = fill(
+        template,
+        fit=fit,
+        num=len(routes),
+        weights=framed(weights.assign(unit=units)),
+        setting=framed(_setting([*pictures.values()])),
+        means=framed(_means(beside)),
+        overlap=routes["overlap"].mean(),
+        pictures="\n\n".join(f"![Routes](figures/{name}.png)" for name in pictures),
+        use=fill("use_weights", unit=first, option=weights_option(fit.weights), where=_where(first)),
+        **fields,
+    )
+    return outputs | {"weights.toml": weights_toml(fit, first), "report.md": f"{report}\n"}
+
+
+def fits_section(found: FitComparison) -> str:
+    """Return the section of a report on several fits."""
+    counts = {"num": len(found.is_bad), "num_held_out": found.is_held_out.sum(), "num_bad": found.is_bad.sum()}
+    return fill("fits", fits=framed(found.table.filter(regex="^(?!w_)")), **counts)
+
+
+def _pictures(demonstrations: Sequence[Demonstration]) -> dict[str, CostMap]:
+    """Return the maps that routes are drawn on, by the name of the picture."""
+    return {f"routes_{k}": one for k, one in enumerate(maps_of(each.query for each in demonstrations), start=1)}
+
+
+def _regrets(fit: WeightFit) -> pd.DataFrame:
+    regret = fit.regret
+    facts = {"explained": (regret <= EXPLAINED).sum(), "mean": regret.mean(), "median": np.median(regret)}
+    return pd.DataFrame([facts | {"largest": regret.max(), "least mean found": fit.best_mean_regret}])
+
+
+def _setting(maps: Sequence[CostMap]) -> pd.DataFrame:
+    """Return a row a map: what its routes were planned under."""
+    rows = [
+        {
+            "altitude (m)": one.altitude_m,
+            "time of day": one.time_of_day or "",
+            "time": one.time or "",
+            "cells (m)": one.grid.resolution_m,
+            "cost model": str(one.cost_model),
+            "constraints": str(one.constraints) or "none",
+            "obstacles": one.maps.obstacles,
+        }
+        for one in maps
+    ]
+    return pd.DataFrame(rows)
+
+
+def _means(beside: PlannedBeside) -> pd.DataFrame:
+    """Return the means over routes of their length and of each metric along them, as given and under the weights."""
+    mean = beside.table.mean(numeric_only=True)
+    names = [name for name in mean.index if f"planned_{name}" in mean.index]
+    planned = mean[[f"planned_{name}" for name in names]].to_numpy()
+    return pd.DataFrame({"mean over routes": names, "as given": mean[names].to_numpy(), "planned": planned})
+
+
+def _facts(fit: WeightFit | TargetFit, folder: Path) -> dict[str, Any]:
+    facts: dict[str, Any] = {
+        "folder": str(folder),
+        "weights": fit.weights.to_dict(),
+        "weights_option": weights_option(fit.weights),
+        "num_plans": fit.num_plans,
+        "elapsed_s": fit.elapsed_s,
+    }
+    if isinstance(fit, WeightFit):
+        low, high = (dict(zip(fit.names, ends.tolist(), strict=True)) for ends in fit.interval)
+        has_interval = all(value == value for value in low.values())
+        return facts | {
+            "interval": {name: [low[name], high[name]] for name in fit.names} if has_interval else None,
+            "mean_regret": float(fit.regret.mean()),
+            "best_mean_regret": fit.best_mean_regret,
+            "is_settled": fit.is_settled,
+            "unidentified": list(fit.unidentified),
+            "warnings": list(fit.warnings),
+        }
+    return facts | {
+        "is_met": fit.is_met,
+        "message": fit.sentence,
+        "outcomes": fit.outcomes.reset_index().to_dict("records"),
+        "conflicts": [list(pair) for pair in fit.conflicts],
+    }
 
 
 def weight_units(on: CostMap) -> dict[str, str]:
@@ -78,146 +369,3 @@ def _where(on: CostMap) -> str:
     if on.cost_model.kind == "cell":
         return f" on cells of {on.grid.resolution_m:g} m (a step costs by the cell, so other sizes need other ones)"
     return f" with a reference length of {on.cost_model.reference_length_m:g} m"
-
-
-def imitation_report(fit: WeightFit, beside: PlannedBeside, source: FitSource, fits: str = "") -> str:
-    """Return the report of weights that were fitted to demonstrations, with a section on further fits."""
-    units = weight_units(_unit(beside))
-    rows = [
-        [name, units[name], f"{weight:.4g}", _number(low), _number(high), f"{share:.1%}"]
-        for name, (weight, low, high, share, _) in zip(fit.names, fit.table().to_numpy().tolist(), strict=True)
-    ]
-    text = fill(
-        "imitation",
-        fits=fits,
-        **_common(fit, beside, source),
-        given=counted(len(fit.regret), "demonstration"),
-        weights=table(["weight", "unit", "value", "low", "high", "share of the demonstrations' cost"], rows),
-        num_explained=int((fit.regret <= EXPLAINED).sum()),
-        explained=EXPLAINED,
-        mean_regret=_percent(fit.regret.mean()),
-        median_regret=_percent(np.median(fit.regret)),
-        largest_regret=_percent(fit.regret.max()),
-        best_mean_regret=_percent(fit.best_mean_regret),
-        overlap=beside.table["overlap"].mean(),
-        confidence=INTERVALS if np.isfinite(fit.interval).any() else "No intervals were asked for (--bootstrap 0).",
-        fewer=_fewer(fit),
-        unidentified=bullets(fit.unidentified)
-        or "Nothing: every weight decides between competing routes, no two do so alike, and no interval is wide.",
-        warnings=bullets(fit.warnings) or "None.",
-    )
-    return f"{text}\n"
-
-
-def is_compared(found: FitComparison) -> bool:
-    """Return whether there is more to report than one fit to all routes."""
-    return len(found.fits) > 1 or bool(found.is_held_out.any())
-
-
-def fits_section(found: FitComparison) -> str:
-    """Return the section of a report on several fits."""
-    num_held_out, num_bad = int(found.is_held_out.sum()), int(found.is_bad.sum())
-    fits = framed(found.table.filter(regex="^(?!w_)"))
-    return fill("fits", fits=fits, num=len(found.is_bad), num_held_out=num_held_out, num_bad=num_bad)
-
-
-def _fewer(fit: WeightFit) -> str:
-    """Return what fewer demonstrations would have given, where intervals were made."""
-    if not np.isfinite(fit.interval).any() or not len(fit.by_demonstrations):
-        return ""
-    rows = [
-        [f"{num:.0f}", _percent(mean), _percent(worst)]
-        for num, mean, worst in fit.by_demonstrations.to_numpy().tolist()
-    ]
-    head = ["demonstrations fitted", "regret of the others, mean", "worst of 8 draws"]
-    return (
-        "With fewer demonstrations (those left out are what the fit did not see; if the last rows hardly differ, "
-        f"more demonstrations would add little):\n\n{table(head, rows)}"
-    )
-
-
-def targets_report(fit: TargetFit, beside: PlannedBeside, targets: Sequence[Target], source: FitSource) -> str:
-    """Return the report of weights that were fitted to targets."""
-    units = weight_units(_unit(beside))
-    meanings = {
-        target.outcome: OUTCOMES.get(
-            target.outcome, f"mean of m_{target.outcome.removeprefix('mean_')} along a route, mean over the queries"
-        )
-        for target in targets
-    }
-    outcomes = [
-        [
-            str(target),
-            *(f"{value:.4g}" for value in (row.shortest, row.reached, row.alone)),
-            _percent(row.missed_by),
-            "yes" if row.is_met else "no",
-        ]
-        for target, row in fit.outcomes.join(fit.alone["reached"].rename("alone")).iterrows()
-    ]
-    values = fit.weights.to_dict()
-    text = fill(
-        "targets",
-        **_common(fit, beside, source),
-        pairs=counted(len(beside.demonstrations), "pair of ends", "pairs of ends"),
-        targets=", ".join(map(str, targets)),
-        meanings=bullets(f"`{name}`: {meaning}" for name, meaning in meanings.items()),
-        outcomes=table(
-            ["target", "shortest routes", "reached, all together", "reached, alone", "missed by", "met"], outcomes
-        ),
-        completeness="Many weights meet the same targets; these are the first that were found, and no target was tried "
-        "alone."
-        if fit.is_met
-        else "What was not met is not proven to be out of reach: it is the best that the search found.",
-        weights=table(["weight", "unit", "value"], [[name, units[name], f"{values[name]:.4g}"] for name in fit.names]),
-    )
-    return f"{text}\n"
-
-
-def _unit(beside: PlannedBeside) -> CostMap:
-    return beside.demonstrations[0].query.cost_map
-
-
-def _common(fit: WeightFit | TargetFit, beside: PlannedBeside, source: FitSource) -> dict[str, Any]:
-    """Return the fields that both reports have."""
-    unit = _unit(beside)
-    return {
-        "fit": fit,
-        "sources": "; ".join(f"`{routes}` over the maps in `{maps}`" for routes, maps in source.files),
-        "setting": _setting(beside, fit.names),
-        "means": _mean_table(beside),
-        "pictures": "\n\n".join(f"![Routes](figures/{name}.png)" for name in source.figures),
-        "use": fill("use_weights", unit=unit, option=weights_option(fit.weights), where=_where(unit)),
-        "command": source.command,
-    }
-
-
-def _setting(beside: PlannedBeside, names: Sequence[str]) -> str:
-    units = {id(each.query.cost_map): each.query.cost_map for each in beside.demonstrations}.values()
-    flown = "; ".join(
-        ", ".join(filter(None, (f"{each.altitude_m:g} m", each.time_of_day, each.time))) for each in units
-    )
-    cells = ", ".join(f"{value:g}" for value in sorted({each.grid.resolution_m for each in units}))
-    first = next(iter(units))
-    constraints = f" Constraints: {said}." if (said := str(first.constraints)) else ""
-    return (
-        f"Weights fitted: {', '.join(names)}. Cost model: {first.cost_model} on cells of {cells} m.{constraints} "
-        f"Obstacles: {first.maps.obstacles}. Altitudes and times: {flown}."
-    )
-
-
-def _mean_table(beside: PlannedBeside) -> str:
-    mean = beside.table.mean(numeric_only=True)
-    rows = [["length", f"{mean['length_m']:,.0f} m", f"{mean['planned_length_m']:,.0f} m"]]
-    rows += [
-        [f"mean m_{name}", f"{mean[f'mean_{name}']:.3f}", f"{mean[f'planned_mean_{name}']:.3f}"]
-        for name in _unit(beside).names
-    ]
-    return table(["mean over routes", "as given", "under the fitted weights"], rows)
-
-
-def _number(value: float) -> str:
-    return "" if pd.isna(value) else f"{value:.4g}"
-
-
-def _percent(share: float) -> str:
-    return f"{100 * share:.2g} %" if share >= 1e-6 else "0 %"
