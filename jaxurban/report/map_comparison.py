@@ -12,7 +12,7 @@ from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.report.figures.frame import in_degrees
 from jaxurban.report.figures.map_comparison import comparison_figures, heading_of
 from jaxurban.report.write import Output, bullets, files_of, fill, framed, listed, save, table
-from jaxurban.scenario.changes import NOT_SET
+from jaxurban.scenario.validation import NOT_SET
 from jaxurban.studies.map_comparison import MapComparison, unit_of
 from jaxurban.studies.queries import population_norms
 

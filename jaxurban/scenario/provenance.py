@@ -20,8 +20,8 @@ from jaxurban.maps.guesses import leaving_shares
 from jaxurban.maps.task import MapTask
 from jaxurban.metrics.population import population_totals
 from jaxurban.progress import LOG
-from jaxurban.scenario.changes import differences_said, differing
 from jaxurban.scenario.settings import NOMINAL, Scenario
+from jaxurban.scenario.validation import differences_said, differing
 from jaxurban.world.city import City
 from jaxurban.world.grid import Grid
 from jaxurban.world.sky import Sky

@@ -35,7 +35,6 @@ from jaxurban.metrics.settings import differentiable
 from jaxurban.metrics.weights import Weights
 from jaxurban.paths.vehicle import Vehicle
 from jaxurban.presets import BUDGET_S, DEFAULTS, planning_under
-from jaxurban.scenario.changes import changed
 from jaxurban.scenario.validation import (
     Different,
     DifferentList,
@@ -48,6 +47,7 @@ from jaxurban.scenario.validation import (
     StrList,
     Utc,
     WeightSettings,
+    changed,
     check_truths,
     sentence_of,
 )

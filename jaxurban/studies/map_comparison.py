@@ -18,7 +18,7 @@ from jaxurban.io.store import RUN_FILE
 from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY
 from jaxurban.progress import Progress, reporting
-from jaxurban.scenario.changes import Differing, differing
+from jaxurban.scenario.validation import Differing, differing
 from jaxurban.studies.montecarlo.run import MapsFolder
 from jaxurban.studies.queries import NORMS
 from jaxurban.world.grid import Grid

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from jaxurban.scenario import provenance
-from jaxurban.scenario.changes import changed, differences_said, differing
 from jaxurban.scenario.settings import Scenario
+from jaxurban.scenario.validation import changed, differences_said, differing
 from tests.campaign.settings import keys_of
 from tests.cli_runs import assert_one_sentence, run
 
