@@ -2,8 +2,7 @@
 
 import os
 import uuid
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -166,7 +165,7 @@ def work_on_cluster(job: TileJob, client: Any, on_result: Tell) -> None:
     Raises:
       InputError: workers are killed again and again on the same tile.
     """
-    from distributed import WorkerPlugin, as_completed
+    from distributed import KilledWorker, WorkerPlugin, as_completed
 
     class JobHolder(WorkerPlugin):
         """What the scheduler gives every worker before its first task, those that take a killed one's place too."""
@@ -178,43 +177,17 @@ def work_on_cluster(job: TileJob, client: Any, on_result: Tell) -> None:
     client.register_plugin(JobHolder(job), name)
     futures = client.compute(tile_graph(job, partial(_call_in_worker, name)), retries=RETRIES)
     try:
-        with _told_of_killed_workers("tile"):
-            for future in as_completed(futures):
-                on_result(future.result())
-                future.release()
+        for future in as_completed(futures):
+            on_result(future.result())
+            future.release()
+    except KilledWorker as error:
+        raise InputError(
+            "worker processes were killed again and again on the same tile, most likely for lack of memory: use fewer "
+            "--workers or a larger machine; finished tiles are kept"
+        ) from error
     finally:
         with suppress(OSError):  # a worker died while it got it: nothing of the job is left in it
             client.unregister_worker_plugin(name)
-
-
-@contextmanager
-def _told_of_killed_workers(what: str) -> Iterator[None]:
-    """Raise InputError where workers are killed again and again on the same ``what``."""
-    from distributed import KilledWorker
-
-    try:
-        yield
-    except KilledWorker as error:
-        raise InputError(
-            f"worker processes were killed again and again on the same {what}, most likely for lack of memory: use "
-            f"fewer --workers or a larger machine; finished {what}s are kept"
-        ) from error
-
-
-def each_in_threads(num_threads: int, function: Callable[[Any], Any], items: Iterable[Any]) -> list[Any]:
-    """Return what a function makes of each item, in their order, called in threads of this process."""
-    with ThreadPoolExecutor(num_threads) as pool:
-        return list(pool.map(function, items))
-
-
-def each_on_cluster(client: Any, function: Callable[[Any], Any], items: Iterable[Any]) -> list[Any]:
-    """Return what a function makes of each item, in their order, called by the workers of a Dask cluster.
-
-    Raises:
-      InputError: workers are killed again and again on the same item.
-    """
-    with _told_of_killed_workers("file"):
-        return client.gather(client.map(function, list(items), pure=False, retries=RETRIES))
 
 
 @contextmanager

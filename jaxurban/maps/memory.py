@@ -112,11 +112,6 @@ def tile_gpu_bytes(task: MapTask, tile: Grid) -> int:
     return int(tile_bytes(task, tile) + shadows + lidar * ("lidar" in task.metrics))
 
 
-def whole_bytes(task: MapTask) -> int:
-    """Return about how many bytes the maps of a region take at their highest, made at once as `build_maps` does."""
-    return tile_bytes(task, task.region, task.with_margin()) + maps_bytes(task)
-
-
 def maps_bytes(task: MapTask) -> int:
     """Return how many bytes the values of a region's maps are."""
     cells = _num_cells(task.region)
@@ -158,13 +153,10 @@ def free_bytes() -> int:
     return min(free, limit - used)
 
 
-def check_fits(task: MapTask) -> int:
-    """Return about how many bytes this process will take while it makes the maps of a region at once.
-
-    Raises:
-      InputError: more than there are.
-    """
-    region, needed, free = task.region, COMPILING_BYTES + PROGRAM_BYTES + whole_bytes(task), free_bytes()
+def check_fits(task: MapTask) -> None:
+    """Raise InputError where the maps of a region take more memory than is free, made at once as `build_maps` does."""
+    region, free = task.region, free_bytes()
+    needed = COMPILING_BYTES + PROGRAM_BYTES + tile_bytes(task, region, task.with_margin()) + maps_bytes(task)
     if needed > free:
         raise InputError(
             f"the maps of {region.num_rows:,} x {region.num_cols:,} cells of {region.resolution_m:g} m need about "
@@ -172,7 +164,6 @@ def check_fits(task: MapTask) -> int:
             "coarser resolution_m or a shorter lidar range_m, or make them with `jaxurban maps`, which works tile by "
             "tile"
         )
-    return psutil.Process().memory_info().rss + needed
 
 
 def plan_memory(

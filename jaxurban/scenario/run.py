@@ -3,11 +3,11 @@
 import json
 import time
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
-from functools import partial
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,6 @@ import dask.array
 
 from jaxurban.errors import InputError
 from jaxurban.io import store
-from jaxurban.io.chunks import Each
 from jaxurban.io.files import check_writable, is_changed, make_way, sweep_scraps
 from jaxurban.io.folders import WorkFolder, broken_files, has_other_maps, prepare_folder, stored_key
 from jaxurban.io.geotiff import geotiff_paths, is_of_run, stale_geotiffs, write_geotiffs
@@ -30,8 +29,6 @@ from jaxurban.maps.build import view_sky
 from jaxurban.maps.dataset import empty_dataset, with_series
 from jaxurban.maps.executors import (
     Resources,
-    each_in_threads,
-    each_on_cluster,
     num_cores,
     work_in_threads,
     work_on_cluster,
@@ -227,12 +224,10 @@ class Maker:
     client: Any = None
     layers: tuple[str, ...] = ()
 
-    @property
-    def each(self) -> Each:
-        """Calls a function with each of many items, by whoever works on the tiles."""
-        if self.client is None:
-            return partial(each_in_threads, self.num_workers)
-        return partial(each_on_cluster, self.client)
+    def each(self, function: Callable[[Any], Any], items: Iterable[Any]) -> list[Any]:
+        """Return what a function makes of each item, in threads of this process, on a cluster too: files are here."""
+        with ThreadPoolExecutor(self.num_workers) as pool:
+            return list(pool.map(function, items))
 
 
 def _maps_of(maker: Maker, watch: Stopwatch, report: Report) -> tuple[MetricMaps, bool]:
