@@ -26,7 +26,7 @@ from jaxurban.cli.common import (
 )
 from jaxurban.progress import reporting
 
-WEIGHTS = together(  # what both commands ask of weights, and where it goes
+WEIGHTS = together(  # what both commands ask of weights
     click.option(
         "--vary", default="", metavar="NAME,...", help="Weights that vary.  [default: every metric with a weight]"
     ),
@@ -39,8 +39,7 @@ WEIGHTS = together(  # what both commands ask of weights, and where it goes
         help="Times each weight.",
     ),
     click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True),
-    click.option("-o", "output", type=PATH, default=Path("out/sensitivity"), show_default=True),
-    click.option("--overwrite", is_flag=True, help="Replace another run of sensitivity in the output folder."),
+    click.option("--overwrite", is_flag=True, help="Replace another run of this command in the output folder."),
     DEVICE,
     JSON_FLAG,
 )
@@ -61,6 +60,7 @@ SCENARIO_FILE = click.Path(exists=True, dir_okay=False, path_type=Path)
 )
 @DEGREES
 @WEIGHTS
+@click.option("-o", "output", type=PATH, default=Path("out/sensitivity"), show_default=True)
 def sensitivity(folder: Path, output: Path, as_json: bool, overwrite: bool, **given: Any) -> int:
     """Report what would change a route over the maps in DIR."""
     from jaxurban.io.files import check_writable
@@ -148,6 +148,7 @@ def sensitivity(folder: Path, output: Path, as_json: bool, overwrite: bool, **gi
 )
 @WORKERS
 @WEIGHTS
+@click.option("-o", "output", type=PATH, default=Path("out/sensitivity-study"), show_default=True)
 def sensitivity_study(folders: Sequence[Path], output: Path, as_json: bool, overwrite: bool, **given: Any) -> int:
     """Report what weights do to many routes over the maps in each DIR, drawn or from --queries."""
     from jaxurban.io.tables import read_table, records_of
@@ -188,7 +189,7 @@ def sensitivity_study(folders: Sequence[Path], output: Path, as_json: bool, over
     has_route = found.rows.status.isin(HAS_PATH).any()
     if not has_route:
         tell("warning: no route was found, so that nothing can be said: the report tells why")
-    tell(f"sensitivity finished: read {output / 'report.md'}, look at {output / 'figures'}")
+    tell(f"study of sensitivity finished: read {output / 'report.md'}, look at {output / 'figures'}")
     if as_json:
         shown = ("summary", "comparisons")
         kept = {name: records_of(table) for name, table in found.tables.items() if name.endswith(shown)}

@@ -128,7 +128,7 @@ def sensitivity_study(
     job = settings if workers == 1 or settings.num_threads is not None else replace(settings, num_threads=1)
     names = [INSTANCES_FILE, *(f"{name}/{ROWS_FILE}" for name in (ROUTES_FOLDER, REMADE_FOLDER)), *FILES]
     with (
-        Workspace.open(folder, "sensitivity", key, names=names, overwrite=overwrite),
+        Workspace.open(folder, "sensitivity-study", key, names=names, overwrite=overwrite),
         reporting("sensitivity", progress) as report,
     ):
         write_table(instances, folder / INSTANCES_FILE)

@@ -192,9 +192,9 @@ def test_a_killed_study_goes_on_with_no_row_lost_or_doubled(folders, found, tmp_
 
 
 def test_a_folder_keeps_one_study(folders, found):
-    with pytest.raises(InputError, match="another run of `jaxurban sensitivity`"):
+    with pytest.raises(InputError, match="another run of `jaxurban sensitivity-study`"):
         ju.sensitivity_study(folders, found.folder, NUM, settings=replace(SETTINGS, wrong=3.0))
-    with pytest.raises(InputError, match="another run of `jaxurban sensitivity`"):
+    with pytest.raises(InputError, match="another run of `jaxurban sensitivity-study`"):
         ju.sensitivity_study(folders, found.folder, NUM + 1, settings=SETTINGS)
 
 
