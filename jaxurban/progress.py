@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 LOG = logging.getLogger("jaxurban")
 SILENT_S = 5.0  # that a search may last before the log says that it runs
-EVERY_S = 10.0  # between two lines on one stage, and before the first line of a job
+EVERY_S = 10.0  # between two lines on one stage; shorter ones have none
 
 interrupted = threading.Event()  # set by the command line at Ctrl-C, which is lost where a callback of JAX gets it
 Stage = Callable[[str], AbstractContextManager[object]]  # `Stopwatch.stage`, or nullcontext where nothing is timed
@@ -89,8 +89,8 @@ def reporting(title: str, progress: Progress = True) -> Iterator[Report]:
 
     Args:
       title: of the job.
-      progress: True for a bar on stderr or, where that is not a terminal, lines in the log (level INFO): one a stage,
-        with its total and the time that is left; False for nothing; or a function that gets ``stage``, ``done`` and
+      progress: True for a bar on stderr or, where that is not a terminal, lines in the log (level INFO) on long stages,
+        with their total and the time that is left; False for nothing; or a function that gets ``stage``, ``done`` and
         ``total`` (0: not known).
     """
     if isinstance(progress, Report):  # of the job that this one is a part of
@@ -130,43 +130,27 @@ class _Bar(Report):
 
 
 class _Lines(Report):
-    """Lines in the log: at the end of a stage, and on the way every `EVERY_S`.
-
-    Those of the first seconds wait, so that a job that fails at once leaves its error alone.
-    """
+    """Lines in the log on stages that last `EVERY_S` or longer: on the way now and then, and at their end."""
 
     def __init__(self, title: str) -> None:
         self.title, self.stage, self.how_far, self.first_done = title, "", "", 0
-        self.begin_s = self.stage_s = self.told_s = time.perf_counter()
-        self.waiting: list[str] = []
+        self.stage_s = self.told_s = time.perf_counter()
 
     def show(self, stage: str, done: int, total: int, counts: Mapping[str, object]) -> None:
         now_s = time.perf_counter()
         if stage != self.stage:
             self._end_stage(now_s)
-            self.stage, self.stage_s, self.first_done = stage, now_s, done
+            self.stage, self.stage_s, self.told_s, self.first_done = stage, now_s, now_s, done
         parts = [f"{done} of {total}" if total else f"{done}"] if done or total else []
         self.how_far = "".join(f", {part}" for part in (*parts, *(f"{name} {value}" for name, value in counts.items())))
         if now_s - self.told_s >= EVERY_S:
-            spent_s, made = now_s - self.stage_s, done - self.first_done
+            self.told_s, spent_s, made = now_s, now_s - self.stage_s, done - self.first_done
             left = f", about {spent_s * (total - done) / made:.0f} s left" if made > 0 and done < total else ""
-            self._tell(f"{stage}{self.how_far}, {spent_s:.0f} s{left}", now_s)
+            LOG.info(f"{self.title}: {stage}{self.how_far}, {spent_s:.0f} s{left}")
 
     def _end_stage(self, now_s: float) -> None:
-        if self.stage:
-            self._tell(f"{self.stage}{self.how_far}: done in {now_s - self.stage_s:.1f} s", now_s)
-
-    def _tell(self, line: str, now_s: float) -> None:
-        self.waiting.append(line)
-        self.told_s = now_s
-        if now_s - self.begin_s >= EVERY_S:
-            self._flush()
-
-    def _flush(self) -> None:
-        for line in self.waiting:
-            LOG.info("%s: %s", self.title, line)
-        self.waiting.clear()
+        if self.stage and now_s - self.stage_s >= EVERY_S:
+            LOG.info(f"{self.title}: {self.stage}{self.how_far}: done in {now_s - self.stage_s:.1f} s")
 
     def finish(self) -> None:
         self._end_stage(time.perf_counter())
-        self._flush()
