@@ -46,7 +46,7 @@ def get(url, *, most_bytes=MB, timeout_s=5.0, is_offline=False, **options):
     """Return the facts of a file, and where the cache has it."""
     source = Source("osm", url, "credit", "licence", **({"fresh_s": 0.0} | options))
     with open_cache(most_bytes=most_bytes, timeout_s=timeout_s, is_offline=is_offline) as cache:
-        path, facts, _ = cache.get(source, url, is_good)
+        _, facts, _ = cache.get(source, url, is_good)
     return SimpleNamespace(
         path=next(cache_folder().glob(f"{hashlib.sha256(url.encode()).hexdigest()[:9]}*.body")), **facts
     )
