@@ -14,6 +14,7 @@ from jaxurban.io import store
 from jaxurban.io.chunks import Each, broken_chunks, has_whole_metadata, metadata_file
 from jaxurban.io.files import (
     SCRATCH_SUFFIX,
+    is_whole,
     read_json,
     read_npz,
     remove,
@@ -59,15 +60,12 @@ class WorkFolder:
         return []
 
     def _remove_damaged(self) -> list[Path]:
-        damaged = []
-        for folder, read in ((ARRAY_FOLDER, read_npz), (DONE_FOLDER, read_json)):
-            (self.path / folder).mkdir(exist_ok=True)
-            for path in sorted((self.path / folder).iterdir()):
-                try:
-                    read(path)
-                except (OSError, ValueError):
-                    damaged.append(path)
-                    remove(path)
+        damaged: list[Path] = []
+        for folder in (self.path / ARRAY_FOLDER, self.path / DONE_FOLDER):
+            folder.mkdir(exist_ok=True)
+            damaged += [path for path in sorted(folder.iterdir()) if not is_whole(path)]
+        for path in damaged:
+            remove(path)
         return damaged
 
     def _sweep(self) -> None:

@@ -6,7 +6,6 @@ It can hold its answers, for whoever has neither Python nor the maps.
 import base64
 import hashlib
 import json
-import re
 from collections.abc import Iterator
 from functools import cache
 from importlib.resources import files
@@ -49,10 +48,9 @@ def html_page(data: str = "", title: str = "jaxurban") -> str:
     )
 
 
-def policy_of(page: str, connect: str) -> str:
-    """Return what a page may load: its own script and style, and requests to ``connect``."""
-    script = re.findall(r'<script type="module">(.*?)</script>', page, re.DOTALL)[-1]
-    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+def policy_of(connect: str) -> str:
+    """Return what the page may load: its own script and style, and requests to ``connect``."""
+    digest = base64.b64encode(hashlib.sha256(f"\n{part('script')}".encode()).digest()).decode()
     return (
         f"default-src 'none'; script-src 'sha256-{digest}'; style-src 'unsafe-inline'; img-src data: blob:; "
         f"connect-src {connect}; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
@@ -61,10 +59,8 @@ def policy_of(page: str, connect: str) -> str:
 
 def _policy_tag(data: str) -> str:
     """Return the policy of a page that is a file, which has no server to state it."""
-    if not data:
-        return ""
-    rules = policy_of(f'<script type="module">\n{part("script")}</script>', "'none'").rpartition("; frame-ancestors")[0]
-    return f'<meta http-equiv="Content-Security-Policy" content="{rules}">\n'
+    rules = policy_of("'none'").rpartition("; frame-ancestors")[0]
+    return f'<meta http-equiv="Content-Security-Policy" content="{rules}">\n' if data else ""
 
 
 def _escaped(text: str) -> str:

@@ -16,7 +16,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from threading import Lock
 from typing import Any
 
-from jaxurban.errors import InputError, JaxurbanError, RemadeError
+from jaxurban.errors import InputError, RemadeError
 from jaxurban.viewer.html import html_page, policy_of
 from jaxurban.viewer.viewer import JSON, Answer, Viewer
 
@@ -187,16 +187,21 @@ class _Handler(BaseHTTPRequestHandler):
         except Exception as error:
             LOG.warning(f"the viewer failed to answer {self.path[:60]!r}: {type(error).__name__}: {error}")
             status = HTTPStatus.INTERNAL_SERVER_ERROR
-            answer = _sentence(JaxurbanError("that failed: see where the server runs"))
+            answer = _sentence("that failed: see where the server runs")
+        self._send(status, answer)
+
+    def _send(self, status: HTTPStatus, answer: Answer) -> None:
+        headers = {
+            "Content-Type": answer.kind,
+            "Content-Length": str(len(answer.body)),
+            "X-Content-Type-Options": "nosniff",
+            "Cache-Control": "no-store",
+            "Referrer-Policy": "no-referrer",
+            "Content-Security-Policy": policy_of("'self'"),
+        }
         self.send_response(status)
-        self.send_header("Content-Type", answer.kind)
-        self.send_header("Content-Length", str(len(answer.body)))
-        self.send_header("X-Content-Type-Options", "nosniff")
-        self.send_header("Cache-Control", "no-store")
-        self.send_header("Referrer-Policy", "no-referrer")
-        self.send_header("Content-Security-Policy", policy_of(self.server.page, "'self'"))
-        if self.close_connection:
-            self.send_header("Connection", "close")
+        for name, value in (headers | ({"Connection": "close"} if self.close_connection else {})).items():
+            self.send_header(name, value)
         self.end_headers()
         if self.command != "HEAD":
             self.wfile.write(answer.body)
@@ -207,18 +212,11 @@ class _Handler(BaseHTTPRequestHandler):
         status = HTTPStatus.METHOD_NOT_ALLOWED if code == HTTPStatus.NOT_IMPLEMENTED else HTTPStatus(code)
         if status >= HTTPStatus.INTERNAL_SERVER_ERROR:
             status = HTTPStatus.BAD_REQUEST
-        body = (message or status.phrase)[:200].encode("utf-8", "replace")
-        self.send_response(status)
-        self.send_header("Content-Type", "text/plain; charset=utf-8")
-        self.send_header("Content-Length", str(len(body)))
-        self.send_header("Connection", "close")
-        self.end_headers()
-        if self.command != "HEAD":
-            self.wfile.write(body)
+        self._send(status, _sentence((message or status.phrase)[:200]))
 
     def log_message(self, format: str, *args: Any) -> None:
         """Say nothing of requests."""
 
 
-def _sentence(error: Exception) -> Answer:
-    return Answer("text/plain; charset=utf-8", str(error).encode("utf-8", "replace"))
+def _sentence(text: object) -> Answer:
+    return Answer("text/plain; charset=utf-8", str(text).encode("utf-8", "replace"))
