@@ -20,8 +20,7 @@ from jaxurban.paths.cost_map import CostMap, cost_map
 from jaxurban.planners.base import Cell
 from jaxurban.studies.demonstrations import Demonstration, optimal_demonstrations
 from jaxurban.studies.queries import RouteQuery
-from jaxurban.studies.route_pool import RoutePool
-from jaxurban.studies.tuning.fit_settings import FitSettings
+from jaxurban.studies.route_pool import FitSettings, RoutePool
 from jaxurban.studies.tuning.weight_fit import fit_weights
 
 METRICS = ("gps", "population", "risk")

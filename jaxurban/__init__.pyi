@@ -52,13 +52,13 @@ from jaxurban.studies.read_demonstrations import read_demonstrations as read_dem
 from jaxurban.studies.receiver.prediction import ReceiverSettings as ReceiverSettings
 from jaxurban.studies.receiver.validate import ReceiverValidation as ReceiverValidation
 from jaxurban.studies.receiver.validate import validate as validate
+from jaxurban.studies.route_pool import FitSettings as FitSettings
 from jaxurban.studies.sensitivity.buildings import building_costs as building_costs
 from jaxurban.studies.sensitivity.routes import RemadeSettings as RemadeSettings
 from jaxurban.studies.sensitivity.routes import SensitivityStudySettings as SensitivityStudySettings
 from jaxurban.studies.sensitivity.study import SensitivitySettings as SensitivitySettings
 from jaxurban.studies.sensitivity.study import sensitivity as sensitivity
 from jaxurban.studies.tuning.compared_fits import compare_fits as compare_fits
-from jaxurban.studies.tuning.fit_settings import FitSettings as FitSettings
 from jaxurban.studies.tuning.target_fit import fit_targets as fit_targets
 from jaxurban.studies.tuning.targets import Target as Target
 from jaxurban.studies.tuning.weight_fit import fit_weights as fit_weights

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 @click.option(
     "--hold-out", type=float, help="Share of the routes that no fit sees and all are judged by.  [default: 0]"
 )
-@click.option("--losses", help="Compare fits by these, as robust,fenchel-young,trimmed,plain.  [default: robust]")
+@click.option("--losses", help="Compare fits by these, as robust,plain.  [default: robust]")
 @click.option("--by-city", is_flag=True, help="Also fit to each city alone, and without each.")
 @click.option("--wish", "wishes", multiple=True, help="Fit to outcomes, such as mean_gps>=0.8; repeatable.")
 @click.option("--metrics", help="Fit only these, as gps,risk; the others get weight 0.  [default: all of the maps]")
@@ -71,7 +71,7 @@ def tune(words: tuple[Path, ...], out: Path, **given: Any) -> int:
     """
     from jaxurban.metrics.weights import Weights
     from jaxurban.report.tuning import RoutesOnMaps, TuneSettings, run_tuning
-    from jaxurban.studies.tuning.fit_settings import FitSettings
+    from jaxurban.studies.route_pool import FitSettings
 
     def named(*options: str) -> dict[str, Any]:
         return {name: given[name] for name in options if given[name] is not None}

@@ -14,7 +14,7 @@ from jaxurban.report.figures.frame import in_degrees
 from jaxurban.report.figures.notes import joined
 from jaxurban.report.figures.sensitivity import sensitivity_figures
 from jaxurban.report.write import files_of, fill, framed, listed, save, short, table
-from jaxurban.studies.outcomes import outcome_label, outcome_names, outcome_unit
+from jaxurban.studies.queries import outcome_label, outcome_names, outcome_unit
 from jaxurban.studies.sensitivity.sobol import FEW_SAMPLES
 from jaxurban.studies.sensitivity.study import Sensitivity
 

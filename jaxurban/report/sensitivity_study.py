@@ -15,7 +15,7 @@ from jaxurban.report.write import Output, bullets, files_of, fill, framed, save,
 from jaxurban.studies.bootstrap import FEWEST_GROUPS
 from jaxurban.studies.montecarlo.sampling import weighed_metrics, weight_columns
 from jaxurban.studies.montecarlo.trial import HAS_PATH
-from jaxurban.studies.outcomes import outcome_label
+from jaxurban.studies.queries import outcome_label
 from jaxurban.studies.sensitivity import summary
 from jaxurban.studies.sensitivity.routes import SensitivityStudySettings
 from jaxurban.studies.sensitivity.sobol import FEW_SAMPLES

@@ -26,8 +26,8 @@ from jaxurban.studies.demonstrations import Demonstration, PlannedBeside, plan_b
 from jaxurban.studies.montecarlo.sampling import PLACES, TIMES, sample_instances
 from jaxurban.studies.queries import maps_of
 from jaxurban.studies.read_demonstrations import demonstrations_from_paths, read_demonstrations
+from jaxurban.studies.route_pool import FitSettings
 from jaxurban.studies.tuning.compared_fits import FitComparison, compare_fits, state_files
-from jaxurban.studies.tuning.fit_settings import FitSettings
 from jaxurban.studies.tuning.target_fit import TargetFit, fit_targets
 from jaxurban.studies.tuning.targets import Target
 from jaxurban.studies.tuning.weight_fit import WeightFit

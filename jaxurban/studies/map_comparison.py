@@ -137,12 +137,9 @@ class MapComparison(Shown):
         Raises:
           InputError: no such layer, altitude or time in both.
         """
-        first = self.places(one_of("layer", layer, self.layers))[0]
-        given = {"altitude_m": altitude_m, "time": time, "time_of_day": time_of_day}
-        asked: dict[str, Any] = {
-            name: value for name, value in given.items() if None not in (value, getattr(first, name))
-        }
-        return _difference(self.part, layer, first._replace(**asked))
+        first_m = self.places(one_of("layer", layer, self.layers))[0].altitude_m
+        place = Place(first_m if None in (first_m, altitude_m) else altitude_m, time, time_of_day)
+        return _difference(self.part, layer, place)
 
 
 @typed

@@ -1,20 +1,25 @@
-"""Queries of a study, and what routes between their ends add up, whatever the weights are."""
+"""Queries of a study, and what routes between their ends add up: length, quality along it, population crossed."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from jaxurban.errors import InputError, typed
 from jaxurban.maps.metric_maps import MetricMaps
+from jaxurban.metrics.base import Metric
 from jaxurban.metrics.registry import METRICS
-from jaxurban.metrics.weights import Weights
+from jaxurban.metrics.weights import AnyArray, Weights
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.snapping import Point
 from jaxurban.planners.astar import astar
 from jaxurban.planners.base import Cell, Path, Problem
 
 NORMS = ("pop_norm_per_km2", "pop_norm_per_block")  # attributes of maps that go with the times of day
+LENGTH, PEOPLE = "length_m", "people"
+PLAIN = {LENGTH: ("length", "m"), PEOPLE: ("population crossed", "m at the highest density")}  # label, unit
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,3 +168,59 @@ def population_norms(maps: MetricMaps) -> dict[str, float]:
     """Return by which number of people, per km2 or per block, the population of each time of day is divided."""
     norms = next((maps.ds.attrs[name] for name in NORMS if name in maps.ds.attrs), ())
     return dict(zip(maps.times_of_day, map(float, np.atleast_1d(norms)), strict=False))
+
+
+def outcome_names(names: Sequence[str]) -> tuple[str, ...]:
+    """Return the outcomes of routes on maps with these weights (``"distance"`` and metrics)."""
+    return tuple({"distance": LENGTH, "population": PEOPLE}.get(name, f"mean_{name}") for name in names)
+
+
+def outcome_label(outcome: str, metrics: Mapping[str, Metric] = METRICS) -> str:
+    """Return what tables and figures call an outcome of maps that hold these metrics."""
+    metric = outcome.removeprefix("mean_")
+    return PLAIN[outcome][0] if outcome in PLAIN else metrics[metric].label if metric in metrics else metric
+
+
+def outcome_unit(outcome: str) -> str:
+    """Return the unit of an outcome."""
+    return PLAIN[outcome][1] if outcome in PLAIN else "mean m along the route"
+
+
+def outcomes_of(integrals: Float[AnyArray, "*N K"], names: Sequence[str]) -> dict[str, Any]:
+    """Return each outcome ``[*N]`` of routes with these integrals (see `RouteQuery.sums`), in the order of the weights.
+
+    ``length_m``; ``mean_gps`` and the like, the mean of m along the route by length; ``people``, the integral of
+    m_population along the route: proportional to the people under a strip of any width. NumPy or JAX.
+    """
+    length_m = integrals[..., 0]
+    return {
+        outcome: integrals[..., k] if outcome in (LENGTH, PEOPLE) else integrals[..., k] / length_m
+        for k, outcome in enumerate(outcome_names(names))
+    }
+
+
+def cluster_routes(values: np.ndarray, sizes: np.ndarray, first: int, most: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return ``[N]`` the cluster of each route, and ``[M]`` the route that represents each, ``M <= most``.
+
+    Clusters are as different as can be: each begins with the route least like all before it (farthest-point
+    clustering; Gonzalez 1985), and the others join the most alike. Cluster 0 is that of ``first``, which represents it;
+    the route of the largest cell represents each other cluster.
+
+    Args:
+      values: ``[N, J]`` by which routes are compared, each in units of its spread.
+      sizes: ``[N]`` of the routes' cells.
+      first: number of a route.
+      most: clusters.
+    """
+    spread = values.std(axis=0)
+    scaled = values / np.where(spread > 0, spread, 1.0)
+    seeds = [first]
+    apart = np.linalg.norm(scaled - scaled[first], axis=1)
+    cluster = np.zeros(len(values), int)
+    while len(seeds) < most and apart.max() > 0:
+        seeds.append(int(apart.argmax()))
+        away = np.linalg.norm(scaled - scaled[seeds[-1]], axis=1)
+        cluster = np.where(away < apart, len(seeds) - 1, cluster)
+        apart = np.minimum(apart, away)
+    largest = [int(np.argmax(np.where(cluster == k, sizes, -1.0))) for k in range(1, len(seeds))]
+    return cluster, np.array([first, *largest])

@@ -17,7 +17,7 @@ from jaxurban.report.sensitivity import sensitivity_markdown
 from jaxurban.studies.demonstrations import optimal_demonstrations
 from jaxurban.studies.montecarlo.trial import row_columns
 from jaxurban.studies.queries import weights_from
-from jaxurban.studies.tuning.fit_settings import FitSettings
+from jaxurban.studies.route_pool import FitSettings
 from jaxurban.studies.tuning.targets import Target, outcome_values
 from tests.cli_runs import assert_one_sentence, run
 from tests.made_maps import made_maps

@@ -9,7 +9,7 @@ import jaxurban as ju
 from jaxurban.errors import InputError
 from jaxurban.paths.cost_map import cost_map
 from jaxurban.studies.demonstrations import Demonstration, demonstration_from_line, optimal_demonstrations
-from jaxurban.studies.tuning.fit_settings import FitSettings
+from jaxurban.studies.route_pool import FitSettings
 from jaxurban.studies.tuning.weight_fit import fit_weights
 from tests.studies.routes_made import HIDDEN, cosine, made_queries, small_maps, thinned
 

@@ -31,7 +31,7 @@ from jaxurban.report.figures.style import (
     styled,
 )
 from jaxurban.report.write import counted, listed
-from jaxurban.studies.outcomes import outcome_label
+from jaxurban.studies.queries import outcome_label
 from jaxurban.studies.sensitivity.sobol import CONFIDENCE
 from jaxurban.studies.sensitivity.study import Sensitivity
 

@@ -21,7 +21,7 @@ from jaxurban.report.figures.style import (
     styled,
 )
 from jaxurban.studies.bootstrap import share_of
-from jaxurban.studies.outcomes import outcome_label
+from jaxurban.studies.queries import outcome_label
 from jaxurban.studies.sensitivity.summary import ALL, CLEAR, Drawn, change_said
 
 DOT: dict[str, Any] = {"markersize": 4.5, "capsize": 2, "elinewidth": 0.9, "linestyle": "none"}

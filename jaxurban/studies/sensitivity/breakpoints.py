@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 
 from jaxurban.errors import InputError, one_of
-from jaxurban.studies.outcomes import outcomes_of
+from jaxurban.studies.queries import outcomes_of
 from jaxurban.studies.route_pool import RoutePool
 
 EXACT = 1e-9  # relative: costs this close are equal, being sums of thousands of terms in float64

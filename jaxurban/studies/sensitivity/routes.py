@@ -29,8 +29,7 @@ from jaxurban.presets import Preset
 from jaxurban.studies.demonstrations import cells_of
 from jaxurban.studies.montecarlo.sampling import KEY
 from jaxurban.studies.montecarlo.trial import BAD_INPUT, CRASHED, KILLED, InstanceRules, free_cell
-from jaxurban.studies.outcomes import outcomes_of
-from jaxurban.studies.queries import RouteQuery
+from jaxurban.studies.queries import RouteQuery, outcomes_of
 from jaxurban.studies.route_pool import RoutePool
 from jaxurban.studies.sensitivity.breakpoints import nearest_breakpoints
 from jaxurban.studies.sensitivity.sobol import check_vary, sobol_of_weights

@@ -16,8 +16,7 @@ from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.snapping import Point
 from jaxurban.progress import Progress, reporting
-from jaxurban.studies.outcomes import cluster_routes, outcomes_of
-from jaxurban.studies.queries import RouteQuery, check_flat
+from jaxurban.studies.queries import RouteQuery, check_flat, cluster_routes, outcomes_of
 from jaxurban.studies.route_pool import RoutePool
 from jaxurban.studies.sensitivity.breakpoints import (
     ParetoFront,

@@ -12,8 +12,8 @@ from jaxurban.errors import InputError, at_least, one_of, typed
 from jaxurban.studies.bootstrap import counts_within, interval_of
 from jaxurban.studies.demonstrations import Demonstration
 from jaxurban.studies.queries import check_alike
+from jaxurban.studies.route_pool import FitSettings
 from jaxurban.studies.tuning.fenchel_young import LOSSES, trust_of, usual_regret
-from jaxurban.studies.tuning.fit_settings import FitSettings
 from jaxurban.studies.tuning.weight_fit import DISTRUSTED, WeightFit, fit_weights
 
 SPLIT = 0  # stream of random numbers

@@ -1,4 +1,4 @@
-"""What fits of weights bring down over the routes of a pool: the perturbed Fenchel-Young loss, and regrets."""
+"""What fits of weights bring down over the routes of a pool, the perturbed Fenchel-Young loss and regrets, and how."""
 
 from collections.abc import Callable
 from functools import partial
@@ -10,11 +10,9 @@ import numpy as np
 import optax
 from jaxtyping import Array, Float
 
-from jaxurban.studies.tuning.descent import adam
-
 FIRST_RATE, LAST_RATE = 0.05, 0.005  # of Adam, in log weight a step
 LEAST_REGRET = 0.01  # demonstrations much nearer than this to the cheapest are trusted; less distrusted good ones
-TRIMMED = 0.25  # of the demonstrations that a trimmed loss leaves out: more than may be bad
+LOSSES = "robust", "plain"
 
 
 class FitTask(NamedTuple):
@@ -72,18 +70,6 @@ def mean_regret(log_weights: Float[Array, " K"], task: FitTask) -> Float[Array, 
     return jnp.sum(task.trust * regrets(weights_of(log_weights), task)) / jnp.sum(task.trust)
 
 
-class Loss(NamedTuple):
-    """What a fit brings down once the perturbed Fenchel-Young loss has led it near.
-
-    Attributes:
-      objective: of log weights and a task.
-      trust: ``[Q]`` how far each demonstration counts, from regrets ``[Q]`` and the patience of the round.
-    """
-
-    objective: Callable[[Array, FitTask], Array]
-    trust: Callable[[np.ndarray, float], np.ndarray]
-
-
 def usual_regret(regret: np.ndarray) -> float:
     """Return the regret that is nothing out of the ordinary among regrets ``[Q]``."""
     return max(3 * float(np.median(regret)), LEAST_REGRET)
@@ -103,22 +89,31 @@ def redescending_trust(regret: np.ndarray, patience: float) -> np.ndarray:
     return trust_of(regret, usual_regret(regret) * patience)
 
 
-def trimmed_trust(regret: np.ndarray, patience: float) -> np.ndarray:
-    """Return ``[Q]`` 1, and 0 for the `TRIMMED` share with the largest regrets; patience plays no part."""
-    return (regret <= np.quantile(regret, 1 - TRIMMED)).astype(float)
+def adam(
+    objective: Callable[[Array, Array], Array],
+    start: Float[Array, " K"],
+    rates: optax.Schedule,
+    each: Float[Array, " N"],
+    tidy: Callable[[Array], Array] = lambda at: at,
+) -> Float[Array, " K"]:
+    """Return where ``N`` steps of Adam end.
 
+    Args:
+      objective: of a place ``[K]`` and of ``each`` step's own number.
+      start: ``[K]``.
+      rates: of learning, by step.
+      each: ``[N]`` what the objective takes at each step.
+      tidy: brings a place back to its standard form after each step.
+    """
+    optimiser = optax.adam(rates)
 
-def full_trust(regret: np.ndarray, patience: float) -> np.ndarray:
-    """Return ``[Q]`` 1 for each demonstration."""
-    return np.ones_like(regret)
+    def step(carry, now):
+        at, state = carry
+        updates, state = optimiser.update(jax.grad(objective)(at, now), state)
+        return (tidy(optax.apply_updates(at, updates)), state), None
 
-
-LOSSES = {
-    "robust": Loss(mean_regret, redescending_trust),
-    "fenchel-young": Loss(fenchel_young_loss, redescending_trust),
-    "trimmed": Loss(mean_regret, trimmed_trust),
-    "plain": Loss(mean_regret, full_trust),
-}
+    (ended, _), _ = jax.lax.scan(step, (start, optimiser.init(start)), each)
+    return ended
 
 
 @partial(jax.jit, static_argnames=("objective", "num_steps"))

@@ -19,10 +19,9 @@ from jaxurban.metrics.weights import Weights
 from jaxurban.progress import Report, reporting
 from jaxurban.studies.perturbed import draw_pairs, known_route_sums
 from jaxurban.studies.queries import RouteQuery, check_alike, weights_from
-from jaxurban.studies.route_pool import RoutePool
+from jaxurban.studies.route_pool import FitSettings, RoutePool
 from jaxurban.studies.tuning.confidence import feature_units
-from jaxurban.studies.tuning.descent import adam
-from jaxurban.studies.tuning.fit_settings import FitSettings
+from jaxurban.studies.tuning.fenchel_young import adam
 from jaxurban.studies.tuning.targets import Target, outcome_values
 
 FIRST_RATE, LAST_RATE = 0.2, 0.02  # of Adam, in log weight a step

@@ -16,7 +16,7 @@ from jaxurban.metrics.weights import Weights
 from jaxurban.progress import reporting
 from jaxurban.studies.demonstrations import Demonstration
 from jaxurban.studies.queries import check_alike, weights_from
-from jaxurban.studies.route_pool import RoutePool
+from jaxurban.studies.route_pool import FitSettings, RoutePool
 from jaxurban.studies.tuning.confidence import (
     constant_layers,
     draw_counts,
@@ -28,15 +28,14 @@ from jaxurban.studies.tuning.confidence import (
 from jaxurban.studies.tuning.fenchel_young import (
     LOSSES,
     FitTask,
-    Loss,
     descend,
     draw_log_noise,
     fenchel_young_loss,
     mean_regret,
+    redescending_trust,
     regrets,
     weights_of,
 )
-from jaxurban.studies.tuning.fit_settings import FitSettings
 
 FIRST_NOISE, LAST_NOISE = 0.3, 0.03  # standard deviation of log weights: first far, in the end close to the minimum
 NOISE_ROUNDS = 7  # in which the noise shrinks
@@ -144,8 +143,7 @@ def fit_weights(
     Args:
       demonstrations: from `read_demonstrations` or `demonstrations_from_paths`; of one or several maps.
       scale: ``"simplex"``: weights sum to 1; ``"distance"``: the distance weight is 1.
-      loss: ``"robust"``, as told above; ``"fenchel-young"``: the same, but for the mean regret; ``"trimmed"``: the
-        quarter with the largest regrets is left out; ``"plain"``: all count alike.
+      loss: ``"robust"``, as described above; ``"plain"``: all count alike.
       bootstrap: fits on demonstrations drawn anew, for intervals, cities first where there are several; 0 for none.
       settings: of the search. The noise shrinks over 7 rounds, patience with far costlier demonstrations over 6 more;
         after them it ends where a round betters nothing.
@@ -172,7 +170,7 @@ def fit_weights(
     shown = fingerprint(demo)
     pool = settings.pool(queries, known, fit="imitation", loss=loss, noise_rounds=noise_rounds, demonstrations=shown)
     unit = np.where(is_fitted, feature_units(queries, demo), 1.0)
-    fit = _Fit(pool, demo, unit, is_fitted, settings.seed, LOSSES[loss])
+    fit = _Fit(pool, demo, unit, is_fitted, settings.seed, loss == "robust")
     rows: list[dict[str, Any]] = []
     with jax.enable_x64(True), reporting("fit", settings.progress) as report:
         for number in range(settings.max_rounds):
@@ -231,7 +229,7 @@ class _Fit:
     unit: np.ndarray  # [K] what features are counted in
     is_fitted: np.ndarray  # [K]
     seed: int
-    loss: Loss
+    is_robust: bool
     log_weights: np.ndarray = field(init=False)  # [F] of features in those units
     trust: np.ndarray = field(init=False)  # [Q]
 
@@ -269,11 +267,11 @@ class _Fit:
         expected = np.min(np.einsum("qmk,qrk->qmr", probed, self.pool.features), axis=-1)
         searched = np.einsum("qmk,qmk->qm", probed, self.pool.cheapest(probed)[0])
         here = self.task(NUM_NOISE, noise, rng)
-        objective = fenchel_young_loss if number < TRUST_ROUNDS else self.loss.objective
-        if number >= TRUST_ROUNDS:
+        objective = fenchel_young_loss if number < TRUST_ROUNDS else mean_regret
+        if number >= TRUST_ROUNDS and self.is_robust:
             patience = FIRST_DOUBT ** max(0.0, 1 - (number - TRUST_ROUNDS) / DOUBT_ROUNDS)
             regret = np.asarray(regrets(weights_of(jnp.asarray(self.log_weights)), here))
-            self.trust = self.loss.trust(regret, patience)
+            self.trust = redescending_trust(regret, patience)
             here = here._replace(trust=jnp.asarray(self.trust))
         ended, reached = descend(jnp.asarray(self.log_weights), here, objective, STEPS)
         self.log_weights = np.asarray(ended)
