@@ -25,7 +25,7 @@ from jaxurban.progress import reporting
 ANALYSIS_FOLDER = "analysis"
 
 if TYPE_CHECKING:
-    from jaxurban.report.run_montecarlo import BenchmarkResult
+    from jaxurban.report.montecarlo import BenchmarkResult
     from jaxurban.scenario.settings import Scenario
     from jaxurban.studies.montecarlo.trial import BenchmarkSettings
 
@@ -96,8 +96,8 @@ def _run(
     scenario: "Scenario", folder: Path, settings: "BenchmarkSettings", workers: int | str, given: Mapping[str, Any]
 ) -> "BenchmarkResult":
     """Return the benchmark of a scenario, its maps made first where they are not there yet."""
-    from jaxurban.report.run_montecarlo import land_cover_of
-    from jaxurban.report.run_montecarlo import study as run_study
+    from jaxurban.report.montecarlo import land_cover_of
+    from jaxurban.report.montecarlo import study as run_study
     from jaxurban.scenario.run import run_scenario
     from jaxurban.studies.montecarlo.run import MapsFolder
     from jaxurban.studies.montecarlo.sampling import read_instances, sample_instances

@@ -1,20 +1,46 @@
-"""The report of a Monte Carlo benchmark: tables and figures under one folder."""
+"""study: a Monte Carlo benchmark of planners over metric maps, kept in a folder and resumable, and its report."""
 
-import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pandas as pd
 
+from jaxurban.errors import InputError, one_of, typed
+from jaxurban.io.files import read_json, write_json
+from jaxurban.io.read.landcover import read_land_cover
+from jaxurban.io.read.osm import OSM_SUFFIXES
+from jaxurban.io.tables import INSTANCES_FILE, PARTS_FOLDER, ROWS_FILE, SETTINGS_FILE, first_difference, write_table
 from jaxurban.io.workspace import Workspace
+from jaxurban.maps.metric_maps import MetricMaps
+from jaxurban.metrics.registry import METRICS
+from jaxurban.paths.constraints import Constraints, constraints_said
+from jaxurban.paths.preset import under_preset
+from jaxurban.progress import Progress
 from jaxurban.report.figures.montecarlo import study_figures
-from jaxurban.report.run_montecarlo import BenchmarkResult
 from jaxurban.report.sensitivity_study import weights_said
 from jaxurban.report.write import Output, counted, fill, framed, listed, save
+from jaxurban.scenario.settings import Scenario
 from jaxurban.studies.bootstrap import FEWEST_GROUPS
 from jaxurban.studies.montecarlo import analysis
 from jaxurban.studies.montecarlo.complementarity import complementarity
-from jaxurban.studies.montecarlo.trial import CRASHED
+from jaxurban.studies.montecarlo.run import MapsFolder, run_benchmark
+from jaxurban.studies.montecarlo.sampling import (
+    KEY,
+    checked_instances,
+    query_columns,
+    read_instances,
+    sample_instances,
+    weighed_metrics,
+    weight_columns,
+    with_connection,
+)
+from jaxurban.studies.montecarlo.trial import CRASHED, BenchmarkSettings, free_cell
+from jaxurban.world.city import LandCover
+from jaxurban.world.grid import Grid
+from jaxurban.world.synthetic import demo_cover_for_bounds
 
 REPORT_FILE, TABLES, FIGURES = "report.md", "tables", "figures"
 SECTIONS = {  # title of each table, and what it says
@@ -60,6 +86,220 @@ SECTIONS = {  # title of each table, and what it says
         "complement each other where the correlation is below 0 and lidar is good where GPS is poor.",
     ),
 }
+
+
+@dataclass(frozen=True, eq=False)
+class BenchmarkResult:
+    """What a Monte Carlo benchmark found.
+
+    Attributes:
+      folder: where it is kept.
+      maps: what it was made on.
+      instances: the queries (`sample_instances`).
+      rows: what each planner found (`jaxurban.studies.montecarlo.trial.row_columns`).
+      settings: how they were run.
+    """
+
+    folder: Path
+    maps: MetricMaps
+    instances: pd.DataFrame
+    rows: pd.DataFrame
+    settings: BenchmarkSettings
+
+    @property
+    def table(self) -> pd.DataFrame:
+        """The rows with their instances, ``has_path``, ``is_joined`` and ``ratio`` (`studies.analysis.joined`)."""
+        return analysis.joined(self.rows, self.instances)
+
+
+@typed
+def study(
+    maps: MetricMaps | MapsFolder | str | Path,
+    folder: str | Path,
+    instances: pd.DataFrame | int = 200,
+    *,
+    settings: BenchmarkSettings | None = None,
+    workers: int | str = 1,
+    overwrite: bool = False,
+    progress: Progress = True,
+) -> BenchmarkResult:
+    """Return what every planner finds for every instance, under equal budgets: a Monte Carlo benchmark.
+
+    Rows are kept in ``folder`` (``rows.parquet``, one a planner, objective, instance and altitude) as they come; the
+    same call after any end, ``kill -9`` included, runs only what is missing; planners and instances may be added. A
+    planner that crashes is a row with the status ``crashed``, a place that is not free here one with ``bad-input``.
+
+    Args:
+      maps: from `build_maps` or `open_maps`, or the folder of maps, which several workers need; a `MapsFolder` where it
+        holds several resolutions, or planners are to keep another rule of obstacles.
+      folder: where the benchmark is kept.
+      instances: from `sample_instances` or `studies.sampling.read_instances`, or how many to sample at each altitude.
+        Their ``is_connected`` is found anew on these maps.
+      settings: planners, budgets, cost model and constraints.
+      workers: processes of this machine, 1 works in this process; or the address of a Dask scheduler, whose workers see
+        the maps' folder under the same path.
+      overwrite: replace a benchmark of other settings.
+      progress: as in `jaxurban.progress.reporting`.
+
+    Raises:
+      InputError: a wrong argument, instances for other maps or none that lies on these, or a folder that holds a
+        benchmark of other settings or other instances.
+    """
+    folder, settings = Path(folder), settings or BenchmarkSettings()
+    if isinstance(workers, int) and workers < 1:
+        raise InputError(f"workers must be at least 1, got {workers}")
+    source = maps if isinstance(maps, MetricMaps | MapsFolder) else MapsFolder(maps)
+    opened = source if isinstance(source, MetricMaps) else source.open()
+    opened, model, constraints = under_preset(settings.preset, opened, settings.cost_model, settings.constraints)
+    settings = replace(settings, cost_model=model, constraints=constraints, preset="")
+    source = opened if isinstance(source, MetricMaps) else source.at(opened)
+    if not isinstance(instances, pd.DataFrame):
+        instances = sample_instances(opened, instances, cost_model=model, constraints=constraints, seed=settings.seed)
+    else:
+        instances = checked_instances(instances, "instances")
+        check_instances(instances, opened)
+        instances = with_connection(instances, opened, model, constraints)
+        _check_places(instances, opened, constraints)
+    with Workspace.open(folder, "study", is_shared=True) as workspace:
+        _claim(workspace, settings, opened, instances, overwrite)
+        write_table(instances, folder / INSTANCES_FILE)
+        rows = run_benchmark(instances, source, folder, settings, workers, progress)
+    return BenchmarkResult(folder, opened, instances, rows, settings)
+
+
+def land_cover_of(scenario: Scenario) -> LandCover | None:
+    """Return the water and the parks that the benchmark of a scenario tells apart, None where nothing tells them.
+
+    From ``[study] land_cover``; left out, from the buildings' source where that is an OSM file, or the synthetic
+    city's.
+
+    Raises:
+      InputError: the file cannot be read, or is not an OSM file.
+    """
+    region, named = scenario.region, scenario.study.land_cover
+    if named is None and scenario.is_synthetic:
+        return demo_cover_for_bounds(region.bounds, region.crs)
+    source = named or scenario.buildings.source
+    if not source.lower().endswith(OSM_SUFFIXES):
+        if named is not None:
+            raise InputError(f"[study] land_cover must be an OpenStreetMap file (.osm.pbf or .osm), got {named!r}")
+        return None
+    grid = Grid.from_bounds(region.bounds, region.resolution_m[0], region.crs, region.resolution_m)
+    return read_land_cover(scenario.path_of(source), grid.crs, grid.bounds_m)
+
+
+def check_instances(instances: pd.DataFrame, maps: MetricMaps) -> None:
+    """Raise InputError unless instances are of these maps: their CRS, altitudes, times and metrics."""
+    crs = set(instances.crs) - {maps.grid.crs}
+    if crs:
+        raise InputError(f"the instances' places are in {crs.pop()}, the maps in {maps.grid.crs}: use maps in that CRS")
+    times = maps.times if maps.default_time is not None else ()
+    for name, held in (("altitude_m", maps.altitudes_m), ("time", times), ("time_of_day", maps.times_of_day)):
+        lost = [value for value in instances[name].dropna().unique() if value not in held]
+        if lost:
+            listed = ", ".join(f"{value:g}" if name == "altitude_m" else str(value) for value in held) or "none"
+            raise InputError(f"the instances ask for {name} {lost[0]}, and these maps hold {listed}")
+    for name in weighed_metrics(instances.columns):
+        one_of("a weight of the instances", name, dict.fromkeys((*METRICS, *maps.metrics)))
+    if lost := [column for column in weight_columns(maps.metrics) if column not in instances]:
+        raise InputError(f"the instances have no weight {lost[0]!r} for a metric of these maps: add it, 0 for none")
+
+
+def _check_places(instances: pd.DataFrame, maps: MetricMaps, constraints: Constraints) -> None:
+    """Raise InputError if not one instance starts and ends on a free cell; a few that do not are rows."""
+    if instances.is_connected.notna().any():
+        return
+    first = instances.iloc[0]
+    is_free = constraints.is_free(maps, first.altitude_m, time=first.time, time_of_day=first.time_of_day)
+    for end in ("start", "goal"):
+        try:
+            free_cell(maps.grid, is_free, first[f"{end}_x_m"], first[f"{end}_y_m"])
+        except InputError as error:
+            raise InputError(
+                f"no instance lies on these maps, from the first one on, instance {first.instance} at "
+                f"{first.altitude_m:g} m, whose {end} is not free ({error}): use the maps that they are for"
+            ) from error
+
+
+def _claim(
+    workspace: Workspace, settings: BenchmarkSettings, maps: MetricMaps, instances: pd.DataFrame, overwrite: bool
+) -> None:
+    """Make the folder this benchmark's, or raise InputError if it is another's."""
+    folder = workspace.folder
+    now = settings.to_dict() | {
+        "maps": {name: str(maps.ds.attrs[name]) for name in ("crs", "resolution_m", "first_row", "first_col")}
+        | {"run_key": str(maps.ds.attrs.get("run_key")), "obstacles": maps.obstacles},
+    }
+    file = folder / SETTINGS_FILE
+    held = _held(file)
+    other = None
+    if held is not None:
+        differing = first_difference(_deciding(held), _deciding(now))
+        other = f"of other settings ({differing})" if differing else _other_instances(folder, instances)
+    if other is not None:
+        if not overwrite:
+            raise InputError(
+                f"{str(folder)!r} holds a study {other}: choose another folder, or pass --overwrite (overwrite=True) "
+                "to replace it"
+            )
+        workspace.check_way(folder / name for name in (ROWS_FILE, INSTANCES_FILE, SETTINGS_FILE))
+        workspace.remove_all()
+    write_json(file, now, indent=2)
+
+
+def _deciding(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what decides a benchmark's rows, by name: neither the files of zones nor a budget that is not used."""
+    flat, constraints = dict(settings), settings.get("limits") or {}
+    flat |= {f"maps' {name}": value for name, value in (flat.pop("maps", None) or {}).items()}
+    budget_s, iterations = flat.pop("budget_s", None), flat.pop("budget_iterations", None)
+    flat["budget"] = f"{budget_s} s" if iterations is None else f"{iterations} samples"
+    flat["set of constraints"] = constraints_said(flat.pop("limits", None) or {}) or "none"
+    return flat | {
+        "outlines of no-fly zones": ", ".join(zone.get("outline", "") for zone in constraints.get("no_fly", ()))
+    }
+
+
+def _other_instances(folder: Path, instances: pd.DataFrame) -> str | None:
+    """Return which instance of the held benchmark is not among these or differs, None if the benchmark only grows."""
+    try:
+        held = read_instances(folder / INSTANCES_FILE).set_index(list(KEY))
+    except InputError as error:
+        has_rows = (folder / ROWS_FILE).exists() or any((folder / PARTS_FOLDER).glob("*.json"))
+        return f"whose instances are lost ({error})" if has_rows else None
+    now = instances.set_index(list(KEY))
+    lost = held.index.difference(now.index)
+    if len(lost):
+        number, altitude_m = lost[0]
+        return (
+            f"of {len(held)} instances, counted at each altitude, of which {len(lost)} are left out now (instance "
+            f"{number} at {altitude_m:g} m is the first), and a study can be made longer but not shorter"
+        )
+    columns = query_columns(instances.columns)
+    before, after = held.reindex(columns=columns), now[columns].reindex(held.index)
+    differs = np.argwhere(~((before == after) | (before.isna() & after.isna())).to_numpy())
+    if not len(differs):
+        return None
+    row, col = differs[0]
+    number, altitude_m = held.index[row]
+    return (
+        f"of other instances (instance {number} at {altitude_m:g} m has the {columns[col]} {before.iloc[row, col]}, "
+        f"and {after.iloc[row, col]} is given now)"
+    )
+
+
+def _held(file: Path) -> dict[str, Any] | None:
+    try:
+        held = read_json(file)
+    except FileNotFoundError:
+        if foreign := [name for name in (ROWS_FILE, INSTANCES_FILE, PARTS_FOLDER) if (file.parent / name).exists()]:
+            raise InputError(
+                f"{str(file.parent / foreign[0])!r} is there already, and nothing says that it is a study's: choose "
+                "another folder, or remove it"
+            ) from None
+        return None
+    except (OSError, ValueError) as error:
+        raise InputError(f"{str(file)!r} cannot be read: remove the folder and run the study anew") from error
+    return held
 
 
 def tables_of(result: BenchmarkResult) -> dict[str, pd.DataFrame]:
@@ -127,18 +367,8 @@ def report_markdown(result: BenchmarkResult, tables: dict[str, pd.DataFrame], fi
     return f"{text}\n"
 
 
-SHOWN = {
-    "paired": ["first", "second", "both", "only_first", "only_second", "cost_ratio", "low", "high", "time_ratio"],
-    "complementarity": [
-        "altitude_m", "gps", "lidar", "correlation", "correlation_low", "correlation_high", "gps_poor",
-        "lidar_where_gps_poor", "lidar_where_gps_good", "gps_serves", "lidar_serves", "either_serves",
-    ],
-    "objectives": ["planner", "altitude_m", "pairs", "cost_ratio", "length_ratio"],
-}  # fmt: skip
-
-
 def _shown(name: str, table: pd.DataFrame) -> pd.DataFrame:
-    """Return what the report shows of a table; the CSV holds all."""
+    """Return a table as the report shows it."""
     if name == "success":
         shares = table.pivot(index=["planner", "range"], columns="altitude_m", values="share_joined")
         ranges = analysis.range_names(table)
@@ -147,8 +377,4 @@ def _shown(name: str, table: pd.DataFrame) -> pd.DataFrame:
     if name == "surroundings":
         low = table[table.altitude_m == table.altitude_m.min()]
         return low.pivot(index=["stratum", "pairs"], columns="planner", values="share").reset_index()
-    wanted = SHOWN.get(name)
-    if name == "objectives":
-        changes = [column for column in map(str, table.columns) if re.fullmatch(r"m_\w+_change", column)]
-        wanted = [*SHOWN[name], *changes]
-    return table if wanted is None else table[[column for column in wanted if column in table]]
+    return table

@@ -22,7 +22,7 @@ from jaxurban.paths.preset import under_preset
 from jaxurban.paths.queries import WEIGHT_PREFIX, read_queries
 from jaxurban.progress import LOG, Progress, Report, reporting
 from jaxurban.report.buildings import scenario_of
-from jaxurban.report.run_montecarlo import INSTANCES_FILE, check_instances
+from jaxurban.report.montecarlo import INSTANCES_FILE, check_instances
 from jaxurban.report.sensitivity_study import FILES, SensitivityStudy, write_sensitivity_study
 from jaxurban.scenario.run import tasks_of as maps_tasks_of
 from jaxurban.scenario.settings import Scenario
