@@ -1,13 +1,9 @@
 """Routes for the viewer: planned as ``jaxurban plan`` does, on cost maps that are kept while only weights change."""
 
-import json
 import shlex
 import tempfile
 from dataclasses import replace
 from pathlib import Path as FilePath
-from typing import Any
-
-import numpy as np
 
 from jaxurban.errors import InputError, one_of
 from jaxurban.maps.metric_maps import MetricMaps
@@ -23,7 +19,7 @@ from jaxurban.planners.cost_model import CostModel
 from jaxurban.planners.registry import find_planner
 from jaxurban.presets import BUDGET_S
 from jaxurban.viewer.layers import Place
-from jaxurban.viewer.requests import Plan
+from jaxurban.viewer.requests import Plan, Zones, parse
 from jaxurban.viewer.tiles import Kept
 
 ZONES_FILE = "zones.geojson"  # what the page saves drawn zones as, and the command names
@@ -159,7 +155,7 @@ class Plans:
         kept = replace(self.limits, clearance_m=query.clearance_m)
         if not query.zones:
             return kept
-        _check_zones(query.zones)
+        parse(Zones, query.zones)
         with tempfile.TemporaryDirectory() as folder:
             file = FilePath(folder) / ZONES_FILE
             file.write_text(query.zones, encoding="utf-8")
@@ -168,18 +164,3 @@ class Plans:
 
 def _budget_s(planner: str) -> float:
     return SAMPLING_BUDGET_S if planner.startswith("bitstar") else BUDGET_S
-
-
-def _check_zones(text: str) -> None:
-    """Raise InputError unless a text is a GeoJSON collection of polygons in longitude and latitude."""
-    try:
-        features: Any = json.loads(text)["features"]
-        rings = [ring for each in features for ring in each["geometry"]["coordinates"]]
-        points = np.array([point for ring in rings for point in ring], float)
-        are_polygons = all(each["geometry"]["type"] == "Polygon" for each in features)
-    except (ValueError, KeyError, TypeError, RecursionError) as error:
-        raise InputError("zones must be a GeoJSON FeatureCollection of polygons") from error
-    if not (are_polygons and points.ndim == 2 and points.shape[1] == 2 and np.isfinite(points).all()):
-        raise InputError("zones must be polygons of longitude and latitude")
-    if np.abs(points).max() > 180:
-        raise InputError("zones must be polygons of longitude and latitude, in degrees")

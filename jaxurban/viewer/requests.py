@@ -13,6 +13,7 @@ MOST_LETTERS = 64 * 1024  # of zones
 Index = Annotated[int, Field(strict=True, ge=0, le=10**6)]
 Name = Annotated[str, Field(max_length=100)]
 Degrees = Annotated[float, Field(strict=True, ge=-360, le=360)]
+Corner = Annotated[float, Field(strict=True, ge=-180, le=180)]
 Metres = Annotated[float, Field(strict=True, ge=0, le=10**5)]
 Weight = Annotated[float, Field(strict=True, ge=0, le=10**30)]
 
@@ -77,6 +78,28 @@ class Plan(Request):
     zones: Annotated[str, Field(max_length=MOST_LETTERS)] = ""
 
 
+class Polygon(Request):
+    """The geometry of a zone: rings of longitude and latitude, each closed."""
+
+    type: Literal["Polygon"]
+    coordinates: list[Annotated[list[tuple[Corner, Corner]], Field(min_length=4)]]
+
+
+class Zone(Request):
+    """A no-fly zone."""
+
+    type: Literal["Feature"]
+    properties: dict[str, str]
+    geometry: Polygon
+
+
+class Zones(Request):
+    """What `Plan.zones` holds."""
+
+    type: Literal["FeatureCollection"]
+    features: Annotated[list[Zone], Field(min_length=1)]
+
+
 class Save(Plan):
     """A route as a file of a format."""
 
@@ -84,13 +107,13 @@ class Save(Plan):
 
 
 def parse(kind: type[Request], given: Any) -> Any:
-    """Return the parameters of a request.
+    """Return the parameters of a request, or what their text holds.
 
     Raises:
       InputError: they are not those of its kind.
     """
     try:
-        return kind.model_validate(given)
+        return kind.model_validate_json(given) if kind is Zones else kind.model_validate(given)
     except ValidationError as error:
         first = error.errors(include_url=False, include_input=False)[0]
         where = ".".join(str(part)[:40] for part in first["loc"]) or "the request"
