@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 
 from jaxurban.errors import InputError, typed
 from jaxurban.maps.task import MapTask
-from jaxurban.metrics.gps import SATELLITES_STEP, GpsParams, maps_of_words
+from jaxurban.metrics.gps import GpsParams, maps_of_words
 from jaxurban.metrics.lidar import LidarParams, beam_heights, lidar_of_beams
 from jaxurban.metrics.obstacle import obstacle_mask
 from jaxurban.metrics.population import BlockPopulation, PopulationParams, day_share, layers_of_blocks, map_blocks
@@ -116,7 +116,6 @@ def skies_of(task: MapTask, surface: Surface) -> SkyView:
     """
     angles = [task.angles(t) for t in range(task.num_times)]
     most = max(1, *(len(azimuth_rad) for azimuth_rad, _ in angles))
-    most = -(-most // SATELLITES_STEP) * SATELLITES_STEP
     views = [SkyView.of(surface, *of_time, most, task.clocks(t)) for t, of_time in enumerate(angles)]
     return jax.tree.map(lambda *values: jnp.asarray(np.stack(values)), *views)
 

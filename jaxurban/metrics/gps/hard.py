@@ -17,7 +17,7 @@ from jaxurban.metrics.gps.params import GpsParams
 from jaxurban.metrics.visibility import distinct_choices
 
 SATELLITES_STEP = 8  # the DOP program is compiled for 8, 16, 24 ... satellites
-BLOCK_CELLS = 2**12  # cells whose DOPs are made at once: what they need in between fits a core's cache
+BLOCK_CELLS = 2**11  # cells whose DOPs are made at once, by one core: what they need in between fits its cache
 WIDE_BLOCK_CELLS = 2**22  # the same on a GPU, which has a launch for every block
 
 
