@@ -18,11 +18,13 @@ from jaxurban.report.figures.paths import planner_colours
 from jaxurban.report.figures.style import (
     FAINT_INK,
     INK,
+    MARKERS,
     Colours,
     add_colour_bar,
+    dots,
     legend_below,
     panels,
-    show_plain,
+    show_plain_log,
     styled,
 )
 from jaxurban.studies.montecarlo.analysis import each, facts_of, range_names, weighted_rows
@@ -31,7 +33,6 @@ from jaxurban.studies.montecarlo.trial import DISTANCE, WEIGHTED
 PANEL_IN = 2.45
 SHARES = Colours("Greys", LogNorm(1e-6, 0.3), "share of the free cells", extend="max")
 RATIO_AXIS = (1.1, 2.0)  # the least and the greatest end of the axis of cost ratios
-MARKERS = "osD^vP*X"
 
 
 def _panels(
@@ -187,24 +188,16 @@ def plot_usage(usage: pd.DataFrame, metrics: Mapping[str, Metric] = METRICS, whe
 def plot_paired(paired: pd.DataFrame, where: str = "") -> Figure:
     """Return cost ratios of planners two by two with their intervals (`analysis.paired`)."""
     shown = paired[np.isfinite(paired.cost_ratio)].iloc[::-1]
+    shown = shown.rename(columns={"low": "cost_ratio_low", "high": "cost_ratio_high"})
     note = "geometric mean of cost ratios where both found a path, 95 % bootstrap interval"
     figure, (panel,) = _panels(1, "Planners two by two", _lines(note, where), height_in=0.28 + 0.28 * len(shown))
-    y = np.arange(len(shown))
-    ends = np.abs(shown[["low", "high"]].to_numpy().T - shown.cost_ratio.to_numpy())
+    y = np.arange(len(shown), dtype=float)
     panel.axvline(1.0, color=FAINT_INK, linewidth=0.8)
-    panel.errorbar(shown.cost_ratio, y, xerr=ends, fmt="o", color=INK, markersize=4, capsize=3, linewidth=1.2)
-    panel.set_yticks(y, [f"{row.first} / {row.second}" for row in each(shown)])
-    for place, row in zip(y, each(shown), strict=True):
-        text = f"{row.cost_ratio:.3f}  ({row.both} pairs)"
-        panel.annotate(text, (1.02, place), xycoords=("axes fraction", "data"), va="center", color=INK)
-    panel.set_xscale("log")
-    show_plain(panel.xaxis)
-    low, high = min(0.98, shown.low.min()), max(1.02, shown.high.max())
-    panel.set_xticks(np.round(np.geomspace(low, high, 4), 2))
-    panel.set(
-        ylim=(-0.7, len(shown) - 0.3),
-        xlabel="cost of the first over cost of the second (below 1: the first is cheaper)",
-    )
+    dots(panel, y, shown, "cost_ratio", {"color": INK, "marker": "o"}, is_across=True)
+    panel.set_yticks(y, [f"{r.first} / {r.second}: {r.cost_ratio:.3f} ({r.both} pairs)" for r in each(shown)])
+    panel.set(xscale="log", ylim=(-0.7, len(shown) - 0.3))
+    panel.set_xlabel("cost of the first over cost of the second (below 1: the first is cheaper)")
+    show_plain_log(panel.xaxis)
     return figure
 
 
@@ -220,8 +213,7 @@ def plot_objectives(objectives: pd.DataFrame, where: str = "") -> Figure:
         for rank, (planner, colour) in enumerate(colours.items()):
             rows = objectives[objectives.planner == planner].sort_values("altitude_m")
             x = _beside(len(rows), rank, len(colours), 0.12)
-            ends = np.abs(rows[[f"{name}_low", f"{name}_high"]].to_numpy().T - rows[name].to_numpy())
-            panel.errorbar(x, rows[name], yerr=ends, fmt="o", color=colour, capsize=3, label=planner)
+            dots(panel, x, rows, name, {"color": colour, "marker": "o", "label": planner})
             panel.set_xticks(range(len(rows)), [f"{z:g} m" for z in rows.altitude_m])
         panel.axhline(1.0, color=FAINT_INK, linewidth=0.8)
         panel.set_title(title)

@@ -26,6 +26,7 @@ from jaxurban.report.figures.style import (
     add_colour_bar,
     chart,
     dress,
+    legend_below,
     panels,
     show_plain,
     styled,
@@ -201,75 +202,42 @@ def plot_sobol(found: Sensitivity) -> Figure:
         ),
         shares_y=True,
     )
-    lowest, highest = -0.1, 1.05
+    look: dict[str, Any] = {"ecolor": INK, "capsize": 2, "error_kw": {"linewidth": 0.8}}
+    kinds = ("first", FIRST_COLOUR, "first-order: alone"), ("total", TOTAL_COLOUR, "total: with its interactions")
     for panel, outcome in zip(axes, outcomes, strict=True):
         rows = table.loc[outcome]
         place = np.arange(len(rows))
-        for shift, kind, colour in ((-0.19, "first", FIRST_COLOUR), (0.19, "total", TOTAL_COLOUR)):
-            bars: dict[str, Any] = {"ecolor": INK, "capsize": 2, "error_kw": {"linewidth": 0.8}}
-            panel.bar(
-                place + shift, rows[kind].fillna(0), 0.36, color=colour, yerr=rows[f"{kind}_ci"].fillna(0), **bars
-            )
+        for side, (kind, colour, label) in enumerate(kinds):
+            values, ends = rows[kind].fillna(0), rows[f"{kind}_ci"].fillna(0)
+            panel.bar(place + 0.38 * side - 0.19, values, 0.36, color=colour, yerr=ends, label=label, **look)
         if rows["first"].isna().all():
             panel.text(0.5, 0.5, "does not vary", transform=panel.transAxes, ha="center", size=TEXT_PT)
         panel.set_xticks(place, list(rows.index))
         panel.axhline(0, color=FAINT_INK, linewidth=0.6)
-        for kind in ("first", "total"):
-            lowest = min(lowest, float(np.nan_to_num((rows[kind] - rows[f"{kind}_ci"]).min())) - 0.03)
-            highest = max(highest, float(np.nan_to_num((rows[kind] + rows[f"{kind}_ci"]).max())) + 0.03)
         panel.set(title=outcome_label(outcome), xlabel="weight")
-    axes[0].set_ylim(max(lowest, SHARES_SHOWN[0]), min(highest, SHARES_SHOWN[1]))
+    axes[0].set_ylim(*SHARES_SHOWN)
     figure.supylabel("share of variance (1)", size=SMALL_PT)
-    figure.legend(
-        handles=[
-            Patch(color=FIRST_COLOUR, label="first-order: alone"),
-            Patch(color=TOTAL_COLOUR, label="total: with its interactions"),
-        ],
-        loc="outside lower left",
-        ncols=2,
-    )
+    legend_below(figure, axes[0])
     return figure
 
 
 @styled
 def plot_pareto(found: Sensitivity) -> Figure:
-    """Return the supported Pareto points of two or three features; the third is the colour."""
+    """Return the supported Pareto points of two or three features; the last is the colour."""
     front = found.front
     routes = counted(len(front.points), "route")
     note = _note(found, f"{routes}, each the cheapest for some weights of these alone (supported points)")
     figure = chart(7.6, 4.2, f"Best trade-offs between {listed(front.objectives)}", note)
     panel = figure.subplots()
-    order = front.points.sort_values(front.objectives[0])
-    x, y = (order[name].to_numpy() for name in front.objectives[:2])
-    gradient = found.local.cost["gradient"].to_numpy()
-    given = [gradient[found.names.index(name)] for name in front.objectives]
-    if len(front.objectives) == 2:
-        panel.plot(x, y, color=FAINT_INK, linewidth=0.8, marker="o", markersize=4, markerfacecolor=FIRST_COLOUR)
-        panel.plot(
-            *given,
-            marker="*",
-            markersize=13,
-            color="white",
-            markeredgecolor=GIVEN_COLOUR,
-            linestyle="none",
-            label="given weights",
-        )
-    else:
-        third = order[front.objectives[2]].to_numpy()
-        norm = Normalize(min(third.min(), given[2]), max(third.max(), given[2]))
-        colours = Colours("viridis", norm, _feature_label(found, front.objectives[2]))
-        panel.scatter(x, y, c=third, norm=norm, cmap=colours.cmap, s=26, edgecolors=FAINT_INK, linewidths=0.4)
-        panel.scatter(
-            given[0],
-            given[1],
-            c=given[2:],
-            norm=norm,
-            cmap=colours.cmap,
-            marker="*",
-            s=220,
-            edgecolors=GIVEN_COLOUR,
-            label="given weights",
-        )
+    points = front.points[[*front.objectives]].to_numpy()
+    given = found.local.cost["gradient"].loc[[*front.objectives]].to_numpy()
+    last = np.append(points[:, -1], given[-1])
+    colours = Colours("viridis", Normalize(last.min(), last.max()), _feature_label(found, front.objectives[-1]))
+    look: dict[str, Any] = {"norm": colours.norm, "cmap": colours.cmap}
+    panel.scatter(points[:, 0], points[:, 1], c=points[:, -1], s=26, edgecolors=FAINT_INK, linewidths=0.4, **look)
+    star: dict[str, Any] = {"marker": "*", "s": 220, "edgecolors": GIVEN_COLOUR, "label": "given weights"}
+    panel.scatter(given[0], given[1], c=given[-1:], **star, **look)
+    if len(front.objectives) == 3:
         add_colour_bar(figure, [panel], colours)
     panel.set(xlabel=_feature_label(found, front.objectives[0]), ylabel=_feature_label(found, front.objectives[1]))
     panel.margins(0.06)

@@ -12,8 +12,10 @@ from matplotlib.ticker import PercentFormatter
 from jaxurban.report.figures.sensitivity import CLUSTER_COLOURS, SHARES_SHOWN
 from jaxurban.report.figures.style import (
     FAINT_INK,
+    MARKERS,
     TEXT_PT,
     chart,
+    dots,
     dress,
     legend_below,
     panels,
@@ -24,8 +26,6 @@ from jaxurban.studies.bootstrap import share_of
 from jaxurban.studies.queries import outcome_label
 from jaxurban.studies.sensitivity.summary import ALL, CLEAR, Drawn, change_said
 
-DOT: dict[str, Any] = {"markersize": 4.5, "capsize": 2, "elinewidth": 0.9, "linestyle": "none"}
-MARKERS = "osD^vP*X"
 NUM_FACTORS = 60  # at which an interval is drawn
 INTERVALS = "bars: intervals over pairs of places; hollow: too few pairs for one"
 
@@ -43,23 +43,6 @@ def study_figures(tables: Mapping[str, pd.DataFrame], wrong: float) -> dict[str,
     if "remade_summary" in tables:
         found["remade"] = lambda: plot_remade(tables["remade_summary"])
     return found
-
-
-def dots(
-    panel: Axes, x: np.ndarray, rows: pd.DataFrame, name: str, look: Mapping[str, Any], is_across: bool = False
-) -> None:
-    """Draw a statistic of a table's rows with its intervals at ``x``; hollow where there is none."""
-    values, low, high = (rows[f"{name}{end}"].to_numpy(np.float64) for end in ("", "_low", "_high"))
-    is_known, label = np.isfinite(low), look.get("label")
-    for which, face in ((is_known, look["color"]), (~is_known & np.isfinite(values), "white")):
-        if which.any():
-            ends = np.nan_to_num(np.stack([values - low, high - values])[:, which]).clip(min=0)
-            look_here = {**DOT, **look, "label": label, "markerfacecolor": face}
-            if is_across:
-                panel.errorbar(values[which], x[which], xerr=ends, **look_here)
-            else:
-                panel.errorbar(x[which], values[which], yerr=ends, **look_here)
-            label = None
 
 
 def looks(names: Sequence[str]) -> list[dict[str, Any]]:

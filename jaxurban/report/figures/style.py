@@ -2,10 +2,12 @@
 
 import math
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+import pandas as pd
 from matplotlib import colormaps, rc_context
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
@@ -21,6 +23,8 @@ from jaxurban.report.figures.notes import GAP
 SMALL_PT, TEXT_PT = 8.0, 9.0  # of tick labels, of titles and notes
 INK, FAINT_INK = "#1a1a1a", "#555555"
 HEAD_IN, LINE_IN, LETTERS_PER_IN = 0.62, 0.15, 14.0  # of a heading with one line of note; of TEXT_PT
+MARKERS = "osD^vP*X"  # of several series
+DOT: dict[str, Any] = {"markersize": 4.5, "capsize": 2, "elinewidth": 0.9, "linestyle": "none"}
 BAR_SHARE = 0.6  # of the figure's height, about, that a bar beside panels takes
 LETTER_IN, LABEL_IN = 0.065, 0.17  # width and height that a letter of a tick label takes
 
@@ -118,6 +122,23 @@ def legend_below(figure: Figure, panel: Axes, columns: int = LEGEND_COLUMNS) -> 
     """Write the legend of a panel at the foot of its figure."""
     handles, names = panel.get_legend_handles_labels()
     figure.legend(handles, names, loc="outside lower center", ncols=min(columns, len(names)))
+
+
+def dots(
+    panel: Axes, x: np.ndarray, rows: pd.DataFrame, name: str, look: Mapping[str, Any], is_across: bool = False
+) -> None:
+    """Draw a statistic of a table's rows with its intervals at ``x``; hollow where there is none."""
+    values, low, high = (rows[f"{name}{end}"].to_numpy(np.float64) for end in ("", "_low", "_high"))
+    is_known, label = np.isfinite(low), look.get("label")
+    for which, face in ((is_known, look["color"]), (~is_known & np.isfinite(values), "white")):
+        if which.any():
+            ends = np.nan_to_num(np.stack([values - low, high - values])[:, which]).clip(min=0)
+            look_here = {**DOT, **look, "label": label, "markerfacecolor": face}
+            if is_across:
+                panel.errorbar(values[which], x[which], xerr=ends, **look_here)
+            else:
+                panel.errorbar(x[which], values[which], yerr=ends, **look_here)
+            label = None
 
 
 def show_plain(axis: Axis) -> None:
