@@ -11,7 +11,7 @@ import shapely
 
 from jaxurban.errors import InputError
 from jaxurban.io.read.buildings import BuildingFile, read_buildings
-from jaxurban.io.read.near import MARGIN_M, Near
+from jaxurban.io.read.outlines import MARGIN_M, Near
 from jaxurban.io.read.vector import read_vector
 from jaxurban.world.city import City
 

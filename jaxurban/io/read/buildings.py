@@ -15,9 +15,8 @@ import shapely
 from jaxurban.errors import InputError, one_of
 from jaxurban.io.read.heights import MAX_HEIGHT_M
 from jaxurban.io.read.knownarea import area_of_outlines, area_of_raster
-from jaxurban.io.read.near import Near, box_between, meets
 from jaxurban.io.read.osm import OSM_SUFFIXES, format_of, header_box, read_osm
-from jaxurban.io.read.outlines import Outlines, count_tags, to_buildings
+from jaxurban.io.read.outlines import Near, Outlines, box_between, count_tags, meets, to_buildings
 from jaxurban.io.read.raster import RASTER_SUFFIXES, check_range, raster_extent_m, read_raster
 from jaxurban.io.read.surfacemodel import check_is_no_surface, heights_of_surface
 from jaxurban.io.read.vector import VECTOR_SUFFIXES, read_vector

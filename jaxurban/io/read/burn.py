@@ -5,7 +5,7 @@ import math
 import numpy as np
 import shapely
 
-from jaxurban.io.read.near import meets
+from jaxurban.io.read.outlines import meets
 from jaxurban.kernels.outlines import burn_outlines
 from jaxurban.kernels.slabs import settle
 from jaxurban.world.city import Buildings

@@ -15,8 +15,7 @@ import shapely
 
 from jaxurban.errors import InputError, readable
 from jaxurban.io.read.heights import is_given
-from jaxurban.io.read.near import Near, extent_of, near_rows
-from jaxurban.io.read.outlines import Outlines, polygonal
+from jaxurban.io.read.outlines import Near, Outlines, extent_of, near_rows, polygonal
 from jaxurban.world.city import ReadIssue
 from jaxurban.world.grid import Bounds, check_on_earth
 
