@@ -320,12 +320,13 @@ class Constraints:
             if not bound.is_kept(maps, altitude_m, time, time_of_day)[cell]:
                 held_m = min(maps.altitudes_m, key=lambda z_m: abs(z_m - altitude_m))  # between two, the nearer map's
                 value = maps.m(bound.variable, held_m, time=time, time_of_day=time_of_day)[cell]
-                bounds.append(f"the bound {bound} (it is {value:g} there{_at(held_m, altitude_m)})")
-        vertical_m = self._vertical_m
-        if self.keeps_clear and closed_by_clearance(maps, altitude_m, self.horizontal_m, vertical_m)[cell]:
-            phrase, is_over = nearest_said(maps, altitude_m, self.horizontal_m, vertical_m, cell)
+                where = "there" if held_m == altitude_m else f"there at {held_m:g} m"
+                bounds.append(f"the bound {bound} (it is {value:g} {where})")
+        clear_m = self.horizontal_m, self._vertical_m
+        if self.keeps_clear and closed_by_clearance(maps, altitude_m, *clear_m)[cell]:
+            phrase, is_over = nearest_said(maps, altitude_m, *clear_m, cell)
             said = clearances_said(self.to_dict())
-            kept = said[-1:] if is_over else said[: len(said) - bool(vertical_m)]
+            kept = said[-1:] if is_over else said[: len(said) - bool(self._vertical_m)]
             return [*zones, *bounds, f"the {' and the '.join(kept)} ({phrase})"]
         return zones + bounds
 
@@ -359,10 +360,6 @@ def _made_by(variable: str, held: Collection[str]) -> str:
             told = '[gps] series = "epochs" instead of statistics' if is_series else setting
             return f" (a scenario with {told} makes it)"
     return ""
-
-
-def _at(held_m: float, altitude_m: float) -> str:
-    return "" if held_m == altitude_m else f" at {held_m:g} m"
 
 
 def _bound(name: str, given: object) -> Bound:

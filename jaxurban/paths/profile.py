@@ -69,16 +69,13 @@ def cut_route(points_m: np.ndarray, z_m: np.ndarray, resolution_m: float) -> Rou
     if not air_m.any():
         here, none = states[:1], np.zeros(1)
         return RouteCrossings(here, np.zeros(1, np.int64), crossed.row, crossed.col, none, none, here[None, [0, 0]])
-    is_level = crossed.length_m > 0  # not so for a route that goes only up and down
     # Straight up or down: within one cell, half of it nearer to either end's altitude.
     climbs = np.repeat(np.flatnonzero((ground_m == 0) & (air_m > 0)), 2)
-    climb_cells = np.floor(states[climbs, :2] / resolution_m).astype(np.int64)
-    step = np.append(crossed.segment[is_level], climbs)
-    order = np.argsort(step, kind="stable")
-    step = step[order]
-    row = np.append(crossed.row[is_level], climb_cells[:, 1])[order]
-    col = np.append(crossed.col[is_level], climb_cells[:, 0])[order]
-    over_m = np.append(crossed.length_m[is_level], np.zeros(len(climbs)))[order]
+    col, row = np.floor(states[climbs, :2] / resolution_m).T
+    level = np.stack(crossed)[:, crossed.length_m > 0]  # none of a route that goes only up and down
+    parts = np.concatenate([level, [climbs, row, col, np.zeros(len(climbs))]], axis=1)
+    parts = parts[:, np.argsort(parts[0], kind="stable")]
+    over_m, (step, row, col) = parts[3], parts[:3].astype(np.int64)
     is_climb = ground_m[step] == 0
     share = np.where(is_climb, 0.5, over_m / np.where(is_climb, 1.0, ground_m[step]))
     done = np.cumsum(share)
