@@ -17,9 +17,8 @@ from jaxurban.errors import InputError, typed
 from jaxurban.metrics.registry import METRICS
 from jaxurban.metrics.weights import Weights
 from jaxurban.progress import Report, reporting
-from jaxurban.studies.perturbed import draw_pairs, known_route_sums
 from jaxurban.studies.queries import RouteQuery, check_alike, weights_from
-from jaxurban.studies.route_pool import FitSettings, RoutePool
+from jaxurban.studies.route_pool import FitSettings, RoutePool, draw_pairs, known_route_sums
 from jaxurban.studies.tuning.confidence import feature_units
 from jaxurban.studies.tuning.fenchel_young import adam
 from jaxurban.studies.tuning.targets import Target, outcome_values
@@ -100,7 +99,7 @@ def fit_targets(
     """Return weights under which planned routes meet targets, or the best trade-off and which targets conflict.
 
     The sum of squared misses (each as a share of its bound) is brought down by gradient in log weights, through
-    the perturbed planner over the routes found so far (`perturbed.known_route_sums`), with noise that shrinks, from
+    the perturbed planner over the routes found so far (`known_route_sums`), with noise that shrinks, from
     the best of many random weights. Routes under the best weights are then planned without noise, and more
     around them, until three rounds better nothing; the best weights by planned routes are returned. If they miss,
     each target is tried alone, and then each pair of those that can be met. Not met is not proven unreachable: it is
