@@ -194,21 +194,17 @@ def _described(ds: xr.Dataset, task: MapTask) -> xr.Dataset:
         if metric.caveat:
             own = [str(held) for held in ds.data_vars if held in metric.variables or str(held).startswith(f"{name}_")]
             caveats |= dict.fromkeys(own, metric.caveat)
-    for name in (str(variable) for variable in ds.data_vars):
-        attrs = ds[name].attrs
-        attrs["long_name"] = titles.get(name, name)
-        if name in caveats:
-            attrs[CAVEAT] = caveats[name]
-        if name in STANDARD_NAMES:
-            attrs["standard_name"] = STANDARD_NAMES[name]
+    for name in map(str, ds.data_vars):
+        found = {
+            "long_name": titles.get(name, name),
+            CAVEAT: caveats.get(name),
+            "standard_name": STANDARD_NAMES.get(name),
+        }
         if name != "has_data" and ds[name].dtype.kind != "M":  # times have units of their own
-            attrs["units"] = units.get(name, "1")
-            if name in meanings:
-                attrs["one_means"] = meanings[name]
+            found |= {"units": units.get(name, "1"), "one_means": meanings.get(name)}
         if {"y", "x"} <= set(ds[name].dims):
-            attrs["grid_mapping"] = "spatial_ref"
-            if name in in_obstacles:
-                attrs[IN_OBSTACLES] = in_obstacles[name]
+            found |= {"grid_mapping": "spatial_ref", IN_OBSTACLES: in_obstacles.get(name)}
+        ds[name].attrs |= {key: value for key, value in found.items() if value is not None}
     if "pop_norm_per_block" in ds.attrs:
         ds["population"].attrs["one_means"] = "as many people in the block as the norm (pop_norm_per_block)"
     return ds
