@@ -124,15 +124,9 @@ class MetricMaps(Shown):
     @property
     def grid(self) -> Grid:
         """The grid of every map."""
-        attrs = self.ds.attrs
-        return Grid(
-            attrs["crs"],
-            float(attrs["resolution_m"]),
-            int(attrs["first_row"]),
-            int(attrs["first_col"]),
-            self.ds.sizes["y"],
-            self.ds.sizes["x"],
-        )
+        attrs, sizes = self.ds.attrs, self.ds.sizes
+        first_row, first_col = int(attrs["first_row"]), int(attrs["first_col"])
+        return Grid(attrs["crs"], float(attrs["resolution_m"]), first_row, first_col, sizes["y"], sizes["x"])
 
     @property
     def altitudes_m(self) -> tuple[float, ...]:

@@ -344,14 +344,9 @@ class Grid:
 
     def padded(self, west: int, south: int, east: int, north: int) -> "Grid":
         """Return the grid grown by whole cells on each side."""
-        return Grid(
-            self.crs,
-            self.resolution_m,
-            self.first_row - south,
-            self.first_col - west,
-            self.num_rows + south + north,
-            self.num_cols + west + east,
-        )
+        first_row, first_col = self.first_row - south, self.first_col - west
+        num_rows, num_cols = self.num_rows + south + north, self.num_cols + west + east
+        return Grid(self.crs, self.resolution_m, first_row, first_col, num_rows, num_cols)
 
     def window_in(self, outer: "Grid") -> tuple[slice, slice]:
         """Return the slices that cut this grid out of an array on ``outer``.

@@ -102,14 +102,8 @@ class Tiling:
     def grid_of(self, tile: Tile) -> Grid:
         """Return the grid of a whole tile."""
         row, col = tile
-        return Grid(
-            self.region.crs,
-            self.region.resolution_m,
-            self.row_starts[row],
-            self.col_starts[col],
-            self.row_starts[row + 1] - self.row_starts[row],
-            self.col_starts[col + 1] - self.col_starts[col],
-        )
+        (south, north), (west, east) = self.row_starts[row : row + 2], self.col_starts[col : col + 2]
+        return Grid(self.region.crs, self.region.resolution_m, south, west, north - south, east - west)
 
     def reported(self, tile: Tile) -> tuple[slice, slice]:
         """Return the rows and columns of the region that a tile of the region reports: its last rows, first columns."""
