@@ -133,7 +133,7 @@ def test_routes_outside_the_maps_or_nowhere_are_refused(maps, tmp_path):
     ends = [maps.grid.lonlat_of_xy(x_m + shift, y_m) for shift in (0.0, 2.0)]
     with pytest.raises(InputError, match="one cell"):
         ju.read_demonstrations(file(*[tuple(map(float, end)) for end in ends]), maps, 60.0)
-    with pytest.raises(InputError, match="metric must be 'gps', .* got 'gsp'"):
+    with pytest.raises(InputError, match=r"metric must be 'gps', .* got 'gsp'"):
         ju.read_demonstrations(file((-10.0, 40.0), (-10.1, 40.0)), maps, 60.0, metrics=["gsp"])
 
 
