@@ -21,10 +21,10 @@ from jaxurban.io.read.districts import (
     require_field,
     zoning_of,
 )
-from jaxurban.io.read.raster import RASTER_SUFFIXES, open_raster, raster_window
+from jaxurban.io.read.raster import RASTER_SUFFIXES, read_bands
 from jaxurban.io.read.sampling import pixel_xy
 from jaxurban.io.read.vector import open_frame
-from jaxurban.world.city import OTHER_DISTRICT, Blocks, Raster, ReadIssue, ReadIssues
+from jaxurban.world.city import OTHER_DISTRICT, Blocks, ReadIssue, ReadIssues
 
 # Names of the column of total population, the first found wins, case ignored: 2010 SF1 (data.census.gov, American
 # FactFinder), 2020 P1 and DHC, TIGER with counts, GIS joins, and plain tables.
@@ -139,23 +139,17 @@ def read_people(
       InputError: a file that cannot be read, has several bands, no CRS or no position, does not reach the bounds, or
         holds negative counts that are not declared empty.
     """
-    name = repr(str(path))
-    with open_raster(path, "people in each pixel") as source:
-        window = raster_window(name, source, crs, bounds_m)
-        values = source.read(1, window=window) * source.scales[0] + source.offsets[0]
-        has_data = (source.read_masks(1, window=window) != 0) & np.isfinite(values)
-        transform, raster_crs = tuple(source.transform)[:6], source.crs.to_wkt()
-    if num_bad := int((values[has_data] < 0).sum()):
+    (raster,) = read_bands(path, crs, bounds_m, holds="people in each pixel", dtype=np.float64)
+    if num_bad := int((raster.values < 0).sum()):
         raise InputError(
-            f"{name} holds {num_bad} pixels of less than 0 people: declare their value as nodata with `gdal_edit.py "
-            "-a_nodata VALUE`"
+            f"{str(path)!r} holds {num_bad} pixels of less than 0 people: declare their value as nodata with "
+            "`gdal_edit.py -a_nodata VALUE`"
         )
-    row, col = np.nonzero(has_data)
-    raster = Raster(values, transform, raster_crs, int(window.row_off), int(window.col_off))
+    row, col = np.nonzero(np.isfinite(raster.values))
     corners = [(row + down, col + right) for down, right in ((1, 0), (1, 1), (0, 1), (0, 0), (1, 0))]
     rings = np.stack([np.stack(pixel_xy(raster, *corner, crs), axis=-1) for corner in corners], axis=1)
     ids = np.array([f"{r + raster.first_row},{c + raster.first_col}" for r, c in zip(row, col, strict=True)], object)
-    return shapely.polygons(rings), values[has_data].astype(np.float64), ids
+    return shapely.polygons(rings), raster.values[row, col], ids
 
 
 def _polygons(files: CensusFiles, crs: str, bounds_m: Bounds | None) -> tuple[gpd.GeoDataFrame, ReadIssues]:

@@ -82,25 +82,30 @@ def read_raster(
     return Raster(values, tuple(transform)[:6], raster_crs, int(window.row_off), int(window.col_off))
 
 
-def read_bands(path: str | Path, crs: str, bounds_m: Bounds | None = None) -> list[Raster]:
+def read_bands(
+    path: str | Path, crs: str, bounds_m: Bounds | None = None, *, holds: str = OWN_VALUES, dtype: type = np.float32
+) -> list[Raster]:
     """Return every band of a raster of values in a unit of their own, NaN where it has none; arguments as above.
 
     The file's scales and offsets are applied.
+
+    Args:
+      path, crs, bounds_m: as there.
+      holds: what the values are, for messages; of any but `OWN_VALUES` there may be one band only.
+      dtype: of the result.
 
     Raises:
       InputError: a file that cannot be read, has no CRS or no position, or does not reach the bounds.
     """
     name = repr(str(path))
-    with open_raster(path, OWN_VALUES) as source:
+    with open_raster(path, holds) as source:
         window = raster_window(name, source, crs, bounds_m)
         scale, offset = (np.array(values)[:, None, None] for values in (source.scales, source.offsets))
         values = source.read(window=window) * scale + offset
         is_empty = (source.read_masks(window=window) == 0) | ~np.isfinite(values)
         transform, raster_crs = tuple(source.transform)[:6], _horizontal_crs(source)
     first = int(window.row_off), int(window.col_off)
-    return [
-        Raster(band.astype(np.float32), transform, raster_crs, *first) for band in np.where(is_empty, np.nan, values)
-    ]
+    return [Raster(band.astype(dtype), transform, raster_crs, *first) for band in np.where(is_empty, np.nan, values)]
 
 
 def check_range(name: str, values: np.ndarray, range_m: tuple[float, float]) -> None:
