@@ -28,7 +28,7 @@ from jaxurban.metrics.gps import soft as soft_gps_metric
 from jaxurban.metrics.lidar import LidarParams
 from jaxurban.metrics.risk import RiskParams
 from jaxurban.metrics.weights import Weights
-from jaxurban.planners.bitstar.batched import EDGES_TOGETHER, NODES_TOGETHER
+from jaxurban.planners.bitstar.planner import EDGES_TOGETHER, NODES_TOGETHER
 from jaxurban.planners.frontier import CELLS_TOGETHER, QUERIES_TOGETHER
 from jaxurban.planners.moves import STEPS
 from jaxurban.studies.sensitivity import buildings

@@ -2,7 +2,6 @@
 
 import copy
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import Any, Protocol, Self, TypeVar
@@ -20,6 +19,7 @@ Cell = tuple[int, ...]  # row, column; in a volume level, row, column. Row 0 is 
 T = TypeVar("T")
 
 EVERY_PATH = "paths at any angle"  # of `Path.graph`
+NO_COST = "The path costs nothing under these weights, so its shape means nothing: weigh the distance too."
 ROUNDING = 1 + 1e-12  # a path that much above the lower bound is the best one
 EXIT_PATH, EXIT_NO_PATH, EXIT_BUDGET = 0, 3, 4
 
@@ -106,7 +106,7 @@ class Problem:
     cost_model: CostModel = field(default_factory=CostModel)
     levels_m: Any = None  # kept as an array
     leg_margin_m: float = 0.0
-    shared: dict[str, Any] = field(init=False, repr=False, default_factory=dict)  # what `once` made
+    shared: dict[str, Any] = field(init=False, repr=False, default_factory=dict)  # what all queries on the map share
     _cost: list[np.ndarray] = field(init=False, repr=False, default_factory=list)  # of all on this map and weights
     _moves: list[np.ndarray] = field(init=False, repr=False, default_factory=list)  # of all problems on these cells
 
@@ -211,13 +211,6 @@ class Problem:
             object.__setattr__(other, name, value)
         return other
 
-    def once(self, name: str, make: Callable[[], T]) -> T:
-        """Return what ``make`` gives, made once for all queries on this map (see `between`)."""
-        if name not in self.shared:
-            self.shared[name] = make()
-        made: T = self.shared[name]
-        return made
-
     @property
     def cost(self) -> np.ndarray:
         """``[Y, X]`` or ``[K, Y, X]`` float64 the weighted sum of the layers; inf where a volume is not free."""
@@ -261,7 +254,10 @@ class Problem:
     @property
     def tile_minima(self) -> np.ndarray:
         """``[I + 2, J + 2]`` the cheapest free cell of every tile, in a frame (see `kernels.search.tiles`)."""
-        return self.once("tile_minima", lambda: tile_minima(self.cost, self.is_free))
+        if "tile_minima" not in self.shared:
+            self.shared["tile_minima"] = tile_minima(self.cost, self.is_free)
+        minima: np.ndarray = self.shared["tile_minima"]
+        return minima
 
 
 def _read_only(values: np.ndarray, dtype: type) -> np.ndarray:
@@ -324,10 +320,8 @@ class Path:
             status = Status.OPTIMAL
         if status is Status.OPTIMAL:
             lower_bound = cost
-        if problem.distance_weight == 0 and cost == 0:
-            notes.append(
-                "The path costs nothing under these weights, so its shape means nothing: weigh the distance too."
-            )
+        if problem.distance_weight == 0 and cost == 0 and NO_COST not in notes[0]:
+            notes.append(NO_COST)
         return cls(
             status=status,
             points_m=points_m if len(points_m) else np.empty((0, problem.is_free.ndim)),
@@ -337,6 +331,12 @@ class Path:
             note=" ".join(filter(None, notes)),
             **{"graph": problem.grid_name, "backend": "numba"} | ran,
         )
+
+    @property
+    def ran(self) -> dict[str, Any]:
+        """What ran, as `of` takes it: of a path that is made of this one."""
+        names = ("num_expanded", "planner", "heuristic", "backend", "note", "history", "setup_s", "graph")
+        return {name: getattr(self, name) for name in names}
 
     @property
     def sentence(self) -> str:

@@ -12,7 +12,7 @@ import numpy as np
 
 from jaxurban.errors import InputError, at_least, one_of
 from jaxurban.planners.base import Cell, Path, Problem
-from jaxurban.planners.bitstar.batched import solve_batched
+from jaxurban.planners.bitstar.planner import solve_batched
 from jaxurban.planners.bounds import AUTO, NUM_LANDMARKS, cost_to_go, make_landmarks
 from jaxurban.planners.frontier import solve_by_frontier
 from jaxurban.planners.registry import PLANNERS, find_planner
@@ -91,7 +91,33 @@ def solve_many(
         has_gpu = is_for_frontier and len(problems) >= GPU_BATCH and jax.default_backend() != "cpu"
         backend = "jax" if has_gpu else "numba"
     num_threads = num_threads or _num_processors()
-    return _solve(problems, only, planner, heuristic, backend, budget_s, seed, num_threads)
+
+    def outcomes() -> Generator[Outcome]:
+        heuristics = choose_heuristics(problems, planner, heuristic, budget_s)
+        run = partial(_in_threads, problems, num_threads=num_threads)
+        to_one_goal: dict[tuple[int, Cell], list[int]] = {}
+        if heuristic != "exact":  # which makes each goal's field in a thread
+            for index in only:
+                if heuristics[index] == "exact":
+                    to_one_goal.setdefault((problems[index].map_key, problems[index].goal), []).append(index)
+        walk = partial(find_planner(planner, "exact" if to_one_goal else None), budget_s=budget_s, seed=seed)
+        for indices in to_one_goal.values():
+            cost_to_go(problems[indices[0]])
+            yield from run(indices, walk)
+        walked = set(chain.from_iterable(to_one_goal.values()))
+        alone = [index for index in only if index not in walked]
+        if backend == "jax":
+            together = [problems[index] for index in alone]
+            for k, path in solve_by_frontier(together, planner=planner, budget_s=budget_s):
+                yield alone[k], path
+            return
+        for problem in {problems[k].map_key: problems[k] for k in alone if heuristics[k] == "landmarks"}.values():
+            make_landmarks(problem)
+        for name in dict.fromkeys(heuristics[index] for index in alone):
+            search = partial(find_planner(planner, name), budget_s=budget_s, seed=seed)
+            yield from run([index for index in alone if heuristics[index] == name], search)
+
+    return outcomes()
 
 
 def choose_heuristics(
@@ -128,41 +154,6 @@ def choose_heuristics(
 
 def _num_processors() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-def _solve(
-    problems: Sequence[Problem],
-    only: Sequence[int],
-    planner: str,
-    heuristic: str | None,
-    backend: str,
-    budget_s: float,
-    seed: int,
-    num_threads: int,
-) -> Generator[Outcome]:
-    heuristics = choose_heuristics(problems, planner, heuristic, budget_s)
-    run = partial(_in_threads, problems, num_threads=num_threads)
-    to_one_goal: dict[tuple[int, Cell], list[int]] = {}
-    if heuristic != "exact":  # which makes each goal's field in a thread
-        for index in only:
-            if heuristics[index] == "exact":
-                to_one_goal.setdefault((problems[index].map_key, problems[index].goal), []).append(index)
-    walk = partial(find_planner(planner, "exact" if to_one_goal else None), budget_s=budget_s, seed=seed)
-    for indices in to_one_goal.values():
-        cost_to_go(problems[indices[0]])
-        yield from run(indices, walk)
-    walked = set(chain.from_iterable(to_one_goal.values()))
-    alone = [index for index in only if index not in walked]
-    if backend == "jax":
-        together = [problems[index] for index in alone]
-        for k, path in solve_by_frontier(together, planner=planner, budget_s=budget_s):
-            yield alone[k], path
-        return
-    for problem in {problems[k].map_key: problems[k] for k in alone if heuristics[k] == "landmarks"}.values():
-        make_landmarks(problem)
-    for name in dict.fromkeys(heuristics[index] for index in alone):
-        search = partial(find_planner(planner, name), budget_s=budget_s, seed=seed)
-        yield from run([index for index in alone if heuristics[index] == name], search)
 
 
 def _in_threads(

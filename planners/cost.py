@@ -75,39 +75,32 @@ def path_features(problem: "Problem", points_m: np.ndarray, kind: CostKind | Non
     Raises:
       InputError: points that are not finite metres of these shapes.
     """
-    points_m = np.asarray(points_m, np.float64)
-    kind = kind or problem.cost_model.kind
-    if problem.levels_m is not None:
-        return _volume_features(problem, points_m, kind)
-    crossings = crossed_cells(points_m, problem.resolution_m)
-    metres = [float(np.hypot(*np.diff(points_m, axis=0).T).sum())]
-    crossed = (crossings.row, crossings.col)
-    if not _is_way(problem, problem.is_free, points_m, crossings):
-        none = (np.empty(0, np.int64), np.empty(0, np.int64))
-        return _features(problem, metres, False, none, np.empty(0), crossed, crossings.length_m)
-    if kind == "line":
-        counted, count = crossed, crossings.length_m / problem.cost_model.reference_length_m
+    points_m, is_volume = np.asarray(points_m, np.float64), problem.levels_m is not None
+    if points_m.ndim != 2 or points_m.shape[1] != problem.is_free.ndim or not np.isfinite(points_m[:, 2:]).all():
+        raise InputError(
+            f"a path must be [N, {problem.is_free.ndim}] finite metres, got shape {points_m.shape}: mend the path"
+        )
+    crossed, leg, crossed_m = _cut(problem, points_m)
+    legs_m = np.diff(points_m, axis=0).T
+    length_m = np.hypot(*legs_m[:2])
+    if is_volume:
+        rise_m, length_m = legs_m[2], np.hypot(length_m, legs_m[2])
+        metres = [length_m.sum(), np.maximum(rise_m, 0).sum(), np.maximum(-rise_m, 0).sum()]
+        is_valid = _is_allowed(problem, points_m)
     else:
-        states = crossed_cells(path_states(points_m, problem.resolution_m), problem.resolution_m)
-        is_last = np.append(states.segment[1:] != states.segment[:-1], states.length_m[-1] > 0)
-        counted, count = (states.row[is_last], states.col[is_last]), np.ones(int(is_last.sum()))
-    return _features(problem, metres, True, counted, count, crossed, crossings.length_m)
-
-
-def _volume_features(problem: "Problem", points_m: np.ndarray, kind: CostKind) -> PathFeatures:
-    """Return the features of a path through a volume: level as on one altitude, up and down as `Problem` states."""
-    if points_m.ndim != 2 or points_m.shape[1] != 3 or not np.isfinite(points_m).all():
-        raise InputError(f"a path through a volume must be [N, 3] finite metres, got shape {points_m.shape}")
-    rise_m = np.diff(points_m[:, 2])
-    length_m = float(np.linalg.norm(np.diff(points_m, axis=0), axis=1).sum())
-    metres = [length_m, float(np.maximum(rise_m, 0).sum()), float(np.maximum(-rise_m, 0).sum())]
-    crossed, leg, crossed_m = _nodes_crossed(problem, points_m)
-    if kind == "line":
+        metres = [length_m.sum()]
+        is_valid = _is_way(problem, problem.is_free, points_m, Crossings(leg, crossed[0], crossed[1], crossed_m))
+    if (kind or problem.cost_model.kind) == "line":
         counted, count = crossed, crossed_m / problem.cost_model.reference_length_m
     else:
-        counted, leg, in_state_m = _nodes_crossed(problem, path_states(points_m, problem.resolution_m))
-        count = np.append(leg[1:] != leg[:-1], in_state_m[-1] > 0).astype(np.float64)
-    return _features(problem, metres, _is_allowed(problem, points_m), counted, count, crossed, crossed_m)
+        states, leg, in_state_m = _cut(problem, path_states(points_m, problem.resolution_m))
+        is_last = np.append(leg[1:] != leg[:-1], in_state_m[-1] > 0)
+        counted, count = tuple(index[is_last] for index in states), np.ones(int(is_last.sum()))
+    layers = np.full(len(problem.costs), np.inf)
+    if is_valid:
+        layers = problem.costs[(slice(None), *counted)].astype(np.float64) @ count
+    phi = np.concatenate([metres[:1], layers, metres[1:]])
+    return PathFeatures(phi, is_valid, counted, count, crossed, crossed_m, problem.costs)
 
 
 def _is_way(problem: "Problem", is_free: np.ndarray, points_m: np.ndarray, crossings: Crossings) -> bool:
@@ -124,13 +117,16 @@ def _nodes_of(problem: "Problem", points_m: np.ndarray) -> np.ndarray:
     return np.column_stack([np.searchsorted(problem.levels_m, points_m[:, 2]), cells])
 
 
-def _nodes_crossed(problem: "Problem", points_m: np.ndarray) -> tuple[Index, np.ndarray, np.ndarray]:
-    """Return level, row and column of what a path crosses, the leg, and its length in each, in order of travel.
+def _cut(problem: "Problem", points_m: np.ndarray) -> tuple[Index, np.ndarray, np.ndarray]:
+    """Return row and column (in a volume level first) of what a path crosses, the leg, and its length in each.
 
-    A leg on a level is cut at the borders of cells; one that climbs or descends lies half in each of its two nodes.
+    In order of travel. A leg on a level is cut at the borders of cells; one that climbs or descends lies half in each
+    of its two nodes.
     """
-    nodes, steps_m = _nodes_of(problem, points_m), np.diff(points_m, axis=0)
     cut = crossed_cells(points_m[:, :2], problem.resolution_m)
+    if problem.levels_m is None:
+        return (cut.row, cut.col), cut.segment, cut.length_m
+    nodes, steps_m = _nodes_of(problem, points_m), np.diff(points_m, axis=0)
     climbs = np.flatnonzero(steps_m[:, 2])
     is_level = ~np.isin(cut.segment, climbs)
     at_level = np.column_stack([nodes[cut.segment, 0], cut.row, cut.col])[is_level]
@@ -139,22 +135,6 @@ def _nodes_crossed(problem: "Problem", points_m: np.ndarray) -> tuple[Index, np.
     length_m = np.concatenate([cut.length_m[is_level], np.repeat(np.linalg.norm(steps_m[climbs], axis=1) / 2, 2)])
     order = np.argsort(leg, kind="stable")
     return tuple(np.concatenate([at_level, ends])[order].T), leg[order], length_m[order]
-
-
-def _features(
-    problem: "Problem",
-    metres: list[float],
-    is_valid: bool,
-    counted: Index,
-    count: np.ndarray,
-    crossed: Index,
-    length_m: np.ndarray,
-) -> PathFeatures:
-    layers = np.full(len(problem.costs), np.inf)
-    if is_valid:
-        layers = problem.costs[(slice(None), *counted)].astype(np.float64) @ count
-    phi = np.concatenate([metres[:1], layers, metres[1:]])
-    return PathFeatures(phi, is_valid, counted, count, crossed, length_m, problem.costs)
 
 
 def _is_allowed(problem: "Problem", points_m: np.ndarray) -> bool:

@@ -72,24 +72,16 @@ def refine(problem: Problem, path: Path, *, budget_s: float = np.inf) -> Path:
         is_spent = time.perf_counter() >= end_s
         if is_spent:
             break
-    elapsed_s = path.elapsed_s + time.perf_counter() - begin_s
+    begin_s -= path.elapsed_s
     if not best < before * (1 - TIE):
-        return _noted(replace(path, elapsed_s=elapsed_s), "Refinement found nothing cheaper.")
-    # A grid planner's own bound holds for grid paths only.
-    lower_bound = min(make_bounds("plus", problem, is_reachable).from_start_to_goal(), best)
+        note = " ".join(filter(None, (path.note, "Refinement found nothing cheaper.")))
+        return replace(path, elapsed_s=time.perf_counter() - begin_s, note=note)
+    note = f"Refinement lowered what the search minimises by {1 - best / before:.2%}."
+    ran = path.ran | {"graph": EVERY_PATH, "note": " ".join(filter(None, (path.note, note)))}
     status = Status.BUDGET_FEASIBLE if is_spent or path.status is Status.BUDGET_FEASIBLE else Status.FEASIBLE
-    if best <= lower_bound * (1 + TIE):
-        status = Status.OPTIMAL
-    refined = replace(
-        path,
-        status=status,
-        points_m=points_m,
-        cost=best,
-        lower_bound=lower_bound,
-        elapsed_s=elapsed_s,
-        graph=EVERY_PATH,
-    )
-    return _noted(refined, f"Refinement lowered what the search minimises by {1 - best / before:.2%}.")
+    # A grid planner's own bound holds for grid paths only.
+    lower_bound = make_bounds("plus", problem, is_reachable).from_start_to_goal()
+    return Path.of(problem, points_m, status, lower_bound, begin_s, **ran)
 
 
 def _compass(xy: np.ndarray) -> list[np.ndarray]:
@@ -107,10 +99,6 @@ def _move(cost_grid: CostGrid, xy: np.ndarray, end_s: float) -> None:
         for direction, step in zip(_compass(xy), steps, strict=True):
             direction = direction / np.maximum(np.hypot(*direction.T), np.finfo(float).tiny)[:, None]
             move_points(cost_grid, xy, direction, step, float(LONGEST))
-
-
-def _noted(path: Path, note: str) -> Path:
-    return replace(path, note=" ".join(filter(None, (path.note, note))))
 
 
 @cache

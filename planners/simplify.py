@@ -1,7 +1,6 @@
 """Simplification of any planner's path: the fewest straight legs within a tolerance, all clear of closed cells."""
 
 import time
-from dataclasses import replace
 from functools import cache
 from itertools import pairwise
 
@@ -78,17 +77,9 @@ def simplify(problem: Problem, path: Path, tolerance_m: float) -> Path:
         points_m = path.points_m
     elif status is Status.OPTIMAL:
         status = Status.FEASIBLE
-    cost = problem.cost_of(points_m)
     said = f"{num_near} of its legs pass nearer than {100 * CLEAR_M:g} cm to a closed cell, as the planned path does."
-    return replace(
-        path,
-        status=status,
-        points_m=points_m,
-        cost=cost,
-        lower_bound=min(path.lower_bound, cost),
-        elapsed_s=path.elapsed_s + time.perf_counter() - begin_s,
-        note=" ".join(filter(None, (path.note, said if num_near else ""))),
-    )
+    ran = path.ran | {"note": " ".join(filter(None, (path.note, said if num_near else "")))}
+    return Path.of(problem, points_m, status, path.lower_bound, begin_s - path.elapsed_s, **ran)
 
 
 def _level_parts(problem: Problem, points_m: np.ndarray) -> list[tuple[int | None, int, int]]:

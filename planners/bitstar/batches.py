@@ -28,7 +28,7 @@ class BitStarOptions:
       target_cost: end with a path this cheap.
       min_improvement: end with the first batch that improves a path by a smaller share of its cost.
       backend: what searches the graph of a batch: ``"numba"`` in order of lower bounds, costing each edge as it comes
-        first in the queue; ``"jax"`` all at once on JAX's device (`bitstar.batched`); ``"auto"`` picks numba: on a CPU
+        first in the queue; ``"jax"`` all at once on JAX's device (`solve_batched`); ``"auto"`` picks numba: on a CPU
         it is several times as fast (docs/benchmarks.md), and on a GPU nothing was measured.
       on_batch: called with each `Batch` when it ends, to draw or record it; its time counts towards the budget.
 

@@ -10,11 +10,10 @@ from jaxurban.errors import InputError
 from jaxurban.kernels.search.sample_graph import NO_PARENT
 from jaxurban.planners.base import Status
 from jaxurban.planners.batch import solve_many
-from jaxurban.planners.bitstar import batched
-from jaxurban.planners.bitstar.batched import solve_batched
+from jaxurban.planners.bitstar import planner as batched
 from jaxurban.planners.bitstar.batches import BitStarOptions
 from jaxurban.planners.bitstar.bounds import HEURISTICS, InformedSet, graph_radius, make_bounds
-from jaxurban.planners.bitstar.planner import bitstar, bitstar_plus
+from jaxurban.planners.bitstar.planner import bitstar, bitstar_plus, solve_batched
 from jaxurban.planners.cost_model import CostModel
 from tests.planners.problems import graph_cost, open_problem, reachable, walled_problem
 
