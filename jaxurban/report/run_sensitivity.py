@@ -13,6 +13,7 @@ import pandas as pd
 from jaxurban.errors import GuessWarning, InputError, one_of, typed
 from jaxurban.io.tables import ROWS_FILE, RowStore, fingerprint, read_table, records_of, write_table
 from jaxurban.io.workspace import Workspace
+from jaxurban.maps.build import compute_maps
 from jaxurban.maps.memory import check_fits
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.maps.task import MapTask
@@ -312,14 +313,15 @@ def _remade(
                 LOG.warning(f"no maps of {city} are made anew: {error}")
                 continue
             stage, total = f"maps of {city} made anew", num_remade(task, of_maps)
-            for number, change in enumerate(remade_of(task, of_maps, of_routes.seed)):
+            for number, (changed, at, other) in enumerate(remade_of(task, of_maps, of_routes.seed)):
                 report(stage, number, total)
-                head = (change.changed, change.at)
-                left = [each for each in asked if (*head, *(each[name] for name in ROUTE_KEY)) not in store]
+                left = [each for each in asked if (changed, at, *(each[name] for name in ROUTE_KEY)) not in store]
                 if left:
-                    made = change.maps().with_obstacles(maps.obstacles)
+                    with warnings.catch_warnings():
+                        warnings.simplefilter("ignore", GuessWarning)  # said when the nominal maps were made
+                        made = compute_maps(other).with_obstacles(maps.obstacles)
                     rows = remade_rows(maps, made, left, of_routes)
-                    store.add([{"changed": change.changed, "at": change.at, **row} for row in rows])
+                    store.add([{"changed": changed, "at": at, **row} for row in rows])
             report(stage, total, total)
     finally:
         store.save(row_columns(store.rows))

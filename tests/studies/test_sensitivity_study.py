@@ -437,7 +437,7 @@ def test_parameters_are_every_number_that_metrics_are_differentiated_by():
     changed = with_parameter(task, "risk.threshold_m", 25.0)
     assert parameters_of(changed) == found | {"risk.threshold_m": 25.0}
     made = list(remade_of(task, ju.RemadeSettings(3, True, (0.5, 2.0))))
-    assert [each.changed for each in made] == ["heights"] * 3 + [name for name in found for _ in range(2)]
+    assert [changed for changed, _, _ in made] == ["heights"] * 3 + [name for name in found for _ in range(2)]
 
 
 def test_own_layers_take_part_by_their_name(found):

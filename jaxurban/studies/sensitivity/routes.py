@@ -6,7 +6,6 @@ are known, or other parameters of the metrics.
 
 import math
 import time
-import warnings
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
@@ -15,8 +14,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from jaxurban.errors import GuessWarning, InputError, at_least, positive, typed
-from jaxurban.maps.build import compute_maps
+from jaxurban.errors import InputError, at_least, positive, typed
 from jaxurban.maps.height_uncertainty import perturbed_cities
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.maps.task import MapTask
@@ -228,27 +226,6 @@ class RemadeSettings:
         return bool(self.num_heights or self.has_parameters)
 
 
-@dataclass(frozen=True, eq=False)
-class Remade:
-    """What is changed in maps that are made anew.
-
-    Attributes:
-      changed: ``"heights"``, or a parameter as ``"lidar.range_m"``.
-      at: number of the draw, or the factor of the parameter.
-      task: what the maps are made of.
-    """
-
-    changed: str
-    at: float
-    task: MapTask
-
-    def maps(self) -> MetricMaps:
-        """Return the maps, made in memory."""
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", GuessWarning)  # told when the nominal maps were made
-            return compute_maps(self.task)
-
-
 def parameters_of(task: MapTask) -> dict[str, float]:
     """Return every parameter of the metrics that is a number to differentiate by, as ``{"lidar.range_m": 100.0}``."""
     found: dict[str, float] = {}
@@ -270,16 +247,18 @@ def with_parameter(task: MapTask, parameter: str, value: float) -> MapTask:
     return replace(task, params=replace(params, **other))
 
 
-def remade_of(task: MapTask, settings: RemadeSettings, seed: int = 0) -> Iterator[Remade]:
-    """Yield what is made anew of the maps of a task; the seed is that of the heights."""
+def remade_of(task: MapTask, settings: RemadeSettings, seed: int = 0) -> Iterator[tuple[str, float, MapTask]]:
+    """Yield what is changed, at what, and the task of the maps made anew; the seed is that of the heights.
+
+    Changed are ``"heights"``, at the number of the draw, or a parameter such as ``"lidar.range_m"``, at its factor.
+    """
     plain = replace(task, params=replace(task.params, height_samples=0, gps_bounds=False))
     cities = perturbed_cities(task.city, task.params.height_std, settings.num_heights, seed)
     for number, city in enumerate(cities):
-        yield Remade(HEIGHTS, float(number), replace(plain, city=city))
-    if settings.has_parameters:
-        for parameter, value in parameters_of(plain).items():
-            for factor in settings.factors:
-                yield Remade(parameter, factor, with_parameter(plain, parameter, value * factor))
+        yield HEIGHTS, float(number), replace(plain, city=city)
+    for parameter, value in parameters_of(plain).items() if settings.has_parameters else ():
+        for factor in settings.factors:
+            yield parameter, factor, with_parameter(plain, parameter, value * factor)
 
 
 def num_remade(task: MapTask, settings: RemadeSettings) -> int:
