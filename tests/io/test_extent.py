@@ -75,10 +75,3 @@ def test_the_root_of_several_resolutions_says_that_it_is_one(tmp_path):
     ju.build_maps(ju.demo_city(500, 500), resolution_m=50, altitudes_m=[20.0]).save(tmp_path)
     root = xr.open_zarr(tmp_path / "maps.zarr")
     assert "xarray.open_zarr(..., group=...), of 50m" in root.attrs["comment"]
-
-
-def test_maps_of_before_their_guesses_were_a_text_are_refused(tmp_path):
-    maps = ju.build_maps(ju.demo_city(500, 500), resolution_m=50, altitudes_m=[20.0])
-    ju.MetricMaps(maps.ds.assign_attrs(guesses={})).save(tmp_path)
-    with pytest.raises(InputError, match="older version of jaxurban"):
-        ju.open_maps(tmp_path)
