@@ -272,8 +272,8 @@ def test_a_second_run_in_the_same_folder_is_refused(job):
 
 @pytest.mark.slow
 def test_a_long_series_can_be_drawn_summed_up_and_planned_on(tmp_path):
+    from jaxurban.report.demo import summary_markdown
     from jaxurban.report.figures import save_figures
-    from jaxurban.report.maps import summary_markdown
 
     done = pipeline.run_scenario(Scenario.from_dict(SETTINGS | LONG), tmp_path)
     maps = done.maps[20.0]

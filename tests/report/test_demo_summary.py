@@ -7,7 +7,7 @@ import xarray as xr
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.paths.path import PlannedPath
 from jaxurban.planners.base import Path, Status
-from jaxurban.report.maps import summary_markdown
+from jaxurban.report.demo import summary_markdown
 
 ROWS, COLS, RESOLUTION_M = 4, 5, 10.0
 FLOWN = ("altitude", "y", "x")
