@@ -1,4 +1,4 @@
-"""The files of a Zarr: its chunks and metadata, whether they are as they were written, and rows as they hold them."""
+"""The files of a Zarr: its chunks and metadata, and whether they are as they were written."""
 
 import json
 from collections.abc import Callable, Iterable, Iterator
@@ -108,21 +108,3 @@ def error_in(path: Path, error: Exception, names: Iterable[str | None] = (None,)
         return damaged(metadata_file(path), "and the metadata of the arrays beside it are not as they were written")
     broken = [chunk for name in names for chunk in broken_chunks(path, name=name)]
     return damaged(broken[0].file, "is damaged or cannot be read") if broken else error
-
-
-def stored_rows(path: Path, name: str, place: tuple[int, ...], rows: slice) -> np.ndarray:
-    """Return rows of one map of a Zarr ``[y, x]`` as its files hold them, counted and ordered from the north.
-
-    Args:
-      path: of the Zarr.
-      name: of the variable.
-      place: along its axes before y and x.
-      rows: which.
-
-    Raises:
-      InputError: they cannot be read.
-    """
-    try:
-        return array_of(path / name)[(*place, rows)]
-    except Exception as error:
-        raise error_in(path, error, (name,)) from error

@@ -1,6 +1,6 @@
 """Metric maps as cloud-optimised GeoTIFF with their QGIS styles, and maps as bands of one; whole, or not there."""
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
@@ -16,7 +16,7 @@ from rasterio.windows import Window
 
 from jaxurban.errors import one_of
 from jaxurban.io.attributes import CAVEAT, IN_OBSTACLES, no_value
-from jaxurban.io.chunks import Each, stored_rows
+from jaxurban.io.chunks import Each
 from jaxurban.io.files import (
     BLANK,
     FIELD,
@@ -44,7 +44,6 @@ HEAD_BYTES = 1 << 20  # of a GeoTIFF: its tags and where its blocks lie
 ALL = "all"  # stands for every map that is held
 CREDIT = "attribution"  # attribute of the maps
 RUN_KEY = "run_key"
-Read = Callable[[str, tuple[int, ...], slice], np.ndarray]  # a variable, a place and rows: ``[y, x]`` from the north
 
 
 def geotiff_names(held: Collection[str], metrics: Iterable[str], layers: Sequence[str] = ()) -> list[str]:
@@ -187,7 +186,6 @@ def write_geotiffs(
     each: Each = map,
     only: Collection[Path] | None = None,
     layers: Sequence[str] = (),
-    path: Path | None = None,
 ) -> list[Path]:
     """Write maps as cloud-optimised GeoTIFF (ZSTD, north-up), and the QGIS style of each variable.
 
@@ -201,7 +199,6 @@ def write_geotiffs(
       each: calls a function with each of many layers, as `map`, by whomever.
       only: leave the others alone.
       layers: variables that are written beside obstacles and the metrics of the cost; ``("all",)``: every one.
-      path: the Zarr that holds just these maps, from which they are then read as they are stored.
 
     Returns:
       The files written.
@@ -213,11 +210,10 @@ def write_geotiffs(
     def wanted(name: str) -> bool:
         return only is None or folder / GEOTIFF_FOLDER / name in only
 
-    read = partial(_rows_of, ds) if path is None else partial(stored_rows, path)
     corner = (ds.attrs["first_row"], ds.attrs["first_col"])
     grid = Grid(ds.attrs["crs"], ds.attrs["resolution_m"], *corner, ds.sizes["y"], ds.sizes["x"])
     # Others may work in another folder, and have no recorder of their own.
-    write = partial(_write_layer, read, grid, folder.resolve(), run_key, RECORDER.get())
+    write = partial(_write_layer, ds, grid, folder.resolve(), run_key, RECORDER.get())
     found = [layer for layer in _layers(ds, layers) if wanted(layer.file)]
     for _ in each(write, found):  # `map` does nothing until it is asked
         pass
@@ -233,14 +229,12 @@ def write_geotiffs(
 
 
 def _rows_of(ds: xr.Dataset, name: str, place: tuple[int, ...], rows: slice) -> np.ndarray:
-    """Return a copy of rows of a map ``[y, x]``, counted and ordered from the north."""
-    array = ds.variables[name]
-    num_rows = array.shape[-2]
-    return array[(*place, slice(num_rows - rows.stop, num_rows - rows.start))].values[::-1].copy()
+    """Return a copy of rows of a map ``[y, x]``, ordered from the north."""
+    return ds.variables[name][(*place, rows)].values[::-1].copy()
 
 
 def _write_layer(
-    read: Read, grid: Grid, folder: Path, run_key: str | None, recorder: Workspace | None, layer: _Layer
+    ds: xr.Dataset, grid: Grid, folder: Path, run_key: str | None, recorder: Workspace | None, layer: _Layer
 ) -> None:
     """Write one GeoTIFF."""
     tags = layer.tags if run_key is None else layer.tags | {RUN_KEY: run_key}
@@ -251,7 +245,7 @@ def _write_layer(
             scratch,
             grid,
             layer.dtype,
-            _parts(read, layer, grid.num_rows),
+            _parts(ds, layer),
             is_averaged=is_averaged,
             tags=tags | {FIELD: BLANK},
             title=layer.title,
@@ -260,15 +254,15 @@ def _write_layer(
         seal(scratch)
 
 
-def _parts(read: Read, layer: _Layer, num_rows: int) -> Iterator[np.ndarray]:
+def _parts(ds: xr.Dataset, layer: _Layer) -> Iterator[np.ndarray]:
     """Yield a map from the north to the south, as GeoTIFFs hold it, some rows at a time."""
-    for start in range(0, num_rows, 2 * BLOCK):
-        rows = slice(start, min(start + 2 * BLOCK, num_rows))
-        values = read(layer.name, layer.place, rows).astype(layer.dtype, copy=False)
+    for stop in range(ds.sizes["y"], 0, -2 * BLOCK):
+        rows = slice(max(0, stop - 2 * BLOCK), stop)
+        values = _rows_of(ds, layer.name, layer.place, rows).astype(layer.dtype, copy=False)
         if layer.name != "has_data":
-            is_hidden = ~read("has_data", (), rows)
+            is_hidden = ~_rows_of(ds, "has_data", (), rows)
             if layer.in_obstacle is not None:
-                is_hidden |= read("obstacle", layer.in_obstacle, rows) != 0
+                is_hidden |= _rows_of(ds, "obstacle", layer.in_obstacle, rows) != 0
             np.copyto(values, no_value(layer.dtype), where=is_hidden)
         yield values
 

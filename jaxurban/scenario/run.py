@@ -250,7 +250,7 @@ def _maps_of(maker: Maker, watch: Stopwatch, report: Report) -> tuple[MetricMaps
     for path in store.stale_root_files(folder) if is_kept else ():
         LOG.warning(f"{str(path)!r} is missing or damaged: writing it again")
     store.write_root(folder)
-    ds = store.open_zarr(folder, resolution_m)
+    ds = store.open_zarr(folder.resolve(), resolution_m)  # others may read it elsewhere
     with watch.stage("verify"):
         stale = stale_geotiffs(ds, folder, maker.key, maker.each, maker.layers)
         edited = [path for path in stale if path.suffix == ".qml" and is_changed(path)]
@@ -262,8 +262,7 @@ def _maps_of(maker: Maker, watch: Stopwatch, report: Report) -> tuple[MetricMaps
                 LOG.warning(f"{str(path)!r} is missing or damaged: writing it again")
             make_way(path)
     with watch.stage("write_geotiff"):
-        path = store.zarr_path(folder.resolve(), resolution_m)
-        write_geotiffs(ds, folder, maker.key, maker.each, only=stale, layers=maker.layers, path=path)
+        write_geotiffs(ds, folder, maker.key, maker.each, only=stale, layers=maker.layers)
         sweep_scraps(folder / store.GEOTIFF_FOLDER)  # of workers that were killed, whose files others have written
     return MetricMaps(ds), not is_kept
 
