@@ -9,12 +9,12 @@ from jaxurban.metrics.base import Scene
 from jaxurban.metrics.protection import (
     METRIC,
     ProtectionParams,
+    galileo_receiver_sigma_m,
     levels_of_satellites,
     protection_maps,
     protection_metric,
     ranging_of,
 )
-from jaxurban.metrics.protection.range_errors import galileo_receiver_sigma_m
 from jaxurban.metrics.registry import METRICS, ON_REQUEST, find_metric, known_metrics
 from jaxurban.world.sky import InView
 from tests.kernels.test_protection import EXAMPLE

@@ -6,8 +6,7 @@ import numpy as np
 import shapely
 
 from jaxurban.io.read.outlines import meets
-from jaxurban.kernels.outlines import burn_outlines
-from jaxurban.kernels.slabs import settle
+from jaxurban.kernels.outlines import burn_outlines, settle
 from jaxurban.world.city import Buildings
 from jaxurban.world.grid import Grid
 from jaxurban.world.surface import PER_CELL, Slabs

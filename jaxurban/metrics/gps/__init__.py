@@ -1,16 +1,16 @@
 """GPS: how well the satellites seen from each cell fix a position."""
 
-from jaxurban.metrics.gps.axes import HORIZONTAL as HORIZONTAL
-from jaxurban.metrics.gps.axes import VERTICAL as VERTICAL
-from jaxurban.metrics.gps.axes import DopParams as DopParams
 from jaxurban.metrics.gps.hard import BLOCK_CELLS as BLOCK_CELLS
 from jaxurban.metrics.gps.hard import SATELLITES_STEP as SATELLITES_STEP
 from jaxurban.metrics.gps.hard import GpsMaps as GpsMaps
+from jaxurban.metrics.gps.hard import GpsParams as GpsParams
 from jaxurban.metrics.gps.hard import SatelliteSet as SatelliteSet
 from jaxurban.metrics.gps.hard import gps_metric as gps_metric
 from jaxurban.metrics.gps.hard import maps_of_words as maps_of_words
 from jaxurban.metrics.gps.metric import DOPS as DOPS
+from jaxurban.metrics.gps.metric import HORIZONTAL as HORIZONTAL
 from jaxurban.metrics.gps.metric import METRIC as METRIC
+from jaxurban.metrics.gps.metric import VERTICAL as VERTICAL
 from jaxurban.metrics.gps.metric import WEIGHTED_DOPS as WEIGHTED_DOPS
-from jaxurban.metrics.gps.params import GpsParams as GpsParams
+from jaxurban.metrics.gps.metric import DopParams as DopParams
 from jaxurban.metrics.gps.soft import soft_gps as soft_gps

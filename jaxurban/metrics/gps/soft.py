@@ -13,8 +13,7 @@ from jaxtyping import Array, Float, Int
 from jaxurban.kernels.dop import dops
 from jaxurban.kernels.shadows.sweep import Window, shadow_heights
 from jaxurban.kernels.soft_step import satellite_weights
-from jaxurban.metrics.gps.hard import BLOCK_CELLS, gps_metric
-from jaxurban.metrics.gps.params import GpsParams
+from jaxurban.metrics.gps.hard import BLOCK_CELLS, GpsParams, gps_metric
 from jaxurban.metrics.obstacle import soft_obstacle
 from jaxurban.metrics.settings import check_softness
 from jaxurban.metrics.visibility import SkyView

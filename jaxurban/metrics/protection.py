@@ -1,0 +1,226 @@
+"""Protection levels: how far off a position from the satellites in line of sight can be without anybody being told.
+
+Made on request, for a dual-frequency aviation receiver under open sky; every distinct choice of satellites is solved
+once.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Float32, UInt, UInt8
+
+from jaxurban.errors import InputError, typed
+from jaxurban.kernels.dop import unit_vectors
+from jaxurban.kernels.protection import Ranging, RiskBudget, protection_levels
+from jaxurban.metrics.base import ALTITUDE, TIME, AnyArray, Metric, Scene, low_is_bad
+from jaxurban.metrics.settings import check_value, differentiable
+from jaxurban.metrics.visibility import distinct_choices
+from jaxurban.world.sky import InView
+
+
+@differentiable()
+@typed
+@dataclass(frozen=True)
+class ProtectionParams:
+    """Settings of the protection levels; the alert limits and probabilities are by default those of LPV-200.
+
+    LPV-200 has two further criteria that are not computed: an effective monitor threshold (EMT) of at most 15 m and a
+    standard deviation of the vertical accuracy of at most 1.87 m. So a position within both alert limits need not
+    meet LPV-200.
+
+    Sources: Blanch et al. 2015 (IEEE Trans. AES 51) and EU-US Working Group C, ARAIM Milestone 3 report (2016) for
+    errors, faults and budget; ICAO Annex 10, table 3.7.2.4-1 (LPV-200) for the alert limits; the GPS SPS performance
+    standard (2020) for ``p_const_gps``.
+
+    Attributes:
+      horizontal_alert_limit_m: the horizontal protection level at and above which m is 0.
+      vertical_alert_limit_m: the vertical protection level up to which a position counts as available.
+      sigma_ura_m: standard deviation of a satellite's orbit and clock errors that integrity counts on.
+      sigma_ure_m: that of accuracy and continuity.
+      bias_m: largest nominal bias of a satellite.
+      p_sat: prior probability that a satellite is faulty.
+      p_const_gps: that of a fault of all GPS satellites at once.
+      p_const: that of every other constellation.
+      phmi_horizontal, phmi_vertical: integrity risk of an approach, by direction.
+      pfa_horizontal, pfa_vertical: probability of false alerts, by direction.
+      p_unmonitored: most probability of faults that no subset of the satellites stands for.
+      tolerance_m: by how much a level may be rounded up: east and north each, then vertical.
+
+    Raises:
+      InputError: a length that is not positive, a bias below 0, or a probability out of order.
+    """
+
+    horizontal_alert_limit_m: float = 40.0
+    vertical_alert_limit_m: float = 35.0
+    sigma_ura_m: float = 0.75
+    sigma_ure_m: float = 0.5
+    bias_m: float = 0.75
+    p_sat: float = 1e-5
+    p_const_gps: float = 1e-8
+    p_const: float = 1e-4
+    phmi_horizontal: float = 2e-9
+    phmi_vertical: float = 9.8e-8
+    pfa_horizontal: float = 9e-8
+    pfa_vertical: float = 3.9e-6
+    p_unmonitored: float = 8e-8
+    tolerance_m: tuple[float, float] = (0.05, 1e-4)
+
+    def __post_init__(self) -> None:
+        lengths = ("horizontal_alert_limit_m", "vertical_alert_limit_m", "sigma_ura_m", "sigma_ure_m", "tolerance_m")
+        for name in lengths:
+            check_value(name, getattr(self, name), "positive metres", lambda length_m: length_m > 0)
+        check_value("bias_m", self.bias_m, "0 or more metres", lambda bias_m: bias_m >= 0)
+        for name in ("p_sat", "p_const_gps", "p_const", "p_unmonitored"):
+            check_value(name, getattr(self, name), "a probability from 0 to below 0.1", lambda p: (p >= 0) & (p < 0.1))
+        for name in ("phmi_horizontal", "phmi_vertical", "pfa_horizontal", "pfa_vertical"):
+            check_value(
+                name, getattr(self, name), "a probability from 1e-15 to 0.1", lambda p: (p >= 1e-15) & (p <= 0.1)
+            )
+        if len(self.tolerance_m) != 2:
+            raise InputError(
+                f"tolerance_m must be two numbers of metres such as [0.05, 0.0001], got {self.tolerance_m}"
+            )
+
+    @property
+    def budget(self) -> RiskBudget:
+        """How risk is shared out, for the kernel."""
+        shares = self.phmi_horizontal, self.phmi_vertical, self.pfa_horizontal, self.pfa_vertical
+        return RiskBudget(*map(float, (*shares, self.p_unmonitored, *self.tolerance_m)))
+
+
+L1_HZ, L5_HZ = 1575.42e6, 1176.45e6
+# Of a range without ionosphere from those of two frequencies (Blanch et al. 2012, annex A).
+IONOSPHERE_FREE = np.sqrt((L1_HZ**4 + L5_HZ**4) / (L1_HZ**2 - L5_HZ**2) ** 2)
+GALILEO_STEP_DEG, GALILEO_FIRST_DEG = 5.0, 5.0
+GALILEO_SIGMA_M = (  # from 5 to 90 degrees in steps of 5 (Blanch et al. 2015, table A.I)
+    *(0.4529, 0.3553, 0.3063, 0.2638, 0.2593, 0.2555, 0.2504, 0.2438, 0.2396),
+    *(0.2359, 0.2339, 0.2302, 0.2295, 0.2278, 0.2297, 0.2310, 0.2274, 0.2277),
+)
+
+
+def troposphere_sigma_m(elevation_rad: Float[np.ndarray, " S"]) -> Float[np.ndarray, " S"]:
+    """Return the standard deviation of what a troposphere model leaves (RTCA DO-229D, A.4.2.4)."""
+    return 0.12 * 1.001 / np.sqrt(0.002001 + np.sin(elevation_rad) ** 2)
+
+
+def gps_receiver_sigma_m(elevation_rad: Float[np.ndarray, " S"]) -> Float[np.ndarray, " S"]:
+    """Return the standard deviation of noise and of an airframe's multipath (Blanch et al. 2012, annex A)."""
+    elevation_deg = np.degrees(elevation_rad)
+    multipath_m = 0.13 + 0.53 * np.exp(-elevation_deg / 10)
+    noise_m = 0.15 + 0.43 * np.exp(-elevation_deg / 6.9)
+    return IONOSPHERE_FREE * np.hypot(multipath_m, noise_m)
+
+
+def galileo_receiver_sigma_m(elevation_rad: Float[np.ndarray, " S"]) -> Float[np.ndarray, " S"]:
+    """Return the same for Galileo, linear between the table's elevations; below the lowest as there."""
+    at_deg = GALILEO_FIRST_DEG + GALILEO_STEP_DEG * np.arange(len(GALILEO_SIGMA_M))
+    return np.interp(np.degrees(elevation_rad), at_deg, GALILEO_SIGMA_M)
+
+
+def ranging_of(in_view: InView, params: ProtectionParams) -> Ranging:
+    """Return what is known of the ranges to satellites; constellations other than Galileo range as GPS does."""
+    elevation_rad, systems = np.asarray(in_view.elevation_rad, float), np.asarray(in_view.systems, str)
+    names, constellation = np.unique(systems, return_inverse=True)
+    receiver_m = np.where(
+        systems == "galileo", galileo_receiver_sigma_m(elevation_rad), gps_receiver_sigma_m(elevation_rad)
+    )
+    local_m2 = troposphere_sigma_m(elevation_rad) ** 2 + receiver_m**2
+    num = len(systems)
+    return Ranging(
+        unit_vectors(in_view.azimuth_rad, elevation_rad),
+        constellation.astype(np.int64),
+        np.sqrt(float(params.sigma_ura_m) ** 2 + local_m2),
+        np.sqrt(float(params.sigma_ure_m) ** 2 + local_m2),
+        np.full(num, float(params.bias_m)),
+        np.full(num, float(params.p_sat)),
+        np.array([float(params.p_const_gps if name == "gps" else params.p_const) for name in names]),
+    )
+
+
+class ProtectionMaps(NamedTuple):
+    """Protection maps of one time. ``C`` stands for any axes of cells.
+
+    Attributes:
+      m: see `protection_metric`.
+      hpl: horizontal protection level, metres; inf where it is undetermined and inside obstacles.
+      vpl: vertical protection level, metres; inf as that.
+      within_limits: 1 where both are at most their alert limits, else 0.
+    """
+
+    m: Float32[np.ndarray, "*C"]
+    hpl: Float32[np.ndarray, "*C"]
+    vpl: Float32[np.ndarray, "*C"]
+    within_limits: UInt8[np.ndarray, "*C"]
+
+
+def protection_metric(hpl_m: np.ndarray, alert_limit_m: float) -> np.ndarray:
+    """Return m = 1 - min(HPL, limit) / limit in [0, 1]: 0 from the limit up, and at HPL = inf."""
+    return 1 - np.minimum(hpl_m, alert_limit_m) / alert_limit_m
+
+
+def levels_of_satellites(in_view: InView, params: ProtectionParams, patterns: UInt[np.ndarray, "W P"]) -> np.ndarray:
+    """Return ``[2, P]`` float64 horizontal and vertical protection levels of choices of the satellites in view.
+
+    Args:
+      in_view: all of them.
+      params: settings.
+      patterns: satellite ``s`` is bit ``s % 32`` of word ``s // 32``.
+    """
+    return protection_levels(patterns, ranging_of(in_view, params), params.budget)
+
+
+def protection_maps(
+    words: UInt[AnyArray, "W ..."], is_obstacle: Bool[AnyArray, "..."], in_view: InView, params: ProtectionParams
+) -> ProtectionMaps:
+    """Return the protection maps of the satellites seen; inside obstacles none is. No gradient.
+
+    Args:
+      words: satellite ``s`` is bit ``s % 32`` of word ``s // 32``; any axes of cells behind.
+      is_obstacle: where nobody flies.
+      in_view: the satellites.
+      params: settings.
+    """
+    choices, number = distinct_choices(words, is_obstacle)
+    hpl_m, vpl_m = levels_of_satellites(in_view, params, choices)
+    is_within = (hpl_m <= params.horizontal_alert_limit_m) & (vpl_m <= params.vertical_alert_limit_m)
+    levels = [protection_metric(hpl_m, params.horizontal_alert_limit_m), hpl_m, vpl_m]
+    table = [*(level.astype(np.float32) for level in levels), is_within.astype(np.uint8)]
+    return ProtectionMaps(*(np.take(values, number) for values in table))
+
+
+LEVELS = ("hpl", "vpl")
+WITHIN_LIMITS = "within_limits"
+CAVEAT = (
+    "Protection levels of the satellites in line of sight, as if under open sky: no multipath and no reflections are "
+    "in them. In a street canyon this is no integrity."
+)
+
+
+def _maps(scene: Scene, params: ProtectionParams) -> dict[str, np.ndarray]:
+    """Return m, both levels, and where both are within their alert limits."""
+    assert scene.in_view is not None
+    assert scene.words is not None
+    assert scene.is_obstacle is not None
+    maps = protection_maps(scene.words, scene.is_obstacle, scene.in_view, params)
+    if scene.only_m:
+        return {"protection": maps.m}
+    return {"protection": maps.m, "hpl": maps.hpl, "vpl": maps.vpl, WITHIN_LIMITS: maps.within_limits}
+
+
+METRIC = Metric(
+    name="protection",
+    params=ProtectionParams,
+    dims=(TIME, ALTITUDE),
+    compute=_maps,
+    cost=low_is_bad,
+    label="Protection",
+    one_means="an HPL of 0 m",
+    colour="#332288",
+    colour_map="cividis",
+    also={**dict.fromkeys(LEVELS, np.float32), WITHIN_LIMITS: np.uint8},
+    available=WITHIN_LIMITS,
+    is_monotone=False,
+    caveat=CAVEAT,
+    cell_bytes=40,  # the distinct patterns at worst, their number in each cell, and one altitude's maps
+)
