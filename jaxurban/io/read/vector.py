@@ -195,26 +195,21 @@ def _read_near(path: str | Path, near: Near) -> tuple[gpd.GeoDataFrame, Bounds] 
     """
     if Path(path).suffix.lower() not in INDEXED_SUFFIXES:
         return None
-    with readable(path, "a vector file", WHOLE, *OF_DAMAGED, what=_name(path, BUILDINGS)):
+    name = _name(path, BUILDINGS)
+    with readable(path, "a vector file", WHOLE, *OF_DAMAGED, what=name):
         _check_format(Path(path))
-        found = _read_indexed(path, near)
-    if found is not None:
-        _check(_name(path, BUILDINGS), *found)
-    return found
-
-
-def _read_indexed(path: str | Path, near: Near) -> tuple[gpd.GeoDataFrame, Bounds] | None:
-    layer = _polygon_layer(path, BUILDINGS)
-    facts = pyogrio.read_info(path, layer=layer, force_total_bounds=True)
-    box = near.box_in(facts["crs"]) if facts["crs"] and facts["geometry_type"] else None
-    if box is None or facts["total_bounds"] is None:
-        return None
-    _, sides = pyogrio.read_bounds(path, layer=layer, bbox=box)
-    if sides.size:
-        box = extent_of(sides.T)  # with all that touches one of these, see `near_rows`
-    columns = [column for column in facts["fields"] if _is_of_buildings(column)]
-    frame = pyogrio.read_dataframe(path, layer=layer, columns=columns, bbox=box, on_invalid="ignore", fid_as_index=True)
-    return frame.sort_index().reset_index(drop=True), facts["total_bounds"]
+        layer = _polygon_layer(path, BUILDINGS)
+        facts = pyogrio.read_info(path, layer=layer, force_total_bounds=True)
+        box = near.box_in(facts["crs"]) if facts["crs"] and facts["geometry_type"] else None
+        if box is None or facts["total_bounds"] is None:
+            return None
+        _, sides = pyogrio.read_bounds(path, layer=layer, bbox=box)
+        box = extent_of(sides.T) if sides.size else box  # with all that touches one of these, see `near_rows`
+        columns = [column for column in facts["fields"] if _is_of_buildings(column)]
+        options: dict[str, Any] = {"columns": columns, "bbox": box, "on_invalid": "ignore", "fid_as_index": True}
+        frame = pyogrio.read_dataframe(path, layer=layer, **options).sort_index().reset_index(drop=True)
+    _check(name, frame, facts["total_bounds"])
+    return frame, facts["total_bounds"]
 
 
 def _polygon_layer(path: str | Path, wanted: str) -> str:
