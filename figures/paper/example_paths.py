@@ -155,6 +155,9 @@ def draw(town: Town, shared: CostMap, cases: Sequence[Case], results: Sequence[l
     note = f"{'  ·  '.join(note)}\n{rules_said(map_settings(shared))}"
     footer_in = len(PAPER_PLANNERS) * LINE_IN + SCALE_IN
     frame = make_frame(parts[0], titles, heading, note, footer_in=footer_in, with_ticks=False)
+    layout, scale = frame.figure.get_layout_engine(), SCALE_IN / frame.figure.get_figheight()
+    x0, y0, width, height = layout.get()["rect"]
+    layout.set(rect=(x0, y0 + scale, width, height - scale))  # free for the scale bars, which it does not see
     colours = planner_colours(PAPER_PLANNERS)
     layers = cost_layers(maps, altitude_m, shared.time, shared.time_of_day)
     for panel, part, paths in zip(frame.axes, parts, results, strict=True):
