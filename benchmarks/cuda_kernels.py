@@ -29,8 +29,8 @@ from jaxurban.metrics.lidar import LidarParams
 from jaxurban.metrics.risk import RiskParams
 from jaxurban.metrics.weights import Weights
 from jaxurban.planners.bitstar.planner import EDGES_TOGETHER, NODES_TOGETHER
+from jaxurban.planners.cost_model import STEPS
 from jaxurban.planners.frontier import CELLS_TOGETHER, QUERIES_TOGETHER
-from jaxurban.planners.moves import STEPS
 from jaxurban.studies.sensitivity import buildings
 from jaxurban.studies.tuning import confidence, fenchel_young, target_fit
 from jaxurban.studies.tuning.targets import Target

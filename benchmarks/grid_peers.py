@@ -23,9 +23,8 @@ from benchmarks.common import ROOT, Row, Timing, load, machine, markdown, row, w
 from jaxurban.planners.astar import astar
 from jaxurban.planners.base import Cell, Problem
 from jaxurban.planners.bounds import make_landmarks
-from jaxurban.planners.cost_model import CostModel
+from jaxurban.planners.cost_model import STEPS, CostModel
 from jaxurban.planners.grid_search import NO_HEURISTIC, Graph, GridSearch, Heuristic, graph_of
-from jaxurban.planners.moves import STEPS
 
 CITY_M = (10_000.0, 20_000.0)
 RESOLUTION_M = 5.0

@@ -12,8 +12,7 @@ from jaxurban.errors import InputError, positive
 from jaxurban.kernels.search.tiles import tile_minima
 from jaxurban.kernels.search.weighing import are_costs, in_rows, weighted_sum
 from jaxurban.planners.cost import CostKind, PathFeatures, path_features
-from jaxurban.planners.cost_model import CostModel
-from jaxurban.planners.moves import allowed_moves
+from jaxurban.planners.cost_model import CostModel, allowed_moves
 
 Cell = tuple[int, ...]  # row, column; in a volume level, row, column. Row 0 is in the south, level 0 the lowest
 T = TypeVar("T")
@@ -234,7 +233,7 @@ class Problem:
 
     @property
     def moves(self) -> np.ndarray:
-        """``[Y, X]`` or ``[K, Y, X]`` uint8: bit k is set where horizontal step k of `moves.STEPS` is allowed."""
+        """``[Y, X]`` or ``[K, Y, X]`` uint8: bit k is set where horizontal step k of `cost_model.STEPS` is allowed."""
         if not self._moves:
             num_rows, num_cols = self.is_free.shape[-2:]
             levels = self.is_free.reshape(-1, num_rows, num_cols)

@@ -4,20 +4,19 @@ cost(path) = weights . phi(path)        phi = (metres, cost of each layer[, metr
 """
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from jaxurban.errors import InputError
 from jaxurban.kernels.line.segment_cost import are_clear
 from jaxurban.kernels.line.traversal import Crossings, crossed_cells, is_free_way
-from jaxurban.planners.moves import STEPS
+from jaxurban.planners.cost_model import STEPS, CostKind
 
 if TYPE_CHECKING:
     from jaxurban.planners.base import Problem
 
 ROUNDING = 1e-9  # relative: lengths this close are equal
-CostKind = Literal["cell", "line"]
 Index = tuple[Any, ...]  # (row, col) of cells, or (level, row, col) of nodes in a volume
 
 

@@ -4,6 +4,7 @@ import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from itertools import groupby
+from operator import itemgetter
 
 import jax
 import numpy as np
@@ -12,8 +13,8 @@ from jaxurban.kernels.search.frontier import Grids, advance, begin, drop, empty_
 from jaxurban.planners.base import Cell, Path, Problem, Status
 from jaxurban.planners.bounds import make_heuristic
 from jaxurban.planners.compiled_first import power_of_two
+from jaxurban.planners.cost_model import STEPS
 from jaxurban.planners.grid_search import graph_of, way_m
-from jaxurban.planners.moves import STEPS
 
 BAND_STEPS = 8.0  # a band that spans this many steps over the map's median cell
 ROUNDS_AT_ONCE = 64  # between two looks at the clock: some 0.1 s
@@ -46,22 +47,12 @@ def solve_by_frontier(
     first = {id(problem.cost): i for i, problem in reversed(list(enumerate(problems)))}
     by_map = sorted(range(len(problems)), key=lambda i: (problems[i].cost.shape, first[id(problems[i].cost)]))
     for _, same_shape in groupby(by_map, key=lambda i: problems[i].cost.shape):
-        for group in _groups(problems, list(same_shape), BYTES_OF_MAPS[kind]):
-            yield from _Batch([(i, problems[i]) for i in group], planner, budget_s, band_steps, kind).run()
-
-
-def _groups(problems: Sequence[Problem], indices: list[int], max_bytes: int) -> Iterator[list[int]]:
-    """Yield the queries in groups whose maps fit into so many bytes, in the given order."""
-    max_maps = max(1, max_bytes // (BYTES_A_CELL * problems[indices[0]].cost.size))
-    group: list[int] = []
-    maps: set[int] = set()
-    for i in indices:
-        if id(problems[i].cost) not in maps and len(maps) == max_maps:
-            yield group
-            group, maps = [], set()
-        maps.add(id(problems[i].cost))
-        group.append(i)
-    yield group
+        indices = list(same_shape)
+        number = {key: k for k, key in enumerate(dict.fromkeys(id(problems[i].cost) for i in indices))}
+        most = max(1, BYTES_OF_MAPS[kind] // (BYTES_A_CELL * problems[indices[0]].cost.size))
+        parts = [(number[id(problems[i].cost)] // most, i) for i in indices]
+        for _, part in groupby(parts, key=itemgetter(0)):
+            yield from _Batch([(i, problems[i]) for _, i in part], planner, budget_s, band_steps, kind).run()
 
 
 class _Batch:
@@ -176,21 +167,12 @@ def _grids(maps: list[Problem]) -> Grids:
     bounds = [make_heuristic("octile", problem) for problem in maps]
     # A cell that no path may cross can cost anything, NaN too, which would spread.
     cost = np.stack([np.where(problem.is_free, problem.cost, 0.0).ravel() for problem in maps])
-    return Grids(
-        *jax.device_put(
-            (
-                cost,
-                np.stack([graph.moves for graph in graphs]),
-                np.stack([graph.step_cost for graph in graphs]),
-                np.stack([graph.from_share for graph in graphs]),
-                np.stack([graph.to_share for graph in graphs]),
-                np.array([bound.straight for bound in bounds]),
-                np.array([bound.diagonal for bound in bounds]),
-                np.array(STEPS, np.int32),
-                np.int32(graphs[0].num_cols),
-            )
-        )
-    )
+    arrays = {"cost": cost, "steps": np.array(STEPS, np.int32), "num_cols": np.int32(graphs[0].num_cols)}
+    for name in ("moves", "step_cost", "from_share", "to_share"):
+        arrays[name] = np.stack([getattr(graph, name) for graph in graphs])
+    for name in ("straight", "diagonal"):
+        arrays[name] = np.array([getattr(bound, name) for bound in bounds])
+    return Grids(**jax.device_put(arrays))
 
 
 def _band(problem: Problem, band_steps: float) -> float:

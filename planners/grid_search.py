@@ -27,7 +27,7 @@ from jaxurban.kernels.search.heap import (
 )
 from jaxurban.kernels.search.tiles import TileBound, tile_estimate
 from jaxurban.planners.base import Cell, Problem
-from jaxurban.planners.moves import STEPS
+from jaxurban.planners.cost_model import STEPS
 
 # (levels up, rows, columns): the eight steps of a level, those that also climb, and descend, straight up, and down.
 ALL_STEPS = np.array([(up, *step) for up in (0, 1, -1) for step in STEPS] + [(1, 0, 0), (-1, 0, 0)])

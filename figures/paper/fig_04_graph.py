@@ -10,9 +10,8 @@ from matplotlib.patches import Patch, Rectangle
 
 from figures.paper.common import PATH_M, TOWNS, Caption, save
 from jaxurban.planners.base import Cell, Problem
-from jaxurban.planners.cost_model import CostModel
+from jaxurban.planners.cost_model import STEPS, CostModel, allowed_moves
 from jaxurban.planners.grid_search import graph_of
-from jaxurban.planners.moves import STEPS, allowed_moves
 from jaxurban.report.figures.metrics import percent
 from jaxurban.report.figures.style import FAINT_INK, INK, SMALL_PT, TEXT_PT
 

@@ -15,9 +15,8 @@ from jaxurban.planners.astar import astar
 from jaxurban.planners.base import Problem, Status
 from jaxurban.planners.batch import FEW_QUERIES, FEW_TO_ONE_GOAL, GPU_BATCH, choose_heuristics, solve_many
 from jaxurban.planners.bounds import cost_to_go
-from jaxurban.planners.cost_model import CostModel
+from jaxurban.planners.cost_model import STEPS, CostModel
 from jaxurban.planners.frontier import solve_by_frontier
-from jaxurban.planners.moves import STEPS
 
 SHAPE = (21, 34)
 MODELS = list(itertools.product(["cell", "line"], [("both-free", 8), ("always", 8), ("both-free", 4)]))

@@ -9,7 +9,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from jaxurban.errors import InputError
 from jaxurban.paths.cost_map import cost_map
-from jaxurban.planners.moves import STEPS
+from jaxurban.planners.cost_model import STEPS
 from jaxurban.studies.queries import RouteQuery, cluster_routes
 from jaxurban.studies.route_pool import RoutePool
 from jaxurban.studies.sensitivity.breakpoints import find_breakpoints, nearest_breakpoints, pareto_front
