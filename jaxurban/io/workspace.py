@@ -307,12 +307,10 @@ def _unused(path: Path) -> Path:
 
 def _files_of(folder: Path) -> list[Path]:
     """Return the files in a folder but for what holds and records it."""
-    if not folder.is_dir():
-        return []
     kept = (RECORD_FILE, JOURNAL_FILE, LOCK_FILE)
     return [
         path
-        for path in sorted(folder.iterdir())
+        for path in (sorted(folder.iterdir()) if folder.is_dir() else ())
         if path.name not in kept and not path.name.endswith(SCRATCH_SUFFIX) and (path.is_symlink() or not path.is_dir())
     ]
 
