@@ -171,7 +171,8 @@ WRONG |= dict.fromkeys(
     1e300,
 )
 WRONG |= {
-    **{"connectivity": 5, "diagonal": "never", "obstacles": "toched", "backend": "gpu", "kind": "roof", "nan": "open"},
+    **{"connectivity": 5, "diagonal": "never", "obstacles": "toched", "backend": "gpu", "engine": "gpu"},
+    **{"kind": "roof", "nan": "open"},
     **{"hanging": "in the air", "clocks": "two", "weighting": "sine"},
     **{
         "series": "all",
