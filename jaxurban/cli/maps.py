@@ -2,6 +2,7 @@
 
 import traceback
 from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -99,13 +100,7 @@ def maps(
         if as_json:
             print_json(record)
         return 0
-    names = [file.stem for file in scenario_files]
-    if twice := [name for name, count in Counter(names).items() if count > 1]:
-        raise InputError(
-            f"two scenarios are called {twice[0]!r}, and each goes to a folder of its name: rename one of them"
-        )
-    if taken := [name for name in names if name in TAKEN]:
-        raise InputError(f"a folder called {taken[0]!r} is one of the maps' own: rename that scenario")
+    names = _folder_names(scenario_files)
     found: dict[str, Any] = {}
     codes = {0}
     for name, file in zip(names, scenario_files, strict=True):
@@ -128,6 +123,22 @@ def maps(
     if as_json:
         print_json({"scenarios": found})
     return EXIT_BUG if EXIT_BUG in codes else max(codes)
+
+
+def _folder_names(scenario_files: Sequence[Path]) -> list[str]:
+    """Return a folder's name for each of several scenarios: its file's.
+
+    Raises:
+      InputError: two of one name, or one that maps in the output folder would use.
+    """
+    names = [file.stem for file in scenario_files]
+    if twice := [name for name, count in Counter(names).items() if count > 1]:
+        raise InputError(
+            f"two scenarios are called {twice[0]!r}, and each goes to a folder of its name: rename one of them"
+        )
+    if taken := [name for name in names if name in TAKEN]:
+        raise InputError(f"a folder called {taken[0]!r} is one of the maps' own: rename that scenario")
+    return names
 
 
 def _make(

@@ -102,26 +102,8 @@ def sensitivity_study(
         raise InputError(
             f"routes must be how many to sample in each city, at least 1, or a table of them, got {routes!r}"
         )
-    given, opened, rules = named_sources(sources), dict[str, MetricMaps](), dict[str, Any]()
-    for city, source in given.items():
-        maps = source if isinstance(source, MetricMaps) else source.open()
-        maps, *rest = under_preset(settings.preset, maps, settings.cost_model, settings.constraints)
-        opened[city], rules[city] = maps, [*rest, Weights.of(weights, maps.recorded.get("weights"))]
-        given[city] = maps if isinstance(source, MetricMaps) else source.at(maps)
-    (first, (model, constraints, weights)), *others = rules.items()
-    for city, other in others:
-        if other != rules[first]:
-            raise InputError(
-                f"the scenarios of {first} and {city} give other weights, cost models, clearances or vehicles: name "
-                "them for both (--weights, --cost-model, --clearance, --vertical-clearance), or make them the same"
-            )
-    settings = replace(settings, cost_model=model, constraints=constraints, preset="")
-    resolutions = {maps.grid.resolution_m for maps in opened.values()}
-    if model.kind == "cell" and len(resolutions) > 1:
-        listed = ", ".join(f"{each:g} m" for each in sorted(resolutions))
-        raise InputError(
-            f"the maps have cells of {listed}, on which the 'cell' cost model costs differently: use cost_model='line'"
-        )
+    given = named_sources(sources)
+    opened, settings, weights = _opened(given, settings, weights)
     instances = _instances(opened, routes, altitudes_m, weights, settings)
     _check_vary(settings.vary, instances, dict.fromkeys(name for maps in opened.values() for name in maps.metrics))
     about = {city: _about(maps) for city, maps in opened.items()}
@@ -144,6 +126,37 @@ def sensitivity_study(
         found = SensitivityStudy(folder, grids, instances, rows, remade_table, skipped, settings, norms, is_sampled)
         write_sensitivity_study(found)
     return found
+
+
+def _opened(
+    given: dict[str, Source], settings: SensitivityStudySettings, weights: GivenWeights
+) -> tuple[dict[str, MetricMaps], SensitivityStudySettings, GivenWeights]:
+    """Return the maps of each city, and the settings and weights that hold for all; name in ``given`` what is opened.
+
+    Raises:
+      InputError: maps whose scenarios differ in what all routes share, or whose costs cannot be compared.
+    """
+    opened, rules = dict[str, MetricMaps](), dict[str, Any]()
+    for city, source in given.items():
+        maps = source if isinstance(source, MetricMaps) else source.open()
+        maps, *rest = under_preset(settings.preset, maps, settings.cost_model, settings.constraints)
+        opened[city], rules[city] = maps, [*rest, Weights.of(weights, maps.recorded.get("weights"))]
+        given[city] = maps if isinstance(source, MetricMaps) else source.at(maps)
+    (first, (model, constraints, weights)), *others = rules.items()
+    for city, other in others:
+        if other != rules[first]:
+            raise InputError(
+                f"the scenarios of {first} and {city} give other weights, cost models, clearances or vehicles: name "
+                "them for both (--weights, --cost-model, --clearance, --vertical-clearance), or make them the same"
+            )
+    settings = replace(settings, cost_model=model, constraints=constraints, preset="")
+    resolutions = {maps.grid.resolution_m for maps in opened.values()}
+    if model.kind == "cell" and len(resolutions) > 1:
+        listed = ", ".join(f"{each:g} m" for each in sorted(resolutions))
+        raise InputError(
+            f"the maps have cells of {listed}, on which the 'cell' cost model costs differently: use cost_model='line'"
+        )
+    return opened, settings, weights
 
 
 def named_sources(sources: Any) -> dict[str, Source]:

@@ -107,13 +107,7 @@ def run_tuning(
         raise InputError(f"cannot write to the output folder {str(folder)!r}: it is a file")
     if settings.pilot is not None and not any(settings.pilot.to_dict().values()):
         raise InputError("every weight of the pilot is 0, so that all routes cost the same: give one above 0 (--pilot)")
-    opened = [open_maps(source.maps, settings.resolution_m, obstacles=settings.obstacles) for source in sources]
-    drawn = [source.maps.resolve() for source in sources if not source.routes]
-    if len(set(drawn)) < len(drawn):
-        twice = next(each for each in drawn if drawn.count(each) > 1)
-        raise InputError(
-            f"the maps in {str(twice)!r} are named twice, so that their routes would count twice: name them once"
-        )
+    opened = _opened(sources, settings)
     targets = [Target.parse(text, opened[0].metrics) for text in settings.targets]
     with reporting("tune", progress) as report:
         report("routes")
@@ -156,6 +150,22 @@ def run_tuning(
             save(folder, outputs_of(fit, beside, asked, found, degrees))
     facts = _facts(fit, folder)
     return facts if found is None else facts | {"fits": records_of(found.table)}
+
+
+def _opened(sources: Sequence[RoutesOnMaps], settings: TuneSettings) -> list[MetricMaps]:
+    """Return the maps of each source.
+
+    Raises:
+      InputError: maps that cannot be read, or the same maps twice for routes that are drawn.
+    """
+    opened = [open_maps(source.maps, settings.resolution_m, obstacles=settings.obstacles) for source in sources]
+    drawn = [source.maps.resolve() for source in sources if not source.routes]
+    if len(set(drawn)) < len(drawn):
+        twice = next(each for each in drawn if drawn.count(each) > 1)
+        raise InputError(
+            f"the maps in {str(twice)!r} are named twice, so that their routes would count twice: name them once"
+        )
+    return opened
 
 
 def _names_of(folders: Sequence[Path]) -> list[str]:
