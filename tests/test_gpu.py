@@ -53,7 +53,7 @@ def on_both(work, given, gpu: jax.Device) -> tuple[np.ndarray, np.ndarray]:
     for device in (jax.devices("cpu")[0], gpu):
         with jax.default_device(device):
             result = jax.block_until_ready(work(jax.device_put(given, device)))
-        assert result.devices() == {device}
+        assert not isinstance(result, jax.Array) or result.devices() == {device}  # words come to the host at once
         found.append(np.asarray(result))
     return found[0], found[1]
 
