@@ -311,4 +311,4 @@ def _path_of(row: dict[str, Any]) -> Path:
         xy_m = np.stack([row["x_m"], row["y_m"]], axis=1)
         points_m = xy_m - (xy_m[0] - rest["points_m"][0])
     rest |= {"status": Status(rest["status"]), "points_m": points_m, "history": tuple(map(tuple, rest["history"]))}
-    return Path(**rest)
+    return Path(**{item.name: rest[item.name] for item in fields(Path) if item.name in rest})  # older files hold more
