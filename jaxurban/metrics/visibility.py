@@ -252,8 +252,12 @@ def distinct_choices(
     choices: list[np.ndarray] = []
     number = np.zeros(1, np.int64)
     for word in words:
-        number, pairs = pd.factorize(number << WORD_BITS | np.where(is_obstacle, np.uint32(0), word).reshape(-1))
-        choices = [earlier[pairs >> WORD_BITS] for earlier in choices] + [pairs.astype(np.uint32)]
+        of_word, seen = pd.factorize(np.where(is_obstacle, np.uint32(0), word).reshape(-1))
+        pairs = np.arange(len(seen))  # of an earlier choice and one of this word
+        if choices:
+            of_word, pairs = pd.factorize(number * len(seen) + of_word)
+        choices = [earlier[pairs // len(seen)] for earlier in choices] + [seen[pairs % len(seen)]]
+        number = of_word
     return np.stack(choices), number.reshape(words.shape[1:])
 
 
