@@ -1,10 +1,20 @@
 """Compiled functions are kept on disk until a file that they are made of changes, by public names of Numba alone."""
 
 import os
+import re
 import subprocess
 import sys
+from pathlib import Path
+from types import SimpleNamespace
 
+import numba
+import numpy as np
 import pytest
+
+from jaxurban.kernels.line.traversal import walk_edge
+from jaxurban.kernels.search.heap import Heap, push
+from jaxurban.planners.registry import PLANNERS, VOLUME_PLANNERS, find_planner
+from tests.planners.problems import open_problem, volume_problem
 
 INNER = """
 from jaxurban.kernels.compiled import compiled
@@ -66,3 +76,38 @@ def test_the_users_cache_folder_is_used_and_one_that_cannot_be_written_does_no_h
     assert any((tmp_path / "own").rglob("outer*.nbi"))
     assert run_outer(2, 10, tmp_path / "own") == (13.0, 1)
     assert run_outer(2, 10, "/proc/nowhere") == (13.0, 0)
+
+
+def made_of(module):
+    """Return a module and those of the package that it imports from: the folder of its cache is named by them."""
+    source = Path(sys.modules[module].__file__).read_text(encoding="utf-8")
+    return {module}.union(*map(made_of, re.findall(r"^from (jaxurban\.[\w.]+) import", source, re.MULTILINE)))
+
+
+def named_tuples_in(kind):
+    """Return the classes of named tuples that a type of Numba holds."""
+    own = {kind.instance_class} if hasattr(kind, "instance_class") else set()
+    return own.union(*map(named_tuples_in, getattr(kind, "types", ())))
+
+
+def taken_from_elsewhere(dispatcher):
+    """Return the classes of named tuples that a compiled function was called with and its module does not know."""
+    kinds = [kind for signature in dispatcher.signatures for kind in signature]
+    found = set().union(*map(named_tuples_in, kinds))
+    return {each for each in found if each.__module__ not in made_of(dispatcher.py_func.__module__)}
+
+
+def test_compiled_functions_take_named_tuples_of_modules_that_theirs_import():
+    """The index of a cache names their classes: where one's module goes, it cannot be read any more."""
+    stranger = SimpleNamespace(py_func=walk_edge.py_func, signatures=[(numba.typeof(Heap.empty(4)),)])
+    assert taken_from_elsewhere(stranger) == {Heap}
+    shape = 2, 6, 6
+    flat = open_problem(shape[1:], (0, 0), (5, 4))
+    volume = volume_problem(np.zeros(shape), np.ones(shape, bool), [10.0, 20.0], (0, 0, 0), (1, 5, 4), 2.0, 1.0)
+    for problem, planners in ((flat, PLANNERS), (volume, VOLUME_PLANNERS)):
+        for name in planners:
+            find_planner(name, is_for_volumes=problem is volume)(problem, budget_s=0.05, seed=0)
+    modules = [module for name, module in sys.modules.items() if name.startswith("jaxurban.")]
+    called = {each for module in modules for each in vars(module).values() if hasattr(each, "py_func")}
+    assert push in called
+    assert {each: found for each in called if (found := taken_from_elsewhere(each))} == {}
