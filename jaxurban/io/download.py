@@ -215,8 +215,12 @@ def megabytes(num_bytes: int) -> str:
 
 
 def _check_redirect(response: requests.Response, **_: Any) -> None:
-    """Raise InputError before a redirect is followed from https to http."""
-    target = urljoin(response.url, response.headers.get("Location", ""))
+    """Raise InputError before a redirect is followed from https to http, InvalidURL where it leads to no URL."""
+    try:
+        target = urljoin(response.url, response.headers.get("Location", ""))
+    except ValueError as error:
+        response.close()
+        raise requests.exceptions.InvalidURL(error) from error
     if response.is_redirect and response.url.startswith("https:") and not target.startswith("https:"):
         raise InputError(f"{response.url} leads to {target}, which is not encrypted: {OVERRIDE}")
 

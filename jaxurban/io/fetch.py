@@ -15,6 +15,7 @@ from functools import partial
 from itertools import chain
 from pathlib import Path
 from typing import Any, TypeVar
+from urllib.parse import urlsplit
 
 import geopandas as gpd
 import pandas as pd
@@ -122,7 +123,10 @@ class Fetching:
         source = self.job.sources[name]
         path, facts, content = self.cache.get(source, self.job.url(name, **part), read)
         facts = {key: value for key, value in facts.items() if key != "etag"}
-        self.files.append({"source": name, "file": file, "credit": source.credit, "licence": source.licence, **facts})
+        terms = source.credit, source.licence
+        if name in self.job.urls and name != "osm":  # whose data are under its terms wherever they are from
+            terms = str(urlsplit(facts["url"]).hostname), "ask its publisher"
+        self.files.append({"source": name, "file": file, "credit": terms[0], "licence": terms[1], **facts})
         return path, content
 
     def buildings(self) -> str:

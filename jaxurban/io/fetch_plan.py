@@ -131,15 +131,12 @@ class FetchJob:
 
     @cached_property
     def sources(self) -> dict[str, Source]:
-        """The sources by name. OpenStreetMap's terms hold wherever its data are from; of others' nothing is known."""
+        """The sources by name, each with the URL template that is used."""
         layer, blocks = CENSUS[one_of("the census year", self.census_year, CENSUS)]
         counts = TIGERWEB.replace("{year}", self.census_year).replace("{layer}", layer)
         sources = {source.name: source for source in SOURCES}
         for name, url in ({"population": counts, "blocks": blocks} | self.urls).items():
-            known = sources[one_of("a source", name, sources)]
-            is_known = name == "osm" or name not in self.urls
-            terms = (known.credit, known.licence) if is_known else (str(urlsplit(url).hostname), "ask its publisher")
-            sources[name] = replace(known, url=url, credit=terms[0], licence=terms[1])
+            sources[name] = replace(sources[one_of("a source", name, sources)], url=url)
         return sources
 
     def has(self, name: str, box: Bounds) -> bool:

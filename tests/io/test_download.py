@@ -226,6 +226,10 @@ def test_redirects_are_followed_but_not_in_circles(server):
     assert len(server.asked) == 2 + download.MOST_REDIRECTS + 1
 
 
+def test_a_redirect_to_what_is_no_url_is_one_sentence(server):
+    assert_refused(server.put("/here", send(b"", 302, Location="http://[there")), "cannot be requested .*--source")
+
+
 @pytest.mark.parametrize("length", ["\xb2", "-5"])
 def test_a_length_that_is_none_is_passed_over(server, length):
     assert get(server.put("/a", send(BODY, Content_Length=length))).path.read_bytes() == BODY

@@ -464,6 +464,7 @@ def test_districts_of_ones_own_mark_nothing_commercial(server, tmp_path, capsys)
         (("--source", "osm=http://x.example/{town}"), ("placeholder {town}", "{query}")),
         (("--source", "osm=http://x.example/{"), ("odd brace",)),
         (("--source", "osm=http://[::1"), ("IPv6",)),
+        (("--districts", "http://[::1"), ("IPv6",)),
         (("--county", "61"), ("five digits",)),
         (("--margin", "-5"), ("margin",)),
         (("--max-size", "big"), ("--max-size must be a size",)),

@@ -30,7 +30,7 @@ OPEN = "NO_RESTRICTION"  # a zone that tells, and closes nothing
 ON_APPROVAL = ("REQ_AUTHORISATION", "REQ_AUTHORIZATION", "CONDITIONAL")
 METRES = {"M": 1.0, "FT": 0.3048}
 DAYS = ("MON", "TUE", "WED", "THU", "FRI", "SAT", "SUN")
-MIDNIGHT = re.compile(r"(^|T)24:00")  # an end
+MIDNIGHT = re.compile(r"(^|T)24:00(?=(:00)?[^:])")  # an end
 NO_LIMITS = "have limits that are not metres or feet above ground, and reach on to every altitude there"
 CORNERS = 64  # of a circle: with what follows its polygon is at most 0.3 % wider
 WIDER = 1e-3  # of a circle's radius, for edges that are straight in degrees
@@ -185,9 +185,7 @@ def _limits(volume: Json, label: str, name: str, told: Told) -> tuple[float, flo
         if value is None:
             limits.append(none)
         elif zero != "AGL" or unit is None:
-            told["have limits that are not metres or feet above ground, and reach on to every altitude there"].append(
-                name
-            )
+            told[NO_LIMITS].append(name)
             limits.append(none)
         else:
             limits.append(finite(f"the {end} limit of the no-fly zone {label}", value, "metres or feet") * unit)
