@@ -439,6 +439,8 @@ def test_the_population_may_be_a_csv_table(server, tmp_path, capsys):
         CensusFiles(tmp_path / "a/blocks.parquet", tmp_path / "a/population.csv", block_field="GEOID"), "EPSG:32618"
     )
     assert blocks.night_count.sum() == 50 + 51 + 52 + 53
+    terms = {file["source"]: file["licence"] for file in json.loads((tmp_path / "a/fetch.json").read_text())["files"]}
+    assert terms["population"] == terms["blocks"] == "ask its publisher" != terms["osm"]
 
 
 def test_districts_of_ones_own_mark_nothing_commercial(server, tmp_path, capsys):
