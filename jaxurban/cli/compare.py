@@ -42,7 +42,7 @@ def compare(folder_a: Path, folder_b: Path, output: Path, as_json: bool, overwri
         found = compare_maps(*sides, times=_times(given["times"]), tolerance=given["tolerance"], progress=report)
         report("report")
         save_comparison(found, output, overwrite, degrees=given["degrees"])
-    tell(f"comparison finished: read {output / REPORT_FILE}, look at {output / 'figures'}")
+    tell(f"comparison finished: read {output / REPORT_FILE}")
     if as_json:
         made: dict[str, Any] = {"folder": str(output), "report": str(output / REPORT_FILE)}
         made |= {"left_out": dict(found.part.left_out), "settings": found.settings, "layers": records_of(found.table)}

@@ -94,12 +94,11 @@ def read_queries(
         base = replace(base, altitude_m=finite("altitude_m", altitude_m, "metres"))
     if not isinstance(queries, pd.DataFrame):
         return [_of_pair(pair, base) for pair in queries]
-    for name in map(str, queries.columns):
-        if name not in known:
-            raise InputError(
-                f"queries have an unknown column {name!r}{nearest_name(name, known)}: the columns are "
-                f"{', '.join(known)}"
-            )
+    if unknown := [name for name in map(str, queries.columns) if name not in known]:
+        raise InputError(
+            f"queries have unknown columns {unknown}{nearest_name(unknown[0], known)}: leave them out, in pandas by "
+            f"queries.drop(columns=[...]); the columns are {', '.join(known)}"
+        )
     names = IN_METRES if IN_METRES[0] in queries else LONLAT
     if missing := [name for name in names if name not in queries]:
         given = f"{', '.join(LONLAT)} or {', '.join(IN_METRES)}"

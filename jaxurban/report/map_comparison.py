@@ -82,7 +82,8 @@ def comparison_markdown(found: MapComparison, figures: list[str]) -> str:
         values=framed(changed.where(changed.notna(), "")) if len(changed) else "Not one value differs.",
         unchanged=f"The same in both: {listed(same)}." if same else "",
         left_out=f"Not compared:\n\n{left_out}" if left_out else "",
-        figures="\n\n".join(f"![{heading_of(found, name)}, B - A](figures/{name}.png)" for name in figures),
+        figures="\n\n".join(f"![{heading_of(found, name)}, B - A](figures/{name}.png)" for name in figures)
+        or "None: a layer is drawn where it differs.",
     )
     return f"{text}\n"
 

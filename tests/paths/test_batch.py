@@ -1,6 +1,7 @@
 """plan_many: every query gets its result once, whatever happens to others, to the file or to the process."""
 
 import json
+from ast import literal_eval
 
 import numpy as np
 import pandas as pd
@@ -105,6 +106,14 @@ def test_a_query_that_cannot_be_asked_is_a_row_with_its_sentence(maps, pairs):
 def test_a_table_with_wrong_columns_is_refused(maps, columns, message):
     with pytest.raises(InputError, match=message):
         ju.plan_many(maps, pd.DataFrame([[0.0] * len(columns)], columns=columns), altitude_m=20.0)
+
+
+def test_drawn_instances_are_planned_without_the_columns_that_a_refusal_names(maps):
+    drawn = ju.sample_instances(maps, 2).query("altitude_m == 20")
+    with pytest.raises(InputError, match=r"unknown columns \[.*queries\.drop\(columns=") as refused:
+        ju.plan_many(maps, drawn)
+    named = literal_eval(str(refused.value)[str(refused.value).index("[") : str(refused.value).index("]") + 1])
+    assert all(path.status is Status.OPTIMAL for path in ju.plan_many(maps, drawn.drop(columns=[*named, *LONLAT])))
 
 
 def test_settings_that_are_wrong_for_all_queries_are_raised(maps, pairs):

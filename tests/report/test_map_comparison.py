@@ -10,6 +10,7 @@ from matplotlib.text import Text
 
 import jaxurban as ju
 from jaxurban.report.figures.map_comparison import comparison_figures, difference_colours, plot_difference
+from jaxurban.report.map_comparison import comparison_markdown
 from tests.cli_runs import assert_one_sentence, run
 from tests.made_maps import made_maps
 from tests.studies.test_map_comparison import changed_from
@@ -92,6 +93,11 @@ def test_the_command_compares_folders_and_names_the_settings_that_differ(capsys,
     code, _, err = run(capsys, "compare", "a", "b", "-o", "ab2", "--time", "2020")
     assert code == 2
     assert_one_sentence(err, "--time")
+
+
+def test_a_report_of_the_same_maps_says_why_it_shows_no_picture(found):
+    same = ju.compare(found.a, found.a, progress=False)
+    assert "## Figures\n\nNone: a layer is drawn where it differs." in comparison_markdown(same, [])
 
 
 def test_the_legend_names_what_is_blocked_where(found):
