@@ -250,7 +250,7 @@ def _maps_of(maker: Maker, watch: Stopwatch, report: Report) -> tuple[MetricMaps
     for path in store.stale_root_files(folder) if is_kept else ():
         LOG.warning(f"{str(path)!r} is missing or damaged: writing it again")
     store.write_root(folder)
-    ds = store.open_zarr(folder.resolve(), resolution_m)  # others may read it elsewhere
+    ds = store.open_zarr(folder.resolve(), resolution_m)
     with watch.stage("verify"):
         stale = stale_geotiffs(ds, folder, maker.key, maker.each, maker.layers)
         edited = [path for path in stale if path.suffix == ".qml" and is_changed(path)]
