@@ -29,7 +29,7 @@ from jaxurban.report.figures.frame import MAP, OBSTACLE_COLOUR, make_frame, roun
 from jaxurban.report.figures.metrics import percent
 from jaxurban.report.figures.notes import joined
 from jaxurban.report.figures.paths import PLANNER_COLOURS
-from jaxurban.report.figures.style import Colours, bar_ticks, wrapped
+from jaxurban.report.figures.style import Colours, bar_ticks, chart, wrapped
 from jaxurban.report.write import DPI, write_png
 from jaxurban.world.grid import Grid
 
@@ -584,3 +584,12 @@ def test_pictures_of_routes_name_the_rules_that_they_were_planned_under():
     for figure in (plotting.plot_paths(maps, make_paths(maps)), plotting.plot_overview(maps, make_paths(maps))):
         assert said in " ".join(texts_of(figure).split())
     assert "cost model" not in texts_of(plotting.plot_paths(maps, {}))
+
+
+def test_a_notebook_shows_heading_and_note_too():
+    """Jupyter cuts a figure to its tight box, which holds only what is in the layout."""
+    figure = chart(7.2, 3.0, "Heading", "note")
+    figure.subplots()
+    renderer = FigureCanvasAgg(figure).get_renderer()
+    top_in = figure.get_tightbbox(renderer).y1
+    assert [text.get_window_extent(renderer).y1 / figure.dpi <= top_in + 1e-6 for text in figure.texts] == [True, True]

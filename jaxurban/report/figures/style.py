@@ -59,7 +59,7 @@ def chart(width_in: float, height_in: float, heading: str, note: str, right_in: 
     below = (0, 0, 1 - right_in / width_in, height_in / total_in)
     layout = ConstrainedLayoutEngine(w_pad=0.08, h_pad=0.06, rect=below)
     figure = Figure(figsize=(width_in, total_in), layout=layout, facecolor="white")
-    left, look = EDGE_IN / width_in, {"va": "top", "in_layout": False}
+    left, look = EDGE_IN / width_in, {"va": "top"}
     figure.text(left, 1 - 0.10 / total_in, heading, look, size=12, weight="bold", color=INK)
     figure.text(left, 1 - 0.36 / total_in, "\n".join(lines), look, size=TEXT_PT, color=FAINT_INK)
     return figure
