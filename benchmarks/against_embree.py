@@ -7,7 +7,7 @@ from benchmarks.common import Row, Side, clocked, in_turn, row
 from benchmarks.embree_peer import Answers, EmbreePool, scan_until_first_return, see_satellites
 from benchmarks.scenes import ALTITUDES_M, Scene
 from jaxurban.kernels.dop import unit_vectors
-from jaxurban.metrics.lidar import LidarParams, compute_lidar
+from jaxurban.metrics.lidar import Lidar, compute_lidar
 from jaxurban.metrics.visibility import visibility
 from jaxurban.world.grid import Grid
 
@@ -58,7 +58,7 @@ def occlusion(scene: Scene, pool: EmbreePool, num_runs: int) -> Row:
 
 def lidar(scene: Scene, pool: EmbreePool, num_runs: int) -> Row:
     """Return the row of lidar: scan positions, of which both sides look no farther than the first return."""
-    surface, params = scene.surface(RESOLUTION_M), LidarParams()
+    surface, params = scene.surface(RESOLUTION_M), Lidar()
     centres_m = cell_centres(surface.region)
     chosen = np.sort(np.random.default_rng(0).choice(len(centres_m), NUM_LIDAR_CELLS, replace=False))
     found: dict[str, np.ndarray] = {}

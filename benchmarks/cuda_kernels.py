@@ -25,8 +25,8 @@ from jaxurban.maps import pipeline, recipe
 from jaxurban.maps.differentiable import PathVisits, SoftCity, SoftParams
 from jaxurban.metrics import availability, gps, lidar, obstacle, population, risk, visibility
 from jaxurban.metrics.gps import soft as soft_gps_metric
-from jaxurban.metrics.lidar import LidarParams
-from jaxurban.metrics.risk import RiskParams
+from jaxurban.metrics.lidar import Lidar
+from jaxurban.metrics.risk import Risk
 from jaxurban.metrics.weights import Weights
 from jaxurban.planners.bitstar.planner import EDGES_TOGETHER, NODES_TOGETHER
 from jaxurban.planners.cost_model import STEPS
@@ -200,7 +200,7 @@ def returns_at(roof_m, ground_m, heights_m, scan, cells):
 
 def inputs() -> tuple[pipeline.MapInputs, visibility.SkyView]:
     """Return what all maps of a region of 8 M cells at one time are made of."""
-    city, params = soft_city().surface, (gps.GpsParams(), population.PopulationParams(), RiskParams(), LidarParams())
+    city, params = soft_city().surface, (gps.Gps(), population.Population(), Risk(), Lidar())
     sky = visibility.SkyView(lines(), satellites(NUM_SATELLITES), WHOLE)
     return pipeline.MapInputs(city, ALTITUDES_M, array(4, STEPS_5M), array(2), BLOCKS, *params), sky
 
@@ -296,12 +296,10 @@ KERNELS: dict[str, Callable[[], Call]] = {
         gradient(nearest_at, (0, 1)), (around(REGION, 10), around(REGION, 10), HEIGHTS_M, CELLS)
     ),
     "obstacle: soft": lambda: Call(obstacle.soft_obstacle, (array(*REGION), NUMBER, NUMBER)),
-    "population: of blocks": lambda: Call(
-        population.layers_of_blocks, (BLOCKS, array(2), population.PopulationParams())
-    ),
+    "population: of blocks": lambda: Call(population.layers_of_blocks, (BLOCKS, array(2), population.Population())),
     "population: under cells": lambda: Call(population.map_blocks, (int32(*REGION), array(40_000))),
     "population, gradient by gammas": lambda: Call(
-        gradient(soft_people, 2), (int32(*REGION), BLOCKS, population.PopulationParams())
+        gradient(soft_people, 2), (int32(*REGION), BLOCKS, population.Population())
     ),
     "edges of BIT*, line": lambda: Call(segment_costs.segment_costs, EDGES, LINE, True),
     "edges of BIT*, cell": lambda: Call(segment_costs.segment_costs, EDGES, CELL, True),

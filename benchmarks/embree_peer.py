@@ -16,7 +16,7 @@ from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 
 from jaxurban.kernels.dop import unit_vectors
-from jaxurban.metrics.lidar import LidarParams
+from jaxurban.metrics.lidar import Lidar
 from jaxurban.world.city import Buildings
 from tests.embree_scene import roof_triangles, wall_triangles
 
@@ -60,7 +60,7 @@ def see_satellites(caster: Caster, xy_m: np.ndarray, altitudes_m: np.ndarray, di
     return seen
 
 
-def beams_of(params: LidarParams, altitude_m: float) -> tuple[np.ndarray, np.ndarray]:
+def beams_of(params: Lidar, altitude_m: float) -> tuple[np.ndarray, np.ndarray]:
     """Return ``[B, K, 3]`` directions, beams nearest the horizon first, and ``[B]`` lengths: to the ground at most."""
     elevation_rad = np.array(sorted(params.elevations_rad, key=abs))
     azimuth_rad = 2 * np.pi * np.arange(params.azimuths) / params.azimuths
@@ -69,7 +69,7 @@ def beams_of(params: LidarParams, altitude_m: float) -> tuple[np.ndarray, np.nda
     return directions.astype(np.float32), np.minimum(params.range_m, altitude_m / down).astype(np.float32)
 
 
-def scan_until_first_return(caster: Caster, xy_m: np.ndarray, altitude_m: float, params: LidarParams) -> np.ndarray:
+def scan_until_first_return(caster: Caster, xy_m: np.ndarray, altitude_m: float, params: Lidar) -> np.ndarray:
     """Return ``[N]`` share of scan positions that return; the beams of those that have are left out."""
     directions, length_m = beams_of(params, altitude_m)
     share = np.empty(len(xy_m))

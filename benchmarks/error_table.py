@@ -19,10 +19,10 @@ from benchmarks.dilution import LEAST_SATELLITES
 from benchmarks.embree_peer import EmbreePool, scan_until_first_return, see_satellites
 from benchmarks.scenes import ALTITUDES_M, PLACES, Scene, load_place, load_scene
 from jaxurban.kernels.dop import unit_vectors
-from jaxurban.metrics.gps import GpsParams, SatelliteSet
-from jaxurban.metrics.lidar import LidarParams, compute_lidar
+from jaxurban.metrics.gps import Gps, SatelliteSet
+from jaxurban.metrics.lidar import Lidar, compute_lidar
 from jaxurban.metrics.obstacle import obstacles_on
-from jaxurban.metrics.risk import RiskParams, compute_risk
+from jaxurban.metrics.risk import Risk, compute_risk
 from jaxurban.metrics.visibility import visibility
 from jaxurban.world.grid import Grid
 
@@ -30,7 +30,7 @@ RESOLUTIONS_M = (10.0, 5.0, 2.0, 1.0)
 CITY_RESOLUTION_M, CITY_ALTITUDES_M = 5.0, ALTITUDES_M[:2]
 NUM_GPS_POINTS, NUM_LIDAR_POINTS = 20_000, 2_000
 CLOSE_M = 0.02  # of m_gps
-GPS, LIDAR, RISK = GpsParams(), LidarParams(), RiskParams()
+GPS, LIDAR, RISK = Gps(), Lidar(), Risk()
 
 
 @dataclass(frozen=True)

@@ -19,10 +19,10 @@ from scipy.ndimage import label
 
 from benchmarks.gpu_inputs import load_problem, load_surface
 from jaxurban.kernels.distance.exact import capped_distance, capped_distance_over_terrain
-from jaxurban.metrics.gps import GpsParams, SatelliteSet, soft_gps
-from jaxurban.metrics.lidar import LidarParams, compute_lidar, soft_lidar
+from jaxurban.metrics.gps import Gps, SatelliteSet, soft_gps
+from jaxurban.metrics.lidar import Lidar, compute_lidar, soft_lidar
 from jaxurban.metrics.obstacle import obstacle_mask
-from jaxurban.metrics.risk import RiskParams, compute_risk, soft_risk
+from jaxurban.metrics.risk import Risk, compute_risk, soft_risk
 from jaxurban.metrics.visibility import SkyView, visibility
 from jaxurban.planners.base import Problem
 from jaxurban.planners.batch import solve_many
@@ -165,7 +165,7 @@ def over_terrain(surface: Surface) -> Surface:
 
 
 def lidar(run: Run) -> None:
-    params = LidarParams(range_m=RANGE_M)
+    params = Lidar(range_m=RANGE_M)
     surface = run.surface()[0]
     scenes = {"5 m": surface, "2 m": run.surface(2.0)[0], "terrain, 5 m": over_terrain(surface)}
     for name, scene in scenes.items():
@@ -211,7 +211,7 @@ def dops(run: Run) -> None:
         azimuth_rad, elevation_rad = rng.uniform(0, 2 * np.pi, num), rng.uniform(0.1, 1.5, num)
         words = jnp.asarray(rng.integers(0, 2**num, (1, 1, side, side)), jnp.uint32)
         is_obstacle = jnp.zeros((1, side, side), bool)
-        satellites = SatelliteSet.of(azimuth_rad, elevation_rad, GpsParams())
+        satellites = SatelliteSet.of(azimuth_rad, elevation_rad, Gps())
         run.timed(
             f"GPS maps of {num} satellites",
             lambda satellites=satellites, at=(words, is_obstacle): satellites.maps(*at).gdop,
@@ -229,10 +229,10 @@ def pipeline(run: Run) -> None:
 
     def maps() -> list[jax.Array]:
         words = visibility(surface, azimuth_rad, elevation_rad, altitudes_m)
-        satellites = SatelliteSet.of(azimuth_rad, elevation_rad, GpsParams())
+        satellites = SatelliteSet.of(azimuth_rad, elevation_rad, Gps())
         gps = satellites.maps(words, obstacle_mask(surface.crop(surface.roof_m), altitudes_m))
-        lidar_m = jnp.concatenate([compute_lidar(surface, [z_m], LidarParams()) for z_m in ALTITUDES_M])
-        risk_m = compute_risk(surface, altitudes_m, RiskParams())
+        lidar_m = jnp.concatenate([compute_lidar(surface, [z_m], Lidar()) for z_m in ALTITUDES_M])
+        risk_m = compute_risk(surface, altitudes_m, Risk())
         return [obstacle_mask(surface.roof_m, altitudes_m), *jax.tree.leaves(gps), lidar_m, risk_m]
 
     units = surface.roof_m.size * len(ALTITUDES_M)
@@ -293,9 +293,9 @@ def gradients(run: Run) -> None:
     side = min(surface.grid.shape)
     cells = jnp.asarray(np.random.default_rng(0).integers(side // 4, 3 * side // 4, (512, 2)), jnp.int32)
     soft = {
-        "GPS": lambda scene: soft_gps(scene, ALTITUDES_M[0], GpsParams(), SOFTNESS_M, view, cells=cells),
-        "lidar": lambda scene: soft_lidar(scene, ALTITUDES_M[0], LidarParams(), SOFTNESS_M, cells=cells),
-        "risk": lambda scene: soft_risk(scene, ALTITUDES_M[0], RiskParams(), SOFTNESS_M, cells=cells),
+        "GPS": lambda scene: soft_gps(scene, ALTITUDES_M[0], Gps(), SOFTNESS_M, view, cells=cells),
+        "lidar": lambda scene: soft_lidar(scene, ALTITUDES_M[0], Lidar(), SOFTNESS_M, cells=cells),
+        "risk": lambda scene: soft_risk(scene, ALTITUDES_M[0], Risk(), SOFTNESS_M, cells=cells),
     }
     for name, metric in soft.items():
         slope = jax.jit(jax.grad(lambda roof_m, metric=metric: metric(replace(surface, roof_m=roof_m)).mean()))

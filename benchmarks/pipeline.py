@@ -11,11 +11,11 @@ from benchmarks.common import Growth, Row, Side, Timing, clocked, in_turn, row
 from benchmarks.scenes import ALTITUDES_M, Scene
 from jaxurban.io.read.rasterise import build_surface
 from jaxurban.maps.build import compute_maps
-from jaxurban.metrics.gps import GpsParams, SatelliteSet
-from jaxurban.metrics.lidar import LidarParams, compute_lidar
+from jaxurban.metrics.gps import Gps, SatelliteSet
+from jaxurban.metrics.lidar import Lidar, compute_lidar
 from jaxurban.metrics.obstacle import obstacle_mask
 from jaxurban.metrics.population import block_layers, map_blocks
-from jaxurban.metrics.risk import RiskParams, compute_risk
+from jaxurban.metrics.risk import Risk, compute_risk
 from jaxurban.metrics.visibility import visibility
 from jaxurban.world.grid import Grid
 from jaxurban.world.surface import Surface
@@ -35,7 +35,7 @@ def whole(scene: Scene, parts: list[Row], num_runs: int) -> list[Row]:
     num_cells, num_altitudes = surface.region.num_rows * surface.region.num_cols, len(ALTITUDES_M)
     units = num_cells * len(scene.azimuth_rad) * num_altitudes
     flown = num_cells * num_altitudes
-    needed = {"answers": units, "scan positions": flown * LidarParams().azimuths, "cells": flown}
+    needed = {"answers": units, "scan positions": flown * Lidar().azimuths, "cells": flown}
     chosen = [
         next(r for r in parts if (r.name, r.unit) == wanted)
         for wanted in (
@@ -97,14 +97,14 @@ def growth(scene: Scene, num_runs: int) -> list[Growth]:
 
     def gps(tile: Surface) -> object:
         is_obstacle = obstacle_mask(tile.crop(tile.roof_m), z_m)
-        return SatelliteSet.of(*sky, GpsParams()).maps(visibility(tile, *sky, z_m), is_obstacle)
+        return SatelliteSet.of(*sky, Gps()).maps(visibility(tile, *sky, z_m), is_obstacle)
 
     metrics: dict[str, Callable[[Surface], object]] = {
         "obstacle": lambda tile: obstacle_mask(tile.crop(tile.roof_m), z_m),
         "gps": gps,
-        "lidar": lambda tile: compute_lidar(tile, [GROWTH_ALTITUDE_M], LidarParams()),
+        "lidar": lambda tile: compute_lidar(tile, [GROWTH_ALTITUDE_M], Lidar()),
         "population": lambda tile: map_blocks(tile.block, block_layers(blocks, ("day",)).m),
-        "risk": lambda tile: compute_risk(tile, z_m, RiskParams()),
+        "risk": lambda tile: compute_risk(tile, z_m, Risk()),
     }
 
     def each(metric: Callable[[Surface], object], pieces: list[Surface]) -> Side:

@@ -14,14 +14,14 @@ from benchmarks.scenes import MASK_DEG, SYNTHETIC, TOKYO, Place, load_place
 from benchmarks.sidereon_peer import Peer
 from jaxurban.maps.build import view_sky
 from jaxurban.maps.task import MapParams, MapTask
-from jaxurban.metrics.protection import ProtectionParams, levels_of_satellites, protection_maps, ranging_of
+from jaxurban.metrics.protection import Protection, levels_of_satellites, protection_maps, ranging_of
 from jaxurban.metrics.visibility import distinct_choices, visibility
 from jaxurban.world.sky import InView
 
 DISTRICT = replace(TOKYO, name="Tokyo", bounds=(139.680, 35.655, 139.785, 35.720))
 GALILEO = TOKYO.orbits.with_name("galileo_2018-12-19.tle")
 ALTITUDE_M, RESOLUTION_M = 20.0, 5.0
-PARAMS = ProtectionParams()
+PARAMS = Protection()
 NEAR_M = 1000.0  # levels beyond are those of satellites that all but leave the position undetermined
 
 

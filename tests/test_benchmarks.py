@@ -12,7 +12,7 @@ from benchmarks.common import Growth, Timing, in_turn, markdown, row
 from benchmarks.embree_peer import Caster, scan_until_first_return, see_satellites
 from benchmarks.random_routes import Outlines, legs_m, prices, tables
 from benchmarks.structure import code_lines_and_tokens, num_arguments, record_classes
-from jaxurban.metrics.lidar import LidarParams
+from jaxurban.metrics.lidar import Lidar
 from jaxurban.world.city import Buildings
 from tests.embree_scene import roof_triangles, wall_triangles
 
@@ -63,7 +63,7 @@ def test_a_tower_hides_a_satellite_behind_it_and_from_no_other_side():
 
 def test_a_scan_returns_over_the_angle_that_a_tower_fills():
     points_m = np.array([[0.0, 5.0], [-200.0, 5.0]])
-    params = LidarParams()
+    params = Lidar()
     share = scan_until_first_return(caster_of_one_tower(), points_m, 20.0, params)
     num_azimuths = 2 * np.floor(np.rad2deg(np.arctan(5 / 50))) + 1  # whole degrees within the near wall
     np.testing.assert_allclose(share, [num_azimuths / 360, 0])

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from jaxurban.kernels.distance.exact import capped_distance, capped_distance_over_terrain
-from jaxurban.metrics.gps import GpsParams, SatelliteSet, soft_gps
-from jaxurban.metrics.lidar import LidarParams, compute_lidar, soft_lidar
+from jaxurban.metrics.gps import Gps, SatelliteSet, soft_gps
+from jaxurban.metrics.lidar import Lidar, compute_lidar, soft_lidar
 from jaxurban.metrics.visibility import SkyView, visibility
 from jaxurban.planners.base import Problem
 from jaxurban.planners.batch import solve_many
@@ -70,7 +70,7 @@ def test_satellites_seen_are_the_same(gpu, terrain):
 
 @pytest.mark.parametrize("terrain", [False, True])
 def test_lidar_returns_are_the_same(gpu, terrain):
-    params = LidarParams()
+    params = Lidar()
     shares = on_both(lambda surface: compute_lidar(surface, ALTITUDES_M, params), city(terrain), gpu)
     cpu_counts, gpu_counts = (np.rint(share * params.azimuths) for share in shares)
     assert np.mean(cpu_counts != gpu_counts) <= SHARE
@@ -98,7 +98,7 @@ def test_dilutions_are_the_same_to_a_ten_thousandth(gpu, num):
     angles = rng.uniform(0, 6, num), rng.uniform(0.1, 1.5, num)
 
     def dilutions(words: jax.Array) -> jax.Array:
-        maps = SatelliteSet.of(*angles, GpsParams()).maps(words, jnp.zeros(words.shape[1:], bool))
+        maps = SatelliteSet.of(*angles, Gps()).maps(words, jnp.zeros(words.shape[1:], bool))
         return jnp.stack([maps.gdop, maps.pdop, maps.hdop, maps.vdop, maps.tdop])
 
     cpu_dops, gpu_dops = on_both(dilutions, words, gpu)
@@ -117,8 +117,8 @@ def test_gradients_by_roofs_are_the_same_to_a_thousandth_of_the_largest(gpu, nam
         def mean(roof_m: jax.Array) -> jax.Array:
             scene = replace(surface, roof_m=roof_m)
             if name == "gps":
-                return soft_gps(scene, 20.0, GpsParams(), 2.0, view, cells=cells).mean()
-            return soft_lidar(scene, 20.0, LidarParams(), 2.0, cells=cells).mean()
+                return soft_gps(scene, 20.0, Gps(), 2.0, view, cells=cells).mean()
+            return soft_lidar(scene, 20.0, Lidar(), 2.0, cells=cells).mean()
 
         return jax.grad(mean)(roof_m)
 

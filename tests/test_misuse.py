@@ -177,7 +177,7 @@ WRONG |= {
     **{
         "series": "all",
         "quantity": "people",
-        "RiskParams.distance": "sphere",
+        "Risk.distance": "sphere",
         "cost": "bad",
         "sense": "=",
         "time": "now",
@@ -199,7 +199,7 @@ WRONG |= {
     **{
         "others": {"gsp": 1},
         "SoftParams.others": RIGHT,
-        "ProtectionParams.tolerance_m": (0.0, 1e-4),
+        "Protection.tolerance_m": (0.0, 1e-4),
         "times": (),
         "compare.times": {"now": "then"},
         "scenario": "no.toml",

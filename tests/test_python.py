@@ -196,7 +196,7 @@ def test_dir_lists_exactly_the_public_names_and_checkers_see_the_same():
             lambda: ju.Grid.from_bounds(5, 5.0, None),
             "bounds must be a sequence of numbers .west, south, east, north in degrees., got 5",
         ),
-        (lambda: ju.RiskParams(threshold_m="far"), "threshold_m must be"),
+        (lambda: ju.Risk(threshold_m="far"), "threshold_m must be"),
         (lambda: ju.Levels(climb_cost="much"), "climb_cost must be a number or None"),
     ],
 )

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 
 from jaxurban.maps.task import MapParams, MapTask
-from jaxurban.metrics.gps import GpsParams
-from jaxurban.metrics.lidar import LidarParams
+from jaxurban.metrics.gps import Gps
+from jaxurban.metrics.lidar import Lidar
 from jaxurban.progress import Report
 from jaxurban.scenario.run import Maker, make_zarr
 from jaxurban.world.city import City, Raster
@@ -58,8 +58,8 @@ def region(of: City) -> Grid:
 def params(series: str = "epochs") -> MapParams:
     return MapParams(
         altitudes_m=(20.0, 60.0),
-        gps=GpsParams(series=series),
-        lidar=LidarParams(azimuths=36, range_m=70.0),
+        gps=Gps(series=series),
+        lidar=Lidar(azimuths=36, range_m=70.0),
     )
 
 

@@ -2,7 +2,7 @@
 
 from figures.paper.common import ALTITUDES_M, Caption, Town, draw_metric, in_strata, means, shares
 from jaxurban.maps.metric_maps import MetricMaps
-from jaxurban.metrics.gps import GpsParams
+from jaxurban.metrics.gps import Gps
 from jaxurban.studies.montecarlo.complementarity import GOOD
 
 PAPER = (
@@ -14,7 +14,7 @@ PAPER = (
 def caption(town: Town, maps: MetricMaps) -> Caption:
     best = float(maps.m("gps", ALTITUDES_M[-1]).max())
     poor = shares(maps, lambda z: maps.m("gps", z) < GOOD)
-    worst = GpsParams().gdop_threshold
+    worst = Gps().gdop_threshold
     gdop = worst - (worst - 1) * best
     return Caption(
         PAPER,

@@ -4,7 +4,7 @@ import math
 
 from figures.paper.common import Caption, Town, draw_metric, in_strata, means, shares
 from jaxurban.maps.metric_maps import MetricMaps
-from jaxurban.metrics.lidar import LidarParams
+from jaxurban.metrics.lidar import Lidar
 from jaxurban.studies.montecarlo.complementarity import GOOD
 
 PAPER = (
@@ -16,7 +16,7 @@ HOUSE_M = 8.0  # a house of two floors
 
 
 def caption(town: Town, maps: MetricMaps) -> Caption:
-    lidar = LidarParams()
+    lidar = Lidar()
     low_deg = lidar.field_of_view_deg[0]
     good = shares(maps, lambda z: maps.m("lidar", z) >= GOOD)
     return Caption(

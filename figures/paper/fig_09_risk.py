@@ -4,7 +4,7 @@ import numpy as np
 
 from figures.paper.common import Caption, Town, draw_metric, means, shares
 from jaxurban.maps.metric_maps import MetricMaps
-from jaxurban.metrics.risk import RiskParams
+from jaxurban.metrics.risk import Risk
 from jaxurban.studies.montecarlo.strata import STRATA, strata_of
 
 PAPER = (
@@ -18,7 +18,7 @@ NEAR_M = 10.0
 
 
 def caption(town: Town, maps: MetricMaps) -> Caption:
-    threshold_m = RiskParams().threshold_m
+    threshold_m = Risk().threshold_m
     is_near = maps.m("risk", 20.0) <= NEAR_M / threshold_m
     is_free = maps.is_free(20.0, "centre")
     strata = strata_of(maps)

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 
 from figures.paper.common import HAS_CENSUS, Caption, manhattan_blocks, save_table, synthetic_city
-from jaxurban.metrics.population import PopulationParams, block_people, day_share
+from jaxurban.metrics.population import Population, block_people, day_share
 from jaxurban.world.city import Blocks
 
 MOSS = {"weekday-12": 3.94, "weekend-12": 2.90, "weekday-00": 2.05}  # millions in 2010: the paper's Table 5
@@ -17,7 +17,7 @@ PAPER = (
 )
 
 
-def millions(blocks: Blocks, params: PopulationParams) -> dict[str, float]:
+def millions(blocks: Blocks, params: Population) -> dict[str, float]:
     """Return the people of all blocks in millions, by hour of the week."""
     gammas = params.gamma_commercial, params.gamma_residential
     return {
@@ -30,7 +30,7 @@ def millions(blocks: Blocks, params: PopulationParams) -> dict[str, float]:
 
 
 def main() -> None:
-    params = PopulationParams()
+    params = Population()
     rule = f"factors {params.gamma_commercial:g} and {params.gamma_residential:g}"
     rows = {"Moss and Qing, as the paper quotes them": MOSS}
     if HAS_CENSUS:

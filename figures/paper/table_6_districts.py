@@ -15,7 +15,7 @@ from figures.paper.common import (
     save_table,
     synthetic_city,
 )
-from jaxurban.metrics.population import PopulationParams, block_people, day_share
+from jaxurban.metrics.population import Population, block_people, day_share
 from jaxurban.world.city import Blocks, Zoning
 
 NEIGHBOURHOODS = {  # the paper's names
@@ -57,7 +57,7 @@ def groups_of(blocks: Blocks, first_label: int) -> dict[str, np.ndarray]:
 
 def numbers_of(blocks: Blocks, land_m2: np.ndarray, groups: dict[str, np.ndarray]) -> pd.DataFrame:
     """Return blocks, people by night and day, land in km2 and type of each group."""
-    params = PopulationParams()
+    params = Population()
     gammas = params.gamma_commercial, params.gamma_residential
     day = np.asarray(block_people(blocks.night_count, blocks.zoning, day_share("day"), *gammas), float)
     rows = {}
@@ -91,7 +91,7 @@ def main() -> None:
     cities = [(SYNTHETIC.name, SYNTHETIC.title, synthetic_city().blocks, 0)]
     if HAS_CENSUS:
         cities.append(("manhattan", "Manhattan", manhattan_blocks(), MANHATTAN_LABEL))
-    params = PopulationParams()
+    params = Population()
     for name, title, blocks, first_label in cities:
         is_real = first_label == MANHATTAN_LABEL
         land_m2 = manhattan_land_m2() if is_real else blocks.area_m2

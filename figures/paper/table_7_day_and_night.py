@@ -17,7 +17,7 @@ from figures.paper.common import (
     synthetic_city,
 )
 from figures.paper.table_5_people_by_time import MOSS
-from jaxurban.metrics.population import PopulationParams, population_totals
+from jaxurban.metrics.population import Population, population_totals
 
 PAPER_MILLIONS = {"night": (0.97, 1.32), "day": (0.48, 3.96)}  # residential, commercial
 HEADS = ("Millions of people", "Residential", "Commercial", "Other", "All")
@@ -85,7 +85,7 @@ def main() -> None:
         check_residential(totals)
         night, day = totals["night"], totals["day"]
         (paper_res, paper_com), paper_day = PAPER_MILLIONS["night"], PAPER_MILLIONS["day"][1]
-        gamma, missing = PopulationParams().gamma_commercial, paper_com - night["commercial"] / 1e6
+        gamma, missing = Population().gamma_commercial, paper_com - night["commercial"] / 1e6
         assert abs(gamma * paper_com - paper_day) < 1e-9, "the paper's day is no longer its night times the factor"
         near, moss = neighbours_millions(), MOSS["weekday-00"]
         here = (

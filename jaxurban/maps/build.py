@@ -30,11 +30,11 @@ from jaxurban.maps.pipeline import MapInputs, inputs_of, skies_of
 from jaxurban.maps.recipe import TileScene, tile_maps
 from jaxurban.maps.task import PAPER_ALTITUDES_M, MapParams, MapTask
 from jaxurban.metrics.custom import Layer, check_layers, check_name
-from jaxurban.metrics.gps import GpsParams
-from jaxurban.metrics.lidar import LidarParams
-from jaxurban.metrics.population import BlockPopulation, PopulationParams
+from jaxurban.metrics.gps import Gps
+from jaxurban.metrics.lidar import Lidar
+from jaxurban.metrics.population import BlockPopulation, Population
 from jaxurban.metrics.registry import known_metrics
-from jaxurban.metrics.risk import RiskParams
+from jaxurban.metrics.risk import Risk
 from jaxurban.metrics.visibility import SkyView
 from jaxurban.progress import Progress, Stage, Stopwatch, reporting
 from jaxurban.world.city import SLABS, TO_GROUND, City
@@ -58,10 +58,10 @@ def build_maps(
     mask_deg: float = 5.0,
     reference: tuple[float, float] | None = None,
     max_age_days: float = 90.0,
-    gps: GpsParams | None = None,
-    lidar: LidarParams | None = None,
-    risk: RiskParams | None = None,
-    population: PopulationParams | None = None,
+    gps: Gps | None = None,
+    lidar: Lidar | None = None,
+    risk: Risk | None = None,
+    population: Population | None = None,
     times_of_day: Sequence[str] = ("day", "night"),
     all_touched: bool = False,
     oversample: int = 1,
@@ -97,7 +97,7 @@ def build_maps(
       height_seed: of the draws.
       layers: cost layers of one's own, by name: rasters, arrays on the cells of the maps, or functions.
       others: parameters of further metrics of the registry, by name; those on request are made if they are named, as
-        ``{"protection": ProtectionParams()}``.
+        ``{"protection": Protection()}``.
       engine: ``"numba"``, on the host; ``"jax"``, where JAX computes; or ``"auto"``: Numba where that is a CPU, else
         JAX. On a CPU the bits are the same.
       progress: as in `jaxurban.progress.reporting`.
@@ -121,10 +121,10 @@ def build_maps(
     params = MapParams(
         altitudes_m=tuple(altitudes_m),
         mask_deg=mask_deg,
-        gps=gps or GpsParams(),
-        lidar=lidar or LidarParams(),
-        risk=risk or RiskParams(),
-        population=population or PopulationParams(),
+        gps=gps or Gps(),
+        lidar=lidar or Lidar(),
+        risk=risk or Risk(),
+        population=population or Population(),
         times_of_day=_as_names(times_of_day),
         all_touched=all_touched,
         oversample=oversample,

@@ -11,11 +11,11 @@ from jaxtyping import Array, Float, Int
 from jaxurban.errors import one_of, typed
 from jaxurban.metrics.base import TIME_OF_DAY, Metric, SoftScene
 from jaxurban.metrics.custom import Layer, own_metric
-from jaxurban.metrics.gps import GpsParams
-from jaxurban.metrics.lidar import LidarParams
-from jaxurban.metrics.population import BlockPopulation, PopulationParams
+from jaxurban.metrics.gps import Gps
+from jaxurban.metrics.lidar import Lidar
+from jaxurban.metrics.population import BlockPopulation, Population
 from jaxurban.metrics.registry import METRICS, ON_REQUEST
-from jaxurban.metrics.risk import RiskParams
+from jaxurban.metrics.risk import Risk
 from jaxurban.metrics.visibility import SkyView
 from jaxurban.metrics.weights import Weights
 from jaxurban.planners.base import Problem
@@ -43,10 +43,10 @@ class SoftParams:
 
     altitude_m: Float[Array, ""] | float
     softness_m: Float[Array, ""] | float = 2.0
-    gps: GpsParams = field(default_factory=GpsParams)
-    lidar: LidarParams = field(default_factory=LidarParams)
-    risk: RiskParams = field(default_factory=RiskParams)
-    population: PopulationParams = field(default_factory=PopulationParams)
+    gps: Gps = field(default_factory=Gps)
+    lidar: Lidar = field(default_factory=Lidar)
+    risk: Risk = field(default_factory=Risk)
+    population: Population = field(default_factory=Population)
     others: dict[str, Any] = field(default_factory=dict)
 
     def settings_of(self, metric: Metric) -> Any:

@@ -14,7 +14,7 @@ from jaxurban.io.read.guesses import TOLD_SHARE, Guesses, guessed_share, percent
 from jaxurban.io.read.knownarea import rays_leaving
 from jaxurban.io.read.rasterise import highest_top_m
 from jaxurban.io.read.sampling import pixel_xy
-from jaxurban.metrics.population import BlockLayers, PopulationParams, region_blocks
+from jaxurban.metrics.population import BlockLayers, Population, region_blocks
 from jaxurban.world.city import SLABS, Blocks, City, Raster
 from jaxurban.world.grid import Bounds, Grid
 from jaxurban.world.sky import Sky
@@ -167,7 +167,7 @@ def _visibility_guesses(city: City, region: Grid, sky: Sky, altitude_m: float, m
     }
 
 
-def _factor_guess(params: PopulationParams) -> Guesses:
+def _factor_guess(params: Population) -> Guesses:
     """Return that the people of other times than the night are the census's, times a factor."""
     return {
         "people by factors": (
@@ -178,9 +178,7 @@ def _factor_guess(params: PopulationParams) -> Guesses:
     }
 
 
-def _scale_guesses(
-    blocks: Blocks, bounds_m: Bounds, population_layers: BlockLayers, params: PopulationParams
-) -> Guesses:
+def _scale_guesses(blocks: Blocks, bounds_m: Bounds, population_layers: BlockLayers, params: Population) -> Guesses:
     """Return that one block sets the population's scale, at the first time of day where one does."""
     if params.normalise != "max":
         return {}

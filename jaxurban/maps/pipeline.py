@@ -16,12 +16,12 @@ from jaxtyping import Array, Float
 
 from jaxurban.errors import InputError, typed
 from jaxurban.maps.task import MapTask
-from jaxurban.metrics.gps import GpsParams, maps_of_words
-from jaxurban.metrics.lidar import LidarParams, beam_heights, lidar_of_beams
+from jaxurban.metrics.gps import Gps, maps_of_words
+from jaxurban.metrics.lidar import Lidar, beam_heights, lidar_of_beams
 from jaxurban.metrics.obstacle import obstacle_mask
-from jaxurban.metrics.population import BlockPopulation, PopulationParams, day_share, layers_of_blocks, map_blocks
+from jaxurban.metrics.population import BlockPopulation, Population, day_share, layers_of_blocks, map_blocks
 from jaxurban.metrics.registry import METRICS, ON_REQUEST
-from jaxurban.metrics.risk import RiskParams, compute_risk
+from jaxurban.metrics.risk import Risk, compute_risk
 from jaxurban.metrics.visibility import SkyView, visible_words
 from jaxurban.metrics.weights import GivenWeights, Weights
 from jaxurban.world.city import SLABS
@@ -49,10 +49,10 @@ class MapInputs:
     beams_m: Float[Array, "A N ..."]
     day_share: Float[Array, " D"]
     population: BlockPopulation | None
-    gps: GpsParams
-    people: PopulationParams
-    risk: RiskParams = field(metadata={"static": True})
-    lidar: LidarParams = field(metadata={"static": True})
+    gps: Gps
+    people: Population
+    risk: Risk = field(metadata={"static": True})
+    lidar: Lidar = field(metadata={"static": True})
 
     def at_altitudes(self, altitudes_m: Sequence[float]) -> "MapInputs":
         """Return these inputs at other altitudes above the ground, none below the lowest of them.

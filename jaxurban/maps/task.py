@@ -16,11 +16,11 @@ from jaxurban.maps.guesses import has_guessed_roofs
 from jaxurban.maps.height_uncertainty import SPREAD, HeightStd, check_samples
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY, Metric
 from jaxurban.metrics.custom import Layer, check_file_names, own_metric
-from jaxurban.metrics.gps import GpsParams
-from jaxurban.metrics.lidar import LidarParams
-from jaxurban.metrics.population import BlockLayers, PopulationParams, block_layers
+from jaxurban.metrics.gps import Gps
+from jaxurban.metrics.lidar import Lidar
+from jaxurban.metrics.population import BlockLayers, Population, block_layers
 from jaxurban.metrics.registry import METRICS, ON_REQUEST
-from jaxurban.metrics.risk import RiskParams
+from jaxurban.metrics.risk import Risk
 from jaxurban.metrics.visibility import shadow_reach_m
 from jaxurban.world.city import City, Raster
 from jaxurban.world.grid import Grid
@@ -45,10 +45,10 @@ class MapParams:
 
     altitudes_m: tuple[float, ...] = PAPER_ALTITUDES_M
     mask_deg: float = 5.0
-    gps: GpsParams = field(default_factory=GpsParams)
-    lidar: LidarParams = field(default_factory=LidarParams)
-    risk: RiskParams = field(default_factory=RiskParams)
-    population: PopulationParams = field(default_factory=PopulationParams)
+    gps: Gps = field(default_factory=Gps)
+    lidar: Lidar = field(default_factory=Lidar)
+    risk: Risk = field(default_factory=Risk)
+    population: Population = field(default_factory=Population)
     times_of_day: tuple[str, ...] = ("day", "night")
     all_touched: bool = False
     oversample: int = 1

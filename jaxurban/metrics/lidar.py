@@ -29,7 +29,7 @@ MAX_COUNT = 100_000  # beams, and scan positions: of a mistyped number no table 
 @differentiable("range_m")
 @typed
 @dataclass(frozen=True)
-class LidarParams:
+class Lidar:
     """A puck lidar that turns about the vertical. A pytree whose leaf is the range.
 
     Attributes:
@@ -69,13 +69,13 @@ class LidarParams:
         return np.linspace(low, high, self.beams) if self.beams > 1 else np.array([(low + high) / 2])
 
 
-def reach_m(params: LidarParams) -> float:
+def reach_m(params: Lidar) -> float:
     """Return how far beyond a cell its metric looks, rounded up to whole cells by the caller."""
     return params.range_m
 
 
 def compute_lidar(
-    surface: Surface, altitudes_m: Sequence[float] | jax.Array, params: LidarParams, engine: Engine = "auto"
+    surface: Surface, altitudes_m: Sequence[float] | jax.Array, params: Lidar, engine: Engine = "auto"
 ) -> Float[Array, "A y x"]:
     """Return m_lidar, the share of scan positions that return, on the region, ``[A, y, x]`` float32 in [0, 1].
 
@@ -100,7 +100,7 @@ def compute_lidar(
     return lidar_of_beams(surface, in_type(altitudes_m, surface.roof_m.dtype), heights_m, params, engine)
 
 
-def beam_heights(altitudes_m: Sequence[float] | ArrayLike, params: LidarParams, surface: Surface) -> np.ndarray:
+def beam_heights(altitudes_m: Sequence[float] | ArrayLike, params: Lidar, surface: Surface) -> np.ndarray:
     """Return the heights that decide each step of a ray, made in float64 on the host.
 
     ``[A, N]`` over flat ground (`jaxurban.kernels.lidar.flat.flat_thresholds`), ``[A, N, B]`` over terrain
@@ -125,7 +125,7 @@ def lidar_of_beams(
     surface: Surface,
     altitudes_m: Float[AnyArray, " A"],
     heights_m: Float[AnyArray, "A N ..."],
-    params: LidarParams,
+    params: Lidar,
     engine: Engine = "jax",
 ) -> Float[Array, "A y x"]:
     """Return `compute_lidar` of beams made ready by `beam_heights`; surface, altitudes and heights may be traced."""
@@ -134,7 +134,7 @@ def lidar_of_beams(
 
 
 def _counts(
-    surface: Surface, heights_m: Float[AnyArray, "A N ..."], params: LidarParams, oversample: int, engine: Engine
+    surface: Surface, heights_m: Float[AnyArray, "A N ..."], params: Lidar, oversample: int, engine: Engine
 ) -> Int[AnyArray, "A y x"]:
     """Return how many scan positions return, from every ``oversample``-th cell of the region both ways."""
     steps, n = heights_m.shape[1], oversample
@@ -184,7 +184,7 @@ def lidar_at_centres(
     oversample: int,
     is_obstacle: Bool[Array, "A y x"],
     altitudes_m: Sequence[float] | ArrayLike,
-    params: LidarParams,
+    params: Lidar,
     engine: Engine = "auto",
 ) -> Float[Array, "A y x"]:
     """Return m_lidar at the map's cells with rays through the supersampled surface: `compute_lidar`, supersampled.
@@ -204,7 +204,7 @@ def lidar_at_centres(
 def soft_lidar(
     surface: Surface,
     altitude_m: Float[Array, ""] | float,
-    params: LidarParams,
+    params: Lidar,
     softness_m: Float[Array, ""] | float,
     *,
     cells: Int[Array, "P 2"] | None = None,
@@ -255,7 +255,7 @@ def soft_lidar(
     return (1 - soft_obstacle(own_roof_m, altitude, softness)) * share
 
 
-def _map(scene: Scene, params: LidarParams) -> dict[str, AnyArray]:
+def _map(scene: Scene, params: Lidar) -> dict[str, AnyArray]:
     assert scene.altitude_m is not None
     assert scene.is_obstacle is not None
     altitudes_m, engine = [scene.altitude_m], scene.engine
@@ -268,7 +268,7 @@ def _map(scene: Scene, params: LidarParams) -> dict[str, AnyArray]:
 
 METRIC = Metric(
     name="lidar",
-    params=LidarParams,
+    params=Lidar,
     dims=(ALTITUDE,),
     compute=_map,
     soft=partial(on_scene, soft_lidar),

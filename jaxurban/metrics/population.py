@@ -33,7 +33,7 @@ WEEKEND_PROFILE = tuple(WEEKEND_SHARE * share for share in WEEKDAY_PROFILE)
 @differentiable("gamma_commercial", "gamma_residential")
 @typed
 @dataclass(frozen=True)
-class PopulationParams:
+class Population:
     """Settings of the population metric. A pytree whose leaves are the gammas.
 
     Attributes:
@@ -121,7 +121,7 @@ def _percentile(normalise: str | float) -> float | None:
     )
 
 
-def day_share(time_of_day: str, params: PopulationParams | None = None) -> float:
+def day_share(time_of_day: str, params: Population | None = None) -> float:
     """Return how far the population has moved from night (0) to day (1).
 
     Args:
@@ -140,7 +140,7 @@ def day_share(time_of_day: str, params: PopulationParams | None = None) -> float
             f"time_of_day must be 'day', 'night' or an hour such as 'weekday-08' or 'weekend-23', "
             f"got {time_of_day!r}{hint}"
         )
-    params = params or PopulationParams()
+    params = params or Population()
     return float((params.weekday if match[1] == "weekday" else params.weekend)[int(match[2])])
 
 
@@ -205,7 +205,7 @@ def map_blocks(block: Int[Array, "..."], values: Float[Array, "*T N"]) -> Float[
 
 
 def block_values(
-    blocks: BlockPopulation, share: Float[Array, ""] | float, params: PopulationParams
+    blocks: BlockPopulation, share: Float[Array, ""] | float, params: Population
 ) -> tuple[Float[Array, " N"], Float[Array, " N"], Float[Array, ""]]:
     """Return metric and density per km2 of each block at one time of day, and the value at which the metric is 1.
 
@@ -230,7 +230,7 @@ def region_blocks(blocks: Blocks, bounds_m: Bounds | None = None) -> Int[np.ndar
 def block_layers(
     blocks: Blocks,
     times_of_day: Sequence[str] = ("day", "night"),
-    params: PopulationParams | None = None,
+    params: Population | None = None,
     bounds_m: Bounds | None = None,
 ) -> BlockLayers:
     """Return the metric and the density of every block at each time of day.
@@ -244,20 +244,20 @@ def block_layers(
     Raises:
       InputError: no such time of day.
     """
-    params = params or PopulationParams()
+    params = params or Population()
     shares = np.array([day_share(time_of_day, params) for time_of_day in times_of_day], np.float32)
     layers = layers_of_blocks(BlockPopulation.of(blocks, bounds_m), shares, params)
     return BlockLayers(*(np.asarray(layer) for layer in layers))
 
 
 @jax.jit
-def layers_of_blocks(blocks: BlockPopulation, shares: Float[Array, " T"], params: PopulationParams) -> BlockLayers:
+def layers_of_blocks(blocks: BlockPopulation, shares: Float[Array, " T"], params: Population) -> BlockLayers:
     """Return `block_values` at several times of day: one after the other, as one by one they have the same bits."""
     return BlockLayers(*lax.map(lambda share: block_values(blocks, share, params), shares))
 
 
 def population_totals(
-    blocks: Blocks, params: PopulationParams | None = None, bounds_m: Bounds | None = None, is_cut: bool = False
+    blocks: Blocks, params: Population | None = None, bounds_m: Bounds | None = None, is_cut: bool = False
 ) -> dict[str, dict[str, float]]:
     """Return the people of the blocks by time of day and zoning, for run.json.
 
@@ -270,7 +270,7 @@ def population_totals(
       bounds_m: count only the blocks that touch this box; left out, all.
       is_cut: of a block that reaches beyond the box count only the people inside, spread evenly over its area.
     """
-    params = params or PopulationParams()
+    params = params or Population()
     count = blocks.night_count if bounds_m is None else blocks.night_count * blocks.touches(bounds_m)
     if is_cut and bounds_m is not None:
         inside_m2 = shapely.area(shapely.intersection(blocks.polygons, shapely.box(*bounds_m)))
@@ -288,7 +288,7 @@ def soft_population(
     block: Int[Array, "y x"],
     population: BlockPopulation,
     time_of_day: str,
-    params: PopulationParams,
+    params: Population,
     *,
     cells: Int[Array, "P 2"] | None = None,
 ) -> Float[Array, "y x"] | Float[Array, " P"]:
@@ -312,7 +312,7 @@ def soft_population(
     return map_blocks(block if cells is None else block[cells[:, 0], cells[:, 1]], m)
 
 
-def _maps(scene: Scene, params: PopulationParams) -> dict[str, Array]:
+def _maps(scene: Scene, params: Population) -> dict[str, Array]:
     assert scene.surface.block is not None
     assert scene.population is not None
     block = scene.surface.block
@@ -322,7 +322,7 @@ def _maps(scene: Scene, params: PopulationParams) -> dict[str, Array]:
     }
 
 
-def _soft(scene: SoftScene, params: PopulationParams) -> Array:
+def _soft(scene: SoftScene, params: Population) -> Array:
     assert scene.surface.block is not None
     assert scene.population is not None
     return soft_population(scene.surface.block, scene.population, scene.time_of_day, params, cells=scene.cells)
@@ -330,7 +330,7 @@ def _soft(scene: SoftScene, params: PopulationParams) -> Array:
 
 METRIC = Metric(
     name="population",
-    params=PopulationParams,
+    params=Population,
     dims=(TIME_OF_DAY,),
     compute=_maps,
     soft=_soft,

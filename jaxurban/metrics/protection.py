@@ -22,7 +22,7 @@ from jaxurban.world.sky import InView
 @differentiable()
 @typed
 @dataclass(frozen=True)
-class ProtectionParams:
+class Protection:
     """Settings of the protection levels; the alert limits and probabilities are by default those of LPV-200.
 
     LPV-200 has two further criteria that are not computed: an effective monitor threshold (EMT) of at most 15 m and a
@@ -118,7 +118,7 @@ def galileo_receiver_sigma_m(elevation_rad: Float[np.ndarray, " S"]) -> Float[np
     return np.interp(np.degrees(elevation_rad), at_deg, GALILEO_SIGMA_M)
 
 
-def ranging_of(in_view: InView, params: ProtectionParams) -> Ranging:
+def ranging_of(in_view: InView, params: Protection) -> Ranging:
     """Return what is known of the ranges to satellites; constellations other than Galileo range as GPS does."""
     elevation_rad, systems = np.asarray(in_view.elevation_rad, float), np.asarray(in_view.systems, str)
     names, constellation = np.unique(systems, return_inverse=True)
@@ -159,7 +159,7 @@ def protection_metric(hpl_m: np.ndarray, alert_limit_m: float) -> np.ndarray:
     return 1 - np.minimum(hpl_m, alert_limit_m) / alert_limit_m
 
 
-def levels_of_satellites(in_view: InView, params: ProtectionParams, patterns: UInt[np.ndarray, "W P"]) -> np.ndarray:
+def levels_of_satellites(in_view: InView, params: Protection, patterns: UInt[np.ndarray, "W P"]) -> np.ndarray:
     """Return ``[2, P]`` float64 horizontal and vertical protection levels of choices of the satellites in view.
 
     Args:
@@ -171,7 +171,7 @@ def levels_of_satellites(in_view: InView, params: ProtectionParams, patterns: UI
 
 
 def protection_maps(
-    words: UInt[AnyArray, "W ..."], is_obstacle: Bool[AnyArray, "..."], in_view: InView, params: ProtectionParams
+    words: UInt[AnyArray, "W ..."], is_obstacle: Bool[AnyArray, "..."], in_view: InView, params: Protection
 ) -> ProtectionMaps:
     """Return the protection maps of the satellites seen; inside obstacles none is. No gradient.
 
@@ -197,7 +197,7 @@ CAVEAT = (
 )
 
 
-def _maps(scene: Scene, params: ProtectionParams) -> dict[str, np.ndarray]:
+def _maps(scene: Scene, params: Protection) -> dict[str, np.ndarray]:
     """Return m, both levels, and where both are within their alert limits."""
     assert scene.in_view is not None
     assert scene.words is not None
@@ -210,7 +210,7 @@ def _maps(scene: Scene, params: ProtectionParams) -> dict[str, np.ndarray]:
 
 METRIC = Metric(
     name="protection",
-    params=ProtectionParams,
+    params=Protection,
     dims=(TIME, ALTITUDE),
     compute=_maps,
     cost=low_is_bad,

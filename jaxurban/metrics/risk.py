@@ -27,7 +27,7 @@ DISTANCES = ("slice", "solid")
 @differentiable("threshold_m")
 @typed
 @dataclass(frozen=True)
-class RiskParams:
+class Risk:
     """What counts as close. A pytree whose leaf is the threshold.
 
     Attributes:
@@ -47,13 +47,13 @@ class RiskParams:
         one_of("distance", self.distance, DISTANCES)
 
 
-def reach_m(params: RiskParams) -> float:
+def reach_m(params: Risk) -> float:
     """Return how far beyond a cell its metric looks, rounded up to whole cells by the caller."""
     return params.threshold_m
 
 
 def compute_risk(
-    surface: Surface, altitudes_m: Sequence[float] | jax.Array, params: RiskParams, engine: Engine = "auto"
+    surface: Surface, altitudes_m: Sequence[float] | jax.Array, params: Risk, engine: Engine = "auto"
 ) -> Float[AnyArray, "A y x"]:
     """Return m_risk = min(d / d_thresh, 1) on the region, ``[A, y, x]`` float32; 0 inside obstacles.
 
@@ -163,7 +163,7 @@ def _risk(
 def soft_risk(
     surface: Surface,
     altitude_m: Float[Array, ""] | float,
-    params: RiskParams,
+    params: Risk,
     softness_m: Float[Array, ""] | float,
     *,
     cells: Int[Array, "P 2"] | None = None,
@@ -213,14 +213,14 @@ def soft_risk(
     return soft_distance.nearest_column_at(roof_m, terrain_m, heights_m, *scales, chosen, **sizes).reshape(shape)
 
 
-def _map(scene: Scene, params: RiskParams) -> dict[str, AnyArray]:
+def _map(scene: Scene, params: Risk) -> dict[str, AnyArray]:
     assert scene.altitude_m is not None
     return {"risk": np.asarray(compute_risk(scene.surface, [scene.altitude_m], params, scene.engine))[0]}
 
 
 METRIC = Metric(
     name="risk",
-    params=RiskParams,
+    params=Risk,
     dims=(ALTITUDE,),
     compute=_map,
     soft=partial(on_scene, soft_risk),

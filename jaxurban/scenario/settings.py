@@ -25,12 +25,12 @@ from jaxurban.io.read.orbits import iso_utc
 from jaxurban.kernels.engine import Engine
 from jaxurban.maps.height_uncertainty import HeightStd
 from jaxurban.metrics.custom import Layer, check_file_names, check_name
-from jaxurban.metrics.gps import DopParams, GpsParams
-from jaxurban.metrics.lidar import LidarParams
-from jaxurban.metrics.population import WEEKDAY_PROFILE, WEEKEND_PROFILE, PopulationParams, day_share
-from jaxurban.metrics.protection import ProtectionParams
+from jaxurban.metrics.gps import Dop, Gps
+from jaxurban.metrics.lidar import Lidar
+from jaxurban.metrics.population import WEEKDAY_PROFILE, WEEKEND_PROFILE, Population, day_share
+from jaxurban.metrics.protection import Protection
 from jaxurban.metrics.registry import ON_REQUEST
-from jaxurban.metrics.risk import RiskParams
+from jaxurban.metrics.risk import Risk
 from jaxurban.metrics.settings import differentiable
 from jaxurban.metrics.weights import Weights
 from jaxurban.paths.vehicle import Vehicle
@@ -106,7 +106,7 @@ class TerrainSettings(_Section):
 
 @differentiable("gdop_threshold")
 @dataclass(frozen=True)
-class GpsSettings(GpsParams):
+class GpsSettings(Gps):
     """The metric's settings, and which satellites are seen when."""
 
     orbits: StrList = (NOMINAL,)
@@ -156,7 +156,7 @@ class GpsSettings(GpsParams):
 
 @differentiable("gamma_commercial", "gamma_residential")
 @dataclass(frozen=True)
-class PopulationSettings(PopulationParams):
+class PopulationSettings(Population):
     """The metric's settings, and where census blocks and districts come from."""
 
     blocks: str | None = None
@@ -237,12 +237,12 @@ class Scenario(_Section):
     buildings: BuildingSettings
     terrain: TerrainSettings = TerrainSettings()
     gps: GpsSettings = GpsSettings()
-    lidar: LidarParams = LidarParams()
+    lidar: Lidar = Lidar()
     population: PopulationSettings = PopulationSettings()
-    risk: RiskParams = RiskParams()
-    gps_horizontal: DopParams | None = Field(default=None, exclude_if=operator.not_)  # left out: not made
-    gps_vertical: DopParams | None = Field(default=None, exclude_if=operator.not_)
-    protection: ProtectionParams | None = Field(default=None, exclude_if=operator.not_)  # left out: not made
+    risk: Risk = Risk()
+    gps_horizontal: Dop | None = Field(default=None, exclude_if=operator.not_)  # left out: not made
+    gps_vertical: Dop | None = Field(default=None, exclude_if=operator.not_)
+    protection: Protection | None = Field(default=None, exclude_if=operator.not_)  # left out: not made
     layers: dict[str, Layer] = Field(default_factory=dict, exclude_if=operator.not_)  # of one's own
     weights: WeightSettings = Weights()
     planning: PlanningSettings = PlanningSettings()

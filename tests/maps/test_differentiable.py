@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from jaxurban.maps.differentiable import CELLS_STEP, SoftCity, SoftParams, path_visits
-from jaxurban.metrics.gps import GpsParams
-from jaxurban.metrics.lidar import LidarParams, compute_lidar
-from jaxurban.metrics.population import BlockPopulation, PopulationParams
-from jaxurban.metrics.risk import RiskParams, compute_risk
+from jaxurban.metrics.gps import Gps
+from jaxurban.metrics.lidar import Lidar, compute_lidar
+from jaxurban.metrics.population import BlockPopulation, Population
+from jaxurban.metrics.risk import Risk, compute_risk
 from jaxurban.metrics.visibility import SkyView
 from jaxurban.metrics.weights import Weights
 from jaxurban.planners.astar import astar
@@ -29,10 +29,10 @@ ELEVATION_RAD = np.radians([35.0, 50.0, 25.0, 40.0, 65.0])
 PARAMS = SoftParams(
     ALTITUDE_M,
     2.0,
-    GpsParams(20.0),
-    LidarParams(beams=2, field_of_view_deg=(-9.0, 6.0), azimuths=16, range_m=33.0),
-    RiskParams(37.0),
-    PopulationParams(normalise=400_000.0),
+    Gps(20.0),
+    Lidar(beams=2, field_of_view_deg=(-9.0, 6.0), azimuths=16, range_m=33.0),
+    Risk(37.0),
+    Population(normalise=400_000.0),
 )
 WEIGHTS = Weights(0.05, 1.0, 0.7, 0.4, 1.2)
 START, GOAL = (1, 1), (13, 16)
@@ -134,7 +134,7 @@ def test_the_gradient_of_the_path_is_that_of_replanned_costs():
             step = 1e-5 * np.eye(len(HEIGHT_M))[building]
             slope = (replanned(soft.height_m + step) - replanned(soft.height_m - step)) / 2e-5
             np.testing.assert_allclose(by_height[building], slope, rtol=1e-4)
-        ends = [replanned(params=replace(PARAMS, risk=RiskParams(37.0 + step))) for step in (1e-5, -1e-5)]
+        ends = [replanned(params=replace(PARAMS, risk=Risk(37.0 + step))) for step in (1e-5, -1e-5)]
         np.testing.assert_allclose(by_params.risk.threshold_m, (ends[0] - ends[1]) / 2e-5, rtol=1e-4)
 
 
@@ -166,8 +166,8 @@ def test_one_program_serves_other_values_and_other_skies():
         others = [
             (soft, soft.height_m + 1, PARAMS),
             (replace(soft, view=SkyView.of(soft.surface, AZIMUTH_RAD + 0.3, ELEVATION_RAD)), soft.height_m, PARAMS),
-            (soft, soft.height_m, replace(PARAMS, altitude_m=31.0, softness_m=0.5, risk=RiskParams(25.0))),
-            (soft, soft.height_m, replace(PARAMS, gps=GpsParams(9.0), lidar=replace(PARAMS.lidar, range_m=21.0))),
+            (soft, soft.height_m, replace(PARAMS, altitude_m=31.0, softness_m=0.5, risk=Risk(25.0))),
+            (soft, soft.height_m, replace(PARAMS, gps=Gps(9.0), lidar=replace(PARAMS.lidar, range_m=21.0))),
         ]
         found = [layers_of(*arguments) for arguments in others]
         assert layers_of._cache_size() == compiled

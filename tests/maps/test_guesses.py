@@ -25,7 +25,7 @@ from jaxurban.io.read.rasterise import build_surface
 from jaxurban.maps.build import view_sky
 from jaxurban.maps.guesses import _scale_guesses, has_guessed_roofs, leaving_shares, map_guesses
 from jaxurban.maps.task import MapParams, MapTask
-from jaxurban.metrics.population import PopulationParams, block_layers, population_totals
+from jaxurban.metrics.population import Population, block_layers, population_totals
 from jaxurban.report import figures as plotting
 from jaxurban.scenario.run import run_scenario
 from jaxurban.scenario.settings import Scenario
@@ -211,7 +211,7 @@ def scale_guess(blocks, **settings):
     city = replace(ju.demo_city(500, 500), blocks=blocks, crs=CRS, extent_m=(X0, Y0, X0 + 1000.0, Y0 + 1000.0))
     region = Grid.from_bounds(BOUNDS, 10.0, CRS)
     sky = view_sky(region, "nominal", None, mask_deg=5.0, reference=None, max_age_days=90.0)
-    params = MapParams(altitudes_m=(20.0,), population=PopulationParams(**settings))
+    params = MapParams(altitudes_m=(20.0,), population=Population(**settings))
     return map_guesses(MapTask(city, region, sky, params)).get("one block sets the population scale")
 
 
@@ -232,7 +232,7 @@ def test_manhattans_tiny_block_is_told(data_dir):
         CensusFiles(census / "tl_2010_36061_tabblock10.shp", census / "DECENNIALSF12010.P1_nyc_blocks.csv"), CRS
     )
     people = block_layers(blocks, ["night"])
-    (said,) = _scale_guesses(blocks, tuple(shapely.total_bounds(blocks.polygons)), people, PopulationParams()).values()
+    (said,) = _scale_guesses(blocks, tuple(shapely.total_bounds(blocks.polygons)), people, Population()).values()
     for words in ("(1,820 m2)", "709,326 people per km2", "gets 0.06"):
         assert words in said
 

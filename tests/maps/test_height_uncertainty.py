@@ -12,14 +12,14 @@ from jaxurban.errors import InputError
 from jaxurban.maps.build import build_maps, compute_maps, view_sky
 from jaxurban.maps.height_uncertainty import SPREAD, HeightStd, Spread, perturbed_cities
 from jaxurban.maps.task import MapParams, MapTask
-from jaxurban.metrics.lidar import LidarParams
+from jaxurban.metrics.lidar import Lidar
 from jaxurban.world.city import Buildings, HeightOrigin, Raster
 from jaxurban.world.grid import Grid
 
 X0, Y0 = 500_000.0, 4_500_000.0
 UTM = "EPSG:32618"
 REGION = Grid(UTM, 10.0, 450_000, 50_000, 12, 14)
-LIDAR = LidarParams(beams=4, azimuths=12, range_m=50.0)
+LIDAR = Lidar(beams=4, azimuths=12, range_m=50.0)
 DEFAULT, EXACT = HeightStd(), HeightStd(0.0, 0.0, 0.0, 0.0)
 
 

@@ -20,7 +20,7 @@ from jaxurban.maps.task import MapParams, MapTask
 from jaxurban.metrics.base import ALTITUDE, Metric, high_is_bad
 from jaxurban.metrics.custom import Layer, own_metric
 from jaxurban.metrics.registry import METRICS
-from jaxurban.metrics.risk import RiskParams
+from jaxurban.metrics.risk import Risk
 from jaxurban.scenario.run import Maker, make_zarr, run_scenario, tasks_of
 from jaxurban.scenario.settings import Scenario
 from jaxurban.world.grid import Grid
@@ -58,7 +58,7 @@ def bare():
     """A further metric in the registry."""
     words = {"label": "Bare", "one_means": "no building", "colour": "#123456", "colour_map": "cividis"}
     with pytest.MonkeyPatch.context() as patched:
-        metric = Metric("bare", RiskParams, (ALTITUDE,), no_building, high_is_bad, **words)
+        metric = Metric("bare", Risk, (ALTITUDE,), no_building, high_is_bad, **words)
         patched.setitem(METRICS, "bare", metric)
         yield metric
 

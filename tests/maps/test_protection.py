@@ -14,8 +14,8 @@ from jaxurban.io.store import open_zarr
 from jaxurban.maps.build import compute_maps, soften, view_sky
 from jaxurban.maps.pipeline import inputs_of
 from jaxurban.maps.task import MapParams, MapTask
-from jaxurban.metrics.gps import GpsParams
-from jaxurban.metrics.protection import CAVEAT, ProtectionParams
+from jaxurban.metrics.gps import Gps
+from jaxurban.metrics.protection import CAVEAT, Protection
 from jaxurban.metrics.registry import METRICS
 from jaxurban.paths.constraints import Bound
 from jaxurban.planners.base import Status
@@ -27,7 +27,7 @@ from tests import tiled_runs
 from tests.cli_runs import assert_one_sentence, run
 
 ALTITUDE_M, TIMES = 20.0, [f"2020-04-27T{hour:02d}:30:00Z" for hour in (0, 6, 12)]
-ASKED = {"protection": ProtectionParams()}
+ASKED = {"protection": Protection()}
 MINIMAL = {"region": {"bounds": [-74.02, 40.70, -73.98, 40.73]}, "buildings": {"source": "synthetic"}}
 STATISTICS = ("protection_availability", "protection_median", "protection_p05")
 
@@ -86,7 +86,7 @@ def test_maps_hold_it_where_somebody_asks(maps):
 def test_a_series_keeps_the_share_of_times_within_both_limits():
     with only_quick():
         each = compute_maps(task_of(times=TIMES))
-        series = compute_maps(task_of(times=TIMES, gps=GpsParams(series="statistics")))
+        series = compute_maps(task_of(times=TIMES, gps=Gps(series="statistics")))
     assert {*STATISTICS} < {*series.ds}
     assert "hpl" not in series.ds
     shares = each.ds["within_limits"].mean("time")
@@ -108,7 +108,7 @@ def test_a_series_keeps_the_share_of_times_within_both_limits():
 @pytest.mark.parametrize("series", ["epochs", "statistics"])
 def test_tiles_equal_the_whole(tmp_path, series):
     made = tiled_runs.task(tiled_runs.city(), series)
-    wide = ProtectionParams(1e4, 1e4, p_const_gps=0.0)  # of the few satellites of that sky
+    wide = Protection(1e4, 1e4, p_const_gps=0.0)  # of the few satellites of that sky
     task = replace(made, params=replace(made.params, others={"protection": wide}))
     with only_quick():
         whole = compute_maps(task).ds
@@ -172,7 +172,7 @@ def test_a_section_or_a_weight_asks_for_it():
     assert Scenario.from_dict(MINIMAL).on_request == {}
     assert "protection" not in Scenario.from_dict(MINIMAL).model_dump()
     section = Scenario.from_dict(MINIMAL | {"protection": {"horizontal_alert_limit_m": 25}})
-    assert section.on_request == {"protection": ProtectionParams(horizontal_alert_limit_m=25.0)}
+    assert section.on_request == {"protection": Protection(horizontal_alert_limit_m=25.0)}
     weighed = Scenario.from_dict(MINIMAL | {"weights": {"protection": 1}})
     assert weighed.on_request == ASKED
     assert "[protection]" in weighed.to_toml()

@@ -14,8 +14,8 @@ from jaxurban.maps.pipeline import inputs_of
 from jaxurban.maps.task import MapParams, MapTask
 from jaxurban.metrics.base import UNDERSIDE
 from jaxurban.metrics.custom import Layer
-from jaxurban.metrics.lidar import LidarParams
-from jaxurban.metrics.risk import RiskParams, compute_risk
+from jaxurban.metrics.lidar import Lidar
+from jaxurban.metrics.risk import Risk, compute_risk
 from jaxurban.metrics.visibility import visibility
 from jaxurban.progress import Report
 from jaxurban.scenario import provenance
@@ -31,7 +31,7 @@ RESOLUTION_M = 5.0
 REGION = Grid(CRS, RESOLUTION_M, int((Y_M + 100) // 5), int((X_M + 50) // 5), 67, 93)
 ALTITUDES_M = (2.0, 12.0, 13.0, 20.0, 42.0)
 ON_DECK = (20, 50)  # a cell of the region in the middle of the deck
-PARAMS = MapParams(altitudes_m=ALTITUDES_M, lidar=LidarParams(azimuths=36, range_m=70.0))
+PARAMS = MapParams(altitudes_m=ALTITUDES_M, lidar=Lidar(azimuths=36, range_m=70.0))
 
 
 def task(of: City, **settings) -> MapTask:
@@ -93,7 +93,7 @@ def test_tiles_equal_the_untiled_maps(tmp_path, with_terrain, settings):
 
 @pytest.mark.slow
 def test_finer_rays_agree_with_those_of_the_cells(maps):
-    finer = compute_maps(task(city(), oversample=3, lidar=LidarParams(azimuths=4, range_m=20.0)))
+    finer = compute_maps(task(city(), oversample=3, lidar=Lidar(azimuths=4, range_m=20.0)))
     same = finer.ds["num_visible"].values == maps.ds["num_visible"].values
     assert same.mean() > 0.93
     assert finer.m("num_visible", 2.0)[ON_DECK] == maps.m("num_visible", 2.0)[ON_DECK]
@@ -153,7 +153,7 @@ def nearest_m(surface: Surface, cell: tuple[int, int], altitude_m: float) -> flo
 def test_solid_risk_is_the_distance_to_the_nearest_roof_or_floor(with_terrain):
     surface = task(city(with_terrain=with_terrain)).surface()
     altitudes_m = [2.0, 8.0, 16.5]
-    found_m = 50 * np.asarray(compute_risk(surface, altitudes_m, RiskParams(distance="solid")))
+    found_m = 50 * np.asarray(compute_risk(surface, altitudes_m, Risk(distance="solid")))
     for cell in [ON_DECK, (25, 50), (18, 12), (35, 40), (46, 38), (30, 12), (50, 80)]:
         for a, altitude_m in enumerate(altitudes_m):
             expected_m = min(nearest_m(surface, cell, altitude_m), 50.0)

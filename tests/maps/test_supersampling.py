@@ -14,7 +14,7 @@ from jaxurban.maps.supersampling import (
     upper_bands,
     visibility_at_centres,
 )
-from jaxurban.metrics.lidar import LidarParams, compute_lidar, lidar_at_centres
+from jaxurban.metrics.lidar import Lidar, compute_lidar, lidar_at_centres
 from jaxurban.metrics.obstacle import obstacle_mask
 from jaxurban.metrics.visibility import visibility
 from jaxurban.scenario.settings import Scenario
@@ -64,7 +64,7 @@ def test_a_sub_box_equals_the_crop_bit_for_bit(terrain):
     inner = Grid(UTM, 6.0, REGION.first_row + 5, REGION.first_col + 3, 11, 13)
     around = inner.padded(10, 14, 8, 8)  # to the end in the west and south, where these satellites stand
     angles = ANGLES[[3, 5, 7, 2]]
-    params = LidarParams(beams=5, azimuths=12, range_m=40.0)
+    params = Lidar(beams=5, azimuths=12, range_m=40.0)
     found = []
     for region, outer in ((REGION, OUTER), (inner, around)):
         supersampled = fine_city(3, region, outer, terrain)
@@ -79,7 +79,7 @@ def test_a_sub_box_equals_the_crop_bit_for_bit(terrain):
 
 def test_oversampling_by_one_is_the_plain_lidar():
     supersampled = fine_city(1)
-    params = LidarParams(beams=4, azimuths=12, range_m=40.0)
+    params = Lidar(beams=4, azimuths=12, range_m=40.0)
     is_obstacle = obstacle_mask(supersampled.crop(supersampled.roof_m), [10.0])
     np.testing.assert_array_equal(
         lidar_at_centres(supersampled, 1, is_obstacle, [10.0], params), compute_lidar(supersampled, [10.0], params)
@@ -104,7 +104,7 @@ def test_bounds_are_ordered_and_fine_maps_keep_the_obstacles_of_plain_ones():
     zeros = np.zeros(4)
     buildings = Buildings(polygons, np.array([20.0, 60, 90, 35]), zeros, zeros.astype(np.uint8), zeros.astype(bool))
     city = ju.City(UTM, (x0, y0, x0 + 200.0, y0 + 200.0), buildings)
-    options = {"resolution_m": 10.0, "altitudes_m": (15.0, 40.0), "lidar": LidarParams(azimuths=24)}
+    options = {"resolution_m": 10.0, "altitudes_m": (15.0, 40.0), "lidar": Lidar(azimuths=24)}
     plain, supersampled = (
         ju.build_maps(city, **options, oversample=oversample, gps_bounds=oversample > 1) for oversample in (1, 3)
     )

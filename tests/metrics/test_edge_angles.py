@@ -10,7 +10,7 @@ import shapely
 
 from jaxurban.kernels.dop import unit_vectors
 from jaxurban.maps.supersampling import lower_bands, plain_bands, supersampled_grid, upper_bands, visibility_at_centres
-from jaxurban.metrics.lidar import LidarParams, compute_lidar, lidar_at_centres
+from jaxurban.metrics.lidar import Lidar, compute_lidar, lidar_at_centres
 from jaxurban.metrics.visibility import visibility
 from jaxurban.world.grid import Grid
 from jaxurban.world.sky import Sky
@@ -124,7 +124,7 @@ def test_a_satellite_exactly_at_the_mask_counts_and_one_below_does_not():
 
 def test_a_lidar_on_a_hill_looking_down_agrees_with_embree():
     world = World(25.0)
-    params = LidarParams(beams=8, field_of_view_deg=(-25.0, 5.0), azimuths=40, range_m=55.0)
+    params = Lidar(beams=8, field_of_view_deg=(-25.0, 5.0), azimuths=40, range_m=55.0)
     azimuth_rad = 2 * np.pi * np.arange(40) / 40
     returned = np.zeros((len(world.start_m), 40), bool)
     for elevation_rad in params.elevations_rad:

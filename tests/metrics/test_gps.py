@@ -10,7 +10,7 @@ import pytest
 from jaxurban.errors import InputError
 from jaxurban.io.read.orbits import look_angles, read_orbits
 from jaxurban.kernels.shadows.sweep import digital_line, shadow_height
-from jaxurban.metrics.gps import GpsParams, SatelliteSet, gps_metric, hard, maps_of_words
+from jaxurban.metrics.gps import Gps, SatelliteSet, gps_metric, hard, maps_of_words
 from jaxurban.metrics.rating import Rating, rating
 from jaxurban.metrics.visibility import shadow_reach_m, visibility
 from jaxurban.world.grid import Grid
@@ -199,13 +199,13 @@ def test_a_satellite_below_the_horizon_is_refused():
 @pytest.mark.parametrize("threshold", [1.0, math.nan, math.inf, -3.0])
 def test_a_threshold_of_1_or_less_is_refused(threshold):
     with pytest.raises(InputError, match="gdop_threshold must be a number above 1"):
-        GpsParams(gdop_threshold=threshold)
+        Gps(gdop_threshold=threshold)
 
 
 @pytest.mark.parametrize("num", [20, 40])
 def test_maps_by_way_of_the_subsets_that_are_seen_are_those_of_every_cell_to_the_bit(num, monkeypatch):
     rng = np.random.default_rng(num)
-    satellites = SatelliteSet.of(rng.uniform(0, 2 * np.pi, num), rng.uniform(0.1, 1.5, num), GpsParams())
+    satellites = SatelliteSet.of(rng.uniform(0, 2 * np.pi, num), rng.uniform(0.1, 1.5, num), Gps())
     seen = rng.random((40, num)) < 0.4
     subsets = np.stack([(seen[:, w : w + 32] << np.arange(seen[:, w : w + 32].shape[1])).sum(1) for w in (0, 32)])
     words = jnp.asarray(subsets[: -(-num // 32), rng.integers(0, 40, (150, 130))], jnp.uint32)

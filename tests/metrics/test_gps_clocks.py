@@ -15,8 +15,8 @@ from jaxurban.maps.build import compute_maps, soften, view_sky
 from jaxurban.maps.pipeline import inputs_of, skies_of
 from jaxurban.maps.recipe import TileScene
 from jaxurban.maps.task import MapParams, MapTask
-from jaxurban.metrics.gps import DOPS, WEIGHTED_DOPS, GpsParams, SatelliteSet, maps_of_words
-from jaxurban.metrics.lidar import LidarParams
+from jaxurban.metrics.gps import DOPS, WEIGHTED_DOPS, Gps, SatelliteSet, maps_of_words
+from jaxurban.metrics.lidar import Lidar
 from jaxurban.scenario.provenance import run_key
 from jaxurban.scenario.settings import Scenario
 from jaxurban.world.sky import Sky
@@ -38,9 +38,9 @@ def task(tmp_path_factory) -> MapTask:
     params = MapParams(
         altitudes_m=(Z_M,),
         mask_deg=10.0,
-        gps=GpsParams(weighting="elevation"),
-        lidar=LidarParams(beams=2, azimuths=8, range_m=40.0),
-        others={"gps_horizontal": ju.DopParams(4.0), "gps_vertical": ju.DopParams()},
+        gps=Gps(weighting="elevation"),
+        lidar=Lidar(beams=2, azimuths=8, range_m=40.0),
+        others={"gps_horizontal": ju.Dop(4.0), "gps_vertical": ju.Dop()},
     )
     return MapTask(city, grid, sky, params)
 
@@ -84,7 +84,7 @@ def test_maps_of_two_systems_equal_float64_with_two_clocks(task, maps, names, is
 
 
 def test_one_clock_for_all_gives_smaller_dops_and_as_before_for_one_system(task, maps):
-    shared = MapParams(**{**vars(task.params), "gps": GpsParams(clocks="one"), "others": {}})
+    shared = MapParams(**{**vars(task.params), "gps": Gps(clocks="one"), "others": {}})
     one = compute_maps(replace(task, params=shared))
     less, more = one.m("pdop", Z_M), maps.m("pdop", Z_M)
     assert np.all(less <= more * (1 + 1e-5))
@@ -112,7 +112,7 @@ def test_weighted_dops_and_new_metrics_are_there_only_where_they_are_asked_for(t
     new = {*WEIGHTED_DOPS, "gps_horizontal", "gps_vertical"}
     assert new <= {*maps.ds.data_vars}
     assert list(maps.metrics) == [*("gps", "lidar", "population", "risk"), "gps_horizontal", "gps_vertical"]
-    plain = replace(task, params=replace(task.params, gps=GpsParams(), others={}))
+    plain = replace(task, params=replace(task.params, gps=Gps(), others={}))
     assert not new & {*plain.metrics, *(name for metric in plain.metrics.values() for name in metric.also)}
     assert SatelliteSet.of(*plain.angles(0), plain.params.gps, plain.clocks(0)).weighted is None
 
@@ -151,7 +151,7 @@ def test_maps_that_were_saved_hold_the_new_layers_and_say_what_they_are(maps, tm
 def test_patterns_and_cells_give_the_same_bits_with_several_clocks():
     rng = np.random.default_rng(1)
     angles = rng.uniform(0, 2 * np.pi, 20), rng.uniform(0.1, 1.5, 20)
-    satellites = SatelliteSet.of(*angles, GpsParams(), Clocks(np.arange(20) % 2, 2))
+    satellites = SatelliteSet.of(*angles, Gps(), Clocks(np.arange(20) % 2, 2))
     subsets = rng.integers(0, 2**20, 40, dtype=np.uint32)
     words = jnp.asarray(subsets[rng.integers(0, 40, (1, 150, 130))])
     is_obstacle = jnp.asarray(rng.random((150, 130)) < 0.2)
@@ -199,9 +199,9 @@ def test_what_cannot_be_had_is_one_sentence(task):
     with pytest.raises(InputError, match="know no oversample, bounds, weighting"):
         inputs_of(task)
     with pytest.raises(InputError, match="clocks must be 'system' or 'one', got 'two'"):
-        GpsParams(clocks="two")
+        Gps(clocks="two")
     with pytest.raises(InputError, match="dop_threshold must be a number above 1"):
-        ju.DopParams(1.0)
+        ju.Dop(1.0)
 
 
 def test_a_runs_key_tells_clocks_and_weighting_apart():
@@ -210,5 +210,5 @@ def test_a_runs_key_tells_clocks_and_weighting_apart():
     scenarios = [Scenario.from_dict(bare | more) for more in asked]
     assert len({run_key(scenario, {}, "cpu") for scenario in scenarios}) == len(asked)
     assert scenarios[0].on_request == {}
-    assert scenarios[3].on_request == {"gps_horizontal": ju.DopParams()}
+    assert scenarios[3].on_request == {"gps_horizontal": ju.Dop()}
     assert set(Scenario.from_dict(bare | {"weights": {"gps_vertical": 2.0}}).on_request) == {"gps_vertical"}

@@ -5,12 +5,12 @@ import numpy as np
 import pytest
 
 from jaxurban.errors import InputError
-from jaxurban.metrics.lidar import LidarParams, compute_lidar, reach_m
+from jaxurban.metrics.lidar import Lidar, compute_lidar, reach_m
 from jaxurban.world.grid import Grid
 from jaxurban.world.surface import Surface
 
 GRID = Grid("EPSG:32618", 5.0, 901_000, 116_000, 110, 120)
-PARAMS = LidarParams(azimuths=60)
+PARAMS = Lidar(azimuths=60)
 MARGIN = 20  # cells of 5 m in a range of 100 m
 
 
@@ -46,7 +46,7 @@ def test_lidar_is_a_share_zero_inside_obstacles_and_above_every_reach():
 def test_the_map_of_a_sub_box_equals_the_crop_of_the_larger_map(is_hilly):
     roof_m = random_roof()
     terrain_m = 20 + 10 * np.sin(np.indices(roof_m.shape).sum(0) / 11) if is_hilly else None
-    params = LidarParams(beams=4, azimuths=12)
+    params = Lidar(beams=4, azimuths=12)
     whole = compute_lidar(surface_of(roof_m, GRID, inner(GRID, MARGIN), terrain_m), [20.0], params)
     grid = GRID.padded(-7, -3, -2, -11)  # cells cut off in the west, south, east and north
     region = inner(grid, MARGIN)
@@ -70,7 +70,7 @@ def test_terrain_hides_what_lies_behind_a_ridge():
     terrain_m = np.zeros((41, 41))
     terrain_m[:, 26] = 60.0
     grid = Grid("EPSG:32618", 5.0, 0, 0, 41, 41)
-    params = LidarParams(azimuths=4)
+    params = Lidar(azimuths=4)
     flat = compute_lidar(surface_of(roof_m, grid, grid), [20.0], params)
     hidden = compute_lidar(surface_of(roof_m, grid, grid, terrain_m), [20.0], params)
     assert flat[0, 20, 20] == hidden[0, 20, 30] == 0.25  # due east, 60 and 10 m away
@@ -78,9 +78,9 @@ def test_terrain_hides_what_lies_behind_a_ridge():
 
 
 def test_a_single_beam_lies_in_the_middle_and_several_at_equal_steps():
-    np.testing.assert_allclose(LidarParams(beams=1, field_of_view_deg=(-10, 20)).elevations_rad, np.deg2rad([5]))
-    np.testing.assert_allclose(np.rad2deg(LidarParams().elevations_rad), np.arange(-15, 16, 2), atol=1e-12)
-    assert reach_m(LidarParams(range_m=70.0)) == 70.0
+    np.testing.assert_allclose(Lidar(beams=1, field_of_view_deg=(-10, 20)).elevations_rad, np.deg2rad([5]))
+    np.testing.assert_allclose(np.rad2deg(Lidar().elevations_rad), np.arange(-15, 16, 2), atol=1e-12)
+    assert reach_m(Lidar(range_m=70.0)) == 70.0
 
 
 @pytest.mark.parametrize(
@@ -96,4 +96,4 @@ def test_a_single_beam_lies_in_the_middle_and_several_at_equal_steps():
 )
 def test_impossible_lidars_are_refused_by_name(settings, name):
     with pytest.raises(InputError, match=name):
-        LidarParams(**settings)
+        Lidar(**settings)

@@ -6,7 +6,7 @@ import pytest
 
 from jaxurban.io.read.buildings import BuildingFile, read_buildings
 from jaxurban.io.read.rasterise import build_surface
-from jaxurban.metrics.lidar import LidarParams, compute_lidar
+from jaxurban.metrics.lidar import Lidar, compute_lidar
 from jaxurban.world.city import City
 from jaxurban.world.grid import Grid
 from tests.embree_scene import CityScene
@@ -15,7 +15,7 @@ pytestmark = pytest.mark.data
 
 NUM_CELLS = 1500
 REGION = Grid.from_bounds((-74.02, 40.70, -73.98, 40.73), 5.0, "EPSG:32618")
-PARAMS = LidarParams()
+PARAMS = Lidar()
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,7 @@ from rasterio.features import rasterize
 from jaxurban.errors import InputError
 from jaxurban.io.read.census import CensusFiles, read_blocks
 from jaxurban.metrics.population import (
-    PopulationParams,
+    Population,
     block_metric,
     block_people,
     day_share,
@@ -56,9 +56,9 @@ def test_only_blocks_that_touch_the_region_set_the_maximum():
 
 
 def test_a_number_or_a_percentile_normalises_and_clips():
-    by_number = population_maps(BLOCK, BLOCKS, ("night",), PopulationParams(normalise=2e4))
+    by_number = population_maps(BLOCK, BLOCKS, ("night",), Population(normalise=2e4))
     np.testing.assert_allclose(by_number.m[0], [[0.5, 1, 1], [0, 0, 0.5]])
-    by_percentile = population_maps(BLOCK, BLOCKS, ("night",), PopulationParams(normalise="p50"))
+    by_percentile = population_maps(BLOCK, BLOCKS, ("night",), Population(normalise="p50"))
     np.testing.assert_allclose(by_percentile.norm_per_km2, [2e4])  # the median of the three inhabited blocks
     np.testing.assert_allclose(by_percentile.m[0], by_number.m[0])
 
@@ -67,7 +67,7 @@ def test_counts_ignore_the_area():
     unequal = replace(
         BLOCKS, polygons=shapely.box(np.arange(4) * 100.0, 0.0, np.arange(4) * 100.0 + 100.0, [9, 1, 4, 1])
     )
-    maps = population_maps(BLOCK, unequal, ("night",), PopulationParams(quantity="count"))
+    maps = population_maps(BLOCK, unequal, ("night",), Population(quantity="count"))
     np.testing.assert_allclose(maps.norm_per_km2, [400])
     np.testing.assert_allclose(maps.m[0], [[0.25, 1, 0.5], [0, 0, 0.25]])
 
@@ -75,7 +75,7 @@ def test_counts_ignore_the_area():
 def test_a_region_without_people_has_m_zero_everywhere():
     empty = replace(BLOCKS, night_count=np.zeros(4))
     for normalise in ("max", "p95"):
-        maps = population_maps(BLOCK, empty, ("day",), PopulationParams(normalise=normalise))
+        maps = population_maps(BLOCK, empty, ("day",), Population(normalise=normalise))
         assert not np.any(maps.m)
     nobody = population_maps(BLOCK, BLOCKS, ("day",), bounds_m=(5000, 5000, 5001, 5001))
     assert np.all(np.isfinite(nobody.m))
@@ -95,7 +95,7 @@ def test_hours_of_the_week_move_between_night_and_day():
     assert 0.0 < day_share("weekday-08") < 1.0
     # Moss and Qing (2012), in millions: 2.05 at night, 2.90 on a weekend day, 3.94 on a working day.
     assert 2.05 + day_share("weekend-12") * (3.94 - 2.05) == pytest.approx(2.90)
-    own = PopulationParams(weekday=(0.25,) * 24)
+    own = Population(weekday=(0.25,) * 24)
     night, hour = population_maps(BLOCK, BLOCKS, ("night", "weekday-12"), own).density_per_km2
     np.testing.assert_allclose(hour[0], night[0] * np.array([1.5, 0.875, 0.875]))
 
@@ -147,7 +147,7 @@ def test_people_run_under_jit_and_vmap():
 )
 def test_wrong_settings_are_refused(settings, message):
     with pytest.raises(InputError, match=message):
-        PopulationParams(**settings)
+        Population(**settings)
 
 
 def test_an_unknown_time_of_day_names_the_nearest():

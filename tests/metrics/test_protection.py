@@ -8,7 +8,7 @@ from jaxurban.errors import InputError
 from jaxurban.metrics.base import Scene
 from jaxurban.metrics.protection import (
     METRIC,
-    ProtectionParams,
+    Protection,
     galileo_receiver_sigma_m,
     levels_of_satellites,
     protection_maps,
@@ -21,7 +21,7 @@ from tests.kernels.test_protection import EXAMPLE
 from tests.metrics.soft.scene import ALTITUDE_M, surface_of
 from tests.metrics.soft.scene import scene as soft_scene
 
-PARAMS = ProtectionParams()
+PARAMS = Protection()
 
 
 def drawn(num_gps: int, num_galileo: int, seed: int = 0) -> InView:
@@ -106,4 +106,4 @@ def test_it_is_made_on_request_and_no_metric_of_every_cost():
 )
 def test_a_wrong_setting_is_one_sentence(wrong, words):
     with pytest.raises(InputError, match=words):
-        ProtectionParams(**wrong)
+        Protection(**wrong)

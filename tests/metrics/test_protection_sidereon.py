@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from jaxurban.metrics.protection import ProtectionParams, levels_of_satellites, ranging_of
+from jaxurban.metrics.protection import Protection, levels_of_satellites, ranging_of
 from jaxurban.metrics.visibility import distinct_choices
 
 pytestmark = [pytest.mark.data, pytest.mark.slow]
 
-PARAMS = ProtectionParams()
+PARAMS = Protection()
 PATTERNS = 5000  # of each city
 NEAR_M = 1000.0  # beyond, satellites that all but leave the position undetermined magnify rounding
 CITIES = {

@@ -14,11 +14,11 @@ from jaxurban.errors import InputError
 from jaxurban.metrics.base import Scene, SoftScene
 from jaxurban.metrics.custom import Layer, held_metrics, own_metric
 from jaxurban.metrics.gps import SatelliteSet
-from jaxurban.metrics.lidar import LidarParams, compute_lidar
+from jaxurban.metrics.lidar import Lidar, compute_lidar
 from jaxurban.metrics.obstacle import obstacle_mask
 from jaxurban.metrics.population import BlockLayers
 from jaxurban.metrics.registry import METRICS, find_metric
-from jaxurban.metrics.risk import RiskParams, compute_risk
+from jaxurban.metrics.risk import Risk, compute_risk
 from jaxurban.metrics.visibility import SkyView, visibility
 from tests.metrics.soft.scene import ALTITUDE_M, CELLS, REGION, scene, surface_of
 from tests.metrics.whole_maps import compute_gps
@@ -37,7 +37,7 @@ def here(**rest) -> Scene:
 
 
 def test_every_metric_makes_its_own_maps_of_a_scene():
-    params = {"lidar": LidarParams(beams=2, azimuths=8, range_m=30.0), "risk": RiskParams(30.0)}
+    params = {"lidar": Lidar(beams=2, azimuths=8, range_m=30.0), "risk": Risk(30.0)}
     gps = METRICS["gps"].params()
     words = visibility(SURFACE, AZIMUTH_RAD, ELEVATION_RAD, [ALTITUDE_M])[:, 0]
     people = BlockLayers(jnp.array([0.25, 1.0]), jnp.array([10.0, 40.0]), jnp.array(40.0))

@@ -7,7 +7,7 @@ import pytest
 from scipy.ndimage import distance_transform_edt
 
 from jaxurban.errors import InputError
-from jaxurban.metrics.risk import RiskParams, compute_risk, reach_m
+from jaxurban.metrics.risk import Risk, compute_risk, reach_m
 from jaxurban.world.grid import Grid
 from jaxurban.world.surface import Surface
 
@@ -39,7 +39,7 @@ def solid_by_brute_force(roof_m, terrain_m, altitude_m, threshold_m):
 @pytest.mark.slow
 def test_slice_equals_scipys_distance_transform_of_the_surface_with_its_margin():
     roof_m = random_roof()
-    m = compute_risk(surface_of(roof_m), ALTITUDES_M, RiskParams())
+    m = compute_risk(surface_of(roof_m), ALTITUDES_M, Risk())
     assert m.shape == (3, *REGION.shape)
     assert m.dtype == jnp.float32
     for altitude_m, got in zip(ALTITUDES_M, m, strict=True):
@@ -51,17 +51,15 @@ def test_slice_equals_scipys_distance_transform_of_the_surface_with_its_margin()
 def test_terrain_leaves_the_slice_alone_because_it_follows_the_ground():
     roof_m = random_roof()
     terrain_m = np.random.default_rng(1).uniform(0, 50, GRID.shape)
-    flat = compute_risk(surface_of(roof_m), ALTITUDES_M, RiskParams())
-    np.testing.assert_array_equal(
-        compute_risk(surface_of(roof_m, terrain_m=terrain_m), ALTITUDES_M, RiskParams()), flat
-    )
+    flat = compute_risk(surface_of(roof_m), ALTITUDES_M, Risk())
+    np.testing.assert_array_equal(compute_risk(surface_of(roof_m, terrain_m=terrain_m), ALTITUDES_M, Risk()), flat)
 
 
 @pytest.mark.parametrize("relief_m", [0.0, 40.0])
 def test_solid_equals_brute_force(relief_m):
     roof_m = random_roof()
     terrain_m = np.random.default_rng(1).uniform(0, relief_m, GRID.shape) if relief_m else None
-    m = compute_risk(surface_of(roof_m, terrain_m=terrain_m), ALTITUDES_M, RiskParams(distance="solid"))
+    m = compute_risk(surface_of(roof_m, terrain_m=terrain_m), ALTITUDES_M, Risk(distance="solid"))
     for altitude_m, got in zip(ALTITUDES_M, m, strict=True):
         ground_m = np.zeros(GRID.shape) if terrain_m is None else terrain_m
         expected = solid_by_brute_force(roof_m, ground_m, altitude_m, 50.0)[10:-10, 10:-10]
@@ -72,13 +70,13 @@ def test_one_metre_above_a_roof_is_close_only_in_solid():
     roof_m = np.zeros(GRID.shape, np.float32)
     roof_m[30, 30] = 59.0
     above = (slice(None), 20, 20)
-    assert compute_risk(surface_of(roof_m), [60.0], RiskParams())[above] == 1
-    np.testing.assert_allclose(compute_risk(surface_of(roof_m), [60.0], RiskParams(distance="solid"))[above], 1 / 50)
+    assert compute_risk(surface_of(roof_m), [60.0], Risk())[above] == 1
+    np.testing.assert_allclose(compute_risk(surface_of(roof_m), [60.0], Risk(distance="solid"))[above], 1 / 50)
 
 
 @pytest.mark.parametrize("distance", ["slice", "solid"])
 def test_the_map_of_a_sub_box_equals_the_crop_of_the_larger_map(distance):
-    roof_m, params = random_roof(), RiskParams(distance=distance)
+    roof_m, params = random_roof(), Risk(distance=distance)
     whole = compute_risk(surface_of(roof_m), ALTITUDES_M, params)
     grid = GRID.padded(-4, -9, -5, -3)
     region = grid.padded(-10, -10, -10, -10)
@@ -91,7 +89,7 @@ def test_solid_risk_has_finite_gradients_in_heights_and_altitude():
     roof_m = jnp.asarray(random_roof())
 
     def total(roof_m, altitude_m):
-        return compute_risk(surface_of(roof_m), altitude_m[None], RiskParams(distance="solid")).sum()
+        return compute_risk(surface_of(roof_m), altitude_m[None], Risk(distance="solid")).sum()
 
     by_roof, by_altitude = jax.grad(total, argnums=(0, 1))(roof_m, jnp.asarray(60.0))
     assert jnp.isfinite(by_roof).all()
@@ -100,11 +98,11 @@ def test_solid_risk_has_finite_gradients_in_heights_and_altitude():
 
 
 def test_reach_is_the_threshold():
-    assert reach_m(RiskParams(threshold_m=35.0)) == 35.0
+    assert reach_m(Risk(threshold_m=35.0)) == 35.0
 
 
 def test_impossible_settings_are_refused_by_name():
     with pytest.raises(InputError, match="threshold_m"):
-        RiskParams(threshold_m=-1.0)
+        Risk(threshold_m=-1.0)
     with pytest.raises(InputError, match="did you mean 'slice'"):
-        RiskParams(distance="slize")
+        Risk(distance="slize")

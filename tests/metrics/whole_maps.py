@@ -1,6 +1,6 @@
 """Maps of one metric in one call, from the parts that the recipe puts together."""
 
-from jaxurban.metrics.gps import GpsParams, SatelliteSet
+from jaxurban.metrics.gps import Gps, SatelliteSet
 from jaxurban.metrics.obstacle import obstacles_on
 from jaxurban.metrics.population import BlockLayers, block_layers, map_blocks
 from jaxurban.metrics.visibility import visibility
@@ -9,7 +9,7 @@ from jaxurban.metrics.visibility import visibility
 def compute_gps(surface, azimuth_rad, elevation_rad, altitudes_m, params=None, clocks=None):
     """Return the GPS maps of a region at every altitude, for one time."""
     words = visibility(surface, azimuth_rad, elevation_rad, altitudes_m)
-    satellites = SatelliteSet.of(azimuth_rad, elevation_rad, params or GpsParams(), clocks)
+    satellites = SatelliteSet.of(azimuth_rad, elevation_rad, params or Gps(), clocks)
     return satellites.maps(words, obstacles_on(surface, altitudes_m))
 
 

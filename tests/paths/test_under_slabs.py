@@ -7,7 +7,7 @@ import shapely
 import jaxurban as ju
 from jaxurban.maps.build import compute_maps
 from jaxurban.maps.task import MapParams, MapTask
-from jaxurban.metrics.lidar import LidarParams
+from jaxurban.metrics.lidar import Lidar
 from jaxurban.paths.clearance import obstacles_within
 from jaxurban.world.city import TO_GROUND
 from jaxurban.world.grid import Grid
@@ -22,7 +22,7 @@ RULES = ("touched", "centre")
 
 
 def made(hanging: str) -> ju.MetricMaps:
-    params = MapParams(altitudes_m=ALTITUDES_M, lidar=LidarParams(azimuths=12, range_m=40.0))
+    params = MapParams(altitudes_m=ALTITUDES_M, lidar=Lidar(azimuths=12, range_m=40.0))
     return compute_maps(MapTask(city(hanging), REGION, sky(), params))
 
 

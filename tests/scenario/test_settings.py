@@ -7,8 +7,8 @@ import jax
 import pytest
 
 from jaxurban.errors import InputError
-from jaxurban.metrics.gps import GpsParams
-from jaxurban.metrics.risk import RiskParams
+from jaxurban.metrics.gps import Gps
+from jaxurban.metrics.risk import Risk
 from jaxurban.metrics.weights import Weights
 from jaxurban.scenario.settings import Scenario
 
@@ -46,8 +46,8 @@ def test_a_layer_of_ones_own_and_its_weight_survive_toml(tmp_path):
 
 def test_a_section_is_the_metrics_own_parameters_and_has_gradients():
     scenario = Scenario.from_dict(MINIMAL | {"risk": {"threshold_m": 30}, "gps": {"gdop_threshold": 10}})
-    assert scenario.risk == RiskParams(30.0)
-    assert isinstance(scenario.gps, GpsParams)
+    assert scenario.risk == Risk(30.0)
+    assert isinstance(scenario.gps, Gps)
     assert jax.grad(lambda risk: risk.threshold_m**2)(scenario.risk).threshold_m == 60.0
     assert jax.grad(lambda gps: gps.gdop_threshold**2)(scenario.gps).gdop_threshold == 20.0
 

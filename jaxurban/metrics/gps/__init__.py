@@ -2,8 +2,8 @@
 
 from jaxurban.metrics.gps.hard import BLOCK_CELLS as BLOCK_CELLS
 from jaxurban.metrics.gps.hard import SATELLITES_STEP as SATELLITES_STEP
+from jaxurban.metrics.gps.hard import Gps as Gps
 from jaxurban.metrics.gps.hard import GpsMaps as GpsMaps
-from jaxurban.metrics.gps.hard import GpsParams as GpsParams
 from jaxurban.metrics.gps.hard import SatelliteSet as SatelliteSet
 from jaxurban.metrics.gps.hard import gps_metric as gps_metric
 from jaxurban.metrics.gps.hard import maps_of_words as maps_of_words
@@ -12,5 +12,5 @@ from jaxurban.metrics.gps.metric import HORIZONTAL as HORIZONTAL
 from jaxurban.metrics.gps.metric import METRIC as METRIC
 from jaxurban.metrics.gps.metric import VERTICAL as VERTICAL
 from jaxurban.metrics.gps.metric import WEIGHTED_DOPS as WEIGHTED_DOPS
-from jaxurban.metrics.gps.metric import DopParams as DopParams
+from jaxurban.metrics.gps.metric import Dop as Dop
 from jaxurban.metrics.gps.soft import soft_gps as soft_gps

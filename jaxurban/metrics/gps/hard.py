@@ -27,7 +27,7 @@ WEIGHTINGS = ("none", "elevation")
 @differentiable("gdop_threshold")
 @typed
 @dataclass(frozen=True)
-class GpsParams:
+class Gps:
     """Settings of the GPS metric. A pytree whose leaf is the threshold.
 
     Attributes:
@@ -164,7 +164,7 @@ class SatelliteSet:
 
     @classmethod
     def of(
-        cls, azimuth_rad: ArrayLike, elevation_rad: ArrayLike, params: GpsParams, clocks: Clocks | None = None
+        cls, azimuth_rad: ArrayLike, elevation_rad: ArrayLike, params: Gps, clocks: Clocks | None = None
     ) -> "SatelliteSet":
         """Return the set of the satellites at ``[S]`` azimuths and elevations; without clocks all share one."""
         directions = unit_vectors(azimuth_rad, elevation_rad)

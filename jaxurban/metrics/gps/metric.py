@@ -9,7 +9,7 @@ from jaxtyping import Array
 
 from jaxurban.errors import typed
 from jaxurban.metrics.base import ALTITUDE, TIME, AnyArray, Metric, Scene, SoftScene, low_is_bad
-from jaxurban.metrics.gps.hard import GpsParams, gps_metric
+from jaxurban.metrics.gps.hard import Gps, gps_metric
 from jaxurban.metrics.gps.soft import soft_dop_metric, soft_gps
 from jaxurban.metrics.settings import check_value, differentiable
 
@@ -17,7 +17,7 @@ DOPS = ("gdop", "pdop", "hdop", "vdop", "tdop")
 WEIGHTED_DOPS = tuple(f"w{name}" for name in DOPS)  # where satellites count by their elevation
 
 
-def _maps(scene: Scene, params: GpsParams) -> dict[str, AnyArray]:
+def _maps(scene: Scene, params: Gps) -> dict[str, AnyArray]:
     """Return m, the DOPs and the satellites seen; they were made ready under the same settings."""
     assert scene.satellites is not None
     assert scene.words is not None
@@ -32,18 +32,18 @@ def _maps(scene: Scene, params: GpsParams) -> dict[str, AnyArray]:
     return found
 
 
-def _also_under(params: GpsParams) -> dict[str, type]:
+def _also_under(params: Gps) -> dict[str, type]:
     """Return the weighted DOPs, where they are wanted."""
     return dict.fromkeys(WEIGHTED_DOPS, np.float32) if params.weighting == "elevation" else {}
 
 
-def _soft(scene: SoftScene, params: GpsParams) -> Array:
+def _soft(scene: SoftScene, params: Gps) -> Array:
     return soft_gps(scene.surface, scene.altitude_m, params, scene.softness_m, scene.view, cells=scene.cells)
 
 
 METRIC = Metric(
     name="gps",
-    params=GpsParams,
+    params=Gps,
     dims=(TIME, ALTITUDE),
     compute=_maps,
     soft=_soft,
@@ -61,7 +61,7 @@ METRIC = Metric(
 @differentiable("dop_threshold")
 @typed
 @dataclass(frozen=True)
-class DopParams:
+class Dop:
     """Settings of a metric of one DOP. A pytree whose leaf is the threshold.
 
     Attributes:
@@ -78,7 +78,7 @@ class DopParams:
         check_value("dop_threshold", self.dop_threshold, what, lambda threshold: threshold > 1)
 
 
-def _map_of(name: str, dop: str, scene: Scene, params: DopParams) -> dict[str, Array]:
+def _map_of(name: str, dop: str, scene: Scene, params: Dop) -> dict[str, Array]:
     """Return m of one DOP of a scene."""
     assert scene.satellites is not None
     assert scene.words is not None
@@ -87,7 +87,7 @@ def _map_of(name: str, dop: str, scene: Scene, params: DopParams) -> dict[str, A
     return {name: gps_metric(getattr(dops, dop), params.dop_threshold)}
 
 
-def _soft_of(dop: str, scene: SoftScene, params: DopParams) -> Array:
+def _soft_of(dop: str, scene: SoftScene, params: Dop) -> Array:
     here = scene.surface, scene.altitude_m, params.dop_threshold, scene.softness_m, scene.view
     return soft_dop_metric(*here, dop=dop, cells=scene.cells)
 
@@ -96,7 +96,7 @@ def _metric(name: str, dop: str, label: str, colour: str, colour_map: str) -> Me
     compute: Callable = partial(_map_of, name, dop)
     return Metric(
         name=name,
-        params=DopParams,
+        params=Dop,
         dims=(TIME, ALTITUDE),
         compute=compute,
         soft=partial(_soft_of, dop),

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float, Int
 from jaxurban.kernels.dop import dops
 from jaxurban.kernels.shadows.sweep import Window, shadow_heights
 from jaxurban.kernels.soft_step import satellite_weights
-from jaxurban.metrics.gps.hard import GpsParams, gps_metric
+from jaxurban.metrics.gps.hard import Gps, gps_metric
 from jaxurban.metrics.obstacle import soft_obstacle
 from jaxurban.metrics.settings import check_softness
 from jaxurban.metrics.visibility import SkyView
@@ -36,7 +36,7 @@ def _in_blocks(metric: Callable[[Array], Array], weights: Array) -> Array:
 def soft_gps(
     surface: Surface,
     altitude_m: ArrayLike,
-    params: GpsParams,
+    params: Gps,
     softness_m: ArrayLike,
     view: SkyView,
     *,

@@ -11,7 +11,7 @@ from jaxurban.errors import InputError, one_of
 from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY
 from jaxurban.metrics.custom import colour_of
-from jaxurban.metrics.gps import GpsParams
+from jaxurban.metrics.gps import Gps
 from jaxurban.metrics.rating import RATING_UPPER_GDOP, Rating, rating
 from jaxurban.metrics.registry import METRICS, find_metric
 from jaxurban.report.figures.frame import (
@@ -102,7 +102,7 @@ def metric_colours(maps: MetricMaps, name: str) -> Colours:
 
 def availability_threshold(maps: MetricMaps) -> float:
     """Return the m_gps above which a position counts as available: that of the maps, or what it is if not set."""
-    return float(maps.ds.attrs.get("gps_availability_threshold", GpsParams().availability_threshold))
+    return float(maps.ds.attrs.get("gps_availability_threshold", Gps().availability_threshold))
 
 
 def values_of(maps: MetricMaps, name: str, altitude_m: float, time: str | None = None) -> np.ndarray:

@@ -10,11 +10,11 @@ import pytest
 
 from jaxurban.errors import InputError
 from jaxurban.kernels.lidar import flat, soft
-from jaxurban.metrics.lidar import LidarParams, compute_lidar, soft_lidar
+from jaxurban.metrics.lidar import Lidar, compute_lidar, soft_lidar
 from tests.metrics.soft.differences import anyhow, axes, check_gradient
 from tests.metrics.soft.scene import ALTITUDE_M, CELLS, hills, scene, surface_of
 
-PARAMS = LidarParams(azimuths=24, range_m=40.0, beams=5, field_of_view_deg=(-15.0, 10.0))
+PARAMS = Lidar(azimuths=24, range_m=40.0, beams=5, field_of_view_deg=(-15.0, 10.0))
 HEIGHT_M, BUILDING = scene()
 GROUNDS = {"flat": None, "hills": hills()}
 SURFACES = {name: surface_of(HEIGHT_M.astype(np.float32), BUILDING, ground) for name, ground in GROUNDS.items()}

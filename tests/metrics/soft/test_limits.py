@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from jaxurban.io.read.rasterise import build_surface
-from jaxurban.metrics.lidar import LidarParams, compute_lidar, soft_lidar
-from jaxurban.metrics.risk import RiskParams, compute_risk, soft_risk
+from jaxurban.metrics.lidar import Lidar, compute_lidar, soft_lidar
+from jaxurban.metrics.risk import Risk, compute_risk, soft_risk
 from jaxurban.world.city import City
 from jaxurban.world.grid import Grid
 from jaxurban.world.synthetic import demo_city
@@ -31,8 +31,8 @@ def test_each_halving_comes_nearer_and_the_last_map_is_the_exact_one_but_for_hal
         region = Grid.from_bounds(LOWER_MANHATTAN, 5.0, city.crs)
     surface = build_surface(city, region, region.padded(HALO, HALO, HALO, HALO))
     cases = {
-        "lidar": (compute_lidar, soft_lidar, LidarParams(), range(-3, 7)),
-        "risk": (compute_risk, soft_risk, RiskParams(), range(-3, 4)),
+        "lidar": (compute_lidar, soft_lidar, Lidar(), range(-3, 7)),
+        "risk": (compute_risk, soft_risk, Risk(), range(-3, 4)),
     }
     for exact, soft, params, powers in cases.values():
         expected = exact(surface, [ALTITUDE_M], params)[0]

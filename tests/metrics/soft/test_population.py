@@ -9,7 +9,7 @@ import pytest
 import shapely
 
 from jaxurban.errors import InputError
-from jaxurban.metrics.population import BlockPopulation, PopulationParams, soft_population
+from jaxurban.metrics.population import BlockPopulation, Population, soft_population
 from jaxurban.world.city import Blocks, Zoning
 from tests.metrics.soft.differences import anyhow, check_gradient
 from tests.metrics.whole_maps import population_maps
@@ -36,7 +36,7 @@ BLOCK = np.random.default_rng(1).integers(-1, NUM_BLOCKS, (6, 7)).astype(np.int3
 
 @pytest.mark.parametrize(("time_of_day", "normalise"), [("day", "max"), ("night", 30_000.0), ("weekend-20", "p80")])
 def test_it_is_the_metrics_own_map(time_of_day, normalise):
-    params = PopulationParams(normalise=normalise)
+    params = Population(normalise=normalise)
     expected = population_maps(jnp.asarray(BLOCK), blocks(), [time_of_day], params, BOUNDS_M).m[0]
     population = BlockPopulation.of(blocks(), BOUNDS_M)
     np.testing.assert_array_equal(soft_population(jnp.asarray(BLOCK), population, time_of_day, params), expected)
@@ -50,7 +50,7 @@ def test_it_is_the_metrics_own_map(time_of_day, normalise):
 )
 def test_gradients_agree_with_finite_differences(quantity, normalise):
     with jax.enable_x64(True):
-        params = PopulationParams(normalise=normalise, quantity=quantity)
+        params = Population(normalise=normalise, quantity=quantity)
         population, weight = (
             BlockPopulation.of(blocks(), BOUNDS_M, np.float64),
             np.random.default_rng(2).uniform(size=BLOCK.shape),
@@ -82,7 +82,7 @@ def test_gammas_are_leaves_of_the_settings_and_batches_take_no_new_compilation()
         compiled += 1
         return soft_population(jnp.asarray(BLOCK), population._replace(night_count=night_count), "day", params)
 
-    several = [PopulationParams(gamma_commercial=g, gamma_residential=h) for g, h in ((3.0, 0.5), (2.0, 0.7))]
+    several = [Population(gamma_commercial=g, gamma_residential=h) for g, h in ((3.0, 0.5), (2.0, 0.7))]
     one_by_one = jnp.stack([m(params, population.night_count) for params in several])
     assert compiled == 1
     stacked = jax.tree.map(lambda *gammas: jnp.asarray(gammas), *several)
@@ -91,6 +91,6 @@ def test_gammas_are_leaves_of_the_settings_and_batches_take_no_new_compilation()
 
 def test_given_settings_are_still_checked():
     with pytest.raises(InputError, match="gamma_commercial"):
-        PopulationParams(gamma_commercial=jnp.asarray(-1.0))
+        Population(gamma_commercial=jnp.asarray(-1.0))
     with pytest.raises(InputError, match="gamma_residential"):
-        jax.tree.map(lambda leaf: leaf, replace(PopulationParams(), gamma_residential=np.nan))
+        jax.tree.map(lambda leaf: leaf, replace(Population(), gamma_residential=np.nan))

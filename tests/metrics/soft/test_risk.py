@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from jaxurban.errors import InputError
-from jaxurban.metrics.risk import RiskParams, compute_risk, soft_risk
+from jaxurban.metrics.risk import Risk, compute_risk, soft_risk
 from tests.metrics.soft.differences import anyhow, axes, check_gradient
 from tests.metrics.soft.scene import ALTITUDE_M, CELLS, hills, scene, surface_of
 
-SLICE = RiskParams(threshold_m=40.0)
-SOLID = RiskParams(threshold_m=40.0, distance="solid")
+SLICE = Risk(threshold_m=40.0)
+SOLID = Risk(threshold_m=40.0, distance="solid")
 HEIGHT_M, BUILDING = scene(24, seed=3)
 FLAT = surface_of(HEIGHT_M.astype(np.float32), BUILDING)
 
@@ -97,7 +97,7 @@ def test_gradients_agree_with_finite_differences_and_those_of_the_map_with_those
 def test_the_exact_slice_has_the_exact_gradient_in_the_threshold():
     m = soft_map(FLAT, ALTITUDE_M, SLICE, 0.0)
     gradient = jax.jit(jax.grad(lambda params: soft_map(FLAT, ALTITUDE_M, params, 0.0).sum()))(SLICE)
-    assert isinstance(gradient, RiskParams)
+    assert isinstance(gradient, Risk)
     np.testing.assert_allclose(gradient.threshold_m, -jnp.where(m < 1, m, 0.0).sum() / 40, rtol=1e-5)
 
 
@@ -119,7 +119,7 @@ def test_one_compilation_serves_every_softness_altitude_threshold_and_height_and
         return soft_risk(surface_of(height_m, BUILDING), altitude_m, params, softness_m, cells=CELLS, reach_m=40.0)
 
     height_m = jnp.asarray(HEIGHT_M, jnp.float32)
-    steps = [(height_m * (1 + 0.1 * i), 20.0 + i, RiskParams(40.0 - i), 2.0 / (1 + i)) for i in range(3)]
+    steps = [(height_m * (1 + 0.1 * i), 20.0 + i, Risk(40.0 - i), 2.0 / (1 + i)) for i in range(3)]
     one_by_one = jnp.stack([soft(*step) for step in steps])
     assert compiled == 1
     stacked = jax.tree.map(lambda *leaves: jnp.stack([jnp.asarray(leaf) for leaf in leaves]), *steps)
@@ -130,7 +130,7 @@ def test_one_compilation_serves_every_softness_altitude_threshold_and_height_and
 
 def test_a_traced_threshold_needs_a_reach():
     with pytest.raises(InputError, match="risk threshold_m is traced by JAX: give reach_m"):
-        jax.grad(lambda d: soft_risk(FLAT, 20.0, RiskParams(d), 1.0).sum())(40.0)
+        jax.grad(lambda d: soft_risk(FLAT, 20.0, Risk(d), 1.0).sum())(40.0)
 
 
 def test_each_chosen_cell_may_have_an_altitude_of_its_own():
