@@ -100,13 +100,12 @@ def raster_tile(job: TileJob, tile: Tile) -> dict[str, Any]:
             grid = job.tiling.grid_of(tile)
             is_reported = tile in job.tiling.region_tiles
             tells_guessed = is_reported and job.task.has_guessed_roofs
-            arrays = rasterise(city, grid, job.task.params.all_touched, tells_guessed)._asdict()
-            if (slabs := arrays.pop("slabs")) is not None:
-                arrays |= {f"slab_{name}": values for name, values in slabs._asdict().items()}
+            made = rasterise(city, grid, job.task.params.all_touched, tells_guessed)
+            arrays = {key: getattr(made, key) for key in ("roof_m", "terrain_m", "has_data", "roof_guessed")}
+            if made.slabs is not None:
+                arrays |= {f"slab_{key}": values for key, values in made.slabs._asdict().items()}
             if is_reported:
-                arrays["block"] = rasterise_blocks(city, grid)
-            else:
-                del arrays["roof_touched_m"]
+                arrays |= {"roof_touched_m": made.roof_touched_m, "block": rasterise_blocks(city, grid)}
             job.work.save_arrays(name, **{key: values for key, values in arrays.items() if values is not None})
     return {"seconds": watch.elapsed_s}
 

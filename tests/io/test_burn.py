@@ -10,8 +10,8 @@ from rasterio.features import rasterize
 
 import jaxurban as ju
 from jaxurban.io.read.buildings import BuildingFile, read_buildings
-from jaxurban.io.read.burn import burn, burn_touched
 from jaxurban.io.read.outlines import polygonal
+from jaxurban.io.read.rasterise import burn, burn_touched
 
 CRS = "EPSG:32618"
 OUTER = (900_000, 110_000, 40, 40)  # first row and column, rows, columns

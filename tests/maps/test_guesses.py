@@ -17,11 +17,10 @@ from skyfield.api import load
 
 import jaxurban as ju
 from jaxurban.errors import GuessWarning
-from jaxurban.io.read.burn import burn, burn_touched
 from jaxurban.io.read.census import CensusFiles, read_blocks
 from jaxurban.io.read.guesses import FLAT_GROUND
 from jaxurban.io.read.orbits import nominal_satellites
-from jaxurban.io.read.rasterise import build_surface
+from jaxurban.io.read.rasterise import build_surface, burn, burn_touched
 from jaxurban.maps.build import view_sky
 from jaxurban.maps.guesses import _scale_guesses, has_guessed_roofs, leaving_shares, map_guesses
 from jaxurban.maps.task import MapParams, MapTask

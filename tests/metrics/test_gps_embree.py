@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from jaxurban.io.read.buildings import BuildingFile, read_buildings
-from jaxurban.io.read.burn import burn
 from jaxurban.io.read.orbits import look_angles, read_orbits
+from jaxurban.io.read.rasterise import burn
 from jaxurban.kernels.dop import unit_vectors
 from jaxurban.metrics.visibility import shadow_reach_m, visibility
 from jaxurban.world.city import Buildings

@@ -1,18 +1,21 @@
-"""City to Surface: outlines burnt into cells, rasters brought onto the grid."""
+"""City to Surface: outlines burnt into cells, what hangs into subcells (`Slabs`), rasters brought onto the grid."""
 
 import math
 from collections.abc import Iterable
-from typing import NamedTuple
+from dataclasses import replace
+from typing import Any
 
 import jax
 import numpy as np
+import shapely
 
 from jaxurban.errors import InputError
-from jaxurban.io.read.burn import burn, burn_by_rule, burn_hanging, burn_touched
+from jaxurban.io.read.outlines import meets
 from jaxurban.io.read.sampling import resample_raster
+from jaxurban.kernels.outlines import burn_outlines, settle
 from jaxurban.world.city import SLABS, Buildings, City
 from jaxurban.world.grid import WGS84, Grid, transformer
-from jaxurban.world.surface import NO_BUILDING, Slabs, Surface
+from jaxurban.world.surface import NO_BUILDING, PER_CELL, Slabs, Surface
 
 NO_BLOCK = -1
 UNKNOWN_GROUND_M = -500.0  # below all real ground: what stands where the terrain is unknown shadows nothing
@@ -49,34 +52,21 @@ def surface_grid(city: City, region: Grid, always_m: float, toward_m: Margins) -
     return region.padded(*cells)
 
 
-class Rasters(NamedTuple):
-    """A city on one grid, as `Surface` holds it, in host memory; ``has_data`` is None where data are everywhere.
-
-    ``roof_touched_m``, what planners keep clear of, takes everything that hangs as reaching the ground, always.
-    """
-
-    roof_m: np.ndarray
-    roof_touched_m: np.ndarray
-    terrain_m: np.ndarray | None
-    has_data: np.ndarray | None
-    roof_guessed: np.ndarray | None
-    slabs: Slabs | None = None
-
-
-def rasterise(city: City, grid: Grid, all_touched: bool = False, tells_guessed: bool = False) -> Rasters:
-    """Return roofs, terrain and where they are known. Every cell depends on its own place alone.
+def rasterise(city: City, grid: Grid, all_touched: bool = False, tells_guessed: bool = False) -> Surface:
+    """Return roofs, terrain and where they are known, in host memory. Every cell depends on its own place alone.
 
     A cell whose centre lies on the south or the east side of an outline is under its roof, one on the north or the west
     side is not: what GDAL burns where row 0 is in the south. Into rasters whose row 0 is in the north, as most files
-    are, GDAL burns those on the north side too.
+    are, GDAL burns those on the north side too. ``roof_touched_m`` takes everything that hangs as reaching the ground,
+    always.
 
     Args:
       city: with outlines or a height raster.
-      grid: where to burn.
+      grid: where to burn; the surface's region too.
       all_touched: ``roof_m`` is ``roof_touched_m`` too.
       tells_guessed: whether the height of each cell's roof is guessed is wanted too (of outlines).
     """
-    has_data = guessed = None
+    has_data = terrain_m = guessed = slabs = None
     if city.buildings is not None:
         roof_m, touched_m, guessed = _burn_roofs(city.buildings, grid, all_touched, tells_guessed)
     else:
@@ -84,26 +74,23 @@ def rasterise(city: City, grid: Grid, all_touched: bool = False, tells_guessed: 
         centre_m, touched_m = (resample_raster(city.roofs, grid, how) for how in ("nearest", "max"))
         has_data = np.isfinite(touched_m if all_touched else centre_m)
         roof_m, touched_m = (np.fmax(roof, np.float32(0)) for roof in (centre_m, touched_m))
-    terrain_m = None
     if city.terrain is not None:
         terrain_m = resample_raster(city.terrain, grid, "bilinear")
         known = np.isfinite(terrain_m)
         has_data = known if has_data is None else has_data & known
         terrain_m = np.where(known, terrain_m, UNKNOWN_GROUND_M).astype(np.float32)
     has_data = None if has_data is None or has_data.all() else has_data
-    roof_m, slabs = touched_m if all_touched else roof_m, None
+    roof_m = touched_m if all_touched else roof_m
     if city.buildings is not None and city.hanging == SLABS:
-        roof_m, slabs = _standing_and_hanging(city.buildings, grid, terrain_m, all_touched)
-    return Rasters(roof_m, touched_m, terrain_m, has_data, guessed, slabs)
-
-
-def _standing_and_hanging(
-    buildings: Buildings, grid: Grid, terrain_m: np.ndarray | None, all_touched: bool
-) -> tuple[np.ndarray, Slabs]:
-    """Return the roofs of what stands on the ground, raised by what rests on them, and what hangs freely."""
-    standing = buildings.take(buildings.min_height_m == 0)
-    roof_m = burn_by_rule(standing.polygons, standing.height_m, grid, all_touched, boxes_m=standing.boxes_m)
-    return roof_m, burn_hanging(buildings, grid, roof_m, terrain_m, all_touched)
+        standing = city.buildings.take(city.buildings.min_height_m == 0)
+        boxes_m = standing.boxes_m
+        roof_m = burn(
+            standing.polygons, standing.height_m, grid, 0.0, "float32", boxes_m=boxes_m, all_touched=all_touched
+        )
+        slabs = burn_hanging(city.buildings, grid, roof_m, terrain_m, all_touched)
+    arrays: dict[str, Any] = {"roof_m": roof_m, "terrain_m": terrain_m, "has_data": has_data, "block": None}
+    arrays |= {"roof_touched_m": touched_m, "roof_guessed": guessed}
+    return Surface(**arrays, grid=grid, region=grid, slabs=slabs)
 
 
 def _burn_roofs(
@@ -152,7 +139,7 @@ def rasterise_blocks(city: City, grid: Grid) -> np.ndarray | None:
     return burn(blocks.polygons, np.arange(len(blocks)), grid, NO_BLOCK, "int32", boxes_m=blocks.boxes_m)
 
 
-def check_has_data(has_data: Iterable[np.ndarray | None], city: City) -> None:
+def check_has_data(has_data: Iterable[Any], city: City) -> None:
     """Raise InputError unless a part of the region has data; stops at the first one."""
     if not any(part is None or part.any() for part in has_data):
         names = [city.sources[role] for role in ("buildings", "terrain") if role in city.sources]
@@ -175,20 +162,137 @@ def build_surface(
     Raises:
       InputError: the terrain or the height raster does not cover any of the region.
     """
-    roof_m, touched_m, terrain_m, has_data, guessed, slabs = rasterise(city, grid, all_touched, tells_guessed)
-    window = region.window_in(grid)
-    check_has_data([None if has_data is None else has_data[window]], city)
-    arrays = {
-        "roof_m": roof_m,
-        "terrain_m": terrain_m,
-        "has_data": has_data,
-        "block": rasterise_blocks(city, region),
-        "roof_touched_m": touched_m[window],
-        "roof_guessed": None if guessed is None else guessed[window],
+    whole, window = rasterise(city, grid, all_touched, tells_guessed), region.window_in(grid)
+    inner: dict[str, Any] = {
+        name: None if (values := getattr(whole, name)) is None else values[window]
+        for name in ("has_data", "roof_touched_m", "roof_guessed")
     }
-    return Surface(
-        **jax.device_put(arrays),
-        grid=grid,
-        region=region,
-        slabs=slabs,
+    check_has_data([inner.pop("has_data")], city)
+    inner |= {"block": rasterise_blocks(city, region), "region": region, "slabs": None}
+    return replace(jax.device_put(replace(whole, **inner)), slabs=whole.slabs)
+
+
+def burn(
+    polygons: np.ndarray,
+    values: np.ndarray,
+    grid: Grid,
+    fill: float,
+    dtype: str,
+    *,
+    boxes_m: np.ndarray | None = None,
+    all_touched: bool = False,
+) -> np.ndarray:
+    """Return ``values`` burnt at the cells whose centre lies in ``polygons``, the highest value where they overlap.
+
+    Every cell depends on its own place alone: a part of a grid is burnt as the whole is. Threads may burn at once.
+
+    Args:
+      polygons: ``[N]`` shapely Polygons and MultiPolygons in the grid's CRS.
+      values: ``[N]`` numbers, none below ``fill``.
+      grid: where to burn.
+      fill: value of cells that no polygon holds.
+      dtype: of the result.
+      boxes_m: ``[4, N]`` x_min, y_min, x_max, y_max of the polygons, from those who keep them; left out, computed.
+      all_touched: burn every cell that shares area with a polygon.
+
+    Returns:
+      ``[Y, X]`` array of ``dtype``, row 0 in the south.
+    """
+    both = burn_touched(polygons, values, grid, fill, dtype, boxes_m=boxes_m, has_touched=all_touched)
+    return both[1 if all_touched else 0]
+
+
+def burn_touched(
+    polygons: np.ndarray,
+    values: np.ndarray,
+    grid: Grid,
+    fill: float,
+    dtype: str,
+    *,
+    boxes_m: np.ndarray | None = None,
+    has_touched: bool = True,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return what `burn` does, and the highest value among the polygons that share area with each cell.
+
+    A polygon that ends on a border of cells does not touch the next one. GDAL's ``all_touched`` is not used: it
+    misses cells that an edge enters by less than a hundredth of a side, along up to a whole side.
+
+    Args:
+      polygons, values, grid, fill, dtype, boxes_m: as there.
+      has_touched: False leaves the second array empty.
+    """
+    centre, touched = (np.full(shape, fill, dtype) for shape in (grid.shape, grid.shape if has_touched else (0, 0)))
+    boxes = shapely.bounds(polygons) if boxes_m is None else boxes_m.T
+    near = np.flatnonzero(meets(boxes, grid.bounds_m))
+    if not near.size:
+        return centre, touched
+    # Rings on their own come first: `shapely.to_ragged_array` makes a geometry of every ring, in ten times the time.
+    is_single = shapely.get_type_id(polygons[near]) == shapely.GeometryType.POLYGON
+    is_single &= shapely.get_num_interior_rings(polygons[near]) == 0
+    single, others = near[is_single], near[~is_single]
+    parts, owner = shapely.get_parts(polygons[others], return_index=True)
+    rings, outline = shapely.get_rings(parts, return_index=True)
+    both = polygons[single], rings
+    num_rings = np.append(np.ones(len(single), np.int64), np.bincount(outline, minlength=len(parts)))
+    burn_outlines(
+        np.concatenate([shapely.get_coordinates(shapes) for shapes in both]) / grid.resolution_m,
+        _starts(np.concatenate([shapely.get_num_coordinates(shapes) for shapes in both])),
+        _starts(num_rings),
+        values[np.append(single, others[owner])].astype(centre.dtype),
+        grid.first_row,
+        grid.first_col,
+        centre,
+        touched,
     )
+    return centre, np.maximum(centre, touched, out=touched) if has_touched else touched
+
+
+def _starts(counts: np.ndarray) -> np.ndarray:
+    """Return where each of ``[N]`` runs begins, and the end, ``[N + 1]`` int64."""
+    return np.append(0, np.cumsum(counts, dtype=np.int64))
+
+
+def burn_hanging(
+    buildings: Buildings, grid: Grid, roof_m: np.ndarray, terrain_m: np.ndarray | None, all_touched: bool
+) -> Slabs:
+    """Return what hangs freely over the cells of a grid; what rests on a roof raises it.
+
+    A slab covers subcells, and cells, as a roof does: those whose centre lies in its outline (``all_touched``: every
+    one that it shares area with). Every cell depends on its own place alone.
+
+    Args:
+      buildings: of which those with an underside above the ground hang.
+      grid: where to burn.
+      roof_m: ``[Y, X]`` float32 roofs of those that stand; raised in place.
+      terrain_m: ``[Y, X]`` elevation of the ground; None for flat ground.
+      all_touched: see above.
+    """
+    is_near = meets(buildings.boxes_m.T, grid.bounds_m)
+    finer = grid.refined(PER_CELL)
+    places, heights = [np.empty((2, 0), np.int64)], [np.empty((2, 0), np.float32)]
+    for i in np.flatnonzero(is_near & (buildings.min_height_m > 0)):
+        window = _window(finer, buildings.boxes_m[:, i])
+        held = np.stack(
+            np.nonzero(burn(buildings.polygons[i : i + 1], np.ones(1), window, 0.0, "float32", all_touched=all_touched))
+        )
+        places.append(held + np.array([[window.first_row], [window.first_col]]))
+        of_one = np.array([[buildings.min_height_m[i]], [buildings.height_m[i]]], np.float32)
+        heights.append(np.broadcast_to(of_one, held.shape))
+    (row, col), (floor_m, top_m) = (np.concatenate(values, axis=1) for values in (places, heights))
+    cell = (row // PER_CELL - grid.first_row) * grid.num_cols + col // PER_CELL - grid.first_col
+    order = np.lexsort((floor_m, cell))
+    row, col, cell, floor_m, top_m = (values[order] for values in (row, col, cell, floor_m, top_m))
+    is_of_cell = (row % PER_CELL == PER_CELL // 2) & (col % PER_CELL == PER_CELL // 2) | all_touched
+    hangs = settle(roof_m.reshape(-1), cell, floor_m, top_m, is_of_cell)
+    ground_m = np.zeros(len(cell), np.float32) if terrain_m is None else terrain_m.reshape(-1)[cell]
+    return Slabs(row, col, floor_m, top_m, ground_m, is_of_cell).take(hangs)
+
+
+def _window(grid: Grid, box_m: np.ndarray) -> Grid:
+    """Return the part of a grid around a box, which meets it, with a cell more on each side."""
+    west, south, east, north = box_m / grid.resolution_m
+    first_row = max(math.floor(south) - 1, grid.first_row)
+    first_col = max(math.floor(west) - 1, grid.first_col)
+    end_row = min(math.ceil(north) + 1, grid.first_row + grid.num_rows)
+    end_col = min(math.ceil(east) + 1, grid.first_col + grid.num_cols)
+    return Grid(grid.crs, grid.resolution_m, first_row, first_col, end_row - first_row, end_col - first_col)

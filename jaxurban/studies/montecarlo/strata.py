@@ -3,7 +3,7 @@
 import numpy as np
 import shapely
 
-from jaxurban.io.read.burn import burn
+from jaxurban.io.read.rasterise import burn
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.world.city import LandCover
 
