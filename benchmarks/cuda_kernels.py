@@ -31,9 +31,9 @@ from jaxurban.metrics.weights import Weights
 from jaxurban.planners.bitstar.planner import EDGES_TOGETHER, NODES_TOGETHER
 from jaxurban.planners.cost_model import STEPS
 from jaxurban.planners.frontier import CELLS_TOGETHER, QUERIES_TOGETHER
-from jaxurban.studies.sensitivity import buildings
 from jaxurban.studies.tuning import confidence, fenchel_young, target_fit
 from jaxurban.studies.tuning.targets import Target
+from jaxurban.studies.weights import buildings
 from jaxurban.world import surface
 from jaxurban.world.grid import Grid
 from jaxurban.world.surface import Surface

@@ -119,7 +119,7 @@ def validated(track: str = SHINJUKU, change: Change | None = None) -> ReceiverVa
         changes = list(change.settings) if change else []
         if change and change.buildings:
             changes.append(f'buildings.source="{change.buildings(Path(folder))}"')
-        return ju.validate(ju.Scenario.from_dict(changed(settings, changes)), log, progress=False)
+        return ju.studies.validate(ju.Scenario.from_dict(changed(settings, changes)), log, progress=False)
 
 
 def page(tracks: Mapping[str, ReceiverValidation], others: Sequence[tuple[Change, ReceiverValidation]]) -> str:

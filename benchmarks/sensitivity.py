@@ -18,8 +18,8 @@ from jaxurban.metrics.weights import Weights
 from jaxurban.paths.cost_map import cost_map
 from jaxurban.studies.queries import RouteQuery
 from jaxurban.studies.route_pool import RoutePool
-from jaxurban.studies.sensitivity.breakpoints import EXACT, find_breakpoints
-from jaxurban.studies.sensitivity.sobol import sobol_of_weights
+from jaxurban.studies.weights.breakpoints import EXACT, find_breakpoints
+from jaxurban.studies.weights.sobol import sobol_of_weights
 
 SHARED = ("gps", "population", "risk")
 

@@ -230,11 +230,11 @@ def gradient(folder: Path) -> tuple[Took, Facts]:
     city = ju.demo_city(3_000, 3_000)
     maps = ju.build_maps(city, resolution_m=10.0, altitudes_m=(ALTITUDE_M,))
     planned = ju.plan(maps, **next(ends_of(maps, 4)), altitude_m=ALTITUDE_M, planner="astar-plus", budget_s=BUDGET_S)
-    params = ju.SoftParams(ALTITUDE_M, 2.0)
-    soft = ju.soft_city(city, maps.grid, params)
+    params = ju.grad.SoftParams(ALTITUDE_M, 2.0)
+    soft = ju.grad.soft_city(city, maps.grid, params)
 
     def work() -> Facts:
-        return {"gradient": f"{ju.building_costs(city, soft, planned, params)['per_metre'].abs().sum():.6g}"}
+        return {"gradient": f"{ju.studies.building_costs(city, soft, planned, params)['per_metre'].abs().sum():.6g}"}
 
     return timed("gradient", work)
 
@@ -280,10 +280,10 @@ def fit(folder: Path) -> tuple[Took, Facts]:
             for path in ju.plan_many(maps, queries(maps, 20, 1), altitude_m=ALTITUDE_M, weights=HIDDEN)
         ]
         file.write_text(json.dumps({"type": "FeatureCollection", "features": lines}))
-    routes = ju.read_demonstrations(file, maps)
+    routes = ju.fit.read_demonstrations(file, maps)
 
     def work() -> Facts:  # the numbers alone, whatever holds them
-        found = repr(ju.fit_weights(routes, bootstrap=50, settings=ju.FitSettings(seed=0)).weights)
+        found = repr(ju.fit.fit_weights(routes, bootstrap=50, settings=ju.fit.FitSettings(seed=0)).weights)
         return {f"fit {k}": number for k, number in enumerate(re.findall(r"\d[\d.e-]*", found))}
 
     return timed("fit", work)

@@ -11,7 +11,7 @@ from jaxurban.maps.differentiable import SoftParams
 from jaxurban.maps.task import MapParams, MapTask
 from jaxurban.report.figures.buildings import plot_building_costs
 from jaxurban.report.write import write_png
-from jaxurban.studies.sensitivity.buildings import building_costs
+from jaxurban.studies.weights.buildings import building_costs
 from jaxurban.world.grid import Grid
 
 FILE = Path(__file__).with_suffix(".png")

@@ -2,11 +2,9 @@
 
 import difflib
 import functools
-import importlib
 import inspect
 import math
 import numbers
-import operator
 import os
 import re
 import types
@@ -15,6 +13,8 @@ from contextlib import contextmanager, suppress
 from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+
+from jaxurban.public import find_public
 
 Choice = TypeVar("Choice")
 Public = TypeVar("Public", bound=Callable)
@@ -122,12 +122,15 @@ def _either(choices: Iterable[str]) -> str:
 
 def _place_of(name: str, function: Callable, levels: int = 2) -> str:
     """Return ``" (give constraints=Constraints.read(name=...))"`` for an argument of what makes another, or ``""``."""
-    package, makers = importlib.import_module(__name__.partition(".")[0]), []
+    makers = []
     for parameter, hint in get_type_hints(function, localns=_PublicNames()).items():
         for kind in (hint, *get_args(hint)):
-            if parameter != "return" and getattr(kind, "__name__", "") in package.__all__:
-                called = re.split(",| or ", MADE_BY.get(kind.__name__, kind.__name__))[0]
-                makers.append((parameter, called, operator.attrgetter(called)(package)))
+            with suppress(KeyError):
+                if parameter != "return" and find_public(getattr(kind, "__name__", "")):
+                    called = re.split(",| or ", MADE_BY.get(kind.__name__, kind.__name__))[0]
+                    name_of_class, _, method = called.partition(".")
+                    maker = find_public(name_of_class)
+                    makers.append((parameter, called, getattr(maker, method) if method else maker))
     for parameter, called, maker in makers:
         if name in inspect.signature(maker).parameters:
             return f" (give {parameter}={called}({name}=...))"
@@ -155,10 +158,7 @@ class _PublicNames(dict):
     """The public names of the package, for hints on what their module imports for type checkers alone."""
 
     def __missing__(self, name: str) -> Any:
-        try:
-            return getattr(importlib.import_module(__name__.partition(".")[0]), name)
-        except AttributeError as error:
-            raise KeyError(name) from error
+        return find_public(name)
 
 
 def check_range(name: str, value: Any) -> None:

@@ -96,7 +96,7 @@ plt.show()
 # number of samples (BIT\*). On a CPU Numba is the faster one by far, so `backend="auto"` takes it there.
 
 # %%
-instances = ju.sample_instances(maps, 24, weights=[ju.Weights()]).query("is_connected")
+instances = ju.studies.sample_instances(maps, 24, weights=[ju.Weights()]).query("is_connected")
 pairs = instances[["start_x_m", "start_y_m", "goal_x_m", "goal_y_m"]]
 places = [weighted.locate(*named, snap=True).cell for named in (("start", ends[0]), ("goal", ends[1]))]
 query = weighted.problem.between(*places)
@@ -159,7 +159,7 @@ for name in ("plus-printed", "tiles"):
 # %%
 by_cell = ju.cost_map(maps, 20.0, cost_model="cell")
 rows = []
-for row in ju.sample_instances(maps, 40, weights=[ju.Weights()]).query("is_connected").itertuples():
+for row in ju.studies.sample_instances(maps, 40, weights=[ju.Weights()]).query("is_connected").itertuples():
     ends = ju.XY(row.start_x_m, row.start_y_m), ju.XY(row.goal_x_m, row.goal_y_m)
     best, found = (by_cell.plan(*ends, heuristic=name) for name in ("tiles", "plus-printed"))
     rows.append((100 * (found.cost / best.cost - 1), found.search.num_expanded / best.search.num_expanded))

@@ -48,10 +48,10 @@ print(f"{len(city.buildings):,} buildings; the route costs {route.cost:.1f} over
 # Doubles (`x64`) keep small effects from drowning in rounding.
 
 # %%
-params = ju.SoftParams(altitude_m=25.0)
+params = ju.grad.SoftParams(altitude_m=25.0)
 with jax.enable_x64(True):
-    soft = ju.soft_city(city, maps.grid, params)
-    table = ju.building_costs(city, soft, route, params)
+    soft = ju.grad.soft_city(city, maps.grid, params)
+    table = ju.studies.building_costs(city, soft, route, params)
 columns = ["building", "per_metre", "gps", "lidar", "risk", "height_m", "distance_m"]
 print(f"{len(table):,} buildings have any effect. The costliest, in cost per metre of height:")
 table[columns].head(8).round(3)
@@ -122,7 +122,7 @@ for number in range(ROUNDS + 1):
         again = ju.build_maps(changed, resolution_m=10.0, altitudes_m=(25.0,))
         planned = ju.cost_map(again, 25.0).plan(*ends, snap=True)
     with jax.enable_x64(True):
-        slopes = ju.building_costs(changed, ju.soft_city(changed, maps.grid, params), planned, params)
+        slopes = ju.studies.building_costs(changed, ju.grad.soft_city(changed, maps.grid, params), planned, params)
     worst = slopes.reindex(slopes.per_metre.abs().sort_values(ascending=False).index).head(ROOFS)
     promised = METRES * worst.per_metre.abs().sum()
     told.append({"soft cost": slopes.attrs["soft_cost"], "cost": planned.cost, "promised for the next round": promised})

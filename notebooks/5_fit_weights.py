@@ -15,7 +15,7 @@
 #
 # A route says what its pilot cares about: who flies around a crowd spends metres to spare people. Here the pilot is a
 # planner with weights of its own, so that the answer can be checked. In real work the routes come from a file
-# (`ju.read_demonstrations`, or `jaxurban tune` on the command line: [tuning.md](../docs/tuning.md)).
+# (`ju.fit.read_demonstrations`, or `jaxurban tune` on the command line: [tuning.md](../docs/tuning.md)).
 
 # %%
 # %matplotlib inline
@@ -38,11 +38,11 @@ pilot = ju.cost_map(maps, 20.0, weights=own)
 # Sixteen flights, short and long, from and to all kinds of places.
 
 # %%
-flights = ju.sample_instances(maps, 20, weights=[own], seed=1).query("is_connected")[:16]
+flights = ju.studies.sample_instances(maps, 20, weights=[own], seed=1).query("is_connected")[:16]
 shown = [
     pilot.plan(ju.XY(row.start_x_m, row.start_y_m), ju.XY(row.goal_x_m, row.goal_y_m)) for row in flights.itertuples()
 ]
-demonstrations = ju.demonstrations_from_paths(shown, maps)
+demonstrations = ju.fit.demonstrations_from_paths(shown, maps)
 print(f"{len(shown)} routes of {min(p.length_m for p in shown):,.0f} to {max(p.length_m for p in shown):,.0f} m")
 
 # %% [markdown]
@@ -52,7 +52,7 @@ print(f"{len(shown)} routes of {min(p.length_m for p in shown):,.0f} to {max(p.l
 # pilot's own too. The weight of `distance` counts per metre, the others per cell that the route enters.
 
 # %%
-fit = ju.fit_weights(demonstrations, bootstrap=50)
+fit = ju.fit.fit_weights(demonstrations, bootstrap=50)
 for sentence in (*fit.unidentified, *fit.warnings):
     print(sentence)
 table = fit.table()
@@ -85,7 +85,7 @@ plot_routes(plan_beside(demonstrations, fit.weights), unit, fit.vector)
 
 # %%
 corner_m = np.array([maps.grid.x_min_m, maps.grid.y_min_m])
-others = ju.sample_instances(maps, 20, weights=[own], seed=2).query("is_connected")
+others = ju.studies.sample_instances(maps, 20, weights=[own], seed=2).query("is_connected")
 for name, weights in (("default weights", ju.Weights()), ("fitted weights", fit.weights)):
     weighted = ju.cost_map(maps, 20.0, weights=weights)
     regret = []

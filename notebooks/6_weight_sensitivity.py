@@ -15,8 +15,8 @@
 #
 # Weights are judgement: nobody measures how many metres a pedestrian is worth. So what matters is where the answer
 # changes. The cheapest route stays the same over a range of weights, then **changes** to another at once, at a
-# *breakpoint*. `ju.sensitivity` finds every breakpoint, each weight from a tenth to ten times its value, and proves by
-# searches that none is missing.
+# *breakpoint*. `ju.studies.sensitivity` finds every breakpoint, each weight from a tenth to ten times its value, and
+# proves by searches that none is missing.
 
 # %%
 # %matplotlib inline
@@ -34,7 +34,7 @@ from jaxurban.report.figures.sensitivity import (
 city = ju.demo_city(width_m=2_000, height_m=3_000)
 maps = ju.build_maps(city, resolution_m=20.0, altitudes_m=(20.0,))
 start, goal = maps.grid.lonlat_of_cell(18, 32), maps.grid.lonlat_of_cell(120, 62)
-found = ju.sensitivity(ju.cost_map(maps, 20.0), start, goal, snap=True)
+found = ju.studies.sensitivity(ju.cost_map(maps, 20.0), start, goal, snap=True)
 print(f"{found.num_plans:,} searches in {found.elapsed_s:.1f} s")
 
 # %% [markdown]

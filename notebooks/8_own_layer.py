@@ -97,8 +97,8 @@ plot_paths(maps, list(routes.values()), names=list(routes))
 
 # %%
 on = ju.cost_map(maps, 20.0, weights={"complaints": 3, "gusts": 1})
-settings = ju.SensitivitySettings(vary=("complaints", "gusts"), num_samples=16)
-found = ju.sensitivity(on, start, goal, snap=True, settings=settings)
+settings = ju.studies.SensitivitySettings(vary=("complaints", "gusts"), num_samples=16)
+found = ju.studies.sensitivity(on, start, goal, snap=True, settings=settings)
 plot_breakpoint_routes(found)
 
 # %% [markdown]

@@ -14,8 +14,8 @@
 # **Which weights matter, and can three cities tell?**
 #
 # One route on one map (notebook 6) is an anecdote. A paper needs many routes, altitudes and cities, and intervals that
-# say how much of the answer is chance. `ju.sensitivity_study` draws routes by stratum and range and asks every one of
-# them the same questions.
+# say how much of the answer is chance. `ju.studies.sensitivity_study` draws routes by stratum and range and asks every
+# one of them the same questions.
 #
 # Three synthetic cities stand for three of yours: a folder of maps for each would do as well.
 
@@ -46,8 +46,8 @@ pd.set_option("display.max_colwidth", None, "display.max_rows", 100)
 # it, and the same call goes on. More routes (`30`) and samples (`num_samples=64`) narrow every interval.
 
 # %%
-found = ju.sensitivity_study(
-    maps, folder / "study", 10, settings=ju.SensitivityStudySettings(num_samples=4), progress=False
+found = ju.studies.sensitivity_study(
+    maps, folder / "study", 10, settings=ju.studies.SensitivityStudySettings(num_samples=4), progress=False
 )
 print(f"{len(found.rows)} routes")
 

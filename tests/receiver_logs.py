@@ -18,7 +18,7 @@ SCENARIO = {
     "buildings": {"source": "synthetic"},
     "gps": {"mask_deg": 10.0},
 }
-SETTINGS = ju.ReceiverSettings(sky_step_s=240.0, block_m=100.0)
+SETTINGS = ju.studies.ReceiverSettings(sky_step_s=240.0, block_m=100.0)
 SPEED_M_S, NUM_LEGS = 6.0, 8
 
 
@@ -70,7 +70,7 @@ def drive() -> pd.DataFrame:
 @cache
 def seen() -> ReceiverValidation:
     """Return what the maps say along the drive; its witness is of no interest."""
-    return ju.validate(scenario(), drive().assign(num_tracked=5), SETTINGS, progress=False)
+    return ju.studies.validate(scenario(), drive().assign(num_tracked=5), SETTINGS, progress=False)
 
 
 @cache
@@ -85,4 +85,4 @@ def true_log() -> pd.DataFrame:
 
 @cache
 def found() -> ReceiverValidation:
-    return ju.validate(scenario(), true_log(), SETTINGS, progress=False)
+    return ju.studies.validate(scenario(), true_log(), SETTINGS, progress=False)

@@ -22,6 +22,7 @@ import shapely
 
 import jaxurban as ju
 from jaxurban.cli.main import app
+from jaxurban.public import NAMESPACES
 from jaxurban.scenario.settings import Scenario
 from tests.cli_runs import run
 
@@ -257,4 +258,6 @@ def test_the_scenario_page_names_every_setting_with_its_default():
 def test_the_python_page_names_every_public_name():
     page = (ROOT / "docs/reference/api.md").read_text(encoding="utf-8")
     table = [line for line in page.splitlines() if line.startswith("|")]
-    assert sorted(re.findall(r"`(\w+)`", "\n".join(table))) == ju.__all__
+    spaces = {name: getattr(ju, name) for name in NAMESPACES}
+    names = [*ju.__all__, *(f"{space}.{name}" for space, module in spaces.items() for name in module.__all__)]
+    assert sorted(re.findall(r"`([\w.]+)`", "\n".join(table))) == sorted({*names} - {*spaces})

@@ -18,6 +18,7 @@ import pytest
 
 import jaxurban as ju
 from jaxurban.errors import InputError
+from jaxurban.public import NAMESPACES, find_public
 from tests.made_maps import made_maps
 
 MAPS = made_maps(24, 30)
@@ -27,6 +28,7 @@ BOUNDS = (-74.0, 40.755, -73.997, 40.757)
 SETTINGS = {"region": {"bounds": BOUNDS}, "buildings": {"source": "synthetic"}}
 RIGHT = "every value of the type is a right one here"
 MADE = (  # what functions return; XY is looked at where it is used
+    "GuessWarning",
     *("MetricMaps", "CostMap", "MapComparison", "PlannedPath", "PlannedPaths", "RouteReport", "SensitivityStudy"),
     "ReceiverValidation",
     *("SoftCity", "Demonstration", "InputError", "JaxurbanError", "Scenario", "XY", "City"),
@@ -53,8 +55,8 @@ def held(what: str) -> Any:
         "file": lambda: held("path").save(Path(tempfile.mkdtemp()) / "path.geojson"),
         "paths": lambda: ju.plan_many(MAPS, [(START, GOAL)], altitude_m=20.0, progress=False),
         "cost_map": lambda: ju.cost_map(MAPS, 20.0),
-        "query": lambda: ju.make_queries(held("cost_map"), [(START, GOAL)])[0],
-        "shown": lambda: ju.demonstrations_from_paths(held("path"), MAPS)[0],
+        "query": lambda: ju.studies.make_queries(held("cost_map"), [(START, GOAL)])[0],
+        "shown": lambda: ju.fit.demonstrations_from_paths(held("path"), MAPS)[0],
     }[what]()
 
 
@@ -109,7 +111,7 @@ GOOD: dict[str, Callable[[], dict[str, Any]]] = {
     "soft_city": lambda: {
         "city": held("city"),
         "grid": held("grid"),
-        "params": ju.SoftParams(altitude_m=20.0),
+        "params": ju.grad.SoftParams(altitude_m=20.0),
     },
     "study": lambda: {"maps": MAPS, "folder": "/proc/none", "instances": 1, "progress": False},
     "validate": lambda: {"scenario": ju.Scenario.from_dict(SETTINGS), "log": "no-such.csv", "progress": False},
@@ -227,8 +229,9 @@ WRONG |= dict.fromkeys(  # known only with the maps, the files or the folder, or
 
 def public() -> Iterator[tuple[str, Callable[..., Any]]]:
     """Yield every public function, constructor, class method and method of what functions return, by its name."""
-    for name in dir(ju):
-        thing = getattr(ju, name)
+    spaces = [ju, *(getattr(ju, name) for name in NAMESPACES)]
+    for name in [name for space in spaces for name in space.__all__ if name not in NAMESPACES]:
+        thing = find_public(name)
         if not inspect.isclass(thing) or name not in MADE:
             yield name, thing
         for method, function in vars(thing).items() if inspect.isclass(thing) else ():

@@ -2,6 +2,7 @@
 
 import ast
 import dataclasses
+import inspect
 import json
 import os
 import subprocess
@@ -17,6 +18,7 @@ import jaxurban as ju
 from jaxurban.errors import InputError, typed
 from jaxurban.io.store import write_zarr
 from jaxurban.paths.export.write import write_path
+from jaxurban.public import NAMESPACES
 from jaxurban.report.figures import plot_metric, plot_overview, plot_paths
 from tests.made_maps import made_maps
 
@@ -166,10 +168,14 @@ def test_a_path_keeps_its_weights_by_name(paths):
 
 
 def test_dir_lists_exactly_the_public_names_and_checkers_see_the_same():
-    stub = ast.parse(Path(ju.__file__).with_suffix(".pyi").read_text(encoding="utf-8"))
-    seen = {name.asname for line in stub.body if isinstance(line, ast.ImportFrom) for name in line.names}
-    assert dir(ju) == sorted(seen)
-    assert all(getattr(ju, name).__name__ == name for name in dir(ju))
+    for module in (ju, *(getattr(ju, name) for name in NAMESPACES)):
+        stub = ast.parse(Path(module.__file__).with_suffix(".pyi").read_text(encoding="utf-8"))
+        seen = {name.asname for line in stub.body if isinstance(line, ast.ImportFrom) for name in line.names}
+        assert dir(module) == sorted(seen)
+        found = {name: getattr(module, name) for name in dir(module)}
+        assert all(thing.__name__.rpartition(".")[2] == name for name, thing in found.items())
+        assert {name for name, thing in found.items() if inspect.ismodule(thing)} <= {*NAMESPACES}
+    assert {*NAMESPACES} < {*dir(ju)}
     code = "import sys, jaxurban; print([name for name in ('jax', 'numpy', 'numba') if name in sys.modules])"
     told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert told.stdout == "[]\n"
@@ -178,13 +184,19 @@ def test_dir_lists_exactly_the_public_names_and_checkers_see_the_same():
 @pytest.mark.parametrize(
     ("call", "words"),
     [
-        (lambda: ju.sensitivity(MAPS, START, GOAL), "cost_map must be a CostMap .from cost_map., got MetricMaps"),
         (
-            lambda: ju.fit_weights(ju.demonstrations_from_paths([5], MAPS)),
+            lambda: ju.studies.sensitivity(MAPS, START, GOAL),
+            "cost_map must be a CostMap .from cost_map., got MetricMaps",
+        ),
+        (
+            lambda: ju.fit.fit_weights(ju.fit.demonstrations_from_paths([5], MAPS)),
             "paths must be a PlannedPath .* sequence of PlannedPath",
         ),
-        (lambda: ju.fit_weights([5]), "demonstrations must be a sequence of Demonstration .from read_demonstrations."),
-        (lambda: ju.compare_fits(5), "cities must be"),
+        (
+            lambda: ju.fit.fit_weights([5]),
+            "demonstrations must be a sequence of Demonstration .from read_demonstrations.",
+        ),
+        (lambda: ju.fit.compare_fits(5), "cities must be"),
         (lambda: ju.build_maps(ju.demo_city(), others={"gsp": 1}), "each name in others"),
         (lambda: ju.build_maps(5), "city must be a City .from City.from_files or demo_city."),
         (lambda: ju.explain(ju.plan(MAPS, START, GOAL, altitude_m=20.0), made_maps(8, 8)), "leaves the region"),
@@ -214,36 +226,39 @@ def test_a_thing_of_another_kind_is_one_sentence(call, words):
         (lambda: ju.Scenario.from_toml(5), "path must be a text or a path, got 5"),
         (lambda: ju.Constraints.read(5), "no_fly must be a text, a path or a sequence, got 5"),
         (lambda: ju.Constraints(5), "zones must be a sequence of Zone, got 5"),
-        (lambda: ju.MapsFolder(5), "folder must be a text or a path, got 5"),
+        (lambda: ju.studies.MapsFolder(5), "folder must be a text or a path, got 5"),
         (lambda: ju.demo_city(seed="a"), "seed must be a whole number, got 'a'"),
         (lambda: ju.demo_city(width_m=[1]), "width_m must be a number (metres), got list of 1"),
-        (lambda: ju.soft_city(MAPS, 6, 7), "city must be a City (from City.from_files or demo_city), got MetricMaps"),
+        (
+            lambda: ju.grad.soft_city(MAPS, 6, 7),
+            "city must be a City (from City.from_files or demo_city), got MetricMaps",
+        ),
         (
             lambda: ju.build_maps(ju.demo_city(400, 400), resolution_m="a"),
             "resolution_m must be a number (metres), got 'a'",
         ),
         (lambda: ju.plan_many(MAPS, [(START, GOAL)], altitude_m=20.0, num_threads="a"), "num_threads must be a whole"),
         (lambda: ju.explain(ju.plan(MAPS, START, GOAL, altitude_m=20.0), num_segments="a"), "num_segments must be a"),
-        (lambda: ju.sample_instances(MAPS, num="a"), "num must be a whole number, got 'a'"),
-        (lambda: ju.make_queries(ju.cost_map(MAPS, 20.0), 5), "pairs must be a sequence, got 5"),
+        (lambda: ju.studies.sample_instances(MAPS, num="a"), "num must be a whole number, got 'a'"),
+        (lambda: ju.studies.make_queries(ju.cost_map(MAPS, 20.0), 5), "pairs must be a sequence, got 5"),
         (
-            lambda: ju.fit_weights(5),
+            lambda: ju.fit.fit_weights(5),
             "demonstrations must be a sequence of Demonstration (from read_demonstrations), got 5",
         ),
-        (lambda: ju.read_demonstrations(5, MAPS), "file must be a text or a path, got 5"),
-        (lambda: ju.FitSettings(max_rounds="a"), "max_rounds must be a whole number, got 'a'"),
-        (lambda: ju.FitSettings(max_rounds=True), "max_rounds must be a whole number, got True"),
-        (lambda: ju.SensitivitySettings(seed=-1), "seed must be a whole number from 0 up, got -1"),
-        (lambda: ju.sample_instances(MAPS, 2, seed=-1), "seed must be a whole number from 0 up, got -1"),
+        (lambda: ju.fit.read_demonstrations(5, MAPS), "file must be a text or a path, got 5"),
+        (lambda: ju.fit.FitSettings(max_rounds="a"), "max_rounds must be a whole number, got 'a'"),
+        (lambda: ju.fit.FitSettings(max_rounds=True), "max_rounds must be a whole number, got True"),
+        (lambda: ju.studies.SensitivitySettings(seed=-1), "seed must be a whole number from 0 up, got -1"),
+        (lambda: ju.studies.sample_instances(MAPS, 2, seed=-1), "seed must be a whole number from 0 up, got -1"),
         (lambda: ju.Levels(level_step_m="x"), "level_step_m must be a"),
-        (lambda: ju.SensitivitySettings(vary=5), "vary must be a sequence of texts, got 5"),
-        (lambda: ju.BenchmarkSettings(budget_s=-1), "budget_s must be a positive number of seconds, got -1"),
+        (lambda: ju.studies.SensitivitySettings(vary=5), "vary must be a sequence of texts, got 5"),
+        (lambda: ju.studies.BenchmarkSettings(budget_s=-1), "budget_s must be a positive number of seconds, got -1"),
         (
-            lambda: ju.BenchmarkSettings(budget_iterations=0),
+            lambda: ju.studies.BenchmarkSettings(budget_iterations=0),
             "budget_iterations must be a whole number from 1 up",
         ),
-        (lambda: ju.save_sensitivity(5, "out"), "found must be a Sensitivity (from sensitivity), got 5"),
-        (lambda: ju.study(MAPS, 5, 3), "folder must be a text or a path, got 5"),
+        (lambda: ju.studies.save_sensitivity(5, "out"), "found must be a Sensitivity (from sensitivity), got 5"),
+        (lambda: ju.studies.study(MAPS, 5, 3), "folder must be a text or a path, got 5"),
     ],
 )
 def test_an_argument_of_another_kind_names_the_kinds_that_it_may_be(call, told):
@@ -287,21 +302,24 @@ def test_times_may_be_datetimes_of_any_kind():
 
 def test_studies_of_routes_refuse_volumes():
     volume = ju.cost_map(MAPS, ju.Levels())
-    for study in (lambda: ju.sensitivity(volume, START, GOAL), lambda: ju.make_queries(volume, [(START, GOAL)])):
+    for study in (
+        lambda: ju.studies.sensitivity(volume, START, GOAL),
+        lambda: ju.studies.make_queries(volume, [(START, GOAL)]),
+    ):
         with pytest.raises(InputError, match="needs one altitude, not Levels"):
             study()
     path = ju.plan(MAPS, START, GOAL, altitude_m=20.0)
     climbing = dataclasses.replace(path, z_m=path.z_m + np.arange(len(path.z_m)))
     with pytest.raises(InputError, match="demonstration '1' changes its altitude"):
-        ju.demonstrations_from_paths(climbing, MAPS)
+        ju.fit.demonstrations_from_paths(climbing, MAPS)
 
 
 def test_routes_may_come_from_a_generator(paths):
-    assert len(ju.demonstrations_from_paths((path for path in paths[:2]), MAPS)) == 2
+    assert len(ju.fit.demonstrations_from_paths((path for path in paths[:2]), MAPS)) == 2
 
 
 def test_numbers_and_sequences_of_numpy_are_taken_as_python_s():
-    assert ju.FitSettings(max_rounds=np.int64(3), budget_s=np.float32(2.0)).max_rounds == 3
+    assert ju.fit.FitSettings(max_rounds=np.int64(3), budget_s=np.float32(2.0)).max_rounds == 3
     assert ju.demo_city(np.float64(400.0), np.int32(400), seed=np.int64(0)).extent_m == ju.demo_city(400, 400).extent_m
     assert ju.Layer("noise.tif", "high-is-bad", np.array([0.0, 80.0])).scaled(40.0) == 0.5
 
@@ -321,9 +339,9 @@ def test_places_in_metres_folders_and_single_paths_are_taken_where_many_are(path
     ends = [ju.XY(*map(float, MAPS.grid.xy_of_cell(*FREE[at]))) for at in (0, -1)]
     path = ju.plan(MAPS, *ends, altitude_m=20.0, weights={"risk": 5})
     assert path.cost == paths[0].cost
-    (shown,) = ju.demonstrations_from_paths(path, folder)
+    (shown,) = ju.fit.demonstrations_from_paths(path, folder)
     assert shown.query.cost_map.maps.grid == MAPS.grid
-    assert len(ju.sample_instances(folder, 2, altitudes_m=[20.0])) == 2
-    assert ju.BenchmarkSettings(planners="ptp").planners == ("ptp",)
+    assert len(ju.studies.sample_instances(folder, 2, altitudes_m=[20.0])) == 2
+    assert ju.studies.BenchmarkSettings(planners="ptp").planners == ("ptp",)
     assert "weights: distance 0.1" in repr(shown.query.cost_map)
     assert "array" not in repr(shown.query.cost_map)

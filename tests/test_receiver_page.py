@@ -77,7 +77,7 @@ def test_lines_of_sight_from_the_track_are_those_through_exact_outlines(tokyo, m
         return METRIC.compute(scene, params) | {f"word {k}": word for k, word in enumerate(scene.words)}
 
     monkeypatch.setattr(prediction, "METRIC", replace(METRIC, compute=compute))
-    settings = ju.ReceiverSettings()
+    settings = ju.studies.ReceiverSettings()
     scenario, log = ju.Scenario.from_dict(receiver.SETTINGS), read_receiver_log(tokyo)
     grid = prediction.region_of(scenario)
     track = Track.of(log, grid, settings.sky_step_s)

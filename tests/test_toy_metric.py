@@ -24,7 +24,7 @@ from jaxurban.progress import Report
 from jaxurban.report.figures import plot_metric, plot_overview, plot_paths
 from jaxurban.scenario.run import Maker, make_zarr
 from jaxurban.studies.demonstrations import optimal_demonstrations
-from jaxurban.studies.sensitivity import sobol
+from jaxurban.studies.weights import sobol
 from jaxurban.world.sky import Sky
 from tests import tiled_runs
 from tests.cli_runs import run
@@ -159,18 +159,18 @@ def test_batches_fits_sensitivity_and_studies_take_it(maps, ends, path, tmp_path
     assert batch[0].cost == pytest.approx(path.cost, rel=1e-9)
     assert batch.to_dataframe().cost_toy.item() == pytest.approx(path.cost_by_layer["toy"])
     on = ju.cost_map(maps, ALTITUDE_M, weights=WEIGHTS)
-    quick = ju.SensitivitySettings(vary=("toy",), num_samples=2, objectives=("distance", "toy"), max_plans=10)
-    found = ju.sensitivity(on, *ends, settings=quick)
+    quick = ju.studies.SensitivitySettings(vary=("toy",), num_samples=2, objectives=("distance", "toy"), max_plans=10)
+    found = ju.studies.sensitivity(on, *ends, settings=quick)
     assert found.names == ("distance", *maps.metrics)
     assert found.route.cost == pytest.approx(path.cost, rel=1e-9)
     hidden = ju.Weights(**dict.fromkeys(METRICS, 0.0) | {"distance": 0.1, "toy": 0.9})
-    shown = optimal_demonstrations(ju.make_queries(on, [ends, ends[::-1]]), hidden)
-    fit = ju.fit_weights(shown, bootstrap=2, settings=ju.FitSettings(max_rounds=1))
+    shown = optimal_demonstrations(ju.studies.make_queries(on, [ends, ends[::-1]]), hidden)
+    fit = ju.fit.fit_weights(shown, bootstrap=2, settings=ju.fit.FitSettings(max_rounds=1))
     assert fit.weights["toy"] > 0
     weights = [ju.Weights(**dict.fromkeys(METRICS, 0.0) | WEIGHTS)]
-    instances = ju.sample_instances(maps, 1, altitudes_m=[ALTITUDE_M], weights=weights)
-    settings = ju.BenchmarkSettings(planners=["astar-plus"], distance_only=(), budget_s=1.0)
-    result = ju.study(maps, tmp_path / "study", instances, settings=settings, progress=False)
+    instances = ju.studies.sample_instances(maps, 1, altitudes_m=[ALTITUDE_M], weights=weights)
+    settings = ju.studies.BenchmarkSettings(planners=["astar-plus"], distance_only=(), budget_s=1.0)
+    result = ju.studies.study(maps, tmp_path / "study", instances, settings=settings, progress=False)
     assert result.instances.w_toy.item() == 2.0
     row = result.rows.iloc[0]
     assert row.status == "optimal"
@@ -188,9 +188,9 @@ def test_pictures_show_it(maps, path, tmp_path):
 def test_the_planned_cost_has_its_gradient_by_heights_and_its_own_parameters():
     city = ju.demo_city(width_m=400, height_m=400)
     grid = ju.Grid(city.crs, 20.0, *(int(np.ceil(v / 20.0)) + 2 for v in city.extent_m[1::-1]), 12, 12)
-    params = ju.SoftParams(ALTITUDE_M, others={"toy": ToyParams(30.0)})
+    params = ju.grad.SoftParams(ALTITUDE_M, others={"toy": ToyParams(30.0)})
     with jax.enable_x64(True):
-        soft = ju.soft_city(city, grid, params, layers={"shade": shade()})
+        soft = ju.grad.soft_city(city, grid, params, layers={"shade": shade()})
         assert soft.names == ("population", "toy", "shade")
         visits = path_visits(np.array([[30.0, 30.0], [210.0, 170.0]]), grid.shape, 20.0, ju.CostModel("line"))
         weights = ju.Weights(population=0.0, toy=2.0, shade=1.0)
@@ -204,7 +204,7 @@ def test_the_planned_cost_has_its_gradient_by_heights_and_its_own_parameters():
         slope = (cost(soft.height_m + step, params) - cost(soft.height_m - step, params)) / 2e-4
         assert by_height.sum() > 0
         assert by_height.sum() == pytest.approx(float(slope), rel=1e-5)
-        more, less = (ju.SoftParams(ALTITUDE_M, others={"toy": ToyParams(30.0 + d)}) for d in (1e-3, -1e-3))
+        more, less = (ju.grad.SoftParams(ALTITUDE_M, others={"toy": ToyParams(30.0 + d)}) for d in (1e-3, -1e-3))
         slope = (cost(soft.height_m, more) - cost(soft.height_m, less)) / 2e-3
         assert float(by_params.others["toy"].scale_m) == pytest.approx(float(slope), rel=1e-5)
 

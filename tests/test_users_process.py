@@ -40,7 +40,7 @@ for name in before:
     assert before[name] == after[name], (name, before[name], after[name])
 """
 IMPORT = "import jaxurban as ju"
-EVERY_NAME = IMPORT + "; [getattr(ju, name) for name in ju.__all__]"
+EVERY_NAME = IMPORT + "; [getattr(home, name) for home in (ju, ju.studies) for name in home.__all__]"
 USE = (
     IMPORT
     + """

@@ -43,7 +43,7 @@ CLAIMS = {  # property: its meaning, then PTP, A*, BIT*
 def trial() -> pd.DataFrame:
     """Return every planner's answer to the same queries, joined with them; it repeats exactly but for the times."""
     maps = SYNTHETIC.maps(PATH_M)
-    queries = ju.sample_instances(maps, NUM_QUERIES, altitudes_m=(ALTITUDE_M,), seed=SEED)
+    queries = ju.studies.sample_instances(maps, NUM_QUERIES, altitudes_m=(ALTITUDE_M,), seed=SEED)
     settings = BenchmarkSettings(budget_iterations=NUM_SAMPLES, seed=SEED)
     rows = []
     for (time, time_of_day), asked in queries.groupby(["time", "time_of_day"]):

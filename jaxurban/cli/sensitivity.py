@@ -70,8 +70,8 @@ def sensitivity(folder: Path, output: Path, as_json: bool, overwrite: bool, **gi
     from jaxurban.paths.cost_map import cost_map
     from jaxurban.report.buildings import BUILDINGS_FILES, write_buildings
     from jaxurban.report.sensitivity import FILES, add_buildings, ranges, write_sensitivity
-    from jaxurban.studies.sensitivity.study import SensitivitySettings
-    from jaxurban.studies.sensitivity.study import sensitivity as study
+    from jaxurban.studies.weights.study import SensitivitySettings
+    from jaxurban.studies.weights.study import sensitivity as study
 
     with_buildings, scenario = given["with_buildings"], given["scenario"]
     if scenario is not None and not with_buildings:
@@ -157,7 +157,7 @@ def sensitivity_study(folders: Sequence[Path], output: Path, as_json: bool, over
     from jaxurban.report.run_sensitivity import sensitivity_study as study
     from jaxurban.studies.montecarlo.run import MapsFolder
     from jaxurban.studies.montecarlo.trial import HAS_PATH
-    from jaxurban.studies.sensitivity.routes import RemadeSettings, SensitivityStudySettings
+    from jaxurban.studies.weights.routes import RemadeSettings, SensitivityStudySettings
 
     if given["queries"] is not None and (given["num_routes"] is not None or given["altitudes_m"]):
         raise click.UsageError("--queries names the routes: leave out --routes and --altitudes, or --queries")

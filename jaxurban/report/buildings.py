@@ -20,7 +20,7 @@ from jaxurban.report.write import save
 from jaxurban.scenario.provenance import hash_inputs
 from jaxurban.scenario.run import tasks_of
 from jaxurban.scenario.settings import Scenario
-from jaxurban.studies.sensitivity.buildings import building_costs
+from jaxurban.studies.weights.buildings import building_costs
 
 BUILDINGS_FILES = "buildings.csv", "buildings.parquet", "buildings.png"
 
@@ -83,11 +83,11 @@ def write_buildings(
       planned: a route over these maps.
       out: where the files go; made if it is not there.
       scenario: file that the maps were made from, where sources have relative names.
-      softness_m: see `jaxurban.studies.sensitivity.buildings.building_costs`.
+      softness_m: see `jaxurban.studies.weights.buildings.building_costs`.
       degrees: label the picture by longitude and latitude instead of easting and northing.
 
     Returns:
-      The table of `jaxurban.studies.sensitivity.buildings.building_costs`.
+      The table of `jaxurban.studies.weights.buildings.building_costs`.
 
     Raises:
       InputError: there is no route, sources that are not found or changed, buildings from a height raster, a route over

@@ -36,7 +36,7 @@ from jaxurban.studies.montecarlo.sampling import (
     weight_columns,
 )
 from jaxurban.studies.queries import population_norms
-from jaxurban.studies.sensitivity.routes import (
+from jaxurban.studies.weights.routes import (
     REMADE_KEY,
     ROUTE_KEY,
     RemadeSettings,

@@ -15,8 +15,8 @@ from jaxurban.report.figures.notes import joined
 from jaxurban.report.figures.sensitivity import sensitivity_figures
 from jaxurban.report.write import files_of, fill, framed, listed, save, short, table
 from jaxurban.studies.queries import outcome_label, outcome_names, outcome_unit
-from jaxurban.studies.sensitivity.sobol import FEW_SAMPLES
-from jaxurban.studies.sensitivity.study import Sensitivity
+from jaxurban.studies.weights.sobol import FEW_SAMPLES
+from jaxurban.studies.weights.study import Sensitivity
 
 REPORT_FILE = "report.md"
 TABLES = "cost_gradient", "local", "sobol", "sobol_spread", "switches", "pareto", "triangle", "triangle_cells"

@@ -16,10 +16,10 @@ from jaxurban.studies.bootstrap import FEWEST_GROUPS
 from jaxurban.studies.montecarlo.sampling import weighed_metrics, weight_columns
 from jaxurban.studies.montecarlo.trial import HAS_PATH
 from jaxurban.studies.queries import outcome_label
-from jaxurban.studies.sensitivity import summary
-from jaxurban.studies.sensitivity.routes import SensitivityStudySettings
-from jaxurban.studies.sensitivity.sobol import FEW_SAMPLES
-from jaxurban.studies.sensitivity.summary import ALL, CLEAR, CUTS, UNCLEAR, change_said
+from jaxurban.studies.weights import summary
+from jaxurban.studies.weights.routes import SensitivityStudySettings
+from jaxurban.studies.weights.sobol import FEW_SAMPLES
+from jaxurban.studies.weights.summary import ALL, CLEAR, CUTS, UNCLEAR, change_said
 
 REPORT_FILE = "report.md"
 STATISTICS = {"regret": ".2%", "changes": ".0%", "nearest": ".3g", "share": ".1%"}
@@ -39,8 +39,8 @@ class SensitivityStudy:
       folder: where it is kept.
       cities: how the cities are called, with their grids in words.
       instances: the routes asked for.
-      rows: what was found for each (`jaxurban.studies.sensitivity.routes.route_row`).
-      remade: how each route differs on maps made anew (`jaxurban.studies.sensitivity.routes.remade_rows`).
+      rows: what was found for each (`jaxurban.studies.weights.routes.route_row`).
+      remade: how each route differs on maps made anew (`jaxurban.studies.weights.routes.remade_rows`).
       skipped: why maps were not made anew, a sentence a city.
       settings: what was asked.
       is_sampled: whether the routes were drawn, by stratum and range, or given.

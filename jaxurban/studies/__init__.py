@@ -1,1 +1,5 @@
-"""Studies of weights: fitting them from routes, and what routes do as they change."""
+"""Monte Carlo studies, sensitivities, comparisons of maps and with receivers."""
+
+from jaxurban.public import public_names
+
+__getattr__, __dir__, __all__ = public_names(__name__, __file__)

@@ -52,8 +52,8 @@ def tiles_by_workers(base: Path, folder: Path) -> None:
 
 def study(base: Path, folder: Path) -> None:
     """Run planners on random instances."""
-    how = ju.BenchmarkSettings(planners=("astar-plus", "bitstar-plus"), budget_iterations=400)
-    ju.study(base, folder, 12, settings=how, progress=False)
+    how = ju.studies.BenchmarkSettings(planners=("astar-plus", "bitstar-plus"), budget_iterations=400)
+    ju.studies.study(base, folder, 12, settings=how, progress=False)
 
 
 def tune(base: Path, folder: Path) -> None:
@@ -91,8 +91,8 @@ def plan_many(base: Path, folder: Path) -> None:
 
 def sensitivity(base: Path, folder: Path) -> None:
     """Vary the weights of several routes."""
-    how = ju.SensitivityStudySettings(num_samples=16)
-    ju.sensitivity_study(base, folder, 4, settings=how, progress=False)
+    how = ju.studies.SensitivityStudySettings(num_samples=16)
+    ju.studies.sensitivity_study(base, folder, 4, settings=how, progress=False)
 
 
 def as_files(folder: Path) -> dict[str, bytes]:

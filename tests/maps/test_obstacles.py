@@ -130,7 +130,7 @@ def test_a_study_of_a_route_that_is_not_there_says_what_would_join_its_ends():
     maps = walled((-50, 97.6, 97.4, 102.4), (103.5, 97.6, 250, 102.4))
     ends = {name.removesuffix("_xy_m"): maps.grid.lonlat_of_xy(*xy_m) for name, xy_m in ENDS.items()}
     with pytest.raises(InputError, match="joined at 60 m"):
-        ju.sensitivity(ju.cost_map(maps, 20.0), **ends)
+        ju.studies.sensitivity(ju.cost_map(maps, 20.0), **ends)
 
 
 def test_a_start_that_only_a_touch_closes_is_told_apart(gap):
@@ -153,9 +153,9 @@ def test_an_example_that_only_a_touch_closes_names_the_rule_under_which_it_is_fr
     by_centre = gap.with_obstacles("centre")
     start_xy_m = tuple(map(float, gap.grid.xy_of_cell(row, col)))
     path = ju.plan(by_centre, start_xy_m=start_xy_m, goal_xy_m=ENDS["goal_xy_m"], altitude_m=20.0)
-    assert ju.demonstrations_from_paths([path], by_centre)
+    assert ju.fit.demonstrations_from_paths([path], by_centre)
     with pytest.raises(InputError, match="choose obstacles = centre"):
-        ju.demonstrations_from_paths([path], gap)
+        ju.fit.demonstrations_from_paths([path], gap)
 
 
 def test_a_start_in_a_volume_that_only_a_touch_closes_is_told_apart(gap):

@@ -63,7 +63,7 @@ def assert_same(name, found, expected):
 def test_jitted_all_maps_has_the_bits_of_build_maps_on_a_small_city():
     city = ju.demo_city(600, 600)
     expected = ju.build_maps(city, resolution_m=20.0, altitudes_m=(20.0,), times=TIMES[0])
-    inputs, skies = ju.map_inputs(city, expected.grid, altitudes_m=(20.0,), times=TIMES[0])
+    inputs, skies = ju.grad.map_inputs(city, expected.grid, altitudes_m=(20.0,), times=TIMES[0])
     found = jax.jit(all_maps)(inputs, at(skies, 0))
     assert {*found} >= {"obstacle", "gps", "gdop", "num_visible", "lidar", "risk", "population"}
     for name, values in found.items():
@@ -172,24 +172,24 @@ def test_it_is_exported_for_cpu_and_cuda_and_read_back(inputs, views):
 
 def test_from_a_notebook_it_gives_the_maps_of_build_maps(task, made):
     city, grid = task.city, task.region
-    inputs, skies = ju.map_inputs(city, grid, times=TIMES[:2], altitudes_m=(20.0, 60.0))
-    found = jax.vmap(ju.all_maps, (None, 0))(inputs, skies)
+    inputs, skies = ju.grad.map_inputs(city, grid, times=TIMES[:2], altitudes_m=(20.0, 60.0))
+    found = jax.vmap(ju.grad.all_maps, (None, 0))(inputs, skies)
     for name, values in made.items():
         assert_same(name, found[name], values)
     with pytest.raises(InputError, match="city must be a City"):
-        ju.map_inputs(5, grid)
+        ju.grad.map_inputs(5, grid)
     with pytest.raises(InputError, match=r"sky must be of one time, got 2: take jax\.vmap"):
-        ju.all_maps(inputs, skies)
+        ju.grad.all_maps(inputs, skies)
 
 
 def test_grids_and_times_are_refused_as_by_build_maps(task):
     with pytest.raises(InputError, match="times must be different UTC times"):
-        ju.map_inputs(task.city, task.region, times=[])
+        ju.grad.map_inputs(task.city, task.region, times=[])
     with pytest.raises(InputError, match="build the grid in the city's CRS"):
-        ju.map_inputs(task.city, replace(task.region, crs="EPSG:32633"))
+        ju.grad.map_inputs(task.city, replace(task.region, crs="EPSG:32633"))
     with pytest.raises(InputError, match="the region and the city do not meet"):
-        ju.map_inputs(task.city, replace(task.region, first_row=0))
-    _, skies = ju.map_inputs(task.city, task.region, times=TIMES[0])
+        ju.grad.map_inputs(task.city, replace(task.region, first_row=0))
+    _, skies = ju.grad.map_inputs(task.city, task.region, times=TIMES[0])
     assert skies.num.shape == (1,)
 
 

@@ -187,7 +187,7 @@ def test_what_has_no_gradient_says_so():
     soft = soften(task_of())
     assert "protection" not in soft.names
     with pytest.raises(InputError, match="protection"):
-        soft.layer("protection", soft.height_m, ju.SoftParams(altitude_m=ALTITUDE_M))
+        soft.layer("protection", soft.height_m, ju.grad.SoftParams(altitude_m=ALTITUDE_M))
 
 
 SCENARIO = """

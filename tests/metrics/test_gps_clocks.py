@@ -40,7 +40,7 @@ def task(tmp_path_factory) -> MapTask:
         mask_deg=10.0,
         gps=Gps(weighting="elevation"),
         lidar=Lidar(beams=2, azimuths=8, range_m=40.0),
-        others={"gps_horizontal": ju.Dop(4.0), "gps_vertical": ju.Dop()},
+        others={"gps_horizontal": ju.metrics.Dop(4.0), "gps_vertical": ju.metrics.Dop()},
     )
     return MapTask(city, grid, sky, params)
 
@@ -177,7 +177,7 @@ def test_soft_maps_follow_the_clocks_and_their_gradients_equal_finite_difference
     cells = jnp.asarray(np.argwhere(np.ones((6, 5), bool)) * 3)
     with jax.enable_x64(True):
         soft = soften(task, dtype=np.float64)
-        params = ju.SoftParams(Z_M, 3.0, gps=task.params.gps, others=dict(task.params.others))
+        params = ju.grad.SoftParams(Z_M, 3.0, gps=task.params.gps, others=dict(task.params.others))
         assert {"gps_horizontal", "gps_vertical"} <= set(soft.names)
 
         @jax.jit
@@ -201,7 +201,7 @@ def test_what_cannot_be_had_is_one_sentence(task):
     with pytest.raises(InputError, match="clocks must be 'system' or 'one', got 'two'"):
         Gps(clocks="two")
     with pytest.raises(InputError, match="dop_threshold must be a number above 1"):
-        ju.Dop(1.0)
+        ju.metrics.Dop(1.0)
 
 
 def test_a_runs_key_tells_clocks_and_weighting_apart():
@@ -210,5 +210,5 @@ def test_a_runs_key_tells_clocks_and_weighting_apart():
     scenarios = [Scenario.from_dict(bare | more) for more in asked]
     assert len({run_key(scenario, {}, "cpu") for scenario in scenarios}) == len(asked)
     assert scenarios[0].on_request == {}
-    assert scenarios[3].on_request == {"gps_horizontal": ju.Dop()}
+    assert scenarios[3].on_request == {"gps_horizontal": ju.metrics.Dop()}
     assert set(Scenario.from_dict(bare | {"weights": {"gps_vertical": 2.0}}).on_request) == {"gps_vertical"}

@@ -109,7 +109,7 @@ def test_a_table_with_wrong_columns_is_refused(maps, columns, message):
 
 
 def test_drawn_instances_are_planned_without_the_columns_that_a_refusal_names(maps):
-    drawn = ju.sample_instances(maps, 2).query("altitude_m == 20")
+    drawn = ju.studies.sample_instances(maps, 2).query("altitude_m == 20")
     with pytest.raises(InputError, match=r"unknown columns \[.*queries\.drop\(columns=") as refused:
         ju.plan_many(maps, drawn)
     named = literal_eval(str(refused.value)[str(refused.value).index("[") : str(refused.value).index("]") + 1])

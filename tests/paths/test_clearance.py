@@ -345,8 +345,8 @@ def test_demonstrations_planned_with_another_clearance_are_told(tmp_path):
     for suffix in READERS:
         file = path.save(tmp_path / f"route{suffix}")
         with pytest.warns(OtherSettingsWarning, match="clearance of 7 m, vertical clearance of 4 m"):
-            ju.read_demonstrations(file, maps)
-        ju.read_demonstrations(file, maps, constraints=constraints)  # warnings fail
+            ju.fit.read_demonstrations(file, maps)
+        ju.fit.read_demonstrations(file, maps, constraints=constraints)  # warnings fail
 
 
 def test_the_command_line_takes_clearances_and_the_scenarios(tmp_path, capsys):

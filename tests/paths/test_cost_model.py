@@ -18,7 +18,7 @@ from jaxurban.io.files import write_json
 from jaxurban.io.store import write_zarr
 from jaxurban.paths.export.write import write_path
 from jaxurban.studies.montecarlo.trial import BenchmarkSettings
-from jaxurban.studies.sensitivity import sobol
+from jaxurban.studies.weights import sobol
 from tests.cli_runs import assert_one_sentence, run
 from tests.made_maps import made_maps
 from tests.studies.routes_made import write_geojson
@@ -32,7 +32,7 @@ MODELS = [
     for kind, connectivity, diagonal in itertools.product(("cell", "line"), (4, 8), ("both-free", "always"))
 ]
 QUICK_MODELS = [MODELS[k] for k in (0, 3, 5, 6)]  # each value of each part with each other's; the rest is slow
-QUICK = ju.SensitivitySettings(vary=("gps",), num_samples=2, objectives=("distance", "gps"), max_plans=10)
+QUICK = ju.studies.SensitivitySettings(vary=("gps",), num_samples=2, objectives=("distance", "gps"), max_plans=10)
 REQUIRE = "risk>=0.08"
 
 
@@ -122,21 +122,21 @@ def costs_of_every_way(maps, ends, planned, under, closed, folder) -> dict[str, 
     (answer,) = ju.plan_many(maps, [ends], altitude_m=ALTITUDE_M, weights=WEIGHTS, progress=False, **under)
     costs["plan_many"] = answer.cost
     costs["explain"] = ju.explain(planned, maps).totals["cost"]
-    found = ju.sensitivity(ju.cost_map(maps, ALTITUDE_M, weights=WEIGHTS, **under), *ends, settings=QUICK)
+    found = ju.studies.sensitivity(ju.cost_map(maps, ALTITUDE_M, weights=WEIGHTS, **under), *ends, settings=QUICK)
     costs["sensitivity"] = found.route.cost
     costs["sensitivity's gradient"] = float(found.local.cost["gradient"] @ VECTOR)
     given = found.breakpoints("gps").query("is_given")
     assert given.length_m.item() == pytest.approx(planned.length_m, rel=1e-9)
     write_path(planned, folder / "route.geojson")
     for name, (shown,) in {
-        "read_demonstrations": ju.read_demonstrations(folder / "route.geojson", maps, **closed),
-        "demonstrations_from_paths": ju.demonstrations_from_paths([planned], maps, **closed),
+        "read_demonstrations": ju.fit.read_demonstrations(folder / "route.geojson", maps, **closed),
+        "demonstrations_from_paths": ju.fit.demonstrations_from_paths([planned], maps, **closed),
     }.items():
         assert shown.query.cost_map.cost_model == ju.CostModel.from_settings(planned.settings)
         costs[name] = float(shown.features @ VECTOR)
         costs[f"the search of {name}"] = float(shown.query.sums(shown.query.cheapest(VECTOR))[0] @ VECTOR)
-    how = ju.BenchmarkSettings(planners=["astar-plus"], distance_only=(), **under)
-    found = ju.study(maps, folder / "study", instances_of(maps), settings=how, progress=False)
+    how = ju.studies.BenchmarkSettings(planners=["astar-plus"], distance_only=(), **under)
+    found = ju.studies.study(maps, folder / "study", instances_of(maps), settings=how, progress=False)
     return costs | {"study": found.rows.cost.item()}
 
 
@@ -260,8 +260,8 @@ def test_routes_are_fitted_under_the_cost_model_they_were_planned_under_and_diff
     line, cell = (plans[ju.CostModel(kind, 4.0), "none"] for kind in ("line", "cell"))
     both = routes_file(tmp_path / "both.geojson", [line, cell])
     for read in (
-        lambda **more: ju.read_demonstrations(both, maps, **more),
-        lambda **more: ju.demonstrations_from_paths([line, cell], maps, **more),
+        lambda **more: ju.fit.read_demonstrations(both, maps, **more),
+        lambda **more: ju.fit.demonstrations_from_paths([line, cell], maps, **more),
     ):
         with pytest.raises(ju.InputError, match=r"planned under the cost model 'line' .* under 'cell' .*--cost-model"):
             read()
@@ -272,7 +272,7 @@ def test_routes_are_fitted_under_the_cost_model_they_were_planned_under_and_diff
             read(cost_model="line")
         assert len(told) == 2  # the reference length of the first is another one too
     drawn = write_geojson(tmp_path / "drawn.geojson", shown)
-    (unit,) = {each.query.cost_map for each in ju.read_demonstrations(drawn, maps, default_cost_model="line")}
+    (unit,) = {each.query.cost_map for each in ju.fit.read_demonstrations(drawn, maps, default_cost_model="line")}
     assert unit.cost_model == ju.CostModel("line")
 
     wrong = json.loads(both.read_text())
@@ -281,7 +281,7 @@ def test_routes_are_fitted_under_the_cost_model_they_were_planned_under_and_diff
     with pytest.raises(
         ju.InputError, match=r"route '1' of .*both.geojson.*: cost_model must be 'cell' or 'line', got 'area'"
     ):
-        ju.read_demonstrations(both, maps)
+        ju.fit.read_demonstrations(both, maps)
 
 
 def test_routes_of_other_constraints_than_the_fits_are_told(maps, plans, zone_file, tmp_path):
@@ -289,12 +289,12 @@ def test_routes_of_other_constraints_than_the_fits_are_told(maps, plans, zone_fi
     file = routes_file(tmp_path / "routes.geojson", [limited])
     constraints = "1 no-fly zone, risk>=0.08, vertical clearance of 3 m"
     with pytest.warns(OtherSettingsWarning, match=rf"other constraints \({constraints}\) than .*--no-fly, --require"):
-        ju.read_demonstrations(file, maps)
+        ju.fit.read_demonstrations(file, maps)
     with pytest.warns(OtherSettingsWarning, match=r"\(vertical clearance of 3 m\) than it is fitted under \(lidar>=0"):
-        ju.demonstrations_from_paths([free], maps, constraints=ju.Constraints.read(require="lidar>=0"))
+        ju.fit.demonstrations_from_paths([free], maps, constraints=ju.Constraints.read(require="lidar>=0"))
     moved = tmp_path / "moved.geojson"
     moved.write_text(zone_file.read_text())  # the same zone from another file is no other constraint
-    (read,) = ju.read_demonstrations(file, maps, constraints=ju.Constraints.read(moved, REQUIRE))
+    (read,) = ju.fit.read_demonstrations(file, maps, constraints=ju.Constraints.read(moved, REQUIRE))
     assert read.note == ""
 
 
@@ -322,13 +322,15 @@ def test_a_studys_queries_keep_to_its_constraints_and_are_joined_by_its_rule_for
     constraints = closing["constraints"]
     for diagonal, islands in (("both-free", None), ("always", np.ones((3, 3)))):
         model = ju.CostModel("line", 5.0, 8, diagonal)
-        asked = ju.sample_instances(maps, 30, altitudes_m=[ALTITUDE_M], cost_model=model, constraints=constraints)
+        asked = ju.studies.sample_instances(
+            maps, 30, altitudes_m=[ALTITUDE_M], cost_model=model, constraints=constraints
+        )
         is_free = constraints.is_free(maps, ALTITUDE_M)
         labels, _ = label(is_free, islands)
         ends = [labels[maps.grid.cell_of_xy(asked[f"{end}_x_m"], asked[f"{end}_y_m"])] for end in ("start", "goal")]
         assert np.all(ends)  # 0 where no path may fly
         assert ((ends[0] == ends[1]) == asked.is_connected).all()
-        open_maps = ju.sample_instances(maps, 30, altitudes_m=[ALTITUDE_M], cost_model=model)
+        open_maps = ju.studies.sample_instances(maps, 30, altitudes_m=[ALTITUDE_M], cost_model=model)
         assert not constraints.is_free(maps, ALTITUDE_M)[
             maps.grid.cell_of_xy(open_maps.start_x_m, open_maps.start_y_m)
         ].all()
@@ -337,8 +339,10 @@ def test_a_studys_queries_keep_to_its_constraints_and_are_joined_by_its_rule_for
 def test_a_folder_keeps_one_study_under_one_set_of_constraints(maps, closing, tmp_path):
 
     def study(constraints=None):
-        how = ju.BenchmarkSettings(planners=["ptp"], distance_only=(), constraints=constraints or ju.Constraints())
-        return ju.study(maps, tmp_path, instances_of(maps), settings=how, progress=False)
+        how = ju.studies.BenchmarkSettings(
+            planners=["ptp"], distance_only=(), constraints=constraints or ju.Constraints()
+        )
+        return ju.studies.study(maps, tmp_path, instances_of(maps), settings=how, progress=False)
 
     study(closing["constraints"])
     kept = json.loads((tmp_path / "study.json").read_text())

@@ -108,11 +108,11 @@ def test_a_presets_rule_is_one_for_commands_studies_and_the_viewer(tmp_path, cap
     maps = ju.open_maps(folder)
     plans = Plans(maps, preset="paper")
     assert (plans.cost_model.kind, plans.limits.vertical_clearance_m) == ("line", 3.0)
-    drawn = ju.sample_instances(maps, 2, altitudes_m=[ALTITUDE_M], weights=[ju.Weights()], preset="paper")
+    drawn = ju.studies.sample_instances(maps, 2, altitudes_m=[ALTITUDE_M], weights=[ju.Weights()], preset="paper")
     (row,) = drawn[drawn.instance == 0].itertuples()
     ends = ju.XY(row.start_x_m, row.start_y_m), ju.XY(row.goal_x_m, row.goal_y_m)
     path = ju.plan(maps, *ends, altitude_m=ALTITUDE_M, preset="paper")
-    shown = ju.demonstrations_from_paths(path, maps, preset="paper")[0].query.cost_map
+    shown = ju.fit.demonstrations_from_paths(path, maps, preset="paper")[0].query.cost_map
     assert (shown.cost_model.kind, shown.maps.obstacles) == ("line", "centre")
     assert shown.constraints.vertical_clearance_m == 3.0
     nothing = folder_of(tmp_path / "b", planning={})

@@ -20,12 +20,12 @@ from tests.studies.test_map_comparison import changed_from
 def found():
     a = made_maps()
     a.ds["roof"].attrs["units"] = "m"
-    return ju.compare(a, changed_from(a), progress=False)
+    return ju.studies.compare(a, changed_from(a), progress=False)
 
 
 @pytest.mark.slow
 def test_the_folder_holds_report_tables_maps_and_figures(found, tmp_path):
-    ju.save_comparison(found, tmp_path / "ab")
+    ju.studies.save_comparison(found, tmp_path / "ab")
     report = (tmp_path / "ab/report.md").read_text(encoding="utf-8")
     for name in comparison_figures(found):
         assert f"figures/{name}.png" in report
@@ -35,18 +35,18 @@ def test_the_folder_holds_report_tables_maps_and_figures(found, tmp_path):
     for row in found.table.query("layer == 'obstacle'").itertuples():
         assert f"| {row.gained} | {row.lost} |" in report
     with pytest.raises(ju.InputError, match="holds another run") as refused:
-        ju.save_comparison(ju.compare(found.b, found.a, progress=False), tmp_path / "ab")
+        ju.studies.save_comparison(ju.studies.compare(found.b, found.a, progress=False), tmp_path / "ab")
     assert len(str(refused.value)) < 600
     assert "population is divided by" not in report
     b = ju.MetricMaps(found.b.ds.assign_attrs(pop_norm_per_km2=[123.0, 4e4]))
     a = ju.MetricMaps(found.a.ds.assign_attrs(pop_norm_per_km2=[5e4, 4e4]))
-    ju.save_comparison(ju.compare(a, b, progress=False), tmp_path / "norms")
+    ju.studies.save_comparison(ju.studies.compare(a, b, progress=False), tmp_path / "norms")
     report = (tmp_path / "norms/report.md").read_text(encoding="utf-8")
     assert f"| population is divided by, {a.times_of_day[0]} | `50,000` | `123` |" in report
 
 
 def test_difference_maps_open_elsewhere_north_up_with_band_names(found, tmp_path):
-    ju.save_comparison(found, tmp_path)
+    ju.studies.save_comparison(found, tmp_path)
     with rasterio.open(tmp_path / "difference/risk_10m.tif") as file:
         assert file.descriptions == ("20 m", "60 m")
         assert file.crs.to_epsg() == 32618
@@ -96,7 +96,7 @@ def test_the_command_compares_folders_and_names_the_settings_that_differ(capsys,
 
 
 def test_a_report_of_the_same_maps_says_why_it_shows_no_picture(found):
-    same = ju.compare(found.a, found.a, progress=False)
+    same = ju.studies.compare(found.a, found.a, progress=False)
     assert "## Figures\n\nNone: a layer is drawn where it differs." in comparison_markdown(same, [])
 
 
@@ -117,7 +117,7 @@ def test_a_figure_names_the_time_of_both(found):
     later = times + np.timedelta64(1, "h")
     of_a, of_b = (np.datetime_as_string(each, "s") for each in (times, later))
     pairs = {f"{a}Z": f"{b}Z" for a, b in zip(of_a, of_b, strict=True)}
-    both = ju.compare(at_both(found.a, times), at_both(found.b, later), times=pairs, progress=False)
+    both = ju.studies.compare(at_both(found.a, times), at_both(found.b, later), times=pairs, progress=False)
     told = "\n".join(text.get_text() for text in plot_difference(both, "gps", time=f"{of_a[1]}Z").findobj(Text))
     assert "2020-04-27 19:00 UTC" in told
     assert "2020-04-27 20:00 UTC" in told

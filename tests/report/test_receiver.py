@@ -35,8 +35,8 @@ def test_the_figure_names_what_it_shows_and_counts_in_whole_numbers():
 
 def test_a_short_still_log_has_no_interval_and_is_drawn():
     log = true_log()[:60].assign(num_tracked=[5, 8] * 30)
-    settings = ju.ReceiverSettings(sky_step_s=240.0, block_m=100.0)
-    of = ju.validate(scenario(), log, settings, progress=False)
+    settings = ju.studies.ReceiverSettings(sky_step_s=240.0, block_m=100.0)
+    of = ju.studies.validate(scenario(), log, settings, progress=False)
     assert of.scores.within_low.isna().all()
     assert "nan" not in validation_markdown(of)
     assert plot_scatter(of).axes
@@ -44,7 +44,7 @@ def test_a_short_still_log_has_no_interval_and_is_drawn():
 
 def test_a_log_of_errors_alone_is_drawn_too():
     log = true_log()[["utc", "lon_deg", "lat_deg", "error_2d_m"]]
-    of = ju.validate(scenario(), log, ju.ReceiverSettings(sky_step_s=240.0), progress=False)
+    of = ju.studies.validate(scenario(), log, ju.studies.ReceiverSettings(sky_step_s=240.0), progress=False)
     assert plot_scatter(of).axes[0].get_ylabel() == "receiver: horizontal error (m)"
     assert "satellites tracked" not in validation_markdown(of)
 

@@ -21,7 +21,7 @@ from jaxurban.studies.bootstrap import (
     share_of,
 )
 from jaxurban.studies.montecarlo.complementarity import _statistics
-from jaxurban.studies.sensitivity.summary import Drawn
+from jaxurban.studies.weights.summary import Drawn
 
 
 def test_the_interval_of_independent_values_is_that_of_the_normal_law():

@@ -12,7 +12,7 @@ from jaxurban.paths.cost_map import cost_map
 from jaxurban.planners.cost_model import STEPS
 from jaxurban.studies.queries import RouteQuery, cluster_routes
 from jaxurban.studies.route_pool import RoutePool
-from jaxurban.studies.sensitivity.breakpoints import find_breakpoints, nearest_breakpoints, pareto_front
+from jaxurban.studies.weights.breakpoints import find_breakpoints, nearest_breakpoints, pareto_front
 from tests.made_maps import made_maps
 
 GIVEN = np.array([0.1, 1.0, 1.0, 1.0, 1.0])

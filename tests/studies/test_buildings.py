@@ -17,7 +17,7 @@ from jaxurban.maps.differentiable import SoftParams
 from jaxurban.report.buildings import write_buildings
 from jaxurban.scenario.run import run_scenario, tasks_of
 from jaxurban.scenario.settings import Scenario
-from jaxurban.studies.sensitivity.buildings import building_costs
+from jaxurban.studies.weights.buildings import building_costs
 
 SETTINGS = {
     "region": {"bounds": (-74.0, 40.75, -73.993, 40.756), "resolution_m": 10.0, "altitudes_m": [25.0]},

@@ -31,7 +31,7 @@ def maps() -> tuple[MetricMaps, MetricMaps]:
 
 @pytest.fixture(scope="module")
 def found(maps):
-    return ju.compare(*maps, progress=False)
+    return ju.studies.compare(*maps, progress=False)
 
 
 def test_differences_are_b_less_a_where_both_are_free(maps, found):
@@ -74,7 +74,7 @@ def test_gained_and_lost_are_the_cells_that_are_higher_in_b_and_in_a(maps, found
 
 
 def test_maps_do_not_differ_from_themselves(maps):
-    same = ju.compare(maps[0], maps[0], progress=False)
+    same = ju.studies.compare(maps[0], maps[0], progress=False)
     assert same.table.share_changed.max() == 0
     assert same.table.rms.max() == 0
 
@@ -83,7 +83,7 @@ def test_infinite_dilutions_are_alike_or_changed_but_never_a_mean(maps):
     a, ds = maps[0], maps[0].ds.copy(deep=True)
     free = np.argwhere((ds["obstacle"].values[0] == 0) & np.isfinite(ds["hdop"].values[0, 0]))[0]
     ds["hdop"].values[0, 0, *free] = np.inf
-    found = ju.compare(a, MetricMaps(ds), progress=False)
+    found = ju.studies.compare(a, MetricMaps(ds), progress=False)
     row = found.table[found.table.layer == "hdop"].iloc[0]
     assert np.isinf(found.of("hdop", 20.0)).sum() == 1
     assert row["mean"] == row.rms == 0
@@ -91,7 +91,7 @@ def test_infinite_dilutions_are_alike_or_changed_but_never_a_mean(maps):
 
 
 def test_a_tolerance_in_the_layers_unit_counts_as_the_same(maps):
-    found = ju.compare(*maps, tolerance=0.2, progress=False)
+    found = ju.studies.compare(*maps, tolerance=0.2, progress=False)
     rows = found.table.query("layer in ('gps', 'risk')")
     assert rows.share_changed.max() == 0
     assert rows.rms.max() > 0.01
@@ -99,8 +99,10 @@ def test_a_tolerance_in_the_layers_unit_counts_as_the_same(maps):
 
 def test_only_the_cells_that_both_hold_are_compared_wherever_they_lie(maps):
     a, b = maps
-    parts = ju.compare(MetricMaps(a.ds.isel(x=slice(10, 90))), MetricMaps(b.ds.isel(y=slice(30, None))), progress=False)
-    whole = ju.compare(a, b, progress=False)
+    parts = ju.studies.compare(
+        MetricMaps(a.ds.isel(x=slice(10, 90))), MetricMaps(b.ds.isel(y=slice(30, None))), progress=False
+    )
+    whole = ju.studies.compare(a, b, progress=False)
     assert parts.grid.shape == (50, 80)
     assert (parts.grid.first_row, parts.grid.first_col) == (450_030, 58_010)
     np.testing.assert_array_equal(parts.of("risk", 20.0), whole.of("risk", 20.0)[30:, 10:90])
@@ -110,7 +112,7 @@ def test_only_the_cells_that_both_hold_are_compared_wherever_they_lie(maps):
 def test_altitudes_times_of_day_and_layers_of_one_alone_are_left_out_by_name(maps):
     a, b = maps
     ds = b.ds.isel(altitude=[1], time_of_day=[1]).drop_vars("lidar").assign_attrs(pop_norm_per_km2=[7.0])
-    found = ju.compare(a, MetricMaps(ds), progress=False)
+    found = ju.studies.compare(a, MetricMaps(ds), progress=False)
     assert found.a.altitudes_m == found.b.altitudes_m == (60.0,)
     assert found.a.times_of_day == ("night",)
     assert set(found.part.left_out) == {"altitude 20 m", "lidar"}
@@ -127,15 +129,15 @@ def at_time(maps: MetricMaps, *times: str) -> MetricMaps:
 def test_single_times_are_set_beside_each_other_and_several_need_pairs(maps):
     a, b = maps
     first, later = "2020-04-27T16:00:00Z", "2020-04-28T06:00:00Z"
-    single = ju.compare(a, at_time(b, later[:-1]), progress=False)
+    single = ju.studies.compare(a, at_time(b, later[:-1]), progress=False)
     assert dict(single.part.times) == {first: later}
     both = at_time(b, later[:-1], "2020-04-29T06:00:00")
     with pytest.raises(ju.InputError, match="--time"):
-        ju.compare(a, both, progress=False)
-    paired = ju.compare(a, both, times={first: later}, progress=False)
-    np.testing.assert_array_equal(paired.of("gps", 60.0), ju.compare(a, b, progress=False).of("gps", 60.0))
+        ju.studies.compare(a, both, progress=False)
+    paired = ju.studies.compare(a, both, times={first: later}, progress=False)
+    np.testing.assert_array_equal(paired.of("gps", 60.0), ju.studies.compare(a, b, progress=False).of("gps", 60.0))
     with pytest.raises(ju.InputError, match="B holds no maps of"):
-        ju.compare(a, both, times={first: first}, progress=False)
+        ju.studies.compare(a, both, times={first: first}, progress=False)
 
 
 @pytest.mark.parametrize(
@@ -148,13 +150,13 @@ def test_single_times_are_set_beside_each_other_and_several_need_pairs(maps):
 )
 def test_maps_that_cannot_be_compared_are_refused_in_one_sentence(maps, change, words):
     with pytest.raises(ju.InputError, match=words) as refused:
-        ju.compare(maps[0], MetricMaps(change(maps[1].ds)), progress=False)
+        ju.studies.compare(maps[0], MetricMaps(change(maps[1].ds)), progress=False)
     assert "\n" not in str(refused.value)
 
 
 def test_another_resolution_is_refused_with_the_remedy(maps):
     with pytest.raises(ju.InputError, match=r"10 m wide and B's 5 m.*resolution_m"):
-        ju.compare(maps[0], made_maps(resolution_m=5.0), progress=False)
+        ju.studies.compare(maps[0], made_maps(resolution_m=5.0), progress=False)
 
 
 def test_the_comparison_shows_itself(found):

@@ -28,7 +28,7 @@ from tests.cli_runs import assert_one_sentence, run
 from tests.made_maps import made_maps
 from tests.movingai import read_map, read_scenarios
 
-SETTINGS = ju.BenchmarkSettings(budget_iterations=200, seed=2)
+SETTINGS = ju.studies.BenchmarkSettings(budget_iterations=200, seed=2)
 ONE = replace(SETTINGS, planners=["ptp"], distance_only=())
 NUM_ROWS = 12 * 2 * 6  # instances, altitudes, five planners and one distance-only run
 
@@ -42,7 +42,7 @@ def folder(tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="module")
 def result(folder, tmp_path_factory):
-    return ju.study(folder, tmp_path_factory.mktemp("study"), 12, settings=SETTINGS)
+    return ju.studies.study(folder, tmp_path_factory.mktemp("study"), 12, settings=SETTINGS)
 
 
 def same_rows(one: pd.DataFrame, other: pd.DataFrame) -> None:
@@ -64,42 +64,44 @@ def test_no_path_beats_the_proven_optimum_of_its_own_grid(result):
 
 
 def test_maps_in_memory_give_the_same_rows(result, tmp_path):
-    found = ju.study(made_maps(), tmp_path, 3, settings=replace(SETTINGS, planners=["ptp", "bitstar-plus"]))
+    found = ju.studies.study(made_maps(), tmp_path, 3, settings=replace(SETTINGS, planners=["ptp", "bitstar-plus"]))
     kept = result.rows[(result.rows.instance < 3) & result.rows.planner.isin(["ptp", "bitstar-plus", "astar-dist"])]
     kept = kept[(kept.planner != "astar-dist") | (kept.objective == DISTANCE)]
     same_rows(found.rows, kept.reset_index(drop=True))
     with pytest.raises(InputError, match="save them"):
-        ju.study(made_maps(), tmp_path / "b", 1, workers=2)
+        ju.studies.study(made_maps(), tmp_path / "b", 1, workers=2)
 
 
 def test_planners_may_be_added_and_nothing_is_run_twice(folder, tmp_path):
-    first = ju.study(folder, tmp_path, 2, settings=ONE).rows
-    both = ju.study(folder, tmp_path, 2, settings=replace(ONE, planners=["ptp", "astar-dist"])).rows
+    first = ju.studies.study(folder, tmp_path, 2, settings=ONE).rows
+    both = ju.studies.study(folder, tmp_path, 2, settings=replace(ONE, planners=["ptp", "astar-dist"])).rows
     pd.testing.assert_frame_equal(both[both.planner == "ptp"].reset_index(drop=True), first)
     assert len(both) == 2 * len(first)
 
 
 def test_a_folder_keeps_one_study(folder, tmp_path):
-    ju.study(folder, tmp_path, 1, settings=ONE)
+    ju.studies.study(folder, tmp_path, 1, settings=ONE)
     cell = replace(ONE, cost_model=ju.CostModel("cell"))
     with pytest.raises(InputError, match=r"its cost model is line, and cell is given now.*--overwrite"):
-        ju.study(folder, tmp_path, 1, settings=cell)
+        ju.studies.study(folder, tmp_path, 1, settings=cell)
     with pytest.raises(InputError, match=r"its budget is 200 samples, and 2.0 s is given now"):
-        ju.study(folder, tmp_path, 1, settings=replace(ONE, budget_iterations=None))
+        ju.studies.study(folder, tmp_path, 1, settings=replace(ONE, budget_iterations=None))
     with pytest.raises(InputError, match=r"instance 0 at 20 m has the w_distance .*, and 0.1 is given"):
-        ju.study(folder, tmp_path, ju.sample_instances(made_maps(), 1, weights=[ju.Weights()], seed=2), settings=ONE)
-    ju.study(folder, tmp_path, 1, settings=replace(ONE, budget_s=9.0))  # says nothing where samples are counted
-    found = ju.study(folder, tmp_path, 1, settings=cell, overwrite=True)
+        ju.studies.study(
+            folder, tmp_path, ju.studies.sample_instances(made_maps(), 1, weights=[ju.Weights()], seed=2), settings=ONE
+        )
+    ju.studies.study(folder, tmp_path, 1, settings=replace(ONE, budget_s=9.0))  # says nothing where samples are counted
+    found = ju.studies.study(folder, tmp_path, 1, settings=cell, overwrite=True)
     assert (found.rows.cost.dropna() == found.rows.cost_cell.dropna()).all()
 
 
 def test_a_longer_study_keeps_the_rows_of_the_shorter_one(folder, tmp_path):
-    first = ju.study(folder, tmp_path, 2, settings=ONE).rows
-    longer = ju.study(folder, tmp_path, 3, settings=ONE).rows
+    first = ju.studies.study(folder, tmp_path, 2, settings=ONE).rows
+    longer = ju.studies.study(folder, tmp_path, 3, settings=ONE).rows
     assert longer.groupby("altitude_m").instance.apply(list).tolist() == [[0, 1, 2]] * 2
     pd.testing.assert_frame_equal(longer[longer.instance < 2].reset_index(drop=True), first)  # times and all
     with pytest.raises(InputError, match=r"of 6 instances.* 2 are left out now .*longer but not shorter"):
-        ju.study(folder, tmp_path, 2, settings=ONE)
+        ju.studies.study(folder, tmp_path, 2, settings=ONE)
 
 
 def test_instances_of_a_file_are_joined_as_these_maps_have_it(folder, result, tmp_path):
@@ -107,7 +109,7 @@ def test_instances_of_a_file_are_joined_as_these_maps_have_it(folder, result, tm
     wall = np.argwhere(~made_maps().is_free(20.0))[0]
     instances.loc[0, ["start_x_m", "start_y_m"]] = made_maps().grid.xy_of_cell(*wall)
     instances.loc[1, "goal_x_m"] = 1e12
-    found = ju.study(folder, tmp_path, instances, settings=ONE)
+    found = ju.studies.study(folder, tmp_path, instances, settings=ONE)
     assert found.instances.is_connected.tolist() == [None, None, *result.instances.is_connected[2:]]
     bad = found.rows.set_index(["instance", "altitude_m"]).status == "bad-input"
     assert bad[bad].index.tolist() == [(0, 20.0), (1, 20.0)]
@@ -118,10 +120,10 @@ def test_a_study_that_cannot_be_run_is_refused_before_it_runs(folder, result, tm
         (lambda: result.instances.assign(start_x_m=0.0), "instance 0 at 20 m, whose start .* outside"),
         (lambda: result.instances.assign(instance=-3), "row 1: instance must be a whole number >= 0, got -3"),
         (lambda: replace(SETTINGS, planners=[]), "name at least one planner"),
-        (lambda: ju.sample_instances(made_maps(), 1, altitudes_m=[60, 60]), "none twice, got 60, 60"),
+        (lambda: ju.studies.sample_instances(made_maps(), 1, altitudes_m=[60, 60]), "none twice, got 60, 60"),
     ):
         with pytest.raises(InputError, match=words):
-            ju.study(folder, tmp_path / "out", instances(), settings=SETTINGS)
+            ju.studies.study(folder, tmp_path / "out", instances(), settings=SETTINGS)
     assert not (tmp_path / "out").exists()
 
 
@@ -132,15 +134,15 @@ def test_instances_for_other_maps_are_refused(folder, result, tmp_path):
         ({"time_of_day": "dusk"}, "dusk"),
     ):
         with pytest.raises(InputError, match=word):
-            ju.study(folder, tmp_path, result.instances.assign(**change))
+            ju.studies.study(folder, tmp_path, result.instances.assign(**change))
 
 
 KILLED = """
 import sys, jaxurban as ju
 from pathlib import Path
 if __name__ == "__main__":
-    settings = ju.BenchmarkSettings(budget_iterations=200, seed=2)
-    ju.study(sys.argv[1], sys.argv[2], 12, settings=settings, workers=int(sys.argv[3]))
+    settings = ju.studies.BenchmarkSettings(budget_iterations=200, seed=2)
+    ju.studies.study(sys.argv[1], sys.argv[2], 12, settings=settings, workers=int(sys.argv[3]))
 """
 
 
@@ -162,7 +164,7 @@ def test_a_killed_study_goes_on_with_no_row_lost_or_doubled(folder, result, tmp_
     job.wait()
     kept = [row for part in (out / "parts").glob("*.json") for row in json.loads(part.read_text())["rows"]]
     assert 0 < len(kept) < NUM_ROWS
-    found = ju.study(folder, out, 12, settings=SETTINGS).rows
+    found = ju.studies.study(folder, out, 12, settings=SETTINGS).rows
     same_rows(found, result.rows)
     times = found.set_index(["instance", "altitude_m", "planner", "objective"]).elapsed_s
     for row in kept:  # what was done before is not done again

@@ -53,9 +53,11 @@ def test_its_weight_changes_the_route_of_plan_many_and_explain_agrees(maps, ends
 
 
 def test_sensitivity_finds_the_breakpoints_of_its_weight(maps, ends, monkeypatch):
-    monkeypatch.setattr("jaxurban.studies.sensitivity.sobol.NUM_REPEATS", 2)
-    how = ju.SensitivitySettings(vary=("noise", "gps"), num_samples=4, objectives=("distance", "noise"), max_plans=20)
-    found = ju.sensitivity(ju.cost_map(maps, 20.0, weights=LOUD.replace(noise=1.0)), *ends, settings=how)
+    monkeypatch.setattr("jaxurban.studies.weights.sobol.NUM_REPEATS", 2)
+    how = ju.studies.SensitivitySettings(
+        vary=("noise", "gps"), num_samples=4, objectives=("distance", "noise"), max_plans=20
+    )
+    found = ju.studies.sensitivity(ju.cost_map(maps, 20.0, weights=LOUD.replace(noise=1.0)), *ends, settings=how)
     assert found.names == NAMES
     assert len(found.breakpoints("noise")) > 1
     assert found.front.points["noise"].is_monotonic_decreasing != found.front.points["noise"].is_monotonic_increasing
@@ -65,8 +67,8 @@ def test_sensitivity_finds_the_breakpoints_of_its_weight(maps, ends, monkeypatch
 
 
 def test_a_benchmark_draws_its_weight_and_tells_its_mean_in_rows_report_and_export(maps, tmp_path):
-    settings = ju.BenchmarkSettings(planners=["astar-plus"], seed=3)
-    found = ju.study(maps, tmp_path, 12, settings=settings, progress=False)
+    settings = ju.studies.BenchmarkSettings(planners=["astar-plus"], seed=3)
+    found = ju.studies.study(maps, tmp_path, 12, settings=settings, progress=False)
     shares = found.instances[[f"w_{name}" for name in NAMES]].to_numpy() * [5.0, 1, 1, 1, 1, 1]
     np.testing.assert_allclose(shares.sum(axis=1), 1)
     assert list(found.rows) == list(row_columns(found.instances.columns))
@@ -82,13 +84,13 @@ def test_a_benchmark_draws_its_weight_and_tells_its_mean_in_rows_report_and_expo
         (found.instances.assign(w_nois=1.0), "or 'noise', got 'nois'"),
     ):
         with pytest.raises(InputError, match=words):
-            ju.study(maps, tmp_path / "other", table, settings=settings)
+            ju.studies.study(maps, tmp_path / "other", table, settings=settings)
 
 
 def test_weights_are_fitted_to_it_and_other_layers_weigh_nothing_then(maps):
     queries = made_queries(cost_map(maps, 20.0).only(("gps", "noise")), 4)
     shown = optimal_demonstrations(queries, LOUD)
-    fit = ju.fit_weights(shown, bootstrap=0, settings=FitSettings(max_rounds=1))
+    fit = ju.fit.fit_weights(shown, bootstrap=0, settings=FitSettings(max_rounds=1))
     assert fit.weights["noise"] > fit.weights["gps"] / 10
     assert fit.weights.to_dict().keys() == set(NAMES)
     assert fit.weights.risk == 0
@@ -99,7 +101,7 @@ def test_weights_are_fitted_to_it_and_other_layers_weigh_nothing_then(maps):
     expected = np.mean(sums[:, -1] / sums[:, 3])
     assert float(outcome_values(sums, sums, queries[0].names, [target])[0]) == pytest.approx(expected)
     with pytest.raises(InputError, match="did you mean 'mean_noise'"):
-        ju.fit_targets(queries, [Target("mean_nois", "<=", 0.2)])
+        ju.fit.fit_targets(queries, [Target("mean_nois", "<=", 0.2)])
 
 
 def test_commands_take_its_name(maps, ends, tmp_path, capsys):

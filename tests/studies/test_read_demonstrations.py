@@ -32,7 +32,7 @@ def ends_of(maps, demonstrations):
 
 
 def test_routes_come_back_from_a_file_as_they_were(maps, demonstrations, tmp_path):
-    read = ju.read_demonstrations(write_geojson(tmp_path / "routes.geojson", demonstrations), maps)
+    read = ju.fit.read_demonstrations(write_geojson(tmp_path / "routes.geojson", demonstrations), maps)
     for one, other in zip(read, demonstrations, strict=True):
         np.testing.assert_array_equal(one.points_m, other.points_m)
         np.testing.assert_allclose(one.features, other.features, rtol=1e-12)
@@ -43,13 +43,13 @@ def test_routes_come_back_from_a_file_as_they_were(maps, demonstrations, tmp_pat
 def test_planned_paths_are_demonstrations_of_zero_regret(maps, demonstrations, tmp_path):
     ends = ends_of(maps, demonstrations)
     paths = [ju.plan(maps, start_xy_m=a, goal_xy_m=b, altitude_m=20.0, weights=HIDDEN) for a, b in ends]
-    taken = ju.demonstrations_from_paths(paths, maps)
+    taken = ju.fit.demonstrations_from_paths(paths, maps)
     cheapest = RoutePool([e.query for e in taken]).cheapest(np.tile(_vector(), (4, 1, 1)))[0, :, 0]
     for each, path, best in zip(taken, paths, cheapest, strict=True):
         assert each.features @ _vector() == pytest.approx(path.cost)
         assert best @ _vector() == pytest.approx(path.cost)
     write_path(paths[0], tmp_path / "path.geojson")
-    (read,) = ju.read_demonstrations(tmp_path / "path.geojson", maps)
+    (read,) = ju.fit.read_demonstrations(tmp_path / "path.geojson", maps)
     np.testing.assert_allclose(read.features, taken[0].features, rtol=1e-12)
 
 
@@ -58,26 +58,26 @@ def test_files_of_paths_bring_their_cost_model_and_their_features(maps, demonstr
     (start, goal), *_ = ends_of(maps, demonstrations)
     path = ju.plan(maps, start_xy_m=start, goal_xy_m=goal, altitude_m=20.0, weights=HIDDEN, cost_model="line")
     write_path(path, tmp_path / f"path{suffix}")
-    (read,) = ju.read_demonstrations(tmp_path / f"path{suffix}", maps)
+    (read,) = ju.fit.read_demonstrations(tmp_path / f"path{suffix}", maps)
     assert read.query.cost_map.cost_model.kind == "line"
     assert read.query.cost_map.altitude_m == path.altitude_m
     assert read.features @ HIDDEN.vector(read.query.names) == pytest.approx(path.cost, rel=1e-9)
 
 
 def test_a_table_of_queries_is_planned_first_and_its_paths_are_taken_at_their_own_cost(maps, tmp_path):
-    instances = ju.sample_instances(maps, 6, weights=[HIDDEN], seed=2).query("is_connected")
+    instances = ju.studies.sample_instances(maps, 6, weights=[HIDDEN], seed=2).query("is_connected")
     queries = instances[[*PLACES, "altitude_m"]]
     paths = ju.plan_many(maps, queries, weights=HIDDEN, cost_model="line", progress=False)
     paths.save(tmp_path / "paths.geojson")
     for read in (
-        ju.demonstrations_from_paths(paths, maps),
-        ju.read_demonstrations(tmp_path / "paths.geojson", maps),
+        ju.fit.demonstrations_from_paths(paths, maps),
+        ju.fit.read_demonstrations(tmp_path / "paths.geojson", maps),
     ):
         costs = [each.features @ HIDDEN.vector(each.query.names) for each in read]
         np.testing.assert_allclose(costs, [path.cost for path in paths], rtol=1e-9)
     paths.save(tmp_path / "paths.csv")
     with pytest.raises(InputError, match="is a table, which holds no lines: plan its queries first"):
-        ju.read_demonstrations(tmp_path / "paths.csv", maps)
+        ju.fit.read_demonstrations(tmp_path / "paths.csv", maps)
 
 
 def test_wrong_missions_are_one_sentence(maps, tmp_path):
@@ -87,7 +87,7 @@ def test_wrong_missions_are_one_sentence(maps, tmp_path):
     ):
         (tmp_path / "broken.plan").write_text(text)
         with pytest.raises(InputError, match=words):
-            ju.read_demonstrations(tmp_path / "broken.plan", maps)
+            ju.fit.read_demonstrations(tmp_path / "broken.plan", maps)
 
 
 def test_a_drawn_line_is_followed_on_the_grid_around_obstacles(maps):
@@ -115,9 +115,9 @@ def test_a_drawn_line_is_followed_on_the_grid_around_obstacles(maps):
 def test_routes_on_no_map_are_refused(maps, demonstrations, tmp_path, change, words):
     file = write_geojson(tmp_path / "routes.geojson", demonstrations, **change)
     with pytest.raises(InputError, match=words):
-        ju.read_demonstrations(file, maps)
+        ju.fit.read_demonstrations(file, maps)
     if change == {"altitude_m": None}:
-        assert len(ju.read_demonstrations(file, maps, altitude_m=60.0)) == 4
+        assert len(ju.fit.read_demonstrations(file, maps, altitude_m=60.0)) == 4
 
 
 def test_routes_outside_the_maps_or_nowhere_are_refused(maps, tmp_path):
@@ -127,14 +127,14 @@ def test_routes_outside_the_maps_or_nowhere_are_refused(maps, tmp_path):
         return tmp_path / "line.geojson"
 
     with pytest.raises(InputError, match="leaves the maps"):
-        ju.read_demonstrations(file((-10.0, 40.0), (-10.1, 40.0)), maps, 60.0)
+        ju.fit.read_demonstrations(file((-10.0, 40.0), (-10.1, 40.0)), maps, 60.0)
     row, col = np.argwhere(cost_map(maps, 60.0).is_free)[0]
     x_m, y_m = maps.grid.xy_of_cell(int(row), int(col))
     ends = [maps.grid.lonlat_of_xy(x_m + shift, y_m) for shift in (0.0, 2.0)]
     with pytest.raises(InputError, match="one cell"):
-        ju.read_demonstrations(file(*[tuple(map(float, end)) for end in ends]), maps, 60.0)
+        ju.fit.read_demonstrations(file(*[tuple(map(float, end)) for end in ends]), maps, 60.0)
     with pytest.raises(InputError, match=r"metric must be 'gps', .* got 'gsp'"):
-        ju.read_demonstrations(file((-10.0, 40.0), (-10.1, 40.0)), maps, 60.0, metrics=["gsp"])
+        ju.fit.read_demonstrations(file((-10.0, 40.0), (-10.1, 40.0)), maps, 60.0, metrics=["gsp"])
 
 
 def write_lines(file, maps, *lines_m):
@@ -162,7 +162,7 @@ def test_drawn_lines_start_in_free_cells_near_their_ends_and_those_of_no_use_are
     file = write_lines(tmp_path / "lines.geojson", maps, (inside, goal), (away, goal), (start, goal))
     left_out = r"1 of 3 lines of '.*' were left out: line 2 \('2', from -7\d\.\d+, 40\.\d+\) leaves the maps"
     with pytest.warns(LeftOutWarning, match=left_out):
-        first, third = ju.read_demonstrations(file, maps, altitude_m=20.0)
+        first, third = ju.fit.read_demonstrations(file, maps, altitude_m=20.0)
     assert unit.is_free[first.query.start]
     assert "The start was not free: it was moved " in first.note
     assert (first.query.name, third.query.name) == ("1", "3")
@@ -178,7 +178,7 @@ def test_a_line_that_starts_far_inside_an_obstacle_names_its_place_and_asks_for_
     inside, goal = (maps.grid.xy_of_cell(*cell) for cell in ((15, 15), (33, 30)))
     file = write_lines(tmp_path / "lines.geojson", maps, (inside, goal))
     with pytest.raises(InputError, match=r"the start of line 1 \('1', from .*\) is inside an obstacle") as caught:
-        ju.read_demonstrations(file, maps, altitude_m=20.0)
+        ju.fit.read_demonstrations(file, maps, altitude_m=20.0)
     assert "no free cell is within 50 m of it" in str(caught.value)
     assert "give" not in str(caught.value)
 
@@ -218,10 +218,10 @@ def test_queries_between_places_name_the_pair_that_is_wrong(maps):
     unit = cost_map(maps, 20.0)
     (query,) = made_queries(unit, 1)
     start, goal = (maps.grid.lonlat_of_cell(*cell) for cell in (query.start, query.goal))
-    (made,) = ju.make_queries(unit, [(start, goal)])
+    (made,) = ju.studies.make_queries(unit, [(start, goal)])
     assert (made.start, made.goal) == (query.start, query.goal)
     with pytest.raises(InputError, match="pair 2"):
-        ju.make_queries(unit, [(start, goal), (start, (0.0, 0.0))])
+        ju.studies.make_queries(unit, [(start, goal), (start, (0.0, 0.0))])
 
 
 def _vector() -> np.ndarray:

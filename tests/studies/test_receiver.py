@@ -19,12 +19,12 @@ from tests.receiver_logs import SCENARIO, SETTINGS, drive, found, scenario, seen
 GRID = ju.Grid.from_bounds(SCENARIO["region"]["bounds"], 5.0)
 
 
-def validated(log: pd.DataFrame, **settings) -> ju.ReceiverValidation:
-    chosen = ju.ReceiverSettings(**{**SETTINGS.to_dict(), **settings})
-    return ju.validate(scenario(), log, chosen, progress=False)
+def validated(log: pd.DataFrame, **settings) -> ju.studies.ReceiverValidation:
+    chosen = ju.studies.ReceiverSettings(**{**SETTINGS.to_dict(), **settings})
+    return ju.studies.validate(scenario(), log, chosen, progress=False)
 
 
-def score(of: ju.ReceiverValidation, witness: str = "num_tracked") -> pd.Series:
+def score(of: ju.studies.ReceiverValidation, witness: str = "num_tracked") -> pd.Series:
     return of.main.set_index("witness").loc[witness]
 
 
@@ -64,7 +64,7 @@ def test_a_receiver_that_tracks_what_is_in_view_scores_above_every_shift():
 
 
 @cache
-def shuffled() -> ju.ReceiverValidation:
+def shuffled() -> ju.studies.ReceiverValidation:
     tracked = np.random.default_rng(7).permutation(true_log().num_tracked.to_numpy())
     return validated(true_log().assign(num_tracked=tracked))
 
@@ -147,4 +147,4 @@ def test_a_short_track_is_one_sentence():
 )
 def test_settings_that_make_no_sense_name_themselves(wrong):
     with pytest.raises(InputError, match=next(iter(wrong))):
-        ju.ReceiverSettings(**wrong)
+        ju.studies.ReceiverSettings(**wrong)

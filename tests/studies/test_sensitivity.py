@@ -17,7 +17,7 @@ from jaxurban.report.figures.sensitivity import sensitivity_figures
 from jaxurban.report.sensitivity import ranges, save_sensitivity, sensitivity_markdown
 from jaxurban.studies.queries import RouteQuery
 from jaxurban.studies.route_pool import RoutePool
-from jaxurban.studies.sensitivity.sobol import local_sensitivity
+from jaxurban.studies.weights.sobol import local_sensitivity
 from tests.cli_runs import assert_one_sentence, run
 from tests.made_maps import made_maps
 
@@ -36,8 +36,8 @@ def ends(maps):
 
 @pytest.fixture(scope="module")
 def found(maps, ends):
-    return ju.sensitivity(
-        cost_map(maps, 20.0, cost_model="line"), *ends, settings=ju.SensitivitySettings(num_samples=4)
+    return ju.studies.sensitivity(
+        cost_map(maps, 20.0, cost_model="line"), *ends, settings=ju.studies.SensitivitySettings(num_samples=4)
     )
 
 
@@ -195,9 +195,9 @@ def test_a_walled_goal_is_exit_3_and_in_python_an_error(maps, ends, tmp_path, ca
     assert code == 3
     assert "joins start and goal" in err
     with pytest.raises(InputError, match="no route to study"):
-        ju.sensitivity(cost_map(walled, 20.0), *ends)
+        ju.studies.sensitivity(cost_map(walled, 20.0), *ends)
 
 
 def test_start_and_goal_in_one_cell_are_refused(maps, ends):
     with pytest.raises(InputError, match="one cell"):
-        ju.sensitivity(cost_map(maps, 20.0), ends[0], ends[0])
+        ju.studies.sensitivity(cost_map(maps, 20.0), ends[0], ends[0])

@@ -22,12 +22,12 @@ from jaxurban.metrics.custom import Layer
 from jaxurban.report.figures.sensitivity_study import plot_nearest, plot_where, study_figures
 from jaxurban.report.sensitivity_study import _rows, share_said, study_markdown
 from jaxurban.studies.montecarlo.sampling import sample_joined
-from jaxurban.studies.sensitivity.routes import parameters_of, remade_of, remade_rows, with_parameter
-from jaxurban.studies.sensitivity.summary import comparisons_of, shares_table, summarise, summarise_shares
+from jaxurban.studies.weights.routes import parameters_of, remade_of, remade_rows, with_parameter
+from jaxurban.studies.weights.summary import comparisons_of, shares_table, summarise, summarise_shares
 from tests.cli_runs import assert_one_sentence, run
 from tests.made_maps import made_maps
 
-SETTINGS = ju.SensitivityStudySettings(num_samples=2, seed=3)
+SETTINGS = ju.studies.SensitivityStudySettings(num_samples=2, seed=3)
 NUM = 9
 KEY = ["city", "instance", "altitude_m"]
 
@@ -50,8 +50,8 @@ def folders(tmp_path_factory) -> list[Path]:
 
 
 @pytest.fixture(scope="module")
-def found(folders, tmp_path_factory) -> ju.SensitivityStudy:
-    return ju.sensitivity_study(folders, tmp_path_factory.mktemp("study"), NUM, settings=SETTINGS)
+def found(folders, tmp_path_factory) -> ju.studies.SensitivityStudy:
+    return ju.studies.sensitivity_study(folders, tmp_path_factory.mktemp("study"), NUM, settings=SETTINGS)
 
 
 def test_every_route_has_a_row_once(found):
@@ -104,7 +104,7 @@ def test_maps_in_memory_and_a_table_of_queries_give_the_same_rows(folders, found
         (found.instances.city == "alpha") & (found.instances.instance == found.instances.instance[0])
     ]
     queries = alpha[["start_lon", "start_lat", "goal_lon", "goal_lat", "altitude_m", "time", "time_of_day"]]
-    again = ju.sensitivity_study({"alpha": made_maps(60, 70)}, tmp_path, queries, settings=SETTINGS)
+    again = ju.studies.sensitivity_study({"alpha": made_maps(60, 70)}, tmp_path, queries, settings=SETTINGS)
     columns = [
         name for name in found.rows if name.partition(":")[0] in ("cost", "elasticity", "below", "above", "people")
     ]
@@ -122,7 +122,7 @@ def test_a_route_that_fails_is_a_row_with_its_status(folders, found, tmp_path):
     wall = np.argwhere(~maps.is_free(20.0))[0]
     rows.loc[rows.index[0], ["goal_x_m", "goal_y_m"]] = maps.grid.xy_of_cell(*wall)
     rows.loc[rows.index[1], ["goal_x_m", "goal_y_m"]] = rows.iloc[1][["start_x_m", "start_y_m"]].to_numpy()
-    again = ju.sensitivity_study(folders[0], tmp_path, rows, settings=SETTINGS)
+    again = ju.studies.sensitivity_study(folders[0], tmp_path, rows, settings=SETTINGS)
     assert again.rows.sort_values("instance").status.tolist() == ["bad-input", "bad-input", "optimal"]
     report = (tmp_path / "report.md").read_text()
     assert "start and goal lie in one cell" in report
@@ -143,15 +143,15 @@ def test_a_route_that_fails_is_a_row_with_its_status(folders, found, tmp_path):
 def test_no_row_of_a_table_is_left_out_without_a_word(folders, found, tmp_path, named, match):
     table = found.instances.iloc[: len(named)].assign(city=named)
     with pytest.raises(InputError, match=match):
-        ju.sensitivity_study(folders, tmp_path / "study", table, settings=SETTINGS)
+        ju.studies.sensitivity_study(folders, tmp_path / "study", table, settings=SETTINGS)
 
 
 @pytest.mark.parametrize("routes", [0, -1, True, [((0.0, 0.0), (1.0, 1.0))]])
 def test_routes_are_a_number_or_a_table(folders, tmp_path, routes):
     with pytest.raises(InputError, match="routes must be"):
-        ju.sensitivity_study(folders, tmp_path / "study", routes, settings=SETTINGS)
+        ju.studies.sensitivity_study(folders, tmp_path / "study", routes, settings=SETTINGS)
     with pytest.raises(InputError, match="factors must be two"):
-        ju.SensitivityStudySettings(factors=(0.1,))
+        ju.studies.SensitivityStudySettings(factors=(0.1,))
 
 
 def test_a_city_named_twice_is_refused(folders, tmp_path, capsys):
@@ -163,8 +163,8 @@ def test_a_city_named_twice_is_refused(folders, tmp_path, capsys):
 KILLED = """
 import sys, jaxurban as ju
 if __name__ == "__main__":
-    settings = ju.SensitivityStudySettings(num_samples=2, seed=3)
-    ju.sensitivity_study(sys.argv[2:], sys.argv[1], 9, settings=settings)
+    settings = ju.studies.SensitivityStudySettings(num_samples=2, seed=3)
+    ju.studies.sensitivity_study(sys.argv[2:], sys.argv[1], 9, settings=settings)
 """
 
 
@@ -181,7 +181,7 @@ def test_a_killed_study_goes_on_with_no_row_lost_or_doubled(folders, found, tmp_
     job.wait()
     kept = [row for part in (out / "routes/parts").glob("*.json") for row in json.loads(part.read_text())["rows"]]
     assert 0 < len(kept) < len(found.rows)
-    again = ju.sensitivity_study(folders, out, NUM, settings=SETTINGS).rows
+    again = ju.studies.sensitivity_study(folders, out, NUM, settings=SETTINGS).rows
     pd.testing.assert_frame_equal(
         again.drop(columns="elapsed_s")[sorted(set(again) - {"elapsed_s"})],
         found.rows[sorted(set(found.rows) - {"elapsed_s"})],
@@ -193,14 +193,14 @@ def test_a_killed_study_goes_on_with_no_row_lost_or_doubled(folders, found, tmp_
 
 def test_a_folder_keeps_one_study(folders, found):
     with pytest.raises(InputError, match="another run of `jaxurban sensitivity-study`"):
-        ju.sensitivity_study(folders, found.folder, NUM, settings=replace(SETTINGS, wrong=3.0))
+        ju.studies.sensitivity_study(folders, found.folder, NUM, settings=replace(SETTINGS, wrong=3.0))
     with pytest.raises(InputError, match="another run of `jaxurban sensitivity-study`"):
-        ju.sensitivity_study(folders, found.folder, NUM + 1, settings=SETTINGS)
+        ju.studies.sensitivity_study(folders, found.folder, NUM + 1, settings=SETTINGS)
 
 
 @pytest.mark.slow
 def test_two_workers_give_the_rows_of_one(folders, found, tmp_path):
-    again = ju.sensitivity_study(folders, tmp_path, NUM, settings=SETTINGS, workers=2)
+    again = ju.studies.sensitivity_study(folders, tmp_path, NUM, settings=SETTINGS, workers=2)
     drop = ["elapsed_s"]
     pd.testing.assert_frame_equal(
         again.rows.drop(columns=drop)[found.rows.columns.drop(drop)], found.rows.drop(columns=drop)
@@ -436,7 +436,7 @@ def test_parameters_are_every_number_that_metrics_are_differentiated_by():
     }
     changed = with_parameter(task, "risk.threshold_m", 25.0)
     assert parameters_of(changed) == found | {"risk.threshold_m": 25.0}
-    made = list(remade_of(task, ju.RemadeSettings(3, True, (0.5, 2.0))))
+    made = list(remade_of(task, ju.studies.RemadeSettings(3, True, (0.5, 2.0))))
     assert [changed for changed, _, _ in made] == ["heights"] * 3 + [name for name in found for _ in range(2)]
 
 

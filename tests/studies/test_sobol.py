@@ -7,7 +7,7 @@ from jaxurban.errors import InputError
 from jaxurban.paths.cost_map import cost_map
 from jaxurban.studies.queries import RouteQuery
 from jaxurban.studies.route_pool import RoutePool
-from jaxurban.studies.sensitivity.sobol import FEW_SAMPLES, sobol_indices, sobol_of_weights
+from jaxurban.studies.weights.sobol import FEW_SAMPLES, sobol_indices, sobol_of_weights
 from tests.made_maps import made_maps
 
 GIVEN = np.array([0.1, 1.0, 1.0, 1.0, 1.0])
@@ -48,7 +48,7 @@ def test_indices_of_the_ishigami_function_are_the_known_ones():
 
 @pytest.mark.slow
 def test_intervals_from_the_fewest_samples_contain_the_known_indices_in_93_of_100_cases(monkeypatch):
-    monkeypatch.setattr("jaxurban.studies.sensitivity.sobol.NUM_RESAMPLES", 200)
+    monkeypatch.setattr("jaxurban.studies.weights.sobol.NUM_RESAMPLES", 200)
     inside = np.zeros((2, 3))
     for seed in range(2000):
         table = ishigami(FEW_SAMPLES, seed)

@@ -34,7 +34,7 @@ def plot_building_costs(city: City, planned: PlannedPath, table: pd.DataFrame, g
     Args:
       city: whose outlines are drawn.
       planned: the route.
-      table: from `jaxurban.studies.sensitivity.buildings.building_costs`.
+      table: from `jaxurban.studies.weights.buildings.building_costs`.
       grid: the region; buildings beyond it are not drawn.
     """
     assert city.buildings is not None

@@ -33,8 +33,8 @@ from jaxurban.report.figures.style import (
 )
 from jaxurban.report.write import counted, listed
 from jaxurban.studies.queries import outcome_label
-from jaxurban.studies.sensitivity.sobol import CONFIDENCE
-from jaxurban.studies.sensitivity.study import Sensitivity
+from jaxurban.studies.weights.sobol import CONFIDENCE
+from jaxurban.studies.weights.study import Sensitivity
 
 GIVEN_COLOUR, FIRST_COLOUR, TOTAL_COLOUR = "#d62728", "#0072b2", "#e69f00"
 ON_ROUTES_COLOUR = "#ffffff"  # of the given weights' route over others of all colours

@@ -24,7 +24,7 @@ from jaxurban.report.figures.style import (
 )
 from jaxurban.studies.bootstrap import share_of
 from jaxurban.studies.queries import outcome_label
-from jaxurban.studies.sensitivity.summary import ALL, CLEAR, Drawn, change_said
+from jaxurban.studies.weights.summary import ALL, CLEAR, Drawn, change_said
 
 NUM_FACTORS = 60  # at which an interval is drawn
 INTERVALS = "bars: intervals over pairs of places; hollow: too few pairs for one"

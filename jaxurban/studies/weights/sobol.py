@@ -23,7 +23,7 @@ from jaxurban.errors import InputError, one_of, positive
 from jaxurban.studies.bootstrap import reach_of
 from jaxurban.studies.queries import outcomes_of
 from jaxurban.studies.route_pool import RoutePool, draw_pairs, mean_and_slope
-from jaxurban.studies.sensitivity.breakpoints import OnPlans
+from jaxurban.studies.weights.breakpoints import OnPlans
 
 NUM_REPEATS, NUM_NOISE = 8, 16  # estimates of each slope, and searches for each
 NUM_RESAMPLES = 1000  # of the bootstrap that gives the confidence intervals

@@ -29,8 +29,8 @@ from jaxurban.studies.montecarlo.sampling import KEY
 from jaxurban.studies.montecarlo.trial import BAD_INPUT, CRASHED, KILLED, InstanceRules, free_cell
 from jaxurban.studies.queries import RouteQuery, outcomes_of
 from jaxurban.studies.route_pool import RoutePool
-from jaxurban.studies.sensitivity.breakpoints import nearest_breakpoints
-from jaxurban.studies.sensitivity.sobol import check_vary, sobol_of_weights
+from jaxurban.studies.weights.breakpoints import nearest_breakpoints
+from jaxurban.studies.weights.sobol import check_vary, sobol_of_weights
 
 ROUTE_KEY = ("city", *KEY)
 HEIGHTS = "heights"

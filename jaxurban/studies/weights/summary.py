@@ -27,7 +27,7 @@ from jaxurban.studies.bootstrap import (
     share_of,
 )
 from jaxurban.studies.montecarlo.trial import HAS_PATH
-from jaxurban.studies.sensitivity.routes import HEIGHTS, OF_SHARE, OF_WEIGHT, ROUTE_KEY
+from jaxurban.studies.weights.routes import HEIGHTS, OF_SHARE, OF_WEIGHT, ROUTE_KEY
 
 DESCRIBED = ("time", "time_of_day", "start_stratum", "goal_stratum", "range", "distance_m")
 ALL = "all"

@@ -18,7 +18,7 @@ from jaxurban.paths.snapping import Point
 from jaxurban.progress import Progress, reporting
 from jaxurban.studies.queries import RouteQuery, check_flat, cluster_routes, outcomes_of
 from jaxurban.studies.route_pool import RoutePool
-from jaxurban.studies.sensitivity.breakpoints import (
+from jaxurban.studies.weights.breakpoints import (
     ParetoFront,
     Partition,
     check_objectives,
@@ -26,7 +26,7 @@ from jaxurban.studies.sensitivity.breakpoints import (
     find_breakpoints,
     pareto_front,
 )
-from jaxurban.studies.sensitivity.sobol import (
+from jaxurban.studies.weights.sobol import (
     LocalSensitivity,
     SobolIndices,
     check_vary,

@@ -1,0 +1,5 @@
+"""Weights fitted to routes that were flown, or to targets."""
+
+from jaxurban.public import public_names
+
+__getattr__, __dir__, __all__ = public_names(__name__, __file__)

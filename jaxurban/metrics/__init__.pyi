@@ -1,0 +1,2 @@
+from jaxurban.metrics.gps import Dop as Dop
+from jaxurban.metrics.protection import Protection as Protection
