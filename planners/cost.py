@@ -74,12 +74,11 @@ def path_features(problem: "Problem", points_m: np.ndarray, kind: CostKind | Non
     Raises:
       InputError: points that are not finite metres of these shapes.
     """
-    points_m, is_volume = np.asarray(points_m, np.float64), problem.levels_m is not None
-    if points_m.ndim != 2 or points_m.shape[1] != problem.is_free.ndim or not np.isfinite(points_m[:, 2:]).all():
-        raise InputError(
-            f"a path must be [N, {problem.is_free.ndim}] finite metres, got shape {points_m.shape}: mend the path"
-        )
-    crossed, leg, crossed_m = _cut(problem, points_m)
+    cut = crossed_cells(points_m, problem.resolution_m)
+    points_m, is_volume = cut.points_m, problem.levels_m is not None
+    if points_m.shape[1] != problem.is_free.ndim:
+        raise InputError(f"a path must be [N, {problem.is_free.ndim}] here, got shape {points_m.shape}: mend the path")
+    crossed = _nodes_in(problem, cut)
     legs_m = np.diff(points_m, axis=0).T
     length_m = np.hypot(*legs_m[:2])
     if is_volume:
@@ -88,25 +87,26 @@ def path_features(problem: "Problem", points_m: np.ndarray, kind: CostKind | Non
         is_valid = _is_allowed(problem, points_m)
     else:
         metres = [length_m.sum()]
-        is_valid = _is_way(problem, problem.is_free, points_m, Crossings(leg, crossed[0], crossed[1], crossed_m))
+        is_valid = _is_way(problem, problem.is_free, cut)
     if (kind or problem.cost_model.kind) == "line":
-        counted, count = crossed, crossed_m / problem.cost_model.reference_length_m
+        counted, count = crossed, cut.length_m / problem.cost_model.reference_length_m
     else:
-        states, leg, in_state_m = _cut(problem, path_states(points_m, problem.resolution_m))
-        is_last = np.append(leg[1:] != leg[:-1], in_state_m[-1] > 0)
-        counted, count = tuple(index[is_last] for index in states), np.ones(int(is_last.sum()))
+        states = crossed_cells(path_states(points_m, problem.resolution_m), problem.resolution_m)
+        is_last = np.append(states.segment[1:] != states.segment[:-1], states.length_m[-1] > 0)
+        counted = tuple(index[is_last] for index in _nodes_in(problem, states))
+        count = np.ones(int(is_last.sum()))
     layers = np.full(len(problem.costs), np.inf)
     if is_valid:
         layers = problem.costs[(slice(None), *counted)].astype(np.float64) @ count
     phi = np.concatenate([metres[:1], layers, metres[1:]])
-    return PathFeatures(phi, is_valid, counted, count, crossed, crossed_m, problem.costs)
+    return PathFeatures(phi, is_valid, counted, count, crossed, cut.length_m, problem.costs)
 
 
-def _is_way(problem: "Problem", is_free: np.ndarray, points_m: np.ndarray, crossings: Crossings) -> bool:
-    """Return whether a path ``[N, 2]`` on one level is a free way that keeps the problem's margin, but for rounding."""
+def _is_way(problem: "Problem", is_free: np.ndarray, cut: Crossings) -> bool:
+    """Return whether a path on one level is a free way that keeps the problem's margin, but for rounding."""
     margin = problem.leg_margin_m / problem.resolution_m
-    return is_free_way(crossings, is_free, problem.cost_model.passes_corners) and (
-        margin == 0 or bool(are_clear(is_free, points_m / problem.resolution_m, margin - ROUNDING))
+    return is_free_way(cut, is_free, problem.cost_model.passes_corners) and (
+        margin == 0 or bool(are_clear(is_free, cut.points_m / problem.resolution_m, margin - ROUNDING))
     )
 
 
@@ -116,24 +116,13 @@ def _nodes_of(problem: "Problem", points_m: np.ndarray) -> np.ndarray:
     return np.column_stack([np.searchsorted(problem.levels_m, points_m[:, 2]), cells])
 
 
-def _cut(problem: "Problem", points_m: np.ndarray) -> tuple[Index, np.ndarray, np.ndarray]:
-    """Return row and column (in a volume level first) of what a path crosses, the leg, and its length in each.
-
-    In order of travel. A leg on a level is cut at the borders of cells; one that climbs or descends lies half in each
-    of its two nodes.
-    """
-    cut = crossed_cells(points_m[:, :2], problem.resolution_m)
+def _nodes_in(problem: "Problem", cut: Crossings) -> Index:
+    """Return row and column (in a volume level first) of each part; of a step between levels half lies on either."""
     if problem.levels_m is None:
-        return (cut.row, cut.col), cut.segment, cut.length_m
-    nodes, steps_m = _nodes_of(problem, points_m), np.diff(points_m, axis=0)
-    climbs = np.flatnonzero(steps_m[:, 2])
-    is_level = ~np.isin(cut.segment, climbs)
-    at_level = np.column_stack([nodes[cut.segment, 0], cut.row, cut.col])[is_level]
-    ends = np.stack([nodes[climbs], nodes[climbs + 1]], axis=1).reshape(-1, 3)
-    leg = np.concatenate([cut.segment[is_level], np.repeat(climbs, 2)])
-    length_m = np.concatenate([cut.length_m[is_level], np.repeat(np.linalg.norm(steps_m[climbs], axis=1) / 2, 2)])
-    order = np.argsort(leg, kind="stable")
-    return tuple(np.concatenate([at_level, ends])[order].T), leg[order], length_m[order]
+        return cut.row, cut.col
+    is_late = cut.shares.sum(axis=1) > 1  # beyond the middle of its segment
+    nearer = np.minimum(cut.segment + is_late, len(cut.points_m) - 1)
+    return np.searchsorted(problem.levels_m, cut.points_m[nearer, 2]), cut.row, cut.col
 
 
 def _is_allowed(problem: "Problem", points_m: np.ndarray) -> bool:
@@ -148,7 +137,7 @@ def _is_allowed(problem: "Problem", points_m: np.ndarray) -> bool:
     steps, is_climb = np.diff(nodes, axis=0), np.diff(points_m[:, 2]) != 0
     for first, last in _runs(~is_climb):
         way = crossed_cells(points_m[first : last + 1, :2], problem.resolution_m)
-        if not _is_way(problem, problem.is_free[nodes[first, 0]], points_m[first : last + 1, :2], way):
+        if not _is_way(problem, problem.is_free[nodes[first, 0]], way):
             return False
     is_node = np.append(is_climb, len(nodes) == 1) | np.append(False, is_climb)
     if np.abs(steps[is_climb]).max(initial=0) > 1 or not problem.is_free[tuple(nodes[is_node].T)].all():

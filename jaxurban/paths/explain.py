@@ -163,18 +163,19 @@ def explain(
     given |= {name: getattr(Vehicle.of(planned.settings), name) for name, value in given.items() if value is None}
     vehicle = replace(Vehicle.of(planned.settings), **given)
     check_flight(**given, swath_m=swath_m)
-    crossings, names, grid = route.crossings, tuple(maps.metrics), maps.grid
+    cut, names, grid = route.cut, tuple(maps.metrics), maps.grid
     profile = route.table({name: name for name in names} | EXTRA_MAPS)
     on = _cost_map_of(planned, maps)
-    states = crossings.states[:, : 2 if on.levels is None else 3]
+    states = cut.points_m[:, : 2 if on.levels is None else 3]
     lonlat = np.stack(grid.lonlat_of_xy(states[:, 0] + grid.x_min_m, states[:, 1] + grid.y_min_m), axis=-1)
 
-    rise_m = np.diff(crossings.ends[:, :, 2])[:, 0]
-    flight_s = None if vehicle.speed_m_s is None else vehicle.flight_s(crossings.length_m, rise_m, vehicle.speed_m_s)
+    moved_m = np.diff(cut.ends_m, axis=1)[:, 0].T
+    over_m, rise_m = np.hypot(*moved_m[:2]), moved_m[2]
+    flight_s = None if vehicle.speed_m_s is None else vehicle.flight_s(cut.length_m, rise_m, vehicle.speed_m_s)
 
     def row(first: int, last: int) -> dict[str, float]:
         """Return what the route from one state to another costs and meets."""
-        chosen = (first <= crossings.step) & (crossings.step < max(last, 1))
+        chosen = (first <= cut.segment) & (cut.segment < max(last, 1))
         part, features = profile[chosen], on.shortest.features(states[first : last + 1])
         length_m = (part["to_m"] - part["from_m"]).to_numpy()
         found = {"from_m": part["from_m"].min(), "to_m": part["to_m"].max(), "length_m": float(length_m.sum())}
@@ -182,7 +183,7 @@ def explain(
         found |= {"cost": sum(by_name.values())} | {f"cost_of_{name}": cost for name, cost in by_name.items()}
         found |= {f"mean_{name}": mean for name, mean in on.means(features).items()}
         if DENSITY in part:
-            found["people_overflown"] = float(part[DENSITY] @ crossings.ground_m[chosen]) * swath_m / M2_PER_KM2
+            found["people_overflown"] = float(part[DENSITY] @ over_m[chosen]) * swath_m / M2_PER_KM2
         if VISIBLE in part:
             found["under_4_satellites_m"] = float(length_m[part[VISIBLE] < FEWEST_SATELLITES].sum())
         found |= {name: float(part[name].min()) for name in (CLEARANCE, OUTSIDE, OVER_ROOF)}
@@ -194,7 +195,7 @@ def explain(
 
     num_steps = len(states) - 1
     whole = row(0, num_steps)
-    segment = cut_evenly(crossings.states, num_segments)
+    segment = cut_evenly(cut.points_m, num_segments)
     parts = list(pairwise([*np.unique(segment, return_index=True)[1].tolist(), num_steps]))
     segments = pd.DataFrame(
         [row(*part) for part in parts], pd.RangeIndex(1, len(parts) + 1, name="segment"), list(whole)

@@ -10,7 +10,7 @@ import shapely
 from scipy.ndimage import binary_erosion
 
 from jaxurban.errors import InputError
-from jaxurban.kernels.line.traversal import crossed_cells
+from jaxurban.kernels.line.traversal import Crossings, crossed_cells
 from jaxurban.maps.levels import values_at
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.base import UNDERSIDE
@@ -24,87 +24,12 @@ TO_GUESSED = "guessed_roof_away_m"
 SAME_HEIGHT_M = 1e-6  # rounding of heights along a step
 
 
-@dataclass(frozen=True, eq=False)
-class RouteCrossings:
-    """A route as steps, and each step as crossings of one cell. ``S`` steps, ``M`` crossings, in order of travel.
-
-    A step ends where the ``cell`` cost model counts a cell; steps without length are left out. Points are metres
-    from the map's southwest corner. A route of one point has no step, and one crossing of no length.
-
-    Attributes:
-      states: ``[S + 1, 3]`` x, y and altitude of the steps' ends.
-      step: ``[M]`` the step of each crossing.
-      row, col: ``[M]`` its cell.
-      ground_m: ``[M]`` its length over the ground.
-      length_m: ``[M]`` its length in the air: longer where the route climbs or descends.
-      ends: ``[M, 2, 3]`` x, y, altitude of its start and end.
-    """
-
-    states: np.ndarray
-    step: np.ndarray
-    row: np.ndarray
-    col: np.ndarray
-    ground_m: np.ndarray
-    length_m: np.ndarray
-    ends: np.ndarray
-
-    @property
-    def middle(self) -> np.ndarray:
-        """``[M, 3]`` x, y and altitude of the crossings' middles."""
-        return self.ends.mean(axis=1)
-
-
-def cut_route(points_m: np.ndarray, z_m: np.ndarray, resolution_m: float) -> RouteCrossings:
-    """Return the crossings of a route.
-
-    Args:
-      points_m: ``[N, 2]`` x, y from the map's southwest corner.
-      z_m: ``[N]`` altitude; it changes evenly between two points.
-      resolution_m: side of a cell.
-    """
-    states = _states(points_m, z_m, resolution_m)
-    ground_m = np.hypot(*np.diff(states[:, :2], axis=0).T)
-    air_m = np.hypot(ground_m, np.diff(states[:, 2]))
-    crossed = crossed_cells(states[:, :2], resolution_m)
-    if not air_m.any():
-        here, none = states[:1], np.zeros(1)
-        return RouteCrossings(here, np.zeros(1, np.int64), crossed.row, crossed.col, none, none, here[None, [0, 0]])
-    # Straight up or down: within one cell, half of it nearer to either end's altitude.
-    climbs = np.repeat(np.flatnonzero((ground_m == 0) & (air_m > 0)), 2)
-    col, row = np.floor(states[climbs, :2] / resolution_m).T
-    level = np.stack(crossed)[:, crossed.length_m > 0]  # none of a route that goes only up and down
-    parts = np.concatenate([level, [climbs, row, col, np.zeros(len(climbs))]], axis=1)
-    parts = parts[:, np.argsort(parts[0], kind="stable")]
-    over_m, (step, row, col) = parts[3], parts[:3].astype(np.int64)
-    is_climb = ground_m[step] == 0
-    share = np.where(is_climb, 0.5, over_m / np.where(is_climb, 1.0, ground_m[step]))
-    done = np.cumsum(share)
-    is_first = np.append(True, step[1:] != step[:-1])
-    before = done - share
-    before -= np.maximum.accumulate(np.where(is_first, before, 0.0))
-    ends = [states[step] + at[:, None] * (states[step + 1] - states[step]) for at in (before, before + share)]
-    return RouteCrossings(states, step, row, col, over_m, share * air_m[step], np.stack(ends, axis=1))
-
-
-def _states(points_m: np.ndarray, z_m: np.ndarray, resolution_m: float) -> np.ndarray:
-    """Return the ends of the steps with their altitudes, those of steps without length left out."""
-    states = [np.append(points_m[0], z_m[0])[None]]
-    for start, end, low_m, high_m in zip(points_m[:-1], points_m[1:], z_m[:-1], z_m[1:], strict=True):
-        ends = path_states(np.stack([start, end]), resolution_m)[1:]
-        length_m = np.hypot(*(end - start))
-        share = np.hypot(*(ends - start).T) / length_m if length_m > 0 else np.ones(len(ends))
-        height_m = np.where(share == 1, high_m, low_m + share * (high_m - low_m))  # a node's own, to the last bit
-        states.append(np.column_stack([ends, height_m]))
-    joined = np.concatenate(states)
-    return joined[np.append(True, np.any(np.diff(joined, axis=0) != 0, axis=1))]
-
-
-def cut_evenly(states: np.ndarray, most: int) -> np.ndarray:
+def cut_evenly(states_m: np.ndarray, most: int) -> np.ndarray:
     """Return ``[S]`` the number, from 0 up, of the segment that each step belongs to: at most ``most``, nearly equal.
 
     A segment ends at the end of a step, so that its cost is the sum of its steps' costs.
     """
-    along_m = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(states, axis=0), axis=1)))
+    along_m = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(states_m, axis=0), axis=1)))
     wanted_m = along_m[-1] * np.arange(1, most) / most
     after = np.clip(np.searchsorted(along_m, wanted_m), 1, len(along_m) - 1)
     nearest = np.where(wanted_m - along_m[after - 1] <= along_m[after] - wanted_m, after - 1, after)
@@ -153,7 +78,8 @@ class RouteProfile:
     Attributes:
       planned: the route; on one altitude, or between levels.
       maps: that it was planned on.
-      crossings: the route cut at the cells' borders.
+      cut: the route cut at the cells' borders; a step ends where the ``cell`` cost model counts a cell, and those
+        without length are left out.
 
     Raises:
       InputError: there is no path, or the maps are others.
@@ -161,7 +87,7 @@ class RouteProfile:
 
     planned: PlannedPath
     maps: MetricMaps
-    crossings: RouteCrossings
+    cut: Crossings
 
     @classmethod
     def of(cls, planned: PlannedPath, maps: MetricMaps) -> "RouteProfile":
@@ -177,7 +103,9 @@ class RouteProfile:
         points_m = planned.xy_m - [grid.x_min_m, grid.y_min_m]
         if (points_m < 0).any() or (points_m[:, ::-1] > np.array(grid.shape) * grid.resolution_m).any():
             raise InputError("the path leaves the region of these maps: give the maps that it was planned on")
-        return cls(planned, maps, cut_route(points_m, planned.z_m, grid.resolution_m))
+        states_m = path_states(np.column_stack([points_m, planned.z_m]), grid.resolution_m)
+        states_m = states_m[np.append(True, np.any(np.diff(states_m, axis=0) != 0, axis=1))]
+        return cls(planned, maps, crossed_cells(states_m, grid.resolution_m))
 
     def table(self, shown: Mapping[str, str]) -> pd.DataFrame:
         """Return a row for each crossing: its place, the maps that are shown by their columns, roofs and clearance.
@@ -187,12 +115,12 @@ class RouteProfile:
         Each takes the maps of the level nearest to it, as the planner did; of satellites and obstacles that below,
         where there are fewer of the ones and more of the others.
         """
-        crossings, middle, grid = self.crossings, self.crossings.middle, self.maps.grid
+        ends_m, grid = self.cut.ends_m, self.maps.grid
+        middle, to_m = ends_m.mean(axis=1), np.cumsum(self.cut.length_m)
         lon, lat = grid.lonlat_of_xy(middle[:, 0] + grid.x_min_m, middle[:, 1] + grid.y_min_m)
-        to_m = np.cumsum(crossings.length_m)
-        columns = {"from_m": to_m - crossings.length_m, "to_m": to_m, "lon": lon, "lat": lat, "z_m": middle[:, 2]}
+        columns = {"from_m": to_m - self.cut.length_m, "to_m": to_m, "lon": lon, "lat": lat, "z_m": middle[:, 2]}
         levels_m = self.planned.settings.get("levels_m") or [self.planned.altitude_m]
-        level_m, lowest_m = nearest_level_m(middle[:, 2], levels_m), crossings.ends[:, :, 2].min(axis=1)
+        level_m, lowest_m = nearest_level_m(middle[:, 2], levels_m), ends_m[:, :, 2].min(axis=1)
         for name, column in {**shown, self._roofs: "roof_m", GUESSED: GUESSED}.items():
             if self.maps.variable(name) in self.maps.ds:
                 columns[column] = self._sample(name, level_m)
@@ -200,14 +128,14 @@ class RouteProfile:
             columns[VISIBLE] = columns[VISIBLE].astype(int)
         if GUESSED in columns:
             is_over = columns[GUESSED] = columns[GUESSED].astype(bool)
-            away_m = clearance_m(crossings.ends[:, :, :2], self.maps.m(GUESSED).astype(bool), grid.resolution_m)
+            away_m = clearance_m(ends_m[:, :, :2], self.maps.m(GUESSED).astype(bool), grid.resolution_m)
             columns[TO_GUESSED] = np.where(is_over, 0.0, away_m)  # `clearance_m` leaves out what roofs surround
         columns[OVER_ROOF] = np.where(columns["roof_m"] > 0, lowest_m - columns["roof_m"], np.nan)
         below_m = level_below_m(lowest_m, levels_m)
         columns[OUTSIDE] = self._outside_m(level_below_m(below_m, self.maps.altitudes_m))
         columns[CLEARANCE] = np.empty(len(below_m))
         for z_m in np.unique(below_m):
-            lines = crossings.ends[below_m == z_m, :, :2]
+            lines = ends_m[below_m == z_m, :, :2]
             columns[CLEARANCE][below_m == z_m] = clearance_m(lines, self._is_obstacle(float(z_m)), grid.resolution_m)
         return pd.DataFrame(columns)
 
@@ -216,7 +144,7 @@ class RouteProfile:
 
         Linear between the altitudes around a level; the upper's over an obstacle at the lower.
         """
-        maps, settings, cells = self.maps, self.planned.settings, (self.crossings.row, self.crossings.col)
+        maps, settings, cells = self.maps, self.planned.settings, (self.cut.row, self.cut.col)
         when = {"time": settings["time"], "time_of_day": settings["time_of_day"]}
         if "altitude" not in maps.ds[maps.variable(name)].dims:
             return maps.m(name, **when)[cells].astype(float)
@@ -252,7 +180,7 @@ class RouteProfile:
         They stand beyond its border; and, since the risk metric counts them up to its threshold and measures between
         the middles of cells, at least its distance less two half diagonals away; ``below_m`` names the maps below each.
         """
-        grid, attrs, ends = self.maps.grid, self.maps.ds.attrs, self.crossings.ends[:, :, :2]
+        grid, attrs, ends = self.maps.grid, self.maps.ds.attrs, self.cut.ends_m[:, :, :2]
         side_m = np.array([grid.num_cols, grid.num_rows]) * grid.resolution_m
         border_m = np.minimum(ends, side_m - ends).min(axis=(1, 2))
         is_told = "risk_threshold_m" in attrs and "risk" in self.maps.ds

@@ -12,32 +12,36 @@ DIAGONAL_SIDES = 2**0.5 * (1 + 1e-9)  # cell sides: the longest segment that is 
 
 
 class Crossings(NamedTuple):
-    """Cells crossed by a polyline, in the order of travel. ``M`` parts.
+    """A polyline cut at the borders of cells, in the order of travel. ``N`` points, ``M`` parts.
 
     Attributes:
+      points_m: ``[N, 2]`` or ``[N, 3]`` float64 x, y (and altitude) of the polyline.
       segment: ``[M]`` int64, which segment of the polyline each part belongs to, ascending.
       row, col: ``[M]`` int64 cell of each part; outside the map's range where the path leaves the map.
-      length_m: ``[M]`` float64 length of each part.
+      length_m: ``[M]`` float64 length of each part, in the air where it climbs or descends.
     """
 
+    points_m: np.ndarray
     segment: np.ndarray
     row: np.ndarray
     col: np.ndarray
     length_m: np.ndarray
 
+    @property
+    def shares(self) -> np.ndarray:
+        """``[M, 2]`` where on its segment each part begins and ends, from 0 to 1."""
+        total_m = np.bincount(self.segment, self.length_m)[self.segment]
+        share = self.length_m / np.where(total_m > 0, total_m, 1.0)
+        end = np.cumsum(share)
+        before = np.append(0.0, end)[np.searchsorted(self.segment, self.segment)]  # at the segment's beginning
+        return np.stack([end - share - before, end - before], axis=1)
 
-def in_cell_sides(points_m: np.ndarray, resolution_m: float) -> np.ndarray:
-    """Return points in cell sides; a coordinate within ``TOUCH_CELLS`` of a border lies on it exactly.
-
-    Raises:
-      InputError: the points are not ``[N, 2]`` with ``N >= 1``, or not finite.
-    """
-    points = np.array(points_m, np.float64, ndmin=1)
-    if points.ndim != 2 or points.shape[1] != 2 or len(points) == 0 or not np.isfinite(points).all():
-        raise InputError(f"points_m must be [N, 2] finite metres with N >= 1, got shape {points.shape}: mend the path")
-    points /= resolution_m
-    border = np.rint(points)
-    return np.where(np.abs(points - border) < TOUCH_CELLS, border, points)
+    @property
+    def ends_m(self) -> np.ndarray:
+        """``[M, 2, 2]`` or ``[M, 2, 3]`` the points at which each part begins and ends."""
+        start_m = self.points_m[self.segment, None]
+        end_m = self.points_m[np.minimum(self.segment + 1, len(self.points_m) - 1), None]
+        return start_m + self.shares[:, :, None] * (end_m - start_m)
 
 
 def crossed_cells(points_m: np.ndarray, resolution_m: float) -> Crossings:
@@ -45,24 +49,41 @@ def crossed_cells(points_m: np.ndarray, resolution_m: float) -> Crossings:
 
     Cell (row, col) covers ``[col, col + 1) x [row, row + 1)`` cell sides: a part that runs exactly
     along a border belongs to the cell north or east of it (the floor rule of the grid). A cell that is
-    only touched, at a corner or by a vertex of the polyline on its border, is not crossed. A part
-    shorter than ``TOUCH_CELLS`` at a corner counts as touching. Segments of no length cross nothing,
-    but a path of no length at all lies in the cell that holds it, with length 0.
+    only touched, at a corner or by a vertex of the polyline on its border, is not crossed. A coordinate within
+    ``TOUCH_CELLS`` of a border lies on it, and a part shorter than that at a corner counts as touching. Segments of no
+    length cross nothing, but a path of no length at all lies in the cell that holds it, with length 0. A segment
+    straight up or down is two parts, halves of it.
 
     Args:
-      points_m: ``[N, 2]`` x, y in metres from the map's southwest corner, ``N >= 1``.
+      points_m: ``[N, 2]`` x, y in metres from the map's southwest corner, or ``[N, 3]`` with altitudes, ``N >= 1``.
       resolution_m: side of a cell.
 
     Raises:
-      InputError: the points are not ``[N, 2]`` with ``N >= 1``, or not finite.
+      InputError: the points are not of these shapes, or not finite.
     """
-    points = in_cell_sides(points_m, resolution_m)
-    if np.all(points == points[0]):
-        col, row = np.floor(points[0]).astype(np.int64)
-        return Crossings(np.zeros(1, np.int64), np.array([row]), np.array([col]), np.zeros(1))
+    points_m = np.array(points_m, np.float64, ndmin=1)
+    if points_m.ndim != 2 or points_m.shape[1] not in (2, 3) or not len(points_m) or not np.isfinite(points_m).all():
+        raise InputError(
+            f"a path must be [N, 2] or [N, 3] finite metres with N >= 1, got shape {points_m.shape}: mend the path"
+        )
+    points = points_m[:, :2] / resolution_m
+    border = np.rint(points)
+    points = np.where(np.abs(points - border) < TOUCH_CELLS, border, points)
     most_parts = int(np.abs(np.diff(np.floor(points), axis=0)).sum()) + len(points)
     segment, row, col, length = _walk(points, most_parts)
-    return Crossings(segment, row, col, length * resolution_m)
+    length_m = length * resolution_m
+    if points_m.shape[1] == 3:
+        legs_m = np.diff(points_m, axis=0).T
+        over_m = np.hypot(*legs_m[:2])
+        length_m *= np.divide(np.hypot(over_m, legs_m[2]), over_m, out=np.ones_like(over_m), where=over_m > 0)[segment]
+        rises = np.repeat(np.flatnonzero((points[1:] == points[:-1]).all(axis=1) & (legs_m[2] != 0)), 2)
+        rise_col, rise_row = np.floor(points[rises]).astype(np.int64).T
+        parts = ((segment, rises), (row, rise_row), (col, rise_col), (length_m, np.abs(legs_m[2, rises]) / 2))
+        order = np.argsort(np.concatenate(parts[0]), kind="stable")
+        segment, row, col, length_m = (np.concatenate(part)[order] for part in parts)
+    if not len(segment):
+        (col, row), segment, length_m = np.floor(points[:1]).astype(np.int64).T, np.zeros(1, np.int64), np.zeros(1)
+    return Crossings(points_m, segment, row, col, length_m)
 
 
 def is_free_way(crossings: Crossings, is_free: np.ndarray, passes_corners: bool) -> bool:

@@ -78,9 +78,9 @@ def test_a_path_of_no_length_lies_in_one_cell():
         assert (crossings.row.tolist(), crossings.col.tolist(), crossings.length_m.tolist()) == ([1], [2], [0.0])
 
 
-@pytest.mark.parametrize("points", [[], [1.0, 2.0], [[1.0, 2.0, 3.0]], [[np.nan, 1.0]], [[np.inf, 1.0], [0, 0]]])
+@pytest.mark.parametrize("points", [[], [1.0, 2.0], [[1.0, 2.0, 3.0, 4.0]], [[np.nan, 1.0]], [[np.inf, 1.0], [0, 0]]])
 def test_points_that_are_no_path_are_refused(points):
-    with pytest.raises(InputError, match="points_m"):
+    with pytest.raises(InputError, match="a path must be"):
         crossed_cells(np.array(points, float), 1.0)
 
 

@@ -7,7 +7,9 @@ import pytest
 import shapely
 from scipy.ndimage import distance_transform_edt
 
-from jaxurban.paths.profile import clearance_m, cut_evenly, cut_route, nearest_level_m
+from jaxurban.kernels.line.traversal import crossed_cells
+from jaxurban.paths.profile import clearance_m, cut_evenly, nearest_level_m
+from jaxurban.planners.cost import path_states
 
 OBSTACLES = np.random.default_rng(3).random((30, 40)) < 0.08
 RES = 5.0
@@ -19,52 +21,47 @@ def straight_walk(seed: int, num: int = 12) -> np.ndarray:
 
 def test_crossings_have_the_lengths_of_shapelys_intersections():
     points = straight_walk(1)
-    crossings = cut_route(points, np.full(len(points), 20.0), RES)
+    crossings = crossed_cells(points, RES)
     by_cell = np.zeros((30, 40))
     np.add.at(by_cell, (crossings.row, crossings.col), crossings.length_m)
     for row, col in np.ndindex(30, 40):
         cell = shapely.box(col * RES, row * RES, (col + 1) * RES, (row + 1) * RES)
         inside = sum(shapely.LineString(pair).intersection(cell).length for pair in itertools.pairwise(points))
         assert by_cell[row, col] == pytest.approx(inside, abs=1e-6)
-    assert np.array_equal(crossings.ends[1:, 0], crossings.ends[:-1, 1]) or np.allclose(
-        crossings.ends[1:, 0], crossings.ends[:-1, 1]
-    )
-    np.testing.assert_allclose(
-        np.linalg.norm(np.diff(crossings.ends, axis=1)[:, 0], axis=1), crossings.length_m, atol=1e-9
-    )
+    ends_m = crossings.ends_m
+    np.testing.assert_allclose(ends_m[1:, 0], ends_m[:-1, 1])
+    np.testing.assert_allclose(np.linalg.norm(np.diff(ends_m, axis=1)[:, 0], axis=1), crossings.length_m, atol=1e-9)
 
 
 def test_a_climb_is_longer_in_the_air_than_over_the_ground():
-    points = np.array([[2.5, 2.5], [32.5, 42.5], [32.5, 42.5], [62.5, 42.5]])
-    crossings = cut_route(points, np.array([20.0, 20.0, 60.0, 20.0]), RES)
-    assert crossings.ground_m.sum() == pytest.approx(50 + 0 + 30)
+    crossings = crossed_cells(
+        np.array([[2.5, 2.5, 20.0], [32.5, 42.5, 20.0], [32.5, 42.5, 60.0], [62.5, 42.5, 20.0]]), RES
+    )
+    ends_m = crossings.ends_m
+    over_m = np.hypot(*np.diff(ends_m[:, :, :2], axis=1)[:, 0].T)
+    assert over_m.sum() == pytest.approx(50 + 0 + 30)
     assert crossings.length_m.sum() == pytest.approx(50 + 40 + 50)
-    straight_up = crossings.ground_m == 0
+    straight_up = over_m == 0
     assert [(r, c) for r, c in zip(crossings.row[straight_up], crossings.col[straight_up], strict=True)] == [(8, 6)] * 2
-    np.testing.assert_allclose(crossings.ends[straight_up][0], [[32.5, 42.5, 20], [32.5, 42.5, 40]])
-    np.testing.assert_allclose(np.diff(crossings.ends[:, :, 2], axis=1)[:, 0].sum(), 0.0, atol=1e-9)
+    np.testing.assert_allclose(ends_m[straight_up][0], [[32.5, 42.5, 20], [32.5, 42.5, 40]])
+    np.testing.assert_allclose(np.diff(ends_m[:, :, 2], axis=1)[:, 0].sum(), 0.0, atol=1e-9)
 
 
 @pytest.mark.parametrize("points", [[[12.5, 7.5]], [[12.5, 7.5], [12.5, 7.5]]])
 def test_a_route_of_one_place_is_one_crossing_of_no_length(points):
-    crossings = cut_route(np.array(points), np.full(len(points), 20.0), RES)
-    assert (len(crossings.states), crossings.row.tolist(), crossings.col.tolist(), crossings.length_m.tolist()) == (
-        1,
-        [1],
-        [2],
-        [0],
-    )
-    assert cut_evenly(crossings.states, 10).size == 0
+    crossings = crossed_cells(np.array(points), RES)
+    assert [crossings.row.tolist(), crossings.col.tolist(), crossings.length_m.tolist()] == [[1], [2], [0]]
+    assert cut_evenly(np.array(points[:1]), 10).size == 0
 
 
 def test_segments_are_equal_up_to_a_step():
-    crossings = cut_route(straight_walk(2), np.full(12, 20.0), RES)
-    segment = cut_evenly(crossings.states, 7)
-    length_m = np.bincount(segment, np.linalg.norm(np.diff(crossings.states, axis=0), axis=1))
+    states_m = path_states(straight_walk(2), RES)
+    segment = cut_evenly(states_m, 7)
+    length_m = np.bincount(segment, np.linalg.norm(np.diff(states_m, axis=0), axis=1))
     assert np.array_equal(np.unique(segment), np.arange(7))
     assert np.all(np.diff(segment) >= 0)
     assert np.ptp(length_m) <= 2 * RES
-    assert np.array_equal(cut_evenly(crossings.states[:4], 10), [0, 1, 2])
+    assert np.array_equal(cut_evenly(states_m[:4], 10), [0, 1, 2])
 
 
 def test_clearance_is_that_of_brute_force():
