@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
+import matplotlib
 import numpy as np
 import pandas as pd
 import pytest
@@ -16,7 +17,7 @@ from jaxurban.io.store import open_zarr
 from jaxurban.maps.build import compute_maps
 from jaxurban.maps.differentiable import path_visits
 from jaxurban.maps.task import MapParams, MapTask
-from jaxurban.metrics.base import ALTITUDE, Metric, low_is_bad
+from jaxurban.metrics.base import ALTITUDE, Metric, Scale, Variable, low_is_bad
 from jaxurban.metrics.registry import METRICS
 from jaxurban.metrics.settings import differentiable
 from jaxurban.planners.registry import PLANNERS
@@ -51,9 +52,8 @@ def toy_of(surface, altitude_m, params):
 
 
 def toy_map(scene, params):
-    return {
-        "toy": jnp.where(scene.is_obstacle, 0.0, toy_of(scene.surface, scene.altitude_m, params)).astype(jnp.float32)
-    }
+    m = jnp.where(scene.is_obstacle, 0.0, toy_of(scene.surface, scene.altitude_m, params)).astype(jnp.float32)
+    return {"toy": m, "near_m": scene.surface.crop(scene.surface.roof_m)}
 
 
 def soft_toy(scene, params):
@@ -73,6 +73,7 @@ TOY = Metric(
     one_means="nothing high to the north",
     colour="#123456",
     colour_map="cividis",
+    also=(Variable("near_m", "height of the roof below", "m", inside=np.nan, scale=Scale("magma", high=50.0)),),
 )
 WEIGHTS = {"distance": 0.1, "gps": 0.5, "toy": 2.0}
 ALTITUDE_M = 20.0
@@ -127,11 +128,17 @@ def test_tiles_equal_the_whole_and_files_hold_it(tmp_path):
     m = whole.m("toy", ALTITUDE_M)
     assert 0 == m.min() < m.max() < 1
     assert len(np.unique(m)) > 10
-    folder = whole.save(tmp_path / "saved")
+    folder = whole.save(tmp_path / "saved", layers=("near_m",))
     with rasterio.open(folder / "geotiff" / "toy_20m_20m.tif") as file:
         nothing_inside = np.where(whole.m("obstacle", ALTITUDE_M) != 0, np.float32(np.nan), m)
         np.testing.assert_array_equal(file.read(1)[::-1], nothing_inside)
         assert file.tags()["one_means"] == TOY.one_means
+    with rasterio.open(folder / "geotiff" / "near_m_20m_20m.tif") as file:
+        np.testing.assert_array_equal(np.isnan(file.read(1)[::-1]), whole.m("obstacle", ALTITUDE_M) != 0)
+        assert (file.units, file.tags()["long_name"]) == (("m",), "height of the roof below")
+    style = (folder / "geotiff" / "near_m_20m.qml").read_text()
+    assert 'classificationMax="50.0"' in style
+    assert matplotlib.colors.to_hex(matplotlib.colormaps["magma"](1.0)) in style
     assert list(ju.open_maps(folder).metrics) == ["population", "toy"]
 
 

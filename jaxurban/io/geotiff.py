@@ -31,11 +31,9 @@ from jaxurban.io.files import (
 from jaxurban.io.qgis import style
 from jaxurban.io.store import GEOTIFF_FOLDER, short_number
 from jaxurban.io.workspace import Workspace
-from jaxurban.metrics.availability import statistics_of
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY
-from jaxurban.metrics.custom import held_metrics
-from jaxurban.metrics.gps import DOPS, WEIGHTED_DOPS
-from jaxurban.metrics.protection import LEVELS
+from jaxurban.metrics.custom import held_metrics, held_variables
+from jaxurban.metrics.variables import SERIES
 from jaxurban.world.grid import Grid
 
 BLOCK = 512  # cells of a block's side
@@ -59,7 +57,7 @@ def geotiff_names(held: Collection[str], metrics: Iterable[str], layers: Sequenc
     """
     names = ["obstacle"]
     for name in [*metrics, *(sorted(held) if tuple(layers) == (ALL,) else layers)]:
-        found = [name] if name in held else [one for one in statistics_of(name) if one in held]
+        found = [name] if name in held else [one for what in SERIES if (one := f"{name}_{what}") in held]
         if not found:
             one_of("layer", name, sorted({*held, ALL}))
         names += [one for one in found if one not in names]
@@ -75,6 +73,7 @@ class _Layer(NamedTuple):
       place: along the variable's axes before y and x.
       in_obstacle: the place of the obstacles inside which it has no data; None where it has data there.
       dtype: of the file's values.
+      is_averaged: see `jaxurban.metrics.base.Variable`.
       tags: what the file says.
     """
 
@@ -83,6 +82,7 @@ class _Layer(NamedTuple):
     place: tuple[int, ...]
     in_obstacle: tuple[int, ...] | None
     dtype: np.dtype
+    is_averaged: bool
     tags: dict[str, str]
 
     @property
@@ -92,11 +92,6 @@ class _Layer(NamedTuple):
         return ", ".join((self.tags.get("long_name", self.name), *where, *when))
 
 
-def held_maps(ds: xr.Dataset) -> list[str]:
-    """Return the variables of a dataset that are maps."""
-    return [str(name) for name, array in ds.data_vars.items() if array.dims[-2:] == ("y", "x")]
-
-
 def _layers(ds: xr.Dataset, layers: Sequence[str]) -> Iterator[_Layer]:
     """Yield what goes into each GeoTIFF of a dataset."""
     resolution = f"{short_number(ds.attrs['resolution_m'])}m"
@@ -104,9 +99,9 @@ def _layers(ds: xr.Dataset, layers: Sequence[str]) -> Iterator[_Layer]:
     common = {"credit": ds.attrs[CREDIT]} if CREDIT in ds.attrs else {}
     norm_name = next((name for name in ("pop_norm_per_km2", "pop_norm_per_block") if name in ds.attrs), "")
     walls = [str(dim) for dim in ds["obstacle"].dims[:-2]]
-    metrics = held_metrics(ds)
-    statistics = {one for name in metrics for one in statistics_of(name)}
-    for name in geotiff_names(held_maps(ds), metrics, layers):
+    metrics, variables = held_metrics(ds), held_variables(ds)
+    for name in geotiff_names(variables, metrics, layers):
+        of = metrics.get(name.rpartition("_")[0])
         array = ds[name]
         told = {key: str(array.attrs[key]) for key in ("long_name", "units", "one_means", CAVEAT) if key in array.attrs}
         for index in np.ndindex(array.shape[:-2]):
@@ -125,7 +120,7 @@ def _layers(ds: xr.Dataset, layers: Sequence[str]) -> Iterator[_Layer]:
                 tags["time"] = times[at[TIME]]
                 if len(times) > 1:
                     parts.append(tags["time"].translate({45: None, 58: None}))
-            elif name in statistics:
+            elif of is not None and TIME in of.dims:
                 tags |= {"time": f"{times[0]}/{times[-1]}", "num_times": str(len(times))}
             if "time" in tags and "constellations" in ds.attrs:
                 tags["constellation"] = ds.attrs["constellations"]
@@ -135,6 +130,7 @@ def _layers(ds: xr.Dataset, layers: Sequence[str]) -> Iterator[_Layer]:
                 place=index,
                 in_obstacle=tuple(at[dim] for dim in walls) if IN_OBSTACLES in array.attrs else None,
                 dtype=np.dtype(np.uint8 if array.dtype in (np.bool_, np.uint8) else np.float32),
+                is_averaged=variables[name].is_averaged,
                 tags=tags,
             )
 
@@ -142,7 +138,7 @@ def _layers(ds: xr.Dataset, layers: Sequence[str]) -> Iterator[_Layer]:
 def _styles(ds: xr.Dataset, layers: Sequence[str]) -> dict[str, str]:
     """Return the variable of each QGIS style by its file's name."""
     resolution = short_number(ds.attrs["resolution_m"])
-    return {f"{name}_{resolution}m.qml": name for name in geotiff_names(held_maps(ds), held_metrics(ds), layers)}
+    return {f"{name}_{resolution}m.qml": name for name in geotiff_names(held_variables(ds), held_metrics(ds), layers)}
 
 
 def geotiff_paths(ds: xr.Dataset, folder: Path, layers: Sequence[str]) -> list[Path]:
@@ -239,14 +235,12 @@ def _write_layer(
     """Write one GeoTIFF."""
     tags = layer.tags if run_key is None else layer.tags | {RUN_KEY: run_key}
     with recorded_by(recorder), whole_file(folder / GEOTIFF_FOLDER / layer.file) as scratch:
-        # Averages of classes, of counts and of infinite DOPs and levels would be none of them in the overviews.
-        is_averaged = layer.dtype == np.float32 and layer.name not in (*DOPS, *WEIGHTED_DOPS, *LEVELS)
         write_cog(
             scratch,
             grid,
             layer.dtype,
             _parts(ds, layer),
-            is_averaged=is_averaged,
+            is_averaged=layer.is_averaged and layer.dtype == np.float32,  # means of classes are none of them
             tags=tags | {FIELD: BLANK},
             title=layer.title,
             unit=layer.tags.get("units", ""),

@@ -1,7 +1,5 @@
 """QGIS styles of maps: the colours and ranges of our figures, a file for each variable."""
 
-from collections.abc import Sequence
-from typing import NamedTuple
 from xml.sax.saxutils import quoteattr
 
 import matplotlib
@@ -9,55 +7,18 @@ import numpy as np
 import xarray as xr
 from matplotlib.colors import to_hex
 
-from jaxurban.metrics.custom import held_metrics
-from jaxurban.metrics.gps import DOPS, WEIGHTED_DOPS
-from jaxurban.metrics.protection import LEVELS, WITHIN_LIMITS
+from jaxurban.metrics.base import Variable
+from jaxurban.metrics.custom import held_variables
 
 NUM_PLACES = 17  # of a colour map, from low to high
-HIGHEST_DOP = 20.0  # where the paper's rating turns poor
-CLASSES = {  # of variables that are 0 or 1: name and colour of each
-    "obstacle": (("free", "#f4f4ee"), ("obstacle", "#4a4a4a")),
-    "has_data": (("no data", "#bdbdbd"), ("data", "#f4f4ee")),
-    WITHIN_LIMITS: (("beyond an alert limit", "#d55e00"), ("within both alert limits", "#f4f4ee")),
-    "roof_guessed": (("height known, or no roof", "#f4f4ee"), ("height guessed", "#d55e00")),
-}
 
 
-class Scale(NamedTuple):
-    """Colours of values: ``values`` ascending, and ``colours`` as ``#rrggbb``, linear in between."""
-
-    values: np.ndarray
-    colours: Sequence[str]
-
-
-def colours_of(colour_map: str) -> list[str]:
-    """Return a colour map of Matplotlib at `NUM_PLACES` places."""
-    return [to_hex(colour) for colour in matplotlib.colormaps[colour_map](np.linspace(0, 1, NUM_PLACES))]
-
-
-def scale_of(ds: xr.Dataset, name: str) -> Scale:
-    """Return how a variable of maps is coloured; its values are read where the range depends on them."""
-    places = np.linspace(0, 1, NUM_PLACES)
-    if name in (*DOPS, *WEIGHTED_DOPS):
-        return Scale(1 + (HIGHEST_DOP - 1) * places, colours_of("viridis_r"))
-    if name in LEVELS:
-        limit_m = ds.attrs["horizontal_alert_limit_m" if name == "hpl" else "vertical_alert_limit_m"]
-        return Scale(2 * limit_m * places, colours_of("cividis_r"))
-    if name == "num_visible":
-        return Scale(max(4.0, _ends(ds, name)[1]) * places, colours_of("viridis"))
-    if name == "density":
-        highest = max(1.0, _ends(ds, name)[1])
-        return Scale(highest * 1000 ** (places - 1), colours_of("magma_r"))
-    if name in ("roof", "roof_touched"):
-        return Scale(max(1.0, _ends(ds, name)[1]) * places**2, colours_of("cividis"))
-    if name == "terrain":
-        low, high = _ends(ds, name)
-        return Scale(low + max(high - low, 1.0) * places, colours_of("cividis"))
-    metrics = held_metrics(ds)
-    of = name if name in metrics else next((held for held in metrics if name.startswith(f"{held}_")), "")
-    if not of:
-        return Scale(places, colours_of("cividis"))
-    return Scale(places, colours_of(metrics[of].colour_map))
+def ramp_of(ds: xr.Dataset, variable: Variable) -> tuple[np.ndarray, list[str]]:
+    """Return ascending values and their colours, ``#rrggbb`` and linear in between; values are read if they decide."""
+    scale, places = variable.scale, np.linspace(0, 1, NUM_PLACES)
+    low, span = scale.range(ds.attrs, lambda: _ends(ds, variable.name))
+    shares = {"linear": places, "sqrt": places**2, "log": 1000 ** (places - 1)}[scale.stretch]
+    return low + span * shares, [to_hex(colour) for colour in matplotlib.colormaps[scale.colour_map](places)]
 
 
 def _ends(ds: xr.Dataset, name: str) -> tuple[float, float]:
@@ -80,14 +41,15 @@ def style(ds: xr.Dataset, name: str, note: str) -> str:
       name: of the variable.
       note: a comment in the file.
     """
-    if name in CLASSES:
+    variable = held_variables(ds)[name]
+    if variable.classes:
         entries = "".join(
             f'<paletteEntry value="{value}" color="{colour}" alpha="255" label={quoteattr(label)}/>'
-            for value, (label, colour) in enumerate(CLASSES[name])
+            for value, (label, colour) in enumerate(variable.classes)
         )
         renderer = f'type="paletted"><rasterTransparency/><colorPalette>{entries}</colorPalette>'
     else:
-        values, colours = scale_of(ds, name)
+        values, colours = ramp_of(ds, variable)
         low, high = float(values[0]), float(values[-1])
         items = "".join(
             f'<item value="{value!r}" color="{colour}" alpha="255" label="{value:.4g}"/>'

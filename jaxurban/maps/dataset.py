@@ -1,7 +1,7 @@
 """The datasets that hold metric maps: their variables, units, coordinates and attributes."""
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Hashable, Mapping
 from typing import Any
 
 import numpy as np
@@ -11,72 +11,37 @@ import xarray as xr
 from xarray.indexes import PandasIndex
 
 from jaxurban.io.attributes import CAVEAT, IN_OBSTACLES
-from jaxurban.maps.height_uncertainty import SPREAD
 from jaxurban.maps.task import MapTask
-from jaxurban.metrics.availability import SERIES, TimeTotals
-from jaxurban.metrics.base import ALTITUDE, TIME, UNDERSIDE
+from jaxurban.metrics.availability import TimeTotals
+from jaxurban.metrics.base import TIME, UNDERSIDE, Variable
 from jaxurban.metrics.gps import DOPS, WEIGHTED_DOPS
-from jaxurban.metrics.protection import LEVELS, WITHIN_LIMITS
+from jaxurban.metrics.variables import NO_METRICS, bounds_of, of_region, series_of, spread_of
 from jaxurban.world.city import SLABS, joined_credits
 
 PLANE = ("y", "x")
 CONVENTIONS = "CF-1.11"
-UNITS = {  # of what is not a metric's m
-    "density": "km-2",
-    **dict.fromkeys(("roof", "roof_touched", UNDERSIDE, "terrain", *LEVELS), "m"),
-}
-OF_DOP = {"g": "geometric", "p": "position", "h": "horizontal", "v": "vertical", "t": "time"}
-LONG_NAMES = {  # of what is not a metric's m
-    "obstacle": "cells inside obstacles",
-    "obstacle_share": "share of height samples with an obstacle",
-    "density": "people per square kilometre",
-    "num_visible": "satellites in view",
-    **{name: f"{OF_DOP[name[-4]]} dilution of precision" for name in DOPS},
-    **{name: f"{OF_DOP[name[-4]]} dilution of precision, weighted by elevation" for name in WEIGHTED_DOPS},
-    "hpl": "horizontal protection level",
-    "vpl": "vertical protection level",
-    WITHIN_LIMITS: "both protection levels within their alert limits",
-    "roof": "height of the roof over the cell's centre above the ground",
-    "roof_touched": "height of the highest roof that shares area with the cell above the ground",
-    "roof_guessed": "the height of the highest roof that touches the cell, or is over its centre, is guessed",
-    UNDERSIDE: "height of the lowest underside of what hangs over the cell's centre above the ground",
-    "terrain": "elevation of the ground",
-    "has_data": "something is known of the cell",
-}
-STANDARD_NAMES = {"terrain": "surface_altitude", "has_data": "status_flag"}
-OVER_TIME = {
-    "availability": "share of times above the threshold",
-    "median": "median over time",
-    "p05": "5th percentile over time",
-}
-OVER_HEIGHTS = dict(zip(SPREAD, ("mean", "standard deviation", "5th percentile", "95th percentile"), strict=True))
+INSIDE = dict.fromkeys((*DOPS, *WEIGHTED_DOPS, "hpl", "vpl"), "inf")  # what the kernels put inside obstacles, if not 0
 
 
-def variables(task: MapTask) -> dict[str, tuple[tuple[str, ...], np.dtype]]:
-    """Return dims and type of every variable that the maps of a task hold."""
-    flown = (ALTITUDE, *PLANE)
-    names: dict[str, tuple[tuple[str, ...], type]] = {"obstacle": (flown, np.uint8)}
+def variables(task: MapTask) -> dict[str, Variable]:
+    """Return every variable that the maps of a task hold, by name."""
+    found = {"obstacle": NO_METRICS["obstacle"]}
     for name, metric in task.metrics.items():
-        dims = (*metric.dims, *PLANE)
         if TIME in metric.dims and not task.keeps_times:
-            names |= dict.fromkeys((f"{name}_{what}" for what in SERIES), (dims[1:], np.float32))
+            found |= series_of(metric)
             continue
-        names |= {name: (dims, np.float32)} | {other: (dims, kind) for other, kind in metric.also.items()}
+        found |= metric.variables
         if TIME in metric.dims and metric.is_monotone and task.params.gps_bounds:
-            names |= dict.fromkeys((f"{name}_lower", f"{name}_upper"), (dims, np.float32))
+            found |= bounds_of(metric)
         if name in task.spread_metrics:
-            names |= dict.fromkeys((f"{name}_{what}" for what in SPREAD), (dims, np.float32))
-    if task.params.height_samples:
-        names["obstacle_share"] = (flown, np.float32)
-    names |= dict.fromkeys(("roof", "roof_touched"), (PLANE, np.float32))
-    if task.has_guessed_roofs:
-        names["roof_guessed"] = (PLANE, np.bool_)
-    if task.city.hanging == SLABS and task.city.buildings is not None:
-        names[UNDERSIDE] = (PLANE, np.float32)
-    if task.has_terrain:
-        names["terrain"] = (PLANE, np.float32)
-    names["has_data"] = (PLANE, np.bool_)
-    return {name: (dims, np.dtype(kind)) for name, (dims, kind) in names.items()}
+            found |= spread_of(metric)
+    are_made = {
+        "obstacle_share": task.params.height_samples,
+        "roof_guessed": task.has_guessed_roofs,
+        UNDERSIDE: task.city.hanging == SLABS and task.city.buildings is not None,
+        "terrain": task.has_terrain,
+    }
+    return found | {name: variable for name, variable in NO_METRICS.items() if are_made.get(name, True)}
 
 
 def empty_dataset(task: MapTask, make: Callable[[tuple[int, ...], np.dtype], object] = np.zeros) -> xr.Dataset:
@@ -120,9 +85,16 @@ def empty_dataset(task: MapTask, make: Callable[[tuple[int, ...], np.dtype], obj
     if not task.keeps_times:
         attrs["gps_availability_threshold"] = params.gps.availability_threshold
     sizes = {name: coord.size for name, coord in coords.items()}
-    held = variables(task).items()
-    data = {name: _held(dims, make(tuple(sizes[dim] for dim in dims), kind)) for name, (dims, kind) in held}
-    ds = _described(xr.Dataset(data, _indexed(coords), attrs), task)
+    held = variables(task)
+    data = {}
+    for name, variable in held.items():
+        dims = (*variable.dims, *PLANE)
+        data[name] = _held(dims, make(tuple(sizes[dim] for dim in dims), np.dtype(variable.dtype)))
+    ds = xr.Dataset(data, _indexed(coords), attrs)
+    for name, variable in held.items():
+        ds[name].attrs |= _attributes(variable, ds[name].dims)
+    if "pop_norm_per_block" in ds.attrs:
+        ds["population"].attrs["one_means"] = "as many people in the block as the norm (pop_norm_per_block)"
     if "protection" in task.metrics:
         settings = task.settings_of(task.metrics["protection"])
         for name in ("horizontal_alert_limit_m", "vertical_alert_limit_m"):
@@ -143,7 +115,9 @@ def with_series(ds: xr.Dataset, task: MapTask, totals: Mapping[str, TimeTotals])
     for name, sums in totals.items():
         mean, worst = (("time", "altitude"), sums.mean), ("altitude", ds["time"].values[sums.worst])
         ds = ds.assign({f"{name}_epoch_mean": mean, f"{name}_worst_time": worst})
-    return _described(ds, task)
+        for each, variable in of_region(task.metrics[name]).items():
+            ds[each].attrs |= _attributes(variable, ds[each].dims)
+    return ds
 
 
 def _held(dims: tuple[str, ...], values: Any, attrs: Mapping[str, Any] | None = None) -> xr.Variable:
@@ -166,45 +140,16 @@ def _axis(name: str, values: np.ndarray, axis: str, standard_name: str, long_nam
     return _held((name,), values, {"standard_name": standard_name, "long_name": long_name, "axis": axis, **more})
 
 
-def _described(ds: xr.Dataset, task: MapTask) -> xr.Dataset:
-    units, meanings = dict(UNITS), {"obstacle": "a roof reaches this altitude"}
-    titles = dict(LONG_NAMES)
-    in_obstacles = {
-        **dict.fromkeys((*DOPS, *WEIGHTED_DOPS, *LEVELS), "inf"),
-        **dict.fromkeys(("num_visible", WITHIN_LIMITS), "0"),
+def _attributes(variable: Variable, dims: tuple[Hashable, ...]) -> dict[str, str]:
+    """Return what files say of a variable with these dims."""
+    is_on_plane = {*PLANE} <= {*dims}
+    found = {
+        "long_name": variable.long_name,
+        CAVEAT: variable.caveat,
+        "standard_name": variable.standard_name,
+        "units": variable.unit,
+        "one_means": variable.one_means,
+        "grid_mapping": "spatial_ref" if is_on_plane else "",
+        IN_OBSTACLES: "" if variable.inside is None else INSIDE.get(variable.name, "0"),
     }
-    caveats: dict[str, str] = {}
-    for name, metric in task.metrics.items():
-        units[name], meanings[name], label = metric.unit, metric.one_means, metric.label
-        titles |= {name: label, f"{name}_lower": f"{label}, at least", f"{name}_upper": f"{label}, at most"}
-        titles |= {f"{name}_{what}": f"{label}, {of} over uncertain heights" for what, of in OVER_HEIGHTS.items()}
-        if name not in task.layers and ALTITUDE in metric.dims:
-            in_obstacles |= dict.fromkeys((name, f"{name}_lower", f"{name}_upper"), "0")
-        if TIME in metric.dims:
-            meanings |= dict.fromkeys((f"{name}_median", f"{name}_p05", f"{name}_epoch_mean"), metric.one_means)
-            at_every = f"{LONG_NAMES[metric.available]}," if metric.available else f"m_{name} is above the threshold"
-            meanings[f"{name}_availability"] = f"{at_every} at every epoch"
-            if not task.keeps_times:
-                titles |= {f"{name}_{what}": f"{label}, {of}" for what, of in OVER_TIME.items()}
-                if metric.available:
-                    titles[f"{name}_availability"] = f"{label}, share of times with {LONG_NAMES[metric.available]}"
-                titles[f"{name}_epoch_mean"] = f"{label}, mean over free cells"
-                titles[f"{name}_worst_time"] = f"{label}, time of the least mean over free cells"
-                in_obstacles |= dict.fromkeys((f"{name}_{what}" for what in SERIES), "0")
-        if metric.caveat:
-            own = [str(held) for held in ds.data_vars if held in metric.variables or str(held).startswith(f"{name}_")]
-            caveats |= dict.fromkeys(own, metric.caveat)
-    for name in map(str, ds.data_vars):
-        found = {
-            "long_name": titles.get(name, name),
-            CAVEAT: caveats.get(name),
-            "standard_name": STANDARD_NAMES.get(name),
-        }
-        if name != "has_data" and ds[name].dtype.kind != "M":  # times have units of their own
-            found |= {"units": units.get(name, "1"), "one_means": meanings.get(name)}
-        if {"y", "x"} <= set(ds[name].dims):
-            found |= {"grid_mapping": "spatial_ref", IN_OBSTACLES: in_obstacles.get(name)}
-        ds[name].attrs |= {key: value for key, value in found.items() if value is not None}
-    if "pop_norm_per_block" in ds.attrs:
-        ds["population"].attrs["one_means"] = "as many people in the block as the norm (pop_norm_per_block)"
-    return ds
+    return {key: value for key, value in found.items() if value}

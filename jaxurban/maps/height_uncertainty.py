@@ -14,7 +14,6 @@ import numpy as np
 from jaxurban.errors import InputError, typed
 from jaxurban.world.city import City, HeightOrigin
 
-SPREAD = ("mean", "std", "p05", "p95")  # what is kept of each metric
 MOST_SAMPLES = 1000
 TAIL = 0.05  # the percentiles reported are the 5th and the 95th
 

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
 import psutil
 
 from jaxurban.errors import InputError
@@ -116,8 +117,8 @@ def maps_bytes(task: MapTask) -> int:
     """Return how many bytes the values of a region's maps are."""
     cells = _num_cells(task.region)
     return sum(
-        cells * kind.itemsize * math.prod(task.sizes.get(dim, 1) for dim in dims)
-        for dims, kind in variables(task).values()
+        cells * np.dtype(variable.dtype).itemsize * math.prod(task.sizes[dim] for dim in variable.dims)
+        for variable in variables(task).values()
     )
 
 

@@ -13,7 +13,7 @@ from jaxurban.io.read.rasterise import build_surface, highest_top_m, surface_gri
 from jaxurban.kernels.dop import Clocks
 from jaxurban.kernels.engine import ENGINES, Engine
 from jaxurban.maps.guesses import has_guessed_roofs
-from jaxurban.maps.height_uncertainty import SPREAD, HeightStd, check_samples
+from jaxurban.maps.height_uncertainty import HeightStd, check_samples
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY, Metric
 from jaxurban.metrics.custom import Layer, check_file_names, own_metric
 from jaxurban.metrics.gps import Gps
@@ -21,6 +21,7 @@ from jaxurban.metrics.lidar import Lidar
 from jaxurban.metrics.population import BlockLayers, Population, block_layers
 from jaxurban.metrics.registry import METRICS, ON_REQUEST
 from jaxurban.metrics.risk import Risk
+from jaxurban.metrics.variables import spread_of
 from jaxurban.metrics.visibility import shadow_reach_m
 from jaxurban.world.city import City, Raster
 from jaxurban.world.grid import Grid
@@ -113,7 +114,7 @@ class MapTask:
                 "GDOP. Set [gps] clocks = 'one', or give the orbits of one system"
             )
         check_file_names(self.layers)
-        if taken := {f"{name}_{what}" for name in self.spread_metrics for what in SPREAD} & {*self.layers}:
+        if taken := {each for name in self.spread_metrics for each in spread_of(self.metrics[name])} & {*self.layers}:
             raise InputError(f"a layer cannot be called {min(taken)!r}, a map of the spread: give it another name")
 
     @cached_property

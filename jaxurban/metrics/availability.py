@@ -8,21 +8,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxurban.metrics.variables import SERIES
+
 LOW_SHARE = 0.05  # of the times: the percentile kept beside the median
-SERIES = ("availability", "median", "p05")  # what is kept of a long series, behind the metric's name
 CELLS_AT_ONCE = 2**13  # a block's values at all times stay in a core's cache
 SCALE = 2.0**14  # means over cells add up whole numbers of 1 / SCALE, so that no order of tiles changes them
-
-
-def statistics_of(name: str) -> tuple[str, ...]:
-    """Return the variables that hold a metric over a long series of times."""
-    return tuple(f"{name}_{what}" for what in SERIES)
 
 
 def series_statistics(
     m: np.ndarray, availability_threshold: float, is_available: np.ndarray | None = None
 ) -> dict[str, np.ndarray]:
-    """Return statistics over time of each cell, float32, by their names in `SERIES`.
+    """Return statistics over time of each cell, float32, by the names of `SERIES`.
 
     ``availability`` is the share of times whose m is above the threshold, ``median`` the median, ``p05`` the value
     that 5 % of the times stay below; between two times the last two interpolate linearly (definition 7 of Hyndman

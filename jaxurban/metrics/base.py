@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -44,9 +44,83 @@ def no_reach_m(params: Any) -> float:
     return 0.0
 
 
-def no_more(params: Any) -> dict[str, type]:
-    """Return nothing: a metric whose variables are the same under all settings."""
-    return {}
+def always(params: Any) -> bool:
+    """Return True: a variable that is made under all settings."""
+    return True
+
+
+class Scale(NamedTuple):
+    """How the values of a variable become colours, in figures, in the viewer and in QGIS.
+
+    Attributes:
+      colour_map: of Matplotlib; perceptually uniform.
+      low, high: values at its ends; None: the lowest or the highest of the maps.
+      least: how far its ends are apart at least.
+      limit: attribute of the maps whose value, twice, is the high end; "" for none.
+      stretch: between the ends; ``"log"``: the last three decades up to the high end.
+      is_better_low: whether low values are to be sought.
+      zero: what 0 means where it is drawn apart, in white; "" where it is not.
+    """
+
+    colour_map: str = "cividis"
+    low: float | None = 0.0
+    high: float | None = 1.0
+    least: float = 1.0
+    limit: str = ""
+    stretch: Literal["linear", "sqrt", "log"] = "linear"
+    is_better_low: bool = False
+    zero: str = ""
+
+    def range(self, attrs: Mapping[str, Any], ends: Callable[[], tuple[float, float]]) -> tuple[float, float]:
+        """Return the low end and how far above it the high end is.
+
+        Args:
+          attrs: of the maps.
+          ends: returns the lowest and the highest value of the maps, which are read where they are needed alone.
+        """
+        if self.limit:
+            return 0.0, 2 * float(attrs[self.limit])
+        lowest, highest = ends() if self.low is None or self.high is None else (0.0, 0.0)
+        low = lowest if self.low is None else self.low
+        return low, max((highest if self.high is None else self.high) - low, self.least)
+
+
+@dataclass(frozen=True)
+class Variable:
+    """A map, and all that files, figures, the viewer and memory say of it.
+
+    Attributes:
+      name: of the variable.
+      long_name: of files and of pictures.
+      unit: of its values, as CF writes it; "" for none.
+      dtype: of its values.
+      inside: what it is inside obstacles: NaN where nothing is defined in there (of whole numbers the value that stands
+        for none); None where it has values there as anywhere else, as people and roofs have.
+      one_means: what a value of one means; "" where that needs no word.
+      scale: how its values become colours.
+      classes: name and colour of 0 and of 1, of what is nothing else.
+      symbol: short for its long name in pictures; "" for none.
+      dims: along which it varies beside y and x; a metric gives its own to all of its variables.
+      is_averaged: whether overviews may hold means of it, which of counts and of what may be infinite are neither.
+      is_made: whether it is made under some settings of its metric.
+      standard_name: of the CF conventions; "" for none.
+      caveat: what whoever reads it must know; a metric gives its own to all of its variables.
+    """
+
+    name: str
+    long_name: str
+    unit: str = "1"
+    dtype: type = np.float32
+    inside: float | None = None
+    one_means: str = ""
+    scale: Scale = field(default_factory=Scale)
+    classes: tuple[tuple[str, str], ...] = ()
+    symbol: str = ""
+    dims: tuple[str, ...] = ()
+    is_averaged: bool = True
+    is_made: Callable[[Any], bool] = always
+    standard_name: str = ""
+    caveat: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,10 +206,10 @@ class Metric:
       colour: of its lines in figures.
       colour_map: of its maps; perceptually uniform, each metric its own.
       unit: of its values.
+      inside: what it is inside obstacles (see `Variable`).
       reach_m: how far beyond a cell it looks sideways; satellites' shadows apart.
       soft: returns m of a soft scene, on its cells, with gradients; None where there is none.
-      also: type of every further variable that ``compute`` returns.
-      also_under: returns the same of those that it returns under some settings alone.
+      also: every further variable that ``compute`` returns, under some settings or under all.
       available: which of these, 0 or 1, says that a position is available, for its share of the times of a series;
         "" where that is m above a threshold.
       is_monotone: one more satellite in view never makes m less, so that roofs from above and below bracket it.
@@ -154,10 +228,10 @@ class Metric:
     colour: str
     colour_map: str
     unit: str = "1"
+    inside: float | None = np.nan
     reach_m: Callable[[Any], float] = no_reach_m
     soft: Callable[[SoftScene, Any], jax.Array] | None = None
-    also: dict[str, type] = field(default_factory=dict)
-    also_under: Callable[[Any], dict[str, type]] = no_more
+    also: tuple[Variable, ...] = ()
     available: str = ""
     is_monotone: bool = True
     caveat: str = ""
@@ -167,14 +241,21 @@ class Metric:
         return f"<{self.label}: 1 means {self.one_means}>"
 
     @property
-    def variables(self) -> tuple[str, ...]:
-        """Its own variable and all others that ``compute`` returns."""
-        return self.name, *self.also
+    def variables(self) -> dict[str, Variable]:
+        """Its own variable and all others that ``compute`` returns, by name."""
+        own = Variable(
+            self.name,
+            self.label,
+            self.unit,
+            inside=self.inside,
+            one_means=self.one_means,
+            scale=Scale(self.colour_map),
+        )
+        return {each.name: replace(each, dims=self.dims, caveat=self.caveat) for each in (own, *self.also)}
 
     def under(self, params: Any) -> "Metric":
-        """Return the metric as it is under some settings, with all the variables that it returns."""
-        more = self.also_under(params)
-        return replace(self, also={**self.also, **more}) if more else self
+        """Return the metric as it is under some settings, with the variables that it then returns."""
+        return replace(self, also=tuple(each for each in self.also if each.is_made(params)))
 
     @property
     def one_is(self) -> str:

@@ -17,53 +17,30 @@ import numpy as np
 import xarray as xr
 
 from jaxurban.errors import InputError, finite, one_of, typed
-from jaxurban.metrics.availability import statistics_of
 from jaxurban.metrics.base import (
     ALTITUDE,
     TIME,
     TIME_OF_DAY,
-    UNDERSIDE,
     Metric,
+    Scale,
     Scene,
     SoftScene,
+    Variable,
     high_is_bad,
     low_is_bad,
 )
-from jaxurban.metrics.gps import WEIGHTED_DOPS
 from jaxurban.metrics.registry import known_metrics
+from jaxurban.metrics.variables import NO_METRICS, variables_of
 from jaxurban.world.surface import Surface
 
 COSTS = {"high-is-bad": high_is_bad, "low-is-bad": low_is_bad}
 COLOURS = ("#56b4e9", "#d55e00", "#7f3c8d", "#80604d")  # of lines, none a built-in metric's
 COLOUR_MAP = "cividis"
-TAKEN = (
-    *(
-        "distance",
-        "climb",
-        "descent",
-        "self",
-        "lon",
-        "lat",
-        "obstacle",
-        "obstacle_share",
-        "roof",
-        "roof_touched",
-        "roof_guessed",
-        UNDERSIDE,
-        "terrain",
-        "has_data",
-    ),
-    *(ALTITUDE, TIME, TIME_OF_DAY, "y", "x", "spatial_ref"),
-    *WEIGHTED_DOPS,
-    *(name for metric in known_metrics().values() for name in metric.variables),
-    *(f"{name}_{what}" for name in known_metrics() for what in ("lower", "upper", "mean", "std", "p05", "p95")),
-    *(
-        name
-        for metric in known_metrics().values()
-        if TIME in metric.dims
-        for name in (*statistics_of(metric.name), f"{metric.name}_epoch_mean", f"{metric.name}_worst_time")
-    ),
-)
+TAKEN = {
+    *("distance", "climb", "descent", "self", "lon", "lat", ALTITUDE, TIME, TIME_OF_DAY, "y", "x", "spatial_ref"),
+    *NO_METRICS,
+    *(name for metric in known_metrics().values() for of in (False, True) for name in variables_of(metric, of)),
+}
 
 
 @typed
@@ -201,6 +178,7 @@ def own_metric(name: str, layer: Layer) -> Metric:
         one_means=f"{name} of {high:g} or more",
         colour=colour_of(name),
         colour_map=COLOUR_MAP,
+        inside=None,
     )
 
 
@@ -223,6 +201,21 @@ def held_metrics(ds: xr.Dataset) -> dict[str, Metric]:
     }
     own = {str(name): json.loads(held.attrs["layer"]) for name, held in ds.variables.items() if "layer" in held.attrs}
     return known | {name: own_metric(name, layer_of(own[name])) for name in sorted(own)}
+
+
+def held_variables(ds: xr.Dataset) -> dict[str, Variable]:
+    """Return what every map of a dataset is, by name; of those that nobody here knows, what their attributes say."""
+    known = dict(NO_METRICS)
+    for name, metric in held_metrics(ds).items():
+        known |= variables_of(metric, is_series=f"{name}_median" in ds)
+    maps = {str(name): array for name, array in ds.data_vars.items() if array.dims[-2:] == ("y", "x")}
+    return {name: known[name] if name in known else _described(name, array) for name, array in maps.items()}
+
+
+def _described(name: str, array: xr.DataArray) -> Variable:
+    said = str(array.attrs.get("long_name", name)), str(array.attrs.get("units", "1"))
+    scale, dims = Scale("viridis", low=None, high=None), tuple(map(str, array.dims[:-2]))
+    return Variable(name, *said, dtype=array.dtype.type, scale=scale, dims=dims)
 
 
 def layer_of(record: Mapping[str, Any]) -> Layer:

@@ -13,7 +13,7 @@ from jax import lax
 from jaxtyping import Array, DTypeLike, Float, Int, Integer
 
 from jaxurban.errors import InputError, nearest_name, one_of, typed
-from jaxurban.metrics.base import TIME_OF_DAY, AnyArray, Metric, Scene, SoftScene, high_is_bad
+from jaxurban.metrics.base import TIME_OF_DAY, AnyArray, Metric, Scale, Scene, SoftScene, Variable, high_is_bad
 from jaxurban.metrics.settings import check_value, differentiable
 from jaxurban.world.city import Blocks, Zoning
 from jaxurban.world.grid import Bounds
@@ -328,6 +328,12 @@ def _soft(scene: SoftScene, params: Population) -> Array:
     return soft_population(scene.surface.block, scene.population, scene.time_of_day, params, cells=scene.cells)
 
 
+DENSITY = Variable(
+    "density",
+    "people per square kilometre",
+    "km-2",
+    scale=Scale("magma_r", high=None, stretch="log", zero="no people in the data"),
+)
 METRIC = Metric(
     name="population",
     params=Population,
@@ -339,5 +345,6 @@ METRIC = Metric(
     one_means="as many people per area as the norm (pop_norm_per_km2)",
     colour="#cc79a7",
     colour_map="magma_r",
-    also={"density": np.float32},
+    inside=None,
+    also=(DENSITY,),
 )

@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float, Float32, UInt, UInt8
 from jaxurban.errors import InputError, typed
 from jaxurban.kernels.dop import unit_vectors
 from jaxurban.kernels.protection import Ranging, RiskBudget, protection_levels
-from jaxurban.metrics.base import ALTITUDE, TIME, AnyArray, Metric, Scene, low_is_bad
+from jaxurban.metrics.base import ALTITUDE, TIME, AnyArray, Metric, Scale, Scene, Variable, low_is_bad
 from jaxurban.metrics.settings import check_value, differentiable
 from jaxurban.metrics.visibility import distinct_choices
 from jaxurban.world.sky import InView
@@ -189,8 +189,14 @@ def protection_maps(
     return ProtectionMaps(*(np.take(values, number) for values in table))
 
 
-LEVELS = ("hpl", "vpl")
 WITHIN_LIMITS = "within_limits"
+WITHIN = Variable(
+    WITHIN_LIMITS,
+    "both protection levels within their alert limits",
+    dtype=np.uint8,
+    inside=np.nan,
+    classes=(("beyond an alert limit", "#d55e00"), ("within both alert limits", "#f4f4ee")),
+)
 CAVEAT = (
     "Protection levels of the satellites in line of sight, as if under open sky: no multipath and no reflections are "
     "in them. In a street canyon this is no integrity."
@@ -208,6 +214,18 @@ def _maps(scene: Scene, params: Protection) -> dict[str, np.ndarray]:
     return {"protection": maps.m, "hpl": maps.hpl, "vpl": maps.vpl, WITHIN_LIMITS: maps.within_limits}
 
 
+def _level(name: str, kind: str) -> Variable:
+    return Variable(
+        name,
+        f"{kind} protection level",
+        "m",
+        inside=np.nan,
+        scale=Scale("cividis_r", limit=f"{kind}_alert_limit_m", is_better_low=True),
+        symbol=name.upper(),
+        is_averaged=False,
+    )
+
+
 METRIC = Metric(
     name="protection",
     params=Protection,
@@ -218,7 +236,7 @@ METRIC = Metric(
     one_means="an HPL of 0 m",
     colour="#332288",
     colour_map="cividis",
-    also={**dict.fromkeys(LEVELS, np.float32), WITHIN_LIMITS: np.uint8},
+    also=(_level("hpl", "horizontal"), _level("vpl", "vertical"), WITHIN),
     available=WITHIN_LIMITS,
     is_monotone=False,
     caveat=CAVEAT,

@@ -16,7 +16,6 @@ from jaxurban.io.read.airspace import read_zones
 from jaxurban.io.read.orbits import parse_time
 from jaxurban.io.read.zone import Zone, cell_boxes, touched_cells
 from jaxurban.maps.metric_maps import MetricMaps
-from jaxurban.metrics.availability import SERIES
 from jaxurban.metrics.gps import WEIGHTED_DOPS
 from jaxurban.metrics.registry import METRICS, ON_REQUEST, known_metrics
 from jaxurban.paths.clearance import FILE_MARGIN_M, closed_by_clearance, closing_step_m, kept_m, nearest_said
@@ -352,10 +351,10 @@ def kept_said(record: Mapping[str, Any], resolution_m: float) -> str:
 
 def _made_by(variable: str, held: Collection[str]) -> str:
     """Return what makes a variable that not all maps hold, as settings of a scenario; empty for others."""
-    made_of = {name: (f"[{name}]", metric.variables) for name, metric in ON_REQUEST.items()}
+    made_of = {name: (f"[{name}]", (*metric.variables,)) for name, metric in ON_REQUEST.items()}
     made_of["gps"] = '[gps] weighting = "elevation"', WEIGHTED_DOPS
     for name, (setting, variables) in made_of.items():
-        is_series = f"{name}_{SERIES[0]}" in held
+        is_series = f"{name}_availability" in held
         if variable in variables or (is_series and name == "gps" and variable in METRICS["gps"].variables):
             told = '[gps] series = "epochs" instead of statistics' if is_series else setting
             return f" (a scenario with {told} makes it)"

@@ -16,10 +16,10 @@ import jaxurban as ju
 from jaxurban.errors import InputError
 from jaxurban.io.attributes import IN_OBSTACLES
 from jaxurban.io.geotiff import write_geotiffs
-from jaxurban.io.qgis import scale_of
+from jaxurban.io.qgis import ramp_of
 from jaxurban.maps.build import compute_maps
 from jaxurban.maps.metric_maps import MetricMaps
-from jaxurban.metrics.custom import Layer, check_file_names
+from jaxurban.metrics.custom import Layer, check_file_names, held_variables
 from jaxurban.report.figures import metrics as figures
 from tests import tiled_runs
 
@@ -265,8 +265,9 @@ def test_obstacles_are_shown_as_two_classes(folder):
 
 def test_a_range_ignores_dops_without_a_fix(maps):
     assert np.isinf(maps.ds["hdop"].values).any()
-    assert scale_of(maps.ds, "hdop").values[-1] == 20.0
-    assert np.isfinite(scale_of(maps.ds, "terrain").values).all()
+    variables = held_variables(maps.ds)
+    assert ramp_of(maps.ds, variables["hdop"])[0][-1] == 20.0
+    assert np.isfinite(ramp_of(maps.ds, variables["terrain"])[0]).all()
 
 
 def test_a_layer_that_is_not_there_is_refused_before_anything_is_written(maps, tmp_path):

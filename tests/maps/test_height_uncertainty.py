@@ -10,7 +10,7 @@ import shapely
 import jaxurban as ju
 from jaxurban.errors import InputError
 from jaxurban.maps.build import build_maps, compute_maps, view_sky
-from jaxurban.maps.height_uncertainty import SPREAD, HeightStd, Spread, perturbed_cities
+from jaxurban.maps.height_uncertainty import HeightStd, Spread, perturbed_cities
 from jaxurban.maps.task import MapParams, MapTask
 from jaxurban.metrics.lidar import Lidar
 from jaxurban.world.city import Buildings, HeightOrigin, Raster
@@ -38,7 +38,7 @@ def sky():
 
 def spread_of(city, sky, region=REGION, *, num_samples, seed=0, height_std=DEFAULT):
     params = MapParams((12.0, 31.0), lidar=LIDAR, height_std=height_std, height_samples=num_samples, height_seed=seed)
-    names = [f"{metric}_{what}" for metric in ("gps", "lidar", "risk") for what in SPREAD]
+    names = [f"{metric}_{what}" for metric in ("gps", "lidar", "risk") for what in ("mean", "std", "p05", "p95")]
     return compute_maps(MapTask(city, region, sky, params)).ds[[*names, "obstacle_share"]]
 
 

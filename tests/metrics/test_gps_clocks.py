@@ -69,7 +69,7 @@ def exact_dops(task, words, is_weighted=False):
     return found
 
 
-@pytest.mark.parametrize(("names", "is_weighted"), [(DOPS, False), (WEIGHTED_DOPS, True)])
+@pytest.mark.parametrize(("names", "is_weighted"), [(tuple(DOPS), False), (WEIGHTED_DOPS, True)])
 def test_maps_of_two_systems_equal_float64_with_two_clocks(task, maps, names, is_weighted):
     scene = TileScene(task, task.surface()).at(task.metrics["gps"], (0, 0))
     words = np.where(scene.is_obstacle, 0, np.asarray(scene.words[0]))
@@ -113,7 +113,7 @@ def test_weighted_dops_and_new_metrics_are_there_only_where_they_are_asked_for(t
     assert new <= {*maps.ds.data_vars}
     assert list(maps.metrics) == [*("gps", "lidar", "population", "risk"), "gps_horizontal", "gps_vertical"]
     plain = replace(task, params=replace(task.params, gps=Gps(), others={}))
-    assert not new & {*plain.metrics, *(name for metric in plain.metrics.values() for name in metric.also)}
+    assert not new & {*plain.metrics, *(name for metric in plain.metrics.values() for name in metric.variables)}
     assert SatelliteSet.of(*plain.angles(0), plain.params.gps, plain.clocks(0)).weighted is None
 
 

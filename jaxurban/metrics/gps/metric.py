@@ -1,20 +1,21 @@
 """GPS as metrics of the maps: m of GDOP, and on request of the position alone, level and upright."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 from jaxtyping import Array
 
 from jaxurban.errors import typed
-from jaxurban.metrics.base import ALTITUDE, TIME, AnyArray, Metric, Scene, SoftScene, low_is_bad
+from jaxurban.metrics.base import ALTITUDE, TIME, AnyArray, Metric, Scale, Scene, SoftScene, Variable, low_is_bad
 from jaxurban.metrics.gps.hard import Gps, gps_metric
 from jaxurban.metrics.gps.soft import soft_dop_metric, soft_gps
 from jaxurban.metrics.settings import check_value, differentiable
 
-DOPS = ("gdop", "pdop", "hdop", "vdop", "tdop")
+DOPS = {"gdop": "geometric", "pdop": "position", "hdop": "horizontal", "vdop": "vertical", "tdop": "time"}
 WEIGHTED_DOPS = tuple(f"w{name}" for name in DOPS)  # where satellites count by their elevation
+DOP_SCALE = Scale("viridis_r", 1.0, 20.0, is_better_low=True)  # up to where the paper's rating turns poor
 
 
 def _maps(scene: Scene, params: Gps) -> dict[str, AnyArray]:
@@ -32,9 +33,25 @@ def _maps(scene: Scene, params: Gps) -> dict[str, AnyArray]:
     return found
 
 
-def _also_under(params: Gps) -> dict[str, type]:
-    """Return the weighted DOPs, where they are wanted."""
-    return dict.fromkeys(WEIGHTED_DOPS, np.float32) if params.weighting == "elevation" else {}
+def is_weighted(params: Gps) -> bool:
+    """Return whether satellites count by their elevation."""
+    return params.weighting == "elevation"
+
+
+def _dop_variable(name: str, kind: str) -> Variable:
+    dop = Variable(name, f"{kind} dilution of precision", inside=np.nan, scale=DOP_SCALE, is_averaged=False)
+    return replace(dop, symbol=name.upper())
+
+
+def _weighted(dop: Variable) -> Variable:
+    name, long_name = f"w{dop.name}", f"{dop.long_name}, weighted by elevation"
+    return replace(dop, name=name, long_name=long_name, symbol=name.upper(), is_made=is_weighted)
+
+
+DOP_VARIABLES = tuple(_dop_variable(name, kind) for name, kind in DOPS.items())
+NUM_VISIBLE = Variable(
+    "num_visible", "satellites in view", dtype=np.uint8, inside=np.nan, scale=Scale("viridis", high=None, least=4.0)
+)
 
 
 def _soft(scene: SoftScene, params: Gps) -> Array:
@@ -52,8 +69,7 @@ METRIC = Metric(
     one_means="GDOP of 1, the best possible",
     colour="#0072b2",
     colour_map="viridis",
-    also={**dict.fromkeys(DOPS, np.float32), "num_visible": np.uint8},
-    also_under=_also_under,
+    also=(*DOP_VARIABLES, NUM_VISIBLE, *map(_weighted, DOP_VARIABLES)),
     cell_bytes=72,  # DOPs, m, and both weighted ones once more
 )
 
