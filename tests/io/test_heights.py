@@ -55,53 +55,53 @@ def test_levels_are_bare_numbers():
 
 def estimate(**columns):
     tags = {name: np.array(values, object) for name, values in columns.items()}
-    num_outlines = len(next(iter(tags.values())))
-    return estimate_heights(tags, num_outlines, default_height_m=10.0, level_height_m=3.0)
+    nothing, issues = np.full(len(next(iter(tags.values()))), None, object), {}
+    return estimate_heights(tags, nothing, nothing, issues, default_height_m=10.0, level_height_m=3.0), issues
 
 
 def test_height_wins_over_levels_and_levels_over_the_default():
-    heights = estimate(height=["20", None, None], levels=["3", "3", None])
+    heights, issues = estimate(height=["20", None, None], levels=["3", "3", None])
     np.testing.assert_allclose(heights.height_m, [20, 9, 10])
     assert heights.origin.tolist() == [HeightOrigin.HEIGHT, HeightOrigin.LEVELS, HeightOrigin.DEFAULT]
     assert heights.origin.dtype == np.uint8
-    assert not any(heights.issues.values())
+    assert not any(issues.values())
 
 
 @pytest.mark.parametrize("bad", ["0", "-3", "tall", "1001", "9999 ft", 0, -1.0, 5000.0])
 def test_an_unusable_height_falls_to_levels_and_is_counted(bad):
-    heights = estimate(height=[bad], levels=["4"])
+    heights, issues = estimate(height=[bad], levels=["4"])
     assert (heights.height_m[0], heights.origin[0]) == (12.0, HeightOrigin.LEVELS)
-    assert heights.issues["heights_unusable"] == 1
+    assert issues["heights_unusable"] == 1
 
 
 def test_the_highest_known_building_is_no_fault():
-    assert estimate(height=["828"]).height_m[0] == 828.0
+    assert estimate(height=["828"])[0].height_m[0] == 828.0
 
 
 @pytest.mark.parametrize("bad", ["0", "-1", "some", "400"])
 def test_unusable_levels_fall_to_the_default_and_are_counted(bad):
-    heights = estimate(levels=[bad])
+    heights, issues = estimate(levels=[bad])
     assert (heights.height_m[0], heights.origin[0]) == (10.0, HeightOrigin.DEFAULT)
-    assert heights.issues["levels_unusable"] == 1
+    assert issues["levels_unusable"] == 1
 
 
 def test_levels_in_the_roof_are_added_but_say_nothing_alone():
-    heights = estimate(levels=["4", "0", None, "4"], roof_levels=["1", "1", "2", "?"])
+    heights, issues = estimate(levels=["4", "0", None, "4"], roof_levels=["1", "1", "2", "?"])
     np.testing.assert_allclose(heights.height_m, [15, 3, 10, 12])
-    assert heights.issues["levels_unusable"] == 1
+    assert issues["levels_unusable"] == 1
 
 
 def test_undersides_come_from_min_height_then_min_level_then_the_ground():
-    heights = estimate(min_height=["5", "x", None, "0"], min_level=["1", "2", "2", None])
+    heights, issues = estimate(min_height=["5", "x", None, "0"], min_level=["1", "2", "2", None])
     np.testing.assert_allclose(heights.min_height_m, [5, 6, 6, 0])
-    assert heights.issues["min_heights_unusable"] == 1
+    assert issues["min_heights_unusable"] == 1
 
 
 def test_columns_may_hold_numbers_and_gaps():
-    heights = estimate(height=[12, np.float32(7.5), None, math.nan, "  ", [3]])
+    heights, issues = estimate(height=[12, np.float32(7.5), None, math.nan, "  ", [3]])
     np.testing.assert_allclose(heights.height_m, [12, 7.5, 10, 10, 10, 10])
-    assert heights.issues["heights_unusable"] == 1  # the list
+    assert issues["heights_unusable"] == 1  # the list
 
 
 def test_no_outlines_give_no_heights():
-    assert estimate(height=[]).height_m.shape == (0,)
+    assert estimate(height=[])[0].height_m.shape == (0,)

@@ -3,7 +3,7 @@
 import math
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from decimal import Decimal
 from functools import lru_cache
 from typing import Any
@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from jaxurban.world.city import HeightOrigin, ReadIssue, ReadIssues
+from jaxurban.world.city import Buildings, HeightOrigin, ReadIssue, ReadIssues
 
 FOOT_M = 0.3048  # international foot, exact
 INCH_M = 0.0254  # international inch, exact
@@ -27,23 +27,6 @@ _METRES = re.compile(rf"{_ABOUT}{_NUMBER}\s*(?:m|met(?:re|er)s?)?\.?")
 _FEET = re.compile(rf"{_ABOUT}{_NUMBER}\s*(?:'|ft\.?|feet|foot)\s*(?:{_NUMBER}\s*(?:\"|in\.?|inch(?:es)?)?)?")
 _COUNT = re.compile(rf"{_ABOUT}{_NUMBER}")
 _QUOTES = str.maketrans({"’": "'", "′": "'", "”": '"', "″": '"'})
-
-
-@dataclass(frozen=True)
-class Heights:
-    """Heights of ``N`` outlines.
-
-    Attributes:
-      height_m: ``[N]`` float64 roof height above ground, > 0.
-      min_height_m: ``[N]`` float64 height of the underside, 0 where it is not given.
-      origin: ``[N]`` uint8, a `HeightOrigin` each: height, levels or default.
-      issues: number of values that could not be used, by name.
-    """
-
-    height_m: np.ndarray
-    min_height_m: np.ndarray
-    origin: np.ndarray
-    issues: ReadIssues
 
 
 def _number(text: str) -> float:
@@ -118,22 +101,29 @@ def _read_column(column: np.ndarray, parse: Callable[[str], float]) -> np.ndarra
 
 
 def estimate_heights(
-    tags: Mapping[str, np.ndarray], num_outlines: int, *, default_height_m: float, level_height_m: float
-) -> Heights:
-    """Return the height of every outline: its height, else its levels, else the default.
+    tags: Mapping[str, np.ndarray],
+    polygons: np.ndarray,
+    is_part: np.ndarray,
+    issues: ReadIssues,
+    *,
+    default_height_m: float,
+    level_height_m: float,
+) -> Buildings:
+    """Return every outline with its height: that of its tag, else that of its levels, else the default.
+
+    A value that cannot be read, or a height that is zero, negative or above `MAX_HEIGHT_M`, falls to the next
+    origin and is counted; an unusable ``min_height`` falls to ``min_level``, then to 0.
 
     Args:
       tags: ``[N]`` arrays of numbers, or of objects (text, numbers or None), by name: ``height``, ``levels``,
         ``roof_levels`` (added to ``levels``; alone they say nothing), ``min_height``, ``min_level``; a missing name is
         an empty column.
-      num_outlines: ``N``.
+      polygons, is_part: ``[N]`` as of `Buildings`.
+      issues: gets how many values could not be used.
       default_height_m: height where nothing usable is given.
       level_height_m: height of one level.
-
-    A value that cannot be read, or a height that is zero, negative or above `MAX_HEIGHT_M`, falls to the next
-    origin and is counted; an unusable ``min_height`` falls to ``min_level``, then to 0.
     """
-    empty = np.full(num_outlines, None, object)
+    empty = np.full(len(polygons), None, object)
 
     def read(name: str, parse: Callable[[str], float], unit_m: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
         column = tags.get(name, empty)
@@ -151,43 +141,41 @@ def estimate_heights(
     )
     levels_m = levels_m + np.where(has_roof, roof_m, 0.0)
     has_height, has_levels = ((value_m > 0) & (value_m <= MAX_HEIGHT_M) for value_m in (height_m, levels_m))
-    return Heights(
-        height_m=np.select([has_height, has_levels], [height_m, levels_m], default_height_m),
-        min_height_m=np.select([has_min, has_min_level], [min_height_m, min_level_m], 0.0),
-        origin=np.select(
-            [has_height, has_levels], [HeightOrigin.HEIGHT, HeightOrigin.LEVELS], HeightOrigin.DEFAULT
-        ).astype(np.uint8),
-        issues={
-            ReadIssue.HEIGHTS_UNUSABLE: int(np.sum(given_height & ~has_height)),
-            ReadIssue.LEVELS_UNUSABLE: int(np.sum(given_levels & ~has_levels) + np.sum(given_roof & ~has_roof)),
-            ReadIssue.MIN_HEIGHTS_UNUSABLE: int(
-                np.sum(given_min & ~has_min) + np.sum(given_min_level & ~has_min_level)
-            ),
-        },
+    num_levels = np.sum(given_levels & ~has_levels) + np.sum(given_roof & ~has_roof)
+    num_min = np.sum(given_min & ~has_min) + np.sum(given_min_level & ~has_min_level)
+    issues[ReadIssue.HEIGHTS_UNUSABLE] = int(np.sum(given_height & ~has_height))
+    issues[ReadIssue.LEVELS_UNUSABLE], issues[ReadIssue.MIN_HEIGHTS_UNUSABLE] = int(num_levels), int(num_min)
+    origins = [HeightOrigin.HEIGHT, HeightOrigin.LEVELS]
+    return Buildings(
+        polygons,
+        np.select([has_height, has_levels], [height_m, levels_m], default_height_m),
+        np.select([has_min, has_min_level], [min_height_m, min_level_m], 0.0),
+        np.select([has_height, has_levels], origins, HeightOrigin.DEFAULT).astype(np.uint8),
+        is_part,
     )
 
 
-def with_decks(heights: Heights, is_deck: np.ndarray, layer: np.ndarray) -> Heights:
-    """Return heights in which decks hang: from ``min_height`` to ``height`` where both are given.
+def with_decks(buildings: Buildings, is_deck: np.ndarray, layer: np.ndarray) -> Buildings:
+    """Return buildings of which decks hang: from ``min_height`` to ``height`` where both are given.
 
     Without ``min_height`` a deck is `DECK_DEPTH_M` deep, below its ``height``; with neither it hangs at
     `LAYER_CLEARANCE_M` a layer (at least one), and its height is a guess.
 
     Args:
-      heights: of ``N`` outlines, by their tags.
+      buildings: ``N`` outlines with heights by their tags.
       is_deck: ``[N]`` bool.
       layer: ``[N]`` float64 of each outline, NaN where it has none.
     """
-    is_given, floor_m = heights.origin == HeightOrigin.HEIGHT, heights.min_height_m
+    has_height, floor_m = buildings.origin == HeightOrigin.HEIGHT, buildings.min_height_m
     by_layer_m = np.fmax(layer, 1.0) * LAYER_CLEARANCE_M
-    below_top_m = np.where(is_given, np.maximum(heights.height_m - DECK_DEPTH_M, 0.0), by_layer_m)
+    below_top_m = np.where(has_height, np.maximum(buildings.height_m - DECK_DEPTH_M, 0.0), by_layer_m)
     floor_m = np.where(floor_m > 0, floor_m, below_top_m)
-    top_m = np.where(is_given & (heights.height_m > floor_m), heights.height_m, floor_m + DECK_DEPTH_M)
-    is_guess = ~is_given & (heights.min_height_m == 0)
+    top_m = np.where(has_height & (buildings.height_m > floor_m), buildings.height_m, floor_m + DECK_DEPTH_M)
+    is_guess = ~has_height & (buildings.min_height_m == 0)
     origin = np.where(is_guess, HeightOrigin.LAYER, HeightOrigin.HEIGHT).astype(np.uint8)
     return replace(
-        heights,
-        height_m=np.where(is_deck, top_m, heights.height_m),
-        min_height_m=np.where(is_deck, floor_m, heights.min_height_m),
-        origin=np.where(is_deck, origin, heights.origin),
+        buildings,
+        height_m=np.where(is_deck, top_m, buildings.height_m),
+        min_height_m=np.where(is_deck, floor_m, buildings.min_height_m),
+        origin=np.where(is_deck, origin, buildings.origin),
     )

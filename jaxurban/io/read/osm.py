@@ -11,22 +11,14 @@ import shapely
 from osmium.filter import IdFilter, KeyFilter
 
 from jaxurban.errors import readable
-from jaxurban.io.read.outlines import DECK, Outlines
+from jaxurban.io.read.outlines import DECK, Outlines, tags_of
 from jaxurban.world.city import ReadIssue
 from jaxurban.world.grid import WGS84, Bounds
 
-TAGS = {
-    "building": ("building",),
-    "part": ("building:part",),
-    "height": ("height",),
-    "levels": ("building:levels", "levels"),
-    "roof_levels": ("roof:levels",),
-    "min_height": ("min_height",),
-    "min_level": ("building:min_level",),
-    "location": ("location",),
-    "layer": ("layer",),
-    "man_made": ("man_made",),
-}
+TAGS = (  # that say something of buildings, as `COLUMNS` sorts them
+    *("building", "building:part", "height", "building:levels", "levels", "roof:levels", "min_height"),
+    *("building:min_level", "location", "layer", "man_made"),
+)
 OSM_SUFFIXES = (".pbf", ".osm")
 OSM_CREDIT = "© OpenStreetMap contributors"  # asked for by the ODbL
 HAS_BUILDING = KeyFilter("building", "building:part")
@@ -55,7 +47,7 @@ def read_osm(path: str | Path, file_format: str | None = None, *, has_decks: boo
 
 
 def _read(path: str | Path, file_format: str, has_decks: bool) -> Outlines:
-    columns: dict[str, list[str | None]] = {name: [] for name in TAGS}
+    columns: dict[str, list[str | None]] = {tag: [] for tag in TAGS}
     shapes: list[str | None] = []  # WKB in hexadecimal, None where libosmium gave up
     broken: dict[int, tuple[bool, int]] = {}  # of those, place in `shapes`: whether it is a way, and its id
     open_ways, missing, ways, areas, relations = set(), set(), set(), set(), {}
@@ -66,8 +58,8 @@ def _read(path: str | Path, file_format: str, has_decks: bool) -> Outlines:
             continue
         if isinstance(item, osmium.osm.Area):
             areas.add((item.from_way(), item.orig_id()))
-            for name, keys in TAGS.items():
-                columns[name].append(next((item.tags[key] for key in keys if key in item.tags), None))
+            for tag in TAGS:
+                columns[tag].append(item.tags.get(tag))
             if item.num_rings()[0] == 0:
                 broken[len(shapes)] = (item.from_way(), item.orig_id())
                 shapes.append(None)
@@ -89,7 +81,7 @@ def _read(path: str | Path, file_format: str, has_decks: bool) -> Outlines:
         polygons[place] = shapely.build_area(shapely.union_all([lines[i] for i in ids if i in lines]))
     return Outlines(
         polygons=polygons,
-        tags={name: np.array(column, object) for name, column in columns.items()},
+        tags=tags_of({tag: np.array(values, object) for tag, values in columns.items()}),
         crs=WGS84,
         boxes=_xml_boxes(path) if file_format == "osm" else tuple(filter(None, [header_box(path, file_format)])),
         attribution=OSM_CREDIT,

@@ -3,15 +3,16 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import reduce
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import shapely
 from pyproj.exceptions import ProjError
 
 from jaxurban.errors import InputError
-from jaxurban.io.read.heights import Heights, estimate_heights, is_given, with_decks
+from jaxurban.io.read.heights import estimate_heights, is_given, with_decks
 from jaxurban.world.city import SLABS, TO_GROUND, Buildings, Hanging, HeightOrigin, ReadIssue, ReadIssues
 from jaxurban.world.grid import Bounds, transformer
 
@@ -20,6 +21,22 @@ REPLACED_SHARE = 0.9  # an outline covered at least so far by its parts is dropp
 BELONGING_SHARE = 0.5  # a part is an outline's own if at least so much of it lies inside
 PODIUM_M2 = 1.0  # less than this between two drawings of one wall is no podium
 DECK = "bridge"  # of the tag man_made
+# Tags and columns by what they hold: in any case, with ":", "." and "_" the same; names of ten letters are cut, as
+# Shapefiles cut them. Where several are there, the first that is filled counts, row by row. Column names in feet or of
+# roof shapes ("roof:height" is the height of the roof alone) are left out on purpose.
+COLUMNS = {
+    "building": ("building",),
+    "part": ("building_part", "building_p"),
+    "height": ("height", "height_m", "building_height", "measuredheight", "measured_height", "measuredhe"),
+    "levels": ("building_levels", "building_l", "levels", "num_floors", "storeysaboveground"),
+    "roof_levels": ("roof_levels", "roof_level"),
+    "min_height": ("min_height", "building_min_height"),
+    "min_level": ("building_min_level", "min_level", "min_floor"),
+    "location": ("location",),
+    "layer": ("layer",),
+    "man_made": ("man_made",),
+}
+UNDERGROUND_COLUMN = "is_underground"  # of Overture Maps: true or false
 _NO = ("no", "false", "0", "0.0")
 
 
@@ -104,6 +121,29 @@ def near_rows(boxes: np.ndarray, box: Bounds) -> np.ndarray:
     return meets(boxes, extent_of(boxes[is_near])) if is_near.any() else is_near
 
 
+def _plain(column: object) -> str:
+    """Return a column's name as `COLUMNS` has it."""
+    return str(column).lower().replace(":", "_").replace(".", "_")
+
+
+def is_of_buildings(column: object) -> bool:
+    """Return whether a column or a tag says something of buildings by its name."""
+    return _plain(column) == UNDERGROUND_COLUMN or any(_plain(column) in names for names in COLUMNS.values())
+
+
+def tags_of(columns: Mapping[Any, np.ndarray]) -> dict[str, np.ndarray]:
+    """Return columns, or OpenStreetMap's tags, of ``[N]`` outlines under the names that `Outlines` knows."""
+    values, tags = {_plain(name): column for name, column in columns.items()}, {}
+    for tag, names in COLUMNS.items():
+        if found := [values[name] for name in names if name in values]:
+            tags[tag] = reduce(lambda first, second: np.where(is_given(first), first, second), found)
+    if UNDERGROUND_COLUMN in values:
+        is_below = np.array([str(value).lower() in ("true", "1") for value in values[UNDERGROUND_COLUMN]], bool)
+        others = tags.get("location", np.array(None)).astype(object)
+        tags["location"] = np.where(is_below, ReadIssue.UNDERGROUND, others)
+    return tags
+
+
 def count_tags(outlines: Outlines) -> dict[str, int]:
     """Return how many outlines the file tags as what, before any rule is applied.
 
@@ -163,17 +203,15 @@ def to_buildings(
 
     is_part, is_deck = is_part[index], is_deck[index]
     tags = {name: column[index] for name, column in outlines.tags.items()}
-    heights = estimate_heights(tags, len(index), default_height_m=default_height_m, level_height_m=level_height_m)
-    issues |= heights.issues
+    of_heights = {"default_height_m": default_height_m, "level_height_m": level_height_m}
+    buildings = estimate_heights(tags, polygons, is_part, issues, **of_heights)
     if is_deck.any():
         layer = np.array([_number(text) for text in _texts(outlines.column("layer")[index])])
-        heights = with_decks(heights, is_deck, layer)
+        buildings = with_decks(buildings, is_deck, layer)
     outline, part, shared = _own_parts(polygons, ~is_part & ~is_deck, is_part)
-    height_m, origin = _with_outline_heights(heights, outline, part, issues)
-    height_m, min_height_m = _above_underside(height_m, heights.min_height_m, origin, issues)
+    buildings = _above_underside(_with_outline_heights(buildings, outline, part, issues), issues)
     is_replaced = _covered_share(polygons, outline, shared) >= REPLACED_SHARE
     issues[ReadIssue.OUTLINES_REPLACED_BY_PARTS] = int(np.sum(is_replaced))
-    buildings = Buildings(polygons, height_m, min_height_m, origin, is_part)
     if hanging == SLABS:
         buildings, is_podium = _podiums(buildings, outline, part, is_replaced)
         issues[ReadIssue.OUTLINES_KEPT_AS_PODIUMS] = int(np.sum(is_podium))
@@ -294,26 +332,23 @@ def _podiums(
     return replace(buildings, polygons=polygons, height_m=height_m, origin=origin), is_podium
 
 
-def _with_outline_heights(
-    heights: Heights, outline: np.ndarray, part: np.ndarray, issues: ReadIssues
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return height and origin of all, where parts without a height have that of their highest known outline."""
-    height_m, origin = heights.height_m.copy(), heights.origin.copy()
-    is_default = heights.origin == HeightOrigin.DEFAULT
+def _with_outline_heights(buildings: Buildings, outline: np.ndarray, part: np.ndarray, issues: ReadIssues) -> Buildings:
+    """Return buildings whose parts without a height have that of their highest outline whose height is known."""
+    height_m, origin = buildings.height_m.copy(), buildings.origin.copy()
+    is_default = origin == HeightOrigin.DEFAULT
     # A part that hangs above its outline's roof is not as high as it but higher.
-    takes = is_default[part] & ~is_default[outline] & (heights.height_m[outline] > heights.min_height_m[part])
-    lowest_first = np.flatnonzero(takes)[np.argsort(heights.height_m[outline[takes]], kind="stable")]
-    height_m[part[lowest_first]] = heights.height_m[outline[lowest_first]]
-    origin[part[lowest_first]] = heights.origin[outline[lowest_first]]
-    issues[ReadIssue.PARTS_GIVEN_OUTLINE_HEIGHT] = len(np.unique(part[lowest_first]))
-    return height_m, origin
+    takes = is_default[part] & ~is_default[outline] & (height_m[outline] > buildings.min_height_m[part])
+    lowest_first = np.flatnonzero(takes)[np.argsort(height_m[outline[takes]], kind="stable")]
+    outline, part = outline[lowest_first], part[lowest_first]
+    height_m[part], origin[part] = buildings.height_m[outline], buildings.origin[outline]
+    issues[ReadIssue.PARTS_GIVEN_OUTLINE_HEIGHT] = len(np.unique(part))
+    return replace(buildings, height_m=height_m, origin=origin)
 
 
-def _above_underside(
-    height_m: np.ndarray, min_height_m: np.ndarray, origin: np.ndarray, issues: ReadIssues
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return heights and undersides such that every roof is above its underside."""
-    is_wrong, is_estimate = min_height_m >= height_m, origin != HeightOrigin.HEIGHT
+def _above_underside(buildings: Buildings, issues: ReadIssues) -> Buildings:
+    """Return buildings every roof of which is above its underside."""
+    height_m, min_height_m = buildings.height_m, buildings.min_height_m
+    is_wrong, is_estimate = min_height_m >= height_m, buildings.origin != HeightOrigin.HEIGHT
     issues[ReadIssue.MIN_HEIGHTS_ABOVE_ROOF] = int(np.sum(is_wrong & ~is_estimate))
     raised_m = np.where(is_wrong & is_estimate, height_m + min_height_m, height_m)
-    return raised_m, np.where(is_wrong & ~is_estimate, 0.0, min_height_m)
+    return replace(buildings, height_m=raised_m, min_height_m=np.where(is_wrong & ~is_estimate, 0.0, min_height_m))

@@ -3,7 +3,6 @@
 import json
 import re
 from collections.abc import Sequence
-from functools import reduce
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +13,7 @@ import pyogrio
 import shapely
 
 from jaxurban.errors import InputError, readable
-from jaxurban.io.read.heights import is_given
-from jaxurban.io.read.outlines import Near, Outlines, extent_of, near_rows, polygonal
+from jaxurban.io.read.outlines import Near, Outlines, extent_of, is_of_buildings, near_rows, polygonal, tags_of
 from jaxurban.world.city import ReadIssue
 from jaxurban.world.grid import Bounds, check_on_earth
 
@@ -24,21 +22,6 @@ INDEXED_SUFFIXES = (".gpkg", ".shp")  # whose features are found by their boxes
 VECTOR_SUFFIXES = (".geojson", ".json", *INDEXED_SUFFIXES, *PARQUET_SUFFIXES)
 BUILDINGS = "buildings"  # the role, and the layer of several
 WHOLE = "give a whole one, with its companions"
-# Columns by what they hold: in any case, with ":", "." and "_" the same; names of ten letters are cut, as Shapefiles
-# cut them. Where several are there, the first that is filled counts, row by row. Column names in feet or of
-# roof shapes ("roof:height" is the height of the roof alone) are left out on purpose.
-COLUMNS = {
-    "building": ("building",),
-    "part": ("building_part", "building_p"),
-    "height": ("height", "height_m", "building_height", "measuredheight", "measured_height", "measuredhe"),
-    "levels": ("building_levels", "building_l", "levels", "num_floors", "storeysaboveground"),
-    "roof_levels": ("roof_levels", "roof_level"),
-    "min_height": ("min_height", "building_min_height"),
-    "min_level": ("building_min_level", "min_level", "min_floor"),
-    "location": ("location",),
-    "layer": ("layer",),
-    "man_made": ("man_made",),
-}
 OF_DAMAGED = (RuntimeError, LookupError, TypeError, AttributeError, shapely.errors.ShapelyError)  # raised by readers
 # How a file of a format begins. GDAL takes any format under any name, and some of them read other files, even from a
 # server: by their first bytes such are refused before GDAL sees them.
@@ -53,7 +36,6 @@ BEGINNINGS = {
 REFERRING = (b"<OGRVRTDataSource", b"gdal_streamed_alg", b"<OGRWFSDataSource", b"<OGRElasticDataSource")
 HEAD_BYTES = 1 << 16  # GDAL looks at fewer
 ESCAPE = re.compile(rb"\\u00([2-7][0-9a-fA-F])")  # a plain letter of JSON in digits
-_UNDERGROUND = "is_underground"  # of Overture Maps: true or false
 _POLYGONS = (shapely.GeometryType.POLYGON, shapely.GeometryType.MULTIPOLYGON)
 
 
@@ -94,7 +76,7 @@ def _read(path: str | Path, role: str, *, every_layer: bool) -> list[gpd.GeoData
     with readable(path, "a vector file", WHOLE, *OF_DAMAGED, what=name):
         _check_format(Path(path))
         if Path(path).suffix.lower() in PARQUET_SUFFIXES:
-            frames = [_read_parquet(path, is_of_buildings=role == BUILDINGS)]
+            frames = [_read_parquet(path, for_buildings=role == BUILDINGS)]
         else:
             layers = [layer for layer, _ in pyogrio.list_layers(path)] if every_layer else [_polygon_layer(path, role)]
             on_invalid = "raise" if every_layer else "ignore"
@@ -107,13 +89,13 @@ def _read(path: str | Path, role: str, *, every_layer: bool) -> list[gpd.GeoData
     return frames
 
 
-def _read_parquet(path: str | Path, *, is_of_buildings: bool) -> gpd.GeoDataFrame:
+def _read_parquet(path: str | Path, *, for_buildings: bool) -> gpd.GeoDataFrame:
     """Return the features of a GeoParquet file, of buildings with the columns that say something of them alone."""
     import pyarrow.parquet as pq  # imported here: it takes 0.1 s to load, for which other formats need not wait
 
     schema = pq.read_schema(path)
     shapes = json.loads((schema.metadata or {}).get(b"geo", b"{}")).get("columns", {})
-    columns = [name for name in schema.names if name in shapes or not is_of_buildings or _is_of_buildings(name)]
+    columns = [name for name in schema.names if name in shapes or not for_buildings or is_of_buildings(name)]
     frame = gpd.read_parquet(path, columns=columns)
     index = [name for name in frame.index.names if name is not None and name not in frame.columns]
     return frame.reset_index(level=index)  # pandas wrote it as an index
@@ -205,7 +187,7 @@ def _read_near(path: str | Path, near: Near) -> tuple[gpd.GeoDataFrame, Bounds] 
             return None
         _, sides = pyogrio.read_bounds(path, layer=layer, bbox=box)
         box = extent_of(sides.T) if sides.size else box  # with all that touches one of these, see `near_rows`
-        columns = [column for column in facts["fields"] if _is_of_buildings(column)]
+        columns = [column for column in facts["fields"] if is_of_buildings(column)]
         options: dict[str, Any] = {"columns": columns, "bbox": box, "on_invalid": "ignore", "fid_as_index": True}
         frame = pyogrio.read_dataframe(path, layer=layer, **options).sort_index().reset_index(drop=True)
     _check(name, frame, facts["total_bounds"])
@@ -229,7 +211,7 @@ def _polygon_layer(path: str | Path, wanted: str) -> str:
 
 
 def read_vector(path: str | Path, near: Near | None = None) -> Outlines:
-    """Return the polygons of a vector file, with what its columns say of heights (see `COLUMNS`).
+    """Return the polygons of a vector file, with what its columns say of heights (see `tags_of`).
 
     Numbers are metres (or levels); text is read as OpenStreetMap's tags are. A collection counts as the
     polygons that it holds. Points and lines are left out and counted.
@@ -257,7 +239,7 @@ def read_vector(path: str | Path, near: Near | None = None) -> Outlines:
     is_polygon = np.isin(shapely.get_type_id(shapes), _POLYGONS) | shapely.is_missing(shapes)
     return Outlines(
         polygons=shapes[is_polygon],
-        tags=_tags(frame[is_polygon]),
+        tags=tags_of({name: _values(frame.loc[is_polygon, name]) for name in frame if is_of_buildings(name)}),
         crs=frame.crs.to_wkt(),
         boxes=(),
         issues={ReadIssue.NON_POLYGONS: int(np.sum(~is_polygon))},
@@ -270,30 +252,6 @@ def _scalar(value: Any) -> Any:
     if not isinstance(value, list | dict | tuple | np.ndarray):
         return value
     return json.dumps(value, default=lambda inner: inner.tolist() if isinstance(inner, np.ndarray) else str(inner))
-
-
-def _plain(column: object) -> str:
-    """Return a column's name as `COLUMNS` has it."""
-    return str(column).lower().replace(":", "_").replace(".", "_")
-
-
-def _is_of_buildings(column: str) -> bool:
-    return _plain(column) == _UNDERGROUND or any(_plain(column) in names for names in COLUMNS.values())
-
-
-def _tags(frame: pd.DataFrame) -> dict[str, np.ndarray]:
-    """Return the columns that say something of buildings, under the names that `Outlines` knows."""
-    values = {_plain(column): _values(frame[column]) for column in frame.columns if _is_of_buildings(column)}
-    tags = {}
-    for tag, names in COLUMNS.items():
-        if found := [values[name] for name in names if name in values]:
-            tags[tag] = reduce(lambda first, second: np.where(is_given(first), first, second), found)
-    if _UNDERGROUND in values:
-        is_below = np.array([str(value).lower() in ("true", "1") for value in values[_UNDERGROUND]], bool)
-        tags["location"] = np.where(
-            is_below, ReadIssue.UNDERGROUND, tags.get("location", np.array(None)).astype(object)
-        )
-    return tags
 
 
 def _values(column: pd.Series) -> np.ndarray:
