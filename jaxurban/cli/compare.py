@@ -31,9 +31,9 @@ def compare(folder_a: Path, folder_b: Path, output: Path, as_json: bool, overwri
     from jaxurban.io.files import check_writable
     from jaxurban.io.tables import records_of
     from jaxurban.io.workspace import Workspace
+    from jaxurban.paths.rows import MapsFolder
     from jaxurban.report.map_comparison import REPORT_FILE, save_comparison
     from jaxurban.studies.map_comparison import compare as compare_maps
-    from jaxurban.studies.montecarlo.run import MapsFolder
 
     sides = [MapsFolder(folder, given["resolution_m"], given["obstacles"]) for folder in (folder_a, folder_b)]
     check_writable(output)

@@ -152,25 +152,26 @@ def sensitivity(folder: Path, output: Path, as_json: bool, overwrite: bool, **gi
 def sensitivity_study(folders: Sequence[Path], output: Path, as_json: bool, overwrite: bool, **given: Any) -> int:
     """Report what weights do to many routes over the maps in each DIR, drawn or from --queries."""
     from jaxurban.io.tables import read_table, records_of
+    from jaxurban.paths.rows import HAS_PATH, MapsFolder
     from jaxurban.planners.base import EXIT_NO_PATH
     from jaxurban.report.buildings import scenario_of
     from jaxurban.report.run_sensitivity import sensitivity_study as study
-    from jaxurban.studies.montecarlo.run import MapsFolder
-    from jaxurban.studies.montecarlo.trial import HAS_PATH
-    from jaxurban.studies.weights.routes import RemadeSettings, SensitivityStudySettings
+    from jaxurban.studies.weights.routes import SensitivityStudySettings
 
     if given["queries"] is not None and (given["num_routes"] is not None or given["altitudes_m"]):
         raise click.UsageError("--queries names the routes: leave out --routes and --altitudes, or --queries")
     if given["parameter_factors"] and not given["parameters"]:
         raise click.UsageError("--parameter-factors belongs to --parameters: add that")
-    remade = RemadeSettings(given["heights"], given["parameters"], given["parameter_factors"] or (0.5, 2.0))
     scenario = given["scenario"]
-    if scenario is not None and not (remade and len(folders) == 1):
+    if scenario is not None and not ((given["heights"] or given["parameters"]) and len(folders) == 1):
         raise click.UsageError("--scenario belongs to --heights and --parameters of one DIR")
     workers, rules = given_workers(given), given_rules(given)
     weights = rules.pop("weights")
     settings = SensitivityStudySettings(
         vary=names_in(given["vary"]),
+        num_heights=given["heights"],
+        has_parameters=given["parameters"],
+        parameter_factors=given["parameter_factors"] or (0.5, 2.0),
         **rules,
         **{name: given[name] for name in ("factors", "wrong", "num_samples", "seed")},
     )
@@ -181,7 +182,6 @@ def sensitivity_study(folders: Sequence[Path], output: Path, as_json: bool, over
         altitudes_m=given["altitudes_m"],
         weights=weights,
         settings=settings,
-        remade=remade,
         scenarios=None if scenario is None else {folders[0].resolve().name: scenario_of(folders[0], scenario)},
         workers=workers,
         overwrite=overwrite,

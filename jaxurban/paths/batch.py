@@ -18,7 +18,8 @@ from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.cost_map import CostMap, cost_map
 from jaxurban.paths.path import finish
 from jaxurban.paths.preset import PathSearch, objective_on, under_preset, weights_on
-from jaxurban.paths.queries import BAD_INPUT, CRASHED, BatchResults, PlannedPaths, QueryResult, read_queries
+from jaxurban.paths.queries import BatchResults, PlannedPaths, QueryResult, read_queries
+from jaxurban.paths.rows import BAD_INPUT, failure
 from jaxurban.paths.snapping import Place, Point
 from jaxurban.planners.base import CostKind, Path
 from jaxurban.planners.batch import Backend, solve_many
@@ -186,9 +187,8 @@ class _Job:
                 elif self.strict:
                     raise outcome
                 else:
-                    is_input = isinstance(outcome, InputError)
-                    message = str(outcome) if is_input else f"{type(outcome).__name__}: {outcome}"
-                    self.book.add(k, QueryResult(BAD_INPUT if is_input else CRASHED, message, key=key))
+                    failed = failure(outcome)
+                    self.book.add(k, QueryResult(failed["status"], failed["note"], key=key))
                 yield k
 
     def _refuse(self, k: int, error: str) -> int:

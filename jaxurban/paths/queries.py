@@ -16,6 +16,7 @@ from jaxurban.metrics.registry import METRICS
 from jaxurban.metrics.weights import GivenWeights, Weights
 from jaxurban.paths.export.write import FORMATS, write_path
 from jaxurban.paths.path import PlannedPath
+from jaxurban.paths.rows import BAD_INPUT
 from jaxurban.paths.snapping import XY, Point
 from jaxurban.planners.base import Path, Status
 from jaxurban.world.show import Shown
@@ -24,7 +25,7 @@ LONLAT = ("start_lon", "start_lat", "goal_lon", "goal_lat")
 IN_METRES = ("start_x_m", "start_y_m", "goal_x_m", "goal_y_m")
 WEIGHT_PREFIX = "w_"
 COLUMNS = (*LONLAT, *IN_METRES, "altitude_m", "time", "time_of_day")
-BAD_INPUT, CRASHED, NOT_RUN = "bad-input", "crashed", "not-run"  # beside the names of `Status`
+NOT_RUN = "not-run"  # beside the names of `Status` and what `jaxurban.paths.rows` adds
 ENDED_BY_BUDGET = (Status.BUDGET_EMPTY.value, Status.BUDGET_FEASIBLE.value)
 NEEDED = {"query", "status", "message", "key", "budget_s", "search", "x_m", "y_m"}  # of a file of results
 

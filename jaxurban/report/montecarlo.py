@@ -1,7 +1,7 @@
 """study: a Monte Carlo benchmark of planners over metric maps, kept in a folder and resumable, and its report."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +17,9 @@ from jaxurban.io.workspace import Workspace
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.registry import METRICS
 from jaxurban.paths.constraints import Constraints, constraints_said
-from jaxurban.paths.preset import under_preset
-from jaxurban.progress import Progress
+from jaxurban.paths.rows import CRASHED, MapsFolder, check_workers, run_rows
+from jaxurban.planners.cost_model import CostModel
+from jaxurban.progress import Progress, reporting
 from jaxurban.report.figures.montecarlo import study_figures
 from jaxurban.report.sensitivity_study import weights_said
 from jaxurban.report.write import Output, counted, fill, framed, listed, save
@@ -26,7 +27,6 @@ from jaxurban.scenario.settings import Scenario
 from jaxurban.studies.bootstrap import FEWEST_GROUPS
 from jaxurban.studies.montecarlo import analysis
 from jaxurban.studies.montecarlo.complementarity import complementarity
-from jaxurban.studies.montecarlo.run import MapsFolder, run_benchmark
 from jaxurban.studies.montecarlo.sampling import (
     KEY,
     checked_instances,
@@ -37,7 +37,7 @@ from jaxurban.studies.montecarlo.sampling import (
     weight_columns,
     with_connection,
 )
-from jaxurban.studies.montecarlo.trial import CRASHED, BenchmarkSettings, free_cell
+from jaxurban.studies.montecarlo.trial import BenchmarkSettings, free_cell, row_columns
 from jaxurban.world.city import LandCover
 from jaxurban.world.grid import Grid
 from jaxurban.world.synthetic import demo_cover_for_bounds
@@ -146,12 +146,10 @@ def study(
         benchmark of other settings or other instances.
     """
     folder, settings = Path(folder), settings or BenchmarkSettings()
-    if isinstance(workers, int) and workers < 1:
-        raise InputError(f"workers must be at least 1, got {workers}")
     source = maps if isinstance(maps, MetricMaps | MapsFolder) else MapsFolder(maps)
-    opened = source if isinstance(source, MetricMaps) else source.open()
-    opened, model, constraints = under_preset(settings.preset, opened, settings.cost_model, settings.constraints)
-    settings = replace(settings, cost_model=model, constraints=constraints, preset="")
+    check_workers(workers, [source])
+    opened, settings = settings.under(source if isinstance(source, MetricMaps) else source.open())
+    model, constraints = CostModel.of(settings.cost_model), settings.constraints
     source = opened if isinstance(source, MetricMaps) else source.at(opened)
     if not isinstance(instances, pd.DataFrame):
         instances = sample_instances(opened, instances, cost_model=model, constraints=constraints, seed=settings.seed)
@@ -163,7 +161,11 @@ def study(
     with Workspace.open(folder, "study", is_shared=True) as workspace:
         _claim(workspace, settings, opened, instances, overwrite)
         write_table(instances, folder / INSTANCES_FILE)
-        rows = run_benchmark(instances, source, folder, settings, workers, progress)
+        file, columns = folder / ROWS_FILE, row_columns(instances.columns)
+        with reporting("study", progress) as report:
+            rows = run_rows(
+                file, settings, instances, {None: source}, lambda _: columns, workers=workers, report=report
+            )
     return BenchmarkResult(folder, opened, instances, rows, settings)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from jaxurban.errors import GuessWarning, InputError, one_of, typed
-from jaxurban.io.tables import ROWS_FILE, RowStore, fingerprint, read_table, records_of, write_table
+from jaxurban.io.tables import ROWS_FILE, RowStore, fingerprint, read_table, write_table
 from jaxurban.io.workspace import Workspace
 from jaxurban.maps.build import compute_maps
 from jaxurban.maps.memory import check_fits
@@ -19,15 +19,15 @@ from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.maps.task import MapTask
 from jaxurban.metrics.registry import METRICS
 from jaxurban.metrics.weights import GivenWeights, Weights
-from jaxurban.paths.preset import under_preset
 from jaxurban.paths.queries import WEIGHT_PREFIX, read_queries
+from jaxurban.paths.rows import MapsFolder, Source, check_workers, run_rows, solve_here, tasks_of
+from jaxurban.planners.cost_model import CostModel
 from jaxurban.progress import LOG, Progress, Report, reporting
 from jaxurban.report.buildings import scenario_of
 from jaxurban.report.montecarlo import INSTANCES_FILE, check_instances
 from jaxurban.report.sensitivity_study import FILES, SensitivityStudy, write_sensitivity_study
 from jaxurban.scenario.run import tasks_of as maps_tasks_of
 from jaxurban.scenario.settings import Scenario
-from jaxurban.studies.montecarlo.run import InstanceRuns, MapsFolder, helpers, keep_rows, solve, tasks_of
 from jaxurban.studies.montecarlo.sampling import (
     checked_instances,
     instances_of_queries,
@@ -39,17 +39,14 @@ from jaxurban.studies.queries import population_norms
 from jaxurban.studies.weights.routes import (
     REMADE_KEY,
     ROUTE_KEY,
-    RemadeSettings,
+    OnPerturbedMaps,
     SensitivityStudySettings,
-    num_remade,
-    remade_of,
-    remade_rows,
+    num_perturbed,
+    perturbed_tasks,
     row_columns,
 )
 
 ROUTES_FOLDER, REMADE_FOLDER = "routes", "remade"
-ONE_RUN: tuple[str, ...] = ()
-Source = MetricMaps | MapsFolder
 
 
 @typed
@@ -61,7 +58,6 @@ def sensitivity_study(
     altitudes_m: Sequence[float] | None = None,
     weights: GivenWeights = None,
     settings: SensitivityStudySettings | None = None,
-    remade: RemadeSettings | None = None,
     scenarios: Mapping[str, Scenario] | None = None,
     workers: int | str = 1,
     overwrite: bool = False,
@@ -70,7 +66,7 @@ def sensitivity_study(
     """Return what the weights do to many routes, at several altitudes and in several cities, with intervals.
 
     For each route and weight: its share of the cost (which is the gradient of the cost by the logarithm of the weight),
-    the nearest breakpoints, the regret of a wrong weight, and Sobol shares of what the route is like; with ``remade``
+    the nearest breakpoints, the regret of a wrong weight, and Sobol shares of what the route is like; if asked
     also how routes change where heights are uncertain or parameters are other ones. Rows are kept in ``folder`` as they
     come; the same call after any end, ``kill -9`` included, makes only what is missing. A route that fails is a row
     with its status. ``report.md`` there says what the routes support and what not, beside tables and figures.
@@ -84,8 +80,7 @@ def sensitivity_study(
         where there are several.
       altitudes_m: of sampled routes; left out, all that the maps hold.
       weights: of sampled routes, and of those that name none; left out, those of the maps' scenarios, else `Weights()`.
-      settings: what is asked of every route.
-      remade: which maps are made anew to see what changes; left out, none.
+      settings: what is asked of every route, and on which maps that are made anew.
       scenarios: of cities whose maps are made anew; left out, the record in their folder tells the sources.
       workers: processes of this machine, 1 works in this process; or the address of a Dask scheduler, whose workers see
         the maps' folders under the same paths.
@@ -95,14 +90,12 @@ def sensitivity_study(
     Raises:
       InputError: a wrong argument, routes for other maps, or a folder that holds another study or other files.
     """
-    folder, settings, remade = Path(folder), settings or SensitivityStudySettings(), remade or RemadeSettings()
-    if isinstance(workers, int) and workers < 1:
-        raise InputError(f"workers must be at least 1, got {workers}")
+    folder, settings, given = Path(folder), settings or SensitivityStudySettings(), named_sources(sources)
+    check_workers(workers, given.values())
     if not isinstance(routes, pd.DataFrame) and (isinstance(routes, bool) or not isinstance(routes, int) or routes < 1):
         raise InputError(
             f"routes must be how many to sample in each city, at least 1, or a table of them, got {routes!r}"
         )
-    given = named_sources(sources)
     opened, settings, weights = _opened(given, settings, weights)
     instances = _instances(opened, routes, altitudes_m, weights, settings)
     _check_vary(settings.vary, instances, dict.fromkeys(name for maps in opened.values() for name in maps.metrics))
@@ -115,15 +108,16 @@ def sensitivity_study(
         reporting("sensitivity", progress) as report,
     ):
         write_table(instances, folder / INSTANCES_FILE)
-        rows = _routes(folder, instances, given, job, workers, report)
-        remade_table, skipped = pd.DataFrame(), tuple[str, ...]()
-        if remade:
-            remade_table, skipped = _remade(folder, instances, given, opened, (settings, remade), scenarios, report)
+        file = folder / ROUTES_FOLDER / ROWS_FILE
+        rows = run_rows(file, job, instances, given, row_columns, workers=workers, report=report)
+        remade, skipped = pd.DataFrame(), tuple[str, ...]()
+        if settings.num_heights or settings.has_parameters:
+            remade, skipped = _remade(folder, instances, given, opened, settings, scenarios, report)
         report("report")
         grids = {city: maps.facts["grid"] for city, maps in opened.items()}
         norms = {city: population_norms(maps) for city, maps in opened.items()}
         is_sampled = not isinstance(routes, pd.DataFrame)
-        found = SensitivityStudy(folder, grids, instances, rows, remade_table, skipped, settings, norms, is_sampled)
+        found = SensitivityStudy(folder, grids, instances, rows, remade, skipped, settings, norms, is_sampled)
         write_sensitivity_study(found)
     return found
 
@@ -139,19 +133,18 @@ def _opened(
     opened, rules = dict[str, MetricMaps](), dict[str, Any]()
     for city, source in given.items():
         maps = source if isinstance(source, MetricMaps) else source.open()
-        maps, *rest = under_preset(settings.preset, maps, settings.cost_model, settings.constraints)
-        opened[city], rules[city] = maps, [*rest, Weights.of(weights, maps.recorded.get("weights"))]
-        given[city] = maps if isinstance(source, MetricMaps) else source.at(maps)
-    (first, (model, constraints, weights)), *others = rules.items()
+        opened[city], job = settings.under(maps)
+        rules[city] = job, Weights.of(weights, maps.recorded.get("weights"))
+        given[city] = opened[city] if isinstance(source, MetricMaps) else source.at(opened[city])
+    (first, (settings, weights)), *others = rules.items()
     for city, other in others:
         if other != rules[first]:
             raise InputError(
                 f"the scenarios of {first} and {city} give other weights, cost models, clearances or vehicles: name "
                 "them for both (--weights, --cost-model, --clearance, --vertical-clearance), or make them the same"
             )
-    settings = replace(settings, cost_model=model, constraints=constraints, preset="")
     resolutions = {maps.grid.resolution_m for maps in opened.values()}
-    if model.kind == "cell" and len(resolutions) > 1:
+    if CostModel.of(settings.cost_model).kind == "cell" and len(resolutions) > 1:
         listed = ", ".join(f"{each:g} m" for each in sorted(resolutions))
         raise InputError(
             f"the maps have cells of {listed}, on which the 'cell' cost model costs differently: use cost_model='line'"
@@ -275,66 +268,36 @@ def _given_routes(routes: pd.DataFrame, city: str, maps: MetricMaps, weights: Gi
     return part
 
 
-def _routes(
-    folder: Path,
-    instances: pd.DataFrame,
-    sources: Mapping[str, Source],
-    settings: SensitivityStudySettings,
-    workers: int | str,
-    report: Report,
-) -> pd.DataFrame:
-    """Return the rows of all routes, made where they are missing."""
-    store = RowStore(folder / ROUTES_FOLDER / ROWS_FILE, ROUTE_KEY, has_parts=True)
-    tasks = {city: tasks_of(part, [ONE_RUN], store, ROUTE_KEY) for city, part in instances.groupby("city", sort=False)}
-    num_left = sum(map(len, tasks.values()))
-    try:
-        if num_left:
-            with helpers(workers, sources.values()) as client:
-                keep_rows(store, _solved(tasks, sources, settings, client), num_left, report)
-    finally:
-        store.save(row_columns(store.rows))
-    return read_table(store.file, "rows")
-
-
-def _solved(tasks: Mapping[Any, list[InstanceRuns]], sources: Mapping[str, Source], settings: Any, client: Any) -> Any:
-    for city, of_city in tasks.items():
-        if of_city:
-            yield from solve(of_city, sources[city], settings, client)
-
-
 def _remade(
     folder: Path,
     instances: pd.DataFrame,
     sources: Mapping[str, Source],
     opened: Mapping[str, MetricMaps],
-    settings: tuple[SensitivityStudySettings, RemadeSettings],
+    settings: SensitivityStudySettings,
     scenarios: Mapping[str, Scenario] | None,
     report: Report,
 ) -> tuple[pd.DataFrame, tuple[str, ...]]:
     """Return the rows of routes on maps made anew, and why some were not made; whole maps at a time are kept."""
-    of_routes, of_maps = settings
     store = RowStore(folder / REMADE_FOLDER / ROWS_FILE, REMADE_KEY, has_parts=True)
+    rules: dict[str, Any] = {"cost_model": settings.cost_model, "constraints": settings.constraints}
     skipped = []
     try:
         for city, maps in opened.items():
-            routes = instances[instances.city == city].sort_values(["altitude_m", "time", "time_of_day"])
-            asked = records_of(routes)
             try:
                 task = _map_task(city, sources[city], maps, scenarios)
             except InputError as error:
                 skipped.append(f"{city}: {error}")
                 LOG.warning(f"no maps of {city} are made anew: {error}")
                 continue
-            stage, total = f"maps of {city} made anew", num_remade(task, of_maps)
-            for number, (changed, at, other) in enumerate(remade_of(task, of_maps, of_routes.seed)):
+            stage, total = f"maps of {city} made anew", num_perturbed(task, settings)
+            for number, (changed, at, perturbed) in enumerate(perturbed_tasks(task, settings)):
                 report(stage, number, total)
-                left = [each for each in asked if (changed, at, *(each[name] for name in ROUTE_KEY)) not in store]
-                if left:
+                job = OnPerturbedMaps(nominal=maps, changed=changed, at=at, **rules)
+                if left := tasks_of(instances[instances.city == city], job, store):
                     with warnings.catch_warnings():
                         warnings.simplefilter("ignore", GuessWarning)  # said when the nominal maps were made
-                        made = compute_maps(other).with_obstacles(maps.obstacles)
-                    rows = remade_rows(maps, made, left, of_routes)
-                    store.add([{"changed": changed, "at": at, **row} for row in rows])
+                        made = compute_maps(perturbed).with_obstacles(maps.obstacles)
+                    store.add([row for rows in solve_here(left, {city: made}, job) for row in rows])
             report(stage, total, total)
     finally:
         store.save(row_columns(store.rows))

@@ -10,11 +10,11 @@ import numpy as np
 import pandas as pd
 
 from jaxurban.paths.queries import WEIGHT_PREFIX
+from jaxurban.paths.rows import HAS_PATH
 from jaxurban.report.figures.sensitivity_study import study_figures
 from jaxurban.report.write import Output, bullets, files_of, fill, framed, save, table
 from jaxurban.studies.bootstrap import FEWEST_GROUPS
 from jaxurban.studies.montecarlo.sampling import weighed_metrics, weight_columns
-from jaxurban.studies.montecarlo.trial import HAS_PATH
 from jaxurban.studies.queries import outcome_label
 from jaxurban.studies.weights import summary
 from jaxurban.studies.weights.routes import SensitivityStudySettings
@@ -39,8 +39,8 @@ class SensitivityStudy:
       folder: where it is kept.
       cities: how the cities are called, with their grids in words.
       instances: the routes asked for.
-      rows: what was found for each (`jaxurban.studies.weights.routes.route_row`).
-      remade: how each route differs on maps made anew (`jaxurban.studies.weights.routes.remade_rows`).
+      rows: what was found for each (`jaxurban.studies.weights.routes.route_facts`).
+      remade: how each route differs on maps made anew (`jaxurban.studies.weights.routes.OnPerturbedMaps`).
       skipped: why maps were not made anew, a sentence a city.
       settings: what was asked.
       is_sampled: whether the routes were drawn, by stratum and range, or given.

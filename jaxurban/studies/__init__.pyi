@@ -1,3 +1,4 @@
+from jaxurban.paths.rows import MapsFolder as MapsFolder
 from jaxurban.report.buildings import write_buildings as write_buildings
 from jaxurban.report.map_comparison import save_comparison as save_comparison
 from jaxurban.report.montecarlo import study as study
@@ -7,7 +8,6 @@ from jaxurban.report.sensitivity import save_sensitivity as save_sensitivity
 from jaxurban.report.sensitivity_study import SensitivityStudy as SensitivityStudy
 from jaxurban.studies.map_comparison import MapComparison as MapComparison
 from jaxurban.studies.map_comparison import compare as compare
-from jaxurban.studies.montecarlo.run import MapsFolder as MapsFolder
 from jaxurban.studies.montecarlo.sampling import sample_instances as sample_instances
 from jaxurban.studies.montecarlo.trial import BenchmarkSettings as BenchmarkSettings
 from jaxurban.studies.queries import make_queries as make_queries
@@ -15,7 +15,6 @@ from jaxurban.studies.receiver.prediction import ReceiverSettings as ReceiverSet
 from jaxurban.studies.receiver.validate import ReceiverValidation as ReceiverValidation
 from jaxurban.studies.receiver.validate import validate as validate
 from jaxurban.studies.weights.buildings import building_costs as building_costs
-from jaxurban.studies.weights.routes import RemadeSettings as RemadeSettings
 from jaxurban.studies.weights.routes import SensitivityStudySettings as SensitivityStudySettings
 from jaxurban.studies.weights.study import SensitivitySettings as SensitivitySettings
 from jaxurban.studies.weights.study import sensitivity as sensitivity

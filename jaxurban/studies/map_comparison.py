@@ -17,9 +17,9 @@ from jaxurban.io.read.orbits import iso_utc, parse_time
 from jaxurban.io.store import RUN_FILE
 from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY
+from jaxurban.paths.rows import MapsFolder
 from jaxurban.progress import Progress, reporting
 from jaxurban.scenario.validation import Differing, differing
-from jaxurban.studies.montecarlo.run import MapsFolder
 from jaxurban.studies.queries import NORMS
 from jaxurban.world.grid import Grid
 from jaxurban.world.show import Shown, listed

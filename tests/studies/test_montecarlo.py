@@ -18,11 +18,11 @@ import jaxurban as ju
 from jaxurban.errors import InputError
 from jaxurban.io.store import write_zarr
 from jaxurban.maps.executors import cluster_client
+from jaxurban.paths.rows import InstanceRuns, MapsFolder, solve_on
 from jaxurban.planners.astar import astar
 from jaxurban.planners.base import Problem
 from jaxurban.report.benchmark import export_benchmark
 from jaxurban.report.montecarlo import report_markdown, tables_of, write_analysis
-from jaxurban.studies.montecarlo.run import InstanceRuns, MapsFolder, solve_on
 from jaxurban.studies.montecarlo.trial import DISTANCE, PlannerRun
 from tests.cli_runs import assert_one_sentence, run
 from tests.made_maps import made_maps
@@ -192,7 +192,7 @@ def test_a_planner_that_kills_its_worker_costs_its_own_rows_alone(folder, result
     tasks = [InstanceRuns(instance, runs) for instance in result.instances[:2].to_dict("records")]
     with dask.config.set({"distributed.scheduler.allowed-failures": 0}), cluster_client(None, 2) as client:
         client.register_plugin(Killer())
-        found = list(solve_on(client, tasks, MapsFolder(folder), replace(SETTINGS, budget_iterations=100)))
+        found = list(solve_on(client, tasks, {None: MapsFolder(folder)}, replace(SETTINGS, budget_iterations=100)))
     rows = {(row["instance"], row["planner"]): row for rows in found for row in rows}
     assert len(rows) == sum(map(len, found)) == 6
     for (_, planner), row in rows.items():

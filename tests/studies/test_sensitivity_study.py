@@ -19,10 +19,11 @@ import jaxurban as ju
 from jaxurban.errors import InputError
 from jaxurban.io.store import write_zarr
 from jaxurban.metrics.custom import Layer
+from jaxurban.paths.rows import InstanceRuns, solve_here
 from jaxurban.report.figures.sensitivity_study import plot_nearest, plot_where, study_figures
 from jaxurban.report.sensitivity_study import _rows, share_said, study_markdown
 from jaxurban.studies.montecarlo.sampling import sample_joined
-from jaxurban.studies.weights.routes import parameters_of, remade_of, remade_rows, with_parameter
+from jaxurban.studies.weights.routes import OnPerturbedMaps, parameters_of, perturbed_tasks, with_parameter
 from jaxurban.studies.weights.summary import comparisons_of, shares_table, summarise, summarise_shares
 from tests.cli_runs import assert_one_sentence, run
 from tests.made_maps import made_maps
@@ -357,16 +358,22 @@ def test_a_share_that_is_not_told_from_zero_is_words_and_no_number_below_zero():
     assert set(few.verdict) == {"too few routes"}
 
 
+def perturbed_rows(nominal, other, instances):
+    job = OnPerturbedMaps(nominal=nominal, changed="heights", at=0.0)
+    tasks = [InstanceRuns(instance, job.runs) for instance in instances]
+    return pd.DataFrame(row for rows in solve_here(tasks, {"a": other}, job) for row in rows)
+
+
 def test_routes_on_maps_made_anew_are_compared_both_ways(tmp_path):
     maps = made_maps(40, 50)
     instances = sample_joined(maps, 6, weights=[ju.Weights()]).assign(city="a")
     asked = instances.to_dict("records")
-    same = pd.DataFrame(remade_rows(maps, maps, asked, SETTINGS))
+    same = perturbed_rows(maps, maps, asked)
     assert (same[["is_other", "regret", "nominal_regret", "is_closed"]] == 0).all(axis=None)
     assert (same.overlap == 1).all()
     other = ju.MetricMaps(maps.ds.copy(deep=True))
     other.ds["risk"].values[:] = 1 - other.ds["risk"].values
-    found = pd.DataFrame(remade_rows(maps, other, asked, SETTINGS))
+    found = perturbed_rows(maps, other, asked)
     assert found.is_other.sum() > 3
     for row, instance in zip(found.to_dict("records"), asked, strict=True):
         ends = [ju.XY(instance[f"{end}_x_m"], instance[f"{end}_y_m"]) for end in ("start", "goal")]
@@ -436,7 +443,7 @@ def test_parameters_are_every_number_that_metrics_are_differentiated_by():
     }
     changed = with_parameter(task, "risk.threshold_m", 25.0)
     assert parameters_of(changed) == found | {"risk.threshold_m": 25.0}
-    made = list(remade_of(task, ju.studies.RemadeSettings(3, True, (0.5, 2.0))))
+    made = list(perturbed_tasks(task, ju.studies.SensitivityStudySettings(num_heights=3, has_parameters=True)))
     assert [changed for changed, _, _ in made] == ["heights"] * 3 + [name for name in found for _ in range(2)]
 
 

@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 
 import jaxurban as ju
+from jaxurban.paths.rows import solve_instance
 from jaxurban.planners.any_angle import ptp
 from jaxurban.planners.base import Path, Status
 from jaxurban.planners.registry import PLANNERS, PlannerEntry
 from jaxurban.studies.montecarlo.sampling import sample_instances
-from jaxurban.studies.montecarlo.trial import BenchmarkSettings, PlannerRun, row_columns, solve_instance
+from jaxurban.studies.montecarlo.trial import BenchmarkSettings, PlannerRun, row_columns
 from tests.made_maps import made_maps
 
 WEIGHTED = [PlannerRun(name, "weighted") for name in ("ptp", "astar-dist", "astar-plus")]
@@ -32,7 +33,7 @@ def test_rows_say_what_plan_says(maps, instances, cost_model):
     settings = BenchmarkSettings(cost_model=ju.CostModel(cost_model))
     for instance in instances[:4]:
         on = settings.cost_map(maps, 20.0, None, instance["time_of_day"])
-        for run, row in zip(WEIGHTED, solve_instance(on, instance, WEIGHTED, settings), strict=True):
+        for run, row in zip(WEIGHTED, solve_instance(settings, on, instance, WEIGHTED), strict=True):
             query = {
                 "start_xy_m": (instance["start_x_m"], instance["start_y_m"]),
                 "goal_xy_m": (instance["goal_x_m"], instance["goal_y_m"]),
@@ -63,7 +64,7 @@ def test_the_shortest_path_is_no_longer_and_no_cheaper_than_the_cheapest(maps, i
     runs = [PlannerRun("astar-dist", "weighted"), PlannerRun("astar-dist", "distance")]
     for instance in instances:
         cheapest, shortest = solve_instance(
-            BenchmarkSettings().cost_map(maps, 20.0, None, None), instance, runs, BenchmarkSettings()
+            BenchmarkSettings(), BenchmarkSettings().cost_map(maps, 20.0, None, None), instance, runs
         )
         assert cheapest["cost"] <= shortest["cost"] * (1 + 1e-12)
         assert shortest["length_m"] <= cheapest["length_m"] * (1 + 1e-12)
@@ -73,7 +74,7 @@ def test_the_shortest_path_is_no_longer_and_no_cheaper_than_the_cheapest(maps, i
 def test_an_iteration_budget_repeats_exactly_but_for_the_time(maps, instances):
     runs = [PlannerRun("bitstar-dist", "weighted"), PlannerRun("bitstar-plus", "weighted")]
     first, again = (
-        solve_instance(FEW_SAMPLES.cost_map(maps, 20.0, None, None), instances[0], runs, FEW_SAMPLES) for _ in range(2)
+        solve_instance(FEW_SAMPLES, FEW_SAMPLES.cost_map(maps, 20.0, None, None), instances[0], runs) for _ in range(2)
     )
     for one, other in zip(first, again, strict=True):
         assert one | NO_CLOCKS == other | NO_CLOCKS
@@ -89,10 +90,10 @@ def test_a_row_does_not_depend_on_what_was_asked_before(maps, instances):
     ]
     used = FEW_SAMPLES.cost_map(maps, 20.0, None, None)
     for _ in range(20):
-        solve_instance(used, instances[0], runs, FEW_SAMPLES)
+        solve_instance(FEW_SAMPLES, used, instances[0], runs)
     for again, first in zip(
-        solve_instance(used, instances[0], runs, FEW_SAMPLES),
-        solve_instance(FEW_SAMPLES.cost_map(maps, 20.0, None, None), instances[0], runs, FEW_SAMPLES),
+        solve_instance(FEW_SAMPLES, used, instances[0], runs),
+        solve_instance(FEW_SAMPLES, FEW_SAMPLES.cost_map(maps, 20.0, None, None), instances[0], runs),
         strict=True,
     ):
         assert again | NO_CLOCKS == first | NO_CLOCKS
@@ -112,7 +113,7 @@ def test_a_planner_that_crashes_or_cheats_is_a_row_and_the_next_one_is_asked(map
     monkeypatch.setitem(PLANNERS, "crashing", PlannerEntry(crashing, ""))
     monkeypatch.setitem(PLANNERS, "cheating", PlannerEntry(cheating, ""))
     runs = [PlannerRun(name, "weighted") for name in ("crashing", "cheating", "astar-dist")]
-    rows = solve_instance(BenchmarkSettings().cost_map(maps, 20.0, None, None), instances[0], runs, BenchmarkSettings())
+    rows = solve_instance(BenchmarkSettings(), BenchmarkSettings().cost_map(maps, 20.0, None, None), instances[0], runs)
     assert [row["status"] for row in rows] == ["crashed", "invalid", "optimal"]
     assert rows[0]["note"] == "RuntimeError: out of ideas"
     assert rows[1]["cost"] is None
@@ -125,7 +126,7 @@ def test_a_start_in_an_obstacle_or_off_the_map_is_a_row(maps, instances):
     on = BenchmarkSettings().cost_map(maps, 20.0, None, None)
     for place, word in (((x_m, y_m), "obstacle"), ((0.0, 0.0), "outside")):
         query = instances[0] | {"start_x_m": place[0], "start_y_m": place[1]}
-        (found,) = solve_instance(on, query, [PlannerRun("ptp", "weighted")], BenchmarkSettings())
+        (found,) = solve_instance(BenchmarkSettings(), on, query, [PlannerRun("ptp", "weighted")])
         assert found["status"] == "bad-input"
         assert word in found["note"]
 
@@ -136,10 +137,10 @@ def test_a_pair_that_no_path_joins_is_a_row_without_numbers(maps, instances):
     walled.ds["obstacle"][0, max(0, row - 1) : row + 2, max(0, col - 1) : col + 2] = 1
     walled.ds["obstacle"][0, row, col] = 0
     (found,) = solve_instance(
+        BenchmarkSettings(),
         BenchmarkSettings().cost_map(walled, 20.0, None, None),
         instances[0],
         [PlannerRun("astar-plus", "weighted")],
-        BenchmarkSettings(),
     )
     assert found["status"] == "no-path"
     assert found["cost"] is None

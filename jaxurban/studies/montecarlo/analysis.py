@@ -11,10 +11,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from jaxurban.paths.rows import BAD_INPUT, HAS_PATH
 from jaxurban.planners.base import Status
 from jaxurban.studies.bootstrap import mean_interval
 from jaxurban.studies.montecarlo.sampling import KEY, RANGES
-from jaxurban.studies.montecarlo.trial import BAD_INPUT, DISTANCE, HAS_PATH, WEIGHTED
+from jaxurban.studies.montecarlo.trial import DISTANCE, WEIGHTED
 
 CLOSE, NEAR = 1.01, 1.05  # ratios that count as the best, and as near it
 OFTEN = 0.8  # least share of joined pairs solved for a planner's metrics to be compared

@@ -2,29 +2,25 @@
 
 import inspect
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from jaxurban.errors import InputError, at_least, positive, typed
-from jaxurban.maps.metric_maps import MetricMaps
-from jaxurban.paths.constraints import Constraints
-from jaxurban.paths.cost_map import CostMap, cost_map
-from jaxurban.planners.base import Cell, CostKind, Path, Status
-from jaxurban.planners.cost_model import CostModel
+from jaxurban.io.tables import Row
+from jaxurban.paths.cost_map import CostMap
+from jaxurban.paths.rows import CRASHED, RouteJob, Run, failure
+from jaxurban.planners.base import Cell, CostKind, Path
 from jaxurban.planners.registry import PLANNERS, find_planner
-from jaxurban.presets import Preset
 from jaxurban.scenario.settings import PAPER_PLANNERS
-from jaxurban.studies.montecarlo.sampling import weighed_metrics
+from jaxurban.studies.montecarlo.sampling import KEY, weighed_metrics
 from jaxurban.world.grid import Grid
 
 WEIGHTED, DISTANCE = "weighted", "distance"
-CRASHED, BAD_INPUT, INVALID = "crashed", "bad-input", "invalid"  # beside the names of `Status`
-KILLED = "Its worker process was killed again and again, most likely for lack of memory."
-HAS_PATH = frozenset(status.value for status in Status if status.has_path)
+INVALID = "invalid"  # beside the names of `Status` and what `jaxurban.paths.rows` adds
 COST_KINDS: tuple[CostKind, ...] = ("cell", "line")
 
 
@@ -35,42 +31,19 @@ class PlannerRun(NamedTuple):
     objective: str
 
 
-class InstanceRules:
-    """Base of the settings of a study, for what every instance's cost map is made under."""
-
-    cost_model: CostModel | CostKind | None
-    constraints: Constraints
-    preset: str
-
-    def cost_map(self, maps: MetricMaps, altitude_m: float, time: str | None, time_of_day: str | None) -> CostMap:
-        """Return the cost map of instances at one altitude and time (errors as in `jaxurban.cost_map`)."""
-        return cost_map(
-            maps,
-            altitude_m,
-            cost_model=self.cost_model,
-            time=time,
-            time_of_day=time_of_day,
-            constraints=self.constraints,
-            preset=self.preset,
-        )
-
-
 @typed
 @dataclass(frozen=True)
-class BenchmarkSettings(InstanceRules):
-    """How every instance is solved.
+class BenchmarkSettings(RouteJob):
+    """How every instance is solved; costs are reported under both kinds of cost model.
 
     Attributes:
       planners: each plans every instance.
       distance_only: planners that also plan the shortest path; its weighted cost is reported.
-      cost_model: see `Problem`, or its kind alone. Costs are reported under both kinds.
       budget_s: seconds for each run.
       budget_iterations: instead, samples for planners that draw any, while the others run to their end: rows then
         repeat exactly, whatever the number of workers, but for ``elapsed_s``.
       seed: of the sampling of instances, and of sampling planners, mixed with the instance's number.
-      constraints: no-fly zones, bounds and clearances that close cells to starts, goals and every planner.
-      preset: ``"paper"`` for its cost model, obstacles and clearance instead of the defaults of what is left out here
-        and in the scenario of the maps, from which the study takes what it gives.
+      cost_model, constraints, preset: see `jaxurban.paths.rows.RouteJob`.
 
     Raises:
       InputError: no planner, an unknown one, or an unknown preset.
@@ -78,16 +51,15 @@ class BenchmarkSettings(InstanceRules):
 
     planners: Sequence[str] | str = PAPER_PLANNERS
     distance_only: Sequence[str] | str = ("astar-dist",)
-    cost_model: CostModel | CostKind | None = None
     budget_s: float = 2.0
     budget_iterations: int | None = None
     seed: int = 0
-    constraints: Constraints = field(default_factory=Constraints)
-    preset: str = ""
+
+    key = (*KEY, "planner", "objective")
+    run_key = PlannerRun._fields
 
     def __post_init__(self) -> None:
-        Preset.of(self.preset)  # refuses an unknown one, as the next line does
-        CostModel.of(self.cost_model)
+        super().__post_init__()
         for name in ("planners", "distance_only"):
             given = getattr(self, name)
             object.__setattr__(self, name, tuple(dict.fromkeys([given] if isinstance(given, str) else given)))
@@ -116,15 +88,30 @@ class BenchmarkSettings(InstanceRules):
         """Return what decides a row, but for its planner, as plain, JSON-ready values."""
         numbers = {name: getattr(self, name) for name in ("budget_s", "budget_iterations", "seed")}
         numbers["budget_s"] = float(self.budget_s)
-        return {**CostModel.of(self.cost_model).settings, **numbers, "limits": self.constraints.to_dict()}
+        return self.rules() | numbers
 
-    def solve(self, on: CostMap, instance: Mapping[str, Any], runs: Sequence[tuple[str, ...]]) -> list[dict[str, Any]]:
-        """Return a row (see `row_columns`) for each planner on an instance; a planner that crashes is a row too."""
-        return solve_instance(on, instance, [PlannerRun(*run) for run in runs], self)
+    def facts(self, on: CostMap, instance: Row, runs: Sequence[Run]) -> Iterator[dict[str, Any]]:
+        """Yield what each planner found for an instance (see `row_columns`); a planner that crashes is an outcome too.
 
-    def killed(self, instance: Mapping[str, Any], run: tuple[str, ...]) -> dict[str, Any]:
-        """Return the row of a planner whose worker was killed again and again."""
-        return row_of(instance, PlannerRun(*run), status=CRASHED, note=KILLED)
+        Raises:
+          InputError: a place that is not a free cell.
+        """
+        start, goal, weights = located(on, instance)
+        shortest = on.shortest.between(start, goal)
+        by_objective = {DISTANCE: shortest}
+        if any(objective == WEIGHTED for _, objective in runs):
+            by_objective[WEIGHTED] = shortest.with_weights(weights)
+        seed = self.seed_of(int(instance["instance"]))
+        for planner, objective in runs:
+            try:
+                found = limited(planner, self)(by_objective[objective].alone(), seed=seed)
+                yield _facts(on, found, weights, planner)
+            except Exception as error:  # whatever a planner does, the benchmark goes on
+                yield {**failure(error), "status": CRASHED}
+
+    def row_of(self, instance: Row, run: Run, facts: Row) -> dict[str, Any]:
+        """Return a whole row (see `row_columns`)."""
+        return dict.fromkeys(row_columns(instance)) | super().row_of(instance, run, facts)
 
 
 NUMBERS = ("cost", "cost_cell", "cost_line", "search_cost", "lower_bound", "gap", "length_m", "detour")
@@ -156,30 +143,15 @@ def free_cell(grid: Grid, is_free: np.ndarray, x_m: float, y_m: float) -> Cell:
     return row, col
 
 
-def solve_instance(
-    on: CostMap, instance: Mapping[str, Any], runs: Sequence[PlannerRun], settings: BenchmarkSettings
-) -> list[dict[str, Any]]:
-    """Return a row (see `row_columns`) for each planner on an instance; a planner that crashes is a row too."""
-    weights = np.array([float(instance[f"w_{name}"]) for name in on.weight_names])
+def located(on: CostMap, instance: Row) -> tuple[Cell, Cell, np.ndarray]:
+    """Return the start, the goal and the weights ``[K]`` of an instance.
+
+    Raises:
+      InputError: a place that is not a free cell.
+    """
     ends = ((instance[f"{end}_x_m"], instance[f"{end}_y_m"]) for end in ("start", "goal"))
-    try:
-        start, goal = (free_cell(on.grid, on.is_free, x_m, y_m) for x_m, y_m in ends)
-        shortest = on.shortest.between(start, goal)
-    except InputError as error:
-        return [row_of(instance, run, status=BAD_INPUT, note=str(error)) for run in runs]
-    by_objective = {DISTANCE: shortest}
-    if any(run.objective == WEIGHTED for run in runs):
-        by_objective[WEIGHTED] = shortest.with_weights(weights)
-    seed = settings.seed_of(int(instance["instance"]))
-    rows = []
-    for run in runs:
-        try:
-            found = limited(run.planner, settings)(by_objective[run.objective].alone(), seed=seed)
-            facts = _facts(on, found, weights, run)
-        except Exception as error:  # whatever a planner does, the benchmark goes on
-            facts = {"status": CRASHED, "note": f"{type(error).__name__}: {error}"}
-        rows.append(row_of(instance, run, **facts))
-    return rows
+    start, goal = (free_cell(on.grid, on.is_free, x_m, y_m) for x_m, y_m in ends)
+    return start, goal, np.array([float(instance[f"w_{name}"]) for name in on.weight_names])
 
 
 def limited(planner: str, settings: BenchmarkSettings) -> Callable[..., Path]:
@@ -197,14 +169,14 @@ def draws_samples(planner: str) -> bool:
     return "max_samples" in inspect.signature(PLANNERS[planner].run).parameters
 
 
-def _facts(on: CostMap, found: Path, weights: np.ndarray, run: PlannerRun) -> dict[str, Any]:
+def _facts(on: CostMap, found: Path, weights: np.ndarray, planner: str) -> dict[str, Any]:
     facts: dict[str, Any] = {
         "status": found.status.value,
         "lower_bound": found.lower_bound,
         "elapsed_s": found.elapsed_s,
         "setup_s": found.setup_s,
         "num_expanded": int(found.num_expanded),
-        "num_samples": found.history[-1][1] if draws_samples(run.planner) and found.history else None,
+        "num_samples": found.history[-1][1] if draws_samples(planner) and found.history else None,
         "heuristic": found.heuristic,
         "backend": found.backend,
         "note": found.note,
@@ -224,13 +196,4 @@ def _facts(on: CostMap, found: Path, weights: np.ndarray, run: PlannerRun) -> di
         "search_cost": found.cost,
         "gap": found.gap,
         "detour": length_m / straight_m if straight_m > 0 else None,
-    }
-
-
-def row_of(instance: Mapping[str, Any], run: PlannerRun, **facts: Any) -> dict[str, Any]:
-    """Return a whole row: the instance's key, the run, and what is known; None for what is not, or is not a number."""
-    key = {"instance": int(instance["instance"]), "altitude_m": float(instance["altitude_m"])}
-    row = dict.fromkeys(row_columns(instance)) | key | run._asdict() | facts
-    return {
-        name: None if isinstance(value, float) and not math.isfinite(value) else value for name, value in row.items()
     }

@@ -8,25 +8,23 @@ import math
 import time
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields, is_dataclass, replace
+from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import Any
 
 import jax
 import numpy as np
 
 from jaxurban.errors import InputError, at_least, positive, typed
+from jaxurban.io.tables import Row
 from jaxurban.maps.height_uncertainty import perturbed_cities
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.maps.task import MapTask
-from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.cost_map import CostMap
+from jaxurban.paths.rows import RouteJob, Run
 from jaxurban.planners.astar import astar
-from jaxurban.planners.base import CostKind
-from jaxurban.planners.cost_model import CostModel
-from jaxurban.presets import Preset
 from jaxurban.studies.demonstrations import cells_of
 from jaxurban.studies.montecarlo.sampling import KEY
-from jaxurban.studies.montecarlo.trial import BAD_INPUT, CRASHED, KILLED, InstanceRules, free_cell
+from jaxurban.studies.montecarlo.trial import located
 from jaxurban.studies.queries import RouteQuery, outcomes_of
 from jaxurban.studies.route_pool import RoutePool
 from jaxurban.studies.weights.breakpoints import nearest_breakpoints
@@ -43,7 +41,7 @@ TEXTS = ("city", "status", "note", "vary", "changed")
 
 @typed
 @dataclass(frozen=True)
-class SensitivityStudySettings(InstanceRules):
+class SensitivityStudySettings(RouteJob):
     """What is asked of every route of a weight study.
 
     Attributes:
@@ -53,12 +51,13 @@ class SensitivityStudySettings(InstanceRules):
         these times each weight.
       wrong: a wrong weight is so many times too large or too small.
       num_samples: N of each route's Sobol indices, a power of two, N x (2 + weights that vary) searches; 0: none.
-      cost_model: of the routes, or its kind alone.
-      constraints: no-fly zones, bounds and clearances that close cells to every route.
+      num_heights: also plan on maps of so many draws of all heights (see `jaxurban.maps.height_uncertainty`).
+      has_parameters: also plan on maps of which each parameter of the metrics that is a number (thresholds, range,
+        gammas) is set to these times its value:
+      parameter_factors: each neither 1 nor below 0.
       seed: of the sampling of routes and weights, mixed with the city's name and the route's number.
       num_threads: of the searches of a route; left out, one a core, and one where several processes work.
-      preset: ``"paper"`` for its cost model, obstacles and clearance instead of the defaults of what is left out here
-        and in the scenario of the maps, from which the study takes what it gives.
+      cost_model, constraints, preset: see `jaxurban.paths.rows.RouteJob`.
 
     Raises:
       InputError: a value that is none of these.
@@ -68,16 +67,18 @@ class SensitivityStudySettings(InstanceRules):
     factors: tuple[float, float] = (0.1, 10.0)
     wrong: float = 2.0
     num_samples: int = 32
-    cost_model: CostModel | CostKind | None = None
-    constraints: Constraints = field(default_factory=Constraints)
+    num_heights: int = 0
+    has_parameters: bool = False
+    parameter_factors: tuple[float, ...] = (0.5, 2.0)
     seed: int = 0
     num_threads: int | None = None
-    preset: str = ""
+
+    key = ROUTE_KEY
 
     def __post_init__(self) -> None:
-        Preset.of(self.preset)  # refuses an unknown one, as the next line does
-        CostModel.of(self.cost_model)
+        super().__post_init__()
         at_least("seed", self.seed)
+        at_least("num_heights", self.num_heights)
         if self.num_threads is not None:
             at_least("num_threads", self.num_threads, 1)
         if len(set(self.vary)) < len(self.vary):
@@ -88,34 +89,21 @@ class SensitivityStudySettings(InstanceRules):
             raise InputError(f"wrong must be a factor above 1 such as 2, got {self.wrong}")
         if self.num_samples < 0 or self.num_samples == 1 or self.num_samples & (self.num_samples - 1):
             raise InputError(f"num_samples must be 0 or a power of two such as 32, got {self.num_samples}")
+        for factor in self.parameter_factors:
+            if positive("parameter_factors", factor) == 1:
+                raise InputError("factors of parameters must not be 1, which changes nothing: give some such as 0.5, 2")
+        if self.has_parameters and not self.parameter_factors:
+            raise InputError("parameter_factors is empty: name at least one such as 2, or leave out the parameters")
 
     def to_dict(self) -> dict[str, Any]:
         """Return what decides a row, as plain, JSON-ready values."""
-        chosen = {name: getattr(self, name) for name in ("factors", "vary", "wrong", "num_samples", "seed")}
-        return {**CostModel.of(self.cost_model).settings, **chosen, "limits": self.constraints.to_dict()}
+        return self.rules() | {
+            name: getattr(self, name) for name in ("factors", "vary", "wrong", "num_samples", "seed")
+        }
 
-    def solve(self, on: CostMap, instance: Mapping[str, Any], runs: Sequence[tuple[str, ...]]) -> list[dict[str, Any]]:
-        """Return the row of a route (see `route_row`); one that fails is a row with its status."""
-        try:
-            facts = route_row(on, instance, self)
-        except InputError as error:
-            facts = {"status": BAD_INPUT, "note": str(error)}
-        except Exception as error:  # whatever a route does, the study goes on
-            facts = {"status": CRASHED, "note": f"{type(error).__name__}: {error}"}
-        return [row_of(instance, **facts)]
-
-    def killed(self, instance: Mapping[str, Any], run: tuple[str, ...]) -> dict[str, Any]:
-        """Return the row of a route whose worker was killed again and again."""
-        return row_of(instance, status=CRASHED, note=KILLED)
-
-
-def row_of(instance: Mapping[str, Any], **facts: Any) -> dict[str, Any]:
-    """Return the row of a route: its key and what is known, None for what is no number."""
-    key = {name: instance[name] for name in ROUTE_KEY}
-    return {
-        name: None if isinstance(value, float) and not math.isfinite(value) else value
-        for name, value in (key | facts).items()
-    }
+    def facts(self, on: CostMap, instance: Row, runs: Sequence[Run]) -> list[dict[str, Any]]:
+        """Return what the weights do to the route of an instance (see `route_facts`)."""
+        return [route_facts(on, instance, self)]
 
 
 def row_columns(rows: Sequence[Mapping[str, Any]]) -> dict[str, str]:
@@ -125,27 +113,25 @@ def row_columns(rows: Sequence[Mapping[str, Any]]) -> dict[str, str]:
     return {name: types.get(name, "float64") for name in names}
 
 
-def query_of(on: CostMap, instance: Mapping[str, Any]) -> tuple[RouteQuery, np.ndarray]:
+def query_of(on: CostMap, instance: Row) -> tuple[RouteQuery, np.ndarray]:
     """Return the query of an instance, and its weights ``[K]``.
 
     Raises:
       InputError: a place that is not free, or both in one cell.
     """
-    ends = ((instance[f"{end}_x_m"], instance[f"{end}_y_m"]) for end in ("start", "goal"))
-    start, goal = (free_cell(on.grid, on.is_free, x_m, y_m) for x_m, y_m in ends)
+    start, goal, weights = located(on, instance)
     if start == goal:
         raise InputError("start and goal lie in one cell, so there is no route to study: set them further apart")
-    query = RouteQuery(on, start, goal, str(instance["instance"]))
-    return query, np.array([float(instance[f"w_{name}"]) for name in query.names])
+    return RouteQuery(on, start, goal, str(instance["instance"])), weights
 
 
-def route_row(on: CostMap, instance: Mapping[str, Any], settings: SensitivityStudySettings) -> dict[str, Any]:
+def route_facts(on: CostMap, instance: Row, settings: SensitivityStudySettings) -> dict[str, Any]:
     """Return what the weights do to one route.
 
     ``status``; ``cost`` and the outcomes of the cheapest route under the given weights (`outcomes_of`); for each weight
     ``elasticity:NAME``, its share of the cost, which is d log cost / d log w; for each that varies ``below:NAME`` and
     ``above:NAME``, the nearest factors at which the route changes (none within the range: no number);
-    ``regret_low:NAME`` and ``regret_high:NAME``, how much dearer, under the true weights, the route is that is the
+    ``regret_low:NAME`` and ``regret_high:NAME``, how much more, under the true weights, the route costs that is the
     cheapest where this weight is `wrong` times too small or too large; and its Sobol shares of each outcome with half
     the width of their 95 % intervals, ``first:NAME:OUTCOME``, ``first_ci``, ``total`` and ``total_ci`` likewise.
 
@@ -196,36 +182,6 @@ def route_row(on: CostMap, instance: Mapping[str, Any], settings: SensitivityStu
     return facts | {"num_plans": pool.num_plans + 1, "elapsed_s": time.perf_counter() - begin_s}
 
 
-@typed
-@dataclass(frozen=True)
-class RemadeSettings:
-    """Which maps are made anew.
-
-    Attributes:
-      num_heights: draws of all heights (see `jaxurban.maps.height_uncertainty`); 0: none.
-      has_parameters: change each parameter of the metrics that is a number (thresholds, range, gammas).
-      factors: times which each parameter is set.
-
-    Raises:
-      InputError: a negative count, or factors that are not positive or 1.
-    """
-
-    num_heights: int = 0
-    has_parameters: bool = False
-    factors: tuple[float, ...] = (0.5, 2.0)
-
-    def __post_init__(self) -> None:
-        at_least("num_heights", self.num_heights)
-        for factor in self.factors:
-            if positive("factors", factor) == 1:
-                raise InputError("factors of parameters must not be 1, which changes nothing: give some such as 0.5, 2")
-        if self.has_parameters and not self.factors:
-            raise InputError("factors is empty: name at least one such as 2, or leave out the parameters")
-
-    def __bool__(self) -> bool:
-        return bool(self.num_heights or self.has_parameters)
-
-
 def parameters_of(task: MapTask) -> dict[str, float]:
     """Return every parameter of the metrics that is a number to differentiate by, as ``{"lidar.range_m": 100.0}``."""
     found: dict[str, float] = {}
@@ -247,53 +203,60 @@ def with_parameter(task: MapTask, parameter: str, value: float) -> MapTask:
     return replace(task, params=replace(params, **other))
 
 
-def remade_of(task: MapTask, settings: RemadeSettings, seed: int = 0) -> Iterator[tuple[str, float, MapTask]]:
-    """Yield what is changed, at what, and the task of the maps made anew; the seed is that of the heights.
+def perturbed_tasks(task: MapTask, settings: SensitivityStudySettings) -> Iterator[tuple[str, float, MapTask]]:
+    """Yield what is changed, at what, and the task of the maps made anew.
 
     Changed are ``"heights"``, at the number of the draw, or a parameter such as ``"lidar.range_m"``, at its factor.
     """
     plain = replace(task, params=replace(task.params, height_samples=0, gps_bounds=False))
-    cities = perturbed_cities(task.city, task.params.height_std, settings.num_heights, seed)
+    cities = perturbed_cities(task.city, task.params.height_std, settings.num_heights, settings.seed)
     for number, city in enumerate(cities):
         yield HEIGHTS, float(number), replace(plain, city=city)
     for parameter, value in parameters_of(plain).items() if settings.has_parameters else ():
-        for factor in settings.factors:
+        for factor in settings.parameter_factors:
             yield parameter, factor, with_parameter(plain, parameter, value * factor)
 
 
-def num_remade(task: MapTask, settings: RemadeSettings) -> int:
-    """Return how many `remade_of` yields."""
+def num_perturbed(task: MapTask, settings: SensitivityStudySettings) -> int:
+    """Return how many `perturbed_tasks` yields."""
     num_parameters = len(parameters_of(task)) if settings.has_parameters else 0
-    return settings.num_heights + num_parameters * len(settings.factors)
+    return settings.num_heights + num_parameters * len(settings.parameter_factors)
 
 
-def remade_rows(
-    nominal: MetricMaps, other: MetricMaps, instances: Sequence[Mapping[str, Any]], settings: SensitivityStudySettings
-) -> Iterator[dict[str, Any]]:
-    """Yield, for each route, how the cheapest one on other maps differs from that on the nominal maps.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class OnPerturbedMaps(RouteJob):
+    """How the cheapest route on other maps differs from that on the nominal maps.
 
-    ``status``, both routes'; ``is_other``, whether they add up to something else on the nominal maps; ``overlap``, the
-    share of the nominal route's cells that the other one shares; ``is_closed``, whether the other one crosses
-    what is closed on the nominal maps, else ``regret``, how much dearer it is on them than the nominal route;
-    ``nominal_is_closed`` and ``nominal_regret`` the same of the nominal route on the other maps.
+    Its rows: ``status``, both routes'; ``is_other``, whether they add up to something else on the nominal maps;
+    ``overlap``, the share of the nominal route's cells that the other one shares; ``is_closed``, whether the other one
+    crosses what is closed on the nominal maps, else ``regret``, by which share it costs more on them than the nominal
+    route; ``nominal_is_closed`` and ``nominal_regret`` the same of the nominal route on the other maps.
 
-    Args:
+    Attributes:
       nominal: the maps of the study.
-      other: the same made anew.
-      instances: on maps of one altitude and time each; neighbours share them.
-      settings: of the study.
+      changed, at: of the others, see `perturbed_tasks`.
     """
-    key, ons = None, []
-    for instance in instances:
-        now = instance["altitude_m"], instance["time"], instance["time_of_day"]
-        if now != key:
-            key, ons = now, [settings.cost_map(maps, *now) for maps in (nominal, other)]
-        try:
-            (one, weights), (two, _) = (query_of(on, instance) for on in ons)
-        except InputError as error:
-            yield row_of(instance, status=BAD_INPUT, note=str(error))
-            continue
-        yield row_of(instance, **_compared(one, two, weights))
+
+    nominal: MetricMaps
+    changed: str
+    at: float
+
+    key = REMADE_KEY
+    run_key = "changed", "at"
+
+    @property
+    def runs(self) -> list[Run]:
+        """The change."""
+        return [(self.changed, self.at)]
+
+    def cost_map(self, maps: MetricMaps, *at: Any) -> tuple[CostMap, CostMap]:
+        """Return the cost maps of the nominal maps and of the others."""
+        return super().cost_map(self.nominal, *at), super().cost_map(maps, *at)
+
+    def facts(self, on: Any, instance: Row, runs: Sequence[Run]) -> list[dict[str, Any]]:
+        """Return how the routes differ."""
+        (nominal, weights), (other, _) = (query_of(each, instance) for each in on)
+        return [_compared(nominal, other, weights)]
 
 
 def _compared(nominal: RouteQuery, other: RouteQuery, weights: np.ndarray) -> dict[str, Any]:
@@ -311,11 +274,11 @@ def _compared(nominal: RouteQuery, other: RouteQuery, weights: np.ndarray) -> di
     cells = [cells_of(points_m, nominal.cost_map.grid.resolution_m) for points_m in (here, there)]
     found["overlap"] = len(cells[0] & cells[1]) / len(cells[0])
     found["is_closed"], found["nominal_is_closed"] = float(not new.is_valid), float(not kept.is_valid)
-    found["regret"] = _dearer(new.cost(weights), own.cost(weights))
-    found["nominal_regret"] = _dearer(kept.cost(weights), best.cost(weights))
+    found["regret"] = _regret(new.cost(weights), own.cost(weights))
+    found["nominal_regret"] = _regret(kept.cost(weights), best.cost(weights))
     return found
 
 
-def _dearer(cost: float, best: float) -> float:
+def _regret(cost: float, best: float) -> float:
     """Return by which share a cost is above the best; NaN for a path that is closed."""
     return max(cost / best - 1, 0.0) if math.isfinite(cost) and best > 0 else math.nan

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from jaxurban.paths.rows import HAS_PATH
 from jaxurban.studies.bootstrap import (
     FEWEST_GROUPS,
     NUM_DRAWS,
@@ -26,7 +27,6 @@ from jaxurban.studies.bootstrap import (
     share_interval,
     share_of,
 )
-from jaxurban.studies.montecarlo.trial import HAS_PATH
 from jaxurban.studies.weights.routes import HEIGHTS, OF_SHARE, OF_WEIGHT, ROUTE_KEY
 
 DESCRIBED = ("time", "time_of_day", "start_stratum", "goal_stratum", "range", "distance_m")
@@ -287,7 +287,7 @@ def summarise_remade(remade: pd.DataFrame) -> pd.DataFrame:
     """Return how far routes change on maps made anew: a row for each change, of all, of each city and each altitude.
 
     Of heights all draws together, draws and routes being drawn both; of parameters each factor. Columns are means of
-    those of `remade_rows`.
+    those of `jaxurban.studies.weights.routes.OnPerturbedMaps`.
     """
     rows = []
     found = remade[remade.status.isin(HAS_PATH)]

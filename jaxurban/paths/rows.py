@@ -1,0 +1,302 @@
+"""Rows: the one engine of long jobs over many routes: a table, what is done with each of its instances, and a store.
+
+Every row is on disk when it is counted: after any end, Ctrl-C and ``kill -9`` included, only what is missing is made.
+"""
+
+import math
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from functools import lru_cache, partial
+from itertools import groupby
+from pathlib import Path
+from typing import Any, ClassVar, NamedTuple, Self, get_args
+
+import pandas as pd
+
+from jaxurban.errors import InputError, one_of, typed
+from jaxurban.io.tables import Row, RowStore, read_table, records_of
+from jaxurban.maps.executors import cluster_client
+from jaxurban.maps.metric_maps import MetricMaps, Obstacles, open_maps
+from jaxurban.paths.constraints import Constraints
+from jaxurban.paths.cost_map import CostMap, cost_map
+from jaxurban.paths.preset import under_preset
+from jaxurban.planners.base import CostKind, Status
+from jaxurban.planners.cost_model import CostModel
+from jaxurban.presets import Preset
+from jaxurban.progress import Report
+
+CRASHED, BAD_INPUT = "crashed", "bad-input"  # beside the names of `Status`
+KILLED = "Its worker process was killed again and again, most likely for lack of memory."
+HAS_PATH = frozenset(status.value for status in Status if status.has_path)
+Run = tuple[Any, ...]  # what is done with an instance, by the values of `RouteJob.run_key`
+
+
+@typed
+@dataclass(frozen=True)
+class MapsFolder:
+    """Maps in a folder, which several workers can read.
+
+    Attributes:
+      folder: of the maps, as `open_maps` takes it.
+      resolution_m: which of them, where it holds several.
+      obstacles: where planners may fly (see `jaxurban.maps.metric_maps.MetricMaps`); None: as the scenario has it.
+    """
+
+    folder: str | Path
+    resolution_m: float | None = None
+    obstacles: Obstacles | None = None
+
+    def __post_init__(self) -> None:
+        if self.obstacles is not None:
+            one_of("obstacles", self.obstacles, get_args(Obstacles))
+
+    def at(self, opened: MetricMaps) -> "MapsFolder":
+        """Return the folder by its whole path, with the resolution and the rule of its opened maps."""
+        return MapsFolder(Path(self.folder).resolve(), opened.grid.resolution_m, opened.obstacles)
+
+    def open(self) -> MetricMaps:
+        """Return the maps."""
+        return open_maps(self.folder, self.resolution_m, obstacles=self.obstacles)
+
+
+Source = MetricMaps | MapsFolder
+
+
+@dataclass(frozen=True, kw_only=True)
+class RouteJob:
+    """What is done with every instance of a table, and the rules of its routes. Hashable: workers keep maps by it.
+
+    Attributes:
+      cost_model: of the routes (see `Problem`), or its kind alone.
+      constraints: no-fly zones, bounds and clearances that close cells to starts, goals and routes.
+      preset: ``"paper"`` for its cost model, obstacles and clearance instead of the defaults of what is left out here
+        and in the scenario of the maps, from which a study takes what it gives.
+    """
+
+    cost_model: CostModel | CostKind | None = None
+    constraints: Constraints = field(default_factory=Constraints)
+    preset: str = ""
+
+    key: ClassVar[tuple[str, ...]]  # columns that name a row
+    run_key: ClassVar[tuple[str, ...]] = ()  # those of them that name a run
+
+    def __post_init__(self) -> None:
+        Preset.of(self.preset)  # refuses an unknown one, as the next line does
+        CostModel.of(self.cost_model)
+
+    @property
+    def runs(self) -> Sequence[Run]:
+        """What is done with every instance, a row each."""
+        return [()]
+
+    def under(self, maps: MetricMaps) -> tuple[MetricMaps, Self]:
+        """Return maps and job with the rules that hold on them written out (`jaxurban.paths.preset.under_preset`)."""
+        maps, model, constraints = under_preset(self.preset, maps, self.cost_model, self.constraints)
+        return maps, replace(self, cost_model=model, constraints=constraints, preset="")
+
+    def rules(self) -> dict[str, Any]:
+        """Return cost model and constraints as plain, JSON-ready values."""
+        return {**CostModel.of(self.cost_model).settings, "limits": self.constraints.to_dict()}
+
+    def cost_map(self, maps: MetricMaps, altitude_m: float, time: str | None, time_of_day: str | None) -> Any:
+        """Return the `CostMap` that instances of an altitude and time share (errors as in `jaxurban.cost_map`)."""
+        rules: dict[str, Any] = {"cost_model": self.cost_model, "constraints": self.constraints, "preset": self.preset}
+        return cost_map(maps, altitude_m, time=time, time_of_day=time_of_day, **rules)
+
+    def facts(self, on: CostMap, instance: Row, runs: Sequence[Run]) -> Iterable[Row]:
+        """Return what is found for an instance, for one run after the other.
+
+        Raises:
+          InputError: the instance is not one of these maps.
+        """
+        raise NotImplementedError
+
+    def key_of(self, instance: Row, run: Run) -> dict[str, Any]:
+        """Return the columns that name a row."""
+        named = {**instance, **dict(zip(self.run_key, run, strict=True))}
+        return {name: named[name] for name in self.key}
+
+    def row_of(self, instance: Row, run: Run, facts: Row) -> dict[str, Any]:
+        """Return a row: its key and what is known, None for what is no number."""
+        row = self.key_of(instance, run) | dict(facts)
+        return {name: None if isinstance(v, float) and not math.isfinite(v) else v for name, v in row.items()}
+
+
+class InstanceRuns(NamedTuple):
+    """An instance, and the runs of it that are still to be done."""
+
+    instance: Row
+    runs: tuple[Run, ...]
+
+    @property
+    def city(self) -> Any:
+        """Where it lies; None where the table names no city."""
+        return self.instance.get("city")
+
+    @property
+    def map_key(self) -> tuple[float, str | None, str | None]:
+        """The maps that it lies on: altitude, time, time of day."""
+        return self.instance["altitude_m"], self.instance["time"], self.instance["time_of_day"]
+
+
+def tasks_of(instances: pd.DataFrame, job: RouteJob, store: RowStore) -> list[InstanceRuns]:
+    """Return what a store does not hold yet, instances of a city and on the same maps one after the other."""
+
+    def left(instance: Row) -> tuple[Run, ...]:
+        return tuple(run for run in job.runs if tuple(job.key_of(instance, run).values()) not in store)
+
+    tasks = [InstanceRuns(instance, runs) for instance in records_of(instances) if (runs := left(instance))]
+    return sorted(tasks, key=lambda task: (str(task.city), *map(str, task.map_key)))
+
+
+def check_workers(workers: int | str, sources: Iterable[Source]) -> None:
+    """Raise InputError unless so many workers can read these maps."""
+    if isinstance(workers, int) and workers < 1:
+        raise InputError(f"workers must be at least 1, got {workers}")
+    if workers != 1 and any(isinstance(source, MetricMaps) for source in sources):
+        raise InputError("several workers need the maps in a folder: save them, and give the folder instead")
+
+
+def run_rows(
+    file: Path,
+    job: RouteJob,
+    instances: pd.DataFrame,
+    sources: Mapping[Any, Source],
+    columns: Callable[[Sequence[Row]], Mapping[str, str]],
+    *,
+    workers: int | str,
+    report: Report,
+) -> pd.DataFrame:
+    """Return the rows of a job over a table, in the order of their keys; those that the file holds are not made again.
+
+    Args:
+      file: where rows are kept.
+      job: what is done.
+      instances: altitude, times and what the job needs; with a column ``city`` where there are several.
+      sources: the maps of each city; of None where the table names no city.
+      columns: of rows, with their types.
+      workers: processes of this machine (Dask), 1 works in this process; or the address of a Dask scheduler, whose
+        workers see the maps' folders under the same paths.
+      report: gets how many rows are there, and how many of them have paths.
+    """
+    store = RowStore(file, job.key, has_parts=True)
+    tasks = tasks_of(instances, job, store)
+    try:
+        with _cluster(workers if tasks else 1) as client:
+            solve = solve_here if client is None else partial(solve_on, client)
+            keep_rows(store, solve(tasks, sources, job), sum(len(task.runs) for task in tasks), report)
+    finally:
+        store.save(columns(store.rows))
+    return read_table(file, "rows")
+
+
+@contextmanager
+def _cluster(workers: int | str) -> Iterator[Any]:
+    """Yield the Dask client of several workers, None for one, which is this process."""
+    if workers == 1:
+        yield None
+        return
+    address, num = (workers, None) if isinstance(workers, str) else (None, workers)
+    with cluster_client(address, num) as client:
+        yield client
+
+
+def solve_here(
+    tasks: Iterable[InstanceRuns], sources: Mapping[Any, Source], job: RouteJob
+) -> Iterator[list[dict[str, Any]]]:
+    """Yield the rows of each task, made in this process."""
+    for city, of_city in groupby(tasks, lambda task: task.city):
+        yield from map(_Solver(sources[city], job).solve, of_city)
+
+
+def solve_on(
+    client: Any, tasks: Iterable[InstanceRuns], sources: Mapping[Any, Source], job: RouteJob
+) -> Iterator[list[dict[str, Any]]]:
+    """Yield rows that a Dask cluster has made. A run that kills its workers again and again costs its own row alone.
+
+    Dask blames every task that a killed worker held. Those it gives up are run once more at the end, run by run, each
+    alone on the cluster, so that only the guilty one is a crash.
+    """
+    from distributed import KilledWorker, as_completed
+
+    def submit(task: InstanceRuns) -> Any:
+        return client.submit(_solve_in_worker, sources[task.city], job, task, pure=False)
+
+    waiting = {submit(task): task for task in tasks}
+    suspects: list[InstanceRuns] = []
+    for future in as_completed(list(waiting)):
+        task = waiting.pop(future)
+        try:
+            rows = future.result()
+        except KilledWorker:
+            suspects += [task._replace(runs=(run,)) for run in task.runs]
+            continue
+        future.release()
+        yield rows
+    for task in suspects:
+        try:
+            rows = submit(task).result()
+        except KilledWorker:
+            rows = [job.row_of(task.instance, task.runs[0], {"status": CRASHED, "note": KILLED})]
+        yield rows
+
+
+class _Solver:
+    """The cost map of the last altitude and time, kept for the tasks to come."""
+
+    def __init__(self, source: Source, job: RouteJob) -> None:
+        maps = source if isinstance(source, MetricMaps) else source.open()
+        self.job = job
+        self._map_of = lru_cache(maxsize=1)(partial(job.cost_map, maps))
+
+    def solve(self, task: InstanceRuns) -> list[dict[str, Any]]:
+        """Return the rows of a task."""
+        return solve_instance(self.job, self._map_of(*task.map_key), *task)
+
+
+_solver_in_worker = lru_cache(maxsize=1)(_Solver)
+
+
+def _solve_in_worker(source: MapsFolder, job: RouteJob, task: InstanceRuns) -> list[dict[str, Any]]:
+    return _solver_in_worker(source, job).solve(task)
+
+
+def solve_instance(job: RouteJob, on: CostMap, instance: Row, runs: Sequence[Run]) -> list[dict[str, Any]]:
+    """Return the rows of an instance, one a run; whatever goes wrong is a row too."""
+    try:
+        facts = list(job.facts(on, instance, runs))
+    except Exception as error:  # whatever a route does, the job goes on
+        facts = [failure(error)] * len(runs)
+    return [job.row_of(instance, run, each) for run, each in zip(runs, facts, strict=True)]
+
+
+def failure(error: Exception) -> dict[str, Any]:
+    """Return what a row says of an error: its status, and a sentence."""
+    if isinstance(error, InputError):
+        return {"status": BAD_INPUT, "note": str(error)}
+    return {"status": CRASHED, "note": f"{type(error).__name__}: {error}"}
+
+
+def keep_rows(store: RowStore, made: Iterable[list[dict[str, Any]]], num_left: int, report: Report) -> None:
+    """Keep rows in a store as they are made, each on disk when it is counted.
+
+    Args:
+      store: of all rows, those of earlier runs too.
+      made: rows, from `solve_here` or `solve_on`.
+      num_left: how many will come.
+      report: gets how many are there, and how many of them have paths.
+    """
+    counts = Counter(_outcome(row) for row in store.rows)
+    total = len(store) + num_left
+    report("runs", len(store), total, **counts)
+    for rows in made:
+        store.add(rows)
+        counts.update(map(_outcome, rows))
+        report("runs", len(store), total, **counts)
+
+
+def _outcome(row: Row) -> str:
+    status = row["status"]
+    return "paths" if status in HAS_PATH else "crashed" if status == CRASHED else "none"
