@@ -26,6 +26,7 @@ from jaxurban.report.figures import plot_metric, plot_overview, plot_paths
 from jaxurban.scenario.run import Maker, make_zarr
 from jaxurban.studies.demonstrations import optimal_demonstrations
 from jaxurban.studies.weights import sobol
+from jaxurban.viewer.layers import layers_of
 from jaxurban.world.sky import Sky
 from tests import tiled_runs
 from tests.cli_runs import run
@@ -99,7 +100,8 @@ def _only_quick(_toy):
 def maps() -> ju.MetricMaps:
     made = made_maps(20, 24)
     toy = np.random.default_rng(1).uniform(0.1, 1.0, made.ds["risk"].shape).astype(np.float32)
-    return ju.MetricMaps(made.ds.assign(toy=(made.ds["risk"].dims, toy * (1 - made.ds["obstacle"].values))))
+    given = {"toy": toy * (1 - made.ds["obstacle"].values), "near_m": 20 * toy}
+    return ju.MetricMaps(made.ds.assign({name: (made.ds["risk"].dims, values) for name, values in given.items()}))
 
 
 @pytest.fixture(scope="module")
@@ -188,6 +190,9 @@ def test_pictures_show_it(maps, path, tmp_path):
     assert "View to the north" in plot_metric(maps, "toy").texts[0].get_text()
     assert any("View to the north" in axes.get_title("left") for axes in plot_overview(maps, path).axes)
     assert plot_paths(maps, path).axes
+    assert "Height of the roof below" in plot_metric(maps, "near_m").texts[0].get_text()
+    shown = layers_of(maps)["near_m"].colours(maps.m("near_m"))
+    assert (shown.cmap, shown.norm.vmax, shown.label) == ("magma", 50.0, "height of the roof below in metres")
 
 
 @pytest.mark.slow

@@ -7,10 +7,10 @@ from matplotlib.figure import Figure
 
 from figures.paper.common import BOUNDS, HAS_CENSUS, MAP_M, SYNTHETIC, Caption, manhattan_blocks, save
 from jaxurban.io.read.rasterise import NO_BLOCK, burn
-from jaxurban.metrics.population import block_layers, map_blocks, population_totals
+from jaxurban.metrics.population import DENSITY, block_layers, map_blocks, population_totals
 from jaxurban.report.figures import plot_population
 from jaxurban.report.figures.frame import NO_DATA_COLOUR, add_key, draw_layers, make_frame
-from jaxurban.report.figures.metrics import EMPTY_COLOUR, density_colours, density_layers
+from jaxurban.report.figures.metrics import EMPTY_COLOUR, colours_of, layers_above_zero
 from jaxurban.world.grid import Grid
 
 PAPER = (
@@ -36,7 +36,7 @@ def island() -> Island:
 
 
 def draw_island(found: Island) -> Figure:
-    colours = density_colours(float(np.nanmax(found.density)))
+    colours = colours_of(DENSITY, lambda: found.density, DENSITY.heading)
     cells_km2 = CELL_M**2 / 1e6
     titles = [
         f"{name}  ·  {np.nansum(density) * cells_km2 / 1e6:.2f} million people"
@@ -45,7 +45,7 @@ def draw_island(found: Island) -> Figure:
     note = f"Manhattan, 2010 census blocks (US Census Bureau)  ·  {CELL_M:g} m cells  ·  {found.grid.crs}"
     frame = make_frame(found.grid, titles, "Population density", note)
     for panel, density in zip(frame.axes, found.density, strict=True):
-        draw_layers(panel, found.grid, density_layers(density, colours))
+        draw_layers(panel, found.grid, layers_above_zero(density, colours))
     add_key(frame, [("nobody, or water", EMPTY_COLOUR), ("no census\nat hand", NO_DATA_COLOUR)], colours)
     return frame.figure
 

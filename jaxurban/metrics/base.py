@@ -99,12 +99,14 @@ class Variable:
       one_means: what a value of one means; "" where that needs no word.
       scale: how its values become colours.
       classes: name and colour of 0 and of 1, of what is nothing else.
-      symbol: short for its long name in pictures; "" for none.
-      dims: along which it varies beside y and x; a metric gives its own to all of its variables.
+      symbol: short for it in pictures; "" for none.
+      title: of its pictures; left out, its long name and the symbol (`heading`).
+      dims: along which it varies beside y and x.
+      of: the metric that makes it; "" for none. A metric gives name, dims and caveat to all of its variables.
       is_averaged: whether overviews may hold means of it, which of counts and of what may be infinite are neither.
       is_made: whether it is made under some settings of its metric.
       standard_name: of the CF conventions; "" for none.
-      caveat: what whoever reads it must know; a metric gives its own to all of its variables.
+      caveat: what whoever reads it must know.
     """
 
     name: str
@@ -116,11 +118,19 @@ class Variable:
     scale: Scale = field(default_factory=Scale)
     classes: tuple[tuple[str, str], ...] = ()
     symbol: str = ""
+    title: str = ""
     dims: tuple[str, ...] = ()
+    of: str = ""
     is_averaged: bool = True
     is_made: Callable[[Any], bool] = always
     standard_name: str = ""
     caveat: str = ""
+
+    @property
+    def heading(self) -> str:
+        """What pictures call it."""
+        long_name = f"{self.long_name[0].upper()}{self.long_name[1:]}"
+        return self.title or (f"{long_name} ({self.symbol})" if self.symbol else long_name)
 
 
 @dataclass(frozen=True, eq=False)
@@ -251,7 +261,9 @@ class Metric:
             one_means=self.one_means,
             scale=Scale(self.colour_map),
         )
-        return {each.name: replace(each, dims=self.dims, caveat=self.caveat) for each in (own, *self.also)}
+        return {
+            each.name: replace(each, of=self.name, dims=self.dims, caveat=self.caveat) for each in (own, *self.also)
+        }
 
     def under(self, params: Any) -> "Metric":
         """Return the metric as it is under some settings, with the variables that it then returns."""

@@ -333,6 +333,7 @@ DENSITY = Variable(
     "people per square kilometre",
     "km-2",
     scale=Scale("magma_r", high=None, stretch="log", zero="no people in the data"),
+    title="People per km²",
 )
 METRIC = Metric(
     name="population",

@@ -195,6 +195,7 @@ WITHIN = Variable(
     "both protection levels within their alert limits",
     dtype=np.uint8,
     inside=np.nan,
+    one_means="an HPL up to horizontal_alert_limit_m and a VPL up to vertical_alert_limit_m",
     classes=(("beyond an alert limit", "#d55e00"), ("within both alert limits", "#f4f4ee")),
 )
 CAVEAT = (

@@ -27,6 +27,7 @@ OBSTACLE = Variable(
     "cells inside obstacles",
     dtype=np.uint8,
     one_means="a roof reaches this altitude",
+    title="Obstacles",
     classes=(("free", FREE_COLOUR), ("obstacle", BUILT_COLOUR)),
     dims=(ALTITUDE,),
 )
@@ -35,12 +36,19 @@ NO_METRICS = {
     for variable in (
         OBSTACLE,
         Variable("obstacle_share", "share of height samples with an obstacle", dims=(ALTITUDE,)),
-        Variable("roof", "height of the roof over the cell's centre above the ground", "m", scale=ROOF_SCALE),
+        Variable(
+            "roof",
+            "height of the roof over the cell's centre above the ground",
+            "m",
+            scale=ROOF_SCALE,
+            title="Roof height",
+        ),
         Variable(
             "roof_touched",
             "height of the highest roof that shares area with the cell above the ground",
             "m",
             scale=ROOF_SCALE,
+            title="Highest roof that touches a cell",
         ),
         Variable(
             "roof_guessed",
@@ -54,7 +62,14 @@ NO_METRICS = {
             "m",
             scale=ROOF_SCALE,
         ),
-        Variable("terrain", "elevation of the ground", "m", scale=GROUND_SCALE, standard_name="surface_altitude"),
+        Variable(
+            "terrain",
+            "elevation of the ground",
+            "m",
+            scale=GROUND_SCALE,
+            title="Terrain",
+            standard_name="surface_altitude",
+        ),
         Variable(
             "has_data",
             "something is known of the cell",

@@ -3,38 +3,32 @@
 import base64
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
 import numpy as np
-from matplotlib.colors import BoundaryNorm, ListedColormap, Normalize
+from matplotlib.colors import BoundaryNorm, Normalize
 
 from jaxurban.errors import one_of
 from jaxurban.maps.metric_maps import MetricMaps
-from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY, high_is_bad
+from jaxurban.metrics.base import ALTITUDE, TIME, Variable, high_is_bad
 from jaxurban.report.figures.frame import NO_DATA_PATCH, OBSTACLE_COLOUR
 from jaxurban.report.figures.map_comparison import difference_colours
 from jaxurban.report.figures.metrics import (
-    BUILT_COLOUR,
     EMPTY_COLOUR,
-    FREE_COLOUR,
-    HEIGHT_COLOUR_MAP,
-    density_colours,
-    drawn_names,
+    drawn_variables,
     metric_colours,
-    roof_colours,
     values_of,
 )
 from jaxurban.report.figures.paths import BLOCKED_COLOUR, COST_COLOURS
-from jaxurban.report.figures.style import Colours, bar_ticks, ends_of, tick_label
+from jaxurban.report.figures.style import Colours, bar_ticks, tick_label
 from jaxurban.viewer.markup import legend
 
 H_NORM, COST_OF = "h_norm", "cost:"
 OBSTACLE, NOTHING = np.float32(-np.inf), np.float32(np.nan)  # how values travel: a cell in an obstacle; one not drawn
 DIFFERENCE = "the first less the second (red: the first is higher)"
 BAR_IN = 2.6  # length of the colour bar on the page, which decides how many ticks have room
-HIDDEN = ("has_data", "gps_median")
 
 
 @dataclass(frozen=True)
@@ -52,25 +46,24 @@ class Layer:
 
     Attributes:
       name: as requests name it.
-      heading: what it is called.
+      variable: what it is.
       group: of the list that it stands in.
-      dims: of ``altitude``, ``time`` and ``time_of_day``, those that it varies with.
       read: returns its values ``[Y, X]`` at a place.
       colours: returns how these values are drawn.
-      zero: what a value of 0 means and its colour, where 0 is drawn apart.
       blocked: colour of cells inside obstacles.
-      unit: of its values; "" for m, for counts and for dilutions of precision.
     """
 
     name: str
-    heading: str
+    variable: Variable
     group: str
-    dims: tuple[str, ...]
     read: Callable[[Place], np.ndarray]
     colours: Callable[[np.ndarray], Colours]
-    zero: tuple[str, str] | None = None
     blocked: str = OBSTACLE_COLOUR
-    unit: str = ""
+
+    @property
+    def dims(self) -> tuple[str, ...]:
+        """Of ``altitude``, ``time`` and ``time_of_day``, those that it varies with."""
+        return self.variable.dims
 
     def values(self, maps: MetricMaps, at: Place) -> np.ndarray:
         """Return ``[Y, X]`` float32; at an altitude `OBSTACLE` and `NOTHING` stand where there is no value."""
@@ -87,41 +80,35 @@ def layers_of(maps: MetricMaps) -> dict[str, Layer]:
     """Return every layer of these maps that can be drawn, by name, those that are looked at most first."""
     found: dict[str, Layer] = {}
 
-    def add(name: str, heading: str, group: str, colours: Callable[[np.ndarray], Colours], **more: Any) -> None:
-        facts = more if "read" in more else {"dims": _dims(maps, name), "read": partial(_held, maps, name)} | more
-        found[name] = Layer(name, heading, group, colours=colours, **facts)
+    def add(name: str, group: str) -> None:
+        found[name] = Layer(name, variables[name], group, partial(_held, maps, name), partial(_metric, maps, name))
 
-    headings = drawn_names(maps)
+    variables = drawn_variables(maps)
+    flown = tuple(dict.fromkeys((ALTITUDE, *(dim for name in maps.metrics for dim in variables[name].dims))))
     for name in maps.metrics:
-        add(name, headings[name], "Metrics", partial(_metric, maps, name))
-    flown = tuple(dict.fromkeys((ALTITUDE, *(dim for name in maps.metrics for dim in _dims(maps, name)))))
-    total = {"dims": flown, "read": partial(_h_norm, maps), "blocked": BLOCKED_COLOUR}
-    add(H_NORM, "All costs together, H_norm", "Costs", partial(_always, COST_COLOURS), **total)
+        add(name, "Metrics")
+    total = Variable(H_NORM, "all costs together, H_norm", dims=flown)
+    found[H_NORM] = Layer(
+        H_NORM, total, "Costs", partial(_h_norm, maps), partial(_always, COST_COLOURS), BLOCKED_COLOUR
+    )
     for name, metric in maps.metrics.items():
         label = f"c_{name}, cost before its weight (0: best, 1: worst)"
         is_m = metric.cost is high_is_bad
         scale = Colours(metric.colour_map if is_m else f"{metric.colour_map}_r", Normalize(0, 1), label)
-        cost = {"dims": _dims(maps, name), "read": partial(_cost, maps, name)}
-        add(f"{COST_OF}{name}", f"Cost of {metric.label}", "Costs", partial(_always, scale), **cost)
-    for name, heading in headings.items():
-        if name not in found and name != "obstacle":
-            add(name, heading, "Satellites", partial(_metric, maps, name))
-    add("obstacle", headings["obstacle"], "Ground", _obstacles)
-    for name, (heading, unit, zero, colours) in GROUND.items():
-        if name in maps.ds:
-            add(name, heading, "Ground", colours, zero=zero, unit=unit)
-    for name in [str(name) for name, array in maps.ds.data_vars.items() if array.dims[-2:] == ("y", "x")]:
-        if name not in found and name not in HIDDEN and maps.ds[name].dtype.kind in "fiub":
-            unit = str(maps.ds[name].attrs.get("units", "1"))
-            add(name, name, "Further maps", partial(_plain, f"{name} ({unit})"))
+        cost = Variable(f"{COST_OF}{name}", f"cost of {metric.label}", dims=variables[name].dims)
+        found[cost.name] = Layer(cost.name, cost, "Costs", partial(_cost, maps, name), partial(_always, scale))
+    for group in ("Satellites", "Ground", "Further maps"):
+        for name, variable in variables.items():
+            if name not in found and group == _group(maps, variable):
+                add(name, group)
     return found
 
 
-def _dims(maps: MetricMaps, name: str) -> tuple[str, ...]:
-    variable = maps.variable(name)
-    if variable not in maps.ds:  # the availability over several times, which is made here
-        return (ALTITUDE,)
-    return tuple(dim for dim in (ALTITUDE, TIME, TIME_OF_DAY) if dim in maps.ds[variable].dims)
+def _group(maps: MetricMaps, variable: Variable) -> str:
+    """Return the list that a variable stands in, beside metrics and costs."""
+    if variable.of and TIME in maps.metrics[variable.of].dims:
+        return "Satellites"
+    return "Further maps" if ALTITUDE in variable.dims and variable.name != "obstacle" else "Ground"
 
 
 def _held(maps: MetricMaps, name: str, at: Place) -> np.ndarray:
@@ -139,37 +126,12 @@ def _h_norm(maps: MetricMaps, at: Place) -> np.ndarray:
     return maps.normalised(altitude_m, time=at.time, time_of_day=at.time_of_day)
 
 
-def _metric(maps: MetricMaps, name: str, _: np.ndarray) -> Colours:
-    return metric_colours(maps, name)
+def _metric(maps: MetricMaps, name: str, values: np.ndarray) -> Colours:
+    return metric_colours(maps, name, None if drawn_variables(maps)[name].dims else values)
 
 
 def _always(colours: Colours, _: np.ndarray) -> Colours:
     return colours
-
-
-def _plain(label: str, values: np.ndarray, colour_map: str = "viridis") -> Colours:
-    low, high = ends_of(values)
-    return Colours(colour_map, Normalize(low, high if high > low else low + 1), label)
-
-
-def _obstacles(_: np.ndarray) -> Colours:
-    return Colours(
-        ListedColormap([FREE_COLOUR, BUILT_COLOUR]), BoundaryNorm([-0.5, 0.5, 1.5], 2), "Obstacles", ticks=()
-    )
-
-
-def _roofs(values: np.ndarray) -> Colours:
-    return replace(roof_colours(ends_of(values)[1]), label="roof above ground (m)")
-
-
-NO_BUILDING, NOBODY = ("no building", EMPTY_COLOUR), ("no people in the data", EMPTY_COLOUR)
-GROUND: dict[str, tuple[str, str, tuple[str, str] | None, Callable[[np.ndarray], Colours]]] = {
-    # heading, unit, what 0 means and its colour, colours
-    "roof": ("Roofs, at the middle of a cell", "m", NO_BUILDING, _roofs),
-    "roof_touched": ("Roofs, the highest that touches a cell", "m", NO_BUILDING, _roofs),
-    "density": ("People", "per km²", NOBODY, lambda values: density_colours(ends_of(values)[1])),
-    "terrain": ("Terrain", "m", None, partial(_plain, "elevation of the ground (m)", colour_map=HEIGHT_COLOUR_MAP)),
-}
 
 
 def difference(values: np.ndarray, minus: np.ndarray) -> np.ndarray:
@@ -190,15 +152,15 @@ def legend_of(maps: MetricMaps, layer: Layer, values: np.ndarray, *, is_differen
     """
     is_changed = np.isfinite(values) & (values != 0)
     scale = difference_colours(np.abs(values[is_changed]), DIFFERENCE) if is_difference else layer.colours(values)
-    zero = None if is_difference else layer.zero
-    patches = [zero] if zero else []
+    zero = "" if is_difference else layer.variable.scale.zero
+    patches = [(zero, EMPTY_COLOUR)] if zero else []
     patches += [("obstacle", layer.blocked)] if ALTITUDE in layer.dims and layer.name != "obstacle" else []
     patches += [NO_DATA_PATCH] if np.isnan(values).any() or not maps.ds["has_data"].values.all() else []
-    flat = [layer.blocked, NO_DATA_PATCH[1], zero and zero[1]]
+    flat = [layer.blocked, NO_DATA_PATCH[1], EMPTY_COLOUR if zero else None]
     if isinstance(scale.norm, BoundaryNorm):  # classes, and no bar
         edges, ticks, marks = scale.norm.boundaries, [], []
         colours = scale.cmap(np.arange(len(edges) - 1), bytes=True)[:, :3]  # type: ignore[operator]
-        patches = [("free", FREE_COLOUR), ("obstacle", BUILT_COLOUR), *patches]
+        patches = [*layer.variable.classes, *patches]
     else:
         steps = np.linspace(0, 1, 257)
         edges = scale.norm.inverse(steps)

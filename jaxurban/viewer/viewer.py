@@ -20,7 +20,7 @@ from jaxurban.paths.path import PlannedPath
 from jaxurban.paths.profile import CLEARANCE, cautious_profile, without_fix
 from jaxurban.planners.base import Status
 from jaxurban.planners.registry import PLANNERS
-from jaxurban.report.figures.metrics import DOP_NAMES, line_colour
+from jaxurban.report.figures.metrics import line_colour
 from jaxurban.report.figures.notes import guesses_said, place_said, rules_said, time_said
 from jaxurban.report.figures.paths import planner_colours
 from jaxurban.studies.map_comparison import shared_part
@@ -145,7 +145,7 @@ class Viewer:
             "corner_m": [grid.x_min_m, grid.y_min_m],
             "lonlat": lonlat_fit(grid),
             "layers": [
-                {"name": name, "told": _told(layer), "dims": layer.dims, "unit": layer.unit}
+                {"name": name, "told": _told(layer), "dims": layer.dims, "unit": unit_of(layer)}
                 for name, layer in layers.items()
             ],
             "tile": TILE,
@@ -174,7 +174,7 @@ class Viewer:
             "altitude": options(altitudes),
             "time_of_day": options(maps.times_of_day),
             "time": options([*map(time_said, maps.times)]) if maps.default_time is not None else "",
-            "layer": layer_options(((name, each.heading, each.group) for name, each in layers.items()), first),
+            "layer": layer_options(((name, each.variable.heading, each.group) for name, each in layers.items()), first),
         }
         return {
             "title": escape(self.names[0]),
@@ -253,7 +253,7 @@ class Viewer:
                 continue
             is_hidden = is_inside and ALTITUDE in layer.dims and name != "obstacle"  # the engine's 0 there is no value
             value = math.nan if is_hidden else self._value_in(layer, cell)
-            told = {"name": name, "told": heading, "unit": layer.unit}
+            told = {"name": name, "told": heading, "unit": unit_of(layer)}
             found.append(told | {"value": _number(value)})
             if name == "density":
                 in_cell = {"name": "people", "told": "People in the cell", "unit": ""}
@@ -347,11 +347,16 @@ def status_said(planned: PlannedPath) -> str:
     return f"{planned.status.value}{graph}{f', at most {search.gap:.1%} above the cheapest' if is_between else ''}"
 
 
+def unit_of(layer: Layer) -> str:
+    """Return the unit of a layer's values as people read it; "" for m, for counts and for dilutions of precision."""
+    return {"1": "", "km-2": "per km²"}.get(layer.variable.unit, layer.variable.unit)
+
+
 def _told(layer: Layer) -> str:
     """Return what a layer is called in the list of values of a cell; "" where it is not in it."""
     if layer.group == "Costs" and layer.name != H_NORM:
         return ""
-    return layer.name.upper() if layer.name in DOP_NAMES else layer.heading
+    return layer.variable.symbol or layer.variable.heading
 
 
 def as_json(value: Any) -> bytes:

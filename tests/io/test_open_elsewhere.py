@@ -236,7 +236,9 @@ def test_geopandas_opens_a_route_and_finds_the_maps_values_under_it(maps, folder
     np.testing.assert_array_equal(found, maps.m("risk", 60.0)[maps.grid.cell_of_xy(x_m, y_m)])
 
 
-@pytest.mark.parametrize("name", ["gps", "lidar", "risk", "population", "hdop", "num_visible", "density", "roof"])
+@pytest.mark.parametrize(
+    "name", ["gps", "lidar", "risk", "population", "hdop", "num_visible", "density", "roof", "roof_touched"]
+)
 def test_styles_are_the_colours_of_the_figures(name, tmp_path):
     city = tiled_runs.city()
     maps = compute_maps(tiled_runs.task(city))
@@ -245,10 +247,7 @@ def test_styles_are_the_colours_of_the_figures(name, tmp_path):
     renderer = ET.parse(styles[f"{name}_20m"]).getroot().find("pipe/rasterrenderer")
     assert renderer.get("type") == "singlebandpseudocolor"
     items = [(float(item.get("value")), item.get("color")) for item in renderer.iter("item")]
-    shown = {
-        "density": lambda: figures.density_colours(float(maps.ds["density"].max())),
-        "roof": lambda: figures.roof_colours(float(maps.ds["roof"].max())),
-    }.get(name, lambda: figures.metric_colours(maps, name))()
+    shown = figures.metric_colours(maps, name)
     low, high = items[0][0], items[-1][0]
     assert (low, high) == pytest.approx((shown.norm.vmin, shown.norm.vmax))
     values = np.linspace(low, high, 200)

@@ -316,7 +316,7 @@ def test_a_long_series_is_drawn_by_its_statistics(maps):
     figures = maps_figures(maps, {})
     assert {"gps", "gps_p05", "gps_availability"} <= set(figures)
     text = texts_of(figures["gps"]())
-    assert "GPS quality, median over the epochs" in text
+    assert "GPS quality, median over time" in text
     assert "3 epochs, 2020-04-27 16:00 UTC to 2020-04-27 22:00 UTC, m_gps their median; 2 satellites of Galileo" in text
     assert "satellites" not in texts_of(figures["lidar"]())
 

@@ -9,12 +9,13 @@ from matplotlib.figure import Figure
 from jaxurban.errors import InputError
 from jaxurban.io.workspace import Workspace
 from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
+from jaxurban.metrics.registry import ON_REQUEST
 from jaxurban.paths.explain import RouteReport
 from jaxurban.paths.path import PlannedPath
 from jaxurban.report.figures.frame import in_degrees
 from jaxurban.report.figures.metrics import (
-    SERIES_NAMES,
-    drawn_names,
+    AVAILABILITY,
+    drawn_variables,
     plot_epochs,
     plot_gps_rating,
     plot_heights,
@@ -25,7 +26,6 @@ from jaxurban.report.figures.metrics import (
 )
 from jaxurban.report.figures.paths import Paths, by_altitude, plot_overview, plot_paths
 from jaxurban.report.figures.profile import plot_profile
-from jaxurban.report.figures.protection import NAMES as PROTECTION
 from jaxurban.report.write import save
 
 
@@ -66,8 +66,10 @@ def maps_figures(maps: MetricMaps, paths: Paths) -> dict[str, Callable[[], Figur
         for time_of_day in maps.times_of_day or (None,):
             name = "cost" if len(maps.times_of_day) < 2 else f"cost_{time_of_day}"
             figures[name] = partial(plot_paths, maps, {}, time_of_day=time_of_day)
-    drawn = drawn_names(maps)
-    figures |= {name: partial(plot_metric, maps, name) for name in {**SERIES_NAMES, **PROTECTION} if name in drawn}
+    for name, variable in drawn_variables(maps).items():
+        is_of_series = name.endswith(("_availability", "_p05")) and maps.variable(variable.of) != variable.of
+        if name == AVAILABILITY or is_of_series or variable.of in ON_REQUEST:
+            figures[name] = partial(plot_metric, maps, name)
     if len(maps.times) > 1 and maps.default_time is not None:
         figures["gps_epochs"] = lambda: plot_epochs(maps)
     if "gdop" in maps.ds:  # statistics over a long series hold none

@@ -9,8 +9,9 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 from jaxurban.errors import one_of
+from jaxurban.metrics.gps import DOPS, WEIGHTED_DOPS
 from jaxurban.report.figures.frame import MapLayer, add_key, draw_layers, flat_layer, make_frame, round_length_m
-from jaxurban.report.figures.metrics import DOP_NAMES, OBSTACLE_COLOUR, percent
+from jaxurban.report.figures.metrics import OBSTACLE_COLOUR, percent
 from jaxurban.report.figures.notes import ground_said, guesses_said, joined, meaning_of, symbol_of, time_said
 from jaxurban.report.figures.style import Colours
 from jaxurban.studies.map_comparison import CLOSED, MASKS, MapComparison, unit_of
@@ -63,7 +64,9 @@ def plot_difference(found: MapComparison, layer: str, *, time: str | None = None
     frame = make_frame(found.grid, titles, f"{heading_of(found, layer)}, B - A", _note(found, time))
     maps = [found.of(layer, **place._asdict()) for place, _ in drawn]
     changed = np.concatenate([np.abs(values[np.abs(values) > found.tolerance]) for values in maps])
-    colours = difference_colours(changed, _label(found, layer), MOST_DOP if layer in DOP_NAMES else np.inf)
+    colours = difference_colours(
+        changed, _label(found, layer), MOST_DOP if layer in (*DOPS, *WEIGHTED_DOPS) else np.inf
+    )
     has_data = found.a.ds["has_data"].values & found.b.ds["has_data"].values
     for panel, (place, _), values in zip(frame.axes, drawn, maps, strict=True):
         is_grey = np.isnan(values)

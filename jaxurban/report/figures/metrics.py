@@ -1,19 +1,21 @@
 """Pictures of the metric maps, by altitude or time of day."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
 
 import matplotlib
 import numpy as np
-from matplotlib.colors import LogNorm, Normalize, PowerNorm
+from matplotlib.colors import BoundaryNorm, ListedColormap, LogNorm, Normalize, PowerNorm
 from matplotlib.figure import Figure
 
 from jaxurban.errors import InputError, one_of
 from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
-from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY
-from jaxurban.metrics.custom import colour_of
-from jaxurban.metrics.gps import Gps
+from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY, Variable
+from jaxurban.metrics.custom import colour_of, held_variables
 from jaxurban.metrics.rating import RATING_UPPER_GDOP, Rating, rating
-from jaxurban.metrics.registry import METRICS, find_metric
+from jaxurban.metrics.registry import METRICS
+from jaxurban.metrics.variables import BUILT_COLOUR, FREE_COLOUR, series_of
 from jaxurban.report.figures.frame import (
     NO_DATA_PATCH,
     OBSTACLE_COLOUR,
@@ -26,25 +28,12 @@ from jaxurban.report.figures.frame import (
     flat_layer,
     make_frame,
 )
-from jaxurban.report.figures.notes import frame_note, meaning_of, short_time, symbol_of
-from jaxurban.report.figures.protection import LEVEL_NAMES, median_said, protection_colours
-from jaxurban.report.figures.protection import NAMES as PROTECTION_NAMES
+from jaxurban.report.figures.notes import availability_threshold, frame_note, meaning_of, short_time, symbol_of
 from jaxurban.report.figures.style import Colours, ends_of
 
-DOP_NAMES = {
-    "gdop": "Geometric dilution of precision (GDOP)",
-    "pdop": "Position dilution of precision (PDOP)",
-    "hdop": "Horizontal dilution of precision (HDOP)",
-    "vdop": "Vertical dilution of precision (VDOP)",
-    "tdop": "Time dilution of precision (TDOP)",
-}
-DOP_NAMES |= {f"w{name}": f"{label}, weighted by elevation" for name, label in DOP_NAMES.items()}
-AVAILABILITY, LOW = "gps_availability", "gps_p05"
-SERIES_NAMES = {AVAILABILITY: "GPS availability", LOW: "GPS quality that 5 % of the epochs stay below"}
-DOP_COLOUR_MAP, HEIGHT_COLOUR_MAP = "viridis_r", "cividis"
-MAX_DOP = 20.0  # where the paper's rating turns poor
+AVAILABILITY = "gps_availability"
 DISTANCE_COLOUR = "#555555"
-FREE_COLOUR, BUILT_COLOUR = "#f4f4ee", "#4a4a4a"
+UNITS = {"m": " in metres"}  # behind what a colour bar names; a count and m have none
 EMPTY_COLOUR = "#ffffff"
 ROOF_TICKS_M = (0, 5, 20, 50, 100, 200, 400, 800)
 
@@ -66,43 +55,74 @@ def line_colour(name: str) -> str:
     return DISTANCE_COLOUR if name == "distance" else colour_of(name)
 
 
-def drawn_names(maps: MetricMaps) -> dict[str, str]:
-    """Return the heading of each map that `plot_metric` draws, of those that these maps hold, by name."""
-    known = {"obstacle": "Obstacles", **{name: metric.label for name, metric in maps.metrics.items()}}
-    known |= {**DOP_NAMES, "num_visible": "Satellites in view", **SERIES_NAMES, **PROTECTION_NAMES}
-    medians = [name for name in maps.metrics if maps.variable(name) != name]
-    known |= {name: f"{maps.metrics[name].label}, median over the epochs" for name in medians}
-    held = {name: heading for name, heading in known.items() if maps.variable(name) in maps.ds}
-    return held | ({AVAILABILITY: SERIES_NAMES[AVAILABILITY]} if len(maps.times) > 1 and "gps" in held else {})
+def drawn_variables(maps: MetricMaps) -> dict[str, Variable]:
+    """Return the variable of each map that `plot_metric` draws, by name: the metrics' first, of a series their median.
 
-
-def metric_colours(maps: MetricMaps, name: str) -> Colours:
-    """Return how a metric is drawn, the same in every figure.
-
-    Raises:
-      InputError: a name that is none of `drawn_names`.
+    With several times there is also how often GPS is available, which maps hold of a long series alone.
     """
-    if name == "num_visible":
-        most = max(4, int(maps.ds[name].max()))
-        ticks = range(0, most + 1, most // 5 or 1)
-        return Colours("viridis", Normalize(0, most), "satellites in view", ticks=ticks)
-    if name in DOP_NAMES:
-        return Colours(DOP_COLOUR_MAP, Normalize(1, MAX_DOP), f"{name.upper()} (lower is better)", "max")
-    if name in PROTECTION_NAMES:
-        return protection_colours(maps, name)
-    if name == AVAILABILITY:
-        label = f"share of epochs with $m_\\mathrm{{gps}}$ > {availability_threshold(maps):g}"
-        return Colours(METRICS["gps"].colour_map, Normalize(0, 1), label)
-    metric = find_metric("gps" if name == LOW else name, maps.metrics)
-    over = ", 5th percentile" if name == LOW else ", median" if maps.variable(name) != name else ""
-    one_is = f"\n(1: {meaning})" if (meaning := meaning_of(maps, name)) else ""
-    label = f"{symbol_of(metric.name)}{over}{one_is}"
-    return Colours(metric.colour_map, Normalize(0, 1), label)
+    held = held_variables(maps.ds)
+    found = {name: held[maps.variable(name)] for name in ("obstacle", *maps.metrics)}
+    shown = {variable.name for variable in found.values()} | {"has_data"}
+    found |= {name: variable for name, variable in held.items() if name not in shown}
+    if len(maps.times) > 1 and "gps" in found:
+        found.setdefault(AVAILABILITY, replace(series_of(METRICS["gps"])[AVAILABILITY], title="GPS availability"))
+    return found
 
 
-def availability_threshold(maps: MetricMaps) -> float:
-    """Return the m_gps above which a position counts as available: that of the maps, or what it is if not set."""
-    return float(maps.ds.attrs.get("gps_availability_threshold", Gps().availability_threshold))
+def metric_colours(maps: MetricMaps, name: str, values: np.ndarray | None = None) -> Colours:
+    """Return how a map is drawn, the same in every figure.
+
+    Args:
+      maps: that hold it.
+      name: of `drawn_variables`.
+      values: all of those that the maps hold of it, where they are at hand.
+    """
+    variable = drawn_variables(maps)[name]
+    label = bar_label(maps, name, variable)
+    return colours_of(
+        variable, lambda: maps.ds[variable.name].values if values is None else values, label, maps.ds.attrs
+    )
+
+
+def bar_label(maps: MetricMaps, name: str, variable: Variable) -> str:
+    """Return what the colour bar of a map says: what it is, or what a value of one means."""
+    meaning, limit = meaning_of(maps, variable.name, variable.one_means), ""
+    if name in maps.metrics:
+        said = f"{symbol_of(name)}{', median' * (variable.name != name)}"
+        return f"{said}\n(1: {meaning})" if meaning else said
+    if meaning:
+        return f"1: {meaning}"
+    said = f"{variable.symbol or variable.title or variable.long_name}{UNITS.get(variable.unit, '')}"
+    if variable.scale.limit:
+        limit = f";\nalert limit {maps.ds.attrs[variable.scale.limit]:g} m"
+    return f"{said} (lower is better{limit})" if variable.scale.is_better_low else said
+
+
+def colours_of(
+    variable: Variable, read: Callable[[], np.ndarray], label: str = "", attrs: Mapping[str, Any] | None = None
+) -> Colours:
+    """Return how values of a variable are drawn.
+
+    Args:
+      variable: says how.
+      read: returns the values, which are read where they decide the range.
+      label: of the colour bar.
+      attrs: of the maps.
+    """
+    scale, ticks = variable.scale, None
+    if variable.classes:
+        colours = ListedColormap([colour for _, colour in variable.classes])
+        return Colours(colours, BoundaryNorm([-0.5, 0.5, 1.5], 2), label, ticks=())
+    low, span = scale.range(attrs or {}, lambda: ends_of(read()))
+    high = low + span
+    if np.issubdtype(variable.dtype, np.integer):
+        ticks = [*range(0, int(high) + 1, int(high) // 5 or 1)]
+    if scale.stretch == "log":
+        return Colours(scale.colour_map, LogNorm(high / 1000, high), label, extend="min")
+    if scale.stretch == "sqrt":
+        ticks = [tick for tick in ROOF_TICKS_M if tick <= high]
+        return Colours(scale.colour_map, PowerNorm(0.5, low, high), label, ticks=ticks)
+    return Colours(scale.colour_map, Normalize(low, high), label, "max" if scale.is_better_low else "neither", ticks)
 
 
 def values_of(maps: MetricMaps, name: str, altitude_m: float, time: str | None = None) -> np.ndarray:
@@ -141,36 +161,39 @@ def plot_metric(
       InputError: a name, altitude, time or time of day that these maps do not hold.
     """
     maps = as_maps(maps)
-    headings = drawn_names(maps)
-    one_of("a map to draw from these maps", name, headings)
+    variables = drawn_variables(maps)
+    variable = variables[one_of("a map to draw from these maps", name, variables)]
     if name == "obstacle":
         return plot_obstacles(maps, altitudes_m=altitudes_m)
-    colours = metric_colours(maps, name)
-    is_of_all = name == AVAILABILITY and name not in maps.ds
-    dims = (ALTITUDE,) if is_of_all else maps.ds[maps.variable(name)].dims
+    colours, dims, classes = metric_colours(maps, name), variable.dims, list(variable.classes)
+    if classes and (meaning := meaning_of(maps, name, variable.one_means)):
+        classes[1] = f"{classes[1][0]}\n({meaning})", classes[1][1]
+    is_of_all = variable.name not in maps.ds
     if ALTITUDE not in dims:
         times_of_day = maps.times_of_day if time_of_day is None else (time_of_day,)
         items = times_of_day if TIME_OF_DAY in dims else (None,)
         panels = [(item or "", [MapLayer(maps.m(name, time_of_day=item), colours)]) for item in items]
-        return _figure(maps, headings[name], panels, obstacle_patches(maps)[1:], colours=colours, has_sky=False)
+        patches = [*classes, *obstacle_patches(maps)[1:]]
+        return _figure(maps, variable.heading, panels, patches, colours=None if classes else colours, has_sky=False)
     time = (time or maps.times[0]) if TIME in dims else None
-    has_sky = TIME in dims or maps.variable(name) != name or name in {**SERIES_NAMES, **PROTECTION_NAMES}
     panels = [
-        (f"{z:g} m  ·  {_middle_of(maps, name, z, time)}", [free_layer(maps, name, z, time), obstacle_layer(maps, z)])
+        (
+            f"{z:g} m  ·  {_middle_of(maps, name, variable, z, time)}",
+            [free_layer(maps, name, z, time), obstacle_layer(maps, z)],
+        )
         for z in altitudes_m or maps.altitudes_m
     ]
-    heading = f"{headings[name]}, by altitude above ground"
-    if is_of_all:
-        heading = f"{headings[name]} over {len(maps.times)} epochs, by altitude above ground"
+    over = f" over {len(maps.times)} epochs" if is_of_all else ""
+    heading = f"{variable.heading}{over}, by altitude above ground"
     return _figure(
         maps,
         heading,
         panels,
-        obstacle_patches(maps),
+        [*classes, *obstacle_patches(maps)],
         time=time,
-        colours=colours,
-        has_sky=has_sky,
-        is_median=name not in {**SERIES_NAMES, **PROTECTION_NAMES},
+        colours=None if classes else colours,
+        has_sky=bool(variable.of) and TIME in maps.metrics[variable.of].dims,
+        is_median=name in maps.metrics,
         of=name,
     )
 
@@ -187,17 +210,18 @@ def plot_epochs(maps: GivenMaps, name: str = "gps", *, altitude_m: float | None 
       InputError: a map that has no times, or an altitude that these maps do not hold.
     """
     maps = as_maps(maps)
-    headings, z = drawn_names(maps), min(maps.altitudes_m) if altitude_m is None else altitude_m
-    one_of("a map of each time", name, [each for each in headings if each in maps.ds and TIME in maps.ds[each].dims])
+    z = min(maps.altitudes_m) if altitude_m is None else altitude_m
+    timed = {each: variable for each, variable in drawn_variables(maps).items() if TIME in variable.dims}
+    variable = timed[one_of("a map of each time", name, timed)]
     panels = [
         (
-            f"{short_time(time)}  ·  {_middle_of(maps, name, z, time)}",
+            f"{short_time(time)}  ·  {_middle_of(maps, name, variable, z, time)}",
             [free_layer(maps, name, z, time), obstacle_layer(maps, z)],
         )
         for time in maps.times
     ]
     colours = metric_colours(maps, name)
-    heading = f"{headings[name]} at each epoch, {z:g} m above ground"
+    heading = f"{variable.heading} at each epoch, {z:g} m above ground"
     return _figure(maps, heading, panels, obstacle_patches(maps), colours=colours, of=name)
 
 
@@ -222,18 +246,20 @@ def _figure(
     return frame.figure
 
 
-def _middle_of(maps: MetricMaps, name: str, altitude_m: float, time: str | None) -> str:
-    """Return the mean over free cells as a text; the median for DOPs and levels, maybe inf, and for satellites."""
+def _middle_of(maps: MetricMaps, name: str, variable: Variable, altitude_m: float, time: str | None) -> str:
+    """Return the mean over free cells as a text, with a unit; the median of counts and of what may be infinite."""
     values = values_of(maps, name, altitude_m, time)[maps.is_free(altitude_m, "centre")]
+    unit, places = ("", 2) if variable.unit == "1" else (f" {variable.unit}", 0)
     if values.size == 0:
         return "no free cell"
-    if name == "num_visible":
-        return f"median {np.quantile(values, 0.5, method='lower'):.0f}"
-    if name in DOP_NAMES:
-        return f"median {np.median(values):.2f}"
-    if name in LEVEL_NAMES:
-        return median_said(values)
-    return f"mean {values.mean(dtype=np.float64):.2f}"
+    if variable.classes:
+        return f"{percent(values.mean(dtype=np.float64))} {variable.classes[1][0]}"
+    if np.issubdtype(variable.dtype, np.integer):
+        return f"median {np.quantile(values, 0.5, method='lower'):.0f}{unit}"
+    if not variable.is_averaged:
+        middle = np.quantile(values, 0.5, method="higher")
+        return f"median {middle:.{places}f}{unit}" if np.isfinite(middle) else "undetermined in most free cells"
+    return f"mean {values.mean(dtype=np.float64):.{places}f}{unit}"
 
 
 def plot_obstacles(maps: GivenMaps, *, altitudes_m: Sequence[float] | None = None) -> Figure:
@@ -327,13 +353,6 @@ def plot_sensor_choice(
     return _plot_classes(maps, "The better sensor", time, found, names)
 
 
-def density_colours(highest_per_km2: float) -> Colours:
-    """Return the colours of people per km2: three decades up to the highest, zero left white."""
-    highest = max(highest_per_km2, 1.0)
-    norm = LogNorm(highest / 1000, highest)
-    return Colours(METRICS["population"].colour_map, norm, "people per km²", extend="min")
-
-
 def plot_population(maps: GivenMaps) -> Figure:
     """Return panels of people per km2 by time of day, on one logarithmic scale; titles give the people in the region.
 
@@ -344,32 +363,25 @@ def plot_population(maps: GivenMaps) -> Figure:
     if "density" not in maps.ds:
         raise InputError("these maps hold no population: give [population] sources in the scenario and make them again")
     cell_km2 = maps.grid.resolution_m**2 / 1e6
-    colours = density_colours(ends_of(maps.ds["density"].values)[1])
+    colours = metric_colours(maps, "density")
     panels = []
     for item in maps.times_of_day:
         values = maps.m("density", time_of_day=item)
         title = f"{item}  ·  {np.nansum(values, dtype=np.float64) * cell_km2:,.0f} people"
-        panels.append((title, density_layers(values, colours)))
+        panels.append((title, layers_above_zero(values, colours)))
     patches = [("no people\nin the data", EMPTY_COLOUR), *obstacle_patches(maps)[1:]]
     return _figure(maps, "Population density", panels, patches, colours=colours, has_sky=False)
 
 
-def density_layers(values: np.ndarray, colours: Colours) -> list[MapLayer]:
-    """Return people per km2 as they are drawn, cells with nobody in white."""
+def layers_above_zero(values: np.ndarray, colours: Colours) -> list[MapLayer]:
+    """Return values as they are drawn where 0 is none of them: people, roofs; such cells in white."""
     return [flat_layer(values == 0, EMPTY_COLOUR), MapLayer(np.where(values > 0, values, np.float32(np.nan)), colours)]
-
-
-def roof_colours(highest_m: float) -> Colours:
-    """Return the colours of roof heights: on a square-root scale."""
-    ticks = [tick for tick in ROOF_TICKS_M if tick <= highest_m]
-    return Colours(HEIGHT_COLOUR_MAP, PowerNorm(0.5, 0, max(highest_m, 1.0)), ticks=ticks)
 
 
 def roof_layers(maps: MetricMaps) -> list[MapLayer]:
     """Return roof heights as they are drawn, white where there is no roof."""
     roof_m = maps.m("roof")
-    values = np.where(roof_m > 0, roof_m, np.float32(np.nan))
-    return [flat_layer(roof_m == 0, EMPTY_COLOUR), MapLayer(values, roof_colours(ends_of(roof_m)[1]))]
+    return layers_above_zero(roof_m, replace(metric_colours(maps, "roof", roof_m), label=""))
 
 
 def plot_heights(maps: GivenMaps) -> Figure:
@@ -384,7 +396,7 @@ def plot_heights(maps: GivenMaps) -> Figure:
         terrain_m = maps.m("terrain")
         low_m, high_m = ends_of(terrain_m)
         titles.append(f"terrain, {low_m:.0f} to {high_m:.0f} m")
-        ground = MapLayer(terrain_m, Colours(HEIGHT_COLOUR_MAP, Normalize(low_m, max(high_m, low_m + 1))))
+        ground = MapLayer(terrain_m, replace(metric_colours(maps, "terrain", terrain_m), label=""))
     frame = make_frame(maps.grid, titles, "Heights (m)", frame_note(maps, has_sky=False), footer_in=0.4)
     draw_layers(frame.axes[0], maps.grid, roofs)
     hatched = ""

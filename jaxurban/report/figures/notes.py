@@ -1,11 +1,13 @@
 """The lines below a figure's heading: what was guessed, the sky, the cells, the CRS, and whom to credit."""
 
+import re
 from collections.abc import Mapping
 from typing import Any
 
 from jaxurban.io.attributes import CAVEAT, names_in
 from jaxurban.maps.guesses import is_of_sky
 from jaxurban.maps.metric_maps import MetricMaps
+from jaxurban.metrics.gps import Gps
 from jaxurban.paths.constraints import clearances_said, kept_said
 from jaxurban.world.grid import Grid
 
@@ -83,11 +85,21 @@ def symbol_of(name: str) -> str:
     return f"$m_\\mathrm{{{written}}}$"
 
 
-def meaning_of(maps: MetricMaps, name: str) -> str:
-    """Return what a value of one means, with these maps' own numbers; "" where they do not say."""
-    meaning, attrs = str(maps.ds[maps.variable(name)].attrs.get("one_means", "")), maps.ds.attrs
-    if "risk_threshold_m" in attrs:
-        meaning = meaning.replace("the threshold", f"{attrs['risk_threshold_m']:g} m")
+def availability_threshold(maps: MetricMaps) -> float:
+    """Return the m_gps above which a position counts as available: that of the maps, or what it is if not set."""
+    return float(maps.ds.attrs.get("gps_availability_threshold", Gps().availability_threshold))
+
+
+def meaning_of(maps: MetricMaps, name: str, said: str = "") -> str:
+    """Return what a value of one means, with these maps' own numbers; ``said`` where they do not say."""
+    attrs, name = maps.ds.attrs, maps.variable(name)
+    meaning = str(maps.ds[name].attrs.get("one_means", said) if name in maps.ds else said)
+    threshold = f"{availability_threshold(maps):g}" if name.endswith("_availability") else ""
+    if f"{name}_threshold_m" in attrs:
+        threshold = f"{attrs[f'{name}_threshold_m']:g} m"
+    meaning = meaning.replace("the threshold", threshold or "the threshold")
+    for limit in re.findall(r"\w+_limit_m", meaning):
+        meaning = meaning.replace(limit, f"{attrs[limit]:g} m")
     for norm, unit in (("pop_norm_per_km2", " per km²"), ("pop_norm_per_block", "")):
         if norm in attrs:
             numbers = " and ".join(f"{number:,.0f}" for number in dict.fromkeys(attrs[norm]))

@@ -28,9 +28,9 @@ from jaxurban.report.figures.frame import (
     write_legend,
 )
 from jaxurban.report.figures.metrics import (
-    density_colours,
-    density_layers,
     free_layer,
+    layers_above_zero,
+    metric_colours,
     obstacle_layer,
     obstacle_patches,
     roof_layers,
@@ -269,8 +269,7 @@ def plot_overview(maps: GivenMaps, paths: Paths, *, altitude_m: float | None = N
         if name == "roof":
             layers = roof_layers(maps)
         elif name == "density":
-            highest = ends_of(maps.ds[name].values)[1]
-            layers = density_layers(maps.m(name, time_of_day=time_of_day), density_colours(highest))
+            layers = layers_above_zero(maps.m(name, time_of_day=time_of_day), metric_colours(maps, name))
         elif name == "cost":
             layers, label = cost_layers(maps, z, time, time_of_day)[::-1], COST_ENDS
         else:
