@@ -25,7 +25,6 @@ from jaxurban.paths.explain import explain as explain
 from jaxurban.paths.path import PlannedPath as PlannedPath
 from jaxurban.paths.plan import plan as plan
 from jaxurban.paths.queries import PlannedPaths as PlannedPaths
-from jaxurban.paths.rows import MapsFolder as MapsFolder
 from jaxurban.paths.simplify import simplify as simplify
 from jaxurban.paths.snapping import XY as XY
 from jaxurban.paths.vehicle import Vehicle as Vehicle
