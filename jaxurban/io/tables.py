@@ -34,7 +34,7 @@ from jaxurban.io.files import (
 
 SUFFIXES = (".parquet", ".csv")
 ROWS_FILE, PARTS_FOLDER, ASIDE_SUFFIX = "rows.parquet", "parts", ".damaged"
-SETTINGS_FILE, INSTANCES_FILE = "study.json", "instances.parquet"  # beside the rows of a Monte Carlo benchmark
+INSTANCES_FILE = "instances.parquet"  # beside the rows of a Monte Carlo benchmark
 SAVE_EVERY_S = 5.0
 SAVING_SHARE = 0.05  # of the time, at most, goes into saving
 Row = Mapping[str, Any]

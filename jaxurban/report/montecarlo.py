@@ -1,6 +1,6 @@
 """study: a Monte Carlo benchmark of planners over metric maps, kept in a folder and resumable, and its report."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -9,10 +9,9 @@ import numpy as np
 import pandas as pd
 
 from jaxurban.errors import InputError, one_of, typed
-from jaxurban.io.files import read_json, write_json
 from jaxurban.io.read.landcover import read_land_cover
 from jaxurban.io.read.osm import OSM_SUFFIXES
-from jaxurban.io.tables import INSTANCES_FILE, PARTS_FOLDER, ROWS_FILE, SETTINGS_FILE, first_difference, write_table
+from jaxurban.io.tables import INSTANCES_FILE, PARTS_FOLDER, ROWS_FILE, write_table
 from jaxurban.io.workspace import Workspace
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.registry import METRICS
@@ -158,8 +157,9 @@ def study(
         check_instances(instances, opened)
         instances = with_connection(instances, opened, model, constraints)
         _check_places(instances, opened, constraints)
-    with Workspace.open(folder, "study", is_shared=True) as workspace:
-        _claim(workspace, settings, opened, instances, overwrite)
+    key, names = _deciding(settings, opened), [ROWS_FILE, INSTANCES_FILE]
+    with Workspace.open(folder, "study", key, names=names, overwrite=overwrite, is_shared=True):
+        _check_growth(folder, instances)
         write_table(instances, folder / INSTANCES_FILE)
         file, columns = folder / ROWS_FILE, row_columns(instances.columns)
         with reporting("study", progress) as report:
@@ -223,85 +223,45 @@ def _check_places(instances: pd.DataFrame, maps: MetricMaps, constraints: Constr
             ) from error
 
 
-def _claim(
-    workspace: Workspace, settings: BenchmarkSettings, maps: MetricMaps, instances: pd.DataFrame, overwrite: bool
-) -> None:
-    """Make the folder this benchmark's, or raise InputError if it is another's."""
-    folder = workspace.folder
-    now = settings.to_dict() | {
-        "maps": {name: str(maps.ds.attrs[name]) for name in ("crs", "resolution_m", "first_row", "first_col")}
-        | {"run_key": str(maps.ds.attrs.get("run_key")), "obstacles": maps.obstacles},
-    }
-    file = folder / SETTINGS_FILE
-    held = _held(file)
-    other = None
-    if held is not None:
-        differing = first_difference(_deciding(held), _deciding(now))
-        other = f"of other settings ({differing})" if differing else _other_instances(folder, instances)
-    if other is not None:
-        if not overwrite:
-            raise InputError(
-                f"{str(folder)!r} holds a study {other}: choose another folder, or pass --overwrite (overwrite=True) "
-                "to replace it"
-            )
-        workspace.check_way(folder / name for name in (ROWS_FILE, INSTANCES_FILE, SETTINGS_FILE))
-        workspace.remove_all()
-    write_json(file, now, indent=2)
-
-
-def _deciding(settings: Mapping[str, Any]) -> dict[str, Any]:
+def _deciding(settings: BenchmarkSettings, maps: MetricMaps) -> dict[str, Any]:
     """Return what decides a benchmark's rows, by name: neither the files of zones nor a budget that is not used."""
-    flat, constraints = dict(settings), settings.get("limits") or {}
-    flat |= {f"maps' {name}": value for name, value in (flat.pop("maps", None) or {}).items()}
-    budget_s, iterations = flat.pop("budget_s", None), flat.pop("budget_iterations", None)
-    flat["budget"] = f"{budget_s} s" if iterations is None else f"{iterations} samples"
-    flat["set of constraints"] = constraints_said(flat.pop("limits", None) or {}) or "none"
-    return flat | {
-        "outlines of no-fly zones": ", ".join(zone.get("outline", "") for zone in constraints.get("no_fly", ()))
+    found = settings.to_dict()
+    limits, budget_s, iterations = (found.pop(name) for name in ("limits", "budget_s", "budget_iterations"))
+    return {
+        **found,
+        "budget": f"{budget_s} s" if iterations is None else f"{iterations} samples",
+        "set of constraints": constraints_said(limits) or "none",
+        "outlines of no-fly zones": ", ".join(zone.get("outline", "") for zone in limits.get("no_fly", ())),
+        **{name: str(maps.ds.attrs.get(name)) for name in ("run_key", "crs", "resolution_m", "first_row", "first_col")},
+        "obstacles": maps.obstacles,
     }
 
 
-def _other_instances(folder: Path, instances: pd.DataFrame) -> str | None:
-    """Return which instance of the held benchmark is not among these or differs, None if the benchmark only grows."""
+def _check_growth(folder: Path, instances: pd.DataFrame) -> None:
+    """Raise InputError unless all instances of the benchmark in a folder, if there is one, are among these."""
+    remedy = "choose another folder, or pass --overwrite (overwrite=True) to replace it"
+    if not (folder / ROWS_FILE).exists() and not any((folder / PARTS_FOLDER).glob("*.json")):
+        return
     try:
-        held = read_instances(folder / INSTANCES_FILE).set_index(list(KEY))
+        before = read_instances(folder / INSTANCES_FILE).set_index(list(KEY))
     except InputError as error:
-        has_rows = (folder / ROWS_FILE).exists() or any((folder / PARTS_FOLDER).glob("*.json"))
-        return f"whose instances are lost ({error})" if has_rows else None
-    now = instances.set_index(list(KEY))
-    lost = held.index.difference(now.index)
-    if len(lost):
+        raise InputError(f"{str(folder)!r} holds a study whose instances are lost ({error}): {remedy}") from error
+    now, columns = instances.set_index(list(KEY)), query_columns(instances.columns)
+    if len(lost := before.index.difference(now.index)):
         number, altitude_m = lost[0]
-        return (
-            f"of {len(held)} instances, counted at each altitude, of which {len(lost)} are left out now (instance "
-            f"{number} at {altitude_m:g} m is the first), and a study can be made longer but not shorter"
+        raise InputError(
+            f"{str(folder)!r} holds a study of {len(before)} instances, counted at each altitude, of which {len(lost)} "
+            f"are left out now (instance {number} at {altitude_m:g} m is the first), and a study can be made longer "
+            f"but not shorter: {remedy}"
         )
-    columns = query_columns(instances.columns)
-    before, after = held.reindex(columns=columns), now[columns].reindex(held.index)
+    before, after = before.reindex(columns=columns), now[columns].reindex(before.index)
     differs = np.argwhere(~((before == after) | (before.isna() & after.isna())).to_numpy())
-    if not len(differs):
-        return None
-    row, col = differs[0]
-    number, altitude_m = held.index[row]
-    return (
-        f"of other instances (instance {number} at {altitude_m:g} m has the {columns[col]} {before.iloc[row, col]}, "
-        f"and {after.iloc[row, col]} is given now)"
-    )
-
-
-def _held(file: Path) -> dict[str, Any] | None:
-    try:
-        held = read_json(file)
-    except FileNotFoundError:
-        if foreign := [name for name in (ROWS_FILE, INSTANCES_FILE, PARTS_FOLDER) if (file.parent / name).exists()]:
-            raise InputError(
-                f"{str(file.parent / foreign[0])!r} is there already, and nothing says that it is a study's: choose "
-                "another folder, or remove it"
-            ) from None
-        return None
-    except (OSError, ValueError) as error:
-        raise InputError(f"{str(file)!r} cannot be read: remove the folder and run the study anew") from error
-    return held
+    if len(differs):
+        (row, col), (number, altitude_m) = differs[0], before.index[differs[0][0]]
+        raise InputError(
+            f"{str(folder)!r} holds a study of other instances (instance {number} at {altitude_m:g} m has the "
+            f"{columns[col]} {before.iloc[row, col]}, now {after.iloc[row, col]}): {remedy}"
+        )
 
 
 def tables_of(result: BenchmarkResult) -> dict[str, pd.DataFrame]:

@@ -82,11 +82,11 @@ def test_planners_may_be_added_and_nothing_is_run_twice(folder, tmp_path):
 def test_a_folder_keeps_one_study(folder, tmp_path):
     ju.studies.study(folder, tmp_path, 1, settings=ONE)
     cell = replace(ONE, cost_model=ju.CostModel("cell"))
-    with pytest.raises(InputError, match=r"its cost model is line, and cell is given now.*--overwrite"):
+    with pytest.raises(InputError, match=r"its cost_model is line, now cell.*--overwrite"):
         ju.studies.study(folder, tmp_path, 1, settings=cell)
-    with pytest.raises(InputError, match=r"its budget is 200 samples, and 2.0 s is given now"):
+    with pytest.raises(InputError, match=r"its budget is 200 samples, now 2.0 s"):
         ju.studies.study(folder, tmp_path, 1, settings=replace(ONE, budget_iterations=None))
-    with pytest.raises(InputError, match=r"instance 0 at 20 m has the w_distance .*, and 0.1 is given"):
+    with pytest.raises(InputError, match=r"instance 0 at 20 m has the w_distance .*, now 0.1"):
         ju.studies.study(
             folder, tmp_path, ju.studies.sample_instances(made_maps(), 1, weights=[ju.Weights()], seed=2), settings=ONE
         )
