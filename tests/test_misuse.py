@@ -122,7 +122,7 @@ GOOD: dict[str, Callable[[], dict[str, Any]]] = {
 # A wrong value of each parameter, by its name, or by "function.parameter" where it is another one.
 WRONG: dict[str, Any] = {
     **dict.fromkeys(("planner", "planners", "distance_only", "heuristic", "objective"), "a-star"),
-    **dict.fromkeys(("cost_model", "default_cost_model", "preset", "CostModel.kind"), "cells"),
+    **dict.fromkeys(("cost_model", "preset", "CostModel.kind"), "cells"),
     **dict.fromkeys(("CostMap.only.metrics", "metrics", "vary", "triangle", "objectives"), ("gsp",)),
     **dict.fromkeys(("start", "goal", "reference", "centre_lonlat"), (1e300, 0.0)),
     **dict.fromkeys(("start_xy_m", "goal_xy_m"), ("east", "north")),

@@ -65,8 +65,8 @@ Source = MetricMaps | MapsFolder
 
 
 @dataclass(frozen=True, kw_only=True)
-class RouteJob:
-    """What is done with every instance of a table, and the rules of its routes. Hashable: workers keep maps by it.
+class RouteRules:
+    """Under what the routes of a study are planned.
 
     Attributes:
       cost_model: of the routes (see `Problem`), or its kind alone.
@@ -79,20 +79,12 @@ class RouteJob:
     constraints: Constraints = field(default_factory=Constraints)
     preset: str = ""
 
-    key: ClassVar[tuple[str, ...]]  # columns that name a row
-    run_key: ClassVar[tuple[str, ...]] = ()  # those of them that name a run
-
     def __post_init__(self) -> None:
         Preset.of(self.preset)  # refuses an unknown one, as the next line does
         CostModel.of(self.cost_model)
 
-    @property
-    def runs(self) -> Sequence[Run]:
-        """What is done with every instance, a row each."""
-        return [()]
-
     def under(self, maps: MetricMaps) -> tuple[MetricMaps, Self]:
-        """Return maps and job with the rules that hold on them written out (`jaxurban.paths.preset.under_preset`)."""
+        """Return maps and rules, with all that holds on them written out (`jaxurban.paths.preset.under_preset`)."""
         maps, model, constraints = under_preset(self.preset, maps, self.cost_model, self.constraints)
         return maps, replace(self, cost_model=model, constraints=constraints, preset="")
 
@@ -101,9 +93,26 @@ class RouteJob:
         return {**CostModel.of(self.cost_model).settings, "limits": self.constraints.to_dict()}
 
     def cost_map(self, maps: MetricMaps, altitude_m: float, time: str | None, time_of_day: str | None) -> Any:
-        """Return the `CostMap` that instances of an altitude and time share (errors as in `jaxurban.cost_map`)."""
+        """Return the `CostMap` of routes at an altitude and time (errors as in `jaxurban.cost_map`)."""
         rules: dict[str, Any] = {"cost_model": self.cost_model, "constraints": self.constraints, "preset": self.preset}
         return cost_map(maps, altitude_m, time=time, time_of_day=time_of_day, **rules)
+
+
+class RouteJob(RouteRules):
+    """What is done with every instance of a table. Hashable: workers keep maps by it.
+
+    Attributes:
+      key: columns that name a row.
+      run_key: those of them that name a run.
+    """
+
+    key: ClassVar[tuple[str, ...]]
+    run_key: ClassVar[tuple[str, ...]] = ()
+
+    @property
+    def runs(self) -> Sequence[Run]:
+        """What is done with every instance, a row each."""
+        return [()]
 
     def facts(self, on: CostMap, instance: Row, runs: Sequence[Run]) -> Iterable[Row]:
         """Return what is found for an instance, for one run after the other.

@@ -2,6 +2,7 @@
 
 import warnings
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -13,9 +14,9 @@ from jaxurban.io.read.routes import read_routes
 from jaxurban.io.tables import SUFFIXES
 from jaxurban.maps.metric_maps import GivenMaps, as_maps
 from jaxurban.paths.constraints import KEPT_CLEAR, Constraints, constraints_said
-from jaxurban.paths.cost_map import CostMap, cost_map
+from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.path import PlannedPath
-from jaxurban.paths.preset import under_preset
+from jaxurban.paths.rows import RouteRules
 from jaxurban.paths.snapping import XY
 from jaxurban.planners.base import CostKind
 from jaxurban.planners.cost_model import CostModel
@@ -37,7 +38,6 @@ def read_demonstrations(
     time_of_day: str | None = None,
     *,
     cost_model: CostModel | CostKind | None = None,
-    default_cost_model: CostModel | CostKind | None = None,
     constraints: Constraints | None = None,
     preset: str = "",
     metrics: Sequence[str] | None = None,
@@ -56,7 +56,6 @@ def read_demonstrations(
       maps: from `build_maps` or `open_maps`, or the folder of one resolution's maps.
       altitude_m, time, time_of_day: of every route.
       cost_model: of every route; left out, the one that jaxurban's own paths were planned under.
-      default_cost_model: where no route names one.
       constraints: no-fly zones, bounds and clearances, as in `plan`.
       preset: as in `plan`; of the cost model where no route names one.
       metrics: those whose weights are to be fitted; all if left out.
@@ -72,7 +71,8 @@ def read_demonstrations(
         )
     routes = read_routes(file)
     planned = [(f"route {route.name!r} of {str(file)!r}", route.settings) for route in routes]
-    grid, map_of = _cost_maps(preset, maps, planned, cost_model, default_cost_model, constraints, metrics)
+    rules = RouteRules(cost_model=cost_model, constraints=constraints or Constraints(), preset=preset)
+    grid, map_of = _cost_maps(maps, planned, rules, metrics)
     demonstrations, reasons = [], []
     for number, route in enumerate(routes, start=1):
         z_m = route.altitude_m if altitude_m is None else altitude_m
@@ -123,7 +123,8 @@ def demonstrations_from_paths(
     if not paths:
         raise InputError("there are no paths: give at least one")
     planned = [(f"path {number}", path.settings) for number, path in enumerate(paths, start=1)]
-    _, map_of = _cost_maps(preset, maps, planned, cost_model, None, constraints, metrics)
+    rules = RouteRules(cost_model=cost_model, constraints=constraints or Constraints(), preset=preset)
+    _, map_of = _cost_maps(maps, planned, rules, metrics)
     return [_from_path(map_of, path, f"{number}") for number, path in enumerate(paths, start=1)]
 
 
@@ -145,38 +146,17 @@ def _from_path(map_of: MapOf, planned: PlannedPath, name: str) -> Demonstration:
 
 
 def _cost_maps(
-    preset: str,
-    given: GivenMaps,
-    planned: Planned,
-    cost_model: CostModel | CostKind | None,
-    default: CostModel | CostKind | None,
-    constraints: Constraints | None,
-    metrics: Sequence[str] | None,
+    given: GivenMaps, planned: Planned, rules: RouteRules, metrics: Sequence[str] | None
 ) -> tuple[Grid, MapOf]:
     """Return the maps' grid, and a function of altitude, time and time of day: the cost map there, made once.
 
-    Warns of the first route that was planned under other constraints.
-    """
-    maps, default, limits = under_preset(preset, as_maps(given), default, constraints)
-    model = _model_of(planned, cost_model and under_preset(preset, maps, cost_model, None)[1], default)
-    _compare_constraints(planned, limits)
-
-    @cache
-    def made(altitude_m: float, time: str | None, time_of_day: str | None) -> CostMap:
-        whole = cost_map(maps, altitude_m, time=time, time_of_day=time_of_day, cost_model=model, constraints=limits)
-        return whole if metrics is None else whole.only(metrics)
-
-    return maps.grid, made
-
-
-def _model_of(planned: Planned, given: CostModel | None, default: CostModel) -> CostModel:
-    """Return the cost model of routes: the one given, else the one that they were planned under, else a default.
-
-    Warns of routes that were planned under another one than is given.
+    The cost model is the one given, else the one that the routes were planned under, else the default. Warns of routes
+    that were planned under another one than is given, and of the first that was planned under other constraints.
 
     Raises:
       InputError: settings whose cost model is none, or routes that name different ones.
     """
+    maps, settled = rules.under(as_maps(given))
     models: dict[CostModel, str] = {}
     for name, settings in planned:
         if "cost_model" in settings:
@@ -184,19 +164,26 @@ def _model_of(planned: Planned, given: CostModel | None, default: CostModel) -> 
                 models.setdefault(CostModel.from_settings(settings), name)
             except InputError as error:
                 raise InputError(f"{name}: {error}") from error
-    if given is not None:
-        for other, name in models.items():
-            if other != given:
-                said = f"{name} was planned under the cost model {other} and is fitted under {given}, as given"
-                warnings.warn(said, OtherSettingsWarning, stacklevel=4)
-        return given
-    if len(models) > 1:
+    if rules.cost_model is None and len(models) > 1:
         (one, name), (other, other_name), *_ = models.items()
         raise InputError(
             f"{name} was planned under the cost model {one} and {other_name} under {other}: fit them apart, or name "
             "one for all (--cost-model, cost_model=)"
         )
-    return next(iter(models), default)
+    model = next(iter(models), settled.cost_model) if rules.cost_model is None else settled.cost_model
+    for other, name in models.items():
+        if other != model:
+            both = f"{name} was planned under the cost model {other} and is fitted under {model}, as given"
+            warnings.warn(both, OtherSettingsWarning, stacklevel=4)
+    settled = replace(settled, cost_model=model)
+    _compare_constraints(planned, settled.constraints)
+
+    @cache
+    def made(*at: Any) -> CostMap:
+        whole = settled.cost_map(maps, *at)
+        return whole if metrics is None else whole.only(metrics)
+
+    return maps.grid, made
 
 
 def _compare_constraints(planned: Planned, constraints: Constraints) -> None:

@@ -272,7 +272,7 @@ def test_routes_are_fitted_under_the_cost_model_they_were_planned_under_and_diff
             read(cost_model="line")
         assert len(told) == 2  # the reference length of the first is another one too
     drawn = write_geojson(tmp_path / "drawn.geojson", shown)
-    (unit,) = {each.query.cost_map for each in ju.fit.read_demonstrations(drawn, maps, default_cost_model="line")}
+    (unit,) = {each.query.cost_map for each in ju.fit.read_demonstrations(drawn, maps)}
     assert unit.cost_model == ju.CostModel("line")
 
     wrong = json.loads(both.read_text())

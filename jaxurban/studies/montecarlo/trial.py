@@ -43,7 +43,7 @@ class BenchmarkSettings(RouteJob):
       budget_iterations: instead, samples for planners that draw any, while the others run to their end: rows then
         repeat exactly, whatever the number of workers, but for ``elapsed_s``.
       seed: of the sampling of instances, and of sampling planners, mixed with the instance's number.
-      cost_model, constraints, preset: see `jaxurban.paths.rows.RouteJob`.
+      cost_model, constraints, preset: see `jaxurban.paths.rows.RouteRules`.
 
     Raises:
       InputError: no planner, an unknown one, or an unknown preset.

@@ -57,7 +57,7 @@ class SensitivityStudySettings(RouteJob):
       parameter_factors: each neither 1 nor below 0.
       seed: of the sampling of routes and weights, mixed with the city's name and the route's number.
       num_threads: of the searches of a route; left out, one a core, and one where several processes work.
-      cost_model, constraints, preset: see `jaxurban.paths.rows.RouteJob`.
+      cost_model, constraints, preset: see `jaxurban.paths.rows.RouteRules`.
 
     Raises:
       InputError: a value that is none of these.
