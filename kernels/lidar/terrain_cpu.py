@@ -196,40 +196,31 @@ def march(counts, states, ground_m, rise_m, own_m, column, looks, heights_m, out
             most_met, least_landed, most_landed = low, low, low
             may_meet = heights_m[n, low] <= _highest_in(top_m[p], row, col, rows, wide)
             may_land = heights_m[n, low] <= _highest_in(highest_m[p], row, col, rows, wide)
-            h = heights_m[n, low : low + BEAMS_AT_ONCE]
-            if may_meet and may_land:
-                _count_both(met, landed, own_m, ground_m[p], rise_m[p], at, h, low)
-            elif may_meet:
-                _count_met(met, own_m, ground_m[p], rise_m[p], at, h, low)
-            elif may_land:
-                _count_landed(landed, own_m, ground_m[p], at, h, low)
+            if may_meet or may_land:
+                h = heights_m[n, low : low + BEAMS_AT_ONCE]
+                _count(met, landed, own_m, ground_m[p], rise_m[p], at, h, low, may_meet, may_land)
+            more = low + BEAMS_AT_ONCE
             if may_meet:
                 most_met = _range(flat_met)[1]
-                more = low + BEAMS_AT_ONCE
                 while most_met == more and more <= high:
                     h = heights_m[n, more : more + BEAMS_AT_ONCE]
-                    _count_met(spare, own_m, ground_m[p], rise_m[p], at, h, more)
+                    _count(spare, spare, own_m, ground_m[p], rise_m[p], at, h, more, True, False)
                     _keep_higher(flat_met, flat_spare, more)
                     most_met = _range(flat_met)[1]
                     more += BEAMS_AT_ONCE
+            more = low + BEAMS_AT_ONCE
             if may_land:
                 least_landed, most_landed = _range(flat_landed)
-                more = low + BEAMS_AT_ONCE
                 while most_landed == more:
                     h = heights_m[n, more : more + BEAMS_AT_ONCE]
-                    _count_landed(spare, own_m, ground_m[p], at, h, more)
+                    _count(spare, spare, own_m, ground_m[p], rise_m[p], at, h, more, False, True)
                     _keep_higher(flat_landed, flat_spare, more)
                     least_landed, most_landed = _range(flat_landed)
                     more += BEAMS_AT_ONCE
             for r in range(first_ray[u], first_ray[u + 1]):
                 k = rays[r]
-                if most_met > for_all[k]:
-                    if most_landed > for_all[k]:
-                        _meet_and_land(flat[k], flat_met, flat_landed)
-                    else:
-                        _meet(flat[k], flat_met)
-                elif most_landed > for_all[k]:
-                    _land(flat[k], flat_landed)
+                if most_met > for_all[k] or most_landed > for_all[k]:
+                    _end(flat[k], flat_met, flat_landed, most_met > for_all[k], most_landed > for_all[k])
                 for_all[k], for_any[k] = max(for_all[k], least_landed), max(for_any[k], most_landed)
     found = np.zeros(rows * wide, np.int32)
     for k in range(num_azimuths):
@@ -273,7 +264,7 @@ def _highest_in(of_blocks, row, col, rows, cols):
 
 
 @compiled(nogil=True)
-def _count_both(met, landed, own_m, ground_m, rise_m, at, heights_m, below):
+def _count(met, landed, own_m, ground_m, rise_m, at, heights_m, below, meets, lands):
     """Fill how many beams are not above the roof, and how many not above the ground, that each receiver looks at."""
     (row, col), (h0, h1, h2, h3) = at, (heights_m[0], heights_m[1], heights_m[2], heights_m[3])
     for i in range(met.shape[0]):
@@ -281,30 +272,10 @@ def _count_both(met, landed, own_m, ground_m, rise_m, at, heights_m, below):
         grounds, rises = ground_m[row + i, col : col + len(own)], rise_m[row + i, col : col + len(own)]
         for j in range(len(own)):
             level_m = grounds[j] - own[j]
-            of_landed[j] = _num_not_above(h0, h1, h2, h3, level_m, below)
-            of_met[j] = _num_not_above(h0, h1, h2, h3, level_m + rises[j], below)
-
-
-@compiled(nogil=True)
-def _count_met(met, own_m, ground_m, rise_m, at, heights_m, below):
-    """Fill how many beams are not above the roof that each receiver looks at."""
-    (row, col), (h0, h1, h2, h3) = at, (heights_m[0], heights_m[1], heights_m[2], heights_m[3])
-    for i in range(met.shape[0]):
-        own, of_met = own_m[i], met[i]
-        grounds, rises = ground_m[row + i, col : col + len(own)], rise_m[row + i, col : col + len(own)]
-        for j in range(len(own)):
-            of_met[j] = _num_not_above(h0, h1, h2, h3, (grounds[j] - own[j]) + rises[j], below)
-
-
-@compiled(nogil=True)
-def _count_landed(landed, own_m, ground_m, at, heights_m, below):
-    """Fill how many beams are not above the ground that each receiver looks at."""
-    (row, col), (h0, h1, h2, h3) = at, (heights_m[0], heights_m[1], heights_m[2], heights_m[3])
-    for i in range(landed.shape[0]):
-        own, of_landed = own_m[i], landed[i]
-        grounds = ground_m[row + i, col : col + len(own)]
-        for j in range(len(own)):
-            of_landed[j] = _num_not_above(h0, h1, h2, h3, grounds[j] - own[j], below)
+            if lands:
+                of_landed[j] = _num_not_above(h0, h1, h2, h3, level_m, below)
+            if meets:
+                of_met[j] = _num_not_above(h0, h1, h2, h3, level_m + rises[j], below)
 
 
 @compiled(nogil=True)
@@ -332,26 +303,12 @@ def _range(values):
 
 
 @compiled(nogil=True)
-def _meet(state, met):
-    """Let the rays of receivers return whose beams still in the air meet a roof."""
-    for i in range(len(state)):
-        state[i] = RETURNED if met[i] > state[i] else state[i]
-
-
-@compiled(nogil=True)
-def _meet_and_land(state, met, landed):
-    """Let rays return, and the ground end the beams of the others."""
+def _end(state, met, landed, meets, lands):
+    """Let the rays of receivers return whose beams still in the air meet a roof; the ground ends others' beams."""
     for i in range(len(state)):
         before = state[i]
-        after = landed[i] if landed[i] > before else before
-        state[i] = RETURNED if met[i] > before else after
-
-
-@compiled(nogil=True)
-def _land(state, landed):
-    """Let the ground end beams."""
-    for i in range(len(state)):
-        state[i] = landed[i] if landed[i] > state[i] else state[i]
+        after = landed[i] if lands and landed[i] > before else before
+        state[i] = RETURNED if meets and met[i] > before else after
 
 
 @compiled(nogil=True)
