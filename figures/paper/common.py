@@ -21,8 +21,7 @@ from matplotlib.figure import Figure
 from matplotlib.path import Path as Outline
 
 import jaxurban as ju
-from jaxurban.io.read.census import CensusFiles, read_blocks
-from jaxurban.io.read.districts import read_districts
+from jaxurban.io.read.census import CensusFiles, read_blocks, read_districts
 from jaxurban.report.figures import plot_metric
 from jaxurban.report.figures.frame import KEY
 from jaxurban.report.figures.style import FAINT_INK, INK, SMALL_PT

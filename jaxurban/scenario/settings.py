@@ -165,7 +165,7 @@ class PopulationSettings(Population):
     districts: str | None = None
     district_field: str = "BoroCD"
     credit: str = ""
-    commercial: tuple[int, ...] | None = None  # `jaxurban.io.read.districts.default_commercial`
+    commercial: tuple[int, ...] | None = None  # `jaxurban.io.read.census.default_commercial`
     time_of_day: Annotated[StrList, Different] = ("day", "night")
     weekday: Annotated[Profile, Field(exclude_if=WEEKDAY_PROFILE.__eq__)] = WEEKDAY_PROFILE
     weekend: Annotated[Profile, Field(exclude_if=WEEKEND_PROFILE.__eq__)] = WEEKEND_PROFILE

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from jaxurban.errors import InputError
-from jaxurban.io.read.districts import clean_polygons, largest_overlap, read_districts, zoning_of
+from jaxurban.io.read.census import clean_polygons, largest_overlap, read_districts, zoning_of
 from jaxurban.io.read.vector import open_frame
 from jaxurban.world.city import OTHER_DISTRICT, Zoning
 
@@ -70,10 +70,10 @@ def test_in_another_city_every_other_district_is_residential_unless_listed():
 
 def test_text_labels_are_read_as_numbers_and_reprojected(tmp_path):
     path = write(tmp_path / "d.geojson", boxes((0, 0, 100, 100)), "EPSG:4326", code=["0104"])
-    polygons, labels, issues = read_districts(path, CRS, "code")
+    polygons, labels, num_invalid = read_districts(path, CRS, "code")
     assert labels.tolist() == [104]
     assert shapely.area(polygons)[0] == pytest.approx(1e4, rel=1e-4)
-    assert issues["invalid_polygons"] == 0
+    assert num_invalid == 0
 
 
 def test_an_unknown_field_names_the_nearest(tmp_path):
@@ -91,15 +91,15 @@ def test_a_label_that_is_no_whole_number_is_refused(tmp_path):
 def test_invalid_polygons_are_repaired_and_points_left_out():
     bow_tie = shapely.Polygon([(X0, Y0), (X0 + 10, Y0 + 10), (X0 + 10, Y0), (X0, Y0 + 10)])
     frame = gpd.GeoDataFrame(geometry=[bow_tie, shapely.Point(X0, Y0), *boxes((0, 0, 5, 5))], crs=CRS)
-    cleaned, issues = clean_polygons(frame, CRS)
-    assert issues == {"invalid_polygons": 1, "without_polygon": 1}
+    cleaned, num_lost, num_invalid = clean_polygons(frame, CRS)
+    assert (num_lost, num_invalid) == (1, 1)
     np.testing.assert_allclose(cleaned.area, [50, 25])
     assert cleaned.is_valid.all()
 
 
 def test_only_what_touches_the_box_is_kept():
     frame = gpd.GeoDataFrame(geometry=boxes((0, 0, 10, 10), (20, 0, 30, 10), (40, 0, 50, 10)), crs=CRS).to_crs(4326)
-    cleaned, _ = clean_polygons(frame, CRS, (X0 + 5, Y0, X0 + 25, Y0 + 10))
+    cleaned, _, _ = clean_polygons(frame, CRS, (X0 + 5, Y0, X0 + 25, Y0 + 10))
     assert cleaned.index.tolist() == [0, 1]
 
 

@@ -1,7 +1,6 @@
-"""Census blocks: polygons joined to a population table, or the pixels of a raster of people; and to districts."""
+"""Census blocks: polygons joined to a population table, or the pixels of a raster of people; and their districts."""
 
 import re
-from collections import Counter
 from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,20 +10,13 @@ import numpy as np
 import pandas as pd
 import shapely
 
-from jaxurban.errors import InputError, readable
-from jaxurban.io.read.districts import (
-    Bounds,
-    clean_polygons,
-    default_commercial,
-    largest_overlap,
-    read_districts,
-    require_field,
-    zoning_of,
-)
+from jaxurban.errors import InputError, nearest_name, readable
+from jaxurban.io.read.outlines import polygonal
 from jaxurban.io.read.raster import RASTER_SUFFIXES, read_bands
 from jaxurban.io.read.sampling import pixel_xy
 from jaxurban.io.read.vector import open_frame
-from jaxurban.world.city import OTHER_DISTRICT, Blocks, ReadIssue, ReadIssues
+from jaxurban.world.city import OTHER_DISTRICT, Blocks, ReadIssue, ReadIssues, Zoning
+from jaxurban.world.grid import Bounds, projected_crs, transformer
 
 # Names of the column of total population, the first found wins, case ignored: 2010 SF1 (data.census.gov, American
 # FactFinder), 2020 P1 and DHC, TIGER with counts, GIS joins, and plain tables.
@@ -35,6 +27,15 @@ COUNT_COLUMNS = (
 GEO_ID_PREFIX = re.compile(r"^\w{7}US(?=\d)")  # summary level, variant and component, before the digits of the id
 # A number as spreadsheets write it (1,200 or 1 200 or +5 or 1.2E+03), with a note such as (r45678) or none.
 COUNT = re.compile(r"\s*(\+?\d[\d,\s]*(?:\.\d*)?(?:[eE]\+?\d{1,2})?)\s*(\(.*\))?\s*")
+
+AREAL = (shapely.GeometryType.POLYGON, shapely.GeometryType.MULTIPOLYGON)
+PAPER_DISTRICTS = tuple(range(101, 113))  # Manhattan's twelve; 164 is Central Park
+PAPER_COMMERCIAL = PAPER_DISTRICTS[:6]
+ISSUES = (
+    *(ReadIssue.BLOCKS_WITHOUT_COUNT, ReadIssue.COUNTS_UNREADABLE, ReadIssue.BLOCKS_WITHOUT_POLYGON),
+    *(ReadIssue.BLOCKS_WITHOUT_DISTRICT, ReadIssue.INVALID_BLOCK_POLYGONS, ReadIssue.INVALID_DISTRICT_POLYGONS),
+    *(ReadIssue.COUNTS_WITH_NOTE, ReadIssue.COUNTS_WITHOUT_BLOCK, ReadIssue.COMMERCIAL_NOT_FOUND),
+)
 
 
 @dataclass(frozen=True)
@@ -51,8 +52,8 @@ class CensusFiles:
       districts: district polygons; left out, every block is in district 13.
       block_field: field of the blocks file with one id a block.
       district_field: the districts' label, a whole number.
-      commercial: labels of commercial districts; left out, see `jaxurban.io.read.districts.default_commercial`.
-      residential: labels of residential districts; left out, see `jaxurban.io.read.districts.zoning_of`.
+      commercial: labels of commercial districts; left out, see `jaxurban.io.read.census.default_commercial`.
+      residential: labels of residential districts; left out, see `jaxurban.io.read.census.zoning_of`.
     """
 
     blocks: str | Path
@@ -81,7 +82,7 @@ def read_blocks(files: CensusFiles, crs: str, bounds_m: Bounds | None = None) ->
       InputError: a file or field is missing or unreadable, ids are not unique, no row joins any block, or no block
         touches the box.
     """
-    issues: ReadIssues = {}
+    issues: ReadIssues = dict.fromkeys(ISSUES, 0)
     if Path(files.blocks).suffix.lower() in RASTER_SUFFIXES:
         if files.table is not None:
             raise InputError(f"{str(files.blocks)!r} holds its people itself: leave [population] table out")
@@ -90,33 +91,22 @@ def read_blocks(files: CensusFiles, crs: str, bounds_m: Bounds | None = None) ->
         if bounds_m is not None:
             frame = frame[shapely.intersects(polygons, shapely.box(*bounds_m))]
     else:
-        frame, issues = _polygons(files, crs, bounds_m)
+        frame = _polygons(files, crs, bounds_m, issues)
     if frame.empty:
         raise InputError(f"blocks {str(files.blocks)!r} has no block that touches the region: check [region] bounds")
-    district, labels, district_issues = np.full(len(frame), OTHER_DISTRICT, np.int32), np.empty(0, int), Counter[str]()
-    commercial, has_districts = files.commercial_labels, files.districts is not None
+    polygons, commercial = frame.geometry.to_numpy(), files.commercial_labels
+    district, labels = np.full(len(frame), OTHER_DISTRICT, np.int32), np.empty(0, int)
     if files.districts is not None:
-        polygons, labels, district_issues = read_districts(files.districts, crs, files.district_field)
-        district = largest_overlap(frame.geometry.to_numpy(), polygons, labels)
-    has_count = frame["_count"].notna()
-    blocks = Blocks(
-        polygons=frame.geometry.to_numpy(),
-        night_count=frame["_count"].fillna(0.0).to_numpy(np.float64),
-        district=district,
-        zoning=zoning_of(district, commercial, files.residential, labels.tolist()),
-        block_id=frame["_id"].to_numpy(object),
-    )
-    return blocks, {
-        ReadIssue.BLOCKS_WITHOUT_COUNT: int((~has_count).sum()),
-        ReadIssue.COUNTS_UNREADABLE: 0,
-        ReadIssue.BLOCKS_WITHOUT_POLYGON: 0,
-        ReadIssue.BLOCKS_WITHOUT_DISTRICT: int((district == OTHER_DISTRICT).sum()),
-        ReadIssue.INVALID_BLOCK_POLYGONS: 0,
-        ReadIssue.INVALID_DISTRICT_POLYGONS: district_issues["invalid_polygons"],
-        ReadIssue.COUNTS_WITH_NOTE: 0,
-        ReadIssue.COUNTS_WITHOUT_BLOCK: 0,
-        ReadIssue.COMMERCIAL_NOT_FOUND: int(has_districts and (~np.isin(list(commercial), labels)).sum()),
-    } | issues
+        areas, labels, issues[ReadIssue.INVALID_DISTRICT_POLYGONS] = read_districts(
+            files.districts, crs, files.district_field
+        )
+        district = largest_overlap(polygons, areas, labels)
+        issues[ReadIssue.COMMERCIAL_NOT_FOUND] = int((~np.isin(list(commercial), labels)).sum())
+    issues[ReadIssue.BLOCKS_WITHOUT_COUNT] = int(frame["_count"].isna().sum())
+    issues[ReadIssue.BLOCKS_WITHOUT_DISTRICT] = int((district == OTHER_DISTRICT).sum())
+    night_count = frame["_count"].fillna(0.0).to_numpy(np.float64)
+    zoning = zoning_of(district, commercial, files.residential, labels.tolist())
+    return Blocks(polygons, night_count, district, zoning, frame["_id"].to_numpy(object)), issues
 
 
 def read_people(
@@ -152,38 +142,76 @@ def read_people(
     return shapely.polygons(rings), raster.values[row, col], ids
 
 
-def _polygons(files: CensusFiles, crs: str, bounds_m: Bounds | None) -> tuple[gpd.GeoDataFrame, ReadIssues]:
-    """Return block polygons with ``_id`` and ``_count``, NaN where there is none, and the read issues met."""
-    role, path, field = "blocks", str(files.blocks), files.block_field
-    frame = open_frame(path, role)
-    require_field(frame, field, role, path, "[population] block_field")
-    block_id, frame["_key"] = _ids(frame[field]), _keys(frame[field])
-    twice = frame["_key"].duplicated()
-    if twice.any():
+def _polygons(files: CensusFiles, crs: str, bounds_m: Bounds | None, issues: ReadIssues) -> gpd.GeoDataFrame:
+    """Return block polygons with ``_id`` and ``_count``, NaN where there is none; ``issues`` gets what was met."""
+    path, field = str(files.blocks), files.block_field
+    frame = _open(path, "blocks", field, "[population] block_field")
+    block_id, key = _ids(frame[field]), _keys(frame[field])
+    if (twice := key.duplicated()).any():
         raise InputError(
-            f"{role} {path!r} has the id {block_id[twice].iloc[0]!r} more than once in {field!r}: "
+            f"blocks {path!r} has the id {block_id[twice].iloc[0]!r} more than once in {field!r}: "
             "set [population] block_field to the field with one id a block (a 15-digit GEOID for US blocks)"
         )
     if files.table is None:
-        counts = _counts_in_blocks(frame.drop(columns=[field, "geometry"]), path)
+        counts = _counts_in_blocks(frame.drop(columns=[field, "geometry"]), key, path)
     else:
-        counts = _counts_in_table(files.table, frame["_key"], f"{field!r} of {path!r}")
-    frame = frame.assign(_id=block_id, _count=frame["_key"].map(counts.number), _note=frame["_key"].map(counts.note))
-    frame["_has_row"] = frame["_key"].isin(counts.index)
-    counts_without_block = int((~counts.index.isin(frame["_key"])).sum())
-    frame, polygon_issues = clean_polygons(frame, crs, bounds_m)
-    is_lost = frame["_count"].isna()
-    if (is_lost & frame["_has_row"]).sum() == len(frame) > 0:
+        counts = _counts_in_table(files.table, key, f"{field!r} of {path!r}")
+    issues[ReadIssue.COUNTS_WITHOUT_BLOCK] = int((~counts.index.isin(key)).sum())
+    frame = frame.assign(_id=block_id, _count=key.map(counts.number), _note=key.map(counts.note))
+    frame["_has_row"] = key.isin(counts.index)
+    frame, num_lost, num_invalid = clean_polygons(frame, crs, bounds_m)
+    num_unreadable = int((frame["_count"].isna() & frame["_has_row"]).sum())
+    if num_unreadable == len(frame) > 0:
         raise InputError(
-            f"not one count of people of the {role} {path!r} can be read as a number: check the column of population"
+            f"not one count of people of the blocks {path!r} can be read as a number: check the column of population"
         )
-    return frame, {
-        ReadIssue.COUNTS_UNREADABLE: int((is_lost & frame["_has_row"]).sum()),
-        ReadIssue.BLOCKS_WITHOUT_POLYGON: polygon_issues["without_polygon"],
-        ReadIssue.INVALID_BLOCK_POLYGONS: polygon_issues["invalid_polygons"],
-        ReadIssue.COUNTS_WITH_NOTE: int(frame["_note"].eq(True).sum()),
-        ReadIssue.COUNTS_WITHOUT_BLOCK: counts_without_block,
-    }
+    issues[ReadIssue.COUNTS_UNREADABLE], issues[ReadIssue.BLOCKS_WITHOUT_POLYGON] = num_unreadable, num_lost
+    issues[ReadIssue.INVALID_BLOCK_POLYGONS] = num_invalid
+    issues[ReadIssue.COUNTS_WITH_NOTE] = int(frame["_note"].eq(True).sum())
+    return frame
+
+
+def _open(path: str | Path, role: str, field: str, setting: str) -> gpd.GeoDataFrame:
+    """Return the features of a file that must have a field.
+
+    Raises:
+      InputError: a file that cannot be read, or that has no such field; the message names the nearest one.
+    """
+    frame = open_frame(path, role)
+    fields = [str(column) for column in frame.columns if column != "geometry"]
+    if field not in fields:
+        hint = nearest_name(field, fields) or f"; it has {', '.join(fields) or 'none'}"
+        raise InputError(f"{role} {str(path)!r} has no field {field!r}{hint}: {setting} names it")
+    return frame
+
+
+def clean_polygons(
+    frame: gpd.GeoDataFrame, crs: str, bounds_m: Bounds | None = None
+) -> tuple[gpd.GeoDataFrame, int, int]:
+    """Return features as valid polygons in ``crs``, how many were left out without one, and how many repaired.
+
+    Args:
+      frame: features in any CRS.
+      crs: projected CRS in metres.
+      bounds_m: keep, and count, only what is near this box of ``crs``; left out, all.
+    """
+    if bounds_m is not None:
+        assert frame.crs is not None
+        near = transformer(crs, frame.crs.to_wkt()).transform_bounds(*bounds_m, densify_pts=21)
+        frame = frame.cx[near[0] : near[2], near[1] : near[3]]
+    frame = frame.to_crs(projected_crs(crs))
+    polygons = frame.geometry.to_numpy().copy()
+    is_invalid = ~shapely.is_valid(polygons) & ~shapely.is_missing(polygons)
+    polygons[is_invalid] = shapely.make_valid(polygons[is_invalid], method="structure")
+    for i in np.flatnonzero(shapely.get_type_id(polygons) == shapely.GeometryType.GEOMETRYCOLLECTION):
+        polygons[i] = polygonal(polygons[i])
+    polygons[~np.isin(shapely.get_type_id(polygons), AREAL)] = None
+    is_kept = shapely.area(polygons) > 0
+    num_lost, num_invalid = int((~is_kept).sum()), int(is_invalid.sum())
+    if bounds_m is not None:
+        is_kept &= shapely.intersects(polygons, shapely.box(*bounds_m))
+    frame = frame.set_geometry(gpd.GeoSeries(polygons, index=frame.index, crs=frame.crs))
+    return frame[is_kept], num_lost, num_invalid
 
 
 def _ids(column: pd.Series) -> pd.Series:
@@ -211,15 +239,15 @@ def _count_column(columns: pd.Index) -> str | None:
     return next((by_name[name] for name in COUNT_COLUMNS if name in by_name), None)
 
 
-def _counts_in_blocks(fields: pd.DataFrame, path: str | Path) -> pd.DataFrame:
+def _counts_in_blocks(fields: pd.DataFrame, key: pd.Series, path: str | Path) -> pd.DataFrame:
     """Return the counts that the blocks file itself holds, by key."""
     column = _count_column(fields.columns)
     if column is None:
         raise InputError(
             f"[population] blocks {str(path)!r} has no field of population (such as POP10): set [population] table "
-            f"to the table that has it; the file's fields are {', '.join(fields.columns.drop('_key'))}"
+            f"to the table that has it; the file's fields are {', '.join(fields.columns)}"
         )
-    return _parse_counts(fields[column], fields["_key"])
+    return _parse_counts(fields[column], key)
 
 
 def _counts_in_table(path: str | Path, block_keys: pd.Series, wanted: str) -> pd.DataFrame:
@@ -257,3 +285,83 @@ def _counts_in_table(path: str | Path, block_keys: pd.Series, wanted: str) -> pd
             "population a block"
         )
     return counts[~counts.index.duplicated()]
+
+
+def read_districts(path: str | Path, crs: str, field: str = "BoroCD") -> tuple[np.ndarray, np.ndarray, int]:
+    """Return district polygons in ``crs``, their labels (int32), and how many polygons were repaired.
+
+    A label may stand on several polygons.
+
+    Raises:
+      InputError: an unreadable file, no such field (names the nearest one), or a label that is not a whole number.
+    """
+    frame = _open(path, "districts", field, "[population] district_field")
+    labels = pd.to_numeric(frame[field], errors="coerce").to_numpy(np.float64)
+    unusable = ~((labels % 1 == 0) & (np.abs(labels) < 2**31))  # NaN too
+    if unusable.any():
+        raise InputError(
+            f"districts {str(path)!r} has the label {frame[field][unusable].iloc[0]} in field {field!r}: "
+            "labels must be whole numbers (set [population] district_field to the field that holds them)"
+        )
+    frame, _, num_invalid = clean_polygons(frame.assign(**{field: labels.astype(np.int32)}), crs)
+    return frame.geometry.to_numpy(), frame[field].to_numpy(), num_invalid
+
+
+def largest_overlap(polygons: np.ndarray, districts: np.ndarray, labels: np.ndarray) -> np.ndarray:
+    """Return the label of the district that covers most of each polygon, `OTHER_DISTRICT` where none does.
+
+    Args:
+      polygons: ``[N]`` valid polygons.
+      districts: ``[D]`` valid polygons in the same projected CRS.
+      labels: ``[D]`` whole numbers; polygons of one label count together.
+
+    Returns:
+      ``[N]`` int32. Touching does not count as overlap; of equal overlaps the smallest label wins.
+    """
+    index, candidate = shapely.STRtree(districts).query(polygons, predicate="intersects")
+    shapely.prepare(districts)
+    # Most blocks lie wholly within one district: no need to cut them out of its long shoreline.
+    inside = shapely.contains_properly(districts[candidate], polygons[index])
+    area_m2 = shapely.area(polygons[index])
+    area_m2[~inside] = shapely.area(shapely.intersection(polygons[index[~inside]], districts[candidate[~inside]]))
+    pairs = pd.DataFrame({"index": index, "label": labels[candidate], "area_m2": area_m2})
+    pairs = pairs[pairs["area_m2"] > 0].groupby(["index", "label"], as_index=False).sum()
+    best = pairs.sort_values(["area_m2", "label"], ascending=[False, True]).drop_duplicates("index")
+    result = np.full(len(polygons), OTHER_DISTRICT, np.int32)
+    result[best["index"].to_numpy()] = best["label"].to_numpy()
+    return result
+
+
+def zoning_of(
+    district: np.ndarray, commercial: Collection[int], residential: Collection[int] | None, labels: Collection[int]
+) -> np.ndarray:
+    """Return the `Zoning` of each district label, uint8.
+
+    Args:
+      district: ``[N]`` labels.
+      commercial: labels of commercial districts.
+      residential: labels of residential districts. None: Manhattan's twelve (101 to 112) less the commercial
+        ones; where the districts file has none of the twelve, every district of it but the commercial ones.
+      labels: every label of the districts file.
+
+    Returns:
+      OTHER for labels on neither list (Central Park is 164, no district is 13); such blocks change by day like
+      residential ones and are counted apart.
+    """
+    if residential is None:
+        twelve = set(PAPER_DISTRICTS).intersection(labels)
+        residential = (twelve or set(labels)) - {OTHER_DISTRICT}
+    is_commercial = np.isin(district, list(commercial))
+    is_residential = np.isin(district, list(residential)) & ~is_commercial
+    return np.select([is_commercial, is_residential], [Zoning.COMMERCIAL, Zoning.RESIDENTIAL], Zoning.OTHER).astype(
+        np.uint8
+    )
+
+
+def default_commercial(field: str) -> tuple[int, ...]:
+    """Return the districts that are commercial where nobody says which: the paper's, of New York's own labels only.
+
+    Args:
+      field: of the labels; New York calls it ``BoroCD`` (``boro_cd`` in some exports). Any other gives none.
+    """
+    return PAPER_COMMERCIAL if field.lower().replace("_", "") == "borocd" else ()
