@@ -200,9 +200,11 @@ def returns_at(roof_m, ground_m, heights_m, scan, cells):
 
 def inputs() -> tuple[pipeline.MapInputs, visibility.SkyView]:
     """Return what all maps of a region of 8 M cells at one time are made of."""
-    city, params = soft_city().surface, (gps.Gps(), population.Population(), Risk(), Lidar())
+    settings = {"gps": gps.Gps(), "population": population.Population()}
+    ready = {"lidar": array(4, STEPS_5M), "population": (BLOCKS, array(2))}
+    fixed = ("lidar", Lidar()), ("risk", Risk())
     sky = visibility.SkyView(lines(), satellites(NUM_SATELLITES), WHOLE)
-    return pipeline.MapInputs(city, ALTITUDES_M, array(4, STEPS_5M), array(2), BLOCKS, *params), sky
+    return pipeline.MapInputs(soft_city().surface, ALTITUDES_M, ready, settings, fixed), sky
 
 
 RINGS = sweep.Ring(*(array(NUM_SATELLITES, *side.shape) for side in RING))

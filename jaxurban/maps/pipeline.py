@@ -8,6 +8,7 @@ statistics over time and own layers are the recipe's alone; soft maps are `SoftC
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -16,12 +17,9 @@ from jaxtyping import Array, Float
 
 from jaxurban.errors import InputError, typed
 from jaxurban.maps.task import MapTask
-from jaxurban.metrics.gps import Gps, maps_of_words
-from jaxurban.metrics.lidar import Lidar, beam_heights, lidar_of_beams
+from jaxurban.metrics.base import ALTITUDE, TIME_OF_DAY, Metric, TracedScene
 from jaxurban.metrics.obstacle import obstacle_mask
-from jaxurban.metrics.population import BlockPopulation, Population, day_share, layers_of_blocks, map_blocks
-from jaxurban.metrics.registry import METRICS, ON_REQUEST
-from jaxurban.metrics.risk import Risk, compute_risk
+from jaxurban.metrics.registry import ON_REQUEST, known_metrics
 from jaxurban.metrics.visibility import SkyView, visible_words
 from jaxurban.metrics.weights import GivenWeights, Weights
 from jaxurban.world.city import SLABS
@@ -31,28 +29,28 @@ from jaxurban.world.surface import Surface
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class MapInputs:
-    """What the maps of a region depend on besides the sky. ``A`` altitudes, ``D`` times of day; may be traced.
+    """What the maps of a region depend on besides the sky. ``A`` altitudes; may be traced.
 
     Attributes:
       surface: roofs, terrain and census blocks on the region and its margin.
       altitudes_m: ``[A]`` above the ground.
-      beams_m: ``[A, N]`` or ``[A, N, B]`` from `jaxurban.metrics.lidar.beam_heights`; goes with the altitudes.
-      day_share: ``[D]`` how far the population has moved from night to day.
-      population: the census blocks; None without them.
-      gps: of which the threshold may be traced.
-      people: settings of the population, of which the gammas may be traced.
-      risk, lidar: their ranges decide shapes: plain numbers.
+      ready: what metrics have made of these on the host, by name (`Metric.ready`): the lidar's beams go with the
+        altitudes.
+      settings: of the metrics by name; their leaves may be traced.
+      fixed: the same of metrics that look beyond a cell: how far decides shapes, so these are plain numbers.
     """
 
     surface: Surface
     altitudes_m: Float[Array, " A"]
-    beams_m: Float[Array, "A N ..."]
-    day_share: Float[Array, " D"]
-    population: BlockPopulation | None
-    gps: Gps
-    people: Population
-    risk: Risk = field(metadata={"static": True})
-    lidar: Lidar = field(metadata={"static": True})
+    ready: dict[str, Any]
+    settings: dict[str, Any]
+    fixed: tuple[tuple[str, Any], ...] = field(metadata={"static": True})
+
+    @property
+    def metrics(self) -> dict[str, tuple[Metric, Any]]:
+        """The metrics with their settings, by name, in the order of the cost."""
+        held = self.settings | dict(self.fixed)
+        return {name: (metric, held[name]) for name, metric in known_metrics().items() if name in held}
 
     def at_altitudes(self, altitudes_m: Sequence[float]) -> "MapInputs":
         """Return these inputs at other altitudes above the ground, none below the lowest of them.
@@ -66,8 +64,14 @@ class MapInputs:
                 f"the surface holds what shadows {lowest_m:g} m and higher, got altitudes_m {list(altitudes_m)}: make "
                 "the inputs at the lowest altitude"
             )
-        beams_m = jnp.asarray(beam_heights(altitudes_m, self.lidar, self.surface))
-        return replace(self, altitudes_m=jnp.asarray(altitudes_m, self.surface.roof_m.dtype), beams_m=beams_m)
+        flown = {name: held for name, held in self.metrics.items() if ALTITUDE in held[0].dims}
+        ready = {
+            name: metric.ready(self.surface, altitudes_m, settings, None, ())
+            for name, (metric, settings) in flown.items()
+            if metric.ready is not None
+        }
+        altitudes = jnp.asarray(altitudes_m, self.surface.roof_m.dtype)
+        return replace(self, altitudes_m=altitudes, ready=self.ready | ready)
 
 
 def inputs_of(task: MapTask) -> MapInputs:
@@ -88,24 +92,24 @@ def inputs_of(task: MapTask) -> MapInputs:
             "the maps as one function know no oversample, bounds, weighting, height_samples or own layers: leave them "
             "out, or make the maps with build_maps"
         )
-    if asked := [name for name in task.metrics if name in ON_REQUEST]:
+    if asked := [name for name, metric in task.metrics.items() if name in ON_REQUEST and metric.traced is None]:
         raise InputError(
             f"the maps as one function hold no {' and no '.join(asked)}: leave it out of others, or make the maps with "
             "build_maps"
         )
-    surface = jax.tree.map(jnp.asarray, task.surface())
-    blocks = task.city.blocks
-    return MapInputs(
-        surface,
-        jnp.asarray(params.altitudes_m, surface.roof_m.dtype),
-        jnp.asarray(beam_heights(params.altitudes_m, params.lidar, surface)),
-        jnp.asarray([day_share(time_of_day, params.population) for time_of_day in params.times_of_day], np.float32),
-        None if blocks is None else BlockPopulation.of(blocks, task.region.bounds_m),
-        params.gps,
-        params.population,
-        params.risk,
-        params.lidar,
-    )
+    surface, blocks = jax.tree.map(jnp.asarray, task.surface()), task.city.blocks
+    ready: dict[str, Any] = {}
+    settings: dict[str, Any] = {}
+    fixed: dict[str, Any] = {}
+    for name, metric in task.metrics.items():
+        if metric.traced is None:
+            continue
+        given = task.settings_of(metric)
+        (fixed if metric.reach_m(given) else settings)[name] = given
+        if metric.ready is not None:
+            ready[name] = metric.ready(surface, params.altitudes_m, given, blocks, params.times_of_day)
+    altitudes_m = jnp.asarray(params.altitudes_m, surface.roof_m.dtype)
+    return MapInputs(surface, altitudes_m, ready, settings, tuple(fixed.items()))
 
 
 def skies_of(task: MapTask, surface: Surface) -> SkyView:
@@ -134,9 +138,10 @@ def all_maps(inputs: MapInputs, sky: SkyView, weights: GivenWeights = None) -> d
         ``[A, D, y, x]``: what a step into a cell costs beside its length.
 
     Returns:
-      ``obstacle`` uint8, ``gps``, ``gdop``, ``pdop``, ``hdop``, ``vdop``, ``tdop``, ``num_visible``, ``lidar`` and
-      ``risk`` ``[A, y, x]``, and with census blocks ``population`` and ``density`` ``[D, y, x]``. NaN where the
-      surface has no data; integers keep what they are there.
+      ``obstacle`` uint8 ``[A, y, x]`` and all maps of each metric with a traced form: ``gps``, its DOPs and
+      ``num_visible``, ``lidar`` and ``risk`` ``[A, y, x]``, and with census blocks ``population`` and ``density``
+      ``[D, y, x]``. Inside obstacles they are finite or, as DOPs, inf; NaN where the surface has no data, but integers
+      keep what they are there.
 
     Raises:
       InputError: skies of several times, or weights that are none.
@@ -149,20 +154,13 @@ def all_maps(inputs: MapInputs, sky: SkyView, weights: GivenWeights = None) -> d
     surface, altitudes_m = inputs.surface, inputs.altitudes_m
     is_obstacle = obstacle_mask(surface.crop(surface.roof_m), altitudes_m)
     words = jnp.where(is_obstacle, jnp.uint32(0), visible_words(surface, altitudes_m, sky))
-    gps = maps_of_words(words, sky.satellites, inputs.gps.gdop_threshold)
-    maps = {
-        "obstacle": is_obstacle.astype(jnp.uint8),
-        "gps": gps.m,
-        **{name: getattr(gps, name) for name in ("gdop", "pdop", "hdop", "vdop", "tdop", "num_visible")},
-        "lidar": lidar_of_beams(surface, altitudes_m, inputs.beams_m, inputs.lidar),
-        "risk": compute_risk(surface, altitudes_m, inputs.risk, "jax"),
-    }
-    if (blocks := inputs.population) is not None and surface.block is not None:
-        layers = layers_of_blocks(blocks, inputs.day_share, inputs.people)
-        of_blocks = {"population": layers.m, "density": layers.density_per_km2}
-        maps |= {name: map_blocks(surface.block, values) for name, values in of_blocks.items()}
+    maps = {"obstacle": is_obstacle.astype(jnp.uint8)}
+    scene = TracedScene(surface, altitudes_m, sky.satellites, words)
+    for name, (metric, settings) in inputs.metrics.items():
+        assert metric.traced is not None
+        maps |= metric.traced(scene._replace(ready=inputs.ready.get(name)), settings)
     if weights is not None:
-        maps["cost"] = _weighted(maps, Weights.of(weights))
+        maps["cost"] = _weighted(inputs, maps, Weights.of(weights))
     if surface.has_data is not None:
         has_data = surface.crop(surface.has_data)  # after the cost, so that its derivatives stay finite
         maps = {
@@ -172,14 +170,14 @@ def all_maps(inputs: MapInputs, sky: SkyView, weights: GivenWeights = None) -> d
     return maps
 
 
-def _weighted(maps: dict[str, Array], weights: Weights) -> Array:
+def _weighted(inputs: MapInputs, maps: dict[str, Array], weights: Weights) -> Array:
     """Return the sum of the metrics' costs times their weights."""
-    has_people = "population" in maps
+    metrics = [metric for metric, _ in inputs.metrics.values()]
+    has_times = any(TIME_OF_DAY in metric.dims for metric in metrics)
     total = jnp.zeros(())
-    for name, metric in METRICS.items():
-        if name in maps:
-            m = maps[name]
-            if has_people:
-                m = m[None] if name == "population" else m[:, None]
-            total = total + jnp.asarray(weights[name]) * metric.cost(m)
+    for metric in metrics:
+        m = maps[metric.name]
+        if has_times:
+            m = m[None] if TIME_OF_DAY in metric.dims else m[:, None]
+        total = total + jnp.asarray(weights[metric.name]) * metric.cost(m)
     return total

@@ -1,6 +1,6 @@
 """What a metric is: its parameters, its maps, its cost and how it is shown; and what it may look at."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
@@ -13,9 +13,11 @@ from jaxurban.kernels.engine import Engine
 from jaxurban.world.surface import Surface
 
 if TYPE_CHECKING:
+    from jaxurban.kernels.dop import Geometry
     from jaxurban.metrics.gps import SatelliteSet
     from jaxurban.metrics.population import BlockLayers, BlockPopulation
     from jaxurban.metrics.visibility import SkyView
+    from jaxurban.world.city import Blocks
     from jaxurban.world.sky import InView
 
 AnyArray = Array | np.ndarray
@@ -170,6 +172,24 @@ class Scene:
     engine: Engine = "auto"
 
 
+class TracedScene(NamedTuple):
+    """What a metric may look at for its maps at all altitudes and times of day at once, as arrays that JAX traces.
+
+    Attributes:
+      surface: roofs, terrain and blocks.
+      altitudes_m: ``[A]`` above the ground.
+      satellites: the geometry of those of one time.
+      words: ``[W, A, y, x]`` which of them each cell sees, as in `Scene`; none inside obstacles.
+      ready: what `Metric.ready` has made on the host.
+    """
+
+    surface: Surface
+    altitudes_m: Float[Array, " A"]
+    satellites: "Geometry"
+    words: UInt[Array, "W A y x"]
+    ready: Any = None
+
+
 class SoftScene(NamedTuple):
     """What a soft, differentiable metric may look at. ``P`` chosen cells.
 
@@ -218,6 +238,10 @@ class Metric:
       unit: of its values.
       inside: what it is inside obstacles (see `Variable`).
       reach_m: how far beyond a cell it looks sideways; satellites' shadows apart.
+      traced: returns, of a traced scene, what ``compute`` returns place by place, each with its altitudes or times of
+        day in front: a function of arrays alone; None where there is none.
+      ready: returns what ``traced`` needs beside, made on the host of a surface, altitudes, settings, and the census
+        blocks and times of day, if any; None where it needs nothing.
       soft: returns m of a soft scene, on its cells, with gradients; None where there is none.
       also: every further variable that ``compute`` returns, under some settings or under all.
       available: which of these, 0 or 1, says that a position is available, for its share of the times of a series;
@@ -240,6 +264,8 @@ class Metric:
     unit: str = "1"
     inside: float | None = np.nan
     reach_m: Callable[[Any], float] = no_reach_m
+    traced: Callable[[TracedScene, Any], dict[str, jax.Array]] | None = None
+    ready: "Callable[[Surface, Sequence[float], Any, Blocks | None, Sequence[str]], Any] | None" = None
     soft: Callable[[SoftScene, Any], jax.Array] | None = None
     also: tuple[Variable, ...] = ()
     available: str = ""

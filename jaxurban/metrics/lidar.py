@@ -18,7 +18,7 @@ from jaxurban.kernels.lidar import soft as soft_kernel
 from jaxurban.kernels.lidar.flat_cpu import count_on_host
 from jaxurban.kernels.lidar.steps import count_returns_on_terrain_by_steps
 from jaxurban.kernels.lidar.terrain_cpu import MOST_BEAMS, count_on_terrain_on_host
-from jaxurban.metrics.base import ALTITUDE, AnyArray, Metric, Scene, in_type, low_is_bad, on_scene
+from jaxurban.metrics.base import ALTITUDE, AnyArray, Metric, Scene, TracedScene, in_type, low_is_bad, on_scene
 from jaxurban.metrics.obstacle import obstacle_mask, soft_obstacle
 from jaxurban.metrics.settings import check_softness, check_value, differentiable, reach_of
 from jaxurban.world.surface import Part, Surface
@@ -266,11 +266,21 @@ def _map(scene: Scene, params: Lidar) -> dict[str, AnyArray]:
     return {"lidar": maps[0]}
 
 
+def _ready(surface: Surface, altitudes_m: Sequence[float], params: Lidar, *_: Any) -> Array:
+    return jnp.asarray(beam_heights(altitudes_m, params, surface))
+
+
+def _traced(scene: TracedScene, params: Lidar) -> dict[str, Array]:
+    return {"lidar": lidar_of_beams(scene.surface, scene.altitudes_m, scene.ready, params)}
+
+
 METRIC = Metric(
     name="lidar",
     params=Lidar,
     dims=(ALTITUDE,),
     compute=_map,
+    traced=_traced,
+    ready=_ready,
     soft=partial(on_scene, soft_lidar),
     cost=low_is_bad,
     reach_m=reach_m,

@@ -13,10 +13,21 @@ from jax import lax
 from jaxtyping import Array, DTypeLike, Float, Int, Integer
 
 from jaxurban.errors import InputError, nearest_name, one_of, typed
-from jaxurban.metrics.base import TIME_OF_DAY, AnyArray, Metric, Scale, Scene, SoftScene, Variable, high_is_bad
+from jaxurban.metrics.base import (
+    TIME_OF_DAY,
+    AnyArray,
+    Metric,
+    Scale,
+    Scene,
+    SoftScene,
+    TracedScene,
+    Variable,
+    high_is_bad,
+)
 from jaxurban.metrics.settings import check_value, differentiable
 from jaxurban.world.city import Blocks, Zoning
 from jaxurban.world.grid import Bounds
+from jaxurban.world.surface import Surface
 
 M2_PER_KM2 = 1e6
 HOUR_OF_WEEK = re.compile(r"(weekday|weekend)-([01]\d|2[0-3])")
@@ -322,6 +333,22 @@ def _maps(scene: Scene, params: Population) -> dict[str, Array]:
     }
 
 
+def _ready(
+    surface: Surface, _: Sequence[float], params: Population, blocks: Blocks | None, times_of_day: Sequence[str]
+) -> tuple[BlockPopulation, Float[Array, " D"]]:
+    """Return the blocks, and how far the population has moved from night to day at each time."""
+    assert blocks is not None
+    shares = jnp.asarray([day_share(time_of_day, params) for time_of_day in times_of_day], np.float32)
+    return BlockPopulation.of(blocks, surface.region.bounds_m), shares
+
+
+def _traced(scene: TracedScene, params: Population) -> dict[str, Array]:
+    assert scene.surface.block is not None
+    layers = layers_of_blocks(*scene.ready, params)
+    named = {"population": layers.m, "density": layers.density_per_km2}
+    return {name: map_blocks(scene.surface.block, values) for name, values in named.items()}
+
+
 def _soft(scene: SoftScene, params: Population) -> Array:
     assert scene.surface.block is not None
     assert scene.population is not None
@@ -340,6 +367,8 @@ METRIC = Metric(
     params=Population,
     dims=(TIME_OF_DAY,),
     compute=_maps,
+    traced=_traced,
+    ready=_ready,
     soft=_soft,
     cost=high_is_bad,
     label="Population",

@@ -16,7 +16,7 @@ from jaxurban.kernels.distance import exact as kernel
 from jaxurban.kernels.distance import soft as soft_distance
 from jaxurban.kernels.distance.exact_cpu import distance_on_host
 from jaxurban.kernels.engine import Engine, runs_numba
-from jaxurban.metrics.base import ALTITUDE, AnyArray, Metric, Scene, in_type, low_is_bad, on_scene
+from jaxurban.metrics.base import ALTITUDE, AnyArray, Metric, Scene, TracedScene, in_type, low_is_bad, on_scene
 from jaxurban.metrics.obstacle import stands_at
 from jaxurban.metrics.settings import check_softness, check_value, differentiable, reach_of
 from jaxurban.world.surface import Part, Surface
@@ -218,11 +218,16 @@ def _map(scene: Scene, params: Risk) -> dict[str, AnyArray]:
     return {"risk": np.asarray(compute_risk(scene.surface, [scene.altitude_m], params, scene.engine))[0]}
 
 
+def _traced(scene: TracedScene, params: Risk) -> dict[str, Array]:
+    return {"risk": jnp.asarray(compute_risk(scene.surface, scene.altitudes_m, params, "jax"))}
+
+
 METRIC = Metric(
     name="risk",
     params=Risk,
     dims=(ALTITUDE,),
     compute=_map,
+    traced=_traced,
     soft=partial(on_scene, soft_risk),
     cost=low_is_bad,
     reach_m=reach_m,

@@ -1,6 +1,7 @@
 """The maps as one pure function: the recipe's bits, jitted, mapped over, exported."""
 
 from dataclasses import replace
+from functools import partial
 
 import jax
 import jax.export
@@ -13,6 +14,7 @@ from jaxurban.errors import InputError
 from jaxurban.maps.build import compute_maps, view_sky
 from jaxurban.maps.pipeline import all_maps, inputs_of, skies_of
 from jaxurban.maps.task import MapParams, MapTask
+from jaxurban.metrics.gps import Dop
 from jaxurban.world.city import Raster
 from jaxurban.world.grid import Grid
 
@@ -62,10 +64,12 @@ def assert_same(name, found, expected):
 
 def test_jitted_all_maps_has_the_bits_of_build_maps_on_a_small_city():
     city = ju.demo_city(600, 600)
-    expected = ju.build_maps(city, resolution_m=20.0, altitudes_m=(20.0,), times=TIMES[0])
-    inputs, skies = ju.grad.map_inputs(city, expected.grid, altitudes_m=(20.0,), times=TIMES[0])
+    others = {"gps_horizontal": Dop(10.0)}
+    expected = ju.build_maps(city, resolution_m=20.0, altitudes_m=(20.0,), times=TIMES[0], others=others)
+    params = MapParams(others=others)
+    inputs, skies = ju.grad.map_inputs(city, expected.grid, altitudes_m=(20.0,), times=TIMES[0], params=params)
     found = jax.jit(all_maps)(inputs, at(skies, 0))
-    assert {*found} >= {"obstacle", "gps", "gdop", "num_visible", "lidar", "risk", "population"}
+    assert {*found} >= {"obstacle", "gps", "gdop", "num_visible", "lidar", "risk", "population", "gps_horizontal"}
     for name, values in found.items():
         array = expected.ds[name].squeeze("time") if "time" in expected.ds[name].dims else expected.ds[name]
         assert name == "obstacle" or len(np.unique(values)) > 5, name
@@ -128,11 +132,14 @@ def test_it_maps_over_sixteen_skies_thresholds_gammas_heights_and_weights(inputs
         return maps
 
     thresholds = jnp.asarray([5.0, 20.0])
-    some = jax.vmap(by(gps=lambda value: replace_leaf(inputs.gps, "gdop_threshold", value)))(thresholds)
+    given = inputs.settings
+    gps = partial(replace_leaf, given["gps"], "gdop_threshold")
+    some = jax.vmap(by(settings=lambda value: given | {"gps": gps(value)}))(thresholds)
     np.testing.assert_array_equal(some["gps"][1], all_maps(inputs, sky)["gps"])
     assert np.mean(some["gps"][0]) < np.mean(some["gps"][1])
     gammas = jnp.asarray([1.0, 3.0])
-    some = jax.vmap(by(people=lambda value: replace_leaf(inputs.people, "gamma_commercial", value)))(gammas)
+    people = partial(replace_leaf, given["population"], "gamma_commercial")
+    some = jax.vmap(by(settings=lambda value: given | {"population": people(value)}))(gammas)
     assert_same("population", some["population"][1], all_maps(inputs, sky)["population"])
     roofs_m = jnp.stack([inputs.surface.roof_m, inputs.surface.roof_m * 0])
     some = jax.vmap(by(surface=lambda value: replace(inputs.surface, roof_m=value)))(roofs_m)

@@ -8,8 +8,19 @@ import numpy as np
 from jaxtyping import Array
 
 from jaxurban.errors import typed
-from jaxurban.metrics.base import ALTITUDE, TIME, AnyArray, Metric, Scale, Scene, SoftScene, Variable, low_is_bad
-from jaxurban.metrics.gps.hard import Gps, gps_metric
+from jaxurban.metrics.base import (
+    ALTITUDE,
+    TIME,
+    AnyArray,
+    Metric,
+    Scale,
+    Scene,
+    SoftScene,
+    TracedScene,
+    Variable,
+    low_is_bad,
+)
+from jaxurban.metrics.gps.hard import Gps, gps_metric, maps_of_words
 from jaxurban.metrics.gps.soft import soft_dop_metric, soft_gps
 from jaxurban.metrics.settings import check_value, differentiable
 
@@ -54,6 +65,12 @@ NUM_VISIBLE = Variable(
 )
 
 
+def _traced(scene: TracedScene, params: Gps) -> dict[str, Array]:
+    """Return the same at all altitudes."""
+    maps = maps_of_words(scene.words, scene.satellites, params.gdop_threshold)
+    return {"gps": maps.m, **{name: getattr(maps, name) for name in (*DOPS, "num_visible")}}
+
+
 def _soft(scene: SoftScene, params: Gps) -> Array:
     return soft_gps(scene.surface, scene.altitude_m, params, scene.softness_m, scene.view, cells=scene.cells)
 
@@ -63,6 +80,7 @@ METRIC = Metric(
     params=Gps,
     dims=(TIME, ALTITUDE),
     compute=_maps,
+    traced=_traced,
     soft=_soft,
     cost=low_is_bad,
     label="GPS quality",
@@ -103,6 +121,11 @@ def _map_of(name: str, dop: str, scene: Scene, params: Dop) -> dict[str, Array]:
     return {name: gps_metric(getattr(dops, dop), params.dop_threshold)}
 
 
+def _traced_of(name: str, dop: str, scene: TracedScene, params: Dop) -> dict[str, Array]:
+    maps = maps_of_words(scene.words, scene.satellites, params.dop_threshold)
+    return {name: gps_metric(getattr(maps, dop), params.dop_threshold)}
+
+
 def _soft_of(dop: str, scene: SoftScene, params: Dop) -> Array:
     here = scene.surface, scene.altitude_m, params.dop_threshold, scene.softness_m, scene.view
     return soft_dop_metric(*here, dop=dop, cells=scene.cells)
@@ -115,6 +138,7 @@ def _metric(name: str, dop: str, label: str, colour: str, colour_map: str) -> Me
         params=Dop,
         dims=(TIME, ALTITUDE),
         compute=compute,
+        traced=partial(_traced_of, name, dop),
         soft=partial(_soft_of, dop),
         cost=low_is_bad,
         label=label,
