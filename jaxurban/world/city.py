@@ -30,6 +30,13 @@ class HeightOrigin(IntEnum):
     LAYER = 5  # of a bridge's deck: its layer x a clearance
 
 
+GUESSED_BY = {  # the origins of heights that are guesses, as reports say them with the settings of the buildings
+    HeightOrigin.LEVELS: "by {level_height_m:g} m a level",
+    HeightOrigin.DEFAULT: "the default of {default_height_m:g} m",
+    HeightOrigin.LAYER: "decks of bridges by {layer_clearance_m:g} m a layer",
+}
+
+
 class Zoning(IntEnum):
     """What a district is for: decides how its population changes by day."""
 
@@ -145,8 +152,8 @@ class Buildings(_Rows):
 
     @property
     def is_guessed(self) -> np.ndarray:
-        """``[B]`` bool: no height is known, and levels, the default or a deck's layer stand in."""
-        return np.isin(self.origin, (HeightOrigin.LEVELS, HeightOrigin.DEFAULT, HeightOrigin.LAYER))
+        """``[B]`` bool: no height is known, and what `GUESSED_BY` names stands in."""
+        return np.isin(self.origin, list(GUESSED_BY))
 
     def origin_counts(self) -> dict[str, int]:
         """Return the number of buildings by origin of height, only origins that occur."""

@@ -9,7 +9,7 @@ import shapely
 
 from jaxurban.errors import GuessWarning
 from jaxurban.io.read.heights import LAYER_CLEARANCE_M
-from jaxurban.world.city import Blocks, Buildings, HeightOrigin, ReadIssue, ReadIssues
+from jaxurban.world.city import GUESSED_BY, Blocks, Buildings, ReadIssue, ReadIssues
 from jaxurban.world.grid import Bounds
 
 if TYPE_CHECKING:
@@ -48,16 +48,13 @@ def height_guesses(buildings: Buildings | None, bounds_m: Bounds, file: "Buildin
     if buildings is None or (share := guessed_share(buildings, bounds_m)) < TOLD_SHARE:
         return {}
     inside = buildings.take(shapely.intersects(buildings.polygons, shapely.box(*bounds_m)))
-    num_levels, num_default, num_decks = (
-        int((inside.origin == o).sum()) for o in (HeightOrigin.LEVELS, HeightOrigin.DEFAULT, HeightOrigin.LAYER)
-    )
-    decks = f", {num_decks:,} decks of bridges by {LAYER_CLEARANCE_M:g} m a layer" if num_decks else ""
+    numbers = vars(file) | {"layer_clearance_m": LAYER_CLEARANCE_M}
+    counts = {words: int((inside.origin == origin).sum()) for origin, words in GUESSED_BY.items()}
+    how = ", ".join(f"{num:,} {words.format(**numbers)}" for words, num in counts.items() if num)
     return {
         f"{percent(share)} of heights": (
-            f"the heights of {percent(share)} of the {len(inside):,} buildings in the region are guessed "
-            f"({num_levels:,} by {file.level_height_m:g} m a level, {num_default:,} the default of "
-            f"{file.default_height_m:g} m{decks}): give a source with heights, or set [buildings] level_height_m and "
-            "default_height_m"
+            f"the heights of {percent(share)} of the {len(inside):,} buildings in the region are guessed ({how}): give "
+            "a source with heights, or set [buildings] level_height_m and default_height_m"
         )
     }
 

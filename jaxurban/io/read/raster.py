@@ -29,7 +29,7 @@ DRIVERS = {
 RASTER_SUFFIXES = tuple(DRIVERS)
 SOURCE_TAGS = ("sourcefilename", "sourcedataset")  # of a .vrt; GDAL takes them in any case and namespace
 HEAD_BYTES = 4096  # GDAL knows a file by no more, blanks passed over
-OWN_VALUES = "in a unit of your own"
+OWN_VALUES, HEIGHTS = "in a unit of your own", "heights in metres"
 TERRAIN_RANGE_M = (-500.0, 9000.0)  # the shore of the Dead Sea lies at -430 m, the top of Everest at 8,849 m
 _MARGIN_PIXELS = 2  # bilinear sampling reaches half a pixel beyond the bounds, a curved border a little more
 MOST_PIXEL = 1e16  # area of a pixel, in its CRS's units: of a millionth of a metre to the Earth's
@@ -62,24 +62,9 @@ def read_raster(
         bounds, holds values that are not finite or beyond the limits and not declared empty, or whose vertical unit
         is unknown: a name that is none, two that differ, or a CRS in feet that says nothing of heights.
     """
-    name = repr(str(path))
-    with open_raster(path) as source:
-        unit_m = _unit_m(name, source)
-        window = raster_window(name, source, crs, bounds_m)
-        stored = source.read(1, window=window)
-        is_empty = source.read_masks(1, window=window) == 0
-        values = stored * source.scales[0] + source.offsets[0]
-        if unit_m != 1.0:
-            values = values * unit_m
-        values = np.where(is_empty, np.nan, values).astype(np.float32)
-        transform, raster_crs = source.transform, _horizontal_crs(source)
-    if num_bad := int(np.sum(~np.isfinite(stored) & ~is_empty)):
-        raise InputError(
-            f"{name} holds {num_bad} cells that are NaN or infinite and not declared as nodata: fill them, or declare "
-            "NaN with `gdal_edit.py -a_nodata nan`"
-        )
-    check_range(name, values, range_m)
-    return Raster(values, tuple(transform)[:6], raster_crs, int(window.row_off), int(window.col_off))
+    (raster,) = read_bands(path, crs, bounds_m, holds=HEIGHTS)
+    check_range(repr(str(path)), raster.values, range_m)
+    return raster
 
 
 def read_bands(
@@ -91,21 +76,31 @@ def read_bands(
 
     Args:
       path, crs, bounds_m: as there.
-      holds: what the values are, for messages; of any but `OWN_VALUES` there may be one band only.
+      holds: what the values are, for messages; of any but `OWN_VALUES` there may be one band only. `HEIGHTS` come in
+        metres, and what is not finite must be declared empty.
       dtype: of the result.
 
     Raises:
-      InputError: a file that cannot be read, has no CRS or no position, or does not reach the bounds.
+      InputError: a file that cannot be read, has no CRS or no position, or does not reach the bounds; of heights as for
+        `read_raster`.
     """
-    name = repr(str(path))
+    name, are_heights = repr(str(path)), holds == HEIGHTS
     with open_raster(path, holds) as source:
+        unit_m = _unit_m(name, source) if are_heights else 1.0
         window = raster_window(name, source, crs, bounds_m)
-        scale, offset = (np.array(values)[:, None, None] for values in (source.scales, source.offsets))
-        values = source.read(window=window) * scale + offset
-        is_empty = (source.read_masks(window=window) == 0) | ~np.isfinite(values)
+        stored, is_empty = source.read(window=window), source.read_masks(window=window) == 0
+        kind = np.result_type(stored, 0.0) if are_heights else np.float64
+        scale, offset = (np.array(values, kind)[:, None, None] for values in (source.scales, source.offsets))
+        values = (stored * scale + offset) * unit_m
         transform, raster_crs = tuple(source.transform)[:6], _horizontal_crs(source)
-    first = int(window.row_off), int(window.col_off)
-    return [Raster(band.astype(dtype), transform, raster_crs, *first) for band in np.where(is_empty, np.nan, values)]
+    is_bad = ~np.isfinite(values) & ~is_empty
+    if are_heights and is_bad.any():
+        raise InputError(
+            f"{name} holds {is_bad.sum()} cells that are NaN or infinite and not declared as nodata: fill them, or "
+            "declare NaN with `gdal_edit.py -a_nodata nan`"
+        )
+    values = np.where(is_empty | is_bad, np.nan, values).astype(dtype)
+    return [Raster(band, transform, raster_crs, int(window.row_off), int(window.col_off)) for band in values]
 
 
 def check_range(name: str, values: np.ndarray, range_m: tuple[float, float]) -> None:
@@ -132,7 +127,7 @@ def raster_extent_m(path: str | Path, crs: str) -> Bounds:
 
 
 @contextmanager
-def open_raster(path: str | Path, holds: str = "heights in metres") -> Iterator[rasterio.DatasetReader]:
+def open_raster(path: str | Path, holds: str = HEIGHTS) -> Iterator[rasterio.DatasetReader]:
     """Open a raster whose kind is right; every failure of reading it in the block is an InputError.
 
     Args:
