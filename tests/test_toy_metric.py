@@ -269,3 +269,8 @@ def test_a_raster_from_a_scenario_runs_through_the_commands(tmp_path, capsys):
     code, out, _ = run(capsys, "plan", tmp_path / "maps", *arguments, "--weights", "noise=2")
     assert "+noise" in out
     assert "cost of noise" in out
+
+
+def test_weights_name_every_metric_of_the_registry():
+    assert ju.Weights(toy=2.0).to_dict() == {"distance": 0.1, **dict.fromkeys(METRICS, 1.0), "toy": 2.0}
+    assert [*ju.Weights(shade=1.0).to_dict()] == ["distance", *METRICS, "shade"]

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 
 from jaxurban.errors import InputError, nearest_name, typed
 from jaxurban.metrics.base import AnyArray as AnyArray
-from jaxurban.metrics.registry import known_metrics
+from jaxurban.metrics.registry import METRICS, known_metrics
 
 DISTANCE_WEIGHT, METRIC_WEIGHT = 0.1, 1.0  # of the weights that nobody names
 MOST_WEIGHT = 1e30  # no path's cost overflows up to here, not even in float32
@@ -23,44 +23,30 @@ MOST_WEIGHT = 1e30  # no path's cost overflows up to here, not even in float32
 class Weights:
     """The paper's W: cost per metre, and cost per step (or per reference length) of each metric's cost.
 
-    ``weights["noise"]`` gives any weight by its metric's name; a metric that is not named weighs 1. A pytree, whose
-    leaves are the weights that are named.
+    ``weights["noise"]`` gives any weight by its metric's name, ``weights.gps`` one that is there; a metric that is not
+    named weighs 1. A pytree, whose leaves are the weights that are named.
 
     Attributes:
-      distance: w_0, cost per metre of path.
-      gps, lidar, population, risk: weight of each metric's cost c in [0, 1].
-      own: name and weight of further metrics, by name.
+      values: name and weight, the distance first (w_0, cost per metre of path), then the metrics of every cost (of each
+        one's cost c in [0, 1]), then others by name.
     """
 
-    distance: float | jax.Array
-    gps: float | jax.Array
-    lidar: float | jax.Array
-    population: float | jax.Array
-    risk: float | jax.Array
-    own: tuple[tuple[str, float | jax.Array], ...]
+    values: tuple[tuple[str, float | jax.Array], ...]
 
-    def __init__(
-        self,
-        distance: float | jax.Array = DISTANCE_WEIGHT,
-        gps: float | jax.Array = METRIC_WEIGHT,
-        lidar: float | jax.Array = METRIC_WEIGHT,
-        population: float | jax.Array = METRIC_WEIGHT,
-        risk: float | jax.Array = METRIC_WEIGHT,
-        **own: float | jax.Array,
-    ) -> None:
-        own = {**dict(own.pop("own", ())), **own}  # type: ignore[arg-type]  # as `dataclasses.replace` gives them
-        self._set({"distance": distance, "gps": gps, "lidar": lidar, "population": population, "risk": risk}, own)
+    def __init__(self, distance: float | jax.Array = DISTANCE_WEIGHT, **weights: float | jax.Array) -> None:
+        named = {"distance": distance, **dict.fromkeys(METRICS, METRIC_WEIGHT)}
+        object.__setattr__(self, "values", tuple((named | dict(sorted(weights.items()))).items()))
 
-    def _set(self, named: Mapping[str, Any], own: Mapping[str, Any]) -> None:
-        for name, value in named.items():
-            object.__setattr__(self, name, value)
-        object.__setattr__(self, "own", tuple(sorted(own.items(), key=lambda item: item[0])))
+    def __getattr__(self, name: str) -> Any:
+        if name not in (values := dict(self.__dict__.get("values", ()))):
+            raise AttributeError(f"there is no weight {name!r}")
+        return values[name]
 
     def __getitem__(self, name: str) -> float | jax.Array:
         return self.to_dict().get(name, METRIC_WEIGHT)
 
     def __repr__(self) -> str:
-        return f"Weights({', '.join(f'{name}={value!r}' for name, value in self.to_dict().items())})"
+        return f"Weights({', '.join(f'{name}={value!r}' for name, value in self.values)})"
 
     @classmethod
     def of(cls, given: "GivenWeights", base: Mapping[str, float] | None = None) -> "Weights":
@@ -104,8 +90,7 @@ class Weights:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the weights by name, the distance first."""
-        named = {name: getattr(self, name) for name in ("distance", "gps", "lidar", "population", "risk")}
-        return {**named, **dict(self.own)}
+        return dict(self.values)
 
     def replace(self, **changes: float | jax.Array) -> "Weights":
         """Return the weights with some of them changed."""
@@ -141,15 +126,14 @@ class Weights:
 
     def tree_flatten_with_keys(self) -> tuple[tuple, tuple[str, ...]]:
         """Return the weights with their keys, for JAX."""
-        values = self.to_dict()
-        return tuple((jax.tree_util.GetAttrKey(name), value) for name, value in values.items()), tuple(values)
+        names, values = zip(*self.values, strict=True)
+        return tuple(zip(map(jax.tree_util.GetAttrKey, names), values, strict=True)), names
 
     @classmethod
     def tree_unflatten(cls, names: tuple[str, ...], values: Iterable[Any]) -> "Weights":
         """Return the weights that JAX took apart, whatever it puts in their place."""
-        given = dict(zip(names, values, strict=True))
         weights = object.__new__(cls)
-        weights._set({name: given.pop(name) for name in ("distance", "gps", "lidar", "population", "risk")}, given)
+        object.__setattr__(weights, "values", tuple(zip(names, values, strict=True)))
         return weights
 
 

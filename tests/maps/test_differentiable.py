@@ -34,7 +34,7 @@ PARAMS = SoftParams(
     Risk(37.0),
     Population(normalise=400_000.0),
 )
-WEIGHTS = Weights(0.05, 1.0, 0.7, 0.4, 1.2)
+WEIGHTS = Weights(0.05, gps=1.0, lidar=0.7, population=0.4, risk=1.2)
 START, GOAL = (1, 1), (13, 16)
 REACH_M = (("gps", 0.0), ("lidar", 40.0), ("population", 0.0), ("risk", 40.0))
 

@@ -33,7 +33,7 @@ def test_maps_weighed_once_give_the_paths_of_separate_plans(maps):
 
 
 def test_the_metrics_of_a_path_are_the_means_over_the_length_in_each_cell(maps):
-    weighted = ju.cost_map(maps, 20.0, cost_model=ju.CostModel("line", 1.0), weights=ju.Weights(0, 1, 1, 1, 1))
+    weighted = ju.cost_map(maps, 20.0, cost_model=ju.CostModel("line", 1.0), weights=ju.Weights(0))
     rows, cols = np.nonzero(weighted.is_free)
     planned = weighted.plan(*(ju.XY(*weighted.grid.xy_of_cell(rows[k], cols[k])) for k in (0, -1)))
     for name, mean in planned.metrics.items():

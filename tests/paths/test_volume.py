@@ -300,6 +300,6 @@ def test_a_volume_flies_over_a_zone_with_a_ceiling_and_around_one_without():
 
 
 def test_climbing_alone_can_be_what_costs(maps, ends):
-    free = ju.Weights(0.0, 0.0, 0.0, 0.0, 0.0)
+    free = ju.Weights(**dict.fromkeys(ju.Weights().to_dict(), 0.0))
     level = plan_volume(maps, weights=free, climb_cost=5.0, **ends)
     assert level.cost == 5.0 * max(0.0, level.z_m[-1] - level.z_m[0])

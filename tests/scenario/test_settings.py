@@ -130,7 +130,7 @@ def test_a_series_of_epochs_includes_both_ends():
             r"study.weights.1: unknown weight 'riks' \(did you mean 'risk'",
         ),
         ({"weights": {"noise": 2.0}}, "weights: unknown weight 'noise'"),
-        ({"weights": {"gps": True}}, "weights: gps cannot be true"),
+        ({"weights": {"gps": True}}, "weights: gps must be a number"),
         ({"layers": {"noise": {"source": "n.tif"}}}, "'layers.noise.cost' is required"),
         ({"layers": {"noise": NOISE | {"scale": [80, 0]}}}, "layers.noise: scale must be two ascending numbers"),
         ({"layers": {"noise": NOISE | {"cost": "low"}}}, "layers.noise.cost: input should be 'high-is-bad'"),

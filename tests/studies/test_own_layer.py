@@ -24,7 +24,7 @@ from tests.made_maps import made_maps
 from tests.studies.routes_made import made_queries
 
 NAMES = ("distance", "gps", "lidar", "population", "risk", "noise")
-LOUD = ju.Weights(0.05, 0.2, 0.2, 0.2, 0.2, noise=5.0)
+LOUD = ju.Weights(0.05, gps=0.2, lidar=0.2, population=0.2, risk=0.2, noise=5.0)
 ENDS = ((4, 1), (28, 34))
 
 

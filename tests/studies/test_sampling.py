@@ -89,7 +89,7 @@ def test_dirichlet_shares_sum_to_one_with_distance_per_reference_length(instance
 
 
 def test_given_weights_take_turns(maps):
-    given = [Weights(), Weights(0.2, 1, 2, 3, 4)]
+    given = [Weights(), Weights(0.2, gps=1, lidar=2, population=3, risk=4)]
     found = sample_instances(maps, 3, altitudes_m=[60], weights=given)
     assert found.altitude_m.tolist() == [60, 60, 60]
     assert found.w_risk.tolist() == [1, 4, 1]
