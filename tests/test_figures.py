@@ -9,11 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 
 from figures.paper import common, example_paths
-from jaxurban.report.figures.frame import classes_layer, make_frame
+from jaxurban.report.figures.frame import MapPanel, classes_layer, draw_maps
 from jaxurban.world.grid import Grid
 
 ROOT = Path(__file__).parents[1]
@@ -48,31 +46,6 @@ def test_a_script_names_its_figure_and_what_it_drew_is_small(script):
         assert all(line.endswith((".", ")", "|")) for line in text.splitlines() if line and line[0] != "#")
 
 
-@pytest.mark.parametrize("layout", ["frame", "constrained"])
-def test_a_caption_stands_beneath_the_figure_and_inside_the_page(layout):
-    if layout == "frame":
-        figure = make_frame(GRID, ["a", "b"], "Heading", "note").figure
-    else:
-        figure = Figure(layout="constrained", figsize=(8, 4))
-        figure.subplots(1, 2)
-    figure.draw_without_rendering()
-    sizes_in = [axes.get_position().height * figure.get_figheight() for axes in figure.axes]
-    common.write_beneath(figure, CAPTION)
-    canvas = FigureCanvasAgg(figure)
-    canvas.draw()
-    texts = figure.texts[-6:]
-    boxes = [text.get_window_extent(canvas.get_renderer()) for text in texts]
-    assert [text.get_text() for text in texts[::2]] == list(common.HEADS)
-    assert min(box.y0 for box in boxes) > 0
-    assert min(box.x0 for box in boxes) > 0
-    assert max(box.x1 for box in boxes) < figure.bbox.x1
-    assert all(upper.y0 >= lower.y1 for upper, lower in zip(boxes[1::2], boxes[3::2], strict=False))
-    floor = min(axes.get_tightbbox(canvas.get_renderer()).y0 for axes in figure.axes if axes.axison)
-    assert max(box.y1 for box in boxes) <= floor
-    now_in = [axes.get_position().height * figure.get_figheight() for axes in figure.axes]
-    assert now_in == pytest.approx(sizes_in, rel=0.01)
-
-
 def test_a_window_shows_the_grid_where_it_is_and_nothing_beyond():
     layer = classes_layer(np.arange(GRID.num_rows * GRID.num_cols).reshape(GRID.shape) % 7, list("rgbcmyk"))
     part = replace(GRID, first_row=GRID.first_row - 5, first_col=GRID.first_col + 30, num_rows=40, num_cols=40)
@@ -88,8 +61,11 @@ def test_a_figure_is_drawn_anew_as_picture_and_for_print(tmp_path, monkeypatch):
     monkeypatch.setattr(common, "HERE", tmp_path)
     monkeypatch.setattr(common, "OUT", tmp_path / "print")
     monkeypatch.setattr(common, "TOWNS", (common.SYNTHETIC, common.MANHATTAN))
-    common.save(make_frame(GRID, ["a"], "Heading", "note").figure, "fig_99_try", CAPTION)
+    common.save(draw_maps(GRID, [MapPanel("a")], "Heading", "note")[0], "fig_99_try", CAPTION)
     assert (tmp_path / "fig_99_try.png").read_bytes()[:4] == b"\x89PNG"
+    text = (tmp_path / "fig_99_try.md").read_text(encoding="utf-8")
+    assert "### Heading\n\n![fig_99_try](fig_99_try.png)" in text
+    assert all(f"**{head}.** {said}" in text for head, said in zip(common.HEADS, CAPTION, strict=True))
     assert (tmp_path / "print" / "fig_99_try.pdf").read_bytes()[:4] == b"%PDF"
 
 

@@ -1,12 +1,10 @@
-"""What the paper's figures and tables share: two cities, the caption beneath, and files to look at and to print.
+"""What the paper's figures and tables share: two cities, captions in words, and files to look at and to print.
 
 `TOWNS` are the synthetic city, over the paper's 10 x 20 km, and Lower Manhattan, where the data files are at hand
 (``JAXURBAN_DATA``, default ``../shared/data``). Their maps are made once, under out/figures.
 """
 
 import os
-import re
-import textwrap
 from collections.abc import Callable, Iterable, Mapping
 from functools import cache
 from pathlib import Path
@@ -23,8 +21,6 @@ from matplotlib.path import Path as Outline
 import jaxurban as ju
 from jaxurban.io.read.census import CensusFiles, read_blocks, read_districts
 from jaxurban.report.figures import plot_metric
-from jaxurban.report.figures.frame import KEY
-from jaxurban.report.figures.style import FAINT_INK, INK, SMALL_PT
 from jaxurban.report.write import framed, write_png
 from jaxurban.scenario.run import ScenarioRun, load_city, run_scenario
 from jaxurban.scenario.settings import Scenario
@@ -46,9 +42,7 @@ CENSUS = {
     "districts": DATA / "districts/nyc_community_districts.geojson",
 }
 CREDIT = "buildings © OpenStreetMap contributors (ODbL); US Census Bureau; NYC Open Data"
-UNIT = re.compile(r"(?<=\d) (?=(m|km|s|km²)\b|%)|(?<=\d) (?=x \d)|(?<=\d x) (?=\d)|(?<=\b1) (?=- m)|(?<=\b1 -) (?=m)")
 HEADS = ("The paper", "Here", "Why they differ")
-CAPTION_COLUMN_IN, LINE_IN, LETTERS_PER_IN = 1.25, 0.148, 15.0
 
 
 class Caption(NamedTuple):
@@ -191,12 +185,11 @@ def draw_metric(number: int, metric: str, caption: Callable[[Town, ju.MetricMaps
 
 
 def save(figure: Figure, name: str, caption: Caption) -> None:
-    """Write a figure with its caption beneath: figures/paper/NAME.png to look at, out/figures/NAME.pdf to print."""
-    write_beneath(figure, caption)
+    """Write a figure: figures/paper/NAME.png to look at, its caption in NAME.md, out/figures/NAME.pdf to print."""
     OUT.mkdir(parents=True, exist_ok=True)
     write_png(figure, kept(name) / f"{name}.png")
     figure.savefig(OUT / f"{name}.pdf", dpi=300, metadata={"CreationDate": None})
-    print(f"  {name}.png", flush=True)
+    write_caption(name, figure.get_suptitle(), f"![{name}]({name}.png)", caption)
 
 
 def kept(name: str) -> Path:
@@ -204,42 +197,14 @@ def kept(name: str) -> Path:
     return HERE if len(TOWNS) > 1 or name.endswith(f"_{SYNTHETIC.name}") else OUT
 
 
-def write_beneath(figure: Figure, caption: Caption) -> None:
-    """Make the figure taller at its foot and write the caption there."""
-    width_in, height_in = figure.get_size_inches()
-    letters = int((width_in - CAPTION_COLUMN_IN - 0.3) * LETTERS_PER_IN)
-    paragraphs = [textwrap.fill(UNIT.sub("\u00a0", text), letters) for text in caption]  # no line begins with a unit
-    room_in = sum(LINE_IN * (text.count("\n") + 1) + 0.07 for text in paragraphs) + 0.16
-    total_in = height_in + room_in
-    figure.set_size_inches(width_in, total_in)
-
-    def lifted(y: float) -> float:
-        return (y * height_in + room_in) / total_in
-
-    if (layout := figure.get_layout_engine()) is not None:
-        x0, y0, width, height = layout.get()["rect"]
-        layout.set(rect=(x0, lifted(y0), width, height * height_in / total_in))
-    for axes in figure.axes:
-        if layout is None or axes.get_gid() == KEY:
-            box = axes.get_position(original=True)
-            axes.set_position((box.x0, lifted(box.y0), box.width, box.height * height_in / total_in))
-    for text in figure.texts:
-        text.set_y(lifted(text.get_position()[1]))
-    for legend in figure.legends if layout is None else ():  # at the foot
-        legend.set_bbox_to_anchor((0, room_in / total_in, 1, 1 - room_in / total_in))
-    y_in = room_in - 0.08
-    for head, text in zip(HEADS, paragraphs, strict=True):
-        look = {"va": "top", "size": SMALL_PT + 0.5, "in_layout": False, "linespacing": 1.2}
-        figure.text(0.15 / width_in, y_in / total_in, head, weight="bold", color=INK, **look)
-        figure.text(CAPTION_COLUMN_IN / width_in, y_in / total_in, text, color=FAINT_INK, **look)
-        y_in -= LINE_IN * (text.count("\n") + 1) + 0.07
-
-
 def save_table(table: pd.DataFrame, name: str, title: str, caption: Caption) -> None:
     """Write a table with its caption beneath as figures/paper/NAME.md."""
+    write_caption(name, title, framed(table), caption)
+
+
+def write_caption(name: str, title: str, what: str, caption: Caption) -> None:
+    """Write figures/paper/NAME.md: a title, a table or picture, and the caption beneath."""
     beneath = [f"**{head}.** {text}" for head, text in zip(HEADS, caption, strict=True)]
     OUT.mkdir(parents=True, exist_ok=True)
-    (kept(name) / f"{name}.md").write_text(
-        "\n\n".join([f"### {title}", framed(table), *beneath]) + "\n", encoding="utf-8"
-    )
-    print(f"  {name}.md", flush=True)
+    (kept(name) / f"{name}.md").write_text("\n\n".join([f"### {title}", what, *beneath]) + "\n", encoding="utf-8")
+    print(f"  {name}", flush=True)

@@ -17,19 +17,18 @@ from jaxurban.paths.path import PlannedPath, finish, map_settings
 from jaxurban.paths.preset import PathSearch
 from jaxurban.paths.snapping import XY
 from jaxurban.planners.registry import find_planner
-from jaxurban.report.figures.frame import NO_DATA_COLOUR, MapLayer, add_key, add_scale, draw_layers, make_frame
+from jaxurban.report.figures.frame import NO_DATA_COLOUR, MapLayer, MapPanel, add_scale, draw_layers, draw_maps
 from jaxurban.report.figures.metrics import obstacle_patches
-from jaxurban.report.figures.notes import rules_said
+from jaxurban.report.figures.notes import joined, rules_said
 from jaxurban.report.figures.paths import (
     BLOCKED_COLOUR,
     COST_COLOURS,
-    LINE_IN,
     cost_layers,
-    draw_ends,
-    draw_path,
-    legend_below,
+    outcome_of,
+    path_entries,
     planner_colours,
 )
+from jaxurban.report.figures.paths import draw_paths as add_paths
 from jaxurban.scenario.settings import PAPER_PLANNERS
 from jaxurban.studies.montecarlo.trial import draws_samples
 from jaxurban.world.grid import Grid
@@ -38,7 +37,7 @@ DAY_UP_TO_M = 60.0  # the paper draws day at 20 and 60 m, night above
 NUM_SAMPLES = 10_000  # of BIT*: the pictures repeat exactly, as under a budget in seconds they would not
 # Beside colours, for print in black and white; dashes let the line beneath show.
 DASHES = {"ptp": ":", "astar-plus": (0, (5, 2.5)), "bitstar-plus": (0, (2, 1.2))}
-MARGIN, SCALE_IN = 0.12, 0.38
+MARGIN = 0.12
 Share = tuple[float, float]  # of the region's width and height, from its southwest corner
 # Number of the figure, town, shares of start and goal, and what the query stands for.
 CASES = """
@@ -142,41 +141,33 @@ def crop(layer: MapLayer, grid: Grid, part: Grid) -> MapLayer:
 def draw(town: Town, shared: CostMap, cases: Sequence[Case], results: Sequence[list[PlannedPath]]) -> Figure:
     maps, altitude_m = shared.maps, shared.altitude_m
     parts = [window(maps.grid, paths) for paths in results]
-    titles = [f"({letter}) {case.title}" for letter, case in zip("abc", cases, strict=True)]
+    panels = []
+    for letter, case, paths in zip("abc", cases, results, strict=True):
+        outcomes = "\n".join(outcome_of(path, path.search.planner) for path in paths)
+        panels.append(MapPanel(f"({letter}) {case.title}", foot=outcomes))
     heading = f"Example paths {altitude_m:g} m above ground: {town.title}"
-    credit = [maps.ds.attrs["attribution"]] if "attribution" in maps.ds.attrs else []
-    note = [
-        "each panel around its paths",
-        f"{PATH_M:g} m cells",
-        f"{shared.time_of_day}time people",
-        "below: cost, length",
-        *credit,
-    ]
-    note = f"{'  ·  '.join(note)}\n{rules_said(map_settings(shared))}"
-    footer_in = len(PAPER_PLANNERS) * LINE_IN + SCALE_IN
-    frame = make_frame(parts[0], titles, heading, note, footer_in=footer_in, with_ticks=False)
-    layout, scale = frame.figure.get_layout_engine(), SCALE_IN / frame.figure.get_figheight()
-    x0, y0, width, height = layout.get()["rect"]
-    layout.set(rect=(x0, y0 + scale, width, height - scale))  # free for the scale bars, which it does not see
+    facts = "each panel around its paths", f"{PATH_M:g} m cells", f"{shared.time_of_day}time people"
+    note = joined(*facts, "below: cost, length", maps.ds.attrs.get("attribution"))
     colours = planner_colours(PAPER_PLANNERS)
-    layers = cost_layers(maps, altitude_m, shared.time, shared.time_of_day)
-    for panel, part, paths in zip(frame.axes, parts, results, strict=True):
-        panel.set(xlim=(part.x_min_m, part.x_max_m), ylim=(part.y_min_m, part.y_max_m))
-        draw_layers(panel, part, [crop(layer, maps.grid, part) for layer in layers])
-        handles = []
-        for rank, path in enumerate(paths):
-            handles.append(draw_path(panel, path, colours, rank, len(paths)))
-            dash = DASHES.get(path.search.planner, "-")
-            for line in (handles[-1], *panel.lines[-1:]) if path.status.has_path else ():
-                line.set_linestyle(dash)
-        draw_ends(panel, paths)
-        legend_below(panel, frame, handles)
-        add_scale(frame, panel, panel, footer_in)
-    patches = obstacle_patches(maps, BLOCKED_COLOUR)
+    legend = obstacle_patches(maps, BLOCKED_COLOUR)
     if any(not _holds(maps.grid, part) for part in parts):
-        patches = [*patches[:1], ("beyond the\nregion, or\nno data", NO_DATA_COLOUR)]
-    add_key(frame, patches, COST_COLOURS, has_scale=False)
-    return frame.figure
+        legend = [*legend[:1], ("beyond the\nregion, or\nno data", NO_DATA_COLOUR)]
+    entries = path_entries(colours, [path for paths in results for path in paths])
+    for planner, entry in zip(PAPER_PLANNERS, entries, strict=False):
+        entry.set_linestyle(DASHES.get(planner, "-"))
+    look = {"legend": [*legend, *entries], "colours": COST_COLOURS, "has_ticks": False}
+    figure, axes = draw_maps(parts[0], panels, heading, f"{note}\n{rules_said(map_settings(shared))}", **look)
+    layers = cost_layers(maps, altitude_m, shared.time, shared.time_of_day)
+    for panel, part, paths in zip(axes, parts, results, strict=True):
+        draw_layers(panel, part, [crop(layer, maps.grid, part) for layer in layers])
+        panel.set(xlim=(part.x_min_m, part.x_max_m), ylim=(part.y_min_m, part.y_max_m))
+        add_paths(panel, paths, [colours[path.search.planner] for path in paths])
+        found = [path for path in paths if path.status.has_path]
+        for path, line in zip(found, panel.lines, strict=False):
+            line.set_linestyle(DASHES.get(path.search.planner, "-"))
+        if panel is not axes[0]:
+            add_scale(panel)
+    return figure
 
 
 def _holds(grid: Grid, part: Grid) -> bool:

@@ -3,7 +3,9 @@
 import numpy as np
 import osmium
 import shapely
+from matplotlib.axes import Axes
 from matplotlib.colors import PowerNorm
+from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from figures.paper.common import (
@@ -20,9 +22,10 @@ from figures.paper.common import (
     save,
     synthetic_city,
 )
-from jaxurban.report.figures.frame import Frame, add_bar_below, add_key, make_frame, write_legend
+from jaxurban.report.figures.frame import MapPanel, draw_maps
 from jaxurban.report.figures.metrics import ROOF_TICKS_M
-from jaxurban.report.figures.style import FAINT_INK, INK, SMALL_PT, Colours
+from jaxurban.report.figures.notes import joined
+from jaxurban.report.figures.style import FAINT_INK, INK, Colours
 from jaxurban.world.city import OTHER_DISTRICT
 from jaxurban.world.grid import WGS84, Grid, transformer
 from jaxurban.world.synthetic_streets import CityPlan
@@ -57,36 +60,42 @@ def extract_bounds() -> tuple[float, float, float, float]:
     return box.bottom_left.lon, box.bottom_left.lat, box.top_right.lon, box.top_right.lat
 
 
-def begin(title: str, credit: str = "", footer_in: float = 0.0) -> Frame:
-    """Return the frame of a picture, its water drawn, with room for a colour bar beneath."""
+def begin(title: str, legend: dict[str, dict], credit: str = "", colours: Colours | None = None) -> tuple[Figure, Axes]:
+    """Return a picture and its panel, water drawn; ``legend``: entries, each with the look of its patch."""
     grid = region_grid()
     width_km, height_km = (grid.x_max_m - grid.x_min_m) / 1e3, (grid.y_max_m - grid.y_min_m) / 1e3
-    note = "  ·  ".join([f"L: {width_km:.1f} x {height_km:.1f} km", grid.crs, *([credit] if credit else [])])
-    frame = make_frame(shown_grid(), [title], "The region of the study", note, footer_in)
-    frame.axes[0].set_facecolor(WATER)
+    note = joined(f"L: {width_km:.1f} x {height_km:.1f} km", grid.crs, credit)
+    handles = [Patch(label=name, **look) for name, look in legend.items()]
+    look = {"legend": handles, "colours": colours}
+    figure, (panel,) = draw_maps(shown_grid(), [MapPanel(title)], "The region of the study", note, **look)
+    panel.set_facecolor(WATER)
     corner = {"size": 13, "weight": "bold", "ha": "left", "va": "top", "color": INK, "zorder": 10}
-    frame.axes[0].text(grid.x_min_m + 250, grid.y_max_m - 200, "L", bbox={"facecolor": "white", "pad": 2}, **corner)
-    return frame
+    panel.text(grid.x_min_m + 250, grid.y_max_m - 200, "L", bbox={"facecolor": "white", "pad": 2}, **corner)
+    return figure, panel
 
 
-def add_legend(frame: Frame, entries: dict[str, dict]) -> None:
-    """Write the key column: the entries, each with the look of its patch, then north and scale."""
-    add_key(frame)
-    write_legend(frame.key, [Patch(label=name, **look) for name, look in entries.items()])
-
-
-def draw_box(frame: Frame, polygon: shapely.Polygon, colour: str, style: str, width: float) -> dict:
-    """Draw a box's outline and return its look in the legend."""
-    look = {"facecolor": "none", "edgecolor": colour, "linestyle": style, "linewidth": width}
-    add_polygons(frame.axes[0], [polygon], zorder=9, **look)
-    return look
+def outline(colour: str, width: float, style: str = "-", fill: str = "none") -> dict:
+    """Return the look of what has a border."""
+    return {"facecolor": fill, "edgecolor": colour, "linestyle": style, "linewidth": width}
 
 
 def draw_manhattan() -> None:
     polygons, labels = new_york_districts()
     blocks, is_ours = manhattan_blocks(), np.isin(labels, [*MANHATTAN_LABELS, CENTRAL_PARK])
-    frame = begin("Manhattan: census blocks and districts", CREDIT.split("; ", 1)[1])
-    panel, region = frame.axes[0], shapely.box(*region_grid().bounds_m)
+    boxes = {
+        "region L": outline(BOX, 1.6, "--"),
+        "OSM extract\nat hand": outline(EXTRACT, 1.2),
+        "box of our\nLower Manhattan\nmaps": outline(STUDY, 2.2),
+    }
+    legend = {
+        "district": outline(BORDER, 1.0, fill=LAND),
+        "census block": outline("#9a9a9a", 0.4, fill=LAND),
+        "Central Park": outline(FAINT_INK, 0.4, fill=PARK),
+        "other boroughs": outline(FAINT_INK, 0.4, fill=FAR_LAND),
+        "water, or land\nwithout data\n(New Jersey)": outline(FAINT_INK, 0.4, fill=WATER),
+    }
+    figure, panel = begin("Manhattan: census blocks and districts", boxes | legend, CREDIT.split("; ", 1)[1])
+    region = shapely.box(*region_grid().bounds_m)
     seen = shapely.intersects(polygons, shapely.box(*shown_grid().bounds_m))
     flat = {"linewidth": 0, "rasterized": True}
     add_polygons(panel, polygons[seen & ~is_ours], facecolor=FAR_LAND, **flat)
@@ -96,23 +105,8 @@ def draw_manhattan() -> None:
     add_polygons(panel, ashore, facecolor="none", edgecolor="#9a9a9a", linewidth=0.2, rasterized=True)
     add_polygons(panel, polygons[is_ours], facecolor="none", edgecolor=BORDER, linewidth=1.0)
     extract, study = box_of(extract_bounds()), box_of(MANHATTAN.scenario["region"]["bounds"])
-    add_legend(
-        frame,
-        {
-            "region L": draw_box(frame, region, BOX, "--", 1.6),
-            "OSM extract\nat hand": draw_box(frame, extract, EXTRACT, "-", 1.2),
-            "box of our\nLower Manhattan\nmaps": draw_box(frame, study, STUDY, "-", 2.2),
-            "district": {"facecolor": LAND, "edgecolor": BORDER, "linewidth": 1.0},
-            "census block": {"facecolor": LAND, "edgecolor": "#9a9a9a", "linewidth": 0.4},
-            "Central Park": {"facecolor": PARK, "edgecolor": FAINT_INK, "linewidth": 0.4},
-            "other boroughs": {"facecolor": FAR_LAND, "edgecolor": FAINT_INK, "linewidth": 0.4},
-            "water, or land\nwithout data\n(New Jersey)": {
-                "facecolor": WATER,
-                "edgecolor": FAINT_INK,
-                "linewidth": 0.4,
-            },
-        },
-    )
+    for polygon, look in zip((region, extract, study), boxes.values(), strict=True):
+        add_polygons(panel, [polygon], zorder=9, **look)
     island = shapely.union_all(polygons[is_ours])
     land_km2 = {
         name: shapely.area(shapely.intersection(island, box)) / 1e6 for name, box in (("L", region), ("study", study))
@@ -135,40 +129,37 @@ def draw_manhattan() -> None:
         "OpenStreetMap's file of the whole planet, which the paper cut, is not at hand, so the whole of L is tried "
         "on the synthetic city only."
     )
-    save(frame.figure, "fig_02_region_manhattan", Caption(PAPER, here, why))
+    save(figure, "fig_02_region_manhattan", Caption(PAPER, here, why))
 
 
 def draw_synthetic() -> None:
-    city, frame = synthetic_city(), begin("The synthetic city: land, park, districts and roofs", footer_in=0.4)
-    plan, panel = CityPlan(city.extent_m), frame.axes[0]
-    region = shapely.box(*region_grid().bounds_m)
+    city, region = synthetic_city(), shapely.box(*region_grid().bounds_m)
+    plan = CityPlan(city.extent_m)
     buildings = city.buildings.take(shapely.intersects(city.buildings.polygons, region))
     blocks, parts = city.blocks, plan.parts()
+    norm = PowerNorm(0.5, 0, float(buildings.height_m.max()))
+    legend = {
+        "region L, all of\nit mapped": outline(BOX, 1.6, "--"),
+        "district 1 to 12": outline(BORDER, 1.2, fill=LAND),
+        "park": outline(FAINT_INK, 0.4, fill=PARK),
+        "suburb": outline(FAINT_INK, 0.4, fill=FAR_LAND),
+        "water": outline(FAINT_INK, 0.4, fill=WATER),
+    }
+    ticks = [tick for tick in ROOF_TICKS_M if tick <= buildings.height_m.max()]
+    roofs = Colours(ROOFS, norm, "roof above ground (m)", ticks=ticks)
+    figure, panel = begin("The synthetic city: land, park, districts and roofs", legend, colours=roofs)
     flat = {"linewidth": 0, "rasterized": True}
     for part in parts:
         land = shapely.intersection(part.land, plan.box)
         add_polygons(panel, [land], facecolor=LAND if part.is_island else FAR_LAND, **flat)
     add_polygons(panel, [plan.park()], facecolor=PARK, **flat)
     order = np.argsort(buildings.height_m, kind="stable")
-    norm = PowerNorm(0.5, 0, float(buildings.height_m.max()))
     heights = {"array": buildings.height_m[order], "cmap": ROOFS, "norm": norm}
     add_polygons(panel, buildings.polygons[order], **heights, **flat)
     numbers = [number for number in np.unique(blocks.district) if number != OTHER_DISTRICT]
     districts = [shapely.union_all(blocks.polygons[blocks.district == number].copy()).buffer(2) for number in numbers]
     add_polygons(panel, districts, facecolor="none", edgecolor=BORDER, linewidth=1.2, zorder=5)
-    add_legend(
-        frame,
-        {
-            "region L, all of\nit mapped": draw_box(frame, region, BOX, "--", 1.6),
-            "district 1 to 12": {"facecolor": LAND, "edgecolor": BORDER, "linewidth": 1.2},
-            "park": {"facecolor": PARK, "edgecolor": FAINT_INK, "linewidth": 0.4},
-            "suburb": {"facecolor": FAR_LAND, "edgecolor": FAINT_INK, "linewidth": 0.4},
-            "water": {"facecolor": WATER, "edgecolor": FAINT_INK, "linewidth": 0.4},
-        },
-    )
-    ticks = [tick for tick in ROOF_TICKS_M if tick <= buildings.height_m.max()]
-    add_bar_below(frame, panel, Colours(ROOFS, norm, ticks=ticks))
-    panel.text(0.5, -0.115, "roof above ground (m)", transform=panel.transAxes, ha="center", size=SMALL_PT, color=INK)
+    add_polygons(panel, [region], zorder=9, **outline(BOX, 1.6, "--"))
     island_km2 = sum(shapely.area(part.land) for part in parts if part.is_island) / 1e6
     land_km2 = sum(shapely.area(shapely.intersection(part.land, plan.box)) for part in parts) / 1e6
     num_towers = int((buildings.height_m > 122).sum())
@@ -182,7 +173,7 @@ def draw_synthetic() -> None:
         "comes with the package, so that every figure of the full 10 x 20 km can be drawn by anyone. Nothing is "
         "built beyond the box."
     )
-    save(frame.figure, "fig_02_region_synthetic", Caption(PAPER, here, why))
+    save(figure, "fig_02_region_synthetic", Caption(PAPER, here, why))
 
 
 def main() -> None:

@@ -20,7 +20,8 @@ from figures.paper.common import (
     synthetic_city,
 )
 from jaxurban.metrics.population import block_layers
-from jaxurban.report.figures.frame import add_key, make_frame
+from jaxurban.report.figures.frame import MapPanel, draw_maps
+from jaxurban.report.figures.notes import joined
 from jaxurban.report.figures.style import INK, Colours
 from jaxurban.world.city import Blocks
 from jaxurban.world.grid import Grid
@@ -96,15 +97,24 @@ def synthetic() -> Ground:
 
 def draw(ground: Ground) -> None:
     """Write a city's picture."""
-    titles = ["(a) districts by type", "(b) residents by census block, at night"]
-    note = "  ·  ".join([ground.grid.crs, *([ground.credit] if ground.credit else [])])
-    heading = f"Districts and census blocks of {ground.title}"
-    frame = make_frame(ground.grid, titles, heading, note)
+    norm = LogNorm(*SCALE_PER_KM2)
+    legend = [
+        (f"commercial,\ndistricts 1 to {NUM_COMMERCIAL}", COMMERCIAL),
+        (f"residential,\ndistricts {NUM_COMMERCIAL + 1} to {NUM_DISTRICTS}", RESIDENTIAL),
+        ("park", PARK),
+        ("other land", OTHER_LAND),
+        ("water, or land\nwithout data", WATER),
+        ("(b) nobody", NOBODY),
+    ]
+    colours = Colours(DENSITY, norm, "(b) people per km²", extend="both", ticks=(1e3, 1e4, 1e5))
+    panels = [MapPanel("(a) districts by type"), MapPanel("(b) residents by census block, at night")]
+    heading, note = f"Districts and census blocks of {ground.title}", joined(ground.grid.crs, ground.credit)
+    figure, axes = draw_maps(ground.grid, panels, heading, note, legend=legend, colours=colours)
     flat = {"linewidth": 0, "rasterized": True}
-    for panel in frame.axes:
+    for panel in axes:
         panel.set_facecolor(WATER)
         add_polygons(panel, ground.around, facecolor=OTHER_LAND, **flat)
-    left, right = frame.axes
+    left, right = axes
     border = {"edgecolor": INK, "linewidth": 0.6}
     for number, polygon in ground.districts.items():
         is_commercial = number <= NUM_COMMERCIAL
@@ -125,20 +135,10 @@ def draw(ground: Ground) -> None:
     density = np.asarray(block_layers(ground.blocks, ("night",)).density_per_km2[0])
     is_home = (density > 0) & ~shapely.is_empty(ground.outlines)
     is_empty = (density == 0) & ~shapely.is_empty(ground.outlines)
-    norm = LogNorm(*SCALE_PER_KM2)
     thin = {"edgecolor": "#808080", "linewidth": 0.15, "rasterized": True}
     add_polygons(right, ground.outlines[is_empty], facecolor=NOBODY, **thin)
     add_polygons(right, ground.outlines[is_home], array=density[is_home], cmap=DENSITY, norm=norm, **thin)
-    patches = [
-        (f"commercial,\ndistricts 1 to {NUM_COMMERCIAL}", COMMERCIAL),
-        (f"residential,\ndistricts {NUM_COMMERCIAL + 1} to {NUM_DISTRICTS}", RESIDENTIAL),
-        ("park", PARK),
-        ("other land", OTHER_LAND),
-        ("water, or land\nwithout data", WATER),
-        ("(b) nobody", NOBODY),
-    ]
-    add_key(frame, patches, Colours(DENSITY, norm, "(b) people per km²", extend="both", ticks=(1e3, 1e4, 1e5)))
-    save(frame.figure, f"fig_03_districts_{ground.name}", caption(ground, density))
+    save(figure, f"fig_03_districts_{ground.name}", caption(ground, density))
 
 
 def caption(ground: Ground, density: np.ndarray) -> Caption:

@@ -4,7 +4,6 @@ from typing import NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
 
@@ -13,7 +12,7 @@ from jaxurban.planners.base import Cell, Problem
 from jaxurban.planners.cost_model import STEPS, CostModel, allowed_moves
 from jaxurban.planners.grid_search import graph_of
 from jaxurban.report.figures.metrics import percent
-from jaxurban.report.figures.style import FAINT_INK, INK, SMALL_PT, TEXT_PT
+from jaxurban.report.figures.style import INK, SMALL_PT, TEXT_PT, chart
 
 ALTITUDE_M = 20.0
 # v_0 in the middle; v_1 north of it, then clockwise, so that straight neighbours are odd and diagonal ones even.
@@ -162,14 +161,9 @@ def main() -> None:
     edges = [edges_of(problem) for problem in problems]
     own = [[edge for edge in found if edge.origin == NODES[0]] for found in edges]
     lost = {(edge.origin, edge.target) for edge in edges[1]} - {(edge.origin, edge.target) for edge in edges[2]}
-    figure = Figure(figsize=(11.0, 4.45), facecolor="white")
-    figure.text(
-        0.02, 0.975, "Steps between neighbouring cells, and their lengths", va="top", size=12, weight="bold", color=INK
-    )
     note = f"{PATH_M:g} m cells; v2 and v5 blocked in (b) and (c)"
-    figure.text(0.02, 0.91, note, va="top", size=TEXT_PT, color=FAINT_INK)
-    for number, (title, problem) in enumerate(zip(titles, problems, strict=True)):
-        panel = figure.add_axes((0.02 + 0.325 * number, 0.1, 0.31, 0.71))
+    figure = chart(11.0, 3.9, f"Steps between neighbouring cells, and their lengths ({note})")
+    for number, (panel, title, problem) in enumerate(zip(figure.subplots(1, 3), titles, problems, strict=True)):
         draw(panel, title, problem, lost if number == 2 else set())
     handles = {
         "straight step from $v_0$": Line2D([], [], color=STRAIGHT, linewidth=2),
@@ -183,8 +177,7 @@ def main() -> None:
     figure.legend(
         handles.values(),
         handles.keys(),
-        loc="lower center",
-        bbox_to_anchor=(0, 0, 1, 1),
+        loc="outside lower center",
         ncol=len(handles),
         fontsize=SMALL_PT,
         frameon=False,

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.colors import Normalize
@@ -18,7 +19,7 @@ from jaxurban.planners.bitstar.batches import Batch, BitStarOptions
 from jaxurban.planners.bitstar.bounds import make_bounds
 from jaxurban.planners.bitstar.planner import bitstar_plus
 from jaxurban.planners.bitstar.tree import Tree
-from jaxurban.report.figures.frame import Frame, MapLayer, add_key, draw_layers, flat_layer, make_frame, write_legend
+from jaxurban.report.figures.frame import MapLayer, MapPanel, draw_maps, flat_layer
 from jaxurban.report.figures.metrics import percent
 from jaxurban.report.figures.notes import frame_note, rules_said
 from jaxurban.report.figures.style import FAINT_INK, INK, Colours
@@ -81,13 +82,12 @@ class Picture:
         """Return points in cell sides as easting, northing."""
         return xy * RESOLUTION_M + self.corner_m
 
-    def ground(self, panel: Axes) -> None:
-        """Draw the map cost, faintly, and the obstacles."""
+    def ground(self) -> list[MapLayer]:
+        """Return the map cost, faintly, and the obstacles."""
         problem = self.problem
         shown = np.where(problem.is_free, problem.cost, np.nan)
         norm = Normalize(0, 2.2 * np.nanmax(shown))
-        layers = [MapLayer(shown, Colours("Greys", norm)), flat_layer(~problem.is_free, OBSTACLE)]
-        draw_layers(panel, self.maps.grid, layers)
+        return [MapLayer(shown, Colours("Greys", norm)), flat_layer(~problem.is_free, OBSTACLE)]
 
     def space(self, panel: Axes, cost: float) -> None:
         """Draw the edge of the space that can still hold a cheaper path, and grey out the rest."""
@@ -140,8 +140,8 @@ def panel_titles(problem: Problem, batches: Sequence[Batch], kept: Tree) -> list
     ]
 
 
-def add_legend(frame: Frame) -> None:
-    """Fill the key column."""
+def legend() -> list[Artist]:
+    """Return the legend's entries."""
     dot = {"linestyle": "none", "marker": "o"}
     handles = {
         "obstacle": Patch(facecolor=OBSTACLE),
@@ -159,8 +159,7 @@ def add_legend(frame: Frame) -> None:
     }
     for name, handle in handles.items():
         handle.set_label(name)
-    write_legend(frame.key, list(handles.values()))
-    add_key(frame)
+    return list(handles.values())
 
 
 def caption(maps: ju.MetricMaps, problem: Problem, batches: Sequence[Batch]) -> Caption:
@@ -190,11 +189,11 @@ def main() -> None:
     picture = Picture(maps, problem)
     rules = rules_said(map_settings(ju.cost_map(maps, ALTITUDE_M, weights=WEIGHTS)))
     note = f"{frame_note(maps)}\n{ALTITUDE_M:g} m above ground  ·  {rules}"
-    frame = make_frame(maps.grid, panel_titles(problem, batches, kept), "BIT*: a search in batches of samples", note)
-    for panel in frame.axes:
-        picture.ground(panel)
+    panels = [MapPanel(title, picture.ground()) for title in panel_titles(problem, batches, kept)]
+    figure, axes = draw_maps(maps.grid, panels, "BIT*: a search in batches of samples", note, legend=legend())
+    for panel in axes:
         picture.ends(panel, last)
-    growing, solved, resampled, later = frame.axes
+    growing, solved, resampled, later = axes
     picture.tree(growing, first.tree)
     picture.space(solved, first.cost)
     picture.tree(solved, kept)
@@ -207,5 +206,4 @@ def main() -> None:
     picture.space(later, last.cost)
     picture.tree(later, last.tree, samples=False)
     picture.path(later, last)
-    add_legend(frame)
-    save(frame.figure, "fig_05_bitstar", caption(maps, problem, batches))
+    save(figure, "fig_05_bitstar", caption(maps, problem, batches))

@@ -9,7 +9,7 @@ from figures.paper.common import BOUNDS, HAS_CENSUS, MAP_M, SYNTHETIC, Caption, 
 from jaxurban.io.read.rasterise import NO_BLOCK, burn
 from jaxurban.metrics.population import DENSITY, block_layers, map_blocks, population_totals
 from jaxurban.report.figures import plot_population
-from jaxurban.report.figures.frame import NO_DATA_COLOUR, add_key, draw_layers, make_frame
+from jaxurban.report.figures.frame import NO_DATA_COLOUR, MapPanel, draw_maps
 from jaxurban.report.figures.metrics import EMPTY_COLOUR, colours_of, layers_above_zero
 from jaxurban.world.grid import Grid
 
@@ -38,16 +38,13 @@ def island() -> Island:
 def draw_island(found: Island) -> Figure:
     colours = colours_of(DENSITY, lambda: found.density, DENSITY.heading)
     cells_km2 = CELL_M**2 / 1e6
-    titles = [
-        f"{name}  ·  {np.nansum(density) * cells_km2 / 1e6:.2f} million people"
-        for name, density in zip(("day", "night"), found.density, strict=True)
-    ]
+    panels = []
+    for name, density in zip(("day", "night"), found.density, strict=True):
+        title = f"{name}  ·  {np.nansum(density) * cells_km2 / 1e6:.2f} million people"
+        panels.append(MapPanel(title, layers_above_zero(density, colours)))
     note = f"Manhattan, 2010 census blocks (US Census Bureau)  ·  {CELL_M:g} m cells  ·  {found.grid.crs}"
-    frame = make_frame(found.grid, titles, "Population density", note)
-    for panel, density in zip(frame.axes, found.density, strict=True):
-        draw_layers(panel, found.grid, layers_above_zero(density, colours))
-    add_key(frame, [("nobody, or water", EMPTY_COLOUR), ("no census\nat hand", NO_DATA_COLOUR)], colours)
-    return frame.figure
+    legend = [("nobody, or water", EMPTY_COLOUR), ("no census\nat hand", NO_DATA_COLOUR)]
+    return draw_maps(found.grid, panels, "Population density", note, legend=legend, colours=colours)[0]
 
 
 def norm_text(density: np.ndarray) -> str:

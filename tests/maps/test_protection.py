@@ -164,7 +164,7 @@ def test_maps_without_it_say_who_makes_it(maps, ends):
 )
 def test_pictures_have_units_limits_and_the_caveat(maps, name, words):
     figure = plot_metric(maps, name)
-    entries = [text.get_text() for axes in figure.axes if axes.get_legend() for text in axes.get_legend().get_texts()]
+    entries = [text.get_text() for legend in figure.legends for text in legend.get_texts()]
     assert words in str([*entries, *(axes.get_ylabel() for axes in figure.axes)])
     assert "no integrity" in " ".join(" ".join(text.get_text() for text in figure.texts).split())
     assert any(hasattr(axes, "_colorbar") for axes in figure.axes) == (name != "within_limits")  # yes and no are a key

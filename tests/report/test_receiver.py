@@ -26,7 +26,6 @@ def test_the_report_holds_the_numbers_of_the_scores():
 def test_the_figure_names_what_it_shows_and_counts_in_whole_numbers():
     figure = plot_scatter(found())
     texts = " ".join(text.get_text() for text in figure.findobj(Text))
-    assert "2020-04-27" in texts
     assert "maps: satellites in view" in texts
     assert "receiver: horizontal error (m)" in texts
     for axis in (figure.axes[0].xaxis, figure.axes[0].yaxis):

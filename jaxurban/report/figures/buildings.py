@@ -11,7 +11,7 @@ from matplotlib.colors import SymLogNorm
 from matplotlib.figure import Figure
 
 from jaxurban.paths.path import PlannedPath
-from jaxurban.report.figures.frame import add_key, make_frame
+from jaxurban.report.figures.frame import ENDS, LegendEntry, MapPanel, draw_maps
 from jaxurban.report.figures.metrics import EMPTY_COLOUR
 from jaxurban.report.figures.notes import joined, place_said, rules_said, time_said
 from jaxurban.report.figures.paths import draw_ends
@@ -45,14 +45,15 @@ def plot_building_costs(city: City, planned: PlannedPath, table: pd.DataFrame, g
     most = max(float(table.per_metre.abs().max()) if len(table) else 0.0, 1e-12)
     main = table.building[table.per_metre.abs() >= SHOWN_SHARE * most]
     shown = _around(planned, polygons[main], grid)
-    title = f"{planned.search.planner}, cost {planned.cost:,.1f}"
-    frame = make_frame(shown, [title], "What one more metre of each building costs the route", note)
-    panel = frame.axes[0]
-    panel.set_facecolor(EMPTY_COLOUR)
     top = 10.0 ** math.ceil(math.log10(most))
     ticks = sorted(sign * top * 10.0**-power for sign in (-1, 1) for power in range(DECADES))
     norm = SymLogNorm(top / 10**DECADES, vmin=-top, vmax=top)
     colours = Colours("RdBu_r", norm, "cost per metre of height", ticks=[*ticks, 0.0])
+    heading = "What one more metre of each building costs the route"
+    legend: list[LegendEntry] = [("no effect", UNTOUCHED_COLOUR), ("route", ROUTE_COLOUR), *ENDS]
+    panels = [MapPanel(f"{planned.search.planner}, cost {planned.cost:,.1f}")]
+    figure, (panel,) = draw_maps(shown, panels, heading, note, legend=legend, colours=colours)
+    panel.set_facecolor(EMPTY_COLOUR)
     seen = np.flatnonzero(shapely.intersects(polygons, shapely.box(*shown.bounds_m)))
     drawn = table[table.building.isin(seen)].sort_values("per_metre", key=np.abs)  # what matters most comes on top
     how = {"ax": panel, "aspect": None, "autolim": False}
@@ -64,8 +65,7 @@ def plot_building_costs(city: City, planned: PlannedPath, table: pd.DataFrame, g
     for colour, width, order in (("white", 3.2, 3), (ROUTE_COLOUR, 1.5, 4)):
         panel.plot(*planned.xy_m.T, color=colour, linewidth=width, solid_joinstyle="round", zorder=order)
     draw_ends(panel, [planned])
-    add_key(frame, [("no effect", UNTOUCHED_COLOUR), ("route", ROUTE_COLOUR)], colours, has_ends=True)
-    return frame.figure
+    return figure
 
 
 def _around(planned: PlannedPath, polygons: np.ndarray, grid: Grid) -> Grid:

@@ -1,26 +1,25 @@
-"""Map panels in a projected frame, with scale bar, north arrow, colour bars and legends; by metres or by degrees.
+"""Maps in a projected frame: panels of one grid with scale bar, north arrow, colour bar and legend; degrees instead.
 
-Matplotlib lays the panels and the colour bars out; a key column on the right holds the legend, the north arrow and the
-scale bar, so that nothing covers the map.
+Matplotlib lays all of it out.
 """
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
-from matplotlib.axis import Axis
 from matplotlib.colors import BoundaryNorm, ListedColormap, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.markers import MarkerStyle
 from matplotlib.patches import Patch
-from matplotlib.ticker import FixedFormatter, FixedLocator, FuncFormatter
-from matplotlib.transforms import offset_copy
+from matplotlib.ticker import FixedFormatter, FixedLocator, FuncFormatter, MaxNLocator
+from matplotlib.transforms import Affine2D
 from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
 
 from jaxurban.report.figures.style import FAINT_INK, INK, SMALL_PT, TEXT_PT, Colours, add_colour_bar, chart
@@ -28,16 +27,20 @@ from jaxurban.world.grid import Grid
 
 MAX_CELLS = 1500  # a side; larger maps are thinned before they are drawn
 WIDTH_IN, MAX_HEIGHT_IN = 11.0, 9.0
-LEFT_IN, BOTTOM_IN, BAR_IN = 0.75, 0.52, 1.0  # what the ticks of outer panels and a colour bar beside them take
-TITLE_IN, GAP_IN, KEY_IN = 0.32, 0.22, 1.4
-SLOT_IN, MIN_WIDTH_IN = 1.95, 7.2  # room for a panel's title and footer; for the heading
+SIDE_IN, TICKS_IN = 3.3, 0.4  # what northings, a colour bar and the legend take beside panels; eastings below them
+TITLE_IN, GAP_IN, BAR_IN, LINE_IN = 0.42, 0.3, 0.66, 0.15  # of a title, between panels, of a bar below one, of a line
+SLOT_IN, MIN_WIDTH_IN = 1.95, 7.2  # room for a panel's title and foot; for the heading
 OBSTACLE_COLOUR, NO_DATA_COLOUR = "#c4c4c4", "#efe4d6"
 NO_DATA_PATCH = ("no data", NO_DATA_COLOUR)
 HATCH, HATCH_COLOUR, HATCHED_GROUND = "////////", "#ffffff", "#7d7c78"
-MAP, KEY = "map", "key"  # gid of a panel over a grid, and of the key column
+MAP = "map"  # gid of a panel over a grid
 NUM_PLACES = 65  # along an edge, between which degrees are interpolated
-ENDS = (("start", "o", 6.5), ("goal", "*", 12.0))  # of a route: name, marker and its size
 END_LOOK: dict[str, Any] = {"linestyle": "none", "markeredgecolor": "black", "markerfacecolor": "white"}
+ENDS = tuple(  # of a route, in a legend
+    Line2D([], [], marker=marker, markersize=size, label=name, **END_LOOK)
+    for name, marker, size in (("start", "o", 6.0), ("goal", "*", 11.0))
+)
+LegendEntry = tuple[str, str] | Artist  # a name and its colour, or what is drawn
 
 
 @dataclass(frozen=True)
@@ -55,23 +58,94 @@ class MapLayer:
     is_classes: bool = False
 
 
-@dataclass(frozen=True)
-class Frame:
-    """A figure with one axes a panel and a key column.
+class MapPanel(NamedTuple):
+    """A map of a figure: its title, its layers, later ones over earlier ones, and the lines below it."""
 
-    Attributes:
-      figure: the whole.
-      axes: the panels, in reading order.
-      key: invisible axes over the key column, in inches from its lower left corner.
-      grid: what the panels show.
-      panel_in: width and height of a panel, about.
+    title: str
+    layers: Sequence[MapLayer] = ()
+    foot: str = ""
+
+
+def draw_maps(
+    grid: Grid,
+    panels: Sequence[MapPanel],
+    heading: str,
+    note: str = "",
+    *,
+    legend: Iterable[LegendEntry] = (),
+    colours: Colours | None = None,
+    has_ticks: bool = True,
+) -> tuple[Figure, list[Axes]]:
+    """Return a figure of maps and the axes of its panels, in reading order.
+
+    Args:
+      grid: of all panels, which keep its proportions.
+      panels: what they show.
+      heading: first line of the figure, bold.
+      note: the lines beneath it, broken where they are too long.
+      legend: entries beside the panels.
+      colours: of the bar beside the panels; left out, each panel whose last layer is none of classes has one below it.
+      has_ticks: whether eastings and northings are shown.
     """
+    tall = (grid.y_max_m - grid.y_min_m) / (grid.x_max_m - grid.x_min_m)
+    has_bar = [colours is None and bool(panel.layers) and not panel.layers[-1].is_classes for panel in panels]
+    foot_in = BAR_IN * any(has_bar) + LINE_IN * max(len(panel.foot.splitlines()) for panel in panels)
+    num_rows, num_cols, width_in = _best_layout(len(panels), tall, foot_in)
+    height_in = num_rows * (TITLE_IN + width_in * tall + foot_in) + TICKS_IN * has_ticks
+    total_in = max(num_cols * (max(width_in, SLOT_IN) + GAP_IN) + SIDE_IN, MIN_WIDTH_IN)
+    figure = chart(total_in, height_in, heading, note)
+    axes = figure.subplots(num_rows, num_cols, squeeze=False).ravel().tolist()
+    for empty in axes[len(panels) :]:
+        empty.remove()
+    axes = axes[: len(panels)]
+    for number, (panel, (title, layers, foot)) in enumerate(zip(axes, panels, strict=True)):
+        _dress(panel, grid, title, width_in, width_in * tall)
+        is_left, is_bottom = number % num_cols == 0 and has_ticks, number + num_cols >= len(panels) and has_ticks
+        panel.tick_params(labelleft=is_left, labelbottom=is_bottom, left=has_ticks, bottom=has_ticks)
+        panel.set_ylabel("northing (km)" if is_left else "", size=SMALL_PT)
+        below = "\n".join(filter(None, ("easting (km)" if is_bottom else "", foot)))
+        panel.set_xlabel(below, size=SMALL_PT, loc="left" if foot else "center")
+        if layers:
+            draw_layers(panel, grid, layers)
+        if has_bar[number]:
+            add_colour_bar(figure, [panel], layers[-1].colours, max(width_in, SLOT_IN), "bottom")
+    add_scale(axes[0])
+    if colours is not None:
+        add_colour_bar(figure, axes, colours, 0.8 * height_in)
+    add_legend(figure, [*legend, north_entry(grid)])
+    return figure, axes
 
-    figure: Figure
-    axes: tuple[Axes, ...]
-    key: Axes
-    grid: Grid
-    panel_in: tuple[float, float]
+
+def _best_layout(num: int, tall: float, foot_in: float) -> tuple[int, int, float]:
+    """Return rows, columns and panel width in inches of the layout with the largest panels."""
+    layouts = []
+    for num_cols in range(1, num + 1):
+        num_rows = math.ceil(num / num_cols)
+        room_w = (WIDTH_IN - SIDE_IN) / num_cols - GAP_IN
+        if num_cols > 1 and room_w < SLOT_IN:
+            break
+        room_h = (MAX_HEIGHT_IN - 1.0 - TICKS_IN) / num_rows - TITLE_IN - foot_in
+        layouts.append((num_rows, num_cols, min(room_w, max(room_h, 0.5) / tall)))
+    widest = max(width for *_, width in layouts)
+    # A flatter figure reads better on a screen: worth panels smaller by a tenth.
+    return min(layout for layout in layouts if layout[2] > 0.9 * widest)
+
+
+def _dress(panel: Axes, grid: Grid, title: str, width_in: float, height_in: float) -> None:
+    panel.set(xlim=(grid.x_min_m, grid.x_max_m), ylim=(grid.y_min_m, grid.y_max_m), aspect="equal", anchor="NW")
+    panel.set_title(title, size=TEXT_PT, loc="left", pad=4, color=INK)
+    panel.set_facecolor(NO_DATA_COLOUR)
+    panel.set_gid(MAP)
+    panel.tick_params(labelsize=SMALL_PT, length=3, color=FAINT_INK)
+    for axis, room_in, label_in in ((panel.xaxis, width_in, 0.75), (panel.yaxis, height_in, 0.5)):
+        axis.set_major_locator(round_ticks(room_in / label_in))
+        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value / 1000:.7g}"))
+    panel.spines[:].set(linewidth=0.6, color=FAINT_INK)
+
+
+def round_ticks(most: float) -> MaxNLocator:
+    """Return what places as many round ticks as have room, at most six."""
+    return MaxNLocator(int(min(6.0, max(1.0, most))), steps=[1, 2, 5, 10], min_n_ticks=1)
 
 
 def thin(values: np.ndarray, is_classes: bool = False, max_cells: int = MAX_CELLS) -> tuple[np.ndarray, int, int]:
@@ -93,97 +167,11 @@ def thin(values: np.ndarray, is_classes: bool = False, max_cells: int = MAX_CELL
     return np.where(2 * count >= high * wide, total / np.maximum(count, 1), np.float32(np.nan)), high, wide
 
 
-def make_frame(
-    grid: Grid,
-    titles: Sequence[str],
-    heading: str,
-    note: str,
-    footer_in: float = 0.0,
-    with_ticks: bool = True,
-) -> Frame:
-    """Return an empty frame with a panel for each title.
-
-    Args:
-      grid: the map's grid; panels keep its proportions.
-      titles: one a panel.
-      heading: first line of the figure, bold.
-      note: the lines below it, broken where they are too long.
-      footer_in: room under each panel.
-      with_ticks: whether eastings and northings are shown.
-    """
-    tall = (grid.y_max_m - grid.y_min_m) / (grid.x_max_m - grid.x_min_m)
-    num_rows, num_cols, width = _best_layout(len(titles), tall, footer_in)
-    width_in = LEFT_IN + num_cols * (max(width, SLOT_IN) + GAP_IN) + BAR_IN + KEY_IN
-    height_in = num_rows * (TITLE_IN + width * tall + footer_in) + BOTTOM_IN * with_ticks
-    figure = chart(max(width_in, MIN_WIDTH_IN), height_in, heading, note, right_in=KEY_IN)
-    axes = figure.subplots(num_rows, num_cols, squeeze=False).ravel().tolist()
-    for panel in axes[len(titles) :]:
-        panel.remove()
-    for number, (panel, title) in enumerate(zip(axes, titles, strict=False)):
-        _dress(panel, grid, title, width, width * tall)
-        is_left, is_bottom = number % num_cols == 0 and with_ticks, number + num_cols >= len(titles) and with_ticks
-        panel.tick_params(labelleft=is_left, labelbottom=is_bottom, left=with_ticks, bottom=with_ticks)
-        panel.set_ylabel("northing (km)" if is_left else "", size=SMALL_PT)
-        panel.set_xlabel("easting (km)" if is_bottom else "", size=SMALL_PT)
-    key_w, key_h = KEY_IN - 0.1, height_in - TITLE_IN - 0.1
-    total_w, total_h = figure.get_size_inches()
-    key = figure.add_axes((1 - key_w / total_w, 0.1 / total_h, key_w / total_w, key_h / total_h))
-    key.set(xlim=(0, key_w), ylim=(0, key_h), gid=KEY)
-    key.set_axis_off()
-    return Frame(figure, tuple(axes[: len(titles)]), key, grid, (width, width * tall))
-
-
-def _best_layout(num: int, tall: float, footer_in: float) -> tuple[int, int, float]:
-    """Return rows, columns and panel width in inches of the layout with the largest panels."""
-    layouts = []
-    for num_cols in range(1, num + 1):
-        num_rows = math.ceil(num / num_cols)
-        room_w = (WIDTH_IN - LEFT_IN - BAR_IN - KEY_IN) / num_cols - GAP_IN
-        if num_cols > 1 and room_w < SLOT_IN:
-            break
-        room_h = (MAX_HEIGHT_IN - 0.62 - BOTTOM_IN) / num_rows - TITLE_IN - footer_in
-        layouts.append((num_rows, num_cols, min(room_w, max(room_h, 0.5) / tall)))
-    widest = max(width for *_, width in layouts)
-    # A flatter figure reads better on a screen: worth panels smaller by a tenth.
-    return min(layout for layout in layouts if layout[2] > 0.9 * widest)
-
-
-def _dress(panel: Axes, grid: Grid, title: str, width_in: float, height_in: float) -> None:
-    panel.set(xlim=(grid.x_min_m, grid.x_max_m), ylim=(grid.y_min_m, grid.y_max_m), aspect="equal", anchor="NW")
-    panel.set_title(title, size=TEXT_PT, loc="left", pad=4, color=INK)
-    panel.set_facecolor(NO_DATA_COLOUR)
-    panel.set_gid(MAP)
-    panel.tick_params(labelsize=SMALL_PT, length=3, color=FAINT_INK)
-    for axis, room_in, label_in, clear_in in (
-        # The last label stays clear of the next panel's first one.
-        (panel.xaxis, width_in, 0.55, 0.18),
-        (panel.yaxis, height_in, 0.5, 0.0),
-    ):
-        low_m, high_m = axis.get_view_interval()
-        ticks_m, step_m = round_ticks(low_m, high_m, room_in / label_in, clear_in / room_in)
-        axis.set_major_locator(FixedLocator(ticks_m.tolist()))
-        decimals = decimals_of(step_m / 1000)
-        axis.set_major_formatter(FuncFormatter(lambda value, _, n=decimals: f"{value / 1000:.{n}f}"))
-    for spine in panel.spines.values():
-        spine.set(linewidth=0.6, color=FAINT_INK)
-
-
-def round_ticks(low: float, high: float, most: float, clear: float = 0.0) -> tuple[np.ndarray, float]:
-    """Return round numbers in a range but for a share at its end, as many as have room, at most six; their step."""
-    step = round_length_m((high - low) / max(1.0, min(6.0, most)), down=False)
-    end = high - clear * (high - low)
-    return np.arange(math.ceil(low / step), math.floor(end / step) + 1) * step, step
-
-
-def decimals_of(step: float) -> int:
-    """Return how many decimals multiples of a step need."""
-    return max(0, -math.floor(math.log10(step)))
-
-
-def mark_ends(panel: Axes, start_xy_m: Iterable[Any], goal_xy_m: Iterable[Any], size: float = 1.0) -> None:
-    """Mark where a route starts (circle) and ends (star); `add_key` names the two."""
-    for (_, marker, markersize), at in zip(ENDS, (start_xy_m, goal_xy_m), strict=True):
-        panel.plot(*at, marker=marker, markersize=size * markersize, zorder=20, clip_on=False, **END_LOOK)
+def mark_ends(panel: Axes, start_xy_m: Iterable[Any], goal_xy_m: Iterable[Any], size: float = 1.1) -> None:
+    """Mark where a route starts (circle) and ends (star); `ENDS` are their entries in a legend."""
+    for end, at in zip(ENDS, (start_xy_m, goal_xy_m), strict=True):
+        look = END_LOOK | {"marker": end.get_marker(), "markersize": size * end.get_markersize()}
+        panel.plot(*at, zorder=20, clip_on=False, **look)
 
 
 def draw_layers(panel: Axes, grid: Grid, layers: Sequence[MapLayer]) -> None:
@@ -229,61 +217,11 @@ def flat_layer(is_drawn: np.ndarray, colour: str) -> MapLayer:
     return classes_layer(np.where(is_drawn, np.int8(0), np.int8(-1)), [colour])
 
 
-def add_key(
-    frame: Frame,
-    patches: Sequence[tuple[str, str]] = (),
-    colours: Colours | None = None,
-    *,
-    has_scale: bool = True,
-    has_ends: bool = False,
-    hatched: str = "",
-) -> None:
-    """Add a colour bar beside the panels, and to the key column legend patches (name, colour), north arrow, scale bar.
-
-    ``hatched``: a legend entry of its own for what `draw_hatch` marks.
-    ``has_ends``: entries for what `mark_ends` draws.
-    ``has_scale``: not where panels show windows of different sizes, which each want a scale bar of their own.
-    """
-    add_north(frame)
-    if has_scale:
-        add_scale(frame, frame.axes[0], frame.key)
+def add_legend(figure: Figure, entries: Iterable[LegendEntry]) -> None:
+    """Write a legend at the right of a figure."""
     look: dict[str, Any] = {"edgecolor": FAINT_INK, "linewidth": 0.4}
-    entries: list[Artist] = [Patch(facecolor=colour, label=name, **look) for name, colour in patches]
-    if hatched:
-        look |= {"edgecolor": HATCH_COLOUR, "hatch": HATCH}
-        entries.append(Patch(facecolor=HATCHED_GROUND, label=hatched, **look))
-    for name, marker, size in ENDS if has_ends else ():
-        entries.append(Line2D([], [], marker=marker, markersize=0.9 * size, label=name, **END_LOOK))
-    if entries:
-        write_legend(frame.key, entries)
-    if colours is not None:
-        add_colour_bar(frame.figure, [*frame.axes], colours, 0.9 * frame.key.get_ylim()[1])
-
-
-def write_legend(panel: Axes, entries: Sequence[Artist], y: float = 1.0, drop_in: float = 0.0) -> None:
-    """Write a legend at a height of axes (1: their top) and below it, so many inches further down."""
-    panel.legend(
-        handles=list(entries),
-        loc="upper left",
-        bbox_to_anchor=(0, y),
-        bbox_transform=offset_copy(panel.transAxes, panel.get_figure(root=True), y=-drop_in),
-        fontsize=SMALL_PT,
-        frameon=False,
-        handlelength=1.4,
-        borderpad=0,
-        borderaxespad=0,
-        labelspacing=0.35,
-    )
-
-
-def drop_in(panel: Axes) -> float:
-    """Return how far below a panel its footer begins, inches: under the tick labels, where it has them."""
-    return 0.42 if panel.xaxis.get_tick_params()["labelbottom"] else 0.07
-
-
-def add_bar_below(frame: Frame, panel: Axes, colours: Colours) -> None:
-    """Add a lying colour bar in the footer of a panel."""
-    add_colour_bar(frame.figure, [panel], colours, max(frame.panel_in[0], SLOT_IN), "bottom")
+    handles = [Patch(facecolor=each[1], label=each[0], **look) if isinstance(each, tuple) else each for each in entries]
+    figure.legend(handles=handles, loc="outside right center", fontsize=SMALL_PT, frameon=False, handlelength=1.4)
 
 
 def round_length_m(length_m: float, down: bool = True) -> float:
@@ -294,37 +232,24 @@ def round_length_m(length_m: float, down: bool = True) -> float:
     return max(fits) if down else min(fits)
 
 
-def add_north(frame: Frame) -> None:
-    """Draw the arrow to true north, at grid azimuth minus the meridian convergence of the region's centre."""
-    key, (east, north) = frame.key, true_north(frame.grid)
-    x_in, y_in, half_in = 0.3, 0.82, 0.22
-    tip, tail = (x_in + half_in * east, y_in + half_in * north), (x_in - half_in * east, y_in - half_in * north)
-    key.annotate("", tip, tail, arrowprops={"arrowstyle": "-|>", "color": INK, "lw": 1.2})
-    key.text(x_in + 0.3 * east, y_in + 0.3 * north, "N", ha="center", va="center", size=TEXT_PT, color=INK)
-
-
-def add_scale(frame: Frame, panel: Axes, place: Axes, drop_in: float = 0.0) -> None:
-    """Draw a panel's scale bar at the foot of axes, or so many inches below it."""
+def add_scale(panel: Axes) -> None:
+    """Draw a scale bar in a panel's lower left corner."""
     low_m, high_m = panel.get_xlim()
-    metres_per_in = (high_m - low_m) / frame.panel_in[0]
-    length_m = round_length_m(0.8 * metres_per_in)
+    length_m = round_length_m(0.3 * (high_m - low_m))
     name = f"{length_m / 1000:g} km" if length_m >= 1000 else f"{length_m:g} m"
-    bar = AnchoredSizeBar(
-        panel.transData,
-        length_m,
-        name,
-        "lower left",
-        pad=0.2,
-        borderpad=0,
-        frameon=False,
-        size_vertical=0.05 * metres_per_in,
-        color=INK,
-        label_top=True,
-        fontproperties={"size": SMALL_PT},
-        bbox_to_anchor=(0, 0),
-        bbox_transform=offset_copy(place.transAxes, frame.figure, y=-drop_in),
-    )
-    place.add_artist(bar)
+    look: dict[str, Any] = {"color": INK, "label_top": True, "fontproperties": {"size": SMALL_PT}}
+    look["size_vertical"] = 0.006 * (high_m - low_m)
+    bar = AnchoredSizeBar(panel.transData, length_m, name, "lower left", pad=0.25, borderpad=0.3, sep=2, **look)
+    bar.patch.set(edgecolor="none", boxstyle="square,pad=0")
+    bar.set_zorder(15)
+    panel.add_artist(bar)
+
+
+def north_entry(grid: Grid) -> Line2D:
+    """Return the legend entry of true north: an arrow at grid azimuth, less the meridian convergence of the centre."""
+    east, north = true_north(grid)
+    arrow = MarkerStyle("$\\uparrow$", transform=Affine2D().rotate(math.atan2(-east, north)))
+    return Line2D([], [], linestyle="none", marker=arrow, markersize=11, color=INK, label="north")
 
 
 def true_north(grid: Grid) -> tuple[float, float]:
@@ -343,17 +268,25 @@ def show_degrees(figure: Figure, grid: Grid) -> Figure:
       figure: from any function that draws maps.
       grid: any grid in the CRS of its maps.
     """
-    for panel in figure.axes:
-        if panel.get_gid() == MAP:
-            (west_m, east_m), (south_m, north_m) = panel.get_xlim(), panel.get_ylim()
-            x_m, y_m = np.linspace(west_m, east_m, NUM_PLACES), np.linspace(south_m, north_m, NUM_PLACES)
-            longitudes = grid.lonlat_of_xy(x_m, np.full(NUM_PLACES, south_m))[0]
-            latitudes = grid.lonlat_of_xy(np.full(NUM_PLACES, west_m), y_m)[1]
-            tall = (north_m - south_m) / (east_m - west_m)
-            slot_in = panel.get_position().size * figure.get_size_inches()
-            width_in = min(slot_in[0], slot_in[1] / tall)
-            _label(panel, panel.xaxis, x_m, np.unwrap(longitudes, period=360.0), "EW", width_in)
-            _label(panel, panel.yaxis, y_m, latitudes, "NS", width_in * tall)
+    for panel in (panel for panel in figure.axes if panel.get_gid() == MAP):
+        (west_m, east_m), (south_m, north_m) = panel.get_xlim(), panel.get_ylim()
+        x_m, y_m = np.linspace(west_m, east_m, NUM_PLACES), np.linspace(south_m, north_m, NUM_PLACES)
+        longitudes = grid.lonlat_of_xy(x_m, np.full(NUM_PLACES, south_m))[0]
+        latitudes = grid.lonlat_of_xy(np.full(NUM_PLACES, west_m), y_m)[1]
+        for axis, at_m, degrees, sides in (
+            (panel.xaxis, x_m, np.unwrap(longitudes, period=360.0), "EW"),
+            (panel.yaxis, y_m, latitudes, "NS"),
+        ):
+            low_m, high_m = axis.get_view_interval()
+            most = sum(low_m <= tick_m <= high_m for tick_m in axis.get_majorticklocs())
+            ticks = round_ticks(most - 1).tick_values(degrees[0], degrees[-1])
+            ticks = ticks[(degrees[0] <= ticks) & (ticks <= degrees[-1])]
+            axis.set_major_locator(FixedLocator(np.interp(ticks, degrees, at_m).tolist()))
+            shown = (ticks + 180) % 360 - 180 if axis is panel.xaxis else ticks
+            names = [f"{abs(tick):.7g}°{sides[0 if tick >= 0 else 1]}" for tick in shown]
+            axis.set_major_formatter(FixedFormatter(names))
+        panel.set_ylabel("")  # the letters say which it is
+        panel.set_xlabel(panel.get_xlabel().removeprefix("easting (km)").strip())
     return figure
 
 
@@ -366,14 +299,3 @@ def in_degrees(
         return show_degrees(draw(), grid)
 
     return {name: partial(labelled, draw) if is_wanted else draw for name, draw in figures.items()}
-
-
-def _label(panel: Axes, axis: Axis, at_m: np.ndarray, degrees: np.ndarray, sides: str, room_in: float) -> None:
-    is_x = axis is panel.xaxis
-    # A tick of longitude needs more room, and the last one leaves some free for the next panel's first.
-    ticks, step = round_ticks(degrees[0], degrees[-1], room_in / (0.75 if is_x else 0.5), 0.3 * is_x / room_in)
-    axis.set_major_locator(FixedLocator(np.interp(ticks, degrees, at_m).tolist()))
-    shown, decimals = (ticks + 180) % 360 - 180 if is_x else ticks, decimals_of(step)
-    names = [f"{abs(tick):.{decimals}f}°{sides[0 if tick >= 0 else 1]}" for tick in shown]
-    axis.set_major_formatter(FixedFormatter(names))
-    axis.set_label_text("")  # the letters say which it is

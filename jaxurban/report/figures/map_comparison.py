@@ -10,8 +10,8 @@ from matplotlib.figure import Figure
 
 from jaxurban.errors import one_of
 from jaxurban.metrics.gps import DOPS, WEIGHTED_DOPS
-from jaxurban.report.figures.frame import MapLayer, add_key, draw_layers, flat_layer, make_frame, round_length_m
-from jaxurban.report.figures.metrics import OBSTACLE_COLOUR, percent
+from jaxurban.report.figures.frame import OBSTACLE_COLOUR, MapLayer, MapPanel, draw_maps, flat_layer, round_length_m
+from jaxurban.report.figures.metrics import percent
 from jaxurban.report.figures.notes import ground_said, guesses_said, joined, meaning_of, symbol_of, time_said
 from jaxurban.report.figures.style import Colours
 from jaxurban.studies.map_comparison import CLOSED, MASKS, MapComparison, unit_of
@@ -54,28 +54,22 @@ def plot_difference(found: MapComparison, layer: str, *, time: str | None = None
     time = times[0] if time is None else one_of("time", time, times)
     rows: list[Any] = list(found.table[found.table.layer == layer].itertuples())
     drawn = [(place, row) for place, row in zip(places, rows, strict=True) if place.time == time]
-    titles = [
-        joined(
-            place.time_of_day if place.altitude_m is None else f"{place.altitude_m:g} m",
-            f"mean {row.mean:+.3g}, {percent(row.share_changed)} changed" if row.share_changed else "unchanged",
-        )
-        for place, row in drawn
-    ]
-    frame = make_frame(found.grid, titles, f"{heading_of(found, layer)}, B - A", _note(found, time))
     maps = [found.of(layer, **place._asdict()) for place, _ in drawn]
     changed = np.concatenate([np.abs(values[np.abs(values) > found.tolerance]) for values in maps])
-    colours = difference_colours(
-        changed, _label(found, layer), MOST_DOP if layer in (*DOPS, *WEIGHTED_DOPS) else np.inf
-    )
-    has_data = found.a.ds["has_data"].values & found.b.ds["has_data"].values
-    for panel, (place, _), values in zip(frame.axes, drawn, maps, strict=True):
+    most = MOST_DOP if layer in (*DOPS, *WEIGHTED_DOPS) else np.inf
+    colours = difference_colours(changed, _label(found, layer), most)
+    has_data, panels = found.a.ds["has_data"].values & found.b.ds["has_data"].values, []
+    for (place, row), values in zip(drawn, maps, strict=True):
         is_grey = np.isnan(values)
         if layer in MASKS and place.altitude_m is not None:
             is_grey = ~found.a.is_free(place.altitude_m, None if layer == CLOSED else "centre") & (values == 0)
         shown = MapLayer(np.clip(values, colours.norm.vmin, colours.norm.vmax), colours)
-        draw_layers(panel, found.grid, [shown, flat_layer(is_grey & has_data, OBSTACLE_COLOUR)])
-    add_key(frame, [(f"blocked in A {'and' if layer in MASKS else 'or'} B", OBSTACLE_COLOUR)], colours)
-    return frame.figure
+        where = place.time_of_day if place.altitude_m is None else f"{place.altitude_m:g} m"
+        share = f"mean {row.mean:+.3g}, {percent(row.share_changed)} changed" if row.share_changed else "unchanged"
+        panels.append(MapPanel(joined(where, share), [shown, flat_layer(is_grey & has_data, OBSTACLE_COLOUR)]))
+    heading, legend = f"{heading_of(found, layer)}, B - A", f"blocked in A {'and' if layer in MASKS else 'or'} B"
+    look: dict[str, Any] = {"legend": [(legend, OBSTACLE_COLOUR)], "colours": colours}
+    return draw_maps(found.grid, panels, heading, _note(found, time), **look)[0]
 
 
 def difference_colours(changed: np.ndarray, label: str, most: float = np.inf) -> Colours:

@@ -8,6 +8,7 @@ import matplotlib
 import numpy as np
 from matplotlib.colors import BoundaryNorm, ListedColormap, LogNorm, Normalize, PowerNorm
 from matplotlib.figure import Figure
+from matplotlib.patches import Patch
 
 from jaxurban.errors import InputError, one_of
 from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
@@ -17,16 +18,18 @@ from jaxurban.metrics.rating import RATING_UPPER_GDOP, Rating, rating
 from jaxurban.metrics.registry import METRICS
 from jaxurban.metrics.variables import BUILT_COLOUR, FREE_COLOUR, series_of
 from jaxurban.report.figures.frame import (
+    HATCH,
+    HATCH_COLOUR,
+    HATCHED_GROUND,
     NO_DATA_PATCH,
     OBSTACLE_COLOUR,
+    LegendEntry,
     MapLayer,
-    add_bar_below,
-    add_key,
+    MapPanel,
     classes_layer,
     draw_hatch,
-    draw_layers,
+    draw_maps,
     flat_layer,
-    make_frame,
 )
 from jaxurban.report.figures.notes import availability_threshold, frame_note, meaning_of, short_time, symbol_of
 from jaxurban.report.figures.style import Colours, ends_of
@@ -168,34 +171,23 @@ def plot_metric(
     colours, dims, classes = metric_colours(maps, name), variable.dims, list(variable.classes)
     if classes and (meaning := meaning_of(maps, name, variable.one_means)):
         classes[1] = f"{classes[1][0]}\n({meaning})", classes[1][1]
-    is_of_all = variable.name not in maps.ds
     if ALTITUDE not in dims:
         times_of_day = maps.times_of_day if time_of_day is None else (time_of_day,)
         items = times_of_day if TIME_OF_DAY in dims else (None,)
-        panels = [(item or "", [MapLayer(maps.m(name, time_of_day=item), colours)]) for item in items]
-        patches = [*classes, *obstacle_patches(maps)[1:]]
-        return _figure(maps, variable.heading, panels, patches, colours=None if classes else colours, has_sky=False)
-    time = (time or maps.times[0]) if TIME in dims else None
-    panels = [
-        (
-            f"{z:g} m  ·  {_middle_of(maps, name, variable, z, time)}",
-            [free_layer(maps, name, z, time), obstacle_layer(maps, z)],
-        )
-        for z in altitudes_m or maps.altitudes_m
-    ]
-    over = f" over {len(maps.times)} epochs" if is_of_all else ""
-    heading = f"{variable.heading}{over}, by altitude above ground"
-    return _figure(
-        maps,
-        heading,
-        panels,
-        [*classes, *obstacle_patches(maps)],
-        time=time,
-        colours=None if classes else colours,
-        has_sky=bool(variable.of) and TIME in maps.metrics[variable.of].dims,
-        is_median=name in maps.metrics,
-        of=name,
-    )
+        panels = [
+            MapPanel(item or "", [MapLayer(maps.m(name, time_of_day=item), colours, bool(classes))]) for item in items
+        ]
+        heading, note, patches = variable.heading, frame_note(maps, has_sky=False), obstacle_patches(maps)[1:]
+    else:
+        time, over = (time or maps.times[0]) if TIME in dims else None, ""
+        if variable.name not in maps.ds:
+            over = f" over {len(maps.times)} epochs"
+        panels = [_panel(maps, name, variable, f"{z:g} m", z, time) for z in altitudes_m or maps.altitudes_m]
+        heading, patches = f"{variable.heading}{over}, by altitude above ground", obstacle_patches(maps)
+        has_sky = bool(variable.of) and TIME in maps.metrics[variable.of].dims
+        note = frame_note(maps, time, has_sky=has_sky, is_median=name in maps.metrics, of=name)
+    look: dict[str, Any] = {"legend": [*classes, *patches], "colours": None if classes else colours}
+    return draw_maps(maps.grid, panels, heading, note, **look)[0]
 
 
 def plot_epochs(maps: GivenMaps, name: str = "gps", *, altitude_m: float | None = None) -> Figure:
@@ -213,37 +205,16 @@ def plot_epochs(maps: GivenMaps, name: str = "gps", *, altitude_m: float | None 
     z = min(maps.altitudes_m) if altitude_m is None else altitude_m
     timed = {each: variable for each, variable in drawn_variables(maps).items() if TIME in variable.dims}
     variable = timed[one_of("a map of each time", name, timed)]
-    panels = [
-        (
-            f"{short_time(time)}  ·  {_middle_of(maps, name, variable, z, time)}",
-            [free_layer(maps, name, z, time), obstacle_layer(maps, z)],
-        )
-        for time in maps.times
-    ]
-    colours = metric_colours(maps, name)
-    heading = f"{variable.heading} at each epoch, {z:g} m above ground"
-    return _figure(maps, heading, panels, obstacle_patches(maps), colours=colours, of=name)
+    panels = [_panel(maps, name, variable, short_time(time), z, time) for time in maps.times]
+    heading, note = f"{variable.heading} at each epoch, {z:g} m above ground", frame_note(maps, of=name)
+    look: dict[str, Any] = {"legend": obstacle_patches(maps), "colours": metric_colours(maps, name)}
+    return draw_maps(maps.grid, panels, heading, note, **look)[0]
 
 
-def _figure(
-    maps: MetricMaps,
-    heading: str,
-    panels: Sequence[tuple[str, Sequence[MapLayer]]],
-    patches: Sequence[tuple[str, str]],
-    *,
-    time: str | None = None,
-    colours: Colours | None = None,
-    has_sky: bool = True,
-    is_median: bool = True,
-    of: str = "gps",
-) -> Figure:
-    """Return panels of a map (``of``), each a title and its layers, with a key of patches and a colour bar."""
-    note = frame_note(maps, time, has_sky=has_sky, is_median=is_median, of=of)
-    frame = make_frame(maps.grid, [title for title, _ in panels], heading, note)
-    for panel, (_, layers) in zip(frame.axes, panels, strict=True):
-        draw_layers(panel, maps.grid, layers)
-    add_key(frame, patches, colours)
-    return frame.figure
+def _panel(maps: MetricMaps, name: str, variable: Variable, what: str, altitude_m: float, time: str | None) -> MapPanel:
+    """Return the panel of a map at an altitude and a time; its title says what, and the mean."""
+    layers = [free_layer(maps, name, altitude_m, time), obstacle_layer(maps, altitude_m)]
+    return MapPanel(f"{what}  ·  {_middle_of(maps, name, variable, altitude_m, time)}", layers)
 
 
 def _middle_of(maps: MetricMaps, name: str, variable: Variable, altitude_m: float, time: str | None) -> str:
@@ -269,17 +240,14 @@ def plot_obstacles(maps: GivenMaps, *, altitudes_m: Sequence[float] | None = Non
       InputError: an altitude that these maps do not hold.
     """
     maps = as_maps(maps)
-    has_data = maps.ds["has_data"].values
-    panels = [
-        (
-            f"{z:g} m  ·  "
-            + (f"{percent(maps.m('obstacle', z)[has_data].mean())} blocked" if has_data.any() else "no data"),
-            [flat_layer(has_data, FREE_COLOUR), obstacle_layer(maps, z, BUILT_COLOUR)],
-        )
-        for z in altitudes_m or maps.altitudes_m
-    ]
-    patches = [("free", FREE_COLOUR), *obstacle_patches(maps, BUILT_COLOUR)]
-    return _figure(maps, "Obstacles, by altitude above ground", panels, patches, has_sky=False)
+    has_data, panels = maps.ds["has_data"].values, []
+    for z in altitudes_m or maps.altitudes_m:
+        share = f"{percent(maps.m('obstacle', z)[has_data].mean())} blocked" if has_data.any() else "no data"
+        layers = [flat_layer(has_data, FREE_COLOUR), obstacle_layer(maps, z, BUILT_COLOUR)]
+        panels.append(MapPanel(f"{z:g} m  ·  {share}", layers))
+    legend = [("free", FREE_COLOUR), *obstacle_patches(maps, BUILT_COLOUR)]
+    heading, note = "Obstacles, by altitude above ground", frame_note(maps, has_sky=False)
+    return draw_maps(maps.grid, panels, heading, note, legend=legend)[0]
 
 
 def percent(share: float) -> str:
@@ -303,9 +271,9 @@ def _plot_classes(
     for z, (title, numbers) in found.items():
         shown = np.where(maps.is_free(z, "centre"), numbers.astype(int), -1)
         layers = [classes_layer(shown, [colour for _, colour in names]), obstacle_layer(maps, z)]
-        panels.append((f"{z:g} m  ·  {title}", layers))
-    heading = f"{heading}, by altitude above ground"
-    return _figure(maps, heading, panels, [*names, *obstacle_patches(maps)], time=time)
+        panels.append(MapPanel(f"{z:g} m  ·  {title}", layers))
+    heading, legend = f"{heading}, by altitude above ground", [*names, *obstacle_patches(maps)]
+    return draw_maps(maps.grid, panels, heading, frame_note(maps, time), legend=legend)[0]
 
 
 def plot_gps_rating(maps: GivenMaps, *, altitudes_m: Sequence[float] | None = None, time: str | None = None) -> Figure:
@@ -368,9 +336,10 @@ def plot_population(maps: GivenMaps) -> Figure:
     for item in maps.times_of_day:
         values = maps.m("density", time_of_day=item)
         title = f"{item}  ·  {np.nansum(values, dtype=np.float64) * cell_km2:,.0f} people"
-        panels.append((title, layers_above_zero(values, colours)))
-    patches = [("no people\nin the data", EMPTY_COLOUR), *obstacle_patches(maps)[1:]]
-    return _figure(maps, "Population density", panels, patches, colours=colours, has_sky=False)
+        panels.append(MapPanel(title, layers_above_zero(values, colours)))
+    legend = [("no people\nin the data", EMPTY_COLOUR), *obstacle_patches(maps)[1:]]
+    note = frame_note(maps, has_sky=False)
+    return draw_maps(maps.grid, panels, "Population density", note, legend=legend, colours=colours)[0]
 
 
 def layers_above_zero(values: np.ndarray, colours: Colours) -> list[MapLayer]:
@@ -390,23 +359,17 @@ def plot_heights(maps: GivenMaps) -> Figure:
     Roofs of guessed height are hatched.
     """
     maps = as_maps(maps)
-    roofs = roof_layers(maps)
-    titles = [f"roofs above ground, up to {ends_of(maps.m('roof'))[1]:.0f} m"]
+    legend: list[LegendEntry] = [("no building", EMPTY_COLOUR), *obstacle_patches(maps)[1:]]
+    panels = [MapPanel(f"roofs above ground, up to {ends_of(maps.m('roof'))[1]:.0f} m", roof_layers(maps))]
     if "terrain" in maps.ds:
-        terrain_m = maps.m("terrain")
-        low_m, high_m = ends_of(terrain_m)
-        titles.append(f"terrain, {low_m:.0f} to {high_m:.0f} m")
+        low_m, high_m = ends_of(terrain_m := maps.m("terrain"))
         ground = MapLayer(terrain_m, replace(metric_colours(maps, "terrain", terrain_m), label=""))
-    frame = make_frame(maps.grid, titles, "Heights (m)", frame_note(maps, has_sky=False), footer_in=0.4)
-    draw_layers(frame.axes[0], maps.grid, roofs)
-    hatched = ""
-    if "roof_guessed" in maps.ds:
-        is_guessed = maps.m("roof_guessed") & (maps.m("roof") > 0)
-        draw_hatch(frame.axes[0], maps.grid, is_guessed)
-        hatched = f"height guessed\n({percent(is_guessed.sum() / max((maps.m('roof') > 0).sum(), 1))} of roofs)"
-    add_bar_below(frame, frame.axes[0], roofs[1].colours)
-    if "terrain" in maps.ds:
-        draw_layers(frame.axes[1], maps.grid, [ground])
-        add_bar_below(frame, frame.axes[1], ground.colours)
-    add_key(frame, [("no building", EMPTY_COLOUR), *obstacle_patches(maps)[1:]], hatched=hatched)
-    return frame.figure
+        panels.append(MapPanel(f"terrain, {low_m:.0f} to {high_m:.0f} m", [ground]))
+    is_guessed = maps.m("roof_guessed") & (maps.m("roof") > 0) if "roof_guessed" in maps.ds else None
+    if is_guessed is not None:
+        name = f"height guessed\n({percent(is_guessed.sum() / max((maps.m('roof') > 0).sum(), 1))} of roofs)"
+        legend.append(Patch(facecolor=HATCHED_GROUND, edgecolor=HATCH_COLOUR, hatch=HATCH, label=name))
+    figure, axes = draw_maps(maps.grid, panels, "Heights (m)", frame_note(maps, has_sky=False), legend=legend)
+    if is_guessed is not None:
+        draw_hatch(axes[0], maps.grid, is_guessed)
+    return figure

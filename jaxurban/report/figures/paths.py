@@ -15,18 +15,7 @@ from matplotlib.patheffects import Normal, Stroke
 from jaxurban.errors import InputError
 from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
 from jaxurban.paths.path import PlannedPath
-from jaxurban.report.figures.frame import (
-    SLOT_IN,
-    Frame,
-    MapLayer,
-    add_bar_below,
-    add_key,
-    draw_layers,
-    drop_in,
-    make_frame,
-    mark_ends,
-    write_legend,
-)
+from jaxurban.report.figures.frame import ENDS, LegendEntry, MapLayer, MapPanel, draw_maps, mark_ends
 from jaxurban.report.figures.metrics import (
     free_layer,
     layers_above_zero,
@@ -50,9 +39,7 @@ OTHER_COLOURS = ("#e377c2", "#17becf", "#bcbd22", "#8c564b", "#aec7e8", "#ffbb78
 COST_ENDS = "0: best free cell, 1: worst"
 COST_COLOURS = Colours("gray", Normalize(0, 1), f"$H_\\mathrm{{norm}}$\n({COST_ENDS})")
 BLOCKED_COLOUR = "#d9c08c"  # obstacles over the grey cost map
-LINE_IN, LEGEND_LETTER_IN = 0.17, 0.06  # height of a legend line, width of a letter
-HANDLE_LETTERS, KEY_LETTERS = 5, 17  # that a legend's line takes; of a name in the key column
-FOOTER_IN = 0.62  # under a panel of the overview: a colour bar and two lines
+MOST_LETTERS = 17  # of a path's name in the legend and below its panel
 MOST_WIDER_PT = 7.2  # of the first of several paths, whose lines narrow one after the other
 EDGE_PT = 0.25  # of the dark edge of a path, by which paths that coincide are told apart without their colours
 
@@ -112,44 +99,32 @@ def plot_paths(
     name_of = _names(planned_at, names)
     shown = maps.altitudes_m if isinstance(paths, Mapping) or not planned_at else tuple(sorted(planned_at))
     shown = shown if altitudes_m is None else tuple(altitudes_m)
-    panels = [panel for z in shown for panel in _panels_at(maps, z, planned_at.get(z, ()), time, time_of_day)]
-    colours = planner_colours(name_of[id(path)] for _, _, _, planned in panels for path in planned)
-    times = list(dict.fromkeys(at for _, at, _, _ in panels))
-    times_of_day = {day for _, _, day, _ in panels}
-    titles = [
-        " · ".join(filter(None, (f"{z:g} m", day, time_said(at) if at and len(times) > 1 else "")))
-        for z, at, day, _ in panels
-    ]
-    most = max(len(planned) for _, _, _, planned in panels)
+    of_panels = [panel for z in shown for panel in _panels_at(maps, z, planned_at.get(z, ()), time, time_of_day)]
+    every = [path for *_, planned in of_panels for path in planned]
+    colours = planner_colours(name_of[id(path)] for path in every)
+    times = list(dict.fromkeys(at for _, at, _, _ in of_panels))
     totals = [
-        np.where(maps.is_free(z, "centre"), maps.total(z, time=at, time_of_day=day), np.nan) for z, at, day, _ in panels
+        np.where(maps.is_free(z, "centre"), maps.total(z, time=at, time_of_day=day), np.nan)
+        for z, at, day, _ in of_panels
     ]
+    scale, panels = _total_colours(totals), []
+    for total, (z, at, day, planned) in zip(totals, of_panels, strict=True):
+        title = " · ".join(filter(None, (f"{z:g} m", day, time_said(at) if at and len(times) > 1 else "")))
+        foot = "\n".join(outcome_of(path, name_of[id(path)]) for path in planned)
+        panels.append(MapPanel(title, [MapLayer(total, scale), obstacle_layer(maps, z, BLOCKED_COLOUR)], foot))
     not_same = "time of day: as the paths were planned for, not the same in all panels"
     note = joined(
         frame_note(maps, times[0] if len(times) == 1 else None),
-        not_same if len(times_of_day) > 1 else "",
-        "below: cost, length" if most else "",
+        not_same if len({day for _, _, day, _ in of_panels}) > 1 else "",
+        "below: cost, length" if every else "",
     )
-    note = "\n".join(filter(None, [note, rules_said(*(path.settings for *_, each in panels for path in each))]))
-    what = "Cost and paths" if most else "Cost"
-    frame = make_frame(
-        maps.grid,
-        titles,
-        f"{what}, by altitude above ground",
-        note,
-        footer_in=most * LINE_IN + 0.1 * bool(most),
-    )
-    scale = _total_colours(totals)
-    for panel, total, (z, _, _, planned) in zip(frame.axes, totals, panels, strict=True):
-        draw_layers(panel, maps.grid, [MapLayer(total, scale), obstacle_layer(maps, z, BLOCKED_COLOUR)])
-        handles = [
-            draw_path(panel, path, colours, rank, len(planned), name_of[id(path)]) for rank, path in enumerate(planned)
-        ]
-        draw_ends(panel, planned)
-        legend_below(panel, frame, handles)
-    has_ends = any(path.status.has_path for _, _, _, planned in panels for path in planned)
-    add_key(frame, obstacle_patches(maps, BLOCKED_COLOUR), scale, has_ends=has_ends)
-    return frame.figure
+    note = "\n".join(filter(None, [note, rules_said(*(path.settings for path in every))]))
+    heading = f"Cost{' and paths' if every else ''}, by altitude above ground"
+    legend = [*obstacle_patches(maps, BLOCKED_COLOUR), *path_entries(colours, every)]
+    figure, axes = draw_maps(maps.grid, panels, heading, note, legend=legend, colours=scale)
+    for panel, (*_, planned) in zip(axes, of_panels, strict=True):
+        draw_paths(panel, planned, [colours[name_of[id(path)]] for path in planned])
+    return figure
 
 
 def _total_colours(totals: Sequence[np.ndarray]) -> Colours:
@@ -193,44 +168,40 @@ def cost_layers(maps: MetricMaps, altitude_m: float, time: str | None, time_of_d
     return [MapLayer(norm, COST_COLOURS), obstacle_layer(maps, altitude_m, BLOCKED_COLOUR)]
 
 
-def draw_path(
-    panel: Axes, path: PlannedPath, colours: Mapping[str, str], rank: int, num: int, name: str | None = None
-) -> Line2D:
-    """Draw one of ``num`` paths, if there is one, under its planner's or another name, and return its legend handle."""
-    name = name or path.search.planner
-    label = f"{name}: {path.status.value}"
-    if path.status.has_path:
-        cost = f"{path.cost:,.1f}" if path.cost < 1000 else f"{path.cost:,.0f}"
-        label = f"{name}: {cost}, {path.length_m / 1000:.2f} km"
-        width = 1.6 + min(1.8, MOST_WIDER_PT / max(num - 1, 1)) * (num - 1 - rank)
-        edge = [Stroke(linewidth=width + 2 * EDGE_PT, foreground="black"), Normal()]
-        look: dict[str, Any] = {"linewidth": width, "solid_joinstyle": "round", "path_effects": edge}
-        panel.plot(*path.xy_m.T, color=colours[name], zorder=3 + rank, **look)
-    is_found = path.status.has_path
-    return Line2D([], [], color=colours[name], linewidth=2.5, linestyle="-" if is_found else ":", label=label)
+def draw_paths(panel: Axes, paths: Sequence[PlannedPath], colours: Sequence[str]) -> None:
+    """Draw the paths that were found, each in its colour, and start and goal of the first of them."""
+    for rank, (path, colour) in enumerate(zip(paths, colours, strict=True)):
+        if path.status.has_path:
+            width = 1.6 + min(1.8, MOST_WIDER_PT / max(len(paths) - 1, 1)) * (len(paths) - 1 - rank)
+            edge = [Stroke(linewidth=width + 2 * EDGE_PT, foreground="black"), Normal()]
+            look: dict[str, Any] = {"linewidth": width, "solid_joinstyle": "round", "path_effects": edge}
+            panel.plot(*path.xy_m.T, color=colour, zorder=3 + rank, **look)
+    draw_ends(panel, paths)
+
+
+def path_entries(colours: Mapping[str, str], paths: Sequence[PlannedPath]) -> list[LegendEntry]:
+    """Return the legend's entries of the names that paths are drawn under, and of their ends where one was found."""
+    lines = [Line2D([], [], color=colour, linewidth=2.5, label=shortened(name)) for name, colour in colours.items()]
+    return [*lines, *(ENDS if any(path.status.has_path for path in paths) else ())]
+
+
+def outcome_of(path: PlannedPath, name: str) -> str:
+    """Return a path's cost and length, or its status."""
+    if not path.status.has_path:
+        return f"{shortened(name)}: {path.status.value}"
+    cost = f"{path.cost:,.1f}" if path.cost < 1000 else f"{path.cost:,.0f}"
+    return f"{shortened(name)}: {cost}, {path.length_m / 1000:.2f} km"
 
 
 def draw_ends(panel: Axes, paths: Sequence[PlannedPath]) -> None:
     """Mark start (circle) and goal (star) of the first path that was found."""
-    found = next((path for path in paths if path.status.has_path), None)
-    if found is None:
-        return
-    mark_ends(panel, found.xy_m[0], found.xy_m[-1])
+    for path in [path for path in paths if path.status.has_path][:1]:
+        mark_ends(panel, path.xy_m[0], path.xy_m[-1])
 
 
-def shortened(name: str, most: int) -> str:
+def shortened(name: str, most: int = MOST_LETTERS) -> str:
     """Return a name of at most so many letters, its end cut off where it is longer."""
-    return name if len(name) <= most else f"{name[: max(most - 1, 1)]}…"
-
-
-def legend_below(panel: Axes, frame: Frame, handles: Sequence[Line2D]) -> None:
-    """Write a panel's legend, if it has one, in its footer."""
-    most = int(max(frame.panel_in[0], SLOT_IN) / LEGEND_LETTER_IN) - HANDLE_LETTERS
-    for handle in handles:
-        name, _, told = str(handle.get_label()).rpartition(": ")
-        handle.set_label(f"{shortened(name, most - len(told) - 2)}: {told}")
-    if handles:
-        write_legend(panel, handles, 0.0, drop_in(panel))
+    return name if len(name) <= most else f"{name[: most - 1]}…"
 
 
 def plot_overview(maps: GivenMaps, paths: Paths, *, altitude_m: float | None = None) -> Figure:
@@ -248,46 +219,24 @@ def plot_overview(maps: GivenMaps, paths: Paths, *, altitude_m: float | None = N
     first_m = maps.altitudes_m[0] if isinstance(paths, Mapping) else next(iter(planned_at), maps.altitudes_m[0])
     z = first_m if altitude_m is None else altitude_m
     (_, time, time_of_day, planned), *_ = _panels_at(maps, z, planned_at.get(z, ()))
-    what = " and paths" if planned else ""
-    names = {"roof": "Roof height (m)"}
+    shown = [("Roof height (m)", roof_layers(maps), "")]
     for name, metric in maps.metrics.items():
         if name == "population":
-            names["density"] = f"People per km², {time_of_day}"
-        else:
-            names[name] = metric.label
-    names["cost"] = ", ".join(filter(None, (f"Cost{what}", time_of_day)))
-    frame = make_frame(
-        maps.grid,
-        list(names.values()),
-        f"Metric maps{what}, {z:g} m above ground",
-        "\n".join(filter(None, [frame_note(maps, time), rules_said(*(path.settings for path in planned))])),
-        footer_in=FOOTER_IN,
-        with_ticks=False,
-    )
-    for panel, name in zip(frame.axes, names, strict=True):
-        label = ""
-        if name == "roof":
-            layers = roof_layers(maps)
-        elif name == "density":
-            layers = layers_above_zero(maps.m(name, time_of_day=time_of_day), metric_colours(maps, name))
-        elif name == "cost":
-            layers, label = cost_layers(maps, z, time, time_of_day)[::-1], COST_ENDS
+            layers = layers_above_zero(maps.m("density", time_of_day=time_of_day), metric_colours(maps, "density"))
+            shown.append((f"People per km², {time_of_day}", layers, ""))
         else:
             layers = [obstacle_layer(maps, z), free_layer(maps, name, z, time=time)]
-            label = f"1: {meaning}" if (meaning := meaning_of(maps, name)) else ""
-        draw_layers(panel, maps.grid, layers)
-        add_bar_below(frame, panel, replace(layers[-1].colours, label=label))
-    colours = planner_colours(path.search.planner for path in planned)
-    for rank, path in enumerate(planned):
-        draw_path(frame.axes[-1], path, colours, rank, len(planned))
-    draw_ends(frame.axes[-1], planned)
-    lines = [
-        (
-            shortened(path.search.planner, KEY_LETTERS) + ("" if path.status.has_path else f"\n({path.status.value})"),
-            colours[path.search.planner],
-        )
-        for path in planned
+            shown.append((metric.label, layers, f"1: {meaning}" if (meaning := meaning_of(maps, name)) else ""))
+    what, costs = " and paths" if planned else "", cost_layers(maps, z, time, time_of_day)[::-1]
+    shown.append((", ".join(filter(None, (f"Cost{what}", time_of_day))), costs, COST_ENDS))
+    panels = [
+        MapPanel(title, [*layers[:-1], replace(layers[-1], colours=replace(layers[-1].colours, label=label))])
+        for title, layers, label in shown
     ]
-    has_ends = any(path.status.has_path for path in planned)
-    add_key(frame, [*obstacle_patches(maps), ("obstacle (cost)", BLOCKED_COLOUR), *lines], has_ends=has_ends)
-    return frame.figure
+    line_colours = planner_colours(path.search.planner for path in planned)
+    legend = [*obstacle_patches(maps), ("obstacle (cost)", BLOCKED_COLOUR), *path_entries(line_colours, planned)]
+    heading = f"Metric maps{what}, {z:g} m above ground"
+    note = "\n".join(filter(None, [frame_note(maps, time), rules_said(*(path.settings for path in planned))]))
+    figure, axes = draw_maps(maps.grid, panels, heading, note, legend=legend, has_ticks=False)
+    draw_paths(axes[-1], planned, [line_colours[path.search.planner] for path in planned])
+    return figure

@@ -6,7 +6,6 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Patch
 from matplotlib.ticker import FixedLocator, NullLocator
 
 from jaxurban.maps.metric_maps import GivenMaps, as_maps
@@ -16,7 +15,7 @@ from jaxurban.paths.profile import CLEARANCE, GUESSED, without_fix
 from jaxurban.report.figures.frame import HATCH, HATCH_COLOUR
 from jaxurban.report.figures.metrics import BUILT_COLOUR
 from jaxurban.report.figures.notes import frame_note
-from jaxurban.report.figures.style import FAINT_INK, TEXT_PT, chart, dress, show_plain, styled
+from jaxurban.report.figures.style import FAINT_INK, SMALL_PT, TEXT_PT, chart, dress, show_plain, styled
 
 ALTITUDE_COLOUR, CLEARANCE_COLOUR, NO_FIX_COLOUR = "#d62728", "#5b3a8c", "#ffd9d4"
 LINEAR_UP_TO_M = 10.0  # above, the scale of clearance is logarithmic: near obstacles matter most
@@ -46,11 +45,9 @@ def plot_profile(planned: PlannedPath, maps: GivenMaps, report: RouteReport | No
     edges_km = np.append(profile["from_m"], profile["to_m"].iloc[-1]) / 1000
     low_m, high_m = float(planned.z_m.min()), float(planned.z_m.max())
     altitude = f"{low_m:g} m" if low_m == high_m else f"{low_m:g} to {high_m:g} m"
-    where = f"{altitude} above ground"
-    told = (planned.search.planner, f"{planned.length_m / 1000:.2f} km", where, planned.settings["time_of_day"])
-    heading = f"Route profile: {', '.join(filter(None, told))}, cost {planned.cost:,.1f}"
-    note = frame_note(maps, planned.settings["time"])
-    figure = chart(*SIZE_IN, heading, note)
+    facts = planned.search.planner, f"{planned.length_m / 1000:.2f} km", f"{altitude} above ground"
+    told = ", ".join(filter(None, [*facts, planned.settings["time_of_day"], f"cost {planned.cost:,.1f}"]))
+    figure = chart(*SIZE_IN, f"Route profile: {told}", frame_note(maps, planned.settings["time"]))
     axes = figure.subplots(3, 1, sharex=True, height_ratios=(1, 1.3, 1))
     _draw_heights(axes[0], planned, profile, edges_km)
     for name, metric in maps.metrics.items():
@@ -59,18 +56,24 @@ def plot_profile(planned: PlannedPath, maps: GivenMaps, report: RouteReport | No
     axes[1].set(ylim=(-0.03, 1.03), ylabel="metric m (1)")
     _draw_clearance(axes[2], profile, edges_km)
     axes[2].set_xlabel("distance flown (km)")
-    no_fix = _no_fix_km(profile)
+    axes[2].set_xlim(edges_km[0], max(edges_km[-1], edges_km[0] + 1e-3))
     for panel in axes:
-        for begin_km, end_km in no_fix:
-            panel.axvspan(begin_km, end_km, color=NO_FIX_COLOUR, linewidth=NO_FIX_PT, zorder=0)
+        look: dict[str, Any] = {"color": NO_FIX_COLOUR, "linewidth": NO_FIX_PT, "zorder": 0}
+        for number, (from_m, to_m) in enumerate(without_fix(profile)):
+            label = "under 4 satellites" if panel is axes[1] and not number else "_"
+            panel.axvspan(from_m / 1000, to_m / 1000, label=label, **look)
         for cut_m in report.segments["from_m"].iloc[1:]:
             panel.axvline(cut_m / 1000, color=FAINT_INK, linewidth=0.4, linestyle=":", zorder=0)
-        _finish(panel, edges_km, bool(no_fix) and panel is axes[1])
+        dress(panel)
+        if panel.get_legend_handles_labels()[0]:
+            panel.legend(loc="upper left", bbox_to_anchor=(1.005, 1.02))
     figure.align_ylabels(axes)
-    look = {"transform": axes[0].get_xaxis_transform(), "color": FAINT_INK}
-    axes[0].text(edges_km[0], 1.03, "segment ", ha="right", **look)
-    for number, row in report.segments.iterrows():
-        axes[0].text((row["from_m"] + row["to_m"]) / 2000, 1.03, str(number), ha="center", **look)
+    above = axes[0].secondary_xaxis("top")  # the numbers of the report's segments
+    middles_km = (report.segments["from_m"] + report.segments["to_m"]) / 2000
+    above.set_xticks(middles_km, [str(number) for number in middles_km.index])
+    above.tick_params(length=0, labelsize=SMALL_PT, labelcolor=FAINT_INK)
+    above.set_xlabel("segment", color=FAINT_INK)
+    above.spines[:].set_visible(False)
     return figure
 
 
@@ -99,14 +102,7 @@ def _draw_clearance(panel: Axes, profile: pd.DataFrame, edges_km: np.ndarray) ->
     place = int(np.argmin(profile[CLEARANCE]))
     nearest_m, at_km = profile[CLEARANCE].iloc[place], edges_km[place : place + 2].mean()
     label = f"least: {nearest_m:.3g} m"
-    look: dict[str, Any] = {
-        "marker": "v",
-        "linestyle": "none",
-        "color": CLEARANCE_COLOUR,
-        "markersize": 6,
-        "clip_on": False,
-    }
-    panel.plot(at_km, nearest_m, label=label, zorder=10, **look)
+    panel.plot(at_km, nearest_m, "v", color=CLEARANCE_COLOUR, label=label, zorder=10, clip_on=False)
     if not is_known.all():
         panel.plot([], [], linestyle="none", label="gaps: above every\nobstacle")
     top_m = 1.15 * max(drawn_m.max(), 2 * LINEAR_UP_TO_M)
@@ -115,18 +111,3 @@ def _draw_clearance(panel: Axes, profile: pd.DataFrame, edges_km: np.ndarray) ->
     panel.yaxis.set_major_locator(FixedLocator([tick for tick in CLEARANCE_TICKS_M if tick <= top_m]))
     panel.yaxis.set_minor_locator(NullLocator())
     show_plain(panel.yaxis)
-
-
-def _no_fix_km(profile: pd.DataFrame) -> list[tuple[float, float]]:
-    """Return begin and end of each segment with too few satellites for a fix, kilometres."""
-    return [(from_m / 1000, to_m / 1000) for from_m, to_m in without_fix(profile)]
-
-
-def _finish(panel: Axes, edges_km: np.ndarray, with_no_fix: bool) -> None:
-    panel.set_xlim(edges_km[0], max(edges_km[-1], edges_km[0] + 1e-3))
-    dress(panel)
-    handles, _ = panel.get_legend_handles_labels()
-    if with_no_fix:
-        handles.append(Patch(facecolor=NO_FIX_COLOUR, label="under 4 satellites"))
-    if handles:
-        panel.legend(handles=handles, loc="upper left", bbox_to_anchor=(1.005, 1.02))

@@ -6,7 +6,6 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from jaxurban.io.read.receiver import ERROR, TRACKED
-from jaxurban.report.figures.notes import joined, time_said
 from jaxurban.report.figures.style import ends_of, panels, show_plain_log, styled
 from jaxurban.studies.receiver.prediction import NUM_VISIBLE
 from jaxurban.studies.receiver.scores import SPEARMAN, WITHIN
@@ -27,13 +26,8 @@ def name_of(prediction: str) -> str:
 @styled
 def plot_scatter(found: ReceiverValidation) -> Figure:
     """Return the receiver against the prediction that is its own, a point a piece of track, a panel a witness."""
-    of, rng = found.summary, np.random.default_rng(0)
-    track = f"{of['length_m'] / 1000:.2f} km, medians over pieces of {found.settings.piece_m:g} m"
-    cells = f"{of['resolution_m']:g} m cells, antenna {found.settings.antenna_height_m:g} m up"
-    when = f"{time_said(of['first_utc'])} to {of['last_utc'][11:16]} UTC"
-    rows = found.main.to_dict("records")
-    note = joined(when, track, cells, found.attribution)
-    figure, axes = panels(len(rows), "Receiver against prediction, with rank correlations", note, panel_in=(4.2, 3.4))
+    rng, rows = np.random.default_rng(0), found.main.to_dict("records")
+    figure, axes = panels(len(rows), "Receiver against prediction, with rank correlations", panel_in=(4.2, 3.4))
     for panel, row in zip(axes, rows, strict=True):
         witness, name = row["witness"], row["prediction"]
         known = found.pieces[found.pieces[witness].notna() & found.pieces[name].notna()]

@@ -4,7 +4,7 @@ import math
 import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
@@ -12,20 +12,18 @@ from matplotlib import colormaps, rc_context
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.cm import ScalarMappable
-from matplotlib.colorbar import Colorbar
 from matplotlib.colors import Colormap, LogNorm, Normalize
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import FixedLocator, FuncFormatter, Locator, LogLocator, MaxNLocator, NullFormatter
 
-from jaxurban.report.figures.notes import GAP
-
 SMALL_PT, TEXT_PT = 8.0, 9.0  # of tick labels, of titles and notes
 INK, FAINT_INK = "#1a1a1a", "#555555"
-HEAD_IN, LINE_IN, LETTERS_PER_IN = 0.62, 0.15, 14.0  # of a heading with one line of note; of TEXT_PT
-MARKERS = "osD^vP*X"  # of several series
+HEAD_IN, LINE_IN, LETTERS_PER_IN = 0.4, 0.15, 15.0  # of a heading; of a line of SMALL_PT
+# Of several series: told apart by the colour-blind too (Okabe and Ito 2008).
+SERIES_COLOURS = ("#d55e00", "#0072b2", "#009e73", "#e69f00", "#cc79a7", "#56b4e9", "#f0e442")
+MARKERS = "osD^vP*X"
 DOT: dict[str, Any] = {"markersize": 4.5, "capsize": 2, "elinewidth": 0.9, "linestyle": "none"}
-BAR_SHARE = 0.6  # of the figure's height, about, that a bar beside panels takes
 LETTER_IN, LABEL_IN = 0.065, 0.17  # width and height that a letter of a tick label takes
 
 styled = rc_context(  # a decorator of functions that draw; ticks are made later, so `dress` sets theirs
@@ -38,6 +36,8 @@ styled = rc_context(  # a decorator of functions that draw; ticks are made later
         "axes.edgecolor": FAINT_INK,
         "axes.linewidth": 0.6,
         "axes.axisbelow": True,
+        "axes.spines.right": False,
+        "axes.spines.top": False,
         "legend.fontsize": SMALL_PT,
         "legend.frameon": False,
         "figure.facecolor": "white",
@@ -49,52 +49,26 @@ FEW_TICKS = 3  # that a logarithmic axis has at least
 EDGE_IN, GAP_IN, TITLE_IN = 0.2, 0.6, 0.8
 
 
-def chart(width_in: float, height_in: float, heading: str, note: str, right_in: float = 0.0) -> Figure:
-    """Return a figure with a heading and, below it, a note, and so many inches that matplotlib lays out.
-
-    ``right_in`` of them, at the right, stay free.
-    """
-    lines = wrapped(note, width_in - EDGE_IN)
-    total_in = height_in + HEAD_IN + LINE_IN * (len(lines) - 1)
-    below = (0, 0, 1 - right_in / width_in, height_in / total_in)
-    layout = ConstrainedLayoutEngine(w_pad=0.08, h_pad=0.06, rect=below)
-    figure = Figure(figsize=(width_in, total_in), layout=layout, facecolor="white")
-    left, look = EDGE_IN / width_in, {"va": "top"}
-    figure.text(left, 1 - 0.10 / total_in, heading, look, size=12, weight="bold", color=INK)
-    figure.text(left, 1 - 0.36 / total_in, "\n".join(lines), look, size=TEXT_PT, color=FAINT_INK)
+def chart(width_in: float, height_in: float, heading: str, note: str = "") -> Figure:
+    """Return an empty figure with a heading above and a note beneath so many inches, all laid out by matplotlib."""
+    lines = [textwrap.fill(line, int(width_in * LETTERS_PER_IN)) for line in note.splitlines()]
+    size_in = width_in, height_in + HEAD_IN + LINE_IN * sum(line.count("\n") + 1 for line in lines)
+    figure = Figure(figsize=size_in, layout=ConstrainedLayoutEngine(w_pad=0.08, h_pad=0.09), facecolor="white")
+    look = {"x": EDGE_IN / width_in, "ha": "left"}
+    figure.suptitle(heading, size=12, weight="bold", color=INK, **look)
+    if lines:
+        figure.supxlabel("\n".join(lines), size=SMALL_PT, color=FAINT_INK, **look)
     return figure
 
 
-def wrapped(note: str, width_in: float) -> list[str]:
-    """Return the lines of a note, broken between facts, and within one only where it is longer than a line."""
-    lines: list[str] = []
-    for line in note.replace(" %", "\N{NO-BREAK SPACE}%").splitlines():
-        shown = ""
-        for fact in line.split(GAP):
-            if shown and len(together := f"{shown}{GAP}{fact}") <= int(width_in * LETTERS_PER_IN):
-                shown = together
-                continue
-            *whole, last = textwrap.wrap(fact, int(width_in * LETTERS_PER_IN)) or [""]
-            lines += [*filter(None, [shown]), *whole]
-            shown = last
-        lines.append(shown)
-    return [line.replace("\N{NO-BREAK SPACE}", " ") for line in lines]
-
-
 def panels(
-    num: int,
-    heading: str,
-    note: str,
-    *,
-    panel_in: tuple[float, float] = (2.9, 2.0),
-    most_in_row: int = 3,
-    shares_y: bool = False,
+    num: int, heading: str, *, panel_in: tuple[float, float] = (2.9, 2.0), most_in_row: int = 3, shares_y: bool = False
 ) -> tuple[Figure, list[Axes]]:
     """Return a figure with so many panels of equal size.
 
     Args:
       num: of panels.
-      heading, note: see `chart`.
+      heading: see `chart`.
       panel_in: width and height of a panel, about.
       most_in_row: panels side by side; four are two above two where that is 3.
       shares_y: whether the panels have one scale, labelled at the left of each row.
@@ -102,7 +76,7 @@ def panels(
     num_cols = min(most_in_row, num) if (num, most_in_row) != (4, 3) else 2
     num_rows = math.ceil(num / num_cols)
     width_in, height_in = num_cols * (panel_in[0] + GAP_IN), num_rows * (panel_in[1] + TITLE_IN)
-    figure = chart(max(width_in, 6.4), height_in, heading, note)
+    figure = chart(max(width_in, 6.4), height_in, heading)
     axes = figure.subplots(num_rows, num_cols, sharey=shares_y, squeeze=False).ravel().tolist()
     for panel in axes[num:]:
         panel.remove()
@@ -111,11 +85,10 @@ def panels(
     return figure, axes[:num]
 
 
-def dress(panel: Axes, has_grid: bool = True) -> None:
-    """Give a panel its ticks and its lines."""
+def dress(panel: Axes, grid: Literal["x", "y"] = "y") -> None:
+    """Give a panel its ticks and its lines along one axis."""
     panel.tick_params(labelsize=SMALL_PT, length=3, color=FAINT_INK)
-    if has_grid:
-        panel.grid(axis="y", linewidth=0.4, alpha=0.5)
+    panel.grid(axis=grid, linewidth=0.4, alpha=0.5)
 
 
 def legend_below(figure: Figure, panel: Axes, columns: int = LEGEND_COLUMNS) -> None:
@@ -217,18 +190,17 @@ def bar_ticks(colours: Colours, length_in: float, is_lying: bool) -> list[float]
 
 
 def add_colour_bar(
-    figure: Figure, axes: list[Axes], colours: Colours, length_in: float | None = None, location: str = "right"
-) -> Colorbar:
-    """Add a colour bar of about a length beside or below panels; return it."""
+    figure: Figure, axes: Sequence[Axes], colours: Colours, length_in: float, location: str = "right"
+) -> None:
+    """Add a colour bar of about a length beside (``right``) or below (``bottom``) panels."""
     is_lying = location == "bottom"
-    length_in = length_in or BAR_SHARE * figure.get_figheight()
     bar = figure.colorbar(
         ScalarMappable(cmap=colours.cmap, norm=colours.norm),
         ax=axes,
         location=location,
         extend=colours.extend,
         aspect=length_in / (0.09 if is_lying else 0.16),
-        panchor=(0.0, 0.0) if is_lying else False,
+        panchor="NW" if is_lying else False,
     )
     width = max(24 if is_lying else 12, int(length_in * 15))  # letters on a line of the label
     lines = [part for line in colours.label.splitlines() for part in textwrap.wrap(line, width)]
@@ -239,4 +211,3 @@ def add_colour_bar(
     axis = bar.ax.xaxis if is_lying else bar.ax.yaxis
     axis.set_major_locator(FixedLocator(bar_ticks(colours, length_in, is_lying)))
     axis.set_major_formatter(FuncFormatter(lambda value, _: tick_label(value)))
-    return bar
