@@ -223,6 +223,7 @@ WRONG |= dict.fromkeys(  # known only with the maps, the files or the folder, or
         *("City.from_files.table", "City.from_files.districts", "City.from_files.blocks", "City.from_files.terrain"),
         *("read_demonstrations.metrics", "City.from_files.kind", "save_comparison.folder", "save_sensitivity.folder"),
         "save_validation.folder",
+        "Study.land_cover",
         "open_maps.obstacles",
     ),
     RIGHT,

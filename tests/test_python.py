@@ -252,9 +252,9 @@ def test_a_thing_of_another_kind_is_one_sentence(call, words):
         (lambda: ju.studies.sample_instances(MAPS, 2, seed=-1), "seed must be a whole number from 0 up, got -1"),
         (lambda: ju.Levels(level_step_m="x"), "level_step_m must be a"),
         (lambda: ju.studies.SensitivitySettings(vary=5), "vary must be a sequence of texts, got 5"),
-        (lambda: ju.studies.BenchmarkSettings(budget_s=-1), "budget_s must be a positive number of seconds, got -1"),
+        (lambda: ju.studies.Study(budget_s=-1), "budget_s must be a positive number of seconds, got -1"),
         (
-            lambda: ju.studies.BenchmarkSettings(budget_iterations=0),
+            lambda: ju.studies.Study(budget_iterations=0),
             "budget_iterations must be a whole number from 1 up",
         ),
         (lambda: ju.studies.save_sensitivity(5, "out"), "found must be a Sensitivity (from sensitivity), got 5"),
@@ -342,6 +342,6 @@ def test_places_in_metres_folders_and_single_paths_are_taken_where_many_are(path
     (shown,) = ju.fit.demonstrations_from_paths(path, folder)
     assert shown.query.cost_map.maps.grid == MAPS.grid
     assert len(ju.studies.sample_instances(folder, 2, altitudes_m=[20.0])) == 2
-    assert ju.studies.BenchmarkSettings(planners="ptp").planners == ("ptp",)
+    assert ju.studies.Study(planners="ptp").planners == ("ptp",)
     assert "weights: distance 0.1" in repr(shown.query.cost_map)
     assert "array" not in repr(shown.query.cost_map)

@@ -178,7 +178,7 @@ def test_batches_fits_sensitivity_and_studies_take_it(maps, ends, path, tmp_path
     assert fit.weights["toy"] > 0
     weights = [ju.Weights(**dict.fromkeys(METRICS, 0.0) | WEIGHTS)]
     instances = ju.studies.sample_instances(maps, 1, altitudes_m=[ALTITUDE_M], weights=weights)
-    settings = ju.studies.BenchmarkSettings(planners=["astar-plus"], distance_only=(), budget_s=1.0)
+    settings = ju.studies.Study(planners=["astar-plus"], distance_only=(), budget_s=1.0)
     result = ju.studies.study(maps, tmp_path / "study", instances, settings=settings, progress=False)
     assert result.instances.w_toy.item() == 2.0
     row = result.rows.iloc[0]

@@ -8,7 +8,7 @@ from figures.paper.common import PATH_M, SYNTHETIC, Caption, save_table
 from jaxurban.paths.rows import solve_instance
 from jaxurban.scenario.settings import PAPER_PLANNERS
 from jaxurban.studies.montecarlo.analysis import joined
-from jaxurban.studies.montecarlo.trial import INVALID, WEIGHTED, BenchmarkSettings, PlannerRun
+from jaxurban.studies.montecarlo.trial import INVALID, WEIGHTED, Benchmark, PlannerRun
 
 ALTITUDE_M, NUM_QUERIES, NUM_SAMPLES, SEED = 20.0, 40, 2000, 0
 PAPER = "Seven properties by which planners are judged, each with its definition. No planner is rated by them."
@@ -45,7 +45,7 @@ def trial() -> pd.DataFrame:
     """Return every planner's answer to the same queries, joined with them; it repeats exactly but for the times."""
     maps = SYNTHETIC.maps(PATH_M)
     queries = ju.studies.sample_instances(maps, NUM_QUERIES, altitudes_m=(ALTITUDE_M,), seed=SEED)
-    settings = BenchmarkSettings(budget_iterations=NUM_SAMPLES, seed=SEED)
+    settings = Benchmark(study=ju.studies.Study(budget_iterations=NUM_SAMPLES, seed=SEED))
     rows = []
     for (time, time_of_day), asked in queries.groupby(["time", "time_of_day"]):
         on = settings.cost_map(maps, ALTITUDE_M, time, time_of_day)

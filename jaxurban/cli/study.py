@@ -1,6 +1,7 @@
 """jaxurban study."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -27,7 +28,6 @@ ANALYSIS_FOLDER = "analysis"
 if TYPE_CHECKING:
     from jaxurban.report.montecarlo import BenchmarkResult
     from jaxurban.scenario.settings import Scenario
-    from jaxurban.studies.montecarlo.trial import BenchmarkSettings
 
 
 @click.command()
@@ -52,27 +52,21 @@ def study(scenario_file: Path, folder: Path, benchmark_folder: Path | None, as_j
     from jaxurban.report.benchmark import check_exportable, export_benchmark
     from jaxurban.report.montecarlo import write_analysis
     from jaxurban.scenario.settings import Scenario
-    from jaxurban.studies.montecarlo.trial import BenchmarkSettings
 
     changes = [f"planning.preset={given['preset']!r}"] if given["preset"] else []
     scenario = Scenario.from_toml(scenario_file, changes)
-    chosen = scenario.study
-    planning = scenario.planning.model_dump()
-    model = CostModel.from_settings(planning | {"cost_model": chosen.cost_model or planning["cost_model"]})
-    settings = BenchmarkSettings(
-        planners=chosen.planners,
-        distance_only=chosen.distance_only,
-        cost_model=model,
-        budget_s=chosen.budget_s,
-        budget_iterations=given["budget_iterations"] or chosen.budget_iterations,
-        seed=chosen.seed,
-        constraints=given_constraints(given).under(planning, scenario.vehicle),
-    )
+    planning, chosen = scenario.planning.model_dump(), scenario.study
+    rules: dict[str, Any] = {
+        "cost_model": CostModel.from_settings(
+            planning | ({"cost_model": chosen.cost_model} if chosen.cost_model else {})
+        ),
+        "constraints": given_constraints(given).under(planning, scenario.vehicle),
+    }
     if benchmark_folder is not None:
-        check_exportable(model, settings.constraints)
+        check_exportable(**rules)
     workers = given_workers(given)
     Workspace.check(folder / ANALYSIS_FOLDER, "study")
-    result = _run(scenario, folder, settings, workers, given)
+    result = _run(scenario, folder, rules, workers, given)
     report = write_analysis(result, folder / ANALYSIS_FOLDER)
     tell(f"study finished: read {report}")
     made: dict[str, Any] = {"folder": str(folder), "report": str(report), "rows": str(result.folder / "rows.parquet")}
@@ -94,7 +88,7 @@ def study(scenario_file: Path, folder: Path, benchmark_folder: Path | None, as_j
 
 
 def _run(
-    scenario: "Scenario", folder: Path, settings: "BenchmarkSettings", workers: int | str, given: Mapping[str, Any]
+    scenario: "Scenario", folder: Path, rules: Mapping[str, Any], workers: int | str, given: Mapping[str, Any]
 ) -> "BenchmarkResult":
     """Return the benchmark of a scenario, its maps made first where they are not there yet."""
     from jaxurban.paths.rows import MapsFolder
@@ -122,11 +116,13 @@ def _run(
             scenario.study.instances,
             altitudes_m=scenario.study.altitudes_m,
             weights=scenario.study.weights,
-            cost_model=settings.cost_model,
-            constraints=settings.constraints,
             cover=cover,
-            seed=settings.seed,
+            seed=scenario.study.seed,
+            **rules,
         )
+    chosen = scenario.study
+    if given["budget_iterations"]:
+        chosen = replace(chosen, budget_iterations=given["budget_iterations"])
     return run_study(
-        maps, folder / "study", instances, settings=settings, workers=workers, overwrite=given["overwrite"]
+        maps, folder / "study", instances, settings=chosen, **rules, workers=workers, overwrite=given["overwrite"]
     )

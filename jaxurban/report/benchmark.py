@@ -19,7 +19,7 @@ from jaxurban.planners.cost_model import CostModel
 from jaxurban.report.write import fill
 from jaxurban.studies.montecarlo.analysis import each
 from jaxurban.studies.montecarlo.sampling import KEY, weighed_metrics, weight_columns
-from jaxurban.studies.montecarlo.trial import DISTANCE, WEIGHTED, BenchmarkSettings
+from jaxurban.studies.montecarlo.trial import DISTANCE, WEIGHTED, Benchmark
 
 INSTANCES_FILE, COSTS_FOLDER, GRID_FOLDER, PAGE_FILE = "instances.parquet", "costs", "movingai", "README.md"
 GRID_PLANNERS = ("astar-dist", "astar-plus")  # what is optimal on the grid, where their status says so
@@ -62,7 +62,7 @@ def export_benchmark(
     instances: pd.DataFrame,
     rows: pd.DataFrame,
     folder: str | Path,
-    settings: BenchmarkSettings,
+    settings: Benchmark,
     name: str,
 ) -> dict[str, int]:
     """Write a benchmark under ``folder`` and return how many problems it holds of each kind.
@@ -91,7 +91,7 @@ def export_benchmark(
 
 
 def _export(
-    maps: MetricMaps, instances: pd.DataFrame, rows: pd.DataFrame, folder: Path, settings: BenchmarkSettings, name: str
+    maps: MetricMaps, instances: pd.DataFrame, rows: pd.DataFrame, folder: Path, settings: Benchmark, name: str
 ) -> dict[str, int]:
     num_shortest = 0
     for altitude_m in sorted(instances.altitude_m.unique()):
@@ -123,13 +123,13 @@ def _export(
     return counts
 
 
-def check_exportable(model: CostModel, constraints: Constraints) -> None:
+def check_exportable(cost_model: CostModel, constraints: Constraints) -> None:
     """Raise InputError unless shortest paths are those of MovingAI's format: call it before a benchmark runs."""
-    if (model.connectivity, model.diagonal) != (8, "both-free"):
+    if (cost_model.connectivity, cost_model.diagonal) != (8, "both-free"):
         raise InputError(
             "a benchmark's shortest paths have 8 neighbours and no diagonal steps past blocked cells: plan with "
-            f"connectivity 8 and diagonal 'both-free', not {model.connectivity} and {model.diagonal!r}, or leave "
-            "--benchmark out"
+            f"connectivity 8 and diagonal 'both-free', not {cost_model.connectivity} and {cost_model.diagonal!r}, or "
+            "leave --benchmark out"
         )
     if constraints.bounds:
         raise InputError(
@@ -168,7 +168,7 @@ def _write_grid(
     return len(problems)
 
 
-def _write_costs(maps: MetricMaps, folder: Path, key: tuple[Any, ...], name: str, settings: BenchmarkSettings) -> None:
+def _write_costs(maps: MetricMaps, folder: Path, key: tuple[Any, ...], name: str, settings: Benchmark) -> None:
     altitude_m = float(key[0])
     time, time_of_day = (None if pd.isna(part) else str(part) for part in key[1:])
     on = settings.cost_map(maps, altitude_m, time, time_of_day)

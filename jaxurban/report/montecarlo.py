@@ -1,7 +1,7 @@
 """study: a Monte Carlo benchmark of planners over metric maps, kept in a folder and resumable, and its report."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,12 +17,13 @@ from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.registry import METRICS
 from jaxurban.paths.constraints import Constraints, constraints_said
 from jaxurban.paths.rows import CRASHED, MapsFolder, check_workers, run_rows
+from jaxurban.planners.base import CostKind
 from jaxurban.planners.cost_model import CostModel
 from jaxurban.progress import Progress, reporting
 from jaxurban.report.figures.montecarlo import study_figures
 from jaxurban.report.sensitivity_study import weights_said
 from jaxurban.report.write import Output, counted, fill, framed, listed, save
-from jaxurban.scenario.settings import Scenario
+from jaxurban.scenario.settings import Scenario, Study
 from jaxurban.studies.bootstrap import FEWEST_GROUPS
 from jaxurban.studies.montecarlo import analysis
 from jaxurban.studies.montecarlo.complementarity import complementarity
@@ -36,7 +37,7 @@ from jaxurban.studies.montecarlo.sampling import (
     weight_columns,
     with_connection,
 )
-from jaxurban.studies.montecarlo.trial import BenchmarkSettings, free_cell, row_columns
+from jaxurban.studies.montecarlo.trial import Benchmark, free_cell, row_columns
 from jaxurban.world.city import LandCover
 from jaxurban.world.grid import Grid
 from jaxurban.world.synthetic import demo_cover_for_bounds
@@ -103,7 +104,7 @@ class BenchmarkResult:
     maps: MetricMaps
     instances: pd.DataFrame
     rows: pd.DataFrame
-    settings: BenchmarkSettings
+    settings: Benchmark
 
     @property
     def table(self) -> pd.DataFrame:
@@ -115,9 +116,12 @@ class BenchmarkResult:
 def study(
     maps: MetricMaps | MapsFolder | str | Path,
     folder: str | Path,
-    instances: pd.DataFrame | int = 200,
+    instances: pd.DataFrame | int | None = None,
     *,
-    settings: BenchmarkSettings | None = None,
+    settings: Study | None = None,
+    cost_model: CostModel | CostKind | None = None,
+    constraints: Constraints | None = None,
+    preset: str = "",
     workers: int | str = 1,
     overwrite: bool = False,
     progress: Progress = True,
@@ -132,9 +136,11 @@ def study(
       maps: from `build_maps` or `open_maps`, or the folder of maps, which several workers need; a `MapsFolder` where it
         holds several resolutions, or planners are to keep another rule of obstacles.
       folder: where the benchmark is kept.
-      instances: from `sample_instances` or `studies.sampling.read_instances`, or how many to sample at each altitude.
-        Their ``is_connected`` is found anew on these maps.
-      settings: planners, budgets, cost model and constraints.
+      instances: from `sample_instances` or `studies.sampling.read_instances`, or how many to sample at each
+        altitude; left out, as the settings say. Their ``is_connected`` is found anew on these maps.
+      settings: planners and budgets.
+      cost_model, constraints, preset: of all routes (see `jaxurban.paths.rows.RouteRules`); a cost model that is left
+        out is as the settings say, and else as the scenario of the maps.
       workers: processes of this machine, 1 works in this process; or the address of a Dask scheduler, whose workers see
         the maps' folder under the same path.
       overwrite: replace a benchmark of other settings.
@@ -144,29 +150,35 @@ def study(
       InputError: a wrong argument, instances for other maps or none that lies on these, or a folder that holds a
         benchmark of other settings or other instances.
     """
-    folder, settings = Path(folder), settings or BenchmarkSettings()
+    folder, chosen = Path(folder), settings or Study()
+    job = Benchmark(
+        study=chosen if not isinstance(instances, int) else replace(chosen, instances=instances),
+        cost_model=cost_model or chosen.cost_model,
+        constraints=constraints or Constraints(),
+        preset=preset,
+    )
     source = maps if isinstance(maps, MetricMaps | MapsFolder) else MapsFolder(maps)
     check_workers(workers, [source])
-    opened, settings = settings.under(source if isinstance(source, MetricMaps) else source.open())
-    model, constraints = CostModel.of(settings.cost_model), settings.constraints
+    opened, job = job.under(source if isinstance(source, MetricMaps) else source.open())
+    model, constraints = CostModel.of(job.cost_model), job.constraints
     source = opened if isinstance(source, MetricMaps) else source.at(opened)
     if not isinstance(instances, pd.DataFrame):
-        instances = sample_instances(opened, instances, cost_model=model, constraints=constraints, seed=settings.seed)
+        asked: dict[str, Any] = {name: getattr(job.study, name) for name in ("altitudes_m", "weights", "seed")}
+        rules: dict[str, Any] = {"cost_model": model, "constraints": constraints}
+        instances = sample_instances(opened, job.study.instances, **asked, **rules)
     else:
         instances = checked_instances(instances, "instances")
         check_instances(instances, opened)
         instances = with_connection(instances, opened, model, constraints)
         _check_places(instances, opened, constraints)
-    key, names = _deciding(settings, opened), [ROWS_FILE, INSTANCES_FILE]
+    key, names = _deciding(job, opened), [ROWS_FILE, INSTANCES_FILE]
     with Workspace.open(folder, "study", key, names=names, overwrite=overwrite, is_shared=True):
         _check_growth(folder, instances)
         write_table(instances, folder / INSTANCES_FILE)
         file, columns = folder / ROWS_FILE, row_columns(instances.columns)
         with reporting("study", progress) as report:
-            rows = run_rows(
-                file, settings, instances, {None: source}, lambda _: columns, workers=workers, report=report
-            )
-    return BenchmarkResult(folder, opened, instances, rows, settings)
+            rows = run_rows(file, job, instances, {None: source}, lambda _: columns, workers=workers, report=report)
+    return BenchmarkResult(folder, opened, instances, rows, job)
 
 
 def land_cover_of(scenario: Scenario) -> LandCover | None:
@@ -223,9 +235,9 @@ def _check_places(instances: pd.DataFrame, maps: MetricMaps, constraints: Constr
             ) from error
 
 
-def _deciding(settings: BenchmarkSettings, maps: MetricMaps) -> dict[str, Any]:
+def _deciding(job: Benchmark, maps: MetricMaps) -> dict[str, Any]:
     """Return what decides a benchmark's rows, by name: neither the files of zones nor a budget that is not used."""
-    found = settings.to_dict()
+    found = job.to_dict()
     limits, budget_s, iterations = (found.pop(name) for name in ("limits", "budget_s", "budget_iterations"))
     return {
         **found,
@@ -313,9 +325,9 @@ def report_markdown(result: BenchmarkResult, tables: dict[str, pd.DataFrame], fi
         num_runs=len(table),
         planners=listed(sorted(table.planner.unique())),
         grid=result.maps.grid,
-        budget=f"{settings.budget_s:g} s a run"
-        if settings.budget_iterations is None
-        else f"{settings.budget_iterations} samples a run, other planners to their end",
+        budget=f"{settings.study.budget_s:g} s a run"
+        if settings.study.budget_iterations is None
+        else f"{settings.study.budget_iterations} samples a run, other planners to their end",
         settings=settings,
         maps=result.maps,
         weights=weights_said(result.instances),

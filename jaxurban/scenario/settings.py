@@ -19,7 +19,7 @@ from pydantic import (
     model_validator,
 )
 
-from jaxurban.errors import InputError, readable, typed
+from jaxurban.errors import InputError, at_least, one_of, positive, readable, typed
 from jaxurban.io.read.orbits import NOMINAL as NOMINAL
 from jaxurban.io.read.orbits import iso_utc
 from jaxurban.kernels.engine import Engine
@@ -34,6 +34,7 @@ from jaxurban.metrics.risk import Risk
 from jaxurban.metrics.settings import differentiable
 from jaxurban.metrics.weights import Weights
 from jaxurban.paths.vehicle import Vehicle
+from jaxurban.planners.registry import find_planner
 from jaxurban.presets import BUDGET_S, DEFAULTS, planning_under
 from jaxurban.scenario.validation import (
     Different,
@@ -47,6 +48,7 @@ from jaxurban.scenario.validation import (
     StrList,
     Utc,
     WeightSettings,
+    as_list,
     changed,
     check_truths,
     sentence_of,
@@ -207,27 +209,54 @@ def _dirichlet_or_list(value: Any) -> Any:
     raise ValueError(f"must be 'dirichlet' or a list such as [{{ distance = 0.1, gps = 1.0 }}], got {value!r}")
 
 
-class StudySettings(_Section):
-    """A Monte Carlo study."""
+@typed
+@dataclass(frozen=True)
+class Study:
+    """A Monte Carlo study: its queries, and how every planner solves them.
+
+    Attributes:
+      instances: queries at each altitude.
+      planners: each plans every instance.
+      distance_only: planners that also plan the shortest path; its weighted cost is reported.
+      altitudes_m: of the maps' altitudes; all if left out.
+      land_cover: OSM file with water and parks; left out, the buildings' source where that is one.
+      weights: ``"dirichlet"``, or weights that take turns (see `jaxurban.studies.sample_instances`).
+      cost_model: left out: that of ``[planning]``.
+      budget_s: seconds for each run.
+      budget_iterations: instead, samples for planners that draw any, while the others run to their end: rows then
+        repeat exactly, whatever the number of workers, but for ``elapsed_s``.
+      seed: of the sampling of instances, and of sampling planners, mixed with the instance's number.
+
+    Raises:
+      InputError: no planner, an unknown one, or a number that is too small.
+    """
 
     instances: Annotated[PositiveInt, Field(le=1_000_000)] = 200
-    planners: tuple[PlannerName, ...] = PAPER_PLANNERS
-    distance_only: tuple[PlannerName, ...] = ("astar-dist",)  # run for the shortest path too
+    planners: Annotated[tuple[PlannerName, ...], BeforeValidator(as_list)] = PAPER_PLANNERS
+    distance_only: Annotated[tuple[PlannerName, ...], BeforeValidator(as_list)] = ("astar-dist",)
     altitudes_m: DifferentList | None = None
-    land_cover: str | None = None  # OSM file with water and parks; left out, the buildings' source where that is one
+    land_cover: str | None = None
     weights: Annotated[tuple[WeightSettings, ...] | Literal["dirichlet"], BeforeValidator(_dirichlet_or_list)] = (
         "dirichlet"
     )
-    cost_model: Literal["cell", "line"] | None = None  # left out: that of ``[planning]``
+    cost_model: Literal["cell", "line"] | None = None
     budget_s: Positive = 2.0
     budget_iterations: PositiveInt | None = None
     seed: Seed = 0
 
-    @model_validator(mode="after")
-    def _check(self) -> "StudySettings":
+    def __post_init__(self) -> None:
+        for name in ("planners", "distance_only"):
+            object.__setattr__(self, name, tuple(dict.fromkeys(as_list(getattr(self, name)))))
         if not self.planners:
-            raise ValueError("planners is empty: name at least one planner")
-        return self
+            raise InputError("planners is empty: name at least one planner")
+        for planner in (*self.planners, *self.distance_only):
+            find_planner(planner)
+        if self.cost_model is not None:
+            one_of("cost_model", self.cost_model, ("cell", "line"))
+        positive("budget_s", self.budget_s, "seconds")
+        for name, least in (("instances", 1), ("seed", 0), ("budget_iterations", 1)):
+            if getattr(self, name) is not None:
+                at_least(name, getattr(self, name), least)
 
 
 class Scenario(_Section):
@@ -247,7 +276,7 @@ class Scenario(_Section):
     weights: WeightSettings = Weights()
     planning: PlanningSettings = PlanningSettings()
     vehicle: Vehicle = Vehicle()
-    study: StudySettings = StudySettings()
+    study: Study = Study()
     _folder: Path = PrivateAttr(default=Path())
 
     @model_validator(mode="before")

@@ -171,7 +171,8 @@ WeightTable = Annotated[  # weights by name; `Scenario` knows which names there 
 WeightSettings = Annotated[Weights, GetPydanticSchema(lambda _, handler: handler.generate_schema(WeightTable))]
 
 
-def _as_list(value: Any) -> Any:
+def as_list(value: Any) -> Any:
+    """Return a list or a tuple as it is, another value in a list."""
     return value if isinstance(value, list | tuple) else [value]
 
 
@@ -197,7 +198,7 @@ def _as_utc(time: datetime) -> datetime:
 
 Utc = Annotated[datetime, AfterValidator(_as_utc)]  # a naive time is UTC already
 Seed = Annotated[int, Field(ge=0)]
-StrList = Annotated[tuple[str, ...], BeforeValidator(_as_list), Field(min_length=1)]
+StrList = Annotated[tuple[str, ...], BeforeValidator(as_list), Field(min_length=1)]
 Different = AfterValidator(_all_different)
-DifferentList = Annotated[tuple[Positive, ...], BeforeValidator(_as_list), Field(min_length=1), Different]
+DifferentList = Annotated[tuple[Positive, ...], BeforeValidator(as_list), Field(min_length=1), Different]
 Profile = tuple[float, ...]

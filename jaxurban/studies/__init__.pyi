@@ -6,10 +6,10 @@ from jaxurban.report.receiver import save_validation as save_validation
 from jaxurban.report.run_sensitivity import sensitivity_study as sensitivity_study
 from jaxurban.report.sensitivity import save_sensitivity as save_sensitivity
 from jaxurban.report.sensitivity_study import SensitivityStudy as SensitivityStudy
+from jaxurban.scenario.settings import Study as Study
 from jaxurban.studies.map_comparison import MapComparison as MapComparison
 from jaxurban.studies.map_comparison import compare as compare
 from jaxurban.studies.montecarlo.sampling import sample_instances as sample_instances
-from jaxurban.studies.montecarlo.trial import BenchmarkSettings as BenchmarkSettings
 from jaxurban.studies.queries import make_queries as make_queries
 from jaxurban.studies.receiver.prediction import ReceiverSettings as ReceiverSettings
 from jaxurban.studies.receiver.validate import ReceiverValidation as ReceiverValidation

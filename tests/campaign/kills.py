@@ -52,7 +52,7 @@ def tiles_by_workers(base: Path, folder: Path) -> None:
 
 def study(base: Path, folder: Path) -> None:
     """Run planners on random instances."""
-    how = ju.studies.BenchmarkSettings(planners=("astar-plus", "bitstar-plus"), budget_iterations=400)
+    how = ju.studies.Study(planners=("astar-plus", "bitstar-plus"), budget_iterations=400)
     ju.studies.study(base, folder, 12, settings=how, progress=False)
 
 

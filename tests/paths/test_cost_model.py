@@ -17,7 +17,7 @@ from jaxurban.errors import OtherSettingsWarning
 from jaxurban.io.files import write_json
 from jaxurban.io.store import write_zarr
 from jaxurban.paths.export.write import write_path
-from jaxurban.studies.montecarlo.trial import BenchmarkSettings
+from jaxurban.studies.montecarlo.trial import Benchmark
 from jaxurban.studies.weights import sobol
 from tests.cli_runs import assert_one_sentence, run
 from tests.made_maps import made_maps
@@ -135,8 +135,8 @@ def costs_of_every_way(maps, ends, planned, under, closed, folder) -> dict[str, 
         assert shown.query.cost_map.cost_model == ju.CostModel.from_settings(planned.settings)
         costs[name] = float(shown.features @ VECTOR)
         costs[f"the search of {name}"] = float(shown.query.sums(shown.query.cheapest(VECTOR))[0] @ VECTOR)
-    how = ju.studies.BenchmarkSettings(planners=["astar-plus"], distance_only=(), **under)
-    found = ju.studies.study(maps, folder / "study", instances_of(maps), settings=how, progress=False)
+    how = ju.studies.Study(planners=["astar-plus"], distance_only=())
+    found = ju.studies.study(maps, folder / "study", instances_of(maps), settings=how, **under, progress=False)
     return costs | {"study": found.rows.cost.item()}
 
 
@@ -339,10 +339,8 @@ def test_a_studys_queries_keep_to_its_constraints_and_are_joined_by_its_rule_for
 def test_a_folder_keeps_one_study_under_one_set_of_constraints(maps, closing, tmp_path):
 
     def study(constraints=None):
-        how = ju.studies.BenchmarkSettings(
-            planners=["ptp"], distance_only=(), constraints=constraints or ju.Constraints()
-        )
-        return ju.studies.study(maps, tmp_path, instances_of(maps), settings=how, progress=False)
+        how = {"settings": ju.studies.Study(planners=["ptp"], distance_only=()), "constraints": constraints}
+        return ju.studies.study(maps, tmp_path, instances_of(maps), **how, progress=False)
 
     study(closing["constraints"])
     kept = json.loads((tmp_path / "made.json").read_text())["study"]["asked"]
@@ -359,7 +357,7 @@ def test_a_folder_keeps_one_study_under_one_set_of_constraints(maps, closing, tm
     )
     with pytest.raises(ju.InputError, match="outlines of no-fly zones"):
         study(redrawn)
-    settings = BenchmarkSettings(constraints=closing["constraints"])
+    settings = Benchmark(constraints=closing["constraints"])
     assert pickle.loads(pickle.dumps(settings)) == settings  # so that a worker reads its maps once
     assert len({settings, pickle.loads(pickle.dumps(settings))}) == 1
 

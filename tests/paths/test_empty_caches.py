@@ -33,7 +33,7 @@ if done == "plan_many":
     queries = pd.read_parquet(out + ".queries.parquet")
     ju.plan_many(maps, queries, altitude_m=20.0, budget_s=budget_s, file=out, num_threads=2, progress=False)
 else:
-    settings = ju.studies.BenchmarkSettings(planners=("ptp", "astar-dist", "astar-plus"), budget_s=budget_s)
+    settings = ju.studies.Study(planners=("ptp", "astar-dist", "astar-plus"), budget_s=budget_s)
     ju.studies.study(maps, out, 3, settings=settings, progress=False)
 """
 
@@ -101,7 +101,7 @@ def test_plan_many(folder, in_new_session, tmp_path):
 
 def test_study(folder, in_new_session, tmp_path):
     in_new_session("-c", SCRIPT.format(budget_s=BUDGET_S), "study", folder, tmp_path / "cold")
-    settings = ju.studies.BenchmarkSettings(planners=("ptp", "astar-dist", "astar-plus"), budget_s=BUDGET_S)
+    settings = ju.studies.Study(planners=("ptp", "astar-dist", "astar-plus"), budget_s=BUDGET_S)
     warm = ju.studies.study(ju.open_maps(folder), tmp_path / "warm", 3, settings=settings, progress=False).rows
     cold = pd.read_parquet(tmp_path / "cold" / "rows.parquet")
     assert cold["setup_s"].max() > BUDGET_S > cold["elapsed_s"].max()

@@ -23,12 +23,12 @@ from jaxurban.planners.astar import astar
 from jaxurban.planners.base import Problem
 from jaxurban.report.benchmark import export_benchmark
 from jaxurban.report.montecarlo import report_markdown, tables_of, write_analysis
-from jaxurban.studies.montecarlo.trial import DISTANCE, PlannerRun
+from jaxurban.studies.montecarlo.trial import DISTANCE, Benchmark, PlannerRun
 from tests.cli_runs import assert_one_sentence, run
 from tests.made_maps import made_maps
 from tests.movingai import read_map, read_scenarios
 
-SETTINGS = ju.studies.BenchmarkSettings(budget_iterations=200, seed=2)
+SETTINGS = ju.studies.Study(budget_iterations=200, seed=2)
 ONE = replace(SETTINGS, planners=["ptp"], distance_only=())
 NUM_ROWS = 12 * 2 * 6  # instances, altitudes, five planners and one distance-only run
 
@@ -81,7 +81,7 @@ def test_planners_may_be_added_and_nothing_is_run_twice(folder, tmp_path):
 
 def test_a_folder_keeps_one_study(folder, tmp_path):
     ju.studies.study(folder, tmp_path, 1, settings=ONE)
-    cell = replace(ONE, cost_model=ju.CostModel("cell"))
+    cell = replace(ONE, cost_model="cell")
     with pytest.raises(InputError, match=r"its cost_model is line, now cell.*--overwrite"):
         ju.studies.study(folder, tmp_path, 1, settings=cell)
     with pytest.raises(InputError, match=r"its budget is 200 samples, now 2.0 s"):
@@ -141,7 +141,7 @@ KILLED = """
 import sys, jaxurban as ju
 from pathlib import Path
 if __name__ == "__main__":
-    settings = ju.studies.BenchmarkSettings(budget_iterations=200, seed=2)
+    settings = ju.studies.Study(budget_iterations=200, seed=2)
     ju.studies.study(sys.argv[1], sys.argv[2], 12, settings=settings, workers=int(sys.argv[3]))
 """
 
@@ -192,7 +192,11 @@ def test_a_planner_that_kills_its_worker_costs_its_own_rows_alone(folder, result
     tasks = [InstanceRuns(instance, runs) for instance in result.instances[:2].to_dict("records")]
     with dask.config.set({"distributed.scheduler.allowed-failures": 0}), cluster_client(None, 2) as client:
         client.register_plugin(Killer())
-        found = list(solve_on(client, tasks, {None: MapsFolder(folder)}, replace(SETTINGS, budget_iterations=100)))
+        found = list(
+            solve_on(
+                client, tasks, {None: MapsFolder(folder)}, Benchmark(study=replace(SETTINGS, budget_iterations=100))
+            )
+        )
     rows = {(row["instance"], row["planner"]): row for rows in found for row in rows}
     assert len(rows) == sum(map(len, found)) == 6
     for (_, planner), row in rows.items():

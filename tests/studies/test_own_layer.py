@@ -67,7 +67,7 @@ def test_sensitivity_finds_the_breakpoints_of_its_weight(maps, ends, monkeypatch
 
 
 def test_a_benchmark_draws_its_weight_and_tells_its_mean_in_rows_report_and_export(maps, tmp_path):
-    settings = ju.studies.BenchmarkSettings(planners=["astar-plus"], seed=3)
+    settings = ju.studies.Study(planners=["astar-plus"], seed=3)
     found = ju.studies.study(maps, tmp_path, 12, settings=settings, progress=False)
     shares = found.instances[[f"w_{name}" for name in NAMES]].to_numpy() * [5.0, 1, 1, 1, 1, 1]
     np.testing.assert_allclose(shares.sum(axis=1), 1)
@@ -75,7 +75,7 @@ def test_a_benchmark_draws_its_weight_and_tells_its_mean_in_rows_report_and_expo
     assert set(found.rows) - set(row_columns()) == {"m_noise"}
     assert found.rows.m_noise[found.rows.cost.notna()].between(0, 1).all()
     assert "m_noise" in report_markdown(found, tables_of(found))
-    export_benchmark(maps, found.instances, found.rows, tmp_path / "b", settings, "loud-city")
+    export_benchmark(maps, found.instances, found.rows, tmp_path / "b", found.settings, "loud-city")
     assert "`w_noise`" in (tmp_path / "b" / "README.md").read_text()
     with np.load(next((tmp_path / "b" / "costs").glob("*.npz"))) as kept:
         assert kept["names"].tolist() == list(NAMES[1:])

@@ -9,12 +9,12 @@ from jaxurban.planners.any_angle import ptp
 from jaxurban.planners.base import Path, Status
 from jaxurban.planners.registry import PLANNERS, PlannerEntry
 from jaxurban.studies.montecarlo.sampling import sample_instances
-from jaxurban.studies.montecarlo.trial import BenchmarkSettings, PlannerRun, row_columns
+from jaxurban.studies.montecarlo.trial import Benchmark, PlannerRun, row_columns
 from tests.made_maps import made_maps
 
 WEIGHTED = [PlannerRun(name, "weighted") for name in ("ptp", "astar-dist", "astar-plus")]
 NO_CLOCKS = {"elapsed_s": 0, "setup_s": 0}
-FEW_SAMPLES = BenchmarkSettings(budget_iterations=300)
+FEW_SAMPLES = Benchmark(study=ju.studies.Study(budget_iterations=300))
 
 
 @pytest.fixture(scope="module")
@@ -30,7 +30,7 @@ def instances(maps):
 
 @pytest.mark.parametrize("cost_model", ["cell", "line"])
 def test_rows_say_what_plan_says(maps, instances, cost_model):
-    settings = BenchmarkSettings(cost_model=ju.CostModel(cost_model))
+    settings = Benchmark(cost_model=ju.CostModel(cost_model))
     for instance in instances[:4]:
         on = settings.cost_map(maps, 20.0, None, instance["time_of_day"])
         for run, row in zip(WEIGHTED, solve_instance(settings, on, instance, WEIGHTED), strict=True):
@@ -63,9 +63,7 @@ def test_rows_say_what_plan_says(maps, instances, cost_model):
 def test_the_shortest_path_is_no_longer_and_no_cheaper_than_the_cheapest(maps, instances):
     runs = [PlannerRun("astar-dist", "weighted"), PlannerRun("astar-dist", "distance")]
     for instance in instances:
-        cheapest, shortest = solve_instance(
-            BenchmarkSettings(), BenchmarkSettings().cost_map(maps, 20.0, None, None), instance, runs
-        )
+        cheapest, shortest = solve_instance(Benchmark(), Benchmark().cost_map(maps, 20.0, None, None), instance, runs)
         assert cheapest["cost"] <= shortest["cost"] * (1 + 1e-12)
         assert shortest["length_m"] <= cheapest["length_m"] * (1 + 1e-12)
         assert shortest["search_cost"] == pytest.approx(shortest["length_m"])
@@ -113,7 +111,7 @@ def test_a_planner_that_crashes_or_cheats_is_a_row_and_the_next_one_is_asked(map
     monkeypatch.setitem(PLANNERS, "crashing", PlannerEntry(crashing, ""))
     monkeypatch.setitem(PLANNERS, "cheating", PlannerEntry(cheating, ""))
     runs = [PlannerRun(name, "weighted") for name in ("crashing", "cheating", "astar-dist")]
-    rows = solve_instance(BenchmarkSettings(), BenchmarkSettings().cost_map(maps, 20.0, None, None), instances[0], runs)
+    rows = solve_instance(Benchmark(), Benchmark().cost_map(maps, 20.0, None, None), instances[0], runs)
     assert [row["status"] for row in rows] == ["crashed", "invalid", "optimal"]
     assert rows[0]["note"] == "RuntimeError: out of ideas"
     assert rows[1]["cost"] is None
@@ -123,10 +121,10 @@ def test_a_planner_that_crashes_or_cheats_is_a_row_and_the_next_one_is_asked(map
 def test_a_start_in_an_obstacle_or_off_the_map_is_a_row(maps, instances):
     row, col = np.argwhere(~maps.is_free(20.0))[0]
     x_m, y_m = (float(value) for value in maps.grid.xy_of_cell(row, col))
-    on = BenchmarkSettings().cost_map(maps, 20.0, None, None)
+    on = Benchmark().cost_map(maps, 20.0, None, None)
     for place, word in (((x_m, y_m), "obstacle"), ((0.0, 0.0), "outside")):
         query = instances[0] | {"start_x_m": place[0], "start_y_m": place[1]}
-        (found,) = solve_instance(BenchmarkSettings(), on, query, [PlannerRun("ptp", "weighted")])
+        (found,) = solve_instance(Benchmark(), on, query, [PlannerRun("ptp", "weighted")])
         assert found["status"] == "bad-input"
         assert word in found["note"]
 
@@ -137,8 +135,8 @@ def test_a_pair_that_no_path_joins_is_a_row_without_numbers(maps, instances):
     walled.ds["obstacle"][0, max(0, row - 1) : row + 2, max(0, col - 1) : col + 2] = 1
     walled.ds["obstacle"][0, row, col] = 0
     (found,) = solve_instance(
-        BenchmarkSettings(),
-        BenchmarkSettings().cost_map(walled, 20.0, None, None),
+        Benchmark(),
+        Benchmark().cost_map(walled, 20.0, None, None),
         instances[0],
         [PlannerRun("astar-plus", "weighted")],
     )

@@ -3,19 +3,19 @@
 import inspect
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxurban.errors import InputError, at_least, positive, typed
+from jaxurban.errors import InputError
 from jaxurban.io.tables import Row
 from jaxurban.paths.cost_map import CostMap
 from jaxurban.paths.rows import CRASHED, RouteJob, Run, failure
 from jaxurban.planners.base import Cell, CostKind, Path
 from jaxurban.planners.registry import PLANNERS, find_planner
-from jaxurban.scenario.settings import PAPER_PLANNERS
+from jaxurban.scenario.settings import Study
 from jaxurban.studies.montecarlo.sampling import KEY, weighed_metrics
 from jaxurban.world.grid import Grid
 
@@ -31,64 +31,36 @@ class PlannerRun(NamedTuple):
     objective: str
 
 
-@typed
-@dataclass(frozen=True)
-class BenchmarkSettings(RouteJob):
-    """How every instance is solved; costs are reported under both kinds of cost model.
+@dataclass(frozen=True, kw_only=True)
+class Benchmark(RouteJob):
+    """Every planner of a study on every instance, under one set of rules; costs are reported under both cost models.
 
     Attributes:
-      planners: each plans every instance.
-      distance_only: planners that also plan the shortest path; its weighted cost is reported.
-      budget_s: seconds for each run.
-      budget_iterations: instead, samples for planners that draw any, while the others run to their end: rows then
-        repeat exactly, whatever the number of workers, but for ``elapsed_s``.
-      seed: of the sampling of instances, and of sampling planners, mixed with the instance's number.
+      study: planners and budgets.
       cost_model, constraints, preset: see `jaxurban.paths.rows.RouteRules`.
-
-    Raises:
-      InputError: no planner, an unknown one, or an unknown preset.
     """
 
-    planners: Sequence[str] | str = PAPER_PLANNERS
-    distance_only: Sequence[str] | str = ("astar-dist",)
-    budget_s: float = 2.0
-    budget_iterations: int | None = None
-    seed: int = 0
+    study: Study = field(default_factory=Study)
 
     key = (*KEY, "planner", "objective")
     run_key = PlannerRun._fields
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        for name in ("planners", "distance_only"):
-            given = getattr(self, name)
-            object.__setattr__(self, name, tuple(dict.fromkeys([given] if isinstance(given, str) else given)))
-        if not self.planners:
-            raise InputError("planners is empty: name at least one planner")
-        for planner in (*self.planners, *self.distance_only):
-            find_planner(planner)
-        positive("budget_s", self.budget_s, "seconds")
-        at_least("seed", self.seed)
-        if self.budget_iterations is not None:
-            at_least("budget_iterations", self.budget_iterations, 1)
 
     @property
     def runs(self) -> list[PlannerRun]:
         """What is run on every instance."""
         return [
-            *(PlannerRun(name, WEIGHTED) for name in self.planners),
-            *(PlannerRun(name, DISTANCE) for name in self.distance_only),
+            *(PlannerRun(name, WEIGHTED) for name in self.study.planners),
+            *(PlannerRun(name, DISTANCE) for name in self.study.distance_only),
         ]
 
     def seed_of(self, instance: int) -> int:
         """Return the seed of sampling planners on an instance, by its number."""
-        return int(np.random.SeedSequence([self.seed, instance]).generate_state(1)[0])
+        return int(np.random.SeedSequence([self.study.seed, instance]).generate_state(1)[0])
 
     def to_dict(self) -> dict[str, Any]:
         """Return what decides a row, but for its planner, as plain, JSON-ready values."""
-        numbers = {name: getattr(self, name) for name in ("budget_s", "budget_iterations", "seed")}
-        numbers["budget_s"] = float(self.budget_s)
-        return self.rules() | numbers
+        numbers = {name: getattr(self.study, name) for name in ("budget_iterations", "seed")}
+        return self.rules() | {"budget_s": float(self.study.budget_s)} | numbers
 
     def facts(self, on: CostMap, instance: Row, runs: Sequence[Run]) -> Iterator[dict[str, Any]]:
         """Yield what each planner found for an instance (see `row_columns`); a planner that crashes is an outcome too.
@@ -104,7 +76,7 @@ class BenchmarkSettings(RouteJob):
         seed = self.seed_of(int(instance["instance"]))
         for planner, objective in runs:
             try:
-                found = limited(planner, self)(by_objective[objective].alone(), seed=seed)
+                found = limited(planner, self.study)(by_objective[objective].alone(), seed=seed)
                 yield _facts(on, found, weights, planner)
             except Exception as error:  # whatever a planner does, the benchmark goes on
                 yield {**failure(error), "status": CRASHED}
@@ -154,13 +126,13 @@ def located(on: CostMap, instance: Row) -> tuple[Cell, Cell, np.ndarray]:
     return start, goal, np.array([float(instance[f"w_{name}"]) for name in on.weight_names])
 
 
-def limited(planner: str, settings: BenchmarkSettings) -> Callable[..., Path]:
+def limited(planner: str, study: Study) -> Callable[..., Path]:
     """Return a planner under the benchmark's budget: seconds, or samples where it draws any."""
     search: Callable[..., Path] = find_planner(planner)
-    if settings.budget_iterations is None:
-        return partial(search, budget_s=settings.budget_s)
+    if study.budget_iterations is None:
+        return partial(search, budget_s=study.budget_s)
     if draws_samples(planner):
-        search = partial(search, max_samples=settings.budget_iterations)
+        search = partial(search, max_samples=study.budget_iterations)
     return partial(search, budget_s=math.inf)
 
 
