@@ -41,7 +41,7 @@ def test_rows_say_what_plan_says(maps, instances, cost_model):
                 "time_of_day": instance["time_of_day"],
                 "planner": run.planner,
                 "weights": ju.Weights(
-                    *(instance[f"w_{n}"] for n in ("distance", "gps", "lidar", "population", "risk"))
+                    **{n: instance[f"w_{n}"] for n in ("distance", "gps", "lidar", "population", "risk")}
                 ),
             }
             planned = {model: ju.plan(maps, **query, cost_model=model) for model in {cost_model, "cell", "line"}}
