@@ -1,7 +1,7 @@
 """The datasets that hold metric maps: their variables, units, coordinates and attributes."""
 
 import json
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,7 @@ from jaxurban.maps.task import MapTask
 from jaxurban.metrics.availability import TimeTotals
 from jaxurban.metrics.base import TIME, UNDERSIDE, Variable
 from jaxurban.metrics.gps import DOPS, WEIGHTED_DOPS
-from jaxurban.metrics.variables import NO_METRICS, bounds_of, of_region, series_of, spread_of
+from jaxurban.metrics.variables import NO_METRICS, derived
 from jaxurban.world.city import SLABS, joined_credits
 
 PLANE = ("y", "x")
@@ -28,13 +28,13 @@ def variables(task: MapTask) -> dict[str, Variable]:
     found = {"obstacle": NO_METRICS["obstacle"]}
     for name, metric in task.metrics.items():
         if TIME in metric.dims and not task.keeps_times:
-            found |= series_of(metric)
+            found |= derived(metric)["series"]
             continue
         found |= metric.variables
         if TIME in metric.dims and metric.is_monotone and task.params.gps_bounds:
-            found |= bounds_of(metric)
+            found |= derived(metric)["bounds"]
         if name in task.spread_metrics:
-            found |= spread_of(metric)
+            found |= derived(metric)["spread"]
     are_made = {
         "obstacle_share": task.params.height_samples,
         "roof_guessed": task.has_guessed_roofs,
@@ -92,7 +92,7 @@ def empty_dataset(task: MapTask, make: Callable[[tuple[int, ...], np.dtype], obj
         data[name] = _held(dims, make(tuple(sizes[dim] for dim in dims), np.dtype(variable.dtype)))
     ds = xr.Dataset(data, _indexed(coords), attrs)
     for name, variable in held.items():
-        ds[name].attrs |= _attributes(variable, ds[name].dims)
+        ds[name].attrs |= _attributes(variable, ds[name])
     if "pop_norm_per_block" in ds.attrs:
         ds["population"].attrs["one_means"] = "as many people in the block as the norm (pop_norm_per_block)"
     if "protection" in task.metrics:
@@ -115,8 +115,8 @@ def with_series(ds: xr.Dataset, task: MapTask, totals: Mapping[str, TimeTotals])
     for name, sums in totals.items():
         mean, worst = (("time", "altitude"), sums.mean), ("altitude", ds["time"].values[sums.worst])
         ds = ds.assign({f"{name}_epoch_mean": mean, f"{name}_worst_time": worst})
-        for each, variable in of_region(task.metrics[name]).items():
-            ds[each].attrs |= _attributes(variable, ds[each].dims)
+        for each, variable in derived(task.metrics[name])["region"].items():
+            ds[each].attrs |= _attributes(variable, ds[each])
     return ds
 
 
@@ -140,16 +140,16 @@ def _axis(name: str, values: np.ndarray, axis: str, standard_name: str, long_nam
     return _held((name,), values, {"standard_name": standard_name, "long_name": long_name, "axis": axis, **more})
 
 
-def _attributes(variable: Variable, dims: tuple[Hashable, ...]) -> dict[str, str]:
-    """Return what files say of a variable with these dims."""
-    is_on_plane = {*PLANE} <= {*dims}
+def _attributes(variable: Variable, array: xr.DataArray) -> dict[str, str]:
+    """Return what files say of a variable."""
+    is_time = array.dtype.kind == "M"  # which has units of its own
     found = {
         "long_name": variable.long_name,
         CAVEAT: variable.caveat,
         "standard_name": variable.standard_name,
-        "units": variable.unit,
+        "units": "" if is_time else variable.unit,
         "one_means": variable.one_means,
-        "grid_mapping": "spatial_ref" if is_on_plane else "",
+        "grid_mapping": "spatial_ref" if {*PLANE} <= {*array.dims} else "",
         IN_OBSTACLES: "" if variable.inside is None else INSIDE.get(variable.name, "0"),
     }
     return {key: value for key, value in found.items() if value}

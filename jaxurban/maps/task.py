@@ -21,7 +21,7 @@ from jaxurban.metrics.lidar import Lidar
 from jaxurban.metrics.population import BlockLayers, Population, block_layers
 from jaxurban.metrics.registry import METRICS, ON_REQUEST
 from jaxurban.metrics.risk import Risk
-from jaxurban.metrics.variables import spread_of
+from jaxurban.metrics.variables import derived
 from jaxurban.metrics.visibility import shadow_reach_m
 from jaxurban.world.city import City, Raster
 from jaxurban.world.grid import Grid
@@ -114,7 +114,8 @@ class MapTask:
                 "GDOP. Set [gps] clocks = 'one', or give the orbits of one system"
             )
         check_file_names(self.layers)
-        if taken := {each for name in self.spread_metrics for each in spread_of(self.metrics[name])} & {*self.layers}:
+        spreads = {each for name in self.spread_metrics for each in derived(self.metrics[name])["spread"]}
+        if taken := spreads & {*self.layers}:
             raise InputError(f"a layer cannot be called {min(taken)!r}, a map of the spread: give it another name")
 
     @cached_property

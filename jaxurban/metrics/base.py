@@ -7,18 +7,15 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, DTypeLike, Float, Int, UInt
+from jaxtyping import Array, DTypeLike, Float, Int, UInt
 
 from jaxurban.kernels.engine import Engine
 from jaxurban.world.surface import Surface
 
 if TYPE_CHECKING:
     from jaxurban.kernels.dop import Geometry
-    from jaxurban.metrics.gps import SatelliteSet
-    from jaxurban.metrics.population import BlockLayers, BlockPopulation
     from jaxurban.metrics.visibility import SkyView
     from jaxurban.world.city import Blocks
-    from jaxurban.world.sky import InView
 
 AnyArray = Array | np.ndarray
 ALTITUDE, TIME, TIME_OF_DAY = "altitude", "time", "time_of_day"
@@ -148,10 +145,12 @@ class Scene:
         altitude.
       supersampled: the same surface with cells ``oversample`` times smaller; None where they are the map's own.
       oversample: how many times finer that is.
-      satellites: those at or above the mask at the time, made ready; None for metrics without a time.
-      in_view: where those stand and of which constellations; None for metrics without a time.
+      satellites: those at or above the mask at the time, made ready (`jaxurban.metrics.gps.SatelliteSet`); None for
+        metrics without a time.
+      in_view: where those stand and of which constellations (`jaxurban.world.sky.InView`); None as that.
       words: ``[W, y, x]`` which of them each cell sees: satellite ``s`` is bit ``s % 32`` of word ``s // 32``.
-      population: every census block at the time of day, ``[N]`` each and the norm; None for metrics without one.
+      population: every census block at the time of day, ``[N]`` each and the norm
+        (`jaxurban.metrics.population.BlockLayers`); None for metrics without one.
       rasters: ``[y, x]`` the values of rasters of one's own at the altitude, by the name of their layer; NaN where
         they hold nothing.
       only_m: nothing but the metric itself is wanted, no further variables.
@@ -159,14 +158,14 @@ class Scene:
     """
 
     surface: Surface
-    altitude_m: float | None = None
-    is_obstacle: Bool[Array, "y x"] | None = None
+    altitude_m: Any = None
+    is_obstacle: Any = None
     supersampled: Surface | None = None
     oversample: int = 1
-    satellites: "SatelliteSet | None" = None
-    in_view: "InView | None" = None
-    words: UInt[AnyArray, "W y x"] | None = None
-    population: "BlockLayers | None" = None
+    satellites: Any = None
+    in_view: Any = None
+    words: Any = None
+    population: Any = None
     rasters: dict[str, np.ndarray] = field(default_factory=dict)
     only_m: bool = False
     engine: Engine = "auto"
@@ -200,7 +199,7 @@ class SoftScene(NamedTuple):
       cells: ``[P, 2]`` row and column in the region; None for the whole region.
       reach_m: how far the metric looks at most; a plain number.
       view: the satellites.
-      population: of the census blocks; None without population.
+      population: of the census blocks (`jaxurban.metrics.population.BlockPopulation`); None without population.
       time_of_day: of the population.
     """
 
@@ -210,7 +209,7 @@ class SoftScene(NamedTuple):
     cells: Int[Array, "P 2"] | None
     reach_m: float
     view: "SkyView"
-    population: "BlockPopulation | None"
+    population: Any
     time_of_day: str
 
 

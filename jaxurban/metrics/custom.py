@@ -8,6 +8,7 @@ import zlib
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, Literal
 
@@ -30,7 +31,7 @@ from jaxurban.metrics.base import (
     low_is_bad,
 )
 from jaxurban.metrics.registry import known_metrics
-from jaxurban.metrics.variables import NO_METRICS, variables_of
+from jaxurban.metrics.variables import NO_METRICS, derived
 from jaxurban.world.surface import Surface
 
 COSTS = {"high-is-bad": high_is_bad, "low-is-bad": low_is_bad}
@@ -39,7 +40,8 @@ COLOUR_MAP = "cividis"
 TAKEN = {
     *("distance", "climb", "descent", "self", "lon", "lat", ALTITUDE, TIME, TIME_OF_DAY, "y", "x", "spatial_ref"),
     *NO_METRICS,
-    *(name for metric in known_metrics().values() for of in (False, True) for name in variables_of(metric, of)),
+    *(name for metric in known_metrics().values() for name in metric.variables),
+    *(name for metric in known_metrics().values() for made in derived(metric).values() for name in made),
 }
 
 
@@ -173,7 +175,7 @@ def own_metric(name: str, layer: Layer) -> Metric:
         compute=partial(_map, name),
         soft=None if layer.soft is None else _soft,
         cost=COSTS[layer.cost],
-        reach_m=_reach_m,
+        reach_m=attrgetter("reach_m"),
         label=name,
         one_means=f"{name} of {high:g} or more",
         colour=colour_of(name),
@@ -207,7 +209,8 @@ def held_variables(ds: xr.Dataset) -> dict[str, Variable]:
     """Return what every map of a dataset is, by name; of those that nobody here knows, what their attributes say."""
     known = dict(NO_METRICS)
     for name, metric in held_metrics(ds).items():
-        known |= variables_of(metric, is_series=f"{name}_median" in ds)
+        made = derived(metric)
+        known |= made["series"] if f"{name}_median" in ds else metric.variables | made["bounds"] | made["spread"]
     maps = {str(name): array for name, array in ds.data_vars.items() if array.dims[-2:] == ("y", "x")}
     return {name: known[name] if name in known else _described(name, array) for name, array in maps.items()}
 
@@ -222,10 +225,6 @@ def layer_of(record: Mapping[str, Any]) -> Layer:
     """Return the layer of a `Layer.record`."""
     lists = {name: tuple(value) for name, value in record.items() if isinstance(value, list)}
     return Layer(**{**record, **lists})
-
-
-def _reach_m(layer: Layer) -> float:
-    return layer.reach_m
 
 
 def _map(name: str, scene: Scene, layer: Layer) -> dict[str, jax.Array]:

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from operator import attrgetter
 from typing import Any
 
 import jax
@@ -67,11 +68,6 @@ class Lidar:
         """Elevation of each beam above the horizon, ascending, ``[B]``."""
         low, high = np.deg2rad(self.field_of_view_deg)
         return np.linspace(low, high, self.beams) if self.beams > 1 else np.array([(low + high) / 2])
-
-
-def reach_m(params: Lidar) -> float:
-    """Return how far beyond a cell its metric looks, rounded up to whole cells by the caller."""
-    return params.range_m
 
 
 def compute_lidar(
@@ -256,8 +252,6 @@ def soft_lidar(
 
 
 def _map(scene: Scene, params: Lidar) -> dict[str, AnyArray]:
-    assert scene.altitude_m is not None
-    assert scene.is_obstacle is not None
     altitudes_m, engine = [scene.altitude_m], scene.engine
     if scene.supersampled is None:
         return {"lidar": np.asarray(compute_lidar(scene.surface, altitudes_m, params, engine))[0]}
@@ -283,7 +277,7 @@ METRIC = Metric(
     ready=_ready,
     soft=partial(on_scene, soft_lidar),
     cost=low_is_bad,
-    reach_m=reach_m,
+    reach_m=attrgetter("range_m"),
     label="Lidar quality",
     one_means="every scan position returns",
     colour="#e69f00",

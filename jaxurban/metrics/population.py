@@ -325,7 +325,6 @@ def soft_population(
 
 def _maps(scene: Scene, params: Population) -> dict[str, Array]:
     assert scene.surface.block is not None
-    assert scene.population is not None
     block = scene.surface.block
     return {
         "population": map_blocks(block, scene.population.m),
@@ -351,7 +350,6 @@ def _traced(scene: TracedScene, params: Population) -> dict[str, Array]:
 
 def _soft(scene: SoftScene, params: Population) -> Array:
     assert scene.surface.block is not None
-    assert scene.population is not None
     return soft_population(scene.surface.block, scene.population, scene.time_of_day, params, cells=scene.cells)
 
 

@@ -206,9 +206,6 @@ CAVEAT = (
 
 def _maps(scene: Scene, params: Protection) -> dict[str, np.ndarray]:
     """Return m, both levels, and where both are within their alert limits."""
-    assert scene.in_view is not None
-    assert scene.words is not None
-    assert scene.is_obstacle is not None
     maps = protection_maps(scene.words, scene.is_obstacle, scene.in_view, params)
     if scene.only_m:
         return {"protection": maps.m}

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
+from operator import attrgetter
 from typing import Any, Literal
 
 import jax
@@ -45,11 +46,6 @@ class Risk:
     def __post_init__(self) -> None:
         check_value("threshold_m", self.threshold_m, "a positive number of metres", lambda reach_m: reach_m > 0)
         one_of("distance", self.distance, DISTANCES)
-
-
-def reach_m(params: Risk) -> float:
-    """Return how far beyond a cell its metric looks, rounded up to whole cells by the caller."""
-    return params.threshold_m
 
 
 def compute_risk(
@@ -214,7 +210,6 @@ def soft_risk(
 
 
 def _map(scene: Scene, params: Risk) -> dict[str, AnyArray]:
-    assert scene.altitude_m is not None
     return {"risk": np.asarray(compute_risk(scene.surface, [scene.altitude_m], params, scene.engine))[0]}
 
 
@@ -230,7 +225,7 @@ METRIC = Metric(
     traced=_traced,
     soft=partial(on_scene, soft_risk),
     cost=low_is_bad,
-    reach_m=reach_m,
+    reach_m=attrgetter("threshold_m"),
     label="Clearance from obstacles",
     one_means="no obstacle within the threshold",
     colour="#009e73",

@@ -1,53 +1,34 @@
 """The maps that no metric makes, and the statistics of those that one does: what each is, in one table."""
 
 from dataclasses import replace
+from functools import partial
+from typing import Any
 
 import numpy as np
 
 from jaxurban.metrics.base import ALTITUDE, TIME, UNDERSIDE, Metric, Scale, Variable
 
 FREE_COLOUR, BUILT_COLOUR, GUESSED_COLOUR, NO_DATA_COLOUR = "#f4f4ee", "#4a4a4a", "#d55e00", "#bdbdbd"
-ROOF_SCALE = Scale(high=None, stretch="sqrt", zero="no building")
-GROUND_SCALE = Scale(low=None, high=None)
-SERIES = {  # of a metric at many times, behind its name
-    "availability": "share of times above the threshold",
-    "median": "median over time",
-    "p05": "5th percentile over time",
-}
-BOUNDS = {"lower": "at least", "upper": "at most"}
-SPREAD = {
-    "mean": "mean over uncertain heights",
-    "std": "standard deviation over uncertain heights",
-    "p05": "5th percentile over uncertain heights",
-    "p95": "95th percentile over uncertain heights",
-}
+SERIES = ("availability", "median", "p05")  # what is kept of a long series, behind the metric's name
+_roof = partial(Variable, unit="m", scale=Scale(high=None, stretch="sqrt", zero="no building"))
 
-OBSTACLE = Variable(
-    "obstacle",
-    "cells inside obstacles",
-    dtype=np.uint8,
-    one_means="a roof reaches this altitude",
-    title="Obstacles",
-    classes=(("free", FREE_COLOUR), ("obstacle", BUILT_COLOUR)),
-    dims=(ALTITUDE,),
-)
 NO_METRICS = {
     variable.name: variable
     for variable in (
-        OBSTACLE,
-        Variable("obstacle_share", "share of height samples with an obstacle", dims=(ALTITUDE,)),
         Variable(
-            "roof",
-            "height of the roof over the cell's centre above the ground",
-            "m",
-            scale=ROOF_SCALE,
-            title="Roof height",
+            "obstacle",
+            "cells inside obstacles",
+            dtype=np.uint8,
+            one_means="a roof reaches this altitude",
+            title="Obstacles",
+            classes=(("free", FREE_COLOUR), ("obstacle", BUILT_COLOUR)),
+            dims=(ALTITUDE,),
         ),
-        Variable(
+        Variable("obstacle_share", "share of height samples with an obstacle", dims=(ALTITUDE,)),
+        _roof("roof", "height of the roof over the cell's centre above the ground", title="Roof height"),
+        _roof(
             "roof_touched",
             "height of the highest roof that shares area with the cell above the ground",
-            "m",
-            scale=ROOF_SCALE,
             title="Highest roof that touches a cell",
         ),
         Variable(
@@ -56,17 +37,12 @@ NO_METRICS = {
             dtype=np.bool_,
             classes=(("height known, or no roof", FREE_COLOUR), ("height guessed", GUESSED_COLOUR)),
         ),
-        Variable(
-            UNDERSIDE,
-            "height of the lowest underside of what hangs over the cell's centre above the ground",
-            "m",
-            scale=ROOF_SCALE,
-        ),
+        _roof(UNDERSIDE, "height of the lowest underside of what hangs over the cell's centre above the ground"),
         Variable(
             "terrain",
             "elevation of the ground",
             "m",
-            scale=GROUND_SCALE,
+            scale=Scale(low=None, high=None),
             title="Terrain",
             standard_name="surface_altitude",
         ),
@@ -82,50 +58,46 @@ NO_METRICS = {
 }
 
 
-def _derived(metric: Metric, titles: dict[str, str]) -> dict[str, Variable]:
-    """Return variables that are made of a metric's own, by name."""
-    own = metric.variables[metric.name]
-    made = {f"{own.name}_{what}": f"{own.long_name}, {said}" for what, said in titles.items()}
-    return {name: replace(own, name=name, long_name=long_name, one_means="") for name, long_name in made.items()}
+def derived(metric: Metric) -> dict[str, dict[str, Variable]]:
+    """Return what is made of a metric's own map, by kind and by name.
 
-
-def series_of(metric: Metric) -> dict[str, Variable]:
-    """Return what is kept of a metric over a long series of times, cell by cell."""
-    found = _derived(metric, SERIES)
-    at_every = f"m_{metric.name} is above the threshold"
+    ``"series"``: over many times, cell by cell; ``"region"``: the same over all cells; ``"bounds"``: what brackets it;
+    ``"spread"``: over uncertain heights, with values where only the known roofs stand.
+    """
+    own, dims = metric.variables[metric.name], tuple(dim for dim in metric.dims if dim != TIME)
+    share, always_so = "above the threshold", f"m_{own.name} is above the threshold"
     if metric.available:
-        at_every = f"{metric.variables[metric.available].long_name},"
-        share = f"{metric.label}, share of times with {at_every.rstrip(',')}"
-        found[f"{metric.name}_availability"] = replace(found[f"{metric.name}_availability"], long_name=share)
-    meanings = (f"{at_every} at every epoch", metric.one_means, metric.one_means)
-    dims = tuple(dim for dim in metric.dims if dim != TIME)
-    return {
-        name: replace(variable, dims=dims, one_means=meaning)
-        for (name, variable), meaning in zip(found.items(), meanings, strict=True)
+        share, always_so = f"with {(said := metric.variables[metric.available].long_name)}", f"{said},"
+    uncertain = "over uncertain heights"
+    kinds: dict[str, dict[str, tuple[str, str]]] = {  # what it is, and what 1 means
+        "series": {
+            "availability": (f"share of times {share}", f"{always_so} at every epoch"),
+            "median": ("median over time", own.one_means),
+            "p05": ("5th percentile over time", own.one_means),
+        },
+        "region": {
+            "epoch_mean": ("mean over free cells", own.one_means),
+            "worst_time": ("time of the least mean over free cells", ""),
+        },
+        "bounds": {"lower": ("at least", ""), "upper": ("at most", "")},
+        "spread": {
+            "mean": (f"mean {uncertain}", ""),
+            "std": (f"standard deviation {uncertain}", ""),
+            "p05": (f"5th percentile {uncertain}", ""),
+            "p95": (f"95th percentile {uncertain}", ""),
+        },
     }
-
-
-def of_region(metric: Metric) -> dict[str, Variable]:
-    """Return what is kept of a metric over a long series of times and a whole region; of no cells."""
-    mean, worst = _derived(
-        metric, {"epoch_mean": "mean over free cells", "worst_time": "time of the least mean over free cells"}
-    ).values()
-    made = replace(mean, one_means=metric.one_means), replace(worst, unit="")
-    return {variable.name: replace(variable, inside=None) for variable in made}
-
-
-def bounds_of(metric: Metric) -> dict[str, Variable]:
-    """Return what brackets a metric."""
-    return _derived(metric, BOUNDS)
-
-
-def spread_of(metric: Metric) -> dict[str, Variable]:
-    """Return the spread of a metric over uncertain heights, which has values where only the known roofs stand."""
-    return {name: replace(variable, inside=None) for name, variable in _derived(metric, SPREAD).items()}
-
-
-def variables_of(metric: Metric, is_series: bool = False) -> dict[str, Variable]:
-    """Return all that maps may hold of a metric: at every time, or statistics over a series of times."""
-    if is_series:
-        return series_of(metric) | of_region(metric)
-    return {**metric.variables, **bounds_of(metric), **spread_of(metric)}
+    facts: dict[str, dict[str, Any]] = {
+        "series": {"dims": dims},
+        "region": {"inside": None},
+        "spread": {"inside": None},
+    }
+    return {
+        kind: {
+            (name := f"{own.name}_{what}"): replace(
+                own, name=name, long_name=f"{own.long_name}, {said}", one_means=means, **facts.get(kind, {})
+            )
+            for what, (said, means) in rows.items()
+        }
+        for kind, rows in kinds.items()
+    }

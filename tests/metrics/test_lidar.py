@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from jaxurban.errors import InputError
-from jaxurban.metrics.lidar import Lidar, compute_lidar, reach_m
+from jaxurban.metrics.lidar import METRIC, Lidar, compute_lidar
 from jaxurban.world.grid import Grid
 from jaxurban.world.surface import Surface
 
@@ -80,7 +80,7 @@ def test_terrain_hides_what_lies_behind_a_ridge():
 def test_a_single_beam_lies_in_the_middle_and_several_at_equal_steps():
     np.testing.assert_allclose(Lidar(beams=1, field_of_view_deg=(-10, 20)).elevations_rad, np.deg2rad([5]))
     np.testing.assert_allclose(np.rad2deg(Lidar().elevations_rad), np.arange(-15, 16, 2), atol=1e-12)
-    assert reach_m(Lidar(range_m=70.0)) == 70.0
+    assert METRIC.reach_m(Lidar(range_m=70.0)) == 70.0
 
 
 @pytest.mark.parametrize(

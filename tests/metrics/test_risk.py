@@ -7,7 +7,7 @@ import pytest
 from scipy.ndimage import distance_transform_edt
 
 from jaxurban.errors import InputError
-from jaxurban.metrics.risk import Risk, compute_risk, reach_m
+from jaxurban.metrics.risk import METRIC, Risk, compute_risk
 from jaxurban.world.grid import Grid
 from jaxurban.world.surface import Surface
 
@@ -98,7 +98,7 @@ def test_solid_risk_has_finite_gradients_in_heights_and_altitude():
 
 
 def test_reach_is_the_threshold():
-    assert reach_m(Risk(threshold_m=35.0)) == 35.0
+    assert METRIC.reach_m(Risk(threshold_m=35.0)) == 35.0
 
 
 def test_impossible_settings_are_refused_by_name():

@@ -31,9 +31,6 @@ DOP_SCALE = Scale("viridis_r", 1.0, 20.0, is_better_low=True)  # up to where the
 
 def _maps(scene: Scene, params: Gps) -> dict[str, AnyArray]:
     """Return m, the DOPs and the satellites seen; they were made ready under the same settings."""
-    assert scene.satellites is not None
-    assert scene.words is not None
-    assert scene.is_obstacle is not None
     if scene.only_m:
         return {"gps": scene.satellites.m(scene.words, scene.is_obstacle)}
     maps = scene.satellites.maps(scene.words, scene.is_obstacle)
@@ -114,9 +111,6 @@ class Dop:
 
 def _map_of(name: str, dop: str, scene: Scene, params: Dop) -> dict[str, Array]:
     """Return m of one DOP of a scene."""
-    assert scene.satellites is not None
-    assert scene.words is not None
-    assert scene.is_obstacle is not None
     dops = scene.satellites.maps(scene.words, scene.is_obstacle)
     return {name: gps_metric(getattr(dops, dop), params.dop_threshold)}
 

@@ -16,7 +16,7 @@ from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY, Variable
 from jaxurban.metrics.custom import colour_of, held_variables
 from jaxurban.metrics.rating import RATING_UPPER_GDOP, Rating, rating
 from jaxurban.metrics.registry import METRICS
-from jaxurban.metrics.variables import BUILT_COLOUR, FREE_COLOUR, series_of
+from jaxurban.metrics.variables import BUILT_COLOUR, FREE_COLOUR, derived
 from jaxurban.report.figures.frame import (
     HATCH,
     HATCH_COLOUR,
@@ -68,7 +68,7 @@ def drawn_variables(maps: MetricMaps) -> dict[str, Variable]:
     shown = {variable.name for variable in found.values()} | {"has_data"}
     found |= {name: variable for name, variable in held.items() if name not in shown}
     if len(maps.times) > 1 and "gps" in found:
-        found.setdefault(AVAILABILITY, replace(series_of(METRICS["gps"])[AVAILABILITY], title="GPS availability"))
+        found.setdefault(AVAILABILITY, derived(METRICS["gps"])["series"][AVAILABILITY])
     return found
 
 
