@@ -62,15 +62,25 @@ def nearest_name(name: str, valid: Iterable[str], least: float = 0.5) -> str:
     return f" (did you mean {close[0]!r}?)" if close else ""
 
 
-def typed(public: Public) -> Public:
+def typed(public: Public, makers: Sequence[Callable] = ()) -> Public:
     """Return a function or a class that answers an argument of another kind than its annotation names by InputError.
 
     Arguments are looked at before anything runs, generously: any real number for a float (NumPy's too), anything with
     items for a sequence, text for a path. Of sequences of our own classes each item is looked at.
+
+    Args:
+      public: the function or class.
+      makers: functions to which it passes its further keywords on (`taken_by`): what they take by keyword alone, it
+        takes too.
     """
     is_class = inspect.isclass(public)
     function = public.__init__ if is_class else public
     signature = inspect.signature(function)
+    if makers:
+        *own, _ = signature.parameters.values()
+        passed = {p.name: p for maker in makers for p in inspect.signature(maker).parameters.values()}
+        own += [p for name, p in passed.items() if p.kind is p.KEYWORD_ONLY and name not in signature.parameters]
+        signature = signature.replace(parameters=own)
     parameters = signature.parameters.values()
     in_order = [p.name for p in parameters if p.kind is not p.KEYWORD_ONLY]
     the_rest = [p.name for p in parameters if p.kind is p.VAR_POSITIONAL]
@@ -79,11 +89,10 @@ def typed(public: Public) -> Public:
 
     @functools.cache
     def kinds() -> dict[str | None, list[Kind]]:  # at the first call, when every module that annotations name is there
-        return {
-            name: _kinds(hint)
-            for name, hint in get_type_hints(function, localns=_PublicNames()).items()
-            if name in names
-        }
+        hints: dict[str, Any] = {}
+        for each in (*makers, function):
+            hints |= get_type_hints(each, localns=_PublicNames())
+        return {name: _kinds(hint) for name, hint in hints.items() if name in names}
 
     @functools.wraps(function)
     def checked(*args, **kwargs):
@@ -99,7 +108,8 @@ def typed(public: Public) -> Public:
             signature.bind(*args, **kwargs)
         except TypeError as error:
             wrong = next((name for name in kwargs if name not in names), "")
-            meant = nearest_name(wrong, names, 0.8) or _place_of(wrong, function) or nearest_name(wrong, names)
+            places = [_place_of(wrong, each) for each in (function, *makers)]
+            meant = nearest_name(wrong, names, 0.8) or next(filter(None, places), nearest_name(wrong, names))
             fault = f"there is no argument {wrong!r}{meant}" if wrong else str(error)
             raise InputError(f"{public.__name__}: {fault}") from error
         try:
@@ -112,7 +122,13 @@ def typed(public: Public) -> Public:
     if is_class:
         public.__init__ = checked  # type: ignore[method-assign]
         return public
+    checked.__signature__ = signature  # type: ignore[attr-defined]
     return checked  # type: ignore[return-value]
+
+
+def taken_by(maker: Callable, given: Mapping[str, Any]) -> dict[str, Any]:
+    """Return those of some keywords that a function takes."""
+    return {name: given[name] for name in inspect.signature(maker).parameters if name in given}
 
 
 def _either(choices: Iterable[str]) -> str:

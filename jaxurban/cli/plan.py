@@ -70,7 +70,8 @@ def plan(folder: Path, files: Sequence[Path], profile: Path | None, as_json: boo
     from jaxurban.paths.cost_map import cost_map
     from jaxurban.paths.explain import check_flight, explain
     from jaxurban.paths.export.write import MISSION, encoder_of
-    from jaxurban.paths.preset import PathSearch, objective_on
+    from jaxurban.paths.plan import with_objective
+    from jaxurban.paths.preset import PathSearch
     from jaxurban.paths.simplify import simplify
 
     with_report, is_volume, snap = given["with_report"], given["is_volume"], take_snap(given)
@@ -98,9 +99,9 @@ def plan(folder: Path, files: Sequence[Path], profile: Path | None, as_json: boo
         start, goal = (*start, altitude_m), (*goal, goal_altitude_m)
         altitude_m = Levels(**{name: given[name] for name in LEVEL_OPTIONS if given[name] is not None})
     names = ("planner", "heuristic", "budget_s", "seed", "refine")
-    search = PathSearch.of(maps, is_for_volumes=is_volume, snap=snap, **{name: given[name] for name in names})
-    at = {"objective": objective_on(maps, given["objective"])} | {name: given[name] for name in ("time", "time_of_day")}
-    shared = cost_map(maps, altitude_m, **at, **given_rules(given))
+    search = PathSearch.of(maps, is_volume, snap=snap, **{name: given[name] for name in names})
+    on = {name: given[name] for name in ("objective", "time", "time_of_day")} | given_rules(given)
+    shared = cost_map(maps, altitude_m, **with_objective(maps, on))
     planned, maps = shared.found(start, goal, search), shared.maps
     if simplify_m:
         planned = simplify(planned, shared, simplify_m)

@@ -10,49 +10,36 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from jaxurban.errors import InputError, typed
+from jaxurban.errors import InputError, taken_by, typed
 from jaxurban.io.tables import fingerprint
 from jaxurban.maps.metric_maps import GivenMaps, as_maps
-from jaxurban.metrics.weights import GivenWeights
-from jaxurban.paths.constraints import Constraints
 from jaxurban.paths.cost_map import CostMap, cost_map
 from jaxurban.paths.path import finish
-from jaxurban.paths.preset import PathSearch, objective_on, under_preset, weights_on
+from jaxurban.paths.plan import with_objective
+from jaxurban.paths.preset import MapQuery, PathSearch
 from jaxurban.paths.queries import BatchResults, PlannedPaths, QueryResult, read_queries
 from jaxurban.paths.rows import BAD_INPUT, failure
 from jaxurban.paths.snapping import Place, Point
-from jaxurban.planners.base import CostKind, Path
+from jaxurban.planners.base import Path
 from jaxurban.planners.batch import Backend, solve_many
-from jaxurban.planners.cost_model import CostModel
 from jaxurban.progress import LOG, Progress, reporting
 
 HELD_BYTES = 2 * 2**30  # of weighed maps at a time
 BYTES_A_CELL = 160  # of a cost map: layers, metrics, landmarks
 
 
-@typed
+@partial(typed, makers=(MapQuery.of, PathSearch.of))
 def plan_many(
     maps: GivenMaps,
     queries: pd.DataFrame | Sequence[tuple[Point, Point]],
     *,
     altitude_m: float | None = None,
-    time: str | None = None,
-    time_of_day: str | None = None,
-    weights: GivenWeights = None,
-    objective: str | None = None,
-    cost_model: CostModel | CostKind | None = None,
-    constraints: Constraints | None = None,
-    preset: str = "",
-    planner: str | None = None,
-    heuristic: str | None = None,
     backend: Backend = "auto",
-    budget_s: float | None = None,
-    seed: int | None = None,
-    snap: bool | float = False,
     strict: bool = False,
     file: str | FilePath | None = None,
     num_threads: int | None = None,
     progress: Progress = True,
+    **asked: Any,
 ) -> PlannedPaths:
     """Return the paths of many queries, in their order.
 
@@ -72,39 +59,35 @@ def plan_many(
         scenario gives it, as in `plan`.
       queries: pairs of places or a table (see `read_queries`); a table's rows may have altitude, time, time of
         day and weights of their own.
-      altitude_m, time, time_of_day, weights: for queries that say nothing of their own.
-      objective, cost_model, constraints, preset: of all queries, as in `plan`.
-      planner, heuristic: as in `plan`.
+      altitude_m: for queries that say nothing of their own.
       backend: ``"numba"``, ``"jax"`` or ``"auto"`` (see `solve_many`).
-      budget_s: seconds for each query.
-      seed: for sampling planners, the same for each query.
-      snap: move starts and goals out of obstacles, by at most 50 m, or so many metres.
       strict: raise the first error or crash instead.
       file: where to keep the results, named ``.parquet``.
       num_threads: of the ``"numba"`` backend.
       progress: as in `jaxurban.progress.reporting`.
+      asked: of all queries, as in `plan`: ``weights``, ``time`` and ``time_of_day`` for queries that say nothing of
+        their own, ``objective``, ``cost_model``, ``constraints`` and ``preset``, ``planner``, ``heuristic``,
+        ``budget_s`` and ``seed`` of each query, and ``snap``; not ``refine``.
 
     Raises:
       InputError: an argument that is wrong for all queries, a file that holds results of other queries; with
         ``strict`` any query's error too.
     """
     maps = as_maps(maps)
-    search = PathSearch.of(maps, planner=planner, heuristic=heuristic, budget_s=budget_s, seed=seed, snap=snap)
+    search = PathSearch.of(maps, **taken_by(PathSearch.of, asked))
+    if search.refine:
+        raise InputError("refine is of a single plan: leave it out, and refine the paths that matter")
     if file is not None and (FilePath(file).suffix != ".parquet" or not FilePath(file).parent.is_dir()):
         raise InputError(f"file {str(file)!r} must end in .parquet and lie in a folder that exists")
-    maps, cost_model, constraints = under_preset(preset, maps, cost_model, constraints)
-    weights = weights_on(maps, weights)
-    objective = objective_on(maps, objective)
+    maps, query = MapQuery.of(maps, **with_objective(maps, taken_by(MapQuery.of, asked)))
 
     @lru_cache(maxsize=max(1, HELD_BYTES // (BYTES_A_CELL * int(np.prod(maps.grid.shape)))))
     def map_of(altitude_m: float, time: str | None, time_of_day: str | None) -> CostMap:
-        rules: dict[str, Any] = {"objective": objective, "cost_model": cost_model, "constraints": constraints}
-        return cost_map(maps, altitude_m, time=time, time_of_day=time_of_day, **rules)
+        return cost_map(maps, altitude_m, **vars(query) | {"time": time, "time_of_day": time_of_day})
 
-    map_of(maps.altitudes_m[0] if altitude_m is None else altitude_m, time, time_of_day)  # what is wrong for all
-    batch = read_queries(
-        queries, altitude_m=altitude_m, time=time, time_of_day=time_of_day, weights=weights, metrics=maps.metrics
-    )
+    when = {"time": query.time, "time_of_day": query.time_of_day}
+    map_of(maps.altitudes_m[0] if altitude_m is None else altitude_m, **when)  # what is wrong for all
+    batch = read_queries(queries, altitude_m=altitude_m, **when, weights=query.weights, metrics=maps.metrics)
     book = BatchResults(batch, None if file is None else FilePath(file))
     job = _Job(map_of, search, backend, num_threads, strict, book)
     was_interrupted = False

@@ -11,20 +11,17 @@ from jaxurban.errors import InputError, finite, one_of, typed
 from jaxurban.io.read.orbits import iso_utc, parse_time
 from jaxurban.maps.levels import SAME_M, Levels, listed_m
 from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
-from jaxurban.metrics.weights import GivenWeights, Weights
-from jaxurban.paths.constraints import Constraints
+from jaxurban.metrics.weights import GivenWeights
 from jaxurban.paths.path import PlannedPath, finish
-from jaxurban.paths.preset import PathSearch, under_preset, weights_on
+from jaxurban.paths.preset import MapQuery, PathSearch, weights_on
 from jaxurban.paths.read_costs import check_memory, costs_at
 from jaxurban.paths.snapping import XY, Place, Point, free_place, islands_at, islands_of, joined_ends, why_closed
 from jaxurban.planners.any_angle import check_line_model
-from jaxurban.planners.base import Cell, CostKind, Problem
+from jaxurban.planners.base import Cell, Problem
 from jaxurban.planners.bounds import AUTO, make_landmarks
 from jaxurban.planners.cost import PathFeatures
-from jaxurban.planners.cost_model import CostModel
 from jaxurban.planners.refine import refine as refine_path
 from jaxurban.planners.registry import PLANNERS, find_planner
-from jaxurban.presets import BUDGET_S
 from jaxurban.progress import saying_later
 from jaxurban.world.grid import Grid
 from jaxurban.world.show import Shown
@@ -32,8 +29,8 @@ from jaxurban.world.show import Shown
 REFINING_SHARE = 0.25  # of the budget, kept for refinement where the caller wants it
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class CostMap(Shown):
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class CostMap(MapQuery, Shown):
     """Metric maps at one altitude, or between levels, under weights. ``L`` metrics, ``Y`` rows, ``X`` columns.
 
     Queries share it, and with it what planners derive from the map. The cost of a path is weights . features
@@ -45,10 +42,7 @@ class CostMap(Shown):
       levels: how the path may climb and descend; None on one altitude.
       time: UTC time of the GPS map; None where a long series keeps statistics over time.
       time_of_day: of the population map; None without one.
-      weights: as floats.
-      objective: ``"weighted"`` or ``"distance"``.
-      cost_model: see `Problem`.
-      constraints: what closes cells beside obstacles.
+      weights, objective, cost_model, constraints: as in `MapQuery`.
       names: the metrics of the layers.
       costs: ``[L, Y, X]`` float32 their costs c_j in [0, 1], not weighted, 0 where there are no data; ``[L, K, Y, X]``
         in a volume.
@@ -59,12 +53,6 @@ class CostMap(Shown):
     maps: MetricMaps
     altitudes_m: np.ndarray
     levels: Levels | None
-    time: str | None
-    time_of_day: str | None
-    weights: Weights
-    objective: str
-    cost_model: CostModel
-    constraints: Constraints
     names: tuple[str, ...]
     costs: np.ndarray
     is_free: np.ndarray
@@ -274,23 +262,10 @@ class CostMap(Shown):
         """Return what closes a cell of a level and which one over it is free (`jaxurban.paths.snapping`)."""
         return why_closed(self, cell, level)
 
-    @typed
-    def plan(
-        self,
-        start: Point | XY,
-        goal: Point | XY,
-        *,
-        planner: str | None = None,
-        heuristic: str | None = None,
-        budget_s: float = BUDGET_S,
-        seed: int = 0,
-        snap: bool | float = False,
-        refine: bool = False,
-    ) -> PlannedPath:
-        """Return a path between two places, given as in `locate` (other arguments: `PathSearch`; errors: `plan`)."""
-        given: dict[str, Any] = {"planner": planner, "heuristic": heuristic, "budget_s": budget_s, "seed": seed}
-        is_for_volumes = self.levels is not None
-        return self.found(start, goal, PathSearch.of(is_for_volumes=is_for_volumes, snap=snap, refine=refine, **given))
+    @partial(typed, makers=(PathSearch.of,))
+    def plan(self, start: Point | XY, goal: Point | XY, **asked: Any) -> PlannedPath:
+        """Return a path between two places, given as in `locate`, searched for as `PathSearch.of` says (errors too)."""
+        return self.found(start, goal, PathSearch.of(None, self.levels is not None, **asked))
 
     def found(self, start: Point | XY, goal: Point | XY, search: PathSearch) -> PlannedPath:
         """Return a path between two places, given as in `locate`, searched for in one way."""
@@ -323,19 +298,8 @@ class CostMap(Shown):
         return self.maps.m("terrain") if "terrain" in self.maps.ds else None
 
 
-@typed
-def cost_map(
-    maps: GivenMaps,
-    altitude_m: float | Levels,
-    *,
-    weights: GivenWeights = None,
-    objective: str = "weighted",
-    cost_model: CostModel | CostKind | None = None,
-    time: str | None = None,
-    time_of_day: str | None = None,
-    constraints: Constraints | None = None,
-    preset: str = "",
-) -> CostMap:
+@partial(typed, makers=(MapQuery.of,))
+def cost_map(maps: GivenMaps, altitude_m: float | Levels, **asked: Any) -> CostMap:
     """Return the maps at one altitude, or between levels, under weights, on which any number of paths can be planned.
 
     Args:
@@ -343,52 +307,41 @@ def cost_map(
         obstacles, clearances and vehicle that are left out here are as the maps' scenario gives them, if there is one.
       altitude_m: within the range of the maps' altitudes; between two of them metrics are taken linearly from both
         (`values_at`), obstacles from the roofs' own heights. Or `Levels`, for paths that climb and descend.
-      weights, cost_model, time, time_of_day, constraints, preset: as in `plan`.
-      objective: ``"weighted"``, or ``"distance"`` for the shortest path (its weighted cost is reported).
+      asked: ``weights``, ``objective``, ``cost_model``, ``time``, ``time_of_day``, ``constraints`` and ``preset``, as
+        in `MapQuery.of`.
 
     Raises:
       InputError: an altitude beyond the maps', an unknown time, time of day or objective, a wrong weight, a bound on a
         map that is not there, bounds of altitude that hold no level, no free cell in a volume, or more of them than
         memory holds.
     """
-    if objective not in ("weighted", "distance"):
-        raise InputError(f"objective must be 'weighted' or 'distance', got {objective!r}")
-    maps, cost_model, constraints = under_preset(preset, as_maps(maps), cost_model, constraints)
-    weights = weights_on(maps, weights)
-    levels = altitude_m if isinstance(altitude_m, Levels) else None
-    if levels is None:
-        altitudes_m = np.array([finite("altitude_m", altitude_m, "metres, or Levels")])
-        maps.around(altitudes_m[0])
-    else:
-        altitudes_m = levels.of(maps.altitudes_m)
-    rules = {"weights": weights, "objective": objective, "cost_model": cost_model}
-    made = made_on(maps, altitudes_m, levels, time, time_of_day, constraints.at(time), **rules)
-    if levels is not None:
+    maps, query = MapQuery.of(as_maps(maps), **asked)
+    query = replace(query, constraints=query.constraints.at(query.time))
+    if isinstance(altitude_m, Levels):
+        made = map_at(maps, altitude_m.of(maps.altitudes_m), altitude_m, query)
         _ = made.shortest  # no free cell in a volume is refused at once
-    return made
+        return made
+    altitudes_m = np.array([finite("altitude_m", altitude_m, "metres, or Levels")])
+    maps.around(altitudes_m[0])
+    return map_at(maps, altitudes_m, None, query)
 
 
-def made_on(
-    maps: MetricMaps,
-    altitudes_m: np.ndarray,
-    levels: Levels | None,
-    time: str | None,
-    time_of_day: str | None,
-    constraints: Constraints,
-    **rules: Any,
-) -> CostMap:
-    """Return a cost map from checked values."""
+def map_at(maps: MetricMaps, altitudes_m: np.ndarray, levels: Levels | None, query: MapQuery) -> CostMap:
+    """Return the cost map of a query at altitudes that the maps reach."""
     if levels is not None:
         check_memory((len(altitudes_m), *maps.grid.shape))
-    is_free, costs = costs_at(maps, altitudes_m, constraints, time=time, time_of_day=time_of_day)
-    rules |= {"constraints": constraints, "names": tuple(maps.metrics)}
+    when = {"time": query.time, "time_of_day": query.time_of_day}
+    is_free, costs = costs_at(maps, altitudes_m, query.constraints, **when)
+    known_when = {
+        "time": maps.default_time if query.time is None else iso_utc(parse_time(query.time)),
+        "time_of_day": query.time_of_day or next(iter(maps.times_of_day), None),
+    }
     return CostMap(
+        **vars(query) | known_when,
         maps=maps,
         altitudes_m=altitudes_m,
         levels=levels,
-        time=maps.default_time if time is None else iso_utc(parse_time(time)),
-        time_of_day=time_of_day or next(iter(maps.times_of_day), None),
+        names=tuple(maps.metrics),
         costs=costs[:, 0] if levels is None else costs,
         is_free=is_free[0] if levels is None else is_free,
-        **rules,
     )

@@ -16,8 +16,9 @@ from jaxurban.metrics.population import M2_PER_KM2
 from jaxurban.metrics.weights import Weights
 from jaxurban.paths.cautions import Caution, cautions
 from jaxurban.paths.constraints import Constraints
-from jaxurban.paths.cost_map import CostMap, made_on
+from jaxurban.paths.cost_map import CostMap, map_at
 from jaxurban.paths.path import PlannedPath
+from jaxurban.paths.preset import MapQuery
 from jaxurban.paths.profile import (
     CLEARANCE,
     FEWEST_SATELLITES,
@@ -225,10 +226,13 @@ def _cost_map_of(planned: PlannedPath, maps: MetricMaps) -> CostMap:
         levels = Levels(climb_cost=settings.get("climb_cost"), descent_cost=settings.get("descent_cost", 0.0))
         levels_m = np.asarray(settings["levels_m"], float)
         altitudes_m = levels_m[(levels_m >= planned.z_m.min()) & (levels_m <= planned.z_m.max())]
-    rules = {name: settings[name] for name in ("time", "time_of_day", "objective")}
-    rules |= {"weights": Weights.of(settings["weights"]), "cost_model": CostModel.from_settings(settings)}
-    nothing = Constraints((), (), 0.0, 0.0)
-    made = made_on(maps.with_obstacles("centre"), altitudes_m, levels, constraints=nothing, **rules)
+    query = MapQuery(
+        **{name: settings[name] for name in ("time", "time_of_day", "objective")},
+        weights=Weights.of(settings["weights"]),
+        cost_model=CostModel.from_settings(settings),
+        constraints=Constraints((), (), 0.0, 0.0),
+    )
+    made = map_at(maps.with_obstacles("centre"), altitudes_m, levels, query)
     names = [name for name in settings["weights"] if name != "distance"]
     return replace(made, is_free=np.ones_like(made.is_free)).only(names)
 

@@ -1,21 +1,18 @@
 """plan: a path between two places over metric maps, evaluated the same way for every planner."""
 
+from functools import partial
 from typing import Any
 
-from jaxurban.errors import typed
+from jaxurban.errors import taken_by, typed
 from jaxurban.maps.levels import Levels
-from jaxurban.maps.metric_maps import GivenMaps, as_maps
-from jaxurban.metrics.weights import GivenWeights
-from jaxurban.paths.constraints import Constraints
+from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
 from jaxurban.paths.cost_map import cost_map
 from jaxurban.paths.path import PlannedPath
-from jaxurban.paths.preset import PathSearch, objective_on
+from jaxurban.paths.preset import MapQuery, PathSearch
 from jaxurban.paths.snapping import Point, one_place
-from jaxurban.planners.base import CostKind
-from jaxurban.planners.cost_model import CostModel
 
 
-@typed
+@partial(typed, makers=(MapQuery.of, PathSearch.of))
 def plan(
     maps: GivenMaps,
     start: Point | None = None,
@@ -24,19 +21,7 @@ def plan(
     altitude_m: float | Levels,
     start_xy_m: Point | None = None,
     goal_xy_m: Point | None = None,
-    weights: GivenWeights = None,
-    planner: str | None = None,
-    heuristic: str | None = None,
-    objective: str | None = None,
-    cost_model: CostModel | CostKind | None = None,
-    time: str | None = None,
-    time_of_day: str | None = None,
-    budget_s: float | None = None,
-    seed: int | None = None,
-    snap: bool | float = False,
-    refine: bool = False,
-    constraints: Constraints | None = None,
-    preset: str = "",
+    **asked: Any,
 ) -> PlannedPath:
     """Return a path from ``start`` to ``goal``, at one altitude or between levels.
 
@@ -55,27 +40,9 @@ def plan(
         length in space, and each metre of climb and descent; 8 neighbours are 26 there. ``objective="distance"`` leaves
         climb and descent out too.
       start_xy_m, goal_xy_m: easting, northing in the maps' CRS (and altitude), instead of ``start`` and ``goal``.
-      weights: default `Weights()`; numbers by name leave the others as the scenario has them.
-      planner: ``"ptp"``, ``"astar-dist"``, ``"astar-plus"`` ...; left out, ``"astar-plus"``, and between levels
-        ``"astar-volume"``.
-      heuristic: left out, the planner's own.
-      objective: ``"weighted"``, or ``"distance"`` for the shortest path (its weighted cost is reported).
-      cost_model: how steps are costed and which are allowed, or its kind alone: ``"line"``, the default, or
-        ``"cell"`` (the paper).
-      time: UTC time of the GPS map; the first if left out. Where it is named, zones that are not in force then, nor
-        within an hour, close nothing (`Constraints.at`).
-      time_of_day: of the population map; the first if left out.
-      budget_s: seconds that the search may take; default 10.
-      seed: for sampling planners.
-      snap: move a start or goal inside an obstacle or closed by a constraint to the nearest free cell (of its level)
-        that is joined to the other end, instead of failing: True by at most 50 m, a number by at most so many metres.
-        The path's message says how far.
-      refine: move the waypoints of what the planner found downhill, off the grid (`planners.refine`); within what
-        is left of the budget. It takes the ``line`` cost model, or the ``distance`` objective.
-      constraints: no-fly zones, bounds on maps and clearances, from `Constraints.read`; no path enters a cell that
-        they close. A zone between two levels closes the lower one. Left out, paths keep 3 m over roofs.
-      preset: ``"paper"`` for the paper's ``cell``, obstacles at centres and no clearance, instead of the defaults of
-        what is left out here and in the maps' scenario.
+      asked: which map (``weights``, ``objective``, ``cost_model``, ``time``, ``time_of_day``, ``constraints`` and
+        ``preset``, as in `MapQuery.of`), and how to search (``planner``, ``heuristic``, ``budget_s``, ``seed``,
+        ``snap`` and ``refine``, as in `PathSearch.of`).
 
     Raises:
       InputError: a place outside the maps or inside an obstacle or a constraint (names it and the nearest free cell, or
@@ -83,19 +50,11 @@ def plan(
         altitude that hold no level, or a volume that memory cannot hold.
     """
     maps = as_maps(maps)
-    given: dict[str, Any] = {"planner": planner, "heuristic": heuristic, "budget_s": budget_s, "seed": seed}
-    is_volume = isinstance(altitude_m, Levels)  # a wrong name is refused before the maps are read
-    search = PathSearch.of(maps, is_for_volumes=is_volume, snap=snap, refine=refine, **given)
+    search = PathSearch.of(maps, isinstance(altitude_m, Levels), **taken_by(PathSearch.of, asked))
     ends = one_place("start", start, start_xy_m), one_place("goal", goal, goal_xy_m)
-    shared = cost_map(
-        maps,
-        altitude_m,
-        weights=weights,
-        objective=objective_on(maps, objective),
-        cost_model=cost_model,
-        time=time,
-        time_of_day=time_of_day,
-        constraints=constraints,
-        preset=preset,
-    )
-    return shared.found(*ends, search)
+    return cost_map(maps, altitude_m, **with_objective(maps, taken_by(MapQuery.of, asked))).found(*ends, search)
+
+
+def with_objective(maps: MetricMaps, asked: dict[str, Any]) -> dict[str, Any]:
+    """Return what is asked of a map, its objective the scenario's where none is named."""
+    return asked | {"objective": asked.get("objective") or maps.recorded.get("planning", {}).get("objective")}

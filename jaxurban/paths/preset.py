@@ -1,9 +1,9 @@
-"""Under a preset: the one place where what a caller leaves out of a query takes its default."""
+"""What is asked of a path: which map, and how to search; the one place where what is left out takes its default."""
 
 from dataclasses import dataclass
 from typing import Any
 
-from jaxurban.errors import InputError, at_least
+from jaxurban.errors import InputError, at_least, one_of, typed
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.metrics.weights import GivenWeights, Weights
 from jaxurban.paths.constraints import Constraints
@@ -49,9 +49,67 @@ def weights_on(maps: MetricMaps, given: GivenWeights) -> Weights:
     return Weights.of(given, maps.recorded.get("weights")).checked(maps.metrics)
 
 
-def objective_on(maps: MetricMaps, objective: str | None) -> str:
-    """Return an objective, where none is given as the maps' scenario has it."""
-    return objective or maps.recorded.get("planning", {}).get("objective", "weighted")
+@dataclass(frozen=True, kw_only=True)
+class MapQuery:
+    """Which map a path is planned on, beside the altitude.
+
+    Attributes:
+      time: UTC time of the GPS map; None: the first.
+      time_of_day: of the population map; None: the first.
+      weights: of the path's cost.
+      objective: ``"weighted"``, or ``"distance"`` for the shortest path (its weighted cost is reported).
+      cost_model: how steps are costed and which are allowed.
+      constraints: no-fly zones, bounds on maps and clearances; no path enters a cell that they close. A zone between
+        two levels closes the lower one.
+    """
+
+    time: str | None
+    time_of_day: str | None
+    weights: Weights
+    objective: str
+    cost_model: CostModel
+    constraints: Constraints
+
+    @classmethod
+    @typed
+    def of(
+        cls,
+        maps: MetricMaps,
+        *,
+        weights: GivenWeights = None,
+        objective: str | None = None,
+        cost_model: CostModel | CostKind | None = None,
+        time: str | None = None,
+        time_of_day: str | None = None,
+        constraints: Constraints | None = None,
+        preset: str = "",
+    ) -> "tuple[MetricMaps, MapQuery]":
+        """Return maps under their rule of obstacles, and the query, left out in which is what their scenario says.
+
+        Args:
+          maps: from `build_maps` or `open_maps`.
+          weights: numbers by name leave the others as the scenario has them, or as in `Weights()`.
+          objective: ``"weighted"`` if left out.
+          cost_model: or its kind alone: ``"line"``, the default, or ``"cell"`` (the paper).
+          time, time_of_day: where a time is named, zones that are not in force then, nor within an hour, close nothing
+            (`Constraints.at`).
+          constraints: from `Constraints.read`. Left out, paths keep 3 m over roofs.
+          preset: ``"paper"`` for the paper's ``cell``, obstacles at centres and no clearance, instead of the defaults
+            of what is left out here and in the scenario.
+
+        Raises:
+          InputError: an unknown preset, objective or cost model, or a wrong weight.
+        """
+        objective = one_of("objective", objective or "weighted", ("weighted", "distance"))
+        maps, cost_model, constraints = under_preset(preset, maps, cost_model, constraints)
+        return maps, MapQuery(
+            time=time,
+            time_of_day=time_of_day,
+            weights=weights_on(maps, weights),
+            objective=objective,
+            cost_model=cost_model,
+            constraints=constraints,
+        )
 
 
 @dataclass(frozen=True)
@@ -60,11 +118,12 @@ class PathSearch:
 
     Attributes:
       planner: ``"ptp"``, ``"astar-dist"``, ``"astar-plus"`` ...
-      heuristic: left out, the planner's own.
+      heuristic: None: the planner's own.
       budget_s: seconds that the search may take.
       seed: for sampling planners.
-      snap: move a start or goal inside an obstacle or closed by a constraint to the nearest free cell instead of
-        failing: True by at most 50 m, a number by at most so many metres. The path's message says how far.
+      snap: move a start or goal inside an obstacle or closed by a constraint to the nearest free cell (of its level)
+        that is joined to the other end, instead of failing: True by at most 50 m, a number by at most so many metres.
+        The path's message says how far.
       refine: move the waypoints of what the planner found downhill, off the grid (`planners.refine`); within what
         is left of the budget. It takes the ``line`` cost model, or the ``distance`` objective.
     """
@@ -77,13 +136,26 @@ class PathSearch:
     refine: bool = False
 
     @classmethod
-    def of(cls, maps: MetricMaps | None = None, *, is_for_volumes: bool = False, **given: Any) -> "PathSearch":
-        """Return a search whose values can be, what is left out (or None) as the maps' scenario says it.
+    @typed
+    def of(
+        cls,
+        maps: MetricMaps | None = None,
+        is_for_volumes: bool = False,
+        *,
+        planner: str | None = None,
+        heuristic: str | None = None,
+        budget_s: float | None = None,
+        seed: int | None = None,
+        snap: bool | float = False,
+        refine: bool = False,
+    ) -> "PathSearch":
+        """Return a search whose values can be; what is left out is as the maps' scenario says it.
 
         Args:
           maps: None where no scenario is asked.
           is_for_volumes: whether the path may climb, for which no scenario names planner or seed.
-          given: the attributes.
+          planner: if nothing names it, ``"astar-plus"``, and between levels ``"astar-volume"``.
+          heuristic, budget_s, seed, snap, refine: the attributes.
 
         Raises:
           InputError: an unknown planner, a heuristic that it does not take, a wrong seed, budget or distance of
@@ -91,9 +163,11 @@ class PathSearch:
         """
         recorded = {} if maps is None else maps.recorded.get("planning", {})
         names = ("budget_s",) if is_for_volumes else ("budget_s", "planner", "seed")
-        chosen = {"planner": "astar-volume" if is_for_volumes else "astar-plus"}
+        chosen: dict[str, Any] = {"planner": "astar-volume" if is_for_volumes else "astar-plus"}
         chosen |= {name: recorded[name] for name in names if name in recorded}
-        search = cls(**chosen | {name: value for name, value in given.items() if value is not None})
+        given = {"planner": planner, "heuristic": heuristic, "budget_s": budget_s, "seed": seed}
+        chosen |= {name: value for name, value in given.items() if value is not None}
+        search = cls(**chosen, snap=snap, refine=refine)
         at_least("seed", search.seed)
         if not search.budget_s > 0:
             raise InputError(f"budget_s must be a positive number of seconds, got {search.budget_s}")

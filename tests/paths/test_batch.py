@@ -1,5 +1,6 @@
 """plan_many: every query gets its result once, whatever happens to others, to the file or to the process."""
 
+import inspect
 import json
 from ast import literal_eval
 
@@ -93,6 +94,16 @@ def test_a_query_that_cannot_be_asked_is_a_row_with_its_sentence(maps, pairs):
         ju.plan_many(maps, table[:2], strict=True)
     snapped = ju.plan_many(maps, table[:2], snap=True)
     assert snapped[1].snap_distance_m[0] > 0
+
+
+def test_one_signature_lists_what_functions_pass_on_and_names_what_none_takes(maps, pairs):
+    many, one = (set(inspect.signature(function).parameters) for function in (ju.plan_many, ju.plan))
+    assert {"time", "weights", "preset", "planner", "snap"} <= many & one
+    assert "asked" not in many | one
+    with pytest.raises(InputError, match=r"plan_many: there is no argument 'planer' \(did you mean 'planner'\?\)"):
+        ju.plan_many(maps, pairs, altitude_m=20.0, planer="ptp")
+    with pytest.raises(InputError, match="refine is of a single plan"):
+        ju.plan_many(maps, pairs, altitude_m=20.0, refine=True)
 
 
 @pytest.mark.parametrize(
