@@ -9,16 +9,17 @@ from typing import Any
 
 import numpy as np
 
-from jaxurban.planners.base import Path, Problem
+from jaxurban.planners.base import Path, Problem, Status
 
 _COMPILED: set[Hashable] = set()  # runs that compile nothing any more; no result depends on it
 _COMPILING = threading.Lock()  # threads wait here, before their clocks start
 
 
 def compiled_first(**options: Any) -> Callable[[Callable[..., Path]], Callable[..., Path]]:
-    """Return a decorator of planners: all that one runs is compiled, by a plan across a few cells, before its clock.
+    """Return a decorator of planners, and of what alters their paths: all that one runs is compiled before its clock.
 
-    Paths carry as ``setup_s`` how long that took, loading from Numba's cache included.
+    That is done by a plan across a few cells, or with a path there. Paths carry as ``setup_s`` how long it took,
+    loading from Numba's cache included.
 
     Args:
       options: of the plan across a few cells, beside the heuristic.
@@ -26,7 +27,7 @@ def compiled_first(**options: Any) -> Callable[[Callable[..., Path]], Callable[.
 
     def decorate(planner: Callable[..., Path]) -> Callable[..., Path]:
         @functools.wraps(planner)
-        def run(problem: Problem, **asked: Any) -> Path:
+        def run(problem: Problem, *altered: Any, **asked: Any) -> Path:
             setup_s = 0.0
             chosen = {"heuristic": asked["heuristic"]} if "heuristic" in asked else {}
             kinds = (planner, *chosen.values(), problem.costs.dtype, problem.is_free.ndim, problem.cost_model)
@@ -34,10 +35,12 @@ def compiled_first(**options: Any) -> Callable[[Callable[..., Path]], Callable[.
             with _COMPILING:
                 if kinds not in _COMPILED:
                     begin_s = time.perf_counter()
-                    planner(_few_cells(problem), **chosen, **options)
+                    few = _few_cells(problem)
+                    planner(few, *[_few_points(few), *altered[1:]] if altered else (), **chosen, **options)
                     _COMPILED.add(kinds)
                     setup_s = time.perf_counter() - begin_s
-            return replace(planner(problem, **asked), setup_s=setup_s)
+            path = planner(problem, *altered, **asked)
+            return replace(path, setup_s=path.setup_s + setup_s) if setup_s else path
 
         return run
 
@@ -59,3 +62,11 @@ def _few_cells(problem: Problem) -> Problem:
     levels_m = np.arange(2.0) if is_volume else None
     margin_m = 0.25 if problem.leg_margin_m else 0.0
     return Problem(costs, is_free, start, goal, 1.0, 1.0, problem.cost_model, levels_m, margin_m)
+
+
+def _few_points(few: Problem) -> Path:
+    """Return a path around the blocked cells of a problem of a few, so near to them that it has to be moved."""
+    x_m = 1.0 - max(few.leg_margin_m, 0.01)
+    points_m = np.array([[2.5, 0.5], [x_m, 0.5], [x_m, 4.5], [2.5, 4.5]])
+    points_m = points_m if few.levels_m is None else np.column_stack([points_m, np.zeros(4)])
+    return Path.of(few, points_m, Status.FEASIBLE, 0.0, 0.0, num_expanded=0, planner="")

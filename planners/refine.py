@@ -2,7 +2,6 @@
 
 import time
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 
@@ -11,6 +10,7 @@ from jaxurban.kernels.line.segment_cost import CostGrid
 from jaxurban.planners.any_angle import TIE, check_line_model, move_points, shortened, subdivided
 from jaxurban.planners.base import EVERY_PATH, Path, Problem, Status
 from jaxurban.planners.bitstar.bounds import cost_grid_of, make_bounds
+from jaxurban.planners.compiled_first import compiled_first
 
 LONGEST = 8  # cell sides that a segment may grow to
 SPACINGS = (LONGEST, 4, 2, 1)  # cell sides between waypoints, one level after the other: long bends first
@@ -18,6 +18,7 @@ ROUNDS = 20  # moves of every waypoint on a level
 FIRST_STEP, LAST_STEP = 1.0, 1e-3  # cell sides: a waypoint's step when a level begins, and where it ends
 
 
+@compiled_first()
 def refine(problem: Problem, path: Path, *, budget_s: float = np.inf) -> Path:
     """Return the path with its waypoints moved to where it costs less under the ``line`` model; its ends stay.
 
@@ -49,10 +50,7 @@ def refine(problem: Problem, path: Path, *, budget_s: float = np.inf) -> Path:
             "the path crosses an obstacle, passes between two that touch at a corner, or leaves the map: give one "
             "that was planned for this problem"
         )
-    compile_s = time.perf_counter()
-    _warm_up()
     begin_s = time.perf_counter()
-    path = replace(path, setup_s=path.setup_s + begin_s - compile_s)
     end_s = begin_s + budget_s
     islands = problem.islands
     is_reachable = islands == islands[problem.start]
@@ -99,12 +97,3 @@ def _move(cost_grid: CostGrid, xy: np.ndarray, end_s: float) -> None:
         for direction, step in zip(_compass(xy), steps, strict=True):
             direction = direction / np.maximum(np.hypot(*direction.T), np.finfo(float).tiny)[:, None]
             move_points(cost_grid, xy, direction, step, float(LONGEST))
-
-
-@cache
-def _warm_up() -> None:
-    """Compile what a refinement runs."""
-    cost_grid = CostGrid(np.ones((1, 2)), 1.0, True, False)
-    xy = np.array([[0.5, 0.5], [1.0, 0.5], [1.5, 0.5]])
-    _move(cost_grid, xy, np.inf)
-    shortened(cost_grid, xy)

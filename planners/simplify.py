@@ -1,7 +1,6 @@
 """Simplification of any planner's path: the fewest straight legs within a tolerance, all clear of closed cells."""
 
 import time
-from functools import cache
 from itertools import pairwise
 
 import numpy as np
@@ -12,6 +11,7 @@ from jaxurban.kernels.compiled import compiled
 from jaxurban.kernels.line.segment_cost import are_clear, is_clear
 from jaxurban.planners.any_angle import subdivided
 from jaxurban.planners.base import Path, Problem, Status
+from jaxurban.planners.compiled_first import compiled_first
 
 CLEAR_M = 0.02  # that legs keep from closed cells, so that coordinates of 7 decimals of a degree cannot enter them
 NUDGES = (1.5, 3.0)  # by how many such distances points may move where the path itself passes nearer
@@ -25,6 +25,7 @@ REACH = 256  # points that a leg may span, lest a way over open land of thousand
 AHEAD = 1e-12  # relative: sums this much smaller are smaller
 
 
+@compiled_first()
 def simplify(problem: Problem, path: Path, tolerance_m: float) -> Path:
     """Return the path with as few waypoints as keep it within a tolerance of where it was, clear of closed cells.
 
@@ -56,7 +57,6 @@ def simplify(problem: Problem, path: Path, tolerance_m: float) -> Path:
         raise InputError(
             "the path crosses cells that are not free on this cost map: simplify it on the one that it was planned on"
         )
-    _warm_up()
     begin_s = time.perf_counter()
     parts = [path.points_m[:1]]
     num_near = 0
@@ -258,11 +258,3 @@ def fewest_legs(is_free, xy, tolerance, margin):
     while kept[-1] > 0:
         kept.append(parent[kept[-1]])
     return np.array(kept[::-1])
-
-
-@cache
-def _warm_up() -> None:
-    """Compile what a simplification runs, so that its time is its own."""
-    is_free = np.ones((1, 4), bool)
-    is_free.flags.writeable = False  # as a problem's are: another type to the compiler
-    _fewest(is_free, np.array([[0.5, 0.5], [1.5, 0.999], [2.5, 0.5]]), 0.5, 1.0, CLEAR_M)

@@ -13,9 +13,11 @@ SCRIPT = """
 import os, sys
 import numpy as np
 from jaxurban.planners.base import Problem
-from jaxurban.planners.compiled_first import _few_cells
+from jaxurban.planners.compiled_first import _few_cells, _few_points
 from jaxurban.planners.cost_model import CostModel
+from jaxurban.planners.refine import refine
 from jaxurban.planners.registry import PLANNERS, VOLUME_PLANNERS
+from jaxurban.planners.simplify import simplify
 
 def problem(dtype, kind, num_levels):
     rng = np.random.default_rng(0)
@@ -51,6 +53,12 @@ def check(name, num_levels):
                 path = entry.run(query, budget_s=60.0, **chosen, **limit)
                 assert used() == before, (name, heuristic, dtype, kind, used() - before)
                 assert path.setup_s < 1.0, path.setup_s
+            alterations = [(simplify, 2.0)] + [(refine,)] * (kind == "line" and not num_levels)
+            for alter, *how in alterations if path.status.has_path else ():
+                alter(_few_cells(query), _few_points(_few_cells(query)), *how)
+                before = used()
+                alter(query, path, *how)
+                assert used() == before, (alter, dtype, kind, used() - before)
 
 wrong = []
 for name in sys.argv[1:]:
