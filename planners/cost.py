@@ -50,6 +50,13 @@ class PathFeatures:
         return float(weights[0] * self.phi[0] + np.sum(weights[1:] * self.phi[1:]))
 
     @property
+    def visits(self) -> np.ndarray:
+        """``[Y, X]`` how often a valid path's cost counts each cell: its derivative by the cell's cost."""
+        visits = np.zeros(self.costs.shape[1:])
+        np.add.at(visits, self.counted, self.count)
+        return visits
+
+    @property
     def mean_costs(self) -> np.ndarray:
         """``[L]`` the mean of each layer's cost along the path, by length; of a path without length, at its place."""
         length_m = self.length_m if self.length_m.sum() > 0 else np.ones(len(self.length_m))
@@ -152,14 +159,6 @@ def _runs(is_in: np.ndarray) -> list[tuple[int, int]]:
     """Return the first and the last point of every run of legs ``[N - 1]`` that are in."""
     changes = np.flatnonzero(np.diff(np.concatenate([[False], is_in, [False]]).astype(np.int8)))
     return [(int(first), int(last)) for first, last in changes.reshape(-1, 2)]
-
-
-def visit_counts(problem: "Problem", points_m: np.ndarray) -> np.ndarray:
-    """Return ``[Y, X]`` how often a valid path's cost counts each cell: its derivative by the cell's cost."""
-    found = path_features(problem, points_m)
-    counts = np.zeros(problem.is_free.shape)
-    np.add.at(counts, found.counted, found.count)
-    return counts
 
 
 def sample_segment(start_m: np.ndarray, end_m: np.ndarray, step_m: float) -> np.ndarray:

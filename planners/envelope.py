@@ -1,7 +1,6 @@
 """The cost of the planned path as a differentiable JAX function of the cost layers and the weights."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import partial
 
 import jax
@@ -12,30 +11,9 @@ from jaxtyping import Array, Float
 
 from jaxurban.errors import InputError, typed
 from jaxurban.planners.base import Path, Problem
-from jaxurban.planners.cost import visit_counts
 from jaxurban.planners.registry import find_planner
 
 CostFunction = Callable[[Float[Array, "L Y X"], Float[Array, " W"]], Float[Array, ""]]
-
-
-@dataclass(frozen=True, eq=False)
-class _Search:
-    """A planner as JAX calls it: plain arrays in, plain arrays out."""
-
-    problem: Problem
-    planner: Callable[[Problem], Path]
-
-    def __call__(self, costs, weights) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the path's cost, its features ``[W]``, and ``[Y, X]`` how often its cost counts each cell."""
-        dtype = np.asarray(costs).dtype
-        problem = self.problem.with_costs(np.asarray(costs, np.float64), np.asarray(weights, np.float64))
-        found = self.planner(problem)
-        counts = np.zeros(problem.is_free.shape, dtype)
-        if not found.status.has_path:
-            return np.array(np.inf, dtype), np.zeros(len(problem.weights), dtype), counts
-        counts[:] = visit_counts(problem, found.points_m)
-        features = problem.features(found.points_m)
-        return np.array(features.cost(problem.weights), dtype), features.phi.astype(dtype), counts
 
 
 @typed
@@ -61,7 +39,15 @@ def planned_cost(problem: Problem, planner: str | Callable[[Problem], Path] = "a
     """
     if isinstance(planner, str):
         planner = partial(find_planner(planner), budget_s=np.inf, seed=0)
-    search = _Search(problem, planner)
+
+    def search(costs, weights):
+        """Return the path's cost, its features ``[W]``, and ``[Y, X]`` how often its cost counts each cell."""
+        query = problem.with_costs(np.asarray(costs, np.float64), np.asarray(weights, np.float64))
+        path = planner(query)
+        if not path.status.has_path:
+            return np.inf, np.zeros(len(query.weights)), np.zeros(query.is_free.shape)
+        features = query.features(path.points_m)
+        return features.cost(query.weights), features.phi, features.visits
 
     def call(costs, weights):
         cell_shape = problem.is_free.shape

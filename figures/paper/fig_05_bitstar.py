@@ -185,7 +185,7 @@ def main() -> None:
     problem = query(maps, WEIGHTS)
     batches = run(problem)
     first, second, last = batches[1], batches[2], batches[-1]
-    kept, *_ = first.tree.pruned(*first.path[[0, -1]].tolist())
+    kept = first.tree.pruned()
     picture = Picture(maps, problem)
     rules = rules_said(map_settings(ju.cost_map(maps, ALTITUDE_M, weights=WEIGHTS)))
     note = f"{frame_note(maps)}\n{ALTITUDE_M:g} m above ground  ·  {rules}"

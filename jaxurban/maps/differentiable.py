@@ -19,7 +19,6 @@ from jaxurban.metrics.risk import Risk
 from jaxurban.metrics.visibility import SkyView
 from jaxurban.metrics.weights import Weights
 from jaxurban.planners.base import Problem
-from jaxurban.planners.cost import visit_counts
 from jaxurban.planners.cost_model import CostModel
 from jaxurban.world.surface import Surface
 
@@ -60,7 +59,7 @@ class PathVisits(NamedTuple):
 
     Attributes:
       cells: ``[P, 2]`` row and column.
-      times: ``[P]`` how often each cell's cost counts (see `jaxurban.planners.cost.visit_counts`).
+      times: ``[P]`` how often each cell's cost counts (`jaxurban.planners.cost.PathFeatures.visits`).
       length_m: of the path.
     """
 
@@ -199,7 +198,7 @@ def path_visits(
       InputError: points that are not a path.
     """
     query = Problem(np.zeros((0, *shape)), np.ones(shape, bool), (0, 0), (0, 0), resolution_m, 0.0, cost_model)
-    counts = visit_counts(query, points_m)
+    counts = query.features(points_m).visits
     cells = np.argwhere(counts > 0)
     times = counts[tuple(cells.T)]
     padding = -len(cells) % CELLS_STEP

@@ -113,7 +113,6 @@ class Batches:
     Attributes:
       bounds: of the query.
       tree: start, goal and samples; a search alters it.
-      start, goal: their nodes in it.
       radius: nodes this near each other are joined.
       cost: of the best path, inf without one.
       num_costed: edges whose cost was computed; the search counts them.
@@ -127,7 +126,7 @@ class Batches:
     ) -> None:
         self.options, self.is_reachable = options, is_reachable
         self.bounds: Bounds = make_bounds(heuristic, problem, is_reachable)
-        self.tree, self.start, self.goal, self.radius = Tree.of_ends(self.bounds), 0, 1, np.inf
+        self.tree, self.radius = Tree.of_ends(self.bounds), np.inf
         self.cost = np.inf
         self.num_costed = self._num_drawn = 0
         self.history: list[tuple[float, int, float]] = []
@@ -141,11 +140,11 @@ class Batches:
         """``[N, 2]`` the best path in cell sides; none without one."""
         if (self.bounds.start == self.bounds.goal).all():
             return self.bounds.start[None]
-        return self.tree.xy[self.tree.path(self.goal)]
+        return self.tree.xy[self.tree.path()]
 
     def end(self, budget: Budget, most_nodes: float = np.inf) -> None:
         """Record the batch whose graph was searched; begin the next, of up to so many nodes, or end."""
-        path = self.tree.path(self.goal)
+        path = self.tree.path()
         last_cost, self.cost = self.cost, min(self.cost, self.tree.path_cost(path))
         self.history.append((time.perf_counter() - budget.begin_s, self._num_drawn, self.cost))
         if self.options.on_batch is not None:
@@ -155,7 +154,7 @@ class Batches:
             return
         if last_cost < np.inf and last_cost - self.cost < self.options.min_improvement * last_cost:
             return
-        self.tree, self.start, self.goal = self.tree.pruned(self.start, self.goal)
+        self.tree = self.tree.pruned()
         self._informed.shrink(self.cost)
         num_wanted = self._num_wanted(budget, most_nodes)
         self.is_spent = num_wanted <= 0 or time.perf_counter() >= budget.end_s

@@ -119,10 +119,8 @@ def _search(cost_grid: CostGrid, batches: Batches, budget: Budget) -> None:
     """Search the graph of one batch after the other, until something ends them."""
     queue = Heap.empty(FIRST_QUEUE, EDGE)
     while not batches.is_done:
-        tree, start, goal, buckets = batches.tree.in_buckets(batches.radius, batches.start, batches.goal)
-        batches.tree, batches.start, batches.goal = tree, start, goal
-        nodes = tree.ready(batches.radius, buckets)
-        graph = BatchGraph(goal, batches.radius, batches.bounds.per_side, buckets)
+        graph = BatchGraph.of(batches.tree.xy, batches.radius, batches.bounds.per_side)
+        nodes = batches.tree = batches.tree.ready(graph)
         queue = _filled(queue, nodes.g[nodes.state > 0] + nodes.to_goal[nodes.state > 0])
         while True:
             chunk, num_costed = advance(cost_grid, nodes, queue, graph, CHUNK)
@@ -289,7 +287,7 @@ def _samples(queries: list[Batches]) -> Samples:
         of_query = {
             "query": np.int32(query),
             "radius": batches.radius,
-            "incumbent": tree.g[batches.goal],
+            "incumbent": tree.g[tree.goal],
             "least_per_side": batches.bounds.per_side,
         }
         parts.append(

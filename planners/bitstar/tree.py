@@ -1,6 +1,6 @@
 """The tree and the samples of BIT*: the compiled search that grows it over one batch, and what is done between two."""
 
-from typing import NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
@@ -16,27 +16,41 @@ NOT_COSTED = -1.0  # a queued edge whose cost is not known yet
 # An edge in the queue: two nodes, and its cost or NOT_COSTED. One from a node to itself stands for the expansion of
 # that node, the paper's vertex queue. Edges are ordered by the least cost of a solution through them.
 EDGE = np.dtype([("origin", np.int32), ("target", np.int32), ("cost", np.float64)])
-LASTING = 9  # of a tree's arrays, the first: the rest is of one search
+# A tree's arrays; the rest is of one search.
+LASTING = ("xy", "least_f", "to_goal", "row_at", "col_at", "enter", "g", "parent", "edge_cost")
 NONE = np.empty(0, np.int64)
 
 
-class Buckets(NamedTuple):
-    """Squares that hold the nodes, with a frame of empty ones; cell sides.
+class BatchGraph(NamedTuple):
+    """The random geometric graph of one batch, and squares that hold its nodes, with a frame of empty ones; cell sides.
 
     Attributes:
-      side: no less than the radius.
+      radius: nodes this near each other are joined.
+      per_side: lower bound of an edge's cost per cell side.
+      side: of a square, no less than the radius.
       num_cols: squares in a row, the frame's two among them.
       num: all squares.
       x, y: southwest corner of the squares within the frame.
     """
 
+    radius: float
+    per_side: float
     side: float
     num_cols: int
     num: int
     x: float
     y: float
 
-    def of(self, xy: np.ndarray) -> np.ndarray:
+    @classmethod
+    def of(cls, xy: np.ndarray, radius: float, per_side: float) -> Self:
+        """Return the graph of nodes ``[N, 2]``."""
+        low, high = xy.min(axis=0), xy.max(axis=0)
+        extent = float((high - low).max()) + 1e-6
+        side = max(min(radius, 2 * extent), extent / (2 * np.sqrt(len(xy)) + 1))
+        num_cols, num_rows = (((high - low) / side).astype(np.int64) + 3).tolist()
+        return cls(radius, per_side, side, num_cols, num_cols * num_rows, *low.tolist())
+
+    def bucket_of(self, xy: np.ndarray) -> np.ndarray:
         """Return ``[N]`` the square of points that lie within the frame."""
         col, row = ((xy - (self.x, self.y)) / self.side).astype(np.int64).T + 1
         return row * self.num_cols + col
@@ -58,6 +72,7 @@ class Tree(NamedTuple):
         be too high for a node below one that was improved last, until the improvement reaches it.
       parent: ``[N]`` int32, NO_PARENT for the start and for nodes outside the tree.
       edge_cost: ``[N]`` cost of the edge from the parent.
+      start, goal: their nodes.
       best: ``[N]`` the lowest cost of reaching a node found in this batch, queued edges included.
       state: ``[N]`` uint8, one of SAMPLE, OLD, FRESH, EXPANDED.
       tree_begin, sample_begin: ``[B + 1]`` first node of each bucket.
@@ -73,6 +88,8 @@ class Tree(NamedTuple):
     g: np.ndarray
     parent: np.ndarray
     edge_cost: np.ndarray
+    start: int = 0
+    goal: int = 1
     best: np.ndarray = NONE
     state: np.ndarray = NONE
     tree_begin: np.ndarray = NONE
@@ -103,20 +120,24 @@ class Tree(NamedTuple):
     def with_samples(self, xy: np.ndarray, bounds: Bounds) -> Self:
         """Return the tree with more samples behind its nodes."""
         more = type(self).of_samples(xy, bounds)
-        return type(self)(*map(np.concatenate, zip(self[:LASTING], more[:LASTING], strict=True)))
+        arrays: dict[str, Any] = {
+            name: np.concatenate([getattr(each, name) for each in (self, more)]) for name in LASTING
+        }
+        return self._replace(**arrays)
 
     def taken(self, order: np.ndarray) -> Self:
         """Return the nodes in another order, or some of them; the parents of tree nodes must be among them."""
         number = np.full(len(self.xy), NO_PARENT, np.int32)
         number[order] = np.arange(len(order), dtype=np.int32)
-        taken = type(self)(*(values[order] for values in self[:LASTING]))
+        arrays: dict[str, Any] = {name: getattr(self, name)[order] for name in LASTING}
+        taken = self._replace(**arrays, start=int(number[self.start]), goal=int(number[self.goal]))
         return taken._replace(parent=np.where(taken.parent != NO_PARENT, number[taken.parent], NO_PARENT))
 
-    def path(self, goal: int) -> np.ndarray:
-        """Return the nodes of the tree's path to a node, the start first; none where it is not in the tree."""
+    def path(self) -> np.ndarray:
+        """Return the nodes of the tree's path to the goal, the start first; none where it is not in the tree."""
         nodes = []
-        node = goal
-        while node != NO_PARENT and np.isfinite(self.g[goal]):
+        node = self.goal
+        while node != NO_PARENT and np.isfinite(self.g[self.goal]):
             nodes.append(node)
             node = int(self.parent[node])
         return np.array(nodes[::-1], np.int64)
@@ -125,17 +146,17 @@ class Tree(NamedTuple):
         """Return the cost of a path that `path` gave, inf for none; it may be below the last node's ``g``."""
         return float(np.cumsum(self.edge_cost[path])[-1]) if len(path) else np.inf
 
-    def pruned(self, start: int, goal: int) -> tuple[Self, int, int]:
-        """Return the tree without what cannot lie on a path cheaper than the goal's, and where start and goal are now.
+    def pruned(self) -> Self:
+        """Return the tree without what cannot lie on a path cheaper than the goal's.
 
         A node that might, but not by its way through the tree, becomes a sample again, and so do all
         that hang from it.
         """
-        incumbent = self.g[goal]
+        incumbent = self.g[self.goal]
         is_kept = self.least_f < incumbent
         in_tree = is_kept & np.isfinite(self.g) & (self.g + self.to_goal <= incumbent * ROUNDING)
-        in_tree[self.path(goal)] = True
-        in_tree[start] = True
+        in_tree[self.path()] = True
+        in_tree[self.start] = True
         has_parent = self.parent != NO_PARENT
         while True:
             is_cut = in_tree & has_parent & ~in_tree[self.parent]
@@ -143,59 +164,31 @@ class Tree(NamedTuple):
                 break
             in_tree[is_cut] = False
         is_kept |= in_tree
-        is_kept[goal] = True
+        is_kept[self.goal] = True
         cut = self._replace(
             g=np.where(in_tree, self.g, np.inf), parent=np.where(in_tree, self.parent, np.int32(NO_PARENT))
         )
-        order = np.flatnonzero(is_kept)
-        start, goal = (int(k) for k in np.searchsorted(order, [start, goal]))
-        return cut.taken(order), start, goal
+        return cut.taken(np.flatnonzero(is_kept))
 
-    def in_buckets(self, radius: float, start: int, goal: int) -> tuple[Self, int, int, Buckets]:
-        """Return the tree sorted for the search, where start and goal are now, and the buckets."""
-        low, high = self.xy.min(axis=0), self.xy.max(axis=0)
-        extent = float((high - low).max()) + 1e-6
-        side = max(min(radius, 2 * extent), extent / (2 * np.sqrt(len(self.xy)) + 1))
-        num_cols, num_rows = ((high - low) / side).astype(np.int64) + 3
-        buckets = Buckets(side, int(num_cols), int(num_cols * num_rows), float(low[0]), float(low[1]))
-        order = np.argsort(buckets.of(self.xy) + np.where(np.isfinite(self.g), 0, buckets.num), kind="stable")
-        start, goal = (int(np.flatnonzero(order == node)[0]) for node in (start, goal))
-        return self.taken(order), start, goal, buckets
-
-    def ready(self, radius: float, buckets: Buckets) -> Self:
-        """Return the tree with what the search needs beside it, where `in_buckets` sorted it."""
-        is_tree = np.isfinite(self.g)
+    def ready(self, graph: BatchGraph) -> Self:
+        """Return the tree sorted for a search of its graph, with what that needs beside it."""
+        order = np.argsort(graph.bucket_of(self.xy) + np.where(np.isfinite(self.g), 0, graph.num), kind="stable")
+        tree = self.taken(order)
+        is_tree = np.isfinite(tree.g)
         num_tree = int(np.count_nonzero(is_tree))
-        bucket = buckets.of(self.xy)
-        squares = np.arange(buckets.num + 1)
-        has_parent = np.flatnonzero(self.parent != NO_PARENT)
-        length = np.hypot(*(self.xy[has_parent] - self.xy[self.parent[has_parent]]).T)
-        long_child = has_parent[length > radius]
-        long_child = long_child[np.argsort(self.parent[long_child], kind="stable")]
-        return self._replace(
-            best=self.g.copy(),
+        bucket, squares = graph.bucket_of(tree.xy), np.arange(graph.num + 1)
+        has_parent = np.flatnonzero(tree.parent != NO_PARENT)
+        length = np.hypot(*(tree.xy[has_parent] - tree.xy[tree.parent[has_parent]]).T)
+        long_child = has_parent[length > graph.radius]
+        long_child = long_child[np.argsort(tree.parent[long_child], kind="stable")]
+        return tree._replace(
+            best=tree.g.copy(),
             state=np.where(is_tree, OLD, SAMPLE).astype(np.uint8),
             tree_begin=np.searchsorted(bucket[:num_tree], squares),
             sample_begin=np.searchsorted(bucket[num_tree:], squares) + num_tree,
-            long_parent=self.parent[long_child],
+            long_parent=tree.parent[long_child],
             long_child=long_child.astype(np.int32),
         )
-
-
-class BatchGraph(NamedTuple):
-    """The random geometric graph of one batch.
-
-    Attributes:
-      goal: the goal's node.
-      radius: nodes this near each other are joined, in cell sides.
-      per_side: lower bound of an edge's cost per cell side.
-      buckets: where nodes are looked up.
-    """
-
-    goal: int
-    radius: float
-    per_side: float
-    buckets: Buckets
 
 
 @compiled()
@@ -220,9 +213,9 @@ def _num_near(begin, num_cols, bucket):
 def _queue_edges(nodes, queue, graph, node, begin, bucket):
     """Queue the edges from a node to those within the radius that they may improve."""
     x, y = nodes.xy[node]
-    g, incumbent = nodes.g[node], nodes.best[graph.goal]
+    g, incumbent = nodes.g[node], nodes.best[nodes.goal]
     row_at, col_at = nodes.row_at[node], nodes.col_at[node]
-    num_cols = graph.buckets.num_cols
+    num_cols = graph.num_cols
     for low in (bucket - num_cols, bucket, bucket + num_cols):
         for near in range(begin[low - 1], begin[low + 2]):
             dx, dy = nodes.xy[near, 0] - x, nodes.xy[near, 1] - y
@@ -244,12 +237,11 @@ def _expand(nodes, queue, graph, node, most):
     node that is new or was improved leads to both, and to its children that lie beyond the radius.
     """
     x, y = nodes.xy[node]
-    buckets = graph.buckets
-    bucket = (int((y - buckets.y) / buckets.side) + 1) * buckets.num_cols + int((x - buckets.x) / buckets.side) + 1
+    bucket = (int((y - graph.y) / graph.side) + 1) * graph.num_cols + int((x - graph.x) / graph.side) + 1
     is_fresh = nodes.state[node] == FRESH
-    num_most = _num_near(nodes.sample_begin, buckets.num_cols, bucket)
+    num_most = _num_near(nodes.sample_begin, graph.num_cols, bucket)
     if is_fresh:
-        num_most += _num_near(nodes.tree_begin, buckets.num_cols, bucket) + nodes.long_child.size
+        num_most += _num_near(nodes.tree_begin, graph.num_cols, bucket) + nodes.long_child.size
     if queue.size[0] + num_most > most:
         return False
     nodes.state[node] = EXPANDED
@@ -285,7 +277,7 @@ def advance(cost_grid, nodes, queue, graph, max_taken):
     Returns: how the chunk ended (EXHAUSTED: the batch is done), and the edges costed.
     """
     num_costed = 0
-    goal = graph.goal
+    goal = nodes.goal
     for _ in range(max_taken):
         if queue.size[0] == 0 or queue.f[0] >= nodes.g[goal]:
             return EXHAUSTED, num_costed
