@@ -32,6 +32,7 @@ KEPT_CLEAR = {  # entries of `Constraints.to_dict`, as messages call them
     "vertical_clearance_m": "vertical clearance",
 }
 Cell = tuple[int, ...]
+Altitudes = float | Sequence[float]
 Require = str | Mapping[str, tuple[str, float]] | Iterable[str]
 
 
@@ -237,51 +238,35 @@ class Constraints:
         return replace(self, zones=tuple(zone for zone, on in zip(self.zones, is_on, strict=True) if on))
 
     def is_free(
-        self, maps: MetricMaps, altitude_m: float, *, time: str | None = None, time_of_day: str | None = None
+        self, maps: MetricMaps, altitude_m: Altitudes, *, time: str | None = None, time_of_day: str | None = None
     ) -> np.ndarray:
-        """Return ``[Y, X]`` bool: where a path may fly: no obstacle, data there, closed by none of these constraints.
+        """Return bool: where a path may fly: no obstacle, data there, closed by none of these constraints.
 
-        Arguments and errors are those of `closed`.
+        Shapes, arguments and errors are those of `closed`.
         """
-        return maps.is_free(altitude_m) & ~self.closed(maps, altitude_m, time=time, time_of_day=time_of_day)
-
-    def free_levels(
-        self, maps: MetricMaps, levels_m: Sequence[float], *, time: str | None = None, time_of_day: str | None = None
-    ) -> np.ndarray:
-        """Return ``[K, Y, X]`` bool: where a path may fly on each level (see `closed_levels`)."""
-        is_free = np.stack([maps.is_free(z_m) for z_m in levels_m])
-        return is_free & ~self.closed_levels(maps, levels_m, time=time, time_of_day=time_of_day)
+        closed = self.closed(maps, altitude_m, time=time, time_of_day=time_of_day)
+        is_free = np.stack([maps.is_free(z_m) for z_m in np.atleast_1d(altitude_m).tolist()])
+        return is_free.reshape(closed.shape) & ~closed
 
     def closed(
-        self, maps: MetricMaps, altitude_m: float, *, time: str | None = None, time_of_day: str | None = None
+        self, maps: MetricMaps, altitude_m: Altitudes, *, time: str | None = None, time_of_day: str | None = None
     ) -> np.ndarray:
-        """Return ``[Y, X]`` bool: cells that these constraints close at one altitude.
+        """Return ``[Y, X]`` bool: cells that these constraints close; of levels ``[K, Y, X]``.
+
+        Of levels between which a path may climb a zone that lies wholly between two closes the lower one too, so that
+        no climb or descent passes it. A step from level to level needs its cells free on both; the lower one, with all
+        obstacles of the upper and more, keeps the clearance in between.
 
         Args:
           maps: the metric maps.
-          altitude_m: above ground; with bounds, within the range of the maps' altitudes.
+          altitude_m: above ground, or ``[K]`` ascending levels; with bounds, within the range of the maps' altitudes.
           time: UTC time of the GPS map; the first if left out.
           time_of_day: of the population map; the first if left out.
 
         Raises:
           InputError: a bound on a map that is not there, or an unknown altitude, time or time of day.
         """
-        return self.closed_levels(maps, [altitude_m], time=time, time_of_day=time_of_day)[0]
-
-    def closed_levels(
-        self, maps: MetricMaps, levels_m: Sequence[float], *, time: str | None = None, time_of_day: str | None = None
-    ) -> np.ndarray:
-        """Return ``[K, Y, X]`` bool: cells that these constraints close at levels between which a path may climb.
-
-        A zone that lies wholly between two levels closes the lower one too, so that no climb or descent passes it. A
-        step from level to level needs its cells free on both (`VolumeGraph`); the lower one, with all obstacles of the
-        upper and more, keeps the clearance in between.
-
-        Args:
-          maps: the metric maps.
-          levels_m: ``[K]`` ascending, within the range of the maps' altitudes.
-          time, time_of_day: as in `closed`.
-        """
+        levels_m = np.atleast_1d(np.asarray(altitude_m, float)).tolist()
         grid = maps.grid
         closed = np.zeros((len(levels_m), *grid.shape), bool)
         levels, next_m = np.asarray(levels_m, float), np.append(levels_m[1:], levels_m[-1])
@@ -302,7 +287,7 @@ class Constraints:
                 level_closed |= ~bound.is_kept(maps, z_m, time, time_of_day)
             if self.keeps_clear:
                 level_closed |= closed_by_clearance(maps, z_m, self.horizontal_m, self._vertical_m)
-        return closed
+        return closed if np.ndim(altitude_m) else closed[0]
 
     def reasons(
         self, maps: MetricMaps, altitude_m: float, cell: Cell, time: str | None = None, time_of_day: str | None = None

@@ -1,5 +1,6 @@
 """CostMap: metric maps at one altitude, or between several, under weights, ready for any number of queries."""
 
+import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property, partial
@@ -9,13 +10,13 @@ import numpy as np
 
 from jaxurban.errors import InputError, finite, one_of, typed
 from jaxurban.io.read.orbits import iso_utc, parse_time
-from jaxurban.maps.levels import SAME_M, Levels, listed_m
+from jaxurban.maps.levels import SAME_M, Levels, listed_m, values_at
+from jaxurban.maps.memory import free_bytes, told_bytes
 from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
 from jaxurban.metrics.weights import GivenWeights
 from jaxurban.paths.path import PlannedPath, finish
 from jaxurban.paths.preset import MapQuery, PathSearch, weights_on
-from jaxurban.paths.read_costs import check_memory, costs_at
-from jaxurban.paths.snapping import XY, Place, Point, free_place, islands_at, islands_of, joined_ends, why_closed
+from jaxurban.paths.snapping import XY, Place, Point, islands_at, islands_of, joined_ends, places_near, why_closed
 from jaxurban.planners.any_angle import check_line_model
 from jaxurban.planners.base import Cell, Problem
 from jaxurban.planners.bounds import AUTO, make_landmarks
@@ -26,11 +27,12 @@ from jaxurban.progress import saying_later
 from jaxurban.world.grid import Grid
 from jaxurban.world.show import Shown
 
+NODE_BYTES = 64  # of a volume and a search that visits all of it (docs/volume.md)
 REFINING_SHARE = 0.25  # of the budget, kept for refinement where the caller wants it
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
-class CostMap(MapQuery, Shown):
+class CostMap(Shown, MapQuery):
     """Metric maps at one altitude, or between levels, under weights. ``L`` metrics, ``Y`` rows, ``X`` columns.
 
     Queries share it, and with it what planners derive from the map. The cost of a path is weights . features
@@ -196,24 +198,26 @@ class CostMap(MapQuery, Shown):
           place: longitude, latitude in degrees, or `XY` in the maps' CRS; in a volume also an altitude, one of the
             levels, and left out the lowest that is free there.
           snap: move out of a closed cell to the nearest free one of its level, by at most 50 m, or so many metres
-            (`free_place`).
+            (`places_near`).
 
         Raises:
           InputError: a place outside the maps, no such level, or inside an obstacle or closed by a constraint, unless
             ``snap`` reaches a free cell (names the constraint and the nearest free cell).
         """
-        xy_m, cell = self.cell_of(name, place)
-        return free_place(self, name, xy_m, self._level_of(name, cell, place[2:]), cell, snap)
+        return self._places_near(name, place, snap)[0]
 
     def ends(self, start: Point | XY, goal: Point | XY, *, snap: bool | float = False) -> tuple[Place, Place]:
         """Return the cells of a query, as `locate` does; snapping moves them to cells that free ones join (errors too).
 
         Where none within reach are joined, to the nearest free ones.
         """
-        places = self.locate("start", start, snap=snap), self.locate("goal", goal, snap=snap)
-        if not any(place.is_snapped for place in places):
-            return places
-        return joined_ends(self, places, (self.cell_of("start", start)[0], self.cell_of("goal", goal)[0]), snap)
+        starts, goals = self._places_near("start", start, snap), self._places_near("goal", goal, snap)
+        is_snapped = starts[0].is_snapped or goals[0].is_snapped
+        return joined_ends(self, starts, goals) if is_snapped else (starts[0], goals[0])
+
+    def _places_near(self, name: str, place: Point | XY, snap: bool | float) -> list[Place]:
+        xy_m, cell = self.cell_of(name, place)
+        return places_near(self, name, xy_m, self._level_of(name, cell, place[2:]), cell, snap)
 
     @cached_property
     def islands(self) -> np.ndarray:
@@ -328,10 +332,24 @@ def cost_map(maps: GivenMaps, altitude_m: float | Levels, **asked: Any) -> CostM
 
 def map_at(maps: MetricMaps, altitudes_m: np.ndarray, levels: Levels | None, query: MapQuery) -> CostMap:
     """Return the cost map of a query at altitudes that the maps reach."""
-    if levels is not None:
-        check_memory((len(altitudes_m), *maps.grid.shape))
-    when = {"time": query.time, "time_of_day": query.time_of_day}
-    is_free, costs = costs_at(maps, altitudes_m, query.constraints, **when)
+    needed, left = len(altitudes_m) * math.prod(maps.grid.shape) * NODE_BYTES, free_bytes()
+    if levels is not None and needed > left:
+        raise InputError(
+            f"a volume of {len(altitudes_m)} levels of {' x '.join(map(str, maps.grid.shape))} cells takes up to "
+            f"{told_bytes(needed)} of memory and {told_bytes(left)} are free: choose a longer level_step_m, closer "
+            "altitude bounds, or coarser maps"
+        )
+    when: dict[str, Any] = {"time": query.time, "time_of_day": query.time_of_day}
+    is_free = query.constraints.is_free(maps, altitudes_m.tolist(), **when)
+    costs = np.empty((len(maps.metrics), *is_free.shape), np.float32)
+    is_under_sky = cache(maps.is_under_sky)
+    for (name, metric), layers in zip(maps.metrics.items(), costs, strict=True):
+        read = cache(partial(maps.m, name, **when))
+        is_flat = "altitude" not in maps.ds[maps.variable(name)].dims
+        for level, z_m in enumerate(altitudes_m.tolist()):
+            m = read(maps.altitudes_m[0]) if is_flat else values_at(z_m, maps.altitudes_m, read, is_under_sky)
+            layers[level] = np.asarray(metric.cost(m))
+            layers[level][~(np.isfinite(layers[level]) | is_free[level])] = 0.0
     known_when = {
         "time": maps.default_time if query.time is None else iso_utc(parse_time(query.time)),
         "time_of_day": query.time_of_day or next(iter(maps.times_of_day), None),

@@ -49,7 +49,7 @@ def weights_on(maps: MetricMaps, given: GivenWeights) -> Weights:
     return Weights.of(given, maps.recorded.get("weights")).checked(maps.metrics)
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class MapQuery:
     """Which map a path is planned on, beside the altitude.
 

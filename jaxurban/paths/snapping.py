@@ -1,8 +1,8 @@
 """The ends of a query: why a cell is closed, the nearest free one, never in silence, and what joins two of them."""
 
 import math
-from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -10,7 +10,6 @@ from scipy.ndimage import generate_binary_structure, label
 
 from jaxurban.errors import InputError
 from jaxurban.planners.base import Cell
-from jaxurban.world.grid import Grid
 
 if TYPE_CHECKING:
     from jaxurban.paths.cost_map import CostMap
@@ -70,10 +69,12 @@ class Place:
     num_passed: int = 0
 
 
-def free_place(
+def places_near(
     on: "CostMap", name: str, xy_m: tuple[float, float], level: int, cell: Cell, snap: bool | float
-) -> Place:
-    """Return the cell of a place, or the free cell nearest to the place if its own is closed and ``snap`` allows it.
+) -> list[Place]:
+    """Return the cell of a place; if it is closed and ``snap`` allows it, of each island the nearest free cell.
+
+    The nearest one of all comes first.
 
     Args:
       on: whose cells.
@@ -89,75 +90,47 @@ def free_place(
     """
     cap_m, is_free, of_level = snap_limit_m(snap), on.levels_free[level], () if on.levels is None else (level,)
     if is_free[cell]:
-        return Place((*of_level, *cell), float(np.hypot(*np.subtract(on.grid.xy_of_cell(*cell), xy_m))))
-    why_closed, (rows, cols, away_m) = on.why_closed(cell, level), _away(is_free, xy_m, on.grid)
+        return [Place((*of_level, *cell), float(np.hypot(*np.subtract(on.grid.xy_of_cell(*cell), xy_m))))]
+    rows, cols = np.nonzero(is_free)
     if rows.size == 0:
-        raise InputError(f"{name} is {why_closed}, and no cell is free at this altitude: {on.remedy}")
-    at = int(np.argmin(away_m))
-    nearest = Place((*of_level, int(rows[at]), int(cols[at])), float(away_m[at]), True)
-    if cap_m is not None and nearest.snap_distance_m <= cap_m:
-        return nearest
-    lon, lat = on.grid.lonlat_of_cell(*nearest.cell[-2:])
-    needed_m = math.ceil(nearest.snap_distance_m)
-    too_far = "" if cap_m is None else f", farther than it may be moved ({cap_m:g} m)"
-    option = "--snap (snap=True)" if needed_m <= MAX_SNAP_M else f"--snap-distance {needed_m} (snap={needed_m})"
-    raise InputError(
-        f"{name} is {why_closed}; the nearest free cell is at {lon:.6f},{lat:.6f}, {nearest.snap_distance_m:.0f} m "
-        f"away{too_far}: take that place, fly higher, or pass {option} to move there"
-    )
+        raise InputError(f"{name} is {on.why_closed(cell, level)}, and no cell is free at this altitude: {on.remedy}")
+    x_m, y_m = on.grid.xy_of_cell(rows, cols)
+    away_m = np.hypot(x_m - xy_m[0], y_m - xy_m[1])
+    near = np.flatnonzero(away_m <= (-1.0 if cap_m is None else cap_m))
+    near = near[np.argsort(away_m[near], kind="stable")]
+    if near.size == 0:
+        nearest = int(np.argmin(away_m))
+        lon, lat = on.grid.lonlat_of_cell(rows[nearest], cols[nearest])
+        needed_m = math.ceil(away_m[nearest])
+        too_far = "" if cap_m is None else f", farther than it may be moved ({cap_m:g} m)"
+        option = "--snap (snap=True)" if needed_m <= MAX_SNAP_M else f"--snap-distance {needed_m} (snap={needed_m})"
+        raise InputError(
+            f"{name} is {on.why_closed(cell, level)}; the nearest free cell is at {lon:.6f},{lat:.6f}, "
+            f"{away_m[nearest]:.0f} m away{too_far}: take that place, fly higher, or pass {option} to move there"
+        )
+    _, first = np.unique(on.islands[of_level][rows[near], cols[near]], return_index=True)
+    nearest_of = near[np.sort(first)]
+    return [Place((*of_level, int(rows[k]), int(cols[k])), float(away_m[k]), True) for k in nearest_of]
 
 
-def joined_ends(
-    on: "CostMap", ends: tuple[Place, Place], at_xy_m: Iterable[tuple[float, float]], snap: bool | float
-) -> tuple[Place, Place]:
-    """Return the ends of a query, those that were snapped in cells that are joined to the other end.
+def joined_ends(on: "CostMap", starts: list[Place], goals: list[Place]) -> tuple[Place, Place]:
+    """Return the start and the goal, of those that `places_near` gives, that free cells join and that move the least.
 
-    Of all islands within reach the one to which they move the least in all; where no island is, they stay apart.
-
-    Args:
-      on: whose cells.
-      ends: from `free_place`.
-      at_xy_m: easting, northing of the places.
-      snap: as in `free_place`.
+    Where no two are joined, the nearest ones.
     """
     islands = on.islands
-    if islands[ends[0].cell] == islands[ends[1].cell]:
-        return ends
+
+    def apart_then_moved_m(ends: tuple[Place, Place]) -> tuple[bool, float]:
+        return bool(islands[ends[0].cell] != islands[ends[1].cell]), sum(end.snap_distance_m for end in ends)
+
+    best = min(product(starts, goals), key=apart_then_moved_m)
     start, goal = (
-        _nearest_of_islands(on, place, xy_m, snap) if place.is_snapped else {int(islands[place.cell]): place}
-        for place, xy_m in zip(ends, at_xy_m, strict=True)
+        end
+        if end is nearest
+        else replace(end, passed_m=nearest.snap_distance_m, num_passed=int(np.sum(islands == islands[nearest.cell])))
+        for end, nearest in zip(best, (starts[0], goals[0]), strict=True)
     )
-    if not (both := start.keys() & goal.keys()):
-        return ends
-    island = min(both, key=lambda number: (start[number].snap_distance_m + goal[number].snap_distance_m, number))
-    first, second = (
-        taken
-        if (taken := of_islands[island]).cell == place.cell
-        else replace(taken, passed_m=place.snap_distance_m, num_passed=int(np.sum(islands == islands[place.cell])))
-        for place, of_islands in zip(ends, (start, goal), strict=True)
-    )
-    return first, second
-
-
-def _nearest_of_islands(on: "CostMap", place: Place, xy_m: tuple[float, float], snap: bool | float) -> dict[int, Place]:
-    """Return the nearest cell of each island within reach of a place, on its own level."""
-    level, reach_m = place.cell[:-2], snap_limit_m(snap) or 0.0
-    islands = on.islands[level]
-    rows, cols, away_m = _away(islands > 0, xy_m, on.grid)
-    near = np.flatnonzero(away_m <= reach_m)
-    order = near[np.argsort(away_m[near], kind="stable")]
-    numbers, nearest = np.unique(islands[rows[order], cols[order]], return_index=True)
-    return {
-        int(number): Place((*level, int(rows[k]), int(cols[k])), float(away_m[k]), True)
-        for number, k in zip(numbers, order[nearest], strict=True)
-    }
-
-
-def _away(is_free: np.ndarray, xy_m: tuple[float, float], grid: Grid) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return rows and columns of the free cells, and how far their centres are from a place."""
-    rows, cols = np.nonzero(is_free)
-    x_m, y_m = grid.xy_of_cell(rows, cols)
-    return rows, cols, np.hypot(x_m - xy_m[0], y_m - xy_m[1])
+    return start, goal
 
 
 def snap_note(start: Place, goal: Place) -> str:
@@ -217,8 +190,9 @@ def islands_of(is_free: np.ndarray, cuts_corners: bool) -> np.ndarray:
 
 def islands_at(on: "CostMap", levels_m: tuple[float, ...]) -> np.ndarray:
     """Return `islands_of` the free cells of other levels under a cost map's constraints."""
-    is_free = on.constraints.free_levels(on.maps, levels_m, time=on.time, time_of_day=on.time_of_day)
-    return islands_of(is_free[0] if on.levels is None else is_free, on.cuts_corners)
+    levels = levels_m[0] if on.levels is None else levels_m
+    is_free = on.constraints.is_free(on.maps, levels, time=on.time, time_of_day=on.time_of_day)
+    return islands_of(is_free, on.cuts_corners)
 
 
 def what_would_join(on: "CostMap", start: Cell, goal: Cell) -> str:

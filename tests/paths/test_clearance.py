@@ -236,7 +236,7 @@ def test_without_it_paths_come_nearer():
 @pytest.mark.parametrize("seed", [6, 7, 8])
 def test_paths_that_climb_keep_it_and_their_files_too(seed, tmp_path):
     maps, constraints = scattered(seed), ju.Constraints.read(**KEPT)
-    free = constraints.free_levels(maps, LEVELS_M)
+    free = constraints.is_free(maps, LEVELS_M)
     for ends in ends_in(maps, free.all(axis=0)):
         climbs = {"start_altitude_m": 20.0, "goal_altitude_m": 60.0, "level_step_m": 15.0, "climb_cost": 0.0}
         path = plan_volume(maps, **ends, **climbs, constraints=constraints)

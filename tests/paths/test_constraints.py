@@ -54,9 +54,9 @@ def test_a_zone_closes_from_its_floor_to_its_ceiling_both_included(maps):
     )
     for altitude_m, is_closed in ((29.9, False), (30.0, True), (50.0, True), (50.1, False)):
         assert constraints.closed(maps, altitude_m).any() == is_closed
-    counts = [closed.sum() for closed in constraints.closed_levels(maps, [20.0, 30.0, 55.0, 60.0])]
+    counts = [closed.sum() for closed in constraints.closed(maps, [20.0, 30.0, 55.0, 60.0])]
     assert counts == [0, 25, 0, 0]
-    counts = [closed.sum() for closed in constraints.closed_levels(maps, [20.0, 25.0, 55.0, 60.0])]
+    counts = [closed.sum() for closed in constraints.closed(maps, [20.0, 25.0, 55.0, 60.0])]
     assert counts == [0, 25, 0, 0]  # between 25 and 55 m: no climb passes it
 
 
