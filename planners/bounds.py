@@ -8,7 +8,6 @@ t costs S plus (c(t) - c(n)) / 2: one field serves both ways.
 """
 
 import time
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import label
@@ -200,26 +199,12 @@ def cost_to_go(problem: Problem, end_s: float = np.inf) -> np.ndarray:
     return kept[problem.goal]
 
 
-@dataclass(frozen=True, eq=False)
-class Landmarks:
-    """Costs between each landmark and every cell. ``Y`` rows, ``X`` columns, ``K`` landmarks.
-
-    Attributes:
-      cells: the landmarks.
-      costs: ``[Y, X, K]`` float64 symmetric costs S; inf where there is no way.
-      slack: what the bound is lowered by, so that rounding never lifts it above the true cost: one unit in
-        the last place of the largest cost, for every cell, more than the sums along any path can lose.
-    """
-
-    cells: tuple[Cell, ...]
-    costs: np.ndarray
-    slack: float
-
-
-def make_landmarks(problem: Problem, num: int = NUM_LANDMARKS, end_s: float = np.inf) -> Landmarks:
+def make_landmarks(problem: Problem, num: int = NUM_LANDMARKS, end_s: float = np.inf) -> LandmarkBound:
     """Return landmarks for a problem's map and weights, built once for all its queries (`Problem.between`).
 
-    Landmarks that are there already are returned, whatever their number.
+    Landmarks that are there already are returned, whatever their number; `landmark_bound` turns them to a goal. The
+    bound is lowered by one unit in the last place of the largest cost, for every cell, more than the sums along any
+    path can lose, so that rounding never lifts it above the true cost.
 
     Args:
       problem: the query; its start and goal play no part.
@@ -236,8 +221,9 @@ def make_landmarks(problem: Problem, num: int = NUM_LANDMARKS, end_s: float = np
             costs[..., k] = symmetric_costs(problem.between(cell, cell), end_s)
         largest = np.max(costs, where=np.isfinite(costs), initial=0.0)
         slack = float(largest) * problem.is_free.size * np.finfo(np.float64).eps
-        problem.shared["landmarks"] = Landmarks(tuple(cells), costs, slack)
-    made: Landmarks = problem.shared["landmarks"]
+        cost_share = 0.5 if problem.cost_model.kind == "cell" else 0.0
+        problem.shared["landmarks"] = LandmarkBound(costs, costs[cells[0]], problem.cost, cost_share, -slack)
+    made: LandmarkBound = problem.shared["landmarks"]
     return made
 
 
@@ -261,13 +247,7 @@ def landmark_cells(problem: Problem, num: int) -> list[Cell]:
     return cells
 
 
-def landmark_bound(problem: Problem, landmarks: Landmarks) -> LandmarkBound:
+def landmark_bound(problem: Problem, landmarks: LandmarkBound) -> LandmarkBound:
     """Return the landmarks' bound on the cost to a problem's goal."""
-    cost_share = 0.5 if problem.cost_model.kind == "cell" else 0.0
-    return LandmarkBound(
-        costs=landmarks.costs,
-        at_goal=landmarks.costs[problem.goal],
-        cost=problem.cost,
-        cost_share=cost_share,
-        goal_term=cost_share * float(problem.cost[problem.goal]) - landmarks.slack,
-    )
+    goal_term = landmarks.cost_share * float(problem.cost[problem.goal]) + landmarks.goal_term
+    return landmarks._replace(at_goal=landmarks.costs[problem.goal], goal_term=goal_term)
