@@ -59,15 +59,15 @@ def hide_behind_slabs(
       azimuth_rad, elevation_rad: ``[S]`` of the satellites, clockwise from grid north and above the horizon.
       resolution_m: side of the slabs' cells.
     """
-    num_rows, num_cols = words.shape[2:]
     row, col = cells
     if not len(row):
         return
-    ground_m = receivers.ground_m
-    lowest_m, highest_m = (ground_m.min(), ground_m.max()) if ground_m.size else (0.0, 0.0)
+    receivers = receivers._replace(ground_m=np.asarray(receivers.ground_m, np.float64))
+    altitudes_m, ground_m = np.asarray(altitudes_m, np.float64), receivers.ground_m
+    range_m = (float(ground_m.min()), float(ground_m.max())) if ground_m.size else (0.0, 0.0)
     spans = [
         (min(int(cell.min()), first), max(int(cell.max()), first + receivers.every * (num - 1)))
-        for cell, first, num in ((row, receivers.first_row, num_rows), (col, receivers.first_col, num_cols))
+        for cell, first, num in zip(cells, receivers[:2], words.shape[2:], strict=True)
     ]
     for number, (azimuth, elevation) in enumerate(zip(azimuth_rad, elevation_rad, strict=True)):
         east, north = math.sin(azimuth), math.cos(azimuth)
@@ -75,63 +75,34 @@ def hide_behind_slabs(
         along, across = (north, east) if is_rows else (east, north)
         first, last = spans[0 if is_rows else 1]
         sideways = np.floor(across / along * np.arange(first, last + 1) + 0.5).astype(np.int64)
-        _cast(
-            words[number // WORD_BITS],
-            ~np.uint32(1 << (number % WORD_BITS)),
-            np.asarray(altitudes_m, np.float64),
-            np.asarray(ground_m, np.float64),
-            (float(lowest_m), float(highest_m)),
-            (receivers.first_row, receivers.first_col, receivers.every),
-            (row, col) if is_rows else (col, row),
-            heights_m,
-            sideways,
-            first,
-            is_rows,
-            1 if along > 0 else -1,
-            resolution_m / abs(along) * math.tan(elevation),
-        )
+        line = sideways, first, is_rows, 1 if along > 0 else -1, resolution_m / abs(along) * math.tan(elevation)
+        of_slabs = *((row, col) if is_rows else (col, row)), *heights_m
+        kept = ~np.uint32(1 << (number % WORD_BITS))
+        _cast(words[number // WORD_BITS], kept, altitudes_m, receivers, range_m, of_slabs, line)
 
 
 @compiled(nogil=True)
-def _cast(
-    words,
-    kept,
-    altitudes_m,
-    ground_m,
-    ground_range_m,
-    receivers,
-    cells,
-    heights_m,
-    sideways,
-    first,
-    is_rows,
-    ahead,
-    drop_m,
-):
+def _cast(words, kept, altitudes_m, receivers, range_m, slabs, line):
     """Clear one satellite's bit behind every slab.
 
     Args:
       words: ``[A, y, x]`` that hold its bit.
       kept: every other bit.
       altitudes_m: ``[A]``.
-      ground_m: ``[y, x]``, or of no cells.
-      ground_range_m: lowest and highest of it.
-      receivers: first row, first column, and of how many cells one is a receiver.
-      cells: ``[H]`` each: number of the slab's row and its column (column and row, unless ``is_rows``).
-      heights_m: ``[H]`` each: floor and top.
-      sideways: cells of the digital line by its row (column), from ``first`` on.
-      first: row (column) that it begins with.
-      is_rows: whether the line is followed row by row.
-      ahead: 1 where the satellite is beyond the last row (column), -1 where it is beyond the first.
-      drop_m: height that a ray gains from one row (column) to the next.
+      receivers: where they stand.
+      range_m: lowest and highest of their ground.
+      slabs: ``[H]`` each: number of the slab's row and its column (column and row, unless ``is_rows``), floor and top.
+      line: sideways cells of the digital line by its row (column); the first of these; whether the line is followed row
+        by row; 1 where the satellite is beyond the last row (column), -1 where it is beyond the first; and the height
+        that a ray gains from one row (column) to the next.
     """
-    first_row, first_col, every = receivers
+    first_row, first_col, every, ground_m = receivers
+    slab_along, slab_across, floor_m, top_m = slabs
+    sideways, first, is_rows, ahead, drop_m = line
     num_rows, num_cols = words.shape[1:]
     first_along, first_across = (first_row, first_col) if is_rows else (first_col, first_row)
     num_along, num_across = (num_rows, num_cols) if is_rows else (num_cols, num_rows)
     last_along = first_along + every * (num_along - 1)
-    slab_along, slab_across = cells
-    floor_m, top_m = heights_m
     rows_a_metre = 1 / max(drop_m, LEAST_DROP_M)
     for slab in range(len(floor_m)):
         at, floor, top = slab_along[slab], floor_m[slab], top_m[slab]
@@ -141,7 +112,7 @@ def _cast(
         phase = (at - first_along) * ahead % every
         beside = slab_across[slab] - sideways[at - first] - first_across
         for a in range(len(altitudes_m)):
-            low_m, high_m = ground_range_m[0] + altitudes_m[a], ground_range_m[1] + altitudes_m[a]
+            low_m, high_m = range_m[0] + altitudes_m[a], range_m[1] + altitudes_m[a]
             if top < low_m:
                 continue
             # A step more on each side, should rounding matter.
