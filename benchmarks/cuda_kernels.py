@@ -14,7 +14,7 @@ import numpy as np
 from jaxurban.kernels import dop
 from jaxurban.kernels.distance import exact as distance
 from jaxurban.kernels.distance import soft as soft_distance
-from jaxurban.kernels.lidar import flat, steps
+from jaxurban.kernels.lidar import hard
 from jaxurban.kernels.lidar import soft as soft_lidar
 from jaxurban.kernels.line import segment_costs
 from jaxurban.kernels.search import frontier, sample_graph
@@ -108,12 +108,12 @@ WINDOW = (MARGIN, MARGIN + REGION[0], MARGIN, MARGIN + REGION[1], 1)
 VIEW = visibility.SkyView(lines(), satellites(NUM_SATELLITES, 1), WHOLE)
 
 NUM_AZIMUTHS, NUM_BEAMS, RANGE_M = 360, 16, 100.0
-STEPS_5M, STEPS_FINE = (flat.num_steps(side_m, RANGE_M) for side_m in (5.0, 5.0 / PER_CELL))
-RAYS = flat.ray_offsets(NUM_AZIMUTHS, STEPS_5M)
-STARTS = flat.phase_starts(RAYS, 1)
+STEPS_5M, STEPS_FINE = (hard.num_steps(side_m, RANGE_M) for side_m in (5.0, 5.0 / PER_CELL))
+RAYS = hard.ray_offsets(NUM_AZIMUTHS, STEPS_5M)
+STARTS = hard.phase_starts(RAYS, 1)
 RAYS_5M = {"halo": STEPS_5M - 1}
-FINE_RAYS = flat.phase_starts(flat.ray_offsets(NUM_AZIMUTHS, STEPS_FINE), PER_CELL)
-FINE_HALO = flat.halo_cells(STEPS_FINE, PER_CELL)
+FINE_RAYS = hard.phase_starts(hard.ray_offsets(NUM_AZIMUTHS, STEPS_FINE), PER_CELL)
+FINE_HALO = hard.halo_cells(STEPS_FINE, PER_CELL)
 SCAN = soft_lidar.Scan(NUMBER, NUMBER, NUMBER, array(NUM_BEAMS), array(NUM_BEAMS))
 
 
@@ -249,15 +249,15 @@ KERNELS: dict[str, Callable[[], Call]] = {
     ),
     "GPS series, sums of rows": lambda: Call(availability.row_sums, (array(*REGION), array(*REGION, dtype=bool))),
     "lidar: flat, 5 m": lambda: Call(
-        flat.count_returns, (around(REGION, STEPS_5M - 1, 1), array(1, STEPS_5M), STARTS), RAYS_5M
+        hard.count_returns, (around(REGION, STEPS_5M - 1, 1), array(1, STEPS_5M), STARTS), RAYS_5M
     ),
     "lidar: flat by steps": lambda: Call(
-        steps.count_returns_by_steps,
+        hard.count_returns_by_steps,
         (around(REGION, STEPS_5M - 1, 1), array(1, STEPS_5M), STARTS),
         RAYS_5M,
     ),
     "lidar: terrain, tile": lambda: Call(
-        steps.count_returns_on_terrain_by_steps,
+        hard.count_returns_on_terrain_by_steps,
         (around(TILE, STEPS_5M - 1, 1), around(TILE, STEPS_5M - 1, 1), array(1, STEPS_5M, NUM_BEAMS), STARTS),
         RAYS_5M,
     ),
@@ -270,7 +270,7 @@ KERNELS: dict[str, Callable[[], Call]] = {
         lidar._share, (array(4, *REGION, dtype=jnp.int32), part(REGION), ALTITUDES_M), {"num_azimuths": NUM_AZIMUTHS}
     ),
     "lidar: supersampled, tile": lambda: Call(
-        steps.count_returns_by_steps,
+        hard.count_returns_by_steps,
         (around(TILE, FINE_HALO, PER_CELL**2), array(1, STEPS_FINE), FINE_RAYS),
         {"halo": FINE_HALO},
     ),

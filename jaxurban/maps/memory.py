@@ -11,7 +11,7 @@ import numpy as np
 import psutil
 
 from jaxurban.errors import InputError
-from jaxurban.kernels.lidar.flat import WORD_BITS, num_steps
+from jaxurban.kernels.lidar.hard import WORD_BITS, num_steps
 from jaxurban.maps.dataset import variables
 from jaxurban.maps.device import Gpu, gpu_free_bytes
 from jaxurban.maps.task import MapTask

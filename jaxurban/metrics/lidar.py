@@ -14,10 +14,9 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxurban.errors import InputError, typed
 from jaxurban.kernels.engine import Engine, runs_numba
-from jaxurban.kernels.lidar import flat as kernel
+from jaxurban.kernels.lidar import hard as kernel
 from jaxurban.kernels.lidar import soft as soft_kernel
 from jaxurban.kernels.lidar.flat_cpu import count_on_host
-from jaxurban.kernels.lidar.steps import count_returns_on_terrain_by_steps
 from jaxurban.kernels.lidar.terrain_cpu import MOST_BEAMS, count_on_terrain_on_host
 from jaxurban.metrics.base import ALTITUDE, AnyArray, Metric, Scene, TracedScene, in_type, low_is_bad, on_scene
 from jaxurban.metrics.obstacle import obstacle_mask, soft_obstacle
@@ -79,7 +78,7 @@ def compute_lidar(
     which is not a landmark. With terrain, receivers and roofs stand on it and it ends beams too.
     0 inside obstacles. What stands more than the range beyond the region changes nothing; beyond the
     surface nothing stands. Paper: section Lidar Visibility, scan(j) and m_lidar = s / k.
-    Departures: the ground ends beams, and rays follow the stepping rule of `jaxurban.kernels.lidar.flat`. Slabs with
+    Departures: the ground ends beams, and rays follow the stepping rule of `jaxurban.kernels.lidar.hard`. Slabs with
     their floor at or below the altitude reach the ground, and higher ones are not met: a lidar is trusted with no
     ceiling, and beams that pass under a floor below it are counted as returns. The gradient is zero.
 
@@ -99,7 +98,7 @@ def compute_lidar(
 def beam_heights(altitudes_m: Sequence[float] | ArrayLike, params: Lidar, surface: Surface) -> np.ndarray:
     """Return the heights that decide each step of a ray, made in float64 on the host.
 
-    ``[A, N]`` over flat ground (`jaxurban.kernels.lidar.flat.flat_thresholds`), ``[A, N, B]`` over terrain
+    ``[A, N]`` over flat ground (`jaxurban.kernels.lidar.hard.flat_thresholds`), ``[A, N, B]`` over terrain
     (`lowest_heights`), rounded up to the type of the roofs.
 
     Args:
@@ -160,7 +159,7 @@ def _counts_by_jax(
         return kernel.count_returns(roof_m, heights_m, starts, halo=halo)
     terrain_m = kernel.phases(terrain.cut(), oversample)
     sizes = {"halo": halo, "receiver_phase": _receiver_phase(oversample)}
-    return count_returns_on_terrain_by_steps(roof_m, terrain_m, heights_m, starts, **sizes)
+    return kernel.count_returns_on_terrain_by_steps(roof_m, terrain_m, heights_m, starts, **sizes)
 
 
 def _receiver_phase(oversample: int) -> int:

@@ -1,6 +1,6 @@
 """Lidar scan returns over flat ground on a CPU: rows of bitmaps joined for eight steps at once, azimuth by azimuth.
 
-The counts are those of `jaxurban.kernels.lidar.flat`, whose thresholds and looks these are. A roof has a rank, a byte:
+The counts are those of `jaxurban.kernels.lidar.hard`, whose thresholds and looks these are. A roof has a rank, a byte:
 how many of the different thresholds it reaches, so that a step's bitmap around a tile of receivers is a comparison of
 bytes. Words hold eight receivers: bit b of word ``i * C + j`` stands for receiver ``(i + b * band, j)`` of a tile of
 ``R = 8 * band`` rows and ``C`` columns, so that a look from all of a tile's receivers reads whole rows of what it looks
@@ -34,9 +34,9 @@ def count_on_host(
     """Return how many of K scan positions meet a building, over flat ground, ``[A, Y, X]`` int32.
 
     Args:
-      roof_m: roof heights, 0 without a building, as `jaxurban.kernels.lidar.flat.phases`.
-      thresholds_m: from `jaxurban.kernels.lidar.flat.flat_thresholds`, rounded up to the type of ``roof_m``.
-      starts: from `jaxurban.kernels.lidar.flat.phase_starts`.
+      roof_m: roof heights, 0 without a building, as `jaxurban.kernels.lidar.hard.phases`.
+      thresholds_m: from `jaxurban.kernels.lidar.hard.flat_thresholds`, rounded up to the type of ``roof_m``.
+      starts: from `jaxurban.kernels.lidar.hard.phase_starts`.
       halo: H, cells beyond the receivers.
 
     Altitudes that no roof reaches cost nothing.

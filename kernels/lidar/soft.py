@@ -1,7 +1,7 @@
 """Lidar scan returns, softly: by how many metres a scan position meets a building, or misses all of them.
 
 Legend: ``B`` beams, ``K`` azimuths, ``N`` steps along a ray, ``Y, X`` cells that get a result, ``H = N - 1`` cells of
-halo around them, ``P`` chosen cells. Stepping rule and frame are those of `jaxurban.kernels.lidar.flat`.
+halo around them, ``P`` chosen cells. Stepping rule and frame are those of `jaxurban.kernels.lidar.hard`.
 
 There a scan position returns when at some step some beam enters the step's segment in the air and in range, and its
 lowest height over the segment is not above the roof. Each of the three conditions is a margin in metres: height above
@@ -151,7 +151,7 @@ def soft_returns(
     Args:
       roof_m: roof heights with their halo, 0 without a building.
       scan: from `scan_of`.
-      offsets: from `jaxurban.kernels.lidar.flat.ray_offsets`.
+      offsets: from `jaxurban.kernels.lidar.hard.ray_offsets`.
       softness_m: of the margins; 0 gives the exact result.
     """
     return lax.platform_dependent(roof_m, scan, offsets, softness_m, cpu=one_by_one, default=together)
@@ -221,7 +221,7 @@ class ScansAt(NamedTuple):
       terrain_m: ground elevation, likewise; None for level ground.
       altitude_m: ``[P]`` height of each cell's receiver above its ground.
       scan: from `scan_of`, for the altitude 0.
-      offsets: ``[K, N, 2]``, from `jaxurban.kernels.lidar.flat.ray_offsets`.
+      offsets: ``[K, N, 2]``, from `jaxurban.kernels.lidar.hard.ray_offsets`.
       softness_m: of the margins; 0 gives the exact result.
       cells: ``[P, 2]`` row and column of each cell, of those without the halo.
     """

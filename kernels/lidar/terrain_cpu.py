@@ -1,6 +1,6 @@
 """Lidar scan returns over terrain on a CPU: tile by tile, so that what its rays look at lies in a core's cache.
 
-The stepping rule of `jaxurban.kernels.lidar.flat`, the ground ending beams as well: what a receiver sees depends on its
+The stepping rule of `jaxurban.kernels.lidar.hard`, the ground ending beams as well: what a receiver sees depends on its
 own ground, and a beam ends where its lowest height over a segment is not above the terrain of the cell looked at.
 
 Rays are followed for the receivers of a part of a tile together, as far as some beam can meet what is highest around
@@ -33,7 +33,7 @@ class Looks(NamedTuple):
     """The different looks of all rays: each a step and a cell, ``U`` of them, in order of steps.
 
     Attributes:
-      start: ``[U, 3]`` int32 phase, row and column, as of `jaxurban.kernels.lidar.flat.phase_starts`.
+      start: ``[U, 3]`` int32 phase, row and column, as of `jaxurban.kernels.lidar.hard.phase_starts`.
       first_of_step: ``[N + 1]`` int32 where the looks of each step begin.
       ray: ``[K * N]`` int32 azimuths in order of their looks.
       first_ray: ``[U + 1]`` int32 where the azimuths of each look begin in ``ray``.
@@ -73,11 +73,11 @@ def count_on_terrain_on_host(
     these are the counts over flat ground.
 
     Args:
-      roof_m: roof heights above their ground, 0 without a building, as `jaxurban.kernels.lidar.flat.phases`.
+      roof_m: roof heights above their ground, 0 without a building, as `jaxurban.kernels.lidar.hard.phases`.
       terrain_m: ground elevation, likewise.
-      lowest_m: from `jaxurban.kernels.lidar.flat.lowest_heights`, rounded up to the type of ``roof_m``; of `MOST_BEAMS`
+      lowest_m: from `jaxurban.kernels.lidar.hard.lowest_heights`, rounded up to the type of ``roof_m``; of `MOST_BEAMS`
         at most.
-      starts: from `jaxurban.kernels.lidar.flat.phase_starts`.
+      starts: from `jaxurban.kernels.lidar.hard.phase_starts`.
       halo: cells beyond the receivers.
       receiver_phase: the phase in which receivers stand.
     """

@@ -10,9 +10,12 @@ import numpy as np
 import pytest
 
 from jaxurban.kernels.lidar import soft as soft_lidar
-from jaxurban.kernels.lidar.flat import (
+from jaxurban.kernels.lidar.flat_cpu import count_on_host
+from jaxurban.kernels.lidar.hard import (
     count_returns,
     count_returns_by_azimuths,
+    count_returns_by_steps,
+    count_returns_on_terrain_by_steps,
     flat_thresholds,
     halo_cells,
     lowest_heights,
@@ -22,8 +25,6 @@ from jaxurban.kernels.lidar.flat import (
     ray_offsets,
     round_up,
 )
-from jaxurban.kernels.lidar.flat_cpu import count_on_host
-from jaxurban.kernels.lidar.steps import count_returns_by_steps, count_returns_on_terrain_by_steps
 from jaxurban.kernels.lidar.terrain_cpu import count_on_terrain_on_host
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from jaxurban.errors import InputError
-from jaxurban.kernels.lidar import flat, soft
+from jaxurban.kernels.lidar import hard, soft
 from jaxurban.metrics.lidar import Lidar, compute_lidar, soft_lidar
 from tests.metrics.soft.differences import anyhow, axes, check_gradient
 from tests.metrics.soft.scene import ALTITUDE_M, CELLS, hills, scene, surface_of
@@ -127,11 +127,11 @@ def test_each_chosen_cell_may_have_an_altitude_of_its_own():
 @pytest.mark.parametrize("num_azimuths", [7, 80])  # a GPU takes them at once, or in two turns
 def test_the_form_for_a_gpu_gives_the_values_and_gradients_of_the_one_for_a_cpu(num_azimuths):
     rng = np.random.default_rng(0)
-    steps = flat.num_steps(5.0, 40.0)
+    steps = hard.num_steps(5.0, 40.0)
     shape = 15 + 2 * (steps - 1), 12 + 2 * (steps - 1)
     roof_m = jnp.asarray(np.where(rng.random(shape) < 0.3, rng.uniform(5, 40, shape), 0.0))
     terrain_m = jnp.asarray(rng.uniform(0, 6, shape))
-    offsets = flat.ray_offsets(num_azimuths, steps)
+    offsets = hard.ray_offsets(num_azimuths, steps)
     cells = jnp.asarray(rng.integers(0, (15, 12), (20, 2)))
     weight = jnp.asarray(rng.uniform(0.5, 1.5, (15, 12)))
 

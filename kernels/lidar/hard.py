@@ -23,6 +23,11 @@ the address. Counts over azimuths are kept as bit slices too.
 On a raster n times finer than the map the receivers lie n subcells apart, so a ray's step looks at the same place among
 n x n for all of them. It is kept as n x n rasters of the map's size (`phases`), and a step is a shift of one of them: a
 map's cell costs n times the steps of a plain map, not n^3 times.
+
+The forms by steps are shaped for a GPU: the rays of all azimuths and cells together, a few steps a turn, in loops of a
+known number of turns, so that nothing waits for a result and a GPU starts a few kernels a turn. What the rays have met
+stays in memory between turns: over flat ground a bit for each cell and azimuth, over terrain a byte. A CPU is many
+times slower with them than with its own forms, of which the counts are the same, bit for bit.
 """
 
 import math
@@ -32,10 +37,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Float, Int
+from jax.typing import DTypeLike
+from jaxtyping import Array, Float, Int, UInt
 
-from jaxurban.kernels.lidar.steps import WORD_BITS, count_returns_by_steps, pack
-
+WORD_BITS = 32
+STEPS_AT_ONCE = 4  # of rays, in one turn of the loop by steps: what they have met is read and written once
 STEPS_PER_PASS = 7  # bitmaps combined per pass over the words: 1.5 times faster than one by one on large maps
 AZIMUTHS_AT_ONCE = 8  # added up by carry-save adders before they are carried into the counts
 TINY_M = float(np.finfo(np.float32).tiny)  # below every roof, above the ground
@@ -235,3 +241,109 @@ def count_returns_by_azimuths(roof_m: jax.Array, thresholds_m: jax.Array, starts
         return lax.cond(reached, count_at, lambda _: jnp.zeros((rows, cols), jnp.int32), threshold_m)
 
     return lax.map(count_if_reached, thresholds_m)
+
+
+def pack(
+    heights_m: Float[Array, "*n Y X"], least_m: Float[Array, "..."], band: int, dtype: DTypeLike = jnp.uint32
+) -> UInt[Array, "*n y X"]:
+    """Return ``heights_m >= least_m`` as words: bit b of word (i, j) stands for cell (i + b * band, j), b bands north.
+
+    A word begins in each row but the last ones, from which there is no cell for every bit.
+    """
+    num_bits = 8 * jnp.dtype(dtype).itemsize
+    num_words = heights_m.shape[-2] - (num_bits - 1) * band
+    words = jnp.zeros((*heights_m.shape[:-2], num_words, heights_m.shape[-1]), dtype)
+    for bit in range(num_bits):
+        rows = heights_m[..., bit * band : bit * band + num_words, :]
+        words = words | ((rows >= least_m).astype(dtype) << bit)
+    return words
+
+
+@partial(jax.jit, static_argnames="halo")
+def count_returns_by_steps(
+    roof_m: Float[Array, "P Y+2H X+2H"], thresholds_m: Float[Array, "A N"], starts: Int[Array, "K N 3"], *, halo: int
+) -> Int[Array, "A Y X"]:
+    """Return how many of K scan positions meet a building, over flat ground, ``[A, Y, X]`` int32.
+
+    Args:
+      roof_m: roof heights, 0 without a building, as `phases`.
+      thresholds_m: from `flat_thresholds`, rounded up to the type of ``roof_m``.
+      starts: from `phase_starts`.
+      halo: H, cells beyond the receivers.
+    """
+    rows, cols = (size - 2 * halo for size in roof_m.shape[1:])
+    band = -(-rows // WORD_BITS)
+    padded_m = jnp.pad(roof_m, ((0, 0), (0, WORD_BITS * band - rows), (0, 0)))
+
+    def count_at(threshold_m: jax.Array) -> jax.Array:
+        def step(returned, of_step):
+            threshold, start = of_step
+            return returned | _looks(pack(padded_m, threshold, band), start, (band, cols)), None
+
+        none = jnp.zeros((len(starts), band, cols), jnp.uint32)
+        returned, _ = lax.scan(step, none, (threshold_m, starts.swapaxes(0, 1)), unroll=STEPS_AT_ONCE)
+        bits = jnp.arange(WORD_BITS, dtype=jnp.uint32)[:, None, None]
+        return jnp.sum((returned[:, None] >> bits) & 1, axis=0, dtype=jnp.int32).reshape(-1, cols)[:rows]
+
+    return lax.map(count_at, thresholds_m)
+
+
+@partial(jax.jit, static_argnames=("halo", "receiver_phase"))
+def count_returns_on_terrain_by_steps(
+    roof_m: Float[Array, "P Y+2H X+2H"],
+    terrain_m: Float[Array, "P Y+2H X+2H"],
+    lowest_m: Float[Array, "A N B"],
+    starts: Int[Array, "K N 3"],
+    *,
+    halo: int,
+    receiver_phase: int = 0,
+) -> Int[Array, "A Y X"]:
+    """Return how many of K scan positions meet a building before the terrain, ``[A, Y, X]`` int32.
+
+    Args:
+      roof_m: roof heights above their ground, 0 without a building, as `phases`.
+      terrain_m: ground elevation, likewise.
+      lowest_m: from `lowest_heights`, rounded up to the type of ``roof_m``.
+      starts: from `phase_starts`.
+      halo: H, cells beyond the receivers.
+      receiver_phase: the phase in which receivers stand.
+    """
+    shape = roof_m.shape[1] - 2 * halo, roof_m.shape[2] - 2 * halo
+    own_m = terrain_m[receiver_phase, halo : halo + shape[0], halo : halo + shape[1]]
+    rise_m = jnp.where(roof_m > 0, roof_m, -jnp.inf)
+    num_beams = lowest_m.shape[-1]
+    has_returned = num_beams + 1  # in place of the number of beams that have ended
+    dtype = jnp.int8 if has_returned <= np.iinfo(np.int8).max else jnp.int32
+
+    def count_at(beams_m: jax.Array) -> jax.Array:
+        def step(ended, of_step):
+            heights_m, start = of_step
+            ground_m = _looks(terrain_m, start, shape) - own_m
+            top_m = ground_m + _looks(rise_m, start, shape)
+            num_met, num_landed = (_num_not_above(heights_m, level_m, dtype) for level_m in (top_m, ground_m))
+            ended = jnp.maximum(ended, jnp.sum(heights_m == -jnp.inf, dtype=dtype))
+            is_met = (num_met > ended) & (top_m > -jnp.inf)
+            return jnp.where(is_met, jnp.asarray(has_returned, dtype), jnp.maximum(ended, num_landed)), None
+
+        none = jnp.zeros((len(starts), *shape), dtype)
+        ended, _ = lax.scan(step, none, (beams_m, starts.swapaxes(0, 1)), unroll=STEPS_AT_ONCE)
+        return jnp.sum(ended == has_returned, axis=0, dtype=jnp.int32)
+
+    return lax.map(count_at, lowest_m)
+
+
+def _looks(rasters: jax.Array, start: jax.Array, shape: tuple[int, int]) -> jax.Array:
+    """Return what the cells look at in ``[P, ...]`` rasters along each azimuth, ``[K, *shape]``."""
+
+    def look(corner: jax.Array) -> jax.Array:
+        return lax.dynamic_slice(rasters, tuple(corner), (1, *shape))[0]
+
+    return jax.vmap(look)(start)
+
+
+def _num_not_above(heights_m: jax.Array, level_m: jax.Array, dtype: jnp.dtype) -> jax.Array:
+    """Return how many beams, ``[B]``, are not above a level."""
+    count = jnp.zeros(level_m.shape, dtype)
+    for height_m in heights_m:
+        count = count + (height_m <= level_m).astype(dtype)
+    return count
