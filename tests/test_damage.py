@@ -86,7 +86,9 @@ def mend(job: Path) -> list[str]:
 
 def without_times(files: dict[str, bytes]) -> dict[str, bytes]:
     """Return files of maps but for the record of their run, with its times, and its checksum."""
-    return {n: data for n, data in files.items() if n not in ("run.json", "made.json") and not n.startswith("kept/")}
+    return {
+        n: data for n, data in files.items() if n not in ("run.json", "checksums.json") and not n.startswith("kept/")
+    }
 
 
 def test_an_untouched_folder_is_kept_to_the_last_byte(job):
@@ -152,9 +154,10 @@ def test_the_record_of_another_run_in_the_place_of_ours_is_kept(job):
     assert read_json(job / "run.json")["run_key"] == record["run_key"]
 
 
-def test_a_damaged_coordinate_is_told_when_maps_are_opened(job):
-    harm(job / "maps.zarr/20m/spatial_ref/0", "cut", random.Random(0))
-    with pytest.raises(InputError, match="spatial_ref/0' is damaged"):
+@pytest.mark.parametrize(("damage", "what"), [("cut", "missing or cut"), ("flipped", "damaged")])
+def test_a_damaged_coordinate_is_told_when_maps_are_opened(job, damage, what):
+    harm(job / "maps.zarr/20m/spatial_ref/0", damage, random.Random(0))
+    with pytest.raises(InputError, match=f"spatial_ref/0' is {what}"):
         ju.open_maps(job)
 
 

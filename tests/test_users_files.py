@@ -76,7 +76,7 @@ def words(command: tuple, out: str, *more: object) -> list[str]:
 
 
 def outputs_of(out: Path) -> list[Path]:
-    names = ("made.json", ".made.jsonl", ".jaxurban.lock")
+    names = ("checksums.json", ".checksums.jsonl", ".jaxurban.lock")
     files = (path for path in sorted(out.rglob("*")) if path.is_file() and path.name not in names)
     return [path for path in files if not any(part.endswith(SCRATCH_SUFFIX) for part in path.relative_to(out).parts)]
 
@@ -214,10 +214,10 @@ def test_refused_options_leave_no_record(job_of_maps, monkeypatch, capsys):
     monkeypatch.chdir(job_of_maps)
     for more in (("--triangle", "gps"), ("--pareto", "gps,gps"), ("--range", "0,1"), ("--vary", "x")):
         assert run(capsys, "sensitivity", "maps", *ENDS, "-o", "out", *more)[0] == 2
-        assert not os.path.exists("out/made.json")
+        assert not os.path.exists("out/checksums.json")
     for more in (("--range", "0,1"), ("--vary", "x")):
         assert run(capsys, "sensitivity-study", "maps", "--routes", 2, "-o", "out", *more)[0] == 2
-        assert not os.path.exists("out/made.json")
+        assert not os.path.exists("out/checksums.json")
 
 
 @pytest.fixture
@@ -288,11 +288,11 @@ def test_every_output_is_checked_before_any_older_one_is_removed(place, job, nam
     shutil.copytree(place / name, job / "out")
     out, opened = job / "out", Workspace.open
     monkeypatch.chdir(job)
-    record = read_json(out / "made.json")
+    record = read_json(out / "checksums.json")
     (section,) = record.values()
     user, *_ = (each for each in reversed(section["written"]) if each != "report.md")
     del section["written"][user]  # it has not been there, and is the user's now
-    write_json(out / "made.json", record)
+    write_json(out / "checksums.json", record)
     (out / user).write_text(PLANTED)
     before = {path: path.read_bytes() for path in outputs_of(out)}
     monkeypatch.setattr(Workspace, "open", open_noted)

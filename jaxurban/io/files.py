@@ -12,7 +12,7 @@ import tempfile
 import uuid
 import zipfile
 import zlib
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Container, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from pathlib import Path
@@ -178,6 +178,13 @@ def digest_of(path: Path, algorithm: str = "sha256") -> str:
     """Return the SHA-256 of a file, or another checksum, in hexadecimal."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, algorithm).hexdigest()
+
+
+def is_as_written(path: Path, checksums: Container[str]) -> bool:
+    """Return whether a file is there with one of these checksums."""
+    with suppress(OSError):
+        return checksum_of(path) in checksums
+    return False
 
 
 def checksum_of(data: Path | bytes) -> str:

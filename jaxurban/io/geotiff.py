@@ -1,7 +1,7 @@
 """Metric maps as cloud-optimised GeoTIFF with their QGIS styles, and maps as bands of one; whole, or not there."""
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -16,21 +16,10 @@ from rasterio.windows import Window
 
 from jaxurban.errors import one_of
 from jaxurban.io.attributes import CAVEAT, IN_OBSTACLES, no_value
-from jaxurban.io.chunks import Each
-from jaxurban.io.files import (
-    BLANK,
-    FIELD,
-    RECORDER,
-    SCRATCH_SUFFIX,
-    holds_bytes,
-    is_whole,
-    recorded_by,
-    seal,
-    whole_file,
-)
+from jaxurban.io.files import SCRATCH_SUFFIX, holds_bytes, whole_file, write_whole
 from jaxurban.io.qgis import style
 from jaxurban.io.store import GEOTIFF_FOLDER, short_number
-from jaxurban.io.workspace import Workspace
+from jaxurban.io.workspace import Each
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY
 from jaxurban.metrics.custom import held_metrics, held_variables
 from jaxurban.metrics.variables import SERIES
@@ -38,7 +27,6 @@ from jaxurban.world.grid import Grid
 
 BLOCK = 512  # cells of a block's side
 LEVEL = 1  # of Zstandard: on these maps a predictor takes more time and more bytes, a higher level twice the time
-HEAD_BYTES = 1 << 20  # of a GeoTIFF: its tags and where its blocks lie
 ALL = "all"  # stands for every map that is held
 CREDIT = "attribution"  # attribute of the maps
 RUN_KEY = "run_key"
@@ -152,33 +140,9 @@ def missing_geotiffs(ds: xr.Dataset, folder: Path) -> list[Path]:
     return [path for path in geotiff_paths(ds, folder, ()) if not holds_bytes(path)]
 
 
-def stale_geotiffs(
-    ds: xr.Dataset, folder: Path, run_key: str, each: Each = map, layers: Sequence[str] = ()
-) -> list[Path]:
-    """Return the GeoTIFFs and styles of maps that are missing, damaged, or not of this run; every byte is read.
-
-    Arguments as for `write_geotiffs`.
-    """
-    paths = geotiff_paths(ds, folder, layers)
-    are_stale = each(partial(_is_stale, run_key), [path.resolve() for path in paths])  # others may work elsewhere
-    return [path for path, is_stale in zip(paths, are_stale, strict=True) if is_stale]
-
-
-def _is_stale(run_key: str, path: Path) -> bool:
-    return not (is_whole(path) and is_of_run(path, run_key))
-
-
-def is_of_run(path: Path, run_key: str) -> bool:
-    """Return whether a file names the run of a key, as GeoTIFFs, styles, Zarrs and records do; whole or not."""
-    with suppress(OSError), path.open("rb") as file:
-        return run_key.encode() in file.read(HEAD_BYTES if path.suffix == ".tif" else -1)
-    return False
-
-
 def write_geotiffs(
     ds: xr.Dataset,
     folder: Path,
-    run_key: str | None = None,
     each: Each = map,
     only: Collection[Path] | None = None,
     layers: Sequence[str] = (),
@@ -191,7 +155,6 @@ def write_geotiffs(
     Args:
       ds: the maps; read some rows at a time, so that they need not fit in memory.
       folder: files go to its ``geotiff`` folder.
-      run_key: what the tag of this name says; None for no such tag.
       each: calls a function with each of many layers, as `map`, by whomever.
       only: leave the others alone.
       layers: variables that are written beside obstacles and the metrics of the cost; ``("all",)``: every one.
@@ -208,18 +171,14 @@ def write_geotiffs(
 
     corner = (ds.attrs["first_row"], ds.attrs["first_col"])
     grid = Grid(ds.attrs["crs"], ds.attrs["resolution_m"], *corner, ds.sizes["y"], ds.sizes["x"])
-    # Others may work in another folder, and have no recorder of their own.
-    write = partial(_write_layer, ds, grid, folder.resolve(), run_key, RECORDER.get())
+    write = partial(_write_layer, ds, grid, folder)
     found = [layer for layer in _layers(ds, layers) if wanted(layer.file)]
     for _ in each(write, found):  # `map` does nothing until it is asked
         pass
     written = [folder / GEOTIFF_FOLDER / layer.file for layer in found]
     for file, name in _styles(ds, layers).items():
         if wanted(file):
-            with whole_file(folder / GEOTIFF_FOLDER / file) as scratch:
-                note = BLANK if run_key is None else f"{RUN_KEY}={run_key} {BLANK}"
-                scratch.write_text(style(ds, name, note), encoding="utf-8")
-                seal(scratch)
+            write_whole(folder / GEOTIFF_FOLDER / file, style(ds, name))
             written.append(folder / GEOTIFF_FOLDER / file)
     return written
 
@@ -229,23 +188,19 @@ def _rows_of(ds: xr.Dataset, name: str, place: tuple[int, ...], rows: slice) -> 
     return ds.variables[name][(*place, rows)].values[::-1].copy()
 
 
-def _write_layer(
-    ds: xr.Dataset, grid: Grid, folder: Path, run_key: str | None, recorder: Workspace | None, layer: _Layer
-) -> None:
+def _write_layer(ds: xr.Dataset, grid: Grid, folder: Path, layer: _Layer) -> None:
     """Write one GeoTIFF."""
-    tags = layer.tags if run_key is None else layer.tags | {RUN_KEY: run_key}
-    with recorded_by(recorder), whole_file(folder / GEOTIFF_FOLDER / layer.file) as scratch:
+    with whole_file(folder / GEOTIFF_FOLDER / layer.file) as scratch:
         write_cog(
             scratch,
             grid,
             layer.dtype,
             _parts(ds, layer),
             is_averaged=layer.is_averaged and layer.dtype == np.float32,  # means of classes are none of them
-            tags=tags | {FIELD: BLANK},
+            tags=layer.tags,
             title=layer.title,
             unit=layer.tags.get("units", ""),
         )
-        seal(scratch)
 
 
 def _parts(ds: xr.Dataset, layer: _Layer) -> Iterator[np.ndarray]:

@@ -33,13 +33,12 @@ def _ends(ds: xr.Dataset, name: str) -> tuple[float, float]:
     return min(lows, default=0.0), max(highs, default=0.0)
 
 
-def style(ds: xr.Dataset, name: str, note: str) -> str:
+def style(ds: xr.Dataset, name: str) -> str:
     """Return the QGIS style (QML) of a variable of maps.
 
     Args:
       ds: the maps.
       name: of the variable.
-      note: a comment in the file.
     """
     variable = held_variables(ds)[name]
     if variable.classes:
@@ -62,7 +61,7 @@ def style(ds: xr.Dataset, name: str, note: str) -> str:
         )
     return (
         "<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>\n"
-        f'<qgis version="3.28.0" styleCategories="Symbology">\n<!-- {note} -->\n<pipe>\n'
+        f'<qgis version="3.28.0" styleCategories="Symbology">\n<pipe>\n'
         f'<rasterrenderer band="1" opacity="1" alphaBand="-1" nodataColor="" {renderer}</rasterrenderer>\n'
         "</pipe>\n<blendMode>0</blendMode>\n</qgis>\n"
     )

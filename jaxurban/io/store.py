@@ -2,14 +2,16 @@
 
 A group of Zarr v2 for each resolution, which GDAL and xarray read by their ordinary ways: rows from north to south,
 and no value in cells inside obstacles, where the engine holds 0 (`IN_OBSTACLES`); what is opened here has the
-engine's rows and values again. Chunks carry the checksum of Zstandard, metadata a CRC-32. Every chunk is written, so
-that a missing one is damage; were it read all the same, it would be blocked cells, NaN or no satellite, not free air.
+engine's rows and values again. The record of the folder (`jaxurban.io.workspace`) has the checksum of every file, and
+chunks carry that of Zstandard too. Every chunk is written, so that a missing one is damage; were it read all the same,
+it would be blocked cells, NaN or no satellite, not free air.
 """
 
 import json
-import os
 import re
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -17,28 +19,24 @@ import dask.array
 import numpy as np
 import pyproj
 import xarray as xr
+import zarr
 from numcodecs import Zstd
 from xarray.backends import BackendArray, BackendEntrypoint
 from xarray.core import indexing
 
 from jaxurban.errors import InputError, RemadeError
 from jaxurban.io.attributes import IN_OBSTACLES, NEEDED, cells_inside, is_hidden, is_nothing, no_value, with_hideable
-from jaxurban.io.chunks import array_of, chunks_of, damaged, error_in, has_whole_metadata, metadata_file, metadata_of
 from jaxurban.io.files import (
-    BLANK,
-    FIELD,
-    MARK,
     SCRATCH_SUFFIX,
     checksum_of,
-    holds_bytes,
+    is_as_written,
     make_way,
     read_json,
-    recorder_of,
     scratch_for,
-    seal,
     whole_file,
     write_whole,
 )
+from jaxurban.io.workspace import RECORD_FILE, Workspace, recorded
 from jaxurban.world.tiling import tile_shape
 
 RUN_FILE = "run.json"
@@ -47,7 +45,8 @@ GEOTIFF_FOLDER = "geotiff"
 COMPRESSOR = Zstd(level=1, checksum=True)
 GDAL_CRS = "_CRS"  # attribute: the CRS as GDAL's Zarr driver reads it
 OPENED = "opened"  # encoding of a dataset that was opened: what checks that its files are still those
-OF_ZARR = ".zmetadata", ".zattrs", ".zgroup", "zarr.json"  # files by which a Zarr is known, of version 3 the last
+METADATA = ".zmetadata"  # of a Zarr: its metadata and those of its arrays once more
+OF_ZARR = METADATA, ".zattrs", ".zgroup", "zarr.json"  # files by which a Zarr is known, of version 3 the last
 TIMES = {"units": "seconds since 1970-01-01", "calendar": "proleptic_gregorian", "dtype": "int64"}
 
 
@@ -65,21 +64,28 @@ NUMBER_M = r"(\d+(?:\.\d+)?(?:e[+-]?\d+)?)m"  # as `short_number` writes it
 
 
 def stored_resolutions(folder: Path) -> dict[float, Path]:
-    """Return where the maps under ``folder`` lie, by resolution in metres."""
-    named = [(re.fullmatch(NUMBER_M, path.name), path) for path in sorted((folder / ZARR_FOLDER).glob("*m"))]
-    return {float(match[1]): path for match, path in named if match and _is_of_maps(path)}
+    """Return where the maps under ``folder`` lie that the record of the folder names, by resolution in metres.
+
+    Raises:
+      InputError: the record cannot be read.
+    """
+    names = (re.fullmatch(rf"{ZARR_FOLDER}/{NUMBER_M}/{METADATA}", name) for name in recorded(folder))
+    found = {float(match[1]): (folder / match[0]).parent for match in names if match}
+    return {resolution_m: path for resolution_m, path in sorted(found.items()) if path.is_dir()}
 
 
-def _is_of_maps(path: Path) -> bool:
-    """Return whether a folder is a Zarr of maps, be they damaged, and not one of the user's under such a name."""
-    held = metadata_file(path)
-    is_ours = (path / NEEDED[0]).is_dir() or (held.is_file() and MARK in held.read_bytes())
-    return is_ours and any((path / name).exists() for name in OF_ZARR)
+def stored_key(folder: Path, resolution_m: float) -> str | None:
+    """Return the run key of the maps that lie under ``folder``, None without any, or where they are damaged."""
+    if resolution_m not in stored_resolutions(folder):
+        return None
+    with suppress(InputError):
+        return open_zarr(folder, resolution_m).attrs.get("run_key")
+    return None
 
 
 def are_of_a_run(folder: Path) -> bool:
     """Return whether maps under ``folder`` are those of ``jaxurban maps``, which writes `RUN_FILE` too."""
-    files = map(metadata_file, stored_resolutions(folder).values())
+    files = [path / METADATA for path in stored_resolutions(folder).values()]
     return any(b'"run_key"' in file.read_bytes() for file in files if file.is_file())
 
 
@@ -120,7 +126,7 @@ def _encoding(array: xr.Variable, tile: tuple[int, int]) -> dict[str, Any]:
 
 
 def _to_zarr(ds: xr.Dataset, path: Path, mode: Literal["w", "a"], tile: tuple[int, int] = (1, 1)) -> None:
-    """Write a dataset without the values of its maps, and the metadata of all of the Zarr with their checksum."""
+    """Write a dataset without the values of its maps, and the metadata of all of the Zarr."""
     ds = ds.drop_encoding()  # of the files that maps were opened from
     for name in [name for name, coord in ds.coords.items() if coord.dtype.kind == "T"]:
         ds = ds.assign_coords({name: (ds[name].dims, np.array(ds[name].values.tolist(), str), ds[name].attrs)})
@@ -134,8 +140,7 @@ def _to_zarr(ds: xr.Dataset, path: Path, mode: Literal["w", "a"], tile: tuple[in
     ds.to_zarr(path, mode=mode, encoding=encoding, **how)
     files = [path / ".zattrs", path / ".zgroup", *sorted((*path.glob("*/.zarray"), *path.glob("*/.zattrs")))]
     parts = {file.relative_to(path).as_posix(): json.loads(file.read_bytes()) for file in files}
-    metadata_file(path).write_text(json.dumps({"metadata": parts, "zarr_consolidated_format": 1, FIELD: BLANK}))
-    seal(metadata_file(path), *files)
+    (path / METADATA).write_text(json.dumps({"metadata": parts, "zarr_consolidated_format": 1}))
 
 
 def _gdal_crs(crs: str) -> dict[str, str]:
@@ -148,7 +153,7 @@ def write_zarr(ds: xr.Dataset, folder: Path) -> Path:
     """Write a dataset of maps under ``folder`` and return its place (``maps.zarr/5m``)."""
     path = zarr_path(folder, ds.attrs["resolution_m"])
     rows, cols = tile_shape((ds.sizes["y"], ds.sizes["x"]))
-    ds = with_hideable(ds)
+    ds, checksums = with_hideable(ds), dict[str, str]()
     with scratch_for(path) as scratch:
         _to_zarr(ds, scratch, "w", (rows, cols))
         for name, array in ds.variables.items():
@@ -158,9 +163,8 @@ def write_zarr(ds: xr.Dataset, folder: Path) -> Path:
                     for start in range(0, ds.sizes["x"], cols):
                         part = slice(max(0, stop - rows), stop), slice(start, min(start + cols, ds.sizes["x"]))
                         inside = None if is_inside is None else is_inside[part]
-                        write_layer(scratch, str(name), place, part, values[part], inside)
-        put_zarr(scratch, path)
-    write_root(folder)
+                        checksums |= write_layer(scratch, str(name), place, part, values[part], inside)
+        put_zarr(scratch, path, checksums)
     return path
 
 
@@ -183,7 +187,7 @@ def write_layer(
     window: tuple[slice, slice],
     values: np.ndarray,
     is_inside: np.ndarray | None = None,
-) -> None:
+) -> dict[str, str]:
     """Write a tile of one map into a Zarr: one chunk, as the Zarr library writes it but without its threads for each.
 
     A tile without a value is written too: what is missing on disk counts as lost.
@@ -196,10 +200,13 @@ def write_layer(
       values: ``[y, x]`` rows south to north; may stick out of the window in the south and in the east.
       is_inside: ``[y, x]``, or ``[A, y, x]`` at every altitude: cells inside obstacles, which hold no value in files.
 
+    Returns:
+      The checksum of the chunk by its name in the Zarr.
+
     Raises:
       InputError: it cannot be written.
     """
-    array, (rows, cols) = array_of(path / name), window
+    array, (rows, cols) = _array_of(path / name), window
     north, (num_rows, num_cols) = array.shape[-2] - rows.stop, array.chunks[-2:]
     own = slice(len(values) - rows.stop + rows.start, None), slice(cols.stop - cols.start)
     values = values[own][::-1]
@@ -213,27 +220,37 @@ def write_layer(
         are_held &= (is_inside if is_inside.ndim == 2 else is_inside[index[-1]])[own][::-1]
         np.copyto(part, no_value(array.dtype), where=are_held)
     key = array.metadata.encode_chunk_key((*index, north // num_rows, cols.start // num_cols))
-    write_whole(path / name / key, bytes(array.metadata.compressor.encode(chunk)))
+    data = bytes(array.metadata.compressor.encode(chunk))
+    write_whole(path / name / key, data)
+    return {f"{name}/{key}": checksum_of(data)}
 
 
-def put_zarr(made: Path, path: Path) -> None:
+def _array_of(path: Path) -> Any:
+    """Return an array of a Zarr, to be looked at; opening one takes as long as writing half a million cells."""
+    return _opened(path, (path / ".zarray").stat().st_mtime_ns)
+
+
+@lru_cache(maxsize=256)
+def _opened(path: Path, changed_ns: int) -> Any:
+    return zarr.open_array(path, mode="r", zarr_format=2)
+
+
+def put_zarr(made: Path, path: Path, checksums: Mapping[str, str]) -> None:
     """Give a finished Zarr its name, its files recorded; of an older one only what is own goes.
 
     Args:
       made: the finished Zarr.
       path: its name to be.
+      checksums: of its files that are known, by their names in it; the others are read.
 
     Raises:
       InputError: a file of others is in the way.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    recorder = recorder_of(path)
-    if recorder is None:
-        os.replace(made, path)
-        return
-    files = [metadata_file(made), *metadata_of(made), *(chunk.file for chunk in chunks_of(made))]
-    checksums = {file.relative_to(made).as_posix(): checksum_of(file) for file in files}
-    recorder.put_folder(made, path, checksums, metadata_file(path).name)
+    files = {file.relative_to(made).as_posix(): file for file in made.rglob("*") if file.is_file()}
+    made_of = {name: checksums.get(name) or checksum_of(file) for name, file in files.items()}
+    with Workspace.shared(path.parents[1], "maps") as workspace:
+        workspace.put_folder(made, path, made_of, METADATA)
+        write_root(path.parents[1])
 
 
 def add_to_zarr(ds: xr.Dataset, path: Path) -> None:
@@ -243,12 +260,13 @@ def add_to_zarr(ds: xr.Dataset, path: Path) -> None:
 
 def root_files(folder: Path) -> dict[Path, bytes]:
     """Return what the files say that make one Zarr of all resolutions under ``folder``, by their path."""
-    names = [path.name for path in dict(sorted(stored_resolutions(folder).items())).values()]
+    names = [path.name for path in stored_resolutions(folder).values()]
     hint = f"maps of several resolutions: open one with xarray.open_zarr(..., group=...), of {', '.join(names)}"
     parts: dict[str, Any] = {".zgroup": {"zarr_format": 2}, ".zattrs": {"comment": hint}}
-    for path in filter(has_whole_metadata, dict(sorted(stored_resolutions(folder).items())).values()):
-        held = json.loads(metadata_file(path).read_bytes())["metadata"]
-        parts |= {f"{path.name}/{name}": part for name, part in held.items()}
+    for path in stored_resolutions(folder).values():
+        with suppress(OSError, ValueError):  # of damaged ones
+            held = json.loads((path / METADATA).read_bytes())["metadata"]
+            parts |= {f"{path.name}/{name}": part for name, part in held.items()}
     said = {name: parts[name] for name in (".zgroup", ".zattrs")}
     said[".zmetadata"] = {"metadata": parts, "zarr_consolidated_format": 1}
     return {folder / ZARR_FOLDER / name: json.dumps(value).encode() for name, value in said.items()}
@@ -276,6 +294,11 @@ def open_zarr(folder: Path, resolution_m: float | None) -> xr.Dataset:
     if folder.is_file():
         raise InputError(f"{str(folder)!r} is a file: give the folder that holds the maps")
     listed = ", ".join(map(short_number, sorted(found := stored_resolutions(folder))))
+    if not found and (folder / ZARR_FOLDER).is_dir():
+        raise InputError(
+            f"{str(folder / RECORD_FILE)!r} has no checksums of the maps there (which an older version made, or which "
+            "were copied without it): make them again in another folder, or copy that file too"
+        )
     if not found:
         raise InputError(f"{str(folder)!r} holds no metric maps: make them with `jaxurban maps SCENARIO -o {folder}`")
     if resolution_m is None and len(found) > 1:
@@ -298,11 +321,11 @@ class _Opened(NamedTuple):
 
     @classmethod
     def at(cls, path: Path) -> "_Opened":
-        return cls(path, cls._place(path), metadata_file(path).read_bytes())
+        return cls(path, cls._place(path), (path / METADATA).read_bytes())
 
     @staticmethod
     def _place(path: Path) -> tuple[int, int]:
-        found = metadata_file(path).stat()
+        found = (path / METADATA).stat()
         return found.st_ino, found.st_mtime_ns
 
     def check(self) -> None:
@@ -311,7 +334,7 @@ class _Opened(NamedTuple):
             if self.place == self._place(self.path):
                 return
             # Maps that were saved from Python have no key of a run: the same metadata may go with other values.
-            if b'"run_key"' in self.metadata and self.metadata == metadata_file(self.path).read_bytes():
+            if b'"run_key"' in self.metadata and self.metadata == (self.path / METADATA).read_bytes():
                 return
         raise RemadeError(
             f"the maps in {str(self.path)!r} were made again or removed since they were opened: open them again"
@@ -344,7 +367,7 @@ class _Map(BackendArray):
                 np.copyto(values, float(array.attrs[IN_OBSTACLES]), "unsafe", where=is_hidden(values, inside))
         except Exception as error:
             self.opened.check()
-            raise error_in(self.path, error, (self.name, *NEEDED)) from error
+            raise _damage_in(self.path, (self.name, *NEEDED)) or error from error
         self.opened.check()  # after reading: metadata go first where maps are removed, and come last
         return values
 
@@ -376,19 +399,39 @@ def open_whole(path: Path) -> xr.Dataset:
     """Return the maps in a Zarr, every file of which is there; values are read, and decoded, when they are looked at.
 
     Raises:
-      InputError: metadata are not as they were written, a chunk is missing or empty; later, one cannot be decoded.
+      InputError: metadata are not as they were written, a chunk is missing or cut; later, one cannot be decoded.
     """
     try:
-        if not has_whole_metadata(path):
-            raise ValueError("metadata")
-        for chunk in chunks_of(path):  # looked at, not read
-            if not holds_bytes(chunk.file):
-                raise damaged(chunk.file, "is missing or empty")
+        for file, checksums in _recorded(path).items():
+            if file.name.startswith(".z"):
+                if not is_as_written(file, checksums):
+                    what = "and the metadata of the arrays beside it are not as they were written"
+                    raise _damaged(path / METADATA, what)
+            elif not file.is_file() or f"{file.stat().st_size}" not in {each.partition("-")[2] for each in checksums}:
+                raise _damaged(file, "is missing or cut")  # looked at, not read
         return xr.open_dataset(path, engine=_Maps)
     except InputError:
         raise
     except Exception as error:
-        found = error_in(path, error)
-        if found is error:
-            found = InputError(f"the maps in {str(path)!r} cannot be read ({error})")
-        raise found from error
+        unread = InputError(f"the maps in {str(path)!r} cannot be read ({error})")
+        raise _damage_in(path) or unread from error
+
+
+def _recorded(path: Path) -> dict[Path, set[str]]:
+    """Return the checksums that the files of a Zarr may have."""
+    folder, prefix = path.parents[1], f"{ZARR_FOLDER}/{path.name}/"
+    return {folder / name: checksums for name, checksums in recorded(folder).items() if name.startswith(prefix)}
+
+
+def _damage_in(path: Path, names: Iterable[str] = ()) -> InputError | None:
+    """Return the error that names a damaged file of a Zarr, of these arrays or of all, if any is."""
+    found = (file for file, checksums in _recorded(path).items() if not is_as_written(file, checksums))
+    found = (file for file in found if not names or file.parent.name in names)
+    return next((_damaged(file, "is damaged or cannot be read") for file in found), None)
+
+
+def _damaged(file: Path, what: str) -> InputError:
+    return InputError(
+        f"{str(file)!r} {what}: run the same `jaxurban maps` command again, which makes anew what is broken (maps that "
+        "were saved from Python: save them again)"
+    )

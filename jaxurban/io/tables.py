@@ -184,8 +184,10 @@ class RowStore:
             if columns:
                 table = pd.DataFrame(self.rows, columns=list(columns), dtype=object).astype(dict(columns))
             write_table(table, self.file)
+        if (recorder := recorder_of(self.file)) is not None:
+            recorder.remove(str(recorder.name_of(part)) for part in parts)
         for part in parts:
-            part.unlink()
+            part.unlink(missing_ok=True)
         self._is_saved, self._saved_s = True, time.perf_counter()
         self._saving_s = self._saved_s - begin_s
 

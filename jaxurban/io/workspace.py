@@ -2,12 +2,12 @@
 
 A command removes or replaces only files that this record holds and whose bytes are still those; all else is the
 user's. Each output is recorded by its own writer (`jaxurban.io.files.whole_file`) before it is put in place: in a
-journal, a line each, which a killed run leaves behind, and at the end of the run in ``made.json``.
+journal, a line each, which a killed run leaves behind, and at the end of the run in ``checksums.json``.
 """
 
 import json
 import os
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass, field
 from itertools import count
@@ -21,6 +21,7 @@ from jaxurban.io.files import (
     SCRATCH_SUFFIX,
     check_writable,
     checksum_of,
+    is_as_written,
     only_writer,
     read_json,
     recorded_by,
@@ -30,28 +31,28 @@ from jaxurban.io.files import (
 )
 from jaxurban.progress import LOG
 
-RECORD_FILE, JOURNAL_FILE = "made.json", ".made.jsonl"
+RECORD_FILE, JOURNAL_FILE = "checksums.json", ".checksums.jsonl"
 KEPT_FOLDER = "kept"  # where files go that were in the way of an output
 LONGEST_SETTINGS = 200  # characters of two settings that differ, in an error
-Sections = dict[str, dict[str, Any]]  # by command: ``asked``, its settings, and ``written``, checksums by name
+Each = Callable[[Callable[[Any], Any], Iterable[Any]], Iterable[Any]]  # `map`, or who works like it
+Sections = dict[str, dict[str, Any]]  # by command: ``settings``, and ``written``, checksums by name
 
 
 @dataclass(frozen=True)
 class Workspace:
-    """A folder while one command writes there. Threads share it; sent to another process it holds no record.
+    """A folder while one command writes there. Threads share it.
 
     Attributes:
       folder: where the command writes.
       command: without ``jaxurban``.
+      settings: what decides its result, as JSON holds it.
       written: the checksum of each file as the command wrote it, by its name under the folder.
     """
 
     folder: Path
     command: str
+    settings: dict[str, Any] = field(default_factory=dict)
     written: dict[str, str] = field(default_factory=dict)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return Workspace, (self.folder.resolve(), self.command)  # another process appends to the journal
 
     @classmethod
     @contextmanager
@@ -64,6 +65,7 @@ class Workspace:
         names: Iterable[str] = (),
         overwrite: bool = False,
         is_shared: bool = False,
+        is_mended: bool = False,
     ) -> Iterator["Workspace"]:
         """Hold a folder, made if it is not there, for one run; what is written under it in the block is recorded.
 
@@ -75,27 +77,34 @@ class Workspace:
           overwrite: remove what this command wrote there before; what was changed since, or is not its own, stays.
           is_shared: other commands and the user may have files there; else only a folder that is empty, or this
             command's with all of its files as they were written, is taken.
+          is_mended: files of these ``names`` that this command wrote may have changed, as it calls `make_way`.
 
         Raises:
           InputError: the folder cannot be written to, another run holds it, it is another command's or of other
             settings, or it holds files in the way that this command did not write, or that were changed since.
         """
-        asked, is_new = json.loads(json.dumps(settings or {})), not folder.exists()
+        now, is_new = json.loads(json.dumps(settings or {})), not folder.exists()
         check_writable(folder)
         try:
             with only_writer(folder, ELSEWHERE):
                 sections = _sections(folder)
-                before = sections.get(command)
-                workspace = cls(folder, command, {} if before is None else before["written"])
-                workspace._claim(sections, asked, names, overwrite, is_shared)
-                sections[command] = {"asked": asked or (before or {"asked": {}})["asked"], "written": workspace.written}
+                is_first = command not in sections
+                held = sections.setdefault(command, {"settings": {}, "written": {}})
+                workspace = cls(folder, command, held["settings"], held["written"])
+                workspace._check_folder(list(sections), is_first, is_shared)
+                workspace.check_way((folder / name for name in names), is_mended=is_mended)
+                if not is_first:
+                    workspace._replace(now, overwrite)
+                if now:
+                    workspace.settings.clear()
+                    workspace.settings.update(now)
                 _save(folder, sections)
                 try:
                     with recorded_by(workspace):
                         yield workspace
                 finally:
                     _recover(folder, sections)
-                    if before is None and not workspace.written:
+                    if is_first and not workspace.written:
                         del sections[command]
                     _save(folder, sections)
         finally:
@@ -105,15 +114,20 @@ class Workspace:
 
     @classmethod
     @contextmanager
-    def shared(cls, folder: Path, command: str, names: Iterable[str]) -> Iterator[None]:
+    def shared(cls, folder: Path, command: str, names: Iterable[str] = ()) -> Iterator["Workspace"]:
         """Record files that are written in the block: as the command's in whose run it is, else as this command's.
 
         Raises:
           InputError: as of `open`, or something is at these names that is not as it was written.
         """
         recorder = recorder_of(folder / RECORD_FILE)
-        with nullcontext() if recorder else cls.open(folder, command, names=names, is_shared=True):
-            yield
+        with nullcontext(recorder) if recorder else cls.open(folder, command, names=names, is_shared=True) as workspace:
+            yield workspace
+
+    @staticmethod
+    def settings_of(folder: Path, command: str) -> dict[str, Any]:
+        """Return what decided a command's result in a folder, empty where it has none; InputError as of `recorded`."""
+        return _read(folder).get(command, {"settings": {}})["settings"]
 
     @classmethod
     def check(cls, folder: Path, command: str, names: Iterable[str] = (), *, is_shared: bool = False) -> None:
@@ -122,29 +136,25 @@ class Workspace:
             with cls.open(folder, command, names=names, is_shared=is_shared):
                 pass
 
-    def _claim(
-        self, sections: Sections, asked: Mapping[str, Any], names: Iterable[str], overwrite: bool, is_shared: bool
-    ) -> None:
-        folder, before = self.folder, sections.get(self.command)
-        if not is_shared:
-            if others := [name for name in sections if name != self.command]:
-                raise InputError(f"{str(folder)!r} holds what `jaxurban {others[0]}` wrote: {ELSEWHERE}")
-            if before is None and (there := _files_under(folder)):
-                raise InputError(
-                    f"{str(folder / there[0])!r} is there already, and not from `jaxurban {self.command}`: {ELSEWHERE}"
-                )
-            self.check_way(folder / name for name in self.written)
-        self.check_way(folder / name for name in names)
-        if before is None:
+    def _check_folder(self, commands: Sequence[str], is_first: bool, is_shared: bool) -> None:
+        if is_shared:
             return
-        name = next((name for name in asked if asked[name] != before["asked"].get(name)), None)
-        if name is not None and not overwrite:
-            was, now = str(before["asked"].get(name)), str(asked[name])
-            is_short = len(was + now) <= LONGEST_SETTINGS
-            difference = f"its {name} is {was}, now {now}" if is_short else f"other {name}"
+        if others := [name for name in commands if name != self.command]:
+            raise InputError(f"{str(self.folder)!r} holds what `jaxurban {others[0]}` wrote: {ELSEWHERE}")
+        if is_first and (found := _files_under(self.folder)):
             raise InputError(
-                f"{str(folder)!r} holds another run of `jaxurban {self.command}` ({difference}): {ELSEWHERE}, or pass "
-                "--overwrite to replace it"
+                f"{str(self.folder / found[0])!r} is there already, and not from `jaxurban {self.command}`: {ELSEWHERE}"
+            )
+        self.check_way(self.folder / name for name in self.written)
+
+    def _replace(self, now: Mapping[str, Any], overwrite: bool) -> None:
+        name = next((name for name in now if now[name] != self.settings.get(name)), None)
+        if name is not None and not overwrite:
+            difference = f"its {name} is {self.settings.get(name)}, now {now[name]}"
+            difference = difference if len(difference) <= LONGEST_SETTINGS else f"other {name}"
+            raise InputError(
+                f"{str(self.folder)!r} holds another run of `jaxurban {self.command}` ({difference}): {ELSEWHERE}, or "
+                "pass --overwrite to replace it"
             )
         if overwrite:
             self.remove_all()
@@ -169,14 +179,17 @@ class Workspace:
         checksum = self.written.get(self.name_of(path) or "")
         if checksum is None or path.is_symlink() or not path.is_file() or self._obstacle(path):
             return False
-        with suppress(OSError):
-            return checksum_of(path) == checksum
-        return False
+        return is_as_written(path, [checksum])
 
     def is_changed(self, path: Path) -> bool:
         """Return whether a path is there that this command wrote, and that is not as it was written."""
         is_known = self.name_of(path) in self.written and os.path.lexists(path)
         return is_known and not self.is_own(path) and not self._obstacle(path)
+
+    def broken(self, paths: Iterable[Path], each: Each = map) -> list[Path]:
+        """Return those outputs of these paths that are missing or not as this command wrote them; all are read."""
+        paths = list(paths)
+        return [path for path, is_whole in zip(paths, each(self.is_own, paths), strict=True) if not is_whole]
 
     def check_way(self, paths: Iterable[Path], remedy: str = ELSEWHERE, *, is_mended: bool = False) -> None:
         """Raise InputError if anything is at these paths, or in place of a folder of theirs, that is not as written.
@@ -281,19 +294,23 @@ class Workspace:
             LOG.warning(f"{str(min(left))!r}{others}: not from `jaxurban {self.command}`, or changed since")
 
     def remove(self, names: Iterable[str]) -> None:
-        """Remove those files that are own, and folders that are empty then."""
+        """Remove those files that are own, and folders that are empty then; forget those that are not there."""
         folders: set[Path] = set()
+        gone = []
         for name in list(names):
             path = self.folder / name
             if self.is_own(path):
                 path.unlink()
-                del self.written[name]
                 folders |= {parent for parent in path.parents if self.folder in parent.parents}
+            if name in self.written and not os.path.lexists(path):
+                del self.written[name]
+                gone.append(name)
+        self._note({"name": name, "checksum": None} for name in gone)
         for folder in sorted(folders, key=lambda folder: -len(folder.parts)):
             with suppress(OSError):  # others have files there
                 folder.rmdir()
 
-    def _note(self, lines: Iterable[Mapping[str, str]]) -> None:
+    def _note(self, lines: Iterable[Mapping[str, str | None]]) -> None:
         text = "".join(f"\n{json.dumps({'command': self.command, **line})}" for line in lines)
         with (self.folder / JOURNAL_FILE).open("ab", buffering=0) as file:
             file.write(text.encode())
@@ -320,26 +337,41 @@ def _files_under(folder: Path) -> list[str]:
     return [path.relative_to(folder).as_posix() for each in (folder, *below) for path in _files_of(each)]
 
 
-def _sections(folder: Path) -> Sections:
-    """Return the record of a folder by command, with what a killed run left in the journal.
+def recorded(folder: Path) -> dict[str, set[str]]:
+    """Return the checksums of the files that commands wrote under a folder, by name; during a run old and new ones.
 
     Raises:
-      InputError: it cannot be read.
+      InputError: the record cannot be read.
     """
-    sections: Sections = {}
-    for scrap in folder.glob(f".{RECORD_FILE}.*{SCRATCH_SUFFIX}"):
-        remove(scrap)
+    noted = [(line["name"], line["checksum"]) for line in _journal(folder) if "name" in line]  # before it can go
+    noted += [item for section in _read(folder).values() for item in section["written"].items()]
+    found: dict[str, set[str]] = {}
+    for name, checksum in noted:
+        if checksum is not None:
+            found.setdefault(name, set()).add(checksum)
+    return found
+
+
+def _read(folder: Path) -> Sections:
     try:
         sections = read_json(folder / RECORD_FILE)
-        if not all({"asked", "written"} <= set(section) for section in sections.values()):
+        if not all({"settings", "written"} <= set(section) for section in sections.values()):
             raise ValueError("of another version")
-    except FileNotFoundError:
-        pass
+        return sections
+    except (FileNotFoundError, NotADirectoryError):
+        return {}
     except (OSError, ValueError, TypeError) as error:
         raise InputError(
             f"{str(folder / RECORD_FILE)!r}, which records whose folder it is, cannot be read ({error}): {ELSEWHERE}, "
             "or remove this one"
         ) from error
+
+
+def _sections(folder: Path) -> Sections:
+    """Return the record of a folder by command, with what a killed run left in the journal."""
+    for scrap in folder.glob(f".{RECORD_FILE}.*{SCRATCH_SUFFIX}"):
+        remove(scrap)
+    sections = _read(folder)
     if (folder / JOURNAL_FILE).exists():
         _recover(folder, sections)
         _save(folder, sections)
@@ -351,7 +383,7 @@ def _recover(folder: Path, sections: Sections) -> None:
 
     Of a name with several checksums one may be of a file that never came: the one that the file has counts.
     """
-    noted: dict[tuple[str, str], list[str]] = {}
+    noted: dict[tuple[str, str], list[str | None]] = {}
     for line in _journal(folder):
         if line.get("scratch"):
             if line["scratch"].endswith(SCRATCH_SUFFIX) and ".." not in PurePosixPath(line["scratch"]).parts:
@@ -360,8 +392,9 @@ def _recover(folder: Path, sections: Sections) -> None:
             noted.setdefault((line["command"], line["name"]), []).append(line["checksum"])
     for (command, name), checksums in noted.items():
         written = sections[command]["written"]
-        possible = dict.fromkeys([*checksums, *([written[name]] if name in written else [])])
-        written[name] = checksums[-1]
+        possible = {*checksums, written.pop(name, None)} - {None}
+        if checksums[-1] is not None:
+            written[name] = checksums[-1]
         if len(possible) > 1 and (folder / name).is_file() and (now := checksum_of(folder / name)) in possible:
             written[name] = now
 
@@ -369,7 +402,7 @@ def _recover(folder: Path, sections: Sections) -> None:
 def _journal(folder: Path) -> Iterator[dict[str, str]]:
     try:
         lines = (folder / JOURNAL_FILE).read_text(encoding="utf-8", errors="replace").splitlines()
-    except FileNotFoundError:
+    except (FileNotFoundError, NotADirectoryError):
         return
     for line in lines:
         with suppress(ValueError):  # the last one of a killed run
@@ -377,11 +410,8 @@ def _journal(folder: Path) -> Iterator[dict[str, str]]:
 
 
 def _save(folder: Path, sections: Sections) -> None:
-    """Write the record, of files that are there, and remove the journal."""
-    for section in sections.values():
-        there = sorted(item for item in section["written"].items() if os.path.lexists(folder / item[0]))
-        section["written"].clear()
-        section["written"].update(there)
+    """Write the record, and remove the journal."""
+    sections = {name: {**of, "written": dict(sorted(of["written"].items()))} for name, of in sections.items()}
     record, held = folder / RECORD_FILE, None
     try:
         held = read_json(record)

@@ -300,7 +300,7 @@ class MetricMaps(Shown):
             name that is a path.
         """
         from jaxurban.io.attributes import NEEDED
-        from jaxurban.io.geotiff import RUN_KEY, geotiff_paths, is_of_run, write_geotiffs
+        from jaxurban.io.geotiff import RUN_KEY, geotiff_paths, write_geotiffs
         from jaxurban.io.store import RUN_FILE, are_of_a_run, write_zarr
         from jaxurban.io.workspace import Workspace
 
@@ -313,8 +313,12 @@ class MetricMaps(Shown):
         with Workspace.open(folder, "maps", is_shared=True) as workspace:
             workspace.check_way(geotiffs)
             ds = self.ds.copy()
-            if RUN_KEY in ds.attrs:  # a run's own folder has the settings in its record, and needs no key of another's
-                ds.attrs.pop("settings" if is_of_run(folder / RUN_FILE, ds.attrs[RUN_KEY]) else RUN_KEY, None)
+            key, of_folder = ds.attrs.get(RUN_KEY), workspace.settings.get(RUN_KEY)
+            is_of_run = key is not None and key == of_folder and (folder / RUN_FILE).is_file()
+            # A run's own folder has the settings in its record, and another's has no use for the key.
+            ds.attrs.pop("settings" if is_of_run else RUN_KEY, None)
+            if not is_of_run:
+                workspace.settings.clear()
             write_zarr(ds, folder)
             write_geotiffs(ds, folder, layers=layers)
             if not are_of_a_run(folder):

@@ -2,13 +2,11 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from jaxurban.io.chunks import Each, broken_chunks, has_whole_metadata, metadata_file
-from jaxurban.io.folders import WorkFolder
+from jaxurban.io.folders import ZARR, WorkFolder
 from jaxurban.io.read.rasterise import rasterise, rasterise_blocks
 from jaxurban.io.store import write_layer
 from jaxurban.kernels.engine import on_device_of
@@ -69,33 +67,10 @@ def _name(kind: str, tile: Tile, quadrant: Quadrant | None = None) -> str:
     return f"{kind}_{tile[0]}_{tile[1]}{side}"
 
 
-def unmark_damaged(job: TileJob, each: Each = map) -> list[Path]:
-    """Return what is damaged of the finished tiles that an earlier run left, and make them unfinished.
-
-    ``each`` calls a function with each of many pieces of the check.
-    """
-    path, tiles = job.work.zarr, {tile: _name("tile", tile) for tile in job.tiling.region_tiles}
-    if not path.exists():
-        job.work.unmark(tiles.values())
-        return []
-    if not has_whole_metadata(path):
-        job.work.remove_maps(tiles.values())
-        return [metadata_file(path)]
-    broken = broken_chunks(path, each)
-    if lost := [chunk.file for chunk in broken if len(chunk.place) < 2]:  # coordinates
-        job.work.remove_maps(tiles.values())
-        return lost
-    north, col = job.tiling.first[0] + job.tiling.counts[0] - 1, job.tiling.first[1]
-    at = {(north - chunk.place[-2], chunk.place[-1] + col): chunk.file for chunk in broken}
-    done = {tile: name for tile, name in tiles.items() if tile in at and job.work.done(name) is not None}
-    job.work.unmark(done.values())
-    return [at[tile] for tile in done]
-
-
 def raster_tile(job: TileJob, tile: Tile) -> dict[str, Any]:
     """Rasterise a tile and return the ``seconds`` it took by stage."""
     watch, name, city = Stopwatch(), _name("raster", tile), job.task.city
-    if not job.work.has_arrays(name):
+    if job.work.done(name) is None:
         with watch.stage("surface"):
             grid = job.tiling.grid_of(tile)
             is_reported = tile in job.tiling.region_tiles
@@ -116,7 +91,7 @@ def sweep_tile(job: TileJob, tile: Tile, quadrant: Quadrant) -> dict[str, Any]:
     What is kept are the row and the column, of every satellite, that the next tiles' rings take up.
     """
     watch, name, sky = Stopwatch(), _name("shadows", tile, quadrant), job.task.sky
-    if not job.work.has_arrays(name):
+    if job.work.done(name) is None:
         with watch.stage("gps"):
             grid = job.tiling.grid_of(tile)
             kept = job.work.load_arrays(_name("raster", tile), "roof_m", "terrain_m")
@@ -173,16 +148,16 @@ def finish_tile(job: TileJob, tile: Tile) -> dict[str, Any]:
             for quadrant in QUADRANTS
             for seen, ring in zip(job.order[quadrant], _rings(job, tile, quadrant), strict=True)
         }
-    scene, window = TileScene(job.task, surface, rings), job.tiling.reported(tile)
+    scene, window, checksums = TileScene(job.task, surface, rings), job.tiling.reported(tile), dict[str, str]()
     with on_device_of(job.task.params.engine):
         is_inside = np.asarray(scene.is_obstacle)
         if scene.has_data is not None:
             is_inside = is_inside & scene.has_data
         for layer in tile_maps(scene, watch.stage):
             with watch.stage("write_zarr"):
-                write_layer(job.work.zarr, layer.name, layer.place, window, layer.values, is_inside)
+                checksums |= write_layer(job.work.zarr, layer.name, layer.place, window, layer.values, is_inside)
     facts = {"totals": {metric: totals.facts for metric, totals in scene.totals.items()}}
-    job.work.mark_done(name, facts)
+    job.work.mark_done(name, {f"{ZARR}/{file}": of for file, of in checksums.items()}, facts)
     return {**facts, "seconds": watch.elapsed_s}
 
 

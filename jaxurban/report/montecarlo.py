@@ -172,7 +172,9 @@ def study(
         instances = with_connection(instances, opened, model, constraints)
         _check_places(instances, opened, constraints)
     key, names = _deciding(job, opened), [ROWS_FILE, INSTANCES_FILE]
-    with Workspace.open(folder, "study", key, names=names, overwrite=overwrite, is_shared=True):
+    with Workspace.open(
+        folder, "study", key, names=names, overwrite=overwrite, is_shared=True, is_mended=not overwrite
+    ):
         _check_growth(folder, instances)
         write_table(instances, folder / INSTANCES_FILE)
         file, columns = folder / ROWS_FILE, row_columns(instances.columns)

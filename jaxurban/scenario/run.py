@@ -16,13 +16,13 @@ import dask.array
 
 from jaxurban.errors import InputError
 from jaxurban.io import store
-from jaxurban.io.files import check_writable, is_changed, make_way, sweep_scraps
-from jaxurban.io.folders import WorkFolder, broken_files, has_other_maps, prepare_folder, stored_key
-from jaxurban.io.geotiff import geotiff_paths, is_of_run, stale_geotiffs, write_geotiffs
+from jaxurban.io.files import RECORDER, SCRATCH_SUFFIX, check_writable, make_way, remove, sweep_scraps
+from jaxurban.io.folders import ZARR, WorkFolder
+from jaxurban.io.geotiff import RUN_KEY, geotiff_paths, write_geotiffs
 from jaxurban.io.layers import bands_of
 from jaxurban.io.read.guesses import warn_of
 from jaxurban.io.read.rasterise import check_has_data, rasterise
-from jaxurban.io.store import open_whole
+from jaxurban.io.store import stored_key
 from jaxurban.io.workspace import Workspace
 from jaxurban.kernels.engine import chosen
 from jaxurban.maps.build import view_sky
@@ -37,7 +37,7 @@ from jaxurban.maps.guesses import map_guesses
 from jaxurban.maps.memory import MemoryPlan, check_disk, plan_run, plan_sentence, shape_of_tiles
 from jaxurban.maps.metric_maps import MetricMaps
 from jaxurban.maps.task import MapParams, MapTask
-from jaxurban.maps.tiled import TileJob, unmark_damaged
+from jaxurban.maps.tiled import TileJob
 from jaxurban.metrics.availability import TimeTotals
 from jaxurban.metrics.registry import METRICS
 from jaxurban.progress import LOG, Progress, Report, Stage, Stopwatch, reporting
@@ -168,7 +168,8 @@ def run_scenario(
         inputs = hash_inputs(scenario)
         engine = chosen(scenario.region.engine, resources.backend)
         key = run_key(scenario, inputs, "cpu" if engine == "numba" else resources.backend)
-        if has_other_maps(folder, key) and not overwrite:
+        held_key = Workspace.settings_of(folder, "maps").get(RUN_KEY)
+        if store.stored_resolutions(folder) and held_key != key and not overwrite:
             raise InputError(
                 f"{str(folder)!r} holds {other_maps(folder, scenario, inputs)}: make these in another folder "
                 f"(jaxurban maps SCENARIO -o {_unused(folder)}), or pass --overwrite to replace them"
@@ -177,6 +178,7 @@ def run_scenario(
         planned = [folder / store.RUN_FILE]
         for task in tasks:
             planned += geotiff_paths(empty_dataset(task, _no_values), folder, layers)  # refuses what is not there
+            planned += [store.zarr_path(folder, task.region.resolution_m) / name for name in store.OF_ZARR]
         guesses = map_guesses(tasks[0])
         warn_of(guesses, known=tasks[0].city.guesses)
         check_writable(folder)
@@ -192,12 +194,16 @@ def run_scenario(
                 f"tile{'s' * (plan.num_at_once > 1)} can be worked on at a time; leave it out"
             )
         # Nothing of an older job is touched before this one can begin.
-        with Workspace.open(folder, "maps", is_shared=True) as workspace, resources.client(plan.num_workers) as client:
-            workspace.check_way((path for path in planned if not is_of_run(path, key)), is_mended=True)
-            prepare_folder(workspace, key, scenario.region.resolution_m)
+        names = [path.relative_to(folder).as_posix() for path in planned]
+        how: dict[str, Any] = {"names": names, "overwrite": held_key != key, "is_shared": True, "is_mended": True}
+        with (
+            Workspace.open(folder, "maps", {RUN_KEY: key}, **how) as workspace,
+            resources.client(plan.num_workers) as client,
+        ):
+            _sweep(folder, key, scenario.region.resolution_m)
             tasks = [replace(task, guesses=guesses) for task in tasks]
             makers = [Maker(task, folder, key, plan.num_workers, client, tuple(layers)) for task in tasks]
-            made = [_maps_of(maker, watch, report) for maker in makers]
+            made = [_maps_of(maker, workspace, watch, report) for maker in makers]
             messages = [str(item.message) for item in caught]
             record = run_record(scenario, tasks, inputs, key, watch.elapsed_s, started_utc, messages, engine)
             is_kept = not any(is_new for _, is_new in made)
@@ -226,15 +232,27 @@ class Maker:
 
     def each(self, function: Callable[[Any], Any], items: Iterable[Any]) -> list[Any]:
         """Return what a function makes of each item, in threads of this process, on a cluster too: files are here."""
-        with ThreadPoolExecutor(self.num_workers) as pool:
+        with ThreadPoolExecutor(self.num_workers, initializer=RECORDER.set, initargs=(RECORDER.get(),)) as pool:
             return list(pool.map(function, items))
 
 
-def _maps_of(maker: Maker, watch: Stopwatch, report: Report) -> tuple[MetricMaps, bool]:
+def _sweep(folder: Path, key: str, resolutions_m: Sequence[float]) -> None:
+    """Remove what killed runs left under a folder, but for the tiles that this one goes on with."""
+    unfinished = [resolution_m for resolution_m in resolutions_m if stored_key(folder, resolution_m) != key]
+    kept = [store.work_path(folder, resolution_m) for resolution_m in unfinished]
+    for path in (folder / store.ZARR_FOLDER).glob(f".*m{SCRATCH_SUFFIX}"):
+        if path not in kept:
+            remove(path)
+    sweep_scraps(folder, folder / store.ZARR_FOLDER, folder / store.GEOTIFF_FOLDER)
+
+
+def _maps_of(maker: Maker, workspace: Workspace, watch: Stopwatch, report: Report) -> tuple[MetricMaps, bool]:
     """Return the maps at one resolution, and whether they were made: those on disk are kept if whole and this job's."""
     folder, resolution_m = maker.folder, maker.task.region.resolution_m
+    path = store.zarr_path(folder, resolution_m)
     with watch.stage("verify"):
-        broken = broken_files(folder, resolution_m, maker.each)
+        files = [folder / name for name in workspace.written if path in (folder / name).parents]
+        broken = workspace.broken(files, maker.each) if path.is_dir() else []
         is_kept = not broken and stored_key(folder, resolution_m) == maker.key
     if broken:
         others = f" (and {len(broken) - 1} more)" if len(broken) > 1 else ""
@@ -252,8 +270,8 @@ def _maps_of(maker: Maker, watch: Stopwatch, report: Report) -> tuple[MetricMaps
     store.write_root(folder)
     ds = store.open_zarr(folder.resolve(), resolution_m)
     with watch.stage("verify"):
-        stale = stale_geotiffs(ds, folder, maker.key, maker.each, maker.layers)
-        edited = [path for path in stale if path.suffix == ".qml" and is_changed(path)]
+        stale = workspace.broken(geotiff_paths(ds, folder, maker.layers), maker.each)
+        edited = [path for path in stale if path.suffix == ".qml" and workspace.is_changed(path)]
         for path in edited:  # styles are there to be edited
             LOG.warning(f"{str(path)!r} was changed and stays: remove it, and the same command writes it again")
         stale = [path for path in stale if path not in edited]
@@ -262,7 +280,7 @@ def _maps_of(maker: Maker, watch: Stopwatch, report: Report) -> tuple[MetricMaps
                 LOG.warning(f"{str(path)!r} is missing or damaged: writing it again")
             make_way(path)
     with watch.stage("write_geotiff"):
-        write_geotiffs(ds, folder, maker.key, maker.each, only=stale, layers=maker.layers)
+        write_geotiffs(ds, folder, maker.each, only=stale, layers=maker.layers)
         sweep_scraps(folder / store.GEOTIFF_FOLDER)  # of workers that were killed, whose files others have written
     return MetricMaps(ds), not is_kept
 
@@ -285,13 +303,13 @@ def make_zarr(maker: Maker, report: Report, shape: tuple[int, int] | None = None
         data = (rasterise(task.city, tiling.grid_of(tile)).has_data for tile in tiling.region_tiles)
         check_has_data(data, task.city)
     work = WorkFolder(store.work_path(maker.folder.resolve(), grid.resolution_m))
-    damaged = work.begin(f"{maker.key} {shape}")
-    job = TileJob(task, work, tiling)
-    for path in [*damaged, *unmark_damaged(job, maker.each)]:
+    for path in work.begin(f"{maker.key} {shape}", maker.each):
         LOG.warning(f"{str(path)!r} of the unfinished maps is damaged: making it again")
-    if not work.zarr.exists():
-        empty = empty_dataset(task, _no_values).assign_attrs(run_key=maker.key, guesses=json.dumps(task.guesses))
+    job, facts = TileJob(task, work, tiling), {RUN_KEY: maker.key, "guesses": json.dumps(task.guesses)}
+    empty = empty_dataset(task, _no_values).assign_attrs(facts)
+    if work.done(ZARR) is None:
         store.create_zarr(empty, work.zarr, shape)
+        work.mark_zarr()
     seconds: dict[str, float] = {}
     totals: dict[str, TimeTotals] = {}
     num_done, stage = 0, f"tiles of {store.short_number(grid.resolution_m)} m"
@@ -313,12 +331,12 @@ def make_zarr(maker: Maker, report: Report, shape: tuple[int, int] | None = None
     else:
         work_on_cluster(job, maker.client, take)
     if totals:
-        made = with_series(open_whole(work.zarr), task, totals)
+        made = with_series(empty, task, totals)
         store.add_to_zarr(
             made[[f"{name}_{what}" for name in totals for what in ("epoch_mean", "worst_time")]], work.zarr
         )
+        work.mark_zarr()
     work.finish(store.zarr_path(maker.folder, grid.resolution_m))
-    store.write_root(maker.folder)
     return seconds
 
 

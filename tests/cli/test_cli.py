@@ -41,7 +41,7 @@ def files_of(folder: Path) -> dict[str, bytes]:
     return {
         str(path.relative_to(folder)): path.read_bytes()
         for path in folder.rglob("*")
-        if path.is_file() and path.name not in ("run.json", "made.json")
+        if path.is_file() and path.name not in ("run.json", "checksums.json")
     }
 
 

@@ -13,11 +13,8 @@ import zarr
 
 from jaxurban.errors import InputError
 from jaxurban.io import files, store
-from jaxurban.io.chunks import broken_chunks
-from jaxurban.io.files import is_whole
-from jaxurban.io.geotiff import missing_geotiffs, stale_geotiffs, write_geotiffs
-
-KEY, OTHER = 16 * "a", 16 * "b"  # of runs
+from jaxurban.io.geotiff import missing_geotiffs, write_geotiffs
+from jaxurban.io.workspace import Workspace
 
 
 @pytest.fixture
@@ -115,33 +112,27 @@ def test_a_failed_write_leaves_the_old_file_and_no_scrap(tmp_path):
     assert path.read_text() == "old"
 
 
-def test_files_of_another_run_are_stale(ds, tmp_path):
-    files = write_geotiffs(ds, tmp_path, run_key=KEY)
-    assert stale_geotiffs(ds, tmp_path, KEY) == []
-    assert stale_geotiffs(ds, tmp_path, OTHER) == files
-    before = [file.stat().st_mtime_ns for file in files]
-    assert write_geotiffs(ds, tmp_path, run_key=OTHER, only=files[1:2]) == files[1:2]
-    after = [file.stat().st_mtime_ns for file in files]
-    assert (after[1] > before[1], after[0], after[2:]) == (True, before[0], before[2:])
-
-
-def test_any_flipped_bit_of_a_geotiff_makes_it_stale(ds, tmp_path):
-    """Data, overviews, tags, place and checksum alike: GDAL itself reads most of them without a word."""
-    file, *_ = write_geotiffs(ds, tmp_path, run_key=KEY)
-    whole = file.read_bytes()
-    num_bits, at = 8 * len(whole), whole.find(b"jaxurban-crc32:") * 8
-    for bit in {*random.Random(0).sample(range(num_bits), 100), *range(at, at + 8 * 23, 3), 0, num_bits - 1}:
-        file.write_bytes(flipped(whole, bit))
-        assert not is_whole(file)
-    assert stale_geotiffs(ds, tmp_path, KEY) == [file]
-    for size in (0, 1, at // 8 + 20, len(whole) - 1):
-        file.write_bytes(whole[:size])
-        assert stale_geotiffs(ds, tmp_path, KEY) == [file]
-        assert missing_geotiffs(ds, tmp_path) == ([] if size else [file])
-    file.unlink()
-    assert missing_geotiffs(ds, tmp_path) == stale_geotiffs(ds, tmp_path, KEY) == [file]
-    write_geotiffs(ds, tmp_path, run_key=KEY, only=[file])
-    assert file.read_bytes() == whole
+def test_any_flipped_bit_of_a_geotiff_or_style_is_noticed(ds, tmp_path):
+    """Data, overviews, tags and place alike: GDAL itself reads most of them without a word."""
+    with Workspace.open(tmp_path, "maps") as workspace:
+        files = write_geotiffs(ds, tmp_path)
+        assert workspace.broken(files) == []
+        for file in (files[0], files[-1]):
+            whole = file.read_bytes()
+            num_bits = 8 * len(whole)
+            for bit in {*random.Random(0).sample(range(num_bits), 100), 0, num_bits - 1}:
+                file.write_bytes(flipped(whole, bit))
+                assert workspace.broken(files) == [file]
+            for size in (0, 1, len(whole) - 1):
+                file.write_bytes(whole[:size])
+                assert workspace.broken(files) == [file]
+                assert missing_geotiffs(ds, tmp_path) == ([] if size else [file])
+            file.unlink()
+            assert missing_geotiffs(ds, tmp_path) == workspace.broken(files) == [file]
+            before = [each.stat().st_mtime_ns for each in files if each != file]
+            assert write_geotiffs(ds, tmp_path, only=[file]) == [file]
+            assert file.read_bytes() == whole
+            assert [each.stat().st_mtime_ns for each in files if each != file] == before
 
 
 @pytest.mark.parametrize("name", ["obstacle", "gps", "has_data"])
@@ -187,9 +178,9 @@ def test_every_missing_or_empty_chunk_is_told_on_opening(ds, tmp_path):
     assert len(chunks) == 2 + 4 + 2 + 1 + 5  # maps, and coordinates
     for file in chunks:
         whole = file.read_bytes()
-        for damage in (lambda file: file.unlink(), lambda file: file.write_bytes(b"")):
+        for damage in (lambda file: file.unlink(), lambda file: file.write_bytes(b""), cut):
             damage(file)
-            with pytest.raises(InputError, match="is missing or empty: run the same `jaxurban maps`") as told:
+            with pytest.raises(InputError, match="is missing or cut: run the same `jaxurban maps`") as told:
                 store.open_zarr(tmp_path, None)
             assert str(file) in str(told.value)
         file.write_bytes(whole)
@@ -204,6 +195,10 @@ def test_a_chunk_that_goes_after_opening_reads_as_blocked_or_unknown(ds, tmp_pat
     assert (found["obstacle"].values == 1).all()
     assert np.isnan(found["gps"].values).all()
     assert not found["has_data"].values.any()
+
+
+def cut(file: Path) -> None:
+    file.write_bytes(file.read_bytes()[:-1])
 
 
 def chunks_in(path: Path) -> list[Path]:
@@ -249,14 +244,8 @@ def test_a_lock_on_a_removed_file_holds_nothing(tmp_path, monkeypatch):
 
 
 def test_tiles_without_a_value_are_on_disk_like_all_others(ds, tmp_path):
-    store.create_zarr(ds.assign(gps=ds["gps"] * np.nan), tmp_path / "maps.zarr", (15, 20))
-    for name, array in ds.data_vars.items():
-        values = np.full(ds.sizes["y"] * ds.sizes["x"], np.nan if array.dtype.kind == "f" else 0).reshape(30, 40)
-        for index in np.ndindex(array.shape[:-2]):
-            for rows, cols in itertools.product((slice(0, 15), slice(15, 30)), (slice(0, 20), slice(20, 40))):
-                part = values[rows, cols].astype(array.dtype)
-                store.write_layer(tmp_path / "maps.zarr", name, index, (rows, cols), part)
-    assert broken_chunks(tmp_path / "maps.zarr") == []
+    path = store.write_zarr(ds.assign(gps=ds["gps"] * np.nan), tmp_path)
+    assert sorted(file.name for file in chunks_in(path / "gps")) == [f"{t}.{a}.0.0" for t in (0, 1) for a in (0, 1)]
 
 
 def test_a_tile_is_written_as_the_zarr_library_writes_it(ds, tmp_path):

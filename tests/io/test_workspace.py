@@ -30,7 +30,7 @@ def test_the_same_run_writes_again_and_another_is_refused(tmp_path):
         write(tmp_path, command="sensitivity", overwrite=True)
     assert (tmp_path / "figures" / "3.txt").read_text() == "made again"
     write(tmp_path, 4, overwrite=True)
-    assert names_of(tmp_path) == ["figures/4.txt", "made.json"]
+    assert names_of(tmp_path) == ["checksums.json", "figures/4.txt"]
 
 
 def test_a_check_leaves_the_settings_that_the_record_holds(tmp_path):
@@ -61,7 +61,7 @@ def test_a_changed_file_is_refused_and_a_new_one_stays(tmp_path, overwrite):
     (tmp_path / "figures" / "3.txt").write_text("mine")
     with pytest.raises(InputError, match="is not as `jaxurban tune` wrote it"):
         write(tmp_path, overwrite=overwrite)
-    assert names_of(tmp_path) == ["figures/3.txt", "figures/mine.txt", "made.json"]
+    assert names_of(tmp_path) == ["checksums.json", "figures/3.txt", "figures/mine.txt"]
     assert (tmp_path / "figures" / "3.txt").read_text() == "mine"
 
 
@@ -99,7 +99,7 @@ def test_after_kill_9_a_users_file_is_the_users_and_scratch_goes(tmp_path, overw
     assert len([name for name in names_of(tmp_path) if name.endswith(files.SCRATCH_SUFFIX)]) == 1
     (tmp_path / "figures" / "mine.txt").write_text("mine")
     write(tmp_path, overwrite=overwrite)
-    left = ["figures/3.txt", *(["figures/a.txt"] * (not overwrite)), "figures/mine.txt", "made.json"]
+    left = ["checksums.json", "figures/3.txt", *(["figures/a.txt"] * (not overwrite)), "figures/mine.txt"]
     assert names_of(tmp_path) == left
     write(tmp_path, overwrite=True)
     assert (tmp_path / "figures" / "mine.txt").read_text() == "mine"
@@ -143,7 +143,7 @@ def test_commands_share_a_folder_and_remove_their_own(tmp_path):
     for command in ("maps", "demo"):
         write(tmp_path, command=command, name=f"{command}.txt", is_shared=True)
     write(tmp_path, 4, command="maps", name="new.txt", is_shared=True, overwrite=True)
-    assert names_of(tmp_path) == ["demo.txt", "made.json", "mine.txt", "new.txt"]
+    assert names_of(tmp_path) == ["checksums.json", "demo.txt", "mine.txt", "new.txt"]
     with pytest.raises(InputError, match="in the way"):
         write(tmp_path, 4, command="maps", name="mine.txt", is_shared=True)
 
@@ -171,20 +171,20 @@ def test_a_link_in_the_place_of_a_file_is_followed_nowhere(tmp_path):
     assert (tmp_path / "mine.txt").read_text() == "mine"
 
 
-@pytest.mark.parametrize("text", ["{", '{"command": "tune", "asked": {}, "written": {}}'])
+@pytest.mark.parametrize("text", ["{", '{"command": "tune", "settings": {}, "written": {}}'])
 def test_a_damaged_record_is_told(tmp_path, text):
     write(tmp_path)
-    (tmp_path / "made.json").write_text(text)
-    with pytest.raises(InputError, match=r"made\.json.*cannot be read"):
+    (tmp_path / "checksums.json").write_text(text)
+    with pytest.raises(InputError, match=r"checksums\.json.*cannot be read"):
         write(tmp_path, 4, overwrite=True)
 
 
 def test_a_record_that_names_files_elsewhere_removes_none_of_them(tmp_path):
     write(tmp_path / "out")
     (tmp_path / "mine.txt").write_text("made")
-    record = files.read_json(tmp_path / "out/made.json")
+    record = files.read_json(tmp_path / "out/checksums.json")
     record["tune"]["written"]["../mine.txt"] = files.checksum_of(b"made")
-    files.write_json(tmp_path / "out/made.json", record)
+    files.write_json(tmp_path / "out/checksums.json", record)
     write(tmp_path / "out", 4, overwrite=True, is_shared=True)
     assert (tmp_path / "mine.txt").read_text() == "made"
 
@@ -209,7 +209,7 @@ def test_a_linked_output_folder_is_as_good_as_any(tmp_path):
     (tmp_path / "link").symlink_to(tmp_path / "real")
     write(tmp_path / "link/place")
     write(tmp_path / "link/place", 4, overwrite=True)
-    assert names_of(tmp_path / "real/place") == ["figures/4.txt", "made.json"]
+    assert names_of(tmp_path / "real/place") == ["checksums.json", "figures/4.txt"]
 
 
 def test_a_resolved_path_into_a_linked_folder_of_a_linked_output_folder_is_recorded(tmp_path):
@@ -252,7 +252,7 @@ def test_a_file_in_the_way_of_a_new_output_refuses_before_the_old_ones_go(tmp_pa
     (tmp_path / "buildings.csv").write_text("mine")
     with pytest.raises(InputError, match=r"buildings\.csv' is in the way"):
         write(tmp_path, 4, overwrite=True, names=["buildings.csv"], name="buildings.csv")
-    assert names_of(tmp_path) == ["buildings.csv", "figures/3.txt", "made.json"]
+    assert names_of(tmp_path) == ["buildings.csv", "checksums.json", "figures/3.txt"]
 
 
 def test_pictures_and_tables_from_python_replace_none_of_the_users(tmp_path):
@@ -281,7 +281,7 @@ def test_a_check_refuses_what_is_in_the_place_of_the_folder(tmp_path, kind):
 
 def test_a_record_that_the_user_replaced_during_the_run_is_kept(tmp_path):
     with Workspace.open(tmp_path, "tune"):
-        (tmp_path / "made.json").write_text("mine")
+        (tmp_path / "checksums.json").write_text("mine")
         files.write_whole(tmp_path / "a.txt", "made")
-    assert (tmp_path / "made.json.2").read_text() == "mine"
-    assert list(files.read_json(tmp_path / "made.json")["tune"]["written"]) == ["a.txt"]
+    assert (tmp_path / "checksums.json.2").read_text() == "mine"
+    assert list(files.read_json(tmp_path / "checksums.json")["tune"]["written"]) == ["a.txt"]

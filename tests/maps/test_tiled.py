@@ -261,7 +261,8 @@ def test_a_worker_that_dies_as_the_job_goes_costs_nothing(city, whole, tmp_path,
 def test_another_jobs_unfinished_work_is_not_gone_on_with(tmp_path):
     work = WorkFolder(tmp_path / "work")
     work.begin("one")
-    work.mark_done("tile_0_0", {"num_free": [1]})
+    work.mark_zarr()
+    work.mark_done("tile_0_0", {}, {"num_free": [1]})
     work.begin("one")
     assert work.done("tile_0_0") == {"num_free": [1]}
     work.begin("two")

@@ -343,7 +343,7 @@ def test_a_folder_keeps_one_study_under_one_set_of_constraints(maps, closing, tm
         return ju.studies.study(maps, tmp_path, instances_of(maps), **how, progress=False)
 
     study(closing["constraints"])
-    kept = json.loads((tmp_path / "made.json").read_text())["study"]["asked"]
+    kept = json.loads((tmp_path / "checksums.json").read_text())["study"]["settings"]
     assert ju.CostModel.from_settings(kept) == ju.CostModel("line")
     assert kept["set of constraints"] == str(closing["constraints"])
     with pytest.raises(

@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -169,6 +170,16 @@ def test_a_killed_study_goes_on_with_no_row_lost_or_doubled(folder, result, tmp_
     times = found.set_index(["instance", "altitude_m", "planner", "objective"]).elapsed_s
     for row in kept:  # what was done before is not done again
         assert times[row["instance"], row["altitude_m"], row["planner"], row["objective"]] == row["elapsed_s"]
+
+
+@pytest.mark.slow
+def test_damaged_rows_are_set_aside_and_made_again(folder, result, tmp_path):
+    out = shutil.copytree(result.folder, tmp_path / "out")
+    data = (out / "rows.parquet").read_bytes()
+    (out / "rows.parquet").write_bytes(data[:100] + bytes([data[100] ^ 1]) + data[101:])
+    with pytest.warns(UserWarning, match=r"rows\.parquet' is damaged: it is now 'rows\.parquet\.damaged'"):
+        found = ju.studies.study(folder, out, 12, settings=SETTINGS).rows
+    same_rows(found, result.rows)
 
 
 @pytest.mark.slow
