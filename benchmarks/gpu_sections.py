@@ -293,7 +293,7 @@ def gradients(run: Run) -> None:
     side = min(surface.grid.shape)
     cells = jnp.asarray(np.random.default_rng(0).integers(side // 4, 3 * side // 4, (512, 2)), jnp.int32)
     soft = {
-        "GPS": lambda scene: soft_gps(scene, ALTITUDES_M[0], Gps(), SOFTNESS_M, view, cells=cells),
+        "GPS": lambda scene: soft_gps(scene, ALTITUDES_M[0], 20.0, SOFTNESS_M, view, cells=cells),
         "lidar": lambda scene: soft_lidar(scene, ALTITUDES_M[0], Lidar(), SOFTNESS_M, cells=cells),
         "risk": lambda scene: soft_risk(scene, ALTITUDES_M[0], Risk(), SOFTNESS_M, cells=cells),
     }

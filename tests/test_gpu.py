@@ -117,7 +117,7 @@ def test_gradients_by_roofs_are_the_same_to_a_thousandth_of_the_largest(gpu, nam
         def mean(roof_m: jax.Array) -> jax.Array:
             scene = replace(surface, roof_m=roof_m)
             if name == "gps":
-                return soft_gps(scene, 20.0, Gps(), 2.0, view, cells=cells).mean()
+                return soft_gps(scene, 20.0, 20.0, 2.0, view, cells=cells).mean()
             return soft_lidar(scene, 20.0, Lidar(), 2.0, cells=cells).mean()
 
         return jax.grad(mean)(roof_m)

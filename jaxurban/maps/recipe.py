@@ -229,7 +229,8 @@ def _maps(tile: TileScene, metric: Metric, only_m: bool = False) -> Iterator[Map
     settings = tile.task.settings_of(metric)
     for place in np.ndindex(*(tile.task.sizes[dim] for dim in metric.dims)):
         for name, values in metric.compute(tile.at(metric, place, only_m), settings).items():
-            yield MapLayer(name, place, values)
+            if name == metric.name or not only_m:
+                yield MapLayer(name, place, values)
 
 
 def _statistics(tile: TileScene, metric: Metric) -> Iterator[MapLayer]:

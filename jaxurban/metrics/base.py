@@ -153,7 +153,7 @@ class Scene:
         (`jaxurban.metrics.population.BlockLayers`); None for metrics without one.
       rasters: ``[y, x]`` the values of rasters of one's own at the altitude, by the name of their layer; NaN where
         they hold nothing.
-      only_m: nothing but the metric itself is wanted, no further variables.
+      only_m: further variables are not looked at, and need not be made.
       engine: which form of its kernels runs (`jaxurban.kernels.engine`).
     """
 

@@ -5,10 +5,9 @@ once.
 """
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, UInt, UInt8
+from jaxtyping import Bool, Float, UInt
 
 from jaxurban.errors import InputError, typed
 from jaxurban.kernels.dop import unit_vectors
@@ -138,22 +137,6 @@ def ranging_of(in_view: InView, params: Protection) -> Ranging:
     )
 
 
-class ProtectionMaps(NamedTuple):
-    """Protection maps of one time. ``C`` stands for any axes of cells.
-
-    Attributes:
-      m: see `protection_metric`.
-      hpl: horizontal protection level, metres; inf where it is undetermined and inside obstacles.
-      vpl: vertical protection level, metres; inf as that.
-      within_limits: 1 where both are at most their alert limits, else 0.
-    """
-
-    m: Float32[np.ndarray, "*C"]
-    hpl: Float32[np.ndarray, "*C"]
-    vpl: Float32[np.ndarray, "*C"]
-    within_limits: UInt8[np.ndarray, "*C"]
-
-
 def protection_metric(hpl_m: np.ndarray, alert_limit_m: float) -> np.ndarray:
     """Return m = 1 - min(HPL, limit) / limit in [0, 1]: 0 from the limit up, and at HPL = inf."""
     return 1 - np.minimum(hpl_m, alert_limit_m) / alert_limit_m
@@ -172,8 +155,10 @@ def levels_of_satellites(in_view: InView, params: Protection, patterns: UInt[np.
 
 def protection_maps(
     words: UInt[AnyArray, "W ..."], is_obstacle: Bool[AnyArray, "..."], in_view: InView, params: Protection
-) -> ProtectionMaps:
-    """Return the protection maps of the satellites seen; inside obstacles none is. No gradient.
+) -> dict[str, np.ndarray]:
+    """Return the protection maps of one time by variable: m, both levels, and where these are within their limits.
+
+    Inside obstacles no satellite is seen; levels are inf there and wherever they are undetermined. No gradient.
 
     Args:
       words: satellite ``s`` is bit ``s % 32`` of word ``s // 32``; any axes of cells behind.
@@ -184,9 +169,9 @@ def protection_maps(
     choices, number = distinct_choices(words, is_obstacle)
     hpl_m, vpl_m = levels_of_satellites(in_view, params, choices)
     is_within = (hpl_m <= params.horizontal_alert_limit_m) & (vpl_m <= params.vertical_alert_limit_m)
-    levels = [protection_metric(hpl_m, params.horizontal_alert_limit_m), hpl_m, vpl_m]
-    table = [*(level.astype(np.float32) for level in levels), is_within.astype(np.uint8)]
-    return ProtectionMaps(*(np.take(values, number) for values in table))
+    m = protection_metric(hpl_m, params.horizontal_alert_limit_m)
+    variables, table = METRIC.variables, {METRIC.name: m, "hpl": hpl_m, "vpl": vpl_m, WITHIN_LIMITS: is_within}
+    return {name: values.astype(variables[name].dtype)[number] for name, values in table.items()}
 
 
 WITHIN_LIMITS = "within_limits"
@@ -205,11 +190,7 @@ CAVEAT = (
 
 
 def _maps(scene: Scene, params: Protection) -> dict[str, np.ndarray]:
-    """Return m, both levels, and where both are within their alert limits."""
-    maps = protection_maps(scene.words, scene.is_obstacle, scene.in_view, params)
-    if scene.only_m:
-        return {"protection": maps.m}
-    return {"protection": maps.m, "hpl": maps.hpl, "vpl": maps.vpl, WITHIN_LIMITS: maps.within_limits}
+    return protection_maps(scene.words, scene.is_obstacle, scene.in_view, params)
 
 
 def _level(name: str, kind: str) -> Variable:

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 
-from jaxurban.errors import one_of
 from jaxurban.metrics import gps, lidar, population, protection, risk
 from jaxurban.metrics.base import Metric
 
@@ -16,12 +15,3 @@ ON_REQUEST: Mapping[str, Metric] = {metric.name: metric for metric in (gps.HORIZ
 def known_metrics() -> dict[str, Metric]:
     """Return the metrics of every cost, then those made on request, by name."""
     return {**METRICS, **ON_REQUEST}
-
-
-def find_metric(name: str, metrics: Mapping[str, Metric] = METRICS) -> Metric:
-    """Return a metric by its name, among the built-in ones or those given.
-
-    Raises:
-      InputError: no such metric (names the nearest one).
-    """
-    return metrics[one_of("metric", name, metrics)]

@@ -15,7 +15,7 @@ from jaxurban.metrics.protection import (
     protection_metric,
     ranging_of,
 )
-from jaxurban.metrics.registry import METRICS, ON_REQUEST, find_metric, known_metrics
+from jaxurban.metrics.registry import METRICS, ON_REQUEST, known_metrics
 from jaxurban.world.sky import InView
 from tests.kernels.test_protection import EXAMPLE
 from tests.metrics.soft.scene import ALTITUDE_M, surface_of
@@ -62,15 +62,15 @@ def test_every_cell_has_the_levels_of_its_own_satellites(counts):
     maps = protection_maps(jnp.asarray(words), is_obstacle, in_view, PARAMS)
     levels = levels_of_satellites(in_view, PARAMS, words.reshape(len(words), -1)).reshape(2, 9, 11)
     hpl_m, vpl_m = np.where(is_obstacle, np.inf, levels)
-    np.testing.assert_array_equal(maps.hpl, hpl_m.astype(np.float32))
-    np.testing.assert_array_equal(maps.vpl, vpl_m.astype(np.float32))
-    np.testing.assert_allclose(maps.m, 1 - np.minimum(hpl_m, 40) / 40, atol=1e-7)
-    np.testing.assert_array_equal(maps.within_limits, (hpl_m <= 40) & (vpl_m <= 35))
-    assert not maps.m[is_obstacle].any()
-    assert maps.within_limits.any()
+    np.testing.assert_array_equal(maps["hpl"], hpl_m.astype(np.float32))
+    np.testing.assert_array_equal(maps["vpl"], vpl_m.astype(np.float32))
+    np.testing.assert_allclose(maps["protection"], 1 - np.minimum(hpl_m, 40) / 40, atol=1e-7)
+    np.testing.assert_array_equal(maps["within_limits"], (hpl_m <= 40) & (vpl_m <= 35))
+    assert not maps["protection"][is_obstacle].any()
+    assert maps["within_limits"].any()
 
 
-def test_a_scene_gives_m_alone_or_all_maps():
+def test_a_scene_gives_all_maps():
     height_m, building = soft_scene()
     surface = surface_of(height_m.astype(np.float32), building)
     words = jnp.full((1, *surface.region.shape), 0b111111111, jnp.uint32)
@@ -79,15 +79,11 @@ def test_a_scene_gives_m_alone_or_all_maps():
     found = METRIC.compute(scene, PARAMS)
     assert {*found} == {*METRIC.variables}
     assert len(np.unique(found["hpl"])) == 1
-    alone = METRIC.compute(Scene(surface, ALTITUDE_M, nowhere, in_view=drawn(9, 0), words=words, only_m=True), PARAMS)
-    assert [*alone] == ["protection"]
-    np.testing.assert_array_equal(alone["protection"], found["protection"])
 
 
 def test_it_is_made_on_request_and_no_metric_of_every_cost():
     assert "protection" not in METRICS
     assert [*known_metrics()] == [*METRICS, *ON_REQUEST]
-    assert find_metric("protection", known_metrics()) is METRIC
     assert METRIC.soft is None
     assert METRIC.colour not in {metric.colour for metric in METRICS.values()}
     assert "no multipath" in METRIC.caveat

@@ -17,7 +17,7 @@ from jaxurban.metrics.gps import SatelliteSet
 from jaxurban.metrics.lidar import Lidar, compute_lidar
 from jaxurban.metrics.obstacle import obstacle_mask
 from jaxurban.metrics.population import BlockLayers
-from jaxurban.metrics.registry import METRICS, find_metric
+from jaxurban.metrics.registry import METRICS
 from jaxurban.metrics.risk import Risk, compute_risk
 from jaxurban.metrics.visibility import SkyView, visibility
 from tests.metrics.soft.scene import ALTITUDE_M, CELLS, REGION, scene, surface_of
@@ -62,8 +62,6 @@ def test_metrics_stand_in_the_papers_order_and_an_unknown_one_is_named():
     assert [float(metric.cost(0.25)) for metric in METRICS.values()] == [0.75, 0.75, 0.25, 0.75]
     assert [metric.reach_m(metric.params()) for metric in METRICS.values()] == [0.0, 100.0, 0.0, 50.0]
     assert len({metric.colour for metric in METRICS.values()}) == len(METRICS)
-    with pytest.raises(InputError, match=r"got 'lider' \(did you mean 'lidar'"):
-        find_metric("lider")
 
 
 @pytest.mark.parametrize("layer", [NOISE, QUIET])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from jaxurban.errors import InputError
-from jaxurban.metrics.registry import METRICS, find_metric
+from jaxurban.metrics.registry import METRICS
 from jaxurban.metrics.weights import Weights, normalised_map, total_map
 
 
@@ -15,8 +15,6 @@ def test_population_is_its_own_cost_and_the_others_are_one_minus_m():
     np.testing.assert_array_equal(METRICS["population"].cost(m), m)
     for name in ("gps", "lidar", "risk"):
         np.testing.assert_array_equal(METRICS[name].cost(m), 1 - m)
-    with pytest.raises(InputError, match="did you mean 'gps'"):
-        find_metric("gbs")
 
 
 def test_normalised_map_spans_zero_to_one_over_free_cells_only():

@@ -21,7 +21,7 @@ from jaxurban.metrics.base import (
     low_is_bad,
 )
 from jaxurban.metrics.gps.hard import Gps, gps_metric, maps_of_words
-from jaxurban.metrics.gps.soft import soft_dop_metric, soft_gps
+from jaxurban.metrics.gps.soft import soft_gps
 from jaxurban.metrics.settings import check_value, differentiable
 
 DOPS = {"gdop": "geometric", "pdop": "position", "hdop": "horizontal", "vdop": "vertical", "tdop": "time"}
@@ -69,7 +69,8 @@ def _traced(scene: TracedScene, params: Gps) -> dict[str, Array]:
 
 
 def _soft(scene: SoftScene, params: Gps) -> Array:
-    return soft_gps(scene.surface, scene.altitude_m, params, scene.softness_m, scene.view, cells=scene.cells)
+    here = scene.surface, scene.altitude_m, params.gdop_threshold, scene.softness_m, scene.view
+    return soft_gps(*here, cells=scene.cells)
 
 
 METRIC = Metric(
@@ -122,7 +123,7 @@ def _traced_of(name: str, dop: str, scene: TracedScene, params: Dop) -> dict[str
 
 def _soft_of(dop: str, scene: SoftScene, params: Dop) -> Array:
     here = scene.surface, scene.altitude_m, params.dop_threshold, scene.softness_m, scene.view
-    return soft_dop_metric(*here, dop=dop, cells=scene.cells)
+    return soft_gps(*here, dop=dop, cells=scene.cells)
 
 
 def _metric(name: str, dop: str, label: str, colour: str, colour_map: str) -> Metric:

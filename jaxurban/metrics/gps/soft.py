@@ -13,7 +13,7 @@ from jaxtyping import Array, Float, Int
 from jaxurban.kernels.dop import dops
 from jaxurban.kernels.shadows.sweep import Window, shadow_heights
 from jaxurban.kernels.soft_step import satellite_weights
-from jaxurban.metrics.gps.hard import Gps, gps_metric
+from jaxurban.metrics.gps.hard import gps_metric
 from jaxurban.metrics.obstacle import soft_obstacle
 from jaxurban.metrics.settings import check_softness
 from jaxurban.metrics.visibility import SkyView
@@ -36,10 +36,11 @@ def _in_blocks(metric: Callable[[Array], Array], weights: Array) -> Array:
 def soft_gps(
     surface: Surface,
     altitude_m: ArrayLike,
-    params: Gps,
+    threshold: ArrayLike,
     softness_m: ArrayLike,
     view: SkyView,
     *,
+    dop: str = "gdop",
     cells: Int[Array, "P 2"] | None = None,
     oversample: int = 1,
 ) -> Float[Array, "y x"] | Float[Array, " P"]:
@@ -50,7 +51,7 @@ def soft_gps(
     shadow ends at the altitude itself; at softness 0 it is that but for rounding. Fewer than four satellites need no
     rule of their own: as the fourth weight goes to 0, GDOP passes T and m comes to 0. Computed in the roofs' type.
 
-    Differentiable in ``surface.roof_m`` (and terrain), ``altitude_m``, ``params.gdop_threshold`` and ``softness_m``,
+    Differentiable in ``surface.roof_m`` (and terrain), ``altitude_m``, ``threshold`` and ``softness_m``,
     all of which may be traced; batch by `jax.vmap`. The gradient by roofs and altitude is exact for the soft map while
     the same tops throw the shadows; undefined where two of them tie and where GDOP is just T; 0 in obstacles, where
     GDOP is above T, and in roofs that throw no shadow. By T it is exact, 0 above. Docs: gradients/gps.md.
@@ -58,39 +59,14 @@ def soft_gps(
     Args:
       surface: roofs, and terrain where there is any, on the region and its margin.
       altitude_m: height above ground: a number, or one for each cell of the result.
-      params: settings of the metric, of which the threshold is used.
+      threshold: DOP at and above which m is 0.
       softness_m: scale of the clearance over which a satellite comes into view; 0 has no gradient in heights.
       view: the satellites over this surface.
+      dop: which of `jaxurban.kernels.dop.Dops`; ``"hdop"`` and the like take the place of GDOP.
       cells: row and column in the region; left out, the whole region. The shadows are cast over the whole
         surface either way. One program is compiled for each number of cells.
       oversample: n, for a surface n times finer than the map (`jaxurban.maps.supersampling`): receivers stand in every
         n-th cell.
-
-    Raises:
-      InputError: a softness below 0.
-    """
-    return soft_dop_metric(
-        surface, altitude_m, params.gdop_threshold, softness_m, view, cells=cells, oversample=oversample
-    )
-
-
-def soft_dop_metric(
-    surface: Surface,
-    altitude_m: ArrayLike,
-    threshold: ArrayLike,
-    softness_m: ArrayLike,
-    view: SkyView,
-    *,
-    dop: str = "gdop",
-    cells: Int[Array, "P 2"] | None = None,
-    oversample: int = 1,
-) -> Float[Array, "y x"] | Float[Array, " P"]:
-    """Return `soft_gps` of any DOP: with one of the position, such as ``"hdop"``, in the place of GDOP.
-
-    Args:
-      surface, altitude_m, softness_m, view, cells, oversample: as for `soft_gps`.
-      threshold: DOP at and above which m is 0.
-      dop: which of `jaxurban.kernels.dop.Dops`.
 
     Raises:
       InputError: a softness below 0.

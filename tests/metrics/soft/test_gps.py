@@ -56,7 +56,7 @@ def total(inputs, surface, view, mix):
     roof_m = inputs["heights_m"][INDEX] + inputs["roof_m"]
     here = replace(surface, roof_m=roof_m, terrain_m=surface.terrain_m + inputs["ground_m"])
     seen_from = view._replace(lines=view.lines._replace(drop_m=inputs["drop_m"]))
-    m = soft_gps(here, inputs["z_m"], Gps(inputs["threshold"]), inputs["softness_m"], seen_from)
+    m = soft_gps(here, inputs["z_m"], inputs["threshold"], inputs["softness_m"], seen_from)
     return jnp.sum(mix * m), m
 
 
@@ -168,7 +168,7 @@ def test_an_oversampled_view_at_softness_0_is_the_oversampled_exact_map():
     words = visibility_at_centres(plain_bands(fine, 3), AZIMUTH_RAD, ELEVATION_RAD, [14.0])
     is_obstacle = obstacle_mask(fine.crop(fine.roof_m)[1::3, 1::3], [14.0])
     exact = SatelliteSet.of(AZIMUTH_RAD, ELEVATION_RAD, Gps()).maps(words, is_obstacle).m[0]
-    found = soft_gps(fine, 14.0, Gps(), 0.0, SkyView.of(fine, AZIMUTH_RAD, ELEVATION_RAD), oversample=3)
+    found = soft_gps(fine, 14.0, 20.0, 0.0, SkyView.of(fine, AZIMUTH_RAD, ELEVATION_RAD), oversample=3)
     assert len(np.unique(exact)) > 3
     np.testing.assert_allclose(found, exact, atol=1e-5)
 
@@ -179,7 +179,7 @@ def differences_to_exact(city, region, softnesses_m):
     surface, angles = MapTask(city, region, sky, MapParams()).surface(), (sky.azimuth_rad[0], sky.elevation_rad[0])
     exact = compute_gps(surface, *angles, [20.0]).m[0]
     view = SkyView.of(surface, *angles)
-    return np.abs(np.array([soft_gps(surface, 20.0, Gps(), softness_m, view) for softness_m in softnesses_m]) - exact)
+    return np.abs(np.array([soft_gps(surface, 20.0, 20.0, softness_m, view) for softness_m in softnesses_m]) - exact)
 
 
 def test_halving_the_softness_brings_the_synthetic_city_closer_to_exact_each_time():
@@ -230,13 +230,12 @@ def test_float32_keeps_values_to_1e_4_and_slopes_to_1e_3_of_the_largest():
 
 def test_chosen_cells_give_the_maps_values_and_batches_of_altitudes_and_cities_the_same_as_one():
     surface = surface_of(np.float32)
-    view, params = view_of(surface), Gps()
-    cells = jnp.array([[0, 0], [3, 20], [10, 5], [21, 18]])
+    view, cells = view_of(surface), jnp.array([[0, 0], [3, 20], [10, 5], [21, 18]])
     (_, m), _ = SLOPES(inputs_of(surface, view), surface, view, MIX)
     roofs_m = surface.roof_m * jnp.array([0.5, 1.0, 1.5])[:, None, None]
 
     def one(roof_m, z_m):
-        return soft_gps(replace(surface, roof_m=roof_m), z_m, params, 2.0, view, cells=cells)
+        return soft_gps(replace(surface, roof_m=roof_m), z_m, 20.0, 2.0, view, cells=cells)
 
     batch = jax.vmap(jax.vmap(one, (None, 0)), (0, None))(roofs_m, jnp.array([14.0, 30.0]))
     np.testing.assert_allclose(batch[1, 0], m[*cells.T], atol=1e-6)
@@ -258,7 +257,7 @@ def test_where_all_satellites_are_hidden_m_and_its_slopes_are_0_and_not_nan():
 def test_wrong_softness_and_satellites_are_refused():
     surface = surface_of(np.float32)
     with pytest.raises(InputError, match="softness_m must be 0"):
-        soft_gps(surface, 20.0, Gps(), -1.0, view_of(surface))
+        soft_gps(surface, 20.0, 20.0, -1.0, view_of(surface))
     with pytest.raises(InputError, match="below the horizon"):
         SkyView.of(surface, [0.0, 1.0], [0.3, -0.1])
 
@@ -270,7 +269,7 @@ def test_without_satellites_m_is_0_and_so_is_its_gradient(multiple_of):
     assert not np.any(compute_gps(surface, [], [], [20.0]).m)
 
     def total(roof_m):
-        return jnp.sum(soft_gps(replace(surface, roof_m=roof_m), 20.0, Gps(), 2.0, view))
+        return jnp.sum(soft_gps(replace(surface, roof_m=roof_m), 20.0, 20.0, 2.0, view))
 
     m, slopes = jax.value_and_grad(total)(surface.roof_m)
     assert m == 0
@@ -281,6 +280,6 @@ def test_satellites_that_fill_up_change_nothing():
     surface = surface_of(np.float32)
     alone, filled = (SkyView.of(surface, AZIMUTH_RAD, ELEVATION_RAD, multiple_of) for multiple_of in (1, 32))
     assert len(alone.lines.drop_m) == len(AZIMUTH_RAD) < len(filled.lines.drop_m) == 32
-    maps = [soft_gps(surface, 20.0, Gps(), 2.0, view) for view in (alone, filled)]
+    maps = [soft_gps(surface, 20.0, 20.0, 2.0, view) for view in (alone, filled)]
     assert len(np.unique(maps[0])) > 3
     np.testing.assert_allclose(*maps, atol=1e-6)
