@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
+from jaxurban.metrics.gps import Gps
 from jaxurban.planners.base import Problem
 from jaxurban.world.grid import Grid
 from jaxurban.world.surface import Surface
@@ -28,7 +29,7 @@ def make_inputs(folder: Path, is_small: bool) -> None:
         x_min, y_min, x_max, y_max = (round(edge / resolution_m) for edge in city.extent_m)
         region = Grid(city.crs, resolution_m, y_min, x_min, y_max - y_min, x_max - x_min)
         surface = build_surface(city, region, region)
-        sky = view_sky(region, "nominal", None, mask_deg=5.0, reference=None, max_age_days=90.0)
+        sky = view_sky(region, Gps())
         np.savez_compressed(
             folder / f"surface_{resolution_m:g}m.npz",
             roof_cm=np.round(np.asarray(surface.roof_m) * CM).astype(np.uint16),

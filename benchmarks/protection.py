@@ -14,6 +14,7 @@ from benchmarks.scenes import MASK_DEG, SYNTHETIC, TOKYO, Place, load_place
 from benchmarks.sidereon_peer import Peer
 from jaxurban.maps.build import view_sky
 from jaxurban.maps.task import MapParams, MapTask
+from jaxurban.metrics.gps import Gps
 from jaxurban.metrics.protection import Protection, levels_of_satellites, protection_maps, ranging_of
 from jaxurban.metrics.visibility import distinct_choices, visibility
 from jaxurban.world.sky import InView
@@ -34,8 +35,10 @@ def views(
     orbits: str | list = "nominal" if place.buildings is None else [place.orbits]
     if place.orbits == TOKYO.orbits and place.buildings is not None:
         orbits = [place.orbits, GALILEO]
-    sky = view_sky(region, orbits, times, mask_deg=MASK_DEG, reference=place.reference, max_age_days=90)
-    task = MapTask(scene.city, region, sky, MapParams(altitudes_m=(altitude_m,), mask_deg=MASK_DEG))
+    sky = view_sky(region, Gps(orbits=orbits, times=times, mask_deg=MASK_DEG, reference=place.reference))
+    task = MapTask(
+        scene.city, region, sky, MapParams(altitudes_m=(altitude_m,), sections={"gps": Gps(mask_deg=MASK_DEG)})
+    )
     surface = task.surface()
     is_obstacle = np.asarray(surface.crop(surface.roof_m)) >= altitude_m
     words = (np.asarray(visibility(surface, *task.angles(t), [altitude_m]))[:, 0] for t in range(len(times)))

@@ -7,9 +7,11 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.common import ROOT
-from jaxurban.io.read.buildings import BuildingFile, read_buildings
+from jaxurban.io.read.buildings import read_buildings
 from jaxurban.maps.build import view_sky
 from jaxurban.maps.task import MapParams, MapTask
+from jaxurban.metrics.gps import Gps
+from jaxurban.settings import Buildings
 from jaxurban.world.city import City
 from jaxurban.world.grid import Bounds, Grid
 from jaxurban.world.sky import Sky
@@ -23,7 +25,7 @@ TIME = "2020-04-27T16:00:00Z"
 MASK_DEG = 5.0
 ALTITUDES_M = (20.0, 60.0, 122.0)
 REACH_M = 2000.0  # the real buildings of Lower Manhattan end about here
-PARAMS = MapParams(altitudes_m=ALTITUDES_M, mask_deg=MASK_DEG)
+PARAMS = MapParams(altitudes_m=ALTITUDES_M, sections={"gps": Gps(mask_deg=MASK_DEG)})
 
 
 @dataclass(frozen=True)
@@ -73,11 +75,12 @@ class Scene:
     def sky(self, resolution_m: float = 5.0) -> Sky:
         return view_sky(
             self.region(resolution_m),
-            self.place.orbits if self.place.orbits.exists() else "nominal",
-            [self.place.time],
-            mask_deg=MASK_DEG,
-            reference=self.place.reference,
-            max_age_days=90,
+            Gps(
+                orbits=self.place.orbits if self.place.orbits.exists() else "nominal",
+                times=[self.place.time],
+                mask_deg=MASK_DEG,
+                reference=self.place.reference,
+            ),
         )
 
     def task(self, resolution_m: float) -> MapTask:
@@ -93,7 +96,7 @@ def load_place(place: Place) -> Scene:
         city = demo_city_for_bounds(place.bounds, place.crs)
     else:
         extent_m = Grid.from_bounds(place.bounds, 10.0, place.crs).padded(*(int(REACH_M / 10),) * 4).bounds_m
-        source = read_buildings(BuildingFile(place.buildings), place.crs, bounds_m=extent_m)
+        source = read_buildings(Buildings(place.buildings), place.crs, bounds_m=extent_m)
         city = City(place.crs, extent_m, buildings=source.buildings)
     scene = Scene(place.name, city, np.empty(0), np.empty(0), place)
     sky = scene.sky()

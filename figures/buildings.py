@@ -23,7 +23,7 @@ def main() -> None:
     x_min, y_min, _, _ = city.extent_m
     num = round(2000 / RESOLUTION_M)
     region = Grid(city.crs, RESOLUTION_M, round(y_min / RESOLUTION_M), round(x_min / RESOLUTION_M), num, num)
-    sky = view_sky(region, "nominal", ["2020-04-27T16:00:00Z"], mask_deg=5.0, reference=None, max_age_days=90)
+    sky = view_sky(region, ju.Gps(times=["2020-04-27T16:00:00Z"]))
     task = MapTask(city, region, sky, MapParams(altitudes_m=(ALTITUDE_M,)))
     maps = compute_maps(task)
     ends = [(x_min + 2000 * x, y_min + 2000 * y) for x, y in ((0.3, 0.12), (0.62, 0.9))]

@@ -30,6 +30,10 @@ from jaxurban.paths.snapping import XY as XY
 from jaxurban.paths.vehicle import Vehicle as Vehicle
 from jaxurban.planners.cost_model import CostModel as CostModel
 from jaxurban.scenario.settings import Scenario as Scenario
+from jaxurban.settings import Buildings as Buildings
+from jaxurban.settings import Heights as Heights
+from jaxurban.settings import HeightStd as HeightStd
+from jaxurban.settings import Terrain as Terrain
 from jaxurban.viewer.widget import view as view
 from jaxurban.world.city import City as City
 from jaxurban.world.grid import Grid as Grid

@@ -108,7 +108,7 @@ def typed(public: Public, makers: Sequence[Callable] = ()) -> Public:
             signature.bind(*args, **kwargs)
         except TypeError as error:
             wrong = next((name for name in kwargs if name not in names), "")
-            places = [_place_of(wrong, each) for each in (function, *makers)]
+            places = [place_of(wrong, each) for each in (function, *makers)]
             meant = nearest_name(wrong, names, 0.8) or next(filter(None, places), nearest_name(wrong, names))
             fault = f"there is no argument {wrong!r}{meant}" if wrong else str(error)
             raise InputError(f"{public.__name__}: {fault}") from error
@@ -136,7 +136,7 @@ def _either(choices: Iterable[str]) -> str:
     return f"{', '.join(others)} or {last}" if others else last
 
 
-def _place_of(name: str, function: Callable, levels: int = 2) -> str:
+def place_of(name: str, function: Callable, levels: int = 2) -> str:
     """Return ``" (give constraints=Constraints.read(name=...))"`` for an argument of what makes another, or ``""``."""
     makers = []
     for parameter, hint in get_type_hints(function, localns=_PublicNames()).items():
@@ -151,7 +151,7 @@ def _place_of(name: str, function: Callable, levels: int = 2) -> str:
         if name in inspect.signature(maker).parameters:
             return f" (give {parameter}={called}({name}=...))"
     for parameter, called, maker in makers if levels > 1 else ():
-        if place := _place_of(name, maker, levels - 1):
+        if place := place_of(name, maker, levels - 1):
             return place.replace("give ", f"give {parameter}={called}(") + ")"
     return ""
 

@@ -142,9 +142,7 @@ plot_heights(maps)
 city = ju.City.from_files(
     folder / "buildings.geojson",
     bounds=scenario.region.bounds,
-    blocks=folder / "blocks.geojson",
-    block_field="block",
-    table=folder / "people.csv",
+    population=ju.Population(blocks=folder / "blocks.geojson", table=folder / "people.csv", block_field="block"),
 )
 again = ju.build_maps(city, scenario.region.bounds, resolution_m=5.0, altitudes_m=(20.0, 60.0))
 print(f"the same maps: {np.array_equal(again.m('gps', 20.0), maps.m('gps', 20.0))}")

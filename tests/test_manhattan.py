@@ -40,7 +40,9 @@ def test_the_census_of_all_manhattan_adds_up(data_dir, tmp_path, capsys):
 def test_maps_of_a_sub_box_equal_the_crop_of_lower_manhattan(data_dir):
     def maps_of(bounds):
         city = ju.City.from_files(data_dir / BUILDINGS, bounds=bounds)
-        return ju.build_maps(city, bounds, orbits=data_dir / ORBITS, reference=REFERENCE, altitudes_m=(20.0, 122.0))
+        return ju.build_maps(
+            city, bounds, altitudes_m=(20.0, 122.0), gps=ju.Gps(orbits=data_dir / ORBITS, reference=REFERENCE)
+        )
 
     whole, part = maps_of((-74.02, 40.70, -73.98, 40.73)), maps_of((-74.011, 40.705, -74.002, 40.712))
     rows, cols = part.grid.window_in(whole.grid)

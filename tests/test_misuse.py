@@ -62,6 +62,7 @@ def held(what: str) -> Any:
 
 # What a call needs beside the argument that is wrong, by the function; of methods what they are called on is "self".
 GOOD: dict[str, Callable[[], dict[str, Any]]] = {
+    "Buildings": lambda: {"source": "town.osm"},
     "City.from_files": lambda: {"buildings": __file__, "bounds": BOUNDS},
     "CostMap.only": lambda: {"self": held("cost_map")},
     "CostMap.plan": lambda: {"self": held("cost_map"), "start": START, "goal": GOAL},
@@ -147,6 +148,7 @@ WRONG: dict[str, Any] = {
     **dict.fromkeys(("max_rounds", "max_plans", "num", "num_segments", "num_threads", "workers"), 0),
     **dict.fromkeys(("budget_iterations", "oversample", "num_rows", "num_cols", "beams", "azimuths"), 0),
     **dict.fromkeys(("routes", "instances"), -1),
+    **dict.fromkeys((f"HeightStd.{origin}" for origin in ("height", "levels", "default", "raster")), -1.0),
     **dict.fromkeys(("first_row", "first_col"), 10**30),
 }
 # Numbers where a finite range is meant.
@@ -201,10 +203,11 @@ WRONG |= {
     **{"Constraints.bounds": RIGHT, "layers": ("gsp",), "changes": ("gps.mask_deg",), "text": "gps", "base": RIGHT},
     **{"build_maps.layers": {"gps": ju.Layer("a.tif", "high-is-bad", (0, 1))}, "soft_city.layers": RIGHT, "pairs": [5]},
     **{
-        "others": {"gsp": 1},
-        "SoftParams.others": RIGHT,
+        "SoftParams.sections": {"gsp": 1},
         "Protection.tolerance_m": (0.0, 1e-4),
         "times": (),
+        "stop": "yesterday",
+        "step_s": 0,
         "compare.times": {"now": "then"},
         "scenario": "no.toml",
     },
@@ -219,9 +222,9 @@ WRONG |= dict.fromkeys(  # known only with the maps, the files or the folder, or
     (
         *("building_costs.weights", "FitSettings.state_file", "MapsFolder.folder", "sensitivity_study.scenarios"),
         *("SensitivitySettings.vary", "SensitivitySettings.triangle", "SensitivitySettings.objectives"),
-        *("SensitivityStudySettings.vary", "soft_city.time_of_day", "write_buildings.out", "write_buildings.scenario"),
-        *("City.from_files.table", "City.from_files.districts", "City.from_files.blocks", "City.from_files.terrain"),
-        *("read_demonstrations.metrics", "City.from_files.kind", "save_comparison.folder", "save_sensitivity.folder"),
+        *("SensitivityStudySettings.vary", "write_buildings.out", "write_buildings.scenario"),
+        *("Population.blocks", "City.from_files.terrain", "Gps.orbits", "Buildings.source", "Terrain.source"),
+        *("read_demonstrations.metrics", "save_comparison.folder", "save_sensitivity.folder"),
         "save_validation.folder",
         "Study.land_cover",
         "open_maps.obstacles",

@@ -197,7 +197,10 @@ def test_dir_lists_exactly_the_public_names_and_checkers_see_the_same():
             "demonstrations must be a sequence of Demonstration .from read_demonstrations.",
         ),
         (lambda: ju.fit.compare_fits(5), "cities must be"),
-        (lambda: ju.build_maps(ju.demo_city(), others={"gsp": 1}), "each name in others"),
+        (lambda: ju.build_maps(ju.demo_city(), gsp=1), "there is no argument 'gsp' .did you mean 'gps'"),
+        (lambda: ju.build_maps(ju.demo_city(), mask_deg=5.0), r"give gps=Gps\(mask_deg=\.\.\.\)"),
+        (lambda: ju.build_maps(ju.demo_city(), height_samples=9), r"give heights=Heights\(height_samples=\.\.\.\)"),
+        (lambda: ju.build_maps(ju.demo_city(), gps=ju.Lidar()), "gps must be a Gps, as in gps=Gps.., got Lidar"),
         (lambda: ju.build_maps(5), "city must be a City .from City.from_files or demo_city."),
         (lambda: ju.explain(ju.plan(MAPS, START, GOAL, altitude_m=20.0), made_maps(8, 8)), "leaves the region"),
         (
@@ -289,14 +292,20 @@ def test_a_fault_of_a_user_s_function_is_not_laid_to_an_argument():
 
     layers = {"wind": ju.Layer(broken, "high-is-bad", (0, 12))}
     with pytest.raises(TypeError, match="a fault of the user's"):
-        ju.build_maps(ju.demo_city(400, 400), resolution_m=20.0, altitudes_m=(20.0,), times_of_day="day", layers=layers)
+        ju.build_maps(
+            ju.demo_city(400, 400),
+            resolution_m=20.0,
+            altitudes_m=(20.0,),
+            layers=layers,
+            population=ju.Population(time_of_day="day"),
+        )
 
 
 def test_times_may_be_datetimes_of_any_kind():
     city, sizes = ju.demo_city(400, 400), {"resolution_m": 50.0, "altitudes_m": (60.0,)}
-    text = ju.build_maps(city, times=["2020-04-27T16:00:00Z"], **sizes)
+    text = ju.build_maps(city, gps=ju.Gps(times=["2020-04-27T16:00:00Z"]), **sizes)
     for time in (pd.Timestamp("2020-04-27T16:00"), np.datetime64("2020-04-27T16:00:00.000000000")):
-        assert ju.build_maps(city, times=[time], **sizes).times == text.times
+        assert ju.build_maps(city, gps=ju.Gps(times=[time]), **sizes).times == text.times
         np.testing.assert_array_equal(text.m("gps", time=time), text.m("gps", time="2020-04-27T16:00:00Z"))
 
 

@@ -200,7 +200,7 @@ def test_pictures_show_it(maps, path, tmp_path):
 def test_the_planned_cost_has_its_gradient_by_heights_and_its_own_parameters():
     city = ju.demo_city(width_m=400, height_m=400)
     grid = ju.Grid(city.crs, 20.0, *(int(np.ceil(v / 20.0)) + 2 for v in city.extent_m[1::-1]), 12, 12)
-    params = ju.grad.SoftParams(ALTITUDE_M, others={"toy": ToyParams(30.0)})
+    params = ju.grad.SoftParams(ALTITUDE_M, sections={"toy": ToyParams(30.0)})
     with jax.enable_x64(True):
         soft = ju.grad.soft_city(city, grid, params, layers={"shade": shade()})
         assert soft.names == ("population", "toy", "shade")
@@ -216,9 +216,9 @@ def test_the_planned_cost_has_its_gradient_by_heights_and_its_own_parameters():
         slope = (cost(soft.height_m + step, params) - cost(soft.height_m - step, params)) / 2e-4
         assert by_height.sum() > 0
         assert by_height.sum() == pytest.approx(float(slope), rel=1e-5)
-        more, less = (ju.grad.SoftParams(ALTITUDE_M, others={"toy": ToyParams(30.0 + d)}) for d in (1e-3, -1e-3))
+        more, less = (ju.grad.SoftParams(ALTITUDE_M, sections={"toy": ToyParams(30.0 + d)}) for d in (1e-3, -1e-3))
         slope = (cost(soft.height_m, more) - cost(soft.height_m, less)) / 2e-3
-        assert float(by_params.others["toy"].scale_m) == pytest.approx(float(slope), rel=1e-5)
+        assert float(by_params.sections["toy"].scale_m) == pytest.approx(float(slope), rel=1e-5)
 
 
 def shade() -> ju.Layer:

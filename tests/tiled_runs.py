@@ -57,9 +57,7 @@ def region(of: City) -> Grid:
 
 def params(series: str = "epochs") -> MapParams:
     return MapParams(
-        altitudes_m=(20.0, 60.0),
-        gps=Gps(series=series),
-        lidar=Lidar(azimuths=36, range_m=70.0),
+        altitudes_m=(20.0, 60.0), sections={"gps": Gps(series=series), "lidar": Lidar(azimuths=36, range_m=70.0)}
     )
 
 

@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 from matplotlib.path import Path as Outline
 
 import jaxurban as ju
-from jaxurban.io.read.census import CensusFiles, read_blocks, read_districts
+from jaxurban.io.read.census import read_blocks, read_districts
 from jaxurban.report.figures import plot_metric
 from jaxurban.report.write import framed, write_png
 from jaxurban.scenario.run import ScenarioRun, load_city, run_scenario
@@ -114,7 +114,9 @@ def manhattan_blocks() -> Blocks:
     """Return the census blocks of all Manhattan with their districts, in UTM 18N."""
     commercial = Scenario.from_dict(SYNTHETIC.scenario).population.commercial
     blocks, _ = read_blocks(
-        CensusFiles(CENSUS["blocks"], CENSUS["table"], districts=CENSUS["districts"], commercial=commercial),
+        ju.Population(
+            blocks=CENSUS["blocks"], table=CENSUS["table"], districts=CENSUS["districts"], commercial=commercial
+        ),
         "EPSG:32618",
     )
     return blocks

@@ -49,6 +49,7 @@ def _bounds_of(grid: Any) -> list[float]:
 def _of_file(file: Path) -> dict[str, Any]:
     from jaxurban.io.read.buildings import lonlat_extent
     from jaxurban.io.read.raster import RASTER_SUFFIXES, read_raster
+    from jaxurban.settings import Buildings
     from jaxurban.world.city import City, HeightOrigin
     from jaxurban.world.grid import WGS84
 
@@ -60,7 +61,7 @@ def _of_file(file: Path) -> dict[str, Any]:
         return facts | {"CRS": raster.crs, "cells": f"{num_rows:,} x {num_cols:,}", **_range_of(raster.values)}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        city = City.from_files(file, allow_none=True)
+        city = City.from_files(Buildings(file, allow_none=True))
     facts |= {name: value for name, value in city.facts.items() if value and name != "terrain"}
     if city.buildings is not None and len(city.buildings):
         for origin in HeightOrigin:

@@ -26,12 +26,13 @@ from jaxurban.io.download import Cache, megabytes
 from jaxurban.io.fetch_plan import BLOCK_MARGIN_M, COUNTY_DIGITS, FILES, NYC_BOX, NYC_FIELD, FetchJob, plan_fetch
 from jaxurban.io.files import ELSEWHERE, SCRATCH_SUFFIX, write_whole
 from jaxurban.io.read.census import read_districts
-from jaxurban.io.read.orbits import NOMINAL, look_angles, middle_epoch, read_orbits
+from jaxurban.io.read.orbits import look_angles, middle_epoch, read_orbits
 from jaxurban.io.read.osm import cut_buildings, header_box
 from jaxurban.io.read.osm import read_osm as read_outlines
 from jaxurban.io.read.vector import open_frame
 from jaxurban.io.workspace import Workspace
 from jaxurban.progress import LOG
+from jaxurban.settings import NOMINAL
 from jaxurban.world.city import ReadIssue
 
 MOST_COUNTIES = 12

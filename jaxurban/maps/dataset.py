@@ -31,12 +31,12 @@ def variables(task: MapTask) -> dict[str, Variable]:
             found |= derived(metric)["series"]
             continue
         found |= metric.variables
-        if TIME in metric.dims and metric.is_monotone and task.params.gps_bounds:
+        if TIME in metric.dims and metric.is_monotone and task.params.gps.bounds:
             found |= derived(metric)["bounds"]
         if name in task.spread_metrics:
             found |= derived(metric)["spread"]
     are_made = {
-        "obstacle_share": task.params.height_samples,
+        "obstacle_share": task.params.heights.height_samples,
         "roof_guessed": task.has_guessed_roofs,
         UNDERSIDE: task.city.hanging == SLABS and task.city.buildings is not None,
         "terrain": task.has_terrain,
@@ -70,15 +70,15 @@ def empty_dataset(task: MapTask, make: Callable[[tuple[int, ...], np.dtype], obj
         "first_col": region.first_col,
         "satellites": ", ".join(task.sky.names),
         "constellations": ", ".join(sorted(set(task.sky.systems))),
-        "risk_threshold_m": params.risk.threshold_m,
-        "risk_distance": params.risk.distance,
     }
+    if "risk" in task.metrics:
+        attrs |= {f"risk_{name}": getattr(params.of("risk"), name) for name in ("threshold_m", "distance")}
     if len(set(task.sky.systems)) > 1:
         attrs["gps_clocks"] = params.gps.clocks
     if attribution:
         attrs["attribution"] = attribution
     if task.population is not None:
-        names = np.asarray(params.times_of_day, np.dtypes.StringDType())
+        names = np.asarray(params.population.times_of_day, np.dtypes.StringDType())
         coords["time_of_day"] = _held(("time_of_day",), names, {"long_name": "time of day"})
         per = "block" if params.population.quantity == "count" else "km2"
         attrs[f"pop_norm_per_{per}"] = [float(value) for value in task.population.norm_per_km2]

@@ -11,11 +11,8 @@ from jaxtyping import Array, Float, Int
 from jaxurban.errors import one_of, typed
 from jaxurban.metrics.base import TIME_OF_DAY, Metric, SoftScene
 from jaxurban.metrics.custom import Layer, own_metric
-from jaxurban.metrics.gps import Gps
-from jaxurban.metrics.lidar import Lidar
-from jaxurban.metrics.population import BlockPopulation, Population
-from jaxurban.metrics.registry import METRICS, ON_REQUEST
-from jaxurban.metrics.risk import Risk
+from jaxurban.metrics.population import BlockPopulation
+from jaxurban.metrics.registry import METRICS, ON_REQUEST, checked_sections
 from jaxurban.metrics.visibility import SkyView
 from jaxurban.metrics.weights import Weights
 from jaxurban.planners.base import Problem
@@ -34,24 +31,24 @@ class SoftParams:
     Attributes:
       altitude_m: of flight, above ground.
       softness_m: of all metrics (see `jaxurban.maps.differentiable`); above 0 for gradients by heights and altitude.
-      gps, lidar, risk, population: settings of each metric; their leaves are the GDOP threshold, the lidar's range,
-        d_thresh, and both gammas.
-      others: settings of further metrics by name; those that are not named have their defaults, and of those made on
-        request the named ones are there.
+      sections: settings of metrics, by name; the others have their defaults, and of those made on request the named
+        ones are there. Their leaves are the GDOP threshold, the lidar's range, d_thresh, both gammas ...
+
+    Raises:
+      InputError: sections of no metric.
     """
 
     altitude_m: Float[Array, ""] | float
     softness_m: Float[Array, ""] | float = 2.0
-    gps: Gps = field(default_factory=Gps)
-    lidar: Lidar = field(default_factory=Lidar)
-    risk: Risk = field(default_factory=Risk)
-    population: Population = field(default_factory=Population)
-    others: dict[str, Any] = field(default_factory=dict)
+    sections: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        defaults = {name: metric.params() for name, metric in METRICS.items() if name not in self.sections}
+        object.__setattr__(self, "sections", defaults | checked_sections(self.sections))
 
     def settings_of(self, metric: Metric) -> Any:
         """Return the settings of a metric."""
-        known = getattr(self, metric.name, None) or self.others.get(metric.name)
-        return metric.params() if known is None else known
+        return self.sections[metric.name] if metric.name in self.sections else metric.params()
 
 
 class PathVisits(NamedTuple):

@@ -64,14 +64,14 @@ def map_guesses(task: "MapTask") -> Guesses:
     city, region, params = task.city, task.region, task.params
     guesses = {**city.guesses, **task.sky.guesses}
     if city.sources:
-        guesses |= _visibility_guesses(city, region, task.sky, min(params.altitudes_m), params.mask_deg)
+        guesses |= _visibility_guesses(city, region, task.sky, min(params.altitudes_m), params.gps.mask_deg)
     else:
         guesses.pop(NOMINAL_SKY, None)
     guesses |= _coverage_guesses(city, region) | _hanging_guesses(city, region)
     for name, values in task.bands.items():
         guesses |= _layer_guesses(name, values[0], region)
     if city.blocks is not None and task.population is not None:
-        if city.sources and {*params.times_of_day} - {"night"}:
+        if city.sources and {*params.population.times_of_day} - {"night"}:
             guesses |= _factor_guess(params.population)
         guesses |= _scale_guesses(city.blocks, region.bounds_m, task.population, params.population)
     return guesses

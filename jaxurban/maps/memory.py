@@ -92,8 +92,8 @@ def tile_bytes(task: MapTask, tile: Grid, around: Grid | None = None) -> int:
         needed += _num_cells(tile) * num_altitudes * (WORD_BYTES + series_bytes) * (TIME in metric.dims)
     if task.params.engine == "jax" and task.has_terrain and "lidar" in task.metrics:
         needed += _num_cells(tile) * TERRAIN_GPU_BYTES
-    of_margin = SPREAD_CELL_BYTES * num_altitudes * bool(task.params.height_samples)
-    if task.params.oversample > 1 or task.params.gps_bounds:
+    of_margin = SPREAD_CELL_BYTES * num_altitudes * bool(task.params.heights.height_samples)
+    if task.params.oversample > 1 or task.params.gps.bounds:
         of_margin += SUBCELL_BYTES * task.params.oversample**2
     return needed + of_margin * _num_cells(task.with_margin(tile)) if of_margin else needed
 
@@ -105,7 +105,7 @@ def tile_gpu_bytes(task: MapTask, tile: Grid) -> int:
     with a halo of its own, these bits are up to 32 times the cells around.
     """
     satellites = max(len(task.satellites_at(number)) for number in range(task.num_times))
-    steps = num_steps(tile.resolution_m, task.params.lidar.range_m)
+    steps = num_steps(tile.resolution_m, task.params.of("lidar").range_m)
     bands = replace(tile, num_rows=-(-tile.num_rows // WORD_BITS))
     flat = LIDAR_GPU_WORD_BYTES * steps * _num_cells(bands, steps - 1)
     lidar = TERRAIN_GPU_BYTES * _num_cells(tile) if task.has_terrain else flat

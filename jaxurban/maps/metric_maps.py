@@ -12,12 +12,12 @@ import numpy as np
 import xarray as xr
 
 from jaxurban.errors import InputError, finite, one_of, typed
-from jaxurban.io.read.orbits import iso_utc, parse_time
 from jaxurban.metrics.base import UNDERSIDE, Metric
 from jaxurban.metrics.custom import held_metrics
 from jaxurban.metrics.obstacle import stands_at
 from jaxurban.metrics.weights import normalised_map, total_map
 from jaxurban.presets import planning_under
+from jaxurban.settings import iso_utc
 from jaxurban.world.grid import Grid
 from jaxurban.world.show import Shown, listed
 
@@ -206,7 +206,7 @@ class MetricMaps(Shown):
             raise InputError(f"these maps hold no {name!r}: they hold {', '.join(map(str, self.ds.data_vars))}")
         wanted = {
             "altitude": self._pick("altitude", altitude_m, self.altitudes_m),
-            "time": self._pick("time", None if time is None else iso_utc(parse_time(time)), self.times),
+            "time": self._pick("time", None if time is None else iso_utc(time), self.times),
             "time_of_day": self._pick("time of day", time_of_day, self.times_of_day),
         }
         maps = self.ds[name].variable  # without its coordinates, which nobody asks for and xarray would cut too

@@ -66,7 +66,7 @@ class MapInputs:
             )
         flown = {name: held for name, held in self.metrics.items() if ALTITUDE in held[0].dims}
         ready = {
-            name: metric.ready(self.surface, altitudes_m, settings, None, ())
+            name: metric.ready(self.surface, altitudes_m, settings, None)
             for name, (metric, settings) in flown.items()
             if metric.ready is not None
         }
@@ -86,7 +86,7 @@ def inputs_of(task: MapTask) -> MapInputs:
             'the maps as one function know no slabs: read the city with hanging = "to_ground", or make the maps with '
             "build_maps"
         )
-    is_more = params.oversample > 1 or params.gps_bounds or params.height_samples or task.layers
+    is_more = params.oversample > 1 or params.gps.bounds or params.heights.height_samples or task.layers
     if is_more or params.gps.weighting != "none":
         raise InputError(
             "the maps as one function know no oversample, bounds, weighting, height_samples or own layers: leave them "
@@ -94,8 +94,7 @@ def inputs_of(task: MapTask) -> MapInputs:
         )
     if asked := [name for name, metric in task.metrics.items() if name in ON_REQUEST and metric.traced is None]:
         raise InputError(
-            f"the maps as one function hold no {' and no '.join(asked)}: leave it out of others, or make the maps with "
-            "build_maps"
+            f"the maps as one function hold no {' and no '.join(asked)}: leave it out, or make the maps with build_maps"
         )
     surface, blocks = jax.tree.map(jnp.asarray, task.surface()), task.city.blocks
     ready: dict[str, Any] = {}
@@ -107,7 +106,7 @@ def inputs_of(task: MapTask) -> MapInputs:
         given = task.settings_of(metric)
         (fixed if metric.reach_m(given) else settings)[name] = given
         if metric.ready is not None:
-            ready[name] = metric.ready(surface, params.altitudes_m, given, blocks, params.times_of_day)
+            ready[name] = metric.ready(surface, params.altitudes_m, given, blocks)
     altitudes_m = jnp.asarray(params.altitudes_m, surface.roof_m.dtype)
     return MapInputs(surface, altitudes_m, ready, settings, tuple(fixed.items()))
 

@@ -88,7 +88,8 @@ class TileScene:
     @cached_property
     def supersampled(self) -> Surface | None:
         """The surface ``oversample`` times finer that rays see; None where that is the tile's own."""
-        return None if self.task.params.oversample == 1 else self.supersampled_surface(self.task.params.all_touched)
+        params = self.task.params
+        return None if params.oversample == 1 else self.supersampled_surface(params.heights.all_touched)
 
     @cached_property
     def _bands(self) -> Bands:
@@ -197,12 +198,12 @@ def _layers(tile: TileScene, stage: Stage) -> Iterator[MapLayer]:
     for number, (name, metric) in enumerate(by_sky):
         is_series = TIME in metric.dims and not task.keeps_times
         yield from _staged((_statistics if is_series else _maps)(tile, metric), stage, name)
-        has_bounds = TIME in metric.dims and metric.is_monotone and task.params.gps_bounds
+        has_bounds = TIME in metric.dims and metric.is_monotone and task.params.gps.bounds
         if has_bounds:
             yield from _staged(_bounds(tile, metric), stage, f"{name}_bounds")
         if has_bounds or not any(TIME in later.dims for _, later in by_sky[number + 1 :]):
             tile.forget()
-    if task.params.height_samples:
+    if task.params.heights.height_samples:
         yield from _staged(_height_spread(tile), stage, "height_spread")
     yield from _staged(_rasters(tile), stage, "surface")
 
@@ -284,19 +285,19 @@ def _height_spread(tile: TileScene) -> Iterator[MapLayer]:
     a metric's size.
     """
     task, region = tile.task, tile.surface.region
-    params = task.params
+    heights = task.params.heights
 
     def cities():
         bare = replace(task.city, blocks=None)
-        return perturbed_cities(bare, params.height_std, params.height_samples, params.height_seed)
+        return perturbed_cities(bare, heights.height_std_m, heights.height_samples, heights.height_seed)
 
     grid = task.with_margin(region, max(highest_top_m(city) for city in cities()))
     spreads: dict[tuple, Spread] = {}
     for city in cities():
-        moved = TileScene(replace(task, city=city), build_surface(city, region, grid, params.all_touched))
+        moved = TileScene(replace(task, city=city), build_surface(city, region, grid, heights.all_touched))
         made = [_obstacles(moved), *(_maps(moved, task.metrics[name], only_m=True) for name in task.spread_metrics)]
         for name, place, values in (layer for layers in made for layer in layers):
-            spreads.setdefault((name, place), Spread(params.height_samples)).add(values)
+            spreads.setdefault((name, place), Spread(heights.height_samples)).add(values)
     for (name, place), spread in spreads.items():
         if name == "obstacle":
             yield MapLayer("obstacle_share", place, spread.mean)

@@ -1,28 +1,26 @@
 """MapTask: what the maps of a region are made of, wherever and by whomever they are made."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from jaxurban.errors import InputError, at_least, one_of
+from jaxurban.errors import InputError, at_least, one_of, typed
 from jaxurban.io.read.rasterise import build_surface, highest_top_m, surface_grid
 from jaxurban.kernels.dop import Clocks
 from jaxurban.kernels.engine import ENGINES, Engine
 from jaxurban.maps.guesses import has_guessed_roofs
-from jaxurban.maps.height_uncertainty import HeightStd, check_samples
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY, Metric
 from jaxurban.metrics.custom import Layer, check_file_names, own_metric
 from jaxurban.metrics.gps import Gps
-from jaxurban.metrics.lidar import Lidar
 from jaxurban.metrics.population import BlockLayers, Population, block_layers
-from jaxurban.metrics.registry import METRICS, ON_REQUEST
-from jaxurban.metrics.risk import Risk
+from jaxurban.metrics.registry import METRICS, ON_REQUEST, checked_sections, known_metrics
 from jaxurban.metrics.variables import derived
 from jaxurban.metrics.visibility import shadow_reach_m
+from jaxurban.settings import Heights
 from jaxurban.world.city import City, Raster
 from jaxurban.world.grid import Grid
 from jaxurban.world.sky import InView, Sky
@@ -31,49 +29,59 @@ from jaxurban.world.surface import Surface
 PAPER_ALTITUDES_M = (20.0, 60.0, 122.0, 600.0)
 
 
+@typed
 @dataclass(frozen=True)
 class MapParams:
-    """Everything that metric maps depend on besides city, sky and grid, and the engine, which changes no bit of them.
+    """Everything that metric maps depend on besides city, sky and grid.
 
-    `build_maps` says what each means.
-
-    ``others`` holds the settings of further metrics by name; those that nobody sets have their defaults, and of
-    `ON_REQUEST` those that are named are made.
+    Attributes:
+      altitudes_m: flight altitudes above ground.
+      oversample: n: occlusion and lidar on a surface n times finer (odd is best).
+      heights: how roofs are rasterised, and how well their heights are known.
+      sections: settings of metrics, by name; the others have their defaults. Of `ON_REQUEST` those named here are made.
+      engine: which form of the kernels runs; it changes no bit of the maps on a CPU.
 
     Raises:
-      InputError: altitudes, an elevation mask, times of day or counts that are none.
+      InputError: altitudes or an oversample that are none, an unknown engine, sections of no metric, or bounds or
+        spreads of a series that keeps no single time's maps.
     """
 
-    altitudes_m: tuple[float, ...] = PAPER_ALTITUDES_M
-    mask_deg: float = 5.0
-    gps: Gps = field(default_factory=Gps)
-    lidar: Lidar = field(default_factory=Lidar)
-    risk: Risk = field(default_factory=Risk)
-    population: Population = field(default_factory=Population)
-    times_of_day: tuple[str, ...] = ("day", "night")
-    all_touched: bool = False
+    altitudes_m: Sequence[float] = PAPER_ALTITUDES_M
     oversample: int = 1
-    gps_bounds: bool = False
-    height_std: HeightStd = field(default_factory=HeightStd)
-    height_samples: int = 0
-    height_seed: int = 0
-    others: Mapping[str, Any] = field(default_factory=dict)
+    heights: Heights = field(default_factory=Heights)
+    sections: Mapping[str, Any] = field(default_factory=dict)
     engine: Engine = "auto"
 
     def __post_init__(self) -> None:
-        values = [float(value) for value in self.altitudes_m]
+        values = tuple(float(value) for value in self.altitudes_m)
         if not values or not all(0 < value < np.inf for value in values) or len(set(values)) != len(values):
-            raise InputError(f"altitudes_m must be different positive numbers of metres above ground, got {values}")
-        names = list(self.times_of_day)
-        if not names or len(set(names)) != len(names):
-            raise InputError(f"times_of_day must be different names such as day and night, got {names}")
-        if not 0 <= self.mask_deg < 90:
-            raise InputError(f"mask_deg must lie in 0 to 90 degrees, got {self.mask_deg}")
-        if self.oversample < 1:
-            raise InputError(f"oversample must be a whole number from 1 up, got {self.oversample}")
+            raise InputError(f"altitudes_m must be different positive numbers of metres above ground, got {[*values]}")
+        object.__setattr__(self, "altitudes_m", values)
+        at_least("oversample", self.oversample, 1)
         one_of("engine", self.engine, ENGINES)
-        check_samples(self.height_samples)
-        at_least("height_seed", self.height_seed)
+        checked_sections(self.sections)
+        gps = self.gps
+        if (gps.bounds or self.heights.height_samples) and not gps.keeps_times(len(gps.utc_times or (None,))):
+            raise InputError(
+                "[gps] bounds and [buildings] height_samples need the maps of every time: give fewer times, or set "
+                "[gps] series = 'epochs'"
+            )
+        if gps.bounds and self.oversample % 2 == 0:
+            raise InputError(f"[gps] bounds need an odd [region] oversample, got {self.oversample}: use 3 or 5")
+
+    def of(self, name: str) -> Any:
+        """Return the settings of a metric."""
+        return self.sections[name] if name in self.sections else known_metrics()[name].params()
+
+    @property
+    def gps(self) -> Gps:
+        """The settings of satellites."""
+        return self.sections.get("gps") or Gps()
+
+    @property
+    def population(self) -> Population:
+        """The settings of people."""
+        return self.sections.get("population") or Population()
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,8 +99,7 @@ class MapTask:
       guesses: behind the maps (see `jaxurban.maps.guesses`), for those who look at them.
 
     Raises:
-      InputError: bounds or spreads of a series that keeps no single time's maps, or layers whose names would be those
-        of other maps or files.
+      InputError: bounds of GPS under several clocks, or layers whose names would be those of other maps or files.
     """
 
     city: City
@@ -104,11 +111,7 @@ class MapTask:
     guesses: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        if (self.params.gps_bounds or self.params.height_samples) and not self.keeps_times:
-            raise InputError(
-                "bounds and height_samples need the maps of every time: give fewer, or set [gps] series = 'epochs'"
-            )
-        if self.params.gps_bounds and self.clocks(0) is not None:
+        if self.params.gps.bounds and self.clocks(0) is not None:
             raise InputError(
                 "bounds of m_gps hold for one clock: with several, a first satellite of the first system may raise "
                 "GDOP. Set [gps] clocks = 'one', or give the orbits of one system"
@@ -126,7 +129,7 @@ class MapTask:
             for name, metric in METRICS.items()
             if TIME_OF_DAY not in metric.dims or self.city.blocks is not None
         }
-        asked = {name: metric for name, metric in ON_REQUEST.items() if name in self.params.others}
+        asked = {name: metric for name, metric in ON_REQUEST.items() if name in self.params.sections}
         made = {name: metric.under(self.settings_of(metric)) for name, metric in (built_in | asked).items()}
         return made | {name: own_metric(name, layer) for name, layer in sorted(self.layers.items())}
 
@@ -134,13 +137,12 @@ class MapTask:
         """Return the settings of a metric."""
         if metric.name in self.layers:
             return self.layers[metric.name]
-        known = getattr(self.params, metric.name, None) or self.params.others.get(metric.name)
-        return metric.params() if known is None else known
+        return self.params.of(metric.name)
 
     @property
     def spread_metrics(self) -> tuple[str, ...]:
         """Names of the metrics whose spread by uncertain heights is computed: those that buildings decide."""
-        if not self.params.height_samples:
+        if not self.params.heights.height_samples:
             return ()
         return tuple(name for name, m in self.metrics.items() if ALTITUDE in m.dims and name not in self.bands)
 
@@ -152,7 +154,7 @@ class MapTask:
     @property
     def sizes(self) -> dict[str, int]:
         """How many values each dim of the metrics has."""
-        times_of_day = len(self.params.times_of_day)
+        times_of_day = len(self.params.population.times_of_day)
         return {TIME: self.num_times, ALTITUDE: len(self.params.altitudes_m), TIME_OF_DAY: times_of_day}
 
     @property
@@ -175,8 +177,8 @@ class MapTask:
         """The population of every block, normalised over the region; None without population data."""
         if self.city.blocks is None:
             return None
-        params = self.params
-        return block_layers(self.city.blocks, params.times_of_day, params.population, self.region.bounds_m)
+        population = self.params.population
+        return block_layers(self.city.blocks, population.times_of_day, population, self.region.bounds_m)
 
     @cached_property
     def has_guessed_roofs(self) -> bool:
@@ -185,7 +187,7 @@ class MapTask:
 
     def satellites_at(self, time_index: int) -> np.ndarray:
         """Return the numbers of the satellites at or above the mask at a time."""
-        return np.flatnonzero(self.sky.elevation_rad[time_index] >= np.radians(self.params.mask_deg))
+        return np.flatnonzero(self.sky.elevation_rad[time_index] >= np.radians(self.params.gps.mask_deg))
 
     def angles(self, time_index: int) -> tuple[np.ndarray, np.ndarray]:
         """Return azimuths and elevations (radians) of the satellites at or above the mask at a time."""
@@ -212,7 +214,7 @@ class MapTask:
           highest_m: how far the highest roof can stand above the lowest ground; left out, the city's.
         """
         part = self.region if part is None else part
-        above = self.sky.elevation_rad >= np.radians(self.params.mask_deg)
+        above = self.sky.elevation_rad >= np.radians(self.params.gps.mask_deg)
         toward_m = shadow_reach_m(
             self.sky.azimuth_rad[above],
             self.sky.elevation_rad[above],
@@ -230,5 +232,5 @@ class MapTask:
     def surface(self) -> Surface:
         """Return the city's rasters on the region and its margin."""
         return build_surface(
-            self.city, self.region, self.with_margin(), self.params.all_touched, self.has_guessed_roofs
+            self.city, self.region, self.with_margin(), self.params.heights.all_touched, self.has_guessed_roofs
         )

@@ -75,7 +75,7 @@ def raster_tile(job: TileJob, tile: Tile) -> dict[str, Any]:
             grid = job.tiling.grid_of(tile)
             is_reported = tile in job.tiling.region_tiles
             tells_guessed = is_reported and job.task.has_guessed_roofs
-            made = rasterise(city, grid, job.task.params.all_touched, tells_guessed)
+            made = rasterise(city, grid, job.task.params.heights.all_touched, tells_guessed)
             arrays = {key: getattr(made, key) for key in ("roof_m", "terrain_m", "has_data", "roof_guessed")}
             if made.slabs is not None:
                 arrays |= {f"slab_{key}": values for key, values in made.slabs._asdict().items()}

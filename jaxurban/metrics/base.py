@@ -240,7 +240,7 @@ class Metric:
       traced: returns, of a traced scene, what ``compute`` returns place by place, each with its altitudes or times of
         day in front: a function of arrays alone; None where there is none.
       ready: returns what ``traced`` needs beside, made on the host of a surface, altitudes, settings, and the census
-        blocks and times of day, if any; None where it needs nothing.
+        blocks, if any; None where it needs nothing.
       soft: returns m of a soft scene, on its cells, with gradients; None where there is none.
       also: every further variable that ``compute`` returns, under some settings or under all.
       available: which of these, 0 or 1, says that a position is available, for its share of the times of a series;
@@ -264,7 +264,7 @@ class Metric:
     inside: float | None = np.nan
     reach_m: Callable[[Any], float] = no_reach_m
     traced: Callable[[TracedScene, Any], dict[str, jax.Array]] | None = None
-    ready: "Callable[[Surface, Sequence[float], Any, Blocks | None, Sequence[str]], Any] | None" = None
+    ready: "Callable[[Surface, Sequence[float], Any, Blocks | None], Any] | None" = None
     soft: Callable[[SoftScene, Any], jax.Array] | None = None
     also: tuple[Variable, ...] = ()
     available: str = ""

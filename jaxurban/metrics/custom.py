@@ -129,6 +129,8 @@ def check_layers(layers: Any) -> Mapping[str, Layer]:
     given = {} if layers is None else layers
     if not (isinstance(given, Mapping) and all(isinstance(layer, Layer) for layer in given.values())):
         raise InputError('layers must be Layers by name, such as {"noise": Layer("noise.tif", "high-is-bad", (0, 80))}')
+    for name in given:
+        check_name(name)
     return given
 
 

@@ -3,6 +3,7 @@
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal, NamedTuple
 
 import jax
@@ -25,11 +26,13 @@ from jaxurban.metrics.base import (
     high_is_bad,
 )
 from jaxurban.metrics.settings import check_value, differentiable
+from jaxurban.settings import each
 from jaxurban.world.city import Blocks, Zoning
 from jaxurban.world.grid import Bounds
 from jaxurban.world.surface import Surface
 
 M2_PER_KM2 = 1e6
+PAPER_COMMERCIAL = (101, 102, 103, 104, 105, 106)  # of Manhattan's community districts
 HOUR_OF_WEEK = re.compile(r"(weekday|weekend)-([01]\d|2[0-3])")
 
 # Share of the change from night to day that has happened at each hour, 0 to 23. Full from 9 to 17 (the paper's
@@ -38,7 +41,7 @@ WEEKDAY_PROFILE = (0.0,) * 7 + (1 / 3, 2 / 3) + (1.0,) * 9 + (0.8, 0.6, 0.4, 0.2
 # Moss and Qing, The Dynamic Population of Manhattan (2012), as the paper quotes it: in millions 2.05 at night,
 # 3.94 on a working day, 2.90 on a weekend day.
 WEEKEND_SHARE = (2.90 - 2.05) / (3.94 - 2.05)
-WEEKEND_PROFILE = tuple(WEEKEND_SHARE * share for share in WEEKDAY_PROFILE)
+PROFILES = {"weekday": WEEKDAY_PROFILE, "weekend": tuple(WEEKEND_SHARE * share for share in WEEKDAY_PROFILE)}
 
 
 @differentiable("gamma_commercial", "gamma_residential")
@@ -54,15 +57,39 @@ class Population:
       normalise: where m is 1: ``"max"``, the highest block of the region at that time of day (the paper);
         ``"p95"`` or another percentile of its inhabited blocks; or a number of people per km2 (per block
         under ``"count"``). Blocks above a percentile or a number get 1.
-      weekday, weekend: 24 shares in [0, 1], one an hour: 0 is the night population, 1 the day population.
+      weekday, weekend: 24 shares in [0, 1], one an hour: 0 is the night population, 1 the day population; left out,
+        `PROFILES`.
+      blocks: census blocks, a vector file; or a raster of people, each pixel of which is a block (WorldPop, GHSL,
+        LandScan), which takes no table.
+      block_field: field of the blocks file with one id a block.
+      table: CSV of population with one header row or two (the second is words where the first names columns); its
+        columns of ids and of counts are found by what they hold (`jaxurban.io.read.census`). None: the count is a
+        field of the blocks file.
+      districts: district polygons, blocks take the one of largest overlap; left out, every block is in district 13.
+      district_field: the districts' label, a whole number.
+      credit: what the licence of these files asks for.
+      commercial: labels of commercial districts; left out, 101 to 106 of New York's (``BoroCD``), else none.
+      time_of_day: those that maps are made for, see `day_share`.
+
+    Raises:
+      InputError: a value that is none of these, times of day that are not different, or a table or districts without
+        blocks.
     """
 
     gamma_commercial: float = 3.0
     gamma_residential: float = 0.5
     quantity: Literal["density", "count"] = "density"
     normalise: str | float = "max"
-    weekday: tuple[float, ...] = WEEKDAY_PROFILE
-    weekend: tuple[float, ...] = WEEKEND_PROFILE
+    weekday: tuple[float, ...] | None = None
+    weekend: tuple[float, ...] | None = None
+    blocks: str | Path | None = None
+    block_field: str = "GEOID10"
+    table: str | Path | None = None
+    districts: str | Path | None = None
+    district_field: str = "BoroCD"
+    credit: str = ""
+    commercial: Sequence[int] | None = None
+    time_of_day: str | Sequence[str] = ("day", "night")
 
     def __post_init__(self) -> None:
         for name in ("gamma_commercial", "gamma_residential"):
@@ -70,9 +97,38 @@ class Population:
         one_of("quantity", self.quantity, ("density", "count"))
         _percentile(self.normalise)
         for name in ("weekday", "weekend"):
-            shares = getattr(self, name)
+            shares = self.profile(name)
             if len(shares) != 24 or not all(0 <= share <= 1 for share in shares):
                 raise InputError(f"{name} must be 24 shares in [0, 1], one an hour from 0 to 23, got {shares}")
+        if self.blocks is None and (self.table is not None or self.districts is not None):
+            raise InputError("table and districts need blocks, the polygons of the census blocks")
+        if self.commercial is not None:
+            object.__setattr__(self, "commercial", tuple(self.commercial))
+        object.__setattr__(self, "time_of_day", each(self.time_of_day))
+        if not self.times_of_day or len(set(self.times_of_day)) != len(self.times_of_day):
+            raise InputError(f"time_of_day must be different names such as day and night, got {[*self.time_of_day]}")
+        for time_of_day in self.times_of_day:
+            day_share(time_of_day, self)
+
+    @property
+    def times_of_day(self) -> tuple[str, ...]:
+        """The times of day that maps are made for."""
+        return tuple(self.time_of_day)
+
+    @property
+    def commercial_labels(self) -> tuple[int, ...]:
+        """The districts that count as commercial; where nobody says which, the paper's, of New York's own labels only.
+
+        New York calls their field ``BoroCD`` (``boro_cd`` in some exports).
+        """
+        if self.commercial is not None:
+            return tuple(self.commercial)
+        return PAPER_COMMERCIAL if self.district_field.lower().replace("_", "") == "borocd" else ()
+
+    def profile(self, name: str) -> tuple[float, ...]:
+        """Return the 24 shares of ``"weekday"`` or ``"weekend"``."""
+        shares = getattr(self, name)
+        return PROFILES[name] if shares is None else shares
 
 
 class BlockLayers(NamedTuple):
@@ -151,8 +207,8 @@ def day_share(time_of_day: str, params: Population | None = None) -> float:
             f"time_of_day must be 'day', 'night' or an hour such as 'weekday-08' or 'weekend-23', "
             f"got {time_of_day!r}{hint}"
         )
-    params = params or Population()
-    return float((params.weekday if match[1] == "weekday" else params.weekend)[int(match[2])])
+    shares = PROFILES[match[1]] if params is None else params.profile(match[1])
+    return float(shares[int(match[2])])
 
 
 def block_people(
@@ -333,11 +389,11 @@ def _maps(scene: Scene, params: Population) -> dict[str, Array]:
 
 
 def _ready(
-    surface: Surface, _: Sequence[float], params: Population, blocks: Blocks | None, times_of_day: Sequence[str]
+    surface: Surface, _: Sequence[float], params: Population, blocks: Blocks | None
 ) -> tuple[BlockPopulation, Float[Array, " D"]]:
     """Return the blocks, and how far the population has moved from night to day at each time."""
     assert blocks is not None
-    shares = jnp.asarray([day_share(time_of_day, params) for time_of_day in times_of_day], np.float32)
+    shares = jnp.asarray([day_share(time_of_day, params) for time_of_day in params.times_of_day], np.float32)
     return BlockPopulation.of(blocks, surface.region.bounds_m), shares
 
 

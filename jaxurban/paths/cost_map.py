@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from jaxurban.errors import InputError, finite, one_of, typed
-from jaxurban.io.read.orbits import iso_utc, parse_time
 from jaxurban.maps.levels import SAME_M, Levels, listed_m, values_at
 from jaxurban.maps.memory import free_bytes, told_bytes
 from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
@@ -24,6 +23,7 @@ from jaxurban.planners.cost import PathFeatures
 from jaxurban.planners.refine import refine as refine_path
 from jaxurban.planners.registry import PLANNERS, find_planner
 from jaxurban.progress import saying_later
+from jaxurban.settings import iso_utc
 from jaxurban.world.grid import Grid
 from jaxurban.world.show import Shown
 
@@ -351,7 +351,7 @@ def map_at(maps: MetricMaps, altitudes_m: np.ndarray, levels: Levels | None, que
             layers[level] = np.asarray(metric.cost(m))
             layers[level][~(np.isfinite(layers[level]) | is_free[level])] = 0.0
     known_when = {
-        "time": maps.default_time if query.time is None else iso_utc(parse_time(query.time)),
+        "time": maps.default_time if query.time is None else iso_utc(query.time),
         "time_of_day": query.time_of_day or next(iter(maps.times_of_day), None),
     }
     return CostMap(

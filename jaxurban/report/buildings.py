@@ -105,8 +105,7 @@ def write_buildings(
             "the route was planned on GPS statistics over many epochs, which have no gradient by building: make maps "
             "of one time, and plan on them"
         )
-    maps, city = task.params, task.city
-    params = SoftParams(planned.altitude_m, softness_m, maps.gps, maps.lidar, maps.risk, maps.population)
+    city, params = task.city, SoftParams(planned.altitude_m, softness_m, dict(task.params.sections))
     time_index, time_of_day = task.sky.times.index(time), planned.settings["time_of_day"] or "day"
     with jax.enable_x64(True):
         soft = soften(task, time_index=time_index, time_of_day=time_of_day, dtype=np.float64)

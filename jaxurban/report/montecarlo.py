@@ -195,7 +195,7 @@ def land_cover_of(scenario: Scenario) -> LandCover | None:
     region, named = scenario.region, scenario.study.land_cover
     if named is None and scenario.is_synthetic:
         return demo_cover_for_bounds(region.bounds, region.crs)
-    source = named or scenario.buildings.source
+    source = named or str(scenario.buildings.source)
     if not source.lower().endswith(OSM_SUFFIXES):
         if named is not None:
             raise InputError(f"[study] land_cover must be an OpenStreetMap file (.osm.pbf or .osm), got {named!r}")

@@ -20,8 +20,9 @@ from jaxurban.maps.guesses import leaving_shares
 from jaxurban.maps.task import MapTask
 from jaxurban.metrics.population import population_totals
 from jaxurban.progress import LOG
-from jaxurban.scenario.settings import NOMINAL, Scenario
+from jaxurban.scenario.settings import Scenario
 from jaxurban.scenario.validation import differences_said, differing
+from jaxurban.settings import NOMINAL, each
 from jaxurban.world.city import City
 from jaxurban.world.grid import Grid
 from jaxurban.world.sky import Sky
@@ -123,7 +124,7 @@ def hash_inputs(scenario: Scenario) -> dict[str, dict[str, str]]:
     Raises:
       InputError: a file that is missing or cannot be read.
     """
-    population, orbits = scenario.population, [name for name in scenario.gps.orbits if name != NOMINAL]
+    population, orbits = scenario.population, [name for name in each(scenario.gps.orbits) if name != NOMINAL]
     named = {
         "buildings": None if scenario.is_synthetic else scenario.buildings.source,
         "terrain": scenario.terrain.source,

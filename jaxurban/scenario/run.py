@@ -36,19 +36,17 @@ from jaxurban.maps.executors import (
 from jaxurban.maps.guesses import map_guesses
 from jaxurban.maps.memory import MemoryPlan, check_disk, plan_run, plan_sentence, shape_of_tiles
 from jaxurban.maps.metric_maps import MetricMaps
-from jaxurban.maps.task import MapParams, MapTask
+from jaxurban.maps.task import MapTask
 from jaxurban.maps.tiled import TileJob
 from jaxurban.metrics.availability import TimeTotals
-from jaxurban.metrics.registry import METRICS
 from jaxurban.progress import LOG, Progress, Report, Stage, Stopwatch, reporting
 from jaxurban.scenario.provenance import hash_inputs, other_maps, run_key, run_record, write_record
-from jaxurban.scenario.settings import NOMINAL, Scenario
+from jaxurban.scenario.settings import Scenario
+from jaxurban.settings import NOMINAL, each
 from jaxurban.world.city import City
 from jaxurban.world.grid import Grid
 from jaxurban.world.synthetic import demo_city_for_bounds
 from jaxurban.world.tiling import Tiling
-
-OF_BUILDINGS = ("kind", "default_height_m", "level_height_m", "allow_none", "hanging")  # of `City.from_files`
 
 
 @dataclass(frozen=True)
@@ -65,26 +63,23 @@ def load_city(scenario: Scenario) -> City:
     Raises:
       InputError: a source that cannot be used, or no building in the region.
     """
-    region, file, population = scenario.region, scenario.buildings, scenario.population
+    region = scenario.region
     if scenario.is_synthetic:
         return demo_city_for_bounds(region.bounds, region.crs)
 
-    def path(name: str | None) -> Path | None:
-        return None if name is None else scenario.path_of(name)
+    def placed(section: Any, *names: str) -> Any:
+        """Return a section whose files are named from the current folder."""
+        files = {name: scenario.path_of(file) for name in names if (file := getattr(section, name)) is not None}
+        return replace(section, **files)
 
-    city = City.from_files(
-        scenario.path_of(file.source),
+    return City.from_files(
+        placed(scenario.buildings, "source"),
         bounds=region.bounds,
         crs=region.crs,
-        blocks=path(population.blocks),
-        table=path(population.table),
-        districts=path(population.districts),
-        terrain=path(scenario.terrain.source),
-        mask_deg=scenario.gps.mask_deg,
-        **{name: getattr(population, name) for name in ("block_field", "district_field", "commercial")},
-        **{name: getattr(file, name) for name in OF_BUILDINGS},
+        population=placed(scenario.population, "blocks", "table", "districts"),
+        terrain=placed(scenario.terrain, "source"),
+        gps=scenario.gps,
     )
-    return city.credited(file.credit, scenario.terrain.credit, population.credit)
 
 
 def tasks_of(scenario: Scenario, stage: Stage = nullcontext) -> list[MapTask]:
@@ -97,40 +92,16 @@ def tasks_of(scenario: Scenario, stage: Stage = nullcontext) -> list[MapTask]:
     Raises:
       InputError: sources that cannot be used, or no building in the region.
     """
-    region, buildings, gps = scenario.region, scenario.buildings, scenario.gps
-    params = MapParams(
-        altitudes_m=region.altitudes_m,
-        mask_deg=gps.mask_deg,
-        gps=gps,
-        lidar=scenario.lidar,
-        risk=scenario.risk,
-        population=scenario.population,
-        times_of_day=scenario.population.time_of_day,
-        all_touched=buildings.all_touched,
-        oversample=region.oversample,
-        gps_bounds=gps.bounds,
-        height_std=buildings.height_std_m,
-        height_samples=buildings.height_samples,
-        height_seed=buildings.height_seed,
-        others={name: getattr(scenario, name) for name in METRICS if hasattr(scenario, name)} | scenario.on_request,
-        engine=region.engine,
-    )
+    region, params = scenario.region, scenario.map_params
     with stage("read"):
         city = load_city(scenario)
-    orbits = [name if name == NOMINAL else scenario.path_of(name) for name in gps.orbits]
+    orbits = [name if name == NOMINAL else scenario.path_of(name) for name in each(scenario.gps.orbits)]
     tasks = []
     with stage("orbits"):
         for resolution_m in region.resolution_m:
             grid = Grid.from_bounds(region.bounds, resolution_m, region.crs, region.resolution_m)
             bands = bands_of(scenario.layers, grid, params.altitudes_m, scenario.path_of(""))
-            sky = view_sky(
-                grid,
-                orbits,
-                gps.utc_times,
-                mask_deg=gps.mask_deg,
-                reference=gps.reference,
-                max_age_days=gps.max_age_days,
-            )
+            sky = view_sky(grid, replace(scenario.gps, orbits=orbits))
             tasks.append(MapTask(city, grid, sky, params, scenario.layers, bands))
     return tasks
 

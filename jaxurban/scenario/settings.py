@@ -4,7 +4,7 @@ import operator
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from datetime import timedelta
+from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -20,44 +20,36 @@ from pydantic import (
 )
 
 from jaxurban.errors import InputError, at_least, one_of, positive, readable, typed
-from jaxurban.io.read.orbits import NOMINAL as NOMINAL
-from jaxurban.io.read.orbits import iso_utc
 from jaxurban.kernels.engine import Engine
-from jaxurban.maps.height_uncertainty import HeightStd
+from jaxurban.maps.task import MapParams
 from jaxurban.metrics.custom import Layer, check_file_names, check_name
 from jaxurban.metrics.gps import Dop, Gps
 from jaxurban.metrics.lidar import Lidar
-from jaxurban.metrics.population import WEEKDAY_PROFILE, WEEKEND_PROFILE, Population, day_share
+from jaxurban.metrics.population import Population
 from jaxurban.metrics.protection import Protection
-from jaxurban.metrics.registry import ON_REQUEST
+from jaxurban.metrics.registry import METRICS, ON_REQUEST
 from jaxurban.metrics.risk import Risk
-from jaxurban.metrics.settings import differentiable
 from jaxurban.metrics.weights import Weights
 from jaxurban.paths.vehicle import Vehicle
 from jaxurban.planners.registry import find_planner
 from jaxurban.presets import BUDGET_S, DEFAULTS, planning_under
 from jaxurban.scenario.validation import (
-    Different,
     DifferentList,
     NonNegative,
     PlannerName,
     Positive,
     PositiveInt,
-    Profile,
     Seed,
-    StrList,
-    Utc,
     WeightSettings,
     as_list,
     changed,
     check_truths,
     sentence_of,
 )
-from jaxurban.world.city import TO_GROUND, Hanging
+from jaxurban.settings import Buildings, Terrain, iso_utc
 from jaxurban.world.grid import check_bounds, projected_crs
 
 SYNTHETIC = "synthetic"
-MOST_TIMES = 100_000  # a year in steps of five minutes
 PAPER_PLANNERS = ("ptp", "astar-dist", "astar-plus", "bitstar-dist", "bitstar-plus")
 
 
@@ -81,103 +73,6 @@ class Region(_Section):
         if self.crs is not None:
             projected_crs(self.crs)
         return self
-
-
-class BuildingSettings(_Section):
-    """Where buildings come from, what stands in for missing heights, and how well heights are known."""
-
-    source: str
-    kind: Literal["height", "surface"] = "height"  # of a raster: above ground, or a surface model, above sea level
-    default_height_m: Positive = 10.0
-    level_height_m: Positive = 3.0
-    all_touched: bool = False
-    allow_none: bool = False
-    height_std_m: HeightStd = HeightStd()
-    height_samples: int = 0  # of the spread maps; 0: none are made
-    height_seed: Seed = 0
-    hanging: Hanging = TO_GROUND  # parts with an underside, and areas of bridges
-    credit: str = ""  # what the source's licence asks for; OSM's is known
-
-
-class TerrainSettings(_Section):
-    """Ground elevation; left out: flat."""
-
-    source: str | None = None
-    credit: str = ""
-
-
-@differentiable("gdop_threshold")
-@dataclass(frozen=True)
-class GpsSettings(Gps):
-    """The metric's settings, and which satellites are seen when."""
-
-    orbits: StrList = (NOMINAL,)
-    times: tuple[Utc, ...] | None = None
-    start: Utc | None = None
-    stop: Utc | None = None
-    step_s: PositiveInt | None = None
-    mask_deg: Annotated[float, Field(ge=0, lt=90)] = 5.0
-    max_age_days: Positive = 90.0
-    reference: tuple[float, float] | None = None
-    bounds: bool = False  # also make gps_lower and gps_upper
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.start is not None and self.stop is not None and self.step_s is not None:
-            if self.times is not None:
-                raise InputError("give either times or start, stop and step_s, not both")
-            count = (self.stop - self.start).total_seconds() / self.step_s + 1
-            if count > MOST_TIMES:
-                raise InputError(f"start, stop and step_s make {count:.3g} points in time: make step_s longer")
-            if self.stop < self.start:
-                raise InputError("stop is before start")
-        elif any(value is not None for value in (self.start, self.stop, self.step_s)):
-            raise InputError("a series of times needs all of start, stop and step_s")
-        if self.times is not None and not self.times:
-            raise InputError("times is empty: give at least one UTC time such as 2020-04-27T16:00:00Z")
-        times = self.utc_times or ()
-        if len(set(times)) != len(times):
-            raise InputError("times holds a time twice")
-        if not all(len(time) == len("2020-04-27T16:00:00Z") for time in times):
-            raise InputError("times must be whole seconds, as file names carry them")
-        if self.reference is not None and not (abs(self.reference[0]) <= 180 and abs(self.reference[1]) <= 90):
-            raise InputError("reference is longitude, latitude in degrees")
-
-    @property
-    def utc_times(self) -> tuple[str, ...] | None:
-        """The UTC times, ISO 8601 with a trailing Z; None where `jaxurban.maps.build.view_sky` chooses."""
-        if self.start is not None and self.stop is not None and self.step_s is not None:
-            count = int((self.stop - self.start).total_seconds() // self.step_s) + 1
-            times = [self.start + timedelta(seconds=self.step_s * i) for i in range(count)]
-        elif self.times is not None:
-            times = list(self.times)
-        else:
-            return None
-        return tuple(iso_utc(time) for time in times)
-
-
-@differentiable("gamma_commercial", "gamma_residential")
-@dataclass(frozen=True)
-class PopulationSettings(Population):
-    """The metric's settings, and where census blocks and districts come from."""
-
-    blocks: str | None = None
-    block_field: str = "GEOID10"
-    table: str | None = None
-    districts: str | None = None
-    district_field: str = "BoroCD"
-    credit: str = ""
-    commercial: tuple[int, ...] | None = None  # `jaxurban.io.read.census.default_commercial`
-    time_of_day: Annotated[StrList, Different] = ("day", "night")
-    weekday: Annotated[Profile, Field(exclude_if=WEEKDAY_PROFILE.__eq__)] = WEEKDAY_PROFILE
-    weekend: Annotated[Profile, Field(exclude_if=WEEKEND_PROFILE.__eq__)] = WEEKEND_PROFILE
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.blocks is None and (self.table is not None or self.districts is not None):
-            raise InputError("table and districts need blocks, the polygons of the census blocks")
-        for time_of_day in self.time_of_day:
-            day_share(time_of_day, self)
 
 
 class PlanningSettings(_Section):
@@ -263,11 +158,11 @@ class Scenario(_Section):
     """All settings of one job. Only ``region`` and ``buildings`` are required."""
 
     region: Region
-    buildings: BuildingSettings
-    terrain: TerrainSettings = TerrainSettings()
-    gps: GpsSettings = GpsSettings()
+    buildings: Buildings
+    terrain: Terrain = Terrain()
+    gps: Gps = Gps()
     lidar: Lidar = Lidar()
-    population: PopulationSettings = PopulationSettings()
+    population: Population = Population()
     risk: Risk = Risk()
     gps_horizontal: Dop | None = Field(default=None, exclude_if=operator.not_)  # left out: not made
     gps_vertical: Dop | None = Field(default=None, exclude_if=operator.not_)
@@ -283,25 +178,18 @@ class Scenario(_Section):
     @classmethod
     def _no_truth_for_a_number(cls, settings: Any) -> Any:
         check_truths(settings, cls)
-        return settings
+        return _with_times_as_text(settings)
 
     @model_validator(mode="after")
     def _check(self) -> "Scenario":
         self._check_layers()
         self._request_what_is_weighed()
+        _ = self.map_params  # which refuses what does not go together
         if self.is_synthetic and (self.population.blocks or self.terrain.source):
             raise ValueError(
                 "the synthetic city (source = 'synthetic') has its own population and flat ground: leave out "
                 "population.blocks and terrain.source, or name a source of real buildings"
             )
-        keeps_times = self.gps.keeps_times(len(self.gps.utc_times or (None,)))
-        if (self.gps.bounds or self.buildings.height_samples) and not keeps_times:
-            raise ValueError(
-                "[gps] bounds and [buildings] height_samples need the maps of every time: give fewer times, or set "
-                "[gps] series = 'epochs'"
-            )
-        if self.gps.bounds and self.region.oversample % 2 == 0:
-            raise ValueError(f"[gps] bounds need an odd [region] oversample, got {self.region.oversample}: use 3 or 5")
         return self
 
     def _check_layers(self) -> None:
@@ -357,7 +245,7 @@ class Scenario(_Section):
         """Return the scenario as TOML, every setting written out."""
         return tomli_w.dumps(self.model_dump(exclude_none=True))
 
-    def path_of(self, name: str) -> Path:
+    def path_of(self, name: str | Path) -> Path:
         """Return the path that a setting names, relative ones taken from the scenario's folder."""
         return self._folder / name
 
@@ -370,14 +258,25 @@ class Scenario(_Section):
                 object.__setattr__(self, name, metric.params())
 
     @property
-    def on_request(self) -> dict[str, Any]:
-        """The settings of the metrics made on request, by name."""
-        return {name: settings for name in ON_REQUEST if (settings := getattr(self, name)) is not None}
+    def map_params(self) -> MapParams:
+        """What the maps depend on besides city, sky and grid."""
+        names = [name for name in (*METRICS, *ON_REQUEST) if getattr(self, name, None) is not None]
+        sections = {name: getattr(self, name) for name in names}
+        return MapParams(self.region.altitudes_m, self.region.oversample, self.buildings, sections, self.region.engine)
 
     @property
     def is_synthetic(self) -> bool:
         """Whether the source is the synthetic city."""
         return self.buildings.source == SYNTHETIC
+
+
+def _with_times_as_text(settings: Any) -> Any:
+    """Return settings whose times, which TOML has a type for, are texts."""
+    if isinstance(settings, Mapping):
+        return {name: _with_times_as_text(value) for name, value in settings.items()}
+    if isinstance(settings, list):
+        return [_with_times_as_text(value) for value in settings]
+    return iso_utc(settings) if isinstance(settings, datetime) else settings
 
 
 def _with_bounds(settings: Mapping[str, Any], folder: Path) -> Mapping[str, Any]:

@@ -4,7 +4,6 @@ import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import fields, is_dataclass
-from datetime import datetime
 from typing import Annotated, Any, cast, get_args
 
 from pydantic import (
@@ -190,13 +189,6 @@ def _known_planner(name: str) -> str:
 PlannerName = Annotated[str, AfterValidator(_known_planner)]
 
 
-def _as_utc(time: datetime) -> datetime:
-    from jaxurban.io.read.orbits import parse_time  # imported here: it brings Skyfield
-
-    return parse_time(time)
-
-
-Utc = Annotated[datetime, AfterValidator(_as_utc)]  # a naive time is UTC already
 Seed = Annotated[int, Field(ge=0)]
 StrList = Annotated[tuple[str, ...], BeforeValidator(as_list), Field(min_length=1)]
 Different = AfterValidator(_all_different)

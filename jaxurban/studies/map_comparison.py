@@ -13,13 +13,13 @@ import xarray as xr
 
 from jaxurban.errors import InputError, finite, one_of, typed
 from jaxurban.io.files import read_json
-from jaxurban.io.read.orbits import iso_utc, parse_time
 from jaxurban.io.store import RUN_FILE
 from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
 from jaxurban.metrics.base import ALTITUDE, TIME, TIME_OF_DAY
 from jaxurban.paths.rows import MapsFolder
 from jaxurban.progress import Progress, reporting
 from jaxurban.scenario.validation import Differing, differing
+from jaxurban.settings import iso_utc
 from jaxurban.studies.queries import NORMS
 from jaxurban.world.grid import Grid
 from jaxurban.world.show import Shown, listed
@@ -348,7 +348,7 @@ def _shared_layers(a: MetricMaps, b: MetricMaps) -> tuple[list[str], dict[str, s
 
 def _paired(a: MetricMaps, b: MetricMaps, times: Mapping[str, str] | None) -> dict[str, str]:
     if times is not None:
-        pairs = {iso_utc(parse_time(of_a)): iso_utc(parse_time(of_b)) for of_a, of_b in times.items()}
+        pairs = {iso_utc(of_a): iso_utc(of_b) for of_a, of_b in times.items()}
         for which, maps, wanted in (("A", a, pairs), ("B", b, pairs.values())):
             if lost := [time for time in wanted if time not in maps.times]:
                 raise InputError(f"{which} holds no maps of {lost[0]}: it holds {listed(maps.times)}")

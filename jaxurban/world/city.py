@@ -5,16 +5,21 @@ from dataclasses import dataclass, field, fields, replace
 from enum import IntEnum, StrEnum
 from functools import cached_property
 from pathlib import Path
-from typing import Literal, Self, get_args
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 import shapely
 
+from jaxurban import settings
 from jaxurban.errors import InputError, one_of, typed
+from jaxurban.settings import SLABS as SLABS
+from jaxurban.settings import TO_GROUND as TO_GROUND
+from jaxurban.settings import Hanging as Hanging
 from jaxurban.world.show import Shown
 
-Hanging = Literal["to_ground", "slabs"]
-TO_GROUND, SLABS = get_args(Hanging)
+if TYPE_CHECKING:
+    from jaxurban.metrics.gps import Gps
+    from jaxurban.metrics.population import Population
 
 OTHER_DISTRICT = 13  # the paper's label for every block that no district claims
 
@@ -268,7 +273,7 @@ class City(Shown):
     hanging: Hanging = TO_GROUND
 
     def __post_init__(self) -> None:
-        one_of("hanging", self.hanging, get_args(Hanging))
+        one_of("hanging", self.hanging, (TO_GROUND, SLABS))
         if (self.buildings is None) == (self.roofs is None):
             raise InputError("a City needs either buildings (outlines) or roofs (a height raster), and not both")
 
@@ -306,46 +311,24 @@ class City(Shown):
     @typed
     def from_files(
         cls,
-        buildings: str | Path,
+        buildings: str | Path | settings.Buildings,
         *,
         bounds: Sequence[float] | None = None,
         crs: str | None = None,
-        blocks: str | Path | None = None,
-        table: str | Path | None = None,
-        districts: str | Path | None = None,
-        terrain: str | Path | None = None,
-        block_field: str = "GEOID10",
-        district_field: str = "BoroCD",
-        commercial: Sequence[int] | None = None,
-        default_height_m: float = 10.0,
-        level_height_m: float = 3.0,
-        mask_deg: float = 5.0,
-        allow_none: bool = False,
-        kind: Literal["height", "surface"] = "height",
-        credit: str = "",
-        hanging: Hanging = TO_GROUND,
+        population: "Population | None" = None,
+        terrain: str | Path | settings.Terrain | None = None,
+        gps: "Gps | None" = None,
     ) -> "City":
-        """Return the city in a set of files, around a region; `jaxurban.io.read.city.read_city` does it.
+        """Return the city in a set of files, around a region.
 
         Args:
-          buildings: ``.osm.pbf``, ``.osm``, ``.geojson``, ``.gpkg``, ``.shp``, ``.parquet`` or a height raster.
+          buildings: their file, or that with what to make of it. Buildings are kept as far around the region as one of
+            1,000 m could shadow it from a satellite at the elevation mask.
           bounds: west, south, east, north of the region in degrees; left out, what the file of buildings covers.
-            Buildings are kept as far around it as one of 1,000 m could shadow it from a satellite at the mask.
           crs: projected CRS in metres; left out, the UTM zone of the region's centre.
-          blocks, table: census blocks (a vector file) and their population table (CSV); or a raster of people, each
-            pixel of which is a block, and no table.
-          districts: district polygons; blocks take the one of largest overlap.
+          population: names census blocks, their people and districts; left out, none.
           terrain: ground elevation raster; left out, flat.
-          block_field, district_field: identifying columns.
-          commercial: labels of the commercial districts; left out, 101 to 106 of New York's (``BoroCD``), else none.
-          default_height_m, level_height_m: for buildings without a height.
-          mask_deg: lowest satellite elevation that will be used.
-          allow_none: accept a region without a single building.
-          kind: of a raster of buildings: ``"height"`` above ground, or ``"surface"`` (a DSM), from which the terrain
-            is taken; trees are in it too.
-          credit: what the licences of these files ask for, beside OSM's own, which is known.
-          hanging: ``"slabs"``: parts above an underside and areas of bridges hang over the ground (see the page on the
-            model); ``"to_ground"``: parts reach it, and bridges are not read.
+          gps: whose elevation mask the maps will have; left out, 5 degrees.
 
         Warns:
           GuessWarning: of each of the city's ``guesses``.
@@ -354,11 +337,8 @@ class City(Shown):
           InputError: a file that is missing, unreadable or of the wrong kind, or no building in the region.
         """
         # The one import against the layers, for the user's sake.
-        from jaxurban.io.read.city import BuildingFile, CensusFiles, read_city
+        from jaxurban.io.read.city import read_city
 
-        file = BuildingFile(buildings, kind, default_height_m, level_height_m, allow_none, hanging)
-        census = None
-        if blocks is not None:
-            census = CensusFiles(blocks, table, districts, block_field, district_field, commercial)
-        made = read_city(file, bounds=bounds, crs=crs, census=census, terrain=terrain, mask_deg=mask_deg)
-        return made.credited(credit)
+        file = buildings if isinstance(buildings, settings.Buildings) else settings.Buildings(buildings)
+        ground = terrain if isinstance(terrain, settings.Terrain) else settings.Terrain(terrain)
+        return read_city(file, bounds=bounds, crs=crs, population=population, terrain=ground, gps=gps)

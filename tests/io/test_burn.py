@@ -9,7 +9,7 @@ from affine import Affine
 from rasterio.features import rasterize
 
 import jaxurban as ju
-from jaxurban.io.read.buildings import BuildingFile, read_buildings
+from jaxurban.io.read.buildings import read_buildings
 from jaxurban.io.read.outlines import polygonal
 from jaxurban.io.read.rasterise import burn, burn_touched
 
@@ -202,7 +202,7 @@ def test_empty_and_missing_polygons_and_those_elsewhere_leave_the_fill():
 @pytest.mark.slow
 @pytest.mark.data
 def test_every_roof_of_lower_manhattan_lies_in_the_cells_that_gdal_gives_it(data_dir):
-    buildings = read_buildings(BuildingFile(data_dir / "osm/lower-manhattan.osm.pbf"), CRS).buildings
+    buildings = read_buildings(ju.Buildings(data_dir / "osm/lower-manhattan.osm.pbf"), CRS).buildings
     for resolution_m in (5.0, 2.0, 5 / 3):
         grid = ju.Grid.from_bounds((-74.02, 40.70, -73.98, 40.73), resolution_m, CRS)
         outlines = buildings.polygons, buildings.height_m, grid, 0.0, "float32"
@@ -212,7 +212,7 @@ def test_every_roof_of_lower_manhattan_lies_in_the_cells_that_gdal_gives_it(data
 @pytest.mark.slow
 @pytest.mark.data
 def test_every_cell_that_a_building_of_lower_manhattan_shares_area_with_is_touched(data_dir):
-    buildings = read_buildings(BuildingFile(data_dir / "osm/lower-manhattan.osm.pbf"), CRS).buildings
+    buildings = read_buildings(ju.Buildings(data_dir / "osm/lower-manhattan.osm.pbf"), CRS).buildings
     for resolution_m in (5.0, 2.0):
         grid = ju.Grid.from_bounds((-74.014, 40.703, -74.006, 40.709), resolution_m, CRS)
         check_touched(buildings.polygons, buildings.height_m, grid)

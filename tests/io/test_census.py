@@ -5,8 +5,8 @@ import pytest
 import shapely
 
 from jaxurban.errors import InputError
-from jaxurban.io.read.census import CensusFiles, read_blocks
-from jaxurban.metrics.population import population_totals
+from jaxurban.io.read.census import read_blocks
+from jaxurban.metrics.population import Population, population_totals
 from jaxurban.world.city import OTHER_DISTRICT, Zoning
 
 CRS = "EPSG:32618"
@@ -37,7 +37,7 @@ def sf1(tmp_path):
 
 @pytest.mark.parametrize("suffix", [".shp", ".gpkg", ".geojson", ".parquet"])
 def test_blocks_of_any_format_join_the_table_of_two_header_rows(tmp_path, sf1, suffix):
-    blocks, issues = read_blocks(CensusFiles(write_blocks(tmp_path / f"blocks{suffix}"), sf1), CRS)
+    blocks, issues = read_blocks(Population(blocks=write_blocks(tmp_path / f"blocks{suffix}"), table=sf1), CRS)
     assert blocks.block_id.tolist() == IDS
     assert blocks.night_count.tolist() == [123, 0, 1400]
     np.testing.assert_allclose(blocks.area_m2, 1e4, rtol=1e-4)
@@ -53,7 +53,7 @@ def test_blocks_of_any_format_join_the_table_of_two_header_rows(tmp_path, sf1, s
 
 def test_a_plain_table_joins_whatever_its_columns_are_called(tmp_path):
     pd.DataFrame({"people": [1, 2, 3], "name": list("abc"), "block": IDS}).to_csv(tmp_path / "t.csv", index=False)
-    blocks, issues = read_blocks(CensusFiles(write_blocks(tmp_path / "b.gpkg"), tmp_path / "t.csv"), CRS)
+    blocks, issues = read_blocks(Population(blocks=write_blocks(tmp_path / "b.gpkg"), table=tmp_path / "t.csv"), CRS)
     assert blocks.night_count.tolist() == [1, 2, 3]
     assert issues["counts_without_block"] == issues["blocks_without_count"] == 0
 
@@ -61,38 +61,40 @@ def test_a_plain_table_joins_whatever_its_columns_are_called(tmp_path):
 def test_ids_join_also_as_numbers_and_without_their_leading_zero(tmp_path):
     ids = ["060370001001000", "060370001001001"]
     pd.DataFrame({"GEOID": [int(i) for i in ids], "POP100": [5, 6]}).to_csv(tmp_path / "t.csv", index=False)
-    blocks, _ = read_blocks(CensusFiles(write_blocks(tmp_path / "b.gpkg", ids), tmp_path / "t.csv"), CRS)
+    blocks, _ = read_blocks(Population(blocks=write_blocks(tmp_path / "b.gpkg", ids), table=tmp_path / "t.csv"), CRS)
     assert blocks.night_count.tolist() == [5, 6]
     assert blocks.block_id.tolist() == ids
     as_numbers, _ = read_blocks(
-        CensusFiles(write_blocks(tmp_path / "n.gpkg", [int(i) for i in ids]), tmp_path / "t.csv"), CRS
+        Population(blocks=write_blocks(tmp_path / "n.gpkg", [int(i) for i in ids]), table=tmp_path / "t.csv"), CRS
     )
     assert as_numbers.night_count.tolist() == [5, 6]
 
 
 def test_counts_can_lie_in_the_blocks_file(tmp_path):
     path = write_blocks(tmp_path / "b.gpkg", POP10=[4, 5, 6], HOUSING10=[1, 2, 3])
-    blocks, _ = read_blocks(CensusFiles(path), CRS)
+    blocks, _ = read_blocks(Population(blocks=path), CRS)
     assert blocks.night_count.tolist() == [4, 5, 6]
     with pytest.raises(InputError, match=r"no field of population .* set \[population\] table"):
-        read_blocks(CensusFiles(write_blocks(tmp_path / "c.gpkg")), CRS)
+        read_blocks(Population(blocks=write_blocks(tmp_path / "c.gpkg")), CRS)
 
 
 def test_an_unreadable_count_is_counted_and_taken_as_nobody(tmp_path):
     pd.DataFrame({"id": IDS, "population": ["1", "n/a", "-4"]}).to_csv(tmp_path / "t.csv", index=False)
-    blocks, issues = read_blocks(CensusFiles(write_blocks(tmp_path / "b.gpkg"), tmp_path / "t.csv"), CRS)
+    blocks, issues = read_blocks(Population(blocks=write_blocks(tmp_path / "b.gpkg"), table=tmp_path / "t.csv"), CRS)
     assert blocks.night_count.tolist() == [1, 0, 0]
     assert issues["blocks_without_count"] == 2
 
 
 def test_only_blocks_that_touch_the_region_are_kept(tmp_path, sf1):
     blocks, issues = read_blocks(
-        CensusFiles(write_blocks(tmp_path / "b.shp"), sf1), CRS, bounds_m=(X0 + 210, Y0 + 10, X0 + 900, Y0 + 90)
+        Population(blocks=write_blocks(tmp_path / "b.shp"), table=sf1),
+        CRS,
+        bounds_m=(X0 + 210, Y0 + 10, X0 + 900, Y0 + 90),
     )
     assert blocks.block_id.tolist() == IDS[2:]
     assert issues["counts_without_block"] == 1  # against the whole file, not the region
     with pytest.raises(InputError, match="no block that touches the region"):
-        read_blocks(CensusFiles(tmp_path / "b.shp", sf1), CRS, bounds_m=(0, 0, 10, 10))
+        read_blocks(Population(blocks=tmp_path / "b.shp", table=sf1), CRS, bounds_m=(0, 0, 10, 10))
 
 
 def test_districts_set_label_and_zoning(tmp_path, sf1):
@@ -101,7 +103,10 @@ def test_districts_set_label_and_zoning(tmp_path, sf1):
     )
     districts.to_file(tmp_path / "d.gpkg")
     blocks, issues = read_blocks(
-        CensusFiles(write_blocks(tmp_path / "b.gpkg"), sf1, districts=tmp_path / "d.gpkg", commercial=(101,)), CRS
+        Population(
+            blocks=write_blocks(tmp_path / "b.gpkg"), table=sf1, districts=tmp_path / "d.gpkg", commercial=(101,)
+        ),
+        CRS,
     )
     assert blocks.district.tolist() == [101, 101, OTHER_DISTRICT]
     assert blocks.zoning.tolist() == [Zoning.COMMERCIAL, Zoning.COMMERCIAL, Zoning.OTHER]
@@ -111,11 +116,11 @@ def test_districts_set_label_and_zoning(tmp_path, sf1):
 def test_a_wrong_block_field_is_refused_with_the_remedy(tmp_path, sf1):
     path = write_blocks(tmp_path / "b.gpkg", TRACT=["1", "1", "2"], NAME=["x", "y", "z"])
     with pytest.raises(InputError, match=r"no field 'GEOID20' .did you mean 'GEOID10'"):
-        read_blocks(CensusFiles(path, sf1, block_field="GEOID20"), CRS)
+        read_blocks(Population(blocks=path, table=sf1, block_field="GEOID20"), CRS)
     with pytest.raises(InputError, match="id '1' more than once in 'TRACT'"):
-        read_blocks(CensusFiles(path, sf1, block_field="TRACT"), CRS)
+        read_blocks(Population(blocks=path, table=sf1, block_field="TRACT"), CRS)
     with pytest.raises(InputError, match="joins no block: no column holds ids such as 'x'"):
-        read_blocks(CensusFiles(path, sf1, block_field="NAME"), CRS)
+        read_blocks(Population(blocks=path, table=sf1, block_field="NAME"), CRS)
 
 
 @pytest.mark.parametrize(
@@ -130,28 +135,28 @@ def test_a_wrong_block_field_is_refused_with_the_remedy(tmp_path, sf1):
 def test_a_table_that_cannot_serve_says_why(tmp_path, text, message):
     (tmp_path / "t.csv").write_text(text)
     with pytest.raises(InputError, match=message):
-        read_blocks(CensusFiles(write_blocks(tmp_path / "b.gpkg"), tmp_path / "t.csv"), CRS)
+        read_blocks(Population(blocks=write_blocks(tmp_path / "b.gpkg"), table=tmp_path / "t.csv"), CRS)
 
 
 def test_missing_files_are_named(tmp_path, sf1):
     with pytest.raises(InputError, match=r"the blocks file .*none.shp' does not exist"):
-        read_blocks(CensusFiles(tmp_path / "none.shp", sf1), CRS)
+        read_blocks(Population(blocks=tmp_path / "none.shp", table=sf1), CRS)
     with pytest.raises(InputError, match=r"\[population\] table .*none.csv' does not exist"):
-        read_blocks(CensusFiles(write_blocks(tmp_path / "b.gpkg"), tmp_path / "none.csv"), CRS)
+        read_blocks(Population(blocks=write_blocks(tmp_path / "b.gpkg"), table=tmp_path / "none.csv"), CRS)
 
 
 def test_repeated_equal_rows_count_once(tmp_path):
     (tmp_path / "t.csv").write_text(f"id,population\n{IDS[0]},9\n{IDS[0]},9\n")
-    blocks, _ = read_blocks(CensusFiles(write_blocks(tmp_path / "b.gpkg"), tmp_path / "t.csv"), CRS)
+    blocks, _ = read_blocks(Population(blocks=write_blocks(tmp_path / "b.gpkg"), table=tmp_path / "t.csv"), CRS)
     assert blocks.night_count.tolist() == [9, 0, 0]
 
 
 @pytest.mark.data
 def test_manhattan_has_its_census_by_district(data_dir):
     blocks, issues = read_blocks(
-        CensusFiles(
-            data_dir / "census/tl_2010_36061_tabblock10.shp",
-            data_dir / "census/DECENNIALSF12010.P1_nyc_blocks.csv",
+        Population(
+            blocks=data_dir / "census/tl_2010_36061_tabblock10.shp",
+            table=data_dir / "census/DECENNIALSF12010.P1_nyc_blocks.csv",
             districts=data_dir / "districts/nyc_community_districts.geojson",
         ),
         CRS,

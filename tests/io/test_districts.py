@@ -51,21 +51,20 @@ def test_touching_a_district_is_not_lying_in_it():
 
 def test_zoning_follows_the_paper_in_manhattan():
     labels = [*range(101, 113), 164, 208]
-    zoning = zoning_of(np.array([101, 106, 107, 112, 164, 208, OTHER_DISTRICT]), COMMERCIAL, None, labels)
+    zoning = zoning_of(np.array([101, 106, 107, 112, 164, 208, OTHER_DISTRICT]), COMMERCIAL, labels)
     com, res, other = Zoning.COMMERCIAL, Zoning.RESIDENTIAL, Zoning.OTHER
     assert zoning.tolist() == [com, com, res, res, other, other, other]
 
 
 def test_a_shorter_commercial_list_leaves_the_rest_of_the_twelve_residential():
-    zoning = zoning_of(np.array([101, 106]), (101,), None, range(101, 113))
+    zoning = zoning_of(np.array([101, 106]), (101,), range(101, 113))
     assert zoning.tolist() == [Zoning.COMMERCIAL, Zoning.RESIDENTIAL]
 
 
 def test_in_another_city_every_other_district_is_residential_unless_listed():
     district = np.array([1, 2, 3, OTHER_DISTRICT])
     com, res, other = Zoning.COMMERCIAL, Zoning.RESIDENTIAL, Zoning.OTHER
-    assert zoning_of(district, (1,), None, (1, 2, 3)).tolist() == [com, res, res, other]
-    assert zoning_of(district, (1,), (3,), (1, 2, 3)).tolist() == [com, other, res, other]
+    assert zoning_of(district, (1,), (1, 2, 3)).tolist() == [com, res, res, other]
 
 
 def test_text_labels_are_read_as_numbers_and_reprojected(tmp_path):

@@ -19,12 +19,14 @@ from jaxurban.errors import InputError
 from jaxurban.io import fetch as fetching
 from jaxurban.io.download import Cache
 from jaxurban.io.fetch_plan import FetchJob, plan_fetch
-from jaxurban.io.read.buildings import BuildingFile, read_buildings
-from jaxurban.io.read.census import CensusFiles, read_blocks
+from jaxurban.io.read.buildings import read_buildings
+from jaxurban.io.read.census import read_blocks
 from jaxurban.io.read.orbits import _timescale, nominal_satellites
 from jaxurban.io.read.osm import cut_buildings
+from jaxurban.metrics.population import Population
 from jaxurban.scenario.run import run_scenario
 from jaxurban.scenario.settings import Scenario
+from jaxurban.settings import Buildings
 from tests.cli_runs import assert_one_sentence, run
 from tests.misbehaving_server import send, serve
 
@@ -275,7 +277,7 @@ def test_an_extract_is_checked_and_cut_to_the_region(server, tmp_path, capsys):
     url = server.put("/state.osm.pbf", send(body))
     code, _, err = fetch(capsys, tmp_path / "a", "--what", "osm", "--extract", url)
     assert (code, server.paths()) == (0, ["/state.osm.pbf"]), err
-    found = read_buildings(BuildingFile(tmp_path / "a" / "buildings.osm.pbf"), "EPSG:32618").buildings
+    found = read_buildings(Buildings(tmp_path / "a" / "buildings.osm.pbf"), "EPSG:32618").buildings
     assert sorted(found.height_m.tolist()) == [25, 40]
 
 
@@ -284,9 +286,7 @@ def test_a_cut_extract_holds_the_same_buildings(data_dir, tmp_path):
     source, cut = data_dir / "osm/lower-manhattan.osm.pbf", tmp_path / "cut.osm.pbf"
     cut_buildings(source, cut, (-74.0150, 40.7020, -74.0080, 40.7080))
     inside_m = (583_400.0, 4_506_200.0, 583_700.0, 4_506_600.0)
-    whole, part = (
-        read_buildings(BuildingFile(path), "EPSG:32618", bounds_m=inside_m).buildings for path in (source, cut)
-    )
+    whole, part = (read_buildings(Buildings(path), "EPSG:32618", bounds_m=inside_m).buildings for path in (source, cut))
     assert len(part.polygons) == len(whole.polygons) > 50
     np.testing.assert_array_equal(np.sort(part.height_m), np.sort(whole.height_m))
     assert shapely.area(part.polygons).sum() == pytest.approx(shapely.area(whole.polygons).sum(), rel=1e-9)
@@ -379,7 +379,8 @@ def test_blocks_of_several_counties_and_pages_come_together(server, tmp_path, ca
     assert fetch(capsys, tmp_path / "a", "--what", "osm,census")[0] == 0
     assert [path.partition("from=")[2] for path, _ in server.asked if path.startswith("/counts")] == ["0", "4"]
     blocks, issues = read_blocks(
-        CensusFiles(tmp_path / "a/blocks.parquet", tmp_path / "a/population.csv", block_field="GEOID"), "EPSG:32618"
+        Population(blocks=tmp_path / "a/blocks.parquet", table=tmp_path / "a/population.csv", block_field="GEOID"),
+        "EPSG:32618",
     )
     # The third block from the east begins 120 m beyond the region: it is left out.
     assert blocks.block_id.tolist() == east[:2] + block_ids(4)
@@ -436,7 +437,8 @@ def test_the_population_may_be_a_csv_table(server, tmp_path, capsys):
     places = ("--source", f"population={url}", "--source", f"blocks={server.url}/old.zip")
     assert fetch(capsys, tmp_path / "a", "--what", "osm,census", *places)[0] == 0
     blocks, _ = read_blocks(
-        CensusFiles(tmp_path / "a/blocks.parquet", tmp_path / "a/population.csv", block_field="GEOID"), "EPSG:32618"
+        Population(blocks=tmp_path / "a/blocks.parquet", table=tmp_path / "a/population.csv", block_field="GEOID"),
+        "EPSG:32618",
     )
     assert blocks.night_count.sum() == 50 + 51 + 52 + 53
     terms = {file["source"]: file["licence"] for file in json.loads((tmp_path / "a/fetch.json").read_text())["files"]}

@@ -8,12 +8,13 @@ import pytest
 import shapely
 
 from jaxurban.errors import InputError
-from jaxurban.io.read.buildings import BuildingFile, read_buildings
+from jaxurban.io.read.buildings import read_buildings
 from jaxurban.io.read.osm import cut_buildings, read_osm
 from jaxurban.io.read.outlines import to_buildings
 from jaxurban.io.read.rasterise import build_surface, rasterise
 from jaxurban.metrics.obstacle import obstacles_on
 from jaxurban.metrics.visibility import visibility
+from jaxurban.settings import Buildings
 from jaxurban.world.city import SLABS, TO_GROUND, City, HeightOrigin
 from jaxurban.world.grid import Grid
 from jaxurban.world.surface import PER_CELL
@@ -108,9 +109,9 @@ def test_decks_of_bridges_hang_by_their_tags_or_by_their_layer(tmp_path):
     rows += [{"building": "yes", "height": "20"}, {"man_made": "pier"}]
     path = tmp_path / "city.gpkg"
     geopandas.GeoDataFrame(rows, geometry=shapes, crs=CRS).to_file(path)
-    plain = read_buildings(BuildingFile(path), CRS).buildings
+    plain = read_buildings(Buildings(path), CRS).buildings
     assert plain.height_m.tolist() == [20]
-    decks = read_buildings(BuildingFile(path, hanging=SLABS), CRS).buildings
+    decks = read_buildings(Buildings(path, hanging=SLABS), CRS).buildings
     assert list(zip(decks.min_height_m, decks.height_m, strict=True)) == [*EXPECTED, (0, 20)]
     guessed = [origin == HeightOrigin.LAYER for origin in decks.origin]
     assert guessed == [False, False, False, True, True, False, False]
@@ -158,7 +159,7 @@ def test_an_outline_stays_as_a_podium_under_hanging_parts_where_no_part_stands(t
     beside, path = shapely.box(x_m + 200, y_m, x_m + 220, y_m + 20), tmp_path / "city.gpkg"
     geopandas.GeoDataFrame(rows, geometry=[whole, lobby, top, standing, beside], crs=CRS).to_file(path)
     for hanging, count in ((SLABS, 1), (TO_GROUND, None)):
-        source = read_buildings(BuildingFile(path, hanging=hanging), CRS)
+        source = read_buildings(Buildings(path, hanging=hanging), CRS)
         assert source.issues["outlines_replaced_by_parts"] == 1
         assert source.issues.get("outlines_kept_as_podiums") == count
         extent_m = (X_M, Y_M, X_M + SIDE_M, Y_M + SIDE_M)
@@ -174,9 +175,9 @@ def test_slabs_of_a_height_raster_are_refused(tmp_path):
     path = tmp_path / "roofs.tif"
     path.write_bytes(b"")
     with pytest.raises(InputError, match="is for outlines"):
-        read_buildings(BuildingFile(path, hanging=SLABS), CRS)
+        read_buildings(Buildings(path, hanging=SLABS), CRS)
     with pytest.raises(InputError, match="slabs"):
-        BuildingFile(path, hanging="slab")
+        Buildings(path, hanging="slab")
 
 
 @pytest.mark.slow

@@ -6,7 +6,7 @@ import pytest
 import shapely
 
 import jaxurban as ju
-from jaxurban.io.read.buildings import BuildingFile, read_buildings
+from jaxurban.io.read.buildings import read_buildings
 from jaxurban.io.read.knownarea import area_of_outlines, area_of_raster, rays_leaving
 from jaxurban.maps.build import view_sky
 from jaxurban.maps.guesses import leaving_shares, outside_share
@@ -80,7 +80,7 @@ def test_a_city_keeps_its_bounds_and_a_wreck_does_not_stretch_its_maps(tmp_path)
     path = write(tmp_path / "city.geojson", [(-74.0159, 40.7041, -74.0140, 40.7060), (-72.0, 42.0, -71.999, 42.001)])
     city = ju.City.from_files(path, bounds=BOUNDS, crs=UTM)
     assert city.bounds == BOUNDS
-    maps = ju.build_maps(city, resolution_m=20.0, altitudes_m=(20.0,), times_of_day=("day",))
+    maps = ju.build_maps(city, resolution_m=20.0, altitudes_m=(20.0,), population=ju.Population(time_of_day=("day",)))
     assert maps.grid == ju.Grid.from_bounds(BOUNDS, 20.0, UTM)
     assert 0.5 < outside_share(maps.grid, city.known_area) < 0.9  # the wreck makes nothing known
     x_min, y_min, x_max, y_max = city.extent_m
@@ -100,7 +100,7 @@ def test_what_is_kept_beyond_a_declared_box_still_shadows(tmp_path):
     def seen(name, *boxes):
         declared = "".join(f'<bounds minlon="{a}" minlat="{b}" maxlon="{c}" maxlat="{d}"/>' for a, b, c, d in boxes)
         (tmp_path / name).write_text(f'<osm version="0.6">{declared}{elements}</osm>')
-        city = ju.City.from_files(tmp_path / name, bounds=BOUNDS, crs=UTM, allow_none=True)
+        city = ju.City.from_files(ju.Buildings(tmp_path / name, allow_none=True), bounds=BOUNDS, crs=UTM)
         return ju.build_maps(city, resolution_m=20.0, altitudes_m=(20.0,)).m("num_visible", 20.0)
 
     both = seen("both.osm", first, second)
@@ -120,7 +120,7 @@ def test_rays_are_told_to_leave_a_town_beside_a_wreck(tmp_path):
     wrecks = [(-74.12, 40.62, -74.119, 40.621), (-73.92, 40.79, -73.919, 40.791)]
     beside = ju.City.from_files(write(tmp_path / "b.geojson", [*town, *wrecks]), bounds=BOUNDS, crs=UTM)
     grid = ju.Grid.from_bounds(BOUNDS, 20.0, UTM)
-    sky = view_sky(grid, "nominal", ("2020-04-27T16:00:00Z",), mask_deg=5.0, reference=None, max_age_days=90.0)
+    sky = view_sky(grid, ju.Gps(times=("2020-04-27T16:00:00Z",)))
     shares = [leaving_shares(city, grid, sky, 20.0, 5.0)[0] for city in (alone, beside)]
     assert shares[0] == shares[1] > 0.1
 
@@ -128,7 +128,7 @@ def test_rays_are_told_to_leave_a_town_beside_a_wreck(tmp_path):
 def test_the_kept_area_of_a_file_is_that_of_its_part(tmp_path):
     path = write(tmp_path / "c.geojson", [(-74.0159, 40.7041, -74.0150, 40.7050), (-72.0, 42.0, -71.999, 42.001)])
     bounds_m = ju.Grid.from_bounds(BOUNDS, 20.0, UTM).bounds_m
-    part, whole = read_buildings(BuildingFile(path), UTM, bounds_m=bounds_m), read_buildings(BuildingFile(path), UTM)
+    part, whole = read_buildings(ju.Buildings(path), UTM, bounds_m=bounds_m), read_buildings(ju.Buildings(path), UTM)
     assert part.area.area < 2e4
     assert whole.area.area < 4e4
     assert whole.file_extent_m == whole.area.bounds

@@ -10,9 +10,10 @@ import pytest
 import shapely
 
 from jaxurban.errors import InputError
-from jaxurban.io.read.buildings import BuildingFile, read_buildings
+from jaxurban.io.read.buildings import read_buildings
 from jaxurban.io.read.outlines import MARGIN_M, Near
 from jaxurban.io.read.vector import read_vector
+from jaxurban.settings import Buildings
 from jaxurban.world.city import City
 
 UTM, WGS84 = "EPSG:32618", "EPSG:4326"
@@ -77,7 +78,7 @@ def path(tmp_path, request):
 
 def kept_of_whole(path, crs, bounds_m):
     """Return the facts of the buildings of the whole file whose box touches the bounds."""
-    whole = read_buildings(BuildingFile(path), crs)
+    whole = read_buildings(Buildings(path), crs)
     x_min, y_min, x_max, y_max = whole.buildings.boxes_m
     is_kept = (x_min <= bounds_m[2]) & (x_max >= bounds_m[0]) & (y_min <= bounds_m[3]) & (y_max >= bounds_m[1])
     assert 40 < is_kept.sum() < 0.5 * len(is_kept)
@@ -85,7 +86,7 @@ def kept_of_whole(path, crs, bounds_m):
 
 
 def test_buildings_near_a_region_are_those_of_the_whole_file_in_its_order(path):
-    part = read_buildings(BuildingFile(path), UTM, bounds_m=BOX_M)
+    part = read_buildings(Buildings(path), UTM, bounds_m=BOX_M)
     assert facts_of(part) == kept_of_whole(path, UTM, BOX_M)
     assert part.buildings.is_part.any()
     assert part.issues["outlines_replaced_by_parts"] > 0
@@ -97,8 +98,8 @@ def test_what_lies_elsewhere_is_left_out_and_the_whole_extent_is_told(path):
     assert whole.extent is None
     np.testing.assert_allclose(near.extent, shapely.total_bounds(whole.polygons), atol=1e-9)
     assert near.issues == whole.issues == {"non_polygons": int(path.suffix != ".shp")}
-    part = read_buildings(BuildingFile(path), UTM, bounds_m=BOX_M)
-    all_of_it = read_buildings(BuildingFile(path), UTM)
+    part = read_buildings(Buildings(path), UTM, bounds_m=BOX_M)
+    all_of_it = read_buildings(Buildings(path), UTM)
     np.testing.assert_allclose(part.file_extent_m, all_of_it.file_extent_m, atol=400.0)  # of a box in degrees
 
 
@@ -106,13 +107,13 @@ def test_a_turned_crs_gives_the_same_buildings(path):
     turned = "+proj=omerc +lat_0=40.7 +lonc=-74 +alpha=40 +gamma=0 +k=1 +x_0=0 +y_0=0 +datum=WGS84 +units=m"
     middle = gpd.GeoSeries([shapely.Point(X + 450, Y + 450)], crs=UTM).to_crs(turned)[0]
     bounds_m = (middle.x - 700, middle.y - 700, middle.x + 700, middle.y + 700)
-    part = read_buildings(BuildingFile(path), turned, bounds_m=bounds_m)
+    part = read_buildings(Buildings(path), turned, bounds_m=bounds_m)
     assert facts_of(part) == kept_of_whole(path, turned, bounds_m)
 
 
 def test_a_region_without_buildings_is_told_of_by_the_whole_file(path):
     away = (X + 9e5, Y, X + 9e5 + 10, Y + 10)
-    part, whole = read_buildings(BuildingFile(path), UTM, bounds_m=away), read_buildings(BuildingFile(path), UTM)
+    part, whole = read_buildings(Buildings(path), UTM, bounds_m=away), read_buildings(Buildings(path), UTM)
     assert len(part.buildings) == 0
     assert part.area.equals(whole.area)
     assert (part.file_extent_m, part.counts, part.issues) == (whole.file_extent_m, whole.counts, whole.issues)
@@ -124,7 +125,7 @@ def test_an_outline_wider_than_the_margin_comes_with_the_parts_at_its_far_end(tm
     columns = {"building": ["yes", None, None], "building:part": [None, "yes", "yes"], "height": [9.0, 8.0, 7.0]}
     for name in ("city.gpkg", "city.parquet"):
         path = write(gpd.GeoDataFrame(columns, geometry=[long, *ends], crs=UTM), tmp_path / name)
-        part = read_buildings(BuildingFile(path), UTM, bounds_m=(X, Y, X + 100, Y + 100))
+        part = read_buildings(Buildings(path), UTM, bounds_m=(X, Y, X + 100, Y + 100))
         assert part.issues["outlines_replaced_by_parts"] == 1
         assert len(part.buildings) == 0
 

@@ -22,9 +22,9 @@ from jaxurban.io.read.orbits import (
     look_angles,
     middle_epoch,
     nominal_satellites,
-    parse_time,
     read_orbits,
 )
+from jaxurban.settings import parse_time
 
 LON_DEG, LAT_DEG = -74.0, 40.715
 MILLIDEGREE_RAD = math.radians(1e-3)

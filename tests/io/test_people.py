@@ -11,7 +11,7 @@ from affine import Affine
 
 import jaxurban as ju
 from jaxurban.errors import InputError
-from jaxurban.io.read.census import CensusFiles, read_blocks
+from jaxurban.io.read.census import read_blocks
 from jaxurban.metrics.population import population_totals
 from jaxurban.world.city import Buildings, City, Zoning
 from jaxurban.world.grid import Grid, transformer
@@ -40,7 +40,7 @@ def degrees(tmp_path):
 
 
 def test_every_person_is_in_one_block(degrees):
-    blocks, _ = read_blocks(CensusFiles(degrees), CRS)
+    blocks, _ = read_blocks(ju.Population(blocks=degrees), CRS)
     with rasterio.open(degrees) as file:
         counts = file.read(1, masked=True)
     assert blocks.night_count.sum() == counts.astype(np.float64).sum()
@@ -51,7 +51,7 @@ def test_every_person_is_in_one_block(degrees):
 
 def test_boxes_share_out_people_by_area(degrees):
     """The boxes of a mesh cut pixels anyhow; together they hold everybody, as GeoPandas counts them too."""
-    blocks, _ = read_blocks(CensusFiles(degrees), CRS)
+    blocks, _ = read_blocks(ju.Population(blocks=degrees), CRS)
     x_min, y_min, x_max, y_max = shapely.total_bounds(blocks.polygons)
     x, y = np.linspace(x_min, x_max, 6), np.linspace(y_min, y_max, 5)
     frame = gpd.GeoDataFrame({"people": blocks.night_count}, geometry=blocks.polygons, crs=CRS)
@@ -69,7 +69,7 @@ def test_boxes_share_out_people_by_area(degrees):
 def test_maps_of_pixels_that_cells_divide_hold_everybody(tmp_path):
     values = np.arange(1.0, 13.0).reshape(3, 4)
     path = write_people(tmp_path / "p.tif", values, Affine(100, 0, X0, 0, -100, Y0 + 300))
-    blocks, _ = read_blocks(CensusFiles(path), CRS)
+    blocks, _ = read_blocks(ju.Population(blocks=path), CRS)
     tower = Buildings(
         np.array([shapely.box(X0 + 11, Y0 + 11, X0 + 29, Y0 + 29)]),
         *(np.array([value]) for value in (30.0, 0.0, np.uint8(0), False)),
@@ -86,7 +86,7 @@ def test_districts_and_bounds_are_as_of_census_blocks(degrees, tmp_path):
     everywhere = gpd.GeoDataFrame({"BoroCD": [101]}, geometry=[shapely.box(X0 - 1e4, Y0 - 1e4, X0 + 1e4, Y0)], crs=CRS)
     everywhere.to_file(tmp_path / "d.gpkg")
     box = X0 + 500, Y0 - 900, X0 + 800, Y0 - 500
-    blocks, _ = read_blocks(CensusFiles(degrees, districts=tmp_path / "d.gpkg"), CRS, box)
+    blocks, _ = read_blocks(ju.Population(blocks=degrees, districts=tmp_path / "d.gpkg"), CRS, box)
     assert set(blocks.zoning) == {Zoning.COMMERCIAL}
     assert blocks.touches(box).all()
     assert 10 < len(blocks) < 60
@@ -96,10 +96,10 @@ def test_what_is_no_count_of_people_is_refused(tmp_path):
     place = Affine(100, 0, X0, 0, -100, Y0)
     path = write_people(tmp_path / "p.tif", np.array([[1.0, -200.0]]), place, nodata=None)
     with pytest.raises(InputError, match="1 pixels of less than 0 people: declare"):
-        read_blocks(CensusFiles(path), CRS)
+        read_blocks(ju.Population(blocks=path), CRS)
     path = write_people(tmp_path / "q.tif", np.array([[1.0, -200.0]]), place, nodata=-200.0)
-    assert read_blocks(CensusFiles(path), CRS)[0].night_count.tolist() == [1.0]
+    assert read_blocks(ju.Population(blocks=path), CRS)[0].night_count.tolist() == [1.0]
     with pytest.raises(InputError, match="table"):
-        read_blocks(CensusFiles(path, table=tmp_path / "t.csv"), CRS)
+        read_blocks(ju.Population(blocks=path, table=tmp_path / "t.csv"), CRS)
     with pytest.raises(InputError, match="does not reach the region"):
-        read_blocks(CensusFiles(path), CRS, (X0 + 1e5, Y0, X0 + 1.1e5, Y0 + 1e4))
+        read_blocks(ju.Population(blocks=path), CRS, (X0 + 1e5, Y0, X0 + 1.1e5, Y0 + 1e4))

@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 
 from jaxurban.errors import InputError
-from jaxurban.io.read.buildings import BuildingFile, read_buildings
+from jaxurban.io.read.buildings import read_buildings
 from jaxurban.io.read.raster import read_raster
 from jaxurban.io.read.sampling import heights_above
 from jaxurban.io.read.surfacemodel import check_is_no_surface, heights_of_surface, low_levels
+from jaxurban.settings import Buildings
 from jaxurban.world.city import City, Raster
 
 UTM = "EPSG:32618"
@@ -89,7 +90,7 @@ def test_outlines_are_no_surface(tmp_path):
     path = tmp_path / "city.geojson"
     path.touch()
     with pytest.raises(InputError, match=r'kind = "surface" is for rasters, and .*city\.geojson'):
-        read_buildings(BuildingFile(path, kind="surface"), UTM)
+        read_buildings(Buildings(path, kind="surface"), UTM)
 
 
 @pytest.mark.data
@@ -100,7 +101,7 @@ def test_gothenburgs_surface_is_refused_and_less_its_terrain_gives_a_city(data_d
         with pytest.raises(InputError, match=r"gothenburg_dsm\.tif' looks like a surface model"):
             City.from_files(surface, terrain=ground, **options)
     with pytest.warns(UserWarning, match="trees"):
-        city = City.from_files(surface, terrain=terrain, kind="surface", **options)
+        city = City.from_files(Buildings(surface, kind="surface"), terrain=terrain, **options)
     assert 0.4 < np.mean(city.roofs.values == 0) < 0.6
     assert city.roofs.values.max() == pytest.approx(52.4, abs=0.1)
 

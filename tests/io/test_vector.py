@@ -11,13 +11,14 @@ import pytest
 import shapely
 
 from jaxurban.errors import InputError
-from jaxurban.io.read.buildings import BuildingFile, read_buildings
+from jaxurban.io.read.buildings import read_buildings
 from jaxurban.io.read.orbits import read_orbits
 from jaxurban.io.read.osm import read_osm
 from jaxurban.io.read.raster import raster_extent_m
 from jaxurban.io.read.vector import open_layers, read_vector
 from jaxurban.io.tables import read_table
 from jaxurban.scenario.settings import Scenario
+from jaxurban.settings import Buildings
 
 UTM, WGS84 = "EPSG:32618", "EPSG:4326"
 SQUARE = shapely.box(-74.0, 40.7, -73.999, 40.701)
@@ -37,7 +38,7 @@ def test_every_format_in_every_crs_gives_the_same_building(tmp_path, suffix, crs
         table.to_parquet(path)
     else:
         table.to_file(path)
-    source = read_buildings(BuildingFile(path), UTM)
+    source = read_buildings(Buildings(path), UTM)
     expected = frame({"height": [0]}).to_crs(UTM).geometry[0]
     assert source.buildings.height_m.tolist() == [21.5]
     assert shapely.hausdorff_distance(source.buildings.polygons[0], expected) < 0.01  # GeoJSON rounds to 1e-7 degrees
@@ -61,14 +62,14 @@ def test_every_format_in_every_crs_gives_the_same_building(tmp_path, suffix, crs
 def test_common_columns_are_understood(tmp_path, column, value, height_m):
     path = tmp_path / "city.geojson"
     frame({column: [value]}).to_file(path)
-    assert read_buildings(BuildingFile(path), UTM).buildings.height_m[0] == pytest.approx(height_m)
+    assert read_buildings(Buildings(path), UTM).buildings.height_m[0] == pytest.approx(height_m)
 
 
 def test_names_that_a_shapefile_cuts_are_understood(tmp_path):
     path = tmp_path / "city.shp"
     with pytest.warns(UserWarning, match="10 characters"), pytest.warns(RuntimeWarning, match="Normalized"):
         frame({"building:levels": ["4"], "roof:levels": ["1"]}).to_file(path)
-    assert read_buildings(BuildingFile(path), UTM).buildings.height_m.tolist() == [15.0]
+    assert read_buildings(Buildings(path), UTM).buildings.height_m.tolist() == [15.0]
 
 
 def test_columns_of_one_meaning_fill_each_others_gaps(tmp_path):
@@ -76,7 +77,7 @@ def test_columns_of_one_meaning_fill_each_others_gaps(tmp_path):
     frame({"levels": ["2", "2", None], "building:levels": ["3", None, None], "height": [None, None, "-1"]}).to_file(
         path
     )
-    source = read_buildings(BuildingFile(path), UTM)
+    source = read_buildings(Buildings(path), UTM)
     assert source.buildings.height_m.tolist() == [9.0, 6.0, 10.0]
     assert source.issues["heights_unusable"] == 1
 
@@ -85,7 +86,7 @@ def test_the_rules_for_parts_hold_for_vector_files(tmp_path):
     path = tmp_path / "city.geojson"
     columns = {"building": ["yes", None, None], "building:part": [None, "yes", None], "height": ["9", "8", "7"]}
     frame(columns).to_file(path)
-    source = read_buildings(BuildingFile(path), UTM)
+    source = read_buildings(Buildings(path), UTM)
     assert source.buildings.height_m.tolist() == [8.0]
     assert source.issues["outlines_replaced_by_parts"] == 1
     assert source.issues["not_buildings"] == 1
@@ -95,14 +96,14 @@ def test_the_rules_for_parts_hold_for_vector_files(tmp_path):
 def test_what_overture_says_is_underground_is_left_out(tmp_path):
     path = tmp_path / "city.parquet"
     frame({"height": [5.0, 6.0, 7.0], "is_underground": [True, False, None]}).to_parquet(path)
-    assert read_buildings(BuildingFile(path), UTM).buildings.height_m.tolist() == [6.0, 7.0]
+    assert read_buildings(Buildings(path), UTM).buildings.height_m.tolist() == [6.0, 7.0]
 
 
 def test_points_are_counted_and_left_out_and_collections_give_their_polygons(tmp_path):
     path = tmp_path / "city.geojson"
     mixed = shapely.GeometryCollection([SQUARE, shapely.Point(0, 0)])
     frame({"height": [1, 2, 3]}, [SQUARE.centroid, mixed, SQUARE]).to_file(path)
-    source = read_buildings(BuildingFile(path), UTM)
+    source = read_buildings(Buildings(path), UTM)
     assert source.buildings.height_m.tolist() == [2.0, 3.0]
     assert source.issues["non_polygons"] == 1
 
@@ -113,7 +114,7 @@ def test_empty_and_broken_geometries_are_counted(tmp_path):
     geometries = [None, *({"type": "Polygon", "coordinates": [ring]} for ring in rings)]
     features = [{"type": "Feature", "properties": {}, "geometry": geometry} for geometry in geometries]
     path.write_text(json.dumps({"type": "FeatureCollection", "features": features}))
-    source = read_buildings(BuildingFile(path), "EPSG:32631")
+    source = read_buildings(Buildings(path), "EPSG:32631")
     assert len(source.buildings) == 1
     assert (source.issues["polygons_dropped"], source.issues["polygons_repaired"]) == (2, 1)
 
@@ -168,19 +169,19 @@ def test_the_layer_of_polygons_is_chosen_or_asked_for(tmp_path):
     path = tmp_path / "layers.gpkg"
     frame({"height": [1]}, [SQUARE.centroid]).to_file(path, layer="trees")
     frame({"height": [5]}).to_file(path, layer="houses")
-    assert read_buildings(BuildingFile(path), UTM).buildings.height_m.tolist() == [5.0]
+    assert read_buildings(Buildings(path), UTM).buildings.height_m.tolist() == [5.0]
     frame({"height": [6]}).to_file(path, layer="parcels")
     with pytest.raises(InputError, match=r"layers\.gpkg.*trees, houses, parcels.*buildings"):
         read_vector(path)
     frame({"height": [7]}).to_file(path, layer="Buildings")
-    assert read_buildings(BuildingFile(path), UTM).buildings.height_m.tolist() == [7.0]
+    assert read_buildings(Buildings(path), UTM).buildings.height_m.tolist() == [7.0]
 
 
 def test_a_file_without_polygons_is_refused(tmp_path):
     path = tmp_path / "trees.geojson"
     frame({"height": [1]}, [SQUARE.centroid]).to_file(path)
     with pytest.raises(InputError, match=r"trees\.geojson.*holds no building"):
-        read_buildings(BuildingFile(path), UTM)
+        read_buildings(Buildings(path), UTM)
 
 
 URL = "http://127.0.0.1:{port}/x.geojson"

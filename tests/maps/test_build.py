@@ -24,7 +24,7 @@ def city() -> ju.City:
 
 @pytest.fixture(scope="module")
 def maps(city) -> ju.MetricMaps:
-    return ju.build_maps(city, resolution_m=10.0, reference=REFERENCE)
+    return ju.build_maps(city, resolution_m=10.0, gps=ju.Gps(reference=REFERENCE))
 
 
 def box_city(*boxes: tuple[float, float, float, float, float]) -> ju.City:
@@ -68,7 +68,7 @@ def test_gps_improves_and_lidar_fades_with_altitude(maps):
 def test_maps_of_a_sub_box_equal_the_crop_bit_for_bit(city, maps):
     outer = maps.grid
     inner = ju.Grid(outer.crs, 10.0, outer.first_row + 41, outer.first_col + 37, 53, 61)
-    part = ju.build_maps(city, grid=inner, reference=REFERENCE)
+    part = ju.build_maps(city, grid=inner, gps=ju.Gps(reference=REFERENCE))
     rows, cols = inner.window_in(outer)
     for name in ("obstacle", "gps", "gdop", "num_visible", "lidar", "risk", "density", "roof"):
         np.testing.assert_array_equal(part.ds[name].values, maps.ds[name].values[..., rows, cols], err_msg=name)
@@ -109,7 +109,10 @@ def test_the_metrics_of_maps_print_their_names(maps):
 
 def test_a_lone_wall_shadows_and_endangers_what_stands_near():
     maps = ju.build_maps(
-        box_city((180, 180, 220, 220, 100)), resolution_m=10.0, altitudes_m=(20.0, 150.0), reference=(-75.0, 40.65)
+        box_city((180, 180, 220, 220, 100)),
+        resolution_m=10.0,
+        altitudes_m=(20.0, 150.0),
+        gps=ju.Gps(reference=(-75.0, 40.65)),
     )
     risk, seen = maps.m("risk", 20.0), maps.m("num_visible", 20.0)
     assert risk[20, 23] == pytest.approx(20.0 / 50.0)  # two cells east of the wall's last one
@@ -124,8 +127,7 @@ def test_north_of_a_tower_lies_more_shadow_than_south_of_it():
         box_city((180, 180, 220, 220, 200)),
         resolution_m=10.0,
         altitudes_m=(20.0,),
-        times=[f"2020-04-27T{hour:02d}:00:00Z" for hour in range(0, 24, 4)],
-        reference=(-75.0, 40.65),
+        gps=ju.Gps(times=[f"2020-04-27T{hour:02d}:00:00Z" for hour in range(0, 24, 4)], reference=(-75.0, 40.65)),
     )
     seen = maps.ds["num_visible"].values[:, 0].astype(int).sum(axis=0)
     assert seen[22:32, 18:22].sum() < seen[8:18, 18:22].sum()
@@ -133,7 +135,7 @@ def test_north_of_a_tower_lies_more_shadow_than_south_of_it():
 
 def test_several_epochs_are_kept_apart(city):
     times = ("2020-04-27T16:00:00Z", "2020-04-27T19:00:00Z")
-    maps = ju.build_maps(city, resolution_m=20.0, altitudes_m=(20.0,), times=times)
+    maps = ju.build_maps(city, resolution_m=20.0, altitudes_m=(20.0,), gps=ju.Gps(times=times))
     assert maps.times == times
     first, second = (maps.m("gdop", 20.0, time=time) for time in times)
     assert not np.array_equal(first, second)
@@ -151,7 +153,7 @@ def test_maps_without_people_have_no_population_layer():
 
 def test_no_satellite_above_the_mask_is_an_error(city):
     with pytest.raises(InputError, match="no satellite is above"):
-        ju.build_maps(city, resolution_m=20.0, mask_deg=89.9)
+        ju.build_maps(city, resolution_m=20.0, gps=ju.Gps(mask_deg=89.9))
 
 
 def test_normalised_map_spans_free_cells(maps):

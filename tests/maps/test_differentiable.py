@@ -29,10 +29,12 @@ ELEVATION_RAD = np.radians([35.0, 50.0, 25.0, 40.0, 65.0])
 PARAMS = SoftParams(
     ALTITUDE_M,
     2.0,
-    Gps(20.0),
-    Lidar(beams=2, field_of_view_deg=(-9.0, 6.0), azimuths=16, range_m=33.0),
-    Risk(37.0),
-    Population(normalise=400_000.0),
+    {
+        "gps": Gps(20.0),
+        "lidar": Lidar(beams=2, field_of_view_deg=(-9.0, 6.0), azimuths=16, range_m=33.0),
+        "risk": Risk(37.0),
+        "population": Population(normalise=400_000.0),
+    },
 )
 WEIGHTS = Weights(0.05, gps=1.0, lidar=0.7, population=0.4, risk=1.2)
 START, GOAL = (1, 1), (13, 16)
@@ -65,6 +67,10 @@ def vector_of(soft, weights):
     return jnp.append(weights.distance, soft.layer_weights(weights))
 
 
+def with_sections(**sections):
+    return replace(PARAMS, sections={**PARAMS.sections, **sections})
+
+
 def problem_of(soft, params=PARAMS, weights=WEIGHTS, cost_model="cell"):
     """The planning question on the soft layers; obstacles are those of the city's own heights."""
     costs = np.asarray(layers_of(soft, soft.height_m, params))
@@ -78,9 +84,9 @@ def test_softness_0_gives_the_costs_of_the_exact_maps():
         found = dict(zip(soft.names, layers_of(soft, soft.height_m, replace(PARAMS, softness_m=0.0)), strict=True))
     surface = city(np.float32).surface
     exact = {
-        "gps": compute_gps(surface, AZIMUTH_RAD, ELEVATION_RAD, [ALTITUDE_M], PARAMS.gps).m,
-        "lidar": compute_lidar(surface, [ALTITUDE_M], PARAMS.lidar),
-        "risk": compute_risk(surface, [ALTITUDE_M], PARAMS.risk),
+        "gps": compute_gps(surface, AZIMUTH_RAD, ELEVATION_RAD, [ALTITUDE_M], PARAMS.sections["gps"]).m,
+        "lidar": compute_lidar(surface, [ALTITUDE_M], PARAMS.sections["lidar"]),
+        "risk": compute_risk(surface, [ALTITUDE_M], PARAMS.sections["risk"]),
     }
     for name, m in exact.items():
         np.testing.assert_allclose(found[name], 1 - m[0], atol=2e-6, err_msg=name)
@@ -134,8 +140,8 @@ def test_the_gradient_of_the_path_is_that_of_replanned_costs():
             step = 1e-5 * np.eye(len(HEIGHT_M))[building]
             slope = (replanned(soft.height_m + step) - replanned(soft.height_m - step)) / 2e-5
             np.testing.assert_allclose(by_height[building], slope, rtol=1e-4)
-        ends = [replanned(params=replace(PARAMS, risk=Risk(37.0 + step))) for step in (1e-5, -1e-5)]
-        np.testing.assert_allclose(by_params.risk.threshold_m, (ends[0] - ends[1]) / 2e-5, rtol=1e-4)
+        ends = [replanned(params=with_sections(risk=Risk(37.0 + step))) for step in (1e-5, -1e-5)]
+        np.testing.assert_allclose(by_params.sections["risk"].threshold_m, (ends[0] - ends[1]) / 2e-5, rtol=1e-4)
 
 
 @pytest.mark.slow
@@ -166,8 +172,8 @@ def test_one_program_serves_other_values_and_other_skies():
         others = [
             (soft, soft.height_m + 1, PARAMS),
             (replace(soft, view=SkyView.of(soft.surface, AZIMUTH_RAD + 0.3, ELEVATION_RAD)), soft.height_m, PARAMS),
-            (soft, soft.height_m, replace(PARAMS, altitude_m=31.0, softness_m=0.5, risk=Risk(25.0))),
-            (soft, soft.height_m, replace(PARAMS, gps=Gps(9.0), lidar=replace(PARAMS.lidar, range_m=21.0))),
+            (soft, soft.height_m, replace(with_sections(risk=Risk(25.0)), altitude_m=31.0, softness_m=0.5)),
+            (soft, soft.height_m, with_sections(gps=Gps(9.0), lidar=replace(PARAMS.sections["lidar"], range_m=21.0))),
         ]
         found = [layers_of(*arguments) for arguments in others]
         assert layers_of._cache_size() == compiled

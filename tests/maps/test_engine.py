@@ -73,7 +73,7 @@ def test_jax_gives_the_bits_of_numba_for_two_constellations_and_calls_no_form_of
 @pytest.mark.slow
 def test_over_terrain_around_slabs_and_on_finer_cells_the_bits_are_equal():
     params = replace(PARAMS, altitudes_m=(2.0, 13.0))
-    for changes in ({}, {"risk": ju.Risk(distance="solid")}, {"oversample": 3, "gps_bounds": True}):
+    for changes in ({}, {"risk": ju.Risk(distance="solid")}, {"oversample": 3, "gps": ju.Gps(bounds=True)}):
         assert_same(*both(MapTask(hanging_city(with_terrain=True), REGION, sky(), replace(params, **changes))))
 
 
@@ -94,7 +94,7 @@ def test_on_lower_manhattan_the_bits_are_equal(data_dir):
     orbits = data_dir / "gps" / "gps-ops_2020-04-27.tle"
     assert_same(
         *(
-            ju.build_maps(town, bounds, orbits=orbits, altitudes_m=(20.0, 60.0, 122.0), engine=engine).ds
+            ju.build_maps(town, bounds, altitudes_m=(20.0, 60.0, 122.0), engine=engine, gps=ju.Gps(orbits=orbits)).ds
             for engine in ("numba", "jax")
         )
     )

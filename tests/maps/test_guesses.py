@@ -17,7 +17,7 @@ from skyfield.api import load
 
 import jaxurban as ju
 from jaxurban.errors import GuessWarning
-from jaxurban.io.read.census import CensusFiles, read_blocks
+from jaxurban.io.read.census import read_blocks
 from jaxurban.io.read.guesses import FLAT_GROUND
 from jaxurban.io.read.orbits import nominal_satellites
 from jaxurban.io.read.rasterise import build_surface, burn, burn_touched
@@ -129,8 +129,9 @@ def test_people_of_the_day_are_a_guess_of_those_who_sleep_there():
         city = replace(ju.demo_city(500, 500), blocks=blocks_of(60.0, 60.0), crs=CRS, sources={"blocks": "blocks.shp"})
         city = replace(city, extent_m=(X0, Y0, X0 + 1000.0, Y0 + 1000.0))
         region = Grid.from_bounds(BOUNDS, 10.0, CRS)
-        sky = view_sky(region, "nominal", None, mask_deg=5.0, reference=None, max_age_days=90.0)
-        return map_guesses(MapTask(city, region, sky, MapParams(altitudes_m=(20.0,), times_of_day=times_of_day)))
+        sky = view_sky(region, ju.Gps())
+        params = MapParams((20.0,), sections={"population": ju.Population(time_of_day=times_of_day)})
+        return map_guesses(MapTask(city, region, sky, params))
 
     assert "times 3 in commercial districts and 0.5 elsewhere" in guesses(("day", "night"))["people by factors"]
     assert "people by factors" not in guesses(("night",))
@@ -152,7 +153,7 @@ def test_python_is_warned_once_of_each_guess_and_maps_hold_all_of_them(tmp_path)
 
 def test_the_synthetic_city_guesses_nothing():
     city, region = ju.demo_city(500, 500), Grid.from_bounds((-73.971, 40.7795, -73.969, 40.7805), 20.0, CRS)
-    sky = view_sky(region, "nominal", None, mask_deg=5.0, reference=None, max_age_days=90.0)
+    sky = view_sky(region, ju.Gps())
     assert map_guesses(MapTask(city, region, sky, MapParams())) == {}
 
 
@@ -170,12 +171,12 @@ def test_elements_without_times_stand_at_their_own_time_and_nominal_ones_at_the_
     made = run_scenario(scenario, tmp_path / "out")
     assert made.record["epochs"] == ["2026-08-07T12:00:00Z"]
     assert any("satellites stand as at 2026-08-07T12:00:00Z" in warning for warning in made.record["warnings"])
-    region, options = made.maps[10.0].grid, {"mask_deg": 5.0, "reference": None, "max_age_days": 90.0}
-    assert view_sky(region, "nominal", None, **options).times == ("2020-04-27T16:00:00Z",)
-    asked = view_sky(region, orbits, ["2026-08-08T00:00:00Z"], **options)
+    region = made.maps[10.0].grid
+    assert view_sky(region, ju.Gps()).times == ("2020-04-27T16:00:00Z",)
+    asked = view_sky(region, ju.Gps(orbits=orbits, times="2026-08-08T00:00:00Z"))
     assert (asked.times, asked.guesses) == (("2026-08-08T00:00:00Z",), {})
     city, _ = told_by(lambda: City.from_files(tmp_path / "town.geojson", bounds=BOUNDS))
-    maps, told = told_by(lambda: ju.build_maps(city, grid=region, altitudes_m=[20.0], orbits=orbits))
+    maps, told = told_by(lambda: ju.build_maps(city, grid=region, altitudes_m=[20.0], gps=ju.Gps(orbits=orbits)))
     assert maps.times == ("2026-08-07T12:00:00Z",)
     assert any("satellites stand as at" in sentence for sentence in told)
 
@@ -185,7 +186,7 @@ def test_the_share_of_answers_beyond_the_data_is_that_of_rays_followed_one_by_on
     city, _ = told_by(lambda: City.from_files(tmp_path / "town.geojson", bounds=BOUNDS))
     region = Grid.from_bounds(BOUNDS, 20.0, CRS)
     times = ["2020-04-27T16:00:00Z", "2020-04-27T19:00:00Z"]
-    sky = view_sky(region, "nominal", times, mask_deg=5.0, reference=None, max_age_days=90.0)
+    sky = view_sky(region, ju.Gps(times=times))
     leaving = []
     for t, s in np.argwhere(sky.elevation_rad >= np.radians(5.0)):
         run_m = (60.0 - 20.0) / np.tan(sky.elevation_rad[t, s])
@@ -209,8 +210,8 @@ def blocks_of(*sides_m, people=100.0):
 def scale_guess(blocks, **settings):
     city = replace(ju.demo_city(500, 500), blocks=blocks, crs=CRS, extent_m=(X0, Y0, X0 + 1000.0, Y0 + 1000.0))
     region = Grid.from_bounds(BOUNDS, 10.0, CRS)
-    sky = view_sky(region, "nominal", None, mask_deg=5.0, reference=None, max_age_days=90.0)
-    params = MapParams(altitudes_m=(20.0,), population=Population(**settings))
+    sky = view_sky(region, ju.Gps())
+    params = MapParams(altitudes_m=(20.0,), sections={"population": Population(**settings)})
     return map_guesses(MapTask(city, region, sky, params)).get("one block sets the population scale")
 
 
@@ -228,7 +229,10 @@ def test_one_tiny_block_that_sets_the_population_scale_is_told_with_its_remedy()
 def test_manhattans_tiny_block_is_told(data_dir):
     census = data_dir / "census"
     blocks, _ = read_blocks(
-        CensusFiles(census / "tl_2010_36061_tabblock10.shp", census / "DECENNIALSF12010.P1_nyc_blocks.csv"), CRS
+        ju.Population(
+            blocks=census / "tl_2010_36061_tabblock10.shp", table=census / "DECENNIALSF12010.P1_nyc_blocks.csv"
+        ),
+        CRS,
     )
     people = block_layers(blocks, ["night"])
     (said,) = _scale_guesses(blocks, tuple(shapely.total_bounds(blocks.polygons)), people, Population()).values()
@@ -256,10 +260,8 @@ def write_people(tmp_path, counts, labels=(101, 102), field="BoroCD"):
     (tmp_path / "counts.csv").write_text("\n".join(["GEOID10,population", *lines]))
     halves = shapely.box([X0 - 50, X0 + 200], Y0 - 50, [X0 + 200, X0 + 500], Y0 + 500)
     gpd.GeoDataFrame({field: labels}, geometry=halves, crs=CRS).to_crs(4326).to_file(tmp_path / "districts.geojson")
-    return {
-        **{"bounds": BOUNDS, "blocks": tmp_path / "blocks.gpkg", "table": tmp_path / "counts.csv"},
-        **{"districts": tmp_path / "districts.geojson", "district_field": field},
-    }
+    files = {"blocks": tmp_path / "blocks.gpkg", "table": tmp_path / "counts.csv"}
+    return ju.Population(**files, districts=tmp_path / "districts.geojson", district_field=field)
 
 
 @pytest.mark.parametrize(
@@ -271,8 +273,8 @@ def write_people(tmp_path, counts, labels=(101, 102), field="BoroCD"):
     ],
 )
 def test_counts_that_are_read_as_zero_are_told(tmp_path, counts, words):
-    options = write_people(tmp_path, counts)
-    _, told = told_by(lambda: City.from_files(tmp_path / "town.geojson", **options))
+    people = write_people(tmp_path, counts)
+    _, told = told_by(lambda: City.from_files(tmp_path / "town.geojson", bounds=BOUNDS, population=people))
     assert [words in sentence for sentence in told if not is_of_ground(sentence)] == ([] if words is None else [True])
 
 
@@ -288,8 +290,8 @@ def test_counts_that_are_read_as_zero_are_told(tmp_path, counts, words):
     ],
 )
 def test_new_yorks_commercial_districts_are_no_other_citys(tmp_path, field, labels, commercial, zoned, words):
-    options = write_people(tmp_path, ("10", "20", "30"), labels, field)
-    city, told = told_by(lambda: City.from_files(tmp_path / "town.geojson", **options, commercial=commercial))
+    people = replace(write_people(tmp_path, ("10", "20", "30"), labels, field), commercial=commercial)
+    city, told = told_by(lambda: City.from_files(tmp_path / "town.geojson", bounds=BOUNDS, population=people))
     assert {Zoning(zoning).name for zoning in city.blocks.zoning} - {"OTHER"} == zoned - {"OTHER"}
     assert [words in sentence for sentence in told if not is_of_ground(sentence)] == ([] if words is None else [True])
 
@@ -298,5 +300,5 @@ def test_a_region_beyond_the_data_is_told(tmp_path):
     write_buildings(tmp_path / "town.geojson", ["30"] * 4, [None] * 4)
     city, _ = told_by(lambda: City.from_files(tmp_path / "town.geojson", bounds=BOUNDS))
     far = Grid(CRS, 10.0, int(Y0 / 10), int(X0 / 10), 40, 100)
-    sky = view_sky(far, "nominal", None, mask_deg=5.0, reference=None, max_age_days=90.0)
+    sky = view_sky(far, ju.Gps())
     assert "54 % of the region without data" in map_guesses(MapTask(city, far, sky, MapParams()))

@@ -33,11 +33,15 @@ def city() -> ju.City:
 
 @pytest.fixture(scope="module")
 def sky():
-    return view_sky(REGION, "nominal", ["2020-04-27T16:00:00Z"], mask_deg=5.0, reference=None, max_age_days=90.0)
+    return view_sky(REGION, ju.Gps(times=["2020-04-27T16:00:00Z"]))
 
 
 def spread_of(city, sky, region=REGION, *, num_samples, seed=0, height_std=DEFAULT):
-    params = MapParams((12.0, 31.0), lidar=LIDAR, height_std=height_std, height_samples=num_samples, height_seed=seed)
+    params = MapParams(
+        (12.0, 31.0),
+        heights=ju.Heights(height_samples=num_samples, height_seed=seed, height_std_m=height_std),
+        sections={"lidar": LIDAR},
+    )
     names = [f"{metric}_{what}" for metric in ("gps", "lidar", "risk") for what in ("mean", "std", "p05", "p95")]
     return compute_maps(MapTask(city, region, sky, params)).ds[[*names, "obstacle_share"]]
 

@@ -91,7 +91,7 @@ def test_tiles_do_not_depend_on_the_machine_and_shrink_for_long_series():
     city, region = ju.demo_city(700, 700), ju.Grid("EPSG:32618", 2.0, 0, 0, 10_000, 5_000)
     sky = Sky(("",), (), np.empty((1, 0)), np.empty((1, 0)), (), np.empty((1, 0)))
     short = MapTask(city, region, sky, MapParams())
-    params = MapParams(gps=Gps(series="statistics"))
+    params = MapParams(sections={"gps": Gps(series="statistics")})
     long = replace(short, region=replace(region, resolution_m=5.0), sky=replace(sky, times=("",) * 288), params=params)
     assert shape_of_tiles(short) == (1000, 1000)
     rows, cols = shape_of_tiles(long)

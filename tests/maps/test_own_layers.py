@@ -186,7 +186,7 @@ def test_a_raster_that_ends_inside_the_region_is_told_with_the_share_that_it_clo
     with rasterio.open(tmp_path / "part.tif", "w", "GTiff", 50, 50, 1, crs, at, "float32") as file:
         file.write(np.zeros((1, 50, 50), np.float32))
     layers = {"noise": Layer(str(tmp_path / "part.tif"), "high-is-bad", (0, 80))}
-    sky = view_sky(grid, "nominal", None, mask_deg=5.0, reference=None, max_age_days=90.0)
+    sky = view_sky(grid, ju.Gps())
     task = MapTask(city, grid, sky, MapParams(), layers, bands_of(layers, grid, (60.0,)))
     ((name, told),) = ((name, told) for name, told in map_guesses(task).items() if "layer" in name)
     closed = np.isnan(layer_values(task.bands["noise"], grid, grid)).mean()
@@ -201,7 +201,7 @@ def test_large_holes_of_a_raster_are_told(tmp_path):
     values[0, :, :10] = -1
     write_raster(tmp_path / "noise.tif", grid, values, nodata=-1)
     layers = {"noise": Layer(str(tmp_path / "noise.tif"), "high-is-bad", (0, 80))}
-    sky = view_sky(grid, "nominal", None, mask_deg=5.0, reference=None, max_age_days=90.0)
+    sky = view_sky(grid, ju.Gps())
     told = map_guesses(MapTask(city, grid, sky, MapParams(), layers, bands_of(layers, grid, (60.0,))))
     (sentence,) = (sentence for name, sentence in told.items() if "layer noise without" in name)
     assert "% of the pixels of layer noise hold no value and are closed to every path" in sentence
@@ -232,7 +232,7 @@ def test_a_scenario_names_a_raster_layer(tmp_path):
     grid = ju.Grid.from_bounds(scenario.region.bounds, 20.0, None)
     write_raster(tmp_path / "noise.tif", grid, np.full((1, 40, 40), 20.0))
     (task,) = tasks_of(scenario)
-    assert task.params.others["risk"] == scenario.risk  # as of a metric that maps have no argument for
+    assert task.params.sections["risk"] == scenario.risk
     run = run_scenario(scenario, tmp_path / "out")
     np.testing.assert_allclose(run.maps[20.0].m("noise"), 0.25)
     assert run.record["inputs"]["layer_noise"]["path"] == "noise.tif"

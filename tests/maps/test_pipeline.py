@@ -29,7 +29,7 @@ def task_of(has_terrain=False, params=PARAMS, times=TIMES[:2]):
         hills_m = (15 * np.sin(np.arange(40) / 5)[:, None] * np.cos(np.arange(40) / 7)).astype(np.float32)
         city = replace(city, terrain=Raster(hills_m, (30.0, 0.0, x_min - 150, 0.0, -30.0, y_max + 150), city.crs))
     region = Grid(city.crs, 10.0, round(y_min / 10) + 20, round(x_min / 10) + 20, 48, 40)
-    sky = view_sky(region, "nominal", times, mask_deg=5.0, reference=None, max_age_days=90.0)
+    sky = view_sky(region, ju.Gps(times=times))
     return MapTask(city, region, sky, params)
 
 
@@ -64,10 +64,9 @@ def assert_same(name, found, expected):
 
 def test_jitted_all_maps_has_the_bits_of_build_maps_on_a_small_city():
     city = ju.demo_city(600, 600)
-    others = {"gps_horizontal": Dop(10.0)}
-    expected = ju.build_maps(city, resolution_m=20.0, altitudes_m=(20.0,), times=TIMES[0], others=others)
-    params = MapParams(others=others)
-    inputs, skies = ju.grad.map_inputs(city, expected.grid, altitudes_m=(20.0,), times=TIMES[0], params=params)
+    settings = {"altitudes_m": (20.0,), "gps": ju.Gps(times=TIMES[0]), "gps_horizontal": Dop(10.0)}
+    expected = ju.build_maps(city, resolution_m=20.0, **settings)
+    inputs, skies = ju.grad.map_inputs(city, expected.grid, **settings)
     found = jax.jit(all_maps)(inputs, at(skies, 0))
     assert {*found} >= {"obstacle", "gps", "gdop", "num_visible", "lidar", "risk", "population", "gps_horizontal"}
     for name, values in found.items():
@@ -179,7 +178,7 @@ def test_it_is_exported_for_cpu_and_cuda_and_read_back(inputs, views):
 
 def test_from_a_notebook_it_gives_the_maps_of_build_maps(task, made):
     city, grid = task.city, task.region
-    inputs, skies = ju.grad.map_inputs(city, grid, times=TIMES[:2], altitudes_m=(20.0, 60.0))
+    inputs, skies = ju.grad.map_inputs(city, grid, altitudes_m=(20.0, 60.0), gps=ju.Gps(times=TIMES[:2]))
     found = jax.vmap(ju.grad.all_maps, (None, 0))(inputs, skies)
     for name, values in made.items():
         assert_same(name, found[name], values)
@@ -191,12 +190,12 @@ def test_from_a_notebook_it_gives_the_maps_of_build_maps(task, made):
 
 def test_grids_and_times_are_refused_as_by_build_maps(task):
     with pytest.raises(InputError, match="times must be different UTC times"):
-        ju.grad.map_inputs(task.city, task.region, times=[])
+        ju.grad.map_inputs(task.city, task.region, gps=ju.Gps(times=[]))
     with pytest.raises(InputError, match="build the grid in the city's CRS"):
         ju.grad.map_inputs(task.city, replace(task.region, crs="EPSG:32633"))
     with pytest.raises(InputError, match="the region and the city do not meet"):
         ju.grad.map_inputs(task.city, replace(task.region, first_row=0))
-    _, skies = ju.grad.map_inputs(task.city, task.region, times=TIMES[0])
+    _, skies = ju.grad.map_inputs(task.city, task.region, gps=ju.Gps(times=TIMES[0]))
     assert skies.num.shape == (1,)
 
 

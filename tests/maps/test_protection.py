@@ -32,12 +32,12 @@ MINIMAL = {"region": {"bounds": [-74.02, 40.70, -73.98, 40.73]}, "buildings": {"
 STATISTICS = ("protection_availability", "protection_median", "protection_p05")
 
 
-def task_of(others=ASKED, times=TIMES[:1], **rest) -> MapTask:
+def task_of(sections=ASKED, times=TIMES[:1]) -> MapTask:
     city = replace(ju.demo_city(600, 600), blocks=None)
     x_min, y_min, _, _ = city.extent_m
     region = ju.Grid(city.crs, 10.0, round(y_min / 10) + 15, round(x_min / 10) + 15, 24, 28)
-    sky = view_sky(region, "nominal", times, mask_deg=5.0, reference=None, max_age_days=90.0)
-    return MapTask(city, region, sky, MapParams(altitudes_m=(ALTITUDE_M,), others=others, **rest))
+    sky = view_sky(region, ju.Gps(times=times))
+    return MapTask(city, region, sky, MapParams(altitudes_m=(ALTITUDE_M,), sections=sections))
 
 
 @contextmanager
@@ -71,7 +71,7 @@ def ends(maps):
 
 def test_maps_hold_it_where_somebody_asks(maps):
     assert [*maps.metrics] == ["gps", "protection"]
-    assert "protection" not in task_of(others={}).metrics
+    assert "protection" not in task_of({}).metrics
     hpl_m, is_obstacle = maps.m("hpl", ALTITUDE_M), maps.m("obstacle", ALTITUDE_M) == 1
     assert np.isinf(hpl_m[is_obstacle]).all()
     assert np.isinf(hpl_m[maps.m("num_visible", ALTITUDE_M) < 4]).all()
@@ -86,7 +86,7 @@ def test_maps_hold_it_where_somebody_asks(maps):
 def test_a_series_keeps_the_share_of_times_within_both_limits():
     with only_quick():
         each = compute_maps(task_of(times=TIMES))
-        series = compute_maps(task_of(times=TIMES, gps=Gps(series="statistics")))
+        series = compute_maps(task_of({**ASKED, "gps": Gps(series="statistics")}, TIMES))
     assert {*STATISTICS} < {*series.ds}
     assert "hpl" not in series.ds
     shares = each.ds["within_limits"].mean("time")
@@ -109,7 +109,7 @@ def test_a_series_keeps_the_share_of_times_within_both_limits():
 def test_tiles_equal_the_whole(tmp_path, series):
     made = tiled_runs.task(tiled_runs.city(), series)
     wide = Protection(1e4, 1e4, p_const_gps=0.0)  # of the few satellites of that sky
-    task = replace(made, params=replace(made.params, others={"protection": wide}))
+    task = replace(made, params=replace(made.params, sections={**made.params.sections, "protection": wide}))
     with only_quick():
         whole = compute_maps(task).ds
         make_zarr(Maker(task, tmp_path / "tiled", "key", 1, None), Report(), (16, 16))
@@ -171,14 +171,14 @@ def test_pictures_have_units_limits_and_the_caveat(maps, name, words):
 
 
 def test_a_section_or_a_weight_asks_for_it():
-    assert Scenario.from_dict(MINIMAL).on_request == {}
+    assert Scenario.from_dict(MINIMAL).protection is None
     assert "protection" not in Scenario.from_dict(MINIMAL).model_dump()
     section = Scenario.from_dict(MINIMAL | {"protection": {"horizontal_alert_limit_m": 25}})
-    assert section.on_request == {"protection": Protection(horizontal_alert_limit_m=25.0)}
+    assert section.protection == Protection(horizontal_alert_limit_m=25.0)
     weighed = Scenario.from_dict(MINIMAL | {"weights": {"protection": 1}})
-    assert weighed.on_request == ASKED
+    assert weighed.map_params.sections["protection"] == Protection()
     assert "[protection]" in weighed.to_toml()
-    assert Scenario.from_dict(MINIMAL | {"weights": {"protection": 0}}).on_request == {}
+    assert Scenario.from_dict(MINIMAL | {"weights": {"protection": 0}}).protection is None
     with pytest.raises(InputError, match=r"protection.*p_sat must be a probability"):
         Scenario.from_dict(MINIMAL | {"protection": {"p_sat": 2}})
 

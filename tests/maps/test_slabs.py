@@ -14,6 +14,7 @@ from jaxurban.maps.pipeline import inputs_of
 from jaxurban.maps.task import MapParams, MapTask
 from jaxurban.metrics.base import UNDERSIDE
 from jaxurban.metrics.custom import Layer
+from jaxurban.metrics.gps import Gps
 from jaxurban.metrics.lidar import Lidar
 from jaxurban.metrics.risk import Risk, compute_risk
 from jaxurban.metrics.visibility import visibility
@@ -21,6 +22,7 @@ from jaxurban.progress import Report
 from jaxurban.scenario import provenance
 from jaxurban.scenario.run import Maker, make_zarr
 from jaxurban.scenario.settings import Scenario
+from jaxurban.settings import Heights
 from jaxurban.world.city import SLABS, TO_GROUND, City
 from jaxurban.world.grid import Grid
 from jaxurban.world.surface import Surface
@@ -31,11 +33,11 @@ RESOLUTION_M = 5.0
 REGION = Grid(CRS, RESOLUTION_M, int((Y_M + 100) // 5), int((X_M + 50) // 5), 67, 93)
 ALTITUDES_M = (2.0, 12.0, 13.0, 20.0, 42.0)
 ON_DECK = (20, 50)  # a cell of the region in the middle of the deck
-PARAMS = MapParams(altitudes_m=ALTITUDES_M, lidar=Lidar(azimuths=36, range_m=70.0))
+PARAMS = MapParams(altitudes_m=ALTITUDES_M, sections={"lidar": Lidar(azimuths=36, range_m=70.0)})
 
 
-def task(of: City, **settings) -> MapTask:
-    return MapTask(of, REGION, sky(), replace(PARAMS, **settings))
+def task(of: City, sections=PARAMS.sections, **settings) -> MapTask:
+    return MapTask(of, REGION, sky(), replace(PARAMS, sections=sections, **settings))
 
 
 @pytest.fixture(scope="module")
@@ -93,7 +95,7 @@ def test_tiles_equal_the_untiled_maps(tmp_path, with_terrain, settings):
 
 @pytest.mark.slow
 def test_finer_rays_agree_with_those_of_the_cells(maps):
-    finer = compute_maps(task(city(), oversample=3, lidar=Lidar(azimuths=4, range_m=20.0)))
+    finer = compute_maps(task(city(), {"lidar": Lidar(azimuths=4, range_m=20.0)}, oversample=3))
     same = finer.ds["num_visible"].values == maps.ds["num_visible"].values
     assert same.mean() > 0.93
     assert finer.m("num_visible", 2.0)[ON_DECK] == maps.m("num_visible", 2.0)[ON_DECK]
@@ -102,7 +104,7 @@ def test_finer_rays_agree_with_those_of_the_cells(maps):
 
 @pytest.mark.slow
 def test_bounds_bracket_maps_with_slabs():
-    ds = compute_maps(task(city(), oversample=3, gps_bounds=True, altitudes_m=(2.0,))).ds
+    ds = compute_maps(task(city(), {**PARAMS.sections, "gps": Gps(bounds=True)}, oversample=3, altitudes_m=(2.0,))).ds
     is_free = np.broadcast_to(ds["obstacle"].values == 0, ds["gps"].shape)
     assert np.mean((ds["gps_lower"].values <= ds["gps"].values)[is_free]) > 0.99
     assert np.mean((ds["gps"].values <= ds["gps_upper"].values)[is_free]) > 0.99
@@ -110,7 +112,7 @@ def test_bounds_bracket_maps_with_slabs():
 
 
 def test_a_slab_moves_as_a_whole_where_heights_are_drawn():
-    ds = compute_maps(task(city(), height_samples=4, altitudes_m=(2.0, 13.0))).ds
+    ds = compute_maps(task(city(), heights=Heights(height_samples=4), altitudes_m=(2.0, 13.0))).ds
     shares = ds["obstacle_share"].values[:, *ON_DECK]
     assert shares[0] == 0
     assert 0 < shares[1] <= 1

@@ -106,14 +106,15 @@ def test_bounds_are_ordered_and_fine_maps_keep_the_obstacles_of_plain_ones():
     city = ju.City(UTM, (x0, y0, x0 + 200.0, y0 + 200.0), buildings)
     options = {"resolution_m": 10.0, "altitudes_m": (15.0, 40.0), "lidar": Lidar(azimuths=24)}
     plain, supersampled = (
-        ju.build_maps(city, **options, oversample=oversample, gps_bounds=oversample > 1) for oversample in (1, 3)
+        ju.build_maps(city, oversample=oversample, gps=ju.Gps(bounds=oversample > 1), **options)
+        for oversample in (1, 3)
     )
     np.testing.assert_array_equal(plain.ds["obstacle"], supersampled.ds["obstacle"])
     assert (supersampled.ds["gps_lower"] <= supersampled.ds["gps_upper"]).all()
     assert (supersampled.ds["gps_lower"] < supersampled.ds["gps_upper"]).any()
     assert not np.array_equal(plain.ds["lidar"], supersampled.ds["lidar"])
     with pytest.raises(InputError, match="odd oversample"):
-        ju.build_maps(city, **options, oversample=2, gps_bounds=True)
+        ju.build_maps(city, oversample=2, gps=ju.Gps(bounds=True), **options)
 
 
 def test_a_scenario_with_bounds_wants_an_odd_oversample():

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from jaxurban.io.read.buildings import BuildingFile, read_buildings
+from jaxurban.io.read.buildings import read_buildings
 from jaxurban.io.read.orbits import look_angles, read_orbits
 from jaxurban.io.read.rasterise import build_surface
 from jaxurban.kernels.dop import unit_vectors
@@ -17,6 +17,7 @@ from jaxurban.maps.supersampling import (
     visibility_at_centres,
 )
 from jaxurban.metrics.visibility import visibility
+from jaxurban.settings import Buildings
 from jaxurban.world.city import City
 from jaxurban.world.grid import Grid
 from tests.embree_scene import CityScene
@@ -48,7 +49,7 @@ def bits(words: np.ndarray, num: int) -> np.ndarray:
 def test_oversampled_answers_and_bounds_of_lower_manhattan_hold_against_embree(data_dir):
     region = Grid.from_bounds((-74.02, 40.70, -73.98, 40.73), 5.0, "EPSG:32618", nest_with_m=(2, 5, 10))
     outer = region.padded(200, 220, 240, 160)  # as far as the file reaches
-    buildings = read_buildings(BuildingFile(data_dir / "osm" / "lower-manhattan.osm.pbf"), region.crs).buildings
+    buildings = read_buildings(Buildings(data_dir / "osm" / "lower-manhattan.osm.pbf"), region.crs).buildings
     scene = CityScene(buildings.polygons, buildings.height_m)
     city = City(region.crs, outer.bounds_m, buildings)
     sky = look_angles(

@@ -34,13 +34,15 @@ def task(tmp_path_factory) -> MapTask:
     file.write_text(walker_tle("galileo", 40_000))
     city = ju.demo_city(width_m=500, height_m=500)
     grid = ju.Grid(city.crs, 10.0, *(int(np.ceil(v / 10.0)) + 5 for v in city.extent_m[1::-1]), 32, 32)
-    sky = view_sky(grid, ["nominal", file], TIMES, mask_deg=10.0, reference=None, max_age_days=90)
+    sky = view_sky(grid, ju.Gps(orbits=["nominal", file], times=TIMES, mask_deg=10.0))
     params = MapParams(
         altitudes_m=(Z_M,),
-        mask_deg=10.0,
-        gps=Gps(weighting="elevation"),
-        lidar=Lidar(beams=2, azimuths=8, range_m=40.0),
-        others={"gps_horizontal": ju.metrics.Dop(4.0), "gps_vertical": ju.metrics.Dop()},
+        sections={
+            "gps": Gps(weighting="elevation", mask_deg=10.0),
+            "lidar": Lidar(beams=2, azimuths=8, range_m=40.0),
+            "gps_horizontal": ju.metrics.Dop(4.0),
+            "gps_vertical": ju.metrics.Dop(),
+        },
     )
     return MapTask(city, grid, sky, params)
 
@@ -84,7 +86,7 @@ def test_maps_of_two_systems_equal_float64_with_two_clocks(task, maps, names, is
 
 
 def test_one_clock_for_all_gives_smaller_dops_and_as_before_for_one_system(task, maps):
-    shared = MapParams(**{**vars(task.params), "gps": Gps(clocks="one"), "others": {}})
+    shared = replace(task.params, sections={"lidar": task.params.of("lidar"), "gps": Gps(clocks="one", mask_deg=10.0)})
     one = compute_maps(replace(task, params=shared))
     less, more = one.m("pdop", Z_M), maps.m("pdop", Z_M)
     assert np.all(less <= more * (1 + 1e-5))
@@ -112,7 +114,7 @@ def test_weighted_dops_and_new_metrics_are_there_only_where_they_are_asked_for(t
     new = {*WEIGHTED_DOPS, "gps_horizontal", "gps_vertical"}
     assert new <= {*maps.ds.data_vars}
     assert list(maps.metrics) == [*("gps", "lidar", "population", "risk"), "gps_horizontal", "gps_vertical"]
-    plain = replace(task, params=replace(task.params, gps=Gps(), others={}))
+    plain = replace(task, params=replace(task.params, sections={}))
     assert not new & {*plain.metrics, *(name for metric in plain.metrics.values() for name in metric.variables)}
     assert SatelliteSet.of(*plain.angles(0), plain.params.gps, plain.clocks(0)).weighted is None
 
@@ -177,7 +179,7 @@ def test_soft_maps_follow_the_clocks_and_their_gradients_equal_finite_difference
     cells = jnp.asarray(np.argwhere(np.ones((6, 5), bool)) * 3)
     with jax.enable_x64(True):
         soft = soften(task, dtype=np.float64)
-        params = ju.grad.SoftParams(Z_M, 3.0, gps=task.params.gps, others=dict(task.params.others))
+        params = ju.grad.SoftParams(Z_M, 3.0, sections={"gps": task.params.gps, **dict(task.params.sections)})
         assert {"gps_horizontal", "gps_vertical"} <= set(soft.names)
 
         @jax.jit
@@ -195,7 +197,7 @@ def test_soft_maps_follow_the_clocks_and_their_gradients_equal_finite_difference
 
 def test_what_cannot_be_had_is_one_sentence(task):
     with pytest.raises(InputError, match="bounds of m_gps hold for one clock"):
-        replace(task, params=replace(task.params, gps_bounds=True))
+        replace(task, params=replace(task.params, sections={"gps": Gps(bounds=True)}))
     with pytest.raises(InputError, match="know no oversample, bounds, weighting"):
         inputs_of(task)
     with pytest.raises(InputError, match="clocks must be 'system' or 'one', got 'two'"):
@@ -209,6 +211,6 @@ def test_a_runs_key_tells_clocks_and_weighting_apart():
     asked = [{}, {"gps": {"clocks": "one"}}, {"gps": {"weighting": "elevation"}}, {"gps_horizontal": {}}]
     scenarios = [Scenario.from_dict(bare | more) for more in asked]
     assert len({run_key(scenario, {}, "cpu") for scenario in scenarios}) == len(asked)
-    assert scenarios[0].on_request == {}
-    assert scenarios[3].on_request == {"gps_horizontal": ju.metrics.Dop()}
-    assert set(Scenario.from_dict(bare | {"weights": {"gps_vertical": 2.0}}).on_request) == {"gps_vertical"}
+    assert scenarios[0].gps_horizontal is None
+    assert scenarios[3].gps_horizontal == ju.metrics.Dop()
+    assert Scenario.from_dict(bare | {"weights": {"gps_vertical": 2.0}}).gps_vertical == ju.metrics.Dop()

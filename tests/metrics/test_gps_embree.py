@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxurban.io.read.buildings import BuildingFile, read_buildings
+from jaxurban.io.read.buildings import read_buildings
 from jaxurban.io.read.orbits import look_angles, read_orbits
 from jaxurban.io.read.rasterise import burn
 from jaxurban.kernels.dop import unit_vectors
@@ -36,7 +36,7 @@ class Manhattan:
 
 @pytest.fixture(scope="module")
 def manhattan(data_dir):
-    buildings = read_buildings(BuildingFile(data_dir / "osm" / "lower-manhattan.osm.pbf"), CRS).buildings
+    buildings = read_buildings(Buildings(data_dir / "osm" / "lower-manhattan.osm.pbf"), CRS).buildings
     return Manhattan(buildings, CityScene(buildings.polygons, buildings.height_m))
 
 

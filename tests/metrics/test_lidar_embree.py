@@ -4,9 +4,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxurban.io.read.buildings import BuildingFile, read_buildings
+from jaxurban.io.read.buildings import read_buildings
 from jaxurban.io.read.rasterise import build_surface
 from jaxurban.metrics.lidar import Lidar, compute_lidar
+from jaxurban.settings import Buildings
 from jaxurban.world.city import City
 from jaxurban.world.grid import Grid
 from tests.embree_scene import CityScene
@@ -21,7 +22,7 @@ PARAMS = Lidar()
 @pytest.fixture(scope="module")
 def city(data_dir) -> City:
     bounds_m = REGION.padded(20, 20, 20, 20).bounds_m
-    source = read_buildings(BuildingFile(data_dir / "osm" / "lower-manhattan.osm.pbf"), REGION.crs, bounds_m=bounds_m)
+    source = read_buildings(Buildings(data_dir / "osm" / "lower-manhattan.osm.pbf"), REGION.crs, bounds_m=bounds_m)
     return City(REGION.crs, bounds_m, buildings=source.buildings)
 
 

@@ -10,7 +10,7 @@ from affine import Affine
 from rasterio.features import rasterize
 
 from jaxurban.errors import InputError
-from jaxurban.io.read.census import CensusFiles, read_blocks
+from jaxurban.io.read.census import read_blocks
 from jaxurban.metrics.population import (
     Population,
     block_metric,
@@ -160,8 +160,9 @@ def test_an_unknown_time_of_day_names_the_nearest():
 @pytest.mark.data
 def test_the_night_density_map_of_manhattan_sums_to_its_census(data_dir):
     blocks, _ = read_blocks(
-        CensusFiles(
-            data_dir / "census/tl_2010_36061_tabblock10.shp", data_dir / "census/DECENNIALSF12010.P1_nyc_blocks.csv"
+        Population(
+            blocks=data_dir / "census/tl_2010_36061_tabblock10.shp",
+            table=data_dir / "census/DECENNIALSF12010.P1_nyc_blocks.csv",
         ),
         "EPSG:32618",
     )

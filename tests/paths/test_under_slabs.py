@@ -22,7 +22,7 @@ RULES = ("touched", "centre")
 
 
 def made(hanging: str) -> ju.MetricMaps:
-    params = MapParams(altitudes_m=ALTITUDES_M, lidar=Lidar(azimuths=12, range_m=40.0))
+    params = MapParams(altitudes_m=ALTITUDES_M, sections={"lidar": Lidar(azimuths=12, range_m=40.0)})
     return compute_maps(MapTask(city(hanging), REGION, sky(), params))
 
 

@@ -54,7 +54,7 @@ def test_the_table_agrees_with_finite_differences_of_the_soft_cost(route, table)
     scenario = Scenario.from_dict(SETTINGS)
     (task,) = tasks_of(scenario)
     city, maps = task.city, task.params
-    params = SoftParams(25.0, 2.0, maps.gps, maps.lidar, maps.risk, maps.population)
+    params = SoftParams(25.0, 2.0, dict(maps.sections))
     with jax.enable_x64(True):
         soft = soften(task, dtype=np.float64)
 

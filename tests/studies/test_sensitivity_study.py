@@ -434,7 +434,7 @@ def test_parameters_are_every_number_that_metrics_are_differentiated_by():
 
     city = ju.demo_city(900.0, 600.0, centre_lonlat=(-73.995, 40.7575))
     grid = ju.Grid.from_bounds((-74.0, 40.755, -73.99, 40.76), 50.0, city.crs)
-    sky = view_sky(grid, "nominal", None, mask_deg=5.0, reference=None, max_age_days=90.0)
+    sky = view_sky(grid, ju.Gps())
     task = MapTask(city, grid, sky, MapParams())
     found = parameters_of(task)
     assert found == {

@@ -7,23 +7,21 @@ region at least, and a line in `OUTLINE_READERS`.
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal, get_args
 
 import numpy as np
 import shapely
 
-from jaxurban.errors import InputError, one_of
-from jaxurban.io.read.heights import MAX_HEIGHT_M
+from jaxurban import settings
+from jaxurban.errors import InputError
 from jaxurban.io.read.knownarea import area_of_outlines, area_of_raster
 from jaxurban.io.read.osm import OSM_SUFFIXES, format_of, header_box, read_osm
 from jaxurban.io.read.outlines import Near, Outlines, box_between, count_tags, meets, to_buildings
 from jaxurban.io.read.raster import RASTER_SUFFIXES, check_range, raster_extent_m, read_raster
 from jaxurban.io.read.surfacemodel import check_is_no_surface, heights_of_surface
 from jaxurban.io.read.vector import VECTOR_SUFFIXES, read_vector
-from jaxurban.world.city import SLABS, TO_GROUND, Buildings, Hanging, Raster, ReadIssue, ReadIssues
+from jaxurban.settings import MAX_HEIGHT_M, SLABS
+from jaxurban.world.city import Buildings, Raster, ReadIssue, ReadIssues
 from jaxurban.world.grid import WGS84, Bounds, projected_crs, transformer
-
-Kind = Literal["height", "surface"]  # of a raster of buildings
 
 OutlineReader = Callable[[Path, Near | None, bool], Outlines]
 OUTLINE_READERS: dict[str, OutlineReader] = {
@@ -32,40 +30,6 @@ OUTLINE_READERS: dict[str, OutlineReader] = {
     **dict.fromkeys(VECTOR_SUFFIXES, lambda path, near, has_decks: read_vector(path, near)),
 }
 LOWEST_ROOF_M = -100.0  # surface minus terrain dips below 0 by noise, at cuttings by tens of metres
-
-
-@dataclass(frozen=True)
-class BuildingFile:
-    """A file of buildings, and what to make of it.
-
-    Attributes:
-      source: ``.osm.pbf``, ``.osm``, ``.geojson``, ``.gpkg``, ``.shp``, ``.parquet``, or a height raster (``.tif``,
-        ``.vrt``, ``.asc``, ``.img``), in any CRS that the file declares.
-      kind: of a raster: ``"height"`` above ground, or ``"surface"`` (a DSM), elevations from which the terrain is
-        taken; trees are in it too.
-      default_height_m: height of a building without a usable height or levels.
-      level_height_m: height of one level.
-      allow_none: accept a region without a single building.
-      hanging: as `City.hanging`; with ``"slabs"`` areas of bridges are read as decks.
-
-    Raises:
-      InputError: a height setting that is not above 0, or above `MAX_HEIGHT_M`.
-    """
-
-    source: str | Path
-    kind: Kind = "height"
-    default_height_m: float = 10.0
-    level_height_m: float = 3.0
-    allow_none: bool = False
-    hanging: Hanging = TO_GROUND
-
-    def __post_init__(self) -> None:
-        one_of("hanging", self.hanging, get_args(Hanging))
-        for name in ("default_height_m", "level_height_m"):
-            if not 0 < getattr(self, name) <= MAX_HEIGHT_M:
-                raise InputError(
-                    f"{name} must be above 0 and at most {MAX_HEIGHT_M:g} metres, got {getattr(self, name)}"
-                )
 
 
 @dataclass(frozen=True)
@@ -93,7 +57,7 @@ class BuildingSource:
 
 
 def read_buildings(
-    file: BuildingFile, crs: str, *, bounds_m: Bounds | None = None, terrain: Raster | None = None
+    file: settings.Buildings, crs: str, *, bounds_m: Bounds | None = None, terrain: Raster | None = None
 ) -> BuildingSource:
     """Return the buildings in a file.
 
@@ -165,7 +129,7 @@ def lonlat_extent(path: str | Path) -> Bounds:
     return transformer(outlines.crs, WGS84).transform_bounds(*shapely.total_bounds(outlines.polygons))
 
 
-def _source_of(file: BuildingFile, outlines: Outlines, crs: str, bounds_m: Bounds | None) -> BuildingSource:
+def _source_of(file: settings.Buildings, outlines: Outlines, crs: str, bounds_m: Bounds | None) -> BuildingSource:
     """Return the buildings that outlines make, those that touch ``bounds_m``."""
     buildings, boxes_m, issues = to_buildings(
         file.source,
@@ -190,7 +154,7 @@ def _source_of(file: BuildingFile, outlines: Outlines, crs: str, bounds_m: Bound
     return BuildingSource(buildings, None, area, file_extent_m, issues, count_tags(outlines), outlines.attribution)
 
 
-def _read_roofs(path: Path, crs: str, bounds_m: Bounds | None, kind: Kind, terrain: Raster | None) -> BuildingSource:
+def _read_roofs(path: Path, crs: str, bounds_m: Bounds | None, kind: str, terrain: Raster | None) -> BuildingSource:
     """Return a raster's heights; those below 0 (noise of surface minus terrain) are ground and are counted."""
     name, raster = repr(str(path)), read_raster(path, crs, bounds_m)
     if kind == "surface":

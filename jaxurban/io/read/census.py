@@ -2,7 +2,6 @@
 
 import re
 from collections.abc import Collection
-from dataclasses import dataclass
 from pathlib import Path
 
 import geopandas as gpd
@@ -15,6 +14,7 @@ from jaxurban.io.read.outlines import polygonal
 from jaxurban.io.read.raster import RASTER_SUFFIXES, read_bands
 from jaxurban.io.read.sampling import pixel_xy
 from jaxurban.io.read.vector import open_frame
+from jaxurban.metrics.population import Population
 from jaxurban.world.city import OTHER_DISTRICT, Blocks, ReadIssue, ReadIssues, Zoning
 from jaxurban.world.grid import Bounds, projected_crs, transformer
 
@@ -30,7 +30,6 @@ COUNT = re.compile(r"\s*(\+?\d[\d,\s]*(?:\.\d*)?(?:[eE]\+?\d{1,2})?)\s*(\(.*\))?
 
 AREAL = (shapely.GeometryType.POLYGON, shapely.GeometryType.MULTIPOLYGON)
 PAPER_DISTRICTS = tuple(range(101, 113))  # Manhattan's twelve; 164 is Central Park
-PAPER_COMMERCIAL = PAPER_DISTRICTS[:6]
 ISSUES = (
     *(ReadIssue.BLOCKS_WITHOUT_COUNT, ReadIssue.COUNTS_UNREADABLE, ReadIssue.BLOCKS_WITHOUT_POLYGON),
     *(ReadIssue.BLOCKS_WITHOUT_DISTRICT, ReadIssue.INVALID_BLOCK_POLYGONS, ReadIssue.INVALID_DISTRICT_POLYGONS),
@@ -38,43 +37,11 @@ ISSUES = (
 )
 
 
-@dataclass(frozen=True)
-class CensusFiles:
-    """Census blocks, their people and their districts, as files.
-
-    Attributes:
-      blocks: block polygons, a vector file; or a raster of people, each pixel of which is a block (WorldPop, GHSL,
-        LandScan: `read_people`), which takes no table.
-      table: CSV of population with one header row or two (the second is words where the first names columns).
-        Its id column is the one that joins most blocks, its count column is found by `COUNT_COLUMNS`, or else is
-        the only other column of whole numbers. None: the count is a field of the blocks file, found by
-        `COUNT_COLUMNS`.
-      districts: district polygons; left out, every block is in district 13.
-      block_field: field of the blocks file with one id a block.
-      district_field: the districts' label, a whole number.
-      commercial: labels of commercial districts; left out, see `jaxurban.io.read.census.default_commercial`.
-      residential: labels of residential districts; left out, see `jaxurban.io.read.census.zoning_of`.
-    """
-
-    blocks: str | Path
-    table: str | Path | None = None
-    districts: str | Path | None = None
-    block_field: str = "GEOID10"
-    district_field: str = "BoroCD"
-    commercial: Collection[int] | None = None
-    residential: Collection[int] | None = None
-
-    @property
-    def commercial_labels(self) -> Collection[int]:
-        """The labels that count as commercial."""
-        return default_commercial(self.district_field) if self.commercial is None else self.commercial
-
-
-def read_blocks(files: CensusFiles, crs: str, bounds_m: Bounds | None = None) -> tuple[Blocks, ReadIssues]:
+def read_blocks(files: Population, crs: str, bounds_m: Bounds | None = None) -> tuple[Blocks, ReadIssues]:
     """Return census blocks with their people and districts in the order of their file, and the read issues met.
 
     Args:
-      files: what is read.
+      files: what is read, blocks at least.
       crs: projected CRS of the result, in metres.
       bounds_m: keep only blocks that touch this box of ``crs``; left out, all.
 
@@ -83,6 +50,7 @@ def read_blocks(files: CensusFiles, crs: str, bounds_m: Bounds | None = None) ->
         touches the box.
     """
     issues: ReadIssues = dict.fromkeys(ISSUES, 0)
+    assert files.blocks is not None
     if Path(files.blocks).suffix.lower() in RASTER_SUFFIXES:
         if files.table is not None:
             raise InputError(f"{str(files.blocks)!r} holds its people itself: leave [population] table out")
@@ -105,7 +73,7 @@ def read_blocks(files: CensusFiles, crs: str, bounds_m: Bounds | None = None) ->
     issues[ReadIssue.BLOCKS_WITHOUT_COUNT] = int(frame["_count"].isna().sum())
     issues[ReadIssue.BLOCKS_WITHOUT_DISTRICT] = int((district == OTHER_DISTRICT).sum())
     night_count = frame["_count"].fillna(0.0).to_numpy(np.float64)
-    zoning = zoning_of(district, commercial, files.residential, labels.tolist())
+    zoning = zoning_of(district, commercial, labels.tolist())
     return Blocks(polygons, night_count, district, zoning, frame["_id"].to_numpy(object)), issues
 
 
@@ -142,7 +110,7 @@ def read_people(
     return shapely.polygons(rings), raster.values[row, col], ids
 
 
-def _polygons(files: CensusFiles, crs: str, bounds_m: Bounds | None, issues: ReadIssues) -> gpd.GeoDataFrame:
+def _polygons(files: Population, crs: str, bounds_m: Bounds | None, issues: ReadIssues) -> gpd.GeoDataFrame:
     """Return block polygons with ``_id`` and ``_count``, NaN where there is none; ``issues`` gets what was met."""
     path, field = str(files.blocks), files.block_field
     frame = _open(path, "blocks", field, "[population] block_field")
@@ -332,36 +300,25 @@ def largest_overlap(polygons: np.ndarray, districts: np.ndarray, labels: np.ndar
     return result
 
 
-def zoning_of(
-    district: np.ndarray, commercial: Collection[int], residential: Collection[int] | None, labels: Collection[int]
-) -> np.ndarray:
+def zoning_of(district: np.ndarray, commercial: Collection[int], labels: Collection[int]) -> np.ndarray:
     """Return the `Zoning` of each district label, uint8.
+
+    Residential are Manhattan's twelve (101 to 112) less the commercial ones; where the districts file has none of the
+    twelve, every district of it but the commercial ones.
 
     Args:
       district: ``[N]`` labels.
       commercial: labels of commercial districts.
-      residential: labels of residential districts. None: Manhattan's twelve (101 to 112) less the commercial
-        ones; where the districts file has none of the twelve, every district of it but the commercial ones.
       labels: every label of the districts file.
 
     Returns:
       OTHER for labels on neither list (Central Park is 164, no district is 13); such blocks change by day like
       residential ones and are counted apart.
     """
-    if residential is None:
-        twelve = set(PAPER_DISTRICTS).intersection(labels)
-        residential = (twelve or set(labels)) - {OTHER_DISTRICT}
+    twelve = set(PAPER_DISTRICTS).intersection(labels)
+    residential = (twelve or set(labels)) - {OTHER_DISTRICT}
     is_commercial = np.isin(district, list(commercial))
     is_residential = np.isin(district, list(residential)) & ~is_commercial
     return np.select([is_commercial, is_residential], [Zoning.COMMERCIAL, Zoning.RESIDENTIAL], Zoning.OTHER).astype(
         np.uint8
     )
-
-
-def default_commercial(field: str) -> tuple[int, ...]:
-    """Return the districts that are commercial where nobody says which: the paper's, of New York's own labels only.
-
-    Args:
-      field: of the labels; New York calls it ``BoroCD`` (``boro_cd`` in some exports). Any other gives none.
-    """
-    return PAPER_COMMERCIAL if field.lower().replace("_", "") == "borocd" else ()

@@ -3,18 +3,15 @@
 import warnings
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import shapely
 
+from jaxurban import settings
 from jaxurban.errors import GuessWarning
 from jaxurban.io.read.heights import LAYER_CLEARANCE_M
+from jaxurban.metrics.population import Population
 from jaxurban.world.city import GUESSED_BY, Blocks, Buildings, ReadIssue, ReadIssues
 from jaxurban.world.grid import Bounds
-
-if TYPE_CHECKING:
-    from jaxurban.io.read.buildings import BuildingFile
-    from jaxurban.io.read.census import CensusFiles
 
 Guesses = dict[str, str]
 
@@ -43,7 +40,7 @@ def guessed_share(buildings: Buildings, bounds_m: Bounds) -> float:
     return float(is_guessed.mean()) if is_guessed.size else 0.0
 
 
-def height_guesses(buildings: Buildings | None, bounds_m: Bounds, file: "BuildingFile") -> Guesses:
+def height_guesses(buildings: Buildings | None, bounds_m: Bounds, file: settings.Buildings) -> Guesses:
     """Return what was supposed of the heights of the buildings in a box; nothing of a height raster."""
     if buildings is None or (share := guessed_share(buildings, bounds_m)) < TOLD_SHARE:
         return {}
@@ -75,7 +72,7 @@ def count_guesses(issues: ReadIssues, blocks: Blocks) -> Guesses:
     }
 
 
-def district_guesses(issues: ReadIssues, files: "CensusFiles") -> Guesses:
+def district_guesses(issues: ReadIssues, files: Population) -> Guesses:
     """Return what was supposed of the districts: that no district is commercial, as nobody says which.
 
     Args:

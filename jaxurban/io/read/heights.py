@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from jaxurban.settings import MAX_HEIGHT_M
 from jaxurban.world.city import Buildings, HeightOrigin, ReadIssue, ReadIssues
 
 FOOT_M = 0.3048  # international foot, exact
 INCH_M = 0.0254  # international inch, exact
-MAX_HEIGHT_M = 1000.0  # the tallest building stands at 828 m: more is a slip of the keyboard or of the unit
 # Over freeways the least clearance is 16 ft, 4.9 m (AASHTO, A Policy on Geometric Design of Highways and Streets). A
 # layer of OSM orders what crosses and is no height: one more above the ground is taken as one more such clearance.
 LAYER_CLEARANCE_M = 5.0

@@ -22,9 +22,9 @@ from skyfield.api import EarthSatellite, Timescale, load, wgs84
 from skyfield.iokit import parse_tle_file
 
 from jaxurban.errors import InputError, StaleElementsWarning, readable
+from jaxurban.settings import NOMINAL, iso_utc, parse_time
 from jaxurban.world.sky import Sky
 
-NOMINAL = "nominal"
 WARN_AGE_DAYS = 14.0  # SGP4 keeps GPS satellites within about 0.1 degree for two weeks
 TLE_LENGTH = 69
 OPTIONAL_FIELDS = {  # of an OMM: the standard leaves them optional, and SGP4 does not need them
@@ -248,33 +248,6 @@ def _from_omms(messages: Iterable[Any], source: str | Path) -> list[EarthSatelli
         satellite.name = str(fields.get("OBJECT_NAME") or f"catalogue number {model.satnum}").strip()
         satellites.append(satellite)
     return satellites
-
-
-FIRST_YEAR, LAST_YEAR = 1980, 2200  # GPS time begins in 1980; xarray's nanoseconds end in 2262
-
-
-def parse_time(time: str | datetime | np.datetime64) -> datetime:
-    """Return a time in UTC, to the microsecond; without an offset it is taken as UTC.
-
-    Raises:
-      InputError: not an ISO 8601 date and time, or one before there were satellites.
-    """
-    try:
-        if isinstance(time, np.datetime64):
-            time = str(time.astype("datetime64[us]"))
-        parsed = time if isinstance(time, datetime) else datetime.fromisoformat(time)
-        parsed = parsed.replace(tzinfo=UTC) if parsed.tzinfo is None else parsed.astimezone(UTC)
-    except (TypeError, ValueError, OverflowError) as error:
-        raise InputError(f"{str(time)!r} is not a time: write it as 2020-04-27T16:00:00Z") from error
-    if not FIRST_YEAR <= parsed.year <= LAST_YEAR:
-        raise InputError(f"{str(time)!r} is not a time between the years {FIRST_YEAR} and {LAST_YEAR}")
-    return parsed
-
-
-def iso_utc(time: datetime) -> str:
-    """Return a time as ISO 8601 UTC with a trailing Z; a naive time is UTC already."""
-    time = time.replace(tzinfo=UTC) if time.tzinfo is None else time.astimezone(UTC)
-    return time.isoformat(timespec="seconds" if time.microsecond == 0 else "microseconds").replace("+00:00", "Z")
 
 
 def look_angles(

@@ -1,8 +1,11 @@
 """GPS quality: settings of the metric, and how well the satellites seen from each cell fix a position."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from datetime import timedelta
 from functools import partial
+from pathlib import Path
 from typing import Literal
 
 import jax
@@ -12,12 +15,14 @@ from jax import lax
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, UInt, UInt8
 
-from jaxurban.errors import InputError, one_of, typed
+from jaxurban.errors import InputError, at_least, one_of, positive, typed
 from jaxurban.kernels.dop import Clocks, Geometry, dops_of_words, geometry, unit_vectors
 from jaxurban.metrics.base import AnyArray
 from jaxurban.metrics.settings import check_value, differentiable
 from jaxurban.metrics.visibility import distinct_choices
+from jaxurban.settings import NOMINAL, each, iso_utc, parse_time
 
+MOST_TIMES = 100_000  # a year in steps of five minutes
 MAX_STORED_TIMES = 24  # a longer series keeps statistics over time instead of every time's maps
 SERIES = ("auto", "epochs", "statistics")
 CLOCKS = ("system", "one")
@@ -28,7 +33,7 @@ WEIGHTINGS = ("none", "elevation")
 @typed
 @dataclass(frozen=True)
 class Gps:
-    """Settings of the GPS metric. A pytree whose leaf is the threshold.
+    """Settings of the GPS metric, and which satellites are seen when. A pytree whose leaf is the threshold.
 
     Attributes:
       gdop_threshold: GDOP at and above which m is 0, > 1.
@@ -39,9 +44,16 @@ class Gps:
       clocks: of the receiver, which are solved for beside the position: one for each ``"system"`` that is seen, as
         their times differ by what nobody knows, or ``"one"`` for all, as in the paper, which has but one system.
       weighting: ``"elevation"`` gives the weighted DOPs ``wgdop``, ``wpdop``, ``whdop``, ``wvdop`` and ``wtdop`` too.
+      orbits: ``"nominal"``, a TLE or OMM file, or several of these (other constellations).
+      times: UTC times, ISO 8601, whole seconds; left out, see `jaxurban.maps.build.view_sky`.
+      start, stop, step_s: a series of times instead, its end included; UTC and seconds.
+      mask_deg: elevation mask; lower satellites are not used.
+      max_age_days: older element sets are refused.
+      reference: longitude, latitude where look angles are taken; left out, the region's centre.
+      bounds: also make ``gps_lower`` and ``gps_upper``, which bracket the true m (``oversample`` odd).
 
     Raises:
-      InputError: a value that is none of these.
+      InputError: a value that is none of these, or times that are not different.
     """
 
     gdop_threshold: float = 20.0
@@ -49,6 +61,15 @@ class Gps:
     availability_threshold: float = 0.5
     clocks: Literal["system", "one"] = "system"
     weighting: Literal["none", "elevation"] = "none"
+    orbits: str | Path | Sequence[str | Path] = (NOMINAL,)
+    times: str | Sequence[str] | None = None
+    start: str | None = None
+    stop: str | None = None
+    step_s: int | None = None
+    mask_deg: float = 5.0
+    max_age_days: float = 90.0
+    reference: tuple[float, float] | None = None
+    bounds: bool = False
 
     def __post_init__(self) -> None:
         what = "a number above 1 (such as 20)"
@@ -60,6 +81,42 @@ class Gps:
             raise InputError(
                 f"availability_threshold must be a value of m from 0 to below 1, got {self.availability_threshold}"
             )
+        if not 0 <= self.mask_deg < 90:
+            raise InputError(f"mask_deg must be an angle from 0 to less than 90 degrees, got {self.mask_deg}")
+        positive("max_age_days", self.max_age_days, "days")
+        if self.reference is not None and not (abs(self.reference[0]) <= 180 and abs(self.reference[1]) <= 90):
+            raise InputError(f"reference must be a longitude and a latitude in degrees, got {self.reference}")
+        object.__setattr__(self, "orbits", each(self.orbits))
+        self._check_times()
+
+    def _check_times(self) -> None:
+        series = self.start, self.stop, self.step_s
+        if any(value is not None for value in series) and (None in series or self.times is not None):
+            raise InputError("a series of times needs all of start, stop and step_s, and no times beside them")
+        if self.times is not None:
+            object.__setattr__(self, "times", tuple(map(iso_utc, each(self.times))))
+        elif self.start is not None and self.stop is not None and self.step_s is not None:
+            at_least("step_s", self.step_s, 1)
+            for name in ("start", "stop"):
+                object.__setattr__(self, name, iso_utc(getattr(self, name)))
+            seconds = (parse_time(self.stop) - parse_time(self.start)).total_seconds()
+            if seconds < 0:
+                raise InputError(f"stop, {self.stop}, is before start, {self.start}")
+            if seconds / self.step_s >= MOST_TIMES:
+                raise InputError(f"start, stop and step_s make {seconds / self.step_s:.3g} times: make step_s longer")
+        times = self.utc_times
+        if times is not None and (not times or len(set(times)) != len(times)):
+            raise InputError(f"times must be different UTC times such as 2020-04-27T16:00:00Z, got {list(times)}")
+        if any("." in time for time in times or ()):
+            raise InputError("times must be whole seconds, as file names carry them")
+
+    @property
+    def utc_times(self) -> tuple[str, ...] | None:
+        """The UTC times, ISO 8601 with a trailing Z; None where `jaxurban.maps.build.view_sky` chooses."""
+        if self.start is None or self.stop is None or self.step_s is None:
+            return None if self.times is None else tuple(self.times)
+        start, step = parse_time(self.start), timedelta(seconds=self.step_s)
+        return tuple(iso_utc(start + step * i) for i in range((parse_time(self.stop) - start) // step + 1))
 
     def keeps_times(self, num_times: int) -> bool:
         """Return whether the maps of every time are kept, not statistics over them."""

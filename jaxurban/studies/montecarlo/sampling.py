@@ -10,7 +10,6 @@ import pandas as pd
 from scipy.ndimage import label
 
 from jaxurban.errors import InputError, at_least, typed
-from jaxurban.io.read.orbits import iso_utc, parse_time
 from jaxurban.io.tables import read_table
 from jaxurban.maps.metric_maps import GivenMaps, MetricMaps, as_maps
 from jaxurban.metrics.registry import METRICS
@@ -21,6 +20,7 @@ from jaxurban.paths.queries import WEIGHT_PREFIX, Query
 from jaxurban.paths.snapping import XY
 from jaxurban.planners.base import CostKind
 from jaxurban.planners.cost_model import CostModel
+from jaxurban.settings import iso_utc
 from jaxurban.studies.montecarlo.strata import NO_STRATUM, STRATA, strata_of
 from jaxurban.world.city import LandCover
 
@@ -188,7 +188,7 @@ def instances_of_queries(maps: GivenMaps, queries: Sequence[Query]) -> pd.DataFr
         share = np.hypot(row["goal_x_m"] - row["start_x_m"], row["goal_y_m"] - row["start_y_m"]) / diagonal_m
         row["range"] = next((name for name, (low, high) in RANGES.items() if low <= share < high), None)
         default_time = maps.default_time
-        row["time"] = default_time if query.time is None or default_time is None else iso_utc(parse_time(query.time))
+        row["time"] = default_time if query.time is None or default_time is None else iso_utc(query.time)
         row["time_of_day"] = query.time_of_day or next(iter(maps.times_of_day), None)
         rows.append(
             row | {column: query.weights[column.removeprefix(WEIGHT_PREFIX)] for column in weight_columns(maps.metrics)}

@@ -13,14 +13,14 @@ import numpy as np
 import pandas as pd
 
 from jaxurban.errors import InputError, positive, typed
-from jaxurban.io.read.orbits import parse_time
 from jaxurban.io.read.receiver import LAT, LON, UTC, ReceiverLog
 from jaxurban.maps.recipe import TileScene
 from jaxurban.maps.task import MapTask
 from jaxurban.metrics.gps import METRIC
+from jaxurban.metrics.population import Population
 from jaxurban.progress import Report
 from jaxurban.scenario.run import tasks_of
-from jaxurban.scenario.settings import PopulationSettings, Scenario
+from jaxurban.scenario.settings import Scenario
 from jaxurban.world.grid import Grid
 
 LEG_CELLS = 1_500_000  # of the box around a leg
@@ -132,14 +132,14 @@ def task_at(scenario: Scenario, times: Sequence[str], grid: Grid, antenna_height
 
     Nothing of people, of layers of one's own and of uncertainty is in it: satellites depend on none.
     """
-    of_log: dict[str, Any] = {"times": tuple(map(parse_time, times)), "start": None, "stop": None, "step_s": None}
+    of_log: dict[str, Any] = {"times": tuple(times), "start": None, "stop": None, "step_s": None}
     of_log |= {"reference": scenario.gps.reference or grid.centre_lonlat, "series": "epochs", "bounds": False}
     region = {"resolution_m": (grid.resolution_m,), "altitudes_m": (antenna_height_m,)}
     update = {
         "region": scenario.region.model_copy(update=region),
         "gps": replace(scenario.gps, **of_log),
-        "buildings": scenario.buildings.model_copy(update={"height_samples": 0}),
-        "population": PopulationSettings(),
+        "buildings": replace(scenario.buildings, height_samples=0),
+        "population": Population(),
         "layers": {},
     }
     (task,) = tasks_of(scenario.model_copy(update=update))

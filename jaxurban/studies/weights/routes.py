@@ -8,7 +8,7 @@ import math
 import time
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, is_dataclass, replace
+from dataclasses import dataclass, is_dataclass, replace
 from typing import Any
 
 import jax
@@ -197,10 +197,7 @@ def with_parameter(task: MapTask, parameter: str, value: float) -> MapTask:
     """Return a task with one parameter of its metrics (see `parameters_of`) set."""
     name, _, field = parameter.partition(".")
     settings: Any = replace(task.settings_of(task.metrics[name]), **{field: value})
-    params = task.params
-    is_held = name in {item.name for item in fields(params)}
-    other = {name: settings} if is_held else {"others": {**params.others, name: settings}}
-    return replace(task, params=replace(params, **other))
+    return replace(task, params=replace(task.params, sections={**task.params.sections, name: settings}))
 
 
 def perturbed_tasks(task: MapTask, settings: SensitivityStudySettings) -> Iterator[tuple[str, float, MapTask]]:
@@ -208,8 +205,10 @@ def perturbed_tasks(task: MapTask, settings: SensitivityStudySettings) -> Iterat
 
     Changed are ``"heights"``, at the number of the draw, or a parameter such as ``"lidar.range_m"``, at its factor.
     """
-    plain = replace(task, params=replace(task.params, height_samples=0, gps_bounds=False))
-    cities = perturbed_cities(task.city, task.params.height_std, settings.num_heights, settings.seed)
+    params = task.params
+    gps, heights = replace(params.gps, bounds=False), replace(params.heights, height_samples=0)
+    plain = replace(task, params=replace(params, heights=heights, sections={**params.sections, "gps": gps}))
+    cities = perturbed_cities(task.city, heights.height_std_m, settings.num_heights, settings.seed)
     for number, city in enumerate(cities):
         yield HEIGHTS, float(number), replace(plain, city=city)
     for parameter, value in parameters_of(plain).items() if settings.has_parameters else ():

@@ -175,7 +175,7 @@ def test_an_oversampled_view_at_softness_0_is_the_oversampled_exact_map():
 
 def differences_to_exact(city, region, softnesses_m):
     """Differences of m to the exact map 20 m up, [N, y, x]."""
-    sky = view_sky(region, "nominal", ["2020-04-27T16:00:00Z"], mask_deg=5.0, reference=None, max_age_days=90)
+    sky = view_sky(region, ju.Gps(times=["2020-04-27T16:00:00Z"]))
     surface, angles = MapTask(city, region, sky, MapParams()).surface(), (sky.azimuth_rad[0], sky.elevation_rad[0])
     exact = compute_gps(surface, *angles, [20.0]).m[0]
     view = SkyView.of(surface, *angles)
