@@ -9,8 +9,7 @@ import numpy as np
 import pandas as pd
 
 from jaxurban.errors import InputError, one_of, typed
-from jaxurban.io.read.landcover import read_land_cover
-from jaxurban.io.read.osm import OSM_SUFFIXES
+from jaxurban.io.read.osm import OSM_SUFFIXES, read_land_cover
 from jaxurban.io.tables import INSTANCES_FILE, PARTS_FOLDER, ROWS_FILE, write_table
 from jaxurban.io.workspace import Workspace
 from jaxurban.maps.metric_maps import MetricMaps

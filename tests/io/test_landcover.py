@@ -5,7 +5,7 @@ import pytest
 import shapely
 
 from jaxurban.errors import InputError
-from jaxurban.io.read.landcover import read_land_cover, sea
+from jaxurban.io.read.osm import read_land_cover, sea
 from jaxurban.report.montecarlo import land_cover_of
 from jaxurban.scenario.settings import Scenario
 from jaxurban.world.grid import WGS84, transformer
